@@ -1,0 +1,5 @@
+//! A run on disk: an append-only log of records that survives a kill.
+
+pub mod record;
+
+pub use record::{Event, Record, Stamped};

@@ -1,0 +1,66 @@
+//! Files in and out, with the path in every message.
+
+use std::error::Error;
+use std::fs;
+use std::path::Path;
+
+use crate::diag::Diagnostic;
+use crate::model::Robot;
+
+/// The text of a file.
+///
+/// # Errors
+/// Names the path and why it could not be read.
+pub(crate) fn read(path: &Path) -> Result<String, Diagnostic> {
+    let name = path.display().to_string();
+    fs::read(path).map_err(|error| Diagnostic::file(&name, format!("cannot be read: {error}"))).and_then(
+        |bytes| {
+            String::from_utf8(bytes).map_err(|error| {
+                let at = error.utf8_error().valid_up_to();
+                Diagnostic::file(&name, format!("is not UTF-8 text (byte {at})"))
+            })
+        },
+    )
+}
+
+/// Writes a file whole or not at all: beside it first, then renamed.
+///
+/// # Errors
+/// Names the path and why it could not be written.
+pub(crate) fn write(path: &Path, content: impl AsRef<[u8]>) -> Result<(), Diagnostic> {
+    let wrong = |error| Diagnostic::file(&path.display().to_string(), format!("cannot be written: {error}"));
+    let mut beside = path.as_os_str().to_owned();
+    beside.push(".part");
+    fs::write(&beside, content).map_err(wrong)?;
+    fs::rename(&beside, path).map_err(wrong)
+}
+
+/// Makes the directory that results go to.
+///
+/// # Errors
+/// Names the path and why it could not be made.
+pub(crate) fn directory(path: &Path) -> Result<(), Diagnostic> {
+    fs::create_dir_all(path)
+        .map_err(|error| Diagnostic::file(&path.display().to_string(), format!("cannot be made: {error}")))
+}
+
+/// A robot by built-in name or by file.
+///
+/// # Errors
+/// An unknown name, or what is wrong in the file.
+pub(crate) fn robot(name: &str) -> Result<Robot, Box<dyn Error>> {
+    if let Some(built_in) = Robot::by_name(name) {
+        return Ok(built_in?);
+    }
+    let path = Path::new(name);
+    if path.exists() || name.ends_with(".toml") {
+        return Ok(Robot::from_toml(name, &read(path)?)?);
+    }
+    let known: Vec<&str> = Robot::built_in().iter().map(|(name, _)| *name).collect();
+    let meant = Robot::similar_name(name).map_or(String::new(), |near| format!("; did you mean `{near}`?"));
+    Err(format!(
+        "no robot `{name}`: neither built in nor a file{meant}\n  help: built in are: {}; a file ends in .toml",
+        known.join(", ")
+    )
+    .into())
+}

@@ -1,0 +1,5 @@
+//! Fit, loss, stages, outliers, validation, summary.
+
+pub mod result;
+
+pub use result::Identification;

@@ -1,0 +1,220 @@
+//! Lengths with the axis angles they were read at: the observations CSV, and the base balls' CSV.
+
+use nalgebra::Vector3;
+
+use super::AXES;
+use crate::diag::Diagnostic;
+
+/// One length at one pose.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Observation {
+    /// The user's number for it; the plan's, where there is a plan.
+    pub index: u32,
+    /// Number of the base ball, from 1.
+    pub centre: usize,
+    /// The controller's axis angles, degrees.
+    pub axes_deg: [f64; AXES],
+    /// Distance between the ball centres (bar length plus reading; longer is positive), mm.
+    pub length_mm: f64,
+    /// Standard deviation of the length, mm, where it is known.
+    pub sigma_mm: Option<f64>,
+    /// Further columns, as they stood.
+    pub extra: Vec<String>,
+}
+
+impl Observation {
+    /// The axis angles in rad.
+    pub fn axes(&self) -> [f64; AXES] {
+        self.axes_deg.map(f64::to_radians)
+    }
+}
+
+/// A set of observations with the names of its further columns.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Observations {
+    /// The rows.
+    pub rows: Vec<Observation>,
+    /// Names of the further columns, one for each of a row's `extra`.
+    pub extra_columns: Vec<String>,
+}
+
+/// The columns that a row must have, in the order in which they are written.
+const REQUIRED: [&str; 9] =
+    ["index", "centre", "a1_deg", "a2_deg", "a3_deg", "a4_deg", "a5_deg", "a6_deg", "length_mm"];
+const SIGMA: &str = "sigma_mm";
+
+impl Observations {
+    /// Reads the CSV `index,centre,a1_deg,..,a6_deg,length_mm[,sigma_mm][,..]`; columns in any order.
+    ///
+    /// # Errors
+    /// Names the line and column of what is missing, not a number, not finite, or impossible.
+    pub fn from_csv(file: &str, text: &str) -> Result<Self, Diagnostic> {
+        let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(text.as_bytes());
+        let header = reader.headers().map_err(|error| Diagnostic::csv(file, &error))?.clone();
+        let places = find_columns(file, &header, &REQUIRED)?;
+        let sigma = header.iter().position(|name| name == SIGMA);
+        let extra: Vec<usize> =
+            (0..header.len()).filter(|at| !places.contains(at) && Some(*at) != sigma).collect();
+        let mut rows = Vec::new();
+        for record in reader.records() {
+            let record = record.map_err(|error| Diagnostic::csv(file, &error))?;
+            let cell = Cells { file, header: &header, record: &record };
+            let mut axes_deg = [0.0; AXES];
+            for (axis, value) in axes_deg.iter_mut().enumerate() {
+                *value = cell.number(places[2 + axis])?;
+            }
+            let length_mm = cell.number(places[8])?;
+            if length_mm <= 0.0 {
+                return Err(cell.wrong(places[8], "a length between ball centres is positive, in mm"));
+            }
+            let sigma_mm = match sigma {
+                Some(at) if !record[at].is_empty() => Some(cell.number(at)?),
+                _ => None,
+            };
+            if let (Some(at), Some(value)) = (sigma, sigma_mm)
+                && value <= 0.0
+            {
+                return Err(cell.wrong(at, "a standard deviation is positive, in mm"));
+            }
+            rows.push(Observation {
+                index: cell.whole(places[0], 0)?,
+                centre: cell.whole(places[1], 1)? as usize,
+                axes_deg,
+                length_mm,
+                sigma_mm,
+                extra: extra.iter().map(|&at| record[at].to_owned()).collect(),
+            });
+        }
+        if rows.is_empty() {
+            return Err(Diagnostic::file(file, "holds no observation: only a header, or nothing"));
+        }
+        let extra_columns = extra.iter().map(|&at| header[at].to_owned()).collect();
+        Ok(Self { rows, extra_columns })
+    }
+
+    /// Writes the CSV; every number reads back bit for bit.
+    pub fn to_csv(&self) -> String {
+        let mut text = format!("{},{SIGMA}", REQUIRED.join(","));
+        for name in &self.extra_columns {
+            text.push_str(&format!(",{}", quoted(name)));
+        }
+        text.push('\n');
+        for row in &self.rows {
+            text.push_str(&format!("{},{}", row.index, row.centre));
+            for angle in row.axes_deg {
+                text.push_str(&format!(",{angle}"));
+            }
+            let sigma = row.sigma_mm.map_or(String::new(), |sigma| sigma.to_string());
+            text.push_str(&format!(",{},{sigma}", row.length_mm));
+            for cell in &row.extra {
+                text.push_str(&format!(",{}", quoted(cell)));
+            }
+            text.push('\n');
+        }
+        text
+    }
+
+    /// The highest number of a base ball.
+    pub fn centres(&self) -> usize {
+        self.rows.iter().map(|row| row.centre).max().unwrap_or(0)
+    }
+}
+
+/// A base ball: its number (from 1) and its centre in the robot base, mm.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Centre {
+    /// Number, from 1.
+    pub id: usize,
+    /// Centre in the robot base, mm.
+    pub position: Vector3<f64>,
+}
+
+impl Centre {
+    /// Reads the CSV `centre,x_mm,y_mm,z_mm`: the balls in order of their numbers, which run from 1.
+    ///
+    /// # Errors
+    /// Names the line of what is missing, not a number, or a number that is twice there or absent.
+    pub fn from_csv(file: &str, text: &str) -> Result<Vec<Self>, Diagnostic> {
+        let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(text.as_bytes());
+        let header = reader.headers().map_err(|error| Diagnostic::csv(file, &error))?.clone();
+        let places = find_columns(file, &header, &["centre", "x_mm", "y_mm", "z_mm"])?;
+        let mut centres = Vec::new();
+        for record in reader.records() {
+            let record = record.map_err(|error| Diagnostic::csv(file, &error))?;
+            let cell = Cells { file, header: &header, record: &record };
+            let mut position = Vector3::zeros();
+            for axis in 0..3 {
+                position[axis] = cell.number(places[1 + axis])?;
+            }
+            centres.push(Self { id: cell.whole(places[0], 1)? as usize, position });
+        }
+        centres.sort_by_key(|centre| centre.id);
+        for (at, centre) in centres.iter().enumerate() {
+            if centre.id != at + 1 {
+                let message =
+                    format!("the numbers in column `centre` must run 1, 2, ..: {} is next", centre.id);
+                return Err(Diagnostic::file(file, message));
+            }
+        }
+        Ok(centres)
+    }
+
+    /// Writes the CSV.
+    pub fn to_csv(centres: &[Self]) -> String {
+        let mut text = String::from("centre,x_mm,y_mm,z_mm\n");
+        for Self { id, position } in centres {
+            text.push_str(&format!("{id},{},{},{}\n", position.x, position.y, position.z));
+        }
+        text
+    }
+}
+
+/// The places of the `required` columns in the header.
+fn find_columns(file: &str, header: &csv::StringRecord, required: &[&str]) -> Result<Vec<usize>, Diagnostic> {
+    required
+        .iter()
+        .map(|name| {
+            header.iter().position(|column| column == *name).ok_or_else(|| {
+                let found: Vec<&str> = header.iter().collect();
+                Diagnostic::line(file, 1, format!("the column `{name}` is missing"))
+                    .help(format!("the header has: {}", found.join(",")))
+            })
+        })
+        .collect()
+}
+
+/// A record with what is needed to say where a cell stands.
+struct Cells<'a> {
+    file: &'a str,
+    header: &'a csv::StringRecord,
+    record: &'a csv::StringRecord,
+}
+
+impl Cells<'_> {
+    fn number(&self, at: usize) -> Result<f64, Diagnostic> {
+        let value: f64 = self.record[at].parse().map_err(|_| self.wrong(at, "is not a number"))?;
+        if value.is_finite() { Ok(value) } else { Err(self.wrong(at, "is not a finite number")) }
+    }
+
+    fn whole(&self, at: usize, least: u32) -> Result<u32, Diagnostic> {
+        match self.record[at].parse() {
+            Ok(value) if value >= least => Ok(value),
+            _ => Err(self.wrong(at, &format!("must be a whole number from {least}"))),
+        }
+    }
+
+    fn wrong(&self, at: usize, why: &str) -> Diagnostic {
+        let line = self.record.position().map_or(0, |position| position.line() as usize);
+        let message = format!("column `{}`: `{}`: {why}", &self.header[at], &self.record[at]);
+        Diagnostic::line(self.file, line, message)
+    }
+}
+
+/// A cell as CSV, in quotes where it needs them.
+fn quoted(cell: &str) -> String {
+    if cell.contains(['"', ',', '\n', '\r']) {
+        format!("\"{}\"", cell.replace('"', "\"\""))
+    } else {
+        cell.to_owned()
+    }
+}

@@ -1,0 +1,75 @@
+//! A rigid pose, and KUKA's A, B, C.
+
+use nalgebra::{Matrix3, Rotation3, Vector3};
+
+/// A frame: `rotation` maps its coordinates to the reference frame's, `position` is its origin there, mm.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pose {
+    /// Rotation matrix.
+    pub rotation: Matrix3<f64>,
+    /// Origin, mm.
+    pub position: Vector3<f64>,
+}
+
+impl Pose {
+    /// The reference frame itself.
+    pub fn identity() -> Self {
+        Self { rotation: Matrix3::identity(), position: Vector3::zeros() }
+    }
+
+    /// From KUKA's frame: X, Y, Z in mm and A, B, C in degrees, R = Rz(A) Ry(B) Rx(C).
+    pub fn from_kuka(xyz_mm: [f64; 3], abc_deg: [f64; 3]) -> Self {
+        let [a, b, c] = abc_deg.map(f64::to_radians);
+        Self { rotation: rot_z(a) * rot_y(b) * rot_x(c), position: Vector3::from(xyz_mm) }
+    }
+
+    /// KUKA's A, B, C in degrees; at |B| = 90, where only a combination is defined, C is 0.
+    pub fn abc_deg(&self) -> [f64; 3] {
+        let r = &self.rotation;
+        let cos_b = r[(0, 0)].hypot(r[(1, 0)]);
+        let b = (-r[(2, 0)]).atan2(cos_b);
+        let (a, c) = if cos_b > 1e-10 {
+            (r[(1, 0)].atan2(r[(0, 0)]), r[(2, 1)].atan2(r[(2, 2)]))
+        } else {
+            ((-r[(0, 1)]).atan2(r[(1, 1)]), 0.0)
+        };
+        [a, b, c].map(f64::to_degrees)
+    }
+
+    /// This pose followed by `next`, which is given in this one's frame.
+    pub fn then(&self, next: &Pose) -> Pose {
+        Pose {
+            rotation: self.rotation * next.rotation,
+            position: self.position + self.rotation * next.position,
+        }
+    }
+
+    /// The pose that undoes this one.
+    pub fn inverse(&self) -> Pose {
+        let transposed = self.rotation.transpose();
+        Pose { rotation: transposed, position: -(transposed * self.position) }
+    }
+
+    /// The angle of the rotation between the two orientations, rad, in 0..=pi.
+    pub fn angle_to(&self, other: &Pose) -> f64 {
+        Rotation3::from_matrix_unchecked(self.rotation.transpose() * other.rotation).angle()
+    }
+}
+
+/// Rotation about x by `angle` rad.
+pub fn rot_x(angle: f64) -> Matrix3<f64> {
+    let (s, c) = angle.sin_cos();
+    Matrix3::new(1.0, 0.0, 0.0, 0.0, c, -s, 0.0, s, c)
+}
+
+/// Rotation about y by `angle` rad.
+pub fn rot_y(angle: f64) -> Matrix3<f64> {
+    let (s, c) = angle.sin_cos();
+    Matrix3::new(c, 0.0, s, 0.0, 1.0, 0.0, -s, 0.0, c)
+}
+
+/// Rotation about z by `angle` rad.
+pub fn rot_z(angle: f64) -> Matrix3<f64> {
+    let (s, c) = angle.sin_cos();
+    Matrix3::new(c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0)
+}

@@ -1,0 +1,48 @@
+//! Circles and pose sets: what the robot is to do, checked before anything moves.
+
+pub mod job;
+pub mod rows;
+
+use serde::{Deserialize, Serialize};
+
+pub use job::Job;
+pub use rows::{Kind, Motion, PlanRow};
+
+/// A plan: the rows of `plan.csv` and the header in `plan.json`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Plan {
+    /// The rows, in order.
+    pub rows: Vec<PlanRow>,
+    /// What stands beside them.
+    pub header: Header,
+}
+
+/// `plan.json`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Header {
+    /// Version of this form: 1.
+    pub schema: u32,
+    /// CRC-64/XZ over the text of `plan.csv`, sixteen hexadecimal digits.
+    pub hash: String,
+    /// The job it was made from.
+    pub job: Job,
+    /// The robot it was made for, as its file's text.
+    pub robot: String,
+    /// How long each move lasts: one entry for each row, in order.
+    pub moves: Vec<MoveTime>,
+}
+
+/// The time code: how a row's move is driven, so that every interval between dwells is its own.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct MoveTime {
+    /// The row's index.
+    pub index: u32,
+    /// Speed of the ball along its path, mm/s (LIN, CIRC).
+    pub feed_mm_s: f64,
+    /// Speed of the orientation, degrees/s (LIN, CIRC).
+    pub turn_deg_s: f64,
+    /// Share of the greatest axis speeds, percent (PTP).
+    pub axis_percent: f64,
+    /// How long the move lasts at full override, s, from leaving the last pose to reaching this one.
+    pub duration_s: f64,
+}

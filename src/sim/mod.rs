@@ -1,0 +1,22 @@
+//! Standing in for hardware: a controller that executes KRL, the true robot, a virtual ball-bar.
+
+use crate::model::AXES;
+
+/// The simulated controller at one moment of device time.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Moment {
+    /// Device time since the start, s.
+    pub t_s: f64,
+    /// Axis angles that the controller commands, rad.
+    pub axes: [f64; AXES],
+    /// Number of the base ball on which the bar sits, from 1.
+    pub centre: u32,
+    /// Whether the strobe output is high.
+    pub strobe: bool,
+    /// How many motions have begun: a new one draws a new repeatability error.
+    pub motions: u32,
+    /// Whether the program stands at HALT.
+    pub halted: bool,
+    /// Whether the program has ended.
+    pub done: bool,
+}
