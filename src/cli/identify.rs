@@ -1,11 +1,263 @@
-//! `dbbd identify`.
+//! `dbbd identify`: the robot's parameters from lengths.
 
-use super::{Output, Verdict};
+use std::collections::BTreeMap;
+use std::error::Error;
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
 
-/// Arguments of the verb.
+use super::{Outcome, Output, Verdict, files};
+use crate::diag::Diagnostic;
+use crate::identify::result::{Identification, Status, WarningKind};
+use crate::identify::{self, Identified, Options, Prior};
+use crate::model::{AXES, Centre, Observations, ParamId, Robot, parameter};
+
+/// Identifies the robot's kinematic parameters from lengths and says which the data can tell.
 #[derive(clap::Args)]
-pub(crate) struct Args {}
+pub(crate) struct Args {
+    /// Observations CSV: index,centre,a1_deg,..,a6_deg,length_mm[,sigma_mm].
+    input: PathBuf,
+    /// Directory for result.json, parameters.csv, covariance.csv, robot-identified.toml, report.html.
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Robot: a built-in name or a TOML file.
+    #[arg(long, value_name = "NAME|FILE")]
+    robot: Option<String>,
+    /// Parameters to estimate: names, ranges, groups (`alpha1-5,a1-5,d4-6`; geometric, tool, centres,
+    /// bar, all); without it, all that the data can tell. Followed as it is when there is no prior.
+    #[arg(long, value_name = "LIST")]
+    estimate: Option<String>,
+    /// Parameters to hold at their start values.
+    #[arg(long, value_name = "LIST")]
+    hold: Option<String>,
+    /// Base balls: CSV centre,x_mm,y_mm,z_mm in the robot base; to centimetres when they are estimated.
+    #[arg(long, value_name = "C.csv")]
+    centres: Option<PathBuf>,
+    /// Tool ball in the flange frame, mm, in place of the robot file's.
+    #[arg(long, value_name = "X,Y,Z", value_parser = parse_point, allow_hyphen_values = true)]
+    tool: Option<[f64; 3]>,
+    /// Standard deviation of every length, mm, in place of the data's sigma_mm.
+    #[arg(long, value_name = "MM", value_parser = parse_positive)]
+    sigma: Option<f64>,
+    /// Further observations, to the same balls, that only check the result.
+    #[arg(long, value_name = "OBS.csv")]
+    validate: Option<PathBuf>,
+    /// Cross-validation folds; 0 for none [default: 5 when there are three lengths per parameter].
+    #[arg(long, value_name = "N")]
+    folds: Option<usize>,
+    /// What is known of the robot beforehand: the tolerance in its file, or a CSV name,unit,sd.
+    #[arg(long, value_name = "none|datasheet|FILE", default_value = "none")]
+    prior: String,
+    /// Poses (CSV a1_deg,..,a6_deg) over which the 3-D error is predicted, in place of 2000 within the limits.
+    #[arg(long, value_name = "FILE.csv")]
+    workspace: Option<PathBuf>,
+}
 
-pub(crate) fn run(_args: &Args, _out: &Output) -> Verdict {
-    Err("not there yet".into())
+pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
+    let input = args.input.display().to_string();
+    let observations = Observations::from_csv(&input, &files::read(&args.input)?)?;
+    let name = args.robot.as_deref().ok_or("an observations CSV needs --robot NAME|FILE")?;
+    let mut robot = files::robot(name)?;
+    if let Some(tool) = args.tool {
+        robot.geometry.tool = tool.into();
+    }
+    let path =
+        args.centres.as_ref().ok_or("an observations CSV needs --centres C.csv with the base balls")?;
+    let centres = Centre::from_csv(&path.display().to_string(), &files::read(path)?)?;
+    check_centres(&input, &observations, &centres)?;
+    let options = options(args, &robot, centres.len())?;
+    let validation = match &args.validate {
+        Some(path) => {
+            let name = path.display().to_string();
+            let set = Observations::from_csv(&name, &files::read(path)?)?;
+            check_centres(&name, &set, &centres)?;
+            Some(set)
+        }
+        None => None,
+    };
+    let found = identify::identify(&robot, &observations, &centres, validation.as_ref(), &options)?;
+    files::directory(&args.out)?;
+    write_results(&args.out, &found)?;
+    say(out, &found.result, &args.out);
+    out.document(&found.result)?;
+    let doubt = found.result.warnings.iter().any(|warning| warning.kind == WarningKind::Doubt);
+    Ok(if doubt { Outcome::Doubt } else { Outcome::Done })
+}
+
+fn options(args: &Args, robot: &Robot, centres: usize) -> Result<Options, Box<dyn Error>> {
+    let betas = robot.parallel_joints();
+    let list = |text: &Option<String>| {
+        text.as_deref().map(|text| parameter::parse_list(text, &betas, centres)).transpose()
+    };
+    Ok(Options {
+        estimate: list(&args.estimate)?,
+        hold: list(&args.hold)?.unwrap_or_default(),
+        sigma_mm: args.sigma,
+        prior: match args.prior.as_str() {
+            "none" => Prior::None,
+            "datasheet" => Prior::Datasheet,
+            file => Prior::Given(read_prior(Path::new(file))?),
+        },
+        folds: args.folds,
+        workspace: args.workspace.as_deref().map(read_workspace).transpose()?,
+    })
+}
+
+/// Every observation must have its ball, and every ball an observation.
+fn check_centres(file: &str, observations: &Observations, centres: &[Centre]) -> Result<(), Diagnostic> {
+    for row in &observations.rows {
+        if row.centre > centres.len() {
+            let message = format!(
+                "index {}: base ball {} is not among the {} given by --centres",
+                row.index,
+                row.centre,
+                centres.len()
+            );
+            return Err(Diagnostic::file(file, message));
+        }
+    }
+    Ok(())
+}
+
+fn parse_point(text: &str) -> Result<[f64; 3], String> {
+    let numbers: Result<Vec<f64>, _> = text.split(',').map(|part| part.trim().parse::<f64>()).collect();
+    match numbers.as_deref() {
+        Ok(&[x, y, z]) if [x, y, z].iter().all(|v| v.is_finite()) => Ok([x, y, z]),
+        _ => Err("three numbers in mm are needed, as 30,20,10".into()),
+    }
+}
+
+fn parse_positive(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(value) if value.is_finite() && value > 0.0 => Ok(value),
+        _ => Err("a positive number is needed".into()),
+    }
+}
+
+/// A CSV `name,unit,sd`; a parameters.csv of an earlier identification is one.
+fn read_prior(path: &Path) -> Result<BTreeMap<ParamId, f64>, Box<dyn Error>> {
+    let file = path.display().to_string();
+    let text = files::read(path)?;
+    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(text.as_bytes());
+    let header = reader.headers().map_err(|error| Diagnostic::csv(&file, &error))?.clone();
+    let place = |name: &str| {
+        header.iter().position(|column| column == name).ok_or_else(|| {
+            Diagnostic::line(&file, 1, format!("the column `{name}` is missing: name,unit,sd"))
+        })
+    };
+    let (name, unit, sd) = (place("name")?, place("unit")?, place("sd")?);
+    let mut prior = BTreeMap::new();
+    for record in reader.records() {
+        let record = record.map_err(|error| Diagnostic::csv(&file, &error))?;
+        let line = record.position().map_or(0, |position| position.line() as usize);
+        if record[sd].is_empty() {
+            continue;
+        }
+        let id: ParamId = record[name].parse().map_err(|e| Diagnostic::line(&file, line, format!("{e}")))?;
+        if record[unit] != *id.unit() {
+            let message = format!("`{id}` is in {}, not in `{}`", id.unit(), &record[unit]);
+            return Err(Diagnostic::line(&file, line, message).into());
+        }
+        let value = parse_positive(&record[sd])
+            .map_err(|why| Diagnostic::line(&file, line, format!("sd of `{id}`: {why}")))?;
+        prior.insert(id, value);
+    }
+    Ok(prior)
+}
+
+/// A CSV with the columns a1_deg..a6_deg, more may stand beside them.
+fn read_workspace(path: &Path) -> Result<Vec<[f64; AXES]>, Box<dyn Error>> {
+    let file = path.display().to_string();
+    let poses = Observations::poses_from_csv(&file, &files::read(path)?)?;
+    Ok(poses.into_iter().map(|axes| axes.map(f64::to_radians)).collect())
+}
+
+fn write_results(dir: &Path, found: &Identified) -> Result<(), Box<dyn Error>> {
+    let result = &found.result;
+    files::write(&dir.join("result.json"), serde_json::to_string_pretty(result)? + "\n")?;
+    files::write(&dir.join("robot-identified.toml"), found.robot.to_toml())?;
+    let mut table = csv::Writer::from_writer(Vec::new());
+    table.write_record([
+        "name",
+        "unit",
+        "start",
+        "nominal",
+        "identified",
+        "correction",
+        "sd",
+        "status",
+        "reason",
+    ])?;
+    for parameter in &result.parameters {
+        table.serialize((
+            &parameter.name,
+            &parameter.unit,
+            parameter.start,
+            parameter.nominal,
+            parameter.identified,
+            parameter.correction,
+            parameter.sd,
+            parameter.status,
+            &parameter.reason,
+        ))?;
+    }
+    files::write(&dir.join("parameters.csv"), table.into_inner()?)?;
+    let mut covariance = String::from("name");
+    for id in &found.estimated {
+        write!(covariance, ",{id}")?;
+    }
+    covariance.push('\n');
+    for (row, id) in found.estimated.iter().enumerate() {
+        write!(covariance, "{id}")?;
+        for value in found.covariance.row(row).iter() {
+            write!(covariance, ",{value:e}")?;
+        }
+        covariance.push('\n');
+    }
+    files::write(&dir.join("covariance.csv"), covariance)?;
+    Ok(())
+}
+
+fn say(out: &Output, result: &Identification, dir: &Path) {
+    let residual = &result.residual_mm;
+    let count = |status: Status| result.parameters.iter().filter(|p| p.status == status).count();
+    out.result(format!(
+        "{}: {} lengths, rank {} of the parameters asked for, condition {:.0}, {} steps",
+        result.robot, result.observations, result.rank, result.condition, result.iterations
+    ));
+    out.result(format!(
+        "residual rms {:.4} mm -> {:.4} mm, largest {:.4} -> {:.4} mm, sigma {:.4} mm",
+        residual.before.rms, residual.after.rms, residual.before.max, residual.after.max, result.sigma_mm
+    ));
+    if let Some(folds) = &result.folds {
+        out.result(format!("held out in {} folds: rms {:.4} mm", folds.folds, folds.rms));
+    }
+    if let Some(validation) = &result.validation {
+        out.result(format!(
+            "validation: rms {:.4} mm -> {:.4} mm",
+            validation.before.rms, validation.after.rms
+        ));
+    }
+    let predicted = &result.predicted_position_error_mm;
+    out.result(format!(
+        "predicted 3-D error over the workspace: mean {:.3} mm -> {:.3} mm, 95 % {:.3} -> {:.3} mm",
+        predicted.nominal.mean, predicted.identified.mean, predicted.nominal.p95, predicted.identified.p95
+    ));
+    out.result(format!(
+        "{} identified, {} with the prior's help, {} dependent, {} too weak, {} held",
+        count(Status::Identified),
+        count(Status::Prior),
+        count(Status::Dependent),
+        count(Status::TooWeak),
+        count(Status::Held)
+    ));
+    for dependent in &result.dependent {
+        out.result(format!("  {}", dependent.text));
+    }
+    for warning in &result.warnings {
+        match warning.kind {
+            WarningKind::Doubt => out.warning(&warning.text),
+            WarningKind::Note => out.progress(format!("note: {}", warning.text)),
+        }
+    }
+    out.result(format!("results in {}", dir.display()));
 }

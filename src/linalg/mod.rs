@@ -1,1 +1,12 @@
-//! linalg
+//! Least squares by streamed orthogonal factors, singular values, rank and dependent directions.
+//!
+//! nalgebra holds the matrices. Its own `svd()` is not used: on clustered singular values it can
+//! lose half of the digits, and on a NaN it does not return.
+
+mod base;
+mod svd;
+mod triangle;
+
+pub use base::{BaseSet, base_set};
+pub use svd::{Svd, svd};
+pub use triangle::Triangle;

@@ -6,12 +6,14 @@
 
 pub mod inverse;
 pub mod kinematics;
+pub mod length;
 pub mod observation;
 pub mod parameter;
 pub mod pose;
 pub mod robot;
 
 pub use kinematics::{Geometry, LengthRow, Row};
+pub use length::{LengthModel, Reading, Selection};
 pub use observation::{Centre, Observation, Observations};
 pub use parameter::ParamId;
 pub use pose::Pose;

@@ -92,6 +92,30 @@ impl Observations {
         Ok(Self { rows, extra_columns })
     }
 
+    /// Reads only the axis angles (degrees) of a CSV with the columns a1_deg..a6_deg.
+    ///
+    /// # Errors
+    /// Names the line and column of what is missing or not a finite number.
+    pub fn poses_from_csv(file: &str, text: &str) -> Result<Vec<[f64; AXES]>, Diagnostic> {
+        let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(text.as_bytes());
+        let header = reader.headers().map_err(|error| Diagnostic::csv(file, &error))?.clone();
+        let places = find_columns(file, &header, &REQUIRED[2..2 + AXES])?;
+        let mut poses = Vec::new();
+        for record in reader.records() {
+            let record = record.map_err(|error| Diagnostic::csv(file, &error))?;
+            let cell = Cells { file, header: &header, record: &record };
+            let mut axes_deg = [0.0; AXES];
+            for (axis, value) in axes_deg.iter_mut().enumerate() {
+                *value = cell.number(places[axis])?;
+            }
+            poses.push(axes_deg);
+        }
+        if poses.is_empty() {
+            return Err(Diagnostic::file(file, "holds no pose: only a header, or nothing"));
+        }
+        Ok(poses)
+    }
+
     /// Writes the CSV; every number reads back bit for bit.
     pub fn to_csv(&self) -> String {
         let mut text = format!("{},{SIGMA}", REQUIRED.join(","));

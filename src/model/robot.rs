@@ -31,8 +31,8 @@ pub struct Robot {
     pub nominal: Option<Box<Robot>>,
     /// Where the file's numbers come from.
     pub source: Option<String>,
-    /// Whether the last mass is the payload.
-    payload: bool,
+    /// Whether the last of the masses is the payload.
+    pub payload: bool,
 }
 
 /// One standard deviation of what the maker promises of each geometric parameter.

@@ -1,0 +1,95 @@
+//! Rank and base set of the parameters asked for, at one model.
+
+use nalgebra::DMatrix;
+
+use super::wording;
+use crate::linalg::{BaseSet, Triangle, base_set};
+use crate::model::{LengthModel, ParamId, Reading, Selection};
+
+/// What the poses can tell of a list of parameters.
+#[derive(Clone, Debug)]
+pub struct Analysis {
+    /// The parameters asked for, in canonical order; indices below are into this list.
+    pub ids: Vec<ParamId>,
+    /// The base set; indices are into `ids`.
+    pub base: BaseSet,
+}
+
+impl Analysis {
+    /// The parameters kept, in canonical order.
+    pub fn kept(&self) -> Vec<ParamId> {
+        let mut kept: Vec<ParamId> = self.base.kept.iter().map(|&k| self.ids[k]).collect();
+        kept.sort();
+        kept
+    }
+
+    /// The parameters that change no length.
+    pub fn zero(&self) -> Vec<ParamId> {
+        self.base.zero.iter().map(|&k| self.ids[k]).collect()
+    }
+
+    /// The parameters that depend on those kept.
+    pub fn dependent(&self) -> Vec<ParamId> {
+        self.base.dependent.iter().map(|(k, _)| self.ids[*k]).collect()
+    }
+
+    /// For each kept parameter on which others lean: it, the combination that can be told (its own
+    /// coefficient 1), and the sentence about it.
+    pub fn combinations(&self) -> Vec<(ParamId, Vec<(ParamId, f64)>, String)> {
+        let mut found = Vec::new();
+        for (place, &k) in self.base.kept.iter().enumerate() {
+            let mut members = vec![(self.ids[k], 1.0)];
+            for (column, coefficients) in &self.base.dependent {
+                let id = self.ids[*column];
+                if wording::matters(self.ids[k], id, coefficients[place]) {
+                    members.push((id, coefficients[place]));
+                }
+            }
+            if members.len() > 1 {
+                let text = wording::combination(&members);
+                found.push((self.ids[k], members, text));
+            }
+        }
+        found.sort_by_key(|(kept, _, _)| *kept);
+        found
+    }
+}
+
+/// The triangular factor of the Jacobian of `ids` at `model`, each row divided by its sigma
+/// (`sigma` of one entry per reading, or empty for plain lengths).
+pub fn factor(model: &LengthModel, readings: &[Reading], ids: &[ParamId], sigma: &[f64]) -> DMatrix<f64> {
+    let selection = Selection::new(ids);
+    let mut triangle = Triangle::new(ids.len());
+    let mut row = vec![0.0; ids.len()];
+    for (at, reading) in readings.iter().enumerate() {
+        selection.pick(&model.row(reading), reading.centre, &mut row);
+        if let Some(sigma) = sigma.get(at) {
+            row.iter_mut().for_each(|value| *value /= sigma);
+        }
+        triangle.push(&row, 0.0);
+    }
+    triangle.factor()
+}
+
+/// Which of `ids` the readings can tell at `model`; `None` when a number is not finite.
+///
+/// The set-up is preferred over the robot's own parameters, and among these the joints over what
+/// moves the robot's base as a whole or its scale: what a user would hold is left out first.
+pub fn analyse(model: &LengthModel, readings: &[Reading], ids: &[ParamId]) -> Option<Analysis> {
+    let mut ids = ids.to_vec();
+    ids.sort();
+    let mut order: Vec<usize> = (0..ids.len()).collect();
+    order.sort_by_key(|&at| (tier(ids[at]), at));
+    let base = base_set(&factor(model, readings, &ids, &[]), &order)?;
+    Some(Analysis { ids, base })
+}
+
+/// Lower is kept first.
+fn tier(id: ParamId) -> u8 {
+    match id {
+        ParamId::Centre(..) | ParamId::Tool(_) => 0,
+        ParamId::Alpha(0) | ParamId::A(0) | ParamId::Theta(1) | ParamId::D(1) => 2,
+        ParamId::BarOffset => 3,
+        _ => 1,
+    }
+}

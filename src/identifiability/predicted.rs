@@ -1,0 +1,215 @@
+//! The 3-D position error of the tool ball that an estimate leaves over a workspace.
+//!
+//! The estimator is simulated to first order: true errors delta are drawn from the tolerance, noise
+//! z from the lengths' sigma; with the weighted Jacobian J = Q R of all parameters, the estimate of
+//! the kept ones is A Jk' (J delta + z) = A Rk' (R delta + Q'z), A = (Rk'Rk + P)^-1 with the
+//! prior's precision P = W'W, W the prior's rows. What is wrong afterwards, estimate minus delta, moves the ball by its
+//! position Jacobian; one best rigid alignment over the workspace is taken out, because lengths
+//! do not tell where the base stands. So what was held because the data could not tell it counts
+//! with its full tolerance, and with what it did to the others.
+
+use nalgebra::{DMatrix, DVector, Vector3};
+use rand::RngExt;
+use rand::SeedableRng;
+use rand_distr::{Distribution, StandardNormal};
+use rand_pcg::Pcg64;
+
+use crate::model::{AXES, Geometry, ParamId, Robot};
+
+/// How many robots are drawn for a prediction.
+const DRAWS: usize = 100;
+
+/// Error of the ball's position over a workspace: pooled over the robots drawn, mm.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ErrorSummary {
+    /// Mean over robots and poses.
+    pub mean: f64,
+    /// 95th percentile over robots and poses.
+    pub p95: f64,
+    /// Largest over the poses, averaged over the robots.
+    pub max: f64,
+}
+
+/// Poses over which the error is predicted, with the ball's position Jacobian at them.
+pub struct Workspace {
+    /// Ball positions, mm.
+    pub positions: Vec<Vector3<f64>>,
+    ids: Vec<ParamId>,
+    /// 3 rows a pose, a column a parameter, with rigid motions taken out.
+    jacobian: DMatrix<f64>,
+}
+
+impl Workspace {
+    /// `count` axis vectors uniform within the robot's limits, from `seed`, rad.
+    pub fn uniform(robot: &Robot, count: usize, seed: u64) -> Vec<[f64; AXES]> {
+        let mut random = Pcg64::seed_from_u64(seed);
+        (0..count)
+            .map(|_| {
+                std::array::from_fn(|i| {
+                    let [low, high] = robot.limits_deg[i];
+                    random.random_range(low..high).to_radians()
+                })
+            })
+            .collect()
+    }
+
+    /// The position Jacobian by `ids` at `poses` (axis angles, rad).
+    pub fn new(geometry: &Geometry, poses: &[[f64; AXES]], ids: &[ParamId]) -> Self {
+        let mut jacobian = DMatrix::zeros(3 * poses.len(), ids.len());
+        let mut positions = Vec::with_capacity(poses.len());
+        for (at, axes) in poses.iter().enumerate() {
+            let ball = geometry.ball(axes).position;
+            // The derivative of a length from a far point is that of the position along the line to it.
+            for axis in 0..3 {
+                let mut far = ball;
+                far[axis] -= 1.0;
+                let row = geometry.length_row(axes, &far, 0.0);
+                for (column, id) in ids.iter().enumerate() {
+                    if !matches!(id, ParamId::Centre(..) | ParamId::BarOffset) {
+                        jacobian[(3 * at + axis, column)] =
+                            row.columns()[crate::model::LengthRow::position(*id)];
+                    }
+                }
+            }
+            positions.push(ball);
+        }
+        take_out_rigid_motion(&mut jacobian, &positions);
+        Self { positions, ids: ids.to_vec(), jacobian }
+    }
+
+    /// The errors of all robots, a column each: parameter errors in the order of the ids.
+    pub fn summary(&self, errors: &DMatrix<f64>) -> ErrorSummary {
+        let moved = &self.jacobian * errors;
+        let mut sizes = Vec::with_capacity(moved.len() / 3);
+        let mut largest = 0.0;
+        for column in moved.column_iter() {
+            let mut most: f64 = 0.0;
+            for pose in 0..self.positions.len() {
+                let size = column.fixed_rows::<3>(3 * pose).norm();
+                most = most.max(size);
+                sizes.push(size);
+            }
+            largest += most;
+        }
+        if sizes.is_empty() {
+            return ErrorSummary::default();
+        }
+        let mean = sizes.iter().sum::<f64>() / sizes.len() as f64;
+        let rank = ((sizes.len() as f64 * 0.95) as usize).min(sizes.len() - 1);
+        let (_, p95, _) = sizes.select_nth_unstable_by(rank, f64::total_cmp);
+        ErrorSummary { mean, p95: *p95, max: largest / errors.ncols().max(1) as f64 }
+    }
+
+    /// Root mean square error at each pose over the robots drawn, mm.
+    pub fn map(&self, errors: &DMatrix<f64>) -> Vec<f64> {
+        let moved = &self.jacobian * errors;
+        (0..self.positions.len())
+            .map(|pose| {
+                let block = moved.rows(3 * pose, 3);
+                (block.norm_squared() / errors.ncols().max(1) as f64).sqrt()
+            })
+            .collect()
+    }
+
+    /// The parameters of the columns.
+    pub fn ids(&self) -> &[ParamId] {
+        &self.ids
+    }
+}
+
+/// Projects the six rigid motions of the positions out of the columns.
+fn take_out_rigid_motion(jacobian: &mut DMatrix<f64>, positions: &[Vector3<f64>]) {
+    if positions.is_empty() {
+        return;
+    }
+    let centroid = positions.iter().sum::<Vector3<f64>>() / positions.len() as f64;
+    let mut rigid = DMatrix::zeros(3 * positions.len(), 6);
+    for (at, position) in positions.iter().enumerate() {
+        for axis in 0..3 {
+            let unit = Vector3::ith(axis, 1.0);
+            rigid[(3 * at + axis, axis)] = 1.0;
+            let turned = unit.cross(&(position - centroid));
+            for row in 0..3 {
+                rigid[(3 * at + row, 3 + axis)] = turned[row];
+            }
+        }
+    }
+    let mut motions: Vec<DVector<f64>> = Vec::new();
+    for column in rigid.column_iter() {
+        let mut rest = column.into_owned();
+        let size = rest.norm();
+        for _ in 0..2 {
+            for motion in &motions {
+                rest.axpy(-motion.dot(&rest), motion, 1.0);
+            }
+        }
+        // Poses on a line leave fewer than six motions.
+        let norm = rest.norm();
+        if norm > 1e-9 * size {
+            motions.push(rest / norm);
+        }
+    }
+    for mut column in jacobian.column_iter_mut() {
+        for motion in &motions {
+            let share = motion.dot(&column);
+            column.axpy(-share, motion, 1.0);
+        }
+    }
+}
+
+/// What an estimate does with true errors and noise, to first order.
+pub struct Estimator<'a> {
+    /// All parameters that can be wrong, in the order of the factor's columns.
+    pub ids: &'a [ParamId],
+    /// Triangular factor of their weighted Jacobian (rows divided by sigma).
+    pub factor: &'a DMatrix<f64>,
+    /// One standard deviation of each parameter's true error; 0 for what is exact or free.
+    pub tolerance: &'a [f64],
+    /// Which of the parameters are estimated.
+    pub kept: &'a [usize],
+    /// Prior on the estimated ones as rows of weighted equations; no rows without a prior.
+    pub prior: &'a DMatrix<f64>,
+}
+
+impl Estimator<'_> {
+    /// True errors of drawn robots, a column each, from seed 1.
+    pub fn truths(&self) -> DMatrix<f64> {
+        let mut random = Pcg64::seed_from_u64(1);
+        let mut truths = DMatrix::zeros(self.ids.len(), DRAWS);
+        for mut robot in truths.column_iter_mut() {
+            for (error, tolerance) in robot.iter_mut().zip(self.tolerance) {
+                let z: f64 = StandardNormal.sample(&mut random);
+                *error = z * tolerance;
+            }
+        }
+        truths
+    }
+
+    /// What is wrong after the estimate, for each robot of [`Estimator::truths`]: estimate minus truth.
+    /// `None` when the estimate is not determined.
+    pub fn errors(&self, truths: &DMatrix<f64>) -> Option<DMatrix<f64>> {
+        let mut random = Pcg64::seed_from_u64(2);
+        let noise =
+            DMatrix::from_fn(self.factor.nrows(), truths.ncols(), |_, _| StandardNormal.sample(&mut random));
+        let mut errors = -truths;
+        if self.kept.is_empty() {
+            return Some(errors);
+        }
+        let kept = self.factor.select_columns(self.kept);
+        let data = self.factor * truths + noise;
+        let (rows, unknowns) = (kept.nrows(), kept.ncols());
+        let mut stacked = DMatrix::zeros(rows + self.prior.nrows(), unknowns);
+        stacked.rows_mut(0, rows).copy_from(&kept);
+        stacked.rows_mut(rows, self.prior.nrows()).copy_from(self.prior);
+        let mut right = DMatrix::zeros(stacked.nrows(), truths.ncols());
+        right.rows_mut(0, rows).copy_from(&data);
+        let qr = stacked.qr();
+        qr.q_tr_mul(&mut right);
+        let estimate = qr.r().solve_upper_triangular(&right.rows(0, unknowns))?;
+        for (place, &k) in self.kept.iter().enumerate() {
+            let mut row = errors.row_mut(k);
+            row += estimate.row(place);
+        }
+        Some(errors)
+    }
+}

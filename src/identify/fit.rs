@@ -1,0 +1,125 @@
+//! The stages of a fit: set-up first, then the joint offsets, then all; outliers set aside; the
+//! sigma of the lengths brought to what the residuals show.
+
+use super::solver::{
+    Loss, MAD_TO_SD, PriorRows, Problem, ROUNDING, Solution, minimise, robust_scale, whitened,
+};
+use crate::model::{LengthModel, ParamId, Reading};
+
+/// A fit and what it was weighted by.
+#[derive(Clone, Debug)]
+pub(super) struct Fit {
+    pub(super) model: LengthModel,
+    pub(super) iterations: usize,
+    pub(super) converged: bool,
+    /// For each reading whether it was used.
+    pub(super) used: Vec<bool>,
+}
+
+/// Only the part of the set-up that is free, with the robot as it stands.
+pub(super) fn set_up(readings: &[Reading], sigma: &[f64], free: &[ParamId], start: &LengthModel) -> Fit {
+    let ids: Vec<ParamId> = free.iter().copied().filter(|id| id.is_setup()).collect();
+    robust(readings, sigma, |readings, sigma, loss, from| {
+        let from = from.unwrap_or(start);
+        // The bar's offset trades against the balls' places far from the solution, so it comes second.
+        let places: Vec<ParamId> = ids.iter().copied().filter(|id| *id != ParamId::BarOffset).collect();
+        stages(readings, sigma, &[&places, &ids], loss, None, from)
+    })
+}
+
+/// All of `free` from `start`, whose set-up has been fitted.
+pub(super) fn all(
+    readings: &[Reading],
+    sigma: &[f64],
+    free: &[ParamId],
+    prior: Option<&PriorRows>,
+    start: &LengthModel,
+) -> Fit {
+    let offsets: Vec<ParamId> = free
+        .iter()
+        .copied()
+        .filter(|id| matches!(id, ParamId::Theta(_) | ParamId::Tool(_) | ParamId::Centre(..)))
+        .collect();
+    // With a prior the robot is near its nominal, and offsets that the data do not hold could run away.
+    let joints_first = prior.is_none() && offsets.iter().any(|id| matches!(id, ParamId::Theta(_)));
+    robust(readings, sigma, |readings, sigma, loss, from| match from {
+        None if joints_first => stages(readings, sigma, &[&offsets, free], loss, prior, start),
+        from => stages(readings, sigma, &[free], loss, prior, from.unwrap_or(start)),
+    })
+}
+
+/// Minimises over each list in turn; the prior belongs to the last.
+fn stages(
+    readings: &[Reading],
+    sigma: &[f64],
+    lists: &[&[ParamId]],
+    loss: Loss,
+    prior: Option<&PriorRows>,
+    start: &LengthModel,
+) -> Solution {
+    let mut reached = Solution { model: start.clone(), iterations: 0, converged: true };
+    for (at, ids) in lists.iter().enumerate() {
+        let prior = prior.filter(|_| at + 1 == lists.len());
+        let solution = minimise(&Problem { readings, sigma, ids, loss, prior }, &reached.model);
+        reached = Solution { iterations: reached.iterations + solution.iterations, ..solution };
+    }
+    reached
+}
+
+/// By squares when no residual stands out; else by Huber's loss, then by squares without those that
+/// stand out, until their set stands.
+fn robust(
+    readings: &[Reading],
+    sigma: &[f64],
+    solve: impl Fn(&[Reading], &[f64], Loss, Option<&LengthModel>) -> Solution,
+) -> Fit {
+    let plain = solve(readings, sigma, Loss::Squares, None);
+    let residuals = residuals(readings, sigma, &plain.model);
+    // A far outlier spreads over all residuals in a fit by squares: look closer already at less.
+    if standing_out(&residuals, 3.5).is_empty() {
+        let Solution { model, iterations, converged } = plain;
+        return Fit { model, iterations, converged, used: vec![true; readings.len()] };
+    }
+    let mut reached = solve(readings, sigma, Loss::Huber, None);
+    let mut iterations = plain.iterations + reached.iterations;
+    let mut used = vec![true; readings.len()];
+    for _ in 0..10 {
+        let residuals = self::residuals(readings, sigma, &reached.model);
+        let out = standing_out(&residuals, limit(readings.len()));
+        let now: Vec<bool> = (0..readings.len()).map(|at| !out.contains(&at)).collect();
+        let kept = |at: &usize| now[*at];
+        let readings_left: Vec<Reading> = (0..readings.len()).filter(kept).map(|at| readings[at]).collect();
+        let sigma_left: Vec<f64> = (0..readings.len()).filter(kept).map(|at| sigma[at]).collect();
+        let next = solve(&readings_left, &sigma_left, Loss::Squares, Some(&reached.model));
+        iterations += next.iterations;
+        reached = next;
+        if now == used && !out.is_empty() || out.is_empty() {
+            used = now;
+            break;
+        }
+        used = now;
+    }
+    Fit { model: reached.model, iterations, converged: reached.converged, used }
+}
+
+/// Residuals in sigmas.
+fn residuals(readings: &[Reading], sigma: &[f64], model: &LengthModel) -> Vec<f64> {
+    whitened(&Problem { readings, sigma, ids: &[], loss: Loss::Squares, prior: None }, model)
+}
+
+/// How many robust standard deviations a residual may have: one length in a hundred normal data
+/// sets goes beyond it (twice Mills' bound on the normal tail, solved for 0.01 / n).
+fn limit(readings: usize) -> f64 {
+    let n = readings.max(10) as f64;
+    let mut limit: f64 = 4.0;
+    for _ in 0..20 {
+        limit = (2.0 * (100.0 * n * (2.0 / std::f64::consts::PI).sqrt() / limit).ln()).sqrt();
+    }
+    limit.max(4.5)
+}
+
+/// The residuals beyond `limit` robust standard deviations.
+fn standing_out(residuals: &[f64], limit: f64) -> Vec<usize> {
+    let scale = robust_scale(residuals).max(ROUNDING * MAD_TO_SD);
+    (0..residuals.len()).filter(|&at| residuals[at].abs() > limit * scale).collect()
+}

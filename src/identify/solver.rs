@@ -1,0 +1,202 @@
+//! Levenberg-Marquardt on the lengths, with column scaling, a robust loss by reweighting, and prior rows.
+//!
+//! Damping follows Nielsen ("Damping parameter in Marquardt's method", IMM-REP-1999-05): it grows
+//! faster with each refusal and shrinks by the gain ratio. It starts so small that the first steps are
+//! Gauss-Newton's.
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::linalg::Triangle;
+use crate::model::{LengthModel, ParamId, Reading, Selection};
+
+/// What is to be fitted.
+pub(super) struct Problem<'a> {
+    pub(super) readings: &'a [Reading],
+    /// Standard deviation of each length, mm.
+    pub(super) sigma: &'a [f64],
+    /// Parameters to fit.
+    pub(super) ids: &'a [ParamId],
+    pub(super) loss: Loss,
+    pub(super) prior: Option<&'a PriorRows>,
+}
+
+/// How large residuals count.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Loss {
+    /// By their square.
+    Squares,
+    /// Linearly beyond 1.345 robust standard deviations (Huber).
+    Huber,
+}
+
+/// Equations `rows * (p - mean) = 0` of unit weight.
+#[derive(Clone, Debug)]
+pub(super) struct PriorRows {
+    pub(super) rows: DMatrix<f64>,
+    pub(super) mean: DVector<f64>,
+}
+
+/// Where the solver came to rest.
+#[derive(Clone, Debug)]
+pub(super) struct Solution {
+    pub(super) model: LengthModel,
+    pub(super) iterations: usize,
+    pub(super) converged: bool,
+}
+
+const HUBER: f64 = 1.345;
+/// 1 / the 75 % point of the normal distribution: makes the median of |r| a standard deviation.
+pub(super) const MAD_TO_SD: f64 = 1.482_602_218_505_602;
+/// A residual scale below this (in sigmas or mm) is rounding, not noise.
+pub(super) const ROUNDING: f64 = 1e-9;
+const MAX_STEPS: usize = 100;
+/// A step that changes the lengths by less than this (rms, mm) is none.
+const REST_MM: f64 = 1e-10;
+
+/// Minimises the weighted residuals over `problem.ids`, from `start`.
+pub(super) fn minimise(problem: &Problem, start: &LengthModel) -> Solution {
+    let n = problem.ids.len();
+    let mut model = start.clone();
+    if n == 0 {
+        return Solution { model, iterations: 0, converged: true };
+    }
+    let selection = Selection::new(problem.ids);
+    let mut triangle = Triangle::new(n);
+    let mut row = vec![0.0; n];
+    let mut scale = DVector::<f64>::zeros(n);
+    let (mut damping, mut growth) = (1e-12, 4.0);
+    let mean_sigma = (problem.sigma.iter().map(|s| s * s).sum::<f64>() / problem.sigma.len() as f64).sqrt();
+    let rest = REST_MM / mean_sigma * (problem.readings.len() as f64).sqrt();
+    let mut steps = 0;
+    while steps < MAX_STEPS {
+        let residuals = whitened(problem, &model);
+        let knee = knee(problem.loss, &residuals);
+        triangle.clear();
+        for (at, reading) in problem.readings.iter().enumerate() {
+            let weight = huber_weight(residuals[at], knee) / problem.sigma[at];
+            selection.pick(&model.row(reading), reading.centre, &mut row);
+            row.iter_mut().for_each(|value| *value *= weight);
+            triangle.push(&row, residuals[at] * weight * problem.sigma[at]);
+        }
+        if let Some(prior) = problem.prior {
+            push_prior(&mut triangle, prior, problem.ids, &model);
+        }
+        let factor = triangle.factor();
+        let rhs = triangle.rhs();
+        let cost = cost(problem, &residuals, knee, &model);
+        for k in 0..n {
+            scale[k] = scale[k].max(factor.column(k).norm());
+        }
+        // Steps are refused until one lowers the cost.
+        loop {
+            steps += 1;
+            let Some(step) = damped_step(&triangle, &scale, damping) else {
+                damping = (damping * growth).max(1e-9);
+                growth *= 2.0;
+                if damping > 1e12 || steps >= MAX_STEPS {
+                    return Solution { model, iterations: steps, converged: false };
+                }
+                continue;
+            };
+            let change = &factor * &step;
+            if change.norm() <= rest {
+                return Solution {
+                    model: moved(&model, problem.ids, &step),
+                    iterations: steps,
+                    converged: true,
+                };
+            }
+            let candidate = moved(&model, problem.ids, &step);
+            let new_cost = self::cost(problem, &whitened(problem, &candidate), knee, &candidate);
+            let predicted = 2.0 * rhs.dot(&change) - change.norm_squared();
+            let gain = (cost - new_cost) / predicted;
+            if gain > 1e-4 && new_cost.is_finite() {
+                model = candidate;
+                damping *= (1.0 - (2.0 * gain - 1.0).powi(3)).clamp(0.1, 0.9);
+                growth = 4.0;
+                break;
+            }
+            // The reduction left is below the rounding of the cost: this is the minimum.
+            if predicted <= 1e-13 * cost {
+                return Solution { model, iterations: steps, converged: true };
+            }
+            damping = (damping * growth).max(1e-9);
+            growth *= 2.0;
+            if damping > 1e12 || steps >= MAX_STEPS {
+                return Solution { model, iterations: steps, converged: false };
+            }
+        }
+    }
+    Solution { model, iterations: steps, converged: false }
+}
+
+/// Residuals, measured minus predicted, in sigmas.
+pub(super) fn whitened(problem: &Problem, model: &LengthModel) -> Vec<f64> {
+    problem
+        .readings
+        .iter()
+        .zip(problem.sigma)
+        .map(|(reading, sigma)| (reading.length - model.length(reading)) / sigma)
+        .collect()
+}
+
+/// Median of the magnitudes as a standard deviation.
+pub(super) fn robust_scale(residuals: &[f64]) -> f64 {
+    let mut sizes: Vec<f64> = residuals.iter().map(|r| r.abs()).collect();
+    if sizes.is_empty() {
+        return 0.0;
+    }
+    let middle = sizes.len() / 2;
+    let (_, median, _) = sizes.select_nth_unstable_by(middle, f64::total_cmp);
+    *median * MAD_TO_SD
+}
+
+/// Where the loss turns linear; infinite for squares.
+fn knee(loss: Loss, residuals: &[f64]) -> f64 {
+    match loss {
+        Loss::Squares => f64::INFINITY,
+        Loss::Huber => HUBER * robust_scale(residuals).max(ROUNDING),
+    }
+}
+
+/// Root of Huber's weight.
+fn huber_weight(residual: f64, knee: f64) -> f64 {
+    if residual.abs() <= knee { 1.0 } else { (knee / residual.abs()).sqrt() }
+}
+
+fn cost(problem: &Problem, residuals: &[f64], knee: f64, model: &LengthModel) -> f64 {
+    let loss = |r: &f64| if r.abs() <= knee { r * r } else { knee * (2.0 * r.abs() - knee) };
+    let data: f64 = residuals.iter().map(loss).sum();
+    let prior = problem
+        .prior
+        .map_or(0.0, |prior| (&prior.rows * deviation(prior, problem.ids, model)).norm_squared());
+    data + prior
+}
+
+fn deviation(prior: &PriorRows, ids: &[ParamId], model: &LengthModel) -> DVector<f64> {
+    DVector::from_fn(ids.len(), |k, _| model.value(ids[k]) - prior.mean[k])
+}
+
+fn push_prior(triangle: &mut Triangle, prior: &PriorRows, ids: &[ParamId], model: &LengthModel) {
+    let wrong = &prior.rows * deviation(prior, ids, model);
+    for (equation, wrong) in prior.rows.row_iter().zip(&wrong) {
+        let row: Vec<f64> = equation.iter().copied().collect();
+        triangle.push(&row, -wrong);
+    }
+}
+
+fn damped_step(triangle: &Triangle, scale: &DVector<f64>, damping: f64) -> Option<DVector<f64>> {
+    let mut damped = triangle.clone();
+    for (unknown, scale) in scale.iter().enumerate() {
+        damped.push_single(unknown, damping.sqrt() * scale, 0.0);
+    }
+    damped.solve()
+}
+
+fn moved(model: &LengthModel, ids: &[ParamId], step: &DVector<f64>) -> LengthModel {
+    let mut model = model.clone();
+    for (id, step) in ids.iter().zip(step) {
+        model.shift(*id, *step);
+    }
+    model
+}

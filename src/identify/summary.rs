@@ -1,0 +1,304 @@
+//! Assembles the result: parameters with their fate, residuals, predicted error, warnings.
+
+use std::collections::BTreeMap;
+
+use nalgebra::DMatrix;
+
+use super::covariance::{Spread, WEAK, spread};
+use super::estimate::{Estimate, IdentifyError, Lengths, asked};
+use super::options::{Options, Prior, tolerance};
+use super::result::{
+    BeforeAfter, Dependent, Folds, Identification, Outlier, ParameterResult, PredictedError, PredictedPair,
+    Residual, Status,
+};
+use super::{Identified, ResidualPair, verdict};
+use crate::identifiability::{ErrorSummary, Estimator, Workspace, factor};
+use crate::linalg::base_set;
+use crate::model::{LengthModel, Observations, ParamId, Reading, Robot, parameter};
+
+/// Poses over which the error is predicted when the user gives none, and their seed.
+const WORKSPACE_POSES: usize = 2000;
+const WORKSPACE_SEED: u64 = 1;
+
+#[allow(clippy::too_many_arguments)] // the parts of one result, each used once
+pub(super) fn summarise(
+    robot: &Robot,
+    observations: &Observations,
+    start: &LengthModel,
+    lengths: &Lengths,
+    estimate: Estimate,
+    folds: Option<Folds>,
+    validation: Option<&Observations>,
+    options: &Options,
+) -> Result<Identified, IdentifyError> {
+    let model = &estimate.fit.model;
+    let (used_readings, used_sigma) = used(lengths, &estimate);
+    let spread = spread(model, &used_readings, &estimate.kept, &used_sigma, estimate.prior.as_ref())
+        .ok_or(IdentifyError::NotFinite)?;
+    let residuals: Vec<ResidualPair> = lengths
+        .readings
+        .iter()
+        .zip(&estimate.fit.used)
+        .map(|(reading, &used)| ResidualPair {
+            before: reading.length - estimate.before.length(reading),
+            after: reading.length - model.length(reading),
+            used,
+        })
+        .collect();
+    let nominal = nominal_model(robot, start);
+    let parameters = parameters(robot, &nominal, start, &estimate, &spread, options);
+    let outliers = observations
+        .rows
+        .iter()
+        .zip(&residuals)
+        .filter(|(_, residual)| !residual.used)
+        .map(|(row, residual)| Outlier { index: row.index, centre: row.centre, residual_mm: residual.after })
+        .collect();
+    let mut result = Identification {
+        schema: 1,
+        robot: robot.name.clone(),
+        observations: used_readings.len(),
+        rank: estimate.analysis.base.rank,
+        rank_at_solution: rank_at(model, &lengths.readings, &estimate.analysis.ids)?,
+        condition: estimate.analysis.base.condition,
+        iterations: estimate.fit.iterations,
+        converged: estimate.fit.converged,
+        sigma_mm: root_mean_square(used_sigma.iter().copied()),
+        residual_mm: BeforeAfter {
+            before: residual(residuals.iter().filter(|r| r.used).map(|r| r.before)),
+            after: residual(residuals.iter().filter(|r| r.used).map(|r| r.after)),
+        },
+        folds,
+        validation: validation.map(|set| BeforeAfter {
+            before: residual_on(&estimate.before, set),
+            after: residual_on(model, set),
+        }),
+        predicted_position_error_mm: predicted(robot, &estimate, &used_readings, &used_sigma, options)?,
+        parameters,
+        dependent: dependent(&estimate),
+        outliers,
+        warnings: Vec::new(),
+    };
+    result.warnings = verdict::warnings(&result, &estimate, lengths, spread.parameters);
+    Ok(Identified {
+        robot: identified_robot(robot, model),
+        model: model.clone(),
+        estimated: estimate.kept.clone(),
+        covariance: spread.covariance,
+        residuals,
+        result,
+    })
+}
+
+/// The readings that the fit used, with their sigmas.
+fn used(lengths: &Lengths, estimate: &Estimate) -> (Vec<Reading>, Vec<f64>) {
+    (0..lengths.readings.len())
+        .filter(|&at| estimate.fit.used[at])
+        .map(|at| (lengths.readings[at], estimate.sigma[at]))
+        .unzip()
+}
+
+/// The nominal geometry: that of the `[nominal]` table where the robot was identified before.
+fn nominal_model(robot: &Robot, start: &LengthModel) -> LengthModel {
+    let mut nominal = start.clone();
+    if let Some(before) = &robot.nominal {
+        nominal.geometry = before.geometry.clone();
+    }
+    nominal
+}
+
+/// The robot as its file will hold it.
+fn identified_robot(robot: &Robot, model: &LengthModel) -> Robot {
+    let nominal = robot.nominal.clone().unwrap_or_else(|| Box::new(robot.clone()));
+    Robot { geometry: model.geometry.clone(), nominal: Some(nominal), ..robot.clone() }
+}
+
+fn rank_at(model: &LengthModel, readings: &[Reading], ids: &[ParamId]) -> Result<usize, IdentifyError> {
+    let order: Vec<usize> = (0..ids.len()).collect();
+    let set = base_set(&factor(model, readings, ids, &[]), &order).ok_or(IdentifyError::NotFinite)?;
+    Ok(set.rank)
+}
+
+/// Every parameter of the model with its fate.
+fn parameters(
+    robot: &Robot,
+    nominal: &LengthModel,
+    start: &LengthModel,
+    estimate: &Estimate,
+    spread: &Spread,
+    options: &Options,
+) -> Vec<ParameterResult> {
+    let mut ids = parameter::all(&robot.parallel_joints(), start.centres.len());
+    ids.extend(&estimate.analysis.ids);
+    ids.sort();
+    ids.dedup();
+    let fate = Fate::new(robot, estimate, spread, options, start.centres.len());
+    ids.into_iter()
+        .map(|id| {
+            let (status, reason, sd) = fate.of(id);
+            let identified = estimate.fit.model.value(id);
+            ParameterResult {
+                name: id.to_string(),
+                unit: id.unit().into(),
+                start: start.value(id),
+                nominal: nominal.value(id),
+                identified,
+                correction: identified - nominal.value(id),
+                sd,
+                status,
+                reason,
+            }
+        })
+        .collect()
+}
+
+/// What became of each parameter, and why.
+struct Fate<'a> {
+    robot: &'a Robot,
+    estimate: &'a Estimate,
+    spread: &'a Spread,
+    options: &'a Options,
+    asked: Vec<ParamId>,
+    zero: Vec<ParamId>,
+    combinations: Vec<(ParamId, Vec<(ParamId, f64)>, String)>,
+}
+
+impl<'a> Fate<'a> {
+    fn new(
+        robot: &'a Robot,
+        estimate: &'a Estimate,
+        spread: &'a Spread,
+        options: &'a Options,
+        centres: usize,
+    ) -> Self {
+        Self {
+            robot,
+            estimate,
+            spread,
+            options,
+            asked: asked(robot, centres, options),
+            zero: estimate.analysis.zero(),
+            combinations: estimate.analysis.combinations(),
+        }
+    }
+
+    fn of(&self, id: ParamId) -> (Status, String, Option<f64>) {
+        if let Some(k) = self.estimate.kept.iter().position(|kept| *kept == id) {
+            return self.estimated(id, k);
+        }
+        let (status, reason) = if self.options.hold.contains(&id) {
+            (Status::Held, "held as asked".to_owned())
+        } else if !self.asked.contains(&id) {
+            (Status::Held, "not asked for".to_owned())
+        } else if self.zero.contains(&id) {
+            (Status::Held, "changes no length in these poses".to_owned())
+        } else if self.estimate.weak.contains(&id) {
+            (Status::TooWeak, self.too_weak(id))
+        } else {
+            let text = self.combinations.iter().find(|(_, members, _)| members.iter().any(|(m, _)| *m == id));
+            (Status::Dependent, text.map_or_else(String::new, |(_, _, text)| text.clone()))
+        };
+        (status, reason, None)
+    }
+
+    fn estimated(&self, id: ParamId, k: usize) -> (Status, String, Option<f64>) {
+        let sd = self.spread.covariance[(k, k)].sqrt();
+        let limit = tolerance(self.robot, id).map_or(f64::INFINITY, |tolerance| WEAK * tolerance);
+        let own = self.spread.data_sd[k];
+        if self.options.prior != Prior::None && own > limit {
+            let reason = format!("the data alone leave {}; the prior carries it", with_unit(own, id));
+            return (Status::Prior, reason, Some(sd));
+        }
+        let stands_for = self.combinations.iter().find(|(kept, _, _)| *kept == id);
+        (Status::Identified, stands_for.map_or_else(String::new, |(_, _, text)| text.clone()), Some(sd))
+    }
+
+    fn too_weak(&self, id: ParamId) -> String {
+        let limit = tolerance(self.robot, id).map_or(f64::INFINITY, |tolerance| WEAK * tolerance);
+        format!(
+            "data too weak: its standard deviation would be more than {} (3 tolerances)",
+            with_unit(limit, id)
+        )
+    }
+}
+
+/// A value for people: mm, or mrad.
+fn with_unit(value: f64, id: ParamId) -> String {
+    match id.unit() {
+        _ if value.is_infinite() => "nothing known".into(),
+        "rad" => format!("{:.3} mrad", value * 1e3),
+        unit => format!("{value:.3} {unit}"),
+    }
+}
+
+fn dependent(estimate: &Estimate) -> Vec<Dependent> {
+    estimate
+        .analysis
+        .combinations()
+        .into_iter()
+        .map(|(kept, members, text)| Dependent {
+            combination: members.iter().map(|(id, c)| (id.to_string(), *c)).collect::<BTreeMap<_, _>>(),
+            kept: kept.to_string(),
+            text,
+        })
+        .collect()
+}
+
+/// The predicted 3-D errors of the nominal and the identified robot.
+fn predicted(
+    robot: &Robot,
+    estimate: &Estimate,
+    readings: &[Reading],
+    sigma: &[f64],
+    options: &Options,
+) -> Result<PredictedPair, IdentifyError> {
+    let mut ids = parameter::all(&robot.parallel_joints(), estimate.before.centres.len());
+    ids.extend(&estimate.analysis.ids);
+    ids.sort();
+    ids.dedup();
+    let tolerances: Vec<f64> = ids.iter().map(|id| options.prior.sd(robot, *id).unwrap_or(0.0)).collect();
+    let kept: Vec<usize> =
+        estimate.kept.iter().filter_map(|id| ids.iter().position(|other| other == id)).collect();
+    let no_prior = DMatrix::zeros(0, kept.len());
+    let estimator = Estimator {
+        ids: &ids,
+        factor: &factor(&estimate.fit.model, readings, &ids, sigma),
+        tolerance: &tolerances,
+        kept: &kept,
+        prior: estimate.prior.as_ref().map_or(&no_prior, |prior| &prior.rows),
+    };
+    let poses = options
+        .workspace
+        .clone()
+        .unwrap_or_else(|| Workspace::uniform(robot, WORKSPACE_POSES, WORKSPACE_SEED));
+    let workspace = Workspace::new(&estimate.fit.model.geometry, &poses, &ids);
+    let truths = estimator.truths();
+    let errors = estimator.errors(&truths).ok_or(IdentifyError::NotFinite)?;
+    let told =
+        |summary: ErrorSummary| PredictedError { mean: summary.mean, p95: summary.p95, max: summary.max };
+    Ok(PredictedPair {
+        nominal: told(workspace.summary(&truths)),
+        identified: told(workspace.summary(&errors)),
+    })
+}
+
+fn residual_on(model: &LengthModel, set: &Observations) -> Residual {
+    residual(set.rows.iter().map(|row| {
+        let reading = Reading::from(row);
+        reading.length - model.length(&reading)
+    }))
+}
+
+fn residual(values: impl Iterator<Item = f64> + Clone) -> Residual {
+    let count = values.clone().count().max(1) as f64;
+    Residual {
+        rms: root_mean_square(values.clone()),
+        mean: values.clone().sum::<f64>() / count,
+        max: values.map(f64::abs).fold(0.0, f64::max),
+    }
+}
+
+fn root_mean_square(values: impl Iterator<Item = f64> + Clone) -> f64 {
+    let count = values.clone().count().max(1) as f64;
+    (values.map(|value| value * value).sum::<f64>() / count).sqrt()
+}

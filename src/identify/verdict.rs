@@ -1,0 +1,121 @@
+//! What the user must be told about a result.
+
+use super::estimate::{Estimate, Lengths};
+use super::result::{Identification, Status, Warning, WarningKind};
+
+/// Above this share of lengths set aside, the rest is in doubt too.
+const OUTLIER_SHARE: f64 = 0.1;
+/// The identified robot must be predicted at least this much better than the nominal one.
+const PINNED: f64 = 0.5;
+
+/// The warnings of a result; `parameters` is the effective number that the data determine.
+pub(super) fn warnings(
+    result: &Identification,
+    estimate: &Estimate,
+    lengths: &Lengths,
+    parameters: f64,
+) -> Vec<Warning> {
+    let mut warnings = Vec::new();
+    let mut say = |kind, text: String| warnings.push(Warning { kind, text });
+    if !result.converged {
+        say(
+            WarningKind::Doubt,
+            "the solver did not come to rest: check the base balls' places (--centres) and the tool ball (--tool)"
+                .into(),
+        );
+    }
+    let share = result.outliers.len() as f64 / lengths.readings.len() as f64;
+    if share > OUTLIER_SHARE {
+        say(
+            WarningKind::Doubt,
+            format!(
+                "{} of {} lengths were set aside as outliers: more than one in ten, so the rest is in doubt too; \
+                 check the matching of lengths to poses",
+                result.outliers.len(),
+                lengths.readings.len()
+            ),
+        );
+    } else if !result.outliers.is_empty() {
+        say(
+            WarningKind::Note,
+            format!(
+                "{} lengths were set aside as outliers; they are named in `outliers`",
+                result.outliers.len()
+            ),
+        );
+    }
+    let freedom = result.observations as f64 - parameters;
+    if freedom < 1.0 {
+        say(
+            WarningKind::Doubt,
+            format!(
+                "{} lengths for {parameters:.0} parameters leave nothing to check the result by: measure more poses",
+                result.observations
+            ),
+        );
+    } else {
+        consistency(estimate, lengths, freedom, &mut say);
+    }
+    let predicted = &result.predicted_position_error_mm;
+    if predicted.identified.mean > PINNED * predicted.nominal.mean {
+        say(
+            WarningKind::Doubt,
+            format!(
+                "the lengths fit to {:.3} mm, but they do not pin the position: the 3-D error over the workspace is \
+                 predicted at {:.2} mm, the nominal robot's at {:.2} mm; a small residual proves nothing here. \
+                 Measure from a further ball at another radius and height, and turn the wrist more",
+                result.residual_mm.after.rms, predicted.identified.mean, predicted.nominal.mean
+            ),
+        );
+    }
+    let weak: Vec<&str> = result
+        .parameters
+        .iter()
+        .filter(|parameter| parameter.status == Status::TooWeak)
+        .map(|parameter| parameter.name.as_str())
+        .collect();
+    if !weak.is_empty() {
+        say(WarningKind::Note, format!("held because the data are too weak for them: {}", weak.join(", ")));
+    }
+    warnings
+}
+
+/// Compares the residuals with the sigmas that were given.
+fn consistency(
+    estimate: &Estimate,
+    lengths: &Lengths,
+    freedom: f64,
+    say: &mut impl FnMut(WarningKind, String),
+) {
+    if !lengths.known {
+        return;
+    }
+    let chi: f64 = (0..lengths.readings.len())
+        .filter(|&at| estimate.fit.used[at])
+        .map(|at| {
+            let reading = &lengths.readings[at];
+            ((reading.length - estimate.fit.model.length(reading)) / lengths.given[at]).powi(2)
+        })
+        .sum();
+    let ratio = chi / freedom;
+    // Wilson and Hilferty's normal approximation of chi-square, at 1 in 1000 on either side.
+    let spread = (2.0 / (9.0 * freedom)).sqrt();
+    let bound = |z: f64| (1.0 - spread * spread + z * spread).powi(3);
+    let factor = ratio.sqrt();
+    if ratio > bound(3.09) {
+        let kind = if lengths.vouched { WarningKind::Doubt } else { WarningKind::Note };
+        let then = if lengths.vouched {
+            "the model lacks something, or sigma is too small; the standard deviations rest on the sigma given"
+        } else {
+            "repeatability or what the model lacks; the standard deviations rest on the residuals"
+        };
+        say(kind, format!("the residuals are {factor:.1} times as large as the given sigma: {then}"));
+    } else if ratio < bound(-3.09) {
+        say(
+            WarningKind::Note,
+            format!(
+                "the residuals are only {factor:.2} times the given sigma: sigma is too large, or lengths repeat"
+            ),
+        );
+    }
+}

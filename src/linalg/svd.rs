@@ -1,0 +1,88 @@
+//! Singular values and right singular vectors by one-sided Jacobi rotations (Hestenes; Demmel and
+//! Veselic, "Jacobi's method is more accurate than QR", SIAM J. Matrix Anal. Appl. 13, 1992).
+
+use nalgebra::{DMatrix, DVector};
+
+/// Singular values in falling order, with the right singular vectors as columns.
+#[derive(Clone, Debug)]
+pub struct Svd {
+    /// Singular values, falling.
+    pub values: DVector<f64>,
+    /// Right singular vectors: column k belongs to value k.
+    pub v: DMatrix<f64>,
+}
+
+/// Decomposes a matrix; of a tall one give its triangular factor, which has the same values.
+/// `None` when an element is not finite.
+pub fn svd(matrix: &DMatrix<f64>) -> Option<Svd> {
+    if matrix.iter().any(|x| !x.is_finite()) {
+        return None;
+    }
+    let n = matrix.ncols();
+    let mut a = matrix.clone();
+    let mut v = DMatrix::identity(n, n);
+    // A dozen sweeps suffice in practice; the cap only bounds the time.
+    for _ in 0..60 {
+        let mut rotated = false;
+        for p in 0..n {
+            for q in p + 1..n {
+                rotated |= orthogonalise(&mut a, &mut v, p, q);
+            }
+        }
+        if !rotated {
+            break;
+        }
+    }
+    let norms: Vec<f64> = (0..n).map(|k| a.column(k).norm()).collect();
+    let mut order: Vec<usize> = (0..n).collect();
+    order.sort_by(|&i, &j| norms[j].total_cmp(&norms[i]));
+    Some(Svd {
+        values: DVector::from_iterator(n, order.iter().map(|&k| norms[k])),
+        v: DMatrix::from_columns(&order.iter().map(|&k| v.column(k).into_owned()).collect::<Vec<_>>()),
+    })
+}
+
+/// Turns columns p and q so that they are orthogonal; whether they were not.
+fn orthogonalise(a: &mut DMatrix<f64>, v: &mut DMatrix<f64>, p: usize, q: usize) -> bool {
+    let (x, y) = (a.column(p), a.column(q));
+    let (xx, yy, xy) = (x.norm_squared(), y.norm_squared(), x.dot(&y));
+    if xy.abs() <= 1e-15 * (xx * yy).sqrt() || xy == 0.0 {
+        return false;
+    }
+    let zeta = (yy - xx) / (2.0 * xy);
+    let t = zeta.signum() / (zeta.abs() + (1.0 + zeta * zeta).sqrt());
+    let cos = 1.0 / (1.0 + t * t).sqrt();
+    let sin = cos * t;
+    for matrix in [a, v] {
+        for row in 0..matrix.nrows() {
+            let (left, right) = (matrix[(row, p)], matrix[(row, q)]);
+            matrix[(row, p)] = cos * left - sin * right;
+            matrix[(row, q)] = sin * left + cos * right;
+        }
+    }
+    true
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn product_of_known_factors_is_found_again() {
+        // 4 x 3 with singular values 3, 2, 1e-9: U from a Hadamard matrix, V from a rotation.
+        let u = DMatrix::from_row_slice(4, 3, &[1., 1., 1., 1., -1., 1., 1., 1., -1., 1., -1., -1.]) * 0.5;
+        let (s, c) = 0.7f64.sin_cos();
+        let v = DMatrix::from_row_slice(3, 3, &[c, -s, 0., s, c, 0., 0., 0., 1.]);
+        let a = u * DMatrix::from_diagonal(&DVector::from_row_slice(&[2.0, 3.0, 1e-9])) * v.transpose();
+        let found = svd(&a).unwrap();
+        for (value, expected) in found.values.iter().zip([3.0, 2.0, 1e-9]) {
+            assert!((value - expected).abs() < 1e-15 * 3.0, "{value} for {expected}");
+        }
+        assert!((a * found.v.column(2)).norm() < 1.1e-9);
+    }
+
+    #[test]
+    fn not_finite_is_refused() {
+        assert!(svd(&DMatrix::from_element(2, 2, f64::NAN)).is_none());
+    }
+}
