@@ -8,7 +8,16 @@ use crate::identifiability::factor;
 use crate::model::{LengthModel, ParamId, Reading, Robot};
 
 /// A parameter counts as identified when its standard deviation is at most this many tolerances.
-pub(super) const WEAK: f64 = 3.0;
+const WEAK: f64 = 3.0;
+
+/// The largest standard deviation with which a parameter counts as identified, mm or rad. A bar is
+/// known better than a robot's lengths before anything is measured; balls have no limit.
+pub(super) fn weak_limit(robot: &Robot, id: ParamId) -> Option<f64> {
+    match id {
+        ParamId::BarOffset => Some(WEAK * robot.tolerance.length_mm),
+        _ => tolerance(robot, id).map(|tolerance| WEAK * tolerance),
+    }
+}
 
 /// Covariance of the estimated parameters for unit weight, and how many of them the data determine.
 pub(super) struct Spread {
@@ -29,17 +38,9 @@ pub(super) fn spread(
     prior: Option<&PriorRows>,
 ) -> Option<Spread> {
     let data = factor(model, readings, ids, sigma);
-    let inverse = |rows: &DMatrix<f64>| -> Option<DMatrix<f64>> {
-        let norms: Vec<f64> = rows.column_iter().map(|column| column.norm()).collect();
-        let mut unit = rows.clone();
-        unit.column_iter_mut().zip(&norms).for_each(|(mut column, norm)| column /= *norm);
-        let mut inverse = unit.qr().r().try_inverse()?;
-        inverse.row_iter_mut().zip(&norms).for_each(|(mut row, norm)| row /= *norm);
-        inverse.iter().all(|x| x.is_finite()).then_some(inverse)
-    };
     let sd_of = |inverse: &DMatrix<f64>| inverse.row_iter().map(|row| row.norm()).collect::<Vec<f64>>();
     let Some(prior) = prior else {
-        let inverse = inverse(&data)?;
+        let inverse = inverse_root(&data)?;
         return Some(Spread {
             covariance: &inverse * inverse.transpose(),
             data_sd: sd_of(&inverse),
@@ -49,14 +50,16 @@ pub(super) fn spread(
     let mut stacked = DMatrix::zeros(data.nrows() + prior.rows.nrows(), ids.len());
     stacked.rows_mut(0, data.nrows()).copy_from(&data);
     stacked.rows_mut(data.nrows(), prior.rows.nrows()).copy_from(&prior.rows);
-    let both = inverse(&stacked)?;
+    let both = inverse_root(&stacked)?;
     // What the prior alone determines is infinitely uncertain from the data.
-    let data_sd = inverse(&data).map_or_else(|| vec![f64::INFINITY; ids.len()], |inverse| sd_of(&inverse));
+    let data_sd =
+        inverse_root(&data).map_or_else(|| vec![f64::INFINITY; ids.len()], |inverse| sd_of(&inverse));
     Some(Spread { parameters: (data * &both).norm_squared(), covariance: &both * both.transpose(), data_sd })
 }
 
 /// The parameters of `ids` for which lengths of these sigmas are too weak, weakest first: each is
-/// held before the next is judged, because holding one strengthens the others.
+/// held before the next is judged. Holding one lowers the noise of the others, but its own error,
+/// of the size of its tolerance, then leaks into them, and counts.
 pub(super) fn too_weak(
     robot: &Robot,
     model: &LengthModel,
@@ -64,20 +67,67 @@ pub(super) fn too_weak(
     ids: &[ParamId],
     sigma: &[f64],
 ) -> Vec<ParamId> {
-    let mut kept = ids.to_vec();
-    let mut weak = Vec::new();
+    let data = factor(model, readings, ids, sigma);
+    let mut kept: Vec<usize> = (0..ids.len()).collect();
+    let mut weak: Vec<usize> = Vec::new();
     while !kept.is_empty() {
-        let sd = match spread(model, readings, &kept, sigma, None) {
-            Some(spread) => spread.data_sd,
-            None => vec![f64::INFINITY; kept.len()],
-        };
+        let uncertain = uncertainty(robot, &data, ids, &kept, &weak);
         let weakest = (0..kept.len())
-            .filter_map(|k| Some((k, sd[k] / tolerance(robot, kept[k])?)))
+            .filter_map(|k| Some((k, uncertain[k] / weak_limit(robot, ids[kept[k]])?)))
             .max_by(|(_, a), (_, b)| a.total_cmp(b));
         match weakest {
-            Some((k, ratio)) if ratio > WEAK => weak.push(kept.remove(k)),
+            Some((k, ratio)) if ratio > 1.0 => weak.push(kept.remove(k)),
             _ => break,
         }
     }
-    weak
+    weak.into_iter().map(|at| ids[at]).collect()
+}
+
+/// One standard deviation of each kept parameter: noise, and the tolerances of those held.
+fn uncertainty(
+    robot: &Robot,
+    data: &DMatrix<f64>,
+    ids: &[ParamId],
+    kept: &[usize],
+    held: &[usize],
+) -> Vec<f64> {
+    let Some(noise) = inverse_root(&data.select_columns(kept)) else {
+        return vec![f64::INFINITY; kept.len()];
+    };
+    // Least squares answers to a held error e of column h with (K'K)^-1 K'h e.
+    let leak = &noise * noise.transpose() * data.select_columns(kept).transpose() * data.select_columns(held);
+    (0..kept.len())
+        .map(|k| {
+            let leaked: f64 = (0..held.len())
+                .map(|h| weak_limit(robot, ids[held[h]]).map_or(0.0, |limit| limit / WEAK) * leak[(k, h)])
+                .map(|error| error * error)
+                .sum();
+            (noise.row(k).norm_squared() + leaked).sqrt()
+        })
+        .collect()
+}
+
+/// A root of the inverse Gram matrix of the rows, unknowns by rows; `None` when it has none.
+fn inverse_root(rows: &DMatrix<f64>) -> Option<DMatrix<f64>> {
+    // Unit columns first: mm and rad differ by orders of magnitude.
+    let norms: Vec<f64> = rows.column_iter().map(|column| column.norm()).collect();
+    let mut unit = rows.clone();
+    unit.column_iter_mut().zip(&norms).for_each(|(mut column, norm)| column /= *norm);
+    let mut inverse = unit.qr().r().try_inverse()?;
+    inverse.row_iter_mut().zip(&norms).for_each(|(mut row, norm)| row /= *norm);
+    inverse.iter().all(|x| x.is_finite()).then_some(inverse)
+}
+
+/// Whether chi-square per degree of freedom is larger, or smaller, than chance allows once in a
+/// thousand (Wilson and Hilferty's normal approximation, PNAS 17, 1931).
+pub(super) fn beyond_chance(ratio: f64, freedom: f64) -> Option<std::cmp::Ordering> {
+    let spread = (2.0 / (9.0 * freedom)).sqrt();
+    let bound = |z: f64| (1.0 - spread * spread + z * spread).powi(3);
+    if ratio > bound(3.09) {
+        Some(std::cmp::Ordering::Greater)
+    } else if ratio < bound(-3.09) {
+        Some(std::cmp::Ordering::Less)
+    } else {
+        None
+    }
 }

@@ -1,8 +1,10 @@
 //! From lengths to parameters: what can be told, what is too weak, the fit, and the lengths' sigma.
 
-use super::covariance::too_weak;
+use std::cmp::Ordering;
+
+use super::covariance::{beyond_chance, spread, too_weak, weak_limit};
 use super::fit::{self, Fit};
-use super::options::{Options, Prior};
+use super::options::{Options, Prior, tolerance};
 use super::prior;
 use super::solver::PriorRows;
 use crate::identifiability::{Analysis, analyse};
@@ -74,13 +76,13 @@ pub(super) fn asked(robot: &Robot, centres: usize, options: &Options) -> Vec<Par
 /// Estimates what the options ask for, from the nominal robot and a rough set-up.
 pub(super) fn estimate(
     robot: &Robot,
-    start: &LengthModel,
+    given_start: &LengthModel,
     lengths: &Lengths,
     options: &Options,
 ) -> Result<Estimate, IdentifyError> {
     let readings = &lengths.readings;
-    let asked = asked(robot, start.centres.len(), options);
-    let set_up = fit::set_up(readings, &lengths.given, &asked, start);
+    let asked = asked(robot, given_start.centres.len(), options);
+    let mut set_up = fit::set_up(readings, &lengths.given, &asked, given_start);
     let analysis = analyse(&set_up.model, readings, &asked).ok_or(IdentifyError::NotFinite)?;
     let base = analysis.kept();
     if base.is_empty() {
@@ -91,33 +93,107 @@ pub(super) fn estimate(
         return Err(IdentifyError::TooFewLengths { lengths: readings.len(), parameters: base.len() });
     }
     let mut sigma = first_sigma(lengths, &set_up, &base);
-    let mut kept = base.clone();
-    let mut weak = Vec::new();
     let mut start = set_up.model.clone();
     let mut iterations = set_up.iterations;
-    let mut rounds = 0;
-    loop {
+    let mut implausible: Vec<ParamId> = Vec::new();
+    let mut reached: Option<(Vec<ParamId>, Fit, Vec<f64>)> = None;
+    for round in 0.. {
+        let mut weak = implausible.clone();
         if !follow_list && options.prior == Prior::None {
-            weak = too_weak(robot, &set_up.model, readings, &base, &sigma);
-            kept = base.iter().copied().filter(|id| !weak.contains(id)).collect();
+            let rest: Vec<ParamId> = base.iter().copied().filter(|id| !implausible.contains(id)).collect();
+            weak.extend(too_weak(robot, &set_up.model, readings, &rest, &sigma));
+        } else if !follow_list
+            && bar_is_weak(robot, &options.prior, &analysis, &set_up.model, readings, &sigma)
+        {
+            weak.push(ParamId::BarOffset);
         }
-        let prior = prior::rows(robot, &options.prior, &analysis, &kept, &set_up.model);
+        let kept: Vec<ParamId> = base.iter().copied().filter(|id| !weak.contains(id)).collect();
+        if let Some((before, fit, weights)) = reached.take()
+            && (round == ROUNDS || before == kept && same_weights(&weights, &sigma, options))
+        {
+            let prior = prior::rows(robot, &options.prior, &analysis, &before, &set_up.model);
+            let fit = Fit { iterations, ..fit };
+            return Ok(Estimate { before: set_up.model, analysis, kept: before, weak, prior, fit, sigma });
+        }
+        if weak.contains(&ParamId::BarOffset) && set_up.model.bar_offset != given_start.bar_offset {
+            // Without the bar's offset the balls stand elsewhere.
+            let free: Vec<ParamId> = asked.iter().copied().filter(|id| *id != ParamId::BarOffset).collect();
+            set_up = fit::set_up(readings, &lengths.given, &free, given_start);
+            start = set_up.model.clone();
+        }
         // A parameter held now may have moved in the round before.
         for id in base.iter().filter(|id| !kept.contains(id)) {
             start.shift(*id, set_up.model.value(*id) - start.value(*id));
         }
+        let prior = prior::rows(robot, &options.prior, &analysis, &kept, &set_up.model);
         let fit = fit::all(readings, &sigma, &kept, prior.as_ref(), &start);
         iterations += fit.iterations;
-        let shown = shown_sigma(lengths, &fit, kept.len());
-        let settled = shown.iter().zip(&sigma).all(|(new, old)| (new / old - 1.0).abs() < 0.02);
-        rounds += 1;
-        if settled || rounds == 6 || (lengths.vouched && rounds == 1) {
-            let fit = Fit { iterations, ..fit };
-            return Ok(Estimate { before: set_up.model, analysis, kept, weak, prior, fit, sigma: shown });
+        let weights = std::mem::take(&mut sigma);
+        sigma = match prior {
+            // Residuals that the prior has widened say nothing about the lengths.
+            Some(_) => first_sigma(lengths, &fit, &base),
+            None => shown_sigma(lengths, &fit, kept.len()),
+        };
+        if !follow_list && options.prior == Prior::None {
+            implausible.extend(most_implausible(robot, &set_up.model, &fit, readings, &kept, &sigma));
         }
-        sigma = shown;
-        start = fit.model;
+        start = fit.model.clone();
+        reached = Some((kept, fit, weights));
     }
+    Err(IdentifyError::NotFinite)
+}
+
+/// Rounds of fitting and judging after which the last fit stands.
+const ROUNDS: usize = 8;
+
+/// Whether a fit with the new sigmas would be the same: equal to 2 %, or, where no prior stands
+/// against them, all changed alike.
+fn same_weights(old: &[f64], new: &[f64], options: &Options) -> bool {
+    let common = match (options.prior == Prior::None, old, new) {
+        (true, [first, ..], [now, ..]) => now / first,
+        _ => 1.0,
+    };
+    old.iter().zip(new).all(|(old, new)| (new / old / common - 1.0).abs() < 0.02)
+}
+
+/// The parameter whose correction is least believable, if one is: the data tell it worse than its
+/// tolerance, and it is further off than five times what tolerance and data allow together. It
+/// carries what the model lacks, or what is held.
+fn most_implausible(
+    robot: &Robot,
+    nominal: &LengthModel,
+    fit: &Fit,
+    readings: &[Reading],
+    kept: &[ParamId],
+    sigma: &[f64],
+) -> Option<ParamId> {
+    let sd = spread(&fit.model, readings, kept, sigma, None)?.data_sd;
+    kept.iter()
+        .zip(sd)
+        .filter_map(|(id, sd)| {
+            let tolerance = tolerance(robot, *id)?;
+            let off = (fit.model.value(*id) - nominal.value(*id)).abs() / tolerance.hypot(sd);
+            (sd > tolerance && off > 5.0).then_some((*id, off))
+        })
+        .max_by(|(_, a), (_, b)| a.total_cmp(b))
+        .map(|(id, _)| id)
+}
+
+/// Whether the bar's offset, which no prior carries, is too weak even with that of the robot.
+fn bar_is_weak(
+    robot: &Robot,
+    prior: &Prior,
+    analysis: &Analysis,
+    model: &LengthModel,
+    readings: &[Reading],
+    sigma: &[f64],
+) -> bool {
+    let base = analysis.kept();
+    let Some(bar) = base.iter().position(|id| *id == ParamId::BarOffset) else { return false };
+    let limit = weak_limit(robot, ParamId::BarOffset).unwrap_or(f64::INFINITY);
+    let rows = prior::rows(robot, prior, analysis, &base, model);
+    spread(model, readings, &base, sigma, rows.as_ref())
+        .is_none_or(|s| s.covariance[(bar, bar)].sqrt() > limit)
 }
 
 /// Before the fit: what a linear fit of the base set leaves, or what is given.
@@ -136,9 +212,13 @@ fn first_sigma(lengths: &Lengths, set_up: &Fit, base: &[ParamId]) -> Vec<f64> {
         triangle.push(&row, (reading.length - predicted.length) / lengths.given[at]);
         count += 1;
     }
-    let freedom = count as f64 - base.len() as f64;
-    let excess = if freedom > 0.0 { (triangle.residual_sum() / freedom).sqrt() } else { 1.0 };
-    let factor = if lengths.known { excess.max(1.0) } else { excess.max(FLOOR_MM) };
+    let freedom = f64::from(count) - base.len() as f64;
+    let ratio = if freedom > 0.0 { triangle.residual_sum() / freedom } else { 1.0 };
+    let factor = match beyond_chance(ratio, freedom) {
+        _ if !lengths.known => ratio.sqrt().max(FLOOR_MM),
+        Some(Ordering::Greater) => ratio.sqrt(),
+        _ => 1.0,
+    };
     lengths.given.iter().map(|sigma| sigma * factor).collect()
 }
 
@@ -146,7 +226,7 @@ fn first_sigma(lengths: &Lengths, set_up: &Fit, base: &[ParamId]) -> Vec<f64> {
 const FLOOR_MM: f64 = 1e-9;
 
 /// After the fit: what is given, brought to what the residuals show. Where nothing is known, one
-/// sigma for all; where the residuals are larger than the given sigmas, a common further
+/// sigma for all; where the residuals are larger than the given sigmas and chance, a common further
 /// deviation (repeatability, what the model lacks) is added in squares (Paule and Mandel, J. Res.
 /// NBS 87, 1982).
 fn shown_sigma(lengths: &Lengths, fit: &Fit, parameters: usize) -> Vec<f64> {
@@ -169,7 +249,7 @@ fn shown_sigma(lengths: &Lengths, fit: &Fit, parameters: usize) -> Vec<f64> {
         return vec![(sum / freedom).sqrt().max(FLOOR_MM); lengths.given.len()];
     }
     let chi = |common: f64| squares.iter().map(|(r2, s2)| r2 / (s2 + common)).sum::<f64>();
-    if chi(0.0) <= freedom {
+    if beyond_chance(chi(0.0) / freedom, freedom) != Some(Ordering::Greater) {
         return lengths.given.clone();
     }
     let (mut low, mut high) = (0.0, squares.iter().map(|(r2, _)| r2).sum::<f64>());

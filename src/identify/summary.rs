@@ -4,9 +4,9 @@ use std::collections::BTreeMap;
 
 use nalgebra::DMatrix;
 
-use super::covariance::{Spread, WEAK, spread};
+use super::covariance::{Spread, spread, weak_limit};
 use super::estimate::{Estimate, IdentifyError, Lengths, asked};
-use super::options::{Options, Prior, tolerance};
+use super::options::{Options, Prior};
 use super::result::{
     BeforeAfter, Dependent, Folds, Identification, Outlier, ParameterResult, PredictedError, PredictedPair,
     Residual, Status,
@@ -203,7 +203,7 @@ impl<'a> Fate<'a> {
 
     fn estimated(&self, id: ParamId, k: usize) -> (Status, String, Option<f64>) {
         let sd = self.spread.covariance[(k, k)].sqrt();
-        let limit = tolerance(self.robot, id).map_or(f64::INFINITY, |tolerance| WEAK * tolerance);
+        let limit = weak_limit(self.robot, id).unwrap_or(f64::INFINITY);
         let own = self.spread.data_sd[k];
         if self.options.prior != Prior::None && own > limit {
             let reason = format!("the data alone leave {}; the prior carries it", with_unit(own, id));
@@ -214,7 +214,7 @@ impl<'a> Fate<'a> {
     }
 
     fn too_weak(&self, id: ParamId) -> String {
-        let limit = tolerance(self.robot, id).map_or(f64::INFINITY, |tolerance| WEAK * tolerance);
+        let limit = weak_limit(self.robot, id).unwrap_or(f64::INFINITY);
         format!(
             "data too weak: its standard deviation would be more than {} (3 tolerances)",
             with_unit(limit, id)

@@ -1,5 +1,8 @@
 //! What the user must be told about a result.
 
+use std::cmp::Ordering;
+
+use super::covariance::beyond_chance;
 use super::estimate::{Estimate, Lengths};
 use super::result::{Identification, Status, Warning, WarningKind};
 
@@ -98,11 +101,9 @@ fn consistency(
         })
         .sum();
     let ratio = chi / freedom;
-    // Wilson and Hilferty's normal approximation of chi-square, at 1 in 1000 on either side.
-    let spread = (2.0 / (9.0 * freedom)).sqrt();
-    let bound = |z: f64| (1.0 - spread * spread + z * spread).powi(3);
     let factor = ratio.sqrt();
-    if ratio > bound(3.09) {
+    let beyond = beyond_chance(ratio, freedom);
+    if beyond == Some(Ordering::Greater) {
         let kind = if lengths.vouched { WarningKind::Doubt } else { WarningKind::Note };
         let then = if lengths.vouched {
             "the model lacks something, or sigma is too small; the standard deviations rest on the sigma given"
@@ -110,7 +111,7 @@ fn consistency(
             "repeatability or what the model lacks; the standard deviations rest on the residuals"
         };
         say(kind, format!("the residuals are {factor:.1} times as large as the given sigma: {then}"));
-    } else if ratio < bound(-3.09) {
+    } else if beyond == Some(Ordering::Less) {
         say(
             WarningKind::Note,
             format!(

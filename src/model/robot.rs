@@ -46,9 +46,9 @@ pub struct Tolerance {
 }
 
 impl Default for Tolerance {
-    /// An industrial robot without an accuracy option.
+    /// An industrial robot without an accuracy option: a millimetre of position error.
     fn default() -> Self {
-        Self { length_mm: 0.5, angle_deg: 0.05 }
+        Self { length_mm: 1.0, angle_deg: 0.1 }
     }
 }
 
