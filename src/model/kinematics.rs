@@ -110,7 +110,7 @@ impl LengthRow {
 
 impl Geometry {
     /// The joint angles (rad, in the table's sense) at the controller's axis angles (rad).
-    fn joint_angles(&self, axes: &[f64; AXES]) -> [f64; AXES] {
+    pub(super) fn joint_angles(&self, axes: &[f64; AXES]) -> [f64; AXES] {
         let mut angles = [0.0; AXES];
         for i in 0..AXES {
             let [cos_part, sin_part] = self.gear[i];
@@ -127,7 +127,7 @@ impl Geometry {
     }
 
     /// Frame after each row, for joint angles in the table's sense.
-    fn frames(&self, angles: &[f64; AXES]) -> [Pose; AXES] {
+    pub(super) fn frames(&self, angles: &[f64; AXES]) -> [Pose; AXES] {
         let mut frames = [Pose::identity(); AXES];
         let mut frame = Pose::identity();
         for (i, row) in self.rows.iter().enumerate() {

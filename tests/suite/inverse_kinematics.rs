@@ -1,0 +1,156 @@
+//! Axis angles for a pose: every branch, the right turn, KUKA's status and turn.
+
+use dbbd::model::inverse::{branches, from_status_turn, nearest, numeric, status, turn, turns_within};
+use dbbd::model::{AXES, Geometry, ParamId, Pose, Robot};
+use proptest::prelude::*;
+
+fn kr60ha() -> Robot {
+    Robot::by_name("kr60ha").unwrap().unwrap()
+}
+
+fn rad(deg: [f64; AXES]) -> [f64; AXES] {
+    deg.map(f64::to_radians)
+}
+
+fn apart(a: &[f64; AXES], b: &[f64; AXES]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
+}
+
+fn miss(geometry: &Geometry, axes: &[f64; AXES], ball: &Pose) -> (f64, f64) {
+    let there = geometry.ball(axes);
+    ((there.position - ball.position).norm(), (there.rotation - ball.rotation).norm())
+}
+
+/// An identified robot: every parameter off by what a maker tolerates, betas included.
+fn perturbed(seed: [f64; 6]) -> Robot {
+    let mut robot = kr60ha();
+    for (k, id) in ParamId::denavit_hartenberg().chain([ParamId::Beta(2)]).enumerate() {
+        let size = if id.unit() == "mm" { 0.5 } else { 0.001 };
+        *robot.geometry.value_mut(id).unwrap() += size * (seed[k % 6] * (k as f64 + 1.0)).sin();
+    }
+    robot
+}
+
+/// Axis angles uniform within the limits of the robot.
+fn within_limits() -> impl Strategy<Value = [f64; AXES]> {
+    prop::array::uniform6(0.0..1.0f64).prop_map(|share| {
+        let limits = kr60ha().limits_deg;
+        std::array::from_fn(|i| {
+            let [low, high]: [f64; 2] = limits[i];
+            (low + share[i] * (high - low)).to_radians()
+        })
+    })
+}
+
+/// Flange (tool zero), A, S and T of the KR 60 HA from the ROS-Industrial model and KUKA's rules.
+#[test]
+fn check_poses_have_their_status_and_turn() {
+    let mut robot = kr60ha();
+    robot.geometry.tool = nalgebra::Vector3::zeros();
+    let checks = [
+        ([0.0, -90.0, 90.0, 0.0, 0.0, 0.0], [1340.0, 0.0, 1810.0], 2, 2),
+        ([0.0, -90.0, 90.0, 0.0, 90.0, 0.0], [1170.0, 0.0, 1640.0], 2, 2),
+        ([10.0, -80.0, 100.0, 20.0, 45.0, -30.0], [1363.778, -282.219, 1360.625], 2, 34),
+    ];
+    for (deg, xyz, s, t) in checks {
+        let axes = rad(deg);
+        let ball = robot.geometry.ball(&axes);
+        assert!((ball.position - nalgebra::Vector3::from(xyz)).norm() < 1e-3, "{:?}", ball.position);
+        assert_eq!((status(&robot.geometry, &axes), turn(&axes)), (s, t), "{deg:?}");
+        let found = from_status_turn(&robot, &ball, s, t).unwrap();
+        assert!(apart(&found, &axes) < 1e-9, "{found:?} for {axes:?}");
+        // A robot with the accuracy option sets bit 4 as well.
+        assert_eq!(from_status_turn(&robot, &ball, s | 16, t).unwrap(), found);
+    }
+    let ball = Pose::from_kuka([1363.778, -282.219, 1360.625], [152.596, 29.472, -174.261]);
+    let found = from_status_turn(&robot, &ball, 2, 34).unwrap();
+    assert!(apart(&found, &rad(checks[2].0)) < 2e-5, "{found:?}");
+}
+
+#[test]
+fn beyond_the_arm_there_is_no_solution() {
+    let geometry = kr60ha().geometry;
+    let far = Pose::from_kuka([3000.0, 0.0, 800.0], [0.0, 90.0, 0.0]);
+    assert!(branches(&geometry, &far).is_err());
+    assert!(nearest(&geometry, &far, &rad([0.0, -60.0, 60.0, 0.0, 60.0, 0.0])).is_err());
+    assert!(nearest(&perturbed([0.3; 6]).geometry, &far, &[0.1; 6]).is_err());
+    let nowhere = Pose::from_kuka([f64::NAN, 0.0, 800.0], [0.0, 90.0, 0.0]);
+    assert!(branches(&geometry, &nowhere).is_err());
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(300))]
+
+    #[test]
+    fn every_branch_reaches_the_pose_and_one_is_the_original(axes in within_limits()) {
+        let robot = kr60ha();
+        prop_assume!(axes[4].sin().abs() > 1e-3);
+        let ball = robot.geometry.ball(&axes);
+        let found = branches(&robot.geometry, &ball).unwrap();
+        prop_assert!(found.len() <= 8);
+        for branch in &found {
+            let (mm, turn) = miss(&robot.geometry, branch, &ball);
+            prop_assert!(mm < 1e-8 && turn < 1e-10, "{mm} mm, {turn}");
+        }
+        let original = found.iter().flat_map(|branch| turns_within(branch, &robot.limits_deg))
+            .map(|variant| apart(&variant, &axes)).fold(f64::MAX, f64::min);
+        prop_assert!(original < 1e-6, "{original}");
+        // S and T name it.
+        let named = from_status_turn(&robot, &ball, status(&robot.geometry, &axes), turn(&axes)).unwrap();
+        prop_assert!(apart(&named, &axes) < 1e-6);
+    }
+
+    #[test]
+    fn the_nearest_keeps_branch_and_turn(axes in within_limits(), off in prop::array::uniform6(-0.02..0.02)) {
+        let geometry = kr60ha().geometry;
+        prop_assume!(axes[4].sin().abs() > 1e-3);
+        let near: [f64; AXES] = std::array::from_fn(|i| axes[i] + off[i]);
+        let ball = geometry.ball(&axes);
+        let found = nearest(&geometry, &ball, &near).unwrap();
+        let (mm, turn) = miss(&geometry, &found, &ball);
+        prop_assert!(mm < 1e-8 && turn < 1e-10);
+        // Near a singularity another branch may be nearer than the one that made the pose.
+        prop_assert!(apart(&found, &near) <= apart(&axes, &near) + 1e-6);
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(60))]
+
+    #[test]
+    fn the_iteration_agrees_with_the_closed_form(axes in within_limits(), off in prop::array::uniform6(-0.01..0.01)) {
+        let geometry = kr60ha().geometry;
+        // Away from the wrist, elbow (10.03 deg) and overhead singularities.
+        let overhead = 350.0 + 850.0 * axes[1].cos() + 820.0 * (axes[1] + axes[2]).cos() + 145.0 * (axes[1] + axes[2]).sin();
+        prop_assume!(axes[4].sin().abs() > 0.1 && (axes[2] - 0.175).abs() > 0.15 && overhead.abs() > 150.0);
+        let ball = geometry.ball(&axes);
+        let start: [f64; AXES] = std::array::from_fn(|i| axes[i] + off[i]);
+        let found = numeric(&geometry, &ball, &start).unwrap();
+        prop_assert!(apart(&found, &axes) < 1e-9, "{}", apart(&found, &axes));
+    }
+
+    #[test]
+    fn an_identified_arm_has_branches_too(axes in within_limits(), seed in prop::array::uniform6(0.0..6.0)) {
+        let overhead = 350.0 + 850.0 * axes[1].cos() + 820.0 * (axes[1] + axes[2]).cos() + 145.0 * (axes[1] + axes[2]).sin();
+        prop_assume!(axes[4].sin().abs() > 0.1 && (axes[2] - 0.175).abs() > 0.15 && overhead.abs() > 150.0);
+        let robot = perturbed(seed);
+        let ball = robot.geometry.ball(&axes);
+        let found = nearest(&robot.geometry, &ball, &axes).unwrap();
+        prop_assert!(apart(&found, &axes) < 1e-8);
+        let named = from_status_turn(&robot, &ball, status(&robot.geometry, &axes), turn(&axes)).unwrap();
+        prop_assert!(apart(&named, &axes) < 1e-8);
+        for branch in branches(&robot.geometry, &ball).unwrap() {
+            let (mm, turn) = miss(&robot.geometry, &branch, &ball);
+            prop_assert!(mm < 1e-8 && turn < 1e-10);
+        }
+    }
+}
+
+/// At A5 = 0 only A4 + A6 is defined: the nearest keeps A4.
+#[test]
+fn a_straight_wrist_keeps_axis_four() {
+    let geometry = kr60ha().geometry;
+    let axes = rad([10.0, -80.0, 100.0, 33.0, 0.0, -50.0]);
+    let found = nearest(&geometry, &geometry.ball(&axes), &axes).unwrap();
+    assert!(apart(&found, &axes) < 1e-8, "{found:?}");
+}
