@@ -1,0 +1,132 @@
+//! A cell to test in: pose sets on circles, lengths on a robot with errors, and the binary.
+
+use std::path::Path;
+use std::process::{Command, Output};
+
+use dbbd::model::pose::{rot_x, rot_y, rot_z};
+use dbbd::model::{Centre, Geometry, Observation, Observations, ParamId, Pose, Robot, inverse};
+use nalgebra::{Matrix3, Vector3};
+
+/// The paper's circle: centre and radius, mm.
+pub const CENTRE: [f64; 3] = [1300.0, 0.0, 800.0];
+pub const RADIUS: f64 = 300.0;
+
+/// Table 2 of the paper: the designed errors of its 13 parameters (rad, mm).
+pub const DESIGNED: [(&str, f64); 13] = [
+    ("alpha1", -0.0049),
+    ("alpha2", 0.0031),
+    ("alpha3", 0.0011),
+    ("alpha4", -0.0002),
+    ("alpha5", -0.0023),
+    ("a1", 0.1391),
+    ("a2", 0.0331),
+    ("a3", 0.0345),
+    ("a4", 0.1703),
+    ("a5", 0.0300),
+    ("d4", -0.0968),
+    ("d5", -0.0076),
+    ("d6", -0.1091),
+];
+
+pub fn kr60() -> Robot {
+    Robot::by_name("kr60ha").unwrap().unwrap()
+}
+
+/// The kr60ha with errors added by name.
+pub fn with_errors<'a>(errors: impl IntoIterator<Item = (&'a str, f64)>) -> Robot {
+    let mut robot = kr60();
+    for (name, error) in errors {
+        let id: ParamId = name.parse().unwrap();
+        *robot.geometry.value_mut(id).unwrap() += error;
+    }
+    robot
+}
+
+/// A circle's plane as the rotation from XY, and its centre.
+#[derive(Clone, Copy)]
+pub struct Circle {
+    pub plane: Matrix3<f64>,
+    pub centre: [f64; 3],
+    pub number: usize,
+}
+
+pub fn horizontal(number: usize, centre: [f64; 3]) -> Circle {
+    Circle { plane: Matrix3::identity(), centre, number }
+}
+
+pub fn tilted(degrees: f64) -> Circle {
+    Circle { plane: rot_x(degrees.to_radians()), ..horizontal(1, CENTRE) }
+}
+
+/// XY, XZ and YZ circles about one ball.
+pub fn three_planes(number: usize, centre: [f64; 3]) -> [Circle; 3] {
+    let quarter = std::f64::consts::FRAC_PI_2;
+    [Matrix3::identity(), rot_x(quarter), rot_z(quarter) * rot_x(quarter)].map(|plane| Circle {
+        plane,
+        centre,
+        number,
+    })
+}
+
+/// Axis angles (degrees) of `points` on a circle, the tool down, turned by the pattern of the
+/// paper's experiment with this amplitude: R = Rz(A sin 2t) Ry(A sin 3t) Rx(A sin 5t) Rx(180 deg).
+pub fn poses(robot: &Geometry, circle: &Circle, points: usize, amplitude_deg: f64) -> Vec<[f64; 6]> {
+    let amplitude = amplitude_deg.to_radians();
+    let mut near = [0.0, -60.0, 90.0, 0.0, 60.0, 0.0].map(f64::to_radians);
+    (0..points)
+        .map(|i| {
+            let t = std::f64::consts::TAU * i as f64 / points as f64;
+            let on_circle = circle.plane * Vector3::new(t.cos(), t.sin(), 0.0) * RADIUS;
+            let ball = Pose {
+                position: Vector3::from(circle.centre) + on_circle,
+                rotation: rot_z(amplitude * (2.0 * t).sin())
+                    * rot_y(amplitude * (3.0 * t).sin())
+                    * rot_x(amplitude * (5.0 * t).sin())
+                    * rot_x(std::f64::consts::PI),
+            };
+            near = inverse::nearest(robot, &ball, &near).unwrap();
+            near.map(f64::to_degrees)
+        })
+        .collect()
+}
+
+/// Lengths that `truth` shows at poses planned on the nominal robot.
+pub fn measure(truth: &Robot, circles: &[Circle], points: usize, amplitude_deg: f64) -> Observations {
+    let nominal = kr60();
+    let mut rows = Vec::new();
+    for circle in circles {
+        for axes_deg in poses(&nominal.geometry, circle, points, amplitude_deg) {
+            let mut row = Observation {
+                index: rows.len() as u32 + 1,
+                centre: circle.number,
+                axes_deg,
+                length_mm: 0.0,
+                sigma_mm: None,
+                extra: vec![],
+            };
+            row.length_mm = truth.geometry.length(&row.axes(), &Vector3::from(circle.centre), 0.0);
+            rows.push(row);
+        }
+    }
+    Observations { rows, extra_columns: vec![] }
+}
+
+/// The base balls of circles, as their file.
+pub fn centres_csv(circles: &[Circle]) -> String {
+    let mut centres: Vec<Centre> = circles
+        .iter()
+        .map(|circle| Centre { id: circle.number, position: Vector3::from(circle.centre) })
+        .collect();
+    centres.dedup_by_key(|centre| centre.id);
+    Centre::to_csv(&centres)
+}
+
+/// Runs the binary in a directory.
+pub fn dbbd(dir: &Path, args: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_dbbd")).args(args).current_dir(dir).output().unwrap()
+}
+
+/// Standard error of a run as text.
+pub fn stderr(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}

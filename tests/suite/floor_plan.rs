@@ -1,0 +1,168 @@
+//! Data flows one way: a room imports only the rooms that the table of ARCHITECTURE.md allows it.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// The ground floor, which every room may stand on.
+const GROUND: [&str; 4] = ["units", "clock", "diag", "linalg"];
+
+/// Each room and what it may import besides the ground floor.
+const TABLE: &[(&str, &[&str])] = &[
+    ("units", &[]),
+    ("clock", &["units"]),
+    ("diag", &[]),
+    ("linalg", &[]),
+    ("port", &[]),
+    ("capture", &[]),
+    ("protocol", &[]),
+    ("model", &[]),
+    ("identifiability", &["model"]),
+    ("plan", &["model", "identifiability"]),
+    ("krl", &["model", "plan"]),
+    ("sync", &["protocol", "model", "plan"]),
+    ("circular", &["model"]),
+    ("identify", &["model", "identifiability"]),
+    ("export", &["capture", "protocol", "model", "plan", "sync", "circular", "identify"]),
+    ("report", &["model", "plan", "sync", "circular", "identify", "identifiability"]),
+    ("live", &["circular", "report"]),
+    ("sim", &["protocol", "model", "plan", "krl"]),
+    (
+        "daemon",
+        &[
+            "port",
+            "capture",
+            "protocol",
+            "model",
+            "identifiability",
+            "plan",
+            "krl",
+            "sync",
+            "circular",
+            "identify",
+            "export",
+            "report",
+            "live",
+        ],
+    ),
+];
+
+/// Rooms that do no input or output, read no clock and print nothing.
+const PURE: &[&str] = &[
+    "protocol",
+    "model",
+    "identifiability",
+    "plan",
+    "krl",
+    "sync",
+    "circular",
+    "identify",
+    "report",
+    "linalg",
+];
+
+fn sources(room: &str) -> Vec<PathBuf> {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
+    let single = root.join(format!("{room}.rs"));
+    let mut found = if single.is_file() { vec![single] } else { vec![] };
+    let mut open = vec![root.join(room)];
+    while let Some(dir) = open.pop() {
+        for entry in fs::read_dir(dir).into_iter().flatten().flatten() {
+            let path = entry.path();
+            if path.is_dir() {
+                open.push(path);
+            } else if path.extension().is_some_and(|extension| extension == "rs") {
+                found.push(path);
+            }
+        }
+    }
+    found
+}
+
+/// Rooms named by `crate::room` in a source, comments left out.
+fn imports(text: &str) -> Vec<String> {
+    text.lines()
+        .map(|line| line.split("//").next().unwrap_or(""))
+        .flat_map(|line| {
+            line.match_indices("crate::").map(|(at, found)| &line[at + found.len()..]).collect::<Vec<_>>()
+        })
+        .map(|rest| rest.chars().take_while(|c| c.is_alphanumeric() || *c == '_').collect())
+        .collect()
+}
+
+#[test]
+fn rooms_import_only_what_the_table_allows() {
+    let mut wrong = Vec::new();
+    for (room, allowed) in TABLE {
+        for path in sources(room) {
+            for import in imports(&fs::read_to_string(&path).unwrap()) {
+                let ground = GROUND.contains(&import.as_str()) && !GROUND.contains(room);
+                if import != *room && !ground && !allowed.contains(&import.as_str()) {
+                    wrong.push(format!("{}: `{room}` may not import `{import}`", path.display()));
+                }
+            }
+        }
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+#[test]
+fn every_room_stands_in_the_table() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
+    for entry in fs::read_dir(root).unwrap().flatten() {
+        let name = entry.path().file_stem().unwrap().to_string_lossy().into_owned();
+        let known =
+            ["lib", "main", "cli"].contains(&name.as_str()) || TABLE.iter().any(|(room, _)| *room == name);
+        assert!(known, "src/{name} is not in the table of this test and of ARCHITECTURE.md");
+    }
+}
+
+#[test]
+fn pure_rooms_touch_nothing_outside() {
+    let forbidden =
+        ["std::fs", "std::io", "std::net", "std::thread", "clock::", "println!", "eprintln!", "SystemTime"];
+    for room in PURE {
+        for path in sources(room) {
+            let text = fs::read_to_string(&path).unwrap();
+            for line in text.lines().map(|line| line.split("//").next().unwrap_or("")) {
+                for word in forbidden {
+                    assert!(!line.contains(word), "{}: a pure room uses `{word}`: {line}", path.display());
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn vendors_live_in_definitions_not_in_the_engine() {
+    let vendors = [
+        "sylvac",
+        "heidenhain",
+        "mitutoyo",
+        "usdigital",
+        "micro-epsilon",
+        "riftek",
+        "starrett",
+        "renishaw",
+        "keyence",
+    ];
+    for path in sources("protocol") {
+        let text = fs::read_to_string(&path).unwrap().to_lowercase();
+        for vendor in vendors {
+            assert!(!text.contains(vendor), "{} names {vendor}", path.display());
+        }
+    }
+}
+
+/// nalgebra's own decomposition loses digits on clustered values and never returns on a NaN.
+#[test]
+fn singular_values_come_from_linalg_alone() {
+    for (room, _) in TABLE.iter().filter(|(room, _)| *room != "linalg") {
+        for path in sources(room) {
+            assert!(
+                !fs::read_to_string(&path).unwrap().contains(".svd("),
+                "{} calls nalgebra's svd",
+                path.display()
+            );
+        }
+    }
+}

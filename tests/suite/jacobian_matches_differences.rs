@@ -1,0 +1,47 @@
+//! The analytic row of a length agrees with central differences of the length, for every parameter.
+
+use dbbd::model::kinematics::Mass;
+use dbbd::model::{LengthModel, Reading, Selection, parameter};
+use nalgebra::Vector3;
+use proptest::prelude::*;
+
+use crate::cell::kr60;
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 100, rng_seed: proptest::test_runner::RngSeed::Fixed(1), ..ProptestConfig::default() })]
+    #[test]
+    fn row_matches_central_differences(
+        axes in proptest::array::uniform6(-3.0f64..3.0),
+        errors in proptest::collection::vec(-0.01f64..0.01, 52),
+        centre in proptest::array::uniform3(-1500.0f64..1500.0),
+    ) {
+        let mut model = LengthModel { geometry: kr60().geometry, centres: vec![Vector3::from(centre)], bar_offset: 0.0 };
+        model.geometry.masses = vec![
+            Mass { joint: 2, kg: 100.0, centre: Vector3::new(400.0, 0.0, 50.0) },
+            Mass { joint: 6, kg: 60.0, centre: Vector3::new(10.0, 20.0, 150.0) },
+        ];
+        // Compliance bends the joints and so moves the torques; that second-order part the columns leave out.
+        let mut ids = parameter::all(&[1, 2, 3, 4, 5], 1);
+        ids.extend(parameter::parse_list("compliance,gear", &[], 1).unwrap());
+        for (id, error) in ids.iter().zip(errors).filter(|(id, _)| id.unit() != "rad/Nm") {
+            model.shift(*id, error);
+        }
+        let reading = Reading { axes, centre: 0, length: 0.0 };
+        let mut row = vec![0.0; ids.len()];
+        Selection::new(&ids).pick(&model.row(&reading), 0, &mut row);
+        prop_assert!((model.row(&reading).length - model.length(&reading)).abs() < 1e-10);
+        for (id, analytic) in ids.iter().zip(row) {
+            let step = if id.unit() == "rad/Nm" { 1e-7 } else if id.unit() == "rad" { 1e-5 } else { 1e-2 };
+            let difference = |h: f64| {
+                let (mut up, mut down) = (model.clone(), model.clone());
+                up.shift(*id, h);
+                down.shift(*id, -h);
+                (up.length(&reading) - down.length(&reading)) / (2.0 * h)
+            };
+            // Richardson's extrapolation takes the error of second order out.
+            let numeric = (4.0 * difference(step / 2.0) - difference(step)) / 3.0;
+            let size = numeric.abs().max(1.0);
+            prop_assert!((analytic - numeric).abs() < 1e-6 * size, "{id}: {analytic} for {numeric}");
+        }
+    }
+}
