@@ -31,7 +31,7 @@ proptest! {
         Selection::new(&ids).pick(&model.row(&reading), 0, &mut row);
         prop_assert!((model.row(&reading).length - model.length(&reading)).abs() < 1e-10);
         for (id, analytic) in ids.iter().zip(row) {
-            let step = if id.unit() == "rad/Nm" { 1e-7 } else if id.unit() == "rad" { 1e-5 } else { 1e-2 };
+            let step = if id.unit() == "rad/Nm" { 1e-6 } else if id.unit() == "rad" { 1e-5 } else { 1e-2 };
             let difference = |h: f64| {
                 let (mut up, mut down) = (model.clone(), model.clone());
                 up.shift(*id, h);
