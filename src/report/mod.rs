@@ -1,1 +1,16 @@
-//! report
+//! Pages and pictures from results: SVG and HTML texts. Nothing is computed here but layout.
+//!
+//! The same input gives the same bytes. A page fetches nothing, runs no script, and follows the
+//! reader's choice of light or dark.
+
+pub mod identification;
+mod page;
+mod parameters;
+pub mod plan;
+pub mod plot;
+mod scale;
+pub mod svg;
+
+pub use identification::{CirclePanel, IdentificationPlots, ObservationPoint, Tolerance};
+pub use page::{Fact, Provenance, ReportError, Source};
+pub use plan::{CheckRow, CircleRow, PlanView, PredictedRow};

@@ -1,0 +1,356 @@
+//! `report.html`: what an identification found, in the order in which one asks.
+
+use std::collections::BTreeMap;
+
+use serde::Serialize;
+
+use super::page::{Fact, Provenance, ReportError, render, texts};
+use super::parameters::{Group, charts, estimated, groups, word};
+use super::plot::{HeatMap, Histogram, PolarPlot, PolarTrace, ResidualPlot, ResidualPoint, Series};
+use super::scale::{fixed, significant};
+use crate::identify::result::{Identification, PredictedError, Residual, Status, WarningKind};
+use crate::plan::Kind;
+
+/// What the page shows besides the result itself.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct IdentificationPlots {
+    /// The observations with their residuals, outliers included.
+    pub observations: Vec<ObservationPoint>,
+    /// The circles, for the polar plots; none for poses that lie on no circle.
+    pub circles: Vec<CirclePanel>,
+    /// One standard deviation of what the robot's maker promises.
+    pub tolerance: Option<Tolerance>,
+    /// Maps of the predicted error.
+    pub maps: Vec<HeatMap>,
+    /// More lines for "what was measured": bar, temperature, certificate.
+    pub facts: Vec<Fact>,
+    /// Where it comes from.
+    pub provenance: Provenance,
+}
+
+/// One observation.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ObservationPoint {
+    /// Its index.
+    pub index: u32,
+    /// Its base ball, from 1.
+    pub centre: usize,
+    /// Residual with the nominal robot, mm.
+    pub before_mm: f64,
+    /// Residual with the identified robot, mm.
+    pub after_mm: f64,
+    /// Number of its circle, where it lies on one.
+    pub circle: Option<u32>,
+    /// Its angle on that circle, degrees.
+    pub angle_deg: Option<f64>,
+    /// What the plan had it for, where there was one.
+    pub kind: Option<Kind>,
+}
+
+/// A circle of the plan.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CirclePanel {
+    /// Its number.
+    pub number: u32,
+    /// Its name, such as `Circle 1, XY, ball 1`.
+    pub name: String,
+    /// Nominal radius, mm.
+    pub radius_mm: Option<f64>,
+    /// What stands at 0 and at 90 degrees, such as `+X`, `+Y`.
+    pub axis_names: Option<[String; 2]>,
+}
+
+/// One standard deviation of what a robot's maker promises.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Tolerance {
+    /// Of lengths, mm.
+    pub length_mm: f64,
+    /// Of angles, rad.
+    pub angle_rad: f64,
+}
+
+#[derive(Serialize)]
+struct Page<'a> {
+    robot: &'a str,
+    doubts: Vec<&'a str>,
+    notes: Vec<&'a str>,
+    converged: bool,
+    verdict: Vec<String>,
+    facts: Vec<Fact>,
+    comparison: Vec<Comparison>,
+    polar: Vec<[String; 2]>,
+    residuals: Vec<String>,
+    histograms: Vec<String>,
+    outliers: Vec<[String; 3]>,
+    groups: Vec<Group>,
+    charts: Vec<String>,
+    dependent: Vec<DependentLine>,
+    untold: Vec<Untold>,
+    maps: Vec<String>,
+    provenance: &'a Provenance,
+}
+
+#[derive(Serialize)]
+struct Comparison {
+    quantity: &'static str,
+    before: String,
+    after: String,
+    factor: String,
+    rule: bool,
+}
+
+#[derive(Serialize)]
+struct DependentLine {
+    combination: String,
+    kept: String,
+    text: String,
+}
+
+#[derive(Serialize)]
+struct Untold {
+    names: String,
+    status: &'static str,
+    reason: String,
+}
+
+/// The page `report.html`.
+///
+/// # Errors
+/// Only a fault of the template itself.
+pub fn html(result: &Identification, plots: &IdentificationPlots) -> Result<String, ReportError> {
+    let page = Page {
+        robot: &result.robot,
+        doubts: texts(&result.warnings, WarningKind::Doubt),
+        notes: texts(&result.warnings, WarningKind::Note),
+        converged: result.converged,
+        verdict: verdict(result),
+        facts: facts(result, plots),
+        comparison: comparison(result),
+        polar: plots.circles.iter().filter_map(|circle| polar(circle, &plots.observations)).collect(),
+        residuals: residuals(result, plots),
+        histograms: histograms(result, plots),
+        outliers: result
+            .outliers
+            .iter()
+            .map(|o| [o.index.to_string(), o.centre.to_string(), fixed(o.residual_mm, 4)])
+            .collect(),
+        groups: groups(&result.parameters),
+        charts: charts(&result.parameters, plots.tolerance.map(|t| [t.length_mm, t.angle_rad])),
+        dependent: dependent(result),
+        untold: untold(result),
+        maps: plots.maps.iter().map(HeatMap::to_svg).collect(),
+        provenance: &plots.provenance,
+    };
+    render("identification.html", include_str!("identification.html"), &page)
+}
+
+/// The answer in sentences.
+fn verdict(result: &Identification) -> Vec<String> {
+    let Identification { residual_mm: residual, predicted_position_error_mm: predicted, .. } = result;
+    let told = result.parameters.iter().filter(|parameter| estimated(parameter.status)).count();
+    vec![
+        format!(
+            "The rms residual of the lengths {} from {} mm to {} mm.",
+            went(residual.before.rms, residual.after.rms),
+            significant(residual.before.rms, 3),
+            significant(residual.after.rms, 3)
+        ),
+        format!(
+            "The predicted 3-D position error over the workspace {} from {} mm to {} mm in the mean, with 95 % of \
+             the poses below {} mm.",
+            went(predicted.nominal.mean, predicted.identified.mean),
+            significant(predicted.nominal.mean, 3),
+            significant(predicted.identified.mean, 3),
+            significant(predicted.identified.p95, 3)
+        ),
+        format!(
+            "{told} of {} parameters were estimated; the data tell {} independent directions.",
+            result.parameters.len(),
+            result.rank
+        ),
+    ]
+}
+
+fn went(before: f64, after: f64) -> &'static str {
+    if after < before {
+        "fell"
+    } else if after > before {
+        "rose"
+    } else {
+        "went"
+    }
+}
+
+fn facts(result: &Identification, plots: &IdentificationPlots) -> Vec<Fact> {
+    let mut per_ball: BTreeMap<usize, usize> = BTreeMap::new();
+    for observation in &plots.observations {
+        *per_ball.entry(observation.centre).or_default() += 1;
+    }
+    let balls: Vec<String> = per_ball.iter().map(|(ball, count)| format!("ball {ball}: {count}")).collect();
+    let references = plots.observations.iter().filter(|o| o.kind == Some(Kind::Reference)).count();
+    let mut facts = vec![Fact::new("Lengths used", result.observations.to_string())];
+    if !balls.is_empty() {
+        facts.push(Fact::new("Per base ball", balls.join(", ")));
+    }
+    if references > 0 {
+        facts.push(Fact::new("At the reference pose", references.to_string()));
+    }
+    facts.push(Fact::new("Set aside as outliers", result.outliers.len().to_string()));
+    facts
+        .push(Fact::new("Standard deviation of a length", format!("{} mm", significant(result.sigma_mm, 3))));
+    facts.push(Fact::new(
+        "Rank (nominal, at the solution)",
+        format!("{}, {}", result.rank, result.rank_at_solution),
+    ));
+    facts.push(Fact::new("Condition of the base set", significant(result.condition, 3)));
+    facts.push(Fact::new("Solver steps", result.iterations.to_string()));
+    facts.extend(plots.facts.iter().cloned());
+    facts
+}
+
+fn comparison(result: &Identification) -> Vec<Comparison> {
+    let line = |quantity, before: f64, after: f64, rule| Comparison {
+        quantity,
+        before: fixed(before, 4),
+        after: fixed(after, 4),
+        factor: if before > 0.0 && after > 0.0 { significant(before / after, 2) } else { "–".into() },
+        rule,
+    };
+    let residual = |names: [&'static str; 3], before: Residual, after: Residual| {
+        [
+            line(names[0], before.rms, after.rms, true),
+            line(names[1], before.mean, after.mean, false),
+            line(names[2], before.max, after.max, false),
+        ]
+    };
+    let own = result.residual_mm;
+    let mut lines =
+        Vec::from(residual(["Residual, rms", "Residual, mean", "Residual, largest"], own.before, own.after));
+    // A mean crosses zero: its ratio says nothing.
+    if let Some(mean) = lines.get_mut(1) {
+        mean.factor = "–".into();
+    }
+    if let Some(folds) = result.folds {
+        lines.push(line("Held-out residual by cross-validation, rms", f64::NAN, folds.rms, true));
+    }
+    if let Some(validation) = result.validation {
+        let names = ["Validation file, rms", "Validation file, mean", "Validation file, largest"];
+        let mut separate = residual(names, validation.before, validation.after);
+        separate[1].factor = "–".into();
+        lines.extend(separate);
+    }
+    let PredictedError { mean, p95, max } = result.predicted_position_error_mm.nominal;
+    let after = result.predicted_position_error_mm.identified;
+    lines.push(line("Predicted 3-D error, mean", mean, after.mean, true));
+    lines.push(line("Predicted 3-D error, 95 % of poses", p95, after.p95, false));
+    lines.push(line("Predicted 3-D error, largest", max, after.max, false));
+    lines
+}
+
+/// Before and after to one scale, and after alone to its own.
+fn polar(circle: &CirclePanel, observations: &[ObservationPoint]) -> Option<[String; 2]> {
+    let members = || observations.iter().filter(|o| o.circle == Some(circle.number));
+    let trace = |name: &str, series, value: fn(&ObservationPoint) -> f64| PolarTrace {
+        name: name.into(),
+        series,
+        points: members().filter_map(|o| Some([o.angle_deg?, value(o)])).collect(),
+    };
+    let before = trace("before", Series::First, |o| o.before_mm);
+    let after = trace("after", Series::Second, |o| o.after_mm);
+    let draw = |title: String, traces| {
+        let (radius_mm, axis_names) = (circle.radius_mm, circle.axis_names.clone());
+        PolarPlot { title, radius_mm, axis_names, traces }.to_svg()
+    };
+    (!after.points.is_empty()).then(|| {
+        [
+            draw(circle.name.clone(), vec![before, after.clone()]),
+            draw(format!("{}: after, magnified", circle.name), vec![after]),
+        ]
+    })
+}
+
+/// For each base ball: before and after to one scale, and after alone to its own.
+fn residuals(result: &Identification, plots: &IdentificationPlots) -> Vec<String> {
+    let mut balls: BTreeMap<usize, Vec<ResidualPoint>> = BTreeMap::new();
+    for o in &plots.observations {
+        balls.entry(o.centre).or_default().push(ResidualPoint {
+            index: o.index,
+            before_mm: Some(o.before_mm),
+            after_mm: o.after_mm,
+            outlier: is_outlier(result, o),
+        });
+    }
+    balls
+        .into_iter()
+        .flat_map(|(ball, points)| {
+            let alone = points.iter().map(|point| ResidualPoint { before_mm: None, ..*point }).collect();
+            let both =
+                ResidualPlot { title: format!("Ball {ball}: before and after"), points, sigma_mm: None };
+            let title = format!("Ball {ball}: after, magnified");
+            let after = ResidualPlot { title, points: alone, sigma_mm: Some(result.sigma_mm) };
+            [both.to_svg(), after.to_svg()]
+        })
+        .collect()
+}
+
+fn is_outlier(result: &Identification, observation: &ObservationPoint) -> bool {
+    result.outliers.iter().any(|o| o.index == observation.index && o.centre == observation.centre)
+}
+
+fn histograms(result: &Identification, plots: &IdentificationPlots) -> Vec<String> {
+    let sound = || plots.observations.iter().filter(|o| !is_outlier(result, o));
+    let draw = |title: &str, series, values_mm| Histogram { title: title.into(), values_mm, series }.to_svg();
+    if sound().next().is_none() {
+        return Vec::new();
+    }
+    vec![
+        draw("Residuals before", Series::First, sound().map(|o| o.before_mm).collect()),
+        draw("Residuals after", Series::Second, sound().map(|o| o.after_mm).collect()),
+    ]
+}
+
+fn dependent(result: &Identification) -> Vec<DependentLine> {
+    result
+        .dependent
+        .iter()
+        .map(|group| {
+            // The kept member leads; the others follow by name.
+            let mut members: Vec<(&String, f64)> = group.combination.iter().map(|(n, c)| (n, *c)).collect();
+            members.sort_by_key(|(name, _)| **name != group.kept);
+            let mut combination = String::new();
+            for (place, (name, coefficient)) in members.into_iter().enumerate() {
+                let sign = match (place, coefficient < 0.0) {
+                    (0, false) => "",
+                    (0, true) => "−",
+                    (_, false) => " + ",
+                    (_, true) => " − ",
+                };
+                let size = coefficient.abs();
+                let times =
+                    if (size - 1.0).abs() < 5e-7 { String::new() } else { significant(size, 4) + " " };
+                combination.push_str(&format!("{sign}{times}{name}"));
+            }
+            DependentLine { combination, kept: group.kept.clone(), text: group.text.clone() }
+        })
+        .collect()
+}
+
+/// What was not estimated, by reason.
+fn untold(result: &Identification) -> Vec<Untold> {
+    let mut lines: Vec<(Status, &str, Vec<&str>)> = Vec::new();
+    for parameter in result.parameters.iter().filter(|parameter| !estimated(parameter.status)) {
+        let (status, reason) = (parameter.status, parameter.reason.as_str());
+        match lines.iter_mut().find(|line| line.0 == status && line.1 == reason) {
+            Some(line) => line.2.push(&parameter.name),
+            None => lines.push((status, reason, vec![&parameter.name])),
+        }
+    }
+    lines
+        .into_iter()
+        .map(|(status, reason, names)| Untold {
+            names: names.join(", "),
+            status: word(status),
+            reason: reason.to_owned(),
+        })
+        .collect()
+}

@@ -1,0 +1,286 @@
+//! `plan.html`: what the robot is about to do, and what one will know afterwards.
+
+use serde::Serialize;
+
+use super::page::{Fact, Provenance, ReportError, render, texts};
+use super::parameters::{class, word};
+use super::plot::frame::{NARROW, WIDE};
+use super::plot::{HeatMap, Line, Projection, Series, TracePlot, View};
+use super::scale::{fixed, significant};
+use crate::identify::result::{PredictedPair, Status, Warning, WarningKind};
+use crate::model::AXES;
+use crate::plan::{Kind, Plan};
+
+/// What the page shows besides the plan itself.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct PlanView {
+    /// Distance kept from the ends of the stroke, mm.
+    pub margin_mm: f64,
+    /// The base balls: number and centre in the robot base, mm.
+    pub centres: Vec<(u32, [f64; 3])>,
+    /// The robot at a few poses: a polyline through its joints each, base first, mm.
+    pub skeletons: Vec<Vec<[f64; 3]>>,
+    /// Lowest and highest angle of each axis, degrees.
+    pub limits_deg: [[f64; 2]; AXES],
+    /// The circles.
+    pub circles: Vec<CircleRow>,
+    /// The checks that were made.
+    pub checks: Vec<CheckRow>,
+    /// Predicted 3-D error of the nominal robot, and after identification with this plan.
+    pub predicted_error_mm: Option<PredictedPair>,
+    /// What the plan will tell of each parameter.
+    pub predicted: Vec<PredictedRow>,
+    /// In words: the combinations of which only one value can be told.
+    pub dependent: Vec<String>,
+    /// Maps of the predicted error.
+    pub maps: Vec<HeatMap>,
+    /// More lines for the summary: durations, bar, protocol.
+    pub facts: Vec<Fact>,
+    /// What the user must see.
+    pub warnings: Vec<Warning>,
+    /// Where it comes from.
+    pub provenance: Provenance,
+}
+
+/// A circle, in words.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct CircleRow {
+    /// Its number.
+    pub number: u32,
+    /// Its base ball.
+    pub centre: u32,
+    /// Its plane or normal.
+    pub plane: String,
+    /// Its radius, mm.
+    pub radius_mm: f64,
+    /// Number of points.
+    pub points: usize,
+    /// Sense of motion.
+    pub direction: String,
+    /// How the tool is turned.
+    pub orientation: String,
+    /// Dwell or continuous.
+    pub mode: String,
+}
+
+/// A check: the worst value against its limit.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct CheckRow {
+    /// What was checked.
+    pub quantity: String,
+    /// The worst value, with unit.
+    pub worst: String,
+    /// Its limit, with unit.
+    pub limit: String,
+    /// Where the worst is: row, circle.
+    pub place: String,
+    /// Whether it passed.
+    pub passed: bool,
+}
+
+/// What a plan will tell of a parameter.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PredictedRow {
+    /// Its name.
+    pub name: String,
+    /// `mm`, `rad` or `rad/Nm`.
+    pub unit: String,
+    /// The maker's standard deviation, in the unit.
+    pub tolerance: Option<f64>,
+    /// Standard deviation after identification, in the unit.
+    pub sd: Option<f64>,
+    /// What will become of it.
+    pub status: Status,
+    /// Why, in words.
+    pub reason: String,
+}
+
+#[derive(Serialize)]
+struct Page<'a> {
+    robot: &'a str,
+    doubts: Vec<&'a str>,
+    notes: Vec<&'a str>,
+    failed: usize,
+    summary: String,
+    facts: Vec<Fact>,
+    checks: &'a [CheckRow],
+    circles: Vec<CircleLine<'a>>,
+    views: Vec<String>,
+    stroke: Option<String>,
+    axes: Vec<String>,
+    error: Vec<[String; 3]>,
+    predicted: Vec<PredictedLine<'a>>,
+    dependent: &'a [String],
+    maps: Vec<String>,
+    provenance: &'a Provenance,
+}
+
+#[derive(Serialize)]
+struct CircleLine<'a> {
+    row: &'a CircleRow,
+    radius: String,
+}
+
+#[derive(Serialize)]
+struct PredictedLine<'a> {
+    name: &'a str,
+    unit: &'static str,
+    tolerance: String,
+    sd: String,
+    status: &'static str,
+    class: &'static str,
+    reason: &'a str,
+}
+
+/// The page `plan.html`.
+///
+/// # Errors
+/// Only a fault of the template itself.
+pub fn html(plan: &Plan, view: &PlanView) -> Result<String, ReportError> {
+    let failed = view.checks.iter().filter(|check| !check.passed).count();
+    let page = Page {
+        robot: &view.provenance.robot,
+        doubts: texts(&view.warnings, WarningKind::Doubt),
+        notes: texts(&view.warnings, WarningKind::Note),
+        failed,
+        summary: summary(plan, view),
+        facts: facts(plan, view),
+        checks: &view.checks,
+        circles: view.circles.iter().map(|row| CircleLine { row, radius: fixed(row.radius_mm, 1) }).collect(),
+        views: views(plan, view),
+        stroke: stroke(plan, view),
+        axes: if plan.rows.is_empty() {
+            Vec::new()
+        } else {
+            (0..AXES).map(|axis| axis_trace(plan, view, axis)).collect()
+        },
+        error: error(view),
+        predicted: view.predicted.iter().map(predicted).collect(),
+        dependent: &view.dependent,
+        maps: view.maps.iter().map(HeatMap::to_svg).collect(),
+        provenance: &view.provenance,
+    };
+    render("plan.html", include_str!("plan.html"), &page)
+}
+
+fn count(plan: &Plan, kind: Kind) -> usize {
+    plan.rows.iter().filter(|row| row.kind == kind).count()
+}
+
+fn summary(plan: &Plan, view: &PlanView) -> String {
+    let balls = view.centres.len();
+    format!(
+        "{} poses to measure and {} at the reference pose, about {balls} base {}; {} of {} checks passed.",
+        count(plan, Kind::Measure),
+        count(plan, Kind::Reference),
+        if balls == 1 { "ball" } else { "balls" },
+        view.checks.iter().filter(|check| check.passed).count(),
+        view.checks.len()
+    )
+}
+
+fn facts(plan: &Plan, view: &PlanView) -> Vec<Fact> {
+    let bar = &plan.header.job.bar;
+    let [low, high] = bar.stroke_mm;
+    let mut facts = vec![
+        Fact::new("Rows", plan.rows.len().to_string()),
+        Fact::new("Bar length", format!("{} mm", fixed(bar.length_mm, 4))),
+        Fact::new("Stroke", format!("{} to {} mm", fixed(low, 3), fixed(high, 3))),
+        Fact::new("Margin kept", format!("{} mm", fixed(view.margin_mm, 3))),
+    ];
+    for (number, centre) in &view.centres {
+        let [x, y, z] = centre.map(|value| fixed(value, 3));
+        facts.push(Fact::new(format!("Base ball {number}"), format!("X {x}, Y {y}, Z {z} mm")));
+    }
+    facts.extend(view.facts.iter().cloned());
+    facts
+}
+
+/// Each projection twice: with the robot, and around the balls.
+fn views(plan: &Plan, view: &PlanView) -> Vec<String> {
+    let balls: Vec<(String, [f64; 3])> =
+        view.centres.iter().map(|(number, centre)| (format!("ball {number}"), *centre)).collect();
+    let path: Vec<[f64; 3]> = plan.rows.iter().map(|row| row.xyz_mm).collect();
+    let dwells: Vec<[f64; 3]> =
+        plan.rows.iter().filter(|row| row.kind != Kind::Transit).map(|row| row.xyz_mm).collect();
+    let draw = |projection: Projection, place: &str, skeletons: &[Vec<[f64; 3]>]| {
+        let title = format!("{}, {place}", projection.names().concat());
+        View { title, projection, balls: &balls, path: &path, dwells: &dwells, skeletons }.to_svg()
+    };
+    if balls.is_empty() && path.is_empty() && view.skeletons.is_empty() {
+        return Vec::new();
+    }
+    let around = |projection| draw(projection, "around the balls", &[]);
+    Projection::ALL
+        .into_iter()
+        .flat_map(|projection| [draw(projection, "robot and path", &view.skeletons), around(projection)])
+        .collect()
+}
+
+fn line(plan: &Plan, series: Series, value: impl Fn(&crate::plan::PlanRow) -> f64) -> Line {
+    Line {
+        series,
+        points: plan.rows.iter().map(|row| [f64::from(row.index), value(row)]).collect(),
+        dwell: plan.rows.iter().map(|row| row.kind != Kind::Transit).collect(),
+    }
+}
+
+fn stroke(plan: &Plan, view: &PlanView) -> Option<String> {
+    let bar = &plan.header.job.bar;
+    let plot = TracePlot {
+        title: "Nominal reading along the path".into(),
+        size: [WIDE, 290.0],
+        x_name: "row of the plan".into(),
+        y_name: "reading (mm)".into(),
+        line: line(plan, Series::Second, |row| row.length_mm - bar.length_mm),
+        limits: Some(bar.stroke_mm),
+        margin: view.margin_mm,
+        show_limits: true,
+    };
+    (!plan.rows.is_empty()).then(|| plot.to_svg())
+}
+
+fn axis_trace(plan: &Plan, view: &PlanView, axis: usize) -> String {
+    let [low, high] = view.limits_deg[axis];
+    TracePlot {
+        title: format!("A{} (limits {}° to {}°)", axis + 1, significant(low, 4), significant(high, 4)),
+        size: [NARROW, 190.0],
+        x_name: "row of the plan".into(),
+        y_name: "deg".into(),
+        line: line(plan, Series::Second, |row| row.axes_deg[axis]),
+        limits: Some([low, high]),
+        margin: 0.0,
+        show_limits: true,
+    }
+    .to_svg()
+}
+
+fn error(view: &PlanView) -> Vec<[String; 3]> {
+    let Some(PredictedPair { nominal, identified }) = view.predicted_error_mm else { return Vec::new() };
+    [
+        ("mean", nominal.mean, identified.mean),
+        ("95 % of poses", nominal.p95, identified.p95),
+        ("largest", nominal.max, identified.max),
+    ]
+    .map(|(name, before, after)| [name.to_owned(), fixed(before, 4), fixed(after, 4)])
+    .into()
+}
+
+fn predicted(row: &PredictedRow) -> PredictedLine<'_> {
+    let (unit, factor) = match row.unit.as_str() {
+        "mm" => ("µm", 1e3),
+        "rad" => ("µrad", 1e6),
+        "rad/Nm" => ("nrad/(N m)", 1e9),
+        _ => ("own unit", 1.0),
+    };
+    let show = |value: Option<f64>| value.map_or("–".into(), |value| significant(value * factor, 3));
+    PredictedLine {
+        name: &row.name,
+        unit,
+        tolerance: show(row.tolerance),
+        sd: show(row.sd),
+        status: word(row.status),
+        class: class(row.status),
+        reason: &row.reason,
+    }
+}

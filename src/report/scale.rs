@@ -1,0 +1,177 @@
+//! Scales, ticks at 1-2-5 steps, and numbers as a reader wants them.
+
+/// A linear map from values to pixels.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Scale {
+    /// Values at the ends.
+    pub(crate) values: [f64; 2],
+    /// Pixels at the ends.
+    pub(crate) pixels: [f64; 2],
+}
+
+impl Scale {
+    /// The pixel of a value.
+    pub(crate) fn at(&self, value: f64) -> f64 {
+        let [low, high] = self.values;
+        let [from, to] = self.pixels;
+        from + (value - low) / (high - low) * (to - from)
+    }
+}
+
+/// Ticks at steps of 1, 2 or 5 times a power of ten.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Ticks {
+    /// Distance between two.
+    pub(crate) step: f64,
+    /// The values, ascending.
+    pub(crate) values: Vec<f64>,
+}
+
+impl Ticks {
+    /// About `count` ticks inside `range`; none where the range is empty or not finite.
+    pub(crate) fn inside(range: [f64; 2], count: f64) -> Self {
+        let [low, high] = range;
+        let step = step(high - low, count);
+        let mut values = Vec::new();
+        if low.is_finite() && high.is_finite() && step > 0.0 {
+            let first = (low / step - 1e-9).ceil();
+            let last = (high / step + 1e-9).floor();
+            let mut at = first;
+            while at <= last && values.len() < 100 {
+                values.push(at * step);
+                at += 1.0;
+            }
+        }
+        Self { step, values }
+    }
+
+    /// A tick's label, with the decimals that the step needs and a proper minus sign.
+    pub(crate) fn label(&self, value: f64) -> String {
+        fixed(value, decimals(self.step))
+    }
+}
+
+/// The 1-2-5 step that divides `span` into about `count`; 0 for what cannot be divided.
+pub(crate) fn step(span: f64, count: f64) -> f64 {
+    let raw = span / count;
+    if !raw.is_finite() || raw <= 0.0 {
+        return 0.0;
+    }
+    let power = 10f64.powf(raw.log10().floor());
+    let factor = [1.0, 2.0, 5.0].into_iter().find(|factor| raw <= factor * power * 1.0001);
+    factor.unwrap_or(10.0) * power
+}
+
+/// A range that holds all finite values, wider where they are equal; 0 to 1 where there is none.
+pub(crate) fn range(values: impl Iterator<Item = f64>) -> [f64; 2] {
+    let [low, high] = values
+        .filter(|value| value.is_finite())
+        .fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], value| [low.min(value), high.max(value)]);
+    if low > high {
+        [0.0, 1.0]
+    } else if high - low <= 1e-9 * high.abs().max(low.abs()).max(1e-9) {
+        let half = (0.05 * high.abs()).max(1e-6);
+        [low - half, high + half]
+    } else {
+        [low, high]
+    }
+}
+
+/// The largest magnitude of the finite values; a thousandth where there is none.
+pub(crate) fn magnitude(values: impl Iterator<Item = f64>) -> f64 {
+    let largest =
+        values.filter(|value| value.is_finite()).fold(0.0, |most: f64, value| most.max(value.abs()));
+    if largest > 0.0 { largest } else { 1e-3 }
+}
+
+/// A display unit: its sign and how many make one of the base unit.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Unit {
+    /// Its sign.
+    pub(crate) sign: &'static str,
+    /// Display value = factor * base value.
+    pub(crate) factor: f64,
+}
+
+impl Unit {
+    /// Millimetres.
+    pub(crate) const MM: Self = Self { sign: "mm", factor: 1.0 };
+    /// Degrees, of an angle in rad.
+    pub(crate) const DEG: Self = Self { sign: "deg", factor: 180.0 / std::f64::consts::PI };
+
+    /// For deviations up to `largest_mm`.
+    pub(crate) fn length(largest_mm: f64) -> Self {
+        if largest_mm < 1.0 { Self { sign: "µm", factor: 1e3 } } else { Self::MM }
+    }
+
+    /// For angle errors up to `largest_rad`.
+    pub(crate) fn angle(largest_rad: f64) -> Self {
+        if largest_rad < 2e-4 {
+            Self { sign: "µrad", factor: 1e6 }
+        } else {
+            Self { sign: "mrad", factor: 1e3 }
+        }
+    }
+}
+
+/// Decimals that show a value of this size to one figure.
+pub(crate) fn decimals(size: f64) -> usize {
+    if size.is_finite() && size > 0.0 { (-(size.log10() + 1e-9).floor()).clamp(0.0, 9.0) as usize } else { 0 }
+}
+
+/// A number with fixed decimals, a proper minus sign and no minus zero; a dash for what is none.
+pub(crate) fn fixed(value: f64, decimals: usize) -> String {
+    if !value.is_finite() {
+        return "–".to_owned();
+    }
+    let text = format!("{value:.decimals$}");
+    match text.strip_prefix('-') {
+        Some(zero) if zero.chars().all(|digit| matches!(digit, '0' | '.')) => zero.to_owned(),
+        Some(digits) => format!("−{digits}"),
+        None => text,
+    }
+}
+
+/// A number with an explicit sign.
+pub(crate) fn signed(value: f64, decimals: usize) -> String {
+    let text = fixed(value, decimals);
+    if value > 0.0 && text.chars().any(|digit| matches!(digit, '1'..='9')) {
+        format!("+{text}")
+    } else {
+        text
+    }
+}
+
+/// A number to `figures` significant figures, never in powers of ten for what people measure.
+pub(crate) fn significant(value: f64, figures: usize) -> String {
+    let extra = figures.saturating_sub(1);
+    let size = value.abs();
+    if value.is_finite() && (size >= 1e7 || (size > 0.0 && size < 1e-7)) {
+        return format!("{value:.extra$e}");
+    }
+    let scaled = size / 10f64.powi(extra as i32);
+    fixed(value, decimals(scaled))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ticks_step_by_one_two_or_five() {
+        assert_eq!(Ticks::inside([0.0, 1.0], 5.0).values.len(), 6);
+        assert_eq!(Ticks::inside([-0.3, 0.3], 6.0).label(-0.1), "−0.1");
+        assert_eq!(step(240.0, 5.0), 50.0);
+        assert_eq!(Ticks::inside([f64::NAN, 1.0], 5.0).values, Vec::<f64>::new());
+        assert_eq!(Ticks::inside([1.0, 1.0], 5.0).values, Vec::<f64>::new());
+    }
+
+    #[test]
+    fn numbers_read_as_a_metrologist_writes_them() {
+        assert_eq!(fixed(-0.0004, 2), "0.00");
+        assert_eq!(fixed(f64::NAN, 2), "–");
+        assert_eq!(significant(0.041234, 3), "0.0412");
+        assert_eq!(significant(1234.6, 2), "1235");
+        assert_eq!(signed(0.25, 2), "+0.25");
+    }
+}
