@@ -54,6 +54,7 @@ pub(super) fn summarise(
         .filter(|(_, residual)| !residual.used)
         .map(|(row, residual)| Outlier { index: row.index, centre: row.centre, residual_mm: residual.after })
         .collect();
+    let (predicted_pair, predicted) = predicted(robot, &estimate, &used_readings, &used_sigma, options)?;
     let mut result = Identification {
         schema: 1,
         robot: robot.name.clone(),
@@ -73,7 +74,7 @@ pub(super) fn summarise(
             before: residual_on(&estimate.before, set),
             after: residual_on(model, set),
         }),
-        predicted_position_error_mm: predicted(robot, &estimate, &used_readings, &used_sigma, options)?,
+        predicted_position_error_mm: predicted_pair,
         parameters,
         dependent: dependent(&estimate),
         outliers,
@@ -86,6 +87,7 @@ pub(super) fn summarise(
         estimated: estimate.kept.clone(),
         covariance: spread.covariance,
         residuals,
+        predicted,
         result,
     })
 }
@@ -244,14 +246,14 @@ fn dependent(estimate: &Estimate) -> Vec<Dependent> {
         .collect()
 }
 
-/// The predicted 3-D errors of the nominal and the identified robot.
+/// The predicted 3-D errors of the nominal and the identified robot, and the latter's over the workspace.
 fn predicted(
     robot: &Robot,
     estimate: &Estimate,
     readings: &[Reading],
     sigma: &[f64],
     options: &Options,
-) -> Result<PredictedPair, IdentifyError> {
+) -> Result<(PredictedPair, Vec<([f64; 3], f64)>), IdentifyError> {
     let mut ids = parameter::all(&robot.parallel_joints(), estimate.before.centres.len());
     ids.extend(&estimate.analysis.ids);
     ids.sort();
@@ -276,10 +278,12 @@ fn predicted(
     let errors = estimator.errors(&truths).ok_or(IdentifyError::NotFinite)?;
     let told =
         |summary: ErrorSummary| PredictedError { mean: summary.mean, p95: summary.p95, max: summary.max };
-    Ok(PredictedPair {
+    let pair = PredictedPair {
         nominal: told(workspace.summary(&truths)),
         identified: told(workspace.summary(&errors)),
-    })
+    };
+    let positions = workspace.positions.iter().map(|position| (*position).into());
+    Ok((pair, positions.zip(workspace.map(&errors)).collect()))
 }
 
 fn residual_on(model: &LengthModel, set: &Observations) -> Residual {

@@ -1,15 +1,19 @@
 //! `dbbd identify`: the robot's parameters from lengths.
 
-use std::collections::BTreeMap;
+mod inputs;
+mod page;
+mod tables;
+
 use std::error::Error;
-use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
 use super::{Outcome, Output, Verdict, files};
 use crate::diag::Diagnostic;
 use crate::identify::result::{Identification, Status, WarningKind};
-use crate::identify::{self, Identified, Options, Prior};
-use crate::model::{AXES, Centre, Observations, ParamId, Robot, parameter};
+use crate::identify::{self, Options, Prior};
+use crate::model::{Centre, Observations, Robot, parameter};
+use crate::report::Source;
+use inputs::{parse_point, parse_positive, read_prior, read_workspace};
 
 /// Identifies the robot's kinematic parameters from lengths and says which the data can tell.
 #[derive(clap::Args)]
@@ -76,7 +80,11 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
     };
     let found = identify::identify(&robot, &observations, &centres, validation.as_ref(), &options)?;
     files::directory(&args.out)?;
-    write_results(&args.out, &found)?;
+    tables::write_results(&args.out, &found)?;
+    let mut sources = vec![Source { role: "observations".into(), name: input, hash: None }];
+    sources.push(Source { role: "base balls".into(), name: path.display().to_string(), hash: None });
+    sources.push(Source { role: "robot".into(), name: name.into(), hash: None });
+    files::write(&args.out.join("report.html"), page::html(&robot, &observations, &found, sources)?)?;
     say(out, &found.result, &args.out);
     out.document(&found.result)?;
     let doubt = found.result.warnings.iter().any(|warning| warning.kind == WarningKind::Doubt);
@@ -115,105 +123,6 @@ fn check_centres(file: &str, observations: &Observations, centres: &[Centre]) ->
             return Err(Diagnostic::file(file, message));
         }
     }
-    Ok(())
-}
-
-fn parse_point(text: &str) -> Result<[f64; 3], String> {
-    let numbers: Result<Vec<f64>, _> = text.split(',').map(|part| part.trim().parse::<f64>()).collect();
-    match numbers.as_deref() {
-        Ok(&[x, y, z]) if [x, y, z].iter().all(|v| v.is_finite()) => Ok([x, y, z]),
-        _ => Err("three numbers in mm are needed, as 30,20,10".into()),
-    }
-}
-
-fn parse_positive(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(value) if value.is_finite() && value > 0.0 => Ok(value),
-        _ => Err("a positive number is needed".into()),
-    }
-}
-
-/// A CSV `name,unit,sd`; a parameters.csv of an earlier identification is one.
-fn read_prior(path: &Path) -> Result<BTreeMap<ParamId, f64>, Box<dyn Error>> {
-    let file = path.display().to_string();
-    let text = files::read(path)?;
-    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(text.as_bytes());
-    let header = reader.headers().map_err(|error| Diagnostic::csv(&file, &error))?.clone();
-    let place = |name: &str| {
-        header.iter().position(|column| column == name).ok_or_else(|| {
-            Diagnostic::line(&file, 1, format!("the column `{name}` is missing: name,unit,sd"))
-        })
-    };
-    let (name, unit, sd) = (place("name")?, place("unit")?, place("sd")?);
-    let mut prior = BTreeMap::new();
-    for record in reader.records() {
-        let record = record.map_err(|error| Diagnostic::csv(&file, &error))?;
-        let line = record.position().map_or(0, |position| position.line() as usize);
-        if record[sd].is_empty() {
-            continue;
-        }
-        let id: ParamId = record[name].parse().map_err(|e| Diagnostic::line(&file, line, format!("{e}")))?;
-        if record[unit] != *id.unit() {
-            let message = format!("`{id}` is in {}, not in `{}`", id.unit(), &record[unit]);
-            return Err(Diagnostic::line(&file, line, message).into());
-        }
-        let value = parse_positive(&record[sd])
-            .map_err(|why| Diagnostic::line(&file, line, format!("sd of `{id}`: {why}")))?;
-        prior.insert(id, value);
-    }
-    Ok(prior)
-}
-
-/// A CSV with the columns a1_deg..a6_deg, more may stand beside them.
-fn read_workspace(path: &Path) -> Result<Vec<[f64; AXES]>, Box<dyn Error>> {
-    let file = path.display().to_string();
-    let poses = Observations::poses_from_csv(&file, &files::read(path)?)?;
-    Ok(poses.into_iter().map(|axes| axes.map(f64::to_radians)).collect())
-}
-
-fn write_results(dir: &Path, found: &Identified) -> Result<(), Box<dyn Error>> {
-    let result = &found.result;
-    files::write(&dir.join("result.json"), serde_json::to_string_pretty(result)? + "\n")?;
-    files::write(&dir.join("robot-identified.toml"), found.robot.to_toml())?;
-    let mut table = csv::Writer::from_writer(Vec::new());
-    table.write_record([
-        "name",
-        "unit",
-        "start",
-        "nominal",
-        "identified",
-        "correction",
-        "sd",
-        "status",
-        "reason",
-    ])?;
-    for parameter in &result.parameters {
-        table.serialize((
-            &parameter.name,
-            &parameter.unit,
-            parameter.start,
-            parameter.nominal,
-            parameter.identified,
-            parameter.correction,
-            parameter.sd,
-            parameter.status,
-            &parameter.reason,
-        ))?;
-    }
-    files::write(&dir.join("parameters.csv"), table.into_inner()?)?;
-    let mut covariance = String::from("name");
-    for id in &found.estimated {
-        write!(covariance, ",{id}")?;
-    }
-    covariance.push('\n');
-    for (row, id) in found.estimated.iter().enumerate() {
-        write!(covariance, "{id}")?;
-        for value in found.covariance.row(row).iter() {
-            write!(covariance, ",{value:e}")?;
-        }
-        covariance.push('\n');
-    }
-    files::write(&dir.join("covariance.csv"), covariance)?;
     Ok(())
 }
 

@@ -1,0 +1,62 @@
+//! The smaller inputs of an identification: points, priors, workspaces.
+
+use std::collections::BTreeMap;
+use std::error::Error;
+use std::path::Path;
+
+use crate::cli::files;
+use crate::diag::Diagnostic;
+use crate::model::{AXES, Observations, ParamId};
+
+pub(super) fn parse_point(text: &str) -> Result<[f64; 3], String> {
+    let numbers: Result<Vec<f64>, _> = text.split(',').map(|part| part.trim().parse::<f64>()).collect();
+    match numbers.as_deref() {
+        Ok(&[x, y, z]) if [x, y, z].iter().all(|v| v.is_finite()) => Ok([x, y, z]),
+        _ => Err("three numbers in mm are needed, as 30,20,10".into()),
+    }
+}
+
+pub(super) fn parse_positive(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(value) if value.is_finite() && value > 0.0 => Ok(value),
+        _ => Err("a positive number is needed".into()),
+    }
+}
+
+/// A CSV `name,unit,sd`; a parameters.csv of an earlier identification is one.
+pub(super) fn read_prior(path: &Path) -> Result<BTreeMap<ParamId, f64>, Box<dyn Error>> {
+    let file = path.display().to_string();
+    let text = files::read(path)?;
+    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(text.as_bytes());
+    let header = reader.headers().map_err(|error| Diagnostic::csv(&file, &error))?.clone();
+    let place = |name: &str| {
+        header.iter().position(|column| column == name).ok_or_else(|| {
+            Diagnostic::line(&file, 1, format!("the column `{name}` is missing: name,unit,sd"))
+        })
+    };
+    let (name, unit, sd) = (place("name")?, place("unit")?, place("sd")?);
+    let mut prior = BTreeMap::new();
+    for record in reader.records() {
+        let record = record.map_err(|error| Diagnostic::csv(&file, &error))?;
+        let line = record.position().map_or(0, |position| position.line() as usize);
+        if record[sd].is_empty() {
+            continue;
+        }
+        let id: ParamId = record[name].parse().map_err(|e| Diagnostic::line(&file, line, format!("{e}")))?;
+        if record[unit] != *id.unit() {
+            let message = format!("`{id}` is in {}, not in `{}`", id.unit(), &record[unit]);
+            return Err(Diagnostic::line(&file, line, message).into());
+        }
+        let value = parse_positive(&record[sd])
+            .map_err(|why| Diagnostic::line(&file, line, format!("sd of `{id}`: {why}")))?;
+        prior.insert(id, value);
+    }
+    Ok(prior)
+}
+
+/// A CSV with the columns a1_deg..a6_deg, more may stand beside them.
+pub(super) fn read_workspace(path: &Path) -> Result<Vec<[f64; AXES]>, Box<dyn Error>> {
+    let file = path.display().to_string();
+    let poses = Observations::poses_from_csv(&file, &files::read(path)?)?;
+    Ok(poses.into_iter().map(|axes| axes.map(f64::to_radians)).collect())
+}

@@ -1,0 +1,140 @@
+//! `report.html` from a result: what the page needs is picked out here, and drawn by the report room.
+
+use crate::identify::Identified;
+use crate::model::{Observations, Robot};
+use crate::plan::Kind;
+use crate::report::identification::{self, CirclePanel, IdentificationPlots, ObservationPoint, Tolerance};
+use crate::report::plot::HeatMap;
+use crate::report::{Provenance, ReportError, Source};
+
+/// Cells along the longer side of a map of the predicted error.
+const CELLS: usize = 24;
+
+/// The report of an identification.
+pub(super) fn html(
+    robot: &Robot,
+    observations: &Observations,
+    found: &Identified,
+    sources: Vec<Source>,
+) -> Result<String, ReportError> {
+    let points = points(observations, found);
+    let plots = IdentificationPlots {
+        circles: circles(&points),
+        observations: points,
+        tolerance: Some(Tolerance {
+            length_mm: robot.tolerance.length_mm,
+            angle_rad: robot.tolerance.angle_deg.to_radians(),
+        }),
+        maps: maps(found),
+        facts: vec![],
+        provenance: Provenance {
+            dbbd_version: env!("CARGO_PKG_VERSION").into(),
+            robot: robot.name.clone(),
+            plan_hash: None,
+            date: None,
+            sources,
+        },
+    };
+    identification::html(&found.result, &plots)
+}
+
+/// The observations as the page takes them; circle, angle and kind stand in the further columns
+/// that `dbbd sync` writes.
+fn points(observations: &Observations, found: &Identified) -> Vec<ObservationPoint> {
+    let column = |name: &str| observations.extra_columns.iter().position(|column| column == name);
+    let (circle, angle, kind) = (column("circle"), column("angle_deg"), column("kind"));
+    observations
+        .rows
+        .iter()
+        .zip(&found.residuals)
+        .map(|(row, residual)| {
+            let cell = |at: Option<usize>| at.and_then(|at| row.extra.get(at)).map(String::as_str);
+            ObservationPoint {
+                index: row.index,
+                centre: row.centre,
+                before_mm: residual.before,
+                after_mm: residual.after,
+                circle: cell(circle).and_then(|text| text.parse().ok()).filter(|number| *number > 0),
+                angle_deg: cell(angle).and_then(|text| text.parse().ok()),
+                kind: match cell(kind) {
+                    Some("measure") => Some(Kind::Measure),
+                    Some("reference") => Some(Kind::Reference),
+                    _ => None,
+                },
+            }
+        })
+        .collect()
+}
+
+fn circles(points: &[ObservationPoint]) -> Vec<CirclePanel> {
+    let on_circle = |point: &&ObservationPoint| point.angle_deg.is_some();
+    let mut numbers: Vec<(u32, usize)> =
+        points.iter().filter(on_circle).filter_map(|point| Some((point.circle?, point.centre))).collect();
+    numbers.sort_unstable();
+    numbers.dedup();
+    numbers
+        .into_iter()
+        .map(|(number, ball)| CirclePanel {
+            number,
+            name: format!("Circle {number}, ball {ball}"),
+            radius_mm: None,
+            axis_names: None,
+        })
+        .collect()
+}
+
+/// The predicted error seen from above and from the side.
+fn maps(found: &Identified) -> Vec<HeatMap> {
+    let side = |p: &[f64; 3]| [p[0].hypot(p[1]), p[2]];
+    let above = |p: &[f64; 3]| [p[0], p[1]];
+    [
+        map("Predicted 3-D error from above", ["X (mm)", "Y (mm)"], found, above),
+        map("Predicted 3-D error from the side", ["distance from axis 1 (mm)", "Z (mm)"], found, side),
+    ]
+    .into_iter()
+    .flatten()
+    .collect()
+}
+
+/// The root mean square error of the workspace poses in each cell of a grid.
+fn map(
+    title: &str,
+    names: [&str; 2],
+    found: &Identified,
+    project: impl Fn(&[f64; 3]) -> [f64; 2],
+) -> Option<HeatMap> {
+    let places: Vec<[f64; 2]> = found.predicted.iter().map(|(position, _)| project(position)).collect();
+    let ends = |axis: usize| {
+        let values = places.iter().map(|place| place[axis]);
+        [values.clone().fold(f64::INFINITY, f64::min), values.fold(f64::NEG_INFINITY, f64::max)]
+    };
+    let extent = [ends(0), ends(1)];
+    let cell = (extent[0][1] - extent[0][0]).max(extent[1][1] - extent[1][0]) / CELLS as f64;
+    // All poses in one place make no map.
+    if !(cell.is_finite() && cell > 0.0) {
+        return None;
+    }
+    let count = |axis: usize| (((extent[axis][1] - extent[axis][0]) / cell).ceil() as usize).max(1);
+    let (columns, rows) = (count(0), count(1));
+    let mut sums = vec![(0.0, 0u32); columns * rows];
+    for (place, (_, error)) in places.iter().zip(&found.predicted) {
+        let at =
+            |axis: usize, count: usize| (((place[axis] - extent[axis][0]) / cell) as usize).min(count - 1);
+        let (sum, poses) = &mut sums[at(1, rows) * columns + at(0, columns)];
+        *sum += error * error;
+        *poses += 1;
+    }
+    Some(HeatMap {
+        title: title.into(),
+        axis_names: names.map(str::to_owned),
+        extent: [
+            [extent[0][0], extent[0][0] + cell * columns as f64],
+            [extent[1][0], extent[1][0] + cell * rows as f64],
+        ],
+        columns,
+        values_mm: sums
+            .into_iter()
+            .map(|(sum, poses)| if poses > 0 { (sum / f64::from(poses)).sqrt() } else { f64::NAN })
+            .collect(),
+    })
+}

@@ -1,0 +1,55 @@
+//! The files of a result beside its report.
+
+use std::error::Error;
+use std::fmt::Write;
+use std::path::Path;
+
+use crate::cli::files;
+use crate::identify::Identified;
+
+/// Writes result.json, robot-identified.toml, parameters.csv and covariance.csv.
+pub(super) fn write_results(dir: &Path, found: &Identified) -> Result<(), Box<dyn Error>> {
+    let result = &found.result;
+    files::write(&dir.join("result.json"), serde_json::to_string_pretty(result)? + "\n")?;
+    files::write(&dir.join("robot-identified.toml"), found.robot.to_toml())?;
+    let mut table = csv::Writer::from_writer(Vec::new());
+    table.write_record([
+        "name",
+        "unit",
+        "start",
+        "nominal",
+        "identified",
+        "correction",
+        "sd",
+        "status",
+        "reason",
+    ])?;
+    for parameter in &result.parameters {
+        table.serialize((
+            &parameter.name,
+            &parameter.unit,
+            parameter.start,
+            parameter.nominal,
+            parameter.identified,
+            parameter.correction,
+            parameter.sd,
+            parameter.status,
+            &parameter.reason,
+        ))?;
+    }
+    files::write(&dir.join("parameters.csv"), table.into_inner()?)?;
+    let mut covariance = String::from("name");
+    for id in &found.estimated {
+        write!(covariance, ",{id}")?;
+    }
+    covariance.push('\n');
+    for (row, id) in found.estimated.iter().enumerate() {
+        write!(covariance, "{id}")?;
+        for value in found.covariance.row(row).iter() {
+            write!(covariance, ",{value:e}")?;
+        }
+        covariance.push('\n');
+    }
+    files::write(&dir.join("covariance.csv"), covariance)?;
+    Ok(())
+}
