@@ -1,11 +1,20 @@
-//! `dbbd completions`.
+//! `dbbd completions`: completions for a shell, on stdout.
 
-use super::{Output, Verdict};
+use std::io;
 
-/// Arguments of the verb.
+use clap::CommandFactory;
+use clap_complete::Shell;
+
+use super::{Cli, Outcome, Output, Verdict};
+
+/// Prints completions for a shell on stdout.
 #[derive(clap::Args)]
-pub(crate) struct Args {}
+pub(crate) struct Args {
+    /// The shell.
+    shell: Shell,
+}
 
-pub(crate) fn run(_args: &Args, _out: &Output) -> Verdict {
-    Err("not there yet".into())
+pub(crate) fn run(args: &Args, _out: &Output) -> Verdict {
+    clap_complete::generate(args.shell, &mut Cli::command(), "dbbd", &mut io::stdout());
+    Ok(Outcome::Done)
 }
