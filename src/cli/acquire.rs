@@ -1,11 +1,160 @@
 //! `dbbd acquire`.
 
-use super::{Output, Verdict};
+use std::error::Error;
+use std::path::PathBuf;
+use std::time::Duration;
+
+use indicatif::{ProgressBar, ProgressStyle};
+
+use super::{Outcome, Output, Verdict, protocols};
+use crate::clock;
+use crate::daemon::{Acquisition, Attachments, Ending, Options, Progress, Summary, stop_on_signal};
+use crate::units::HostNs;
+
+/// The protocol without a word about it.
+const DEFAULT_PROTOCOL: &str = "dbb-cobs-1";
+/// Pause between lines of progress where there is no terminal, s.
+const LINE_EVERY_S: f64 = 5.0;
+
+/// When a run ends; shown below the options.
+const ENDS: &str = "The run ends at the program's end mark (two short strobe pulses after a dwell: with --plan the \
+last circle's, without a plan after 20 s of device time with no strobe), after --duration, on SIGINT or SIGTERM, \
+or when the port stays away for --gone. Bytes are written before they are decoded: a kill loses at most the \
+record being written. Exit code 3: samples are missing, or nothing was understood.";
 
 /// Arguments of the verb.
 #[derive(clap::Args)]
-pub(crate) struct Args {}
+#[command(after_help = ENDS)]
+pub(crate) struct Args {
+    /// Serial port of the bar: a device, by-id/NAME, or by-path/NAME (see `dbbd ports`).
+    #[arg(long)]
+    port: String,
+    /// Protocol of the bar: a built-in name or a TOML file [default: the plan's, else dbb-cobs-1].
+    #[arg(long, value_name = "NAME|FILE")]
+    protocol: Option<String>,
+    /// Plan that the robot executes; it and the plan.json beside it go into the capture.
+    #[arg(long, value_name = "PLAN.csv")]
+    plan: Option<PathBuf>,
+    /// Capture to write; an existing file is not overwritten.
+    #[arg(long, value_name = "RUN")]
+    out: PathBuf,
+    /// End after this many seconds of host time.
+    #[arg(long, value_name = "S", value_parser = seconds)]
+    duration: Option<f64>,
+    /// End when the port has been away for this many seconds (exit code 3; the run is kept).
+    #[arg(long, value_name = "S", default_value = "10", value_parser = seconds)]
+    gone: f64,
+}
 
-pub(crate) fn run(_args: &Args, _out: &Output) -> Verdict {
-    Err("not there yet".into())
+fn seconds(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(value) if value.is_finite() && value >= 0.0 => Ok(value),
+        _ => Err("a number of seconds, 0 or more".into()),
+    }
+}
+
+pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
+    let attachments = args.plan.as_deref().map(Attachments::of_plan).transpose()?.unwrap_or_default();
+    let name = args.protocol.as_deref().or(attachments.protocol.as_deref()).unwrap_or(DEFAULT_PROTOCOL);
+    let definition = protocols::load(name)?;
+    out.detail(format!("protocol {}: {}", definition.id, definition.title));
+    let stop = stop_on_signal()?;
+    let options = Options {
+        port: args.port.clone(),
+        definition,
+        out: args.out.clone(),
+        attachments,
+        duration_s: args.duration,
+        gone_s: args.gone,
+    };
+    let acquisition = Acquisition::start(options, stop)?;
+    out.progress(format!("reading {} into {}", args.port, args.out.display()));
+    watch(&acquisition, out)?;
+    conclude(&acquisition.join()?, args, out)
+}
+
+/// Shows how the run goes until it is over.
+fn watch(acquisition: &Acquisition, out: &Output) -> Result<(), Box<dyn Error>> {
+    let line = out.decorated().then(ProgressBar::new_spinner);
+    if let Some(line) = &line {
+        line.set_style(ProgressStyle::with_template("{spinner} {msg}")?);
+        line.enable_steady_tick(Duration::from_millis(200));
+    }
+    let mut said: Option<HostNs> = None;
+    while !acquisition.is_over() {
+        clock::sleep(0.05);
+        let progress = acquisition.progress();
+        if let Some(line) = &line {
+            line.set_message(status(&progress));
+        } else if said.is_none_or(|at| clock::now().seconds_since(at) >= LINE_EVERY_S) {
+            if said.is_some() {
+                out.progress(status(&progress));
+            }
+            said = Some(clock::now());
+        }
+    }
+    if let Some(line) = line {
+        line.finish_and_clear();
+    }
+    Ok(())
+}
+
+fn status(progress: &Progress) -> String {
+    if progress.gone {
+        return format!("{:.0} s: the port is gone, waiting for it", progress.elapsed_s);
+    }
+    let reading = progress.reading_mm.map_or("no reading yet".into(), |mm| format!("{mm:+.4} mm"));
+    let mut line = format!(
+        "{:.0} s: {reading}, {:.0} Hz, {} dwells, {} bytes",
+        progress.elapsed_s, progress.rate_hz, progress.dwells, progress.bytes
+    );
+    for (count, what) in [
+        (progress.gaps, "gaps"),
+        (progress.missing, "samples missing"),
+        (progress.faults, "faults"),
+        (progress.lost_bytes, "bytes lost"),
+    ] {
+        if count > 0 {
+            line.push_str(&format!(", {count} {what}"));
+        }
+    }
+    line
+}
+
+/// Says what the run gave, and whether something of it is to be doubted.
+fn conclude(summary: &Summary, args: &Args, out: &Output) -> Verdict {
+    let Summary { ending, progress } = summary;
+    out.document(summary)?;
+    let ended = match ending {
+        Ending::Mark => "the program's end mark",
+        Ending::Duration => "the time was up",
+        Ending::Stopped => "stopped",
+        Ending::Gone => "the port stayed away",
+    };
+    out.result(format!(
+        "{}: {} samples, {} dwells, {} bytes in {:.1} s; {ended}",
+        args.out.display(),
+        progress.samples,
+        progress.dwells,
+        progress.bytes,
+        progress.elapsed_s
+    ));
+    let mut doubts = Vec::new();
+    if *ending == Ending::Gone {
+        doubts.push(format!("{} stayed away for {} s; what came before is kept", args.port, args.gone));
+    }
+    if progress.bytes == 0 {
+        doubts.push("nothing was received: is the bar switched on, and is this its port?".into());
+    } else if !progress.in_step {
+        doubts
+            .push("what was received is not this protocol: check --protocol and the bar's baud rate".into());
+    }
+    if progress.missing > 0 || progress.lost_bytes > 0 {
+        doubts.push(format!(
+            "{} samples are missing and {} bytes were lost, in {} gaps",
+            progress.missing, progress.lost_bytes, progress.gaps
+        ));
+    }
+    doubts.iter().for_each(|doubt| out.warning(doubt));
+    Ok(if doubts.is_empty() { Outcome::Done } else { Outcome::Doubt })
 }

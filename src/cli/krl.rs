@@ -1,11 +1,71 @@
 //! `dbbd krl`.
 
-use super::{Output, Verdict};
+use std::path::PathBuf;
+
+use serde_json::json;
+
+use super::{Outcome, Output, Verdict, files};
+use crate::krl::{self, Options};
+use crate::plan::Plan;
 
 /// Arguments of the verb.
 #[derive(clap::Args)]
-pub(crate) struct Args {}
+pub(crate) struct Args {
+    /// The plan; its .json is read beside it.
+    #[arg(value_name = "PLAN.csv")]
+    plan: PathBuf,
+    /// Directory for the modules: DBB_MAIN, which calls DBB_C001 and so on, one for each circle.
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// How dwells are marked. `output`: a strobe and an index on digital outputs; `marker`: by the
+    /// plan's knocks in the length alone, no output is set.
+    #[arg(long, value_enum, default_value_t = Sync::Output)]
+    sync: Sync,
+    /// The controller that the program is for.
+    #[arg(long, value_enum, default_value_t = Controller::Krc4)]
+    controller: Controller,
+}
 
-pub(crate) fn run(_args: &Args, _out: &Output) -> Verdict {
-    Err("not there yet".into())
+#[derive(Clone, Copy, clap::ValueEnum)]
+enum Sync {
+    Marker,
+    Output,
+}
+
+#[derive(Clone, Copy, clap::ValueEnum)]
+enum Controller {
+    Krc2,
+    Krc4,
+    Krc5,
+}
+
+pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
+    let beside = args.plan.with_extension("json");
+    let (csv, json) = (files::read(&args.plan)?, files::read(&beside)?);
+    let plan =
+        Plan::from_files(&args.plan.display().to_string(), &csv, &beside.display().to_string(), &json)?;
+    let options = Options {
+        sync: match args.sync {
+            Sync::Marker => krl::Sync::Marker,
+            Sync::Output => krl::Sync::Output,
+        },
+        controller: match args.controller {
+            Controller::Krc2 => krl::Controller::Krc2,
+            Controller::Krc4 => krl::Controller::Krc4,
+            Controller::Krc5 => krl::Controller::Krc5,
+        },
+    };
+    let modules = krl::emit(&plan, options)?;
+    files::directory(&args.out)?;
+    let mut written = Vec::new();
+    for (name, text) in &modules {
+        let path = args.out.join(name);
+        files::write(&path, text)?;
+        out.detail(format!("wrote {}", path.display()));
+        written.push(path.display().to_string());
+    }
+    out.document(&json!({ "plan": plan.header.hash, "files": written }))?;
+    out.result(format!("{} files in {}; start DBB_MAIN", written.len(), args.out.display()));
+    out.progress("not proven on a real controller: run it first in T1, slowly, without the bar");
+    Ok(Outcome::Done)
 }

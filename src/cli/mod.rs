@@ -15,6 +15,7 @@ mod ports;
 mod protocols;
 mod recover;
 mod robots;
+mod run;
 mod simulate;
 mod sync;
 

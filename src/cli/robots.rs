@@ -1,11 +1,158 @@
 //! `dbbd robots`.
 
-use super::{Output, Verdict};
+use std::path::PathBuf;
+
+use serde::Serialize;
+
+use super::{Outcome, Output, Verdict, files};
+use crate::model::Robot;
 
 /// Arguments of the verb.
 #[derive(clap::Args)]
-pub(crate) struct Args {}
+pub(crate) struct Args {
+    #[command(subcommand)]
+    what: Option<What>,
+}
 
-pub(crate) fn run(_args: &Args, _out: &Output) -> Verdict {
-    Err("not there yet".into())
+#[derive(clap::Subcommand)]
+enum What {
+    /// List the robots that are built in (also without a word).
+    List,
+    /// Show a robot's table, limits and speeds: mm, degrees, degrees/s.
+    Show {
+        /// Built-in name or robot file.
+        #[arg(value_name = "NAME|FILE")]
+        name: String,
+    },
+    /// Check a robot file; a mistake is told with its line.
+    Check {
+        /// The robot file.
+        file: PathBuf,
+    },
+}
+
+/// A built-in robot, or one that was checked, in short.
+#[derive(Serialize)]
+struct Entry<'a> {
+    id: &'a str,
+    name: &'a str,
+    reach_mm: f64,
+}
+
+/// A robot as `--json` shows it.
+#[derive(Serialize)]
+struct Shown<'a> {
+    #[serde(flatten)]
+    entry: Entry<'a>,
+    joints: Vec<Joint>,
+    tool_ball_mm: [f64; 3],
+    tolerance: crate::model::robot::Tolerance,
+    repeatability_mm: Option<f64>,
+    identified: bool,
+    source: Option<&'a str>,
+}
+
+#[derive(Serialize)]
+struct Joint {
+    alpha_deg: f64,
+    a_mm: f64,
+    theta_offset_deg: f64,
+    d_mm: f64,
+    sign: f64,
+    beta_deg: f64,
+    limits_deg: [f64; 2],
+    max_speed_deg_s: f64,
+}
+
+pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
+    match &args.what {
+        None | Some(What::List) => list(out),
+        Some(What::Show { name }) => show(name, out),
+        Some(What::Check { file }) => {
+            let name = file.display().to_string();
+            let robot = Robot::from_toml(&name, &files::read(file)?)?;
+            out.document(&Entry { id: &name, name: &robot.name, reach_mm: robot.reach_mm() })?;
+            out.result(format!("{name}: {}, reach {:.1} mm: no mistake found", robot.name, robot.reach_mm()));
+            Ok(Outcome::Done)
+        }
+    }
+}
+
+fn list(out: &Output) -> Verdict {
+    let mut robots = Vec::new();
+    for (id, text) in Robot::built_in() {
+        robots.push((*id, Robot::from_toml(id, text)?));
+    }
+    let entries: Vec<Entry<'_>> = robots
+        .iter()
+        .map(|(id, robot)| Entry { id, name: &robot.name, reach_mm: robot.reach_mm() })
+        .collect();
+    out.document(&entries)?;
+    for entry in &entries {
+        out.result(format!("{:<12} {}, reach {:.1} mm", entry.id, entry.name, entry.reach_mm));
+    }
+    Ok(Outcome::Done)
+}
+
+fn show(name: &str, out: &Output) -> Verdict {
+    let robot = files::robot(name)?;
+    let joints: Vec<Joint> = (0..crate::model::AXES)
+        .map(|i| {
+            let row = &robot.geometry.rows[i];
+            Joint {
+                alpha_deg: row.alpha.to_degrees(),
+                a_mm: row.a,
+                theta_offset_deg: row.theta.to_degrees(),
+                d_mm: row.d,
+                sign: row.sign,
+                beta_deg: row.beta.to_degrees(),
+                limits_deg: robot.limits_deg[i],
+                max_speed_deg_s: robot.max_speed_deg_s[i],
+            }
+        })
+        .collect();
+    let shown = Shown {
+        entry: Entry { id: name, name: &robot.name, reach_mm: robot.reach_mm() },
+        joints,
+        tool_ball_mm: robot.geometry.tool.into(),
+        tolerance: robot.tolerance,
+        repeatability_mm: robot.repeatability_mm,
+        identified: robot.nominal.is_some(),
+        source: robot.source.as_deref(),
+    };
+    out.document(&shown)?;
+    out.result(format!("{} ({name}), reach {:.1} mm", shown.entry.name, shown.entry.reach_mm));
+    out.result("row i: Ry(beta) Rx(alpha) Tx(a) Rz(theta) Tz(d), theta = sign * A + offset (modified DH)");
+    out.result(format!(
+        "{:>5} {:>10} {:>10} {:>10} {:>10} {:>5} {:>9} {:>16} {:>9}",
+        "joint", "alpha deg", "a mm", "offset deg", "d mm", "sign", "beta deg", "limits deg", "deg/s"
+    ));
+    for (joint, row) in (1..).zip(&shown.joints) {
+        let [low, high] = row.limits_deg;
+        out.result(format!(
+            "{joint:>5} {:>10.4} {:>10.3} {:>10.4} {:>10.3} {:>5} {:>9.4} {:>16} {:>9.1}",
+            row.alpha_deg,
+            row.a_mm,
+            row.theta_offset_deg,
+            row.d_mm,
+            row.sign,
+            row.beta_deg,
+            format!("{low}..{high}"),
+            row.max_speed_deg_s
+        ));
+    }
+    let [x, y, z] = shown.tool_ball_mm;
+    out.result(format!("tool ball in the flange: {x}, {y}, {z} mm"));
+    let tolerance = shown.tolerance;
+    out.result(format!("tolerance (1 sd): {} mm, {} deg", tolerance.length_mm, tolerance.angle_deg));
+    if let Some(repeatability) = shown.repeatability_mm {
+        out.result(format!("repeatability: {repeatability} mm"));
+    }
+    if shown.identified {
+        out.result("identified: the file holds the nominal robot as well");
+    }
+    if let Some(source) = shown.source {
+        out.result(source);
+    }
+    Ok(Outcome::Done)
 }

@@ -1,11 +1,190 @@
 //! `dbbd simulate`.
 
-use super::{Output, Verdict};
+use std::error::Error;
+use std::path::{Path, PathBuf};
+
+use serde_json::json;
+
+use super::{Outcome, Output, Verdict, files, protocols};
+use crate::diag::Diagnostic;
+use crate::krl::Program;
+use crate::sim::bar::{Options, Reading, Source, Terminal, serve};
+use crate::sim::link::Link;
+use crate::sim::world::{Setup, Stroke};
+use crate::sim::{Controller, World, truth};
+
+/// How long the bar streams after the program's end, s: the end mark is to be seen whole.
+const AFTER_END_S: f64 = 3.0;
 
 /// Arguments of the verb.
 #[derive(clap::Args)]
-pub(crate) struct Args {}
+pub(crate) struct Args {
+    /// The KRL program; its .dat and the modules that it calls are read beside it.
+    #[arg(long, value_name = "FILE.src")]
+    program: PathBuf,
+    /// The controller's robot: a built-in name or a file.
+    #[arg(long, value_name = "NAME|FILE", default_value = "kr60ha")]
+    nominal: String,
+    /// The true robot [default: drawn from the nominal one's tolerance by the seed].
+    #[arg(long, value_name = "TRUTH.toml")]
+    robot: Option<String>,
+    /// True ball centres and bar [default: those in the program's .dat]. Keys: repeatability_um
+    /// (sd per coordinate, default 0), backlash_deg (six, default 0), [[centre]] id xyz_mm, [bar]
+    /// length_mm stroke_mm noise_um (1) resolution_um (0.1) rate_hz (200) temperature_c (20).
+    #[arg(long, value_name = "WORLD.toml")]
+    world: Option<PathBuf>,
+    /// The bar's protocol: a built-in name or a file.
+    #[arg(long, value_name = "NAME|FILE", default_value = "dbb-cobs-1")]
+    protocol: String,
+    /// A symlink to the pty, removed at the end.
+    #[arg(long, value_name = "PATH")]
+    link: Option<PathBuf>,
+    /// Seed of all that is random.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    seed: u64,
+    /// Seconds of device time per second; 0: as fast as the reader takes the bytes.
+    #[arg(long, value_name = "X", default_value_t = 1.0)]
+    speed: f64,
+    /// How long the program stands at each HALT once the bar has been started, s of device time.
+    #[arg(long, value_name = "S", default_value_t = 2.0)]
+    halt: f64,
+    /// The override of the controller's speed, percent.
+    #[arg(long = "override", value_name = "PERCENT", default_value_t = 100.0)]
+    override_percent: f64,
+}
 
-pub(crate) fn run(_args: &Args, _out: &Output) -> Verdict {
-    Err("not there yet".into())
+pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
+    let ranges = [("--halt", args.halt, 0.0, 3600.0), ("--override", args.override_percent, 1.0, 100.0)];
+    if let Some((name, value, low, high)) =
+        ranges.into_iter().find(|(_, v, low, high)| !(low..=high).contains(&v))
+    {
+        return Err(format!("{name} {value} must be {low} to {high}").into());
+    }
+    let definition = protocols::load(&args.protocol)?;
+    let nominal = files::robot(&args.nominal)?;
+    let robot = match &args.robot {
+        Some(name) => files::robot(name)?,
+        None => truth::draw(&nominal, args.seed, 1.0),
+    };
+    let program = program(&args.program)?;
+    let world_text = args.world.as_deref().map(files::read).transpose()?;
+    let world_name = args.world.as_ref().map(|path| path.display().to_string());
+    let setup = Setup::new(&program, world_name.as_deref().zip(world_text.as_deref()))?;
+    let options = Options { rate_hz: setup.bar.rate_hz, speed: args.speed, first_ticks: 0 };
+    let mut cell = Cell {
+        controller: Controller::new(program, &nominal, args.override_percent)?,
+        world: World::new(robot.geometry, setup, args.seed),
+        out,
+        halt_s: args.halt,
+        t_s: 0.0,
+        halted_at_s: None,
+        done_at_s: None,
+        said: 0,
+        strayed: 0,
+        failure: None,
+    };
+    let terminal = Terminal::new()?;
+    let _link = args.link.as_deref().map(|path| link(path, terminal.name())).transpose()?;
+    out.document(&json!({ "port": terminal.name() }))?;
+    out.result(terminal.name());
+    let frames = serve(terminal, &definition, options, &mut cell)?;
+    if let Some(failure) = cell.failure {
+        return Err(failure.into());
+    }
+    out.progress(format!("{} dwells, {frames} frames, {:.1} s", cell.controller.dwells(), cell.t_s));
+    if cell.strayed > 0 {
+        out.warning(format!("{} readings at dwells were out of the bar's stroke", cell.strayed));
+        return Ok(Outcome::Doubt);
+    }
+    Ok(Outcome::Done)
+}
+
+fn link(path: &Path, name: &str) -> Result<Link, Diagnostic> {
+    Link::new(path, name)
+        .map_err(|error| Diagnostic::file(&path.display().to_string(), format!("cannot be made: {error}")))
+}
+
+/// The program in a file, with the modules beside it; names are found in any case.
+fn program(path: &Path) -> Result<Program, Box<dyn Error>> {
+    let directory = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let stem = path.file_stem().and_then(|stem| stem.to_str()).unwrap_or_default();
+    let names: Vec<String> = directory
+        .read_dir()
+        .map_err(|error| {
+            Diagnostic::file(&directory.display().to_string(), format!("cannot be read: {error}"))
+        })?
+        .filter_map(|entry| entry.ok()?.file_name().into_string().ok())
+        .collect();
+    Ok(Program::open(stem, |wanted| {
+        let Some(name) = names.iter().find(|name| name.eq_ignore_ascii_case(wanted)) else { return Ok(None) };
+        let path = directory.join(name);
+        Ok(Some((path.display().to_string(), files::read(&path)?)))
+    })?)
+}
+
+/// The robot cell: controller, true robot and bar.
+struct Cell<'a> {
+    controller: Controller,
+    world: World,
+    out: &'a Output,
+    halt_s: f64,
+    t_s: f64,
+    halted_at_s: Option<f64>,
+    done_at_s: Option<f64>,
+    /// Dwells that were told of.
+    said: u32,
+    /// Readings at a strobe that were out of the stroke.
+    strayed: u64,
+    failure: Option<Diagnostic>,
+}
+
+impl Source for &mut Cell<'_> {
+    fn reading(&mut self, t_s: f64) -> Option<Reading> {
+        let moment = match self.controller.step(t_s - self.t_s) {
+            Ok(moment) => moment,
+            Err(failure) => {
+                self.failure = Some(failure);
+                return None;
+            }
+        };
+        self.t_s = t_s;
+        self.tell(moment.halted, moment.done);
+        if moment.halted {
+            let since = *self.halted_at_s.get_or_insert(t_s);
+            if t_s - since >= self.halt_s {
+                self.halted_at_s = None;
+                self.controller.go_on();
+            }
+        }
+        if moment.done && t_s - *self.done_at_s.get_or_insert(t_s) > AFTER_END_S {
+            return None;
+        }
+        let measured = self.world.reading(&moment);
+        let valid = measured.stroke == Stroke::Within;
+        self.strayed += u64::from(moment.strobe && !valid);
+        let temperature_c = self.world.setup().bar.temperature_c;
+        Some(Reading { reading_mm: measured.reading_mm, strobe: moment.strobe, valid, temperature_c })
+    }
+
+    fn over(&self) -> bool {
+        self.done_at_s.is_some()
+    }
+}
+
+impl Cell<'_> {
+    /// Tells of each HALT, the end, and every tenth dwell.
+    fn tell(&mut self, halted: bool, done: bool) {
+        let dwells = self.controller.dwells();
+        let (file, line) = self.controller.position();
+        if halted && self.halted_at_s.is_none() {
+            self.out.progress(format!("{file}:{line}: HALT"));
+        }
+        if done && self.done_at_s.is_none() {
+            self.out.progress(format!("the program has ended after {dwells} dwells"));
+        }
+        if dwells >= self.said + 10 {
+            self.said = dwells;
+            self.out.progress(format!("{file}:{line}: {dwells} dwells done"));
+        }
+    }
 }

@@ -1,11 +1,117 @@
 //! `dbbd sync`.
 
-use super::{Output, Verdict};
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+use serde_json::{Value, json};
+
+use super::{Outcome, Output, Verdict, files, run};
+use crate::krl;
+use crate::sync::{self, Fate, Input, Source, Synced};
 
 /// Arguments of the verb.
 #[derive(clap::Args)]
-pub(crate) struct Args {}
+pub(crate) struct Args {
+    /// The capture.
+    run: PathBuf,
+    /// The plan that was driven, with its .json beside it [default: the one in the capture].
+    #[arg(long, value_name = "PLAN.csv")]
+    plan: Option<PathBuf>,
+    /// The .dat of a module as fetched from the controller after the run: the axis angles that the program
+    /// logged replace the commanded ones. Once for each module.
+    #[arg(long, value_name = "FILE.dat")]
+    axes: Vec<PathBuf>,
+    /// Where the observations go: lengths in mm, axis angles in degrees.
+    #[arg(long, value_name = "OBS.csv")]
+    out: PathBuf,
+}
 
-pub(crate) fn run(_args: &Args, _out: &Output) -> Verdict {
-    Err("not there yet".into())
+pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
+    let run = run::open(&args.run, args.plan.as_deref(), out)?;
+    let bar_sigma_mm = run.plan.header.job.bar.sigma_um * 1e-3;
+    let mut logged = BTreeMap::new();
+    for path in &args.axes {
+        logged.extend(krl::logged_axes(&krl::parse_data(&path.display().to_string(), &files::read(path)?)?)?);
+    }
+    let axes_deg = Some(&logged);
+    let input = Input { reports: &run.reports, bar_sigma_mm, axes_deg, ..Input::new(&run.plan, &run.stream) };
+    let synced = sync::observations(&input);
+    out.document(&document(&synced))?;
+    show(&synced, out);
+    if synced.observations.rows.is_empty() {
+        return Err("no dwell of the capture can be told to be a pose of the plan: nothing is written".into());
+    }
+    files::write(&args.out, synced.observations.to_csv())?;
+    out.result(format!("{}: {} observations", args.out.display(), synced.observations.rows.len()));
+    let doubt = run.torn || synced.warnings.iter().any(|warning| warning.doubt);
+    Ok(if doubt { Outcome::Doubt } else { Outcome::Done })
+}
+
+fn source_word(source: Source) -> &'static str {
+    match source {
+        Source::Reports => "the controller's reports",
+        Source::Strobe => "the strobe",
+        Source::Stillness => "still stretches",
+    }
+}
+
+fn show(synced: &Synced, out: &Output) {
+    let (matched, all) = (synced.observations.rows.len(), synced.fates.len());
+    out.result(format!("{matched} of {all} poses have a length (dwells by {})", source_word(synced.source)));
+    if let Some(factor) = synced.override_factor {
+        out.result(format!("override: {:.1} %", 100.0 * factor));
+    }
+    for pose in &synced.fates {
+        match &pose.fate {
+            Fate::Matched { .. } => {}
+            Fate::Missing { reason } => out.result(format!("  pose {}: none: {reason}", pose.index)),
+            Fate::Ambiguous { reason } => out.result(format!("  pose {}: dropped: {reason}", pose.index)),
+        }
+    }
+    if !synced.spurious.is_empty() {
+        out.result(format!("{} stretches belong to no pose", synced.spurious.len()));
+    }
+    if let Some(drift) = synced.drift {
+        let spread = drift.sd_mm.map_or(String::new(), |sd| format!(" +- {:.1}", 1000.0 * sd));
+        let (um, readings) = (1000.0 * drift.change_mm, drift.readings);
+        out.result(format!("drift at the reference pose: {um:.1}{spread} um over {readings} readings"));
+    }
+    for warning in &synced.warnings {
+        if warning.doubt { out.warning(&warning.text) } else { out.progress(&warning.text) }
+    }
+}
+
+fn document(synced: &Synced) -> Value {
+    let poses: Vec<Value> = synced
+        .fates
+        .iter()
+        .map(|pose| match &pose.fate {
+            Fate::Matched { dwell, posterior } => json!({
+                "index": pose.index, "fate": "matched", "posterior": posterior, "from_s": dwell.from_s,
+                "to_s": dwell.to_s, "reading_mm": dwell.reading_mm, "u_mm": dwell.u_mm,
+                "samples": dwell.samples, "invalid": dwell.invalid, "gaps": dwell.gaps,
+                "creep_mm": dwell.creep_mm,
+            }),
+            Fate::Missing { reason } => json!({ "index": pose.index, "fate": "missing", "reason": reason }),
+            Fate::Ambiguous { reason } => {
+                json!({ "index": pose.index, "fate": "ambiguous", "reason": reason })
+            }
+        })
+        .collect();
+    let drift = synced.drift.map(|drift| {
+        json!({
+            "change_mm": drift.change_mm, "sd_mm": drift.sd_mm, "readings": drift.readings,
+            "significant": drift.significant,
+        })
+    });
+    let warnings: Vec<Value> = synced
+        .warnings
+        .iter()
+        .map(|warning| json!({ "kind": if warning.doubt { "doubt" } else { "note" }, "text": warning.text }))
+        .collect();
+    json!({
+        "schema": 1, "poses": poses, "matched": synced.observations.rows.len(),
+        "spurious": synced.spurious.len(), "source": source_word(synced.source),
+        "override": synced.override_factor, "drift": drift, "warnings": warnings,
+    })
 }

@@ -1,11 +1,13 @@
 //! What a set of poses can tell: rank, base parameters, dependent directions in words, and the
 //! 3-D position error that is left.
 
+mod alignment;
 mod analysis;
 mod observability;
 mod predicted;
 mod wording;
 
+pub use alignment::aligned_distances;
 pub use analysis::{Analysis, analyse, factor};
 pub use observability::{Observability, observability};
 pub use predicted::{ErrorSummary, Estimator, Workspace};

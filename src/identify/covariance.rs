@@ -10,11 +10,14 @@ use crate::model::{LengthModel, ParamId, Reading, Robot};
 /// A parameter counts as identified when its standard deviation is at most this many tolerances.
 const WEAK: f64 = 3.0;
 
-/// The largest standard deviation with which a parameter counts as identified, mm or rad. A bar is
-/// known better than a robot's lengths before anything is measured; balls have no limit.
+/// Before anything is measured, a bar is known better than a robot's lengths by this factor at least.
+const BAR_BETTER: f64 = 10.0;
+
+/// The largest standard deviation with which a parameter counts as identified, mm or rad; balls
+/// have no limit.
 pub(super) fn weak_limit(robot: &Robot, id: ParamId) -> Option<f64> {
     match id {
-        ParamId::BarOffset => Some(WEAK * robot.tolerance.length_mm),
+        ParamId::BarOffset => Some(WEAK * robot.tolerance.length_mm / BAR_BETTER),
         _ => tolerance(robot, id).map(|tolerance| WEAK * tolerance),
     }
 }
@@ -70,6 +73,15 @@ pub(super) fn too_weak(
     let data = factor(model, readings, ids, sigma);
     let mut kept: Vec<usize> = (0..ids.len()).collect();
     let mut weak: Vec<usize> = Vec::new();
+    // The bar goes first: on circles of one radius its offset is a scale of the robot by another name,
+    // and a robot's length that were held in its stead would bend all the others.
+    if let Some(bar) = ids.iter().position(|id| *id == ParamId::BarOffset)
+        && uncertainty(robot, &data, ids, &kept, &weak)[bar]
+            > weak_limit(robot, ParamId::BarOffset).unwrap_or(f64::INFINITY)
+    {
+        kept.remove(bar);
+        weak.push(bar);
+    }
     while !kept.is_empty() {
         let uncertain = uncertainty(robot, &data, ids, &kept, &weak);
         let weakest = (0..kept.len())
@@ -94,17 +106,44 @@ fn uncertainty(
     let Some(noise) = inverse_root(&data.select_columns(kept)) else {
         return vec![f64::INFINITY; kept.len()];
     };
-    // Least squares answers to a held error e of column h with (K'K)^-1 K'h e.
-    let leak = &noise * noise.transpose() * data.select_columns(kept).transpose() * data.select_columns(held);
-    (0..kept.len())
-        .map(|k| {
-            let leaked: f64 = (0..held.len())
-                .map(|h| weak_limit(robot, ids[held[h]]).map_or(0.0, |limit| limit / WEAK) * leak[(k, h)])
-                .map(|error| error * error)
-                .sum();
-            (noise.row(k).norm_squared() + leaked).sqrt()
-        })
-        .collect()
+    let leak = leak(robot, data, ids, kept, held, &noise);
+    (0..kept.len()).map(|k| (noise.row(k).norm_squared() + leak.row(k).norm_squared()).sqrt()).collect()
+}
+
+/// What one tolerance of each held parameter does to the kept ones, kept by held: least squares
+/// answers to an error e of the held column h with (K'K)^-1 K'h e.
+fn leak(
+    robot: &Robot,
+    data: &DMatrix<f64>,
+    ids: &[ParamId],
+    kept: &[usize],
+    held: &[usize],
+    noise: &DMatrix<f64>,
+) -> DMatrix<f64> {
+    let mut leak =
+        noise * noise.transpose() * data.select_columns(kept).transpose() * data.select_columns(held);
+    for (mut column, h) in leak.column_iter_mut().zip(held) {
+        column *= weak_limit(robot, ids[*h]).map_or(0.0, |limit| limit / WEAK);
+    }
+    leak
+}
+
+/// Covariance that the `held` parameters, which the data were too weak for, add to that of `kept`.
+pub(super) fn leaked(
+    robot: &Robot,
+    model: &LengthModel,
+    readings: &[Reading],
+    kept: &[ParamId],
+    held: &[ParamId],
+    sigma: &[f64],
+) -> Option<DMatrix<f64>> {
+    let ids = [kept, held].concat();
+    let data = factor(model, readings, &ids, sigma);
+    let kept: Vec<usize> = (0..kept.len()).collect();
+    let held: Vec<usize> = (kept.len()..ids.len()).collect();
+    let noise = inverse_root(&data.select_columns(&kept))?;
+    let leak = leak(robot, &data, &ids, &kept, &held, &noise);
+    Some(&leak * leak.transpose())
 }
 
 /// A root of the inverse Gram matrix of the rows, unknowns by rows; `None` when it has none.

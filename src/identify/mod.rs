@@ -86,6 +86,20 @@ pub fn identify(
     summary::summarise(robot, observations, &start, &lengths, estimate, folds, validation, options)
 }
 
+/// Only the fit of [`identify`]: the model found, without covariance, folds or predictions.
+///
+/// # Errors
+/// As [`identify`].
+pub fn fit(
+    robot: &Robot,
+    observations: &Observations,
+    centres: &[Centre],
+    options: &Options,
+) -> Result<LengthModel, IdentifyError> {
+    let start = LengthModel::new(robot.geometry.clone(), centres);
+    Ok(estimate::estimate(robot, &start, &lengths(observations, options), options)?.fit.model)
+}
+
 /// The lengths as the solver takes them.
 fn lengths(observations: &Observations, options: &Options) -> Lengths {
     let known = options.sigma_mm.is_some() || observations.rows.iter().all(|row| row.sigma_mm.is_some());

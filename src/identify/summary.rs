@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use nalgebra::DMatrix;
 
-use super::covariance::{Spread, spread, weak_limit};
+use super::covariance::{Spread, leaked, spread, weak_limit};
 use super::estimate::{Estimate, IdentifyError, Lengths, asked};
 use super::options::{Options, Prior};
 use super::result::{
@@ -33,8 +33,13 @@ pub(super) fn summarise(
 ) -> Result<Identified, IdentifyError> {
     let model = &estimate.fit.model;
     let (used_readings, used_sigma) = used(lengths, &estimate);
-    let spread = spread(model, &used_readings, &estimate.kept, &used_sigma, estimate.prior.as_ref())
+    let mut spread = spread(model, &used_readings, &estimate.kept, &used_sigma, estimate.prior.as_ref())
         .ok_or(IdentifyError::NotFinite)?;
+    if estimate.prior.is_none() && !estimate.weak.is_empty() {
+        spread.covariance +=
+            leaked(robot, model, &used_readings, &estimate.kept, &estimate.weak, &used_sigma)
+                .ok_or(IdentifyError::NotFinite)?;
+    }
     let residuals: Vec<ResidualPair> = lengths
         .readings
         .iter()

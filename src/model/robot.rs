@@ -158,6 +158,11 @@ impl Robot {
         toml::to_string(&RobotFile::from_robot(self)).unwrap_or_default()
     }
 
+    /// The robot as its controller knows it: the nominal one, where this one was identified.
+    pub fn controller(&self) -> &Robot {
+        self.nominal.as_deref().unwrap_or(self)
+    }
+
     /// The joints j whose axis is nominally parallel to the next, where Hayati's `beta<j>` is needed.
     pub fn parallel_joints(&self) -> Vec<usize> {
         (1..AXES).filter(|&i| self.geometry.rows[i].alpha.sin().abs() < 0.1).collect()

@@ -1,11 +1,22 @@
 //! Circles and pose sets: what the robot is to do, checked before anything moves.
 
+mod build;
+pub mod check;
+mod circle;
+mod files;
 pub mod job;
+pub mod path;
 pub mod rows;
+mod solve;
+mod steps;
+pub mod timing;
 
 use serde::{Deserialize, Serialize};
 
-pub use job::Job;
+pub use build::Refused;
+pub use check::{Check, Finding, Quantity};
+pub use circle::REFERENCE_EVERY;
+pub use job::{Job, MotionTable};
 pub use rows::{Kind, Motion, PlanRow};
 
 /// A plan: the rows of `plan.csv` and the header in `plan.json`.
@@ -19,6 +30,7 @@ pub struct Plan {
 
 /// `plan.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Header {
     /// Version of this form: 1.
     pub schema: u32,
@@ -30,6 +42,8 @@ pub struct Header {
     pub robot: String,
     /// How long each move lasts: one entry for each row, in order.
     pub moves: Vec<MoveTime>,
+    /// Of each quantity that was checked the worst value, its limit, and where.
+    pub checks: Vec<Check>,
 }
 
 /// The time code: how a row's move is driven, so that every interval between dwells is its own.

@@ -1,9 +1,12 @@
 //! The rows of `plan.csv`.
 
+use serde::{Deserialize, Serialize};
+
 use crate::model::AXES;
 
 /// What a row is for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub enum Kind {
     /// A dwell whose length identifies the robot.
     Measure,
@@ -14,7 +17,8 @@ pub enum Kind {
 }
 
 /// How the robot comes to a row's pose.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub enum Motion {
     /// All axes together, to the axis angles.
     Ptp,
@@ -51,4 +55,11 @@ pub struct PlanRow {
     pub length_mm: f64,
     /// How long the robot stands still for the measurement, s; 0 in transit.
     pub dwell_s: f64,
+}
+
+impl PlanRow {
+    /// Whether it is no pose to stop at but the point through which the next row's arc goes.
+    pub fn is_auxiliary(&self) -> bool {
+        self.kind == Kind::Transit && self.motion == Motion::Circ
+    }
 }

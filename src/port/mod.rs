@@ -1,1 +1,193 @@
-//! port
+//! The serial line and nothing else: opening, writing, and a thread that reads and stamps.
+
+mod list;
+mod reader;
+
+use std::io::{ErrorKind, Read, Write};
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use serialport::{DataBits, FlowControl, Parity, SerialPort, StopBits};
+use thiserror::Error;
+
+use crate::clock;
+
+pub use list::{Found, list};
+pub use reader::{Arrival, Reader};
+
+/// How long a read waits before it looks whether it is to end.
+const PATIENCE: Duration = Duration::from_millis(50);
+/// How long a write may take.
+const WRITE_PATIENCE_S: f64 = 2.0;
+
+/// Settings of the line.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Settings {
+    /// Symbols per second.
+    pub baud: u32,
+    /// Data bits.
+    pub data_bits: DataBits,
+    /// Parity.
+    pub parity: Parity,
+    /// Stop bits.
+    pub stop_bits: StopBits,
+    /// Flow control.
+    pub flow: FlowControl,
+    /// Level of DTR after opening; left alone when absent.
+    pub dtr: Option<bool>,
+    /// Level of RTS after opening; left alone when absent.
+    pub rts: Option<bool>,
+}
+
+/// Why the line cannot be used.
+#[derive(Debug, Error)]
+pub enum PortError {
+    /// No such device.
+    #[error("no port `{0}`\n  help: plug the bar in; `dbbd ports` lists what is there")]
+    Missing(String),
+    /// The user may not open it.
+    #[error(
+        "port `{0}` may not be opened by this user\n  help: add yourself to its group, as a rule `sudo usermod -aG dialout $USER`, and log in again"
+    )]
+    Denied(String),
+    /// Another program has it.
+    #[error("port `{0}` is in use by another program\n  help: close the other program; `fuser {0}` names it")]
+    Busy(String),
+    /// Anything else at opening.
+    #[error("port `{name}` cannot be opened")]
+    Open {
+        /// The port.
+        name: String,
+        /// Why.
+        source: serialport::Error,
+    },
+    /// It went away.
+    #[error("port `{name}` is gone")]
+    Gone {
+        /// The port.
+        name: String,
+        /// What the system said.
+        source: std::io::Error,
+    },
+}
+
+/// An open line, for this process alone.
+pub struct Port {
+    line: Box<dyn SerialPort>,
+    name: String,
+    pty: bool,
+}
+
+/// The device of a port as the user named it: `by-id/..` and `by-path/..` stand under `/dev/serial`.
+pub fn device(name: &str) -> PathBuf {
+    if name.starts_with("by-id/") || name.starts_with("by-path/") {
+        Path::new("/dev/serial").join(name)
+    } else {
+        PathBuf::from(name)
+    }
+}
+
+impl Port {
+    /// Opens a line exclusively.
+    ///
+    /// # Errors
+    /// When it is missing, denied, in use, or refuses the settings.
+    pub fn open(name: &str, settings: &Settings) -> Result<Self, PortError> {
+        let path = device(name);
+        if cfg!(unix) && !path.exists() {
+            return Err(PortError::Missing(name.into()));
+        }
+        // A pseudo terminal has no modem wires and no symbol rate: it takes the bytes as they come.
+        let target = std::fs::canonicalize(&path).unwrap_or_else(|_| path.clone());
+        let pty = target.starts_with("/dev/pts");
+        let mut builder = serialport::new(path.to_string_lossy(), settings.baud)
+            .data_bits(settings.data_bits)
+            .parity(settings.parity)
+            .stop_bits(settings.stop_bits)
+            .flow_control(settings.flow)
+            .timeout(PATIENCE);
+        if let (Some(dtr), false) = (settings.dtr, pty) {
+            builder = builder.dtr_on_open(dtr);
+        }
+        let mut line = builder.open().map_err(|source| refusal(name, source))?;
+        if let (Some(rts), false) = (settings.rts, pty) {
+            line.write_request_to_send(rts)
+                .map_err(|source| PortError::Open { name: name.into(), source })?;
+        }
+        Ok(Self { line, name: name.into(), pty })
+    }
+
+    /// Whether this is a pseudo terminal, whose other side waits until its bytes are taken.
+    pub fn is_pty(&self) -> bool {
+        self.pty
+    }
+
+    /// Sends all of `bytes`.
+    ///
+    /// # Errors
+    /// When the port is gone or takes nothing for two seconds.
+    pub fn send(&mut self, bytes: &[u8]) -> Result<(), PortError> {
+        let began = clock::now();
+        let mut rest = bytes;
+        while !rest.is_empty() {
+            match self.line.write(rest) {
+                Ok(sent) => rest = &rest[sent.min(rest.len())..],
+                Err(error) if error.kind() == ErrorKind::Interrupted => {}
+                Err(error)
+                    if error.kind() == ErrorKind::TimedOut
+                        && clock::now().seconds_since(began) < WRITE_PATIENCE_S => {}
+                Err(source) => return Err(PortError::Gone { name: self.name.clone(), source }),
+            }
+        }
+        Ok(())
+    }
+
+    /// Reads and throws away until nothing has come for `quiet`; the bytes thrown away. Gives up after
+    /// a second beyond that: a device that does not stop must not hold the run up.
+    ///
+    /// # Errors
+    /// When the port is gone.
+    pub fn drain(&mut self, quiet: Duration) -> Result<Vec<u8>, PortError> {
+        let gone = |name: &str, source| PortError::Gone { name: name.into(), source };
+        let began = clock::now();
+        let mut drained = Vec::new();
+        let mut buffer = [0; 4096];
+        self.line
+            .set_timeout(quiet.max(Duration::from_millis(1)))
+            .map_err(|source| gone(&self.name, source.into()))?;
+        while clock::now().seconds_since(began) < 1.0 + quiet.as_secs_f64() {
+            match self.line.read(&mut buffer) {
+                Ok(0) => return Err(gone(&self.name, ErrorKind::UnexpectedEof.into())),
+                Ok(count) => drained.extend_from_slice(&buffer[..count.min(buffer.len())]),
+                Err(error) if error.kind() == ErrorKind::Interrupted => {}
+                Err(error) if error.kind() == ErrorKind::TimedOut => break,
+                Err(source) => return Err(gone(&self.name, source)),
+            }
+        }
+        self.line.set_timeout(PATIENCE).map_err(|source| gone(&self.name, source.into()))?;
+        Ok(drained)
+    }
+
+    /// A second handle of the same line, for the reading thread.
+    ///
+    /// # Errors
+    /// When the system has no handle left.
+    pub fn handle(&self) -> Result<Self, PortError> {
+        let line =
+            self.line.try_clone().map_err(|source| PortError::Open { name: self.name.clone(), source })?;
+        Ok(Self { line, name: self.name.clone(), pty: self.pty })
+    }
+}
+
+fn refusal(name: &str, source: serialport::Error) -> PortError {
+    use serialport::ErrorKind::{Io, NoDevice};
+    let text = source.to_string().to_lowercase();
+    let says = |words: &[&str]| words.iter().any(|word| text.contains(word));
+    match source.kind() {
+        Io(ErrorKind::PermissionDenied) => PortError::Denied(name.into()),
+        Io(ErrorKind::NotFound) => PortError::Missing(name.into()),
+        _ if says(&["busy", "lock", "unavailable", "would block"]) => PortError::Busy(name.into()),
+        NoDevice => PortError::Missing(name.into()),
+        _ => PortError::Open { name: name.into(), source },
+    }
+}

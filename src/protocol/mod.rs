@@ -1,6 +1,25 @@
 //! Definitions of devices, compiled into decoders and encoders. No I/O: bytes in, samples AND typed
 //! faults out. Decoders never fail: a fault is data.
+//!
+//! A definition is a TOML file (`table`), checked and compiled once (`loader`) into an engine:
+//! `framing` cuts the stream, `check` guards a frame, `field` reads and writes its content. A new
+//! kind of device is a file; a new kind of framing, check or field is a match arm here.
 
+mod check;
+mod decoder;
+mod definition;
+mod encoder;
+mod engine;
+mod field;
+mod framing;
+mod load_field;
+mod loader;
 pub mod sample;
+mod table;
+mod vectors;
 
+pub use decoder::{Decoded, Decoder};
+pub use definition::{Clock, Definition, Line, Step};
+pub use encoder::{EncodeError, Encoder};
 pub use sample::{Fault, FaultKind, Sample};
+pub use table::{Flow, Parity};

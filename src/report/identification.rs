@@ -101,6 +101,7 @@ struct Comparison {
 
 #[derive(Serialize)]
 struct DependentLine {
+    /// Empty where the text already has it.
     combination: String,
     kept: String,
     text: String,
@@ -126,7 +127,7 @@ pub fn html(result: &Identification, plots: &IdentificationPlots) -> Result<Stri
         verdict: verdict(result),
         facts: facts(result, plots),
         comparison: comparison(result),
-        polar: plots.circles.iter().filter_map(|circle| polar(circle, &plots.observations)).collect(),
+        polar: plots.circles.iter().filter_map(|circle| polar(circle, result, plots)).collect(),
         residuals: residuals(result, plots),
         histograms: histograms(result, plots),
         outliers: result
@@ -247,9 +248,10 @@ fn comparison(result: &Identification) -> Vec<Comparison> {
     lines
 }
 
-/// Before and after to one scale, and after alone to its own.
-fn polar(circle: &CirclePanel, observations: &[ObservationPoint]) -> Option<[String; 2]> {
-    let members = || observations.iter().filter(|o| o.circle == Some(circle.number));
+/// Before and after to one scale, and after alone to its own; without the outliers.
+fn polar(circle: &CirclePanel, result: &Identification, plots: &IdentificationPlots) -> Option<[String; 2]> {
+    let on_circle = |o: &&ObservationPoint| o.circle == Some(circle.number) && !is_outlier(result, o);
+    let members = || plots.observations.iter().filter(on_circle);
     let trace = |name: &str, series, value: fn(&ObservationPoint) -> f64| PolarTrace {
         name: name.into(),
         series,
@@ -329,6 +331,9 @@ fn dependent(result: &Identification) -> Vec<DependentLine> {
                 let times =
                     if (size - 1.0).abs() < 5e-7 { String::new() } else { significant(size, 4) + " " };
                 combination.push_str(&format!("{sign}{times}{name}"));
+            }
+            if group.text.contains(&combination) {
+                combination.clear();
             }
             DependentLine { combination, kept: group.kept.clone(), text: group.text.clone() }
         })

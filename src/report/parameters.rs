@@ -40,19 +40,21 @@ struct Row {
 enum Kind {
     Lengths,
     Angles,
-    Setup,
+    Tool,
+    Centres,
     Compliance,
     Gear,
     Other,
 }
 
 impl Kind {
-    const ALL: [Self; 6] =
-        [Self::Lengths, Self::Angles, Self::Setup, Self::Compliance, Self::Gear, Self::Other];
+    const ALL: [Self; 7] =
+        [Self::Lengths, Self::Angles, Self::Tool, Self::Centres, Self::Compliance, Self::Gear, Self::Other];
 
     fn of(parameter: &ParameterResult) -> Self {
         match parameter.name.parse::<ParamId>() {
-            Ok(id) if id.is_setup() => Self::Setup,
+            Ok(ParamId::Tool(_) | ParamId::BarOffset) => Self::Tool,
+            Ok(ParamId::Centre(..)) => Self::Centres,
             Ok(ParamId::A(_) | ParamId::D(_)) => Self::Lengths,
             Ok(ParamId::Compliance(_)) => Self::Compliance,
             Ok(ParamId::GearCos(_) | ParamId::GearSin(_)) => Self::Gear,
@@ -65,7 +67,8 @@ impl Kind {
         match self {
             Self::Lengths => "Robot: lengths",
             Self::Angles => "Robot: angles",
-            Self::Setup => "Set-up: tool ball, base balls, bar",
+            Self::Tool => "Set-up: tool ball and bar",
+            Self::Centres => "Set-up: base balls",
             Self::Compliance => "Joint compliance",
             Self::Gear => "Gear errors",
             Self::Other => "Others, in their own units",
@@ -75,7 +78,7 @@ impl Kind {
     /// Units of values and of corrections up to `largest`.
     fn units(self, largest: f64) -> [Unit; 2] {
         match self {
-            Self::Lengths | Self::Setup => {
+            Self::Lengths | Self::Tool | Self::Centres => {
                 [Unit::MM, Unit::length(if largest < 10.0 { 0.0 } else { largest })]
             }
             Self::Angles => [Unit::DEG, Unit { sign: "mrad", factor: 1e3 }],

@@ -6,7 +6,7 @@ use super::page::{Fact, Provenance, ReportError, render, texts};
 use super::parameters::{class, word};
 use super::plot::frame::{NARROW, WIDE};
 use super::plot::{HeatMap, Line, Projection, Series, TracePlot, View};
-use super::scale::{fixed, significant};
+use super::scale::{fixed, plain, significant};
 use crate::identify::result::{PredictedPair, Status, Warning, WarningKind};
 use crate::model::AXES;
 use crate::plan::{Kind, Plan};
@@ -169,10 +169,13 @@ fn count(plan: &Plan, kind: Kind) -> usize {
 
 fn summary(plan: &Plan, view: &PlanView) -> String {
     let balls = view.centres.len();
+    let reference = match count(plan, Kind::Reference) {
+        0 => String::new(),
+        number => format!(" and {number} at the reference pose"),
+    };
     format!(
-        "{} poses to measure and {} at the reference pose, about {balls} base {}; {} of {} checks passed.",
+        "{} poses to measure{reference}, with {balls} base {}; {} of {} checks passed.",
         count(plan, Kind::Measure),
-        count(plan, Kind::Reference),
         if balls == 1 { "ball" } else { "balls" },
         view.checks.iter().filter(|check| check.passed).count(),
         view.checks.len()
@@ -184,9 +187,9 @@ fn facts(plan: &Plan, view: &PlanView) -> Vec<Fact> {
     let [low, high] = bar.stroke_mm;
     let mut facts = vec![
         Fact::new("Rows", plan.rows.len().to_string()),
-        Fact::new("Bar length", format!("{} mm", fixed(bar.length_mm, 4))),
-        Fact::new("Stroke", format!("{} to {} mm", fixed(low, 3), fixed(high, 3))),
-        Fact::new("Margin kept", format!("{} mm", fixed(view.margin_mm, 3))),
+        Fact::new("Bar length", format!("{} mm", plain(bar.length_mm, 4))),
+        Fact::new("Stroke", format!("{} to {} mm", plain(low, 3), plain(high, 3))),
+        Fact::new("Margin kept", format!("{} mm", plain(view.margin_mm, 3))),
     ];
     for (number, centre) in &view.centres {
         let [x, y, z] = centre.map(|value| fixed(value, 3));
@@ -243,7 +246,7 @@ fn stroke(plan: &Plan, view: &PlanView) -> Option<String> {
 fn axis_trace(plan: &Plan, view: &PlanView, axis: usize) -> String {
     let [low, high] = view.limits_deg[axis];
     TracePlot {
-        title: format!("A{} (limits {}° to {}°)", axis + 1, significant(low, 4), significant(high, 4)),
+        title: format!("A{} (limits {}° to {}°)", axis + 1, plain(low, 2), plain(high, 2)),
         size: [NARROW, 190.0],
         x_name: "row of the plan".into(),
         y_name: "deg".into(),

@@ -31,7 +31,11 @@ impl Ticks {
     /// About `count` ticks inside `range`; none where the range is empty or not finite.
     pub(crate) fn inside(range: [f64; 2], count: f64) -> Self {
         let [low, high] = range;
-        let step = step(high - low, count);
+        Self::stepped([low, high], step(high - low, count))
+    }
+
+    /// The multiples of `step` inside `range`.
+    pub(crate) fn stepped([low, high]: [f64; 2], step: f64) -> Self {
         let mut values = Vec::new();
         if low.is_finite() && high.is_finite() && step > 0.0 {
             let first = (low / step - 1e-9).ceil();
@@ -142,6 +146,18 @@ pub(crate) fn signed(value: f64, decimals: usize) -> String {
     }
 }
 
+/// A number without useless zeros at its end.
+pub(crate) fn plain(value: f64, decimals: usize) -> String {
+    let text = fixed(value, decimals);
+    if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
+}
+
+/// A number rounded to `figures` significant figures also before the point, as a magnification is.
+pub(crate) fn rounded(value: f64, figures: usize) -> String {
+    let place = 10f64.powf(value.abs().max(1e-300).log10().floor() + 1.0 - figures as f64);
+    significant((value / place).round() * place, figures)
+}
+
 /// A number to `figures` significant figures, never in powers of ten for what people measure.
 pub(crate) fn significant(value: f64, figures: usize) -> String {
     let extra = figures.saturating_sub(1);
@@ -173,5 +189,8 @@ mod tests {
         assert_eq!(significant(0.041234, 3), "0.0412");
         assert_eq!(significant(1234.6, 2), "1235");
         assert_eq!(signed(0.25, 2), "+0.25");
+        assert_eq!(plain(-185.0, 2), "−185");
+        assert_eq!(rounded(15_556.0, 2), "16000");
+        assert_eq!(rounded(f64::NAN, 2), "–");
     }
 }

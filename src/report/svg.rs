@@ -76,8 +76,10 @@ impl Svg {
     pub fn cell(&mut self, colour: &str, corner: [f64; 2], size: [f64; 2], tip: &str) {
         if finite(&corner) && finite(&size) {
             let [x, y, w, h] = [corner[0], corner[1], size[0], size[1]].map(px);
-            let _ =
-                write!(self.text, "<rect fill=\"{colour}\" x=\"{x}\" y=\"{y}\" width=\"{w}\" height=\"{h}\"");
+            let _ = write!(
+                self.text,
+                "<rect class=\"cell\" fill=\"{colour}\" x=\"{x}\" y=\"{y}\" width=\"{w}\" height=\"{h}\""
+            );
             self.tip("rect", tip);
         }
     }
@@ -102,7 +104,7 @@ impl Svg {
             }
             pen_down = finite(point);
         }
-        if closed && !points.is_empty() && points.iter().all(|point| finite(point)) {
+        if closed && !points.is_empty() && points.iter().all(finite) {
             data.push('Z');
         }
         if !data.is_empty() {

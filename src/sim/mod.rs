@@ -1,5 +1,16 @@
 //! Standing in for hardware: a controller that executes KRL, the true robot, a virtual ball-bar.
 
+#[cfg(unix)]
+pub mod bar;
+pub mod controller;
+#[cfg(unix)]
+pub mod link;
+pub mod truth;
+pub mod world;
+
+pub use controller::Controller;
+pub use world::World;
+
 use crate::model::AXES;
 
 /// The simulated controller at one moment of device time.

@@ -1,1 +1,283 @@
-//! sync
+//! From a stream of lengths and a plan to observations: the device's clock, the dwells, and which dwell
+//! is which pose. Pure and deterministic.
+//!
+//! Dwells come from the controller's reports where there are any (they carry the plan's index), else
+//! from its strobe, else from stretches in which the length stands still.
+
+mod align;
+mod commanded;
+mod drift;
+mod dwell;
+mod fate;
+mod interval;
+mod recall;
+mod report;
+mod robust;
+mod still;
+mod stream;
+mod strobe;
+
+use std::collections::BTreeMap;
+
+use crate::model::{AXES, Observation, Observations};
+use crate::plan::{Kind, Plan};
+
+pub use align::{Alignment, Expected, LEAST_START_SD_S, Pairing, Seen, align};
+pub use drift::Drift;
+pub use dwell::{Dwell, measure};
+pub use fate::{Fate, PoseFate};
+pub use interval::Commanded;
+pub use report::Report;
+pub use still::{Stretch, find as find_still};
+pub use stream::{DeviceClock, Stream};
+pub use strobe::{Strobed, find as find_strobed};
+
+use commanded::Poses;
+
+/// What a run is joined from.
+#[derive(Clone, Copy, Debug)]
+pub struct Input<'a> {
+    /// What was commanded.
+    pub plan: &'a Plan,
+    /// What the bar read.
+    pub stream: &'a Stream,
+    /// What the controller reported, in order of arrival; may be empty.
+    pub reports: &'a [Report],
+    /// Lengths that a model predicts for the plan's dwell rows, in order.
+    pub expected: Option<Expected<'a>>,
+    /// The bar's own standard deviation, mm: no observation claims to be better. 0 if unknown.
+    pub bar_sigma_mm: f64,
+    /// Axis angles (degrees) that the program logged, by the plan's index; they replace the commanded.
+    pub axes_deg: Option<&'a BTreeMap<u32, [f64; AXES]>>,
+}
+
+impl<'a> Input<'a> {
+    /// A plan and a stream alone.
+    pub fn new(plan: &'a Plan, stream: &'a Stream) -> Self {
+        Self { plan, stream, reports: &[], expected: None, bar_sigma_mm: 0.0, axes_deg: None }
+    }
+}
+
+/// How the dwells were found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Source {
+    /// By the controller's reports.
+    Reports,
+    /// By its strobe.
+    Strobe,
+    /// By stretches without motion.
+    Stillness,
+}
+
+/// What the user should know.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Warning {
+    /// Whether it puts the result in doubt.
+    pub doubt: bool,
+    /// What it is.
+    pub text: String,
+}
+
+/// A run, joined.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Synced {
+    /// The lengths with the angles they were read at, in the plan's order, measure and reference rows;
+    /// further columns `kind,t_s,samples,creep` (`creep` is 1 where the reading drifted within the dwell).
+    ///
+    /// `sigma_mm` is the standard uncertainty of the dwell's mean, not less than the bar's own. The
+    /// robot's repeatability is not in it: no dwell shows it, the residuals of an identification do.
+    pub observations: Observations,
+    /// What became of each of the plan's dwells, in order.
+    pub fates: Vec<PoseFate>,
+    /// Dwells that belong to no pose.
+    pub spurious: Vec<Stretch>,
+    /// How the dwells were found.
+    pub source: Source,
+    /// The override that the moves were driven with, 0..1, where it was estimated.
+    pub override_factor: Option<f64>,
+    /// Change of the length at the repeated reference pose, where it was read twice or more.
+    pub drift: Option<Drift>,
+    /// What the user should know.
+    pub warnings: Vec<Warning>,
+}
+
+/// A uniform reading without any noise is known to this step, mm.
+const LEAST_STEP_MM: f64 = 1e-4;
+/// Kept free of a still stretch's end, s: the begin of the next move is seen late.
+const GUARD_S: f64 = 0.15;
+/// A dwell of which less than this share was read says too little.
+const LEAST_SHARE: f64 = 0.3;
+
+/// A dwell before it is known which pose it is.
+#[derive(Clone, Copy)]
+struct Candidate {
+    stretch: Stretch,
+    /// From when on the reading counts, s.
+    from_s: f64,
+    /// Until when it may count at most, s.
+    to_s: f64,
+}
+
+/// Joins a run.
+pub fn observations(input: &Input<'_>) -> Synced {
+    let poses = Poses::of(input.plan);
+    let reported = report::stretches(input.reports, input.stream);
+    let (source, candidates, pairings, override_factor) = if let Some(reported) = reported {
+        by_reports(&poses, &reported)
+    } else if strobe::present(input.stream) {
+        by_strobe(input, &poses)
+    } else {
+        by_stillness(input, &poses)
+    };
+    let period_s = input.stream.period_s();
+    let mut used = vec![false; candidates.len()];
+    let mut fates = Vec::new();
+    let mut rows = Vec::new();
+    let places = fate::Places::new(&poses, &candidates, &pairings, override_factor.unwrap_or(1.0));
+    for (at, pairing) in pairings.iter().enumerate() {
+        let row = poses.rows[at];
+        let fate = match *pairing {
+            Pairing::Dwell { dwell, posterior } => {
+                used[dwell] = true;
+                let candidate = candidates[dwell];
+                let to_s = candidate.to_s.min(candidate.from_s + row.dwell_s);
+                match measure(input.stream, candidate.from_s, to_s) {
+                    Some(value) if enough(period_s, &value, row.dwell_s) => {
+                        rows.push(observation(input, row, &value));
+                        Fate::Matched { dwell: value, posterior }
+                    }
+                    _ => Fate::Missing { reason: fate::unread(input.stream, candidate.stretch) },
+                }
+            }
+            Pairing::None { .. } => Fate::Missing { reason: places.reason(at, input.stream, source) },
+            Pairing::Ambiguous { dwell, posterior } => {
+                used[dwell] = true;
+                let start_s = candidates[dwell].stretch.start_s;
+                let percent = 100.0 * posterior;
+                let reason = format!("the dwell at {start_s:.1} s is this pose with {percent:.0} % only");
+                Fate::Ambiguous { reason }
+            }
+        };
+        fates.push(PoseFate { index: row.index, fate });
+    }
+    let spurious =
+        candidates.iter().zip(used).filter(|(_, used)| !used).map(|(candidate, _)| candidate.stretch);
+    let spurious = spurious.collect();
+    let drift = drift::of(&poses.rows, &fates);
+    let extra_columns = ["kind", "t_s", "samples", "creep"].map(str::to_owned).to_vec();
+    let mut synced = Synced {
+        observations: Observations { rows, extra_columns },
+        fates,
+        spurious,
+        source,
+        override_factor,
+        drift,
+        warnings: Vec::new(),
+    };
+    synced.warnings = fate::warnings(&synced, input.stream);
+    synced
+}
+
+type Paired = (Source, Vec<Candidate>, Vec<Pairing>, Option<f64>);
+
+/// The reports name the plan's index themselves.
+fn by_reports(poses: &Poses<'_>, reported: &BTreeMap<u32, Stretch>) -> Paired {
+    let mut candidates = Vec::new();
+    let pairings = poses
+        .rows
+        .iter()
+        .map(|row| match reported.get(&row.index) {
+            Some(&stretch) => {
+                candidates.push(Candidate { stretch, from_s: stretch.start_s, to_s: stretch.end_s });
+                Pairing::Dwell { dwell: candidates.len() - 1, posterior: 1.0 }
+            }
+            None => Pairing::None { posterior: 1.0 },
+        })
+        .collect();
+    (Source::Reports, candidates, pairings, None)
+}
+
+/// The n-th strobe of a module is its n-th dwell, if all are there and the intervals do not object.
+fn by_strobe(input: &Input<'_>, poses: &Poses<'_>) -> Paired {
+    let strobed = find_strobed(input.stream);
+    let candidates: Vec<Candidate> = strobed
+        .iter()
+        .map(|&Strobed { stretch, .. }| Candidate { stretch, from_s: stretch.start_s, to_s: stretch.end_s })
+        .collect();
+    let seen = seen(input, &candidates, false);
+    let alignment = align(&poses.commanded, &seen, input.expected);
+    let mut pairings = alignment.pairings;
+    let modules: Vec<usize> = strobed.iter().map(|dwell| dwell.module).collect();
+    let agree = poses.commanded.iter().map(|pose| pose.module).eq(modules);
+    let objects = pairings.iter().enumerate().any(|(at, pairing)| match *pairing {
+        Pairing::Dwell { dwell, .. } => dwell != at,
+        Pairing::None { .. } => true,
+        Pairing::Ambiguous { .. } => false,
+    });
+    if agree && !objects {
+        pairings = (0..pairings.len()).map(|dwell| Pairing::Dwell { dwell, posterior: 1.0 }).collect();
+    }
+    (Source::Strobe, candidates, pairings, Some(alignment.override_factor))
+}
+
+fn by_stillness(input: &Input<'_>, poses: &Poses<'_>) -> Paired {
+    let motion = &input.plan.header.job.motion;
+    let shortest_s = poses.commanded.iter().map(|pose| pose.wait_s).fold(f64::INFINITY, f64::min);
+    let least_s = if shortest_s.is_finite() { (0.5 * shortest_s).max(0.3) } else { 0.3 };
+    let mut candidates: Vec<Candidate> = find_still(input.stream, least_s)
+        .into_iter()
+        .map(|stretch| Candidate {
+            stretch,
+            from_s: stretch.start_s + motion.settle_s,
+            to_s: stretch.end_s - GUARD_S,
+        })
+        .collect();
+    let seen = seen(input, &candidates, true);
+    let mut alignment = align(&poses.commanded, &seen, input.expected);
+    recall::unseen(poses, &mut candidates, &mut alignment, input.stream, motion.settle_s);
+    (Source::Stillness, candidates, alignment.pairings, Some(alignment.override_factor))
+}
+
+/// The candidates as the alignment needs them; `waits` when they last as long as the program waits.
+fn seen(input: &Input<'_>, candidates: &[Candidate], waits: bool) -> Vec<Seen> {
+    let job = &input.plan.header.job;
+    let mut before_s = f64::NEG_INFINITY;
+    candidates
+        .iter()
+        .map(|candidate| {
+            let Stretch { start_s, end_s, start_sd_s } = candidate.stretch;
+            let lasts_s = waits.then_some(end_s - start_s);
+            let to_s = candidate.to_s.min(candidate.from_s + job.motion.dwell_s);
+            // Only needed against expected lengths; a dwell without a reading is far from any.
+            let reading_mm = input.expected.and_then(|_| measure(input.stream, candidate.from_s, to_s));
+            let length_mm = reading_mm.map_or(0.0, |dwell| job.bar.length_mm + dwell.reading_mm);
+            let after_break = input.stream.broken_between(before_s, start_s);
+            before_s = start_s;
+            Seen { start_s, start_sd_s, lasts_s, length_mm, after_break }
+        })
+        .collect()
+}
+
+/// Whether enough of a dwell was read to stand for it.
+fn enough(period_s: f64, dwell: &Dwell, dwell_s: f64) -> bool {
+    let whole = if period_s > 0.0 { dwell_s / period_s } else { 0.0 };
+    dwell.to_s - dwell.from_s >= LEAST_SHARE * dwell_s && dwell.samples as f64 >= LEAST_SHARE * whole
+}
+
+fn observation(input: &Input<'_>, row: &crate::plan::PlanRow, dwell: &Dwell) -> Observation {
+    let logged = input.axes_deg.and_then(|axes| axes.get(&row.index));
+    let kind = if row.kind == Kind::Reference { "reference" } else { "measure" };
+    Observation {
+        index: row.index,
+        centre: row.centre as usize,
+        axes_deg: logged.copied().unwrap_or(row.axes_deg),
+        length_mm: input.plan.header.job.bar.length_mm + dwell.reading_mm,
+        sigma_mm: Some(dwell.u_mm.max(input.bar_sigma_mm)),
+        extra: vec![
+            kind.to_owned(),
+            format!("{:.4}", 0.5 * (dwell.from_s + dwell.to_s)),
+            dwell.samples.to_string(),
+            u8::from(dwell.creep_mm.is_some()).to_string(),
+        ],
+    }
+}

@@ -1,10 +1,21 @@
 //! One integration binary: each module holds one promise, driven through what a user touches.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stderr)]
 
+mod acquire_reads_the_bar;
+mod capture_survives_damage;
 mod cell;
+mod circle_plan;
+mod controller_executes_krl;
+mod decoder_accounts_for_every_byte;
+mod definitions_are_checked;
 mod floor_plan;
 mod identifies_real_robots;
 mod identifies_the_papers_robot;
 mod inverse_kinematics;
 mod jacobian_matches_differences;
+mod krl_reads_back;
+mod plan_is_refused_with_a_reason;
+mod plans_read_back;
 mod report_is_self_contained;
+mod sync_joins;
+mod sync_pairs;

@@ -2,298 +2,13 @@
 //!
 //! With `DBBD_PAGES=DIR` the pages made here are also written to DIR, to be looked at.
 
-use std::collections::BTreeMap;
+mod made_up;
 
-use dbbd::identify::result::*;
-use dbbd::plan::job::{Bar, Job, MotionTable};
-use dbbd::plan::{Header, Kind, Motion, Plan, PlanRow};
+use dbbd::identify::result::Identification;
 use dbbd::report::plot::{HeatMap, PolarPlot, PolarTrace, Series};
-use dbbd::report::*;
+use dbbd::report::{IdentificationPlots, PlanView, identification, plan, svg};
+use made_up::{heat_map, noise, plots};
 use proptest::prelude::*;
-
-/// A repeatable number between -1 and 1.
-fn noise(seed: usize) -> f64 {
-    ((seed as f64 * 12.9898).sin() * 43758.5453).rem_euclid(2.0) - 1.0
-}
-
-fn parameter(name: &str, unit: &str, nominal: f64, correction: f64, sd: Option<f64>) -> ParameterResult {
-    let status = if sd.is_some() { Status::Identified } else { Status::Held };
-    let reason = if sd.is_some() { "" } else { "no length changes with it: it only turns the base" };
-    ParameterResult {
-        name: name.into(),
-        unit: unit.into(),
-        start: nominal,
-        nominal,
-        identified: nominal + correction,
-        correction,
-        sd,
-        status,
-        reason: reason.into(),
-    }
-}
-
-fn parameters() -> Vec<ParameterResult> {
-    let right = std::f64::consts::FRAC_PI_2;
-    let mut all = Vec::new();
-    for (i, nominal) in [0.0, -right, 0.0, -right, right, -right].into_iter().enumerate() {
-        let sd = (i > 0).then(|| 4e-6 * (1.5 + noise(i)));
-        let correction = if i > 0 { 8e-4 * noise(i + 7) } else { 0.0 };
-        all.push(parameter(&format!("alpha{i}"), "rad", nominal, correction, sd));
-    }
-    for (i, nominal) in [0.0, 350.0, 850.0, 145.0, 0.0, 0.0].into_iter().enumerate() {
-        let sd = (i > 0).then(|| 9e-4 * (1.5 + noise(i + 20)));
-        let correction = if i > 0 { 0.5 * noise(i + 31) } else { 0.0 };
-        all.push(parameter(&format!("a{i}"), "mm", nominal, correction, sd));
-    }
-    for i in 1..=6 {
-        let weak = i == 6;
-        let sd = (i > 1 && !weak).then(|| 6e-6 * (1.5 + noise(i + 40)));
-        let mut theta =
-            parameter(&format!("theta{i}"), "rad", 0.0, sd.map_or(0.0, |_| 9e-4 * noise(i + 51)), sd);
-        if weak {
-            theta.status = Status::TooWeak;
-            theta.reason = "its sd of 0.21 deg would exceed 3 times the tolerance".into();
-        }
-        all.push(theta);
-    }
-    for (i, nominal) in [815.0, 0.0, 0.0, 820.0, 0.0, 170.0].into_iter().enumerate() {
-        let sd = (![0, 2].contains(&i)).then(|| 1.1e-3 * (1.5 + noise(i + 60)));
-        let mut d =
-            parameter(&format!("d{}", i + 1), "mm", nominal, sd.map_or(0.0, |_| 0.45 * noise(i + 71)), sd);
-        if i == 2 {
-            d.status = Status::Dependent;
-            d.reason = "only d2 + d3 can be told".into();
-        }
-        all.push(d);
-    }
-    for (i, axis) in ["x", "y", "z"].into_iter().enumerate() {
-        all.push(parameter(&format!("tool_{axis}"), "mm", 30.0, 0.2 * noise(i + 80), Some(2.4e-3)));
-    }
-    for (i, axis) in ["x", "y", "z"].into_iter().enumerate() {
-        all.push(parameter(&format!("centre1_{axis}"), "mm", 1300.0, 2.1 * noise(i + 90), Some(3.1e-3)));
-    }
-    let mut compliance = parameter("compliance2", "rad/Nm", 0.0, 2.1e-7, Some(4e-8));
-    compliance.status = Status::Prior;
-    compliance.reason = "with the help of the prior".into();
-    all.push(compliance);
-    all
-}
-
-fn identification(robot: &str) -> Identification {
-    let pair = |before: [f64; 3], after: [f64; 3]| {
-        let residual = |[rms, mean, max]: [f64; 3]| Residual { rms, mean, max };
-        BeforeAfter { before: residual(before), after: residual(after) }
-    };
-    Identification {
-        schema: 1,
-        robot: robot.into(),
-        observations: 239,
-        rank: 24,
-        rank_at_solution: 24,
-        condition: 87.31,
-        iterations: 6,
-        converged: true,
-        sigma_mm: 0.0104,
-        residual_mm: pair([0.4127, -0.0312, 1.034], [0.0103, 0.0001, 0.0312]),
-        folds: Some(Folds { folds: 5, rms: 0.0121 }),
-        validation: Some(pair([0.3912, 0.0241, 0.981], [0.0118, -0.0006, 0.0334])),
-        predicted_position_error_mm: PredictedPair {
-            nominal: PredictedError { mean: 1.854, p95: 3.41, max: 5.92 },
-            identified: PredictedError { mean: 0.0411, p95: 0.0932, max: 0.184 },
-        },
-        parameters: parameters(),
-        dependent: vec![Dependent {
-            combination: BTreeMap::from([("d2".into(), 1.0), ("d3".into(), 1.0)]),
-            kept: "d2".into(),
-            text: "only d2 + d3 can be told".into(),
-        }],
-        outliers: vec![Outlier { index: 57, centre: 1, residual_mm: 97.213 }],
-        warnings: vec![
-            Warning {
-                kind: WarningKind::Doubt,
-                text: "The reference pose drifted by 0.034 mm over the run: warm the robot up, then repeat."
-                    .into(),
-            },
-            Warning {
-                kind: WarningKind::Note,
-                text: "theta6 is held: turn the wrist more & repeat <b>.".into(),
-            },
-        ],
-    }
-}
-
-fn heat_map() -> HeatMap {
-    let values_mm = (0..24 * 16).map(|cell| {
-        let (x, y) = (f64::from(cell % 24) - 14.0, f64::from(cell / 24) - 6.0);
-        if x < -13.0 { f64::NAN } else { 0.02 + 0.0006 * (x * x + 1.7 * y * y) }
-    });
-    HeatMap {
-        title: "Predicted 3-D error, Z = 800 mm".into(),
-        axis_names: ["X (mm)".into(), "Y (mm)".into()],
-        extent: [[600.0, 1800.0], [-400.0, 400.0]],
-        columns: 24,
-        values_mm: values_mm.collect(),
-    }
-}
-
-fn plots() -> IdentificationPlots {
-    let mut observations = Vec::new();
-    for n in 0..240usize {
-        let (centre, circle) = (1 + n / 120, 1 + (n / 80) as u32);
-        let angle = (n % 80) as f64 * 4.5;
-        let t = angle.to_radians();
-        let before = 0.31 * (2.0 * t + f64::from(circle)).sin() + 0.24 * t.cos() + 0.1 * noise(n);
-        let after = if n == 56 { 97.213 } else { 0.0103 * 1.2 * noise(n + 300) };
-        observations.push(ObservationPoint {
-            index: n as u32 + 1,
-            centre,
-            before_mm: if n == 56 { 97.5 } else { before },
-            after_mm: after,
-            circle: (n != 56).then_some(circle),
-            angle_deg: Some(angle),
-            kind: Some(if n % 21 == 20 { Kind::Reference } else { Kind::Measure }),
-        });
-    }
-    let circles = [("XY", "+X", "+Y"), ("XZ", "+X", "+Z"), ("YZ", "+Y", "+Z")];
-    IdentificationPlots {
-        observations,
-        circles: circles
-            .iter()
-            .zip(1..)
-            .map(|((plane, x, y), number)| CirclePanel {
-                number,
-                name: format!("Circle {number}, {plane}"),
-                radius_mm: Some(300.0),
-                axis_names: Some([x.to_string(), y.to_string()]),
-            })
-            .collect(),
-        tolerance: Some(Tolerance { length_mm: 0.5, angle_rad: 0.05f64.to_radians() }),
-        maps: vec![heat_map()],
-        facts: vec![Fact::new("Bar length", "300.0021 mm, U = 0.6 µm (k = 2)")],
-        provenance: Provenance {
-            dbbd_version: "0.1.0".into(),
-            robot: "KUKA KR 60 HA".into(),
-            plan_hash: Some("0123456789abcdef".into()),
-            date: Some("2026-11-20".into()),
-            sources: vec![Source { role: "Capture".into(), name: "run1.dbb".into(), hash: None }],
-        },
-    }
-}
-
-fn plan() -> Plan {
-    let mut rows = Vec::new();
-    for n in 0..170u32 {
-        let t = f64::from(n) * 0.075;
-        let (sin, cos) = t.sin_cos();
-        let upright = n >= 85;
-        let xyz = [
-            1300.0 + 300.0 * cos,
-            if upright { 0.0 } else { 300.0 * sin },
-            800.0 + if upright { 300.0 * sin } else { 0.0 },
-        ];
-        let axes = [
-            9.0 * sin,
-            -70.0 + 8.0 * cos,
-            95.0 - 9.0 * cos,
-            20.0 * sin,
-            60.0 + 5.0 * cos,
-            100.0 * (0.5 * t).sin(),
-        ];
-        rows.push(PlanRow {
-            index: n + 1,
-            circle: 1 + u32::from(upright),
-            centre: 1,
-            kind: if n % 17 == 0 { Kind::Transit } else { Kind::Measure },
-            motion: Motion::Lin,
-            xyz_mm: xyz,
-            abc_deg: [0.0, 90.0, 0.0],
-            axes_deg: axes,
-            status: 2,
-            turn: 0,
-            length_mm: 300.0 + if n % 17 == 0 { 0.3 } else { 0.12 * noise(n as usize) },
-            dwell_s: 1.0,
-        });
-    }
-    let bar = Bar { length_mm: 300.0, stroke_mm: [-1.0, 1.0] };
-    let header = Header {
-        schema: 1,
-        hash: "0123456789abcdef".into(),
-        job: Job { robot: "kr60ha".into(), bar, motion: MotionTable::default() },
-        robot: String::new(),
-        moves: Vec::new(),
-    };
-    Plan { rows, header }
-}
-
-fn plan_view(robot: &str) -> PlanView {
-    let skeleton = |x: f64, y: f64| {
-        vec![
-            [0.0; 3],
-            [0.0, 0.0, 815.0],
-            [350.0, y * 0.3, 815.0],
-            [500.0, y * 0.4, 1640.0],
-            [x - 170.0, y, 1500.0],
-            [x - 150.0, y, 1000.0],
-            [x, y, 800.0],
-        ]
-    };
-    PlanView {
-        margin_mm: 0.1,
-        centres: vec![(1, [1300.0, 0.0, 800.0])],
-        skeletons: vec![skeleton(1600.0, 0.0), skeleton(1000.0, 0.0), skeleton(1300.0, 300.0)],
-        limits_deg: [
-            [-185.0, 185.0],
-            [-135.0, 35.0],
-            [-120.0, 158.0],
-            [-350.0, 350.0],
-            [-119.0, 119.0],
-            [-350.0, 350.0],
-        ],
-        circles: vec![CircleRow {
-            number: 1,
-            centre: 1,
-            plane: "XY".into(),
-            radius_mm: 300.0,
-            points: 80,
-            direction: "both".into(),
-            orientation: "seed".into(),
-            mode: "dwell".into(),
-        }],
-        checks: vec![
-            CheckRow {
-                quantity: "Stroke risk".into(),
-                worst: "2.1e-4".into(),
-                limit: "1e-3".into(),
-                place: "row 57".into(),
-                passed: true,
-            },
-            CheckRow {
-                quantity: "Least |A5|".into(),
-                worst: "8.1 deg".into(),
-                limit: "10 deg".into(),
-                place: "row 12, circle 1".into(),
-                passed: false,
-            },
-        ],
-        predicted_error_mm: Some(identification("x").predicted_position_error_mm),
-        predicted: parameters()
-            .into_iter()
-            .map(|p| PredictedRow {
-                tolerance: Some(if p.unit == "mm" { 0.5 } else { 8.7e-4 }),
-                name: p.name,
-                unit: p.unit,
-                sd: p.sd,
-                status: p.status,
-                reason: p.reason,
-            })
-            .collect(),
-        dependent: vec!["only d2 + d3 can be told".into()],
-        maps: vec![heat_map()],
-        facts: vec![Fact::new("Time at full override", "14 min 20 s")],
-        warnings: Vec::new(),
-        provenance: Provenance { robot: robot.into(), ..plots().provenance },
-    }
-}
 
 /// Every element that is opened is closed in order; attributes are quoted.
 fn assert_well_formed(html: &str) {
@@ -334,7 +49,7 @@ const HOSTILE_ESCAPED: &str = "&lt;b&gt;&amp; ";
 
 #[test]
 fn the_report_tells_everything() {
-    let result = identification("KUKA KR 60 HA");
+    let result = made_up::identification("KUKA KR 60 HA");
     let html = identification::html(&result, &plots()).unwrap();
     keep("report.html", &html);
     assert_well_formed(&html);
@@ -355,7 +70,7 @@ fn the_report_tells_everything() {
 
 #[test]
 fn the_plan_tells_everything() {
-    let html = plan::html(&plan(), &plan_view("KUKA KR 60 HA")).unwrap();
+    let html = plan::html(&made_up::plan(), &made_up::plan_view("KUKA KR 60 HA")).unwrap();
     keep("plan.html", &html);
     assert_well_formed(&html);
     assert_self_contained(&html);
@@ -364,19 +79,19 @@ fn the_plan_tells_everything() {
     {
         assert!(html.contains(needle), "{needle}");
     }
-    assert_eq!(html, plan::html(&plan(), &plan_view("KUKA KR 60 HA")).unwrap());
+    assert_eq!(html, plan::html(&made_up::plan(), &made_up::plan_view("KUKA KR 60 HA")).unwrap());
 }
 
 #[test]
 fn text_is_escaped() {
-    let mut result = identification(HOSTILE);
+    let mut result = made_up::identification(HOSTILE);
     result.parameters[0].reason = HOSTILE.into();
     result.parameters[1].name = HOSTILE.into();
     let mut plots = plots();
     plots.circles[0].name = HOSTILE.into();
     plots.provenance.robot = HOSTILE.into();
     let report = identification::html(&result, &plots).unwrap();
-    for html in [report, plan::html(&plan(), &plan_view(HOSTILE)).unwrap()] {
+    for html in [report, plan::html(&made_up::plan(), &made_up::plan_view(HOSTILE)).unwrap()] {
         assert!(html.contains(HOSTILE_ESCAPED) && !html.contains(HOSTILE));
         assert_well_formed(&html);
     }
@@ -384,7 +99,7 @@ fn text_is_escaped() {
 
 #[test]
 fn empty_and_undefined_data_break_nothing() {
-    let mut result = identification("r");
+    let mut result = made_up::identification("r");
     for parameter in &mut result.parameters {
         (parameter.identified, parameter.correction, parameter.sd) =
             (f64::NAN, f64::NAN, Some(f64::INFINITY));
@@ -411,10 +126,10 @@ fn empty_and_undefined_data_break_nothing() {
     assert_well_formed(&html);
     assert!(!html.contains("<svg"));
 
-    let mut nothing = plan();
+    let mut nothing = made_up::plan();
     nothing.rows.clear();
     assert_well_formed(&plan::html(&nothing, &PlanView::default()).unwrap());
-    let mut rows = plan();
+    let mut rows = made_up::plan();
     rows.rows[3].length_mm = f64::NAN;
     rows.rows[4].axes_deg[2] = f64::INFINITY;
     assert_self_contained(&plan::html(&rows, &PlanView::default()).unwrap());
@@ -438,6 +153,26 @@ fn a_plot_is_a_file_of_its_own() {
     assert_well_formed(&file);
     assert!(file.starts_with("<svg xmlns=\"http://www.w3.org/2000/svg\" "));
     assert!(file.contains("prefers-color-scheme") && file.contains("ring spacing 2 µm"));
+}
+
+/// Magnification = pixels per mm of deviation over pixels per mm of radius: the ring of no deviation
+/// has a radius of 108 px for 150 mm, the outermost one 192 px for 10 um more.
+#[test]
+fn a_deviation_lies_on_its_ring_and_the_magnification_is_stated() {
+    let points = vec![[0.0, 0.010], [90.0, 0.0], [180.0, -0.010]];
+    let traces = vec![PolarTrace { name: "t".into(), series: Series::First, points }];
+    let plot = PolarPlot { title: "p".into(), radius_mm: Some(150.0), axis_names: None, traces }.to_svg();
+    for (dot, ring) in [
+        ("cx=\"432\" cy=\"258\"", "r=\"192\""),
+        ("cx=\"240\" cy=\"150\"", "r=\"108\""),
+        ("cx=\"216\" cy=\"258\"", "r=\"24\""),
+    ] {
+        assert!(plot.contains(&format!("class=\"d-before\" {dot}")), "{dot}");
+        assert!(plot.contains(&format!("cx=\"240\" cy=\"258\" {ring}")), "{ring}");
+    }
+    let magnification: f64 = (192.0 - 108.0) / 0.010 * 150.0 / 108.0;
+    assert_eq!((magnification / 1000.0).round(), 12.0);
+    assert!(plot.contains("ring spacing 5 µm; radius 150 mm, deviation magnified 12000 ×"));
 }
 
 proptest! {

@@ -84,6 +84,12 @@ impl Arm {
         super::wrapped(row.sign * joint)
     }
 
+    /// The angle of joint 5 from a straight wrist, rad.
+    pub(super) fn wrist(&self, a5: f64) -> f64 {
+        let row = &self.rows[4];
+        row.sign * a5 + row.theta
+    }
+
     /// The branches at `ball`; `a4` is axis 4 where the wrist is straight. Angles in rad, not wrapped.
     pub(super) fn branches(&self, ball: &Pose, a4: f64) -> Result<Vec<[f64; AXES]>, Unsolved> {
         let rows = &self.rows;

@@ -22,6 +22,34 @@ pub fn status(geometry: &Geometry, axes: &[f64; AXES]) -> u8 {
     u8::from(behind) | u8::from(elbow) << 1 | u8::from(axes[4] < -ZERO_RAD) << 2
 }
 
+/// How far an arm is from its singular positions.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Clearance {
+    /// Of the wrist: |A5| from straight or folded back, rad.
+    pub wrist: f64,
+    /// Of the elbow: angle between upper arm and forearm from stretched or folded, rad.
+    pub elbow: f64,
+    /// Of the shoulder: distance of the wrist centre from axis 1, mm.
+    pub overhead: f64,
+}
+
+/// How far an arm is from its singular positions at axis angles in rad; `None` for an arm that is not
+/// near one with a spherical wrist, whose singular positions are others.
+pub fn clearance(geometry: &Geometry, axes: &[f64; AXES]) -> Option<Clearance> {
+    let arm = closed::Arm::near(geometry)?;
+    let frames = geometry.frames(&geometry.joint_angles(axes));
+    let (shoulder, wrist) = (&frames[0], &frames[4]);
+    let out = wrist.position - shoulder.position;
+    let upright = shoulder.rotation.column(2);
+    // Distance of an angle from the nearest multiple of half a turn.
+    let from_straight = |angle: f64| angle.sin().abs().asin();
+    Some(Clearance {
+        wrist: from_straight(arm.wrist(axes[4])),
+        elbow: from_straight(arm.elbow(axes[2])),
+        overhead: (out - upright * upright.dot(&out)).norm(),
+    })
+}
+
 /// KUKA's turn bits: bit i is set when axis i + 1 is negative (an axis within 1e-6 deg of 0 is 0).
 pub fn turn(axes: &[f64; AXES]) -> u8 {
     axes.iter().enumerate().fold(0, |bits, (i, angle)| bits | u8::from(*angle < -ZERO_RAD) << i)

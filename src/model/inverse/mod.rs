@@ -13,7 +13,7 @@ use std::f64::consts::TAU;
 use super::pose::Pose;
 use super::{AXES, Geometry};
 
-pub use configuration::{from_status_turn, status, turn, turns_within};
+pub use configuration::{Clearance, clearance, from_status_turn, status, turn, turns_within};
 pub use iterate::numeric;
 
 /// Why there are no axis angles for a pose.

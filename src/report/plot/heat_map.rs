@@ -53,17 +53,17 @@ impl HeatMap {
             let (row, column) = (number / columns, number % columns);
             let corner = [LEFT + size[0] * column as f64, bottom - size[1] * (row + 1) as f64];
             let value = value * unit.factor;
-            // A little more than the cell, or hairlines show between the cells.
             let colour = colour((value - scale[0]) / (scale[1] - scale[0]));
             let tip = format!("{} {}", significant(value, 3), unit.sign);
-            svg.cell(&colour, corner, [size[0] + 0.3, size[1] + 0.3], &tip);
+            svg.cell(&colour, corner, size, &tip);
         }
+        svg.path("rule", &[[LEFT, TOP], [RIGHT, TOP], [RIGHT, bottom], [LEFT, bottom]], true);
         axes(&mut svg, &x, &y, &self.axis_names);
         let legend = Scale { values: scale, pixels: [bottom, TOP] };
         for part in 0..40 {
             let share = f64::from(part) / 39.0;
             let at = [LEGEND, bottom - tall * f64::from(part + 1) / 40.0];
-            svg.cell(&colour(share), at, [14.0, tall / 40.0 + 0.3], "");
+            svg.cell(&colour(share), at, [14.0, tall / 40.0], "");
         }
         let ticks = Ticks::inside(scale, 5.0);
         for &value in &ticks.values {
@@ -77,7 +77,7 @@ impl HeatMap {
 
 fn axes(svg: &mut Svg, x: &Scale, y: &Scale, names: &[String; 2]) {
     let [bottom, top] = y.pixels;
-    let along = Ticks::inside(x.values, 5.0);
+    let along = Ticks::inside(x.values, 7.0);
     for &value in &along.values {
         svg.line("rule", [x.at(value), bottom], [x.at(value), bottom + 4.0]);
         svg.text("soft", [x.at(value), bottom + 17.0], Anchor::Middle, &along.label(value));

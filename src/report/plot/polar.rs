@@ -3,7 +3,7 @@
 use super::Series;
 use super::frame::NARROW;
 use super::legend;
-use crate::report::scale::{Unit, decimals, magnitude, signed, significant, step};
+use crate::report::scale::{Unit, decimals, magnitude, plain, rounded, signed, significant, step};
 use crate::report::svg::{Anchor, Svg};
 
 const HEIGHT: f64 = 500.0;
@@ -68,7 +68,9 @@ impl PolarPlot {
         for number in -(rings as i32)..=(rings as i32) {
             let value = f64::from(number) * ring;
             let at = polar(67.5, ZERO + value * px_per_unit);
-            svg.text("halo", [at[0], at[1] + 4.0], Anchor::Middle, &signed(value, digits));
+            let sign = if number == rings as i32 { unit.sign } else { "" };
+            let label = format!("{} {sign}", signed(value, digits));
+            svg.text("halo", [at[0], at[1] + 4.0], Anchor::Middle, label.trim_end());
         }
         svg.text("soft", [0.5 * NARROW, HEIGHT - 6.0], Anchor::Middle, &note);
         svg.finish()
@@ -82,8 +84,8 @@ impl PolarPlot {
                 let magnification = px_per_mm * radius / ZERO;
                 format!(
                     "{spacing}; radius {} mm, deviation magnified {} ×",
-                    significant(radius, 4),
-                    significant(magnification, 2)
+                    plain(radius, 3),
+                    rounded(magnification, 2)
                 )
             }
             _ => spacing,
@@ -119,27 +121,24 @@ fn draw(svg: &mut Svg, trace: &PolarTrace, unit: Unit, px_per_unit: f64, digits:
     points.sort_by(|a, b| a[0].total_cmp(&b[0]));
     let place =
         |[angle, deviation]: [f64; 2]| polar(angle, (ZERO + deviation * unit.factor * px_per_unit).max(0.0));
-    let mut piece: Vec<[f64; 2]> = Vec::new();
-    let mut whole = true;
-    let mut last_deg = f64::NEG_INFINITY;
-    for &point in &points {
-        if point[0] - last_deg > GAP_DEG && !piece.is_empty() {
-            svg.path(trace.series.line(), &piece, false);
-            piece.clear();
-            whole = false;
-        }
-        piece.push(place(point));
-        last_deg = point[0];
-    }
-    if let (Some(first), Some(last)) = (points.first(), points.last())
-        && first[0] + 360.0 - last[0] <= GAP_DEG
-        && !whole
-    {
-        piece.push(place(*first));
-    }
+    // Under dots the line only leads the eye.
+    let dots = points.len() <= MOST_DOTS;
+    let class = format!("{}{}", trace.series.line(), if dots { " web" } else { "" });
+    let near = |from: &[f64; 2], to: &[f64; 2]| to[0] - from[0] <= GAP_DEG;
+    let mut arcs: Vec<Vec<[f64; 2]>> =
+        points.chunk_by(near).map(|arc| arc.iter().map(|&point| place(point)).collect()).collect();
     let round = points.first().zip(points.last()).is_some_and(|(a, b)| a[0] + 360.0 - b[0] <= GAP_DEG);
-    svg.path(trace.series.line(), &piece, whole && round);
-    if points.len() <= MOST_DOTS {
+    let closed = round && arcs.len() == 1;
+    if round
+        && !closed
+        && let (Some(&first), Some(last)) = (points.first(), arcs.last_mut())
+    {
+        last.push(place(first));
+    }
+    for arc in &arcs {
+        svg.path(&class, arc, closed);
+    }
+    if dots {
         for &point in &points {
             let value = signed(point[1] * unit.factor, digits);
             let tip = format!("{}: {}°, {value} {}", trace.name, signed(point[0], 1), unit.sign);

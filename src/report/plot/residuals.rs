@@ -78,7 +78,8 @@ impl ResidualPlot {
             frame.svg.cross("l-mark", at, 4.5);
             let middle = 0.5 * (frame.x.pixels[0] + frame.x.pixels[1]);
             let (dx, anchor) = if at[0] > middle { (-9.0, Anchor::End) } else { (9.0, Anchor::Start) };
-            let text = format!("{}: {} {}", point.index, signed(value, digits.min(2)), unit.sign);
+            let own = Unit::length(point.after_mm.abs());
+            let text = format!("{}: {} {}", point.index, signed(point.after_mm * own.factor, 2), own.sign);
             frame.svg.text("halo", [at[0] + dx, at[1] + 4.0], anchor, &text);
         }
         self.legend(&mut frame);

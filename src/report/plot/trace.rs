@@ -50,7 +50,7 @@ impl TracePlot {
             y: &self.y_name,
         };
         let mut frame = Frame::new(self.size, x, [low - pad, high + pad], &labels);
-        frame.axes(&labels, ((self.size[1] - 80.0) / 28.0).max(2.0));
+        frame.axes(&labels, ((self.size[1] - 86.0) / 24.0).max(2.0));
         if (low..=high).contains(&0.0) {
             frame.level("zero", 0.0);
         }
@@ -64,7 +64,7 @@ impl TracePlot {
         }
         let places: Vec<[f64; 2]> = self.line.points.iter().map(|&[x, y]| frame.at(x, y)).collect();
         frame.svg.path(self.line.series.line(), &places, false);
-        let radius = if places.len() > 400 { 1.4 } else { 2.2 };
+        let radius = if places.len() as f64 > 0.25 * self.size[0] { 1.4 } else { 2.2 };
         for ((place, point), _) in
             places.iter().zip(&self.line.points).zip(&self.line.dwell).filter(|(_, dwell)| **dwell)
         {

@@ -17,7 +17,7 @@ pub enum Projection {
     Xy,
     /// From the robot's right side: X to the right, Z up.
     Xz,
-    /// Along X: Y to the right, Z up.
+    /// From the front, against X: Y to the right, Z up.
     Yz,
 }
 
@@ -109,7 +109,7 @@ fn grid(svg: &mut Svg, x: &Scale, y: &Scale, names: [&str; 2]) {
         svg.line("grid", [x.at(value), bottom], [x.at(value), top]);
         svg.text("soft", [x.at(value), bottom + 17.0], Anchor::Middle, &along.label(value));
     }
-    let upwards = Ticks::inside(y.values, ((bottom - top) / 60.0).max(2.0));
+    let upwards = Ticks::stepped(y.values, along.step);
     for &value in &upwards.values {
         svg.line("grid", [LEFT, y.at(value)], [RIGHT, y.at(value)]);
         svg.text("soft", [LEFT - 7.0, y.at(value) + 4.0], Anchor::End, &upwards.label(value));

@@ -1,0 +1,72 @@
+//! Times of the identification, to be compared with `benches/peers` in one run on one machine.
+
+use std::hint::black_box;
+
+use criterion::{Criterion, criterion_group, criterion_main};
+use dbbd::identify::{self, Options};
+use dbbd::model::{Centre, Observation, Observations, ParamId, Robot, parameter};
+use nalgebra::Vector3;
+use rand::{RngExt, SeedableRng};
+use rand_distr::{Distribution, Normal};
+use rand_pcg::Pcg64;
+
+/// Lengths of a robot with errors of its tolerance at random poses, sigma 0.01 mm, one ball.
+fn problem(poses: usize) -> (Robot, Observations, Vec<Centre>) {
+    let mut random = Pcg64::seed_from_u64(1);
+    let robot = Robot::by_name("kr60ha").expect("built in").expect("reads");
+    let mut truth = robot.geometry.clone();
+    for id in parameter::parse_list("alpha1-5,a1-5,d4-6", &[], 1).expect("a list") {
+        let sd = if id.unit() == "mm" { 0.5 } else { 0.05f64.to_radians() };
+        *truth.value_mut(id).expect("geometric") += sd * random.sample::<f64, _>(rand_distr::StandardNormal);
+    }
+    let centre = Vector3::new(1300.0, 0.0, 800.0);
+    let noise = Normal::new(0.0, 0.01).expect("positive");
+    let rows = (0..poses)
+        .map(|i| {
+            let mut row = Observation {
+                index: i as u32 + 1,
+                centre: 1,
+                axes_deg: std::array::from_fn(|j| {
+                    let [low, high] = robot.limits_deg[j];
+                    random.random_range(low..high)
+                }),
+                length_mm: 0.0,
+                sigma_mm: None,
+                extra: vec![],
+            };
+            row.length_mm = truth.length(&row.axes(), &centre, 0.0) + noise.sample(&mut random);
+            row
+        })
+        .collect();
+    (robot, Observations { rows, extra_columns: vec![] }, vec![Centre { id: 1, position: centre }])
+}
+
+fn thirteen() -> Vec<ParamId> {
+    parameter::parse_list("alpha1-5,a1-5,d4-6", &[], 1).expect("a list")
+}
+
+fn benches(c: &mut Criterion) {
+    for poses in [80, 1000] {
+        let (robot, observations, centres) = problem(poses);
+        let options = Options { estimate: Some(thirteen()), folds: Some(0), ..Options::default() };
+        c.bench_function(&format!("fit 13 parameters, {poses} poses"), |b| {
+            b.iter(|| identify::fit(black_box(&robot), &observations, &centres, &options));
+        });
+        let options = Options { folds: Some(0), ..Options::default() };
+        c.bench_function(&format!("all parameters with the full report, {poses} poses"), |b| {
+            b.iter(|| identify::identify(black_box(&robot), &observations, &centres, None, &options));
+        });
+    }
+    let (robot, observations, centres) = problem(1000);
+    let readings: Vec<_> = observations.rows.iter().map(dbbd::model::Reading::from).collect();
+    c.bench_function("1000 Jacobian rows of all columns", |b| {
+        b.iter(|| {
+            for reading in &readings {
+                black_box(robot.geometry.length_row(&reading.axes, &centres[0].position, 0.0));
+            }
+        });
+    });
+}
+
+criterion_group!(group, benches);
+criterion_main!(group);

@@ -1,0 +1,83 @@
+//! `dbbd demo`: the whole job with no hardware, by the commands that a user would type.
+
+mod steps;
+mod truth;
+
+use std::path::PathBuf;
+
+use super::{Outcome, Output, Verdict, files};
+use crate::identify::Identification;
+use crate::model::Robot;
+use steps::Steps;
+
+/// The job that the demo runs: shipped as `examples/demo.toml`.
+const JOB: &str = include_str!("../../../examples/demo.toml");
+
+/// Runs the whole job with no hardware: a plan, its KRL programs, a simulated robot that executes
+/// them with a virtual ball-bar on a pty, the capture, and the identification, each by its own command on files.
+#[derive(clap::Args)]
+pub(crate) struct Args {
+    /// Directory for all files; those of an earlier demo there are replaced.
+    #[arg(long, value_name = "DIR", default_value = "demo-out")]
+    out: PathBuf,
+    /// Seed of the true robot, its repeatability and the bar's noise.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    seed: u64,
+}
+
+pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
+    files::directory(&args.out)?;
+    let dir = args.out.as_path();
+    files::write(&dir.join("job.toml"), JOB)?;
+    let steps = Steps::new(dir, out)?;
+
+    steps.say("1. Plan the circles, and check them before anything moves");
+    steps.run(&["plan", "job.toml", "--out", "plan"])?;
+    steps.say("2. Write the KRL programs for the controller");
+    steps.run(&["krl", "plan/plan.csv", "--out", "krl"])?;
+    steps.say("3. A robot whose true parameters nobody knows executes them; the bar is read meanwhile");
+    let truth = truth::Truth::draw(dir, args.seed)?;
+    steps.remove("run.dbbd")?;
+    let seed = args.seed.to_string();
+    let simulator = steps.start(&[
+        "simulate",
+        "--program",
+        "krl/DBB_MAIN.src",
+        "--robot",
+        "truth.toml",
+        "--world",
+        "world.toml",
+        "--speed",
+        "0",
+        "--seed",
+        &seed,
+    ])?;
+    steps.run(&["acquire", "--port", simulator.port(), "--plan", "plan/plan.csv", "--out", "run.dbbd"])?;
+    simulator.finish()?;
+    steps.say("4. Match the lengths to the commanded poses");
+    steps.run(&["sync", "run.dbbd", "--out", "observations.csv"])?;
+    steps.say("5. Identify the robot");
+    let identify = [
+        "identify",
+        "observations.csv",
+        "--robot",
+        "kr60ha",
+        "--centres",
+        "plan/centres.csv",
+        "--out",
+        "result",
+    ];
+    steps.run(&identify)?;
+
+    let text = files::read(&dir.join("result/result.json"))?;
+    let result: Identification = serde_json::from_str(&text)?;
+    let path = dir.join("result/robot-identified.toml");
+    let identified = Robot::from_toml(&path.display().to_string(), &files::read(&path)?)?;
+    let comparison = truth.compare(&result, &identified)?;
+    out.document(&comparison)?;
+    for line in comparison.lines() {
+        out.result(line);
+    }
+    out.result(format!("The report: {}", dir.join("result/report.html").display()));
+    Ok(Outcome::Done)
+}

@@ -1,0 +1,165 @@
+//! The demo's true robot, and how near the identification came to it.
+
+use std::error::Error;
+use std::fmt::Write;
+use std::path::Path;
+
+use nalgebra::Vector3;
+use rand::SeedableRng;
+use rand_distr::{Distribution, StandardNormal};
+use rand_pcg::Pcg64;
+use serde::Serialize;
+
+use crate::cli::files;
+use crate::diag::Diagnostic;
+use crate::identifiability::{Workspace, aligned_distances};
+use crate::identify::Identification;
+use crate::identify::result::{ParameterResult, Residual, Status};
+use crate::model::{Centre, Geometry, LengthModel, ParamId, Robot};
+use crate::sim::truth;
+
+/// How far off the ball may stand from where it was taped, mm, one standard deviation.
+const CENTRE_MM: f64 = 0.5;
+/// Poses over which the 3-D error is taken, and their seed: those of the prediction.
+const POSES: usize = 2000;
+const SEED: u64 = 1;
+
+/// What is true in the demo's cell.
+pub(super) struct Truth {
+    robot: Robot,
+    centres: Vec<Centre>,
+}
+
+/// True against identified.
+#[derive(Debug, Serialize)]
+pub(super) struct Comparison {
+    parameters: Vec<Compared>,
+    residual_before_mm: Residual,
+    residual_after_mm: Residual,
+    /// Mean and largest true 3-D error of the nominal robot after alignment, mm.
+    nominal_error_mm: [f64; 2],
+    /// The same of the identified robot.
+    identified_error_mm: [f64; 2],
+}
+
+#[derive(Debug, Serialize)]
+struct Compared {
+    name: String,
+    unit: String,
+    /// True deviation from nominal of what the parameter stands for: it and what it carries for those
+    /// that depend on it.
+    true_correction: f64,
+    correction: f64,
+    sd: f64,
+}
+
+impl Truth {
+    /// Draws the true robot and the true places of the balls, and writes `truth.toml` and `world.toml`.
+    pub(super) fn draw(dir: &Path, seed: u64) -> Result<Self, Box<dyn Error>> {
+        let nominal = files::robot("kr60ha")?;
+        let robot = truth::draw(&nominal, seed, 1.0);
+        let path = dir.join("plan/centres.csv");
+        let mut centres = Centre::from_csv(&path.display().to_string(), &files::read(&path)?)?;
+        let mut random = Pcg64::seed_from_u64(seed);
+        let mut world = String::from("repeatability_um = 20.0\n\n[bar]\nnoise_um = 2.0\n");
+        for centre in &mut centres {
+            centre.position += Vector3::from_fn(|_, _| {
+                let z: f64 = StandardNormal.sample(&mut random);
+                z * CENTRE_MM
+            });
+            let [x, y, z]: [f64; 3] = centre.position.into();
+            write!(world, "\n[[centre]]\nid = {}\nxyz_mm = [{x}, {y}, {z}]\n", centre.id)?;
+        }
+        files::write(&dir.join("world.toml"), world)?;
+        files::write(&dir.join("truth.toml"), robot.to_toml())?;
+        Ok(Self { robot, centres })
+    }
+
+    /// Sets the result beside the truth.
+    pub(super) fn compare(
+        &self,
+        result: &Identification,
+        identified: &Robot,
+    ) -> Result<Comparison, Diagnostic> {
+        let nominal = identified.nominal.as_deref().unwrap_or(identified);
+        let mut model = LengthModel::new(self.robot.geometry.clone(), &self.centres);
+        model.bar_offset = 0.0;
+        let poses = Workspace::uniform(nominal, POSES, SEED);
+        let balls = |geometry: &Geometry| -> Vec<Vector3<f64>> {
+            poses.iter().map(|axes| geometry.ball(axes).position).collect()
+        };
+        let truth = balls(&self.robot.geometry);
+        let error = |geometry: &Geometry| {
+            let distances = aligned_distances(&truth, &balls(geometry));
+            let mean = distances.iter().sum::<f64>() / distances.len().max(1) as f64;
+            [mean, distances.into_iter().fold(0.0, f64::max)]
+        };
+        Ok(Comparison {
+            parameters: result
+                .parameters
+                .iter()
+                .filter(|parameter| parameter.status == Status::Identified)
+                .filter_map(|parameter| compared(parameter, result, &model))
+                .collect(),
+            residual_before_mm: result.residual_mm.before,
+            residual_after_mm: result.residual_mm.after,
+            nominal_error_mm: error(&nominal.geometry),
+            identified_error_mm: error(&identified.geometry),
+        })
+    }
+}
+
+fn compared(parameter: &ParameterResult, result: &Identification, truth: &LengthModel) -> Option<Compared> {
+    let deviation = |name: &str| -> Option<f64> {
+        let id: ParamId = name.parse().ok()?;
+        let nominal = result.parameters.iter().find(|other| other.name == name)?.nominal;
+        Some(truth.value(id) - nominal)
+    };
+    let true_correction = match result.dependent.iter().find(|group| group.kept == parameter.name) {
+        Some(group) => {
+            group.combination.iter().filter_map(|(name, share)| Some(share * deviation(name)?)).sum()
+        }
+        None => deviation(&parameter.name)?,
+    };
+    Some(Compared {
+        name: parameter.name.clone(),
+        unit: parameter.unit.clone(),
+        true_correction,
+        correction: parameter.correction,
+        sd: parameter.sd?,
+    })
+}
+
+impl Comparison {
+    /// For people.
+    pub(super) fn lines(&self) -> Vec<String> {
+        let mut lines = vec![
+            String::new(),
+            "True against identified corrections (of what each parameter stands for; mm, mrad):".into(),
+            format!(
+                "{:>12} {:>10} {:>10} {:>10} {:>8}",
+                "parameter", "true", "identified", "difference", "sd"
+            ),
+        ];
+        for row in &self.parameters {
+            let (factor, unit) = if row.unit == "rad" { (1e3, "mrad") } else { (1.0, row.unit.as_str()) };
+            lines.push(format!(
+                "{:>12} {:>10.4} {:>10.4} {:>10.4} {:>8.4} {unit}",
+                row.name,
+                row.true_correction * factor,
+                row.correction * factor,
+                (row.correction - row.true_correction) * factor,
+                row.sd * factor
+            ));
+        }
+        let [before, after] = [self.residual_before_mm.rms, self.residual_after_mm.rms].map(|rms| rms * 1e3);
+        lines.push(String::new());
+        lines.push(format!("Residual of the lengths: rms {before:.1} um before, {after:.1} um after"));
+        let ([mean, max], [mean_after, max_after]) = (self.nominal_error_mm, self.identified_error_mm);
+        lines.push(format!(
+            "True 3-D error over the whole workspace: mean {mean:.3} mm (largest {max:.3}) before, {mean_after:.3} mm \
+             ({max_after:.3}) after"
+        ));
+        lines
+    }
+}

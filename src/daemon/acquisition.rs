@@ -1,0 +1,294 @@
+//! A run: reading thread -> bounded channel -> recorder, until something ends it.
+
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::RecvTimeoutError;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use serde::Serialize;
+use thiserror::Error;
+
+use super::attachments::Attachments;
+use super::marks::Marks;
+use super::recorder::Recorder;
+use super::session;
+use crate::capture::{Event, WriteError, Writer};
+use crate::clock;
+use crate::port::{Arrival, Port, PortError, Reader};
+use crate::protocol::Definition;
+use crate::units::HostNs;
+
+/// Longest wait between two attempts to open a port that went away, s.
+const LONGEST_BACKOFF_S: f64 = 2.0;
+
+/// What a run is to do.
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// The port as the user named it.
+    pub port: String,
+    /// The bar's protocol.
+    pub definition: Definition,
+    /// The capture to write.
+    pub out: PathBuf,
+    /// The files that it carries; the protocol's is added.
+    pub attachments: Attachments,
+    /// Ends the run after so many seconds of host time.
+    pub duration_s: Option<f64>,
+    /// Ends the run when the port has been away for so many seconds.
+    pub gone_s: f64,
+}
+
+/// How a run is going.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Progress {
+    /// Host time since the beginning, s.
+    pub elapsed_s: f64,
+    /// Device time since the first sample, s, where the device has a clock.
+    pub device_s: Option<f64>,
+    /// Bytes that came.
+    pub bytes: u64,
+    /// Samples decoded.
+    pub samples: u64,
+    /// Samples per second over the last second.
+    pub rate_hz: f64,
+    /// The last reading, mm.
+    pub reading_mm: Option<f64>,
+    /// Faults of the stream.
+    pub faults: u64,
+    /// Times that the device said that it has no reading.
+    pub rejected: u64,
+    /// Gaps that were recorded.
+    pub gaps: u64,
+    /// Samples missing by their sequence numbers.
+    pub missing: u64,
+    /// Bytes lost between port and recorder.
+    pub lost_bytes: u64,
+    /// Dwells that are over, by the strobe.
+    pub dwells: u32,
+    /// Modules that are over, by their end marks.
+    pub modules: u32,
+    /// Whether the frames were ever understood one after the other.
+    pub in_step: bool,
+    /// Whether the port is away at this moment.
+    pub gone: bool,
+}
+
+/// What ended a run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Ending {
+    /// The program's end mark.
+    Mark,
+    /// The time was up.
+    Duration,
+    /// It was told to stop.
+    Stopped,
+    /// The port stayed away.
+    Gone,
+}
+
+/// A run that is over.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Summary {
+    /// What ended it.
+    pub ending: Ending,
+    /// Its last counts.
+    pub progress: Progress,
+}
+
+/// Why a run failed.
+#[derive(Debug, Error)]
+pub enum AcquireError {
+    /// The port.
+    #[error(transparent)]
+    Port(#[from] PortError),
+    /// The capture.
+    #[error(transparent)]
+    Capture(#[from] WriteError),
+    /// The recorder's thread died.
+    #[error("the recorder died; what it wrote before is kept")]
+    Died,
+}
+
+/// A run that goes on in a thread of its own.
+pub struct Acquisition {
+    shared: Arc<Shared>,
+    recorder: JoinHandle<Result<Summary, AcquireError>>,
+}
+
+struct Shared {
+    progress: Mutex<Progress>,
+    stop: Arc<AtomicBool>,
+}
+
+impl Acquisition {
+    /// Opens the port, makes the capture and begins. The run ends early when `stop` is raised.
+    ///
+    /// # Errors
+    /// When the port cannot be opened or the capture not be made.
+    pub fn start(options: Options, stop: Arc<AtomicBool>) -> Result<Self, AcquireError> {
+        let now = clock::now();
+        if options.out.exists() {
+            return Err(WriteError::Exists(options.out).into());
+        }
+        // The port comes first: without it no file is left behind.
+        let (port, stale) = session::open(&options.port, &options.definition)?;
+        let writer = Writer::create(&options.out)?;
+        let marks = Marks::new(options.attachments.modules);
+        let mut recorder = Recorder::new(writer, &options.definition, marks, now);
+        let version = env!("CARGO_PKG_VERSION").to_owned();
+        recorder.event(now, Event::Started { unix_ns: clock::unix_ns(), version })?;
+        for (name, content) in &options.attachments.files {
+            recorder.attach(now, name, content)?;
+        }
+        recorder.attach(now, "protocol.toml", options.definition.text.as_bytes())?;
+        opened(&mut recorder, &options.port, stale)?;
+        let shared = Arc::new(Shared { progress: Mutex::default(), stop });
+        let run = Run { options, recorder, shared: Arc::clone(&shared), began: now };
+        let recorder = std::thread::spawn(move || run.whole(port));
+        Ok(Self { shared, recorder })
+    }
+
+    /// How it is going.
+    pub fn progress(&self) -> Progress {
+        *self.shared.progress.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Whether it is over.
+    pub fn is_over(&self) -> bool {
+        self.recorder.is_finished()
+    }
+
+    /// Waits for its end.
+    ///
+    /// # Errors
+    /// When the capture could not be written on.
+    pub fn join(self) -> Result<Summary, AcquireError> {
+        self.recorder.join().map_err(|_| AcquireError::Died)?
+    }
+}
+
+fn opened(recorder: &mut Recorder, port: &str, stale: u64) -> Result<(), WriteError> {
+    let now = clock::now();
+    recorder.event(now, Event::Opened { port: port.into() })?;
+    if stale > 0 {
+        let text = format!("{stale} bytes of an earlier stream were thrown away before the start");
+        recorder.event(now, Event::Mark { text })?;
+    }
+    Ok(())
+}
+
+/// The recorder's thread.
+struct Run {
+    options: Options,
+    recorder: Recorder,
+    shared: Arc<Shared>,
+    began: HostNs,
+}
+
+/// How a session on an open port ended.
+enum Session {
+    Over(Ending),
+    Gone(HostNs, String),
+}
+
+impl Run {
+    fn whole(mut self, mut port: Port) -> Result<Summary, AcquireError> {
+        let ending = loop {
+            let (since, why) = match self.session(&port)? {
+                Session::Over(ending) => {
+                    session::close(port, &self.options.definition);
+                    break ending;
+                }
+                Session::Gone(since, why) => (since, why),
+            };
+            drop(port);
+            self.recorder.interrupted(since)?;
+            let reopened = self.reopen(since)?;
+            let now = clock::now();
+            let seconds = Some(now.seconds_since(since));
+            let reason = format!("the port was gone: {why}");
+            self.recorder.event(now, Event::Gap { seconds, missing: None, reason })?;
+            match reopened {
+                Ok((again, stale)) => {
+                    opened(&mut self.recorder, &self.options.port, stale)?;
+                    self.recorder.restarted();
+                    port = again;
+                }
+                Err(ending) => break ending,
+            }
+        };
+        let reason = match ending {
+            Ending::Mark => "the program's end mark",
+            Ending::Duration => "the time was up",
+            Ending::Stopped => "told to stop",
+            Ending::Gone => "the port stayed away",
+        };
+        let progress = self.recorder.finish(clock::now(), reason)?;
+        Ok(Summary { ending, progress })
+    }
+
+    /// Records from an open port until it is gone or the run is over.
+    fn session(&mut self, port: &Port) -> Result<Session, AcquireError> {
+        let (_reader, arrivals) = Reader::start(port.handle()?);
+        loop {
+            if let Some(ending) = self.ending() {
+                return Ok(Session::Over(ending));
+            }
+            match arrivals.recv_timeout(Duration::from_millis(50)) {
+                Ok(Arrival::Bytes(host, bytes)) => self.recorder.bytes(host, bytes)?,
+                Ok(Arrival::Lost(host, bytes)) => self.recorder.lost(host, bytes)?,
+                Ok(Arrival::Gone(host, why)) => return Ok(Session::Gone(host, why)),
+                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => {
+                    return Ok(Session::Gone(clock::now(), "the reading thread ended".into()));
+                }
+            }
+            self.tell(false)?;
+        }
+    }
+
+    fn ending(&self) -> Option<Ending> {
+        if self.recorder.over() {
+            Some(Ending::Mark)
+        } else if self.shared.stop.load(Ordering::Relaxed) {
+            Some(Ending::Stopped)
+        } else {
+            let elapsed = clock::now().seconds_since(self.began);
+            self.options.duration_s.is_some_and(|limit| elapsed >= limit).then_some(Ending::Duration)
+        }
+    }
+
+    /// Waits for the port to come back: more patiently each time, until it has been away too long.
+    fn reopen(&mut self, since: HostNs) -> Result<Result<(Port, u64), Ending>, AcquireError> {
+        let mut backoff = 0.1;
+        let mut next = 0.0;
+        loop {
+            self.tell(true)?;
+            if let Some(ending) = self.ending() {
+                return Ok(Err(ending));
+            }
+            let away = clock::now().seconds_since(since);
+            if away >= next {
+                if let Ok(opened) = session::open(&self.options.port, &self.options.definition) {
+                    return Ok(Ok(opened));
+                }
+                next = away + backoff;
+                backoff = (2.0 * backoff).min(LONGEST_BACKOFF_S);
+            }
+            if away >= self.options.gone_s {
+                return Ok(Err(Ending::Gone));
+            }
+            clock::sleep(0.02);
+        }
+    }
+
+    fn tell(&mut self, gone: bool) -> Result<(), AcquireError> {
+        self.recorder.tick(clock::now())?;
+        let progress = Progress { gone, ..self.recorder.progress };
+        *self.shared.progress.lock().unwrap_or_else(PoisonError::into_inner) = progress;
+        Ok(())
+    }
+}

@@ -1,0 +1,193 @@
+//! Writes what arrives, raw first, then what it decodes to, and counts.
+
+use super::acquisition::Progress;
+use super::marks::{DeviceTime, Marks};
+use crate::capture::{Event, Record, WriteError, Writer};
+use crate::protocol::{Decoded, Decoder, Definition, FaultKind, Sample};
+use crate::units::HostNs;
+
+/// Silence below this is not worth a record where sequence numbers tell what is missing, s.
+const SILENCE_S: f64 = 1.0;
+
+/// The recorder of one run.
+pub(super) struct Recorder {
+    writer: Writer,
+    decoder: Decoder,
+    decoded: Vec<Decoded>,
+    marks: Marks,
+    time: Option<DeviceTime>,
+    sequence_modulo: Option<u32>,
+    last_sequence: Option<u32>,
+    /// Silence that is recorded, s.
+    silence_s: Option<f64>,
+    last_bytes: Option<HostNs>,
+    last_sync: HostNs,
+    rate_since: HostNs,
+    rate_samples: u64,
+    in_a_row: u32,
+    sync_frames: u32,
+    began: HostNs,
+    pub(super) progress: Progress,
+}
+
+impl Recorder {
+    pub(super) fn new(writer: Writer, definition: &Definition, marks: Marks, now: HostNs) -> Self {
+        let stall = definition.stall.map(|stall| stall.as_secs_f64());
+        Self {
+            writer,
+            decoder: definition.decoder(),
+            decoded: Vec::new(),
+            marks,
+            time: definition.clock.map(DeviceTime::new),
+            sequence_modulo: definition.sequence_modulo,
+            last_sequence: None,
+            silence_s: stall.map(|s| if definition.sequence_modulo.is_some() { s.max(SILENCE_S) } else { s }),
+            last_bytes: None,
+            last_sync: now,
+            rate_since: now,
+            rate_samples: 0,
+            in_a_row: 0,
+            sync_frames: definition.sync_frames,
+            began: now,
+            progress: Progress::default(),
+        }
+    }
+
+    /// Whether the program's end marks have been seen.
+    pub(super) fn over(&self) -> bool {
+        self.marks.over()
+    }
+
+    pub(super) fn event(&mut self, host: HostNs, event: Event) -> Result<(), WriteError> {
+        if matches!(event, Event::Gap { .. }) {
+            self.progress.gaps += 1;
+        }
+        self.writer.write(host, &Record::Event(event))
+    }
+
+    pub(super) fn attach(&mut self, host: HostNs, name: &str, content: &[u8]) -> Result<(), WriteError> {
+        self.writer.write(host, &Record::Attachment { name: name.into(), content: content.to_vec() })
+    }
+
+    /// Bytes came: they are on their way to the disk before anyone looks into them.
+    pub(super) fn bytes(&mut self, host: HostNs, bytes: Vec<u8>) -> Result<(), WriteError> {
+        if let (Some(limit), Some(last)) = (self.silence_s, self.last_bytes)
+            && host.seconds_since(last) > limit
+        {
+            let seconds = Some(host.seconds_since(last));
+            self.event(host, Event::Gap { seconds, missing: None, reason: "nothing was received".into() })?;
+        }
+        self.last_bytes = Some(host);
+        self.progress.bytes += bytes.len() as u64;
+        let record = Record::Raw(bytes);
+        self.writer.write(host, &record)?;
+        if let Record::Raw(bytes) = &record {
+            self.decoder.push(bytes, &mut self.decoded);
+        }
+        self.decoded(host)
+    }
+
+    /// Bytes were thrown away before they came here.
+    pub(super) fn lost(&mut self, host: HostNs, bytes: u64) -> Result<(), WriteError> {
+        self.progress.lost_bytes += bytes;
+        self.interrupted(host)?;
+        let reason = format!("{bytes} bytes were lost: the recorder was too slow");
+        self.event(host, Event::Gap { seconds: None, missing: None, reason })
+    }
+
+    /// The stream broke off: what is pending will not be completed.
+    pub(super) fn interrupted(&mut self, host: HostNs) -> Result<(), WriteError> {
+        self.decoder.interrupt(&mut self.decoded);
+        self.last_bytes = None;
+        self.decoded(host)
+    }
+
+    fn decoded(&mut self, host: HostNs) -> Result<(), WriteError> {
+        let mut decoded = std::mem::take(&mut self.decoded);
+        for one in decoded.drain(..) {
+            match one {
+                Decoded::Sample(sample, _) => self.sample(host, &sample)?,
+                Decoded::Fault(fault) => {
+                    match fault.kind {
+                        FaultKind::Ignored => {}
+                        FaultKind::Reject(_) => self.progress.rejected += 1,
+                        _ => {
+                            self.progress.faults += 1;
+                            self.in_a_row = 0;
+                        }
+                    }
+                    if let Ok(json) = serde_json::to_vec(&fault) {
+                        self.writer.write(host, &Record::Fault(json))?;
+                    }
+                }
+            }
+        }
+        self.decoded = decoded;
+        Ok(())
+    }
+
+    fn sample(&mut self, host: HostNs, sample: &Sample) -> Result<(), WriteError> {
+        self.missing(host, sample)?;
+        // A sample is plain numbers, which JSON can always hold.
+        if let Ok(json) = serde_json::to_vec(sample) {
+            self.writer.write(host, &Record::Sample(json))?;
+        }
+        self.in_a_row = self.in_a_row.saturating_add(1);
+        self.progress.in_step |= self.in_a_row >= self.sync_frames;
+        self.progress.samples += 1;
+        self.progress.reading_mm = Some(sample.reading_mm);
+        let device = self.time.as_mut().zip(sample.ticks).map(|(time, ticks)| time.seconds(ticks));
+        self.marks.sample(device.unwrap_or_else(|| host.seconds_since(self.began)), sample);
+        self.progress.device_s = device;
+        self.progress.dwells = self.marks.dwells();
+        self.progress.modules = self.marks.ends();
+        Ok(())
+    }
+
+    /// Compares the sequence number with the one before.
+    fn missing(&mut self, host: HostNs, sample: &Sample) -> Result<(), WriteError> {
+        let (Some(modulo), Some(sequence)) = (self.sequence_modulo, sample.sequence) else { return Ok(()) };
+        let last = self.last_sequence.replace(sequence);
+        let Some(last) = last else { return Ok(()) };
+        let modulo = u64::from(modulo);
+        let missing = (u64::from(sequence) + 2 * modulo - u64::from(last).min(modulo) - 1) % modulo;
+        let (missing, reason) = match missing {
+            0 => return Ok(()),
+            // More than half the range ahead is a step back: the device began again.
+            many if many > modulo / 2 => {
+                (None, format!("the sequence number went from {last} to {sequence}"))
+            }
+            few => (Some(few), "samples are missing by their sequence numbers".to_owned()),
+        };
+        self.progress.missing += missing.unwrap_or(0);
+        self.event(host, Event::Gap { seconds: None, missing, reason })
+    }
+
+    /// The device was stopped and started: its numbers may begin again.
+    pub(super) fn restarted(&mut self) {
+        self.last_sequence = None;
+    }
+
+    /// Once a second the disk is made to hold what was written, and the rate is taken.
+    pub(super) fn tick(&mut self, now: HostNs) -> Result<(), WriteError> {
+        self.progress.elapsed_s = now.seconds_since(self.began);
+        let since = now.seconds_since(self.rate_since);
+        if since >= 1.0 {
+            self.progress.rate_hz = (self.progress.samples - self.rate_samples) as f64 / since;
+            (self.rate_since, self.rate_samples) = (now, self.progress.samples);
+        }
+        if now.seconds_since(self.last_sync) >= 1.0 {
+            self.writer.sync()?;
+            self.last_sync = now;
+        }
+        Ok(())
+    }
+
+    /// Ends the file.
+    pub(super) fn finish(mut self, now: HostNs, reason: &str) -> Result<Progress, WriteError> {
+        self.interrupted(now)?;
+        self.progress.elapsed_s = now.seconds_since(self.began);
+        self.writer.finish(now, reason, self.progress.missing)?;
+        Ok(self.progress)
+    }
+}

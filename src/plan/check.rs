@@ -1,0 +1,435 @@
+//! Is it safe? Each motion is followed finely, and what comes nearest to a limit is kept.
+
+use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
+
+use super::job::Job;
+use super::path::Path;
+use super::solve::{Rig, axis_margin_deg};
+use super::timing::Pace;
+use super::{Motion, MoveTime, PlanRow};
+use crate::model::inverse::{Unsolved, clearance, nearest, status};
+use crate::model::{AXES, ParamId, Pose, Robot};
+
+/// Finest step along a path: 1 mm and 1 degree, be it of the tool or (PTP) of an axis.
+const STEP_MM: f64 = 1.0;
+const STEP_DEG: f64 = 1.0;
+/// An axis that turns by more than this within one fine step has jumped, degrees.
+const JUMP_DEG: f64 = 20.0;
+
+/// What is checked.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Quantity {
+    /// Least distance of an axis from its limits, degrees.
+    AxisMarginDeg,
+    /// Least angle of joint 5 from a straight wrist, degrees.
+    WristDeg,
+    /// Least angle of the elbow from stretched or folded, degrees.
+    ElbowDeg,
+    /// Least distance of the wrist centre from axis 1, mm.
+    OverheadMm,
+    /// Greatest change of an axis within one fine step, degrees.
+    AxisJumpDeg,
+    /// Greatest axis speed, percent of the axis's greatest.
+    AxisSpeedPercent,
+    /// Least reading of the bar, mm.
+    ReadingLowMm,
+    /// Greatest reading of the bar, mm.
+    ReadingHighMm,
+    /// Greatest probability of a reading outside the stroke less its margin.
+    StrokeRisk,
+    /// Greatest angle between bar and cup, degrees.
+    CupDeg,
+}
+
+impl Quantity {
+    const ALL: [Self; 10] = [
+        Self::AxisMarginDeg,
+        Self::WristDeg,
+        Self::ElbowDeg,
+        Self::OverheadMm,
+        Self::AxisJumpDeg,
+        Self::AxisSpeedPercent,
+        Self::ReadingLowMm,
+        Self::ReadingHighMm,
+        Self::StrokeRisk,
+        Self::CupDeg,
+    ];
+
+    /// Whether small values are the unsafe ones.
+    pub fn at_least(self) -> bool {
+        matches!(
+            self,
+            Self::AxisMarginDeg | Self::WristDeg | Self::ElbowDeg | Self::OverheadMm | Self::ReadingLowMm
+        )
+    }
+
+    /// A value with its unit, for people.
+    pub fn shown(self, value: f64) -> String {
+        match self.words().1 {
+            "" => format!("{value:.1e}"),
+            unit => format!("{value:.3} {unit}"),
+        }
+    }
+
+    /// In words, and the unit.
+    pub fn words(self) -> (&'static str, &'static str) {
+        match self {
+            Self::AxisMarginDeg => ("distance from a joint limit", "deg"),
+            Self::WristDeg => ("|A5| from the wrist singularity", "deg"),
+            Self::ElbowDeg => ("elbow from stretched", "deg"),
+            Self::OverheadMm => ("wrist centre from axis 1", "mm"),
+            Self::AxisJumpDeg => ("jump of an axis on the path", "deg"),
+            Self::AxisSpeedPercent => ("axis speed", "%"),
+            Self::ReadingLowMm => ("lowest reading of the bar", "mm"),
+            Self::ReadingHighMm => ("highest reading of the bar", "mm"),
+            Self::StrokeRisk => ("risk of leaving the stroke", ""),
+            Self::CupDeg => ("angle between bar and cup", "deg"),
+        }
+    }
+}
+
+/// The worst value of a quantity, over the plan or on the way to one row.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Check {
+    /// What was checked.
+    pub quantity: Quantity,
+    /// The value nearest to the limit, or beyond it.
+    pub worst: f64,
+    /// The limit.
+    pub limit: f64,
+    /// The row at or before which it occurs.
+    pub row: u32,
+}
+
+impl Check {
+    /// Whether the limit is kept; rounding in the last digits breaks none.
+    pub fn holds(&self) -> bool {
+        if self.quantity.at_least() {
+            self.worst >= self.limit - 1e-9
+        } else {
+            self.worst <= self.limit + 1e-9
+        }
+    }
+}
+
+impl std::fmt::Display for Check {
+    fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let bound = if self.quantity.at_least() { "at least" } else { "at most" };
+        let shown = |value: f64| self.quantity.shown(value);
+        let (words, _) = self.quantity.words();
+        write!(out, "row {}: {words}: {}, must be {bound} {}", self.row, shown(self.worst), shown(self.limit))
+    }
+}
+
+/// Why a plan is refused.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Finding {
+    /// A limit is not kept.
+    Beyond(Check),
+    /// A pose has no axis angles.
+    Unsolved {
+        /// The row, or the one to which the path leads.
+        row: u32,
+        /// Where, mm.
+        xyz_mm: [f64; 3],
+        /// Why not.
+        reason: Unsolved,
+    },
+    /// The path leaves the branch in which it began.
+    Branch {
+        /// The row to which the path leads.
+        row: u32,
+        /// Status at the start of the run.
+        began: u8,
+        /// Status on the way.
+        became: u8,
+    },
+}
+
+impl std::fmt::Display for Finding {
+    fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Beyond(check) => check.fmt(out),
+            Self::Unsolved { row, xyz_mm: [x, y, z], reason } => {
+                write!(out, "row {row}: at ({x:.1}, {y:.1}, {z:.1}) mm: {reason}")
+            }
+            Self::Branch { row, began, became } => {
+                write!(
+                    out,
+                    "row {row}: the arm changes its branch on the way: status {became}, must stay {began}"
+                )
+            }
+        }
+    }
+}
+
+/// The worst of each quantity on the way to one row.
+pub(crate) struct Facts {
+    row: u32,
+    worst: [Option<f64>; Quantity::ALL.len()],
+}
+
+impl Facts {
+    /// Position of the row in the plan, from 0.
+    pub(crate) fn position(&self) -> usize {
+        self.row.saturating_sub(1) as usize
+    }
+
+    fn note(&mut self, quantity: Quantity, value: f64) {
+        let kept = &mut self.worst[quantity as usize];
+        let worse = match *kept {
+            None => true,
+            Some(worst) => (value < worst) == quantity.at_least() || value.is_nan(),
+        };
+        if worse {
+            *kept = Some(value);
+        }
+    }
+}
+
+/// Follows the motions of a run of rows in which the bar stays on.
+pub(crate) struct Inspector<'a> {
+    job: &'a Job,
+    rig: &'a Rig<'a>,
+    robot: &'a Robot,
+    start: [f64; AXES],
+    began: u8,
+    prior: Vec<(usize, f64)>,
+    strayed: bool,
+    pub(crate) facts: Vec<Facts>,
+    pub(crate) findings: Vec<Finding>,
+}
+
+impl<'a> Inspector<'a> {
+    pub(crate) fn new(job: &'a Job, rig: &'a Rig<'a>, robot: &'a Robot, start: &PlanRow) -> Self {
+        let tolerance = robot.tolerance;
+        let betas = robot.controller().parallel_joints().into_iter().map(ParamId::Beta);
+        let prior = ParamId::denavit_hartenberg()
+            .chain(betas)
+            .map(|id| {
+                let sd =
+                    if id.unit() == "mm" { tolerance.length_mm } else { tolerance.angle_deg.to_radians() };
+                (crate::model::LengthRow::position(id), sd)
+            })
+            .collect();
+        Self {
+            job,
+            rig,
+            robot,
+            start: start.axes_deg.map(f64::to_radians),
+            began: start.status,
+            prior,
+            strayed: false,
+            facts: Vec::new(),
+            findings: Vec::new(),
+        }
+    }
+
+    /// Follows the motion into `row` from `from`, through `aux` if it is an arc. The bar is on all the
+    /// way, but for a PTP motion, at whose end it is mounted.
+    pub(crate) fn follow(
+        &mut self,
+        from: Option<&PlanRow>,
+        aux: Option<&PlanRow>,
+        row: &PlanRow,
+    ) -> Option<Pace> {
+        let mut facts = Facts { row: row.index, worst: [None; Quantity::ALL.len()] };
+        let there = row.axes_deg.map(f64::to_radians);
+        let Some(from) = from else {
+            self.look(&mut facts, &there, row.centre, true);
+            self.facts.push(facts);
+            return None;
+        };
+        let path = path(from, aux, row);
+        let mut last = from.axes_deg.map(f64::to_radians);
+        let widest = (0..AXES).map(|i| (there[i] - last[i]).abs().to_degrees()).fold(0.0, f64::max);
+        let turn = if row.motion == Motion::Ptp { widest } else { path.turn_deg() };
+        let parts = (path.length_mm() / STEP_MM).max(turn / STEP_DEG).ceil().clamp(1.0, 1e5) as u32;
+        let mut axis_s: f64 = 0.0;
+        for part in 1..=parts {
+            let share = f64::from(part) / f64::from(parts);
+            let axes = match path.pose(share) {
+                _ if part == parts && path.length_mm() == 0.0 => there,
+                None => std::array::from_fn(|i| {
+                    let begin = from.axes_deg[i].to_radians();
+                    begin + (there[i] - begin) * share
+                }),
+                Some(pose) => match nearest(&self.rig.controller.geometry, &pose, &last) {
+                    Ok(axes) => axes,
+                    Err(reason) => {
+                        let xyz_mm = pose.position.into();
+                        self.findings.push(Finding::Unsolved { row: row.index, xyz_mm, reason });
+                        return None;
+                    }
+                },
+            };
+            for i in 0..AXES {
+                let travel = (axes[i] - last[i]).abs().to_degrees();
+                facts.note(Quantity::AxisJumpDeg, travel);
+                axis_s = axis_s.max(travel * f64::from(parts) / self.robot.max_speed_deg_s[i]);
+            }
+            self.look(&mut facts, &axes, row.centre, row.motion != Motion::Ptp);
+            let became = status(&self.rig.controller.geometry, &axes);
+            if became != self.began && row.motion != Motion::Ptp && !self.strayed {
+                // What follows from it is not told again.
+                self.strayed = true;
+                self.findings.push(Finding::Branch { row: row.index, began: self.began, became });
+                break;
+            }
+            last = axes;
+        }
+        // The fine path must end where the row says that it does, full turns included.
+        let astray = (0..AXES).map(|i| (last[i] - there[i]).abs().to_degrees()).fold(0.0, f64::max);
+        if astray > 1.0 {
+            facts.note(Quantity::AxisJumpDeg, astray.max(JUMP_DEG * 2.0));
+        }
+        self.facts.push(facts);
+        Some(Pace { path, axis_s })
+    }
+
+    /// What one position of the arm comes near to.
+    fn look(&self, facts: &mut Facts, axes: &[f64; AXES], centre: u32, bar_on: bool) {
+        facts.note(Quantity::AxisMarginDeg, axis_margin_deg(self.rig.controller, axes));
+        if !bar_on {
+            return;
+        }
+        if let Some(clear) = clearance(&self.rig.controller.geometry, axes) {
+            facts.note(Quantity::WristDeg, clear.wrist.to_degrees());
+            facts.note(Quantity::ElbowDeg, clear.elbow.to_degrees());
+            facts.note(Quantity::OverheadMm, clear.overhead);
+        }
+        let Some(table) = self.job.centres.get(centre.saturating_sub(1) as usize) else {
+            return;
+        };
+        let bar = &self.job.bar;
+        let base = Vector3::from(table.xyz_mm);
+        let ball = self.rig.arm.ball(axes).position;
+        let along = ball - base;
+        let reading = along.norm() - bar.length_mm;
+        facts.note(Quantity::ReadingLowMm, reading);
+        facts.note(Quantity::ReadingHighMm, reading);
+        if let (Some(cup), Some(_)) = (table.cup_axis, table.cup_limit_deg) {
+            facts.note(Quantity::CupDeg, along.angle(&Vector3::from(cup)).to_degrees());
+        }
+        let [low, high] = within_margin(bar);
+        let sd = self.reading_sd(axes, &base, &along);
+        let risk = normal_tail((high - reading) / sd) + normal_tail((reading - low) / sd);
+        facts.note(Quantity::StrokeRisk, risk.min(1.0));
+    }
+
+    /// Standard deviation of the reading for a robot within its tolerance, mm. The bar was mounted and
+    /// set to zero at the start pose, so that only the change of the ball's error since then counts.
+    fn reading_sd(&self, axes: &[f64; AXES], base: &Vector3<f64>, along: &Vector3<f64>) -> f64 {
+        let here = self.rig.arm.length_row(axes, base, 0.0);
+        let at_start = self.rig.arm.ball(&self.start).position;
+        let then = self.rig.arm.length_row(&self.start, &(at_start - along), 0.0);
+        let parts = self.prior.iter().map(|&(column, sd)| {
+            let change = here.columns()[column] - then.columns()[column];
+            (change * sd).powi(2)
+        });
+        // Never quite zero: at the start itself the bar's own noise is left.
+        parts.sum::<f64>().sqrt().max(self.job.bar.sigma_um * 1e-3)
+    }
+}
+
+/// The path that the controller takes into a row.
+pub fn path(from: &PlanRow, aux: Option<&PlanRow>, row: &PlanRow) -> Path {
+    let pose = |row: &PlanRow| Pose::from_kuka(row.xyz_mm, row.abc_deg);
+    match (row.motion, aux) {
+        (Motion::Ptp, _) => {
+            Path::Axes { from: from.axes_deg.map(f64::to_radians), to: row.axes_deg.map(f64::to_radians) }
+        }
+        (Motion::Circ, Some(aux)) => Path::arc(pose(from), &aux.xyz_mm.into(), pose(row)),
+        (Motion::Circ | Motion::Lin, _) => Path::Line { from: pose(from), to: pose(row) },
+    }
+}
+
+fn within_margin(bar: &super::job::Bar) -> [f64; 2] {
+    [bar.stroke_mm[0] + bar.margin_mm, bar.stroke_mm[1] - bar.margin_mm]
+}
+
+/// The limit of a quantity.
+fn limit(job: &Job, centre: u32, quantity: Quantity) -> f64 {
+    let limits = &job.limits;
+    match quantity {
+        Quantity::AxisMarginDeg => 0.0,
+        Quantity::WristDeg => limits.min_a5_deg,
+        Quantity::ElbowDeg => limits.min_elbow_deg,
+        Quantity::OverheadMm => limits.min_overhead_mm,
+        Quantity::AxisJumpDeg => JUMP_DEG,
+        Quantity::AxisSpeedPercent => 100.0,
+        Quantity::ReadingLowMm => within_margin(&job.bar)[0],
+        Quantity::ReadingHighMm => within_margin(&job.bar)[1],
+        Quantity::StrokeRisk => limits.max_stroke_risk,
+        Quantity::CupDeg => {
+            let table = job.centres.get(centre.saturating_sub(1) as usize);
+            table.and_then(|table| table.cup_limit_deg).unwrap_or(180.0)
+        }
+    }
+}
+
+/// All checks: the worst of each quantity on the way to each row.
+pub(crate) fn judge(job: &Job, rows: &[PlanRow], facts: &[Facts]) -> Vec<Check> {
+    let mut checks = Vec::new();
+    for facts in facts {
+        let centre = rows.get(facts.row.saturating_sub(1) as usize).map_or(1, |row| row.centre);
+        for quantity in Quantity::ALL {
+            if let Some(worst) = facts.worst[quantity as usize] {
+                checks.push(Check { quantity, worst, limit: limit(job, centre, quantity), row: facts.row });
+            }
+        }
+    }
+    checks
+}
+
+/// Of each quantity the check that is nearest to its limit.
+pub(crate) fn summary(checks: &[Check]) -> Vec<Check> {
+    let slack = |check: &Check| {
+        if check.quantity.at_least() { check.worst - check.limit } else { check.limit - check.worst }
+    };
+    Quantity::ALL
+        .iter()
+        .filter_map(|quantity| {
+            let same = checks.iter().filter(|check| check.quantity == *quantity);
+            same.min_by(|a, b| slack(a).total_cmp(&slack(b))).cloned()
+        })
+        .collect()
+}
+
+/// The greatest axis speed on the way to a row at the speeds chosen, percent of the greatest.
+pub(crate) fn note_speed(facts: &mut Facts, pace: &Pace, time: &MoveTime) {
+    let percent = match pace.path {
+        Path::Axes { .. } => time.axis_percent,
+        Path::Line { .. } | Path::Arc { .. } => {
+            let share = |speed: f64, whole: f64| if whole > 0.0 { speed / whole } else { f64::INFINITY };
+            let rate = share(time.feed_mm_s, pace.path.length_mm())
+                .min(share(time.turn_deg_s, pace.path.turn_deg()));
+            if rate.is_finite() { 100.0 * rate * pace.axis_s } else { 0.0 }
+        }
+    };
+    facts.note(Quantity::AxisSpeedPercent, percent);
+}
+
+/// Upper tail of the standard normal distribution: the Chebyshev fit of erfc by Press et al.,
+/// Numerical Recipes 6.2, relative error below 1.2e-7.
+fn normal_tail(z: f64) -> f64 {
+    const FIT: [f64; 10] = [
+        -1.265_512_23,
+        1.000_023_68,
+        0.374_091_96,
+        0.096_784_18,
+        -0.186_288_06,
+        0.278_868_07,
+        -1.135_203_98,
+        1.488_515_87,
+        -0.822_152_23,
+        0.170_872_77,
+    ];
+    let x = z.abs() / std::f64::consts::SQRT_2;
+    let t = 1.0 / (1.0 + 0.5 * x);
+    let series = FIT.iter().rev().fold(0.0, |sum, coefficient| sum * t + coefficient);
+    let tail = 0.5 * t * (series - x * x).exp();
+    if z >= 0.0 { tail } else { 1.0 - tail }
+}

@@ -1,0 +1,134 @@
+//! A circle of the job: its plane, its points in order, and how the tool is held.
+
+use nalgebra::{Matrix3, Vector3};
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64;
+
+use super::job::{CircleTable, Direction, Job, Orientation, Plane};
+use crate::model::pose::{Pose, rot_x, rot_y, rot_z};
+
+/// How many points stand between two visits of the reference pose.
+pub const REFERENCE_EVERY: u32 = 20;
+
+/// Amplitude of an orientation pattern when the job does not say, degrees (the paper's).
+const AMPLITUDE_DEG: f64 = 45.0;
+
+impl CircleTable {
+    /// Dwells in its module: the points of all passes and the reference poses.
+    pub(crate) fn dwells(&self) -> u32 {
+        let passes = if self.direction == Direction::Both { 2 } else { 1 };
+        let points = self.points.saturating_mul(passes);
+        points.saturating_add(points.div_ceil(REFERENCE_EVERY))
+    }
+
+    /// Whether its ends meet.
+    pub(crate) fn is_closed(&self) -> bool {
+        self.arc_deg >= 360.0
+    }
+
+    /// Angle between neighbours, rad.
+    pub(crate) fn step(&self) -> f64 {
+        let gaps = if self.is_closed() { self.points } else { self.points.saturating_sub(1).max(1) };
+        self.arc_deg.to_radians() / f64::from(gaps)
+    }
+
+    /// The angles of the points in the order in which they are visited, rad from the first, not
+    /// wrapped: the path between two goes through the angles between them.
+    pub(crate) fn angles(&self) -> Vec<f64> {
+        let step = self.step();
+        let last = if self.is_closed() { self.points } else { self.points.saturating_sub(1) };
+        let growing = (0..self.points).map(|i| f64::from(i) * step);
+        match self.direction {
+            Direction::Ccw => growing.collect(),
+            Direction::Cw => growing.map(|angle| -angle).collect(),
+            Direction::Both => growing.chain((0..self.points).map(|i| f64::from(last - i) * step)).collect(),
+        }
+    }
+}
+
+/// A circle in the robot base.
+pub(crate) struct Circle {
+    centre: Vector3<f64>,
+    first: Vector3<f64>,
+    second: Vector3<f64>,
+    /// Radius, mm.
+    pub(crate) radius: f64,
+    start: f64,
+    orientation: Orientation,
+    amplitude: f64,
+    down: Matrix3<f64>,
+    step: f64,
+    seed: u64,
+}
+
+impl Circle {
+    /// The circle number `number` (from 1) of the job; `None` where its table does not describe one.
+    pub(crate) fn new(job: &Job, table: &CircleTable, number: u32) -> Option<Self> {
+        let (x, y, z) = (Vector3::x(), Vector3::y(), Vector3::z());
+        let (first, second) = match (table.plane, table.normal) {
+            (Some(Plane::Xy), _) => (x, y),
+            (Some(Plane::Xz), _) => (x, z),
+            (Some(Plane::Yz), _) => (y, z),
+            (None, normal) => {
+                let normal = Vector3::from(normal?).normalize();
+                // The first axis is X seen in the plane; Y where X stands on it.
+                let along = if normal.x.abs() < 0.999 { x } else { y };
+                let first = (along - normal * normal.dot(&along)).normalize();
+                (first, normal.cross(&first))
+            }
+        };
+        let centre = job.centres.get(table.centre.checked_sub(1)? as usize)?;
+        Some(Self {
+            centre: Vector3::from(centre.xyz_mm),
+            first,
+            second,
+            radius: table.radius_mm.unwrap_or(job.bar.length_mm),
+            start: table.start_deg.to_radians(),
+            orientation: table.orientation,
+            amplitude: table.amplitude_deg.unwrap_or(AMPLITUDE_DEG).to_radians(),
+            down: rot_y(table.tilt_deg.to_radians())
+                * rot_x(std::f64::consts::PI)
+                * rot_z(table.spin_deg.to_radians()),
+            step: table.step(),
+            seed: u64::from(job.seed) << 32 | u64::from(number) << 16,
+        })
+    }
+
+    /// Unit vector from the base ball to the point at `angle` (rad from the first point).
+    pub(crate) fn direction(&self, angle: f64) -> Vector3<f64> {
+        let (sin, cos) = (self.start + angle).sin_cos();
+        self.first * cos + self.second * sin
+    }
+
+    /// The base ball, mm.
+    pub(crate) fn centre(&self) -> Vector3<f64> {
+        self.centre
+    }
+
+    /// The tool's orientation at `angle` (rad from the first point): the same in whichever pass.
+    pub(crate) fn orientation(&self, angle: f64) -> Matrix3<f64> {
+        let down = self.down;
+        let (t, q) = (self.start + angle, self.amplitude);
+        match self.orientation {
+            Orientation::Fixed => down,
+            Orientation::Turning => rot_z(t) * down,
+            Orientation::Seed => {
+                rot_z(q * (2.0 * t).sin()) * rot_y(q * (3.0 * t).sin()) * rot_x(q * (5.0 * t).sin()) * down
+            }
+            Orientation::Random => {
+                let whole = (std::f64::consts::TAU / self.step).round();
+                let point = (angle / self.step).round().rem_euclid(whole) as u64;
+                let mut rng = Pcg64::seed_from_u64(self.seed.wrapping_add(point));
+                let mut drawn = || rng.random_range(-1.0..=1.0) * q;
+                let (a, b, c) = (drawn(), drawn(), drawn());
+                rot_z(a) * rot_y(b) * rot_x(c) * down
+            }
+        }
+    }
+
+    /// The pose of the tool ball at `angle`, `out` mm outside the circle.
+    pub(crate) fn pose(&self, angle: f64, out: f64) -> Pose {
+        let rotation = self.orientation(angle);
+        Pose { rotation, position: self.centre + self.direction(angle) * (self.radius + out) }
+    }
+}

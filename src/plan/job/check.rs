@@ -1,0 +1,246 @@
+//! Reading a job file: what TOML's types do not say, with the line of what is wrong.
+
+use super::{CentreTable, CircleTable, Direction, Job, Orientation};
+use crate::diag::{Diagnostic, nearest};
+use crate::model::Centre;
+
+/// Dwells that one module can number: the index goes out on eight outputs.
+pub(crate) const MAX_DWELLS: u32 = 255;
+
+/// Digital outputs that a controller has.
+const OUTPUTS: std::ops::RangeInclusive<u32> = 1..=4096;
+
+/// Where a value stands: the table's header, which of them (from 0), the key.
+type Place = (&'static str, usize, &'static str);
+
+/// A place and what is wrong there.
+type Wrong = (Place, String);
+
+impl Job {
+    /// Reads a job file.
+    ///
+    /// # Errors
+    /// Names the line of an unknown or missing key, or of a value that cannot be.
+    pub fn from_toml(file: &str, text: &str) -> Result<Self, Diagnostic> {
+        let job: Self = toml::from_str(text).map_err(|error| hinted(file, text, &error))?;
+        job.check().map_err(|(place, message)| match line_of(text, place) {
+            Some(line) => {
+                let column = text.lines().nth(line - 1).map_or(0, |l| l.len() - l.trim_start().len()) + 1;
+                Diagnostic::position(file, text, line, column, message)
+            }
+            None => Diagnostic::file(file, message),
+        })?;
+        Ok(job)
+    }
+
+    /// The base balls by their numbers.
+    pub fn balls(&self) -> Vec<Centre> {
+        let ball = |table: &CentreTable| Centre { id: table.id as usize, position: table.xyz_mm.into() };
+        self.centres.iter().map(ball).collect()
+    }
+
+    /// What the types do not say.
+    pub(crate) fn check(&self) -> Result<(), Wrong> {
+        self.check_bar()?;
+        self.check_motion()?;
+        if self.centres.is_empty() || self.circles.is_empty() {
+            let missing = if self.centres.is_empty() { "[[centre]]" } else { "[[circle]]" };
+            return Err((("", 0, ""), format!("has no {missing} table: a job needs one at least")));
+        }
+        for (at, centre) in self.centres.iter().enumerate() {
+            check_centre(at, centre)?;
+        }
+        for (at, circle) in self.circles.iter().enumerate() {
+            self.check_circle(at, circle)?;
+        }
+        Ok(())
+    }
+
+    fn check_bar(&self) -> Result<(), Wrong> {
+        let bar = &self.bar;
+        let place = |key| ("[bar]", 0, key);
+        positive(place("length_mm"), bar.length_mm)?;
+        positive(place("sigma_um"), bar.sigma_um)?;
+        let [low, high] = bar.stroke_mm;
+        if !(low.is_finite() && high.is_finite() && low < high) {
+            return Err((place("stroke_mm"), format!("stroke_mm = [{low}, {high}] must be [low, high]")));
+        }
+        let margin = bar.margin_mm;
+        if !(margin >= 0.0 && 2.0 * margin < high - low) {
+            let message = format!("margin_mm = {margin} must be at least 0 and leave some of the stroke");
+            return Err((place("margin_mm"), message));
+        }
+        Ok(())
+    }
+
+    fn check_motion(&self) -> Result<(), Wrong> {
+        let motion = &self.motion;
+        let place = |key| ("[motion]", 0, key);
+        positive(place("feed_mm_s"), motion.feed_mm_s)?;
+        // A bar is mounted: the speed of a controller's test mode is the most.
+        if motion.feed_mm_s > 250.0 {
+            return Err((place("feed_mm_s"), format!("feed_mm_s = {} is above 250", motion.feed_mm_s)));
+        }
+        positive(place("turn_deg_s"), motion.turn_deg_s)?;
+        for (key, value) in [("settle_s", motion.settle_s), ("dwell_s", motion.dwell_s)] {
+            positive(place(key), value)?;
+            if value > 60.0 {
+                return Err((place(key), format!("{key} = {value} is above 60 s")));
+            }
+        }
+        let (strobe, [first, last]) = (motion.outputs.strobe, motion.outputs.index);
+        let outputs = ("outputs", 0, "");
+        if !(OUTPUTS.contains(&strobe) && OUTPUTS.contains(&first) && first.checked_add(7) == Some(last)) {
+            let message = format!(
+                "outputs: strobe = {strobe}, index = [{first}, {last}]: outputs are 1 to 4096, the index has eight"
+            );
+            return Err((outputs, message));
+        }
+        if (first..=last).contains(&strobe) {
+            return Err((outputs, format!("outputs: the strobe {strobe} is one of the index's")));
+        }
+        let limits = &self.limits;
+        let place = |key| ("[limits]", 0, key);
+        for (key, value, most) in [
+            ("min_a5_deg", limits.min_a5_deg, 90.0),
+            ("min_elbow_deg", limits.min_elbow_deg, 90.0),
+            ("min_overhead_mm", limits.min_overhead_mm, 1e4),
+            ("max_stroke_risk", limits.max_stroke_risk, 1.0),
+        ] {
+            if !(0.0..=most).contains(&value) {
+                return Err((place(key), format!("{key} = {value} must be in 0..{most}")));
+            }
+        }
+        Ok(())
+    }
+
+    fn check_circle(&self, at: usize, circle: &CircleTable) -> Result<(), Wrong> {
+        let place = |key| ("[[circle]]", at, key);
+        let number = at + 1;
+        let centres = self.centres.len();
+        if circle.centre == 0 || circle.centre as usize > centres {
+            let message =
+                format!("circle {number}: centre = {}: there are {centres} [[centre]] tables", circle.centre);
+            return Err((place("centre"), message));
+        }
+        match (circle.plane, circle.normal) {
+            (Some(_), Some(_)) => {
+                return Err((place("normal"), format!("circle {number}: has both `plane` and `normal`")));
+            }
+            (None, None) => {
+                return Err((place(""), format!("circle {number}: has neither `plane` nor `normal`")));
+            }
+            (None, Some(normal)) => direction_vector(place("normal"), "normal", normal)?,
+            (Some(_), None) => {}
+        }
+        if let Some(radius) = circle.radius_mm {
+            positive(place("radius_mm"), radius)?;
+        }
+        finite(place("start_deg"), circle.start_deg)?;
+        finite(place("tilt_deg"), circle.tilt_deg)?;
+        finite(place("spin_deg"), circle.spin_deg)?;
+        if !(circle.arc_deg > 0.0 && circle.arc_deg <= 360.0) {
+            let message =
+                format!("circle {number}: arc_deg = {} must be above 0, at most 360", circle.arc_deg);
+            return Err((place("arc_deg"), message));
+        }
+        let passes = if circle.direction == Direction::Both { 2 } else { 1 };
+        let dwells = circle.dwells();
+        if circle.points < 3 || dwells > MAX_DWELLS {
+            let message = format!(
+                "circle {number}: points = {} in {passes} pass(es) is {dwells} dwells with the reference poses: \
+                 a circle has 3 points at least and {MAX_DWELLS} dwells at most",
+                circle.points
+            );
+            return Err((place("points"), message));
+        }
+        match (circle.orientation, circle.amplitude_deg) {
+            (Orientation::Seed | Orientation::Random, Some(amplitude)) => {
+                if !(0.0..=180.0).contains(&amplitude) {
+                    let message = format!("circle {number}: amplitude_deg = {amplitude} must be in 0..180");
+                    return Err((place("amplitude_deg"), message));
+                }
+            }
+            (Orientation::Fixed | Orientation::Turning, Some(_)) => {
+                let message = format!("circle {number}: this orientation has no amplitude_deg");
+                return Err((place("amplitude_deg"), message));
+            }
+            (_, None) => {}
+        }
+        Ok(())
+    }
+}
+
+fn check_centre(at: usize, centre: &CentreTable) -> Result<(), Wrong> {
+    let place = |key| ("[[centre]]", at, key);
+    if centre.id as usize != at + 1 {
+        return Err((place("id"), format!("id = {} must be {}: centres count from 1", centre.id, at + 1)));
+    }
+    for value in centre.xyz_mm {
+        finite(place("xyz_mm"), value)?;
+    }
+    match (centre.cup_axis, centre.cup_limit_deg) {
+        (Some(axis), Some(limit)) => {
+            direction_vector(place("cup_axis"), "cup_axis", axis)?;
+            if !(limit > 0.0 && limit <= 180.0) {
+                let message = format!("cup_limit_deg = {limit} must be above 0, at most 180");
+                return Err((place("cup_limit_deg"), message));
+            }
+            Ok(())
+        }
+        (None, None) => Ok(()),
+        (Some(_), None) => Err((place("cup_axis"), "cup_axis needs a cup_limit_deg beside it".into())),
+        (None, Some(_)) => Err((place("cup_limit_deg"), "cup_limit_deg needs a cup_axis beside it".into())),
+    }
+}
+
+fn positive(place: Place, value: f64) -> Result<(), Wrong> {
+    if value.is_finite() && value > 0.0 {
+        Ok(())
+    } else {
+        Err((place, format!("{} = {value} must be a positive number", place.2)))
+    }
+}
+
+fn finite(place: Place, value: f64) -> Result<(), Wrong> {
+    if value.is_finite() { Ok(()) } else { Err((place, format!("{} = {value} is not a number", place.2))) }
+}
+
+fn direction_vector(place: Place, key: &str, [x, y, z]: [f64; 3]) -> Result<(), Wrong> {
+    let length = x.hypot(y).hypot(z);
+    if length.is_finite() && length > 1e-6 {
+        Ok(())
+    } else {
+        Err((place, format!("{key} = [{x}, {y}, {z}] is no direction")))
+    }
+}
+
+/// TOML's own message, and the known key that an unknown one may mean.
+fn hinted(file: &str, text: &str, error: &toml::de::Error) -> Diagnostic {
+    let diagnostic = Diagnostic::toml(file, text, error);
+    let mut words = error.message().split('`').skip(1).step_by(2);
+    let meant = words.next().and_then(|word| nearest(word, words));
+    match meant {
+        Some(key) if error.message().starts_with("unknown") => {
+            diagnostic.help(format!("did you mean `{key}`?"))
+        }
+        _ => diagnostic,
+    }
+}
+
+/// The line (from 1) of a key in the `at`-th table of that header, else of the header; a place whose
+/// header has no bracket is a key of its own.
+fn line_of(text: &str, (header, at, key): Place) -> Option<usize> {
+    let starts = |line: &str, key: &str| {
+        line.trim_start().strip_prefix(key).is_some_and(|rest| rest.trim_start().starts_with(['=', '.']))
+    };
+    let mut lines = text.lines().enumerate().map(|(number, line)| (number + 1, line));
+    if !header.starts_with('[') {
+        let table = format!("[motion.{header}]");
+        return lines.find(|(_, line)| starts(line, header) || line.trim() == table).map(|(n, _)| n);
+    }
+    let (found, _) =
+        lines.by_ref().filter(|(_, line)| line.split('#').next().unwrap_or("").trim() == header).nth(at)?;
+    let within = lines.take_while(|(_, line)| !line.trim_start().starts_with('['));
+    Some(within.filter(|(_, line)| starts(line, key)).map(|(n, _)| n).next().unwrap_or(found))
+}

@@ -1,0 +1,227 @@
+//! The job file: bar, base balls, circles, motion, limits.
+
+mod check;
+
+use serde::{Deserialize, Serialize};
+
+/// What is to be measured, with what, and within which limits.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Job {
+    /// Name or file of the robot.
+    pub robot: String,
+    /// Seed of what is drawn: the time code and random orientations.
+    #[serde(default = "first_seed")]
+    pub seed: u32,
+    /// The bar.
+    pub bar: Bar,
+    /// The base balls, numbered from 1 in this order.
+    #[serde(rename = "centre")]
+    pub centres: Vec<CentreTable>,
+    /// The circles, in the order in which they are measured.
+    #[serde(rename = "circle")]
+    pub circles: Vec<CircleTable>,
+    /// The motion.
+    #[serde(default)]
+    pub motion: MotionTable,
+    /// The limits beyond those of the robot.
+    #[serde(default)]
+    pub limits: Limits,
+}
+
+fn first_seed() -> u32 {
+    1
+}
+
+/// The ball-bar.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Bar {
+    /// Distance between the ball centres at reading zero, mm.
+    pub length_mm: f64,
+    /// Lowest and highest reading, mm.
+    pub stroke_mm: [f64; 2],
+    /// How far every planned reading stays inside the stroke, mm.
+    #[serde(default)]
+    pub margin_mm: f64,
+    /// Standard deviation of one length, um.
+    #[serde(default = "default_sigma")]
+    pub sigma_um: f64,
+    /// Name or file of the protocol that the bar speaks.
+    #[serde(default = "default_protocol")]
+    pub protocol: String,
+}
+
+fn default_sigma() -> f64 {
+    2.0
+}
+
+fn default_protocol() -> String {
+    "dbb-cobs-1".into()
+}
+
+/// A base ball.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CentreTable {
+    /// Its number, from 1.
+    pub id: u32,
+    /// Its centre in the robot base, mm.
+    pub xyz_mm: [f64; 3],
+    /// The axis of its cup, out of the cup, in the robot base.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cup_axis: Option<[f64; 3]>,
+    /// How far the bar may lean from the cup's axis, degrees.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cup_limit_deg: Option<f64>,
+}
+
+/// A circle.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CircleTable {
+    /// The base ball about which it goes.
+    #[serde(default = "first_centre")]
+    pub centre: u32,
+    /// Its plane; or else `normal`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub plane: Option<Plane>,
+    /// The normal of its plane in the robot base; or else `plane`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub normal: Option<[f64; 3]>,
+    /// Its radius, mm; the bar's length when absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub radius_mm: Option<f64>,
+    /// Points in one pass.
+    pub points: u32,
+    /// In which sense it is passed, seen against the plane's second axis turned onto from the first.
+    #[serde(default)]
+    pub direction: Direction,
+    /// How the tool is held.
+    #[serde(default)]
+    pub orientation: Orientation,
+    /// How far `seed` and `random` turn the tool about each axis, degrees; 45 when absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub amplitude_deg: Option<f64>,
+    /// A constant lean of the tool about the base's Y, degrees: it keeps the wrist from being straight.
+    /// The tool then points down but for it: R0 = Ry(tilt) Rx(180) Rz(spin).
+    #[serde(default)]
+    pub tilt_deg: f64,
+    /// A constant turn of the tool about its own axis, degrees: it moves the range of axis 6.
+    #[serde(default)]
+    pub spin_deg: f64,
+    /// Angle of the first point from the plane's first axis, degrees.
+    #[serde(default)]
+    pub start_deg: f64,
+    /// How much of the circle is passed, degrees; less than 360 has a point at both ends.
+    #[serde(default = "whole_circle")]
+    pub arc_deg: f64,
+}
+
+fn first_centre() -> u32 {
+    1
+}
+
+fn whole_circle() -> f64 {
+    360.0
+}
+
+/// A plane by its axes: the first axis is where a circle's angle is 0, the second where it is 90 degrees.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "UPPERCASE")]
+pub enum Plane {
+    /// Horizontal: X, then Y.
+    Xy,
+    /// Upright: X, then Z.
+    Xz,
+    /// Upright: Y, then Z.
+    Yz,
+}
+
+/// The sense in which a circle is passed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Direction {
+    /// Angles grow.
+    #[default]
+    Ccw,
+    /// Angles fall.
+    Cw,
+    /// First growing, then falling: two passes of all points.
+    Both,
+}
+
+/// How the tool is held along a circle. R0 is the base orientation: the tool points down, Rx(180), but
+/// for the circle's tilt and spin.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Orientation {
+    /// Always the same.
+    Fixed,
+    /// Rz(q sin 2t) Ry(q sin 3t) Rx(q sin 5t) R0 with t the circle's angle and q the amplitude.
+    #[default]
+    Seed,
+    /// Rz Ry Rx R0 with three angles drawn anew for each point, uniform within the amplitude.
+    Random,
+    /// Rz(t) R0: the tool turns about the vertical as the bar does.
+    Turning,
+}
+
+/// How the robot moves.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct MotionTable {
+    /// Greatest speed of the ball, mm/s.
+    pub feed_mm_s: f64,
+    /// Greatest speed of the orientation, degrees/s.
+    pub turn_deg_s: f64,
+    /// Wait after arrival before the strobe, s.
+    pub settle_s: f64,
+    /// Strobe time at a pose, s.
+    pub dwell_s: f64,
+    /// Digital outputs.
+    pub outputs: Outputs,
+}
+
+impl Default for MotionTable {
+    fn default() -> Self {
+        Self { feed_mm_s: 40.0, turn_deg_s: 40.0, settle_s: 0.5, dwell_s: 1.0, outputs: Outputs::default() }
+    }
+}
+
+/// Digital outputs of the controller that mark the dwells.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Outputs {
+    /// High during a dwell.
+    pub strobe: u32,
+    /// First and last output of the index, eight in all.
+    pub index: [u32; 2],
+}
+
+impl Default for Outputs {
+    fn default() -> Self {
+        Self { strobe: 1, index: [9, 16] }
+    }
+}
+
+/// What a plan must keep besides the robot's own limits.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Limits {
+    /// Least |A5|, degrees: nearer to 0 the wrist is singular.
+    pub min_a5_deg: f64,
+    /// Least angle between upper arm and forearm from stretched, degrees.
+    pub min_elbow_deg: f64,
+    /// Least distance of the wrist centre from axis 1, mm.
+    pub min_overhead_mm: f64,
+    /// Greatest probability, at any pose of the path, that a robot within its tolerance leaves the
+    /// stroke less its margin, when the bar was mounted and set to zero at the start pose.
+    pub max_stroke_risk: f64,
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self { min_a5_deg: 5.0, min_elbow_deg: 5.0, min_overhead_mm: 100.0, max_stroke_risk: 1e-3 }
+    }
+}

@@ -1,0 +1,128 @@
+//! From poses to rows: what KRL prints, and the axis angles that the controller takes for it.
+
+use super::job::Job;
+use super::steps::Step;
+use super::{Motion, PlanRow};
+use crate::model::inverse::{Unsolved, branches, nearest, status, turn, turns_within};
+use crate::model::{AXES, Geometry, Pose, Robot};
+
+/// The controller that will be commanded, and the arm that will move.
+pub(crate) struct Rig<'a> {
+    /// What the controller computes with.
+    pub(crate) controller: &'a Robot,
+    /// The arm as well as it is known.
+    pub(crate) arm: &'a Geometry,
+    /// Whether the two differ.
+    identified: bool,
+}
+
+/// Axis angles of a branch along a run of steps.
+pub(crate) struct Branch {
+    pub(crate) rows: Vec<PlanRow>,
+    /// Least distance from any limit, degrees: negative outside.
+    pub(crate) margin_deg: f64,
+}
+
+impl<'a> Rig<'a> {
+    pub(crate) fn new(robot: &'a Robot) -> Self {
+        Self { controller: robot.controller(), arm: &robot.geometry, identified: robot.nominal.is_some() }
+    }
+
+    /// What the controller must be told for the arm to come to `pose`, as KRL prints it.
+    fn command(&self, pose: &Pose, near: &[f64; AXES]) -> Result<([f64; 3], [f64; 3]), Unsolved> {
+        let told = if self.identified {
+            self.controller.geometry.ball(&nearest(self.arm, pose, near)?)
+        } else {
+            *pose
+        };
+        Ok((
+            <[f64; 3]>::from(told.position).map(|x| rounded(x, 1e3)),
+            told.abc_deg().map(|x| rounded(x, 1e4)),
+        ))
+    }
+
+    /// The start angles from which a run of steps may be taken: every branch in every turn.
+    ///
+    /// # Errors
+    /// The first pose is out of reach, or beyond all limits.
+    pub(crate) fn starts(&self, first: &Step) -> Result<Vec<[f64; AXES]>, Unsolved> {
+        let all = branches(self.arm, &first.pose)?;
+        let within: Vec<_> =
+            all.iter().flat_map(|axes| turns_within(axes, &self.controller.limits_deg)).collect();
+        // Beyond all limits, the findings will tell by how much.
+        Ok(if within.is_empty() { all } else { within })
+    }
+
+    /// The rows of a run of steps, followed from `start` without leaving its branch.
+    ///
+    /// # Errors
+    /// The position in the run of a pose that cannot be reached.
+    pub(crate) fn follow(
+        &self,
+        job: &Job,
+        steps: &[Step],
+        first_index: u32,
+        start: &[f64; AXES],
+    ) -> Result<Branch, (u32, [f64; 3], Unsolved)> {
+        let mut near = *start;
+        let mut rows = Vec::with_capacity(steps.len());
+        let mut margin_deg = f64::INFINITY;
+        for (index, step) in (first_index..).zip(steps) {
+            let failed = |reason| (index, step.pose.position.into(), reason);
+            let (xyz_mm, abc_deg) = self.command(&step.pose, &near).map_err(failed)?;
+            let told = Pose::from_kuka(xyz_mm, abc_deg);
+            near = nearest(&self.controller.geometry, &told, &near).map_err(failed)?;
+            let axes_deg = near.map(|a| if a.to_degrees().abs() < 1e-6 { 0.0 } else { a.to_degrees() });
+            let axes = axes_deg.map(f64::to_radians);
+            margin_deg = margin_deg
+                .min(axis_margin_deg(self.controller, &axes))
+                .min(axes_deg[4].abs() - job.limits.min_a5_deg);
+            let centre =
+                job.centres.get(step.centre.saturating_sub(1) as usize).map_or([0.0; 3], |c| c.xyz_mm);
+            rows.push(PlanRow {
+                index,
+                circle: step.circle,
+                centre: step.centre,
+                kind: step.kind,
+                motion: step.motion,
+                xyz_mm,
+                abc_deg,
+                axes_deg,
+                status: status(&self.controller.geometry, &axes),
+                turn: turn(&axes),
+                length_mm: self.arm.length(&axes, &centre.into(), 0.0),
+                dwell_s: step.dwell_s,
+            });
+        }
+        Ok(Branch { rows, margin_deg })
+    }
+}
+
+/// The runs of steps in which the bar stays on, as (first, past the last): each begins with a PTP motion
+/// to a pose at which the robot is not yet.
+pub(crate) fn runs(steps: &[Step]) -> Vec<(usize, usize)> {
+    let begins: Vec<usize> = (0..steps.len())
+        .filter(|&i| {
+            let there = i > 0 && steps[i].pose == steps[i - 1].pose;
+            steps[i].motion == Motion::Ptp && !there
+        })
+        .collect();
+    let ends = begins.iter().skip(1).copied().chain([steps.len()]);
+    begins.iter().copied().zip(ends).collect()
+}
+
+/// Least distance of an axis from its limits, degrees; negative outside.
+pub(crate) fn axis_margin_deg(robot: &Robot, axes: &[f64; AXES]) -> f64 {
+    (0..AXES)
+        .map(|i| {
+            let [low, high] = robot.limits_deg[i];
+            let deg = axes[i].to_degrees();
+            (deg - low).min(high - deg)
+        })
+        .fold(f64::INFINITY, f64::min)
+}
+
+/// Rounded to a fraction of 1, without a negative zero.
+fn rounded(value: f64, parts: f64) -> f64 {
+    (value * parts).round() / parts + 0.0
+}

@@ -1,0 +1,165 @@
+//! What the robot is to do, circle by circle, before any axis angle is known.
+//!
+//! One module for each circle: to the start pose with all axes (the bar is off; the program halts there
+//! to have it mounted), three knocks, the points along the arc, two knocks. The start pose lies one step
+//! before the first point, so that the first point is reached as all others are.
+//!
+//! The reference pose is the first point. It is visited after every twenty points and after the last,
+//! along the circle itself, the shorter way round: that is the one way of which it is known that the
+//! bar's length stays, and it costs three turns of the circle for eighty points.
+//!
+//! Between two circles about one base ball the bar stays on: the robot goes along the sphere, in short
+//! chords, to the next start pose, and the next module's motion to it is none. To another base ball the bar comes off.
+
+use std::f64::consts::TAU;
+
+use nalgebra::{Rotation3, Vector3};
+
+use super::circle::{Circle, REFERENCE_EVERY};
+use super::job::{Bar, Direction, Job};
+use super::path::between;
+use super::{Kind, Motion};
+use crate::model::Pose;
+
+/// How far a knock goes, mm, where the stroke has room.
+const KNOCK_MM: f64 = 0.3;
+/// How far to step aside where two dwells follow at one place, rad.
+const DETOUR: f64 = 0.035;
+/// Knocks that mark the start and the end of a module.
+const START_KNOCKS: u32 = 3;
+const END_KNOCKS: u32 = 2;
+
+/// A pose that the tool ball is to take.
+pub(crate) struct Step {
+    pub(crate) circle: u32,
+    pub(crate) centre: u32,
+    pub(crate) kind: Kind,
+    pub(crate) motion: Motion,
+    pub(crate) pose: Pose,
+    pub(crate) dwell_s: f64,
+}
+
+/// All steps of the job.
+pub(crate) fn steps(job: &Job) -> Vec<Step> {
+    let mut walk = Walk { steps: Vec::new(), circle: 0, centre: 0, dwell_s: job.motion.dwell_s };
+    for (number, table) in (1_u32..).zip(&job.circles) {
+        let Some(circle) = Circle::new(job, table, number) else {
+            continue;
+        };
+        let angles = table.angles();
+        let Some(&first) = angles.first() else {
+            continue;
+        };
+        let sense = if table.direction == Direction::Cw { -1.0 } else { 1.0 };
+        // Outside an open arc may be what it was left open for: there the start is inside.
+        let outside = if table.is_closed() { sense } else { -sense } * table.step();
+        let start = first - outside;
+
+        if walk.centre == table.centre {
+            // Half of the room inwards at most, and no more than a knock.
+            let inwards = circle.radius - job.bar.length_mm - job.bar.stroke_mm[0] - job.bar.margin_mm;
+            let sagitta = (0.5 * inwards).clamp(0.02, KNOCK_MM);
+            walk.along_the_sphere(circle.centre(), &circle.pose(start, 0.0), sagitta);
+        }
+        (walk.circle, walk.centre) = (number, table.centre);
+        walk.push(Kind::Transit, Motion::Ptp, circle.pose(start, 0.0));
+        let knock = knock(&job.bar, circle.radius);
+        walk.knocks(START_KNOCKS, &circle, start, knock);
+        let mut at = start;
+        let visit = |walk: &mut Walk, at: &mut f64, target: f64, kind: Kind| {
+            if (target - *at).abs() < 1e-9 {
+                // To stay would leave no interval of its own between two dwells.
+                *at = target + outside.clamp(-DETOUR, DETOUR);
+                walk.push(Kind::Transit, Motion::Lin, circle.pose(*at, 0.0));
+            }
+            walk.arc(&circle, *at, target, kind);
+            *at = target;
+        };
+        for (count, &angle) in (1_u32..).zip(&angles) {
+            visit(&mut walk, &mut at, angle, Kind::Measure);
+            if count % REFERENCE_EVERY == 0 || count as usize == angles.len() {
+                let turns = if table.is_closed() { ((at - first) / TAU).round() } else { 0.0 };
+                visit(&mut walk, &mut at, first + turns * TAU, Kind::Reference);
+            }
+        }
+        walk.knocks(END_KNOCKS, &circle, at, knock);
+    }
+    walk.steps
+}
+
+/// How far out a knock goes, mm: within the room that the stroke leaves, inwards where there is none.
+fn knock(bar: &Bar, radius: f64) -> f64 {
+    let reading = radius - bar.length_mm;
+    let out = bar.stroke_mm[1] - bar.margin_mm - reading;
+    let inwards = reading - bar.stroke_mm[0] - bar.margin_mm;
+    if out >= KNOCK_MM || out >= inwards { KNOCK_MM.min(0.8 * out) } else { -KNOCK_MM.min(0.8 * inwards) }
+}
+
+struct Walk {
+    steps: Vec<Step>,
+    circle: u32,
+    centre: u32,
+    dwell_s: f64,
+}
+
+impl Walk {
+    fn push(&mut self, kind: Kind, motion: Motion, pose: Pose) {
+        let dwell_s = if kind == Kind::Transit { 0.0 } else { self.dwell_s };
+        let (circle, centre) = (self.circle, self.centre);
+        self.steps.push(Step { circle, centre, kind, motion, pose, dwell_s });
+    }
+
+    fn knocks(&mut self, count: u32, circle: &Circle, angle: f64, out: f64) {
+        for _ in 0..count {
+            self.push(Kind::Transit, Motion::Lin, circle.pose(angle, out));
+            self.push(Kind::Transit, Motion::Lin, circle.pose(angle, 0.0));
+        }
+    }
+
+    /// Along the circle to a dwell, through the middle of the arc.
+    fn arc(&mut self, circle: &Circle, from: f64, to: f64, kind: Kind) {
+        let end = circle.pose(to, 0.0);
+        let mut aux = circle.pose(0.5 * (from + to), 0.0);
+        aux.rotation = between(&circle.orientation(from), &end.rotation, 0.5);
+        self.push(Kind::Transit, Motion::Circ, aux);
+        self.push(kind, Motion::Circ, end);
+    }
+
+    /// Along the sphere about the base ball at `centre` from where the robot is to `to`, in chords that
+    /// come nearer to the ball by `sagitta` mm at most.
+    fn along_the_sphere(&mut self, centre: Vector3<f64>, to: &Pose, sagitta: f64) {
+        let Some(from) = self.steps.last().map(|step| step.pose) else {
+            return;
+        };
+        let (start, end) = (from.position - centre, to.position - centre);
+        let (u, v) = (start.normalize(), end.normalize());
+        let radius = end.norm();
+        let risen = Pose { rotation: from.rotation, position: centre + u * radius };
+        if (radius - start.norm()).abs() > 1e-9 {
+            self.push(Kind::Transit, Motion::Lin, risen);
+        }
+        let normal = u.cross(&v);
+        let angle = normal.norm().atan2(u.dot(&v));
+        // At opposite ends any great circle will do: over the pole, or beside it.
+        let axis = if normal.norm() > 1e-9 {
+            normal.normalize()
+        } else if u.z.abs() < 0.9 {
+            u.cross(&Vector3::z()).normalize()
+        } else {
+            u.cross(&Vector3::x()).normalize()
+        };
+        if angle < 1e-9 {
+            self.push(Kind::Transit, Motion::Lin, *to);
+            return;
+        }
+        let widest = 2.0 * (1.0 - sagitta / radius).clamp(0.0, 1.0).acos();
+        let chords = (angle / widest).ceil().clamp(1.0, 1000.0) as u32;
+        for chord in 1..=chords {
+            let share = f64::from(chord) / f64::from(chords);
+            let turned = Rotation3::from_scaled_axis(axis * (angle * share)) * u;
+            let rotation = between(&from.rotation, &to.rotation, share);
+            let pose = Pose { rotation, position: centre + turned * radius };
+            self.push(Kind::Transit, Motion::Lin, if chord == chords { *to } else { pose });
+        }
+    }
+}

@@ -1,0 +1,383 @@
+//! The definition file as it stands: its tables and keys. What they mean is checked by the loader.
+
+use std::collections::BTreeMap;
+
+use serde::Deserialize;
+use toml::Spanned;
+
+/// The whole file.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct File {
+    pub(super) schema: Spanned<u32>,
+    pub(super) id: Spanned<String>,
+    #[serde(default)]
+    pub(super) title: String,
+    #[serde(default)]
+    pub(super) source: Vec<String>,
+    pub(super) confidence: Confidence,
+    #[serde(default)]
+    pub(super) tested_on: Vec<String>,
+    pub(super) line: LineTable,
+    pub(super) framing: Spanned<FramingTable>,
+    pub(super) check: Option<Spanned<CheckTable>>,
+    #[serde(default)]
+    pub(super) message: Vec<Spanned<MessageTable>>,
+    #[serde(default)]
+    pub(super) reject: Vec<Spanned<RejectTable>>,
+    #[serde(default)]
+    pub(super) ignore: Vec<IgnoreTable>,
+    #[serde(default)]
+    pub(super) mode: ModeTable,
+    #[serde(default)]
+    pub(super) timing: TimingTable,
+    #[serde(default)]
+    pub(super) cmd: CommandTable,
+    #[serde(default)]
+    pub(super) test: Vec<Spanned<TestTable>>,
+}
+
+/// How well the definition is known.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(super) enum Confidence {
+    /// From the maker's documents.
+    Documented,
+    /// From recorded bytes.
+    Captured,
+    /// Our own device.
+    Own,
+    /// A guess.
+    Guess,
+}
+
+/// `[line]`.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct LineTable {
+    pub(super) baud: u32,
+    #[serde(default = "eight")]
+    pub(super) bits: u8,
+    #[serde(default)]
+    pub(super) parity: Parity,
+    #[serde(default = "one")]
+    pub(super) stop: u8,
+    #[serde(default)]
+    pub(super) flow: Flow,
+    #[serde(default)]
+    pub(super) dtr: Wire,
+    #[serde(default)]
+    pub(super) rts: Wire,
+    #[serde(default)]
+    pub(super) settle_ms: u32,
+}
+
+fn eight() -> u8 {
+    8
+}
+
+fn one() -> u8 {
+    1
+}
+
+/// Parity of the serial line.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Parity {
+    /// None.
+    #[default]
+    None,
+    /// Even.
+    Even,
+    /// Odd.
+    Odd,
+}
+
+/// Flow control of the serial line.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Flow {
+    /// None.
+    #[default]
+    None,
+    /// By the characters XON and XOFF.
+    XonXoff,
+    /// By the wires RTS and CTS.
+    RtsCts,
+}
+
+/// What to do with a modem wire at opening.
+#[derive(Clone, Copy, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum Wire {
+    /// Leave it to the system.
+    #[default]
+    Keep,
+    /// Raise it.
+    On,
+    /// Lower it.
+    Off,
+}
+
+/// `[framing]`.
+#[derive(Deserialize)]
+#[serde(tag = "kind", rename_all = "lowercase", deny_unknown_fields)]
+pub(super) enum FramingTable {
+    /// Consistent overhead byte stuffing.
+    Cobs {
+        #[serde(default)]
+        delimiter: u8,
+        max_len: usize,
+    },
+    /// Lines of text.
+    Line { start: Option<String>, end: Vec<String>, max_len: usize },
+}
+
+/// `[check]`.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct CheckTable {
+    pub(super) kind: CheckKind,
+    pub(super) enc: Option<CheckEncoding>,
+    pub(super) after: Option<Spanned<String>>,
+    #[serde(default)]
+    pub(super) optional: bool,
+    pub(super) name: Option<Spanned<String>>,
+    pub(super) width: Option<u8>,
+    pub(super) poly: Option<u32>,
+    pub(super) init: Option<u32>,
+    pub(super) refin: Option<bool>,
+    pub(super) refout: Option<bool>,
+    pub(super) xorout: Option<u32>,
+    pub(super) check: Option<Spanned<u32>>,
+}
+
+/// What guards a frame.
+#[derive(Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum CheckKind {
+    None,
+    Xor8,
+    Sum8,
+    Crc,
+}
+
+/// How the check value is sent.
+#[derive(Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum CheckEncoding {
+    /// Lowest byte first.
+    Le,
+    /// Highest byte first.
+    Be,
+    /// Hexadecimal digits.
+    Hex,
+}
+
+/// `[[message]]`.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct MessageTable {
+    pub(super) name: String,
+    #[serde(default)]
+    pub(super) r#match: Vec<Spanned<MatchTable>>,
+    pub(super) fields: Vec<Spanned<FieldTable>>,
+}
+
+/// A byte that tells a message from others.
+#[derive(Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct MatchTable {
+    pub(super) at: usize,
+    pub(super) eq: u8,
+}
+
+/// One field; which keys it may have depends on its kind and role.
+#[derive(Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct FieldTable {
+    pub(super) kind: FieldKind,
+    pub(super) role: Option<RoleName>,
+    pub(super) bytes: Option<usize>,
+    pub(super) bits: Option<usize>,
+    pub(super) endian: Option<Endian>,
+    pub(super) text: Option<String>,
+    pub(super) decimals: Option<usize>,
+    pub(super) digits: Option<usize>,
+    pub(super) modulo: Option<u32>,
+    pub(super) tick_ns: Option<u32>,
+    pub(super) wrap_bits: Option<u32>,
+    pub(super) unit: Option<Unit>,
+    pub(super) scale_num: Option<u32>,
+    pub(super) scale_den: Option<u32>,
+    pub(super) offset: Option<f64>,
+    pub(super) invert: Option<bool>,
+    pub(super) flags: Option<BTreeMap<String, String>>,
+}
+
+/// How a field is written.
+#[derive(Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum FieldKind {
+    /// Bytes without meaning.
+    Skip,
+    /// Unsigned integer.
+    Uint,
+    /// Two's complement integer.
+    Int,
+    /// Fixed text.
+    Lit,
+    /// Decimal number as text.
+    Dec,
+    /// Hexadecimal number as text.
+    Hex,
+}
+
+/// Order of the bytes of an integer.
+#[derive(Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum Endian {
+    Le,
+    Be,
+}
+
+/// What a field says.
+#[derive(Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(super) enum RoleName {
+    Length,
+    Seq,
+    TDev,
+    Temp,
+    Status,
+}
+
+/// Unit of a field.
+#[derive(Clone, Copy, PartialEq, Eq, Deserialize)]
+pub(super) enum Unit {
+    #[serde(rename = "um")]
+    Micrometre,
+    #[serde(rename = "mm")]
+    Millimetre,
+    #[serde(rename = "inch")]
+    Inch,
+    #[serde(rename = "C")]
+    Celsius,
+}
+
+/// `[[reject]]`: the device's words for having no reading.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct RejectTable {
+    pub(super) prefix: Option<String>,
+    pub(super) eq: Option<String>,
+    pub(super) code: Option<Code>,
+    #[serde(default)]
+    pub(super) map: BTreeMap<String, String>,
+    /// There is one action so far; it is named so that files stay readable.
+    #[serde(default, rename = "action")]
+    pub(super) _action: Action,
+}
+
+/// How the code after a reject's prefix is written.
+#[derive(Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum Code {
+    Dec,
+    Hex,
+}
+
+/// What follows from a reject.
+#[derive(Clone, Copy, Default, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(super) enum Action {
+    #[default]
+    DropSample,
+}
+
+/// `[[ignore]]`.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct IgnoreTable {
+    pub(super) prefix: Vec<String>,
+}
+
+/// `[mode]`.
+#[derive(Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct ModeTable {
+    #[serde(default, rename = "kind")]
+    pub(super) _kind: ModeKind,
+    pub(super) stall_ms: Option<u32>,
+    pub(super) sync_frames: Option<u32>,
+}
+
+/// Who speaks first.
+#[derive(Clone, Copy, Default, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum ModeKind {
+    /// The device, by itself.
+    #[default]
+    Stream,
+}
+
+/// `[timing]`.
+#[derive(Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct TimingTable {
+    pub(super) latch: Option<Spanned<Latch>>,
+    pub(super) nominal_hz: Option<Spanned<f64>>,
+}
+
+/// What fixes the moment of a reading.
+#[derive(Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(super) enum Latch {
+    /// Its first byte.
+    FirstByte,
+    /// The device's own clock.
+    Device,
+}
+
+/// `[cmd]`.
+#[derive(Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct CommandTable {
+    #[serde(default)]
+    pub(super) start: Vec<Spanned<StepTable>>,
+    #[serde(default)]
+    pub(super) stop: Vec<Spanned<StepTable>>,
+}
+
+/// One step of a command; exactly one key.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct StepTable {
+    pub(super) send: Option<String>,
+    pub(super) hex: Option<String>,
+    pub(super) wait_ms: Option<u32>,
+    pub(super) drain_ms: Option<u32>,
+}
+
+/// `[[test]]`.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct TestTable {
+    pub(super) rx: Spanned<String>,
+    pub(super) expect: Vec<Spanned<Expectation>>,
+}
+
+/// What a test's bytes give: a sample, a reject, or bytes that are passed over.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Expectation {
+    pub(super) seq: Option<u32>,
+    pub(super) t_dev_us: Option<u64>,
+    pub(super) length_mm: Option<f64>,
+    pub(super) tol: Option<f64>,
+    pub(super) temp_c: Option<f64>,
+    pub(super) flags: Option<Vec<String>>,
+    pub(super) reject: Option<String>,
+    pub(super) resync: Option<u64>,
+    pub(super) ignored: Option<u64>,
+}

@@ -1,0 +1,280 @@
+//! A controller that executes a KRL program in virtual time; the program is its only source of motion.
+//!
+//! It knows the NOMINAL robot: Cartesian positions become axis angles by the nominal inverse
+//! kinematics, as in a real controller. All stops are exact, and there is no advance run: a statement
+//! takes effect when it is reached.
+
+mod drive;
+mod evaluate;
+mod execute;
+mod motion;
+mod start;
+mod store;
+mod value;
+
+use std::collections::BTreeMap;
+
+use self::execute::Level;
+use self::motion::{Motion, Place};
+use self::store::Names;
+use self::value::Value;
+use super::Moment;
+use crate::diag::Diagnostic;
+use crate::krl::Program;
+use crate::krl::syntax::{Expression, Span};
+use crate::model::{AXES, Robot, inverse};
+
+/// What the controller is doing.
+#[derive(Clone, Debug)]
+enum Activity {
+    /// The next statement is to be executed.
+    Ready,
+    Moving(Box<Motion>),
+    /// Until this time, s.
+    Waiting(f64),
+    /// Until this condition holds.
+    Until(Expression),
+    /// Until the operator presses START.
+    Halted,
+    Done,
+}
+
+/// An output that goes back to a level at a time.
+#[derive(Clone, Copy, Debug)]
+struct Pulse {
+    output: usize,
+    level: bool,
+    until_s: f64,
+}
+
+/// What is wrong with a statement or a part of one.
+#[derive(Clone, Debug)]
+struct Fault {
+    span: Span,
+    message: String,
+    help: Option<&'static str>,
+}
+
+impl Fault {
+    fn new(span: &Span, message: impl Into<String>) -> Self {
+        Self { span: span.clone(), message: message.into(), help: None }
+    }
+
+    fn help(mut self, help: &'static str) -> Self {
+        self.help = Some(help);
+        self
+    }
+}
+
+/// The first and the last output (or input) of a signal, from 1.
+#[derive(Clone, Copy, Debug)]
+struct Signal {
+    output: bool,
+    first: usize,
+    last: usize,
+}
+
+/// The simulated controller.
+#[derive(Clone, Debug)]
+pub struct Controller {
+    program: Program,
+    robot: Robot,
+    t_s: f64,
+    /// Commanded axis angles, rad.
+    axes: [f64; AXES],
+    motions: u32,
+    dwells: u32,
+    centre: u32,
+    /// The output that is the strobe, where the program has one.
+    strobe: Option<usize>,
+    activity: Activity,
+    levels: Vec<Level>,
+    system: Names,
+    /// Variables of each module's `.dat`.
+    data: Vec<Names>,
+    signals: Vec<BTreeMap<String, Signal>>,
+    pulses: Vec<Pulse>,
+    /// Module and bytes of the statement that was begun last.
+    at: (usize, Span),
+}
+
+impl Controller {
+    /// Goes on for `dt_s` seconds of device time.
+    ///
+    /// # Errors
+    /// What stops the program: names the file, the line and the column of the statement.
+    pub fn step(&mut self, dt_s: f64) -> Result<Moment, Diagnostic> {
+        let end_s = self.t_s + dt_s.max(0.0);
+        loop {
+            if matches!(self.activity, Activity::Ready) {
+                self.execute().map_err(|fault| self.diagnose(fault))?;
+            }
+            if !self.proceed(end_s).map_err(|fault| self.diagnose(fault))? {
+                break;
+            }
+        }
+        self.t_s = end_s;
+        self.end_pulses();
+        Ok(self.moment())
+    }
+
+    /// Presses START: a program at HALT goes on.
+    pub fn go_on(&mut self) {
+        if matches!(self.activity, Activity::Halted) {
+            self.activity = Activity::Ready;
+        }
+    }
+
+    /// File and line (from 1) of the statement that was begun last.
+    pub fn position(&self) -> (&str, usize) {
+        let (module, span) = &self.at;
+        self.program.modules.get(*module).map_or(("", 0), |module| {
+            let before = module.source.text.get(..span.start).unwrap_or("");
+            (module.source.file.as_str(), before.matches('\n').count() + 1)
+        })
+    }
+
+    /// How often the strobe went high and low again, or, in a program without a strobe, how often the
+    /// measured axes were logged.
+    pub fn dwells(&self) -> u32 {
+        self.dwells
+    }
+
+    /// The controller now.
+    pub fn moment(&self) -> Moment {
+        Moment {
+            t_s: self.t_s,
+            axes: self.axes,
+            centre: self.centre,
+            strobe: self.strobe.is_some_and(|output| self.output(output)),
+            motions: self.motions,
+            halted: matches!(self.activity, Activity::Halted),
+            done: matches!(self.activity, Activity::Done),
+        }
+    }
+
+    /// Goes on with the present activity up to `end_s`; whether it ended before, so that the next
+    /// statement has its turn.
+    fn proceed(&mut self, end_s: f64) -> Result<bool, Fault> {
+        let left_s = end_s - self.t_s;
+        match std::mem::replace(&mut self.activity, Activity::Ready) {
+            Activity::Ready => return Ok(true),
+            Activity::Waiting(until_s) if until_s <= end_s => {
+                self.t_s = self.t_s.max(until_s);
+                self.end_pulses();
+                return Ok(true);
+            }
+            Activity::Until(condition) => {
+                let fault = |message| Fault::new(&condition.span, message);
+                if self.evaluate(&condition)?.bool().map_err(fault)? {
+                    return Ok(true);
+                }
+                self.activity = Activity::Until(condition);
+            }
+            Activity::Moving(mut motion) => {
+                // The override stretches the time on the path.
+                let rate = self.override_share();
+                let needed_s = motion.left_s() / rate;
+                if needed_s <= left_s {
+                    motion.t_s = f64::INFINITY;
+                    self.take(&motion.place(), needed_s)?;
+                    self.t_s += needed_s;
+                    self.end_pulses();
+                    return Ok(true);
+                }
+                motion.t_s += left_s * rate;
+                self.take(&motion.place(), left_s)?;
+                self.activity = Activity::Moving(motion);
+            }
+            other => self.activity = other,
+        }
+        Ok(false)
+    }
+
+    /// Takes the robot to a place on its path, `elapsed_s` after the last.
+    fn take(&mut self, place: &Place, elapsed_s: f64) -> Result<(), Fault> {
+        let span = self.at.1.clone();
+        match place {
+            Place::Axes(axes) => self.axes = *axes,
+            Place::Pose(pose) => {
+                let axes = inverse::nearest(&self.geometry(), pose, &self.axes)
+                    .map_err(|unsolved| Fault::new(&span, unsolved.to_string()))?;
+                self.check_limits(&axes, &span)?;
+                for i in 0..AXES {
+                    let most = self.robot.max_speed_deg_s[i].to_radians() * elapsed_s;
+                    if (axes[i] - self.axes[i]).abs() > 1.05 * most + 1e-6 {
+                        let message = format!("axis {} would have to turn faster than it can", i + 1);
+                        return Err(Fault::new(&span, message)
+                            .help("the path comes too near to a singularity, or its speed is too high"));
+                    }
+                }
+                self.axes = axes;
+            }
+        }
+        Ok(())
+    }
+
+    /// Refuses axis angles (rad) outside the robot's limits.
+    fn check_limits(&self, axes: &[f64; AXES], span: &Span) -> Result<(), Fault> {
+        for (i, angle) in axes.iter().map(|angle| angle.to_degrees()).enumerate() {
+            let [low, high] = self.robot.limits_deg[i];
+            if !(low - 1e-9..=high + 1e-9).contains(&angle) {
+                let message =
+                    format!("axis {} leaves its limits: {angle:.3} deg, allowed {low} to {high}", i + 1);
+                return Err(Fault::new(span, message));
+            }
+        }
+        Ok(())
+    }
+
+    /// `$OV_PRO` as a share.
+    fn override_share(&self) -> f64 {
+        let percent = self.system.get("$OV_PRO").and_then(|variable| variable.value.number().ok());
+        percent.unwrap_or(100.0).clamp(0.0, 100.0) / 100.0
+    }
+
+    fn end_pulses(&mut self) {
+        let now_s = self.t_s + 1e-9;
+        let (due, left) = self.pulses.iter().partition(|pulse| pulse.until_s <= now_s);
+        self.pulses = left;
+        let due: Vec<Pulse> = due;
+        for pulse in due {
+            self.set_output(pulse.output, pulse.level);
+        }
+    }
+
+    /// The level of an output, from 1.
+    fn output(&self, output: usize) -> bool {
+        match self.system.get("$OUT").map(|variable| &variable.value) {
+            Some(Value::Array(levels)) => {
+                output.checked_sub(1).and_then(|at| levels.get(at)) == Some(&Value::Bool(true))
+            }
+            _ => false,
+        }
+    }
+
+    fn set_output(&mut self, output: usize, level: bool) {
+        if let Some(Value::Array(levels)) = self.system.get_mut("$OUT").map(|variable| &mut variable.value)
+            && let Some(here) = output.checked_sub(1).and_then(|at| levels.get_mut(at))
+        {
+            *here = Value::Bool(level);
+        }
+    }
+
+    /// The module whose routine runs.
+    fn module(&self) -> usize {
+        self.levels.iter().rev().find_map(Level::module).unwrap_or(self.at.0)
+    }
+
+    /// A fault as the user reads it.
+    fn diagnose(&self, fault: Fault) -> Diagnostic {
+        let Some(module) = self.program.modules.get(self.module()) else {
+            return Diagnostic::file("", fault.message);
+        };
+        let found = Diagnostic::span(&module.source.file, &module.source.text, fault.span, fault.message);
+        match fault.help {
+            Some(help) => found.help(help),
+            None => found,
+        }
+    }
+}

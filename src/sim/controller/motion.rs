@@ -1,0 +1,169 @@
+//! A motion under way: its path, and how far along it the time has brought it.
+
+use nalgebra::{Rotation3, Unit, UnitVector3, Vector3};
+
+use crate::model::AXES;
+use crate::model::pose::Pose;
+
+/// A trapezoid of speed over a path from 0 to 1: full acceleration, constant speed, full deceleration.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Profile {
+    speed: f64,
+    acceleration: f64,
+    duration_s: f64,
+}
+
+impl Profile {
+    /// The fastest that keeps all limits, each a distance with its greatest speed and acceleration.
+    pub(super) fn within(limits: impl IntoIterator<Item = (f64, f64, f64)>) -> Self {
+        let (mut speed, mut acceleration) = (f64::INFINITY, f64::INFINITY);
+        for (distance, most, hardest) in limits {
+            let distance = distance.abs();
+            if distance > 1e-12 {
+                speed = speed.min(most / distance);
+                acceleration = acceleration.min(hardest / distance);
+            }
+        }
+        if !speed.is_finite() {
+            return Self { speed: 0.0, acceleration: 0.0, duration_s: 0.0 }; // nothing moves
+        }
+        // Where the full speed is not reached the trapezoid is a triangle.
+        speed = speed.min(acceleration.sqrt());
+        Self { speed, acceleration, duration_s: 1.0 / speed + speed / acceleration }
+    }
+
+    /// That of the limit which takes longest alone: the others follow its pace.
+    pub(super) fn slowest<const N: usize>(limits: [(f64, f64, f64); N]) -> Self {
+        let alone = limits.map(|limit| Self::within([limit]));
+        let longest = |a: &Self, b: &Self| a.duration_s.total_cmp(&b.duration_s);
+        alone.into_iter().max_by(longest).unwrap_or_else(|| Self::within([]))
+    }
+
+    /// The share of the path after `t_s` seconds.
+    fn share(&self, t_s: f64) -> f64 {
+        if t_s >= self.duration_s {
+            return 1.0;
+        }
+        let ramp_s = self.speed / self.acceleration;
+        let left_s = self.duration_s - t_s;
+        if t_s < ramp_s {
+            0.5 * self.acceleration * t_s * t_s
+        } else if left_s < ramp_s {
+            1.0 - 0.5 * self.acceleration * left_s * left_s
+        } else {
+            self.speed * (t_s - 0.5 * ramp_s)
+        }
+    }
+}
+
+/// Where a motion is to be.
+pub(super) enum Place {
+    /// At these axis angles, rad.
+    Axes([f64; AXES]),
+    /// At this pose of the tool in the robot base.
+    Pose(Pose),
+}
+
+/// The way from one point to the next.
+#[derive(Clone, Debug)]
+pub(super) enum Path {
+    /// All axes together, rad.
+    Axes { from: [f64; AXES], to: [f64; AXES] },
+    /// The tool on a straight line or an arc, its orientation turning about one axis.
+    Tool { from: Pose, to: Pose, turn: Turn, arc: Option<Arc> },
+}
+
+/// A turn about a fixed axis.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Turn {
+    axis: UnitVector3<f64>,
+    pub(super) angle: f64,
+}
+
+impl Turn {
+    /// The shortest from one orientation to the other, in the robot base.
+    pub(super) fn between(from: &Pose, to: &Pose) -> Self {
+        let rotation = Rotation3::from_matrix_unchecked(to.rotation * from.rotation.transpose());
+        let (axis, angle) = rotation.axis_angle().unwrap_or((Vector3::z_axis(), 0.0));
+        Self { axis, angle }
+    }
+}
+
+/// An arc.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Arc {
+    centre: Vector3<f64>,
+    normal: UnitVector3<f64>,
+    /// Signed sweep, rad.
+    sweep: f64,
+}
+
+impl Arc {
+    /// The arc from `start` through `via` to `end`, and its length (mm); with `sweep` (rad, negative
+    /// against the taught direction) in place of the taught one. `None` when the points are on a line.
+    pub(super) fn through(
+        start: Vector3<f64>,
+        via: Vector3<f64>,
+        end: Vector3<f64>,
+        sweep: Option<f64>,
+    ) -> Option<(Self, f64)> {
+        let (a, b) = (via - start, end - start);
+        let normal = a.cross(&b);
+        let area = normal.norm_squared();
+        if area <= 1e-9 * a.norm_squared() * b.norm_squared() || area == 0.0 {
+            return None;
+        }
+        // Circumcentre of the triangle.
+        let centre = start
+            + (normal.cross(&a) * b.norm_squared() + b.cross(&normal) * a.norm_squared()) / (2.0 * area);
+        let normal = Unit::new_normalize(normal);
+        let (from, to) = (start - centre, end - centre);
+        // start, via, end follow each other counter-clockwise about this normal.
+        let taught = normal.dot(&from.cross(&to)).atan2(from.dot(&to)).rem_euclid(std::f64::consts::TAU);
+        let sweep = sweep.unwrap_or(taught);
+        Some((Self { centre, normal, sweep }, from.norm() * sweep.abs()))
+    }
+
+    fn at(&self, start: &Vector3<f64>, share: f64) -> Vector3<f64> {
+        self.centre + Rotation3::from_axis_angle(&self.normal, self.sweep * share) * (start - self.centre)
+    }
+}
+
+/// A motion under way.
+#[derive(Clone, Debug)]
+pub(super) struct Motion {
+    pub(super) path: Path,
+    pub(super) profile: Profile,
+    /// Time on the path, s at full override.
+    pub(super) t_s: f64,
+}
+
+impl Motion {
+    pub(super) fn left_s(&self) -> f64 {
+        self.profile.duration_s - self.t_s
+    }
+
+    /// Where it is now; at its end exactly the commanded point.
+    pub(super) fn place(&self) -> Place {
+        let share = self.profile.share(self.t_s);
+        match &self.path {
+            Path::Axes { to, .. } if share >= 1.0 => Place::Axes(*to),
+            Path::Axes { from, to } => {
+                Place::Axes(std::array::from_fn(|i| from[i] + share * (to[i] - from[i])))
+            }
+            Path::Tool { to, arc, from, turn } => {
+                let turned = Rotation3::from_axis_angle(&turn.axis, turn.angle * share);
+                let position = match arc {
+                    Some(arc) => arc.at(&from.position, share),
+                    None => from.position + (to.position - from.position) * share,
+                };
+                if share >= 1.0 {
+                    // An arc with a sweep of its own ends elsewhere than at the taught point.
+                    let position = if arc.is_some() { position } else { to.position };
+                    return Place::Pose(Pose { rotation: to.rotation, position });
+                }
+                Place::Pose(Pose { rotation: turned.matrix() * from.rotation, position })
+            }
+        }
+    }
+}

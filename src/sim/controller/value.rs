@@ -1,0 +1,157 @@
+//! Values and types of KRL variables.
+
+use std::collections::BTreeMap;
+
+/// A value. Components that were never given are [`Value::Unset`].
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Value {
+    Unset,
+    Int(i64),
+    Real(f64),
+    Bool(bool),
+    Enum(String),
+    Text(String),
+    Struct(BTreeMap<String, Value>),
+    Array(Vec<Value>),
+}
+
+/// A type of one element.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Type {
+    Int,
+    Real,
+    Bool,
+    Char,
+    Enum,
+    Struct(&'static [(&'static str, Type)]),
+}
+
+const R: Type = Type::Real;
+const I: Type = Type::Int;
+const VECTOR: &[(&str, Type)] = &[("X", R), ("Y", R), ("Z", R)];
+const FRAME: &[(&str, Type)] = &[("X", R), ("Y", R), ("Z", R), ("A", R), ("B", R), ("C", R)];
+const POS: &[(&str, Type)] =
+    &[("X", R), ("Y", R), ("Z", R), ("A", R), ("B", R), ("C", R), ("S", I), ("T", I)];
+#[rustfmt::skip]
+const E6POS: &[(&str, Type)] = &[
+    ("X", R), ("Y", R), ("Z", R), ("A", R), ("B", R), ("C", R), ("S", I), ("T", I),
+    ("E1", R), ("E2", R), ("E3", R), ("E4", R), ("E5", R), ("E6", R),
+];
+const AXIS: &[(&str, Type)] = &[("A1", R), ("A2", R), ("A3", R), ("A4", R), ("A5", R), ("A6", R)];
+#[rustfmt::skip]
+const E6AXIS: &[(&str, Type)] = &[
+    ("A1", R), ("A2", R), ("A3", R), ("A4", R), ("A5", R), ("A6", R),
+    ("E1", R), ("E2", R), ("E3", R), ("E4", R), ("E5", R), ("E6", R),
+];
+const LOAD: &[(&str, Type)] = &[("M", R), ("CM", Type::Struct(FRAME)), ("J", Type::Struct(VECTOR))];
+/// `$VEL`, `$ACC`
+pub(super) const PATH: Type = Type::Struct(&[("CP", R), ("ORI1", R), ("ORI2", R)]);
+/// `$APO`
+pub(super) const APPROXIMATE: Type = Type::Struct(&[("CDIS", R), ("CPTP", R), ("CORI", R), ("CVEL", R)]);
+/// A frame.
+pub(super) const FRAME_TYPE: Type = Type::Struct(FRAME);
+/// A load.
+pub(super) const LOAD_TYPE: Type = Type::Struct(LOAD);
+
+impl Type {
+    /// The type that a declaration names.
+    pub(super) fn named(name: &str) -> Option<Self> {
+        Some(match name {
+            "INT" => Type::Int,
+            "REAL" => Type::Real,
+            "BOOL" => Type::Bool,
+            "CHAR" => Type::Char,
+            "FRAME" => FRAME_TYPE,
+            "POS" => Type::Struct(POS),
+            "E6POS" => Type::Struct(E6POS),
+            "AXIS" => Type::Struct(AXIS),
+            "E6AXIS" => Type::Struct(E6AXIS),
+            "LOAD" => LOAD_TYPE,
+            _ => return None,
+        })
+    }
+
+    /// A variable of this type before anything was stored in it.
+    pub(super) fn unset(self) -> Value {
+        match self {
+            Type::Struct(fields) => {
+                Value::Struct(fields.iter().map(|(name, kind)| ((*name).to_owned(), kind.unset())).collect())
+            }
+            _ => Value::Unset,
+        }
+    }
+}
+
+impl Value {
+    /// A word for what it is.
+    fn describe(&self) -> &'static str {
+        match self {
+            Value::Unset => "nothing",
+            Value::Int(_) => "an INT",
+            Value::Real(_) => "a REAL",
+            Value::Bool(_) => "a BOOL",
+            Value::Enum(_) => "an enumeration",
+            Value::Text(_) => "a text",
+            Value::Struct(_) => "a structure",
+            Value::Array(_) => "an array",
+        }
+    }
+
+    pub(super) fn number(&self) -> Result<f64, String> {
+        match self {
+            Value::Int(value) => Ok(*value as f64),
+            Value::Real(value) => Ok(*value),
+            other => Err(format!("expected a number, found {}", other.describe())),
+        }
+    }
+
+    pub(super) fn int(&self) -> Result<i64, String> {
+        match self {
+            Value::Int(value) => Ok(*value),
+            // The language rounds a REAL that is used as an INT.
+            Value::Real(value) if value.abs() < 2e9 => Ok(value.round() as i64),
+            Value::Real(value) => Err(format!("{value} is too large for an INT")),
+            other => Err(format!("expected an INT, found {}", other.describe())),
+        }
+    }
+
+    pub(super) fn bool(&self) -> Result<bool, String> {
+        match self {
+            Value::Bool(value) => Ok(*value),
+            other => Err(format!("expected a BOOL, found {}", other.describe())),
+        }
+    }
+
+    /// A component of a structure that has a value.
+    pub(super) fn field(&self, name: &str) -> Option<&Value> {
+        match self {
+            Value::Struct(fields) => fields.get(name).filter(|value| **value != Value::Unset),
+            _ => None,
+        }
+    }
+
+    /// Stores `value` here, converted to `kind`; components that it does not give stay as they are.
+    pub(super) fn store(&mut self, kind: Type, value: Value) -> Result<(), String> {
+        match (kind, value, &mut *self) {
+            (_, Value::Unset, _) => return Err("a variable without a value".into()),
+            (_, _, Value::Array(_)) => return Err("an array is set element by element".into()),
+            (Type::Struct(types), Value::Struct(given), Value::Struct(fields)) => {
+                for (name, value) in given {
+                    let Some((_, kind)) = types.iter().find(|(known, _)| *known == name) else {
+                        return Err(format!("there is no component {name}"));
+                    };
+                    if value != Value::Unset {
+                        fields.entry(name).or_insert_with(|| kind.unset()).store(*kind, value)?;
+                    }
+                }
+            }
+            (Type::Int, value, here) => *here = Value::Int(value.int()?),
+            (Type::Real, value, here) => *here = Value::Real(value.number()?),
+            (Type::Bool, value, here) => *here = Value::Bool(value.bool()?),
+            (Type::Char, Value::Text(text), here) => *here = Value::Text(text),
+            (Type::Enum, Value::Enum(name), here) => *here = Value::Enum(name),
+            (_, value, _) => return Err(format!("{} cannot be stored here", value.describe())),
+        }
+        Ok(())
+    }
+}

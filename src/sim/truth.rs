@@ -1,0 +1,38 @@
+//! A true robot drawn from what the maker of the nominal one promises.
+
+use rand::SeedableRng;
+use rand_distr::{Distribution, StandardNormal};
+use rand_pcg::Pcg64;
+
+use crate::model::{AXES, Robot};
+
+/// A robot whose parameters differ from the nominal ones by normal errors of `scale` times the nominal
+/// robot's tolerance: all a, alpha, theta and d, and the beta of each joint that is nominally parallel
+/// to the one before, whose own d is held (only the sum of such two is anything). The same seed
+/// gives the same robot.
+pub fn draw(nominal: &Robot, seed: u64, scale: f64) -> Robot {
+    // A stream of its own: the world's noise is drawn from the plain seed.
+    let mut random = Pcg64::seed_from_u64(seed ^ 0x7472_7574_6800_0000);
+    let mut error = |sd: f64| {
+        let normal: f64 = StandardNormal.sample(&mut random);
+        scale * sd * normal
+    };
+    let length = nominal.tolerance.length_mm;
+    let angle = nominal.tolerance.angle_deg.to_radians();
+    let parallel = nominal.parallel_joints();
+    let mut robot = nominal.clone();
+    for i in 0..AXES {
+        let row = &mut robot.geometry.rows[i];
+        row.alpha += error(angle);
+        row.a += error(length);
+        row.theta += error(angle);
+        if parallel.contains(&i) {
+            row.beta += error(angle);
+        } else {
+            row.d += error(length);
+        }
+    }
+    robot.name = format!("{}, true robot of seed {seed}", nominal.name);
+    robot.nominal = None;
+    robot
+}

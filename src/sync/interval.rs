@@ -1,0 +1,135 @@
+//! How likely a time between two dwells is when the program says how long it should be.
+
+/// A dwell that the program commands.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Commanded {
+    /// Time of all moves since the dwell before, at full override, s.
+    pub move_s: f64,
+    /// Time that the robot stands here, s.
+    pub wait_s: f64,
+    /// The program module that holds it; each is started by hand.
+    pub module: usize,
+}
+
+/// The commanded dwells as sums, so that any interval is a difference.
+pub(super) struct Program {
+    moves_s: Vec<f64>,
+    waits_s: Vec<f64>,
+    modules: Vec<usize>,
+}
+
+/// How fast the moves are driven.
+#[derive(Clone, Copy)]
+pub(super) struct Pace {
+    /// How many times as long as planned a move takes: 1 / override.
+    pub(super) stretch: f64,
+    /// Standard deviation of a move's duration about that, as a share of it.
+    pub(super) slack: f64,
+}
+
+/// An interval between the begins of two dwells: commanded parts, and what was seen.
+#[derive(Clone, Copy)]
+pub(super) struct Interval {
+    /// Moves at full override, s.
+    pub(super) move_s: f64,
+    /// Waits, s.
+    pub(super) wait_s: f64,
+    /// Poses that the interval passes over.
+    pub(super) passed: usize,
+    /// Whether a module ends within.
+    pub(super) by_hand: bool,
+    /// Seen, s.
+    pub(super) seen_s: f64,
+    /// Variance of that by the detection of both begins, s2.
+    pub(super) variance_s2: f64,
+    /// Whether the clock broke within, so that what was seen tells nothing.
+    pub(super) broken: bool,
+}
+
+/// Share of the intervals in which the operator pauses, and the pauses' mean, s.
+const PAUSES: f64 = 0.01;
+const PAUSE_S: f64 = 30.0;
+/// Share of the begins that were detected badly, and how badly, s.
+const BAD: f64 = 0.02;
+const BAD_S: f64 = 0.5;
+/// Mean time until the operator starts the next module, s.
+const BY_HAND_S: f64 = 90.0;
+/// Flat density of an interval over a broken clock, 1/s.
+const BROKEN: f64 = 1.0 / 120.0;
+
+/// No interval's log density is greater: the peak of a normal distribution of the least
+/// sigma (two begins known to 20 ms), and a bit.
+pub(super) const MOST_LOG_DENSITY: f64 = 3.0;
+
+impl Program {
+    pub(super) fn new(poses: &[Commanded]) -> Self {
+        let sums = |part: fn(&Commanded) -> f64| {
+            let add = |sum: &mut f64, pose| {
+                *sum += part(pose);
+                Some(*sum)
+            };
+            poses.iter().scan(0.0, add).collect()
+        };
+        Self {
+            moves_s: sums(|pose| pose.move_s),
+            waits_s: sums(|pose| pose.wait_s),
+            modules: poses.iter().map(|pose| pose.module).collect(),
+        }
+    }
+
+    pub(super) fn interval(
+        &self,
+        from: usize,
+        to: usize,
+        seen_s: f64,
+        variance_s2: f64,
+        broken: bool,
+    ) -> Interval {
+        // A wait lies before the moves that follow it: those of `from` up to the one before `to`.
+        let wait = |at: usize| if at == 0 { 0.0 } else { self.waits_s[at - 1] };
+        Interval {
+            move_s: self.moves_s[to] - self.moves_s[from],
+            wait_s: wait(to) - wait(from),
+            passed: to - from - 1,
+            by_hand: self.modules[from] != self.modules[to],
+            seen_s,
+            variance_s2,
+            broken,
+        }
+    }
+}
+
+impl Interval {
+    /// Seen less commanded, s.
+    pub(super) fn residual_s(&self, pace: Pace) -> f64 {
+        self.seen_s - self.wait_s - pace.stretch * self.move_s
+    }
+
+    /// Standard deviation of the residual without a pause, s.
+    pub(super) fn sigma_s(&self, pace: Pace) -> f64 {
+        let steps = (self.passed + 1) as f64;
+        (self.variance_s2 + (pace.slack * pace.stretch * self.move_s).powi(2) / steps).sqrt()
+    }
+
+    /// Logarithm of the density, 1/s.
+    pub(super) fn log_density(&self, pace: Pace) -> f64 {
+        if self.broken {
+            return BROKEN.ln();
+        }
+        let residual_s = self.residual_s(pace);
+        let sigma_s = self.sigma_s(pace);
+        let standard = residual_s / sigma_s;
+        let steps = (self.passed + 1) as f64;
+        let (pauses, pause_s) = if self.by_hand { (0.95, BY_HAND_S) } else { (PAUSES * steps, PAUSE_S) };
+        let pauses = pauses.min(0.95);
+        let mut density = BAD / (2.0 * BAD_S) * (-residual_s.abs() / BAD_S).exp();
+        if standard.abs() < 9.0 {
+            let normal = (-0.5 * standard * standard).exp() / (sigma_s * std::f64::consts::TAU.sqrt());
+            density += (1.0 - pauses - BAD).max(0.01) * normal;
+        }
+        if residual_s > 0.0 {
+            density += pauses / pause_s * (-residual_s / pause_s).exp();
+        }
+        density.max(1e-300).ln()
+    }
+}

@@ -1,0 +1,359 @@
+//! `dbbd acquire` over a real pseudo terminal, with a virtual bar on its other side.
+
+use std::path::Path;
+use std::process::{Child, Command, Output, Stdio};
+use std::sync::Arc;
+use std::thread::JoinHandle;
+
+use dbbd::capture::{self, Capture, Event, Record};
+use dbbd::clock;
+use dbbd::daemon;
+use dbbd::protocol::{Definition, Sample};
+use dbbd::sim::bar::{self, Options, Reading, Source, Terminal};
+
+const RATE_HZ: f64 = 1000.0;
+
+fn definition() -> Definition {
+    Definition::by_name("dbb-cobs-1").unwrap().unwrap()
+}
+
+/// Readings on the 10 nm grid of the protocol, one a millisecond.
+fn reading_mm(frame: u64) -> f64 {
+    (f64::from(u32::try_from(frame % 20_001).unwrap()) - 10_000.0) / 1e5
+}
+
+fn reading(t_s: f64, strobe: bool) -> Reading {
+    let frame = (t_s * RATE_HZ).round() as u64;
+    Reading { reading_mm: reading_mm(frame), strobe, valid: true, temperature_c: 20.0 }
+}
+
+/// Plays a source on a new terminal: its name, and the thread that gives the number of frames sent.
+fn play(speed: f64, source: impl Source + Send + 'static) -> (String, JoinHandle<u64>) {
+    let terminal = Terminal::new().unwrap();
+    let name = terminal.name().to_owned();
+    // The counter wraps after two seconds.
+    let options = Options { rate_hz: RATE_HZ, speed, first_ticks: (1 << 32) - 2_000_000 };
+    (name, std::thread::spawn(move || bar::serve(terminal, &definition(), options, source).unwrap()))
+}
+
+fn dbbd(arguments: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_dbbd"));
+    command.args(arguments).stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    command
+}
+
+fn run(arguments: &[&str]) -> Output {
+    dbbd(arguments).output().unwrap()
+}
+
+fn stderr(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+fn read(path: &Path) -> Capture {
+    capture::read(&std::fs::read(path).unwrap())
+}
+
+fn samples(capture: &Capture) -> Vec<Sample> {
+    let samples = capture.records.iter().filter_map(|stamped| match &stamped.record {
+        Record::Sample(json) => Some(serde_json::from_slice(json).unwrap()),
+        _ => None,
+    });
+    samples.collect()
+}
+
+/// Waits until the capture holds so many bytes.
+fn wait_for(path: &Path, bytes: u64) {
+    for _ in 0..500 {
+        if std::fs::metadata(path).is_ok_and(|data| data.len() >= bytes) {
+            return;
+        }
+        clock::sleep(0.02);
+    }
+    panic!("{} does not grow", path.display());
+}
+
+/// Sends a signal by the system's own tool.
+fn signal(child: &Child, name: &str) {
+    let status = Command::new("kill").args([format!("-{name}"), child.id().to_string()]).status().unwrap();
+    assert!(status.success());
+}
+
+/// Whether the strobe is high: two dwells, then the end mark of two short pulses.
+fn strobe(t_s: f64) -> bool {
+    [(1.0, 2.0), (4.0, 5.0), (6.0, 6.2), (6.6, 6.8)].iter().any(|(from, to)| (*from..*to).contains(&t_s))
+}
+
+/// The program of [`strobe`]; when it is over the bar goes on until the host says stop.
+struct Program {
+    over: bool,
+}
+
+impl Source for Program {
+    fn reading(&mut self, t_s: f64) -> Option<Reading> {
+        self.over = t_s > 7.0;
+        Some(reading(t_s, strobe(t_s)))
+    }
+
+    fn over(&self) -> bool {
+        self.over
+    }
+}
+
+#[test]
+fn a_program_is_recorded_to_its_end_mark() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("run");
+    // Twenty quiet seconds of device time after the mark end a run without a plan.
+    let (port, bar) = play(0.0, Program { over: false });
+    let output = run(&["acquire", "--port", &port, "--out", path.to_str().unwrap(), "--json"]);
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    let summary: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(summary["ending"], "mark");
+    assert_eq!(summary["progress"]["dwells"], 2);
+    let capture = read(&path);
+    assert_eq!(capture.damages, []);
+    let samples = samples(&capture);
+    let sent = bar.join().unwrap();
+    assert!((26_700..=sent).contains(&(samples.len() as u64)), "{} of {sent}", samples.len());
+    for (frame, sample) in (0u64..).zip(&samples) {
+        assert_eq!(sample.sequence, Some((frame % 65536) as u32));
+        assert_eq!(sample.reading_mm, reading_mm(frame), "frame {frame}");
+        assert_eq!(sample.trigger, Some(strobe(frame as f64 / RATE_HZ)));
+        assert_eq!(sample.ticks.unwrap().0, ((1u64 << 32) - 2_000_000 + 1000 * frame) % (1 << 32));
+    }
+    // The raw bytes come to the disk before what they decode to.
+    let first = |wanted: fn(&Record) -> bool| capture.records.iter().position(|s| wanted(&s.record)).unwrap();
+    assert!(first(|r| matches!(r, Record::Raw(_))) < first(|r| matches!(r, Record::Sample(_))));
+    assert!(capture.attachment("protocol.toml").is_some());
+    let events: Vec<&Event> = capture.events().collect();
+    assert!(
+        matches!(events[..], [Event::Started { .. }, Event::Opened { .. }, Event::Ended { lost: 0, .. }]),
+        "{events:?}"
+    );
+
+    // The exports read back bit for bit.
+    let out = directory.path().join("csv");
+    let exported = run(&["export", path.to_str().unwrap(), "--out", out.to_str().unwrap()]);
+    assert_eq!(exported.status.code(), Some(0), "{}", stderr(&exported));
+    let mut rows = csv::Reader::from_path(out.join("samples.csv")).unwrap();
+    let mut count = 0;
+    for (row, sample) in rows.records().zip(&samples) {
+        let row = row.unwrap();
+        assert_eq!(row[3].parse::<f64>().unwrap().to_bits(), sample.reading_mm.to_bits());
+        count += 1;
+    }
+    assert_eq!(count, samples.len());
+    let info = run(&["info", path.to_str().unwrap(), "--json"]);
+    assert_eq!(info.status.code(), Some(0), "{}", stderr(&info));
+    let info: serde_json::Value = serde_json::from_slice(&info.stdout).unwrap();
+    assert_eq!(info["samples"], samples.len());
+    assert_eq!(info["protocol"], "dbb-cobs-1");
+}
+
+/// A bar whose line spoils every hundredth frame.
+struct Spoiled(u64);
+
+impl Source for Spoiled {
+    fn reading(&mut self, t_s: f64) -> Option<Reading> {
+        (t_s < 3600.0).then(|| reading(t_s, false))
+    }
+
+    fn spoil(&mut self, frame: &mut Vec<u8>) {
+        self.0 += 1;
+        if self.0.is_multiple_of(100) {
+            frame[5] ^= 1;
+        }
+    }
+}
+
+#[test]
+fn spoiled_frames_are_faults_and_gaps_and_a_doubt() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("run");
+    let (port, _bar) = play(0.0, Spoiled(0));
+    let mut child = dbbd(&["acquire", "--port", &port, "--out", path.to_str().unwrap()]).spawn().unwrap();
+    wait_for(&path, 300_000);
+    signal(&child, "INT");
+    assert_eq!(child.wait().unwrap().code(), Some(3));
+    let capture = read(&path);
+    let missing: u64 = capture
+        .events()
+        .map(|event| match event {
+            Event::Gap { missing, .. } => missing.unwrap(),
+            _ => 0,
+        })
+        .sum();
+    let faults = capture.records.iter().filter(|stamped| matches!(stamped.record, Record::Fault(_))).count();
+    let expected = samples(&capture).len() as u64 / 99;
+    assert!(expected > 5 && missing.abs_diff(expected) <= 1, "{missing} of {expected}");
+    // The last fault may be a frame that the end cut through.
+    assert!((faults as u64).abs_diff(expected) <= 2, "{faults} of {expected}");
+}
+
+fn endless() -> impl Source {
+    |t: f64| (t < 1e6).then(|| reading(t, false))
+}
+
+#[test]
+fn interrupt_and_terminate_end_a_run_well() {
+    for name in ["INT", "TERM"] {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("run");
+        let (port, _bar) = play(1.0, endless());
+        let child = dbbd(&["acquire", "--port", &port, "--out", path.to_str().unwrap()]).spawn().unwrap();
+        wait_for(&path, 20_000);
+        signal(&child, name);
+        let output = child.wait_with_output().unwrap();
+        assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+        let capture = read(&path);
+        assert!(capture.ended() && capture.damages.is_empty());
+    }
+}
+
+#[test]
+fn a_kill_keeps_what_was_written() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("run");
+    let (port, _bar) = play(0.0, endless());
+    let mut child = dbbd(&["acquire", "--port", &port, "--out", path.to_str().unwrap()]).spawn().unwrap();
+    wait_for(&path, 200_000);
+    signal(&child, "KILL");
+    child.wait().unwrap();
+    let size = std::fs::metadata(&path).unwrap().len();
+    let capture = read(&path);
+    assert!(!capture.ended());
+    // At most the record that was being written is torn, at the very end.
+    match &capture.damages[..] {
+        [] => {}
+        [torn] => assert_eq!(torn.offset + torn.bytes, size),
+        more => panic!("{more:?}"),
+    }
+    let samples = samples(&capture);
+    assert!(samples.len() > 500);
+    for (frame, sample) in (0u64..).zip(&samples) {
+        assert_eq!(sample.reading_mm, reading_mm(frame));
+    }
+    let info = run(&["info", path.to_str().unwrap()]);
+    assert_eq!(info.status.code(), Some(3), "a run that was cut off is a doubt: {}", stderr(&info));
+    // The bar can be started again, by the same name.
+    let again = directory.path().join("again");
+    let output = run(&["acquire", "--port", &port, "--out", again.to_str().unwrap(), "--duration", "0.5"]);
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+}
+
+#[test]
+fn a_torn_capture_is_recovered_with_a_doubt() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = |name: &str| directory.path().join(name).to_str().unwrap().to_owned();
+    let (port, _bar) = play(0.0, endless());
+    let output = run(&["acquire", "--port", &port, "--out", &path("run"), "--duration", "0.3"]);
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    let mut bytes = std::fs::read(path("run")).unwrap();
+    let middle = bytes.len() / 2;
+    bytes[middle] ^= 4;
+    bytes.truncate(bytes.len() - 3);
+    std::fs::write(path("torn"), &bytes).unwrap();
+    let recovered = run(&["recover", &path("torn"), "--out", &path("whole")]);
+    assert_eq!(recovered.status.code(), Some(3), "{}", stderr(&recovered));
+    assert!(stderr(&recovered).contains("torn tail"), "{}", stderr(&recovered));
+    assert!(stderr(&recovered).contains("checksum"), "{}", stderr(&recovered));
+    let (before, after) = (capture::read(&bytes), read(Path::new(&path("whole"))));
+    assert_eq!((after.records, after.damages.len()), (before.records, 0));
+    let intact = run(&["recover", &path("whole"), "--out", &path("again")]);
+    assert_eq!(intact.status.code(), Some(0), "{}", stderr(&intact));
+    assert_eq!(
+        run(&["recover", &path("run"), "--out", &path("again")]).status.code(),
+        Some(1),
+        "not overwritten"
+    );
+    std::fs::write(path("text"), "no capture").unwrap();
+    assert_eq!(run(&["info", &path("text")]).status.code(), Some(1));
+}
+
+/// In this process: a child would inherit the terminal's other side and keep it open.
+#[test]
+fn a_bar_that_goes_away_for_good_ends_the_run() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("run");
+    let terminal = Terminal::new().unwrap();
+    let options = daemon::Options {
+        port: terminal.name().to_owned(),
+        definition: definition(),
+        out: path.clone(),
+        attachments: daemon::Attachments::default(),
+        duration_s: None,
+        gone_s: 0.3,
+    };
+    let acquisition = daemon::Acquisition::start(options, Arc::default()).unwrap();
+    drop(terminal);
+    let summary = acquisition.join().unwrap();
+    assert_eq!(summary.ending, daemon::Ending::Gone);
+    let capture = read(&path);
+    assert!(capture.ended());
+    assert!(
+        capture.events().any(|event| matches!(event, Event::Gap { reason, .. } if reason.contains("gone")))
+    );
+}
+
+/// CRC-64/XZ, bit by bit from the catalogue's parameters (reflected polynomial C96C5795D7870F42).
+fn crc64(bytes: &[u8]) -> u64 {
+    !bytes.iter().fold(!0u64, |crc, byte| {
+        (0..8).fold(crc ^ u64::from(*byte), |crc, _| (crc >> 1) ^ (0xc96c_5795_d787_0f42 * (crc & 1)))
+    })
+}
+
+#[test]
+fn the_plan_goes_into_the_capture_and_its_last_module_ends_the_run() {
+    assert_eq!(crc64(b"123456789"), 0x995d_c9bb_df19_39fa, "the catalogue's check value");
+    let directory = tempfile::tempdir().unwrap();
+    let path = |name: &str| directory.path().join(name).to_str().unwrap().to_owned();
+    let rows = "index,circle\n1,0\n2,1\n3,1\n";
+    let header = format!(
+        "{{\"hash\":\"{:016x}\",\"robot\":\"name = 1\",\"job\":{{\"bar\":{{\"protocol\":\"dbb-cobs-1\"}}}}}}",
+        crc64(rows.as_bytes())
+    );
+    std::fs::write(path("plan.csv"), rows).unwrap();
+    std::fs::write(path("plan.json"), &header).unwrap();
+    let (port, bar) = play(0.0, Program { over: false });
+    let output = run(&["acquire", "--port", &port, "--plan", &path("plan.csv"), "--out", &path("run")]);
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    bar.join().unwrap();
+    let capture = read(Path::new(&path("run")));
+    assert_eq!(capture.attachment("plan.csv"), Some(rows.as_bytes()));
+    assert_eq!(capture.attachment("plan.json"), Some(header.as_bytes()));
+    assert_eq!(capture.attachment("robot.toml"), Some(&b"name = 1"[..]));
+    // The mark is over one second after its last pulse at 6.8 s; then come only the bytes on the way.
+    let strobes = samples(&capture).iter().filter(|sample| sample.trigger == Some(true)).count();
+    assert_eq!(strobes, 2400);
+    // A plan that was changed is refused.
+    std::fs::write(path("plan.csv"), "index,circle\n1,0\n2,1\n").unwrap();
+    let output = run(&["acquire", "--port", &port, "--plan", &path("plan.csv"), "--out", &path("other")]);
+    assert_eq!(output.status.code(), Some(1));
+    assert!(stderr(&output).contains("does not belong to"), "{}", stderr(&output));
+}
+
+#[test]
+fn a_missing_port_is_told_and_leaves_no_file() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("run");
+    let output = run(&["acquire", "--port", "/dev/ttyNONE7", "--out", path.to_str().unwrap()]);
+    assert_eq!(output.status.code(), Some(1));
+    let said = stderr(&output);
+    assert!(said.contains("no port `/dev/ttyNONE7`") && said.contains("dbbd ports"), "{said}");
+    assert!(!path.exists());
+}
+
+#[test]
+fn an_occupied_port_is_told() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = |name: &str| directory.path().join(name).to_str().unwrap().to_owned();
+    let (port, _bar) = play(1.0, endless());
+    let mut first = dbbd(&["acquire", "--port", &port, "--out", &path("first")]).spawn().unwrap();
+    wait_for(Path::new(&path("first")), 20_000);
+    let second = run(&["acquire", "--port", &port, "--out", &path("second")]);
+    signal(&first, "INT");
+    first.wait().unwrap();
+    assert_eq!(second.status.code(), Some(1));
+    assert!(stderr(&second).contains("in use"), "{}", stderr(&second));
+}

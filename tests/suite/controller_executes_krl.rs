@@ -1,0 +1,244 @@
+//! The simulated controller goes where the program says, stands while the strobe is high, and stops
+//! at what it cannot do, naming the line.
+
+use dbbd::krl::{Controller as Kind, Options, Program, Sync, emit};
+use dbbd::model::{Geometry, Pose};
+use dbbd::plan::{Kind as RowKind, PlanRow};
+use dbbd::sim::world::{Setup, Stroke};
+use dbbd::sim::{Controller, Moment, World, truth};
+
+use crate::circle_plan::{BAR_MM, plan, robot};
+use crate::krl_reads_back;
+
+const DT_S: f64 = 0.002;
+
+/// Runs to the end; HALT is left at once.
+fn run(mut controller: Controller) -> Result<Vec<Moment>, String> {
+    let mut moments = Vec::new();
+    while moments.len() < 500_000 {
+        let moment = controller.step(DT_S).map_err(|stop| stop.to_string())?;
+        moments.push(moment);
+        if moment.halted {
+            controller.go_on();
+        }
+        if moment.done {
+            return Ok(moments);
+        }
+    }
+    Err("never ends".into())
+}
+
+fn small(body: &str) -> Controller {
+    let text = format!("DEF T ( )\nPTP {{A1 0.0,A2 -90.0,A3 90.0,A4 0.0,A5 45.0,A6 0.0}}\n{body}\nEND\n");
+    let program =
+        Program::open("T", |wanted| Ok((wanted == "T.src").then(|| ("T.src".to_owned(), text.clone()))));
+    Controller::new(program.unwrap(), &robot(), 100.0).unwrap()
+}
+
+fn stopped(body: &str) -> String {
+    run(small(body)).err().unwrap_or_else(|| panic!("{body} did not stop"))
+}
+
+/// The first and the last moment of each time that the strobe was high for longer than a mark's pulse.
+fn dwells(moments: &[Moment]) -> Vec<(Moment, Moment)> {
+    let highs = moments.chunk_by(|a, b| a.strobe == b.strobe).filter(|chunk| chunk[0].strobe);
+    let ends = highs.map(|chunk| (chunk[0], chunk[chunk.len() - 1]));
+    ends.filter(|(first, last)| last.t_s - first.t_s > 0.5).collect()
+}
+
+fn pose_error(geometry: &Geometry, moment: &Moment, row: &PlanRow) -> (f64, f64) {
+    let (is, wanted) = (geometry.ball(&moment.axes), Pose::from_kuka(row.xyz_mm, row.abc_deg));
+    ((is.position - wanted.position).norm(), (is.rotation - wanted.rotation).norm())
+}
+
+#[test]
+fn every_strobe_stands_at_its_pose() {
+    let plan = plan(2, 8);
+    let files = emit(&plan, Options { sync: Sync::Output, controller: Kind::Krc4 }).unwrap();
+    let program = krl_reads_back::program(&files);
+    let setup = Setup::new(&program, Some(("W", "[bar]\nnoise_um = 0.0\nresolution_um = 0.0"))).unwrap();
+    let robot = robot();
+    let moments = run(Controller::new(program, &robot, 100.0).unwrap()).unwrap();
+    let rows: Vec<_> = plan.rows.iter().filter(|row| row.kind != RowKind::Transit).collect();
+    let dwells = dwells(&moments);
+    assert_eq!(dwells.len(), rows.len());
+    for ((first, last), row) in dwells.iter().zip(&rows) {
+        for moment in [first, last] {
+            let (distance_mm, turn) = pose_error(&robot.geometry, moment, row);
+            assert!(distance_mm < 1e-6 && turn < 1e-9, "row {}: {distance_mm} mm, {turn}", row.index);
+        }
+        assert!((last.t_s - first.t_s - row.dwell_s).abs() < 2.0 * DT_S);
+    }
+    // Marks: 3 pulses at the start of each module and 2 at its end.
+    let highs = moments.chunk_by(|a, b| a.strobe == b.strobe).filter(|chunk| chunk[0].strobe).count();
+    assert_eq!(highs, dwells.len() + 2 * (3 + 2));
+    // On the true robot that is the nominal one, with the ball where the plan has it, the bar reads the
+    // plan's lengths, up to the rounding of the poses (half a micrometre in each coordinate).
+    let mut world = World::new(robot.geometry, setup, 1);
+    for moment in &moments {
+        let measured = world.reading(moment);
+        if let Some(at) = dwells.iter().position(|(first, last)| first == moment || last == moment) {
+            assert_eq!(measured.stroke, Stroke::Within);
+            assert!((measured.reading_mm + BAR_MM - rows[at].length_mm).abs() < 1e-3);
+        }
+    }
+}
+
+#[test]
+fn an_arc_keeps_its_radius_and_a_line_its_chord() {
+    let mut controller = small(
+        "$VEL.CP=0.1\n$ACC.CP=0.5\nPTP {X 1500.0,Y 0.0,Z 900.0,A 0.0,B 90.0,C 0.0}\n\
+         CIRC {X 1400.0,Y 100.0,Z 900.0},{X 1300.0,Y 0.0,Z 900.0,A 0.0,B 90.0,C 0.0}\n\
+         CIRC {X 1400.0,Y -100.0,Z 900.0},{X 1500.0,Y 0.0,Z 900.0},CA -90.0\nHALT",
+    );
+    let geometry = Geometry { tool: nalgebra::Vector3::zeros(), ..robot().geometry };
+    let mut seen = Vec::new();
+    loop {
+        let moment = controller.step(0.01).unwrap();
+        if moment.motions >= 3 {
+            seen.push((moment.t_s, geometry.ball(&moment.axes).position));
+        }
+        if moment.halted {
+            break;
+        }
+    }
+    for (_, p) in &seen {
+        assert!(((p - nalgebra::Vector3::new(1400.0, 0.0, 900.0)).norm() - 100.0).abs() < 1e-6);
+    }
+    // CA -90: a quarter against the taught direction, from (1300, 0) back to (1400, 100).
+    let end = seen.last().unwrap().1;
+    assert!((end - nalgebra::Vector3::new(1400.0, 100.0, 900.0)).norm() < 1e-6, "{end}");
+    // A trapezoid over d takes d/v + v/a: here over pi 100 mm and pi 50 mm.
+    let expected_s = std::f64::consts::PI * 1.5 + 2.0 * 0.1 / 0.5;
+    assert!((seen.last().unwrap().0 - seen[0].0 - expected_s).abs() < 0.03);
+}
+
+#[test]
+fn override_stretches_moves_and_not_waits() {
+    let end_s = |percent: f64| {
+        let program = Program::open("T", |wanted| {
+            let text = "DEF T ( )\nPTP {A1 20.0}\nWAIT SEC 1.0\nEND\n";
+            Ok((wanted == "T.src").then(|| ("T.src".to_owned(), text.to_owned())))
+        });
+        let controller = Controller::new(program.unwrap(), &robot(), percent).unwrap();
+        run(controller).unwrap().last().unwrap().t_s
+    };
+    // 20 deg at 128 deg/s and 320 deg/s^2: a triangle of 2 sqrt(20/320) = 0.5 s.
+    assert!((end_s(100.0) - 1.5).abs() < 2.0 * DT_S);
+    assert!((end_s(50.0) - 2.0).abs() < 2.0 * DT_S);
+}
+
+#[test]
+fn loops_calls_signals_and_pulses_run() {
+    let text = "DEF T ( )\nPTP {A1 0.0}\nFOR K=1 TO 3 STEP 1\nSUB (K,0.5)\nENDFOR\nWHILE K>0\nK=K-2\nENDWHILE\nLOOP\nEXIT\nENDLOOP\n\
+                IF K==0 THEN\nDBBSTB=TRUE\nENDIF\nWAIT SEC 0.1\nDBBSTB=FALSE\nPULSE ($OUT[1],TRUE,0.2)\nWAIT SEC 1\n\
+                WAIT FOR IDX==3\nEND\nDEF SUB (N :IN,W :IN )\nINT N\nREAL W\nIDX=N\nQ[N]=$AXIS_ACT_MEAS\nWAIT SEC W\nEND\n";
+    let data = "DEFDAT T\nINT K=0\nSIGNAL DBBSTB $OUT[1]\nSIGNAL IDX $OUT[9] TO $OUT[16]\nDECL E6AXIS Q[3]\nENDDAT\n";
+    let program = Program::open("T", |wanted| {
+        let text = if wanted == "T.src" { text } else { data };
+        Ok(Some((wanted.to_owned(), text.to_owned())))
+    });
+    let moments = run(Controller::new(program.unwrap(), &robot(), 100.0).unwrap()).unwrap();
+    let highs: Vec<f64> = moments
+        .chunk_by(|a, b| a.strobe == b.strobe)
+        .filter(|chunk| chunk[0].strobe)
+        .map(|chunk| chunk.len() as f64 * DT_S)
+        .collect();
+    // K is 4 after the loop and 0 after the next, so the first is the assignment's, the second the pulse,
+    // and nothing is between them but the end of one and the start of the other.
+    assert_eq!(highs.len(), 1);
+    assert!((highs[0] - 0.3).abs() < 3.0 * DT_S, "{highs:?}");
+}
+
+#[test]
+fn what_cannot_be_done_stops_with_its_line() {
+    let limit = stopped("PTP {A2 40.0}");
+    assert!(
+        limit.starts_with("T.src:3:1: axis 2 leaves its limits: 40.000 deg, allowed -135 to 35"),
+        "{limit}"
+    );
+    for (body, words) in [
+        ("$VEL.CP=0.1\nLIN {X 5000.0}", "T.src:4:"),
+        ("$VEL.CP=250.0\nLIN {Z 1700.0}", "T.src:4:1: $VEL.CP=250 is faster than the robot"),
+        ("LIN {X 1300.0} C_DIS", "T.src:3:1: approximate positioning"),
+        ("A=1", "T.src:3:1: A is not declared"),
+        ("$TOOLS=1", "did you mean $TOOL?"),
+        ("NOWHERE=$OUT[9999]", "T.src:3:9: index 9999 is outside"),
+        ("$ORI_TYPE=#JOINT\nLIN {Z 1700.0}", "$ORI_TYPE=#JOINT is not simulated"),
+        ("LOOP\n$OV_PRO=100\nENDLOOP", "loops without ever taking time"),
+        ("CIRC {X 1300.0},{X 1200.0}", "on a line"),
+        ("$AXIS_ACT.A1=3.0", "cannot be set"),
+        ("BAS (#TOOL,3)", "is not simulated"),
+        ("PTP {X 1300.0,Y 0.0,Z 900.0,A 0.0,B 180.0,C 0.0,S 2,T 63}", "T.src:3:"),
+    ] {
+        let message = stopped(body);
+        assert!(message.contains(words), "{body}: {message}");
+    }
+    let first = "DEF T ( )\nLIN {X 1300.0}\nEND\n";
+    let program =
+        Program::open("T", |wanted| Ok((wanted == "T.src").then(|| ("T.src".to_owned(), first.to_owned()))));
+    let message = run(Controller::new(program.unwrap(), &robot(), 100.0).unwrap()).unwrap_err();
+    assert!(message.contains("T.src:2:1: the first motion of a program is a PTP"), "{message}");
+    let missing = Program::open("T", |wanted| {
+        Ok((wanted == "T.src").then(|| ("T.src".to_owned(), "DEF T ( )\nOTHER (1)\nEND\n".to_owned())))
+    });
+    assert!(missing.unwrap_err().to_string().starts_with("T.src:2:1: OTHER is called"));
+}
+
+#[test]
+fn the_world_is_what_its_file_says() {
+    let files = emit(&plan(1, 3), Options { sync: Sync::Output, controller: Kind::Krc4 }).unwrap();
+    let program = krl_reads_back::program(&files);
+    let unknown = Setup::new(&program, Some(("W.toml", "[bar]\nnoise = 1.0"))).unwrap_err().to_string();
+    assert!(unknown.starts_with("W.toml:2:1:") && unknown.contains("unknown field `noise`"), "{unknown}");
+    let text = "repeatability_um = 20.0\n[bar]\nlength_mm = 299.5\nresolution_um = 10.0\nnoise_um = 0.0\n\
+                [[centre]]\nid = 1\nxyz_mm = [1300.0, 0.0, 800.0]";
+    let setup = Setup::new(&program, Some(("W.toml", text))).unwrap();
+    let robot = robot();
+    let still = |motions| Moment {
+        t_s: 0.0,
+        axes: plan(1, 3).rows[0].axes_deg.map(f64::to_radians),
+        centre: 1,
+        strobe: false,
+        motions,
+        halted: false,
+        done: false,
+    };
+    let mut world = World::new(robot.geometry.clone(), setup.clone(), 7);
+    let mut again = World::new(robot.geometry.clone(), setup, 7);
+    let readings: Vec<f64> = (0..2000).map(|motions| world.reading(&still(motions)).reading_mm).collect();
+    assert_eq!(
+        readings,
+        (0..2000).map(|motions| again.reading(&still(motions)).reading_mm).collect::<Vec<_>>()
+    );
+    let mean = readings.iter().sum::<f64>() / 2000.0;
+    let sd = (readings.iter().map(|r| (r - mean).powi(2)).sum::<f64>() / 1999.0).sqrt();
+    // 20 um along the bar, with 10 um / sqrt 12 of rounding; standard errors 0.45 and 0.33 um.
+    assert!((mean - 0.5).abs() < 2e-3 && (sd - 20.2e-3).abs() < 1.5e-3, "{mean} {sd}");
+    assert!(readings.iter().all(|r| (r * 100.0 - (r * 100.0).round()).abs() < 1e-9));
+    let one = world.reading(&still(3)).reading_mm;
+    assert_eq!(one, world.reading(&still(3)).reading_mm, "the offset is drawn once for each motion");
+    let mut far = still(0);
+    far.axes[0] += 0.1;
+    assert_ne!(world.reading(&far).stroke, Stroke::Within);
+}
+
+#[test]
+fn a_true_robot_is_drawn_from_the_tolerance() {
+    let nominal = robot();
+    assert_eq!(truth::draw(&nominal, 3, 1.0).geometry, truth::draw(&nominal, 3, 1.0).geometry);
+    assert_eq!(truth::draw(&nominal, 3, 0.0).geometry, nominal.geometry);
+    let (mut sum, mut count) = (0.0, 0.0);
+    for seed in 0..200 {
+        let robot = truth::draw(&nominal, seed, 2.0);
+        for (row, from) in robot.geometry.rows.iter().zip(&nominal.geometry.rows) {
+            sum += ((row.a - from.a) / (2.0 * nominal.tolerance.length_mm)).powi(2);
+            sum += ((row.alpha - from.alpha) / (2.0 * nominal.tolerance.angle_deg.to_radians())).powi(2);
+            count += 2.0;
+        }
+        assert_eq!(robot.geometry.rows[2].d, 0.0); // axes 2 and 3 are parallel
+        assert_ne!(robot.geometry.rows[2].beta, 0.0);
+    }
+    // Mean square of 2400 standard normals: 1 with standard error sqrt(2/2400) = 0.029.
+    assert!((sum / count - 1.0_f64).abs() < 0.12, "{}", sum / count);
+}

@@ -1,0 +1,222 @@
+//! What is written as KRL reads back as the plan, and what is no KRL is refused with its place.
+
+use dbbd::krl::syntax::Source;
+use dbbd::krl::{
+    Controller, EmitError, Options, Program, Sync, Target, emit, logged_axes, parse_data, parse_source,
+    read_points, read_setup,
+};
+use dbbd::plan::{Kind, Motion, Plan};
+use proptest::prelude::*;
+
+use crate::circle_plan::{BALL_MM, BAR_MM, plan};
+
+const ALL: [(Sync, Controller); 4] = [
+    (Sync::Output, Controller::Krc4),
+    (Sync::Marker, Controller::Krc4),
+    (Sync::Output, Controller::Krc2),
+    (Sync::Marker, Controller::Krc5),
+];
+
+fn modules(plan: &Plan, sync: Sync, controller: Controller) -> Vec<(String, String)> {
+    emit(plan, Options { sync, controller }).unwrap()
+}
+
+pub(crate) fn program(modules: &[(String, String)]) -> Program {
+    Program::open("DBB_MAIN", |wanted| {
+        let found = modules.iter().find(|(name, _)| name.eq_ignore_ascii_case(wanted));
+        Ok(found.cloned())
+    })
+    .unwrap()
+}
+
+fn refused(text: &str) -> String {
+    parse_source("T.src", text).unwrap_err().to_string()
+}
+
+fn parsed(text: &str) -> Source {
+    parse_source("T.src", text).unwrap()
+}
+
+#[test]
+fn every_pose_reads_back_to_the_printed_digits() {
+    let plan = plan(2, 8);
+    for (sync, controller) in ALL {
+        let program = program(&modules(&plan, sync, controller));
+        assert_eq!(program.modules.len(), 3);
+        let mut read = Vec::new();
+        for module in &program.modules[1..] {
+            read.extend(read_points(&module.source, module.data.as_ref()).unwrap());
+        }
+        let auxiliary = |kind, motion| kind == Kind::Transit && motion == Motion::Circ;
+        let rows: Vec<_> = plan.rows.iter().filter(|row| !auxiliary(row.kind, row.motion)).collect();
+        assert_eq!(read.len(), rows.len());
+        for (point, row) in read.iter().zip(rows) {
+            assert_eq!(point.motion, row.motion);
+            match &point.to {
+                Target::Axes(axes) => {
+                    assert_eq!(row.motion, Motion::Ptp);
+                    for (read, planned) in axes.iter().zip(row.axes_deg) {
+                        assert!((read - planned).abs() <= 0.5001e-4);
+                    }
+                }
+                Target::Pose { xyz_mm, abc_deg, status, turn } => {
+                    assert_eq!((xyz_mm, abc_deg), (&row.xyz_mm, &row.abc_deg));
+                    assert_eq!((*status, *turn), (Some(row.status.into()), Some(row.turn.into())));
+                }
+            }
+            if row.motion == Motion::Circ {
+                let through = &plan.rows[row.index as usize - 2];
+                let Some(Target::Pose { xyz_mm, .. }) = &point.through else { panic!("no auxiliary point") };
+                assert_eq!(*xyz_mm, through.xyz_mm);
+            }
+        }
+        let setup = read_setup(program.modules[1].data.as_ref().unwrap()).unwrap().unwrap();
+        assert_eq!((setup.ball, setup.centre_mm, setup.length_mm), (1, BALL_MM, BAR_MM));
+        assert_eq!(setup.stroke_mm, [-1.0, 1.0]);
+    }
+}
+
+#[test]
+fn files_are_what_a_controller_loads() {
+    let plan = plan(2, 8);
+    for (sync, controller) in ALL {
+        for (name, text) in modules(&plan, sync, controller) {
+            let stem = name.split('.').next().unwrap();
+            assert!(
+                stem.len() <= 16
+                    && text
+                        .contains(&format!("DEF{} {stem}", if name.ends_with("dat") { "DAT" } else { "" }))
+            );
+            assert!(text.is_ascii() && text.ends_with("\r\n"));
+            assert_eq!(text.matches('\n').count(), text.matches("\r\n").count());
+            assert!(text.contains("0123456789abcdef"), "{name} does not name its plan");
+            for line in text.lines() {
+                assert!(line.len() < 200, "{line}");
+                assert!(
+                    !line.contains("-0.000,") && !line.contains("-0.0000,") && !line.contains("NaN"),
+                    "{line}"
+                );
+                // All 14 components of an E6POS.
+                assert!(!line.starts_with("XP[") || line.matches(' ').count() == 14, "{line}");
+            }
+            assert!(controller == Controller::Krc2 || !text.contains("EXT "), "{name}");
+            if controller == Controller::Krc2 && name.ends_with(".dat") {
+                assert!(text.contains("EXT BAS (BAS_COMMAND :IN,REAL :IN )"));
+            }
+            if sync == Sync::Marker {
+                assert!(
+                    !text.contains("OUT[") && !text.contains("PULSE") && !text.contains("DBBSTB"),
+                    "{name}"
+                );
+            }
+        }
+    }
+}
+
+#[test]
+fn logged_axes_come_with_their_rows() {
+    let plan = plan(1, 3);
+    let files = modules(&plan, Sync::Output, Controller::Krc4);
+    let (name, text) = files.iter().find(|(name, _)| name == "DBB_C001.dat").unwrap();
+    let e = "E1 0.0,E2 0.0,E3 0.0,E4 0.0,E5 0.0,E6 0.0";
+    let logged = format!("XQ[2]={{A1 1.5,A2 -60.25,A3 90.0,A4 0.0,A5 57.0,A6 -1.0E-2,{e}}}\r\nENDDAT");
+    let data = parse_data(name, &text.replace("ENDDAT", &logged)).unwrap();
+    let second = plan.rows.iter().filter(|row| row.kind != Kind::Transit).nth(1).unwrap();
+    assert_eq!(logged_axes(&data).unwrap(), [(second.index, [1.5, -60.25, 90.0, 0.0, 57.0, -0.01])]);
+}
+
+#[test]
+fn what_is_not_known_is_refused_with_its_place() {
+    let spline = refused("DEF T ( )\r\n  ; a comment\r\n  SLIN XP1\r\nEND\r\n");
+    assert!(spline.starts_with("T.src:3:3: SLIN is not supported"), "{spline}");
+    assert!(spline.contains("|   SLIN XP1") && spline.contains("help: write LIN"), "{spline}");
+    let typo = refused("DEF T ( )\nWIAT SEC 1\nEND\n");
+    assert!(typo.starts_with("T.src:2:1:") && typo.contains("did you mean WAIT?"), "{typo}");
+    for (text, place) in [
+        ("DEF T ( )\nLIN {X 1,5,Y 2.0}\nEND\n", "T.src:2:10:"), // a decimal comma
+        ("DEF T ( )\nLIN {X 1.0,Y 2.0\nEND\n", "T.src:2:17:"),  // an open brace
+        ("DEF T ( )\nFOR K=1 TO 3\nHALT\nEND\n", "T.src:4:1: expected ENDFOR"), // no ENDFOR
+        ("DEF T ( )\nHALT\n", "T.src:3:1:"),                    // no END
+        ("DEF T ( )\nHALT\nINT N\nEND\n", "T.src:3:1:"),        // a declaration too late
+        ("DEF T ( )\nPTP P1 C_FAST\nEND\n", "T.src:2:8:"),      // no approximation of that name
+        ("DEF T ( )\n;FOLD A\nEND\n", "T.src:2:1:"),            // a fold never closed
+        ("DEF T ( )\n;ENDFOLD\nEND\n", "T.src:2:1:"),           // a fold never opened
+        ("DEF T ( )\nA=\u{fc}\nEND\n", "T.src:2:3:"),           // an umlaut
+        ("\u{feff}DEF T ( )\nEND\n", "T.src:1:1:"),             // a byte order mark
+        ("DEF T ( )\nA=\"x\nEND\n", "T.src:2:3:"),              // an open text
+        ("DEF A_NAME_THAT_IS_FAR_TOO_LONG ( )\nEND\n", "T.src:1:5:"),
+        ("DEF T ( )\nA=99999999999999999999\nEND\n", "T.src:2:3:"),
+        ("", "T.src:"),
+    ] {
+        let message = refused(text);
+        assert!(message.starts_with(place), "{text:?}: {message}");
+    }
+    let deep = format!("DEF T ( )\nA={}1\nEND\n", "(".repeat(100_000));
+    assert!(refused(&deep).contains("nested too deeply"));
+}
+
+#[test]
+fn real_forms_are_read() {
+    let source = parsed(
+        "&ACCESS RVP\r\ndef t ( )\r\nint n\r\nEXT BAS (BAS_COMMAND :IN,REAL :IN )\r\nGLOBAL INTERRUPT DECL 3 WHEN $STOPMESS==TRUE \
+         DO IR_STOPM ( )\r\nINTERRUPT ON 3 \r\nBAS (#INITMOV,0 )\r\nptp {E6POS: X 1.0,Y -2.5,S 'B010',T 'H22'} C_PTP C_DIS\r\n\
+         circ {X 1.0,Y 1.0,Z 0.0},XP[2],CA 360.0\r\nIF (N<>3) AND NOT $IN[1] THEN\r\nHALT\r\nELSE\r\nwait sec 0\r\n\
+         ENDIF\r\nEND\r\n",
+    );
+    assert_eq!(source.routines[0].name, "T");
+    assert_eq!(source.routines[0].body.len(), 6);
+    parse_data(
+        "T.dat",
+        "DEFDAT T PUBLIC\nDECL E6POS XP1={X 1.0,Y 0.0}\nDECL FDAT FP1={TOOL_NO 1,POINT2[] \" \"}\nENDDAT\n",
+    )
+    .unwrap();
+}
+
+#[test]
+fn plans_that_have_no_program_are_refused() {
+    let options = Options { sync: Sync::Output, controller: Controller::Krc4 };
+    let mut many = plan(1, 8);
+    many.header.moves.pop();
+    assert!(matches!(emit(&many, options), Err(EmitError::Moves { .. })));
+    let mut nan = plan(1, 3);
+    nan.rows[8].xyz_mm[1] = f64::NAN;
+    assert!(matches!(emit(&nan, options), Err(EmitError::Row { index: 9, .. })));
+    let mut lost = plan(1, 3);
+    lost.rows[0].motion = Motion::Lin;
+    assert!(matches!(emit(&lost, options), Err(EmitError::Row { index: 1, .. })));
+    let mut clash = plan(1, 3);
+    clash.header.job.motion.outputs.strobe = 12;
+    assert!(matches!(emit(&clash, options), Err(EmitError::Setup(_))));
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 300, failure_persistence: None, ..ProptestConfig::default() })]
+
+    /// No text makes the reader panic, and a place it names is in the text.
+    #[test]
+    fn no_text_breaks_the_reader(words in proptest::collection::vec(
+        prop_oneof!["[ -~]{0,8}", Just("\n".into()), Just("DEF T ( )\n".into()), Just("LIN {X 1.0".into()),
+            Just("FOR K=1 TO 2\n".into()), Just("END".into()), Just("\u{e9}'B".into())], 0..20)) {
+        let text = words.concat();
+        for result in [parse_source("T", &text).map(|_| ()), parse_data("T", &text).map(|_| ())] {
+            if let Err(diagnostic) = result {
+                prop_assert!(diagnostic.line <= text.matches('\n').count() + 1);
+            }
+        }
+    }
+}
+
+/// Between circles the operator is asked to take the bar off, unless the robot stands at the start already.
+#[test]
+fn a_bar_that_stays_mounted_needs_no_halt() {
+    let halts = |plan: &Plan| {
+        let files = modules(plan, Sync::Output, Controller::Krc4);
+        let code = files.iter().filter(|(name, _)| name.ends_with(".src"));
+        code.map(|(_, text)| text.lines().filter(|line| *line == "HALT").count()).collect::<Vec<_>>()
+    };
+    let mut plan = plan(2, 8);
+    assert_eq!(halts(&plan), [1, 1, 1]);
+    let start = plan.rows.iter().position(|row| row.circle == 2).unwrap();
+    plan.rows[start].axes_deg = plan.rows[start - 1].axes_deg;
+    assert_eq!(halts(&plan), [0, 1, 0]);
+}

@@ -1,0 +1,187 @@
+//! The shipped jobs plan cleanly; a plan's files read back to the last bit and only as a pair.
+
+use std::collections::BTreeSet;
+use std::process::Command;
+
+use dbbd::model::inverse::from_status_turn;
+use dbbd::model::{Pose, Robot};
+use dbbd::plan::timing::ramped_s;
+use dbbd::plan::{Job, Kind, Motion, Plan, PlanRow};
+use proptest::prelude::*;
+
+fn example(name: &str) -> Plan {
+    let text =
+        std::fs::read_to_string(format!("{}/examples/{name}.toml", env!("CARGO_MANIFEST_DIR"))).unwrap();
+    let job = Job::from_toml(name, &text).unwrap();
+    let robot = Robot::by_name(&job.robot).unwrap().unwrap();
+    Plan::build(&job, &robot).unwrap_or_else(|refused| panic!("{refused}"))
+}
+
+fn count(plan: &Plan, kind: Kind) -> usize {
+    plan.rows.iter().filter(|row| row.kind == kind).count()
+}
+
+#[test]
+fn the_demo_plans_without_findings() {
+    let plan = example("demo");
+    let robot = Robot::by_name("kr60ha").unwrap().unwrap();
+    assert_eq!((count(&plan, Kind::Measure), count(&plan, Kind::Reference)), (240, 12));
+    assert!(plan.header.checks.iter().all(dbbd::plan::Check::holds));
+    for row in plan.rows.iter().filter(|row| row.kind == Kind::Measure) {
+        assert!((row.length_mm - 300.0).abs() < 2e-3, "{row:?}");
+    }
+    for row in &plan.rows {
+        // Axis angles, status and turn are those of the printed pose.
+        let pose = Pose::from_kuka(row.xyz_mm, row.abc_deg);
+        let axes = from_status_turn(&robot, &pose, row.status, row.turn).unwrap();
+        for i in 0..6 {
+            assert!((axes[i].to_degrees() - row.axes_deg[i]).abs() < 2e-6, "{row:?} {axes:?}");
+        }
+        assert_eq!(row.xyz_mm.map(|x| (x * 1e3).round() / 1e3), row.xyz_mm);
+    }
+    for circle in 1..=3 {
+        let module: Vec<&PlanRow> = plan.rows.iter().filter(|row| row.circle == circle).collect();
+        assert_eq!(module[0].motion, Motion::Ptp);
+        assert!(module.iter().filter(|row| row.kind != Kind::Transit).count() <= 255);
+        // Three knocks: out and back, and the reading goes out.
+        for knock in 0..3 {
+            let out = module[1 + 2 * knock].length_mm - module[2 + 2 * knock].length_mm;
+            assert!((out - 0.3).abs() < 2e-3, "{out}");
+        }
+        // No two moves into dwells of a module last alike.
+        let mut times: Vec<f64> = module
+            .iter()
+            .filter(|row| row.kind != Kind::Transit)
+            .map(|row| plan.header.moves[row.index as usize - 1].duration_s)
+            .collect();
+        times.sort_by(f64::total_cmp);
+        assert!(times.windows(2).all(|pair| pair[1] - pair[0] > 1e-3), "{times:?}");
+        assert!(times[0] >= 0.79, "{}", times[0]);
+    }
+    // Between two circles about one ball the bar stays on: the module's first move is none.
+    for pair in plan.rows.windows(2) {
+        if pair[1].motion == Motion::Ptp {
+            assert_eq!((pair[0].xyz_mm, pair[0].abc_deg), (pair[1].xyz_mm, pair[1].abc_deg));
+        }
+    }
+}
+
+#[test]
+fn the_paper_s_circle_has_eighty_points() {
+    let plan = example("seed-experiment");
+    assert_eq!((count(&plan, Kind::Measure), count(&plan, Kind::Reference)), (80, 4));
+    let places: BTreeSet<String> = plan
+        .rows
+        .iter()
+        .filter(|row| row.kind == Kind::Measure)
+        .map(|row| format!("{:?}", row.xyz_mm))
+        .collect();
+    assert_eq!(places.len(), 80);
+    assert!(plan.rows.iter().all(|row| row.circle == 1 && row.centre == 1));
+}
+
+/// d/v + v/a, and 2 sqrt(d/a) where the speed is not reached.
+#[test]
+fn a_ramped_move_takes_its_time() {
+    assert!((ramped_s(100.0, 20.0, 200.0) - 5.1).abs() < 1e-12);
+    assert!((ramped_s(2.0, 20.0, 200.0) - 0.2).abs() < 1e-12);
+    assert!((ramped_s(0.5, 20.0, 200.0) - 0.1).abs() < 1e-12);
+}
+
+#[test]
+fn both_directions_pass_every_point_twice() {
+    let text = "robot = \"kr60ha\"\n[bar]\nlength_mm = 300.0\nstroke_mm = [-5.0, 5.0]\n[[centre]]\nid = 1\n\
+        xyz_mm = [1300.0, 0.0, 800.0]\n[[circle]]\nplane = \"XY\"\npoints = 20\norientation = \"fixed\"\n\
+        direction = \"both\"\n";
+    for text in [text.to_owned(), text.replace("points = 20", "points = 20\narc_deg = 200.0")] {
+        let plan =
+            Plan::build(&Job::from_toml("job", &text).unwrap(), &Robot::by_name("kr60ha").unwrap().unwrap());
+        let plan = plan.unwrap();
+        let points: Vec<_> = plan.rows.iter().filter(|r| r.kind == Kind::Measure).map(|r| r.xyz_mm).collect();
+        assert_eq!(points.len(), 40);
+        for point in &points {
+            let near = |other: &&[f64; 3]| other.iter().zip(point).all(|(a, b)| (a - b).abs() < 2e-3);
+            assert_eq!(points.iter().filter(near).count(), 2);
+        }
+    }
+}
+
+#[test]
+fn the_verb_writes_the_pair_and_an_identified_robot_is_commanded_through_its_nominal_one() {
+    let dir = tempfile::tempdir().unwrap();
+    let job = format!("{}/examples/seed-experiment.toml", env!("CARGO_MANIFEST_DIR"));
+    let mut identified = Robot::by_name("kr60ha").unwrap().unwrap();
+    identified.nominal = Some(Box::new(identified.clone()));
+    identified.geometry.rows[2].a += 0.5;
+    identified.geometry.rows[3].theta += 0.001;
+    identified.geometry.rows[4].alpha += 0.0005;
+    let file = dir.path().join("identified.toml");
+    std::fs::write(&file, identified.to_toml()).unwrap();
+    let out = Command::new(env!("CARGO_BIN_EXE_dbbd"))
+        .args(["plan", &job, "--json", "--out"])
+        .arg(dir.path())
+        .arg("--robot")
+        .arg(&file)
+        .output()
+        .unwrap();
+    assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+    let summary: serde_json::Value = serde_json::from_slice(&out.stdout).unwrap();
+    assert_eq!(summary["measure"], 80);
+    let read = |name: &str| std::fs::read_to_string(dir.path().join(name)).unwrap();
+    let plan = Plan::from_files("plan.csv", &read("plan.csv"), "plan.json", &read("plan.json")).unwrap();
+    for row in plan.rows.iter().filter(|row| row.kind == Kind::Measure) {
+        let axes = row.axes_deg.map(f64::to_radians);
+        // The true arm's ball lies on the circle, the commanded one beside it.
+        let ball = identified.geometry.ball(&axes).position;
+        let centre = nalgebra::Vector3::new(1300.0, 0.0, 800.0);
+        assert!(((ball - centre).norm() - 300.0).abs() < 3e-3);
+        let told = identified.controller().geometry.ball(&axes).position;
+        assert!((told - nalgebra::Vector3::from(row.xyz_mm)).norm() < 1e-6);
+        assert!((told - ball).norm() > 0.05);
+    }
+}
+
+#[test]
+fn a_pair_that_does_not_match_is_refused() {
+    let plan = example("seed-experiment");
+    let (csv, json) = plan.to_files();
+    assert_eq!(Plan::from_files("plan.csv", &csv, "plan.json", &json).unwrap(), plan);
+    let other = csv.replacen("1300", "1301", 1).replacen("300.0", "300.1", 1);
+    assert_ne!(csv, other);
+    let error = Plan::from_files("plan.csv", &other, "plan.json", &json).unwrap_err().to_string();
+    assert!(error.contains("another plan"), "{error}");
+    let broken = csv.replacen("measure", "mesure", 1);
+    let error = Plan::from_files("plan.csv", &broken, "plan.json", &json).unwrap_err();
+    assert!(error.line > 1 && error.to_string().contains("mesure"), "{error}");
+    assert!(Plan::from_files("plan.csv", "", "plan.json", &json).is_err());
+    assert!(Plan::from_files("plan.csv", &csv, "plan.json", "{}").is_err());
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(40))]
+
+    #[test]
+    fn numbers_read_back_bit_for_bit(values in prop::collection::vec(prop::num::f64::NORMAL | prop::num::f64::ZERO, 13)) {
+        let job = "robot = \"x\"\n[bar]\nlength_mm = 300.0\nstroke_mm = [-5.0, 5.0]\n[[centre]]\nid = 1\n\
+            xyz_mm = [0.1, 0.2, 0.3]\n[[circle]]\nplane = \"XY\"\npoints = 5\n";
+        let job = Job::from_toml("job", job).unwrap();
+        let row = PlanRow {
+            index: 1, circle: 1, centre: 1, kind: Kind::Measure, motion: Motion::Lin,
+            xyz_mm: [values[0], values[1], values[2]],
+            abc_deg: [values[3], values[4], values[5]],
+            axes_deg: std::array::from_fn(|i| values[6 + i]),
+            status: 2, turn: 35, length_mm: values[12], dwell_s: 0.1 + values[0].abs(),
+        };
+        let time = dbbd::plan::MoveTime {
+            index: 1, feed_mm_s: values[1], turn_deg_s: values[2], axis_percent: values[3], duration_s: values[4],
+        };
+        let header = dbbd::plan::Header {
+            schema: 1, hash: String::new(), job, robot: "text".into(), moves: vec![time], checks: Vec::new(),
+        };
+        let (csv, json) = Plan { rows: vec![row.clone()], header }.to_files();
+        let read = Plan::from_files("plan.csv", &csv, "plan.json", &json).unwrap();
+        prop_assert_eq!(&read.rows[0], &row);
+        prop_assert_eq!(read.header.moves[0], time);
+        prop_assert_eq!(read.to_files(), (csv, json));
+    }
+}
