@@ -1,4 +1,5 @@
 //! Times of the identification, to be compared with `benches/peers` in one run on one machine.
+#![allow(missing_docs, clippy::expect_used)]
 
 use std::hint::black_box;
 

@@ -18,11 +18,6 @@ impl Output {
         Self { common }
     }
 
-    /// Whether `--json` asks for one JSON document on stdout.
-    pub(crate) fn json(&self) -> bool {
-        self.common.json
-    }
-
     /// A line of the result for people, on stdout; not said under `--json`.
     pub(crate) fn result(&self, line: impl AsRef<str>) {
         if !self.common.json {

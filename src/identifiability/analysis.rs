@@ -6,6 +6,17 @@ use super::wording;
 use crate::linalg::{BaseSet, Triangle, base_set};
 use crate::model::{LengthModel, ParamId, Reading, Selection};
 
+/// A sum of parameters that can be told although its members cannot.
+#[derive(Clone, Debug)]
+pub struct Combination {
+    /// The member that carries it.
+    pub kept: ParamId,
+    /// All members with their coefficients, the kept one's 1.
+    pub members: Vec<(ParamId, f64)>,
+    /// In words.
+    pub text: String,
+}
+
 /// What the poses can tell of a list of parameters.
 #[derive(Clone, Debug)]
 pub struct Analysis {
@@ -33,9 +44,8 @@ impl Analysis {
         self.base.dependent.iter().map(|(k, _)| self.ids[*k]).collect()
     }
 
-    /// For each kept parameter on which others lean: it, the combination that can be told (its own
-    /// coefficient 1), and the sentence about it.
-    pub fn combinations(&self) -> Vec<(ParamId, Vec<(ParamId, f64)>, String)> {
+    /// The combination of each kept parameter on which others lean.
+    pub fn combinations(&self) -> Vec<Combination> {
         let mut found = Vec::new();
         for (place, &k) in self.base.kept.iter().enumerate() {
             let mut members = vec![(self.ids[k], 1.0)];
@@ -47,10 +57,10 @@ impl Analysis {
             }
             if members.len() > 1 {
                 let text = wording::combination(&members);
-                found.push((self.ids[k], members, text));
+                found.push(Combination { kept: self.ids[k], members, text });
             }
         }
-        found.sort_by_key(|(kept, _, _)| *kept);
+        found.sort_by_key(|combination| combination.kept);
         found
     }
 }

@@ -8,6 +8,6 @@ mod predicted;
 mod wording;
 
 pub use alignment::aligned_distances;
-pub use analysis::{Analysis, analyse, factor};
+pub use analysis::{Analysis, Combination, analyse, factor};
 pub use observability::{Observability, observability};
 pub use predicted::{ErrorSummary, Estimator, Workspace};

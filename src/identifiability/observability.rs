@@ -28,7 +28,7 @@ pub struct Observability {
 /// `None` without columns or with a number that is not finite.
 pub fn observability(factor: &DMatrix<f64>, lengths: usize) -> Option<Observability> {
     let values = svd(factor)?.values;
-    let (largest, smallest) = (*values.iter().next()?, *values.iter().last()?);
+    let (largest, smallest) = (*values.iter().next()?, *values.iter().next_back()?);
     if largest == 0.0 {
         return None;
     }

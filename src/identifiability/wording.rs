@@ -45,7 +45,7 @@ pub(super) fn combination(members: &[(ParamId, f64)]) -> String {
 
 /// Four significant digits, without an exponent where it reads well.
 fn significant(value: f64) -> String {
-    if value >= 1e5 || value < 1e-3 {
+    if !(1e-3..1e5).contains(&value) {
         return format!("{value:.3e}");
     }
     let digits = (3 - value.log10().floor() as i32).clamp(0, 6) as usize;

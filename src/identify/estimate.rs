@@ -88,8 +88,8 @@ pub(super) fn estimate(
     if base.is_empty() {
         return Err(IdentifyError::NothingToEstimate);
     }
-    let follow_list = options.estimate.is_some() && options.prior == Prior::None;
-    if readings.len() < base.len() && options.prior == Prior::None && follow_list {
+    let follow_list = options.follows_list();
+    if readings.len() < base.len() && follow_list {
         return Err(IdentifyError::TooFewLengths { lengths: readings.len(), parameters: base.len() });
     }
     let mut sigma = first_sigma(lengths, &set_up, &base);

@@ -40,10 +40,12 @@ pub struct Identified {
     /// For each observation: its residual (measured minus predicted) with the nominal robot and with
     /// the identified one, mm, and whether it was used.
     pub residuals: Vec<ResidualPair>,
-    /// Over the workspace: where the ball is (robot base, mm) and the root mean square of its
-    /// predicted 3-D error there, mm.
-    pub predicted: Vec<([f64; 3], f64)>,
+    /// The predicted 3-D error over the workspace.
+    pub predicted: ErrorMap,
 }
+
+/// Where the ball is (robot base, mm) and the root mean square of its predicted 3-D error there, mm.
+pub type ErrorMap = Vec<([f64; 3], f64)>;
 
 /// The residuals of one observation, mm.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -21,6 +21,14 @@ pub struct Options {
     pub workspace: Option<Vec<[f64; AXES]>>,
 }
 
+impl Options {
+    /// Whether the user's list is followed as it is: there is one, and no prior that could carry
+    /// what the data do not.
+    pub fn follows_list(&self) -> bool {
+        self.estimate.is_some() && self.prior == Prior::None
+    }
+}
+
 /// What is known of the robot beforehand: one standard deviation of each geometric parameter about
 /// its nominal value.
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -11,8 +11,8 @@ use super::result::{
     BeforeAfter, Dependent, Folds, Identification, Outlier, ParameterResult, PredictedError, PredictedPair,
     Residual, Status,
 };
-use super::{Identified, ResidualPair, verdict};
-use crate::identifiability::{ErrorSummary, Estimator, Workspace, factor};
+use super::{ErrorMap, Identified, ResidualPair, verdict};
+use crate::identifiability::{Combination, ErrorSummary, Estimator, Workspace, factor};
 use crate::linalg::base_set;
 use crate::model::{LengthModel, Observations, ParamId, Reading, Robot, parameter};
 
@@ -85,7 +85,8 @@ pub(super) fn summarise(
         outliers,
         warnings: Vec::new(),
     };
-    result.warnings = verdict::warnings(&result, &estimate, lengths, spread.parameters);
+    result.warnings =
+        verdict::warnings(&result, &estimate, lengths, spread.parameters, options.follows_list());
     Ok(Identified {
         robot: identified_robot(robot, model),
         model: model.clone(),
@@ -167,7 +168,7 @@ struct Fate<'a> {
     options: &'a Options,
     asked: Vec<ParamId>,
     zero: Vec<ParamId>,
-    combinations: Vec<(ParamId, Vec<(ParamId, f64)>, String)>,
+    combinations: Vec<Combination>,
 }
 
 impl<'a> Fate<'a> {
@@ -202,8 +203,9 @@ impl<'a> Fate<'a> {
         } else if self.estimate.weak.contains(&id) {
             (Status::TooWeak, self.too_weak(id))
         } else {
-            let text = self.combinations.iter().find(|(_, members, _)| members.iter().any(|(m, _)| *m == id));
-            (Status::Dependent, text.map_or_else(String::new, |(_, _, text)| text.clone()))
+            let member = |c: &&Combination| c.members.iter().any(|(member, _)| *member == id);
+            let text = self.combinations.iter().find(member).map_or_else(String::new, |c| c.text.clone());
+            (Status::Dependent, text)
         };
         (status, reason, None)
     }
@@ -216,8 +218,8 @@ impl<'a> Fate<'a> {
             let reason = format!("the data alone leave {}; the prior carries it", with_unit(own, id));
             return (Status::Prior, reason, Some(sd));
         }
-        let stands_for = self.combinations.iter().find(|(kept, _, _)| *kept == id);
-        (Status::Identified, stands_for.map_or_else(String::new, |(_, _, text)| text.clone()), Some(sd))
+        let stands_for = self.combinations.iter().find(|c| c.kept == id);
+        (Status::Identified, stands_for.map_or_else(String::new, |c| c.text.clone()), Some(sd))
     }
 
     fn too_weak(&self, id: ParamId) -> String {
@@ -243,8 +245,11 @@ fn dependent(estimate: &Estimate) -> Vec<Dependent> {
         .analysis
         .combinations()
         .into_iter()
-        .map(|(kept, members, text)| Dependent {
-            combination: members.iter().map(|(id, c)| (id.to_string(), *c)).collect::<BTreeMap<_, _>>(),
+        .map(|Combination { kept, members, text }| Dependent {
+            combination: members
+                .iter()
+                .map(|(id, share)| (id.to_string(), *share))
+                .collect::<BTreeMap<_, _>>(),
             kept: kept.to_string(),
             text,
         })
@@ -258,7 +263,7 @@ fn predicted(
     readings: &[Reading],
     sigma: &[f64],
     options: &Options,
-) -> Result<(PredictedPair, Vec<([f64; 3], f64)>), IdentifyError> {
+) -> Result<(PredictedPair, ErrorMap), IdentifyError> {
     let mut ids = parameter::all(&robot.parallel_joints(), estimate.before.centres.len());
     ids.extend(&estimate.analysis.ids);
     ids.sort();
@@ -280,7 +285,13 @@ fn predicted(
         .unwrap_or_else(|| Workspace::uniform(robot, WORKSPACE_POSES, WORKSPACE_SEED));
     let workspace = Workspace::new(&estimate.fit.model.geometry, &poses, &ids);
     let truths = estimator.truths();
-    let errors = estimator.errors(&truths).ok_or(IdentifyError::NotFinite)?;
+    // What the user held is taken as exact; the nominal robot has all its tolerance.
+    let mut unknown = truths.clone();
+    for (at, id) in ids.iter().enumerate().filter(|(_, id)| !estimate.analysis.ids.contains(id)) {
+        debug_assert!(!estimate.kept.contains(id));
+        unknown.row_mut(at).fill(0.0);
+    }
+    let errors = estimator.errors(&unknown).ok_or(IdentifyError::NotFinite)?;
     let told =
         |summary: ErrorSummary| PredictedError { mean: summary.mean, p95: summary.p95, max: summary.max };
     let pair = PredictedPair {

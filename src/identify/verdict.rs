@@ -11,12 +11,14 @@ const OUTLIER_SHARE: f64 = 0.1;
 /// The identified robot must be predicted at least this much better than the nominal one.
 const PINNED: f64 = 0.5;
 
-/// The warnings of a result; `parameters` is the effective number that the data determine.
+/// The warnings of a result; `parameters` is the effective number that the data determine, and
+/// `follows_list` tells that the user chose the parameters.
 pub(super) fn warnings(
     result: &Identification,
     estimate: &Estimate,
     lengths: &Lengths,
     parameters: f64,
+    follows_list: bool,
 ) -> Vec<Warning> {
     let mut warnings = Vec::new();
     let mut say = |kind, text: String| warnings.push(Warning { kind, text });
@@ -61,8 +63,10 @@ pub(super) fn warnings(
     }
     let predicted = &result.predicted_position_error_mm;
     if predicted.identified.mean > PINNED * predicted.nominal.mean {
+        // Who gives a list of parameters knows that the others are held.
+        let kind = if follows_list { WarningKind::Note } else { WarningKind::Doubt };
         say(
-            WarningKind::Doubt,
+            kind,
             format!(
                 "the lengths fit to {:.3} mm, but they do not pin the position: the 3-D error over the workspace is \
                  predicted at {:.2} mm, the nominal robot's at {:.2} mm; a small residual proves nothing here. \

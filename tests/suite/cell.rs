@@ -8,11 +8,11 @@ use dbbd::model::{Centre, Geometry, Observation, Observations, ParamId, Pose, Ro
 use nalgebra::{Matrix3, Vector3};
 
 /// The paper's circle: centre and radius, mm.
-pub const CENTRE: [f64; 3] = [1300.0, 0.0, 800.0];
-pub const RADIUS: f64 = 300.0;
+pub(crate) const CENTRE: [f64; 3] = [1300.0, 0.0, 800.0];
+pub(crate) const RADIUS: f64 = 300.0;
 
 /// Table 2 of the paper: the designed errors of its 13 parameters (rad, mm).
-pub const DESIGNED: [(&str, f64); 13] = [
+pub(crate) const DESIGNED: [(&str, f64); 13] = [
     ("alpha1", -0.0049),
     ("alpha2", 0.0031),
     ("alpha3", 0.0011),
@@ -28,12 +28,12 @@ pub const DESIGNED: [(&str, f64); 13] = [
     ("d6", -0.1091),
 ];
 
-pub fn kr60() -> Robot {
+pub(crate) fn kr60() -> Robot {
     Robot::by_name("kr60ha").unwrap().unwrap()
 }
 
 /// The kr60ha with errors added by name.
-pub fn with_errors<'a>(errors: impl IntoIterator<Item = (&'a str, f64)>) -> Robot {
+pub(crate) fn with_errors<'a>(errors: impl IntoIterator<Item = (&'a str, f64)>) -> Robot {
     let mut robot = kr60();
     for (name, error) in errors {
         let id: ParamId = name.parse().unwrap();
@@ -44,22 +44,22 @@ pub fn with_errors<'a>(errors: impl IntoIterator<Item = (&'a str, f64)>) -> Robo
 
 /// A circle's plane as the rotation from XY, and its centre.
 #[derive(Clone, Copy)]
-pub struct Circle {
-    pub plane: Matrix3<f64>,
-    pub centre: [f64; 3],
-    pub number: usize,
+pub(crate) struct Circle {
+    pub(crate) plane: Matrix3<f64>,
+    pub(crate) centre: [f64; 3],
+    pub(crate) number: usize,
 }
 
-pub fn horizontal(number: usize, centre: [f64; 3]) -> Circle {
+pub(crate) fn horizontal(number: usize, centre: [f64; 3]) -> Circle {
     Circle { plane: Matrix3::identity(), centre, number }
 }
 
-pub fn tilted(degrees: f64) -> Circle {
+pub(crate) fn tilted(degrees: f64) -> Circle {
     Circle { plane: rot_x(degrees.to_radians()), ..horizontal(1, CENTRE) }
 }
 
 /// XY, XZ and YZ circles about one ball.
-pub fn three_planes(number: usize, centre: [f64; 3]) -> [Circle; 3] {
+pub(crate) fn three_planes(number: usize, centre: [f64; 3]) -> [Circle; 3] {
     let quarter = std::f64::consts::FRAC_PI_2;
     [Matrix3::identity(), rot_x(quarter), rot_z(quarter) * rot_x(quarter)].map(|plane| Circle {
         plane,
@@ -70,7 +70,7 @@ pub fn three_planes(number: usize, centre: [f64; 3]) -> [Circle; 3] {
 
 /// Axis angles (degrees) of `points` on a circle, the tool down, turned by the pattern of the
 /// paper's experiment with this amplitude: R = Rz(A sin 2t) Ry(A sin 3t) Rx(A sin 5t) Rx(180 deg).
-pub fn poses(robot: &Geometry, circle: &Circle, points: usize, amplitude_deg: f64) -> Vec<[f64; 6]> {
+pub(crate) fn poses(robot: &Geometry, circle: &Circle, points: usize, amplitude_deg: f64) -> Vec<[f64; 6]> {
     let amplitude = amplitude_deg.to_radians();
     let mut near = [0.0, -60.0, 90.0, 0.0, 60.0, 0.0].map(f64::to_radians);
     (0..points)
@@ -91,7 +91,7 @@ pub fn poses(robot: &Geometry, circle: &Circle, points: usize, amplitude_deg: f6
 }
 
 /// Lengths that `truth` shows at poses planned on the nominal robot.
-pub fn measure(truth: &Robot, circles: &[Circle], points: usize, amplitude_deg: f64) -> Observations {
+pub(crate) fn measure(truth: &Robot, circles: &[Circle], points: usize, amplitude_deg: f64) -> Observations {
     let nominal = kr60();
     let mut rows = Vec::new();
     for circle in circles {
@@ -112,7 +112,7 @@ pub fn measure(truth: &Robot, circles: &[Circle], points: usize, amplitude_deg: 
 }
 
 /// The base balls of circles, as their file.
-pub fn centres_csv(circles: &[Circle]) -> String {
+pub(crate) fn centres_csv(circles: &[Circle]) -> String {
     let mut centres: Vec<Centre> = circles
         .iter()
         .map(|circle| Centre { id: circle.number, position: Vector3::from(circle.centre) })
@@ -122,11 +122,11 @@ pub fn centres_csv(circles: &[Circle]) -> String {
 }
 
 /// Runs the binary in a directory.
-pub fn dbbd(dir: &Path, args: &[&str]) -> Output {
+pub(crate) fn dbbd(dir: &Path, args: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_dbbd")).args(args).current_dir(dir).output().unwrap()
 }
 
 /// Standard error of a run as text.
-pub fn stderr(output: &Output) -> String {
+pub(crate) fn stderr(output: &Output) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned()
 }

@@ -2,6 +2,7 @@
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stderr)]
 
 mod acquire_reads_the_bar;
+mod agrees_with_pinocchio;
 mod capture_survives_damage;
 mod cell;
 mod circle_plan;

@@ -134,22 +134,27 @@ fn say(out: &Output, result: &Identification, dir: &Path) {
         result.robot, result.observations, result.rank, result.condition, result.iterations
     ));
     out.result(format!(
-        "residual rms {:.4} mm -> {:.4} mm, largest {:.4} -> {:.4} mm, sigma {:.4} mm",
-        residual.before.rms, residual.after.rms, residual.before.max, residual.after.max, result.sigma_mm
+        "residual rms {} -> {}, largest {} -> {}, sigma {}",
+        mm(residual.before.rms),
+        mm(residual.after.rms),
+        mm(residual.before.max),
+        mm(residual.after.max),
+        mm(result.sigma_mm)
     ));
     if let Some(folds) = &result.folds {
-        out.result(format!("held out in {} folds: rms {:.4} mm", folds.folds, folds.rms));
+        out.result(format!("held out in {} folds: rms {}", folds.folds, mm(folds.rms)));
     }
     if let Some(validation) = &result.validation {
-        out.result(format!(
-            "validation: rms {:.4} mm -> {:.4} mm",
-            validation.before.rms, validation.after.rms
-        ));
+        let [before, after] = [validation.before.rms, validation.after.rms].map(mm);
+        out.result(format!("validation: rms {before} -> {after}"));
     }
     let predicted = &result.predicted_position_error_mm;
     out.result(format!(
-        "predicted 3-D error over the workspace: mean {:.3} mm -> {:.3} mm, 95 % {:.3} -> {:.3} mm",
-        predicted.nominal.mean, predicted.identified.mean, predicted.nominal.p95, predicted.identified.p95
+        "predicted 3-D error over the workspace: mean {} -> {}, 95 % {} -> {}",
+        mm(predicted.nominal.mean),
+        mm(predicted.identified.mean),
+        mm(predicted.nominal.p95),
+        mm(predicted.identified.p95)
     ));
     out.result(format!(
         "{} identified, {} with the prior's help, {} dependent, {} too weak, {} held",
@@ -159,8 +164,20 @@ fn say(out: &Output, result: &Identification, dir: &Path) {
         count(Status::TooWeak),
         count(Status::Held)
     ));
-    for dependent in &result.dependent {
-        out.result(format!("  {}", dependent.text));
+    let (set_up, own): (Vec<_>, Vec<_>) = result
+        .dependent
+        .iter()
+        .partition(|group| group.kept.starts_with("centre") || group.kept.starts_with("tool"));
+    for group in own {
+        out.result(format!("  {}", group.text));
+    }
+    let mut carried: Vec<&str> =
+        set_up.iter().flat_map(|group| group.combination.keys().map(String::as_str)).collect();
+    carried.retain(|name| !name.starts_with("centre") && !name.starts_with("tool"));
+    carried.sort_unstable();
+    carried.dedup();
+    if !carried.is_empty() {
+        out.result(format!("  carried by the places of the balls: {}", carried.join(", ")));
     }
     for warning in &result.warnings {
         match warning.kind {
@@ -169,4 +186,9 @@ fn say(out: &Output, result: &Identification, dir: &Path) {
         }
     }
     out.result(format!("results in {}", dir.display()));
+}
+
+/// A length for people.
+fn mm(value: f64) -> String {
+    if value.abs() < 5e-4 && value != 0.0 { format!("{value:.1e} mm") } else { format!("{value:.4} mm") }
 }

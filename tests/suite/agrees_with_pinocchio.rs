@@ -1,0 +1,91 @@
+//! Poses and lengths from Pinocchio (tests/independent/golden.py), which shares no code with dbbd: what
+//! the simulator and the fit could both have wrong would show here.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use dbbd::identify::result::{Identification, Status, WarningKind};
+use tempfile::tempdir;
+
+use crate::cell::{DESIGNED, dbbd, kr60, stderr};
+
+fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).to_path_buf()
+}
+
+fn identify(observations: &str, extra: &[&str]) -> Identification {
+    let dir = tempdir().unwrap();
+    let observations = root().join(observations);
+    let centres = root().join("examples/paper/centres.csv");
+    let mut args = vec!["identify", observations.to_str().unwrap(), "--centres", centres.to_str().unwrap()];
+    args.extend(["--robot", "kr60ha", "--out", "out"]);
+    args.extend(extra);
+    let output = dbbd(dir.path(), &args);
+    assert!(matches!(output.status.code(), Some(0 | 3)), "{}", stderr(&output));
+    serde_json::from_str(&fs::read_to_string(dir.path().join("out/result.json")).unwrap()).unwrap()
+}
+
+#[test]
+fn the_flange_stands_where_pinocchio_has_it() {
+    let text = fs::read_to_string(root().join("fixtures/golden/flange.csv")).unwrap();
+    let geometry = kr60().geometry;
+    for line in text.lines().skip(1) {
+        let numbers: Vec<f64> = line.split(',').map(|cell| cell.parse().unwrap()).collect();
+        let flange = geometry.flange(&std::array::from_fn(|i| numbers[i].to_radians()));
+        for (axis, expected) in numbers[6..9].iter().enumerate() {
+            assert!((flange.position[axis] - expected).abs() < 1e-9);
+        }
+        for (at, expected) in numbers[9..18].iter().enumerate() {
+            assert!((flange.rotation[(at / 3, at % 3)] - expected).abs() < 1e-12);
+        }
+    }
+}
+
+#[test]
+fn the_papers_experiment_on_foreign_lengths() {
+    let result = identify("examples/paper/observations.csv", &["--estimate", "alpha1-5,a1-5,d4-6"]);
+    assert!(result.converged && result.iterations <= 8);
+    for (name, designed) in DESIGNED {
+        let found = result.parameters.iter().find(|p| p.name == name).unwrap();
+        assert!((found.correction - designed).abs() < 1e-9, "{name}: {} for {designed}", found.correction);
+    }
+}
+
+/// Every identified parameter comes to the truth of what it stands for: its own error and that of
+/// the parameters that depend on it.
+#[test]
+fn a_robot_with_errors_everywhere_is_identified() {
+    let result = identify("fixtures/golden/three_planes.csv", &["--folds", "0", "--hold", "bar_offset"]);
+    let truth = fs::read_to_string(root().join("fixtures/golden/three_planes_truth.csv")).unwrap();
+    let error = |name: &str| -> f64 {
+        let line = truth.lines().find(|line| line.split(',').next() == Some(name));
+        line.map_or(0.0, |line| line.split(',').nth(1).unwrap().parse().unwrap())
+    };
+    let identified: Vec<_> = result.parameters.iter().filter(|p| p.status == Status::Identified).collect();
+    assert_eq!(identified.len(), 24);
+    for parameter in identified {
+        let name = parameter.name.as_str();
+        let group = result.dependent.iter().find(|group| group.kept == name);
+        let expected = match group {
+            // Coefficients hold at the nominal geometry; errors of a mrad bend them by as much.
+            Some(group) => group.combination.iter().map(|(name, share)| share * error(name)).sum(),
+            None => error(name),
+        };
+        let near = if parameter.unit == "mm" { 5e-3 } else { 5e-6 };
+        assert!(
+            (parameter.correction - expected).abs() < near,
+            "{name}: {} for {expected}",
+            parameter.correction
+        );
+    }
+}
+
+/// The robot sags, has play and a gear error that the model lacks: the result says so.
+#[test]
+fn what_the_model_lacks_is_noticed() {
+    let result = identify("fixtures/golden/unmodelled.csv", &["--sigma", "0.005", "--folds", "0"]);
+    let doubt =
+        result.warnings.iter().find(|w| w.kind == WarningKind::Doubt && w.text.contains("the model lacks"));
+    assert!(doubt.is_some(), "{:?}", result.warnings);
+    assert!(result.residual_mm.after.rms > 0.02);
+}
