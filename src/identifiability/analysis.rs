@@ -3,7 +3,7 @@
 use nalgebra::DMatrix;
 
 use super::wording;
-use crate::linalg::{BaseSet, Triangle, base_set};
+use crate::linalg::{BaseSet, Triangle, base_set, map_pieces};
 use crate::model::{LengthModel, ParamId, Reading, Selection};
 
 /// A sum of parameters that can be told although its members cannot.
@@ -69,16 +69,20 @@ impl Analysis {
 /// (`sigma` of one entry per reading, or empty for plain lengths).
 pub fn factor(model: &LengthModel, readings: &[Reading], ids: &[ParamId], sigma: &[f64]) -> DMatrix<f64> {
     let selection = Selection::new(ids);
-    let mut triangle = Triangle::new(ids.len());
-    let mut row = vec![0.0; ids.len()];
-    for (at, reading) in readings.iter().enumerate() {
-        selection.pick(&model.row(reading), reading.centre, &mut row);
-        if let Some(sigma) = sigma.get(at) {
-            row.iter_mut().for_each(|value| *value /= sigma);
+    let prepared = model.prepare();
+    let pieces = map_pieces(readings, |first, readings| {
+        let mut triangle = Triangle::new(ids.len());
+        let mut row = vec![0.0; ids.len()];
+        for (at, reading) in readings.iter().enumerate() {
+            selection.pick(&prepared.row(reading), reading.centre, &mut row);
+            if let Some(sigma) = sigma.get(first + at) {
+                row.iter_mut().for_each(|value| *value /= sigma);
+            }
+            triangle.push(&row, 0.0);
         }
-        triangle.push(&row, 0.0);
-    }
-    triangle.factor()
+        triangle
+    });
+    Triangle::merged(pieces, ids.len()).factor()
 }
 
 /// Which of `ids` the readings can tell at `model`; `None` when a number is not finite.

@@ -14,7 +14,7 @@ use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
 
-use crate::model::{AXES, Geometry, ParamId, Robot};
+use crate::model::{AXES, Chain, Geometry, ParamId, Robot};
 
 /// How many robots are drawn for a prediction.
 const DRAWS: usize = 100;
@@ -57,29 +57,25 @@ impl Workspace {
     pub fn new(geometry: &Geometry, poses: &[[f64; AXES]], ids: &[ParamId]) -> Self {
         let mut jacobian = DMatrix::zeros(3 * poses.len(), ids.len());
         let mut positions = Vec::with_capacity(poses.len());
+        let chain = Chain::new(geometry);
         for (at, axes) in poses.iter().enumerate() {
-            let ball = geometry.ball(axes).position;
-            // The derivative of a length from a far point is that of the position along the line to it.
-            for axis in 0..3 {
-                let mut far = ball;
-                far[axis] -= 1.0;
-                let row = geometry.length_row(axes, &far, 0.0);
-                for (column, id) in ids.iter().enumerate() {
-                    if !matches!(id, ParamId::Centre(..) | ParamId::BarOffset) {
-                        jacobian[(3 * at + axis, column)] =
-                            row.columns()[crate::model::LengthRow::position(*id)];
-                    }
-                }
-            }
+            let ball = chain.ball_jacobian(axes, ids, |column, moved| {
+                jacobian.fixed_view_mut::<3, 1>(3 * at, column).copy_from(&moved);
+            });
             positions.push(ball);
         }
         take_out_rigid_motion(&mut jacobian, &positions);
         Self { positions, ids: ids.to_vec(), jacobian }
     }
 
-    /// The errors of all robots, a column each: parameter errors in the order of the ids.
-    pub fn summary(&self, errors: &DMatrix<f64>) -> ErrorSummary {
-        let moved = &self.jacobian * errors;
+    /// How the parameter errors of the robots (a column each, in the order of the ids) displace the
+    /// ball: 3 rows a pose, mm.
+    pub fn displacements(&self, errors: &DMatrix<f64>) -> DMatrix<f64> {
+        &self.jacobian * errors
+    }
+
+    /// The size of the displacements of all robots.
+    pub fn summary(&self, moved: &DMatrix<f64>) -> ErrorSummary {
         let mut sizes = Vec::with_capacity(moved.len() / 3);
         let mut largest = 0.0;
         for column in moved.column_iter() {
@@ -97,16 +93,15 @@ impl Workspace {
         let mean = sizes.iter().sum::<f64>() / sizes.len() as f64;
         let rank = ((sizes.len() as f64 * 0.95) as usize).min(sizes.len() - 1);
         let (_, p95, _) = sizes.select_nth_unstable_by(rank, f64::total_cmp);
-        ErrorSummary { mean, p95: *p95, max: largest / errors.ncols().max(1) as f64 }
+        ErrorSummary { mean, p95: *p95, max: largest / moved.ncols().max(1) as f64 }
     }
 
-    /// Root mean square error at each pose over the robots drawn, mm.
-    pub fn map(&self, errors: &DMatrix<f64>) -> Vec<f64> {
-        let moved = &self.jacobian * errors;
+    /// Root mean square displacement at each pose over the robots, mm.
+    pub fn map(&self, moved: &DMatrix<f64>) -> Vec<f64> {
         (0..self.positions.len())
             .map(|pose| {
                 let block = moved.rows(3 * pose, 3);
-                (block.norm_squared() / errors.ncols().max(1) as f64).sqrt()
+                (block.norm_squared() / moved.ncols().max(1) as f64).sqrt()
             })
             .collect()
     }

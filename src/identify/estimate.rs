@@ -92,7 +92,7 @@ pub(super) fn estimate(
     if readings.len() < base.len() && follow_list {
         return Err(IdentifyError::TooFewLengths { lengths: readings.len(), parameters: base.len() });
     }
-    let mut sigma = first_sigma(lengths, &set_up, &base);
+    let mut sigma = if follow_list { lengths.given.clone() } else { first_sigma(lengths, &set_up, &base) };
     let mut start = set_up.model.clone();
     let mut iterations = set_up.iterations;
     let mut implausible: Vec<ParamId> = Vec::new();
@@ -205,8 +205,9 @@ fn first_sigma(lengths: &Lengths, set_up: &Fit, base: &[ParamId]) -> Vec<f64> {
     let mut triangle = Triangle::new(base.len());
     let mut row = vec![0.0; base.len()];
     let mut count = 0;
+    let prepared = set_up.model.prepare();
     for (at, reading) in lengths.readings.iter().enumerate().filter(|(at, _)| set_up.used[*at]) {
-        let predicted = set_up.model.row(reading);
+        let predicted = prepared.row(reading);
         selection.pick(&predicted, reading.centre, &mut row);
         row.iter_mut().for_each(|value| *value /= lengths.given[at]);
         triangle.push(&row, (reading.length - predicted.length) / lengths.given[at]);
@@ -233,10 +234,11 @@ fn shown_sigma(lengths: &Lengths, fit: &Fit, parameters: usize) -> Vec<f64> {
     if lengths.vouched {
         return lengths.given.clone();
     }
-    let used = || (0..lengths.readings.len()).filter(|&at| fit.used[at]);
-    let squares: Vec<(f64, f64)> = used()
+    let prepared = fit.model.prepare();
+    let squares: Vec<(f64, f64)> = (0..lengths.readings.len())
+        .filter(|&at| fit.used[at])
         .map(|at| {
-            let residual = lengths.readings[at].length - fit.model.length(&lengths.readings[at]);
+            let residual = lengths.readings[at].length - prepared.length(&lengths.readings[at]);
             (residual * residual, lengths.given[at] * lengths.given[at])
         })
         .collect();

@@ -19,6 +19,14 @@ pub(super) struct Fit {
 /// Only the part of the set-up that is free, with the robot as it stands.
 pub(super) fn set_up(readings: &[Reading], sigma: &[f64], free: &[ParamId], start: &LengthModel) -> Fit {
     let ids: Vec<ParamId> = free.iter().copied().filter(|id| id.is_setup()).collect();
+    if ids.is_empty() {
+        return Fit {
+            model: start.clone(),
+            iterations: 0,
+            converged: true,
+            used: vec![true; readings.len()],
+        };
+    }
     robust(readings, sigma, |readings, sigma, loss, from| {
         let from = from.unwrap_or(start);
         // The bar's offset trades against the balls' places far from the solution, so it comes second.
@@ -76,7 +84,7 @@ fn robust(
     let plain = solve(readings, sigma, Loss::Squares, None);
     let residuals = residuals(readings, sigma, &plain.model);
     // A far outlier spreads over all residuals in a fit by squares: look closer already at less.
-    if standing_out(&residuals, 3.5).is_empty() {
+    if standing_out(&residuals, 0.85 * limit(readings.len())).is_empty() {
         let Solution { model, iterations, converged } = plain;
         return Fit { model, iterations, converged, used: vec![true; readings.len()] };
     }

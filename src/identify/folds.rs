@@ -37,8 +37,9 @@ pub(super) fn cross_validate(
             ..*lengths
         };
         let model = estimate(robot, start, &training, options)?.fit.model;
+        let prepared = model.prepare();
         for at in held_out {
-            let residual = lengths.readings[at].length - model.length(&lengths.readings[at]);
+            let residual = lengths.readings[at].length - prepared.length(&lengths.readings[at]);
             sum += residual * residual;
             count += 1;
         }

@@ -6,7 +6,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::linalg::Triangle;
+use crate::linalg::{Triangle, map_pieces};
 use crate::model::{LengthModel, ParamId, Reading, Selection};
 
 /// What is to be fitted.
@@ -60,65 +60,51 @@ pub(super) fn minimise(problem: &Problem, start: &LengthModel) -> Solution {
     if n == 0 {
         return Solution { model, iterations: 0, converged: true };
     }
-    let selection = Selection::new(problem.ids);
-    let mut triangle = Triangle::new(n);
-    let mut row = vec![0.0; n];
     let mut scale = DVector::<f64>::zeros(n);
     let (mut damping, mut growth) = (1e-12, 4.0);
     let mean_sigma = (problem.sigma.iter().map(|s| s * s).sum::<f64>() / problem.sigma.len() as f64).sqrt();
     let rest = REST_MM / mean_sigma * (problem.readings.len() as f64).sqrt();
+    let mut residuals = whitened(problem, &model);
     let mut steps = 0;
     while steps < MAX_STEPS {
-        let residuals = whitened(problem, &model);
         let knee = knee(problem.loss, &residuals);
-        triangle.clear();
-        for (at, reading) in problem.readings.iter().enumerate() {
-            let weight = huber_weight(residuals[at], knee) / problem.sigma[at];
-            selection.pick(&model.row(reading), reading.centre, &mut row);
-            row.iter_mut().for_each(|value| *value *= weight);
-            triangle.push(&row, residuals[at] * weight * problem.sigma[at]);
-        }
+        let mut triangle = linearised(problem, &model, &residuals, knee);
         if let Some(prior) = problem.prior {
             push_prior(&mut triangle, prior, problem.ids, &model);
         }
         let factor = triangle.factor();
         let rhs = triangle.rhs();
         let cost = cost(problem, &residuals, knee, &model);
+        // Exact lengths: what is left is rounding, and would only push along what they do not tell.
+        if cost.sqrt() <= 0.1 * rest {
+            return Solution { model, iterations: steps, converged: true };
+        }
         for k in 0..n {
             scale[k] = scale[k].max(factor.column(k).norm());
         }
         // Steps are refused until one lowers the cost.
         loop {
             steps += 1;
-            let Some(step) = damped_step(&triangle, &scale, damping) else {
-                damping = (damping * growth).max(1e-9);
-                growth *= 2.0;
-                if damping > 1e12 || steps >= MAX_STEPS {
-                    return Solution { model, iterations: steps, converged: false };
+            let step = damped_step(&triangle, &scale, damping);
+            if let Some(step) = step {
+                let change = &factor * &step;
+                let predicted = 2.0 * rhs.dot(&change) - change.norm_squared();
+                let candidate = moved(&model, problem.ids, &step);
+                // The reduction left is below the rounding of the cost, or moves no length: this is the minimum.
+                if change.norm() <= rest || predicted <= 1e-14 * cost {
+                    return Solution { model: candidate, iterations: steps, converged: true };
                 }
-                continue;
-            };
-            let change = &factor * &step;
-            if change.norm() <= rest {
-                return Solution {
-                    model: moved(&model, problem.ids, &step),
-                    iterations: steps,
-                    converged: true,
-                };
-            }
-            let candidate = moved(&model, problem.ids, &step);
-            let new_cost = self::cost(problem, &whitened(problem, &candidate), knee, &candidate);
-            let predicted = 2.0 * rhs.dot(&change) - change.norm_squared();
-            let gain = (cost - new_cost) / predicted;
-            if gain > 1e-4 && new_cost.is_finite() {
-                model = candidate;
-                damping *= (1.0 - (2.0 * gain - 1.0).powi(3)).clamp(0.1, 0.9);
-                growth = 4.0;
-                break;
-            }
-            // The reduction left is below the rounding of the cost: this is the minimum.
-            if predicted <= 1e-13 * cost {
-                return Solution { model, iterations: steps, converged: true };
+                let new = whitened(problem, &candidate);
+                let gain = (cost - self::cost(problem, &new, knee, &candidate)) / predicted;
+                if gain > 1e-4 && gain.is_finite() {
+                    (model, residuals) = (candidate, new);
+                    damping *= (1.0 - (2.0 * gain - 1.0).powi(3)).clamp(0.1, 0.9);
+                    growth = 4.0;
+                    break;
+                }
+                if predicted <= 1e-12 * cost {
+                    return Solution { model, iterations: steps, converged: true };
+                }
             }
             damping = (damping * growth).max(1e-9);
             growth *= 2.0;
@@ -130,14 +116,35 @@ pub(super) fn minimise(problem: &Problem, start: &LengthModel) -> Solution {
     Solution { model, iterations: steps, converged: false }
 }
 
+/// The weighted equations of a step, on all cores where there are many.
+fn linearised(problem: &Problem, model: &LengthModel, residuals: &[f64], knee: f64) -> Triangle {
+    let selection = Selection::new(problem.ids);
+    let prepared = model.prepare();
+    let pieces = map_pieces(problem.readings, |first, readings| {
+        let mut triangle = Triangle::new(problem.ids.len());
+        let mut row = vec![0.0; problem.ids.len()];
+        for (at, reading) in readings.iter().enumerate() {
+            let at = first + at;
+            let weight = huber_weight(residuals[at], knee);
+            selection.pick(&prepared.row(reading), reading.centre, &mut row);
+            row.iter_mut().for_each(|value| *value *= weight / problem.sigma[at]);
+            triangle.push(&row, residuals[at] * weight);
+        }
+        triangle
+    });
+    Triangle::merged(pieces, problem.ids.len())
+}
+
 /// Residuals, measured minus predicted, in sigmas.
 pub(super) fn whitened(problem: &Problem, model: &LengthModel) -> Vec<f64> {
-    problem
-        .readings
-        .iter()
-        .zip(problem.sigma)
-        .map(|(reading, sigma)| (reading.length - model.length(reading)) / sigma)
-        .collect()
+    let prepared = model.prepare();
+    let pieces = map_pieces(problem.readings, |first, readings| {
+        let each = |(at, reading): (usize, &Reading)| {
+            (reading.length - prepared.length(reading)) / problem.sigma[first + at]
+        };
+        readings.iter().enumerate().map(each).collect::<Vec<f64>>()
+    });
+    pieces.concat()
 }
 
 /// Median of the magnitudes as a standard deviation.

@@ -40,13 +40,14 @@ pub(super) fn summarise(
             leaked(robot, model, &used_readings, &estimate.kept, &estimate.weak, &used_sigma)
                 .ok_or(IdentifyError::NotFinite)?;
     }
+    let (before, after) = (estimate.before.prepare(), model.prepare());
     let residuals: Vec<ResidualPair> = lengths
         .readings
         .iter()
         .zip(&estimate.fit.used)
         .map(|(reading, &used)| ResidualPair {
-            before: reading.length - estimate.before.length(reading),
-            after: reading.length - model.length(reading),
+            before: reading.length - before.length(reading),
+            after: reading.length - after.length(reading),
             used,
         })
         .collect();
@@ -292,20 +293,22 @@ fn predicted(
         unknown.row_mut(at).fill(0.0);
     }
     let errors = estimator.errors(&unknown).ok_or(IdentifyError::NotFinite)?;
+    let moved = workspace.displacements(&errors);
     let told =
         |summary: ErrorSummary| PredictedError { mean: summary.mean, p95: summary.p95, max: summary.max };
     let pair = PredictedPair {
-        nominal: told(workspace.summary(&truths)),
-        identified: told(workspace.summary(&errors)),
+        nominal: told(workspace.summary(&workspace.displacements(&truths))),
+        identified: told(workspace.summary(&moved)),
     };
     let positions = workspace.positions.iter().map(|position| (*position).into());
-    Ok((pair, positions.zip(workspace.map(&errors)).collect()))
+    Ok((pair, positions.zip(workspace.map(&moved)).collect()))
 }
 
 fn residual_on(model: &LengthModel, set: &Observations) -> Residual {
+    let prepared = model.prepare();
     residual(set.rows.iter().map(|row| {
         let reading = Reading::from(row);
-        reading.length - model.length(&reading)
+        reading.length - prepared.length(&reading)
     }))
 }
 

@@ -97,11 +97,12 @@ fn consistency(
     if !lengths.known {
         return;
     }
+    let prepared = estimate.fit.model.prepare();
     let chi: f64 = (0..lengths.readings.len())
         .filter(|&at| estimate.fit.used[at])
         .map(|at| {
             let reading = &lengths.readings[at];
-            ((reading.length - estimate.fit.model.length(reading)) / lengths.given[at]).powi(2)
+            ((reading.length - prepared.length(reading)) / lengths.given[at]).powi(2)
         })
         .sum();
     let ratio = chi / freedom;

@@ -4,9 +4,11 @@
 //! lose half of the digits, and on a NaN it does not return.
 
 mod base;
+mod parallel;
 mod svd;
 mod triangle;
 
 pub use base::{BaseSet, base_set};
+pub use parallel::map_pieces;
 pub use svd::{Svd, svd};
 pub use triangle::Triangle;

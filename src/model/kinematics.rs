@@ -1,11 +1,8 @@
-//! The forward model, the length between the balls, and its derivatives by every parameter.
-//!
-//! With u the unit vector from the base ball to the tool ball p, every geometric parameter moves p
-//! by a unit screw fixed in some frame of the chain, so its column is the reciprocal product of that
-//! screw with the line of the bar: `u . (w x (p - o))` for a turn about the unit axis w through o,
-//! `u . w` for a shift along w. One forward pass gives all columns.
+//! The robot as numbers, its forward model, and the parameters by name.
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::Vector3;
+
+use super::chain::{Chain, Turns};
 
 use super::pose::{Pose, rot_x, rot_y, rot_z};
 use super::{AXES, ParamId};
@@ -57,19 +54,19 @@ pub struct Geometry {
 }
 
 /// Where the columns of a [`LengthRow`] stand.
-mod column {
-    pub(super) const ALPHA: usize = 0;
-    pub(super) const A: usize = 6;
-    pub(super) const THETA: usize = 12;
-    pub(super) const D: usize = 18;
-    pub(super) const BETA: usize = 24;
-    pub(super) const TOOL: usize = 29;
-    pub(super) const CENTRE: usize = 32;
-    pub(super) const BAR: usize = 35;
-    pub(super) const COMPLIANCE: usize = 36;
-    pub(super) const GEAR_COS: usize = 40;
-    pub(super) const GEAR_SIN: usize = 46;
-    pub(super) const COUNT: usize = 52;
+pub(super) mod column {
+    pub(crate) const ALPHA: usize = 0;
+    pub(crate) const A: usize = 6;
+    pub(crate) const THETA: usize = 12;
+    pub(crate) const D: usize = 18;
+    pub(crate) const BETA: usize = 24;
+    pub(crate) const TOOL: usize = 29;
+    pub(crate) const CENTRE: usize = 32;
+    pub(crate) const BAR: usize = 35;
+    pub(crate) const COMPLIANCE: usize = 36;
+    pub(crate) const GEAR_COS: usize = 40;
+    pub(crate) const GEAR_SIN: usize = 46;
+    pub(crate) const COUNT: usize = 52;
 }
 
 /// A length and its derivatives by every parameter (mm per mm, mm per rad, mm per rad/(N m)).
@@ -77,7 +74,7 @@ mod column {
 pub struct LengthRow {
     /// Distance between the ball centres plus the bar offset, mm.
     pub length: f64,
-    columns: [f64; column::COUNT],
+    pub(super) columns: [f64; column::COUNT],
 }
 
 impl LengthRow {
@@ -144,7 +141,7 @@ impl Geometry {
     }
 
     /// Gravity torque about each joint, N m, at joint angles in the table's sense. The base stands upright.
-    fn torques(&self, angles: &[f64; AXES]) -> [f64; AXES] {
+    pub(super) fn torques(&self, angles: &[f64; AXES]) -> [f64; AXES] {
         let mut torques = [0.0; AXES];
         if self.masses.is_empty() {
             return torques;
@@ -199,63 +196,7 @@ impl Geometry {
     /// The length and its derivative by every parameter. Where the balls coincide the length has no
     /// derivative, and the columns are zero.
     pub fn length_row(&self, axes: &[f64; AXES], centre: &Vector3<f64>, bar_offset: f64) -> LengthRow {
-        let angles = self.joint_angles(axes);
-        // Origins and axes that the screws need, in chain order.
-        let mut before = [(Vector3::zeros(), Vector3::zeros(), Vector3::zeros()); AXES];
-        let mut joints = [(Vector3::zeros(), Vector3::zeros()); AXES];
-        let mut rotation = Matrix3::identity();
-        let mut origin = Vector3::zeros();
-        for (i, row) in self.rows.iter().enumerate() {
-            let y = rotation.column(1).into_owned();
-            if row.beta != 0.0 {
-                rotation *= rot_y(row.beta);
-            }
-            let x = rotation.column(0).into_owned();
-            before[i] = (origin, x, y);
-            // The twist turns about x, the joint about z: only two columns change in each.
-            let (s, c) = row.alpha.sin_cos();
-            let (y, z) = (rotation.column(1).into_owned(), rotation.column(2).into_owned());
-            let (y, z) = (y * c + z * s, z * c - y * s);
-            origin += x * row.a;
-            joints[i] = (origin, z);
-            let (s, c) = angles[i].sin_cos();
-            rotation = Matrix3::from_columns(&[x * c + y * s, y * c - x * s, z]);
-            origin += z * row.d;
-        }
-        let ball = origin + rotation * self.tool;
-        let bar = ball - centre;
-        let distance = bar.norm();
-        let mut columns = [0.0; column::COUNT];
-        if distance > 0.0 {
-            let u = bar / distance;
-            for i in 0..AXES {
-                let (origin, x, y) = before[i];
-                let moment = (ball - origin).cross(&u);
-                columns[column::ALPHA + i] = x.dot(&moment);
-                columns[column::A + i] = x.dot(&u);
-                if i > 0 {
-                    columns[column::BETA + i - 1] = y.dot(&moment);
-                }
-                let (origin, z) = joints[i];
-                columns[column::THETA + i] = z.dot(&(ball - origin).cross(&u));
-                columns[column::D + i] = z.dot(&u);
-            }
-            for axis in 0..3 {
-                columns[column::TOOL + axis] = rotation.column(axis).dot(&u);
-                columns[column::CENTRE + axis] = -u[axis];
-            }
-            columns[column::BAR] = 1.0;
-            let torques = self.torques(&angles);
-            for j in 2..=5 {
-                columns[column::COMPLIANCE + j - 2] = columns[column::THETA + j - 1] * torques[j - 1];
-            }
-            for j in 0..AXES {
-                let (sin, cos) = axes[j].sin_cos();
-                columns[column::GEAR_COS + j] = columns[column::THETA + j] * cos;
-                columns[column::GEAR_SIN + j] = columns[column::THETA + j] * sin;
-            }
-        }
-        LengthRow { length: distance + bar_offset, columns }
+        Chain::new(self).row(axes, &Turns::of(axes), centre, bar_offset)
     }
 
     /// The value of a parameter of the robot or its tool; `None` for those of the set-up's balls and bar.

@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 
-use super::{AXES, Centre, Geometry, LengthRow, Observation, ParamId};
+use super::{AXES, Centre, Chain, Geometry, LengthRow, Observation, ParamId, Turns};
 
 /// Everything that a length depends on.
 #[derive(Clone, Debug, PartialEq)]
@@ -20,15 +20,45 @@ pub struct LengthModel {
 pub struct Reading {
     /// The controller's axis angles, rad.
     pub axes: [f64; AXES],
+    /// Their sines and cosines.
+    pub turns: Turns,
     /// Base ball, from 0.
     pub centre: usize,
     /// Distance between the ball centres, mm.
     pub length: f64,
 }
 
+impl Reading {
+    /// At axis angles (rad), from base ball `centre` (from 0), of a length in mm.
+    pub fn new(axes: [f64; AXES], centre: usize, length: f64) -> Self {
+        Self { axes, turns: Turns::of(&axes), centre, length }
+    }
+}
+
 impl From<&Observation> for Reading {
     fn from(observation: &Observation) -> Self {
-        Self { axes: observation.axes(), centre: observation.centre - 1, length: observation.length_mm }
+        Self::new(observation.axes(), observation.centre - 1, observation.length_mm)
+    }
+}
+
+/// A model made ready for many readings.
+#[derive(Clone, Debug)]
+pub struct Prepared<'a> {
+    model: &'a LengthModel,
+    chain: Chain<'a>,
+}
+
+impl Prepared<'_> {
+    /// The length that the model predicts for a reading, mm.
+    pub fn length(&self, reading: &Reading) -> f64 {
+        let ball = self.chain.ball(&reading.axes, &reading.turns);
+        (ball - self.model.centres[reading.centre]).norm() + self.model.bar_offset
+    }
+
+    /// The length and its derivatives for a reading.
+    pub fn row(&self, reading: &Reading) -> LengthRow {
+        let centre = &self.model.centres[reading.centre];
+        self.chain.row(&reading.axes, &reading.turns, centre, self.model.bar_offset)
     }
 }
 
@@ -63,14 +93,9 @@ impl LengthModel {
         Self { geometry, centres: centres.iter().map(|centre| centre.position).collect(), bar_offset: 0.0 }
     }
 
-    /// The length that the model predicts for a reading, mm.
-    pub fn length(&self, reading: &Reading) -> f64 {
-        self.geometry.length(&reading.axes, &self.centres[reading.centre], self.bar_offset)
-    }
-
-    /// The length and its derivatives for a reading.
-    pub fn row(&self, reading: &Reading) -> LengthRow {
-        self.geometry.length_row(&reading.axes, &self.centres[reading.centre], self.bar_offset)
+    /// Made ready for many readings.
+    pub fn prepare(&self) -> Prepared<'_> {
+        Prepared { model: self, chain: Chain::new(&self.geometry) }
     }
 
     /// The value of a parameter, mm or rad (rad/(N m) of a compliance).

@@ -4,6 +4,7 @@
 //! `Ry(beta) Rx(alpha) Tx(a) Rz(theta) Tz(d)`, with `theta = sign * A + theta_offset` and A the
 //! controller's axis angle. Lengths are mm, angles rad inside; files carry degrees.
 
+pub mod chain;
 pub mod inverse;
 pub mod kinematics;
 pub mod length;
@@ -12,8 +13,9 @@ pub mod parameter;
 pub mod pose;
 pub mod robot;
 
+pub use chain::{Chain, Turns};
 pub use kinematics::{Geometry, LengthRow, Row};
-pub use length::{LengthModel, Reading, Selection};
+pub use length::{LengthModel, Prepared, Reading, Selection};
 pub use observation::{Centre, Observation, Observations};
 pub use parameter::ParamId;
 pub use pose::Pose;

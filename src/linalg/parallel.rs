@@ -1,0 +1,32 @@
+//! The only place that splits work over cores.
+
+use std::num::NonZero;
+use std::thread;
+
+/// Items that one piece of work takes: pieces are the same on any number of cores, and so are results.
+const PIECE: usize = 4096;
+
+/// Applies `work` to each piece of `items` (with the index of its first item), on all cores when
+/// there is more than one piece; the results come in order.
+pub fn map_pieces<T: Sync, R: Send>(items: &[T], work: impl Fn(usize, &[T]) -> R + Sync) -> Vec<R> {
+    let pieces: Vec<(usize, &[T])> =
+        items.chunks(PIECE).enumerate().map(|(n, piece)| (n * PIECE, piece)).collect();
+    let cores = thread::available_parallelism().map_or(1, NonZero::get).min(pieces.len());
+    if cores < 2 {
+        return pieces.into_iter().map(|(first, piece)| work(first, piece)).collect();
+    }
+    let (pieces, work) = (&pieces, &work);
+    let mut done: Vec<(usize, R)> = thread::scope(|scope| {
+        let workers: Vec<_> = (0..cores)
+            .map(|core| {
+                scope.spawn(move || {
+                    let mine = (core..pieces.len()).step_by(cores);
+                    mine.map(|n| (n, work(pieces[n].0, pieces[n].1))).collect::<Vec<_>>()
+                })
+            })
+            .collect();
+        workers.into_iter().flat_map(|worker| worker.join().unwrap_or_default()).collect()
+    });
+    done.sort_by_key(|(n, _)| *n);
+    done.into_iter().map(|(_, result)| result).collect()
+}
