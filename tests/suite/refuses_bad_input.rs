@@ -1,0 +1,127 @@
+//! Bad input: a message with file, line and reason, exit code 1, no panic.
+
+use std::fs;
+use std::path::Path;
+
+use tempfile::tempdir;
+
+use crate::cell::{dbbd, stderr};
+
+const HEADER: &str = "index,centre,a1_deg,a2_deg,a3_deg,a4_deg,a5_deg,a6_deg,length_mm,sigma_mm\n";
+const ROW: &str = "1,1,0,-60,90,0,60,0,300.1,0.01\n";
+
+fn identify(dir: &Path, observations: &str, more: &[&str]) -> (Option<i32>, String) {
+    fs::write(dir.join("obs.csv"), observations).unwrap();
+    fs::write(dir.join("C.csv"), "centre,x_mm,y_mm,z_mm\n1,1300,0,800\n").unwrap();
+    let mut args = vec!["identify", "obs.csv", "--centres", "C.csv", "--out", "out"];
+    args.extend(more);
+    let output = dbbd(dir, &args);
+    (output.status.code(), stderr(&output))
+}
+
+fn refused(observations: &str, more: &[&str], words: &[&str]) {
+    let dir = tempdir().unwrap();
+    let (code, said) = identify(dir.path(), observations, more);
+    assert_eq!(code, Some(1), "{said}");
+    assert!(!said.contains("panicked"), "{said}");
+    for word in words {
+        assert!(said.contains(word), "`{word}` is not in: {said}");
+    }
+}
+
+#[test]
+fn observations() {
+    let robot = ["--robot", "kr60ha"];
+    let missing = HEADER.replace(",length_mm", "") + "1,1,0,-60,90,0,60,0,0.01\n";
+    refused(&missing, &robot, &["obs.csv:1", "length_mm", "missing"]);
+    refused(
+        &format!("{HEADER}{ROW}2,1,0,-60,NaN,0,60,0,300,0.01\n"),
+        &robot,
+        &["obs.csv:3", "a3_deg", "finite"],
+    );
+    refused(
+        &format!("{HEADER}{ROW}2,1,0,-60,inf,0,60,0,300,0.01\n"),
+        &robot,
+        &["obs.csv:3", "a3_deg", "finite"],
+    );
+    refused(
+        &format!("{HEADER}1,1,0,-60,90,0,60,0,-300,0.01\n"),
+        &robot,
+        &["obs.csv:2", "length_mm", "positive"],
+    );
+    refused(&format!("{HEADER}1,1,0,-60,90,0,60,0,300,0\n"), &robot, &["obs.csv:2", "sigma_mm", "positive"]);
+    refused(&format!("{HEADER}1,0,0,-60,90,0,60,0,300,0.01\n"), &robot, &["obs.csv:2", "centre"]);
+    refused(&format!("{HEADER}1,2,0,-60,90,0,60,0,300,0.01\n"), &robot, &["obs.csv", "base ball 2"]);
+    refused(&format!("{HEADER}1,1,0,-60,90,0,60\n"), &robot, &["obs.csv:2"]);
+    refused(HEADER, &robot, &["obs.csv", "no observation"]);
+    refused("", &robot, &["obs.csv", "missing"]);
+}
+
+#[test]
+fn robots_lists_and_numbers() {
+    let good = format!("{HEADER}{ROW}");
+    refused(&good, &["--robot", "kr60"], &["kr60", "did you mean `kr60ha`"]);
+    refused(&good, &["--robot", "nowhere.toml"], &["nowhere.toml", "cannot be read"]);
+    refused(&good, &[], &["--robot"]);
+    refused(&good, &["--robot", "kr60ha", "--estimate", "alpha9"], &["alpha9", "is not a parameter"]);
+    refused(&good, &["--robot", "kr60ha", "--estimate", "centre2_x"], &["centre2_x", "1 base ball"]);
+    refused(&good, &["--robot", "kr60ha", "--prior", "nowhere.csv"], &["nowhere.csv"]);
+    let dir = tempdir().unwrap();
+    // One length is no mistake in the file: the answer comes with its doubt.
+    let (code, said) = identify(dir.path(), &good, &["--robot", "kr60ha", "--estimate", "geometric"]);
+    assert_eq!(code, Some(3), "{said}");
+    assert!(said.contains("leave nothing to check the result by"), "{said}");
+    let (code, said) = identify(dir.path(), &good, &["--robot", "kr60ha", "--sigma", "-1"]);
+    assert_eq!(code, Some(2), "{said}");
+}
+
+#[test]
+fn robot_files() {
+    let dir = tempdir().unwrap();
+    let text = include_str!("../../robots/kr60ha.toml");
+    let cases = [
+        (text.replacen("a_mm = 350.0", "a_mn = 350.0", 1), "a_mn"),
+        (text.replacen("a_mm = 350.0", "a_mm = nan", 1), "finite"),
+        (text.replacen("sign = -1", "sign = 2", 1), "sign"),
+        (text.replacen("[-135.0, 35.0]", "[35.0, -135.0]", 1), "limits_deg"),
+        (text.replacen("modified-dh", "standard-dh", 1), "convention"),
+        (text.replacen("[[joint]]", "[[joints]]", 1), "joints"),
+        (text[..text.len() / 2].to_owned(), "bad.toml"),
+    ];
+    for (text, word) in cases {
+        fs::write(dir.path().join("bad.toml"), text).unwrap();
+        let (code, said) = identify(dir.path(), &format!("{HEADER}{ROW}"), &["--robot", "bad.toml"]);
+        assert_eq!(code, Some(1), "{said}");
+        assert!(said.contains("bad.toml") && said.contains(word), "`{word}` is not in: {said}");
+    }
+}
+
+#[test]
+fn captures_ports_and_programs() {
+    let dir = tempdir().unwrap();
+    let at = dir.path();
+    fs::write(at.join("torn.dbbd"), b"this is no capture").unwrap();
+    fs::write(
+        at.join("P.src"),
+        "DEF P ( )\r\nPTP {A1 0,A2 -90,A3 90,A4 0,A5 0,A6 0}\r\nFROBNICATE 3\r\nEND\r\n",
+    )
+    .unwrap();
+    let cases: &[(&[&str], &[&str])] = &[
+        (&["sync", "torn.dbbd", "--out", "o.csv"], &["torn.dbbd"]),
+        (&["info", "nowhere.dbbd"], &["nowhere.dbbd", "cannot be read"]),
+        (&["acquire", "--port", "/dev/nowhere0", "--out", "r.dbbd"], &["/dev/nowhere0", "dbbd ports"]),
+        (&["simulate", "--program", "P.src"], &["P.src:3", "FROBNICATE"]),
+        (&["plan", "nowhere.toml", "--out", "p"], &["nowhere.toml"]),
+        (&["robots", "show", "kr61ha"], &["kr61ha"]),
+        (&["protocols", "show", "dbb-cobs-9"], &["dbb-cobs-9"]),
+    ];
+    for (args, words) in cases {
+        let output = dbbd(at, args);
+        let said = stderr(&output);
+        assert_eq!(output.status.code(), Some(1), "dbbd {}: {said}", args.join(" "));
+        for word in *words {
+            assert!(said.contains(word), "dbbd {}: `{word}` is not in: {said}", args.join(" "));
+        }
+    }
+    assert!(!at.join("r.dbbd").exists(), "nothing was measured, so there is no capture");
+}

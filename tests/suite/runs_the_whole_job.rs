@@ -1,0 +1,98 @@
+//! The demo does the whole job on files: every step reads what the one before wrote, and fails without it.
+#![cfg(unix)]
+
+use std::fs;
+use std::io::{BufRead, BufReader};
+use std::path::Path;
+use std::process::{Command, Stdio};
+
+use dbbd::identify::result::Identification;
+use tempfile::tempdir;
+
+use crate::cell::{dbbd, stderr};
+
+/// The same three circles with few points, so that the test is short.
+fn short_job(dir: &Path) {
+    let mut job = include_str!("../../examples/demo.toml").to_owned();
+    job = job.replace("points = 80", "points = 12");
+    fs::write(dir.join("job.toml"), job).unwrap();
+}
+
+fn step(dir: &Path, args: &[&str]) {
+    let output = dbbd(dir, args);
+    assert!(matches!(output.status.code(), Some(0 | 3)), "dbbd {}: {}", args.join(" "), stderr(&output));
+}
+
+#[test]
+fn the_demo_ends_with_the_truth_beside_the_result() {
+    let dir = tempdir().unwrap();
+    let output = dbbd(dir.path(), &["demo", "--json", "--seed", "3"]);
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    let comparison: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    let mean = |key: &str| comparison[key][0].as_f64().unwrap();
+    assert!(mean("identified_error_mm") < 0.5 * mean("nominal_error_mm"), "{comparison}");
+    // Each identified parameter lies within what its standard deviation makes plausible.
+    for row in comparison["parameters"].as_array().unwrap() {
+        let [truth, found, sd] =
+            ["true_correction", "correction", "sd"].map(|key| row[key].as_f64().unwrap());
+        assert!((found - truth).abs() < 5.0 * sd + 1e-4, "{row}");
+    }
+    let result = fs::read_to_string(dir.path().join("demo-out/result/result.json")).unwrap();
+    let result: Identification = serde_json::from_str(&result).unwrap();
+    assert!(result.residual_mm.after.rms < 0.03 && result.residual_mm.before.rms > 0.05);
+    let page = fs::read_to_string(dir.path().join("demo-out/result/report.html")).unwrap();
+    assert!(page.contains("<svg") && page.contains("Circle 1"));
+}
+
+/// Each single command needs the file of the step before.
+#[test]
+fn no_step_is_skipped() {
+    let dir = tempdir().unwrap();
+    let at = dir.path();
+    short_job(at);
+    let steps: &[(&[&str], &str)] = &[
+        (&["plan", "job.toml", "--out", "plan"], "job.toml"),
+        (&["krl", "plan/plan.csv", "--out", "krl"], "plan/plan.csv"),
+        (&["krl", "plan/plan.csv", "--out", "krl"], "plan/plan.json"),
+        (&["simulate", "--program", "krl/DBB_MAIN.src"], "krl/DBB_C001.src"),
+        (&["simulate", "--program", "krl/DBB_MAIN.src"], "krl/DBB_MAIN.src"),
+        (&["sync", "run.dbbd", "--out", "obs.csv"], "run.dbbd"),
+        (
+            &["identify", "obs.csv", "--robot", "kr60ha", "--centres", "plan/centres.csv", "--out", "result"],
+            "obs.csv",
+        ),
+        (
+            &["identify", "obs.csv", "--robot", "kr60ha", "--centres", "plan/centres.csv", "--out", "result"],
+            "plan/centres.csv",
+        ),
+    ];
+    step(at, steps[0].0);
+    step(at, steps[1].0);
+    measure(at);
+    step(at, steps[5].0);
+    step(at, steps[6].0);
+    for (args, file) in steps {
+        let (path, aside) = (at.join(file), at.join("aside"));
+        fs::rename(&path, &aside).unwrap();
+        let output = dbbd(at, args);
+        assert_eq!(output.status.code(), Some(1), "dbbd {} without {file}", args.join(" "));
+        let name = file.rsplit('/').next().unwrap();
+        let stem = name.rsplit_once('.').unwrap().0;
+        assert!(stderr(&output).contains(stem), "{file} is not named: {}", stderr(&output));
+        fs::rename(&aside, &path).unwrap();
+    }
+}
+
+/// Simulates in one process and acquires in another, over the pty that the first one names.
+fn measure(dir: &Path) {
+    let mut simulator = Command::new(env!("CARGO_BIN_EXE_dbbd"))
+        .args(["simulate", "--program", "krl/DBB_MAIN.src", "--robot", "kr60ha", "--speed", "0", "--quiet"])
+        .current_dir(dir)
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut port = String::new();
+    BufReader::new(simulator.stdout.take().unwrap()).read_line(&mut port).unwrap();
+    step(dir, &["acquire", "--port", port.trim(), "--plan", "plan/plan.csv", "--out", "run.dbbd"]);
+    assert!(simulator.wait().unwrap().success());
+}
