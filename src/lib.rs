@@ -26,6 +26,7 @@ pub mod plan;
 pub mod sync;
 
 // Judging.
+pub mod circular;
 pub mod identify;
 
 // Telling.

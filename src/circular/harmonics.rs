@@ -1,0 +1,124 @@
+//! Harmonics of the deviation by sense, and what they mean for a machine with two linear axes.
+
+use nalgebra::{SMatrix, SVector};
+
+use super::noise::Noise;
+use super::quantities::Rays;
+use super::{Arc, MOST_CONDITION, Sense, Trace};
+
+/// r + a cos + b sin + c2 cos 2 + s2 sin 2 of the deviation about the joint centre, mm.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Harmonics {
+    /// The sense.
+    pub sense: Sense,
+    /// r, a, b, c2, s2, mm.
+    pub values_mm: [f64; TERMS],
+    /// Their 95 % half widths from the noise of the lengths, mm.
+    pub u95_mm: [f64; TERMS],
+}
+
+/// Names of the terms, in order.
+pub const TERM_NAMES: [&str; TERMS] = ["r", "a", "b", "c2", "s2"];
+const TERMS: usize = 5;
+const NORMAL: f64 = 1.96;
+
+/// What the harmonics mean. Empty on an arc, where they cannot be told from each other.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Diagnosis {
+    /// By sense.
+    pub harmonics: Vec<Harmonics>,
+    /// Scale error of the first axis less that of the second: 2 c2 / R, mean of the senses.
+    pub scale_mismatch: Option<[f64; 2]>,
+    /// Squareness, rad: s2 / R summed over both senses; twice the one sense's where there is one, and
+    /// then a servo mismatch is in it.
+    pub squareness_rad: Option<[f64; 2]>,
+    /// Whether both senses were there to part squareness from servo mismatch.
+    pub both_senses: bool,
+    /// By how much the second axis lags behind the first, s, where times tell the speed.
+    pub servo_mismatch_s: Option<[f64; 2]>,
+}
+
+pub(super) fn diagnose(
+    traces: &[Trace],
+    rays: &Rays,
+    centre: [f64; 2],
+    radius_mm: f64,
+    noise: &Noise,
+    arc: &Arc,
+) -> Diagnosis {
+    if !arc.full || arc.condition > MOST_CONDITION {
+        return Diagnosis::default();
+    }
+    let of = |sense| fit_sense(traces, rays, centre, noise, sense);
+    let (ccw, cw) = (of(Sense::CounterClockwise), of(Sense::Clockwise));
+    let harmonics: Vec<Harmonics> = [ccw, cw].into_iter().flatten().collect();
+    if harmonics.is_empty() {
+        return Diagnosis::default();
+    }
+    let count = harmonics.len() as f64;
+    // Mean over the senses with its half width.
+    let mean = |term: usize| {
+        let value = harmonics.iter().map(|found| found.values_mm[term]).sum::<f64>() / count;
+        let u = harmonics.iter().map(|found| found.u95_mm[term].powi(2)).sum::<f64>().sqrt() / count;
+        [2.0 * value / radius_mm, 2.0 * u / radius_mm]
+    };
+    let servo_mismatch_s = ccw.zip(cw).zip(speed_mm_s(traces, radius_mm)).map(|((ccw, cw), speed)| {
+        [(cw.values_mm[4] - ccw.values_mm[4]) / speed, ccw.u95_mm[4].hypot(cw.u95_mm[4]) / speed]
+    });
+    Diagnosis {
+        scale_mismatch: Some(mean(3)),
+        squareness_rad: Some(mean(4)),
+        both_senses: harmonics.len() == 2,
+        servo_mismatch_s,
+        harmonics,
+    }
+}
+
+fn fit_sense(
+    traces: &[Trace],
+    rays: &Rays,
+    centre: [f64; 2],
+    noise: &Noise,
+    sense: Sense,
+) -> Option<Harmonics> {
+    let mut normal = SMatrix::<f64, TERMS, TERMS>::zeros();
+    let mut right = SVector::<f64, TERMS>::zeros();
+    let mut variance = 0.0;
+    let mut count = 0;
+    for (at, trace) in traces.iter().enumerate().filter(|(_, trace)| trace.sense == sense) {
+        for ((point, ray), sigma) in trace.points.iter().zip(&rays.traces[at]).zip(&noise.sigma_mm[at]) {
+            let (sin, cos) = point.angle_deg.to_radians().sin_cos();
+            let row = SVector::from([1.0, cos, sin, cos * cos - sin * sin, 2.0 * sin * cos]);
+            normal += row * row.transpose();
+            right += row * ray.deviation(centre);
+            variance += sigma * sigma;
+            count += 1;
+        }
+    }
+    let inverse = normal.try_inverse()?;
+    let solved = inverse * right;
+    let solved = solved + inverse * (right - normal * solved);
+    let sigma = (variance / f64::from(count.max(1))).sqrt();
+    Some(Harmonics {
+        sense,
+        values_mm: solved.into(),
+        u95_mm: std::array::from_fn(|term| NORMAL * sigma * inverse[(term, term)].sqrt()),
+    })
+}
+
+/// Speed along the circle where all points have times and the motion did not stop, mm/s.
+fn speed_mm_s(traces: &[Trace], radius_mm: f64) -> Option<f64> {
+    let mut speeds = Vec::new();
+    for trace in traces {
+        for pair in trace.points.windows(2) {
+            let turned = (pair[1].angle_deg - pair[0].angle_deg).abs().to_radians();
+            let elapsed_s = pair[1].t_s? - pair[0].t_s?;
+            if elapsed_s > 0.0 && turned < 1.0 {
+                speeds.push(radius_mm * turned / elapsed_s);
+            }
+        }
+    }
+    speeds.sort_by(f64::total_cmp);
+    let median = speeds.get(speeds.len() / 2).copied()?;
+    (median > 0.0).then_some(median)
+}

@@ -1,0 +1,345 @@
+//! The circular test: what a ball-bar says of a circle, by the quantities of ISO 230-4.
+//!
+//! `docs/circular-test.md` gives the definitions, their sources, and what of the standard's text could
+//! not be read. Pure: lengths in, numbers out.
+
+mod fit;
+mod harmonics;
+mod input;
+mod noise;
+mod quantities;
+mod reversal;
+mod temperature;
+mod uncertainty;
+mod zone;
+
+pub use fit::{Circle, Ray, fit};
+pub use harmonics::{Diagnosis, Harmonics};
+pub use input::traces_from_csv;
+pub use quantities::{NAMES, Quantities, TRACE_NAMES};
+pub use reversal::Reversal;
+pub use temperature::Temperature;
+pub use zone::{Zone, minimum_zone};
+
+use quantities::{Allowed, Rays, evaluate};
+
+/// The sense in which a circle is passed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Sense {
+    /// Angles grow.
+    CounterClockwise,
+    /// Angles fall.
+    Clockwise,
+}
+
+impl Sense {
+    /// `ccw` or `cw`.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::CounterClockwise => "ccw",
+            Self::Clockwise => "cw",
+        }
+    }
+}
+
+/// One length on the circle.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Point {
+    /// Programmed angle, degrees, counter-clockwise from the plane's first axis; need not be wrapped.
+    pub angle_deg: f64,
+    /// Distance between the ball centres, mm.
+    pub length_mm: f64,
+    /// Its standard uncertainty, mm, where known.
+    pub sigma_mm: Option<f64>,
+    /// Time, s, where known.
+    pub t_s: Option<f64>,
+    /// Temperature of bar and machine, degrees Celsius, where known.
+    pub temp_c: Option<f64>,
+    /// The robot's axis angles there, degrees, where known.
+    pub axes_deg: Option<[f64; 6]>,
+}
+
+/// One pass of the circle, in the order in which it was driven.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Trace {
+    /// The run it belongs to.
+    pub run: String,
+    /// Its sense.
+    pub sense: Sense,
+    /// Its points.
+    pub points: Vec<Point>,
+}
+
+/// What is known besides the lengths.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Settings {
+    /// Nominal radius, mm.
+    pub radius_mm: f64,
+    /// Standard uncertainty of a single length, mm; without it that of the points, or their scatter.
+    pub sigma_mm: Option<f64>,
+    /// Standard uncertainty of the bar's length (certificate), mm: common to all lengths.
+    pub bar_u_mm: f64,
+    /// How lengths are referred to 20 degrees Celsius.
+    pub temperature: Temperature,
+    /// Draws of the Monte Carlo; 0 for none.
+    pub draws: usize,
+    /// Seed of the draws.
+    pub seed: u64,
+}
+
+impl Settings {
+    /// The usual settings for a radius.
+    pub fn new(radius_mm: f64) -> Self {
+        let temperature = Temperature::default();
+        Self { radius_mm, sigma_mm: None, bar_u_mm: 0.0, temperature, draws: 1000, seed: 1 }
+    }
+}
+
+/// Why a circle cannot be evaluated.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum CircularError {
+    /// The nominal radius is not a positive number.
+    #[error("the nominal radius must be positive: {0} mm")]
+    Radius(f64),
+    /// Too few points.
+    #[error("run {run}, {sense}: {points} points are too few, {LEAST_POINTS} are needed")]
+    TooFew {
+        /// The run.
+        run: String,
+        /// `ccw` or `cw`.
+        sense: &'static str,
+        /// How many there are.
+        points: usize,
+    },
+    /// There is nothing.
+    #[error("there is no length on a circle")]
+    Empty,
+    /// A length is far from the radius.
+    #[error(
+        "run {run}, {sense}: a length of {length_mm} mm at {angle_deg} degrees is far from the nominal radius of {radius_mm} mm: is the radius right?"
+    )]
+    FarOff {
+        /// The run.
+        run: String,
+        /// `ccw` or `cw`.
+        sense: &'static str,
+        /// Where.
+        angle_deg: f64,
+        /// The length.
+        length_mm: f64,
+        /// The nominal radius.
+        radius_mm: f64,
+    },
+    /// The points do not tell a circle.
+    #[error("the points do not tell a circle: their angles are too few or too near to each other")]
+    NoCircle,
+}
+
+/// Fewer points do not tell centre, radius and a deviation from them.
+pub const LEAST_POINTS: usize = 5;
+/// Lengths may differ from the radius by this share of it.
+const FAR_OFF: f64 = 0.2;
+/// Beyond this condition number a free centre is refused: arcs of about 75 degrees and less.
+pub const MOST_CONDITION: f64 = 30.0;
+/// A gap of the angles beyond this is more than the spacing of a sparse full circle, degrees.
+const GAP_DEG: f64 = 60.0;
+
+/// How much of the circle there is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Arc {
+    /// First angle, degrees, 0..360.
+    pub from_deg: f64,
+    /// Angle passed from there, degrees; 360 when it is full.
+    pub span_deg: f64,
+    /// Largest gap between neighbours, degrees.
+    pub largest_gap_deg: f64,
+    /// Whether it is the full circle.
+    pub full: bool,
+    /// Condition number of centre and radius from it.
+    pub condition: f64,
+}
+
+/// A value with the half width of its 95 % interval; `None` where it is refused or does not exist.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Quantity {
+    /// The value.
+    pub value: Option<f64>,
+    /// Half width of its 95 % interval.
+    pub u95: Option<f64>,
+}
+
+/// What a trace says alone.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TraceResult {
+    /// The run.
+    pub run: String,
+    /// The sense.
+    pub sense: Sense,
+    /// Number of points.
+    pub points: usize,
+    /// By the names of [`TRACE_NAMES`], mm.
+    pub quantities: Vec<Quantity>,
+    /// Angle (degrees) and deviation from the joint circle (mm), in the order driven.
+    pub deviations: Vec<[f64; 2]>,
+}
+
+/// The evaluation of a circular test.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Evaluation {
+    /// Nominal radius, mm.
+    pub radius_mm: f64,
+    /// How much of the circle there is.
+    pub arc: Arc,
+    /// By the names of [`NAMES`], mm, referred to 20 degrees where that could be done.
+    pub quantities: Vec<Quantity>,
+    /// The same as measured, where temperatures changed it.
+    pub as_measured: Option<Vec<Option<f64>>>,
+    /// Whether F is about the least-squares centre (b), else about the instrument's (a).
+    pub free_centre: bool,
+    /// Each trace alone.
+    pub traces: Vec<TraceResult>,
+    /// Second harmonics by sense and what they mean.
+    pub diagnosis: Diagnosis,
+    /// Where joints reverse.
+    pub reversals: Vec<Reversal>,
+    /// Standard uncertainty of a single length that the draws used, mm: the mean over the points.
+    pub sigma_mm: f64,
+    /// Where that comes from.
+    pub sigma_source: &'static str,
+    /// Draws that were made.
+    pub draws: usize,
+    /// What the user should know.
+    pub notes: Vec<String>,
+}
+
+impl Evaluation {
+    /// The quantity of a name of [`NAMES`].
+    pub fn get(&self, name: &str) -> Quantity {
+        let at = NAMES.iter().position(|known| *known == name);
+        at.and_then(|at| self.quantities.get(at)).copied().unwrap_or_default()
+    }
+}
+
+/// Evaluates the traces of one circle.
+///
+/// # Errors
+/// When there are too few points, the radius is not theirs, or they tell no circle.
+pub fn circular(traces: &[Trace], settings: &Settings) -> Result<Evaluation, CircularError> {
+    check(traces, settings)?;
+    let corrected = settings.temperature.apply(traces);
+    let rays = |traces: &[Trace]| Rays::new(traces, settings.radius_mm);
+    let measured = rays(corrected.as_deref().unwrap_or(traces));
+    let joint = fit(measured.all()).ok_or(CircularError::NoCircle)?;
+    let arc = arc(traces, joint.condition);
+    let allowed = Allowed::of(&arc);
+    let values = evaluate(&measured, allowed).ok_or(CircularError::NoCircle)?;
+    let as_measured = corrected
+        .as_ref()
+        .and_then(|_| evaluate(&rays(traces), allowed))
+        .map(|values| values.overall_options());
+    let noise = noise::of(traces, &measured, joint.centre, settings.sigma_mm);
+    let u95 = uncertainty::u95(&measured, &values, &joint, allowed, &noise, settings);
+    let (overall, alone) = values.with(u95.as_ref());
+    let traces_out = traces
+        .iter()
+        .zip(&measured.traces)
+        .zip(alone)
+        .map(|((trace, rays), quantities)| TraceResult {
+            run: trace.run.clone(),
+            sense: trace.sense,
+            points: trace.points.len(),
+            quantities,
+            deviations: trace
+                .points
+                .iter()
+                .zip(rays)
+                .map(|(point, ray)| [point.angle_deg, ray.deviation(joint.centre)])
+                .collect(),
+        })
+        .collect();
+    let mut notes = Vec::new();
+    if !allowed.free_centre {
+        notes.push(format!(
+            "the arc of {:.0} degrees does not tell its centre (condition {:.0}, at most {MOST_CONDITION} is accepted): G, G(b), H, D and the centre are refused; F is about the instrument's centre",
+            arc.span_deg, arc.condition
+        ));
+    } else if !arc.full {
+        notes.push(format!(
+            "partial arc of {:.0} degrees (condition {:.1}): centre and radius are fitted jointly; F is about the instrument's centre",
+            arc.span_deg, arc.condition
+        ));
+    }
+    notes.extend(traces.iter().filter(|trace| !in_sense(trace)).map(|trace| {
+        format!("run {}: its angles do not run {} as its direction says", trace.run, trace.sense.word())
+    }));
+    if corrected.is_none() {
+        notes.push("lengths are as measured: no temperatures with an expansion were given".into());
+    }
+    Ok(Evaluation {
+        radius_mm: settings.radius_mm,
+        arc,
+        quantities: overall,
+        as_measured,
+        free_centre: arc.full,
+        traces: traces_out,
+        diagnosis: harmonics::diagnose(traces, &measured, joint.centre, settings.radius_mm, &noise, &arc),
+        reversals: reversal::of(traces),
+        sigma_mm: noise.mean(),
+        sigma_source: noise.source,
+        draws: if u95.is_some() { settings.draws } else { 0 },
+        notes,
+    })
+}
+
+fn check(traces: &[Trace], settings: &Settings) -> Result<(), CircularError> {
+    let radius_mm = settings.radius_mm;
+    if !(radius_mm.is_finite() && radius_mm > 0.0) {
+        return Err(CircularError::Radius(radius_mm));
+    }
+    if traces.is_empty() {
+        return Err(CircularError::Empty);
+    }
+    for Trace { run, sense, points } in traces {
+        let (run, sense) = (run.clone(), sense.word());
+        if points.len() < LEAST_POINTS {
+            return Err(CircularError::TooFew { run, sense, points: points.len() });
+        }
+        // A value that is not a number is as far off as can be.
+        let near = |point: &&Point| (point.length_mm - radius_mm).abs() <= FAR_OFF * radius_mm;
+        if let Some(&Point { angle_deg, length_mm, .. }) = points.iter().find(|point| !near(point)) {
+            return Err(CircularError::FarOff { run, sense, angle_deg, length_mm, radius_mm });
+        }
+    }
+    Ok(())
+}
+
+/// Whether most steps go in the trace's sense.
+fn in_sense(trace: &Trace) -> bool {
+    let steps = trace.points.windows(2).map(|pair| {
+        let step = (pair[1].angle_deg - pair[0].angle_deg + 180.0).rem_euclid(360.0) - 180.0;
+        if step == 0.0 {
+            0
+        } else if (step > 0.0) == (trace.sense == Sense::CounterClockwise) {
+            1
+        } else {
+            -1
+        }
+    });
+    steps.sum::<i64>() >= 0
+}
+
+fn arc(traces: &[Trace], condition: f64) -> Arc {
+    let points = traces.iter().flat_map(|trace| &trace.points);
+    let mut angles: Vec<f64> = points.map(|point| point.angle_deg.rem_euclid(360.0)).collect();
+    angles.sort_by(f64::total_cmp);
+    angles.dedup_by(|b, a| (*b - *a) < 1e-6);
+    let around = angles.first().map(|first| first + 360.0);
+    let gaps = angles.iter().zip(angles.iter().skip(1).copied().chain(around)).map(|(a, b)| b - a);
+    let (at, largest_gap_deg) =
+        gaps.enumerate().fold((0, 0.0), |most, gap| if gap.1 > most.1 { gap } else { most });
+    let usual_deg = 360.0 / angles.len().max(1) as f64;
+    let full = largest_gap_deg <= (3.0 * usual_deg).max(2.0).min(GAP_DEG);
+    let from_deg = if full { 0.0 } else { angles.get(at + 1).or(angles.first()).copied().unwrap_or(0.0) };
+    let span_deg = if full { 360.0 } else { 360.0 - largest_gap_deg };
+    Arc { from_deg, span_deg, largest_gap_deg, full, condition }
+}

@@ -1,0 +1,101 @@
+//! The standard uncertainty of a single length, for the Monte Carlo.
+
+use super::quantities::Rays;
+use super::{Sense, Trace};
+
+/// What each length's standard uncertainty is taken to be.
+#[derive(Clone, Debug)]
+pub(super) struct Noise {
+    /// For each trace and point, mm.
+    pub(super) sigma_mm: Vec<Vec<f64>>,
+    /// In words.
+    pub(super) source: &'static str,
+}
+
+impl Noise {
+    pub(super) fn mean(&self) -> f64 {
+        let count = self.sigma_mm.iter().map(Vec::len).sum::<usize>().max(1);
+        self.sigma_mm.iter().flatten().sum::<f64>() / count as f64
+    }
+}
+
+/// What was given, else the points' own, but not less than what repeated passes differ by; else the
+/// scatter between neighbours.
+pub(super) fn of(traces: &[Trace], rays: &Rays, centre: [f64; 2], given: Option<f64>) -> Noise {
+    let all = |sigma: f64| traces.iter().map(|trace| vec![sigma; trace.points.len()]).collect();
+    if let Some(sigma) = given {
+        return Noise { sigma_mm: all(sigma), source: "as given" };
+    }
+    let repeated = repeated(traces, rays, centre);
+    let own: Option<Vec<Vec<f64>>> =
+        traces.iter().map(|trace| trace.points.iter().map(|point| point.sigma_mm).collect()).collect();
+    if let Some(mut own) = own {
+        let least = repeated.unwrap_or(0.0);
+        own.iter_mut().flatten().for_each(|sigma| *sigma = sigma.max(least));
+        let source = if repeated.is_some() {
+            "of each length, not less than the difference of repeated passes"
+        } else {
+            "of each length; the repeatability of the robot is not in it"
+        };
+        return Noise { sigma_mm: own, source };
+    }
+    match repeated {
+        Some(sigma) => Noise { sigma_mm: all(sigma), source: "difference of repeated passes" },
+        None => {
+            Noise { sigma_mm: all(neighbours(traces, rays, centre)), source: "scatter between neighbours" }
+        }
+    }
+}
+
+/// Indices of a trace's points in the order of their angles.
+fn by_angle(trace: &Trace) -> Vec<usize> {
+    let mut order: Vec<usize> = (0..trace.points.len()).collect();
+    let angle = |at: usize| trace.points[at].angle_deg.rem_euclid(360.0);
+    order.sort_by(|&a, &b| angle(a).total_cmp(&angle(b)));
+    order
+}
+
+/// Standard deviation between passes in one sense at the same angles; `None` without such.
+fn repeated(traces: &[Trace], rays: &Rays, centre: [f64; 2]) -> Option<f64> {
+    let (mut squares, mut freedom) = (0.0, 0);
+    for sense in [Sense::CounterClockwise, Sense::Clockwise] {
+        let passes: Vec<(usize, Vec<usize>)> = (0..traces.len())
+            .filter(|&at| traces[at].sense == sense)
+            .map(|at| (at, by_angle(&traces[at])))
+            .collect();
+        let Some((first, order)) = passes.first() else { continue };
+        let same = |(other, theirs): &(usize, Vec<usize>)| {
+            theirs.len() == order.len()
+                && order.iter().zip(theirs).all(|(&a, &b)| {
+                    (traces[*first].points[a].angle_deg - traces[*other].points[b].angle_deg).abs() < 1e-6
+                })
+        };
+        if passes.len() < 2 || !passes.iter().all(same) {
+            continue;
+        }
+        for place in 0..order.len() {
+            let values = || passes.iter().map(|(at, order)| rays.traces[*at][order[place]].deviation(centre));
+            let mean = values().sum::<f64>() / passes.len() as f64;
+            squares += values().map(|value| (value - mean).powi(2)).sum::<f64>();
+            freedom += passes.len() - 1;
+        }
+    }
+    (freedom > 0).then(|| (squares / freedom as f64).sqrt())
+}
+
+/// Robust scatter of second differences between neighbours: noise, and on a sparse circle form as well.
+fn neighbours(traces: &[Trace], rays: &Rays, centre: [f64; 2]) -> f64 {
+    /// Standard deviation of a normal distribution over its median magnitude.
+    const OF_MEDIAN: f64 = 1.4826;
+    let mut second: Vec<f64> = Vec::new();
+    for (trace, rays) in traces.iter().zip(&rays.traces) {
+        let values: Vec<f64> = by_angle(trace).into_iter().map(|at| rays[at].deviation(centre)).collect();
+        second.extend(values.windows(3).map(|three| (three[0] - 2.0 * three[1] + three[2]).abs()));
+    }
+    let middle = second.len() / 2;
+    if second.is_empty() {
+        return 0.0;
+    }
+    let (_, median, _) = second.select_nth_unstable_by(middle, f64::total_cmp);
+    OF_MEDIAN * *median / 6f64.sqrt()
+}

@@ -1,0 +1,179 @@
+//! The quantities from lengths. The draws of the Monte Carlo call the same function.
+
+use super::fit::{Ray, fit};
+use super::zone::{extremes, minimum_zone, width};
+use super::{Arc, MOST_CONDITION, Quantity, Sense, Trace};
+
+/// What a whole test says, in this order: circular deviation about the least-squares centre and of the
+/// minimum zone (the greater of the traces, each about its own centre), bi-directional circular
+/// deviation, mean radial deviation, greatest and least radial deviation, hysteresis (1996), and the
+/// base ball seen from the programmed centre.
+pub const NAMES: [&str; 9] = ["G_lsc", "G_mzc", "Gb", "D", "F_max", "F_min", "H", "x", "y"];
+/// What a trace says alone, about its own centre (F about the test's).
+pub const TRACE_NAMES: [&str; 7] = ["G_lsc", "G_mzc", "D", "F_max", "F_min", "x", "y"];
+
+/// The traces of a test as rays.
+#[derive(Clone, Debug)]
+pub struct Rays {
+    /// One list for each trace.
+    pub(super) traces: Vec<Vec<Ray>>,
+    pub(super) radius_mm: f64,
+    /// Counter-clockwise trace, clockwise trace, and which points of them face each other.
+    pub(super) pairs: Vec<Facing>,
+}
+
+/// A counter-clockwise and a clockwise trace of one circle.
+#[derive(Clone, Debug)]
+pub struct Facing {
+    ccw: usize,
+    cw: usize,
+    /// A counter-clockwise point, the clockwise ones on either side of it, and the weight of the second.
+    points: Vec<(usize, [usize; 2], f64)>,
+}
+
+/// What the arc allows.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Allowed {
+    /// Whether a centre can be fitted.
+    pub(super) free_centre: bool,
+    /// Whether F may be about it: on a full circle only.
+    full: bool,
+}
+
+impl Allowed {
+    pub(super) fn of(arc: &Arc) -> Self {
+        let free_centre = arc.condition <= MOST_CONDITION;
+        Self { free_centre, full: arc.full && free_centre }
+    }
+}
+
+/// The values of all quantities; NaN where there is none.
+#[derive(Clone, Debug, Default)]
+pub struct Quantities {
+    /// By [`NAMES`].
+    pub(super) overall: [f64; NAMES.len()],
+    /// By [`TRACE_NAMES`], for each trace.
+    pub(super) alone: Vec<[f64; TRACE_NAMES.len()]>,
+}
+
+impl Rays {
+    pub(super) fn new(traces: &[Trace], radius_mm: f64) -> Self {
+        let ray = |angle_deg: f64, length_mm: f64| {
+            let (sin, cos) = angle_deg.to_radians().sin_cos();
+            Ray { point: [radius_mm * cos, radius_mm * sin], length_mm }
+        };
+        let rays =
+            |trace: &Trace| trace.points.iter().map(|point| ray(point.angle_deg, point.length_mm)).collect();
+        let of = |sense: Sense| traces.iter().enumerate().filter(move |(_, trace)| trace.sense == sense);
+        // The n-th trace of one sense faces the n-th of the other.
+        let pairs = of(Sense::CounterClockwise)
+            .zip(of(Sense::Clockwise))
+            .map(|((ccw, there), (cw, back))| Facing { ccw, cw, points: facing(there, back) })
+            .collect();
+        Self { traces: traces.iter().map(rays).collect(), radius_mm, pairs }
+    }
+
+    /// All rays of all traces.
+    pub(super) fn all(&self) -> impl Iterator<Item = Ray> + Clone {
+        self.traces.iter().flatten().copied()
+    }
+}
+
+/// For each point of `there` the points of `back` on either side, where they are not far.
+fn facing(there: &Trace, back: &Trace) -> Vec<(usize, [usize; 2], f64)> {
+    let wrapped = |trace: &Trace, at: usize| trace.points[at].angle_deg.rem_euclid(360.0);
+    let mut order: Vec<usize> = (0..back.points.len()).collect();
+    order.sort_by(|&a, &b| wrapped(back, a).total_cmp(&wrapped(back, b)));
+    let count = order.len();
+    let near_deg = 3.0 * 360.0 / count as f64;
+    (0..there.points.len())
+        .filter_map(|at| {
+            let angle = wrapped(there, at);
+            let next = order.partition_point(|&other| wrapped(back, other) <= angle + 1e-9);
+            let (left, right) = (order[(next + count - 1) % count], order[next % count]);
+            let before = (angle - wrapped(back, left) + 1e-9).rem_euclid(360.0);
+            let after = (wrapped(back, right) - angle).rem_euclid(360.0);
+            if before < 2e-9 {
+                return Some((at, [left, left], 0.0));
+            }
+            (before + after <= near_deg).then(|| (at, [left, right], before / (before + after)))
+        })
+        .collect()
+}
+
+/// Evaluates; `None` when the points tell no circle.
+pub(super) fn evaluate(rays: &Rays, allowed: Allowed) -> Option<Quantities> {
+    let nothing = f64::NAN;
+    let joint = if allowed.free_centre { Some(fit(rays.all())?) } else { None };
+    let centre = joint.map_or([0.0; 2], |circle| circle.centre);
+    let f_centre = if allowed.full { centre } else { [0.0; 2] };
+    let alone: Vec<[f64; TRACE_NAMES.len()]> = rays
+        .traces
+        .iter()
+        .map(|trace| {
+            let [f_min, f_max] = extremes(trace, f_centre);
+            let own =
+                joint.and_then(|_| fit(trace.iter().copied())).filter(|own| own.condition <= MOST_CONDITION);
+            let Some(own) = own else {
+                return [nothing, nothing, nothing, f_max, f_min, nothing, nothing];
+            };
+            let zone = minimum_zone(trace, own.centre).map_or(nothing, |zone| zone.width_mm);
+            let [x, y] = own.centre;
+            [width(trace, own.centre), zone, own.offset_mm, f_max, f_min, x, y]
+        })
+        .collect();
+    let most = |at: usize| alone.iter().map(|values| values[at]).fold(f64::NEG_INFINITY, f64::max);
+    // A trace that cannot be told must not hide behind one that can.
+    let most_of_all =
+        |at: usize| if alone.iter().any(|values| values[at].is_nan()) { nothing } else { most(at) };
+    let least = alone.iter().map(|values| values[4]).fold(f64::INFINITY, f64::min);
+    let both = joint.filter(|_| !rays.pairs.is_empty());
+    let gb = both.map_or(nothing, |circle| {
+        let ranges = rays.traces.iter().map(|trace| extremes(trace, circle.centre));
+        let [low, high] = ranges.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], range| {
+            [low.min(range[0]), high.max(range[1])]
+        });
+        high - low
+    });
+    let h = both.map_or(nothing, |circle| hysteresis(rays, circle.centre));
+    let offset = joint.map_or(nothing, |circle| circle.offset_mm);
+    let [x, y] = joint.map_or([nothing; 2], |circle| circle.centre);
+    let overall = [most_of_all(0), most_of_all(1), gb, offset, most(3), least, h, x, y];
+    Some(Quantities { overall, alone })
+}
+
+/// Greatest difference between the two senses at one angle, about one centre, mm.
+fn hysteresis(rays: &Rays, centre: [f64; 2]) -> f64 {
+    let mut most = f64::NAN;
+    for Facing { ccw, cw, points } in &rays.pairs {
+        let (there, back) = (&rays.traces[*ccw], &rays.traces[*cw]);
+        for &(at, [left, right], weight) in points {
+            let facing =
+                (1.0 - weight) * back[left].deviation(centre) + weight * back[right].deviation(centre);
+            most = most.max((there[at].deviation(centre) - facing).abs());
+        }
+    }
+    most
+}
+
+impl Quantities {
+    /// All values in one row.
+    pub(super) fn row(&self) -> impl Iterator<Item = f64> {
+        self.overall.iter().copied().chain(self.alone.iter().flatten().copied())
+    }
+
+    pub(super) fn overall_options(&self) -> Vec<Option<f64>> {
+        self.overall.iter().map(|value| value.is_finite().then_some(*value)).collect()
+    }
+
+    /// The values with their uncertainties, given in the order of [`Quantities::row`].
+    pub(super) fn with(&self, u95: Option<&Vec<f64>>) -> (Vec<Quantity>, Vec<Vec<Quantity>>) {
+        let mut all = self.row().enumerate().map(|(at, value)| Quantity {
+            value: value.is_finite().then_some(value),
+            u95: u95.and_then(|u95| u95.get(at)).copied().filter(|u| u.is_finite() && value.is_finite()),
+        });
+        let overall = all.by_ref().take(NAMES.len()).collect();
+        let alone = self.alone.iter().map(|_| all.by_ref().take(TRACE_NAMES.len()).collect()).collect();
+        (overall, alone)
+    }
+}
