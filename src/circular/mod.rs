@@ -14,9 +14,9 @@ mod uncertainty;
 mod zone;
 
 pub use fit::{Circle, Ray, fit};
-pub use harmonics::{Diagnosis, Harmonics};
+pub use harmonics::{Diagnosis, Harmonics, TERM_NAMES};
 pub use input::traces_from_csv;
-pub use quantities::{NAMES, Quantities, TRACE_NAMES};
+pub use quantities::{NAMES, TRACE_NAMES};
 pub use reversal::Reversal;
 pub use temperature::Temperature;
 pub use zone::{Zone, minimum_zone};
@@ -179,7 +179,7 @@ pub struct TraceResult {
     pub points: usize,
     /// By the names of [`TRACE_NAMES`], mm.
     pub quantities: Vec<Quantity>,
-    /// Angle (degrees) and deviation from the joint circle (mm), in the order driven.
+    /// Angle (degrees) and deviation about the joint centre (mm), in the order driven.
     pub deviations: Vec<[f64; 2]>,
 }
 
@@ -232,12 +232,13 @@ pub fn circular(traces: &[Trace], settings: &Settings) -> Result<Evaluation, Cir
     let joint = fit(measured.all()).ok_or(CircularError::NoCircle)?;
     let arc = arc(traces, joint.condition);
     let allowed = Allowed::of(&arc);
+    let centre = if allowed.free_centre { joint.centre } else { [0.0; 2] };
     let values = evaluate(&measured, allowed).ok_or(CircularError::NoCircle)?;
     let as_measured = corrected
         .as_ref()
         .and_then(|_| evaluate(&rays(traces), allowed))
         .map(|values| values.overall_options());
-    let noise = noise::of(traces, &measured, joint.centre, settings.sigma_mm);
+    let noise = noise::of(traces, &measured, centre, settings.sigma_mm);
     let u95 = uncertainty::u95(&measured, &values, &joint, allowed, &noise, settings);
     let (overall, alone) = values.with(u95.as_ref());
     let traces_out = traces
@@ -253,7 +254,7 @@ pub fn circular(traces: &[Trace], settings: &Settings) -> Result<Evaluation, Cir
                 .points
                 .iter()
                 .zip(rays)
-                .map(|(point, ray)| [point.angle_deg, ray.deviation(joint.centre)])
+                .map(|(point, ray)| [point.angle_deg, ray.deviation(centre)])
                 .collect(),
         })
         .collect();
@@ -282,7 +283,7 @@ pub fn circular(traces: &[Trace], settings: &Settings) -> Result<Evaluation, Cir
         as_measured,
         free_centre: arc.full,
         traces: traces_out,
-        diagnosis: harmonics::diagnose(traces, &measured, joint.centre, settings.radius_mm, &noise, &arc),
+        diagnosis: harmonics::diagnose(traces, &measured, centre, settings.radius_mm, &noise, &arc),
         reversals: reversal::of(traces),
         sigma_mm: noise.mean(),
         sigma_source: noise.source,

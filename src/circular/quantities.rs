@@ -14,21 +14,27 @@ pub const TRACE_NAMES: [&str; 7] = ["G_lsc", "G_mzc", "D", "F_max", "F_min", "x"
 
 /// The traces of a test as rays.
 #[derive(Clone, Debug)]
-pub struct Rays {
+pub(super) struct Rays {
     /// One list for each trace.
     pub(super) traces: Vec<Vec<Ray>>,
-    pub(super) radius_mm: f64,
     /// Counter-clockwise trace, clockwise trace, and which points of them face each other.
     pub(super) pairs: Vec<Facing>,
 }
 
 /// A counter-clockwise and a clockwise trace of one circle.
 #[derive(Clone, Debug)]
-pub struct Facing {
+pub(super) struct Facing {
     ccw: usize,
     cw: usize,
     /// A counter-clockwise point, the clockwise ones on either side of it, and the weight of the second.
     points: Vec<(usize, [usize; 2], f64)>,
+}
+
+impl Facing {
+    /// The same pair where it is not told which points face each other.
+    pub(super) fn unresolved(&self) -> Self {
+        Self { points: Vec::new(), ..*self }
+    }
 }
 
 /// What the arc allows.
@@ -49,7 +55,7 @@ impl Allowed {
 
 /// The values of all quantities; NaN where there is none.
 #[derive(Clone, Debug, Default)]
-pub struct Quantities {
+pub(super) struct Quantities {
     /// By [`NAMES`].
     pub(super) overall: [f64; NAMES.len()],
     /// By [`TRACE_NAMES`], for each trace.
@@ -70,7 +76,7 @@ impl Rays {
             .zip(of(Sense::Clockwise))
             .map(|((ccw, there), (cw, back))| Facing { ccw, cw, points: facing(there, back) })
             .collect();
-        Self { traces: traces.iter().map(rays).collect(), radius_mm, pairs }
+        Self { traces: traces.iter().map(rays).collect(), pairs }
     }
 
     /// All rays of all traces.

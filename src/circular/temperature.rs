@@ -3,7 +3,7 @@
 use super::Trace;
 
 /// Reference temperature of length measurement (ISO 1), degrees Celsius.
-pub const REFERENCE_C: f64 = 20.0;
+pub(super) const REFERENCE_C: f64 = 20.0;
 
 /// How lengths depend on temperature. Both expansions are 0 when nothing is known.
 #[derive(Clone, Copy, Debug, PartialEq)]

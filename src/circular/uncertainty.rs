@@ -7,7 +7,7 @@ use rand_pcg::Pcg64;
 
 use super::fit::Circle;
 use super::noise::Noise;
-use super::quantities::{Allowed, Quantities, Rays, evaluate};
+use super::quantities::{Allowed, Facing, Quantities, Rays, evaluate};
 use super::zone::outermost;
 use super::{NAMES, Settings};
 
@@ -76,7 +76,7 @@ fn quantile(values: &mut [f64]) -> f64 {
 }
 
 fn outermost_of(rays: &Rays, noise: &Noise, joint: &Circle) -> (Rays, Vec<Vec<f64>>) {
-    let mut few = Rays { traces: Vec::new(), radius_mm: rays.radius_mm, pairs: Vec::new() };
+    let mut few = Rays { traces: Vec::new(), pairs: rays.pairs.iter().map(Facing::unresolved).collect() };
     let mut sigma_mm = Vec::new();
     for (trace, sigma) in rays.traces.iter().zip(&noise.sigma_mm) {
         let mut chosen: Vec<usize> =

@@ -61,13 +61,13 @@ fn rest(rays: &[Ray], mut centre: [f64; 2]) -> Option<Zone> {
 }
 
 /// Distance between the circles about `centre` that hold all points, mm.
-pub fn width(rays: &[Ray], centre: [f64; 2]) -> f64 {
+pub(super) fn width(rays: &[Ray], centre: [f64; 2]) -> f64 {
     let [low, high] = extremes(rays, centre);
     high - low
 }
 
 /// Least and greatest deviation about `centre`, mm.
-pub fn extremes(rays: &[Ray], centre: [f64; 2]) -> [f64; 2] {
+pub(super) fn extremes(rays: &[Ray], centre: [f64; 2]) -> [f64; 2] {
     rays.iter()
         .map(|ray| ray.deviation(centre))
         .fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], d| [low.min(d), high.max(d)])

@@ -1,6 +1,7 @@
 //! The command line: one file per verb. The only place that prints.
 
 mod acquire;
+mod circle;
 mod completions;
 mod demo;
 mod export;
@@ -67,6 +68,8 @@ enum Verb {
     Sync(sync::Args),
     /// Identify the robot's parameters from lengths.
     Identify(identify::Args),
+    /// Evaluate circular tests by the quantities of ISO 230-4.
+    Circle(circle::Args),
     /// Run the whole job with no hardware.
     Demo(demo::Args),
     /// Show a capture on one screen.
@@ -110,6 +113,7 @@ pub fn main() -> ExitCode {
         Verb::Acquire(args) => acquire::run(args, &out),
         Verb::Sync(args) => sync::run(args, &out),
         Verb::Identify(args) => identify::run(args, &out),
+        Verb::Circle(args) => circle::run(args, &out),
         Verb::Demo(args) => demo::run(args, &out),
         Verb::Info(args) => info::run(args, &out),
         Verb::Recover(args) => recover::run(args, &out),

@@ -100,6 +100,14 @@ impl Circle {
         self.first * cos + self.second * sin
     }
 
+    /// Angle at which a point is seen from the base ball, degrees from the plane's first axis, 0..360.
+    pub(crate) fn angle_deg(&self, point: Vector3<f64>) -> f64 {
+        let out = point - self.centre;
+        let angle = out.dot(&self.second).atan2(out.dot(&self.first)).to_degrees().rem_euclid(360.0);
+        // A tiny negative angle wraps to 360 itself.
+        if angle < 360.0 { angle } else { 0.0 }
+    }
+
     /// The base ball, mm.
     pub(crate) fn centre(&self) -> Vector3<f64> {
         self.centre

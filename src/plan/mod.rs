@@ -6,6 +6,7 @@ mod circle;
 mod files;
 pub mod job;
 pub mod path;
+mod places;
 pub mod rows;
 mod solve;
 mod steps;
@@ -17,6 +18,7 @@ pub use build::Refused;
 pub use check::{Check, Finding, Quantity};
 pub use circle::REFERENCE_EVERY;
 pub use job::{Job, MotionTable};
+pub use places::CirclePlace;
 pub use rows::{Kind, Motion, PlanRow};
 
 /// A plan: the rows of `plan.csv` and the header in `plan.json`.

@@ -6,6 +6,7 @@ mod agrees_with_pinocchio;
 mod capture_survives_damage;
 mod cell;
 mod circle_plan;
+mod circular_quantities;
 mod controller_executes_krl;
 mod decoder_accounts_for_every_byte;
 mod definitions_are_checked;

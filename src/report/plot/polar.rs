@@ -43,6 +43,12 @@ pub struct PolarTrace {
 impl PolarPlot {
     /// Draws it.
     pub fn to_svg(&self) -> String {
+        self.to_svg_with(&[])
+    }
+
+    /// Draws it with marks on the outermost ring: an angle (degrees) and a short word each. Marks that
+    /// would stand on each other share one word.
+    pub fn to_svg_with(&self, marks: &[(f64, String)]) -> String {
         let deviations = self.traces.iter().flat_map(|trace| trace.points.iter().map(|point| point[1]));
         let largest_mm = magnitude(deviations);
         let unit = Unit::length(largest_mm);
@@ -65,6 +71,7 @@ impl PolarPlot {
         for trace in &self.traces {
             draw(&mut svg, trace, unit, px_per_unit, digits + 1);
         }
+        mark(&mut svg, marks);
         for number in -(rings as i32)..=(rings as i32) {
             let value = f64::from(number) * ring;
             let at = polar(67.5, ZERO + value * px_per_unit);
@@ -144,6 +151,28 @@ fn draw(svg: &mut Svg, trace: &PolarTrace, unit: Unit, px_per_unit: f64, digits:
             let tip = format!("{}: {}°, {value} {}", trace.name, signed(point[0], 1), unit.sign);
             svg.circle(trace.series.dot(), place(point), 2.4, &tip);
         }
+    }
+}
+
+/// Ticks across the outermost ring, with their words outside.
+fn mark(svg: &mut Svg, marks: &[(f64, String)]) {
+    const APART_DEG: f64 = 6.0;
+    let mut sorted: Vec<(f64, &str)> =
+        marks.iter().map(|(angle, word)| (angle.rem_euclid(360.0), word.as_str())).collect();
+    sorted.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(b.1)));
+    let mut groups: Vec<(f64, Vec<&str>)> = Vec::new();
+    for (angle, word) in sorted {
+        svg.line("l-mark", polar(angle, OUTER - 5.0), polar(angle, OUTER + 5.0));
+        match groups.last_mut() {
+            Some((first, words)) if angle - *first < APART_DEG => words.push(word),
+            _ => groups.push((angle, vec![word])),
+        }
+    }
+    for (angle, mut words) in groups {
+        words.sort_unstable();
+        words.dedup();
+        let [x, y] = polar(angle + 1.0, OUTER + 15.0);
+        svg.text("halo", [x, y + 4.0], Anchor::Middle, &words.join(","));
     }
 }
 

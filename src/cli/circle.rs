@@ -1,0 +1,326 @@
+//! `dbbd circle`.
+
+use std::error::Error;
+use std::path::{Path, PathBuf};
+
+use serde_json::{Map, Value, json};
+
+use super::{Outcome, Output, Verdict, files, run};
+use crate::circular::{
+    self, Evaluation, NAMES, Point, Quantity, Sense, Settings, TERM_NAMES, TRACE_NAMES, Temperature, Trace,
+};
+use crate::plan::{Job, Kind};
+use crate::report::circle::{CircleTest, CircleView};
+use crate::report::{self, Provenance, Source};
+use crate::sync::Input;
+
+/// Arguments of the verb.
+#[derive(clap::Args)]
+pub(crate) struct Args {
+    /// Captures that carry a plan, or CSV files run,direction,angle_deg,length_mm[,t_s,temp_c] (direction cw
+    /// or ccw; length between ball centres). Several are set side by side as a trend, in this order.
+    #[arg(required = true, value_name = "RUN|CSV")]
+    inputs: Vec<PathBuf>,
+    /// Directory for circle.json, circle.html and the polar plots as SVG.
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Nominal radius, mm [default: the plan's; of a CSV the mean length, rounded to a millimetre].
+    #[arg(long, value_name = "MM", value_parser = positive)]
+    radius: Option<f64>,
+    /// The plan that was driven, with its .json beside it [default: the one in the capture].
+    #[arg(long, value_name = "PLAN.csv")]
+    plan: Option<PathBuf>,
+    /// Standard uncertainty of a single length, mm [default: that of the dwells; of a CSV the scatter].
+    #[arg(long, value_name = "MM", value_parser = positive)]
+    sigma: Option<f64>,
+    /// Standard uncertainty of the bar's length by its certificate, mm: part of D and F.
+    #[arg(long, value_name = "MM", value_parser = positive)]
+    bar_u: Option<f64>,
+    /// Expansion of the bar, 1/K: with the column temp_c, lengths are corrected to the certificate's temperature.
+    #[arg(long, value_name = "PER_K", value_parser = positive)]
+    expansion: Option<f64>,
+    /// Temperature of the bar's certificate, degrees Celsius.
+    #[arg(long, value_name = "C", default_value_t = 20.0, allow_negative_numbers = true)]
+    certified: f64,
+    /// Expansion of the machine, 1/K: with the column temp_c, its circle is referred to 20 degrees Celsius.
+    #[arg(long, value_name = "PER_K", value_parser = positive)]
+    machine_expansion: Option<f64>,
+    /// Draws of the Monte Carlo for the 95 % intervals; 0 for none.
+    #[arg(long, value_name = "N", default_value_t = 1000)]
+    monte_carlo: usize,
+}
+
+/// A circle of an input, before its evaluation.
+struct Found {
+    source: String,
+    circle: Option<u32>,
+    radius_mm: f64,
+    traces: Vec<Trace>,
+    notes: Vec<String>,
+}
+
+fn positive(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(value) if value.is_finite() && value > 0.0 => Ok(value),
+        _ => Err("a positive number is needed".into()),
+    }
+}
+
+pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
+    let mut doubt = false;
+    let mut found = Vec::new();
+    let mut provenance =
+        Provenance { dbbd_version: env!("CARGO_PKG_VERSION").into(), ..Provenance::default() };
+    for path in &args.inputs {
+        let name = path.display().to_string();
+        if is_capture(path)? {
+            let (circles, plan_hash, torn) = from_capture(path, args, out)?;
+            doubt |= torn;
+            provenance.plan_hash = provenance.plan_hash.or(Some(plan_hash));
+            found.extend(circles);
+        } else {
+            found.push(from_csv(&name, &files::read(path)?, args.radius)?);
+        }
+        provenance.sources.push(Source { role: "lengths".into(), name, hash: None });
+    }
+    let mut tests = Vec::new();
+    for Found { source, circle, radius_mm, traces, notes } in found {
+        let settings = Settings {
+            sigma_mm: args.sigma,
+            bar_u_mm: args.bar_u.unwrap_or(0.0),
+            temperature: Temperature {
+                bar_per_k: args.expansion,
+                certified_c: args.certified,
+                machine_per_k: args.machine_expansion,
+            },
+            draws: args.monte_carlo,
+            ..Settings::new(radius_mm)
+        };
+        let mut evaluation =
+            circular::circular(&traces, &settings).map_err(|error| format!("{source}: {error}"))?;
+        evaluation.notes.splice(0..0, notes);
+        tests.push(CircleTest { source, circle, evaluation });
+    }
+    files::directory(&args.out)?;
+    for (at, test) in tests.iter().enumerate() {
+        let name = if at == 0 { "circle.svg".to_owned() } else { format!("circle-{}.svg", at + 1) };
+        files::write(&args.out.join(name), report::svg::standalone(&test.svg()))?;
+    }
+    let document = document(&tests);
+    files::write(&args.out.join("circle.json"), serde_json::to_string_pretty(&document)? + "\n")?;
+    let view = CircleView { tests: &tests, provenance };
+    files::write(&args.out.join("circle.html"), report::circle::html(&view)?)?;
+    out.document(&document)?;
+    tests.iter().for_each(|test| show(test, out));
+    out.result(format!("results in {}", args.out.display()));
+    Ok(if doubt { Outcome::Doubt } else { Outcome::Done })
+}
+
+/// A capture is told by its first bytes, so that its name does not matter.
+fn is_capture(path: &Path) -> Result<bool, Box<dyn Error>> {
+    use std::io::Read as _;
+    let wrong = |error| {
+        crate::diag::Diagnostic::file(&path.display().to_string(), format!("cannot be read: {error}"))
+    };
+    let mut first = Vec::new();
+    std::fs::File::open(path).and_then(|file| file.take(8).read_to_end(&mut first)).map_err(wrong)?;
+    Ok(first.starts_with(b"DBBDCAP"))
+}
+
+fn from_csv(name: &str, text: &str, radius: Option<f64>) -> Result<Found, Box<dyn Error>> {
+    let traces = circular::traces_from_csv(name, text)?;
+    let mut notes = Vec::new();
+    let radius_mm = radius.unwrap_or_else(|| {
+        let lengths = || traces.iter().flat_map(|trace| &trace.points).map(|point| point.length_mm);
+        let mean: f64 = lengths().sum::<f64>() / lengths().count().max(1) as f64;
+        notes.push(format!("no --radius was given: the nominal radius is taken to be {} mm", mean.round()));
+        mean.round()
+    });
+    Ok(Found { source: name.to_owned(), circle: None, radius_mm, traces, notes })
+}
+
+/// The circles of a capture, its plan's hash, and whether something of it is in doubt.
+fn from_capture(
+    path: &Path,
+    args: &Args,
+    out: &Output,
+) -> Result<(Vec<Found>, String, bool), Box<dyn Error>> {
+    let run = run::open(path, args.plan.as_deref(), out)?;
+    let job: &Job = &run.plan.header.job;
+    let synced = crate::sync::observations(&Input {
+        reports: &run.reports,
+        bar_sigma_mm: job.bar.sigma_um * 1e-3,
+        ..Input::new(&run.plan, &run.stream)
+    });
+    for warning in &synced.warnings {
+        if warning.doubt { out.warning(&warning.text) } else { out.progress(&warning.text) }
+    }
+    let doubt = run.torn || synced.warnings.iter().any(|warning| warning.doubt);
+    let places = run.plan.circle_places();
+    let mut found: Vec<Found> = Vec::new();
+    let mut lost = vec![0_usize; job.circles.len()];
+    let measured = synced
+        .observations
+        .rows
+        .iter()
+        .map(|row| (row.index, row))
+        .collect::<std::collections::BTreeMap<_, _>>();
+    for (row, place) in run.plan.rows.iter().zip(&places) {
+        let (Some(place), Kind::Measure) = (place, row.kind) else { continue };
+        let Some(observation) = measured.get(&row.index) else {
+            if let Some(lost) = lost.get_mut(row.circle as usize - 1) {
+                *lost += 1;
+            }
+            continue;
+        };
+        let radius_mm = args.radius.unwrap_or(place.radius_mm);
+        if found.last().is_none_or(|last| last.circle != Some(row.circle)) {
+            found.push(Found {
+                source: format!("{}, circle {}", path.display(), row.circle),
+                circle: Some(row.circle),
+                radius_mm,
+                traces: Vec::new(),
+                notes: Vec::new(),
+            });
+        }
+        let sense = if place.clockwise { Sense::Clockwise } else { Sense::CounterClockwise };
+        let point = Point {
+            angle_deg: place.angle_deg,
+            // The pose as printed is off the circle by up to a micrometre; that is no error of the robot.
+            length_mm: observation.length_mm - (row.length_mm - place.radius_mm),
+            sigma_mm: observation.sigma_mm,
+            t_s: None,
+            temp_c: None,
+            axes_deg: Some(observation.axes_deg),
+        };
+        let Some(circle) = found.last_mut() else { continue };
+        match circle.traces.iter_mut().find(|trace| trace.sense == sense) {
+            Some(trace) => trace.points.push(point),
+            None => circle.traces.push(Trace { run: "1".into(), sense, points: vec![point] }),
+        }
+    }
+    for circle in &mut found {
+        let lost = circle.circle.and_then(|number| lost.get(number as usize - 1)).copied().unwrap_or(0);
+        if lost > 0 {
+            circle.notes.push(format!("{lost} poses have no length (`dbbd sync` says why)"));
+        }
+    }
+    if found.is_empty() {
+        return Err(format!("{}: no dwell can be told to be a pose on a circle", path.display()).into());
+    }
+    Ok((found, run.plan.header.hash.clone(), doubt))
+}
+
+fn show(test: &CircleTest, out: &Output) {
+    let Evaluation { radius_mm, arc, traces, .. } = &test.evaluation;
+    let points: usize = traces.iter().map(|trace| trace.points).sum();
+    out.result(format!(
+        "{}: radius {radius_mm} mm, {points} points, {:.0} degrees, condition {:.1}",
+        test.source, arc.span_deg, arc.condition
+    ));
+    for (name, quantity) in NAMES.iter().zip(&test.evaluation.quantities) {
+        if let Some(value) = quantity.value {
+            let u95 = quantity.u95.map_or(String::new(), |u| format!(" +- {u:.5}"));
+            out.result(format!("  {name:6} {value:10.5}{u95} mm"));
+        }
+    }
+    for note in &test.evaluation.notes {
+        out.progress(format!("note: {note}"));
+    }
+}
+
+fn put(map: &mut Map<String, Value>, name: &str, quantity: Quantity) {
+    map.insert(name.to_owned(), json!(quantity.value));
+    map.insert(format!("{name}_u95"), json!(quantity.u95));
+}
+
+/// The first test's keys stand at the top; all tests follow where there are more.
+fn document(tests: &[CircleTest]) -> Value {
+    let mut all: Vec<Map<String, Value>> = tests.iter().map(test_document).collect();
+    let mut top = Map::new();
+    top.insert("schema".into(), json!(1));
+    if all.len() > 1 {
+        top.extend(all.first().cloned().unwrap_or_default());
+        top.insert("tests".into(), Value::Array(all.into_iter().map(Value::Object).collect()));
+    } else if let Some(only) = all.pop() {
+        top.extend(only);
+    }
+    Value::Object(top)
+}
+
+fn test_document(test: &CircleTest) -> Map<String, Value> {
+    let found = &test.evaluation;
+    let mut map = Map::new();
+    map.insert("source".into(), json!(test.source));
+    map.insert("circle".into(), json!(test.circle));
+    map.insert("radius_mm".into(), json!(found.radius_mm));
+    for (name, quantity) in NAMES.iter().zip(&found.quantities) {
+        put(&mut map, name, *quantity);
+    }
+    let arc = &found.arc;
+    map.insert(
+        "arc".into(),
+        json!({
+            "from_deg": arc.from_deg, "span_deg": arc.span_deg, "largest_gap_deg": arc.largest_gap_deg,
+            "full": arc.full, "condition": arc.condition,
+        }),
+    );
+    map.insert("F_centre".into(), json!(if found.free_centre { "least_squares" } else { "instrument" }));
+    if let Some(values) = &found.as_measured {
+        let named: Map<String, Value> =
+            NAMES.iter().zip(values).map(|(name, value)| ((*name).to_owned(), json!(value))).collect();
+        map.insert("as_measured".into(), Value::Object(named));
+    }
+    let traces: Vec<Value> = found
+        .traces
+        .iter()
+        .map(|trace| {
+            let mut one = Map::new();
+            one.insert("run".into(), json!(trace.run));
+            one.insert("direction".into(), json!(trace.sense.word()));
+            one.insert("points".into(), json!(trace.points));
+            for (name, quantity) in TRACE_NAMES.iter().zip(&trace.quantities) {
+                put(&mut one, name, *quantity);
+            }
+            Value::Object(one)
+        })
+        .collect();
+    map.insert("traces".into(), Value::Array(traces));
+    let harmonics: Vec<Value> = found
+        .diagnosis
+        .harmonics
+        .iter()
+        .map(|harmonic| {
+            let mut one = Map::new();
+            one.insert("direction".into(), json!(harmonic.sense.word()));
+            for (at, name) in TERM_NAMES.iter().enumerate() {
+                one.insert((*name).to_owned(), json!(harmonic.values_mm[at]));
+                one.insert(format!("{name}_u95"), json!(harmonic.u95_mm[at]));
+            }
+            Value::Object(one)
+        })
+        .collect();
+    map.insert("harmonics".into(), Value::Array(harmonics));
+    let meaning = &found.diagnosis;
+    for (name, pair) in [
+        ("scale_mismatch", meaning.scale_mismatch),
+        ("squareness_rad", meaning.squareness_rad),
+        ("servo_mismatch_s", meaning.servo_mismatch_s),
+    ] {
+        map.insert(name.into(), json!(pair.map(|pair| pair[0])));
+        map.insert(format!("{name}_u95"), json!(pair.map(|pair| pair[1])));
+    }
+    let reversals: Vec<Value> = found
+        .reversals
+        .iter()
+        .map(|at| {
+            json!({ "run": at.run, "direction": at.sense.word(), "joint": at.joint, "angle_deg": at.angle_deg })
+        })
+        .collect();
+    map.insert("joint_reversals".into(), Value::Array(reversals));
+    map.insert("length_sigma_mm".into(), json!(found.sigma_mm));
+    map.insert("length_sigma_source".into(), json!(found.sigma_source));
+    map.insert("monte_carlo_draws".into(), json!(found.draws));
+    map.insert("notes".into(), json!(found.notes));
+    map
+}
