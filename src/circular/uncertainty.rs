@@ -17,7 +17,7 @@ const SHARE: f64 = 0.95;
 /// The same for a normal distribution, in standard deviations.
 const NORMAL: f64 = 1.96;
 
-/// For each value of [`Quantities::row`] the half width that holds 95 % of the draws about it, mm;
+/// For each value of [`Quantities::row`] the half width of its 95 % interval, mm;
 /// `None` without draws.
 pub(super) fn u95(
     rays: &Rays,
@@ -49,10 +49,10 @@ pub(super) fn u95(
         }
         let Some(values) = evaluate(&drawn, allowed) else { continue };
         for ((away, value), nominal) in away.iter_mut().zip(values.row()).zip(&nominal) {
-            away.push((value - nominal).abs());
+            away.push(value - nominal);
         }
     }
-    let mut u95: Vec<f64> = away.iter_mut().map(|away| quantile(away)).collect();
+    let mut u95: Vec<f64> = away.iter_mut().map(|away| half_width(away)).collect();
     if thin {
         // Centre and radius rest on all points, and are linear in them.
         let sd = |at: usize| noise.mean() * joint.covariance[(at, at)].sqrt();
@@ -66,13 +66,19 @@ pub(super) fn u95(
     Some(u95)
 }
 
-/// The value below which 95 % lie; NaN when one is not a number.
-fn quantile(values: &mut [f64]) -> f64 {
-    if values.is_empty() || values.iter().any(|value| value.is_nan()) {
+/// Half width from the draws' differences to the value. Noise makes extremes greater, and the value has
+/// that bias already: it grows as the noise's standard deviation, so what a second dose of noise adds,
+/// divided by sqrt(2) - 1, is what the first one added. NaN when a draw is not a number.
+fn half_width(differences: &mut [f64]) -> f64 {
+    if differences.is_empty() || differences.iter().any(|value| value.is_nan()) {
         return f64::NAN;
     }
-    let at = ((SHARE * values.len() as f64).ceil() as usize).clamp(1, values.len()) - 1;
-    *values.select_nth_unstable_by(at, f64::total_cmp).1
+    let count = differences.len();
+    let added = differences.iter().sum::<f64>() / count as f64;
+    differences.iter_mut().for_each(|value| *value = (*value - added).abs());
+    let at = ((SHARE * count as f64).ceil() as usize).clamp(1, count) - 1;
+    let spread = *differences.select_nth_unstable_by(at, f64::total_cmp).1;
+    added.abs() / (2f64.sqrt() - 1.0) + spread
 }
 
 fn outermost_of(rays: &Rays, noise: &Noise, joint: &Circle) -> (Rays, Vec<Vec<f64>>) {

@@ -243,7 +243,7 @@ fn monte_carlo_intervals_cover_the_truth() {
         let mut random = Pcg64::seed_from_u64(seed);
         let mut traces = case.traces();
         traces.iter_mut().flat_map(|t| &mut t.points).for_each(|p| p.length_mm += noise.sample(&mut random));
-        let settings = Settings { sigma_mm: Some(0.001), draws: 150, ..Settings::new(case.radius) };
+        let settings = Settings { sigma_mm: Some(0.001), draws: 300, ..Settings::new(case.radius) };
         let found = circular(&traces, &settings).unwrap();
         for (count, name) in covered.iter_mut().zip(names) {
             let quantity = found.get(name);
@@ -322,8 +322,18 @@ fn the_verb_writes_json_page_and_picture() {
     let path = |name: &str| dir.path().join(name).to_str().unwrap().to_owned();
     std::fs::write(path("a.csv"), csv(&CASES[0], 0.0003)).unwrap();
     std::fs::write(path("b.csv"), csv(&Case { phi: 90e-6, ..CASES[0] }, 0.0003)).unwrap();
-    let output =
-        dbbd(&["circle", &path("a.csv"), &path("b.csv"), "--out", &path("out"), "--radius", "150", "--json"]);
+    let output = dbbd(&[
+        "circle",
+        &path("a.csv"),
+        &path("b.csv"),
+        "--out",
+        &path("out"),
+        "--radius",
+        "150",
+        "--sigma",
+        "0.0003",
+        "--json",
+    ]);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let file = std::fs::read_to_string(path("out/circle.json")).unwrap();
     let json: serde_json::Value = serde_json::from_str(&file).unwrap();
@@ -342,7 +352,17 @@ fn the_verb_writes_json_page_and_picture() {
     assert!(page.contains("Trend") && page.contains("could not be read"), "the page says what it rests on");
     let svg = std::fs::read_to_string(path("out/circle.svg")).unwrap();
     assert!(svg.starts_with("<svg xmlns=") && svg.ends_with("</svg>") && !svg.contains("NaN"));
-    let again = dbbd(&["circle", &path("a.csv"), &path("b.csv"), "--out", &path("2"), "--radius", "150"]);
+    let again = dbbd(&[
+        "circle",
+        &path("a.csv"),
+        &path("b.csv"),
+        "--out",
+        &path("2"),
+        "--radius",
+        "150",
+        "--sigma",
+        "0.0003",
+    ]);
     assert!(again.status.success());
     assert_eq!(file, std::fs::read_to_string(path("2/circle.json")).unwrap(), "the same bytes again");
 }
