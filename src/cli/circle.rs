@@ -1,5 +1,6 @@
 //! `dbbd circle`.
 
+use std::collections::BTreeMap;
 use std::error::Error;
 use std::path::{Path, PathBuf};
 
@@ -9,10 +10,9 @@ use super::{Outcome, Output, Verdict, files, run};
 use crate::circular::{
     self, Evaluation, NAMES, Point, Quantity, Sense, Settings, TERM_NAMES, TRACE_NAMES, Temperature, Trace,
 };
-use crate::plan::{Job, Kind};
+use crate::plan::Kind;
 use crate::report::circle::{CircleTest, CircleView};
 use crate::report::{self, Provenance, Source};
-use crate::sync::Input;
 
 /// Arguments of the verb.
 #[derive(clap::Args)]
@@ -30,6 +30,10 @@ pub(crate) struct Args {
     /// The plan that was driven, with its .json beside it [default: the one in the capture].
     #[arg(long, value_name = "PLAN.csv")]
     plan: Option<PathBuf>,
+    /// The .dat of a module as fetched from the controller after the run: where joints reverse is then told
+    /// by the axis angles that the program logged. Once for each module.
+    #[arg(long, value_name = "FILE.dat")]
+    axes: Vec<PathBuf>,
     /// Standard uncertainty of a single length, mm [default: that of the dwells; of a CSV the scatter].
     #[arg(long, value_name = "MM", value_parser = positive)]
     sigma: Option<f64>,
@@ -73,7 +77,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
         Provenance { dbbd_version: env!("CARGO_PKG_VERSION").into(), ..Provenance::default() };
     for path in &args.inputs {
         let name = path.display().to_string();
-        if is_capture(path)? {
+        if run::is_capture(path)? {
             let (circles, plan_hash, torn) = from_capture(path, args, out)?;
             doubt |= torn;
             provenance.plan_hash = provenance.plan_hash.or(Some(plan_hash));
@@ -116,17 +120,6 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
     Ok(if doubt { Outcome::Doubt } else { Outcome::Done })
 }
 
-/// A capture is told by its first bytes, so that its name does not matter.
-fn is_capture(path: &Path) -> Result<bool, Box<dyn Error>> {
-    use std::io::Read as _;
-    let wrong = |error| {
-        crate::diag::Diagnostic::file(&path.display().to_string(), format!("cannot be read: {error}"))
-    };
-    let mut first = Vec::new();
-    std::fs::File::open(path).and_then(|file| file.take(8).read_to_end(&mut first)).map_err(wrong)?;
-    Ok(first.starts_with(b"DBBDCAP"))
-}
-
 fn from_csv(name: &str, text: &str, radius: Option<f64>) -> Result<Found, Box<dyn Error>> {
     let traces = circular::traces_from_csv(name, text)?;
     let mut notes = Vec::new();
@@ -145,13 +138,9 @@ fn from_capture(
     args: &Args,
     out: &Output,
 ) -> Result<(Vec<Found>, String, bool), Box<dyn Error>> {
-    let run = run::open(path, args.plan.as_deref(), out)?;
-    let job: &Job = &run.plan.header.job;
-    let synced = crate::sync::observations(&Input {
-        reports: &run.reports,
-        bar_sigma_mm: job.bar.sigma_um * 1e-3,
-        ..Input::new(&run.plan, &run.stream)
-    });
+    let run = run::open(path, args.plan.as_deref(), &args.axes, out)?;
+    let job = &run.plan.header.job;
+    let synced = run.timed();
     for warning in &synced.warnings {
         if warning.doubt { out.warning(&warning.text) } else { out.progress(&warning.text) }
     }
@@ -159,12 +148,7 @@ fn from_capture(
     let places = run.plan.circle_places();
     let mut found: Vec<Found> = Vec::new();
     let mut lost = vec![0_usize; job.circles.len()];
-    let measured = synced
-        .observations
-        .rows
-        .iter()
-        .map(|row| (row.index, row))
-        .collect::<std::collections::BTreeMap<_, _>>();
+    let measured = synced.observations.rows.iter().map(|row| (row.index, row)).collect::<BTreeMap<_, _>>();
     for (row, place) in run.plan.rows.iter().zip(&places) {
         let (Some(place), Kind::Measure) = (place, row.kind) else { continue };
         let Some(observation) = measured.get(&row.index) else {

@@ -1,16 +1,19 @@
 //! A capture as the verbs see it that need lengths at poses: its plan, its stream, joined.
 
+use std::collections::BTreeMap;
 use std::error::Error;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use super::{Output, files, info};
 use crate::capture::{Capture, Event, Record};
 use crate::diag::Diagnostic;
+use crate::krl;
+use crate::model::{AXES, Centre, Robot};
 use crate::plan::Plan;
 use crate::protocol::{Definition, Sample};
-use crate::sync::{DeviceClock, Report, Stream};
+use crate::sync::{self, DeviceClock, Expected, Input, Report, Stream, Synced};
 
-/// What a capture gives to be joined; lay it over in [`crate::sync::Input`].
+/// What a capture gives to be joined.
 pub(crate) struct Run {
     /// The plan: the one attached, unless another one was named. Its header holds the job with
     /// the base balls, and the robot.
@@ -21,13 +24,79 @@ pub(crate) struct Run {
     pub(crate) reports: Vec<Report>,
     /// Whether something of the run was lost: a damage, a cut end, samples lost on the way to the disk.
     pub(crate) torn: bool,
+    /// Axis angles (degrees) that the program logged, by the plan's index; empty when none were given.
+    pub(crate) axes_deg: BTreeMap<u32, [f64; AXES]>,
 }
 
-/// Reads the capture at `path`; says its damages on stderr.
+impl Run {
+    /// The observations. With a `model` of the lengths and their standard deviation (mm) it speaks in the
+    /// alignment as well: it is given the number of the base ball and the axis angles in degrees.
+    ///
+    /// To align, identify and align again until [`Synced::same_pairs`] says that nothing changed.
+    pub(crate) fn observations<F>(&self, model: Option<(F, f64)>) -> Synced
+    where
+        F: Fn(usize, &[f64; AXES]) -> f64,
+    {
+        let axes_deg = (!self.axes_deg.is_empty()).then_some(&self.axes_deg);
+        let lengths = model
+            .map(|(length_mm, sigma_mm)| (sync::expected_lengths(&self.plan, axes_deg, length_mm), sigma_mm));
+        sync::observations(&Input {
+            reports: &self.reports,
+            expected: lengths
+                .as_ref()
+                .map(|(length_mm, sigma_mm)| Expected { length_mm, sigma_mm: *sigma_mm }),
+            bar_sigma_mm: self.plan.header.job.bar.sigma_um * 1e-3,
+            axes_deg,
+            ..Input::new(&self.plan, &self.stream)
+        })
+    }
+
+    /// The observations by their times alone.
+    pub(crate) fn timed(&self) -> Synced {
+        self.observations(None::<(fn(usize, &[f64; AXES]) -> f64, f64)>)
+    }
+
+    /// The base balls of the job.
+    pub(crate) fn centres(&self) -> Vec<Centre> {
+        let balls = &self.plan.header.job.centres;
+        balls.iter().map(|ball| Centre { id: ball.id as usize, position: ball.xyz_mm.into() }).collect()
+    }
+
+    /// The robot that the plan was made for.
+    ///
+    /// # Errors
+    /// What is wrong in its text.
+    pub(crate) fn robot(&self) -> Result<Robot, Diagnostic> {
+        Robot::from_toml("the plan's robot", &self.plan.header.robot)
+    }
+}
+
+/// Whether the file at `path` is a capture, whatever its name.
 ///
 /// # Errors
-/// When it is no capture, has no samples, or there is no plan for it.
-pub(crate) fn open(path: &Path, plan: Option<&Path>, out: &Output) -> Result<Run, Box<dyn Error>> {
+/// When it cannot be read.
+pub(crate) fn is_capture(path: &Path) -> Result<bool, Diagnostic> {
+    use std::io::Read as _;
+    /// How a capture begins.
+    const MAGIC: &[u8] = b"DBBDCAP\n";
+    let mut first = Vec::new();
+    std::fs::File::open(path)
+        .and_then(|file| file.take(MAGIC.len() as u64).read_to_end(&mut first))
+        .map_err(|error| Diagnostic::file(&path.display().to_string(), format!("cannot be read: {error}")))?;
+    Ok(first == MAGIC)
+}
+
+/// Reads the capture at `path`, and the axis angles logged into the `.dat` files `axes`; says the capture's
+/// damages on stderr.
+///
+/// # Errors
+/// When it is no capture, has no samples, or there is no plan for it; what is wrong in a `.dat`.
+pub(crate) fn open(
+    path: &Path,
+    plan: Option<&Path>,
+    axes: &[PathBuf],
+    out: &Output,
+) -> Result<Run, Box<dyn Error>> {
     let name = path.display().to_string();
     let capture = info::open(path)?;
     info::warn_of_damages(&capture, out);
@@ -84,7 +153,12 @@ pub(crate) fn open(path: &Path, plan: Option<&Path>, out: &Output) -> Result<Run
         out.warning("the run was cut off: it has no record of its end");
     }
     let torn = !capture.damages.is_empty() || unreadable > 0 || lost > 0 || !ended;
-    Ok(Run { plan, stream, reports, torn })
+    let mut axes_deg = BTreeMap::new();
+    for path in axes {
+        axes_deg
+            .extend(krl::logged_axes(&krl::parse_data(&path.display().to_string(), &files::read(path)?)?)?);
+    }
+    Ok(Run { plan, stream, reports, torn, axes_deg })
 }
 
 /// The text of an attachment, if it is there.

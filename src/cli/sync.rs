@@ -1,13 +1,11 @@
 //! `dbbd sync`.
 
-use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use serde_json::{Value, json};
 
 use super::{Outcome, Output, Verdict, files, run};
-use crate::krl;
-use crate::sync::{self, Fate, Input, Source, Synced};
+use crate::sync::{Fate, Source, Synced};
 
 /// Arguments of the verb.
 #[derive(clap::Args)]
@@ -27,15 +25,8 @@ pub(crate) struct Args {
 }
 
 pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
-    let run = run::open(&args.run, args.plan.as_deref(), out)?;
-    let bar_sigma_mm = run.plan.header.job.bar.sigma_um * 1e-3;
-    let mut logged = BTreeMap::new();
-    for path in &args.axes {
-        logged.extend(krl::logged_axes(&krl::parse_data(&path.display().to_string(), &files::read(path)?)?)?);
-    }
-    let axes_deg = Some(&logged);
-    let input = Input { reports: &run.reports, bar_sigma_mm, axes_deg, ..Input::new(&run.plan, &run.stream) };
-    let synced = sync::observations(&input);
+    let run = run::open(&args.run, args.plan.as_deref(), &args.axes, out)?;
+    let synced = run.timed();
     out.document(&document(&synced))?;
     show(&synced, out);
     if synced.observations.rows.is_empty() {

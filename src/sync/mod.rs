@@ -20,7 +20,7 @@ mod strobe;
 use std::collections::BTreeMap;
 
 use crate::model::{AXES, Observation, Observations};
-use crate::plan::{Kind, Plan};
+use crate::plan::{CirclePlace, Kind, Plan, PlanRow};
 
 pub use align::{Alignment, Expected, LEAST_START_SD_S, Pairing, Seen, align};
 pub use drift::Drift;
@@ -49,6 +49,33 @@ pub struct Input<'a> {
     pub bar_sigma_mm: f64,
     /// Axis angles (degrees) that the program logged, by the plan's index; they replace the commanded.
     pub axes_deg: Option<&'a BTreeMap<u32, [f64; AXES]>>,
+}
+
+impl Synced {
+    /// Whether the same dwells belong to the same poses as in `other`.
+    pub fn same_pairs(&self, other: &Self) -> bool {
+        let pair = |pose: &PoseFate| match &pose.fate {
+            Fate::Matched { dwell, .. } => Some((dwell.from_s, dwell.to_s)),
+            _ => None,
+        };
+        self.fates.iter().map(pair).eq(other.fates.iter().map(pair))
+    }
+}
+
+/// Lengths that a model expects at the plan's dwells, in order, mm: what [`Expected`] takes. `length_mm` is
+/// given the number of the base ball and the axis angles (degrees): the logged ones where there are any.
+pub fn expected_lengths(
+    plan: &Plan,
+    axes_deg: Option<&BTreeMap<u32, [f64; AXES]>>,
+    length_mm: impl Fn(usize, &[f64; AXES]) -> f64,
+) -> Vec<f64> {
+    let dwells = plan.rows.iter().filter(|row| row.kind != Kind::Transit);
+    dwells
+        .map(|row| {
+            let logged = axes_deg.and_then(|axes| axes.get(&row.index));
+            length_mm(row.centre as usize, logged.unwrap_or(&row.axes_deg))
+        })
+        .collect()
 }
 
 impl<'a> Input<'a> {
@@ -82,7 +109,8 @@ pub struct Warning {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Synced {
     /// The lengths with the angles they were read at, in the plan's order, measure and reference rows;
-    /// further columns `kind,t_s,samples,creep` (`creep` is 1 where the reading drifted within the dwell).
+    /// further columns `kind,t_s,samples,creep,circle,angle_deg` (`creep` is 1 where the reading drifted
+    /// within the dwell; `circle` and the pose's angle on it are empty for a pose of no circle).
     ///
     /// `sigma_mm` is the standard uncertainty of the dwell's mean, not less than the bar's own. The
     /// robot's repeatability is not in it: no dwell shows it, the residuals of an identification do.
@@ -130,6 +158,7 @@ pub fn observations(input: &Input<'_>) -> Synced {
         by_stillness(input, &poses)
     };
     let period_s = input.stream.period_s();
+    let circle_places = input.plan.circle_places();
     let mut used = vec![false; candidates.len()];
     let mut fates = Vec::new();
     let mut rows = Vec::new();
@@ -143,7 +172,8 @@ pub fn observations(input: &Input<'_>) -> Synced {
                 let to_s = candidate.to_s.min(candidate.from_s + row.dwell_s);
                 match measure(input.stream, candidate.from_s, to_s) {
                     Some(value) if enough(period_s, &value, row.dwell_s) => {
-                        rows.push(observation(input, row, &value));
+                        let place = (row.index as usize).checked_sub(1).and_then(|at| circle_places.get(at));
+                        rows.push(observation(input, row, place.copied().flatten(), &value));
                         Fate::Matched { dwell: value, posterior }
                     }
                     _ => Fate::Missing { reason: fate::unread(input.stream, candidate.stretch) },
@@ -164,7 +194,8 @@ pub fn observations(input: &Input<'_>) -> Synced {
         candidates.iter().zip(used).filter(|(_, used)| !used).map(|(candidate, _)| candidate.stretch);
     let spurious = spurious.collect();
     let drift = drift::of(&poses.rows, &fates);
-    let extra_columns = ["kind", "t_s", "samples", "creep"].map(str::to_owned).to_vec();
+    let extra_columns =
+        ["kind", "t_s", "samples", "creep", "circle", "angle_deg"].map(str::to_owned).to_vec();
     let mut synced = Synced {
         observations: Observations { rows, extra_columns },
         fates,
@@ -264,7 +295,7 @@ fn enough(period_s: f64, dwell: &Dwell, dwell_s: f64) -> bool {
     dwell.to_s - dwell.from_s >= LEAST_SHARE * dwell_s && dwell.samples as f64 >= LEAST_SHARE * whole
 }
 
-fn observation(input: &Input<'_>, row: &crate::plan::PlanRow, dwell: &Dwell) -> Observation {
+fn observation(input: &Input<'_>, row: &PlanRow, place: Option<CirclePlace>, dwell: &Dwell) -> Observation {
     let logged = input.axes_deg.and_then(|axes| axes.get(&row.index));
     let kind = if row.kind == Kind::Reference { "reference" } else { "measure" };
     Observation {
@@ -278,6 +309,8 @@ fn observation(input: &Input<'_>, row: &crate::plan::PlanRow, dwell: &Dwell) -> 
             format!("{:.4}", 0.5 * (dwell.from_s + dwell.to_s)),
             dwell.samples.to_string(),
             u8::from(dwell.creep_mm.is_some()).to_string(),
+            place.map_or(String::new(), |_| row.circle.to_string()),
+            place.map_or(String::new(), |place| place.angle_deg.to_string()),
         ],
     }
 }
