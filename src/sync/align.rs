@@ -70,7 +70,7 @@ pub struct Alignment {
 /// No begin is known better, s: the controller's own waits and outputs jitter.
 pub const LEAST_START_SD_S: f64 = 0.02;
 /// Pairs less certain are dropped.
-const KEEP: f64 = 0.99;
+pub(super) const KEEP: f64 = 0.99;
 /// A pose is said to have no dwell from this probability on.
 const NONE: f64 = 0.9;
 /// Probability that a commanded dwell is not seen, and the density of dwells that nobody commanded, 1/s.
@@ -98,7 +98,7 @@ const OVERRIDES: (f64, f64) = (0.27, 1.03);
 const STEP: f64 = 1.1;
 /// How far a move's duration may be from the plan's, as a share; while the override is sought it takes
 /// up the grid's step as well.
-const SLACK: f64 = 0.01;
+pub(super) const SLACK: f64 = 0.01;
 const SEARCH_SLACK: f64 = 0.03;
 
 /// Aligns the dwells that were seen with the poses that were commanded, both in order of time.

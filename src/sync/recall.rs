@@ -5,15 +5,14 @@
 //! when the robot stood at the poses between.
 
 use super::Candidate;
-use super::align::{Alignment, Pairing};
+use super::align::{Alignment, KEEP, LEAST_START_SD_S, Pairing, SLACK};
 use super::commanded::Poses;
 use super::dwell::measure;
 use super::interval::{Interval, Pace, Program};
 use super::still::Stretch;
 use super::stream::Stream;
 
-/// The interval between the certain dwells must be commanded up to this, s; their begins to this each, s.
-const AGREES_S: f64 = 0.25;
+/// The begins of the certain dwells are known to this, s.
 const BEGIN_KNOWN_S: f64 = 0.15;
 /// Kept free at the end of a dwell whose begin is known no better, s.
 const MARGIN_S: f64 = 0.15;
@@ -30,7 +29,7 @@ pub(super) fn unseen(
     settle_s: f64,
 ) {
     let program = Program::new(&poses.commanded);
-    let pace = Pace { stretch: 1.0 / alignment.override_factor, slack: 0.0 };
+    let pace = Pace { stretch: 1.0 / alignment.override_factor, slack: SLACK };
     let certain: Vec<(usize, Stretch, f64)> = alignment
         .pairings
         .iter()
@@ -45,9 +44,13 @@ pub(super) fn unseen(
         let [(from, before, p), (to, after, q)] = [pair[0], pair[1]];
         let broken = stream.broken_between(before.start_s, after.start_s);
         let seen_s = after.start_s - before.start_s;
-        let whole = program.interval(from, to, seen_s, 0.0, broken);
+        let variance_s2: f64 =
+            [before, after].iter().map(|stretch| stretch.start_sd_s.max(LEAST_START_SD_S).powi(2)).sum();
+        let whole = program.interval(from, to, seen_s, variance_s2, broken);
         let residual_s = whole.residual_s(pace);
-        if broken || whole.by_hand || to - from - 1 > MOST || residual_s.abs() > AGREES_S {
+        // Both neighbours are theirs, and nothing held the program up between them.
+        let posterior = p * q * whole.undisturbed(pace);
+        if whole.by_hand || to - from - 1 > MOST || posterior <= KEEP {
             continue;
         }
         for pose in from + 1..to {
@@ -64,8 +67,7 @@ pub(super) fn unseen(
             let to_s = stretch.end_s - MARGIN_S - super::commanded::AFTER_S;
             if measure(stream, from_s, to_s).is_some_and(|dwell| dwell.creep_mm.is_none()) {
                 candidates.push(Candidate { stretch, from_s, to_s });
-                alignment.pairings[pose] =
-                    Pairing::Dwell { dwell: candidates.len() - 1, posterior: p.min(q) };
+                alignment.pairings[pose] = Pairing::Dwell { dwell: candidates.len() - 1, posterior };
             }
         }
     }

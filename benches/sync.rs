@@ -1,0 +1,91 @@
+//! An hour at 1 kHz, 3.6 million samples: joined to its plan, and evaluated as a circle.
+//!
+//! `cargo bench --bench sync`. Memory: the stream holds 17 bytes a sample (time, reading, flags), 61 MB;
+//! the circle's points 104 bytes and its rays 24 bytes each.
+
+use std::hint::black_box;
+
+use criterion::{Criterion, criterion_group, criterion_main};
+use dbbd::circular::{Point, Sense, Settings, Trace, circular};
+use dbbd::model::Robot;
+use dbbd::plan::{Job, Kind, Plan};
+use dbbd::protocol::Sample;
+use dbbd::sync::{DeviceClock, Input, Stream, observations};
+use dbbd::units::{DeviceTicks, HostNs};
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64;
+
+const SAMPLES: u64 = 3_600_000;
+
+/// The demonstration's plan, driven once and then standing still until the hour is over.
+fn run() -> (Plan, Stream) {
+    let job = Job::from_toml("demo.toml", include_str!("../examples/demo.toml")).expect("reads");
+    let plan = Plan::build(&job, &Robot::by_name("kr60ha").expect("built in").expect("reads")).expect("safe");
+    let mut random = Pcg64::seed_from_u64(1);
+    // Time at which each row is left, and whether it is a dwell.
+    let (mut edges, mut t_s, mut level) = (Vec::new(), 5.0, 0.0);
+    for (row, time) in plan.rows.iter().zip(&plan.header.moves) {
+        let to = random.random_range(-0.3..0.3);
+        edges.push((t_s, t_s + time.duration_s, level, to));
+        t_s += time.duration_s;
+        if row.kind != Kind::Transit {
+            t_s += job.motion.settle_s + row.dwell_s + 0.1;
+        }
+        level = to;
+    }
+    let mut stream = Stream::new(Some(DeviceClock { seconds_per_tick: 1e-6, wrap: Some(1 << 32) }));
+    let mut at = 0;
+    for k in 0..SAMPLES {
+        let t_s = k as f64 * 1e-3;
+        while at + 1 < edges.len() && edges[at + 1].0 <= t_s {
+            at += 1;
+        }
+        let (from_s, to_s, from, to) = edges[at];
+        let share = ((t_s - from_s) / (to_s - from_s).max(1e-9)).clamp(0.0, 1.0);
+        let sample = Sample {
+            sequence: Some(k as u32),
+            ticks: Some(DeviceTicks((k * 1000) % (1 << 32))),
+            reading_mm: from + share * (to - from) + random.random_range(-0.002..0.002),
+            trigger: None,
+            valid: true,
+            temperature_c: None,
+            status: 0,
+            offset: 0,
+        };
+        stream.push(HostNs(k * 1_000_000 + 2_000_000), &sample);
+    }
+    (plan, stream)
+}
+
+fn circle() -> Vec<Trace> {
+    let mut random = Pcg64::seed_from_u64(2);
+    let half = SAMPLES / 2;
+    [Sense::CounterClockwise, Sense::Clockwise]
+        .map(|sense| {
+            let sign = if sense == Sense::Clockwise { -1.0 } else { 1.0 };
+            let point = |k: u64| {
+                let angle_deg = sign * 360.0 * k as f64 / half as f64;
+                let theta = angle_deg.to_radians();
+                let form = 0.005 * (2.0 * theta).sin() + 0.1 * theta.cos();
+                let length_mm = 150.0 + form + random.random_range(-0.001..0.001);
+                Point { angle_deg, length_mm, sigma_mm: None, t_s: None, temp_c: None, axes_deg: None }
+            };
+            Trace { run: "1".into(), sense, points: (0..half).map(point).collect() }
+        })
+        .into()
+}
+
+fn hour(bench: &mut Criterion) {
+    let mut group = bench.benchmark_group("an hour at 1 kHz");
+    group.sample_size(10);
+    let (plan, stream) = run();
+    group.bench_function("sync", |bench| bench.iter(|| observations(black_box(&Input::new(&plan, &stream)))));
+    drop(stream);
+    let traces = circle();
+    let settings = Settings { draws: 100, ..Settings::new(150.0) };
+    group.bench_function("circle", |bench| bench.iter(|| circular(black_box(&traces), &settings)));
+    group.finish();
+}
+
+criterion_group!(benches, hour);
+criterion_main!(benches);
