@@ -2,6 +2,7 @@
 
 mod acquire;
 mod circle;
+mod compensate;
 mod completions;
 mod demo;
 mod export;
@@ -70,6 +71,8 @@ enum Verb {
     Identify(identify::Args),
     /// Evaluate circular tests by the quantities of ISO 230-4.
     Circle(circle::Args),
+    /// Correct the points of a program for an identified robot.
+    Compensate(compensate::Args),
     /// Run the whole job with no hardware.
     Demo(demo::Args),
     /// Show a capture on one screen.
@@ -114,6 +117,7 @@ pub fn main() -> ExitCode {
         Verb::Sync(args) => sync::run(args, &out),
         Verb::Identify(args) => identify::run(args, &out),
         Verb::Circle(args) => circle::run(args, &out),
+        Verb::Compensate(args) => compensate::run(args, &out),
         Verb::Demo(args) => demo::run(args, &out),
         Verb::Info(args) => info::run(args, &out),
         Verb::Recover(args) => recover::run(args, &out),

@@ -36,15 +36,22 @@ pub(super) fn tokens(file: &str, text: &str) -> Result<Vec<(Token, Span)>, Diagn
             .wrong(0..3, "the file begins with a byte order mark")
             .help("save it as plain ASCII: controllers do not read it"));
     }
-    while lexer.at < text.len() {
-        lexer.next()?;
-    }
+    lexer.all()?;
     if let Some(span) = lexer.folds.pop() {
         return Err(lexer.wrong(span, "this fold is never closed").help("close it with ;ENDFOLD"));
     }
-    lexer.tokens.push((Token::LineEnd, text.len()..text.len()));
-    lexer.tokens.push((Token::End, text.len()..text.len()));
-    Ok(lexer.tokens)
+    Ok(lexer.ended())
+}
+
+/// As [`tokens`], for the line that begins at the byte `start` and ends with the text; folds are not its matter.
+pub(super) fn line_tokens(
+    file: &str,
+    text: &str,
+    start: usize,
+) -> Result<Vec<(Token, Span)>, Diagnostic> {
+    let mut lexer = Lexer { file, text, at: start, tokens: Vec::with_capacity(64), folds: Vec::new() };
+    lexer.all()?;
+    Ok(lexer.ended())
 }
 
 struct Lexer<'a> {
@@ -56,6 +63,19 @@ struct Lexer<'a> {
 }
 
 impl<'a> Lexer<'a> {
+    fn all(&mut self) -> Result<(), Diagnostic> {
+        while self.at < self.text.len() {
+            self.next()?;
+        }
+        Ok(())
+    }
+
+    fn ended(mut self) -> Vec<(Token, Span)> {
+        let end = self.text.len()..self.text.len();
+        self.tokens.extend([(Token::LineEnd, end.clone()), (Token::End, end)]);
+        self.tokens
+    }
+
     fn wrong(&self, span: Span, message: impl Into<String>) -> Diagnostic {
         Diagnostic::span(self.file, self.text, span, message)
     }

@@ -3,12 +3,14 @@
 //! What a controller accepts is wider than what is read here: the reader knows the statements that
 //! the writer uses, and those of plain point programs; anything else it rejects with its place.
 
+pub mod compensate;
 pub mod emit;
 mod expression;
 mod lexer;
 mod number;
 mod parser;
 pub mod points;
+pub mod production;
 pub mod program;
 mod statement;
 pub mod syntax;

@@ -25,7 +25,8 @@ pub(super) fn seconds(value: f64) -> String {
     fixed(value, 3)
 }
 
-fn fixed(value: f64, decimals: usize) -> String {
+/// A number with so many decimals, without a minus before zero.
+pub(super) fn fixed(value: f64, decimals: usize) -> String {
     let text = format!("{value:.decimals$}");
     match text.strip_prefix('-') {
         Some(positive) if positive.chars().all(|c| c == '0' || c == '.') => positive.to_owned(),

@@ -2,7 +2,7 @@
 //! with the statement and its place.
 
 use super::expression::type_of_declaration;
-use super::lexer::{Token, tokens};
+use super::lexer::{Token, line_tokens, tokens};
 use super::syntax::*;
 use crate::diag::Diagnostic;
 
@@ -82,6 +82,12 @@ pub(super) const DEPTH: usize = 60;
 impl<'a> Parser<'a> {
     fn new(file: &'a str, text: &'a str) -> Result<Self, Diagnostic> {
         Ok(Self { file, text, tokens: tokens(file, text)?, at: 0, depth: 0 })
+    }
+
+    /// A reader of one line, at the bytes `line` of the text.
+    pub(super) fn line(file: &'a str, text: &'a str, line: Span) -> Result<Self, Diagnostic> {
+        let text = text.get(..line.end).unwrap_or(text);
+        Ok(Self { file, text, tokens: line_tokens(file, text, line.start)?, at: 0, depth: 0 })
     }
 
     pub(super) fn wrong(&self, span: Span, message: impl Into<String>) -> Diagnostic {

@@ -1,0 +1,172 @@
+//! `dbbd compensate`.
+
+use std::error::Error;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use serde_json::json;
+
+use super::{Outcome, Output, Verdict, files};
+use crate::diag::Diagnostic;
+use crate::krl::compensate::{Moved, compensate};
+use crate::krl::production::{Files, Given, Text, read};
+use crate::model::{Pose, Robot};
+
+/// Rewrites the points of PROGRAM.src and of the PROGRAM.dat beside it; every other byte stays. Only
+/// points are corrected that stand in these two files; XHOME points and relative motions stay.
+///
+/// The robot's base frame cannot be told from lengths. The points are corrected in the robot's own
+/// frame, so that positions come out right with respect to each other; measure $BASE again afterwards
+/// where a place in the room matters. $BASE is taken in the robot's own base ($ROBROOT null).
+#[derive(clap::Args)]
+pub(crate) struct Args {
+    /// The program: motions by PTP, LIN, CIRC, SPTP, SLIN, SCIRC and SPL, inline forms or plain.
+    #[arg(value_name = "PROGRAM.src")]
+    program: PathBuf,
+    /// The identified robot. Its [tool] is the ball of the calibration, and is not used here.
+    #[arg(long, value_name = "robot-identified.toml")]
+    robot: PathBuf,
+    /// Directory for the corrected program; not that of the program itself.
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// The controller's $config.dat, for TOOL_DATA and BASE_DATA.
+    #[arg(long, value_name = "FILE.dat", conflicts_with_all = ["tool", "base"])]
+    config: Option<PathBuf>,
+    /// $TOOL where the program does not tell it: mm and degrees, in the flange frame.
+    #[arg(long, value_name = "X,Y,Z,A,B,C", value_parser = parse_frame, allow_hyphen_values = true)]
+    tool: Option<Pose>,
+    /// $BASE where the program does not tell it: mm and degrees, in the robot's base.
+    #[arg(long, value_name = "X,Y,Z,A,B,C", value_parser = parse_frame, allow_hyphen_values = true)]
+    base: Option<Pose>,
+    /// The program is refused when a commanded point would move by more, mm.
+    #[arg(long, value_name = "MM", default_value_t = 5.0)]
+    limit: f64,
+}
+
+fn parse_frame(text: &str) -> Result<Pose, String> {
+    let numbers: Result<Vec<f64>, _> = text.split(',').map(|part| part.trim().parse::<f64>()).collect();
+    match numbers.as_deref() {
+        Ok(&[x, y, z, a, b, c]) if [x, y, z, a, b, c].iter().all(|v| v.is_finite()) => {
+            Ok(Pose::from_kuka([x, y, z], [a, b, c]))
+        }
+        _ => Err("six numbers in mm and degrees are needed, as 0,0,150,0,0,0".into()),
+    }
+}
+
+pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
+    if !(args.limit.is_finite() && args.limit > 0.0) {
+        return Err(format!("--limit {} must be above 0", args.limit).into());
+    }
+    let robot_file = args.robot.display().to_string();
+    let robot = Robot::from_toml(&robot_file, &files::read(&args.robot)?)?;
+    if robot.nominal.is_none() {
+        return Err(Diagnostic::file(&robot_file, "is no identified robot: it has no [nominal] table")
+            .help("give the robot-identified.toml that `dbbd identify` wrote")
+            .into());
+    }
+    let source = Program::open(&args.program)?;
+    let data = beside(&args.program, "dat").map(|path| Program::open(&path)).transpose()?;
+    let config = args.config.as_deref().map(Program::open).transpose()?;
+    for program in [Some(&source), data.as_ref()].into_iter().flatten() {
+        if same_place(&args.out.join(&program.stem), &program.path) {
+            return Err(format!("--out {} would overwrite the program itself", args.out.display()).into());
+        }
+    }
+    let program = Files {
+        source: source.text(),
+        data: data.as_ref().map(Program::text),
+        config: config.as_ref().map(Program::text),
+    };
+    let points = read(program, Given { tool: args.tool, base: args.base })?;
+    let corrected = compensate(program, &points, &robot, args.limit)?;
+    files::directory(&args.out)?;
+    source.write(&args.out, &corrected.source)?;
+    if let (Some(data), Some(text)) = (&data, &corrected.data) {
+        data.write(&args.out, text)?;
+    }
+    for left in &points.left {
+        out.warning(left.to_string());
+    }
+    tell(out, args, &corrected.moved, points.left.len())?;
+    Ok(if points.left.is_empty() { Outcome::Done } else { Outcome::Doubt })
+}
+
+fn tell(out: &Output, args: &Args, moved: &[Moved], left: usize) -> Result<(), Box<dyn Error>> {
+    for point in moved {
+        let Moved { name, line, shift_mm, turn_deg } = point;
+        out.detail(format!("line {line}: {name} moved by {shift_mm:.3} mm, {turn_deg:.4} deg"));
+    }
+    let shifts = moved.iter().map(|point| point.shift_mm);
+    let mean_mm = shifts.clone().sum::<f64>() / moved.len().max(1) as f64;
+    let largest_mm = shifts.fold(0.0, f64::max);
+    let points: Vec<_> = moved
+        .iter()
+        .map(|point| {
+            json!({ "name": point.name, "line": point.line, "shift_mm": point.shift_mm, "turn_deg": point.turn_deg })
+        })
+        .collect();
+    out.document(&json!({
+        "points": points, "mean_shift_mm": mean_mm, "largest_shift_mm": largest_mm, "left": left,
+        "out": args.out.display().to_string(),
+    }))?;
+    out.result(format!(
+        "{} points corrected, by {mean_mm:.3} mm on average and {largest_mm:.3} mm at most; {left} left as they are; \
+         written to {}",
+        moved.len(),
+        args.out.display()
+    ));
+    out.progress("corrected in the robot's own frame; run it first in T1, slowly");
+    Ok(())
+}
+
+/// A file of KRL. Comments may hold bytes of any old code page: then each byte is read as the
+/// character of that number, and written back as it was.
+struct Program {
+    path: PathBuf,
+    name: String,
+    stem: String,
+    content: String,
+    bytewise: bool,
+}
+
+impl Program {
+    fn open(path: &Path) -> Result<Self, Diagnostic> {
+        let name = path.display().to_string();
+        let bytes =
+            fs::read(path).map_err(|error| Diagnostic::file(&name, format!("cannot be read: {error}")))?;
+        let stem = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+        let (content, bytewise) = match String::from_utf8(bytes) {
+            Ok(text) => (text, false),
+            Err(error) => (error.into_bytes().into_iter().map(char::from).collect(), true),
+        };
+        Ok(Self { path: path.into(), name, stem, content, bytewise })
+    }
+
+    fn text(&self) -> Text<'_> {
+        Text { file: &self.name, text: &self.content }
+    }
+
+    fn write(&self, directory: &Path, text: &str) -> Result<(), Diagnostic> {
+        let path = directory.join(&self.stem);
+        if self.bytewise {
+            let bytes: Vec<u8> = text.chars().filter_map(|c| u8::try_from(c).ok()).collect();
+            return files::write(&path, bytes);
+        }
+        files::write(&path, text)
+    }
+}
+
+/// The file beside `path` with its stem and another extension, in any case.
+fn beside(path: &Path, extension: &str) -> Option<PathBuf> {
+    let wanted = path.with_extension(extension);
+    let wanted = wanted.file_name()?.to_str()?;
+    let directory = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    directory.read_dir().ok()?.find_map(|entry| {
+        let entry = entry.ok()?;
+        entry.file_name().to_str()?.eq_ignore_ascii_case(wanted).then(|| entry.path())
+    })
+}
+
+fn same_place(a: &Path, b: &Path) -> bool {
+    matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
+}

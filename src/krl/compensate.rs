@@ -1,0 +1,268 @@
+//! Rewrites the points of a program so that the identified robot, driven by a controller that knows
+//! the nominal one, comes where the nominal robot would.
+//!
+//! For each point: the flange's nominal pose P; the axis angles q at which the identified robot's
+//! flange is at P; the command is the nominal flange's pose at q. Only the numbers of points change,
+//! every other byte stays. Both robots are taken in their own base frame.
+
+use nalgebra::Vector3;
+
+use super::number::fixed;
+use super::production::{Files, Number, Origin, PointProgram, Position, TaughtPoint, Text};
+use super::syntax::Span;
+use crate::diag::Diagnostic;
+use crate::model::{AXES, Geometry, Pose, Robot, inverse};
+
+/// Where the robot is taken to stand before the first point: KUKA's home, degrees.
+const HOME_DEG: [f64; AXES] = [0.0, -90.0, 90.0, 0.0, 0.0, 0.0];
+/// An axis that a correction turns further, degrees, is near a singularity.
+const LARGEST_TURN_DEG: f64 = 5.0;
+/// Fewest decimals of a rewritten length and angle: those that were taught with fewer get more.
+const DECIMALS_MM: usize = 3;
+const DECIMALS_DEG: usize = 4;
+
+/// A point that was rewritten.
+#[derive(Clone, Debug)]
+pub struct Moved {
+    /// Its name in capitals; `inline` for one without.
+    pub name: String,
+    /// The line of the `.src` that goes there first.
+    pub line: usize,
+    /// How far the commanded tool point moved, mm (of an axis position: the flange).
+    pub shift_mm: f64,
+    /// How far the commanded orientation turned, degrees.
+    pub turn_deg: f64,
+}
+
+/// A program with corrected points.
+#[derive(Clone, Debug)]
+pub struct Compensated {
+    /// The `.src`.
+    pub source: String,
+    /// The `.dat`, where there was one.
+    pub data: Option<String>,
+    /// The points in the order in which the program first goes there.
+    pub moved: Vec<Moved>,
+}
+
+/// A program that cannot be compensated: one entry for each point that stands against it; not empty.
+#[derive(Clone, Debug)]
+pub struct Refused {
+    /// What is wrong with each point.
+    pub points: Vec<Diagnostic>,
+}
+
+impl std::fmt::Display for Refused {
+    fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(out, "the program is refused: {} point(s) cannot be compensated", self.points.len())?;
+        self.points.iter().try_for_each(|point| write!(out, "\n{point}"))
+    }
+}
+
+impl std::error::Error for Refused {}
+
+/// Corrects a program for `robot`, an identified one that carries its nominal robot. No commanded point
+/// may move by more than `limit_mm`.
+///
+/// # Errors
+/// Every point that moves too far, is out of reach or beyond an axis limit, is too near to a
+/// singularity, or would need another status or turn.
+pub fn compensate(
+    files: Files<'_>,
+    program: &PointProgram,
+    robot: &Robot,
+    limit_mm: f64,
+) -> Result<Compensated, Refused> {
+    let mut corrector = Corrector::new(robot, limit_mm);
+    let (mut source_edits, mut data_edits) = (Vec::new(), Vec::new());
+    let (mut moved, mut refused) = (Vec::new(), Vec::new());
+    let ends: Vec<usize> = files.source.text.match_indices('\n').map(|(at, _)| at).collect();
+    for point in &program.points {
+        let (text, edits) = match (point.origin, files.data) {
+            (Origin::Data, Some(data)) => (data, &mut data_edits),
+            _ => (files.source, &mut source_edits),
+        };
+        match corrector.correct(point) {
+            Ok(corrected) => {
+                edits.extend(corrected.edits(text));
+                moved.push(Moved {
+                    name: point.name.clone(),
+                    line: ends.partition_point(|end| *end < point.used.start) + 1,
+                    shift_mm: corrected.shift_mm,
+                    turn_deg: corrected.turn_deg,
+                });
+            }
+            Err(why) => {
+                let message = format!("{}: {why}", point.name);
+                refused.push(Diagnostic::span(text.file, text.text, point.span.clone(), message));
+            }
+        }
+    }
+    if !refused.is_empty() {
+        return Err(Refused { points: refused });
+    }
+    let source = rewritten(files.source.text, source_edits);
+    let data = files.data.map(|data| rewritten(data.text, data_edits));
+    Ok(Compensated { source, data, moved })
+}
+
+/// Goes through the points as the robot would.
+struct Corrector<'a> {
+    /// The controller's robot, and its flange and the true one's as "tools" without length.
+    controller: Robot,
+    nominal: Geometry,
+    identified: Geometry,
+    limits_deg: &'a [[f64; 2]; AXES],
+    limit_mm: f64,
+    /// Nominal axis angles at the last point, rad.
+    last: [f64; AXES],
+}
+
+/// New numbers for a point.
+struct Corrected<'a> {
+    numbers: Vec<(&'a Number, f64, usize)>,
+    shift_mm: f64,
+    turn_deg: f64,
+}
+
+impl<'a> Corrector<'a> {
+    fn new(robot: &'a Robot, limit_mm: f64) -> Self {
+        // The identified tool ball is no tool of the program: everything is done at the flange.
+        let flange = |geometry: &Geometry| Geometry { tool: Vector3::zeros(), ..geometry.clone() };
+        let nominal = flange(&robot.controller().geometry);
+        Self {
+            controller: Robot { geometry: nominal.clone(), ..robot.controller().clone() },
+            nominal,
+            identified: flange(&robot.geometry),
+            limits_deg: &robot.controller().limits_deg,
+            limit_mm,
+            last: HOME_DEG.map(f64::to_radians),
+        }
+    }
+
+    fn correct<'p>(&mut self, point: &'p TaughtPoint) -> Result<Corrected<'p>, String> {
+        match &point.position {
+            Position::Axes(numbers) => {
+                let taught: [f64; AXES] = std::array::from_fn(|i| numbers[i].value.to_radians());
+                let wanted = self.nominal.ball(&taught);
+                let axes = self.solve(&wanted, &taught)?;
+                let told = self.nominal.ball(&axes);
+                let numbers = numbers.iter().zip(axes).map(|(n, axis)| (n, axis.to_degrees(), DECIMALS_DEG));
+                self.within(Corrected {
+                    numbers: numbers.collect(),
+                    shift_mm: (told.position - wanted.position).norm(),
+                    turn_deg: told.angle_to(&wanted).to_degrees(),
+                })
+            }
+            Position::Pose { numbers, status, turn, tool, base } => {
+                let [x, y, z, a, b, c] = numbers.each_ref().map(|number| number.value);
+                let taught = Pose::from_kuka([x, y, z], [a, b, c]);
+                let wanted = base.then(&taught).then(&tool.inverse());
+                let bits = status.zip(*turn);
+                let start = self.nominal_axes(&wanted, bits, point.by_ptp)?;
+                let axes = self.solve(&wanted, &start)?;
+                if point.by_ptp && bits.is_some() {
+                    self.same_configuration(&start, &axes)?;
+                }
+                let told = base.inverse().then(&self.nominal.ball(&axes)).then(tool);
+                let values = <[f64; 3]>::from(told.position).into_iter().chain(told.abc_deg());
+                let decimals = [DECIMALS_MM, DECIMALS_DEG].into_iter().flat_map(|d| [d; 3]);
+                let numbers = numbers.iter().zip(values).zip(decimals);
+                self.within(Corrected {
+                    numbers: numbers.map(|((number, value), decimals)| (number, value, decimals)).collect(),
+                    shift_mm: (told.position - taught.position).norm(),
+                    turn_deg: told.angle_to(&taught).to_degrees(),
+                })
+            }
+        }
+    }
+
+    /// The nominal robot's axis angles at a pose of its flange: by status and turn where a PTP
+    /// follows them, else nearest to the last point.
+    fn nominal_axes(
+        &self,
+        wanted: &Pose,
+        bits: Option<(i64, i64)>,
+        by_ptp: bool,
+    ) -> Result<[f64; AXES], String> {
+        let bits = bits.map(|(status, turn)| (u8::try_from(status & 7), u8::try_from(turn)));
+        match bits {
+            Some((Ok(status), Ok(turn))) if by_ptp => {
+                inverse::from_status_turn(&self.controller, wanted, status, turn)
+            }
+            Some((Err(_), _) | (_, Err(_))) if by_ptp => return Err("S or T is out of range".into()),
+            _ => inverse::nearest(&self.nominal, wanted, &self.last),
+        }
+        .map_err(|unsolved| format!("the nominal robot does not come here: {unsolved}"))
+    }
+
+    /// The identified robot's axis angles at a pose of its flange, in the branch of `start`.
+    fn solve(&mut self, wanted: &Pose, start: &[f64; AXES]) -> Result<[f64; AXES], String> {
+        self.last = *start;
+        let axes = inverse::numeric(&self.identified, wanted, start)
+            .map_err(|unsolved| format!("the identified robot does not come here: {unsolved}"))?;
+        for (i, (to, from)) in axes.iter().zip(start).enumerate() {
+            let ([low, high], deg) = (self.limits_deg[i], to.to_degrees());
+            if !(low..=high).contains(&deg) {
+                let axis = i + 1;
+                return Err(format!("axis {axis} would leave its limits: {deg:.3} deg of {low} to {high}"));
+            }
+            let turned = (to - from).abs().to_degrees();
+            if turned > LARGEST_TURN_DEG {
+                return Err(format!(
+                    "axis {} would have to turn by {turned:.1} deg: the point is too near to a singularity",
+                    i + 1
+                ));
+            }
+        }
+        Ok(axes)
+    }
+
+    /// Refuses a correction that a PTP with the point's status and turn would not follow.
+    fn same_configuration(&self, start: &[f64; AXES], axes: &[f64; AXES]) -> Result<(), String> {
+        let of = |axes| (inverse::status(&self.nominal, axes), inverse::turn(axes));
+        let ((s, t), (status, turn)) = (of(start), of(axes));
+        if (s, t) == (status, turn) {
+            return Ok(());
+        }
+        Err(format!(
+            "it would need S {status}, T {turn} in place of S {s}, T {t}: an axis lies too near to zero; \
+             teach it with that axis a degree away, or go there by LIN"
+        ))
+    }
+
+    fn within<'p>(&self, corrected: Corrected<'p>) -> Result<Corrected<'p>, String> {
+        if corrected.shift_mm > self.limit_mm {
+            let (shift, limit) = (corrected.shift_mm, self.limit_mm);
+            return Err(format!("it would move by {shift:.3} mm, allowed are {limit:.3}"));
+        }
+        Ok(corrected)
+    }
+}
+
+impl Corrected<'_> {
+    /// The numbers as they are written, with at least the digits that were there.
+    fn edits(&self, text: Text<'_>) -> impl Iterator<Item = (Span, String)> {
+        self.numbers.iter().map(move |(number, value, fewest)| {
+            let written = text.text.get(number.span.clone()).unwrap_or("");
+            let digits = written.split_once('.').map_or(0, |(_, tail)| {
+                tail.find(|c: char| !c.is_ascii_digit()).unwrap_or(tail.len())
+            });
+            (number.span.clone(), fixed(*value, digits.clamp(*fewest, 9)))
+        })
+    }
+}
+
+/// The text with the edits, which do not overlap.
+fn rewritten(text: &str, mut edits: Vec<(Span, String)>) -> String {
+    edits.sort_by_key(|(span, _)| span.start);
+    let mut out = String::with_capacity(text.len() + 4 * edits.len());
+    let mut at = 0;
+    for (span, new) in edits {
+        out.push_str(text.get(at..span.start).unwrap_or(""));
+        out.push_str(&new);
+        at = span.end;
+    }
+    out.push_str(text.get(at..).unwrap_or(""));
+    out
+}

@@ -1,0 +1,250 @@
+//! A compensated program brings the identified robot to the nominal positions, and nothing but the
+//! numbers of its points differs from the program given.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use dbbd::krl::compensate::{Compensated, compensate};
+use dbbd::krl::production::{Files, Given, PointProgram, Position, Text, read};
+use dbbd::model::{Pose, Robot, inverse};
+use dbbd::sim::truth;
+use nalgebra::Vector3;
+
+use crate::cell::{dbbd, kr60, stderr};
+
+fn fixture(name: &str) -> String {
+    let path: PathBuf = [env!("CARGO_MANIFEST_DIR"), "fixtures/krl", name].iter().collect();
+    fs::read_to_string(path).unwrap()
+}
+
+/// A robot drawn from the tolerance as an identified one; its tool ball is far off, which must not matter.
+fn identified(seed: u64) -> Robot {
+    let mut robot = truth::draw(&kr60(), seed, 1.0);
+    robot.geometry.tool = Vector3::new(300.0, -200.0, 500.0);
+    robot.nominal = Some(Box::new(kr60()));
+    robot
+}
+
+fn text<'a>(file: &'a str, text: &'a str) -> Text<'a> {
+    Text { file, text }
+}
+
+fn files<'a>(source: &'a str, data: &'a str, config: Option<&'a str>) -> Files<'a> {
+    Files {
+        source: text("P.src", source),
+        data: Some(text("P.dat", data)),
+        config: config.map(|config| text("config.dat", config)),
+    }
+}
+
+/// Where each point puts the tool in the robot's base: as the nominal robot reads it, and where the
+/// other robot comes under the nominal controller.
+fn reached(program: &PointProgram, robot: &Robot) -> Vec<(Pose, Pose)> {
+    let flange = |mut robot: Robot| {
+        robot.geometry.tool = Vector3::zeros();
+        robot
+    };
+    let (nominal, truth) = (flange(kr60()), flange(robot.clone()));
+    let mut last = [0.0, -80.0, 100.0, 0.0, 60.0, 0.0].map(f64::to_radians);
+    let mut found = Vec::new();
+    for point in &program.points {
+        let (axes, told, tool) = match &point.position {
+            Position::Axes(numbers) => {
+                let axes = numbers.each_ref().map(|number| number.value.to_radians());
+                (axes, nominal.geometry.ball(&axes), Pose::identity())
+            }
+            Position::Pose { numbers, status, turn, tool, base } => {
+                let [x, y, z, a, b, c] = numbers.each_ref().map(|number| number.value);
+                let told = base.then(&Pose::from_kuka([x, y, z], [a, b, c])).then(&tool.inverse());
+                let axes = if point.by_ptp {
+                    let (s, t) = (status.unwrap() as u8, turn.unwrap() as u8);
+                    inverse::from_status_turn(&nominal, &told, s, t).unwrap()
+                } else {
+                    inverse::nearest(&nominal.geometry, &told, &last).unwrap()
+                };
+                (axes, told, *tool)
+            }
+        };
+        last = axes;
+        found.push((told.then(&tool), truth.geometry.ball(&axes).then(&tool)));
+    }
+    found
+}
+
+fn compensated(files: Files<'_>, given: Given, robot: &Robot) -> (PointProgram, Compensated) {
+    let program = read(files, given).unwrap();
+    let done = compensate(files, &program, robot, 20.0).unwrap();
+    (program, done)
+}
+
+#[test]
+fn every_form_of_point_is_found_with_its_frames() {
+    let (source, data, config) = (fixture("GLUE01.src"), fixture("GLUE01.dat"), fixture("config.dat"));
+    let program = read(files(&source, &data, Some(&config)), Given::default()).unwrap();
+    let names: Vec<_> = program.points.iter().map(|point| point.name.as_str()).collect();
+    assert_eq!(names, ["XP1", "XP2", "XP3", "XP4", "XP5", "XSP[1]", "XSP[2]", "inline", "XVIA"]);
+    let left: Vec<_> = program.left.iter().map(|left| (left.line, left.message.clone())).collect();
+    assert!(left.len() == 1 && left[0].1.contains("relative"), "{left:?}");
+    // Axis angles from which the fixture was computed, with another program.
+    let taught = [[12.0, -70.0, 95.0, 15.0, 50.0, -20.0], [20.0, -75.0, 104.0, 30.0, 45.0, -40.0]];
+    let reached = reached(&program, &kr60());
+    for (at, axes_deg) in [(0, taught[0]), (6, taught[1])] {
+        let Position::Pose { tool, .. } = &program.points[at].position else { panic!("no pose") };
+        let expected = kr60().geometry.ball(&axes_deg.map(f64::to_radians)).then(tool);
+        assert!((reached[at].0.position - expected.position).norm() < 1e-4);
+        assert!(reached[at].0.angle_to(&expected) < 1e-5);
+    }
+}
+
+#[test]
+fn the_identified_robot_comes_to_the_nominal_positions() {
+    let (source, data, config) = (fixture("GLUE01.src"), fixture("GLUE01.dat"), fixture("config.dat"));
+    let given = files(&source, &data, Some(&config));
+    for seed in 0..5 {
+        let robot = identified(seed);
+        let (before, done) = compensated(given, Given::default(), &robot);
+        let new_data = done.data.unwrap();
+        let after = read(files(&done.source, &new_data, Some(&config)), Given::default()).unwrap();
+        let (wanted, came) = (reached(&before, &robot), reached(&after, &robot));
+        assert_eq!(wanted.len(), 9);
+        for ((nominal, off), (_, now)) in wanted.iter().zip(&came) {
+            assert!((nominal.position - off.position).norm() > 0.05);
+            // Three decimals of a length and four of an angle at a tool of 220 mm.
+            assert!((nominal.position - now.position).norm() < 2e-3, "{}", nominal.position - now.position);
+            assert!(nominal.angle_to(now).to_degrees() < 3e-4);
+        }
+    }
+}
+
+/// The numbers of a line that belong to X, Y, Z, A..C or A1..A6, replaced by a mark.
+fn masked(line: &[u8]) -> String {
+    let line: String = line.iter().copied().map(char::from).collect();
+    let mut out = String::new();
+    let mut rest = line.as_str();
+    while let Some(at) = rest.find(|c: char| "{,".contains(c)) {
+        let (head, tail) = rest.split_at(at + 1);
+        out.push_str(head);
+        let tail_of_type = tail.strip_prefix("E6POS:").map_or(tail, |rest| {
+            out.push_str("E6POS:");
+            rest
+        });
+        let name = tail_of_type.trim_start().split(' ').next().unwrap();
+        let value = tail_of_type.find(name).unwrap() + name.len();
+        let point = ["X", "Y", "Z", "A", "B", "C", "A1", "A2", "A3", "A4", "A5", "A6"].contains(&name);
+        if point && !name.is_empty() {
+            out.push_str(&tail_of_type[..value]);
+            let end = tail_of_type[value..].find([',', '}']).map_or(tail_of_type.len(), |end| value + end);
+            out.push('#');
+            rest = &tail_of_type[end..];
+        } else {
+            rest = tail_of_type;
+        }
+    }
+    out + rest
+}
+
+#[test]
+fn all_else_stays_byte_for_byte() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = |name: &str| dir.path().join(name);
+    // A comment in an old code page, a line end of another kind, no line end at all.
+    let mut source = fixture("GLUE01.src").into_bytes();
+    source.extend(b"; M\xfcller\t \n;\r\n; last");
+    let data = fixture("GLUE01.dat").into_bytes();
+    fs::write(path("GLUE01.src"), &source).unwrap();
+    fs::write(path("glue01.DAT"), &data).unwrap();
+    fs::write(path("config.dat"), fixture("config.dat")).unwrap();
+    fs::write(path("id.toml"), identified(3).to_toml()).unwrap();
+    let run_to = |out: &str, extra: &[&str]| {
+        let args = ["compensate", "GLUE01.src", "--robot", "id.toml", "--out", out];
+        dbbd(dir.path(), &[&args, extra].concat())
+    };
+    let run = |extra: &[&str]| run_to("new", extra);
+    let output = run(&["--config", "config.dat"]);
+    // 3: a relative motion was left, which the user must see.
+    assert_eq!(output.status.code(), Some(3), "{}", stderr(&output));
+    let mut changed = 0;
+    for (name, old) in [("GLUE01.src", &source), ("glue01.DAT", &data)] {
+        let new = fs::read(dir.path().join("new").join(name)).unwrap();
+        let lines = |bytes: &[u8]| bytes.split(|b| *b == b'\n').map(<[u8]>::to_vec).collect::<Vec<_>>();
+        let (old, new) = (lines(old), lines(&new));
+        assert_eq!(old.len(), new.len());
+        for (old, new) in old.iter().zip(&new) {
+            assert_eq!(masked(old), masked(new));
+            changed += u32::from(old != new);
+        }
+    }
+    assert_eq!(changed, 9);
+    let points = fs::read_to_string(dir.path().join("new/glue01.DAT")).unwrap();
+    let digits = |line: &str| line.split(',').next().unwrap().rsplit('.').next().unwrap().len();
+    assert!(points.lines().filter(|line| line.contains("XP1=")).all(|line| digits(line) == 5));
+
+    let refused = |extra: &[&str], words: &str| {
+        let output = run(extra);
+        assert_eq!(output.status.code(), Some(1), "{extra:?}");
+        assert!(stderr(&output).contains(words), "{}", stderr(&output));
+    };
+    refused(&[], "$TOOL is not known here");
+    refused(&["--tool", "52.5,-3.25,210,12,25,-8", "--base", "900,-400,450,15,0,0"], "two frames");
+    refused(&["--config", "config.dat", "--limit", "0.01"], "it would move by");
+    assert!(stderr(&run_to(".", &["--config", "config.dat"])).contains("would overwrite the program"));
+    fs::write(path("id.toml"), kr60().to_toml()).unwrap();
+    refused(&["--config", "config.dat"], "no identified robot");
+}
+
+fn refusal(source: &str, given: Given) -> String {
+    let point = "{X 1363.778,Y -282.219,Z 1360.625,A 152.596,B 29.472,C -174.261,S 2,T 34}";
+    let data = format!("DEFDAT P\nDECL E6POS XP1={point}\nDECL FRAME F1={{X 0,Y 0,Z 0,A 0,B 0,C 0}}\nENDDAT\n");
+    let files = files(source, &data, None);
+    match read(files, given) {
+        Err(diagnostic) => diagnostic.to_string(),
+        Ok(program) => match compensate(files, &program, &identified(1), 5.0) {
+            Err(refused) => refused.to_string(),
+            Ok(_) => String::new(),
+        },
+    }
+}
+
+#[test]
+fn what_is_not_known_before_the_run_is_refused_with_its_place() {
+    let frames = "$TOOL=F1\n$BASE=$NULLFRAME\n";
+    assert_eq!(refusal(&format!("DEF P()\n{frames}PTP XP1\nEND\n"), Given::default()), "");
+    let zero = Given { tool: Some(Pose::identity()), base: Some(Pose::identity()) };
+    assert_eq!(refusal("DEF P()\nPTP XP1\nEND\n", zero), "");
+    for (body, place, words) in [
+        ("PTP XP1\n", "P.src:2:1:", "nothing sets $TOOL"),
+        ("$TOOL=F2\n$BASE=F1\nPTP XP1\n", "P.src:4:1:", "F2 is declared in no file"),
+        ("$TOOL=F1\n$BASE=F1:F1\nPTP XP1\n", "P.src:4:1:", "line 3 computes it"),
+        ("$TOOL=F1\n$BASE=F1\n$BASE.X=10\nPTP XP1\n", "P.src:5:1:", "sets a part"),
+        ("$TOOL=F1\n$BASE=F1\nXP1.X=10.0\nPTP XP1\n", "P.src:5:5:", "XP1 is computed in line 4"),
+        ("$TOOL=F1\n$BASE=F1\nLIN XP1:F1\n", "P.src:4:1:", "computed"),
+        ("$TOOL=F1\n$BASE=F1\nLIN {X 10,Y 5,Z 1}\n", "P.src:4:5:", "A is missing"),
+        ("$TOOL=F1\n$BASE=F1\nLIN {X 10,Y 5\n", "P.src:4:14:", "expected"),
+        ("$TOOL=F1\n$BASE=F1\nIF $IN[1] THEN\n$BASE={X 1,Y 0,Z 0,A 0,B 0,C 0}\nENDIF\nPTP XP1\n", "P.src:7:1:", "choice"),
+        ("$TOOL=F1\n$BASE=F1\nLOOP\nPTP XP1\n$BASE={X 1,Y 0,Z 0,A 0,B 0,C 0}\nENDLOOP\n", "P.src:5:1:", "comes round"),
+        ("$TOOL=F1\n$BASE=F1\nPTP XP1\n$BASE={X 1,Y 0,Z 0,A 0,B 0,C 0}\nPTP XP1\n", "P.src:6:5:", "another tool or base"),
+        ("$TOOL=F1\n$BASE=F1\nSUB()\nPTP XP1\nEND\nDEF SUB()\n$TOOL=$NULLFRAME\n", "P.src:5:1:", "SUB sets it"),
+        // The nominal robot does not reach it; the turn would change.
+        ("$TOOL=F1\n$BASE=F1\nLIN {X 9000,Y 0,Z 0,A 0,B 0,C 0}\n", "the program is refused", "P.src:4:5: inline: the nominal"),
+        ("$TOOL=F1\n$BASE=F1\nPTP {X 1170,Y 0,Z 1640,A 0,B 180,C 0,S 2,T 2}\n", "the program is refused", "in place of S 2, T 2"),
+    ] {
+        let message = refusal(&format!("DEF P()\n{body}END\n"), Given::default());
+        assert!(message.starts_with(place) && message.contains(words), "{body}: {message}");
+    }
+    let other = Given { tool: Some(Pose::from_kuka([1.0, 0.0, 0.0], [0.0; 3])), base: None };
+    assert!(refusal(&format!("DEF P()\n{frames}PTP XP1\nEND\n"), other).contains("not to what --tool says"));
+}
+
+#[test]
+fn a_file_that_only_dbbd_wrote_is_compensated_too() {
+    let files_of = crate::circle_plan::plan(1, 6);
+    let options = dbbd::krl::Options { sync: dbbd::krl::Sync::Marker, controller: dbbd::krl::Controller::Krc4 };
+    let modules = dbbd::krl::emit(&files_of, options).unwrap();
+    let find = |name: &str| modules.iter().find(|(file, _)| Path::new(file) == Path::new(name)).unwrap().1.clone();
+    let (source, data) = (find("DBB_C001.src"), find("DBB_C001.dat"));
+    let given = files(&source, &data, None);
+    let program = read(given, Given::default()).unwrap();
+    assert!(program.left.is_empty() && program.points.len() > 6);
+    let robot = identified(2);
+    compensate(given, &program, &robot, 20.0).unwrap();
+}
