@@ -17,13 +17,15 @@ use crate::model::{Pose, Robot};
 ///
 /// The robot's base frame cannot be told from lengths. The points are corrected in the robot's own
 /// frame, so that positions come out right with respect to each other; measure $BASE again afterwards
-/// where a place in the room matters. $BASE is taken in the robot's own base ($ROBROOT null).
+/// where a place in the room matters. $BASE is taken in the robot's own base ($ROBROOT null). Nor can
+/// lengths tell the flange from the ball on it: the ball is taken to sit on the flange where the
+/// nominal robot file has it. $TOOL is the program's own, never the ball.
 #[derive(clap::Args)]
 pub(crate) struct Args {
     /// The program: motions by PTP, LIN, CIRC, SPTP, SLIN, SCIRC and SPL, inline forms or plain.
     #[arg(value_name = "PROGRAM.src")]
     program: PathBuf,
-    /// The identified robot. Its [tool] is the ball of the calibration, and is not used here.
+    /// The identified robot.
     #[arg(long, value_name = "robot-identified.toml")]
     robot: PathBuf,
     /// Directory for the corrected program; not that of the program itself.

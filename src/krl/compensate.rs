@@ -4,6 +4,10 @@
 //! For each point: the flange's nominal pose P; the axis angles q at which the identified robot's
 //! flange is at P; the command is the nominal flange's pose at q. Only the numbers of points change,
 //! every other byte stays. Both robots are taken in their own base frame.
+//!
+//! Lengths to one tool ball cannot tell a longer last link from a ball that sits further out. The
+//! identified flange is therefore taken to be where the ball is at its nominal place on it; the tools of
+//! the program stay what they are.
 
 use nalgebra::Vector3;
 
@@ -108,9 +112,10 @@ pub fn compensate(
 
 /// Goes through the points as the robot would.
 struct Corrector<'a> {
-    /// The controller's robot, and its flange and the true one's as "tools" without length.
+    /// The controller's robot, its tool point at the flange.
     controller: Robot,
     nominal: Geometry,
+    /// The true robot, its tool point at the flange too.
     identified: Geometry,
     limits_deg: &'a [[f64; 2]; AXES],
     limit_mm: f64,
@@ -127,14 +132,16 @@ struct Corrected<'a> {
 
 impl<'a> Corrector<'a> {
     fn new(robot: &'a Robot, limit_mm: f64) -> Self {
-        // The identified tool ball is no tool of the program: everything is done at the flange.
-        let flange = |geometry: &Geometry| Geometry { tool: Vector3::zeros(), ..geometry.clone() };
-        let nominal = flange(&robot.controller().geometry);
+        let at = |geometry: &Geometry, tool| Geometry { tool, ..geometry.clone() };
+        let controller = robot.controller();
+        let nominal = at(&controller.geometry, Vector3::zeros());
+        // Lengths tell where the ball is on the last link, not where the flange is.
+        let off = robot.geometry.tool - controller.geometry.tool;
         Self {
-            controller: Robot { geometry: nominal.clone(), ..robot.controller().clone() },
+            controller: Robot { geometry: nominal.clone(), ..controller.clone() },
             nominal,
-            identified: flange(&robot.geometry),
-            limits_deg: &robot.controller().limits_deg,
+            identified: at(&robot.geometry, off),
+            limits_deg: &controller.limits_deg,
             limit_mm,
             last: HOME_DEG.map(f64::to_radians),
         }

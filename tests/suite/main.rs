@@ -7,6 +7,7 @@ mod capture_survives_damage;
 mod cell;
 mod circle_plan;
 mod circular_quantities;
+mod compensated_program_is_accurate;
 mod compensated_robot_arrives;
 mod controller_executes_krl;
 mod decoder_accounts_for_every_byte;
