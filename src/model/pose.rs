@@ -1,6 +1,6 @@
 //! A rigid pose, and KUKA's A, B, C.
 
-use nalgebra::{Matrix3, Rotation3, Vector3};
+use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 
 /// A frame: `rotation` maps its coordinates to the reference frame's, `position` is its origin there, mm.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -52,8 +52,17 @@ impl Pose {
 
     /// The angle of the rotation between the two orientations, rad, in 0..=pi.
     pub fn angle_to(&self, other: &Pose) -> f64 {
-        Rotation3::from_matrix_unchecked(self.rotation.transpose() * other.rotation).angle()
+        rotation_vector(&(self.rotation.transpose() * other.rotation)).norm()
     }
+}
+
+/// The axis of a rotation times its angle (rad, 0..=pi). Unlike the arc cosine of the trace this holds its
+/// digits near zero, and gives a number where rounding has pushed the trace above three.
+pub fn rotation_vector(rotation: &Matrix3<f64>) -> Vector3<f64> {
+    let turn = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(*rotation));
+    let (axis, cosine) = (turn.imag(), turn.w);
+    let sine = axis.norm();
+    if sine == 0.0 { Vector3::zeros() } else { axis * (2.0 * sine.atan2(cosine.abs()) * cosine.signum() / sine) }
 }
 
 /// Rotation about x by `angle` rad.

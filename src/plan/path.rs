@@ -2,6 +2,7 @@
 
 use nalgebra::{Matrix3, Rotation3, Vector3};
 
+use crate::model::pose::rotation_vector;
 use crate::model::{AXES, Pose};
 
 /// A motion of the tool ball from one pose to the next.
@@ -90,6 +91,6 @@ impl Path {
 
 /// The orientation at `share` of the turn about one axis from `from` to `to`.
 pub(crate) fn between(from: &Matrix3<f64>, to: &Matrix3<f64>, share: f64) -> Matrix3<f64> {
-    let turn = Rotation3::from_matrix_unchecked(from.transpose() * to).scaled_axis();
+    let turn = rotation_vector(&(from.transpose() * to));
     from * Rotation3::from_scaled_axis(turn * share).matrix()
 }

@@ -18,6 +18,7 @@ mod identifies_the_papers_robot;
 mod identifies_to_the_limit;
 mod inverse_kinematics;
 mod jacobian_matches_differences;
+mod emitted_programs_run;
 mod krl_reads_back;
 mod plan_is_refused_with_a_reason;
 mod plans_read_back;

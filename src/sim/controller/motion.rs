@@ -3,7 +3,7 @@
 use nalgebra::{Rotation3, Unit, UnitVector3, Vector3};
 
 use crate::model::AXES;
-use crate::model::pose::Pose;
+use crate::model::pose::{Pose, rotation_vector};
 
 /// A trapezoid of speed over a path from 0 to 1: full acceleration, constant speed, full deceleration.
 #[derive(Clone, Copy, Debug)]
@@ -83,8 +83,8 @@ pub(super) struct Turn {
 impl Turn {
     /// The shortest from one orientation to the other, in the robot base.
     pub(super) fn between(from: &Pose, to: &Pose) -> Self {
-        let rotation = Rotation3::from_matrix_unchecked(to.rotation * from.rotation.transpose());
-        let (axis, angle) = rotation.axis_angle().unwrap_or((Vector3::z_axis(), 0.0));
+        let turn = rotation_vector(&(to.rotation * from.rotation.transpose()));
+        let (axis, angle) = Unit::try_new_and_get(turn, 0.0).unwrap_or((Vector3::z_axis(), 0.0));
         Self { axis, angle }
     }
 }
