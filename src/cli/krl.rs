@@ -1,5 +1,6 @@
 //! `dbbd krl`.
 
+use std::net::SocketAddrV4;
 use std::path::PathBuf;
 
 use serde_json::json;
@@ -19,8 +20,12 @@ pub(crate) struct Args {
     out: PathBuf,
     /// How dwells are marked. `output`: a strobe and an index on digital outputs; `marker`: by the
     /// plan's knocks in the length alone, no output is set.
+    /// `ekrl`: by telegrams over EthernetKRL (KR C4 and later) to `dbbd acquire --ekrl`.
     #[arg(long, value_enum, default_value_t = Sync::Output)]
     sync: Sync,
+    /// For `ekrl`: where dbbd listens, as the controller's network sees it (IPv4).
+    #[arg(long, value_name = "ADDR:PORT", required_if_eq("sync", "ekrl"))]
+    server: Option<SocketAddrV4>,
     /// The controller that the program is for.
     #[arg(long, value_enum, default_value_t = Controller::Krc4)]
     controller: Controller,
@@ -30,6 +35,7 @@ pub(crate) struct Args {
 enum Sync {
     Marker,
     Output,
+    Ekrl,
 }
 
 #[derive(Clone, Copy, clap::ValueEnum)]
@@ -48,6 +54,9 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
         sync: match args.sync {
             Sync::Marker => krl::Sync::Marker,
             Sync::Output => krl::Sync::Output,
+            Sync::Ekrl => {
+                krl::Sync::Ekrl { server: args.server.ok_or("--sync ekrl needs --server ADDR:PORT")? }
+            }
         },
         controller: match args.controller {
             Controller::Krc2 => krl::Controller::Krc2,

@@ -1,6 +1,7 @@
 //! `dbbd simulate`.
 
 use std::error::Error;
+use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
 use serde_json::json;
@@ -9,6 +10,7 @@ use super::{Outcome, Output, Verdict, files, protocols};
 use crate::diag::Diagnostic;
 use crate::krl::Program;
 use crate::sim::bar::{Options, Reading, Source, Terminal, serve};
+use crate::sim::ekrl::Client;
 use crate::sim::link::Link;
 use crate::sim::world::{Setup, Stroke};
 use crate::sim::{Controller, World, truth};
@@ -39,6 +41,9 @@ pub(crate) struct Args {
     /// A symlink to the pty, removed at the end.
     #[arg(long, value_name = "PATH")]
     link: Option<PathBuf>,
+    /// Where `dbbd acquire --ekrl` listens, for a program that tells its dwells by EthernetKRL.
+    #[arg(long, value_name = "ADDR:PORT")]
+    ekrl: Option<SocketAddr>,
     /// Seed of all that is random.
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
@@ -74,6 +79,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
     let mut cell = Cell {
         controller: Controller::new(program, &nominal, args.override_percent)?,
         world: World::new(robot.geometry, setup, args.seed),
+        ekrl: None,
         out,
         halt_s: args.halt,
         t_s: 0.0,
@@ -83,6 +89,11 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
         strayed: 0,
         failure: None,
     };
+    if let Some(server) = args.ekrl {
+        let client = Client::connect(server).map_err(|error| format!("--ekrl {server}: {error}"))?;
+        cell.controller.link_ekrl();
+        cell.ekrl = Some(client);
+    }
     let terminal = Terminal::new()?;
     let _link = args.link.as_deref().map(|path| link(path, terminal.name())).transpose()?;
     out.document(&json!({ "port": terminal.name() }))?;
@@ -126,6 +137,8 @@ fn program(path: &Path) -> Result<Program, Box<dyn Error>> {
 struct Cell<'a> {
     controller: Controller,
     world: World,
+    /// The line to the EthernetKRL server.
+    ekrl: Option<Client>,
     out: &'a Output,
     halt_s: f64,
     t_s: f64,
@@ -148,6 +161,10 @@ impl Source for &mut Cell<'_> {
             }
         };
         self.t_s = t_s;
+        if let Err(failure) = self.exchange() {
+            self.failure = Some(failure);
+            return None;
+        }
         self.tell(moment.halted, moment.done);
         if moment.halted {
             let since = *self.halted_at_s.get_or_insert(t_s);
@@ -172,6 +189,18 @@ impl Source for &mut Cell<'_> {
 }
 
 impl Cell<'_> {
+    /// Carries the controller's telegrams to the server and the answers back; device time stands still.
+    fn exchange(&mut self) -> Result<(), Diagnostic> {
+        let Some(client) = &mut self.ekrl else { return Ok(()) };
+        while let Some(telegram) = self.controller.telegram() {
+            let id = client
+                .exchange(&telegram)
+                .map_err(|error| Diagnostic::file("EthernetKRL", format!("{telegram}: {error}")))?;
+            self.controller.answer(id);
+        }
+        Ok(())
+    }
+
     /// Tells of each HALT, the end, and every tenth dwell.
     fn tell(&mut self, halted: bool, done: bool) {
         let dwells = self.controller.dwells();

@@ -252,9 +252,9 @@ impl Corrected<'_> {
     fn edits(&self, text: Text<'_>) -> impl Iterator<Item = (Span, String)> {
         self.numbers.iter().map(move |(number, value, fewest)| {
             let written = text.text.get(number.span.clone()).unwrap_or("");
-            let digits = written.split_once('.').map_or(0, |(_, tail)| {
-                tail.find(|c: char| !c.is_ascii_digit()).unwrap_or(tail.len())
-            });
+            let digits = written
+                .split_once('.')
+                .map_or(0, |(_, tail)| tail.find(|c: char| !c.is_ascii_digit()).unwrap_or(tail.len()));
             (number.span.clone(), fixed(*value, digits.clamp(*fewest, 9)))
         })
     }

@@ -79,6 +79,10 @@ impl Parser<'_> {
             Token::Name(_) => {
                 let place = self.place()?;
                 if matches!(self.peek(), Token::Sign("(")) {
+                    if place.name.starts_with("EKI_") && place.parts.is_empty() {
+                        let kind = ExpressionKind::Call { name: place.name, arguments: self.arguments()? };
+                        return Ok(Expression { span: start..self.end(), kind });
+                    }
                     return Err(self
                         .wrong(place.span, format!("the function {} is not supported", place.name))
                         .help("compute the value beforehand"));

@@ -44,11 +44,7 @@ pub(super) fn tokens(file: &str, text: &str) -> Result<Vec<(Token, Span)>, Diagn
 }
 
 /// As [`tokens`], for the line that begins at the byte `start` and ends with the text; folds are not its matter.
-pub(super) fn line_tokens(
-    file: &str,
-    text: &str,
-    start: usize,
-) -> Result<Vec<(Token, Span)>, Diagnostic> {
+pub(super) fn line_tokens(file: &str, text: &str, start: usize) -> Result<Vec<(Token, Span)>, Diagnostic> {
     let mut lexer = Lexer { file, text, at: start, tokens: Vec::with_capacity(64), folds: Vec::new() };
     lexer.all()?;
     Ok(lexer.ended())

@@ -254,7 +254,7 @@ impl Parser<'_> {
     }
 
     /// `(a,b)`
-    fn arguments(&mut self) -> Result<Vec<Expression>, Diagnostic> {
+    pub(super) fn arguments(&mut self) -> Result<Vec<Expression>, Diagnostic> {
         self.sign("(")?;
         let mut arguments = Vec::new();
         while !self.accept_sign(")") {

@@ -269,6 +269,13 @@ pub enum ExpressionKind {
     Place(Place),
     /// `{X 1.0,Y 2.0}`, `{E6POS: X 1.0}`
     Aggregate(Vec<Field>),
+    /// `NAME (a,b)`: a function of the controller, of which the `EKI_` ones are known.
+    Call {
+        /// Name in capitals.
+        name: String,
+        /// Arguments in order.
+        arguments: Vec<Expression>,
+    },
     /// `-a`, `NOT a`
     Unary(Unary, Box<Expression>),
     /// `a + b`, ..

@@ -62,7 +62,11 @@ pub fn rotation_vector(rotation: &Matrix3<f64>) -> Vector3<f64> {
     let turn = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(*rotation));
     let (axis, cosine) = (turn.imag(), turn.w);
     let sine = axis.norm();
-    if sine == 0.0 { Vector3::zeros() } else { axis * (2.0 * sine.atan2(cosine.abs()) * cosine.signum() / sine) }
+    if sine == 0.0 {
+        Vector3::zeros()
+    } else {
+        axis * (2.0 * sine.atan2(cosine.abs()) * cosine.signum() / sine)
+    }
 }
 
 /// Rotation about x by `angle` rad.

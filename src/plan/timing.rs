@@ -131,8 +131,8 @@ fn paced(still: MoveTime, pace: &Pace, feed: f64, turn: f64, wanted: Option<f64>
         let fastest = if rate.is_finite() { limit.min(rate * whole) } else { limit };
         let coded = wanted.and_then(|duration| speed_for(whole, duration, acceleration)).unwrap_or(fastest);
         // As KRL prints it, and never zero: a part that stands still, but for the rounding of its digits,
-        // keeps the limit.
-        if whole > 1e-2 { (coded.min(fastest) * 1e3).round().max(1.0) / 1e3 } else { limit }
+        // keeps the limit; nothing is slower than a hundredth.
+        if whole > 1e-2 { (coded.min(fastest) * 1e3).round().max(10.0) / 1e3 } else { limit }
     };
     let feed_mm_s = chosen(feed, distance, ACCELERATION_MM_S2);
     let turn_deg_s = chosen(turn, angle, ACCELERATION_DEG_S2);

@@ -3,6 +3,7 @@
 #[cfg(unix)]
 pub mod bar;
 pub mod controller;
+pub mod ekrl;
 #[cfg(unix)]
 pub mod link;
 pub mod truth;

@@ -66,13 +66,19 @@ fn production(count: usize, cube: bool, seed: u64) -> String {
             (low + 1.0..high - 1.0).contains(&deg) && deg.abs() > 1.0
         });
         let clear = inverse::clearance(&robot.geometry, &axes).unwrap();
-        if !inside || clear.wrist.to_degrees() < 10.0 || clear.elbow.to_degrees() < 10.0 || clear.overhead < 200.0 {
+        if !inside
+            || clear.wrist.to_degrees() < 10.0
+            || clear.elbow.to_degrees() < 10.0
+            || clear.overhead < 200.0
+        {
             continue;
         }
         let ball = robot.geometry.ball(&axes);
         let ([x, y, z], [a, b, c]) = (<[f64; 3]>::from(ball.position), ball.abc_deg());
         let (s, t) = (inverse::status(&robot.geometry, &axes), inverse::turn(&axes));
-        program.push_str(&format!("PTP {{X {x:.3},Y {y:.3},Z {z:.3},A {a:.4},B {b:.4},C {c:.4},S {s},T {t}}}\n"));
+        program.push_str(&format!(
+            "PTP {{X {x:.3},Y {y:.3},Z {z:.3},A {a:.4},B {b:.4},C {c:.4},S {s},T {t}}}\n"
+        ));
         written += 1;
     }
     program + "END\n"

@@ -194,7 +194,8 @@ fn all_else_stays_byte_for_byte() {
 
 fn refusal(source: &str, given: Given) -> String {
     let point = "{X 1363.778,Y -282.219,Z 1360.625,A 152.596,B 29.472,C -174.261,S 2,T 34}";
-    let data = format!("DEFDAT P\nDECL E6POS XP1={point}\nDECL FRAME F1={{X 0,Y 0,Z 0,A 0,B 0,C 0}}\nENDDAT\n");
+    let data =
+        format!("DEFDAT P\nDECL E6POS XP1={point}\nDECL FRAME F1={{X 0,Y 0,Z 0,A 0,B 0,C 0}}\nENDDAT\n");
     let files = files(source, &data, None);
     match read(files, given) {
         Err(diagnostic) => diagnostic.to_string(),
@@ -220,13 +221,37 @@ fn what_is_not_known_before_the_run_is_refused_with_its_place() {
         ("$TOOL=F1\n$BASE=F1\nLIN XP1:F1\n", "P.src:4:1:", "computed"),
         ("$TOOL=F1\n$BASE=F1\nLIN {X 10,Y 5,Z 1}\n", "P.src:4:5:", "A is missing"),
         ("$TOOL=F1\n$BASE=F1\nLIN {X 10,Y 5\n", "P.src:4:14:", "expected"),
-        ("$TOOL=F1\n$BASE=F1\nIF $IN[1] THEN\n$BASE={X 1,Y 0,Z 0,A 0,B 0,C 0}\nENDIF\nPTP XP1\n", "P.src:7:1:", "choice"),
-        ("$TOOL=F1\n$BASE=F1\nLOOP\nPTP XP1\n$BASE={X 1,Y 0,Z 0,A 0,B 0,C 0}\nENDLOOP\n", "P.src:5:1:", "comes round"),
-        ("$TOOL=F1\n$BASE=F1\nPTP XP1\n$BASE={X 1,Y 0,Z 0,A 0,B 0,C 0}\nPTP XP1\n", "P.src:6:5:", "another tool or base"),
-        ("$TOOL=F1\n$BASE=F1\nSUB()\nPTP XP1\nEND\nDEF SUB()\n$TOOL=$NULLFRAME\n", "P.src:5:1:", "SUB sets it"),
+        (
+            "$TOOL=F1\n$BASE=F1\nIF $IN[1] THEN\n$BASE={X 1,Y 0,Z 0,A 0,B 0,C 0}\nENDIF\nPTP XP1\n",
+            "P.src:7:1:",
+            "choice",
+        ),
+        (
+            "$TOOL=F1\n$BASE=F1\nLOOP\nPTP XP1\n$BASE={X 1,Y 0,Z 0,A 0,B 0,C 0}\nENDLOOP\n",
+            "P.src:5:1:",
+            "comes round",
+        ),
+        (
+            "$TOOL=F1\n$BASE=F1\nPTP XP1\n$BASE={X 1,Y 0,Z 0,A 0,B 0,C 0}\nPTP XP1\n",
+            "P.src:6:5:",
+            "another tool or base",
+        ),
+        (
+            "$TOOL=F1\n$BASE=F1\nSUB()\nPTP XP1\nEND\nDEF SUB()\n$TOOL=$NULLFRAME\n",
+            "P.src:5:1:",
+            "SUB sets it",
+        ),
         // The nominal robot does not reach it; the turn would change.
-        ("$TOOL=F1\n$BASE=F1\nLIN {X 9000,Y 0,Z 0,A 0,B 0,C 0}\n", "the program is refused", "P.src:4:5: inline: the nominal"),
-        ("$TOOL=F1\n$BASE=F1\nPTP {X 1170,Y 0,Z 1640,A 0,B 180,C 0,S 2,T 2}\n", "the program is refused", "in place of S 2, T 2"),
+        (
+            "$TOOL=F1\n$BASE=F1\nLIN {X 9000,Y 0,Z 0,A 0,B 0,C 0}\n",
+            "the program is refused",
+            "P.src:4:5: inline: the nominal",
+        ),
+        (
+            "$TOOL=F1\n$BASE=F1\nPTP {X 1170,Y 0,Z 1640,A 0,B 180,C 0,S 2,T 2}\n",
+            "the program is refused",
+            "in place of S 2, T 2",
+        ),
     ] {
         let message = refusal(&format!("DEF P()\n{body}END\n"), Given::default());
         assert!(message.starts_with(place) && message.contains(words), "{body}: {message}");
@@ -238,9 +263,11 @@ fn what_is_not_known_before_the_run_is_refused_with_its_place() {
 #[test]
 fn a_file_that_only_dbbd_wrote_is_compensated_too() {
     let files_of = crate::circle_plan::plan(1, 6);
-    let options = dbbd::krl::Options { sync: dbbd::krl::Sync::Marker, controller: dbbd::krl::Controller::Krc4 };
+    let options =
+        dbbd::krl::Options { sync: dbbd::krl::Sync::Marker, controller: dbbd::krl::Controller::Krc4 };
     let modules = dbbd::krl::emit(&files_of, options).unwrap();
-    let find = |name: &str| modules.iter().find(|(file, _)| Path::new(file) == Path::new(name)).unwrap().1.clone();
+    let find =
+        |name: &str| modules.iter().find(|(file, _)| Path::new(file) == Path::new(name)).unwrap().1.clone();
     let (source, data) = (find("DBB_C001.src"), find("DBB_C001.dat"));
     let given = files(&source, &data, None);
     let program = read(given, Given::default()).unwrap();

@@ -27,10 +27,7 @@ fn job(seed: u64) -> String {
             0 => "plane = \"XY\"".into(),
             1 => "plane = \"XZ\"".into(),
             2 => "plane = \"YZ\"".into(),
-            _ => format!(
-                "normal = {:.3?}",
-                [between(-1.0, 1.0), between(-1.0, 1.0), between(-1.0, 1.0)]
-            ),
+            _ => format!("normal = {:.3?}", [between(-1.0, 1.0), between(-1.0, 1.0), between(-1.0, 1.0)]),
         };
         let orientation = ["fixed", "seed", "random", "turning"][between(0.0, 4.0) as usize];
         let amplitude = match orientation {

@@ -220,3 +220,78 @@ fn a_bar_that_stays_mounted_needs_no_halt() {
     plan.rows[start].axes_deg = plan.rows[start - 1].axes_deg;
     assert_eq!(halts(&plan), [0, 1, 0]);
 }
+
+/// Every dwell is told twice, by the plan's row, and the program waits for the answers.
+#[test]
+fn dwells_are_told_over_ethernet_krl() {
+    use std::io::{Read, Write};
+    let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap();
+    let server = std::thread::spawn(move || {
+        let (mut stream, _) = listener.accept().unwrap();
+        let (mut text, mut told) = (String::new(), Vec::new());
+        let mut bytes = [0; 300];
+        while let Ok(count @ 1..) = stream.read(&mut bytes) {
+            text.push_str(std::str::from_utf8(&bytes[..count]).unwrap());
+            while let Some(end) = text.find("</Dbb>") {
+                let telegram: String = text.drain(..end + 6).collect();
+                let of = |name: &str| {
+                    let from = telegram.split_once(&format!("{name}=\"")).unwrap().1;
+                    from.split('"').next().unwrap().to_owned()
+                };
+                told.push((of("Id").parse::<u32>().unwrap(), of("Ph"), of("A2").parse::<f64>().unwrap()));
+                assert!(
+                    telegram.starts_with("<Dbb><Pt Run=\"291\" Id=\"")
+                        && telegram.contains("\"></Pt><Ax A1=\"")
+                );
+                stream.write_all(format!("<Ack Id=\"{}\"/>\n", of("Id")).as_bytes()).unwrap();
+            }
+        }
+        told
+    });
+    let plan = plan(2, 3);
+    let std::net::SocketAddr::V4(to) = address else { panic!("no IPv4") };
+    let files = modules(&plan, Sync::Ekrl { server: to }, Controller::Krc4);
+    let (_, channel) = files.iter().find(|(name, _)| name == "DbbEki.xml").unwrap();
+    assert!(
+        channel.contains(&format!("<PORT>{}</PORT>", to.port())) && channel.contains("Tag=\"Dbb/Ax/@A6\"")
+    );
+    let mut client = dbbd::sim::ekrl::Client::connect(address).unwrap();
+    let mut controller =
+        dbbd::sim::Controller::new(program(&files), &crate::circle_plan::robot(), 100.0).unwrap();
+    let mut unlinked = controller.clone();
+    controller.link_ekrl();
+    loop {
+        let moment = controller.step(0.1).unwrap();
+        while let Some(telegram) = controller.telegram() {
+            let id = client.exchange(&telegram).unwrap();
+            controller.answer(id);
+        }
+        if moment.halted {
+            controller.go_on();
+        }
+        if moment.done {
+            break;
+        }
+    }
+    drop(client);
+    let expected: Vec<_> = plan.rows.iter().filter(|row| row.kind != Kind::Transit).collect();
+    let told = server.join().unwrap();
+    assert_eq!(told.len(), 2 * expected.len());
+    for (told, row) in told.chunks(2).zip(expected) {
+        assert_eq!(
+            (told[0].0, told[0].1.as_str(), told[1].0, told[1].1.as_str()),
+            (row.index, "1", row.index, "2")
+        );
+        assert!((told[0].2 - row.axes_deg[1]).abs() < 1e-5);
+    }
+    let error = loop {
+        match unlinked.step(0.1) {
+            Ok(_) => unlinked.go_on(),
+            Err(error) => break error.to_string(),
+        }
+    };
+    assert!(error.contains("simulate --ekrl"), "{error}");
+    let options = Options { sync: Sync::Ekrl { server: to }, controller: Controller::Krc2 };
+    assert!(matches!(emit(&plan, options), Err(EmitError::Setup(_))));
+}

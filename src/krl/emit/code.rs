@@ -1,7 +1,7 @@
 //! The code of a circle's module.
 
 use super::super::number::{degrees, metre_per_second, percent, seconds};
-use super::{Circle, EmitError, HEAD, INI, Lines, Sync, Timed, Writer};
+use super::{Circle, Controller, EmitError, HEAD, INI, Lines, Sync, Timed, Writer};
 use crate::plan::timing::{ACCELERATION_DEG_S2, ACCELERATION_MM_S2, PTP_ACCELERATION_PERCENT};
 use crate::plan::{Kind, Motion};
 
@@ -22,6 +22,9 @@ impl Writer<'_> {
         if output {
             source.all(&["DBBSTB=FALSE", "DBBIDX=0"]);
         }
+        if self.options.controller != Controller::Krc2 {
+            source.add("DBBABS=$ABS_ACCUR");
+        }
         source.add(format!("BAS (#VEL_PTP,{} )", percent(circle.start_percent)));
         source.add(format!("BAS (#ACC_PTP,{} )", percent(PTP_ACCELERATION_PERCENT)));
         source.all(&["$TOOL=FTOOL", "$BASE=FBASE"]);
@@ -41,6 +44,10 @@ impl Writer<'_> {
         }
         if output {
             source.add("DBB_SYNC (3)");
+        }
+        let ekrl = matches!(self.options.sync, Sync::Ekrl { .. });
+        if ekrl {
+            Self::ekrl_open(source);
         }
         let end_mark = last_knock(circle);
         let mut dwell = 0;
@@ -82,6 +89,9 @@ impl Writer<'_> {
                 source.add("DBB_SYNC (2)");
             }
         }
+        if ekrl {
+            Self::ekrl_close(source);
+        }
         source.add("END");
         self.subroutines(source);
         Ok(())
@@ -105,9 +115,13 @@ impl Writer<'_> {
             "WAIT SEC 0",
             "WAIT SEC TSET",
         ]);
-        if self.options.sync == Sync::Marker {
-            source.all(&["XQ[N]=$AXIS_ACT_MEAS", "WAIT SEC TDW", "WAIT SEC 0.1", "END"]);
-            return;
+        match self.options.sync {
+            Sync::Marker => {
+                source.all(&["XQ[N]=$AXIS_ACT_MEAS", "WAIT SEC TDW", "WAIT SEC 0.1", "END"]);
+                return;
+            }
+            Sync::Ekrl { .. } => return Self::ekrl_subroutines(source),
+            Sync::Output => {}
         }
         source.all(&[
             "DBBIDX=N",

@@ -1,7 +1,7 @@
 //! The data of a circle's module: set-up, points, speeds.
 
 use super::super::number::{degrees, metre_per_second, millimetre, seconds};
-use super::{Circle, EmitError, HEAD, Lines, Sync, Writer};
+use super::{Circle, Controller, EmitError, HEAD, Lines, Sync, Writer};
 use crate::model::AXES;
 use crate::plan::{Kind, Motion, MoveTime, PlanRow};
 
@@ -60,6 +60,13 @@ impl Writer<'_> {
             }
             data.add(format!("SIGNAL DBBSTB $OUT[{}]", outputs.strobe));
             data.add(format!("SIGNAL DBBIDX $OUT[{first}] TO $OUT[{last}]"));
+        }
+        if matches!(self.options.sync, Sync::Ekrl { .. }) {
+            self.ekrl_data(data);
+        }
+        if self.options.controller != Controller::Krc2 {
+            data.add("; whether the controller corrected by an accuracy model of its own, filled in by the program");
+            data.add("DECL BOOL DBBABS=FALSE");
         }
         data.add(format!("DECL E6AXIS XSTART={}", axis_text(&circle.start_deg)));
         data.add("; points, speeds along the path (m/s) and of the orientation (deg/s)");

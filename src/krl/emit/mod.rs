@@ -7,8 +7,10 @@
 
 mod code;
 mod data;
+mod ekrl;
 
 use std::fmt;
+use std::net::SocketAddrV4;
 
 use super::number::character_text;
 use crate::diag::Diagnostic;
@@ -27,6 +29,11 @@ pub enum Sync {
     Marker,
     /// By a strobe and an index on digital outputs as well.
     Output,
+    /// By telegrams over EthernetKRL (KR C4 and later, an option package): dbbd is the server.
+    Ekrl {
+        /// Where dbbd listens, as the controller's line network sees it.
+        server: SocketAddrV4,
+    },
 }
 
 /// The controller's generation.
@@ -99,6 +106,12 @@ pub fn emit(plan: &Plan, options: Options) -> Result<Vec<(String, String)>, Emit
     let writer = Writer { plan, robot: &robot, options };
     let circles = writer.circles()?;
     let mut files = writer.master(&circles);
+    if let Sync::Ekrl { server } = options.sync {
+        if options.controller == Controller::Krc2 {
+            return Err(EmitError::Setup("EthernetKRL needs a KR C4 or later: use another sync".into()));
+        }
+        files.push(ekrl::channel(server));
+    }
     for (at, circle) in circles.iter().enumerate() {
         files.extend(writer.module(at + 1, circle)?);
     }

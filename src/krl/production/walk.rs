@@ -232,8 +232,7 @@ impl<'a> Walk<'a> {
             let [a, b, c, d, e, f] = names.map(|name| number(fields, name).map_err(wrong));
             Ok([a?, b?, c?, d?, e?, f?])
         };
-        let has_axes =
-            |field: &Field| matches!(field.name.as_str(), "A1" | "A2" | "A3" | "A4" | "A5" | "A6");
+        let has_axes = |field: &Field| matches!(field.name.as_str(), "A1" | "A2" | "A3" | "A4" | "A5" | "A6");
         let position = if fields.iter().any(has_axes) {
             Position::Axes(six(["A1", "A2", "A3", "A4", "A5", "A6"])?)
         } else {
@@ -262,7 +261,9 @@ impl<'a> Walk<'a> {
                 let off = (pose.position - given.position).norm() + (pose.rotation - given.rotation).norm();
                 if off > SAME {
                     let message = format!("the program sets {name} itself, and not to what {option} says");
-                    return Err(file.wrong(span, message).help(format!("leave {option} away, or correct it")));
+                    return Err(file
+                        .wrong(span, message)
+                        .help(format!("leave {option} away, or correct it")));
                 }
                 Ok(*pose)
             }
@@ -287,9 +288,10 @@ impl<'a> Walk<'a> {
 }
 
 fn starts_routine(line: &Line<'_>) -> bool {
-    line.text.split_ascii_whitespace().nth(1).is_some_and(|word| {
-        word.eq_ignore_ascii_case("DEF") || word.eq_ignore_ascii_case("DEFFCT")
-    })
+    line.text
+        .split_ascii_whitespace()
+        .nth(1)
+        .is_some_and(|word| word.eq_ignore_ascii_case("DEF") || word.eq_ignore_ascii_case("DEFFCT"))
 }
 
 fn is_relative(word: &str) -> bool {

@@ -26,6 +26,7 @@ impl Controller {
                 }
                 Value::Struct(given)
             }
+            ExpressionKind::Call { name, arguments } => self.ekrl_call(name, arguments, &expression.span)?,
             ExpressionKind::Unary(operator, operand) => {
                 let value = self.evaluate(operand)?;
                 match (operator, &value) {

@@ -5,6 +5,7 @@
 //! takes effect when it is reached.
 
 mod drive;
+mod ekrl;
 mod evaluate;
 mod execute;
 mod motion;
@@ -94,6 +95,7 @@ pub struct Controller {
     data: Vec<Names>,
     signals: Vec<BTreeMap<String, Signal>>,
     pulses: Vec<Pulse>,
+    ekrl: ekrl::Channel,
     /// Module and bytes of the statement that was begun last.
     at: (usize, Span),
 }

@@ -39,6 +39,7 @@ impl Controller {
             data: program.modules.iter().map(|_| Names::new()).collect(),
             signals: program.modules.iter().map(|_| BTreeMap::new()).collect(),
             pulses: Vec::new(),
+            ekrl: super::ekrl::Channel::default(),
             at: (0, 0..0),
             program,
         };

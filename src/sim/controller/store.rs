@@ -7,6 +7,8 @@ use crate::model::AXES;
 
 /// Digital inputs and outputs.
 const SIGNALS: usize = 4096;
+/// `$FLAG[n]`.
+const FLAGS: usize = 1024;
 
 /// A variable; an array's type is that of its elements.
 #[derive(Clone, Debug)]
@@ -71,6 +73,8 @@ pub(super) fn system() -> Names {
         ("$ADVANCE", Variable::set(Type::Int, Value::Int(3))),
         ("$OV_PRO", Variable::set(Type::Int, Value::Int(100))),
         ("$STOPMESS", Variable::set(Type::Bool, Value::Bool(false))),
+        ("$ABS_ACCUR", Variable::set(Type::Bool, Value::Bool(false))),
+        ("$FLAG", Variable::set(Type::Bool, Value::Array(vec![Value::Bool(false); FLAGS]))),
         ("$OUT", Variable::set(Type::Bool, low())),
         ("$IN", Variable::set(Type::Bool, low())),
     ]
@@ -81,7 +85,7 @@ pub(super) fn system() -> Names {
 
 /// System variables that a program may not set.
 pub(super) const READ_ONLY: &[&str] =
-    &["$IN", "$STOPMESS", "$AXIS_ACT", "$AXIS_ACT_MEAS", "$POS_ACT", "$POS_ACT_MES"];
+    &["$IN", "$ABS_ACCUR", "$STOPMESS", "$AXIS_ACT", "$AXIS_ACT_MEAS", "$POS_ACT", "$POS_ACT_MES"];
 
 /// The part of a variable that `steps` lead to.
 pub(super) fn part<'v>(variable: &'v mut Variable, steps: &[Step]) -> Result<(&'v mut Value, Type), String> {

@@ -44,6 +44,7 @@ const E6AXIS: &[(&str, Type)] = &[
     ("E1", R), ("E2", R), ("E3", R), ("E4", R), ("E5", R), ("E6", R),
 ];
 const LOAD: &[(&str, Type)] = &[("M", R), ("CM", Type::Struct(FRAME)), ("J", Type::Struct(VECTOR))];
+const EKI_STATUS: &[(&str, Type)] = &[("BUFF", I), ("READ", I), ("MSG_NO", I), ("CONNECTED", Type::Bool)];
 /// `$VEL`, `$ACC`
 pub(super) const PATH: Type = Type::Struct(&[("CP", R), ("ORI1", R), ("ORI2", R)]);
 /// `$APO`
@@ -67,6 +68,7 @@ impl Type {
             "AXIS" => Type::Struct(AXIS),
             "E6AXIS" => Type::Struct(E6AXIS),
             "LOAD" => LOAD_TYPE,
+            "EKI_STATUS" => Type::Struct(EKI_STATUS),
             _ => return None,
         })
     }
