@@ -106,6 +106,11 @@ impl Workspace {
             .collect()
     }
 
+    /// What each parameter moves: three rows a pose, rigid motions taken out.
+    pub fn jacobian(&self) -> &DMatrix<f64> {
+        &self.jacobian
+    }
+
     /// The parameters of the columns.
     pub fn ids(&self) -> &[ParamId] {
         &self.ids

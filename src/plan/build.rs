@@ -1,11 +1,14 @@
 //! From a job to a plan, or to what stands against it.
 
+use super::advice::advice;
+use super::cell::Cell;
 use super::check::{Check, Facts, Finding, Inspector, judge, note_speed, summary};
 use super::solve::{Branch, Rig, runs};
 use super::steps::{Step, steps};
 use super::timing::{Pace, move_times};
-use super::{Header, Job, Kind, Plan, PlanRow};
-use crate::model::Robot;
+use super::{Header, Job, Kind, Plan, PlanRow, optimise, prediction};
+use crate::identifiability::Belief;
+use crate::model::{Reading, Robot};
 
 /// How many findings are told.
 const TOLD: usize = 10;
@@ -15,18 +18,62 @@ const TRIED: usize = 4;
 /// A plan that would not be safe, or not be possible.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Refused {
-    /// What stands against it, in the order of the rows; not empty.
+    /// What stands against it, in the order of the rows.
     pub findings: Vec<Finding>,
+    /// What would help, or why no poses could be chosen.
+    pub advice: Vec<String>,
+}
+
+/// What is known of robot and set-up when a plan is made.
+#[derive(Clone, Debug)]
+pub struct Knowledge {
+    /// The model and its covariance.
+    pub belief: Belief,
+    /// Whether lengths to these base balls stand behind it. If not, the bar is set to zero at each start.
+    pub measured: bool,
+}
+
+impl Knowledge {
+    /// Before anything is measured: the robot's tolerance, the bar's certificate.
+    pub fn datasheet(job: &Job, robot: &Robot) -> Self {
+        Self { belief: prediction::datasheet(job, robot), measured: false }
+    }
+
+    /// After lengths: the likeliest robot (with the given one as its nominal) and base balls, and what
+    /// is known of them. `None` when a number is not finite.
+    pub fn learned(job: &Job, robot: &Robot, lengths: &[Reading]) -> Option<Self> {
+        let nominal = robot.controller();
+        let belief =
+            prediction::datasheet(job, nominal).learn(lengths, prediction::length_sigma_mm(job, nominal))?;
+        Some(Self { belief, measured: true })
+    }
+
+    /// The job and the robot as they are now known: base balls and geometry moved to the likeliest.
+    pub fn applied(&self, job: &Job, robot: &Robot) -> (Job, Robot) {
+        let (mut job, nominal) = (job.clone(), robot.controller());
+        for (table, centre) in job.centres.iter_mut().zip(&self.belief.model.centres) {
+            table.xyz_mm = (*centre).into();
+        }
+        let robot = Robot {
+            geometry: self.belief.model.geometry.clone(),
+            nominal: Some(Box::new(nominal.clone())),
+            ..nominal.clone()
+        };
+        (job, robot)
+    }
 }
 
 impl std::fmt::Display for Refused {
     fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(out, "the plan is refused: {} finding(s)", self.findings.len())?;
+        write!(out, "the plan is refused: {} finding(s)", self.findings.len().max(1))?;
         for finding in self.findings.iter().take(TOLD) {
             write!(out, "\n  {finding}")?;
         }
         if self.findings.len() > TOLD {
             write!(out, "\n  and {} more", self.findings.len() - TOLD)?;
+        }
+        for advice in &self.advice {
+            write!(out, "\n  {advice}")?;
         }
         Ok(())
     }
@@ -49,13 +96,28 @@ impl Plan {
     /// # Errors
     /// Everything that stands against the plan, with row, value and limit.
     pub fn build(job: &Job, robot: &Robot) -> Result<Self, Refused> {
-        let steps = steps(job);
+        Self::build_knowing(job, robot, &Knowledge::datasheet(job, robot))
+    }
+
+    /// As [`Plan::build`], with what is known of the robot.
+    ///
+    /// # Errors
+    /// As [`Plan::build`].
+    pub fn build_knowing(job: &Job, robot: &Robot, known: &Knowledge) -> Result<Self, Refused> {
+        let mut steps = steps(job);
         let rig = Rig::new(robot);
+        let mut notes = Vec::new();
+        if job.optimise.is_some() {
+            let (chosen, told) = optimise::steps(job, &rig, known)
+                .map_err(|advice| Refused { findings: vec![], advice: vec![advice] })?;
+            steps.extend(chosen);
+            notes = told;
+        }
         let (mut rows, mut paces, mut facts) = (Vec::new(), Vec::new(), Vec::new());
         let mut findings = Vec::new();
         for (first, past) in runs(&steps) {
             let run = steps.get(first..past).unwrap_or_default();
-            let mut best = inspect_best(job, robot, &rig, run, first as u32 + 1, rows.last());
+            let mut best = inspect_best(job, robot, &rig, known, run, first as u32 + 1, rows.last());
             rows.append(&mut best.rows);
             paces.append(&mut best.paces);
             facts.append(&mut best.facts);
@@ -64,7 +126,8 @@ impl Plan {
         if !findings.is_empty() {
             findings
                 .extend(judge(job, &rows, &facts).into_iter().filter(|c| !c.holds()).map(Finding::Beyond));
-            return Err(Refused { findings });
+            let advice = advice(job, &rig, &rows, &findings);
+            return Err(Refused { findings, advice });
         }
         let moves = move_times(&rows, &paces, &job.motion, robot, u64::from(job.seed));
         for facts in &mut facts {
@@ -77,7 +140,8 @@ impl Plan {
         let beyond: Vec<Finding> =
             all.iter().filter(|check| !check.holds()).cloned().map(Finding::Beyond).collect();
         if !beyond.is_empty() {
-            return Err(Refused { findings: beyond });
+            let advice = advice(job, &rig, &rows, &beyond);
+            return Err(Refused { findings: beyond, advice });
         }
         let checks: Vec<Check> = summary(&all);
         let header = Header {
@@ -87,6 +151,8 @@ impl Plan {
             robot: robot.to_toml(),
             moves,
             checks,
+            notes,
+            predictions: None,
         };
         let mut plan = Self { rows, header };
         plan.header.hash = plan.hash();
@@ -110,6 +176,7 @@ fn inspect_best(
     job: &Job,
     robot: &Robot,
     rig: &Rig<'_>,
+    known: &Knowledge,
     run: &[Step],
     first_index: u32,
     before: Option<&PlanRow>,
@@ -138,7 +205,7 @@ fn inspect_best(
     branches.sort_by(|a, b| b.margin_deg.total_cmp(&a.margin_deg));
     let mut best: Option<Inspected> = None;
     for branch in branches.into_iter().take(TRIED) {
-        let inspected = inspect(job, robot, rig, branch.rows, before);
+        let inspected = inspect(job, robot, rig, known, branch.rows, before);
         let clean = inspected.findings.is_empty() && judge_run(job, &inspected);
         if clean {
             return inspected;
@@ -164,13 +231,16 @@ fn inspect(
     job: &Job,
     robot: &Robot,
     rig: &Rig<'_>,
+    known: &Knowledge,
     rows: Vec<PlanRow>,
     before: Option<&PlanRow>,
 ) -> Inspected {
     let Some(start) = rows.first() else {
         return Inspected { rows, paces: Vec::new(), facts: Vec::new(), findings: Vec::new() };
     };
-    let mut inspector = Inspector::new(job, rig, robot, start);
+    let axes = start.axes_deg.map(f64::to_radians);
+    let cell = Cell::new(job, rig, &known.belief, known.measured, (start.centre, &axes));
+    let mut inspector = Inspector::new(&cell, robot, start);
     let mut paces = Vec::with_capacity(rows.len());
     let mut from = before;
     let mut aux = None;
@@ -183,6 +253,7 @@ fn inspect(
         paces.push(inspector.follow(from, aux.take(), row));
         from = Some(row);
     }
+    inspector.finish();
     let (facts, findings) = (inspector.facts, inspector.findings);
     Inspected { rows, paces, facts, findings }
 }

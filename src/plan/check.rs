@@ -1,15 +1,15 @@
 //! Is it safe? Each motion is followed finely, and what comes nearest to a limit is kept.
 
-use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
+use super::cell::{Cell, Near};
 use super::job::Job;
 use super::path::Path;
-use super::solve::{Rig, axis_margin_deg};
-use super::timing::Pace;
+use super::risk::over_run;
+use super::timing::{ACCELERATION_DEG_S2, ACCELERATION_MM_S2, PTP_ACCELERATION_PERCENT, Pace};
 use super::{Motion, MoveTime, PlanRow};
-use crate::model::inverse::{Unsolved, clearance, nearest, status};
-use crate::model::{AXES, ParamId, Pose, Robot};
+use crate::model::inverse::{Unsolved, nearest, status};
+use crate::model::{AXES, Pose, Robot};
 
 /// Finest step along a path: 1 mm and 1 degree, be it of the tool or (PTP) of an axis.
 const STEP_MM: f64 = 1.0;
@@ -37,14 +37,22 @@ pub enum Quantity {
     ReadingLowMm,
     /// Greatest reading of the bar, mm.
     ReadingHighMm,
-    /// Greatest probability of a reading outside the stroke less its margin.
+    /// Greatest probability, of any one pose, of a reading outside the stroke less its margin.
     StrokeRisk,
+    /// Probability of such a reading anywhere on a run in which the bar stays on.
+    RunRisk,
     /// Greatest angle between bar and cup, degrees.
     CupDeg,
+    /// Greatest angle between bar and the tool's cup, degrees.
+    ToolCupDeg,
+    /// Greatest axis acceleration, percent of the axis's greatest.
+    AxisAccelerationPercent,
+    /// Least distance of bar, tool or arm from an obstacle, mm.
+    ClearanceMm,
 }
 
 impl Quantity {
-    const ALL: [Self; 10] = [
+    const ALL: [Self; 14] = [
         Self::AxisMarginDeg,
         Self::WristDeg,
         Self::ElbowDeg,
@@ -54,14 +62,23 @@ impl Quantity {
         Self::ReadingLowMm,
         Self::ReadingHighMm,
         Self::StrokeRisk,
+        Self::RunRisk,
         Self::CupDeg,
+        Self::ToolCupDeg,
+        Self::AxisAccelerationPercent,
+        Self::ClearanceMm,
     ];
 
     /// Whether small values are the unsafe ones.
     pub fn at_least(self) -> bool {
         matches!(
             self,
-            Self::AxisMarginDeg | Self::WristDeg | Self::ElbowDeg | Self::OverheadMm | Self::ReadingLowMm
+            Self::AxisMarginDeg
+                | Self::WristDeg
+                | Self::ElbowDeg
+                | Self::OverheadMm
+                | Self::ReadingLowMm
+                | Self::ClearanceMm
         )
     }
 
@@ -84,8 +101,12 @@ impl Quantity {
             Self::AxisSpeedPercent => ("axis speed", "%"),
             Self::ReadingLowMm => ("lowest reading of the bar", "mm"),
             Self::ReadingHighMm => ("highest reading of the bar", "mm"),
-            Self::StrokeRisk => ("risk of leaving the stroke", ""),
+            Self::StrokeRisk => ("risk of leaving the stroke at one pose", ""),
+            Self::RunRisk => ("risk of leaving the stroke on the run", ""),
             Self::CupDeg => ("angle between bar and cup", "deg"),
+            Self::ToolCupDeg => ("angle between bar and the tool's cup", "deg"),
+            Self::AxisAccelerationPercent => ("axis acceleration", "%"),
+            Self::ClearanceMm => ("distance from an obstacle", "mm"),
         }
     }
 }
@@ -191,39 +212,33 @@ impl Facts {
 
 /// Follows the motions of a run of rows in which the bar stays on.
 pub(crate) struct Inspector<'a> {
-    job: &'a Job,
-    rig: &'a Rig<'a>,
+    cell: &'a Cell<'a>,
     robot: &'a Robot,
-    start: [f64; AXES],
     began: u8,
-    prior: Vec<(usize, f64)>,
     strayed: bool,
+    nears: Vec<Near>,
     pub(crate) facts: Vec<Facts>,
     pub(crate) findings: Vec<Finding>,
 }
 
 impl<'a> Inspector<'a> {
-    pub(crate) fn new(job: &'a Job, rig: &'a Rig<'a>, robot: &'a Robot, start: &PlanRow) -> Self {
-        let tolerance = robot.tolerance;
-        let betas = robot.controller().parallel_joints().into_iter().map(ParamId::Beta);
-        let prior = ParamId::denavit_hartenberg()
-            .chain(betas)
-            .map(|id| {
-                let sd =
-                    if id.unit() == "mm" { tolerance.length_mm } else { tolerance.angle_deg.to_radians() };
-                (crate::model::LengthRow::position(id), sd)
-            })
-            .collect();
+    pub(crate) fn new(cell: &'a Cell<'a>, robot: &'a Robot, start: &PlanRow) -> Self {
         Self {
-            job,
-            rig,
+            cell,
             robot,
-            start: start.axes_deg.map(f64::to_radians),
             began: start.status,
-            prior,
             strayed: false,
+            nears: Vec::new(),
             facts: Vec::new(),
             findings: Vec::new(),
+        }
+    }
+
+    /// Ends the run: its risk as a whole stands at its last row.
+    pub(crate) fn finish(&mut self) {
+        let risk = over_run(&self.nears);
+        if let Some(last) = self.facts.last_mut() {
+            last.note(Quantity::RunRisk, risk);
         }
     }
 
@@ -236,9 +251,10 @@ impl<'a> Inspector<'a> {
         row: &PlanRow,
     ) -> Option<Pace> {
         let mut facts = Facts { row: row.index, worst: [None; Quantity::ALL.len()] };
+        let mut nearest_end: Option<Near> = None;
         let there = row.axes_deg.map(f64::to_radians);
         let Some(from) = from else {
-            self.look(&mut facts, &there, row.centre, true);
+            self.nears.extend(self.look(&mut facts, &there, row.centre, true));
             self.facts.push(facts);
             return None;
         };
@@ -248,6 +264,10 @@ impl<'a> Inspector<'a> {
         let turn = if row.motion == Motion::Ptp { widest } else { path.turn_deg() };
         let parts = (path.length_mm() / STEP_MM).max(turn / STEP_DEG).ceil().clamp(1.0, 1e5) as u32;
         let mut axis_s: f64 = 0.0;
+        let (mut slope_s2, mut bend_s2): (f64, f64) = (0.0, 0.0);
+        let mut before: Option<[f64; AXES]> = None;
+        // What the robot's file does not say is no limit.
+        let greatest = self.robot.max_acceleration_deg_s2.map(|limit| limit.unwrap_or(f64::INFINITY));
         for part in 1..=parts {
             let share = f64::from(part) / f64::from(parts);
             let axes = match path.pose(share) {
@@ -256,7 +276,7 @@ impl<'a> Inspector<'a> {
                     let begin = from.axes_deg[i].to_radians();
                     begin + (there[i] - begin) * share
                 }),
-                Some(pose) => match nearest(&self.rig.controller.geometry, &pose, &last) {
+                Some(pose) => match nearest(&self.cell.rig.controller.geometry, &pose, &last) {
                     Ok(axes) => axes,
                     Err(reason) => {
                         let xyz_mm = pose.position.into();
@@ -269,9 +289,19 @@ impl<'a> Inspector<'a> {
                 let travel = (axes[i] - last[i]).abs().to_degrees();
                 facts.note(Quantity::AxisJumpDeg, travel);
                 axis_s = axis_s.max(travel * f64::from(parts) / self.robot.max_speed_deg_s[i]);
+                slope_s2 = slope_s2.max(travel * f64::from(parts) / greatest[i]);
+                if let Some(before) = before {
+                    let bend = (axes[i] - 2.0 * last[i] + before[i]).abs().to_degrees();
+                    bend_s2 = bend_s2.max(bend * f64::from(parts) * f64::from(parts) / greatest[i]);
+                }
             }
-            self.look(&mut facts, &axes, row.centre, row.motion != Motion::Ptp);
-            let became = status(&self.rig.controller.geometry, &axes);
+            before = Some(last);
+            let near = self.look(&mut facts, &axes, row.centre, row.motion != Motion::Ptp);
+            if near.as_ref().is_some_and(|near| nearest_end.as_ref().is_none_or(|kept| near.risk > kept.risk))
+            {
+                nearest_end = near;
+            }
+            let became = status(&self.cell.rig.controller.geometry, &axes);
             if became != self.began && row.motion != Motion::Ptp && !self.strayed {
                 // What follows from it is not told again.
                 self.strayed = true;
@@ -286,51 +316,12 @@ impl<'a> Inspector<'a> {
             facts.note(Quantity::AxisJumpDeg, astray.max(JUMP_DEG * 2.0));
         }
         self.facts.push(facts);
-        Some(Pace { path, axis_s })
+        self.nears.extend(nearest_end);
+        Some(Pace { path, axis_s, slope_s2, bend_s2 })
     }
 
-    /// What one position of the arm comes near to.
-    fn look(&self, facts: &mut Facts, axes: &[f64; AXES], centre: u32, bar_on: bool) {
-        facts.note(Quantity::AxisMarginDeg, axis_margin_deg(self.rig.controller, axes));
-        if !bar_on {
-            return;
-        }
-        if let Some(clear) = clearance(&self.rig.controller.geometry, axes) {
-            facts.note(Quantity::WristDeg, clear.wrist.to_degrees());
-            facts.note(Quantity::ElbowDeg, clear.elbow.to_degrees());
-            facts.note(Quantity::OverheadMm, clear.overhead);
-        }
-        let Some(table) = self.job.centres.get(centre.saturating_sub(1) as usize) else {
-            return;
-        };
-        let bar = &self.job.bar;
-        let base = Vector3::from(table.xyz_mm);
-        let ball = self.rig.arm.ball(axes).position;
-        let along = ball - base;
-        let reading = along.norm() - bar.length_mm;
-        facts.note(Quantity::ReadingLowMm, reading);
-        facts.note(Quantity::ReadingHighMm, reading);
-        if let (Some(cup), Some(_)) = (table.cup_axis, table.cup_limit_deg) {
-            facts.note(Quantity::CupDeg, along.angle(&Vector3::from(cup)).to_degrees());
-        }
-        let [low, high] = within_margin(bar);
-        let sd = self.reading_sd(axes, &base, &along);
-        let risk = normal_tail((high - reading) / sd) + normal_tail((reading - low) / sd);
-        facts.note(Quantity::StrokeRisk, risk.min(1.0));
-    }
-
-    /// Standard deviation of the reading for a robot within its tolerance, mm. The bar was mounted and
-    /// set to zero at the start pose, so that only the change of the ball's error since then counts.
-    fn reading_sd(&self, axes: &[f64; AXES], base: &Vector3<f64>, along: &Vector3<f64>) -> f64 {
-        let here = self.rig.arm.length_row(axes, base, 0.0);
-        let at_start = self.rig.arm.ball(&self.start).position;
-        let then = self.rig.arm.length_row(&self.start, &(at_start - along), 0.0);
-        let parts = self.prior.iter().map(|&(column, sd)| {
-            let change = here.columns()[column] - then.columns()[column];
-            (change * sd).powi(2)
-        });
-        // Never quite zero: at the start itself the bar's own noise is left.
-        parts.sum::<f64>().sqrt().max(self.job.bar.sigma_um * 1e-3)
+    fn look(&self, facts: &mut Facts, axes: &[f64; AXES], centre: u32, bar_on: bool) -> Option<Near> {
+        self.cell.look(axes, centre, bar_on, &mut |quantity, value| facts.note(quantity, value))
     }
 }
 
@@ -351,7 +342,7 @@ fn within_margin(bar: &super::job::Bar) -> [f64; 2] {
 }
 
 /// The limit of a quantity.
-fn limit(job: &Job, centre: u32, quantity: Quantity) -> f64 {
+pub(crate) fn limit(job: &Job, centre: u32, quantity: Quantity) -> f64 {
     let limits = &job.limits;
     match quantity {
         Quantity::AxisMarginDeg => 0.0,
@@ -359,10 +350,12 @@ fn limit(job: &Job, centre: u32, quantity: Quantity) -> f64 {
         Quantity::ElbowDeg => limits.min_elbow_deg,
         Quantity::OverheadMm => limits.min_overhead_mm,
         Quantity::AxisJumpDeg => JUMP_DEG,
-        Quantity::AxisSpeedPercent => 100.0,
+        Quantity::AxisSpeedPercent | Quantity::AxisAccelerationPercent => 100.0,
         Quantity::ReadingLowMm => within_margin(&job.bar)[0],
         Quantity::ReadingHighMm => within_margin(&job.bar)[1],
-        Quantity::StrokeRisk => limits.max_stroke_risk,
+        Quantity::StrokeRisk | Quantity::RunRisk => limits.max_stroke_risk,
+        Quantity::ClearanceMm => limits.min_clearance_mm,
+        Quantity::ToolCupDeg => job.tool.cup_limit_deg.unwrap_or(180.0),
         Quantity::CupDeg => {
             let table = job.centres.get(centre.saturating_sub(1) as usize);
             table.and_then(|table| table.cup_limit_deg).unwrap_or(180.0)
@@ -398,38 +391,23 @@ pub(crate) fn summary(checks: &[Check]) -> Vec<Check> {
         .collect()
 }
 
-/// The greatest axis speed on the way to a row at the speeds chosen, percent of the greatest.
+/// The greatest axis speed and acceleration on the way to a row at the speeds chosen, percent of the greatest.
 pub(crate) fn note_speed(facts: &mut Facts, pace: &Pace, time: &MoveTime) {
-    let percent = match pace.path {
-        Path::Axes { .. } => time.axis_percent,
+    let (speed, acceleration) = match pace.path {
+        Path::Axes { .. } => (time.axis_percent, PTP_ACCELERATION_PERCENT),
         Path::Line { .. } | Path::Arc { .. } => {
             let share = |speed: f64, whole: f64| if whole > 0.0 { speed / whole } else { f64::INFINITY };
-            let rate = share(time.feed_mm_s, pace.path.length_mm())
-                .min(share(time.turn_deg_s, pace.path.turn_deg()));
-            if rate.is_finite() { 100.0 * rate * pace.axis_s } else { 0.0 }
+            let (length, turn) = (pace.path.length_mm(), pace.path.turn_deg());
+            let rate = share(time.feed_mm_s, length).min(share(time.turn_deg_s, turn));
+            let ramp = share(ACCELERATION_MM_S2, length).min(share(ACCELERATION_DEG_S2, turn));
+            if rate.is_finite() && ramp.is_finite() {
+                (rate * pace.axis_s, pace.slope_s2 * ramp + pace.bend_s2 * rate * rate)
+            } else {
+                (0.0, 0.0)
+            }
         }
     };
-    facts.note(Quantity::AxisSpeedPercent, percent);
-}
-
-/// Upper tail of the standard normal distribution: the Chebyshev fit of erfc by Press et al.,
-/// Numerical Recipes 6.2, relative error below 1.2e-7.
-fn normal_tail(z: f64) -> f64 {
-    const FIT: [f64; 10] = [
-        -1.265_512_23,
-        1.000_023_68,
-        0.374_091_96,
-        0.096_784_18,
-        -0.186_288_06,
-        0.278_868_07,
-        -1.135_203_98,
-        1.488_515_87,
-        -0.822_152_23,
-        0.170_872_77,
-    ];
-    let x = z.abs() / std::f64::consts::SQRT_2;
-    let t = 1.0 / (1.0 + 0.5 * x);
-    let series = FIT.iter().rev().fold(0.0, |sum, coefficient| sum * t + coefficient);
-    let tail = 0.5 * t * (series - x * x).exp();
-    if z >= 0.0 { tail } else { 1.0 - tail }
+    let percent = if matches!(pace.path, Path::Axes { .. }) { 1.0 } else { 100.0 };
+    facts.note(Quantity::AxisSpeedPercent, percent * speed);
+    facts.note(Quantity::AxisAccelerationPercent, percent * acceleration);
 }

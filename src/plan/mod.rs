@@ -1,12 +1,20 @@
 //! Circles and pose sets: what the robot is to do, checked before anything moves.
 
+mod advice;
 mod build;
+pub mod candidates;
+mod cell;
 pub mod check;
 mod circle;
+pub mod clearance;
 mod files;
 pub mod job;
+mod optimise;
 pub mod path;
 mod places;
+pub mod prediction;
+mod risk;
+mod route;
 pub mod rows;
 mod solve;
 mod steps;
@@ -14,11 +22,12 @@ pub mod timing;
 
 use serde::{Deserialize, Serialize};
 
-pub use build::Refused;
+pub use build::{Knowledge, Refused};
 pub use check::{Check, Finding, Quantity};
 pub use circle::REFERENCE_EVERY;
 pub use job::{Job, MotionTable};
 pub use places::CirclePlace;
+pub use prediction::Prediction;
 pub use rows::{Kind, Motion, PlanRow};
 
 /// A plan: the rows of `plan.csv` and the header in `plan.json`.
@@ -46,6 +55,12 @@ pub struct Header {
     pub moves: Vec<MoveTime>,
     /// Of each quantity that was checked the worst value, its limit, and where.
     pub checks: Vec<Check>,
+    /// What the planner has to say about it.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub notes: Vec<String>,
+    /// What the plan will tell.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub predictions: Option<Prediction>,
 }
 
 /// The time code: how a row's move is driven, so that every interval between dwells is its own.

@@ -46,6 +46,9 @@ impl<'a> Rig<'a> {
     /// # Errors
     /// The first pose is out of reach, or beyond all limits.
     pub(crate) fn starts(&self, first: &Step) -> Result<Vec<[f64; AXES]>, Unsolved> {
+        if let Some(axes) = first.axes {
+            return Ok(vec![axes]);
+        }
         let all = branches(self.arm, &first.pose)?;
         let within: Vec<_> =
             all.iter().flat_map(|axes| turns_within(axes, &self.controller.limits_deg)).collect();

@@ -18,13 +18,14 @@ use nalgebra::{Rotation3, Vector3};
 use super::circle::{Circle, REFERENCE_EVERY};
 use super::job::{Bar, Direction, Job};
 use super::path::between;
+use super::route::Way;
 use super::{Kind, Motion};
-use crate::model::Pose;
+use crate::model::{AXES, Pose};
 
 /// How far a knock goes, mm, where the stroke has room.
 const KNOCK_MM: f64 = 0.3;
 /// How far to step aside where two dwells follow at one place, rad.
-const DETOUR: f64 = 0.035;
+pub(crate) const DETOUR: f64 = 0.035;
 /// Knocks that mark the start and the end of a module.
 const START_KNOCKS: u32 = 3;
 const END_KNOCKS: u32 = 2;
@@ -37,11 +38,13 @@ pub(crate) struct Step {
     pub(crate) motion: Motion,
     pub(crate) pose: Pose,
     pub(crate) dwell_s: f64,
+    /// Where a run must begin in one branch and turn: its axis angles, rad.
+    pub(crate) axes: Option<[f64; AXES]>,
 }
 
 /// All steps of the job.
 pub(crate) fn steps(job: &Job) -> Vec<Step> {
-    let mut walk = Walk { steps: Vec::new(), circle: 0, centre: 0, dwell_s: job.motion.dwell_s };
+    let mut walk = Walk::new(job);
     for (number, table) in (1_u32..).zip(&job.circles) {
         let Some(circle) = Circle::new(job, table, number) else {
             continue;
@@ -57,8 +60,7 @@ pub(crate) fn steps(job: &Job) -> Vec<Step> {
 
         if walk.centre == table.centre {
             // Half of the room inwards at most, and no more than a knock.
-            let inwards = circle.radius - job.bar.length_mm - job.bar.stroke_mm[0] - job.bar.margin_mm;
-            let sagitta = (0.5 * inwards).clamp(0.02, KNOCK_MM);
+            let sagitta = (0.5 * room(&job.bar, circle.radius)).clamp(0.02, KNOCK_MM);
             walk.along_the_sphere(circle.centre(), &circle.pose(start, 0.0), sagitta);
         }
         (walk.circle, walk.centre) = (number, table.centre);
@@ -88,25 +90,72 @@ pub(crate) fn steps(job: &Job) -> Vec<Step> {
 }
 
 /// How far out a knock goes, mm: within the room that the stroke leaves, inwards where there is none.
-fn knock(bar: &Bar, radius: f64) -> f64 {
+pub(crate) fn knock(bar: &Bar, radius: f64) -> f64 {
     let reading = radius - bar.length_mm;
     let out = bar.stroke_mm[1] - bar.margin_mm - reading;
     let inwards = reading - bar.stroke_mm[0] - bar.margin_mm;
     if out >= KNOCK_MM || out >= inwards { KNOCK_MM.min(0.8 * out) } else { -KNOCK_MM.min(0.8 * inwards) }
 }
 
-struct Walk {
-    steps: Vec<Step>,
-    circle: u32,
-    centre: u32,
+/// Room of the bar inwards at a radius, mm.
+pub(crate) fn room(bar: &Bar, radius: f64) -> f64 {
+    radius - bar.length_mm - bar.stroke_mm[0] - bar.margin_mm
+}
+
+/// The steps so far.
+pub(crate) struct Walk {
+    pub(crate) steps: Vec<Step>,
+    pub(crate) circle: u32,
+    pub(crate) centre: u32,
     dwell_s: f64,
 }
 
 impl Walk {
+    pub(crate) fn new(job: &Job) -> Self {
+        Self { steps: Vec::new(), circle: 0, centre: 0, dwell_s: job.motion.dwell_s }
+    }
+
+    /// To a pose with all axes.
+    pub(crate) fn ptp(&mut self, pose: Pose, axes: [f64; AXES]) {
+        self.push(Kind::Transit, Motion::Ptp, pose);
+        if let Some(step) = self.steps.last_mut() {
+            step.axes = Some(axes);
+        }
+    }
+
+    /// To a dwell, the way that was found.
+    pub(crate) fn go(&mut self, way: Way, pose: Pose, kind: Kind) {
+        match way {
+            Way::Arc(aux) => {
+                self.push(Kind::Transit, Motion::Circ, aux);
+                self.push(kind, Motion::Circ, pose);
+            }
+            Way::Chords(poses) => self.lines(poses, kind),
+        }
+    }
+
+    /// In straight lines to a dwell at the last of the poses.
+    pub(crate) fn lines(&mut self, poses: Vec<Pose>, kind: Kind) {
+        let last = poses.len().saturating_sub(1);
+        for (at, pose) in poses.into_iter().enumerate() {
+            self.push(if at == last { kind } else { Kind::Transit }, Motion::Lin, pose);
+        }
+    }
+
+    /// The marks of a module's start or end, out from the base ball and back.
+    pub(crate) fn radial_knocks(&mut self, start: bool, pose: &Pose, ball: &Vector3<f64>, out: f64) {
+        let along = (pose.position - ball).normalize();
+        for _ in 0..if start { START_KNOCKS } else { END_KNOCKS } {
+            let position = pose.position + along * out;
+            self.push(Kind::Transit, Motion::Lin, Pose { rotation: pose.rotation, position });
+            self.push(Kind::Transit, Motion::Lin, *pose);
+        }
+    }
+
     fn push(&mut self, kind: Kind, motion: Motion, pose: Pose) {
         let dwell_s = if kind == Kind::Transit { 0.0 } else { self.dwell_s };
         let (circle, centre) = (self.circle, self.centre);
-        self.steps.push(Step { circle, centre, kind, motion, pose, dwell_s });
+        self.steps.push(Step { circle, centre, kind, motion, pose, dwell_s, axes: None });
     }
 
     fn knocks(&mut self, count: u32, circle: &Circle, angle: f64, out: f64) {

@@ -57,6 +57,9 @@ pub(crate) struct Pace {
     pub(crate) path: Path,
     /// Greatest of the axes' travel per share of the path over their greatest speed, s.
     pub(crate) axis_s: f64,
+    /// Greatest of the same over the axes' greatest accelerations, s^2, and of the second derivative.
+    pub(crate) slope_s2: f64,
+    pub(crate) bend_s2: f64,
 }
 
 /// Speeds and durations of all rows. `paces` has the motion into each row; `None` where there is none

@@ -97,6 +97,8 @@ pub(crate) fn plan(circles: u32, points: u32) -> Plan {
         robot: robot.to_toml(),
         moves: builder.moves,
         checks: Vec::new(),
+        notes: Vec::new(),
+        predictions: None,
     };
     Plan { rows: builder.rows, header }
 }

@@ -70,6 +70,65 @@ fn limits_singularities_and_reach() {
 }
 
 #[test]
+fn obstacles_cups_and_the_whole_run() {
+    let with = |table: &str| beyond(&format!("{JOB}{table}"));
+    let shelf =
+        "[[obstacle]]\nshape = \"box\"\nlow_mm = [1500.0, -100.0, 700.0]\nhigh_mm = [1700.0, 100.0, 805.0]\n";
+    assert!(with(shelf).contains(&Quantity::ClearanceMm));
+    let column = "[[obstacle]]\nshape = \"cylinder\"\nfrom_mm = [1300.0, 250.0, 0.0]\nto_mm = [1300.0, 250.0, 900.0]\nradius_mm = 20.0\n";
+    assert!(with(column).contains(&Quantity::ClearanceMm));
+    let floor = "[[obstacle]]\nshape = \"floor\"\nz_mm = 795.0\n";
+    assert!(with(floor).contains(&Quantity::ClearanceMm));
+    assert!(
+        Plan::build(
+            &Job::from_toml("job", &format!("{JOB}{}", floor.replace("795.0", "0.0"))).unwrap(),
+            &robot()
+        )
+        .is_ok()
+    );
+    // The tool points down, the bar goes sideways from its ball.
+    assert!(
+        with("[tool]\ncup_axis = [0.0, 0.0, 1.0]\ncup_limit_deg = 60.0\n").contains(&Quantity::ToolCupDeg)
+    );
+    // No pose has this risk, the whole run has.
+    let short = JOB.replace("[-5.0, 5.0]", "[-1.0, 1.0]").replace("margin_mm = 0.5", "margin_mm = 0.0");
+    let worst = |risk: f64| beyond(&format!("{short}[limits]\nmax_stroke_risk = {risk}\n"));
+    assert!(worst(1e-6).contains(&Quantity::StrokeRisk) && worst(1e-6).contains(&Quantity::RunRisk));
+    let slow = robot_with(|robot| robot.max_acceleration_deg_s2 = [Some(0.5); 6]);
+    let refused = Plan::build(&Job::from_toml("job.toml", JOB).unwrap(), &slow).unwrap_err().to_string();
+    assert!(refused.contains("axis acceleration"), "{refused}");
+}
+
+fn robot_with(change: impl FnOnce(&mut Robot)) -> Robot {
+    let mut changed = robot();
+    change(&mut changed);
+    changed
+}
+
+/// The refusal says how the tool could be held, and so held the circle passes.
+#[test]
+fn another_hold_is_offered() {
+    let bad = JOB
+        .replace("orientation = \"fixed\"", "orientation = \"seed\"\namplitude_deg = 25.0\nspin_deg = 120.0");
+    let refused = Plan::build(&Job::from_toml("job.toml", &bad).unwrap(), &robot()).unwrap_err().to_string();
+    let (_, told) = refused.split_once("circle 1: tilt_deg = ").expect("an offer");
+    let (tilt, rest) = told.split_once(", spin_deg = ").unwrap();
+    let spin = rest.split_whitespace().next().unwrap();
+    let better = bad.replace("spin_deg = 120.0", &format!("spin_deg = {spin}\ntilt_deg = {tilt}"));
+    Plan::build(&Job::from_toml("job.toml", &better).unwrap(), &robot())
+        .unwrap_or_else(|refused| panic!("{refused}"));
+}
+
+#[test]
+fn what_cannot_be_chosen_is_said() {
+    let (head, _) = JOB.split_once("[[circle]]").unwrap();
+    let job =
+        format!("{head}[optimise]\npoints = 20\ncandidates = 200\n[limits]\nmin_overhead_mm = 3000.0\n");
+    let refused = Plan::build(&Job::from_toml("job.toml", &job).unwrap(), &robot()).unwrap_err().to_string();
+    assert!(refused.contains("no pose about base ball 1 can be reached"), "{refused}");
+}
+
+#[test]
 fn a_mistake_in_the_job_names_its_line() {
     for (from, to, line, words) in [
         ("margin_mm", "margn_mm", 6, "did you mean `margin_mm`"),
@@ -84,6 +143,19 @@ fn a_mistake_in_the_job_names_its_line() {
         ("points = 12", "points = 12\namplitude_deg = 10.0", 13, "no amplitude_deg"),
         ("id = 1", "id = 2", 8, "id = 2 must be 1"),
         ("plane", "centre = 2\nplane", 11, "there are 1"),
+        ("feed_mm_s = 40.0", "feed_mm_s = 251.0", 15, "above 250"),
+        ("margin_mm = 0.5", "length_u_mm = -0.1", 6, "must be a positive number"),
+        ("margin_mm = 0.5", "expansion_per_k = nan", 6, "is not a number"),
+        ("[motion]", "[optimise]\npoints = 3\n[motion]", 15, "points = 3 must be in 6..242"),
+        ("[motion]", "[optimise]\npoints = 20\ncandidates = 30\n[motion]", 16, "candidates = 30"),
+        (
+            "[motion]",
+            "[[obstacle]]\nshape = \"box\"\nlow_mm = [1, 0, 0]\nhigh_mm = [0, 1, 1]\n[motion]",
+            16,
+            "lowest corner",
+        ),
+        ("[motion]", "[[obstacle]]\nshape = \"ball\"\n[motion]", 15, "unknown variant"),
+        ("[motion]", "[tool]\ncup_limit_deg = 10.0\n[motion]", 15, "cup_axis beside it"),
         ("feed_mm_s = 40.0", "feed_mm_s = 0.0", 15, "must be a positive number"),
         ("feed_mm_s = 40.0", "outputs = { strobe = 10 }", 15, "one of the index's"),
     ] {

@@ -27,6 +27,10 @@ fn the_demo_plans_without_findings() {
     let robot = Robot::by_name("kr60ha").unwrap().unwrap();
     assert_eq!((count(&plan, Kind::Measure), count(&plan, Kind::Reference)), (240, 12));
     assert!(plan.header.checks.iter().all(dbbd::plan::Check::holds));
+    // The base ball's cup stands on a post: no circle goes through it, and none below what the cup allows.
+    let worst = |quantity| plan.header.checks.iter().find(|check| check.quantity == quantity).unwrap().worst;
+    assert!(worst(dbbd::plan::Quantity::CupDeg) <= 120.0);
+    assert!(worst(dbbd::plan::Quantity::ClearanceMm) >= 10.0);
     for row in plan.rows.iter().filter(|row| row.kind == Kind::Measure) {
         assert!((row.length_mm - 300.0).abs() < 2e-3, "{row:?}");
     }
@@ -64,6 +68,25 @@ fn the_demo_plans_without_findings() {
             assert_eq!((pair[0].xyz_mm, pair[0].abc_deg), (pair[1].xyz_mm, pair[1].abc_deg));
         }
     }
+}
+
+/// The chosen poses are measured on paths that keep everything, and most of them are reached.
+#[test]
+fn the_chosen_poses_plan_without_findings() {
+    let text =
+        std::fs::read_to_string(format!("{}/examples/optimal.toml", env!("CARGO_MANIFEST_DIR"))).unwrap();
+    let text =
+        text.replace("points = 80 ", "points = 30 ").replace("candidates = 4000 ", "candidates = 400 ");
+    let job = Job::from_toml("optimal", &text).unwrap();
+    let robot = Robot::by_name(&job.robot).unwrap().unwrap();
+    let plan = Plan::build(&job, &robot).unwrap_or_else(|refused| panic!("{refused}"));
+    assert!(count(&plan, Kind::Measure) >= 24, "{:?}", plan.header.notes);
+    assert!(plan.header.checks.iter().all(dbbd::plan::Check::holds));
+    for row in plan.rows.iter().filter(|row| row.motion != Motion::Lin) {
+        assert!((row.length_mm - 300.0).abs() < 2e-3, "{row:?}");
+    }
+    let (csv, json) = plan.to_files();
+    assert_eq!(Plan::from_files("plan.csv", &csv, "plan.json", &json).unwrap(), plan);
 }
 
 #[test]
@@ -176,7 +199,7 @@ proptest! {
             index: 1, feed_mm_s: values[1], turn_deg_s: values[2], axis_percent: values[3], duration_s: values[4],
         };
         let header = dbbd::plan::Header {
-            schema: 1, hash: String::new(), job, robot: "text".into(), moves: vec![time], checks: Vec::new(),
+            schema: 1, hash: String::new(), job, robot: "text".into(), moves: vec![time], checks: Vec::new(), notes: Vec::new(), predictions: None,
         };
         let (csv, json) = Plan { rows: vec![row.clone()], header }.to_files();
         let read = Plan::from_files("plan.csv", &csv, "plan.json", &json).unwrap();

@@ -13,6 +13,8 @@ use crate::identify::result::{Identification, Status, WarningKind};
 use crate::identify::{self, Options, Prior};
 use crate::model::{Centre, Observations, Robot, parameter};
 use crate::report::Source;
+pub(crate) use page::error_maps;
+
 use inputs::{parse_point, parse_positive, read_prior, read_workspace};
 
 /// Identifies the robot's kinematic parameters from lengths and says which the data can tell.

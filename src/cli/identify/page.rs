@@ -25,7 +25,7 @@ pub(super) fn html(
             length_mm: robot.tolerance.length_mm,
             angle_rad: robot.tolerance.angle_deg.to_radians(),
         }),
-        maps: maps(found),
+        maps: error_maps(&found.predicted),
         facts: vec![],
         provenance: Provenance {
             dbbd_version: env!("CARGO_PKG_VERSION").into(),
@@ -83,8 +83,8 @@ fn circles(points: &[ObservationPoint]) -> Vec<CirclePanel> {
         .collect()
 }
 
-/// The predicted error seen from above and from the side.
-fn maps(found: &Identified) -> Vec<HeatMap> {
+/// The predicted error (where the ball is, and the error there, mm) seen from above and from the side.
+pub(crate) fn error_maps(found: &[([f64; 3], f64)]) -> Vec<HeatMap> {
     let side = |p: &[f64; 3]| [p[0].hypot(p[1]), p[2]];
     let above = |p: &[f64; 3]| [p[0], p[1]];
     [
@@ -100,10 +100,10 @@ fn maps(found: &Identified) -> Vec<HeatMap> {
 fn map(
     title: &str,
     names: [&str; 2],
-    found: &Identified,
+    found: &[([f64; 3], f64)],
     project: impl Fn(&[f64; 3]) -> [f64; 2],
 ) -> Option<HeatMap> {
-    let places: Vec<[f64; 2]> = found.predicted.iter().map(|(position, _)| project(position)).collect();
+    let places: Vec<[f64; 2]> = found.iter().map(|(position, _)| project(position)).collect();
     let ends = |axis: usize| {
         let values = places.iter().map(|place| place[axis]);
         [values.clone().fold(f64::INFINITY, f64::min), values.fold(f64::NEG_INFINITY, f64::max)]
@@ -117,7 +117,7 @@ fn map(
     let count = |axis: usize| (((extent[axis][1] - extent[axis][0]) / cell).ceil() as usize).max(1);
     let (columns, rows) = (count(0), count(1));
     let mut sums = vec![(0.0, 0u32); columns * rows];
-    for (place, (_, error)) in places.iter().zip(&found.predicted) {
+    for (place, (_, error)) in places.iter().zip(found) {
         let at =
             |axis: usize, count: usize| (((place[axis] - extent[axis][0]) / cell) as usize).min(count - 1);
         let (sum, poses) = &mut sums[at(1, rows) * columns + at(0, columns)];

@@ -2,13 +2,16 @@
 
 mod page;
 
+use std::error::Error;
 use std::path::PathBuf;
 
 use serde::Serialize;
 
 use super::{Outcome, Output, Verdict, files};
-use crate::model::Centre;
-use crate::plan::{Check, Job, Kind, Plan};
+use crate::diag::Diagnostic;
+use crate::model::{Centre, Observations, Reading, Robot};
+use crate::plan::prediction::Fate;
+use crate::plan::{Check, Job, Kind, Knowledge, Plan, Prediction};
 
 /// Arguments of the verb.
 #[derive(clap::Args)]
@@ -22,6 +25,10 @@ pub(crate) struct Args {
     /// model and commands the controller's nominal one.
     #[arg(long, value_name = "NAME|FILE")]
     robot: Option<String>,
+    /// Observations CSV of lengths measured before to the same base balls (may be repeated): the plan is made on the
+    /// robot that is likeliest by them and by its tolerance, and its risks and predictions go by what they left unknown.
+    #[arg(long, value_name = "OBS.csv")]
+    measured: Vec<PathBuf>,
 }
 
 /// What `--json` prints.
@@ -34,19 +41,27 @@ struct Summary<'a> {
     reference: usize,
     duration_s: f64,
     checks: &'a [Check],
+    notes: &'a [String],
+    predictions: Option<&'a Prediction>,
 }
 
 pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
     let name = args.job.display().to_string();
     let job = Job::from_toml(&name, &files::read(&args.job)?)?;
     let robot = files::robot(args.robot.as_deref().unwrap_or(&job.robot))?;
-    let plan = Plan::build(&job, &robot)?;
+    let (job, robot, known) = knowledge(job, robot, &args.measured)?;
+    let mut plan = Plan::build_knowing(&job, &robot, &known)?;
+    let foretold = plan.foretell(&robot, &known.belief);
+    let map = foretold.map(|(prediction, map)| {
+        plan.header.predictions = Some(prediction);
+        map
+    });
 
     let (csv, json) = plan.to_files();
     files::directory(&args.out)?;
     files::write(&args.out.join("plan.csv"), csv)?;
     files::write(&args.out.join("plan.json"), json)?;
-    files::write(&args.out.join("plan.html"), page::html(&plan, &robot, &name)?)?;
+    files::write(&args.out.join("plan.html"), page::html(&plan, &robot, &name, &map.unwrap_or_default())?)?;
     files::write(&args.out.join("centres.csv"), Centre::to_csv(&job.balls()))?;
 
     let count = |kind: Kind| plan.rows.iter().filter(|row| row.kind == kind).count();
@@ -58,20 +73,80 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
         reference: count(Kind::Reference),
         duration_s: plan.duration_s(),
         checks: &plan.header.checks,
+        notes: &plan.header.notes,
+        predictions: plan.header.predictions.as_ref(),
     };
     out.document(&summary)?;
     out.result(format!("plan {} for {}", summary.hash, summary.robot));
     out.result(format!(
-        "{} poses to measure, {} visits of a reference pose, {} circle(s); {:.1} min at full override",
+        "{} poses to measure, {} visits of a reference pose, {} module(s); {:.1} min at full override",
         summary.measure,
         summary.reference,
-        job.circles.len(),
+        plan.rows.last().map_or(0, |row| row.circle),
         summary.duration_s / 60.0
     ));
     out.result("worst of what was checked along the whole path:");
     for check in summary.checks {
         out.result(format!("  {check}"));
     }
+    for note in summary.notes {
+        out.result(note);
+    }
+    summary.predictions.into_iter().flat_map(lines).for_each(|line| out.result(line));
     out.progress(format!("wrote plan.csv, plan.json, plan.html and centres.csv to {}", args.out.display()));
     Ok(Outcome::Done)
+}
+
+/// Job, robot and what is known of it after the lengths measured before, if there are any.
+fn knowledge(
+    job: Job,
+    robot: Robot,
+    measured: &[PathBuf],
+) -> Result<(Job, Robot, Knowledge), Box<dyn Error>> {
+    if measured.is_empty() {
+        let known = Knowledge::datasheet(&job, &robot);
+        return Ok((job, robot, known));
+    }
+    let mut lengths = Vec::new();
+    for path in measured {
+        let name = path.display().to_string();
+        let observations = Observations::from_csv(&name, &files::read(path)?)?;
+        if let Some(row) = observations.rows.iter().find(|row| row.centre > job.centres.len()) {
+            let message = format!("index {}: the job has no base ball {}", row.index, row.centre);
+            return Err(Diagnostic::file(&name, message).into());
+        }
+        lengths.extend(observations.rows.iter().map(Reading::from));
+    }
+    let known = Knowledge::learned(&job, &robot, &lengths)
+        .ok_or("the lengths measured before give no finite robot")?;
+    let (job, robot) = known.applied(&job, &robot);
+    Ok((job, robot, known))
+}
+
+/// A prediction in a few lines.
+fn lines(prediction: &Prediction) -> Vec<String> {
+    let count = |fate: Fate| prediction.parameters.iter().filter(|p| p.fate == fate).count();
+    let (now, then) = (prediction.now_mm, prediction.identified_mm);
+    let mut lines = vec![
+        format!(
+            "these lengths ({:.1} um each) will tell {} of {} parameters or combinations: {} well, {} worse than 3 tolerances",
+            prediction.sigma_mm * 1e3,
+            prediction.rank,
+            prediction.of,
+            count(Fate::Identified),
+            count(Fate::TooWeak)
+        ),
+        format!(
+            "predicted 3-D error over the workspace: mean {:.3} mm -> {:.3} mm, 95 % {:.3} -> {:.3} mm",
+            now.mean, then.mean, now.p95, then.p95
+        ),
+    ];
+    if let Some(index) = &prediction.observability {
+        lines.push(format!(
+            "observability O1 {:.3e}, O2 {:.3e}, O3 {:.3e}, O4 {:.3e}, O5 {:.3e}; condition {:.0}",
+            index.o1, index.o2, index.o3, index.o4, index.o5, prediction.condition
+        ));
+    }
+    lines.extend(prediction.dependent.iter().map(|text| format!("  {text}")));
+    lines
 }

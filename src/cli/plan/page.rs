@@ -1,15 +1,26 @@
 //! `plan.html` from a plan: what the page needs is picked out here, and drawn by the report room.
 
+use crate::cli::identify::error_maps;
+use crate::identify::result::{PredictedError, PredictedPair, Status, Warning, WarningKind};
 use crate::model::Robot;
 use crate::plan::job::{CircleTable, Direction, Orientation};
+use crate::plan::prediction::{Error3d, Fate, PredictedParameter};
 use crate::plan::{Check, Kind, Plan};
-use crate::report::{self, CheckRow, CircleRow, Fact, PlanView, Provenance, ReportError, Source};
+
+use crate::report::{
+    self, CheckRow, CircleRow, Fact, PlanView, PredictedRow, Provenance, ReportError, Source,
+};
 
 /// Poses at which the robot is drawn.
 const SKELETONS: usize = 8;
 
 /// The page of a plan made for `robot` from the job file `job`.
-pub(super) fn html(plan: &Plan, robot: &Robot, job: &str) -> Result<String, ReportError> {
+pub(super) fn html(
+    plan: &Plan,
+    robot: &Robot,
+    job: &str,
+    map: &[([f64; 3], f64)],
+) -> Result<String, ReportError> {
     let header = &plan.header;
     let bar = &header.job.bar;
     let view = PlanView {
@@ -39,9 +50,41 @@ pub(super) fn html(plan: &Plan, robot: &Robot, job: &str) -> Result<String, Repo
             date: None,
             sources: vec![Source { role: "job".into(), name: job.into(), hash: None }],
         },
-        ..PlanView::default()
+        predicted_error_mm: header
+            .predictions
+            .as_ref()
+            .map(|p| PredictedPair { nominal: error(&p.now_mm), identified: error(&p.identified_mm) }),
+        predicted: header.predictions.iter().flat_map(|p| &p.parameters).map(predicted).collect(),
+        dependent: header.predictions.iter().flat_map(|p| p.dependent.clone()).collect(),
+        maps: error_maps(map),
+        warnings: header
+            .notes
+            .iter()
+            .map(|text| Warning { kind: WarningKind::Note, text: text.clone() })
+            .collect(),
     };
     report::plan::html(plan, &view)
+}
+
+fn error(error: &Error3d) -> PredictedError {
+    PredictedError { mean: error.mean, p95: error.p95, max: error.max }
+}
+
+fn predicted(parameter: &PredictedParameter) -> PredictedRow {
+    let (status, reason) = match parameter.fate {
+        Fate::Identified => (Status::Identified, String::new()),
+        Fate::TooWeak => (Status::TooWeak, "the lengths alone leave more than 3 tolerances".into()),
+        Fate::Dependent => (Status::Dependent, "told only in a combination".into()),
+        Fate::Unseen => (Status::Held, "changes no length in these poses".into()),
+    };
+    PredictedRow {
+        name: parameter.name.clone(),
+        unit: parameter.unit.clone(),
+        tolerance: Some(parameter.before),
+        sd: Some(parameter.sd),
+        status,
+        reason,
+    }
 }
 
 /// The robot as lines at a few of the poses.

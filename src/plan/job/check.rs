@@ -1,8 +1,9 @@
 //! Reading a job file: what TOML's types do not say, with the line of what is wrong.
 
-use super::{CentreTable, CircleTable, Direction, Job, Orientation};
+use super::{CentreTable, CircleTable, Direction, Job, ObstacleTable, Orientation};
 use crate::diag::{Diagnostic, nearest};
 use crate::model::Centre;
+use crate::plan::circle::REFERENCE_EVERY;
 
 /// Dwells that one module can number: the index goes out on eight outputs.
 pub(crate) const MAX_DWELLS: u32 = 255;
@@ -43,9 +44,14 @@ impl Job {
     pub(crate) fn check(&self) -> Result<(), Wrong> {
         self.check_bar()?;
         self.check_motion()?;
-        if self.centres.is_empty() || self.circles.is_empty() {
-            let missing = if self.centres.is_empty() { "[[centre]]" } else { "[[circle]]" };
+        if self.centres.is_empty() || self.circles.is_empty() && self.optimise.is_none() {
+            let missing = if self.centres.is_empty() { "[[centre]]" } else { "[[circle]] or [optimise]" };
             return Err((("", 0, ""), format!("has no {missing} table: a job needs one at least")));
+        }
+        self.check_optimise()?;
+        self.check_tool()?;
+        for (at, obstacle) in self.obstacles.iter().enumerate() {
+            check_obstacle(at, obstacle)?;
         }
         for (at, centre) in self.centres.iter().enumerate() {
             check_centre(at, centre)?;
@@ -65,12 +71,46 @@ impl Job {
         if !(low.is_finite() && high.is_finite() && low < high) {
             return Err((place("stroke_mm"), format!("stroke_mm = [{low}, {high}] must be [low, high]")));
         }
+        positive(place("radius_mm"), bar.radius_mm)?;
+        if let Some(u) = bar.length_u_mm {
+            positive(place("length_u_mm"), u)?;
+        }
+        for (key, value) in [("temperature_c", bar.temperature_c), ("expansion_per_k", bar.expansion_per_k)] {
+            value.map_or(Ok(()), |value| finite(place(key), value))?;
+        }
         let margin = bar.margin_mm;
         if !(margin >= 0.0 && 2.0 * margin < high - low) {
             let message = format!("margin_mm = {margin} must be at least 0 and leave some of the stroke");
             return Err((place("margin_mm"), message));
         }
         Ok(())
+    }
+
+    fn check_optimise(&self) -> Result<(), Wrong> {
+        let Some(optimise) = &self.optimise else { return Ok(()) };
+        let place = |key| ("[optimise]", 0, key);
+        let most = MAX_DWELLS - MAX_DWELLS / REFERENCE_EVERY - 1;
+        if !(6..=most).contains(&optimise.points) {
+            return Err((place("points"), format!("points = {} must be in 6..{most}", optimise.points)));
+        }
+        if !(10 * optimise.points..=100_000).contains(&optimise.candidates) {
+            let message = format!("candidates = {} must be in 10 * points..100000", optimise.candidates);
+            return Err((place("candidates"), message));
+        }
+        match optimise.workspace_mm {
+            Some([low, high]) if !corners(low, high) => {
+                Err((place("workspace_mm"), "workspace_mm must be its lowest and its highest corner".into()))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    fn check_tool(&self) -> Result<(), Wrong> {
+        let tool = &self.tool;
+        let place = |key| ("[tool]", 0, key);
+        check_cup(place("cup_axis"), place("cup_limit_deg"), tool.cup_axis, tool.cup_limit_deg)?;
+        positive(place("radius_mm"), tool.radius_mm)?;
+        positive(place("arm_radius_mm"), tool.arm_radius_mm)
     }
 
     fn check_motion(&self) -> Result<(), Wrong> {
@@ -106,6 +146,7 @@ impl Job {
             ("min_elbow_deg", limits.min_elbow_deg, 90.0),
             ("min_overhead_mm", limits.min_overhead_mm, 1e4),
             ("max_stroke_risk", limits.max_stroke_risk, 1.0),
+            ("min_clearance_mm", limits.min_clearance_mm, 1e4),
         ] {
             if !(0.0..=most).contains(&value) {
                 return Err((place(key), format!("{key} = {value} must be in 0..{most}")));
@@ -179,19 +220,49 @@ fn check_centre(at: usize, centre: &CentreTable) -> Result<(), Wrong> {
     for value in centre.xyz_mm {
         finite(place("xyz_mm"), value)?;
     }
-    match (centre.cup_axis, centre.cup_limit_deg) {
+    check_cup(place("cup_axis"), place("cup_limit_deg"), centre.cup_axis, centre.cup_limit_deg)
+}
+
+fn check_cup(
+    axis_place: Place,
+    limit_place: Place,
+    axis: Option<[f64; 3]>,
+    limit: Option<f64>,
+) -> Result<(), Wrong> {
+    match (axis, limit) {
         (Some(axis), Some(limit)) => {
-            direction_vector(place("cup_axis"), "cup_axis", axis)?;
+            direction_vector(axis_place, "cup_axis", axis)?;
             if !(limit > 0.0 && limit <= 180.0) {
                 let message = format!("cup_limit_deg = {limit} must be above 0, at most 180");
-                return Err((place("cup_limit_deg"), message));
+                return Err((limit_place, message));
             }
             Ok(())
         }
         (None, None) => Ok(()),
-        (Some(_), None) => Err((place("cup_axis"), "cup_axis needs a cup_limit_deg beside it".into())),
-        (None, Some(_)) => Err((place("cup_limit_deg"), "cup_limit_deg needs a cup_axis beside it".into())),
+        (Some(_), None) => Err((axis_place, "cup_axis needs a cup_limit_deg beside it".into())),
+        (None, Some(_)) => Err((limit_place, "cup_limit_deg needs a cup_axis beside it".into())),
     }
+}
+
+fn check_obstacle(at: usize, obstacle: &ObstacleTable) -> Result<(), Wrong> {
+    let place = |key| ("[[obstacle]]", at, key);
+    match *obstacle {
+        ObstacleTable::Box { low_mm, high_mm } if !corners(low_mm, high_mm) => {
+            Err((place("low_mm"), "a box needs its lowest corner as low_mm, its highest as high_mm".into()))
+        }
+        ObstacleTable::Box { .. } => Ok(()),
+        ObstacleTable::Cylinder { from_mm, to_mm, radius_mm } => {
+            let along = [to_mm[0] - from_mm[0], to_mm[1] - from_mm[1], to_mm[2] - from_mm[2]];
+            direction_vector(place("to_mm"), "to_mm - from_mm", along)?;
+            positive(place("radius_mm"), radius_mm)
+        }
+        ObstacleTable::Floor { z_mm } => finite(place("z_mm"), z_mm),
+    }
+}
+
+/// Whether `low` is below `high` in every axis.
+fn corners(low: [f64; 3], high: [f64; 3]) -> bool {
+    low.iter().zip(&high).all(|(low, high)| low.is_finite() && high.is_finite() && low < high)
 }
 
 fn positive(place: Place, value: f64) -> Result<(), Wrong> {

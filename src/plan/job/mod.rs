@@ -19,8 +19,17 @@ pub struct Job {
     #[serde(rename = "centre")]
     pub centres: Vec<CentreTable>,
     /// The circles, in the order in which they are measured.
-    #[serde(rename = "circle")]
+    #[serde(rename = "circle", default, skip_serializing_if = "Vec::is_empty")]
     pub circles: Vec<CircleTable>,
+    /// Poses that are chosen, after the circles.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub optimise: Option<Optimise>,
+    /// What bar, tool and arm must keep clear of.
+    #[serde(rename = "obstacle", default, skip_serializing_if = "Vec::is_empty")]
+    pub obstacles: Vec<ObstacleTable>,
+    /// The tool.
+    #[serde(default)]
+    pub tool: ToolTable,
     /// The motion.
     #[serde(default)]
     pub motion: MotionTable,
@@ -47,9 +56,25 @@ pub struct Bar {
     /// Standard deviation of one length, um.
     #[serde(default = "default_sigma")]
     pub sigma_um: f64,
+    /// Expanded uncertainty (k = 2) of the length by its certificate, mm.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub length_u_mm: Option<f64>,
+    /// Temperature at which the certificate gives the length, degrees Celsius.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub temperature_c: Option<f64>,
+    /// Thermal expansion of the bar, 1/K.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub expansion_per_k: Option<f64>,
+    /// Radius of the bar's body, mm: what keeps clear of the obstacles.
+    #[serde(default = "default_radius")]
+    pub radius_mm: f64,
     /// Name or file of the protocol that the bar speaks.
     #[serde(default = "default_protocol")]
     pub protocol: String,
+}
+
+fn default_radius() -> f64 {
+    15.0
 }
 
 fn default_sigma() -> f64 {
@@ -74,6 +99,86 @@ pub struct CentreTable {
     /// How far the bar may lean from the cup's axis, degrees.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cup_limit_deg: Option<f64>,
+}
+
+/// Poses that are chosen among many that can be reached: those that tell most.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Optimise {
+    /// Poses to choose for all base balls together.
+    pub points: u32,
+    /// What is made least.
+    #[serde(default)]
+    pub criterion: Criterion,
+    /// Candidates to choose from.
+    #[serde(default = "default_candidates")]
+    pub candidates: u32,
+    /// Lowest and highest corner of the box in which the robot shall be good, mm; all of its reach when absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub workspace_mm: Option<[[f64; 3]; 2]>,
+}
+
+fn default_candidates() -> u32 {
+    4000
+}
+
+/// What chosen poses make least.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Criterion {
+    /// The volume of what is left unknown of the parameters.
+    D,
+    /// The 3-D error over the workspace.
+    #[default]
+    I,
+}
+
+/// What is in the way, in the robot base.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, tag = "shape", rename_all = "lowercase")]
+pub enum ObstacleTable {
+    /// A box along the axes.
+    Box {
+        /// Its lowest corner, mm.
+        low_mm: [f64; 3],
+        /// Its highest corner, mm.
+        high_mm: [f64; 3],
+    },
+    /// A round column.
+    Cylinder {
+        /// Centre of one end, mm.
+        from_mm: [f64; 3],
+        /// Centre of the other end, mm.
+        to_mm: [f64; 3],
+        /// Its radius, mm.
+        radius_mm: f64,
+    },
+    /// All that is below a height.
+    Floor {
+        /// The height, mm.
+        z_mm: f64,
+    },
+}
+
+/// The tool: its cup, and how thick it and the arm are.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct ToolTable {
+    /// The axis of the tool ball's cup, out of the cup, in the flange frame.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub cup_axis: Option<[f64; 3]>,
+    /// How far the bar may lean from it, degrees.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub cup_limit_deg: Option<f64>,
+    /// Radius of the tool from the flange to its ball, mm.
+    pub radius_mm: f64,
+    /// Radius of the arm's links, mm.
+    pub arm_radius_mm: f64,
+}
+
+impl Default for ToolTable {
+    fn default() -> Self {
+        Self { cup_axis: None, cup_limit_deg: None, radius_mm: 20.0, arm_radius_mm: 150.0 }
+    }
 }
 
 /// A circle.
@@ -215,13 +320,21 @@ pub struct Limits {
     pub min_elbow_deg: f64,
     /// Least distance of the wrist centre from axis 1, mm.
     pub min_overhead_mm: f64,
-    /// Greatest probability, at any pose of the path, that a robot within its tolerance leaves the
-    /// stroke less its margin, when the bar was mounted and set to zero at the start pose.
+    /// Greatest probability that a robot within its tolerance leaves the stroke less its margin anywhere on a
+    /// run in which the bar stays on, when the bar was mounted and set to zero at the start pose.
     pub max_stroke_risk: f64,
+    /// Least distance of bar, tool and arm from the obstacles, mm.
+    pub min_clearance_mm: f64,
 }
 
 impl Default for Limits {
     fn default() -> Self {
-        Self { min_a5_deg: 5.0, min_elbow_deg: 5.0, min_overhead_mm: 100.0, max_stroke_risk: 1e-3 }
+        Self {
+            min_a5_deg: 5.0,
+            min_elbow_deg: 5.0,
+            min_overhead_mm: 100.0,
+            max_stroke_risk: 1e-3,
+            min_clearance_mm: 10.0,
+        }
     }
 }

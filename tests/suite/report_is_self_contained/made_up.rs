@@ -219,6 +219,8 @@ pub(super) fn plan() -> Plan {
         robot: String::new(),
         moves: Vec::new(),
         checks: Vec::new(),
+        notes: Vec::new(),
+        predictions: None,
     };
     Plan { rows, header }
 }

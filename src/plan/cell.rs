@@ -1,0 +1,155 @@
+//! What one position of the arm comes near to: limits, singularities, cups, obstacles, the stroke's ends.
+
+use nalgebra::{DVector, Vector3};
+
+use super::check::{Quantity, limit};
+use super::clearance::{IN_CUP_MM, Segment};
+use super::job::Job;
+use super::solve::{Rig, axis_margin_deg};
+use crate::identifiability::Belief;
+use crate::model::AXES;
+use crate::model::inverse::clearance;
+
+/// The robot in its cell, with what is known of it.
+pub(crate) struct Cell<'a> {
+    pub(crate) job: &'a Job,
+    pub(crate) rig: &'a Rig<'a>,
+    belief: Belief,
+}
+
+/// How near a reading comes to the ends of the stroke, for the risk over a run.
+#[derive(Clone)]
+pub(crate) struct Near {
+    /// Room to the lower and to the upper end less the margin, mm.
+    pub(crate) room: [f64; 2],
+    /// The reading's derivative in the coordinates of the belief, mm.
+    pub(crate) swing: DVector<f64>,
+    /// Probability of this pose alone.
+    pub(crate) risk: f64,
+}
+
+impl<'a> Cell<'a> {
+    /// With what is known. Where nothing was measured, the bar is mounted and set to zero at the `start` (base ball from
+    /// 1, axis angles in rad), so that only the change of the ball's error since then counts.
+    pub(crate) fn new(
+        job: &'a Job,
+        rig: &'a Rig<'a>,
+        belief: &Belief,
+        measured: bool,
+        (centre, axes): (u32, &[f64; AXES]),
+    ) -> Self {
+        let belief = if measured {
+            belief.clone()
+        } else {
+            belief.touched(centre.saturating_sub(1) as usize, axes, job.bar.sigma_um * 1e-3)
+        };
+        Self { job, rig, belief }
+    }
+
+    /// Notes all quantities at axis angles in rad. With the bar off only the arm counts.
+    pub(crate) fn look(
+        &self,
+        axes: &[f64; AXES],
+        centre: u32,
+        bar_on: bool,
+        note: &mut impl FnMut(Quantity, f64),
+    ) -> Option<Near> {
+        note(Quantity::AxisMarginDeg, axis_margin_deg(self.rig.controller, axes));
+        let table = self.job.centres.get(centre.saturating_sub(1) as usize)?;
+        let base = Vector3::from(table.xyz_mm);
+        let ball = self.rig.arm.ball(axes);
+        self.obstacles(axes, bar_on.then_some(base), &ball.position, note);
+        if !bar_on {
+            return None;
+        }
+        if let Some(clear) = clearance(&self.rig.controller.geometry, axes) {
+            note(Quantity::WristDeg, clear.wrist.to_degrees());
+            note(Quantity::ElbowDeg, clear.elbow.to_degrees());
+            note(Quantity::OverheadMm, clear.overhead);
+        }
+        let bar = &self.job.bar;
+        let along = ball.position - base;
+        let reading = along.norm() - bar.length_mm;
+        note(Quantity::ReadingLowMm, reading);
+        note(Quantity::ReadingHighMm, reading);
+        if let (Some(cup), Some(_)) = (table.cup_axis, table.cup_limit_deg) {
+            note(Quantity::CupDeg, along.angle(&Vector3::from(cup)).to_degrees());
+        }
+        if let (Some(cup), Some(_)) = (self.job.tool.cup_axis, self.job.tool.cup_limit_deg) {
+            let out = ball.rotation * Vector3::from(cup);
+            note(Quantity::ToolCupDeg, (-along).angle(&out).to_degrees());
+        }
+        let (low, high) = (bar.stroke_mm[0] + bar.margin_mm, bar.stroke_mm[1] - bar.margin_mm);
+        let room = [reading - low, high - reading];
+        let swing = self.belief.swing(axes, centre.saturating_sub(1) as usize);
+        // Never quite zero: at the start itself the bar's own noise is left.
+        let sd = swing.norm().max(bar.sigma_um * 1e-3);
+        let risk = (normal_tail(room[1] / sd) + normal_tail(room[0] / sd)).min(1.0);
+        note(Quantity::StrokeRisk, risk);
+        Some(Near { room, swing, risk })
+    }
+
+    /// Whether all limits are kept, the risk of the stroke at this pose being at most `risk`.
+    pub(crate) fn allows(&self, axes: &[f64; AXES], centre: u32, risk: f64) -> bool {
+        let mut kept = true;
+        self.look(axes, centre, true, &mut |quantity, value| {
+            let limit = match quantity {
+                Quantity::StrokeRisk => risk,
+                _ => limit(self.job, centre, quantity),
+            };
+            kept &= if quantity.at_least() { value >= limit } else { value <= limit };
+        });
+        kept
+    }
+
+    fn obstacles(
+        &self,
+        axes: &[f64; AXES],
+        base: Option<Vector3<f64>>,
+        ball: &Vector3<f64>,
+        note: &mut impl FnMut(Quantity, f64),
+    ) {
+        if self.job.obstacles.is_empty() {
+            return;
+        }
+        let tool = &self.job.tool;
+        let joints = self.rig.arm.skeleton(axes);
+        let mut parts: Vec<(Segment, f64)> =
+            joints.windows(2).skip(1).map(|pair| ([pair[0], pair[1]], tool.arm_radius_mm)).collect();
+        // The last link carries the flange, which is as thick as the tool.
+        if let Some(last) = parts.last_mut() {
+            last.1 = tool.radius_mm.max(0.5 * tool.arm_radius_mm);
+        }
+        parts.push(([joints[AXES - 1], *ball], tool.radius_mm));
+        if let Some(base) = base {
+            let along = (ball - base).normalize();
+            parts.push(([base + along * IN_CUP_MM, *ball], self.job.bar.radius_mm));
+        }
+        let distances = parts.iter().flat_map(|(segment, radius)| {
+            self.job.obstacles.iter().map(move |obstacle| obstacle.from_segment(segment) - radius)
+        });
+        note(Quantity::ClearanceMm, distances.fold(f64::INFINITY, f64::min));
+    }
+}
+
+/// Upper tail of the standard normal distribution: the Chebyshev fit of erfc by Press et al.,
+/// Numerical Recipes 6.2, relative error below 1.2e-7.
+pub(crate) fn normal_tail(z: f64) -> f64 {
+    const FIT: [f64; 10] = [
+        -1.265_512_23,
+        1.000_023_68,
+        0.374_091_96,
+        0.096_784_18,
+        -0.186_288_06,
+        0.278_868_07,
+        -1.135_203_98,
+        1.488_515_87,
+        -0.822_152_23,
+        0.170_872_77,
+    ];
+    let x = z.abs() / std::f64::consts::SQRT_2;
+    let t = 1.0 / (1.0 + 0.5 * x);
+    let series = FIT.iter().rev().fold(0.0, |sum, coefficient| sum * t + coefficient);
+    let tail = 0.5 * t * (series - x * x).exp();
+    if z >= 0.0 { tail } else { 1.0 - tail }
+}

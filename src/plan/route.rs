@@ -1,0 +1,171 @@
+//! A way through chosen poses: short, continuous, the ball always on the sphere about its base ball.
+//!
+//! From pose to pose the ball goes along a great circle: as one arc with the orientation turning about
+//! one axis, which is what the controller does, or, where that fails, in short chords whose orientation
+//! follows the axes from one pose to the next, so that the wrist does not pass through its singularity;
+//! the last try goes past the cup's axis. Every way is followed before it is taken.
+
+use std::f64::consts::PI;
+
+use nalgebra::{Rotation3, Vector3};
+
+use super::candidates::Candidate;
+use super::cell::Cell;
+use super::path::{Path, between};
+use crate::model::inverse::{nearest, status};
+use crate::model::{AXES, Pose};
+
+/// Steps in which a way is tried, mm and degrees; the plan's own check is finer.
+const STEP_MM: f64 = 2.0;
+const STEP_DEG: f64 = 2.0;
+/// Greatest turn of an axis in one chord, rad.
+const CHORD_TURN: f64 = 0.2;
+/// An axis may be off by this much at the end of a way; more is another turn of it, rad.
+const ASTRAY: f64 = 0.01;
+
+/// How to come from one pose to the next.
+pub(crate) enum Way {
+    /// One arc through this auxiliary pose.
+    Arc(Pose),
+    /// Straight lines to these poses, the last but one stop before the end.
+    Chords(Vec<Pose>),
+}
+
+/// Ways about one base ball.
+pub(crate) struct Router<'a> {
+    pub(crate) cell: &'a Cell<'a>,
+    pub(crate) centre: u32,
+    pub(crate) ball: Vector3<f64>,
+    pub(crate) radius: f64,
+    /// Greatest risk of one pose.
+    pub(crate) risk: f64,
+    /// How far a chord may come inside the sphere, mm.
+    pub(crate) sagitta: f64,
+}
+
+impl Router<'_> {
+    /// The way from one pose to another, if there is one.
+    pub(crate) fn way(&self, from: &Candidate, to: &Candidate) -> Option<Way> {
+        let (u, v) = (self.direction(&from.pose), self.direction(&to.pose));
+        let bend = arc_angle(&u, &v);
+        if bend < PI - 0.1 && bend > 1e-3 {
+            let rotation = between(&from.pose.rotation, &to.pose.rotation, 0.5);
+            let aux = Pose { rotation, position: self.ball + on_arc(&u, &v, 0.5) * self.radius };
+            let path = Path::arc(from.pose, &aux.position, to.pose);
+            if self.passes(&path, &from.axes).is_some_and(|end| apart(&end, &to.axes) < ASTRAY) {
+                return Some(Way::Arc(aux));
+            }
+        }
+        let table = self.cell.job.centres.get(self.centre.saturating_sub(1) as usize)?;
+        let up = table.cup_axis.map_or(Vector3::z(), |axis| Vector3::from(axis).normalize());
+        let over = (u + v + up * 1.5).try_normalize(1e-6)?;
+        self.chords(from, to, &[u, v]).or_else(|| self.chords(from, to, &[u, over, v])).map(Way::Chords)
+    }
+
+    /// Chords past the directions given, the orientation following the axes.
+    fn chords(&self, from: &Candidate, to: &Candidate, past: &[Vector3<f64>]) -> Option<Vec<Pose>> {
+        let widest = 2.0 * (1.0 - self.sagitta / self.radius).clamp(-1.0, 1.0).acos();
+        let legs: Vec<f64> = past.windows(2).map(|pair| arc_angle(&pair[0], &pair[1])).collect();
+        let whole: f64 = legs.iter().sum();
+        let count = (whole / widest).max(apart(&from.axes, &to.axes) / CHORD_TURN).ceil().clamp(1.0, 200.0);
+        let mut poses = Vec::with_capacity(count as usize);
+        let (mut here, mut axes) = (from.pose, from.axes);
+        for chord in 1..=count as u32 {
+            let share = f64::from(chord) / count;
+            let next = if chord == count as u32 {
+                to.pose
+            } else {
+                let guide: [f64; AXES] =
+                    std::array::from_fn(|i| from.axes[i] + (to.axes[i] - from.axes[i]) * share);
+                let rotation = self.cell.rig.arm.ball(&guide).rotation;
+                Pose { rotation, position: self.ball + along(past, &legs, share * whole) * self.radius }
+            };
+            axes = self.passes(&Path::Line { from: here, to: next }, &axes)?;
+            poses.push(next);
+            here = next;
+        }
+        (apart(&axes, &to.axes) < ASTRAY).then_some(poses)
+    }
+
+    /// The axis angles at the end of a path that keeps all limits and its branch.
+    fn passes(&self, path: &Path, start: &[f64; AXES]) -> Option<[f64; AXES]> {
+        let arm = self.cell.rig.arm;
+        let began = status(arm, start);
+        let parts =
+            (path.length_mm() / STEP_MM).max(path.turn_deg() / STEP_DEG).ceil().clamp(1.0, 1000.0) as u32;
+        let mut axes = *start;
+        for part in 1..=parts {
+            let next = nearest(arm, &path.pose(f64::from(part) / f64::from(parts))?, &axes).ok()?;
+            // Twice the step of the path: more is a wrist that turns about.
+            let fits = apart(&next, &axes) < 0.3 && status(arm, &next) == began;
+            if !(fits && self.cell.allows(&next, self.centre, self.risk)) {
+                return None;
+            }
+            axes = next;
+        }
+        Some(axes)
+    }
+
+    fn direction(&self, pose: &Pose) -> Vector3<f64> {
+        (pose.position - self.ball).normalize()
+    }
+}
+
+/// The poses in an order in which the axes turn little: the nearest next, then any stretch turned about
+/// while that is shorter. The first stays first.
+pub(crate) fn order(poses: &mut [Candidate]) {
+    for at in 1..poses.len() {
+        let next = (at..poses.len()).min_by(|&a, &b| {
+            let far = |k: usize| apart(&poses[at - 1].axes, &poses[k].axes);
+            far(a).total_cmp(&far(b))
+        });
+        poses.swap(at, next.unwrap_or(at));
+    }
+    let far = |a: &Candidate, b: Option<&Candidate>| b.map_or(0.0, |b| apart(&a.axes, &b.axes));
+    for _ in 0..20 {
+        let mut shorter = false;
+        for i in 1..poses.len() {
+            for k in i + 1..poses.len() {
+                let now = far(&poses[i - 1], poses.get(i)) + far(&poses[k], poses.get(k + 1));
+                let then = far(&poses[i - 1], poses.get(k)) + far(&poses[i], poses.get(k + 1));
+                if then < now - 1e-9 {
+                    poses[i..=k].reverse();
+                    shorter = true;
+                }
+            }
+        }
+        if !shorter {
+            return;
+        }
+    }
+}
+
+/// The greatest difference of an axis, rad.
+fn apart(a: &[f64; AXES], b: &[f64; AXES]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
+}
+
+fn arc_angle(u: &Vector3<f64>, v: &Vector3<f64>) -> f64 {
+    u.cross(v).norm().atan2(u.dot(v))
+}
+
+/// The unit vector at `share` of the great circle from u to v.
+fn on_arc(u: &Vector3<f64>, v: &Vector3<f64>, share: f64) -> Vector3<f64> {
+    let normal = u.cross(v);
+    match normal.try_normalize(1e-9) {
+        Some(axis) => Rotation3::from_scaled_axis(axis * (arc_angle(u, v) * share)) * u,
+        None => *u,
+    }
+}
+
+/// The unit vector after `angle` rad along the great circles past the directions.
+fn along(past: &[Vector3<f64>], legs: &[f64], angle: f64) -> Vector3<f64> {
+    let mut left = angle;
+    for (pair, leg) in past.windows(2).zip(legs) {
+        if left <= *leg {
+            return on_arc(&pair[0], &pair[1], if *leg > 0.0 { left / leg } else { 0.0 });
+        }
+        left -= leg;
+    }
+    past.last().copied().unwrap_or_else(Vector3::z)
+}
