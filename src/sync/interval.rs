@@ -116,17 +116,17 @@ impl Interval {
         if self.broken {
             return BROKEN.ln();
         }
-        let (undisturbed, disturbed) = self.densities(pace);
-        (undisturbed + disturbed).max(1e-300).ln()
+        let (running, paused) = self.densities(pace);
+        (running + paused).max(1e-300).ln()
     }
 
-    /// Probability that the program ran through without a pause and both begins were detected well.
-    pub(super) fn undisturbed(&self, pace: Pace) -> f64 {
-        let (undisturbed, disturbed) = self.densities(pace);
-        if self.broken || undisturbed <= 0.0 { 0.0 } else { undisturbed / (undisturbed + disturbed) }
+    /// Probability that the program ran through without a pause.
+    pub(super) fn unpaused(&self, pace: Pace) -> f64 {
+        let (running, paused) = self.densities(pace);
+        if self.broken || running <= 0.0 { 0.0 } else { running / (running + paused) }
     }
 
-    /// Densities, 1/s, of what was seen when nothing disturbed, and when something did.
+    /// Densities, 1/s, of what was seen if the program ran through, and if it paused.
     fn densities(&self, pace: Pace) -> (f64, f64) {
         let residual_s = self.residual_s(pace);
         let sigma_s = self.sigma_s(pace);
@@ -134,14 +134,12 @@ impl Interval {
         let steps = (self.passed + 1) as f64;
         let (pauses, pause_s) = if self.by_hand { (0.95, BY_HAND_S) } else { (PAUSES * steps, PAUSE_S) };
         let pauses = pauses.min(0.95);
-        let mut disturbed = BAD / (2.0 * BAD_S) * (-residual_s.abs() / BAD_S).exp();
-        if residual_s > 0.0 {
-            disturbed += pauses / pause_s * (-residual_s / pause_s).exp();
+        let mut running = BAD / (2.0 * BAD_S) * (-residual_s.abs() / BAD_S).exp();
+        if standard.abs() < 9.0 {
+            let normal = (-0.5 * standard * standard).exp() / (sigma_s * std::f64::consts::TAU.sqrt());
+            running += (1.0 - pauses - BAD).max(0.01) * normal;
         }
-        if standard.abs() >= 9.0 {
-            return (0.0, disturbed);
-        }
-        let normal = (-0.5 * standard * standard).exp() / (sigma_s * std::f64::consts::TAU.sqrt());
-        ((1.0 - pauses - BAD).max(0.01) * normal, disturbed)
+        let paused = if residual_s > 0.0 { pauses / pause_s * (-residual_s / pause_s).exp() } else { 0.0 };
+        (running, paused)
     }
 }

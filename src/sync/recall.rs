@@ -12,7 +12,8 @@ use super::interval::{Interval, Pace, Program};
 use super::still::Stretch;
 use super::stream::Stream;
 
-/// The begins of the certain dwells are known to this, s.
+/// The interval between the certain dwells must be commanded up to this, s; their begins to this each, s.
+const AGREES_S: f64 = 0.25;
 const BEGIN_KNOWN_S: f64 = 0.15;
 /// Kept free at the end of a dwell whose begin is known no better, s.
 const MARGIN_S: f64 = 0.15;
@@ -48,9 +49,11 @@ pub(super) fn unseen(
             [before, after].iter().map(|stretch| stretch.start_sd_s.max(LEAST_START_SD_S).powi(2)).sum();
         let whole = program.interval(from, to, seen_s, variance_s2, broken);
         let residual_s = whole.residual_s(pace);
-        // Both neighbours are theirs, and nothing held the program up between them.
-        let posterior = p * q * whole.undisturbed(pace);
-        if whole.by_hand || to - from - 1 > MOST || posterior <= KEEP {
+        // Both neighbours are theirs, and the program did not pause between them. A begin that was seen
+        // wrongly does not make the pose another one, so long as the interval agrees.
+        let posterior = p * q * whole.unpaused(pace);
+        let off = whole.by_hand || to - from - 1 > MOST || residual_s.abs() > AGREES_S;
+        if off || posterior <= KEEP {
             continue;
         }
         for pose in from + 1..to {
