@@ -1,7 +1,8 @@
 //! An hour at 1 kHz, 3.6 million samples: joined to its plan, and evaluated as a circle.
 //!
 //! `cargo bench --bench sync`. Memory: the stream holds 17 bytes a sample (time, reading, flags), 61 MB;
-//! the circle's points 104 bytes and its rays 24 bytes each.
+//! the circle's points 120 bytes and its rays 24 bytes each.
+#![allow(missing_docs, clippy::expect_used)]
 
 use std::hint::black_box;
 

@@ -339,7 +339,7 @@ fn arc(traces: &[Trace], condition: f64) -> Arc {
     let (at, largest_gap_deg) =
         gaps.enumerate().fold((0, 0.0), |most, gap| if gap.1 > most.1 { gap } else { most });
     let usual_deg = 360.0 / angles.len().max(1) as f64;
-    let full = largest_gap_deg <= (3.0 * usual_deg).max(2.0).min(GAP_DEG);
+    let full = largest_gap_deg <= (3.0 * usual_deg).clamp(2.0, GAP_DEG);
     let from_deg = if full { 0.0 } else { angles.get(at + 1).or(angles.first()).copied().unwrap_or(0.0) };
     let span_deg = if full { 360.0 } else { 360.0 - largest_gap_deg };
     Arc { from_deg, span_deg, largest_gap_deg, full, condition }

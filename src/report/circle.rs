@@ -77,7 +77,7 @@ impl CircleTest {
             })
             .collect();
         let marks: Vec<(f64, String)> =
-            found.reversals.iter().map(|at| (at.angle_deg, format!("A{}", at.joint))).collect();
+            found.reversals.iter().map(|at| (at.angle_deg, at.joint.to_string())).collect();
         let title =
             self.circle.map_or("Deviation from the circle".into(), |number| format!("Circle {number}"));
         let plot = PolarPlot { title, radius_mm: Some(found.radius_mm), axis_names: None, traces };
