@@ -73,7 +73,8 @@ pub struct Number {
     pub span: Span,
 }
 
-/// What is written for a point.
+/// What is written for a point. Nearly all are poses, so that boxing them would save nothing.
+#[allow(clippy::large_enum_variant)]
 #[derive(Clone, Debug)]
 pub enum Position {
     /// A1 to A6, degrees.
