@@ -30,6 +30,8 @@ const SHORTEST_S: f64 = 0.8;
 const SPREAD_S: f64 = 2.2;
 /// How far the durations of the moves into a module's dwells are apart, s.
 const APART_S: f64 = 0.005;
+/// Less than this (mm, degrees) is the rounding of printed poses: that part stands still.
+const STILL: f64 = 0.01;
 /// Speed of a knock, mm/s: slow enough to be seen in the stream of a slow gauge.
 pub(crate) const KNOCK_MM_S: f64 = 1.0;
 
@@ -128,14 +130,13 @@ fn code(count: usize, seed: u64) -> Vec<f64> {
 fn paced(still: MoveTime, pace: &Pace, feed: f64, turn: f64, wanted: Option<f64>) -> MoveTime {
     let (distance, angle) = (pace.path.length_mm(), pace.path.turn_deg());
     // Shares of the path per second that feed, orientation and axes allow.
-    let allowed = |speed: f64, whole: f64| if whole > 0.0 { speed / whole } else { f64::INFINITY };
+    let allowed = |speed: f64, whole: f64| if whole > STILL { speed / whole } else { f64::INFINITY };
     let rate = allowed(feed, distance).min(allowed(turn, angle)).min(allowed(AXIS_SHARE, pace.axis_s));
     let chosen = |limit: f64, whole: f64, acceleration: f64| {
         let fastest = if rate.is_finite() { limit.min(rate * whole) } else { limit };
         let coded = wanted.and_then(|duration| speed_for(whole, duration, acceleration)).unwrap_or(fastest);
-        // As KRL prints it, and never zero: a part that stands still, but for the rounding of its digits,
-        // keeps the limit; nothing is slower than a hundredth.
-        if whole > 1e-2 { (coded.min(fastest) * 1e3).round().max(10.0) / 1e3 } else { limit }
+        // As KRL prints it, and never zero: a part that stands still keeps the limit; nothing is slower than a hundredth.
+        if whole > STILL { (coded.min(fastest) * 1e3).round().max(10.0) / 1e3 } else { limit }
     };
     let feed_mm_s = chosen(feed, distance, ACCELERATION_MM_S2);
     let turn_deg_s = chosen(turn, angle, ACCELERATION_DEG_S2);
