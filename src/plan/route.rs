@@ -20,6 +20,8 @@ const STEP_MM: f64 = 2.0;
 const STEP_DEG: f64 = 2.0;
 /// Greatest turn of an axis in one chord, rad.
 const CHORD_TURN: f64 = 0.2;
+/// Greatest turn of an axis in one arc, rad: of a larger one the end would not tell the full turns.
+const ARC_TURN: f64 = 1.5;
 /// An axis may be off by this much at the end of a way; more is another turn of it, rad.
 const ASTRAY: f64 = 0.01;
 
@@ -48,7 +50,8 @@ impl Router<'_> {
     pub(crate) fn way(&self, from: &Candidate, to: &Candidate) -> Option<Way> {
         let (u, v) = (self.direction(&from.pose), self.direction(&to.pose));
         let bend = arc_angle(&u, &v);
-        if bend < PI - 0.1 && bend > 1e-3 {
+        let turn = apart(&from.axes, &to.axes);
+        if bend < PI - 0.1 && bend > 1e-3 && turn < ARC_TURN {
             let rotation = between(&from.pose.rotation, &to.pose.rotation, 0.5);
             let aux = Pose { rotation, position: self.ball + on_arc(&u, &v, 0.5) * self.radius };
             let path = Path::arc(from.pose, &aux.position, to.pose);
