@@ -139,7 +139,7 @@ fn enough(
     let at = |count: usize| exchanged(candidates, moved, count, criterion).rms_error_mm();
     let (half, twice) = (at(count.div_ceil(2)), at((2 * count).min(candidates.ncols())));
     let judged = if twice > ENOUGH * error_mm {
-        "that many are enough: what is left is what one base ball cannot tell, a second at another radius and height would"
+        "that many are enough; a calibrated bar (length_u_mm) or a second base ball at another radius and height would tell more"
     } else {
         "more would tell more"
     };
