@@ -9,6 +9,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use super::{Outcome, Output, Verdict, protocols};
 use crate::clock;
 use crate::daemon::{Acquisition, Attachments, Ending, Options, Progress, Summary, stop_on_signal};
+use crate::port::{self, Latency};
 use crate::units::HostNs;
 
 /// The protocol without a word about it.
@@ -32,6 +33,9 @@ pub(crate) struct Args {
     /// Protocol of the bar: a built-in name or a TOML file [default: the plan's, else dbb-cobs-1].
     #[arg(long, value_name = "NAME|FILE")]
     protocol: Option<String>,
+    /// Set a parameter of the protocol, as range_mm=50; `dbbd protocols show NAME` lists them.
+    #[arg(long = "param", value_name = "NAME=VALUE", value_parser = protocols::param)]
+    params: Vec<(String, String)>,
     /// Plan that the robot executes; it and the plan.json beside it go into the capture.
     #[arg(long, value_name = "PLAN.csv")]
     plan: Option<PathBuf>,
@@ -56,8 +60,14 @@ fn seconds(text: &str) -> Result<f64, String> {
 pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
     let attachments = args.plan.as_deref().map(Attachments::of_plan).transpose()?.unwrap_or_default();
     let name = args.protocol.as_deref().or(attachments.protocol.as_deref()).unwrap_or(DEFAULT_PROTOCOL);
-    let definition = protocols::load(name)?;
+    let definition = protocols::load_with(name, &args.params)?;
     out.detail(format!("protocol {}: {}", definition.id, definition.title));
+    if let Some(Latency { ms: ms @ 2.., device }) = port::quicken(&args.port) {
+        out.warning(format!(
+            "{device} holds bytes back for up to {ms} ms, which blurs times; this udev rule mends it:\n  {}",
+            port::LATENCY_RULE
+        ));
+    }
     let stop = stop_on_signal()?;
     let options = Options {
         port: args.port.clone(),
@@ -112,6 +122,7 @@ fn status(progress: &Progress) -> String {
         (progress.gaps, "gaps"),
         (progress.missing, "samples missing"),
         (progress.faults, "faults"),
+        (progress.unanswered, "requests unanswered"),
         (progress.lost_bytes, "bytes lost"),
     ] {
         if count > 0 {
@@ -154,6 +165,9 @@ fn conclude(summary: &Summary, args: &Args, out: &Output) -> Verdict {
             "{} samples are missing and {} bytes were lost, in {} gaps",
             progress.missing, progress.lost_bytes, progress.gaps
         ));
+    }
+    if progress.unanswered > 0 {
+        doubts.push(format!("{} requests were not answered in time", progress.unanswered));
     }
     doubts.iter().for_each(|doubt| out.warning(doubt));
     Ok(if doubts.is_empty() { Outcome::Done } else { Outcome::Doubt })

@@ -7,7 +7,8 @@ use serde_json::json;
 
 use super::{Outcome, Output, Verdict, files};
 use crate::diag::{Diagnostic, nearest};
-use crate::protocol::Definition;
+use crate::protocol::{Definition, Sample};
+use crate::units::DeviceTicks;
 
 /// Arguments of the verb.
 #[derive(clap::Args)]
@@ -20,32 +21,36 @@ pub(crate) struct Args {
 enum What {
     /// List the built-in definitions (the default).
     List,
-    /// Print a built-in definition, as a start for one's own.
+    /// Print a definition, its frame's layout and an example above it as remarks: a start for one's own.
     Show {
-        /// Its name.
+        /// A built-in name or a file.
         name: String,
+        /// Set a parameter of the definition.
+        #[arg(long = "param", value_name = "NAME=VALUE", value_parser = param)]
+        params: Vec<(String, String)>,
     },
     /// Check a definition file and run its test vectors.
     Check {
         /// The TOML file.
         file: PathBuf,
+        /// Set a parameter of the definition.
+        #[arg(long = "param", value_name = "NAME=VALUE", value_parser = param)]
+        params: Vec<(String, String)>,
     },
 }
 
 pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
     match &args.what {
         None | Some(What::List) => list(out),
-        Some(What::Show { name }) => {
-            let definition = match Definition::by_name(name) {
-                Some(definition) => definition?,
-                None => return Err(unknown(name).into()),
-            };
+        Some(What::Show { name, params }) => {
+            let definition = load_with(name, params)?;
             out.document(&summary(&definition))?;
+            layout(&definition, out);
             out.result(definition.text.trim_end());
             Ok(Outcome::Done)
         }
-        Some(What::Check { file }) => {
-            let definition = from_file(file)?;
+        Some(What::Check { file, params }) => {
+            let definition = from_file(file, params)?;
             out.document(&summary(&definition))?;
             out.result(format!("{}: `{}` is sound; its test vectors pass", file.display(), definition.id));
             Ok(Outcome::Done)
@@ -53,23 +58,74 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
     }
 }
 
+/// Parses NAME=VALUE.
+pub(crate) fn param(text: &str) -> Result<(String, String), String> {
+    match text.split_once('=') {
+        Some((name, value)) if !name.is_empty() => Ok((name.to_owned(), value.to_owned())),
+        _ => Err("must be NAME=VALUE".into()),
+    }
+}
+
+/// The frame as a table and as bytes, in remarks, so that what is printed is a definition still.
+fn layout(definition: &Definition, out: &Output) {
+    out.result(format!("# frame: {}", definition.framing()));
+    out.result(format!("# {:>4}  {:>5}  {:40}  says", "byte", "bytes", "written"));
+    let number = |value: Option<usize>| value.map_or("-".to_owned(), |value| value.to_string());
+    for part in definition.layout() {
+        let line = format!(
+            "# {:>4}  {:>5}  {:40}  {}",
+            number(part.at),
+            number(part.bytes),
+            part.written,
+            part.says
+        );
+        out.result(line.trim_end());
+    }
+    let sample = Sample {
+        reading_mm: definition.sim.at_mm + 0.125,
+        sequence: Some(1),
+        ticks: Some(DeviceTicks(1000)),
+        trigger: Some(false),
+        temperature_c: Some(20.0),
+        valid: true,
+        status: 0,
+        offset: 0,
+    };
+    let mut frame = Vec::new();
+    if definition.encoder().encode(&sample, &mut frame).is_ok() {
+        let hex: Vec<String> = frame.iter().map(|byte| format!("{byte:02x}")).collect();
+        out.result(format!("# {} mm: {}", sample.reading_mm, hex.join(" ")));
+    }
+    out.result(format!("# {}", undetected(definition)));
+}
+
+/// What a definition's check is worth.
+fn undetected(definition: &Definition) -> String {
+    let share = definition.undetected();
+    if share < 1.0 {
+        format!("a damaged frame of the right form passes with a probability of {share:.2e}")
+    } else {
+        "no check: a damaged frame of the right form passes".into()
+    }
+}
+
 /// A definition by built-in name or by file.
 ///
 /// # Errors
 /// An unknown name, or what is wrong in the file.
-pub(crate) fn load(name: &str) -> Result<Definition, Box<dyn Error>> {
-    if let Some(built_in) = Definition::by_name(name) {
+pub(crate) fn load_with(name: &str, params: &[(String, String)]) -> Result<Definition, Box<dyn Error>> {
+    if let Some(built_in) = Definition::by_name_with(name, params) {
         return Ok(built_in?);
     }
     let path = Path::new(name);
     if path.exists() || name.ends_with(".toml") {
-        return Ok(from_file(path)?);
+        return Ok(from_file(path, params)?);
     }
     Err(unknown(name).into())
 }
 
-fn from_file(path: &Path) -> Result<Definition, Diagnostic> {
-    Definition::from_toml(&path.display().to_string(), &files::read(path)?)
+fn from_file(path: &Path, params: &[(String, String)]) -> Result<Definition, Diagnostic> {
+    Definition::from_toml_with(&path.display().to_string(), &files::read(path)?, params)
 }
 
 fn unknown(name: &str) -> String {
@@ -91,6 +147,9 @@ fn summary(definition: &Definition) -> serde_json::Value {
         "tested_on": definition.tested_on,
         "baud": definition.line.baud,
         "nominal_hz": definition.nominal_hz,
+        "params": definition.params.iter().cloned().collect::<std::collections::BTreeMap<_, _>>(),
+        "resolution_mm": definition.resolution_mm(),
+        "undetected": definition.undetected(),
     })
 }
 
@@ -98,7 +157,12 @@ fn list(out: &Output) -> Verdict {
     let mut all = Vec::new();
     for (name, text) in Definition::built_in() {
         let definition = Definition::from_toml(name, text)?;
-        out.result(format!("{name:12}  {} [{}]", definition.title, definition.confidence));
+        let tried = match (definition.confidence, definition.tested_on.as_slice()) {
+            ("own", []) => String::new(),
+            (_, []) => ", not tried on hardware".to_owned(),
+            (_, devices) => format!(", tried on {}", devices.join(", ")),
+        };
+        out.result(format!("{name:20}  {} [{}{tried}]", definition.title, definition.confidence));
         all.push(summary(&definition));
     }
     out.document(&all)?;

@@ -9,8 +9,9 @@ use serde_json::json;
 use super::{Outcome, Output, Verdict, files, protocols};
 use crate::diag::Diagnostic;
 use crate::krl::Program;
-use crate::sim::bar::{Options, Reading, Source, Terminal, serve};
 use crate::sim::ekrl::Client;
+use crate::sim::bar::{Options, Reading, Source, Terminal, serve_badly};
+use crate::sim::fault::{BadLine, Faults};
 use crate::sim::link::Link;
 use crate::sim::world::{Setup, Stroke};
 use crate::sim::{Controller, World, truth};
@@ -38,12 +39,22 @@ pub(crate) struct Args {
     /// The bar's protocol: a built-in name or a file.
     #[arg(long, value_name = "NAME|FILE", default_value = "dbb-cobs-1")]
     protocol: String,
+    /// Set a parameter of the protocol, as range_mm=50; `dbbd protocols show NAME` lists them.
+    #[arg(long = "param", value_name = "NAME=VALUE", value_parser = protocols::param)]
+    params: Vec<(String, String)>,
     /// A symlink to the pty, removed at the end.
     #[arg(long, value_name = "PATH")]
     link: Option<PathBuf>,
-    /// Where `dbbd acquire --ekrl` listens, for a program that tells its dwells by EthernetKRL.
+    /// The EthernetKRL server to which a program written with `krl --sync ekrl` tells its dwells.
     #[arg(long, value_name = "ADDR:PORT")]
     ekrl: Option<SocketAddr>,
+    /// A fault of the line or the bar; may be given several times. Per byte, as probabilities: drop,
+    /// flip, double, insert. Per frame: silence, refuse (the bar's word for no reading), skip (a
+    /// sequence number). batch_ms holds bytes back; stale sends so many bytes of an earlier stream at
+    /// opening; banner=1, echo=1; wrap_ticks before the counter wraps; drift_ppm of the bar's clock;
+    /// unplug_s, away_s: unplugged once, back under another name (--link follows); over_mm beyond the stroke.
+    #[arg(long = "fault", value_name = "NAME=VALUE", value_parser = protocols::param)]
+    faults: Vec<(String, String)>,
     /// Seed of all that is random.
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
@@ -65,7 +76,12 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
     {
         return Err(format!("{name} {value} must be {low} to {high}").into());
     }
-    let definition = protocols::load(&args.protocol)?;
+    let mut faults = Faults::default();
+    for (name, value) in &args.faults {
+        let number = value.parse().map_err(|_| format!("--fault {name}={value}: not a number"))?;
+        faults.set(name, number).map_err(|why| format!("--fault {why}"))?;
+    }
+    let definition = protocols::load_with(&args.protocol, &args.params)?;
     let nominal = files::robot(&args.nominal)?;
     let robot = match &args.robot {
         Some(name) => files::robot(name)?,
@@ -95,10 +111,11 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
         cell.ekrl = Some(client);
     }
     let terminal = Terminal::new()?;
-    let _link = args.link.as_deref().map(|path| link(path, terminal.name())).transpose()?;
+    let link = args.link.as_deref().map(|path| link(path, terminal.name())).transpose()?;
     out.document(&json!({ "port": terminal.name() }))?;
     out.result(terminal.name());
-    let frames = serve(terminal, &definition, options, &mut cell)?;
+    let bad = BadLine::new(faults, args.seed);
+    let frames = serve_badly(terminal, &definition, options, &mut cell, bad, link)?;
     if let Some(failure) = cell.failure {
         return Err(failure.into());
     }

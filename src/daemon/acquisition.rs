@@ -10,18 +10,19 @@ use std::time::Duration;
 use serde::Serialize;
 use thiserror::Error;
 
+use super::asking::Asking;
 use super::attachments::Attachments;
 use super::marks::Marks;
 use super::recorder::Recorder;
 use super::session;
 use crate::capture::{Event, WriteError, Writer};
 use crate::clock;
-use crate::port::{Arrival, Port, PortError, Reader};
-use crate::protocol::Definition;
+use crate::port::{self, Arrival, Port, PortError, Reader};
+use crate::protocol::{Definition, Mode};
 use crate::units::HostNs;
 
 /// Longest wait between two attempts to open a port that went away, s.
-const LONGEST_BACKOFF_S: f64 = 2.0;
+const LONGEST_BACKOFF_S: f64 = 1.0;
 
 /// What a run is to do.
 #[derive(Clone, Debug)]
@@ -59,6 +60,8 @@ pub struct Progress {
     pub faults: u64,
     /// Times that the device said that it has no reading.
     pub rejected: u64,
+    /// Requests that were not answered in time.
+    pub unanswered: u64,
     /// Gaps that were recorded.
     pub gaps: u64,
     /// Samples missing by their sequence numbers.
@@ -146,7 +149,8 @@ impl Acquisition {
         recorder.attach(now, "protocol.toml", options.definition.text.as_bytes())?;
         opened(&mut recorder, &options.port, stale)?;
         let shared = Arc::new(Shared { progress: Mutex::default(), stop });
-        let run = Run { options, recorder, shared: Arc::clone(&shared), began: now };
+        let identity = port::identity(&options.port);
+        let run = Run { options, identity, recorder, shared: Arc::clone(&shared), began: now };
         let recorder = std::thread::spawn(move || run.whole(port));
         Ok(Self { shared, recorder })
     }
@@ -183,6 +187,8 @@ fn opened(recorder: &mut Recorder, port: &str, stale: u64) -> Result<(), WriteEr
 /// The recorder's thread.
 struct Run {
     options: Options,
+    /// The name by which the port is found again.
+    identity: String,
     recorder: Recorder,
     shared: Arc<Shared>,
     began: HostNs,
@@ -213,7 +219,7 @@ impl Run {
             self.recorder.event(now, Event::Gap { seconds, missing: None, reason })?;
             match reopened {
                 Ok((again, stale)) => {
-                    opened(&mut self.recorder, &self.options.port, stale)?;
+                    opened(&mut self.recorder, &self.identity, stale)?;
                     self.recorder.restarted();
                     port = again;
                 }
@@ -233,15 +239,39 @@ impl Run {
     /// Records from an open port until it is gone or the run is over.
     fn session(&mut self, port: &Port) -> Result<Session, AcquireError> {
         let (_reader, arrivals) = Reader::start(port.handle()?);
+        let mut asking = match self.options.definition.mode {
+            Mode::Poll { hz, timeout } => Some(Asking::new(port.handle()?, hz, timeout)),
+            Mode::Stream | Mode::Push => None,
+        };
+        let idle = self.options.definition.idle;
         loop {
             if let Some(ending) = self.ending() {
                 return Ok(Session::Over(ending));
             }
-            match arrivals.recv_timeout(Duration::from_millis(50)) {
-                Ok(Arrival::Bytes(host, bytes)) => self.recorder.bytes(host, bytes)?,
+            let mut patience = idle.unwrap_or(Duration::from_millis(50));
+            if let Some(asking) = &mut asking {
+                match asking.step(&self.options.definition, &mut self.recorder)? {
+                    Ok(wait) => patience = patience.min(wait),
+                    Err(gone) => return Ok(Session::Gone(clock::now(), gone.to_string())),
+                }
+            }
+            match arrivals.recv_timeout(patience) {
+                Ok(Arrival::Bytes(host, bytes)) => {
+                    let before = self.recorder.answers();
+                    self.recorder.bytes(host, bytes)?;
+                    if let Some(asking) = &mut asking
+                        && self.recorder.answers() > before
+                    {
+                        asking.answered();
+                    }
+                }
                 Ok(Arrival::Lost(host, bytes)) => self.recorder.lost(host, bytes)?,
                 Ok(Arrival::Gone(host, why)) => return Ok(Session::Gone(host, why)),
-                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Timeout) => {
+                    if idle.is_some() {
+                        self.recorder.silence(clock::now())?;
+                    }
+                }
                 Err(RecvTimeoutError::Disconnected) => {
                     return Ok(Session::Gone(clock::now(), "the reading thread ended".into()));
                 }
@@ -272,7 +302,7 @@ impl Run {
             }
             let away = clock::now().seconds_since(since);
             if away >= next {
-                if let Ok(opened) = session::open(&self.options.port, &self.options.definition) {
+                if let Ok(opened) = session::open(&self.identity, &self.options.definition) {
                     return Ok(Ok(opened));
                 }
                 next = away + backoff;

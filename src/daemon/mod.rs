@@ -1,6 +1,7 @@
 //! Threads, channels and signals: the only place that knows all rooms.
 
 mod acquisition;
+mod asking;
 mod attachments;
 mod marks;
 mod recorder;

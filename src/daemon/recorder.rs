@@ -24,6 +24,10 @@ pub(super) struct Recorder {
     last_sync: HostNs,
     rate_since: HostNs,
     rate_samples: u64,
+    /// When the reading that is on its way was asked for, where that dates it.
+    requested: Option<HostNs>,
+    at_request: bool,
+    latch_delay_ns: u64,
     in_a_row: u32,
     sync_frames: u32,
     began: HostNs,
@@ -46,6 +50,9 @@ impl Recorder {
             last_sync: now,
             rate_since: now,
             rate_samples: 0,
+            requested: None,
+            at_request: definition.latch_at_request,
+            latch_delay_ns: u64::try_from(definition.latch_delay.as_nanos()).unwrap_or(0),
             in_a_row: 0,
             sync_frames: definition.sync_frames,
             began: now,
@@ -84,6 +91,29 @@ impl Recorder {
         if let Record::Raw(bytes) = &record {
             self.decoder.push(bytes, &mut self.decoded);
         }
+        self.decoded(host)
+    }
+
+    /// A reading was asked for.
+    pub(super) fn requested(&mut self, host: HostNs) {
+        self.requested = Some(host);
+    }
+
+    /// A reading that was asked for did not come: what came of it is no part of the next.
+    pub(super) fn unanswered(&mut self, host: HostNs) -> Result<(), WriteError> {
+        self.progress.unanswered += 1;
+        self.decoder.interrupt(&mut self.decoded);
+        self.decoded(host)
+    }
+
+    /// Readings and refusals so far.
+    pub(super) fn answers(&self) -> u64 {
+        self.progress.samples + self.progress.rejected
+    }
+
+    /// Nothing came for as long as ends a frame, where silence does.
+    pub(super) fn silence(&mut self, host: HostNs) -> Result<(), WriteError> {
+        self.decoder.silence(&mut self.decoded);
         self.decoded(host)
     }
 
@@ -127,6 +157,11 @@ impl Recorder {
     }
 
     fn sample(&mut self, host: HostNs, sample: &Sample) -> Result<(), WriteError> {
+        // A polled reading is that of its request, not of the reply, which comes up to 70 ms later.
+        let host = match self.requested.filter(|_| self.at_request) {
+            Some(HostNs(ns)) => HostNs(ns.saturating_add(self.latch_delay_ns)),
+            None => host,
+        };
         self.missing(host, sample)?;
         // A sample is plain numbers, which JSON can always hold.
         if let Ok(json) = serde_json::to_vec(sample) {

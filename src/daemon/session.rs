@@ -38,6 +38,7 @@ pub(super) fn open(name: &str, definition: &Definition) -> Result<(Port, u64), P
     if definition.stop.is_empty() {
         stale += port.drain(Duration::from_millis(1))?.len() as u64;
     }
+    perform(&mut port, &definition.init)?;
     perform(&mut port, &definition.start)?;
     Ok((port, stale))
 }
@@ -47,12 +48,29 @@ pub(super) fn close(mut port: Port, definition: &Definition) {
     let _ = perform(&mut port, &definition.stop);
 }
 
-/// Performs the steps of a command; how many bytes were thrown away.
+/// Asks for a reading.
+pub(super) fn ask(port: &mut Port, definition: &Definition) -> Result<(), PortError> {
+    perform(port, &definition.poll).map(drop)
+}
+
+/// Performs the steps of a command; how many bytes were thrown away. A device that does not answer
+/// as expected is given up after its retries: whether it sends is seen soon enough.
 fn perform(port: &mut Port, steps: &[Step]) -> Result<u64, PortError> {
     let mut drained = 0;
     for step in steps {
         match step {
             Step::Send(bytes) => port.send(bytes)?,
+            Step::Ask { send, expect, timeout, retries } => {
+                for _ in 0..=*retries {
+                    port.send(send)?;
+                    let answer = port.listen(*timeout, expect)?;
+                    drained += answer.len() as u64;
+                    if answer.windows(expect.len().max(1)).any(|part| part == &expect[..]) {
+                        break;
+                    }
+                }
+            }
+            Step::DtrPulse(duration) => port.pulse_dtr(*duration)?,
             Step::Wait(duration) => clock::sleep(duration.as_secs_f64()),
             Step::Drain(quiet) => drained += port.drain(*quiet)?.len() as u64,
         }

@@ -1,5 +1,6 @@
 //! The serial line and nothing else: opening, writing, and a thread that reads and stamps.
 
+mod adapter;
 mod list;
 mod reader;
 
@@ -12,6 +13,7 @@ use thiserror::Error;
 
 use crate::clock;
 
+pub use adapter::{LATENCY_RULE, Latency, identity, quicken};
 pub use list::{Found, list};
 pub use reader::{Arrival, Reader};
 
@@ -148,24 +150,57 @@ impl Port {
     /// # Errors
     /// When the port is gone.
     pub fn drain(&mut self, quiet: Duration) -> Result<Vec<u8>, PortError> {
+        self.read_until(quiet, 1.0 + quiet.as_secs_f64(), |_| false)
+    }
+
+    /// Reads until `answer` has come or the time is up; the bytes that came.
+    ///
+    /// # Errors
+    /// When the port is gone.
+    pub fn listen(&mut self, timeout: Duration, answer: &[u8]) -> Result<Vec<u8>, PortError> {
+        self.read_until(timeout, timeout.as_secs_f64(), |bytes| bytes.ends_with(answer))
+    }
+
+    fn read_until(
+        &mut self,
+        quiet: Duration,
+        limit_s: f64,
+        done: impl Fn(&[u8]) -> bool,
+    ) -> Result<Vec<u8>, PortError> {
         let gone = |name: &str, source| PortError::Gone { name: name.into(), source };
         let began = clock::now();
-        let mut drained = Vec::new();
-        let mut buffer = [0; 4096];
+        let (mut came, mut buffer) = (Vec::new(), [0; 4096]);
         self.line
             .set_timeout(quiet.max(Duration::from_millis(1)))
             .map_err(|source| gone(&self.name, source.into()))?;
-        while clock::now().seconds_since(began) < 1.0 + quiet.as_secs_f64() {
+        while clock::now().seconds_since(began) < limit_s && !done(&came) {
             match self.line.read(&mut buffer) {
                 Ok(0) => return Err(gone(&self.name, ErrorKind::UnexpectedEof.into())),
-                Ok(count) => drained.extend_from_slice(&buffer[..count.min(buffer.len())]),
+                Ok(count) => came.extend_from_slice(&buffer[..count.min(buffer.len())]),
                 Err(error) if error.kind() == ErrorKind::Interrupted => {}
                 Err(error) if error.kind() == ErrorKind::TimedOut => break,
                 Err(source) => return Err(gone(&self.name, source)),
             }
         }
         self.line.set_timeout(PATIENCE).map_err(|source| gone(&self.name, source.into()))?;
-        Ok(drained)
+        Ok(came)
+    }
+
+    /// Lowers DTR for so long; a pseudo terminal has none.
+    ///
+    /// # Errors
+    /// When the port is gone.
+    pub fn pulse_dtr(&mut self, low: Duration) -> Result<(), PortError> {
+        if self.pty {
+            return Ok(());
+        }
+        let gone = |name: &str, source: serialport::Error| PortError::Gone {
+            name: name.into(),
+            source: source.into(),
+        };
+        self.line.write_data_terminal_ready(false).map_err(|source| gone(&self.name, source))?;
+        clock::sleep(low.as_secs_f64());
+        self.line.write_data_terminal_ready(true).map_err(|source| gone(&self.name, source))
     }
 
     /// A second handle of the same line, for the reading thread.

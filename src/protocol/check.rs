@@ -15,6 +15,8 @@ pub(super) struct Check {
     pub(super) after: Option<u8>,
     /// Whether a frame without that character is taken unchecked.
     pub(super) optional: bool,
+    /// So many bytes at the beginning are not covered.
+    pub(super) from: usize,
 }
 
 /// The arithmetic.
@@ -95,10 +97,36 @@ impl Crc {
     }
 }
 
+impl std::fmt::Display for Check {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match &self.sum {
+            Sum::Xor8 => write!(f, "XOR of the bytes"),
+            Sum::Sum8 => write!(f, "sum of the bytes"),
+            Sum::Crc(crc) => write!(f, "CRC-{}, polynomial {:#x}", crc.width, crc.poly),
+        }?;
+        if self.optional { write!(f, ", may be absent") } else { Ok(()) }
+    }
+}
+
 impl Check {
-    pub(super) fn new(sum: Sum, encoding: CheckEncoding, after: Option<u8>, optional: bool) -> Self {
+    pub(super) fn new(
+        sum: Sum,
+        encoding: CheckEncoding,
+        after: Option<u8>,
+        optional: bool,
+        from: usize,
+    ) -> Self {
         let (hex, big_endian) = (encoding == CheckEncoding::Hex, encoding == CheckEncoding::Be);
-        Self { sum, hex, big_endian, after, optional }
+        Self { sum, hex, big_endian, after, optional, from }
+    }
+
+    /// The share of frames of noise that pass.
+    pub(super) fn undetected(&self) -> f64 {
+        let bits = match &self.sum {
+            Sum::Xor8 | Sum::Sum8 => 8,
+            Sum::Crc(crc) => i32::from(crc.width),
+        };
+        if self.optional { 1.0 } else { 0.5f64.powi(bits) }
     }
 
     /// Length of the check as sent, with the character before it.
@@ -140,6 +168,7 @@ impl Check {
     }
 
     fn written(&self, content: &[u8]) -> Vec<u8> {
+        let content = content.get(self.from..).unwrap_or_default();
         let value = match &self.sum {
             Sum::Xor8 => content.iter().fold(0, |sum, byte| sum ^ u32::from(*byte)),
             Sum::Sum8 => content.iter().fold(0u8, |sum, byte| sum.wrapping_add(*byte)).into(),

@@ -4,6 +4,7 @@
 use std::sync::Arc;
 
 use super::engine::{Engine, Meaning};
+use super::framing::{Cut, Framing};
 use super::sample::{Fault, FaultKind, Sample};
 
 /// A frame that never ends is given up in pieces of this many bytes.
@@ -38,23 +39,27 @@ pub struct Decoder {
     offset: u64,
     /// Bytes of an endless frame thrown away so far; 0 outside one.
     discarded: u64,
+    /// Bytes before what is pending that begin no frame, and why.
+    junk: Option<(FaultKind, u64)>,
 }
 
 impl Decoder {
     pub(super) fn new(engine: Arc<Engine>) -> Self {
-        Self { engine, frame: Vec::new(), offset: 0, discarded: 0 }
+        Self { engine, frame: Vec::new(), offset: 0, discarded: 0, junk: None }
     }
 
     /// Bytes that belong to a frame that is not complete.
     pub fn pending(&self) -> u64 {
-        self.frame.len() as u64 + self.discarded
+        self.frame.len() as u64 + self.discarded + self.junk.as_ref().map_or(0, |(_, bytes)| *bytes)
     }
 
     /// Decodes the next bytes; what they complete is appended to `out`.
     pub fn push(&mut self, bytes: &[u8], out: &mut Vec<Decoded>) {
         for &byte in bytes {
-            self.frame.push(byte);
-            if self.engine.framing.complete(&self.frame) {
+            self.frame.push(byte & self.engine.mask);
+            if self.engine.framing.slides() {
+                self.slide(out);
+            } else if self.engine.framing.complete(&self.frame) {
                 self.close(out);
             } else if self.discarded > 0 || self.frame.len() >= self.engine.framing.max_len() {
                 self.overflow(out);
@@ -62,8 +67,20 @@ impl Decoder {
         }
     }
 
+    /// Nothing came for as long as ends a frame, where silence does.
+    pub fn silence(&mut self, out: &mut Vec<Decoded>) {
+        if matches!(self.engine.framing, Framing::Idle { .. }) && self.pending() > 0 {
+            self.close(out);
+        }
+    }
+
     /// The stream was interrupted: what is pending will not be completed.
     pub fn interrupt(&mut self, out: &mut Vec<Decoded>) {
+        self.silence(out);
+        if let Some((kind, bytes)) = self.junk.take() {
+            self.fault(kind, bytes + self.frame.len() as u64, out);
+            self.frame.clear();
+        }
         let pending = self.pending();
         if pending > 0 {
             let kind = if self.discarded > 0 { FaultKind::TooLong } else { FaultKind::Framing };
@@ -71,6 +88,65 @@ impl Decoder {
         }
         self.frame.clear();
         self.discarded = 0;
+    }
+
+    /// Takes whole frames from the front of what is pending.
+    fn slide(&mut self, out: &mut Vec<Decoded>) {
+        let engine = Arc::clone(&self.engine);
+        while !self.frame.is_empty() {
+            let prefix = engine.ignored.iter().find(|prefix| self.frame.starts_with(prefix));
+            if let Some(prefix) = prefix {
+                self.take(prefix.len(), Meaning::Ignored, out);
+                continue;
+            }
+            let one;
+            let lens = match engine.framing.cut(&self.frame) {
+                Cut::More => return,
+                Cut::Skip => {
+                    self.skip(FaultKind::Framing, out);
+                    continue;
+                }
+                Cut::Frame(len) => {
+                    one = [len];
+                    &one[..]
+                }
+                Cut::OneOf(lens) => lens,
+            };
+            let mut wrong = None;
+            let fits = lens.iter().take_while(|len| **len <= self.frame.len()).find_map(|len| {
+                match engine.meaning(&self.frame[..*len]) {
+                    Ok(meaning) => Some((*len, meaning)),
+                    Err(kind) => {
+                        wrong = Some(kind);
+                        None
+                    }
+                }
+            });
+            match fits {
+                Some((len, meaning)) => self.take(len, meaning, out),
+                None if lens.last().is_some_and(|longest| *longest > self.frame.len()) => return,
+                None => self.skip(wrong.unwrap_or(FaultKind::Framing), out),
+            }
+        }
+    }
+
+    /// The first byte pending begins no frame.
+    fn skip(&mut self, why: FaultKind, out: &mut Vec<Decoded>) {
+        self.frame.remove(0);
+        let (kind, bytes) = self.junk.take().unwrap_or((why, 0));
+        if bytes + 1 >= GIVE_UP {
+            self.fault(kind, bytes + 1, out);
+        } else {
+            self.junk = Some((kind, bytes + 1));
+        }
+    }
+
+    fn take(&mut self, len: usize, meaning: Meaning, out: &mut Vec<Decoded>) {
+        if let Some((kind, bytes)) = self.junk.take() {
+            self.fault(kind, bytes, out);
+        }
+        self.accept(meaning, len as u64, out);
+        self.frame.drain(..len.min(self.frame.len()));
     }
 
     /// A frame is complete.

@@ -3,19 +3,17 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use super::check::Check;
 use super::decoder::Decoder;
 use super::encoder::Encoder;
 use super::engine::Engine;
+use super::layout::{self, Part};
 use super::loader;
 use super::table::{Flow, Parity};
 use crate::diag::Diagnostic;
 
 /// The definitions that come with dbbd: name and file.
-const BUILT_IN: &[(&str, &str)] = &[
-    ("dbb-cobs-1", include_str!("../../protocols/dbb-cobs-1.toml")),
-    ("dbb-nmea-1", include_str!("../../protocols/dbb-nmea-1.toml")),
-    ("dbb-csv-1", include_str!("../../protocols/dbb-csv-1.toml")),
-];
+const BUILT_IN: &[(&str, &str)] = include!("../../protocols/built-in.rs");
 
 /// A device: its line, its commands, its clock, and how its bytes are read and written.
 #[derive(Clone, Debug)]
@@ -30,8 +28,10 @@ pub struct Definition {
     pub confidence: &'static str,
     /// Devices on which it was tried.
     pub tested_on: Vec<String>,
-    /// The file's text, for the record.
+    /// The file's text, for the record; its defaults are the parameters in force.
     pub text: String,
+    /// The parameters in force: names and values.
+    pub params: Vec<(String, String)>,
     /// The serial line.
     pub line: Line,
     /// The device's clock, where it has one.
@@ -44,6 +44,22 @@ pub struct Definition {
     pub sync_frames: u32,
     /// Samples per second that the device sends by itself, where that is known.
     pub nominal_hz: Option<f64>,
+    /// Who speaks first.
+    pub mode: Mode,
+    /// Whether a reading is that of the moment of its request.
+    pub latch_at_request: bool,
+    /// How long after its latch event (request, first byte) the reading was taken.
+    pub latch_delay: Duration,
+    /// How uncertain that is.
+    pub latch_jitter: Duration,
+    /// Silence that ends a frame, where silence does.
+    pub idle: Option<Duration>,
+    /// What its virtual twin does.
+    pub sim: Sim,
+    /// What sets it up after opening.
+    pub init: Vec<Step>,
+    /// What asks for a reading.
+    pub poll: Vec<Step>,
     /// What makes it send.
     pub start: Vec<Step>,
     /// What makes it silent.
@@ -81,9 +97,49 @@ pub struct Clock {
     pub wrap_bits: u32,
 }
 
+/// Who speaks first.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Mode {
+    /// The device, by itself.
+    Stream,
+    /// The host, so many times a second; a reply that does not come in time is a loss.
+    Poll {
+        /// Requests per second.
+        hz: f64,
+        /// Longest wait for a reply.
+        timeout: Duration,
+    },
+    /// The device, when its key is pressed.
+    Push,
+}
+
+/// What a virtual device does beside its protocol.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Sim {
+    /// What it says at a reading of 0 of the bar, mm.
+    pub at_mm: f64,
+    /// How long it takes to answer.
+    pub reply_delay: Duration,
+    /// What it says when it is switched on.
+    pub banner: Vec<u8>,
+}
+
 /// A step of a command.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Step {
+    /// Send these bytes until the answer has come.
+    Ask {
+        /// What is sent.
+        send: Vec<u8>,
+        /// What must come.
+        expect: Vec<u8>,
+        /// Longest wait.
+        timeout: Duration,
+        /// How often it is sent again.
+        retries: u32,
+    },
+    /// Lower DTR for so long.
+    DtrPulse(Duration),
     /// Send these bytes.
     Send(Vec<u8>),
     /// Wait.
@@ -98,10 +154,15 @@ impl Definition {
         BUILT_IN
     }
 
-    /// A built-in definition by its name, if there is one.
+    /// A built-in definition by its name, with its parameters' defaults, if there is one.
     pub fn by_name(name: &str) -> Option<Result<Self, Diagnostic>> {
+        Self::by_name_with(name, &[])
+    }
+
+    /// A built-in definition by its name with some parameters chosen, if there is one.
+    pub fn by_name_with(name: &str, params: &[(String, String)]) -> Option<Result<Self, Diagnostic>> {
         let (_, text) = BUILT_IN.iter().find(|(built_in, _)| *built_in == name)?;
-        Some(Self::from_toml(name, text))
+        Some(Self::from_toml_with(name, text, params))
     }
 
     /// Reads, checks and compiles a definition; its own test vectors are run.
@@ -109,7 +170,37 @@ impl Definition {
     /// # Errors
     /// Names the line of what is unknown, missing, contradictory or does not give what its test expects.
     pub fn from_toml(file: &str, text: &str) -> Result<Self, Diagnostic> {
-        loader::load(file, text)
+        Self::from_toml_with(file, text, &[])
+    }
+
+    /// The same with some parameters chosen; the test vectors are run with their defaults.
+    ///
+    /// # Errors
+    /// As [`Definition::from_toml`], and where a parameter is unknown or out of its range.
+    pub fn from_toml_with(file: &str, text: &str, params: &[(String, String)]) -> Result<Self, Diagnostic> {
+        let defaults = loader::load(file, text, &[])?;
+        loader::test(file, text, &defaults)?;
+        if params.is_empty() { Ok(defaults) } else { loader::load(file, text, params) }
+    }
+
+    /// The step between two readings that it can tell apart, mm; 0 for floating-point numbers.
+    pub fn resolution_mm(&self) -> f64 {
+        self.engine.resolution_mm()
+    }
+
+    /// The content of a frame, field by field.
+    pub fn layout(&self) -> Vec<Part> {
+        layout::parts(&self.engine)
+    }
+
+    /// What is around the content of a frame, in words.
+    pub fn framing(&self) -> String {
+        layout::frame(&self.engine.framing)
+    }
+
+    /// The share of damaged frames of the right form that pass for good ones; 1 without a check.
+    pub fn undetected(&self) -> f64 {
+        self.engine.check.as_ref().map_or(1.0, Check::undetected)
     }
 
     /// A decoder at the start of a stream.

@@ -4,7 +4,8 @@ use std::sync::Arc;
 
 use thiserror::Error;
 
-use super::engine::Engine;
+use super::check::Check;
+use super::engine::{Engine, Message};
 use super::sample::Sample;
 
 /// Why a sample cannot be sent.
@@ -47,14 +48,33 @@ impl Encoder {
                 }
             }
         }
-        if let Some(check) = &self.engine.check {
-            check.append(&mut body);
-        }
-        let frame = self.engine.framing.wrap(&body);
+        let frame = self.frame(body, true);
         if frame.len() > self.engine.framing.max_len() {
             return Err(EncodeError::TooLong(frame.len()));
         }
         out.extend(frame);
         Ok(())
+    }
+
+    /// Whether a frame can say that its reading is not to be trusted.
+    pub fn doubts(&self) -> bool {
+        self.engine.messages.iter().take(1).any(Message::doubts)
+    }
+
+    /// Appends the device's word for having no reading; false where it has none.
+    pub fn refuse(&self, out: &mut Vec<u8>) -> bool {
+        if let Some(reject) = self.engine.rejects.first() {
+            out.extend(self.frame(reject.body(), reject.checked));
+        }
+        !self.engine.rejects.is_empty()
+    }
+
+    fn frame(&self, mut body: Vec<u8>, checked: bool) -> Vec<u8> {
+        let check = self.engine.check.as_ref().filter(|_| checked);
+        self.engine.framing.prepare(&mut body, check.map_or(0, Check::len));
+        if let Some(check) = check {
+            check.append(&mut body);
+        }
+        self.engine.framing.wrap(&body)
     }
 }

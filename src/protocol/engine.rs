@@ -1,9 +1,10 @@
 //! A compiled definition: what both the decoder and the encoder follow.
 
 use super::check::Check;
-use super::field::{Field, Role};
+use super::field::{Field, Reading, Role};
 use super::framing::Framing;
 use super::sample::{FaultKind, Sample};
+use super::table::Code;
 
 /// The compiled definition.
 #[derive(Clone, Debug)]
@@ -15,6 +16,8 @@ pub(super) struct Engine {
     pub(super) rejects: Vec<Reject>,
     /// Beginnings of records to pass over.
     pub(super) ignored: Vec<Vec<u8>>,
+    /// The bits of a byte that are data.
+    pub(super) mask: u8,
 }
 
 /// One kind of message.
@@ -33,8 +36,10 @@ pub(super) struct Reject {
     pub(super) text: Vec<u8>,
     /// Whether the text is all, not just the beginning.
     pub(super) whole: bool,
-    /// Base of the code that follows, where one does.
-    pub(super) base: Option<u32>,
+    /// Whether the frame's check guards it.
+    pub(super) checked: bool,
+    /// How the code that follows is written, where one does.
+    pub(super) code: Option<Code>,
     /// Words for codes.
     pub(super) words: Vec<(u32, String)>,
 }
@@ -57,25 +62,38 @@ impl Engine {
             return Ok(Meaning::Ignored);
         }
         let body = self.framing.unwrap(frame).ok_or(FaultKind::Framing)?;
-        if let Some(word) = self.rejects.iter().find_map(|reject| reject.word(&body)) {
+        let word = |checked: bool, content: &[u8]| {
+            let mut rejects = self.rejects.iter().filter(|reject| reject.checked == checked);
+            rejects.find_map(|reject| reject.word(content))
+        };
+        if let Some(word) = word(false, &body) {
             return Ok(Meaning::Reject(word));
         }
         let content = match &self.check {
             Some(check) => check.strip(&body).ok_or(FaultKind::Check)?,
             None => &body,
         };
-        self.messages
-            .iter()
-            .find_map(|message| message.read(content))
-            .map(Meaning::Sample)
-            .ok_or(FaultKind::Content)
+        if let Some(word) = word(true, content) {
+            return Ok(Meaning::Reject(word));
+        }
+        self.messages.iter().find_map(|message| message.read(content)).ok_or(FaultKind::Content)
+    }
+
+    /// The step between two readings that the first message can tell apart, mm; 0 for a float.
+    pub(super) fn resolution_mm(&self) -> f64 {
+        let fields = self.messages.first().into_iter().flat_map(|message| &message.fields);
+        let step = fields.filter_map(|field| match &field.role {
+            Some(Role::Length(scale, _)) => Some((field.form.step() * scale.slope()).abs()),
+            _ => None,
+        });
+        step.last().unwrap_or(0.0)
     }
 
     /// The names of the flags that are set, lowest bit first.
     pub(super) fn flags(&self, status: u32) -> Vec<&str> {
         let fields = self.messages.iter().flat_map(|message| &message.fields);
         let flags = fields.filter_map(|field| match &field.role {
-            Some(Role::Status(flags)) => Some(flags),
+            Some(Role::Status(flags) | Role::StatusWord(_, flags)) => Some(flags),
             _ => None,
         });
         let set = flags.flatten().filter(|(bit, _)| status & (1 << bit) != 0);
@@ -84,13 +102,13 @@ impl Engine {
 }
 
 impl Message {
-    fn read(&self, content: &[u8]) -> Option<Sample> {
+    fn read(&self, content: &[u8]) -> Option<Meaning> {
         if self.len.is_some_and(|len| len != content.len())
             || self.matches.iter().any(|(at, value)| content.get(*at) != Some(value))
         {
             return None;
         }
-        let mut sample = Sample {
+        let sample = Sample {
             reading_mm: 0.0,
             sequence: None,
             ticks: None,
@@ -100,11 +118,24 @@ impl Message {
             status: 0,
             offset: 0,
         };
+        let mut reading = Reading { sample, unit_mm: 1.0, refused: None };
         let mut rest = content;
         for field in &self.fields {
-            rest = field.read(rest, &mut sample)?;
+            rest = field.read(rest, &mut reading)?;
         }
-        rest.is_empty().then_some(sample)
+        if !rest.is_empty() {
+            return None;
+        }
+        let Reading { mut sample, unit_mm, refused } = reading;
+        if unit_mm != 1.0 {
+            sample.reading_mm *= unit_mm;
+        }
+        Some(refused.map_or(Meaning::Sample(sample), Meaning::Reject))
+    }
+
+    /// Whether the message can say that its reading is not to be trusted.
+    pub(super) fn doubts(&self) -> bool {
+        self.fields.iter().any(Field::doubts)
     }
 }
 
@@ -114,9 +145,32 @@ impl Reject {
         if self.whole && !tail.is_empty() {
             return None;
         }
-        let said = String::from_utf8_lossy(body).into_owned();
-        let Some(base) = self.base else { return Some(said) };
-        let code = u32::from_str_radix(std::str::from_utf8(tail).ok()?.trim(), base).ok()?;
-        Some(self.words.iter().find(|(known, _)| *known == code).map_or(said, |(_, word)| word.clone()))
+        let said = || match std::str::from_utf8(body) {
+            Ok(text) if !text.chars().any(char::is_control) => text.to_owned(),
+            _ => body.iter().map(|byte| format!("{byte:02x}")).collect::<Vec<_>>().join(" "),
+        };
+        let code = match self.code {
+            None => return Some(said()),
+            Some(Code::Byte) => u32::from(*tail.first().filter(|_| tail.len() == 1)?),
+            Some(code) => {
+                let base = if code == Code::Hex { 16 } else { 10 };
+                u32::from_str_radix(std::str::from_utf8(tail).ok()?.trim(), base).ok()?
+            }
+        };
+        let known = self.words.iter().find(|(known, _)| *known == code);
+        Some(known.map_or_else(said, |(_, word)| word.clone()))
+    }
+
+    /// The content of a frame that says this, with the lowest code.
+    pub(super) fn body(&self) -> Vec<u8> {
+        let mut body = self.text.clone();
+        let code = self.words.first().map_or(1, |(code, _)| *code);
+        match self.code {
+            None => {}
+            Some(Code::Byte) => body.push(code as u8),
+            Some(Code::Dec) => body.extend(code.to_string().into_bytes()),
+            Some(Code::Hex) => body.extend(format!("{code:X}").into_bytes()),
+        }
+        body
     }
 }

@@ -1,4 +1,9 @@
 //! Cuts a stream into frames and takes a frame's wrapping off.
+//!
+//! Two families: frames that end with something (`complete` sees the end), and frames that begin
+//! with something or are known by their length (`cut` looks at what is pending from its start).
+
+use super::tagged::Tagged;
 
 /// How frames are told apart.
 #[derive(Clone, Debug)]
@@ -10,7 +15,7 @@ pub(super) enum Framing {
         /// Longest frame, bytes, with the delimiter.
         max_len: usize,
     },
-    /// Lines of text.
+    /// Lines of text, or records with an end of their own.
     Line {
         /// The character that begins a line, where there is one.
         start: Option<u8>,
@@ -19,13 +24,93 @@ pub(super) enum Framing {
         /// Longest line, bytes, with start and end.
         max_len: usize,
     },
+    /// Records of one length.
+    Fixed { sync: Vec<u8>, len: usize },
+    /// Records that tell their length.
+    Length { sync: Vec<u8>, at: usize, bytes: usize, big_endian: bool, adds: usize, max_len: usize },
+    /// Bytes whose high bits tell their place.
+    Tagged(Tagged),
+    /// Replies known by their length alone, shortest first.
+    Lengths(Vec<usize>),
+    /// Records that end with silence.
+    Idle { max_len: usize },
+}
+
+/// What the bytes that are pending begin with.
+pub(super) enum Cut<'a> {
+    /// Perhaps a frame: more is needed to tell.
+    More,
+    /// No frame begins with the first byte.
+    Skip,
+    /// A frame of this length.
+    Frame(usize),
+    /// A frame of one of these lengths, shortest first.
+    OneOf(&'a [usize]),
 }
 
 impl Framing {
     /// Longest frame, bytes, with all its wrapping.
     pub(super) fn max_len(&self) -> usize {
         match self {
-            Framing::Cobs { max_len, .. } | Framing::Line { max_len, .. } => *max_len,
+            Framing::Cobs { max_len, .. }
+            | Framing::Line { max_len, .. }
+            | Framing::Length { max_len, .. }
+            | Framing::Idle { max_len } => *max_len,
+            Framing::Fixed { len, .. } => *len,
+            Framing::Tagged(tagged) => tagged.len(),
+            Framing::Lengths(lens) => lens.iter().copied().max().unwrap_or(0),
+        }
+    }
+
+    /// Bytes that the content may have at most, and whether it must have just as many.
+    pub(super) fn room(&self) -> (usize, bool) {
+        match self {
+            Framing::Cobs { max_len, .. } | Framing::Line { max_len, .. } => {
+                (max_len.saturating_sub(1), false)
+            }
+            Framing::Fixed { len, .. } => (*len, true),
+            Framing::Tagged(tagged) => (tagged.body_len(), true),
+            _ => (self.max_len(), false),
+        }
+    }
+
+    /// Places in the content that the framing itself writes.
+    pub(super) fn own(&self) -> impl Iterator<Item = usize> {
+        let (sync, length) = match self {
+            Framing::Fixed { sync, .. } => (sync.len(), 0..0),
+            Framing::Length { sync, at, bytes, .. } => (sync.len(), *at..at + bytes),
+            _ => (0, 0..0),
+        };
+        (0..sync).chain(length)
+    }
+
+    /// Whether frames are found from their beginning.
+    pub(super) fn slides(&self) -> bool {
+        !matches!(self, Framing::Cobs { .. } | Framing::Line { .. } | Framing::Idle { .. })
+    }
+
+    /// What the bytes pending begin with.
+    pub(super) fn cut(&self, pending: &[u8]) -> Cut<'_> {
+        let one = |len: usize| if pending.len() < len { Cut::More } else { Cut::Frame(len) };
+        let begins = |sync: &[u8]| {
+            let known = sync.len().min(pending.len());
+            sync[..known] == pending[..known]
+        };
+        match self {
+            Framing::Fixed { sync, len } if begins(sync) => one(*len),
+            Framing::Length { sync, at, bytes, big_endian, adds, max_len } if begins(sync) => {
+                let Some(field) = pending.get(*at..at + bytes) else { return Cut::More };
+                let fold = |value: usize, byte: &u8| (value << 8) | usize::from(*byte);
+                let value =
+                    if *big_endian { field.iter().fold(0, fold) } else { field.iter().rev().fold(0, fold) };
+                match value + adds {
+                    len if len > *max_len || len < at + bytes => Cut::Skip,
+                    len => one(len),
+                }
+            }
+            Framing::Tagged(tagged) if tagged.fits(pending) => one(tagged.len()),
+            Framing::Lengths(lens) => Cut::OneOf(lens),
+            _ => Cut::Skip,
         }
     }
 
@@ -34,6 +119,7 @@ impl Framing {
         match self {
             Framing::Cobs { delimiter, .. } => pending.last() == Some(delimiter),
             Framing::Line { ends, .. } => ends.iter().any(|end| pending.ends_with(end)),
+            _ => false,
         }
     }
 
@@ -48,6 +134,8 @@ impl Framing {
                     None => Some(body.to_vec()),
                 }
             }
+            Framing::Tagged(tagged) => tagged.unwrap(frame),
+            _ => Some(frame.to_vec()),
         }
     }
 
@@ -56,6 +144,7 @@ impl Framing {
         match self {
             Framing::Cobs { .. } => frame.len() == 1,
             Framing::Line { .. } => self.without_end(frame).is_empty(),
+            _ => false,
         }
     }
 
@@ -65,6 +154,25 @@ impl Framing {
             // Only a check can tell a frame from the tail of another.
             Framing::Cobs { .. } => checked && rest.len() > 1,
             Framing::Line { start, .. } => start.is_some() && rest.first() == start.as_ref(),
+            _ => false,
+        }
+    }
+
+    /// Puts in what the framing itself writes into the content: synchronising bytes and length.
+    /// `guard` is the length of the check that follows.
+    pub(super) fn prepare(&self, body: &mut [u8], guard: usize) {
+        let total = body.len() + guard;
+        let (Framing::Fixed { sync, .. } | Framing::Length { sync, .. }) = self else { return };
+        for (byte, sync) in body.iter_mut().zip(sync) {
+            *byte = *sync;
+        }
+        if let Framing::Length { at, bytes, big_endian, adds, .. } = self
+            && let Some(field) = body.get_mut(*at..at + bytes)
+        {
+            field.copy_from_slice(&total.saturating_sub(*adds).to_le_bytes()[..*bytes]);
+            if *big_endian {
+                field.reverse();
+            }
         }
     }
 
@@ -82,15 +190,17 @@ impl Framing {
                 frame.extend(ends.first().into_iter().flatten());
                 frame
             }
+            Framing::Tagged(tagged) => tagged.wrap(body),
+            _ => body.to_vec(),
         }
     }
 
     fn without_end<'a>(&self, frame: &'a [u8]) -> &'a [u8] {
         match self {
-            Framing::Cobs { .. } => frame,
             Framing::Line { ends, .. } => {
                 ends.iter().find_map(|end| frame.strip_suffix(&end[..])).unwrap_or(frame)
             }
+            _ => frame,
         }
     }
 }

@@ -8,15 +8,17 @@ use toml::Spanned;
 
 use super::check::{self, Check, Crc, Sum};
 use super::decoder::LONGEST_END;
-use super::definition::{Clock, Definition, Line, Step};
+use super::definition::{Clock, Definition, Line, Mode, Sim, Step};
 use super::engine::{Engine, Message, Reject};
 use super::field::{Field, Form};
 use super::framing::Framing;
 use super::load_field;
+use super::params::{self, Resolved};
 use super::table::{
-    CheckEncoding, CheckKind, CheckTable, Code, Confidence, FieldTable, File, FramingTable, Latch, LineTable,
-    MessageTable, RejectTable, StepTable, Wire,
+    CheckEncoding, CheckKind, CheckTable, Code, Confidence, Endian, FieldTable, File, FramingTable, Latch,
+    LineTable, MessageTable, ModeKind, ModeTable, Order, RejectTable, StepTable, TestTable, Wire,
 };
+use super::tagged::Tagged;
 use super::vectors;
 use crate::diag::{Diagnostic, nearest};
 
@@ -28,20 +30,23 @@ pub(super) const LONGEST_FRAME: usize = 4096;
 pub(super) struct Source<'a> {
     file: &'a str,
     text: &'a str,
+    resolved: &'a Resolved,
 }
 
 impl Source<'_> {
     /// What is wrong at a place of the file.
     pub(super) fn wrong(&self, span: Range<usize>, message: impl Into<String>) -> Diagnostic {
-        Diagnostic::span(self.file, self.text, span, message)
+        Diagnostic::span(self.file, self.text, self.resolved.original(span), message)
     }
 }
 
 /// Reads, checks, compiles and tests a definition.
-pub(super) fn load(file: &str, text: &str) -> Result<Definition, Diagnostic> {
-    let source = Source { file, text };
-    let table: File = toml::from_str(text).map_err(|error| {
-        Diagnostic::toml(file, text, &error)
+pub(super) fn load(file: &str, text: &str, params: &[(String, String)]) -> Result<Definition, Diagnostic> {
+    let resolved = params::resolve(file, text, params)?;
+    let source = Source { file, text, resolved: &resolved };
+    let table: File = toml::from_str(&resolved.text).map_err(|error| {
+        let at = resolved.original(error.span().unwrap_or_default());
+        Diagnostic::span(file, text, at, error.message())
             .help("`dbbd protocols show dbb-cobs-1` prints a complete definition")
     })?;
     if *table.schema.get_ref() != 1 {
@@ -58,10 +63,12 @@ pub(super) fn load(file: &str, text: &str) -> Result<Definition, Diagnostic> {
         return Err(Diagnostic::file(file, "no [[message]]: nothing would be decoded"));
     }
     let guard = check.as_ref().map_or(0, Check::len);
-    let room = framing.max_len().saturating_sub(guard + 1);
-    let messages = table.message.iter().map(|message| compile_message(source, message, room));
+    let (room, exact) = framing.room();
+    let room = (room.saturating_sub(guard), exact);
+    let messages = table.message.iter().map(|message| compile_message(source, message, room, &framing));
+    let messages = messages.collect::<Result<_, _>>()?;
     let engine = Engine {
-        messages: messages.collect::<Result<_, _>>()?,
+        messages,
         rejects: table
             .reject
             .iter()
@@ -73,6 +80,7 @@ pub(super) fn load(file: &str, text: &str) -> Result<Definition, Diagnostic> {
             .flat_map(|ignore| &ignore.prefix)
             .map(|p| p.clone().into_bytes())
             .collect(),
+        mask: if table.line.strip_bit7 { 0x7f } else { 0xff },
         framing,
         check,
     };
@@ -88,13 +96,22 @@ pub(super) fn load(file: &str, text: &str) -> Result<Definition, Diagnostic> {
     {
         return Err(source.wrong(latch.span(), "latch = \"device\" needs a field with role = \"t_dev\""));
     }
+    if let Some(latch) = &table.timing.latch
+        && *latch.get_ref() == Latch::Request
+        && table.mode.kind != ModeKind::Poll
+    {
+        return Err(source.wrong(latch.span(), "latch = \"request\" needs [mode] kind = \"poll\""));
+    }
+    let mode = mode(source, &table)?;
     let nominal_hz = table.timing.nominal_hz.as_ref();
     if let Some(hz) = nominal_hz.filter(|hz| !(*hz.get_ref() > 0.0 && *hz.get_ref() <= 1e6)) {
         return Err(source.wrong(hz.span(), "nominal_hz must be above 0 and at most 1e6"));
     }
     let steps = |steps: &[Spanned<StepTable>]| -> Result<Vec<Step>, Diagnostic> {
-        steps.iter().map(|step| compile_step(source, step)).collect()
+        steps.iter().map(|step| compile_step(source, step, engine.check.as_ref())).collect()
     };
+    let (init, start) = (steps(&table.cmd.init)?, steps(&table.cmd.start)?);
+    let (stop, poll) = (steps(&table.cmd.stop)?, steps(&table.cmd.poll)?);
     let definition = Definition {
         id: table.id.get_ref().clone(),
         title: table.title,
@@ -106,26 +123,78 @@ pub(super) fn load(file: &str, text: &str) -> Result<Definition, Diagnostic> {
             Confidence::Guess => "guess",
         },
         tested_on: table.tested_on,
-        text: text.to_owned(),
+        text: resolved.kept.clone(),
+        params: resolved.values.clone(),
         line: line(source, &table.line)?,
         clock: clock.map(|(tick_ns, wrap_bits)| Clock { tick_ns, wrap_bits }),
         sequence_modulo: fields.iter().find_map(|field| field.modulo),
         stall: table.mode.stall_ms.map(|ms| Duration::from_millis(ms.into())),
         sync_frames: table.mode.sync_frames.unwrap_or(1),
         nominal_hz: nominal_hz.map(|hz| *hz.get_ref()),
-        start: steps(&table.cmd.start)?,
-        stop: steps(&table.cmd.stop)?,
+        latch_at_request: table.timing.latch.as_ref().is_some_and(|latch| *latch.get_ref() == Latch::Request),
+        latch_delay: Duration::from_micros(table.timing.delay_us.into()),
+        latch_jitter: Duration::from_micros(table.timing.jitter_us.into()),
+        mode,
+        idle: match table.framing.get_ref() {
+            FramingTable::Gap { idle_us, .. } => idle_us.map(|us| Duration::from_micros(us.into())),
+            _ => None,
+        },
+        sim: Sim {
+            at_mm: table.sim.at_mm,
+            reply_delay: Duration::from_millis(table.sim.reply_delay_ms.into()),
+            banner: table.sim.banner.unwrap_or_default().into_bytes(),
+        },
+        init,
+        start,
+        stop,
+        poll,
         engine: Arc::new(engine),
     };
-    for test in &table.test {
-        vectors::run(source, &definition, test)?;
-    }
     Ok(definition)
+}
+
+/// Runs the file's own tests, which hold for its default parameters.
+pub(super) fn test(file: &str, text: &str, definition: &Definition) -> Result<(), Diagnostic> {
+    #[derive(serde::Deserialize)]
+    struct Tests {
+        #[serde(default)]
+        test: Vec<Spanned<TestTable>>,
+    }
+    let resolved = params::resolve(file, text, &[])?;
+    let tests: Tests =
+        toml::from_str(&resolved.text).map_err(|error| Diagnostic::toml(file, text, &error))?;
+    let source = Source { file, text, resolved: &resolved };
+    tests.test.iter().try_for_each(|test| vectors::run(source, definition, test))
+}
+
+fn mode(source: Source, table: &File) -> Result<Mode, Diagnostic> {
+    let whole = |message: &str| {
+        let start = source.resolved.text.find("[mode]").unwrap_or(0);
+        Err(source.wrong(start..start, format!("[mode]: {message}")))
+    };
+    let ModeTable { kind, poll_hz, reply_timeout_ms, .. } = &table.mode;
+    match (kind, poll_hz, reply_timeout_ms) {
+        (ModeKind::Stream, None, None) => Ok(Mode::Stream),
+        (ModeKind::Push, None, None) => Ok(Mode::Push),
+        (ModeKind::Stream | ModeKind::Push, ..) => {
+            whole("poll_hz and reply_timeout_ms belong to kind = \"poll\"")
+        }
+        (ModeKind::Poll, Some(hz), Some(timeout @ 1..)) => {
+            if !(*hz.get_ref() > 0.0 && *hz.get_ref() <= 10_000.0) {
+                return Err(source.wrong(hz.span(), "poll_hz must be above 0 and at most 10000"));
+            }
+            if table.cmd.poll.is_empty() {
+                return whole("kind = \"poll\" needs [cmd] poll: what asks for a reading");
+            }
+            Ok(Mode::Poll { hz: *hz.get_ref(), timeout: Duration::from_millis((*timeout).into()) })
+        }
+        (ModeKind::Poll, ..) => whole("kind = \"poll\" needs poll_hz and reply_timeout_ms"),
+    }
 }
 
 fn line(source: Source, table: &LineTable) -> Result<Line, Diagnostic> {
     let wrong = |message: &str| {
-        let start = source.text.find("[line]").unwrap_or(0);
+        let start = source.resolved.text.find("[line]").unwrap_or(0);
         Err(source.wrong(start..start, format!("[line]: {message}")))
     };
     match table {
@@ -170,8 +239,50 @@ fn framing(source: Source, table: &Spanned<FramingTable>) -> Result<Framing, Dia
             ends.sort_by_key(|end| std::cmp::Reverse(end.len()));
             Framing::Line { start, ends, max_len: *max_len }
         }
+        FramingTable::Delim { end, max_len } => match vectors::bytes(end) {
+            Some(end) if (1..=LONGEST_END).contains(&end.len()) => {
+                Framing::Line { start: None, ends: vec![end], max_len: *max_len }
+            }
+            _ => return wrong("end must be 1 to 4 bytes in hexadecimal"),
+        },
+        FramingTable::Fixed { sync, len } => match vectors::bytes(sync) {
+            Some(sync) if sync.len() < *len => Framing::Fixed { sync, len: *len },
+            _ => return wrong("sync must be hexadecimal and shorter than len"),
+        },
+        FramingTable::Length { sync, len_at, len_bytes, len_endian, len_adds, max_len } => {
+            let Some(sync) = vectors::bytes(sync).filter(|sync| sync.len() <= *len_at) else {
+                return wrong("sync must be hexadecimal, and end before len_at");
+            };
+            if !matches!(len_bytes, 1 | 2) || *len_at >= LONGEST_FRAME || *len_adds >= LONGEST_FRAME {
+                return wrong("len_bytes must be 1 or 2, len_at and len_adds below 4096");
+            }
+            Framing::Length {
+                sync,
+                at: *len_at,
+                bytes: usize::from(*len_bytes),
+                big_endian: *len_endian == Endian::Be,
+                adds: *len_adds,
+                max_len: *max_len,
+            }
+        }
+        FramingTable::Tagged { data_bits, order, tags } => {
+            match Tagged::new(*data_bits, *order == Order::LowFirst, tags) {
+                Ok(tagged) => Framing::Tagged(tagged),
+                Err(message) => return wrong(&message),
+            }
+        }
+        FramingTable::Gap { len: Some(lens), idle_us: None, max_len: None } if !lens.is_empty() => {
+            let mut lens = lens.clone();
+            lens.sort_unstable();
+            Framing::Lengths(lens)
+        }
+        FramingTable::Gap { len: None, idle_us: Some(1..), max_len: Some(max_len) } => {
+            Framing::Idle { max_len: *max_len }
+        }
+        FramingTable::Gap { .. } => return wrong("a gap needs `len = [..]`, or `idle_us` and `max_len`"),
     };
-    if !(8..=LONGEST_FRAME).contains(&framing.max_len()) {
+    let shortest = if matches!(framing, Framing::Cobs { .. } | Framing::Line { .. }) { 8 } else { 1 };
+    if !(shortest..=LONGEST_FRAME).contains(&framing.max_len()) {
         return wrong("max_len must be 8 to 4096 bytes");
     }
     Ok(framing)
@@ -218,7 +329,7 @@ fn compile_check(source: Source, table: &Spanned<CheckTable>) -> Result<Option<C
     if enc == CheckEncoding::Hex && check.kind == CheckKind::None {
         return wrong("kind none has no encoding");
     }
-    Ok(Some(Check::new(sum, enc, after, check.optional)))
+    Ok(Some(Check::new(sum, enc, after, check.optional, check.over_from)))
 }
 
 fn named_crc(source: Source, name: &Spanned<String>) -> Result<Crc, Diagnostic> {
@@ -261,13 +372,17 @@ fn crc_by_parameters(source: Source, table: &Spanned<CheckTable>) -> Result<Crc,
 fn compile_message(
     source: Source,
     table: &Spanned<MessageTable>,
-    room: usize,
+    (room, exact): (usize, bool),
+    framing: &Framing,
 ) -> Result<Message, Diagnostic> {
     let message = table.get_ref();
     let wrong = |text: String| Err(source.wrong(table.span(), format!("message `{}`: {text}", message.name)));
     let fields = message.fields.iter().map(|field| load_field::compile(source, field));
-    let fields: Vec<Field> = fields.collect::<Result<_, _>>()?;
-    for role in ["length", "seq", "t_dev", "temp", "status"] {
+    let mut fields: Vec<Field> = fields.collect::<Result<_, _>>()?;
+    if let Err(why) = load_field::group_bits(&mut fields) {
+        return wrong(why);
+    }
+    for role in ["length", "seq", "t_dev", "temp", "status", "unit", "quality"] {
         let count = fields.iter().filter(|field| field.role.is_some() && field.name() == role).count();
         if count > 1 || (role == "length" && count == 0) {
             return wrong(format!(
@@ -279,16 +394,27 @@ fn compile_message(
     if len.is_some_and(|len| len > room) {
         return wrong(format!("its fields need {} bytes, the frame has room for {room}", len.unwrap_or(0)));
     }
-    for at in &message.r#match {
-        let position = at.get_ref().at;
+    if exact && len != Some(room) {
+        let has = len.map_or("no fixed number of".into(), |len| len.to_string());
+        return wrong(format!("its fields have {has} bytes, the frame has {room}"));
+    }
+    let skipped = |position: usize| {
         let mut start = 0;
-        let skipped = fields.iter().any(|field| {
+        fields.iter().any(|field| {
             let end = start + field.form.len().unwrap_or(usize::MAX - start);
             let inside = (start..end).contains(&position) && matches!(field.form, Form::Skip(_));
             start = end;
             inside
-        });
-        if !skipped {
+        })
+    };
+    if let Some(position) = framing.own().find(|position| !skipped(*position)) {
+        return wrong(format!(
+            "byte {position} belongs to the framing: it must be in a field of kind `skip`"
+        ));
+    }
+    for at in &message.r#match {
+        let position = at.get_ref().at;
+        if !skipped(position) {
             return Err(source
                 .wrong(at.span(), format!("byte {position} is not in a field of kind `skip`"))
                 .help("a byte that is matched belongs to no other field; positions count from 0"));
@@ -301,38 +427,78 @@ fn compile_message(
 fn compile_reject(source: Source, table: &Spanned<RejectTable>) -> Result<Reject, Diagnostic> {
     let wrong = |message: &str| source.wrong(table.span(), format!("[[reject]]: {message}"));
     let reject = table.get_ref();
-    let (text, whole) = match (&reject.prefix, &reject.eq) {
-        (Some(prefix), None) if !prefix.is_empty() => (prefix, false),
-        (None, Some(eq)) if !eq.is_empty() => (eq, true),
-        _ => return Err(wrong("needs `prefix` or `eq`, one of them and not empty")),
+    let (text, whole) = match (&reject.prefix, &reject.eq, &reject.hex) {
+        (Some(prefix), None, None) => (prefix.clone().into_bytes(), false),
+        (None, Some(eq), None) => (eq.clone().into_bytes(), true),
+        (None, None, Some(hex)) => (vectors::bytes(hex).unwrap_or_default(), false),
+        _ => (Vec::new(), false),
     };
+    if text.is_empty() {
+        return Err(wrong("needs one of `prefix`, `eq` and `hex`, not empty"));
+    }
     if reject.code.is_some() && whole || reject.code.is_none() && !reject.map.is_empty() {
         return Err(wrong("a `code` follows a prefix, and `map` needs a code"));
     }
-    let base = reject.code.map(|code| if code == Code::Hex { 16 } else { 10 });
+    let base = if reject.code == Some(Code::Hex) { 16 } else { 10 };
     let mut words = Vec::new();
     for (code, word) in &reject.map {
-        let number = u32::from_str_radix(code, base.unwrap_or(10));
+        let number = u32::from_str_radix(code, base);
         words.push((number.map_err(|_| wrong(&format!("`{code}` is not a code")))?, word.clone()));
     }
-    Ok(Reject { text: text.clone().into_bytes(), whole, base, words })
+    Ok(Reject { text, whole, checked: reject.checked, code: reject.code, words })
 }
 
-fn compile_step(source: Source, table: &Spanned<StepTable>) -> Result<Step, Diagnostic> {
+fn compile_step(
+    source: Source,
+    table: &Spanned<StepTable>,
+    check: Option<&Check>,
+) -> Result<Step, Diagnostic> {
+    let wrong = |message: &str| Err(source.wrong(table.span(), message));
     let duration = |ms: u32| Duration::from_millis(ms.into());
-    match table.get_ref() {
-        StepTable { send: Some(text), hex: None, wait_ms: None, drain_ms: None } => {
-            Ok(Step::Send(text.clone().into_bytes()))
-        }
-        StepTable { send: None, hex: Some(hex), wait_ms: None, drain_ms: None } => vectors::bytes(hex)
-            .map(Step::Send)
-            .ok_or_else(|| source.wrong(table.span(), "hex is not pairs of hexadecimal digits")),
-        StepTable { send: None, hex: None, wait_ms: Some(ms), drain_ms: None } => {
-            Ok(Step::Wait(duration(*ms)))
-        }
-        StepTable { send: None, hex: None, wait_ms: None, drain_ms: Some(ms) } => {
-            Ok(Step::Drain(duration(*ms)))
-        }
-        _ => Err(source.wrong(table.span(), "a step has exactly one of send, hex, wait_ms, drain_ms")),
+    let step = table.get_ref();
+    let kinds = [
+        step.send.is_some(),
+        step.hex.is_some(),
+        step.wait_ms.is_some(),
+        step.drain_ms.is_some(),
+        step.dtr_pulse_ms.is_some(),
+    ];
+    if kinds.iter().filter(|given| **given).count() != 1 {
+        return wrong("a step has exactly one of send, hex, wait_ms, drain_ms, dtr_pulse_ms");
     }
+    let mut bytes = match (&step.send, &step.hex) {
+        (Some(text), _) => text.clone().into_bytes(),
+        (_, Some(hex)) => match vectors::bytes(hex) {
+            Some(bytes) => bytes,
+            None => return wrong("hex is not pairs of hexadecimal digits"),
+        },
+        _ => Vec::new(),
+    };
+    if bytes.is_empty() && (step.check || step.expect.is_some()) {
+        return wrong("`check` and `expect` belong to a step that sends");
+    }
+    if step.check {
+        match check {
+            Some(check) => check.append(&mut bytes),
+            None => return wrong("`check` needs a [check]"),
+        }
+    }
+    match (&step.expect, step.timeout_ms, step.retries) {
+        (Some(expect), Some(timeout @ 1..), retries) if !expect.is_empty() => {
+            return Ok(Step::Ask {
+                send: bytes,
+                expect: expect.clone().into_bytes(),
+                timeout: duration(timeout),
+                retries: retries.unwrap_or(0),
+            });
+        }
+        (None, None, None) => {}
+        _ => return wrong("`expect` needs `timeout_ms`, and they belong together"),
+    }
+    Ok(match (step.wait_ms, step.drain_ms, step.dtr_pulse_ms) {
+        (Some(ms), ..) => Step::Wait(duration(ms)),
+        (_, Some(ms), _) => Step::Drain(duration(ms)),
+        (_, _, Some(ms)) => Step::DtrPulse(duration(ms)),
+        _ => Step::Send(bytes),
+    })
 }

@@ -18,6 +18,9 @@ pub(super) struct File {
     pub(super) confidence: Confidence,
     #[serde(default)]
     pub(super) tested_on: Vec<String>,
+    /// Values that the user sets; they are put into the text before it is read.
+    #[serde(default, rename = "params")]
+    pub(super) _params: BTreeMap<String, ParamTable>,
     pub(super) line: LineTable,
     pub(super) framing: Spanned<FramingTable>,
     pub(super) check: Option<Spanned<CheckTable>>,
@@ -34,7 +37,31 @@ pub(super) struct File {
     #[serde(default)]
     pub(super) cmd: CommandTable,
     #[serde(default)]
-    pub(super) test: Vec<Spanned<TestTable>>,
+    pub(super) sim: SimTable,
+    #[serde(default)]
+    #[serde(rename = "test")]
+    pub(super) _test: Vec<Spanned<TestTable>>,
+}
+
+/// A value that the user sets.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct ParamTable {
+    pub(super) r#type: ParamKind,
+    pub(super) min: Option<f64>,
+    pub(super) max: Option<f64>,
+    #[serde(default)]
+    pub(super) of: Vec<String>,
+    pub(super) default: Spanned<toml::Value>,
+}
+
+/// What a user's value is.
+#[derive(Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum ParamKind {
+    Float,
+    Int,
+    Enum,
 }
 
 /// How well the definition is known.
@@ -70,6 +97,9 @@ pub(super) struct LineTable {
     pub(super) rts: Wire,
     #[serde(default)]
     pub(super) settle_ms: u32,
+    /// The eighth bit is no data: adapters that cannot do 7 bits pass the parity on in it.
+    #[serde(default)]
+    pub(super) strip_bit7: bool,
 }
 
 fn eight() -> u8 {
@@ -131,6 +161,45 @@ pub(super) enum FramingTable {
     },
     /// Lines of text.
     Line { start: Option<String>, end: Vec<String>, max_len: usize },
+    /// Records that end with certain bytes.
+    Delim { end: String, max_len: usize },
+    /// Records of one length, which may begin with certain bytes.
+    Fixed {
+        #[serde(default)]
+        sync: String,
+        len: usize,
+    },
+    /// Records that tell their length.
+    Length {
+        #[serde(default)]
+        sync: String,
+        len_at: usize,
+        #[serde(default = "one")]
+        len_bytes: u8,
+        #[serde(default)]
+        len_endian: Endian,
+        #[serde(default)]
+        len_adds: usize,
+        max_len: usize,
+    },
+    /// Bytes whose high bits tell their place in the record.
+    Tagged {
+        data_bits: u32,
+        #[serde(default)]
+        order: Order,
+        tags: Vec<String>,
+    },
+    /// Replies that are known by their length alone, or that end with silence.
+    Gap { len: Option<Vec<usize>>, idle_us: Option<u32>, max_len: Option<usize> },
+}
+
+/// Which byte of a tagged record holds the lowest bits.
+#[derive(Clone, Copy, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(super) enum Order {
+    #[default]
+    LowFirst,
+    HighFirst,
 }
 
 /// `[check]`.
@@ -140,6 +209,9 @@ pub(super) struct CheckTable {
     pub(super) kind: CheckKind,
     pub(super) enc: Option<CheckEncoding>,
     pub(super) after: Option<Spanned<String>>,
+    /// So many bytes at the beginning are not covered.
+    #[serde(default)]
+    pub(super) over_from: usize,
     #[serde(default)]
     pub(super) optional: bool,
     pub(super) name: Option<Spanned<String>>,
@@ -211,8 +283,46 @@ pub(super) struct FieldTable {
     pub(super) scale_num: Option<u32>,
     pub(super) scale_den: Option<u32>,
     pub(super) offset: Option<f64>,
+    pub(super) times: Option<f64>,
+    pub(super) per: Option<f64>,
     pub(super) invert: Option<bool>,
+    pub(super) valid: Option<[f64; 2]>,
+    pub(super) error_above: Option<f64>,
+    pub(super) sentinels: Option<BTreeMap<String, String>>,
     pub(super) flags: Option<BTreeMap<String, String>>,
+    pub(super) signed: Option<bool>,
+    pub(super) width: Option<usize>,
+    pub(super) pad_to: Option<usize>,
+    pub(super) fill: Option<Fill>,
+    pub(super) sign: Option<Sign>,
+    pub(super) blanks: Option<bool>,
+    pub(super) any_case: Option<bool>,
+    pub(super) map: Option<BTreeMap<String, String>>,
+    pub(super) default: Option<String>,
+    pub(super) optional: Option<bool>,
+    pub(super) sep: Option<String>,
+}
+
+/// What stands between sign and digits where a number is short.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum Fill {
+    #[default]
+    Zero,
+    Blank,
+}
+
+/// The sign of a number that is not negative.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum Sign {
+    /// None.
+    #[default]
+    Minus,
+    /// A plus.
+    Always,
+    /// A blank.
+    Blank,
 }
 
 /// How a field is written.
@@ -231,12 +341,21 @@ pub(super) enum FieldKind {
     Dec,
     /// Hexadecimal number as text.
     Hex,
+    /// Floating-point number of 4 or 8 bytes.
+    Float,
+    /// Some bits of a group of bytes, from the lowest.
+    Bits,
+    /// One of some words.
+    Map,
+    /// A column of separated values whose content is passed over, with its separator.
+    Column,
 }
 
 /// Order of the bytes of an integer.
-#[derive(Clone, Copy, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub(super) enum Endian {
+    #[default]
     Le,
     Be,
 }
@@ -250,6 +369,8 @@ pub(super) enum RoleName {
     TDev,
     Temp,
     Status,
+    Unit,
+    Quality,
 }
 
 /// Unit of a field.
@@ -261,6 +382,12 @@ pub(super) enum Unit {
     Millimetre,
     #[serde(rename = "inch")]
     Inch,
+    /// Counts of a scale; `per` says how many make a millimetre.
+    #[serde(rename = "count")]
+    Count,
+    /// What the field with role `unit` says.
+    #[serde(rename = "device")]
+    Device,
     #[serde(rename = "C")]
     Celsius,
 }
@@ -271,6 +398,10 @@ pub(super) enum Unit {
 pub(super) struct RejectTable {
     pub(super) prefix: Option<String>,
     pub(super) eq: Option<String>,
+    pub(super) hex: Option<String>,
+    /// The frame's check guards it, as it does a reading.
+    #[serde(default)]
+    pub(super) checked: bool,
     pub(super) code: Option<Code>,
     #[serde(default)]
     pub(super) map: BTreeMap<String, String>,
@@ -280,11 +411,13 @@ pub(super) struct RejectTable {
 }
 
 /// How the code after a reject's prefix is written.
-#[derive(Clone, Copy, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub(super) enum Code {
     Dec,
     Hex,
+    /// One byte.
+    Byte,
 }
 
 /// What follows from a reject.
@@ -306,19 +439,25 @@ pub(super) struct IgnoreTable {
 #[derive(Default, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct ModeTable {
-    #[serde(default, rename = "kind")]
-    pub(super) _kind: ModeKind,
+    #[serde(default)]
+    pub(super) kind: ModeKind,
+    pub(super) poll_hz: Option<Spanned<f64>>,
+    pub(super) reply_timeout_ms: Option<u32>,
     pub(super) stall_ms: Option<u32>,
     pub(super) sync_frames: Option<u32>,
 }
 
 /// Who speaks first.
-#[derive(Clone, Copy, Default, Deserialize)]
+#[derive(Clone, Copy, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub(super) enum ModeKind {
     /// The device, by itself.
     #[default]
     Stream,
+    /// The host: every reading is asked for.
+    Poll,
+    /// The device, when a key is pressed.
+    Push,
 }
 
 /// `[timing]`.
@@ -326,6 +465,10 @@ pub(super) enum ModeKind {
 #[serde(deny_unknown_fields)]
 pub(super) struct TimingTable {
     pub(super) latch: Option<Spanned<Latch>>,
+    #[serde(default)]
+    pub(super) delay_us: u32,
+    #[serde(default)]
+    pub(super) jitter_us: u32,
     pub(super) nominal_hz: Option<Spanned<f64>>,
 }
 
@@ -333,6 +476,8 @@ pub(super) struct TimingTable {
 #[derive(Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub(super) enum Latch {
+    /// The request for it.
+    Request,
     /// Its first byte.
     FirstByte,
     /// The device's own clock.
@@ -344,12 +489,29 @@ pub(super) enum Latch {
 #[serde(deny_unknown_fields)]
 pub(super) struct CommandTable {
     #[serde(default)]
+    pub(super) init: Vec<Spanned<StepTable>>,
+    #[serde(default)]
+    pub(super) poll: Vec<Spanned<StepTable>>,
+    #[serde(default)]
     pub(super) start: Vec<Spanned<StepTable>>,
     #[serde(default)]
     pub(super) stop: Vec<Spanned<StepTable>>,
 }
 
-/// One step of a command; exactly one key.
+/// `[sim]`: what the virtual device does beside the protocol.
+#[derive(Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct SimTable {
+    /// What the device says at a reading of 0 of the bar, mm.
+    #[serde(default)]
+    pub(super) at_mm: f64,
+    #[serde(default)]
+    pub(super) reply_delay_ms: u32,
+    /// What the device says when it is switched on.
+    pub(super) banner: Option<String>,
+}
+
+/// One step of a command; one key of send, hex, wait_ms, drain_ms and dtr_pulse_ms.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct StepTable {
@@ -357,6 +519,13 @@ pub(super) struct StepTable {
     pub(super) hex: Option<String>,
     pub(super) wait_ms: Option<u32>,
     pub(super) drain_ms: Option<u32>,
+    pub(super) dtr_pulse_ms: Option<u32>,
+    /// Appends the frame's check to what is sent.
+    #[serde(default)]
+    pub(super) check: bool,
+    pub(super) expect: Option<String>,
+    pub(super) timeout_ms: Option<u32>,
+    pub(super) retries: Option<u32>,
 }
 
 /// `[[test]]`.

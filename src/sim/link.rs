@@ -23,6 +23,11 @@ impl Link {
         std::os::unix::fs::symlink(target, path)?;
         Ok(Self { path: path.into(), target: target.into() })
     }
+
+    /// Where it stands.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
 }
 
 impl Drop for Link {

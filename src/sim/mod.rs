@@ -4,6 +4,7 @@
 pub mod bar;
 pub mod controller;
 pub mod ekrl;
+pub mod fault;
 #[cfg(unix)]
 pub mod link;
 pub mod truth;

@@ -5,6 +5,7 @@
 //! from its strobe, else from stretches in which the length stands still.
 
 mod align;
+mod clock_map;
 mod commanded;
 mod drift;
 mod dwell;
@@ -23,6 +24,7 @@ use crate::model::{AXES, Observation, Observations};
 use crate::plan::{CirclePlace, Kind, Plan, PlanRow};
 
 pub use align::{Alignment, Expected, LEAST_START_SD_S, Pairing, Seen, align};
+pub use clock_map::{Break, ClockMap, Segment};
 pub use drift::Drift;
 pub use dwell::{Dwell, measure};
 pub use fate::{Fate, PoseFate};

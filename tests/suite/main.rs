@@ -3,6 +3,7 @@
 
 mod acquire_reads_the_bar;
 mod agrees_with_pinocchio;
+mod bad_lines_give_no_lengths;
 mod capture_survives_damage;
 mod cell;
 mod circle_plan;
@@ -13,6 +14,8 @@ mod controller_executes_krl;
 mod decoder_accounts_for_every_byte;
 mod definitions_are_checked;
 mod emitted_programs_run;
+mod device_time_on_the_hosts_clock;
+mod every_device_round_trips;
 mod floor_plan;
 mod identifies_real_robots;
 mod identifies_the_papers_robot;

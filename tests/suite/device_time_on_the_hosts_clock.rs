@@ -1,0 +1,99 @@
+//! The map from a device's counter to the host's clock on a simulated adapter: 50 ppm of drift, 16 ms
+//! batches, stalls. The figures are those of the method's simulation in the reference: least delay
+//! 0.5 ms, exponential jitter of 0.3 ms, stalls of 50 ms in 0.1 % of the samples.
+
+use dbbd::sync::ClockMap;
+use dbbd::units::HostNs;
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64;
+
+const LEAST_S: f64 = 0.5e-3;
+const DRIFT: f64 = 50e-6;
+
+struct Run {
+    stamps: Vec<(HostNs, u64)>,
+    /// True host time of each sample, s.
+    truth: Vec<f64>,
+}
+
+fn run(seconds: f64, hz: f64, seed: u64) -> Run {
+    let mut dice = Pcg64::seed_from_u64(seed);
+    let mut exponential = |mean: f64| -mean * (1.0 - dice.random::<f64>()).ln();
+    let (mut stamps, mut truth, mut last) = (Vec::new(), Vec::new(), 0.0f64);
+    let mut count = 0u64;
+    for at in 0..(seconds * hz) as u64 {
+        let device = at as f64 / hz;
+        let t = 1.0 + device / (1.0 + DRIFT);
+        let ticks = (device * 1e6).round() as u64 + (1 << 32) - 300_000_000;
+        let mut ready = t + LEAST_S + exponential(0.3e-3);
+        count += 1;
+        if count.is_multiple_of(997) {
+            ready += exponential(50e-3);
+        }
+        // The adapter hands over what it has every 16 ms, in the host's time; order is kept.
+        let handed = ((ready - 1e-3) / 0.016).ceil() * 0.016 + 1e-3;
+        let handed = if handed - ready > 0.0159 { ready } else { handed };
+        last = last.max(handed);
+        stamps.push((HostNs((last * 1e9) as u64), ticks % (1 << 32)));
+        truth.push(t);
+    }
+    Run { stamps, truth }
+}
+
+/// Mean and standard deviation, ms.
+fn spread(errors: &[f64]) -> (f64, f64) {
+    let mean = errors.iter().sum::<f64>() / errors.len() as f64;
+    let variance = errors.iter().map(|error| (error - mean).powi(2)).sum::<f64>() / errors.len() as f64;
+    (1e3 * mean, 1e3 * variance.sqrt())
+}
+
+#[test]
+fn the_hull_keeps_the_least_delay_alone() {
+    for seed in 0..10 {
+        let Run { stamps, truth } = run(600.0, 100.0, seed);
+        let map = ClockMap::new(&stamps, 1e-6, Some(1 << 32));
+        assert_eq!(map.breaks, []);
+        let begin = map.begin.0 as f64 * 1e-9;
+        let hull: Vec<f64> = map
+            .device_s
+            .iter()
+            .zip(&truth)
+            .map(|(t, truth)| begin + map.host_s(*t).unwrap() - truth)
+            .collect();
+        let arrival: Vec<f64> =
+            stamps.iter().zip(&truth).map(|((host, _), t)| host.0 as f64 * 1e-9 - t).collect();
+        // A line by least squares through the same points.
+        let n = truth.len() as f64;
+        let host: Vec<f64> = stamps.iter().map(|(host, _)| host.0 as f64 * 1e-9).collect();
+        let (mt, mh) = (map.device_s.iter().sum::<f64>() / n, host.iter().sum::<f64>() / n);
+        let slope = map.device_s.iter().zip(&host).map(|(t, h)| (t - mt) * (h - mh)).sum::<f64>()
+            / map.device_s.iter().map(|t| (t - mt).powi(2)).sum::<f64>();
+        let line: Vec<f64> =
+            map.device_s.iter().zip(&truth).map(|(t, truth)| mh + (t - mt) * slope - truth).collect();
+        let [hull, arrival, line] = [&hull, &arrival, &line].map(|errors| spread(errors));
+        eprintln!(
+            "seed {seed}: arrival {arrival:.4?}, least squares {line:.4?}, hull {hull:.4?} ms (mean, sd)"
+        );
+        assert!((hull.0 - 1e3 * LEAST_S).abs() < 0.1, "bias {hull:?}");
+        assert!(hull.1 < 0.020, "sigma {hull:?}");
+        assert!(arrival.0 > 5.0 && line.0 > 5.0);
+        for segment in &map.segments {
+            assert!((segment.drift + DRIFT).abs() < 5e-6, "{segment:?}");
+        }
+    }
+}
+
+#[test]
+fn resets_and_jumps_are_breaks_and_wraps_are_not() {
+    let Run { mut stamps, .. } = run(120.0, 100.0, 3);
+    let reset = stamps.len() / 2;
+    let from = stamps[reset].1;
+    for (_, ticks) in &mut stamps[reset..] {
+        *ticks = ticks.wrapping_sub(from) % (1 << 32);
+    }
+    let map = ClockMap::new(&stamps, 1e-6, Some(1 << 32));
+    assert_eq!(map.breaks.iter().map(|broken| broken.at).collect::<Vec<_>>(), [reset]);
+    assert!(map.device_s.windows(2).all(|pair| pair[1] >= pair[0]));
+    assert_eq!(ClockMap::new(&[], 1e-6, None).host_s(0.0), None);
+    assert!(ClockMap::new(&stamps[..1], 1e-6, None).host_s(0.0).is_some());
+}

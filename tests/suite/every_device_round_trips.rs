@@ -1,0 +1,270 @@
+//! Every shipped definition: what is encoded is decoded, and `acquire` on its virtual bar through a
+//! real pseudo terminal gives the lengths that were simulated.
+
+use std::process::{Command, Stdio};
+
+use dbbd::capture::{self, Record};
+use dbbd::protocol::{Decoded, Definition, Sample};
+use dbbd::sim::bar::{self, Options, Reading, Terminal};
+use dbbd::units::DeviceTicks;
+use proptest::prelude::*;
+
+fn all() -> impl Iterator<Item = Definition> {
+    Definition::built_in().iter().map(|(name, _)| Definition::by_name(name).unwrap().unwrap())
+}
+
+fn decode(definition: &Definition, bytes: &[u8]) -> Vec<Decoded> {
+    let (mut decoder, mut out) = (definition.decoder(), Vec::new());
+    decoder.push(bytes, &mut out);
+    decoder.silence(&mut out);
+    out
+}
+
+fn one(definition: &Definition, sample: &Sample) -> Option<Sample> {
+    let mut bytes = Vec::new();
+    definition.encoder().encode(sample, &mut bytes).ok()?;
+    match decode(definition, &bytes)[..] {
+        [Decoded::Sample(sample, length)] if length == bytes.len() as u64 => Some(sample),
+        ref other => panic!("{}: {sample:?} gives {other:?}", definition.id),
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 300, ..ProptestConfig::default() })]
+
+    /// The first writing rounds to what the device can say; from then on nothing changes.
+    #[test]
+    fn what_a_device_can_say_is_read_as_it_was_said(
+        reading_mm in prop_oneof![-2.0..2.0, -60.0..60.0, -900.0..900.0f64],
+        (sequence, ticks, status, valid) in (any::<u32>(), any::<u32>(), 0u32..64, any::<bool>()),
+        temperature in -3000i16..9000,
+    ) {
+        for definition in all() {
+            let sample = Sample {
+                reading_mm,
+                sequence: definition.sequence_modulo.map(|modulo| sequence % modulo),
+                ticks: definition.clock.map(|_| DeviceTicks(ticks.into())),
+                trigger: Some(status & 16 != 0),
+                temperature_c: Some(f64::from(temperature) / 100.0),
+                valid,
+                status,
+                offset: 0,
+            };
+            let Some(said) = one(&definition, &sample) else { continue };
+            let step = definition.resolution_mm();
+            prop_assert!((said.reading_mm - reading_mm).abs() <= 0.5001 * step, "{}: {} {}", definition.id, said.reading_mm, reading_mm);
+            prop_assert_eq!(said.sequence, sample.sequence);
+            prop_assert_eq!(said.ticks, sample.ticks);
+            prop_assert_eq!(one(&definition, &said), Some(said), "{}", definition.id);
+        }
+    }
+}
+
+/// Every device can say its whole range around the bar's zero.
+#[test]
+fn the_bars_stroke_can_be_said() {
+    for definition in all() {
+        for at in -10..=17 {
+            let sample = Sample {
+                reading_mm: definition.sim.at_mm + f64::from(at) / 10.0,
+                sequence: Some(1),
+                ticks: Some(DeviceTicks(5)),
+                trigger: Some(false),
+                temperature_c: Some(20.0),
+                valid: true,
+                status: 0,
+                offset: 0,
+            };
+            let said = one(&definition, &sample).unwrap_or_else(|| panic!("{}: {at}", definition.id));
+            assert!(said.valid, "{}", definition.id);
+        }
+    }
+}
+
+/// Lengths on a ramp, so that each sample is known by its place.
+fn ramp_mm(t_s: f64, rate_hz: f64) -> f64 {
+    -0.9 + 0.01 * ((t_s * rate_hz).round() % 180.0)
+}
+
+fn simulated_is_acquired(definition: &Definition, protocol: &str, params: &[&str]) {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("run");
+    let terminal = Terminal::new().unwrap();
+    let port = terminal.name().to_owned();
+    let rate_hz = 100.0;
+    let options = Options { rate_hz, speed: 1.0, first_ticks: 0 };
+    let served = definition.clone();
+    let _bar = std::thread::spawn(move || {
+        let source = |t_s: f64| {
+            let reading_mm = ramp_mm(t_s, rate_hz);
+            (t_s < 20.0).then_some(Reading { reading_mm, strobe: false, valid: true, temperature_c: 20.0 })
+        };
+        bar::serve(terminal, &served, options, source)
+    });
+    let settle = definition.line.settle.as_secs_f64();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_dbbd"));
+    command.args(["acquire", "--port", &port, "--protocol", protocol, "--out", path.to_str().unwrap()]);
+    command.args(["--duration", &(settle + 0.8).to_string()]).args(params).stdin(Stdio::null());
+    let output = command.output().unwrap();
+    // On a busy machine a reply may come too late: that is told, and no length is wrong for it.
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    let late = output.status.code() == Some(3) && said.contains("not answered in time");
+    assert!(output.status.code() == Some(0) || late, "{protocol}: {said}");
+    let capture = capture::read(&std::fs::read(&path).unwrap());
+    let samples: Vec<Sample> = capture
+        .records
+        .iter()
+        .filter_map(|stamped| match &stamped.record {
+            Record::Sample(json) => Some(serde_json::from_slice(json).unwrap()),
+            _ => None,
+        })
+        .collect();
+    assert!(samples.len() >= 3, "{protocol}: {} samples", samples.len());
+    for pair in samples.windows(2) {
+        assert!(pair[0].valid, "{protocol}");
+        // Each reading is one of the ramp's; the next one is further on it.
+        let place = |sample: &Sample| {
+            let steps = (sample.reading_mm - definition.sim.at_mm + 0.9) / 0.01;
+            assert!(
+                (steps - steps.round()).abs() * 0.01 <= 0.5001 * definition.resolution_mm(),
+                "{protocol}: {steps}"
+            );
+            steps.round() as i64
+        };
+        let step = (place(&pair[1]) - place(&pair[0])).rem_euclid(180);
+        let polled = !definition.poll.is_empty();
+        assert!(if polled { step >= 1 } else { step == 1 }, "{protocol}: a step of {step}");
+    }
+}
+
+#[test]
+fn acquire_reads_every_virtual_bar() {
+    std::thread::scope(|scope| {
+        for definition in all() {
+            scope.spawn(move || simulated_is_acquired(&definition, &definition.id, &[]));
+        }
+    });
+}
+
+/// A device that the binary was not built with, with framing and fields of its own.
+const OUTSIDE: &str = r#"
+schema = 1
+id = "outside"
+confidence = "own"
+[params]
+gain = { type = "float", min = 0.1, max = 10.0, default = 1.0 }
+[line]
+baud = 57600
+[framing]
+kind = "length"
+sync = "aa 55"
+len_at = 2
+len_adds = 3
+max_len = 32
+[check]
+kind = "sum8"
+enc = "le"
+over_from = 2
+[[message]]
+name = "sample"
+fields = [
+  { kind = "skip", bytes = 3 },
+  { kind = "bits", bits = 4, role = "seq", modulo = 16 },
+  { kind = "bits", bits = 12 },
+  { kind = "float", bits = 64, endian = "be", role = "length", unit = "mm", times = "${gain}" },
+]
+[mode]
+kind = "stream"
+"#;
+
+#[test]
+fn a_device_from_a_file_outside_the_binary_is_read() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("outside.toml");
+    std::fs::write(&path, OUTSIDE).unwrap();
+    let params = [("gain".to_owned(), "2.0".to_owned())];
+    let exact = Definition::from_toml_with("outside.toml", OUTSIDE, &params).unwrap();
+    let mut bytes = Vec::new();
+    let sample = Sample {
+        reading_mm: 1.0,
+        sequence: Some(5),
+        ticks: None,
+        trigger: None,
+        temperature_c: None,
+        valid: true,
+        status: 0,
+        offset: 0,
+    };
+    exact.encoder().encode(&sample, &mut bytes).unwrap();
+    // aa 55, 3 + 11 = 14 bytes less the three before, 5, 0.5 as IEEE 754, sum of what follows the sync.
+    assert_eq!(bytes, [0xaa, 0x55, 0x0b, 5, 0, 0x3f, 0xe0, 0, 0, 0, 0, 0, 0, 0x2f]);
+    let terminal = Terminal::new().unwrap();
+    let port = terminal.name().to_owned();
+    let _served = std::thread::spawn(move || {
+        let source = |t_s: f64| {
+            (t_s < 9.0).then_some(Reading {
+                reading_mm: 0.25,
+                strobe: false,
+                valid: true,
+                temperature_c: 20.0,
+            })
+        };
+        bar::serve(terminal, &exact, Options { rate_hz: 100.0, speed: 1.0, first_ticks: 0 }, source)
+    });
+    let run = directory.path().join("run");
+    let output = Command::new(env!("CARGO_BIN_EXE_dbbd"))
+        .args(["acquire", "--port", &port, "--protocol", path.to_str().unwrap(), "--param", "gain=2.0"])
+        .args(["--out", run.to_str().unwrap(), "--duration", "0.5"])
+        .output()
+        .unwrap();
+    assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
+    let capture = capture::read(&std::fs::read(&run).unwrap());
+    let readings: Vec<f64> = capture
+        .records
+        .iter()
+        .filter_map(|stamped| match &stamped.record {
+            Record::Sample(json) => Some(serde_json::from_slice::<Sample>(json).unwrap().reading_mm),
+            _ => None,
+        })
+        .collect();
+    assert!(readings.len() > 10 && readings.iter().all(|mm| *mm == 0.25), "{readings:?}");
+    // The capture alone tells the parameter in force.
+    let kept = String::from_utf8(capture.attachment("protocol.toml").unwrap().to_vec()).unwrap();
+    assert!(kept.contains("default = 2.0"), "{kept}");
+}
+
+#[test]
+fn parameters_are_checked() {
+    let load = |name: &str, value: &str| {
+        Definition::by_name_with("microepsilon-ild1420", &[(name.into(), value.into())]).unwrap()
+    };
+    assert_eq!(load("range_mm", "10").unwrap().params, [("range_mm".to_owned(), "10.0".to_owned())]);
+    let wrong = load("range", "10").unwrap_err().to_string();
+    assert!(wrong.contains("no parameter `range`") && wrong.contains("range_mm"), "{wrong}");
+    assert!(load("range_mm", "-1").unwrap_err().to_string().contains("must be 1 to 1000"));
+    let text = OUTSIDE.replace("${gain}", "${gian}");
+    let wrong = Definition::from_toml("bar.toml", &text).unwrap_err();
+    let line = text.lines().position(|line| line.contains("gian")).unwrap() + 1;
+    assert_eq!(wrong.line, line);
+    assert!(wrong.to_string().contains("did you mean `gain`"), "{wrong}");
+}
+
+/// Records that end with silence.
+#[test]
+fn silence_ends_a_frame() {
+    let text = OUTSIDE.replace(
+        "kind = \"length\"\nsync = \"aa 55\"\nlen_at = 2\nlen_adds = 3\nmax_len = 32",
+        "kind = \"gap\"\nidle_us = 2000\nmax_len = 32",
+    );
+    let definition = Definition::from_toml("bar.toml", &text).unwrap();
+    let (mut decoder, mut out) = (definition.decoder(), Vec::new());
+    let mut frame = vec![0, 0, 0, 7, 0, 0x3f, 0xe0, 0, 0, 0, 0, 0, 0];
+    frame.push(frame[2..].iter().fold(0u8, |sum, byte| sum.wrapping_add(*byte)));
+    decoder.push(&frame, &mut out);
+    assert_eq!(out, []);
+    decoder.silence(&mut out);
+    assert!(
+        matches!(out[..], [Decoded::Sample(Sample { reading_mm: 0.5, sequence: Some(7), .. }, 14)]),
+        "{out:?}"
+    );
+}
