@@ -156,7 +156,7 @@ fn conclude(summary: &Summary, args: &Args, out: &Output) -> Verdict {
     }
     if progress.bytes == 0 {
         doubts.push("nothing was received: is the bar switched on, and is this its port?".into());
-    } else if !progress.in_step {
+    } else if !progress.in_step && progress.rejected == 0 {
         doubts
             .push("what was received is not this protocol: check --protocol and the bar's baud rate".into());
     }

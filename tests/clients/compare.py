@@ -3,8 +3,10 @@
 
     python3 tests/clients/compare.py path/to/dbbd PROGRAM.src [PROTOCOL ..]
 
-The same program, robot and seed give the same lengths on the same device clock. A streaming bar is
-compared reading by reading from the first; a polled one by the set of readings at the still start.
+With `--speed 0` device time goes on with the frames that are taken, and with the requests of a polled
+bar: the same program, robot and seed give the same readings one by one. A polled bar measures every
+2 s of device time, so that a few seconds of requests come to where the bar is within its stroke;
+readings that the bar refuses are left out on both sides.
 """
 import csv
 import pathlib
@@ -12,12 +14,18 @@ import subprocess
 import sys
 import tempfile
 
-KNOWN = ["dbb-cobs-1", "dbb-nmea-1", "sylvac-opto", "heidenhain-nd28x", "usdigital-qsb", "microepsilon-ild1420", "modbus-rtu"]
+KNOWN = ["dbb-cobs-1", "dbb-nmea-1", "sylvac-opto", "heidenhain-nd28x", "usdigital-qsb", "modbus-rtu"]
 AT_MM = {"microepsilon-ild1420": 25.0}
 
 
-def simulate(dbbd, program, protocol):
-    bar = subprocess.Popen([dbbd, "simulate", "--program", program, "--protocol", protocol, "--quiet"],
+POLLED = {"sylvac-opto", "heidenhain-nd28x", "modbus-rtu"}
+
+
+def simulate(dbbd, program, protocol, world):
+    rate_hz = 0.5 if protocol in POLLED else 200
+    pathlib.Path(world).write_text(f"[bar]\nrate_hz = {rate_hz}\n")
+    bar = subprocess.Popen([dbbd, "simulate", "--program", program, "--protocol", protocol, "--quiet",
+                            "--speed", "0", "--halt", "0", "--world", world],
                            stdout=subprocess.PIPE, text=True)
     return bar, bar.stdout.readline().strip()
 
@@ -25,23 +33,26 @@ def simulate(dbbd, program, protocol):
 def main():
     dbbd, program = sys.argv[1:3]
     failed = False
+    script = pathlib.Path(__file__).with_name("read_bar.py")
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     for protocol in sys.argv[3:] or KNOWN:
-        bar, port = simulate(dbbd, program, protocol)
-        script = pathlib.Path(__file__).with_name("read_bar.py")
-        client = subprocess.run([sys.executable, script, protocol, port, "3"], capture_output=True, text=True)
-        bar.kill()
-        theirs = [float(line) for line in client.stdout.split()]
         with tempfile.TemporaryDirectory() as directory:
-            bar, port = simulate(dbbd, program, protocol)
-            run, out = f"{directory}/run", f"{directory}/csv"
-            subprocess.run([dbbd, "acquire", "--port", port, "--protocol", protocol, "--out", run, "--duration", "5", "--quiet"])
+            world, run, out = (f"{directory}/{name}" for name in ["world.toml", "run", "csv"])
+            bar, port = simulate(dbbd, program, protocol, world)
+            client = subprocess.run([sys.executable, script, protocol, port, "4"], capture_output=True, text=True)
             bar.kill()
-            subprocess.run([dbbd, "export", run, "--out", out, "--quiet"], check=True)
+            theirs = [float(line) for line in client.stdout.split()]
+            bar, port = simulate(dbbd, program, protocol, world)
+            acquire = [dbbd, "acquire", "--port", port, "--protocol", protocol, "--out", run, "--duration", "6"]
+            subprocess.run(acquire, **quiet)
+            bar.kill()
+            subprocess.run([dbbd, "export", run, "--out", out], check=True, **quiet)
             with open(f"{out}/samples.csv") as rows:
                 ours = [float(row["reading_mm"]) - AT_MM.get(protocol, 0.0) for row in csv.DictReader(rows)]
-        count = min(len(ours), len(theirs))
-        worst = max((abs(a - b) for a, b in zip(ours, theirs)), default=float("inf"))
-        print(f"{protocol:22} {count:6} readings compared, largest difference {worst:.6f} mm")
+        pairs = list(zip(ours, theirs))
+        worst = max((abs(a - b) for a, b in pairs), default=float("inf"))
+        different = len({a for a, _ in pairs})
+        print(f"{protocol:22} {len(pairs):6} readings compared, {different} different ones, largest difference {worst:.6f} mm")
         failed |= worst > 1e-6
     sys.exit(failed)
 

@@ -46,7 +46,8 @@ proptest! {
                 ticks: definition.clock.map(|_| DeviceTicks(ticks.into())),
                 trigger: Some(status & 16 != 0),
                 temperature_c: Some(f64::from(temperature) / 100.0),
-                valid,
+                // A flag that says valid beside one that says not so is not what a bar sends.
+                valid: valid && status & 0b1110 == 0,
                 status,
                 offset: 0,
             };
