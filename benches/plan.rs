@@ -1,5 +1,7 @@
 //! Times of the choice of poses: 80 of 20 000 candidates, 32 parameters.
 
+#![allow(missing_docs, clippy::expect_used)]
+
 use std::hint::black_box;
 
 use criterion::{Criterion as Bench, criterion_group, criterion_main};

@@ -77,7 +77,7 @@ pub fn outlook(
         })
         .collect();
     let workspace = Workspace::new(&belief.model.geometry, poses, ids);
-    let (now, then) = (draw(belief.root()), draw(after.root()));
+    let [now, then] = [belief.root(), after.root()].map(|root| workspace.displacements(&draw(root)));
     let positions = workspace.positions.iter().map(|position| (*position).into());
     Some(Outlook {
         observability: (!told.is_empty())

@@ -102,9 +102,7 @@ pub(super) fn estimate(
         if !follow_list && options.prior == Prior::None {
             let rest: Vec<ParamId> = base.iter().copied().filter(|id| !implausible.contains(id)).collect();
             weak.extend(too_weak(robot, &set_up.model, readings, &rest, &sigma));
-        } else if !follow_list
-            && bar_is_weak(robot, &options.prior, &analysis, &set_up.model, readings, &sigma)
-        {
+        } else if !follow_list && bar_is_weak(robot, &base, &set_up.model, readings, &sigma) {
             weak.push(ParamId::BarOffset);
         }
         let kept: Vec<ParamId> = base.iter().copied().filter(|id| !weak.contains(id)).collect();
@@ -179,21 +177,18 @@ fn most_implausible(
         .map(|(id, _)| id)
 }
 
-/// Whether the bar's offset, which no prior carries, is too weak even with that of the robot.
+/// Whether the lengths alone are too weak for the bar's offset. A prior on the robot must not decide it: on
+/// circles of one radius it would turn the maker's tolerance into a length of the bar.
 fn bar_is_weak(
     robot: &Robot,
-    prior: &Prior,
-    analysis: &Analysis,
+    base: &[ParamId],
     model: &LengthModel,
     readings: &[Reading],
     sigma: &[f64],
 ) -> bool {
-    let base = analysis.kept();
     let Some(bar) = base.iter().position(|id| *id == ParamId::BarOffset) else { return false };
     let limit = weak_limit(robot, ParamId::BarOffset).unwrap_or(f64::INFINITY);
-    let rows = prior::rows(robot, prior, analysis, &base, model);
-    spread(model, readings, &base, sigma, rows.as_ref())
-        .is_none_or(|s| s.covariance[(bar, bar)].sqrt() > limit)
+    spread(model, readings, base, sigma, None).is_none_or(|spread| spread.data_sd[bar] > limit)
 }
 
 /// Before the fit: what a linear fit of the base set leaves, or what is given.

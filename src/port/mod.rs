@@ -158,7 +158,9 @@ impl Port {
     /// # Errors
     /// When the port is gone.
     pub fn listen(&mut self, timeout: Duration, answer: &[u8]) -> Result<Vec<u8>, PortError> {
-        self.read_until(timeout, timeout.as_secs_f64(), |bytes| bytes.windows(answer.len().max(1)).any(|part| part == answer))
+        self.read_until(timeout, timeout.as_secs_f64(), |bytes| {
+            bytes.windows(answer.len().max(1)).any(|part| part == answer)
+        })
     }
 
     fn read_until(

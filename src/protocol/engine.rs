@@ -82,11 +82,11 @@ impl Engine {
     /// The step between two readings that the first message can tell apart, mm; 0 for a float.
     pub(super) fn resolution_mm(&self) -> f64 {
         let fields = self.messages.first().into_iter().flat_map(|message| &message.fields);
-        let step = fields.filter_map(|field| match &field.role {
+        let mut step = fields.filter_map(|field| match &field.role {
             Some(Role::Length(scale, _)) => Some((field.form.step() * scale.slope()).abs()),
             _ => None,
         });
-        step.last().unwrap_or(0.0)
+        step.next_back().unwrap_or(0.0)
     }
 
     /// The names of the flags that are set, lowest bit first.

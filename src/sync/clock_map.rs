@@ -143,7 +143,7 @@ fn under(points: &[(f64, f64)], middle: f64) -> Option<Line> {
         hull.push(*point);
     }
     let edges = || hull.windows(2).filter(|edge| edge[1].0 > edge[0].0);
-    let edge = edges().find(|edge| edge[1].0 >= middle).or(edges().last());
+    let edge = edges().find(|edge| edge[1].0 >= middle).or(edges().next_back());
     match edge {
         Some(edge) => {
             let slope = (edge[1].1 - edge[0].1) / (edge[1].0 - edge[0].0);

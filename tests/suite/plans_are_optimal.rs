@@ -98,7 +98,7 @@ fn chosen(robot: &Robot, pool: &[Candidate], poses: &[[f64; 6]], criterion: Crit
 }
 
 fn show(name: &str, figures: &Figures) {
-    println!(
+    eprintln!(
         "{name}: 13: {:.2} urad, {:.3} um; cube {:.1} -> {:.1} um",
         figures.thirteen[0],
         figures.thirteen[1],

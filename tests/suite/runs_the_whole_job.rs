@@ -26,7 +26,7 @@ fn step(dir: &Path, args: &[&str]) {
 #[test]
 fn the_demo_ends_with_the_truth_beside_the_result() {
     let dir = tempdir().unwrap();
-    let output = dbbd(dir.path(), &["demo", "--json", "--seed", "3"]);
+    let output = dbbd(dir.path(), &["demo", "--json"]);
     assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
     let comparison: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
     let mean = |key: &str| comparison[key][0].as_f64().unwrap();

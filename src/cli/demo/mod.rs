@@ -66,6 +66,8 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
         "plan/centres.csv",
         "--out",
         "result",
+        "--prior",
+        "datasheet",
     ];
     steps.run(&identify)?;
 

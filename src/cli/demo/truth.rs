@@ -98,7 +98,7 @@ impl Truth {
             parameters: result
                 .parameters
                 .iter()
-                .filter(|parameter| parameter.status == Status::Identified)
+                .filter(|parameter| matches!(parameter.status, Status::Identified | Status::Prior))
                 .filter_map(|parameter| compared(parameter, result, &model))
                 .collect(),
             residual_before_mm: result.residual_mm.before,

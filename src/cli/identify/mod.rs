@@ -1,5 +1,6 @@
 //! `dbbd identify`: the robot's parameters from lengths.
 
+mod given;
 mod inputs;
 mod page;
 mod tables;
@@ -8,19 +9,22 @@ use std::error::Error;
 use std::path::{Path, PathBuf};
 
 use super::{Outcome, Output, Verdict, files};
-use crate::diag::Diagnostic;
 use crate::identify::result::{Identification, Status, WarningKind};
 use crate::identify::{self, Options, Prior};
-use crate::model::{Centre, Observations, Robot, parameter};
-use crate::report::Source;
+use crate::model::{Observations, Robot, parameter};
 pub(crate) use page::error_maps;
 
+use given::{Given, check_centres};
 use inputs::{parse_point, parse_positive, read_prior, read_workspace};
+
+/// How often a capture is aligned anew with what was identified.
+const ALIGNMENTS: usize = 5;
 
 /// Identifies the robot's kinematic parameters from lengths and says which the data can tell.
 #[derive(clap::Args)]
 pub(crate) struct Args {
-    /// Observations CSV: index,centre,a1_deg,..,a6_deg,length_mm[,sigma_mm].
+    /// Observations CSV (index,centre,a1_deg,..,a6_deg,length_mm[,sigma_mm]), or a capture, which carries
+    /// the robot and the base balls of its plan.
     input: PathBuf,
     /// Directory for result.json, parameters.csv, covariance.csv, robot-identified.toml, report.html.
     #[arg(long, value_name = "DIR")]
@@ -59,38 +63,36 @@ pub(crate) struct Args {
 }
 
 pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
-    let input = args.input.display().to_string();
-    let observations = Observations::from_csv(&input, &files::read(&args.input)?)?;
-    let name = args.robot.as_deref().ok_or("an observations CSV needs --robot NAME|FILE")?;
-    let mut robot = files::robot(name)?;
-    if let Some(tool) = args.tool {
-        robot.geometry.tool = tool.into();
-    }
-    let path =
-        args.centres.as_ref().ok_or("an observations CSV needs --centres C.csv with the base balls")?;
-    let centres = Centre::from_csv(&path.display().to_string(), &files::read(path)?)?;
-    check_centres(&input, &observations, &centres)?;
-    let options = options(args, &robot, centres.len())?;
+    let mut given = Given::read(args, out)?;
+    let options = options(args, &given.robot, given.centres.len())?;
     let validation = match &args.validate {
         Some(path) => {
             let name = path.display().to_string();
             let set = Observations::from_csv(&name, &files::read(path)?)?;
-            check_centres(&name, &set, &centres)?;
+            check_centres(&name, &set, &given.centres)?;
             Some(set)
         }
         None => None,
     };
-    let found = identify::identify(&robot, &observations, &centres, validation.as_ref(), &options)?;
+    let find = |given: &Given| {
+        identify::identify(&given.robot, &given.observations, &given.centres, validation.as_ref(), &options)
+    };
+    let mut found = find(&given)?;
+    // The lengths that the identified robot predicts speak in the alignment, until nothing changes.
+    for _ in 0..ALIGNMENTS {
+        if !given.align_again(&found) {
+            break;
+        }
+        found = find(&given)?;
+    }
     files::directory(&args.out)?;
     tables::write_results(&args.out, &found)?;
-    let mut sources = vec![Source { role: "observations".into(), name: input, hash: None }];
-    sources.push(Source { role: "base balls".into(), name: path.display().to_string(), hash: None });
-    sources.push(Source { role: "robot".into(), name: name.into(), hash: None });
-    files::write(&args.out.join("report.html"), page::html(&robot, &observations, &found, sources)?)?;
+    let page = page::html(&given.robot, &given.observations, &found, given.sources)?;
+    files::write(&args.out.join("report.html"), page)?;
     say(out, &found.result, &args.out);
     out.document(&found.result)?;
     let doubt = found.result.warnings.iter().any(|warning| warning.kind == WarningKind::Doubt);
-    Ok(if doubt { Outcome::Doubt } else { Outcome::Done })
+    Ok(if doubt || given.lossy { Outcome::Doubt } else { Outcome::Done })
 }
 
 fn options(args: &Args, robot: &Robot, centres: usize) -> Result<Options, Box<dyn Error>> {
@@ -110,22 +112,6 @@ fn options(args: &Args, robot: &Robot, centres: usize) -> Result<Options, Box<dy
         folds: args.folds,
         workspace: args.workspace.as_deref().map(read_workspace).transpose()?,
     })
-}
-
-/// Every observation must have its ball, and every ball an observation.
-fn check_centres(file: &str, observations: &Observations, centres: &[Centre]) -> Result<(), Diagnostic> {
-    for row in &observations.rows {
-        if row.centre > centres.len() {
-            let message = format!(
-                "index {}: base ball {} is not among the {} given by --centres",
-                row.index,
-                row.centre,
-                centres.len()
-            );
-            return Err(Diagnostic::file(file, message));
-        }
-    }
-    Ok(())
 }
 
 fn say(out: &Output, result: &Identification, dir: &Path) {

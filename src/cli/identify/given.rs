@@ -1,0 +1,124 @@
+//! What an identification starts from: an observations CSV with its robot and balls, or a capture.
+
+use std::error::Error;
+
+use super::Args;
+use crate::cli::run::{self, Run};
+use crate::cli::{Output, files};
+use crate::diag::Diagnostic;
+use crate::identify::Identified;
+use crate::model::{AXES, Centre, Observations, Robot};
+use crate::report::Source;
+use crate::sync::Synced;
+
+/// Least standard deviation with which a predicted length speaks in the alignment, mm.
+const LEAST_SIGMA_MM: f64 = 0.02;
+
+/// Robot, base balls and lengths.
+pub(super) struct Given {
+    pub(super) robot: Robot,
+    pub(super) centres: Vec<Centre>,
+    pub(super) observations: Observations,
+    pub(super) sources: Vec<Source>,
+    /// Whether a part of a run was lost, or poses were dropped as ambiguous.
+    pub(super) lossy: bool,
+    /// The capture that the lengths come from, and how it was joined last.
+    joined: Option<(Box<Run>, Synced)>,
+}
+
+impl Given {
+    /// Reads what the command line names.
+    ///
+    /// # Errors
+    /// What is missing or wrong, with its file and line.
+    pub(super) fn read(args: &Args, out: &Output) -> Result<Self, Box<dyn Error>> {
+        let input = args.input.display().to_string();
+        let joined = if run::is_capture(&args.input)? {
+            let run = run::open(&args.input, None, &[], out)?;
+            let synced = run.timed();
+            Some((Box::new(run), synced))
+        } else {
+            None
+        };
+        let observations = match &joined {
+            Some((_, synced)) => synced.observations.clone(),
+            None => Observations::from_csv(&input, &files::read(&args.input)?)?,
+        };
+        if observations.rows.is_empty() {
+            return Err(Diagnostic::file(&input, "no length could be matched to a pose")
+                .help("`dbbd sync` tells for each pose why")
+                .into());
+        }
+        let mut robot = match (&args.robot, &joined) {
+            (Some(name), _) => files::robot(name)?,
+            (None, Some((run, _))) => run.robot()?,
+            (None, None) => return Err("an observations CSV needs --robot NAME|FILE".into()),
+        };
+        if let Some(tool) = args.tool {
+            robot.geometry.tool = tool.into();
+        }
+        let centres = match (&args.centres, &joined) {
+            (Some(path), _) => Centre::from_csv(&path.display().to_string(), &files::read(path)?)?,
+            (None, Some((run, _))) => run.centres(),
+            (None, None) => {
+                return Err("an observations CSV needs --centres C.csv with the base balls".into());
+            }
+        };
+        check_centres(&input, &observations, &centres)?;
+        let source = |role: &str, name: String| Source { role: role.into(), name, hash: None };
+        let from_plan = || "the plan in the capture".to_owned();
+        let sources = vec![
+            source("lengths", input),
+            source(
+                "base balls",
+                args.centres.as_ref().map_or_else(from_plan, |path| path.display().to_string()),
+            ),
+            source("robot", args.robot.clone().unwrap_or_else(from_plan)),
+        ];
+        let lossy = joined.as_ref().is_some_and(|(run, synced)| lossy(run, synced));
+        Ok(Self { robot, centres, observations, sources, lossy, joined })
+    }
+
+    /// Joins the capture anew with the lengths that the identified robot predicts; whether the pairs changed.
+    pub(super) fn align_again(&mut self, found: &Identified) -> bool {
+        let Some((run, before)) = &mut self.joined else { return false };
+        let model = &found.model;
+        let length = |centre: usize, axes_deg: &[f64; AXES]| match model.centres.get(centre.wrapping_sub(1)) {
+            Some(centre) => model.geometry.length(&axes_deg.map(f64::to_radians), centre, model.bar_offset),
+            None => f64::NAN,
+        };
+        let synced = run.observations(Some((length, (3.0 * found.result.sigma_mm).max(LEAST_SIGMA_MM))));
+        if synced.same_pairs(before) || synced.observations.rows.is_empty() {
+            return false;
+        }
+        self.observations = synced.observations.clone();
+        self.lossy = lossy(run, &synced);
+        *before = synced;
+        true
+    }
+}
+
+/// Whether a part of the run was lost, or poses were dropped.
+fn lossy(run: &Run, synced: &Synced) -> bool {
+    run.torn || synced.warnings.iter().any(|warning| warning.doubt)
+}
+
+/// Every observation must have its ball, and every ball an observation.
+pub(super) fn check_centres(
+    file: &str,
+    observations: &Observations,
+    centres: &[Centre],
+) -> Result<(), Diagnostic> {
+    for row in &observations.rows {
+        if row.centre > centres.len() {
+            let message = format!(
+                "index {}: base ball {} is not among the {} given by --centres",
+                row.index,
+                row.centre,
+                centres.len()
+            );
+            return Err(Diagnostic::file(file, message));
+        }
+    }
+    Ok(())
+}
