@@ -1,4 +1,7 @@
-//! `dbbd acquire`.
+//! `dbbd acquire`: the bar's lengths into a capture.
+
+#[cfg(unix)]
+mod simulated;
 
 use std::error::Error;
 use std::path::PathBuf;
@@ -24,10 +27,11 @@ or when the port stays away for --gone. Bytes are written before they are decode
 record being written. Exit code 3: samples are missing, or nothing was understood.";
 
 /// Arguments of the verb.
-#[derive(clap::Args)]
+#[derive(clap::Args, Clone)]
 #[command(after_help = ENDS)]
 pub(crate) struct Args {
-    /// Serial port of the bar: a device, by-id/NAME, or by-path/NAME (see `dbbd ports`).
+    /// Serial port of the bar: a device, by-id/NAME, or by-path/NAME (see `dbbd ports`); `sim` starts a
+    /// simulated cell that runs the plan, or without one the demo's.
     #[arg(long)]
     port: String,
     /// Protocol of the bar: a built-in name or a TOML file [default: the plan's, else dbb-cobs-1].
@@ -58,6 +62,17 @@ fn seconds(text: &str) -> Result<f64, String> {
 }
 
 pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
+    #[cfg(unix)]
+    if args.port == "sim" {
+        let cell = simulated::Cell::start(args.plan.as_deref(), out)?;
+        let verdict =
+            record(&Args { port: cell.port().into(), plan: Some(cell.plan().into()), ..args.clone() }, out)?;
+        return cell.finish().map(|()| verdict);
+    }
+    record(args, out)
+}
+
+fn record(args: &Args, out: &Output) -> Verdict {
     let attachments = args.plan.as_deref().map(Attachments::of_plan).transpose()?.unwrap_or_default();
     let name = args.protocol.as_deref().or(attachments.protocol.as_deref()).unwrap_or(DEFAULT_PROTOCOL);
     let definition = protocols::load_with(name, &args.params)?;

@@ -1,9 +1,12 @@
 //! The command line: one file per verb. The only place that prints.
 
 mod acquire;
+#[cfg(unix)]
+mod child;
 mod circle;
 mod compensate;
 mod completions;
+#[cfg(unix)]
 mod demo;
 mod export;
 mod files;
@@ -18,6 +21,7 @@ mod protocols;
 mod recover;
 mod robots;
 mod run;
+#[cfg(unix)]
 mod simulate;
 mod sync;
 
@@ -62,6 +66,7 @@ enum Verb {
     /// Write the KRL programs of a plan.
     Krl(krl::Args),
     /// Execute a KRL program on a simulated robot with a virtual ball-bar on a pty.
+    #[cfg(unix)]
     Simulate(simulate::Args),
     /// Read the bar over its serial line into a capture.
     Acquire(acquire::Args),
@@ -74,6 +79,7 @@ enum Verb {
     /// Correct the points of a program for an identified robot.
     Compensate(compensate::Args),
     /// Run the whole job with no hardware.
+    #[cfg(unix)]
     Demo(demo::Args),
     /// Show a capture on one screen.
     Info(info::Args),
@@ -112,12 +118,14 @@ pub fn main() -> ExitCode {
     let verdict = match &cli.verb {
         Verb::Plan(args) => plan::run(args, &out),
         Verb::Krl(args) => krl::run(args, &out),
+        #[cfg(unix)]
         Verb::Simulate(args) => simulate::run(args, &out),
         Verb::Acquire(args) => acquire::run(args, &out),
         Verb::Sync(args) => sync::run(args, &out),
         Verb::Identify(args) => identify::run(args, &out),
         Verb::Circle(args) => circle::run(args, &out),
         Verb::Compensate(args) => compensate::run(args, &out),
+        #[cfg(unix)]
         Verb::Demo(args) => demo::run(args, &out),
         Verb::Info(args) => info::run(args, &out),
         Verb::Recover(args) => recover::run(args, &out),

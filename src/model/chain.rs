@@ -9,8 +9,67 @@
 
 use nalgebra::Vector3;
 
-use super::kinematics::{Geometry, LengthRow, column};
-use super::{AXES, ParamId};
+use super::{AXES, Geometry, ParamId};
+
+/// Where the columns of a [`LengthRow`] stand.
+mod column {
+    pub(super) const ALPHA: usize = 0;
+    pub(super) const A: usize = 6;
+    pub(super) const THETA: usize = 12;
+    pub(super) const D: usize = 18;
+    pub(super) const BETA: usize = 24;
+    pub(super) const TOOL: usize = 29;
+    pub(super) const CENTRE: usize = 32;
+    pub(super) const BAR: usize = 35;
+    pub(super) const COMPLIANCE: usize = 36;
+    pub(super) const GEAR_COS: usize = 40;
+    pub(super) const GEAR_SIN: usize = 46;
+    pub(super) const COUNT: usize = 52;
+}
+
+/// A length and its derivatives by every parameter (mm per mm, mm per rad, mm per rad/(N m)).
+#[derive(Clone, Debug)]
+pub struct LengthRow {
+    /// Distance between the ball centres plus the bar offset, mm.
+    pub length: f64,
+    columns: [f64; column::COUNT],
+}
+
+impl LengthRow {
+    /// Number of values in [`LengthRow::columns`].
+    pub const COLUMNS: usize = column::COUNT;
+
+    /// All columns; [`LengthRow::position`] tells which is which.
+    pub fn columns(&self) -> &[f64; Self::COLUMNS] {
+        &self.columns
+    }
+
+    /// Where the derivative by `id` stands. A centre's columns are those of the row's own base ball:
+    /// the derivative by another ball's centre is zero.
+    pub fn position(id: ParamId) -> usize {
+        match id {
+            ParamId::Alpha(i) => column::ALPHA + i,
+            ParamId::A(i) => column::A + i,
+            ParamId::Theta(i) => column::THETA + i - 1,
+            ParamId::D(i) => column::D + i - 1,
+            ParamId::Beta(i) => column::BETA + i - 1,
+            ParamId::Tool(axis) => column::TOOL + axis,
+            ParamId::Centre(_, axis) => column::CENTRE + axis,
+            ParamId::BarOffset => column::BAR,
+            ParamId::Compliance(j) => column::COMPLIANCE + j - 2,
+            ParamId::GearCos(j) => column::GEAR_COS + j - 1,
+            ParamId::GearSin(j) => column::GEAR_SIN + j - 1,
+        }
+    }
+}
+
+impl Geometry {
+    /// The length and its derivative by every parameter. Where the balls coincide the length has no
+    /// derivative, and the columns are zero.
+    pub fn length_row(&self, axes: &[f64; AXES], centre: &Vector3<f64>, bar_offset: f64) -> LengthRow {
+        Chain::new(self).row(axes, &Turns::of(axes), centre, bar_offset)
+    }
+}
 
 /// Sine and cosine of each axis angle.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -2,8 +2,6 @@
 
 use nalgebra::Vector3;
 
-use super::chain::{Chain, Turns};
-
 use super::pose::{Pose, rot_x, rot_y, rot_z};
 use super::{AXES, ParamId};
 
@@ -51,58 +49,6 @@ pub struct Geometry {
     pub compliance: [f64; AXES],
     /// Error of each joint, once per turn of its axis: cosine and sine part, rad.
     pub gear: [[f64; 2]; AXES],
-}
-
-/// Where the columns of a [`LengthRow`] stand.
-pub(super) mod column {
-    pub(crate) const ALPHA: usize = 0;
-    pub(crate) const A: usize = 6;
-    pub(crate) const THETA: usize = 12;
-    pub(crate) const D: usize = 18;
-    pub(crate) const BETA: usize = 24;
-    pub(crate) const TOOL: usize = 29;
-    pub(crate) const CENTRE: usize = 32;
-    pub(crate) const BAR: usize = 35;
-    pub(crate) const COMPLIANCE: usize = 36;
-    pub(crate) const GEAR_COS: usize = 40;
-    pub(crate) const GEAR_SIN: usize = 46;
-    pub(crate) const COUNT: usize = 52;
-}
-
-/// A length and its derivatives by every parameter (mm per mm, mm per rad, mm per rad/(N m)).
-#[derive(Clone, Debug)]
-pub struct LengthRow {
-    /// Distance between the ball centres plus the bar offset, mm.
-    pub length: f64,
-    pub(super) columns: [f64; column::COUNT],
-}
-
-impl LengthRow {
-    /// Number of values in [`LengthRow::columns`].
-    pub const COLUMNS: usize = column::COUNT;
-
-    /// All columns; [`LengthRow::position`] tells which is which.
-    pub fn columns(&self) -> &[f64; Self::COLUMNS] {
-        &self.columns
-    }
-
-    /// Where the derivative by `id` stands. A centre's columns are those of the row's own base ball:
-    /// the derivative by another ball's centre is zero.
-    pub fn position(id: ParamId) -> usize {
-        match id {
-            ParamId::Alpha(i) => column::ALPHA + i,
-            ParamId::A(i) => column::A + i,
-            ParamId::Theta(i) => column::THETA + i - 1,
-            ParamId::D(i) => column::D + i - 1,
-            ParamId::Beta(i) => column::BETA + i - 1,
-            ParamId::Tool(axis) => column::TOOL + axis,
-            ParamId::Centre(_, axis) => column::CENTRE + axis,
-            ParamId::BarOffset => column::BAR,
-            ParamId::Compliance(j) => column::COMPLIANCE + j - 2,
-            ParamId::GearCos(j) => column::GEAR_COS + j - 1,
-            ParamId::GearSin(j) => column::GEAR_SIN + j - 1,
-        }
-    }
 }
 
 impl Geometry {
@@ -191,12 +137,6 @@ impl Geometry {
     /// The length between the tool ball and a base ball at `centre` (mm, robot base), plus `bar_offset`, mm.
     pub fn length(&self, axes: &[f64; AXES], centre: &Vector3<f64>, bar_offset: f64) -> f64 {
         (self.ball(axes).position - centre).norm() + bar_offset
-    }
-
-    /// The length and its derivative by every parameter. Where the balls coincide the length has no
-    /// derivative, and the columns are zero.
-    pub fn length_row(&self, axes: &[f64; AXES], centre: &Vector3<f64>, bar_offset: f64) -> LengthRow {
-        Chain::new(self).row(axes, &Turns::of(axes), centre, bar_offset)
     }
 
     /// The value of a parameter of the robot or its tool; `None` for those of the set-up's balls and bar.

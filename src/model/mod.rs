@@ -13,8 +13,8 @@ pub mod parameter;
 pub mod pose;
 pub mod robot;
 
-pub use chain::{Chain, Turns};
-pub use kinematics::{Geometry, LengthRow, Row};
+pub use chain::{Chain, LengthRow, Turns};
+pub use kinematics::{Geometry, Row};
 pub use length::{LengthModel, Prepared, Reading, Selection};
 pub use observation::{Centre, Observation, Observations};
 pub use parameter::ParamId;

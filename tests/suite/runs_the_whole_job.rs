@@ -96,3 +96,34 @@ fn measure(dir: &Path) {
     step(dir, &["acquire", "--port", port.trim(), "--plan", "plan/plan.csv", "--out", "run.dbbd"]);
     assert!(simulator.wait().unwrap().success());
 }
+
+/// The capture carries robot, balls and plan: it alone gives what the single steps give.
+#[test]
+fn a_capture_alone_suffices() {
+    let dir = tempdir().unwrap();
+    let at = dir.path();
+    short_job(at);
+    step(at, &["plan", "job.toml", "--out", "plan"]);
+    step(at, &["acquire", "--port", "sim", "--plan", "plan/plan.csv", "--out", "run.dbbd"]);
+    step(at, &["identify", "run.dbbd", "--prior", "datasheet", "--out", "at-once"]);
+    step(at, &["sync", "run.dbbd", "--out", "obs.csv"]);
+    step(
+        at,
+        &[
+            "identify",
+            "obs.csv",
+            "--robot",
+            "kr60ha",
+            "--centres",
+            "plan/centres.csv",
+            "--prior",
+            "datasheet",
+            "--out",
+            "by-steps",
+        ],
+    );
+    let read = |name: &str| fs::read_to_string(at.join(name).join("result.json")).unwrap();
+    let result: Identification = serde_json::from_str(&read("at-once")).unwrap();
+    assert!(result.observations > 36, "{} observations", result.observations);
+    assert_eq!(read("at-once"), read("by-steps"));
+}

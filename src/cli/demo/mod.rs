@@ -1,17 +1,16 @@
 //! `dbbd demo`: the whole job with no hardware, by the commands that a user would type.
 
-mod steps;
 mod truth;
 
 use std::path::PathBuf;
 
+use super::child::Steps;
 use super::{Outcome, Output, Verdict, files};
 use crate::identify::Identification;
 use crate::model::Robot;
-use steps::Steps;
 
 /// The job that the demo runs: shipped as `examples/demo.toml`.
-const JOB: &str = include_str!("../../../examples/demo.toml");
+pub(crate) const JOB: &str = include_str!("../../../examples/demo.toml");
 
 /// Runs the whole job with no hardware: a plan, its KRL programs, a simulated robot that executes
 /// them with a virtual ball-bar on a pty, the capture, and the identification, each by its own command on files.

@@ -1,38 +1,38 @@
-//! The demo's commands as child processes of this same program.
+//! Other verbs as child processes of this same program, in a directory of their own.
 
 use std::error::Error;
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 
-use crate::cli::Output;
+use super::Output;
 use crate::clock;
 
-/// Runs commands in the demo's directory.
-pub(super) struct Steps<'a> {
+/// Runs commands in a directory.
+pub(crate) struct Steps<'a> {
     program: PathBuf,
     dir: &'a Path,
     out: &'a Output,
 }
 
 /// A simulator that runs beside the next step.
-pub(super) struct Simulator {
+pub(crate) struct Simulator {
     child: Child,
     port: String,
 }
 
 impl<'a> Steps<'a> {
-    pub(super) fn new(dir: &'a Path, out: &'a Output) -> Result<Self, Box<dyn Error>> {
+    pub(crate) fn new(dir: &'a Path, out: &'a Output) -> Result<Self, Box<dyn Error>> {
         Ok(Self { program: std::env::current_exe()?, dir, out })
     }
 
     /// A heading.
-    pub(super) fn say(&self, text: &str) {
+    pub(crate) fn say(&self, text: &str) {
         self.out.progress(format!("\n{text}"));
     }
 
-    /// Removes a file of an earlier demo, if there is one.
-    pub(super) fn remove(&self, name: &str) -> Result<(), Box<dyn Error>> {
+    /// Removes a file of an earlier run, if there is one.
+    pub(crate) fn remove(&self, name: &str) -> Result<(), Box<dyn Error>> {
         let path = self.dir.join(name);
         if path.exists() {
             std::fs::remove_file(&path)
@@ -49,7 +49,7 @@ impl<'a> Steps<'a> {
     }
 
     /// Runs a command to its end; what it says on stdout goes to our stderr, which holds the progress.
-    pub(super) fn run(&self, args: &[&str]) -> Result<(), Box<dyn Error>> {
+    pub(crate) fn run(&self, args: &[&str]) -> Result<(), Box<dyn Error>> {
         let mut child = self.command(args).stdout(Stdio::piped()).spawn()?;
         if let Some(stdout) = child.stdout.take() {
             for line in BufReader::new(stdout).lines() {
@@ -65,7 +65,7 @@ impl<'a> Steps<'a> {
     }
 
     /// Starts the simulator and waits for the name of its pty, the first line on stdout.
-    pub(super) fn start(&self, args: &[&str]) -> Result<Simulator, Box<dyn Error>> {
+    pub(crate) fn start(&self, args: &[&str]) -> Result<Simulator, Box<dyn Error>> {
         let mut child = self.command(args).stdout(Stdio::piped()).stderr(Stdio::null()).spawn()?;
         let mut port = String::new();
         if let Some(stdout) = child.stdout.take() {
@@ -82,12 +82,12 @@ impl<'a> Steps<'a> {
 
 impl Simulator {
     /// Name of the virtual bar's pty.
-    pub(super) fn port(&self) -> &str {
+    pub(crate) fn port(&self) -> &str {
         &self.port
     }
 
     /// Waits for its end, which comes when nobody reads the bar any more.
-    pub(super) fn finish(mut self) -> Result<(), Box<dyn Error>> {
+    pub(crate) fn finish(mut self) -> Result<(), Box<dyn Error>> {
         for _ in 0..100 {
             match self.child.try_wait()?.and_then(|status| status.code()) {
                 Some(0 | 3) => return Ok(()),

@@ -1,0 +1,69 @@
+//! `--port sim`: a simulated cell as a child process, its programs in a directory that goes with it.
+
+use std::error::Error;
+use std::path::{Path, PathBuf};
+use std::process;
+
+use crate::cli::child::{Simulator, Steps};
+use crate::cli::{Output, demo, files};
+
+/// A simulator that runs a plan.
+pub(super) struct Cell {
+    simulator: Simulator,
+    plan: PathBuf,
+    directory: Directory,
+}
+
+/// A directory that is removed when it is no longer needed.
+struct Directory(PathBuf);
+
+impl Drop for Directory {
+    fn drop(&mut self) {
+        // A left-over in the temporary directory is no reason to fail.
+        let _ = std::fs::remove_dir_all(&self.0);
+    }
+}
+
+impl Cell {
+    /// Starts the simulator on `plan`, or on the demo's.
+    ///
+    /// # Errors
+    /// When a step on the way to its programs fails.
+    pub(super) fn start(plan: Option<&Path>, out: &Output) -> Result<Self, Box<dyn Error>> {
+        let directory = Directory(std::env::temp_dir().join(format!("dbbd-sim-{}", process::id())));
+        files::directory(&directory.0)?;
+        let steps = Steps::new(&directory.0, out)?;
+        let plan = match plan {
+            Some(plan) => {
+                plan.canonicalize().map_err(|error| format!("{}: cannot be read: {error}", plan.display()))?
+            }
+            None => {
+                files::write(&directory.0.join("job.toml"), demo::JOB)?;
+                steps.run(&["plan", "job.toml", "--out", "plan"])?;
+                directory.0.join("plan/plan.csv")
+            }
+        };
+        steps.run(&["krl", &plan.display().to_string(), "--out", "krl"])?;
+        let simulator = steps.start(&["simulate", "--program", "krl/DBB_MAIN.src", "--speed", "0"])?;
+        Ok(Self { simulator, plan, directory })
+    }
+
+    /// Name of the virtual bar's pty.
+    pub(super) fn port(&self) -> &str {
+        self.simulator.port()
+    }
+
+    /// The plan that it runs.
+    pub(super) fn plan(&self) -> &Path {
+        &self.plan
+    }
+
+    /// Waits for its end.
+    ///
+    /// # Errors
+    /// When it failed.
+    pub(super) fn finish(self) -> Result<(), Box<dyn Error>> {
+        let Self { simulator, plan: _, directory: _directory } = self;
+        simulator.finish()
+    }
+}
