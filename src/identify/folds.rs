@@ -22,8 +22,8 @@ pub(super) fn cross_validate(
     used: &[bool],
     options: &Options,
     folds: usize,
-) -> Result<Folds, IdentifyError> {
-    let fold_of = assign(&lengths.readings, folds);
+) -> Result<Option<Folds>, IdentifyError> {
+    let Some(fold_of) = assign(&lengths.readings, folds) else { return Ok(None) };
     let mut sum = 0.0;
     let mut count = 0;
     for fold in 0..folds {
@@ -44,16 +44,25 @@ pub(super) fn cross_validate(
             count += 1;
         }
     }
-    Ok(Folds { folds, rms: (sum / f64::from(count.max(1))).sqrt() })
+    Ok(Some(Folds { folds, rms: (sum / f64::from(count.max(1))).sqrt() }))
 }
 
-/// The fold of each reading: poses shuffled by a fixed seed, dealt in turn.
-fn assign(readings: &[Reading], folds: usize) -> Vec<usize> {
+/// The fold of each reading: poses shuffled by a fixed seed, dealt in turn; `None` when there are fewer poses
+/// than folds.
+fn assign(readings: &[Reading], folds: usize) -> Option<Vec<usize>> {
     let bits = |reading: &Reading| reading.axes.map(f64::to_bits);
     let mut poses: Vec<[u64; 6]> = readings.iter().map(bits).collect();
     poses.sort_unstable();
     poses.dedup();
+    if poses.len() < folds {
+        return None;
+    }
     let mut dealt: Vec<usize> = (0..poses.len()).map(|at| at % folds).collect();
     dealt.shuffle(&mut Pcg64::seed_from_u64(1));
-    readings.iter().map(|reading| poses.binary_search(&bits(reading)).map_or(0, |at| dealt[at])).collect()
+    Some(
+        readings
+            .iter()
+            .map(|reading| poses.binary_search(&bits(reading)).map_or(0, |at| dealt[at]))
+            .collect(),
+    )
 }

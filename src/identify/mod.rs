@@ -84,7 +84,8 @@ pub fn identify(
     };
     let folds = folds
         .map(|folds| folds::cross_validate(robot, &start, &lengths, &estimate.fit.used, options, folds))
-        .transpose()?;
+        .transpose()?
+        .flatten();
     summary::summarise(robot, observations, &start, &lengths, estimate, folds, validation, options)
 }
 

@@ -67,6 +67,10 @@ fn robots_lists_and_numbers() {
     refused(&good, &["--robot", "kr60ha", "--estimate", "centre2_x"], &["centre2_x", "1 base ball"]);
     refused(&good, &["--robot", "kr60ha", "--prior", "nowhere.csv"], &["nowhere.csv"]);
     let dir = tempdir().unwrap();
+    // Nor is one pose, twenty times: there is nothing to hold out.
+    let same: String = (0..20).map(|i| ROW.replacen("1", &(i + 1).to_string(), 1)).collect();
+    let (code, said) = identify(dir.path(), &format!("{HEADER}{same}"), &["--robot", "kr60ha"]);
+    assert_eq!(code, Some(3), "{said}");
     // One length is no mistake in the file: the answer comes with its doubt.
     let (code, said) = identify(dir.path(), &good, &["--robot", "kr60ha", "--estimate", "geometric"]);
     assert_eq!(code, Some(3), "{said}");
