@@ -111,6 +111,8 @@ pub(super) fn estimate(
         {
             let prior = prior::rows(robot, &options.prior, &analysis, &before, &set_up.model);
             let fit = Fit { iterations, ..fit };
+            // When the rounds are up the last judgement has not been acted on.
+            weak.retain(|id| !before.contains(id));
             return Ok(Estimate { before: set_up.model, analysis, kept: before, weak, prior, fit, sigma });
         }
         if weak.contains(&ParamId::BarOffset) && set_up.model.bar_offset != given_start.bar_offset {

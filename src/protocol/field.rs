@@ -1,7 +1,7 @@
 //! Fields: how a value is written in a frame, and what it says of the sample.
 
+use super::field_table::{Fill, Sign};
 use super::sample::Sample;
-use super::table::{Fill, Sign};
 use crate::units::DeviceTicks;
 
 /// One field of a message.

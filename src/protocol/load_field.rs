@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 use toml::Spanned;
 
 use super::field::{Decimal, Field, Form, Limits, Role, Scale};
+use super::field_table::{Endian, FieldKind, FieldTable, Fill, RoleName, Unit};
 use super::loader::{LONGEST_FRAME, Source};
-use super::table::{Endian, FieldKind, FieldTable, Fill, RoleName, Unit};
 use crate::diag::Diagnostic;
 
 /// Checks a field and compiles it.
