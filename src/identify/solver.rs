@@ -64,28 +64,30 @@ pub(super) fn minimise(problem: &Problem, start: &LengthModel) -> Solution {
     let (mut damping, mut growth) = (1e-12, 4.0);
     let mean_sigma = (problem.sigma.iter().map(|s| s * s).sum::<f64>() / problem.sigma.len() as f64).sqrt();
     let rest = REST_MM / mean_sigma * (problem.readings.len() as f64).sqrt();
-    let mut residuals = whitened(problem, &model);
+    let mut here = equations(problem, &model, f64::INFINITY);
     let mut steps = 0;
     while steps < MAX_STEPS {
-        let knee = knee(problem.loss, &residuals);
-        let mut triangle = linearised(problem, &model, &residuals, knee);
-        if let Some(prior) = problem.prior {
-            push_prior(&mut triangle, prior, problem.ids, &model);
+        let knee = match problem.loss {
+            Loss::Squares => f64::INFINITY,
+            Loss::Huber => HUBER * robust_scale(&here.residuals).max(ROUNDING),
+        };
+        if knee.is_finite() {
+            here = equations(problem, &model, knee);
         }
-        let factor = triangle.factor();
-        let rhs = triangle.rhs();
-        let cost = cost(problem, &residuals, knee, &model);
+        let cost = here.cost;
         // Exact lengths: what is left is rounding, and would only push along what they do not tell.
         if cost.sqrt() <= 0.1 * rest {
             return Solution { model, iterations: steps, converged: true };
         }
+        let factor = here.triangle.factor();
+        let rhs = here.triangle.rhs();
         for k in 0..n {
             scale[k] = scale[k].max(factor.column(k).norm());
         }
         // Steps are refused until one lowers the cost.
         loop {
             steps += 1;
-            let step = damped_step(&triangle, &scale, damping);
+            let step = damped_step(&here.triangle, &scale, damping);
             if let Some(step) = step {
                 let change = &factor * &step;
                 let predicted = 2.0 * rhs.dot(&change) - change.norm_squared();
@@ -94,10 +96,10 @@ pub(super) fn minimise(problem: &Problem, start: &LengthModel) -> Solution {
                 if change.norm() <= rest || predicted <= 1e-14 * cost {
                     return Solution { model: candidate, iterations: steps, converged: true };
                 }
-                let new = whitened(problem, &candidate);
-                let gain = (cost - self::cost(problem, &new, knee, &candidate)) / predicted;
+                let there = equations(problem, &candidate, knee);
+                let gain = (cost - there.cost) / predicted;
                 if gain > 1e-4 && gain.is_finite() {
-                    (model, residuals) = (candidate, new);
+                    (model, here) = (candidate, there);
                     damping *= (1.0 - (2.0 * gain - 1.0).powi(3)).clamp(0.1, 0.9);
                     growth = 4.0;
                     break;
@@ -116,23 +118,44 @@ pub(super) fn minimise(problem: &Problem, start: &LengthModel) -> Solution {
     Solution { model, iterations: steps, converged: false }
 }
 
-/// The weighted equations of a step, on all cores where there are many.
-fn linearised(problem: &Problem, model: &LengthModel, residuals: &[f64], knee: f64) -> Triangle {
+/// The equations of a step at a model.
+struct Equations {
+    /// Weighted rows, the prior's among them.
+    triangle: Triangle,
+    /// Residuals, measured minus predicted, in sigmas.
+    residuals: Vec<f64>,
+    /// What is to be made least.
+    cost: f64,
+}
+
+/// The equations at `model`, on all cores where there are many; the loss turns linear at `knee`.
+fn equations(problem: &Problem, model: &LengthModel, knee: f64) -> Equations {
     let selection = Selection::new(problem.ids);
     let prepared = model.prepare();
     let pieces = map_pieces(problem.readings, |first, readings| {
         let mut triangle = Triangle::new(problem.ids.len());
+        let mut residuals = Vec::with_capacity(readings.len());
         let mut row = vec![0.0; problem.ids.len()];
-        for (at, reading) in readings.iter().enumerate() {
-            let at = first + at;
-            let weight = huber_weight(residuals[at], knee);
-            selection.pick(&prepared.row(reading), reading.centre, &mut row);
-            row.iter_mut().for_each(|value| *value *= weight / problem.sigma[at]);
-            triangle.push(&row, residuals[at] * weight);
+        for (reading, sigma) in readings.iter().zip(&problem.sigma[first..]) {
+            let derivatives = prepared.row(reading);
+            let residual = (reading.length - derivatives.length) / sigma;
+            let weight = huber_weight(residual, knee);
+            selection.pick(&derivatives, reading.centre, &mut row);
+            row.iter_mut().for_each(|value| *value *= weight / sigma);
+            triangle.push(&row, residual * weight);
+            residuals.push(residual);
         }
-        triangle
+        (triangle, residuals)
     });
-    Triangle::merged(pieces, problem.ids.len())
+    let (triangles, residuals): (Vec<_>, Vec<_>) = pieces.into_iter().unzip();
+    let residuals = residuals.concat();
+    let loss = |r: &f64| if r.abs() <= knee { r * r } else { knee * (2.0 * r.abs() - knee) };
+    let mut cost = residuals.iter().map(loss).sum();
+    let mut triangle = Triangle::merged(triangles, problem.ids.len());
+    if let Some(prior) = problem.prior {
+        cost += push_prior(&mut triangle, prior, problem.ids, model);
+    }
+    Equations { triangle, residuals, cost }
 }
 
 /// Residuals, measured minus predicted, in sigmas.
@@ -158,38 +181,20 @@ pub(super) fn robust_scale(residuals: &[f64]) -> f64 {
     *median * MAD_TO_SD
 }
 
-/// Where the loss turns linear; infinite for squares.
-fn knee(loss: Loss, residuals: &[f64]) -> f64 {
-    match loss {
-        Loss::Squares => f64::INFINITY,
-        Loss::Huber => HUBER * robust_scale(residuals).max(ROUNDING),
-    }
-}
-
 /// Root of Huber's weight.
 fn huber_weight(residual: f64, knee: f64) -> f64 {
     if residual.abs() <= knee { 1.0 } else { (knee / residual.abs()).sqrt() }
 }
 
-fn cost(problem: &Problem, residuals: &[f64], knee: f64, model: &LengthModel) -> f64 {
-    let loss = |r: &f64| if r.abs() <= knee { r * r } else { knee * (2.0 * r.abs() - knee) };
-    let data: f64 = residuals.iter().map(loss).sum();
-    let prior = problem
-        .prior
-        .map_or(0.0, |prior| (&prior.rows * deviation(prior, problem.ids, model)).norm_squared());
-    data + prior
-}
-
-fn deviation(prior: &PriorRows, ids: &[ParamId], model: &LengthModel) -> DVector<f64> {
-    DVector::from_fn(ids.len(), |k, _| model.value(ids[k]) - prior.mean[k])
-}
-
-fn push_prior(triangle: &mut Triangle, prior: &PriorRows, ids: &[ParamId], model: &LengthModel) {
-    let wrong = &prior.rows * deviation(prior, ids, model);
+/// Adds the prior's equations; the sum of their squares.
+fn push_prior(triangle: &mut Triangle, prior: &PriorRows, ids: &[ParamId], model: &LengthModel) -> f64 {
+    let deviation = DVector::from_fn(ids.len(), |k, _| model.value(ids[k]) - prior.mean[k]);
+    let wrong = &prior.rows * deviation;
     for (equation, wrong) in prior.rows.row_iter().zip(&wrong) {
         let row: Vec<f64> = equation.iter().copied().collect();
         triangle.push(&row, -wrong);
     }
+    wrong.norm_squared()
 }
 
 fn damped_step(triangle: &Triangle, scale: &DVector<f64>, damping: f64) -> Option<DVector<f64>> {

@@ -11,9 +11,14 @@ const PIECE: usize = 4096;
 pub fn map_pieces<T: Sync, R: Send>(items: &[T], work: impl Fn(usize, &[T]) -> R + Sync) -> Vec<R> {
     let pieces: Vec<(usize, &[T])> =
         items.chunks(PIECE).enumerate().map(|(n, piece)| (n * PIECE, piece)).collect();
+    let in_turn = || pieces.iter().map(|(first, piece)| work(*first, piece)).collect();
+    // To ask for the number of cores costs more than a small piece of work.
+    if pieces.len() < 2 {
+        return in_turn();
+    }
     let cores = thread::available_parallelism().map_or(1, NonZero::get).min(pieces.len());
     if cores < 2 {
-        return pieces.into_iter().map(|(first, piece)| work(first, piece)).collect();
+        return in_turn();
     }
     let (pieces, work) = (&pieces, &work);
     let mut done: Vec<(usize, R)> = thread::scope(|scope| {

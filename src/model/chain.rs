@@ -1,10 +1,11 @@
-//! The forward pass that the solver asks for a million times: one walk along the chain gives the
-//! ball, the length, and its derivatives by every parameter.
+//! The forward pass that the solver asks for a million times: one walk inwards along the chain gives
+//! the ball, one walk outwards the derivatives of the length by every parameter.
 //!
 //! With u the unit vector from the base ball to the tool ball p, every geometric parameter moves p
-//! by a unit screw fixed in some frame of the chain, so its column is the reciprocal product of that
-//! screw with the line of the bar: `u . (w x (p - o))` for a turn about the unit axis w through o,
-//! `u . w` for a shift along w. No matrix derivative is formed, and no sine is taken: those of the
+//! by a unit screw, so its column is the reciprocal product of that screw with the line of the bar:
+//! `w . (p x u)` for a turn about the axis w through the origin, `w . u` for a shift along w. The screw
+//! of a row lies on an axis of the row's own frame: p is carried inwards and u outwards into that frame,
+//! where the product is one component. No matrix is formed, and no sine is taken: those of the
 //! table are taken once for a model, those of the axis angles once for a reading.
 
 use nalgebra::Vector3;
@@ -93,14 +94,13 @@ pub struct Chain<'a> {
     rigid: bool,
 }
 
-/// The screws of a pose: where each parameter's axis goes through, and its direction.
-struct Screws {
-    /// Before each row: origin, x (alpha, a) and y (beta).
-    before: [[Vector3<f64>; 3]; AXES],
-    /// At each joint: origin and z (theta, d).
-    joint: [[Vector3<f64>; 2]; AXES],
-    /// Axes of the flange.
-    flange: [Vector3<f64>; 3],
+/// The walk inwards at some axis angles.
+struct Reach {
+    /// Sine and cosine of each joint angle in the table's sense.
+    joints: [(f64, f64); AXES],
+    /// The tool ball in the frame of each row after its twist, before its shift along x.
+    points: [Vector3<f64>; AXES],
+    /// The tool ball in the robot base.
     ball: Vector3<f64>,
 }
 
@@ -120,6 +120,7 @@ impl<'a> Chain<'a> {
     }
 
     /// Sine and cosine of each joint angle in the table's sense.
+    #[inline]
     fn joints(&self, axes: &[f64; AXES], turns: &Turns) -> [(f64, f64); AXES] {
         if !self.rigid {
             return self.geometry.joint_angles(axes).map(f64::sin_cos);
@@ -131,54 +132,60 @@ impl<'a> Chain<'a> {
         })
     }
 
-    fn screws(&self, axes: &[f64; AXES], turns: &Turns) -> Screws {
+    /// From the flange inwards: each row turns and shifts one point.
+    #[inline]
+    fn reach(&self, axes: &[f64; AXES], turns: &Turns) -> Reach {
         let joints = self.joints(axes, turns);
-        let [mut x, mut y, mut z] = [0, 1, 2].map(|axis| Vector3::ith(axis, 1.0));
-        let mut origin = Vector3::zeros();
-        let mut before = [[Vector3::zeros(); 3]; AXES];
-        let mut joint = [[Vector3::zeros(); 2]; AXES];
-        for (i, row) in self.geometry.rows.iter().enumerate() {
-            if row.beta != 0.0 {
-                let (s, c) = self.beta[i];
-                (x, z) = (x * c - z * s, z * c + x * s);
-            }
-            before[i] = [origin, x, y];
-            let (s, c) = self.alpha[i];
-            (y, z) = (y * c + z * s, z * c - y * s);
-            origin += x * row.a;
-            joint[i] = [origin, z];
-            let (s, c) = joints[i];
-            (x, y) = (x * c + y * s, y * c - x * s);
-            origin += z * row.d;
-        }
-        let tool = &self.geometry.tool;
-        let ball = origin + x * tool.x + y * tool.y + z * tool.z;
-        Screws { before, joint, flange: [x, y, z], ball }
-    }
-
-    /// The tool ball in the robot base, mm.
-    pub fn ball(&self, axes: &[f64; AXES], turns: &Turns) -> Vector3<f64> {
-        let joints = self.joints(axes, turns);
-        let tool = &self.geometry.tool;
-        let mut point = *tool;
-        // From the flange inwards: each row turns and shifts one point.
+        let mut points = [Vector3::zeros(); AXES];
+        let mut point = self.geometry.tool;
         for i in (0..AXES).rev() {
             let row = &self.geometry.rows[i];
             let (s, c) = joints[i];
-            let (px, py, pz) =
-                (point.x * c - point.y * s + row.a, point.x * s + point.y * c, point.z + row.d);
+            let (x, y, z) = (point.x * c - point.y * s + row.a, point.x * s + point.y * c, point.z + row.d);
+            points[i] = Vector3::new(x, y, z);
             let (s, c) = self.alpha[i];
-            point = Vector3::new(px, py * c - pz * s, py * s + pz * c);
+            point = Vector3::new(x, y * c - z * s, y * s + z * c);
             if row.beta != 0.0 {
                 let (s, c) = self.beta[i];
                 point = Vector3::new(point.x * c + point.z * s, point.y, point.z * c - point.x * s);
             }
         }
-        point
+        Reach { joints, points, ball: point }
+    }
+
+    /// From the base outwards: the derivatives of the ball's place along the unit vector `u` (robot
+    /// base) by the parameters of the robot and its tool.
+    #[inline]
+    fn derivatives(&self, reach: &Reach, mut u: Vector3<f64>, columns: &mut [f64; column::COUNT]) {
+        for i in 0..AXES {
+            if self.geometry.rows[i].beta != 0.0 {
+                let (s, c) = self.beta[i];
+                u = Vector3::new(u.x * c - u.z * s, u.y, u.z * c + u.x * s);
+            }
+            let p = &reach.points[i];
+            let (s, c) = self.alpha[i];
+            if i > 0 {
+                columns[column::BETA + i - 1] = (p.y * s + p.z * c) * u.x - p.x * u.z;
+            }
+            u = Vector3::new(u.x, u.y * c + u.z * s, u.z * c - u.y * s);
+            columns[column::ALPHA + i] = p.y * u.z - p.z * u.y;
+            columns[column::A + i] = u.x;
+            columns[column::THETA + i] = (p.x - self.geometry.rows[i].a) * u.y - p.y * u.x;
+            columns[column::D + i] = u.z;
+            let (s, c) = reach.joints[i];
+            u = Vector3::new(u.x * c + u.y * s, u.y * c - u.x * s, u.z);
+        }
+        columns[column::TOOL..column::TOOL + 3].copy_from_slice(u.as_slice());
+    }
+
+    /// The tool ball in the robot base, mm.
+    pub fn ball(&self, axes: &[f64; AXES], turns: &Turns) -> Vector3<f64> {
+        self.reach(axes, turns).ball
     }
 
     /// The length from a base ball at `centre` plus `bar_offset` (mm), and its derivatives. Where
     /// the balls coincide the length has no derivative, and the columns are zero.
+    #[inline]
     pub fn row(
         &self,
         axes: &[f64; AXES],
@@ -186,26 +193,14 @@ impl<'a> Chain<'a> {
         centre: &Vector3<f64>,
         bar_offset: f64,
     ) -> LengthRow {
-        let screws = self.screws(axes, turns);
-        let bar = screws.ball - centre;
+        let reach = self.reach(axes, turns);
+        let bar = reach.ball - centre;
         let distance = bar.norm();
         let mut columns = [0.0; column::COUNT];
         if distance > 0.0 {
             let u = bar / distance;
-            for i in 0..AXES {
-                let [origin, x, y] = &screws.before[i];
-                let moment = (screws.ball - origin).cross(&u);
-                columns[column::ALPHA + i] = x.dot(&moment);
-                columns[column::A + i] = x.dot(&u);
-                if i > 0 {
-                    columns[column::BETA + i - 1] = y.dot(&moment);
-                }
-                let [origin, z] = &screws.joint[i];
-                columns[column::THETA + i] = z.dot(&(screws.ball - origin).cross(&u));
-                columns[column::D + i] = z.dot(&u);
-            }
+            self.derivatives(&reach, u, &mut columns);
             for axis in 0..3 {
-                columns[column::TOOL + axis] = screws.flange[axis].dot(&u);
                 columns[column::CENTRE + axis] = -u[axis];
             }
             columns[column::BAR] = 1.0;
@@ -215,6 +210,7 @@ impl<'a> Chain<'a> {
     }
 
     /// Compliance and gear error turn the joints: their columns are shares of theta's.
+    #[inline]
     fn non_geometric(&self, axes: &[f64; AXES], turns: &Turns, columns: &mut [f64; column::COUNT]) {
         if !self.geometry.masses.is_empty() {
             let torques = self.geometry.torques(&self.geometry.joint_angles(axes));
@@ -237,25 +233,17 @@ impl<'a> Chain<'a> {
         mut each: impl FnMut(usize, Vector3<f64>),
     ) -> Vector3<f64> {
         let turns = Turns::of(axes);
-        let screws = self.screws(axes, &turns);
-        let torques = self.geometry.torques(&self.geometry.joint_angles(axes));
-        let turned = |axis: &Vector3<f64>, origin: &Vector3<f64>| axis.cross(&(screws.ball - origin));
-        let joint = |j: usize| turned(&screws.joint[j - 1][1], &screws.joint[j - 1][0]);
+        let reach = self.reach(axes, &turns);
+        let along = [0, 1, 2].map(|axis| {
+            let mut columns = [0.0; column::COUNT];
+            self.derivatives(&reach, Vector3::ith(axis, 1.0), &mut columns);
+            self.non_geometric(axes, &turns, &mut columns);
+            columns
+        });
         for (at, id) in ids.iter().enumerate() {
-            let moved = match *id {
-                ParamId::Alpha(i) => turned(&screws.before[i][1], &screws.before[i][0]),
-                ParamId::A(i) => screws.before[i][1],
-                ParamId::Theta(j) => joint(j),
-                ParamId::D(j) => screws.joint[j - 1][1],
-                ParamId::Beta(i) => turned(&screws.before[i][2], &screws.before[i][0]),
-                ParamId::Tool(axis) => screws.flange[axis],
-                ParamId::Centre(..) | ParamId::BarOffset => Vector3::zeros(),
-                ParamId::Compliance(j) => joint(j) * torques[j - 1],
-                ParamId::GearCos(j) => joint(j) * turns.0[j - 1][1],
-                ParamId::GearSin(j) => joint(j) * turns.0[j - 1][0],
-            };
-            each(at, moved);
+            let place = LengthRow::position(*id);
+            each(at, Vector3::from_fn(|axis, _| along[axis][place]));
         }
-        screws.ball
+        reach.ball
     }
 }

@@ -50,12 +50,14 @@ pub struct Prepared<'a> {
 
 impl Prepared<'_> {
     /// The length that the model predicts for a reading, mm.
+    #[inline]
     pub fn length(&self, reading: &Reading) -> f64 {
         let ball = self.chain.ball(&reading.axes, &reading.turns);
         (ball - self.model.centres[reading.centre]).norm() + self.model.bar_offset
     }
 
     /// The length and its derivatives for a reading.
+    #[inline]
     pub fn row(&self, reading: &Reading) -> LengthRow {
         let centre = &self.model.centres[reading.centre];
         self.chain.row(&reading.axes, &reading.turns, centre, self.model.bar_offset)
@@ -80,6 +82,7 @@ impl Selection {
     }
 
     /// Writes the chosen derivatives of a row measured from base ball `centre` (from 0).
+    #[inline]
     pub fn pick(&self, row: &LengthRow, centre: usize, out: &mut [f64]) {
         for ((place, only), value) in self.columns.iter().zip(out) {
             *value = if only.is_none_or(|k| k == centre) { row.columns()[*place] } else { 0.0 };
