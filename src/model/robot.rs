@@ -8,7 +8,7 @@ use super::kinematics::{Geometry, Mass, Row};
 use crate::diag::{Diagnostic, nearest};
 
 /// The robots that come with dbbd: name and file.
-const BUILT_IN: &[(&str, &str)] = &[("kr60ha", include_str!("../../robots/kr60ha.toml"))];
+const BUILT_IN: &[(&str, &str)] = include!("../../robots/built-in.rs");
 
 /// A robot as its file describes it.
 #[derive(Clone, Debug, PartialEq)]

@@ -4,6 +4,7 @@
 mod acquire_reads_the_bar;
 mod agrees_with_pinocchio;
 mod bad_lines_give_no_lengths;
+mod built_in_robots;
 mod capture_survives_damage;
 mod cell;
 mod circle_plan;
