@@ -11,7 +11,7 @@ use dbbd::circular::{Point, Sense, Settings, Trace, circular};
 use dbbd::model::Robot;
 use dbbd::plan::{Job, Kind, Plan};
 use dbbd::protocol::Sample;
-use dbbd::sync::{DeviceClock, Input, Stream, observations};
+use dbbd::sync::{DeviceClock, Input, Stream, StreamBuilder, observations};
 use dbbd::units::{DeviceTicks, HostNs};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -34,7 +34,7 @@ fn run() -> (Plan, Stream) {
         }
         level = to;
     }
-    let mut stream = Stream::new(Some(DeviceClock { seconds_per_tick: 1e-6, wrap: Some(1 << 32) }));
+    let mut stream = StreamBuilder::new(Some(DeviceClock { seconds_per_tick: 1e-6, wrap: Some(1 << 32) }));
     let mut at = 0;
     for k in 0..SAMPLES {
         let t_s = k as f64 * 1e-3;
@@ -55,7 +55,7 @@ fn run() -> (Plan, Stream) {
         };
         stream.push(HostNs(k * 1_000_000 + 2_000_000), &sample);
     }
-    (plan, stream)
+    (plan, stream.build())
 }
 
 fn circle() -> Vec<Trace> {

@@ -11,7 +11,7 @@ use crate::krl;
 use crate::model::{AXES, Centre, Robot};
 use crate::plan::Plan;
 use crate::protocol::{Definition, Sample};
-use crate::sync::{self, DeviceClock, Expected, Input, Report, Stream, Synced};
+use crate::sync::{self, DeviceClock, Expected, Input, Report, Stream, StreamBuilder, Synced};
 
 /// What a capture gives to be joined.
 pub(crate) struct Run {
@@ -121,7 +121,7 @@ pub(crate) fn open(
         Some(text) => Definition::from_toml(&format!("{name}: protocol.toml"), &text)?.clock,
         None => None,
     };
-    let mut stream = Stream::new(clock.map(|clock| DeviceClock {
+    let mut stream = StreamBuilder::new(clock.map(|clock| DeviceClock {
         seconds_per_tick: f64::from(clock.tick_ns) * 1e-9,
         wrap: 1u64.checked_shl(clock.wrap_bits),
     }));
@@ -140,6 +140,7 @@ pub(crate) fn open(
             _ => {}
         }
     }
+    let stream = stream.build();
     if stream.is_empty() {
         return Err(Diagnostic::file(&name, "holds no sample: the bar said nothing").into());
     }

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use serde_json::{Value, json};
 
 use super::{Outcome, Output, Verdict, files, run};
-use crate::sync::{Fate, Source, Synced};
+use crate::sync::{Fate, Source, Stream, Synced};
 
 /// Arguments of the verb.
 #[derive(clap::Args)]
@@ -27,8 +27,9 @@ pub(crate) struct Args {
 pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
     let run = run::open(&args.run, args.plan.as_deref(), &args.axes, out)?;
     let synced = run.timed();
-    out.document(&document(&synced))?;
+    out.document(&document(&synced, &run.stream))?;
     show(&synced, out);
+    out.result(format!("times: {}", times(&run.stream)));
     if synced.observations.rows.is_empty() {
         return Err("no dwell of the capture can be told to be a pose of the plan: nothing is written".into());
     }
@@ -44,6 +45,19 @@ fn source_word(source: Source) -> &'static str {
         Source::Strobe => "the strobe",
         Source::Stillness => "still stretches",
     }
+}
+
+/// On what clock the times stand, and how good they are.
+fn times(stream: &Stream) -> String {
+    let Some(clock) = stream.clock() else { return "the host's stamps at arrival or request".into() };
+    let Some((drift, bound_s)) = clock.drift().zip(clock.bound_s()) else {
+        return "the bar's clock alone, which did not run at the host's pace".into();
+    };
+    let wraps = if clock.wraps > 0 { format!("; it wrapped {} times", clock.wraps) } else { String::new() };
+    let (ppm, ms) = (1e6 * drift, 1e3 * bound_s);
+    format!(
+        "the bar's clock, {ppm:+.1} ppm to the host's, at most {ms:.2} ms off beyond the line's least delay{wraps}"
+    )
 }
 
 fn show(synced: &Synced, out: &Output) {
@@ -72,7 +86,7 @@ fn show(synced: &Synced, out: &Output) {
     }
 }
 
-fn document(synced: &Synced) -> Value {
+fn document(synced: &Synced, stream: &Stream) -> Value {
     let poses: Vec<Value> = synced
         .fates
         .iter()
@@ -95,6 +109,16 @@ fn document(synced: &Synced) -> Value {
             "significant": drift.significant,
         })
     });
+    let clock = stream.clock().map(|clock| {
+        let breaks = clock.breaks.iter().map(|broken| {
+            let t_s = stream.t_s.get(broken.at);
+            json!({ "t_s": t_s, "reset": broken.reset, "jump_s": broken.jump_s, "host_s": broken.host_s })
+        });
+        json!({
+            "drift_ppm": clock.drift().map(|drift| 1e6 * drift), "bound_s": clock.bound_s(),
+            "wraps": clock.wraps, "breaks": breaks.collect::<Vec<_>>(),
+        })
+    });
     let warnings: Vec<Value> = synced
         .warnings
         .iter()
@@ -103,6 +127,7 @@ fn document(synced: &Synced) -> Value {
     json!({
         "schema": 1, "poses": poses, "matched": synced.observations.rows.len(),
         "spurious": synced.spurious.len(), "source": source_word(synced.source),
-        "override": synced.override_factor, "drift": drift, "warnings": warnings,
+        "override": synced.override_factor, "drift": drift, "clock": clock,
+        "warnings": warnings,
     })
 }

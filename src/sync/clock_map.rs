@@ -5,32 +5,30 @@
 //! them from below, the lower convex hull of a window, has the true drift and the least delay as its
 //! only bias (Zhang, Liu and Xia, INFOCOM 2002). A line by least squares is biased by the mean delay.
 //! What stays unknown one way is the least delay itself.
+//!
+//! A counter that breaks shifts the least delay for good; a stall of the line does not.
 
+use std::ops::Range;
+
+use super::hull::{self, MOST_DRIFT, Segment};
 use crate::units::HostNs;
 
 /// Length of a window, s: long against the spread of delays, short against the change of drift.
 const WINDOW_S: f64 = 150.0;
-/// A drift beyond this is no quartz: the counter was reset or jumped.
-const MOST_DRIFT: f64 = 1e-3;
-/// Lateness that a line may have without a break, s.
-const MOST_LATE_S: f64 = 5.0;
+/// A lasting shift of the least delay by less than this is not told from delays, s.
+const LEAST_BREAK_S: f64 = 0.1;
+/// How far before and behind a step its least delays are looked for, s.
+const NEAR_S: f64 = 10.0;
+/// A counter that does not run at the host's pace breaks where it steps by more than this, s.
+const LONGEST_STEP_S: f64 = 2.0;
 
-/// Host time as a line over device time, within a window.
+/// The device's counter, as the protocol defines it.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Segment {
-    /// Device time of its beginning, s.
-    pub from_s: f64,
-    /// Device time at which the next one takes over, s.
-    pub to_s: f64,
-    /// Host time at `from_s`, s since the first stamp.
-    pub host_s: f64,
-    /// Host seconds per device second, less 1.
-    pub drift: f64,
-    /// Half of the stamps lie nearer to the line than this, s: the error is hardly larger.
-    pub median_late_s: f64,
-    /// How far the line could be moved without a stamp before its event, s: the bound on the error
-    /// beyond the least delay.
-    pub bound_s: f64,
+pub struct DeviceClock {
+    /// Length of a tick, s.
+    pub seconds_per_tick: f64,
+    /// Number of ticks after which the counter begins again at 0, if it does.
+    pub wrap: Option<u64>,
 }
 
 /// A place where the counter and the host's clock do not go together.
@@ -38,8 +36,12 @@ pub struct Segment {
 pub struct Break {
     /// Index of the first sample behind it.
     pub at: usize,
-    /// How far the counter went against the host, s.
+    /// Whether the counter went back, as after a restart of the device; else it jumped ahead.
+    pub reset: bool,
+    /// How far the counter went, s, as sent.
     pub jump_s: f64,
+    /// How long that took by the host, s.
+    pub host_s: f64,
 }
 
 /// The map of a run.
@@ -47,65 +49,71 @@ pub struct Break {
 pub struct ClockMap {
     /// The first stamp.
     pub begin: HostNs,
-    /// Windows in order.
+    /// Windows in order; empty where the counter does not run at the host's pace (a simulation faster
+    /// than real time), so that the two cannot be laid on each other.
     pub segments: Vec<Segment>,
     /// Breaks of the counter.
     pub breaks: Vec<Break>,
+    /// How often the counter began again from 0 as it should.
+    pub wraps: u64,
     /// Device time of each sample since the first, s, unwrapped; it goes on with the host over breaks.
     pub device_s: Vec<f64>,
 }
 
 impl ClockMap {
-    /// From the stamps of samples in order, the counter as sent, the length of its tick in seconds
-    /// and the number of ticks after which it begins again.
-    pub fn new(stamps: &[(HostNs, u64)], tick_s: f64, wrap: Option<u64>) -> Self {
+    /// From the stamps of samples in order and the counter as sent.
+    pub fn new(stamps: &[(HostNs, u64)], clock: DeviceClock) -> Self {
         let Some((begin, _)) = stamps.first().copied() else { return Self::default() };
-        let mut map = Self { begin, ..Self::default() };
-        let mut first = 0;
-        for (at, pair) in stamps.windows(2).enumerate() {
-            let [(host, from), (next_host, to)] = [pair[0], pair[1]];
-            let host_s = next_host.seconds_since(host);
-            let step = to as f64 - from as f64;
-            let step = match wrap {
-                // Whole turns that went by while nothing came are the host's to tell.
-                Some(wrap) => {
-                    let turn = wrap as f64;
-                    let least = step.rem_euclid(turn);
-                    least + turn * ((host_s / tick_s - least) / turn).round().max(0.0)
-                }
-                None => step,
-            };
-            let step_s = step * tick_s;
-            let before = map.device_s.last().copied().unwrap_or(0.0);
-            if map.device_s.is_empty() {
-                map.device_s.push(0.0);
-            }
-            let off = step_s - host_s;
-            if step_s < 0.0 || off.abs() > MOST_LATE_S + MOST_DRIFT * host_s {
-                map.breaks.push(Break { at: at + 1, jump_s: off });
-                map.lines(stamps, first..at + 1);
-                first = at + 1;
-                map.device_s.push(before + host_s.max(0.0));
+        let mut map = Self { begin, device_s: vec![0.0], ..Self::default() };
+        let steps: Vec<Step> = stamps.windows(2).map(|pair| clock.step(pair[0], pair[1])).collect();
+        let paced = paced(&steps);
+        let late = lateness(&steps);
+        let (mut first, mut device_s) = (0, 0.0);
+        let mut stretches = Vec::new();
+        for (at, step) in (1..).zip(&steps) {
+            let broken = if paced { shifts(&late, &steps, first, at) } else { step.gross() };
+            if broken {
+                let sent_s = (stamps[at].1 as f64 - stamps[at - 1].1 as f64) * clock.seconds_per_tick;
+                map.breaks.push(Break { at, reset: sent_s < 0.0, jump_s: sent_s, host_s: step.host_s });
+                stretches.push(first..at);
+                first = at;
             } else {
-                map.device_s.push(before + step_s);
+                map.wraps += step.turns;
             }
+            device_s += if broken { step.host_s.max(0.0) } else { step.device_s };
+            map.device_s.push(device_s);
         }
-        if map.device_s.is_empty() {
-            map.device_s.push(0.0);
+        stretches.push(first..stamps.len());
+        if paced {
+            stretches.into_iter().for_each(|stretch| map.lines(stamps, stretch));
         }
-        map.lines(stamps, first..stamps.len());
         map
     }
 
-    /// Host time of a device time, s since the first stamp; none when there is no sample.
+    /// Host time of a device time, s since the first stamp; `None` when the two do not go together.
     pub fn host_s(&self, device_s: f64) -> Option<f64> {
-        let segment = self.segments.iter().rev().find(|segment| segment.from_s <= device_s);
-        let segment = segment.or(self.segments.first())?;
+        let before = self.segments.partition_point(|segment| segment.from_s <= device_s);
+        let segment = self.segments.get(before.saturating_sub(1))?;
         Some(segment.host_s + (device_s - segment.from_s) * (1.0 + segment.drift))
     }
 
+    /// Drift over the whole run, host seconds per device second less 1: the mean of the windows'; `None`
+    /// when the two do not go together.
+    pub fn drift(&self) -> Option<f64> {
+        let weigh = |of: fn(&Segment) -> f64| -> f64 {
+            self.segments.iter().map(|segment| of(segment) * (segment.to_s - segment.from_s)).sum()
+        };
+        let whole_s = weigh(|_| 1.0);
+        (whole_s > 0.0).then(|| weigh(|segment| segment.drift) / whole_s)
+    }
+
+    /// How far a time may be off at most beyond the line's least delay, s; `None` as for [`Self::drift`].
+    pub fn bound_s(&self) -> Option<f64> {
+        self.segments.iter().map(|segment| segment.bound_s).max_by(f64::total_cmp)
+    }
+
     /// The windows of a stretch without a break.
-    fn lines(&mut self, stamps: &[(HostNs, u64)], stretch: std::ops::Range<usize>) {
+    fn lines(&mut self, stamps: &[(HostNs, u64)], stretch: Range<usize>) {
         let (Some(device), Some(stamps)) = (self.device_s.get(stretch.clone()), stamps.get(stretch)) else {
             return;
         };
@@ -119,58 +127,81 @@ impl ClockMap {
             // Half a window beyond both ends: the hull is weakest at its own.
             let low = points.partition_point(|(t, _)| *t < from - width / 2.0);
             let high = points.partition_point(|(t, _)| *t <= to + width / 2.0);
-            if let Some(line) = points.get(low..high).and_then(|points| under(points, (from + to) / 2.0)) {
-                self.segments.push(segment(&points[low..high], line, from, to));
-            }
+            self.segments.extend(points.get(low..high).and_then(|near| hull::segment(near, from, to)));
         }
     }
 }
 
-/// A line by a point of it and its slope.
-type Line = (f64, f64, f64);
+/// From one sample to the next.
+#[derive(Clone, Copy)]
+struct Step {
+    /// By the counter, unwrapped, s.
+    device_s: f64,
+    /// By the host's stamps, s.
+    host_s: f64,
+    /// How often the counter began again on the way.
+    turns: u64,
+}
 
-/// The edge of the lower convex hull at the abscissa `middle`.
-fn under(points: &[(f64, f64)], middle: f64) -> Option<Line> {
-    let mut hull: Vec<(f64, f64)> = Vec::new();
-    for point in points {
-        while let [.., a, b] = hull[..] {
-            let turns_left = (b.0 - a.0) * (point.1 - a.1) > (b.1 - a.1) * (point.0 - a.0);
-            if turns_left {
+impl Step {
+    /// Whether the counter went further than a host that reads late can explain.
+    fn gross(&self) -> bool {
+        self.device_s < 0.0 || self.device_s > LONGEST_STEP_S + 2.0 * self.host_s.max(0.0)
+    }
+}
+
+impl DeviceClock {
+    fn step(self, (host, from): (HostNs, u64), (next_host, to): (HostNs, u64)) -> Step {
+        let host_s = next_host.seconds_since(host);
+        let ticks = to as f64 - from as f64;
+        let (ticks, turns) = match self.wrap.map(|wrap| wrap as f64) {
+            Some(wrap) => {
+                let least = ticks.rem_euclid(wrap);
+                // Whole turns that went by while nothing came are the host's to tell.
+                let unseen = ((host_s / self.seconds_per_tick - least) / wrap).round().max(0.0);
+                (least + wrap * unseen, unseen as u64 + u64::from(to < from))
+            }
+            None => (ticks, 0),
+        };
+        Step { device_s: ticks * self.seconds_per_tick, host_s, turns }
+    }
+}
+
+/// Whether the counter runs at the host's pace, leaving its breaks aside.
+fn paced(steps: &[Step]) -> bool {
+    let whole = |of: fn(&Step) -> f64| -> f64 { steps.iter().filter(|step| !step.gross()).map(of).sum() };
+    let (device_s, host_s) = (whole(|step| step.device_s), whole(|step| step.host_s));
+    device_s > 0.0 && (0.8..1.25).contains(&(host_s / device_s))
+}
+
+/// How late each sample's stamp is against the first one's, by the counter as it is.
+fn lateness(steps: &[Step]) -> Vec<f64> {
+    let mut late_s = vec![0.0];
+    let mut sum = 0.0;
+    for step in steps {
+        sum += step.host_s - step.device_s;
+        late_s.push(sum);
+    }
+    late_s
+}
+
+/// Whether the least delay is another one from sample `at` on; `first` begins the stretch before.
+fn shifts(late_s: &[f64], steps: &[Step], first: usize, at: usize) -> bool {
+    if (late_s[at] - late_s[at - 1]).abs() < LEAST_BREAK_S {
+        return false;
+    }
+    let least = |ways: &mut dyn Iterator<Item = usize>| {
+        let (mut least, mut passed_s) = (f64::INFINITY, 0.0);
+        for sample in ways {
+            least = least.min(late_s[sample]);
+            passed_s += steps.get(sample).map_or(0.0, |step| step.host_s.abs());
+            if passed_s > NEAR_S {
                 break;
             }
-            hull.pop();
         }
-        hull.push(*point);
-    }
-    let edges = || hull.windows(2).filter(|edge| edge[1].0 > edge[0].0);
-    let edge = edges().find(|edge| edge[1].0 >= middle).or(edges().next_back());
-    match edge {
-        Some(edge) => {
-            let slope = (edge[1].1 - edge[0].1) / (edge[1].0 - edge[0].0);
-            Some((edge[0].0, edge[0].1, slope))
-        }
-        None => points.iter().min_by(|a, b| a.1.total_cmp(&b.1)).map(|point| (point.0, point.1, 1.0)),
-    }
-}
-
-fn segment(points: &[(f64, f64)], (t, host, slope): Line, from_s: f64, to_s: f64) -> Segment {
-    let mut late: Vec<f64> = points.iter().map(|point| point.1 - (host + (point.0 - t) * slope)).collect();
-    late.sort_by(f64::total_cmp);
-    let quantile = |share: f64| late.get((share * late.len() as f64) as usize).copied().unwrap_or(0.0);
-    // Stamps just above the line on both sides of the middle hold it: the gap to the next ones is
-    // what it could be wrong by.
-    let third = (to_s - from_s) / 3.0;
-    let nearest = |low: f64, high: f64| {
-        let part = points.iter().filter(|point| (low..=high).contains(&point.0));
-        part.map(|point| point.1 - (host + (point.0 - t) * slope)).fold(f64::INFINITY, f64::min)
+        least
     };
-    let ends = [nearest(f64::NEG_INFINITY, from_s + third), nearest(to_s - third, f64::INFINITY)];
-    Segment {
-        from_s,
-        to_s,
-        host_s: host + (from_s - t) * slope,
-        drift: slope - 1.0,
-        median_late_s: quantile(0.5),
-        bound_s: ends.into_iter().filter(|late| late.is_finite()).fold(0.0, f64::max),
-    }
+    let before_s = least(&mut (first..at).rev());
+    let behind_s = least(&mut (at..late_s.len()));
+    (behind_s - before_s).abs() > LEAST_BREAK_S + MOST_DRIFT * 2.0 * NEAR_S
 }

@@ -151,8 +151,11 @@ pub(super) fn warnings(synced: &Synced, stream: &Stream) -> Vec<Warning> {
     if gaps > 0 {
         warn(false, format!("in {gaps} dwells samples are missing by their sequence numbers"));
     }
-    if !stream.breaks.is_empty() {
-        warn(false, format!("the bar's clock restarted or jumped {} times", stream.breaks.len()));
+    for broken in stream.clock().into_iter().flat_map(|clock| &clock.breaks) {
+        let t_s = stream.t_s.get(broken.at).copied().unwrap_or(0.0);
+        let what = if broken.reset { "began again" } else { "jumped" };
+        let (jump_s, host_s) = (broken.jump_s, broken.host_s);
+        warn(false, format!("the bar's clock {what} at {t_s:.3} s: it went {jump_s:+.3} s in {host_s:.3} s"));
     }
     if let Some(drift) = synced.drift.filter(|drift| drift.significant) {
         let um = 1000.0 * drift.change_mm;

@@ -10,6 +10,7 @@ mod commanded;
 mod drift;
 mod dwell;
 mod fate;
+mod hull;
 mod interval;
 mod recall;
 mod report;
@@ -24,14 +25,15 @@ use crate::model::{AXES, Observation, Observations};
 use crate::plan::{CirclePlace, Kind, Plan, PlanRow};
 
 pub use align::{Alignment, Expected, LEAST_START_SD_S, Pairing, Seen, align};
-pub use clock_map::{Break, ClockMap, Segment};
+pub use clock_map::{Break, ClockMap, DeviceClock};
 pub use drift::Drift;
 pub use dwell::{Dwell, measure};
 pub use fate::{Fate, PoseFate};
+pub use hull::Segment;
 pub use interval::Commanded;
 pub use report::Report;
 pub use still::{Stretch, find as find_still};
-pub use stream::{DeviceClock, Stream};
+pub use stream::{Stream, StreamBuilder};
 pub use strobe::{Strobed, find as find_strobed};
 
 use commanded::Poses;

@@ -2,13 +2,14 @@
 //! batches, stalls. The figures are those of the method's simulation in the reference: least delay
 //! 0.5 ms, exponential jitter of 0.3 ms, stalls of 50 ms in 0.1 % of the samples.
 
-use dbbd::sync::ClockMap;
+use dbbd::sync::{ClockMap, DeviceClock};
 use dbbd::units::HostNs;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
 const LEAST_S: f64 = 0.5e-3;
 const DRIFT: f64 = 50e-6;
+const CLOCK: DeviceClock = DeviceClock { seconds_per_tick: 1e-6, wrap: Some(1 << 32) };
 
 struct Run {
     stamps: Vec<(HostNs, u64)>,
@@ -51,7 +52,7 @@ fn spread(errors: &[f64]) -> (f64, f64) {
 fn the_hull_keeps_the_least_delay_alone() {
     for seed in 0..10 {
         let Run { stamps, truth } = run(600.0, 100.0, seed);
-        let map = ClockMap::new(&stamps, 1e-6, Some(1 << 32));
+        let map = ClockMap::new(&stamps, CLOCK);
         assert_eq!(map.breaks, []);
         let begin = map.begin.0 as f64 * 1e-9;
         let hull: Vec<f64> = map
@@ -91,9 +92,46 @@ fn resets_and_jumps_are_breaks_and_wraps_are_not() {
     for (_, ticks) in &mut stamps[reset..] {
         *ticks = ticks.wrapping_sub(from) % (1 << 32);
     }
-    let map = ClockMap::new(&stamps, 1e-6, Some(1 << 32));
+    let map = ClockMap::new(&stamps, CLOCK);
     assert_eq!(map.breaks.iter().map(|broken| broken.at).collect::<Vec<_>>(), [reset]);
     assert!(map.device_s.windows(2).all(|pair| pair[1] >= pair[0]));
-    assert_eq!(ClockMap::new(&[], 1e-6, None).host_s(0.0), None);
-    assert!(ClockMap::new(&stamps[..1], 1e-6, None).host_s(0.0).is_some());
+    assert!(map.breaks[0].reset);
+    assert_eq!(ClockMap::new(&[], CLOCK).host_s(0.0), None);
+    assert!(ClockMap::new(&stamps[..2000], CLOCK).host_s(0.0).is_some());
+}
+
+/// A jump is told from a stall: only the jump shifts the least delay for good.
+#[test]
+fn a_jump_is_a_break_and_a_stall_is_not() {
+    for (jump_s, stall_s, expected) in
+        [(0.4, 0.0, 1), (-0.4, 0.0, 1), (0.0, 3.0, 0), (0.0, 0.0, 0), (2.0, 1.0, 1)]
+    {
+        let Run { mut stamps, .. } = run(60.0, 100.0, 5);
+        let (jump, stall) = (4000, 2000);
+        for (_, ticks) in &mut stamps[jump..] {
+            *ticks = (*ticks as i64 + (jump_s * 1e6) as i64) as u64 % (1 << 32);
+        }
+        let held = HostNs(stamps[stall].0.0 + (stall_s * 1e9) as u64);
+        for (host, _) in &mut stamps[stall..] {
+            *host = (*host).max(held);
+        }
+        let map = ClockMap::new(&stamps, CLOCK);
+        let found: Vec<usize> = map.breaks.iter().map(|broken| broken.at).collect();
+        assert_eq!(found, vec![jump; expected], "jump {jump_s} s, stall {stall_s} s");
+        assert!(map.breaks.iter().all(|broken| broken.reset == (jump_s < 0.0)), "{:?}", map.breaks);
+        assert!(map.drift().is_some_and(|drift| (drift + DRIFT).abs() < 20e-6), "{:?}", map.drift());
+    }
+}
+
+/// A counter faster than the host's clock is no clock of the host's; its own breaks are found still.
+#[test]
+fn a_run_faster_than_real_time_is_on_device_time_alone() {
+    let mut stamps: Vec<(HostNs, u64)> = (0..10_000u64).map(|at| (HostNs(at * 1000), at * 1000)).collect();
+    // The host may be held up for a while in such a run.
+    stamps.iter_mut().skip(7000).for_each(|(host, _)| host.0 += 700_000_000);
+    let map = ClockMap::new(&stamps, CLOCK);
+    assert_eq!((map.breaks.len(), map.host_s(1.0), map.drift()), (0, None, None));
+    assert!((map.device_s[9999] - 9.999).abs() < 1e-9);
+    stamps.iter_mut().skip(5000).for_each(|(_, ticks)| *ticks += 10_000_000);
+    assert_eq!(ClockMap::new(&stamps, CLOCK).breaks.len(), 1);
 }

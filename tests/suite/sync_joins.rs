@@ -8,7 +8,8 @@ use dbbd::model::{AXES, Observations, Robot};
 use dbbd::plan::{Header, Job, Kind, Motion, MoveTime, Plan, PlanRow};
 use dbbd::protocol::Sample;
 use dbbd::sync::{
-    DeviceClock, Fate, Input, Report, Source, Stream, Synced, find_still, measure, observations,
+    DeviceClock, Fate, Input, Report, Source, Stream, StreamBuilder, Synced, find_still, measure,
+    observations,
 };
 use dbbd::units::{DeviceTicks, HostNs};
 use rand::{RngExt, SeedableRng};
@@ -199,9 +200,9 @@ fn travelled(share: f64, lasts_s: f64) -> f64 {
 }
 
 fn stream(samples: &[(HostNs, Sample)]) -> Stream {
-    let mut stream = Stream::new(Some(CLOCK));
+    let mut stream = StreamBuilder::new(Some(CLOCK));
     samples.iter().for_each(|(host, sample)| stream.push(*host, sample));
-    stream
+    stream.build()
 }
 
 /// Number of the plan's dwells that have a length; every one of them must be the right one.
