@@ -11,7 +11,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 
 use super::{Outcome, Output, Verdict, protocols};
 use crate::clock;
-use crate::daemon::{Acquisition, Attachments, Ending, Options, Progress, Summary, stop_on_signal};
+use crate::daemon::{Acquisition, Attachments, Ending, Options, Progress, Summary, stop_on_signal, zero};
 use crate::port::{self, Latency};
 use crate::units::HostNs;
 
@@ -43,6 +43,9 @@ pub(crate) struct Args {
     /// Plan that the robot executes; it and the plan.json beside it go into the capture.
     #[arg(long, value_name = "PLAN.csv")]
     plan: Option<PathBuf>,
+    /// Set the bar's reading to zero where it stands before the run, where its protocol has a command for it.
+    #[arg(long)]
+    zero: bool,
     /// Capture to write; an existing file is not overwritten.
     #[arg(long, value_name = "RUN")]
     out: PathBuf,
@@ -82,6 +85,17 @@ fn record(args: &Args, out: &Output) -> Verdict {
             "{device} holds bytes back for up to {ms} ms, which blurs times; this udev rule mends it:\n  {}",
             port::LATENCY_RULE
         ));
+    }
+    if args.zero {
+        if definition.zero.is_empty() {
+            return Err(format!(
+                "--zero: the protocol `{}` has no command for it ([cmd] zero)",
+                definition.id
+            )
+            .into());
+        }
+        zero(&args.port, &definition)?;
+        out.progress("the bar's reading was set to zero");
     }
     let stop = stop_on_signal()?;
     let options = Options {

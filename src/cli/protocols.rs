@@ -146,6 +146,7 @@ fn summary(definition: &Definition) -> serde_json::Value {
         "source": definition.source,
         "tested_on": definition.tested_on,
         "baud": definition.line.baud,
+        "baud_probe": definition.line_probe,
         "nominal_hz": definition.nominal_hz,
         "params": definition.params.iter().cloned().collect::<std::collections::BTreeMap<_, _>>(),
         "resolution_mm": definition.resolution_mm(),
@@ -157,12 +158,15 @@ fn list(out: &Output) -> Verdict {
     let mut all = Vec::new();
     for (name, text) in Definition::built_in() {
         let definition = Definition::from_toml(name, text)?;
-        let tried = match (definition.confidence, definition.tested_on.as_slice()) {
-            ("own", []) => String::new(),
-            (_, []) => ", not tried on hardware".to_owned(),
-            (_, devices) => format!(", tried on {}", devices.join(", ")),
+        let tried = match definition.tested_on.as_slice() {
+            [] => ", not tried on hardware".to_owned(),
+            devices => format!(", tried on {}", devices.join(", ")),
         };
-        out.result(format!("{name:20}  {} [{}{tried}]", definition.title, definition.confidence));
+        let passes = match definition.undetected() {
+            share if share < 1.0 => format!("1 damaged frame in {:.0} passes", 1.0 / share),
+            _ => "no check that is always there".to_owned(),
+        };
+        out.result(format!("{name:20}  {} [{}{tried}; {passes}]", definition.title, definition.confidence));
         all.push(summary(&definition));
     }
     out.document(&all)?;

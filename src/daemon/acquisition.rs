@@ -14,7 +14,7 @@ use super::asking::Asking;
 use super::attachments::Attachments;
 use super::marks::Marks;
 use super::recorder::Recorder;
-use super::session;
+use super::session::{self, Opened};
 use crate::capture::{Event, WriteError, Writer};
 use crate::clock;
 use crate::port::{self, Arrival, Port, PortError, Reader};
@@ -22,7 +22,7 @@ use crate::protocol::{Definition, Mode};
 use crate::units::HostNs;
 
 /// Longest wait between two attempts to open a port that went away, s.
-const LONGEST_BACKOFF_S: f64 = 1.0;
+const LONGEST_BACKOFF_S: f64 = 0.5;
 
 /// What a run is to do.
 #[derive(Clone, Debug)]
@@ -137,7 +137,7 @@ impl Acquisition {
             return Err(WriteError::Exists(options.out).into());
         }
         // The port comes first: without it no file is left behind.
-        let (port, stale) = session::open(&options.port, &options.definition)?;
+        let opened = session::open(&options.port, &options.definition)?;
         let writer = Writer::create(&options.out)?;
         let marks = Marks::new(options.attachments.modules);
         let mut recorder = Recorder::new(writer, &options.definition, marks, now);
@@ -147,7 +147,7 @@ impl Acquisition {
             recorder.attach(now, name, content)?;
         }
         recorder.attach(now, "protocol.toml", options.definition.text.as_bytes())?;
-        opened(&mut recorder, &options.port, stale)?;
+        let port = begin(&mut recorder, &options.port, opened)?;
         let shared = Arc::new(Shared { progress: Mutex::default(), stop });
         let identity = port::identity(&options.port);
         let run = Run { options, identity, recorder, shared: Arc::clone(&shared), began: now };
@@ -174,14 +174,19 @@ impl Acquisition {
     }
 }
 
-fn opened(recorder: &mut Recorder, port: &str, stale: u64) -> Result<(), WriteError> {
+/// Records that the bar was opened, and what came with its start.
+fn begin(recorder: &mut Recorder, name: &str, opened: Opened) -> Result<Port, WriteError> {
     let now = clock::now();
-    recorder.event(now, Event::Opened { port: port.into() })?;
+    let Opened { port, stale, first } = opened;
+    recorder.event(now, Event::Opened { port: name.into() })?;
     if stale > 0 {
         let text = format!("{stale} bytes of an earlier stream were thrown away before the start");
         recorder.event(now, Event::Mark { text })?;
     }
-    Ok(())
+    if !first.is_empty() {
+        recorder.bytes(now, first)?;
+    }
+    Ok(port)
 }
 
 /// The recorder's thread.
@@ -218,10 +223,9 @@ impl Run {
             let reason = format!("the port was gone: {why}");
             self.recorder.event(now, Event::Gap { seconds, missing: None, reason })?;
             match reopened {
-                Ok((again, stale)) => {
-                    opened(&mut self.recorder, &self.identity, stale)?;
+                Ok(again) => {
                     self.recorder.restarted();
-                    port = again;
+                    port = begin(&mut self.recorder, &self.identity, again)?;
                 }
                 Err(ending) => break ending,
             }
@@ -292,7 +296,7 @@ impl Run {
     }
 
     /// Waits for the port to come back: more patiently each time, until it has been away too long.
-    fn reopen(&mut self, since: HostNs) -> Result<Result<(Port, u64), Ending>, AcquireError> {
+    fn reopen(&mut self, since: HostNs) -> Result<Result<Opened, Ending>, AcquireError> {
         let mut backoff = 0.1;
         let mut next = 0.0;
         loop {

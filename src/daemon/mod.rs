@@ -11,4 +11,5 @@ mod signals;
 pub use acquisition::{AcquireError, Acquisition, Ending, Options, Progress, Summary};
 pub use attachments::{Attachments, PlanError};
 pub use marks::{DeviceTime, Marks};
+pub use session::zero;
 pub use signals::stop_on_signal;

@@ -6,8 +6,9 @@ use crate::capture::{Event, Record, WriteError, Writer};
 use crate::protocol::{Decoded, Decoder, Definition, FaultKind, Sample};
 use crate::units::HostNs;
 
-/// Silence below this is not worth a record where sequence numbers tell what is missing, s.
-const SILENCE_S: f64 = 1.0;
+/// Silence below this is not worth a record where sequence numbers tell what is missing, s: radio links
+/// hand over batches of a second.
+const SILENCE_S: f64 = 2.5;
 
 /// The recorder of one run.
 pub(super) struct Recorder {

@@ -16,6 +16,14 @@ pub struct Found {
     pub by_id: Option<String>,
     /// What it is, as far as it tells.
     pub description: String,
+    /// Numbers of maker and product on USB.
+    pub usb_id: Option<(u16, u16)>,
+    /// The maker's name, where it is on USB and tells.
+    pub vendor: Option<String>,
+    /// The product's name, likewise.
+    pub product: Option<String>,
+    /// Its serial number, likewise.
+    pub serial_number: Option<String>,
     /// How long the adapter holds bytes back, ms, where it says so: more than 1 blurs the host's stamps.
     pub latency_ms: Option<u32>,
 }
@@ -32,7 +40,15 @@ pub fn list() -> Result<Vec<Found>, serialport::Error> {
             let device = Path::new(&info.port_name);
             let base = device.file_name().map(Path::new).unwrap_or(device);
             let latency = Path::new("/sys/bus/usb-serial/devices").join(base).join("latency_timer");
+            let usb = match &info.port_type {
+                SerialPortType::UsbPort(usb) => Some(usb),
+                _ => None,
+            };
             Found {
+                usb_id: usb.map(|usb| (usb.vid, usb.pid)),
+                vendor: usb.and_then(|usb| usb.manufacturer.clone()),
+                product: usb.and_then(|usb| usb.product.clone()),
+                serial_number: usb.and_then(|usb| usb.serial_number.clone()),
                 by_id: links.get(device).cloned(),
                 description: description(&info.port_type),
                 latency_ms: fs::read_to_string(latency).ok().and_then(|text| text.trim().parse().ok()),
@@ -58,8 +74,9 @@ fn links() -> BTreeMap<PathBuf, String> {
 fn description(kind: &SerialPortType) -> String {
     match kind {
         SerialPortType::UsbPort(usb) => {
-            let words = [usb.manufacturer.as_deref(), usb.product.as_deref(), usb.serial_number.as_deref()];
-            let words: Vec<&str> = words.into_iter().flatten().collect();
+            let words = [usb.manufacturer.as_deref(), usb.product.as_deref()];
+            let mut words: Vec<String> = words.into_iter().flatten().map(str::to_owned).collect();
+            words.extend(usb.serial_number.as_ref().map(|number| format!("serial number {number}")));
             format!("USB {:04x}:{:04x} {}", usb.vid, usb.pid, words.join(" ")).trim_end().to_owned()
         }
         SerialPortType::PciPort => "PCI".into(),

@@ -63,6 +63,16 @@ pub enum PortError {
         /// Why.
         source: serialport::Error,
     },
+    /// It does not answer.
+    #[error(
+        "the bar at `{name}` does not answer (tried at {bauds} baud)\n  help: is it switched on, and is this its port and its protocol?"
+    )]
+    Silent {
+        /// The port.
+        name: String,
+        /// The rates that were tried.
+        bauds: String,
+    },
     /// It went away.
     #[error("port `{name}` is gone")]
     Gone {
@@ -186,6 +196,15 @@ impl Port {
         }
         self.line.set_timeout(PATIENCE).map_err(|source| gone(&self.name, source.into()))?;
         Ok(came)
+    }
+
+    /// Changes the rate, symbols per second; a pseudo terminal takes the bytes at any.
+    ///
+    /// # Errors
+    /// When the port is gone or cannot do it.
+    pub fn set_baud(&mut self, baud: u32) -> Result<(), PortError> {
+        let refused = |source| PortError::Open { name: self.name.clone(), source };
+        self.line.set_baud_rate(baud).map_err(refused)
     }
 
     /// Lowers DTR for so long; a pseudo terminal has none.

@@ -8,12 +8,7 @@ use super::decoder::Decoder;
 use super::encoder::Encoder;
 use super::engine::Engine;
 use super::layout::{self, Part};
-use super::loader;
 use super::table::{Flow, Parity};
-use crate::diag::Diagnostic;
-
-/// The definitions that come with dbbd: name and file.
-const BUILT_IN: &[(&str, &str)] = include!("../../protocols/built-in.rs");
 
 /// A device: its line, its commands, its clock, and how its bytes are read and written.
 #[derive(Clone, Debug)]
@@ -34,6 +29,8 @@ pub struct Definition {
     pub params: Vec<(String, String)>,
     /// The serial line.
     pub line: Line,
+    /// Further rates that the device may be set to, symbols per second; tried where it does not answer.
+    pub line_probe: Vec<u32>,
     /// The device's clock, where it has one.
     pub clock: Option<Clock>,
     /// The sequence number counts from 0 to this less one, where there is one.
@@ -56,6 +53,10 @@ pub struct Definition {
     pub idle: Option<Duration>,
     /// What its virtual twin does.
     pub sim: Sim,
+    /// What it must answer to at opening; empty where it cannot be asked.
+    pub ident: Vec<Step>,
+    /// What sets its reading to zero; empty where it cannot be told.
+    pub zero: Vec<Step>,
     /// What sets it up after opening.
     pub init: Vec<Step>,
     /// What asks for a reading.
@@ -149,40 +150,6 @@ pub enum Step {
 }
 
 impl Definition {
-    /// Names and files of the definitions that are built in.
-    pub fn built_in() -> &'static [(&'static str, &'static str)] {
-        BUILT_IN
-    }
-
-    /// A built-in definition by its name, with its parameters' defaults, if there is one.
-    pub fn by_name(name: &str) -> Option<Result<Self, Diagnostic>> {
-        Self::by_name_with(name, &[])
-    }
-
-    /// A built-in definition by its name with some parameters chosen, if there is one.
-    pub fn by_name_with(name: &str, params: &[(String, String)]) -> Option<Result<Self, Diagnostic>> {
-        let (_, text) = BUILT_IN.iter().find(|(built_in, _)| *built_in == name)?;
-        Some(Self::from_toml_with(name, text, params))
-    }
-
-    /// Reads, checks and compiles a definition; its own test vectors are run.
-    ///
-    /// # Errors
-    /// Names the line of what is unknown, missing, contradictory or does not give what its test expects.
-    pub fn from_toml(file: &str, text: &str) -> Result<Self, Diagnostic> {
-        Self::from_toml_with(file, text, &[])
-    }
-
-    /// The same with some parameters chosen; the test vectors are run with their defaults.
-    ///
-    /// # Errors
-    /// As [`Definition::from_toml`], and where a parameter is unknown or out of its range.
-    pub fn from_toml_with(file: &str, text: &str, params: &[(String, String)]) -> Result<Self, Diagnostic> {
-        let defaults = loader::load(file, text, &[])?;
-        loader::test(file, text, &defaults)?;
-        if params.is_empty() { Ok(defaults) } else { loader::load(file, text, params) }
-    }
-
     /// The step between two readings that it can tell apart, mm; 0 for floating-point numbers.
     pub fn resolution_mm(&self) -> f64 {
         self.engine.resolution_mm()

@@ -6,6 +6,7 @@ use thiserror::Error;
 
 use super::check::Check;
 use super::engine::{Engine, Message};
+use super::field::Field;
 use super::sample::Sample;
 
 /// Why a sample cannot be sent.
@@ -37,10 +38,17 @@ impl Encoder {
     /// When the sample lacks a value that the protocol sends or a value does not fit; `out` is then
     /// left as it was.
     pub fn encode(&self, sample: &Sample, out: &mut Vec<u8>) -> Result<(), EncodeError> {
+        let frame = self.message(|field, body| field.write(sample, body))?;
+        out.extend(frame);
+        Ok(())
+    }
+
+    /// The frame of the first message, its fields written by `write`.
+    fn message(&self, write: impl Fn(&Field, &mut Vec<u8>) -> Option<()>) -> Result<Vec<u8>, EncodeError> {
         let mut body = Vec::new();
         for message in self.engine.messages.iter().take(1) {
             for field in &message.fields {
-                field.write(sample, &mut body).ok_or(EncodeError::Field(field.name()))?;
+                write(field, &mut body).ok_or(EncodeError::Field(field.name()))?;
             }
             for (at, value) in &message.matches {
                 if let Some(byte) = body.get_mut(*at) {
@@ -52,8 +60,7 @@ impl Encoder {
         if frame.len() > self.engine.framing.max_len() {
             return Err(EncodeError::TooLong(frame.len()));
         }
-        out.extend(frame);
-        Ok(())
+        Ok(frame)
     }
 
     /// Whether a frame can say that its reading is not to be trusted.
@@ -61,12 +68,28 @@ impl Encoder {
         self.engine.messages.iter().take(1).any(Message::doubts)
     }
 
-    /// Appends the device's word for having no reading; false where it has none.
-    pub fn refuse(&self, out: &mut Vec<u8>) -> bool {
+    /// Appends the device's word for having no reading, or the value in the place of `sample`'s reading
+    /// that stands for it; false where it has neither.
+    pub fn refuse(&self, sample: &Sample, out: &mut Vec<u8>) -> bool {
         if let Some(reject) = self.engine.rejects.first() {
             out.extend(self.frame(reject.body(), reject.checked));
+            return true;
         }
-        !self.engine.rejects.is_empty()
+        if !self
+            .engine
+            .messages
+            .iter()
+            .take(1)
+            .flat_map(|message| &message.fields)
+            .any(|field| field.sentinel().is_some())
+        {
+            return false;
+        }
+        let frame = self.message(|field, body| match field.sentinel() {
+            Some(value) => field.form.write(value, body),
+            None => field.write(sample, body),
+        });
+        frame.map(|frame| out.extend(frame)).is_ok()
     }
 
     fn frame(&self, mut body: Vec<u8>, checked: bool) -> Vec<u8> {

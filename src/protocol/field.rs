@@ -1,6 +1,6 @@
 //! Fields: how a value is written in a frame, and what it says of the sample.
 
-use super::field_table::{Fill, Sign};
+use super::decimal::Decimal;
 use super::sample::Sample;
 use crate::units::DeviceTicks;
 
@@ -32,20 +32,6 @@ pub(super) enum Form {
     Word { words: Vec<Vec<u8>>, default: Option<usize> },
     /// Text up to a separator, which may be absent at the end.
     Column { sep: u8 },
-}
-
-/// How a decimal number is written.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Decimal {
-    pub(super) decimals: usize,
-    /// Characters with sign and point, when reading and writing.
-    pub(super) width: Option<usize>,
-    /// Characters that are filled when writing.
-    pub(super) pad_to: usize,
-    pub(super) fill: Fill,
-    pub(super) sign: Sign,
-    /// Whether blanks may stand before the sign and the digits.
-    pub(super) blanks: bool,
 }
 
 /// What a value says.
@@ -204,7 +190,7 @@ impl Form {
     }
 
     /// Writes a value; none when the form cannot hold it.
-    fn write(&self, value: f64, body: &mut Vec<u8>) -> Option<()> {
+    pub(super) fn write(&self, value: f64, body: &mut Vec<u8>) -> Option<()> {
         match self {
             Form::Skip(bytes) => body.extend(std::iter::repeat_n(0, *bytes)),
             Form::Literal { text, .. } => body.extend_from_slice(text),
@@ -242,57 +228,6 @@ impl Form {
             }
             Form::Column { sep } => body.push(*sep),
         }
-        Some(())
-    }
-}
-
-impl Decimal {
-    fn read<'a>(&self, rest: &'a [u8]) -> Option<(f64, &'a [u8])> {
-        let blanks = |bytes: &[u8]| bytes.iter().take_while(|byte| **byte == b' ').count();
-        let (field, tail) = match self.width {
-            Some(width) => rest.split_at_checked(width)?,
-            None => {
-                let lead = if self.blanks { blanks(rest) } else { usize::from(rest.starts_with(b" ")) };
-                let sign = usize::from(matches!(rest.get(lead), Some(b'+' | b'-')));
-                let inner = if self.blanks { blanks(&rest[lead + sign..]) } else { 0 };
-                let start = lead + sign + inner;
-                let number = |byte: &&u8| byte.is_ascii_digit() || **byte == b'.';
-                rest.split_at(start + rest[start..].iter().take_while(number).count())
-            }
-        };
-        let text = std::str::from_utf8(field).ok()?;
-        let text = if self.blanks || self.sign == Sign::Blank { text.trim_start_matches(' ') } else { text };
-        let (negative, digits) = match text.strip_prefix('-') {
-            Some(digits) => (true, digits),
-            None => (false, text.strip_prefix('+').unwrap_or(text)),
-        };
-        let digits = if self.blanks { digits.trim_start_matches(' ') } else { digits };
-        if !digits.bytes().all(|byte| byte.is_ascii_digit() || byte == b'.') {
-            return None;
-        }
-        let value: f64 = digits.parse().ok().filter(|value: &f64| value.is_finite())?;
-        Some((if negative { -value } else { value }, tail))
-    }
-
-    fn write(&self, value: f64, body: &mut Vec<u8>) -> Option<()> {
-        if !value.is_finite() {
-            return None;
-        }
-        let digits = format!("{:.*}", self.decimals, value.abs());
-        let sign = match (value.is_sign_negative(), self.sign) {
-            (true, _) => "-",
-            (false, Sign::Minus) => "",
-            (false, Sign::Always) => "+",
-            (false, Sign::Blank) => " ",
-        };
-        let len = sign.len() + digits.len();
-        if self.width.is_some_and(|width| len > width) {
-            return None;
-        }
-        body.extend_from_slice(sign.as_bytes());
-        let fill = if self.fill == Fill::Zero { b'0' } else { b' ' };
-        body.extend(std::iter::repeat_n(fill, self.width.unwrap_or(self.pad_to).saturating_sub(len)));
-        body.extend(digits.into_bytes());
         Some(())
     }
 }
@@ -408,6 +343,14 @@ impl Field {
             }
         };
         self.form.write(value, body)
+    }
+
+    /// The value that stands for having no reading, where there is one.
+    pub(super) fn sentinel(&self) -> Option<f64> {
+        match &self.role {
+            Some(Role::Length(_, limits)) => limits.sentinels.first().map(|(value, _)| *value),
+            _ => None,
+        }
     }
 
     /// Whether the field can say that a reading is not to be trusted.

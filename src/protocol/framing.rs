@@ -5,6 +5,9 @@
 
 use super::tagged::Tagged;
 
+/// Longest frame that a definition may ask for, bytes.
+pub(super) const LONGEST_FRAME: usize = 4096;
+
 /// How frames are told apart.
 #[derive(Clone, Debug)]
 pub(super) enum Framing {

@@ -3,7 +3,7 @@
 use toml::Spanned;
 
 use super::check::{self, Check, Crc, Sum};
-use super::loader::Source;
+use super::source::Source;
 use super::table::{CheckEncoding, CheckKind, CheckTable};
 use crate::diag::{Diagnostic, nearest};
 

@@ -4,9 +4,11 @@ use std::collections::BTreeMap;
 
 use toml::Spanned;
 
-use super::field::{Decimal, Field, Form, Limits, Role, Scale};
+use super::decimal::Decimal;
+use super::field::{Field, Form, Limits, Role, Scale};
 use super::field_table::{Endian, FieldKind, FieldTable, Fill, RoleName, Unit};
-use super::loader::{LONGEST_FRAME, Source};
+use super::framing::LONGEST_FRAME;
+use super::source::Source;
 use crate::diag::Diagnostic;
 
 /// Checks a field and compiles it.

@@ -1,55 +1,35 @@
 //! Checks a definition file and compiles it; every refusal names its line.
 
-use std::ops::Range;
 use std::sync::Arc;
 use std::time::Duration;
 
 use toml::Spanned;
 
 use super::check::Check;
-use super::decoder::LONGEST_END;
 use super::definition::{Clock, Definition, Line, Mode, Sim, Step};
 use super::engine::{Engine, Message, Reject};
 use super::field::{Field, Form};
-use super::field_table::{Endian, FieldTable};
+use super::field_table::FieldTable;
 use super::framing::Framing;
 use super::load_check::compile_check;
+use super::load_command;
 use super::load_field;
-use super::params::{self, Resolved};
+use super::load_framing;
+use super::params;
+use super::source::Source;
 use super::table::{
-    Code, Confidence, File, FramingTable, Latch, LineTable, MessageTable, ModeKind, ModeTable, Order,
+    Code, Confidence, File, FramingTable, IgnoreTable, Latch, LineTable, MessageTable, ModeKind, ModeTable,
     RejectTable, StepTable, TestTable, Wire,
 };
-use super::tagged::Tagged;
 use super::vectors;
 use crate::diag::Diagnostic;
-
-/// Longest frame that a definition may ask for, bytes.
-pub(super) const LONGEST_FRAME: usize = 4096;
-
-/// Where messages point to.
-#[derive(Clone, Copy)]
-pub(super) struct Source<'a> {
-    file: &'a str,
-    text: &'a str,
-    resolved: &'a Resolved,
-}
-
-impl Source<'_> {
-    /// What is wrong at a place of the file.
-    pub(super) fn wrong(&self, span: Range<usize>, message: impl Into<String>) -> Diagnostic {
-        Diagnostic::span(self.file, self.text, self.resolved.original(span), message)
-    }
-}
 
 /// Reads, checks, compiles and tests a definition.
 pub(super) fn load(file: &str, text: &str, params: &[(String, String)]) -> Result<Definition, Diagnostic> {
     let resolved = params::resolve(file, text, params)?;
     let source = Source { file, text, resolved: &resolved };
     let table: File = toml::from_str(&resolved.text).map_err(|error| {
-        let at = resolved.original(error.span().unwrap_or_default());
-        Diagnostic::span(file, text, at, error.message())
-            .help("`dbbd protocols show dbb-cobs-1` prints a complete definition")
+        Diagnostic::span(file, text, resolved.original(error.span().unwrap_or_default()), error.message())
     })?;
     if *table.schema.get_ref() != 1 {
         return Err(source
@@ -59,10 +39,10 @@ pub(super) fn load(file: &str, text: &str, params: &[(String, String)]) -> Resul
     if table.id.get_ref().is_empty() {
         return Err(source.wrong(table.id.span(), "the id is empty"));
     }
-    let framing = framing(source, &table.framing)?;
+    let framing = load_framing::compile(source, &table.framing)?;
     let check = table.check.as_ref().map(|check| compile_check(source, check)).transpose()?.flatten();
     if table.message.is_empty() {
-        return Err(Diagnostic::file(file, "no [[message]]: nothing would be decoded"));
+        return Err(source.wrong(table.framing.span(), "no [[message]]: nothing would be decoded"));
     }
     let guard = check.as_ref().map_or(0, Check::len);
     let (room, exact) = framing.room();
@@ -79,15 +59,16 @@ pub(super) fn load(file: &str, text: &str, params: &[(String, String)]) -> Resul
         ignored: table
             .ignore
             .iter()
-            .flat_map(|ignore| &ignore.prefix)
+            .flat_map(|ignore| ignore.prefix.get_ref())
             .map(|p| p.clone().into_bytes())
             .collect(),
         mask: if table.line.strip_bit7 { 0x7f } else { 0xff },
         framing,
         check,
     };
-    if engine.ignored.iter().any(Vec::is_empty) {
-        return Err(Diagnostic::file(file, "an [[ignore]] prefix is empty: it would pass over everything"));
+    let empty = |ignore: &&IgnoreTable| ignore.prefix.get_ref().iter().any(String::is_empty);
+    if let Some(ignore) = table.ignore.iter().find(empty) {
+        return Err(source.wrong(ignore.prefix.span(), "an empty prefix would pass over everything"));
     }
     let fields: Vec<&FieldTable> =
         table.message.iter().flat_map(|m| &m.get_ref().fields).map(Spanned::get_ref).collect();
@@ -110,10 +91,19 @@ pub(super) fn load(file: &str, text: &str, params: &[(String, String)]) -> Resul
         return Err(source.wrong(hz.span(), "nominal_hz must be above 0 and at most 1e6"));
     }
     let steps = |steps: &[Spanned<StepTable>]| -> Result<Vec<Step>, Diagnostic> {
-        steps.iter().map(|step| compile_step(source, step, engine.check.as_ref())).collect()
+        steps.iter().map(|step| load_command::compile(source, step, engine.check.as_ref())).collect()
     };
     let (init, start) = (steps(&table.cmd.init)?, steps(&table.cmd.start)?);
     let (stop, poll) = (steps(&table.cmd.stop)?, steps(&table.cmd.poll)?);
+    let (ident, zero) = (steps(&table.cmd.ident)?, steps(&table.cmd.zero)?);
+    if let Some(step) = table.cmd.ident.first()
+        && !ident.iter().any(|step| matches!(step, Step::Ask { .. }))
+    {
+        return Err(source.wrong(step.span(), "ident needs a step with `expect`: what the device answers"));
+    }
+    if let Some(probe) = table.line.baud_probe.as_ref().filter(|_| ident.is_empty()) {
+        return Err(source.wrong(probe.span(), "baud_probe needs [cmd] ident: what tells the right rate"));
+    }
     let definition = Definition {
         id: table.id.get_ref().clone(),
         title: table.title,
@@ -128,6 +118,7 @@ pub(super) fn load(file: &str, text: &str, params: &[(String, String)]) -> Resul
         text: resolved.kept.clone(),
         params: resolved.values.clone(),
         line: line(source, &table.line)?,
+        line_probe: table.line.baud_probe.map(Spanned::into_inner).unwrap_or_default(),
         clock: clock.map(|(tick_ns, wrap_bits)| Clock { tick_ns, wrap_bits }),
         sequence_modulo: fields.iter().find_map(|field| field.modulo),
         stall: table.mode.stall_ms.map(|ms| Duration::from_millis(ms.into())),
@@ -146,6 +137,8 @@ pub(super) fn load(file: &str, text: &str, params: &[(String, String)]) -> Resul
             reply_delay: Duration::from_millis(table.sim.reply_delay_ms.into()),
             banner: table.sim.banner.unwrap_or_default().into_bytes(),
         },
+        ident,
+        zero,
         init,
         start,
         stop,
@@ -201,6 +194,9 @@ fn line(source: Source, table: &LineTable) -> Result<Line, Diagnostic> {
     };
     match table {
         LineTable { baud: 0, .. } => return wrong("baud must not be 0"),
+        LineTable { baud_probe: Some(probe), .. } if probe.get_ref().contains(&0) => {
+            return wrong("baud_probe must not have a 0");
+        }
         LineTable { bits, .. } if !matches!(bits, 7 | 8) => return wrong("bits must be 7 or 8"),
         LineTable { stop, .. } if !matches!(stop, 1 | 2) => return wrong("stop must be 1 or 2"),
         _ => {}
@@ -220,74 +216,6 @@ fn line(source: Source, table: &LineTable) -> Result<Line, Diagnostic> {
         rts: level(table.rts),
         settle: Duration::from_millis(table.settle_ms.into()),
     })
-}
-
-fn framing(source: Source, table: &Spanned<FramingTable>) -> Result<Framing, Diagnostic> {
-    let wrong = |message: &str| Err(source.wrong(table.span(), format!("[framing]: {message}")));
-    let framing = match table.get_ref() {
-        FramingTable::Cobs { delimiter, max_len } => {
-            Framing::Cobs { delimiter: *delimiter, max_len: *max_len }
-        }
-        FramingTable::Line { start, end, max_len } => {
-            let start = match start.as_deref().map(str::as_bytes) {
-                None => None,
-                Some([start]) => Some(*start),
-                Some(_) => return wrong("start must be one ASCII character"),
-            };
-            let mut ends: Vec<Vec<u8>> = end.iter().map(|end| end.clone().into_bytes()).collect();
-            if ends.is_empty() || ends.iter().any(|end| end.is_empty() || end.len() > LONGEST_END) {
-                return wrong("end must list one or more line ends of 1 to 4 bytes");
-            }
-            ends.sort_by_key(|end| std::cmp::Reverse(end.len()));
-            Framing::Line { start, ends, max_len: *max_len }
-        }
-        FramingTable::Delim { end, max_len } => match vectors::bytes(end) {
-            Some(end) if (1..=LONGEST_END).contains(&end.len()) => {
-                Framing::Line { start: None, ends: vec![end], max_len: *max_len }
-            }
-            _ => return wrong("end must be 1 to 4 bytes in hexadecimal"),
-        },
-        FramingTable::Fixed { sync, len } => match vectors::bytes(sync) {
-            Some(sync) if sync.len() < *len => Framing::Fixed { sync, len: *len },
-            _ => return wrong("sync must be hexadecimal and shorter than len"),
-        },
-        FramingTable::Length { sync, len_at, len_bytes, len_endian, len_adds, max_len } => {
-            let Some(sync) = vectors::bytes(sync).filter(|sync| sync.len() <= *len_at) else {
-                return wrong("sync must be hexadecimal, and end before len_at");
-            };
-            if !matches!(len_bytes, 1 | 2) || *len_at >= LONGEST_FRAME || *len_adds >= LONGEST_FRAME {
-                return wrong("len_bytes must be 1 or 2, len_at and len_adds below 4096");
-            }
-            Framing::Length {
-                sync,
-                at: *len_at,
-                bytes: usize::from(*len_bytes),
-                big_endian: *len_endian == Endian::Be,
-                adds: *len_adds,
-                max_len: *max_len,
-            }
-        }
-        FramingTable::Tagged { data_bits, order, tags } => {
-            match Tagged::new(*data_bits, *order == Order::LowFirst, tags) {
-                Ok(tagged) => Framing::Tagged(tagged),
-                Err(message) => return wrong(&message),
-            }
-        }
-        FramingTable::Gap { len: Some(lens), idle_us: None, max_len: None } if !lens.is_empty() => {
-            let mut lens = lens.clone();
-            lens.sort_unstable();
-            Framing::Lengths(lens)
-        }
-        FramingTable::Gap { len: None, idle_us: Some(1..), max_len: Some(max_len) } => {
-            Framing::Idle { max_len: *max_len }
-        }
-        FramingTable::Gap { .. } => return wrong("a gap needs `len = [..]`, or `idle_us` and `max_len`"),
-    };
-    let shortest = if matches!(framing, Framing::Cobs { .. } | Framing::Line { .. }) { 8 } else { 1 };
-    if !(shortest..=LONGEST_FRAME).contains(&framing.max_len()) {
-        return wrong("max_len must be 8 to 4096 bytes");
-    }
-    Ok(framing)
 }
 
 fn compile_message(
@@ -367,59 +295,4 @@ fn compile_reject(source: Source, table: &Spanned<RejectTable>) -> Result<Reject
         words.push((number.map_err(|_| wrong(&format!("`{code}` is not a code")))?, word.clone()));
     }
     Ok(Reject { text, whole, checked: reject.checked, code: reject.code, words })
-}
-
-fn compile_step(
-    source: Source,
-    table: &Spanned<StepTable>,
-    check: Option<&Check>,
-) -> Result<Step, Diagnostic> {
-    let wrong = |message: &str| Err(source.wrong(table.span(), message));
-    let duration = |ms: u32| Duration::from_millis(ms.into());
-    let step = table.get_ref();
-    let kinds = [
-        step.send.is_some(),
-        step.hex.is_some(),
-        step.wait_ms.is_some(),
-        step.drain_ms.is_some(),
-        step.dtr_pulse_ms.is_some(),
-    ];
-    if kinds.iter().filter(|given| **given).count() != 1 {
-        return wrong("a step has exactly one of send, hex, wait_ms, drain_ms, dtr_pulse_ms");
-    }
-    let mut bytes = match (&step.send, &step.hex) {
-        (Some(text), _) => text.clone().into_bytes(),
-        (_, Some(hex)) => match vectors::bytes(hex) {
-            Some(bytes) => bytes,
-            None => return wrong("hex is not pairs of hexadecimal digits"),
-        },
-        _ => Vec::new(),
-    };
-    if bytes.is_empty() && (step.check || step.expect.is_some()) {
-        return wrong("`check` and `expect` belong to a step that sends");
-    }
-    if step.check {
-        match check {
-            Some(check) => check.append(&mut bytes),
-            None => return wrong("`check` needs a [check]"),
-        }
-    }
-    match (&step.expect, step.timeout_ms, step.retries) {
-        (Some(expect), Some(timeout @ 1..), retries) if !expect.is_empty() => {
-            return Ok(Step::Ask {
-                send: bytes,
-                expect: expect.clone().into_bytes(),
-                timeout: duration(timeout),
-                retries: retries.unwrap_or(0),
-            });
-        }
-        (None, None, None) => {}
-        _ => return wrong("`expect` needs `timeout_ms`, and they belong together"),
-    }
-    Ok(match (step.wait_ms, step.drain_ms, step.dtr_pulse_ms) {
-        (Some(ms), ..) => Step::Wait(duration(ms)),
-        (_, Some(ms), _) => Step::Drain(duration(ms)),
-        (_, _, Some(ms)) => Step::DtrPulse(duration(ms)),
-        _ => Step::Send(bytes),
-    })
 }

@@ -5,7 +5,9 @@
 //! `framing` cuts the stream, `check` guards a frame, `field` reads and writes its content. A new
 //! kind of device is a file; a new kind of framing, check or field is a match arm here.
 
+mod built_in;
 mod check;
+mod decimal;
 mod decoder;
 mod definition;
 mod encoder;
@@ -15,10 +17,13 @@ mod field_table;
 mod framing;
 mod layout;
 mod load_check;
+mod load_command;
 mod load_field;
+mod load_framing;
 mod loader;
 mod params;
 pub mod sample;
+mod source;
 mod table;
 mod tagged;
 mod vectors;

@@ -85,6 +85,8 @@ pub(super) enum Confidence {
 #[serde(deny_unknown_fields)]
 pub(super) struct LineTable {
     pub(super) baud: u32,
+    /// Further rates that the device may be set to.
+    pub(super) baud_probe: Option<Spanned<Vec<u32>>>,
     #[serde(default = "eight")]
     pub(super) bits: u8,
     #[serde(default)]
@@ -306,7 +308,7 @@ pub(super) enum Action {
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct IgnoreTable {
-    pub(super) prefix: Vec<String>,
+    pub(super) prefix: Spanned<Vec<String>>,
 }
 
 /// `[mode]`.
@@ -362,6 +364,10 @@ pub(super) enum Latch {
 #[derive(Default, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct CommandTable {
+    #[serde(default)]
+    pub(super) ident: Vec<Spanned<StepTable>>,
+    #[serde(default)]
+    pub(super) zero: Vec<Spanned<StepTable>>,
     #[serde(default)]
     pub(super) init: Vec<Spanned<StepTable>>,
     #[serde(default)]

@@ -4,8 +4,8 @@ use toml::Spanned;
 
 use super::decoder::Decoded;
 use super::definition::Definition;
-use super::loader::Source;
 use super::sample::{Fault, FaultKind, Sample};
+use super::source::Source;
 use super::table::{Expectation, TestTable};
 use crate::diag::Diagnostic;
 

@@ -152,7 +152,8 @@ pub fn serve_badly(
         });
         sent.unwrap_or_default()
     };
-    let steps = [&definition.init, &definition.start, &definition.stop];
+    let Definition { ident, zero, init, start, stop, .. } = definition;
+    let steps = [ident, zero, init, start, stop];
     let answers = steps.into_iter().flatten().filter_map(|step| match step {
         Step::Ask { send, expect, .. } => Some((send.clone(), expect.clone())),
         _ => None,
@@ -163,8 +164,10 @@ pub fn serve_badly(
         tick_ns: definition.clock.map_or(1, |clock| clock.tick_ns),
         wrap_bits: definition.clock.map_or(64, |clock| clock.wrap_bits),
         modulo: definition.sequence_modulo.unwrap_or(u32::MAX),
-        start: command(&definition.start),
-        stop: command(&definition.stop),
+        start: command(start),
+        stop: command(stop),
+        zero: command(zero),
+        zero_mm: Some(0.0),
         poll: command(&definition.poll),
         polled: matches!(definition.mode, Mode::Poll { .. }),
         asked: 0,
@@ -202,6 +205,9 @@ struct Bar<S> {
     start: Vec<u8>,
     stop: Vec<u8>,
     poll: Vec<u8>,
+    zero: Vec<u8>,
+    /// The reading that counts as zero, mm; none when the next one is to.
+    zero_mm: Option<f64>,
     /// Whether every reading is asked for.
     polled: bool,
     /// Requests that are not answered yet.
@@ -303,6 +309,7 @@ impl<S: Source> Bar<S> {
         let said = |command: &[u8]| !command.is_empty() && self.heard.ends_with(command);
         let answer = self.answers.iter().find(|(command, _)| said(command)).map(|(_, answer)| answer.clone());
         let (stop, start, poll) = (said(&self.stop), said(&self.start), said(&self.poll));
+        let zero = said(&self.zero);
         if self.bad.faults().echo > 0.0 {
             self.line.write_all(&[byte])?;
         }
@@ -317,7 +324,10 @@ impl<S: Source> Bar<S> {
             self.begin();
             self.asked += 1;
         }
-        if stop || start || poll {
+        if zero {
+            self.zero_mm = None;
+        }
+        if stop || start || poll || zero {
             self.heard.clear();
         }
         let excess = self.heard.len().saturating_sub(LONGEST_COMMAND);
@@ -340,9 +350,11 @@ impl<S: Source> Bar<S> {
                 let mut frame = Vec::new();
                 let Faults { silence, refuse, skip, .. } = *self.bad.faults();
                 self.skipped += u64::from(self.bad.happens(skip));
-                let refused = self.bad.happens(refuse) && self.encoder.refuse(&mut frame);
+                let zero_mm = *self.zero_mm.get_or_insert(reading.reading_mm);
+                let sample = self.sample(t_s, &reading, zero_mm);
+                let refused = self.bad.happens(refuse) && self.encoder.refuse(&sample, &mut frame);
                 if !refused && !self.bad.happens(silence) {
-                    self.say(&self.sample(t_s, &reading), &mut frame)?;
+                    self.say(&sample, &mut frame)?;
                 }
                 self.source.spoil(&mut frame);
                 self.bad.carry(&mut frame);
@@ -382,7 +394,7 @@ impl<S: Source> Bar<S> {
 
     /// The frame of a sample; the device's word for none where the bar is out of its stroke.
     fn say(&self, sample: &Sample, frame: &mut Vec<u8>) -> Result<(), BarError> {
-        if !sample.valid && !self.encoder.doubts() && self.encoder.refuse(frame) {
+        if !sample.valid && !self.encoder.doubts() && self.encoder.refuse(sample, frame) {
             return Ok(());
         }
         Ok(self.encoder.encode(sample, frame)?)
@@ -398,13 +410,13 @@ impl<S: Source> Bar<S> {
         speed == 0.0 || self.frames as f64 / self.options.rate_hz <= passed * speed
     }
 
-    fn sample(&self, t_s: f64, reading: &Reading) -> Sample {
+    fn sample(&self, t_s: f64, reading: &Reading, zero_mm: f64) -> Sample {
         let Faults { drift_ppm, wrap_ticks, over_mm, .. } = *self.bad.faults();
         let ticks = (t_s * (1.0 + drift_ppm * 1e-6) * 1e9 / f64::from(self.tick_ns)).round() as u64;
         let ticks = ticks.wrapping_sub(wrap_ticks as u64);
         let mask = u64::MAX >> (64 - self.wrap_bits.clamp(1, 64));
         Sample {
-            reading_mm: reading.reading_mm + self.at_mm + over_mm,
+            reading_mm: reading.reading_mm - zero_mm + self.at_mm + over_mm,
             sequence: u32::try_from((self.frames + self.skipped) % u64::from(self.modulo)).ok(),
             ticks: Some(DeviceTicks(self.options.first_ticks.wrapping_add(ticks) & mask)),
             trigger: Some(reading.strobe),

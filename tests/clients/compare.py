@@ -14,11 +14,9 @@ import subprocess
 import sys
 import tempfile
 
-KNOWN = ["dbb-cobs-1", "dbb-nmea-1", "sylvac-opto", "heidenhain-nd28x", "usdigital-qsb", "modbus-rtu"]
-AT_MM = {"microepsilon-ild1420": 25.0}
-
-
-POLLED = {"sylvac-opto", "heidenhain-nd28x", "modbus-rtu"}
+POLLED = ["sylvac-opto", "heidenhain-nd28x", "modbus-rtu", "cdi-starrett", "mitutoyo-idh"]
+KNOWN = ["dbb-cobs-1", "dbb-nmea-1", "usdigital-qsb", "microepsilon-ild1420", "riftek-rf60x"] + POLLED
+AT_MM = {"microepsilon-ild1420": 25.0, "riftek-rf60x": 25.0}
 
 
 def simulate(dbbd, program, protocol, world):

@@ -22,6 +22,14 @@ def lines(port, end, deadline):
             yield line
 
 
+def reply(port, end, deadline):
+    """One whole reply; a slow one is waited for, in pieces."""
+    line = b""
+    while not line.endswith(end) and time.monotonic() < deadline:
+        line += port.read_until(end)
+    return line
+
+
 def crc16_ibm_3740(data):
     crc = 0xFFFF
     for byte in data:
@@ -71,7 +79,7 @@ def dbb_nmea_1(port, deadline):
 def sylvac_opto(port, deadline):
     while time.monotonic() < deadline:
         port.write(b"?\r")
-        line = port.read_until(b"\r")
+        line = reply(port, b"\r", deadline)
         if line[:1] in b"+- " and line.endswith(b"\r"):
             yield float(line[:-1].replace(b" ", b""))
 
@@ -79,7 +87,7 @@ def sylvac_opto(port, deadline):
 def heidenhain_nd28x(port, deadline):
     while time.monotonic() < deadline:
         port.write(b"\x02")
-        line = port.read_until(b"\r\n")
+        line = reply(port, b"\r\n", deadline)
         if len(line) == 17 and line.endswith(b"\r\n"):
             yield float(line[:11].replace(b" ", b"")) * (25.4 if line[12:13] == b'"' else 1.0)
 
@@ -115,15 +123,48 @@ def microepsilon_ild1420(port, deadline):
     port.write(b"OUTPUT NONE\n")
 
 
+def riftek_rf60x(port, deadline):
+    port.write(b"\x01\x87")
+    record = []
+    while time.monotonic() < deadline:
+        for byte in port.read(256):
+            if not byte & 0x80 or (record and (byte ^ record[0]) & 0x30):
+                record = []
+            if byte & 0x80:
+                record.append(byte)
+            if len(record) == 4:
+                counts = sum((byte & 15) << 4 * place for place, byte in enumerate(record))
+                yield counts * 50.0 / 16384 - 25.0
+                record = []
+    port.write(b"\x01\x88")
+
+
+def cdi_starrett(port, deadline):
+    while time.monotonic() < deadline:
+        port.write(b"R\r")
+        line = reply(port, b"\r\n", deadline)
+        number, _, unit = line.strip().partition(b",")
+        if unit.strip() in (b"MM", b"IN"):
+            yield float(number.replace(b" ", b"")) * (25.4 if unit.strip() == b"IN" else 1.0)
+
+
+def mitutoyo_idh(port, deadline):
+    while time.monotonic() < deadline:
+        port.write(b"GA00\r\n")
+        line = reply(port, b"\r\n", deadline)
+        if line.startswith(b"GN00,") and len(line) == 17:
+            yield float(line[5:15])
+
+
 def modbus_rtu(port, deadline):
     request = bytes([1, 4, 0, 0, 0, 2])
     request += crc16_modbus(request).to_bytes(2, "little")
     assert request.hex() == "01040000000271cb"
     while time.monotonic() < deadline:
         port.write(request)
-        reply = port.read(9)
-        if len(reply) == 9 and crc16_modbus(reply[:7]) == int.from_bytes(reply[7:], "little"):
-            yield int.from_bytes(reply[3:7], "big", signed=True) / 1000.0
+        frame = port.read(9)
+        if len(frame) == 9 and crc16_modbus(frame[:7]) == int.from_bytes(frame[7:], "little"):
+            yield int.from_bytes(frame[3:7], "big", signed=True) / 1000.0
 
 
 def main():

@@ -92,6 +92,216 @@ fn every_refusal_names_its_line() {
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
+const SHIPPED: [(&str, &str); 7] = [
+    ("cobs", COBS),
+    ("nmea", include_str!("../../protocols/dbb-nmea-1.toml")),
+    ("tagged", include_str!("../../protocols/microepsilon-ild1420.toml")),
+    ("modbus", include_str!("../../protocols/modbus-rtu.toml")),
+    ("opto", include_str!("../../protocols/sylvac-opto.toml")),
+    ("nd28x", include_str!("../../protocols/heidenhain-nd28x.toml")),
+    ("delim", include_str!("../../protocols/touchdro.toml")),
+];
+
+/// A refusal: the file, what is put in the place of what, where it must point, and what it must say.
+type Case = (&'static str, &'static str, &'static str, &'static str, &'static str);
+
+/// One for each message of the loader that the shipped files can be bent to.
+const REFUSED: &[Case] = &[
+    // the file as a whole
+    ("cobs", "id = \"dbb-cobs-1\"", "id = \"\"", "id =", "the id is empty"),
+    ("cobs", "[timing]", "[tuning]", "[tuning]", "unknown field `tuning`"),
+    ("cobs", "confidence = \"own\"", "confidence = \"sure\"", "confidence", "sure"),
+    ("cobs", "latch = \"device\"", "latch = \"request\"", "latch =", "needs [mode] kind = \"poll\""),
+    ("tagged", "latch = \"first_byte\"", "latch = \"device\"", "latch =", "role = \"t_dev\""),
+    ("cobs", "nominal_hz = 1000", "nominal_hz = 0", "nominal_hz", "above 0"),
+    ("opto", "prefix = [\"SY\", ", "prefix = [\"\", ", "prefix = [\"\"", "pass over everything"),
+    // the line
+    ("cobs", "baud = 460800 ", "baud = 0 ", "[line]", "baud must not be 0"),
+    ("cobs", "bits = 8\n", "bits = 9\n", "[line]", "bits must be 7 or 8"),
+    ("cobs", "stop = 1\n", "stop = 3\n", "[line]", "stop must be 1 or 2"),
+    ("cobs", "stop = 1\n", "stop = 1\nbaud_probe = [9600]\n", "baud_probe", "needs [cmd] ident"),
+    ("tagged", "baud_probe = [1000000", "baud_probe = [0", "[line]", "must not have a 0"),
+    ("cobs", "[cmd]", "[cmd]\nident = [{ send = \"?\" }]", "ident =", "needs a step with `expect`"),
+    // the mode
+    ("cobs", "stall_ms = 50", "poll_hz = 5", "[mode]", "belong to kind = \"poll\""),
+    ("opto", "poll_hz = 10 ", "poll_hz = 0 ", "poll_hz", "above 0"),
+    ("opto", "poll_hz = 10 ", "# ", "[mode]", "needs poll_hz and reply_timeout_ms"),
+    ("opto", "poll = [{ send = \"?\\r\" }]", "", "[mode]", "needs [cmd] poll"),
+    // the framing
+    ("nmea", "start = \"$\"", "start = \"$$\"", "[framing]", "start must be one ASCII character"),
+    ("nmea", "end = [\"\\r\\n\", \"\\n\"]", "end = []", "[framing]", "end must list"),
+    ("delim", "end = \"3b\"", "end = \"3\"", "[framing]", "1 to 4 bytes"),
+    ("tagged", "data_bits = 6", "data_bits = 8", "[framing]", "data_bits must be 1 to 7"),
+    ("tagged", "\"00\", \"01\"", "\"00\", \"011\"", "[framing]", "must have 2 bits"),
+    ("tagged", "\"00\", \"01\"", "\"00\", \"0?\"", "[framing]", "0, 1 or a letter"),
+    ("tagged", "\"00\", \"01\"", "\"00\", \"0s\"", "[framing]", "same bits in every tag"),
+    ("modbus", "len = [5, 9]", "len = []", "[framing]", "a gap needs"),
+    ("cobs", "max_len = 64 ", "max_len = 5000 ", "[framing]", "8 to 4096"),
+    // the check
+    ("cobs", "kind = \"crc\"", "kind = \"xor8\"", "[check]", "only a crc has a name"),
+    ("nmea", "after = \"*\"", "after = \"**\"", "after =", "one ASCII character"),
+    ("nmea", "after = \"*\"", "", "[check]", "optional needs `after`"),
+    ("cobs", "enc = \"le\"\n\n[[m", "enc = \"le\"\nwidth = 16\n\n[[m", "[check]", "not both"),
+    ("cobs", "enc = \"le\"\n\n[[m", "\n[[m", "[check]", "enc is missing"),
+    ("cobs", "name = \"CRC-16/IBM-3740\"", "width = 16", "[check]", "or all of its parameters"),
+    ("cobs", "CRC-16/IBM-3740", "CRC-16/IBM-3741", "name = \"CRC", "did you mean `CRC-16/IBM-3740`"),
+    // messages and fields
+    (
+        "cobs",
+        "kind = \"uint\", bits = 8, role",
+        "kind = \"bits\", bits = 7, role",
+        "[[message]]",
+        "7 bits follow each other",
+    ),
+    (
+        "cobs",
+        "role = \"temp\", unit = \"C\"",
+        "role = \"length\", unit = \"mm\"",
+        "[[message]]",
+        "2 fields have role `length`",
+    ),
+    ("tagged", "bits = 24", "bits = 32", "[[message]]", "the frame has room for 3"),
+    ("tagged", "bits = 24", "bits = 16", "[[message]]", "the frame has 3"),
+    ("cobs", "kind = \"skip\", bytes = 1", "kind = \"skip\"", "kind = \"skip\"", "skip needs `bytes`"),
+    (
+        "cobs",
+        "bits = 16, endian = \"le\", role = \"seq\"",
+        "bits = 16, role = \"seq\"",
+        "\"seq\"",
+        "needs `endian`",
+    ),
+    ("cobs", "\"int\", bits = 32", "\"float\", bits = 24", "\"float\"", "32 or 64"),
+    ("cobs", "kind = \"uint\", bits = 8, role", "kind = \"bits\", bits = 33, role", "bits = 33", "1 to 32"),
+    ("nmea", "text = \"DBB,\"", "text = \"\"", "kind = \"lit\", text = \"\"", "lit needs `text`"),
+    ("nmea", "decimals = 5", "decimals = 13", "decimals = 13", "at most 12"),
+    ("nd28x", "blanks = true", "blanks = false", "blanks = false", "what is written must be read"),
+    ("nmea", "digits = 2", "digits = 9", "digits = 9", "1 to 8"),
+    (
+        "nd28x",
+        "role = \"unit\", default = \" \"",
+        "role = \"unit\", default = \"x\"",
+        "default = \"x\"",
+        "the word of the map",
+    ),
+    ("nd28x", "{ kind = \"lit\", text = \" \" }", "{ kind = \"column\" }", "column", "column needs `sep`"),
+    (
+        "nmea",
+        "{ kind = \"lit\", text = \"DBB,\" }",
+        "{ kind = \"lit\", text = \"DBB,\", role = \"seq\" }",
+        "text = \"DBB,\"",
+        "has no role",
+    ),
+    (
+        "cobs",
+        "role = \"status\", flags = { 0 = \"valid\", 1 = \"over\", 2 = \"under\", 3 = \"overspeed\", 4 = \"trigger\", 5 = \"low_battery\" }",
+        "role = \"quality\"",
+        "quality",
+        "needs `valid`",
+    ),
+    ("cobs", "role = \"temp\", unit = \"C\"", "role = \"unit\"", "role = \"unit\"", "of kind `map`"),
+    ("nd28x", "\"\\\"\" = \"inch\"", "\"\\\"\" = \"foot\"", "foot", "mm, um, inch or fault"),
+    ("nd28x", "{ \" \" = \"mm\", ", "{ \" \" = \"um\", ", "\"um\"", "a word for mm"),
+    (
+        "nd28x",
+        "role = \"unit\", default",
+        "role = \"temp\", default",
+        "role = \"temp\"",
+        "role unit, status or none",
+    ),
+    ("tagged", "262076 = \"no peak\"", "peak = \"no peak\"", "peak = ", "is not a number"),
+    ("tagged", "valid = [643, 64887]", "valid = [64887, 643]", "valid =", "[lowest, highest]"),
+    ("delim", ", per = \"${counts_per_mm}\"", "", "unit = \"count\"", "needs `per`"),
+    ("cobs", "unit = \"C\"", "unit = \"mm\"", "role = \"temp\"", "a temp needs `unit`"),
+    ("tagged", "times = \"${range_mm}\"", "times = 0.0", "times = 0.0", "other than 0"),
+    // rejects and commands
+    ("opto", "eq = \"OR\"", "eq = \"\"", "[[reject]]", "not empty"),
+    ("opto", "eq = \"OR\"", "eq = \"OR\"\ncode = \"dec\"", "[[reject]]", "a `code` follows a prefix"),
+    ("modbus", "map = { 1 = \"function\"", "map = { x = \"function\"", "[[reject]]", "`x` is not a code"),
+    ("cobs", "{ drain_ms = 50 }", "{ drain_ms = 50, wait_ms = 5 }", "wait_ms", "exactly one of"),
+    ("cobs", "{ drain_ms = 50 }", "{ drain_ms = 50, check = true }", "check = true", "a step that sends"),
+    ("opto", "{ send = \"?\\r\" }", "{ send = \"?\\r\", check = true }", "check = true", "needs a [check]"),
+    (
+        "tagged",
+        "start = [{ send = \"OUTPUT RS422\\n\", expect = \"->\", timeout_ms = 500 }]",
+        "start = [{ send = \"OUTPUT RS422\\n\", expect = \"->\" }]",
+        "start =",
+        "needs `timeout_ms`",
+    ),
+    // parameters
+    ("delim", "default = 1000.0", "default = 0.0", "counts_per_mm = {", "must be"),
+    ("delim", "default = \"X\"", "default = \"Q\"", "axis = {", "one of"),
+    ("delim", "text = \"${axis}\"", "text = \"${axes}\"", "${axes}", "did you mean `axis`"),
+    // test vectors
+    ("cobs", "rx = \"00 07", "rx = \"0 07", "rx = \"0 07", "pairs of hexadecimal digits"),
+    ("opto", "pad_to = 9, ", "pad_to = 9, width = 4, ", "expect", "give resync"),
+    ("nd28x", "decimals = 4", "decimals = 9", "rx =", "does not survive"),
+];
+
+#[test]
+fn every_refusal_names_file_line_column_and_what_to_do() {
+    let mut wrong = Vec::new();
+    for (name, old, new, place, said) in REFUSED {
+        let text = SHIPPED.iter().find(|(file, _)| file == name).unwrap().1;
+        assert!(text.contains(old), "{name} has no {old}");
+        let text = text.replacen(old, new, 1);
+        let Err(refusal) = Definition::from_toml("bar.toml", &text) else {
+            wrong.push(format!("{name}: {new} is taken"));
+            continue;
+        };
+        let message = refusal.to_string();
+        let line =
+            text.lines().position(|line| line.contains(place)).unwrap_or_else(|| panic!("{place}")) + 1;
+        let pointed =
+            refusal.excerpt.as_deref().and_then(|line| line.chars().nth(refusal.column.wrapping_sub(1)));
+        if refusal.line != line
+            || pointed.is_none_or(char::is_whitespace)
+            || refusal.help.is_none()
+            || !message.starts_with(&format!("bar.toml:{line}:{}: ", refusal.column))
+            || !message.contains(said)
+        {
+            wrong.push(format!("{name}: {new}: expected line {line} and `{said}`, got {message}"));
+        }
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+/// The program's own words: exit code 1, and the message on stderr alone.
+#[test]
+fn the_binary_refuses_a_definition_with_its_place() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("bar.toml");
+    std::fs::write(&path, COBS.replace("stall_ms = 50", "stal_ms = 50")).unwrap();
+    let output = std::process::Command::new(env!("CARGO_BIN_EXE_dbbd"))
+        .args(["protocols", "check", path.to_str().unwrap()])
+        .output()
+        .unwrap();
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    let line = COBS.lines().position(|line| line.contains("stall_ms")).unwrap() + 1;
+    assert_eq!((output.status.code(), output.stdout.len()), (Some(1), 0), "{said}");
+    assert!(said.contains(&format!("bar.toml:{line}:1: unknown field `stal_ms`")), "{said}");
+    assert!(said.contains("stall_ms") && said.contains("help:"), "{said}");
+}
+
+/// What is not known of a definition stands in the list.
+#[test]
+fn the_list_tells_how_well_each_is_known() {
+    let output =
+        std::process::Command::new(env!("CARGO_BIN_EXE_dbbd")).args(["protocols", "list"]).output().unwrap();
+    let said = String::from_utf8_lossy(&output.stdout).into_owned();
+    assert_eq!(said.lines().count(), Definition::built_in().len());
+    for (name, text) in Definition::built_in() {
+        let line = said.lines().find(|line| line.starts_with(&format!("{name} "))).unwrap();
+        let definition = Definition::from_toml(name, text).unwrap();
+        assert!(line.contains(definition.confidence) && line.contains("not tried on hardware"), "{line}");
+        assert_eq!(line.contains("no check"), definition.undetected() == 1.0, "{line}");
+        // The file itself says it too.
+        assert!(definition.confidence == "own" || text.contains("not tried on hardware"), "{name}");
+        let without =
+            text.contains("# No check") || text.contains("optional = true") || definition.confidence == "own";
+        assert!(definition.undetected() < 1.0 || without, "{name} does not say that it has no check");
+    }
+}
+
 /// Check value 4B37 of CRC-16/MODBUS: the CRC catalogue, docs.rs/crc-catalog.
 #[test]
 fn crc_parameters_are_verified_by_their_check_value() {

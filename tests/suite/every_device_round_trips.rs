@@ -8,6 +8,8 @@ use dbbd::protocol::{Decoded, Definition, Sample};
 use dbbd::sim::bar::{self, Options, Reading, Terminal};
 use dbbd::units::DeviceTicks;
 use proptest::prelude::*;
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64;
 
 fn all() -> impl Iterator<Item = Definition> {
     Definition::built_in().iter().map(|(name, _)| Definition::by_name(name).unwrap().unwrap())
@@ -57,6 +59,58 @@ proptest! {
             prop_assert_eq!(said.sequence, sample.sequence);
             prop_assert_eq!(said.ticks, sample.ticks);
             prop_assert_eq!(one(&definition, &said), Some(said), "{}", definition.id);
+        }
+    }
+}
+
+/// All that a device can say: readings over its whole range, or each single one where they are few.
+#[test]
+fn a_device_says_its_whole_range() {
+    let mut dice = Pcg64::seed_from_u64(11);
+    for definition in all() {
+        let (at, step) = (definition.sim.at_mm, definition.resolution_mm());
+        let mut sample = Sample {
+            reading_mm: at,
+            sequence: definition.sequence_modulo.map(|_| 0),
+            ticks: definition.clock.map(|_| DeviceTicks(0)),
+            trigger: Some(false),
+            temperature_c: Some(20.0),
+            valid: true,
+            status: 0,
+            offset: 0,
+        };
+        let says = |steps: i64| {
+            let mut bytes = Vec::new();
+            let reading_mm = at + steps as f64 * step;
+            definition.encoder().encode(&Sample { reading_mm, ..sample }, &mut bytes).is_ok()
+        };
+        // The furthest step that can be said on either side.
+        let furthest = |sense: i64| {
+            let (mut can, mut cannot) = (0i64, 1i64 << 40);
+            while cannot - can > 1 {
+                let middle = can + (cannot - can) / 2;
+                if says(sense * middle) { can = middle } else { cannot = middle }
+            }
+            can
+        };
+        let (low, high) = (-furthest(-1), furthest(1));
+        assert!(high - low > 10_000, "{}: {low} to {high}", definition.id);
+        let few = high - low <= 70_000;
+        let steps: Vec<i64> = if few {
+            (low..=high).collect()
+        } else {
+            [low, high, 0].into_iter().chain((0..3000).map(|_| dice.random_range(low..=high))).collect()
+        };
+        for steps in steps {
+            sample.reading_mm = at + steps as f64 * step;
+            sample.sequence = definition.sequence_modulo.map(|modulo| dice.random_range(0..modulo));
+            sample.ticks = definition.clock.map(|_| DeviceTicks(dice.random::<u32>().into()));
+            let said = one(&definition, &sample).unwrap_or_else(|| panic!("{}: {steps}", definition.id));
+            let off = (said.reading_mm - sample.reading_mm).abs();
+            assert!(off <= 0.5001 * step, "{}: {} for {}", definition.id, said.reading_mm, sample.reading_mm);
+            assert_eq!((said.sequence, said.ticks, said.valid), (sample.sequence, sample.ticks, true));
+            // What has been said once is said again bit for bit.
+            assert_eq!(one(&definition, &said), Some(said), "{}", definition.id);
         }
     }
 }

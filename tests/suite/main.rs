@@ -33,3 +33,4 @@ mod report_is_self_contained;
 mod runs_the_whole_job;
 mod sync_joins;
 mod sync_pairs;
+mod unplugged_and_back;

@@ -1,0 +1,226 @@
+//! The bar is pulled out at random moments and comes back under another name: the run goes on soon, and
+//! each gap is recorded once, with its length.
+//!
+//! The sessions run in real time and beside each other, each an acquisition on pseudo terminals of its own.
+#![cfg(unix)]
+
+use std::io::{Read, Write};
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use dbbd::capture::{self, Event, Record};
+use dbbd::clock;
+use dbbd::daemon::{Acquisition, Attachments, Options};
+use dbbd::protocol::{Definition, Sample};
+use dbbd::sim::link::Link;
+use dbbd::units::{DeviceTicks, HostNs};
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64;
+use serialport::{SerialPort, TTYPort};
+
+/// The run must go on so soon after the port's return, s.
+const BACK_S: f64 = 3.0;
+/// And know so soon that the port is gone, s.
+const NOTICED_S: f64 = 1.0;
+
+/// When the port was away, s of host time.
+#[derive(Clone, Copy)]
+struct Away {
+    from_s: f64,
+    to_s: f64,
+}
+
+fn seconds(host: HostNs) -> f64 {
+    host.seconds_since(HostNs(0))
+}
+
+/// A bar that is plugged in for 0.2 to 8 s and away for 0.05 to 5 s, over and over; when it was away.
+fn bar(link: &Path, lasting_s: f64, seed: u64, ready: &AtomicBool) -> Vec<Away> {
+    let mut dice = Pcg64::seed_from_u64(seed);
+    let encoder = Definition::by_name("dbb-cobs-1").unwrap().unwrap().encoder();
+    let begin = clock::now();
+    let mut away: Vec<Away> = Vec::new();
+    let (mut sequence, mut left_s) = (0u32, None);
+    while clock::now().seconds_since(begin) < lasting_s {
+        let (mut line, host) = TTYPort::pair().unwrap();
+        let name = host.name().unwrap();
+        drop(host);
+        line.set_timeout(Duration::from_millis(20)).unwrap();
+        let plug = Link::new(link, &name).unwrap();
+        let plugged = clock::now();
+        if let Some(from_s) = left_s {
+            away.push(Away { from_s, to_s: seconds(plugged) });
+        }
+        // The first time the host is to find it.
+        let stays_s = if left_s.is_none() { 2.0 } else { dice.random_range(0.2..8.0) };
+        ready.store(true, Ordering::Relaxed);
+        let (mut running, mut heard) = (false, Vec::new());
+        while clock::now().seconds_since(plugged) < stays_s {
+            let mut buffer = [0; 64];
+            match line.read(&mut buffer) {
+                Ok(count) => heard.extend_from_slice(&buffer[..count]),
+                // Nobody has opened it: reading fails at once.
+                Err(error) if error.kind() != std::io::ErrorKind::TimedOut => clock::sleep(0.02),
+                Err(_) => {}
+            }
+            for command in heard.split(|byte| *byte == 0) {
+                match command {
+                    [2, 0x53] => running = true,
+                    [2, 0x58] => running = false,
+                    _ => {}
+                }
+            }
+            heard.clear();
+            if running {
+                let sample = Sample {
+                    reading_mm: f64::from(sequence % 1000) / 1000.0,
+                    sequence: Some(sequence % 65536),
+                    ticks: Some(DeviceTicks(clock::now().0 / 1000 % (1 << 32))),
+                    trigger: Some(false),
+                    temperature_c: Some(20.0),
+                    valid: true,
+                    status: 1,
+                    offset: 0,
+                };
+                let mut frame = Vec::new();
+                encoder.encode(&sample, &mut frame).unwrap();
+                // What nobody takes is lost, as on a line.
+                let _ = line.write_all(&frame);
+                sequence += 1;
+            }
+        }
+        drop(plug);
+        drop(line);
+        left_s = Some(seconds(clock::now()));
+        clock::sleep(dice.random_range(0.05..5.0));
+    }
+    away
+}
+
+/// What a session saw, s.
+#[derive(Debug, Default)]
+struct Seen {
+    unplugged: usize,
+    gaps: usize,
+    samples: u64,
+    /// From the port's return to the run's.
+    back_s: Vec<f64>,
+    /// From the port's leaving to its being noticed.
+    noticed_s: Vec<f64>,
+}
+
+fn session(directory: &Path, lasting_s: f64, seed: u64) -> Seen {
+    let link = directory.join(format!("bar-{seed}"));
+    let out: PathBuf = directory.join(format!("run-{seed}"));
+    let ready = Arc::new(AtomicBool::new(false));
+    let plugged = Arc::clone(&ready);
+    let path = link.clone();
+    let bar = std::thread::spawn(move || bar(&path, lasting_s, seed, &plugged));
+    while !ready.load(Ordering::Relaxed) {
+        clock::sleep(0.01);
+    }
+    let options = Options {
+        port: link.to_str().unwrap().to_owned(),
+        definition: Definition::by_name("dbb-cobs-1").unwrap().unwrap(),
+        out: out.clone(),
+        attachments: Attachments::default(),
+        duration_s: None,
+        gone_s: 1e9,
+    };
+    let stop = Arc::new(AtomicBool::new(false));
+    let acquisition = Acquisition::start(options, Arc::clone(&stop)).unwrap();
+    let away = bar.join().unwrap();
+    // The last leaving is for good.
+    stop.store(true, Ordering::Relaxed);
+    let samples = acquisition.join().unwrap().progress.samples;
+    let capture = capture::read(&std::fs::read(&out).unwrap());
+    assert!(capture.ended() && capture.damages.is_empty());
+    let mut gaps: Vec<Away> = Vec::new();
+    for stamped in &capture.records {
+        if let Record::Event(Event::Gap { seconds: Some(lasted_s), reason, .. }) = &stamped.record {
+            assert!(reason.contains("gone"), "{reason}");
+            let to_s = seconds(stamped.host);
+            gaps.push(Away { from_s: to_s - lasted_s, to_s });
+        }
+    }
+    let last = gaps.pop().expect("the last leaving is recorded too");
+    assert!(away.iter().all(|away| away.to_s < last.to_s));
+    let mut seen = Seen { unplugged: away.len(), gaps: gaps.len(), samples, ..Seen::default() };
+    let mut told = 0;
+    for gap in &gaps {
+        // A bar that leaves again before the run has gone on makes one gap.
+        let within: Vec<&Away> =
+            away.iter().filter(|away| away.from_s <= gap.to_s && away.to_s >= gap.from_s).collect();
+        let (Some(first), Some(last)) = (within.first(), within.last()) else {
+            panic!("seed {seed}: a gap of {:.3} s without a cause", gap.to_s - gap.from_s);
+        };
+        told += within.len();
+        seen.noticed_s.push(gap.from_s - first.from_s);
+        seen.back_s.push(gap.to_s - last.to_s);
+    }
+    assert!(last.to_s - last.from_s >= 0.0);
+    let untold = away.iter().filter(|away| away.from_s > last.from_s).count();
+    assert_eq!(told + untold, away.len(), "seed {seed}: each leaving belongs to one gap");
+    seen
+}
+
+/// Sessions beside each other; prints what they saw.
+fn campaign(sessions: u64, lasting_s: f64) {
+    let directory = tempfile::tempdir().unwrap();
+    let at = directory.path();
+    let seen: Vec<Seen> = std::thread::scope(|scope| {
+        let all: Vec<_> =
+            (0..sessions).map(|seed| scope.spawn(move || session(at, lasting_s, seed + 1))).collect();
+        all.into_iter().map(|session| session.join().unwrap()).collect()
+    });
+    let sum = |of: fn(&Seen) -> u64| seen.iter().map(of).sum::<u64>();
+    let sorted = |of: fn(&Seen) -> &Vec<f64>| {
+        let mut all: Vec<f64> = seen.iter().flat_map(|seen| of(seen).iter().copied()).collect();
+        all.sort_by(f64::total_cmp);
+        all
+    };
+    let (back, noticed) = (sorted(|seen| &seen.back_s), sorted(|seen| &seen.noticed_s));
+    let at = |sorted: &[f64], share: f64| sorted[(share * (sorted.len() - 1) as f64) as usize];
+    println!(
+        "{sessions} sessions of {lasting_s} s: {} times unplugged, {} gaps, {} samples; back after {:.2} s \
+         (median), {:.2} s (99 %), {:.2} s (most); noticed after {:.3} s (median), {:.3} s (most)",
+        sum(|seen| seen.unplugged as u64),
+        sum(|seen| seen.gaps as u64),
+        sum(|seen| seen.samples),
+        at(&back, 0.5),
+        at(&back, 0.99),
+        at(&back, 1.0),
+        at(&noticed, 0.5),
+        at(&noticed, 1.0),
+    );
+    assert!(at(&back, 0.0) > 0.0 && at(&back, 1.0) <= BACK_S, "{back:?}");
+    assert!(at(&noticed, 0.0) >= -1e-3 && at(&noticed, 1.0) <= NOTICED_S, "{noticed:?}");
+}
+
+/// In a process of its own: a child of another test would inherit the terminals' other sides and keep
+/// them open.
+#[test]
+fn a_bar_comes_and_goes() {
+    let output = Command::new(std::env::current_exe().unwrap())
+        .args(["--exact", "unplugged_and_back::a_few_sessions", "--ignored", "--nocapture"])
+        .output()
+        .unwrap();
+    let said = String::from_utf8_lossy(&output.stdout).into_owned();
+    assert!(output.status.success() && said.contains("times unplugged"), "{said}");
+}
+
+#[test]
+#[ignore = "runs in a process of its own, started by a_bar_comes_and_goes"]
+fn a_few_sessions() {
+    campaign(8, 9.0);
+}
+
+/// TMPDIR=/dev/shm cargo test --release --test suite ten_thousand_seconds -- --ignored --nocapture
+#[test]
+#[ignore = "64 sessions of 160 s"]
+fn ten_thousand_seconds_of_unplugging() {
+    campaign(64, 160.0);
+}
