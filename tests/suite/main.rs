@@ -17,6 +17,7 @@ mod definitions_are_checked;
 mod device_time_on_the_hosts_clock;
 mod emitted_programs_run;
 mod every_device_round_trips;
+mod every_fault_is_accounted_for;
 mod floor_plan;
 mod identifies_real_robots;
 mod identifies_the_papers_robot;

@@ -184,7 +184,7 @@ fn campaign(sessions: u64, lasting_s: f64) {
     };
     let (back, noticed) = (sorted(|seen| &seen.back_s), sorted(|seen| &seen.noticed_s));
     let at = |sorted: &[f64], share: f64| sorted[(share * (sorted.len() - 1) as f64) as usize];
-    println!(
+    eprintln!(
         "{sessions} sessions of {lasting_s} s: {} times unplugged, {} gaps, {} samples; back after {:.2} s \
          (median), {:.2} s (99 %), {:.2} s (most); noticed after {:.3} s (median), {:.3} s (most)",
         sum(|seen| seen.unplugged as u64),
@@ -208,7 +208,7 @@ fn a_bar_comes_and_goes() {
         .args(["--exact", "unplugged_and_back::a_few_sessions", "--ignored", "--nocapture"])
         .output()
         .unwrap();
-    let said = String::from_utf8_lossy(&output.stdout).into_owned();
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
     assert!(output.status.success() && said.contains("times unplugged"), "{said}");
 }
 

@@ -1,0 +1,581 @@
+//! Every kind of `simulate --fault`, through the two programs and a pseudo terminal between them: what
+//! is recorded was sent, and what went wrong is told.
+#![cfg(unix)]
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::io::{BufRead, BufReader, Read, Write};
+use std::path::Path;
+use std::process::{Child, Command, Output, Stdio};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, OnceLock};
+use std::time::Duration;
+
+use dbbd::model::Robot;
+use dbbd::protocol::Sample;
+use dbbd::sim::bar::Terminal;
+use dbbd::sync::{DeviceClock, Stream, StreamBuilder};
+use dbbd::units::{DeviceTicks, HostNs};
+use serde_json::Value;
+use serialport::{SerialPort, TTYPort};
+
+const RATE_HZ: f64 = 1000.0;
+/// Bytes of a frame of `dbb-cobs-1`.
+const FRAME: u64 = 18;
+/// Where the controller stands when it is switched on, so that nothing moves.
+const AXES_DEG: [f64; 6] = [0.0, -90.0, 90.0, 0.0, 0.0, 0.0];
+
+/// A virtual bar that is ended with the test.
+struct Bar(Child, String);
+
+impl Drop for Bar {
+    fn drop(&mut self) {
+        // It may have ended by itself.
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+fn dbbd(args: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_dbbd"));
+    command.args(args).stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    command
+}
+
+/// A robot that stands still: every reading is noise of its own, by which it is known.
+fn simulate(directory: &Path, speed: &str, rest: &[&str]) -> Bar {
+    simulate_at(0.0, directory, speed, rest)
+}
+
+/// The same at another mean reading, mm.
+fn simulate_at(reading_mm: f64, directory: &Path, speed: &str, rest: &[&str]) -> Bar {
+    let axes = AXES_DEG.map(f64::to_radians);
+    let ball = Robot::by_name("kr60ha").unwrap().unwrap().geometry.ball(&axes).position;
+    let world = format!(
+        "[[centre]]\nid = 1\nxyz_mm = [{}, {}, {}]\n[bar]\nlength_mm = {:?}\nstroke_mm = [-2.0, 2.0]\n\
+         noise_um = 100.0\nrate_hz = {RATE_HZ:.1}\n",
+        ball.x,
+        ball.y,
+        ball.z - 300.0,
+        300.0 - reading_mm,
+    );
+    std::fs::write(directory.join("world.toml"), world).unwrap();
+    let [a1, a2, a3, a4, a5, a6] = AXES_DEG;
+    let target = format!("PTP {{A1 {a1:.1},A2 {a2:.1},A3 {a3:.1},A4 {a4:.1},A5 {a5:.1},A6 {a6:.1}}}");
+    std::fs::write(directory.join("STILL.src"), format!("DEF STILL ( )\n{target}\nWAIT SEC 3000\nEND\n"))
+        .unwrap();
+    let fixed = ["simulate", "--program", "STILL.src", "--robot", "kr60ha", "--world", "world.toml"];
+    let mut command = dbbd(&fixed);
+    command.args(["--speed", speed, "--quiet"]).args(rest).current_dir(directory).stderr(Stdio::inherit());
+    let mut child = command.spawn().unwrap();
+    let mut port = String::new();
+    BufReader::new(child.stdout.take().unwrap()).read_line(&mut port).unwrap();
+    Bar(child, port.trim().to_owned())
+}
+
+/// A row of samples.csv.
+struct Row {
+    host: HostNs,
+    frame: u64,
+    sample: Sample,
+}
+
+/// What a run left behind.
+struct Run {
+    output: Output,
+    summary: Value,
+    rows: Vec<Row>,
+    bytes: u64,
+    /// Kind, word, bytes.
+    faults: Vec<(String, String, u64)>,
+    /// Name and detail.
+    events: Vec<(HostNs, String, Value)>,
+}
+
+fn acquire(directory: &Path, port: &str, seconds: &str, rest: &[&str]) -> Run {
+    let mut command = dbbd(&["acquire", "--port", port, "--out", "run", "--duration", seconds, "--json"]);
+    let output = command.args(rest).current_dir(directory).output().unwrap();
+    let exported = dbbd(&["export", "run", "--out", "csv"]).current_dir(directory).output().unwrap();
+    assert_eq!(exported.status.code(), Some(0), "{}", stderr(&output));
+    let table = |name: &str| -> Vec<BTreeMap<String, String>> {
+        let mut rows = csv::Reader::from_path(directory.join("csv").join(name)).unwrap();
+        rows.deserialize().map(Result::unwrap).collect()
+    };
+    let host = |row: &BTreeMap<String, String>| HostNs(row["host_ns"].parse().unwrap());
+    let samples = table("samples.csv");
+    let rows = samples.iter().map(|row| {
+        let ticks: Option<u64> = row["ticks"].parse().ok();
+        let sample = Sample {
+            reading_mm: row["reading_mm"].parse().unwrap(),
+            sequence: row["sequence"].parse().ok(),
+            ticks: ticks.map(DeviceTicks),
+            trigger: Some(row["trigger"] == "1"),
+            temperature_c: row["temperature_c"].parse().ok(),
+            valid: row["valid"] == "1",
+            status: row["status"].parse().unwrap(),
+            offset: 0,
+        };
+        Row { host: host(row), frame: ticks.unwrap_or(0) / 1000, sample }
+    });
+    let raw = table("raw.csv");
+    let faults = table("faults.csv");
+    let events = table("events.csv");
+    Run {
+        summary: serde_json::from_slice(&output.stdout).unwrap_or(Value::Null),
+        output,
+        rows: rows.collect(),
+        bytes: raw.iter().map(|row| row["bytes_hex"].len() as u64 / 2).sum(),
+        faults: faults
+            .iter()
+            .map(|row| (row["kind"].clone(), row["word"].clone(), row["bytes"].parse().unwrap()))
+            .collect(),
+        events: events
+            .iter()
+            .map(|row| (host(row), row["event"].clone(), serde_json::from_str(&row["detail_json"]).unwrap()))
+            .collect(),
+    }
+}
+
+fn stderr(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+/// What the bar says frame by frame over a good line.
+fn truth() -> &'static [f64] {
+    static TRUTH: OnceLock<Vec<f64>> = OnceLock::new();
+    TRUTH.get_or_init(|| {
+        let directory = tempfile::tempdir().unwrap();
+        let bar = simulate(directory.path(), "0", &[]);
+        let run = acquire(directory.path(), &bar.1, "0.15", &[]);
+        assert_eq!(run.output.status.code(), Some(0), "{}", stderr(&run.output));
+        // The end may cut through a frame.
+        assert!(run.rows.len() > 3000 && run.faults.len() <= 1, "{:?}", run.faults);
+        assert!((0..).zip(&run.rows).all(|(frame, row)| row.frame == frame));
+        let readings: Vec<f64> = run.rows.iter().map(|row| row.sample.reading_mm).collect();
+        // They differ: a reading in the wrong place is seen.
+        let different: BTreeSet<u64> = readings.iter().map(|mm| mm.to_bits()).collect();
+        assert!(different.len() > 1000);
+        readings
+    })
+}
+
+/// Protocol, fault, and for how long.
+const KINDS: &[(&str, &str, &str)] = &[
+    ("dbb-cobs-1", "drop=0.002", "1.2"),
+    ("dbb-cobs-1", "flip=0.002", "1.2"),
+    ("dbb-cobs-1", "double=0.002", "1.2"),
+    ("dbb-cobs-1", "insert=0.002", "1.2"),
+    ("dbb-cobs-1", "batch_ms=1000", "2.5"),
+    ("dbb-cobs-1", "banner=1", "1.2"),
+    ("dbb-cobs-1", "echo=1", "1.2"),
+    ("dbb-cobs-1", "stale=1000", "1.2"),
+    ("dbb-cobs-1", "skip=0.01", "1.2"),
+    ("dbb-cobs-1", "wrap_ticks=500000", "1.2"),
+    ("dbb-cobs-1", "over_mm=3", "1.2"),
+    ("sylvac-opto", "silence=0.4", "3"),
+    ("sylvac-opto", "refuse=0.4", "2.5"),
+    ("sylvac-opto", "echo=1", "1.5"),
+    ("microepsilon-ild1420", "refuse=0.1", "1.2"),
+];
+
+/// A run with a fault; all of them are made beside each other, since most of their time is waiting.
+fn with(protocol: &str, fault: &str) -> &'static Run {
+    static RUNS: OnceLock<Vec<Run>> = OnceLock::new();
+    let runs = RUNS.get_or_init(|| {
+        truth();
+        std::thread::scope(|scope| {
+            let runs = KINDS.iter().map(|(protocol, fault, seconds)| {
+                scope.spawn(move || {
+                    let directory = tempfile::tempdir().unwrap();
+                    let rest = ["--protocol", protocol, "--fault", fault];
+                    let bar = simulate(directory.path(), "1", &rest);
+                    acquire(directory.path(), &bar.1, seconds, &["--protocol", protocol])
+                })
+            });
+            let runs: Vec<_> = runs.collect();
+            runs.into_iter().map(|run| run.join().unwrap()).collect()
+        })
+    });
+    let at = KINDS.iter().position(|kind| (kind.0, kind.1) == (protocol, fault)).unwrap();
+    &runs[at]
+}
+
+impl Run {
+    fn count(&self, what: &str) -> u64 {
+        self.summary["progress"][what].as_u64().unwrap()
+    }
+
+    /// Every sample is the frame that it says it is, and every byte is in a sample or in a fault.
+    fn holds(&self) {
+        let truth = truth();
+        assert!(self.rows.len() > 200, "{} samples: {}", self.rows.len(), stderr(&self.output));
+        for Row { frame, sample, .. } in &self.rows {
+            if let Some(mm) = truth.get(*frame as usize) {
+                assert_eq!(sample.reading_mm, *mm, "frame {frame}");
+            }
+            assert_eq!(sample.sequence.map(u64::from), Some(frame % 65536));
+            assert!(sample.valid);
+        }
+        let in_faults: u64 = self.faults.iter().map(|(_, _, bytes)| bytes).sum();
+        assert_eq!(self.bytes, self.rows.len() as u64 * FRAME + in_faults);
+    }
+
+    /// Frames that lie between the first and the last sample and have none, by their device time.
+    fn absent(&self) -> u64 {
+        let ends = self.rows.first().zip(self.rows.last());
+        ends.map_or(0, |(first, last)| last.frame - first.frame + 1 - self.rows.len() as u64)
+    }
+
+    fn of(&self, kinds: &[&str]) -> usize {
+        self.faults.iter().filter(|(kind, _, _)| kinds.contains(&kind.as_str())).count()
+    }
+
+    fn events(&self, name: &str) -> Vec<&Value> {
+        self.events.iter().filter(|(_, event, _)| event == name).map(|(_, _, detail)| detail).collect()
+    }
+
+    /// The stream as it is joined, and the frames' own times, s.
+    fn stream(&self) -> (Stream, Vec<f64>) {
+        let clock = DeviceClock { seconds_per_tick: 1e-6, wrap: Some(1 << 32) };
+        let mut stream = StreamBuilder::new(Some(clock));
+        self.rows.iter().for_each(|row| stream.push(row.host, &row.sample));
+        let mut turns = 0;
+        let mut last = None;
+        let times = self.rows.iter().map(|row| {
+            let now = row.sample.sequence.unwrap();
+            turns += u64::from(last.is_some_and(|last| now < last));
+            last = Some(now);
+            (turns * 65536 + u64::from(now)) as f64 / RATE_HZ
+        });
+        let times = times.collect();
+        (stream.build(), times)
+    }
+}
+
+/// Damage to bytes: lost frames are counted one by one, and nothing is made up.
+fn damage(fault: &str) {
+    let run = with("dbb-cobs-1", fault);
+    run.holds();
+    assert!(run.absent() > 3, "{fault}: {} absent", run.absent());
+    assert_eq!(run.count("missing"), run.absent(), "{fault}");
+    assert!(run.count("faults") > 3 && run.of(&["framing", "check"]) > 3, "{fault}: {:?}", run.faults);
+    assert!(!run.events("gap").is_empty());
+    assert_eq!(run.output.status.code(), Some(3), "samples are missing: {}", stderr(&run.output));
+}
+
+#[test]
+fn dropped_bytes() {
+    damage("drop=0.002");
+}
+
+#[test]
+fn flipped_bits() {
+    damage("flip=0.002");
+}
+
+#[test]
+fn doubled_bytes() {
+    damage("double=0.002");
+}
+
+#[test]
+fn inserted_bytes() {
+    damage("insert=0.002");
+}
+
+fn spread(errors: &[f64]) -> f64 {
+    let mean = errors.iter().sum::<f64>() / errors.len() as f64;
+    (errors.iter().map(|error| (error - mean).powi(2)).sum::<f64>() / errors.len() as f64).sqrt()
+}
+
+/// Standard deviations of a run's times against the frames' own, s: by arrival, by a line of least squares
+/// through arrivals and device times, and as they are joined; and the stream.
+fn chain(seconds: &str, drift_ppm: &str) -> ([f64; 3], Stream) {
+    let directory = tempfile::tempdir().unwrap();
+    let drift = format!("drift_ppm={drift_ppm}");
+    let bar = simulate(directory.path(), "1", &["--fault", "batch_ms=16", "--fault", &drift]);
+    let run = acquire(directory.path(), &bar.1, seconds, &[]);
+    assert_eq!(run.output.status.code(), Some(0), "{}", stderr(&run.output));
+    assert_eq!((run.count("missing"), run.count("faults"), run.count("gaps")), (0, 0, 0));
+    let (stream, times) = run.stream();
+    let off = |t_s: &[f64]| spread(&t_s.iter().zip(&times).map(|(t, truth)| t - truth).collect::<Vec<_>>());
+    let arrival: Vec<f64> = run.rows.iter().map(|row| row.host.seconds_since(run.rows[0].host)).collect();
+    // Device time is the frames' own but for a constant factor, which the line takes up.
+    let n = times.len() as f64;
+    let (mean_t, mean_a) = (times.iter().sum::<f64>() / n, arrival.iter().sum::<f64>() / n);
+    let slope = times.iter().zip(&arrival).map(|(t, a)| (t - mean_t) * (a - mean_a)).sum::<f64>()
+        / times.iter().map(|t| (t - mean_t).powi(2)).sum::<f64>();
+    let line: Vec<f64> = times.iter().map(|t| mean_a + (t - mean_t) * slope).collect();
+    let spreads = [off(&arrival), off(&line), off(&stream.t_s)];
+    let clock = stream.clock().unwrap();
+    eprintln!(
+        "sd of the times over {seconds} s, ms: {:.4} by arrival, {:.4} least squares, {:.4} joined; drift {:.2} ppm, bound {:.4} ms",
+        1e3 * spreads[0],
+        1e3 * spreads[1],
+        1e3 * spreads[2],
+        1e6 * clock.drift().unwrap(),
+        1e3 * clock.bound_s().unwrap(),
+    );
+    (spreads, stream)
+}
+
+/// What 16 ms of batching and a fast quartz do to the times is undone when the run is joined.
+#[test]
+fn batches_and_drift() {
+    let ([arrived, _, joined], stream) = chain("4", "500");
+    // A batch of 16 ms has a spread of 16 / sqrt(12) = 4.6 ms.
+    assert!(arrived > 3e-3 && joined < 0.25 * arrived, "{arrived} {joined}");
+    let drift = stream.clock().unwrap().drift().unwrap();
+    assert!((drift + 500e-6).abs() < 300e-6, "{drift}");
+    assert!(stream.breaks.is_empty());
+}
+
+/// cargo test --test suite ten_minutes_of_batches -- --ignored --nocapture
+#[test]
+#[ignore = "ten minutes in real time"]
+fn ten_minutes_of_batches() {
+    let ([arrived, _, joined], stream) = chain("600", "50");
+    assert!(joined < 0.1 * arrived && stream.breaks.is_empty());
+    assert!((stream.clock().unwrap().drift().unwrap() + 50e-6).abs() < 5e-6);
+}
+
+#[test]
+fn batches_of_a_second() {
+    let run = with("dbb-cobs-1", "batch_ms=1000");
+    run.holds();
+    assert_eq!((run.absent(), run.count("faults"), run.count("gaps")), (0, 0, 0));
+    let (stream, times) = run.stream();
+    assert!(stream.breaks.is_empty());
+    let worst =
+        stream.t_s.iter().zip(&times).map(|(t, truth)| (t - truth + times[0]).abs()).fold(0.0, f64::max);
+    assert!(worst < 1.0, "{worst}");
+}
+
+#[test]
+fn a_banner() {
+    let run = with("dbb-cobs-1", "banner=1");
+    run.holds();
+    // Ten characters that end in no zero byte are the beginning of the first frame.
+    assert_eq!(run.faults.first(), Some(&("framing".into(), String::new(), 10)), "{:?}", run.faults);
+    assert_eq!(run.rows[0].frame, 0);
+}
+
+#[test]
+fn an_echo() {
+    let run = with("dbb-cobs-1", "echo=1");
+    run.holds();
+    assert!(run.absent() == 0 && run.rows[0].frame == 0);
+    // The start command comes back: `02 53 00` is a frame whose stuffing says one byte too little.
+    let whole: u64 = run.faults.iter().map(|(_, _, bytes)| bytes).sum();
+    assert!((3..FRAME + 3).contains(&whole), "{:?}", run.faults);
+}
+
+#[test]
+fn a_stale_stream() {
+    let run = with("dbb-cobs-1", "stale=1000");
+    run.holds();
+    let thrown =
+        run.events("mark").iter().any(|mark| mark["text"].as_str().unwrap().contains("earlier stream"));
+    assert!(thrown, "{:?}", run.events);
+    assert_eq!(run.absent(), 0);
+}
+
+#[test]
+fn a_sequence_gap() {
+    let run = with("dbb-cobs-1", "skip=0.01");
+    // Device time goes on evenly, the numbers do not.
+    let truth = truth();
+    assert!(
+        run.rows
+            .iter()
+            .all(|row| truth.get(row.frame as usize).is_none_or(|mm| *mm == row.sample.reading_mm))
+    );
+    let (first, last) = (&run.rows[0], &run.rows[run.rows.len() - 1]);
+    let numbers = last.sample.sequence.unwrap() - first.sample.sequence.unwrap() + 1;
+    let skipped = u64::from(numbers) - run.rows.len() as u64;
+    assert!(skipped > 2 && run.count("missing") == skipped && run.absent() == 0, "{skipped}");
+    let told: u64 = run.events("gap").iter().map(|gap| gap["missing"].as_u64().unwrap()).sum();
+    assert_eq!(told, skipped);
+    assert_eq!(run.count("faults"), 0);
+}
+
+#[test]
+fn a_counter_that_wraps() {
+    let run = with("dbb-cobs-1", "wrap_ticks=500000");
+    assert_eq!((run.count("faults"), run.count("missing"), run.count("gaps")), (0, 0, 0));
+    let ticks: Vec<u64> = run.rows.iter().map(|row| row.sample.ticks.unwrap().0).collect();
+    assert_eq!(ticks.windows(2).filter(|pair| pair[1] < pair[0]).count(), 1);
+    let (stream, _) = run.stream();
+    let clock = stream.clock().unwrap();
+    assert_eq!((clock.wraps, clock.breaks.len()), (1, 0));
+    let truth = truth();
+    let frames = run.rows.iter().map(|row| (row, row.sample.sequence.unwrap() as usize));
+    assert!(frames.into_iter().all(|(row, at)| truth.get(at).is_none_or(|mm| *mm == row.sample.reading_mm)));
+}
+
+#[test]
+fn unplugged_and_back_under_another_name() {
+    let directory = tempfile::tempdir().unwrap();
+    let link = directory.path().join("bar");
+    let link = link.to_str().unwrap();
+    let faults = ["--link", link, "--fault", "unplug_s=0.6", "--fault", "away_s=0.8"];
+    let bar = simulate(directory.path(), "1", &faults);
+    let before = std::fs::read_link(link).unwrap();
+    let run = acquire(directory.path(), link, "3", &[]);
+    run.holds();
+    assert_ne!(std::fs::read_link(link).unwrap(), before, "it has another name now");
+    let gaps = run.events("gap");
+    assert!(matches!(gaps[..], [gap] if gap["reason"].as_str().unwrap().contains("gone")), "{gaps:?}");
+    let seconds = gaps[0]["seconds"].as_f64().unwrap();
+    assert!((0.6..3.8).contains(&seconds), "{seconds}");
+    assert_eq!(run.events("opened").len(), 2);
+    // Device time went on meanwhile: what is absent is the gap, and nothing else.
+    let holes: Vec<u64> =
+        run.rows.windows(2).map(|pair| pair[1].frame - pair[0].frame).filter(|step| *step > 1).collect();
+    assert!(matches!(holes[..], [hole] if hole > 500), "{holes:?}");
+    drop(bar);
+}
+
+#[test]
+fn over_the_stroke() {
+    let run = with("dbb-cobs-1", "over_mm=3");
+    assert!(run.rows.len() > 200 && run.rows.iter().all(|row| !row.sample.valid));
+    let truth = truth();
+    let far = |row: &Row| {
+        truth.get(row.frame as usize).is_none_or(|mm| (row.sample.reading_mm - mm - 3.0).abs() < 1e-9)
+    };
+    assert!(run.rows.iter().all(far));
+}
+
+/// A polled bar over a fault: each reading is one of the simulated ones, in their order.
+fn polled(fault: &str) -> &'static Run {
+    let protocol = "sylvac-opto";
+    let run = with(protocol, fault);
+    let mut rest = truth().iter();
+    let truth = truth();
+    let mut seen = 0;
+    for Row { sample, .. } in &run.rows {
+        // Behind the frames that are known nothing can be said.
+        if rest.len() == 0 {
+            break;
+        }
+        let known = rest.any(|mm| (mm - sample.reading_mm).abs() < 0.5001e-4);
+        assert!(known || seen > 0 && truth.len() < 4000, "{protocol}: {} was never sent", sample.reading_mm);
+        seen += usize::from(known);
+    }
+    assert!(seen >= 3, "{protocol}: {seen} of {} readings", run.rows.len());
+    run
+}
+
+#[test]
+fn silence() {
+    let run = polled("silence=0.4");
+    assert!(run.count("unanswered") > 0 && run.count("faults") == 0, "{}", run.summary);
+    assert_eq!(run.output.status.code(), Some(3));
+    assert!(stderr(&run.output).contains("not answered in time"), "{}", stderr(&run.output));
+}
+
+#[test]
+fn error_replies() {
+    let run = polled("refuse=0.4");
+    let refused = run.faults.iter().filter(|(kind, word, _)| kind == "reject" && word == "OR").count() as u64;
+    assert!(refused > 0 && run.count("rejected") == refused, "{:?}", run.faults);
+    assert_eq!((run.count("unanswered"), run.count("faults")), (0, 0));
+}
+
+#[test]
+fn an_echo_of_a_polled_bar() {
+    let run = polled("echo=1");
+    assert!(run.of(&["ignored"]) > 2, "{:?}", run.faults);
+    assert_eq!(run.count("faults"), 0);
+}
+
+/// A value that stands for a word, among readings of a sensor without sequence numbers.
+#[test]
+fn sentinels() {
+    let run = with("microepsilon-ild1420", "refuse=0.1");
+    let words =
+        run.faults.iter().filter(|(kind, word, _)| kind == "reject" && word == "too much data").count();
+    assert!(words > 10, "{:?}", &run.faults[..run.faults.len().min(5)]);
+    assert!(run.rows.len() > 200 && run.count("faults") == 0, "{}", run.summary);
+    // 50 mm in 16 bits: half a step is 0.39 um.
+    let mut rest = truth().iter();
+    let known =
+        run.rows.iter().take_while(|row| rest.any(|mm| (mm + 25.0 - row.sample.reading_mm).abs() < 0.4e-3));
+    assert!(known.count() > 200);
+}
+
+/// The bar is set to zero before the run, where its protocol has a command for it.
+#[test]
+fn zero_is_set_before_the_run() {
+    let mean = |rest: &[&str]| {
+        let directory = tempfile::tempdir().unwrap();
+        let bar = simulate_at(1.0, directory.path(), "1", &["--protocol", "mitutoyo-idh"]);
+        let rest = [&["--protocol", "mitutoyo-idh"], rest].concat();
+        let run = acquire(directory.path(), &bar.1, "1.5", &rest);
+        assert!(run.rows.len() > 3, "{}", stderr(&run.output));
+        run.rows.iter().map(|row| row.sample.reading_mm).sum::<f64>() / run.rows.len() as f64
+    };
+    // The reading that became zero has a noise of 0.1 mm.
+    assert!((mean(&[]) - 1.0).abs() < 0.3);
+    assert!(mean(&["--zero"]).abs() < 0.6);
+    let directory = tempfile::tempdir().unwrap();
+    let bar = simulate(directory.path(), "1", &[]);
+    let mut command = dbbd(&["acquire", "--port", &bar.1, "--out", "run", "--zero"]);
+    let output = command.current_dir(directory.path()).output().unwrap();
+    assert_eq!(output.status.code(), Some(1));
+    assert!(stderr(&output).contains("no command for it"), "{}", stderr(&output));
+}
+
+/// A device that is set to another rate is found by asking, and what it sends at once behind its answer
+/// to the start command is not lost. A pseudo terminal shows both sides the rate that was set.
+#[test]
+fn a_rate_is_found_and_the_first_readings_are_kept() {
+    const READINGS: usize = 100;
+    let (mut line, host) = TTYPort::pair().unwrap();
+    let port = host.name().unwrap();
+    drop(host);
+    line.set_timeout(Duration::from_millis(10)).unwrap();
+    let over = Arc::new(AtomicBool::new(false));
+    let stop = Arc::clone(&over);
+    let device = std::thread::spawn(move || {
+        let (mut heard, mut buffer, mut sent) = (Vec::new(), [0; 256], false);
+        while !stop.load(Ordering::Relaxed) {
+            match line.read(&mut buffer) {
+                Ok(count) => heard.extend_from_slice(&buffer[..count]),
+                Err(_) => std::thread::sleep(Duration::from_millis(2)),
+            }
+            while let Some(end) = heard.iter().position(|byte| *byte == b'\n') {
+                let command: Vec<u8> = heard.drain(..=end).collect();
+                if line.baud_rate().unwrap() != 115_200 {
+                    continue;
+                }
+                let mut answer = b"->".to_vec();
+                if command == b"OUTPUT RS422\n" && !sent {
+                    // Half range, as the maker's vector has it.
+                    answer.extend([0x3d, 0x7f, 0x87].repeat(READINGS));
+                    sent = true;
+                }
+                line.write_all(&answer).unwrap();
+            }
+        }
+    });
+    let directory = tempfile::tempdir().unwrap();
+    let run = acquire(directory.path(), &port, "3", &["--protocol", "microepsilon-ild1420"]);
+    over.store(true, Ordering::Relaxed);
+    device.join().unwrap();
+    assert_eq!(run.rows.len(), READINGS, "{}", stderr(&run.output));
+    assert!(run.rows.iter().all(|row| (row.sample.reading_mm - 25.0039).abs() < 1e-4));
+    assert_eq!(run.bytes, 3 * READINGS as u64, "the answers are no part of the stream");
+}
+
+#[test]
+fn a_bar_that_does_not_answer_is_told() {
+    let terminal = Terminal::new().unwrap();
+    let mut command = dbbd(&["acquire", "--port", terminal.name(), "--protocol", "microepsilon-ild1420"]);
+    let directory = tempfile::tempdir().unwrap();
+    let output = command.args(["--out", "run"]).current_dir(directory.path()).output().unwrap();
+    assert_eq!(output.status.code(), Some(1));
+    let said = stderr(&output);
+    assert!(said.contains("does not answer (tried at 921600, 1000000,") && said.contains("help:"), "{said}");
+    assert!(!directory.path().join("run").exists());
+}
