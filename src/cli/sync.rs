@@ -50,10 +50,10 @@ fn source_word(source: Source) -> &'static str {
 /// On what clock the times stand, and how good they are.
 fn times(stream: &Stream) -> String {
     let Some(clock) = stream.clock() else { return "the host's stamps at arrival or request".into() };
-    let Some((drift, bound_s)) = clock.drift().zip(clock.bound_s()) else {
-        return "the bar's clock alone, which did not run at the host's pace".into();
-    };
     let wraps = if clock.wraps > 0 { format!("; it wrapped {} times", clock.wraps) } else { String::new() };
+    let Some((drift, bound_s)) = clock.drift().zip(clock.bound_s()) else {
+        return format!("the bar's clock alone, which did not run at the host's pace{wraps}");
+    };
     let (ppm, ms) = (1e6 * drift, 1e3 * bound_s);
     format!(
         "the bar's clock, {ppm:+.1} ppm to the host's, at most {ms:.2} ms off beyond the line's least delay{wraps}"

@@ -37,14 +37,22 @@ fn seconds(host: HostNs) -> f64 {
     host.seconds_since(HostNs(0))
 }
 
-/// A bar that is plugged in for 0.2 to 8 s and away for 0.05 to 5 s, over and over; when it was away.
-fn bar(link: &Path, lasting_s: f64, seed: u64, ready: &AtomicBool) -> Vec<Away> {
+/// How long sessions last, and how long a bar stays plugged in at most, s.
+#[derive(Clone, Copy)]
+struct Length {
+    lasting_s: f64,
+    longest_s: f64,
+}
+
+/// A bar that is plugged in from 0.2 s to the longest and away from 0.05 s to 5/8 of it, over and over;
+/// when it was away.
+fn bar(link: &Path, length: Length, seed: u64, ready: &AtomicBool) -> Vec<Away> {
     let mut dice = Pcg64::seed_from_u64(seed);
     let encoder = Definition::by_name("dbb-cobs-1").unwrap().unwrap().encoder();
     let begin = clock::now();
     let mut away: Vec<Away> = Vec::new();
     let (mut sequence, mut left_s) = (0u32, None);
-    while clock::now().seconds_since(begin) < lasting_s {
+    while clock::now().seconds_since(begin) < length.lasting_s {
         let (mut line, host) = TTYPort::pair().unwrap();
         let name = host.name().unwrap();
         drop(host);
@@ -55,7 +63,7 @@ fn bar(link: &Path, lasting_s: f64, seed: u64, ready: &AtomicBool) -> Vec<Away> 
             away.push(Away { from_s, to_s: seconds(plugged) });
         }
         // The first time the host is to find it.
-        let stays_s = if left_s.is_none() { 2.0 } else { dice.random_range(0.2..8.0) };
+        let stays_s = if left_s.is_none() { 1.0 } else { dice.random_range(0.2..length.longest_s) };
         ready.store(true, Ordering::Relaxed);
         let (mut running, mut heard) = (false, Vec::new());
         while clock::now().seconds_since(plugged) < stays_s {
@@ -92,10 +100,10 @@ fn bar(link: &Path, lasting_s: f64, seed: u64, ready: &AtomicBool) -> Vec<Away> 
                 sequence += 1;
             }
         }
+        left_s = Some(seconds(clock::now()));
         drop(plug);
         drop(line);
-        left_s = Some(seconds(clock::now()));
-        clock::sleep(dice.random_range(0.05..5.0));
+        clock::sleep(dice.random_range(0.05..0.625 * length.longest_s));
     }
     away
 }
@@ -112,13 +120,13 @@ struct Seen {
     noticed_s: Vec<f64>,
 }
 
-fn session(directory: &Path, lasting_s: f64, seed: u64) -> Seen {
+fn session(directory: &Path, length: Length, seed: u64) -> Seen {
     let link = directory.join(format!("bar-{seed}"));
     let out: PathBuf = directory.join(format!("run-{seed}"));
     let ready = Arc::new(AtomicBool::new(false));
     let plugged = Arc::clone(&ready);
     let path = link.clone();
-    let bar = std::thread::spawn(move || bar(&path, lasting_s, seed, &plugged));
+    let bar = std::thread::spawn(move || bar(&path, length, seed, &plugged));
     while !ready.load(Ordering::Relaxed) {
         clock::sleep(0.01);
     }
@@ -161,19 +169,18 @@ fn session(directory: &Path, lasting_s: f64, seed: u64) -> Seen {
         seen.noticed_s.push(gap.from_s - first.from_s);
         seen.back_s.push(gap.to_s - last.to_s);
     }
-    assert!(last.to_s - last.from_s >= 0.0);
     let untold = away.iter().filter(|away| away.from_s > last.from_s).count();
     assert_eq!(told + untold, away.len(), "seed {seed}: each leaving belongs to one gap");
     seen
 }
 
 /// Sessions beside each other; prints what they saw.
-fn campaign(sessions: u64, lasting_s: f64) {
+fn campaign(sessions: u64, length: Length) {
     let directory = tempfile::tempdir().unwrap();
     let at = directory.path();
     let seen: Vec<Seen> = std::thread::scope(|scope| {
         let all: Vec<_> =
-            (0..sessions).map(|seed| scope.spawn(move || session(at, lasting_s, seed + 1))).collect();
+            (0..sessions).map(|seed| scope.spawn(move || session(at, length, seed + 1))).collect();
         all.into_iter().map(|session| session.join().unwrap()).collect()
     });
     let sum = |of: fn(&Seen) -> u64| seen.iter().map(of).sum::<u64>();
@@ -185,8 +192,9 @@ fn campaign(sessions: u64, lasting_s: f64) {
     let (back, noticed) = (sorted(|seen| &seen.back_s), sorted(|seen| &seen.noticed_s));
     let at = |sorted: &[f64], share: f64| sorted[(share * (sorted.len() - 1) as f64) as usize];
     eprintln!(
-        "{sessions} sessions of {lasting_s} s: {} times unplugged, {} gaps, {} samples; back after {:.2} s \
+        "{sessions} sessions of {} s: {} times unplugged, {} gaps, {} samples; back after {:.2} s \
          (median), {:.2} s (99 %), {:.2} s (most); noticed after {:.3} s (median), {:.3} s (most)",
+        length.lasting_s,
         sum(|seen| seen.unplugged as u64),
         sum(|seen| seen.gaps as u64),
         sum(|seen| seen.samples),
@@ -196,8 +204,8 @@ fn campaign(sessions: u64, lasting_s: f64) {
         at(&noticed, 0.5),
         at(&noticed, 1.0),
     );
-    assert!(at(&back, 0.0) > 0.0 && at(&back, 1.0) <= BACK_S, "{back:?}");
-    assert!(at(&noticed, 0.0) >= -1e-3 && at(&noticed, 1.0) <= NOTICED_S, "{noticed:?}");
+    assert!(at(&back, 0.0) > 0.0 && at(&back, 1.0) <= BACK_S);
+    assert!(at(&noticed, 0.0) >= 0.0 && at(&noticed, 1.0) <= NOTICED_S);
 }
 
 /// In a process of its own: a child of another test would inherit the terminals' other sides and keep
@@ -215,12 +223,12 @@ fn a_bar_comes_and_goes() {
 #[test]
 #[ignore = "runs in a process of its own, started by a_bar_comes_and_goes"]
 fn a_few_sessions() {
-    campaign(8, 9.0);
+    campaign(16, Length { lasting_s: 5.0, longest_s: 1.6 });
 }
 
 /// TMPDIR=/dev/shm cargo test --release --test suite ten_thousand_seconds -- --ignored --nocapture
 #[test]
 #[ignore = "64 sessions of 160 s"]
 fn ten_thousand_seconds_of_unplugging() {
-    campaign(64, 160.0);
+    campaign(64, Length { lasting_s: 160.0, longest_s: 8.0 });
 }
