@@ -27,6 +27,7 @@ fn problem(poses: usize) -> (Robot, Observations, Vec<Centre>) {
             let mut row = Observation {
                 index: i as u32 + 1,
                 centre: 1,
+                bar: 1,
                 axes_deg: std::array::from_fn(|j| {
                     let [low, high] = robot.limits_deg[j];
                     random.random_range(low..high)

@@ -103,7 +103,9 @@ fn tier(id: ParamId) -> u8 {
     match id {
         ParamId::Centre(..) | ParamId::Tool(_) => 0,
         ParamId::Alpha(0) | ParamId::A(0) | ParamId::Theta(1) | ParamId::D(1) => 2,
-        ParamId::BarOffset => 3,
+        ParamId::BarOffset(_) => 3,
+        // Sag and gear error must not take the place of a length or an angle.
+        _ if id.is_optional() => 4,
         _ => 1,
     }
 }

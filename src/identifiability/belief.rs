@@ -44,7 +44,7 @@ impl Belief {
             .map(|id| match id {
                 ParamId::Tool(_) => TOOL_MM,
                 ParamId::Centre(..) => CENTRE_MM,
-                ParamId::BarOffset => bar_mm.unwrap_or(BAR_MM),
+                ParamId::BarOffset(_) => bar_mm.unwrap_or(BAR_MM),
                 id if id.unit() == "mm" => robot.tolerance.length_mm,
                 _ => robot.tolerance.angle_deg.to_radians(),
             })
@@ -97,7 +97,7 @@ impl Belief {
             let row = self.model.geometry.length_row(axes, &far, 0.0);
             for (column, id) in self.ids.iter().enumerate() {
                 touched.root[(at, column)] = match id {
-                    ParamId::Centre(..) | ParamId::BarOffset => 0.0,
+                    ParamId::Centre(..) | ParamId::BarOffset(_) => 0.0,
                     _ => row.columns()[LengthRow::position(*id)] * self.root[(column, column)],
                 };
             }

@@ -8,9 +8,13 @@ pub(super) fn matters(kept: ParamId, other: ParamId, coefficient: f64) -> bool {
     coefficient.abs() * plausible(other) > 1e-6 * plausible(kept)
 }
 
-/// An error that nobody would be surprised by: 1 mm, 1 mrad.
+/// An error that nobody would be surprised by: 1 mm, 1 mrad, 1 mrad at 1000 N m.
 fn plausible(id: ParamId) -> f64 {
-    if id.unit() == "mm" { 1.0 } else { 1e-3 }
+    match id.unit() {
+        "mm" => 1.0,
+        "rad" => 1e-3,
+        _ => 1e-6,
+    }
 }
 
 /// The combination as a sentence; the first member is the one that is kept.
@@ -30,17 +34,29 @@ pub(super) fn combination(members: &[(ParamId, f64)]) -> String {
         sum.push_str(&id.to_string());
     }
     let mut text = format!("only {sum} can be told");
-    let others = || members[1..].iter().map(|(id, _)| *id);
-    if members[0].0 == ParamId::BarOffset || others().any(|id| id == ParamId::BarOffset) {
-        text.push_str(
-            ": bar_offset cannot be told from a uniform scale; calibrate the bar or add a second length",
-        );
-    } else if matches!(members[0].0, ParamId::Centre(..)) {
-        text.push_str(": lengths do not tell where the robot's base stands, only where the ball is from it");
-    } else if matches!(members[0].0, ParamId::Tool(_)) {
-        text.push_str(": the flange is only known by the ball on it");
+    let bars =
+        members.iter().filter_map(|(id, _)| if let ParamId::BarOffset(k) = id { Some(*k) } else { None });
+    match bars.max() {
+        Some(1) => text
+            .push_str(": bar_offset cannot be told from a uniform scale; calibrate the bar or add a second length"),
+        Some(bar) => text.push_str(&format!(
+            ": bar_offset{bar} cannot be told from a uniform scale while each bar has an offset of its own; calibrate \
+             one of the bars, or set one to a second length"
+        )),
+        None => text.push_str(standing(members[0].0)),
     }
     text
+}
+
+/// What a combination with the set-up means; empty for the robot's own parameters.
+fn standing(kept: ParamId) -> &'static str {
+    if matches!(kept, ParamId::Centre(..)) {
+        ": lengths do not tell where the robot's base stands, only where the ball is from it"
+    } else if matches!(kept, ParamId::Tool(_)) {
+        ": the flange is only known by the ball on it"
+    } else {
+        ""
+    }
 }
 
 /// Four significant digits, without an exponent where it reads well.

@@ -2,7 +2,7 @@
 
 use nalgebra::DMatrix;
 
-use super::options::tolerance;
+use super::options::{plausible, tolerance};
 use super::solver::PriorRows;
 use crate::identifiability::factor;
 use crate::model::{LengthModel, ParamId, Reading, Robot};
@@ -17,8 +17,8 @@ const BAR_BETTER: f64 = 10.0;
 /// have no limit.
 pub(super) fn weak_limit(robot: &Robot, id: ParamId) -> Option<f64> {
     match id {
-        ParamId::BarOffset => Some(WEAK * robot.tolerance.length_mm / BAR_BETTER),
-        _ => tolerance(robot, id).map(|tolerance| WEAK * tolerance),
+        ParamId::BarOffset(_) => Some(WEAK * robot.tolerance.length_mm / BAR_BETTER),
+        _ => tolerance(robot, id).or_else(|| plausible(robot, id)).map(|sd| WEAK * sd),
     }
 }
 
@@ -71,26 +71,31 @@ pub(super) fn too_weak(
     sigma: &[f64],
 ) -> Vec<ParamId> {
     let data = factor(model, readings, ids, sigma);
-    let mut kept: Vec<usize> = (0..ids.len()).collect();
+    let (optional, mut kept): (Vec<usize>, Vec<usize>) =
+        (0..ids.len()).partition(|&at| ids[at].is_optional());
     let mut weak: Vec<usize> = Vec::new();
-    // The bar goes first: on circles of one radius its offset is a scale of the robot by another name,
-    // and a robot's length that were held in its stead would bend all the others.
-    if let Some(bar) = ids.iter().position(|id| *id == ParamId::BarOffset)
-        && uncertainty(robot, &data, ids, &kept, &weak)[bar]
-            > weak_limit(robot, ParamId::BarOffset).unwrap_or(f64::INFINITY)
-    {
-        kept.remove(bar);
-        weak.push(bar);
-    }
-    while !kept.is_empty() {
-        let uncertain = uncertainty(robot, &data, ids, &kept, &weak);
-        let weakest = (0..kept.len())
+    let mut hold = |kept: &mut Vec<usize>, judged: fn(ParamId) -> bool, held: fn(ParamId) -> bool| loop {
+        let uncertain = uncertainty(robot, &data, ids, kept, &weak);
+        let ratios: Vec<(usize, f64)> = (0..kept.len())
             .filter_map(|k| Some((k, uncertain[k] / weak_limit(robot, ids[kept[k]])?)))
-            .max_by(|(_, a), (_, b)| a.total_cmp(b));
+            .collect();
+        let enough = ratios.iter().all(|(k, ratio)| *ratio <= 1.0 || !judged(ids[kept[*k]]));
+        let weakest =
+            ratios.iter().filter(|(k, _)| held(ids[kept[*k]])).max_by(|(_, a), (_, b)| a.total_cmp(b));
         match weakest {
-            Some((k, ratio)) if ratio > 1.0 => weak.push(kept.remove(k)),
+            Some((k, _)) if !enough => weak.push(kept.remove(*k)),
             _ => break,
         }
+    };
+    // Bars go first: on circles of one radius their offset is a scale of the robot by another name,
+    // and a robot's length that were held in its stead would bend all the others.
+    let bar = |id: ParamId| matches!(id, ParamId::BarOffset(_));
+    hold(&mut kept, bar, bar);
+    hold(&mut kept, |_| true, |_| true);
+    // What is optional must not cost a parameter that the data tell without it.
+    if !optional.is_empty() {
+        kept.extend(optional);
+        hold(&mut kept, |_| true, ParamId::is_optional);
     }
     weak.into_iter().map(|at| ids[at]).collect()
 }
@@ -123,9 +128,18 @@ fn leak(
     let mut leak =
         noise * noise.transpose() * data.select_columns(kept).transpose() * data.select_columns(held);
     for (mut column, h) in leak.column_iter_mut().zip(held) {
-        column *= weak_limit(robot, ids[*h]).map_or(0.0, |limit| limit / WEAK);
+        column *= tolerance_held(robot, ids[*h]);
     }
     leak
+}
+
+/// One standard deviation of the true error of a parameter that is held; optional ones are taken for none, as
+/// where they are not asked for.
+pub(super) fn tolerance_held(robot: &Robot, id: ParamId) -> f64 {
+    match weak_limit(robot, id) {
+        Some(limit) if !id.is_optional() => limit / WEAK,
+        _ => 0.0,
+    }
 }
 
 /// Covariance that the `held` parameters, which the data were too weak for, add to that of `kept`.

@@ -9,7 +9,8 @@ use super::prior;
 use super::solver::PriorRows;
 use crate::identifiability::{Analysis, analyse};
 use crate::linalg::Triangle;
-use crate::model::{LengthModel, ParamId, Reading, Robot, Selection, parameter};
+use crate::model::parameter::{self, SetUp};
+use crate::model::{LengthModel, ParamId, Reading, Robot, Selection};
 
 /// Lengths with the standard deviations they are weighted by.
 #[derive(Clone, Debug)]
@@ -37,6 +38,8 @@ pub(super) struct Estimate {
     pub(super) fit: Fit,
     /// Standard deviation of each length that the fit went by, mm.
     pub(super) sigma: Vec<f64>,
+    /// Degrees of freedom of these, where the residuals gave them; none where they are as given.
+    pub(super) freedom: Option<f64>,
 }
 
 /// Why there is no estimate.
@@ -62,28 +65,28 @@ pub enum IdentifyError {
     },
 }
 
-/// The parameters asked for.
-pub(super) fn asked(robot: &Robot, centres: usize, options: &Options) -> Vec<ParamId> {
+/// The parameters asked for, without the optional groups that nobody named.
+pub(super) fn asked(robot: &Robot, set_up: SetUp, options: &Options) -> Vec<ParamId> {
     let mut ids = match &options.estimate {
         Some(list) => list.clone(),
-        None => parameter::all(&robot.parallel_joints(), centres),
+        None => parameter::all(&robot.parallel_joints(), set_up),
     };
     ids.retain(|id| !options.hold.contains(id));
     ids.sort();
     ids
 }
 
-/// Estimates what the options ask for, from the nominal robot and a rough set-up.
+/// Estimates what the data tell of `asked`, from the nominal robot and a rough set-up.
 pub(super) fn estimate(
     robot: &Robot,
     given_start: &LengthModel,
     lengths: &Lengths,
+    asked: &[ParamId],
     options: &Options,
 ) -> Result<Estimate, IdentifyError> {
     let readings = &lengths.readings;
-    let asked = asked(robot, given_start.centres.len(), options);
-    let mut set_up = fit::set_up(readings, &lengths.given, &asked, given_start);
-    let analysis = analyse(&set_up.model, readings, &asked).ok_or(IdentifyError::NotFinite)?;
+    let mut set_up = fit::set_up(readings, &lengths.given, asked, given_start);
+    let analysis = analyse(&set_up.model, readings, asked).ok_or(IdentifyError::NotFinite)?;
     let base = analysis.kept();
     if base.is_empty() {
         return Err(IdentifyError::NothingToEstimate);
@@ -102,22 +105,36 @@ pub(super) fn estimate(
         if !follow_list && options.prior == Prior::None {
             let rest: Vec<ParamId> = base.iter().copied().filter(|id| !implausible.contains(id)).collect();
             weak.extend(too_weak(robot, &set_up.model, readings, &rest, &sigma));
-        } else if !follow_list && bar_is_weak(robot, &base, &set_up.model, readings, &sigma) {
-            weak.push(ParamId::BarOffset);
+        } else if !follow_list {
+            weak.extend(weak_bars(robot, &base, &set_up.model, readings, &sigma));
         }
         let kept: Vec<ParamId> = base.iter().copied().filter(|id| !weak.contains(id)).collect();
         if let Some((before, fit, weights)) = reached.take()
             && (round == ROUNDS || before == kept && same_weights(&weights, &sigma, options))
         {
-            let prior = prior::rows(robot, &options.prior, &analysis, &before, &set_up.model);
+            let prior = prior::rows(robot, options, &analysis, &before, &set_up.model);
             let fit = Fit { iterations, ..fit };
             // When the rounds are up the last judgement has not been acted on.
             weak.retain(|id| !before.contains(id));
-            return Ok(Estimate { before: set_up.model, analysis, kept: before, weak, prior, fit, sigma });
+            let freedom = (sigma != lengths.given).then(|| {
+                let used = fit.used.iter().filter(|used| **used).count();
+                used as f64 - if prior.is_some() { base.len() } else { before.len() } as f64
+            });
+            return Ok(Estimate {
+                before: set_up.model,
+                analysis,
+                kept: before,
+                weak,
+                prior,
+                fit,
+                sigma,
+                freedom,
+            });
         }
-        if weak.contains(&ParamId::BarOffset) && set_up.model.bar_offset != given_start.bar_offset {
-            // Without the bar's offset the balls stand elsewhere.
-            let free: Vec<ParamId> = asked.iter().copied().filter(|id| *id != ParamId::BarOffset).collect();
+        let held = |id: &ParamId| matches!(id, ParamId::BarOffset(_)) && weak.contains(id);
+        if base.iter().any(|id| held(id) && set_up.model.value(*id) != given_start.value(*id)) {
+            // Without the offset of a bar the balls stand elsewhere.
+            let free: Vec<ParamId> = asked.iter().copied().filter(|id| !held(id)).collect();
             set_up = fit::set_up(readings, &lengths.given, &free, given_start);
             start = set_up.model.clone();
         }
@@ -125,7 +142,7 @@ pub(super) fn estimate(
         for id in base.iter().filter(|id| !kept.contains(id)) {
             start.shift(*id, set_up.model.value(*id) - start.value(*id));
         }
-        let prior = prior::rows(robot, &options.prior, &analysis, &kept, &set_up.model);
+        let prior = prior::rows(robot, options, &analysis, &kept, &set_up.model);
         let fit = fit::all(readings, &sigma, &kept, prior.as_ref(), &start);
         iterations += fit.iterations;
         let weights = std::mem::take(&mut sigma);
@@ -179,18 +196,22 @@ fn most_implausible(
         .map(|(id, _)| id)
 }
 
-/// Whether the lengths alone are too weak for the bar's offset. A prior on the robot must not decide it: on
+/// The bars for whose offset the lengths alone are too weak. A prior on the robot must not decide it: on
 /// circles of one radius it would turn the maker's tolerance into a length of the bar.
-fn bar_is_weak(
+fn weak_bars(
     robot: &Robot,
     base: &[ParamId],
     model: &LengthModel,
     readings: &[Reading],
     sigma: &[f64],
-) -> bool {
-    let Some(bar) = base.iter().position(|id| *id == ParamId::BarOffset) else { return false };
-    let limit = weak_limit(robot, ParamId::BarOffset).unwrap_or(f64::INFINITY);
-    spread(model, readings, base, sigma, None).is_none_or(|spread| spread.data_sd[bar] > limit)
+) -> Vec<ParamId> {
+    let bars = (0..base.len()).filter(|&at| matches!(base[at], ParamId::BarOffset(_)));
+    if bars.clone().next().is_none() {
+        return vec![];
+    }
+    let sd = spread(model, readings, base, sigma, None).map(|spread| spread.data_sd);
+    let limit = |id| weak_limit(robot, id).unwrap_or(f64::INFINITY);
+    bars.filter(|&bar| sd.as_ref().is_none_or(|sd| sd[bar] > limit(base[bar]))).map(|bar| base[bar]).collect()
 }
 
 /// Before the fit: what a linear fit of the base set leaves, or what is given.

@@ -30,7 +30,8 @@ pub(super) fn set_up(readings: &[Reading], sigma: &[f64], free: &[ParamId], star
     robust(readings, sigma, |readings, sigma, loss, from| {
         let from = from.unwrap_or(start);
         // The bar's offset trades against the balls' places far from the solution, so it comes second.
-        let places: Vec<ParamId> = ids.iter().copied().filter(|id| *id != ParamId::BarOffset).collect();
+        let places: Vec<ParamId> =
+            ids.iter().copied().filter(|id| !matches!(id, ParamId::BarOffset(_))).collect();
         stages(readings, sigma, &[&places, &ids], loss, None, from)
     })
 }

@@ -6,26 +6,26 @@ use rand_pcg::Pcg64;
 
 use super::estimate::{IdentifyError, Lengths, estimate};
 use super::options::Options;
-use super::result::Folds;
-use crate::model::{LengthModel, Reading, Robot};
+use crate::model::{LengthModel, ParamId, Reading, Robot};
 
 /// Number of folds when the user does not say, and lengths per parameter below which there are none.
 pub(super) const DEFAULT_FOLDS: usize = 5;
 pub(super) const LENGTHS_PER_PARAMETER: usize = 3;
 
-/// Fits without each fold in turn and predicts its lengths. Rows with equal axis angles (one pose
-/// measured to several balls) stay together: a fold must not know its own poses.
-pub(super) fn cross_validate(
+/// Fits `asked` without each fold in turn and predicts its lengths: the residual of each used reading, in their
+/// order, mm. Rows with equal axis angles (one pose measured to several balls) stay together: a fold must not
+/// know its own poses. `None` when there are fewer poses than folds.
+pub(super) fn held_out(
     robot: &Robot,
     start: &LengthModel,
     lengths: &Lengths,
     used: &[bool],
+    asked: &[ParamId],
     options: &Options,
     folds: usize,
-) -> Result<Option<Folds>, IdentifyError> {
+) -> Result<Option<Vec<f64>>, IdentifyError> {
     let Some(fold_of) = assign(&lengths.readings, folds) else { return Ok(None) };
-    let mut sum = 0.0;
-    let mut count = 0;
+    let mut residuals = vec![0.0; used.len()];
     for fold in 0..folds {
         let take = |chosen: bool| -> Vec<usize> {
             (0..lengths.readings.len()).filter(|&at| used[at] && (fold_of[at] == fold) == chosen).collect()
@@ -36,15 +36,29 @@ pub(super) fn cross_validate(
             given: rest.iter().map(|&at| lengths.given[at]).collect(),
             ..*lengths
         };
-        let model = estimate(robot, start, &training, options)?.fit.model;
+        let model = estimate(robot, start, &training, asked, options)?.fit.model;
         let prepared = model.prepare();
         for at in held_out {
-            let residual = lengths.readings[at].length - prepared.length(&lengths.readings[at]);
-            sum += residual * residual;
-            count += 1;
+            residuals[at] = lengths.readings[at].length - prepared.length(&lengths.readings[at]);
         }
     }
-    Ok(Some(Folds { folds, rms: (sum / f64::from(count.max(1))).sqrt() }))
+    Ok(Some(residuals.into_iter().zip(used).filter(|(_, used)| **used).map(|(r, _)| r).collect()))
+}
+
+/// Whether `after` is closer to the held-out lengths than `before` by more than chance: the mean of the
+/// differences of the squares exceeds its standard error.
+pub(super) fn predicts_better(before: &[f64], after: &[f64]) -> bool {
+    let gains: Vec<f64> =
+        before.iter().zip(after).map(|(before, after)| before * before - after * after).collect();
+    let n = gains.len() as f64;
+    let mean = gains.iter().sum::<f64>() / n;
+    let variance = gains.iter().map(|gain| (gain - mean).powi(2)).sum::<f64>() / (n - 1.0);
+    mean > (variance / n).sqrt()
+}
+
+/// Root mean square of held-out residuals, mm.
+pub(super) fn rms(residuals: &[f64]) -> f64 {
+    (residuals.iter().map(|r| r * r).sum::<f64>() / residuals.len().max(1) as f64).sqrt()
 }
 
 /// The fold of each reading: poses shuffled by a fixed seed, dealt in turn; `None` when there are fewer poses

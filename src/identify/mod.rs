@@ -5,24 +5,33 @@
 //! (or carries the prior), and every number comes with its standard deviation or the reason why it has none.
 
 mod covariance;
+mod distribution;
 mod estimate;
 mod fit;
 mod folds;
+mod groups;
+mod interval;
+mod monte_carlo;
 mod options;
 mod prior;
 pub mod result;
+mod scale;
 mod solver;
 mod summary;
 mod verdict;
 
+use std::borrow::Cow;
+
 use nalgebra::DMatrix;
 
 pub use estimate::IdentifyError;
-pub use options::{Options, Prior, tolerance};
+pub use options::{Options, Prior, PriorScale, tolerance};
 pub use result::Identification;
 
+use crate::model::parameter::SetUp;
 use crate::model::{Centre, LengthModel, Observations, ParamId, Reading, Robot};
-use estimate::Lengths;
+use estimate::{Estimate, Lengths};
+use result::{Folds, GroupChoice, PriorUsed, Warning, WarningKind};
 
 /// A result with what stands behind it.
 #[derive(Clone, Debug)]
@@ -73,7 +82,8 @@ pub fn identify(
 ) -> Result<Identified, IdentifyError> {
     let start = LengthModel::new(robot.geometry.clone(), centres);
     let lengths = lengths(observations, options);
-    let estimate = estimate::estimate(robot, &start, &lengths, options)?;
+    let Settled { options, prior, estimate, groups } =
+        settle(robot, &start, &lengths, observations, options)?;
     let folds = match options.folds {
         Some(0 | 1) => None,
         Some(folds) => Some(folds),
@@ -82,11 +92,27 @@ pub fn identify(
             (lengths.readings.len() >= enough).then_some(folds::DEFAULT_FOLDS)
         }
     };
-    let folds = folds
-        .map(|folds| folds::cross_validate(robot, &start, &lengths, &estimate.fit.used, options, folds))
-        .transpose()?
-        .flatten();
-    summary::summarise(robot, observations, &start, &lengths, estimate, folds, validation, options)
+    let hold_out = |folds| -> Result<Option<Folds>, IdentifyError> {
+        let asked = &estimate.analysis.ids;
+        let out = folds::held_out(robot, &start, &lengths, &estimate.fit.used, asked, &options, folds)?;
+        Ok(out.map(|residuals| Folds { folds, rms: folds::rms(&residuals) }))
+    };
+    let folds = folds.map(hold_out).transpose()?.flatten();
+    let mut found =
+        summary::summarise(robot, observations, &start, &lengths, &estimate, folds, validation, &options)?;
+    let result = &mut found.result;
+    result.prior = prior;
+    result.groups = groups;
+    interval::tell(result, &estimate, &lengths);
+    if result.groups.iter().any(|group| group.added) {
+        let text = "robot-identified.toml holds compliance or gear error: a program that reads only its lengths and \
+                    angles computes with another robot; `--hold compliance,gear` identifies without them";
+        result.warnings.push(Warning { kind: WarningKind::Note, text: text.into() });
+    }
+    if let Some(trials) = options.monte_carlo {
+        monte_carlo::tell(result, robot, &estimate, &lengths, trials);
+    }
+    Ok(found)
 }
 
 /// Only the fit of [`identify`]: the model found, without covariance, folds or predictions.
@@ -100,7 +126,31 @@ pub fn fit(
     options: &Options,
 ) -> Result<LengthModel, IdentifyError> {
     let start = LengthModel::new(robot.geometry.clone(), centres);
-    Ok(estimate::estimate(robot, &start, &lengths(observations, options), options)?.fit.model)
+    let lengths = lengths(observations, options);
+    Ok(settle(robot, &start, &lengths, observations, options)?.estimate.fit.model)
+}
+
+/// An estimate with what was left to the data settled.
+struct Settled<'a> {
+    options: Cow<'a, Options>,
+    prior: Option<PriorUsed>,
+    estimate: Estimate,
+    groups: Vec<GroupChoice>,
+}
+
+/// Settles the prior's scale, then the optional groups.
+fn settle<'a>(
+    robot: &Robot,
+    start: &LengthModel,
+    lengths: &Lengths,
+    observations: &Observations,
+    options: &'a Options,
+) -> Result<Settled<'a>, IdentifyError> {
+    let set_up = SetUp { centres: start.centres.len(), bars: observations.bars() };
+    let asked = estimate::asked(robot, set_up, options);
+    let (options, prior) = scale::settle(robot, start, lengths, &asked, options)?;
+    let (estimate, groups) = groups::choose(robot, start, lengths, asked, &options)?;
+    Ok(Settled { options, prior, estimate, groups })
 }
 
 /// The lengths as the solver takes them.

@@ -15,8 +15,12 @@ pub struct Options {
     pub sigma_mm: Option<f64>,
     /// What is known of the robot beforehand.
     pub prior: Prior,
+    /// How far the prior is trusted.
+    pub prior_scale: PriorScale,
     /// Number of cross-validation folds; `None` chooses 5 when there are enough lengths.
     pub folds: Option<usize>,
+    /// Trials of a Monte Carlo of the uncertainties (GUM supplement 1); none when absent.
+    pub monte_carlo: Option<usize>,
     /// Axis vectors (rad) over which the 3-D error is predicted; uniform within the limits when absent.
     pub workspace: Option<Vec<[f64; AXES]>>,
 }
@@ -26,6 +30,13 @@ impl Options {
     /// what the data do not.
     pub fn follows_list(&self) -> bool {
         self.estimate.is_some() && self.prior == Prior::None
+    }
+
+    /// The standard deviation of a parameter's true error as the prior has it, mm or rad (rad/(N m) of a
+    /// compliance); `None` for one that has no tolerance.
+    pub(super) fn prior_sd(&self, robot: &Robot, id: ParamId) -> Option<f64> {
+        let scale = if let PriorScale::By(scale) = self.prior_scale { scale } else { 1.0 };
+        Some(scale * self.prior.sd(robot, id)?)
     }
 }
 
@@ -42,15 +53,27 @@ pub enum Prior {
     Given(BTreeMap<ParamId, f64>),
 }
 
+/// A factor on every standard deviation of the prior: above 1 the lengths count for more.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum PriorScale {
+    /// 1.
+    #[default]
+    AsGiven,
+    /// This one.
+    By(f64),
+    /// The one with which held-out lengths are predicted best.
+    CrossValidated,
+}
+
 impl Prior {
     /// The standard deviation of a parameter's true error, mm or rad; `None` for one that has no tolerance.
-    pub fn sd(&self, robot: &Robot, id: ParamId) -> Option<f64> {
+    fn sd(&self, robot: &Robot, id: ParamId) -> Option<f64> {
         if let Self::Given(given) = self
             && let Some(sd) = given.get(&id)
         {
             return Some(*sd);
         }
-        tolerance(robot, id)
+        tolerance(robot, id).or_else(|| plausible(robot, id))
     }
 }
 
@@ -60,4 +83,17 @@ pub fn tolerance(robot: &Robot, id: ParamId) -> Option<f64> {
         "mm" => robot.tolerance.length_mm,
         _ => robot.tolerance.angle_deg.to_radians(),
     })
+}
+
+/// What an optional parameter may plausibly be, one standard deviation: a gear error as large as the tolerance
+/// of a joint's angle, a compliance that gives way by as much under the greatest torque.
+pub(super) fn plausible(robot: &Robot, id: ParamId) -> Option<f64> {
+    let angle = robot.tolerance.angle_deg.to_radians();
+    match id {
+        ParamId::GearCos(_) | ParamId::GearSin(_) => Some(angle),
+        ParamId::Compliance(j) => {
+            Some(angle / robot.geometry.greatest_torques()[j - 1]).filter(|c| c.is_finite())
+        }
+        _ => None,
+    }
 }

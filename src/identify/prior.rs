@@ -6,7 +6,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use super::options::Prior;
+use super::options::{Options, Prior};
 use super::solver::PriorRows;
 use crate::identifiability::Analysis;
 use crate::model::{LengthModel, ParamId, Robot};
@@ -14,21 +14,21 @@ use crate::model::{LengthModel, ParamId, Robot};
 /// Prior rows for the parameters `kept` of the analysis; `None` without a prior.
 pub(super) fn rows(
     robot: &Robot,
-    prior: &Prior,
+    options: &Options,
     analysis: &Analysis,
     kept: &[ParamId],
     nominal: &LengthModel,
 ) -> Option<PriorRows> {
-    if *prior == Prior::None {
+    if options.prior == Prior::None {
         return None;
     }
-    let bound: Vec<usize> = (0..kept.len()).filter(|&k| prior.sd(robot, kept[k]).is_some()).collect();
+    let bound: Vec<usize> = (0..kept.len()).filter(|&k| options.prior_sd(robot, kept[k]).is_some()).collect();
     let mut covariance = DMatrix::zeros(bound.len(), bound.len());
     for (place, &k) in bound.iter().enumerate() {
-        covariance[(place, place)] = prior.sd(robot, kept[k]).map_or(0.0, |sd| sd * sd);
+        covariance[(place, place)] = options.prior_sd(robot, kept[k]).map_or(0.0, |sd| sd * sd);
     }
     for (column, coefficients) in &analysis.base.dependent {
-        let Some(sd) = prior.sd(robot, analysis.ids[*column]) else { continue };
+        let Some(sd) = options.prior_sd(robot, analysis.ids[*column]) else { continue };
         let lean = DVector::from_fn(bound.len(), |place, _| {
             let id = kept[bound[place]];
             let at = analysis.base.kept.iter().position(|&k| analysis.ids[k] == id);

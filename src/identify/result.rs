@@ -25,6 +25,19 @@ pub struct Identification {
     pub converged: bool,
     /// Standard deviation of a length that the uncertainties use: given, or estimated from the residuals.
     pub sigma_mm: f64,
+    /// Where that comes from.
+    pub sigma_source: SigmaSource,
+    /// Degrees of freedom of an estimated sigma.
+    pub sigma_freedom: Option<f64>,
+    /// Half width of a 95 % interval in standard deviations: Student's where sigma was estimated, normal where it
+    /// was given; none where nothing is known of the lengths.
+    pub coverage_factor: Option<f64>,
+    /// The prior, where there was one.
+    pub prior: Option<PriorUsed>,
+    /// Whether each optional group was added, and why; empty where the user gave a list.
+    pub groups: Vec<GroupChoice>,
+    /// The Monte Carlo, when one was asked for.
+    pub monte_carlo: Option<MonteCarlo>,
     /// Residuals of the lengths.
     pub residual_mm: BeforeAfter,
     /// Held-out residuals by cross-validation, when it was done.
@@ -92,6 +105,80 @@ pub struct PredictedError {
     pub max: f64,
 }
 
+/// Where the lengths' standard deviation comes from.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum SigmaSource {
+    /// The user, or the data's `sigma_mm`.
+    Given,
+    /// The residuals.
+    Estimated,
+    /// Nobody: nothing is given, and no length is left over to tell it.
+    #[default]
+    Assumed,
+}
+
+/// A prior that was used.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PriorUsed {
+    /// `datasheet` or `file`.
+    pub source: String,
+    /// Factor on its standard deviations.
+    pub scale: f64,
+    /// The factors that were tried, when the scale was chosen by cross-validation.
+    pub tried: Vec<ScaleTried>,
+}
+
+/// A factor on the prior's standard deviations, and how well it does.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ScaleTried {
+    /// The factor.
+    pub scale: f64,
+    /// Root mean square of the held-out residuals, mm.
+    pub held_out_rms_mm: f64,
+}
+
+/// Whether an optional group was added.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct GroupChoice {
+    /// `compliance` or `gear`.
+    pub name: String,
+    /// Whether it is estimated.
+    pub added: bool,
+    /// F of the nested test, when it was tested,
+    pub f: Option<f64>,
+    /// its two degrees of freedom,
+    pub freedom: Option<[f64; 2]>,
+    /// and the probability that chance does as well.
+    pub p: Option<f64>,
+    /// Held-out residuals without and with the group, where F spoke for it.
+    pub held_out_mm: Option<WithoutWith>,
+    /// The predicted mean 3-D error without and with it, where the held-out residuals spoke for it too.
+    pub predicted_mm: Option<WithoutWith>,
+    /// In words.
+    pub text: String,
+}
+
+/// A quantity without and with an optional group, mm.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct WithoutWith {
+    /// Without the group.
+    pub without: f64,
+    /// With it.
+    pub with: f64,
+}
+
+/// A Monte Carlo of the uncertainties.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct MonteCarlo {
+    /// Trials asked for.
+    pub trials: usize,
+    /// Trials whose fit came to rest.
+    pub used: usize,
+    /// Parameters whose interval differs from the linear one by more than chance.
+    pub disagree: Vec<String>,
+}
+
 /// What became of a parameter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -125,10 +212,23 @@ pub struct ParameterResult {
     pub correction: f64,
     /// Standard deviation; none for what was not estimated.
     pub sd: Option<f64>,
+    /// 95 % interval of the value found.
+    pub interval95: Option<[f64; 2]>,
+    /// The same by Monte Carlo, when that was asked for.
+    pub monte_carlo: Option<ParameterDraws>,
     /// What became of it.
     pub status: Status,
     /// Why, in words.
     pub reason: String,
+}
+
+/// What the Monte Carlo gave for a parameter.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ParameterDraws {
+    /// Standard deviation.
+    pub sd: f64,
+    /// From the 2.5th to the 97.5th percentile of the value.
+    pub interval95: [f64; 2],
 }
 
 /// A direction of which only a combination can be told.

@@ -5,16 +5,17 @@ use std::collections::BTreeMap;
 use nalgebra::DMatrix;
 
 use super::covariance::{Spread, leaked, spread, weak_limit};
-use super::estimate::{Estimate, IdentifyError, Lengths, asked};
+use super::estimate::{Estimate, IdentifyError, Lengths};
 use super::options::{Options, Prior};
 use super::result::{
     BeforeAfter, Dependent, Folds, Identification, Outlier, ParameterResult, PredictedError, PredictedPair,
-    Residual, Status,
+    Residual, SigmaSource, Status,
 };
 use super::{ErrorMap, Identified, ResidualPair, verdict};
 use crate::identifiability::{Combination, ErrorSummary, Estimator, Workspace, factor};
 use crate::linalg::base_set;
-use crate::model::{LengthModel, Observations, ParamId, Reading, Robot, parameter};
+use crate::model::parameter::{self, SetUp};
+use crate::model::{LengthModel, Observations, ParamId, Reading, Robot};
 
 /// Poses over which the error is predicted when the user gives none, and their seed.
 const WORKSPACE_POSES: usize = 2000;
@@ -26,13 +27,13 @@ pub(super) fn summarise(
     observations: &Observations,
     start: &LengthModel,
     lengths: &Lengths,
-    estimate: Estimate,
+    estimate: &Estimate,
     folds: Option<Folds>,
     validation: Option<&Observations>,
     options: &Options,
 ) -> Result<Identified, IdentifyError> {
     let model = &estimate.fit.model;
-    let (used_readings, used_sigma) = used(lengths, &estimate);
+    let (used_readings, used_sigma) = used(lengths, estimate);
     let mut spread = spread(model, &used_readings, &estimate.kept, &used_sigma, estimate.prior.as_ref())
         .ok_or(IdentifyError::NotFinite)?;
     if estimate.prior.is_none() && !estimate.weak.is_empty() {
@@ -52,7 +53,8 @@ pub(super) fn summarise(
         })
         .collect();
     let nominal = nominal_model(robot, start);
-    let parameters = parameters(robot, &nominal, start, &estimate, &spread, options);
+    let set_up = SetUp { centres: start.centres.len(), bars: observations.bars() };
+    let parameters = parameters(robot, set_up, &nominal, start, estimate, &spread, options);
     let outliers = observations
         .rows
         .iter()
@@ -60,7 +62,7 @@ pub(super) fn summarise(
         .filter(|(_, residual)| !residual.used)
         .map(|(row, residual)| Outlier { index: row.index, centre: row.centre, residual_mm: residual.after })
         .collect();
-    let (predicted_pair, predicted) = predicted(robot, &estimate, &used_readings, &used_sigma, options)?;
+    let (predicted_pair, predicted) = predicted(robot, estimate, &used_readings, &used_sigma, options)?;
     let mut result = Identification {
         schema: 1,
         robot: robot.name.clone(),
@@ -75,6 +77,12 @@ pub(super) fn summarise(
             before: residual(residuals.iter().filter(|r| r.used).map(|r| r.before)),
             after: residual(residuals.iter().filter(|r| r.used).map(|r| r.after)),
         },
+        sigma_source: SigmaSource::default(),
+        sigma_freedom: None,
+        coverage_factor: None,
+        prior: None,
+        groups: Vec::new(),
+        monte_carlo: None,
         folds,
         validation: validation.map(|set| BeforeAfter {
             before: residual_on(&estimate.before, set),
@@ -82,12 +90,12 @@ pub(super) fn summarise(
         }),
         predicted_position_error_mm: predicted_pair,
         parameters,
-        dependent: dependent(&estimate),
+        dependent: dependent(estimate),
         outliers,
         warnings: Vec::new(),
     };
     result.warnings =
-        verdict::warnings(&result, &estimate, lengths, spread.parameters, options.follows_list());
+        verdict::warnings(&result, estimate, lengths, spread.parameters, options.follows_list());
     Ok(Identified {
         robot: identified_robot(robot, model),
         model: model.clone(),
@@ -100,7 +108,7 @@ pub(super) fn summarise(
 }
 
 /// The readings that the fit used, with their sigmas.
-fn used(lengths: &Lengths, estimate: &Estimate) -> (Vec<Reading>, Vec<f64>) {
+pub(super) fn used(lengths: &Lengths, estimate: &Estimate) -> (Vec<Reading>, Vec<f64>) {
     (0..lengths.readings.len())
         .filter(|&at| estimate.fit.used[at])
         .map(|at| (lengths.readings[at], estimate.sigma[at]))
@@ -131,17 +139,18 @@ fn rank_at(model: &LengthModel, readings: &[Reading], ids: &[ParamId]) -> Result
 /// Every parameter of the model with its fate.
 fn parameters(
     robot: &Robot,
+    set_up: SetUp,
     nominal: &LengthModel,
     start: &LengthModel,
     estimate: &Estimate,
     spread: &Spread,
     options: &Options,
 ) -> Vec<ParameterResult> {
-    let mut ids = parameter::all(&robot.parallel_joints(), start.centres.len());
+    let mut ids = parameter::all(&robot.parallel_joints(), set_up);
     ids.extend(&estimate.analysis.ids);
     ids.sort();
     ids.dedup();
-    let fate = Fate::new(robot, estimate, spread, options, start.centres.len());
+    let fate = Fate::new(robot, estimate, spread, options);
     ids.into_iter()
         .map(|id| {
             let (status, reason, sd) = fate.of(id);
@@ -154,6 +163,8 @@ fn parameters(
                 identified,
                 correction: identified - nominal.value(id),
                 sd,
+                interval95: None,
+                monte_carlo: None,
                 status,
                 reason,
             }
@@ -167,25 +178,17 @@ struct Fate<'a> {
     estimate: &'a Estimate,
     spread: &'a Spread,
     options: &'a Options,
-    asked: Vec<ParamId>,
     zero: Vec<ParamId>,
     combinations: Vec<Combination>,
 }
 
 impl<'a> Fate<'a> {
-    fn new(
-        robot: &'a Robot,
-        estimate: &'a Estimate,
-        spread: &'a Spread,
-        options: &'a Options,
-        centres: usize,
-    ) -> Self {
+    fn new(robot: &'a Robot, estimate: &'a Estimate, spread: &'a Spread, options: &'a Options) -> Self {
         Self {
             robot,
             estimate,
             spread,
             options,
-            asked: asked(robot, centres, options),
             zero: estimate.analysis.zero(),
             combinations: estimate.analysis.combinations(),
         }
@@ -197,7 +200,7 @@ impl<'a> Fate<'a> {
         }
         let (status, reason) = if self.options.hold.contains(&id) {
             (Status::Held, "held as asked".to_owned())
-        } else if !self.asked.contains(&id) {
+        } else if !self.estimate.analysis.ids.contains(&id) {
             (Status::Held, "not asked for".to_owned())
         } else if self.zero.contains(&id) {
             (Status::Held, "changes no length in these poses".to_owned())
@@ -237,6 +240,7 @@ fn with_unit(value: f64, id: ParamId) -> String {
     match id.unit() {
         _ if value.is_infinite() => "nothing known".into(),
         "rad" => format!("{:.3} mrad", value * 1e3),
+        "rad/Nm" => format!("{:.3} urad/(N m)", value * 1e6),
         unit => format!("{value:.3} {unit}"),
     }
 }
@@ -258,7 +262,7 @@ fn dependent(estimate: &Estimate) -> Vec<Dependent> {
 }
 
 /// The predicted 3-D errors of the nominal and the identified robot, and the latter's over the workspace.
-fn predicted(
+pub(super) fn predicted(
     robot: &Robot,
     estimate: &Estimate,
     readings: &[Reading],
@@ -269,7 +273,9 @@ fn predicted(
     ids.extend(&estimate.analysis.ids);
     ids.sort();
     ids.dedup();
-    let tolerances: Vec<f64> = ids.iter().map(|id| options.prior.sd(robot, *id).unwrap_or(0.0)).collect();
+    // What is optional counts as exact for both robots, as where it is not estimated.
+    let of = |id: &ParamId| if id.is_optional() { None } else { options.prior_sd(robot, *id) };
+    let tolerances: Vec<f64> = ids.iter().map(|id| of(id).unwrap_or(0.0)).collect();
     let kept: Vec<usize> =
         estimate.kept.iter().filter_map(|id| ids.iter().position(|other| other == id)).collect();
     let no_prior = DMatrix::zeros(0, kept.len());

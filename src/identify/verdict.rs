@@ -29,6 +29,17 @@ pub(super) fn warnings(
                 .into(),
         );
     }
+    let (left, promised) = (result.residual_mm.after.rms, result.predicted_position_error_mm.nominal.max);
+    if left > promised {
+        say(
+            WarningKind::Doubt,
+            format!(
+                "the lengths fit only to {left:.2} mm, while the nominal robot is not expected to be off by more than \
+                 {promised:.2} mm anywhere: lengths and poses do not belong together, or a base ball, the tool ball or \
+                 the robot is another one"
+            ),
+        );
+    }
     let share = result.outliers.len() as f64 / lengths.readings.len() as f64;
     if share > OUTLIER_SHARE {
         say(

@@ -9,6 +9,6 @@ mod svd;
 mod triangle;
 
 pub use base::{BaseSet, base_set};
-pub use parallel::map_pieces;
+pub use parallel::{map_items, map_pieces};
 pub use svd::{Svd, svd};
 pub use triangle::Triangle;

@@ -9,8 +9,20 @@ const PIECE: usize = 4096;
 /// Applies `work` to each piece of `items` (with the index of its first item), on all cores when
 /// there is more than one piece; the results come in order.
 pub fn map_pieces<T: Sync, R: Send>(items: &[T], work: impl Fn(usize, &[T]) -> R + Sync) -> Vec<R> {
+    in_pieces(items, PIECE, work)
+}
+
+/// Applies `work` to each of `items` that take long, on all cores; the results come in order.
+pub fn map_items<T: Sync, R: Send>(items: &[T], work: impl Fn(&T) -> R + Sync) -> Vec<R> {
+    in_pieces(items, 1, |_, piece| piece.iter().map(&work).collect::<Vec<R>>())
+        .into_iter()
+        .flatten()
+        .collect()
+}
+
+fn in_pieces<T: Sync, R: Send>(items: &[T], size: usize, work: impl Fn(usize, &[T]) -> R + Sync) -> Vec<R> {
     let pieces: Vec<(usize, &[T])> =
-        items.chunks(PIECE).enumerate().map(|(n, piece)| (n * PIECE, piece)).collect();
+        items.chunks(size).enumerate().map(|(n, piece)| (n * size, piece)).collect();
     let in_turn = || pieces.iter().map(|(first, piece)| work(*first, piece)).collect();
     // To ask for the number of cores costs more than a small piece of work.
     if pieces.len() < 2 {

@@ -33,6 +33,8 @@ mod column {
 pub struct LengthRow {
     /// Distance between the ball centres plus the bar offset, mm.
     pub length: f64,
+    /// The bar it was read with, from 0.
+    pub bar: usize,
     columns: [f64; column::COUNT],
 }
 
@@ -45,8 +47,8 @@ impl LengthRow {
         &self.columns
     }
 
-    /// Where the derivative by `id` stands. A centre's columns are those of the row's own base ball:
-    /// the derivative by another ball's centre is zero.
+    /// Where the derivative by `id` stands. A centre's columns are those of the row's own base ball, the
+    /// bar's that of its own bar: the derivatives by other balls and bars are zero.
     pub fn position(id: ParamId) -> usize {
         match id {
             ParamId::Alpha(i) => column::ALPHA + i,
@@ -56,7 +58,7 @@ impl LengthRow {
             ParamId::Beta(i) => column::BETA + i - 1,
             ParamId::Tool(axis) => column::TOOL + axis,
             ParamId::Centre(_, axis) => column::CENTRE + axis,
-            ParamId::BarOffset => column::BAR,
+            ParamId::BarOffset(_) => column::BAR,
             ParamId::Compliance(j) => column::COMPLIANCE + j - 2,
             ParamId::GearCos(j) => column::GEAR_COS + j - 1,
             ParamId::GearSin(j) => column::GEAR_SIN + j - 1,
@@ -206,7 +208,7 @@ impl<'a> Chain<'a> {
             columns[column::BAR] = 1.0;
             self.non_geometric(axes, turns, &mut columns);
         }
-        LengthRow { length: distance + bar_offset, columns }
+        LengthRow { length: distance + bar_offset, bar: 0, columns }
     }
 
     /// Compliance and gear error turn the joints: their columns are shares of theta's.

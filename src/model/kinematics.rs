@@ -105,6 +105,19 @@ impl Geometry {
         torques
     }
 
+    /// A bound on the gravity torque about each joint over all poses, N m: every mass at full stretch.
+    pub fn greatest_torques(&self) -> [f64; AXES] {
+        let mut torques = [0.0; AXES];
+        for mass in &self.masses {
+            let mut lever_mm = mass.centre.norm();
+            for joint in (0..mass.joint).rev() {
+                torques[joint] += GRAVITY * mass.kg * lever_mm * 1e-3;
+                lever_mm += self.rows[joint].a.hypot(self.rows[joint].d);
+            }
+        }
+        torques
+    }
+
     /// The flange (frame 6) in the robot base at the controller's axis angles, rad.
     pub fn flange(&self, axes: &[f64; AXES]) -> Pose {
         self.frames(&self.joint_angles(axes))[AXES - 1]
@@ -151,7 +164,7 @@ impl Geometry {
             ParamId::Compliance(j) => self.compliance[j - 1],
             ParamId::GearCos(j) => self.gear[j - 1][0],
             ParamId::GearSin(j) => self.gear[j - 1][1],
-            ParamId::Centre(..) | ParamId::BarOffset => return None,
+            ParamId::Centre(..) | ParamId::BarOffset(_) => return None,
         })
     }
 
@@ -167,7 +180,7 @@ impl Geometry {
             ParamId::Compliance(j) => &mut self.compliance[j - 1],
             ParamId::GearCos(j) => &mut self.gear[j - 1][0],
             ParamId::GearSin(j) => &mut self.gear[j - 1][1],
-            ParamId::Centre(..) | ParamId::BarOffset => return None,
+            ParamId::Centre(..) | ParamId::BarOffset(_) => return None,
         })
     }
 }

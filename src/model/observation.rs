@@ -12,6 +12,8 @@ pub struct Observation {
     pub index: u32,
     /// Number of the base ball, from 1.
     pub centre: usize,
+    /// Number of the bar that read it, from 1.
+    pub bar: usize,
     /// The controller's axis angles, degrees.
     pub axes_deg: [f64; AXES],
     /// Distance between the ball centres (bar length plus reading; longer is positive), mm.
@@ -42,9 +44,11 @@ pub struct Observations {
 const REQUIRED: [&str; 9] =
     ["index", "centre", "a1_deg", "a2_deg", "a3_deg", "a4_deg", "a5_deg", "a6_deg", "length_mm"];
 const SIGMA: &str = "sigma_mm";
+const BAR: &str = "bar";
 
 impl Observations {
-    /// Reads the CSV `index,centre,a1_deg,..,a6_deg,length_mm[,sigma_mm][,..]`; columns in any order.
+    /// Reads the CSV `index,centre,a1_deg,..,a6_deg,length_mm[,sigma_mm][,bar][,..]`; columns in any order,
+    /// an absent bar is bar 1.
     ///
     /// # Errors
     /// Names the line and column of what is missing, not a number, not finite, or impossible.
@@ -53,8 +57,9 @@ impl Observations {
         let header = reader.headers().map_err(|error| Diagnostic::csv(file, &error))?.clone();
         let places = find_columns(file, &header, &REQUIRED)?;
         let sigma = header.iter().position(|name| name == SIGMA);
-        let extra: Vec<usize> =
-            (0..header.len()).filter(|at| !places.contains(at) && Some(*at) != sigma).collect();
+        let bar = header.iter().position(|name| name == BAR);
+        let known = |at: &usize| places.contains(at) || Some(*at) == sigma || Some(*at) == bar;
+        let extra: Vec<usize> = (0..header.len()).filter(|at| !known(at)).collect();
         let mut rows = Vec::new();
         for record in reader.records() {
             let record = record.map_err(|error| Diagnostic::csv(file, &error))?;
@@ -79,6 +84,10 @@ impl Observations {
             rows.push(Observation {
                 index: cell.whole(places[0], 0)?,
                 centre: cell.whole(places[1], 1)? as usize,
+                bar: match bar {
+                    Some(at) if !record[at].is_empty() => cell.whole(at, 1)? as usize,
+                    _ => 1,
+                },
                 axes_deg,
                 length_mm,
                 sigma_mm,
@@ -89,7 +98,15 @@ impl Observations {
             return Err(Diagnostic::file(file, "holds no observation: only a header, or nothing"));
         }
         let extra_columns = extra.iter().map(|&at| header[at].to_owned()).collect();
-        Ok(Self { rows, extra_columns })
+        let set = Self { rows, extra_columns };
+        match (1..=set.bars()).find(|bar| set.rows.iter().all(|row| row.bar != *bar)) {
+            None => Ok(set),
+            Some(absent) => {
+                let message =
+                    format!("column `{BAR}`: the numbers must run 1, 2, ..: bar {absent} has no length");
+                Err(Diagnostic::file(file, message))
+            }
+        }
     }
 
     /// Reads only the axis angles (degrees) of a CSV with the columns a1_deg..a6_deg.
@@ -118,7 +135,11 @@ impl Observations {
 
     /// Writes the CSV; every number reads back bit for bit.
     pub fn to_csv(&self) -> String {
+        let bars = self.bars() > 1;
         let mut text = format!("{},{SIGMA}", REQUIRED.join(","));
+        if bars {
+            text.push_str(&format!(",{BAR}"));
+        }
         for name in &self.extra_columns {
             text.push_str(&format!(",{}", quoted(name)));
         }
@@ -130,12 +151,20 @@ impl Observations {
             }
             let sigma = row.sigma_mm.map_or(String::new(), |sigma| sigma.to_string());
             text.push_str(&format!(",{},{sigma}", row.length_mm));
+            if bars {
+                text.push_str(&format!(",{}", row.bar));
+            }
             for cell in &row.extra {
                 text.push_str(&format!(",{}", quoted(cell)));
             }
             text.push('\n');
         }
         text
+    }
+
+    /// The number of bars: the highest number of one.
+    pub fn bars(&self) -> usize {
+        self.rows.iter().map(|row| row.bar).max().unwrap_or(1)
     }
 
     /// The highest number of a base ball.

@@ -23,8 +23,8 @@ pub enum ParamId {
     Tool(usize),
     /// Base ball k (from 1), `centre<k>_x/_y/_z` in the robot base, mm.
     Centre(usize, usize),
-    /// Length offset of the bar, mm.
-    BarOffset,
+    /// Length offset of bar k (from 1), mm: `bar_offset` of the first, `bar_offset2`, .. of further ones.
+    BarOffset(usize),
     /// Joint compliance `compliance2..compliance5`, rad/(N m).
     Compliance(usize),
     /// Cosine part of the gear error of joint j, rad.
@@ -40,7 +40,7 @@ impl ParamId {
     pub fn unit(self) -> &'static str {
         match self {
             Self::Alpha(_) | Self::Theta(_) | Self::Beta(_) | Self::GearCos(_) | Self::GearSin(_) => "rad",
-            Self::A(_) | Self::D(_) | Self::Tool(_) | Self::Centre(..) | Self::BarOffset => "mm",
+            Self::A(_) | Self::D(_) | Self::Tool(_) | Self::Centre(..) | Self::BarOffset(_) => "mm",
             Self::Compliance(_) => "rad/Nm",
         }
     }
@@ -52,7 +52,12 @@ impl ParamId {
 
     /// Whether it belongs to the set-up (tool ball, base balls, bar) and not to the robot.
     pub fn is_setup(self) -> bool {
-        matches!(self, Self::Tool(_) | Self::Centre(..) | Self::BarOffset)
+        matches!(self, Self::Tool(_) | Self::Centre(..) | Self::BarOffset(_))
+    }
+
+    /// Whether it belongs to a group that is estimated only where the data carry it: compliance, gear error.
+    pub fn is_optional(self) -> bool {
+        matches!(self, Self::Compliance(_) | Self::GearCos(_) | Self::GearSin(_))
     }
 
     /// The 24 Denavit-Hartenberg parameters in canonical order.
@@ -75,7 +80,8 @@ impl fmt::Display for ParamId {
             Self::Beta(i) => write!(out, "beta{i}"),
             Self::Tool(axis) => write!(out, "tool_{}", AXIS_NAMES[axis]),
             Self::Centre(k, axis) => write!(out, "centre{k}_{}", AXIS_NAMES[axis]),
-            Self::BarOffset => write!(out, "bar_offset"),
+            Self::BarOffset(1) => write!(out, "bar_offset"),
+            Self::BarOffset(k) => write!(out, "bar_offset{k}"),
             Self::Compliance(j) => write!(out, "compliance{j}"),
             Self::GearCos(j) => write!(out, "gear{j}_cos"),
             Self::GearSin(j) => write!(out, "gear{j}_sin"),
@@ -96,7 +102,7 @@ pub struct UnknownParameter {
 impl UnknownParameter {
     fn new(word: &str) -> Self {
         let hint = "the names are alpha0..5, a0..5, theta1..6, d1..6, beta1..5, tool_x/_y/_z, centre<k>_x/_y/_z, \
-                    bar_offset, compliance2..5, gear1..6_cos/_sin; the groups geometric, tool, centres, bar, all, \
+                    bar_offset (bar_offset2, .. of further bars), compliance2..5, gear1..6_cos/_sin; the groups geometric, tool, centres, bar, all, \
                     compliance, gear; ranges as alpha1-5";
         Self { word: word.into(), hint: hint.into() }
     }
@@ -107,8 +113,10 @@ impl FromStr for ParamId {
 
     fn from_str(word: &str) -> Result<Self, UnknownParameter> {
         let unknown = || UnknownParameter::new(word);
-        if word == "bar_offset" {
-            return Ok(Self::BarOffset);
+        if let Some(digits) = word.strip_prefix("bar_offset") {
+            let further = || digits.parse().ok().filter(|k| *k > 1 && !digits.starts_with(['0', '+']));
+            let bar = if digits.is_empty() { Some(1) } else { further() };
+            return bar.map(Self::BarOffset).ok_or_else(unknown);
         }
         let split = word.find(|c: char| c.is_ascii_digit() || c == '_').ok_or_else(unknown)?;
         let (stem, rest) = word.split_at(split);
@@ -136,23 +144,70 @@ impl FromStr for ParamId {
     }
 }
 
-/// The parameters that a LIST may name, in canonical order, for a robot and `centres` base balls:
-/// the 24, the `betas` of its nominally parallel axes, tool, centres, bar.
-pub fn all(betas: &[usize], centres: usize) -> Vec<ParamId> {
+/// What stands around the robot: how many base balls, and how many bars of different length.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SetUp {
+    /// Base balls.
+    pub centres: usize,
+    /// Bars.
+    pub bars: usize,
+}
+
+impl SetUp {
+    /// # Errors
+    /// A parameter of a base ball or bar that is not there.
+    pub fn check(self, id: ParamId) -> Result<(), UnknownParameter> {
+        let hint = match id {
+            ParamId::Centre(k, _) if k > self.centres => {
+                format!("the data have {} base ball(s)", self.centres)
+            }
+            ParamId::BarOffset(k) if k > self.bars => format!("the data have {} bar(s)", self.bars),
+            _ => return Ok(()),
+        };
+        Err(UnknownParameter { word: id.to_string(), hint })
+    }
+}
+
+/// Base balls measured with one bar.
+impl From<usize> for SetUp {
+    fn from(centres: usize) -> Self {
+        Self { centres, bars: 1 }
+    }
+}
+
+/// The members of the optional group `compliance`.
+pub fn compliance() -> impl Iterator<Item = ParamId> {
+    (2..=5).map(ParamId::Compliance)
+}
+
+/// The members of the optional group `gear`.
+pub fn gear() -> impl Iterator<Item = ParamId> {
+    (1..=AXES).flat_map(|j| [ParamId::GearCos(j), ParamId::GearSin(j)])
+}
+
+/// The parameters that a LIST may name, in canonical order, for a robot in its set-up: the 24, the
+/// `betas` of its nominally parallel axes, tool, centres, bars. The optional groups are not among them.
+pub fn all(betas: &[usize], set_up: impl Into<SetUp>) -> Vec<ParamId> {
+    let SetUp { centres, bars } = set_up.into();
     ParamId::denavit_hartenberg()
         .chain(betas.iter().map(|&joint| ParamId::Beta(joint)))
         .chain((0..3).map(ParamId::Tool))
         .chain((1..=centres).flat_map(|k| (0..3).map(move |axis| ParamId::Centre(k, axis))))
-        .chain([ParamId::BarOffset])
+        .chain((1..=bars).map(ParamId::BarOffset))
         .collect()
 }
 
 /// Reads a LIST: names, ranges (`alpha1-5`) and groups, comma-separated; sorted, each once.
 ///
 /// # Errors
-/// A word that is neither, or a centre beyond `centres`.
-pub fn parse_list(list: &str, betas: &[usize], centres: usize) -> Result<Vec<ParamId>, UnknownParameter> {
-    let everything = all(betas, centres);
+/// A word that is neither, or a centre or bar that the set-up has not.
+pub fn parse_list(
+    list: &str,
+    betas: &[usize],
+    set_up: impl Into<SetUp>,
+) -> Result<Vec<ParamId>, UnknownParameter> {
+    let set_up = set_up.into();
+    let everything = all(betas, set_up);
     let mut chosen = Vec::new();
     for word in list.split(',').map(str::trim).filter(|word| !word.is_empty()) {
         match word {
@@ -160,11 +215,9 @@ pub fn parse_list(list: &str, betas: &[usize], centres: usize) -> Result<Vec<Par
             "geometric" => chosen.extend(everything.iter().filter(|id| id.is_geometric())),
             "tool" => chosen.extend((0..3).map(ParamId::Tool)),
             "centres" => chosen.extend(everything.iter().filter(|id| matches!(id, ParamId::Centre(..)))),
-            "bar" => chosen.push(ParamId::BarOffset),
-            "compliance" => chosen.extend((2..=5).map(ParamId::Compliance)),
-            "gear" => {
-                chosen.extend((1..=AXES).flat_map(|j| [ParamId::GearCos(j), ParamId::GearSin(j)]));
-            }
+            "bar" => chosen.extend((1..=set_up.bars).map(ParamId::BarOffset)),
+            "compliance" => chosen.extend(compliance()),
+            "gear" => chosen.extend(gear()),
             _ => match word.split_once('-') {
                 Some((first, last)) => chosen.extend(range(word, first, last)?),
                 None => chosen.push(word.parse()?),
@@ -173,13 +226,8 @@ pub fn parse_list(list: &str, betas: &[usize], centres: usize) -> Result<Vec<Par
     }
     chosen.sort();
     chosen.dedup();
-    match chosen.iter().find(|id| matches!(id, ParamId::Centre(k, _) if *k > centres)) {
-        Some(beyond) => Err(UnknownParameter {
-            word: beyond.to_string(),
-            hint: format!("the data have {centres} base ball(s)"),
-        }),
-        None => Ok(chosen),
-    }
+    chosen.iter().try_for_each(|id| set_up.check(*id))?;
+    Ok(chosen)
 }
 
 /// `alpha1-5`: the stem once, two numbers.

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use serde::Serialize;
 
+use super::choices::{self, Choices};
 use super::page::{Fact, Provenance, ReportError, render, texts};
 use super::parameters::{Group, charts, estimated, groups, word};
 use super::plot::{HeatMap, Histogram, PolarPlot, PolarTrace, ResidualPlot, ResidualPoint, Series};
@@ -77,6 +78,7 @@ struct Page<'a> {
     converged: bool,
     verdict: Vec<String>,
     facts: Vec<Fact>,
+    choices: Choices,
     comparison: Vec<Comparison>,
     polar: Vec<[String; 2]>,
     residuals: Vec<String>,
@@ -126,6 +128,7 @@ pub fn html(result: &Identification, plots: &IdentificationPlots) -> Result<Stri
         converged: result.converged,
         verdict: verdict(result),
         facts: facts(result, plots),
+        choices: choices::choices(result),
         comparison: comparison(result),
         polar: plots.circles.iter().filter_map(|circle| polar(circle, result, plots)).collect(),
         residuals: residuals(result, plots),
@@ -197,8 +200,7 @@ fn facts(result: &Identification, plots: &IdentificationPlots) -> Vec<Fact> {
         facts.push(Fact::new("At the reference pose", references.to_string()));
     }
     facts.push(Fact::new("Set aside as outliers", result.outliers.len().to_string()));
-    facts
-        .push(Fact::new("Standard deviation of a length", format!("{} mm", significant(result.sigma_mm, 3))));
+    facts.push(choices::sigma(result));
     facts.push(Fact::new(
         "Rank (nominal, at the solution)",
         format!("{}, {}", result.rank, result.rank_at_solution),

@@ -3,6 +3,7 @@
 //! The same input gives the same bytes. A page fetches nothing, runs no script, and follows the
 //! reader's choice of light or dark.
 
+mod choices;
 pub mod circle;
 pub mod identification;
 mod page;

@@ -7,9 +7,6 @@ use super::scale::{Unit, decimals, fixed, signed};
 use crate::identify::result::{ParameterResult, Status};
 use crate::model::ParamId;
 
-/// Half width of a 95 % interval in standard deviations.
-const NORMAL_95: f64 = 1.96;
-
 /// A table of parameters of one unit.
 #[derive(Serialize)]
 pub(super) struct Group {
@@ -29,6 +26,8 @@ struct Row {
     correction: String,
     sd: String,
     interval: String,
+    /// Standard deviation and interval by Monte Carlo.
+    drawn: Option<[String; 2]>,
     status: &'static str,
     class: &'static str,
     reason: String,
@@ -53,7 +52,7 @@ impl Kind {
 
     fn of(parameter: &ParameterResult) -> Self {
         match parameter.name.parse::<ParamId>() {
-            Ok(ParamId::Tool(_) | ParamId::BarOffset) => Self::Tool,
+            Ok(ParamId::Tool(_) | ParamId::BarOffset(_)) => Self::Tool,
             Ok(ParamId::Centre(..)) => Self::Centres,
             Ok(ParamId::A(_) | ParamId::D(_)) => Self::Lengths,
             Ok(ParamId::Compliance(_)) => Self::Compliance,
@@ -126,12 +125,15 @@ pub(super) fn groups(parameters: &[ParameterResult]) -> Vec<Group> {
 fn row(parameter: &ParameterResult, [value, small]: [Unit; 2], [long, short]: [usize; 2]) -> Row {
     let correction = parameter.correction * small.factor;
     let estimated = parameter.sd.is_some();
-    let (sd, interval) = match parameter.sd {
-        Some(sd) => {
-            let half = NORMAL_95 * sd * small.factor;
-            let [low, high] = [correction - half, correction + half].map(|end| signed(end, short));
-            (fixed(sd * small.factor, short), format!("{low} to {high}"))
+    let range = |interval: Option<[f64; 2]>| match interval {
+        Some(ends) => {
+            let [low, high] = ends.map(|end| signed((end - parameter.nominal) * small.factor, short));
+            format!("{low} to {high}")
         }
+        None => "–".into(),
+    };
+    let (sd, interval) = match parameter.sd {
+        Some(sd) => (fixed(sd * small.factor, short), range(parameter.interval95)),
         None => ("–".into(), "–".into()),
     };
     let sd_raw = parameter.sd.map_or("none".to_owned(), |sd| sd.to_string());
@@ -146,6 +148,9 @@ fn row(parameter: &ParameterResult, [value, small]: [Unit; 2], [long, short]: [u
         },
         sd,
         interval,
+        drawn: parameter
+            .monte_carlo
+            .map(|drawn| [fixed(drawn.sd * small.factor, short), range(Some(drawn.interval95))]),
         status: word(parameter.status),
         class: class(parameter.status),
         reason: parameter.reason.clone(),
@@ -171,7 +176,7 @@ pub(super) fn charts(parameters: &[ParameterResult], tolerance: Option<[f64; 2]>
                     Some(Interval {
                         name: member.name.clone(),
                         value: member.correction * small.factor,
-                        half_width: NORMAL_95 * member.sd? * small.factor,
+                        half_width: member.interval95.map(|[low, high]| 0.5 * (high - low) * small.factor)?,
                     })
                 })
                 .collect();

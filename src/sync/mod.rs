@@ -305,6 +305,7 @@ fn observation(input: &Input<'_>, row: &PlanRow, place: Option<CirclePlace>, dwe
     Observation {
         index: row.index,
         centre: row.centre as usize,
+        bar: 1,
         axes_deg: logged.copied().unwrap_or(row.axes_deg),
         length_mm: input.plan.header.job.bar.length_mm + dwell.reading_mm,
         sigma_mm: Some(dwell.u_mm.max(input.bar_sigma_mm)),

@@ -48,10 +48,11 @@ pub(crate) struct Circle {
     pub(crate) plane: Matrix3<f64>,
     pub(crate) centre: [f64; 3],
     pub(crate) number: usize,
+    pub(crate) radius: f64,
 }
 
 pub(crate) fn horizontal(number: usize, centre: [f64; 3]) -> Circle {
-    Circle { plane: Matrix3::identity(), centre, number }
+    Circle { plane: Matrix3::identity(), centre, number, radius: RADIUS }
 }
 
 pub(crate) fn tilted(degrees: f64) -> Circle {
@@ -65,6 +66,7 @@ pub(crate) fn three_planes(number: usize, centre: [f64; 3]) -> [Circle; 3] {
         plane,
         centre,
         number,
+        radius: RADIUS,
     })
 }
 
@@ -76,7 +78,7 @@ pub(crate) fn poses(robot: &Geometry, circle: &Circle, points: usize, amplitude_
     (0..points)
         .map(|i| {
             let t = std::f64::consts::TAU * i as f64 / points as f64;
-            let on_circle = circle.plane * Vector3::new(t.cos(), t.sin(), 0.0) * RADIUS;
+            let on_circle = circle.plane * Vector3::new(t.cos(), t.sin(), 0.0) * circle.radius;
             let ball = Pose {
                 position: Vector3::from(circle.centre) + on_circle,
                 rotation: rot_z(amplitude * (2.0 * t).sin())
@@ -99,6 +101,7 @@ pub(crate) fn measure(truth: &Robot, circles: &[Circle], points: usize, amplitud
             let mut row = Observation {
                 index: rows.len() as u32 + 1,
                 centre: circle.number,
+                bar: 1,
                 axes_deg,
                 length_mm: 0.0,
                 sigma_mm: None,

@@ -30,7 +30,7 @@ fn identified(true_robot: &Robot, circles: &[Circle], points: usize, prior: Prio
         .collect();
     centres.dedup_by_key(|centre| centre.id);
     // The bar's length is known: lengths about one value tell it and the robot's size only together.
-    let hold = vec![ParamId::BarOffset];
+    let hold = vec![ParamId::BarOffset(1)];
     let options = Options { sigma_mm: Some(SIGMA_MM), folds: Some(0), prior, hold, ..Options::default() };
     identify(&kr60(), &lengths, &centres, None, &options).unwrap().robot
 }

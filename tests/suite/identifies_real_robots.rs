@@ -46,6 +46,10 @@ fn three_balls_lower_the_residual_and_stay_plausible() {
         .filter(|p| p.unit == "mm" && !p.name.starts_with("centre") && !p.name.starts_with("tool"));
     assert!(corrections.clone().all(|p| p.correction.abs() < 2.0));
     assert!(result.parameters.iter().any(|p| p.status == Status::Dependent));
+    // A gear error would mimic what the model lacks: it explains lengths like these, not the workspace.
+    let gear = result.groups.iter().find(|group| group.name == "gear").unwrap();
+    assert!(!gear.added && gear.held_out_mm.unwrap().with < gear.held_out_mm.unwrap().without, "{gear:?}");
+    assert!(gear.text.contains("over the whole workspace it would cost accuracy"), "{}", gear.text);
 }
 
 #[test]

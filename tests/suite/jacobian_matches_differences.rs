@@ -15,7 +15,7 @@ proptest! {
         errors in proptest::collection::vec(-0.01f64..0.01, 52),
         centre in proptest::array::uniform3(-1500.0f64..1500.0),
     ) {
-        let mut model = LengthModel { geometry: kr60().geometry, centres: vec![Vector3::from(centre)], bar_offset: 0.0 };
+        let mut model = LengthModel { geometry: kr60().geometry, centres: vec![Vector3::from(centre)], bar_offsets: vec![] };
         model.geometry.masses = vec![
             Mass { joint: 2, kg: 100.0, centre: Vector3::new(400.0, 0.0, 50.0) },
             Mass { joint: 6, kg: 60.0, centre: Vector3::new(10.0, 20.0, 150.0) },

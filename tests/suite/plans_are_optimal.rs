@@ -182,5 +182,5 @@ fn lengths_are_learned_within_their_covariance() {
         assert!(off.abs() < 5.0 * sd + 0.002, "{off} {sd}");
         assert!(sd < belief.swing(&candidate.axes, 0).norm());
     }
-    assert!(learned.ids().contains(&ParamId::BarOffset));
+    assert!(learned.ids().contains(&ParamId::BarOffset(1)));
 }

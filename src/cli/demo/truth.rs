@@ -82,8 +82,7 @@ impl Truth {
         identified: &Robot,
     ) -> Result<Comparison, Diagnostic> {
         let nominal = identified.nominal.as_deref().unwrap_or(identified);
-        let mut model = LengthModel::new(self.robot.geometry.clone(), &self.centres);
-        model.bar_offset = 0.0;
+        let model = LengthModel::new(self.robot.geometry.clone(), &self.centres);
         let poses = Workspace::uniform(nominal, POSES, SEED);
         let balls = |geometry: &Geometry| -> Vec<Vector3<f64>> {
             poses.iter().map(|axes| geometry.ball(axes).position).collect()

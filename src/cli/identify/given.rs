@@ -84,7 +84,9 @@ impl Given {
         let Some((run, before)) = &mut self.joined else { return false };
         let model = &found.model;
         let length = |centre: usize, axes_deg: &[f64; AXES]| match model.centres.get(centre.wrapping_sub(1)) {
-            Some(centre) => model.geometry.length(&axes_deg.map(f64::to_radians), centre, model.bar_offset),
+            Some(centre) => {
+                model.geometry.length(&axes_deg.map(f64::to_radians), centre, model.bar_offset(0))
+            }
             None => f64::NAN,
         };
         let synced = run.observations(Some((length, (3.0 * found.result.sigma_mm).max(LEAST_SIGMA_MM))));
@@ -121,4 +123,16 @@ pub(super) fn check_centres(
         }
     }
     Ok(())
+}
+
+/// Observations that only check must be of the bars that were identified.
+pub(super) fn check_bars(file: &str, observations: &Observations, bars: usize) -> Result<(), Diagnostic> {
+    match observations.rows.iter().find(|row| row.bar > bars) {
+        Some(row) => {
+            let message =
+                format!("index {}: bar {} is not among the {bars} of the input", row.index, row.bar);
+            Err(Diagnostic::file(file, message))
+        }
+        None => Ok(()),
+    }
 }

@@ -6,6 +6,8 @@ use std::path::Path;
 
 use crate::cli::files;
 use crate::diag::Diagnostic;
+use crate::identify::PriorScale;
+use crate::model::parameter::SetUp;
 use crate::model::{AXES, Observations, ParamId};
 
 pub(super) fn parse_point(text: &str) -> Result<[f64; 3], String> {
@@ -23,8 +25,16 @@ pub(super) fn parse_positive(text: &str) -> Result<f64, String> {
     }
 }
 
+/// A factor, or `auto`.
+pub(super) fn parse_scale(text: &str) -> Result<PriorScale, String> {
+    match text {
+        "auto" => Ok(PriorScale::CrossValidated),
+        _ => parse_positive(text).map(PriorScale::By).map_err(|why| format!("`auto`, or {why}")),
+    }
+}
+
 /// A CSV `name,unit,sd`; a parameters.csv of an earlier identification is one.
-pub(super) fn read_prior(path: &Path) -> Result<BTreeMap<ParamId, f64>, Box<dyn Error>> {
+pub(super) fn read_prior(path: &Path, set_up: SetUp) -> Result<BTreeMap<ParamId, f64>, Box<dyn Error>> {
     let file = path.display().to_string();
     let text = files::read(path)?;
     let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(text.as_bytes());
@@ -43,13 +53,16 @@ pub(super) fn read_prior(path: &Path) -> Result<BTreeMap<ParamId, f64>, Box<dyn 
             continue;
         }
         let id: ParamId = record[name].parse().map_err(|e| Diagnostic::line(&file, line, format!("{e}")))?;
+        set_up.check(id).map_err(|e| Diagnostic::line(&file, line, format!("{e}")))?;
         if record[unit] != *id.unit() {
             let message = format!("`{id}` is in {}, not in `{}`", id.unit(), &record[unit]);
             return Err(Diagnostic::line(&file, line, message).into());
         }
         let value = parse_positive(&record[sd])
             .map_err(|why| Diagnostic::line(&file, line, format!("sd of `{id}`: {why}")))?;
-        prior.insert(id, value);
+        if prior.insert(id, value).is_some() {
+            return Err(Diagnostic::line(&file, line, format!("`{id}` stands there twice")).into());
+        }
     }
     Ok(prior)
 }

@@ -1,5 +1,6 @@
 //! `dbbd identify`: the robot's parameters from lengths.
 
+mod choices;
 mod given;
 mod inputs;
 mod page;
@@ -10,12 +11,13 @@ use std::path::{Path, PathBuf};
 
 use super::{Outcome, Output, Verdict, files};
 use crate::identify::result::{Identification, Status, WarningKind};
-use crate::identify::{self, Options, Prior};
-use crate::model::{Observations, Robot, parameter};
+use crate::identify::{self, Options, Prior, PriorScale};
+use crate::model::parameter::{self, SetUp};
+use crate::model::{Observations, Robot};
 pub(crate) use page::error_maps;
 
-use given::{Given, check_centres};
-use inputs::{parse_point, parse_positive, read_prior, read_workspace};
+use given::{Given, check_bars, check_centres};
+use inputs::{parse_point, parse_positive, parse_scale, read_prior, read_workspace};
 
 /// How often a capture is aligned anew with what was identified.
 const ALIGNMENTS: usize = 5;
@@ -23,8 +25,9 @@ const ALIGNMENTS: usize = 5;
 /// Identifies the robot's kinematic parameters from lengths and says which the data can tell.
 #[derive(clap::Args)]
 pub(crate) struct Args {
-    /// Observations CSV (index,centre,a1_deg,..,a6_deg,length_mm[,sigma_mm]), or a capture, which carries
-    /// the robot and the base balls of its plan.
+    /// Observations CSV (index,centre,a1_deg,..,a6_deg,length_mm[,sigma_mm][,bar]), or a capture, which carries
+    /// the robot and the base balls of its plan. `bar` numbers bars that have an offset each (1, 2, ..; absent =
+    /// 1). One bar set to two lengths keeps its number: then its offset can be told from a scale of the robot.
     input: PathBuf,
     /// Directory for result.json, parameters.csv, covariance.csv, robot-identified.toml, report.html.
     #[arg(long, value_name = "DIR")]
@@ -32,8 +35,10 @@ pub(crate) struct Args {
     /// Robot: a built-in name or a TOML file.
     #[arg(long, value_name = "NAME|FILE")]
     robot: Option<String>,
-    /// Parameters to estimate: names, ranges, groups (`alpha1-5,a1-5,d4-6`; geometric, tool, centres,
-    /// bar, all); without it, all that the data can tell. Followed as it is when there is no prior.
+    /// Parameters to estimate: names, ranges, groups (`alpha1-5,a1-5,d4-6`; geometric, tool, centres, bar, all;
+    /// compliance, gear); without it, all that the data can tell, and compliance (if the robot file has a [[mass]]
+    /// or [payload]) and gear error where an F-test, lengths held out and the predicted 3-D error speak for them. Followed as it is when
+    /// there is no prior.
     #[arg(long, value_name = "LIST")]
     estimate: Option<String>,
     /// Parameters to hold at their start values.
@@ -57,6 +62,14 @@ pub(crate) struct Args {
     /// What is known of the robot beforehand: the tolerance in its file, or a CSV name,unit,sd.
     #[arg(long, value_name = "none|datasheet|FILE", default_value = "none")]
     prior: String,
+    /// Factor on every standard deviation of the prior: above 1 the lengths count for more; `auto` takes the one
+    /// with which lengths held out are predicted best.
+    #[arg(long, value_name = "X|auto", default_value = "1", value_parser = parse_scale)]
+    prior_scale: PriorScale,
+    /// Draw the lengths anew N times and fit them: standard deviations and 95 % intervals without linearising
+    /// (GUM supplement 1), beside the linear ones; 100 to 1000000, usually 1000.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(100..=1_000_000))]
+    monte_carlo: Option<u32>,
     /// Poses (CSV a1_deg,..,a6_deg) over which the 3-D error is predicted, in place of 2000 within the limits.
     #[arg(long, value_name = "FILE.csv")]
     workspace: Option<PathBuf>,
@@ -64,12 +77,14 @@ pub(crate) struct Args {
 
 pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
     let mut given = Given::read(args, out)?;
-    let options = options(args, &given.robot, given.centres.len())?;
+    let set_up = SetUp { centres: given.centres.len(), bars: given.observations.bars() };
+    let options = options(args, &given.robot, set_up)?;
     let validation = match &args.validate {
         Some(path) => {
             let name = path.display().to_string();
             let set = Observations::from_csv(&name, &files::read(path)?)?;
             check_centres(&name, &set, &given.centres)?;
+            check_bars(&name, &set, given.observations.bars())?;
             Some(set)
         }
         None => None,
@@ -95,19 +110,21 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
     Ok(if doubt || given.lossy { Outcome::Doubt } else { Outcome::Done })
 }
 
-fn options(args: &Args, robot: &Robot, centres: usize) -> Result<Options, Box<dyn Error>> {
+fn options(args: &Args, robot: &Robot, set_up: SetUp) -> Result<Options, Box<dyn Error>> {
     let betas = robot.parallel_joints();
     let list = |text: &Option<String>| {
-        text.as_deref().map(|text| parameter::parse_list(text, &betas, centres)).transpose()
+        text.as_deref().map(|text| parameter::parse_list(text, &betas, set_up)).transpose()
     };
     Ok(Options {
         estimate: list(&args.estimate)?,
         hold: list(&args.hold)?.unwrap_or_default(),
         sigma_mm: args.sigma,
+        prior_scale: args.prior_scale,
+        monte_carlo: args.monte_carlo.map(|trials| trials as usize),
         prior: match args.prior.as_str() {
             "none" => Prior::None,
             "datasheet" => Prior::Datasheet,
-            file => Prior::Given(read_prior(Path::new(file))?),
+            file => Prior::Given(read_prior(Path::new(file), set_up)?),
         },
         folds: args.folds,
         workspace: args.workspace.as_deref().map(read_workspace).transpose()?,
@@ -122,12 +139,13 @@ fn say(out: &Output, result: &Identification, dir: &Path) {
         result.robot, result.observations, result.rank, result.condition, result.iterations
     ));
     out.result(format!(
-        "residual rms {} -> {}, largest {} -> {}, sigma {}",
+        "residual rms {} -> {}, largest {} -> {}, sigma {} ({})",
         mm(residual.before.rms),
         mm(residual.after.rms),
         mm(residual.before.max),
         mm(residual.after.max),
-        mm(result.sigma_mm)
+        mm(result.sigma_mm),
+        choices::source(result.sigma_source)
     ));
     if let Some(folds) = &result.folds {
         out.result(format!("held out in {} folds: rms {}", folds.folds, mm(folds.rms)));
@@ -135,6 +153,9 @@ fn say(out: &Output, result: &Identification, dir: &Path) {
     if let Some(validation) = &result.validation {
         let [before, after] = [validation.before.rms, validation.after.rms].map(mm);
         out.result(format!("validation: rms {before} -> {after}"));
+    }
+    for line in choices::lines(result) {
+        out.result(line);
     }
     let predicted = &result.predicted_position_error_mm;
     out.result(format!(

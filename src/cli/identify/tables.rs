@@ -23,6 +23,11 @@ pub(super) fn write_results(dir: &Path, found: &Identified) -> Result<(), Box<dy
         "sd",
         "status",
         "reason",
+        "low95",
+        "high95",
+        "mc_sd",
+        "mc_low95",
+        "mc_high95",
     ])?;
     for parameter in &result.parameters {
         table.serialize((
@@ -35,6 +40,9 @@ pub(super) fn write_results(dir: &Path, found: &Identified) -> Result<(), Box<dy
             parameter.sd,
             parameter.status,
             &parameter.reason,
+            ends(parameter.interval95),
+            parameter.monte_carlo.map(|drawn| drawn.sd),
+            ends(parameter.monte_carlo.map(|drawn| drawn.interval95)),
         ))?;
     }
     files::write(&dir.join("parameters.csv"), table.into_inner()?)?;
@@ -52,4 +60,9 @@ pub(super) fn write_results(dir: &Path, found: &Identified) -> Result<(), Box<dy
     }
     files::write(&dir.join("covariance.csv"), covariance)?;
     Ok(())
+}
+
+/// The ends of an interval as two cells, empty where there is none.
+fn ends(interval: Option<[f64; 2]>) -> [Option<f64>; 2] {
+    interval.map_or([None; 2], |ends| ends.map(Some))
 }

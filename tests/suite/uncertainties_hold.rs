@@ -1,0 +1,277 @@
+//! Intervals with the right degrees of freedom, Monte Carlo beside them, the prior's strength, and what happens
+//! at the edges: no spread, no lengths, only outliers, absurd sigmas.
+
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+
+use dbbd::identify::result::{Identification, SigmaSource, Status, Warning, WarningKind};
+use dbbd::model::Observations;
+use rand::{RngExt, SeedableRng};
+use rand_distr::{Distribution, StandardNormal};
+use rand_pcg::Pcg64;
+use tempfile::{TempDir, tempdir};
+
+use crate::cell::{CENTRE, DESIGNED, centres_csv, dbbd, measure, stderr, three_planes, with_errors};
+
+const THIRTEEN: [&str; 2] = ["--estimate", "alpha1-5,a1-5,d4-6"];
+
+fn lengths(points: usize, noise_mm: f64) -> Observations {
+    let mut random = Pcg64::seed_from_u64(11);
+    let mut data = measure(&with_errors(DESIGNED), &three_planes(1, CENTRE), points, 25.0);
+    for row in &mut data.rows {
+        let z: f64 = StandardNormal.sample(&mut random);
+        row.length_mm += noise_mm * z;
+    }
+    data
+}
+
+fn cell(data: &Observations) -> TempDir {
+    let dir = tempdir().unwrap();
+    fs::write(dir.path().join("obs.csv"), data.to_csv()).unwrap();
+    fs::write(dir.path().join("C.csv"), centres_csv(&three_planes(1, CENTRE))).unwrap();
+    dir
+}
+
+const BASE: [&str; 8] = ["identify", "obs.csv", "--robot", "kr60ha", "--centres", "C.csv", "--out", "out"];
+
+/// Exit code, result and what was said.
+fn run(dir: &Path, extra: &[&str]) -> (i32, Option<Identification>, String) {
+    let output = dbbd(dir, &[&BASE[..], extra].concat());
+    let text = fs::read_to_string(dir.join("out/result.json")).ok();
+    let said = String::from_utf8_lossy(&output.stdout).into_owned() + &stderr(&output);
+    assert!(!said.contains("panicked"), "{said}");
+    (output.status.code().unwrap(), text.map(|text| serde_json::from_str(&text).unwrap()), said)
+}
+
+fn identify(dir: &Path, extra: &[&str]) -> (Identification, String) {
+    let (code, result, said) = run(dir, extra);
+    assert!(matches!(code, 0 | 3), "{said}");
+    (result.unwrap(), said)
+}
+
+fn half_widths(result: &Identification) -> Vec<f64> {
+    let known = result.parameters.iter().filter_map(|p| Some((p.interval95?, p.sd?)));
+    known.map(|([low, high], sd)| 0.5 * (high - low) / sd).collect()
+}
+
+/// 81 lengths, 13 parameters: Student's t with 68 degrees of freedom has its 97.5 % point at 1.9955 (tables).
+#[test]
+fn intervals_are_students_where_sigma_is_estimated() {
+    let dir = cell(&lengths(27, 0.01));
+    let (estimated, said) = identify(dir.path(), &THIRTEEN);
+    assert_eq!((estimated.sigma_source, estimated.sigma_freedom), (SigmaSource::Estimated, Some(68.0)));
+    assert!(said.contains("(estimated)"), "{said}");
+    assert_eq!(half_widths(&estimated).len(), 13);
+    assert!(half_widths(&estimated).iter().all(|factor| (factor - 1.9955).abs() < 5e-5));
+    let report = fs::read_to_string(dir.path().join("out/report.html")).unwrap();
+    assert!(
+        report
+            .contains("1.995 sd (Student&#x27;s t with 68 degrees of freedom, because sigma was estimated)")
+    );
+
+    let (given, said) = identify(dir.path(), &[&THIRTEEN[..], &["--sigma", "0.01"]].concat());
+    assert_eq!((given.sigma_source, given.sigma_freedom), (SigmaSource::Given, None));
+    assert!(said.contains("(given)"), "{said}");
+    assert!(half_widths(&given).iter().all(|factor| (factor - 1.96).abs() < 5e-5));
+    let report = fs::read_to_string(dir.path().join("out/report.html")).unwrap();
+    assert!(report.contains("1.960 sd (normal, because sigma was given)"));
+    let table = fs::read_to_string(dir.path().join("out/parameters.csv")).unwrap();
+    assert!(table.lines().next().unwrap().ends_with(",reason,low95,high95,mc_sd,mc_low95,mc_high95"));
+
+    // Residuals that speak for sigma_mm leave it as given.
+    let mut sure = lengths(27, 0.01);
+    sure.rows.iter_mut().for_each(|row| row.sigma_mm = Some(0.01));
+    let (sure, _) = identify(cell(&sure).path(), &THIRTEEN);
+    assert_eq!((sure.sigma_source, sure.coverage_factor), (SigmaSource::Given, given.coverage_factor));
+}
+
+#[test]
+fn monte_carlo_agrees_where_lengths_are_linear() {
+    let dir = cell(&lengths(27, 0.01));
+    let (result, said) =
+        identify(dir.path(), &[&THIRTEEN[..], &["--sigma", "0.01", "--monte-carlo", "1000"]].concat());
+    assert!(said.contains("Monte Carlo, 1000 trials: the linear 95 % intervals hold"), "{said}");
+    for parameter in result.parameters.iter().filter(|p| p.status == Status::Identified) {
+        let drawn = parameter.monte_carlo.unwrap();
+        // The standard error of a standard deviation from 1000 draws is 1 / sqrt(2000).
+        assert!((drawn.sd / parameter.sd.unwrap() - 1.0).abs() < 4.0 / 2000f64.sqrt(), "{}", parameter.name);
+        assert!(drawn.interval95[0] < parameter.identified && parameter.identified < drawn.interval95[1]);
+    }
+    let report = fs::read_to_string(dir.path().join("out/report.html")).unwrap();
+    assert!(report.contains("Monte Carlo with 1000 trials: all intervals agree"));
+    assert!(report.contains("Monte Carlo<br>95 % interval"));
+    let table = fs::read_to_string(dir.path().join("out/parameters.csv")).unwrap();
+    let alpha1 = table.lines().find(|line| line.starts_with("alpha1,")).unwrap();
+    assert!(alpha1.rsplit(',').take(5).all(|cell| cell.parse::<f64>().is_ok()), "{alpha1}");
+}
+
+/// What the linear figures hold besides noise is drawn too: sigma's own uncertainty, weak parameters that are
+/// held, the prior.
+#[test]
+fn monte_carlo_draws_all_that_the_linear_figures_count() {
+    let dir = cell(&lengths(14, 0.01));
+    for extra in [vec![], vec!["--prior", "datasheet"]] {
+        let (result, said) =
+            identify(dir.path(), &[&extra[..], &["--monte-carlo", "2000", "--folds", "0"]].concat());
+        assert!(result.monte_carlo.as_ref().unwrap().disagree.is_empty(), "{said}");
+        for parameter in &result.parameters {
+            let (Some(drawn), Some(linear)) = (parameter.monte_carlo, parameter.interval95) else { continue };
+            let share = (drawn.interval95[1] - drawn.interval95[0]) / (linear[1] - linear[0]);
+            assert!((share - 1.0).abs() < 0.15, "{extra:?} {}: {share}", parameter.name);
+        }
+    }
+}
+
+/// A sigma as large as a fifth of the bar: the ball lies on a sphere, not on its tangent.
+#[test]
+fn monte_carlo_says_where_lengths_bend() {
+    let dir = cell(&lengths(5, 0.01));
+    let options = ["--estimate", "centres,tool", "--sigma", "60", "--monte-carlo", "1000", "--folds", "0"];
+    let (result, said) = identify(dir.path(), &options);
+    let disagree = &result.monte_carlo.as_ref().unwrap().disagree;
+    assert!(!disagree.is_empty(), "{:?}", result.parameters);
+    assert!(said.contains("the linear 95 % intervals do not hold for"), "{said}");
+    assert!(
+        result.warnings.iter().any(|w| w.text.contains("Monte Carlo and linear 95 % intervals disagree for"))
+    );
+    let report = fs::read_to_string(dir.path().join("out/report.html")).unwrap();
+    assert!(report.contains("differ from the linear ones"));
+
+    // Ten bars of noise: many draws have no minimum near.
+    let options = ["--estimate", "centres,tool", "--sigma", "3000", "--monte-carlo", "300", "--folds", "0"];
+    let (code, result, said) = run(dir.path(), &options);
+    let drawn = result.unwrap().monte_carlo.unwrap();
+    assert!(code == 3 && drawn.used < drawn.trials, "{said}");
+    assert!(said.contains("of 300 Monte Carlo fits did not come to rest and do not count"), "{said}");
+}
+
+#[test]
+fn monte_carlo_is_the_same_on_one_core() {
+    let dir = cell(&lengths(9, 0.01));
+    let options = [&THIRTEEN[..], &["--monte-carlo", "300", "--folds", "0"]].concat();
+    run(dir.path(), &options);
+    let both = fs::read(dir.path().join("out/result.json")).unwrap();
+    let pinned = Command::new("taskset")
+        .args(["-c", "0", env!("CARGO_BIN_EXE_dbbd")])
+        .args([&BASE[..], &options].concat())
+        .current_dir(dir.path())
+        .output();
+    let Ok(pinned) = pinned else {
+        eprintln!("skipped: there is no taskset");
+        return;
+    };
+    assert!(matches!(pinned.status.code(), Some(0 | 3)), "{}", stderr(&pinned));
+    assert_eq!(both, fs::read(dir.path().join("out/result.json")).unwrap());
+}
+
+/// A robot ten times worse than its datasheet: cross-validation loosens the prior, and the result is better.
+#[test]
+fn the_prior_gives_way_where_held_out_lengths_say_so() {
+    let mut random = Pcg64::seed_from_u64(5);
+    let truth = with_errors(DESIGNED.map(|(name, error)| (name, 4.0 * error)));
+    let mut data = measure(&truth, &three_planes(1, CENTRE), 30, 25.0);
+    for row in &mut data.rows {
+        let z: f64 = StandardNormal.sample(&mut random);
+        row.length_mm += 0.3 * z;
+    }
+    let dir = cell(&data);
+    let (plain, _) = identify(dir.path(), &["--prior", "datasheet", "--folds", "5"]);
+    assert_eq!(
+        plain.prior.as_ref().map(|prior| (prior.source.as_str(), prior.scale)),
+        Some(("datasheet", 1.0))
+    );
+    let (auto, said) =
+        identify(dir.path(), &["--prior", "datasheet", "--prior-scale", "auto", "--folds", "5"]);
+    let prior = auto.prior.unwrap();
+    assert!(prior.scale > 1.0 && prior.tried.len() == 9, "{prior:?}");
+    assert!(
+        said.contains(&format!(
+            "prior scale {} by cross-validation over 9 values: held-out rms",
+            prior.scale
+        )),
+        "{said}"
+    );
+    assert!(auto.folds.unwrap().rms < plain.folds.unwrap().rms);
+    let report = fs::read_to_string(dir.path().join("out/report.html")).unwrap();
+    assert!(report.contains("chosen by cross-validation") && report.contains("taken"));
+
+    let scaled = format!("{}", prior.scale);
+    let (fixed, _) =
+        identify(dir.path(), &["--prior", "datasheet", "--prior-scale", &scaled, "--folds", "5"]);
+    assert_eq!(fixed.parameters, auto.parameters);
+    for wrong in ["0", "-1", "soft"] {
+        let (code, _, said) = run(dir.path(), &["--prior", "datasheet", "--prior-scale", wrong]);
+        assert_eq!(code, 2, "{said}");
+    }
+}
+
+#[test]
+fn prior_files_are_checked() {
+    let dir = cell(&lengths(9, 0.01));
+    for (text, words) in [
+        ("name,unit,sd\nalpha9,rad,0.001\n", "prior.csv:2: `alpha9` is not a parameter"),
+        (
+            "name,unit,sd\na1,mm,0.1\ncentre2_x,mm,1\n",
+            "prior.csv:3: `centre2_x` is not a parameter: the data have 1",
+        ),
+        ("name,unit,sd\na1,rad,0.1\n", "prior.csv:2: `a1` is in mm, not in `rad`"),
+        ("name,unit,sd\na1,mm,-0.1\n", "prior.csv:2: sd of `a1`"),
+        ("name,unit,sd\na1,mm,0.1\na1,mm,0.2\n", "prior.csv:3: `a1` stands there twice"),
+        ("name,sd\na1,0.1\n", "prior.csv:1: the column `unit` is missing"),
+    ] {
+        fs::write(dir.path().join("prior.csv"), text).unwrap();
+        let (code, _, said) = run(dir.path(), &["--prior", "prior.csv"]);
+        assert_eq!(code, 1, "{said}");
+        assert!(said.contains(words), "`{words}` is not in: {said}");
+    }
+}
+
+#[test]
+fn lengths_without_sense_are_doubted() {
+    let mut random = Pcg64::seed_from_u64(3);
+    let mut data = lengths(20, 0.01);
+    data.rows.iter_mut().for_each(|row| row.length_mm = random.random_range(50.0..900.0));
+    for extra in [vec![], vec!["--prior", "datasheet"], THIRTEEN.to_vec()] {
+        let (code, result, said) = run(cell(&data).path(), &extra);
+        assert_eq!(code, 3, "{extra:?}: {said}");
+        let doubted = |w: &Warning| w.kind == WarningKind::Doubt && w.text.contains("do not belong together");
+        assert!(result.unwrap().warnings.iter().any(doubted), "{extra:?}: {said}");
+    }
+}
+
+/// A sigma far too small is a doubt, one far too large leaves everything as it was; neither is a crash.
+#[test]
+fn absurd_sigmas_are_said() {
+    let dir = cell(&lengths(27, 0.01));
+    let (code, _, said) = run(dir.path(), &["--sigma", "1e-12", "--folds", "0"]);
+    assert_eq!(code, 3, "{said}");
+    assert!(
+        said.contains("times as large as the given sigma: the model lacks something, or sigma is too small")
+    );
+    let (_, result, said) = run(dir.path(), &["--sigma", "1e9", "--folds", "0"]);
+    let result = result.unwrap();
+    assert!(result.parameters.iter().all(|p| p.status != Status::Identified
+        || p.name.starts_with("centre")
+        || p.name.starts_with("tool")));
+    assert!(said.contains("do not pin the position"), "{said}");
+    for sigma in ["0", "nan", "inf", "one"] {
+        assert_eq!(run(dir.path(), &["--sigma", sigma]).0, 2, "{sigma}");
+    }
+    let mut wide = lengths(27, 0.01);
+    wide.rows.iter_mut().for_each(|row| row.sigma_mm = Some(1e200));
+    let (code, _, said) = run(cell(&wide).path(), &["--folds", "0"]);
+    assert!(matches!(code, 1 | 3), "{said}");
+}
+
+/// As many lengths as parameters: an answer, but no interval, since nothing tells sigma.
+#[test]
+fn no_interval_without_a_sigma() {
+    let mut few = lengths(27, 0.0);
+    few.rows.truncate(13);
+    let (code, result, said) = run(cell(&few).path(), &THIRTEEN);
+    let result = result.unwrap();
+    assert_eq!((code, result.sigma_source), (3, SigmaSource::Assumed), "{said}");
+    assert!(said.contains("leave nothing to check the result by") && said.contains("(assumed)"), "{said}");
+    assert!(result.parameters.iter().all(|parameter| parameter.interval95.is_none()));
+}
