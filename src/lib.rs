@@ -30,6 +30,7 @@ pub mod circular;
 pub mod identify;
 
 // Telling.
+pub mod live;
 pub mod report;
 
 // Standing in, and wiring.

@@ -1,7 +1,8 @@
 //! `dbbd acquire`: the bar's lengths into a capture.
 
 #[cfg(unix)]
-mod simulated;
+pub(super) mod simulated;
+mod view;
 
 use std::error::Error;
 use std::path::PathBuf;
@@ -11,7 +12,9 @@ use indicatif::{ProgressBar, ProgressStyle};
 
 use super::{Outcome, Output, Verdict, protocols};
 use crate::clock;
-use crate::daemon::{Acquisition, Attachments, Ending, Options, Progress, Summary, stop_on_signal, zero};
+use crate::daemon::{
+    Acquisition, Attachments, Ending, Options, Outlook, Progress, Summary, stop_on_signal, zero,
+};
 use crate::port::{self, Latency};
 use crate::units::HostNs;
 
@@ -67,7 +70,7 @@ fn seconds(text: &str) -> Result<f64, String> {
 pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
     #[cfg(unix)]
     if args.port == "sim" {
-        let cell = simulated::Cell::start(args.plan.as_deref(), out)?;
+        let cell = simulated::Cell::start(args.plan.as_deref(), "0", out)?;
         let verdict =
             record(&Args { port: cell.port().into(), plan: Some(cell.plan().into()), ..args.clone() }, out)?;
         return cell.finish().map(|()| verdict);
@@ -105,15 +108,16 @@ fn record(args: &Args, out: &Output) -> Verdict {
         attachments,
         duration_s: args.duration,
         gone_s: args.gone,
+        feed: None,
     };
     let acquisition = Acquisition::start(options, stop)?;
     out.progress(format!("reading {} into {}", args.port, args.out.display()));
-    watch(&acquisition, out)?;
+    watch(&acquisition, &view::outlook(args.plan.as_deref()), out)?;
     conclude(&acquisition.join()?, args, out)
 }
 
 /// Shows how the run goes until it is over.
-fn watch(acquisition: &Acquisition, out: &Output) -> Result<(), Box<dyn Error>> {
+fn watch(acquisition: &Acquisition, outlook: &Outlook, out: &Output) -> Result<(), Box<dyn Error>> {
     let line = out.decorated().then(ProgressBar::new_spinner);
     if let Some(line) = &line {
         line.set_style(ProgressStyle::with_template("{spinner} {msg}")?);
@@ -124,7 +128,7 @@ fn watch(acquisition: &Acquisition, out: &Output) -> Result<(), Box<dyn Error>> 
         clock::sleep(0.05);
         let progress = acquisition.progress();
         if let Some(line) = &line {
-            line.set_message(status(&progress));
+            line.set_message(view::lines(&progress, outlook));
         } else if said.is_none_or(|at| clock::now().seconds_since(at) >= LINE_EVERY_S) {
             if said.is_some() {
                 out.progress(status(&progress));
@@ -143,22 +147,27 @@ fn status(progress: &Progress) -> String {
         return format!("{:.0} s: the port is gone, waiting for it", progress.elapsed_s);
     }
     let reading = progress.reading_mm.map_or("no reading yet".into(), |mm| format!("{mm:+.4} mm"));
-    let mut line = format!(
-        "{:.0} s: {reading}, {:.0} Hz, {} dwells, {} bytes",
-        progress.elapsed_s, progress.rate_hz, progress.dwells, progress.bytes
-    );
-    for (count, what) in [
+    format!(
+        "{:.0} s: {reading}, {:.0} Hz, {} dwells, {} bytes{}",
+        progress.elapsed_s,
+        progress.rate_hz,
+        progress.dwells,
+        progress.bytes,
+        losses(progress)
+    )
+}
+
+/// What was lost or spoiled so far; nothing where there is nothing.
+fn losses(progress: &Progress) -> String {
+    let counts = [
         (progress.gaps, "gaps"),
         (progress.missing, "samples missing"),
         (progress.faults, "faults"),
         (progress.unanswered, "requests unanswered"),
         (progress.lost_bytes, "bytes lost"),
-    ] {
-        if count > 0 {
-            line.push_str(&format!(", {count} {what}"));
-        }
-    }
-    line
+    ];
+    let found = counts.into_iter().filter(|(count, _)| *count > 0);
+    found.map(|(count, what)| format!(", {count} {what}")).collect()
 }
 
 /// Says what the run gave, and whether something of it is to be doubted.

@@ -21,6 +21,7 @@ mod protocols;
 mod recover;
 mod robots;
 mod run;
+mod serve;
 #[cfg(unix)]
 mod simulate;
 mod sync;
@@ -78,6 +79,8 @@ enum Verb {
     Circle(circle::Args),
     /// Correct the points of a program for an identified robot.
     Compensate(compensate::Args),
+    /// Serve the live page and the HTTP API for one bar.
+    Serve(serve::Args),
     /// Run the whole job with no hardware.
     #[cfg(unix)]
     Demo(demo::Args),
@@ -125,6 +128,7 @@ pub fn main() -> ExitCode {
         Verb::Identify(args) => identify::run(args, &out),
         Verb::Circle(args) => circle::run(args, &out),
         Verb::Compensate(args) => compensate::run(args, &out),
+        Verb::Serve(args) => serve::run(args, &out),
         #[cfg(unix)]
         Verb::Demo(args) => demo::run(args, &out),
         Verb::Info(args) => info::run(args, &out),

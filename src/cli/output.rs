@@ -9,6 +9,7 @@ use serde::Serialize;
 use super::{Common, Outcome, Verdict};
 
 /// Where a verb says things.
+#[derive(Clone, Copy)]
 pub(crate) struct Output {
     common: Common,
 }
@@ -53,6 +54,11 @@ impl Output {
     /// What the user must see, on stderr; also under `--quiet`.
     pub(crate) fn warning(&self, line: impl AsRef<str>) {
         write_line(&mut io::stderr(), &format!("warning: {}", line.as_ref()));
+    }
+
+    /// A line on stderr, as it is; also under `--quiet`.
+    pub(crate) fn always(&self, line: impl AsRef<str>) {
+        write_line(&mut io::stderr(), line.as_ref());
     }
 
     /// Whether stderr is a terminal on which bars and colour are wanted.

@@ -12,6 +12,7 @@ use thiserror::Error;
 
 use super::asking::Asking;
 use super::attachments::Attachments;
+use super::feed::Feed;
 use super::marks::Marks;
 use super::recorder::Recorder;
 use super::session::{self, Opened};
@@ -25,7 +26,7 @@ use crate::units::HostNs;
 const LONGEST_BACKOFF_S: f64 = 0.5;
 
 /// What a run is to do.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 pub struct Options {
     /// The port as the user named it.
     pub port: String,
@@ -39,6 +40,8 @@ pub struct Options {
     pub duration_s: Option<f64>,
     /// Ends the run when the port has been away for so many seconds.
     pub gone_s: f64,
+    /// Shows the run to those who look on.
+    pub feed: Option<Feed>,
 }
 
 /// How a run is going.
@@ -123,6 +126,8 @@ pub struct Acquisition {
 
 struct Shared {
     progress: Mutex<Progress>,
+    /// Remarks that are to be written.
+    remarks: Mutex<Vec<String>>,
     stop: Arc<AtomicBool>,
 }
 
@@ -131,7 +136,7 @@ impl Acquisition {
     ///
     /// # Errors
     /// When the port cannot be opened or the capture not be made.
-    pub fn start(options: Options, stop: Arc<AtomicBool>) -> Result<Self, AcquireError> {
+    pub fn start(mut options: Options, stop: Arc<AtomicBool>) -> Result<Self, AcquireError> {
         let now = clock::now();
         if options.out.exists() {
             return Err(WriteError::Exists(options.out).into());
@@ -141,6 +146,7 @@ impl Acquisition {
         let writer = Writer::create(&options.out)?;
         let marks = Marks::new(options.attachments.modules);
         let mut recorder = Recorder::new(writer, &options.definition, marks, now);
+        recorder.feed = options.feed.take();
         let version = env!("CARGO_PKG_VERSION").to_owned();
         recorder.event(now, Event::Started { unix_ns: clock::unix_ns(), version })?;
         for (name, content) in &options.attachments.files {
@@ -148,7 +154,7 @@ impl Acquisition {
         }
         recorder.attach(now, "protocol.toml", options.definition.text.as_bytes())?;
         let port = begin(&mut recorder, &options.port, opened)?;
-        let shared = Arc::new(Shared { progress: Mutex::default(), stop });
+        let shared = Arc::new(Shared { progress: Mutex::default(), remarks: Mutex::default(), stop });
         let identity = port::identity(&options.port);
         let run = Run { options, identity, recorder, shared: Arc::clone(&shared), began: now };
         let recorder = std::thread::spawn(move || run.whole(port));
@@ -158,6 +164,11 @@ impl Acquisition {
     /// How it is going.
     pub fn progress(&self) -> Progress {
         *self.shared.progress.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Writes a remark into the capture.
+    pub fn mark(&self, text: String) {
+        self.shared.remarks.lock().unwrap_or_else(PoisonError::into_inner).push(text);
     }
 
     /// Whether it is over.
@@ -320,6 +331,10 @@ impl Run {
     }
 
     fn tell(&mut self, gone: bool) -> Result<(), AcquireError> {
+        let remarks = std::mem::take(&mut *self.shared.remarks.lock().unwrap_or_else(PoisonError::into_inner));
+        for text in remarks {
+            self.recorder.event(clock::now(), Event::Mark { text })?;
+        }
         self.recorder.tick(clock::now())?;
         let progress = Progress { gone, ..self.recorder.progress };
         *self.shared.progress.lock().unwrap_or_else(PoisonError::into_inner) = progress;

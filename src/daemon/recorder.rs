@@ -1,6 +1,7 @@
 //! Writes what arrives, raw first, then what it decodes to, and counts.
 
 use super::acquisition::Progress;
+use super::feed::Feed;
 use super::marks::{DeviceTime, Marks};
 use crate::capture::{Event, Record, WriteError, Writer};
 use crate::protocol::{Decoded, Decoder, Definition, FaultKind, Sample};
@@ -33,6 +34,8 @@ pub(super) struct Recorder {
     sync_frames: u32,
     began: HostNs,
     pub(super) progress: Progress,
+    /// Who looks on.
+    pub(super) feed: Option<Feed>,
 }
 
 impl Recorder {
@@ -58,6 +61,7 @@ impl Recorder {
             sync_frames: definition.sync_frames,
             began: now,
             progress: Progress::default(),
+            feed: None,
         }
     }
 
@@ -177,6 +181,9 @@ impl Recorder {
         self.progress.device_s = device;
         self.progress.dwells = self.marks.dwells();
         self.progress.modules = self.marks.ends();
+        if let Some(feed) = &mut self.feed {
+            feed.sample(host, device, sample, self.progress.dwells);
+        }
         Ok(())
     }
 
@@ -207,6 +214,9 @@ impl Recorder {
     /// Once a second the disk is made to hold what was written, and the rate is taken.
     pub(super) fn tick(&mut self, now: HostNs) -> Result<(), WriteError> {
         self.progress.elapsed_s = now.seconds_since(self.began);
+        if let Some(feed) = &mut self.feed {
+            feed.tick(now);
+        }
         let since = now.seconds_since(self.rate_since);
         if since >= 1.0 {
             self.progress.rate_hz = (self.progress.samples - self.rate_samples) as f64 / since;

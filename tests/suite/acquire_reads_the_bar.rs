@@ -284,6 +284,7 @@ fn a_bar_that_goes_away_for_good_ends_the_run() {
         attachments: daemon::Attachments::default(),
         duration_s: None,
         gone_s: 0.3,
+        feed: None,
     };
     let acquisition = daemon::Acquisition::start(options, Arc::default()).unwrap();
     drop(terminal);

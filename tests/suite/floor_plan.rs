@@ -107,6 +107,18 @@ fn every_room_stands_in_the_table() {
 }
 
 #[test]
+fn the_web_framework_stays_in_its_room() {
+    for (room, _) in TABLE.iter().filter(|(room, _)| *room != "live") {
+        for path in sources(room).into_iter().chain(sources("cli")) {
+            let text = fs::read_to_string(&path).unwrap();
+            for word in ["axum::", "hyper::", "hyper_util::"] {
+                assert!(!text.contains(word), "{} uses {word}", path.display());
+            }
+        }
+    }
+}
+
+#[test]
 fn pure_rooms_touch_nothing_outside() {
     let forbidden = [
         "std::fs",

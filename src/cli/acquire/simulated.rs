@@ -8,7 +8,7 @@ use crate::cli::child::{Simulator, Steps};
 use crate::cli::{Output, demo, files};
 
 /// A simulator that runs a plan.
-pub(super) struct Cell {
+pub(crate) struct Cell {
     simulator: Simulator,
     plan: PathBuf,
     directory: Directory,
@@ -25,11 +25,12 @@ impl Drop for Directory {
 }
 
 impl Cell {
-    /// Starts the simulator on `plan`, or on the demo's.
+    /// Starts the simulator on `plan`, or on the demo's; `speed` is device time in host time, 0 for as
+    /// fast as the bytes are taken.
     ///
     /// # Errors
     /// When a step on the way to its programs fails.
-    pub(super) fn start(plan: Option<&Path>, out: &Output) -> Result<Self, Box<dyn Error>> {
+    pub(crate) fn start(plan: Option<&Path>, speed: &str, out: &Output) -> Result<Self, Box<dyn Error>> {
         let directory = Directory(std::env::temp_dir().join(format!("dbbd-sim-{}", process::id())));
         files::directory(&directory.0)?;
         let steps = Steps::new(&directory.0, out)?;
@@ -44,17 +45,17 @@ impl Cell {
             }
         };
         steps.run(&["krl", &plan.display().to_string(), "--out", "krl"])?;
-        let simulator = steps.start(&["simulate", "--program", "krl/DBB_MAIN.src", "--speed", "0"])?;
+        let simulator = steps.start(&["simulate", "--program", "krl/DBB_MAIN.src", "--speed", speed])?;
         Ok(Self { simulator, plan, directory })
     }
 
     /// Name of the virtual bar's pty.
-    pub(super) fn port(&self) -> &str {
+    pub(crate) fn port(&self) -> &str {
         self.simulator.port()
     }
 
     /// The plan that it runs.
-    pub(super) fn plan(&self) -> &Path {
+    pub(crate) fn plan(&self) -> &Path {
         &self.plan
     }
 
@@ -62,7 +63,7 @@ impl Cell {
     ///
     /// # Errors
     /// When it failed.
-    pub(super) fn finish(self) -> Result<(), Box<dyn Error>> {
+    pub(crate) fn finish(self) -> Result<(), Box<dyn Error>> {
         let Self { simulator, plan: _, directory: _directory } = self;
         simulator.finish()
     }

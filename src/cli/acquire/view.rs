@@ -1,0 +1,72 @@
+//! How a run looks on a terminal: length against stroke, poses, gaps.
+
+use std::path::Path;
+
+use crate::cli::files;
+use crate::daemon::{ALARM_SHARE, Outlook, Progress};
+use crate::live::Alarm;
+use crate::plan::Plan;
+
+/// Width of the gauge in characters.
+const WIDTH: usize = 41;
+
+/// What the plan says about the run; nothing where it cannot be read, which is told elsewhere.
+pub(super) fn outlook(plan: Option<&Path>) -> Outlook {
+    let read = |csv: &Path| {
+        let json = csv.with_extension("json");
+        let (rows, header) = (files::read(csv).ok()?, files::read(&json).ok()?);
+        Plan::from_files("plan.csv", &rows, "plan.json", &header).ok()
+    };
+    let plan = plan.and_then(read);
+    plan.map_or_else(Outlook::default, |plan| Outlook::of(&plan, ALARM_SHARE))
+}
+
+/// The reading against the stroke, and below it poses, rate and losses.
+pub(super) fn lines(progress: &Progress, outlook: &Outlook) -> String {
+    let Some(reading_mm) = progress.reading_mm.filter(|_| !progress.gone) else {
+        return super::status(progress);
+    };
+    let poses = match outlook.poses() {
+        Some(poses) => format!("{} of {poses} poses", progress.dwells),
+        None => format!("{} dwells", progress.dwells),
+    };
+    let (elapsed_s, rate_hz) = (progress.elapsed_s, progress.rate_hz);
+    let below = format!("  {elapsed_s:.0} s, {poses}, {rate_hz:.0} Hz{}", super::losses(progress));
+    let reading = format!("{reading_mm:+9.4} mm");
+    let Some([low, high]) = outlook.stroke_mm else { return format!("{reading}\n{below}") };
+    let share = (reading_mm - low) / (high - low);
+    // A share beyond the stroke stands at its end.
+    let at = (share * (WIDTH - 1) as f64).round().clamp(0.0, (WIDTH - 1) as f64) as usize;
+    let gauge: String = (0..WIDTH)
+        .map(|cell| {
+            if cell == at {
+                '#'
+            } else if cell == WIDTH / 2 {
+                '+'
+            } else {
+                '-'
+            }
+        })
+        .collect();
+    let line = format!("{reading}  {low:+} [{gauge}] {high:+}  {:.0} % of the stroke", 100.0 * share);
+    let line = match outlook.alarm(reading_mm) {
+        Alarm::None => line,
+        Alarm::Near => format!("\x1b[33m{line}  NEAR ITS END\x1b[0m"),
+        Alarm::Over => format!("\x1b[1;31m{line}  OVER THE STROKE\x1b[0m"),
+    };
+    format!("{line}\n{below}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_gauge_follows_the_reading() {
+        let outlook = Outlook::bare(Some([-1.0, 1.0]), 0.9);
+        let at = |mm: f64| lines(&Progress { reading_mm: Some(mm), ..Progress::default() }, &outlook);
+        assert!(at(0.0).contains("[--------------------#--------------------]"), "{}", at(0.0));
+        assert!(at(-1.2).contains("[#---") && at(-1.2).contains("OVER THE STROKE"));
+        assert!(at(0.95).contains("NEAR ITS END") && at(0.95).ends_with("\n  0 s, 0 dwells, 0 Hz"));
+    }
+}

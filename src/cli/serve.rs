@@ -1,0 +1,99 @@
+//! `dbbd serve`: the service with its page and its API.
+
+use std::fmt::Display;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use serde_json::json;
+
+#[cfg(unix)]
+use super::acquire::simulated;
+use super::{Outcome, Output, Verdict};
+use crate::daemon::{self, Bench, Config, Level, Log};
+
+/// Shown below the options.
+const MORE: &str = "Without a configuration it listens on 127.0.0.1:8230, keeps runs in ./dbbd-runs and looks for \
+plans in ./NAME/plan.csv; the port is then chosen on the page. docs/serve.md explains every key, docs/security.md who \
+may ask what. SIGINT and SIGTERM end a run as it should. dbbd never starts or moves the robot, and its alarm is not a \
+safety function.";
+
+/// Arguments of the verb.
+#[derive(clap::Args)]
+#[command(after_help = MORE)]
+pub(crate) struct Args {
+    /// Configuration: a TOML file; relative paths in it count from its directory.
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Only check the configuration.
+    #[arg(long)]
+    check: bool,
+}
+
+pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
+    let config = args.config.as_deref().map(Config::read).transpose()?.unwrap_or_default();
+    let (address, data) = (config.address, config.data.display().to_string());
+    if args.check {
+        out.document(&json!({
+            "address": address.to_string(), "data": data, "plans": config.plans.display().to_string(),
+            "port": config.port, "protocol": config.protocol.as_ref().map(|one| &one.id),
+            "token": config.token.is_some(),
+        }))?;
+        out.result(format!("the configuration is sound: http://{address}/, runs in {data}"));
+        return Ok(Outcome::Done);
+    }
+    daemon::serve(config, Arc::new(Lines { out: *out }), bench(*out))?;
+    Ok(Outcome::Done)
+}
+
+/// What the port `sim` reads: a simulated cell at the speed of life.
+#[cfg(unix)]
+fn bench(out: Output) -> Option<Bench> {
+    let make = move |plan: Option<&Path>| -> Result<Box<dyn daemon::Cell>, String> {
+        let cell = simulated::Cell::start(plan, "1", &out).map_err(|error| error.to_string())?;
+        Ok(Box::new(cell))
+    };
+    Some(Box::new(make))
+}
+
+#[cfg(unix)]
+impl daemon::Cell for simulated::Cell {
+    fn port(&self) -> &str {
+        self.port()
+    }
+
+    fn plan(&self) -> &Path {
+        self.plan()
+    }
+}
+
+#[cfg(not(unix))]
+fn bench(_: Output) -> Option<Bench> {
+    None
+}
+
+/// The log: a line an event on stderr, `level=.. event=.. key=value`.
+struct Lines {
+    out: Output,
+}
+
+impl Log for Lines {
+    fn say(&self, level: Level, event: &str, fields: &[(&str, &dyn Display)]) {
+        let word = match level {
+            Level::Info => "info",
+            Level::Warning => "warning",
+            Level::Error => "error",
+        };
+        let mut line = format!("level={word} event={event}");
+        for (name, value) in fields {
+            let value = value.to_string();
+            let bare =
+                !value.is_empty() && value.chars().all(|c| c.is_ascii_graphic() && !"\"=\\".contains(c));
+            // Quoted as a string literal: no value can break the line.
+            line.push_str(&if bare { format!(" {name}={value}") } else { format!(" {name}={value:?}") });
+        }
+        match level {
+            Level::Info => self.out.progress(line),
+            Level::Warning | Level::Error => self.out.always(line),
+        }
+    }
+}

@@ -1,0 +1,82 @@
+//! What there is to choose from: ports, protocols, robots, plans.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use serde_json::{Value, json};
+
+use super::names;
+use crate::live::{Catalogue, Refusal};
+use crate::model::Robot;
+use crate::plan::{Kind, Plan};
+use crate::port;
+use crate::protocol::Definition;
+
+/// One of the lists, under its name.
+pub(super) fn list(which: Catalogue, plans: &Path) -> Result<Value, Refusal> {
+    let failed = |error: serialport::Error| Refusal::Failed(error.to_string());
+    Ok(match which {
+        Catalogue::Ports => json!({ "ports": port::list().map_err(failed)? }),
+        Catalogue::Protocols => json!({ "protocols": protocols() }),
+        Catalogue::Robots => {
+            let names: Vec<&str> = Robot::built_in().iter().map(|(name, _)| *name).collect();
+            json!({ "robots": names })
+        }
+        Catalogue::Plans => json!({ "plans": all_plans(plans) }),
+    })
+}
+
+fn protocols() -> Vec<Value> {
+    let all = Definition::built_in().iter();
+    all.filter_map(|(name, text)| Definition::from_toml(name, text).ok())
+        .map(|one| {
+            json!({
+                "id": one.id, "title": one.title, "confidence": one.confidence, "baud": one.line.baud,
+                "nominal_hz": one.nominal_hz, "resolution_mm": one.resolution_mm(),
+            })
+        })
+        .collect()
+}
+
+/// The file of a plan by its name, where the name is one.
+pub(super) fn plan_file(plans: &Path, name: &str) -> Option<PathBuf> {
+    Some(plans.join(name).join("plan.csv")).filter(|path| names::is_sound(name) && path.is_file())
+}
+
+/// Reads a plan.
+pub(super) fn plan(csv: &Path) -> Result<Plan, String> {
+    let json = csv.with_extension("json");
+    let read = |path: &Path| {
+        fs::read_to_string(path).map_err(|error| format!("{}: cannot be read: {error}", path.display()))
+    };
+    let (csv_name, json_name) = (csv.display().to_string(), json.display().to_string());
+    Plan::from_files(&csv_name, &read(csv)?, &json_name, &read(&json)?).map_err(|error| error.to_string())
+}
+
+fn all_plans(plans: &Path) -> Vec<Value> {
+    let entries = fs::read_dir(plans).into_iter().flatten().flatten();
+    let mut names: Vec<String> = entries.filter_map(|entry| entry.file_name().into_string().ok()).collect();
+    names.sort();
+    names.iter().filter_map(|name| Some(describe(name, &plan_file(plans, name)?))).collect()
+}
+
+fn describe(name: &str, csv: &Path) -> Value {
+    match plan(csv) {
+        Ok(plan) => {
+            let poses = plan.rows.iter().filter(|row| row.kind != Kind::Transit).count();
+            let (job, robot) = (&plan.header.job, Robot::from_toml("robot", &plan.header.robot));
+            let moves_s: f64 = plan.header.moves.iter().map(|time| time.duration_s).sum();
+            let wait_s = |row: &crate::plan::PlanRow| {
+                if row.dwell_s > 0.0 { job.motion.settle_s + row.dwell_s } else { 0.0 }
+            };
+            let duration_s = moves_s + plan.rows.iter().map(wait_s).sum::<f64>();
+            json!({
+                "name": name, "robot": robot.map(|robot| robot.name).ok(), "poses": poses,
+                "circles": job.circles.len(), "bar_length_mm": job.bar.length_mm,
+                "stroke_mm": job.bar.stroke_mm, "protocol": job.bar.protocol, "hash": plan.header.hash,
+                "duration_s": duration_s, "error": null,
+            })
+        }
+        Err(error) => json!({ "name": name, "error": error }),
+    }
+}

@@ -1,0 +1,218 @@
+//! The service's configuration: TOML, an unknown key is an error with its line and column.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::net::{IpAddr, Ipv4Addr, SocketAddr};
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+
+use serde::Deserialize;
+use toml::Spanned;
+
+use crate::daemon::ALARM_SHARE;
+use crate::diag::Diagnostic;
+use crate::live::Token;
+use crate::protocol::Definition;
+
+/// How long a port may stay away during a run before the run ends, s.
+const GONE_S: f64 = 60.0;
+
+/// What the service is to do.
+#[derive(Debug)]
+pub struct Config {
+    /// Where it listens.
+    pub address: SocketAddr,
+    /// Names under which it is reached, beside its addresses.
+    pub hosts: Vec<String>,
+    /// What whoever asks must know.
+    pub token: Option<Token>,
+    /// Where the runs go: a directory for each.
+    pub data: PathBuf,
+    /// Where plans are looked for: `NAME/plan.csv`.
+    pub plans: PathBuf,
+    /// The port of the bar.
+    pub port: Option<String>,
+    /// Its protocol; none: that of the plan.
+    pub protocol: Option<Definition>,
+    /// How long a port may stay away during a run before the run ends, s.
+    pub gone_s: f64,
+    /// Share of the stroke from its middle beyond which the alarm is raised.
+    pub alarm_share: f64,
+    /// The stroke where no plan tells it, mm.
+    pub stroke_mm: Option<[f64; 2]>,
+}
+
+#[derive(Default, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+struct File {
+    address: Option<Spanned<String>>,
+    hosts: Vec<Spanned<String>>,
+    token_file: Option<Spanned<String>>,
+    data: Option<String>,
+    plans: Option<String>,
+    device: DeviceTable,
+    alarm: AlarmTable,
+}
+
+#[derive(Default, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+struct DeviceTable {
+    port: Option<Spanned<String>>,
+    protocol: Option<Spanned<String>>,
+    params: BTreeMap<String, String>,
+    gone_s: Option<Spanned<f64>>,
+}
+
+#[derive(Default, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+struct AlarmTable {
+    share: Option<Spanned<f64>>,
+    stroke_mm: Option<Spanned<[f64; 2]>>,
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        Self {
+            address: SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 8230),
+            hosts: Vec::new(),
+            token: None,
+            data: PathBuf::from("dbbd-runs"),
+            plans: PathBuf::from("."),
+            port: None,
+            protocol: None,
+            gone_s: GONE_S,
+            alarm_share: ALARM_SHARE,
+            stroke_mm: None,
+        }
+    }
+}
+
+/// Where messages point to, and whence relative paths count.
+struct Source<'a> {
+    file: String,
+    text: &'a str,
+    base: &'a Path,
+}
+
+impl Source<'_> {
+    fn wrong(&self, span: Range<usize>, message: impl Into<String>) -> Diagnostic {
+        Diagnostic::span(&self.file, self.text, span, message)
+    }
+
+    /// A finite number within a range, or what is wrong with it.
+    fn number(&self, value: &Spanned<f64>, low: f64, high: f64) -> Result<f64, Diagnostic> {
+        let number = *value.get_ref();
+        if number.is_finite() && (low..=high).contains(&number) {
+            return Ok(number);
+        }
+        Err(self.wrong(value.span(), format!("{number} must be {low} to {high}")))
+    }
+}
+
+impl Config {
+    /// Reads the file at `path`; paths in it count from its directory.
+    ///
+    /// # Errors
+    /// Names the line and column of what is wrong.
+    pub fn read(path: &Path) -> Result<Self, Diagnostic> {
+        let file = path.display().to_string();
+        let text = fs::read_to_string(path)
+            .map_err(|error| Diagnostic::file(&file, format!("cannot be read: {error}")))?;
+        let base = path.parent().unwrap_or(Path::new(""));
+        let table: File = toml::from_str(&text).map_err(|error| {
+            Diagnostic::toml(&file, &text, &error).help("docs/serve.md explains every key")
+        })?;
+        Self::from_table(&Source { file, text: &text, base }, table)
+    }
+
+    fn from_table(source: &Source, table: File) -> Result<Self, Diagnostic> {
+        let mut config =
+            Self { data: source.base.join("dbbd-runs"), plans: source.base.into(), ..Self::default() };
+        config.data = table.data.map_or(config.data, |path| source.base.join(path));
+        config.plans = table.plans.map_or(config.plans, |path| source.base.join(path));
+        if config.plans.as_os_str().is_empty() {
+            config.plans = PathBuf::from(".");
+        }
+        if let Some(path) = &table.token_file {
+            config.token = Some(token(source, path)?);
+        }
+        if let Some(address) = &table.address {
+            config.address = address.get_ref().parse().map_err(|_| {
+                source
+                    .wrong(address.span(), "no address")
+                    .help("an address and a port are needed, as \"127.0.0.1:8230\" or \"[::1]:8230\"")
+            })?;
+            if !config.address.ip().is_loopback() && config.token.is_none() {
+                return Err(source
+                    .wrong(address.span(), "others could reach this address, and no token is asked for")
+                    .help("set `token_file`, or listen on 127.0.0.1"));
+            }
+        }
+        for host in table.hosts {
+            let sound = |c: char| c.is_ascii_alphanumeric() || "-.".contains(c);
+            if host.get_ref().is_empty() || !host.get_ref().chars().all(sound) {
+                return Err(source
+                    .wrong(host.span(), "no name of a host")
+                    .help("a name without scheme and port, as \"cell-3.local\""));
+            }
+            config.hosts.push(host.into_inner());
+        }
+        config.port = table.device.port.map(Spanned::into_inner);
+        if let Some(name) = &table.device.protocol {
+            let params: Vec<_> = table.device.params.into_iter().collect();
+            config.protocol = Some(definition(source, name, &params)?);
+        } else if !table.device.params.is_empty() {
+            return Err(Diagnostic::file(&source.file, "`device.params` needs `device.protocol`"));
+        }
+        if let Some(gone_s) = &table.device.gone_s {
+            config.gone_s = source.number(gone_s, 0.0, 1e6)?;
+        }
+        if let Some(share) = &table.alarm.share {
+            config.alarm_share = source.number(share, 0.0, 1.0)?;
+        }
+        if let Some(stroke) = table.alarm.stroke_mm {
+            let [low, high] = *stroke.get_ref();
+            if !(low.is_finite() && high.is_finite() && low < high) {
+                return Err(source.wrong(stroke.span(), "the stroke is [lowest, highest] reading, mm"));
+            }
+            config.stroke_mm = Some([low, high]);
+        }
+        Ok(config)
+    }
+}
+
+/// A protocol by its built-in name or its file.
+fn definition(
+    source: &Source,
+    name: &Spanned<String>,
+    params: &[(String, String)],
+) -> Result<Definition, Diagnostic> {
+    if let Some(built_in) = Definition::by_name_with(name.get_ref(), params) {
+        return built_in;
+    }
+    let path = source.base.join(name.get_ref());
+    let text = fs::read_to_string(&path).map_err(|error| {
+        let message = format!("`{}` is neither a built-in protocol nor a file: {error}", name.get_ref());
+        source.wrong(name.span(), message).help("`dbbd protocols` lists what is built in")
+    })?;
+    Definition::from_toml_with(&path.display().to_string(), &text, params)
+}
+
+fn token(source: &Source, path: &Spanned<String>) -> Result<Token, Diagnostic> {
+    let file = source.base.join(path.get_ref());
+    let wrong = |message: String| source.wrong(path.span(), message);
+    let text = fs::read_to_string(&file).map_err(|error| wrong(format!("cannot be read: {error}")))?;
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt;
+        let mode = fs::metadata(&file).map_or(0, |data| data.permissions().mode());
+        if mode & 0o007 != 0 {
+            return Err(wrong("every user of this machine may read the token".into())
+                .help("chmod 640 the file, or 600"));
+        }
+    }
+    Token::new(&text).ok_or_else(|| {
+        wrong("a token has 16 or more visible ASCII characters and no space".into())
+            .help("make one: `openssl rand -hex 24`")
+    })
+}

@@ -1,0 +1,266 @@
+//! Jobs: the verbs as child processes of this same program, one after the other.
+
+use std::collections::VecDeque;
+use std::io::{BufRead, BufReader, Read};
+use std::path::PathBuf;
+use std::process::{Child, Command, Stdio};
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::{io, thread};
+
+use tokio::sync::broadcast;
+
+use super::runs::CAPTURE;
+use crate::clock;
+use crate::live::{Job, JobKind, JobRequest, JobState, Message, Refusal};
+use crate::units::HostNs;
+
+/// Jobs that may wait.
+const MOST_WAITING: usize = 16;
+/// Jobs that are remembered.
+const MOST_KEPT: usize = 100;
+/// Lines of a job that are kept, and their longest length in characters.
+const MOST_LINES: usize = 200;
+const LONGEST_LINE: usize = 400;
+/// Lines of it in the live stream.
+const LINES_TOLD: usize = 12;
+
+/// The jobs of this process.
+pub(super) struct Jobs {
+    shared: Arc<Shared>,
+    queue: Sender<Task>,
+}
+
+struct Shared {
+    jobs: Mutex<VecDeque<Kept>>,
+    child: Mutex<Option<(u64, Child)>>,
+    messages: broadcast::Sender<Message>,
+}
+
+struct Kept {
+    job: Job,
+    began: Option<HostNs>,
+}
+
+struct Task {
+    id: u64,
+    directory: PathBuf,
+    args: Vec<String>,
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// The verb with its options; what is no list of names is refused.
+fn arguments(request: &JobRequest) -> Result<Vec<String>, Refusal> {
+    let kind = request.kind.name();
+    let mut args = vec![kind.to_owned(), CAPTURE.to_owned()];
+    args.push(match request.kind {
+        JobKind::Sync => "--out=sync/observations.csv".into(),
+        _ => format!("--out={kind}"),
+    });
+    for (option, value) in
+        [("prior", &request.prior), ("estimate", &request.estimate), ("hold", &request.hold)]
+    {
+        let Some(value) = value.as_deref().filter(|value| !value.is_empty()) else { continue };
+        if request.kind != JobKind::Identify {
+            return Err(Refusal::Invalid(format!("`{option}` belongs to identify")));
+        }
+        let sound = |byte: u8| byte.is_ascii_alphanumeric() || b"_,-".contains(&byte);
+        let known = option != "prior" || matches!(value, "none" | "datasheet");
+        if !known || value.len() > 1000 || !value.bytes().all(sound) {
+            return Err(Refusal::Invalid(format!("`{option}` cannot be `{value}`")));
+        }
+        args.push(format!("--{option}={value}"));
+    }
+    Ok(args)
+}
+
+impl Jobs {
+    /// Starts the thread that does them.
+    pub(super) fn start(messages: broadcast::Sender<Message>) -> io::Result<Self> {
+        let shared = Arc::new(Shared { jobs: Mutex::default(), child: Mutex::default(), messages });
+        let (queue, tasks) = channel();
+        let worker = Arc::clone(&shared);
+        thread::Builder::new().name("jobs".into()).spawn(move || work(&worker, &tasks))?;
+        Ok(Self { shared, queue })
+    }
+
+    /// Takes a job on the run in `directory`.
+    pub(super) fn submit(&self, request: JobRequest, directory: PathBuf) -> Result<Job, Refusal> {
+        let args = arguments(&request)?;
+        let mut jobs = lock(&self.shared.jobs);
+        if jobs.iter().filter(|kept| kept.job.state == JobState::Waiting).count() >= MOST_WAITING {
+            return Err(Refusal::Busy("too many jobs wait already".into()));
+        }
+        let id = jobs.back().map_or(1, |kept| kept.job.id + 1);
+        let job = Job {
+            id,
+            kind: request.kind,
+            run: request.run,
+            state: JobState::Waiting,
+            elapsed_s: 0.0,
+            log: Vec::new(),
+        };
+        jobs.push_back(Kept { job: job.clone(), began: None });
+        if jobs.len() > MOST_KEPT {
+            jobs.pop_front();
+        }
+        drop(jobs);
+        self.queue
+            .send(Task { id, directory, args })
+            .map_err(|_| Refusal::Failed("the jobs' thread has ended".into()))?;
+        self.shared.tell(id);
+        Ok(job)
+    }
+
+    /// The newest first.
+    pub(super) fn list(&self) -> Vec<Job> {
+        lock(&self.shared.jobs).iter().rev().map(Kept::now).collect()
+    }
+
+    pub(super) fn get(&self, id: u64) -> Result<Job, Refusal> {
+        self.shared.get(id).ok_or_else(|| Refusal::Missing(format!("there is no job {id}")))
+    }
+
+    /// Ends a job before its time; one that is over stays as it is.
+    pub(super) fn cancel(&self, id: u64) -> Result<Job, Refusal> {
+        let job = self.get(id)?;
+        if matches!(job.state, JobState::Waiting | JobState::Running) {
+            self.shared.change(id, |job| job.state = JobState::Cancelled);
+            self.kill(|running| running == id);
+        }
+        self.get(id)
+    }
+
+    /// Ends them all, for the process ends.
+    pub(super) fn end(&self) {
+        for kept in lock(&self.shared.jobs).iter_mut() {
+            if matches!(kept.job.state, JobState::Waiting | JobState::Running) {
+                kept.job.state = JobState::Cancelled;
+            }
+        }
+        self.kill(|_| true);
+    }
+
+    fn kill(&self, meant: impl Fn(u64) -> bool) {
+        if let Some((id, child)) = &mut *lock(&self.shared.child)
+            && meant(*id)
+        {
+            // One that has just ended needs no end.
+            let _ = child.kill();
+        }
+    }
+}
+
+impl Kept {
+    fn now(&self) -> Job {
+        let mut job = self.job.clone();
+        if let (Some(began), JobState::Running) = (self.began, job.state) {
+            job.elapsed_s = clock::now().seconds_since(began);
+        }
+        job
+    }
+}
+
+impl Shared {
+    fn get(&self, id: u64) -> Option<Job> {
+        lock(&self.jobs).iter().find(|kept| kept.job.id == id).map(Kept::now)
+    }
+
+    fn change(&self, id: u64, change: impl FnOnce(&mut Job)) {
+        if let Some(kept) = lock(&self.jobs).iter_mut().find(|kept| kept.job.id == id) {
+            change(&mut kept.job);
+        }
+        self.tell(id);
+    }
+
+    fn tell(&self, id: u64) {
+        if let Some(mut job) = self.get(id) {
+            // The whole log is to be had by asking; the stream carries what is new.
+            job.log.drain(..job.log.len().saturating_sub(LINES_TOLD));
+            // Nobody may be looking.
+            let _ = self.messages.send(Message::new("job", &job));
+        }
+    }
+
+    fn say(&self, id: u64, line: &str) {
+        self.change(id, |job| {
+            if job.log.len() >= MOST_LINES {
+                job.log.remove(0);
+            }
+            job.log.push(line.chars().take(LONGEST_LINE).collect());
+        });
+    }
+}
+
+fn work(shared: &Arc<Shared>, tasks: &Receiver<Task>) {
+    for task in tasks {
+        let id = task.id;
+        let mut waits = false;
+        if let Some(kept) = lock(&shared.jobs).iter_mut().find(|kept| kept.job.id == id)
+            && kept.job.state == JobState::Waiting
+        {
+            (kept.job.state, kept.began, waits) = (JobState::Running, Some(clock::now()), true);
+        }
+        if !waits {
+            continue;
+        }
+        shared.tell(id);
+        let state = run(shared, &task).unwrap_or_else(|error| {
+            shared.say(id, &format!("the command cannot be run: {error}"));
+            JobState::Failed
+        });
+        let elapsed_s = shared.get(id).map_or(0.0, |job| job.elapsed_s);
+        shared.change(id, |job| {
+            if job.state == JobState::Running {
+                (job.state, job.elapsed_s) = (state, elapsed_s);
+            }
+        });
+    }
+}
+
+/// Runs a task to its end; what it says goes into its log.
+fn run(shared: &Arc<Shared>, task: &Task) -> io::Result<JobState> {
+    if task.args.first().is_some_and(|verb| verb == "sync") {
+        std::fs::create_dir_all(task.directory.join("sync"))?;
+    }
+    let mut child = Command::new(std::env::current_exe()?)
+        .args(&task.args)
+        .current_dir(&task.directory)
+        .env("NO_COLOR", "1")
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()?;
+    let outputs = (child.stdout.take(), child.stderr.take());
+    *lock(&shared.child) = Some((task.id, child));
+    // It may have been cancelled while it was being started.
+    if shared.get(task.id).is_some_and(|job| job.state == JobState::Cancelled)
+        && let Some((_, child)) = &mut *lock(&shared.child)
+    {
+        let _ = child.kill();
+    }
+    thread::scope(|scope| {
+        if let Some(stdout) = outputs.0 {
+            scope.spawn(move || listen(shared, task.id, stdout));
+        }
+        if let Some(stderr) = outputs.1 {
+            listen(shared, task.id, stderr);
+        }
+    });
+    // Its outputs are closed: it has ended or is about to.
+    let Some((_, mut child)) = lock(&shared.child).take() else { return Ok(JobState::Failed) };
+    Ok(match child.wait()?.code() {
+        Some(0) => JobState::Done,
+        Some(3) => JobState::Doubt,
+        _ => JobState::Failed,
+    })
+}
+
+fn listen(shared: &Shared, id: u64, output: impl Read) {
+    for line in BufReader::new(output).split(b'\n').map_while(Result::ok) {
+        shared.say(id, &String::from_utf8_lossy(&line));
+    }
+}

@@ -1,0 +1,113 @@
+//! The runs in the data directory: `NAME/run.dbbd`, and results in `NAME/sync`, `NAME/identify`, `NAME/circle`.
+
+use std::fs::{self, File};
+use std::io::{self, Read, Seek, SeekFrom};
+use std::path::{Path, PathBuf};
+
+use super::names;
+use crate::capture::{self, Event};
+use crate::live::{Download, Ended, JobKind, Refusal, ResultFile, RunEntry, RunState};
+
+/// Name of a run's capture.
+pub(super) const CAPTURE: &str = "run.dbbd";
+/// The begin and the end of a capture tell when it began and how it ended, bytes.
+const GLIMPSE: u64 = 4096;
+/// Runs that are listed.
+const MOST: usize = 500;
+
+fn missing(name: &str) -> Refusal {
+    Refusal::Missing(format!("there is no run `{name}`"))
+}
+
+/// Where a run lives.
+pub(super) fn directory(data: &Path, name: &str) -> Result<PathBuf, Refusal> {
+    if !names::is_sound(name) {
+        return Err(missing(name));
+    }
+    Ok(data.join(name))
+}
+
+/// All runs, the newest first; `running` is the one that is on.
+pub(super) fn list(data: &Path, running: Option<&str>) -> Result<Vec<RunEntry>, Refusal> {
+    let entries = match fs::read_dir(data) {
+        Ok(entries) => entries,
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
+        Err(error) => return Err(Refusal::Failed(format!("the data directory cannot be read: {error}"))),
+    };
+    let names = entries.flatten().filter_map(|entry| entry.file_name().into_string().ok());
+    let mut runs: Vec<RunEntry> = names.filter_map(|name| entry(data, &name, running).ok()).collect();
+    runs.sort_by(|a, b| b.started_unix_ms.cmp(&a.started_unix_ms).then_with(|| b.name.cmp(&a.name)));
+    runs.truncate(MOST);
+    Ok(runs)
+}
+
+/// One run.
+pub(super) fn entry(data: &Path, name: &str, running: Option<&str>) -> Result<RunEntry, Refusal> {
+    let directory = directory(data, name)?;
+    let (first, last, bytes) = glimpse(&directory.join(CAPTURE)).map_err(|_| missing(name))?;
+    let started_unix_ms = capture::read(&first).events().find_map(|event| match event {
+        Event::Started { unix_ns, .. } => Some(unix_ns / 1_000_000),
+        _ => None,
+    });
+    let ended = capture::read(&last).events().find_map(|event| match event {
+        Event::Ended { reason, samples, lost } => {
+            Some(Ended { reason: reason.clone(), samples: *samples, lost: *lost })
+        }
+        _ => None,
+    });
+    let state = match (&ended, running == Some(name)) {
+        (None, true) => RunState::Running,
+        (None, false) => RunState::EndedEarly,
+        (Some(_), _) => RunState::Ended,
+    };
+    Ok(RunEntry { name: name.into(), state, started_unix_ms, bytes, ended, results: results(&directory) })
+}
+
+/// The first and the last bytes of a file, and its length.
+fn glimpse(path: &Path) -> io::Result<(Vec<u8>, Vec<u8>, u64)> {
+    let mut file = File::open(path)?;
+    let length = file.metadata()?.len();
+    let (mut first, mut last) = (Vec::new(), Vec::new());
+    (&file).take(GLIMPSE).read_to_end(&mut first)?;
+    file.seek(SeekFrom::Start(length.saturating_sub(GLIMPSE)))?;
+    (&file).take(GLIMPSE).read_to_end(&mut last)?;
+    Ok((first, last, length))
+}
+
+fn results(directory: &Path) -> Vec<ResultFile> {
+    let mut found = Vec::new();
+    for kind in JobKind::ALL {
+        for entry in fs::read_dir(directory.join(kind.name())).into_iter().flatten().flatten() {
+            let Ok(file) = entry.file_name().into_string() else { continue };
+            if let Ok(data) = entry.metadata()
+                && data.is_file()
+                && names::is_sound(&file)
+            {
+                found.push(ResultFile { kind, file, bytes: data.len() });
+            }
+        }
+    }
+    found.sort_by(|a, b| (a.kind.name(), &a.file).cmp(&(b.kind.name(), &b.file)));
+    found
+}
+
+/// A file of a run, open: its capture or a result.
+pub(super) fn open(data: &Path, run: &str, result: Option<(JobKind, &str)>) -> Result<Download, Refusal> {
+    let directory = directory(data, run)?;
+    let (path, name) = match result {
+        None => (directory.join(CAPTURE), format!("{run}.dbbd")),
+        Some((kind, file)) if names::is_sound(file) => {
+            (directory.join(kind.name()).join(file), file.to_owned())
+        }
+        Some((_, file)) => return Err(Refusal::Missing(format!("there is no result `{file}`"))),
+    };
+    let gone = |_| Refusal::Missing(format!("there is no file `{name}` of run `{run}`"));
+    // A link in the data directory is not followed out of it.
+    let plain = fs::symlink_metadata(&path).map_err(gone)?.is_file();
+    if !plain {
+        return Err(gone(io::Error::other("no file")));
+    }
+    let file = File::open(&path).map_err(gone)?;
+    let bytes = file.metadata().map_err(gone)?.len();
+    Ok(Download { file, name, bytes })
+}

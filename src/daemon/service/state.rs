@@ -1,0 +1,311 @@
+//! The state machine: no device, idle, running, failed.
+
+use std::fs;
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use serde_json::json;
+use tokio::sync::{broadcast, watch};
+
+use super::bench::{self, Bench, Cell};
+use super::config::Config;
+use super::jobs::Jobs;
+use super::log::{Level, Log};
+use super::{catalogue, runs};
+use crate::clock;
+use crate::daemon::feed::{Feed, Outlook, Shown};
+use crate::daemon::{Acquisition, Attachments, Ending, Options};
+use crate::live::{Device, LastRun, Message, Refusal, RunStatus, StartRequest, State, Status};
+use crate::port;
+use crate::protocol::Definition;
+
+/// The protocol without a word about it.
+const DEFAULT_PROTOCOL: &str = "dbb-cobs-1";
+/// Messages that a slow client may be behind before it loses some: about ten seconds.
+const BACKLOG: usize = 256;
+
+/// The service behind the pages.
+pub(super) struct Supervisor {
+    pub(super) config: Config,
+    pub(super) log: Arc<dyn Log>,
+    pub(super) bench: Option<Bench>,
+    pub(super) status: watch::Sender<Status>,
+    pub(super) shown: Shown,
+    pub(super) jobs: Jobs,
+    inner: Mutex<Inner>,
+}
+
+/// What changes.
+pub(super) struct Inner {
+    pub(super) port: Option<String>,
+    pub(super) protocol: Option<Definition>,
+    pub(super) run: Run,
+    /// Why the last run failed.
+    pub(super) failed: Option<String>,
+    last: Option<LastRun>,
+    /// Whether the process is about to end: no run may begin.
+    pub(super) ending: bool,
+}
+
+/// The place of the one run.
+pub(super) enum Run {
+    None,
+    /// The port is being opened.
+    Starting,
+    On(Box<Running>),
+}
+
+/// A run that is on.
+pub(super) struct Running {
+    pub(super) name: String,
+    plan: Option<String>,
+    started_unix_ms: u64,
+    outlook: Outlook,
+    pub(super) acquisition: Acquisition,
+    pub(super) stop: Arc<AtomicBool>,
+    /// What goes on beside it, where it is simulated.
+    _cell: Option<Box<dyn Cell>>,
+}
+
+/// An error with its causes, for a message.
+fn whole(error: &dyn std::error::Error) -> String {
+    let mut text = error.to_string();
+    let mut cause = error.source();
+    while let Some(inner) = cause {
+        text.push_str(&format!(": {inner}"));
+        cause = inner.source();
+    }
+    text
+}
+
+impl Supervisor {
+    pub(super) fn new(config: Config, log: Arc<dyn Log>, bench: Option<Bench>) -> std::io::Result<Self> {
+        let messages = broadcast::Sender::new(BACKLOG);
+        let inner = Inner {
+            port: config.port.clone(),
+            protocol: config.protocol.clone(),
+            run: Run::None,
+            failed: None,
+            last: None,
+            ending: false,
+        };
+        Ok(Self {
+            config,
+            log,
+            bench,
+            status: watch::Sender::new(Status::default()),
+            jobs: Jobs::start(messages.clone())?,
+            shown: Shown { messages, points: Arc::default(), clock_ahead_ms: Arc::default() },
+            inner: Mutex::new(inner),
+        })
+    }
+
+    pub(super) fn inner(&self) -> MutexGuard<'_, Inner> {
+        self.inner.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Looks after the run that is on, and tells everybody the state.
+    pub(super) fn tick(&self) -> State {
+        let over = {
+            let mut inner = self.inner();
+            matches!(&inner.run, Run::On(running) if running.acquisition.is_over())
+                .then(|| std::mem::replace(&mut inner.run, Run::None))
+        };
+        if let Some(Run::On(running)) = over {
+            self.conclude(*running);
+        }
+        let status = self.look(&self.inner());
+        let state = status.state;
+        let changed = self.status.borrow().state != state;
+        if changed {
+            let reason = status.reason.clone().unwrap_or_default();
+            self.log.say(Level::Info, "state", &[("state", &state.name()), ("reason", &reason)]);
+        }
+        let message = Message::new("status", &status);
+        self.status.send_replace(status);
+        // Nobody may be looking.
+        let _ = self.shown.messages.send(message);
+        state
+    }
+
+    fn conclude(&self, running: Running) {
+        let Running { name, acquisition, .. } = running;
+        let samples = acquisition.progress().samples;
+        let (ending, failed) = match acquisition.join() {
+            Ok(summary) => {
+                let ending = match summary.ending {
+                    Ending::Mark => "the program's end mark",
+                    Ending::Duration => "the time was up",
+                    Ending::Stopped => "stopped",
+                    Ending::Gone => "the port stayed away",
+                };
+                (ending.to_owned(), false)
+            }
+            Err(error) => (whole(&error), true),
+        };
+        let level = if failed { Level::Error } else { Level::Info };
+        let fields: [(&str, &dyn std::fmt::Display); 3] =
+            [("run", &name), ("ending", &ending), ("samples", &samples)];
+        self.log.say(level, "run_over", &fields);
+        let mut inner = self.inner();
+        inner.failed = failed.then(|| format!("run `{name}` failed: {ending}"));
+        inner.last = Some(LastRun { name, ending, failed, samples });
+    }
+
+    pub(super) fn look(&self, inner: &Inner) -> Status {
+        let there =
+            |port: &String| port::device(port).exists() || (port == bench::PORT && self.bench.is_some());
+        let present = inner.port.as_ref().is_some_and(there);
+        let run = match &inner.run {
+            Run::On(running) => Some(self.run_status(running)),
+            Run::None | Run::Starting => None,
+        };
+        let (state, reason) = if run.is_some() {
+            (State::Running, None)
+        } else if let Some(failed) = &inner.failed {
+            (State::Failed, Some(failed.clone()))
+        } else if present {
+            (State::Idle, None)
+        } else {
+            let reason = match &inner.port {
+                Some(port) => format!("there is no port `{port}`: plug the bar in"),
+                None => "no port was chosen".into(),
+            };
+            (State::NoDevice, Some(reason))
+        };
+        let protocol = inner.protocol.as_ref().map(|definition| definition.id.clone());
+        let device = Device { port: inner.port.clone(), present, protocol };
+        Status { version: env!("CARGO_PKG_VERSION"), state, reason, device, run, last: inner.last.clone() }
+    }
+
+    fn run_status(&self, running: &Running) -> RunStatus {
+        let progress = running.acquisition.progress();
+        RunStatus {
+            name: running.name.clone(),
+            plan: running.plan.clone(),
+            started_unix_ms: running.started_unix_ms,
+            elapsed_s: progress.elapsed_s,
+            device_s: progress.device_s,
+            clock_ahead_ms: *self.shown.clock_ahead_ms.lock().unwrap_or_else(PoisonError::into_inner),
+            gone: progress.gone,
+            in_step: progress.in_step,
+            rate_hz: progress.rate_hz,
+            bytes: progress.bytes,
+            samples: progress.samples,
+            reading_mm: progress.reading_mm,
+            bar_length_mm: running.outlook.bar_length_mm,
+            stroke_mm: running.outlook.stroke_mm,
+            alarm_share: running.outlook.alarm_share,
+            dwells: progress.dwells,
+            poses: running.outlook.poses(),
+            modules: progress.modules,
+            gaps: progress.gaps,
+            missing: progress.missing,
+            faults: progress.faults,
+            rejected: progress.rejected,
+            unanswered: progress.unanswered,
+            lost_bytes: progress.lost_bytes,
+        }
+    }
+
+    /// Opens the device and begins; the caller holds the place of the run.
+    pub(super) fn begin(
+        &self,
+        request: &StartRequest,
+        mut port: String,
+        protocol: Option<Definition>,
+    ) -> Result<Running, Refusal> {
+        let refused = |error: &dyn std::error::Error| Refusal::Conflict(whole(error));
+        let (mut attachments, mut outlook) =
+            (Attachments::default(), Outlook::bare(self.config.stroke_mm, self.config.alarm_share));
+        let missing = |name: &String| Refusal::Missing(format!("there is no plan `{name}`"));
+        let find =
+            |name: &String| catalogue::plan_file(&self.config.plans, name).ok_or_else(|| missing(name));
+        let mut csv = request.plan.as_ref().map(find).transpose()?;
+        let cell = match &self.bench {
+            Some(bench) if port == bench::PORT => Some(bench(csv.as_deref()).map_err(Refusal::Conflict)?),
+            _ => None,
+        };
+        if let Some(cell) = &cell {
+            (port, csv) = (cell.port().into(), Some(cell.plan().into()));
+        }
+        if let Some(csv) = csv {
+            attachments = Attachments::of_plan(&csv).map_err(|error| refused(&error))?;
+            outlook =
+                Outlook::of(&catalogue::plan(&csv).map_err(Refusal::Conflict)?, self.config.alarm_share);
+        }
+        let definition = match protocol {
+            Some(definition) => definition,
+            None => {
+                let name = attachments.protocol.as_deref().unwrap_or(DEFAULT_PROTOCOL);
+                let unknown = || {
+                    Refusal::Conflict(format!("the plan's protocol `{name}` is not built in: configure it"))
+                };
+                Definition::by_name(name).ok_or_else(unknown)?.map_err(|error| refused(&error))?
+            }
+        };
+        let directory = self.reserve(&request.name)?;
+        let (points, clock_ahead) = (&self.shown.points, &self.shown.clock_ahead_ms);
+        points.lock().unwrap_or_else(PoisonError::into_inner).clear();
+        *clock_ahead.lock().unwrap_or_else(PoisonError::into_inner) = None;
+        let stop = Arc::new(AtomicBool::new(false));
+        let options = Options {
+            port,
+            definition,
+            out: directory.join(runs::CAPTURE),
+            attachments,
+            duration_s: request.duration_s,
+            gone_s: self.config.gone_s,
+            feed: Some(Feed::new(self.shown.clone(), outlook.clone())),
+        };
+        let begin = json!({ "name": request.name, "plan": request.plan });
+        let _ = self.shown.messages.send(Message::new("begin", &begin));
+        let acquisition = Acquisition::start(options, Arc::clone(&stop)).map_err(|error| {
+            // Nothing was recorded: the name stays free. What else is in there stays.
+            let _ = fs::remove_dir(&directory);
+            refused(&error)
+        })?;
+        let started_unix_ms = clock::unix_ns() / 1_000_000;
+        let (name, plan) = (request.name.clone(), request.plan.clone());
+        Ok(Running { name, plan, started_unix_ms, outlook, acquisition, stop, _cell: cell })
+    }
+
+    /// A directory for a run of that name.
+    fn reserve(&self, name: &str) -> Result<PathBuf, Refusal> {
+        let failed = |error: std::io::Error| {
+            Refusal::Conflict(format!("the data directory cannot be written: {error}"))
+        };
+        fs::create_dir_all(&self.config.data).map_err(failed)?;
+        let directory = runs::directory(&self.config.data, name)?;
+        fs::create_dir(&directory).map_err(|error| match error.kind() {
+            std::io::ErrorKind::AlreadyExists => {
+                Refusal::Conflict(format!("there is a run `{name}` already: choose another name"))
+            }
+            _ => failed(error),
+        })?;
+        Ok(directory)
+    }
+
+    pub(super) fn running(&self) -> Option<String> {
+        match &self.inner().run {
+            Run::On(running) => Some(running.name.clone()),
+            Run::None | Run::Starting => None,
+        }
+    }
+
+    /// Ends the run as it should, and the job at work.
+    pub(super) fn end(&self) {
+        self.inner().ending = true;
+        self.jobs.end();
+        loop {
+            match &self.inner().run {
+                Run::None => return,
+                Run::Starting => {}
+                Run::On(running) => running.stop.store(true, Ordering::Relaxed),
+            }
+            self.tick();
+            clock::sleep(0.02);
+        }
+    }
+}

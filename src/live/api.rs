@@ -1,0 +1,194 @@
+//! The handlers: each takes what it needs off the request and asks the service.
+
+use std::sync::Arc;
+
+use axum::extract::rejection::PathRejection;
+use axum::extract::{Path, State};
+use axum::http::StatusCode;
+use axum::http::header::{CONTENT_TYPE, SET_COOKIE};
+use axum::response::{IntoResponse, Response};
+use serde::Deserialize;
+use serde_json::json;
+
+use super::access::COOKIE_NAME;
+use super::json::{Body, Problem, json};
+use super::routes::{App, OPENAPI};
+use super::service::{Catalogue, JobKind, JobRequest, Refusal, Service, StartRequest};
+use super::{downloads, metrics as prometheus, stream as live_stream};
+
+type Answer = Result<Response, Problem>;
+/// Parts of a path; what is no text is refused.
+type Parts<T> = Result<Path<T>, PathRejection>;
+
+/// Longest remark, characters.
+const LONGEST_REMARK: usize = 250;
+
+/// Asks the service on a thread where it may wait.
+async fn ask<T: Send + 'static>(
+    app: App,
+    question: impl FnOnce(&dyn Service) -> Result<T, Refusal> + Send + 'static,
+) -> Result<T, Problem> {
+    let service: Arc<dyn Service> = app.service;
+    match tokio::task::spawn_blocking(move || question(&*service)).await {
+        Ok(answer) => Ok(answer?),
+        Err(error) => Err(Problem::new(StatusCode::INTERNAL_SERVER_ERROR, error.to_string())),
+    }
+}
+
+fn parts<T>(parts: Parts<T>) -> Result<T, Problem> {
+    parts.map(|Path(parts)| parts).map_err(|error| Problem::new(StatusCode::BAD_REQUEST, error.body_text()))
+}
+
+pub(super) async fn openapi() -> Response {
+    ([(CONTENT_TYPE, "application/json")], OPENAPI).into_response()
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct LogIn {
+    token: String,
+}
+
+pub(super) async fn log_in(State(app): State<App>, Body(shown): Body<LogIn>) -> Answer {
+    let Some(session) = app.access.session_for(&shown.token) else {
+        return Err(Problem::new(StatusCode::UNAUTHORIZED, "the token is wrong"));
+    };
+    let cookie = format!("{COOKIE_NAME}={session}; Path=/; HttpOnly; SameSite=Strict");
+    Ok((StatusCode::NO_CONTENT, [(SET_COOKIE, cookie)]).into_response())
+}
+
+pub(super) async fn log_out() -> Response {
+    let cookie = format!("{COOKIE_NAME}=; Path=/; HttpOnly; SameSite=Strict; Max-Age=0");
+    (StatusCode::NO_CONTENT, [(SET_COOKIE, cookie)]).into_response()
+}
+
+pub(super) async fn status(State(app): State<App>) -> Response {
+    json(StatusCode::OK, &*app.service.status().borrow())
+}
+
+pub(super) async fn stream(State(app): State<App>) -> Response {
+    live_stream::answer(&*app.service, app.stop)
+}
+
+pub(super) async fn points(State(app): State<App>) -> Answer {
+    let points = ask(app, |service| Ok(service.points())).await?;
+    Ok(json(StatusCode::OK, &json!({ "points": points })))
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Choice {
+    #[serde(default)]
+    port: Option<String>,
+    #[serde(default)]
+    protocol: Option<String>,
+}
+
+pub(super) async fn choose(State(app): State<App>, Body(choice): Body<Choice>) -> Answer {
+    let now = app.service.status();
+    ask(app, move |service| service.choose(choice.port, choice.protocol)).await?;
+    Ok(json(StatusCode::OK, &now.borrow().device))
+}
+
+async fn catalogue(app: App, which: Catalogue) -> Answer {
+    let found = ask(app, move |service| service.catalogue(which)).await?;
+    Ok(json(StatusCode::OK, &found))
+}
+
+pub(super) async fn ports(State(app): State<App>) -> Answer {
+    catalogue(app, Catalogue::Ports).await
+}
+
+pub(super) async fn protocols(State(app): State<App>) -> Answer {
+    catalogue(app, Catalogue::Protocols).await
+}
+
+pub(super) async fn robots(State(app): State<App>) -> Answer {
+    catalogue(app, Catalogue::Robots).await
+}
+
+pub(super) async fn plans(State(app): State<App>) -> Answer {
+    catalogue(app, Catalogue::Plans).await
+}
+
+pub(super) async fn start(State(app): State<App>, Body(request): Body<StartRequest>) -> Answer {
+    let name = request.name.clone();
+    ask(app, move |service| service.start(request)).await?;
+    Ok(json(StatusCode::CREATED, &json!({ "name": name })))
+}
+
+pub(super) async fn stop(State(app): State<App>) -> Answer {
+    ask(app, |service| service.stop()).await?;
+    Ok(StatusCode::ACCEPTED.into_response())
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Remark {
+    text: String,
+}
+
+pub(super) async fn mark(State(app): State<App>, Body(remark): Body<Remark>) -> Answer {
+    if remark.text.trim().is_empty() || remark.text.chars().count() > LONGEST_REMARK {
+        let message = format!("a remark has 1 to {LONGEST_REMARK} characters");
+        return Err(Problem::new(StatusCode::UNPROCESSABLE_ENTITY, message));
+    }
+    ask(app, move |service| service.mark(remark.text)).await?;
+    Ok(StatusCode::ACCEPTED.into_response())
+}
+
+pub(super) async fn runs(State(app): State<App>) -> Answer {
+    let runs = ask(app, |service| service.runs()).await?;
+    Ok(json(StatusCode::OK, &json!({ "runs": runs })))
+}
+
+pub(super) async fn run(State(app): State<App>, name: Parts<String>) -> Answer {
+    let name = parts(name)?;
+    let run = ask(app, move |service| service.run(&name)).await?;
+    Ok(json(StatusCode::OK, &run))
+}
+
+pub(super) async fn capture(State(app): State<App>, name: Parts<String>) -> Answer {
+    let name = parts(name)?;
+    let download = ask(app, move |service| service.file(&name, None)).await?;
+    Ok(downloads::answer(download))
+}
+
+pub(super) async fn result(State(app): State<App>, path: Parts<(String, String, String)>) -> Answer {
+    let (name, kind, file) = parts(path)?;
+    let Some(kind) = JobKind::ALL.into_iter().find(|known| known.name() == kind) else {
+        return Err(Problem::new(StatusCode::NOT_FOUND, "results are of sync, identify or circle"));
+    };
+    let download = ask(app, move |service| service.file(&name, Some((kind, &file)))).await?;
+    Ok(downloads::answer(download))
+}
+
+pub(super) async fn jobs(State(app): State<App>) -> Answer {
+    let jobs = ask(app, |service| Ok(service.jobs())).await?;
+    Ok(json(StatusCode::OK, &json!({ "jobs": jobs })))
+}
+
+pub(super) async fn submit(State(app): State<App>, Body(request): Body<JobRequest>) -> Answer {
+    let job = ask(app, move |service| service.submit(request)).await?;
+    Ok(json(StatusCode::ACCEPTED, &job))
+}
+
+fn job_number(id: Parts<String>) -> Result<u64, Problem> {
+    let id = parts(id)?;
+    id.parse().map_err(|_| Problem::new(StatusCode::NOT_FOUND, "there is no such job"))
+}
+
+pub(super) async fn job(State(app): State<App>, id: Parts<String>) -> Answer {
+    let id = job_number(id)?;
+    Ok(json(StatusCode::OK, &ask(app, move |service| service.job(id)).await?))
+}
+
+pub(super) async fn cancel(State(app): State<App>, id: Parts<String>) -> Answer {
+    let id = job_number(id)?;
+    Ok(json(StatusCode::OK, &ask(app, move |service| service.cancel(id)).await?))
+}
+
+pub(super) async fn metrics(State(app): State<App>) -> Response {
+    let text = prometheus::text(&app.service.status().borrow());
+    ([(CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")], text).into_response()
+}

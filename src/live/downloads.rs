@@ -1,0 +1,57 @@
+//! Files, piece by piece, so that a long capture needs no memory.
+
+use std::fs::File;
+use std::io::Read;
+
+use axum::body::{Body, Bytes};
+use axum::http::header::{CONTENT_DISPOSITION, CONTENT_LENGTH, CONTENT_SECURITY_POLICY, CONTENT_TYPE};
+use axum::response::{IntoResponse, Response};
+use futures_util::stream;
+
+use super::service::Download;
+
+/// Bytes read at a time.
+const PIECE: usize = 64 * 1024;
+/// A report holds its own style and pictures, and nothing that acts.
+const REPORT_POLICY: &str = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; sandbox; \
+    base-uri 'none'; form-action 'none'; frame-ancestors 'self'";
+
+/// Answers with a file: what a browser shows is shown, the rest saved.
+pub(super) fn answer(download: Download) -> Response {
+    let Download { file, name, bytes } = download;
+    let kind = match name.rsplit_once('.').map(|(_, extension)| extension) {
+        Some("html") => "text/html; charset=utf-8",
+        Some("json") => "application/json",
+        Some("svg") => "image/svg+xml",
+        Some("csv") => "text/csv; charset=utf-8",
+        Some("toml") => "text/plain; charset=utf-8",
+        _ => "application/octet-stream",
+    };
+    let shown = kind != "application/octet-stream";
+    let disposition = if shown { "inline".into() } else { format!("attachment; filename=\"{name}\"") };
+    let headers = [
+        (CONTENT_TYPE, kind.to_owned()),
+        (CONTENT_LENGTH, bytes.to_string()),
+        (CONTENT_DISPOSITION, disposition),
+        (CONTENT_SECURITY_POLICY, REPORT_POLICY.to_owned()),
+    ];
+    let pieces = stream::unfold(Some((file, bytes)), |rest| async move {
+        let (file, left) = rest?;
+        let read = tokio::task::spawn_blocking(move || piece(file, left)).await;
+        match read.unwrap_or_else(|error| Err(std::io::Error::other(error))) {
+            Ok((_, piece)) if piece.is_empty() => None,
+            Ok((file, piece)) => {
+                let left = left.saturating_sub(piece.len() as u64);
+                Some((Ok(Bytes::from(piece)), Some((file, left))))
+            }
+            Err(error) => Some((Err(error), None)),
+        }
+    });
+    (headers, Body::from_stream(pieces)).into_response()
+}
+
+fn piece(file: File, left: u64) -> std::io::Result<(File, Vec<u8>)> {
+    let mut piece = Vec::new();
+    (&file).take(left.min(PIECE as u64)).read_to_end(&mut piece)?;
+    Ok((file, piece))
+}

@@ -1,0 +1,41 @@
+//! The state in the text form that Prometheus reads.
+
+use std::fmt::Write;
+
+use super::view::{RunStatus, State, Status};
+
+/// The metrics; counts are those of the run that is on.
+pub(super) fn text(status: &Status) -> String {
+    let mut out = String::new();
+    let mut metric = |name: &str, kind: &str, help: &str, value: f64| {
+        // A String takes every write.
+        let _ = writeln!(out, "# HELP dbbd_{name} {help}\n# TYPE dbbd_{name} {kind}\ndbbd_{name} {value}");
+    };
+    let run = status.run.as_ref();
+    let on = |value: bool| f64::from(u8::from(value));
+    let count = |field: fn(&RunStatus) -> u64| run.map_or(0.0, |run| field(run) as f64);
+    metric("device_present", "gauge", "Whether the port is there.", on(status.device.present));
+    metric("running", "gauge", "Whether a run is on.", on(run.is_some()));
+    metric("failed", "gauge", "Whether the last run failed.", on(status.state == State::Failed));
+    metric(
+        "device_gone",
+        "gauge",
+        "Whether the port went away during the run.",
+        on(run.is_some_and(|r| r.gone)),
+    );
+    metric("run_seconds", "gauge", "Host time since the run began.", run.map_or(0.0, |run| run.elapsed_s));
+    metric("sample_rate_hertz", "gauge", "Samples per second.", run.map_or(0.0, |run| run.rate_hz));
+    metric("bytes_total", "counter", "Bytes received in this run.", count(|run| run.bytes));
+    metric("samples_total", "counter", "Samples written in this run.", count(|run| run.samples));
+    metric("missing_samples_total", "counter", "Samples missing by their numbers.", count(|run| run.missing));
+    metric("gaps_total", "counter", "Gaps recorded in this run.", count(|run| run.gaps));
+    metric("faults_total", "counter", "Faults of the stream in this run.", count(|run| run.faults));
+    metric("rejected_total", "counter", "Refusals of the device in this run.", count(|run| run.rejected));
+    metric("unanswered_total", "counter", "Requests without an answer.", count(|run| run.unanswered));
+    metric("lost_bytes_total", "counter", "Bytes lost before the recorder.", count(|run| run.lost_bytes));
+    metric("dwells_total", "counter", "Dwells that are over in this run.", count(|run| run.dwells.into()));
+    if let Some(mm) = run.and_then(|run| run.reading_mm) {
+        metric("reading_millimetres", "gauge", "The last reading of the bar.", mm);
+    }
+    out
+}

@@ -1,0 +1,26 @@
+//! The service as others see it: HTTP API, live stream, page, metrics.
+//!
+//! This room knows nothing of ports and captures: it reads a watch channel and a lossy broadcast, and asks
+//! a [`Service`] to act. No client can slow the recorder or end a run by going away.
+
+mod access;
+mod api;
+mod downloads;
+mod json;
+mod metrics;
+mod page;
+mod routes;
+mod server;
+mod service;
+mod stall;
+mod stream;
+mod view;
+
+pub use access::{Access, Token};
+pub use routes::{OPENAPI, routes};
+pub use server::serve;
+pub use service::{
+    Catalogue, Download, Ended, Job, JobKind, JobRequest, JobState, Refusal, ResultFile, RunEntry, RunState,
+    Service, StartRequest,
+};
+pub use view::{Alarm, Device, Frame, LastRun, Message, Point, RunStatus, State, Status};

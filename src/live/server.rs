@@ -1,0 +1,108 @@
+//! Connections: how many, how long their heads may take, and their end.
+
+use std::io;
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::time::Duration;
+
+use axum::Router;
+use hyper::server::conn::http1;
+use hyper_util::rt::{TokioIo, TokioTimer};
+use hyper_util::service::TowerToHyperService;
+use tokio::net::{TcpListener, TcpSocket, TcpStream};
+use tokio::sync::{Semaphore, watch};
+use tokio::task::JoinSet;
+use tokio::time::timeout;
+
+use super::access::Access;
+use super::routes;
+use super::service::Service;
+use super::stall::Stalling;
+
+/// Connections at a time.
+const MOST_CONNECTIONS: usize = 256;
+/// How long the head of a request may take.
+const HEAD_TIME: Duration = Duration::from_secs(10);
+/// Longest head of a request, bytes.
+const LONGEST_HEAD: usize = 16 * 1024;
+/// What the system may hold for a client that does not read, bytes: what is older is not worth a look.
+const SEND_BUFFER: u32 = 64 * 1024;
+/// How long open requests may take at the end.
+const LAST_WORDS: Duration = Duration::from_secs(2);
+
+/// An address on which the service listens.
+///
+/// # Errors
+/// When it cannot be had.
+pub(super) fn listen(address: SocketAddr) -> io::Result<TcpListener> {
+    let socket = if address.is_ipv4() { TcpSocket::new_v4()? } else { TcpSocket::new_v6()? };
+    socket.set_reuseaddr(true)?;
+    socket.set_send_buffer_size(SEND_BUFFER)?;
+    socket.bind(address)?;
+    socket.listen(128)
+}
+
+/// Serves the page and the API at `address` until `stop` says so; `ready` is told the address once.
+///
+/// # Errors
+/// When the address cannot be had.
+pub async fn serve(
+    address: SocketAddr,
+    service: Arc<dyn Service>,
+    access: Access,
+    mut stop: watch::Receiver<bool>,
+    ready: impl FnOnce(SocketAddr),
+) -> io::Result<()> {
+    let listener = listen(address)?;
+    ready(listener.local_addr()?);
+    let router = routes::router(service, access, stop.clone());
+    let permits = Arc::new(Semaphore::new(MOST_CONNECTIONS));
+    let mut connections = JoinSet::new();
+    loop {
+        let accepted = tokio::select! {
+            _ = stop.wait_for(|stop| *stop) => break,
+            accepted = listener.accept() => accepted,
+        };
+        while connections.try_join_next().is_some() {}
+        match accepted {
+            Ok((stream, _)) => match Arc::clone(&permits).try_acquire_owned() {
+                Ok(permit) => {
+                    let (router, stop) = (router.clone(), stop.clone());
+                    connections.spawn(async move {
+                        talk(stream, router, stop).await;
+                        drop(permit);
+                    });
+                }
+                Err(_) => refuse(&stream),
+            },
+            // Out of file handles, as a rule: others must go first.
+            Err(_) => tokio::time::sleep(Duration::from_millis(50)).await,
+        }
+    }
+    drop(listener);
+    let _ = timeout(LAST_WORDS, async { while connections.join_next().await.is_some() {} }).await;
+    Ok(())
+}
+
+async fn talk(stream: TcpStream, router: Router, mut stop: watch::Receiver<bool>) {
+    // Frames are small and must not wait for each other.
+    let _ = stream.set_nodelay(true);
+    let connection = http1::Builder::new()
+        .timer(TokioTimer::new())
+        .header_read_timeout(HEAD_TIME)
+        .max_buf_size(LONGEST_HEAD)
+        .serve_connection(TokioIo::new(Stalling::new(stream)), TowerToHyperService::new(router));
+    let mut connection = std::pin::pin!(connection);
+    // How it ends is the client's affair.
+    tokio::select! {
+        _ = &mut connection => return,
+        _ = stop.wait_for(|stop| *stop) => connection.as_mut().graceful_shutdown(),
+    }
+    let _ = connection.await;
+}
+
+fn refuse(stream: &TcpStream) {
+    const ANSWER: &[u8] = b"HTTP/1.1 503 Service Unavailable\r\nconnection: close\r\nretry-after: 5\r\n\
+        content-type: application/json\r\ncontent-length: 32\r\n\r\n{\"error\":\"too many connections\"}";
+    let _ = stream.try_write(ANSWER);
+}

@@ -1,0 +1,58 @@
+//! The live stream: server-sent events. Who reads too slowly loses messages and is told how many.
+
+use std::collections::VecDeque;
+use std::convert::Infallible;
+use std::time::Duration;
+
+use axum::response::sse::{Event, KeepAlive, Sse};
+use axum::response::{IntoResponse, Response};
+use futures_util::stream;
+use serde_json::json;
+use tokio::sync::broadcast::error::RecvError;
+use tokio::sync::{broadcast, watch};
+
+use super::service::Service;
+use super::view::Message;
+
+/// Silence after which a comment is sent, so that a broken connection is noticed.
+const KEEP_ALIVE: Duration = Duration::from_secs(5);
+
+struct Stream {
+    /// What a new client must know first.
+    first: VecDeque<Message>,
+    messages: broadcast::Receiver<Message>,
+    stop: watch::Receiver<bool>,
+}
+
+/// Answers with the stream: first the state and the points so far, then what comes.
+pub(super) fn answer(service: &dyn Service, stop: watch::Receiver<bool>) -> Response {
+    // Subscribed before the points are read: none falls between; one may come twice.
+    let messages = service.messages();
+    let status = Message::new("status", &*service.status().borrow());
+    let first = VecDeque::from([status, Message::new("points", &service.points())]);
+    let stream = Stream { first, messages, stop };
+    let events = stream::unfold(stream, |mut stream| async move {
+        let message = stream.next().await?;
+        let event = Event::default().event(message.event).data(&*message.data);
+        Some((Ok::<_, Infallible>(event), stream))
+    });
+    Sse::new(events).keep_alive(KeepAlive::new().interval(KEEP_ALIVE)).into_response()
+}
+
+impl Stream {
+    async fn next(&mut self) -> Option<Message> {
+        if let Some(message) = self.first.pop_front() {
+            return Some(message);
+        }
+        // An open stream would hold up the end of the process.
+        let received = tokio::select! {
+            _ = self.stop.wait_for(|stop| *stop) => return None,
+            received = self.messages.recv() => received,
+        };
+        match received {
+            Ok(message) => Some(message),
+            Err(RecvError::Lagged(lost)) => Some(Message::new("lost", &json!({ "messages": lost }))),
+            Err(RecvError::Closed) => None,
+        }
+    }
+}

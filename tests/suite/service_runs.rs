@@ -1,0 +1,213 @@
+//! A run by the service: started, marked and stopped over HTTP; no client and no kill takes it away.
+#![cfg(unix)]
+
+use std::fs;
+use std::io::{BufRead, BufReader, Read, Write};
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+
+use dbbd::capture::{self, Event};
+use dbbd::protocol::Definition;
+use dbbd::sim::bar::{self, Options, Reading, Terminal};
+
+use crate::cell;
+use crate::service::Server;
+
+/// A bar that swings over its stroke of 1 mm, with a dwell of half a second in each second.
+fn swinging() -> String {
+    let terminal = Terminal::new().unwrap();
+    let name = terminal.name().to_owned();
+    let definition = Definition::by_name("dbb-cobs-1").unwrap().unwrap();
+    let options = Options { rate_hz: 1000.0, speed: 1.0, first_ticks: 0 };
+    let source = |t_s: f64| {
+        let (reading_mm, strobe) = (1.05 * (3.0 * t_s).sin(), (0.2..0.7).contains(&t_s.fract()));
+        (t_s < 600.0).then_some(Reading { reading_mm, strobe, valid: true, temperature_c: 20.0 })
+    };
+    std::thread::spawn(move || bar::serve(terminal, &definition, options, source));
+    name
+}
+
+/// The events of the stream until `wanted` are complete: names and contents.
+fn hear(server: &Server, wanted: &[&str]) -> Vec<(String, serde_json::Value)> {
+    let mut stream = server.connect();
+    stream.write_all(b"GET /api/v1/stream HTTP/1.1\r\nHost: localhost\r\n\r\n").unwrap();
+    let (mut name, mut events) = (String::new(), Vec::new());
+    for line in BufReader::new(stream).lines().map(Result::unwrap) {
+        if let Some(event) = line.strip_prefix("event: ") {
+            name = event.to_owned();
+        } else if let Some(data) = line.strip_prefix("data: ") {
+            events.push((name.clone(), serde_json::from_str(data).unwrap()));
+            let came = |wanted: &&str| events.iter().any(|(name, _): &(String, _)| name == wanted);
+            if wanted.iter().all(came) {
+                break;
+            }
+        }
+    }
+    events
+}
+
+#[test]
+fn a_run_goes_from_start_to_stop_whoever_looks() {
+    let dir = tempfile::tempdir().unwrap();
+    let port = swinging();
+    let config = format!("[device]\nport = \"{port}\"\n[alarm]\nstroke_mm = [-1.0, 1.0]\n");
+    let mut server = Server::start(dir.path(), &config);
+    server.wait("/api/v1/status", |status| status["state"] == "idle");
+    assert_eq!(server.post("/api/v1/run/stop", "").status, 409);
+    assert_eq!(server.post("/api/v1/run", "{\"name\":\"first\"}").status, 201);
+    assert_eq!(server.post("/api/v1/run", "{\"name\":\"second\"}").status, 409, "one at a time");
+    // A client that listens and goes away, in the middle of whatever is sent.
+    let events = hear(&server, &["status", "points", "frame", "point"]);
+    let all = |wanted: &str| {
+        events.iter().filter(|(name, _)| name == wanted).map(|(_, data)| data.clone()).collect::<Vec<_>>()
+    };
+    for frame in all("frame") {
+        let [least, most, last] = ["min_mm", "max_mm", "last_mm"].map(|key| frame[key].as_f64().unwrap());
+        assert!(least <= last && last <= most && most - least < 1.0, "{frame}");
+        assert!(frame["samples"].as_u64().unwrap() > 10, "{frame}");
+    }
+    assert_eq!(all("point")[0]["dwell"], 1);
+    let mut broken = server.connect();
+    broken.write_all(b"POST /api/v1/run/stop HTTP/1.1\r\nHost: loc").unwrap();
+    drop(broken);
+    assert_eq!(server.post("/api/v1/run/mark", "{\"text\":\"bar \\u00e4 mounted\"}").status, 202);
+    assert_eq!(server.post("/api/v1/run/mark", "{\"text\":\" \"}").status, 422);
+    let sync = "{\"kind\":\"sync\",\"run\":\"first\"}";
+    assert_eq!(server.post("/api/v1/jobs", sync).status, 409, "its run is on");
+    let status = server.wait("/api/v1/status", |status| status["run"]["dwells"].as_u64() >= Some(2));
+    assert_eq!(status["state"], "running");
+    let other = "{\"protocol\":\"dbb-csv-1\"}";
+    assert_eq!(server.ask("PUT", "/api/v1/device", "Content-Type: application/json\r\n", other).status, 409);
+    assert_eq!(server.get("/api/v1/runs/first").json()["state"], "running");
+    assert_eq!(server.post("/api/v1/run/stop", "").status, 202);
+    let status = server.wait("/api/v1/status", |status| status["state"] == "idle");
+    assert_eq!(status["last"]["ending"], "stopped");
+
+    let file = dir.path().join("dbbd-runs/first/run.dbbd");
+    let bytes = fs::read(&file).unwrap();
+    assert_eq!(server.get("/api/v1/runs/first/capture").body, bytes);
+    let recorded = capture::read(&bytes);
+    assert!(recorded.ended() && recorded.damages.is_empty());
+    assert!(recorded.events().any(|event| matches!(event, Event::Mark { text } if text == "bar ä mounted")));
+    let missing = recorded.events().filter(|event| matches!(event, Event::Gap { .. })).count();
+    assert_eq!(missing, 0);
+    assert_eq!(server.get("/api/v1/points").json()["points"][0]["dwell"], 1);
+    assert_eq!(server.post("/api/v1/run", "{\"name\":\"first\"}").status, 409, "a name is never used twice");
+
+    // SIGTERM in the middle of a run ends it as it should.
+    assert_eq!(server.post("/api/v1/run", "{\"name\":\"second\"}").status, 201);
+    server.wait("/api/v1/status", |status| status["run"]["samples"].as_u64() > Some(100));
+    assert_eq!(server.signal("TERM"), Some(0));
+    assert!(capture::read(&fs::read(dir.path().join("dbbd-runs/second/run.dbbd")).unwrap()).ended());
+}
+
+#[test]
+fn a_missing_device_is_a_state_and_not_an_end() {
+    let dir = tempfile::tempdir().unwrap();
+    let link = dir.path().join("bar");
+    let server = Server::start(dir.path(), "data = \"file\"\n[device]\nport = \"bar\"\n");
+    let status = server.get("/api/v1/status").json();
+    assert_eq!((&status["state"], &status["device"]["present"]), (&"no_device".into(), &false.into()));
+    let refused = server.post("/api/v1/run", "{\"name\":\"a\"}");
+    assert_eq!(refused.status, 409);
+    assert!(refused.json()["error"].as_str().unwrap().contains("no port `bar`"), "{}", refused.json());
+    // No trace of the run that could not begin: its name is free.
+    assert!(!dir.path().join("file/a").exists());
+    std::os::unix::fs::symlink(swinging(), &link).unwrap();
+    server.wait("/api/v1/status", |status| status["state"] == "idle");
+    // A data directory that cannot be had is told as well.
+    fs::remove_dir_all(dir.path().join("file")).unwrap();
+    fs::write(dir.path().join("file"), "in the way").unwrap();
+    let refused = server.post("/api/v1/run", "{\"name\":\"a\"}");
+    assert_eq!(refused.status, 409);
+    assert!(refused.json()["error"].as_str().unwrap().contains("cannot be written"), "{}", refused.json());
+    fs::remove_file(dir.path().join("file")).unwrap();
+    assert_eq!(server.post("/api/v1/run", "{\"name\":\"a\"}").status, 201);
+}
+
+/// The demo's plan with few points, and its programs.
+fn plan(dir: &Path) {
+    let job = include_str!("../../examples/demo.toml").replace("points = 80", "points = 12");
+    fs::write(dir.join("job.toml"), job).unwrap();
+    for args in [["plan", "job.toml", "--out", "plan"], ["krl", "plan/plan.csv", "--out", "krl"]] {
+        let output = cell::dbbd(dir, &args);
+        assert_eq!(output.status.code(), Some(0), "{}", cell::stderr(&output));
+    }
+}
+
+struct Simulator(Child);
+
+impl Simulator {
+    fn start(dir: &Path) -> Self {
+        let mut child = Command::new(env!("CARGO_BIN_EXE_dbbd"))
+            .args(["simulate", "--program", "krl/DBB_MAIN.src", "--speed", "60", "--link", "bar"])
+            .current_dir(dir)
+            .stdout(Stdio::piped())
+            .stderr(Stdio::null())
+            .spawn()
+            .unwrap();
+        // Its first line names the terminal.
+        child.stdout.as_mut().unwrap().read_exact(&mut [0; 5]).unwrap();
+        Self(child)
+    }
+}
+
+impl Drop for Simulator {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+#[test]
+fn a_killed_run_is_there_again_and_can_be_identified() {
+    let dir = tempfile::tempdir().unwrap();
+    plan(dir.path());
+    let _simulator = Simulator::start(dir.path());
+    let config = "[device]\nport = \"bar\"\n";
+    let mut server = Server::start(dir.path(), config);
+    let plans = server.get("/api/v1/plans").json();
+    assert_eq!(
+        (&plans["plans"][0]["name"], &plans["plans"][0]["error"]),
+        (&"plan".into(), &serde_json::Value::Null)
+    );
+    assert_eq!(server.post("/api/v1/run", "{\"name\":\"killed\",\"plan\":\"plan\"}").status, 201);
+    server.wait("/api/v1/status", |status| status["run"]["dwells"].as_u64() >= Some(20));
+    let points = server.get("/api/v1/points").json();
+    let point = &points["points"][3];
+    assert!(point["deviation_mm"].as_f64().unwrap().abs() < 1.0 && point["angle_deg"].is_number(), "{point}");
+    server.signal("KILL");
+
+    let server = Server::start(dir.path(), config);
+    let run = server.get("/api/v1/runs").json()["runs"][0].clone();
+    assert_eq!((&run["name"], &run["state"]), (&"killed".into(), &"ended_early".into()));
+    let job =
+        server.post("/api/v1/jobs", "{\"kind\":\"identify\",\"run\":\"killed\",\"prior\":\"datasheet\"}");
+    assert_eq!(job.status, 202, "{job:?}");
+    let path = format!("/api/v1/jobs/{}", job.json()["id"]);
+    let job = server.wait(&path, |job| job["state"] != "waiting" && job["state"] != "running");
+    assert_eq!(job["state"], "doubt", "a run that was cut off is a doubt: {job}");
+    let report = server.get("/api/v1/runs/killed/identify/report.html");
+    assert_eq!(report.status, 200);
+    assert!(report.head.contains("content-security-policy: default-src 'none'; style-src 'unsafe-inline'"));
+    assert_eq!(report.body, fs::read(dir.path().join("dbbd-runs/killed/identify/report.html")).unwrap());
+    // What cannot be done is said, not hidden.
+    let job =
+        server.post("/api/v1/jobs", "{\"kind\":\"identify\",\"run\":\"killed\",\"estimate\":\"nonsense\"}");
+    let path = format!("/api/v1/jobs/{}", job.json()["id"]);
+    let job = server.wait(&path, |job| job["state"] == "failed");
+    assert!(job["log"].to_string().contains("nonsense"), "{job}");
+    assert_eq!(server.get("/api/v1/jobs/99").status, 404);
+}
+
+#[test]
+fn the_simulated_cell_needs_nothing() {
+    let dir = tempfile::tempdir().unwrap();
+    let server = Server::start(dir.path(), "[device]\nport = \"sim\"\n");
+    assert_eq!(server.get("/api/v1/status").json()["device"]["present"], true);
+    assert_eq!(server.post("/api/v1/run", "{\"name\":\"tried\"}").status, 201);
+    let status = server.wait("/api/v1/status", |status| status["run"]["samples"].as_u64() > Some(50));
+    assert_eq!((&status["run"]["poses"], &status["run"]["stroke_mm"][1]), (&252.into(), &5.0.into()));
+    assert_eq!(server.post("/api/v1/run/stop", "").status, 202);
+    server.wait("/api/v1/status", |status| status["last"]["name"] == "tried");
+}
