@@ -171,7 +171,7 @@ fn no_name_leaves_the_data_directory() {
             format!("/api/v1/runs/{name}/identify/secret"),
         ] {
             let answer = server.get(&path);
-            assert!(matches!(answer.status, 404), "{path}: {}", answer.status);
+            assert_eq!(answer.status, 404, "{path}");
             assert!(
                 !answer.body.windows(6).any(|six| six == b"secret") || answer.json()["error"].is_string()
             );
