@@ -331,7 +331,8 @@ impl Run {
     }
 
     fn tell(&mut self, gone: bool) -> Result<(), AcquireError> {
-        let remarks = std::mem::take(&mut *self.shared.remarks.lock().unwrap_or_else(PoisonError::into_inner));
+        let remarks =
+            std::mem::take(&mut *self.shared.remarks.lock().unwrap_or_else(PoisonError::into_inner));
         for text in remarks {
             self.recorder.event(clock::now(), Event::Mark { text })?;
         }
