@@ -245,6 +245,10 @@ impl Supervisor {
                 Definition::by_name(name).ok_or_else(unknown)?.map_err(|error| refused(&error))?
             }
         };
+        if let Some(port::Latency { ms: ms @ 2.., device }) = port::quicken(&port) {
+            let fields: [(&str, &dyn std::fmt::Display); 2] = [("device", &device), ("ms", &ms)];
+            self.log.say(Level::Warning, "adapter_holds_bytes_back", &fields);
+        }
         let directory = self.reserve(&request.name)?;
         let (points, clock_ahead) = (&self.shown.points, &self.shown.clock_ahead_ms);
         points.lock().unwrap_or_else(PoisonError::into_inner).clear();
