@@ -16,6 +16,8 @@ pub struct Point {
     pub to: Target,
     /// The auxiliary point of an arc.
     pub through: Option<Target>,
+    /// The angle round which an arc goes, degrees, where it does not end at `to`.
+    pub sweep_deg: Option<f64>,
     /// The statement's bytes in the `.src`.
     pub span: Span,
 }
@@ -53,10 +55,17 @@ pub fn read_points(source: &Source, data: Option<&Data>) -> Result<Vec<Point>, D
         let target = |expression: &Expression| {
             constants.target(expression).map_err(|message| wrong(&expression.span, message))
         };
+        let mut sweep_deg = None;
         let (motion, to, through) = match &statement.kind {
             StatementKind::Ptp { to, .. } => (Motion::Ptp, target(to)?, None),
             StatementKind::Lin { to, .. } => (Motion::Lin, target(to)?, None),
-            StatementKind::Circ { through, to, .. } => (Motion::Circ, target(to)?, Some(target(through)?)),
+            StatementKind::Circ { through, to, angle, .. } => {
+                sweep_deg = angle
+                    .as_ref()
+                    .map(|angle| number(angle).map_err(|why| wrong(&angle.span, why)))
+                    .transpose()?;
+                (Motion::Circ, target(to)?, Some(target(through)?))
+            }
             StatementKind::Call { name, .. } => {
                 let called = source.routines.iter().find(|routine| routine.name == *name);
                 if called.is_some_and(|routine| moves(&routine.body)) {
@@ -74,7 +83,7 @@ pub fn read_points(source: &Source, data: Option<&Data>) -> Result<Vec<Point>, D
             }
             _ => continue,
         };
-        points.push(Point { motion, to, through, span: statement.span.clone() });
+        points.push(Point { motion, to, through, sweep_deg, span: statement.span.clone() });
     }
     Ok(points)
 }
@@ -140,6 +149,16 @@ pub fn read_setup(data: &Data) -> Result<Option<Setup>, Diagnostic> {
         return Ok(None);
     };
     Ok(Some(Setup { ball, centre_mm: xyz_mm, length_mm, stroke_mm: [low, high] }))
+}
+
+/// A number that is written as such.
+fn number(expression: &Expression) -> Result<f64, String> {
+    match &expression.kind {
+        ExpressionKind::Real(value) => Ok(*value),
+        ExpressionKind::Int(value) => Ok(*value as f64),
+        ExpressionKind::Unary(Unary::Minus, inner) => number(inner).map(|value| -value),
+        _ => Err("this is no number".into()),
+    }
 }
 
 /// Whether a block or one inside it holds a motion.

@@ -10,6 +10,9 @@ const KEYWORDS: &[&str] = &[
     "PTP",
     "LIN",
     "CIRC",
+    "SPTP",
+    "SLIN",
+    "SCIRC",
     "WAIT",
     "PULSE",
     "HALT",
@@ -37,9 +40,6 @@ const CLOSING: &[&str] = &["END", "ENDFOR", "ELSE", "ENDIF", "ENDWHILE", "ENDLOO
 
 /// Statements of KRL that are known to exist and not supported, each with what to do.
 const UNSUPPORTED: &[(&str, &str)] = &[
-    ("SPTP", "write PTP"),
-    ("SLIN", "write LIN"),
-    ("SCIRC", "write CIRC"),
     ("SPLINE", "write LIN or CIRC for each point"),
     ("TRIGGER", "set the output after an exact stop"),
     ("CONTINUE", "set the output after an exact stop"),
@@ -104,15 +104,15 @@ impl Parser<'_> {
                 self.sign("=")?;
                 StatementKind::Assign { target, value: self.expression()? }
             }
-            "PTP" => {
+            "PTP" | "SPTP" => {
                 self.advance();
                 StatementKind::Ptp { to: self.expression()?, approximate: self.approximate()? }
             }
-            "LIN" => {
+            "LIN" | "SLIN" => {
                 self.advance();
                 StatementKind::Lin { to: self.expression()?, approximate: self.approximate()? }
             }
-            "CIRC" => self.circ()?,
+            "CIRC" | "SCIRC" => self.circ()?,
             "WAIT" => {
                 self.advance();
                 if self.accept_name("SEC") {
@@ -188,8 +188,8 @@ impl Parser<'_> {
     fn approximate(&mut self) -> Result<Option<String>, Diagnostic> {
         let mut found: Option<String> = None;
         while let Token::Name(word) = self.peek().clone() {
-            if !matches!(word.as_str(), "C_PTP" | "C_DIS" | "C_ORI" | "C_VEL") {
-                return Err(self.unexpected("C_PTP, C_DIS, C_ORI, C_VEL or the end of the line"));
+            if !matches!(word.as_str(), "C_PTP" | "C_DIS" | "C_ORI" | "C_VEL" | "C_SPL") {
+                return Err(self.unexpected("C_PTP, C_DIS, C_ORI, C_VEL, C_SPL or the end of the line"));
             }
             self.advance();
             found = Some(found.map_or(word.clone(), |before| format!("{before} {word}")));

@@ -2,11 +2,11 @@
 
 use super::advice::advice;
 use super::cell::Cell;
-use super::check::{Check, Facts, Finding, Inspector, judge, note_speed, summary};
+use super::check::{Check, Facts, Finding, Inspector, judge, note_speed, path, summary};
 use super::solve::{Branch, Rig, runs};
 use super::steps::{Step, steps};
 use super::timing::{Pace, move_times};
-use super::{Header, Job, Kind, Plan, PlanRow, optimise, prediction};
+use super::{Header, Job, Plan, PlanRow, optimise, pass, prediction};
 use crate::identifiability::Belief;
 use crate::model::{Reading, Robot};
 
@@ -129,7 +129,7 @@ impl Plan {
             let advice = advice(job, &rig, &rows, &findings);
             return Err(Refused { findings, advice });
         }
-        let moves = move_times(&rows, &paces, &job.motion, robot, u64::from(job.seed));
+        let mut moves = move_times(&rows, &paces, &job.motion, robot, u64::from(job.seed));
         for facts in &mut facts {
             let at = facts.position();
             if let (Some(Some(pace)), Some(time)) = (paces.get(at), moves.get(at)) {
@@ -144,12 +144,14 @@ impl Plan {
             return Err(Refused { findings: beyond, advice });
         }
         let checks: Vec<Check> = summary(&all);
+        let passes = pass::passes(job, &rows, &mut moves);
         let header = Header {
             schema: super::files::SCHEMA,
             hash: String::new(),
             job: job.clone(),
             robot: robot.to_toml(),
             moves,
+            passes,
             checks,
             notes,
             predictions: None,
@@ -163,9 +165,12 @@ impl Plan {
     pub fn duration_s(&self) -> f64 {
         let motion = &self.header.job.motion;
         let moving: f64 = self.header.moves.iter().map(|time| time.duration_s).sum();
-        let dwells = self.rows.iter().filter(|row| row.kind != Kind::Transit);
-        let still: f64 =
-            dwells.map(|row| motion.settle_s + row.dwell_s + super::timing::AFTER_STROBE_S).sum();
+        let dwells = self.rows.iter().filter(|row| row.dwell_s > 0.0).map(|row| row.dwell_s);
+        // A pass is waited for as a dwell is, and none follows.
+        let still: f64 = dwells
+            .chain(self.header.passes.iter().map(|_| 0.0))
+            .map(|dwell_s| motion.settle_s + dwell_s + super::timing::AFTER_STROBE_S)
+            .sum();
         moving + still
     }
 }
@@ -244,13 +249,23 @@ fn inspect(
     let mut paces = Vec::with_capacity(rows.len());
     let mut from = before;
     let mut aux = None;
-    for row in &rows {
-        if row.is_auxiliary() {
-            aux = Some(row);
-            paces.push(None);
-            continue;
-        }
-        paces.push(inspector.follow(from, aux.take(), row));
+    let passes = pass::groups(&rows).unwrap_or_default();
+    for (at, row) in rows.iter().enumerate() {
+        let pass = passes.iter().find(|pass| pass.holds(at));
+        let path = match pass {
+            Some(pass) if at == pass.end => pass.path(job, from, &rows),
+            Some(_) => {
+                paces.push(None);
+                continue;
+            }
+            None if row.is_auxiliary() => {
+                aux = Some(row);
+                paces.push(None);
+                continue;
+            }
+            None => from.map(|from| path(from, aux.take(), row)),
+        };
+        paces.push(inspector.follow(from.zip(path), row));
         from = Some(row);
     }
     inspector.finish();

@@ -242,23 +242,17 @@ impl<'a> Inspector<'a> {
         }
     }
 
-    /// Follows the motion into `row` from `from`, through `aux` if it is an arc. The bar is on all the
-    /// way, but for a PTP motion, at whose end it is mounted.
-    pub(crate) fn follow(
-        &mut self,
-        from: Option<&PlanRow>,
-        aux: Option<&PlanRow>,
-        row: &PlanRow,
-    ) -> Option<Pace> {
+    /// Follows the motion into `row`: from which row, and on which path. The bar is on all the way, but
+    /// for a PTP motion, at whose end it is mounted.
+    pub(crate) fn follow(&mut self, motion: Option<(&PlanRow, Path)>, row: &PlanRow) -> Option<Pace> {
         let mut facts = Facts { row: row.index, worst: [None; Quantity::ALL.len()] };
         let mut nearest_end: Option<Near> = None;
         let there = row.axes_deg.map(f64::to_radians);
-        let Some(from) = from else {
+        let Some((from, path)) = motion else {
             self.nears.extend(self.look(&mut facts, &there, row.centre, true));
             self.facts.push(facts);
             return None;
         };
-        let path = path(from, aux, row);
         let mut last = from.axes_deg.map(f64::to_radians);
         let widest = (0..AXES).map(|i| (there[i] - last[i]).abs().to_degrees()).fold(0.0, f64::max);
         let turn = if row.motion == Motion::Ptp { widest } else { path.turn_deg() };

@@ -32,6 +32,20 @@ impl CircleTable {
         self.arc_deg.to_radians() / f64::from(gaps)
     }
 
+    /// Angle of a continuous pass with its feed-in and overshoot, degrees.
+    pub(crate) fn sweep_deg(&self) -> f64 {
+        self.arc_deg + 2.0 * self.overshoot_deg
+    }
+
+    /// Whether its first pass, or its `second`, goes against growing angles.
+    pub(crate) fn is_clockwise(&self, second: bool) -> bool {
+        match self.direction {
+            Direction::Ccw => false,
+            Direction::Cw => true,
+            Direction::Both => second,
+        }
+    }
+
     /// The angles of the points in the order in which they are visited, rad from the first, not
     /// wrapped: the path between two goes through the angles between them.
     pub(crate) fn angles(&self) -> Vec<f64> {

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{Header, Kind, Motion, Plan, PlanRow};
+use super::{Header, Kind, Motion, Plan, PlanRow, pass};
 use crate::diag::Diagnostic;
 
 /// Version of the form of `plan.json`.
@@ -85,8 +85,8 @@ impl From<Line> for PlanRow {
 }
 
 impl PlanRow {
-    /// What the columns' types do not say; `before` is the row before.
-    fn check(&self, at: usize, before: Option<&PlanRow>) -> Result<(), String> {
+    /// What the columns' types do not say.
+    fn check(&self, at: usize) -> Result<(), String> {
         if self.index as usize != at + 1 {
             return Err(format!("index = {} must be {}: rows count from 1", self.index, at + 1));
         }
@@ -101,13 +101,9 @@ impl PlanRow {
         if self.centre == 0 {
             return Err("centre = 0: base balls count from 1".into());
         }
-        let dwells = self.kind != Kind::Transit;
-        if dwells != (self.dwell_s > 0.0) {
+        let passed = self.is_passed() && self.motion == Motion::Circ;
+        if (self.kind != Kind::Transit) != (self.dwell_s > 0.0) && !passed {
             return Err(format!("dwell_s = {} in a {:?} row", self.dwell_s, self.kind).to_lowercase());
-        }
-        let arc = self.motion == Motion::Circ && dwells;
-        if arc != before.is_some_and(PlanRow::is_auxiliary) {
-            return Err("an arc is two `circ` rows: its auxiliary point in transit, then its end".into());
         }
         Ok(())
     }
@@ -169,6 +165,9 @@ impl Plan {
         if !indices.eq(rows.iter().map(|row| row.index)) {
             return Err(Diagnostic::file(json_name, "`moves` must have one entry for each row, in order"));
         }
+        if let Some(message) = pass::mismatch(&rows, &header.passes) {
+            return Err(Diagnostic::file(json_name, message));
+        }
         let centres = header.job.centres.len();
         if let Some(row) = rows.iter().find(|row| row.centre as usize > centres) {
             let message = format!("centre = {}: the job has {centres} base ball(s)", row.centre);
@@ -183,12 +182,13 @@ fn read_rows(name: &str, text: &str) -> Result<Vec<PlanRow>, Diagnostic> {
     let mut rows: Vec<PlanRow> = Vec::new();
     for (at, line) in reader.deserialize::<Line>().enumerate() {
         let row = PlanRow::from(line.map_err(|error| Diagnostic::csv(name, &error))?);
-        row.check(at, rows.last()).map_err(|message| Diagnostic::line(name, at + 2, message))?;
+        row.check(at).map_err(|message| Diagnostic::line(name, at + 2, message))?;
         rows.push(row);
     }
     if rows.is_empty() {
         return Err(Diagnostic::file(name, "has no rows: it is not a plan"));
     }
+    pass::groups(&rows).map_err(|(at, message)| Diagnostic::line(name, at + 2, message))?;
     Ok(rows)
 }
 

@@ -10,6 +10,7 @@ pub mod clearance;
 mod files;
 pub mod job;
 mod optimise;
+mod pass;
 pub mod path;
 mod places;
 pub mod prediction;
@@ -26,6 +27,7 @@ pub use build::{Knowledge, Refused};
 pub use check::{Check, Finding, Quantity};
 pub use circle::REFERENCE_EVERY;
 pub use job::{Job, MotionTable};
+pub use pass::Pass;
 pub use places::CirclePlace;
 pub use prediction::Prediction;
 pub use rows::{Kind, Motion, PlanRow};
@@ -53,6 +55,9 @@ pub struct Header {
     pub robot: String,
     /// How long each move lasts: one entry for each row, in order.
     pub moves: Vec<MoveTime>,
+    /// The passes of continuous circles, in order.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub passes: Vec<Pass>,
     /// Of each quantity that was checked the worst value, its limit, and where.
     pub checks: Vec<Check>,
     /// What the planner has to say about it.

@@ -1,7 +1,6 @@
 //! Where on its circle each row stands.
 
 use super::circle::Circle;
-use super::job::Direction;
 use super::{Kind, Plan};
 
 /// A dwell's place on its circle.
@@ -27,11 +26,7 @@ impl Plan {
                 let table = job.circles.get(at).filter(|_| row.kind != Kind::Transit)?;
                 let circle = Circle::new(job, table, row.circle)?;
                 let visited = measured.get_mut(at)?;
-                let clockwise = match table.direction {
-                    Direction::Ccw => false,
-                    Direction::Cw => true,
-                    Direction::Both => *visited >= table.points,
-                };
+                let clockwise = table.is_clockwise(*visited >= table.points);
                 *visited += u32::from(row.kind == Kind::Measure);
                 let angle_deg = circle.angle_deg(row.xyz_mm.into());
                 Some(CirclePlace { angle_deg, clockwise, radius_mm: circle.radius })

@@ -58,7 +58,7 @@ pub struct PlanRow {
 }
 
 impl PlanRow {
-    /// Whether it is no pose to stop at but the point through which the next row's arc goes.
+    /// Whether it is no pose to measure at but a point through which an arc goes, or the end of a pass.
     pub fn is_auxiliary(&self) -> bool {
         self.kind == Kind::Transit && self.motion == Motion::Circ
     }

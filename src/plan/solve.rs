@@ -2,7 +2,7 @@
 
 use super::job::Job;
 use super::steps::Step;
-use super::{Motion, PlanRow};
+use super::{Kind, Motion, PlanRow};
 use crate::model::inverse::{Unsolved, branches, nearest, status, turn, turns_within};
 use crate::model::{AXES, Geometry, Pose, Robot};
 
@@ -68,9 +68,19 @@ impl<'a> Rig<'a> {
         start: &[f64; AXES],
     ) -> Result<Branch, (u32, [f64; 3], Unsolved)> {
         let mut near = *start;
+        // Where the robot stands before the auxiliary points of a pass: these are far away on its circle.
+        let mut stands = None;
         let mut rows = Vec::with_capacity(steps.len());
         let mut margin_deg = f64::INFINITY;
-        for (index, step) in (first_index..).zip(steps) {
+        for ((index, step), next) in
+            (first_index..).zip(steps).zip(steps.iter().skip(1).map(Some).chain([None]))
+        {
+            let auxiliary = |step: &Step| step.kind == Kind::Transit && step.motion == Motion::Circ;
+            if auxiliary(step) && next.is_some_and(auxiliary) {
+                stands = Some(near);
+            } else if !auxiliary(step) {
+                near = stands.take().unwrap_or(near);
+            }
             let failed = |reason| (index, step.pose.position.into(), reason);
             let (xyz_mm, abc_deg) = self.command(&step.pose, &near).map_err(failed)?;
             let told = Pose::from_kuka(xyz_mm, abc_deg);

@@ -8,6 +8,8 @@
 //! along the circle itself, the shorter way round: that is the one way of which it is known that the
 //! bar's length stays, and it costs three turns of the circle for eighty points.
 //!
+//! A continuous circle has no reference pose; its passes go over it from end to end (`pass.rs`).
+//!
 //! Between two circles about one base ball the bar stays on: the robot goes along the sphere, in short
 //! chords, to the next start pose, and the next module's motion to it is none. To another base ball the bar comes off.
 
@@ -16,7 +18,7 @@ use std::f64::consts::TAU;
 use nalgebra::{Rotation3, Vector3};
 
 use super::circle::{Circle, REFERENCE_EVERY};
-use super::job::{Bar, Direction, Job};
+use super::job::{Bar, Direction, Job, Mode};
 use super::path::between;
 use super::route::Way;
 use super::{Kind, Motion};
@@ -56,7 +58,9 @@ pub(crate) fn steps(job: &Job) -> Vec<Step> {
         let sense = if table.direction == Direction::Cw { -1.0 } else { 1.0 };
         // Outside an open arc may be what it was left open for: there the start is inside.
         let outside = if table.is_closed() { sense } else { -sense } * table.step();
-        let start = first - outside;
+        let continuous = table.mode == Mode::Continuous;
+        let start =
+            if continuous { first - sense * table.overshoot_deg.to_radians() } else { first - outside };
 
         if walk.centre == table.centre {
             // Half of the room inwards at most, and no more than a knock.
@@ -68,6 +72,13 @@ pub(crate) fn steps(job: &Job) -> Vec<Step> {
         let knock = knock(&job.bar, circle.radius);
         walk.knocks(START_KNOCKS, &circle, start, knock);
         let mut at = start;
+        if continuous {
+            for pass in angles.chunks(table.points as usize) {
+                at = walk.pass(&circle, at, pass, table.sweep_deg().to_radians());
+            }
+            walk.knocks(END_KNOCKS, &circle, at, knock);
+            continue;
+        }
         let visit = |walk: &mut Walk, at: &mut f64, target: f64, kind: Kind| {
             if (target - *at).abs() < 1e-9 {
                 // To stay would leave no interval of its own between two dwells.
@@ -172,6 +183,25 @@ impl Walk {
         aux.rotation = between(&circle.orientation(from), &end.rotation, 0.5);
         self.push(Kind::Transit, Motion::Circ, aux);
         self.push(kind, Motion::Circ, end);
+    }
+
+    /// A pass without stops, from where the robot stands at angle `from`; the angle at which it stops.
+    fn pass(&mut self, circle: &Circle, from: f64, points: &[f64], sweep: f64) -> f64 {
+        let sense = points.first().map_or(1.0, |first| (first - from).signum());
+        // Through points far from each other the rounding of the poses hardly moves the circle.
+        let third = sense * sweep.min(TAU) / 3.0;
+        for share in [1.0, 2.0] {
+            self.push(Kind::Transit, Motion::Circ, circle.pose(from + share * third, 0.0));
+        }
+        for angle in points {
+            self.push(Kind::Measure, Motion::Circ, circle.pose(*angle, 0.0));
+            if let Some(step) = self.steps.last_mut() {
+                step.dwell_s = 0.0;
+            }
+        }
+        let end = from + sense * sweep;
+        self.push(Kind::Transit, Motion::Circ, circle.pose(end, 0.0));
+        end
     }
 
     /// Along the sphere about the base ball at `centre` from where the robot is to `to`, in chords that

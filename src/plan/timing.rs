@@ -73,7 +73,7 @@ pub(crate) fn move_times(
     robot: &Robot,
     seed: u64,
 ) -> Vec<MoveTime> {
-    let dwells = rows.iter().filter(|row| row.kind != Kind::Transit).count();
+    let dwells = rows.iter().filter(|row| row.dwell_s > 0.0).count();
     let mut code = code(dwells, seed).into_iter();
     let mut taken: Vec<(u32, f64)> = Vec::with_capacity(dwells);
     let mut times = Vec::with_capacity(rows.len());

@@ -96,6 +96,7 @@ pub(crate) fn plan(circles: u32, points: u32) -> Plan {
         job: Job::from_toml("job", &job).unwrap(),
         robot: robot.to_toml(),
         moves: builder.moves,
+        passes: Vec::new(),
         checks: Vec::new(),
         notes: Vec::new(),
         predictions: None,

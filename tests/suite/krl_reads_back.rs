@@ -127,9 +127,9 @@ fn logged_axes_come_with_their_rows() {
 
 #[test]
 fn what_is_not_known_is_refused_with_its_place() {
-    let spline = refused("DEF T ( )\r\n  ; a comment\r\n  SLIN XP1\r\nEND\r\n");
-    assert!(spline.starts_with("T.src:3:3: SLIN is not supported"), "{spline}");
-    assert!(spline.contains("|   SLIN XP1") && spline.contains("help: write LIN"), "{spline}");
+    let spline = refused("DEF T ( )\r\n  ; a comment\r\n  SPLINE\r\nEND\r\n");
+    assert!(spline.starts_with("T.src:3:3: SPLINE is not supported"), "{spline}");
+    assert!(spline.contains("|   SPLINE") && spline.contains("help: write LIN"), "{spline}");
     let typo = refused("DEF T ( )\nWIAT SEC 1\nEND\n");
     assert!(typo.starts_with("T.src:2:1:") && typo.contains("did you mean WAIT?"), "{typo}");
     for (text, place) in [

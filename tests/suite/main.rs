@@ -12,6 +12,7 @@ mod circle_plan;
 mod circular_quantities;
 mod compensated_program_is_accurate;
 mod compensated_robot_arrives;
+mod continuous_circles;
 mod controller_executes_krl;
 mod decoder_accounts_for_every_byte;
 mod definitions_are_checked;

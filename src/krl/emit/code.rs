@@ -3,7 +3,7 @@
 use super::super::number::{degrees, metre_per_second, percent, seconds};
 use super::{Circle, Controller, EmitError, HEAD, INI, Lines, Sync, Timed, Writer};
 use crate::plan::timing::{ACCELERATION_DEG_S2, ACCELERATION_MM_S2, PTP_ACCELERATION_PERCENT};
-use crate::plan::{Kind, Motion};
+use crate::plan::{Kind, Motion, Pass};
 
 impl Writer<'_> {
     pub(super) fn code(
@@ -54,6 +54,14 @@ impl Writer<'_> {
         let mut rows = circle.rows.iter().enumerate().peekable();
         while let Some((at, (row, time))) = rows.next() {
             let at = at + 1;
+            if let Some(pass) = self.pass(row) {
+                dwell += 1;
+                self.pass_code(source, pass, dwell, at);
+                if output && end_mark == at {
+                    source.add("DBB_SYNC (2)");
+                }
+                continue;
+            }
             let next = rows.peek().map(|(_, (next, _))| *next);
             if row.kind == Kind::Transit
                 && row.motion == Motion::Circ
@@ -93,11 +101,6 @@ impl Writer<'_> {
             Self::ekrl_close(source);
         }
         source.add("END");
-        self.subroutines(source);
-        Ok(())
-    }
-
-    fn subroutines(&self, source: &mut Lines) {
         source.all(&[
             "",
             "DEF DBB_FEED (K :IN )",
@@ -107,6 +110,53 @@ impl Writer<'_> {
             "$VEL.ORI1=VO[K]",
             "$VEL.ORI2=VO[K]",
             "END",
+        ]);
+        let dwells = circle.rows.iter().any(|(row, _)| row.kind != Kind::Transit);
+        let passes = circle.rows.iter().any(|(row, _)| self.pass(row).is_some());
+        if dwells {
+            self.mark_subroutine(source);
+        }
+        if passes {
+            self.pass_subroutines(source);
+        }
+        match self.options.sync {
+            Sync::Marker => {}
+            Sync::Ekrl { .. } => Self::ekrl_subroutine(source),
+            Sync::Output => self.sync_subroutine(source),
+        }
+        Ok(())
+    }
+
+    /// One motion round a circle without stops: through two points, and on by its whole angle.
+    fn pass_code(&self, source: &mut Lines, pass: &Pass, number: usize, at: usize) {
+        let [first, last] = pass.points;
+        let sense = if pass.clockwise { "clockwise" } else { "counter-clockwise" };
+        source.add(format!("; rows {first} to {last}, one pass {sense}"));
+        source.add(format!("DBB_FEED ({at})"));
+        source.add(format!("DBB_GO ({number})"));
+        // On a KR C2 there is no SCIRC; its CIRC is a circle only while it is slow.
+        let word = if self.options.controller == Controller::Krc2 { "CIRC" } else { "SCIRC" };
+        source.add(format!("{word} XP[{}],XP[{}],CA {}", at - 2, at - 1, degrees(pass.sweep_deg)));
+        source.add(format!("DBB_STOP ({number})"));
+    }
+
+    fn pass_subroutines(&self, source: &mut Lines) {
+        let (begin, end): (&[&str], &[&str]) = match self.options.sync {
+            Sync::Marker => (&[], &[]),
+            Sync::Output => (&["DBBIDX=N", "DBBSTB=TRUE"], &["DBBSTB=FALSE"]),
+            Sync::Ekrl { .. } => (&["DBB_ESEND (DBBROW[N],1)"], &["DBB_ESEND (DBBROW[N],2)"]),
+        };
+        source.all(&["", "DEF DBB_GO (N :IN )", "; stand still before pass N", "INT N", "WAIT SEC 0"]);
+        source.add("WAIT SEC TSET");
+        source.all(begin);
+        source.all(&["END", "", "DEF DBB_STOP (N :IN )", "; pass N has ended: log the axes", "INT N"]);
+        source.add("WAIT SEC 0");
+        source.all(end);
+        source.all(&["XQ[N]=$AXIS_ACT_MEAS", "WAIT SEC 0.1", "END"]);
+    }
+
+    fn mark_subroutine(&self, source: &mut Lines) {
+        source.all(&[
             "",
             "DEF DBB_MARK (N :IN,TDW :IN )",
             "; stand still: settle, log the axes, dwell",
@@ -115,22 +165,23 @@ impl Writer<'_> {
             "WAIT SEC 0",
             "WAIT SEC TSET",
         ]);
-        match self.options.sync {
-            Sync::Marker => {
-                source.all(&["XQ[N]=$AXIS_ACT_MEAS", "WAIT SEC TDW", "WAIT SEC 0.1", "END"]);
-                return;
+        source.all(match self.options.sync {
+            Sync::Marker => &["XQ[N]=$AXIS_ACT_MEAS", "WAIT SEC TDW"],
+            Sync::Output => {
+                &["DBBIDX=N", "XQ[N]=$AXIS_ACT_MEAS", "DBBSTB=TRUE", "WAIT SEC TDW", "DBBSTB=FALSE"]
             }
-            Sync::Ekrl { .. } => return Self::ekrl_subroutines(source),
-            Sync::Output => {}
-        }
+            Sync::Ekrl { .. } => &[
+                "XQ[N]=$AXIS_ACT_MEAS",
+                "DBB_ESEND (DBBROW[N],1)",
+                "WAIT SEC TDW",
+                "DBB_ESEND (DBBROW[N],2)",
+            ],
+        });
+        source.all(&["WAIT SEC 0.1", "END"]);
+    }
+
+    fn sync_subroutine(&self, source: &mut Lines) {
         source.all(&[
-            "DBBIDX=N",
-            "XQ[N]=$AXIS_ACT_MEAS",
-            "DBBSTB=TRUE",
-            "WAIT SEC TDW",
-            "DBBSTB=FALSE",
-            "WAIT SEC 0.1",
-            "END",
             "",
             "DEF DBB_SYNC (N :IN )",
             "; N short pulses of the strobe: 3 at the start, 2 at the end",

@@ -3,7 +3,7 @@
 use super::super::number::{degrees, metre_per_second, millimetre, seconds};
 use super::{Circle, Controller, EmitError, HEAD, Lines, Sync, Writer};
 use crate::model::AXES;
-use crate::plan::{Kind, Motion, MoveTime, PlanRow};
+use crate::plan::{Motion, MoveTime, PlanRow};
 
 impl Writer<'_> {
     /// Mass (kg) and centre (mm) of what the flange carries, where the robot file tells.
@@ -75,10 +75,10 @@ impl Writer<'_> {
             data.add(format!("DECL {declaration}[{count}]"));
         }
         for (at, (row, time)) in circle.rows.iter().enumerate() {
-            check(row, time)?;
+            let auxiliary = row.is_auxiliary() && self.pass(row).is_none();
+            check(row, time, auxiliary)?;
             let at = at + 1;
             data.add(format!("XP[{at}]={}", position_text(row)));
-            let auxiliary = row.kind == Kind::Transit && row.motion == Motion::Circ;
             if row.motion != Motion::Ptp && !auxiliary {
                 data.add(format!("VP[{at}]={}", metre_per_second(time.feed_mm_s * 1e-3)));
                 data.add(format!("VO[{at}]={}", degrees(time.turn_deg_s)));
@@ -86,7 +86,7 @@ impl Writer<'_> {
         }
         data.add("; rows of the plan by dwell, and the measured axes, filled in by the program");
         data.add(format!("DECL INT DBBROW[{}]", dwells.max(1)));
-        let measured = circle.rows.iter().filter(|(row, _)| row.kind != Kind::Transit);
+        let measured = circle.rows.iter().filter(|(row, _)| self.is_told(row));
         for (at, (row, _)) in measured.enumerate() {
             data.add(format!("DBBROW[{}]={}", at + 1, row.index));
         }
@@ -97,7 +97,7 @@ impl Writer<'_> {
 }
 
 /// What KRL can hold: finite numbers, status and turn bits, speeds above zero.
-fn check(row: &PlanRow, time: &MoveTime) -> Result<(), EmitError> {
+fn check(row: &PlanRow, time: &MoveTime, auxiliary: bool) -> Result<(), EmitError> {
     let wrong = |message: String| Err(EmitError::Row { index: row.index, message });
     if time.index != row.index {
         return wrong(format!("its move time has index {}", time.index));
@@ -112,7 +112,6 @@ fn check(row: &PlanRow, time: &MoveTime) -> Result<(), EmitError> {
     if !(0.0..=600.0).contains(&row.dwell_s) {
         return wrong(format!("a dwell of {} s", row.dwell_s));
     }
-    let auxiliary = row.kind == Kind::Transit && row.motion == Motion::Circ;
     match row.motion {
         Motion::Ptp if !(1.0..=100.0).contains(&time.axis_percent) => {
             wrong(format!("an axis speed of {} percent", time.axis_percent))

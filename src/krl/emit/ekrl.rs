@@ -70,14 +70,8 @@ impl Writer<'_> {
         source.add(format!("RET=EKI_Clear (\"{CHANNEL}\")"));
     }
 
-    pub(super) fn ekrl_subroutines(source: &mut Lines) {
+    pub(super) fn ekrl_subroutine(source: &mut Lines) {
         source.all(&[
-            "XQ[N]=$AXIS_ACT_MEAS",
-            "DBB_ESEND (DBBROW[N],1)",
-            "WAIT SEC TDW",
-            "DBB_ESEND (DBBROW[N],2)",
-            "WAIT SEC 0.1",
-            "END",
             "",
             "DEF DBB_ESEND (N :IN,PH :IN )",
             "; tell row N, phase PH, and wait for the answer",

@@ -2,7 +2,8 @@
 //!
 //! A module drives to an axis position, halts for the bar to be mounted, marks its start, and goes
 //! through its rows. A dwell is: arrive, settle, index on the outputs, log the measured axes, strobe
-//! high while the robot stands, strobe low. All stops are exact: outputs set in the advance run
+//! high while the robot stands, strobe low. A pass of a continuous circle is one such: settle, strobe high,
+//! one motion, strobe low, log. All stops are exact: outputs set in the advance run
 //! would come before the robot does.
 
 mod code;
@@ -15,7 +16,7 @@ use std::net::SocketAddrV4;
 use super::number::character_text;
 use crate::diag::Diagnostic;
 use crate::model::{AXES, Robot};
-use crate::plan::{Kind, Motion, MoveTime, Plan, PlanRow};
+use crate::plan::{Kind, Motion, MoveTime, Pass, Plan, PlanRow};
 
 /// Lines that a module may have: longer files are known to make trouble on old controllers.
 const LINES: usize = 2000;
@@ -181,7 +182,8 @@ impl<'a> Writer<'a> {
     fn circles(&self) -> Result<Vec<Circle<'a>>, EmitError> {
         let mut groups: Vec<(u32, Vec<Timed<'a>>)> = Vec::new();
         let mut leading: Vec<Timed<'a>> = Vec::new();
-        for timed in self.plan.rows.iter().zip(&self.plan.header.moves) {
+        let stops = self.plan.rows.iter().zip(&self.plan.header.moves).filter(|(row, _)| !row.is_passed());
+        for timed in stops {
             let number = timed.0.circle;
             match groups.last_mut() {
                 _ if number == 0 => leading.push(timed),
@@ -235,6 +237,16 @@ impl<'a> Writer<'a> {
             });
         }
         Ok(circles)
+    }
+
+    /// The pass that ends at a row.
+    fn pass(&self, end: &PlanRow) -> Option<&'a Pass> {
+        self.plan.header.passes.iter().find(|pass| pass.end == end.index)
+    }
+
+    /// Whether a row has a number of its own in its module: a dwell, or the end of a pass.
+    fn is_told(&self, row: &PlanRow) -> bool {
+        row.kind != Kind::Transit || self.pass(row).is_some()
     }
 
     fn external(&self) -> &'static [&'static str] {
@@ -297,7 +309,7 @@ impl<'a> Writer<'a> {
     fn module(&self, at: usize, circle: &Circle<'_>) -> Result<Vec<(String, String)>, EmitError> {
         let name = format!("DBB_C{at:03}");
         let refuse = |message: String| EmitError::Circle { circle: circle.number, message };
-        let dwells = circle.rows.iter().filter(|(row, _)| row.kind != Kind::Transit).count();
+        let dwells = circle.rows.iter().filter(|(row, _)| self.is_told(row)).count();
         if dwells > DWELLS {
             return Err(refuse(format!("{dwells} dwells are too many: a module has at most {DWELLS}")));
         }

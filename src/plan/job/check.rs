@@ -1,9 +1,10 @@
 //! Reading a job file: what TOML's types do not say, with the line of what is wrong.
 
-use super::{CentreTable, CircleTable, Direction, Job, ObstacleTable, Orientation};
+use super::{CentreTable, CircleTable, Direction, Job, Mode, ObstacleTable, Orientation};
 use crate::diag::{Diagnostic, nearest};
 use crate::model::Centre;
 use crate::plan::circle::REFERENCE_EVERY;
+use crate::plan::timing::ACCELERATION_MM_S2;
 
 /// Dwells that one module can number: the index goes out on eight outputs.
 pub(crate) const MAX_DWELLS: u32 = 255;
@@ -185,6 +186,9 @@ impl Job {
                 format!("circle {number}: arc_deg = {} must be above 0, at most 360", circle.arc_deg);
             return Err((place("arc_deg"), message));
         }
+        if circle.mode == Mode::Continuous {
+            return self.check_continuous(at, circle);
+        }
         let passes = if circle.direction == Direction::Both { 2 } else { 1 };
         let dwells = circle.dwells();
         if circle.points < 3 || dwells > MAX_DWELLS {
@@ -207,6 +211,40 @@ impl Job {
                 return Err((place("amplitude_deg"), message));
             }
             (_, None) => {}
+        }
+        Ok(())
+    }
+
+    fn check_continuous(&self, at: usize, circle: &CircleTable) -> Result<(), Wrong> {
+        let place = |key| ("[[circle]]", at, key);
+        let number = at + 1;
+        if !(12..=3600).contains(&circle.points) {
+            let message = format!("circle {number}: points = {} must be in 12..3600", circle.points);
+            return Err((place("points"), message));
+        }
+        if circle.orientation != Orientation::Fixed || circle.amplitude_deg.is_some() {
+            let message = format!(
+                "circle {number}: a continuous circle is one motion: it needs orientation = \"fixed\""
+            );
+            return Err((place("orientation"), message));
+        }
+        if !(circle.overshoot_deg > 0.0 && circle.overshoot_deg <= 180.0) {
+            let message = format!(
+                "circle {number}: overshoot_deg = {} must be above 0, at most 180",
+                circle.overshoot_deg
+            );
+            return Err((place("overshoot_deg"), message));
+        }
+        let feed = self.motion.feed_mm_s;
+        let radius_mm = circle.radius_mm.unwrap_or(self.bar.length_mm);
+        let needed_deg = (0.5 * feed * feed / ACCELERATION_MM_S2 / radius_mm).to_degrees();
+        if circle.overshoot_deg < needed_deg {
+            let message = format!(
+                "circle {number}: overshoot_deg = {} is too short: the robot needs {needed_deg:.1} degrees to come \
+                 to {feed} mm/s",
+                circle.overshoot_deg
+            );
+            return Err((place("overshoot_deg"), message));
         }
         Ok(())
     }

@@ -221,6 +221,27 @@ pub struct CircleTable {
     /// How much of the circle is passed, degrees; less than 360 has a point at both ends.
     #[serde(default = "whole_circle")]
     pub arc_deg: f64,
+    /// Whether the robot stops at each point, or goes on.
+    #[serde(default)]
+    pub mode: Mode,
+    /// Feed-in before the first point and overshoot past the last in a continuous circle, degrees.
+    #[serde(default = "overshoot")]
+    pub overshoot_deg: f64,
+}
+
+fn overshoot() -> f64 {
+    30.0
+}
+
+/// How a circle's points are measured.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Mode {
+    /// The robot stands still at each.
+    #[default]
+    Dwell,
+    /// The robot passes them at the feed, in one motion for each pass; the tool is held as it is.
+    Continuous,
 }
 
 fn first_centre() -> u32 {

@@ -235,6 +235,7 @@ pub(super) fn plan() -> Plan {
         job,
         robot: String::new(),
         moves: Vec::new(),
+        passes: Vec::new(),
         checks: Vec::new(),
         notes: Vec::new(),
         predictions: None,

@@ -1,0 +1,248 @@
+//! A continuous circle: each pass is one motion, measured while it goes.
+//!
+//! In the plan's rows a pass is: two auxiliary points a third and two thirds round (transit, `circ`), the
+//! points that are passed (measure, `circ`, no dwell), and the end of the overshoot, where it stops (transit,
+//! `circ`). It begins where the row before it left the robot. Feed-in and overshoot arcs are as long as each
+//! other, so that the way back has the same circle; on the points the speed is the feed.
+
+use std::ops::Range;
+
+use serde::{Deserialize, Serialize};
+
+use super::job::Job;
+use super::path::Path;
+use super::timing::{ACCELERATION_MM_S2, ramped_s};
+use super::{Kind, Motion, MoveTime, Plan, PlanRow};
+use crate::model::Pose;
+
+/// A pass, as `plan.json` tells it: indices of rows, and the one motion that goes by them.
+///
+/// A time is that of the commanded motion from its begin, at full override: constant acceleration, the feed,
+/// constant deceleration.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Pass {
+    /// The circle's number, from 1.
+    pub circle: u32,
+    /// Whether it goes against growing angles.
+    pub clockwise: bool,
+    /// The two auxiliary rows; the row before them is where the robot stands.
+    pub through: [u32; 2],
+    /// First and last row that is passed.
+    pub points: [u32; 2],
+    /// The row at which it stops.
+    pub end: u32,
+    /// Angle of the whole motion, feed-in and overshoot included, degrees, above 0.
+    pub sweep_deg: f64,
+    /// Length of the whole arc, mm.
+    pub length_mm: f64,
+    /// Speed of the ball, mm/s.
+    pub feed_mm_s: f64,
+    /// Its acceleration and deceleration, mm/s^2.
+    pub acceleration_mm_s2: f64,
+    /// How long the motion lasts, s.
+    pub duration_s: f64,
+}
+
+impl Pass {
+    /// The greatest speed, mm/s, and the time until it is reached, s.
+    fn ramp(&self) -> (f64, f64) {
+        let speed = self.feed_mm_s.min((self.length_mm * self.acceleration_mm_s2).sqrt());
+        (speed, speed / self.acceleration_mm_s2)
+    }
+
+    /// The share (0..=1) of the arc that is done `t_s` seconds after the motion began.
+    pub fn share(&self, t_s: f64) -> f64 {
+        let (speed, ramp_s) = self.ramp();
+        let left_s = self.duration_s - t_s;
+        let done_mm = if t_s <= 0.0 {
+            0.0
+        } else if left_s <= 0.0 {
+            self.length_mm
+        } else if t_s < ramp_s {
+            0.5 * self.acceleration_mm_s2 * t_s * t_s
+        } else if left_s < ramp_s {
+            self.length_mm - 0.5 * self.acceleration_mm_s2 * left_s * left_s
+        } else {
+            speed * (t_s - 0.5 * ramp_s)
+        };
+        done_mm / self.length_mm
+    }
+
+    /// The time from the motion's begin at which a share (0..=1) of the arc is done, s.
+    pub fn time_s(&self, share: f64) -> f64 {
+        let (speed, ramp_s) = self.ramp();
+        let done_mm = share.clamp(0.0, 1.0) * self.length_mm;
+        let left_mm = self.length_mm - done_mm;
+        let ramp_mm = 0.5 * speed * ramp_s;
+        if done_mm < ramp_mm {
+            (2.0 * done_mm / self.acceleration_mm_s2).sqrt()
+        } else if left_mm < ramp_mm {
+            self.duration_s - (2.0 * left_mm / self.acceleration_mm_s2).sqrt()
+        } else {
+            done_mm / speed + 0.5 * ramp_s
+        }
+    }
+}
+
+impl PlanRow {
+    /// Whether it is a point that is measured as the robot passes it.
+    pub fn is_passed(&self) -> bool {
+        self.kind != Kind::Transit && self.dwell_s == 0.0
+    }
+}
+
+impl Plan {
+    /// The arc of a pass as its program drives it, through the points as they are printed; `None` where
+    /// the pass names rows that are not there.
+    pub fn pass_path(&self, pass: &Pass) -> Option<Path> {
+        let at = |index: u32| self.rows.get((index as usize).checked_sub(1)?);
+        let through = [at(pass.through[0])?, at(pass.through[1])?];
+        Some(arc(at(pass.through[0].checked_sub(1)?)?, through, at(pass.end)?, pass.sweep_deg))
+    }
+}
+
+/// The arc from where the robot stands through two points, round to `end`.
+fn arc(from: &PlanRow, through: [&PlanRow; 2], end: &PlanRow, sweep_deg: f64) -> Path {
+    let pose = |row: &PlanRow| Pose::from_kuka(row.xyz_mm, row.abc_deg);
+    match Path::arc(pose(from), &through[0].xyz_mm.into(), pose(through[1])) {
+        Path::Arc { from, centre, axis, .. } => {
+            Path::Arc { from, to: pose(end), centre, axis, angle: sweep_deg.to_radians() }
+        }
+        other => other,
+    }
+}
+
+/// The rows of a pass, by their positions from 0.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Group {
+    pub(crate) through: [usize; 2],
+    pub(crate) points: Range<usize>,
+    pub(crate) end: usize,
+}
+
+impl Group {
+    /// Whether a row belongs to it.
+    pub(crate) fn holds(&self, at: usize) -> bool {
+        (self.through[0]..=self.end).contains(&at)
+    }
+
+    /// Its arc; `None` where it begins nowhere.
+    pub(crate) fn path(&self, job: &Job, from: Option<&PlanRow>, rows: &[PlanRow]) -> Option<Path> {
+        let [a, b, end] = [self.through[0], self.through[1], self.end].map(|at| rows.get(at));
+        let table = job.circles.get((end?.circle as usize).checked_sub(1)?)?;
+        Some(arc(from?, [a?, b?], end?, table.sweep_deg()))
+    }
+}
+
+/// The passes among the rows.
+///
+/// # Errors
+/// The position (from 0) of a `circ` row that belongs to no arc, and what is wrong.
+pub(crate) fn groups(rows: &[PlanRow]) -> Result<Vec<Group>, (usize, &'static str)> {
+    const ARC: &str = "an arc is two `circ` rows: its auxiliary point in transit, then its end";
+    const PASS: &str = "a pass without stops is two auxiliary `circ` rows in transit, the points (dwell_s = 0), \
+                        and its end in transit";
+    let mut found = Vec::new();
+    let mut auxiliary: Vec<usize> = Vec::new();
+    let mut points: Option<Range<usize>> = None;
+    for (at, row) in rows.iter().enumerate() {
+        let circ = row.motion == Motion::Circ;
+        match (auxiliary.as_slice(), &mut points) {
+            (_, None) if row.is_passed() && auxiliary.len() != 2 => return Err((at, PASS)),
+            ([], None) if circ && row.kind == Kind::Transit => auxiliary.push(at),
+            ([], None) if circ => return Err((at, ARC)),
+            ([], None) => {}
+            ([_], None) if circ && row.kind == Kind::Transit => auxiliary.push(at),
+            ([_], None) if circ => auxiliary.clear(),
+            ([_], None) => return Err((at, ARC)),
+            ([_, _], None) if circ && row.is_passed() => points = Some(at..at + 1),
+            (_, Some(points)) if circ && row.is_passed() => points.end = at + 1,
+            (&[a, b], Some(points)) if circ && row.kind == Kind::Transit => {
+                found.push(Group { through: [a, b], points: points.clone(), end: at });
+            }
+            _ => return Err((at, PASS)),
+        }
+        if found.last().is_some_and(|group: &Group| group.end == at) {
+            auxiliary.clear();
+            points = None;
+        }
+    }
+    if auxiliary.is_empty() { Ok(found) } else { Err((rows.len().saturating_sub(1), ARC)) }
+}
+
+/// The passes of rows that were planned, and the times of their points into `moves`, which has the whole
+/// motion's at each pass's end.
+pub(super) fn passes(job: &Job, rows: &[PlanRow], moves: &mut [MoveTime]) -> Vec<Pass> {
+    let mut passes = Vec::new();
+    let mut backward: Option<u32> = None;
+    for group in groups(rows).unwrap_or_default() {
+        let from = group.through[0].checked_sub(1).and_then(|at| rows.get(at));
+        let (Some(end), Some(time), Some(path)) =
+            (rows.get(group.end), moves.get(group.end).copied(), group.path(job, from, rows))
+        else {
+            continue;
+        };
+        let Some(table) = job.circles.get(end.circle.saturating_sub(1) as usize) else { continue };
+        let length_mm = path.length_mm();
+        let second = backward == Some(end.circle);
+        backward = Some(end.circle);
+        let index = |at: usize| rows.get(at).map_or(0, |row| row.index);
+        let pass = Pass {
+            circle: end.circle,
+            clockwise: table.is_clockwise(second),
+            through: group.through.map(index),
+            points: [index(group.points.start), index(group.points.end - 1)],
+            end: end.index,
+            sweep_deg: table.sweep_deg(),
+            length_mm,
+            feed_mm_s: time.feed_mm_s,
+            acceleration_mm_s2: ACCELERATION_MM_S2,
+            duration_s: ramped_s(length_mm, time.feed_mm_s, ACCELERATION_MM_S2),
+        };
+        let step = table.step().to_degrees() / table.sweep_deg();
+        let first = table.overshoot_deg / table.sweep_deg();
+        // A closed circle's way back begins at its first point, as the way there does.
+        let mut before_s = 0.0;
+        for (count, at) in group.points.clone().enumerate() {
+            let t_s = pass.time_s(first + step * count as f64);
+            if let Some(time) = moves.get_mut(at) {
+                time.duration_s = t_s - before_s;
+                time.feed_mm_s = pass.feed_mm_s;
+            }
+            before_s = t_s;
+        }
+        if let Some(time) = moves.get_mut(group.end) {
+            time.duration_s = pass.duration_s - before_s;
+        }
+        passes.push(pass);
+    }
+    passes
+}
+
+/// What of `plan.json` does not fit its rows.
+pub(super) fn mismatch(rows: &[PlanRow], passes: &[Pass]) -> Option<String> {
+    let groups = groups(rows).unwrap_or_default();
+    if groups.len() != passes.len() {
+        return Some(format!("`passes` has {} entries, the rows have {} passes", passes.len(), groups.len()));
+    }
+    let index = |at: usize| at as u32 + 1;
+    groups.iter().zip(passes).enumerate().find_map(|(at, (group, pass))| {
+        let told = (pass.through, pass.points, pass.end);
+        let found = (
+            group.through.map(index),
+            [index(group.points.start), group.points.end as u32],
+            index(group.end),
+        );
+        let numbers =
+            [pass.sweep_deg, pass.length_mm, pass.feed_mm_s, pass.acceleration_mm_s2, pass.duration_s];
+        let positive = numbers.iter().all(|value| value.is_finite() && *value > 0.0);
+        if told != found {
+            Some(format!("`passes`: entry {} names other rows than those of that pass", at + 1))
+        } else if !positive || pass.sweep_deg > 1080.0 {
+            Some(format!("`passes`: entry {} has a number that cannot be", at + 1))
+        } else {
+            None
+        }
+    })
+}

@@ -1,0 +1,143 @@
+//! A continuous circle is planned, written, driven and told as one motion for each pass.
+
+use dbbd::krl::{self, Options, Sync, emit};
+use dbbd::plan::{Job, Kind, Plan};
+use dbbd::sim::Controller;
+
+use crate::cell::kr60;
+use crate::krl_reads_back::program;
+
+const RADIUS_MM: f64 = 300.0;
+
+fn text(circle: &str) -> String {
+    format!(
+        "robot = \"kr60ha\"\n[bar]\nlength_mm = {RADIUS_MM:?}\nstroke_mm = [-6.0, 6.0]\n[[centre]]\nid = 1\n\
+         xyz_mm = [1300.0, 0.0, 800.0]\n[[circle]]\nmode = \"continuous\"\n{circle}\n[motion]\nfeed_mm_s = 60.0\n"
+    )
+}
+
+fn job(circle: &str) -> Job {
+    Job::from_toml("job.toml", &text(circle)).unwrap()
+}
+
+const BOTH: &str =
+    "plane = \"XY\"\npoints = 72\norientation = \"fixed\"\ntilt_deg = 20.0\ndirection = \"both\"";
+const ARC: &str = "plane = \"XZ\"\npoints = 61\norientation = \"fixed\"\ntilt_deg = 20.0\ndirection = \"cw\"\nstart_deg = 170.0\n\
+     arc_deg = 150.0\novershoot_deg = 10.0";
+
+/// Where the simulated controller stands along the pass at each commanded time is where the plan says.
+#[test]
+fn the_controller_goes_where_the_passes_say() {
+    for circle in [BOTH, ARC] {
+        let plan = Plan::build(&job(circle), &kr60()).unwrap();
+        assert_eq!(plan.header.passes.len(), if circle == BOTH { 2 } else { 1 });
+        for (sync, kind) in [
+            (Sync::Output, krl::Controller::Krc4),
+            (Sync::Output, krl::Controller::Krc2),
+            (Sync::Marker, krl::Controller::Krc5),
+        ] {
+            let files = emit(&plan, Options { sync, controller: kind }).unwrap();
+            let scirc = files.iter().any(|(_, text)| text.contains("\r\nSCIRC XP["));
+            assert_eq!(scirc, kind != krl::Controller::Krc2);
+            let mut controller = Controller::new(program(&files), &kr60(), 100.0).unwrap();
+            let geometry = kr60().geometry;
+            let (mut begun, mut worst, mut done) = (None, 0.0_f64, 0);
+            loop {
+                let moment = controller.step(0.01).unwrap();
+                if moment.halted {
+                    controller.go_on();
+                }
+                if moment.done {
+                    break;
+                }
+                if sync != Sync::Output {
+                    continue;
+                }
+                match (moment.strobe, begun) {
+                    // The pulses of the marks last 0.2 s.
+                    (true, None) => begun = Some(moment.t_s),
+                    (true, Some(begun_s)) if moment.t_s - begun_s > 0.25 => {
+                        let pass = &plan.header.passes[done];
+                        let path = plan.pass_path(pass).unwrap();
+                        // The strobe rose within the step before it was seen.
+                        let off = [-0.01, -0.005, 0.0, 0.005]
+                            .map(|early| {
+                                path.pose(pass.share(moment.t_s - begun_s - early)).unwrap().position
+                            })
+                            .map(|there| (geometry.ball(&moment.axes).position - there).norm());
+                        worst = worst.max(off.into_iter().fold(f64::INFINITY, f64::min));
+                    }
+                    (false, Some(begun_s)) => {
+                        if moment.t_s - begun_s > 0.25 {
+                            let pass = plan.header.passes[done];
+                            assert!((moment.t_s - begun_s - pass.duration_s).abs() < 0.03);
+                            done += 1;
+                        }
+                        begun = None;
+                    }
+                    _ => {}
+                }
+            }
+            let passes = plan.header.passes.len();
+            assert_eq!(controller.dwells() as usize, passes);
+            if sync == Sync::Output {
+                assert_eq!(done, passes);
+                assert!(worst < 0.2, "{worst} mm beside the path: more than 60 mm/s in 2.5 ms");
+            }
+        }
+    }
+}
+
+/// The points of a pass lie on its path, at the shares that their times say, and the times add up.
+#[test]
+fn points_lie_where_their_times_say() {
+    for circle in [BOTH, ARC] {
+        let plan = Plan::build(&job(circle), &kr60()).unwrap();
+        let (csv, json) = plan.to_files();
+        assert_eq!(Plan::from_files("plan.csv", &csv, "plan.json", &json).unwrap(), plan);
+        for pass in &plan.header.passes {
+            let path = plan.pass_path(pass).unwrap();
+            let mut t_s = 0.0;
+            for index in pass.points[0]..=pass.points[1] {
+                let row = &plan.rows[index as usize - 1];
+                assert!(row.kind == Kind::Measure && row.is_passed());
+                t_s += plan.header.moves[index as usize - 1].duration_s;
+                let share = pass.share(t_s);
+                assert!((pass.time_s(share) - t_s).abs() < 1e-9);
+                let off = (path.pose(share).unwrap().position - nalgebra::Vector3::from(row.xyz_mm)).norm();
+                // Three printed points tell the circle, each to half a micrometre in each coordinate.
+                assert!(off < 0.004, "row {index}: {off} mm");
+            }
+            t_s += plan.header.moves[pass.end as usize - 1].duration_s;
+            assert!((t_s - pass.duration_s).abs() < 1e-9);
+            let places = plan.circle_places();
+            let place = places[pass.points[0] as usize - 1].unwrap();
+            assert_eq!(place.clockwise, pass.clockwise);
+        }
+    }
+}
+
+#[test]
+fn what_cannot_be_driven_in_one_motion_is_refused() {
+    for (circle, line, words) in [
+        ("plane = \"XY\"\npoints = 72", 8, "needs orientation = \"fixed\""),
+        ("plane = \"XY\"\npoints = 5\norientation = \"fixed\"", 11, "must be in 12..3600"),
+        ("plane = \"XY\"\npoints = 72\norientation = \"fixed\"\novershoot_deg = 0.5", 13, "is too short"),
+        ("plane = \"XY\"\npoints = 72\norientation = \"fixed\"\novershoot_deg = 200.0", 13, "at most 180"),
+    ] {
+        let message = Job::from_toml("job.toml", &text(circle)).unwrap_err().to_string();
+        assert!(message.starts_with(&format!("job.toml:{line}:")) && message.contains(words), "{message}");
+    }
+    // A plan whose rows and passes do not fit.
+    let plan = Plan::build(&job(ARC), &kr60()).unwrap();
+    let (csv, json) = plan.to_files();
+    let read = |json: &str| Plan::from_files("plan.csv", &csv, "plan.json", json).unwrap_err().to_string();
+    let end = plan.header.passes[0].end;
+    assert!(read(&json.replace(&format!("\"end\": {end}"), "\"end\": 3")).contains("names other rows"));
+    assert!(read(&json.replace("\"sweep_deg\": 170.0", "\"sweep_deg\": 1e9")).contains("cannot be"));
+    let mut lost = plan.clone();
+    lost.rows[end as usize - 1].motion = dbbd::plan::Motion::Lin;
+    let (csv, json) = lost.to_files();
+    let message = Plan::from_files("plan.csv", &csv, "plan.json", &json).unwrap_err().to_string();
+    assert!(message.starts_with("plan.csv:") && message.contains("a pass without stops is"), "{message}");
+}
