@@ -1,9 +1,9 @@
 //! Damped least squares (Levenberg-Marquardt) to a pose, for any arm.
 
-use nalgebra::{Matrix6, Rotation3, Vector3, Vector6};
+use nalgebra::{Matrix6, Vector6};
 
 use super::Unsolved;
-use crate::model::pose::Pose;
+use crate::model::pose::{Pose, rotation_vector};
 use crate::model::{AXES, Geometry};
 
 /// Where the iteration stops: distance in mm and turn in rad from the pose.
@@ -60,16 +60,7 @@ pub fn numeric(geometry: &Geometry, ball: &Pose, start: &[f64; AXES]) -> Result<
 fn miss(geometry: &Geometry, ball: &Pose, axes: &[f64; AXES]) -> Vector6<f64> {
     let there = geometry.ball(axes);
     let shift = ball.position - there.position;
-    let turn: Vector3<f64> =
-        Rotation3::from_matrix_unchecked(ball.rotation * there.rotation.transpose()).scaled_axis();
-    // Near the pose the antisymmetric part is the turn, without the loss in the arc cosine.
-    let between = ball.rotation * there.rotation.transpose();
-    let antisymmetric = Vector3::new(
-        between[(2, 1)] - between[(1, 2)],
-        between[(0, 2)] - between[(2, 0)],
-        between[(1, 0)] - between[(0, 1)],
-    ) * 0.5;
-    let turn = if antisymmetric.norm() < 1e-2 && between.trace() > 0.0 { antisymmetric } else { turn };
+    let turn = rotation_vector(&(ball.rotation * there.rotation.transpose()));
     let mut miss = Vector6::zeros();
     miss.fixed_rows_mut::<3>(0).copy_from(&shift);
     miss.fixed_rows_mut::<3>(3).copy_from(&(turn * LEVER_MM));
