@@ -104,8 +104,8 @@ impl Writer<'_> {
         source.all(&[
             "",
             "DEF DBB_FEED (K :IN )",
-            "; speeds of the motion to point K",
             "INT K",
+            "; speeds of the motion to point K",
             "$VEL.CP=VP[K]",
             "$VEL.ORI1=VO[K]",
             "$VEL.ORI2=VO[K]",
@@ -146,10 +146,10 @@ impl Writer<'_> {
             Sync::Output => (&["DBBIDX=N", "DBBSTB=TRUE"], &["DBBSTB=FALSE"]),
             Sync::Ekrl { .. } => (&["DBB_ESEND (DBBROW[N],1)"], &["DBB_ESEND (DBBROW[N],2)"]),
         };
-        source.all(&["", "DEF DBB_GO (N :IN )", "; stand still before pass N", "INT N", "WAIT SEC 0"]);
+        source.all(&["", "DEF DBB_GO (N :IN )", "INT N", "; stand still before pass N", "WAIT SEC 0"]);
         source.add("WAIT SEC TSET");
         source.all(begin);
-        source.all(&["END", "", "DEF DBB_STOP (N :IN )", "; pass N has ended: log the axes", "INT N"]);
+        source.all(&["END", "", "DEF DBB_STOP (N :IN )", "INT N", "; pass N has ended: log the axes"]);
         source.add("WAIT SEC 0");
         source.all(end);
         source.all(&["XQ[N]=$AXIS_ACT_MEAS", "WAIT SEC 0.1", "END"]);
@@ -159,9 +159,9 @@ impl Writer<'_> {
         source.all(&[
             "",
             "DEF DBB_MARK (N :IN,TDW :IN )",
-            "; stand still: settle, log the axes, dwell",
             "INT N",
             "REAL TDW",
+            "; stand still: settle, log the axes, dwell",
             "WAIT SEC 0",
             "WAIT SEC TSET",
         ]);
@@ -184,14 +184,14 @@ impl Writer<'_> {
         source.all(&[
             "",
             "DEF DBB_SYNC (N :IN )",
-            "; N short pulses of the strobe: 3 at the start, 2 at the end",
             "INT N",
             "INT K",
+            "; N short pulses of the strobe: 3 at the start, 2 at the end",
             "WAIT SEC 0",
             "FOR K=1 TO N STEP 1",
         ]);
-        source.add(format!("PULSE ($OUT[{}],TRUE,0.2)", self.plan.header.job.motion.outputs.strobe));
-        source.all(&["WAIT SEC 0.6", "ENDFOR", "END"]);
+        source.add(format!("   PULSE ($OUT[{}],TRUE,0.2)", self.plan.header.job.motion.outputs.strobe));
+        source.all(&["   WAIT SEC 0.6", "ENDFOR", "END"]);
     }
 }
 

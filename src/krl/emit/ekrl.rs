@@ -74,8 +74,8 @@ impl Writer<'_> {
         source.all(&[
             "",
             "DEF DBB_ESEND (N :IN,PH :IN )",
-            "; tell row N, phase PH, and wait for the answer",
             "INT N,PH",
+            "; tell row N, phase PH, and wait for the answer",
             "$FLAG[2]=FALSE",
         ]);
         for (tag, value) in [("Run", "RUNID"), ("Id", "N"), ("Ph", "PH")] {
@@ -88,6 +88,6 @@ impl Writer<'_> {
         source.add(format!("RET=EKI_Send (\"{CHANNEL}\",\"Dbb\")"));
         source.add("WAIT FOR $FLAG[2]");
         source.add(format!("RET=EKI_GetInt (\"{CHANNEL}\",\"Ack/@Id\",NACK)"));
-        source.all(&["IF NACK<>N THEN", "HALT", "ENDIF", "END"]);
+        source.all(&["IF NACK<>N THEN", "   HALT", "ENDIF", "END"]);
     }
 }

@@ -165,14 +165,14 @@ const HEAD: &[&str] =
 
 const INI: &[&str] = &[
     ";FOLD INI;%{PE}",
-    "  ;FOLD BASISTECH INI",
-    "    GLOBAL INTERRUPT DECL 3 WHEN $STOPMESS==TRUE DO IR_STOPM ( )",
-    "    INTERRUPT ON 3",
-    "    BAS (#INITMOV,0 )",
-    "  ;ENDFOLD (BASISTECH INI)",
-    "  ;FOLD USER INI",
-    "    ;Make your modifications here",
-    "  ;ENDFOLD (USER INI)",
+    ";FOLD BASISTECH INI",
+    "GLOBAL INTERRUPT DECL 3 WHEN $STOPMESS==TRUE DO IR_STOPM ( )",
+    "INTERRUPT ON 3",
+    "BAS (#INITMOV,0 )",
+    ";ENDFOLD (BASISTECH INI)",
+    ";FOLD USER INI",
+    ";Make your modifications here",
+    ";ENDFOLD (USER INI)",
     ";ENDFOLD (INI)",
 ];
 

@@ -1,0 +1,67 @@
+"""Parses emitted KRL with an ANTLR grammar that this project did not write.
+
+    krl_grammars.py GENERATED START FILE..
+
+GENERATED is the directory into which ANTLR's Python target wrote krlLexer.py and krlParser.py, START the
+grammar's first rule; docs/krl.md says how to fetch and build both grammars. Exit code 1 when a file does not
+parse. Needs antlr4-python3-runtime of the same version as the tool that generated the parser.
+
+Two things that a grammar lacks are put right before it reads, with --spline and --fill:
+--spline  SCIRC is read as CIRC: the motion of KSS 8 that a grammar of 2011 does not know, in the same form.
+--fill    lines of comments are emptied and pairs of them joined: the same grammar takes an odd number of empty
+          lines before a declaration for an error.
+"""
+
+import re
+import sys
+from pathlib import Path
+
+from antlr4 import CommonTokenStream, InputStream
+from antlr4.error.ErrorListener import ErrorListener
+
+
+class Collected(ErrorListener):
+    def __init__(self):
+        self.found = []
+
+    def syntaxError(self, recognizer, symbol, line, column, message, error):
+        self.found.append(f"{line}:{column + 1}: {message}")
+
+
+def prepared(text, spline, fill):
+    if spline:
+        text = re.sub(r"(?m)^(\s*)SCIRC\b", r"\1CIRC", text)
+    if fill:
+        lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith((";", "&"))]
+        text = "\n".join(lines) + "\n"
+    return text
+
+
+def main():
+    arguments = [a for a in sys.argv[1:] if not a.startswith("--")]
+    options = set(sys.argv[1:]) - set(arguments)
+    if len(arguments) < 3 or not options <= {"--spline", "--fill"}:
+        sys.exit(__doc__)
+    generated, start, *files = arguments
+    sys.path.insert(0, generated)
+    from krlLexer import krlLexer
+    from krlParser import krlParser
+
+    wrong = 0
+    for name in files:
+        text = prepared(Path(name).read_bytes().decode("ascii"), "--spline" in options, "--fill" in options)
+        errors = Collected()
+        lexer = krlLexer(InputStream(text))
+        parser = krlParser(CommonTokenStream(lexer))
+        for part in (lexer, parser):
+            part.removeErrorListeners()
+            part.addErrorListener(errors)
+        getattr(parser, start)()
+        for error in errors.found:
+            print(f"{name}:{error}")
+        wrong += bool(errors.found)
+    print(f"{len(files)} files, {wrong} with errors")
+    sys.exit(1 if wrong else 0)
+
+
+main()
