@@ -95,8 +95,11 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
 
 fn tell(out: &Output, args: &Args, moved: &[Moved], left: usize) -> Result<(), Box<dyn Error>> {
     for point in moved {
-        let Moved { name, line, shift_mm, turn_deg } = point;
+        let Moved { name, line, shift_mm, turn_deg, turn_bits } = point;
         out.detail(format!("line {line}: {name} moved by {shift_mm:.3} mm, {turn_deg:.4} deg"));
+        if let Some([old, new]) = turn_bits {
+            out.progress(format!("line {line}: {name}: an axis passes zero: T {old} became T {new}"));
+        }
     }
     let shifts = moved.iter().map(|point| point.shift_mm);
     let mean_mm = shifts.clone().sum::<f64>() / moved.len().max(1) as f64;
@@ -104,7 +107,8 @@ fn tell(out: &Output, args: &Args, moved: &[Moved], left: usize) -> Result<(), B
     let points: Vec<_> = moved
         .iter()
         .map(|point| {
-            json!({ "name": point.name, "line": point.line, "shift_mm": point.shift_mm, "turn_deg": point.turn_deg })
+            json!({ "name": point.name, "line": point.line, "shift_mm": point.shift_mm, "turn_deg": point.turn_deg,
+                "turn_bits": point.turn_bits })
         })
         .collect();
     out.document(&json!({

@@ -36,6 +36,8 @@ pub struct Moved {
     pub shift_mm: f64,
     /// How far the commanded orientation turned, degrees.
     pub turn_deg: f64,
+    /// KUKA's turn bits before and after, where an axis came to the other side of zero.
+    pub turn_bits: Option<[u8; 2]>,
 }
 
 /// A program with corrected points.
@@ -70,7 +72,7 @@ impl std::error::Error for Refused {}
 ///
 /// # Errors
 /// Every point that moves too far, is out of reach or beyond an axis limit, is too near to a
-/// singularity, or would need another status or turn.
+/// singularity, or would need another status: that lies beyond a singularity.
 pub fn compensate(
     files: Files<'_>,
     program: &PointProgram,
@@ -86,14 +88,15 @@ pub fn compensate(
             (Origin::Data, Some(data)) => (data, &mut data_edits),
             _ => (files.source, &mut source_edits),
         };
-        match corrector.correct(point) {
+        match corrector.correct(point, text) {
             Ok(corrected) => {
-                edits.extend(corrected.edits(text));
+                edits.extend(corrected.edits);
                 moved.push(Moved {
                     name: point.name.clone(),
                     line: ends.partition_point(|end| *end < point.used.start) + 1,
                     shift_mm: corrected.shift_mm,
                     turn_deg: corrected.turn_deg,
+                    turn_bits: corrected.turn_bits,
                 });
             }
             Err(why) => {
@@ -123,11 +126,12 @@ struct Corrector<'a> {
     last: [f64; AXES],
 }
 
-/// New numbers for a point.
-struct Corrected<'a> {
-    numbers: Vec<(&'a Number, f64, usize)>,
+/// New numbers for a point, as they are written.
+struct Corrected {
+    edits: Vec<(Span, String)>,
     shift_mm: f64,
     turn_deg: f64,
+    turn_bits: Option<[u8; 2]>,
 }
 
 impl<'a> Corrector<'a> {
@@ -147,38 +151,49 @@ impl<'a> Corrector<'a> {
         }
     }
 
-    fn correct<'p>(&mut self, point: &'p TaughtPoint) -> Result<Corrected<'p>, String> {
+    fn correct(&mut self, point: &TaughtPoint, text: Text<'_>) -> Result<Corrected, String> {
         match &point.position {
             Position::Axes(numbers) => {
                 let taught: [f64; AXES] = std::array::from_fn(|i| numbers[i].value.to_radians());
                 let wanted = self.nominal.ball(&taught);
                 let axes = self.solve(&wanted, &taught)?;
                 let told = self.nominal.ball(&axes);
-                let numbers = numbers.iter().zip(axes).map(|(n, axis)| (n, axis.to_degrees(), DECIMALS_DEG));
+                let values = axes.map(f64::to_degrees);
                 self.within(Corrected {
-                    numbers: numbers.collect(),
+                    edits: printed(numbers, values, [DECIMALS_DEG; AXES], text).0,
                     shift_mm: (told.position - wanted.position).norm(),
                     turn_deg: told.angle_to(&wanted).to_degrees(),
+                    turn_bits: None,
                 })
             }
             Position::Pose { numbers, status, turn, tool, base } => {
                 let [x, y, z, a, b, c] = numbers.each_ref().map(|number| number.value);
                 let taught = Pose::from_kuka([x, y, z], [a, b, c]);
                 let wanted = base.then(&taught).then(&tool.inverse());
-                let bits = status.zip(*turn);
+                let bits = status.zip(turn.as_ref().map(|(bits, _)| *bits));
                 let start = self.nominal_axes(&wanted, bits, point.by_ptp)?;
                 let axes = self.solve(&wanted, &start)?;
-                if point.by_ptp && bits.is_some() {
-                    self.same_configuration(&start, &axes)?;
-                }
                 let told = base.inverse().then(&self.nominal.ball(&axes)).then(tool);
-                let values = <[f64; 3]>::from(told.position).into_iter().chain(told.abc_deg());
-                let decimals = [DECIMALS_MM, DECIMALS_DEG].into_iter().flat_map(|d| [d; 3]);
-                let numbers = numbers.iter().zip(values).zip(decimals);
+                let ([x, y, z], [a, b, c]) = (<[f64; 3]>::from(told.position), told.abc_deg());
+                let (mm, deg) = (DECIMALS_MM, DECIMALS_DEG);
+                let (mut edits, values) =
+                    printed(numbers, [x, y, z, a, b, c], [mm, mm, mm, deg, deg, deg], text);
+                let mut turn_bits = None;
+                if let (true, Some((_, old)), Some((_, span))) = (point.by_ptp, bits, turn) {
+                    let [x, y, z, a, b, c] = values;
+                    let printed = base.then(&Pose::from_kuka([x, y, z], [a, b, c])).then(&tool.inverse());
+                    let new = self.turn(&start, &axes, &printed)?;
+                    if i64::from(new) != old {
+                        turn_bits = u8::try_from(old).ok().map(|old| [old, new]);
+                        let written = text.text.get(span.clone()).unwrap_or("");
+                        edits.push((span.clone(), whole_like(written, new)));
+                    }
+                }
                 self.within(Corrected {
-                    numbers: numbers.map(|((number, value), decimals)| (number, value, decimals)).collect(),
+                    edits,
                     shift_mm: (told.position - taught.position).norm(),
                     turn_deg: told.angle_to(&taught).to_degrees(),
+                    turn_bits,
                 })
             }
         }
@@ -225,20 +240,23 @@ impl<'a> Corrector<'a> {
         Ok(axes)
     }
 
-    /// Refuses a correction that a PTP with the point's status and turn would not follow.
-    fn same_configuration(&self, start: &[f64; AXES], axes: &[f64; AXES]) -> Result<(), String> {
-        let of = |axes| (inverse::status(&self.nominal, axes), inverse::turn(axes));
-        let ((s, t), (status, turn)) = (of(start), of(axes));
-        if (s, t) == (status, turn) {
-            return Ok(());
+    /// KUKA's turn bits of a corrected point, as its printed pose has them. An axis that the correction
+    /// carries through zero has another one than was taught: with the old bit a controller would look for
+    /// the same pose a full turn away.
+    fn turn(&self, start: &[f64; AXES], axes: &[f64; AXES], printed: &Pose) -> Result<u8, String> {
+        let there = inverse::nearest(&self.nominal, printed, axes)
+            .map_err(|unsolved| format!("the nominal robot does not come here: {unsolved}"))?;
+        let [old, new] = [start, &there].map(|axes| inverse::status(&self.nominal, axes));
+        if old != new {
+            return Err(format!(
+                "it would need S {new} in place of S {old}: a singularity lies between; teach it further away, \
+                 or go there by LIN"
+            ));
         }
-        Err(format!(
-            "it would need S {status}, T {turn} in place of S {s}, T {t}: an axis lies too near to zero; \
-             teach it with that axis a degree away, or go there by LIN"
-        ))
+        Ok(inverse::turn(&there))
     }
 
-    fn within<'p>(&self, corrected: Corrected<'p>) -> Result<Corrected<'p>, String> {
+    fn within(&self, corrected: Corrected) -> Result<Corrected, String> {
         if corrected.shift_mm > self.limit_mm {
             let (shift, limit) = (corrected.shift_mm, self.limit_mm);
             return Err(format!("it would move by {shift:.3} mm, allowed are {limit:.3}"));
@@ -247,16 +265,35 @@ impl<'a> Corrector<'a> {
     }
 }
 
-impl Corrected<'_> {
-    /// The numbers as they are written, with at least the digits that were there.
-    fn edits(&self, text: Text<'_>) -> impl Iterator<Item = (Span, String)> {
-        self.numbers.iter().map(move |(number, value, fewest)| {
-            let written = text.text.get(number.span.clone()).unwrap_or("");
-            let digits = written
-                .split_once('.')
-                .map_or(0, |(_, tail)| tail.find(|c: char| !c.is_ascii_digit()).unwrap_or(tail.len()));
-            (number.span.clone(), fixed(*value, digits.clamp(*fewest, 9)))
-        })
+/// The numbers as they are written, with at least the digits that were there and `fewest` of them; and the
+/// values that these say.
+fn printed<const N: usize>(
+    numbers: &[Number; N],
+    values: [f64; N],
+    fewest: [usize; N],
+    text: Text<'_>,
+) -> (Vec<(Span, String)>, [f64; N]) {
+    let mut said = values;
+    let mut edits = Vec::with_capacity(N + 1);
+    for ((number, value), fewest) in numbers.iter().zip(&mut said).zip(fewest) {
+        let written = text.text.get(number.span.clone()).unwrap_or("");
+        let digits = written
+            .split_once('.')
+            .map_or(0, |(_, tail)| tail.find(|c: char| !c.is_ascii_digit()).unwrap_or(tail.len()));
+        let new = fixed(*value, digits.clamp(fewest, 9));
+        *value = new.parse().unwrap_or(*value);
+        edits.push((number.span.clone(), new));
+    }
+    (edits, said)
+}
+
+/// A whole number in the form in which another was written: decimal, `'B..'` or `'H..'`.
+fn whole_like(written: &str, value: u8) -> String {
+    let width = written.len().saturating_sub(3);
+    match written.as_bytes() {
+        [b'\'', b'B' | b'b', ..] => format!("'B{value:0width$b}'"),
+        [b'\'', b'H' | b'h', ..] => format!("'H{value:0width$X}'"),
+        _ => value.to_string(),
     }
 }
 

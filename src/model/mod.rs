@@ -14,7 +14,7 @@ pub mod pose;
 pub mod robot;
 
 pub use chain::{Chain, LengthRow, Turns};
-pub use kinematics::{Geometry, Row};
+pub use kinematics::{Geometry, Mass, Row};
 pub use length::{LengthModel, Prepared, Reading, Selection};
 pub use observation::{Centre, Observation, Observations};
 pub use parameter::ParamId;

@@ -56,7 +56,7 @@ fn reached(program: &PointProgram, robot: &Robot) -> Vec<(Pose, Pose)> {
                 let [x, y, z, a, b, c] = numbers.each_ref().map(|number| number.value);
                 let told = base.then(&Pose::from_kuka([x, y, z], [a, b, c])).then(&tool.inverse());
                 let axes = if point.by_ptp {
-                    let (s, t) = (status.unwrap() as u8, turn.unwrap() as u8);
+                    let (s, t) = (status.unwrap() as u8, turn.clone().unwrap().0 as u8);
                     inverse::from_status_turn(&nominal, &told, s, t).unwrap()
                 } else {
                     inverse::nearest(&nominal.geometry, &told, &last).unwrap()
@@ -241,16 +241,16 @@ fn what_is_not_known_before_the_run_is_refused_with_its_place() {
             "P.src:5:1:",
             "SUB sets it",
         ),
-        // The nominal robot does not reach it; the turn would change.
+        // The nominal robot does not reach it; the wrist is straight there.
         (
             "$TOOL=F1\n$BASE=F1\nLIN {X 9000,Y 0,Z 0,A 0,B 0,C 0}\n",
             "the program is refused",
             "P.src:4:5: inline: the nominal",
         ),
         (
-            "$TOOL=F1\n$BASE=F1\nPTP {X 1170,Y 0,Z 1640,A 0,B 180,C 0,S 2,T 2}\n",
+            "$TOOL=F1\n$BASE=F1\nPTP {X 1340,Y 0,Z 1810,A 0,B 90,C 0,S 2,T 2}\n",
             "the program is refused",
-            "in place of S 2, T 2",
+            "inline:",
         ),
     ] {
         let message = refusal(&format!("DEF P()\n{body}END\n"), Given::default());
@@ -274,4 +274,45 @@ fn a_file_that_only_dbbd_wrote_is_compensated_too() {
     assert!(program.left.is_empty() && program.points.len() > 6);
     let robot = identified(2);
     compensate(given, &program, &robot, 20.0).unwrap();
+}
+
+/// A correction that carries an axis through zero takes its turn bit along, in the form in which it was written;
+/// where the bits still hold they stay. With the old bit the same pose would be a full turn away, or nowhere.
+#[test]
+fn the_turn_follows_an_axis_through_zero() {
+    let point = |turn: &str| format!("{{X 1170,Y 0,Z 1640,A 0,B 180,C 0,S 2,T {turn}}}");
+    let nominal = kr60();
+    for (seed, before) in [(1, "2"), (2, "'B000010'"), (3, "'H02'")] {
+        let text = format!("DEF P()\n$TOOL=$NULLFRAME\n$BASE=$NULLFRAME\nPTP {}\nEND\n", point(before));
+        let files = Files { source: Text { file: "P.src", text: &text }, data: None, config: None };
+        let program = read(files, Given::default()).unwrap();
+        let robot = identified(seed);
+        let corrected = compensate(files, &program, &robot, 20.0).unwrap();
+        let again = Files { source: Text { file: "P.src", text: &corrected.source }, ..files };
+        let points = read(again, Given::default()).unwrap().points;
+        let Position::Pose { numbers, status, turn, .. } = &points[0].position else { panic!("no pose") };
+        let [x, y, z, a, b, c] = numbers.each_ref().map(|number| number.value);
+        let there = Pose::from_kuka([x, y, z], [a, b, c]);
+        let flange = Robot {
+            geometry: Geometry { tool: Vector3::zeros(), ..nominal.geometry.clone() },
+            ..nominal.clone()
+        };
+        let new = turn.clone().unwrap().0 as u8;
+        let axes = inverse::from_status_turn(&flange, &there, status.unwrap() as u8, new).unwrap();
+        // Taught at 0, -90, 90, 0, 90, 0: nowhere near a full turn.
+        for (axis, taught) in axes.iter().zip([0.0, -90.0, 90.0, 0.0, 90.0, 0.0]) {
+            assert!((axis.to_degrees() - taught).abs() < 1.0, "seed {seed}: {axes:?}");
+        }
+        assert_eq!(corrected.moved[0].turn_bits, (new != 2).then_some([2, new]));
+        let form = before.len();
+        let written =
+            corrected.source.split(",T ").nth(1).map(|rest| rest.split('}').next().unwrap().to_owned());
+        let written = written.unwrap_or_default();
+        assert!(
+            new == 2 || form == 1 || written.len() == form,
+            "{written} for {before}: {}",
+            corrected.source
+        );
+        assert_eq!(inverse::turn(&axes), new);
+    }
 }

@@ -10,6 +10,7 @@ mod capture_survives_damage;
 mod cell;
 mod circle_plan;
 mod circular_quantities;
+mod compensated_circle_is_round;
 mod compensated_program_is_accurate;
 mod compensated_robot_arrives;
 mod continuous_circles;

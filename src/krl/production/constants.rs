@@ -138,11 +138,11 @@ pub(super) fn number(fields: &[Field], name: &str) -> Result<Number, String> {
     Ok(Number { value, span: field.value.span.clone() })
 }
 
-/// A component that is a whole number, where it is given.
-pub(super) fn whole(fields: &[Field], name: &str) -> Result<Option<i64>, String> {
-    match fields.iter().find(|field| field.name == name).map(|field| &field.value.kind) {
+/// A component that is a whole number, where it is given, and its bytes.
+pub(super) fn whole(fields: &[Field], name: &str) -> Result<Option<(i64, Span)>, String> {
+    match fields.iter().find(|field| field.name == name).map(|field| &field.value) {
         None => Ok(None),
-        Some(ExpressionKind::Int(value)) => Ok(Some(*value)),
+        Some(Expression { kind: ExpressionKind::Int(value), span }) => Ok(Some((*value, span.clone()))),
         Some(_) => Err(format!("{name} is no whole number")),
     }
 }

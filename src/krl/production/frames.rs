@@ -275,7 +275,7 @@ fn companion(constants: &Constants, file: Text<'_>, name: &str, span: &Span) -> 
     let wrong = |why: String| file.wrong(span, format!("{name}: {why}"));
     let index = |component: &str| {
         number(fields, component).map_err(wrong)?;
-        whole(fields, component).map_err(wrong).map(Option::unwrap_or_default)
+        whole(fields, component).map_err(wrong).map(|found| found.map_or(0, |(value, _)| value))
     };
     Ok(Frames {
         tool: numbered(constants, file, "TOOL_DATA", index("TOOL_NO")?, span)?,

@@ -85,8 +85,8 @@ pub enum Position {
         numbers: [Number; 6],
         /// KUKA's status bits, where they are given.
         status: Option<i64>,
-        /// KUKA's turn bits, where they are given.
-        turn: Option<i64>,
+        /// KUKA's turn bits, where they are given, and their bytes.
+        turn: Option<(i64, Span)>,
         /// `$TOOL` in the flange frame, and
         tool: Pose,
         /// `$BASE` in the robot's base, when the robot goes there.

@@ -238,7 +238,7 @@ impl<'a> Walk<'a> {
         } else {
             Position::Pose {
                 numbers: six(["X", "Y", "Z", "A", "B", "C"])?,
-                status: whole(fields, "S").map_err(wrong)?,
+                status: whole(fields, "S").map_err(wrong)?.map(|(value, _)| value),
                 turn: whole(fields, "T").map_err(wrong)?,
                 tool: self.resolve(0, &under.tool, &line.span)?,
                 base: self.resolve(1, &under.base, &line.span)?,

@@ -1,0 +1,104 @@
+//! A circular program before and after it was compensated, by the circular test of ISO 230-4.
+
+use std::fs;
+
+use dbbd::krl::Program;
+use dbbd::krl::compensate::compensate;
+use dbbd::krl::production::{Files, Given, Text, read};
+use dbbd::model::{Geometry, Pose, Robot, inverse};
+use dbbd::sim::{Controller, truth};
+use nalgebra::Vector3;
+use tempfile::tempdir;
+
+use crate::cell::{CENTRE, RADIUS, dbbd, kr60, stderr};
+use crate::compensated_program_is_accurate::{chosen, identified};
+
+/// A whole circle each way in so many arcs, upright, the tool held as it is.
+fn circle(arcs: u32) -> String {
+    let robot = kr60();
+    let [x, y, z] = <[f64; 3]>::from(robot.geometry.tool);
+    let mut near = [0.0, -60.0, 90.0, 0.0, 60.0, 0.0].map(f64::to_radians);
+    let at = |share: f64| {
+        let (sin, cos) = (std::f64::consts::TAU * share).sin_cos();
+        [CENTRE[0] + RADIUS * cos, CENTRE[1] + RADIUS * sin, CENTRE[2]]
+    };
+    let point = |share: f64| {
+        let [x, y, z] = at(share);
+        format!("{{X {x:.3},Y {y:.3},Z {z:.3},A 0.0000,B 20.0000,C 180.0000}}")
+    };
+    near = inverse::nearest(&robot.geometry, &Pose::from_kuka(at(0.0), [0.0, 20.0, 180.0]), &near).unwrap();
+    let [a1, a2, a3, a4, a5, a6] = near.map(f64::to_degrees);
+    let mut text = format!(
+        "DEF P ( )\n$TOOL={{X {x:.3},Y {y:.3},Z {z:.3},A 0.0,B 0.0,C 0.0}}\n$BASE=$NULLFRAME\n$VEL.CP=0.05\n\
+         PTP {{A1 {a1:.4},A2 {a2:.4},A3 {a3:.4},A4 {a4:.4},A5 {a5:.4},A6 {a6:.4}}}\nLIN {}\n",
+        point(0.0)
+    );
+    for sense in [1.0, -1.0] {
+        for arc in 0..arcs {
+            let share = |half: f64| sense * (f64::from(arc) + half) / f64::from(arcs);
+            text.push_str(&format!("SCIRC {},{}\n", point(share(0.5)), point(share(1.0))));
+        }
+    }
+    text + "END\n"
+}
+
+/// Radial deviation (LSC, both ways together) by `dbbd circle` of what the robot does under the program, mm.
+fn deviation(program: &str, robot: &Robot) -> f64 {
+    let program = program.replace("$NULLFRAME", "{X 0.0,Y 0.0,Z 0.0,A 0.0,B 0.0,C 0.0}");
+    let program =
+        Program::open("P", |name| Ok((name == "P.src").then(|| ("P.src".into(), program.clone())))).unwrap();
+    let nominal = kr60();
+    let true_arm = Geometry { tool: nominal.geometry.tool, ..robot.geometry.clone() };
+    let mut controller = Controller::new(program, &nominal, 100.0).unwrap();
+    let mut csv = "run,direction,angle_deg,length_mm\n".to_owned();
+    let mut before: Option<f64> = None;
+    loop {
+        let moment = controller.step(0.1).unwrap();
+        if moment.done {
+            break;
+        }
+        let told = nominal.geometry.ball(&moment.axes).position - Vector3::from(CENTRE);
+        let angle = told.y.atan2(told.x).to_degrees();
+        let moved =
+            before.replace(angle).map_or(0.0, |before| (angle - before + 540.0).rem_euclid(360.0) - 180.0);
+        if moment.motions < 3 || moved.abs() < 1e-3 {
+            continue;
+        }
+        let length = (true_arm.ball(&moment.axes).position - Vector3::from(CENTRE)).norm();
+        csv.push_str(&format!("1,{},{angle},{length}\n", if moved > 0.0 { "ccw" } else { "cw" }));
+    }
+    let dir = tempdir().unwrap();
+    fs::write(dir.path().join("c.csv"), csv).unwrap();
+    let output =
+        dbbd(dir.path(), &["circle", "c.csv", "--radius", "300", "--monte-carlo", "0", "--out", "o"]);
+    assert!(output.status.success(), "{}", stderr(&output));
+    let json = fs::read_to_string(dir.path().join("o/circle.json")).unwrap();
+    serde_json::from_str::<serde_json::Value>(&json).unwrap()["G_lsc"].as_f64().unwrap()
+}
+
+/// `cargo test --release --test suite compensated_circle -- --nocapture` prints the figures of docs/krl.md.
+#[test]
+fn a_compensated_circle_is_rounder() {
+    let plan = chosen(1, 80, true);
+    let mut told = [Vec::new(), Vec::new()];
+    for seed in 1..=3 {
+        let robot = truth::draw(&kr60(), seed, 1.0);
+        let found = identified(&robot, &plan, seed);
+        for (arcs, told) in [2, 12].into_iter().zip(&mut told) {
+            let program = circle(arcs);
+            let files = Files { source: Text { file: "P.src", text: &program }, data: None, config: None };
+            let points = read(files, Given::default()).unwrap();
+            let corrected = compensate(files, &points, &found.robot, 10.0).unwrap().source;
+            let pair = [&program, &corrected].map(|program| deviation(program, &robot));
+            told.push(pair);
+            assert!(
+                pair[1] < pair[0] / if arcs == 2 { 1.5 } else { 4.0 },
+                "{arcs} arcs, seed {seed}: {pair:?}"
+            );
+        }
+    }
+    eprintln!(
+        "radial deviation in mm before and after, circles of 2 arcs: {:.4?}, of 12 arcs: {:.4?}",
+        told[0], told[1]
+    );
+}
