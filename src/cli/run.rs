@@ -4,6 +4,8 @@ use std::collections::BTreeMap;
 use std::error::Error;
 use std::path::{Path, PathBuf};
 
+use serde_json::Value;
+
 use super::{Output, files, info};
 use crate::capture::{Capture, Event, Record};
 use crate::diag::Diagnostic;
@@ -156,10 +158,63 @@ pub(crate) fn open(
     let torn = !capture.damages.is_empty() || unreadable > 0 || lost > 0 || !ended;
     let mut axes_deg = BTreeMap::new();
     for path in axes {
-        axes_deg
-            .extend(krl::logged_axes(&krl::parse_data(&path.display().to_string(), &files::read(path)?)?)?);
+        let name = path.display().to_string();
+        let data = krl::parse_data(&name, &files::read(path)?)?;
+        let hash = krl::plan_hash(&data);
+        if hash.as_deref().is_some_and(|hash| hash != plan.header.hash) {
+            let message =
+                format!("was written for plan {}, not {}", hash.unwrap_or_default(), plan.header.hash);
+            return Err(Diagnostic::file(&name, message)
+                .help("give the .dat of the program that ran")
+                .into());
+        }
+        if krl::own_accuracy(&data) == Some(true) {
+            out.progress(format!(
+                "{name}: the controller corrects by an accuracy model of its own ($ABS_ACCUR)"
+            ));
+        }
+        axes_deg.extend(krl::logged_axes(&data)?);
     }
-    Ok(Run { plan, stream, reports, torn, axes_deg })
+    let elsewhere = partly_elsewhere(&plan, &axes_deg);
+    if let Some(doubt) = &elsewhere {
+        out.warning(doubt);
+    }
+    let doubtful = elsewhere.is_some() || other_plan(&capture, &plan, out);
+    Ok(Run { plan, stream, reports, torn: torn || doubtful, axes_deg })
+}
+
+/// Axes that stand this far beside the commanded ones do not follow the nominal robot, degrees.
+const ELSEWHERE_DEG: f64 = 0.005;
+
+/// What to say when the axes that were logged stand beside the commanded ones, and those of other poses are not known.
+fn partly_elsewhere(plan: &Plan, axes_deg: &BTreeMap<u32, [f64; AXES]>) -> Option<String> {
+    let (mut most, mut unknown) = (0.0_f64, 0);
+    for row in plan.rows.iter().filter(|row| row.dwell_s > 0.0) {
+        match axes_deg.get(&row.index) {
+            Some(axes) => {
+                most = axes.iter().zip(row.axes_deg).map(|(a, b)| (a - b).abs()).fold(most, f64::max)
+            }
+            None => unknown += 1,
+        }
+    }
+    (most > ELSEWHERE_DEG && unknown > 0).then(|| {
+        format!(
+            "the logged axes stand up to {most:.3} degrees beside the commanded ones, and {unknown} poses have no logged \
+             ones: give the .dat of every module"
+        )
+    })
+}
+
+/// Whether the capture was recorded with another plan than the one named.
+fn other_plan(capture: &Capture, plan: &Plan, out: &Output) -> bool {
+    let header = capture.attachment("plan.json").and_then(|json| serde_json::from_slice::<Value>(json).ok());
+    let recorded = header.as_ref().and_then(|header| header.get("hash")?.as_str());
+    let Some(recorded) = recorded.filter(|hash| *hash != plan.header.hash) else { return false };
+    out.warning(format!(
+        "the capture was recorded with plan {recorded}, and plan {} is named",
+        plan.header.hash
+    ));
+    true
 }
 
 /// The text of an attachment, if it is there.

@@ -31,6 +31,13 @@ pub(crate) struct Args {
     /// The true robot [default: drawn from the nominal one's tolerance by the seed].
     #[arg(long, value_name = "TRUTH.toml")]
     robot: Option<String>,
+    /// The robot with which the controller computes, where it corrects by an accuracy model of its own
+    /// ($ABS_ACCUR TRUE): its axes go elsewhere than the nominal robot's [default: it does not].
+    #[arg(long, value_name = "NAME|FILE")]
+    accuracy: Option<String>,
+    /// Directory for the program's .dat files as the controller leaves them: with the axes that were logged.
+    #[arg(long, value_name = "DIR")]
+    save: Option<PathBuf>,
     /// True ball centres and bar [default: those in the program's .dat]. Keys: repeatability_um
     /// (sd per coordinate, default 0), backlash_deg (six, default 0), [[centre]] id xyz_mm, [bar]
     /// length_mm stroke_mm noise_um (1) resolution_um (0.1) rate_hz (200) temperature_c (20).
@@ -92,8 +99,14 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
     let world_name = args.world.as_ref().map(|path| path.display().to_string());
     let setup = Setup::new(&program, world_name.as_deref().zip(world_text.as_deref()))?;
     let options = Options { rate_hz: setup.bar.rate_hz, speed: args.speed, first_ticks: 0 };
+    let accuracy = args.accuracy.as_deref().map(files::robot).transpose()?;
+    let mut controller =
+        Controller::new(program, accuracy.as_ref().unwrap_or(&nominal), args.override_percent)?;
+    if accuracy.is_some() {
+        controller.correct_by_itself();
+    }
     let mut cell = Cell {
-        controller: Controller::new(program, &nominal, args.override_percent)?,
+        controller,
         world: World::new(robot.geometry, setup, args.seed),
         ekrl: None,
         out,
@@ -118,6 +131,13 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
     let frames = serve_badly(terminal, &definition, options, &mut cell, bad, link)?;
     if let Some(failure) = cell.failure {
         return Err(failure.into());
+    }
+    if let Some(directory) = &args.save {
+        files::directory(directory)?;
+        for (name, text) in cell.controller.saved() {
+            let name = Path::new(&name).file_name().ok_or("a .dat file without a name")?;
+            files::write(&directory.join(name), text)?;
+        }
     }
     out.progress(format!("{} dwells, {frames} frames, {:.1} s", cell.controller.dwells(), cell.t_s));
     if cell.strayed > 0 {

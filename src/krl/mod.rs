@@ -17,5 +17,5 @@ pub mod syntax;
 
 pub use emit::{Controller, EmitError, Options, Sync, emit};
 pub use parser::{parse_data, parse_source};
-pub use points::{Point, Setup, Target, logged_axes, read_points, read_setup};
+pub use points::{Point, Setup, Target, logged_axes, own_accuracy, plan_hash, read_points, read_setup};
 pub use program::{Module, Program};

@@ -114,6 +114,25 @@ pub fn logged_axes(data: &Data) -> Result<Vec<(u32, [f64; AXES])>, Diagnostic> {
     Ok(found)
 }
 
+/// The hash of the plan that a `.dat` of dbbd names.
+pub fn plan_hash(data: &Data) -> Option<String> {
+    data.items.iter().find_map(|item| match item {
+        DataItem::Value { target, value } if target.name == "DBBPLAN" => match &value.kind {
+            ExpressionKind::Text(text) => Some(text.clone()),
+            _ => None,
+        },
+        _ => None,
+    })
+}
+
+/// Whether the controller corrected by an accuracy model of its own (`$ABS_ACCUR`), where the `.dat` tells.
+pub fn own_accuracy(data: &Data) -> Option<bool> {
+    match Constants::new(data).ok()?.scalars.get("DBBABS")?.kind {
+        ExpressionKind::Bool(on) => Some(on),
+        _ => None,
+    }
+}
+
 /// The ball and the bar that a module's `.dat` names.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Setup {

@@ -22,6 +22,8 @@ pub(super) struct Given {
     pub(super) sources: Vec<Source>,
     /// Whether a part of a run was lost, or poses were dropped as ambiguous.
     pub(super) lossy: bool,
+    /// Whether the axis angles are those that were commanded in a capture, none having been measured.
+    pub(super) commanded: bool,
     /// The capture that the lengths come from, and how it was joined last.
     joined: Option<(Box<Run>, Synced)>,
 }
@@ -76,7 +78,8 @@ impl Given {
             source("robot", args.robot.clone().unwrap_or_else(from_plan)),
         ];
         let lossy = joined.as_ref().is_some_and(|(run, synced)| lossy(run, synced));
-        Ok(Self { robot, centres, observations, sources, lossy, joined })
+        let commanded = joined.as_ref().is_some_and(|(run, _)| run.axes_deg.is_empty());
+        Ok(Self { robot, centres, observations, sources, lossy, commanded, joined })
     }
 
     /// Joins the capture anew with the lengths that the identified robot predicts; whether the pairs changed.

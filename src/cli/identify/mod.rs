@@ -1,5 +1,6 @@
 //! `dbbd identify`: the robot's parameters from lengths.
 
+mod accuracy;
 mod choices;
 mod given;
 mod inputs;
@@ -107,7 +108,12 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
     say(out, &found.result, &args.out);
     out.document(&found.result)?;
     let doubt = found.result.warnings.iter().any(|warning| warning.kind == WarningKind::Doubt);
-    Ok(if doubt || given.lossy { Outcome::Doubt } else { Outcome::Done })
+    let elsewhere =
+        if given.commanded { accuracy::doubt(&given.robot, &found, &given.observations) } else { None };
+    if let Some(text) = &elsewhere {
+        out.warning(text);
+    }
+    Ok(if doubt || given.lossy || elsewhere.is_some() { Outcome::Doubt } else { Outcome::Done })
 }
 
 fn options(args: &Args, robot: &Robot, set_up: SetUp) -> Result<Options, Box<dyn Error>> {

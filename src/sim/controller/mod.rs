@@ -9,6 +9,7 @@ mod ekrl;
 mod evaluate;
 mod execute;
 mod motion;
+mod save;
 mod start;
 mod store;
 mod value;
@@ -118,6 +119,14 @@ impl Controller {
         self.t_s = end_s;
         self.end_pulses();
         Ok(self.moment())
+    }
+
+    /// Says that the controller corrects by an accuracy model of its own, which the robot that it was given
+    /// then is: `$ABS_ACCUR` is TRUE, and a Cartesian command moves the axes elsewhere than the nominal robot's would.
+    pub fn correct_by_itself(&mut self) {
+        if let Some(variable) = self.system.get_mut("$ABS_ACCUR") {
+            variable.value = Value::Bool(true);
+        }
     }
 
     /// Presses START: a program at HALT goes on.

@@ -1,0 +1,141 @@
+//! A controller that corrects by an accuracy model of its own moves the axes elsewhere than the plan says. What it
+//! logs into the `.dat` tells where; without it the run ends in a doubt.
+#![cfg(unix)]
+
+use std::fs;
+use std::io::{BufRead, BufReader};
+use std::path::Path;
+use std::process::{Command, Stdio};
+
+use dbbd::krl::{logged_axes, own_accuracy, parse_data};
+use dbbd::model::Robot;
+use dbbd::plan::Kind;
+use dbbd::sim::truth;
+use tempfile::tempdir;
+
+use crate::cell::{dbbd, kr60, stderr};
+use crate::compensated_program_is_accurate::chosen;
+
+/// The program of a plan is simulated and its lengths recorded; the .dat files that it left are in `dat`.
+fn run(at: &Path, extra: &[&str]) {
+    let mut simulator = Command::new(env!("CARGO_BIN_EXE_dbbd"))
+        .args([
+            "simulate",
+            "--program",
+            "krl/DBB_MAIN.src",
+            "--robot",
+            "truth.toml",
+            "--speed",
+            "0",
+            "--halt",
+            "0.5",
+        ])
+        .args(["--world", "world.toml", "--save", "dat"])
+        .args(extra)
+        .current_dir(at)
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    let mut port = String::new();
+    BufReader::new(simulator.stdout.take().unwrap()).read_line(&mut port).unwrap();
+    let recorded = dbbd(
+        at,
+        &["acquire", "--port", port.trim(), "--plan", "plan.csv", "--out", "run.dbbd", "--gone", "2"],
+    );
+    assert!(matches!(recorded.status.code(), Some(0 | 3)), "{}", stderr(&recorded));
+    assert!(simulator.wait().unwrap().success());
+}
+
+#[test]
+fn logged_axes_tell_where_an_accurate_controller_stood() {
+    let dir = tempdir().unwrap();
+    let at = dir.path();
+    let mut plan = chosen(1, 80, true);
+    plan.header.job.motion.dwell_s = 0.3;
+    plan.header.job.motion.settle_s = 0.1;
+    plan.rows.iter_mut().filter(|row| row.dwell_s > 0.0).for_each(|row| row.dwell_s = 0.3);
+    let (csv, json) = plan.to_files();
+    fs::write(at.join("plan.csv"), &csv).unwrap();
+    fs::write(at.join("plan.json"), &json).unwrap();
+    let true_robot = truth::draw(&kr60(), 5, 1.0);
+    fs::write(at.join("truth.toml"), true_robot.to_toml()).unwrap();
+    fs::write(at.join("world.toml"), "[bar]\nnoise_um = 20.0\n").unwrap();
+    assert!(dbbd(at, &["krl", "plan.csv", "--out", "krl"]).status.success());
+
+    // The controller knows its true robot: all lengths are as planned, and tell nothing without the axes.
+    run(at, &["--accuracy", "truth.toml"]);
+    let blind = dbbd(at, &["identify", "run.dbbd", "--out", "blind"]);
+    assert_eq!(blind.status.code(), Some(3), "{}", stderr(&blind));
+    assert!(stderr(&blind).contains("accuracy model of its own"), "{}", stderr(&blind));
+
+    let text = fs::read_to_string(at.join("dat/DBB_C001.dat")).unwrap();
+    let data = parse_data("DBB_C001.dat", &text).unwrap();
+    assert_eq!(own_accuracy(&data), Some(true));
+    let logged = logged_axes(&data).unwrap();
+    let dwells = plan.rows.iter().filter(|row| row.kind != Kind::Transit);
+    assert!(logged.iter().map(|(row, _)| *row).eq(dwells.map(|row| row.index)));
+    let sync = |extra: &[&str]| {
+        let given = ["sync", "run.dbbd", "--out", "obs.csv", "--axes"];
+        dbbd(at, &[&given[..], extra].concat())
+    };
+    let synced = sync(&["dat/DBB_C001.dat"]);
+    assert_eq!(synced.status.code(), Some(0), "{}", stderr(&synced));
+    assert!(stderr(&synced).contains("$ABS_ACCUR"));
+    let balls = "centre,x_mm,y_mm,z_mm\n1,1300,0,800\n";
+    fs::write(at.join("centres.csv"), balls).unwrap();
+    let found = dbbd(
+        at,
+        &[
+            "identify",
+            "obs.csv",
+            "--robot",
+            "kr60ha",
+            "--centres",
+            "centres.csv",
+            "--hold",
+            "bar_offset",
+            "--out",
+            "seen",
+        ],
+    );
+    assert_eq!(found.status.code(), Some(0), "{}", stderr(&found));
+    let found = fs::read_to_string(at.join("seen/robot-identified.toml")).unwrap();
+    let found = Robot::from_toml("robot-identified.toml", &found).unwrap();
+    for (row, (is, was)) in found
+        .geometry
+        .rows
+        .iter()
+        .zip(true_robot.geometry.rows.iter().zip(kr60().geometry.rows))
+        .enumerate()
+        .skip(3)
+    {
+        let off = (is.alpha - was.0.alpha).abs();
+        assert!(
+            off < 2e-4,
+            "alpha of row {row}: {off} rad from the truth, {} apart at first",
+            was.0.alpha - was.1.alpha
+        );
+    }
+
+    // A part of the axes alone, another plan's, and a file that is none.
+    let half = text.lines().filter(|line| !line.starts_with("XQ[1]=")).collect::<Vec<_>>().join("\r\n");
+    fs::write(at.join("half.dat"), half + "\r\n").unwrap();
+    let partly = sync(&["half.dat"]);
+    assert_eq!(partly.status.code(), Some(3));
+    assert!(stderr(&partly).contains("1 poses have no logged ones"), "{}", stderr(&partly));
+    fs::write(at.join("other.dat"), text.replacen("DBBPLAN[]=\"", "DBBPLAN[]=\"f", 1)).unwrap();
+    let other = sync(&["other.dat"]);
+    assert_eq!(other.status.code(), Some(1));
+    assert!(stderr(&other).contains("was written for plan f"), "{}", stderr(&other));
+
+    // The plan of another run.
+    let mut second = plan.clone();
+    second.rows[5].length_mm += 1.0;
+    let (csv, json) = second.to_files();
+    fs::write(at.join("second.csv"), csv).unwrap();
+    fs::write(at.join("second.json"), json).unwrap();
+    let mismatched = dbbd(at, &["sync", "run.dbbd", "--plan", "second.csv", "--out", "obs2.csv"]);
+    assert_eq!(mismatched.status.code(), Some(3));
+    assert!(stderr(&mismatched).contains("was recorded with plan"), "{}", stderr(&mismatched));
+}
