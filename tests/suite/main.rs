@@ -28,6 +28,7 @@ mod identifies_to_the_limit;
 mod inverse_kinematics;
 mod jacobian_matches_differences;
 mod krl_reads_back;
+mod krl_round_trips;
 mod logged_axes_identify;
 mod obstacle_distances;
 mod optional_groups_earn_their_place;

@@ -1,0 +1,111 @@
+//! Times of writing, reading and compensating programs of 100 000 points.
+
+#![allow(missing_docs, clippy::expect_used, clippy::panic)]
+
+use std::fmt::Write;
+use std::hint::black_box;
+
+use criterion::{Criterion, criterion_group, criterion_main};
+use dbbd::krl::compensate::compensate;
+use dbbd::krl::production::{Files, Given, Text, read};
+use dbbd::krl::{Controller, Options, Sync, emit, parse_data, parse_source, read_points};
+use dbbd::model::{Robot, inverse};
+use dbbd::plan::{Job, Kind, Plan};
+use dbbd::sim::truth;
+
+const POINTS: usize = 100_000;
+const JOB: &str = "robot = \"kr60ha\"\n[bar]\nlength_mm = 300.0\nstroke_mm = [-6.0, 6.0]\n[[centre]]\nid = 1\n\
+                   xyz_mm = [1300.0, 0.0, 800.0]\n[[circle]]\nplane = \"XY\"\npoints = 200\norientation = \"fixed\"\n\
+                   tilt_deg = 20.0";
+
+/// A circle of 200 poses, as often as makes the points: one module each.
+fn plan(robot: &Robot) -> Plan {
+    let mut plan = Plan::build(&Job::from_toml("job", JOB).expect("a job"), robot).expect("a plan");
+    let (rows, moves) = (plan.rows.clone(), plan.header.moves.clone());
+    let dwells = rows.iter().filter(|row| row.kind == Kind::Measure).count();
+    (plan.rows, plan.header.moves) = (Vec::new(), Vec::new());
+    for circle in 1..=POINTS.div_ceil(dwells) {
+        for (row, time) in rows.iter().zip(&moves) {
+            let index = plan.rows.len() as u32 + 1;
+            let mut row = row.clone();
+            (row.index, row.circle) = (index, circle as u32);
+            plan.rows.push(row);
+            let mut time = *time;
+            time.index = index;
+            plan.header.moves.push(time);
+        }
+    }
+    plan
+}
+
+/// A production program of named points in its `.dat`, every one taught anew.
+fn production(robot: &Robot) -> (String, String) {
+    let mut source =
+        "DEF P ( )\r\n$TOOL={X 0.0,Y 0.0,Z 150.0,A 0.0,B 0.0,C 0.0}\r\n$BASE=$NULLFRAME\r\n".to_owned();
+    let mut data = "DEFDAT P\r\n".to_owned();
+    for at in 0..POINTS {
+        let t = at as f64 * 1e-3;
+        let deg = [
+            40.0 * (0.7 * t).sin(),
+            -85.0 + 15.0 * t.sin(),
+            100.0 + 15.0 * (1.3 * t).cos(),
+            30.0 * t.cos(),
+            55.0,
+            20.0,
+        ];
+        let axes = deg.map(f64::to_radians);
+        let flange = robot.geometry.flange(&axes);
+        let position = flange.position + flange.rotation.column(2) * 150.0;
+        let [a, b, c] = flange.abc_deg();
+        let (s, t) = (inverse::status(&robot.geometry, &axes), inverse::turn(&axes));
+        let _ = write!(
+            data,
+            "DECL E6POS XP{at}={{X {:.3},Y {:.3},Z {:.3},A {a:.4},B {b:.4},C {c:.4},S {s},T {t},E1 0.0,E2 0.0,E3 0.0,\
+             E4 0.0,E5 0.0,E6 0.0}}\r\n",
+            position.x, position.y, position.z
+        );
+        let _ = write!(source, "{} XP{at}\r\n", if at.is_multiple_of(2) { "PTP" } else { "LIN" });
+    }
+    (source + "END\r\n", data + "ENDDAT\r\n")
+}
+
+fn benches(c: &mut Criterion) {
+    let robot = Robot::by_name("kr60ha").expect("built in").expect("reads");
+    let plan = plan(&robot);
+    let options = Options { sync: Sync::Output, controller: Controller::Krc4 };
+    let files = emit(&plan, options).expect("a program");
+    let mut group = c.benchmark_group("100000 points");
+    group.sample_size(10);
+    group.bench_function("write", |b| b.iter(|| emit(black_box(&plan), options).expect("a program").len()));
+    group.bench_function("read back", |b| {
+        b.iter(|| {
+            let mut points = 0;
+            for pair in files.chunks(2).skip(1) {
+                let [(name, source), (data_name, data)] = pair else { panic!("a .src and its .dat") };
+                let source = parse_source(name, source).expect("reads");
+                let data = parse_data(data_name, data).expect("reads");
+                points += read_points(&source, Some(&data)).expect("points").len();
+            }
+            points
+        });
+    });
+    let (source, data) = production(&robot);
+    let files = Files {
+        source: Text { file: "P.src", text: &source },
+        data: Some(Text { file: "P.dat", text: &data }),
+        config: None,
+    };
+    let points = read(files, Given::default()).expect("points");
+    assert_eq!(points.points.len(), POINTS);
+    let identified = Robot { nominal: Some(Box::new(robot.clone())), ..truth::draw(&robot, 1, 1.0) };
+    group.bench_function("read for compensation", |b| {
+        b.iter(|| read(files, Given::default()).expect("points").points.len())
+    });
+    group.bench_function("compensate", |b| {
+        b.iter(|| compensate(files, black_box(&points), &identified, 50.0).expect("compensated").moved.len());
+    });
+    group.finish();
+}
+
+criterion_group!(group, benches);
+criterion_main!(group);
