@@ -50,6 +50,7 @@ fn measured(plan: &Plan, true_robot: &Robot, seed: u64) -> Observations {
         Observation {
             index: row.index,
             centre: row.centre as usize,
+            bar: 1,
             axes_deg: row.axes_deg,
             length_mm: length + SIGMA_MM * random.sample::<f64, _>(StandardNormal),
             sigma_mm: None,
