@@ -46,7 +46,7 @@ pub(super) struct Interval {
     pub(super) broken: bool,
 }
 
-/// Share of the intervals in which the operator pauses, and the pauses' mean, s.
+/// Share of the intervals in which the operator pauses, and the pauses' mean, s: nobody pauses for a blink.
 const PAUSES: f64 = 0.01;
 const PAUSE_S: f64 = 30.0;
 /// Share of the begins that were detected badly, and how badly, s.
@@ -55,13 +55,25 @@ const BAD_S: f64 = 0.5;
 /// Mean time until the operator starts the next module, s.
 const BY_HAND_S: f64 = 90.0;
 /// Flat density of an interval over a broken clock, 1/s.
-const BROKEN: f64 = 1.0 / 120.0;
+pub(super) const BROKEN: f64 = 1.0 / 120.0;
 
 /// No interval's log density is greater: the peak of a normal distribution of the least
 /// sigma (two begins known to 20 ms), and a bit.
 pub(super) const MOST_LOG_DENSITY: f64 = 3.0;
 
 impl Program {
+    /// How long the robot stands at a pose, s.
+    pub(super) fn wait_s(&self, pose: usize) -> f64 {
+        self.waits_s[pose] - pose.checked_sub(1).map_or(0.0, |before| self.waits_s[before])
+    }
+
+    /// Time from the begin of one pose's dwell to the end of another's, s.
+    pub(super) fn span_s(&self, from: usize, to: usize, pace: Pace) -> f64 {
+        self.waits_s[to] - self.waits_s[from]
+            + self.wait_s(from)
+            + pace.stretch * (self.moves_s[to] - self.moves_s[from])
+    }
+
     pub(super) fn new(poses: &[Commanded]) -> Self {
         let sums = |part: fn(&Commanded) -> f64| {
             let add = |sum: &mut f64, pose| {
@@ -111,15 +123,6 @@ impl Interval {
         (self.variance_s2 + (pace.slack * pace.stretch * self.move_s).powi(2) / steps).sqrt()
     }
 
-    /// Logarithm of the density, 1/s.
-    pub(super) fn log_density(&self, pace: Pace) -> f64 {
-        if self.broken {
-            return BROKEN.ln();
-        }
-        let (running, paused) = self.densities(pace);
-        (running + paused).max(1e-300).ln()
-    }
-
     /// Probability that the program ran through without a pause.
     pub(super) fn unpaused(&self, pace: Pace) -> f64 {
         let (running, paused) = self.densities(pace);
@@ -127,19 +130,29 @@ impl Interval {
     }
 
     /// Densities, 1/s, of what was seen if the program ran through, and if it paused.
-    fn densities(&self, pace: Pace) -> (f64, f64) {
+    pub(super) fn densities(&self, pace: Pace) -> (f64, f64) {
         let residual_s = self.residual_s(pace);
         let sigma_s = self.sigma_s(pace);
         let standard = residual_s / sigma_s;
         let steps = (self.passed + 1) as f64;
-        let (pauses, pause_s) = if self.by_hand { (0.95, BY_HAND_S) } else { (PAUSES * steps, PAUSE_S) };
-        let pauses = pauses.min(0.95);
-        let mut running = BAD / (2.0 * BAD_S) * (-residual_s.abs() / BAD_S).exp();
+        let pauses = if self.by_hand { 0.95 } else { (PAUSES * steps).min(0.95) };
+        let mut running = 0.0;
+        if residual_s.abs() < 30.0 * BAD_S {
+            running += BAD / (2.0 * BAD_S) * (-residual_s.abs() / BAD_S).exp();
+        }
         if standard.abs() < 9.0 {
             let normal = (-0.5 * standard * standard).exp() / (sigma_s * std::f64::consts::TAU.sqrt());
             running += (1.0 - pauses - BAD).max(0.01) * normal;
         }
-        let paused = if residual_s > 0.0 { pauses / pause_s * (-residual_s / pause_s).exp() } else { 0.0 };
+        let paused = if residual_s <= 0.0 {
+            0.0
+        } else if self.by_hand {
+            pauses / BY_HAND_S * (-residual_s / BY_HAND_S).exp()
+        } else {
+            // A gamma distribution of order two.
+            let scale_s = 0.5 * PAUSE_S;
+            pauses * residual_s / (scale_s * scale_s) * (-residual_s / scale_s).exp()
+        };
         (running, paused)
     }
 }

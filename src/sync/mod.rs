@@ -12,6 +12,8 @@ mod dwell;
 mod fate;
 mod hull;
 mod interval;
+mod lasting;
+mod lattice;
 mod recall;
 mod report;
 mod robust;

@@ -5,10 +5,11 @@
 //! when the robot stood at the poses between.
 
 use super::Candidate;
-use super::align::{Alignment, KEEP, LEAST_START_SD_S, Pairing, SLACK};
+use super::align::{Alignment, KEEP, LEAST_START_SD_S, Pairing};
 use super::commanded::Poses;
 use super::dwell::measure;
 use super::interval::{Interval, Pace, Program};
+use super::lattice::SLACK;
 use super::still::Stretch;
 use super::stream::Stream;
 

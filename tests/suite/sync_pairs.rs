@@ -194,11 +194,32 @@ fn modules_and_a_model_with_errors_pair_none_wrongly() {
 }
 
 #[test]
-#[ignore = "a campaign of 1000 runs of drawn trouble, and of long plans; its figures go to docs/accuracy.md"]
+fn torn_and_merged_dwells_and_stretches_of_lost_poses_pair_none_wrongly() {
+    // In run 7516 two stretches while the first poses were lost lie as far apart as two of those poses, and a third
+    // passes for a pause.
+    let score = score_runs((7512..7520).map(|seed| (seed, run(seed, true, drawn(seed)))), false);
+    eprintln!("drawn trouble: {score:?}, {:.2} % dropped", 100.0 * score.dropped());
+    assert_eq!(score.wrong, 0, "{score:?}");
+    assert!(score.dropped() < 0.02, "{score:?}");
+}
+
+#[test]
+#[ignore = "campaigns of 1000 runs of drawn trouble, and of long plans; their figures go to docs/accuracy.md"]
 fn campaign_of_drawn_trouble() {
+    for first in [7000, 20_000, 21_000, 22_000] {
+        for model in [false, true] {
+            let runs = (first..first + 1000).map(|seed| (seed, run(seed, true, drawn(seed))));
+            let score = score_runs(runs, model);
+            let percent = 100.0 * score.dropped();
+            eprintln!("drawn trouble, seeds from {first}, model {model}: {score:?}, {percent:.3} % dropped");
+            assert_eq!(score.wrong, 0);
+            assert!(score.dropped() < 0.01);
+        }
+    }
     for model in [false, true] {
-        let score = score_runs((7000..8000).map(|seed| (seed, run(seed, true, drawn(seed)))), model);
-        eprintln!("drawn trouble, model {model}: {score:?}, {:.3} % dropped", 100.0 * score.dropped());
+        let runs = (300..600).map(|seed| (seed, run_of(seed, 120, 60, true, drawn(seed))));
+        let score = score_runs(runs, model);
+        eprintln!("two modules of 60, model {model}: {score:?}, {:.3} % dropped", 100.0 * score.dropped());
     }
     let long = (9000..9010).map(|seed| (seed, run_of(seed, 765, 255, true, drawn(seed))));
     let score = score_runs(long, false);
@@ -206,10 +227,11 @@ fn campaign_of_drawn_trouble() {
 }
 
 #[test]
-#[ignore = "a campaign of 1000 runs; its figures go to the documentation"]
+#[ignore = "a campaign of 1000 runs, and of 100 with equal moves; its figures go to docs/accuracy.md"]
 fn campaign() {
-    for distinct in [true, false] {
-        let score = score(1000..2000, distinct, STUDY);
+    for (distinct, seeds) in [(true, 1000..2000), (false, 1000..1100)] {
+        let score = score(seeds, distinct, STUDY);
         eprintln!("distinct {distinct}: {score:?}, {:.3} % dropped", 100.0 * score.dropped());
+        assert_eq!(score.wrong, 0);
     }
 }
