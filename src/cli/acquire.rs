@@ -5,6 +5,7 @@ pub(super) mod simulated;
 mod view;
 
 use std::error::Error;
+use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -13,7 +14,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use super::{Outcome, Output, Verdict, protocols};
 use crate::clock;
 use crate::daemon::{
-    Acquisition, Attachments, Ending, Options, Outlook, Progress, Summary, stop_on_signal, zero,
+    Acquisition, Attachments, Ending, Options, Outlook, Progress, Server, Summary, stop_on_signal, zero,
 };
 use crate::port::{self, Latency};
 use crate::units::HostNs;
@@ -25,7 +26,8 @@ const LINE_EVERY_S: f64 = 5.0;
 
 /// When a run ends; shown below the options.
 const ENDS: &str = "The run ends at the program's end mark (two short strobe pulses after a dwell: with --plan the \
-last circle's, without a plan after 20 s of device time with no strobe), after --duration, on SIGINT or SIGTERM, \
+last circle's, without a plan after 20 s of device time with no strobe; with --ekrl and --plan: when the program has \
+told its last dwell and closed the channel), after --duration, on SIGINT or SIGTERM, \
 or when the port stays away for --gone. Bytes are written before they are decoded: a kill loses at most the \
 record being written. Exit code 3: samples are missing, or nothing was understood.";
 
@@ -49,6 +51,11 @@ pub(crate) struct Args {
     /// Set the bar's reading to zero where it stands before the run, where its protocol has a command for it.
     #[arg(long)]
     zero: bool,
+    /// Listen here for a program written with `krl --sync ekrl --server ADDR:PORT`: it tells the begin and the end
+    /// of each dwell with the axis angles it measured, over EthernetKRL (TCP). Addresses other than 127.0.0.1
+    /// can be reached by others in that network.
+    #[arg(long, value_name = "ADDR:PORT")]
+    ekrl: Option<SocketAddr>,
     /// Capture to write; an existing file is not overwritten.
     #[arg(long, value_name = "RUN")]
     out: PathBuf,
@@ -68,17 +75,30 @@ fn seconds(text: &str) -> Result<f64, String> {
 }
 
 pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
+    let server = args.ekrl.map(Server::listen).transpose()?;
+    if let Some(server) = &server {
+        let address = server.address();
+        out.progress(format!("listening for the program's telegrams on {address}"));
+        if !address.ip().is_loopback() {
+            out.warning(format!(
+                "{address} can be reached from the network, where anyone can send telegrams: use a network of the cell's own"
+            ));
+        }
+    }
     #[cfg(unix)]
     if args.port == "sim" {
-        let cell = simulated::Cell::start(args.plan.as_deref(), "0", out)?;
-        let verdict =
-            record(&Args { port: cell.port().into(), plan: Some(cell.plan().into()), ..args.clone() }, out)?;
+        let address = server.as_ref().map(Server::address);
+        // A telegram has the host's time, so the simulation must keep to it.
+        let speed = if address.is_some() { "1" } else { "0" };
+        let cell = simulated::Cell::start(args.plan.as_deref(), speed, address, out)?;
+        let args = Args { port: cell.port().into(), plan: Some(cell.plan().into()), ..args.clone() };
+        let verdict = record(&args, server, out)?;
         return cell.finish().map(|()| verdict);
     }
-    record(args, out)
+    record(args, server, out)
 }
 
-fn record(args: &Args, out: &Output) -> Verdict {
+fn record(args: &Args, server: Option<Server>, out: &Output) -> Verdict {
     let attachments = args.plan.as_deref().map(Attachments::of_plan).transpose()?.unwrap_or_default();
     let name = args.protocol.as_deref().or(attachments.protocol.as_deref()).unwrap_or(DEFAULT_PROTOCOL);
     let definition = protocols::load_with(name, &args.params)?;
@@ -110,7 +130,7 @@ fn record(args: &Args, out: &Output) -> Verdict {
         gone_s: args.gone,
         feed: None,
     };
-    let acquisition = Acquisition::start(options, stop)?;
+    let acquisition = Acquisition::told_by(server, options, stop)?;
     out.progress(format!("reading {} into {}", args.port, args.out.display()));
     watch(&acquisition, &view::outlook(args.plan.as_deref()), out)?;
     conclude(&acquisition.join()?, args, out)
@@ -165,6 +185,8 @@ fn losses(progress: &Progress) -> String {
         (progress.faults, "faults"),
         (progress.unanswered, "requests unanswered"),
         (progress.lost_bytes, "bytes lost"),
+        (progress.telegrams, "telegrams"),
+        (progress.refused, "telegrams refused"),
     ];
     let found = counts.into_iter().filter(|(count, _)| *count > 0);
     found.map(|(count, what)| format!(", {count} {what}")).collect()
@@ -206,6 +228,20 @@ fn conclude(summary: &Summary, args: &Args, out: &Output) -> Verdict {
     }
     if progress.unanswered > 0 {
         doubts.push(format!("{} requests were not answered in time", progress.unanswered));
+    }
+    if progress.refused > 0 {
+        doubts.push(format!(
+            "{} telegrams were refused, at which the program halts: is it this plan's program? \
+             `dbbd export` shows them among the events",
+            progress.refused
+        ));
+    }
+    if args.ekrl.is_some() && progress.telegrams == 0 {
+        doubts.push(
+            "no telegram came: was the program written with `krl --sync ekrl --server` and this address, and is \
+             its channel file on the controller?"
+                .into(),
+        );
     }
     doubts.iter().for_each(|doubt| out.warning(doubt));
     Ok(if doubts.is_empty() { Outcome::Done } else { Outcome::Doubt })

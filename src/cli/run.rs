@@ -26,7 +26,8 @@ pub(crate) struct Run {
     pub(crate) reports: Vec<Report>,
     /// Whether something of the run was lost: a damage, a cut end, samples lost on the way to the disk.
     pub(crate) torn: bool,
-    /// Axis angles (degrees) that the program logged, by the plan's index; empty when none were given.
+    /// Axis angles (degrees) that the program measured, by the plan's index: as it told them over EthernetKRL, and
+    /// those of a `.dat` before these.
     pub(crate) axes_deg: BTreeMap<u32, [f64; AXES]>,
 }
 
@@ -135,8 +136,13 @@ pub(crate) fn open(
                 Ok(sample) => stream.push(stamped.host, &sample),
                 Err(_) => unreadable += 1,
             },
-            Record::Event(Event::Controller { index, phase, .. }) => {
-                reports.push(Report { host: stamped.host, index: *index, phase: *phase });
+            Record::Event(Event::Controller { index, phase, axes_deg }) => {
+                reports.push(Report {
+                    host: stamped.host,
+                    index: *index,
+                    phase: *phase,
+                    axes_deg: *axes_deg,
+                });
             }
             Record::Event(Event::Ended { lost: on_the_way, .. }) => (ended, lost) = (true, *on_the_way),
             _ => {}
@@ -156,7 +162,7 @@ pub(crate) fn open(
         out.warning("the run was cut off: it has no record of its end");
     }
     let torn = !capture.damages.is_empty() || unreadable > 0 || lost > 0 || !ended;
-    let mut axes_deg = BTreeMap::new();
+    let mut axes_deg = sync::reported_axes(&reports);
     for path in axes {
         let name = path.display().to_string();
         let data = krl::parse_data(&name, &files::read(path)?)?;

@@ -49,7 +49,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
 #[cfg(unix)]
 fn bench(out: Output) -> Option<Bench> {
     let make = move |plan: Option<&Path>| -> Result<Box<dyn daemon::Cell>, String> {
-        let cell = simulated::Cell::start(plan, "1", &out).map_err(|error| error.to_string())?;
+        let cell = simulated::Cell::start(plan, "1", None, &out).map_err(|error| error.to_string())?;
         Ok(Box::new(cell))
     };
     Some(Box::new(make))

@@ -108,6 +108,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
     let mut cell = Cell {
         controller,
         world: World::new(robot.geometry, setup, args.seed),
+        server: args.ekrl,
         ekrl: None,
         out,
         halt_s: args.halt,
@@ -118,10 +119,8 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
         strayed: 0,
         failure: None,
     };
-    if let Some(server) = args.ekrl {
-        let client = Client::connect(server).map_err(|error| format!("--ekrl {server}: {error}"))?;
+    if args.ekrl.is_some() {
         cell.controller.link_ekrl();
-        cell.ekrl = Some(client);
     }
     let terminal = Terminal::new()?;
     let link = args.link.as_deref().map(|path| link(path, terminal.name())).transpose()?;
@@ -174,7 +173,8 @@ fn program(path: &Path) -> Result<Program, Box<dyn Error>> {
 struct Cell<'a> {
     controller: Controller,
     world: World,
-    /// The line to the EthernetKRL server.
+    /// The EthernetKRL server, and the line to it while the program holds the channel open.
+    server: Option<SocketAddr>,
     ekrl: Option<Client>,
     out: &'a Output,
     halt_s: f64,
@@ -228,7 +228,21 @@ impl Source for &mut Cell<'_> {
 impl Cell<'_> {
     /// Carries the controller's telegrams to the server and the answers back; device time stands still.
     fn exchange(&mut self) -> Result<(), Diagnostic> {
-        let Some(client) = &mut self.ekrl else { return Ok(()) };
+        let Some(server) = self.server else { return Ok(()) };
+        if !self.controller.ekrl_open() {
+            self.ekrl = None;
+            return Ok(());
+        }
+        let client = match &mut self.ekrl {
+            Some(client) => client,
+            None => {
+                let client = Client::connect(server).map_err(|error| {
+                    Diagnostic::file("EthernetKRL", format!("{server}: {error}"))
+                        .help("start `dbbd acquire --ekrl` before the program")
+                })?;
+                self.ekrl.insert(client)
+            }
+        };
         while let Some(telegram) = self.controller.telegram() {
             let id = client
                 .exchange(&telegram)

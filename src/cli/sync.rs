@@ -16,7 +16,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "PLAN.csv")]
     plan: Option<PathBuf>,
     /// The .dat of a module as fetched from the controller after the run: the axis angles that the program
-    /// logged replace the commanded ones. Once for each module.
+    /// logged replace the commanded ones, as those do that it told over EthernetKRL. Once for each module.
     #[arg(long, value_name = "FILE.dat")]
     axes: Vec<PathBuf>,
     /// Where the observations go: lengths in mm, axis angles in degrees.
@@ -76,6 +76,14 @@ fn show(synced: &Synced, out: &Output) {
     if !synced.spurious.is_empty() {
         out.result(format!("{} stretches belong to no pose", synced.spurious.len()));
     }
+    for lag in &synced.lags {
+        let [lag_ms, sd_ms] = [lag.lag_s, lag.sd_s].map(|s| 1000.0 * s);
+        out.result(format!(
+            "circle {}: the reading comes {lag_ms:.1} +- {sd_ms:.1} ms after the command; the senses differ by {:.1} um",
+            lag.circle,
+            1000.0 * lag.hysteresis_mm
+        ));
+    }
     if let Some(drift) = synced.drift {
         let spread = drift.sd_mm.map_or(String::new(), |sd| format!(" +- {:.1}", 1000.0 * sd));
         let (um, readings) = (1000.0 * drift.change_mm, drift.readings);
@@ -119,6 +127,15 @@ fn document(synced: &Synced, stream: &Stream) -> Value {
             "wraps": clock.wraps, "breaks": breaks.collect::<Vec<_>>(),
         })
     });
+    let lags: Vec<Value> = synced
+        .lags
+        .iter()
+        .map(|lag| {
+            json!({
+                "circle": lag.circle, "lag_s": lag.lag_s, "sd_s": lag.sd_s, "hysteresis_mm": lag.hysteresis_mm,
+            })
+        })
+        .collect();
     let warnings: Vec<Value> = synced
         .warnings
         .iter()
@@ -127,7 +144,7 @@ fn document(synced: &Synced, stream: &Stream) -> Value {
     json!({
         "schema": 1, "poses": poses, "matched": synced.observations.rows.len(),
         "spurious": synced.spurious.len(), "source": source_word(synced.source),
-        "override": synced.override_factor, "drift": drift, "clock": clock,
+        "override": synced.override_factor, "lags": lags, "drift": drift, "clock": clock,
         "warnings": warnings,
     })
 }

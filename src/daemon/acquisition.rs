@@ -12,9 +12,11 @@ use thiserror::Error;
 
 use super::asking::Asking;
 use super::attachments::Attachments;
+use super::ekrl::Server;
 use super::feed::Feed;
 use super::marks::Marks;
 use super::recorder::Recorder;
+use super::reports::Reports;
 use super::session::{self, Opened};
 use crate::capture::{Event, WriteError, Writer};
 use crate::clock;
@@ -75,6 +77,10 @@ pub struct Progress {
     pub dwells: u32,
     /// Modules that are over, by their end marks.
     pub modules: u32,
+    /// Telegrams of the program that were recorded.
+    pub telegrams: u64,
+    /// Telegrams that were refused: of another plan, or of no dwell.
+    pub refused: u64,
     /// Whether the frames were ever understood one after the other.
     pub in_step: bool,
     /// Whether the port is away at this moment.
@@ -136,7 +142,19 @@ impl Acquisition {
     ///
     /// # Errors
     /// When the port cannot be opened or the capture not be made.
-    pub fn start(mut options: Options, stop: Arc<AtomicBool>) -> Result<Self, AcquireError> {
+    pub fn start(options: Options, stop: Arc<AtomicBool>) -> Result<Self, AcquireError> {
+        Self::told_by(None, options, stop)
+    }
+
+    /// The same with a server to which the program tells its dwells.
+    ///
+    /// # Errors
+    /// As [`Self::start`].
+    pub fn told_by(
+        server: Option<Server>,
+        mut options: Options,
+        stop: Arc<AtomicBool>,
+    ) -> Result<Self, AcquireError> {
         let now = clock::now();
         if options.out.exists() {
             return Err(WriteError::Exists(options.out).into());
@@ -156,7 +174,8 @@ impl Acquisition {
         let port = begin(&mut recorder, &options.port, opened)?;
         let shared = Arc::new(Shared { progress: Mutex::default(), remarks: Mutex::default(), stop });
         let identity = port::identity(&options.port);
-        let run = Run { options, identity, recorder, shared: Arc::clone(&shared), began: now };
+        let reports = server.map(|server| Reports::new(server, options.attachments.driven.clone()));
+        let run = Run { options, identity, recorder, reports, shared: Arc::clone(&shared), began: now };
         let recorder = std::thread::spawn(move || run.whole(port));
         Ok(Self { shared, recorder })
     }
@@ -206,6 +225,7 @@ struct Run {
     /// The name by which the port is found again.
     identity: String,
     recorder: Recorder,
+    reports: Option<Reports>,
     shared: Arc<Shared>,
     began: HostNs,
 }
@@ -263,14 +283,17 @@ impl Run {
             if let Some(ending) = self.ending() {
                 return Ok(Session::Over(ending));
             }
-            let mut patience = idle.unwrap_or(Duration::from_millis(50));
+            let unhurried = self.reports.as_ref().map_or(Duration::from_millis(50), |_| Reports::PATIENCE);
+            let mut patience = idle.unwrap_or(unhurried);
             if let Some(asking) = &mut asking {
                 match asking.step(&self.options.definition, &mut self.recorder)? {
                     Ok(wait) => patience = patience.min(wait),
                     Err(gone) => return Ok(Session::Gone(clock::now(), gone.to_string())),
                 }
             }
-            match arrivals.recv_timeout(patience) {
+            let arrival = arrivals.recv_timeout(patience);
+            let quiet = arrival.is_err();
+            match arrival {
                 Ok(Arrival::Bytes(host, bytes)) => {
                     let before = self.recorder.answers();
                     self.recorder.bytes(host, bytes)?;
@@ -291,12 +314,18 @@ impl Run {
                     return Ok(Session::Gone(clock::now(), "the reading thread ended".into()));
                 }
             }
+            self.told(quiet)?;
             self.tell(false)?;
         }
     }
 
+    fn told(&mut self, idle: bool) -> Result<(), AcquireError> {
+        let Some(reports) = &mut self.reports else { return Ok(()) };
+        Ok(reports.step(&mut self.recorder, idle)?)
+    }
+
     fn ending(&self) -> Option<Ending> {
-        if self.recorder.over() {
+        if self.recorder.over() || self.reports.as_ref().is_some_and(Reports::over) {
             Some(Ending::Mark)
         } else if self.shared.stop.load(Ordering::Relaxed) {
             Some(Ending::Stopped)
@@ -311,6 +340,7 @@ impl Run {
         let mut backoff = 0.1;
         let mut next = 0.0;
         loop {
+            self.told(true)?;
             self.tell(true)?;
             if let Some(ending) = self.ending() {
                 return Ok(Err(ending));

@@ -8,6 +8,9 @@ use std::path::{Path, PathBuf};
 use serde_json::Value;
 use thiserror::Error;
 
+use super::reports::Driven;
+use crate::sync::run_number;
+
 /// CRC-64/XZ ties `plan.json` to the text of `plan.csv`.
 const PLAN_HASH: crc::Crc<u64> = crc::Crc::<u64>::new(&crc::CRC_64_XZ);
 
@@ -44,6 +47,8 @@ pub struct Attachments {
     pub modules: Option<u32>,
     /// The protocol that the plan's job names.
     pub protocol: Option<String>,
+    /// What the plan's program tells over EthernetKRL.
+    pub driven: Option<Driven>,
 }
 
 impl Attachments {
@@ -64,13 +69,20 @@ impl Attachments {
         let robot = value.get("robot").and_then(Value::as_str).ok_or_else(|| wrong("no `robot`".into()))?;
         let robot = robot.as_bytes().to_vec();
         let protocol = value.pointer("/job/bar/protocol").and_then(Value::as_str).map(str::to_owned);
-        let modules = circles(&rows).map_err(|message| PlanError::Header { path: csv.into(), message })?;
+        let wrong_row = |message: String| PlanError::Header { path: csv.into(), message };
+        let modules = circles(&rows).map_err(wrong_row)?;
+        let mut dwells = column(&rows, "index", |kind| kind != "transit").map_err(wrong_row)?;
+        // A pass without stops is told by the row at which it ends.
+        let passes = value.get("passes").and_then(Value::as_array).into_iter().flatten();
+        let ends = passes.filter_map(|pass| u32::try_from(pass.get("end")?.as_u64()?).ok());
+        dwells.extend(ends);
+        let driven = Some(Driven { run: run_number(hash), dwells });
         let files = vec![
             ("plan.csv".to_owned(), rows),
             ("plan.json".to_owned(), header),
             ("robot.toml".to_owned(), robot),
         ];
-        Ok(Self { files, modules: Some(modules), protocol })
+        Ok(Self { files, modules: Some(modules), protocol, driven })
     }
 
     /// One file more.
@@ -83,16 +95,26 @@ impl Attachments {
 
 /// Distinct circles of a plan; rows of circle 0 belong to none.
 fn circles(rows: &[u8]) -> Result<u32, String> {
-    let mut reader = csv::Reader::from_reader(rows);
-    let headers = reader.headers().map_err(|error| error.to_string())?;
-    let column = headers.iter().position(|name| name == "circle").ok_or("no column `circle`")?;
-    let mut circles = BTreeSet::new();
-    for row in reader.records() {
-        let row = row.map_err(|error| error.to_string())?;
-        let circle: u32 =
-            row.get(column).and_then(|text| text.parse().ok()).ok_or("a circle is no number")?;
-        circles.insert(circle);
-    }
+    let mut circles = column(rows, "circle", |_| true)?;
     circles.remove(&0);
     u32::try_from(circles.len()).map_err(|error| error.to_string())
+}
+
+/// The distinct numbers of a column, of the rows that are `wanted` by their kind.
+fn column(rows: &[u8], name: &str, wanted: impl Fn(&str) -> bool) -> Result<BTreeSet<u32>, String> {
+    let mut reader = csv::Reader::from_reader(rows);
+    let headers = reader.headers().map_err(|error| error.to_string())?;
+    let position = |wanted: &str| headers.iter().position(|name| name == wanted);
+    let column = position(name).ok_or_else(|| format!("no column `{name}`"))?;
+    let kind = position("kind");
+    let mut numbers = BTreeSet::new();
+    for row in reader.records() {
+        let row = row.map_err(|error| error.to_string())?;
+        let text = row.get(column).unwrap_or_default();
+        let number = text.parse().map_err(|_| format!("{name} `{text}` is no number"))?;
+        if wanted(kind.and_then(|kind| row.get(kind)).unwrap_or_default()) {
+            numbers.insert(number);
+        }
+    }
+    Ok(numbers)
 }

@@ -3,17 +3,21 @@
 mod acquisition;
 mod asking;
 mod attachments;
+mod ekrl;
 mod feed;
 mod marks;
 mod recorder;
+mod reports;
 mod service;
 mod session;
 mod signals;
 
 pub use acquisition::{AcquireError, Acquisition, Ending, Options, Progress, Summary};
 pub use attachments::{Attachments, PlanError};
+pub use ekrl::{ListenError, Server};
 pub use feed::{ALARM_SHARE, Feed, Outlook, Shown};
 pub use marks::{DeviceTime, Marks};
+pub use reports::Driven;
 pub use service::{Bench, Cell, Config, Level, Log, ServeError, serve};
 pub use session::zero;
 pub use signals::stop_on_signal;

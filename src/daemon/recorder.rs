@@ -179,7 +179,7 @@ impl Recorder {
         let device = self.time.as_mut().zip(sample.ticks).map(|(time, ticks)| time.seconds(ticks));
         self.marks.sample(device.unwrap_or_else(|| host.seconds_since(self.began)), sample);
         self.progress.device_s = device;
-        self.progress.dwells = self.marks.dwells();
+        self.progress.dwells = self.progress.dwells.max(self.marks.dwells());
         self.progress.modules = self.marks.ends();
         if let Some(feed) = &mut self.feed {
             feed.sample(host, device, sample, self.progress.dwells);

@@ -14,6 +14,11 @@ pub(super) const AFTER_S: f64 = 0.1;
 /// A module numbers its dwells with eight bits.
 const MODULE_DWELLS: usize = 255;
 
+/// Whether the robot stands at a row to be measured.
+pub(super) fn stops(row: &PlanRow) -> bool {
+    row.kind != Kind::Transit && !row.is_passed()
+}
+
 impl<'a> Poses<'a> {
     pub(super) fn of(plan: &'a Plan) -> Self {
         let settle_s = plan.header.job.motion.settle_s;
@@ -30,7 +35,7 @@ impl<'a> Poses<'a> {
                 module += 1;
                 dwells = 0;
             }
-            if row.kind == Kind::Transit {
+            if !stops(row) {
                 continue;
             }
             dwells += 1;

@@ -7,6 +7,7 @@ use super::interval::{Pace, Program};
 use super::still::Stretch;
 use super::stream::Stream;
 use super::{Candidate, Source, Synced, Warning};
+use crate::plan::Plan;
 
 /// What became of a commanded dwell.
 #[derive(Clone, Debug, PartialEq)]
@@ -162,4 +163,25 @@ pub(super) fn warnings(synced: &Synced, stream: &Stream) -> Vec<Warning> {
         warn(true, format!("the length at the reference pose drifted by {um:.1} um over the run"));
     }
     warnings
+}
+
+/// Whether the robot stood elsewhere than commanded by the axis angles that it told.
+pub(super) fn elsewhere(synced: &Synced, plan: &Plan) -> Option<Warning> {
+    /// No controller in position is further off, degrees.
+    const IN_POSITION_DEG: f64 = 0.05;
+    let off_deg = synced.observations.rows.iter().filter_map(|row| {
+        let commanded = plan.rows.get((row.index as usize).checked_sub(1)?)?;
+        let apart = row.axes_deg.iter().zip(&commanded.axes_deg).map(|(told, plan)| (told - plan).abs());
+        Some(apart.fold(0.0, f64::max))
+    });
+    let off_deg: Vec<f64> = off_deg.filter(|deg| *deg > IN_POSITION_DEG).collect();
+    let worst_deg = off_deg.iter().copied().fold(0.0, f64::max);
+    (!off_deg.is_empty()).then(|| Warning {
+        doubt: true,
+        text: format!(
+            "at {} poses the measured axis angles are up to {worst_deg:.2} degrees from the commanded ones: \
+             was another plan driven?",
+            off_deg.len()
+        ),
+    })
 }

@@ -14,12 +14,15 @@ mod hull;
 mod interval;
 mod lasting;
 mod lattice;
+mod passes;
+mod passing;
 mod recall;
 mod report;
 mod robust;
 mod still;
 mod stream;
 mod strobe;
+mod telegram;
 
 use std::collections::BTreeMap;
 
@@ -33,12 +36,15 @@ pub use dwell::{Dwell, measure};
 pub use fate::{Fate, PoseFate};
 pub use hull::Segment;
 pub use interval::Commanded;
-pub use report::Report;
+pub use passes::Lag;
+pub use report::{Report, reported_axes};
 pub use still::{Stretch, find as find_still};
 pub use stream::{Stream, StreamBuilder};
 pub use strobe::{Strobed, find as find_strobed};
+pub use telegram::{Heard, LONGEST_TELEGRAM, Telegram, TelegramReader, run_number};
 
 use commanded::Poses;
+use passes::Passed;
 
 /// What a run is joined from.
 #[derive(Clone, Copy, Debug)]
@@ -75,7 +81,7 @@ pub fn expected_lengths(
     axes_deg: Option<&BTreeMap<u32, [f64; AXES]>>,
     length_mm: impl Fn(usize, &[f64; AXES]) -> f64,
 ) -> Vec<f64> {
-    let dwells = plan.rows.iter().filter(|row| row.kind != Kind::Transit);
+    let dwells = plan.rows.iter().filter(|row| commanded::stops(row));
     dwells
         .map(|row| {
             let logged = axes_deg.and_then(|axes| axes.get(&row.index));
@@ -129,6 +135,8 @@ pub struct Synced {
     pub source: Source,
     /// The override that the moves were driven with, 0..1, where it was estimated.
     pub override_factor: Option<f64>,
+    /// What the passes of continuous circles tell of the lag between command and reading.
+    pub lags: Vec<Lag>,
     /// Change of the length at the repeated reference pose, where it was read twice or more.
     pub drift: Option<Drift>,
     /// What the user should know.
@@ -155,11 +163,13 @@ struct Candidate {
 /// Joins a run.
 pub fn observations(input: &Input<'_>) -> Synced {
     let poses = Poses::of(input.plan);
+    let passed = passes::read(input);
+    let mut notes = Vec::new();
     let reported = report::stretches(input.reports, input.stream);
     let (source, candidates, pairings, override_factor) = if let Some(reported) = reported {
         by_reports(&poses, &reported)
     } else if strobe::present(input.stream) {
-        by_strobe(input, &poses)
+        by_strobe(input, &poses, &passed, &mut notes)
     } else {
         by_stillness(input, &poses)
     };
@@ -198,8 +208,21 @@ pub fn observations(input: &Input<'_>) -> Synced {
     }
     let spurious =
         candidates.iter().zip(used).filter(|(_, used)| !used).map(|(candidate, _)| candidate.stretch);
-    let spurious = spurious.collect();
+    let spurious = spurious.filter(|stretch| !passed.holds(stretch)).collect();
     let drift = drift::of(&poses.rows, &fates);
+    for (pose, timing_mm) in passed.fates.iter().zip(&passed.timing_mm) {
+        let at = (pose.index as usize).checked_sub(1);
+        if let (Fate::Matched { dwell, .. }, Some(row)) =
+            (&pose.fate, at.and_then(|at| input.plan.rows.get(at)))
+        {
+            let place = at.and_then(|at| circle_places.get(at)).copied().flatten();
+            let known = Dwell { u_mm: dwell.u_mm.hypot(*timing_mm), ..*dwell };
+            rows.push(observation(input, row, place, &known));
+        }
+    }
+    fates.extend(passed.fates);
+    fates.sort_by_key(|pose| pose.index);
+    rows.sort_by_key(|row| row.index);
     let extra_columns =
         ["kind", "t_s", "samples", "creep", "circle", "angle_deg"].map(str::to_owned).to_vec();
     let mut synced = Synced {
@@ -207,11 +230,21 @@ pub fn observations(input: &Input<'_>) -> Synced {
         fates,
         spurious,
         source,
-        override_factor,
+        override_factor: override_factor.filter(|_| !poses.rows.is_empty()),
+        lags: passed.lags,
         drift,
         warnings: Vec::new(),
     };
-    synced.warnings = fate::warnings(&synced, input.stream);
+    for circle in passed.one_way {
+        let ms = 1000.0 * passes::LAG_SD_S;
+        let text = format!(
+            "circle {circle} was not passed both ways: the reading is taken to come 0 +- {ms:.0} ms after the command"
+        );
+        notes.push(Warning { doubt: false, text });
+    }
+    notes.extend(fate::warnings(&synced, input.stream));
+    notes.extend(fate::elsewhere(&synced, input.plan));
+    synced.warnings = notes;
     synced
 }
 
@@ -234,9 +267,11 @@ fn by_reports(poses: &Poses<'_>, reported: &BTreeMap<u32, Stretch>) -> Paired {
     (Source::Reports, candidates, pairings, None)
 }
 
-/// The n-th strobe of a module is its n-th dwell, if all are there and the intervals do not object.
-fn by_strobe(input: &Input<'_>, poses: &Poses<'_>) -> Paired {
-    let strobed = find_strobed(input.stream);
+/// The n-th strobe of a module is its n-th dwell, if all of the module are there and the intervals do not
+/// object; in a module with one too few or too many the intervals tell.
+fn by_strobe(input: &Input<'_>, poses: &Poses<'_>, passed: &Passed, notes: &mut Vec<Warning>) -> Paired {
+    let mut strobed = find_strobed(input.stream);
+    strobed.retain(|dwell| !passed.holds(&dwell.stretch));
     let candidates: Vec<Candidate> = strobed
         .iter()
         .map(|&Strobed { stretch, .. }| Candidate { stretch, from_s: stretch.start_s, to_s: stretch.end_s })
@@ -244,15 +279,28 @@ fn by_strobe(input: &Input<'_>, poses: &Poses<'_>) -> Paired {
     let seen = seen(input, &candidates, false);
     let alignment = align(&poses.commanded, &seen, input.expected);
     let mut pairings = alignment.pairings;
-    let modules: Vec<usize> = strobed.iter().map(|dwell| dwell.module).collect();
-    let agree = poses.commanded.iter().map(|pose| pose.module).eq(modules);
-    let objects = pairings.iter().enumerate().any(|(at, pairing)| match *pairing {
-        Pairing::Dwell { dwell, .. } => dwell != at,
-        Pairing::None { .. } => true,
-        Pairing::Ambiguous { .. } => false,
-    });
-    if agree && !objects {
-        pairings = (0..pairings.len()).map(|dwell| Pairing::Dwell { dwell, posterior: 1.0 }).collect();
+    let commanded: Vec<usize> = poses.commanded.iter().map(|pose| pose.module).collect();
+    let told: Vec<usize> = strobed.iter().map(|dwell| dwell.module).collect();
+    for (module, (poses, dwells)) in strobe::counts(&commanded, &told).into_iter().enumerate() {
+        if poses.len() != dwells.len() {
+            let (seen, wanted) = (dwells.len(), poses.len());
+            let text = format!(
+                "module {}: {seen} strobes were seen where {wanted} dwells are commanded",
+                module + 1
+            );
+            notes.push(Warning { doubt: true, text });
+            continue;
+        }
+        let objects = poses.clone().zip(dwells.clone()).any(|(pose, dwell)| match pairings[pose] {
+            Pairing::Dwell { dwell: other, .. } => dwell != other,
+            Pairing::None { .. } => true,
+            Pairing::Ambiguous { .. } => false,
+        });
+        if !objects {
+            for (pose, dwell) in poses.zip(dwells) {
+                pairings[pose] = Pairing::Dwell { dwell, posterior: 1.0 };
+            }
+        }
     }
     (Source::Strobe, candidates, pairings, Some(alignment.override_factor))
 }

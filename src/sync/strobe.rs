@@ -1,5 +1,7 @@
 //! The controller's strobe in the stream: dwells, and the pulses that mark begin and end of a module.
 
+use std::ops::Range;
+
 use super::still::Stretch;
 use super::stream::Stream;
 
@@ -16,6 +18,8 @@ pub struct Strobed {
 const PULSE_S: f64 = 0.3;
 /// Pulses of one mark are nearer to each other, s.
 const ONE_MARK_S: f64 = 1.0;
+/// A strobe that falls for less than this did not fall: no program lowers it so shortly, s.
+const BOUNCE_S: f64 = 0.1;
 
 /// Whether the stream carries the strobe and it was ever high.
 pub(super) fn present(stream: &Stream) -> bool {
@@ -51,13 +55,26 @@ pub fn find(stream: &Stream) -> Vec<Strobed> {
     dwells
 }
 
+/// For each module the positions of its dwells in `commanded` and in `told`, which hold the modules' numbers in
+/// order.
+pub(super) fn counts(commanded: &[usize], told: &[usize]) -> Vec<(Range<usize>, Range<usize>)> {
+    let of = |all: &[usize], module: usize| {
+        all.partition_point(|other| *other < module)..all.partition_point(|other| *other <= module)
+    };
+    let modules = [commanded, told].into_iter().filter_map(|all| all.last()).max().map_or(0, |last| last + 1);
+    (0..modules).map(|module| (of(commanded, module), of(told, module))).collect()
+}
+
 /// The times for which the strobe was high.
 fn highs(stream: &Stream) -> Vec<Stretch> {
     let mut highs = Vec::new();
     let mut rise_s = None;
     for (at, &t_s) in stream.t_s.iter().enumerate() {
         match (stream.trigger(at), rise_s) {
-            (Some(true), None) => rise_s = Some(t_s),
+            (Some(true), None) => {
+                let before = highs.pop_if(|before: &mut Stretch| t_s - before.end_s < BOUNCE_S);
+                rise_s = Some(before.map_or(t_s, |before| before.start_s));
+            }
             (Some(false), Some(start_s)) => {
                 // The last sample that was high ends it: the strobe may have fallen in a gap.
                 let end_s = stream.t_s[at - 1];

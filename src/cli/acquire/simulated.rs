@@ -1,6 +1,7 @@
 //! `--port sim`: a simulated cell as a child process, its programs in a directory that goes with it.
 
 use std::error::Error;
+use std::net::{Ipv4Addr, SocketAddr};
 use std::path::{Path, PathBuf};
 use std::process;
 
@@ -26,11 +27,16 @@ impl Drop for Directory {
 
 impl Cell {
     /// Starts the simulator on `plan`, or on the demo's; `speed` is device time in host time, 0 for as
-    /// fast as the bytes are taken.
+    /// fast as the bytes are taken. Its program tells its dwells to `server`, if there is one.
     ///
     /// # Errors
     /// When a step on the way to its programs fails.
-    pub(crate) fn start(plan: Option<&Path>, speed: &str, out: &Output) -> Result<Self, Box<dyn Error>> {
+    pub(crate) fn start(
+        plan: Option<&Path>,
+        speed: &str,
+        server: Option<SocketAddr>,
+        out: &Output,
+    ) -> Result<Self, Box<dyn Error>> {
         let directory = Directory(std::env::temp_dir().join(format!("dbbd-sim-{}", process::id())));
         files::directory(&directory.0)?;
         let steps = Steps::new(&directory.0, out)?;
@@ -44,8 +50,19 @@ impl Cell {
                 directory.0.join("plan/plan.csv")
             }
         };
-        steps.run(&["krl", &plan.display().to_string(), "--out", "krl"])?;
-        let simulator = steps.start(&["simulate", "--program", "krl/DBB_MAIN.src", "--speed", speed])?;
+        let plan_name = plan.display().to_string();
+        let mut emit = vec!["krl", plan_name.as_str(), "--out", "krl"];
+        let mut simulate = vec!["simulate", "--program", "krl/DBB_MAIN.src", "--speed", speed];
+        let address = server.map(|server| match server.ip().is_unspecified() {
+            true => SocketAddr::from((Ipv4Addr::LOCALHOST, server.port())).to_string(),
+            false => server.to_string(),
+        });
+        if let Some(address) = address.as_deref() {
+            emit.extend(["--sync", "ekrl", "--server", address]);
+            simulate.extend(["--ekrl", address]);
+        }
+        steps.run(&emit)?;
+        let simulator = steps.start(&simulate)?;
         Ok(Self { simulator, plan, directory })
     }
 

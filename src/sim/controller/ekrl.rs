@@ -32,6 +32,11 @@ impl Controller {
         self.ekrl.linked = true;
     }
 
+    /// Whether the program holds the channel open.
+    pub fn ekrl_open(&self) -> bool {
+        self.ekrl.open
+    }
+
     /// The next telegram to be sent.
     pub fn telegram(&mut self) -> Option<String> {
         self.ekrl.sent.pop_front()

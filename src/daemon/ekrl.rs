@@ -1,0 +1,198 @@
+//! The server of the channel over which a program tells its dwells: EthernetKRL, TCP.
+//!
+//! The controller connects for each module and closes at its end; one that was switched off closes
+//! nothing, so a new connection is taken while an old one still stands. A telegram is answered when it
+//! is in the capture, not before. One that cannot be meant (not readable, of another plan, of a row that
+//! the plan does not have) is answered with 0, at which the program halts.
+
+use std::io::{self, ErrorKind, Read, Write};
+use std::net::{SocketAddr, TcpListener, TcpStream};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::time::Duration;
+
+use thiserror::Error;
+
+use crate::clock;
+use crate::sync::{Heard, Telegram, TelegramReader};
+use crate::units::HostNs;
+
+/// Connections at a time: the controller's, and some that it left behind.
+const MOST: usize = 8;
+/// What was heard and is not recorded yet; each connection waits for its answer, so there is never more.
+const QUEUE: usize = 4 * MOST;
+/// How often the threads look whether the run is over.
+const PATIENCE: Duration = Duration::from_millis(20);
+
+/// Why the server cannot listen.
+#[derive(Debug, Error)]
+#[error(
+    "--ekrl {address}: cannot listen there\n  help: another program may have the port (another dbbd?), or the address is none of this computer's"
+)]
+pub struct ListenError {
+    address: SocketAddr,
+    #[source]
+    source: io::Error,
+}
+
+/// Something that happened on the channel.
+#[derive(Debug)]
+pub(super) enum Told {
+    /// A telegram, and where its answer is waited for: the `Id` of the acknowledgement.
+    Telegram(Telegram, SyncSender<u32>),
+    /// What is worth a remark in the capture.
+    Remark(String),
+    /// The last connection was closed.
+    Quiet,
+}
+
+/// Listens, and hands over what is told.
+#[derive(Debug)]
+pub struct Server {
+    address: SocketAddr,
+    told: Receiver<(HostNs, Told)>,
+    stop: Arc<AtomicBool>,
+}
+
+impl Server {
+    /// Listens at an address; port 0 is any that is free.
+    ///
+    /// # Errors
+    /// When the address is taken or none of this computer's.
+    pub fn listen(address: SocketAddr) -> Result<Self, ListenError> {
+        let error = |source| ListenError { address, source };
+        let listener = TcpListener::bind(address).map_err(error)?;
+        listener.set_nonblocking(true).map_err(error)?;
+        let address = listener.local_addr().map_err(error)?;
+        let (sender, told) = sync_channel(QUEUE);
+        let stop = Arc::new(AtomicBool::new(false));
+        let channel = Channel { sender, stop: Arc::clone(&stop), open: Arc::default() };
+        std::thread::Builder::new()
+            .name("ekrl".into())
+            .spawn(move || channel.accept(&listener))
+            .map_err(error)?;
+        Ok(Self { address, told, stop })
+    }
+
+    /// Where it listens.
+    pub fn address(&self) -> SocketAddr {
+        self.address
+    }
+
+    /// What was told next, with the time at which it came.
+    pub(super) fn told(&self) -> Option<(HostNs, Told)> {
+        self.told.try_recv().ok()
+    }
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Relaxed);
+    }
+}
+
+/// What the threads of the connections share.
+#[derive(Clone)]
+struct Channel {
+    sender: SyncSender<(HostNs, Told)>,
+    stop: Arc<AtomicBool>,
+    open: Arc<AtomicUsize>,
+}
+
+impl Channel {
+    fn over(&self) -> bool {
+        self.stop.load(Ordering::Relaxed)
+    }
+
+    /// Hands over; nobody listens any more once the run is over.
+    fn tell(&self, told: Told) {
+        let _ = self.sender.send((clock::now(), told));
+    }
+
+    fn accept(&self, listener: &TcpListener) {
+        while !self.over() {
+            match listener.accept() {
+                Ok((stream, from)) => self.take(stream, from),
+                Err(_) => clock::sleep(PATIENCE.as_secs_f64()),
+            }
+        }
+    }
+
+    fn take(&self, stream: TcpStream, from: SocketAddr) {
+        if self.open.fetch_add(1, Ordering::Relaxed) >= MOST {
+            self.open.fetch_sub(1, Ordering::Relaxed);
+            return self
+                .tell(Told::Remark(format!("EthernetKRL: {from} was turned away: {MOST} are connected")));
+        }
+        let channel = self.clone();
+        let spawned = std::thread::Builder::new().name("ekrl-client".into()).spawn(move || {
+            channel.tell(Told::Remark(format!("EthernetKRL: {from} has connected")));
+            let (reader, why) = channel.serve(stream);
+            let left = match (reader.pending(), reader.skipped()) {
+                (0, 0) => String::new(),
+                (0, skipped) => format!(", {skipped} bytes of it were no telegram"),
+                (pending, 0) => format!(" in the middle of a telegram ({pending} bytes)"),
+                (pending, skipped) => {
+                    format!(
+                        " in the middle of a telegram ({pending} bytes), {skipped} bytes were no telegram"
+                    )
+                }
+            };
+            channel.tell(Told::Remark(format!("EthernetKRL: {from} {why}{left}")));
+            if channel.open.fetch_sub(1, Ordering::Relaxed) == 1 {
+                channel.tell(Told::Quiet);
+            }
+        });
+        if spawned.is_err() {
+            self.open.fetch_sub(1, Ordering::Relaxed);
+        }
+    }
+
+    /// Answers one client until it goes; what its reader has left, and why it went.
+    fn serve(&self, mut stream: TcpStream) -> (TelegramReader, String) {
+        let mut reader = TelegramReader::default();
+        let set = stream
+            .set_nonblocking(false)
+            .and_then(|()| stream.set_read_timeout(Some(PATIENCE)))
+            .and_then(|()| stream.set_write_timeout(Some(Duration::from_secs(1))))
+            .and_then(|()| stream.set_nodelay(true));
+        if let Err(error) = set {
+            return (reader, format!("was given up: {error}"));
+        }
+        let mut bytes = [0; 2048];
+        while !self.over() {
+            let count = match stream.read(&mut bytes) {
+                Ok(0) => return (reader, "has closed".into()),
+                Ok(count) => count,
+                Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => continue,
+                Err(error) if error.kind() == ErrorKind::Interrupted => continue,
+                Err(error) => return (reader, format!("is gone: {error}")),
+            };
+            for heard in reader.push(bytes.get(..count).unwrap_or_default()) {
+                let Some(id) = self.answer(heard) else {
+                    return (reader, "was left: the run is over".into());
+                };
+                if let Err(error) = stream.write_all(format!("<Ack Id=\"{id}\"/>\n").as_bytes()) {
+                    return (reader, format!("took no answer: {error}"));
+                }
+            }
+        }
+        (reader, "was left: the run is over".into())
+    }
+
+    /// Hands a telegram over and waits until it is recorded; `None` when the run is over.
+    fn answer(&self, heard: Heard) -> Option<u32> {
+        match heard {
+            Heard::Telegram(telegram) => {
+                let (sender, answer) = sync_channel(1);
+                self.tell(Told::Telegram(telegram, sender));
+                answer.recv().ok()
+            }
+            Heard::Malformed(why) => {
+                self.tell(Told::Remark(format!("EthernetKRL: a telegram is not understood: {why}")));
+                Some(0)
+            }
+        }
+    }
+}
