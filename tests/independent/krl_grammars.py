@@ -6,10 +6,7 @@ GENERATED is the directory into which ANTLR's Python target wrote krlLexer.py an
 grammar's first rule; docs/krl.md says how to fetch and build both grammars. Exit code 1 when a file does not
 parse. Needs antlr4-python3-runtime of the same version as the tool that generated the parser.
 
-Two things that a grammar lacks are put right before it reads, with --spline and --fill:
---spline  SCIRC is read as CIRC: the motion of KSS 8 that a grammar of 2011 does not know, in the same form.
---fill    lines of comments are emptied and pairs of them joined: the same grammar takes an odd number of empty
-          lines before a declaration for an error.
+--spline reads SCIRC as CIRC: the motion of KSS 8 that a grammar of 2011 does not know, in the same form.
 """
 
 import re
@@ -28,19 +25,10 @@ class Collected(ErrorListener):
         self.found.append(f"{line}:{column + 1}: {message}")
 
 
-def prepared(text, spline, fill):
-    if spline:
-        text = re.sub(r"(?m)^(\s*)SCIRC\b", r"\1CIRC", text)
-    if fill:
-        lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith((";", "&"))]
-        text = "\n".join(lines) + "\n"
-    return text
-
-
 def main():
     arguments = [a for a in sys.argv[1:] if not a.startswith("--")]
     options = set(sys.argv[1:]) - set(arguments)
-    if len(arguments) < 3 or not options <= {"--spline", "--fill"}:
+    if len(arguments) < 3 or not options <= {"--spline"}:
         sys.exit(__doc__)
     generated, start, *files = arguments
     sys.path.insert(0, generated)
@@ -49,7 +37,9 @@ def main():
 
     wrong = 0
     for name in files:
-        text = prepared(Path(name).read_bytes().decode("ascii"), "--spline" in options, "--fill" in options)
+        text = Path(name).read_bytes().decode("ascii")
+        if options:
+            text = re.sub(r"(?m)^(\s*)SCIRC\b", r"\1CIRC", text)
         errors = Collected()
         lexer = krlLexer(InputStream(text))
         parser = krlParser(CommonTokenStream(lexer))

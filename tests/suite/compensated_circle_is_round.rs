@@ -17,7 +17,6 @@ use crate::compensated_program_is_accurate::{chosen, identified};
 fn circle(arcs: u32) -> String {
     let robot = kr60();
     let [x, y, z] = <[f64; 3]>::from(robot.geometry.tool);
-    let mut near = [0.0, -60.0, 90.0, 0.0, 60.0, 0.0].map(f64::to_radians);
     let at = |share: f64| {
         let (sin, cos) = (std::f64::consts::TAU * share).sin_cos();
         [CENTRE[0] + RADIUS * cos, CENTRE[1] + RADIUS * sin, CENTRE[2]]
@@ -26,7 +25,9 @@ fn circle(arcs: u32) -> String {
         let [x, y, z] = at(share);
         format!("{{X {x:.3},Y {y:.3},Z {z:.3},A 0.0000,B 20.0000,C 180.0000}}")
     };
-    near = inverse::nearest(&robot.geometry, &Pose::from_kuka(at(0.0), [0.0, 20.0, 180.0]), &near).unwrap();
+    // The branch in front with the elbow up, as production programs have it.
+    let branches = inverse::branches(&robot.geometry, &Pose::from_kuka(at(0.0), [0.0, 20.0, 180.0])).unwrap();
+    let near = branches.into_iter().find(|axes| inverse::status(&robot.geometry, axes) == 2).unwrap();
     let [a1, a2, a3, a4, a5, a6] = near.map(f64::to_degrees);
     let mut text = format!(
         "DEF P ( )\n$TOOL={{X {x:.3},Y {y:.3},Z {z:.3},A 0.0,B 0.0,C 0.0}}\n$BASE=$NULLFRAME\n$VEL.CP=0.05\n\

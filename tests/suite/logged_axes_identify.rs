@@ -52,9 +52,9 @@ fn logged_axes_tell_where_an_accurate_controller_stood() {
     let dir = tempdir().unwrap();
     let at = dir.path();
     let mut plan = chosen(1, 80, true);
-    plan.header.job.motion.dwell_s = 0.3;
-    plan.header.job.motion.settle_s = 0.1;
-    plan.rows.iter_mut().filter(|row| row.dwell_s > 0.0).for_each(|row| row.dwell_s = 0.3);
+    plan.header.job.motion.dwell_s = 0.6;
+    plan.header.job.motion.settle_s = 0.3;
+    plan.rows.iter_mut().filter(|row| row.dwell_s > 0.0).for_each(|row| row.dwell_s = 0.6);
     let (csv, json) = plan.to_files();
     fs::write(at.join("plan.csv"), &csv).unwrap();
     fs::write(at.join("plan.json"), &json).unwrap();
