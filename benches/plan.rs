@@ -15,7 +15,7 @@ fn benches(c: &mut Bench) {
     let ball = Vector3::new(1300.0, 0.0, 800.0);
     let model = LengthModel::new(robot.geometry.clone(), &[Centre { id: 1, position: ball }]);
     let belief = Belief::datasheet(&robot, model, None);
-    let pool = candidates(&robot.geometry, &robot.limits_deg, (1, ball), 300.0, 20_000, 1, |_| true);
+    let pool = candidates(&robot.geometry, &robot.limits_deg, (1, ball), 300.0, None, 20_000, 1, |_| true);
     assert_eq!(pool.len(), 20_000);
     let pool = rows(&belief, &pool, 0.02);
     let moved = moves(&belief, &Workspace::uniform(&robot, 400, 1));

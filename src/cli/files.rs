@@ -7,6 +7,9 @@ use std::path::Path;
 use crate::diag::Diagnostic;
 use crate::model::Robot;
 
+/// The lengths that an identification rests on, beside its robot-identified.toml.
+pub(crate) const LENGTHS: &str = "lengths.csv";
+
 /// The text of a file.
 ///
 /// # Errors

@@ -39,7 +39,8 @@ pub(crate) struct Args {
     #[arg(long, value_name = "DIR")]
     save: Option<PathBuf>,
     /// True ball centres and bar [default: those in the program's .dat]. Keys: repeatability_um
-    /// (sd per coordinate, default 0), backlash_deg (six, default 0), [[centre]] id xyz_mm, [bar]
+    /// (sd per coordinate, default 0), backlash_deg (six, default 0), [[centre]] id, and xyz_mm or taught_deg
+    /// (axis angles at which the true tool ball stood there), [bar]
     /// length_mm stroke_mm noise_um (1) resolution_um (0.1) rate_hz (200) temperature_c (20).
     #[arg(long, value_name = "WORLD.toml")]
     world: Option<PathBuf>,

@@ -83,7 +83,7 @@ impl Belief {
     }
 
     /// As this one, with base ball `centre` (from 0) touched by the tool ball at `axes` (rad) to `sd_mm`: the ball is
-    /// then wrong as the robot is wrong there. Nothing may have been measured yet.
+    /// then wrong as the robot is wrong there. No length to this ball may have been measured yet.
     pub fn touched(&self, centre: usize, axes: &[f64; AXES], sd_mm: f64) -> Self {
         let mut touched = self.clone();
         let ball = self.model.geometry.ball(axes).position;
@@ -95,13 +95,15 @@ impl Belief {
             let mut far = ball;
             far[axis] -= 1.0;
             let row = self.model.geometry.length_row(axes, &far, 0.0);
-            for (column, id) in self.ids.iter().enumerate() {
-                touched.root[(at, column)] = match id {
-                    ParamId::Centre(..) | ParamId::BarOffset(_) => 0.0,
-                    _ => row.columns()[LengthRow::position(*id)] * self.root[(column, column)],
-                };
+            let mut there = self.root.row(at) * 0.0;
+            for (parameter, id) in self.ids.iter().enumerate() {
+                if !matches!(id, ParamId::Centre(..) | ParamId::BarOffset(_)) {
+                    there += self.root.row(parameter) * row.columns()[LengthRow::position(*id)];
+                }
             }
-            touched.root[(at, at)] = sd_mm;
+            // Unmeasured, the ball has had this coordinate to itself.
+            there[at] += sd_mm;
+            touched.root.set_row(at, &there);
         }
         touched
     }

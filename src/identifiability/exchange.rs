@@ -7,6 +7,8 @@
 //! d = a' C a by q (a'v)^2, for e = a' C W C a by 2 q (a'v)(a'u) + q^2 s (a'v)^2, u = C W v, s = v' W v (Fedorov,
 //! "Theory of Optimal Experiments", 1972). One pass over the candidates a change, nothing allocated.
 
+use std::ops::Range;
+
 use nalgebra::{DMatrix, DVector};
 
 /// What is made least.
@@ -105,6 +107,33 @@ impl<'a> Exchange<'a> {
         }
     }
 
+    /// Takes one candidate of each group, then exchanges each for a better one of its own group until none is worth it.
+    pub fn one_of_each(&mut self, groups: &[Range<usize>], criterion: Criterion) {
+        for group in groups.iter().filter(|group| !group.is_empty()) {
+            let first = self.best_of(group.clone(), criterion).map_or(group.start, |(best, _)| best);
+            self.change(first, true, criterion);
+            self.chosen.push(first);
+        }
+        for _ in 0..PASSES {
+            let mut exchanged = false;
+            for (place, group) in groups.iter().filter(|group| !group.is_empty()).enumerate() {
+                let old = self.chosen[place];
+                self.change(old, false, criterion);
+                let keep = self.gain(old, criterion);
+                let new = match self.best_of(group.clone(), criterion) {
+                    Some((best, gain)) if gain > keep * (1.0 + WORTH) => best,
+                    _ => old,
+                };
+                self.change(new, true, criterion);
+                self.chosen[place] = new;
+                exchanged |= new != old;
+            }
+            if !exchanged {
+                return;
+            }
+        }
+    }
+
     /// The chosen candidates.
     pub fn chosen(&self) -> &[usize] {
         &self.chosen
@@ -124,7 +153,11 @@ impl<'a> Exchange<'a> {
     }
 
     fn best(&self, criterion: Criterion) -> Option<(usize, f64)> {
-        let free = (0..self.taken.len()).filter(|&at| !self.taken[at]);
+        self.best_of(0..self.taken.len(), criterion)
+    }
+
+    fn best_of(&self, among: Range<usize>, criterion: Criterion) -> Option<(usize, f64)> {
+        let free = among.filter(|&at| !self.taken[at]);
         free.map(|at| (at, self.gain(at, criterion))).max_by(|a, b| a.1.total_cmp(&b.1))
     }
 

@@ -1,4 +1,5 @@
-//! How the tool could be held instead, where a circle fails at the axis limits or at the wrist.
+//! What would help: another hold of the tool where a circle fails at the axis limits or the wrist, a stage before it
+//! where the stroke is at risk.
 
 use super::check::{Finding, Quantity};
 use super::solve::{Rig, runs};
@@ -13,7 +14,8 @@ const SPINS_DEG: [f64; 12] =
 const POINTS: u32 = 40;
 const MARGIN_DEG: f64 = 1.0;
 
-/// For each circle that fails so: tilt and spin that keep axis limits, wrist and branch at its points.
+/// For each circle that fails so: tilt and spin that keep axis limits, wrist and branch at its points. For a length
+/// that might leave the stroke: a stage.
 pub(crate) fn advice(job: &Job, rig: &Rig<'_>, rows: &[PlanRow], findings: &[Finding]) -> Vec<String> {
     let held = |finding: &Finding| match finding {
         Finding::Beyond(check) => matches!(
@@ -32,7 +34,17 @@ pub(crate) fn advice(job: &Job, rig: &Rig<'_>, rows: &[PlanRow], findings: &[Fin
     circles.dedup();
     circles.sort_unstable();
     circles.dedup();
-    circles.into_iter().filter_map(|number| other_hold(job, rig, number)).collect()
+    let risky = findings.iter().any(|finding| match finding {
+        Finding::Beyond(check) => matches!(check.quantity, Quantity::StrokeRisk | Quantity::RunRisk),
+        _ => false,
+    });
+    let stage = (risky && !job.circles.is_empty()).then(|| {
+        "help: the robot is not known well enough for these circles and this stroke; `dbbd plan JOB --stage 20` chooses \
+         poses whose length is safe as it is known now: measure them, identify, and plan again with --robot \
+         robot-identified.toml"
+            .to_owned()
+    });
+    circles.into_iter().filter_map(|number| other_hold(job, rig, number)).chain(stage).collect()
 }
 
 fn other_hold(job: &Job, rig: &Rig<'_>, number: u32) -> Option<String> {

@@ -1,14 +1,15 @@
 //! From a job to a plan, or to what stands against it.
 
 use super::advice::advice;
-use super::cell::Cell;
-use super::check::{Check, Facts, Finding, Inspector, judge, note_speed, path, summary};
+use super::cell::{Cell, Near};
+use super::check::{Check, Facts, Finding, Inspector, Quantity, judge, note_speed, path, summary};
+use super::hold::held;
+use super::risk::over_run;
 use super::solve::{Branch, Rig, runs};
 use super::steps::{Step, steps};
 use super::timing::{Pace, move_times};
-use super::{Header, Job, Plan, PlanRow, optimise, pass, prediction};
-use crate::identifiability::Belief;
-use crate::model::{Reading, Robot};
+use super::{Header, Job, Knowledge, Plan, PlanRow, optimise, pass};
+use crate::model::Robot;
 
 /// How many findings are told.
 const TOLD: usize = 10;
@@ -22,45 +23,6 @@ pub struct Refused {
     pub findings: Vec<Finding>,
     /// What would help, or why no poses could be chosen.
     pub advice: Vec<String>,
-}
-
-/// What is known of robot and set-up when a plan is made.
-#[derive(Clone, Debug)]
-pub struct Knowledge {
-    /// The model and its covariance.
-    pub belief: Belief,
-    /// Whether lengths to these base balls stand behind it. If not, the bar is set to zero at each start.
-    pub measured: bool,
-}
-
-impl Knowledge {
-    /// Before anything is measured: the robot's tolerance, the bar's certificate.
-    pub fn datasheet(job: &Job, robot: &Robot) -> Self {
-        Self { belief: prediction::datasheet(job, robot), measured: false }
-    }
-
-    /// After lengths: the likeliest robot (with the given one as its nominal) and base balls, and what
-    /// is known of them. `None` when a number is not finite.
-    pub fn learned(job: &Job, robot: &Robot, lengths: &[Reading]) -> Option<Self> {
-        let nominal = robot.controller();
-        let belief =
-            prediction::datasheet(job, nominal).learn(lengths, prediction::length_sigma_mm(job, nominal))?;
-        Some(Self { belief, measured: true })
-    }
-
-    /// The job and the robot as they are now known: base balls and geometry moved to the likeliest.
-    pub fn applied(&self, job: &Job, robot: &Robot) -> (Job, Robot) {
-        let (mut job, nominal) = (job.clone(), robot.controller());
-        for (table, centre) in job.centres.iter_mut().zip(&self.belief.model.centres) {
-            table.xyz_mm = (*centre).into();
-        }
-        let robot = Robot {
-            geometry: self.belief.model.geometry.clone(),
-            nominal: Some(Box::new(nominal.clone())),
-            ..nominal.clone()
-        };
-        (job, robot)
-    }
 }
 
 impl std::fmt::Display for Refused {
@@ -87,6 +49,14 @@ struct Inspected {
     paces: Vec<Option<Pace>>,
     facts: Vec<Facts>,
     findings: Vec<Finding>,
+    /// The worst pose of each row, for the risk of all runs together.
+    nears: Vec<Near>,
+}
+
+impl Inspected {
+    fn nothing(findings: Vec<Finding>) -> Self {
+        Self { rows: Vec::new(), paces: Vec::new(), facts: Vec::new(), findings, nears: Vec::new() }
+    }
 }
 
 impl Plan {
@@ -104,24 +74,40 @@ impl Plan {
     /// # Errors
     /// As [`Plan::build`].
     pub fn build_knowing(job: &Job, robot: &Robot, known: &Knowledge) -> Result<Self, Refused> {
-        let mut steps = steps(job);
         let rig = Rig::new(robot);
-        let mut notes = Vec::new();
+        let job =
+            &held(job, &rig, known).map_err(|advice| Refused { findings: vec![], advice: vec![advice] })?;
+        let mut steps = steps(job);
+        let (mut notes, mut stage) = (Vec::new(), None);
         if job.optimise.is_some() {
-            let (chosen, told) = optimise::steps(job, &rig, known)
+            let chosen = optimise::steps(job, &rig, known)
                 .map_err(|advice| Refused { findings: vec![], advice: vec![advice] })?;
-            steps.extend(chosen);
-            notes = told;
+            steps.extend(chosen.steps);
+            (notes, stage) = (chosen.notes, chosen.stage);
         }
         let (mut rows, mut paces, mut facts) = (Vec::new(), Vec::new(), Vec::new());
-        let mut findings = Vec::new();
+        let (mut findings, mut taught, mut nears) = (Vec::new(), Vec::new(), Vec::new());
+        let mut known = known.clone();
         for (first, past) in runs(&steps) {
             let run = steps.get(first..past).unwrap_or_default();
-            let mut best = inspect_best(job, robot, &rig, known, run, first as u32 + 1, rows.last());
+            let mut best = inspect_best(job, robot, &rig, &known, run, first as u32 + 1, rows.last());
+            if let Some(start) = best.rows.first() {
+                let axes = start.axes_deg.map(f64::to_radians);
+                if let (belief, Some(ball)) = known.at_start(job, rig.controller, start.centre, &axes) {
+                    known.teach(belief, ball);
+                    taught.push(ball);
+                }
+            }
             rows.append(&mut best.rows);
             paces.append(&mut best.paces);
             facts.append(&mut best.facts);
             findings.append(&mut best.findings);
+            nears.append(&mut best.nears);
+        }
+        // One robot makes all the runs: their risks are not independent.
+        let stroke_risk = over_run(&nears);
+        if let Some(last) = facts.last_mut() {
+            last.note(Quantity::RunRisk, stroke_risk);
         }
         if !findings.is_empty() {
             findings
@@ -154,6 +140,9 @@ impl Plan {
             passes,
             checks,
             notes,
+            stage,
+            taught,
+            stroke_risk,
             predictions: None,
         };
         let mut plan = Self { rows, header };
@@ -186,15 +175,10 @@ fn inspect_best(
     first_index: u32,
     before: Option<&PlanRow>,
 ) -> Inspected {
-    let refused = |row: u32, xyz_mm: [f64; 3], reason| Inspected {
-        rows: Vec::new(),
-        paces: Vec::new(),
-        facts: Vec::new(),
-        findings: vec![Finding::Unsolved { row, xyz_mm, reason }],
+    let refused = |row: u32, xyz_mm: [f64; 3], reason| {
+        Inspected::nothing(vec![Finding::Unsolved { row, xyz_mm, reason }])
     };
-    let Some(first) = run.first() else {
-        return Inspected { rows: Vec::new(), paces: Vec::new(), facts: Vec::new(), findings: Vec::new() };
-    };
+    let Some(first) = run.first() else { return Inspected::nothing(Vec::new()) };
     let starts = match rig.starts(first) {
         Ok(starts) => starts,
         Err(reason) => return refused(first_index, first.pose.position.into(), reason),
@@ -241,10 +225,10 @@ fn inspect(
     before: Option<&PlanRow>,
 ) -> Inspected {
     let Some(start) = rows.first() else {
-        return Inspected { rows, paces: Vec::new(), facts: Vec::new(), findings: Vec::new() };
+        return Inspected::nothing(Vec::new());
     };
     let axes = start.axes_deg.map(f64::to_radians);
-    let cell = Cell::new(job, rig, &known.belief, known.measured, (start.centre, &axes));
+    let cell = Cell::new(job, rig, known, start.centre, &axes);
     let mut inspector = Inspector::new(&cell, robot, start);
     let mut paces = Vec::with_capacity(rows.len());
     let mut from = before;
@@ -269,6 +253,6 @@ fn inspect(
         from = Some(row);
     }
     inspector.finish();
-    let (facts, findings) = (inspector.facts, inspector.findings);
-    Inspected { rows, paces, facts, findings }
+    let Inspector { facts, findings, nears, .. } = inspector;
+    Inspected { rows, paces, facts, findings, nears }
 }

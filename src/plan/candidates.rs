@@ -1,6 +1,6 @@
 //! Poses that can be reached under all limits, many of them, for the choice of a few.
 
-use nalgebra::{DMatrix, Rotation3, UnitQuaternion, Vector3};
+use nalgebra::{DMatrix, Matrix3, Rotation3, UnitQuaternion, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
@@ -10,6 +10,8 @@ use crate::identifiability::{Belief, Workspace};
 use crate::model::inverse::{branches, status, turns_within};
 use crate::model::{AXES, Pose};
 
+/// How far from an orientation the poses near it are turned at most, rad: all angles alike.
+const NEAR: f64 = 0.7;
 /// Poses drawn at most for each candidate wanted.
 const PATIENCE: u32 = 30;
 
@@ -25,13 +27,15 @@ pub struct Candidate {
 }
 
 /// Poses of the tool ball on the sphere of `radius` mm about the base ball `centre` (number from 1, place in mm), in
-/// all directions and all orientations alike, that `allows` lets pass, all in the one branch of the arm that has most.
-/// `arm` solves the axis angles within `limits_deg`.
+/// all directions, that `allows` lets pass, all in the one branch of the arm that has most: in all orientations alike,
+/// or, with `held`, half of them near that one. `arm` solves the axis angles within `limits_deg`.
+#[allow(clippy::too_many_arguments)] // the arm, the sphere, the draw, the filter: each used once
 pub fn candidates(
     arm: &crate::model::Geometry,
     limits_deg: &[[f64; 2]; AXES],
     (centre, ball): (u32, Vector3<f64>),
     radius: f64,
+    held: Option<&Matrix3<f64>>,
     count: usize,
     seed: u64,
     allows: impl Fn(&[f64; AXES]) -> bool,
@@ -43,9 +47,16 @@ pub fn candidates(
         left -= 1;
         let mut normal = || -> f64 { StandardNormal.sample(&mut random) };
         let direction = Vector3::new(normal(), normal(), normal()).normalize();
-        let turn = nalgebra::Quaternion::new(normal(), normal(), normal(), normal());
-        let rotation: Rotation3<f64> = UnitQuaternion::from_quaternion(turn).to_rotation_matrix();
-        let pose = Pose { rotation: *rotation.matrix(), position: ball + direction * radius };
+        let axis = Vector3::new(normal(), normal(), normal());
+        let turn = nalgebra::Quaternion::new(axis.x, axis.y, axis.z, normal());
+        let rotation = match held {
+            Some(held) if left.is_multiple_of(2) => {
+                let angle = random.random_range(0.0..NEAR);
+                held * Rotation3::from_scaled_axis(axis.normalize() * angle).matrix()
+            }
+            _ => *UnitQuaternion::from_quaternion(turn).to_rotation_matrix().matrix(),
+        };
+        let pose = Pose { rotation, position: ball + direction * radius };
         for axes in branches(arm, &pose).unwrap_or_default() {
             let turned =
                 turns_within(&axes, limits_deg).into_iter().min_by(|a, b| size(a).total_cmp(&size(b)));
@@ -84,15 +95,24 @@ pub fn moves(belief: &Belief, poses: &[[f64; AXES]]) -> DMatrix<f64> {
     Workspace::new(&belief.model.geometry, poses, belief.ids()).jacobian() * belief.root()
 }
 
-/// Candidates about one base ball of a job, each of a risk of at most `risk`.
-pub(crate) fn in_cell(cell: &Cell<'_>, centre: u32, count: usize, risk: f64) -> Vec<Candidate> {
+/// Candidates about one base ball of a job, each of a risk of at most `risk`; only those of
+/// a `branch`, if one is given; half of them near the orientation `held`, if one is given.
+pub(crate) fn in_cell(
+    cell: &Cell<'_>,
+    centre: u32,
+    count: usize,
+    risk: f64,
+    branch: Option<u8>,
+    held: Option<&Matrix3<f64>>,
+) -> Vec<Candidate> {
     let Some(table) = cell.job.centres.get(centre.saturating_sub(1) as usize) else {
         return Vec::new();
     };
     let ball = Vector3::from(table.xyz_mm);
     let seed = u64::from(cell.job.seed) << 8 | u64::from(centre);
     let limits = &cell.rig.controller.limits_deg;
-    candidates(cell.rig.arm, limits, (centre, ball), cell.job.bar.length_mm, count, seed, |axes| {
-        cell.allows(axes, centre, risk)
+    candidates(cell.rig.arm, limits, (centre, ball), cell.job.bar.length_mm, held, count, seed, |axes| {
+        branch.is_none_or(|branch| status(cell.rig.arm, axes) & 7 == branch)
+            && cell.allows(axes, centre, risk)
     })
 }

@@ -2,6 +2,8 @@
 
 use nalgebra::{DVector, Vector3};
 
+use super::Knowledge;
+use super::candidates::Candidate;
 use super::check::{Quantity, limit};
 use super::clearance::{IN_CUP_MM, Segment};
 use super::job::Job;
@@ -20,7 +22,7 @@ pub(crate) struct Cell<'a> {
 /// How near a reading comes to the ends of the stroke, for the risk over a run.
 #[derive(Clone)]
 pub(crate) struct Near {
-    /// Room to the lower and to the upper end less the margin, mm.
+    /// Room to the lower and to the upper end of the stroke, mm.
     pub(crate) room: [f64; 2],
     /// The reading's derivative in the coordinates of the belief, mm.
     pub(crate) swing: DVector<f64>,
@@ -29,21 +31,15 @@ pub(crate) struct Near {
 }
 
 impl<'a> Cell<'a> {
-    /// With what is known. Where nothing was measured, the bar is mounted and set to zero at the `start` (base ball from
-    /// 1, axis angles in rad), so that only the change of the ball's error since then counts.
+    /// With what is known, when the run about base ball `centre` (from 1) starts at these axis angles (rad).
     pub(crate) fn new(
         job: &'a Job,
         rig: &'a Rig<'a>,
-        belief: &Belief,
-        measured: bool,
-        (centre, axes): (u32, &[f64; AXES]),
+        known: &Knowledge,
+        centre: u32,
+        start: &[f64; AXES],
     ) -> Self {
-        let belief = if measured {
-            belief.clone()
-        } else {
-            belief.touched(centre.saturating_sub(1) as usize, axes, job.bar.sigma_um * 1e-3)
-        };
-        Self { job, rig, belief }
+        Self { job, rig, belief: known.at_start(job, rig.controller, centre, start).0 }
     }
 
     /// Notes all quantities at axis angles in rad. With the bar off only the arm counts.
@@ -79,12 +75,9 @@ impl<'a> Cell<'a> {
             let out = ball.rotation * Vector3::from(cup);
             note(Quantity::ToolCupDeg, (-along).angle(&out).to_degrees());
         }
-        let (low, high) = (bar.stroke_mm[0] + bar.margin_mm, bar.stroke_mm[1] - bar.margin_mm);
-        let room = [reading - low, high - reading];
+        let room = [reading - bar.stroke_mm[0], bar.stroke_mm[1] - reading];
         let swing = self.belief.swing(axes, centre.saturating_sub(1) as usize);
-        // Never quite zero: at the start itself the bar's own noise is left.
-        let sd = swing.norm().max(bar.sigma_um * 1e-3);
-        let risk = (normal_tail(room[1] / sd) + normal_tail(room[0] / sd)).min(1.0);
+        let risk = self.leaves(room, &swing);
         note(Quantity::StrokeRisk, risk);
         Some(Near { room, swing, risk })
     }
@@ -100,6 +93,24 @@ impl<'a> Cell<'a> {
             kept &= if quantity.at_least() { value >= limit } else { value <= limit };
         });
         kept
+    }
+
+    /// The probability that the length of this pose leaves the stroke.
+    pub(crate) fn risk(&self, pose: &Candidate) -> f64 {
+        self.risk_out(pose, 0.0)
+    }
+
+    /// The same `out` mm farther out.
+    pub(crate) fn risk_out(&self, pose: &Candidate, out: f64) -> f64 {
+        let near = self.look(&pose.axes, pose.centre, true, &mut |_, _| {});
+        near.map_or(1.0, |near| self.leaves([near.room[0] + out, near.room[1] - out], &near.swing))
+    }
+
+    /// The probability that a length with this room (mm) leaves the stroke.
+    fn leaves(&self, room: [f64; 2], swing: &DVector<f64>) -> f64 {
+        // Never quite zero: at the start itself the bar's own noise is left.
+        let sd = swing.norm().max(self.job.bar.sigma_um * 1e-3);
+        (normal_tail(room[1] / sd) + normal_tail(room[0] / sd)).min(1.0)
     }
 
     fn obstacles(

@@ -37,7 +37,7 @@ pub enum Quantity {
     ReadingLowMm,
     /// Greatest reading of the bar, mm.
     ReadingHighMm,
-    /// Greatest probability, of any one pose, of a reading outside the stroke less its margin.
+    /// Greatest probability, of any one pose, of a reading outside the stroke.
     StrokeRisk,
     /// Probability of such a reading anywhere on a run in which the bar stays on.
     RunRisk,
@@ -198,7 +198,7 @@ impl Facts {
         self.row.saturating_sub(1) as usize
     }
 
-    fn note(&mut self, quantity: Quantity, value: f64) {
+    pub(crate) fn note(&mut self, quantity: Quantity, value: f64) {
         let kept = &mut self.worst[quantity as usize];
         let worse = match *kept {
             None => true,
@@ -216,7 +216,7 @@ pub(crate) struct Inspector<'a> {
     robot: &'a Robot,
     began: u8,
     strayed: bool,
-    nears: Vec<Near>,
+    pub(crate) nears: Vec<Near>,
     pub(crate) facts: Vec<Facts>,
     pub(crate) findings: Vec<Finding>,
 }

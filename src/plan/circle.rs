@@ -72,6 +72,7 @@ pub(crate) struct Circle {
     amplitude: f64,
     down: Matrix3<f64>,
     step: f64,
+    turns_deg: Vec<[f64; 3]>,
     seed: u64,
 }
 
@@ -104,6 +105,7 @@ impl Circle {
                 * rot_x(std::f64::consts::PI)
                 * rot_z(table.spin_deg.to_radians()),
             step: table.step(),
+            turns_deg: table.turns_deg.clone(),
             seed: u64::from(job.seed) << 32 | u64::from(number) << 16,
         })
     }
@@ -138,14 +140,32 @@ impl Circle {
                 rot_z(q * (2.0 * t).sin()) * rot_y(q * (3.0 * t).sin()) * rot_x(q * (5.0 * t).sin()) * down
             }
             Orientation::Random => {
-                let whole = (std::f64::consts::TAU / self.step).round();
-                let point = (angle / self.step).round().rem_euclid(whole) as u64;
-                let mut rng = Pcg64::seed_from_u64(self.seed.wrapping_add(point));
+                let mut rng = Pcg64::seed_from_u64(self.seed.wrapping_add(self.point(angle)));
                 let mut drawn = || rng.random_range(-1.0..=1.0) * q;
                 let (a, b, c) = (drawn(), drawn(), drawn());
-                rot_z(a) * rot_y(b) * rot_x(c) * down
+                self.turned([a, b, c])
+            }
+            Orientation::Optimal => {
+                let turn = self.turns_deg.get(self.point(angle) as usize).copied().unwrap_or_default();
+                self.turned(turn.map(f64::to_radians))
             }
         }
+    }
+
+    /// The tool turned about Z, Y, X by these angles (rad) from its base orientation.
+    pub(crate) fn turned(&self, [a, b, c]: [f64; 3]) -> Matrix3<f64> {
+        rot_z(a) * rot_y(b) * rot_x(c) * self.down
+    }
+
+    /// The number of the point at an angle, from 0: the same in whichever pass.
+    pub(crate) fn point(&self, angle: f64) -> u64 {
+        let whole = (std::f64::consts::TAU / self.step).round().max(1.0);
+        (angle / self.step).round().rem_euclid(whole) as u64
+    }
+
+    /// Greatest turn of the tool about each axis, rad.
+    pub(crate) fn amplitude(&self) -> f64 {
+        self.amplitude
     }
 
     /// The pose of the tool ball at `angle`, `out` mm outside the circle.

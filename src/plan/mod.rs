@@ -1,6 +1,8 @@
 //! Circles and pose sets: what the robot is to do, checked before anything moves.
 
 mod advice;
+pub mod against;
+mod beforehand;
 mod build;
 pub mod candidates;
 mod cell;
@@ -8,29 +10,40 @@ pub mod check;
 mod circle;
 pub mod clearance;
 mod files;
+mod frames;
+mod hold;
 pub mod job;
+mod knowledge;
+mod module;
 mod optimise;
 mod pass;
 pub mod path;
 mod places;
 pub mod prediction;
+pub mod region;
 mod risk;
 mod route;
 pub mod rows;
+mod second_ball;
 mod solve;
+mod stage;
 mod steps;
 pub mod timing;
+pub mod workspace;
 
 use serde::{Deserialize, Serialize};
 
-pub use build::{Knowledge, Refused};
+pub use build::Refused;
 pub use check::{Check, Finding, Quantity};
 pub use circle::REFERENCE_EVERY;
+pub use frames::Frames;
 pub use job::{Job, MotionTable};
+pub use knowledge::{Knowledge, Taught};
 pub use pass::Pass;
 pub use places::CirclePlace;
 pub use prediction::Prediction;
 pub use rows::{Kind, Motion, PlanRow};
+pub use stage::Stage;
 
 /// A plan: the rows of `plan.csv` and the header in `plan.json`.
 #[derive(Clone, Debug, PartialEq)]
@@ -63,6 +76,15 @@ pub struct Header {
     /// What the planner has to say about it.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub notes: Vec<String>,
+    /// The base balls that are to be taught before the bar is mounted, and how; the risk rests on it.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub taught: Vec<Taught>,
+    /// Probability that a robot within its tolerance leaves the stroke anywhere while the bar is on.
+    #[serde(default)]
+    pub stroke_risk: f64,
+    /// Where not every pose that can be reached is allowed yet: what this stage bars.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub stage: Option<Stage>,
     /// What the plan will tell.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub predictions: Option<Prediction>,

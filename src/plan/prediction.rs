@@ -1,24 +1,22 @@
 //! What a plan will tell, for `plan.json`, the page and the terminal.
 
-use nalgebra::Vector3;
-use rand::{RngExt, SeedableRng};
-use rand_pcg::Pcg64;
 use serde::{Deserialize, Serialize};
 
-use super::{Job, Kind, Plan, PlanRow};
-use crate::identifiability::{Belief, ErrorSummary, Observability, Workspace, outlook};
-use crate::model::inverse::nearest;
-use crate::model::pose::{rot_x, rot_y, rot_z};
-use crate::model::{AXES, LengthModel, Pose, Reading, Robot};
+use super::against::{Against, against, enough};
+use super::beforehand::length_sigma_mm;
+use super::region::{self, Region, regions};
+use super::second_ball::second_ball;
+use super::workspace::workspace;
+use super::{Kind, Plan, PlanRow};
+use crate::identifiability::{Belief, ErrorSummary, Observability, outlook};
+use crate::model::{AXES, Reading, Robot};
 
 /// A parameter of which the lengths alone leave more than this many tolerances is too weak.
 const WEAK: f64 = 3.0;
-/// Poses over which the 3-D error is taken, and their seed: those of an identification.
+/// Poses over which the 3-D error is taken, as in an identification.
 const POSES: usize = 2000;
-const SEED: u64 = 1;
-/// ISO 9283 repeatability is the mean distance plus three standard deviations; for an isotropic
-/// normal error of deviation s that is (1.596 + 3 * 0.673) s.
-const REPEATABILITY: f64 = 3.616;
+/// Of these so many where it is taken for many pose sets.
+const FEW_POSES: usize = 300;
 
 /// What the poses of a plan will tell, with lengths of the bar's sigma and the robot's repeatability.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -44,6 +42,12 @@ pub struct Prediction {
     pub now_mm: Error3d,
     /// The same after an identification with the datasheet as prior, mm.
     pub identified_mm: Error3d,
+    /// What fewer and more lengths tell.
+    pub against: Vec<Against>,
+    /// The error left afterwards by the distance from the base balls.
+    pub regions: Vec<Region>,
+    /// How many lengths are enough, how far the result is valid, where a second ball would help: in words.
+    pub advice: Vec<String>,
 }
 
 /// A 3-D error over the workspace, mm.
@@ -91,18 +95,6 @@ pub enum Fate {
 /// A prediction and its map: where the ball is and the root mean square of its error there, mm.
 pub type Foretold = (Prediction, Vec<([f64; 3], f64)>);
 
-/// Standard deviation of one length, mm: of the bar and of the robot's repeatability together.
-pub fn length_sigma_mm(job: &Job, robot: &Robot) -> f64 {
-    (job.bar.sigma_um * 1e-3).hypot(robot.repeatability_mm.unwrap_or(0.0) / REPEATABILITY)
-}
-
-/// What is known before anything is measured: the robot's tolerance, the bar's certificate.
-pub fn datasheet(job: &Job, robot: &Robot) -> Belief {
-    let model = LengthModel::new(robot.geometry.clone(), &job.balls());
-    // A certificate states two standard deviations.
-    Belief::datasheet(robot, model, job.bar.length_u_mm.map(|u| 0.5 * u))
-}
-
 impl PlanRow {
     /// The row as a length to be measured.
     pub fn reading(&self) -> Reading {
@@ -122,6 +114,16 @@ impl Plan {
         let poses = workspace(&self.header.job, robot, POSES);
         let sigma_mm = length_sigma_mm(&self.header.job, robot);
         let seen = outlook(belief, &readings, sigma_mm, &poses)?;
+        let few: Vec<[f64; AXES]> = poses.iter().take(FEW_POSES).copied().collect();
+        let against = against(belief, &readings, sigma_mm, &few);
+        let regions = regions(&self.header.job, &seen.map);
+        let mut advice = Vec::new();
+        // In a stage the next plan is the one that matters.
+        if self.header.stage.is_none() {
+            advice.extend(enough(&against, robot.repeatability_mm));
+            advice.extend(region::words(&regions));
+            advice.extend(second_ball(&self.header.job, robot.controller(), readings.len(), &few));
+        }
         let (kept, unseen) = (seen.analysis.kept(), seen.analysis.zero());
         let parameters = seen
             .parameters
@@ -157,45 +159,12 @@ impl Plan {
             dependent: seen.analysis.combinations().into_iter().map(|combination| combination.text).collect(),
             now_mm: seen.error_mm[0].into(),
             identified_mm: seen.error_mm[1].into(),
+            against,
+            regions,
+            advice,
         };
         Some((prediction, seen.map))
     }
-}
-
-/// Axis vectors (rad) over which an error is taken: in the user's box if there is one, else uniform within the limits.
-pub fn workspace(job: &Job, robot: &Robot, count: usize) -> Vec<[f64; AXES]> {
-    let limits = robot.controller();
-    let Some([low, high]) = job.optimise.as_ref().and_then(|optimise| optimise.workspace_mm) else {
-        return Workspace::uniform(limits, count, SEED);
-    };
-    in_box(robot, low, high, count)
-}
-
-/// Axis vectors (rad) of `count` poses with the ball uniform in a box (mm), the tool down but for turns of up to
-/// 45 degrees about each axis, the arm in front and its elbow up: where and how production work is done.
-pub fn in_box(robot: &Robot, low: [f64; 3], high: [f64; 3], count: usize) -> Vec<[f64; AXES]> {
-    let mut random = Pcg64::seed_from_u64(SEED);
-    let home = [0.0, -60.0, 90.0, 0.0, 60.0, 0.0].map(f64::to_radians);
-    let limits = &robot.controller().limits_deg;
-    let within = |axes: &[f64; AXES]| {
-        axes.iter().zip(limits).all(|(axis, [low, high])| (*low..=*high).contains(&axis.to_degrees()))
-    };
-    // A box far from the arm has few poses, or none.
-    let mut found = Vec::with_capacity(count);
-    for _ in 0..20 * count {
-        let position = Vector3::from_fn(|i, _| random.random_range(low[i]..high[i]));
-        let mut turn = || random.random_range(-std::f64::consts::FRAC_PI_4..std::f64::consts::FRAC_PI_4);
-        let rotation = rot_z(turn()) * rot_y(turn()) * rot_x(turn()) * rot_x(std::f64::consts::PI);
-        if let Ok(axes) = nearest(&robot.geometry, &Pose { rotation, position }, &home)
-            && within(&axes)
-        {
-            found.push(axes);
-        }
-        if found.len() == count {
-            break;
-        }
-    }
-    found
 }
 
 impl From<ErrorSummary> for Error3d {

@@ -54,7 +54,11 @@ impl Router<'_> {
         if bend < PI - 0.1 && bend > 1e-3 && turn < ARC_TURN {
             let rotation = between(&from.pose.rotation, &to.pose.rotation, 0.5);
             let aux = Pose { rotation, position: self.ball + on_arc(&u, &v, 0.5) * self.radius };
-            let path = Path::arc(from.pose, &aux.position, to.pose);
+            // The controller goes along an arc of its own, which is none of the arm's.
+            let half: [f64; AXES] = std::array::from_fn(|i| 0.5 * (from.axes[i] + to.axes[i]));
+            let rig = self.cell.rig;
+            let [start, end] = [from, to].map(|pose| rig.controller.geometry.ball(&pose.axes));
+            let path = Path::arc(start, &rig.told(&aux, &half).ok()?.position, end);
             if self.passes(&path, &from.axes).is_some_and(|end| apart(&end, &to.axes) < ASTRAY) {
                 return Some(Way::Arc(aux));
             }
@@ -72,7 +76,7 @@ impl Router<'_> {
         let whole: f64 = legs.iter().sum();
         let count = (whole / widest).max(apart(&from.axes, &to.axes) / CHORD_TURN).ceil().clamp(1.0, 200.0);
         let mut poses = Vec::with_capacity(count as usize);
-        let (mut here, mut axes) = (from.pose, from.axes);
+        let (mut here, mut axes) = (self.cell.rig.controller.geometry.ball(&from.axes), from.axes);
         for chord in 1..=count as u32 {
             let share = f64::from(chord) / count;
             let next = if chord == count as u32 {
@@ -83,16 +87,17 @@ impl Router<'_> {
                 let rotation = self.cell.rig.arm.ball(&guide).rotation;
                 Pose { rotation, position: self.ball + along(past, &legs, share * whole) * self.radius }
             };
-            axes = self.passes(&Path::Line { from: here, to: next }, &axes)?;
+            let end = self.cell.rig.told(&next, &axes).ok()?;
+            axes = self.passes(&Path::Line { from: here, to: end }, &axes)?;
             poses.push(next);
-            here = next;
+            here = end;
         }
         (apart(&axes, &to.axes) < ASTRAY).then_some(poses)
     }
 
     /// The axis angles at the end of a path that keeps all limits and its branch.
     fn passes(&self, path: &Path, start: &[f64; AXES]) -> Option<[f64; AXES]> {
-        let arm = self.cell.rig.arm;
+        let arm = &self.cell.rig.controller.geometry;
         let began = status(arm, start);
         let parts =
             (path.length_mm() / STEP_MM).max(path.turn_deg() / STEP_DEG).ceil().clamp(1.0, 1000.0) as u32;

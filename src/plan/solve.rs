@@ -28,17 +28,16 @@ impl<'a> Rig<'a> {
         Self { controller: robot.controller(), arm: &robot.geometry, identified: robot.nominal.is_some() }
     }
 
-    /// What the controller must be told for the arm to come to `pose`, as KRL prints it.
-    fn command(&self, pose: &Pose, near: &[f64; AXES]) -> Result<([f64; 3], [f64; 3]), Unsolved> {
-        let told = if self.identified {
+    /// The pose that the controller must believe in for the arm to come to `pose`, near axis angles in rad.
+    ///
+    /// # Errors
+    /// The arm does not reach it.
+    pub(crate) fn told(&self, pose: &Pose, near: &[f64; AXES]) -> Result<Pose, Unsolved> {
+        Ok(if self.identified {
             self.controller.geometry.ball(&nearest(self.arm, pose, near)?)
         } else {
             *pose
-        };
-        Ok((
-            <[f64; 3]>::from(told.position).map(|x| rounded(x, 1e3)),
-            told.abc_deg().map(|x| rounded(x, 1e4)),
-        ))
+        })
     }
 
     /// The start angles from which a run of steps may be taken: every branch in every turn.
@@ -67,6 +66,7 @@ impl<'a> Rig<'a> {
         first_index: u32,
         start: &[f64; AXES],
     ) -> Result<Branch, (u32, [f64; 3], Unsolved)> {
+        let frames = job.motion.frames();
         let mut near = *start;
         // Where the robot stands before the auxiliary points of a pass: these are far away on its circle.
         let mut stands = None;
@@ -82,7 +82,7 @@ impl<'a> Rig<'a> {
                 near = stands.take().unwrap_or(near);
             }
             let failed = |reason| (index, step.pose.position.into(), reason);
-            let (xyz_mm, abc_deg) = self.command(&step.pose, &near).map_err(failed)?;
+            let (xyz_mm, abc_deg) = frames.taken(frames.told(&self.told(&step.pose, &near).map_err(failed)?));
             let told = Pose::from_kuka(xyz_mm, abc_deg);
             near = nearest(&self.controller.geometry, &told, &near).map_err(failed)?;
             let axes_deg = near.map(|a| if a.to_degrees().abs() < 1e-6 { 0.0 } else { a.to_degrees() });
@@ -133,9 +133,4 @@ pub(crate) fn axis_margin_deg(robot: &Robot, axes: &[f64; AXES]) -> f64 {
             (deg - low).min(high - deg)
         })
         .fold(f64::INFINITY, f64::min)
-}
-
-/// Rounded to a fraction of 1, without a negative zero.
-fn rounded(value: f64, parts: f64) -> f64 {
-    (value * parts).round() / parts + 0.0
 }

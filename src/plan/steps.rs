@@ -26,6 +26,8 @@ use crate::model::{AXES, Pose};
 
 /// How far a knock goes, mm, where the stroke has room.
 const KNOCK_MM: f64 = 0.3;
+/// Shares of it that are taken where the length is not known well enough.
+const SMALLER: [f64; 3] = [1.0, 0.7, 0.4];
 /// How far to step aside where two dwells follow at one place, rad.
 pub(crate) const DETOUR: f64 = 0.035;
 /// Knocks that mark the start and the end of a module.
@@ -106,6 +108,17 @@ pub(crate) fn knock(bar: &Bar, radius: f64) -> f64 {
     let out = bar.stroke_mm[1] - bar.margin_mm - reading;
     let inwards = reading - bar.stroke_mm[0] - bar.margin_mm;
     if out >= KNOCK_MM || out >= inwards { KNOCK_MM.min(0.8 * out) } else { -KNOCK_MM.min(0.8 * inwards) }
+}
+
+/// The least of the knocks at a radius that [`safe_knock`] would take, mm.
+pub(crate) fn least_knock(bar: &Bar, radius: f64) -> f64 {
+    knock(bar, radius) * SMALLER[SMALLER.len() - 1]
+}
+
+/// The largest knock at a radius of which the risk is at most `most`, mm; the least one where all have more.
+pub(crate) fn safe_knock(bar: &Bar, radius: f64, most: f64, risk: impl Fn(f64) -> f64) -> f64 {
+    let knocks = SMALLER.map(|share| knock(bar, radius) * share);
+    knocks.into_iter().find(|out| risk(*out) <= most).unwrap_or(least_knock(bar, radius))
 }
 
 /// Room of the bar inwards at a radius, mm.

@@ -9,6 +9,7 @@ pub mod identification;
 mod page;
 mod parameters;
 pub mod plan;
+mod plan_told;
 pub mod plot;
 mod scale;
 pub mod svg;

@@ -4,11 +4,14 @@ use serde::Serialize;
 
 use super::page::{Fact, Provenance, ReportError, render, texts};
 use super::parameters::{class, word};
+use super::plan_told::{self, Table};
 use super::plot::frame::{NARROW, WIDE};
 use super::plot::{HeatMap, Line, Projection, Series, TracePlot, View};
 use super::scale::{fixed, plain, significant};
 use crate::identify::result::{PredictedPair, Status, Warning, WarningKind};
 use crate::model::AXES;
+use crate::plan::against::Against;
+use crate::plan::region::Region;
 use crate::plan::{Kind, Plan};
 
 /// What the page shows besides the plan itself.
@@ -34,6 +37,14 @@ pub struct PlanView {
     pub dependent: Vec<String>,
     /// Maps of the predicted error.
     pub maps: Vec<HeatMap>,
+    /// What fewer and more lengths tell.
+    pub against: Vec<Against>,
+    /// The error left by the distance from the base balls.
+    pub regions: Vec<Region>,
+    /// How many lengths are enough, how far the result is valid, in words.
+    pub advice: Vec<String>,
+    /// Manipulability at each row, m^3.
+    pub manipulability: Vec<f64>,
     /// More lines for the summary: durations, bar, protocol.
     pub facts: Vec<Fact>,
     /// What the user must see.
@@ -112,6 +123,9 @@ struct Page<'a> {
     predicted: Vec<PredictedLine<'a>>,
     dependent: &'a [String],
     maps: Vec<String>,
+    manipulability: Option<String>,
+    tables: Vec<Table>,
+    advice: &'a [String],
     provenance: &'a Provenance,
 }
 
@@ -158,6 +172,9 @@ pub fn html(plan: &Plan, view: &PlanView) -> Result<String, ReportError> {
         predicted: view.predicted.iter().map(predicted).collect(),
         dependent: &view.dependent,
         maps: view.maps.iter().map(HeatMap::to_svg).collect(),
+        manipulability: manipulability(plan, view),
+        tables: plan_told::tables(view),
+        advice: &view.advice,
         provenance: &view.provenance,
     };
     render("plan.html", include_str!("plan.html"), &page)
@@ -256,6 +273,24 @@ fn axis_trace(plan: &Plan, view: &PlanView, axis: usize) -> String {
         show_limits: true,
     }
     .to_svg()
+}
+
+fn manipulability(plan: &Plan, view: &PlanView) -> Option<String> {
+    let values = &view.manipulability;
+    let plot = TracePlot {
+        title: "Manipulability along the path".into(),
+        size: [WIDE, 230.0],
+        x_name: "row of the plan".into(),
+        y_name: "|det J| (m³)".into(),
+        line: line(plan, Series::Second, |row| {
+            values.get(row.index.saturating_sub(1) as usize).copied().unwrap_or_default()
+        }),
+        // At zero the arm is singular.
+        limits: Some([0.0, 0.0]),
+        margin: 0.0,
+        show_limits: true,
+    };
+    (!values.is_empty() && !plan.rows.is_empty()).then(|| plot.to_svg())
 }
 
 fn error(view: &PlanView) -> Vec<[String; 3]> {

@@ -18,6 +18,8 @@ use crate::model::{AXES, Geometry};
 pub struct Setup {
     /// True centre of each base ball in the robot base, mm, by its number.
     pub centres_mm: BTreeMap<u32, [f64; 3]>,
+    /// Axis angles, degrees, at which the true tool ball stood where a base ball then was fixed; that is its centre.
+    pub taught_deg: BTreeMap<u32, [f64; AXES]>,
     /// The bar.
     pub bar: Bar,
     /// Standard deviation of each coordinate of the tool ball, drawn anew for each motion, micrometres.
@@ -47,7 +49,7 @@ pub struct Bar {
 #[derive(Default, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct WorldFile {
-    /// `[[centre]]`: true centres of base balls; those not given stand where the program has them.
+    /// `[[centre]]`: true centres of base balls, or how they were taught; those not given stand where the program has them.
     #[serde(default)]
     centre: Vec<CentreTable>,
     /// `[bar]`
@@ -65,7 +67,10 @@ struct WorldFile {
 #[serde(deny_unknown_fields)]
 struct CentreTable {
     id: u32,
-    xyz_mm: [f64; 3],
+    /// The true centre, mm; or else
+    xyz_mm: Option<[f64; 3]>,
+    /// the controller's axis angles, degrees, at which the true tool ball was put on it.
+    taught_deg: Option<[f64; AXES]>,
 }
 
 #[derive(Default, Deserialize)]
@@ -107,16 +112,27 @@ impl Setup {
             balls.insert(1); // a program that names no ball is about the first
         }
         let mut given = BTreeSet::new();
+        let mut taught_deg = BTreeMap::new();
         for centre in file.centre {
             if !given.insert(centre.id) {
                 return Err(Diagnostic::file(name, format!("[[centre]]: ball {} is given twice", centre.id)));
             }
-            centres_mm.insert(centre.id, centre.xyz_mm);
+            match (centre.xyz_mm, centre.taught_deg) {
+                (Some(xyz_mm), None) => _ = centres_mm.insert(centre.id, xyz_mm),
+                (None, Some(axes_deg)) => _ = taught_deg.insert(centre.id, axes_deg),
+                _ => {
+                    let message = format!("[[centre]]: ball {} needs either xyz_mm or taught_deg", centre.id);
+                    return Err(Diagnostic::file(name, message));
+                }
+            }
         }
-        if let Some(ball) = balls.iter().find(|ball| !centres_mm.contains_key(ball)) {
+        let unknown = |ball: &&u32| !centres_mm.contains_key(ball) && !taught_deg.contains_key(ball);
+        if let Some(ball) = balls.iter().find(unknown) {
             let message =
                 format!("nothing tells where ball {ball} is, neither the program's .dat nor the world");
-            return Err(Diagnostic::file(name, message).help("give a [[centre]] with id and xyz_mm"));
+            return Err(
+                Diagnostic::file(name, message).help("give a [[centre]] with id and xyz_mm or taught_deg")
+            );
         }
         let missing = |key: &str| {
             let message = format!("nothing tells the bar's {key}, neither the program's .dat nor the world");
@@ -126,6 +142,7 @@ impl Setup {
         let stroke_mm = file.bar.stroke_mm.or(first.map(|setup| setup.stroke_mm));
         let setup = Self {
             centres_mm,
+            taught_deg,
             bar: Bar {
                 length_mm: length_mm.ok_or_else(|| missing("length_mm"))?,
                 stroke_mm: stroke_mm.ok_or_else(|| missing("stroke_mm"))?,
@@ -159,7 +176,14 @@ impl Setup {
         if !(0.1..=100_000.0).contains(&rate_hz) {
             return Err(format!("[bar] rate_hz = {rate_hz} must be 0.1 to 100000"));
         }
-        if !temperature_c.is_finite() || self.centres_mm.values().flatten().any(|value| !value.is_finite()) {
+        if !temperature_c.is_finite()
+            || self
+                .centres_mm
+                .values()
+                .flatten()
+                .chain(self.taught_deg.values().flatten())
+                .any(|value| !value.is_finite())
+        {
             return Err("temperature and ball centres must be finite numbers".into());
         }
         Ok(())
@@ -203,7 +227,11 @@ pub struct World {
 
 impl World {
     /// The true `robot` (its tool is the true tool ball) in a set-up; `seed` draws noise and repeatability.
-    pub fn new(robot: Geometry, setup: Setup, seed: u64) -> Self {
+    pub fn new(robot: Geometry, mut setup: Setup, seed: u64) -> Self {
+        for (ball, axes_deg) in &setup.taught_deg {
+            let centre = robot.ball(&axes_deg.map(f64::to_radians)).position;
+            setup.centres_mm.insert(*ball, centre.into());
+        }
         Self {
             robot,
             setup,

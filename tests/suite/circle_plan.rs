@@ -99,6 +99,9 @@ pub(crate) fn plan(circles: u32, points: u32) -> Plan {
         passes: Vec::new(),
         checks: Vec::new(),
         notes: Vec::new(),
+        taught: Vec::new(),
+        stage: None,
+        stroke_risk: 0.0,
         predictions: None,
     };
     Plan { rows: builder.rows, header }

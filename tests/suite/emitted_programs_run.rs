@@ -1,9 +1,11 @@
 //! A plan that is accepted runs: its program stays within limits, speeds and branch on the controller.
 
 use dbbd::krl::{Options, Program, Sync, emit};
+use dbbd::model::Robot;
+use dbbd::model::inverse::status;
 use dbbd::plan::{Job, Kind, Plan};
 use dbbd::sim::world::{Setup, Stroke};
-use dbbd::sim::{Controller, World, truth};
+use dbbd::sim::{Controller, Moment, World, truth};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
@@ -53,12 +55,17 @@ fn job(seed: u64) -> String {
 #[derive(Debug, PartialEq)]
 enum Fate {
     Refused,
-    Ran { strayed: bool },
+    /// With the risk that the plan stated for its runs together, and whether the bar left its stroke.
+    Ran {
+        stated: f64,
+        strayed: bool,
+    },
     Failed(String),
 }
 
-fn run(seed: u64, step_s: f64) -> Fate {
-    let job = Job::from_toml("job.toml", &job(seed)).unwrap();
+/// Plans a job, emits it, and executes the program on a robot drawn from the tolerance, the balls taught as the plan says.
+fn run(seed: u64, text: &str, step_s: f64) -> Fate {
+    let job = Job::from_toml("job.toml", text).unwrap();
     let nominal = kr60();
     let Ok(plan) = Plan::build(&job, &nominal) else { return Fate::Refused };
     let sync = if seed.is_multiple_of(2) { Sync::Output } else { Sync::Marker };
@@ -70,17 +77,24 @@ fn run(seed: u64, step_s: f64) -> Fate {
         Ok(files.iter().find(|(name, _)| name.eq_ignore_ascii_case(wanted)).cloned())
     })
     .unwrap();
-    let setup = Setup::new(&program, None).unwrap();
+    let mut setup = Setup::new(&program, None).unwrap();
+    setup.taught_deg = plan.header.taught.iter().map(|ball| (ball.centre, ball.axes_deg)).collect();
     let mut world = World::new(truth::draw(&nominal, seed, 1.0).geometry, setup, seed);
     let mut controller = Controller::new(program, &nominal, 100.0).unwrap();
     let (mut mounted, mut strayed) = (false, false);
+    let mut last: Option<Moment> = None;
     loop {
         let moment = match controller.step(step_s) {
             Ok(moment) => moment,
             Err(error) => return Fate::Failed(format!("seed {seed}: {error}")),
         };
-        let reading = world.reading(&moment);
-        strayed |= mounted && reading.stroke != Stroke::Within;
+        // On its way to another base ball the robot has no bar.
+        mounted &= last.is_none_or(|last| last.centre == moment.centre);
+        strayed |= mounted && world.reading(&moment).stroke != Stroke::Within;
+        if let Err(why) = keeps(&nominal, last.as_ref(), &moment, mounted) {
+            return Fate::Failed(format!("seed {seed}: at {:.2} s: {why}", moment.t_s));
+        }
+        last = Some(moment);
         if moment.halted {
             mounted = true;
             controller.go_on();
@@ -93,41 +107,105 @@ fn run(seed: u64, step_s: f64) -> Fate {
     if controller.dwells() as usize != dwells {
         return Fate::Failed(format!("seed {seed}: {} of {dwells} dwells", controller.dwells()));
     }
-    Fate::Ran { strayed }
+    Fate::Ran { stated: plan.header.stroke_risk, strayed }
 }
 
-fn campaign(wanted: usize, step_s: f64) -> [usize; 3] {
-    let (mut ran, mut strayed, mut refused) = (0, 0, 0);
+/// Whether the commanded axes keep limits, speeds and, with the bar on, the branch.
+fn keeps(robot: &Robot, last: Option<&Moment>, now: &Moment, mounted: bool) -> Result<(), String> {
+    for (axis, angle) in now.axes.iter().enumerate() {
+        let [low, high] = robot.limits_deg[axis];
+        if !(low - 1e-6..=high + 1e-6).contains(&angle.to_degrees()) {
+            return Err(format!("A{} = {:.3} is out of its limits", axis + 1, angle.to_degrees()));
+        }
+        if let Some(last) = last {
+            let speed = (angle - last.axes[axis]).to_degrees().abs() / (now.t_s - last.t_s).max(1e-9);
+            if speed > robot.max_speed_deg_s[axis] * 1.001 {
+                return Err(format!("A{} turns at {speed:.1} deg/s", axis + 1));
+            }
+        }
+    }
+    match last {
+        Some(last)
+            if mounted && status(&robot.geometry, &last.axes) != status(&robot.geometry, &now.axes) =>
+        {
+            Err("the branch changes".into())
+        }
+        _ => Ok(()),
+    }
+}
+
+/// What became of the jobs of some seeds.
+#[derive(Debug, Default)]
+struct Count {
+    ran: usize,
+    refused: usize,
+    strayed: usize,
+    /// Sum of the stated risks, and the sum of their variances.
+    expected: f64,
+    variance: f64,
+}
+
+fn campaign(
+    seeds: std::ops::RangeFrom<u64>,
+    wanted: usize,
+    step_s: f64,
+    job: impl Fn(u64) -> String,
+) -> Count {
+    let mut count = Count::default();
     let mut failed = Vec::new();
-    for seed in 1.. {
-        match run(seed, step_s) {
-            Fate::Refused => refused += 1,
-            Fate::Ran { strayed: out } => {
-                ran += 1;
-                strayed += usize::from(out);
+    for seed in seeds {
+        match run(seed, &job(seed), step_s) {
+            Fate::Refused => count.refused += 1,
+            Fate::Ran { stated, strayed } => {
+                count.ran += 1;
+                count.strayed += usize::from(strayed);
+                count.expected += stated;
+                count.variance += stated * (1.0 - stated);
             }
             Fate::Failed(why) => {
-                ran += 1;
+                count.ran += 1;
                 failed.push(why);
             }
         }
-        if ran >= wanted {
+        if count.ran >= wanted {
             break;
         }
     }
-    assert!(failed.is_empty(), "{} of {ran} failed:\n{}", failed.len(), failed.join("\n"));
-    [ran, strayed, refused]
+    assert!(failed.is_empty(), "{} of {} failed:\n{}", failed.len(), count.ran, failed.join("\n"));
+    count
+}
+
+/// A job with a stroke drawn so that its risk matters.
+fn tight(seed: u64, max_stroke_risk: f64) -> String {
+    let mut random = Pcg64::seed_from_u64(seed ^ 0x7319);
+    let stroke: f64 = random.random_range(0.9..3.5);
+    job(seed).replace("[-6.0, 6.0]", &format!("[-{stroke:.3}, {stroke:.3}]"))
+        + &format!("[limits]\nmax_stroke_risk = {max_stroke_risk}\n")
 }
 
 #[test]
 fn random_feasible_jobs_run_to_their_end() {
-    campaign(20, 0.1);
+    campaign(1.., 16, 0.1, job);
+    let count = campaign(1.., 8, 0.1, |seed| tight(seed, 0.05));
+    // More than two of eight at 5 % each: once in two hundred.
+    assert!(count.strayed <= 2 && count.expected <= 0.4, "{count:?}");
+}
+
+/// `FIRST=1 JOBS=1000 RISK=0.05 cargo test --release --test suite share_that_leaves_the_stroke -- --ignored --nocapture`
+#[test]
+#[ignore = "takes minutes"]
+fn the_share_that_leaves_the_stroke_is_the_one_stated() {
+    let number = |name: &str, default: f64| std::env::var(name).map_or(default, |text| text.parse().unwrap());
+    let (first, jobs, risk) =
+        (number("FIRST", 1.0) as u64, number("JOBS", 1000.0) as usize, number("RISK", 0.05));
+    let count = campaign(first.., jobs, 0.05, |seed| tight(seed, risk));
+    eprintln!("at {risk}: {count:?}; expected {:.2} +- {:.2}", count.expected, 1.96 * count.variance.sqrt());
 }
 
 /// `cargo test --release --test suite thousand_random_jobs -- --ignored --nocapture`: docs/krl.md.
 #[test]
 #[ignore = "takes minutes"]
 fn thousand_random_jobs_run_to_their_end() {
-    let [ran, strayed, refused] = campaign(1000, 0.05);
-    eprintln!("{ran} jobs ran, {strayed} left the stroke at some moment, {refused} were refused");
+    let count = campaign(1.., 1000, 0.05, job);
+    eprintln!("{count:?}");
 }

@@ -47,9 +47,11 @@ fn a_bar_that_would_be_torn_out() {
     assert!(beyond(&far).contains(&Quantity::ReadingHighMm));
     let near = JOB.replace("points = 12", "points = 12\nradius_mm = 295.4");
     assert!(beyond(&near).contains(&Quantity::ReadingLowMm));
-    // A stroke of +-1 mm is too little for a robot of 0.5 mm and 0.05 degrees (a full circle does not fit).
-    let short = JOB.replace("[-5.0, 5.0]", "[-1.0, 1.0]");
+    // A stroke of +-0.7 mm is too little for a robot of 0.5 mm and 0.05 degrees (a full circle does not fit).
+    let short = JOB.replace("[-5.0, 5.0]", "[-0.7, 0.7]").replace("margin_mm = 0.5", "margin_mm = 0.2");
     assert!(beyond(&short).contains(&Quantity::StrokeRisk));
+    let told = Plan::build(&Job::from_toml("job.toml", &short).unwrap(), &robot()).unwrap_err().to_string();
+    assert!(told.contains("--stage 20"), "{told}");
     let message = Plan::build(&Job::from_toml("job.toml", &far).unwrap(), &robot()).unwrap_err().to_string();
     assert!(message.contains("row 1: highest reading of the bar: 4.8"), "{message}");
     assert!(message.contains("must be at most 4.500 mm"), "{message}");

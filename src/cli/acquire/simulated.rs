@@ -7,6 +7,8 @@ use std::process;
 
 use crate::cli::child::{Simulator, Steps};
 use crate::cli::{Output, demo, files};
+use crate::model::AXES;
+use crate::plan::Header;
 
 /// A simulator that runs a plan.
 pub(crate) struct Cell {
@@ -23,6 +25,15 @@ impl Drop for Directory {
         // A left-over in the temporary directory is no reason to fail.
         let _ = std::fs::remove_dir_all(&self.0);
     }
+}
+
+/// A world whose base balls stand where the plan has them taught.
+fn world(plan: &Path) -> Result<String, Box<dyn Error>> {
+    let header: Header = serde_json::from_str(&files::read(&plan.with_extension("json"))?)?;
+    let tables = header.job.centres.iter().filter_map(|table| Some((table.id, table.taught_deg?)));
+    let taught = header.taught.iter().map(|ball| (ball.centre, ball.axes_deg));
+    let table = |(id, axes): (u32, [f64; AXES])| format!("[[centre]]\nid = {id}\ntaught_deg = {axes:?}\n");
+    Ok(tables.chain(taught).map(table).collect())
 }
 
 impl Cell {
@@ -51,8 +62,10 @@ impl Cell {
             }
         };
         let plan_name = plan.display().to_string();
+        files::write(&directory.0.join("world.toml"), world(&plan)?)?;
         let mut emit = vec!["krl", plan_name.as_str(), "--out", "krl"];
-        let mut simulate = vec!["simulate", "--program", "krl/DBB_MAIN.src", "--speed", speed];
+        let mut simulate =
+            vec!["simulate", "--program", "krl/DBB_MAIN.src", "--world", "world.toml", "--speed", speed];
         let address = server.map(|server| match server.ip().is_unspecified() {
             true => SocketAddr::from((Ipv4Addr::LOCALHOST, server.port())).to_string(),
             false => server.to_string(),

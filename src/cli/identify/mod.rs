@@ -30,7 +30,8 @@ pub(crate) struct Args {
     /// the robot and the base balls of its plan. `bar` numbers bars that have an offset each (1, 2, ..; absent =
     /// 1). One bar set to two lengths keeps its number: then its offset can be told from a scale of the robot.
     input: PathBuf,
-    /// Directory for result.json, parameters.csv, covariance.csv, robot-identified.toml, report.html.
+    /// Directory for result.json, parameters.csv, covariance.csv, lengths.csv (the observations that the result rests
+    /// on), robot-identified.toml, report.html.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// Robot: a built-in name or a TOML file.
@@ -102,7 +103,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
         found = find(&given)?;
     }
     files::directory(&args.out)?;
-    tables::write_results(&args.out, &found)?;
+    tables::write_results(&args.out, &found, &given.observations)?;
     let page = page::html(&given.robot, &given.observations, &found, given.sources)?;
     files::write(&args.out.join("report.html"), page)?;
     say(out, &found.result, &args.out);

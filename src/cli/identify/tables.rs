@@ -6,10 +6,20 @@ use std::path::Path;
 
 use crate::cli::files;
 use crate::identify::Identified;
+use crate::model::Observations;
 
-/// Writes result.json, robot-identified.toml, parameters.csv and covariance.csv.
-pub(super) fn write_results(dir: &Path, found: &Identified) -> Result<(), Box<dyn Error>> {
+/// Writes result.json, robot-identified.toml, parameters.csv, covariance.csv, and as lengths.csv those of the
+/// observations that the result rests on.
+pub(super) fn write_results(
+    dir: &Path,
+    found: &Identified,
+    observations: &Observations,
+) -> Result<(), Box<dyn Error>> {
     let result = &found.result;
+    let mut used = observations.clone();
+    let mut residuals = found.residuals.iter();
+    used.rows.retain(|_| residuals.next().is_some_and(|residual| residual.used));
+    files::write(&dir.join(files::LENGTHS), used.to_csv())?;
     files::write(&dir.join("result.json"), serde_json::to_string_pretty(result)? + "\n")?;
     files::write(&dir.join("robot-identified.toml"), found.robot.to_toml())?;
     let mut table = csv::Writer::from_writer(Vec::new());

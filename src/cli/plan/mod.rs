@@ -3,7 +3,7 @@
 mod page;
 
 use std::error::Error;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
@@ -11,7 +11,7 @@ use super::{Outcome, Output, Verdict, files};
 use crate::diag::Diagnostic;
 use crate::model::{Centre, Observations, Reading, Robot};
 use crate::plan::prediction::Fate;
-use crate::plan::{Check, Job, Kind, Knowledge, Plan, Prediction};
+use crate::plan::{Check, Job, Kind, Knowledge, Plan, Prediction, Stage, Taught};
 
 /// Arguments of the verb.
 #[derive(clap::Args)]
@@ -21,14 +21,18 @@ pub(crate) struct Args {
     /// Directory for plan.csv, plan.json, plan.html and centres.csv (the base balls, as `identify` takes them).
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// Robot by built-in name or file, in place of the job's; an identified one plans on its corrected
-    /// model and commands the controller's nominal one.
+    /// Robot by built-in name or file, in place of the job's. With a robot-identified.toml the plan is made on what is
+    /// known since: the lengths.csv beside it counts as --measured; the controller is told its nominal poses.
     #[arg(long, value_name = "NAME|FILE")]
     robot: Option<String>,
     /// Observations CSV of lengths measured before to the same base balls (may be repeated): the plan is made on the
     /// robot that is likeliest by them and by its tolerance, and its risks and predictions go by what they left unknown.
     #[arg(long, value_name = "OBS.csv")]
     measured: Vec<PathBuf>,
+    /// Choose this many poses about the job's base balls in place of its circles, all of them safe as the robot is known
+    /// now: a stage before a plan that is refused for its risk of leaving the stroke.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(6..=242))]
+    stage: Option<u32>,
 }
 
 /// What `--json` prints.
@@ -42,14 +46,32 @@ struct Summary<'a> {
     duration_s: f64,
     checks: &'a [Check],
     notes: &'a [String],
+    stage: Option<Stage>,
+    taught: &'a [Taught],
     predictions: Option<&'a Prediction>,
 }
 
 pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
     let name = args.job.display().to_string();
     let job = Job::from_toml(&name, &files::read(&args.job)?)?;
-    let robot = files::robot(args.robot.as_deref().unwrap_or(&job.robot))?;
-    let (job, robot, known) = knowledge(job, robot, &args.measured)?;
+    let job = args.stage.map_or_else(|| job.clone(), |points| job.as_stage(points));
+    let robot_name = args.robot.as_deref().unwrap_or(&job.robot);
+    let robot = files::robot(robot_name)?;
+    job.check_against(robot.controller()).map_err(|why| Diagnostic::file(&name, why))?;
+    let mut measured = args.measured.clone();
+    if robot.nominal.is_some() {
+        let lengths = Path::new(robot_name).with_file_name(files::LENGTHS);
+        if lengths.is_file() {
+            measured.push(lengths);
+        } else {
+            out.warning(format!(
+                "{}: not there: what the identification left unknown is not known, and the risk goes by the maker's \
+                 tolerance about the identified robot",
+                lengths.display()
+            ));
+        }
+    }
+    let (job, robot, known) = knowledge(job, robot, &measured)?;
     let mut plan = Plan::build_knowing(&job, &robot, &known)?;
     let foretold = plan.foretell(&robot, &known.belief);
     let map = foretold.map(|(prediction, map)| {
@@ -74,6 +96,8 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
         duration_s: plan.duration_s(),
         checks: &plan.header.checks,
         notes: &plan.header.notes,
+        stage: plan.header.stage,
+        taught: &plan.header.taught,
         predictions: plan.header.predictions.as_ref(),
     };
     out.document(&summary)?;
@@ -88,6 +112,13 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
     out.result("worst of what was checked along the whole path:");
     for check in summary.checks {
         out.result(format!("  {check}"));
+    }
+    for ball in &plan.header.taught {
+        let angles = ball.axes_deg.map(|angle| format!("{angle:.4}")).join(", ");
+        out.result(format!(
+            "teach base ball {}: the tool ball on it at A1..A6 = {angles}; the risk rests on it",
+            ball.centre
+        ));
     }
     for note in summary.notes {
         out.result(note);
@@ -148,5 +179,6 @@ fn lines(prediction: &Prediction) -> Vec<String> {
         ));
     }
     lines.extend(prediction.dependent.iter().map(|text| format!("  {text}")));
+    lines.extend(prediction.advice.iter().cloned());
     lines
 }

@@ -1,11 +1,13 @@
 //! `plan.html` from a plan: what the page needs is picked out here, and drawn by the report room.
 
+use nalgebra::Matrix6;
+
 use crate::cli::identify::error_maps;
 use crate::identify::result::{PredictedError, PredictedPair, Status, Warning, WarningKind};
 use crate::model::Robot;
 use crate::plan::job::{CircleTable, Direction, Orientation};
 use crate::plan::prediction::{Error3d, Fate, PredictedParameter};
-use crate::plan::{Check, Kind, Plan};
+use crate::plan::{Check, Kind, Plan, PlanRow};
 
 use crate::report::{
     self, CheckRow, CircleRow, Fact, PlanView, PredictedRow, Provenance, ReportError, Source,
@@ -57,6 +59,10 @@ pub(super) fn html(
         predicted: header.predictions.iter().flat_map(|p| &p.parameters).map(predicted).collect(),
         dependent: header.predictions.iter().flat_map(|p| p.dependent.clone()).collect(),
         maps: error_maps(map),
+        against: header.predictions.iter().flat_map(|p| p.against.iter().cloned()).collect(),
+        regions: header.predictions.iter().flat_map(|p| p.regions.iter().copied()).collect(),
+        advice: header.predictions.iter().flat_map(|p| p.advice.clone()).collect(),
+        manipulability: plan.rows.iter().map(|row| manipulability(robot, row)).collect(),
         warnings: header
             .notes
             .iter()
@@ -64,6 +70,16 @@ pub(super) fn html(
             .collect(),
     };
     report::plan::html(plan, &view)
+}
+
+/// Yoshikawa's measure at a row: the size of the determinant of the arm's Jacobian, m^3.
+fn manipulability(robot: &Robot, row: &PlanRow) -> f64 {
+    let columns = robot.geometry.axis_jacobian(&row.axes_deg.map(f64::to_radians));
+    let jacobian = Matrix6::from_fn(|at, axis| {
+        let (moved, turned) = &columns[axis];
+        if at < 3 { moved[at] * 1e-3 } else { turned[at - 3] }
+    });
+    jacobian.determinant().abs()
 }
 
 fn error(error: &Error3d) -> PredictedError {
@@ -126,6 +142,7 @@ fn row(at: usize, circle: &CircleTable, bar_mm: f64) -> CircleRow {
             Orientation::Seed => "seed",
             Orientation::Random => "random",
             Orientation::Turning => "turning",
+            Orientation::Optimal => "optimal",
         }
         .into(),
         mode: "dwell".into(),

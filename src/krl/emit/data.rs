@@ -3,7 +3,7 @@
 use super::super::number::{degrees, metre_per_second, millimetre, seconds};
 use super::{Circle, Controller, EmitError, HEAD, Lines, Sync, Writer};
 use crate::model::AXES;
-use crate::plan::{Motion, MoveTime, PlanRow};
+use crate::plan::{Frames, Motion, MoveTime, PlanRow};
 
 impl Writer<'_> {
     /// Mass (kg) and centre (mm) of what the flange carries, where the robot file tells.
@@ -39,8 +39,10 @@ impl Writer<'_> {
         data.add(format!("DECL REAL DBBLOW={}", millimetre(job.bar.stroke_mm[0])));
         data.add(format!("DECL REAL DBBHIGH={}", millimetre(job.bar.stroke_mm[1])));
         data.add(format!("DECL REAL TSET={}", seconds(job.motion.settle_s)));
-        data.add(format!("DECL FRAME FTOOL={}", frame(self.robot.geometry.tool.into())));
-        data.add(format!("DECL FRAME FBASE={}", frame([0.0; 3])));
+        let [.., a, b, c] = job.motion.tool.unwrap_or_default();
+        data.add(format!("DECL FRAME FTOOL={}", frame_text(&self.robot.geometry.tool.into(), &[a, b, c])));
+        let [x, y, z, a, b, c] = job.motion.base.unwrap_or_default();
+        data.add(format!("DECL FRAME FBASE={}", frame_text(&[x, y, z], &[a, b, c])));
         if let Some((kg, xyz)) = self.payload() {
             let inertia = "{X 0.000,Y 0.000,Z 0.000}";
             data.add(format!("DECL LOAD LTOOL={{M {},CM {},J {inertia}}}", millimetre(kg), frame(xyz)));
@@ -78,7 +80,7 @@ impl Writer<'_> {
             let auxiliary = row.is_auxiliary() && self.pass(row).is_none();
             check(row, time, auxiliary)?;
             let at = at + 1;
-            data.add(format!("XP[{at}]={}", position_text(row)));
+            data.add(format!("XP[{at}]={}", position_text(row, &job.motion.frames())));
             if row.motion != Motion::Ptp && !auxiliary {
                 data.add(format!("VP[{at}]={}", metre_per_second(time.feed_mm_s * 1e-3)));
                 data.add(format!("VO[{at}]={}", degrees(time.turn_deg_s)));
@@ -136,8 +138,9 @@ fn frame_text(xyz_mm: &[f64; 3], abc_deg: &[f64; 3]) -> String {
     format!("{{X {x},Y {y},Z {z},A {a},B {b},C {c}}}")
 }
 
-fn position_text(row: &PlanRow) -> String {
-    let frame = frame_text(&row.xyz_mm, &row.abc_deg);
+fn position_text(row: &PlanRow, frames: &Frames) -> String {
+    let (xyz_mm, abc_deg) = frames.printed(row);
+    let frame = frame_text(&xyz_mm, &abc_deg);
     let frame = frame.trim_end_matches('}');
     format!("{frame},S {},T {},{EXTERNAL}}}", row.status, row.turn)
 }

@@ -104,7 +104,7 @@ pub fn emit(plan: &Plan, options: Options) -> Result<Vec<(String, String)>, Emit
         return Err(EmitError::Moves { rows: plan.rows.len(), moves: plan.header.moves.len() });
     }
     let robot = Robot::from_toml("the plan's robot", &plan.header.robot)?;
-    let writer = Writer { plan, robot: &robot, options };
+    let writer = Writer { plan, robot: robot.controller(), options };
     let circles = writer.circles()?;
     let mut files = writer.master(&circles);
     if let Sync::Ekrl { server } = options.sync {

@@ -1,5 +1,6 @@
 //! Reading a job file: what TOML's types do not say, with the line of what is wrong.
 
+use super::values::{Place, Wrong, corners, direction_vector, finite, line_of, positive, within};
 use super::{CentreTable, CircleTable, Direction, Job, Mode, ObstacleTable, Orientation};
 use crate::diag::{Diagnostic, nearest};
 use crate::model::Centre;
@@ -11,12 +12,6 @@ pub(crate) const MAX_DWELLS: u32 = 255;
 
 /// Digital outputs that a controller has.
 const OUTPUTS: std::ops::RangeInclusive<u32> = 1..=4096;
-
-/// Where a value stands: the table's header, which of them (from 0), the key.
-type Place = (&'static str, usize, &'static str);
-
-/// A place and what is wrong there.
-type Wrong = (Place, String);
 
 impl Job {
     /// Reads a job file.
@@ -69,15 +64,21 @@ impl Job {
         positive(place("length_mm"), bar.length_mm)?;
         positive(place("sigma_um"), bar.sigma_um)?;
         let [low, high] = bar.stroke_mm;
-        if !(low.is_finite() && high.is_finite() && low < high) {
-            return Err((place("stroke_mm"), format!("stroke_mm = [{low}, {high}] must be [low, high]")));
+        if !(low.abs() < bar.length_mm && high.abs() < bar.length_mm && low < high) {
+            let message =
+                format!("stroke_mm = [{low}, {high}] must be [low, high], both less than the bar's length");
+            return Err((place("stroke_mm"), message));
         }
         positive(place("radius_mm"), bar.radius_mm)?;
         if let Some(u) = bar.length_u_mm {
             positive(place("length_u_mm"), u)?;
         }
-        for (key, value) in [("temperature_c", bar.temperature_c), ("expansion_per_k", bar.expansion_per_k)] {
-            value.map_or(Ok(()), |value| finite(place(key), value))?;
+        let optional = [
+            ("temperature_c", bar.temperature_c, [-50.0, 100.0]),
+            ("expansion_per_k", bar.expansion_per_k, [-1e-3, 1e-3]),
+        ];
+        for (key, value, range) in optional {
+            value.map_or(Ok(()), |value| within(place(key), value, range))?;
         }
         let margin = bar.margin_mm;
         if !(margin >= 0.0 && 2.0 * margin < high - low) {
@@ -97,6 +98,10 @@ impl Job {
         if !(10 * optimise.points..=100_000).contains(&optimise.candidates) {
             let message = format!("candidates = {} must be in 10 * points..100000", optimise.candidates);
             return Err((place("candidates"), message));
+        }
+        if !(6..=most).contains(&optimise.stage_points) {
+            let message = format!("stage_points = {} must be in 6..{most}", optimise.stage_points);
+            return Err((place("stage_points"), message));
         }
         match optimise.workspace_mm {
             Some([low, high]) if !corners(low, high) => {
@@ -128,6 +133,9 @@ impl Job {
             if value > 60.0 {
                 return Err((place(key), format!("{key} = {value} is above 60 s")));
             }
+        }
+        for (key, frame) in [("tool", motion.tool), ("base", motion.base)] {
+            frame.iter().flatten().try_for_each(|value| finite(place(key), *value))?;
         }
         let (strobe, [first, last]) = (motion.outputs.strobe, motion.outputs.index);
         let outputs = ("outputs", 0, "");
@@ -199,8 +207,9 @@ impl Job {
             );
             return Err((place("points"), message));
         }
+        circle.turns_deg.iter().flatten().try_for_each(|turn| finite(place("turns_deg"), *turn))?;
         match (circle.orientation, circle.amplitude_deg) {
-            (Orientation::Seed | Orientation::Random, Some(amplitude)) => {
+            (Orientation::Seed | Orientation::Random | Orientation::Optimal, Some(amplitude)) => {
                 if !(0.0..=180.0).contains(&amplitude) {
                     let message = format!("circle {number}: amplitude_deg = {amplitude} must be in 0..180");
                     return Err((place("amplitude_deg"), message));
@@ -258,6 +267,9 @@ fn check_centre(at: usize, centre: &CentreTable) -> Result<(), Wrong> {
     for value in centre.xyz_mm {
         finite(place("xyz_mm"), value)?;
     }
+    for value in centre.taught_deg.iter().flatten() {
+        finite(place("taught_deg"), *value)?;
+    }
     check_cup(place("cup_axis"), place("cup_limit_deg"), centre.cup_axis, centre.cup_limit_deg)
 }
 
@@ -284,43 +296,23 @@ fn check_cup(
 
 fn check_obstacle(at: usize, obstacle: &ObstacleTable) -> Result<(), Wrong> {
     let place = |key| ("[[obstacle]]", at, key);
+    if let ObstacleTable::Box { low_mm, high_mm } = obstacle {
+        low_mm.iter().try_for_each(|value| finite(place("low_mm"), *value))?;
+        high_mm.iter().try_for_each(|value| finite(place("high_mm"), *value))?;
+    }
     match *obstacle {
         ObstacleTable::Box { low_mm, high_mm } if !corners(low_mm, high_mm) => {
             Err((place("low_mm"), "a box needs its lowest corner as low_mm, its highest as high_mm".into()))
         }
         ObstacleTable::Box { .. } => Ok(()),
         ObstacleTable::Cylinder { from_mm, to_mm, radius_mm } => {
+            from_mm.iter().try_for_each(|value| finite(place("from_mm"), *value))?;
+            to_mm.iter().try_for_each(|value| finite(place("to_mm"), *value))?;
             let along = [to_mm[0] - from_mm[0], to_mm[1] - from_mm[1], to_mm[2] - from_mm[2]];
             direction_vector(place("to_mm"), "to_mm - from_mm", along)?;
             positive(place("radius_mm"), radius_mm)
         }
         ObstacleTable::Floor { z_mm } => finite(place("z_mm"), z_mm),
-    }
-}
-
-/// Whether `low` is below `high` in every axis.
-fn corners(low: [f64; 3], high: [f64; 3]) -> bool {
-    low.iter().zip(&high).all(|(low, high)| low.is_finite() && high.is_finite() && low < high)
-}
-
-fn positive(place: Place, value: f64) -> Result<(), Wrong> {
-    if value.is_finite() && value > 0.0 {
-        Ok(())
-    } else {
-        Err((place, format!("{} = {value} must be a positive number", place.2)))
-    }
-}
-
-fn finite(place: Place, value: f64) -> Result<(), Wrong> {
-    if value.is_finite() { Ok(()) } else { Err((place, format!("{} = {value} is not a number", place.2))) }
-}
-
-fn direction_vector(place: Place, key: &str, [x, y, z]: [f64; 3]) -> Result<(), Wrong> {
-    let length = x.hypot(y).hypot(z);
-    if length.is_finite() && length > 1e-6 {
-        Ok(())
-    } else {
-        Err((place, format!("{key} = [{x}, {y}, {z}] is no direction")))
     }
 }
 
@@ -335,21 +327,4 @@ fn hinted(file: &str, text: &str, error: &toml::de::Error) -> Diagnostic {
         }
         _ => diagnostic,
     }
-}
-
-/// The line (from 1) of a key in the `at`-th table of that header, else of the header; a place whose
-/// header has no bracket is a key of its own.
-fn line_of(text: &str, (header, at, key): Place) -> Option<usize> {
-    let starts = |line: &str, key: &str| {
-        line.trim_start().strip_prefix(key).is_some_and(|rest| rest.trim_start().starts_with(['=', '.']))
-    };
-    let mut lines = text.lines().enumerate().map(|(number, line)| (number + 1, line));
-    if !header.starts_with('[') {
-        let table = format!("[motion.{header}]");
-        return lines.find(|(_, line)| starts(line, header) || line.trim() == table).map(|(n, _)| n);
-    }
-    let (found, _) =
-        lines.by_ref().filter(|(_, line)| line.split('#').next().unwrap_or("").trim() == header).nth(at)?;
-    let within = lines.take_while(|(_, line)| !line.trim_start().starts_with('['));
-    Some(within.filter(|(_, line)| starts(line, key)).map(|(n, _)| n).next().unwrap_or(found))
 }

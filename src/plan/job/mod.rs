@@ -1,8 +1,13 @@
 //! The job file: bar, base balls, circles, motion, limits.
 
 mod check;
+mod obstacle;
+mod values;
 
 use serde::{Deserialize, Serialize};
+
+use crate::model::AXES;
+pub use obstacle::ObstacleTable;
 
 /// What is to be measured, with what, and within which limits.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -99,6 +104,10 @@ pub struct CentreTable {
     /// How far the bar may lean from the cup's axis, degrees.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cup_limit_deg: Option<f64>,
+    /// The controller's axis angles, degrees, at which the tool ball stood where this ball is, when `xyz_mm` was taken
+    /// from the controller. When absent: with the tool held as at the start of the run.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub taught_deg: Option<[f64; AXES]>,
 }
 
 /// Poses that are chosen among many that can be reached: those that tell most.
@@ -110,6 +119,14 @@ pub struct Optimise {
     /// What is made least.
     #[serde(default)]
     pub criterion: Criterion,
+    /// The parameters that the poses are to tell, as `identify --estimate` lists them, all others being exact; when absent
+    /// every parameter is unknown.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub parameters: Option<String>,
+    /// Poses of a stage: while some that can be reached are barred by the risk of leaving the stroke, so many of the
+    /// others are chosen, to be measured before the rest.
+    #[serde(default = "default_stage_points")]
+    pub stage_points: u32,
     /// Candidates to choose from.
     #[serde(default = "default_candidates")]
     pub candidates: u32,
@@ -118,8 +135,25 @@ pub struct Optimise {
     pub workspace_mm: Option<[[f64; 3]; 2]>,
 }
 
+impl Default for Optimise {
+    fn default() -> Self {
+        Self {
+            points: 80,
+            criterion: Criterion::default(),
+            parameters: None,
+            stage_points: default_stage_points(),
+            candidates: default_candidates(),
+            workspace_mm: None,
+        }
+    }
+}
+
 fn default_candidates() -> u32 {
     4000
+}
+
+fn default_stage_points() -> u32 {
+    20
 }
 
 /// What chosen poses make least.
@@ -130,33 +164,6 @@ pub enum Criterion {
     /// The 3-D error over the workspace.
     #[default]
     I,
-}
-
-/// What is in the way, in the robot base.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, tag = "shape", rename_all = "lowercase")]
-pub enum ObstacleTable {
-    /// A box along the axes.
-    Box {
-        /// Its lowest corner, mm.
-        low_mm: [f64; 3],
-        /// Its highest corner, mm.
-        high_mm: [f64; 3],
-    },
-    /// A round column.
-    Cylinder {
-        /// Centre of one end, mm.
-        from_mm: [f64; 3],
-        /// Centre of the other end, mm.
-        to_mm: [f64; 3],
-        /// Its radius, mm.
-        radius_mm: f64,
-    },
-    /// All that is below a height.
-    Floor {
-        /// The height, mm.
-        z_mm: f64,
-    },
 }
 
 /// The tool: its cup, and how thick it and the arm are.
@@ -205,9 +212,12 @@ pub struct CircleTable {
     /// How the tool is held.
     #[serde(default)]
     pub orientation: Orientation,
-    /// How far `seed` and `random` turn the tool about each axis, degrees; 45 when absent.
+    /// How far `seed`, `random` and `optimal` turn the tool about each axis, degrees; 45 when absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub amplitude_deg: Option<f64>,
+    /// Of `optimal`, how the tool is turned at each point, degrees about Z, Y, X: chosen when planning.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub turns_deg: Vec<[f64; 3]>,
     /// A constant lean of the tool about the base's Y, degrees: it keeps the wrist from being straight.
     /// The tool then points down but for it: R0 = Ry(tilt) Rx(180) Rz(spin).
     #[serde(default)]
@@ -291,6 +301,8 @@ pub enum Orientation {
     Random,
     /// Rz(t) R0: the tool turns about the vertical as the bar does.
     Turning,
+    /// As random, but of many draws for each point those that tell most together.
+    Optimal,
 }
 
 /// How the robot moves.
@@ -305,13 +317,28 @@ pub struct MotionTable {
     pub settle_s: f64,
     /// Strobe time at a pose, s.
     pub dwell_s: f64,
+    /// The program's $TOOL, X Y Z in mm and A B C in degrees: its origin is the tool ball; the ball with the flange's
+    /// orientation when absent.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tool: Option<[f64; 6]>,
+    /// The program's $BASE in the robot base, X Y Z in mm and A B C in degrees; the robot base when absent.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub base: Option<[f64; 6]>,
     /// Digital outputs.
     pub outputs: Outputs,
 }
 
 impl Default for MotionTable {
     fn default() -> Self {
-        Self { feed_mm_s: 40.0, turn_deg_s: 40.0, settle_s: 0.5, dwell_s: 1.0, outputs: Outputs::default() }
+        Self {
+            feed_mm_s: 40.0,
+            turn_deg_s: 40.0,
+            settle_s: 0.5,
+            dwell_s: 1.0,
+            tool: None,
+            base: None,
+            outputs: Outputs::default(),
+        }
     }
 }
 
@@ -341,8 +368,8 @@ pub struct Limits {
     pub min_elbow_deg: f64,
     /// Least distance of the wrist centre from axis 1, mm.
     pub min_overhead_mm: f64,
-    /// Greatest probability that a robot within its tolerance leaves the stroke less its margin anywhere on a
-    /// run in which the bar stays on, when the bar was mounted and set to zero at the start pose.
+    /// Greatest probability that a robot within its tolerance leaves the stroke anywhere on a run in which the bar
+    /// stays on, the base ball having been taught.
     pub max_stroke_risk: f64,
     /// Least distance of bar, tool and arm from the obstacles, mm.
     pub min_clearance_mm: f64,

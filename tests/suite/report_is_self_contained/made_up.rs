@@ -238,6 +238,9 @@ pub(super) fn plan() -> Plan {
         passes: Vec::new(),
         checks: Vec::new(),
         notes: Vec::new(),
+        taught: Vec::new(),
+        stage: None,
+        stroke_risk: 0.0,
         predictions: None,
     };
     Plan { rows, header }
@@ -256,6 +259,10 @@ pub(super) fn plan_view(robot: &str) -> PlanView {
         ]
     };
     PlanView {
+        against: Vec::new(),
+        regions: Vec::new(),
+        advice: Vec::new(),
+        manipulability: vec![0.5],
         margin_mm: 0.1,
         centres: vec![(1, [1300.0, 0.0, 800.0])],
         skeletons: vec![skeleton(1600.0, 0.0), skeleton(1000.0, 0.0), skeleton(1300.0, 300.0)],

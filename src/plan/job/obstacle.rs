@@ -1,0 +1,71 @@
+//! What is in the way.
+
+use serde::{Deserialize, Serialize};
+
+/// What is in the way, in the robot base.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "Flat", tag = "shape", rename_all = "lowercase")]
+pub enum ObstacleTable {
+    /// A box along the axes.
+    Box {
+        /// Its lowest corner, mm.
+        low_mm: [f64; 3],
+        /// Its highest corner, mm.
+        high_mm: [f64; 3],
+    },
+    /// A round column.
+    Cylinder {
+        /// Centre of one end, mm.
+        from_mm: [f64; 3],
+        /// Centre of the other end, mm.
+        to_mm: [f64; 3],
+        /// Its radius, mm.
+        radius_mm: f64,
+    },
+    /// All that is below a height.
+    Floor {
+        /// The height, mm.
+        z_mm: f64,
+    },
+}
+
+/// As it is read: with the keys of all shapes, so that the place of a wrong one is known.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Flat {
+    shape: Shape,
+    low_mm: Option<[f64; 3]>,
+    high_mm: Option<[f64; 3]>,
+    from_mm: Option<[f64; 3]>,
+    to_mm: Option<[f64; 3]>,
+    radius_mm: Option<f64>,
+    z_mm: Option<f64>,
+}
+
+#[derive(Deserialize)]
+#[serde(rename_all = "lowercase")]
+enum Shape {
+    Box,
+    Cylinder,
+    Floor,
+}
+
+impl TryFrom<Flat> for ObstacleTable {
+    type Error = &'static str;
+
+    fn try_from(flat: Flat) -> Result<Self, Self::Error> {
+        let Flat { shape, low_mm, high_mm, from_mm, to_mm, radius_mm, z_mm } = flat;
+        match (shape, low_mm, high_mm, from_mm, to_mm, radius_mm, z_mm) {
+            (Shape::Box, Some(low_mm), Some(high_mm), None, None, None, None) => {
+                Ok(Self::Box { low_mm, high_mm })
+            }
+            (Shape::Cylinder, None, None, Some(from_mm), Some(to_mm), Some(radius_mm), None) => {
+                Ok(Self::Cylinder { from_mm, to_mm, radius_mm })
+            }
+            (Shape::Floor, None, None, None, None, None, Some(z_mm)) => Ok(Self::Floor { z_mm }),
+            (Shape::Box, ..) => Err("a box has low_mm and high_mm, and no other keys"),
+            (Shape::Cylinder, ..) => Err("a cylinder has from_mm, to_mm and radius_mm, and no other keys"),
+            (Shape::Floor, ..) => Err("a floor has z_mm, and no other keys"),
+        }
+    }
+}

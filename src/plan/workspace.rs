@@ -1,0 +1,50 @@
+//! Where the robot shall be good.
+
+use nalgebra::Vector3;
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64;
+
+use super::Job;
+use crate::identifiability::Workspace;
+use crate::model::inverse::nearest;
+use crate::model::pose::{rot_x, rot_y, rot_z};
+use crate::model::{AXES, Pose, Robot};
+
+/// Seed of the poses: that of an identification.
+const SEED: u64 = 1;
+
+/// Axis vectors (rad) over which an error is taken: in the user's box if there is one, else uniform within the limits.
+pub fn workspace(job: &Job, robot: &Robot, count: usize) -> Vec<[f64; AXES]> {
+    let limits = robot.controller();
+    let Some([low, high]) = job.optimise.as_ref().and_then(|optimise| optimise.workspace_mm) else {
+        return Workspace::uniform(limits, count, SEED);
+    };
+    in_box(robot, low, high, count)
+}
+
+/// Axis vectors (rad) of `count` poses with the ball uniform in a box (mm), the tool down but for turns of up to
+/// 45 degrees about each axis, the arm in front and its elbow up: where and how production work is done.
+pub fn in_box(robot: &Robot, low: [f64; 3], high: [f64; 3], count: usize) -> Vec<[f64; AXES]> {
+    let mut random = Pcg64::seed_from_u64(SEED);
+    let home = [0.0, -60.0, 90.0, 0.0, 60.0, 0.0].map(f64::to_radians);
+    let limits = &robot.controller().limits_deg;
+    let within = |axes: &[f64; AXES]| {
+        axes.iter().zip(limits).all(|(axis, [low, high])| (*low..=*high).contains(&axis.to_degrees()))
+    };
+    // A box far from the arm has few poses, or none.
+    let mut found = Vec::with_capacity(count);
+    for _ in 0..20 * count {
+        let position = Vector3::from_fn(|i, _| random.random_range(low[i]..high[i]));
+        let mut turn = || random.random_range(-std::f64::consts::FRAC_PI_4..std::f64::consts::FRAC_PI_4);
+        let rotation = rot_z(turn()) * rot_y(turn()) * rot_x(turn()) * rot_x(std::f64::consts::PI);
+        if let Ok(axes) = nearest(&robot.geometry, &Pose { rotation, position }, &home)
+            && within(&axes)
+        {
+            found.push(axes);
+        }
+        if found.len() == count {
+            break;
+        }
+    }
+    found
+}

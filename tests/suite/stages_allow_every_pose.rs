@@ -1,0 +1,153 @@
+//! Stages from the maker's tolerance: a few safe poses, then more, until every pose is allowed; nothing leaves the stroke.
+
+use std::process::Command;
+use std::sync::OnceLock;
+
+use dbbd::krl::{self, Options, Program};
+use dbbd::model::{Reading, Robot};
+use dbbd::plan::{Job, Kind, Knowledge, Plan};
+use dbbd::sim::world::Setup;
+use dbbd::sim::{Controller, World, truth};
+use tempfile::tempdir;
+
+use crate::cell::kr60;
+
+/// The example, with fewer candidates so that a thousand robots take minutes.
+fn job() -> Job {
+    let text =
+        include_str!("../../examples/stages.toml").replace("points = 80", "points = 80\ncandidates = 1000");
+    Job::from_toml("stages.toml", &text).unwrap()
+}
+
+/// What a robot does with the program of a plan: the greatest |reading| while the bar was on, mm, and its lengths.
+fn execute(plan: &Plan, true_robot: &Robot, seed: u64) -> (f64, Vec<Reading>) {
+    let options = Options { sync: krl::Sync::Output, controller: krl::Controller::Krc4 };
+    let files = krl::emit(plan, options).unwrap();
+    let program = Program::open("DBB_MAIN", |wanted| {
+        Ok(files.iter().find(|(name, _)| name.eq_ignore_ascii_case(wanted)).cloned())
+    })
+    .unwrap();
+    let world =
+        include_str!("../../examples/stages/world.toml").replace("[bar]", "[bar]\nstroke_mm = [-50.0, 50.0]");
+    let setup = Setup::new(&program, Some(("world.toml", &world))).unwrap();
+    let mut world = World::new(true_robot.geometry.clone(), setup, seed);
+    let mut controller = Controller::new(program, &kr60(), 100.0).unwrap();
+    let rows: Vec<_> = plan.rows.iter().filter(|row| row.kind != Kind::Transit).collect();
+    let mut sums = vec![(0.0, 0.0); rows.len()];
+    let (mut mounted, mut was, mut worst) = (false, false, 0.0_f64);
+    loop {
+        let moment = controller.step(0.1).unwrap();
+        let reading = world.reading(&moment).reading_mm;
+        if mounted {
+            worst = worst.max(reading.abs());
+        }
+        if moment.halted {
+            mounted = true;
+            controller.go_on();
+        }
+        if moment.strobe
+            && let Some(sum) = sums.get_mut(controller.dwells() as usize)
+        {
+            // The pulses of the start mark come before the first dwell.
+            *sum = if was { (sum.0 + reading, sum.1 + 1.0) } else { (reading, 1.0) };
+        }
+        was = moment.strobe;
+        if moment.done {
+            break;
+        }
+    }
+    assert_eq!(controller.dwells() as usize, rows.len());
+    let lengths = rows
+        .iter()
+        .zip(&sums)
+        .map(|(row, (sum, count))| Reading { length: 300.0 + sum / count, ..row.reading() });
+    (worst, lengths.collect())
+}
+
+/// What became of one robot.
+#[derive(Debug)]
+struct Fate {
+    /// Plans until every pose was allowed.
+    plans: usize,
+    /// Greatest |reading| in each, mm.
+    worst: Vec<f64>,
+    /// Poses that the last one still barred, in words.
+    barred: Option<String>,
+}
+
+fn stages(seed: u64) -> Fate {
+    static FIRST: OnceLock<Plan> = OnceLock::new();
+    let (job, nominal) = (job(), kr60());
+    let true_robot = truth::draw(&nominal, seed, 1.0);
+    let first = FIRST.get_or_init(|| Plan::build(&job, &nominal).unwrap());
+    let mut plan = first.clone();
+    let (mut lengths, mut worst) = (Vec::new(), Vec::new());
+    loop {
+        let (most, told) = execute(&plan, &true_robot, seed + 7919 * worst.len() as u64);
+        worst.push(most);
+        lengths.extend(told);
+        if plan.header.stage.is_none() || worst.len() == 6 {
+            let barred = plan.header.notes.iter().find(|note| note.contains("barred")).cloned();
+            return Fate { plans: worst.len(), worst, barred };
+        }
+        let known = Knowledge::learned(&job, &nominal, &lengths).unwrap();
+        let (job, robot) = known.applied(&job, &nominal);
+        plan = Plan::build_knowing(&job, &robot, &known)
+            .unwrap_or_else(|refused| panic!("seed {seed}: {refused}"));
+    }
+}
+
+/// The shipped script runs the real program to its end, three stages from the tolerance.
+#[test]
+fn the_example_needs_three_stages() {
+    let dir = tempdir().unwrap();
+    let examples = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/stages/run.sh");
+    let run = Command::new("sh")
+        .args([examples, dir.path().to_str().unwrap()])
+        .env("DBBD", env!("CARGO_BIN_EXE_dbbd"))
+        .output()
+        .unwrap();
+    let said = String::from_utf8_lossy(&run.stdout);
+    assert!(run.status.success(), "{said}{}", String::from_utf8_lossy(&run.stderr));
+    assert!(said.contains("this is the first stage") && said.contains("after 3 stages"), "{said}");
+}
+
+#[test]
+fn robots_of_the_tolerance_keep_the_stroke() {
+    for seed in 1..=2 {
+        let fate = stages(seed);
+        assert!(fate.plans <= 3 && fate.barred.is_none(), "{fate:?}");
+        assert!(fate.worst.iter().all(|worst| *worst < 1.0), "{fate:?}");
+    }
+}
+
+/// `STAGES=1..1001 cargo test --release --test suite a_thousand_robots_in_stages -- --ignored --nocapture`
+#[test]
+#[ignore = "takes minutes"]
+fn a_thousand_robots_in_stages() {
+    let range = std::env::var("STAGES").unwrap_or("1..1001".into());
+    let (first, past) = range.split_once("..").unwrap();
+    let (first, past): (u64, u64) = (first.parse().unwrap(), past.parse().unwrap());
+    let (mut outside, mut more, mut barred) = (0, 0, 0);
+    let mut worst = vec![Vec::new(); 6];
+    for seed in first..past {
+        let fate = stages(seed);
+        outside += usize::from(fate.worst.iter().any(|worst| *worst > 1.0));
+        more += usize::from(fate.plans > 3);
+        barred += usize::from(fate.barred.is_some());
+        fate.worst.iter().enumerate().for_each(|(at, mm)| worst[at].push(*mm));
+        if fate.plans > 3 || fate.barred.is_some() || fate.worst.iter().any(|worst| *worst > 1.0) {
+            eprintln!("seed {seed}: {fate:.3?}");
+        }
+    }
+    let p99 = |list: &mut Vec<f64>| {
+        list.sort_by(f64::total_cmp);
+        list.get((list.len() * 99) / 100).copied().unwrap_or(0.0)
+    };
+    let p99: Vec<f64> = worst.iter_mut().map(p99).collect();
+    eprintln!(
+        "{} robots: {outside} outside +-1 mm at some moment, {more} needed more than 3 plans, {barred} with poses left \
+         barred; 99 % of the greatest |reading| per stage: {p99:.3?} mm",
+        past - first
+    );
+}
