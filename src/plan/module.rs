@@ -57,7 +57,7 @@ pub(crate) fn module(
         };
         skipped = 0;
         let pose = poses.remove(at);
-        walk.go(way, pose.pose, Kind::Measure);
+        walk.go(way, &pose, Kind::Measure);
         here = pose;
         count += 1;
         if walk.steps.len() - began > MOST_STEPS && !poses.is_empty() {
@@ -106,7 +106,7 @@ fn reference(router: &Router<'_>, walk: &mut Walk, here: &Candidate, origin: &Ca
     }
     match router.way(here, origin) {
         Some(way) => {
-            walk.go(way, origin.pose, Kind::Reference);
+            walk.go(way, origin, Kind::Reference);
             true
         }
         None => false,

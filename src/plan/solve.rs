@@ -81,6 +81,7 @@ impl<'a> Rig<'a> {
             } else if !auxiliary(step) {
                 near = stands.take().unwrap_or(near);
             }
+            near = step.axes.unwrap_or(near);
             let failed = |reason| (index, step.pose.position.into(), reason);
             let (xyz_mm, abc_deg) = frames.taken(frames.told(&self.told(&step.pose, &near).map_err(failed)?));
             let told = Pose::from_kuka(xyz_mm, abc_deg);

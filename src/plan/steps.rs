@@ -17,6 +17,7 @@ use std::f64::consts::TAU;
 
 use nalgebra::{Rotation3, Vector3};
 
+use super::candidates::Candidate;
 use super::circle::{Circle, REFERENCE_EVERY};
 use super::job::{Bar, Direction, Job, Mode};
 use super::path::between;
@@ -42,7 +43,7 @@ pub(crate) struct Step {
     pub(crate) motion: Motion,
     pub(crate) pose: Pose,
     pub(crate) dwell_s: f64,
-    /// Where a run must begin in one branch and turn: its axis angles, rad.
+    /// The branch and turn in which the arm is to stand there, where they are known: axis angles, rad.
     pub(crate) axes: Option<[f64; AXES]>,
 }
 
@@ -148,13 +149,16 @@ impl Walk {
     }
 
     /// To a dwell, the way that was found.
-    pub(crate) fn go(&mut self, way: Way, pose: Pose, kind: Kind) {
+    pub(crate) fn go(&mut self, way: Way, to: &Candidate, kind: Kind) {
         match way {
             Way::Arc(aux) => {
                 self.push(Kind::Transit, Motion::Circ, aux);
-                self.push(kind, Motion::Circ, pose);
+                self.push(kind, Motion::Circ, to.pose);
             }
             Way::Chords(poses) => self.lines(poses, kind),
+        }
+        if let Some(step) = self.steps.last_mut() {
+            step.axes = Some(to.axes);
         }
     }
 

@@ -3,7 +3,8 @@
 use dbbd::model::Robot;
 use dbbd::plan::{Job, Plan};
 
-const EXAMPLES: [(&str, &str); 4] = [
+const EXAMPLES: [(&str, &str); 5] = [
+    ("continuous.toml", include_str!("../../examples/continuous.toml")),
     ("demo.toml", include_str!("../../examples/demo.toml")),
     ("optimal.toml", include_str!("../../examples/optimal.toml")),
     ("seed-experiment.toml", include_str!("../../examples/seed-experiment.toml")),
