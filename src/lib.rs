@@ -30,6 +30,7 @@ pub mod circular;
 pub mod identify;
 
 // Telling.
+pub mod export;
 pub mod live;
 pub mod report;
 

@@ -92,10 +92,15 @@ pub fn factor(model: &LengthModel, readings: &[Reading], ids: &[ParamId], sigma:
 pub fn analyse(model: &LengthModel, readings: &[Reading], ids: &[ParamId]) -> Option<Analysis> {
     let mut ids = ids.to_vec();
     ids.sort();
+    let base = base_set(&factor(model, readings, &ids, &[]), &order_of_choice(&ids))?;
+    Some(Analysis { ids, base })
+}
+
+/// The order in which parameters are taken into a base set.
+pub(super) fn order_of_choice(ids: &[ParamId]) -> Vec<usize> {
     let mut order: Vec<usize> = (0..ids.len()).collect();
     order.sort_by_key(|&at| (tier(ids[at]), at));
-    let base = base_set(&factor(model, readings, &ids, &[]), &order)?;
-    Some(Analysis { ids, base })
+    order
 }
 
 /// Lower is kept first.

@@ -15,8 +15,24 @@ const TOOL_MM: f64 = 0.1;
 const CENTRE_MM: f64 = 10.0;
 const BAR_MM: f64 = 0.05;
 
+/// The size of a joint's compliance on robots of this kind, rad/(N m): one degree-minute at 300 N m.
+const COMPLIANCE: f64 = 1e-6;
+
 /// Gauss-Newton steps of [`Belief::learn`]: the model is near the truth, so they settle at once.
 const STEPS: usize = 6;
+
+/// How well a parameter is known before anything is measured, one standard deviation in its unit: the robot's own by
+/// its tolerance, the bar to `bar_mm`, else to 0.05 mm.
+pub fn known_beforehand(robot: &Robot, id: ParamId, bar_mm: Option<f64>) -> f64 {
+    match id {
+        ParamId::Tool(_) => TOOL_MM,
+        ParamId::Centre(..) => CENTRE_MM,
+        ParamId::BarOffset(_) => bar_mm.unwrap_or(BAR_MM),
+        ParamId::Compliance(_) => COMPLIANCE,
+        id if id.unit() == "mm" => robot.tolerance.length_mm,
+        _ => robot.tolerance.angle_deg.to_radians(),
+    }
+}
 
 /// A model with the covariance of its parameters.
 #[derive(Clone, Debug)]
@@ -39,16 +55,7 @@ impl Belief {
     /// balls to 10 mm, the bar to `bar_mm` (its certificate's standard deviation), else to 0.05 mm.
     pub fn datasheet(robot: &Robot, model: LengthModel, bar_mm: Option<f64>) -> Self {
         let ids = parameter::all(&robot.parallel_joints(), model.centres.len());
-        let sd: Vec<f64> = ids
-            .iter()
-            .map(|id| match id {
-                ParamId::Tool(_) => TOOL_MM,
-                ParamId::Centre(..) => CENTRE_MM,
-                ParamId::BarOffset(_) => bar_mm.unwrap_or(BAR_MM),
-                id if id.unit() == "mm" => robot.tolerance.length_mm,
-                _ => robot.tolerance.angle_deg.to_radians(),
-            })
-            .collect();
+        let sd: Vec<f64> = ids.iter().map(|id| known_beforehand(robot, *id, bar_mm)).collect();
         Self::new(model, &ids, &sd)
     }
 

@@ -55,14 +55,6 @@ pub enum IdentifyError {
         "none of the parameters asked for changes a length in these poses; ask for others, or vary the poses"
     )]
     NothingToEstimate,
-    /// Fewer lengths than unknowns.
-    #[error("{lengths} lengths cannot tell {parameters} parameters; measure more poses, or ask for fewer")]
-    TooFewLengths {
-        /// Lengths there are.
-        lengths: usize,
-        /// Parameters asked for.
-        parameters: usize,
-    },
 }
 
 /// The parameters asked for, without the optional groups that nobody named.
@@ -92,9 +84,6 @@ pub(super) fn estimate(
         return Err(IdentifyError::NothingToEstimate);
     }
     let follow_list = options.follows_list();
-    if readings.len() < base.len() && follow_list {
-        return Err(IdentifyError::TooFewLengths { lengths: readings.len(), parameters: base.len() });
-    }
     let mut sigma = if follow_list { lengths.given.clone() } else { first_sigma(lengths, &set_up, &base) };
     let mut start = set_up.model.clone();
     let mut iterations = set_up.iterations;

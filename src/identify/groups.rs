@@ -206,7 +206,7 @@ fn predicted_mm(
     if beyond_chance(chi / freedom, freedom) == Some(Ordering::Greater) && estimate.freedom.is_none() {
         sigma.iter_mut().for_each(|sigma| *sigma *= (chi / freedom).sqrt());
     }
-    let (pair, _) = predicted(robot, estimate, &readings, &sigma, options)?;
+    let (pair, ..) = predicted(robot, estimate, &readings, &sigma, options)?;
     Ok(pair.identified.mean)
 }
 

@@ -5,12 +5,14 @@
 //! (or carries the prior), and every number comes with its standard deviation or the reason why it has none.
 
 mod covariance;
+mod diagnosis;
 mod distribution;
 mod estimate;
 mod fit;
 mod folds;
 mod groups;
 mod interval;
+mod joints;
 mod monte_carlo;
 mod options;
 mod prior;
@@ -25,6 +27,7 @@ use std::borrow::Cow;
 use nalgebra::DMatrix;
 
 pub use estimate::IdentifyError;
+pub use joints::senses;
 pub use options::{Options, Prior, PriorScale, tolerance};
 pub use result::Identification;
 
@@ -72,7 +75,7 @@ pub struct ResidualPair {
 /// to the same balls on which nothing is fitted.
 ///
 /// # Errors
-/// [`IdentifyError`]: numbers that are not finite, nothing to estimate, too few lengths.
+/// [`IdentifyError`]: numbers that are not finite, nothing to estimate.
 pub fn identify(
     robot: &Robot,
     observations: &Observations,

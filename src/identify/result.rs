@@ -4,6 +4,9 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
+use crate::identifiability::Observability;
+use crate::identifiability::trial::Kind;
+
 /// The whole result; lengths in mm, angles in rad.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Identification {
@@ -19,6 +22,9 @@ pub struct Identification {
     pub rank_at_solution: usize,
     /// Condition number of the unit-norm columns of the base set.
     pub condition: f64,
+    /// Observability indices of the identified parameters at the solution, their columns in units of what is known
+    /// beforehand; none where nothing was identified.
+    pub observability: Option<Observability>,
     /// Solver steps.
     pub iterations: usize,
     /// Whether the solver came to rest.
@@ -50,6 +56,12 @@ pub struct Identification {
     pub parameters: Vec<ParameterResult>,
     /// Groups of parameters of which only a combination can be told.
     pub dependent: Vec<Dependent>,
+    /// Pairs of estimated parameters that are hardly told apart (|r| > 0.9), strongest first, at most ten.
+    pub correlated: Vec<Correlated>,
+    /// What to measure next, best first; none where the data suffice.
+    pub advice: Vec<Advice>,
+    /// What the residuals show at single joints beyond chance, strongest first.
+    pub joints: Vec<JointEffect>,
     /// Lengths that were set aside.
     pub outliers: Vec<Outlier>,
     /// What the user must see.
@@ -229,6 +241,63 @@ pub struct ParameterDraws {
     pub sd: f64,
     /// From the 2.5th to the 97.5th percentile of the value.
     pub interval95: [f64; 2],
+}
+
+/// Two estimated parameters that are hardly told apart.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Correlated {
+    /// Their names.
+    pub pair: [String; 2],
+    /// Correlation coefficient of their estimates.
+    pub r: f64,
+}
+
+/// A further measurement that was tried on the model.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Advice {
+    /// Its kind.
+    pub kind: Kind,
+    /// In words, with the figures.
+    pub text: String,
+    /// Lengths to be measured.
+    pub poses: usize,
+    /// Where a further ball would stand in the robot base, mm.
+    pub ball_mm: Option<[f64; 3]>,
+    /// Predicted mean 3-D error of the result as it is, mm.
+    pub before_mm: f64,
+    /// Predicted mean 3-D error with it and a prior (that of the result, else the datasheet's), mm.
+    pub after_mm: f64,
+    /// Whether it lowers the error by more than 3 % of what the prior alone leaves.
+    pub adds: bool,
+    /// Parameters that it would tell and that are not told now.
+    pub tells: Vec<String>,
+}
+
+/// An error of a joint that the residuals show and the model lacks.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct JointEffect {
+    /// Axis, from 1.
+    pub axis: usize,
+    /// Which error.
+    pub error: JointError,
+    /// What it does to the lengths beyond what the fit has taken up, root mean square, mm.
+    pub rms_mm: f64,
+    /// The whole play, rad.
+    pub play_rad: Option<f64>,
+    /// The chance of such residuals on a sound joint, before the number of tests counts.
+    pub chance: f64,
+    /// The same as a normal deviate.
+    pub z: f64,
+}
+
+/// An error of a joint.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum JointError {
+    /// It returns with the axis angle: a gear's error, or sag.
+    Angle,
+    /// It turns with the sense of the motion: play.
+    Reversal,
 }
 
 /// A direction of which only a combination can be told.

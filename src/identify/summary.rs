@@ -5,13 +5,14 @@ use std::collections::BTreeMap;
 use nalgebra::DMatrix;
 
 use super::covariance::{Spread, leaked, spread, weak_limit};
+use super::diagnosis::{self, Seen};
 use super::estimate::{Estimate, IdentifyError, Lengths};
 use super::options::{Options, Prior};
 use super::result::{
     BeforeAfter, Dependent, Folds, Identification, Outlier, ParameterResult, PredictedError, PredictedPair,
     Residual, SigmaSource, Status,
 };
-use super::{ErrorMap, Identified, ResidualPair, verdict};
+use super::{ErrorMap, Identified, ResidualPair, joints, verdict};
 use crate::identifiability::{Combination, ErrorSummary, Estimator, Workspace, factor};
 use crate::linalg::base_set;
 use crate::model::parameter::{self, SetUp};
@@ -62,7 +63,10 @@ pub(super) fn summarise(
         .filter(|(_, residual)| !residual.used)
         .map(|(row, residual)| Outlier { index: row.index, centre: row.centre, residual_mm: residual.after })
         .collect();
-    let (predicted_pair, predicted) = predicted(robot, estimate, &used_readings, &used_sigma, options)?;
+    let (predicted_pair, predicted, seen) = predicted(robot, estimate, &used_readings, &used_sigma, options)?;
+    let sigma_mm = root_mean_square(used_sigma.iter().copied());
+    let told = told(&parameters);
+    let pinned = verdict::is_pinned(&predicted_pair);
     let mut result = Identification {
         schema: 1,
         robot: robot.name.clone(),
@@ -70,9 +74,10 @@ pub(super) fn summarise(
         rank: estimate.analysis.base.rank,
         rank_at_solution: rank_at(model, &lengths.readings, &estimate.analysis.ids)?,
         condition: estimate.analysis.base.condition,
+        observability: diagnosis::indices(robot, &seen, &told, used_readings.len(), sigma_mm),
         iterations: estimate.fit.iterations,
         converged: estimate.fit.converged,
-        sigma_mm: root_mean_square(used_sigma.iter().copied()),
+        sigma_mm,
         residual_mm: BeforeAfter {
             before: residual(residuals.iter().filter(|r| r.used).map(|r| r.before)),
             after: residual(residuals.iter().filter(|r| r.used).map(|r| r.after)),
@@ -91,6 +96,21 @@ pub(super) fn summarise(
         predicted_position_error_mm: predicted_pair,
         parameters,
         dependent: dependent(estimate),
+        correlated: diagnosis::correlated(&estimate.kept, &spread.covariance),
+        advice: diagnosis::advice(
+            robot,
+            estimate,
+            (&used_readings, &used_sigma),
+            &seen,
+            &told,
+            (&predicted_pair, pinned),
+            options,
+        ),
+        joints: if estimate.fit.converged {
+            joints::effects(model, &lengths.readings, &estimate.fit.used, &estimate.sigma, &estimate.kept)
+        } else {
+            Vec::new()
+        },
         outliers,
         warnings: Vec::new(),
     };
@@ -105,6 +125,12 @@ pub(super) fn summarise(
         predicted,
         result,
     })
+}
+
+/// The parameters that the data tell.
+fn told(parameters: &[ParameterResult]) -> Vec<ParamId> {
+    let told = parameters.iter().filter(|parameter| parameter.status == Status::Identified);
+    told.filter_map(|parameter| parameter.name.parse().ok()).collect()
 }
 
 /// The readings that the fit used, with their sigmas.
@@ -268,7 +294,7 @@ pub(super) fn predicted(
     readings: &[Reading],
     sigma: &[f64],
     options: &Options,
-) -> Result<(PredictedPair, ErrorMap), IdentifyError> {
+) -> Result<(PredictedPair, ErrorMap, Seen), IdentifyError> {
     let mut ids = parameter::all(&robot.parallel_joints(), estimate.before.centres.len());
     ids.extend(&estimate.analysis.ids);
     ids.sort();
@@ -279,9 +305,10 @@ pub(super) fn predicted(
     let kept: Vec<usize> =
         estimate.kept.iter().filter_map(|id| ids.iter().position(|other| other == id)).collect();
     let no_prior = DMatrix::zeros(0, kept.len());
+    let factor = factor(&estimate.fit.model, readings, &ids, sigma);
     let estimator = Estimator {
         ids: &ids,
-        factor: &factor(&estimate.fit.model, readings, &ids, sigma),
+        factor: &factor,
         tolerance: &tolerances,
         kept: &kept,
         prior: estimate.prior.as_ref().map_or(&no_prior, |prior| &prior.rows),
@@ -307,7 +334,8 @@ pub(super) fn predicted(
         identified: told(workspace.summary(&moved)),
     };
     let positions = workspace.positions.iter().map(|position| (*position).into());
-    Ok((pair, positions.zip(workspace.map(&moved)).collect()))
+    let map = positions.zip(workspace.map(&moved)).collect();
+    Ok((pair, map, Seen { ids, factor, workspace }))
 }
 
 fn residual_on(model: &LengthModel, set: &Observations) -> Residual {

@@ -4,7 +4,7 @@ use std::cmp::Ordering;
 
 use super::covariance::beyond_chance;
 use super::estimate::{Estimate, Lengths};
-use super::result::{Identification, Status, Warning, WarningKind};
+use super::result::{Identification, JointEffect, JointError, PredictedPair, Status, Warning, WarningKind};
 
 /// Above this share of lengths set aside, the rest is in doubt too.
 const OUTLIER_SHARE: f64 = 0.1;
@@ -72,17 +72,20 @@ pub(super) fn warnings(
     } else {
         consistency(estimate, lengths, freedom, &mut say);
     }
+    joints(&result.joints, &mut say);
     let predicted = &result.predicted_position_error_mm;
-    if predicted.identified.mean > PINNED * predicted.nominal.mean {
+    if !is_pinned(predicted) {
         // Who gives a list of parameters knows that the others are held.
         let kind = if follows_list { WarningKind::Note } else { WarningKind::Doubt };
         say(
             kind,
             format!(
                 "the lengths fit to {:.3} mm, but they do not pin the position: the 3-D error over the workspace is \
-                 predicted at {:.2} mm, the nominal robot's at {:.2} mm; a small residual proves nothing here. \
-                 Measure from a further ball at another radius and height, and turn the wrist more",
-                result.residual_mm.after.rms, predicted.identified.mean, predicted.nominal.mean
+                 predicted at {:.2} mm, the nominal robot's at {:.2} mm; a small residual proves nothing here. {}",
+                result.residual_mm.after.rms,
+                predicted.identified.mean,
+                predicted.nominal.mean,
+                next(result)
             ),
         );
     }
@@ -96,6 +99,52 @@ pub(super) fn warnings(
         say(WarningKind::Note, format!("held because the data are too weak for them: {}", weak.join(", ")));
     }
     warnings
+}
+
+/// Whether the identified robot is predicted to be clearly better than the nominal one.
+pub(super) fn is_pinned(predicted: &PredictedPair) -> bool {
+    predicted.identified.mean <= PINNED * predicted.nominal.mean
+}
+
+/// What to measure next.
+fn next(result: &Identification) -> String {
+    match result.advice.iter().find(|advice| advice.poses > 0 && advice.adds) {
+        Some(best) => format!("Best of what was tried on the model: {}", best.text),
+        None => "No further circle, ball or bar length within the robot's limits that was tried on the model would lower \
+                 it much"
+            .into(),
+    }
+}
+
+/// What the residuals show at the joints, a sentence for each kind of error.
+fn joints(effects: &[JointEffect], say: &mut impl FnMut(WarningKind, String)) {
+    let named = |error: JointError, figure: fn(&JointEffect) -> String| {
+        let of_kind = effects.iter().filter(move |effect| effect.error == error);
+        let text = |effect: &JointEffect| format!("axis {} ({})", effect.axis, figure(effect));
+        of_kind.map(text).collect::<Vec<_>>().join(", ")
+    };
+    let um = |effect: &JointEffect| format!("{:.1} um rms", effect.rms_mm * 1e3);
+    let angle = named(JointError::Angle, um);
+    if !angle.is_empty() {
+        say(
+            WarningKind::Note,
+            format!(
+                "the residuals follow the axis angle beyond chance at {angle}: an error of the gear, or sag, which the \
+                 model lacks"
+            ),
+        );
+    }
+    let mrad = |effect: &JointEffect| format!("{:.2} mrad", effect.play_rad.unwrap_or(0.0) * 1e3);
+    let reversal = named(JointError::Reversal, mrad);
+    if !reversal.is_empty() {
+        say(
+            WarningKind::Note,
+            format!(
+                "the residuals follow the sense of the motion beyond chance at {reversal}: play or lag, if the rows \
+                 stand in the order in which they were measured; come to every pose from the same side"
+            ),
+        );
+    }
 }
 
 /// Compares the residuals with the sigmas that were given.

@@ -5,11 +5,14 @@ use std::collections::BTreeMap;
 use serde::Serialize;
 
 use super::choices::{self, Choices};
+use super::diagnosis::{self, AdviceLine};
+use super::handing_back::{self, AxisZero, BallPlace, PlaceLine, ZeroLine};
 use super::page::{Fact, Provenance, ReportError, render, texts};
 use super::parameters::{Group, charts, estimated, groups, word};
 use super::plot::{HeatMap, Histogram, PolarPlot, PolarTrace, ResidualPlot, ResidualPoint, Series};
 use super::scale::{fixed, significant};
 use crate::identify::result::{Identification, PredictedError, Residual, Status, WarningKind};
+use crate::model::AXES;
 use crate::plan::Kind;
 
 /// What the page shows besides the result itself.
@@ -23,6 +26,10 @@ pub struct IdentificationPlots {
     pub tolerance: Option<Tolerance>,
     /// Maps of the predicted error.
     pub maps: Vec<HeatMap>,
+    /// The zero errors of the axes.
+    pub zeros: Vec<AxisZero>,
+    /// Tool ball and base balls.
+    pub balls: Vec<BallPlace>,
     /// More lines for "what was measured": bar, temperature, certificate.
     pub facts: Vec<Fact>,
     /// Where it comes from.
@@ -36,6 +43,10 @@ pub struct ObservationPoint {
     pub index: u32,
     /// Its base ball, from 1.
     pub centre: usize,
+    /// The axis angles, degrees.
+    pub axes_deg: [f64; AXES],
+    /// The sense in which each axis came to them: -1, 0 where it is not known, 1.
+    pub senses: [i8; AXES],
     /// Residual with the nominal robot, mm.
     pub before_mm: f64,
     /// Residual with the identified robot, mm.
@@ -83,10 +94,16 @@ struct Page<'a> {
     polar: Vec<[String; 2]>,
     residuals: Vec<String>,
     histograms: Vec<String>,
+    joints: Vec<String>,
+    panels: Vec<String>,
+    advice: Vec<AdviceLine>,
+    correlated: Vec<[String; 3]>,
+    zeros: Vec<ZeroLine>,
+    balls: Vec<PlaceLine>,
     outliers: Vec<[String; 3]>,
     groups: Vec<Group>,
     charts: Vec<String>,
-    dependent: Vec<DependentLine>,
+    dependent: Vec<DependentLine<'a>>,
     untold: Vec<Untold>,
     maps: Vec<String>,
     provenance: &'a Provenance,
@@ -102,11 +119,9 @@ struct Comparison {
 }
 
 #[derive(Serialize)]
-struct DependentLine {
-    /// Empty where the text already has it.
-    combination: String,
-    kept: String,
-    text: String,
+struct DependentLine<'a> {
+    kept: &'a str,
+    text: &'a str,
 }
 
 #[derive(Serialize)]
@@ -133,6 +148,12 @@ pub fn html(result: &Identification, plots: &IdentificationPlots) -> Result<Stri
         polar: plots.circles.iter().filter_map(|circle| polar(circle, result, plots)).collect(),
         residuals: residuals(result, plots),
         histograms: histograms(result, plots),
+        joints: diagnosis::joints(result),
+        panels: diagnosis::panels(plots, |observation| is_outlier(result, observation)),
+        advice: diagnosis::advice(result),
+        correlated: diagnosis::correlated(result),
+        zeros: handing_back::zeros(&plots.zeros),
+        balls: handing_back::places(&plots.balls),
         outliers: result
             .outliers
             .iter()
@@ -206,6 +227,7 @@ fn facts(result: &Identification, plots: &IdentificationPlots) -> Vec<Fact> {
         format!("{}, {}", result.rank, result.rank_at_solution),
     ));
     facts.push(Fact::new("Condition of the base set", significant(result.condition, 3)));
+    facts.extend(diagnosis::facts(result));
     facts.push(Fact::new("Solver steps", result.iterations.to_string()));
     facts.extend(plots.facts.iter().cloned());
     facts
@@ -313,33 +335,8 @@ fn histograms(result: &Identification, plots: &IdentificationPlots) -> Vec<Strin
     ]
 }
 
-fn dependent(result: &Identification) -> Vec<DependentLine> {
-    result
-        .dependent
-        .iter()
-        .map(|group| {
-            // The kept member leads; the others follow by name.
-            let mut members: Vec<(&String, f64)> = group.combination.iter().map(|(n, c)| (n, *c)).collect();
-            members.sort_by_key(|(name, _)| **name != group.kept);
-            let mut combination = String::new();
-            for (place, (name, coefficient)) in members.into_iter().enumerate() {
-                let sign = match (place, coefficient < 0.0) {
-                    (0, false) => "",
-                    (0, true) => "−",
-                    (_, false) => " + ",
-                    (_, true) => " − ",
-                };
-                let size = coefficient.abs();
-                let times =
-                    if (size - 1.0).abs() < 5e-7 { String::new() } else { significant(size, 4) + " " };
-                combination.push_str(&format!("{sign}{times}{name}"));
-            }
-            if group.text.contains(&combination) {
-                combination.clear();
-            }
-            DependentLine { combination, kept: group.kept.clone(), text: group.text.clone() }
-        })
-        .collect()
+fn dependent(result: &Identification) -> Vec<DependentLine<'_>> {
+    result.dependent.iter().map(|group| DependentLine { kept: &group.kept, text: &group.text }).collect()
 }
 
 /// What was not estimated, by reason.

@@ -5,6 +5,8 @@
 
 mod choices;
 pub mod circle;
+mod diagnosis;
+mod handing_back;
 pub mod identification;
 mod page;
 mod parameters;
@@ -14,6 +16,7 @@ pub mod plot;
 mod scale;
 pub mod svg;
 
+pub use handing_back::{AxisZero, BallPlace};
 pub use identification::{CirclePanel, IdentificationPlots, ObservationPoint, Tolerance};
 pub use page::{Fact, Provenance, ReportError, Source};
 pub use plan::{CheckRow, CircleRow, PlanView, PredictedRow};

@@ -2,6 +2,7 @@
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stderr)]
 
 mod acquire_reads_the_bar;
+mod advises_what_to_measure;
 mod agrees_with_pinocchio;
 mod bad_lines_give_no_lengths;
 mod bars_of_two_lengths;
@@ -23,6 +24,7 @@ mod emitted_programs_run;
 mod every_device_round_trips;
 mod every_fault_is_accounted_for;
 mod floor_plan;
+mod hands_the_robot_back;
 mod identifies_real_robots;
 mod identifies_the_papers_robot;
 mod identifies_to_the_limit;
@@ -40,7 +42,9 @@ mod plans_read_back;
 mod program_frames;
 mod refuses_bad_input;
 mod report_is_self_contained;
+mod residuals_accuse_joints;
 mod runs_the_whole_job;
+mod says_what_it_found;
 mod service;
 mod service_answers_as_documented;
 mod service_refuses_strangers;

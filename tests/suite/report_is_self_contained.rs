@@ -65,6 +65,11 @@ fn the_report_tells_everything() {
     assert!(html.contains("fell from 0.413 mm to 0.0103 mm"));
     assert!(html.contains("only d2 + d3 can be told"));
     assert!(html.contains("97.2130"), "the outlier's residual");
+    for needle in
+        ["0.610", "0.180", "−0.9731", "some 0.17 mrad between rising and falling", "−0.0314", "Axis 6"]
+    {
+        assert!(html.contains(needle), "{needle}");
+    }
     assert_eq!(html, identification::html(&result, &plots()).unwrap());
 }
 
@@ -118,6 +123,9 @@ fn empty_and_undefined_data_break_nothing() {
     result = Identification {
         parameters: vec![],
         dependent: vec![],
+        correlated: vec![],
+        advice: vec![],
+        joints: vec![],
         outliers: vec![],
         warnings: vec![],
         ..result

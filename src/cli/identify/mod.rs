@@ -5,13 +5,14 @@ mod choices;
 mod given;
 mod inputs;
 mod page;
+mod say;
 mod tables;
 
 use std::error::Error;
 use std::path::{Path, PathBuf};
 
 use super::{Outcome, Output, Verdict, files};
-use crate::identify::result::{Identification, Status, WarningKind};
+use crate::identify::result::WarningKind;
 use crate::identify::{self, Options, Prior, PriorScale};
 use crate::model::parameter::{self, SetUp};
 use crate::model::{Observations, Robot};
@@ -30,8 +31,11 @@ pub(crate) struct Args {
     /// the robot and the base balls of its plan. `bar` numbers bars that have an offset each (1, 2, ..; absent =
     /// 1). One bar set to two lengths keeps its number: then its offset can be told from a scale of the robot.
     input: PathBuf,
-    /// Directory for result.json, parameters.csv, covariance.csv, lengths.csv (the observations that the result rests
-    /// on), robot-identified.toml, report.html.
+    /// Directory for report.html, result.json, parameters.csv, covariance.csv (mm, rad) and lengths.csv (the
+    /// observations that the result rests on); the identified robot as robot-identified.toml and as
+    /// robot-identified.urdf (m, rad; a joint variable is the controller's axis angle); for the controller
+    /// mastering.csv (zero error of each axis, degrees) and DBB_RESULT.dat (tool ball, base balls and offsets in KRL;
+    /// nothing in it acts by itself).
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// Robot: a built-in name or a TOML file.
@@ -106,7 +110,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
     tables::write_results(&args.out, &found, &given.observations)?;
     let page = page::html(&given.robot, &given.observations, &found, given.sources)?;
     files::write(&args.out.join("report.html"), page)?;
-    say(out, &found.result, &args.out);
+    say::say(out, &found.result, &args.out);
     out.document(&found.result)?;
     let doubt = found.result.warnings.iter().any(|warning| warning.kind == WarningKind::Doubt);
     let elsewhere =
@@ -136,75 +140,4 @@ fn options(args: &Args, robot: &Robot, set_up: SetUp) -> Result<Options, Box<dyn
         folds: args.folds,
         workspace: args.workspace.as_deref().map(read_workspace).transpose()?,
     })
-}
-
-fn say(out: &Output, result: &Identification, dir: &Path) {
-    let residual = &result.residual_mm;
-    let count = |status: Status| result.parameters.iter().filter(|p| p.status == status).count();
-    out.result(format!(
-        "{}: {} lengths, rank {} of the parameters asked for, condition {:.0}, {} steps",
-        result.robot, result.observations, result.rank, result.condition, result.iterations
-    ));
-    out.result(format!(
-        "residual rms {} -> {}, largest {} -> {}, sigma {} ({})",
-        mm(residual.before.rms),
-        mm(residual.after.rms),
-        mm(residual.before.max),
-        mm(residual.after.max),
-        mm(result.sigma_mm),
-        choices::source(result.sigma_source)
-    ));
-    if let Some(folds) = &result.folds {
-        out.result(format!("held out in {} folds: rms {}", folds.folds, mm(folds.rms)));
-    }
-    if let Some(validation) = &result.validation {
-        let [before, after] = [validation.before.rms, validation.after.rms].map(mm);
-        out.result(format!("validation: rms {before} -> {after}"));
-    }
-    for line in choices::lines(result) {
-        out.result(line);
-    }
-    let predicted = &result.predicted_position_error_mm;
-    out.result(format!(
-        "predicted 3-D error over the workspace: mean {} -> {}, 95 % {} -> {}",
-        mm(predicted.nominal.mean),
-        mm(predicted.identified.mean),
-        mm(predicted.nominal.p95),
-        mm(predicted.identified.p95)
-    ));
-    out.result(format!(
-        "{} identified, {} with the prior's help, {} dependent, {} too weak, {} held",
-        count(Status::Identified),
-        count(Status::Prior),
-        count(Status::Dependent),
-        count(Status::TooWeak),
-        count(Status::Held)
-    ));
-    let (set_up, own): (Vec<_>, Vec<_>) = result
-        .dependent
-        .iter()
-        .partition(|group| group.kept.starts_with("centre") || group.kept.starts_with("tool"));
-    for group in own {
-        out.result(format!("  {}", group.text));
-    }
-    let mut carried: Vec<&str> =
-        set_up.iter().flat_map(|group| group.combination.keys().map(String::as_str)).collect();
-    carried.retain(|name| !name.starts_with("centre") && !name.starts_with("tool"));
-    carried.sort_unstable();
-    carried.dedup();
-    if !carried.is_empty() {
-        out.result(format!("  carried by the places of the balls: {}", carried.join(", ")));
-    }
-    for warning in &result.warnings {
-        match warning.kind {
-            WarningKind::Doubt => out.warning(&warning.text),
-            WarningKind::Note => out.progress(format!("note: {}", warning.text)),
-        }
-    }
-    out.result(format!("results in {}", dir.display()));
-}
-
-/// A length for people.
-fn mm(value: f64) -> String {
-    if value.abs() < 5e-4 && value != 0.0 { format!("{value:.1e} mm") } else { format!("{value:.4} mm") }
 }

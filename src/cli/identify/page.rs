@@ -1,11 +1,13 @@
 //! `report.html` from a result: what the page needs is picked out here, and drawn by the report room.
 
-use crate::identify::Identified;
-use crate::model::{Observations, Robot};
+use crate::export::frames;
+use crate::export::mastering::{self, AxisOffset};
+use crate::identify::{Identified, senses};
+use crate::model::{Observations, Reading, Robot};
 use crate::plan::Kind;
 use crate::report::identification::{self, CirclePanel, IdentificationPlots, ObservationPoint, Tolerance};
 use crate::report::plot::HeatMap;
-use crate::report::{Provenance, ReportError, Source};
+use crate::report::{AxisZero, BallPlace, Provenance, ReportError, Source};
 
 /// Cells along the longer side of a map of the predicted error.
 const CELLS: usize = 24;
@@ -25,6 +27,8 @@ pub(super) fn html(
             length_mm: robot.tolerance.length_mm,
             angle_rad: robot.tolerance.angle_deg.to_radians(),
         }),
+        zeros: zeros(found),
+        balls: balls(found),
         maps: error_maps(&found.predicted),
         facts: vec![],
         provenance: Provenance {
@@ -43,15 +47,19 @@ pub(super) fn html(
 fn points(observations: &Observations, found: &Identified) -> Vec<ObservationPoint> {
     let column = |name: &str| observations.extra_columns.iter().position(|column| column == name);
     let (circle, angle, kind) = (column("circle"), column("angle_deg"), column("kind"));
+    let readings: Vec<Reading> = observations.rows.iter().map(Reading::from).collect();
     observations
         .rows
         .iter()
         .zip(&found.residuals)
-        .map(|(row, residual)| {
+        .zip(senses(&readings))
+        .map(|((row, residual), senses)| {
             let cell = |at: Option<usize>| at.and_then(|at| row.extra.get(at)).map(String::as_str);
             ObservationPoint {
                 index: row.index,
                 centre: row.centre,
+                axes_deg: row.axes_deg,
+                senses,
                 before_mm: residual.before,
                 after_mm: residual.after,
                 circle: cell(circle).and_then(|text| text.parse().ok()).filter(|number| *number > 0),
@@ -62,6 +70,32 @@ fn points(observations: &Observations, found: &Identified) -> Vec<ObservationPoi
                     _ => None,
                 },
             }
+        })
+        .collect()
+}
+
+/// What goes back to the controller.
+fn zeros(found: &Identified) -> Vec<AxisZero> {
+    mastering::offsets(&found.robot, &found.result)
+        .into_iter()
+        .map(|AxisOffset { axis, offset_deg, sd_deg, told, remark, .. }| AxisZero {
+            axis,
+            offset_deg,
+            sd_deg,
+            told,
+            remark,
+        })
+        .collect()
+}
+
+fn balls(found: &Identified) -> Vec<BallPlace> {
+    frames::frames(&found.result)
+        .into_iter()
+        .map(|frame| BallPlace {
+            corrected_mm: std::array::from_fn(|axis| frame.found_mm[axis] - frame.before_mm[axis]),
+            what: frame.what,
+            found_mm: frame.found_mm,
+            told: frame.told,
         })
         .collect()
 }

@@ -5,10 +5,11 @@ use std::fmt::Write;
 use std::path::Path;
 
 use crate::cli::files;
+use crate::export::{frames, mastering, urdf};
 use crate::identify::Identified;
 use crate::model::Observations;
 
-/// Writes result.json, robot-identified.toml, parameters.csv, covariance.csv, and as lengths.csv those of the
+/// Writes result.json, parameters.csv, covariance.csv, the robot for other programs, and as lengths.csv those of the
 /// observations that the result rests on.
 pub(super) fn write_results(
     dir: &Path,
@@ -69,6 +70,16 @@ pub(super) fn write_results(
         covariance.push('\n');
     }
     files::write(&dir.join("covariance.csv"), covariance)?;
+    hand_back(dir, found)
+}
+
+/// What goes to other programs and to the controller: URDF, mastering offsets, KRL frames.
+fn hand_back(dir: &Path, found: &Identified) -> Result<(), Box<dyn Error>> {
+    files::write(&dir.join("robot-identified.urdf"), urdf::urdf(&found.robot))?;
+    let offsets = mastering::offsets(&found.robot, &found.result);
+    files::write(&dir.join("mastering.csv"), mastering::csv(&offsets)?)?;
+    let data = frames::data_list(&found.robot.name, &frames::frames(&found.result), &offsets);
+    files::write(&dir.join(format!("{}.dat", frames::MODULE)), data)?;
     Ok(())
 }
 

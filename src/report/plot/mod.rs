@@ -1,5 +1,6 @@
 //! The plots: each a plain struct of data that draws itself as an SVG text.
 
+pub mod against_axis;
 pub mod frame;
 pub mod heat_map;
 pub mod histogram;

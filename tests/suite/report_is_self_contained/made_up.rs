@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use dbbd::identifiability::{self, Observability};
 use dbbd::identify::result::*;
 
 use dbbd::plan::{Header, Job, Kind, Motion, Plan, PlanRow};
@@ -90,6 +91,7 @@ pub(super) fn identification(robot: &str) -> Identification {
         rank: 24,
         rank_at_solution: 24,
         condition: 87.31,
+        observability: Some(Observability { o1: 0.41, o2: 0.0115, o3: 1.31, o4: 0.015, o5: 0.087 }),
         iterations: 6,
         converged: true,
         sigma_mm: 0.0104,
@@ -121,6 +123,36 @@ pub(super) fn identification(robot: &str) -> Identification {
             kept: "d2".into(),
             text: "only d2 + d3 can be told".into(),
         }],
+        correlated: vec![Correlated { pair: ["a2".into(), "d4".into()], r: -0.9731 }],
+        advice: vec![Advice {
+            kind: identifiability::trial::Kind::Ball,
+            text: "a further ball at (900, 600, 500) mm, 20 poses: predicted 3-D error 0.610 -> 0.180 mm"
+                .into(),
+            poses: 20,
+            ball_mm: Some([900.0, 600.0, 500.0]),
+            before_mm: 0.61,
+            after_mm: 0.18,
+            adds: true,
+            tells: vec!["bar_offset".into()],
+        }],
+        joints: vec![
+            JointEffect {
+                axis: 3,
+                error: JointError::Reversal,
+                rms_mm: 0.0041,
+                play_rad: Some(1.7e-4),
+                chance: 1e-9,
+                z: 6.1,
+            },
+            JointEffect {
+                axis: 2,
+                error: JointError::Angle,
+                rms_mm: 0.0052,
+                play_rad: None,
+                chance: 1e-8,
+                z: 5.7,
+            },
+        ],
         outliers: vec![Outlier { index: 57, centre: 1, residual_mm: 97.213 }],
         warnings: vec![
             Warning {
@@ -161,6 +193,8 @@ pub(super) fn plots() -> IdentificationPlots {
         observations.push(ObservationPoint {
             index: n as u32 + 1,
             centre,
+            axes_deg: std::array::from_fn(|axis| 20.0 * axis as f64 - 90.0 + 40.0 * (t + axis as f64).sin()),
+            senses: std::array::from_fn(|axis| if (t + axis as f64).cos() > 0.0 { 1 } else { -1 }),
             before_mm: if n == 56 { 97.5 } else { before },
             after_mm: after,
             circle: (n != 56).then_some(circle),
@@ -182,6 +216,19 @@ pub(super) fn plots() -> IdentificationPlots {
             })
             .collect(),
         tolerance: Some(Tolerance { length_mm: 0.5, angle_rad: 0.05f64.to_radians() }),
+        zeros: vec![AxisZero {
+            axis: 2,
+            offset_deg: -0.0314,
+            sd_deg: Some(0.0021),
+            told: true,
+            remark: "told by the data".into(),
+        }],
+        balls: vec![BallPlace {
+            what: "tool ball in $FLANGE".into(),
+            found_mm: [30.1, 20.2, 9.9],
+            corrected_mm: [0.1, 0.2, -0.1],
+            told: true,
+        }],
         maps: vec![heat_map()],
         facts: vec![Fact::new("Bar length", "300.0021 mm, U = 0.6 µm (k = 2)")],
         provenance: Provenance {

@@ -1,0 +1,139 @@
+//! What goes to other programs and to the controller says what the identified robot is: the URDF places the ball
+//! where the model does, the mastering offsets have the controller's sense, the data list is KRL.
+//! `tests/independent/urdf.py` reads the same URDF with Pinocchio.
+
+use std::fs;
+
+use dbbd::export::urdf::urdf;
+use dbbd::krl;
+use dbbd::model::kinematics::Mass;
+use dbbd::model::pose::{rot_x, rot_y, rot_z};
+use dbbd::model::{Pose, Robot};
+use nalgebra::{Rotation3, Unit, Vector3};
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64;
+use tempfile::tempdir;
+
+use crate::cell::{CENTRE, centres_csv, dbbd, kr60, measure, stderr, three_planes, with_errors};
+
+/// The numbers of an attribute within a piece of XML.
+fn numbers(xml: &str, attribute: &str) -> Vec<f64> {
+    let after = xml.split(&format!("{attribute}=\"")).nth(1).unwrap();
+    after.split('"').next().unwrap().split(' ').map(|number| number.parse().unwrap()).collect()
+}
+
+/// The ball by the URDF's own definition (origin, then a turn about the axis), in mm.
+fn ball_of(urdf: &str, axes: &[f64; 6]) -> Vector3<f64> {
+    let mut frame = Pose::identity();
+    let mut turning = axes.iter();
+    for joint in urdf.split("<joint ").skip(1) {
+        let joint = joint.split("</joint>").next().unwrap();
+        let (xyz, rpy) = (numbers(joint, "xyz"), numbers(joint, "rpy"));
+        let origin = Pose {
+            rotation: rot_z(rpy[2]) * rot_y(rpy[1]) * rot_x(rpy[0]),
+            position: Vector3::from_column_slice(&xyz) * 1e3,
+        };
+        frame = frame.then(&origin);
+        if joint.contains("revolute") {
+            let axis = numbers(joint.split("<axis").nth(1).unwrap(), "xyz");
+            let axis = Unit::new_normalize(Vector3::from_column_slice(&axis));
+            let turn = Rotation3::from_axis_angle(&axis, *turning.next().unwrap());
+            frame = frame.then(&Pose { rotation: *turn.matrix(), position: Vector3::zeros() });
+        }
+    }
+    frame.position
+}
+
+fn agrees(robot: &Robot) {
+    let text = urdf(robot);
+    let mut random = Pcg64::seed_from_u64(1);
+    for _ in 0..100 {
+        let axes = robot.limits_deg.map(|[low, high]| random.random_range(low..high).to_radians());
+        let off = (ball_of(&text, &axes) - robot.geometry.ball(&axes).position).norm();
+        assert!(off < 1e-9, "{off} mm");
+    }
+}
+
+#[test]
+fn the_urdf_places_the_ball_where_the_model_does() {
+    agrees(&kr60());
+    let mut robot =
+        with_errors([("beta2", 0.002), ("beta4", -0.003), ("theta3", 0.004), ("alpha5", 0.001), ("d2", 0.7)]);
+    agrees(&robot);
+    // Pitch a right angle, where roll and yaw turn about one axis; and within a hair of it.
+    for off in [0.0, 1e-9, 1e-6] {
+        robot.geometry.rows[3].theta = std::f64::consts::FRAC_PI_2 + off;
+        agrees(&robot);
+    }
+}
+
+#[test]
+fn masses_stand_in_the_links() {
+    let mut robot = kr60();
+    robot.name = "-- \"<KR>\"".into();
+    let mass = |joint, kg, x| Mass { joint, kg, centre: Vector3::new(x, 0.0, 150.0) };
+    robot.geometry.masses = vec![mass(6, 20.0, -100.0), mass(6, 20.0, 100.0)];
+    let text = urdf(&robot);
+    let link = text.split("<link name=\"link_6\">").nth(1).unwrap();
+    // Two points of 20 kg, 0.2 m apart: 40 kg * (0.1 m)^2 about y and z. The link's frame stands 170 mm before the flange.
+    assert_eq!(numbers(link, "value"), [40.0]);
+    assert!((numbers(link, "iyy")[0] - 0.4).abs() < 1e-12 && numbers(link, "ixx")[0].abs() < 1e-12);
+    assert!((numbers(link, "xyz")[2] - 0.32).abs() < 1e-12);
+    assert!(
+        !text.contains("<KR>")
+            && !text.split("<!--").nth(1).unwrap().split("-->").next().unwrap().contains("--")
+    );
+}
+
+/// Zero errors on joints of either sense: the axis that shows A stands at A + offset, so the nominal robot there is
+/// where the true one is at A.
+#[test]
+fn mastering_offsets_have_the_controllers_sense() {
+    let (two, four) = (0.05f64.to_radians(), 0.03f64.to_radians());
+    let truth = with_errors([("theta2", two), ("theta4", four)]);
+    let circles = three_planes(1, CENTRE);
+    let dir = tempdir().unwrap();
+    fs::write(dir.path().join("obs.csv"), measure(&truth, &circles, 27, 25.0).to_csv()).unwrap();
+    fs::write(dir.path().join("centres.csv"), centres_csv(&circles)).unwrap();
+    let args = [
+        "identify",
+        "obs.csv",
+        "--robot",
+        "kr60ha",
+        "--centres",
+        "centres.csv",
+        "--out",
+        "out",
+        "--folds",
+        "0",
+    ];
+    let output = dbbd(dir.path(), &[&args[..], &["--sigma", "0.001", "--hold", "bar_offset"][..]].concat());
+    assert!(matches!(output.status.code(), Some(0 | 3)), "{}", stderr(&output));
+    let table = fs::read_to_string(dir.path().join("out/mastering.csv")).unwrap();
+    let rows: Vec<Vec<&str>> = table.lines().skip(1).map(|line| line.split(',').collect()).collect();
+    let offset: Vec<f64> = rows.iter().map(|row| row[1].parse().unwrap()).collect();
+    // The table's angle is sign * A + offset, and joint 4 of a KUKA turns against its axis angle.
+    for (found, expected) in offset.iter().zip([0.0, 0.05, 0.0, -0.03, 0.0, 0.0]) {
+        assert!((found - expected).abs() < 2e-3, "{offset:?}");
+    }
+    let told: Vec<&str> = rows.iter().map(|row| row[3]).collect();
+    assert_eq!(told, ["no", "yes", "yes", "yes", "yes", "no"]);
+    let shown = [10.0f64, -70.0, 80.0, 20.0, 40.0, -30.0];
+    let stands: [f64; 6] = std::array::from_fn(|i| (shown[i] + offset[i]).to_radians());
+    let truly = truth.geometry.ball(&shown.map(f64::to_radians)).position;
+    assert!((kr60().geometry.ball(&stands).position - truly).norm() < 0.05);
+
+    let data = fs::read_to_string(dir.path().join("out/DBB_RESULT.dat")).unwrap();
+    assert!(data.is_ascii() && data.lines().all(|line| line.len() < 200) && data.contains("\r\n"));
+    let parsed = krl::parse_data("DBB_RESULT.dat", &data).unwrap();
+    let text = format!("{parsed:?}");
+    for name in ["DBB_TOOL", "DBB_BALL1", "DBB_MASTERING"] {
+        assert!(text.contains(name), "{name}");
+    }
+    // The URDF is of the identified robot.
+    let urdf = fs::read_to_string(dir.path().join("out/robot-identified.urdf")).unwrap();
+    let toml = fs::read_to_string(dir.path().join("out/robot-identified.toml")).unwrap();
+    let found = Robot::from_toml("robot-identified.toml", &toml).unwrap();
+    let axes = shown.map(f64::to_radians);
+    assert!((ball_of(&urdf, &axes) - found.geometry.ball(&axes).position).norm() < 1e-9);
+}
