@@ -4,11 +4,11 @@ use dbbd::model::Robot;
 use dbbd::plan::{Job, Plan};
 
 const EXAMPLES: [(&str, &str); 5] = [
-    ("continuous.toml", include_str!("../../examples/continuous.toml")),
     ("demo.toml", include_str!("../../examples/demo.toml")),
     ("optimal.toml", include_str!("../../examples/optimal.toml")),
     ("seed-experiment.toml", include_str!("../../examples/seed-experiment.toml")),
     ("stages.toml", include_str!("../../examples/stages.toml")),
+    ("continuous.toml", include_str!("../../examples/continuous.toml")),
 ];
 
 /// The key and the value of a line, also where both are a comment that shows a default.
