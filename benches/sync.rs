@@ -70,7 +70,15 @@ fn circle() -> Vec<Trace> {
                 let theta = angle_deg.to_radians();
                 let form = 0.005 * (2.0 * theta).sin() + 0.1 * theta.cos();
                 let length_mm = 150.0 + form + random.random_range(-0.001..0.001);
-                Point { angle_deg, length_mm, sigma_mm: None, t_s: None, temp_c: None, axes_deg: None }
+                Point {
+                    angle_deg,
+                    length_mm,
+                    sigma_mm: None,
+                    t_s: None,
+                    temp_c: None,
+                    axes_deg: None,
+                    drives: None,
+                }
             };
             Trace { run: "1".into(), sense, points: (0..half).map(point).collect() }
         })

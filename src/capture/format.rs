@@ -3,23 +3,24 @@
 use crc::{CRC_32_ISCSI, Crc, Table};
 
 use super::record::{Record, Stamped};
+use super::sample;
 use crate::units::HostNs;
 
 /// CRC-32C under its catalogue name.
 const CRC_32C: Crc<u32, Table<16>> = Crc::<u32, Table<16>>::new(&CRC_32_ISCSI);
-/// The format's version.
-pub(super) const VERSION: u32 = 1;
+/// The format's version. Version 1 had each sample as JSON in a record of its own, kind 3.
+pub(super) const VERSION: u32 = 2;
 pub(super) const HEADER_LEN: usize = 16;
 const FILE_MAGIC: [u8; 8] = *b"DBBDCAP\n";
 /// Begins each record; no valid UTF-8, so text attachments cannot contain it.
 pub(super) const MAGIC: [u8; 4] = [0xdb, 0xbd, 0x5a, 0xa5];
 /// Magic, kind, length, host time.
 pub(super) const HEAD_LEN: usize = 4 + 1 + 4 + 8;
-const TAIL_LEN: usize = 4;
+pub(super) const TAIL_LEN: usize = 4;
 /// Longest payload: a length beyond it is damage.
 pub(super) const LONGEST: usize = 64 << 20;
 
-const KINDS: [&str; 5] = ["attachment", "raw", "sample", "fault", "event"];
+const KINDS: [&str; 6] = ["attachment", "raw", "sample", "fault", "event", "samples"];
 
 /// The word for a kind byte.
 pub(super) fn kind_name(kind: u8) -> &'static str {
@@ -59,9 +60,9 @@ pub(super) fn encode(host: HostNs, record: &Record) -> Result<Vec<u8>, serde_jso
             bytes.extend(raw);
             2
         }
-        Record::Sample(json) => {
-            bytes.extend(json);
-            3
+        Record::Samples(samples) => {
+            sample::pack(samples, &mut bytes);
+            6
         }
         Record::Fault(json) => {
             bytes.extend(json);
@@ -95,7 +96,17 @@ pub(super) enum Found {
     Nothing,
 }
 
-/// Looks at the start of `bytes`.
+/// How many bytes must be at hand to judge what stands at the start of `bytes`, which hold a head or end
+/// before one.
+pub(super) fn needed(bytes: &[u8]) -> usize {
+    let len = u32_at(bytes, 5).and_then(|len| usize::try_from(len).ok());
+    match len.filter(|len| bytes.starts_with(&MAGIC) && *len <= LONGEST) {
+        Some(len) => HEAD_LEN + len + TAIL_LEN,
+        None => HEAD_LEN,
+    }
+}
+
+/// Looks at the start of `bytes`, of which [`needed`] are at hand or all that there are.
 pub(super) fn decode(bytes: &[u8]) -> Found {
     if !bytes.starts_with(&MAGIC[..bytes.len().min(MAGIC.len())]) {
         return Found::Nothing;
@@ -131,9 +142,10 @@ fn parse(kind: u8, payload: &[u8]) -> Option<Record> {
             Some(Record::Attachment { name, content: content.to_vec() })
         }
         2 => Some(Record::Raw(payload.to_vec())),
-        3 => Some(Record::Sample(payload.to_vec())),
+        3 => Some(Record::Samples(vec![serde_json::from_slice(payload).ok()?])),
         4 => Some(Record::Fault(payload.to_vec())),
         5 => Some(Record::Event(serde_json::from_slice(payload).ok()?)),
+        6 => Some(Record::Samples(sample::unpack(payload)?)),
         _ => None,
     }
 }

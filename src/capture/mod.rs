@@ -6,7 +6,7 @@
 //! | bytes | what |
 //! |---|---|
 //! | 4 | magic `DB BD 5A A5` |
-//! | 1 | kind: 1 attachment, 2 raw, 3 sample, 4 fault, 5 event |
+//! | 1 | kind: 1 attachment, 2 raw, 4 fault, 5 event, 6 samples (version 1: 3 sample, as JSON) |
 //! | 4 | length n of the payload |
 //! | 8 | host time, ns |
 //! | n | payload |
@@ -15,11 +15,19 @@
 //! Each record is written by one `write_all`, so a kill loses at most the record being written; the
 //! reader goes on after every damage and names it.
 
+//! `docs/capture.md` describes it byte by byte.
+
+mod disk;
 mod format;
 mod reader;
 pub mod record;
+mod sample;
+mod whole;
 mod writer;
 
-pub use reader::{Capture, Damage, read};
+pub use disk::Disk;
+pub use reader::{Damage, Part, Reader};
 pub use record::{Event, Record, Stamped};
+pub use sample::Sample;
+pub use whole::{Capture, read};
 pub use writer::{WriteError, Writer};

@@ -1,17 +1,20 @@
-//! Reads a capture past every damage.
+//! Reads a capture in one pass, past every damage, with no more of it in memory than its longest record.
 
-use super::format::{self, Found, HEADER_LEN, MAGIC};
-use super::record::{Event, Record, Stamped};
+use std::io::{self, Read};
 
-/// What a capture holds, and what of it could not be read.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Capture {
-    /// The format's version by the file's header; none when the header is damaged.
-    pub version: Option<u32>,
-    /// The records that are whole, in order.
-    pub records: Vec<Stamped>,
-    /// What is between them.
-    pub damages: Vec<Damage>,
+use super::format::{self, Found, HEAD_LEN, HEADER_LEN, MAGIC};
+use super::record::Stamped;
+
+/// What is read from the source at least, when it is read.
+const CHUNK: usize = 1 << 18;
+
+/// A stretch of a capture.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Part {
+    /// A whole record.
+    Record(Stamped),
+    /// Bytes that are none.
+    Damage(Damage),
 }
 
 /// Bytes of a capture that are no whole record.
@@ -25,10 +28,38 @@ pub struct Damage {
     pub what: String,
 }
 
-impl Capture {
-    /// Whether nothing in the file speaks of a capture.
-    pub fn is_none(&self) -> bool {
-        self.version.is_none() && self.records.is_empty()
+/// The parts of a capture in order; together they are all of its bytes after the header. No bytes make it
+/// fail, only their source can.
+#[derive(Debug)]
+pub struct Reader<R> {
+    source: R,
+    /// What was read and not yet given, from `at`.
+    buffer: Vec<u8>,
+    at: usize,
+    /// Offset in the file of what is next.
+    offset: u64,
+    ended: bool,
+    version: Option<u32>,
+}
+
+impl<R: Read> Reader<R> {
+    /// Reads the header.
+    ///
+    /// # Errors
+    /// When the source fails.
+    pub fn new(source: R) -> io::Result<Self> {
+        let mut reader = Self { source, buffer: Vec::new(), at: 0, offset: 0, ended: false, version: None };
+        reader.fill(HEADER_LEN)?;
+        reader.version = format::version(reader.rest());
+        if reader.version.is_some() {
+            reader.advance(HEADER_LEN);
+        }
+        Ok(reader)
+    }
+
+    /// The format's version by the file's header; none when the header is damaged.
+    pub fn version(&self) -> Option<u32> {
+        self.version
     }
 
     /// Whether the file is of a version that this dbbd does not know.
@@ -36,70 +67,90 @@ impl Capture {
         self.version.is_some_and(|version| version > format::VERSION)
     }
 
-    /// The events, in order.
-    pub fn events(&self) -> impl Iterator<Item = &Event> {
-        self.records.iter().filter_map(|stamped| match &stamped.record {
-            Record::Event(event) => Some(event),
-            _ => None,
-        })
+    fn rest(&self) -> &[u8] {
+        &self.buffer[self.at..]
     }
 
-    /// The content of an attachment, the last of that name.
-    pub fn attachment(&self, wanted: &str) -> Option<&[u8]> {
-        self.records.iter().rev().find_map(|stamped| match &stamped.record {
-            Record::Attachment { name, content } if name == wanted => Some(&content[..]),
-            _ => None,
-        })
+    fn advance(&mut self, bytes: usize) {
+        self.at += bytes;
+        self.offset += bytes as u64;
     }
 
-    /// Whether the run ended as it should; one that was cut off has no such record.
-    pub fn ended(&self) -> bool {
-        self.events().any(|event| matches!(event, Event::Ended { .. }))
+    /// Has so many bytes at hand, or all that there are.
+    fn fill(&mut self, bytes: usize) -> io::Result<()> {
+        if self.ended || self.rest().len() >= bytes {
+            return Ok(());
+        }
+        self.buffer.drain(..self.at);
+        self.at = 0;
+        let more = (bytes - self.buffer.len()).max(CHUNK) as u64;
+        let got = self.source.by_ref().take(more).read_to_end(&mut self.buffer)?;
+        self.ended = (got as u64) < more;
+        Ok(())
     }
-}
 
-/// Reads the bytes of a capture. Whole records are found again after each damage; no bytes make it fail.
-pub fn read(bytes: &[u8]) -> Capture {
-    let mut capture = Capture { version: format::version(bytes), ..Capture::default() };
-    let mut at = if capture.version.is_some() { HEADER_LEN } else { 0 };
-    while let Some(rest) = bytes.get(at..).filter(|rest| !rest.is_empty()) {
-        match format::decode(rest) {
-            Found::Whole(stamped, len) => {
-                capture.records.push(stamped);
-                at += len;
+    /// What stands at the next byte.
+    fn look(&mut self) -> io::Result<Found> {
+        self.fill(HEAD_LEN)?;
+        self.fill(format::needed(self.rest()))?;
+        Ok(format::decode(self.rest()))
+    }
+
+    /// Passes over a damage, to the next whole record or to the end.
+    fn pass(&mut self, found: &Found) -> io::Result<Damage> {
+        let offset = self.offset;
+        // What is understood to its end is passed over whole.
+        if let Found::Strange(_, len) = found {
+            self.advance(*len);
+        } else {
+            self.advance(1);
+            while !self.seek()? && !matches!(self.look()?, Found::Whole(..) | Found::Strange(..)) {
+                self.advance(1);
             }
-            found => {
-                let len = damaged(rest, &found);
-                let what = describe(&found, at, len == rest.len());
-                capture.damages.push(Damage { offset: at as u64, bytes: len as u64, what });
-                at += len;
+        }
+        let to_the_end = self.rest().is_empty();
+        let what = describe(found, offset == 0, to_the_end);
+        Ok(Damage { offset, bytes: self.offset - offset, what })
+    }
+
+    /// Goes on to the next magic; whether there is none.
+    fn seek(&mut self) -> io::Result<bool> {
+        loop {
+            self.fill(MAGIC.len())?;
+            if let Some(next) = self.rest().windows(MAGIC.len()).position(|window| window == MAGIC) {
+                self.advance(next);
+                return Ok(false);
+            }
+            // The begin of a magic may be at hand.
+            let kept = if self.ended { 0 } else { MAGIC.len() - 1 };
+            self.advance(self.rest().len().saturating_sub(kept));
+            if self.ended {
+                return Ok(true);
             }
         }
     }
-    capture
 }
 
-/// How many bytes from a damage to the next whole record, or to the end.
-fn damaged(rest: &[u8], found: &Found) -> usize {
-    // What is understood to its end is passed over whole.
-    if let Found::Strange(_, len) = found {
-        return *len;
-    }
-    let mut from = 1;
-    while let Some(next) = rest.get(from..).and_then(|tail| position(tail, &MAGIC)) {
-        if matches!(format::decode(&rest[from + next..]), Found::Whole(..) | Found::Strange(..)) {
-            return from + next;
+impl<R: Read> Iterator for Reader<R> {
+    type Item = io::Result<Part>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let found = match self.look() {
+            Ok(found) => found,
+            Err(error) => return Some(Err(error)),
+        };
+        if self.rest().is_empty() {
+            return None;
         }
-        from += next + 1;
+        if let Found::Whole(stamped, len) = found {
+            self.advance(len);
+            return Some(Ok(Part::Record(stamped)));
+        }
+        Some(self.pass(&found).map(Part::Damage))
     }
-    rest.len()
 }
 
-fn position(bytes: &[u8], wanted: &[u8]) -> Option<usize> {
-    bytes.windows(wanted.len()).position(|window| window == wanted)
-}
-
-fn describe(found: &Found, at: usize, to_the_end: bool) -> String {
+fn describe(found: &Found, first: bool, to_the_end: bool) -> String {
     match found {
         Found::Strange(kind, len) => {
             format!("a record of {len} bytes and kind {kind} whose content is not understood")
@@ -112,7 +163,7 @@ fn describe(found: &Found, at: usize, to_the_end: bool) -> String {
         }
         Found::Stub if to_the_end => "torn tail: the file ends inside the head of a record".into(),
         Found::Short(kind, _) => format!("the length of a record ({}) is wrong", format::kind_name(*kind)),
-        _ if at == 0 => "the file's header is damaged".into(),
+        _ if first => "the file's header is damaged".into(),
         _ => "no record begins here".into(),
     }
 }

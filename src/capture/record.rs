@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::sample::Sample;
 use crate::units::HostNs;
 
 /// A record with the host's monotonic time at which it came about.
@@ -25,8 +26,8 @@ pub enum Record {
     },
     /// Bytes as they came; the stamp is that of the first.
     Raw(Vec<u8>),
-    /// A decoded sample, as JSON of the protocol's sample: this room does not know what is in it.
-    Sample(Vec<u8>),
+    /// Decoded samples of one host time, in order.
+    Samples(Vec<Sample>),
     /// A decoder's fault, as JSON of the protocol's fault.
     Fault(Vec<u8>),
     /// What happened around the bytes.

@@ -56,6 +56,7 @@ pub fn traces_from_csv(file: &str, text: &str) -> Result<Vec<Trace>, Diagnostic>
             t_s: optional(time)?,
             temp_c: optional(temperature)?,
             axes_deg: None,
+            drives: None,
         };
         // The last trace first: rows of one trace stand together.
         match traces.iter_mut().rev().find(|trace| trace.run == cell(run) && trace.sense == sense) {

@@ -9,6 +9,7 @@ mod input;
 mod noise;
 mod quantities;
 mod reversal;
+mod step;
 mod temperature;
 mod uncertainty;
 mod zone;
@@ -18,6 +19,7 @@ pub use harmonics::{Diagnosis, Harmonics, TERM_NAMES};
 pub use input::traces_from_csv;
 pub use quantities::{NAMES, TRACE_NAMES};
 pub use reversal::Reversal;
+pub use step::{Mover, Step};
 pub use temperature::Temperature;
 pub use zone::{Zone, minimum_zone};
 
@@ -57,6 +59,17 @@ pub struct Point {
     pub temp_c: Option<f64>,
     /// The robot's axis angles there, degrees, where known.
     pub axes_deg: Option<[f64; 6]>,
+    /// How it was reached and what each joint does to the length there, where known.
+    pub drives: Option<[Drive; 6]>,
+}
+
+/// A joint at a point.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Drive {
+    /// Change of the length with the joint, mm/rad.
+    pub lever_mm: f64,
+    /// 1 or -1: the sense in which the joint came to stand there; 0 where it is not known.
+    pub sense: i8,
 }
 
 /// One pass of the circle, in the order in which it was driven.
@@ -202,6 +215,8 @@ pub struct Evaluation {
     pub diagnosis: Diagnosis,
     /// Where joints reverse.
     pub reversals: Vec<Reversal>,
+    /// How much each axis or joint loses as it reverses, where that can be told.
+    pub steps: Vec<Step>,
     /// Standard uncertainty of a single length that the draws used, mm: the mean over the points.
     pub sigma_mm: f64,
     /// Where that comes from.
@@ -285,6 +300,7 @@ pub fn circular(traces: &[Trace], settings: &Settings) -> Result<Evaluation, Cir
         traces: traces_out,
         diagnosis: harmonics::diagnose(traces, &measured, centre, settings.radius_mm, &noise, &arc),
         reversals: reversal::of(traces),
+        steps: if arc.full { step::fit(traces, &measured, centre) } else { Vec::new() },
         sigma_mm: noise.mean(),
         sigma_source: noise.source,
         draws: if u95.is_some() { settings.draws } else { 0 },

@@ -29,7 +29,8 @@ const ENDS: &str = "The run ends at the program's end mark (two short strobe pul
 last circle's, without a plan after 20 s of device time with no strobe; with --ekrl and --plan: when the program has \
 told its last dwell and closed the channel), after --duration, on SIGINT or SIGTERM, \
 or when the port stays away for --gone. Bytes are written before they are decoded: a kill loses at most the \
-record being written. Exit code 3: samples are missing, or nothing was understood.";
+record being written, a loss of power what came since the last --sync-every. A disk that is full or fails ends \
+the run: every whole record is kept (exit code 1). Exit code 3: samples are missing, or nothing was understood.";
 
 /// Arguments of the verb.
 #[derive(clap::Args, Clone)]
@@ -65,6 +66,9 @@ pub(crate) struct Args {
     /// End when the port has been away for this many seconds (exit code 3; the run is kept).
     #[arg(long, value_name = "S", default_value = "10", value_parser = seconds)]
     gone: f64,
+    /// How often the disk is made to hold what was written, s: what a loss of power costs at most.
+    #[arg(long, value_name = "S", default_value = "1", value_parser = seconds)]
+    sync_every: f64,
 }
 
 fn seconds(text: &str) -> Result<f64, String> {
@@ -129,6 +133,7 @@ fn record(args: &Args, server: Option<Server>, out: &Output) -> Verdict {
         duration_s: args.duration,
         gone_s: args.gone,
         feed: None,
+        sync_s: args.sync_every,
     };
     let acquisition = Acquisition::told_by(server, options, stop)?;
     out.progress(format!("reading {} into {}", args.port, args.out.display()));

@@ -6,13 +6,17 @@ use std::path::{Path, PathBuf};
 
 use serde_json::{Map, Value, json};
 
-use super::{Outcome, Output, Verdict, files, run};
+use super::run::{self, Run};
+use super::{Outcome, Output, Verdict, files, temperature};
 use crate::circular::{
-    self, Evaluation, NAMES, Point, Quantity, Sense, Settings, TERM_NAMES, TRACE_NAMES, Temperature, Trace,
+    self, Drive, Evaluation, Mover, NAMES, Point, Quantity, Sense, Settings, TERM_NAMES, TRACE_NAMES,
+    Temperature, Trace,
 };
-use crate::plan::Kind;
+use crate::model::{AXES, Robot};
+use crate::plan::{Kind, PlanRow};
 use crate::report::circle::{CircleTest, CircleView};
 use crate::report::{self, Provenance, Source};
+use crate::sync::Fate;
 
 /// Arguments of the verb.
 #[derive(clap::Args)]
@@ -37,16 +41,18 @@ pub(crate) struct Args {
     /// Standard uncertainty of a single length, mm [default: that of the dwells; of a CSV the scatter].
     #[arg(long, value_name = "MM", value_parser = positive)]
     sigma: Option<f64>,
-    /// Standard uncertainty of the bar's length by its certificate, mm: part of D and F.
+    /// Standard uncertainty of the bar's length by its certificate, mm: part of D and F [default: half of a
+    /// capture's job's length_u_mm].
     #[arg(long, value_name = "MM", value_parser = positive)]
     bar_u: Option<f64>,
-    /// Expansion of the bar, 1/K: with the column temp_c, lengths are corrected to the certificate's temperature.
+    /// Expansion of the bar, 1/K [default: of a capture its job's certificate]: with temperatures (of a capture, or
+    /// the column temp_c) a length is what the bar had then, not at the certificate's temperature.
     #[arg(long, value_name = "PER_K", value_parser = positive)]
     expansion: Option<f64>,
-    /// Temperature of the bar's certificate, degrees Celsius.
-    #[arg(long, value_name = "C", default_value_t = 20.0, allow_negative_numbers = true)]
-    certified: f64,
-    /// Expansion of the machine, 1/K: with the column temp_c, its circle is referred to 20 degrees Celsius.
+    /// Temperature of the bar's certificate, degrees Celsius [default: of a capture its job's, else 20].
+    #[arg(long, value_name = "C", allow_negative_numbers = true)]
+    certified: Option<f64>,
+    /// Expansion of the machine, 1/K: with temperatures, its circle is referred to 20 degrees Celsius.
     #[arg(long, value_name = "PER_K", value_parser = positive)]
     machine_expansion: Option<f64>,
     /// Draws of the Monte Carlo for the 95 % intervals; 0 for none.
@@ -61,6 +67,15 @@ struct Found {
     radius_mm: f64,
     traces: Vec<Trace>,
     notes: Vec<String>,
+    /// What the bar's certificate says, where there is one.
+    certificate: Certificate,
+}
+
+#[derive(Clone, Copy, Default)]
+struct Certificate {
+    temperature: Option<Temperature>,
+    /// Standard uncertainty of the length, mm.
+    u_mm: Option<f64>,
 }
 
 fn positive(text: &str) -> Result<f64, String> {
@@ -88,15 +103,11 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
         provenance.sources.push(Source { role: "lengths".into(), name, hash: None });
     }
     let mut tests = Vec::new();
-    for Found { source, circle, radius_mm, traces, notes } in found {
+    for Found { source, circle, radius_mm, traces, notes, certificate } in found {
         let settings = Settings {
             sigma_mm: args.sigma,
-            bar_u_mm: args.bar_u.unwrap_or(0.0),
-            temperature: Temperature {
-                bar_per_k: args.expansion,
-                certified_c: args.certified,
-                machine_per_k: args.machine_expansion,
-            },
+            bar_u_mm: args.bar_u.or(certificate.u_mm).unwrap_or(0.0),
+            temperature: in_force(args, certificate.temperature),
             draws: args.monte_carlo,
             ..Settings::new(radius_mm)
         };
@@ -120,6 +131,16 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
     Ok(if doubt { Outcome::Doubt } else { Outcome::Done })
 }
 
+/// The command line before the certificate.
+fn in_force(args: &Args, certificate: Option<Temperature>) -> Temperature {
+    let known = certificate.unwrap_or_default();
+    Temperature {
+        bar_per_k: args.expansion.or(known.bar_per_k),
+        certified_c: args.certified.unwrap_or(known.certified_c),
+        machine_per_k: args.machine_expansion,
+    }
+}
+
 fn from_csv(name: &str, text: &str, radius: Option<f64>) -> Result<Found, Box<dyn Error>> {
     let traces = circular::traces_from_csv(name, text)?;
     let mut notes = Vec::new();
@@ -129,7 +150,8 @@ fn from_csv(name: &str, text: &str, radius: Option<f64>) -> Result<Found, Box<dy
         notes.push(format!("no --radius was given: the nominal radius is taken to be {} mm", mean.round()));
         mean.round()
     });
-    Ok(Found { source: name.to_owned(), circle: None, radius_mm, traces, notes })
+    let certificate = Certificate::default();
+    Ok(Found { source: name.to_owned(), circle: None, radius_mm, traces, notes, certificate })
 }
 
 /// The circles of a capture, its plan's hash, and whether something of it is in doubt.
@@ -140,11 +162,25 @@ fn from_capture(
 ) -> Result<(Vec<Found>, String, bool), Box<dyn Error>> {
     let run = run::open(path, args.plan.as_deref(), &args.axes, out)?;
     let job = &run.plan.header.job;
-    let synced = run.timed();
+    // As read: the evaluation corrects them itself, and tells both.
+    let synced = run.measured(None::<(fn(usize, &[f64; AXES]) -> f64, f64)>);
+    let certificate = Certificate {
+        temperature: temperature::certificate(job),
+        u_mm: job.bar.length_u_mm.map(|u| 0.5 * u),
+    };
+    let robot = run.robot()?;
     for warning in &synced.warnings {
         if warning.doubt { out.warning(&warning.text) } else { out.progress(&warning.text) }
     }
     let doubt = run.torn || synced.warnings.iter().any(|warning| warning.doubt);
+    let times: BTreeMap<u32, f64> = synced
+        .fates
+        .iter()
+        .filter_map(|pose| match &pose.fate {
+            Fate::Matched { dwell, .. } => Some((pose.index, 0.5 * (dwell.from_s + dwell.to_s))),
+            _ => None,
+        })
+        .collect();
     let places = run.plan.circle_places();
     let mut found: Vec<Found> = Vec::new();
     let mut lost = vec![0_usize; job.circles.len()];
@@ -165,6 +201,7 @@ fn from_capture(
                 radius_mm,
                 traces: Vec::new(),
                 notes: Vec::new(),
+                certificate,
             });
         }
         let sense = if place.clockwise { Sense::Clockwise } else { Sense::CounterClockwise };
@@ -174,8 +211,9 @@ fn from_capture(
             length_mm: observation.length_mm - (row.length_mm - place.radius_mm),
             sigma_mm: observation.sigma_mm,
             t_s: None,
-            temp_c: None,
+            temp_c: times.get(&row.index).and_then(|t_s| run.temperature_at(*t_s)),
             axes_deg: Some(observation.axes_deg),
+            drives: drives(&run, &robot, row),
         };
         let Some(circle) = found.last_mut() else { continue };
         match circle.traces.iter_mut().find(|trace| trace.sense == sense) {
@@ -193,6 +231,36 @@ fn from_capture(
         return Err(format!("{}: no dwell can be told to be a pose on a circle", path.display()).into());
     }
     Ok((found, run.plan.header.hash.clone(), doubt))
+}
+
+/// What the joints do to the length at a pose, and in which sense each came there.
+fn drives(run: &Run, robot: &Robot, row: &PlanRow) -> Option<[Drive; AXES]> {
+    /// Half of the step of the derivative, rad.
+    const STEP: f64 = 1e-5;
+    /// A joint that moves less stands, degrees.
+    const STANDS_DEG: f64 = 1e-3;
+    let ball = run.plan.header.job.centres.iter().find(|ball| ball.id == row.centre)?;
+    let at = (row.index as usize).checked_sub(1)?;
+    let neighbour = |at: Option<usize>| at.and_then(|at| run.plan.rows.get(at)).map(|row| row.axes_deg);
+    let (before, after) = (neighbour(at.checked_sub(1)), neighbour(Some(at + 1)));
+    let axes = row.axes_deg.map(f64::to_radians);
+    Some(std::array::from_fn(|joint| {
+        let length = |step: f64| {
+            let mut moved = axes;
+            moved[joint] += step;
+            robot.geometry.length(&moved, &ball.xyz_mm.into(), 0.0)
+        };
+        let lever_mm = (length(STEP) - length(-STEP)) / (2.0 * STEP);
+        let sense = |from: f64, to: f64| match to - from {
+            step if step >= STANDS_DEG => 1,
+            step if step <= -STANDS_DEG => -1,
+            _ => 0,
+        };
+        let came = before.map_or(0, |before| sense(before[joint], row.axes_deg[joint]));
+        let goes = after.map_or(0, |after| sense(row.axes_deg[joint], after[joint]));
+        // Next to where it turns the joint may have turned on the way already.
+        Drive { lever_mm, sense: if came == goes { came } else { 0 } }
+    }))
 }
 
 fn show(test: &CircleTest, out: &Output) {
@@ -302,6 +370,19 @@ fn test_document(test: &CircleTest) -> Map<String, Value> {
         })
         .collect();
     map.insert("joint_reversals".into(), Value::Array(reversals));
+    let steps: Vec<Value> = found
+        .steps
+        .iter()
+        .map(|step| match step.mover {
+            Mover::Axis(axis) => json!({
+                "axis": axis, "play_mm": step.play, "play_mm_u95": step.u95, "largest_step_mm": step.most_mm,
+            }),
+            Mover::Joint(joint) => json!({
+                "joint": joint, "play_rad": step.play, "play_rad_u95": step.u95, "largest_step_mm": step.most_mm,
+            }),
+        })
+        .collect();
+    map.insert("reversal_steps".into(), Value::Array(steps));
     map.insert("length_sigma_mm".into(), json!(found.sigma_mm));
     map.insert("length_sigma_source".into(), json!(found.sigma_source));
     map.insert("monte_carlo_draws".into(), json!(found.draws));

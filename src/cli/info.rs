@@ -1,16 +1,15 @@
 //! `dbbd info`.
 
 use std::collections::BTreeMap;
-use std::error::Error;
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
+use super::pass::Pass;
 use super::{Outcome, Output, Verdict};
-use crate::capture::{self, Capture, Damage, Event, Record};
-use crate::diag::Diagnostic;
-use crate::protocol::{Definition, Fault, FaultKind, Sample};
+use crate::capture::{Damage, Event, Record, Stamped};
+use crate::protocol::{Definition, Fault, FaultKind};
+use crate::units::HostNs;
 
 /// Arguments of the verb.
 #[derive(clap::Args)]
@@ -19,36 +18,10 @@ pub(crate) struct Args {
     run: PathBuf,
 }
 
-/// Reads a capture; damages are in it, not an error.
-///
-/// # Errors
-/// When the file cannot be read, is no capture, or is of a newer version.
-pub(crate) fn open(path: &Path) -> Result<Capture, Box<dyn Error>> {
-    let name = path.display().to_string();
-    let wrong = |message: String| Diagnostic::file(&name, message);
-    let bytes = fs::read(path).map_err(|error| wrong(format!("cannot be read: {error}")))?;
-    let capture = capture::read(&bytes);
-    if capture.is_none() {
-        return Err(wrong("is no capture: no whole record is in it".into())
-            .help("a capture is what `dbbd acquire --out RUN` writes")
-            .into());
-    }
-    if capture.is_newer() {
-        return Err(wrong("was written by a newer dbbd".into()).help("read it with that version").into());
-    }
-    Ok(capture)
-}
-
-/// Says every damage on stderr.
-pub(crate) fn warn_of_damages(capture: &Capture, out: &Output) {
-    for Damage { offset, bytes, what } in &capture.damages {
-        out.warning(format!("byte {offset}: {what}; {bytes} bytes are passed over"));
-    }
-}
-
 /// What `--json` gives.
 #[derive(Default, Serialize)]
 struct Info {
+    format: Option<u32>,
     protocol: Option<String>,
     started_unix_ns: Option<u64>,
     dbbd: Option<String>,
@@ -76,45 +49,60 @@ struct DamageInfo {
 }
 
 pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
-    let capture = open(&args.run)?;
-    let info = gather(&capture);
+    let mut gathered = Gathered::default();
+    let pass = Pass::over(&args.run, |stamped| {
+        gathered.add(stamped);
+        Ok(())
+    })?;
+    let info = gathered.finish(pass.version, &pass.damages);
     out.document(&info)?;
     show(&args.run, &info, out);
-    warn_of_damages(&capture, out);
+    pass.warn(out);
     if info.ended.is_none() {
         out.warning("the run was cut off: it has no record of its end");
     }
-    let whole = capture.damages.is_empty() && info.ended.is_some() && info.lost == 0;
+    let whole = pass.damages.is_empty() && info.ended.is_some() && info.lost == 0;
     Ok(if whole { Outcome::Done } else { Outcome::Doubt })
 }
 
-fn gather(capture: &Capture) -> Info {
-    let mut info = Info::default();
-    let mut span = None;
-    for stamped in &capture.records {
-        match &stamped.record {
+/// What one pass collects.
+#[derive(Default)]
+struct Gathered {
+    info: Info,
+    span: Option<(HostNs, HostNs)>,
+    protocol: Vec<u8>,
+}
+
+impl Gathered {
+    fn add(&mut self, stamped: Stamped) {
+        let info = &mut self.info;
+        match stamped.record {
             Record::Attachment { name, content } => {
                 info.attachments.insert(name.clone(), content.len());
+                if name == "protocol.toml" {
+                    self.protocol = content;
+                }
             }
             Record::Raw(raw) => {
                 info.raw_bytes += raw.len() as u64;
-                span = span.or(Some((stamped.host, stamped.host))).map(|(first, _)| (first, stamped.host));
+                let first = self.span.map_or(stamped.host, |(first, _)| first);
+                self.span = Some((first, stamped.host));
             }
-            Record::Sample(json) => {
-                info.samples += 1;
-                if let Ok(sample) = serde_json::from_slice::<Sample>(json) {
+            Record::Samples(samples) => {
+                info.samples += samples.len() as u64;
+                for sample in &samples {
                     info.invalid += u64::from(!sample.valid);
                     let [low, high] = info.reading_mm.unwrap_or([sample.reading_mm; 2]);
                     info.reading_mm = Some([low.min(sample.reading_mm), high.max(sample.reading_mm)]);
                 }
             }
             Record::Fault(json) => {
-                let name = serde_json::from_slice::<Fault>(json).map_or("unreadable", |f| word(&f.kind));
+                let name = serde_json::from_slice::<Fault>(&json).map_or("unreadable", |f| word(&f.kind));
                 *info.faults.entry(name.to_owned()).or_default() += 1;
             }
             Record::Event(Event::Started { unix_ns, version }) => {
-                info.started_unix_ns = Some(*unix_ns);
-                info.dbbd = Some(version.clone());
+                info.started_unix_ns = Some(unix_ns);
+                info.dbbd = Some(version);
             }
             Record::Event(Event::Gap { missing, .. }) => {
                 info.gaps += 1;
@@ -122,25 +110,32 @@ fn gather(capture: &Capture) -> Info {
             }
             Record::Event(Event::Controller { .. }) => info.controller_events += 1,
             Record::Event(Event::Ended { reason, lost, .. }) => {
-                info.ended = Some(reason.clone());
-                info.lost = *lost;
+                info.ended = Some(reason);
+                info.lost = lost;
             }
             Record::Event(Event::Opened { .. } | Event::Mark { .. }) => {}
         }
     }
-    info.duration_s = span.map_or(0.0, |(first, last)| last.seconds_since(first));
-    info.rate_hz = (info.duration_s > 0.0).then(|| info.samples as f64 / info.duration_s);
-    info.protocol = capture
-        .attachment("protocol.toml")
-        .and_then(|text| std::str::from_utf8(text).ok())
-        .and_then(|text| Definition::from_toml("protocol.toml", text).ok())
-        .map(|definition| definition.id);
-    info.damages = capture
-        .damages
-        .iter()
-        .map(|damage| DamageInfo { offset: damage.offset, bytes: damage.bytes, what: damage.what.clone() })
-        .collect();
-    info
+
+    fn finish(self, version: Option<u32>, damages: &[Damage]) -> Info {
+        let mut info = self.info;
+        info.format = version;
+        info.duration_s = self.span.map_or(0.0, |(first, last)| last.seconds_since(first));
+        info.rate_hz = (info.duration_s > 0.0).then(|| info.samples as f64 / info.duration_s);
+        info.protocol = std::str::from_utf8(&self.protocol)
+            .ok()
+            .and_then(|text| Definition::from_toml("protocol.toml", text).ok())
+            .map(|definition| definition.id);
+        info.damages = damages
+            .iter()
+            .map(|damage| DamageInfo {
+                offset: damage.offset,
+                bytes: damage.bytes,
+                what: damage.what.clone(),
+            })
+            .collect();
+        info
+    }
 }
 
 /// A fault's kind in a word.

@@ -11,10 +11,12 @@ mod demo;
 mod export;
 mod files;
 mod identify;
+mod import;
 mod info;
 mod krl;
 mod man;
 mod output;
+mod pass;
 mod plan;
 mod ports;
 mod protocols;
@@ -25,6 +27,7 @@ mod serve;
 #[cfg(unix)]
 mod simulate;
 mod sync;
+mod temperature;
 
 use std::error::Error;
 use std::process::ExitCode;
@@ -84,11 +87,13 @@ enum Verb {
     /// Run the whole job with no hardware.
     #[cfg(unix)]
     Demo(demo::Args),
+    /// Make a capture of a trace that other software recorded.
+    Import(import::Args),
     /// Show a capture on one screen.
     Info(info::Args),
     /// Restore every whole record of a damaged capture.
     Recover(recover::Args),
-    /// Write a capture's samples, raw bytes and events as CSV.
+    /// Write a capture's samples, raw bytes, events and gaps as CSV, or as MCAP.
     Export(export::Args),
     /// List, show or check robots.
     Robots(robots::Args),
@@ -131,6 +136,7 @@ pub fn main() -> ExitCode {
         Verb::Serve(args) => serve::run(args, &out),
         #[cfg(unix)]
         Verb::Demo(args) => demo::run(args, &out),
+        Verb::Import(args) => import::run(args, &out),
         Verb::Info(args) => info::run(args, &out),
         Verb::Recover(args) => recover::run(args, &out),
         Verb::Export(args) => export::run(args, &out),

@@ -4,11 +4,15 @@ use std::path::PathBuf;
 
 use serde_json::json;
 
-use super::{Outcome, Output, Verdict, info};
-use crate::capture::Writer;
+use super::pass::Pass;
+use super::{Outcome, Output, Verdict};
+use crate::capture::{Event, Record, Writer};
 
 /// Arguments of the verb.
 #[derive(clap::Args)]
+#[command(
+    after_help = "Exit codes: 0 nothing was lost; 3 something was, and what is said; 1 no whole record is left."
+)]
 pub(crate) struct Args {
     /// The damaged capture; it is not changed.
     run: PathBuf,
@@ -18,29 +22,39 @@ pub(crate) struct Args {
 }
 
 pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
-    let capture = info::open(&args.run)?;
-    if capture.records.is_empty() {
-        return Err(format!("{}: no whole record is left", args.run.display()).into());
-    }
-    let mut writer = Writer::create(&args.out)?;
-    for stamped in &capture.records {
+    // Nothing is made where there is nothing to write.
+    let mut writer = None;
+    let (mut ended, mut samples) = (false, 0);
+    let pass = Pass::over(&args.run, |stamped| {
+        let writer = match &mut writer {
+            Some(writer) => writer,
+            none => none.insert(Writer::create(&args.out)?),
+        };
         writer.write(stamped.host, &stamped.record)?;
+        samples = writer.samples();
+        ended |= matches!(stamped.record, Record::Event(Event::Ended { .. }));
+        Ok(())
+    })?;
+    if let Some(writer) = &mut writer {
+        writer.sync()?;
     }
-    writer.sync()?;
-    info::warn_of_damages(&capture, out);
-    let lost: u64 = capture.damages.iter().map(|damage| damage.bytes).sum();
+    pass.warn(out);
+    let lost = pass.lost_bytes();
     out.document(&json!({
-        "records": capture.records.len(),
-        "samples": writer.samples(),
-        "damages": capture.damages.len(),
+        "records": pass.records,
+        "samples": samples,
+        "damages": pass.damages.len(),
         "lost_bytes": lost,
+        "ended": ended,
     }))?;
     out.result(format!(
-        "{}: {} records ({} samples); {lost} bytes in {} damages are lost",
+        "{}: {} records ({samples} samples); {lost} bytes in {} damages are lost",
         args.out.display(),
-        capture.records.len(),
-        writer.samples(),
-        capture.damages.len()
+        pass.records,
+        pass.damages.len()
     ));
-    Ok(if capture.damages.is_empty() { Outcome::Done } else { Outcome::Doubt })
+    if !ended {
+        out.warning("the run was cut off: it has no record of its end");
+    }
+    Ok(if pass.damages.is_empty() && ended { Outcome::Done } else { Outcome::Doubt })
 }

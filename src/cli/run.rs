@@ -6,14 +6,16 @@ use std::path::{Path, PathBuf};
 
 use serde_json::Value;
 
-use super::{Output, files, info};
-use crate::capture::{Capture, Event, Record};
+use super::pass::Pass;
+use super::temperature::{Temperatures, certificate};
+use super::{Output, files};
+use crate::capture::{Event, Record, Stamped};
 use crate::diag::Diagnostic;
 use crate::krl;
 use crate::model::{AXES, Centre, Robot};
 use crate::plan::Plan;
-use crate::protocol::{Definition, Sample};
-use crate::sync::{self, DeviceClock, Expected, Input, Report, Stream, StreamBuilder, Synced};
+use crate::protocol::Definition;
+use crate::sync::{self, DeviceClock, Expected, Fate, Input, Report, Stream, StreamBuilder, Synced};
 
 /// What a capture gives to be joined.
 pub(crate) struct Run {
@@ -22,6 +24,8 @@ pub(crate) struct Run {
     pub(crate) plan: Plan,
     /// The samples on one clock.
     pub(crate) stream: Stream,
+    /// The bar's temperature, where it was told.
+    temperatures: Temperatures,
     /// What the controller reported.
     pub(crate) reports: Vec<Report>,
     /// Whether something of the run was lost: a damage, a cut end, samples lost on the way to the disk.
@@ -32,11 +36,42 @@ pub(crate) struct Run {
 }
 
 impl Run {
-    /// The observations. With a `model` of the lengths and their standard deviation (mm) it speaks in the
+    /// The observations, with their lengths referred by the bar's certificate to the temperature that they
+    /// were read at. With a `model` of the lengths and their standard deviation (mm) it speaks in the
     /// alignment as well: it is given the number of the base ball and the axis angles in degrees.
     ///
     /// To align, identify and align again until [`Synced::same_pairs`] says that nothing changed.
     pub(crate) fn observations<F>(&self, model: Option<(F, f64)>) -> Synced
+    where
+        F: Fn(usize, &[f64; AXES]) -> f64,
+    {
+        let certificate = certificate(&self.plan.header.job);
+        let warm = certificate.zip(self.temperatures.mean());
+        let factor = warm.map_or(1.0, |(certificate, mean_c)| certificate.referred_mm(1.0, mean_c));
+        // Readings are aligned as they were read.
+        let mut synced = self.measured(model.map(|(length_mm, sigma_mm)| {
+            (move |centre: usize, axes_deg: &[f64; AXES]| length_mm(centre, axes_deg) / factor, sigma_mm)
+        }));
+        let dwells = synced.fates.iter().filter_map(|pose| match &pose.fate {
+            Fate::Matched { dwell, .. } => Some(0.5 * (dwell.from_s + dwell.to_s)),
+            _ => None,
+        });
+        let temperatures: Vec<_> = dwells.map(|t_s| self.temperature_at(t_s)).collect();
+        if temperatures.iter().any(Option::is_some) {
+            let observations = &mut synced.observations;
+            observations.extra_columns.push("temp_c".to_owned());
+            for (row, temp_c) in observations.rows.iter_mut().zip(temperatures) {
+                if let (Some(certificate), Some(temp_c)) = (certificate, temp_c) {
+                    row.length_mm = certificate.referred_mm(row.length_mm, temp_c);
+                }
+                row.extra.push(temp_c.map_or(String::new(), |c| format!("{c:.2}")));
+            }
+        }
+        synced
+    }
+
+    /// The observations as read.
+    pub(crate) fn measured<F>(&self, model: Option<(F, f64)>) -> Synced
     where
         F: Fn(usize, &[f64; AXES]) -> f64,
     {
@@ -52,6 +87,29 @@ impl Run {
             axes_deg,
             ..Input::new(&self.plan, &self.stream)
         })
+    }
+
+    /// The bar's temperature at a time of the run, degrees Celsius.
+    pub(crate) fn temperature_at(&self, t_s: f64) -> Option<f64> {
+        self.temperatures.at(self.stream.at(t_s))
+    }
+
+    /// What was done about temperature, for the user.
+    fn temperature_note(&self) -> Option<String> {
+        let bar = &self.plan.header.job.bar;
+        match (certificate(&self.plan.header.job), self.temperatures.mean()) {
+            (Some(certificate), Some(mean_c)) => {
+                let more_um = 1e3 * (certificate.referred_mm(bar.length_mm, mean_c) - bar.length_mm);
+                Some(format!(
+                    "bar at {mean_c:.1} degrees: lengths are corrected by its certificate ({more_um:+.1} um at {} mm)",
+                    bar.length_mm
+                ))
+            }
+            (Some(_), None) => {
+                Some("no temperature of the bar was recorded: lengths are not corrected for it".into())
+            }
+            (None, _) => None,
+        }
     }
 
     /// The observations by their times alone.
@@ -101,15 +159,18 @@ pub(crate) fn open(
     out: &Output,
 ) -> Result<Run, Box<dyn Error>> {
     let name = path.display().to_string();
-    let capture = info::open(path)?;
-    info::warn_of_damages(&capture, out);
+    let mut gathered = Gathered::default();
+    let pass = Pass::over(path, |stamped| gathered.add(stamped, &name))?;
+    pass.warn(out);
+    let Gathered { attachments, stream, temperatures, reports, lost, ended } = gathered;
+    let attached = |wanted: &str| text(&attachments, &name, wanted);
     let plan = match plan {
         Some(csv) => {
             let json = csv.with_extension("json");
             let (csv_name, json_name) = (csv.display().to_string(), json.display().to_string());
             Plan::from_files(&csv_name, &files::read(csv)?, &json_name, &files::read(&json)?)?
         }
-        None => match (attached(&capture, &name, "plan.csv")?, attached(&capture, &name, "plan.json")?) {
+        None => match (attached("plan.csv")?, attached("plan.json")?) {
             (Some(csv), Some(json)) => {
                 Plan::from_files(&format!("{name}: plan.csv"), &csv, &format!("{name}: plan.json"), &json)?
             }
@@ -120,48 +181,16 @@ pub(crate) fn open(
             }
         },
     };
-    let clock = match attached(&capture, &name, "protocol.toml")? {
-        Some(text) => Definition::from_toml(&format!("{name}: protocol.toml"), &text)?.clock,
-        None => None,
-    };
-    let mut stream = StreamBuilder::new(clock.map(|clock| DeviceClock {
-        seconds_per_tick: f64::from(clock.tick_ns) * 1e-9,
-        wrap: 1u64.checked_shl(clock.wrap_bits),
-    }));
-    let mut reports = Vec::new();
-    let (mut unreadable, mut lost, mut ended) = (0_u64, 0, false);
-    for stamped in &capture.records {
-        match &stamped.record {
-            Record::Sample(json) => match serde_json::from_slice::<Sample>(json) {
-                Ok(sample) => stream.push(stamped.host, &sample),
-                Err(_) => unreadable += 1,
-            },
-            Record::Event(Event::Controller { index, phase, axes_deg }) => {
-                reports.push(Report {
-                    host: stamped.host,
-                    index: *index,
-                    phase: *phase,
-                    axes_deg: *axes_deg,
-                });
-            }
-            Record::Event(Event::Ended { lost: on_the_way, .. }) => (ended, lost) = (true, *on_the_way),
-            _ => {}
-        }
-    }
-    let stream = stream.build();
-    if stream.is_empty() {
+    let Some(stream) = stream.map(StreamBuilder::build) else {
         return Err(Diagnostic::file(&name, "holds no sample: the bar said nothing").into());
-    }
-    if unreadable > 0 {
-        out.warning(format!("{unreadable} samples cannot be read and are passed over"));
-    }
+    };
     if lost > 0 {
         out.warning(format!("{lost} samples were lost on the way to the disk"));
     }
     if !ended {
         out.warning("the run was cut off: it has no record of its end");
     }
-    let torn = !capture.damages.is_empty() || unreadable > 0 || lost > 0 || !ended;
+    let torn = !pass.damages.is_empty() || lost > 0 || !ended;
     let mut axes_deg = sync::reported_axes(&reports);
     for path in axes {
         let name = path.display().to_string();
@@ -185,8 +214,12 @@ pub(crate) fn open(
     if let Some(doubt) = &elsewhere {
         out.warning(doubt);
     }
-    let doubtful = elsewhere.is_some() || other_plan(&capture, &plan, out);
-    Ok(Run { plan, stream, reports, torn: torn || doubtful, axes_deg })
+    let doubtful = elsewhere.is_some() || other_plan(attachments.get("plan.json"), &plan, out);
+    let run = Run { plan, stream, temperatures, reports, torn: torn || doubtful, axes_deg };
+    if let Some(note) = run.temperature_note() {
+        out.progress(note);
+    }
+    Ok(run)
 }
 
 /// Axes that stand this far beside the commanded ones do not follow the nominal robot, degrees.
@@ -212,8 +245,8 @@ fn partly_elsewhere(plan: &Plan, axes_deg: &BTreeMap<u32, [f64; AXES]>) -> Optio
 }
 
 /// Whether the capture was recorded with another plan than the one named.
-fn other_plan(capture: &Capture, plan: &Plan, out: &Output) -> bool {
-    let header = capture.attachment("plan.json").and_then(|json| serde_json::from_slice::<Value>(json).ok());
+fn other_plan(attached: Option<&Vec<u8>>, plan: &Plan, out: &Output) -> bool {
+    let header = attached.and_then(|json| serde_json::from_slice::<Value>(json).ok());
     let recorded = header.as_ref().and_then(|header| header.get("hash")?.as_str());
     let Some(recorded) = recorded.filter(|hash| *hash != plan.header.hash) else { return false };
     out.warning(format!(
@@ -223,8 +256,63 @@ fn other_plan(capture: &Capture, plan: &Plan, out: &Output) -> bool {
     true
 }
 
+/// What one pass over a capture collects.
+#[derive(Default)]
+struct Gathered {
+    attachments: BTreeMap<String, Vec<u8>>,
+    stream: Option<StreamBuilder>,
+    temperatures: Temperatures,
+    reports: Vec<Report>,
+    lost: u64,
+    ended: bool,
+}
+
+impl Gathered {
+    fn add(&mut self, stamped: Stamped, run: &str) -> Result<(), Box<dyn Error>> {
+        match stamped.record {
+            Record::Attachment { name, content } => {
+                self.attachments.insert(name, content);
+            }
+            Record::Samples(samples) => {
+                // A capture's files stand before its samples.
+                let stream = match &mut self.stream {
+                    Some(stream) => stream,
+                    none => none.insert(StreamBuilder::new(device_clock(&self.attachments, run)?)),
+                };
+                for sample in &samples {
+                    stream.push(stamped.host, &sample.into());
+                    self.temperatures.push(sample.temperature_c);
+                }
+            }
+            Record::Event(Event::Controller { index, phase, axes_deg }) => {
+                self.reports.push(Report { host: stamped.host, index, phase, axes_deg });
+            }
+            Record::Event(Event::Ended { lost, .. }) => (self.ended, self.lost) = (true, lost),
+            _ => {}
+        }
+        Ok(())
+    }
+}
+
+/// The clock of the protocol in force, where it has one.
+fn device_clock(
+    attachments: &BTreeMap<String, Vec<u8>>,
+    run: &str,
+) -> Result<Option<DeviceClock>, Diagnostic> {
+    let Some(text) = text(attachments, run, "protocol.toml")? else { return Ok(None) };
+    let definition = Definition::from_toml(&format!("{run}: protocol.toml"), &text)?;
+    Ok(definition.clock.map(|clock| DeviceClock {
+        seconds_per_tick: f64::from(clock.tick_ns) * 1e-9,
+        wrap: 1u64.checked_shl(clock.wrap_bits),
+    }))
+}
+
 /// The text of an attachment, if it is there.
-fn attached(capture: &Capture, run: &str, name: &str) -> Result<Option<String>, Diagnostic> {
-    let text = capture.attachment(name).map(|content| String::from_utf8(content.to_vec()));
+fn text(
+    attachments: &BTreeMap<String, Vec<u8>>,
+    run: &str,
+    name: &str,
+) -> Result<Option<String>, Diagnostic> {
+    let text = attachments.get(name).map(|content| String::from_utf8(content.clone()));
     text.transpose().map_err(|_| Diagnostic::file(&format!("{run}: {name}"), "is not UTF-8 text"))
 }

@@ -44,6 +44,8 @@ pub struct Options {
     pub gone_s: f64,
     /// Shows the run to those who look on.
     pub feed: Option<Feed>,
+    /// How often the disk is made to hold what was written, s: what a loss of power costs at most.
+    pub sync_s: f64,
 }
 
 /// How a run is going.
@@ -152,7 +154,7 @@ impl Acquisition {
     /// As [`Self::start`].
     pub fn told_by(
         server: Option<Server>,
-        mut options: Options,
+        options: Options,
         stop: Arc<AtomicBool>,
     ) -> Result<Self, AcquireError> {
         let now = clock::now();
@@ -162,8 +164,29 @@ impl Acquisition {
         // The port comes first: without it no file is left behind.
         let opened = session::open(&options.port, &options.definition)?;
         let writer = Writer::create(&options.out)?;
+        Self::record(server, options, now, opened, writer, stop)
+    }
+
+    /// As [`Acquisition::start`], into a capture that was begun elsewhere.
+    ///
+    /// # Errors
+    /// When the port cannot be opened or the capture not be written.
+    pub fn start_on(writer: Writer, options: Options, stop: Arc<AtomicBool>) -> Result<Self, AcquireError> {
+        let now = clock::now();
+        let opened = session::open(&options.port, &options.definition)?;
+        Self::record(None, options, now, opened, writer, stop)
+    }
+
+    fn record(
+        server: Option<Server>,
+        mut options: Options,
+        now: HostNs,
+        opened: Opened,
+        writer: Writer,
+        stop: Arc<AtomicBool>,
+    ) -> Result<Self, AcquireError> {
         let marks = Marks::new(options.attachments.modules);
-        let mut recorder = Recorder::new(writer, &options.definition, marks, now);
+        let mut recorder = Recorder::new(writer, &options.definition, marks, options.sync_s, now);
         recorder.feed = options.feed.take();
         let version = env!("CARGO_PKG_VERSION").to_owned();
         recorder.event(now, Event::Started { unix_ns: clock::unix_ns(), version })?;

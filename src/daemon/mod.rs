@@ -8,6 +8,7 @@ mod feed;
 mod marks;
 mod recorder;
 mod reports;
+mod samples;
 mod service;
 mod session;
 mod signals;

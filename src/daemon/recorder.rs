@@ -3,7 +3,7 @@
 use super::acquisition::Progress;
 use super::feed::Feed;
 use super::marks::{DeviceTime, Marks};
-use crate::capture::{Event, Record, WriteError, Writer};
+use crate::capture::{self, Event, Record, WriteError, Writer};
 use crate::protocol::{Decoded, Decoder, Definition, FaultKind, Sample};
 use crate::units::HostNs;
 
@@ -16,6 +16,9 @@ pub(super) struct Recorder {
     writer: Writer,
     decoder: Decoder,
     decoded: Vec<Decoded>,
+    /// Samples of one host time that are not written yet.
+    batch: Vec<capture::Sample>,
+    batch_host: HostNs,
     marks: Marks,
     time: Option<DeviceTime>,
     sequence_modulo: Option<u32>,
@@ -24,6 +27,7 @@ pub(super) struct Recorder {
     silence_s: Option<f64>,
     last_bytes: Option<HostNs>,
     last_sync: HostNs,
+    sync_s: f64,
     rate_since: HostNs,
     rate_samples: u64,
     /// When the reading that is on its way was asked for, where that dates it.
@@ -39,12 +43,21 @@ pub(super) struct Recorder {
 }
 
 impl Recorder {
-    pub(super) fn new(writer: Writer, definition: &Definition, marks: Marks, now: HostNs) -> Self {
+    /// The disk is made to hold what was written every `sync_s` seconds.
+    pub(super) fn new(
+        writer: Writer,
+        definition: &Definition,
+        marks: Marks,
+        sync_s: f64,
+        now: HostNs,
+    ) -> Self {
         let stall = definition.stall.map(|stall| stall.as_secs_f64());
         Self {
             writer,
             decoder: definition.decoder(),
             decoded: Vec::new(),
+            batch: Vec::new(),
+            batch_host: now,
             marks,
             time: definition.clock.map(DeviceTime::new),
             sequence_modulo: definition.sequence_modulo,
@@ -52,6 +65,7 @@ impl Recorder {
             silence_s: stall.map(|s| if definition.sequence_modulo.is_some() { s.max(SILENCE_S) } else { s }),
             last_bytes: None,
             last_sync: now,
+            sync_s,
             rate_since: now,
             rate_samples: 0,
             requested: None,
@@ -74,6 +88,7 @@ impl Recorder {
         if matches!(event, Event::Gap { .. }) {
             self.progress.gaps += 1;
         }
+        self.flush()?;
         self.writer.write(host, &Record::Event(event))
     }
 
@@ -152,12 +167,27 @@ impl Recorder {
                         }
                     }
                     if let Ok(json) = serde_json::to_vec(&fault) {
+                        self.flush()?;
                         self.writer.write(host, &Record::Fault(json))?;
                     }
                 }
             }
         }
         self.decoded = decoded;
+        self.flush()
+    }
+
+    /// Writes the samples that wait: what comes after them must not stand before them.
+    fn flush(&mut self) -> Result<(), WriteError> {
+        if self.batch.is_empty() {
+            return Ok(());
+        }
+        let record = Record::Samples(std::mem::take(&mut self.batch));
+        self.writer.write(self.batch_host, &record)?;
+        if let Record::Samples(mut batch) = record {
+            batch.clear();
+            self.batch = batch;
+        }
         Ok(())
     }
 
@@ -168,10 +198,11 @@ impl Recorder {
             None => host,
         };
         self.missing(host, sample)?;
-        // A sample is plain numbers, which JSON can always hold.
-        if let Ok(json) = serde_json::to_vec(sample) {
-            self.writer.write(host, &Record::Sample(json))?;
+        if self.batch_host != host {
+            self.flush()?;
+            self.batch_host = host;
         }
+        self.batch.push(sample.into());
         self.in_a_row = self.in_a_row.saturating_add(1);
         self.progress.in_step |= self.in_a_row >= self.sync_frames;
         self.progress.samples += 1;
@@ -211,7 +242,7 @@ impl Recorder {
         self.last_sequence = None;
     }
 
-    /// Once a second the disk is made to hold what was written, and the rate is taken.
+    /// Every so often the disk is made to hold what was written; once a second the rate is taken.
     pub(super) fn tick(&mut self, now: HostNs) -> Result<(), WriteError> {
         self.progress.elapsed_s = now.seconds_since(self.began);
         if let Some(feed) = &mut self.feed {
@@ -222,7 +253,7 @@ impl Recorder {
             self.progress.rate_hz = (self.progress.samples - self.rate_samples) as f64 / since;
             (self.rate_since, self.rate_samples) = (now, self.progress.samples);
         }
-        if now.seconds_since(self.last_sync) >= 1.0 {
+        if now.seconds_since(self.last_sync) >= self.sync_s {
             self.writer.sync()?;
             self.last_sync = now;
         }

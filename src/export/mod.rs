@@ -1,5 +1,6 @@
-//! Results and captures as texts that other programs read.
+//! Results and captures in the formats of other tools.
 
 pub mod frames;
 pub mod mastering;
+pub mod mcap;
 pub mod urdf;

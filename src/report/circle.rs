@@ -5,7 +5,7 @@ use serde::Serialize;
 use super::page::{Fact, Provenance, ReportError, render};
 use super::plot::{PolarPlot, PolarTrace, Series};
 use super::scale::{plain, signed, significant};
-use crate::circular::{Evaluation, NAMES, Quantity, Sense, TERM_NAMES, TRACE_NAMES};
+use crate::circular::{Evaluation, Mover, NAMES, Quantity, Sense, TERM_NAMES, TRACE_NAMES};
 
 /// A circle that was evaluated.
 #[derive(Clone, Debug, PartialEq)]
@@ -46,6 +46,7 @@ struct Panel<'a> {
     harmonics: Vec<[String; 6]>,
     meanings: Vec<Fact>,
     reversals: usize,
+    steps: Vec<[String; 3]>,
     notes: &'a [String],
 }
 
@@ -90,7 +91,7 @@ impl CircleTest {
 /// # Errors
 /// Only a fault of the template itself.
 pub fn html(view: &CircleView<'_>) -> Result<String, ReportError> {
-    let trend = if view.tests.len() > 1 { view.tests.iter().map(trend_line).collect() } else { Vec::new() };
+    let trend = trend(view.tests);
     let page = Page {
         title: if view.tests.len() == 1 { "Circular test" } else { "Circular tests" },
         tests: view.tests.iter().map(panel).collect(),
@@ -182,7 +183,8 @@ fn panel(test: &CircleTest) -> Panel<'_> {
         })
         .collect();
     let small = |[value, u]: [f64; 2], factor: f64, unit: &str| {
-        format!("{} ± {} {unit}", signed(factor * value, 2), significant(factor * u, 2))
+        let decimals = if factor * u >= 10.0 { 0 } else { 2 };
+        format!("{} ± {} {unit}", signed(factor * value, decimals), significant(factor * u, 2))
     };
     let mut meanings = Vec::new();
     if let Some(pair) = meaning.scale_mismatch {
@@ -195,6 +197,18 @@ fn panel(test: &CircleTest) -> Panel<'_> {
     if let Some(pair) = meaning.servo_mismatch_s {
         meanings.push(Fact::new("Servo mismatch, second axis lags", small(pair, 1e3, "ms")));
     }
+    let steps = found
+        .steps
+        .iter()
+        .map(|step| {
+            let (what, factor, unit) = match step.mover {
+                Mover::Axis(axis) => (format!("axis {axis}"), 1e3, "µm"),
+                Mover::Joint(joint) => (format!("joint {joint}"), 1e6, "µrad"),
+            };
+            let most = format!("{} µm", significant(1e3 * step.most_mm, 2));
+            [what, small([step.play, step.u95], factor, unit), most]
+        })
+        .collect();
     let arc = &found.arc;
     let extent = if arc.full {
         "full circle".into()
@@ -241,8 +255,18 @@ fn panel(test: &CircleTest) -> Panel<'_> {
         harmonics,
         meanings,
         reversals: found.reversals.len(),
+        steps,
         notes: &found.notes,
     }
+}
+
+/// The tests in the order of their circles, where a circle was tested more than once: the circles of one
+/// run are no trend.
+fn trend(tests: &[CircleTest]) -> Vec<TrendLine<'_>> {
+    let times = |circle: Option<u32>| tests.iter().filter(|test| test.circle == circle).count();
+    let mut again: Vec<&CircleTest> = tests.iter().filter(|test| times(test.circle) > 1).collect();
+    again.sort_by_key(|test| test.circle);
+    again.into_iter().map(trend_line).collect()
 }
 
 fn trend_line(test: &CircleTest) -> TrendLine<'_> {

@@ -55,11 +55,7 @@ fn read(path: &Path) -> Capture {
 }
 
 fn samples(capture: &Capture) -> Vec<Sample> {
-    let samples = capture.records.iter().filter_map(|stamped| match &stamped.record {
-        Record::Sample(json) => Some(serde_json::from_slice(json).unwrap()),
-        _ => None,
-    });
-    samples.collect()
+    capture.samples().map(|(_, sample)| sample.into()).collect()
 }
 
 /// Waits until the capture holds so many bytes.
@@ -124,7 +120,7 @@ fn a_program_is_recorded_to_its_end_mark() {
     }
     // The raw bytes come to the disk before what they decode to.
     let first = |wanted: fn(&Record) -> bool| capture.records.iter().position(|s| wanted(&s.record)).unwrap();
-    assert!(first(|r| matches!(r, Record::Raw(_))) < first(|r| matches!(r, Record::Sample(_))));
+    assert!(first(|r| matches!(r, Record::Raw(_))) < first(|r| matches!(r, Record::Samples(_))));
     assert!(capture.attachment("protocol.toml").is_some());
     let events: Vec<&Event> = capture.events().collect();
     assert!(
@@ -187,8 +183,8 @@ fn spoiled_frames_are_faults_and_gaps_and_a_doubt() {
     let faults = capture.records.iter().filter(|stamped| matches!(stamped.record, Record::Fault(_))).count();
     let expected = samples(&capture).len() as u64 / 99;
     assert!(expected > 5 && missing.abs_diff(expected) <= 1, "{missing} of {expected}");
-    // The last fault may be a frame that the end cut through.
-    assert!((faults as u64).abs_diff(expected) <= 2, "{faults} of {expected}");
+    // The last fault may be a frame that the end cut through; a spoiled byte may end its frame early.
+    assert!((faults as u64).abs_diff(expected) <= 2 + expected / 50, "{faults} of {expected}");
 }
 
 fn endless() -> impl Source {
@@ -260,7 +256,11 @@ fn a_torn_capture_is_recovered_with_a_doubt() {
     assert!(stderr(&recovered).contains("checksum"), "{}", stderr(&recovered));
     let (before, after) = (capture::read(&bytes), read(Path::new(&path("whole"))));
     assert_eq!((after.records, after.damages.len()), (before.records, 0));
-    let intact = run(&["recover", &path("whole"), "--out", &path("again")]);
+    // It lacks its end for ever; a whole run lacks nothing.
+    let again = run(&["recover", &path("whole"), "--out", &path("more")]);
+    assert_eq!(again.status.code(), Some(3), "{}", stderr(&again));
+    assert!(stderr(&again).contains("cut off"), "{}", stderr(&again));
+    let intact = run(&["recover", &path("run"), "--out", &path("again")]);
     assert_eq!(intact.status.code(), Some(0), "{}", stderr(&intact));
     assert_eq!(
         run(&["recover", &path("run"), "--out", &path("again")]).status.code(),
@@ -285,6 +285,7 @@ fn a_bar_that_goes_away_for_good_ends_the_run() {
         duration_s: None,
         gone_s: 0.3,
         feed: None,
+        sync_s: 1.0,
     };
     let acquisition = daemon::Acquisition::start(options, Arc::default()).unwrap();
     drop(terminal);

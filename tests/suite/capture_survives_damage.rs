@@ -1,17 +1,34 @@
 //! A capture is read up to and past each damage, and each damage is named.
 
+use std::io::{self, ErrorKind, Write};
 use std::path::Path;
+use std::sync::{Arc, Mutex};
 
-use dbbd::capture::{self, Event, Record, Stamped, WriteError, Writer};
+use dbbd::capture::{self, Disk, Event, Record, Sample, Stamped, WriteError, Writer};
+use dbbd::model::Observations;
 use dbbd::units::HostNs;
 use proptest::prelude::*;
+
+/// Sum of `reading_mm` in the CSV that the version that wrote the fixture exported, um.
+const V1_SUM_UM: f64 = 852667.9;
+
+const PLAIN: Sample = Sample {
+    reading_mm: -0.1,
+    sequence: Some(0),
+    ticks: None,
+    trigger: Some(true),
+    temperature_c: Some(20.5),
+    valid: true,
+    status: 0x8000_0010,
+    offset: 1 << 40,
+};
 
 fn records() -> Vec<Stamped> {
     let records = vec![
         Record::Event(Event::Started { unix_ns: 1, version: "0".into() }),
         Record::Attachment { name: "plan.csv".into(), content: b"index\n1\n".to_vec() },
         Record::Raw(vec![0xdb, 0xbd, 0x5a, 0xa5, 2, 0, 0, 0, 0]),
-        Record::Sample(b"{\"reading_mm\":0.1}".to_vec()),
+        Record::Samples(vec![PLAIN, Sample { sequence: Some(u32::MAX), ticks: Some(u64::MAX), ..PLAIN }]),
         Record::Fault(b"{}".to_vec()),
         Record::Raw((0..=255).collect()),
         Record::Event(Event::Gap { seconds: Some(0.25), missing: None, reason: "r".into() }),
@@ -34,6 +51,41 @@ fn write(path: &Path) -> (Vec<u8>, Vec<usize>) {
 
 fn written() -> (Vec<u8>, Vec<usize>) {
     write(&tempfile::tempdir().unwrap().path().join("run"))
+}
+
+/// Made by the version that wrote samples as JSON, over a line that flipped bits; see fixtures/README.md.
+#[test]
+fn a_capture_of_the_first_format_is_still_read() {
+    let capture = capture::read(include_bytes!("../../fixtures/captures/v1/run.dbbd"));
+    assert_eq!((capture.version, capture.damages.len(), capture.ended()), (Some(1), 0, true));
+    // The counts are those that the version that wrote it gave.
+    let samples: Vec<&Sample> = capture.samples().map(|(_, sample)| sample).collect();
+    assert_eq!(samples.len(), 1784);
+    let faults = capture.records.iter().filter(|stamped| matches!(stamped.record, Record::Fault(_)));
+    assert_eq!(faults.count(), 5);
+    assert_eq!(samples[1].ticks, Some(50_000));
+    assert_eq!(samples[1].temperature_c, Some(20.0));
+    let sum_um: f64 = samples.iter().map(|sample| sample.reading_mm * 1e3).sum();
+    assert!((sum_um - V1_SUM_UM).abs() < 1e-6, "{sum_um}");
+    // And it goes the whole way.
+    let out = tempfile::tempdir().unwrap();
+    let out = out.path().join("observations.csv");
+    let run = concat!(env!("CARGO_MANIFEST_DIR"), "/fixtures/captures/v1/run.dbbd");
+    let synced = std::process::Command::new(env!("CARGO_BIN_EXE_dbbd"))
+        .args(["sync", run, "--out", out.to_str().unwrap()])
+        .output()
+        .unwrap();
+    // It lacks five samples: a doubt.
+    assert_eq!(synced.status.code(), Some(3), "{}", String::from_utf8_lossy(&synced.stderr));
+    let was = include_str!("../../fixtures/captures/v1/observations.csv");
+    let (now, was) = (
+        Observations::from_csv("now", &std::fs::read_to_string(&out).unwrap()),
+        Observations::from_csv("was", was),
+    );
+    for (now, was) in now.unwrap().rows.iter().zip(&was.unwrap().rows) {
+        assert_eq!(now.index, was.index);
+        assert!((now.length_mm - was.length_mm).abs() < 1e-3, "{} {}", now.length_mm, was.length_mm);
+    }
 }
 
 #[test]
@@ -92,6 +144,117 @@ fn every_flipped_bit_costs_one_record_and_is_named() {
             (start, ends[harmed] - start),
             "bit {bit}"
         );
+    }
+}
+
+/// A disk that takes so many bytes in so many writes, and then refuses.
+struct Failing {
+    taken: Arc<Mutex<Vec<u8>>>,
+    room: usize,
+    cuts: bool,
+}
+
+impl Write for Failing {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let count = bytes.len().min(self.room);
+        self.room -= count;
+        self.taken.lock().unwrap().extend(&bytes[..count]);
+        if count == 0 { Err(ErrorKind::StorageFull.into()) } else { Ok(count) }
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+impl Disk for Failing {
+    fn sync(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+
+    fn cut(&mut self, bytes: u64) -> io::Result<()> {
+        if !self.cuts {
+            return Err(ErrorKind::Other.into());
+        }
+        self.taken.lock().unwrap().truncate(bytes as usize);
+        Ok(())
+    }
+}
+
+#[test]
+fn a_disk_that_fails_at_any_byte_keeps_every_whole_record() {
+    let (bytes, ends) = written();
+    for room in 0..bytes.len() {
+        for cuts in [true, false] {
+            let taken = Arc::default();
+            let disk = Failing { taken: Arc::clone(&taken), room, cuts };
+            let failed = match Writer::on(Box::new(disk), Path::new("run")) {
+                Ok(mut writer) => {
+                    let mut written = records().into_iter().map(|s| writer.write(s.host, &s.record));
+                    written.find_map(Result::err).unwrap()
+                }
+                Err(error) => error,
+            };
+            let said = failed.to_string();
+            assert!(said.contains("is kept") && said.contains("make room"), "{said}");
+            let whole = ends.iter().rposition(|end| *end <= room);
+            let capture = capture::read(&taken.lock().unwrap());
+            assert_eq!(capture.records, records()[..whole.unwrap_or(0)], "room for {room}");
+            let torn = !cuts && !ends.contains(&room) && room > 0;
+            assert_eq!(capture.damages.len(), usize::from(torn), "room for {room}");
+        }
+    }
+}
+
+/// The reader of a file sees the same as that of bytes, however the bytes come.
+#[test]
+fn a_source_that_gives_a_byte_at_a_time_is_read_the_same() {
+    struct Drips<'a>(&'a [u8]);
+    impl io::Read for Drips<'_> {
+        fn read(&mut self, to: &mut [u8]) -> io::Result<usize> {
+            let count = self.0.len().min(to.len()).min(1);
+            to[..count].copy_from_slice(&self.0[..count]);
+            self.0 = &self.0[count..];
+            Ok(count)
+        }
+    }
+    let (mut bytes, _) = written();
+    bytes[40] ^= 1;
+    let parts = |source: &mut dyn io::Read| -> Vec<capture::Part> {
+        capture::Reader::new(source).unwrap().map(Result::unwrap).collect()
+    };
+    assert_eq!(parts(&mut Drips(&bytes)), parts(&mut &bytes[..]));
+}
+
+fn sample() -> impl Strategy<Value = Sample> {
+    let numbers = (any::<u64>(), any::<Option<u32>>(), any::<Option<u64>>(), any::<Option<bool>>());
+    (numbers, any::<Option<u64>>(), any::<bool>(), 0u32..3, any::<u64>()).prop_map(
+        |((bits, sequence, ticks, trigger), temperature, valid, status, offset)| Sample {
+            // Any bits but those of a NaN, which equals nothing.
+            reading_mm: Some(f64::from_bits(bits)).filter(|mm| !mm.is_nan()).unwrap_or(0.5),
+            sequence,
+            ticks,
+            trigger,
+            temperature_c: temperature.map(f64::from_bits).filter(|c| !c.is_nan()),
+            valid,
+            status,
+            offset,
+        },
+    )
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 64, ..ProptestConfig::default() })]
+
+    #[test]
+    fn samples_come_back_bit_for_bit(samples in prop::collection::vec(sample(), 1..40)) {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("run");
+        let record = Record::Samples(samples);
+        Writer::create(&path).unwrap().write(HostNs(1), &record).unwrap();
+        let capture = capture::read(&std::fs::read(&path).unwrap());
+        prop_assert_eq!(capture.damages, []);
+        prop_assert_eq!(&capture.records[0].record, &record);
     }
 }
 

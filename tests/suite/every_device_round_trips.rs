@@ -3,7 +3,7 @@
 
 use std::process::{Command, Stdio};
 
-use dbbd::capture::{self, Record};
+use dbbd::capture;
 use dbbd::protocol::{Decoded, Definition, Sample};
 use dbbd::sim::bar::{self, Options, Reading, Terminal};
 use dbbd::units::DeviceTicks;
@@ -166,14 +166,7 @@ fn simulated_is_acquired(definition: &Definition, protocol: &str, params: &[&str
     let late = output.status.code() == Some(3) && said.contains("not answered in time");
     assert!(output.status.code() == Some(0) || late, "{protocol}: {said}");
     let capture = capture::read(&std::fs::read(&path).unwrap());
-    let samples: Vec<Sample> = capture
-        .records
-        .iter()
-        .filter_map(|stamped| match &stamped.record {
-            Record::Sample(json) => Some(serde_json::from_slice(json).unwrap()),
-            _ => None,
-        })
-        .collect();
+    let samples: Vec<Sample> = capture.samples().map(|(_, sample)| sample.into()).collect();
     assert!(samples.len() >= 3, "{protocol}: {} samples", samples.len());
     for pair in samples.windows(2) {
         assert!(pair[0].valid, "{protocol}");
@@ -274,14 +267,7 @@ fn a_device_from_a_file_outside_the_binary_is_read() {
         .unwrap();
     assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
     let capture = capture::read(&std::fs::read(&run).unwrap());
-    let readings: Vec<f64> = capture
-        .records
-        .iter()
-        .filter_map(|stamped| match &stamped.record {
-            Record::Sample(json) => Some(serde_json::from_slice::<Sample>(json).unwrap().reading_mm),
-            _ => None,
-        })
-        .collect();
+    let readings: Vec<f64> = capture.samples().map(|(_, sample)| sample.reading_mm).collect();
     assert!(readings.len() > 10 && readings.iter().all(|mm| *mm == 0.25), "{readings:?}");
     // The capture alone tells the parameter in force.
     let kept = String::from_utf8(capture.attachment("protocol.toml").unwrap().to_vec()).unwrap();

@@ -137,6 +137,7 @@ fn session(directory: &Path, length: Length, seed: u64) -> Seen {
         attachments: Attachments::default(),
         duration_s: None,
         gone_s: 1e9,
+        sync_s: 1.0,
         feed: None,
     };
     let stop = Arc::new(AtomicBool::new(false));

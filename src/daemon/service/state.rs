@@ -261,6 +261,7 @@ impl Supervisor {
             attachments,
             duration_s: request.duration_s,
             gone_s: self.config.gone_s,
+            sync_s: 1.0,
             feed: Some(Feed::new(self.shown.clone(), outlook.clone())),
         };
         let begin = json!({ "name": request.name, "plan": request.plan });

@@ -157,6 +157,8 @@ fn draw(svg: &mut Svg, trace: &PolarTrace, unit: Unit, px_per_unit: f64, digits:
 /// Ticks across the outermost ring, with their words outside.
 fn mark(svg: &mut Svg, marks: &[(f64, String)]) {
     const APART_DEG: f64 = 6.0;
+    /// Half of the room of an axis' name.
+    const NAME_DEG: f64 = 8.0;
     let mut sorted: Vec<(f64, &str)> =
         marks.iter().map(|(angle, word)| (angle.rem_euclid(360.0), word.as_str())).collect();
     sorted.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(b.1)));
@@ -171,7 +173,10 @@ fn mark(svg: &mut Svg, marks: &[(f64, String)]) {
     for (angle, mut words) in groups {
         words.sort_unstable();
         words.dedup();
-        let [x, y] = polar(angle + 1.0, OUTER + 15.0);
+        // Beside the names of the axes, not on them.
+        let off = (angle + 45.0).rem_euclid(90.0) - 45.0;
+        let beside = if off.abs() < NAME_DEG { NAME_DEG.copysign(off) - off } else { 1.0 };
+        let [x, y] = polar(angle + beside, OUTER + 15.0);
         svg.text("halo", [x, y + 4.0], Anchor::Middle, &words.join(","));
     }
 }

@@ -1,0 +1,127 @@
+//! `dbbd import`: a trace that other software recorded becomes a capture.
+
+mod fields;
+mod mapping;
+mod trace;
+
+use std::error::Error;
+use std::fs::File;
+use std::io::{BufRead, BufReader};
+use std::path::{Path, PathBuf};
+
+use serde_json::json;
+
+use super::{Outcome, Output, Verdict, files};
+use crate::capture::{Event, Record, Sample, WriteError, Writer};
+use crate::daemon::Attachments;
+use crate::diag::Diagnostic;
+use crate::plan::Plan;
+use crate::units::HostNs;
+use mapping::Mapping;
+use trace::Trace;
+
+/// Lines are kept in records of about this many bytes.
+const BLOCK: usize = 1 << 16;
+
+/// Shown below the options.
+const LAYOUT: &str = "Without --mapping FILE is a CSV with the columns t_s (s) and length_mm (between the ball centres), \
+others are passed over. A mapping tells other layouts: [file] delimiter decimal skip_lines header comment; [time] column \
+unit = s|ms|us|ns|iso, or rate_hz; [length] column unit = mm|um|m|inch kind = distance|reading; [strobe], [valid], \
+[temperature] column. A column is a name, or a number from 1. examples/mapping.toml explains each.";
+
+/// Arguments of the verb.
+#[derive(clap::Args)]
+#[command(after_help = LAYOUT)]
+pub(crate) struct Args {
+    /// The trace: text, one reading a line.
+    file: PathBuf,
+    /// Plan that the robot executed; it and the plan.json beside it go into the capture.
+    #[arg(long, value_name = "PLAN.csv")]
+    plan: PathBuf,
+    /// How the trace is laid out [default: a CSV t_s,length_mm].
+    #[arg(long, value_name = "MAP.toml")]
+    mapping: Option<PathBuf>,
+    /// Capture to write; an existing file is not overwritten.
+    #[arg(long, value_name = "RUN")]
+    out: PathBuf,
+}
+
+pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
+    let name = args.file.display().to_string();
+    let map_text = args.mapping.as_deref().map(files::read).transpose()?.unwrap_or_default();
+    let map_name = args.mapping.as_ref().map_or_else(String::new, |path| path.display().to_string());
+    let mapping = Mapping::from_toml(&map_name, &map_text)?;
+    let attachments = Attachments::of_plan(&args.plan)?.with("mapping.toml", map_text);
+    let json = args.plan.with_extension("json");
+    let plan = Plan::from_files(
+        &args.plan.display().to_string(),
+        &files::read(&args.plan)?,
+        &json.display().to_string(),
+        &files::read(&json)?,
+    )?;
+    let bar = &plan.header.job.bar;
+    let trace = || Trace::new(&name, &mapping, bar.length_mm, bar.stroke_mm);
+    // Read once to its end before anything is written: a line that is wrong leaves no capture behind.
+    let trace::Counts { samples, invalid, unix_ns } = lines(&args.file, trace(), |_, _| Ok(()))?;
+    let mut writer = Writer::create(&args.out)?;
+    let begin = HostNs(0);
+    let version = env!("CARGO_PKG_VERSION").to_owned();
+    writer.write(begin, &Record::Event(Event::Started { unix_ns, version }))?;
+    for (name, content) in attachments.files {
+        writer.write(begin, &Record::Attachment { name, content })?;
+    }
+    writer.write(begin, &Record::Event(Event::Mark { text: format!("imported from {name}") }))?;
+    let mut last = begin;
+    let mut block = Block::default();
+    lines(&args.file, trace(), |line, sample| {
+        last = sample.map_or(last, |(host, _)| host);
+        block.text.extend(line);
+        block.samples.extend(sample);
+        if block.text.len() >= BLOCK { block.write(&mut writer, last) } else { Ok(()) }
+    })?;
+    block.write(&mut writer, last)?;
+    writer.finish(last, "the end of the file that was imported", 0)?;
+    let seconds = last.seconds_since(begin);
+    out.document(&json!({ "samples": samples, "invalid": invalid, "seconds": seconds }))?;
+    out.result(format!("{}: {samples} samples over {seconds:.1} s", args.out.display()));
+    if invalid > 0 {
+        out.warning(format!("{invalid} readings are beyond the bar's stroke or marked as not valid"));
+    }
+    Ok(Outcome::Done)
+}
+
+/// Gives each line with its sample to `each`.
+fn lines(
+    path: &Path,
+    mut trace: Trace<'_>,
+    mut each: impl FnMut(&[u8], Option<(HostNs, Sample)>) -> Result<(), WriteError>,
+) -> Result<trace::Counts, Box<dyn Error>> {
+    let unreadable =
+        |error| Diagnostic::file(&path.display().to_string(), format!("cannot be read: {error}"));
+    let mut text = BufReader::new(File::open(path).map_err(unreadable)?);
+    let mut line = Vec::new();
+    while text.read_until(b'\n', &mut line).map_err(unreadable)? > 0 {
+        each(&line, trace.line(&line)?)?;
+        line.clear();
+    }
+    Ok(trace.finish()?)
+}
+
+/// Lines that are not written yet, and what they say.
+#[derive(Default)]
+struct Block {
+    text: Vec<u8>,
+    samples: Vec<(HostNs, Sample)>,
+}
+
+impl Block {
+    /// Writes the text and then its samples; without one the text is of the time `otherwise`.
+    fn write(&mut self, writer: &mut Writer, otherwise: HostNs) -> Result<(), WriteError> {
+        let host = self.samples.first().map_or(otherwise, |(host, _)| *host);
+        writer.write(host, &Record::Raw(std::mem::take(&mut self.text)))?;
+        for (host, sample) in self.samples.drain(..) {
+            writer.write(host, &Record::Samples(vec![sample]))?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,55 @@
+//! The bar's temperature over a run, and lengths referred by the bar's certificate.
+
+use crate::circular::Temperature;
+use crate::plan::Job;
+
+/// Samples whose temperatures are kept as their mean.
+const BLOCK: usize = 256;
+/// A temperature counts for so many blocks before and after it was read.
+const NEAR: usize = 200;
+
+/// Temperatures by the place of the sample in its run, in degrees Celsius.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Temperatures {
+    /// Sums and counts.
+    blocks: Vec<(f64, u32)>,
+    samples: usize,
+}
+
+impl Temperatures {
+    /// The next sample came, with its temperature if it has one.
+    pub(crate) fn push(&mut self, temperature_c: Option<f64>) {
+        let block = self.samples / BLOCK;
+        self.samples += 1;
+        if let Some(temperature_c) = temperature_c.filter(|c| c.is_finite()) {
+            self.blocks.resize(self.blocks.len().max(block + 1), (0.0, 0));
+            let (sum, count) = &mut self.blocks[block];
+            *sum += temperature_c;
+            *count += 1;
+        }
+    }
+
+    /// The temperature at a sample: the mean of its block, or of the nearest one that has any.
+    pub(crate) fn at(&self, sample: usize) -> Option<f64> {
+        let block = sample / BLOCK;
+        let mean = |at: usize| {
+            let (sum, count) = self.blocks.get(at).copied()?;
+            (count > 0).then(|| sum / f64::from(count))
+        };
+        (0..=NEAR).find_map(|off| block.checked_sub(off).and_then(mean).or_else(|| mean(block + off)))
+    }
+
+    /// The mean over the run.
+    pub(crate) fn mean(&self) -> Option<f64> {
+        let add = |(sum, count): (f64, f64), (more, of): &(f64, u32)| (sum + more, count + f64::from(*of));
+        let (sum, count) = self.blocks.iter().fold((0.0, 0.0), add);
+        (count > 0.0).then(|| sum / count)
+    }
+}
+
+/// How the bar's certificate refers a length; `None` where it gives no expansion.
+pub(crate) fn certificate(job: &Job) -> Option<Temperature> {
+    let bar_per_k = Some(job.bar.expansion_per_k?);
+    let certified_c = job.bar.temperature_c.unwrap_or(Temperature::default().certified_c);
+    Some(Temperature { bar_per_k, certified_c, machine_per_k: None })
+}

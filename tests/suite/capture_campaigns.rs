@@ -1,0 +1,430 @@
+//! Kills, cuts, flipped bits and failing disks: short slices here, the campaigns by `-- --ignored`
+//! (their commands and figures stand in docs/capture.md).
+
+use std::io::{self, Write};
+use std::path::Path;
+use std::process::{Child, Command, Output, Stdio};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, OnceLock};
+
+use dbbd::capture::{self, Capture, Disk, Event, Record, Sample, Stamped, Writer};
+use dbbd::clock;
+use dbbd::daemon::{Acquisition, Attachments, Ending, Options, Progress};
+use dbbd::protocol::Definition;
+use dbbd::sim::bar::{self, Reading, Terminal};
+use dbbd::units::HostNs;
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64;
+
+const PERIOD: u64 = 20_001;
+
+/// Readings on the 10 nm grid of the protocol, each told by its number.
+fn reading_mm(frame: u64) -> f64 {
+    ((frame % PERIOD) as f64 - 10_000.0) / 1e5
+}
+
+fn definition() -> Definition {
+    Definition::by_name("dbb-cobs-1").unwrap().unwrap()
+}
+
+/// A bar that streams until `over`, as fast as it is read: the name of its port.
+fn stream(over: &Arc<AtomicBool>) -> String {
+    let terminal = Terminal::new().unwrap();
+    let name = terminal.name().to_owned();
+    let over = Arc::clone(over);
+    std::thread::spawn(move || {
+        let source = |t_s: f64| {
+            let reading_mm = reading_mm((t_s * 1000.0).round() as u64);
+            let reading = Reading { reading_mm, strobe: false, valid: true, temperature_c: 20.0 };
+            (!over.load(Ordering::Relaxed)).then_some(reading)
+        };
+        bar::serve(
+            terminal,
+            &definition(),
+            bar::Options { rate_hz: 1000.0, speed: 0.0, first_ticks: 0 },
+            source,
+        )
+    });
+    name
+}
+
+fn dbbd(arguments: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_dbbd"));
+    command.args(arguments).stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    command
+}
+
+fn run(arguments: &[&str]) -> Output {
+    dbbd(arguments).output().unwrap()
+}
+
+fn stderr(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+fn size(path: &Path) -> u64 {
+    std::fs::metadata(path).map_or(0, |data| data.len())
+}
+
+/// The samples are those that the bar sent, one after the other from the first: none is invented.
+fn is_prefix_of_what_was_sent(capture: &Capture) -> usize {
+    let mut frame = 0;
+    for (_, sample) in capture.samples() {
+        assert_eq!(sample.sequence, Some((frame % 65_536) as u32));
+        assert_eq!(sample.reading_mm, reading_mm(frame), "frame {frame}");
+        frame += 1;
+    }
+    frame as usize
+}
+
+/// Kills the acquisition at random moments. What stood in the file before the kill is read afterwards,
+/// with every sample of it, and `recover` gives exactly the whole records.
+fn kills(count: u64) {
+    let mut random = Pcg64::seed_from_u64(1);
+    let (mut torn, mut samples) = (0, 0);
+    for _ in 0..count {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("run");
+        let over = Arc::default();
+        let port = stream(&over);
+        let mut child: Child =
+            dbbd(&["acquire", "--port", &port, "--out", path.to_str().unwrap()]).spawn().unwrap();
+        let until = random.random_range(0..400_000);
+        let begun = clock::now();
+        while size(&path) < until && clock::now().seconds_since(begun) < 20.0 {
+            clock::sleep(random.random_range(0.0..0.003));
+        }
+        let before = size(&path);
+        child.kill().unwrap();
+        child.wait().unwrap();
+        over.store(true, Ordering::Relaxed);
+        if before == 0 {
+            continue;
+        }
+        let bytes = std::fs::read(&path).unwrap();
+        let capture = capture::read(&bytes);
+        let end = match &capture.damages[..] {
+            [] => bytes.len(),
+            [tail] => {
+                torn += 1;
+                assert_eq!((tail.offset + tail.bytes) as usize, bytes.len(), "{tail:?}");
+                tail.offset as usize
+            }
+            more => panic!("{more:?}"),
+        };
+        // The record that was being written may be torn; all before it is whole.
+        let before = capture::read(&bytes[..before as usize]);
+        assert!(capture.records.starts_with(&before.records));
+        samples += is_prefix_of_what_was_sent(&capture);
+        let raw: u64 = capture
+            .records
+            .iter()
+            .map(|stamped| match &stamped.record {
+                Record::Raw(raw) => raw.len() as u64,
+                _ => 0,
+            })
+            .sum();
+        assert!(capture.samples().all(|(_, sample)| sample.offset < raw), "a sample without its bytes");
+        let recovered = directory.path().join("recovered");
+        let output = run(&["recover", path.to_str().unwrap(), "--out", recovered.to_str().unwrap()]);
+        if capture.records.is_empty() {
+            assert_eq!(output.status.code(), Some(1));
+        } else {
+            assert_eq!(output.status.code(), Some(3), "{}", stderr(&output));
+            assert!(stderr(&output).contains("cut off"), "{}", stderr(&output));
+            assert_eq!(std::fs::read(&recovered).unwrap(), bytes[..end]);
+        }
+    }
+    eprintln!("{count} kills: {samples} samples, {torn} torn tails");
+}
+
+#[test]
+fn killed_at_a_moment_it_keeps_what_was_written() {
+    kills(4);
+}
+
+#[test]
+#[ignore = "a campaign"]
+fn killed_at_300_moments_it_keeps_what_was_written() {
+    kills(300);
+}
+
+/// A capture of more than 200 kB with every kind of record.
+fn long() -> &'static (Vec<u8>, Vec<usize>, Vec<Stamped>) {
+    static LONG: OnceLock<(Vec<u8>, Vec<usize>, Vec<Stamped>)> = OnceLock::new();
+    LONG.get_or_init(|| {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("run");
+        let mut writer = Writer::create(&path).unwrap();
+        let mut random = Pcg64::seed_from_u64(2);
+        let mut ends = vec![size(&path) as usize];
+        let mut records = Vec::new();
+        let mut write = |host: u64, record: Record| {
+            writer.write(HostNs(host), &record).unwrap();
+            ends.push(size(&path) as usize);
+            records.push(Stamped { host: HostNs(host), record });
+        };
+        write(0, Record::Event(Event::Started { unix_ns: 1, version: "0".into() }));
+        write(0, Record::Attachment { name: "plan.csv".into(), content: vec![b'1'; 5000] });
+        let mut frame = 0_u64;
+        while frame < 4000 {
+            let count = random.random_range(1..9);
+            // The bytes are any, those of a record's begin among them.
+            let mut raw: Vec<u8> = (0..18 * count).map(|_| random.random()).collect();
+            if frame.is_multiple_of(7) {
+                raw[..4].copy_from_slice(&[0xdb, 0xbd, 0x5a, 0xa5]);
+            }
+            write(frame, Record::Raw(raw));
+            let sample = |frame: u64| Sample {
+                reading_mm: reading_mm(frame),
+                sequence: Some(frame as u32),
+                ticks: Some(1000 * frame),
+                trigger: Some(false),
+                temperature_c: Some(20.0),
+                valid: true,
+                status: 0,
+                offset: 18 * frame,
+            };
+            write(frame, Record::Samples((frame..frame + count).map(sample).collect()));
+            frame += count;
+        }
+        write(frame, Record::Event(Event::Ended { reason: "done".into(), samples: frame, lost: 0 }));
+        (std::fs::read(&path).unwrap(), ends, records)
+    })
+}
+
+/// Cut there, every record before is whole, nothing else is, and the tail is named.
+fn cut(at: usize) {
+    let (bytes, ends, records) = long();
+    let capture = capture::read(&bytes[..at]);
+    let whole = ends.partition_point(|end| *end <= at).saturating_sub(1);
+    assert_eq!(capture.records.len(), whole, "cut at {at}");
+    assert!(capture.records == records[..whole], "cut at {at}");
+    let torn = usize::from(at > 0 && !ends.contains(&at));
+    assert_eq!(capture.damages.len(), torn, "cut at {at}");
+    if let [damage] = &capture.damages[..] {
+        assert_eq!((damage.offset + damage.bytes) as usize, at);
+    }
+}
+
+/// A flipped bit costs its record alone, and is named by that record's place.
+fn flip(bit: usize) {
+    let (bytes, ends, records) = long();
+    let mut bytes = bytes.clone();
+    bytes[bit / 8] ^= 1 << (bit % 8);
+    let capture = capture::read(&bytes);
+    let harmed = ends.partition_point(|end| *end <= bit / 8);
+    let kept = records.iter().enumerate().filter(|(at, _)| at + 1 != harmed).map(|(_, record)| record);
+    assert!(capture.records.iter().eq(kept), "bit {bit}");
+    let [damage] = &capture.damages[..] else { panic!("bit {bit}: {:?}", capture.damages) };
+    let start = if harmed == 0 { 0 } else { ends[harmed - 1] };
+    assert_eq!((damage.offset, damage.bytes), (start as u64, (ends[harmed] - start) as u64), "bit {bit}");
+}
+
+fn cuts_and_flips(last: usize, random: usize, flips: usize) {
+    let (bytes, ..) = long();
+    (bytes.len() - last..=bytes.len()).for_each(cut);
+    let mut numbers = Pcg64::seed_from_u64(3);
+    (0..random).for_each(|_| cut(numbers.random_range(0..=bytes.len())));
+    (0..flips).for_each(|_| flip(numbers.random_range(0..8 * bytes.len())));
+    eprintln!("{} bytes: {} cuts, {flips} flipped bits", bytes.len(), last + 1 + random);
+}
+
+#[test]
+fn cut_and_flipped_it_loses_only_what_was_hit() {
+    cuts_and_flips(300, 30, 100);
+}
+
+#[test]
+#[ignore = "a campaign"]
+fn cut_at_every_byte_of_64_kib_and_2000_places_it_is_a_prefix() {
+    cuts_and_flips(65_536, 2000, 20_000);
+}
+
+/// Acquires until it ends by itself; its output.
+fn acquire_in_shell(before: &str, path: &Path) -> Output {
+    let over = Arc::default();
+    let port = stream(&over);
+    let command = format!(
+        "{before} exec '{}' acquire --port '{port}' --duration 20 --out '{}'",
+        env!("CARGO_BIN_EXE_dbbd"),
+        path.display()
+    );
+    let output = Command::new("sh").args(["-c", &command]).stdin(Stdio::null()).output().unwrap();
+    over.store(true, Ordering::Relaxed);
+    output
+}
+
+/// The run failed, said why, and its file holds whole records alone.
+fn ended_by_the_disk(output: &Output, path: &Path, remedy: &str) {
+    let said = stderr(output);
+    assert_eq!(output.status.code(), Some(1), "{said}");
+    assert!(said.contains("is kept") && said.contains(remedy), "{said}");
+    let capture = capture::read(&std::fs::read(path).unwrap());
+    assert_eq!(capture.damages, []);
+    assert!(!capture.ended());
+    let samples = is_prefix_of_what_was_sent(&capture);
+    assert!(samples > 100 && said.contains(&format!("{samples} samples")), "{samples}: {said}");
+}
+
+#[cfg(unix)]
+#[test]
+fn a_file_that_may_not_grow_ends_the_run_and_keeps_it() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("run");
+    // Blocks of 512 or 1024 bytes, by the shell.
+    let output = acquire_in_shell("trap '' XFSZ; ulimit -f 100;", &path);
+    ended_by_the_disk(&output, &path, "ulimit -f");
+}
+
+/// As root, where a small file system can be mounted.
+#[cfg(target_os = "linux")]
+#[test]
+#[ignore = "needs root: mounts a file system of 256 kB"]
+fn a_full_disk_ends_the_run_and_keeps_it() {
+    let mount = Mount::new(&["-t", "tmpfs", "-o", "size=256k", "tmpfs"]);
+    let Some(mount) = mount else { return eprintln!("skipped: nothing can be mounted here") };
+    let path = mount.0.path().join("run");
+    let output = acquire_in_shell("", &path);
+    ended_by_the_disk(&output, &path, "make room");
+    // Not even the header of another one fits; no empty file is left behind.
+    std::fs::write(mount.0.path().join("rest"), vec![0; 1 << 20]).unwrap_err();
+    let output = acquire_in_shell("", &mount.0.path().join("second"));
+    assert_eq!(output.status.code(), Some(1), "{}", stderr(&output));
+    assert!(!mount.0.path().join("second").exists());
+}
+
+#[test]
+fn a_place_that_takes_no_file_is_told() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("missing").join("run");
+    let output = acquire_in_shell("", &path);
+    assert_eq!(output.status.code(), Some(1));
+    let said = stderr(&output);
+    assert!(said.contains("cannot be made") && said.contains("directory must exist"), "{said}");
+    if cfg!(target_os = "linux") {
+        // Nobody may make a file there, not even root.
+        let output = acquire_in_shell("", Path::new("/sys/dbbd-run"));
+        assert_eq!(output.status.code(), Some(1));
+        assert!(stderr(&output).contains("let this user write"), "{}", stderr(&output));
+    }
+}
+
+/// Something mounted on a directory of its own.
+struct Mount(tempfile::TempDir);
+
+impl Mount {
+    fn new(what: &[&str]) -> Option<Self> {
+        let directory = tempfile::tempdir().unwrap();
+        let status = Command::new("mount").args(what).arg(directory.path()).stderr(Stdio::null()).status();
+        status.is_ok_and(|status| status.success()).then_some(Self(directory))
+    }
+}
+
+impl Drop for Mount {
+    fn drop(&mut self) {
+        let _ = Command::new("umount").arg("-l").arg(self.0.path()).status();
+    }
+}
+
+/// A disk that takes nothing while it is stalled.
+struct Stalling {
+    taken: Arc<Mutex<Vec<u8>>>,
+    stalled: Arc<AtomicBool>,
+}
+
+impl Write for Stalling {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        while self.stalled.load(Ordering::Relaxed) {
+            clock::sleep(0.01);
+        }
+        self.taken.lock().unwrap().extend(bytes);
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+impl Disk for Stalling {
+    fn sync(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+
+    fn cut(&mut self, bytes: u64) -> io::Result<()> {
+        self.taken.lock().unwrap().truncate(bytes as usize);
+        Ok(())
+    }
+}
+
+/// Records from `port` for a second, stalls the disk for `stall_s`, and ends; the run's capture and counts.
+fn stalled(port: String, stall_s: f64) -> (Capture, Progress) {
+    let (taken, stalled, stop) = (Arc::default(), Arc::default(), Arc::default());
+    let disk = Stalling { taken: Arc::clone(&taken), stalled: Arc::clone(&stalled) };
+    let writer = Writer::on(Box::new(disk), Path::new("run")).unwrap();
+    let options = Options {
+        port,
+        definition: definition(),
+        out: "run".into(),
+        attachments: Attachments::default(),
+        duration_s: None,
+        gone_s: 1.0,
+        feed: None,
+        sync_s: 0.1,
+    };
+    let acquisition = Acquisition::start_on(writer, options, Arc::clone(&stop)).unwrap();
+    clock::sleep(0.3);
+    stalled.store(true, Ordering::Relaxed);
+    clock::sleep(stall_s);
+    stalled.store(false, Ordering::Relaxed);
+    clock::sleep(1.0);
+    stop.store(true, Ordering::Relaxed);
+    let summary = acquisition.join().unwrap();
+    assert_eq!(summary.ending, Ending::Stopped);
+    let capture = capture::read(&taken.lock().unwrap());
+    assert!(capture.ended() && capture.damages.is_empty());
+    (capture, summary.progress)
+}
+
+/// A pseudo terminal waits for its reader: a disk that stalls delays, and nothing is lost.
+#[test]
+fn a_stalled_disk_behind_a_pseudo_terminal_loses_nothing() {
+    let over = Arc::default();
+    let (capture, progress) = stalled(stream(&over), 0.5);
+    over.store(true, Ordering::Relaxed);
+    assert_eq!((progress.lost_bytes, progress.missing), (0, 0));
+    assert!(is_prefix_of_what_was_sent(&capture) > 100);
+}
+
+/// A device does not wait. A terminal under another path than that of pseudo terminals stands in for it.
+#[cfg(target_os = "linux")]
+#[test]
+#[ignore = "needs root: mounts /dev/pts at a second place"]
+fn what_a_stalled_disk_loses_of_a_device_is_counted_and_named() {
+    let Some(mount) = Mount::new(&["--bind", "/dev/pts"]) else {
+        return eprintln!("skipped: nothing can be mounted here");
+    };
+    let over = Arc::default();
+    let pty = stream(&over);
+    let port = mount.0.path().join(Path::new(&pty).file_name().unwrap());
+    let (capture, progress) = stalled(port.display().to_string(), 8.0);
+    over.store(true, Ordering::Relaxed);
+    // How many frames that were the sequence numbers cannot tell: they went round more than once.
+    assert!(progress.lost_bytes > 0 && progress.gaps > 0, "{progress:?}");
+    let lost: u64 = capture
+        .events()
+        .filter_map(|event| match event {
+            Event::Gap { reason, .. } => reason.strip_suffix(" bytes were lost: the recorder was too slow"),
+            _ => None,
+        })
+        .map(|bytes| bytes.parse::<u64>().unwrap())
+        .sum();
+    assert_eq!(lost, progress.lost_bytes);
+    let missing = capture.events().filter_map(|event| match event {
+        Event::Gap { missing, .. } => *missing,
+        _ => None,
+    });
+    assert_eq!(missing.sum::<u64>(), progress.missing);
+    eprintln!("{} samples kept, {lost} bytes lost and counted", progress.samples);
+}
