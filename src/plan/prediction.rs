@@ -42,11 +42,15 @@ pub struct Prediction {
     pub now_mm: Error3d,
     /// The same after an identification with the datasheet as prior, mm.
     pub identified_mm: Error3d,
+    // A plan of an earlier version, as captures carry it, lacks these.
     /// What fewer and more lengths tell.
+    #[serde(default)]
     pub against: Vec<Against>,
     /// The error left afterwards by the distance from the base balls.
+    #[serde(default)]
     pub regions: Vec<Region>,
     /// How many lengths are enough, how far the result is valid, where a second ball would help: in words.
+    #[serde(default)]
     pub advice: Vec<String>,
 }
 
