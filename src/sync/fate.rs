@@ -165,23 +165,37 @@ pub(super) fn warnings(synced: &Synced, stream: &Stream) -> Vec<Warning> {
     warnings
 }
 
-/// Whether the robot stood elsewhere than commanded by the axis angles that it told.
+/// Whether the robot stood elsewhere than commanded by the axis angles that it told: everywhere by a little where the
+/// controller corrects by an accuracy model of its own, at single poses or by far where something is wrong.
 pub(super) fn elsewhere(synced: &Synced, plan: &Plan) -> Option<Warning> {
     /// No controller in position is further off, degrees.
     const IN_POSITION_DEG: f64 = 0.05;
+    /// No robot is corrected by more at most of its poses, degrees.
+    const CORRECTED_DEG: f64 = 3.0;
     let off_deg = synced.observations.rows.iter().filter_map(|row| {
         let commanded = plan.rows.get((row.index as usize).checked_sub(1)?)?;
         let apart = row.axes_deg.iter().zip(&commanded.axes_deg).map(|(told, plan)| (told - plan).abs());
         Some(apart.fold(0.0, f64::max))
     });
-    let off_deg: Vec<f64> = off_deg.filter(|deg| *deg > IN_POSITION_DEG).collect();
-    let worst_deg = off_deg.iter().copied().fold(0.0, f64::max);
-    (!off_deg.is_empty()).then(|| Warning {
-        doubt: true,
+    let mut off_deg: Vec<f64> = off_deg.collect();
+    off_deg.sort_by(f64::total_cmp);
+    let (usual_deg, worst_deg) = (*off_deg.get(off_deg.len() / 2)?, *off_deg.last()?);
+    if worst_deg <= IN_POSITION_DEG {
+        return None;
+    }
+    let count = off_deg.iter().filter(|deg| **deg > IN_POSITION_DEG).count();
+    let corrected = usual_deg > IN_POSITION_DEG && usual_deg <= CORRECTED_DEG;
+    let why = if corrected {
+        "as a controller with an accuracy model of its own moves them"
+    } else if usual_deg > CORRECTED_DEG {
+        "was another plan driven?"
+    } else {
+        "and at the others where they were commanded: was the robot stopped or moved by hand?"
+    };
+    Some(Warning {
+        doubt: !corrected,
         text: format!(
-            "at {} poses the measured axis angles are up to {worst_deg:.2} degrees from the commanded ones: \
-             was another plan driven?",
-            off_deg.len()
+            "at {count} poses the measured axis angles are up to {worst_deg:.2} degrees from the commanded ones, {why}"
         ),
     })
 }

@@ -47,18 +47,8 @@ const TABLE: &[(&str, &[&str])] = &[
 ];
 
 /// Rooms that do no input or output, read no clock and print nothing.
-const PURE: &[&str] = &[
-    "protocol",
-    "model",
-    "identifiability",
-    "plan",
-    "krl",
-    "sync",
-    "circular",
-    "identify",
-    "export",
-    "report",
-];
+const PURE: &[&str] =
+    &["protocol", "model", "identifiability", "plan", "krl", "sync", "circular", "identify", "report"];
 
 fn sources(room: &str) -> Vec<PathBuf> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");

@@ -51,7 +51,7 @@ fn run(at: &Path, extra: &[&str]) {
 fn logged_axes_tell_where_an_accurate_controller_stood() {
     let dir = tempdir().unwrap();
     let at = dir.path();
-    let mut plan = chosen(1, 80, true);
+    let mut plan = chosen(1, 40, true);
     plan.header.job.motion.dwell_s = 0.6;
     plan.header.job.motion.settle_s = 0.3;
     plan.rows.iter_mut().filter(|row| row.dwell_s > 0.0).for_each(|row| row.dwell_s = 0.6);
