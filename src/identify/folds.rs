@@ -11,6 +11,8 @@ use crate::model::{LengthModel, ParamId, Reading, Robot};
 /// Number of folds when the user does not say, and lengths per parameter below which there are none.
 pub(super) const DEFAULT_FOLDS: usize = 5;
 pub(super) const LENGTHS_PER_PARAMETER: usize = 3;
+/// Above so many lengths none are held out unasked: every parameter has hundreds, and what is held out fits like the rest.
+pub(super) const MOST_UNASKED: usize = 20_000;
 
 /// Fits `asked` without each fold in turn and predicts its lengths: the residual of each used reading, in their
 /// order, mm. Rows with equal axis angles (one pose measured to several balls) stay together: a fold must not

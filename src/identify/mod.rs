@@ -92,7 +92,7 @@ pub fn identify(
         Some(folds) => Some(folds),
         None => {
             let enough = folds::LENGTHS_PER_PARAMETER * estimate.kept.len();
-            (lengths.readings.len() >= enough).then_some(folds::DEFAULT_FOLDS)
+            (enough..=folds::MOST_UNASKED).contains(&lengths.readings.len()).then_some(folds::DEFAULT_FOLDS)
         }
     };
     let hold_out = |folds| -> Result<Option<Folds>, IdentifyError> {

@@ -62,7 +62,8 @@ pub(crate) struct Args {
     /// Further observations, to the same balls, that only check the result.
     #[arg(long, value_name = "OBS.csv")]
     validate: Option<PathBuf>,
-    /// Cross-validation folds; 0 for none [default: 5 when there are three lengths per parameter].
+    /// Cross-validation folds; 0 for none [default: 5 when there are three lengths per parameter
+    /// and at most 20000 lengths].
     #[arg(long, value_name = "N")]
     folds: Option<usize>,
     /// What is known of the robot beforehand: the tolerance in its file, or a CSV name,unit,sd.

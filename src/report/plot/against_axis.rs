@@ -1,6 +1,7 @@
 //! Residuals against the angle of one axis, by the sense in which it came to the pose.
 
 use super::frame::{Frame, Labels};
+use super::thinning::thinned;
 use super::{Series, legend};
 use crate::report::scale::{Unit, magnitude, range, signed};
 
@@ -55,7 +56,8 @@ impl AxisPlot {
             (Series::Third, "not known", 0..=0),
         ] {
             let of_sense = |point: &&AxisPoint| senses.contains(&point.sense);
-            for point in self.points.iter().filter(of_sense) {
+            let place = |point: &AxisPoint| [point.angle_deg, point.residual_mm];
+            for point in thinned(self.points.iter().filter(of_sense).collect(), place) {
                 let value = point.residual_mm * unit.factor;
                 let tip = format!("{:.2} deg: {} {}", point.angle_deg, signed(value, 1), unit.sign);
                 frame.svg.circle(series.dot(), frame.at(point.angle_deg, value), radius, &tip);

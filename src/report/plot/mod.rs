@@ -7,6 +7,7 @@ pub mod histogram;
 pub mod intervals;
 pub mod polar;
 pub mod residuals;
+mod thinning;
 pub mod trace;
 pub mod view;
 

@@ -1,6 +1,7 @@
 //! Residual of each length, before and after, with the outliers marked.
 
 use super::frame::{Frame, Labels, NARROW};
+use super::thinning::thinned;
 use super::{Series, legend};
 use crate::report::scale::{Unit, magnitude, range, signed};
 use crate::report::svg::Anchor;
@@ -60,7 +61,8 @@ impl ResidualPlot {
             format!("{index} {word}: {} {}", signed(value * unit.factor, digits), unit.sign)
         };
         let radius = if self.points.len() > 150 { 1.9 } else { 2.6 };
-        for point in &self.points {
+        let before = |point: &ResidualPoint| [f64::from(point.index), point.before_mm.unwrap_or(0.0)];
+        for point in thinned(self.points.iter().collect(), before) {
             if let Some(before) = point.before_mm
                 && (before * unit.factor).abs() <= top
             {
@@ -68,11 +70,12 @@ impl ResidualPlot {
                 frame.svg.circle("d-before", at, radius, &tip(point.index, "before", before));
             }
         }
-        for point in self.points.iter().filter(sound) {
+        let after = |point: &ResidualPoint| [f64::from(point.index), point.after_mm];
+        for point in thinned(self.points.iter().filter(sound).collect(), after) {
             let at = frame.at(f64::from(point.index), point.after_mm * unit.factor);
             frame.svg.circle("d-after", at, radius, &tip(point.index, "after", point.after_mm));
         }
-        for point in self.points.iter().filter(|point| point.outlier) {
+        for point in thinned(self.points.iter().filter(|point| point.outlier).collect(), after) {
             let value = point.after_mm * unit.factor;
             let at = frame.at(f64::from(point.index), value.clamp(-0.95 * top, 0.95 * top));
             frame.svg.cross("l-mark", at, 4.5);
