@@ -18,7 +18,7 @@ use crate::krl_reads_back::program;
 fn random_plan(seed: u64) -> Plan {
     let mut random = Pcg64::seed_from_u64(seed);
     let mut plan = if seed.is_multiple_of(2) {
-        circle_plan::plan(random.random_range(1..4), random.random_range(2..30))
+        circle_plan::plan(random.random_range(1..4), random.random_range(3..30))
     } else {
         let job = "robot = \"kr60ha\"\n[bar]\nlength_mm = 300.0\nstroke_mm = [-6.0, 6.0]\n[[centre]]\nid = 1\n\
                    xyz_mm = [1300.0, 0.0, 800.0]\n[[circle]]\nmode = \"continuous\"\nplane = \"XY\"\npoints = 12\n\
