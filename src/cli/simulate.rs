@@ -78,7 +78,7 @@ pub(crate) struct Args {
 }
 
 pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
-    let ranges = [("--halt", args.halt, 0.0, 3600.0), ("--override", args.override_percent, 1.0, 100.0)];
+    let ranges = [("--halt", args.halt, 0.0, 86_400.0), ("--override", args.override_percent, 1.0, 100.0)];
     if let Some((name, value, low, high)) =
         ranges.into_iter().find(|(_, v, low, high)| !(low..=high).contains(&v))
     {

@@ -5,11 +5,6 @@ use super::parser::{DEPTH, Parser};
 use super::syntax::*;
 use crate::diag::Diagnostic;
 
-/// Types that declare without the word DECL.
-pub(super) fn type_of_declaration(name: &str) -> bool {
-    matches!(name, "INT" | "REAL" | "BOOL" | "CHAR" | "FRAME" | "POS" | "E6POS" | "AXIS" | "E6AXIS" | "LOAD")
-}
-
 /// The operator that a word is, and how tightly it binds.
 fn binary(token: &Token) -> Option<(Binary, u8)> {
     Some(match token {

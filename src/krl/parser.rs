@@ -1,7 +1,6 @@
 //! Reads `.src` and `.dat` files: recursive descent over lines. What it does not know it rejects,
 //! with the statement and its place.
 
-use super::expression::type_of_declaration;
 use super::lexer::{Token, line_tokens, tokens};
 use super::syntax::*;
 use crate::diag::Diagnostic;

@@ -317,3 +317,8 @@ pub enum Binary {
     And,
     Or,
 }
+
+/// Types that declare without the word DECL.
+pub(super) fn type_of_declaration(name: &str) -> bool {
+    matches!(name, "INT" | "REAL" | "BOOL" | "CHAR" | "FRAME" | "POS" | "E6POS" | "AXIS" | "E6AXIS" | "LOAD")
+}

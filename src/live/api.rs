@@ -9,12 +9,23 @@ use axum::http::header::{CONTENT_TYPE, SET_COOKIE};
 use axum::response::{IntoResponse, Response};
 use serde::Deserialize;
 use serde_json::json;
+use tokio::sync::watch;
 
-use super::access::COOKIE_NAME;
+use super::access::{Access, COOKIE_NAME};
 use super::json::{Body, Problem, json};
-use super::routes::{App, OPENAPI};
 use super::service::{Catalogue, JobKind, JobRequest, Refusal, Service, StartRequest};
 use super::{downloads, metrics as prometheus, stream as live_stream};
+
+/// The API's description, kept by hand; a test holds it to the routes.
+pub const OPENAPI: &str = include_str!("openapi.json");
+
+/// What handlers need.
+#[derive(Clone)]
+pub(super) struct App {
+    pub(super) service: Arc<dyn Service>,
+    pub(super) access: Arc<Access>,
+    pub(super) stop: watch::Receiver<bool>,
+}
 
 type Answer = Result<Response, Problem>;
 /// Parts of a path; what is no text is refused.

@@ -17,7 +17,8 @@ mod stream;
 mod view;
 
 pub use access::{Access, Token};
-pub use routes::{OPENAPI, routes};
+pub use api::OPENAPI;
+pub use routes::routes;
 pub use server::serve;
 pub use service::{
     Catalogue, Download, Ended, Job, JobKind, JobRequest, JobState, Refusal, ResultFile, RunEntry, RunState,

@@ -15,26 +15,16 @@ use axum::routing::{MethodRouter, delete, get, post, put};
 use tokio::sync::watch;
 
 use super::access::Access;
+use super::api::App;
 use super::json::Problem;
 use super::service::Service;
 use super::{api, page};
-
-/// The API's description, kept by hand; a test holds it to the routes.
-pub const OPENAPI: &str = include_str!("openapi.json");
 
 /// What the page may do: talk to this service, and nothing else.
 const PAGE_POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; \
     img-src 'self' data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 /// Longest path with query, bytes.
 const LONGEST_URI: usize = 2048;
-
-/// What handlers need.
-#[derive(Clone)]
-pub(super) struct App {
-    pub(super) service: Arc<dyn Service>,
-    pub(super) access: Arc<Access>,
-    pub(super) stop: watch::Receiver<bool>,
-}
 
 type Route = (&'static str, &'static str, MethodRouter<App>);
 

@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use super::identification::{IdentificationPlots, ObservationPoint};
+use super::identification_view::{IdentificationPlots, ObservationPoint};
 use super::page::Fact;
 use super::plot::against_axis::{AxisPlot, AxisPoint};
 use super::scale::{fixed, rounded, significant};
@@ -67,11 +67,8 @@ pub(super) fn joints(result: &Identification) -> Vec<String> {
 }
 
 /// Six panels: the residual afterwards against each axis angle, outliers left out.
-pub(super) fn panels(
-    plots: &IdentificationPlots,
-    is_outlier: impl Fn(&ObservationPoint) -> bool,
-) -> Vec<String> {
-    let sound: Vec<&ObservationPoint> = plots.observations.iter().filter(|o| !is_outlier(o)).collect();
+pub(super) fn panels(result: &Identification, plots: &IdentificationPlots) -> Vec<String> {
+    let sound: Vec<&ObservationPoint> = plots.observations.iter().filter(|o| !o.is_outlier(result)).collect();
     let shown: Vec<&ObservationPoint> =
         sound.iter().copied().step_by(sound.len().div_ceil(POINTS).max(1)).collect();
     if shown.is_empty() {

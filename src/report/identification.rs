@@ -6,80 +6,14 @@ use serde::Serialize;
 
 use super::choices::{self, Choices};
 use super::diagnosis::{self, AdviceLine};
-use super::handing_back::{self, AxisZero, BallPlace, PlaceLine, ZeroLine};
+use super::handing_back::{self, PlaceLine, ZeroLine};
+use super::identification_view::{CirclePanel, IdentificationPlots, ObservationPoint};
 use super::page::{Fact, Provenance, ReportError, render, texts};
 use super::parameters::{Group, charts, estimated, groups, word};
 use super::plot::{HeatMap, Histogram, PolarPlot, PolarTrace, ResidualPlot, ResidualPoint, Series};
 use super::scale::{fixed, significant};
 use crate::identify::result::{Identification, PredictedError, Residual, Status, WarningKind};
-use crate::model::AXES;
 use crate::plan::Kind;
-
-/// What the page shows besides the result itself.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct IdentificationPlots {
-    /// The observations with their residuals, outliers included.
-    pub observations: Vec<ObservationPoint>,
-    /// The circles, for the polar plots; none for poses that lie on no circle.
-    pub circles: Vec<CirclePanel>,
-    /// One standard deviation of what the robot's maker promises.
-    pub tolerance: Option<Tolerance>,
-    /// Maps of the predicted error.
-    pub maps: Vec<HeatMap>,
-    /// The zero errors of the axes.
-    pub zeros: Vec<AxisZero>,
-    /// Tool ball and base balls.
-    pub balls: Vec<BallPlace>,
-    /// More lines for "what was measured": bar, temperature, certificate.
-    pub facts: Vec<Fact>,
-    /// Where it comes from.
-    pub provenance: Provenance,
-}
-
-/// One observation.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ObservationPoint {
-    /// Its index.
-    pub index: u32,
-    /// Its base ball, from 1.
-    pub centre: usize,
-    /// The axis angles, degrees.
-    pub axes_deg: [f64; AXES],
-    /// The sense in which each axis came to them: -1, 0 where it is not known, 1.
-    pub senses: [i8; AXES],
-    /// Residual with the nominal robot, mm.
-    pub before_mm: f64,
-    /// Residual with the identified robot, mm.
-    pub after_mm: f64,
-    /// Number of its circle, where it lies on one.
-    pub circle: Option<u32>,
-    /// Its angle on that circle, degrees.
-    pub angle_deg: Option<f64>,
-    /// What the plan had it for, where there was one.
-    pub kind: Option<Kind>,
-}
-
-/// A circle of the plan.
-#[derive(Clone, Debug, PartialEq)]
-pub struct CirclePanel {
-    /// Its number.
-    pub number: u32,
-    /// Its name, such as `Circle 1, XY, ball 1`.
-    pub name: String,
-    /// Nominal radius, mm.
-    pub radius_mm: Option<f64>,
-    /// What stands at 0 and at 90 degrees, such as `+X`, `+Y`.
-    pub axis_names: Option<[String; 2]>,
-}
-
-/// One standard deviation of what a robot's maker promises.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Tolerance {
-    /// Of lengths, mm.
-    pub length_mm: f64,
-    /// Of angles, rad.
-    pub angle_rad: f64,
-}
 
 #[derive(Serialize)]
 struct Page<'a> {
@@ -149,7 +83,7 @@ pub fn html(result: &Identification, plots: &IdentificationPlots) -> Result<Stri
         residuals: residuals(result, plots),
         histograms: histograms(result, plots),
         joints: diagnosis::joints(result),
-        panels: diagnosis::panels(plots, |observation| is_outlier(result, observation)),
+        panels: diagnosis::panels(result, plots),
         advice: diagnosis::advice(result),
         correlated: diagnosis::correlated(result),
         zeros: handing_back::zeros(&plots.zeros),
@@ -274,7 +208,7 @@ fn comparison(result: &Identification) -> Vec<Comparison> {
 
 /// Before and after to one scale, and after alone to its own; without the outliers.
 fn polar(circle: &CirclePanel, result: &Identification, plots: &IdentificationPlots) -> Option<[String; 2]> {
-    let on_circle = |o: &&ObservationPoint| o.circle == Some(circle.number) && !is_outlier(result, o);
+    let on_circle = |o: &&ObservationPoint| o.circle == Some(circle.number) && !o.is_outlier(result);
     let members = || plots.observations.iter().filter(on_circle);
     let trace = |name: &str, series, value: fn(&ObservationPoint) -> f64| PolarTrace {
         name: name.into(),
@@ -303,7 +237,7 @@ fn residuals(result: &Identification, plots: &IdentificationPlots) -> Vec<String
             index: o.index,
             before_mm: Some(o.before_mm),
             after_mm: o.after_mm,
-            outlier: is_outlier(result, o),
+            outlier: o.is_outlier(result),
         });
     }
     balls
@@ -319,12 +253,8 @@ fn residuals(result: &Identification, plots: &IdentificationPlots) -> Vec<String
         .collect()
 }
 
-fn is_outlier(result: &Identification, observation: &ObservationPoint) -> bool {
-    result.outliers.iter().any(|o| o.index == observation.index && o.centre == observation.centre)
-}
-
 fn histograms(result: &Identification, plots: &IdentificationPlots) -> Vec<String> {
-    let sound = || plots.observations.iter().filter(|o| !is_outlier(result, o));
+    let sound = || plots.observations.iter().filter(|o| !o.is_outlier(result));
     let draw = |title: &str, series, values_mm| Histogram { title: title.into(), values_mm, series }.to_svg();
     if sound().next().is_none() {
         return Vec::new();

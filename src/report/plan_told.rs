@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use super::plan::PlanView;
+use super::plan_view::{PlanView, PredictedRow};
 use super::scale::significant;
 use crate::identifiability::Observability;
 use crate::plan::against::Against;
@@ -72,7 +72,7 @@ fn indices(against: &[Against]) -> Table {
 
 /// The standard deviation of each parameter against the number of lengths.
 fn deviations(view: &PlanView) -> Table {
-    let row = |parameter: &super::PredictedRow| {
+    let row = |parameter: &PredictedRow| {
         let (unit, factor) = if parameter.unit == "mm" { ("µm", 1e3) } else { ("µrad", 1e6) };
         let value = |part: &Against| {
             part.sd.get(&parameter.name).map_or("–".into(), |sd| significant(sd * factor, 3))

@@ -5,9 +5,9 @@ use crate::export::mastering::{self, AxisOffset};
 use crate::identify::{Identified, senses};
 use crate::model::{Observations, Reading, Robot};
 use crate::plan::Kind;
-use crate::report::identification::{self, CirclePanel, IdentificationPlots, ObservationPoint, Tolerance};
 use crate::report::plot::HeatMap;
 use crate::report::{AxisZero, BallPlace, Provenance, ReportError, Source};
+use crate::report::{CirclePanel, IdentificationPlots, ObservationPoint, Tolerance, identification};
 
 /// Cells along the longer side of a map of the predicted error.
 const CELLS: usize = 24;

@@ -5,8 +5,8 @@ use std::collections::HashMap;
 use super::line::{Line, lines};
 use super::{Number, Origin, Text};
 use crate::diag::Diagnostic;
-use crate::krl::expression::type_of_declaration;
 use crate::krl::lexer::Token;
+use crate::krl::syntax::type_of_declaration;
 use crate::krl::syntax::{Expression, ExpressionKind, Field, Part, Place, Span};
 use crate::model::Pose;
 
