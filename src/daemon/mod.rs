@@ -18,6 +18,7 @@ pub use attachments::{Attachments, PlanError};
 pub use ekrl::{ListenError, Server};
 pub use feed::{ALARM_SHARE, Feed, Outlook, Shown};
 pub use marks::{DeviceTime, Marks};
+pub use recorder::Recorder;
 pub use reports::Driven;
 pub use service::{Bench, Cell, Config, Level, Log, ServeError, serve};
 pub use session::zero;

@@ -1,4 +1,5 @@
-//! Writes what arrives, raw first, then what it decodes to, and counts.
+//! Writes what arrives, raw first, then what it decodes to, and counts. It reads no clock: who hands over the
+//! bytes says when they came, so a recorded line can be put through it again.
 
 use super::acquisition::Progress;
 use super::feed::Feed;
@@ -12,7 +13,7 @@ use crate::units::HostNs;
 const SILENCE_S: f64 = 2.5;
 
 /// The recorder of one run.
-pub(super) struct Recorder {
+pub struct Recorder {
     writer: Writer,
     decoder: Decoder,
     decoded: Vec<Decoded>,
@@ -37,20 +38,16 @@ pub(super) struct Recorder {
     in_a_row: u32,
     sync_frames: u32,
     began: HostNs,
-    pub(super) progress: Progress,
+    /// The counts so far.
+    pub progress: Progress,
     /// Who looks on.
     pub(super) feed: Option<Feed>,
 }
 
 impl Recorder {
-    /// The disk is made to hold what was written every `sync_s` seconds.
-    pub(super) fn new(
-        writer: Writer,
-        definition: &Definition,
-        marks: Marks,
-        sync_s: f64,
-        now: HostNs,
-    ) -> Self {
+    /// Of a device's stream into a capture that was begun. The disk is made to hold what was written every
+    /// `sync_s` seconds.
+    pub fn new(writer: Writer, definition: &Definition, marks: Marks, sync_s: f64, now: HostNs) -> Self {
         let stall = definition.stall.map(|stall| stall.as_secs_f64());
         Self {
             writer,
@@ -84,7 +81,11 @@ impl Recorder {
         self.marks.over()
     }
 
-    pub(super) fn event(&mut self, host: HostNs, event: Event) -> Result<(), WriteError> {
+    /// Something happened around the bytes.
+    ///
+    /// # Errors
+    /// When the capture cannot be written.
+    pub fn event(&mut self, host: HostNs, event: Event) -> Result<(), WriteError> {
         if matches!(event, Event::Gap { .. }) {
             self.progress.gaps += 1;
         }
@@ -97,7 +98,10 @@ impl Recorder {
     }
 
     /// Bytes came: they are on their way to the disk before anyone looks into them.
-    pub(super) fn bytes(&mut self, host: HostNs, bytes: Vec<u8>) -> Result<(), WriteError> {
+    ///
+    /// # Errors
+    /// When the capture cannot be written.
+    pub fn bytes(&mut self, host: HostNs, bytes: Vec<u8>) -> Result<(), WriteError> {
         if let (Some(limit), Some(last)) = (self.silence_s, self.last_bytes)
             && host.seconds_since(last) > limit
         {
@@ -138,7 +142,10 @@ impl Recorder {
     }
 
     /// Bytes were thrown away before they came here.
-    pub(super) fn lost(&mut self, host: HostNs, bytes: u64) -> Result<(), WriteError> {
+    ///
+    /// # Errors
+    /// When the capture cannot be written.
+    pub fn lost(&mut self, host: HostNs, bytes: u64) -> Result<(), WriteError> {
         self.progress.lost_bytes += bytes;
         self.interrupted(host)?;
         let reason = format!("{bytes} bytes were lost: the recorder was too slow");
@@ -146,7 +153,10 @@ impl Recorder {
     }
 
     /// The stream broke off: what is pending will not be completed.
-    pub(super) fn interrupted(&mut self, host: HostNs) -> Result<(), WriteError> {
+    ///
+    /// # Errors
+    /// When the capture cannot be written.
+    pub fn interrupted(&mut self, host: HostNs) -> Result<(), WriteError> {
         self.decoder.interrupt(&mut self.decoded);
         self.last_bytes = None;
         self.decoded(host)
@@ -243,7 +253,10 @@ impl Recorder {
     }
 
     /// Every so often the disk is made to hold what was written; once a second the rate is taken.
-    pub(super) fn tick(&mut self, now: HostNs) -> Result<(), WriteError> {
+    ///
+    /// # Errors
+    /// When the capture cannot be written.
+    pub fn tick(&mut self, now: HostNs) -> Result<(), WriteError> {
         self.progress.elapsed_s = now.seconds_since(self.began);
         if let Some(feed) = &mut self.feed {
             feed.tick(now);
@@ -261,7 +274,10 @@ impl Recorder {
     }
 
     /// Ends the file.
-    pub(super) fn finish(mut self, now: HostNs, reason: &str) -> Result<Progress, WriteError> {
+    ///
+    /// # Errors
+    /// When the capture cannot be written.
+    pub fn finish(mut self, now: HostNs, reason: &str) -> Result<Progress, WriteError> {
         self.interrupted(now)?;
         self.progress.elapsed_s = now.seconds_since(self.began);
         self.writer.finish(now, reason, self.progress.missing)?;

@@ -94,21 +94,23 @@ impl<'a> Lexer<'a> {
     fn next(&mut self) -> Result<(), Diagnostic> {
         let rest = self.rest();
         let Some(first) = rest.chars().next() else { return Ok(()) };
-        let line = Self::prefix(rest, |c| c != '\n');
+        // Only where it is needed: a line may be long.
+        let line = || Self::prefix(rest, |c| c != '\n');
         let starts_line = matches!(self.tokens.last(), None | Some((Token::LineEnd, _)));
         match first {
             '\n' => self.push(Token::LineEnd, 1),
             ' ' | '\t' | '\r' => self.at += 1,
-            ';' => self.comment(line)?,
-            '&' if starts_line => self.at += line.len(),
+            ';' => self.comment(line())?,
+            '&' if starts_line => self.at += line().len(),
             '"' => {
+                let line = line();
                 let inside = line.get(1..).unwrap_or("");
                 let Some(length) = inside.find('"') else {
                     return Err(self.wrong(self.at..self.at + line.len(), "this text has no closing quote"));
                 };
                 self.push(Token::Text(inside.get(..length).unwrap_or("").to_owned()), length + 2);
             }
-            '\'' => self.based(line)?,
+            '\'' => self.based(line())?,
             '#' => {
                 let name = Self::prefix(rest.get(1..).unwrap_or(""), name_character);
                 self.push(Token::Enum(name.to_ascii_uppercase()), name.len() + 1);

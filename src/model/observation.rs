@@ -56,8 +56,11 @@ impl Observations {
         let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(text.as_bytes());
         let header = reader.headers().map_err(|error| Diagnostic::csv(file, &error))?.clone();
         let places = find_columns(file, &header, &REQUIRED)?;
-        let sigma = header.iter().position(|name| name == SIGMA);
-        let bar = header.iter().position(|name| name == BAR);
+        let optional = |name: &str| match header.iter().any(|column| column == name) {
+            true => find_columns(file, &header, &[name]).map(|places| places.first().copied()),
+            false => Ok(None),
+        };
+        let (sigma, bar) = (optional(SIGMA)?, optional(BAR)?);
         let known = |at: &usize| places.contains(at) || Some(*at) == sigma || Some(*at) == bar;
         let extra: Vec<usize> = (0..header.len()).filter(|at| !known(at)).collect();
         let mut rows = Vec::new();
@@ -227,6 +230,9 @@ fn find_columns(file: &str, header: &csv::StringRecord, required: &[&str]) -> Re
     required
         .iter()
         .map(|name| {
+            if header.iter().filter(|column| column == name).count() > 1 {
+                return Err(Diagnostic::line(file, 1, format!("the column `{name}` is there twice")));
+            }
             header.iter().position(|column| column == *name).ok_or_else(|| {
                 let found: Vec<&str> = header.iter().collect();
                 Diagnostic::line(file, 1, format!("the column `{name}` is missing"))

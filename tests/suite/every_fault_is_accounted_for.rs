@@ -1,143 +1,22 @@
 //! Every kind of `simulate --fault`, through the two programs and a pseudo terminal between them: what
-//! is recorded was sent, and what went wrong is told.
+//! is recorded was sent, and what went wrong is told. Recordings of most of them are played in `replay`.
 #![cfg(unix)]
 
-use std::collections::{BTreeMap, BTreeSet};
-use std::io::{BufRead, BufReader, Read, Write};
-use std::path::Path;
-use std::process::{Child, Command, Output, Stdio};
+use std::collections::BTreeSet;
+use std::io::{Read, Write};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
-use dbbd::model::Robot;
-use dbbd::protocol::Sample;
 use dbbd::sim::bar::Terminal;
 use dbbd::sync::{DeviceClock, Stream, StreamBuilder};
-use dbbd::units::{DeviceTicks, HostNs};
 use serde_json::Value;
 use serialport::{SerialPort, TTYPort};
 
-const RATE_HZ: f64 = 1000.0;
+use crate::virtual_bar::{RATE_HZ, Row, Run, acquire, dbbd, simulate, simulate_at, stderr};
+
 /// Bytes of a frame of `dbb-cobs-1`.
 const FRAME: u64 = 18;
-/// Where the controller stands when it is switched on, so that nothing moves.
-const AXES_DEG: [f64; 6] = [0.0, -90.0, 90.0, 0.0, 0.0, 0.0];
-
-/// A virtual bar that is ended with the test.
-struct Bar(Child, String);
-
-impl Drop for Bar {
-    fn drop(&mut self) {
-        // It may have ended by itself.
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
-
-fn dbbd(args: &[&str]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_dbbd"));
-    command.args(args).stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
-    command
-}
-
-/// A robot that stands still: every reading is noise of its own, by which it is known.
-fn simulate(directory: &Path, speed: &str, rest: &[&str]) -> Bar {
-    simulate_at(0.0, directory, speed, rest)
-}
-
-/// The same at another mean reading, mm.
-fn simulate_at(reading_mm: f64, directory: &Path, speed: &str, rest: &[&str]) -> Bar {
-    let axes = AXES_DEG.map(f64::to_radians);
-    let ball = Robot::by_name("kr60ha").unwrap().unwrap().geometry.ball(&axes).position;
-    let world = format!(
-        "[[centre]]\nid = 1\nxyz_mm = [{}, {}, {}]\n[bar]\nlength_mm = {:?}\nstroke_mm = [-2.0, 2.0]\n\
-         noise_um = 100.0\nrate_hz = {RATE_HZ:.1}\n",
-        ball.x,
-        ball.y,
-        ball.z - 300.0,
-        300.0 - reading_mm,
-    );
-    std::fs::write(directory.join("world.toml"), world).unwrap();
-    let [a1, a2, a3, a4, a5, a6] = AXES_DEG;
-    let target = format!("PTP {{A1 {a1:.1},A2 {a2:.1},A3 {a3:.1},A4 {a4:.1},A5 {a5:.1},A6 {a6:.1}}}");
-    std::fs::write(directory.join("STILL.src"), format!("DEF STILL ( )\n{target}\nWAIT SEC 3000\nEND\n"))
-        .unwrap();
-    let fixed = ["simulate", "--program", "STILL.src", "--robot", "kr60ha", "--world", "world.toml"];
-    let mut command = dbbd(&fixed);
-    command.args(["--speed", speed, "--quiet"]).args(rest).current_dir(directory).stderr(Stdio::inherit());
-    let mut child = command.spawn().unwrap();
-    let mut port = String::new();
-    BufReader::new(child.stdout.take().unwrap()).read_line(&mut port).unwrap();
-    Bar(child, port.trim().to_owned())
-}
-
-/// A row of samples.csv.
-struct Row {
-    host: HostNs,
-    frame: u64,
-    sample: Sample,
-}
-
-/// What a run left behind.
-struct Run {
-    output: Output,
-    summary: Value,
-    rows: Vec<Row>,
-    bytes: u64,
-    /// Kind, word, bytes.
-    faults: Vec<(String, String, u64)>,
-    /// Name and detail.
-    events: Vec<(HostNs, String, Value)>,
-}
-
-fn acquire(directory: &Path, port: &str, seconds: &str, rest: &[&str]) -> Run {
-    let mut command = dbbd(&["acquire", "--port", port, "--out", "run", "--duration", seconds, "--json"]);
-    let output = command.args(rest).current_dir(directory).output().unwrap();
-    let exported = dbbd(&["export", "run", "--out", "csv"]).current_dir(directory).output().unwrap();
-    assert_eq!(exported.status.code(), Some(0), "{}", stderr(&output));
-    let table = |name: &str| -> Vec<BTreeMap<String, String>> {
-        let mut rows = csv::Reader::from_path(directory.join("csv").join(name)).unwrap();
-        rows.deserialize().map(Result::unwrap).collect()
-    };
-    let host = |row: &BTreeMap<String, String>| HostNs(row["host_ns"].parse().unwrap());
-    let samples = table("samples.csv");
-    let rows = samples.iter().map(|row| {
-        let ticks: Option<u64> = row["ticks"].parse().ok();
-        let sample = Sample {
-            reading_mm: row["reading_mm"].parse().unwrap(),
-            sequence: row["sequence"].parse().ok(),
-            ticks: ticks.map(DeviceTicks),
-            trigger: Some(row["trigger"] == "1"),
-            temperature_c: row["temperature_c"].parse().ok(),
-            valid: row["valid"] == "1",
-            status: row["status"].parse().unwrap(),
-            offset: 0,
-        };
-        Row { host: host(row), frame: ticks.unwrap_or(0) / 1000, sample }
-    });
-    let raw = table("raw.csv");
-    let faults = table("faults.csv");
-    let events = table("events.csv");
-    Run {
-        summary: serde_json::from_slice(&output.stdout).unwrap_or(Value::Null),
-        output,
-        rows: rows.collect(),
-        bytes: raw.iter().map(|row| row["bytes_hex"].len() as u64 / 2).sum(),
-        faults: faults
-            .iter()
-            .map(|row| (row["kind"].clone(), row["word"].clone(), row["bytes"].parse().unwrap()))
-            .collect(),
-        events: events
-            .iter()
-            .map(|row| (host(row), row["event"].clone(), serde_json::from_str(&row["detail_json"]).unwrap()))
-            .collect(),
-    }
-}
-
-fn stderr(output: &Output) -> String {
-    String::from_utf8_lossy(&output.stderr).into_owned()
-}
 
 /// What the bar says frame by frame over a good line.
 fn truth() -> &'static [f64] {
@@ -145,7 +24,7 @@ fn truth() -> &'static [f64] {
     TRUTH.get_or_init(|| {
         let directory = tempfile::tempdir().unwrap();
         let bar = simulate(directory.path(), "0", &[]);
-        let run = acquire(directory.path(), &bar.1, "0.15", &[]);
+        let run = acquire(directory.path(), &bar.1, "0.4", &[]);
         assert_eq!(run.output.status.code(), Some(0), "{}", stderr(&run.output));
         // The end may cut through a frame.
         assert!(run.rows.len() > 3000 && run.faults.len() <= 1, "{:?}", run.faults);
@@ -263,23 +142,8 @@ fn damage(fault: &str) {
 }
 
 #[test]
-fn dropped_bytes() {
-    damage("drop=0.002");
-}
-
-#[test]
-fn flipped_bits() {
-    damage("flip=0.002");
-}
-
-#[test]
-fn doubled_bytes() {
-    damage("double=0.002");
-}
-
-#[test]
-fn inserted_bytes() {
-    damage("insert=0.002");
+fn damaged_bytes() {
+    ["drop=0.002", "flip=0.002", "double=0.002", "insert=0.002"].into_iter().for_each(damage);
 }
 
 fn spread(errors: &[f64]) -> f64 {
@@ -351,25 +215,6 @@ fn batches_of_a_second() {
 }
 
 #[test]
-fn a_banner() {
-    let run = with("dbb-cobs-1", "banner=1");
-    run.holds();
-    // Ten characters that end in no zero byte are the beginning of the first frame.
-    assert_eq!(run.faults.first(), Some(&("framing".into(), String::new(), 10)), "{:?}", run.faults);
-    assert_eq!(run.rows[0].frame, 0);
-}
-
-#[test]
-fn an_echo() {
-    let run = with("dbb-cobs-1", "echo=1");
-    run.holds();
-    assert!(run.absent() == 0 && run.rows[0].frame == 0);
-    // The start command comes back: `02 53 00` is a frame whose stuffing says one byte too little.
-    let whole: u64 = run.faults.iter().map(|(_, _, bytes)| bytes).sum();
-    assert!((3..FRAME + 3).contains(&whole), "{:?}", run.faults);
-}
-
-#[test]
 fn a_stale_stream() {
     let run = with("dbb-cobs-1", "stale=1000");
     run.holds();
@@ -377,39 +222,6 @@ fn a_stale_stream() {
         run.events("mark").iter().any(|mark| mark["text"].as_str().unwrap().contains("earlier stream"));
     assert!(thrown, "{:?}", run.events);
     assert_eq!(run.absent(), 0);
-}
-
-#[test]
-fn a_sequence_gap() {
-    let run = with("dbb-cobs-1", "skip=0.01");
-    // Device time goes on evenly, the numbers do not.
-    let truth = truth();
-    assert!(
-        run.rows
-            .iter()
-            .all(|row| truth.get(row.frame as usize).is_none_or(|mm| *mm == row.sample.reading_mm))
-    );
-    let (first, last) = (&run.rows[0], &run.rows[run.rows.len() - 1]);
-    let numbers = last.sample.sequence.unwrap() - first.sample.sequence.unwrap() + 1;
-    let skipped = u64::from(numbers) - run.rows.len() as u64;
-    assert!(skipped > 2 && run.count("missing") == skipped && run.absent() == 0, "{skipped}");
-    let told: u64 = run.events("gap").iter().map(|gap| gap["missing"].as_u64().unwrap()).sum();
-    assert_eq!(told, skipped);
-    assert_eq!(run.count("faults"), 0);
-}
-
-#[test]
-fn a_counter_that_wraps() {
-    let run = with("dbb-cobs-1", "wrap_ticks=500000");
-    assert_eq!((run.count("faults"), run.count("missing"), run.count("gaps")), (0, 0, 0));
-    let ticks: Vec<u64> = run.rows.iter().map(|row| row.sample.ticks.unwrap().0).collect();
-    assert_eq!(ticks.windows(2).filter(|pair| pair[1] < pair[0]).count(), 1);
-    let (stream, _) = run.stream();
-    let clock = stream.clock().unwrap();
-    assert_eq!((clock.wraps, clock.breaks.len()), (1, 0));
-    let truth = truth();
-    let frames = run.rows.iter().map(|row| (row, row.sample.sequence.unwrap() as usize));
-    assert!(frames.into_iter().all(|(row, at)| truth.get(at).is_none_or(|mm| *mm == row.sample.reading_mm)));
 }
 
 #[test]
@@ -435,73 +247,42 @@ fn unplugged_and_back_under_another_name() {
     drop(bar);
 }
 
+/// Whether a run says what went wrong.
+type Told<'a> = &'a dyn Fn(&Run) -> bool;
+
+/// What `replay` plays from recordings, from the bars that made them: each fault is told by its own counts.
 #[test]
-fn over_the_stroke() {
-    let run = with("dbb-cobs-1", "over_mm=3");
-    assert!(run.rows.len() > 200 && run.rows.iter().all(|row| !row.sample.valid));
-    let truth = truth();
-    let far = |row: &Row| {
-        truth.get(row.frame as usize).is_none_or(|mm| (row.sample.reading_mm - mm - 3.0).abs() < 1e-9)
+fn each_fault_is_told_by_its_own_counts() {
+    let silent = |run: &Run| {
+        let words = stderr(&run.output).contains("not answered in time");
+        run.count("unanswered") > 0 && words && run.output.status.code() == Some(3)
     };
-    assert!(run.rows.iter().all(far));
-}
-
-/// A polled bar over a fault: each reading is one of the simulated ones, in their order.
-fn polled(fault: &str) -> &'static Run {
-    let protocol = "sylvac-opto";
-    let run = with(protocol, fault);
-    let mut rest = truth().iter();
-    let truth = truth();
-    let mut seen = 0;
-    for Row { sample, .. } in &run.rows {
-        // Behind the frames that are known nothing can be said.
-        if rest.len() == 0 {
-            break;
-        }
-        let known = rest.any(|mm| (mm - sample.reading_mm).abs() < 0.5001e-4);
-        assert!(known || seen > 0 && truth.len() < 4000, "{protocol}: {} was never sent", sample.reading_mm);
-        seen += usize::from(known);
+    let refused =
+        |run: &Run| run.count("rejected") > 0 && run.of(&["reject"]) as u64 == run.count("rejected");
+    let wrapped = |run: &Run| {
+        let clock = run.stream().0.clock().map(|clock| (clock.wraps, clock.breaks.len()));
+        clock == Some((1, 0)) && run.count("missing") == 0
+    };
+    let table: [(&str, &str, Told); 9] = [
+        ("dbb-cobs-1", "banner=1", &|run| run.of(&["framing"]) == 1 && run.rows[0].frame == 0),
+        ("dbb-cobs-1", "echo=1", &|run| run.of(&["framing", "check"]) > 0 && run.absent() == 0),
+        ("dbb-cobs-1", "skip=0.01", &|run| run.count("missing") > 2 && run.absent() == 0),
+        ("dbb-cobs-1", "wrap_ticks=500000", &wrapped),
+        ("dbb-cobs-1", "over_mm=3", &|run| run.rows.iter().all(|row| !row.sample.valid)),
+        ("sylvac-opto", "silence=0.4", &silent),
+        ("sylvac-opto", "refuse=0.4", &refused),
+        ("sylvac-opto", "echo=1", &|run| run.of(&["ignored"]) > 2 && run.count("faults") == 0),
+        ("microepsilon-ild1420", "refuse=0.1", &refused),
+    ];
+    for (protocol, fault, told) in table {
+        let run = with(protocol, fault);
+        assert!(
+            run.rows.len() > 2 && told(run),
+            "{protocol} {fault}: {} {:?}",
+            run.summary,
+            run.faults.first()
+        );
     }
-    assert!(seen >= 3, "{protocol}: {seen} of {} readings", run.rows.len());
-    run
-}
-
-#[test]
-fn silence() {
-    let run = polled("silence=0.4");
-    assert!(run.count("unanswered") > 0 && run.count("faults") == 0, "{}", run.summary);
-    assert_eq!(run.output.status.code(), Some(3));
-    assert!(stderr(&run.output).contains("not answered in time"), "{}", stderr(&run.output));
-}
-
-#[test]
-fn error_replies() {
-    let run = polled("refuse=0.4");
-    let refused = run.faults.iter().filter(|(kind, word, _)| kind == "reject" && word == "OR").count() as u64;
-    assert!(refused > 0 && run.count("rejected") == refused, "{:?}", run.faults);
-    assert_eq!((run.count("unanswered"), run.count("faults")), (0, 0));
-}
-
-#[test]
-fn an_echo_of_a_polled_bar() {
-    let run = polled("echo=1");
-    assert!(run.of(&["ignored"]) > 2, "{:?}", run.faults);
-    assert_eq!(run.count("faults"), 0);
-}
-
-/// A value that stands for a word, among readings of a sensor without sequence numbers.
-#[test]
-fn sentinels() {
-    let run = with("microepsilon-ild1420", "refuse=0.1");
-    let words =
-        run.faults.iter().filter(|(kind, word, _)| kind == "reject" && word == "too much data").count();
-    assert!(words > 10, "{:?}", &run.faults[..run.faults.len().min(5)]);
-    assert!(run.rows.len() > 200 && run.count("faults") == 0, "{}", run.summary);
-    // 50 mm in 16 bits: half a step is 0.39 um.
-    let mut rest = truth().iter();
-    let known =
-        run.rows.iter().take_while(|row| rest.any(|mm| (mm + 25.0 - row.sample.reading_mm).abs() < 0.4e-3));
-    assert!(known.count() > 200);
 }
 
 /// The bar is set to zero before the run, where its protocol has a command for it.

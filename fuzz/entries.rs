@@ -1,0 +1,216 @@
+//! Every entrance at which bytes of others come in, and what must hold whatever they are: nothing panics,
+//! and what is accepted keeps its laws. The suite sends the corpus and mutations of it through these
+//! (`tests/suite/any_bytes_are_taken.rs`), the targets beside this file whatever a fuzzer finds.
+
+use std::sync::OnceLock;
+
+use dbbd::capture;
+use dbbd::krl::{self, production};
+use dbbd::live::{JobRequest, StartRequest};
+use dbbd::model::{Centre, Observations, Robot};
+use dbbd::plan::{Job, Plan};
+use dbbd::protocol::{Decoded, Definition};
+use dbbd::sync::TelegramReader;
+
+/// An entrance.
+pub(crate) type Entry = fn(&[u8]);
+
+/// The entrances by name; each has a corpus of that name.
+pub(crate) const ENTRIES: [(&str, Entry); 9] = [
+    ("capture", capture_reader),
+    ("decoder", decoder),
+    ("definition", definition),
+    ("http", http),
+    ("job", job),
+    ("krl", krl_reader),
+    ("plan", plan),
+    ("robot", robot),
+    ("tables", tables),
+];
+
+/// Framings that no built-in definition has: a length in the frame, and silence as the end.
+const LENGTH: &str = r#"
+schema = 1
+id = "length"
+confidence = "own"
+[line]
+baud = 57600
+[framing]
+kind = "length"
+sync = "aa 55"
+len_at = 2
+len_adds = 3
+max_len = 32
+[check]
+kind = "sum8"
+enc = "le"
+over_from = 2
+[[message]]
+name = "sample"
+fields = [
+  { kind = "skip", bytes = 3 },
+  { kind = "bits", bits = 4, role = "seq", modulo = 16 },
+  { kind = "bits", bits = 12 },
+  { kind = "float", bits = 64, endian = "be", role = "length", unit = "mm" },
+]
+[mode]
+kind = "stream"
+"#;
+
+fn definitions() -> &'static [Definition] {
+    static ALL: OnceLock<Vec<Definition>> = OnceLock::new();
+    ALL.get_or_init(|| {
+        let idle = LENGTH.replace("sync = \"aa 55\"\nlen_at = 2\nlen_adds = 3", "idle_us = 2000");
+        let silent = idle.replace("kind = \"length\"", "kind = \"gap\"");
+        let built_in = Definition::built_in().iter().map(|(_, text)| *text);
+        let all = built_in.chain([LENGTH, silent.as_str()]);
+        all.map(|text| Definition::from_toml("definition", text).expect("a definition that is good"))
+            .collect()
+    })
+}
+
+/// The first byte chooses the definition, the second how the rest is cut.
+fn decoder(data: &[u8]) {
+    let [which, piece, stream @ ..] = data else { return };
+    let Some(definition) = definitions().get(usize::from(*which) % definitions().len()) else { return };
+    let (mut whole, mut pieces) = (Vec::new(), Vec::new());
+    let (mut decoder, mut again) = (definition.decoder(), definition.decoder());
+    decoder.push(stream, &mut whole);
+    stream.chunks(usize::from(*piece).max(1)).for_each(|piece| again.push(piece, &mut pieces));
+    let same = |(one, other): (&Decoded, &Decoded)| match (one, other) {
+        // A reading may be one that equals nothing.
+        (Decoded::Sample(a, n), Decoded::Sample(b, m)) => {
+            (a.offset, a.reading_mm.to_bits(), a.sequence, n)
+                == (b.offset, b.reading_mm.to_bits(), b.sequence, m)
+        }
+        _ => one == other,
+    };
+    assert!(
+        whole.len() == pieces.len() && whole.iter().zip(&pieces).all(same),
+        "{}: the cuts matter",
+        definition.id
+    );
+    decoder.interrupt(&mut whole);
+    let accounted: u64 = whole.iter().map(Decoded::bytes).sum();
+    assert_eq!((accounted, decoder.pending()), (stream.len() as u64, 0), "{}", definition.id);
+    for one in &whole {
+        if let Decoded::Sample(sample, _) = one {
+            // What a device has said can be said, or is refused.
+            let _ = definition.encoder().encode(sample, &mut Vec::new());
+            let _ = definition.flags(sample.status);
+        }
+    }
+}
+
+fn definition(data: &[u8]) {
+    let Ok(text) = std::str::from_utf8(data) else { return };
+    match Definition::from_toml("definition.toml", text) {
+        Ok(definition) => {
+            let (mut decoder, mut out) = (definition.decoder(), Vec::new());
+            let bytes: Vec<u8> = (0..=255).chain(data.iter().copied()).collect();
+            decoder.push(&bytes, &mut out);
+            decoder.interrupt(&mut out);
+            assert_eq!(out.iter().map(Decoded::bytes).sum::<u64>(), bytes.len() as u64);
+            let _ = (definition.layout(), definition.framing(), definition.resolution_mm());
+        }
+        Err(wrong) => assert!(!wrong.to_string().is_empty()),
+    }
+}
+
+/// A `.src`, behind a zero byte a `.dat`, behind another a `$config.dat`.
+fn krl_reader(data: &[u8]) {
+    let Ok(text) = std::str::from_utf8(data) else { return };
+    let (source, rest) = text.split_once('\0').unwrap_or((text, ""));
+    let (data, config) = rest.split_once('\0').unwrap_or((rest, ""));
+    let parsed = krl::parse_data("M.dat", data).ok();
+    if let Some(data) = &parsed {
+        let _ =
+            (krl::logged_axes(data), krl::plan_hash(data), krl::own_accuracy(data), krl::read_setup(data));
+    }
+    if let Ok(source) = krl::parse_source("M.src", source) {
+        let _ = krl::read_points(&source, parsed.as_ref());
+    }
+    fn file<'a>(file: &'a str, text: &'a str) -> production::Text<'a> {
+        production::Text { file, text }
+    }
+    let files = production::Files {
+        source: file("M.src", source),
+        data: (!data.is_empty()).then(|| file("M.dat", data)),
+        config: (!config.is_empty()).then(|| file("config.dat", config)),
+    };
+    let _ = production::read(files, production::Given::default());
+}
+
+fn capture_reader(data: &[u8]) {
+    let whole = capture::read(data);
+    let damaged: u64 = whole.damages.iter().map(|damage| damage.bytes).sum();
+    assert!(damaged <= data.len() as u64);
+    let _ = (whole.ended(), whole.attachment("plan.csv"), whole.samples().count());
+}
+
+/// A `plan.csv` and a `plan.json` behind a zero byte; the hash that ties them is made to fit.
+fn plan(data: &[u8]) {
+    let Ok(text) = std::str::from_utf8(data) else { return };
+    let (csv, json) = text.split_once('\0').unwrap_or((text, "{}"));
+    let hash = crc::Crc::<u64>::new(&crc::CRC_64_XZ).checksum(csv.as_bytes());
+    let json = match serde_json::from_str::<serde_json::Value>(json) {
+        Ok(serde_json::Value::Object(mut header)) => {
+            header.insert("hash".into(), format!("{hash:016x}").into());
+            serde_json::Value::Object(header).to_string()
+        }
+        _ => json.to_owned(),
+    };
+    if let Ok(plan) = Plan::from_files("plan.csv", csv, "plan.json", &json) {
+        let (csv, json) = plan.to_files();
+        let again = Plan::from_files("plan.csv", &csv, "plan.json", &json);
+        assert!(again.is_ok_and(|again| again.rows == plan.rows), "a plan that was read is not read again");
+    }
+}
+
+fn job(data: &[u8]) {
+    let Ok(text) = std::str::from_utf8(data) else { return };
+    if let Err(wrong) = Job::from_toml("job.toml", text) {
+        assert!(!wrong.to_string().is_empty());
+    }
+}
+
+fn robot(data: &[u8]) {
+    let Ok(text) = std::str::from_utf8(data) else { return };
+    if let Ok(robot) = Robot::from_toml("robot.toml", text) {
+        // Angles go through radians, which may cost their last bit.
+        let again = Robot::from_toml("robot.toml", &robot.to_toml());
+        assert!(again.is_ok(), "what was read and written is not read again");
+        let _ = robot.geometry.ball(&[0.1; 6]);
+    }
+}
+
+/// Observations, ball centres, poses; and telegrams, which come in a stream.
+fn tables(data: &[u8]) {
+    let (mut reader, mut slow) = (TelegramReader::default(), TelegramReader::default());
+    let whole = reader.push(data);
+    let pieces: Vec<_> = data.chunks(3).flat_map(|piece| slow.push(piece)).collect();
+    assert_eq!(whole, pieces);
+    let Ok(text) = std::str::from_utf8(data) else { return };
+    if let Ok(observations) = Observations::from_csv("observations.csv", text) {
+        let again = Observations::from_csv("observations.csv", &observations.to_csv());
+        assert!(again.is_ok_and(|again| again == observations), "not read as they were written");
+    }
+    if let Ok(centres) = Centre::from_csv("centres.csv", text) {
+        let again = Centre::from_csv("centres.csv", &Centre::to_csv(&centres));
+        assert!(again.is_ok_and(|again| again == centres), "not read as they were written");
+    }
+    let _ = Observations::poses_from_csv("poses.csv", text);
+}
+
+/// Bodies of requests.
+fn http(data: &[u8]) {
+    let _ = serde_json::from_slice::<StartRequest>(data);
+    let _ = serde_json::from_slice::<JobRequest>(data);
+}
+
+/// Sends bytes through an entrance.
+pub(crate) fn run(name: &str, data: &[u8]) {
+    let entry = ENTRIES.iter().find(|(known, _)| *known == name);
+    let (_, entry) = entry.expect("an entrance of that name");
+    entry(data);
+}

@@ -1,0 +1,409 @@
+//! Every recording over every fault, with the recorded times for a clock: what came in is stored or counted
+//! as lost, unwrapped counters rise, and a capture that was cut off is the beginning of the whole one.
+//!
+//! The pseudo terminal's own faults (unplugged, back under another name) are in `replay`.
+
+use std::io::{self, ErrorKind, Write};
+use std::path::Path;
+use std::sync::{Arc, Mutex};
+
+use dbbd::capture::{self, Capture, Disk, Event, Record, Sample, WriteError, Writer};
+use dbbd::daemon::{DeviceTime, Marks, Progress, Recorder};
+use dbbd::protocol::{self, Decoded, Definition, FaultKind};
+use dbbd::sim::fault::{BadLine, Faults};
+use dbbd::sync::{DeviceClock, StreamBuilder};
+use dbbd::units::{DeviceTicks, HostNs};
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64;
+
+use crate::recordings::{Recording, all};
+
+/// What goes wrong.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Harm {
+    Nothing,
+    Flipped,
+    Dropped,
+    Doubled,
+    /// Bytes at a wrong rate: a stretch of the stream is noise.
+    Garbage,
+    /// Bytes do not reach the recorder.
+    TooSlow,
+    /// Nothing comes for a while.
+    Stall,
+    /// The host's clock goes ahead by an hour, as behind a suspended machine, or back.
+    Ahead,
+    Back,
+    /// Counters begin again from 0 as they should, or because the device was switched off and on.
+    Wrap,
+    Reset,
+    DiskFull,
+    SyncFails,
+    Killed,
+}
+
+const HARMS: [Harm; 14] = [
+    Harm::Nothing,
+    Harm::Flipped,
+    Harm::Dropped,
+    Harm::Doubled,
+    Harm::Garbage,
+    Harm::TooSlow,
+    Harm::Stall,
+    Harm::Ahead,
+    Harm::Back,
+    Harm::Wrap,
+    Harm::Reset,
+    Harm::DiskFull,
+    Harm::SyncFails,
+    Harm::Killed,
+];
+
+/// A disk in memory that refuses from some byte or some sync on, and remembers where each write ended.
+#[derive(Clone, Default)]
+struct Memory {
+    taken: Arc<Mutex<Vec<u8>>>,
+    ends: Arc<Mutex<Vec<usize>>>,
+    room: Option<usize>,
+    syncs: Option<u32>,
+}
+
+impl Write for Memory {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let mut taken = self.taken.lock().unwrap();
+        let count = self.room.map_or(bytes.len(), |room| bytes.len().min(room - taken.len()));
+        if count == 0 && !bytes.is_empty() {
+            return Err(ErrorKind::StorageFull.into());
+        }
+        taken.extend(&bytes[..count]);
+        self.ends.lock().unwrap().push(taken.len());
+        Ok(count)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+impl Disk for Memory {
+    fn sync(&mut self) -> io::Result<()> {
+        match &mut self.syncs {
+            Some(0) => Err(io::Error::other("the disk does not answer")),
+            Some(left) => {
+                *left -= 1;
+                Ok(())
+            }
+            None => Ok(()),
+        }
+    }
+
+    fn cut(&mut self, bytes: u64) -> io::Result<()> {
+        self.taken.lock().unwrap().truncate(bytes as usize);
+        Ok(())
+    }
+}
+
+/// What the recorder is given.
+#[derive(Clone, Debug)]
+enum Given {
+    Bytes(HostNs, Vec<u8>),
+    Lost(HostNs, u64),
+}
+
+fn host(t_s: f64) -> HostNs {
+    HostNs((t_s * 1e9) as u64)
+}
+
+/// Puts it through the recorder of a run.
+fn recorded(definition: &Definition, given: &[Given], disk: &Memory) -> Result<Progress, WriteError> {
+    let begin = host(0.0);
+    let writer = Writer::on(Box::new(disk.clone()), Path::new("run"))?;
+    let mut recorder = Recorder::new(writer, definition, Marks::new(None), 0.2, begin);
+    recorder.event(begin, Event::Started { unix_ns: 1, version: "0".into() })?;
+    let mut last = begin;
+    for given in given {
+        match given {
+            Given::Bytes(at, bytes) => {
+                recorder.bytes(*at, bytes.clone())?;
+                last = *at;
+            }
+            Given::Lost(at, bytes) => recorder.lost(*at, *bytes)?,
+        }
+        recorder.tick(last)?;
+    }
+    recorder.finish(last, "the time was up")
+}
+
+/// A recording and what goes wrong with it.
+struct Case {
+    recording: Recording,
+    definition: Definition,
+    harm: Harm,
+    given: Vec<Given>,
+    dice: Pcg64,
+}
+
+impl Case {
+    /// None where it cannot happen: a device without counters has none that wrap.
+    fn new(recording: &Recording, harm: Harm, seed: u64) -> Option<Self> {
+        let definition = recording.definition();
+        let mut dice = Pcg64::seed_from_u64(seed);
+        let mut pieces = recording.pieces();
+        let middle = dice.random_range(1..pieces.len());
+        let mut line = Faults::default();
+        match harm {
+            Harm::Flipped => line.flip = 0.01,
+            Harm::Dropped => line.drop = 0.01,
+            Harm::Doubled => line.double = 0.01,
+            Harm::Garbage => {
+                let count = dice.random_range(1..200);
+                pieces[middle].1 = BadLine::new(line, seed).noise(count);
+            }
+            Harm::Stall => pieces[middle..].iter_mut().for_each(|(t_s, _)| *t_s += 5.0),
+            Harm::Ahead => pieces[middle..].iter_mut().for_each(|(t_s, _)| *t_s += 3600.0),
+            Harm::Back => pieces[middle..].iter_mut().for_each(|(t_s, _)| *t_s = (*t_s - 2.0).max(0.0)),
+            Harm::Wrap | Harm::Reset => pieces = counted_anew(&definition, &pieces, harm, middle)?,
+            _ => {}
+        }
+        let mut line = BadLine::new(line, seed);
+        let mut given = Vec::new();
+        for (at, (t_s, mut bytes)) in pieces.into_iter().enumerate() {
+            line.carry(&mut bytes);
+            if harm == Harm::TooSlow && at == middle {
+                given.push(Given::Lost(host(t_s), bytes.len() as u64));
+            } else if !bytes.is_empty() {
+                given.push(Given::Bytes(host(t_s), bytes));
+            }
+        }
+        Some(Self { recording: recording.clone(), definition, harm, given, dice })
+    }
+
+    fn holds(mut self) -> u64 {
+        let name = format!("{} {:?}", self.recording.name, self.harm);
+        let disk = Memory::default();
+        let progress = recorded(&self.definition, &self.given, &disk).unwrap();
+        let bytes = disk.taken.lock().unwrap().clone();
+        let capture = capture::read(&bytes);
+        assert!(capture.ended() && capture.damages.is_empty(), "{name}");
+        self.accounts(&name, &capture, &progress);
+        self.counts_rise(&name, &capture);
+        match self.harm {
+            Harm::DiskFull => {
+                let room = self.dice.random_range(0..bytes.len());
+                self.ends_as_a_prefix(&name, &capture, Memory { room: Some(room), ..Memory::default() });
+            }
+            Harm::SyncFails => {
+                let syncs = Some(self.dice.random_range(0..4));
+                self.ends_as_a_prefix(&name, &capture, Memory { syncs, ..Memory::default() });
+            }
+            Harm::Killed => {
+                let from = self.dice.random_range(0..5);
+                for end in disk.ends.lock().unwrap().iter().skip(from).step_by(5) {
+                    let cut = capture::read(&bytes[..*end]);
+                    assert!(cut.damages.is_empty() && capture.records.starts_with(&cut.records), "{name}");
+                    let torn = capture::read(&bytes[..end - 1]);
+                    assert!(capture.records.starts_with(&torn.records) && torn.damages.len() == 1, "{name}");
+                }
+            }
+            _ => {}
+        }
+        progress.samples
+    }
+
+    /// Bytes in = bytes in samples and faults and counted as lost; samples in = stored and counted as lost.
+    fn accounts(&self, name: &str, capture: &Capture, progress: &Progress) {
+        let (mut decoder, mut decoded) = (self.definition.decoder(), Vec::new());
+        let mut came = 0;
+        let mut lost = 0;
+        for given in &self.given {
+            match given {
+                Given::Bytes(_, bytes) => {
+                    came += bytes.len() as u64;
+                    decoder.push(bytes, &mut decoded);
+                }
+                Given::Lost(_, bytes) => {
+                    lost += bytes;
+                    decoder.interrupt(&mut decoded);
+                }
+            }
+        }
+        decoder.interrupt(&mut decoded);
+        assert_eq!((progress.bytes, progress.lost_bytes), (came, lost), "{name}");
+        assert_eq!(decoded.iter().map(Decoded::bytes).sum::<u64>(), came, "{name}");
+        let (mut samples, mut faults) = (Vec::new(), Vec::new());
+        for one in decoded {
+            match one {
+                Decoded::Sample(sample, _) => samples.push(capture::Sample::from(&sample)),
+                Decoded::Fault(fault) => faults.push(fault),
+            }
+        }
+        let stored: Vec<Sample> = capture.samples().map(|(_, sample)| *sample).collect();
+        // A damaged frame without a check may say what equals nothing.
+        assert_eq!(format!("{stored:?}"), format!("{samples:?}"), "{name}");
+        assert_eq!(progress.samples, stored.len() as u64, "{name}");
+        let counted_anew = matches!(self.harm, Harm::Wrap | Harm::Reset);
+        if let (Some(sent), true, false) =
+            (self.recording.samples(), self.definition.undetected() < 1e-4, counted_anew)
+        {
+            let mut sent = sent.into_iter();
+            let sent = |came: &Sample| sent.any(|sent| sent == Sample { offset: 0, ..*came });
+            assert!(stored.iter().all(sent), "{name}: a sample that was not sent");
+        }
+        let told: Vec<protocol::Fault> = capture
+            .records
+            .iter()
+            .filter_map(|stamped| match &stamped.record {
+                Record::Fault(json) => Some(serde_json::from_slice(json).unwrap()),
+                _ => None,
+            })
+            .collect();
+        assert_eq!(told, faults, "{name}");
+        let count = |of: fn(&FaultKind) -> bool| faults.iter().filter(|fault| of(&fault.kind)).count() as u64;
+        let refused = count(|kind| matches!(kind, FaultKind::Reject(_)));
+        let passed = count(|kind| matches!(kind, FaultKind::Ignored));
+        assert_eq!(
+            (progress.rejected, progress.faults),
+            (refused, faults.len() as u64 - refused - passed),
+            "{name}"
+        );
+        let gaps: Vec<Option<u64>> = capture
+            .events()
+            .filter_map(|event| if let Event::Gap { missing, .. } = event { Some(*missing) } else { None })
+            .collect();
+        assert_eq!(progress.gaps, gaps.len() as u64, "{name}");
+        assert_eq!(gaps.iter().flatten().sum::<u64>(), progress.missing, "{name}");
+        // Where a check guards the numbers, they tell every frame that is absent between the first and the last.
+        if let (Some(modulo), true) = (self.definition.sequence_modulo, self.definition.undetected() < 1e-4)
+            && let (Some(first), Some(last)) = (stored.first(), stored.last())
+            && self.harm != Harm::Reset
+        {
+            let span = last.sequence.unwrap() + modulo - first.sequence.unwrap();
+            assert_eq!(u64::from(span % modulo) + 1, progress.samples + progress.missing, "{name}");
+        }
+        let silent = capture.events().any(
+            |event| matches!(event, Event::Gap { reason, .. } if reason.starts_with("nothing was received")),
+        );
+        let waits = self.definition.stall.is_some() && matches!(self.harm, Harm::Stall | Harm::Ahead);
+        assert!(silent || !waits, "{name}: a silence that was not told");
+    }
+
+    /// The device's time never goes back; it rises with each sample where no byte was harmed.
+    fn counts_rise(&self, name: &str, capture: &Capture) {
+        let Some(clock) = self.definition.clock else { return };
+        let mut time = DeviceTime::new(clock);
+        let seconds =
+            capture.samples().map(|(_, sample)| time.seconds(DeviceTicks(sample.ticks.unwrap_or(0))));
+        let seconds: Vec<f64> = seconds.collect();
+        assert!(seconds.windows(2).all(|pair| pair[0] <= pair[1]), "{name}");
+        let harmed = matches!(self.harm, Harm::Flipped | Harm::Dropped | Harm::Doubled | Harm::Garbage);
+        let sound = self.recording.name == self.recording.protocol() || self.definition.undetected() < 1e-4;
+        if harmed || !sound {
+            return;
+        }
+        let still = seconds.windows(2).filter(|pair| pair[0] == pair[1]).count();
+        assert_eq!(still, usize::from(self.harm == Harm::Reset), "{name}: at a restart alone it stands");
+        let device = DeviceClock {
+            seconds_per_tick: f64::from(clock.tick_ns) * 1e-9,
+            wrap: 1u64.checked_shl(clock.wrap_bits),
+        };
+        let mut stream = StreamBuilder::new(Some(device));
+        capture.samples().for_each(|(host, sample)| stream.push(host, &sample.into()));
+        let stream = stream.build();
+        assert!(stream.t_s.windows(2).all(|pair| pair[0] <= pair[1]), "{name}");
+        if self.harm == Harm::Wrap {
+            assert_eq!((stream.clock().unwrap().wraps, stream.breaks.len()), (1, 0), "{name}");
+        }
+        if self.harm == Harm::Reset {
+            assert_eq!(stream.breaks.len(), 1, "{name}: {:?}", stream.clock().unwrap().breaks);
+        }
+    }
+
+    /// The run ends, says what is kept, and its file is the beginning of the one that nothing went wrong with.
+    fn ends_as_a_prefix(&self, name: &str, whole: &Capture, disk: Memory) {
+        let failed = recorded(&self.definition, &self.given, &disk);
+        let Err(failed) = failed else {
+            assert!(
+                self.harm == Harm::SyncFails,
+                "{name}: a short recording may be over before the disk fails"
+            );
+            return;
+        };
+        let cut = capture::read(&disk.taken.lock().unwrap());
+        assert!(cut.damages.is_empty() && whole.records.starts_with(&cut.records), "{name}");
+        assert!(cut.records.len() < whole.records.len() || self.harm == Harm::SyncFails, "{name}");
+        let kept = format!("{} samples", cut.samples().count());
+        let said = failed.to_string();
+        assert!(said.contains(&kept) && said.contains("help:"), "{name}: {said}");
+    }
+}
+
+/// The same readings with other counters: they wrap in the middle, or begin again there.
+fn counted_anew(
+    definition: &Definition,
+    pieces: &[(f64, Vec<u8>)],
+    harm: Harm,
+    middle: usize,
+) -> Option<Vec<(f64, Vec<u8>)>> {
+    let clock = definition.clock?;
+    let (mut decoder, mut samples) = (definition.decoder(), Vec::new());
+    for (t_s, bytes) in pieces {
+        let mut decoded = Vec::new();
+        decoder.push(bytes, &mut decoded);
+        samples.extend(decoded.into_iter().filter_map(|one| match one {
+            Decoded::Sample(sample, _) => Some((*t_s, sample)),
+            Decoded::Fault(_) => None,
+        }));
+    }
+    // Away from the ends, where a restart is soon made up for.
+    let (count, quarter) = (samples.len(), samples.len() / 4);
+    let middle = quarter + (middle * count / pieces.len()) / 2;
+    let mask = u64::MAX >> (64 - clock.wrap_bits);
+    let (ticks, sequence) = (samples[middle].1.ticks?.0, samples[middle].1.sequence);
+    // A counter that begins again shortly before it would wrap has wrapped, for all that can be told, and one that
+    // has just begun goes back by less than is told.
+    if harm == Harm::Reset && (ticks > mask / 2 || ticks as f64 * f64::from(clock.tick_ns) < 0.5e9) {
+        return None;
+    }
+    let modulo = definition.sequence_modulo.unwrap_or(1);
+    let mut anew = Vec::new();
+    for (at, (t_s, sample)) in samples.iter().enumerate() {
+        let mut sample = *sample;
+        if harm == Harm::Wrap || at >= middle {
+            sample.ticks = sample.ticks.map(|now| DeviceTicks(now.0.wrapping_sub(ticks) & mask));
+            let from = sequence.unwrap_or(0);
+            sample.sequence = sample.sequence.map(|now| (now + modulo - from % modulo) % modulo);
+        }
+        let mut bytes = Vec::new();
+        definition.encoder().encode(&sample, &mut bytes).unwrap();
+        anew.push((*t_s, bytes));
+    }
+    Some(anew)
+}
+
+fn matrix(seeds: std::ops::Range<u64>) {
+    let (mut cases, mut samples) = (0, 0);
+    for recording in all() {
+        for harm in HARMS {
+            for seed in seeds.clone() {
+                if let Some(case) = Case::new(&recording, harm, seed) {
+                    samples += case.holds();
+                    cases += 1;
+                }
+            }
+        }
+    }
+    eprintln!("{cases} cases, {samples} samples");
+    assert!(cases > 300);
+}
+
+#[test]
+fn every_recording_over_every_fault() {
+    matrix(0..2);
+}
+
+/// `cargo test --release --test suite fault_matrix -- --ignored --nocapture`
+#[test]
+#[ignore = "a campaign"]
+fn every_recording_over_every_fault_with_100_seeds() {
+    matrix(0..100);
+}
