@@ -20,7 +20,10 @@ for stage in 1 2 3 4 5 6; do
     "$dbbd" simulate --program "stage$stage/krl/DBB_MAIN.src" --world "$here/world.toml" --seed "$seed" --speed 0 \
         --link bar --quiet > /dev/null &
     robot=$!
-    until [ -e bar ]; do sleep 0.1; done
+    until [ -e bar ]; do
+        kill -0 "$robot" 2> /dev/null || exit 1
+        sleep 0.1
+    done
     "$dbbd" acquire --port bar --plan "stage$stage/plan/plan.csv" --out "stage$stage/run.dbbd" --quiet
     wait "$robot"                        # fails when a reading was out of the stroke
     "$dbbd" sync "stage$stage/run.dbbd" --out "stage$stage/observations.csv" --quiet

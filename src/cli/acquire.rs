@@ -32,7 +32,10 @@ or when the port stays away for --gone. Bytes are written before they are decode
 record being written, a loss of power what came since the last --sync-every. A disk that is full or fails ends \
 the run: every whole record is kept (exit code 1). Exit code 3: samples are missing, or nothing was understood.";
 
-/// Arguments of the verb.
+/// Read the bar over its serial line into a capture.
+///
+/// The capture holds the raw bytes, the samples, every gap and fault, the plan and the protocol in force, and
+/// survives a kill. More: docs/capture.md.
 #[derive(clap::Args, Clone)]
 #[command(after_help = ENDS)]
 pub(crate) struct Args {

@@ -45,6 +45,9 @@ impl<'a> Steps<'a> {
         self.out.progress(format!("$ dbbd {}", args.join(" ")));
         let mut command = Command::new(&self.program);
         command.args(args).current_dir(self.dir).stdin(Stdio::null());
+        if self.out.is_quiet() {
+            command.arg("--quiet");
+        }
         command
     }
 

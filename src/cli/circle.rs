@@ -18,7 +18,10 @@ use crate::report::circle::{CircleTest, CircleView};
 use crate::report::{self, Provenance, Source};
 use crate::sync::Fate;
 
-/// Arguments of the verb.
+/// Evaluate circular tests by the quantities of ISO 230-4.
+///
+/// G, G(b), D, F and H, each with a 95 % interval, and what reverses where. docs/circular-test.md says what of the
+/// standard could not be read.
 #[derive(clap::Args)]
 pub(crate) struct Args {
     /// Captures that carry a plan, or CSV files run,direction,angle_deg,length_mm[,t_s,temp_c] (direction cw

@@ -12,14 +12,16 @@ use crate::krl::compensate::{Moved, compensate};
 use crate::krl::production::{Files, Given, Text, read};
 use crate::model::{Pose, Robot};
 
-/// Rewrites the points of PROGRAM.src and of the PROGRAM.dat beside it; every other byte stays. Only
-/// points are corrected that stand in these two files; XHOME points and relative motions stay.
+/// Correct the points of a program for an identified robot.
 ///
-/// The robot's base frame cannot be told from lengths. The points are corrected in the robot's own
-/// frame, so that positions come out right with respect to each other; measure $BASE again afterwards
-/// where a place in the room matters. $BASE is taken in the robot's own base ($ROBROOT null). Nor can
-/// lengths tell the flange from the ball on it: the ball is taken to sit on the flange where the
-/// nominal robot file has it. $TOOL is the program's own, never the ball.
+/// Rewrites the points of PROGRAM.src and of the PROGRAM.dat beside it; every other byte stays. Only points are
+/// corrected that stand in these two files; XHOME points and relative motions stay.
+///
+/// The robot's base frame cannot be told from lengths. The points are corrected in the robot's own frame, so that
+/// positions come out right with respect to each other; measure $BASE again afterwards where a place in the room
+/// matters. $BASE is taken in the robot's own base ($ROBROOT null). Nor can lengths tell the flange from the ball
+/// on it: the ball is taken to sit on the flange where the nominal robot file has it. $TOOL is the program's own,
+/// never the ball.
 #[derive(clap::Args)]
 pub(crate) struct Args {
     /// The program: motions by PTP, LIN, CIRC, SPTP, SLIN, SCIRC and SPL, inline forms or plain.

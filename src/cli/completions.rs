@@ -7,7 +7,9 @@ use clap_complete::Shell;
 
 use super::{Cli, Outcome, Output, Verdict};
 
-/// Prints completions for a shell on stdout.
+/// Print shell completions.
+///
+/// For example `dbbd completions bash > ~/.local/share/bash-completion/completions/dbbd`.
 #[derive(clap::Args)]
 pub(crate) struct Args {
     /// The shell.

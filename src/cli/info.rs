@@ -11,7 +11,9 @@ use crate::capture::{Damage, Event, Record, Stamped};
 use crate::protocol::{Definition, Fault, FaultKind};
 use crate::units::HostNs;
 
-/// Arguments of the verb.
+/// Show a capture on one screen.
+///
+/// What it carries, its samples, gaps and faults, the range of its readings, how it ended, and every damage of the file.
 #[derive(clap::Args)]
 pub(crate) struct Args {
     /// The capture.

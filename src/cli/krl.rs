@@ -9,7 +9,10 @@ use super::{Outcome, Output, Verdict, files};
 use crate::krl::{self, Options};
 use crate::plan::Plan;
 
-/// Arguments of the verb.
+/// Write the KRL programs of a plan.
+///
+/// One module for each circle under DBB_MAIN, for KR C2, KR C4 or KR C5, as .src and .dat. The program moves,
+/// waits, and marks each dwell; it never runs by itself. More: docs/krl.md.
 #[derive(clap::Args)]
 pub(crate) struct Args {
     /// The plan; its .json is read beside it.

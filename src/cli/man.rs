@@ -2,11 +2,13 @@
 
 use std::io;
 
-use clap::CommandFactory;
+use clap::{Command, CommandFactory};
 
 use super::{Cli, Outcome, Output, Verdict};
 
-/// Prints the manual page, with every verb, on stdout: `dbbd man | man -l -`.
+/// Print the manual page, with every verb.
+///
+/// To read it: `dbbd man | man -l -`.
 #[derive(clap::Args)]
 pub(crate) struct Args {}
 
@@ -14,13 +16,19 @@ pub(crate) fn run(_args: &Args, _out: &Output) -> Verdict {
     let mut command = Cli::command();
     command.build();
     let mut page = Vec::new();
-    clap_mangen::Man::new(command.clone()).render(&mut page)?;
-    for verb in command.get_subcommands() {
-        clap_mangen::Man::new(verb.clone()).render(&mut page)?;
-    }
+    render(&command, &mut page)?;
     match io::Write::write_all(&mut io::stdout(), &page) {
         // A pager that was left early is no failure.
         Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(Outcome::Done),
         written => Ok(written.map(|()| Outcome::Done)?),
     }
+}
+
+/// A command's page, and after it those of the commands below it.
+fn render(command: &Command, page: &mut Vec<u8>) -> io::Result<()> {
+    clap_mangen::Man::new(command.clone()).render(page)?;
+    command
+        .get_subcommands()
+        .filter(|below| below.get_name() != "help")
+        .try_for_each(|below| render(below, page))
 }

@@ -36,9 +36,17 @@ use clap::{Args, Parser, Subcommand};
 
 pub(crate) use output::Output;
 
+/// Heading of the options that every verb takes.
+const EVERYWHERE: &str = "Options of every command";
+
+/// Shown below the list of commands.
+const EXITS: &str = "Exit codes: 0 done; 1 failed or refused, with the reason on stderr; 2 wrong usage; 3 done, with a \
+loss or a doubt that you must see. Results go to stdout, all else to stderr; NO_COLOR is honoured. What a message \
+means and what to do stands in docs/troubleshooting.md.";
+
 /// Calibrates an industrial robot with a telescoping double ball-bar.
 #[derive(Parser)]
-#[command(name = "dbbd", version, max_term_width = 100, propagate_version = true)]
+#[command(name = "dbbd", version, max_term_width = 100, propagate_version = true, after_help = EXITS)]
 struct Cli {
     #[command(flatten)]
     common: Common,
@@ -50,60 +58,42 @@ struct Cli {
 #[derive(Args, Clone, Copy, Debug)]
 pub(crate) struct Common {
     /// Say more on stderr.
-    #[arg(short, long, global = true)]
+    #[arg(short, long, global = true, help_heading = EVERYWHERE)]
     verbose: bool,
     /// Say nothing but errors on stderr.
-    #[arg(long, global = true, conflicts_with = "verbose")]
+    #[arg(long, global = true, conflicts_with = "verbose", help_heading = EVERYWHERE)]
     quiet: bool,
     /// Print the result as one JSON document on stdout, and nothing else there.
-    #[arg(long, global = true)]
+    #[arg(long, global = true, help_heading = EVERYWHERE)]
     json: bool,
     /// Exit with 1 instead of 3 when there is a loss or a doubt.
-    #[arg(long, global = true)]
+    #[arg(long, global = true, help_heading = EVERYWHERE)]
     strict: bool,
 }
 
+/// The verbs; the text of each is that of its `Args`, and the README's section "Commands" too.
 #[derive(Subcommand)]
 enum Verb {
-    /// Plan circles from a job: poses, checks, time code.
     Plan(plan::Args),
-    /// Write the KRL programs of a plan.
     Krl(krl::Args),
-    /// Execute a KRL program on a simulated robot with a virtual ball-bar on a pty.
     #[cfg(unix)]
     Simulate(simulate::Args),
-    /// Read the bar over its serial line into a capture.
     Acquire(acquire::Args),
-    /// Match the lengths of a capture to the commanded poses.
     Sync(sync::Args),
-    /// Identify the robot's parameters from lengths.
     Identify(identify::Args),
-    /// Evaluate circular tests by the quantities of ISO 230-4.
     Circle(circle::Args),
-    /// Correct the points of a program for an identified robot.
     Compensate(compensate::Args),
-    /// Serve the live page and the HTTP API for one bar.
     Serve(serve::Args),
-    /// Run the whole job with no hardware.
     #[cfg(unix)]
     Demo(demo::Args),
-    /// Make a capture of a trace that other software recorded.
     Import(import::Args),
-    /// Show a capture on one screen.
     Info(info::Args),
-    /// Restore every whole record of a damaged capture.
     Recover(recover::Args),
-    /// Write a capture's samples, raw bytes, events and gaps as CSV, or as MCAP.
     Export(export::Args),
-    /// List, show or check robots.
     Robots(robots::Args),
-    /// List, show or check protocol definitions.
     Protocols(protocols::Args),
-    /// List the serial ports.
     Ports(ports::Args),
-    /// Print shell completions.
     Completions(completions::Args),
-    /// Print the manual page.
     Man(man::Args),
 }
 

@@ -61,15 +61,21 @@ impl Output {
         write_line(&mut io::stderr(), line.as_ref());
     }
 
+    /// Whether nothing but errors is wanted on stderr.
+    pub(crate) fn is_quiet(&self) -> bool {
+        self.common.quiet
+    }
+
     /// Whether stderr is a terminal on which bars and colour are wanted.
     pub(crate) fn decorated(&self) -> bool {
         !self.common.quiet && io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none()
     }
 }
 
-/// A reader that has gone (`dbbd info RUN | head`) is no reason to fail.
+/// A reader that has gone (`dbbd info RUN | head`) is no reason to fail. One write a line: what a child and its parent say
+/// on one stderr stays in lines.
 fn write_line(to: &mut impl Write, line: &str) {
-    let _ = writeln!(to, "{line}");
+    let _ = to.write_all(format!("{line}\n").as_bytes());
 }
 
 /// Says the error, if there is one, and turns the verdict into the exit code.

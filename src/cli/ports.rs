@@ -3,7 +3,9 @@
 use super::{Outcome, Output, Verdict};
 use crate::port;
 
-/// Arguments of the verb.
+/// List the serial ports.
+///
+/// With the names by-id/.. and by-path/.. that stay when the device is plugged in anew.
 #[derive(clap::Args)]
 pub(crate) struct Args {
     #[command(subcommand)]

@@ -10,7 +10,10 @@ use crate::diag::{Diagnostic, nearest};
 use crate::protocol::{Definition, Sample};
 use crate::units::DeviceTicks;
 
-/// Arguments of the verb.
+/// List, show or check protocol definitions.
+///
+/// A definition is a TOML file that tells how a bar's bytes become lengths; a new device needs no code. More:
+/// docs/protocols.md, docs/build-a-bar.md.
 #[derive(clap::Args)]
 pub(crate) struct Args {
     #[command(subcommand)]

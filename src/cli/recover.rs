@@ -8,7 +8,10 @@ use super::pass::Pass;
 use super::{Outcome, Output, Verdict};
 use crate::capture::{Event, Record, Writer};
 
-/// Arguments of the verb.
+/// Restore every whole record of a damaged capture.
+///
+/// The damaged one is not changed. A capture that was merely cut off needs no repair: every verb reads it up to and
+/// past a damage, and says so.
 #[derive(clap::Args)]
 #[command(
     after_help = "Exit codes: 0 nothing was lost; 3 something was, and what is said; 1 no whole record is left."

@@ -7,7 +7,10 @@ use serde::Serialize;
 use super::{Outcome, Output, Verdict, files};
 use crate::model::Robot;
 
-/// Arguments of the verb.
+/// List, show or check robots.
+///
+/// A robot is a TOML file: modified-DH table, limits, speeds, tolerance. The built-in ones are in `robots/` of the
+/// source.
 #[derive(clap::Args)]
 pub(crate) struct Args {
     #[command(subcommand)]

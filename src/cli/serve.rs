@@ -17,7 +17,10 @@ plans in ./NAME/plan.csv; the port is then chosen on the page. docs/serve.md exp
 may ask what. SIGINT and SIGTERM end a run as it should. dbbd never starts or moves the robot, and its alarm is not a \
 safety function.";
 
-/// Arguments of the verb.
+/// Serve the live page and the HTTP API for one bar.
+///
+/// Length against stroke, polar plot, start, stop, evaluation and report in a browser. dbbd never starts or moves
+/// the robot, and its alarm is not a safety function. More: docs/serve.md, docs/security.md.
 #[derive(clap::Args)]
 #[command(after_help = MORE)]
 pub(crate) struct Args {

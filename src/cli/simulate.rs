@@ -19,7 +19,11 @@ use crate::sim::{Controller, World, truth};
 /// How long the bar streams after the program's end, s: the end mark is to be seen whole.
 const AFTER_END_S: f64 = 3.0;
 
-/// Arguments of the verb.
+/// Execute a KRL program on a simulated robot with a virtual ball-bar on a pty.
+///
+/// The program is the robot's only source of motion. The true robot differs from the controller's; the bar streams the
+/// true lengths on a pseudo-terminal, whose name stands on stdout. The program goes on from its HALT once a reader has
+/// started the bar. Exit code 3 when a reading at a dwell was out of the stroke.
 #[derive(clap::Args)]
 pub(crate) struct Args {
     /// The KRL program; its .dat and the modules that it calls are read beside it.

@@ -7,7 +7,11 @@ use serde_json::{Value, json};
 use super::{Outcome, Output, Verdict, files, run};
 use crate::sync::{Fate, Source, Stream, Synced};
 
-/// Arguments of the verb.
+/// Match the lengths of a capture to the commanded poses.
+///
+/// Lays the bar's clock on the host's, finds the dwells (or the passes of a program without stops) and matches them
+/// to the plan. A pair is kept above 99 % of probability, else dropped and named with the reason. More:
+/// docs/accuracy.md.
 #[derive(clap::Args)]
 pub(crate) struct Args {
     /// The capture.

@@ -204,7 +204,7 @@ fn a_killed_run_is_there_again_and_can_be_identified() {
 fn the_simulated_cell_needs_nothing() {
     let dir = tempfile::tempdir().unwrap();
     let server = Server::start(dir.path(), "[device]\nport = \"sim\"\n");
-    assert_eq!(server.get("/api/v1/status").json()["device"]["present"], true);
+    server.wait("/api/v1/status", |status| status["device"]["present"] == true);
     assert_eq!(server.post("/api/v1/run", "{\"name\":\"tried\"}").status, 201);
     let status = server.wait("/api/v1/status", |status| status["run"]["samples"].as_u64() > Some(50));
     assert_eq!((&status["run"]["poses"], &status["run"]["stroke_mm"][1]), (&252.into(), &5.0.into()));

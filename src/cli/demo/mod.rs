@@ -12,8 +12,11 @@ use crate::model::Robot;
 /// The job that the demo runs: shipped as `examples/demo.toml`.
 pub(crate) const JOB: &str = include_str!("../../../examples/demo.toml");
 
-/// Runs the whole job with no hardware: a plan, its KRL programs, a simulated robot that executes
-/// them with a virtual ball-bar on a pty, the capture, and the identification, each by its own command on files.
+/// Run the whole job with no hardware.
+///
+/// A plan, its KRL programs, a simulated robot that executes them with a virtual ball-bar on a pty, the capture,
+/// the matching and the identification, each by its own command on files; at the end the true beside the identified
+/// parameters.
 #[derive(clap::Args)]
 pub(crate) struct Args {
     /// Directory for all files; those of an earlier demo there are replaced.

@@ -14,7 +14,9 @@ use crate::diag::Diagnostic;
 use crate::export::mcap::{CHANNELS, McapFile};
 use tables::Tables;
 
-/// Arguments of the verb.
+/// Write a capture's samples, raw bytes, events, gaps and faults as CSV, or as MCAP.
+///
+/// CSV for scripts, MCAP for Foxglove, Python and ROS (examples/python, examples/foxglove). More: docs/capture.md.
 #[derive(clap::Args)]
 pub(crate) struct Args {
     /// The capture.

@@ -24,7 +24,11 @@ use inputs::{parse_point, parse_positive, parse_scale, read_prior, read_workspac
 /// How often a capture is aligned anew with what was identified.
 const ALIGNMENTS: usize = 5;
 
-/// Identifies the robot's kinematic parameters from lengths and says which the data can tell.
+/// Identify the robot's parameters from lengths, and say which of them the data can tell.
+///
+/// Each parameter comes with its standard deviation or the reason why it has none, with the 3-D error predicted
+/// over the workspace and the further measurement that would help most. A capture is aligned anew with what was
+/// identified, until nothing changes. More: docs/identification.md.
 #[derive(clap::Args)]
 pub(crate) struct Args {
     /// Observations CSV (index,centre,a1_deg,..,a6_deg,length_mm[,sigma_mm][,bar]), or a capture, which carries

@@ -29,7 +29,10 @@ others are passed over. A mapping tells other layouts: [file] delimiter decimal 
 unit = s|ms|us|ns|iso, or rate_hz; [length] column unit = mm|um|m|inch kind = distance|reading; [strobe], [valid], \
 [temperature] column. A column is a name, or a number from 1. examples/mapping.toml explains each.";
 
-/// Arguments of the verb.
+/// Make a capture of a trace that other software recorded.
+///
+/// The way to dbbd from a closed instrument: time and length as text, recorded while the plan's program ran. A
+/// small mapping file tells its layout.
 #[derive(clap::Args)]
 #[command(after_help = LAYOUT)]
 pub(crate) struct Args {

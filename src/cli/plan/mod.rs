@@ -13,7 +13,13 @@ use crate::model::{Centre, Observations, Reading, Robot};
 use crate::plan::prediction::Fate;
 use crate::plan::{Check, Job, Kind, Knowledge, Plan, Prediction, Stage, Taught};
 
-/// Arguments of the verb.
+/// Plan the poses of a calibration from a job, and check them.
+///
+/// Circles in any plane about a base ball, with dwells or without stops and both ways, or poses chosen by optimal
+/// design. Every pose and the path between is checked: reach, axis limits, singularities, stroke, cup, obstacles,
+/// and the risk that a robot within its tolerance leaves the stroke. What is unsafe is refused with the row, the
+/// quantity and the limit. Where only the risk is too great, a few safe poses are chosen, to be measured first.
+/// plan.html shows the poses and what they will tell. More: docs/planning.md.
 #[derive(clap::Args)]
 pub(crate) struct Args {
     /// The job: bar, base balls, circles, motion, limits (examples/*.toml explain every key).

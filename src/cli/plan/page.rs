@@ -38,13 +38,7 @@ pub(super) fn html(
             .map(|(at, circle)| row(at, circle, bar.length_mm))
             .collect(),
         checks: header.checks.iter().map(check).collect(),
-        facts: vec![
-            Fact::new(
-                "Bar",
-                format!("{} mm, stroke {} to {} mm", bar.length_mm, bar.stroke_mm[0], bar.stroke_mm[1]),
-            ),
-            Fact::new("Duration", format!("{:.1} min at full override", plan.duration_s() / 60.0)),
-        ],
+        facts: vec![Fact::new("Duration", format!("{:.1} min at full override", plan.duration_s() / 60.0))],
         provenance: Provenance {
             dbbd_version: env!("CARGO_PKG_VERSION").into(),
             robot: robot.name.clone(),
