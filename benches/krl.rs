@@ -44,7 +44,8 @@ fn production(robot: &Robot) -> (String, String) {
         "DEF P ( )\r\n$TOOL={X 0.0,Y 0.0,Z 150.0,A 0.0,B 0.0,C 0.0}\r\n$BASE=$NULLFRAME\r\n".to_owned();
     let mut data = "DEFDAT P\r\n".to_owned();
     for at in 0..POINTS {
-        let t = at as f64 * 1e-3;
+        // Not from zero, where an axis's turn hangs on the last digit.
+        let t = (at + 1) as f64 * 1e-3;
         let deg = [
             40.0 * (0.7 * t).sin(),
             -85.0 + 15.0 * t.sin(),
