@@ -15,12 +15,15 @@ use super::number::fixed;
 use super::production::{Files, Number, Origin, PointProgram, Position, TaughtPoint, Text};
 use super::syntax::Span;
 use crate::diag::Diagnostic;
-use crate::model::{AXES, Geometry, Pose, Robot, inverse};
+use crate::model::inverse::{self, Unsolved};
+use crate::model::{AXES, Geometry, Pose, Robot};
 
 /// Where the robot is taken to stand before the first point: KUKA's home, degrees.
 const HOME_DEG: [f64; AXES] = [0.0, -90.0, 90.0, 0.0, 0.0, 0.0];
 /// An axis that a correction turns further, degrees, is near a singularity.
 const LARGEST_TURN_DEG: f64 = 5.0;
+/// The digits of a pose move an axis by less than this, degrees.
+const ROUNDED_DEG: f64 = 0.005;
 /// Fewest decimals of a rewritten length and angle: those that were taught with fewer get more.
 const DECIMALS_MM: usize = 3;
 const DECIMALS_DEG: usize = 4;
@@ -209,13 +212,26 @@ impl<'a> Corrector<'a> {
     ) -> Result<[f64; AXES], String> {
         let bits = bits.map(|(status, turn)| (u8::try_from(status & 7), u8::try_from(turn)));
         match bits {
-            Some((Ok(status), Ok(turn))) if by_ptp => {
-                inverse::from_status_turn(&self.controller, wanted, status, turn)
-            }
+            Some((Ok(status), Ok(turn))) if by_ptp => self.taught_axes(wanted, status, turn),
             Some((Err(_), _) | (_, Err(_))) if by_ptp => return Err("S or T is out of range".into()),
             _ => inverse::nearest(&self.nominal, wanted, &self.last),
         }
         .map_err(|unsolved| format!("the nominal robot does not come here: {unsolved}"))
+    }
+
+    /// The nominal robot's axis angles by status and turn. The digits of a pose may put an axis that was taught at zero
+    /// on its other side: its bit then counts for nothing.
+    fn taught_axes(&self, wanted: &Pose, status: u8, turn: u8) -> Result<[f64; AXES], Unsolved> {
+        let as_written = inverse::from_status_turn(&self.controller, wanted, status, turn);
+        if !matches!(as_written, Err(Unsolved::NoSuchConfiguration { .. })) {
+            return as_written;
+        }
+        let mut others = (1..1_u8 << AXES).filter_map(|flipped| {
+            let axes = inverse::from_status_turn(&self.controller, wanted, status, turn ^ flipped).ok()?;
+            let at_zero = |axis: usize| axes[axis].to_degrees().abs() < ROUNDED_DEG;
+            (0..AXES).all(|axis| (flipped >> axis) & 1 == 0 || at_zero(axis)).then_some(axes)
+        });
+        others.next().map_or(as_written, Ok)
     }
 
     /// The identified robot's axis angles at a pose of its flange, in the branch of `start`.

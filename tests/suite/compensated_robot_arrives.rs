@@ -279,6 +279,23 @@ fn a_file_that_only_dbbd_wrote_is_compensated_too() {
     compensate(given, &program, &robot, 20.0).unwrap();
 }
 
+/// A point that was taught with axes at zero and printed a hair beside them has the turn of zero; a degree beside them the
+/// same turn lies a full turn away.
+#[test]
+fn digits_beside_zero_are_no_other_turn() {
+    let told = |y: f64| {
+        let text = format!(
+            "DEF P()\n$TOOL=$NULLFRAME\n$BASE=$NULLFRAME\nPTP {{X 1170,Y {y},Z 1640,A 0,B 180,C 0,S 2,T 2}}\nEND\n"
+        );
+        let files = Files { source: Text { file: "P.src", text: &text }, data: None, config: None };
+        let program = read(files, Given::default()).unwrap();
+        compensate(files, &program, &identified(1), 20.0).map_err(|refused| refused.to_string())
+    };
+    assert!(told(0.0).is_ok());
+    assert!(told(0.001).is_ok(), "{:?}", told(0.001));
+    assert!(told(20.0).unwrap_err().contains("S 2, T 2"));
+}
+
 /// A correction that carries an axis through zero takes its turn bit along, in the form in which it was written;
 /// where the bits still hold they stay. With the old bit the same pose would be a full turn away, or nowhere.
 #[test]
