@@ -42,57 +42,58 @@ impl<'a> Cell<'a> {
         Self { job, rig, belief: known.at_start(job, rig.controller, centre, start).0 }
     }
 
-    /// Notes all quantities at axis angles in rad. With the bar off only the arm counts.
+    /// Notes all quantities at axis angles in rad, what is soon computed first, until `note` gives `None`. With the bar
+    /// off only the arm counts.
     pub(crate) fn look(
         &self,
         axes: &[f64; AXES],
         centre: u32,
         bar_on: bool,
-        note: &mut impl FnMut(Quantity, f64),
+        note: &mut impl FnMut(Quantity, f64) -> Option<()>,
     ) -> Option<Near> {
-        note(Quantity::AxisMarginDeg, axis_margin_deg(self.rig.controller, axes));
+        note(Quantity::AxisMarginDeg, axis_margin_deg(self.rig.controller, axes))?;
         let table = self.job.centres.get(centre.saturating_sub(1) as usize)?;
         let base = Vector3::from(table.xyz_mm);
         let ball = self.rig.arm.ball(axes);
-        self.obstacles(axes, bar_on.then_some(base), &ball.position, note);
         if !bar_on {
+            self.obstacles(axes, None, &ball.position, note)?;
             return None;
         }
         if let Some(clear) = clearance(&self.rig.controller.geometry, axes) {
-            note(Quantity::WristDeg, clear.wrist.to_degrees());
-            note(Quantity::ElbowDeg, clear.elbow.to_degrees());
-            note(Quantity::OverheadMm, clear.overhead);
+            note(Quantity::WristDeg, clear.wrist.to_degrees())?;
+            note(Quantity::ElbowDeg, clear.elbow.to_degrees())?;
+            note(Quantity::OverheadMm, clear.overhead)?;
         }
         let bar = &self.job.bar;
         let along = ball.position - base;
         let reading = along.norm() - bar.length_mm;
-        note(Quantity::ReadingLowMm, reading);
-        note(Quantity::ReadingHighMm, reading);
+        note(Quantity::ReadingLowMm, reading)?;
+        note(Quantity::ReadingHighMm, reading)?;
         if let (Some(cup), Some(_)) = (table.cup_axis, table.cup_limit_deg) {
-            note(Quantity::CupDeg, along.angle(&Vector3::from(cup)).to_degrees());
+            note(Quantity::CupDeg, along.angle(&Vector3::from(cup)).to_degrees())?;
         }
         if let (Some(cup), Some(_)) = (self.job.tool.cup_axis, self.job.tool.cup_limit_deg) {
             let out = ball.rotation * Vector3::from(cup);
-            note(Quantity::ToolCupDeg, (-along).angle(&out).to_degrees());
+            note(Quantity::ToolCupDeg, (-along).angle(&out).to_degrees())?;
         }
+        self.obstacles(axes, Some(base), &ball.position, note)?;
         let room = [reading - bar.stroke_mm[0], bar.stroke_mm[1] - reading];
         let swing = self.belief.swing(axes, centre.saturating_sub(1) as usize);
         let risk = self.leaves(room, &swing);
-        note(Quantity::StrokeRisk, risk);
+        note(Quantity::StrokeRisk, risk)?;
         Some(Near { room, swing, risk })
     }
 
     /// Whether all limits are kept, the risk of the stroke at this pose being at most `risk`.
     pub(crate) fn allows(&self, axes: &[f64; AXES], centre: u32, risk: f64) -> bool {
-        let mut kept = true;
-        self.look(axes, centre, true, &mut |quantity, value| {
+        let kept = |quantity: Quantity, value: f64| {
             let limit = match quantity {
                 Quantity::StrokeRisk => risk,
                 _ => limit(self.job, centre, quantity),
             };
-            kept &= if quantity.at_least() { value >= limit } else { value <= limit };
-        });
-        kept
+            (if quantity.at_least() { value >= limit } else { value <= limit }).then_some(())
+        };
+        self.look(axes, centre, true, &mut { kept }).is_some()
     }
 
     /// The probability that the length of this pose leaves the stroke.
@@ -102,7 +103,7 @@ impl<'a> Cell<'a> {
 
     /// The same `out` mm farther out.
     pub(crate) fn risk_out(&self, pose: &Candidate, out: f64) -> f64 {
-        let near = self.look(&pose.axes, pose.centre, true, &mut |_, _| {});
+        let near = self.look(&pose.axes, pose.centre, true, &mut |_, _| Some(()));
         near.map_or(1.0, |near| self.leaves([near.room[0] + out, near.room[1] - out], &near.swing))
     }
 
@@ -118,10 +119,10 @@ impl<'a> Cell<'a> {
         axes: &[f64; AXES],
         base: Option<Vector3<f64>>,
         ball: &Vector3<f64>,
-        note: &mut impl FnMut(Quantity, f64),
-    ) {
+        note: &mut impl FnMut(Quantity, f64) -> Option<()>,
+    ) -> Option<()> {
         if self.job.obstacles.is_empty() {
-            return;
+            return Some(());
         }
         let tool = &self.job.tool;
         let joints = self.rig.arm.skeleton(axes);
@@ -139,7 +140,7 @@ impl<'a> Cell<'a> {
         let distances = parts.iter().flat_map(|(segment, radius)| {
             self.job.obstacles.iter().map(move |obstacle| obstacle.from_segment(segment) - radius)
         });
-        note(Quantity::ClearanceMm, distances.fold(f64::INFINITY, f64::min));
+        note(Quantity::ClearanceMm, distances.fold(f64::INFINITY, f64::min))
     }
 }
 

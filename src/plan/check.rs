@@ -315,7 +315,10 @@ impl<'a> Inspector<'a> {
     }
 
     fn look(&self, facts: &mut Facts, axes: &[f64; AXES], centre: u32, bar_on: bool) -> Option<Near> {
-        self.cell.look(axes, centre, bar_on, &mut |quantity, value| facts.note(quantity, value))
+        self.cell.look(axes, centre, bar_on, &mut |quantity, value| {
+            facts.note(quantity, value);
+            Some(())
+        })
     }
 }
 

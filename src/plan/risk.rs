@@ -4,6 +4,7 @@
 //! much and the largest too little. Robots are drawn from what is known, each row's worst pose is
 //! evaluated to first order, and the share that leaves the stroke at any of them is counted.
 
+use nalgebra::DVector;
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
@@ -27,14 +28,12 @@ pub(crate) fn over_run(poses: &[Near]) -> f64 {
     let telling: Vec<&Near> = poses.iter().filter(|near| near.risk > NEGLIGIBLE * largest).collect();
     let unknowns = telling.first().map_or(0, |near| near.swing.len());
     let mut random = Pcg64::seed_from_u64(1);
-    let mut robot = vec![0.0; unknowns];
+    let mut robot = DVector::zeros(unknowns);
     let mut leave = 0_u32;
     for _ in 0..ROBOTS {
-        for value in &mut robot {
-            *value = StandardNormal.sample(&mut random);
-        }
+        robot.iter_mut().for_each(|value| *value = StandardNormal.sample(&mut random));
         let leaves = |near: &&Near| {
-            let moved: f64 = near.swing.iter().zip(&robot).map(|(a, b)| a * b).sum();
+            let moved = near.swing.dot(&robot);
             moved > near.room[1] || moved < -near.room[0]
         };
         leave += u32::from(telling.iter().any(leaves));
