@@ -1,0 +1,151 @@
+//! The closed loop through the programs: plan, krl, simulate, acquire, sync, identify and compensate on files, and the
+//! simulated controller executes the production program before and after.
+#![cfg(unix)]
+
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::time::Duration;
+
+use dbbd::identifiability::aligned_distances;
+use dbbd::krl::Program;
+use dbbd::model::{Geometry, Robot};
+use dbbd::sim::{Controller, truth};
+use nalgebra::Vector3;
+use tempfile::tempdir;
+
+use crate::cell::{RADIUS, dbbd, kr60, stderr};
+use crate::compensated_program_is_accurate::{BALLS, OFF_MM, job, production, sagging, taught};
+
+/// Each coordinate of the tool ball is off by this much at each stop, so that a length is; the bar adds nothing to speak of.
+const WORLD: &str = "repeatability_um = 20.0\n[bar]\nstroke_mm = [-15.0, 15.0]\nnoise_um = 1.0\n";
+
+/// Runs a step; a doubt (3) is a result, too.
+fn step(dir: &Path, args: &[&str]) -> Option<i32> {
+    let output = dbbd(dir, args);
+    assert!(matches!(output.status.code(), Some(0 | 3)), "dbbd {}: {}", args.join(" "), stderr(&output));
+    output.status.code()
+}
+
+/// Plan and program of a job, and the production program with a stop at each point.
+fn prepare(dir: &Path, bar_mm: f64, balls: usize, points: usize, cube: bool) {
+    fs::write(dir.join("job.toml"), job(bar_mm, balls, points, cube)).unwrap();
+    step(dir, &["plan", "job.toml", "--out", "plan", "--quiet"]);
+    step(dir, &["krl", "plan/plan.csv", "--out", "krl", "--sync", "output", "--quiet"]);
+    let program: String = production(200, cube, 7)
+        .lines()
+        .map(|line| format!("{line}\n{}", if line.starts_with("PTP") { "WAIT SEC 0.5\n" } else { "" }))
+        .collect();
+    fs::write(dir.join("P.src"), program).unwrap();
+    let centre = |at: usize| {
+        let [x, y, z]: [f64; 3] = std::array::from_fn(|axis| BALLS[at][axis] + OFF_MM[axis]);
+        format!("[[centre]]\nid = {}\nxyz_mm = [{x:?}, {y:?}, {z:?}]\n", at + 1)
+    };
+    let world: String = (0..balls).map(centre).collect();
+    fs::write(dir.join("world.toml"), WORLD.to_owned() + &world).unwrap();
+}
+
+/// Where the robot stands at the stops of a production program, mm.
+fn stops(dir: &Path, program: &str, robot: &Robot) -> Vec<Vector3<f64>> {
+    let program = Program::open("P", |name| {
+        let file = dir.join(program).join(name);
+        Ok(file.is_file().then(|| (name.to_owned(), fs::read_to_string(file).unwrap())))
+    })
+    .unwrap();
+    let there = Geometry { tool: kr60().geometry.tool, ..robot.geometry.clone() };
+    let mut controller = Controller::new(program, &kr60(), 100.0).unwrap();
+    let mut stops: Vec<Vector3<f64>> = Vec::new();
+    loop {
+        let moment = controller.step(0.2).unwrap();
+        if moment.done {
+            return stops;
+        }
+        // The last moment of a motion is one of standing at its end.
+        stops.resize(moment.motions as usize, Vector3::zeros());
+        if let Some(stop) = stops.last_mut() {
+            *stop = there.ball(&moment.axes).position;
+        }
+    }
+}
+
+/// Mean 3-D error of a robot's production program before and after, mm, and whether its result is in doubt.
+fn loop_closed(dir: &Path, robot: &Robot, seed: u64) -> ([f64; 2], bool) {
+    for left in ["run.dbbd", "link"] {
+        let _ = fs::remove_file(dir.join(left));
+    }
+    fs::write(dir.join("truth.toml"), robot.to_toml()).unwrap();
+    let seed = seed.to_string();
+    let mut simulator = Command::new(env!("CARGO_BIN_EXE_dbbd"))
+        .args(["simulate", "--program", "krl/DBB_MAIN.src", "--robot", "truth.toml", "--world", "world.toml"])
+        .args(["--seed", &seed, "--speed", "0", "--link", "link", "--quiet"])
+        .current_dir(dir)
+        .stdout(Stdio::null())
+        .spawn()
+        .unwrap();
+    for _ in 0..600 {
+        if dir.join("link").exists() {
+            break;
+        }
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    step(dir, &["acquire", "--port", "link", "--plan", "plan/plan.csv", "--out", "run.dbbd", "--quiet"]);
+    assert!(simulator.wait().unwrap().success());
+    step(dir, &["sync", "run.dbbd", "--out", "obs.csv", "--quiet"]);
+    let identify = "identify obs.csv --robot kr60ha --centres plan/centres.csv --sigma 0.02 --hold bar --prior datasheet \
+                    --folds 0 --out result --quiet";
+    let doubt =
+        step(dir, &identify.split(' ').filter(|word| !word.is_empty()).collect::<Vec<_>>()) == Some(3);
+    let compensate = "compensate P.src --robot result/robot-identified.toml --limit 50 --out new --quiet";
+    step(dir, &compensate.split(' ').collect::<Vec<_>>());
+    let program = fs::read_to_string(dir.join("P.src")).unwrap();
+    let wanted: Vec<_> = taught(&program).into_iter().map(|(ball, _)| ball.position).collect();
+    let errors = [".", "new"].map(|program| {
+        let off = aligned_distances(&stops(dir, program, robot), &wanted);
+        off.iter().sum::<f64>() / off.len() as f64
+    });
+    (errors, doubt)
+}
+
+#[test]
+fn one_robot_is_more_accurate_afterwards() {
+    let dir = tempdir().unwrap();
+    prepare(dir.path(), RADIUS, 1, 40, true);
+    let ([before, after], _) = loop_closed(dir.path(), &truth::draw(&kr60(), 1, 1.0), 1);
+    assert!(before > 0.3 && after < before / 8.0, "{before} {after}");
+}
+
+/// `cargo test --release --test suite through_the_programs -- --ignored --nocapture`: docs/krl.md.
+#[test]
+#[ignore = "takes minutes"]
+fn twenty_robots_through_the_programs() {
+    for (bar_mm, balls, points, cube) in
+        [(RADIUS, 1, 80, true), (600.0, 1, 80, true), (RADIUS, 3, 240, false)]
+    {
+        let dir = tempdir().unwrap();
+        prepare(dir.path(), bar_mm, balls, points, cube);
+        for sag in [false, true] {
+            let mut all: Vec<([f64; 2], bool)> = (1..=20)
+                .map(|seed| {
+                    let drawn = truth::draw(&kr60(), seed, 1.0);
+                    loop_closed(dir.path(), &if sag { sagging(drawn) } else { drawn }, seed)
+                })
+                .collect();
+            all.sort_by(|([a, b], _), ([c, d], _)| (a / b).total_cmp(&(c / d)));
+            let factor = |at: usize| all[at].0[0] / all[at].0[1];
+            let mean = |at: usize| all.iter().map(|(pair, _)| pair[at]).sum::<f64>() / 20.0;
+            eprintln!(
+                "bar of {bar_mm} mm, {balls} ball(s), {points} poses, {}{}: before {:.3} mm, after {:.4}; factor {:.1} in the middle, {:.1} at \
+                 least ({:.3} -> {:.4} mm); {} of 20 in doubt",
+                if cube { "cube" } else { "whole workspace" },
+                if sag { ", sag" } else { "" },
+                mean(0),
+                mean(1),
+                factor(10),
+                factor(0),
+                all[0].0[0],
+                all[0].0[1],
+                all.iter().filter(|(_, doubt)| *doubt).count()
+            );
+        }
+    }
+}
