@@ -18,11 +18,13 @@ mod passes;
 mod passing;
 mod recall;
 mod report;
+mod rest;
 mod robust;
 mod still;
 mod stream;
 mod strobe;
 mod telegram;
+mod windows;
 
 use std::collections::BTreeMap;
 

@@ -2,10 +2,13 @@
 //!
 //! On a circle the bar's length hardly changes, and what changes it is only the robot's error, some
 //! 10 um a move. So the gate looks at slopes of block means over two windows, a short one for fast
-//! moves and a long one for faint ones, with thresholds from the run's own noise.
+//! moves and a long one for faint ones, with thresholds from the bar's noise at rest. Where it rested a first
+//! look tells, with thresholds from the bulk of the run.
 
+use super::rest::{self, Quiet};
 use super::robust;
 use super::stream::Stream;
+use super::windows::Windows;
 
 /// A stretch in which the length did not change.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -18,14 +21,15 @@ pub struct Stretch {
     pub start_sd_s: f64,
 }
 
-/// The short and the long window, as number of blocks and seconds a block.
+/// The short and the long window, as number of blocks and seconds a block, and how long each may be in terms of the
+/// shortest stretch that is looked for: half a dwell, so that the long one fits into a whole dwell.
 const SHORT: (usize, f64) = (12, 0.02);
 const LONG: (usize, f64) = (10, 0.06);
+const SHORT_SHARE: f64 = 0.6;
+const LONG_SHARE: f64 = 1.2;
 /// Slope beyond which the robot moves, and below which it surely stands, in standard deviations.
 const MOVES: f64 = 4.0;
 const STANDS: f64 = 2.5;
-/// No bar is trusted to tell a change below this within a window, mm.
-const LEAST_CHANGE_MM: f64 = 0.0002;
 /// Standard deviation of a begin that is clearly seen, s: acceleration rounds it off. And of one that is not.
 const LEAST_BEGIN_SD_S: f64 = 0.04;
 const UNSEEN_BEGIN_S: f64 = 0.4;
@@ -35,13 +39,29 @@ const LEAST_MOVE_S: f64 = 0.3;
 /// The still stretches that last at least `least_s`.
 pub fn find(stream: &Stream, least_s: f64) -> Vec<Stretch> {
     let period_s = stream.period_s();
-    let fine = Scale::of(stream, SHORT, period_s, least_s);
-    let coarse = Scale::of(stream, LONG, period_s, least_s);
+    let short = Windows::of(stream, SHORT, period_s, SHORT_SHARE * least_s);
+    let long = Windows::of(stream, LONG, period_s, LONG_SHARE * least_s);
+    let least_mm = rest::least_change_mm(stream);
+    let bulk = |windows| Scale { windows, quiet: Quiet::of_bulk(windows, STANDS, least_mm) };
+    let looked = look(&bulk(&short), &bulk(&long), least_s);
+    let at_rest = |windows| {
+        let quiet = Quiet::at_rest(windows, &looked, least_mm)?;
+        Some(Scale { windows, quiet })
+    };
+    match at_rest(&short).zip(at_rest(&long)) {
+        Some((fine, coarse)) => look(&fine, &coarse, least_s),
+        None => looked,
+    }
+}
+
+/// The still stretches by these thresholds.
+fn look(fine: &Scale<'_>, coarse: &Scale<'_>, least_s: f64) -> Vec<Stretch> {
+    let (blocks, around) = (&fine.windows.blocks, &coarse.windows.blocks);
     let mut runs = Vec::new();
     let mut open: Option<(usize, usize)> = None;
     let mut over = 0; // the coarse block at or after the fine one
-    for (at, block) in fine.blocks.iter().enumerate() {
-        while over + 1 < coarse.blocks.len() && coarse.blocks[over].t_s < block.t_s {
+    for (at, block) in blocks.iter().enumerate() {
+        while over + 1 < around.len() && around[over].t_s < block.t_s {
             over += 1;
         }
         let quiet = fine.quiet(at) && coarse.quiet(over);
@@ -56,14 +76,15 @@ pub fn find(stream: &Stream, least_s: f64) -> Vec<Stretch> {
         };
     }
     runs.extend(open);
-    let reach = (0.5 * coarse.window_s / fine.block_s).ceil() as usize + 2;
+    let block_s = fine.windows.block_s;
+    let reach = (0.5 * coarse.windows.window_s / block_s).ceil() as usize + 2;
     let settled: Vec<Run> = runs
         .into_iter()
         .filter(|&(from, to)| fine.stands(from, to))
         .map(|(from, to)| fine.edges(from, to, reach))
         .collect();
-    let half = 0.5 * fine.block_s;
-    joined(settled, &fine)
+    let half = 0.5 * block_s;
+    joined(settled, fine)
         .into_iter()
         .map(|run| {
             let (start_s, start_sd_s) = fine.hinge(run.from, run.to, reach, false);
@@ -82,78 +103,25 @@ struct Run {
     level_mm: f64,
 }
 
-struct Block {
-    t_s: f64,
-    mean_mm: f64,
-    /// Number of clock breaks before it.
-    epoch: usize,
+/// Windows with the thresholds for them.
+struct Scale<'a> {
+    windows: &'a Windows,
+    quiet: Quiet,
 }
 
-/// The stream in blocks of one width, with the slope around each.
-struct Scale {
-    blocks: Vec<Block>,
-    block_s: f64,
-    window_s: f64,
-    /// Slope around each block, mm/s; infinite where the window is not whole.
-    slopes: Vec<f64>,
-    /// Scatter of the block means about the window's line, mm.
-    scatters: Vec<f64>,
-    slope_sigma: f64,
-    scatter_sigma: f64,
-    slope_floor: f64,
-}
-
-impl Scale {
-    fn of(stream: &Stream, (count, block_s): (usize, f64), period_s: f64, least_s: f64) -> Self {
-        let block_s = block_s.max(1.001 * period_s);
-        // A window must fit well into the shortest stretch that is looked for.
-        let count = count.min((0.6 * least_s / block_s) as usize).max(4);
-        let blocks = blocks(stream, block_s);
-        let window_s = count as f64 * block_s;
-        let mut slopes = vec![f64::INFINITY; blocks.len()];
-        let mut scatters = vec![f64::INFINITY; blocks.len()];
-        let mut scratch = Vec::new();
-        let mut points = Vec::with_capacity(count);
-        for (first, window) in blocks.windows(count).enumerate() {
-            let (head, tail) = (&window[0], &window[count - 1]);
-            if tail.t_s - head.t_s > 1.5 * window_s || tail.epoch != head.epoch {
-                continue;
-            }
-            points.clear();
-            points.extend(window.iter().map(|block| (block.t_s - head.t_s, block.mean_mm)));
-            let slope = robust::slope(&points, &mut scratch);
-            let centre = first + count / 2;
-            slopes[centre] = slope;
-            scratch.clear();
-            scratch.extend(points.iter().map(|(t, y)| y - slope * t));
-            let level = robust::median(&mut scratch).unwrap_or(0.0);
-            scratch.iter_mut().for_each(|value| *value = (*value - level).abs());
-            scatters[centre] = robust::SIGMA_OF_MAD * robust::median(&mut scratch).unwrap_or(0.0);
-        }
-        let mut magnitudes: Vec<f64> =
-            slopes.iter().filter(|slope| slope.is_finite()).map(|slope| slope.abs()).collect();
-        let slope_sigma = robust::bulk_scale(&mut magnitudes);
-        let slope_floor = LEAST_CHANGE_MM / window_s;
-        let mut quiet: Vec<f64> = slopes
-            .iter()
-            .zip(&scatters)
-            .filter(|(slope, _)| slope.abs() <= STANDS * slope_sigma + slope_floor)
-            .map(|(_, scatter)| *scatter)
-            .collect();
-        let scatter_sigma = robust::median(&mut quiet).unwrap_or(0.0).max(LEAST_CHANGE_MM);
-        Self { blocks, block_s, window_s, slopes, scatters, slope_sigma, scatter_sigma, slope_floor }
-    }
-
+impl Scale<'_> {
     /// Neither slope nor scatter of a robot that moves.
     fn quiet(&self, at: usize) -> bool {
-        let (Some(slope), Some(scatter)) = (self.slopes.get(at), self.scatters.get(at)) else { return false };
-        slope.abs() <= MOVES * self.slope_sigma + self.slope_floor && *scatter <= 4.0 * self.scatter_sigma
+        let Windows { slopes, scatters, .. } = self.windows;
+        let (Some(slope), Some(scatter)) = (slopes.get(at), scatters.get(at)) else { return false };
+        let Quiet { slope_sigma, scatter_sigma, slope_floor } = self.quiet;
+        slope.abs() <= MOVES * slope_sigma + slope_floor && *scatter <= 4.0 * scatter_sigma
     }
 
     /// Whether a quiet run is still for the most part: a slow move is quiet but slopes all along.
     fn stands(&self, from: usize, to: usize) -> bool {
-        let limit = STANDS * self.slope_sigma + self.slope_floor;
-        let low = self.slopes[from..=to].iter().filter(|slope| slope.abs() <= limit).count();
+        let limit = STANDS * self.quiet.slope_sigma + self.quiet.slope_floor;
+        let low = self.windows.slopes[from..=to].iter().filter(|slope| slope.abs() <= limit).count();
         10 * low >= 7 * (to - from + 1)
     }
 
@@ -165,18 +133,18 @@ impl Scale {
         let edge = if at_end { to } else { from };
         let inside = reach.min(to - from);
         let (first, last) = if at_end {
-            (to - inside, (to + reach).min(self.blocks.len() - 1))
+            (to - inside, (to + reach).min(self.windows.blocks.len() - 1))
         } else {
             (from.saturating_sub(reach), from + inside)
         };
         let sign = if at_end { -1.0 } else { 1.0 };
-        let edge_s = self.blocks[edge].t_s;
+        let edge_s = self.windows.blocks[edge].t_s;
         // Time counts from the edge into the stretch; what a gap or a broken clock divides stays out.
-        let points: Vec<(f64, f64)> = self.blocks[first..=last]
+        let points: Vec<(f64, f64)> = self.windows.blocks[first..=last]
             .iter()
-            .filter(|block| block.epoch == self.blocks[edge].epoch)
+            .filter(|block| block.epoch == self.windows.blocks[edge].epoch)
             .map(|block| (sign * (block.t_s - edge_s), block.mean_mm))
-            .filter(|(x, _)| x.abs() <= (reach + 1) as f64 * self.block_s)
+            .filter(|(x, _)| x.abs() <= (reach + 1) as f64 * self.windows.block_s)
             .collect();
         let mut best = (f64::INFINITY, 0.0, 0.0);
         for &(knee, _) in &points {
@@ -186,8 +154,9 @@ impl Scale {
             }
         }
         let (_, knee, slope) = best;
-        let sd_s =
-            (1.5 * self.scatter_sigma / slope.abs().max(1e-9)).min(UNSEEN_BEGIN_S).hypot(LEAST_BEGIN_SD_S);
+        let sd_s = (1.5 * self.quiet.scatter_sigma / slope.abs().max(1e-9))
+            .min(UNSEEN_BEGIN_S)
+            .hypot(LEAST_BEGIN_SD_S);
         (edge_s + sign * knee, sd_s)
     }
 
@@ -195,16 +164,17 @@ impl Scale {
     fn edges(&self, from: usize, to: usize, reach: usize) -> Run {
         const NEAR: usize = 15;
         let level = |first: usize, last: usize| {
-            let mut values: Vec<f64> = self.blocks[first..=last].iter().map(|block| block.mean_mm).collect();
+            let mut values: Vec<f64> =
+                self.windows.blocks[first..=last].iter().map(|block| block.mean_mm).collect();
             robust::median(&mut values).unwrap_or(0.0)
         };
-        let tolerance = 4.0 * self.scatter_sigma;
+        let tolerance = 4.0 * self.quiet.scatter_sigma;
         let head_mm = level(from, to.min(from + NEAR));
         let tail_mm = level(from.max(to.saturating_sub(NEAR)), to);
-        let on = |at: usize, level_mm: f64| (self.blocks[at].mean_mm - level_mm).abs() <= tolerance;
+        let on = |at: usize, level_mm: f64| (self.windows.blocks[at].mean_mm - level_mm).abs() <= tolerance;
         let adjoins = |a: usize, b: usize| {
-            self.blocks[a].epoch == self.blocks[b].epoch
-                && self.blocks[b].t_s - self.blocks[a].t_s < LEAST_MOVE_S
+            self.windows.blocks[a].epoch == self.windows.blocks[b].epoch
+                && self.windows.blocks[b].t_s - self.windows.blocks[a].t_s < LEAST_MOVE_S
         };
         let (mut first, mut last) = (from, to);
         while first < to && !on(first, head_mm) {
@@ -217,7 +187,7 @@ impl Scale {
             if first > 0 && adjoins(first - 1, first) && on(first - 1, head_mm) {
                 first -= 1;
             }
-            if last + 1 < self.blocks.len() && adjoins(last, last + 1) && on(last + 1, tail_mm) {
+            if last + 1 < self.windows.blocks.len() && adjoins(last, last + 1) && on(last + 1, tail_mm) {
                 last += 1;
             }
         }
@@ -243,14 +213,16 @@ fn fit_knee(points: &[(f64, f64)], knee: f64) -> (f64, f64) {
 }
 
 /// One stretch of runs that a blip or a gap in the data tore apart; runs that touch are cut in the middle.
-fn joined(runs: Vec<Run>, fine: &Scale) -> Vec<Run> {
+fn joined(runs: Vec<Run>, fine: &Scale<'_>) -> Vec<Run> {
     let mut whole: Vec<Run> = Vec::new();
     for mut run in runs {
         if let Some(before) = whole.last_mut() {
-            let (left, right) =
-                (&fine.blocks[before.to.min(run.from)], &fine.blocks[run.from.max(before.to)]);
+            let (left, right) = (
+                &fine.windows.blocks[before.to.min(run.from)],
+                &fine.windows.blocks[run.from.max(before.to)],
+            );
             let apart_s = right.t_s - left.t_s;
-            let one_level = (run.level_mm - before.level_mm).abs() <= 2.0 * fine.scatter_sigma;
+            let one_level = (run.level_mm - before.level_mm).abs() <= 2.0 * fine.quiet.scatter_sigma;
             if apart_s < LEAST_MOVE_S && one_level && left.epoch == right.epoch {
                 before.to = run.to.max(before.to);
                 continue;
@@ -264,33 +236,4 @@ fn joined(runs: Vec<Run>, fine: &Scale) -> Vec<Run> {
         whole.push(run);
     }
     whole
-}
-
-/// Trimmed means of the valid readings in blocks of `block_s`; a block without a valid reading is left out.
-fn blocks(stream: &Stream, block_s: f64) -> Vec<Block> {
-    let mut blocks = Vec::new();
-    let mut values: Vec<f64> = Vec::new();
-    let mut breaks = stream.breaks.iter().peekable();
-    let (mut begin_s, mut epoch) = (0.0, 0);
-    let mut close = |values: &mut Vec<f64>, begin_s: f64, epoch: usize| {
-        if let Some(mean_mm) = robust::trimmed_mean(values) {
-            blocks.push(Block { t_s: begin_s + 0.5 * block_s, mean_mm, epoch });
-        }
-        values.clear();
-    };
-    for (at, (&t_s, &reading_mm)) in stream.t_s.iter().zip(&stream.reading_mm).enumerate() {
-        let broke = breaks.next_if(|&&broken| broken <= at).is_some();
-        if broke || t_s >= begin_s + block_s {
-            close(&mut values, begin_s, epoch);
-            epoch += usize::from(broke);
-            begin_s = if broke { t_s } else { (t_s / block_s).floor() * block_s };
-            // Rounding must not open the block before the one that was closed.
-            begin_s = begin_s.max(t_s - block_s);
-        }
-        if stream.valid(at) {
-            values.push(reading_mm);
-        }
-    }
-    close(&mut values, begin_s, epoch);
-    blocks
 }
