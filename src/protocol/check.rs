@@ -24,7 +24,7 @@ pub(super) struct Check {
 pub(super) enum Sum {
     Xor8,
     Sum8,
-    Crc(Crc),
+    Crc(Tabled),
 }
 
 /// Parameters of a CRC of up to 32 bits.
@@ -73,27 +73,43 @@ catalogue! {
     "CRC-32/ISO-HDLC" => CRC_32_ISO_HDLC,
 }
 
-impl Crc {
-    /// The CRC over `bytes`, bit by bit: frames are short.
-    pub(super) fn compute(&self, bytes: &[u8]) -> u32 {
-        let width = u32::from(self.width.clamp(8, 32));
-        let (mask, top) = (u32::MAX >> (32 - width), 1u32 << (width - 1));
-        let mut register = self.init & mask;
-        for &byte in bytes {
-            let byte = if self.refin { byte.reverse_bits() } else { byte };
-            register ^= u32::from(byte) << (width - 8);
+/// A CRC with what each byte does to its register. (The `crc` crate's tables need parameters that are known when it is compiled.)
+#[derive(Clone, Debug)]
+pub(super) struct Tabled {
+    crc: Crc,
+    table: Box<[u32; 256]>,
+}
+
+impl Tabled {
+    pub(super) fn new(crc: Crc) -> Self {
+        let width = u32::from(crc.width.clamp(8, 32));
+        let top = 1u32 << (width - 1);
+        let entry = |byte: usize| {
+            let mut register = (byte as u32) << (width - 8);
             for _ in 0..8 {
                 let carry = register & top != 0;
-                register = (register << 1) & mask;
-                if carry {
-                    register ^= self.poly & mask;
-                }
+                register = (register << 1) ^ if carry { crc.poly } else { 0 };
             }
+            register & (u32::MAX >> (32 - width))
+        };
+        Self { crc, table: Box::new(std::array::from_fn(entry)) }
+    }
+
+    /// The CRC over `bytes`.
+    pub(super) fn compute(&self, bytes: &[u8]) -> u32 {
+        let Self { crc, table } = self;
+        let width = u32::from(crc.width.clamp(8, 32));
+        let mask = u32::MAX >> (32 - width);
+        let mut register = crc.init & mask;
+        for &byte in bytes {
+            let byte = if crc.refin { byte.reverse_bits() } else { byte };
+            let [.., at] = ((register >> (width - 8)) ^ u32::from(byte)).to_be_bytes();
+            register = ((register << 8) & mask) ^ table[usize::from(at)];
         }
-        if self.refout {
+        if crc.refout {
             register = register.reverse_bits() >> (32 - width);
         }
-        (register ^ self.xorout) & mask
+        (register ^ crc.xorout) & mask
     }
 }
 
@@ -102,7 +118,7 @@ impl std::fmt::Display for Check {
         match &self.sum {
             Sum::Xor8 => write!(f, "XOR of the bytes"),
             Sum::Sum8 => write!(f, "sum of the bytes"),
-            Sum::Crc(crc) => write!(f, "CRC-{}, polynomial {:#x}", crc.width, crc.poly),
+            Sum::Crc(Tabled { crc, .. }) => write!(f, "CRC-{}, polynomial {:#x}", crc.width, crc.poly),
         }?;
         if self.optional { write!(f, ", may be absent") } else { Ok(()) }
     }
@@ -124,7 +140,7 @@ impl Check {
     pub(super) fn undetected(&self) -> f64 {
         let bits = match &self.sum {
             Sum::Xor8 | Sum::Sum8 => 8,
-            Sum::Crc(crc) => i32::from(crc.width),
+            Sum::Crc(Tabled { crc, .. }) => i32::from(crc.width),
         };
         if self.optional { 1.0 } else { 0.5f64.powi(bits) }
     }
@@ -162,7 +178,7 @@ impl Check {
     fn digits(&self) -> usize {
         let bytes = match &self.sum {
             Sum::Xor8 | Sum::Sum8 => 1,
-            Sum::Crc(crc) => usize::from(crc.width.div_ceil(8)),
+            Sum::Crc(Tabled { crc, .. }) => usize::from(crc.width.div_ceil(8)),
         };
         if self.hex { 2 * bytes } else { bytes }
     }
@@ -195,7 +211,22 @@ mod tests {
     fn every_named_crc_gives_its_check_value() {
         for name in NAMES {
             let (crc, check) = named(name).unwrap();
-            assert_eq!(crc.compute(b"123456789"), check, "{name}");
+            assert_eq!(Tabled::new(crc).compute(b"123456789"), check, "{name}");
         }
+    }
+
+    /// A width that no table of the catalogue's macro has, by its parameters.
+    #[test]
+    fn a_crc_of_24_bits_gives_its_check_value() {
+        let a = &crc::CRC_24_OPENPGP;
+        let crc = Crc {
+            width: a.width,
+            poly: a.poly,
+            init: a.init,
+            refin: a.refin,
+            refout: a.refout,
+            xorout: a.xorout,
+        };
+        assert_eq!(Tabled::new(crc).compute(b"123456789"), a.check);
     }
 }

@@ -2,7 +2,7 @@
 
 use toml::Spanned;
 
-use super::check::{self, Check, Crc, Sum};
+use super::check::{self, Check, Crc, Sum, Tabled};
 use super::source::Source;
 use super::table::{CheckEncoding, CheckKind, CheckTable};
 use crate::diag::{Diagnostic, nearest};
@@ -37,13 +37,13 @@ pub(super) fn compile_check(
         CheckKind::None => return Ok(None),
         CheckKind::Xor8 => Sum::Xor8,
         CheckKind::Sum8 => Sum::Sum8,
-        CheckKind::Crc => Sum::Crc(match &check.name {
+        CheckKind::Crc => Sum::Crc(Tabled::new(match &check.name {
             Some(_) if parameters.contains(&true) => {
                 return wrong("give a crc by name or by parameters, not both");
             }
             Some(name) => named_crc(source, name)?,
             None => crc_by_parameters(source, table)?,
-        }),
+        })),
     };
     let Some(enc) = check.enc else {
         return wrong("enc is missing: le, be or hex");
@@ -80,7 +80,7 @@ fn crc_by_parameters(source: Source, table: &Spanned<CheckTable>) -> Result<Crc,
         return Err(source.wrong(table.span(), "[check]: width must be 8, 16, 24 or 32"));
     }
     let crc = Crc { width, poly, init, refin, refout, xorout };
-    let check = crc.compute(b"123456789");
+    let check = Tabled::new(crc).compute(b"123456789");
     if check != *expected.get_ref() {
         return Err(source
             .wrong(expected.span(), format!("these CRC parameters give check {check:#x}"))
