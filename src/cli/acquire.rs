@@ -105,6 +105,9 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
     record(args, server, out)
 }
 
+/// What the capture says after `--zero`.
+const ZEROED: &str = "the bar's reading was set to zero before the run";
+
 fn record(args: &Args, server: Option<Server>, out: &Output) -> Verdict {
     let attachments = args.plan.as_deref().map(Attachments::of_plan).transpose()?.unwrap_or_default();
     let name = args.protocol.as_deref().or(attachments.protocol.as_deref()).unwrap_or(DEFAULT_PROTOCOL);
@@ -125,7 +128,7 @@ fn record(args: &Args, server: Option<Server>, out: &Output) -> Verdict {
             .into());
         }
         zero(&args.port, &definition)?;
-        out.progress("the bar's reading was set to zero");
+        out.progress(ZEROED);
     }
     let stop = stop_on_signal()?;
     let options = Options {
@@ -139,6 +142,9 @@ fn record(args: &Args, server: Option<Server>, out: &Output) -> Verdict {
         sync_s: args.sync_every,
     };
     let acquisition = Acquisition::told_by(server, options, stop)?;
+    if args.zero {
+        acquisition.mark(ZEROED.into());
+    }
     out.progress(format!("reading {} into {}", args.port, args.out.display()));
     watch(&acquisition, &view::outlook(args.plan.as_deref()), out)?;
     conclude(&acquisition.join()?, args, out)

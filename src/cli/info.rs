@@ -39,6 +39,7 @@ struct Info {
     missing: u64,
     lost: u64,
     controller_events: u64,
+    remarks: Vec<String>,
     attachments: BTreeMap<String, usize>,
     damages: Vec<DamageInfo>,
 }
@@ -115,7 +116,8 @@ impl Gathered {
                 info.ended = Some(reason);
                 info.lost = lost;
             }
-            Record::Event(Event::Opened { .. } | Event::Mark { .. }) => {}
+            Record::Event(Event::Mark { text }) => info.remarks.push(text),
+            Record::Event(Event::Opened { .. }) => {}
         }
     }
 
@@ -152,6 +154,9 @@ pub(crate) fn word(kind: &FaultKind) -> &'static str {
     }
 }
 
+/// So many remarks fit on the screen.
+const MOST_REMARKS: usize = 5;
+
 fn show(path: &Path, info: &Info, out: &Output) {
     let line = |name: &str, value: String| out.result(format!("{name:13}{value}"));
     line("capture", path.display().to_string());
@@ -169,6 +174,12 @@ fn show(path: &Path, info: &Info, out: &Output) {
     line("gaps", format!("{}, {} samples missing", info.gaps, info.missing));
     if info.controller_events > 0 {
         line("controller", format!("{} events", info.controller_events));
+    }
+    for remark in info.remarks.iter().take(MOST_REMARKS) {
+        line("remark", remark.clone());
+    }
+    if let Some(more @ 1..) = info.remarks.len().checked_sub(MOST_REMARKS) {
+        line("", format!("and {more} more: `dbbd export` writes all to events.csv"));
     }
     let files: Vec<String> =
         info.attachments.iter().map(|(name, len)| format!("{name} ({len} bytes)")).collect();

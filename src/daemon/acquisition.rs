@@ -15,6 +15,7 @@ use super::attachments::Attachments;
 use super::ekrl::Server;
 use super::feed::Feed;
 use super::marks::Marks;
+use super::progress::Progress;
 use super::recorder::Recorder;
 use super::reports::Reports;
 use super::session::{self, Opened};
@@ -46,47 +47,6 @@ pub struct Options {
     pub feed: Option<Feed>,
     /// How often the disk is made to hold what was written, s: what a loss of power costs at most.
     pub sync_s: f64,
-}
-
-/// How a run is going.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
-pub struct Progress {
-    /// Host time since the beginning, s.
-    pub elapsed_s: f64,
-    /// Device time since the first sample, s, where the device has a clock.
-    pub device_s: Option<f64>,
-    /// Bytes that came.
-    pub bytes: u64,
-    /// Samples decoded.
-    pub samples: u64,
-    /// Samples per second over the last second.
-    pub rate_hz: f64,
-    /// The last reading, mm.
-    pub reading_mm: Option<f64>,
-    /// Faults of the stream.
-    pub faults: u64,
-    /// Times that the device said that it has no reading.
-    pub rejected: u64,
-    /// Requests that were not answered in time.
-    pub unanswered: u64,
-    /// Gaps that were recorded.
-    pub gaps: u64,
-    /// Samples missing by their sequence numbers.
-    pub missing: u64,
-    /// Bytes lost between port and recorder.
-    pub lost_bytes: u64,
-    /// Dwells that are over, by the strobe.
-    pub dwells: u32,
-    /// Modules that are over, by their end marks.
-    pub modules: u32,
-    /// Telegrams of the program that were recorded.
-    pub telegrams: u64,
-    /// Telegrams that were refused: of another plan, or of no dwell.
-    pub refused: u64,
-    /// Whether the frames were ever understood one after the other.
-    pub in_step: bool,
-    /// Whether the port is away at this moment.
-    pub gone: bool,
 }
 
 /// What ended a run.

@@ -1,9 +1,9 @@
 //! Writes what arrives, raw first, then what it decodes to, and counts. It reads no clock: who hands over the
 //! bytes says when they came, so a recorded line can be put through it again.
 
-use super::acquisition::Progress;
 use super::feed::Feed;
 use super::marks::{DeviceTime, Marks};
+use super::progress::Progress;
 use crate::capture::{self, Event, Record, WriteError, Writer};
 use crate::protocol::{Decoded, Decoder, Definition, FaultKind, Sample};
 use crate::units::HostNs;

@@ -97,6 +97,26 @@ impl Source for Program {
 }
 
 #[test]
+fn a_reading_that_was_set_to_zero_says_so_in_the_capture() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("run");
+    let path = path.to_str().unwrap();
+    let terminal = Terminal::new().unwrap();
+    let port = terminal.name().to_owned();
+    std::thread::spawn(move || {
+        let definition = Definition::by_name("cdi-starrett").unwrap().unwrap();
+        let options = Options { rate_hz: RATE_HZ, speed: 1.0, first_ticks: 0 };
+        bar::serve(terminal, &definition, options, Program { over: false })
+    });
+    let acquire =
+        ["acquire", "--port", &port, "--protocol", "cdi-starrett", "--duration", "0.5", "--out", path];
+    let output = run(&[&acquire[..], &["--zero"]].concat());
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    let info: serde_json::Value = serde_json::from_slice(&run(&["info", path, "--json"]).stdout).unwrap();
+    assert_eq!(info["remarks"], serde_json::json!(["the bar's reading was set to zero before the run"]));
+}
+
+#[test]
 fn a_program_is_recorded_to_its_end_mark() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("run");
