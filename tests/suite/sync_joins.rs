@@ -477,7 +477,11 @@ fn an_outage_within_a_dwell_costs_it_only_where_little_is_left() {
         eprintln!("strobe {strobe}: {found} of 40, {:?} {:?}", synced.fates[9], synced.fates[22]);
         assert!(found >= if strobe { 39 } else { 36 }, "{found}");
         if let Fate::Matched { dwell, .. } = &synced.fates[9].fate {
-            assert!(dwell.gaps == 1 && (0.5..0.8).contains(&(dwell.samples as f64 / 500.0)), "{dwell:?}");
+            let read_s = dwell.samples as f64 / 500.0;
+            let whole = dwell.gaps == 1 && (0.5..0.8).contains(&read_s);
+            // By stillness alone the part before the outage may be all that is seen.
+            let part = !strobe && dwell.gaps == 0 && (0.3..0.5).contains(&read_s);
+            assert!(whole || part, "{dwell:?}");
         } else {
             assert!(!strobe, "{:?}", synced.fates[9]);
         }
