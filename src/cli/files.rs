@@ -2,6 +2,7 @@
 
 use std::error::Error;
 use std::fs;
+use std::io::{self, Write};
 use std::path::Path;
 
 use crate::diag::Diagnostic;
@@ -31,11 +32,34 @@ pub(crate) fn read(path: &Path) -> Result<String, Diagnostic> {
 /// # Errors
 /// Names the path and why it could not be written.
 pub(crate) fn write(path: &Path, content: impl AsRef<[u8]>) -> Result<(), Diagnostic> {
+    write_pieces(path, [content])
+}
+
+/// The same in pieces, of which one at a time is in memory.
+///
+/// # Errors
+/// As [`write`].
+pub(crate) fn write_pieces(
+    path: &Path,
+    pieces: impl IntoIterator<Item = impl AsRef<[u8]>>,
+) -> Result<(), Diagnostic> {
     let wrong = |error| Diagnostic::file(&path.display().to_string(), format!("cannot be written: {error}"));
     let mut beside = path.as_os_str().to_owned();
     beside.push(".part");
-    fs::write(&beside, content).map_err(wrong)?;
+    let mut file = fs::File::create(&beside).map_err(wrong)?;
+    for piece in pieces {
+        file.write_all(piece.as_ref()).map_err(wrong)?;
+    }
     fs::rename(&beside, path).map_err(wrong)
+}
+
+/// A file to be read bit by bit.
+///
+/// # Errors
+/// Names the path and why it could not be opened.
+pub(crate) fn open(path: &Path) -> Result<impl io::Read, Diagnostic> {
+    fs::File::open(path)
+        .map_err(|error| Diagnostic::file(&path.display().to_string(), format!("cannot be read: {error}")))
 }
 
 /// Makes the directory that results go to.

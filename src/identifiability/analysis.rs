@@ -4,7 +4,7 @@ use nalgebra::DMatrix;
 
 use super::wording;
 use crate::linalg::{BaseSet, Triangle, base_set, map_pieces};
-use crate::model::{LengthModel, ParamId, Reading, Selection};
+use crate::model::{LengthModel, LengthRow, ParamId, Reading, Selection};
 
 /// A sum of parameters that can be told although its members cannot.
 #[derive(Clone, Debug)]
@@ -73,8 +73,10 @@ pub fn factor(model: &LengthModel, readings: &[Reading], ids: &[ParamId], sigma:
     let pieces = map_pieces(readings, |first, readings| {
         let mut triangle = Triangle::new(ids.len());
         let mut row = vec![0.0; ids.len()];
+        let mut derivatives = LengthRow::default();
         for (at, reading) in readings.iter().enumerate() {
-            selection.pick(&prepared.row(reading), reading.centre, &mut row);
+            prepared.row_into(reading, &mut derivatives);
+            selection.pick(&derivatives, reading.centre, &mut row);
             if let Some(sigma) = sigma.get(first + at) {
                 row.iter_mut().for_each(|value| *value /= sigma);
             }

@@ -3,7 +3,7 @@
 use nalgebra::DMatrix;
 
 use super::options::{plausible, tolerance};
-use super::solver::PriorRows;
+use super::prior::PriorRows;
 use crate::identifiability::factor;
 use crate::model::{LengthModel, ParamId, Reading, Robot};
 
@@ -26,17 +26,18 @@ pub(super) fn weak_limit(robot: &Robot, id: ParamId) -> Option<f64> {
 pub(super) struct Spread {
     /// With the prior, where there is one.
     pub(super) covariance: DMatrix<f64>,
-    /// From the data alone; the same without a prior.
+    /// From the data alone, infinite for what they do not tell; the same without a prior.
     pub(super) data_sd: Vec<f64>,
     /// Trace of the part of the estimate that comes from the data.
     pub(super) parameters: f64,
 }
 
-/// The spread of `ids` at a model; `None` when they are not determined.
+/// The spread of `ids` at a model, of which the data alone tell at most `base`; `None` when they are not determined.
 pub(super) fn spread(
     model: &LengthModel,
     readings: &[Reading],
     ids: &[ParamId],
+    base: &[ParamId],
     sigma: &[f64],
     prior: Option<&PriorRows>,
 ) -> Option<Spread> {
@@ -50,13 +51,15 @@ pub(super) fn spread(
             parameters: ids.len() as f64,
         });
     };
-    let mut stacked = DMatrix::zeros(data.nrows() + prior.rows.nrows(), ids.len());
+    let mut stacked = DMatrix::zeros(data.nrows() + ids.len(), ids.len());
     stacked.rows_mut(0, data.nrows()).copy_from(&data);
-    stacked.rows_mut(data.nrows(), prior.rows.nrows()).copy_from(&prior.rows);
+    stacked.rows_mut(data.nrows(), ids.len()).copy_from(&prior.matrix());
     let both = inverse_root(&stacked)?;
-    // What the prior alone determines is infinitely uncertain from the data.
-    let data_sd =
-        inverse_root(&data).map_or_else(|| vec![f64::INFINITY; ids.len()], |inverse| sd_of(&inverse));
+    let mut data_sd = vec![f64::INFINITY; ids.len()];
+    let told: Vec<usize> = (0..ids.len()).filter(|&k| base.contains(&ids[k])).collect();
+    if let Some(inverse) = inverse_root(&data.select_columns(&told)) {
+        told.iter().zip(sd_of(&inverse)).for_each(|(k, sd)| data_sd[*k] = sd);
+    }
     Some(Spread { parameters: (data * &both).norm_squared(), covariance: &both * both.transpose(), data_sd })
 }
 

@@ -39,9 +39,11 @@ pub(super) fn indices(
     observability(&scaled, lengths)
 }
 
-/// The pairs that are hardly told apart.
-pub(super) fn correlated(ids: &[ParamId], covariance: &DMatrix<f64>) -> Vec<Correlated> {
-    correlations(ids, covariance)
+/// The pairs that are hardly told apart. Of what only the prior tells apart, `dependent` speaks.
+pub(super) fn correlated(estimate: &Estimate, covariance: &DMatrix<f64>) -> Vec<Correlated> {
+    let told: Vec<usize> =
+        (0..estimate.kept.len()).filter(|&k| estimate.base.contains(&estimate.kept[k])).collect();
+    correlations(&estimate.base, &covariance.select_rows(&told).select_columns(&told))
         .into_iter()
         .map(|Correlation { pair: [a, b], r }| Correlated { pair: [a.to_string(), b.to_string()], r })
         .collect()
@@ -64,11 +66,11 @@ pub(super) fn advice(
         .map(|id| match id {
             // A bar that is too weak is held as exact, in the predicted error as here.
             ParamId::BarOffset(_) if estimate.weak.contains(id) => Some(1e-9),
-            id => options.prior_sd(robot, *id),
+            id => options.prior_sd(robot, *id).or_else(|| estimate.prior_sd(*id)),
         })
         .collect();
     let measured = Measured { robot, model: &estimate.before, readings, sigma, ids: &ids, known: &known };
-    let all_told = estimate.weak.is_empty() && estimate.kept.iter().all(|id| told.contains(id));
+    let all_told = estimate.weak.is_empty() && estimate.base.iter().all(|id| told.contains(id));
     if all_told && pinned && !measured.more_can_be_told(estimate.analysis.base.rank) {
         return Vec::new();
     }

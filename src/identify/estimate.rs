@@ -1,16 +1,13 @@
 //! From lengths to parameters: what can be told, what is too weak, the fit, and the lengths' sigma.
 
-use std::cmp::Ordering;
-
-use super::covariance::{beyond_chance, spread, too_weak, weak_limit};
+use super::covariance::{spread, too_weak, weak_limit};
 use super::fit::{self, Fit};
 use super::options::{Options, Prior, tolerance};
-use super::prior;
-use super::solver::PriorRows;
+use super::prior::{self, PriorRows};
+use super::sigma::{first_sigma, shown_sigma};
 use crate::identifiability::{Analysis, analyse};
-use crate::linalg::Triangle;
 use crate::model::parameter::{self, SetUp};
-use crate::model::{LengthModel, ParamId, Reading, Robot, Selection};
+use crate::model::{LengthModel, ParamId, Reading, Robot};
 
 /// Lengths with the standard deviations they are weighted by.
 #[derive(Clone, Debug)]
@@ -32,6 +29,8 @@ pub(super) struct Estimate {
     pub(super) analysis: Analysis,
     /// Parameters that were estimated, in canonical order.
     pub(super) kept: Vec<ParamId>,
+    /// Those of them that are independent for the lengths alone; a prior shares what is told among more.
+    pub(super) base: Vec<ParamId>,
     /// Parameters held because the data are too weak, weakest first.
     pub(super) weak: Vec<ParamId>,
     pub(super) prior: Option<PriorRows>,
@@ -40,6 +39,13 @@ pub(super) struct Estimate {
     pub(super) sigma: Vec<f64>,
     /// Degrees of freedom of these, where the residuals gave them; none where they are as given.
     pub(super) freedom: Option<f64>,
+}
+
+impl Estimate {
+    /// One standard deviation of a parameter before the lengths; `None` of what is free or not estimated.
+    pub(super) fn prior_sd(&self, id: ParamId) -> Option<f64> {
+        self.prior.as_ref()?.sd(self.kept.iter().position(|kept| *kept == id)?)
+    }
 }
 
 /// Why there is no estimate.
@@ -68,6 +74,16 @@ pub(super) fn asked(robot: &Robot, set_up: SetUp, options: &Options) -> Vec<Para
     ids
 }
 
+/// Which parameters an estimate is of.
+#[derive(Clone, Debug, PartialEq)]
+struct Choice {
+    kept: Vec<ParamId>,
+    base: Vec<ParamId>,
+    weak: Vec<ParamId>,
+    /// Bars whose offset the lengths do not tell, so that a prior binds it.
+    untold_bars: Vec<ParamId>,
+}
+
 /// Estimates what the data tell of `asked`, from the nominal robot and a rough set-up.
 pub(super) fn estimate(
     robot: &Robot,
@@ -77,77 +93,149 @@ pub(super) fn estimate(
     options: &Options,
 ) -> Result<Estimate, IdentifyError> {
     let readings = &lengths.readings;
-    let mut set_up = fit::set_up(readings, &lengths.given, asked, given_start);
-    let analysis = analyse(&set_up.model, readings, asked).ok_or(IdentifyError::NotFinite)?;
+    let follow_list = options.follows_list();
+    let loose = if follow_list { vec![] } else { loose(robot, given_start, readings, asked) };
+    let without = |left_out: &[ParamId]| -> Vec<ParamId> {
+        asked.iter().copied().filter(|id| !left_out.contains(id) && !loose.contains(id)).collect()
+    };
+    let mut set_up = fit::set_up(readings, &lengths.given, &without(&[]), given_start);
+    let analysis = analyse(&set_up.model, readings, &without(&[])).ok_or(IdentifyError::NotFinite)?;
     let base = analysis.kept();
     if base.is_empty() {
         return Err(IdentifyError::NothingToEstimate);
     }
-    let follow_list = options.follows_list();
     let mut sigma = if follow_list { lengths.given.clone() } else { first_sigma(lengths, &set_up, &base) };
     let mut start = set_up.model.clone();
     let mut iterations = set_up.iterations;
-    let mut implausible: Vec<ParamId> = Vec::new();
-    let mut reached: Option<(Vec<ParamId>, Fit, Vec<f64>)> = None;
+    let mut implausible: Vec<ParamId> = loose.clone();
+    let mut reached: Option<(Choice, Fit, Vec<f64>)> = None;
     for round in 0.. {
-        let mut weak = implausible.clone();
-        if !follow_list && options.prior == Prior::None {
-            let rest: Vec<ParamId> = base.iter().copied().filter(|id| !implausible.contains(id)).collect();
-            weak.extend(too_weak(robot, &set_up.model, readings, &rest, &sigma));
-        } else if !follow_list {
-            weak.extend(weak_bars(robot, &base, &set_up.model, readings, &sigma));
-        }
-        let kept: Vec<ParamId> = base.iter().copied().filter(|id| !weak.contains(id)).collect();
+        let choice = match options.prior {
+            Prior::None if follow_list => Choice::all(&base),
+            Prior::None => Choice::told(robot, &set_up.model, readings, &base, &implausible, &sigma),
+            _ => Choice::bound(robot, &set_up.model, readings, (&analysis, &base), &loose, &sigma, options),
+        };
         if let Some((before, fit, weights)) = reached.take()
-            && (round == ROUNDS || before == kept && same_weights(&weights, &sigma, options))
+            && (round == ROUNDS || before == choice && same_weights(&weights, &sigma, options))
         {
-            let prior = prior::rows(robot, options, &analysis, &before, &set_up.model);
-            let fit = Fit { iterations, ..fit };
-            // When the rounds are up the last judgement has not been acted on.
-            weak.retain(|id| !before.contains(id));
+            let prior = prior::rows(robot, options, &before.untold_bars, &before.kept, given_start);
             let freedom = (sigma != lengths.given).then(|| {
                 let used = fit.used.iter().filter(|used| **used).count();
-                used as f64 - if prior.is_some() { base.len() } else { before.len() } as f64
+                used as f64 - before.base.len() as f64
             });
             return Ok(Estimate {
                 before: set_up.model,
                 analysis,
-                kept: before,
-                weak,
+                kept: before.kept,
+                base: before.base,
+                weak: before.weak,
                 prior,
-                fit,
+                fit: Fit { iterations, ..fit },
                 sigma,
                 freedom,
             });
         }
-        let held = |id: &ParamId| matches!(id, ParamId::BarOffset(_)) && weak.contains(id);
-        if base.iter().any(|id| held(id) && set_up.model.value(*id) != given_start.value(*id)) {
+        let bars: Vec<ParamId> = choice.weak.iter().chain(&choice.untold_bars).copied().filter(is_bar).collect();
+        if bars.iter().any(|id| set_up.model.value(*id) != given_start.value(*id)) {
             // Without the offset of a bar the balls stand elsewhere.
-            let free: Vec<ParamId> = asked.iter().copied().filter(|id| !held(id)).collect();
-            set_up = fit::set_up(readings, &lengths.given, &free, given_start);
+            set_up = fit::set_up(readings, &lengths.given, &without(&bars), given_start);
             start = set_up.model.clone();
         }
         // A parameter held now may have moved in the round before.
-        for id in base.iter().filter(|id| !kept.contains(id)) {
+        for id in base.iter().filter(|id| !choice.kept.contains(id)) {
             start.shift(*id, set_up.model.value(*id) - start.value(*id));
         }
-        let prior = prior::rows(robot, options, &analysis, &kept, &set_up.model);
-        let fit = fit::all(readings, &sigma, &kept, prior.as_ref(), &start);
+        let prior = prior::rows(robot, options, &choice.untold_bars, &choice.kept, given_start);
+        let fit = fit::all(readings, &sigma, &choice.kept, prior.as_ref(), &start);
         iterations += fit.iterations;
         let weights = std::mem::take(&mut sigma);
         sigma = match prior {
             // Residuals that the prior has widened say nothing about the lengths.
             Some(_) => first_sigma(lengths, &fit, &base),
-            None => shown_sigma(lengths, &fit, kept.len()),
+            None => shown_sigma(lengths, &fit, choice.kept.len()),
         };
         if !follow_list && options.prior == Prior::None {
-            implausible.extend(most_implausible(robot, &set_up.model, &fit, readings, &kept, &sigma));
+            let least = most_implausible(robot, &set_up.model, &fit, readings, &choice.kept, &sigma);
+            implausible.extend(least);
         }
         start = fit.model.clone();
-        reached = Some((kept, fit, weights));
+        reached = Some((choice, fit, weights));
     }
     Err(IdentifyError::NotFinite)
 }
+
+impl Choice {
+    /// The whole base set, as the user's list is followed.
+    fn all(base: &[ParamId]) -> Self {
+        Self { kept: base.to_vec(), base: base.to_vec(), weak: vec![], untold_bars: vec![] }
+    }
+
+    /// What lengths of these sigmas tell, without what is implausible already.
+    fn told(
+        robot: &Robot,
+        model: &LengthModel,
+        readings: &[Reading],
+        base: &[ParamId],
+        implausible: &[ParamId],
+        sigma: &[f64],
+    ) -> Self {
+        let left = |out: &[ParamId]| -> Vec<ParamId> {
+            base.iter().copied().filter(|id| !out.contains(id)).collect()
+        };
+        let judged = too_weak(robot, model, readings, &left(implausible), sigma);
+        let weak = [implausible, judged.as_slice()].concat();
+        Self { weak: weak.clone(), ..Self::all(&left(&weak)) }
+    }
+
+    /// All that a prior binds or the lengths tell.
+    fn bound(
+        robot: &Robot,
+        model: &LengthModel,
+        readings: &[Reading],
+        (analysis, base): (&Analysis, &[ParamId]),
+        loose: &[ParamId],
+        sigma: &[f64],
+        options: &Options,
+    ) -> Self {
+        let mut untold_bars = weak_bars(robot, base, model, readings, sigma);
+        untold_bars.extend(analysis.dependent().into_iter().filter(is_bar));
+        let mut kept = [base, prior::sharing(robot, options, &untold_bars, analysis).as_slice()].concat();
+        kept.sort();
+        Self { kept, weak: loose.to_vec(), untold_bars, ..Self::all(base) }
+    }
+}
+
+fn is_bar(id: &ParamId) -> bool {
+    matches!(id, ParamId::BarOffset(_))
+}
+
+/// Parts of tool and base balls that the lengths hardly tell even of the nominal robot, as where the tool never
+/// turns: in a fit they would run off together. The tool's are held first, the balls' only with them.
+fn loose(robot: &Robot, start: &LengthModel, readings: &[Reading], asked: &[ParamId]) -> Vec<ParamId> {
+    let mut left: Vec<ParamId> = asked.iter().copied().filter(|id| id.is_setup() && !is_bar(id)).collect();
+    let Some(analysis) = analyse(start, readings, &left) else { return vec![] };
+    left = analysis.kept();
+    // The nominal robot fits no better than this.
+    let sigma = vec![robot.tolerance.length_mm; readings.len()];
+    let mut loose = Vec::new();
+    while !left.is_empty() {
+        let Some(spread) = spread(start, readings, &left, &left, &sigma, None) else { break };
+        let ratio = |k: &usize| {
+            let limit = if matches!(left[*k], ParamId::Tool(_)) { LOOSE_TOOL_MM } else { LOOSE_BALL_MM };
+            spread.data_sd[*k] / limit
+        };
+        let Some(worst) = (0..left.len()).max_by(|a, b| ratio(a).total_cmp(&ratio(b))) else { break };
+        if ratio(&worst) <= 1.0 {
+            break;
+        }
+        loose.push(left.remove(worst));
+    }
+    loose
+}
+
+/// A tool ball and base balls that are told worse than this are better known from a ruler, mm.
+const LOOSE_TOOL_MM: f64 = 50.0;
+const LOOSE_BALL_MM: f64 = 500.0;
 
 /// Rounds of fitting and judging after which the last fit stands.
 const ROUNDS: usize = 8;
@@ -173,7 +261,7 @@ fn most_implausible(
     kept: &[ParamId],
     sigma: &[f64],
 ) -> Option<ParamId> {
-    let sd = spread(&fit.model, readings, kept, sigma, None)?.data_sd;
+    let sd = spread(&fit.model, readings, kept, kept, sigma, None)?.data_sd;
     kept.iter()
         .zip(sd)
         .filter_map(|(id, sd)| {
@@ -194,77 +282,11 @@ fn weak_bars(
     readings: &[Reading],
     sigma: &[f64],
 ) -> Vec<ParamId> {
-    let bars = (0..base.len()).filter(|&at| matches!(base[at], ParamId::BarOffset(_)));
+    let bars = (0..base.len()).filter(|&at| is_bar(&base[at]));
     if bars.clone().next().is_none() {
         return vec![];
     }
-    let sd = spread(model, readings, base, sigma, None).map(|spread| spread.data_sd);
+    let sd = spread(model, readings, base, base, sigma, None).map(|spread| spread.data_sd);
     let limit = |id| weak_limit(robot, id).unwrap_or(f64::INFINITY);
     bars.filter(|&bar| sd.as_ref().is_none_or(|sd| sd[bar] > limit(base[bar]))).map(|bar| base[bar]).collect()
-}
-
-/// Before the fit: what a linear fit of the base set leaves, or what is given.
-fn first_sigma(lengths: &Lengths, set_up: &Fit, base: &[ParamId]) -> Vec<f64> {
-    if lengths.vouched {
-        return lengths.given.clone();
-    }
-    let selection = Selection::new(base);
-    let mut triangle = Triangle::new(base.len());
-    let mut row = vec![0.0; base.len()];
-    let mut count = 0;
-    let prepared = set_up.model.prepare();
-    for (at, reading) in lengths.readings.iter().enumerate().filter(|(at, _)| set_up.used[*at]) {
-        let predicted = prepared.row(reading);
-        selection.pick(&predicted, reading.centre, &mut row);
-        row.iter_mut().for_each(|value| *value /= lengths.given[at]);
-        triangle.push(&row, (reading.length - predicted.length) / lengths.given[at]);
-        count += 1;
-    }
-    let freedom = f64::from(count) - base.len() as f64;
-    let ratio = if freedom > 0.0 { triangle.residual_sum() / freedom } else { 1.0 };
-    let factor = match beyond_chance(ratio, freedom) {
-        _ if !lengths.known => ratio.sqrt().max(FLOOR_MM),
-        Some(Ordering::Greater) => ratio.sqrt(),
-        _ => 1.0,
-    };
-    lengths.given.iter().map(|sigma| sigma * factor).collect()
-}
-
-/// Lengths are not better than this, mm: it keeps exact data from a division by zero.
-const FLOOR_MM: f64 = 1e-9;
-
-/// After the fit: what is given, brought to what the residuals show. Where nothing is known, one
-/// sigma for all; where the residuals are larger than the given sigmas and chance, a common further
-/// deviation (repeatability, what the model lacks) is added in squares (Paule and Mandel, J. Res.
-/// NBS 87, 1982).
-fn shown_sigma(lengths: &Lengths, fit: &Fit, parameters: usize) -> Vec<f64> {
-    if lengths.vouched {
-        return lengths.given.clone();
-    }
-    let prepared = fit.model.prepare();
-    let squares: Vec<(f64, f64)> = (0..lengths.readings.len())
-        .filter(|&at| fit.used[at])
-        .map(|at| {
-            let residual = lengths.readings[at].length - prepared.length(&lengths.readings[at]);
-            (residual * residual, lengths.given[at] * lengths.given[at])
-        })
-        .collect();
-    let freedom = squares.len() as f64 - parameters as f64;
-    if freedom <= 0.0 {
-        return lengths.given.clone();
-    }
-    if !lengths.known {
-        let sum: f64 = squares.iter().map(|(r2, _)| r2).sum();
-        return vec![(sum / freedom).sqrt().max(FLOOR_MM); lengths.given.len()];
-    }
-    let chi = |common: f64| squares.iter().map(|(r2, s2)| r2 / (s2 + common)).sum::<f64>();
-    if beyond_chance(chi(0.0) / freedom, freedom) != Some(Ordering::Greater) {
-        return lengths.given.clone();
-    }
-    let (mut low, mut high) = (0.0, squares.iter().map(|(r2, _)| r2).sum::<f64>());
-    for _ in 0..100 {
-        let middle = 0.5 * (low + high);
-        if chi(middle) > freedom { low = middle } else { high = middle }
-    }
-    lengths.given.iter().map(|sigma| (sigma * sigma + high).sqrt()).collect()
 }

@@ -1,9 +1,8 @@
 //! The stages of a fit: set-up first, then the joint offsets, then all; outliers set aside; the
 //! sigma of the lengths brought to what the residuals show.
 
-use super::solver::{
-    Loss, MAD_TO_SD, PriorRows, Problem, ROUNDING, Solution, minimise, robust_scale, whitened,
-};
+use super::prior::PriorRows;
+use super::solver::{Loss, MAD_TO_SD, Problem, ROUNDING, Solution, minimise, robust_scale, whitened};
 use crate::model::{LengthModel, ParamId, Reading};
 
 /// A fit and what it was weighted by.
@@ -57,7 +56,22 @@ pub(super) fn all(
     })
 }
 
-/// Minimises over each list in turn; the prior belongs to the last.
+/// Lengths of a sample that leads a large set near its minimum; a set twice as large is large.
+const SAMPLE: usize = 8192;
+
+/// An even sample of a large set.
+fn sample(readings: &[Reading], sigma: &[f64]) -> Option<(Vec<Reading>, Vec<f64>)> {
+    if readings.len() < 2 * SAMPLE {
+        return None;
+    }
+    let step = readings.len() / SAMPLE;
+    Some((
+        readings.iter().step_by(step).copied().collect(),
+        sigma.iter().step_by(step).copied().collect(),
+    ))
+}
+
+/// Minimises over each list in turn; the prior belongs to the last. A large set takes part in the last only.
 fn stages(
     readings: &[Reading],
     sigma: &[f64],
@@ -66,13 +80,23 @@ fn stages(
     prior: Option<&PriorRows>,
     start: &LengthModel,
 ) -> Solution {
-    let mut reached = Solution { model: start.clone(), iterations: 0, converged: true };
-    for (at, ids) in lists.iter().enumerate() {
-        let prior = prior.filter(|_| at + 1 == lists.len());
-        let solution = minimise(&Problem { readings, sigma, ids, loss, prior }, &reached.model);
-        reached = Solution { iterations: reached.iterations + solution.iterations, ..solution };
+    let (mut model, mut iterations) = (start.clone(), 0);
+    let mut step = |readings: &[Reading], sigma: &[f64], ids: &[ParamId], prior: Option<&PriorRows>| {
+        let solution = minimise(&Problem { readings, sigma, ids, loss, prior }, &model);
+        iterations += solution.iterations;
+        model = solution.model.clone();
+        Solution { iterations, ..solution }
+    };
+    let sample = sample(readings, sigma);
+    let (few, their_sigma) = sample.as_ref().map_or((readings, sigma), |(few, sigma)| (few.as_slice(), sigma.as_slice()));
+    let (last, before) = lists.split_last().map_or((&[][..], &[][..]), |(last, before)| (*last, before));
+    for ids in before {
+        step(few, their_sigma, ids, None);
     }
-    reached
+    if sample.is_some() {
+        step(few, their_sigma, last, prior);
+    }
+    step(readings, sigma, last, prior)
 }
 
 /// By squares when no residual stands out; else by Huber's loss, then by squares without those that
@@ -83,10 +107,9 @@ fn robust(
     solve: impl Fn(&[Reading], &[f64], Loss, Option<&LengthModel>) -> Solution,
 ) -> Fit {
     let plain = solve(readings, sigma, Loss::Squares, None);
-    let residuals = residuals(readings, sigma, &plain.model);
     // A far outlier spreads over all residuals in a fit by squares: look closer already at less.
-    if standing_out(&residuals, 0.85 * limit(readings.len())).is_empty() {
-        let Solution { model, iterations, converged } = plain;
+    if standing_out(&plain.residuals, 0.85 * limit(readings.len())).is_empty() {
+        let Solution { model, iterations, converged, .. } = plain;
         return Fit { model, iterations, converged, used: vec![true; readings.len()] };
     }
     let mut reached = solve(readings, sigma, Loss::Huber, None);

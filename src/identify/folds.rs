@@ -4,9 +4,8 @@ use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_pcg::Pcg64;
 
-use super::estimate::{IdentifyError, Lengths, estimate};
-use super::options::Options;
-use crate::model::{LengthModel, ParamId, Reading, Robot};
+use super::estimate::{Estimate, IdentifyError, Lengths};
+use crate::model::Reading;
 
 /// Number of folds when the user does not say, and lengths per parameter below which there are none.
 pub(super) const DEFAULT_FOLDS: usize = 5;
@@ -14,17 +13,14 @@ pub(super) const LENGTHS_PER_PARAMETER: usize = 3;
 /// Above so many lengths none are held out unasked: every parameter has hundreds, and what is held out fits like the rest.
 pub(super) const MOST_UNASKED: usize = 20_000;
 
-/// Fits `asked` without each fold in turn and predicts its lengths: the residual of each used reading, in their
-/// order, mm. Rows with equal axis angles (one pose measured to several balls) stay together: a fold must not
+/// Fits without each fold in turn, as `fit` does, and predicts its lengths: the residual of each used reading, in
+/// their order, mm. Rows with equal axis angles (one pose measured to several balls) stay together: a fold must not
 /// know its own poses. `None` when there are fewer poses than folds.
 pub(super) fn held_out(
-    robot: &Robot,
-    start: &LengthModel,
     lengths: &Lengths,
     used: &[bool],
-    asked: &[ParamId],
-    options: &Options,
     folds: usize,
+    fit: impl Fn(&Lengths) -> Result<Estimate, IdentifyError>,
 ) -> Result<Option<Vec<f64>>, IdentifyError> {
     let Some(fold_of) = assign(&lengths.readings, folds) else { return Ok(None) };
     let mut residuals = vec![0.0; used.len()];
@@ -38,7 +34,7 @@ pub(super) fn held_out(
             given: rest.iter().map(|&at| lengths.given[at]).collect(),
             ..*lengths
         };
-        let model = estimate(robot, start, &training, asked, options)?.fit.model;
+        let model = fit(&training)?.fit.model;
         let prepared = model.prepare();
         for at in held_out {
             residuals[at] = lengths.readings[at].length - prepared.length(&lengths.readings[at]);

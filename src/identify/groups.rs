@@ -16,7 +16,7 @@ use super::options::Options;
 use super::result::{GroupChoice, WithoutWith};
 use super::summary::{predicted, used};
 use crate::linalg::{Triangle, map_pieces};
-use crate::model::{LengthModel, ParamId, Reading, Robot, Selection, parameter};
+use crate::model::{LengthModel, LengthRow, ParamId, Reading, Robot, Selection, parameter};
 
 /// A group is taken for chance above this probability: two groups are tested, and neither may slip into one
 /// data set in a hundred.
@@ -76,7 +76,8 @@ pub(super) fn choose(
         let wider = [asked.clone(), group.members].concat();
         // A fold that cannot be fitted must not cost the result that there is without the group.
         let out = |ids: &[ParamId]| {
-            held_out(robot, start, lengths, &best.fit.used, ids, options, DEFAULT_FOLDS).ok().flatten()
+            let fit = |training: &Lengths| estimate(robot, start, training, ids, options);
+            held_out(lengths, &best.fit.used, DEFAULT_FOLDS, fit).ok().flatten()
         };
         let (Some(without), Some(with)) = (out(&asked), out(&wider)) else {
             choices.push(untested(group.name, "there are too few poses to hold some out"));
@@ -119,7 +120,7 @@ fn reason_against(robot: &Robot, group: &Group, best: &Estimate, lengths: &Lengt
         Some("held as asked".into())
     } else if group.name == "compliance" && robot.geometry.masses.is_empty() {
         Some("the robot file has no [[mass]] and no [payload]".into())
-    } else if used().count() > best.kept.len() && used().all(|reading| left(reading) < ROUNDING_MM) {
+    } else if used().count() > best.base.len() && used().all(|reading| left(reading) < ROUNDING_MM) {
         Some("the lengths fit without it to rounding".into())
     } else {
         None
@@ -137,9 +138,10 @@ fn test(best: &Estimate, lengths: &Lengths, members: &[ParamId]) -> Option<Test>
     let pieces = map_pieces(&lengths.readings, |first, readings| {
         let mut triangle = Triangle::new(ids.len());
         let mut row = vec![0.0; ids.len()];
+        let mut predicted = LengthRow::default();
         for (at, reading) in readings.iter().enumerate().map(|(at, reading)| (first + at, reading)) {
             if best.fit.used[at] {
-                let predicted = prepared.row(reading);
+                prepared.row_into(reading, &mut predicted);
                 selection.pick(&predicted, reading.centre, &mut row);
                 row.iter_mut().for_each(|value| *value /= best.sigma[at]);
                 triangle.push(&row, (reading.length - predicted.length) / best.sigma[at]);
@@ -150,13 +152,9 @@ fn test(best: &Estimate, lengths: &Lengths, members: &[ParamId]) -> Option<Test>
     let mut triangle = Triangle::merged(pieces, ids.len());
     let mut observations = best.fit.used.iter().filter(|used| **used).count();
     if let Some(prior) = &best.prior {
-        let off: Vec<f64> =
-            best.kept.iter().zip(&prior.mean).map(|(id, mean)| mean - best.fit.model.value(*id)).collect();
-        for equation in prior.rows.row_iter() {
-            let mut row: Vec<f64> = equation.iter().copied().collect();
-            let rhs = row.iter().zip(&off).map(|(share, off)| share * off).sum();
-            row.resize(ids.len(), 0.0);
-            triangle.push(&row, rhs);
+        for k in prior.bound() {
+            let off = prior.mean[k] - best.fit.model.value(best.kept[k]);
+            triangle.push_single(k, prior.weights[k], prior.weights[k] * off);
             observations += 1;
         }
     }
@@ -198,13 +196,13 @@ fn predicted_mm(
     let prepared = estimate.fit.model.prepare();
     let chi: f64 = readings
         .iter()
-        .zip(&sigma)
+        .zip(&*sigma)
         .map(|(reading, sigma)| ((reading.length - prepared.length(reading)) / sigma).powi(2))
         .sum();
-    let freedom = (readings.len() as f64 - estimate.kept.len() as f64).max(1.0);
+    let freedom = (readings.len() as f64 - estimate.base.len() as f64).max(1.0);
     // A sigma that was vouched for is not brought to the residuals by the estimate.
     if beyond_chance(chi / freedom, freedom) == Some(Ordering::Greater) && estimate.freedom.is_none() {
-        sigma.iter_mut().for_each(|sigma| *sigma *= (chi / freedom).sqrt());
+        sigma.to_mut().iter_mut().for_each(|sigma| *sigma *= (chi / freedom).sqrt());
     }
     let (pair, ..) = predicted(robot, estimate, &readings, &sigma, options)?;
     Ok(pair.identified.mean)

@@ -23,23 +23,22 @@ const ROUNDING_MM: f64 = 1e-7;
 /// Regressors of a joint: four of its angle, one of its sense.
 const COLUMNS: usize = 5;
 
-/// For each reading the sense in which each axis came to it, -1, 0 (not known) or 1: from the pose before in
-/// the order of the readings; an axis that stood still keeps its sense.
-pub fn senses(readings: &[Reading]) -> Vec<[i8; AXES]> {
+/// For each pose (axis angles, rad) the sense in which each axis came to it, -1, 0 (not known) or 1: from the pose
+/// before; an axis that stood still keeps its sense.
+pub fn senses(axes: impl IntoIterator<Item = [f64; AXES]>) -> Vec<[i8; AXES]> {
     let mut sense = [0i8; AXES];
-    let mut last: Option<&Reading> = None;
-    readings
-        .iter()
-        .map(|reading| {
+    let mut last: Option<[f64; AXES]> = None;
+    axes.into_iter()
+        .map(|axes| {
             if let Some(last) = last {
                 for (axis, sense) in sense.iter_mut().enumerate() {
-                    let moved = reading.axes[axis] - last.axes[axis];
+                    let moved = axes[axis] - last[axis];
                     if moved.abs() > 1e-9 {
                         *sense = if moved > 0.0 { 1 } else { -1 };
                     }
                 }
             }
-            last = Some(reading);
+            last = Some(axes);
             sense
         })
         .collect()
@@ -53,7 +52,7 @@ pub(super) fn effects(
     sigma: &[f64],
     kept: &[ParamId],
 ) -> Vec<JointEffect> {
-    let senses = senses(readings);
+    let senses = senses(readings.iter().map(|reading| reading.axes));
     let stride = readings.len().div_ceil(MOST).max(1);
     let at: Vec<usize> = (0..readings.len()).filter(|&at| used[at]).step_by(stride).collect();
     let prepared = model.prepare();

@@ -18,6 +18,7 @@ mod options;
 mod prior;
 pub mod result;
 mod scale;
+mod sigma;
 mod solver;
 mod summary;
 mod verdict;
@@ -85,19 +86,20 @@ pub fn identify(
 ) -> Result<Identified, IdentifyError> {
     let start = LengthModel::new(robot.geometry.clone(), centres);
     let lengths = lengths(observations, options);
-    let Settled { options, prior, estimate, groups } =
+    let Settled { asked, options, prior, estimate, groups } =
         settle(robot, &start, &lengths, observations, options)?;
     let folds = match options.folds {
         Some(0 | 1) => None,
         Some(folds) => Some(folds),
         None => {
-            let enough = folds::LENGTHS_PER_PARAMETER * estimate.kept.len();
+            let enough = folds::LENGTHS_PER_PARAMETER * estimate.base.len();
             (enough..=folds::MOST_UNASKED).contains(&lengths.readings.len()).then_some(folds::DEFAULT_FOLDS)
         }
     };
     let hold_out = |folds| -> Result<Option<Folds>, IdentifyError> {
-        let asked = &estimate.analysis.ids;
-        let out = folds::held_out(robot, &start, &lengths, &estimate.fit.used, asked, &options, folds)?;
+        // Optional groups are chosen anew in each fold: a choice made with the lengths held out would have seen them.
+        let fit = |training: &Lengths| Ok(groups::choose(robot, &start, training, asked.clone(), &options)?.0);
+        let out = folds::held_out(&lengths, &estimate.fit.used, folds, fit)?;
         Ok(out.map(|residuals| Folds { folds, rms: folds::rms(&residuals) }))
     };
     let folds = folds.map(hold_out).transpose()?.flatten();
@@ -135,6 +137,8 @@ pub fn fit(
 
 /// An estimate with what was left to the data settled.
 struct Settled<'a> {
+    /// Without the optional groups that nobody named.
+    asked: Vec<ParamId>,
     options: Cow<'a, Options>,
     prior: Option<PriorUsed>,
     estimate: Estimate,
@@ -152,8 +156,8 @@ fn settle<'a>(
     let set_up = SetUp { centres: start.centres.len(), bars: observations.bars() };
     let asked = estimate::asked(robot, set_up, options);
     let (options, prior) = scale::settle(robot, start, lengths, &asked, options)?;
-    let (estimate, groups) = groups::choose(robot, start, lengths, asked, &options)?;
-    Ok(Settled { options, prior, estimate, groups })
+    let (estimate, groups) = groups::choose(robot, start, lengths, asked.clone(), &options)?;
+    Ok(Settled { asked, options, prior, estimate, groups })
 }
 
 /// The lengths as the solver takes them.

@@ -3,14 +3,15 @@
 //! What the linear standard deviations count is drawn: the lengths' noise (with a sigma that was itself
 //! estimated, by its chi-square), the tolerance of what was held as too weak, and the rows of the prior.
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::DVector;
 use rand_distr::{ChiSquared, Distribution, StandardNormal};
 use rand_pcg::Pcg64;
 
 use super::covariance::tolerance_held;
 use super::estimate::{Estimate, Lengths};
+use super::prior::PriorRows;
 use super::result::{Identification, MonteCarlo, ParameterDraws, Warning, WarningKind};
-use super::solver::{Loss, PriorRows, Problem, minimise};
+use super::solver::{Loss, Problem, minimise};
 use crate::linalg::map_items;
 use crate::model::{LengthModel, ParamId, Reading, Robot};
 
@@ -77,7 +78,6 @@ fn draw(robot: &Robot, estimate: &Estimate, lengths: &Lengths, trials: usize) ->
     let used: Vec<usize> = (0..lengths.readings.len()).filter(|&at| estimate.fit.used[at]).collect();
     let sigma: Vec<f64> = used.iter().map(|&at| estimate.sigma[at]).collect();
     let exact: Vec<Reading> = predicted(model, used.iter().map(|&at| lengths.readings[at]));
-    let prior = estimate.prior.as_ref().and_then(Redraw::new);
     let freedom = estimate.freedom.and_then(|freedom| Some((freedom, ChiSquared::new(freedom).ok()?)));
     // Where a prior carries what is weak, nothing held leaks into the linear figures either.
     let held: Vec<_> = if estimate.prior.is_some() { vec![] } else { estimate.weak.clone() };
@@ -95,7 +95,8 @@ fn draw(robot: &Robot, estimate: &Estimate, lengths: &Lengths, trials: usize) ->
         for (reading, sigma) in readings.iter_mut().zip(&sigma) {
             reading.length += factor * sigma * normal(&mut random);
         }
-        let prior = prior.as_ref().map(|prior| prior.about(model, &estimate.kept, || normal(&mut random)));
+        let prior =
+            estimate.prior.as_ref().map(|prior| about(prior, model, &estimate.kept, || normal(&mut random)));
         let problem = Problem {
             readings: &readings,
             sigma: &sigma,
@@ -116,32 +117,18 @@ fn predicted(model: &LengthModel, readings: impl Iterator<Item = Reading>) -> Ve
     readings.map(|reading| Reading { length: prepared.length(&reading), ..reading }).collect()
 }
 
-/// A prior of which other outcomes can be drawn.
-struct Redraw<'a> {
-    prior: &'a PriorRows,
-    /// Which parameters it binds, and the root of their covariance.
-    bound: Vec<usize>,
-    root: DMatrix<f64>,
-}
-
-impl<'a> Redraw<'a> {
-    fn new(prior: &'a PriorRows) -> Option<Self> {
-        let bound: Vec<usize> = (0..prior.rows.ncols())
-            .filter(|&k| prior.rows.column(k).iter().any(|share| *share != 0.0))
-            .collect();
-        let root = prior.rows.select_columns(&bound).try_inverse()?;
-        Some(Self { prior, bound, root })
+/// The same prior about a draw around the model.
+fn about(
+    prior: &PriorRows,
+    model: &LengthModel,
+    ids: &[ParamId],
+    mut normal: impl FnMut() -> f64,
+) -> PriorRows {
+    let mut mean = DVector::from_fn(ids.len(), |k, _| model.value(ids[k]));
+    for k in prior.bound() {
+        mean[k] += normal() / prior.weights[k];
     }
-
-    /// The same rows about a draw around the model.
-    fn about(&self, model: &LengthModel, ids: &[ParamId], mut normal: impl FnMut() -> f64) -> PriorRows {
-        let off = &self.root * DVector::from_fn(self.bound.len(), |_, _| normal());
-        let mut mean = DVector::from_fn(ids.len(), |k, _| model.value(ids[k]));
-        for (k, off) in self.bound.iter().zip(&off) {
-            mean[*k] += off;
-        }
-        PriorRows { rows: self.prior.rows.clone(), mean }
-    }
+    PriorRows { weights: prior.weights.clone(), mean }
 }
 
 /// Standard deviation and 95 % interval of sorted draws; `None` of fewer than two.

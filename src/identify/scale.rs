@@ -38,7 +38,9 @@ pub(super) fn settle<'a>(
     let first = estimate(robot, start, lengths, asked, &with(1.0))?;
     let mut tried: Vec<(f64, Vec<f64>)> = Vec::new();
     for scale in TRIED {
-        let out = held_out(robot, start, lengths, &first.fit.used, asked, &with(scale), DEFAULT_FOLDS)?;
+        let options = with(scale);
+        let fit = |training: &Lengths| estimate(robot, start, training, asked, &options);
+        let out = held_out(lengths, &first.fit.used, DEFAULT_FOLDS, fit)?;
         let Some(residuals) = out else { return Ok((Cow::Owned(with(1.0)), used(1.0, vec![]))) };
         tried.push((scale, residuals));
     }

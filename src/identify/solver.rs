@@ -4,10 +4,11 @@
 //! faster with each refusal and shrinks by the gain ratio. It starts so small that the first steps are
 //! Gauss-Newton's.
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::DVector;
 
+use super::prior::PriorRows;
 use crate::linalg::{Triangle, map_pieces};
-use crate::model::{LengthModel, ParamId, Reading, Selection};
+use crate::model::{LengthModel, LengthRow, ParamId, Reading, Selection};
 
 /// What is to be fitted.
 pub(super) struct Problem<'a> {
@@ -29,19 +30,15 @@ pub(super) enum Loss {
     Huber,
 }
 
-/// Equations `rows * (p - mean) = 0` of unit weight.
-#[derive(Clone, Debug)]
-pub(super) struct PriorRows {
-    pub(super) rows: DMatrix<f64>,
-    pub(super) mean: DVector<f64>,
-}
-
 /// Where the solver came to rest.
 #[derive(Clone, Debug)]
 pub(super) struct Solution {
     pub(super) model: LengthModel,
     pub(super) iterations: usize,
     pub(super) converged: bool,
+    /// Residuals, measured minus predicted, in sigmas, where they were last taken: at the model, or at one whose
+    /// lengths are the same to rounding.
+    pub(super) residuals: Vec<f64>,
 }
 
 const HUBER: f64 = 1.345;
@@ -58,7 +55,8 @@ pub(super) fn minimise(problem: &Problem, start: &LengthModel) -> Solution {
     let n = problem.ids.len();
     let mut model = start.clone();
     if n == 0 {
-        return Solution { model, iterations: 0, converged: true };
+        let residuals = whitened(problem, &model);
+        return Solution { model, iterations: 0, converged: true, residuals };
     }
     let mut scale = DVector::<f64>::zeros(n);
     let (mut damping, mut growth) = (1e-12, 4.0);
@@ -77,7 +75,7 @@ pub(super) fn minimise(problem: &Problem, start: &LengthModel) -> Solution {
         let cost = here.cost;
         // Exact lengths: what is left is rounding, and would only push along what they do not tell.
         if cost.sqrt() <= 0.1 * rest {
-            return Solution { model, iterations: steps, converged: true };
+            return Solution { model, iterations: steps, converged: true, residuals: here.residuals };
         }
         let factor = here.triangle.factor();
         let rhs = here.triangle.rhs();
@@ -94,7 +92,8 @@ pub(super) fn minimise(problem: &Problem, start: &LengthModel) -> Solution {
                 let candidate = moved(&model, problem.ids, &step);
                 // The reduction left is below the rounding of the cost, or moves no length: this is the minimum.
                 if change.norm() <= rest || predicted <= 1e-14 * cost {
-                    return Solution { model: candidate, iterations: steps, converged: true };
+                    let residuals = here.residuals;
+                    return Solution { model: candidate, iterations: steps, converged: true, residuals };
                 }
                 let there = equations(problem, &candidate, knee);
                 let gain = (cost - there.cost) / predicted;
@@ -105,17 +104,17 @@ pub(super) fn minimise(problem: &Problem, start: &LengthModel) -> Solution {
                     break;
                 }
                 if predicted <= 1e-12 * cost {
-                    return Solution { model, iterations: steps, converged: true };
+                    return Solution { model, iterations: steps, converged: true, residuals: here.residuals };
                 }
             }
             damping = (damping * growth).max(1e-9);
             growth *= 2.0;
             if damping > 1e12 || steps >= MAX_STEPS {
-                return Solution { model, iterations: steps, converged: false };
+                return Solution { model, iterations: steps, converged: false, residuals: here.residuals };
             }
         }
     }
-    Solution { model, iterations: steps, converged: false }
+    Solution { model, iterations: steps, converged: false, residuals: here.residuals }
 }
 
 /// The equations of a step at a model.
@@ -136,8 +135,9 @@ fn equations(problem: &Problem, model: &LengthModel, knee: f64) -> Equations {
         let mut triangle = Triangle::new(problem.ids.len());
         let mut residuals = Vec::with_capacity(readings.len());
         let mut row = vec![0.0; problem.ids.len()];
+        let mut derivatives = LengthRow::default();
         for (reading, sigma) in readings.iter().zip(&problem.sigma[first..]) {
-            let derivatives = prepared.row(reading);
+            prepared.row_into(reading, &mut derivatives);
             let residual = (reading.length - derivatives.length) / sigma;
             let weight = huber_weight(residual, knee);
             selection.pick(&derivatives, reading.centre, &mut row);
@@ -188,13 +188,13 @@ fn huber_weight(residual: f64, knee: f64) -> f64 {
 
 /// Adds the prior's equations; the sum of their squares.
 fn push_prior(triangle: &mut Triangle, prior: &PriorRows, ids: &[ParamId], model: &LengthModel) -> f64 {
-    let deviation = DVector::from_fn(ids.len(), |k, _| model.value(ids[k]) - prior.mean[k]);
-    let wrong = &prior.rows * deviation;
-    for (equation, wrong) in prior.rows.row_iter().zip(&wrong) {
-        let row: Vec<f64> = equation.iter().copied().collect();
-        triangle.push(&row, -wrong);
+    let mut squares = 0.0;
+    for k in prior.bound() {
+        let wrong = prior.weights[k] * (model.value(ids[k]) - prior.mean[k]);
+        triangle.push_single(k, prior.weights[k], -wrong);
+        squares += wrong * wrong;
     }
-    wrong.norm_squared()
+    squares
 }
 
 fn damped_step(triangle: &Triangle, scale: &DVector<f64>, damping: f64) -> Option<DVector<f64>> {

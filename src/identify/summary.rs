@@ -1,5 +1,6 @@
 //! Assembles the result: parameters with their fate, residuals, predicted error, warnings.
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 
 use nalgebra::DMatrix;
@@ -7,7 +8,8 @@ use nalgebra::DMatrix;
 use super::covariance::{Spread, leaked, spread, weak_limit};
 use super::diagnosis::{self, Seen};
 use super::estimate::{Estimate, IdentifyError, Lengths};
-use super::options::{Options, Prior};
+use super::options::Options;
+use super::prior::PriorRows;
 use super::result::{
     BeforeAfter, Dependent, Folds, Identification, Outlier, ParameterResult, PredictedError, PredictedPair,
     Residual, SigmaSource, Status,
@@ -35,8 +37,15 @@ pub(super) fn summarise(
 ) -> Result<Identified, IdentifyError> {
     let model = &estimate.fit.model;
     let (used_readings, used_sigma) = used(lengths, estimate);
-    let mut spread = spread(model, &used_readings, &estimate.kept, &used_sigma, estimate.prior.as_ref())
-        .ok_or(IdentifyError::NotFinite)?;
+    let mut spread = spread(
+        model,
+        &used_readings,
+        &estimate.kept,
+        &estimate.base,
+        &used_sigma,
+        estimate.prior.as_ref(),
+    )
+    .ok_or(IdentifyError::NotFinite)?;
     if estimate.prior.is_none() && !estimate.weak.is_empty() {
         spread.covariance +=
             leaked(robot, model, &used_readings, &estimate.kept, &estimate.weak, &used_sigma)
@@ -96,7 +105,7 @@ pub(super) fn summarise(
         predicted_position_error_mm: predicted_pair,
         parameters,
         dependent: dependent(estimate),
-        correlated: diagnosis::correlated(&estimate.kept, &spread.covariance),
+        correlated: diagnosis::correlated(estimate, &spread.covariance),
         advice: diagnosis::advice(
             robot,
             estimate,
@@ -107,7 +116,7 @@ pub(super) fn summarise(
             options,
         ),
         joints: if estimate.fit.converged {
-            joints::effects(model, &lengths.readings, &estimate.fit.used, &estimate.sigma, &estimate.kept)
+            joints::effects(model, &lengths.readings, &estimate.fit.used, &estimate.sigma, &estimate.base)
         } else {
             Vec::new()
         },
@@ -133,12 +142,19 @@ fn told(parameters: &[ParameterResult]) -> Vec<ParamId> {
     told.filter_map(|parameter| parameter.name.parse().ok()).collect()
 }
 
+/// Readings with their sigmas; a million are not copied where all are used.
+type Used<'a> = (Cow<'a, [Reading]>, Cow<'a, [f64]>);
+
 /// The readings that the fit used, with their sigmas.
-pub(super) fn used(lengths: &Lengths, estimate: &Estimate) -> (Vec<Reading>, Vec<f64>) {
-    (0..lengths.readings.len())
+pub(super) fn used<'a>(lengths: &'a Lengths, estimate: &'a Estimate) -> Used<'a> {
+    if estimate.fit.used.iter().all(|used| *used) {
+        return (Cow::Borrowed(&lengths.readings), Cow::Borrowed(&estimate.sigma));
+    }
+    let (readings, sigma): (Vec<Reading>, Vec<f64>) = (0..lengths.readings.len())
         .filter(|&at| estimate.fit.used[at])
         .map(|at| (lengths.readings[at], estimate.sigma[at]))
-        .unzip()
+        .unzip();
+    (Cow::Owned(readings), Cow::Owned(sigma))
 }
 
 /// The nominal geometry: that of the `[nominal]` table where the robot was identified before.
@@ -226,16 +242,14 @@ impl<'a> Fate<'a> {
         }
         let (status, reason) = if self.options.hold.contains(&id) {
             (Status::Held, "held as asked".to_owned())
+        } else if self.estimate.weak.contains(&id) {
+            (Status::TooWeak, self.too_weak(id))
         } else if !self.estimate.analysis.ids.contains(&id) {
             (Status::Held, "not asked for".to_owned())
         } else if self.zero.contains(&id) {
             (Status::Held, "changes no length in these poses".to_owned())
-        } else if self.estimate.weak.contains(&id) {
-            (Status::TooWeak, self.too_weak(id))
         } else {
-            let member = |c: &&Combination| c.members.iter().any(|(member, _)| *member == id);
-            let text = self.combinations.iter().find(member).map_or_else(String::new, |c| c.text.clone());
-            (Status::Dependent, text)
+            (Status::Dependent, self.combination(id))
         };
         (status, reason, None)
     }
@@ -244,15 +258,35 @@ impl<'a> Fate<'a> {
         let sd = self.spread.covariance[(k, k)].sqrt();
         let limit = weak_limit(self.robot, id).unwrap_or(f64::INFINITY);
         let own = self.spread.data_sd[k];
-        if self.options.prior != Prior::None && own > limit {
+        if !self.estimate.base.contains(&id) {
+            let reason = format!("{}; the prior shares it out", self.combination(id));
+            return (Status::Prior, reason, Some(sd));
+        }
+        if self.estimate.prior.is_some() && own > limit {
             let reason = format!("the data alone leave {}; the prior carries it", with_unit(own, id));
             return (Status::Prior, reason, Some(sd));
         }
-        let stands_for = self.combinations.iter().find(|c| c.kept == id);
-        (Status::Identified, stands_for.map_or_else(String::new, |c| c.text.clone()), Some(sd))
+        let Some(stands_for) = self.combinations.iter().find(|c| c.kept == id) else {
+            return (Status::Identified, String::new(), Some(sd));
+        };
+        let shared = |(member, _): &(ParamId, f64)| *member != id && self.estimate.kept.contains(member);
+        let by_prior =
+            if stands_for.members.iter().any(shared) { "; the prior shares it out" } else { "" };
+        (Status::Identified, format!("{}{by_prior}", stands_for.text), Some(sd))
+    }
+
+    /// The first combination that a parameter belongs to.
+    fn combination(&self, id: ParamId) -> String {
+        let member = |c: &&Combination| c.members.iter().any(|(member, _)| *member == id);
+        self.combinations.iter().find(member).map_or_else(String::new, |c| c.text.clone())
     }
 
     fn too_weak(&self, id: ParamId) -> String {
+        if matches!(id, ParamId::Tool(_) | ParamId::Centre(..)) {
+            return "data too weak: the tool hardly turns in these poses, which leaves it open where on the flange the \
+                    ball sits; turn the tool more"
+                .into();
+        }
         let limit = weak_limit(self.robot, id).unwrap_or(f64::INFINITY);
         format!(
             "data too weak: its standard deviation would be more than {} (3 tolerances)",
@@ -300,18 +334,22 @@ pub(super) fn predicted(
     ids.sort();
     ids.dedup();
     // What is optional counts as exact for both robots, as where it is not estimated.
-    let of = |id: &ParamId| if id.is_optional() { None } else { options.prior_sd(robot, *id) };
+    let of = |id: &ParamId| {
+        if id.is_optional() { None } else { options.prior_sd(robot, *id).or_else(|| estimate.prior_sd(*id)) }
+    };
     let tolerances: Vec<f64> = ids.iter().map(|id| of(id).unwrap_or(0.0)).collect();
     let kept: Vec<usize> =
         estimate.kept.iter().filter_map(|id| ids.iter().position(|other| other == id)).collect();
+    let prior = estimate.prior.as_ref();
     let no_prior = DMatrix::zeros(0, kept.len());
+    let rows = prior.map_or(no_prior, PriorRows::matrix);
     let factor = factor(&estimate.fit.model, readings, &ids, sigma);
     let estimator = Estimator {
         ids: &ids,
         factor: &factor,
         tolerance: &tolerances,
         kept: &kept,
-        prior: estimate.prior.as_ref().map_or(&no_prior, |prior| &prior.rows),
+        prior: &rows,
     };
     let poses = options
         .workspace

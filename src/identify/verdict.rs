@@ -8,6 +8,8 @@ use super::result::{Identification, JointEffect, JointError, PredictedPair, Stat
 
 /// Above this share of lengths set aside, the rest is in doubt too.
 const OUTLIER_SHARE: f64 = 0.1;
+/// No tool ball and no base ball is said to stand so far from where it stands, mm.
+const FAR_MM: f64 = 1000.0;
 /// The identified robot must be predicted at least this much better than the nominal one.
 const PINNED: f64 = 0.5;
 
@@ -37,6 +39,23 @@ pub(super) fn warnings(
                 "the lengths fit only to {left:.2} mm, while the nominal robot is not expected to be off by more than \
                  {promised:.2} mm anywhere: lengths and poses do not belong together, or a base ball, the tool ball or \
                  the robot is another one"
+            ),
+        );
+    }
+    let far: Vec<&str> = result
+        .parameters
+        .iter()
+        .filter(|found| found.name.starts_with("tool") || found.name.starts_with("centre"))
+        .filter(|found| (found.identified - found.start).abs() > FAR_MM)
+        .map(|found| found.name.as_str())
+        .collect();
+    if !far.is_empty() {
+        say(
+            WarningKind::Doubt,
+            format!(
+                "{} came out more than 1 m from where it was said to be: these poses hardly tell it, or the place \
+                 given is wrong; turn the tool more, or hold it",
+                far.join(", ")
             ),
         );
     }

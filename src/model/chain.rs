@@ -28,7 +28,8 @@ mod column {
     pub(super) const COUNT: usize = 52;
 }
 
-/// A length and its derivatives by every parameter (mm per mm, mm per rad, mm per rad/(N m)).
+/// A length and its derivatives by every parameter (mm per mm, mm per rad, mm per rad/(N m)); the default is room
+/// for one.
 #[derive(Clone, Debug)]
 pub struct LengthRow {
     /// Distance between the ball centres plus the bar offset, mm.
@@ -36,6 +37,12 @@ pub struct LengthRow {
     /// The bar it was read with, from 0.
     pub bar: usize,
     columns: [f64; column::COUNT],
+}
+
+impl Default for LengthRow {
+    fn default() -> Self {
+        Self { length: 0.0, bar: 0, columns: [0.0; column::COUNT] }
+    }
 }
 
 impl LengthRow {
@@ -70,7 +77,9 @@ impl Geometry {
     /// The length and its derivative by every parameter. Where the balls coincide the length has no
     /// derivative, and the columns are zero.
     pub fn length_row(&self, axes: &[f64; AXES], centre: &Vector3<f64>, bar_offset: f64) -> LengthRow {
-        Chain::new(self).row(axes, &Turns::of(axes), centre, bar_offset)
+        let mut row = LengthRow::default();
+        Chain::new(self).row(axes, &Turns::of(axes), centre, bar_offset, &mut row);
+        row
     }
 }
 
@@ -185,8 +194,9 @@ impl<'a> Chain<'a> {
         self.reach(axes, turns).ball
     }
 
-    /// The length from a base ball at `centre` plus `bar_offset` (mm), and its derivatives. Where
-    /// the balls coincide the length has no derivative, and the columns are zero.
+    /// The length from a base ball at `centre` plus `bar_offset` (mm), and its derivatives, into `row`, which is new
+    /// or was filled for this robot before. Where the balls coincide the length has no derivative, and the columns
+    /// are zero.
     #[inline]
     pub fn row(
         &self,
@@ -194,21 +204,24 @@ impl<'a> Chain<'a> {
         turns: &Turns,
         centre: &Vector3<f64>,
         bar_offset: f64,
-    ) -> LengthRow {
+        row: &mut LengthRow,
+    ) {
         let reach = self.reach(axes, turns);
         let bar = reach.ball - centre;
         let distance = bar.norm();
-        let mut columns = [0.0; column::COUNT];
+        row.length = distance + bar_offset;
+        let columns = &mut row.columns;
         if distance > 0.0 {
             let u = bar / distance;
-            self.derivatives(&reach, u, &mut columns);
+            self.derivatives(&reach, u, columns);
             for axis in 0..3 {
                 columns[column::CENTRE + axis] = -u[axis];
             }
             columns[column::BAR] = 1.0;
-            self.non_geometric(axes, turns, &mut columns);
+            self.non_geometric(axes, turns, columns);
+        } else {
+            *columns = [0.0; column::COUNT];
         }
-        LengthRow { length: distance + bar_offset, bar: 0, columns }
     }
 
     /// Compliance and gear error turn the joints: their columns are shares of theta's.

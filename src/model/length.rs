@@ -60,13 +60,19 @@ impl Prepared<'_> {
     }
 
     /// The length and its derivatives for a reading.
-    #[inline]
     pub fn row(&self, reading: &Reading) -> LengthRow {
+        let mut row = LengthRow::default();
+        self.row_into(reading, &mut row);
+        row
+    }
+
+    /// The same, into a row that is new or was filled by this model before: what a solver asks for a million times.
+    #[inline]
+    pub fn row_into(&self, reading: &Reading, row: &mut LengthRow) {
         let centre = &self.model.centres[reading.centre];
         let offset = self.model.bar_offset(reading.bar);
-        let mut row = self.chain.row(&reading.axes, &reading.turns, centre, offset);
+        self.chain.row(&reading.axes, &reading.turns, centre, offset, row);
         row.bar = reading.bar;
-        row
     }
 }
 

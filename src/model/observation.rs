@@ -1,5 +1,9 @@
 //! Lengths with the axis angles they were read at: the observations CSV, and the base balls' CSV.
 
+use std::fmt::Write;
+use std::io::Read;
+use std::iter;
+
 use nalgebra::Vector3;
 
 use super::AXES;
@@ -29,6 +33,26 @@ impl Observation {
     pub fn axes(&self) -> [f64; AXES] {
         self.axes_deg.map(f64::to_radians)
     }
+
+    /// Its line of the CSV.
+    fn append(&self, bars: bool, text: &mut String) {
+        // Writing to a string does not fail.
+        let _ = write!(text, "{},{}", self.index, self.centre);
+        for angle in self.axes_deg {
+            let _ = write!(text, ",{angle}");
+        }
+        let _ = write!(text, ",{},", self.length_mm);
+        if let Some(sigma) = self.sigma_mm {
+            let _ = write!(text, "{sigma}");
+        }
+        if bars {
+            let _ = write!(text, ",{}", self.bar);
+        }
+        for cell in &self.extra {
+            let _ = write!(text, ",{}", quoted(cell));
+        }
+        text.push('\n');
+    }
 }
 
 /// A set of observations with the names of its further columns.
@@ -46,6 +70,9 @@ const REQUIRED: [&str; 9] =
 const SIGMA: &str = "sigma_mm";
 const BAR: &str = "bar";
 
+/// Rows of a piece of CSV.
+const PIECE: usize = 4096;
+
 impl Observations {
     /// Reads the CSV `index,centre,a1_deg,..,a6_deg,length_mm[,sigma_mm][,bar][,..]`; columns in any order,
     /// an absent bar is bar 1.
@@ -53,7 +80,15 @@ impl Observations {
     /// # Errors
     /// Names the line and column of what is missing, not a number, not finite, or impossible.
     pub fn from_csv(file: &str, text: &str) -> Result<Self, Diagnostic> {
-        let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(text.as_bytes());
+        Self::read_csv(file, text.as_bytes())
+    }
+
+    /// The same from what is read bit by bit: a long file need not be whole in memory.
+    ///
+    /// # Errors
+    /// As [`Observations::from_csv`], and what the source has to say.
+    pub fn read_csv(file: &str, source: impl Read) -> Result<Self, Diagnostic> {
+        let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(source);
         let header = reader.headers().map_err(|error| Diagnostic::csv(file, &error))?.clone();
         let places = find_columns(file, &header, &REQUIRED)?;
         let optional = |name: &str| match header.iter().any(|column| column == name) {
@@ -64,8 +99,8 @@ impl Observations {
         let known = |at: &usize| places.contains(at) || Some(*at) == sigma || Some(*at) == bar;
         let extra: Vec<usize> = (0..header.len()).filter(|at| !known(at)).collect();
         let mut rows = Vec::new();
-        for record in reader.records() {
-            let record = record.map_err(|error| Diagnostic::csv(file, &error))?;
+        let mut record = csv::StringRecord::new();
+        while reader.read_record(&mut record).map_err(|error| Diagnostic::csv(file, &error))? {
             let cell = Cells { file, header: &header, record: &record };
             let mut axes_deg = [0.0; AXES];
             for (axis, value) in axes_deg.iter_mut().enumerate() {
@@ -138,7 +173,25 @@ impl Observations {
 
     /// Writes the CSV; every number reads back bit for bit.
     pub fn to_csv(&self) -> String {
+        self.csv_pieces(|_| true).collect()
+    }
+
+    /// The CSV of the rows that `keep` wants by their places, in pieces, so that a long one need never be whole in memory.
+    pub fn csv_pieces(&self, keep: impl Fn(usize) -> bool) -> impl Iterator<Item = String> {
         let bars = self.bars() > 1;
+        let pieces = self.rows.chunks(PIECE).enumerate().map(move |(piece, rows)| {
+            let mut text = String::new();
+            for (at, row) in rows.iter().enumerate() {
+                if keep(PIECE * piece + at) {
+                    row.append(bars, &mut text);
+                }
+            }
+            text
+        });
+        iter::once(self.header(bars)).chain(pieces)
+    }
+
+    fn header(&self, bars: bool) -> String {
         let mut text = format!("{},{SIGMA}", REQUIRED.join(","));
         if bars {
             text.push_str(&format!(",{BAR}"));
@@ -147,21 +200,6 @@ impl Observations {
             text.push_str(&format!(",{}", quoted(name)));
         }
         text.push('\n');
-        for row in &self.rows {
-            text.push_str(&format!("{},{}", row.index, row.centre));
-            for angle in row.axes_deg {
-                text.push_str(&format!(",{angle}"));
-            }
-            let sigma = row.sigma_mm.map_or(String::new(), |sigma| sigma.to_string());
-            text.push_str(&format!(",{},{sigma}", row.length_mm));
-            if bars {
-                text.push_str(&format!(",{}", row.bar));
-            }
-            for cell in &row.extra {
-                text.push_str(&format!(",{}", quoted(cell)));
-            }
-            text.push('\n');
-        }
         text
     }
 

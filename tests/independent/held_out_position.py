@@ -8,7 +8,7 @@ DBBD is the binary, X,Y,Z the tool ball. Half of the poses (numpy, seed 1) ident
 other half check (`--validate`, and `--workspace` for the error that is predicted there), and the other way round.
 Errors are taken after one rigid alignment. Positions whose geometry (root of the trace of the inverse of U'U, U
 the directions to the balls) magnifies a length's error more than 4 times are left out: near the plane of the balls
-lengths do not tell a position.
+lengths do not tell a position. The same from the lengths to each ball alone, at the same measured positions.
 """
 import csv
 import json
@@ -64,8 +64,26 @@ def aligned(measured, model):
     return np.linalg.norm((model - b) @ rotation - (measured - a), axis=1)
 
 
+def identified(dbbd, seen, kept, centres, robot, tool):
+    """The robot's file and the result of an identification from the lengths in `seen`."""
+    out = Path(tempfile.mkdtemp())
+    command = [dbbd, "identify", seen, "--centres", centres, "--robot", robot, "--tool", tool, "--prior", "datasheet"]
+    command += ["--validate", kept, "--workspace", kept, "--out", out, "--quiet"]
+    subprocess.run([*map(str, command)], capture_output=True)
+    return tomllib.loads((out / "robot-identified.toml").read_text()), json.loads((out / "result.json").read_text())
+
+
+def write(file, header, rows):
+    with open(file, "w", newline="") as out:
+        table = csv.DictWriter(out, header)
+        table.writeheader()
+        table.writerows(rows)
+    return file
+
+
 def main(dbbd, observations, centres, robot, tool):
     rows = list(csv.DictReader(open(observations)))
+    places = list(csv.DictReader(open(centres)))
     poses = {}
     for row in rows:
         poses.setdefault(tuple(row[axis] for axis in AXES), {})[int(row["centre"])] = row
@@ -74,36 +92,43 @@ def main(dbbd, observations, centres, robot, tool):
     for half in range(2):
         kept, seen = ([whole[i] for i in order[start::2]] for start in (half, 1 - half))
         folder = Path(tempfile.mkdtemp())
-        for name, chosen in (("seen.csv", seen), ("kept.csv", kept)):
-            with open(folder / name, "w", newline="") as file:
-                table = csv.DictWriter(file, rows[0].keys())
-                table.writeheader()
-                table.writerows(poses[pose][k] for pose in chosen for k in (1, 2, 3))
-        command = [dbbd, "identify", folder / "seen.csv", "--centres", centres, "--robot", robot, "--tool", tool]
-        command += ["--prior", "datasheet", "--validate", folder / "kept.csv", "--workspace", folder / "kept.csv"]
-        subprocess.run([*map(str, command), "--out", str(folder / "out"), "--quiet"], capture_output=True)
-        result = json.loads((folder / "out/result.json").read_text())
+        file = {
+            name: write(folder / f"{name}.csv", rows[0].keys(), [poses[pose][k] for pose in chosen for k in (1, 2, 3)])
+            for name, chosen in (("seen", seen), ("kept", kept))
+        }
+        of_three, result = identified(dbbd, file["seen"], file["kept"], centres, robot, tool)
         value = {p["name"]: p["identified"] for p in result["parameters"]}
         balls = np.array([[value[f"centre{k}_{axis}"] for axis in "xyz"] for k in (1, 2, 3)])
-        found = tomllib.loads((folder / "out/robot-identified.toml").read_text())
-        nominal = dict(found["nominal"], tool=found["tool"])
-        measured, model, before = [], [], []
+        measured, axes = [], []
         for pose in kept:
-            axes = [float(angle) for angle in pose]
+            angles = [float(angle) for angle in pose]
             lengths = np.array([float(poses[pose][k]["length_mm"]) for k in (1, 2, 3)])
-            position, magnified = trilaterate(balls, lengths, ball(found, axes))
+            position, magnified = trilaterate(balls, lengths, ball(of_three, angles))
             if magnified < 4:
                 measured.append(position)
-                model.append(ball(found, axes))
-                before.append(ball(nominal, axes))
-        measured, model, before = map(np.array, (measured, model, before))
-        after, at_first = aligned(measured, model), aligned(measured, before)
-        print(
-            f"{len(measured)} of {len(kept)} kept poses: 3-D error mean {at_first.mean():.3f} -> {after.mean():.3f} mm, "
-            f"largest {at_first.max():.3f} -> {after.max():.3f}; lengths rms {result['validation']['before']['rms']:.3f} -> "
-            f"{result['validation']['after']['rms']:.3f}; predicted there "
-            f"{result['predicted_position_error_mm']['identified']['mean']:.3f}"
-        )
+                axes.append(angles)
+        print(f"half {half + 1}: {len(measured)} of {len(kept)} kept poses")
+
+        def errors(robot):
+            return aligned(np.array(measured), np.array([ball(robot, angles) for angles in axes]))
+
+        def say(what, found, result):
+            before, after = errors(dict(found["nominal"], tool=found["tool"])), errors(found)
+            print(
+                f"  {what}: 3-D error mean {before.mean():.3f} -> {after.mean():.3f} mm, largest {before.max():.3f} -> "
+                f"{after.max():.3f}; lengths rms {result['validation']['before']['rms']:.3f} -> "
+                f"{result['validation']['after']['rms']:.3f}; predicted there "
+                f"{result['predicted_position_error_mm']['identified']['mean']:.3f}"
+            )
+
+        say("three balls", of_three, result)
+        for k in (1, 2, 3):
+            one = [
+                write(folder / f"{name}{k}.csv", rows[0].keys(), [dict(poses[pose][k], centre=1) for pose in chosen])
+                for name, chosen in (("seen", seen), ("kept", kept))
+            ]
+            place = write(folder / f"centre{k}.csv", places[0].keys(), [dict(places[k - 1], centre=1)])
+            say(f"ball {k} alone", *identified(dbbd, *one, place, robot, tool))
 
 
 if __name__ == "__main__":

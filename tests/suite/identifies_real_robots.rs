@@ -45,7 +45,10 @@ fn three_balls_lower_the_residual_and_stay_plausible() {
         .iter()
         .filter(|p| p.unit == "mm" && !p.name.starts_with("centre") && !p.name.starts_with("tool"));
     assert!(corrections.clone().all(|p| p.correction.abs() < 2.0));
+    // What leans on the balls' places alone stays; what is told of a sum is shared.
     assert!(result.parameters.iter().any(|p| p.status == Status::Dependent));
+    let shared = result.parameters.iter().find(|p| p.name == "d3").unwrap();
+    assert!(shared.status == Status::Prior && shared.correction != 0.0, "{shared:?}");
     // A gear error would mimic what the model lacks: it explains lengths like these, not the workspace.
     let gear = result.groups.iter().find(|group| group.name == "gear").unwrap();
     assert!(!gear.added && gear.held_out_mm.unwrap().with < gear.held_out_mm.unwrap().without, "{gear:?}");

@@ -27,6 +27,7 @@ const SOURCES: &[&str] = &[
     "src/identify/summary.rs",
     "src/identify/estimate.rs",
     "src/identify/diagnosis.rs",
+    "src/identify/monte_carlo.rs",
     "src/cli/identify/inputs.rs",
     "src/cli/identify/say.rs",
     "src/report/identification.rs",
@@ -168,6 +169,21 @@ fn scenes() -> Vec<Scene> {
         last = axes;
     }
     scenes.push(worn);
+    // Noise as large as a fifth of the bar, and ten bars large: lengths bend, and draws do not come to rest.
+    for sigma in ["60", "3000"] {
+        let args =
+            ["--estimate", "centres,tool", "--sigma", sigma, "--monte-carlo", "300", "--folds", "0"];
+        scenes.push(Scene::new(&truth, &planes, 5, 0.01, &args));
+    }
+    // A tool that never turns, start angles off by next to nothing; the same with a list that is followed.
+    for args in [&[][..], &["--estimate", "tool,centres"]] {
+        let mut still = Scene::new(&truth, &flat, 80, 0.0, args);
+        still.data = measure(&truth, &flat, 80, 0.0);
+        for (at, row) in still.data.rows.iter_mut().enumerate() {
+            row.axes_deg.iter_mut().enumerate().for_each(|(k, a)| *a += 5e-7 * ((6 * at + k) as f64 * 78.233).sin());
+        }
+        scenes.push(still);
+    }
     // One tilted circle, on which the wrist does not turn with the tool's own axis told.
     let tilted = [Circle { plane: rot_x(0.5), ..horizontal(1, CENTRE) }];
     scenes.push(Scene::new(&truth, &tilted, 40, 0.02, &["--prior", "datasheet", "--tool", "0,0,100"]));

@@ -3,7 +3,7 @@
 use crate::export::frames;
 use crate::export::mastering::{self, AxisOffset};
 use crate::identify::{Identified, senses};
-use crate::model::{Observations, Reading, Robot};
+use crate::model::{Observation, Observations, Robot};
 use crate::plan::Kind;
 use crate::report::plot::HeatMap;
 use crate::report::{AxisZero, BallPlace, Provenance, ReportError, Source};
@@ -47,12 +47,11 @@ pub(super) fn html(
 fn points(observations: &Observations, found: &Identified) -> Vec<ObservationPoint> {
     let column = |name: &str| observations.extra_columns.iter().position(|column| column == name);
     let (circle, angle, kind) = (column("circle"), column("angle_deg"), column("kind"));
-    let readings: Vec<Reading> = observations.rows.iter().map(Reading::from).collect();
     observations
         .rows
         .iter()
         .zip(&found.residuals)
-        .zip(senses(&readings))
+        .zip(senses(observations.rows.iter().map(Observation::axes)))
         .map(|((row, residual), senses)| {
             let cell = |at: Option<usize>| at.and_then(|at| row.extra.get(at)).map(String::as_str);
             ObservationPoint {

@@ -17,10 +17,8 @@ pub(super) fn write_results(
     observations: &Observations,
 ) -> Result<(), Box<dyn Error>> {
     let result = &found.result;
-    let mut used = observations.clone();
-    let mut residuals = found.residuals.iter();
-    used.rows.retain(|_| residuals.next().is_some_and(|residual| residual.used));
-    files::write(&dir.join(files::LENGTHS), used.to_csv())?;
+    let used = |at: usize| found.residuals.get(at).is_some_and(|residual| residual.used);
+    files::write_pieces(&dir.join(files::LENGTHS), observations.csv_pieces(used))?;
     files::write(&dir.join("result.json"), serde_json::to_string_pretty(result)? + "\n")?;
     files::write(&dir.join("robot-identified.toml"), found.robot.to_toml())?;
     let mut table = csv::Writer::from_writer(Vec::new());
