@@ -3,6 +3,7 @@
 use super::covariance::{spread, too_weak, weak_limit};
 use super::fit::{self, Fit};
 use super::options::{Options, Prior, tolerance};
+use super::places::{hardly_told, is_place, well_told};
 use super::prior::{self, PriorRows};
 use super::sigma::{first_sigma, shown_sigma};
 use crate::identifiability::{Analysis, analyse};
@@ -53,7 +54,7 @@ impl Estimate {
 pub enum IdentifyError {
     /// A number on the way is not finite.
     #[error(
-        "a length or its derivative is not finite: check angles, lengths, tool and centres for absurd values"
+        "a length or its derivative is not finite: check angles, lengths, sigmas, tool and centres for absurd values"
     )]
     NotFinite,
     /// Nothing asked for can be told.
@@ -94,12 +95,22 @@ pub(super) fn estimate(
 ) -> Result<Estimate, IdentifyError> {
     let readings = &lengths.readings;
     let follow_list = options.follows_list();
-    let loose = if follow_list { vec![] } else { loose(robot, given_start, readings, asked) };
-    let without = |left_out: &[ParamId]| -> Vec<ParamId> {
-        asked.iter().copied().filter(|id| !left_out.contains(id) && !loose.contains(id)).collect()
+    let mut loose = Vec::new();
+    let mut free = asked.to_vec();
+    if !follow_list {
+        free = well_told(robot, given_start, readings, asked).ok_or(IdentifyError::NotFinite)?;
+    }
+    let mut set_up = fit::set_up(readings, &lengths.given, &free, given_start);
+    let analysis = loop {
+        let judged: Vec<ParamId> = asked.iter().copied().filter(|id| !loose.contains(id)).collect();
+        let analysis = analyse(&set_up.model, readings, &judged).ok_or(IdentifyError::NotFinite)?;
+        let places: Vec<ParamId> = analysis.kept().into_iter().filter(is_place).collect();
+        let more = if follow_list { vec![] } else { hardly_told(robot, &set_up.model, readings, places) };
+        if more.is_empty() {
+            break analysis;
+        }
+        loose.extend(more);
     };
-    let mut set_up = fit::set_up(readings, &lengths.given, &without(&[]), given_start);
-    let analysis = analyse(&set_up.model, readings, &without(&[])).ok_or(IdentifyError::NotFinite)?;
     let base = analysis.kept();
     if base.is_empty() {
         return Err(IdentifyError::NothingToEstimate);
@@ -135,10 +146,12 @@ pub(super) fn estimate(
                 freedom,
             });
         }
-        let bars: Vec<ParamId> = choice.weak.iter().chain(&choice.untold_bars).copied().filter(is_bar).collect();
+        let bars: Vec<ParamId> =
+            choice.weak.iter().chain(&choice.untold_bars).copied().filter(is_bar).collect();
         if bars.iter().any(|id| set_up.model.value(*id) != given_start.value(*id)) {
             // Without the offset of a bar the balls stand elsewhere.
-            set_up = fit::set_up(readings, &lengths.given, &without(&bars), given_start);
+            free.retain(|id| !bars.contains(id));
+            set_up = fit::set_up(readings, &lengths.given, &free, given_start);
             start = set_up.model.clone();
         }
         // A parameter held now may have moved in the round before.
@@ -205,37 +218,10 @@ impl Choice {
     }
 }
 
+/// Whether a parameter is a bar's.
 fn is_bar(id: &ParamId) -> bool {
     matches!(id, ParamId::BarOffset(_))
 }
-
-/// Parts of tool and base balls that the lengths hardly tell even of the nominal robot, as where the tool never
-/// turns: in a fit they would run off together. The tool's are held first, the balls' only with them.
-fn loose(robot: &Robot, start: &LengthModel, readings: &[Reading], asked: &[ParamId]) -> Vec<ParamId> {
-    let mut left: Vec<ParamId> = asked.iter().copied().filter(|id| id.is_setup() && !is_bar(id)).collect();
-    let Some(analysis) = analyse(start, readings, &left) else { return vec![] };
-    left = analysis.kept();
-    // The nominal robot fits no better than this.
-    let sigma = vec![robot.tolerance.length_mm; readings.len()];
-    let mut loose = Vec::new();
-    while !left.is_empty() {
-        let Some(spread) = spread(start, readings, &left, &left, &sigma, None) else { break };
-        let ratio = |k: &usize| {
-            let limit = if matches!(left[*k], ParamId::Tool(_)) { LOOSE_TOOL_MM } else { LOOSE_BALL_MM };
-            spread.data_sd[*k] / limit
-        };
-        let Some(worst) = (0..left.len()).max_by(|a, b| ratio(a).total_cmp(&ratio(b))) else { break };
-        if ratio(&worst) <= 1.0 {
-            break;
-        }
-        loose.push(left.remove(worst));
-    }
-    loose
-}
-
-/// A tool ball and base balls that are told worse than this are better known from a ruler, mm.
-const LOOSE_TOOL_MM: f64 = 50.0;
-const LOOSE_BALL_MM: f64 = 500.0;
 
 /// Rounds of fitting and judging after which the last fit stands.
 const ROUNDS: usize = 8;

@@ -50,10 +50,30 @@ pub(super) fn all(
         .collect();
     // With a prior the robot is near its nominal, and offsets that the data do not hold could run away.
     let joints_first = prior.is_none() && offsets.iter().any(|id| matches!(id, ParamId::Theta(_)));
-    robust(readings, sigma, |readings, sigma, loss, from| match from {
-        None if joints_first => stages(readings, sigma, &[&offsets, free], loss, prior, start),
-        from => stages(readings, sigma, &[free], loss, prior, from.unwrap_or(start)),
+    let both: [&[ParamId]; 2] = [&offsets, free];
+    let lists = if joints_first { &both[..] } else { &both[1..] };
+    let from = |readings: &[Reading], sigma: &[f64], loss: Loss, start: &LengthModel| {
+        stages(readings, sigma, lists, loss, prior, start)
+    };
+    // What is absurd beside the nominal robot's own errors would pull the start away: first without it.
+    let absurd = standing_out(&residuals(readings, sigma, start), ABSURD);
+    let near =
+        (!absurd.is_empty()).then(|| from(readings, &without(sigma, &absurd), Loss::Huber, start).model);
+    let start = near.as_ref().unwrap_or(start);
+    robust(readings, sigma, |readings, sigma, loss, reached| match reached {
+        None => from(readings, sigma, loss, start),
+        Some(reached) => stages(readings, sigma, &[free], loss, prior, reached),
     })
+}
+
+/// Robust standard deviations beyond which a residual of the nominal robot is absurd.
+const ABSURD: f64 = 20.0;
+
+/// The sigmas with those at `out` infinite, which leaves their lengths out; a million need not be copied.
+fn without(sigma: &[f64], out: &[usize]) -> Vec<f64> {
+    let mut left = sigma.to_vec();
+    out.iter().for_each(|at| left[*at] = f64::INFINITY);
+    left
 }
 
 /// Lengths of a sample that leads a large set near its minimum; a set twice as large is large.
@@ -65,10 +85,7 @@ fn sample(readings: &[Reading], sigma: &[f64]) -> Option<(Vec<Reading>, Vec<f64>
         return None;
     }
     let step = readings.len() / SAMPLE;
-    Some((
-        readings.iter().step_by(step).copied().collect(),
-        sigma.iter().step_by(step).copied().collect(),
-    ))
+    Some((readings.iter().step_by(step).copied().collect(), sigma.iter().step_by(step).copied().collect()))
 }
 
 /// Minimises over each list in turn; the prior belongs to the last. A large set takes part in the last only.
@@ -88,7 +105,8 @@ fn stages(
         Solution { iterations, ..solution }
     };
     let sample = sample(readings, sigma);
-    let (few, their_sigma) = sample.as_ref().map_or((readings, sigma), |(few, sigma)| (few.as_slice(), sigma.as_slice()));
+    let (few, their_sigma) =
+        sample.as_ref().map_or((readings, sigma), |(few, sigma)| (few.as_slice(), sigma.as_slice()));
     let (last, before) = lists.split_last().map_or((&[][..], &[][..]), |(last, before)| (*last, before));
     for ids in before {
         step(few, their_sigma, ids, None);
@@ -118,11 +136,9 @@ fn robust(
     for _ in 0..10 {
         let residuals = self::residuals(readings, sigma, &reached.model);
         let out = standing_out(&residuals, limit(readings.len()));
-        let now: Vec<bool> = (0..readings.len()).map(|at| !out.contains(&at)).collect();
-        let kept = |at: &usize| now[*at];
-        let readings_left: Vec<Reading> = (0..readings.len()).filter(kept).map(|at| readings[at]).collect();
-        let sigma_left: Vec<f64> = (0..readings.len()).filter(kept).map(|at| sigma[at]).collect();
-        let next = solve(&readings_left, &sigma_left, Loss::Squares, Some(&reached.model));
+        let mut now = vec![true; readings.len()];
+        out.iter().for_each(|at| now[*at] = false);
+        let next = solve(readings, &without(sigma, &out), Loss::Squares, Some(&reached.model));
         iterations += next.iterations;
         reached = next;
         if now == used && !out.is_empty() || out.is_empty() {

@@ -15,6 +15,7 @@ mod interval;
 mod joints;
 mod monte_carlo;
 mod options;
+mod places;
 mod prior;
 pub mod result;
 mod scale;
@@ -98,7 +99,8 @@ pub fn identify(
     };
     let hold_out = |folds| -> Result<Option<Folds>, IdentifyError> {
         // Optional groups are chosen anew in each fold: a choice made with the lengths held out would have seen them.
-        let fit = |training: &Lengths| Ok(groups::choose(robot, &start, training, asked.clone(), &options)?.0);
+        let fit =
+            |training: &Lengths| Ok(groups::choose(robot, &start, training, asked.clone(), &options)?.0);
         let out = folds::held_out(&lengths, &estimate.fit.used, folds, fit)?;
         Ok(out.map(|residuals| Folds { folds, rms: folds::rms(&residuals) }))
     };

@@ -13,7 +13,7 @@ use crate::model::{LengthModel, LengthRow, ParamId, Reading, Selection};
 /// What is to be fitted.
 pub(super) struct Problem<'a> {
     pub(super) readings: &'a [Reading],
-    /// Standard deviation of each length, mm.
+    /// Standard deviation of each length, mm; infinite for one that is left out.
     pub(super) sigma: &'a [f64],
     /// Parameters to fit.
     pub(super) ids: &'a [ParamId],
@@ -60,8 +60,10 @@ pub(super) fn minimise(problem: &Problem, start: &LengthModel) -> Solution {
     }
     let mut scale = DVector::<f64>::zeros(n);
     let (mut damping, mut growth) = (1e-12, 4.0);
-    let mean_sigma = (problem.sigma.iter().map(|s| s * s).sum::<f64>() / problem.sigma.len() as f64).sqrt();
-    let rest = REST_MM / mean_sigma * (problem.readings.len() as f64).sqrt();
+    let weighed = || problem.sigma.iter().filter(|sigma| sigma.is_finite());
+    let count = weighed().count() as f64;
+    let mean_sigma = (weighed().map(|s| s * s).sum::<f64>() / count).sqrt();
+    let rest = REST_MM / mean_sigma * count.sqrt();
     let mut here = equations(problem, &model, f64::INFINITY);
     let mut steps = 0;
     while steps < MAX_STEPS {

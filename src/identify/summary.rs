@@ -9,6 +9,7 @@ use super::covariance::{Spread, leaked, spread, weak_limit};
 use super::diagnosis::{self, Seen};
 use super::estimate::{Estimate, IdentifyError, Lengths};
 use super::options::Options;
+use super::places::{is_place, open_mm};
 use super::prior::PriorRows;
 use super::result::{
     BeforeAfter, Dependent, Folds, Identification, Outlier, ParameterResult, PredictedError, PredictedPair,
@@ -37,15 +38,9 @@ pub(super) fn summarise(
 ) -> Result<Identified, IdentifyError> {
     let model = &estimate.fit.model;
     let (used_readings, used_sigma) = used(lengths, estimate);
-    let mut spread = spread(
-        model,
-        &used_readings,
-        &estimate.kept,
-        &estimate.base,
-        &used_sigma,
-        estimate.prior.as_ref(),
-    )
-    .ok_or(IdentifyError::NotFinite)?;
+    let mut spread =
+        spread(model, &used_readings, &estimate.kept, &estimate.base, &used_sigma, estimate.prior.as_ref())
+            .ok_or(IdentifyError::NotFinite)?;
     if estimate.prior.is_none() && !estimate.weak.is_empty() {
         spread.covariance +=
             leaked(robot, model, &used_readings, &estimate.kept, &estimate.weak, &used_sigma)
@@ -62,6 +57,9 @@ pub(super) fn summarise(
             used,
         })
         .collect();
+    if !residuals.iter().all(|residual| residual.after.is_finite()) {
+        return Err(IdentifyError::NotFinite);
+    }
     let nominal = nominal_model(robot, start);
     let set_up = SetUp { centres: start.centres.len(), bars: observations.bars() };
     let parameters = parameters(robot, set_up, &nominal, start, estimate, &spread, options);
@@ -270,8 +268,7 @@ impl<'a> Fate<'a> {
             return (Status::Identified, String::new(), Some(sd));
         };
         let shared = |(member, _): &(ParamId, f64)| *member != id && self.estimate.kept.contains(member);
-        let by_prior =
-            if stands_for.members.iter().any(shared) { "; the prior shares it out" } else { "" };
+        let by_prior = if stands_for.members.iter().any(shared) { "; the prior shares it out" } else { "" };
         (Status::Identified, format!("{}{by_prior}", stands_for.text), Some(sd))
     }
 
@@ -282,10 +279,12 @@ impl<'a> Fate<'a> {
     }
 
     fn too_weak(&self, id: ParamId) -> String {
-        if matches!(id, ParamId::Tool(_) | ParamId::Centre(..)) {
-            return "data too weak: the tool hardly turns in these poses, which leaves it open where on the flange the \
-                    ball sits; turn the tool more"
-                .into();
+        if is_place(&id) {
+            return format!(
+                "data too weak: these poses leave it open by more than {:.0} mm, as where the tool never turns or \
+                 every bar lies in one plane; vary the poses",
+                open_mm(id)
+            );
         }
         let limit = weak_limit(self.robot, id).unwrap_or(f64::INFINITY);
         format!(
@@ -344,13 +343,8 @@ pub(super) fn predicted(
     let no_prior = DMatrix::zeros(0, kept.len());
     let rows = prior.map_or(no_prior, PriorRows::matrix);
     let factor = factor(&estimate.fit.model, readings, &ids, sigma);
-    let estimator = Estimator {
-        ids: &ids,
-        factor: &factor,
-        tolerance: &tolerances,
-        kept: &kept,
-        prior: &rows,
-    };
+    let estimator =
+        Estimator { ids: &ids, factor: &factor, tolerance: &tolerances, kept: &kept, prior: &rows };
     let poses = options
         .workspace
         .clone()

@@ -8,6 +8,8 @@ use super::result::{Identification, JointEffect, JointError, PredictedPair, Stat
 
 /// Above this share of lengths set aside, the rest is in doubt too.
 const OUTLIER_SHARE: f64 = 0.1;
+/// Corrections so many times as large as the prior says throw doubt on the lengths.
+const FAR_BEYOND: f64 = 5.0;
 /// No tool ball and no base ball is said to stand so far from where it stands, mm.
 const FAR_MM: f64 = 1000.0;
 /// The identified robot must be predicted at least this much better than the nominal one.
@@ -42,6 +44,7 @@ pub(super) fn warnings(
             ),
         );
     }
+    beyond_prior(estimate, &mut say);
     let far: Vec<&str> = result
         .parameters
         .iter()
@@ -161,6 +164,25 @@ fn joints(effects: &[JointEffect], say: &mut impl FnMut(WarningKind, String)) {
             format!(
                 "the residuals follow the sense of the motion beyond chance at {reversal}: play or lag, if the rows \
                  stand in the order in which they were measured; come to every pose from the same side"
+            ),
+        );
+    }
+}
+
+/// Compares the corrections with what the prior says of them.
+fn beyond_prior(estimate: &Estimate, say: &mut impl FnMut(WarningKind, String)) {
+    let Some(prior) = &estimate.prior else { return };
+    let off = |k: usize| prior.weights[k] * (estimate.fit.model.value(estimate.kept[k]) - prior.mean[k]);
+    let count = prior.bound().count() as f64;
+    let ratio = prior.bound().map(|k| off(k).powi(2)).sum::<f64>() / count;
+    if count > 0.0 && beyond_chance(ratio, count) == Some(Ordering::Greater) {
+        let factor = ratio.sqrt();
+        let kind = if factor > FAR_BEYOND { WarningKind::Doubt } else { WarningKind::Note };
+        say(
+            kind,
+            format!(
+                "the corrections are {factor:.1} times as large as the prior allows: the robot is worse than its \
+                 file says (`--prior-scale auto` goes by the lengths), or lengths and poses do not belong together"
             ),
         );
     }

@@ -28,8 +28,12 @@ impl Triangle {
     /// Adds the equation `row . x = rhs`.
     pub fn push(&mut self, row: &[f64], rhs: f64) {
         debug_assert_eq!(row.len(), self.n);
-        for (column, value) in row.iter().chain([&rhs]).enumerate() {
-            self.block[column * BLOCK + self.waiting] = *value;
+        let mut columns = self.block.chunks_exact_mut(BLOCK);
+        for (value, column) in row.iter().zip(columns.by_ref()) {
+            column[self.waiting] = *value;
+        }
+        for column in columns {
+            column[self.waiting] = rhs;
         }
         self.waiting += 1;
         if self.waiting == BLOCK {

@@ -30,7 +30,9 @@ def ball(robot, axes_deg):
         for key, axis in turns:
             frame = frame @ turn(axis, np.radians(joint.get(key, 0.0)))
         frame = frame @ shift([joint["a_mm"], 0, 0])
-        frame = frame @ turn(2, np.radians(joint["sign"] * angle + joint["theta_offset_deg"])) @ shift([0, 0, joint["d_mm"]])
+        gear = joint.get("gear_cos_rad", 0.0) * np.cos(np.radians(angle)) + joint.get("gear_sin_rad", 0.0) * np.sin(np.radians(angle))
+        theta = np.radians(joint["sign"] * angle + joint["theta_offset_deg"]) + gear
+        frame = frame @ turn(2, theta) @ shift([0, 0, joint["d_mm"]])
     return (frame @ np.append(robot["tool"]["ball_mm"], 1))[:3]
 
 

@@ -141,6 +141,10 @@ fn scenes() -> Vec<Scene> {
     let mut lost = Scene::new(&truth, &flat, 80, 0.0, &thirteen);
     lost.circles = vec![horizontal(1, [0.0, 9000.0, 0.0])];
     scenes.push(lost);
+    // A ball that stands elsewhere than was said.
+    let mut astray = Scene::new(&truth, &planes, 27, 0.01, &["--estimate", "centres", "--folds", "0"]);
+    astray.circles = vec![horizontal(1, [2500.0, 0.0, 800.0])];
+    scenes.push(astray);
     // An arm that may hardly move from where it measured, so that no other pose can be tried.
     let mut narrow = Scene::new(&truth, &flat, 80, 0.02, &["--prior", "datasheet"]);
     let mut robot = kr60();
@@ -169,18 +173,23 @@ fn scenes() -> Vec<Scene> {
         last = axes;
     }
     scenes.push(worn);
+    // A robot far worse than its file says.
+    let worse = with_errors([("a1", 6.0), ("a2", 5.0), ("a3", -4.0), ("d4", 4.0), ("theta3", 0.02)]);
+    scenes.push(Scene::new(&worse, &planes, 27, 0.01, &["--prior", "datasheet"]));
     // Noise as large as a fifth of the bar, and ten bars large: lengths bend, and draws do not come to rest.
     for sigma in ["60", "3000"] {
-        let args =
-            ["--estimate", "centres,tool", "--sigma", sigma, "--monte-carlo", "300", "--folds", "0"];
+        let args = ["--estimate", "centres,tool", "--sigma", sigma, "--monte-carlo", "300", "--folds", "0"];
         scenes.push(Scene::new(&truth, &planes, 5, 0.01, &args));
     }
     // A tool that never turns, start angles off by next to nothing; the same with a list that is followed.
-    for args in [&[][..], &["--estimate", "tool,centres"]] {
+    for args in [&[][..], &["--estimate", "tool,centres"][..]] {
         let mut still = Scene::new(&truth, &flat, 80, 0.0, args);
         still.data = measure(&truth, &flat, 80, 0.0);
         for (at, row) in still.data.rows.iter_mut().enumerate() {
-            row.axes_deg.iter_mut().enumerate().for_each(|(k, a)| *a += 5e-7 * ((6 * at + k) as f64 * 78.233).sin());
+            row.axes_deg
+                .iter_mut()
+                .enumerate()
+                .for_each(|(k, a)| *a += 5e-7 * ((6 * at + k) as f64 * 78.233).sin());
         }
         scenes.push(still);
     }
