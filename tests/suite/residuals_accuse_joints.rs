@@ -21,7 +21,7 @@ fn lengths(truth: &Robot, seed: u64, play_rad: [f64; 6]) -> Observations {
         data.rows.swap(i, random.random_range(0..=i));
     }
     let readings: Vec<Reading> = data.rows.iter().map(Reading::from).collect();
-    for (row, senses) in data.rows.iter_mut().zip(senses(&readings)) {
+    for (row, senses) in data.rows.iter_mut().zip(senses(readings.iter().map(|reading| reading.axes))) {
         let axes = row.axes();
         let stands = std::array::from_fn(|i| axes[i] - 0.5 * play_rad[i] * f64::from(senses[i]));
         let noise: f64 = StandardNormal.sample(&mut random);
