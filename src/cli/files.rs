@@ -2,7 +2,7 @@
 
 use std::error::Error;
 use std::fs;
-use std::io::{self, Write};
+use std::io::Write;
 use std::path::Path;
 
 use crate::diag::Diagnostic;
@@ -51,15 +51,6 @@ pub(crate) fn write_pieces(
         file.write_all(piece.as_ref()).map_err(wrong)?;
     }
     fs::rename(&beside, path).map_err(wrong)
-}
-
-/// A file to be read bit by bit.
-///
-/// # Errors
-/// Names the path and why it could not be opened.
-pub(crate) fn open(path: &Path) -> Result<impl io::Read, Diagnostic> {
-    fs::File::open(path)
-        .map_err(|error| Diagnostic::file(&path.display().to_string(), format!("cannot be read: {error}")))
 }
 
 /// Makes the directory that results go to.

@@ -1,7 +1,6 @@
 //! Lengths with the axis angles they were read at: the observations CSV, and the base balls' CSV.
 
 use std::fmt::Write;
-use std::io::Read;
 use std::iter;
 
 use nalgebra::Vector3;
@@ -80,15 +79,7 @@ impl Observations {
     /// # Errors
     /// Names the line and column of what is missing, not a number, not finite, or impossible.
     pub fn from_csv(file: &str, text: &str) -> Result<Self, Diagnostic> {
-        Self::read_csv(file, text.as_bytes())
-    }
-
-    /// The same from what is read bit by bit: a long file need not be whole in memory.
-    ///
-    /// # Errors
-    /// As [`Observations::from_csv`], and what the source has to say.
-    pub fn read_csv(file: &str, source: impl Read) -> Result<Self, Diagnostic> {
-        let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(source);
+        let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(text.as_bytes());
         let header = reader.headers().map_err(|error| Diagnostic::csv(file, &error))?.clone();
         let places = find_columns(file, &header, &REQUIRED)?;
         let optional = |name: &str| match header.iter().any(|column| column == name) {

@@ -44,7 +44,7 @@ impl Given {
         };
         let observations = match &joined {
             Some((_, synced)) => synced.observations.clone(),
-            None => Observations::read_csv(&input, files::open(&args.input)?)?,
+            None => Observations::from_csv(&input, &files::read(&args.input)?)?,
         };
         if observations.rows.is_empty() {
             return Err(Diagnostic::file(&input, "no length could be matched to a pose")
