@@ -72,6 +72,9 @@ pub(super) fn summarise(
         .collect();
     let (predicted_pair, predicted, seen) = predicted(robot, estimate, &used_readings, &used_sigma, options)?;
     let sigma_mm = root_mean_square(used_sigma.iter().copied());
+    if !sigma_mm.is_finite() {
+        return Err(IdentifyError::NotFinite);
+    }
     let told = told(&parameters);
     let pinned = verdict::is_pinned(&predicted_pair);
     let mut result = Identification {

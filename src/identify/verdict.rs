@@ -12,6 +12,8 @@ const OUTLIER_SHARE: f64 = 0.1;
 const FAR_BEYOND: f64 = 5.0;
 /// No tool ball and no base ball is said to stand so far from where it stands, mm.
 const FAR_MM: f64 = 1000.0;
+/// No bar is longer or shorter than was said by so much, mm.
+const FAR_BAR_MM: f64 = 50.0;
 /// The identified robot must be predicted at least this much better than the nominal one.
 const PINNED: f64 = 0.5;
 
@@ -48,15 +50,18 @@ pub(super) fn warnings(
     let far: Vec<&str> = result
         .parameters
         .iter()
-        .filter(|found| found.name.starts_with("tool") || found.name.starts_with("centre"))
-        .filter(|found| (found.identified - found.start).abs() > FAR_MM)
+        .filter(|found| {
+            let off = (found.identified - found.start).abs();
+            let place = found.name.starts_with("tool") || found.name.starts_with("centre");
+            place && off > FAR_MM || found.name.starts_with("bar_offset") && off > FAR_BAR_MM
+        })
         .map(|found| found.name.as_str())
         .collect();
     if !far.is_empty() {
         say(
             WarningKind::Doubt,
             format!(
-                "{} came out more than 1 m from where it was said to be: these poses hardly tell it, or the place \
+                "{} came out far from what it was said to be: these poses hardly tell it, or the place \
                  given is wrong; turn the tool more, or hold it",
                 far.join(", ")
             ),
