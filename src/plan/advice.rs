@@ -1,8 +1,10 @@
 //! What would help: another hold of the tool where a circle fails at the axis limits or the wrist, a stage before it
 //! where the stroke is at risk.
 
-use super::check::{Finding, Quantity};
-use super::solve::{Rig, runs};
+use super::check::Finding;
+use super::quantity::Quantity;
+use super::rig::Rig;
+use super::solve::runs;
 use super::steps::steps;
 use super::{Job, PlanRow};
 

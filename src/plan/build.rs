@@ -2,10 +2,12 @@
 
 use super::advice::advice;
 use super::cell::{Cell, Near};
-use super::check::{Check, Facts, Finding, Inspector, Quantity, judge, note_speed, path, summary};
+use super::check::{Facts, Finding, Inspector, judge, note_speed, path, summary};
 use super::hold::held;
+use super::quantity::{Check, Quantity};
+use super::rig::Rig;
 use super::risk::over_run;
-use super::solve::{Branch, Rig, runs};
+use super::solve::{Branch, runs};
 use super::steps::{Step, steps};
 use super::timing::{Pace, move_times};
 use super::{Header, Job, Knowledge, Plan, PlanRow, optimise, pass};

@@ -5,7 +5,6 @@ use rand::{RngExt, SeedableRng};
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
 
-use super::cell::Cell;
 use crate::identifiability::{Belief, Workspace};
 use crate::model::inverse::{branches, status, turns_within};
 use crate::model::{AXES, Pose};
@@ -93,26 +92,4 @@ pub fn rows(belief: &Belief, candidates: &[Candidate], sigma_mm: f64) -> DMatrix
 /// What moves over a workspace, in the coordinates of the belief, three rows a pose.
 pub fn moves(belief: &Belief, poses: &[[f64; AXES]]) -> DMatrix<f64> {
     Workspace::new(&belief.model.geometry, poses, belief.ids()).jacobian() * belief.root()
-}
-
-/// Candidates about one base ball of a job, each of a risk of at most `risk`; only those of
-/// a `branch`, if one is given; half of them near the orientation `held`, if one is given.
-pub(crate) fn in_cell(
-    cell: &Cell<'_>,
-    centre: u32,
-    count: usize,
-    risk: f64,
-    branch: Option<u8>,
-    held: Option<&Matrix3<f64>>,
-) -> Vec<Candidate> {
-    let Some(table) = cell.job.centres.get(centre.saturating_sub(1) as usize) else {
-        return Vec::new();
-    };
-    let ball = Vector3::from(table.xyz_mm);
-    let seed = u64::from(cell.job.seed) << 8 | u64::from(centre);
-    let limits = &cell.rig.controller.limits_deg;
-    candidates(cell.rig.arm, limits, (centre, ball), cell.job.bar.length_mm, held, count, seed, |axes| {
-        branch.is_none_or(|branch| status(cell.rig.arm, axes) & 7 == branch)
-            && cell.allows(axes, centre, risk)
-    })
 }

@@ -1,16 +1,16 @@
 //! What one position of the arm comes near to: limits, singularities, cups, obstacles, the stroke's ends.
 
-use nalgebra::{DVector, Vector3};
+use nalgebra::{DVector, Matrix3, Vector3};
 
 use super::Knowledge;
-use super::candidates::Candidate;
-use super::check::{Quantity, limit};
+use super::candidates::{Candidate, candidates};
 use super::clearance::{IN_CUP_MM, Segment};
 use super::job::Job;
-use super::solve::{Rig, axis_margin_deg};
+use super::quantity::{Quantity, limit};
+use super::rig::{Rig, axis_margin_deg};
 use crate::identifiability::Belief;
 use crate::model::AXES;
-use crate::model::inverse::clearance;
+use crate::model::inverse::{clearance, status};
 
 /// The robot in its cell, with what is known of it.
 pub(crate) struct Cell<'a> {
@@ -94,6 +94,28 @@ impl<'a> Cell<'a> {
             (if quantity.at_least() { value >= limit } else { value <= limit }).then_some(())
         };
         self.look(axes, centre, true, &mut { kept }).is_some()
+    }
+
+    /// Candidates about a base ball (from 1), each of a risk of at most `risk`; only those of a `branch`, if one is
+    /// given; half of them near the orientation `held`, if one is given.
+    pub(crate) fn candidates(
+        &self,
+        centre: u32,
+        count: usize,
+        risk: f64,
+        branch: Option<u8>,
+        held: Option<&Matrix3<f64>>,
+    ) -> Vec<Candidate> {
+        let Some(table) = self.job.centres.get(centre.saturating_sub(1) as usize) else {
+            return Vec::new();
+        };
+        let ball = (centre, Vector3::from(table.xyz_mm));
+        let seed = u64::from(self.job.seed) << 8 | u64::from(centre);
+        let limits = &self.rig.controller.limits_deg;
+        candidates(self.rig.arm, limits, ball, self.job.bar.length_mm, held, count, seed, |axes| {
+            branch.is_none_or(|branch| status(self.rig.arm, axes) & 7 == branch)
+                && self.allows(axes, centre, risk)
+        })
     }
 
     /// The probability that the length of this pose leaves the stroke.

@@ -12,7 +12,7 @@ use super::candidates::{Candidate, moves, rows};
 use super::cell::Cell;
 use super::circle::Circle;
 use super::job::{CircleTable, Job, Orientation};
-use super::solve::Rig;
+use super::rig::Rig;
 use super::workspace::workspace;
 use crate::identifiability::{Criterion, Exchange};
 use crate::model::inverse::{branches, nearest, status, turns_within};

@@ -20,7 +20,9 @@ mod pass;
 pub mod path;
 mod places;
 pub mod prediction;
+mod quantity;
 pub mod region;
+mod rig;
 mod risk;
 mod route;
 pub mod rows;
@@ -34,7 +36,7 @@ pub mod workspace;
 use serde::{Deserialize, Serialize};
 
 pub use build::Refused;
-pub use check::{Check, Finding, Quantity};
+pub use check::Finding;
 pub use circle::REFERENCE_EVERY;
 pub use frames::Frames;
 pub use job::{Job, MotionTable};
@@ -42,6 +44,7 @@ pub use knowledge::{Knowledge, Taught};
 pub use pass::Pass;
 pub use places::CirclePlace;
 pub use prediction::Prediction;
+pub use quantity::{Check, Quantity};
 pub use rows::{Kind, Motion, PlanRow};
 pub use stage::Stage;
 

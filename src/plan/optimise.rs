@@ -4,12 +4,12 @@ use std::f64::consts::{FRAC_PI_2, PI};
 
 use super::Knowledge;
 use super::beforehand::{datasheet, length_sigma_mm};
-use super::candidates::{Candidate, in_cell, moves, rows};
+use super::candidates::{Candidate, moves, rows};
 use super::cell::Cell;
 use super::job::{self, Job};
 use super::knowledge::touching;
 use super::module::module;
-use super::solve::Rig;
+use super::rig::Rig;
 use super::stage::Stage;
 use super::steps::{Step, Walk, least_knock};
 use super::workspace::workspace;
@@ -131,13 +131,13 @@ fn about<'a>(
     let table = job.centres.get(centre.saturating_sub(1) as usize);
     let taught = table.and_then(|table| table.taught_deg).map(|deg| deg.map(f64::to_radians));
     let branch = taught.map(|axes| status(rig.arm, &axes) & 7);
-    let reach = in_cell(&anywhere, centre, share, 1.0, branch, None);
+    let reach = anywhere.candidates(centre, share, 1.0, branch, None);
     let none = || format!("no pose about base ball {centre} can be reached within the limits");
     let branch = Some(status(rig.arm, &reach.first().ok_or_else(none)?.axes) & 7);
     // Else with the tool down, from where the others can be reached.
     let down = [0.0, FRAC_PI_2, PI, -FRAC_PI_2].map(|spin| rot_x(PI) * rot_z(spin));
     let holds = taught.map_or(down.to_vec(), |axes| vec![rig.arm.ball(&axes).rotation]);
-    let near = holds.iter().map(|hold| in_cell(&anywhere, centre, COMPARED, 1.0, branch, Some(hold)));
+    let near = holds.iter().map(|hold| anywhere.candidates(centre, COMPARED, 1.0, branch, Some(hold)));
     let near = near.max_by_key(Vec::len).unwrap_or_default();
     let at = |start: &Candidate| Cell::new(job, rig, known, centre, &start.axes);
     let knocks = least_knock(&job.bar, job.bar.length_mm);
@@ -165,7 +165,7 @@ fn about<'a>(
     allowed.retain(|pose| cell.risk(pose) <= risk);
     let barred = reachable - allowed.len();
     if barred > reachable / 10 {
-        allowed = in_cell(&cell, centre, share, risk, branch, Some(&start.pose.rotation));
+        allowed = cell.candidates(centre, share, risk, branch, Some(&start.pose.rotation));
     }
     Ok(About { cell, start, reachable, barred, allowed })
 }

@@ -1,20 +1,11 @@
 //! From poses to rows: what KRL prints, and the axis angles that the controller takes for it.
 
 use super::job::Job;
+use super::rig::{Rig, axis_margin_deg};
 use super::steps::Step;
 use super::{Kind, Motion, PlanRow};
 use crate::model::inverse::{Unsolved, branches, nearest, status, turn, turns_within};
-use crate::model::{AXES, Geometry, Pose, Robot};
-
-/// The controller that will be commanded, and the arm that will move.
-pub(crate) struct Rig<'a> {
-    /// What the controller computes with.
-    pub(crate) controller: &'a Robot,
-    /// The arm as well as it is known.
-    pub(crate) arm: &'a Geometry,
-    /// Whether the two differ.
-    identified: bool,
-}
+use crate::model::{AXES, Pose};
 
 /// Axis angles of a branch along a run of steps.
 pub(crate) struct Branch {
@@ -23,23 +14,7 @@ pub(crate) struct Branch {
     pub(crate) margin_deg: f64,
 }
 
-impl<'a> Rig<'a> {
-    pub(crate) fn new(robot: &'a Robot) -> Self {
-        Self { controller: robot.controller(), arm: &robot.geometry, identified: robot.nominal.is_some() }
-    }
-
-    /// The pose that the controller must believe in for the arm to come to `pose`, near axis angles in rad.
-    ///
-    /// # Errors
-    /// The arm does not reach it.
-    pub(crate) fn told(&self, pose: &Pose, near: &[f64; AXES]) -> Result<Pose, Unsolved> {
-        Ok(if self.identified {
-            self.controller.geometry.ball(&nearest(self.arm, pose, near)?)
-        } else {
-            *pose
-        })
-    }
-
+impl Rig<'_> {
     /// The start angles from which a run of steps may be taken: every branch in every turn.
     ///
     /// # Errors
@@ -123,15 +98,4 @@ pub(crate) fn runs(steps: &[Step]) -> Vec<(usize, usize)> {
         .collect();
     let ends = begins.iter().skip(1).copied().chain([steps.len()]);
     begins.iter().copied().zip(ends).collect()
-}
-
-/// Least distance of an axis from its limits, degrees; negative outside.
-pub(crate) fn axis_margin_deg(robot: &Robot, axes: &[f64; AXES]) -> f64 {
-    (0..AXES)
-        .map(|i| {
-            let [low, high] = robot.limits_deg[i];
-            let deg = axes[i].to_degrees();
-            (deg - low).min(high - deg)
-        })
-        .fold(f64::INFINITY, f64::min)
 }

@@ -1,0 +1,43 @@
+//! Whose axis angles a plan tells, and whose arm then moves.
+
+use crate::model::inverse::{Unsolved, nearest};
+use crate::model::{AXES, Geometry, Pose, Robot};
+
+/// The controller that will be commanded, and the arm that will move.
+pub(crate) struct Rig<'a> {
+    /// What the controller computes with.
+    pub(crate) controller: &'a Robot,
+    /// The arm as well as it is known.
+    pub(crate) arm: &'a Geometry,
+    /// Whether the two differ.
+    identified: bool,
+}
+
+impl<'a> Rig<'a> {
+    pub(crate) fn new(robot: &'a Robot) -> Self {
+        Self { controller: robot.controller(), arm: &robot.geometry, identified: robot.nominal.is_some() }
+    }
+
+    /// The pose that the controller must believe in for the arm to come to `pose`, near axis angles in rad.
+    ///
+    /// # Errors
+    /// The arm does not reach it.
+    pub(crate) fn told(&self, pose: &Pose, near: &[f64; AXES]) -> Result<Pose, Unsolved> {
+        Ok(if self.identified {
+            self.controller.geometry.ball(&nearest(self.arm, pose, near)?)
+        } else {
+            *pose
+        })
+    }
+}
+
+/// Least distance of an axis from its limits, degrees; negative outside.
+pub(crate) fn axis_margin_deg(robot: &Robot, axes: &[f64; AXES]) -> f64 {
+    (0..AXES)
+        .map(|i| {
+            let [low, high] = robot.limits_deg[i];
+            let deg = axes[i].to_degrees();
+            (deg - low).min(high - deg)
+        })
+        .fold(f64::INFINITY, f64::min)
+}
