@@ -2,25 +2,10 @@
 
 use nalgebra::DMatrix;
 
-use super::options::{plausible, tolerance};
+use super::options::Tolerances;
 use super::prior::PriorRows;
 use crate::identifiability::factor;
-use crate::model::{LengthModel, ParamId, Reading, Robot};
-
-/// A parameter counts as identified when its standard deviation is at most this many tolerances.
-const WEAK: f64 = 3.0;
-
-/// Before anything is measured, a bar is known better than a robot's lengths by this factor at least.
-const BAR_BETTER: f64 = 10.0;
-
-/// The largest standard deviation with which a parameter counts as identified, mm or rad; balls
-/// have no limit.
-pub(super) fn weak_limit(robot: &Robot, id: ParamId) -> Option<f64> {
-    match id {
-        ParamId::BarOffset(_) => Some(WEAK * robot.tolerance.length_mm / BAR_BETTER),
-        _ => tolerance(robot, id).or_else(|| plausible(robot, id)).map(|sd| WEAK * sd),
-    }
-}
+use crate::model::{LengthModel, ParamId, Reading};
 
 /// Covariance of the estimated parameters for unit weight, and how many of them the data determine.
 pub(super) struct Spread {
@@ -67,7 +52,7 @@ pub(super) fn spread(
 /// held before the next is judged. Holding one lowers the noise of the others, but its own error,
 /// of the size of its tolerance, then leaks into them, and counts.
 pub(super) fn too_weak(
-    robot: &Robot,
+    tolerances: Tolerances,
     model: &LengthModel,
     readings: &[Reading],
     ids: &[ParamId],
@@ -78,9 +63,9 @@ pub(super) fn too_weak(
         (0..ids.len()).partition(|&at| ids[at].is_optional());
     let mut weak: Vec<usize> = Vec::new();
     let mut hold = |kept: &mut Vec<usize>, judged: fn(ParamId) -> bool, held: fn(ParamId) -> bool| loop {
-        let uncertain = uncertainty(robot, &data, ids, kept, &weak);
+        let uncertain = uncertainty(tolerances, &data, ids, kept, &weak);
         let ratios: Vec<(usize, f64)> = (0..kept.len())
-            .filter_map(|k| Some((k, uncertain[k] / weak_limit(robot, ids[kept[k]])?)))
+            .filter_map(|k| Some((k, uncertain[k] / tolerances.weak_limit(ids[kept[k]])?)))
             .collect();
         let enough = ratios.iter().all(|(k, ratio)| *ratio <= 1.0 || !judged(ids[kept[*k]]));
         let weakest =
@@ -105,7 +90,7 @@ pub(super) fn too_weak(
 
 /// One standard deviation of each kept parameter: noise, and the tolerances of those held.
 fn uncertainty(
-    robot: &Robot,
+    tolerances: Tolerances,
     data: &DMatrix<f64>,
     ids: &[ParamId],
     kept: &[usize],
@@ -114,14 +99,14 @@ fn uncertainty(
     let Some(noise) = inverse_root(&data.select_columns(kept)) else {
         return vec![f64::INFINITY; kept.len()];
     };
-    let leak = leak(robot, data, ids, kept, held, &noise);
+    let leak = leak(tolerances, data, ids, kept, held, &noise);
     (0..kept.len()).map(|k| (noise.row(k).norm_squared() + leak.row(k).norm_squared()).sqrt()).collect()
 }
 
 /// What one tolerance of each held parameter does to the kept ones, kept by held: least squares
 /// answers to an error e of the held column h with (K'K)^-1 K'h e.
 fn leak(
-    robot: &Robot,
+    tolerances: Tolerances,
     data: &DMatrix<f64>,
     ids: &[ParamId],
     kept: &[usize],
@@ -131,23 +116,14 @@ fn leak(
     let mut leak =
         noise * noise.transpose() * data.select_columns(kept).transpose() * data.select_columns(held);
     for (mut column, h) in leak.column_iter_mut().zip(held) {
-        column *= tolerance_held(robot, ids[*h]);
+        column *= tolerances.held(ids[*h]);
     }
     leak
 }
 
-/// One standard deviation of the true error of a parameter that is held; optional ones are taken for none, as
-/// where they are not asked for.
-pub(super) fn tolerance_held(robot: &Robot, id: ParamId) -> f64 {
-    match weak_limit(robot, id) {
-        Some(limit) if !id.is_optional() => limit / WEAK,
-        _ => 0.0,
-    }
-}
-
 /// Covariance that the `held` parameters, which the data were too weak for, add to that of `kept`.
 pub(super) fn leaked(
-    robot: &Robot,
+    tolerances: Tolerances,
     model: &LengthModel,
     readings: &[Reading],
     kept: &[ParamId],
@@ -159,7 +135,7 @@ pub(super) fn leaked(
     let kept: Vec<usize> = (0..kept.len()).collect();
     let held: Vec<usize> = (kept.len()..ids.len()).collect();
     let noise = inverse_root(&data.select_columns(&kept))?;
-    let leak = leak(robot, &data, &ids, &kept, &held, &noise);
+    let leak = leak(tolerances, &data, &ids, &kept, &held, &noise);
     Some(&leak * leak.transpose())
 }
 

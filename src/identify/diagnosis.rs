@@ -64,8 +64,8 @@ pub(super) fn advice(
     let known: Vec<Option<f64>> = ids
         .iter()
         .map(|id| match id {
-            // A bar that is too weak is held as exact, in the predicted error as here.
-            ParamId::BarOffset(_) if estimate.weak.contains(id) => Some(1e-9),
+            // A bar that is too weak is held, as exact where it has no certificate, in the predicted error as here.
+            ParamId::BarOffset(_) if estimate.weak.contains(id) => Some(options.bar_u_mm.unwrap_or(1e-9)),
             id => options.prior_sd(robot, *id).or_else(|| estimate.prior_sd(*id)),
         })
         .collect();

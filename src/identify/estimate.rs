@@ -1,8 +1,8 @@
 //! From lengths to parameters: what can be told, what is too weak, the fit, and the lengths' sigma.
 
-use super::covariance::{spread, too_weak, weak_limit};
+use super::covariance::{spread, too_weak};
 use super::fit::{self, Fit};
-use super::options::{Options, Prior, tolerance};
+use super::options::{Options, Prior, Tolerances, tolerance};
 use super::places::{hardly_told, is_place, well_told};
 use super::prior::{self, PriorRows};
 use super::sigma::{first_sigma, shown_sigma};
@@ -123,7 +123,9 @@ pub(super) fn estimate(
     for round in 0.. {
         let choice = match options.prior {
             Prior::None if follow_list => Choice::all(&base),
-            Prior::None => Choice::told(robot, &set_up.model, readings, &base, &implausible, &sigma),
+            Prior::None => {
+                Choice::told(options.tolerances(robot), &set_up.model, readings, &base, &implausible, &sigma)
+            }
             _ => Choice::bound(robot, &set_up.model, readings, (&analysis, &base), &loose, &sigma, options),
         };
         if let Some((before, fit, weights)) = reached.take()
@@ -159,7 +161,7 @@ pub(super) fn estimate(
             start.shift(*id, set_up.model.value(*id) - start.value(*id));
         }
         let prior = prior::rows(robot, options, &choice.untold_bars, &choice.kept, given_start);
-        let fit = fit::all(readings, &sigma, &choice.kept, prior.as_ref(), &start);
+        let fit = fit::all(readings, &sigma, (&choice.kept, choice.base.len()), prior.as_ref(), &start);
         iterations += fit.iterations;
         let weights = std::mem::take(&mut sigma);
         sigma = match prior {
@@ -185,7 +187,7 @@ impl Choice {
 
     /// What lengths of these sigmas tell, without what is implausible already.
     fn told(
-        robot: &Robot,
+        tolerances: Tolerances,
         model: &LengthModel,
         readings: &[Reading],
         base: &[ParamId],
@@ -195,7 +197,7 @@ impl Choice {
         let left = |out: &[ParamId]| -> Vec<ParamId> {
             base.iter().copied().filter(|id| !out.contains(id)).collect()
         };
-        let judged = too_weak(robot, model, readings, &left(implausible), sigma);
+        let judged = too_weak(tolerances, model, readings, &left(implausible), sigma);
         let weak = [implausible, judged.as_slice()].concat();
         Self { weak: weak.clone(), ..Self::all(&left(&weak)) }
     }
@@ -210,7 +212,7 @@ impl Choice {
         sigma: &[f64],
         options: &Options,
     ) -> Self {
-        let mut untold_bars = weak_bars(robot, base, model, readings, sigma);
+        let mut untold_bars = weak_bars(options.tolerances(robot), base, model, readings, sigma);
         untold_bars.extend(analysis.dependent().into_iter().filter(is_bar));
         let mut kept = [base, prior::sharing(robot, options, &untold_bars, analysis).as_slice()].concat();
         kept.sort();
@@ -262,7 +264,7 @@ fn most_implausible(
 /// The bars for whose offset the lengths alone are too weak. A prior on the robot must not decide it: on
 /// circles of one radius it would turn the maker's tolerance into a length of the bar.
 fn weak_bars(
-    robot: &Robot,
+    tolerances: Tolerances,
     base: &[ParamId],
     model: &LengthModel,
     readings: &[Reading],
@@ -273,6 +275,6 @@ fn weak_bars(
         return vec![];
     }
     let sd = spread(model, readings, base, base, sigma, None).map(|spread| spread.data_sd);
-    let limit = |id| weak_limit(robot, id).unwrap_or(f64::INFINITY);
+    let limit = |id| tolerances.weak_limit(id).unwrap_or(f64::INFINITY);
     bars.filter(|&bar| sd.as_ref().is_none_or(|sd| sd[bar] > limit(base[bar]))).map(|bar| base[bar]).collect()
 }

@@ -26,7 +26,7 @@ pub(super) fn set_up(readings: &[Reading], sigma: &[f64], free: &[ParamId], star
             used: vec![true; readings.len()],
         };
     }
-    robust(readings, sigma, |readings, sigma, loss, from| {
+    robust(readings, sigma, ids.len(), |readings, sigma, loss, from| {
         let from = from.unwrap_or(start);
         // The bar's offset trades against the balls' places far from the solution, so it comes second.
         let places: Vec<ParamId> =
@@ -35,11 +35,11 @@ pub(super) fn set_up(readings: &[Reading], sigma: &[f64], free: &[ParamId], star
     })
 }
 
-/// All of `free` from `start`, whose set-up has been fitted.
+/// All of `free` from `start`, whose set-up has been fitted; the lengths tell `told` of them by themselves.
 pub(super) fn all(
     readings: &[Reading],
     sigma: &[f64],
-    free: &[ParamId],
+    (free, told): (&[ParamId], usize),
     prior: Option<&PriorRows>,
     start: &LengthModel,
 ) -> Fit {
@@ -56,11 +56,11 @@ pub(super) fn all(
         stages(readings, sigma, lists, loss, prior, start)
     };
     // What is absurd beside the nominal robot's own errors would pull the start away: first without it.
-    let absurd = standing_out(&residuals(readings, sigma, start), ABSURD);
+    let absurd = standing_out(&residuals(readings, sigma, start), ABSURD, 0);
     let near =
         (!absurd.is_empty()).then(|| from(readings, &without(sigma, &absurd), Loss::Huber, start).model);
     let start = near.as_ref().unwrap_or(start);
-    robust(readings, sigma, |readings, sigma, loss, reached| match reached {
+    robust(readings, sigma, told, |readings, sigma, loss, reached| match reached {
         None => from(readings, sigma, loss, start),
         Some(reached) => stages(readings, sigma, &[free], loss, prior, reached),
     })
@@ -118,15 +118,16 @@ fn stages(
 }
 
 /// By squares when no residual stands out; else by Huber's loss, then by squares without those that
-/// stand out, until their set stands.
+/// stand out, until their set stands. So many `parameters` take up residuals.
 fn robust(
     readings: &[Reading],
     sigma: &[f64],
+    parameters: usize,
     solve: impl Fn(&[Reading], &[f64], Loss, Option<&LengthModel>) -> Solution,
 ) -> Fit {
     let plain = solve(readings, sigma, Loss::Squares, None);
     // A far outlier spreads over all residuals in a fit by squares: look closer already at less.
-    if standing_out(&plain.residuals, 0.85 * limit(readings.len())).is_empty() {
+    if standing_out(&plain.residuals, 0.85 * limit(readings.len()), parameters).is_empty() {
         let Solution { model, iterations, converged, .. } = plain;
         return Fit { model, iterations, converged, used: vec![true; readings.len()] };
     }
@@ -135,7 +136,7 @@ fn robust(
     let mut used = vec![true; readings.len()];
     for _ in 0..10 {
         let residuals = self::residuals(readings, sigma, &reached.model);
-        let out = standing_out(&residuals, limit(readings.len()));
+        let out = standing_out(&residuals, limit(readings.len()), parameters);
         let mut now = vec![true; readings.len()];
         out.iter().for_each(|at| now[*at] = false);
         let next = solve(readings, &without(sigma, &out), Loss::Squares, Some(&reached.model));
@@ -166,8 +167,14 @@ fn limit(readings: usize) -> f64 {
     limit.max(4.5)
 }
 
-/// The residuals beyond `limit` robust standard deviations.
-fn standing_out(residuals: &[f64], limit: f64) -> Vec<usize> {
-    let scale = robust_scale(residuals).max(ROUNDING * MAD_TO_SD);
+/// The residuals beyond `limit` robust standard deviations. A fit of `parameters` makes as many residuals
+/// vanish, so the least ones say nothing of the scale: of few data the rest would seem to stand out.
+fn standing_out(residuals: &[f64], limit: f64, parameters: usize) -> Vec<usize> {
+    let mut left: Vec<f64> = residuals.iter().map(|r| r.abs()).collect();
+    let vanished = parameters.min(left.len().saturating_sub(1));
+    if vanished > 0 {
+        left.select_nth_unstable_by(vanished, f64::total_cmp);
+    }
+    let scale = robust_scale(&left[vanished..]).max(ROUNDING * MAD_TO_SD);
     (0..residuals.len()).filter(|&at| residuals[at].abs() > limit * scale).collect()
 }

@@ -117,7 +117,7 @@ pub fn identify(
         result.warnings.push(Warning { kind: WarningKind::Note, text: text.into() });
     }
     if let Some(trials) = options.monte_carlo {
-        monte_carlo::tell(result, robot, &estimate, &lengths, trials);
+        monte_carlo::tell(result, options.tolerances(robot), &estimate, &lengths, trials);
     }
     Ok(found)
 }

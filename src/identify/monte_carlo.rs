@@ -7,13 +7,13 @@ use nalgebra::DVector;
 use rand_distr::{ChiSquared, Distribution, StandardNormal};
 use rand_pcg::Pcg64;
 
-use super::covariance::tolerance_held;
 use super::estimate::{Estimate, Lengths};
+use super::options::Tolerances;
 use super::prior::PriorRows;
 use super::result::{Identification, MonteCarlo, ParameterDraws, Warning, WarningKind};
 use super::solver::{Loss, Problem, minimise};
 use crate::linalg::map_items;
-use crate::model::{LengthModel, ParamId, Reading, Robot};
+use crate::model::{LengthModel, ParamId, Reading};
 
 /// Every trial has a stream of this seed.
 const SEED: u128 = 1;
@@ -29,12 +29,12 @@ const DENSITY: f64 = 0.058_4;
 /// Draws `trials` data sets and writes what they scatter by into the result, beside the linear figures.
 pub(super) fn tell(
     result: &mut Identification,
-    robot: &Robot,
+    tolerances: Tolerances,
     estimate: &Estimate,
     lengths: &Lengths,
     trials: usize,
 ) {
-    let draws = draw(robot, estimate, lengths, trials);
+    let draws = draw(tolerances, estimate, lengths, trials);
     let drawn = draws.len();
     let mut disagree = Vec::new();
     for (k, id) in estimate.kept.iter().enumerate() {
@@ -73,7 +73,7 @@ pub(super) fn tell(
 }
 
 /// The estimated parameters of each trial whose fit came to rest.
-fn draw(robot: &Robot, estimate: &Estimate, lengths: &Lengths, trials: usize) -> Vec<Vec<f64>> {
+fn draw(tolerances: Tolerances, estimate: &Estimate, lengths: &Lengths, trials: usize) -> Vec<Vec<f64>> {
     let model = &estimate.fit.model;
     let used: Vec<usize> = (0..lengths.readings.len()).filter(|&at| estimate.fit.used[at]).collect();
     let sigma: Vec<f64> = used.iter().map(|&at| estimate.sigma[at]).collect();
@@ -89,7 +89,7 @@ fn draw(robot: &Robot, estimate: &Estimate, lengths: &Lengths, trials: usize) ->
         let mut readings = exact.clone();
         if !held.is_empty() {
             let mut truth = model.clone();
-            held.iter().for_each(|id| truth.shift(*id, tolerance_held(robot, *id) * normal(&mut random)));
+            held.iter().for_each(|id| truth.shift(*id, tolerances.held(*id) * normal(&mut random)));
             readings = predicted(&truth, readings.into_iter());
         }
         for (reading, sigma) in readings.iter_mut().zip(&sigma) {

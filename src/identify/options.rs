@@ -15,6 +15,8 @@ pub struct Options {
     pub sigma_mm: Option<f64>,
     /// What is known of the robot beforehand.
     pub prior: Prior,
+    /// Standard uncertainty of each bar's length by its certificate, mm.
+    pub bar_u_mm: Option<f64>,
     /// How far the prior is trusted.
     pub prior_scale: PriorScale,
     /// Number of cross-validation folds; `None` chooses 5 when there are enough lengths.
@@ -33,10 +35,48 @@ impl Options {
     }
 
     /// The standard deviation of a parameter's true error as the prior has it, mm or rad (rad/(N m) of a
-    /// compliance); `None` for one that has no tolerance.
+    /// compliance), a bar's offset as its certificate has it; `None` for one that has neither.
     pub(super) fn prior_sd(&self, robot: &Robot, id: ParamId) -> Option<f64> {
         let scale = if let PriorScale::By(scale) = self.prior_scale { scale } else { 1.0 };
-        Some(scale * self.prior.sd(robot, id)?)
+        let by_prior = self.prior.sd(robot, id).map(|sd| scale * sd);
+        by_prior.or_else(|| self.bar_u_mm.filter(|_| matches!(id, ParamId::BarOffset(_))))
+    }
+
+    /// What is known of the parameters that may be held.
+    pub(super) fn tolerances<'a>(&self, robot: &'a Robot) -> Tolerances<'a> {
+        Tolerances { robot, bar_mm: self.bar_u_mm.unwrap_or(robot.tolerance.length_mm / BAR_BETTER) }
+    }
+}
+
+/// One standard deviation of the true error of what may be held: the robot's tolerance, the bar's certificate.
+#[derive(Clone, Copy)]
+pub(super) struct Tolerances<'a> {
+    robot: &'a Robot,
+    bar_mm: f64,
+}
+
+/// A bar without certificate is known better than a robot's lengths by this factor at least.
+const BAR_BETTER: f64 = 10.0;
+/// A parameter counts as identified when its standard deviation is at most this many tolerances.
+const WEAK: f64 = 3.0;
+
+impl Tolerances<'_> {
+    /// mm or rad; `None` of balls.
+    fn of(&self, id: ParamId) -> Option<f64> {
+        match id {
+            ParamId::BarOffset(_) => Some(self.bar_mm),
+            _ => tolerance(self.robot, id).or_else(|| plausible(self.robot, id)),
+        }
+    }
+
+    /// The largest standard deviation with which a parameter counts as identified, mm or rad; balls have no limit.
+    pub(super) fn weak_limit(&self, id: ParamId) -> Option<f64> {
+        self.of(id).map(|sd| WEAK * sd)
+    }
+
+    /// The error of a parameter that is held; optional ones are taken for none, as where they are not asked for.
+    pub(super) fn held(&self, id: ParamId) -> f64 {
+        self.of(id).filter(|_| !id.is_optional()).unwrap_or(0.0)
     }
 }
 
@@ -87,7 +127,7 @@ pub fn tolerance(robot: &Robot, id: ParamId) -> Option<f64> {
 
 /// What an optional parameter may plausibly be, one standard deviation: a gear error as large as the tolerance
 /// of a joint's angle, a compliance that gives way by as much under the greatest torque.
-pub(super) fn plausible(robot: &Robot, id: ParamId) -> Option<f64> {
+fn plausible(robot: &Robot, id: ParamId) -> Option<f64> {
     let angle = robot.tolerance.angle_deg.to_radians();
     match id {
         ParamId::GearCos(_) | ParamId::GearSin(_) => Some(angle),

@@ -40,7 +40,7 @@ impl PriorRows {
 }
 
 /// One standard deviation of a parameter before the lengths, `None` of what is free. A bar that the lengths tell
-/// is free unless the user gave its certificate: the offset of one that nobody calibrated may be anything.
+/// is free where it has no certificate: the offset of one that nobody calibrated may be anything.
 fn known(robot: &Robot, options: &Options, untold_bars: &[ParamId], id: ParamId) -> Option<f64> {
     options.prior_sd(robot, id).or_else(|| untold_bars.contains(&id).then_some(BAR_MM))
 }

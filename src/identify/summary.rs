@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 
 use nalgebra::DMatrix;
 
-use super::covariance::{Spread, leaked, spread, weak_limit};
+use super::covariance::{Spread, leaked, spread};
 use super::diagnosis::{self, Seen};
 use super::estimate::{Estimate, IdentifyError, Lengths};
 use super::options::Options;
@@ -41,9 +41,10 @@ pub(super) fn summarise(
     let mut spread =
         spread(model, &used_readings, &estimate.kept, &estimate.base, &used_sigma, estimate.prior.as_ref())
             .ok_or(IdentifyError::NotFinite)?;
+    let tolerances = options.tolerances(robot);
     if estimate.prior.is_none() && !estimate.weak.is_empty() {
         spread.covariance +=
-            leaked(robot, model, &used_readings, &estimate.kept, &estimate.weak, &used_sigma)
+            leaked(tolerances, model, &used_readings, &estimate.kept, &estimate.weak, &used_sigma)
                 .ok_or(IdentifyError::NotFinite)?;
     }
     let (before, after) = (estimate.before.prepare(), model.prepare());
@@ -124,8 +125,7 @@ pub(super) fn summarise(
         outliers,
         warnings: Vec::new(),
     };
-    result.warnings =
-        verdict::warnings(&result, estimate, lengths, spread.parameters, options.follows_list());
+    result.warnings = verdict::warnings(&result, estimate, lengths, spread.parameters, robot, options);
     Ok(Identified {
         robot: identified_robot(robot, model),
         model: model.clone(),
@@ -257,7 +257,7 @@ impl<'a> Fate<'a> {
 
     fn estimated(&self, id: ParamId, k: usize) -> (Status, String, Option<f64>) {
         let sd = self.spread.covariance[(k, k)].sqrt();
-        let limit = weak_limit(self.robot, id).unwrap_or(f64::INFINITY);
+        let limit = self.options.tolerances(self.robot).weak_limit(id).unwrap_or(f64::INFINITY);
         let own = self.spread.data_sd[k];
         if !self.estimate.base.contains(&id) {
             let reason = format!("{}; the prior shares it out", self.combination(id));
@@ -289,7 +289,7 @@ impl<'a> Fate<'a> {
                 open_mm(id)
             );
         }
-        let limit = weak_limit(self.robot, id).unwrap_or(f64::INFINITY);
+        let limit = self.options.tolerances(self.robot).weak_limit(id).unwrap_or(f64::INFINITY);
         format!(
             "data too weak: its standard deviation would be more than {} (3 tolerances)",
             with_unit(limit, id)

@@ -4,7 +4,11 @@ use std::cmp::Ordering;
 
 use super::covariance::beyond_chance;
 use super::estimate::{Estimate, Lengths};
-use super::result::{Identification, JointEffect, JointError, PredictedPair, Status, Warning, WarningKind};
+use super::options::{Options, tolerance};
+use super::result::{
+    Identification, JointEffect, JointError, ParameterResult, PredictedPair, Status, Warning, WarningKind,
+};
+use crate::model::Robot;
 
 /// Above this share of lengths set aside, the rest is in doubt too.
 const OUTLIER_SHARE: f64 = 0.1;
@@ -17,14 +21,14 @@ const FAR_BAR_MM: f64 = 50.0;
 /// The identified robot must be predicted at least this much better than the nominal one.
 const PINNED: f64 = 0.5;
 
-/// The warnings of a result; `parameters` is the effective number that the data determine, and
-/// `follows_list` tells that the user chose the parameters.
+/// The warnings of a result; `parameters` is the effective number that the data determine.
 pub(super) fn warnings(
     result: &Identification,
     estimate: &Estimate,
     lengths: &Lengths,
     parameters: f64,
-    follows_list: bool,
+    robot: &Robot,
+    options: &Options,
 ) -> Vec<Warning> {
     let mut warnings = Vec::new();
     let mut say = |kind, text: String| warnings.push(Warning { kind, text });
@@ -47,6 +51,7 @@ pub(super) fn warnings(
         );
     }
     beyond_prior(estimate, &mut say);
+    against_held(result, robot, options, &mut say);
     let far: Vec<&str> = result
         .parameters
         .iter()
@@ -103,7 +108,7 @@ pub(super) fn warnings(
     let predicted = &result.predicted_position_error_mm;
     if !is_pinned(predicted) {
         // Who gives a list of parameters knows that the others are held.
-        let kind = if follows_list { WarningKind::Note } else { WarningKind::Doubt };
+        let kind = if options.follows_list() { WarningKind::Note } else { WarningKind::Doubt };
         say(
             kind,
             format!(
@@ -188,6 +193,34 @@ fn beyond_prior(estimate: &Estimate, say: &mut impl FnMut(WarningKind, String)) 
             format!(
                 "the corrections are {factor:.1} times as large as the prior allows: the robot is worse than its \
                  file says (`--prior-scale auto` goes by the lengths), or lengths and poses do not belong together"
+            ),
+        );
+    }
+}
+
+/// Corrections that no robot needs, where the user held a part of the set-up: they make up for its error.
+fn against_held(
+    result: &Identification,
+    robot: &Robot,
+    options: &Options,
+    say: &mut impl FnMut(WarningKind, String),
+) {
+    let held: Vec<String> = options.hold.iter().filter(|id| id.is_setup()).map(ToString::to_string).collect();
+    let absurd = |found: &&ParameterResult| {
+        let allowed = found.name.parse().ok().and_then(|id| tolerance(robot, id));
+        let sd = found.sd.unwrap_or(0.0);
+        allowed.is_some_and(|allowed| found.correction.abs() > FAR_BEYOND * allowed.hypot(sd))
+    };
+    let names: Vec<&str> = result.parameters.iter().filter(absurd).map(|found| found.name.as_str()).collect();
+    if !held.is_empty() && !names.is_empty() {
+        say(
+            WarningKind::Doubt,
+            format!(
+                "with {} held, {} came out more than {FAR_BEYOND:.0} times as far from nominal as the robot's tolerance \
+                 allows: most likely what is held stands elsewhere (let it be estimated, or measure it again), or the robot \
+                 is worse than its file says",
+                held.join(", "),
+                names.join(", ")
             ),
         );
     }

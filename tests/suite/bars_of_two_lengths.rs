@@ -96,6 +96,35 @@ fn two_bars_leave_the_scale_open_until_one_is_calibrated() {
     assert!(!text(&held, "uniform scale"));
 }
 
+/// What a certificate of 1 um says of a bar, the lengths do not tell better; each bar has its own offset.
+#[test]
+fn a_certificate_binds_the_offset_of_each_bar() {
+    let mut data = two_lengths(2, 0.01);
+    data.rows.iter_mut().for_each(|row| row.length_mm -= [0.05, -0.03][row.bar - 1]);
+    let with = |extra: &[&str]| identify(&data, &[&["--sigma", "0.01"], extra].concat());
+    let predicted = |result: &Identification| result.predicted_position_error_mm.identified.mean;
+    let free = with(&["--prior", "datasheet"]);
+    let bound = with(&["--prior", "datasheet", "--bar-u", "0.001"]);
+    for name in ["bar_offset", "bar_offset2"] {
+        let found = parameter(&bound, name);
+        assert_eq!(found.status, Status::Prior, "{}", found.reason);
+        assert!(found.sd.unwrap() <= 0.001 && found.identified.abs() < 0.003, "{found:?}");
+        assert!(parameter(&free, name).sd.unwrap() > 0.005);
+    }
+    assert_ne!(parameter(&bound, "bar_offset").identified, parameter(&bound, "bar_offset2").identified);
+    assert!(predicted(&bound) < 0.9 * predicted(&free), "{} {}", predicted(&bound), predicted(&free));
+
+    // Without a prior they are held, and their uncertainty counts.
+    let [exact, rough] = ["0.0001", "0.002"].map(|u| with(&["--bar-u", u]));
+    for name in ["bar_offset", "bar_offset2"] {
+        assert_eq!(parameter(&rough, name).status, Status::TooWeak);
+        assert!(parameter(&rough, name).reason.contains("0.006 mm"), "{}", parameter(&rough, name).reason);
+    }
+    assert!(predicted(&exact) < predicted(&rough), "{} {}", predicted(&exact), predicted(&rough));
+    let (code, _, said) = run(&data.to_csv(), &["--bar-u", "0"]);
+    assert!(code == 2 && said.contains("a positive number is needed"), "{said}");
+}
+
 #[test]
 fn bars_are_columns_of_their_own() {
     let data = two_lengths(2, 0.002);

@@ -18,18 +18,19 @@ fn normal(random: &mut Pcg64) -> f64 {
     StandardNormal.sample(random)
 }
 
-/// Lengths of `truth` with this noise, identified with `prior`.
+/// Lengths of `truth` with this noise, by a bar that is longer by `bar_mm` than said, identified with `prior`.
 fn find(
     truth: &Robot,
     circles: &[Circle],
     points: usize,
     sigma_mm: f64,
+    bar_mm: f64,
     prior: Prior,
     seed: u64,
 ) -> Identified {
     let mut random = Pcg64::seed_from_u64(seed);
     let mut data = measure(truth, circles, points, 25.0);
-    data.rows.iter_mut().for_each(|row| row.length_mm += sigma_mm * normal(&mut random));
+    data.rows.iter_mut().for_each(|row| row.length_mm += bar_mm + sigma_mm * normal(&mut random));
     let mut centres: Vec<Centre> = circles
         .iter()
         .map(|circle| Centre { id: circle.number, position: Vector3::from(circle.centre) })
@@ -60,7 +61,7 @@ fn a_sum_is_shared_by_the_variances() {
     let truth = with_errors([("d2", 0.6), ("d3", 0.2)]);
     for [s2, s3] in [[0.5, 0.5], [0.5, 0.25]] {
         let given = BTreeMap::from([(ParamId::D(2), s2), (ParamId::D(3), s3)]);
-        let found = find(&truth, &three_planes(1, CENTRE), 27, 0.001, Prior::Given(given), 1);
+        let found = find(&truth, &three_planes(1, CENTRE), 27, 0.001, 0.0, Prior::Given(given), 1);
         let [d2, d3] = ["d2", "d3"].map(|name| parameter(&found, name));
         let share: f64 = (s2 / s3) * (s2 / s3);
         assert!(
@@ -87,12 +88,15 @@ fn a_sum_is_shared_by_the_variances() {
 #[test]
 fn without_a_prior_one_member_carries_the_sum() {
     let truth = with_errors([("d2", 0.6), ("d3", 0.2)]);
-    let found = find(&truth, &three_planes(1, CENTRE), 27, 0.001, Prior::None, 1);
+    let found = find(&truth, &three_planes(1, CENTRE), 27, 0.001, 0.0, Prior::None, 1);
     assert_eq!(parameter(&found, "d3").status, Status::Dependent);
     assert_eq!(parameter(&found, "d3").correction, 0.0);
 }
 
-/// Mean 3-D error over the workspace of robots drawn by their tolerance: true, and as predicted, mm.
+/// A bar without certificate is taken for known to this, one standard deviation in mm.
+const BAR_MM: f64 = 0.05;
+
+/// Mean 3-D error over the workspace of robots and bars drawn by their tolerance: true, and as predicted, mm.
 fn true_and_predicted(circles: &[Circle], points: usize, sigma_mm: f64, robots: u64) -> [f64; 2] {
     let nominal = kr60();
     let poses = Workspace::uniform(&nominal, 300, 5);
@@ -107,7 +111,8 @@ fn true_and_predicted(circles: &[Circle], points: usize, sigma_mm: f64, robots: 
             };
             *truth.geometry.value_mut(id).unwrap() += tolerance * normal(&mut random);
         }
-        let found = find(&truth, circles, points, sigma_mm, Prior::Datasheet, seed);
+        let bar_mm = BAR_MM * normal(&mut random);
+        let found = find(&truth, circles, points, sigma_mm, bar_mm, Prior::Datasheet, seed);
         let balls = |robot: &Robot| -> Vec<_> {
             poses.iter().map(|axes| robot.geometry.ball(axes).position).collect()
         };

@@ -19,6 +19,8 @@ pub(super) struct Given {
     pub(super) robot: Robot,
     pub(super) centres: Vec<Centre>,
     pub(super) observations: Observations,
+    /// Standard uncertainty of the bar's length, mm, where it has a certificate.
+    pub(super) bar_u_mm: Option<f64>,
     pub(super) sources: Vec<Source>,
     /// Whether a part of a run was lost, or poses were dropped as ambiguous.
     pub(super) lossy: bool,
@@ -79,7 +81,10 @@ impl Given {
         ];
         let lossy = joined.as_ref().is_some_and(|(run, synced)| lossy(run, synced));
         let commanded = joined.as_ref().is_some_and(|(run, _)| run.axes_deg.is_empty());
-        Ok(Self { robot, centres, observations, sources, lossy, commanded, joined })
+        // The job has it expanded, k = 2.
+        let certified = joined.as_ref().and_then(|(run, _)| run.plan.header.job.bar.length_u_mm);
+        let bar_u_mm = args.bar_u.or(certified.map(|u| 0.5 * u));
+        Ok(Self { robot, centres, observations, bar_u_mm, sources, lossy, commanded, joined })
     }
 
     /// Joins the capture anew with the lengths that the identified robot predicts; whether the pairs changed.

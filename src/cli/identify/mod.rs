@@ -14,8 +14,8 @@ use std::path::{Path, PathBuf};
 use super::{Outcome, Output, Verdict, files};
 use crate::identify::result::WarningKind;
 use crate::identify::{self, Options, Prior, PriorScale};
+use crate::model::Observations;
 use crate::model::parameter::{self, SetUp};
-use crate::model::{Observations, Robot};
 pub(crate) use page::error_maps;
 
 use given::{Given, check_bars, check_centres};
@@ -63,6 +63,12 @@ pub(crate) struct Args {
     /// Standard deviation of every length, mm, in place of the data's sigma_mm.
     #[arg(long, value_name = "MM", value_parser = parse_positive)]
     sigma: Option<f64>,
+    /// Standard uncertainty (k = 1) of each bar's length by its certificate, mm [default: half of a capture's job's
+    /// length_u_mm]. With a prior it binds each bar's offset. Without one an offset is estimated where the lengths
+    /// tell it to three times that, and else held; its uncertainty then counts in the standard deviations and in the
+    /// predicted error.
+    #[arg(long, value_name = "MM", value_parser = parse_positive)]
+    bar_u: Option<f64>,
     /// Further observations, to the same balls, that only check the result.
     #[arg(long, value_name = "OBS.csv")]
     validate: Option<PathBuf>,
@@ -89,7 +95,7 @@ pub(crate) struct Args {
 pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
     let mut given = Given::read(args, out)?;
     let set_up = SetUp { centres: given.centres.len(), bars: given.observations.bars() };
-    let options = options(args, &given.robot, set_up)?;
+    let options = options(args, &given, set_up)?;
     let validation = match &args.validate {
         Some(path) => {
             let name = path.display().to_string();
@@ -126,8 +132,8 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
     Ok(if doubt || given.lossy || elsewhere.is_some() { Outcome::Doubt } else { Outcome::Done })
 }
 
-fn options(args: &Args, robot: &Robot, set_up: SetUp) -> Result<Options, Box<dyn Error>> {
-    let betas = robot.parallel_joints();
+fn options(args: &Args, given: &Given, set_up: SetUp) -> Result<Options, Box<dyn Error>> {
+    let betas = given.robot.parallel_joints();
     let list = |text: &Option<String>| {
         text.as_deref().map(|text| parameter::parse_list(text, &betas, set_up)).transpose()
     };
@@ -144,5 +150,6 @@ fn options(args: &Args, robot: &Robot, set_up: SetUp) -> Result<Options, Box<dyn
         },
         folds: args.folds,
         workspace: args.workspace.as_deref().map(read_workspace).transpose()?,
+        bar_u_mm: given.bar_u_mm,
     })
 }
