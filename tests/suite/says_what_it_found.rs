@@ -123,7 +123,7 @@ fn scenes() -> Vec<Scene> {
         Scene::new(&truth, &flat, 80, 0.0, &thirteen).spoilt(1, 1e200),
     ];
     // Two bars with an offset each; a prior whose strength is chosen, and lengths drawn anew.
-    let mut two = Scene::new(&truth, &planes, 27, 0.002, &["--sigma", "0.002", "--folds", "0"]);
+    let mut two = Scene::new(&kr60(), &planes, 27, 0.0, &["--estimate", "all", "--folds", "0"]);
     two.data.rows.iter_mut().step_by(2).for_each(|row| row.bar = 2);
     scenes.push(two);
     let choices = ["--prior", "datasheet", "--prior-scale", "auto", "--monte-carlo", "100"];
