@@ -1,0 +1,117 @@
+//! Machines and circular tests whose true lengths are known.
+
+use dbbd::circular::{Evaluation, Point, Sense, Settings, Trace, circular};
+
+/// A machine and a test: the cases of `tests/independent/circular.py`.
+#[derive(Clone, Copy)]
+pub(crate) struct Case {
+    pub(crate) name: &'static str,
+    pub(crate) radius: f64,
+    pub(crate) points: u32,
+    pub(crate) first: f64,
+    pub(crate) span: f64,
+    pub(crate) centre: [f64; 2],
+    pub(crate) offset: f64,
+    pub(crate) e: [f64; 2],
+    pub(crate) phi: f64,
+    pub(crate) backlash: [f64; 2],
+    pub(crate) both: bool,
+}
+
+pub(crate) const CASES: [Case; 3] = [
+    Case {
+        name: "full",
+        radius: 150.0,
+        points: 72,
+        first: 0.0,
+        span: 360.0,
+        centre: [0.31, -0.17],
+        offset: 0.023,
+        e: [40e-6, -25e-6],
+        phi: 60e-6,
+        backlash: [0.004, 0.007],
+        both: true,
+    },
+    Case {
+        name: "arc",
+        radius: 300.0,
+        points: 90,
+        first: 20.0,
+        span: 220.0,
+        centre: [0.5, 0.2],
+        offset: -0.011,
+        e: [10e-6, 30e-6],
+        phi: -45e-6,
+        backlash: [0.0, 0.003],
+        both: false,
+    },
+    Case {
+        name: "dense",
+        radius: 100.0,
+        points: 2000,
+        first: 3.0,
+        span: 360.0,
+        centre: [-1.0, 0.6],
+        offset: 0.005,
+        e: [0.0, 80e-6],
+        phi: 120e-6,
+        backlash: [0.01, 0.002],
+        both: true,
+    },
+];
+
+impl Case {
+    /// Its angles, degrees.
+    pub(crate) fn angles(&self) -> Vec<f64> {
+        let gaps = if self.span == 360.0 { self.points } else { self.points - 1 };
+        (0..self.points).map(|i| self.first + self.span * f64::from(i) / f64::from(gaps)).collect()
+    }
+
+    /// The exact length at an angle: scale errors, squareness, reversal steps, a form of order 7 and 11.
+    fn length(&self, angle_deg: f64, sense: Sense) -> f64 {
+        let theta = angle_deg.to_radians();
+        let (sin, cos) = theta.sin_cos();
+        let (x, y) = (self.radius * cos, self.radius * sin);
+        let turn = if sense == Sense::CounterClockwise { 1.0 } else { -1.0 };
+        let going = |velocity: f64| if velocity * turn >= 0.0 { 0.5 } else { -0.5 };
+        let px = (1.0 + self.e[0]) * x + self.phi * y + self.backlash[0] * going(-sin);
+        let py = (1.0 + self.e[1]) * y + self.backlash[1] * going(cos);
+        let form = 0.002 * (7.0 * theta + 0.3).sin() + 0.0015 * (11.0 * theta).cos();
+        (px - self.centre[0]).hypot(py - self.centre[1]) + self.offset + form
+    }
+
+    /// Its traces without noise.
+    pub(crate) fn traces(&self) -> Vec<Trace> {
+        let mut senses = vec![Sense::CounterClockwise];
+        senses.extend(self.both.then_some(Sense::Clockwise));
+        senses
+            .into_iter()
+            .map(|sense| {
+                let mut angles = self.angles();
+                if sense == Sense::Clockwise {
+                    angles.reverse();
+                }
+                trace("1", sense, angles.into_iter().map(|angle| (angle, self.length(angle, sense))))
+            })
+            .collect()
+    }
+}
+
+/// A trace of angles (degrees) and lengths (mm).
+pub(crate) fn trace(run: &str, sense: Sense, lengths: impl Iterator<Item = (f64, f64)>) -> Trace {
+    let point = |(angle_deg, length_mm)| Point {
+        angle_deg,
+        length_mm,
+        sigma_mm: None,
+        t_s: None,
+        temp_c: None,
+        axes_deg: None,
+        drives: None,
+    };
+    Trace { run: run.into(), sense, points: lengths.map(point).collect() }
+}
+
+/// The evaluation without intervals.
+pub(crate) fn exactly(traces: &[Trace], radius: f64) -> Evaluation {
+    circular(traces, &Settings { draws: 0, ..Settings::new(radius) }).unwrap()
+}

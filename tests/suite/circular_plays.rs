@@ -1,0 +1,94 @@
+//! What axes and joints lose as they reverse comes back from the circle.
+
+use std::process::Command;
+
+use dbbd::circular::Mover;
+
+use crate::cell;
+use crate::circular_cases::{CASES, exactly};
+
+/// The plays of the two axes come back from the steps at their reversals; the form of order 7 and 11 and
+/// the harmonics are not mistaken for them.
+#[test]
+fn reversal_steps_are_fitted() {
+    for case in [CASES[0], CASES[2]] {
+        let found = exactly(&case.traces(), case.radius);
+        assert_eq!(found.steps.len(), 2);
+        for (at, (step, backlash)) in found.steps.iter().zip(case.backlash).enumerate() {
+            assert_eq!(step.mover, Mover::Axis(at + 1));
+            // The case's axes run ahead by half of it in their sense of motion.
+            let off = (step.play + backlash).abs();
+            assert!(off < 2e-4 && off <= step.u95, "{}: {step:?}, {backlash}", case.name);
+            // A point stands within 0.09 degrees of where the lever is 1.
+            assert!((step.most_mm - step.play.abs()).abs() < 1e-6);
+        }
+    }
+    // Half a circle tells no play.
+    assert!(exactly(&CASES[1].traces(), CASES[1].radius).steps.is_empty());
+}
+
+/// A simulated robot with play in a joint: the play comes back from a capture.
+#[cfg(unix)]
+#[test]
+fn a_joints_play_comes_back_from_a_capture() {
+    let dir = tempfile::tempdir().unwrap();
+    let job = include_str!("../../examples/demo.toml");
+    let (head, rest) = job.split_once("[[circle]]").unwrap();
+    let tail = &rest[rest.find("[[obstacle]]").unwrap()..];
+    let circle = "[[circle]]\ncentre = 1\nplane = \"XY\"\npoints = 72\norientation = \"fixed\"\ntilt_deg = 30.0\n\
+        direction = \"both\"\n\n";
+    let warm = "length_u_mm = 0.002\ntemperature_c = 20.0\nexpansion_per_k = 12e-6\nprotocol";
+    let job = [head.replace("\nprotocol", &format!("\n{warm}")), circle.into(), tail.into()].concat();
+    std::fs::write(dir.path().join("job.toml"), job).unwrap();
+    let world =
+        "backlash_deg = [0.0, 0.0, 0.005, 0.0, 0.0, 0.0]\n[bar]\nnoise_um = 0.5\ntemperature_c = 25.0\n";
+    std::fs::write(dir.path().join("world.toml"), world).unwrap();
+    let step = |args: &[&str]| {
+        let output = cell::dbbd(dir.path(), args);
+        assert!(matches!(output.status.code(), Some(0 | 3)), "{}", String::from_utf8_lossy(&output.stderr));
+        String::from_utf8_lossy(&output.stderr).into_owned()
+    };
+    step(&["plan", "job.toml", "--out", "plan"]);
+    step(&["krl", "plan/plan.csv", "--out", "krl"]);
+    let simulate = [
+        "simulate",
+        "--program",
+        "krl/DBB_MAIN.src",
+        "--robot",
+        "kr60ha",
+        "--world",
+        "world.toml",
+        "--speed",
+        "0",
+    ];
+    let mut bar = Command::new(env!("CARGO_BIN_EXE_dbbd"))
+        .args([&simulate[..], &["--link", "bar"]].concat())
+        .current_dir(dir.path())
+        .stdout(std::process::Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut name = String::new();
+    std::io::BufRead::read_line(&mut std::io::BufReader::new(bar.stdout.as_mut().unwrap()), &mut name)
+        .unwrap();
+    step(&["acquire", "--port", "bar", "--plan", "plan/plan.csv", "--out", "run.dbbd"]);
+    bar.wait().unwrap();
+    step(&["circle", "run.dbbd", "--out", "circle"]);
+    let text = std::fs::read_to_string(dir.path().join("circle/circle.json")).unwrap();
+    let found: serde_json::Value = serde_json::from_str(&text).unwrap();
+    let steps = found["reversal_steps"].as_array().unwrap();
+    let joint = steps.iter().find(|step| step["joint"] == 3).expect("joint 3 reverses");
+    let (play, u95) = (joint["play_rad"].as_f64().unwrap(), joint["play_rad_u95"].as_f64().unwrap());
+    let truth = 0.005_f64.to_radians();
+    eprintln!("{steps:?}, truth {truth}");
+    assert!((play - truth).abs() < 2.0 * u95 && u95 < 0.2 * truth, "{play} +- {u95}, truth {truth}");
+    // 300 mm at 25 degrees, certified at 20, 12e-6 per K: 18 um are in D, and were not without the correction.
+    let corrected = found["D"].as_f64().unwrap() - found["as_measured"]["D"].as_f64().unwrap();
+    assert!((corrected - 300.0 * 12e-6 * 5.0).abs() < 1e-5, "{corrected}");
+    // The same is in the observations for an identification.
+    let said = step(&["sync", "run.dbbd", "--out", "warm.csv"]);
+    assert!(said.contains("bar at 25.0 degrees") && said.contains("+18.0 um"), "{said}");
+    let text = std::fs::read_to_string(dir.path().join("warm.csv")).unwrap();
+    assert!(
+        text.lines().next().unwrap().ends_with(",temp_c") && text.lines().nth(1).unwrap().ends_with(",25.00")
+    );
+}
