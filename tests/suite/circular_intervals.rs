@@ -52,7 +52,7 @@ fn intervals_cover_the_truth() {
 fn intervals_cover_the_truth_in_1000_runs() {
     let case = CASES[0];
     let covered = coverage(case, Some(SIGMA_MM), 1000);
-    assert!(covered.iter().all(|count| (930..=985).contains(count)), "{covered:?}");
+    assert!(covered.iter().all(|count| (930..=990).contains(count)), "{covered:?}");
     // No hysteresis at all, as much as noise shows; few and many points; noise that the lengths themselves must tell.
     for (backlash, points, sigma_mm) in [
         ([0.0; 2], 72, Some(SIGMA_MM)),

@@ -1,0 +1,145 @@
+//! A capture becomes observations and a circular test, through the program.
+
+use std::process::{Command, Output};
+
+use dbbd::capture::{Record, Writer};
+use dbbd::model::{Observations, Robot};
+use dbbd::plan::{Job, Kind, Plan};
+use dbbd::units::HostNs;
+
+use crate::sync_runs::{Run, WORLD, World, plan, run};
+
+/// A capture of the run, as `acquire` writes it.
+fn write_capture(path: &std::path::Path, plan: &Plan, run: &Run, finish: bool) {
+    let mut writer = Writer::create(path).unwrap();
+    let (plan_csv, plan_json) = plan.to_files();
+    for (name, content) in [("plan.csv", plan_csv), ("plan.json", plan_json)] {
+        let record = Record::Attachment { name: name.into(), content: content.into() };
+        writer.write(HostNs(0), &record).unwrap();
+    }
+    let protocol = include_bytes!("../../protocols/dbb-cobs-1.toml").to_vec();
+    writer.write(HostNs(0), &Record::Attachment { name: "protocol.toml".into(), content: protocol }).unwrap();
+    for (host, sample) in &run.samples {
+        writer.write(*host, &Record::Samples(vec![sample.into()])).unwrap();
+    }
+    if finish {
+        writer.finish(HostNs(0), "end mark", 0).unwrap();
+    }
+}
+
+/// Writes the run as a capture and lets the program join it: what it said, and the observations.
+fn through_the_binary(plan: &Plan, run: &Run, finish: bool) -> (Output, Option<Observations>) {
+    let dir = tempfile::tempdir().unwrap();
+    let (capture, csv) = (dir.path().join("run"), dir.path().join("obs.csv"));
+    write_capture(&capture, plan, run, finish);
+    let mut command = Command::new(env!("CARGO_BIN_EXE_dbbd"));
+    let output = command.arg("sync").arg(&capture).arg("--out").arg(&csv).output().unwrap();
+    let observations = std::fs::read_to_string(&csv).ok();
+    (output, observations.map(|text| Observations::from_csv("obs.csv", &text).unwrap()))
+}
+
+#[test]
+fn a_capture_becomes_observations() {
+    let plan = plan(10, 12, 12, true);
+    let mut run = run(&plan, 10, World { strobe: true, rate_hz: 250.0, ..WORLD });
+    let (output, observations) = through_the_binary(&plan, &run, true);
+    let said = String::from_utf8_lossy(&output.stdout);
+    assert_eq!(output.status.code(), Some(0), "{said}{}", String::from_utf8_lossy(&output.stderr));
+    assert!(said.contains("12 of 12 poses"), "{said}");
+    let observations = observations.unwrap();
+    assert_eq!(observations.rows.len(), 12);
+    // The job says nothing of the bar, so its usual 2 um (`sigma_um`) are the least.
+    assert!(observations.rows.iter().all(|row| row.sigma_mm.unwrap() >= 0.002));
+    let kinds: Vec<&str> = observations.rows.iter().map(|row| row.extra[0].as_str()).collect();
+    assert_eq!((kinds[0], kinds[1]), ("reference", "measure"));
+
+    let (output, observations) = through_the_binary(&plan, &run, false);
+    assert_eq!(output.status.code(), Some(3), "a run that was cut off is a doubt");
+    assert_eq!(observations.unwrap().rows.len(), 12);
+
+    run.samples.clear();
+    let (output, observations) = through_the_binary(&plan, &run, true);
+    assert_eq!(output.status.code(), Some(1));
+    assert!(observations.is_none() && String::from_utf8_lossy(&output.stderr).contains("no sample"));
+}
+
+#[test]
+fn a_capture_becomes_a_circular_test() {
+    let job = r#"
+        robot = "kr60ha"
+        [bar]
+        length_mm = 300.0
+        stroke_mm = [-5.0, 5.0]
+        [[centre]]
+        id = 1
+        xyz_mm = [1300.0, 0.0, 800.0]
+        [[circle]]
+        plane = "XY"
+        points = 24
+        direction = "both"
+        orientation = "fixed"
+        tilt_deg = 30.0
+        start_deg = 10.0
+        [motion]
+        settle_s = 0.5
+        dwell_s = 1.0
+    "#;
+    let job = Job::from_toml("job.toml", job).unwrap();
+    let plan = Plan::build(&job, &Robot::by_name("kr60ha").unwrap().unwrap()).unwrap();
+    let places: Vec<_> = plan
+        .rows
+        .iter()
+        .zip(plan.circle_places())
+        .filter(|(row, _)| row.kind == Kind::Measure)
+        .map(|(row, place)| (row.index, place.unwrap()))
+        .collect();
+    assert_eq!(places.len(), 48);
+    for (at, (_, place)) in places.iter().enumerate() {
+        let step = if at < 24 { at } else { 48 - at };
+        let angle = (10.0 + 15.0 * step as f64).rem_euclid(360.0);
+        // Rounding to a micrometre turns a point on 300 mm by 2e-4 degrees.
+        assert!((place.angle_deg - angle).abs() < 2e-4, "{at}: {place:?}");
+        assert_eq!((place.clockwise, place.radius_mm), (at >= 24, 300.0));
+    }
+    let run = run(&plan, 11, World { strobe: true, rate_hz: 250.0, ..WORLD });
+    let dir = tempfile::tempdir().unwrap();
+    write_capture(&dir.path().join("run"), &plan, &run, true);
+    let dbbd = |args: &[&str]| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_dbbd"));
+        let output = command.current_dir(dir.path()).args(args).output().unwrap();
+        assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
+        output.stdout
+    };
+    dbbd(&["sync", "run", "--out", "obs.csv"]);
+    let observations = std::fs::read_to_string(dir.path().join("obs.csv")).unwrap();
+    let observations = Observations::from_csv("obs.csv", &observations).unwrap();
+    assert_eq!(observations.extra_columns[4..], ["circle", "angle_deg"]);
+    for (index, place) in &places {
+        let row = observations.rows.iter().find(|row| row.index == *index).unwrap();
+        assert_eq!(row.extra[4..], ["1".to_owned(), place.angle_deg.to_string()]);
+    }
+
+    let json: serde_json::Value =
+        serde_json::from_slice(&dbbd(&["circle", "run", "--out", "c", "--json"])).unwrap();
+    let lengths: Vec<f64> = places
+        .iter()
+        .map(|(index, _)| observations.rows.iter().find(|row| row.index == *index).unwrap().length_mm)
+        .collect();
+    // The mean deviation of a full circle, each angle twice, is the mean length less the radius.
+    let mean = lengths.iter().sum::<f64>() / 48.0 - 300.0;
+    assert!((json["D"].as_f64().unwrap() - mean).abs() < 0.001, "{} {mean}", json["D"]);
+    assert_eq!((&json["traces"][0]["points"], &json["traces"][1]["points"]), (&24.into(), &24.into()));
+    assert!(json["Gb"].as_f64().unwrap() > 0.1, "the swing of 0.4 mm is there");
+    let reversals = json["joint_reversals"].as_array().unwrap();
+    // On a full circle axis 1 swings out and back once: it reverses at both sides, in either sense.
+    let first: Vec<f64> = reversals
+        .iter()
+        .filter(|mark| mark["joint"] == 1)
+        .map(|mark| mark["angle_deg"].as_f64().unwrap())
+        .collect();
+    assert_eq!(first.len(), 4, "{first:?}");
+    assert!(
+        first.iter().all(|angle| (60.0..130.0).contains(angle) || (230.0..300.0).contains(angle)),
+        "{first:?}"
+    );
+}

@@ -1,0 +1,116 @@
+//! What a dwell says: its value and uncertainty, creep, drift, and what is left of it where samples are missing.
+
+use dbbd::sync::{Fate, Input, find_still, measure, observations};
+
+use crate::sync_runs::{BAR_MM, DWELL_S, SETTLE_S, WORLD, World, plan, right, run, stream};
+
+#[test]
+fn still_stretches_carry_value_and_uncertainty() {
+    let plan = plan(1, 40, 40, true);
+    // More noise hides the faintest moves: two dwells then look like one.
+    let cases = [(0.0, 0.002, 1000.0, 37), (0.8, 0.002, 1000.0, 28), (0.0, 0.005, 250.0, 22)];
+    for (correlation, noise_mm, rate_hz, least) in cases {
+        let run = run(&plan, 7, World { correlation, noise_mm, rate_hz, ..WORLD });
+        let stream = stream(&run.samples);
+        let stretches = find_still(&stream, 0.8);
+        let mut normalised = Vec::new();
+        for (start_s, reading_mm) in run.starts_s.iter().zip(&run.readings_mm) {
+            let Some(stretch) = stretches.iter().find(|stretch| (stretch.start_s - start_s).abs() < 0.3)
+            else {
+                continue;
+            };
+            let dwell =
+                measure(&stream, stretch.start_s + 0.5, (stretch.end_s - 0.15).min(stretch.start_s + 1.5))
+                    .unwrap();
+            // Of AR(1) noise, the mean's variance is that of N (1 - r) / (1 + r) samples.
+            let effective = dwell.samples as f64 * (1.0 - correlation) / (1.0 + correlation);
+            let u_mm = noise_mm / effective.sqrt();
+            assert!((0.6..1.7).contains(&(dwell.u_mm / u_mm)), "{} is not {u_mm}", dwell.u_mm);
+            normalised.push((dwell.reading_mm - reading_mm) / dwell.u_mm);
+        }
+        let rms = (normalised.iter().map(|z| z * z).sum::<f64>() / normalised.len() as f64).sqrt();
+        eprintln!("noise {noise_mm} r {correlation}: {} of 40 found, rms {rms:.2} u", normalised.len());
+        assert!(normalised.len() >= least, "{} of 40 dwells found", normalised.len());
+        assert!((0.6..1.5).contains(&rms), "errors are {rms} standard uncertainties");
+    }
+}
+
+#[test]
+fn invalid_readings_do_not_count_and_drift_is_seen() {
+    let plan = plan(9, 61, 61, true);
+    let mut run = run(&plan, 9, World { repeatability_mm: 0.0, strobe: true, ..WORLD });
+    let (from_s, dead_s) = (run.starts_s[30], run.starts_s[33]);
+    let end_s = run.samples.len() as f64 / WORLD.rate_hz;
+    for (at, (_, sample)) in run.samples.iter_mut().enumerate() {
+        let t_s = at as f64 / WORLD.rate_hz;
+        let half = (from_s + 0.5..from_s + 1.0).contains(&t_s);
+        if half || (dead_s..dead_s + 1.6).contains(&t_s) {
+            sample.valid = false;
+            sample.reading_mm = 99.0;
+        } else {
+            sample.reading_mm += 0.03 * t_s / end_s;
+        }
+    }
+    let synced = observations(&Input::new(&plan, &stream(&run.samples)));
+    assert_eq!(synced.observations.rows.len(), 60);
+    assert!(synced.observations.rows.iter().all(|row| (row.length_mm - BAR_MM).abs() < 2.0));
+    assert!(matches!(&synced.fates[33].fate, Fate::Missing { reason } if reason.contains("vouch")));
+    let drift = synced.drift.unwrap();
+    assert_eq!(drift.readings, 4);
+    // 30 um over the whole run, of which the reference readings span nearly all.
+    assert!(drift.significant && (drift.change_mm - 0.028).abs() < 0.003, "{drift:?}");
+}
+
+#[test]
+fn creep_within_a_dwell_is_flagged_where_it_is_and_nowhere_else() {
+    let plan = plan(12, 30, 30, true);
+    let mut run = run(&plan, 12, World { strobe: true, ..WORLD });
+    let creeping = [4, 11, 25];
+    for (_, sample) in &mut run.samples {
+        let t_s = sample.ticks.unwrap().0 as f64 * 1e-6;
+        for pose in creeping {
+            let since_s = t_s - run.starts_s[pose] - SETTLE_S;
+            if (0.0..DWELL_S).contains(&since_s) {
+                sample.reading_mm += 0.003 * since_s;
+            }
+        }
+    }
+    let synced = observations(&Input::new(&plan, &stream(&run.samples)));
+    for (pose, fate) in synced.fates.iter().enumerate() {
+        let Fate::Matched { dwell, .. } = &fate.fate else { panic!("{fate:?}") };
+        assert_eq!(dwell.creep_mm.is_some(), creeping.contains(&pose), "pose {pose}: {dwell:?}");
+        if let Some(creep_mm) = dwell.creep_mm {
+            // 3 um in the second; 500 samples of 2 um of noise tell it to 0.3 um.
+            assert!((creep_mm - 0.003).abs() < 0.0012, "{creep_mm}");
+        }
+    }
+    assert!(synced.warnings.iter().any(|warning| warning.text.contains("in 3 dwells the reading drifted")));
+}
+
+#[test]
+fn an_outage_within_a_dwell_costs_it_only_where_little_is_left() {
+    for strobe in [true, false] {
+        let plan = plan(13, 40, 40, true);
+        let mut run = run(&plan, 13, World { strobe, repeatability_mm: 0.05, ..WORLD });
+        let begins = [run.starts_s[9] + SETTLE_S + 0.3, run.starts_s[22] + SETTLE_S + 0.05];
+        let ends = [begins[0] + 0.3, begins[1] + 0.9];
+        run.samples.retain(|(_, sample)| {
+            let t_s = sample.ticks.unwrap().0 as f64 * 1e-6;
+            !(0..2).any(|outage| (begins[outage]..ends[outage]).contains(&t_s))
+        });
+        let synced = observations(&Input::new(&plan, &stream(&run.samples)));
+        let found = right(&plan, &run, &synced);
+        eprintln!("strobe {strobe}: {found} of 40, {:?} {:?}", synced.fates[9], synced.fates[22]);
+        assert!(found >= if strobe { 39 } else { 36 }, "{found}");
+        if let Fate::Matched { dwell, .. } = &synced.fates[9].fate {
+            let read_s = dwell.samples as f64 / 500.0;
+            let whole = dwell.gaps == 1 && (0.5..0.8).contains(&read_s);
+            // By stillness alone the part before the outage may be all that is seen.
+            let part = !strobe && dwell.gaps == 0 && (0.3..0.5).contains(&read_s);
+            assert!(whole || part, "{dwell:?}");
+        } else {
+            assert!(!strobe, "{:?}", synced.fates[9]);
+        }
+        assert!(!matches!(synced.fates[22].fate, Fate::Matched { .. }), "{:?}", synced.fates[22]);
+    }
+}
