@@ -255,7 +255,7 @@ pub fn circular(traces: &[Trace], settings: &Settings) -> Result<Evaluation, Cir
         .and_then(|_| evaluate(&rays(traces), allowed))
         .map(|values| values.overall_options());
     let noise = noise::of(traces, &measured, centre, settings.sigma_mm);
-    let u95 = uncertainty::u95(&measured, centre, allowed, &noise, settings);
+    let u95 = uncertainty::u95(&measured, &values, centre, allowed, &noise, settings);
     let (overall, alone) = values.with(u95.as_ref());
     let traces_out = traces
         .iter()

@@ -8,7 +8,7 @@ use rand_pcg::Pcg64;
 
 use super::fit::{Ray, fit};
 use super::noise::Noise;
-use super::quantities::{Allowed, Facing, Rays, evaluate};
+use super::quantities::{Allowed, Facing, Quantities, Rays, evaluate};
 use super::smooth::form;
 use super::zone::outermost;
 use super::{NAMES, Settings, TRACE_NAMES};
@@ -18,11 +18,14 @@ const MANY: usize = 4000;
 const SHARE: f64 = 0.95;
 /// The same for a normal distribution, in standard deviations.
 const NORMAL: f64 = 1.96;
+/// Quantities that are never less than none.
+const WIDTHS: [&str; 4] = ["G_lsc", "G_mzc", "Gb", "H"];
 
 /// For each value of [`super::quantities::Quantities::row`] the half width of its 95 % interval, mm;
 /// `None` without draws.
 pub(super) fn u95(
     rays: &Rays,
+    values: &Quantities,
     centre: [f64; 2],
     allowed: Allowed,
     noise: &Noise,
@@ -42,6 +45,15 @@ pub(super) fn u95(
     let student = noise.student();
     let mut u95: Vec<f64> =
         drawn.into_iter().map(|mut added| student * half_width(&mut added, left)).collect();
+    // A width that noise alone shows as well may be none.
+    let few = Settings { draws: settings.draws / 4 + 1, ..*settings };
+    let alone = draw(&round(&base, centre), &sigma_mm, allowed, &few)?;
+    let names = NAMES.iter().chain(TRACE_NAMES.iter().cycle());
+    for (((u95, value), mut alone), name) in u95.iter_mut().zip(values.row()).zip(alone).zip(names) {
+        if WIDTHS.contains(name) && value <= student * within(&mut alone) {
+            *u95 = u95.max(value);
+        }
+    }
     let mut linear = |names: &[&str], first: usize, rays: &[Ray], sigma_mm: &[f64]| {
         let deviations = fitted(rays, sigma_mm, settings.bar_u_mm);
         for (name, sd) in ["x", "y", "D"].into_iter().zip(deviations) {
@@ -91,8 +103,20 @@ fn half_width(added: &mut [f64], left: f64) -> f64 {
     let mean = added.iter().sum::<f64>() / count as f64;
     let unseen = mean / ((1.0 + left).sqrt() - left.sqrt()) - mean;
     added.iter_mut().for_each(|value| *value = (*value + unseen).abs());
-    let at = ((SHARE * count as f64).ceil() as usize).clamp(1, count) - 1;
-    *added.select_nth_unstable_by(at, f64::total_cmp).1
+    within(added)
+}
+
+/// What 95 % of the values do not exceed; NaN without values.
+fn within(values: &mut [f64]) -> f64 {
+    let at = ((SHARE * values.len() as f64).ceil() as usize).clamp(1, values.len().max(1)) - 1;
+    if at < values.len() { *values.select_nth_unstable_by(at, f64::total_cmp).1 } else { f64::NAN }
+}
+
+/// The rays on a circle without any deviation.
+fn round(rays: &Rays, centre: [f64; 2]) -> Rays {
+    let mut round = rays.clone();
+    round.traces.iter_mut().flatten().for_each(|ray| ray.length_mm = ray.reach(centre).0);
+    round
 }
 
 /// Standard uncertainties of x, y and D of the circle through the rays, mm; `bar_mm` is common to all lengths and so in D alone.
