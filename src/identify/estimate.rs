@@ -2,6 +2,7 @@
 
 use super::covariance::{spread, too_weak};
 use super::fit::{self, Fit};
+use super::lengths::Lengths;
 use super::options::{Options, Prior, Tolerances, tolerance};
 use super::places::{hardly_told, is_place, well_told};
 use super::prior::{self, PriorRows};
@@ -9,18 +10,6 @@ use super::sigma::{first_sigma, shown_sigma};
 use crate::identifiability::{Analysis, analyse};
 use crate::model::parameter::{self, SetUp};
 use crate::model::{LengthModel, ParamId, Reading, Robot};
-
-/// Lengths with the standard deviations they are weighted by.
-#[derive(Clone, Debug)]
-pub(super) struct Lengths {
-    pub(super) readings: Vec<Reading>,
-    /// As given, mm; 1 where nothing is known.
-    pub(super) given: Vec<f64>,
-    /// Whether the user vouches for them, so that they are not brought to what the residuals show.
-    pub(super) vouched: bool,
-    /// Whether anything is known of them at all.
-    pub(super) known: bool,
-}
 
 /// An estimate, and how it came about.
 #[derive(Clone, Debug)]

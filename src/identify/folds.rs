@@ -4,7 +4,8 @@ use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_pcg::Pcg64;
 
-use super::estimate::{Estimate, IdentifyError, Lengths};
+use super::estimate::{Estimate, IdentifyError};
+use super::lengths::Lengths;
 use crate::model::Reading;
 
 /// Number of folds when the user does not say, and lengths per parameter below which there are none.

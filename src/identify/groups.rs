@@ -10,8 +10,9 @@ use std::cmp::Ordering;
 
 use super::covariance::beyond_chance;
 use super::distribution::f_tail;
-use super::estimate::{Estimate, IdentifyError, Lengths, estimate};
+use super::estimate::{Estimate, IdentifyError, estimate};
 use super::folds::{DEFAULT_FOLDS, held_out, predicts_better, rms};
+use super::lengths::Lengths;
 use super::options::Options;
 use super::result::{GroupChoice, WithoutWith};
 use super::summary::{predicted, used};

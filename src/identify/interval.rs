@@ -1,7 +1,8 @@
 //! 95 % intervals of the parameters, from their standard deviations.
 
 use super::distribution::coverage_95;
-use super::estimate::{Estimate, Lengths};
+use super::estimate::Estimate;
+use super::lengths::Lengths;
 use super::result::{Identification, SigmaSource};
 
 /// Writes the intervals into the result, and where the lengths' sigma comes from.

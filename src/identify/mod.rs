@@ -13,6 +13,7 @@ mod folds;
 mod groups;
 mod interval;
 mod joints;
+mod lengths;
 mod monte_carlo;
 mod options;
 mod places;
@@ -34,8 +35,9 @@ pub use options::{Options, Prior, PriorScale, tolerance};
 pub use result::Identification;
 
 use crate::model::parameter::SetUp;
-use crate::model::{Centre, LengthModel, Observations, ParamId, Reading, Robot};
-use estimate::{Estimate, Lengths};
+use crate::model::{Centre, LengthModel, Observations, ParamId, Robot};
+use estimate::Estimate;
+use lengths::Lengths;
 use result::{Folds, GroupChoice, PriorUsed, Warning, WarningKind};
 
 /// A result with what stands behind it.
@@ -86,7 +88,7 @@ pub fn identify(
     options: &Options,
 ) -> Result<Identified, IdentifyError> {
     let start = LengthModel::new(robot.geometry.clone(), centres);
-    let lengths = lengths(observations, options);
+    let lengths = Lengths::of(observations, options);
     let Settled { asked, options, prior, estimate, groups } =
         settle(robot, &start, &lengths, observations, options)?;
     let folds = match options.folds {
@@ -133,7 +135,7 @@ pub fn fit(
     options: &Options,
 ) -> Result<LengthModel, IdentifyError> {
     let start = LengthModel::new(robot.geometry.clone(), centres);
-    let lengths = lengths(observations, options);
+    let lengths = Lengths::of(observations, options);
     Ok(settle(robot, &start, &lengths, observations, options)?.estimate.fit.model)
 }
 
@@ -160,21 +162,4 @@ fn settle<'a>(
     let (options, prior) = scale::settle(robot, start, lengths, &asked, options)?;
     let (estimate, groups) = groups::choose(robot, start, lengths, asked.clone(), &options)?;
     Ok(Settled { asked, options, prior, estimate, groups })
-}
-
-/// The lengths as the solver takes them.
-fn lengths(observations: &Observations, options: &Options) -> Lengths {
-    let known = options.sigma_mm.is_some() || observations.rows.iter().all(|row| row.sigma_mm.is_some());
-    let given = |sigma: Option<f64>| match options.sigma_mm {
-        Some(sigma) => sigma,
-        // One row without a sigma makes all equal: a guess for it would weigh as a measurement.
-        None if known => sigma.unwrap_or(1.0),
-        None => 1.0,
-    };
-    Lengths {
-        readings: observations.rows.iter().map(Reading::from).collect(),
-        given: observations.rows.iter().map(|row| given(row.sigma_mm)).collect(),
-        vouched: options.sigma_mm.is_some(),
-        known,
-    }
 }

@@ -7,7 +7,8 @@ use nalgebra::DVector;
 use rand_distr::{ChiSquared, Distribution, StandardNormal};
 use rand_pcg::Pcg64;
 
-use super::estimate::{Estimate, Lengths};
+use super::estimate::Estimate;
+use super::lengths::Lengths;
 use super::options::Tolerances;
 use super::prior::PriorRows;
 use super::result::{Identification, MonteCarlo, ParameterDraws, Warning, WarningKind};

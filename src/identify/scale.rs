@@ -3,8 +3,9 @@
 
 use std::borrow::Cow;
 
-use super::estimate::{IdentifyError, Lengths, estimate};
+use super::estimate::{IdentifyError, estimate};
 use super::folds::{DEFAULT_FOLDS, held_out, predicts_better, rms};
+use super::lengths::Lengths;
 use super::options::{Options, Prior, PriorScale};
 use super::result::{PriorUsed, ScaleTried};
 use crate::model::{LengthModel, ParamId, Robot};

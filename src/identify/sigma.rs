@@ -3,8 +3,8 @@
 use std::cmp::Ordering;
 
 use super::covariance::beyond_chance;
-use super::estimate::Lengths;
 use super::fit::Fit;
+use super::lengths::Lengths;
 use crate::linalg::{Triangle, map_pieces};
 use crate::model::{LengthRow, ParamId, Selection};
 

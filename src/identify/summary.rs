@@ -7,7 +7,8 @@ use nalgebra::DMatrix;
 
 use super::covariance::{Spread, leaked, spread};
 use super::diagnosis::{self, Seen};
-use super::estimate::{Estimate, IdentifyError, Lengths};
+use super::estimate::{Estimate, IdentifyError};
+use super::lengths::Lengths;
 use super::options::Options;
 use super::places::{is_place, open_mm};
 use super::prior::PriorRows;

@@ -3,7 +3,8 @@
 use std::cmp::Ordering;
 
 use super::covariance::beyond_chance;
-use super::estimate::{Estimate, Lengths};
+use super::estimate::Estimate;
+use super::lengths::Lengths;
 use super::options::{Options, tolerance};
 use super::result::{
     Identification, JointEffect, JointError, ParameterResult, PredictedPair, Status, Warning, WarningKind,

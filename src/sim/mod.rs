@@ -7,6 +7,8 @@ pub mod ekrl;
 pub mod fault;
 #[cfg(unix)]
 pub mod link;
+#[cfg(unix)]
+mod source;
 pub mod truth;
 pub mod world;
 

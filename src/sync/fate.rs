@@ -4,7 +4,7 @@ use super::align::Pairing;
 use super::commanded::Poses;
 use super::dwell::Dwell;
 use super::interval::{Pace, Program};
-use super::still::Stretch;
+use super::seen::Stretch;
 use super::stream::Stream;
 use super::{Candidate, Source, Synced, Warning};
 use crate::plan::Plan;

@@ -2,9 +2,9 @@
 
 use std::cell::Cell;
 
-use super::align::{Expected, LEAST_START_SD_S, Seen};
 use super::interval::{BROKEN, Commanded, Interval, MOST_LOG_DENSITY, Pace, Program};
 use super::lasting::{MISSED, SPURIOUS, Stretch};
+use super::seen::{Expected, LEAST_START_SD_S, Seen};
 
 /// Probability that an outage of the bar begins at a pose, and that it goes on for another. It is rated
 /// low, since a pause of the operator must not pass for an outage.

@@ -11,7 +11,7 @@ use super::Input;
 use super::fate::{Fate, PoseFate};
 use super::passing::{Passing, passing};
 use super::report;
-use super::still::Stretch;
+use super::seen::Stretch;
 use super::strobe;
 use crate::plan::{Kind, Pass, Plan};
 

@@ -5,12 +5,12 @@
 //! when the robot stood at the poses between.
 
 use super::Candidate;
-use super::align::{Alignment, KEEP, LEAST_START_SD_S, Pairing};
+use super::align::{Alignment, KEEP, Pairing};
 use super::commanded::Poses;
 use super::dwell::measure;
 use super::interval::{Interval, Pace, Program};
 use super::lattice::SLACK;
-use super::still::Stretch;
+use super::seen::{LEAST_START_SD_S, Stretch};
 use super::stream::Stream;
 
 /// The interval between the certain dwells must be commanded up to this, s; their begins to this each, s.

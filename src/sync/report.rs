@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::ops::Range;
 
-use super::still::Stretch;
+use super::seen::Stretch;
 use super::stream::Stream;
 use crate::model::AXES;
 use crate::units::HostNs;

@@ -6,7 +6,7 @@
 //! neighbouring blocks show far better, is its least value. A bar that stands on a step of its scale is told apart.
 
 use super::robust;
-use super::still::Stretch;
+use super::seen::Stretch;
 use super::stream::Stream;
 use super::windows::Windows;
 

@@ -7,19 +7,9 @@
 
 use super::rest::{self, Quiet};
 use super::robust;
+use super::seen::Stretch;
 use super::stream::Stream;
 use super::windows::Windows;
-
-/// A stretch in which the length did not change.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Stretch {
-    /// Its begin, s of the stream.
-    pub start_s: f64,
-    /// Its end, s of the stream.
-    pub end_s: f64,
-    /// Standard deviation of the begin, s.
-    pub start_sd_s: f64,
-}
 
 /// The short and the long window, as number of blocks and seconds a block, and how long each may be in terms of the
 /// shortest stretch that is looked for: half a dwell, so that the long one fits into a whole dwell.

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use super::still::Stretch;
+use super::seen::Stretch;
 use super::stream::Stream;
 
 /// A dwell that the strobe showed.
