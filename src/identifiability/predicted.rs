@@ -26,7 +26,7 @@ pub struct ErrorSummary {
     pub mean: f64,
     /// 95th percentile over robots and poses.
     pub p95: f64,
-    /// Largest over the poses, averaged over the robots.
+    /// Largest over the poses: 95 % of the robots stay below it, so that it is never below `p95`.
     pub max: f64,
 }
 
@@ -77,23 +77,18 @@ impl Workspace {
     /// The size of the displacements of all robots.
     pub fn summary(&self, moved: &DMatrix<f64>) -> ErrorSummary {
         let mut sizes = Vec::with_capacity(moved.len() / 3);
-        let mut largest = 0.0;
+        let mut largest = Vec::with_capacity(moved.ncols());
         for column in moved.column_iter() {
-            let mut most: f64 = 0.0;
-            for pose in 0..self.positions.len() {
-                let size = column.fixed_rows::<3>(3 * pose).norm();
-                most = most.max(size);
-                sizes.push(size);
-            }
-            largest += most;
+            let at = |pose: usize| column.fixed_rows::<3>(3 * pose).norm();
+            let first = sizes.len();
+            sizes.extend((0..self.positions.len()).map(at));
+            largest.push(sizes[first..].iter().copied().fold(0.0, f64::max));
         }
         if sizes.is_empty() {
             return ErrorSummary::default();
         }
         let mean = sizes.iter().sum::<f64>() / sizes.len() as f64;
-        let rank = ((sizes.len() as f64 * 0.95) as usize).min(sizes.len() - 1);
-        let (_, p95, _) = sizes.select_nth_unstable_by(rank, f64::total_cmp);
-        ErrorSummary { mean, p95: *p95, max: largest / moved.ncols().max(1) as f64 }
+        ErrorSummary { mean, p95: percentile_95(&mut sizes), max: percentile_95(&mut largest) }
     }
 
     /// Root mean square displacement at each pose over the robots, mm.
@@ -115,6 +110,12 @@ impl Workspace {
     pub fn ids(&self) -> &[ParamId] {
         &self.ids
     }
+}
+
+/// The value that 95 % of some do not exceed.
+fn percentile_95(values: &mut [f64]) -> f64 {
+    let rank = ((values.len() as f64 * 0.95) as usize).min(values.len() - 1);
+    *values.select_nth_unstable_by(rank, f64::total_cmp).1
 }
 
 /// Projects the six rigid motions of the positions out of the columns.

@@ -202,7 +202,7 @@ fn comparison(result: &Identification) -> Vec<Comparison> {
     let after = result.predicted_position_error_mm.identified;
     lines.push(line("Predicted 3-D error, mean", mean, after.mean, true));
     lines.push(line("Predicted 3-D error, 95 % of poses", p95, after.p95, false));
-    lines.push(line("Predicted 3-D error, largest", max, after.max, false));
+    lines.push(line("Predicted 3-D error, largest (95 % of robots)", max, after.max, false));
     lines
 }
 
