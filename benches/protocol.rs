@@ -4,7 +4,8 @@
 use std::hint::black_box;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use dbbd::protocol::{Definition, Sample};
+use dbbd::protocol::Definition;
+use dbbd::sample::Sample;
 use dbbd::units::DeviceTicks;
 
 const FRAMES: u32 = 10_000;

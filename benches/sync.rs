@@ -10,7 +10,7 @@ use criterion::{Criterion, criterion_group, criterion_main};
 use dbbd::circular::{Point, Sense, Settings, Trace, circular};
 use dbbd::model::Robot;
 use dbbd::plan::{Job, Kind, Plan};
-use dbbd::protocol::Sample;
+use dbbd::sample::Sample;
 use dbbd::sync::{DeviceClock, Input, Stream, StreamBuilder, observations};
 use dbbd::units::{DeviceTicks, HostNs};
 use rand::{RngExt, SeedableRng};

@@ -6,7 +6,9 @@
 // Words everyone uses.
 pub mod clock;
 pub mod diag;
+pub mod files;
 pub mod linalg;
+pub mod sample;
 pub mod units;
 
 // Bytes.
@@ -23,11 +25,15 @@ pub mod krl;
 pub mod plan;
 
 // Joining.
+pub mod import;
 pub mod sync;
 
 // Judging.
 pub mod circular;
 pub mod identify;
+
+// Joining a whole capture.
+pub mod run;
 
 // Telling.
 pub mod export;

@@ -3,11 +3,12 @@
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-use dbbd::capture::{Event, Record, Sample, Writer};
+use dbbd::capture::{Event, Record, Writer};
 use dbbd::clock;
 use dbbd::daemon::Attachments;
 use dbbd::plan::{Kind, Plan};
-use dbbd::protocol::{self, Definition};
+use dbbd::protocol::Definition;
+use dbbd::sample::Sample;
 use dbbd::units::{DeviceTicks, HostNs};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -54,7 +55,7 @@ fn write(path: &Path, plan_csv: &Path, samples: u64) {
         let (from_s, to_s, from, to) = edges[at];
         let share = ((t_s - from_s) / (to_s - from_s).max(1e-9)).clamp(0.0, 1.0);
         let reading_mm = from + share * (to - from) + random.random_range(-0.002..0.002);
-        let sample = protocol::Sample {
+        let sample = Sample {
             sequence: Some((k % 65_536) as u32),
             ticks: Some(DeviceTicks((k * 1000) % (1 << 32))),
             reading_mm: (reading_mm * 1e5).round() / 1e5,
@@ -69,7 +70,7 @@ fn write(path: &Path, plan_csv: &Path, samples: u64) {
         offset += raw.len() as u64;
         let host = HostNs(k * 1_000_000 + 2_000_000 + random.random_range(0..100_000));
         writer.write(host, &Record::Raw(raw)).unwrap();
-        writer.write(host, &Record::Samples(vec![Sample::from(&sample)])).unwrap();
+        writer.write(host, &Record::Samples(vec![sample])).unwrap();
     }
     writer.finish(HostNs(samples * 1_000_000 + 3_000_000), "done", 0).unwrap();
 }

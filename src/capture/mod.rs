@@ -19,6 +19,7 @@
 
 mod disk;
 mod format;
+mod pass;
 mod reader;
 pub mod record;
 mod sample;
@@ -26,8 +27,8 @@ mod whole;
 mod writer;
 
 pub use disk::Disk;
+pub use pass::Pass;
 pub use reader::{Damage, Part, Reader};
 pub use record::{Event, Record, Stamped};
-pub use sample::Sample;
 pub use whole::{Capture, read};
 pub use writer::{WriteError, Writer};

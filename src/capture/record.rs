@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::sample::Sample;
+use crate::sample::Sample;
 use crate::units::HostNs;
 
 /// A record with the host's monotonic time at which it came about.

@@ -13,28 +13,8 @@
 //! | 1.. | status: LEB128 |
 //! | 1.. | offset less the one before: zigzag LEB128 |
 
-use serde::{Deserialize, Serialize};
-
-/// One reading of the bar, with what the device said beside it.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Sample {
-    /// Reading, mm; longer is positive.
-    pub reading_mm: f64,
-    /// Sequence number as sent, where there is one.
-    pub sequence: Option<u32>,
-    /// The device's own clock as sent, in its ticks, where it has one.
-    pub ticks: Option<u64>,
-    /// Whether the controller's strobe is high, where it is known.
-    pub trigger: Option<bool>,
-    /// Temperature of the bar, degrees Celsius.
-    pub temperature_c: Option<f64>,
-    /// Whether the device itself vouches for the reading.
-    pub valid: bool,
-    /// The status bits as sent.
-    pub status: u32,
-    /// Offset of the frame's first byte in the stream.
-    pub offset: u64,
-}
+use crate::sample::Sample;
+use crate::units::DeviceTicks;
 
 const VALID: u8 = 1;
 const SEQUENCE: u8 = 2;
@@ -73,7 +53,7 @@ pub(super) fn pack(samples: &[Sample], to: &mut Vec<u8>) {
         }
         if let Some(ticks) = sample.ticks {
             flags |= TICKS;
-            step(to, &mut before.ticks, ticks);
+            step(to, &mut before.ticks, ticks.0);
         }
         if let Some(bits) = sample.temperature_c.map(f64::to_bits) {
             flags |= TEMPERATURE;
@@ -117,7 +97,7 @@ pub(super) fn unpack(mut bytes: &[u8]) -> Option<Vec<Sample>> {
         samples.push(Sample {
             reading_mm,
             sequence,
-            ticks,
+            ticks: ticks.map(DeviceTicks),
             trigger: has(TRIGGER).then(|| has(HIGH)),
             temperature_c,
             valid: has(VALID),

@@ -2,7 +2,7 @@
 
 use super::reader::{Damage, Part, Reader};
 use super::record::{Event, Record, Stamped};
-use super::sample::Sample;
+use crate::sample::Sample;
 use crate::units::HostNs;
 
 /// What a capture holds, and what of it could not be read.

@@ -1,22 +1,18 @@
 //! `dbbd circle`.
 
-use std::collections::BTreeMap;
 use std::error::Error;
 use std::path::{Path, PathBuf};
 
 use serde_json::{Map, Value, json};
 
-use super::run::{self, Run};
-use super::{Outcome, Output, Verdict, files, temperature};
+use super::{Outcome, Output, Verdict};
 use crate::circular::{
-    self, Drive, Evaluation, Mover, NAMES, Point, Quantity, Sense, Settings, TERM_NAMES, TRACE_NAMES,
-    Temperature, Trace,
+    self, Evaluation, Mover, NAMES, Quantity, Settings, TERM_NAMES, TRACE_NAMES, Temperature, Trace,
 };
-use crate::model::{AXES, Robot};
-use crate::plan::{Kind, PlanRow};
+use crate::files;
 use crate::report::circle::{CircleTest, CircleView};
 use crate::report::{self, Provenance, Source};
-use crate::sync::Fate;
+use crate::run;
 
 /// Evaluate circular tests by the quantities of ISO 230-4.
 ///
@@ -163,107 +159,28 @@ fn from_capture(
     args: &Args,
     out: &Output,
 ) -> Result<(Vec<Found>, String, bool), Box<dyn Error>> {
-    let run = run::open(path, args.plan.as_deref(), &args.axes, out)?;
-    let job = &run.plan.header.job;
-    // As read: the evaluation corrects them itself, and tells both.
-    let synced = run.measured(None::<(fn(usize, &[f64; AXES]) -> f64, f64)>);
-    let certificate = Certificate {
-        temperature: temperature::certificate(job),
-        u_mm: job.bar.length_u_mm.map(|u| 0.5 * u),
-    };
-    let robot = run.robot()?;
-    for warning in &synced.warnings {
-        if warning.doubt { out.warning(&warning.text) } else { out.progress(&warning.text) }
-    }
-    let doubt = run.torn || synced.warnings.iter().any(|warning| warning.doubt);
-    let times: BTreeMap<u32, f64> = synced
-        .fates
-        .iter()
-        .filter_map(|pose| match &pose.fate {
-            Fate::Matched { dwell, .. } => Some((pose.index, 0.5 * (dwell.from_s + dwell.to_s))),
-            _ => None,
-        })
-        .collect();
-    let places = run.plan.circle_places();
-    let mut found: Vec<Found> = Vec::new();
-    let mut lost = vec![0_usize; job.circles.len()];
-    let measured = synced.observations.rows.iter().map(|row| (row.index, row)).collect::<BTreeMap<_, _>>();
-    for (row, place) in run.plan.rows.iter().zip(&places) {
-        let (Some(place), Kind::Measure) = (place, row.kind) else { continue };
-        let Some(observation) = measured.get(&row.index) else {
-            if let Some(lost) = lost.get_mut(row.circle as usize - 1) {
-                *lost += 1;
-            }
-            continue;
-        };
-        let radius_mm = args.radius.unwrap_or(place.radius_mm);
-        if found.last().is_none_or(|last| last.circle != Some(row.circle)) {
-            found.push(Found {
-                source: format!("{}, circle {}", path.display(), row.circle),
-                circle: Some(row.circle),
-                radius_mm,
-                traces: Vec::new(),
-                notes: Vec::new(),
-                certificate,
-            });
-        }
-        let sense = if place.clockwise { Sense::Clockwise } else { Sense::CounterClockwise };
-        let point = Point {
-            angle_deg: place.angle_deg,
-            // The pose as printed is off the circle by up to a micrometre; that is no error of the robot.
-            length_mm: observation.length_mm - (row.length_mm - place.radius_mm),
-            sigma_mm: observation.sigma_mm,
-            t_s: None,
-            temp_c: times.get(&row.index).and_then(|t_s| run.temperature_at(*t_s)),
-            axes_deg: Some(observation.axes_deg),
-            drives: drives(&run, &robot, row),
-        };
-        let Some(circle) = found.last_mut() else { continue };
-        match circle.traces.iter_mut().find(|trace| trace.sense == sense) {
-            Some(trace) => trace.points.push(point),
-            None => circle.traces.push(Trace { run: "1".into(), sense, points: vec![point] }),
-        }
-    }
-    for circle in &mut found {
-        let lost = circle.circle.and_then(|number| lost.get(number as usize - 1)).copied().unwrap_or(0);
-        if lost > 0 {
-            circle.notes.push(format!("{lost} poses have no length (`dbbd sync` says why)"));
-        }
-    }
+    let run = run::open(path, args.plan.as_deref(), &args.axes, &mut |note| out.note(&note))?;
+    let bar = &run.plan.header.job.bar;
+    let certificate = Certificate { temperature: run.certificate(), u_mm: bar.length_u_mm.map(|u| 0.5 * u) };
+    let (circles, warnings) = run.circles()?;
+    let doubt = run.torn || warnings.iter().any(|warning| warning.doubt);
+    out.matching(&warnings);
+    let found = circles.into_iter().map(|circle| Found {
+        source: format!("{}, circle {}", path.display(), circle.number),
+        circle: Some(circle.number),
+        radius_mm: args.radius.unwrap_or(circle.radius_mm),
+        notes: match circle.lost {
+            0 => Vec::new(),
+            lost => vec![format!("{lost} poses have no length (`dbbd sync` says why)")],
+        },
+        traces: circle.traces,
+        certificate,
+    });
+    let found: Vec<Found> = found.collect();
     if found.is_empty() {
         return Err(format!("{}: no dwell can be told to be a pose on a circle", path.display()).into());
     }
     Ok((found, run.plan.header.hash.clone(), doubt))
-}
-
-/// What the joints do to the length at a pose, and in which sense each came there.
-fn drives(run: &Run, robot: &Robot, row: &PlanRow) -> Option<[Drive; AXES]> {
-    /// Half of the step of the derivative, rad.
-    const STEP: f64 = 1e-5;
-    /// A joint that moves less stands, degrees.
-    const STANDS_DEG: f64 = 1e-3;
-    let ball = run.plan.header.job.centres.iter().find(|ball| ball.id == row.centre)?;
-    let at = (row.index as usize).checked_sub(1)?;
-    let neighbour = |at: Option<usize>| at.and_then(|at| run.plan.rows.get(at)).map(|row| row.axes_deg);
-    let (before, after) = (neighbour(at.checked_sub(1)), neighbour(Some(at + 1)));
-    let axes = row.axes_deg.map(f64::to_radians);
-    Some(std::array::from_fn(|joint| {
-        let length = |step: f64| {
-            let mut moved = axes;
-            moved[joint] += step;
-            robot.geometry.length(&moved, &ball.xyz_mm.into(), 0.0)
-        };
-        let lever_mm = (length(STEP) - length(-STEP)) / (2.0 * STEP);
-        let sense = |from: f64, to: f64| match to - from {
-            step if step >= STANDS_DEG => 1,
-            step if step <= -STANDS_DEG => -1,
-            _ => 0,
-        };
-        let came = before.map_or(0, |before| sense(before[joint], row.axes_deg[joint]));
-        let goes = after.map_or(0, |after| sense(row.axes_deg[joint], after[joint]));
-        // Next to where it turns the joint may have turned on the way already.
-        Drive { lever_mm, sense: if came == goes { came } else { 0 } }
-    }))
 }
 
 fn show(test: &CircleTest, out: &Output) {

@@ -6,8 +6,9 @@ use std::path::{Path, PathBuf};
 
 use serde_json::json;
 
-use super::{Outcome, Output, Verdict, files};
+use super::{Outcome, Output, Verdict};
 use crate::diag::Diagnostic;
+use crate::files;
 use crate::krl::compensate::{Moved, compensate};
 use crate::krl::production::{Files, Given, Text, read};
 use crate::model::{Pose, Robot};

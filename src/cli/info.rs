@@ -5,9 +5,8 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use super::pass::Pass;
 use super::{Outcome, Output, Verdict};
-use crate::capture::{Damage, Event, Record, Stamped};
+use crate::capture::{Damage, Event, Pass, Record, Stamped};
 use crate::protocol::{Definition, Fault, FaultKind};
 use crate::units::HostNs;
 
@@ -60,7 +59,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
     let info = gathered.finish(pass.version, &pass.damages);
     out.document(&info)?;
     show(&args.run, &info, out);
-    pass.warn(out);
+    pass.remarks().iter().for_each(|remark| out.warning(remark));
     if info.ended.is_none() {
         out.warning("the run was cut off: it has no record of its end");
     }

@@ -5,9 +5,10 @@ use std::path::PathBuf;
 
 use serde_json::json;
 
-use super::{Outcome, Output, Verdict, files};
+use super::{Outcome, Output, Verdict};
+use crate::files;
 use crate::krl::{self, Options};
-use crate::plan::Plan;
+use crate::run;
 
 /// Write the KRL programs of a plan.
 ///
@@ -49,10 +50,7 @@ enum Controller {
 }
 
 pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
-    let beside = args.plan.with_extension("json");
-    let (csv, json) = (files::read(&args.plan)?, files::read(&beside)?);
-    let plan =
-        Plan::from_files(&args.plan.display().to_string(), &csv, &beside.display().to_string(), &json)?;
+    let plan = run::plan_beside(&args.plan)?;
     let options = Options {
         sync: match args.sync {
             Sync::Marker => krl::Sync::Marker,

@@ -9,25 +9,21 @@ mod completions;
 #[cfg(unix)]
 mod demo;
 mod export;
-mod files;
 mod identify;
 mod import;
 mod info;
 mod krl;
 mod man;
 mod output;
-mod pass;
 mod plan;
 mod ports;
 mod protocols;
 mod recover;
 mod robots;
-mod run;
 mod serve;
 #[cfg(unix)]
 mod simulate;
 mod sync;
-mod temperature;
 
 use std::error::Error;
 use std::process::ExitCode;

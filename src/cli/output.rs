@@ -7,6 +7,8 @@ use std::process::ExitCode;
 use serde::Serialize;
 
 use super::{Common, Outcome, Verdict};
+use crate::run::Note;
+use crate::sync;
 
 /// Where a verb says things.
 #[derive(Clone, Copy)]
@@ -54,6 +56,21 @@ impl Output {
     /// What the user must see, on stderr; also under `--quiet`.
     pub(crate) fn warning(&self, line: impl AsRef<str>) {
         write_line(&mut io::stderr(), &format!("warning: {}", line.as_ref()));
+    }
+
+    /// What a run that was read has to say.
+    pub(crate) fn note(&self, note: &Note) {
+        match note {
+            Note::Warning(text) => self.warning(text),
+            Note::Remark(text) => self.progress(text),
+        }
+    }
+
+    /// What the matching of lengths to poses warns of; only doubts are warnings to the user.
+    pub(crate) fn matching(&self, warnings: &[sync::Warning]) {
+        for warning in warnings {
+            if warning.doubt { self.warning(&warning.text) } else { self.progress(&warning.text) }
+        }
     }
 
     /// A line on stderr, as it is; also under `--quiet`.

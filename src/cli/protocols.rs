@@ -5,9 +5,11 @@ use std::path::{Path, PathBuf};
 
 use serde_json::json;
 
-use super::{Outcome, Output, Verdict, files};
+use super::{Outcome, Output, Verdict};
 use crate::diag::{Diagnostic, nearest};
-use crate::protocol::{Definition, Sample};
+use crate::files;
+use crate::protocol::Definition;
+use crate::sample::Sample;
 use crate::units::DeviceTicks;
 
 /// List, show or check protocol definitions.

@@ -4,9 +4,8 @@ use std::path::PathBuf;
 
 use serde_json::json;
 
-use super::pass::Pass;
 use super::{Outcome, Output, Verdict};
-use crate::capture::{Event, Record, Writer};
+use crate::capture::{Event, Pass, Record, Writer};
 
 /// Restore every whole record of a damaged capture.
 ///
@@ -41,7 +40,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
     if let Some(writer) = &mut writer {
         writer.sync()?;
     }
-    pass.warn(out);
+    pass.remarks().iter().for_each(|remark| out.warning(remark));
     let lost = pass.lost_bytes();
     out.document(&json!({
         "records": pass.records,

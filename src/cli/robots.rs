@@ -1,10 +1,12 @@
 //! `dbbd robots`.
 
-use std::path::PathBuf;
+use std::error::Error;
+use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use super::{Outcome, Output, Verdict, files};
+use super::{Outcome, Output, Verdict};
+use crate::files;
 use crate::model::Robot;
 
 /// List, show or check robots.
@@ -32,6 +34,27 @@ enum What {
         /// The robot file.
         file: PathBuf,
     },
+}
+
+/// A robot by built-in name or by file.
+///
+/// # Errors
+/// An unknown name, or what is wrong in the file.
+pub(crate) fn named(name: &str) -> Result<Robot, Box<dyn Error>> {
+    if let Some(built_in) = Robot::by_name(name) {
+        return Ok(built_in?);
+    }
+    let path = Path::new(name);
+    if path.exists() || name.ends_with(".toml") {
+        return Ok(Robot::from_toml(name, &files::read(path)?)?);
+    }
+    let known: Vec<&str> = Robot::built_in().iter().map(|(name, _)| *name).collect();
+    let meant = Robot::similar_name(name).map_or(String::new(), |near| format!("; did you mean `{near}`?"));
+    Err(format!(
+        "no robot `{name}`: neither built in nor a file{meant}\n  help: built in are: {}; a file ends in .toml",
+        known.join(", ")
+    )
+    .into())
 }
 
 /// A built-in robot, or one that was checked, in short.
@@ -98,7 +121,7 @@ fn list(out: &Output) -> Verdict {
 }
 
 fn show(name: &str, out: &Output) -> Verdict {
-    let robot = files::robot(name)?;
+    let robot = named(name)?;
     let joints: Vec<Joint> = (0..crate::model::AXES)
         .map(|i| {
             let row = &robot.geometry.rows[i];

@@ -6,8 +6,10 @@ use std::path::{Path, PathBuf};
 
 use serde_json::json;
 
-use super::{Outcome, Output, Verdict, files, protocols};
+use super::{Outcome, Output, Verdict, protocols};
+use crate::cli::robots;
 use crate::diag::Diagnostic;
+use crate::files;
 use crate::krl::Program;
 use crate::sim::bar::{Options, Reading, Source, Terminal, serve_badly};
 use crate::sim::ekrl::Client;
@@ -94,9 +96,9 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
         faults.set(name, number).map_err(|why| format!("--fault {why}"))?;
     }
     let definition = protocols::load_with(&args.protocol, &args.params)?;
-    let nominal = files::robot(&args.nominal)?;
+    let nominal = robots::named(&args.nominal)?;
     let robot = match &args.robot {
-        Some(name) => files::robot(name)?,
+        Some(name) => robots::named(name)?,
         None => truth::draw(&nominal, args.seed, 1.0),
     };
     let program = program(&args.program)?;
@@ -104,7 +106,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
     let world_name = args.world.as_ref().map(|path| path.display().to_string());
     let setup = Setup::new(&program, world_name.as_deref().zip(world_text.as_deref()))?;
     let options = Options { rate_hz: setup.bar.rate_hz, speed: args.speed, first_ticks: 0 };
-    let accuracy = args.accuracy.as_deref().map(files::robot).transpose()?;
+    let accuracy = args.accuracy.as_deref().map(robots::named).transpose()?;
     let mut controller =
         Controller::new(program, accuracy.as_ref().unwrap_or(&nominal), args.override_percent)?;
     if accuracy.is_some() {

@@ -4,7 +4,9 @@ use std::path::PathBuf;
 
 use serde_json::{Value, json};
 
-use super::{Outcome, Output, Verdict, files, run};
+use super::{Outcome, Output, Verdict};
+use crate::files;
+use crate::run;
 use crate::sync::{Fate, Source, Stream, Synced};
 
 /// Match the lengths of a capture to the commanded poses.
@@ -29,7 +31,7 @@ pub(crate) struct Args {
 }
 
 pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
-    let run = run::open(&args.run, args.plan.as_deref(), &args.axes, out)?;
+    let run = run::open(&args.run, args.plan.as_deref(), &args.axes, &mut |note| out.note(&note))?;
     let synced = run.timed();
     out.document(&document(&synced, &run.stream))?;
     show(&synced, out);
@@ -93,9 +95,7 @@ fn show(synced: &Synced, out: &Output) {
         let (um, readings) = (1000.0 * drift.change_mm, drift.readings);
         out.result(format!("drift at the reference pose: {um:.1}{spread} um over {readings} readings"));
     }
-    for warning in &synced.warnings {
-        if warning.doubt { out.warning(&warning.text) } else { out.progress(&warning.text) }
-    }
+    out.matching(&synced.warnings);
 }
 
 fn document(synced: &Synced, stream: &Stream) -> Value {

@@ -8,7 +8,7 @@ use tokio::sync::broadcast;
 use crate::clock;
 use crate::live::{Alarm, Frame, Message, Point};
 use crate::plan::{Kind, Plan};
-use crate::protocol::Sample;
+use crate::sample::Sample;
 use crate::units::HostNs;
 
 /// Host time that a picture gathers, s.

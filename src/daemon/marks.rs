@@ -4,7 +4,8 @@
 //! pulses in a row begin a module; exactly two, after at least one dwell and with a second of
 //! quiet behind them, end it; five are the end of one module and the start of the next.
 
-use crate::protocol::{Clock, Sample};
+use crate::protocol::Clock;
+use crate::sample::Sample;
 use crate::units::DeviceTicks;
 
 /// Pulses shorter than this belong to a mark, s.

@@ -9,7 +9,6 @@ mod marks;
 mod progress;
 mod recorder;
 mod reports;
-mod samples;
 mod service;
 mod session;
 mod signals;

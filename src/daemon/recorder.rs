@@ -4,8 +4,9 @@
 use super::feed::Feed;
 use super::marks::{DeviceTime, Marks};
 use super::progress::Progress;
-use crate::capture::{self, Event, Record, WriteError, Writer};
-use crate::protocol::{Decoded, Decoder, Definition, FaultKind, Sample};
+use crate::capture::{Event, Record, WriteError, Writer};
+use crate::protocol::{Decoded, Decoder, Definition, FaultKind};
+use crate::sample::Sample;
 use crate::units::HostNs;
 
 /// Silence below this is not worth a record where sequence numbers tell what is missing, s: radio links
@@ -18,7 +19,7 @@ pub struct Recorder {
     decoder: Decoder,
     decoded: Vec<Decoded>,
     /// Samples of one host time that are not written yet.
-    batch: Vec<capture::Sample>,
+    batch: Vec<Sample>,
     batch_host: HostNs,
     marks: Marks,
     time: Option<DeviceTime>,
@@ -212,7 +213,7 @@ impl Recorder {
             self.flush()?;
             self.batch_host = host;
         }
-        self.batch.push(sample.into());
+        self.batch.push(*sample);
         self.in_a_row = self.in_a_row.saturating_add(1);
         self.progress.in_step |= self.in_a_row >= self.sync_frames;
         self.progress.samples += 1;

@@ -1,7 +1,7 @@
 //! Where definitions come from: those that are built in, and files.
 
 use super::definition::Definition;
-use super::loader;
+use super::load;
 use crate::diag::Diagnostic;
 
 /// The definitions that come with dbbd: name and file.
@@ -38,9 +38,9 @@ impl Definition {
     /// As [`Definition::from_toml`], and where a parameter is unknown or out of its range.
     pub fn from_toml_with(file: &str, text: &str, params: &[(String, String)]) -> Result<Self, Diagnostic> {
         let load = || {
-            let defaults = loader::load(file, text, &[])?;
-            loader::test(file, text, &defaults)?;
-            if params.is_empty() { Ok(defaults) } else { loader::load(file, text, params) }
+            let defaults = load::load(file, text, &[])?;
+            load::test(file, text, &defaults)?;
+            if params.is_empty() { Ok(defaults) } else { load::load(file, text, params) }
         };
         load().map_err(|wrong: Diagnostic| match wrong.help {
             Some(_) => wrong,

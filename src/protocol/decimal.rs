@@ -1,6 +1,6 @@
 //! Decimal numbers as devices write them: signs, blanks, widths.
 
-use super::field_table::{Fill, Sign};
+use super::table::field::{Fill, Sign};
 
 /// How a decimal number is written.
 #[derive(Clone, Copy, Debug, Default)]

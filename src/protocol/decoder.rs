@@ -4,8 +4,9 @@
 use std::sync::Arc;
 
 use super::engine::{Engine, Meaning};
+use super::fault::{Fault, FaultKind};
 use super::framing::{Cut, Framing};
-use super::sample::{Fault, FaultKind, Sample};
+use crate::sample::Sample;
 
 /// A frame that never ends is given up in pieces of this many bytes.
 const GIVE_UP: u64 = 4096;

@@ -7,7 +7,7 @@ use thiserror::Error;
 use super::check::Check;
 use super::engine::{Engine, Message};
 use super::field::Field;
-use super::sample::Sample;
+use crate::sample::Sample;
 
 /// Why a sample cannot be sent.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]

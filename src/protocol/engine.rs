@@ -1,10 +1,11 @@
 //! A compiled definition: what both the decoder and the encoder follow.
 
 use super::check::Check;
+use super::fault::FaultKind;
 use super::field::{Field, Reading, Role};
 use super::framing::Framing;
-use super::sample::{FaultKind, Sample};
 use super::table::Code;
+use crate::sample::Sample;
 
 /// The compiled definition.
 #[derive(Clone, Debug)]

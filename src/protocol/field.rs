@@ -1,7 +1,7 @@
 //! Fields: how a value is written in a frame, and what it says of the sample.
 
 use super::decimal::Decimal;
-use super::sample::Sample;
+use crate::sample::Sample;
 use crate::units::DeviceTicks;
 
 /// One field of a message.

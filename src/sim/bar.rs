@@ -16,7 +16,8 @@ use super::fault::{BadLine, Faults};
 use super::link::Link;
 pub use super::source::{Reading, Source};
 use crate::clock;
-use crate::protocol::{Definition, EncodeError, Encoder, Mode, Sample, Step};
+use crate::protocol::{Definition, EncodeError, Encoder, Mode, Step};
+use crate::sample::Sample;
 use crate::units::{DeviceTicks, HostNs};
 
 /// How long the bar waits at its end for a host that neither reads on nor closes, s.

@@ -1,7 +1,7 @@
 //! The samples of a run as columns, on one clock: the device's as it lies on the host's, else the host's.
 
 use super::clock_map::{ClockMap, DeviceClock};
-use crate::protocol::Sample;
+use crate::sample::Sample;
 use crate::units::HostNs;
 
 /// Samples in the order of arrival; `t_s` never decreases.

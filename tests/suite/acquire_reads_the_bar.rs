@@ -8,7 +8,8 @@ use std::thread::JoinHandle;
 use dbbd::capture::{self, Capture, Event, Record};
 use dbbd::clock;
 use dbbd::daemon;
-use dbbd::protocol::{Definition, Sample};
+use dbbd::protocol::Definition;
+use dbbd::sample::Sample;
 use dbbd::sim::bar::{self, Options, Reading, Source, Terminal};
 
 const RATE_HZ: f64 = 1000.0;
@@ -55,7 +56,7 @@ fn read(path: &Path) -> Capture {
 }
 
 fn samples(capture: &Capture) -> Vec<Sample> {
-    capture.samples().map(|(_, sample)| sample.into()).collect()
+    capture.samples().map(|(_, sample)| *sample).collect()
 }
 
 /// Waits until the capture holds so many bytes.

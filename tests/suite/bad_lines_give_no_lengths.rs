@@ -1,6 +1,7 @@
 //! A bad line loses frames and never makes lengths up: the campaign over `dbb-cobs-1`.
 
-use dbbd::protocol::{Decoded, Definition, Sample};
+use dbbd::protocol::{Decoded, Definition};
+use dbbd::sample::Sample;
 use dbbd::sim::fault::{BadLine, Faults};
 use dbbd::units::DeviceTicks;
 

@@ -7,12 +7,13 @@ use std::process::{Child, Command, Output, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, OnceLock};
 
-use dbbd::capture::{self, Capture, Disk, Event, Record, Sample, Stamped, Writer};
+use dbbd::capture::{self, Capture, Disk, Event, Record, Stamped, Writer};
 use dbbd::clock;
 use dbbd::daemon::{Acquisition, Attachments, Ending, Options, Progress};
 use dbbd::protocol::Definition;
+use dbbd::sample::Sample;
 use dbbd::sim::bar::{self, Reading, Terminal};
-use dbbd::units::HostNs;
+use dbbd::units::{DeviceTicks, HostNs};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
@@ -178,7 +179,7 @@ fn long() -> &'static (Vec<u8>, Vec<usize>, Vec<Stamped>) {
             let sample = |frame: u64| Sample {
                 reading_mm: reading_mm(frame),
                 sequence: Some(frame as u32),
-                ticks: Some(1000 * frame),
+                ticks: Some(DeviceTicks(1000 * frame)),
                 trigger: Some(false),
                 temperature_c: Some(20.0),
                 valid: true,

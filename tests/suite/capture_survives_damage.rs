@@ -4,9 +4,10 @@ use std::io::{self, ErrorKind, Write};
 use std::path::Path;
 use std::sync::{Arc, Mutex};
 
-use dbbd::capture::{self, Disk, Event, Record, Sample, Stamped, WriteError, Writer};
+use dbbd::capture::{self, Disk, Event, Record, Stamped, WriteError, Writer};
 use dbbd::model::Observations;
-use dbbd::units::HostNs;
+use dbbd::sample::Sample;
+use dbbd::units::{DeviceTicks, HostNs};
 use proptest::prelude::*;
 
 /// Sum of `reading_mm` in the CSV that the version that wrote the fixture exported, um.
@@ -28,7 +29,10 @@ fn records() -> Vec<Stamped> {
         Record::Event(Event::Started { unix_ns: 1, version: "0".into() }),
         Record::Attachment { name: "plan.csv".into(), content: b"index\n1\n".to_vec() },
         Record::Raw(vec![0xdb, 0xbd, 0x5a, 0xa5, 2, 0, 0, 0, 0]),
-        Record::Samples(vec![PLAIN, Sample { sequence: Some(u32::MAX), ticks: Some(u64::MAX), ..PLAIN }]),
+        Record::Samples(vec![
+            PLAIN,
+            Sample { sequence: Some(u32::MAX), ticks: Some(DeviceTicks(u64::MAX)), ..PLAIN },
+        ]),
         Record::Fault(b"{}".to_vec()),
         Record::Raw((0..=255).collect()),
         Record::Event(Event::Gap { seconds: Some(0.25), missing: None, reason: "r".into() }),
@@ -63,7 +67,7 @@ fn a_capture_of_the_first_format_is_still_read() {
     assert_eq!(samples.len(), 1784);
     let faults = capture.records.iter().filter(|stamped| matches!(stamped.record, Record::Fault(_)));
     assert_eq!(faults.count(), 5);
-    assert_eq!(samples[1].ticks, Some(50_000));
+    assert_eq!(samples[1].ticks, Some(DeviceTicks(50_000)));
     assert_eq!(samples[1].temperature_c, Some(20.0));
     let sum_um: f64 = samples.iter().map(|sample| sample.reading_mm * 1e3).sum();
     assert!((sum_um - V1_SUM_UM).abs() < 1e-6, "{sum_um}");
@@ -233,7 +237,7 @@ fn sample() -> impl Strategy<Value = Sample> {
             // Any bits but those of a NaN, which equals nothing.
             reading_mm: Some(f64::from_bits(bits)).filter(|mm| !mm.is_nan()).unwrap_or(0.5),
             sequence,
-            ticks,
+            ticks: ticks.map(DeviceTicks),
             trigger,
             temperature_c: temperature.map(f64::from_bits).filter(|c| !c.is_nan()),
             valid,

@@ -20,7 +20,7 @@ fn write_capture(path: &std::path::Path, plan: &Plan, run: &Run, finish: bool) {
     let protocol = include_bytes!("../../protocols/dbb-cobs-1.toml").to_vec();
     writer.write(HostNs(0), &Record::Attachment { name: "protocol.toml".into(), content: protocol }).unwrap();
     for (host, sample) in &run.samples {
-        writer.write(*host, &Record::Samples(vec![sample.into()])).unwrap();
+        writer.write(*host, &Record::Samples(vec![*sample])).unwrap();
     }
     if finish {
         writer.finish(HostNs(0), "end mark", 0).unwrap();

@@ -1,6 +1,7 @@
 //! Whatever comes over the line: bytes = bytes of samples + bytes of faults + bytes pending.
 
-use dbbd::protocol::{Decoded, Decoder, Definition, Sample};
+use dbbd::protocol::{Decoded, Decoder, Definition};
+use dbbd::sample::Sample;
 use dbbd::units::DeviceTicks;
 use proptest::prelude::*;
 

@@ -329,7 +329,7 @@ fn the_encoder_writes_the_published_vectors() {
         [7, 1, 2, 1, 0x40, 0x42, 0x0f, 0x0a, 0xc7, 0xcf, 0xff, 0xff, 0x66, 8, 1, 0x84, 0x9e, 0].to_vec();
     for (name, frame) in [("dbb-cobs-1", cobs), ("dbb-nmea-1", nmea)] {
         let definition = Definition::by_name(name).unwrap().unwrap();
-        let sample = dbbd::protocol::Sample {
+        let sample = dbbd::sample::Sample {
             reading_mm: -0.12345,
             sequence: Some(0x0102),
             ticks: Some(dbbd::units::DeviceTicks(1_000_000)),
@@ -358,8 +358,7 @@ fn no_vendor_is_named_in_the_engine() {
         "riftek",
         "us digital",
     ];
-    for entry in std::fs::read_dir("src/protocol").unwrap() {
-        let path = entry.unwrap().path();
+    for path in super::floor_plan::sources("protocol") {
         let text = std::fs::read_to_string(&path).unwrap().to_lowercase();
         for vendor in vendors {
             assert!(!text.contains(vendor), "{}: {vendor}", path.display());

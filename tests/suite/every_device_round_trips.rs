@@ -4,7 +4,8 @@
 use std::process::{Command, Stdio};
 
 use dbbd::capture;
-use dbbd::protocol::{Decoded, Definition, Sample};
+use dbbd::protocol::{Decoded, Definition};
+use dbbd::sample::Sample;
 use dbbd::sim::bar::{self, Options, Reading, Terminal};
 use dbbd::units::DeviceTicks;
 use proptest::prelude::*;
@@ -166,7 +167,7 @@ fn simulated_is_acquired(definition: &Definition, protocol: &str, params: &[&str
     let late = output.status.code() == Some(3) && said.contains("not answered in time");
     assert!(output.status.code() == Some(0) || late, "{protocol}: {said}");
     let capture = capture::read(&std::fs::read(&path).unwrap());
-    let samples: Vec<Sample> = capture.samples().map(|(_, sample)| sample.into()).collect();
+    let samples: Vec<Sample> = capture.samples().map(|(_, sample)| *sample).collect();
     assert!(samples.len() >= 3, "{protocol}: {} samples", samples.len());
     for pair in samples.windows(2) {
         assert!(pair[0].valid, "{protocol}");

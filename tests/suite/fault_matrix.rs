@@ -7,9 +7,10 @@ use std::io::{self, ErrorKind, Write};
 use std::path::Path;
 use std::sync::{Arc, Mutex};
 
-use dbbd::capture::{self, Capture, Disk, Event, Record, Sample, WriteError, Writer};
+use dbbd::capture::{self, Capture, Disk, Event, Record, WriteError, Writer};
 use dbbd::daemon::{DeviceTime, Marks, Progress, Recorder};
 use dbbd::protocol::{self, Decoded, Definition, FaultKind};
+use dbbd::sample::Sample;
 use dbbd::sim::fault::{BadLine, Faults};
 use dbbd::sync::{DeviceClock, StreamBuilder};
 use dbbd::units::{DeviceTicks, HostNs};
@@ -233,7 +234,7 @@ impl Case {
         let (mut samples, mut faults) = (Vec::new(), Vec::new());
         for one in decoded {
             match one {
-                Decoded::Sample(sample, _) => samples.push(capture::Sample::from(&sample)),
+                Decoded::Sample(sample, _) => samples.push(sample),
                 Decoded::Fault(fault) => faults.push(fault),
             }
         }
@@ -291,8 +292,7 @@ impl Case {
     fn counts_rise(&self, name: &str, capture: &Capture) {
         let Some(clock) = self.definition.clock else { return };
         let mut time = DeviceTime::new(clock);
-        let seconds =
-            capture.samples().map(|(_, sample)| time.seconds(DeviceTicks(sample.ticks.unwrap_or(0))));
+        let seconds = capture.samples().map(|(_, sample)| time.seconds(sample.ticks.unwrap_or_default()));
         let seconds: Vec<f64> = seconds.collect();
         assert!(seconds.windows(2).all(|pair| pair[0] <= pair[1]), "{name}");
         let harmed = matches!(self.harm, Harm::Flipped | Harm::Dropped | Harm::Doubled | Harm::Garbage);
@@ -307,7 +307,7 @@ impl Case {
             wrap: 1u64.checked_shl(clock.wrap_bits),
         };
         let mut stream = StreamBuilder::new(Some(device));
-        capture.samples().for_each(|(host, sample)| stream.push(host, &sample.into()));
+        capture.samples().for_each(|(host, sample)| stream.push(host, sample));
         let stream = stream.build();
         assert!(stream.t_s.windows(2).all(|pair| pair[0] <= pair[1]), "{name}");
         if self.harm == Harm::Wrap {

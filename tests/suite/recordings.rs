@@ -2,8 +2,8 @@
 
 use std::path::PathBuf;
 
-use dbbd::capture::Sample;
 use dbbd::protocol::{Decoded, Definition, Step};
+use dbbd::sample::Sample;
 
 /// What happened on the line.
 #[derive(Clone, Debug, PartialEq)]
@@ -88,7 +88,7 @@ impl Recording {
         self.pieces().iter().for_each(|(_, bytes)| decoder.push(bytes, &mut decoded));
         decoder.interrupt(&mut decoded);
         let sample = |one: &Decoded| match one {
-            Decoded::Sample(sample, _) => Some(Sample { offset: 0, ..sample.into() }),
+            Decoded::Sample(sample, _) => Some(Sample { offset: 0, ..*sample }),
             Decoded::Fault(_) => None,
         };
         decoded.iter().map(sample).collect()

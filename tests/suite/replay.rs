@@ -230,7 +230,8 @@ fn told(capture: &Capture, progress: &Value, code: Option<i32>) -> String {
                     let strobe = sample.trigger.map_or("-", |high| if high { "high" } else { "low" });
                     let celsius = sample.temperature_c.map_or("-".into(), |c| c.to_string());
                     let valid = if sample.valid { "valid" } else { "not valid" };
-                    let (sequence, ticks) = (number(sample.sequence.map(u64::from)), number(sample.ticks));
+                    let (sequence, ticks) =
+                        (number(sample.sequence.map(u64::from)), number(sample.ticks.map(|ticks| ticks.0)));
                     writeln!(
                         text,
                         "{} sample {sequence} {ticks} {} mm {strobe} {celsius} {} {valid}",

@@ -2,7 +2,7 @@
 
 use dbbd::model::AXES;
 use dbbd::plan::{Header, Kind, Motion, MoveTime, Plan, PlanRow};
-use dbbd::protocol::Sample;
+use dbbd::sample::Sample;
 use dbbd::sync::{DeviceClock, Stream, StreamBuilder, Synced};
 use dbbd::units::{DeviceTicks, HostNs};
 use rand::{RngExt, SeedableRng};

@@ -5,7 +5,7 @@ use dbbd::identify::{self, Options, result::Status};
 use dbbd::krl::{self, Program, Sync, emit};
 use dbbd::model::{Centre, Robot};
 use dbbd::plan::{Job, Plan};
-use dbbd::protocol::Sample;
+use dbbd::sample::Sample;
 use dbbd::sim::world::{Setup, Stroke};
 use dbbd::sim::{Controller, World};
 use dbbd::sync::{

@@ -7,7 +7,7 @@ use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
 
 use dbbd::model::Robot;
-use dbbd::protocol::Sample;
+use dbbd::sample::Sample;
 use dbbd::units::{DeviceTicks, HostNs};
 use serde_json::Value;
 

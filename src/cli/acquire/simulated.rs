@@ -6,7 +6,8 @@ use std::path::{Path, PathBuf};
 use std::process;
 
 use crate::cli::child::{Simulator, Steps};
-use crate::cli::{Output, demo, files};
+use crate::cli::{Output, demo};
+use crate::files;
 use crate::model::AXES;
 use crate::plan::Header;
 

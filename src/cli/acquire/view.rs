@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
-use crate::cli::files;
 use crate::daemon::{ALARM_SHARE, Outlook, Progress};
+use crate::files;
 use crate::live::Alarm;
 use crate::plan::Plan;
 

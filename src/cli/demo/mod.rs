@@ -5,7 +5,8 @@ mod truth;
 use std::path::PathBuf;
 
 use super::child::Steps;
-use super::{Outcome, Output, Verdict, files};
+use super::{Outcome, Output, Verdict};
+use crate::files;
 use crate::identify::Identification;
 use crate::model::Robot;
 

@@ -10,8 +10,9 @@ use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
 use serde::Serialize;
 
-use crate::cli::files;
+use crate::cli::robots;
 use crate::diag::Diagnostic;
+use crate::files;
 use crate::identifiability::{Workspace, aligned_distances};
 use crate::identify::Identification;
 use crate::identify::result::{ParameterResult, Residual, Status};
@@ -56,7 +57,7 @@ struct Compared {
 impl Truth {
     /// Draws the true robot and the true places of the balls, and writes `truth.toml` and `world.toml`.
     pub(super) fn draw(dir: &Path, seed: u64) -> Result<Self, Box<dyn Error>> {
-        let nominal = files::robot("kr60ha")?;
+        let nominal = robots::named("kr60ha")?;
         let robot = truth::draw(&nominal, seed, 1.0);
         let path = dir.join("plan/centres.csv");
         let mut centres = Centre::from_csv(&path.display().to_string(), &files::read(&path)?)?;

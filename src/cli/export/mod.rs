@@ -8,10 +8,11 @@ use std::path::{Path, PathBuf};
 
 use serde_json::{Map, json};
 
-use super::pass::Pass;
-use super::{Outcome, Output, Verdict, files};
+use super::{Outcome, Output, Verdict};
+use crate::capture::Pass;
 use crate::diag::Diagnostic;
 use crate::export::mcap::{CHANNELS, McapFile};
+use crate::files;
 use tables::Tables;
 
 /// Write a capture's samples, raw bytes, events, gaps and faults as CSV, or as MCAP.
@@ -58,7 +59,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
         pass
     };
     out.document(&counts)?;
-    pass.warn(out);
+    pass.remarks().iter().for_each(|remark| out.warning(remark));
     Ok(if pass.damages.is_empty() { Outcome::Done } else { Outcome::Doubt })
 }
 

@@ -65,7 +65,7 @@ impl Tables {
                 self.samples.row([
                     host.clone(),
                     cell(sample.sequence),
-                    cell(sample.ticks),
+                    cell(sample.ticks.map(|ticks| ticks.0)),
                     sample.reading_mm.to_string(),
                     cell(sample.trigger.map(u8::from)),
                     u8::from(sample.valid).to_string(),

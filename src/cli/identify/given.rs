@@ -3,12 +3,14 @@
 use std::error::Error;
 
 use super::Args;
-use crate::cli::run::{self, Run};
-use crate::cli::{Output, files};
+use crate::cli::Output;
+use crate::cli::robots;
 use crate::diag::Diagnostic;
+use crate::files;
 use crate::identify::Identified;
 use crate::model::{AXES, Centre, Observations, Robot};
 use crate::report::Source;
+use crate::run::{self, Run};
 use crate::sync::Synced;
 
 /// Least standard deviation with which a predicted length speaks in the alignment, mm.
@@ -38,7 +40,7 @@ impl Given {
     pub(super) fn read(args: &Args, out: &Output) -> Result<Self, Box<dyn Error>> {
         let input = args.input.display().to_string();
         let joined = if run::is_capture(&args.input)? {
-            let run = run::open(&args.input, None, &[], out)?;
+            let run = run::open(&args.input, None, &[], &mut |note| out.note(&note))?;
             let synced = run.timed();
             Some((Box::new(run), synced))
         } else {
@@ -54,7 +56,7 @@ impl Given {
                 .into());
         }
         let mut robot = match (&args.robot, &joined) {
-            (Some(name), _) => files::robot(name)?,
+            (Some(name), _) => robots::named(name)?,
             (None, Some((run, _))) => run.robot()?,
             (None, None) => return Err("an observations CSV needs --robot NAME|FILE".into()),
         };

@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 use std::error::Error;
 use std::path::Path;
 
-use crate::cli::files;
 use crate::diag::Diagnostic;
+use crate::files;
 use crate::identify::PriorScale;
 use crate::model::parameter::SetUp;
 use crate::model::{AXES, Observations, ParamId};

@@ -11,12 +11,14 @@ mod tables;
 use std::error::Error;
 use std::path::{Path, PathBuf};
 
-use super::{Outcome, Output, Verdict, files};
+use super::{Outcome, Output, Verdict};
+use crate::files;
 use crate::identify::result::WarningKind;
 use crate::identify::{self, Options, Prior, PriorScale};
 use crate::model::Observations;
 use crate::model::parameter::{self, SetUp};
 pub(crate) use page::error_maps;
+pub(crate) use tables::LENGTHS;
 
 use given::{Given, check_bars, check_centres};
 use inputs::{parse_point, parse_positive, parse_scale, read_prior, read_workspace};

@@ -4,10 +4,13 @@ use std::error::Error;
 use std::fmt::Write;
 use std::path::Path;
 
-use crate::cli::files;
 use crate::export::{frames, mastering, urdf};
+use crate::files;
 use crate::identify::Identified;
 use crate::model::Observations;
+
+/// The lengths that an identification rests on, beside its robot-identified.toml.
+pub(crate) const LENGTHS: &str = "lengths.csv";
 
 /// Writes result.json, parameters.csv, covariance.csv, the robot for other programs, and as lengths.csv those of the
 /// observations that the result rests on.
@@ -18,7 +21,7 @@ pub(super) fn write_results(
 ) -> Result<(), Box<dyn Error>> {
     let result = &found.result;
     let used = |at: usize| found.residuals.get(at).is_some_and(|residual| residual.used);
-    files::write_pieces(&dir.join(files::LENGTHS), observations.csv_pieces(used))?;
+    files::write_pieces(&dir.join(LENGTHS), observations.csv_pieces(used))?;
     files::write(&dir.join("result.json"), serde_json::to_string_pretty(result)? + "\n")?;
     files::write(&dir.join("robot-identified.toml"), found.robot.to_toml())?;
     let mut table = csv::Writer::from_writer(Vec::new());

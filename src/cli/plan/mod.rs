@@ -7,8 +7,10 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use super::{Outcome, Output, Verdict, files};
+use super::{Outcome, Output, Verdict};
+use crate::cli::robots;
 use crate::diag::Diagnostic;
+use crate::files;
 use crate::model::{Centre, Observations, Reading, Robot};
 use crate::plan::prediction::Fate;
 use crate::plan::{Check, Job, Kind, Knowledge, Plan, Prediction, Stage, Taught};
@@ -62,11 +64,11 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
     let job = Job::from_toml(&name, &files::read(&args.job)?)?;
     let job = args.stage.map_or_else(|| job.clone(), |points| job.as_stage(points));
     let robot_name = args.robot.as_deref().unwrap_or(&job.robot);
-    let robot = files::robot(robot_name)?;
+    let robot = robots::named(robot_name)?;
     job.check_against(robot.controller()).map_err(|why| Diagnostic::file(&name, why))?;
     let mut measured = args.measured.clone();
     if robot.nominal.is_some() {
-        let lengths = Path::new(robot_name).with_file_name(files::LENGTHS);
+        let lengths = Path::new(robot_name).with_file_name(super::identify::LENGTHS);
         if lengths.is_file() {
             measured.push(lengths);
         } else {

@@ -1,9 +1,5 @@
 //! `dbbd import`: a trace that other software recorded becomes a capture.
 
-mod fields;
-mod mapping;
-mod trace;
-
 use std::error::Error;
 use std::fs::File;
 use std::io::{BufRead, BufReader};
@@ -11,14 +7,15 @@ use std::path::{Path, PathBuf};
 
 use serde_json::json;
 
-use super::{Outcome, Output, Verdict, files};
-use crate::capture::{Event, Record, Sample, WriteError, Writer};
+use super::{Outcome, Output, Verdict};
+use crate::capture::{Event, Record, WriteError, Writer};
 use crate::daemon::Attachments;
 use crate::diag::Diagnostic;
-use crate::plan::Plan;
+use crate::files;
+use crate::import::{Counts, Mapping, Trace};
+use crate::run;
+use crate::sample::Sample;
 use crate::units::HostNs;
-use mapping::Mapping;
-use trace::Trace;
 
 /// Lines are kept in records of about this many bytes.
 const BLOCK: usize = 1 << 16;
@@ -55,17 +52,11 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
     let map_name = args.mapping.as_ref().map_or_else(String::new, |path| path.display().to_string());
     let mapping = Mapping::from_toml(&map_name, &map_text)?;
     let attachments = Attachments::of_plan(&args.plan)?.with("mapping.toml", map_text);
-    let json = args.plan.with_extension("json");
-    let plan = Plan::from_files(
-        &args.plan.display().to_string(),
-        &files::read(&args.plan)?,
-        &json.display().to_string(),
-        &files::read(&json)?,
-    )?;
+    let plan = run::plan_beside(&args.plan)?;
     let bar = &plan.header.job.bar;
     let trace = || Trace::new(&name, &mapping, bar.length_mm, bar.stroke_mm);
     // Read once to its end before anything is written: a line that is wrong leaves no capture behind.
-    let trace::Counts { samples, invalid, unix_ns } = lines(&args.file, trace(), |_, _| Ok(()))?;
+    let Counts { samples, invalid, unix_ns } = lines(&args.file, trace(), |_, _| Ok(()))?;
     let mut writer = Writer::create(&args.out)?;
     let begin = HostNs(0);
     let version = env!("CARGO_PKG_VERSION").to_owned();
@@ -98,7 +89,7 @@ fn lines(
     path: &Path,
     mut trace: Trace<'_>,
     mut each: impl FnMut(&[u8], Option<(HostNs, Sample)>) -> Result<(), WriteError>,
-) -> Result<trace::Counts, Box<dyn Error>> {
+) -> Result<Counts, Box<dyn Error>> {
     let unreadable =
         |error| Diagnostic::file(&path.display().to_string(), format!("cannot be read: {error}"));
     let mut text = BufReader::new(File::open(path).map_err(unreadable)?);

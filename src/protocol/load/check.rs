@@ -2,10 +2,10 @@
 
 use toml::Spanned;
 
-use super::check::{self, Check, Crc, Sum, Tabled};
 use super::source::Source;
-use super::table::{CheckEncoding, CheckKind, CheckTable};
 use crate::diag::{Diagnostic, nearest};
+use crate::protocol::check::{self, Check, Crc, Sum, Tabled};
+use crate::protocol::table::{CheckEncoding, CheckKind, CheckTable};
 
 pub(super) fn compile_check(
     source: Source,

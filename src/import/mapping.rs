@@ -9,7 +9,7 @@ use crate::diag::Diagnostic;
 /// The layout of a trace; without any key it is the CSV `t_s,length_mm`.
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields, default)]
-pub(super) struct Mapping {
+pub struct Mapping {
     pub(super) file: Layout,
     pub(super) time: Time,
     pub(super) length: Length,
@@ -164,7 +164,7 @@ impl Mapping {
     ///
     /// # Errors
     /// What is wrong, with line and column.
-    pub(super) fn from_toml(file: &str, text: &str) -> Result<Self, Diagnostic> {
+    pub fn from_toml(file: &str, text: &str) -> Result<Self, Diagnostic> {
         let mapping: Self = toml::from_str(text).map_err(|error| Diagnostic::toml(file, text, &error))?;
         let at = |word: &str, message: &str| {
             let from = text.find(word).unwrap_or(0);

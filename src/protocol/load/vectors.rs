@@ -2,12 +2,13 @@
 
 use toml::Spanned;
 
-use super::decoder::Decoded;
-use super::definition::Definition;
-use super::sample::{Fault, FaultKind, Sample};
 use super::source::Source;
-use super::table::{Expectation, TestTable};
 use crate::diag::Diagnostic;
+use crate::protocol::decoder::Decoded;
+use crate::protocol::definition::Definition;
+use crate::protocol::fault::{Fault, FaultKind};
+use crate::protocol::table::{Expectation, TestTable};
+use crate::sample::Sample;
 
 /// Bytes of pairs of hexadecimal digits; white space between them is free.
 pub(super) fn bytes(hex: &str) -> Option<Vec<u8>> {

@@ -1,11 +1,13 @@
 //! The definition file as it stands: its tables and keys. What they mean is checked by the loader.
 
+pub(super) mod field;
+
 use std::collections::BTreeMap;
 
 use serde::Deserialize;
 use toml::Spanned;
 
-use super::field_table::{Endian, FieldTable};
+use self::field::{Endian, FieldTable};
 
 /// The whole file.
 #[derive(Deserialize)]

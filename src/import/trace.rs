@@ -2,15 +2,15 @@
 
 use super::fields::{self, Field};
 use super::mapping::{Column, LengthKind, Mapping, TimeUnit};
-use crate::capture::Sample;
 use crate::diag::Diagnostic;
+use crate::sample::Sample;
 use crate::units::HostNs;
 
 /// A length further from the bar's than this share of it is no length of this bar.
 const FAR_OFF: f64 = 0.2;
 
 /// Reads the lines of a trace one after the other.
-pub(super) struct Trace<'a> {
+pub struct Trace<'a> {
     file: &'a str,
     mapping: &'a Mapping,
     bar_mm: f64,
@@ -27,12 +27,13 @@ pub(super) struct Trace<'a> {
 
 /// What came of it.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Counts {
-    pub(super) samples: u64,
+pub struct Counts {
+    /// Readings.
+    pub samples: u64,
     /// Those that the device, or the stroke, does not vouch for.
-    pub(super) invalid: u64,
+    pub invalid: u64,
     /// Wall clock of the first row, ns since 1970, where the trace tells it.
-    pub(super) unix_ns: u64,
+    pub unix_ns: u64,
 }
 
 /// The places of the columns, from 0.
@@ -47,7 +48,7 @@ struct Places {
 
 impl<'a> Trace<'a> {
     /// Of the bar with this length between its ball centres at reading zero and this stroke, mm.
-    pub(super) fn new(file: &'a str, mapping: &'a Mapping, bar_mm: f64, stroke_mm: [f64; 2]) -> Self {
+    pub fn new(file: &'a str, mapping: &'a Mapping, bar_mm: f64, stroke_mm: [f64; 2]) -> Self {
         let delimiter = match mapping.file.delimiter.as_str() {
             "space" => None,
             other => other.chars().next(),
@@ -71,7 +72,7 @@ impl<'a> Trace<'a> {
     ///
     /// # Errors
     /// What is wrong, with line and column.
-    pub(super) fn line(&mut self, bytes: &[u8]) -> Result<Option<(HostNs, Sample)>, Diagnostic> {
+    pub fn line(&mut self, bytes: &[u8]) -> Result<Option<(HostNs, Sample)>, Diagnostic> {
         let offset = self.bytes;
         self.bytes += bytes.len() as u64;
         self.lines += 1;
@@ -101,7 +102,7 @@ impl<'a> Trace<'a> {
     ///
     /// # Errors
     /// When it holds no row.
-    pub(super) fn finish(self) -> Result<Counts, Diagnostic> {
+    pub fn finish(self) -> Result<Counts, Diagnostic> {
         if self.counts.samples == 0 {
             return Err(Diagnostic::file(self.file, "holds no reading: only a header, or nothing"));
         }

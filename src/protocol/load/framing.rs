@@ -1,15 +1,15 @@
-//! The loader's part for framing.
+//! Framing: how a frame begins and ends.
 
 use toml::Spanned;
 
-use super::decoder::LONGEST_END;
-use super::field_table::Endian;
-use super::framing::{Framing, LONGEST_FRAME};
 use super::source::Source;
-use super::table::{FramingTable, Order};
-use super::tagged::Tagged;
 use super::vectors;
 use crate::diag::Diagnostic;
+use crate::protocol::decoder::LONGEST_END;
+use crate::protocol::framing::{Framing, LONGEST_FRAME};
+use crate::protocol::table::field::Endian;
+use crate::protocol::table::{FramingTable, Order};
+use crate::protocol::tagged::Tagged;
 
 /// Checks `[framing]` and compiles it.
 pub(super) fn compile(source: Source, table: &Spanned<FramingTable>) -> Result<Framing, Diagnostic> {

@@ -8,8 +8,8 @@ use std::ops::Range;
 
 use serde::Deserialize;
 
-use super::table::{ParamKind, ParamTable};
 use crate::diag::{Diagnostic, nearest};
+use crate::protocol::table::{ParamKind, ParamTable};
 
 /// A text with the values put in.
 pub(super) struct Resolved {

@@ -1,24 +1,24 @@
-//! One pass over the records of a capture.
+//! One pass over the records of a capture on disk.
 
 use std::error::Error;
 use std::fs::File;
 use std::path::Path;
 
-use super::Output;
-use crate::capture::{Damage, Part, Reader, Stamped};
+use super::reader::{Damage, Part, Reader};
+use super::record::Stamped;
 use crate::diag::Diagnostic;
 
 /// Damages that are said one by one.
 const SAID: usize = 20;
 
 /// What a pass found besides the records.
-pub(crate) struct Pass {
+pub struct Pass {
     /// The format's version; none when the header is damaged.
-    pub(crate) version: Option<u32>,
+    pub version: Option<u32>,
     /// What could not be read.
-    pub(crate) damages: Vec<Damage>,
+    pub damages: Vec<Damage>,
     /// Number of whole records.
-    pub(crate) records: u64,
+    pub records: u64,
 }
 
 impl Pass {
@@ -26,7 +26,7 @@ impl Pass {
     ///
     /// # Errors
     /// When the file cannot be read, holds no whole record, or is of a newer version; those of `each`.
-    pub(crate) fn over(
+    pub fn over(
         path: &Path,
         mut each: impl FnMut(Stamped) -> Result<(), Box<dyn Error>>,
     ) -> Result<Self, Box<dyn Error>> {
@@ -61,18 +61,22 @@ impl Pass {
         Ok(pass)
     }
 
-    /// Says the damages on stderr.
-    pub(crate) fn warn(&self, out: &Output) {
-        for Damage { offset, bytes, what } in self.damages.iter().take(SAID) {
-            out.warning(format!("byte {offset}: {what}; {bytes} bytes are passed over"));
-        }
+    /// The damages in words, those at the end of many as their number.
+    pub fn remarks(&self) -> Vec<String> {
+        let said = self.damages.iter().take(SAID);
+        let mut remarks: Vec<String> = said
+            .map(|Damage { offset, bytes, what }| {
+                format!("byte {offset}: {what}; {bytes} bytes are passed over")
+            })
+            .collect();
         if let more @ 1.. = self.damages.len().saturating_sub(SAID) {
-            out.warning(format!("{more} damages more (`dbbd info --json` lists all)"));
+            remarks.push(format!("{more} damages more (`dbbd info --json` lists all)"));
         }
+        remarks
     }
 
     /// Bytes that could not be read.
-    pub(crate) fn lost_bytes(&self) -> u64 {
+    pub fn lost_bytes(&self) -> u64 {
         self.damages.iter().map(|damage| damage.bytes).sum()
     }
 }

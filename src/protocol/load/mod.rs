@@ -1,28 +1,31 @@
 //! Checks a definition file and compiles it; every refusal names its line.
 
+mod check;
+mod command;
+mod field;
+mod framing;
+mod params;
+mod source;
+mod vectors;
+
 use std::sync::Arc;
 use std::time::Duration;
 
 use toml::Spanned;
 
-use super::check::Check;
-use super::definition::{Clock, Definition, Line, Mode, Sim, Step};
-use super::engine::{Engine, Message, Reject};
-use super::field::{Field, Form};
-use super::field_table::FieldTable;
-use super::framing::Framing;
-use super::load_check::compile_check;
-use super::load_command;
-use super::load_field;
-use super::load_framing;
-use super::params;
-use super::source::Source;
-use super::table::{
+use self::check::compile_check;
+use self::source::Source;
+use crate::diag::Diagnostic;
+use crate::protocol::check::Check;
+use crate::protocol::definition::{Clock, Definition, Line, Mode, Sim, Step};
+use crate::protocol::engine::{Engine, Message, Reject};
+use crate::protocol::field::{Field, Form};
+use crate::protocol::framing::Framing;
+use crate::protocol::table::field::FieldTable;
+use crate::protocol::table::{
     Code, Confidence, File, FramingTable, IgnoreTable, Latch, LineTable, MessageTable, ModeKind, ModeTable,
     RejectTable, StepTable, TestTable, Wire,
 };
-use super::vectors;
-use crate::diag::Diagnostic;
 
 /// Reads, checks, compiles and tests a definition.
 pub(super) fn load(file: &str, text: &str, params: &[(String, String)]) -> Result<Definition, Diagnostic> {
@@ -39,7 +42,7 @@ pub(super) fn load(file: &str, text: &str, params: &[(String, String)]) -> Resul
     if table.id.get_ref().is_empty() {
         return Err(source.wrong(table.id.span(), "the id is empty"));
     }
-    let framing = load_framing::compile(source, &table.framing)?;
+    let framing = framing::compile(source, &table.framing)?;
     let check = table.check.as_ref().map(|check| compile_check(source, check)).transpose()?.flatten();
     if table.message.is_empty() {
         return Err(source.wrong(table.framing.span(), "no [[message]]: nothing would be decoded"));
@@ -91,7 +94,7 @@ pub(super) fn load(file: &str, text: &str, params: &[(String, String)]) -> Resul
         return Err(source.wrong(hz.span(), "nominal_hz must be above 0 and at most 1e6"));
     }
     let steps = |steps: &[Spanned<StepTable>]| -> Result<Vec<Step>, Diagnostic> {
-        steps.iter().map(|step| load_command::compile(source, step, engine.check.as_ref())).collect()
+        steps.iter().map(|step| command::compile(source, step, engine.check.as_ref())).collect()
     };
     let (init, start) = (steps(&table.cmd.init)?, steps(&table.cmd.start)?);
     let (stop, poll) = (steps(&table.cmd.stop)?, steps(&table.cmd.poll)?);
@@ -226,9 +229,9 @@ fn compile_message(
 ) -> Result<Message, Diagnostic> {
     let message = table.get_ref();
     let wrong = |text: String| Err(source.wrong(table.span(), format!("message `{}`: {text}", message.name)));
-    let fields = message.fields.iter().map(|field| load_field::compile(source, field));
+    let fields = message.fields.iter().map(|field| field::compile(source, field));
     let mut fields: Vec<Field> = fields.collect::<Result<_, _>>()?;
-    if let Err(why) = load_field::group_bits(&mut fields) {
+    if let Err(why) = field::group_bits(&mut fields) {
         return wrong(why);
     }
     for role in ["length", "seq", "t_dev", "temp", "status", "unit", "quality"] {

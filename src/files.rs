@@ -1,21 +1,16 @@
 //! Files in and out, with the path in every message.
 
-use std::error::Error;
 use std::fs;
 use std::io::Write;
 use std::path::Path;
 
 use crate::diag::Diagnostic;
-use crate::model::Robot;
-
-/// The lengths that an identification rests on, beside its robot-identified.toml.
-pub(crate) const LENGTHS: &str = "lengths.csv";
 
 /// The text of a file.
 ///
 /// # Errors
 /// Names the path and why it could not be read.
-pub(crate) fn read(path: &Path) -> Result<String, Diagnostic> {
+pub fn read(path: &Path) -> Result<String, Diagnostic> {
     let name = path.display().to_string();
     fs::read(path).map_err(|error| Diagnostic::file(&name, format!("cannot be read: {error}"))).and_then(
         |bytes| {
@@ -31,7 +26,7 @@ pub(crate) fn read(path: &Path) -> Result<String, Diagnostic> {
 ///
 /// # Errors
 /// Names the path and why it could not be written.
-pub(crate) fn write(path: &Path, content: impl AsRef<[u8]>) -> Result<(), Diagnostic> {
+pub fn write(path: &Path, content: impl AsRef<[u8]>) -> Result<(), Diagnostic> {
     write_pieces(path, [content])
 }
 
@@ -39,7 +34,7 @@ pub(crate) fn write(path: &Path, content: impl AsRef<[u8]>) -> Result<(), Diagno
 ///
 /// # Errors
 /// As [`write`].
-pub(crate) fn write_pieces(
+pub fn write_pieces(
     path: &Path,
     pieces: impl IntoIterator<Item = impl AsRef<[u8]>>,
 ) -> Result<(), Diagnostic> {
@@ -57,28 +52,7 @@ pub(crate) fn write_pieces(
 ///
 /// # Errors
 /// Names the path and why it could not be made.
-pub(crate) fn directory(path: &Path) -> Result<(), Diagnostic> {
+pub fn directory(path: &Path) -> Result<(), Diagnostic> {
     fs::create_dir_all(path)
         .map_err(|error| Diagnostic::file(&path.display().to_string(), format!("cannot be made: {error}")))
-}
-
-/// A robot by built-in name or by file.
-///
-/// # Errors
-/// An unknown name, or what is wrong in the file.
-pub(crate) fn robot(name: &str) -> Result<Robot, Box<dyn Error>> {
-    if let Some(built_in) = Robot::by_name(name) {
-        return Ok(built_in?);
-    }
-    let path = Path::new(name);
-    if path.exists() || name.ends_with(".toml") {
-        return Ok(Robot::from_toml(name, &read(path)?)?);
-    }
-    let known: Vec<&str> = Robot::built_in().iter().map(|(name, _)| *name).collect();
-    let meant = Robot::similar_name(name).map_or(String::new(), |near| format!("; did you mean `{near}`?"));
-    Err(format!(
-        "no robot `{name}`: neither built in nor a file{meant}\n  help: built in are: {}; a file ends in .toml",
-        known.join(", ")
-    )
-    .into())
 }

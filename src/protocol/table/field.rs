@@ -7,46 +7,46 @@ use serde::Deserialize;
 /// One field; which keys it may have depends on its kind and role.
 #[derive(Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct FieldTable {
-    pub(super) kind: FieldKind,
-    pub(super) role: Option<RoleName>,
-    pub(super) bytes: Option<usize>,
-    pub(super) bits: Option<usize>,
-    pub(super) endian: Option<Endian>,
-    pub(super) text: Option<String>,
-    pub(super) decimals: Option<usize>,
-    pub(super) digits: Option<usize>,
-    pub(super) modulo: Option<u32>,
-    pub(super) tick_ns: Option<u32>,
-    pub(super) wrap_bits: Option<u32>,
-    pub(super) unit: Option<Unit>,
-    pub(super) scale_num: Option<u32>,
-    pub(super) scale_den: Option<u32>,
-    pub(super) offset: Option<f64>,
-    pub(super) times: Option<f64>,
-    pub(super) per: Option<f64>,
-    pub(super) invert: Option<bool>,
-    pub(super) valid: Option<[f64; 2]>,
-    pub(super) error_above: Option<f64>,
-    pub(super) sentinels: Option<BTreeMap<String, String>>,
-    pub(super) flags: Option<BTreeMap<String, String>>,
-    pub(super) signed: Option<bool>,
-    pub(super) width: Option<usize>,
-    pub(super) pad_to: Option<usize>,
-    pub(super) fill: Option<Fill>,
-    pub(super) sign: Option<Sign>,
-    pub(super) blanks: Option<bool>,
-    pub(super) any_case: Option<bool>,
-    pub(super) map: Option<BTreeMap<String, String>>,
-    pub(super) default: Option<String>,
-    pub(super) optional: Option<bool>,
-    pub(super) sep: Option<String>,
+pub(in crate::protocol) struct FieldTable {
+    pub(in crate::protocol) kind: FieldKind,
+    pub(in crate::protocol) role: Option<RoleName>,
+    pub(in crate::protocol) bytes: Option<usize>,
+    pub(in crate::protocol) bits: Option<usize>,
+    pub(in crate::protocol) endian: Option<Endian>,
+    pub(in crate::protocol) text: Option<String>,
+    pub(in crate::protocol) decimals: Option<usize>,
+    pub(in crate::protocol) digits: Option<usize>,
+    pub(in crate::protocol) modulo: Option<u32>,
+    pub(in crate::protocol) tick_ns: Option<u32>,
+    pub(in crate::protocol) wrap_bits: Option<u32>,
+    pub(in crate::protocol) unit: Option<Unit>,
+    pub(in crate::protocol) scale_num: Option<u32>,
+    pub(in crate::protocol) scale_den: Option<u32>,
+    pub(in crate::protocol) offset: Option<f64>,
+    pub(in crate::protocol) times: Option<f64>,
+    pub(in crate::protocol) per: Option<f64>,
+    pub(in crate::protocol) invert: Option<bool>,
+    pub(in crate::protocol) valid: Option<[f64; 2]>,
+    pub(in crate::protocol) error_above: Option<f64>,
+    pub(in crate::protocol) sentinels: Option<BTreeMap<String, String>>,
+    pub(in crate::protocol) flags: Option<BTreeMap<String, String>>,
+    pub(in crate::protocol) signed: Option<bool>,
+    pub(in crate::protocol) width: Option<usize>,
+    pub(in crate::protocol) pad_to: Option<usize>,
+    pub(in crate::protocol) fill: Option<Fill>,
+    pub(in crate::protocol) sign: Option<Sign>,
+    pub(in crate::protocol) blanks: Option<bool>,
+    pub(in crate::protocol) any_case: Option<bool>,
+    pub(in crate::protocol) map: Option<BTreeMap<String, String>>,
+    pub(in crate::protocol) default: Option<String>,
+    pub(in crate::protocol) optional: Option<bool>,
+    pub(in crate::protocol) sep: Option<String>,
 }
 
 /// What stands between sign and digits where a number is short.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub(super) enum Fill {
+pub(in crate::protocol) enum Fill {
     #[default]
     Zero,
     Blank,
@@ -55,7 +55,7 @@ pub(super) enum Fill {
 /// The sign of a number that is not negative.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub(super) enum Sign {
+pub(in crate::protocol) enum Sign {
     /// None.
     #[default]
     Minus,
@@ -68,7 +68,7 @@ pub(super) enum Sign {
 /// How a field is written.
 #[derive(Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub(super) enum FieldKind {
+pub(in crate::protocol) enum FieldKind {
     /// Bytes without meaning.
     Skip,
     /// Unsigned integer.
@@ -94,7 +94,7 @@ pub(super) enum FieldKind {
 /// Order of the bytes of an integer.
 #[derive(Clone, Copy, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub(super) enum Endian {
+pub(in crate::protocol) enum Endian {
     #[default]
     Le,
     Be,
@@ -103,7 +103,7 @@ pub(super) enum Endian {
 /// What a field says.
 #[derive(Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub(super) enum RoleName {
+pub(in crate::protocol) enum RoleName {
     Length,
     Seq,
     TDev,
@@ -115,7 +115,7 @@ pub(super) enum RoleName {
 
 /// Unit of a field.
 #[derive(Clone, Copy, PartialEq, Eq, Deserialize)]
-pub(super) enum Unit {
+pub(in crate::protocol) enum Unit {
     #[serde(rename = "um")]
     Micrometre,
     #[serde(rename = "mm")]

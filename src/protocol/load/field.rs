@@ -1,15 +1,15 @@
-//! The loader's part for fields: which keys go with which kind and role.
+//! Fields: which keys go with which kind and role.
 
 use std::collections::BTreeMap;
 
 use toml::Spanned;
 
-use super::decimal::Decimal;
-use super::field::{Field, Form, Limits, Role, Scale};
-use super::field_table::{Endian, FieldKind, FieldTable, Fill, RoleName, Unit};
-use super::framing::LONGEST_FRAME;
 use super::source::Source;
 use crate::diag::Diagnostic;
+use crate::protocol::decimal::Decimal;
+use crate::protocol::field::{Field, Form, Limits, Role, Scale};
+use crate::protocol::framing::LONGEST_FRAME;
+use crate::protocol::table::field::{Endian, FieldKind, FieldTable, Fill, RoleName, Unit};
 
 /// Checks a field and compiles it.
 pub(super) fn compile(source: Source, table: &Spanned<FieldTable>) -> Result<Field, Diagnostic> {

@@ -10,7 +10,7 @@ const NEAR: usize = 200;
 
 /// Temperatures by the place of the sample in its run, in degrees Celsius.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Temperatures {
+pub(super) struct Temperatures {
     /// Sums and counts.
     blocks: Vec<(f64, u32)>,
     samples: usize,
@@ -18,7 +18,7 @@ pub(crate) struct Temperatures {
 
 impl Temperatures {
     /// The next sample came, with its temperature if it has one.
-    pub(crate) fn push(&mut self, temperature_c: Option<f64>) {
+    pub(super) fn push(&mut self, temperature_c: Option<f64>) {
         let block = self.samples / BLOCK;
         self.samples += 1;
         if let Some(temperature_c) = temperature_c.filter(|c| c.is_finite()) {
@@ -30,7 +30,7 @@ impl Temperatures {
     }
 
     /// The temperature at a sample: the mean of its block, or of the nearest one that has any.
-    pub(crate) fn at(&self, sample: usize) -> Option<f64> {
+    pub(super) fn at(&self, sample: usize) -> Option<f64> {
         let block = sample / BLOCK;
         let mean = |at: usize| {
             let (sum, count) = self.blocks.get(at).copied()?;
@@ -40,7 +40,7 @@ impl Temperatures {
     }
 
     /// The mean over the run.
-    pub(crate) fn mean(&self) -> Option<f64> {
+    pub(super) fn mean(&self) -> Option<f64> {
         let add = |(sum, count): (f64, f64), (more, of): &(f64, u32)| (sum + more, count + f64::from(*of));
         let (sum, count) = self.blocks.iter().fold((0.0, 0.0), add);
         (count > 0.0).then(|| sum / count)
@@ -48,7 +48,7 @@ impl Temperatures {
 }
 
 /// How the bar's certificate refers a length; `None` where it gives no expansion.
-pub(crate) fn certificate(job: &Job) -> Option<Temperature> {
+pub(super) fn certificate(job: &Job) -> Option<Temperature> {
     let bar_per_k = Some(job.bar.expansion_per_k?);
     let certified_c = job.bar.temperature_c.unwrap_or(Temperature::default().certified_c);
     Some(Temperature { bar_per_k, certified_c, machine_per_k: None })

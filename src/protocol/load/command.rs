@@ -1,15 +1,15 @@
-//! The loader's part for commands.
+//! Commands: what is sent to the device, and what it must answer.
 
 use std::time::Duration;
 
 use toml::Spanned;
 
-use super::check::Check;
-use super::definition::Step;
 use super::source::Source;
-use super::table::StepTable;
 use super::vectors;
 use crate::diag::Diagnostic;
+use crate::protocol::check::Check;
+use crate::protocol::definition::Step;
+use crate::protocol::table::StepTable;
 
 /// Checks a step of a command and compiles it.
 pub(super) fn compile(
