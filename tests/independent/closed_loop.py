@@ -101,6 +101,17 @@ def production(count, random):
     return found[:count]
 
 
+def turned_anyhow(count, random):
+    """Poses in the cube, the tool turned anyhow, in the branch of the plan's poses."""
+    found = np.zeros((0, 6))
+    while len(found) < count:
+        q = np.radians(random.uniform(LIMITS[:, 0] + 1, LIMITS[:, 1] - 1, (4000, 6)))
+        degrees = np.degrees(q)
+        inside = (np.abs(ball(NOMINAL, q)[0] - BALL) < 500).all(1)
+        found = np.concatenate([found, q[inside & (degrees[:, 4] > 10) & (np.abs(degrees[:, 0]) < 60) & (degrees[:, 2] > 15)]])
+    return found[:count]
+
+
 def aligned(a, b):
     """Distances after one best rigid motion."""
     a, b = a - a.mean(0), b - b.mean(0)
@@ -208,5 +219,7 @@ if __name__ == "__main__":
     for words, bar, noise in [("bar exact", 1e-9, SIGMA), ("bar to 1 um", 1e-3, SIGMA), ("bar to 50 um", 0.05, SIGMA),
                               ("bar to 1 um, lengths of 10 um", 1e-3, 0.01), ("bar to 1 um, lengths of 2 um", 1e-3, 0.002)]:
         print(f"{words}: {loop(poses, targets, bar, noise)}", flush=True)
+    anyhow = turned_anyhow(200, np.random.default_rng(1))
+    print(f"bar exact, tool turned anyhow: {loop(poses, anyhow, 1e-9, SIGMA)}", flush=True)
     print(f"bar to 1 um, in a base of three points: {loop(poses, targets, 1e-3, SIGMA, in_base)}", flush=True)
     sag(poses)

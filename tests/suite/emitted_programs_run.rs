@@ -175,12 +175,23 @@ fn campaign(
     count
 }
 
-/// A job with a stroke drawn so that its risk matters.
+/// A job with about the shortest stroke that the limit of its risk lets pass: what it states is near the limit then.
 fn tight(seed: u64, max_stroke_risk: f64) -> String {
-    let mut random = Pcg64::seed_from_u64(seed ^ 0x7319);
-    let stroke: f64 = random.random_range(0.9..3.5);
-    job(seed).replace("[-6.0, 6.0]", &format!("[-{stroke:.3}, {stroke:.3}]"))
-        + &format!("[limits]\nmax_stroke_risk = {max_stroke_risk}\n")
+    let with = |stroke: f64| {
+        job(seed).replace("[-6.0, 6.0]", &format!("[-{stroke:.3}, {stroke:.3}]"))
+            + &format!("[limits]\nmax_stroke_risk = {max_stroke_risk}\n")
+    };
+    let passes =
+        |stroke: f64| Plan::build(&Job::from_toml("job.toml", &with(stroke)).unwrap(), &kr60()).is_ok();
+    let (mut short, mut long) = (0.6_f64, 6.0_f64);
+    if !passes(long) {
+        return with(long);
+    }
+    for _ in 0..7 {
+        let middle = (short * long).sqrt();
+        *(if passes(middle) { &mut long } else { &mut short }) = middle;
+    }
+    with(long)
 }
 
 #[test]
