@@ -10,11 +10,11 @@ use std::time::Duration;
 use serde::Serialize;
 use thiserror::Error;
 
-use super::asking::Asking;
 use super::attachments::Attachments;
 use super::ekrl::Server;
 use super::feed::Feed;
 use super::marks::Marks;
+use super::polling::Polling;
 use super::progress::Progress;
 use super::recorder::Recorder;
 use super::reports::Reports;
@@ -257,8 +257,8 @@ impl Run {
     /// Records from an open port until it is gone or the run is over.
     fn session(&mut self, port: &Port) -> Result<Session, AcquireError> {
         let (_reader, arrivals) = Reader::start(port.handle()?);
-        let mut asking = match self.options.definition.mode {
-            Mode::Poll { hz, timeout } => Some(Asking::new(port.handle()?, hz, timeout)),
+        let mut polling = match self.options.definition.mode {
+            Mode::Poll { hz, timeout } => Some(Polling::new(port.handle()?, hz, timeout)),
             Mode::Stream | Mode::Push => None,
         };
         let idle = self.options.definition.idle;
@@ -268,8 +268,8 @@ impl Run {
             }
             let unhurried = self.reports.as_ref().map_or(Duration::from_millis(50), |_| Reports::PATIENCE);
             let mut patience = idle.unwrap_or(unhurried);
-            if let Some(asking) = &mut asking {
-                match asking.step(&self.options.definition, &mut self.recorder)? {
+            if let Some(polling) = &mut polling {
+                match polling.step(&self.options.definition, &mut self.recorder)? {
                     Ok(wait) => patience = patience.min(wait),
                     Err(gone) => return Ok(Session::Gone(clock::now(), gone.to_string())),
                 }
@@ -280,10 +280,10 @@ impl Run {
                 Ok(Arrival::Bytes(host, bytes)) => {
                     let before = self.recorder.answers();
                     self.recorder.bytes(host, bytes)?;
-                    if let Some(asking) = &mut asking
+                    if let Some(polling) = &mut polling
                         && self.recorder.answers() > before
                     {
-                        asking.answered();
+                        polling.answered();
                     }
                 }
                 Ok(Arrival::Lost(host, bytes)) => self.recorder.lost(host, bytes)?,

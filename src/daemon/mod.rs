@@ -1,11 +1,11 @@
 //! Threads, channels and signals: the only place that knows all rooms.
 
 mod acquisition;
-mod asking;
 mod attachments;
 mod ekrl;
 mod feed;
 mod marks;
+mod polling;
 mod progress;
 mod recorder;
 mod reports;

@@ -7,10 +7,10 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
 use super::Knowledge;
-use super::beforehand::length_sigma_mm;
 use super::candidates::{Candidate, moves, rows};
 use super::cell::Cell;
 use super::circle::Circle;
+use super::datasheet::length_sigma_mm;
 use super::job::{CircleTable, Job, Orientation};
 use super::rig::Rig;
 use super::workspace::workspace;

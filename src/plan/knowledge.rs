@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
 use super::Job;
-use super::beforehand::{datasheet, length_sigma_mm};
+use super::datasheet::{datasheet, length_sigma_mm};
 use crate::identifiability::Belief;
 use crate::model::inverse::nearest;
 use crate::model::{AXES, Pose, Reading, Robot};

@@ -1,17 +1,17 @@
 //! Circles and pose sets: what the robot is to do, checked before anything moves.
 
 mod advice;
-pub mod against;
-mod beforehand;
 mod build;
 pub mod candidates;
 mod cell;
 pub mod check;
 mod circle;
 pub mod clearance;
+mod datasheet;
 mod files;
 mod frames;
 mod hold;
+pub mod how_many;
 pub mod job;
 mod knowledge;
 mod module;

@@ -3,9 +3,9 @@
 use std::f64::consts::{FRAC_PI_2, PI};
 
 use super::Knowledge;
-use super::beforehand::{datasheet, length_sigma_mm};
 use super::candidates::{Candidate, moves, rows};
 use super::cell::Cell;
+use super::datasheet::{datasheet, length_sigma_mm};
 use super::job::{self, Job};
 use super::knowledge::touching;
 use super::module::module;

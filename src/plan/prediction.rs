@@ -2,8 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::against::{Against, against, enough};
-use super::beforehand::length_sigma_mm;
+use super::datasheet::length_sigma_mm;
+use super::how_many::{Against, against, enough};
 use super::region::{self, Region, regions};
 use super::second_ball::second_ball;
 use super::workspace::workspace;

@@ -3,8 +3,8 @@
 use nalgebra::{DMatrix, Rotation3, Vector3};
 
 use super::Job;
-use super::beforehand::{datasheet, length_sigma_mm};
 use super::candidates::{Candidate, candidates, moves, rows};
+use super::datasheet::{datasheet, length_sigma_mm};
 use super::job::CentreTable;
 use crate::identifiability::{Criterion, Exchange};
 use crate::model::inverse::clearance;

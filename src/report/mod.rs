@@ -12,7 +12,7 @@ mod identification_view;
 mod page;
 mod parameters;
 pub mod plan;
-mod plan_told;
+mod plan_prediction;
 mod plan_view;
 pub mod plot;
 mod scale;

@@ -4,7 +4,7 @@ use serde::Serialize;
 
 use super::page::{Fact, Provenance, ReportError, render, texts};
 use super::parameters::{class, word};
-use super::plan_told::{self, Table};
+use super::plan_prediction::{self, Table};
 use super::plan_view::{CheckRow, CircleRow, PlanView, PredictedRow};
 use super::plot::frame::{NARROW, WIDE};
 use super::plot::{HeatMap, Line, Projection, Series, TracePlot, View};
@@ -80,7 +80,7 @@ pub fn html(plan: &Plan, view: &PlanView) -> Result<String, ReportError> {
         dependent: &view.dependent,
         maps: view.maps.iter().map(HeatMap::to_svg).collect(),
         manipulability: manipulability(plan, view),
-        tables: plan_told::tables(view),
+        tables: plan_prediction::tables(view),
         advice: &view.advice,
         provenance: &view.provenance,
     };

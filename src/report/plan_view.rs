@@ -6,7 +6,7 @@ use super::page::{Fact, Provenance};
 use super::plot::HeatMap;
 use crate::identify::result::{PredictedPair, Status, Warning};
 use crate::model::AXES;
-use crate::plan::against::Against;
+use crate::plan::how_many::Against;
 use crate::plan::region::Region;
 
 /// What the page shows besides the plan itself.

@@ -2,8 +2,8 @@
 
 use std::cell::Cell;
 
+use super::duration::{MISSED, SPURIOUS, Span};
 use super::interval::{BROKEN, Commanded, Interval, MOST_LOG_DENSITY, Pace, Program};
-use super::lasting::{MISSED, SPURIOUS, Stretch};
 use super::seen::{Expected, LEAST_START_SD_S, Seen};
 
 /// Probability that an outage of the bar begins at a pose, and that it goes on for another. It is rated
@@ -52,7 +52,7 @@ pub(super) struct Lattice<'a> {
     poses: usize,
     seen: &'a [Seen],
     /// The dwells as stretches, where their durations are known.
-    stretches: Option<Vec<Stretch>>,
+    stretches: Option<Vec<Span>>,
     /// Number of clock breaks up to each dwell.
     epochs: Vec<usize>,
     /// Log weight of a pair by its duration and length, by dwell, then pose.
@@ -79,8 +79,8 @@ impl<'a> Lattice<'a> {
         let span_s =
             seen.last().map_or(0.0, |last| last.start_s) - seen.first().map_or(0.0, |first| first.start_s);
         let expected = expected.filter(|expected| expected.length_mm.len() == poses.len());
-        let stretch = |dwell: &Seen| Some(Stretch::new(dwell.start_s, dwell.lasts_s?));
-        let stretches: Option<Vec<Stretch>> = seen.iter().map(stretch).collect();
+        let stretch = |dwell: &Seen| Some(Span::new(dwell.start_s, dwell.lasts_s?));
+        let stretches: Option<Vec<Span>> = seen.iter().map(stretch).collect();
         let weight = |dwell: usize, pose: usize| {
             let stretch = stretches.as_ref().and_then(|stretches| stretches.get(dwell));
             let lasts = stretch.map_or(0.0, |stretch| stretch.dwell(poses[pose].wait_s).ln());

@@ -8,15 +8,15 @@ mod align;
 mod clock_map;
 mod commanded;
 mod drift;
+mod duration;
 mod dwell;
+mod faint;
 mod fate;
 mod hull;
 mod interval;
-mod lasting;
 mod lattice;
+mod parabola;
 mod passes;
-mod passing;
-mod recall;
 mod report;
 mod rest;
 mod robust;
@@ -323,7 +323,7 @@ fn by_stillness(input: &Input<'_>, poses: &Poses<'_>) -> Paired {
         .collect();
     let seen = seen(input, &candidates, true);
     let mut alignment = align(&poses.commanded, &seen, input.expected);
-    recall::unseen(poses, &mut candidates, &mut alignment, input.stream, motion.settle_s);
+    faint::unseen(poses, &mut candidates, &mut alignment, input.stream, motion.settle_s);
     (Source::Stillness, candidates, alignment.pairings, Some(alignment.override_factor))
 }
 

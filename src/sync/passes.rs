@@ -9,7 +9,7 @@ use std::ops::Range;
 
 use super::Input;
 use super::fate::{Fate, PoseFate};
-use super::passing::{Passing, passing};
+use super::parabola::{Passing, passing};
 use super::report;
 use super::seen::Stretch;
 use super::strobe;

@@ -9,7 +9,7 @@ use tokio::sync::{broadcast, watch};
 
 use super::log::Level;
 use super::state::{Run, Supervisor};
-use super::{bench, catalogue, names, runs};
+use super::{catalogue, names, runs, trial_cell};
 use crate::live::{
     Catalogue, Download, Job, JobKind, JobRequest, Message, Point, Refusal, RunEntry, Service, StartRequest,
     Status,
@@ -46,7 +46,7 @@ impl Service for Supervisor {
             // Only what is a serial port may be opened, or what the configuration named.
             let listed = port::list().map_err(|error| Refusal::Failed(error.to_string()))?;
             let listed = listed.iter().any(|one| one.port == *port || one.by_id.as_ref() == Some(port));
-            let simulated = *port == bench::PORT && self.bench.is_some();
+            let simulated = *port == trial_cell::PORT && self.bench.is_some();
             if !listed && !simulated && self.config.port.as_ref() != Some(port) {
                 return Err(Refusal::Missing(format!("there is no port `{port}`")));
             }

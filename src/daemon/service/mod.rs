@@ -1,7 +1,6 @@
 //! The service: one device, one run at a time, jobs, and the state that everybody sees.
 
 mod answers;
-mod bench;
 mod catalogue;
 mod config;
 mod jobs;
@@ -11,8 +10,9 @@ mod notify;
 mod runs;
 mod serve;
 mod state;
+mod trial_cell;
 
-pub use bench::{Bench, Cell};
 pub use config::Config;
 pub use log::{Level, Log};
 pub use serve::{ServeError, serve};
+pub use trial_cell::{Bench, Cell};

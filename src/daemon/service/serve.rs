@@ -10,11 +10,11 @@ use std::time::Duration;
 use thiserror::Error;
 use tokio::sync::watch;
 
-use super::bench::Bench;
 use super::config::Config;
 use super::log::{Level, Log};
 use super::notify::{notify, watchdog_s};
 use super::state::Supervisor;
+use super::trial_cell::Bench;
 use crate::clock;
 use crate::daemon::signals;
 use crate::live::{self, Access, Service};

@@ -8,10 +8,10 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use serde_json::json;
 use tokio::sync::{broadcast, watch};
 
-use super::bench::{self, Bench, Cell};
 use super::config::Config;
 use super::jobs::Jobs;
 use super::log::{Level, Log};
+use super::trial_cell::{self, Bench, Cell};
 use super::{catalogue, runs};
 use crate::clock;
 use crate::daemon::feed::{Feed, Outlook, Shown};
@@ -155,7 +155,7 @@ impl Supervisor {
 
     pub(super) fn look(&self, inner: &Inner) -> Status {
         let there =
-            |port: &String| port::device(port).exists() || (port == bench::PORT && self.bench.is_some());
+            |port: &String| port::device(port).exists() || (port == trial_cell::PORT && self.bench.is_some());
         let present = inner.port.as_ref().is_some_and(there);
         let run = match &inner.run {
             Run::On(running) => Some(self.run_status(running)),
@@ -224,7 +224,9 @@ impl Supervisor {
             |name: &String| catalogue::plan_file(&self.config.plans, name).ok_or_else(|| missing(name));
         let mut csv = request.plan.as_ref().map(find).transpose()?;
         let cell = match &self.bench {
-            Some(bench) if port == bench::PORT => Some(bench(csv.as_deref()).map_err(Refusal::Conflict)?),
+            Some(bench) if port == trial_cell::PORT => {
+                Some(bench(csv.as_deref()).map_err(Refusal::Conflict)?)
+            }
             _ => None,
         };
         if let Some(cell) = &cell {

@@ -11,7 +11,7 @@ use crate::protocol::Definition;
 use crate::units::HostNs;
 
 /// When the next request is due, and what the last one waits for.
-pub(super) struct Asking {
+pub(super) struct Polling {
     port: Port,
     period_s: f64,
     timeout_s: f64,
@@ -20,7 +20,7 @@ pub(super) struct Asking {
     last: Option<HostNs>,
 }
 
-impl Asking {
+impl Polling {
     pub(super) fn new(port: Port, hz: f64, timeout: Duration) -> Self {
         Self { port, period_s: 1.0 / hz, timeout_s: timeout.as_secs_f64(), asked: None, last: None }
     }

@@ -26,13 +26,13 @@ const MOST_EVIDENCE: f64 = 1e3;
 
 /// A stretch: its begin, how long it lasts, and the density of that if nobody commanded it.
 #[derive(Clone, Copy)]
-pub(super) struct Stretch {
+pub(super) struct Span {
     pub(super) start_s: f64,
     lasts_s: f64,
     stray: f64,
 }
 
-impl Stretch {
+impl Span {
     pub(super) fn new(start_s: f64, lasts_s: f64) -> Self {
         Self { start_s, lasts_s, stray: stray(lasts_s) }
     }

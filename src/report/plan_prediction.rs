@@ -5,7 +5,7 @@ use serde::Serialize;
 use super::plan_view::{PlanView, PredictedRow};
 use super::scale::significant;
 use crate::identifiability::Observability;
-use crate::plan::against::Against;
+use crate::plan::how_many::Against;
 
 /// A table of numbers, its first column names.
 #[derive(Serialize)]
