@@ -8,6 +8,8 @@ use super::svg::plot_css;
 use crate::identify::result::{Warning, WarningKind};
 
 const PAGE_CSS: &str = include_str!("page.css");
+/// Head, style and provenance, about what a page has of its own.
+const PAGE_HTML: &str = include_str!("page.html");
 
 /// A page could not be made: a fault of its template, not of the data.
 #[derive(Debug, thiserror::Error)]
@@ -61,7 +63,7 @@ pub(super) fn texts(warnings: &[Warning], kind: WarningKind) -> Vec<&str> {
     warnings.iter().filter(|warning| warning.kind == kind).map(|warning| warning.text.as_str()).collect()
 }
 
-/// Fills a template; its name ends in `.html`, which turns escaping on.
+/// Fills a template that extends `page.html`; its name ends in `.html`, which turns escaping on.
 pub(super) fn render(name: &str, template: &str, page: &impl Serialize) -> Result<String, ReportError> {
     #[derive(Serialize)]
     struct Context<'a, T> {
@@ -70,6 +72,7 @@ pub(super) fn render(name: &str, template: &str, page: &impl Serialize) -> Resul
     }
     let mut engine = Environment::new();
     engine.set_undefined_behavior(UndefinedBehavior::Strict);
+    engine.add_template("page.html", PAGE_HTML)?;
     engine.add_template(name, template)?;
     let style = format!("{}{PAGE_CSS}", plot_css());
     Ok(engine.get_template(name)?.render(Serde(Context { style, page }))?)
