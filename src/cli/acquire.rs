@@ -14,7 +14,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use super::{Outcome, Output, Verdict, protocols};
 use crate::clock;
 use crate::daemon::{
-    Acquisition, Attachments, Ending, Options, Outlook, Progress, Server, Summary, stop_on_signal, zero,
+    Acquisition, Attachments, Ending, Options, Outlook, Progress, Server, Summary, Watch, stop_on_signal, zero,
 };
 use crate::port::{self, Latency};
 use crate::units::HostNs;
@@ -158,11 +158,12 @@ fn watch(acquisition: &Acquisition, outlook: &Outlook, out: &Output) -> Result<(
         line.enable_steady_tick(Duration::from_millis(200));
     }
     let mut said: Option<HostNs> = None;
+    let mut bar = Watch::default();
     while !acquisition.is_over() {
         clock::sleep(0.05);
         let progress = acquisition.progress();
         if let Some(line) = &line {
-            line.set_message(view::lines(&progress, outlook));
+            line.set_message(view::lines(&progress, outlook, &mut bar));
         } else if said.is_none_or(|at| clock::now().seconds_since(at) >= LINE_EVERY_S) {
             if said.is_some() {
                 out.progress(status(&progress));

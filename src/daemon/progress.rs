@@ -17,6 +17,8 @@ pub struct Progress {
     pub rate_hz: f64,
     /// The last reading, mm.
     pub reading_mm: Option<f64>,
+    /// Whether the device vouches for it.
+    pub valid: bool,
     /// Faults of the stream.
     pub faults: u64,
     /// Times that the device said that it has no reading.

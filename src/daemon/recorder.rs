@@ -218,6 +218,7 @@ impl Recorder {
         self.progress.in_step |= self.in_a_row >= self.sync_frames;
         self.progress.samples += 1;
         self.progress.reading_mm = Some(sample.reading_mm);
+        self.progress.valid = sample.valid;
         let device = self.time.as_mut().zip(sample.ticks).map(|(time, ticks)| time.seconds(ticks));
         self.marks.sample(device.unwrap_or_else(|| host.seconds_since(self.began)), sample);
         self.progress.device_s = device;

@@ -10,6 +10,7 @@ pub(super) const FILES: &[(&str, &str, &str)] = &[
     ("/app.js", "text/javascript; charset=utf-8", include_str!("page/app.js")),
     ("/gauge.js", "text/javascript; charset=utf-8", include_str!("page/gauge.js")),
     ("/polar.js", "text/javascript; charset=utf-8", include_str!("page/polar.js")),
+    ("/numbers.js", "text/javascript; charset=utf-8", include_str!("page/numbers.js")),
     ("/strip.js", "text/javascript; charset=utf-8", include_str!("page/strip.js")),
     ("/link.js", "text/javascript; charset=utf-8", include_str!("page/link.js")),
     ("/runs.js", "text/javascript; charset=utf-8", include_str!("page/runs.js")),

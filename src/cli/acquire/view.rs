@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use crate::daemon::{ALARM_SHARE, Outlook, Progress};
+use crate::daemon::{ALARM_SHARE, Outlook, Progress, Watch};
 use crate::files;
 use crate::live::Alarm;
 use crate::plan::Plan;
@@ -21,8 +21,8 @@ pub(super) fn outlook(plan: Option<&Path>) -> Outlook {
     plan.map_or_else(Outlook::default, |plan| Outlook::of(&plan, ALARM_SHARE))
 }
 
-/// The reading against the stroke, and below it poses, rate and losses.
-pub(super) fn lines(progress: &Progress, outlook: &Outlook) -> String {
+/// The reading against the stroke, and below it poses, rate and losses; `bar` has seen what was shown before.
+pub(super) fn lines(progress: &Progress, outlook: &Outlook, bar: &mut Watch) -> String {
     let Some(reading_mm) = progress.reading_mm.filter(|_| !progress.gone) else {
         return super::status(progress);
     };
@@ -33,6 +33,10 @@ pub(super) fn lines(progress: &Progress, outlook: &Outlook) -> String {
     let (elapsed_s, rate_hz) = (progress.elapsed_s, progress.rate_hz);
     let below = format!("  {elapsed_s:.0} s, {poses}, {rate_hz:.0} Hz{}", super::losses(progress));
     let reading = format!("{reading_mm:+9.4} mm");
+    let alarm = bar.alarm(outlook, reading_mm, progress.valid, progress.dwells);
+    if alarm.is_none() {
+        return format!("{reading}  no bar mounted: reading invalid\n{below}");
+    }
     let Some([low, high]) = outlook.stroke_mm else { return format!("{reading}\n{below}") };
     let share = (reading_mm - low) / (high - low);
     // A share beyond the stroke stands at its end.
@@ -49,7 +53,7 @@ pub(super) fn lines(progress: &Progress, outlook: &Outlook) -> String {
         })
         .collect();
     let line = format!("{reading}  {low:+} [{gauge}] {high:+}  {:.0} % of the stroke", 100.0 * share);
-    let line = match outlook.alarm(reading_mm) {
+    let line = match alarm.unwrap_or_default() {
         Alarm::None => line,
         Alarm::Near => format!("\x1b[33m{line}  NEAR ITS END\x1b[0m"),
         Alarm::Over => format!("\x1b[1;31m{line}  OVER THE STROKE\x1b[0m"),
@@ -64,7 +68,12 @@ mod tests {
     #[test]
     fn the_gauge_follows_the_reading() {
         let outlook = Outlook::bare(Some([-1.0, 1.0]), 0.9);
-        let at = |mm: f64| lines(&Progress { reading_mm: Some(mm), ..Progress::default() }, &outlook);
+        let mut bar = Watch::default();
+        let mut at = |mm: f64| {
+            let progress = Progress { reading_mm: Some(mm), valid: true, ..Progress::default() };
+            lines(&progress, &outlook, &mut bar)
+        };
+        assert!(at(-1.2).contains("no bar mounted: reading invalid"));
         assert!(at(0.0).contains("[--------------------#--------------------]"), "{}", at(0.0));
         assert!(at(-1.2).contains("[#---") && at(-1.2).contains("OVER THE STROKE"));
         assert!(at(0.95).contains("NEAR ITS END") && at(0.95).ends_with("\n  0 s, 0 dwells, 0 Hz"));

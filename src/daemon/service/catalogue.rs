@@ -65,16 +65,11 @@ fn describe(name: &str, csv: &Path) -> Value {
         Ok(plan) => {
             let poses = plan.rows.iter().filter(|row| row.kind != Kind::Transit).count();
             let (job, robot) = (&plan.header.job, Robot::from_toml("robot", &plan.header.robot));
-            let moves_s: f64 = plan.header.moves.iter().map(|time| time.duration_s).sum();
-            let wait_s = |row: &crate::plan::PlanRow| {
-                if row.dwell_s > 0.0 { job.motion.settle_s + row.dwell_s } else { 0.0 }
-            };
-            let duration_s = moves_s + plan.rows.iter().map(wait_s).sum::<f64>();
             json!({
                 "name": name, "robot": robot.map(|robot| robot.name).ok(), "poses": poses,
                 "circles": job.circles.len(), "bar_length_mm": job.bar.length_mm,
                 "stroke_mm": job.bar.stroke_mm, "protocol": job.bar.protocol, "hash": plan.header.hash,
-                "duration_s": duration_s, "error": null,
+                "duration_s": plan.duration_s(), "error": null,
             })
         }
         Err(error) => json!({ "name": name, "error": error }),

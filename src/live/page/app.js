@@ -1,6 +1,7 @@
 // The page: it hears the stream, shows the state, starts and stops.
 
 import { ask, hear } from "/link.js";
+import { clock, count, fixed, minutes, signed } from "/numbers.js";
 import * as gauge from "/gauge.js";
 import * as polar from "/polar.js";
 import * as strip from "/strip.js";
@@ -23,16 +24,11 @@ function set(id, text, bad = false) {
   $(id).classList.toggle("bad", bad);
 }
 
-function duration(s) {
-  const [h, m] = [Math.floor(s / 3600), Math.floor(s / 60) % 60];
-  return `${h ? h + " h " : ""}${h || m ? m + " min " : ""}${Math.floor(s % 60)} s`;
-}
-
 function clockText(run) {
   if (run.device_s === null) return "host (the bar has none, or nothing came yet)";
   const ahead = run.clock_ahead_ms ?? 0;
-  const far = Math.abs(ahead);
-  return `the bar's, ${ahead < 0 ? "−" : "+"}${far < 1000 ? far.toFixed(1) + " ms" : (far / 1000).toFixed(0) + " s"} against the host`;
+  const text = Math.abs(ahead) < 1000 ? `${signed(ahead, 1)} ms` : `${signed(ahead / 1000, 0)} s`;
+  return `the bar's, ${text} against the host`;
 }
 
 function showStatus(now) {
@@ -47,15 +43,15 @@ function showStatus(now) {
   $("stop").disabled = $("mark").disabled = !run;
   $("start").disabled = !!run;
   set("run-name", run ? run.name : now.last ? `${now.last.name} (over)` : "none");
-  set("run-plan", run?.plan ? `plan ${run.plan}` : "");
-  set("last", now.last ? `Last run: ${now.last.name}, ${now.last.samples} samples; ${now.last.ending}.` : "", now.last?.failed);
+  set("run-plan", run?.plan ? `by the plan “${run.plan}”` : "");
+  set("last", now.last ? `Last run: ${now.last.name}, ${count(now.last.samples)} samples; ${now.last.ending}.` : "", now.last?.failed);
   if (run) {
     $("poses").max = run.poses || 1;
     $("poses").value = run.poses ? Math.min(run.dwells, run.poses) : 0;
     set("poses-text", run.poses ? `${run.dwells} of ${run.poses} poses` : `${run.dwells} dwells; no plan`);
-    set("elapsed", duration(run.elapsed_s));
-    set("samples", run.samples.toLocaleString("en"));
-    set("rate", `${run.rate_hz.toFixed(0)} a second`, run.elapsed_s > 3 && run.rate_hz === 0);
+    set("elapsed", clock(run.elapsed_s));
+    set("samples", count(run.samples));
+    set("rate", `${fixed(run.rate_hz, 0)} a second`, run.elapsed_s > 3 && run.rate_hz === 0);
     const losses = run.missing + run.lost_bytes;
     set("gaps", `${run.gaps}${run.missing ? `, ${run.missing} samples missing` : ""}${run.lost_bytes ? `, ${run.lost_bytes} bytes lost` : ""}`, losses > 0);
     const silent = run.elapsed_s > 3 && run.bytes === 0;
@@ -91,7 +87,7 @@ function choosePort() {
 async function lists() {
   const [{ plans }, { ports }, { protocols }] = await Promise.all(["/plans", "/ports", "/protocols"].map((p) => ask("GET", p)));
   const chosen = $("plan").value;
-  const text = (p) => (p.error ? `${p.name} (cannot be used)` : `${p.name}: ${p.poses} poses, ${duration(p.duration_s)}`);
+  const text = (p) => (p.error ? `${p.name} (cannot be used)` : `${p.name}: ${p.poses} poses, ${minutes(p.duration_s)}`);
   $("plan").replaceChildren(new Option("no plan", ""), ...plans.map((p) => new Option(text(p), p.name)));
   [...$("plan").options].forEach((o, i) => (o.disabled = i > 0 && !!plans[i - 1].error));
   $("plan").value = chosen || plans.find((p) => !p.error)?.name || "";

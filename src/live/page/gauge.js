@@ -1,5 +1,7 @@
 // Length and stroke: the number, the bar with its zones, the alarm with its sound.
 
+import { fixed, signed } from "/numbers.js";
+
 const SVG = "http://www.w3.org/2000/svg";
 const $ = (id) => document.getElementById(id);
 const FORGET_MS = 700;
@@ -11,9 +13,6 @@ let worst = null;
 let level = "none";
 let levelAt = 0;
 let audio = null;
-
-/** A number in mm with its sign. */
-export const mm = (value, digits = 3) => (value < 0 ? "−" : "+") + Math.abs(value).toFixed(digits);
 
 function shape(name, attributes, parent) {
   const node = document.createElementNS(SVG, name);
@@ -31,8 +30,8 @@ function place(value) {
 function draw() {
   const svg = $("gauge");
   svg.replaceChildren();
-  $("low").textContent = stroke ? mm(stroke[0], 2) + " mm" : "";
-  $("high").textContent = stroke ? mm(stroke[1], 2) + " mm" : "";
+  $("low").textContent = stroke ? signed(stroke[0], 2) + " mm" : "";
+  $("high").textContent = stroke ? signed(stroke[1], 2) + " mm" : "";
   if (!stroke) return;
   const middle = (stroke[0] + stroke[1]) / 2;
   const half = (share * (stroke[1] - stroke[0])) / 2;
@@ -62,6 +61,7 @@ export function setup(run) {
     $("value").textContent = "–";
     $("detail").textContent = "No run is on: the bar is read during a run.";
     for (const id of ["hand", "band"]) $(id)?.setAttribute("x", -2000);
+    $("length").dataset.bar = "none";
     setLevel("none");
   }
 }
@@ -75,18 +75,20 @@ export function begin() {
 
 /** A picture of the stream. */
 export function show(frame, run) {
-  $("value").textContent = mm(frame.last_mm);
-  const length = run?.bar_length_mm ? `${(run.bar_length_mm + frame.last_mm).toFixed(3)} mm between the balls` : "";
+  $("value").textContent = signed(frame.last_mm);
+  $("length").dataset.bar = frame.mounted ? "mounted" : "off";
+  const length = run?.bar_length_mm ? `${fixed(run.bar_length_mm + frame.last_mm)} mm between the balls` : "";
   const where = stroke
-    ? `${Math.round((100 * (frame.last_mm - stroke[0])) / (stroke[1] - stroke[0]))} % of the stroke`
+    ? `${fixed((100 * (frame.last_mm - stroke[0])) / (stroke[1] - stroke[0]), 0)} % of the stroke`
     : "the stroke is not known: choose a plan, or configure it";
   const doubt = frame.valid ? "" : "the bar itself does not vouch for this reading";
-  $("detail").textContent = [length, where, doubt].filter(Boolean).join(" · ");
+  const shown = frame.mounted ? [length, where, doubt] : ["No bar mounted: reading invalid"];
+  $("detail").textContent = shown.filter(Boolean).join(" · ");
   if (stroke && $("hand")) {
     $("hand").setAttribute("x", place(frame.last_mm) - 4);
     $("band").setAttribute("x", place(frame.min_mm));
     $("band").setAttribute("width", Math.max(1, place(frame.max_mm) - place(frame.min_mm)));
-    $("gauge").setAttribute("aria-label", `Stroke: ${where}, ${mm(frame.last_mm)} mm`);
+    $("gauge").setAttribute("aria-label", `Stroke: ${frame.mounted ? where : "no bar mounted"}, ${signed(frame.last_mm)} mm`);
     if (frame.alarm !== "none") {
       const far = Math.abs(frame.max_mm - stroke[1]) < Math.abs(frame.min_mm - stroke[0]) ? frame.max_mm : frame.min_mm;
       const beyond = (value) => Math.max(value - stroke[1], stroke[0] - value);
@@ -115,7 +117,7 @@ function showAlarm() {
   const texts = {
     over: "OVER THE STROKE: stop the robot, the bar may break",
     near: "Near the end of the stroke",
-    none: worst ? `The reading was ${worst.level === "over" ? "beyond" : "near the end of"} the stroke: ${mm(worst.value)} mm at ${worst.at.toLocaleTimeString()}` : "",
+    none: worst ? `The reading was ${worst.level === "over" ? "beyond" : "near the end of"} the stroke: ${signed(worst.value)} mm at ${worst.at.toLocaleTimeString()}` : "",
   };
   if (box.textContent !== texts[level]) box.textContent = texts[level];
 }

@@ -1,6 +1,6 @@
 // The circle as it grows: the deviation at each dwell, magnified.
 
-import { mm } from "/gauge.js";
+import { count, signed } from "/numbers.js";
 
 const SVG = "http://www.w3.org/2000/svg";
 const $ = (id) => document.getElementById(id);
@@ -72,7 +72,7 @@ function draw() {
     node("circle", { class: ring ? "ring" : "nominal", r: RADIUS + ring * RING }, svg);
     if (!list.length) continue;
     const [x, y] = at(45, RADIUS + ring * RING);
-    node("text", { x: x + 1, y }, svg).textContent = ring ? `${ring > 0 ? "+" : "−"}${Math.abs(ring * scale)}` : "0";
+    node("text", { x: x + 1, y }, svg).textContent = signed(ring * scale, 0);
   }
   for (const [angle, text] of [[0, "0°"], [90, "90°"], [180, "180°"], [270, "270°"]]) {
     const [x, y] = at(angle, 114);
@@ -91,7 +91,7 @@ function draw() {
     }
   }
   const last = list.at(-1);
-  const text = last ? `${list.length} points, ring ${scale} micrometres, last ${mm(last.deviation_mm * 1e3, 1)} micrometres` : "no point yet";
+  const text = last ? `${list.length} points, ring ${count(scale)} micrometres, last ${signed(last.deviation_mm * 1e3, 1)} micrometres` : "no point yet";
   svg.setAttribute("aria-label", `Polar plot: ${text}`);
 }
 

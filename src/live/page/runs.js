@@ -1,6 +1,7 @@
 // Runs, what is made from them, and the jobs that make it.
 
 import { ask } from "/link.js";
+import { count, fixed } from "/numbers.js";
 
 const $ = (id) => document.getElementById(id);
 const STATES = { running: "running", ended: "ended", ended_early: "ended early" };
@@ -32,9 +33,10 @@ function row(run) {
   const line = make("tr", null);
   line.append(make("th", run.name, { scope: "row" }));
   const when = run.started_unix_ms ? new Date(run.started_unix_ms).toLocaleString() : "";
-  line.append(make("td", `${STATES[run.state]}${run.ended ? ": " + run.ended.reason : ""} ${when}`));
-  const size = `${(run.bytes / 1e6).toFixed(1)} MB`;
-  line.append(make("td", run.ended ? `${run.ended.samples} (${size})` : size));
+  line.append(make("td", when));
+  line.append(make("td", `${STATES[run.state]}${run.ended ? ": " + run.ended.reason : ""}`));
+  const size = `${fixed(run.bytes / 1e6, 1)} MB`;
+  line.append(make("td", run.ended ? `${count(run.ended.samples)} samples, ${size}` : size));
   const act = make("td", null);
   for (const [kind, text] of Object.entries(KINDS)) {
     const button = make("button", text, { type: "button", "aria-label": `${text}: run ${run.name}`, "data-kind": kind });
@@ -85,7 +87,7 @@ function drawJobs() {
   const newest = [...jobs.values()].reverse().slice(0, 8);
   if (!newest.length) return;
   const items = newest.map((job, at) => {
-    const item = make("li", `${KINDS[job.kind]} of ${job.run}: ${JOBS[job.state]} (${job.elapsed_s.toFixed(0)} s) `);
+    const item = make("li", `${KINDS[job.kind]} of ${job.run}: ${JOBS[job.state]} (${fixed(job.elapsed_s, 0)} s) `);
     if (["waiting", "running"].includes(job.state)) {
       const button = make("button", "Cancel", { type: "button", "aria-label": `Cancel job ${job.id}` });
       button.addEventListener("click", () => ask("POST", `/jobs/${job.id}/cancel`).then(show, (error) => say(error.message)));

@@ -1,5 +1,7 @@
 // The last minute: least and greatest reading of each picture.
 
+import { fixed } from "/numbers.js";
+
 const SPAN_S = 60;
 const $ = (id) => document.getElementById(id);
 let frames = [];
@@ -15,6 +17,8 @@ export function begin() {
 /** One picture more. */
 export function add(frame, run) {
   stroke = run?.stroke_mm ?? null;
+  // Where no bar is mounted, there is nothing to see.
+  if (!frame.mounted) return;
   if (frames.length && frame.t_s < frames.at(-1).t_s) frames = [];
   frames.push(frame);
   while (frames[0].t_s < frame.t_s - SPAN_S) frames.shift();
@@ -53,10 +57,14 @@ function draw() {
   ink.fillStyle = colour("--soft");
   ink.strokeStyle = colour("--rule");
   for (const v of [low + room, (low + top) / 2, top - room]) {
-    ink.fillText(v.toFixed(3) + " mm", 0, y(v) + 4);
+    ink.fillText(fixed(v) + " mm", 0, y(v) + 4);
     line(ink, left, y(v), wide, y(v));
   }
-  for (let back = 0; back <= SPAN_S; back += 15) ink.fillText(`−${back} s`, Math.min(wide - 34, x(end - back)), high - 4);
+  for (let back = 0; back <= SPAN_S; back += 15) {
+    ink.textAlign = back ? "center" : "right";
+    ink.fillText(`${fixed(-back, 0)} s`, back ? x(end - back) : wide, high - 4);
+  }
+  ink.textAlign = "left";
   if (stroke) {
     ink.strokeStyle = colour("--over");
     for (const v of stroke) if (v > low && v < top) line(ink, left, y(v), wide, y(v));
