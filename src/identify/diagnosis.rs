@@ -4,12 +4,14 @@ use nalgebra::DMatrix;
 
 use super::estimate::Estimate;
 use super::options::{Options, Prior};
+use super::places::{is_place, well_told};
 use super::result::{Advice, Correlated, PredictedPair};
+use super::summary::workspace_poses;
 use crate::identifiability::trial::{Kind, Measured};
 use crate::identifiability::{
     Correlation, Observability, Workspace, correlations, known_beforehand, observability,
 };
-use crate::model::{ParamId, Reading, Robot};
+use crate::model::{LengthModel, ParamId, Reading, Robot};
 
 /// Above this share of the error before, a further measurement adds next to nothing.
 const NOTHING: f64 = 0.97;
@@ -50,9 +52,10 @@ pub(super) fn correlated(estimate: &Estimate, covariance: &DMatrix<f64>) -> Vec<
 }
 
 /// What to measure next, best first: only where something is confounded that lengths could tell, too weak, or
-/// where the position is not pinned.
+/// where the position is not pinned; only what would lower the error. `start` is the set-up as it was given.
 pub(super) fn advice(
     robot: &Robot,
+    start: &LengthModel,
     estimate: &Estimate,
     (readings, sigma): (&[Reading], &[f64]),
     seen: &Seen,
@@ -61,23 +64,27 @@ pub(super) fn advice(
     options: &Options,
 ) -> Vec<Advice> {
     let ids: Vec<ParamId> = estimate.analysis.ids.clone();
-    let known: Vec<Option<f64>> = ids
+    let known_to = |id: &ParamId| options.prior_sd(robot, *id).or_else(|| estimate.prior_sd(*id));
+    let known: Vec<f64> = ids
         .iter()
-        .map(|id| match id {
-            // A bar that is too weak is held, as exact where it has no certificate, in the predicted error as here.
-            ParamId::BarOffset(_) if estimate.weak.contains(id) => Some(options.bar_u_mm.unwrap_or(1e-9)),
-            id => options.prior_sd(robot, *id).or_else(|| estimate.prior_sd(*id)),
-        })
+        .map(|id| known_to(id).unwrap_or_else(|| known_beforehand(robot, *id, options.bar_u_mm)))
         .collect();
-    let measured = Measured { robot, model: &estimate.before, readings, sigma, ids: &ids, known: &known };
+    // A set-up that the lengths hardly tell may have run off in the fit.
+    let told_places = well_told(robot, start, readings, &ids).unwrap_or_default();
+    let sound = ids.iter().filter(|id| is_place(id)).all(|id| told_places.contains(id));
+    let model = if sound { &estimate.before } else { start };
+    let measured = Measured { robot, model, readings, sigma, ids: &ids, known: &known };
     let all_told = estimate.weak.is_empty() && estimate.base.iter().all(|id| told.contains(id));
     if all_told && pinned && !measured.more_can_be_told(estimate.analysis.base.rank) {
         return Vec::new();
     }
     let share = mean_of_rms(robot, seen, predicted.nominal.mean, options);
     // Two poses or fewer are aligned away whatever the robot: there is no error to lower.
-    let proposals = share.is_finite().then(|| measured.proposals(&seen.workspace, share, told)).flatten();
-    let Some((now_mm, proposals)) = proposals else { return Vec::new() };
+    if !share.is_finite() {
+        return Vec::new();
+    }
+    let workspace = Workspace::new(&model.geometry, &workspace_poses(robot, options), &ids);
+    let Some((now_mm, proposals)) = measured.proposals(&workspace, share, told) else { return Vec::new() };
     // With a prior the result's own figure is by the same measure, up to the robots drawn for it; where the solver
     // did worse than the prior allows, a proposal is not to pay for it.
     let scale = match options.prior {
@@ -101,6 +108,8 @@ pub(super) fn advice(
             advice.text = text(&advice, &proposal.what, &options.prior);
             advice
         })
+        // Without a prior this error and that with one are of two estimates: the prior alone may make it larger.
+        .filter(|advice| advice.after_mm < advice.before_mm)
         .collect()
 }
 
@@ -125,7 +134,8 @@ fn text(advice: &Advice, what: &str, prior: &Prior) -> String {
     if !tells.is_empty() {
         text.push_str(&format!(", and it tells {}", tells.join(", ")));
     } else if !advice.adds {
-        text.push_str(", so it adds next to nothing");
+        let nothing = if *prior == Prior::None { "as the prior does alone" } else { "so it adds next to nothing" };
+        text.push_str(&format!(", {nothing}"));
     }
     text
 }

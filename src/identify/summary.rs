@@ -20,7 +20,7 @@ use super::{ErrorMap, Identified, ResidualPair, joints, verdict};
 use crate::identifiability::{Combination, ErrorSummary, Estimator, Workspace, factor};
 use crate::linalg::base_set;
 use crate::model::parameter::{self, SetUp};
-use crate::model::{LengthModel, Observations, ParamId, Reading, Robot};
+use crate::model::{AXES, LengthModel, Observations, ParamId, Reading, Robot};
 
 /// Poses over which the error is predicted when the user gives none, and their seed.
 const WORKSPACE_POSES: usize = 2000;
@@ -111,6 +111,7 @@ pub(super) fn summarise(
         correlated: diagnosis::correlated(estimate, &spread.covariance),
         advice: diagnosis::advice(
             robot,
+            start,
             estimate,
             (&used_readings, &used_sigma),
             &seen,
@@ -324,6 +325,14 @@ fn dependent(estimate: &Estimate) -> Vec<Dependent> {
         .collect()
 }
 
+/// The axis angles (rad) over which a 3-D error is predicted.
+pub(super) fn workspace_poses<'a>(robot: &Robot, options: &'a Options) -> Cow<'a, [[f64; AXES]]> {
+    match &options.workspace {
+        Some(poses) => Cow::Borrowed(poses),
+        None => Cow::Owned(Workspace::uniform(robot, WORKSPACE_POSES, WORKSPACE_SEED)),
+    }
+}
+
 /// The predicted 3-D errors of the nominal and the identified robot, and the latter's over the workspace.
 pub(super) fn predicted(
     robot: &Robot,
@@ -349,11 +358,7 @@ pub(super) fn predicted(
     let factor = factor(&estimate.fit.model, readings, &ids, sigma);
     let estimator =
         Estimator { ids: &ids, factor: &factor, tolerance: &tolerances, kept: &kept, prior: &rows };
-    let poses = options
-        .workspace
-        .clone()
-        .unwrap_or_else(|| Workspace::uniform(robot, WORKSPACE_POSES, WORKSPACE_SEED));
-    let workspace = Workspace::new(&estimate.fit.model.geometry, &poses, &ids);
+    let workspace = Workspace::new(&estimate.fit.model.geometry, &workspace_poses(robot, options), &ids);
     let truths = estimator.truths();
     // What the user held is taken as exact; the nominal robot has all its tolerance.
     let mut unknown = truths.clone();

@@ -6,6 +6,8 @@ use super::{Kind, Measured};
 use crate::model::pose::{rot_x, rot_y, rot_z};
 use crate::model::{AXES, Geometry, Pose, Reading, inverse};
 
+/// A length farther than this from what the model has for its pose is of another ball or bar, mm.
+const FOREIGN_MM: f64 = 50.0;
 /// Poses of a candidate.
 pub(super) const POSES: usize = 20;
 /// Places tried on each circle.
@@ -100,8 +102,12 @@ struct Cell<'a> {
 }
 
 impl<'a> Cell<'a> {
+    /// `None` where no measured pose belongs to a ball: nothing is known of what the robot reaches with the bar.
     fn of(measured: &Measured<'a>) -> Option<Self> {
-        let of_ball = |ball: usize| measured.readings.iter().filter(move |reading| reading.centre == ball);
+        let prepared = measured.model.prepare();
+        let near = |reading: &&Reading| (reading.length - prepared.length(reading)).abs() < FOREIGN_MM;
+        let of_ball =
+            |ball: usize| measured.readings.iter().filter(near).filter(move |reading| reading.centre == ball);
         let home = (0..measured.model.centres.len()).max_by_key(|ball| of_ball(*ball).count())?;
         let mut lengths: Vec<f64> = of_ball(home).map(|reading| reading.length).collect();
         lengths.sort_by(f64::total_cmp);

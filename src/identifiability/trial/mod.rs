@@ -2,8 +2,8 @@
 //!
 //! The rows that a candidate's poses would add are stacked on those measured, with what is known
 //! beforehand; the 3-D error that is left over the workspace follows from the covariance, and from the
-//! stacked rows alone which parameters the lengths would tell. All of it is taken at one model, that of
-//! the nominal geometry with the fitted set-up, where ranks are taken.
+//! stacked rows alone which parameters the lengths would tell. All of it is taken at one model, the nominal
+//! geometry in its set-up, where ranks are taken.
 
 mod candidates;
 mod words;
@@ -20,14 +20,12 @@ use candidates::Candidate;
 
 /// A parameter of which lengths alone leave more than this many of its standard deviations before is not told.
 const WEAK: f64 = 3.0;
-/// What stands for "nothing known" of a ball's place or the bar beforehand, mm.
-const FREE_MM: f64 = 1e3;
 
 /// What is measured, and of what.
 pub struct Measured<'a> {
     /// The robot: limits, reach, tolerance.
     pub robot: &'a Robot,
-    /// The nominal geometry with the fitted set-up.
+    /// The nominal geometry in its set-up.
     pub model: &'a LengthModel,
     /// The lengths there are.
     pub readings: &'a [Reading],
@@ -35,8 +33,8 @@ pub struct Measured<'a> {
     pub sigma: &'a [f64],
     /// What is unknown, in canonical order.
     pub ids: &'a [ParamId],
-    /// One standard deviation of each as known beforehand (mm, rad); none for what is free.
-    pub known: &'a [Option<f64>],
+    /// One standard deviation of each as known beforehand, mm or rad.
+    pub known: &'a [f64],
 }
 
 /// The kinds of further measurement.
@@ -174,10 +172,11 @@ impl Measured<'_> {
     }
 
     /// The root of the covariance that weighted rows leave of what is known beforehand; columns beyond the known
-    /// ones are a further ball's.
+    /// ones are a further ball's, which is known as any is that was taught.
     fn root(&self, rows: &DMatrix<f64>) -> Option<DMatrix<f64>> {
         let n = rows.ncols();
-        let sd = DVector::from_fn(n, |at, _| self.known.get(at).copied().flatten().unwrap_or(FREE_MM));
+        let taught = known_beforehand(self.robot, ParamId::Centre(1, 0), None);
+        let sd = DVector::from_fn(n, |at, _| self.known.get(at).copied().unwrap_or(taught));
         let mut scaled = DMatrix::identity(n + rows.nrows(), n);
         scaled.rows_mut(n, rows.nrows()).copy_from(rows);
         for (mut column, sd) in scaled.column_iter_mut().zip(&sd) {
