@@ -122,6 +122,10 @@ struct PayloadTable {
     centre_mm: [f64; 3],
 }
 
+/// ISO 9283 repeatability is the mean distance plus three standard deviations; for an isotropic
+/// normal error of deviation s that is (1.596 + 3 * 0.673) s.
+const REPEATABILITY: f64 = 3.616;
+
 impl Robot {
     /// Names and files of the robots that are built in.
     pub fn built_in() -> &'static [(&'static str, &'static str)] {
@@ -132,6 +136,11 @@ impl Robot {
     pub fn by_name(name: &str) -> Option<Result<Self, Diagnostic>> {
         let (_, text) = BUILT_IN.iter().find(|(built_in, _)| *built_in == name)?;
         Some(Self::from_toml(name, text))
+    }
+
+    /// Standard deviation of each coordinate of a pose that is repeated, mm, where the repeatability is known.
+    pub fn repeatability_sd_mm(&self) -> Option<f64> {
+        self.repeatability_mm.map(|mm| mm / REPEATABILITY)
     }
 
     /// A built-in robot whose name is near `name`.

@@ -61,7 +61,7 @@ pub struct Error3d {
     pub mean: f64,
     /// 95th percentile over robots and poses.
     pub p95: f64,
-    /// Largest over the poses, averaged over the robots.
+    /// Largest over the poses: 95 % of the robots stay below it.
     pub max: f64,
 }
 

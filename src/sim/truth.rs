@@ -6,6 +6,13 @@ use rand_pcg::Pcg64;
 
 use crate::model::{AXES, Robot};
 
+/// The noise of a cell whose robot repeats as its file says and whose lengths have the standard deviation `sigma_um`, in
+/// micrometres: the first keys of a WORLD.toml.
+pub fn noise(robot: &Robot, sigma_um: f64) -> String {
+    let repeatability_um = 1e3 * robot.repeatability_sd_mm().unwrap_or(0.0);
+    format!("repeatability_um = {repeatability_um:.3}\n\n[bar]\nnoise_um = {sigma_um:?}\n")
+}
+
 /// A robot whose parameters differ from the nominal ones by normal errors of `scale` times the nominal
 /// robot's tolerance: all a, alpha, theta and d, and the beta of each joint that is nominally parallel
 /// to the one before, whose own d is held (only the sum of such two is anything). The same seed

@@ -8,8 +8,9 @@ use std::process;
 use crate::cli::child::{Simulator, Steps};
 use crate::cli::{Output, demo};
 use crate::files;
-use crate::model::AXES;
+use crate::model::{AXES, Robot};
 use crate::plan::Header;
+use crate::sim::truth;
 
 /// A simulator that runs a plan.
 pub(crate) struct Cell {
@@ -28,13 +29,15 @@ impl Drop for Directory {
     }
 }
 
-/// A world whose base balls stand where the plan has them taught.
+/// A world whose robot and bar repeat as the plan counts on, and whose base balls stand where it has them taught.
 fn world(plan: &Path) -> Result<String, Box<dyn Error>> {
     let header: Header = serde_json::from_str(&files::read(&plan.with_extension("json"))?)?;
     let tables = header.job.centres.iter().filter_map(|table| Some((table.id, table.taught_deg?)));
     let taught = header.taught.iter().map(|ball| (ball.centre, ball.axes_deg));
     let table = |(id, axes): (u32, [f64; AXES])| format!("[[centre]]\nid = {id}\ntaught_deg = {axes:?}\n");
-    Ok(tables.chain(taught).map(table).collect())
+    let robot = Robot::from_toml("the plan's robot", &header.robot)?;
+    let noise = truth::noise(&robot, header.job.bar.sigma_um);
+    Ok(std::iter::once(noise).chain(tables.chain(taught).map(table)).collect())
 }
 
 impl Cell {

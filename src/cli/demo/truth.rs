@@ -17,6 +17,7 @@ use crate::identifiability::{Workspace, aligned_distances};
 use crate::identify::Identification;
 use crate::identify::result::{ParameterResult, Residual, Status};
 use crate::model::{Centre, Geometry, LengthModel, ParamId, Robot};
+use crate::plan::Job;
 use crate::sim::truth;
 
 /// How far off the ball may stand from where it was taped, mm, one standard deviation.
@@ -59,10 +60,11 @@ impl Truth {
     pub(super) fn draw(dir: &Path, seed: u64) -> Result<Self, Box<dyn Error>> {
         let nominal = robots::named("kr60ha")?;
         let robot = truth::draw(&nominal, seed, 1.0);
+        let job = Job::from_toml("job.toml", super::JOB)?;
         let path = dir.join("plan/centres.csv");
         let mut centres = Centre::from_csv(&path.display().to_string(), &files::read(&path)?)?;
         let mut random = Pcg64::seed_from_u64(seed);
-        let mut world = String::from("repeatability_um = 20.0\n\n[bar]\nnoise_um = 2.0\n");
+        let mut world = truth::noise(&nominal, job.bar.sigma_um);
         for centre in &mut centres {
             centre.position += Vector3::from_fn(|_, _| {
                 let z: f64 = StandardNormal.sample(&mut random);
