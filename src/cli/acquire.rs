@@ -14,7 +14,8 @@ use indicatif::{ProgressBar, ProgressStyle};
 use super::{Outcome, Output, Verdict, protocols};
 use crate::clock;
 use crate::daemon::{
-    Acquisition, Attachments, Ending, Options, Outlook, Progress, Server, Summary, Watch, stop_on_signal, zero,
+    Acquisition, Attachments, Ending, Options, Outlook, Progress, Server, Summary, Watch, stop_on_signal,
+    zero,
 };
 use crate::port::{self, Latency};
 use crate::units::HostNs;

@@ -69,7 +69,7 @@ impl Feed {
                 Some(1e3 * (device_s - host_s));
         }
         let reading = sample.reading_mm;
-        let alarm = self.watch.alarm(&self.outlook, reading, sample.valid, dwells);
+        let alarm = self.watch.alarm(&self.outlook, host_s, reading, sample.valid, dwells);
         let (began, frame) = self.picture.get_or_insert((
             host,
             Frame {
@@ -95,7 +95,7 @@ impl Feed {
         frame.max_mm = frame.max_mm.max(reading);
         frame.last_mm = reading;
         frame.alarm = frame.alarm.max(alarm.unwrap_or_default());
-        frame.mounted = alarm.is_some();
+        frame.mounted &= alarm.is_some();
         frame.strobe = sample.trigger;
         frame.valid &= sample.valid;
         self.dwell(sample, dwells);

@@ -50,7 +50,9 @@ impl Outlook {
         });
         // The bar is off on every PTP, and after the end.
         let off = plan.rows.iter().filter(|row| row.motion == Motion::Ptp).map(|row| row.index);
-        let over = |index: u32| plan.rows.iter().filter(|row| row.kind != Kind::Transit && row.index < index).count() as u32;
+        let over = |index: u32| {
+            plan.rows.iter().filter(|row| row.kind != Kind::Transit && row.index < index).count() as u32
+        };
         let mut taken_off: Vec<u32> = off.chain([u32::MAX]).map(over).filter(|dwells| *dwells > 0).collect();
         taken_off.dedup();
         let bar = &plan.header.job.bar;
@@ -101,22 +103,35 @@ impl Outlook {
 
 /// Tells a bar between its balls from one that is not mounted yet, or no more: that one's reading means nothing.
 ///
-/// It counts as mounted from its first valid reading inside the stroke, until the dwells that the plan has before it is
-/// taken off are over and it reads something else. Without a plan it stays mounted.
+/// It counts as mounted once its readings were valid and inside the stroke for a second, until the dwells that the plan
+/// has before it is taken off are over and it reads something else. Without a plan it stays mounted.
 #[derive(Clone, Debug, Default)]
 pub struct Watch {
     mounted: bool,
-    /// How often it was taken off, by the dwells; how many were over the last time, if it is still on.
+    /// Since when it reads what a mounted bar may read, s.
+    inside: Option<f64>,
+    /// How often it was to be taken off, by the dwells; how many were over the last time, if it is still on.
     times: usize,
     leaving: Option<u32>,
 }
 
+/// Hands that mount a bar do not hold it still for so long, s.
+const SETTLED_S: f64 = 1.0;
+
 impl Watch {
-    /// How near the reading (mm) of a mounted bar is to the end of the stroke; `None` where no bar is mounted. `valid`:
-    /// the bar vouches for it; `dwells` are over.
-    pub fn alarm(&mut self, outlook: &Outlook, reading_mm: f64, valid: bool, dwells: u32) -> Option<Alarm> {
+    /// How near the reading (mm) at a time (s) is to the end of the stroke; `None` where no bar is mounted. `valid`: the
+    /// bar vouches for it; `dwells` are over.
+    pub fn alarm(
+        &mut self,
+        outlook: &Outlook,
+        t_s: f64,
+        reading_mm: f64,
+        valid: bool,
+        dwells: u32,
+    ) -> Option<Alarm> {
         let alarm = outlook.alarm(reading_mm);
         let inside = valid && alarm != Alarm::Over;
+        self.inside = inside.then(|| self.inside.unwrap_or(t_s));
         let times = outlook.taken_off.iter().filter(|off| **off <= dwells).count();
         if times != self.times {
             self.times = times;
@@ -128,9 +143,12 @@ impl Watch {
             Some(since) if inside && dwells > since => (self.leaving, self.mounted) = (None, true),
             Some(_) if inside => {}
             Some(_) => self.leaving = None,
-            None => self.mounted |= inside && (times == 0 || times < outlook.taken_off.len()),
+            None => {
+                let settled = self.inside.is_some_and(|since| t_s - since >= SETTLED_S);
+                self.mounted |= settled && (times == 0 || times < outlook.taken_off.len());
+            }
         }
-        (self.mounted || inside).then_some(alarm)
+        if self.mounted { Some(alarm) } else { inside.then_some(Alarm::None) }
     }
 }
 
@@ -160,33 +178,36 @@ mod tests {
         let outlook = Outlook { taken_off: vec![3, 6], ..Outlook::bare(Some([-1.0, 1.0]), 0.9) };
         let mut watch = Watch::default();
         let (off, fine, near, over) = (None, Some(Alarm::None), Some(Alarm::Near), Some(Alarm::Over));
-        for (step, (reading_mm, valid, dwells, alarm)) in [
-            (1.0, false, 0, off),   // at its end stop
-            (1.0, true, 0, off),    // and of a kind that does not say so
-            (0.2, true, 0, fine),   // mounted
-            (0.95, true, 1, near),
-            (1.0, false, 1, over),  // pulled out between the dwells
-            (0.2, true, 2, fine),
-            (0.2, true, 3, fine),   // still on after the last dwell
-            (0.95, true, 3, near),
-            (1.0, false, 3, off),   // taken off
-            (0.1, true, 3, fine),   // on the second ball
-            (1.0, false, 3, over),
-            (0.1, true, 6, fine),
-            (1.0, false, 6, off),
-            (0.3, true, 6, fine),   // handled after the end
-            (1.0, false, 6, off),
-        ]
-        .into_iter()
-        .enumerate()
-        {
-            assert_eq!(watch.alarm(&outlook, reading_mm, valid, dwells), alarm, "step {step}");
+        for (t_s, reading_mm, valid, dwells, alarm) in [
+            (0.0, 1.0, false, 0, off),  // at its end stop
+            (1.0, 1.0, true, 0, off),   // and of a kind that does not say so
+            (2.0, 0.95, true, 0, fine), // in the hand
+            (2.5, 0.2, true, 0, fine),
+            (2.6, 1.0, false, 0, off),
+            (3.0, 0.95, true, 0, fine),
+            (4.0, 0.95, true, 0, near), // mounted, and badly
+            (5.0, 0.95, true, 1, near),
+            (5.1, 1.0, false, 1, over), // pulled out between the dwells
+            (6.0, 0.2, true, 2, fine),
+            (7.0, 0.2, true, 3, fine), // still on after the last dwell
+            (7.1, 0.95, true, 3, fine),
+            (7.2, 1.0, false, 3, off), // taken off
+            (8.0, 0.1, true, 3, fine), // on the second ball
+            (9.0, 0.1, true, 3, fine),
+            (9.1, 1.0, false, 3, over),
+            (10.0, 0.1, true, 6, fine),
+            (11.0, 1.0, false, 6, off),
+            (12.0, 0.3, true, 6, fine), // handled after the end
+            (15.0, 0.3, true, 6, fine),
+            (16.0, 1.0, false, 6, off),
+        ] {
+            assert_eq!(watch.alarm(&outlook, t_s, reading_mm, valid, dwells), alarm, "at {t_s} s");
         }
         // Left on between two balls: the next dwell tells.
         let mut watch = Watch::default();
-        for (dwells, alarm) in [(0, fine), (3, fine), (4, fine)] {
-            assert_eq!(watch.alarm(&outlook, 0.0, true, dwells), alarm);
+        for (t_s, dwells) in [(0.0, 0), (1.0, 0), (3.0, 3), (4.0, 4)] {
+            assert_eq!(watch.alarm(&outlook, t_s, 0.0, true, dwells), fine);
         }
-        assert_eq!(watch.alarm(&outlook, 1.0, false, 4), over);
+        assert_eq!(watch.alarm(&outlook, 5.0, 1.0, false, 4), over);
     }
 }

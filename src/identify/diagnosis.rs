@@ -55,8 +55,7 @@ pub(super) fn correlated(estimate: &Estimate, covariance: &DMatrix<f64>) -> Vec<
 /// where the position is not pinned; only what would lower the error. `start` is the set-up as it was given.
 pub(super) fn advice(
     robot: &Robot,
-    start: &LengthModel,
-    estimate: &Estimate,
+    (start, estimate): (&LengthModel, &Estimate),
     (readings, sigma): (&[Reading], &[f64]),
     seen: &Seen,
     told: &[ParamId],
@@ -134,7 +133,8 @@ fn text(advice: &Advice, what: &str, prior: &Prior) -> String {
     if !tells.is_empty() {
         text.push_str(&format!(", and it tells {}", tells.join(", ")));
     } else if !advice.adds {
-        let nothing = if *prior == Prior::None { "as the prior does alone" } else { "so it adds next to nothing" };
+        let nothing =
+            if *prior == Prior::None { "as the prior does alone" } else { "so it adds next to nothing" };
         text.push_str(&format!(", {nothing}"));
     }
     text

@@ -111,8 +111,7 @@ pub(super) fn summarise(
         correlated: diagnosis::correlated(estimate, &spread.covariance),
         advice: diagnosis::advice(
             robot,
-            start,
-            estimate,
+            (start, estimate),
             (&used_readings, &used_sigma),
             &seen,
             &told,
@@ -305,6 +304,7 @@ fn with_unit(value: f64, id: ParamId) -> String {
         _ if value.is_infinite() => "nothing known".into(),
         "rad" => format!("{:.3} mrad", value * 1e3),
         "rad/Nm" => format!("{:.3} urad/(N m)", value * 1e6),
+        unit if value >= 10.0 => format!("{value:.0} {unit}"),
         unit => format!("{value:.3} {unit}"),
     }
 }

@@ -176,7 +176,7 @@ pub struct Frame {
     pub last_mm: f64,
     /// The worst of its samples.
     pub alarm: Alarm,
-    /// Whether the bar is between its balls at its end; before and after, its reading means nothing.
+    /// Whether the bar is between its balls all the time; before and after, its reading means nothing.
     pub mounted: bool,
     /// Whether the strobe was high at its end, where the protocol carries it.
     pub strobe: Option<bool>,

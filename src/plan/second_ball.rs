@@ -53,8 +53,8 @@ pub(crate) fn second_ball(job: &Job, robot: &Robot, count: usize, poses: &[[f64;
     let same = format!("one turned about axis 1 alone leaves {:.0} % of the error", 100.0 * turned.min(1.0));
     Some(if share < HELPS {
         format!(
-            "a second base ball {words}, near ({:.0}, {:.0}, {:.0}) mm, would leave {:.0} % of the 3-D error with as many \
-             lengths; {same}",
+            "a second base ball {words}, near ({:.0}, {:.0}, {:.0}) mm, would leave {:.0} % of the 3-D error of as many poses \
+             chosen freely about this one ({alone:.3} mm); {same}",
             place.x,
             place.y,
             place.z,
@@ -62,7 +62,8 @@ pub(crate) fn second_ball(job: &Job, robot: &Robot, count: usize, poses: &[[f64;
         )
     } else {
         format!(
-            "no second base ball of {} places tried would leave less than {:.0} % of the 3-D error; {same}",
+            "no second base ball of {} places tried would leave less than {:.0} % of the 3-D error of as many poses chosen \
+             freely about this one ({alone:.3} mm); {same}",
             PLACES.len(),
             100.0 * HELPS
         )

@@ -4,6 +4,7 @@ use minijinja::value::Serde;
 use minijinja::{Environment, UndefinedBehavior};
 use serde::Serialize;
 
+use super::scale::typeset;
 use super::svg::plot_css;
 use crate::identify::result::{Warning, WarningKind};
 
@@ -72,6 +73,7 @@ pub(super) fn render(name: &str, template: &str, page: &impl Serialize) -> Resul
     }
     let mut engine = Environment::new();
     engine.set_undefined_behavior(UndefinedBehavior::Strict);
+    engine.add_filter("typeset", typeset);
     engine.add_template("page.html", PAGE_HTML)?;
     engine.add_template(name, template)?;
     let style = format!("{}{PAGE_CSS}", plot_css());

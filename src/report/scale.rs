@@ -136,6 +136,20 @@ pub(crate) fn fixed(value: f64, decimals: usize) -> String {
     }
 }
 
+/// A text with a proper minus sign before its numbers, where it has the hyphen of a terminal.
+pub(crate) fn typeset(text: String) -> String {
+    let mut set = String::with_capacity(text.len());
+    let mut before = ' ';
+    let mut rest = text.chars().peekable();
+    while let Some(character) = rest.next() {
+        let number = rest.peek().is_some_and(|next| next.is_ascii_digit() || *next == ' ');
+        let minus = character == '-' && number && matches!(before, ' ' | '(' | '[' | '|');
+        set.push(if minus { '−' } else { character });
+        before = character;
+    }
+    set
+}
+
 /// A number with an explicit sign.
 pub(crate) fn signed(value: f64, decimals: usize) -> String {
     let text = fixed(value, decimals);
@@ -192,5 +206,14 @@ mod tests {
         assert_eq!(plain(-185.0, 2), "−185");
         assert_eq!(rounded(15_556.0, 2), "16000");
         assert_eq!(rounded(f64::NAN, 2), "–");
+        let texts = [
+            ("at least -4.500 mm", "at least −4.500 mm"),
+            ("(650, -1128, 800) mm", "(650, −1128, 800) mm"),
+            ("only tool_x - 20 theta6", "only tool_x − 20 theta6"),
+            ("plan-2.csv, 2026-11-21, --prior, 1.0e-3", "plan-2.csv, 2026-11-21, --prior, 1.0e-3"),
+        ];
+        for (text, set) in texts {
+            assert_eq!(typeset(text.into()), set);
+        }
     }
 }

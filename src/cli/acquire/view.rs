@@ -33,7 +33,7 @@ pub(super) fn lines(progress: &Progress, outlook: &Outlook, bar: &mut Watch) -> 
     let (elapsed_s, rate_hz) = (progress.elapsed_s, progress.rate_hz);
     let below = format!("  {elapsed_s:.0} s, {poses}, {rate_hz:.0} Hz{}", super::losses(progress));
     let reading = format!("{reading_mm:+9.4} mm");
-    let alarm = bar.alarm(outlook, reading_mm, progress.valid, progress.dwells);
+    let alarm = bar.alarm(outlook, progress.elapsed_s, reading_mm, progress.valid, progress.dwells);
     if alarm.is_none() {
         return format!("{reading}  no bar mounted: reading invalid\n{below}");
     }
@@ -69,13 +69,16 @@ mod tests {
     fn the_gauge_follows_the_reading() {
         let outlook = Outlook::bare(Some([-1.0, 1.0]), 0.9);
         let mut bar = Watch::default();
+        let mut elapsed_s = 0.0;
         let mut at = |mm: f64| {
-            let progress = Progress { reading_mm: Some(mm), valid: true, ..Progress::default() };
+            elapsed_s += 1.0;
+            let progress = Progress { reading_mm: Some(mm), valid: true, elapsed_s, ..Progress::default() };
             lines(&progress, &outlook, &mut bar)
         };
         assert!(at(-1.2).contains("no bar mounted: reading invalid"));
         assert!(at(0.0).contains("[--------------------#--------------------]"), "{}", at(0.0));
+        assert!(at(0.0).contains("50 % of the stroke"));
         assert!(at(-1.2).contains("[#---") && at(-1.2).contains("OVER THE STROKE"));
-        assert!(at(0.95).contains("NEAR ITS END") && at(0.95).ends_with("\n  0 s, 0 dwells, 0 Hz"));
+        assert!(at(0.95).contains("NEAR ITS END") && at(0.95).ends_with("\n  7 s, 0 dwells, 0 Hz"));
     }
 }

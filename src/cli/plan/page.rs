@@ -83,7 +83,9 @@ fn error(error: &Error3d) -> PredictedError {
 fn predicted(parameter: &PredictedParameter) -> PredictedRow {
     let (status, reason) = match parameter.fate {
         Fate::Identified => (Status::Identified, String::new()),
-        Fate::TooWeak => (Status::TooWeak, "the lengths alone leave more than 3 tolerances".into()),
+        Fate::TooWeak => {
+            (Status::Prior, "the lengths alone leave more than 3 tolerances; the prior carries it".into())
+        }
         Fate::Dependent => (Status::Dependent, "told only in a combination".into()),
         Fate::Unseen => (Status::Held, "changes no length in these poses".into()),
     };

@@ -96,7 +96,7 @@ impl View<'_> {
         for (name, centre) in self.balls {
             let at = place(centre);
             svg.circle("d-ball", at, 5.0, name);
-            svg.text("halo", [at[0] + 8.0, at[1] + 4.0], Anchor::Start, name);
+            svg.text("halo", [at[0] + 7.0, at[1] - 8.0], Anchor::Start, name);
         }
         svg.finish()
     }
