@@ -36,13 +36,13 @@ fn problem(poses: usize) -> (Robot, Observations, Vec<Centre>) {
                 }),
                 length_mm: 0.0,
                 sigma_mm: None,
-                extra: vec![],
+                further: 0,
             };
             row.length_mm = truth.length(&row.axes(), &centre, 0.0) + noise.sample(&mut random);
             row
         })
         .collect();
-    (robot, Observations { rows, extra_columns: vec![] }, vec![Centre { id: 1, position: centre }])
+    (robot, Observations { rows, ..Observations::default() }, vec![Centre { id: 1, position: centre }])
 }
 
 fn thirteen() -> Vec<ParamId> {

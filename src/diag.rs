@@ -57,7 +57,11 @@ impl Diagnostic {
     /// From the CSV reader, which knows the line.
     pub fn csv(file: &str, error: &csv::Error) -> Self {
         let line = error.position().map_or(0, |position| position.line() as usize);
-        Self::line(file, line, error.to_string())
+        match error.kind() {
+            csv::ErrorKind::Io(error) => Self::file(file, format!("cannot be read: {error}")),
+            csv::ErrorKind::Utf8 { .. } => Self::line(file, line, "is not UTF-8 text"),
+            _ => Self::line(file, line, error.to_string()),
+        }
     }
 
     /// With what to do about it.

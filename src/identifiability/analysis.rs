@@ -3,8 +3,8 @@
 use nalgebra::DMatrix;
 
 use super::wording;
-use crate::linalg::{BaseSet, Triangle, base_set, map_pieces};
-use crate::model::{LengthModel, LengthRow, ParamId, Reading, Selection};
+use crate::linalg::{BaseSet, Triangle, base_set};
+use crate::model::{LengthModel, LengthRow, ParamId, Readings, Selection};
 
 /// A sum of parameters that can be told although its members cannot.
 #[derive(Clone, Debug)]
@@ -65,19 +65,23 @@ impl Analysis {
     }
 }
 
-/// The triangular factor of the Jacobian of `ids` at `model`, each row divided by its sigma
-/// (`sigma` of one entry per reading, or empty for plain lengths).
-pub fn factor(model: &LengthModel, readings: &[Reading], ids: &[ParamId], sigma: &[f64]) -> DMatrix<f64> {
+/// The triangular factor of the Jacobian of `ids` at `model`, each row divided by the standard deviation of its
+/// reading where these have one; without those that are left out.
+pub fn factor<L: Readings + ?Sized>(model: &LengthModel, readings: &L, ids: &[ParamId]) -> DMatrix<f64> {
     let selection = Selection::new(ids);
     let prepared = model.prepare();
-    let pieces = map_pieces(readings, |first, readings| {
+    let pieces = readings.in_pieces(|readings, sigma| {
         let mut triangle = Triangle::new(ids.len());
         let mut row = vec![0.0; ids.len()];
         let mut derivatives = LengthRow::default();
         for (at, reading) in readings.iter().enumerate() {
+            let sigma = sigma.get(at).copied();
+            if sigma == Some(f64::INFINITY) {
+                continue;
+            }
             prepared.row_into(reading, &mut derivatives);
             selection.pick(&derivatives, reading.centre, &mut row);
-            if let Some(sigma) = sigma.get(first + at) {
+            if let Some(sigma) = sigma {
                 row.iter_mut().for_each(|value| *value /= sigma);
             }
             triangle.push(&row, 0.0);
@@ -91,10 +95,10 @@ pub fn factor(model: &LengthModel, readings: &[Reading], ids: &[ParamId], sigma:
 ///
 /// The set-up is preferred over the robot's own parameters, and among these the joints over what
 /// moves the robot's base as a whole or its scale: what a user would hold is left out first.
-pub fn analyse(model: &LengthModel, readings: &[Reading], ids: &[ParamId]) -> Option<Analysis> {
+pub fn analyse<L: Readings + ?Sized>(model: &LengthModel, readings: &L, ids: &[ParamId]) -> Option<Analysis> {
     let mut ids = ids.to_vec();
     ids.sort();
-    let base = base_set(&factor(model, readings, &ids, &[]), &order_of_choice(&ids))?;
+    let base = base_set(&factor(model, readings, &ids), &order_of_choice(&ids))?;
     Some(Analysis { ids, base })
 }
 

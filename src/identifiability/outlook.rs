@@ -54,7 +54,7 @@ pub fn outlook(
     let after = belief.after(readings, sigma_mm)?;
     let kept = analysis.kept();
     let place = |id: &ParamId| ids.iter().position(|other| other == id);
-    let mut scaled = factor(&belief.model, readings, &kept, &[]);
+    let mut scaled = factor(&belief.model, readings, &kept);
     for (at, id) in kept.iter().enumerate() {
         scaled.column_mut(at).scale_mut(place(id).map_or(1.0, |place| belief.sd(place)));
     }

@@ -1,7 +1,7 @@
 //! The 3-D position error of the tool ball that an estimate leaves over a workspace.
 //!
 //! The estimator is simulated to first order: true errors delta are drawn from the tolerance, noise
-//! z from the lengths' sigma; with the weighted Jacobian J = Q R of all parameters, the estimate of
+//! z from the lengths' sigma, all together brought to their exact covariance; with the weighted Jacobian J = Q R of all parameters, the estimate of
 //! the kept ones is A Jk' (J delta + z) = A Rk' (R delta + Q'z), A = (Rk'Rk + P)^-1 with the
 //! prior's precision P = W'W, W the prior's rows. What is wrong afterwards, estimate minus delta, moves the ball by its
 //! position Jacobian; one best rigid alignment over the workspace is taken out, because lengths
@@ -16,7 +16,7 @@ use rand_pcg::Pcg64;
 
 use crate::model::{AXES, Chain, Geometry, ParamId, Robot};
 
-/// How many robots are drawn for a prediction.
+/// How many robots are drawn for a prediction, unless more numbers are to be drawn for each.
 const DRAWS: usize = 100;
 
 /// Error of the ball's position over a workspace: pooled over the robots drawn, mm.
@@ -173,25 +173,19 @@ pub struct Estimator<'a> {
 }
 
 impl Estimator<'_> {
-    /// True errors of drawn robots, a column each, from seed 1.
-    pub fn truths(&self) -> DMatrix<f64> {
-        let mut random = Pcg64::seed_from_u64(1);
-        let mut truths = DMatrix::zeros(self.ids.len(), DRAWS);
-        for mut robot in truths.column_iter_mut() {
-            for (error, tolerance) in robot.iter_mut().zip(self.tolerance) {
-                let z: f64 = StandardNormal.sample(&mut random);
-                *error = z * tolerance;
-            }
+    /// True errors of drawn robots, a column each, and the noise of their lengths in the coordinates of the factor.
+    pub fn draws(&self) -> [DMatrix<f64>; 2] {
+        let drawn = unit_draws(self.ids.len() + self.factor.nrows());
+        let mut truths = drawn.rows(0, self.ids.len()).into_owned();
+        for (mut row, tolerance) in truths.row_iter_mut().zip(self.tolerance) {
+            row *= *tolerance;
         }
-        truths
+        [truths, drawn.rows(self.ids.len(), self.factor.nrows()).into_owned()]
     }
 
-    /// What is wrong after the estimate, for each robot of [`Estimator::truths`]: estimate minus truth.
+    /// What is wrong after the estimate, for each robot of [`Estimator::draws`]: estimate minus truth.
     /// `None` when the estimate is not determined.
-    pub fn errors(&self, truths: &DMatrix<f64>) -> Option<DMatrix<f64>> {
-        let mut random = Pcg64::seed_from_u64(2);
-        let noise =
-            DMatrix::from_fn(self.factor.nrows(), truths.ncols(), |_, _| StandardNormal.sample(&mut random));
+    pub fn errors(&self, truths: &DMatrix<f64>, noise: &DMatrix<f64>) -> Option<DMatrix<f64>> {
         let mut errors = -truths;
         if self.kept.is_empty() {
             return Some(errors);
@@ -212,5 +206,28 @@ impl Estimator<'_> {
             row += estimate.row(place);
         }
         Some(errors)
+    }
+}
+
+/// Standard normal numbers, a column a robot, from seed 1. Rows are brought to unit covariance: as drawn, so few robots
+/// can miss the size of an error in one direction, as of a scale, by a tenth.
+fn unit_draws(rows: usize) -> DMatrix<f64> {
+    let mut random = Pcg64::seed_from_u64(1);
+    let robots = DRAWS.max(rows);
+    let drawn = DMatrix::from_fn(robots, rows, |_, _| StandardNormal.sample(&mut random));
+    drawn.qr().q().transpose() * (robots as f64).sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn draws_have_the_covariance_they_stand_for() {
+        for rows in [3, 64, 120] {
+            let draws = unit_draws(rows);
+            let covariance = &draws * draws.transpose() / draws.ncols() as f64;
+            assert!((covariance - DMatrix::identity(rows, rows)).norm() < 1e-12);
+        }
     }
 }

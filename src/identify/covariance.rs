@@ -2,10 +2,11 @@
 
 use nalgebra::DMatrix;
 
+use super::lengths::Weighted;
 use super::options::Tolerances;
 use super::prior::PriorRows;
 use crate::identifiability::factor;
-use crate::model::{LengthModel, ParamId, Reading};
+use crate::model::{LengthModel, ParamId};
 
 /// Covariance of the estimated parameters for unit weight, and how many of them the data determine.
 pub(super) struct Spread {
@@ -20,13 +21,12 @@ pub(super) struct Spread {
 /// The spread of `ids` at a model, of which the data alone tell at most `base`; `None` when they are not determined.
 pub(super) fn spread(
     model: &LengthModel,
-    readings: &[Reading],
+    lengths: &Weighted,
     ids: &[ParamId],
     base: &[ParamId],
-    sigma: &[f64],
     prior: Option<&PriorRows>,
 ) -> Option<Spread> {
-    let data = factor(model, readings, ids, sigma);
+    let data = factor(model, lengths, ids);
     let sd_of = |inverse: &DMatrix<f64>| inverse.row_iter().map(|row| row.norm()).collect::<Vec<f64>>();
     let Some(prior) = prior else {
         let inverse = inverse_root(&data)?;
@@ -48,17 +48,16 @@ pub(super) fn spread(
     Some(Spread { parameters: (data * &both).norm_squared(), covariance: &both * both.transpose(), data_sd })
 }
 
-/// The parameters of `ids` for which lengths of these sigmas are too weak, weakest first: each is
+/// The parameters of `ids` for which these lengths are too weak, weakest first: each is
 /// held before the next is judged. Holding one lowers the noise of the others, but its own error,
 /// of the size of its tolerance, then leaks into them, and counts.
 pub(super) fn too_weak(
     tolerances: Tolerances,
     model: &LengthModel,
-    readings: &[Reading],
+    lengths: &Weighted,
     ids: &[ParamId],
-    sigma: &[f64],
 ) -> Vec<ParamId> {
-    let data = factor(model, readings, ids, sigma);
+    let data = factor(model, lengths, ids);
     let (optional, mut kept): (Vec<usize>, Vec<usize>) =
         (0..ids.len()).partition(|&at| ids[at].is_optional());
     let mut weak: Vec<usize> = Vec::new();
@@ -125,13 +124,12 @@ fn leak(
 pub(super) fn leaked(
     tolerances: Tolerances,
     model: &LengthModel,
-    readings: &[Reading],
+    lengths: &Weighted,
     kept: &[ParamId],
     held: &[ParamId],
-    sigma: &[f64],
 ) -> Option<DMatrix<f64>> {
     let ids = [kept, held].concat();
-    let data = factor(model, readings, &ids, sigma);
+    let data = factor(model, lengths, &ids);
     let kept: Vec<usize> = (0..kept.len()).collect();
     let held: Vec<usize> = (kept.len()..ids.len()).collect();
     let noise = inverse_root(&data.select_columns(&kept))?;

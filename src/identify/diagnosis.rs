@@ -3,13 +3,14 @@
 use nalgebra::DMatrix;
 
 use super::estimate::Estimate;
+use super::lengths::Weighted;
 use super::options::{Options, Prior};
 use super::places::{is_place, well_told};
 use super::result::{Advice, Correlated, PredictedPair};
 use super::summary::workspace_poses;
 use crate::identifiability::trial::{Kind, Measured};
 use crate::identifiability::{
-    Correlation, Observability, Workspace, correlations, known_beforehand, observability,
+    Correlation, Observability, Workspace, correlations, factor, known_beforehand, observability,
 };
 use crate::model::{LengthModel, ParamId, Reading, Robot};
 
@@ -56,7 +57,7 @@ pub(super) fn correlated(estimate: &Estimate, covariance: &DMatrix<f64>) -> Vec<
 pub(super) fn advice(
     robot: &Robot,
     (start, estimate): (&LengthModel, &Estimate),
-    (readings, sigma): (&[Reading], &[f64]),
+    lengths: &Weighted,
     seen: &Seen,
     told: &[ParamId],
     (predicted, pinned): (&PredictedPair, bool),
@@ -69,10 +70,13 @@ pub(super) fn advice(
         .map(|id| known_to(id).unwrap_or_else(|| known_beforehand(robot, *id, options.bar_u_mm)))
         .collect();
     // A set-up that the lengths hardly tell may have run off in the fit.
-    let told_places = well_told(robot, start, readings, &ids).unwrap_or_default();
+    let told_places = well_told(robot, start, lengths, &ids).unwrap_or_default();
     let sound = ids.iter().filter(|id| is_place(id)).all(|id| told_places.contains(id));
     let model = if sound { &estimate.before } else { start };
-    let measured = Measured { robot, model, readings, sigma, ids: &ids, known: &known };
+    let some = lengths.some(|reading, sigma| (*reading, sigma)).into_iter();
+    let readings: Vec<Reading> =
+        some.filter(|(_, sigma)| sigma.is_finite()).map(|(reading, _)| reading).collect();
+    let measured = Measured { robot, model, readings: &readings, ids: &ids, known: &known };
     let all_told = estimate.weak.is_empty() && estimate.base.iter().all(|id| told.contains(id));
     if all_told && pinned && !measured.more_can_be_told(estimate.analysis.base.rank) {
         return Vec::new();
@@ -83,7 +87,9 @@ pub(super) fn advice(
         return Vec::new();
     }
     let workspace = Workspace::new(&model.geometry, &workspace_poses(robot, options), &ids);
-    let Some((now_mm, proposals)) = measured.proposals(&workspace, share, told) else { return Vec::new() };
+    let rows = factor(model, lengths, &ids);
+    let proposals = measured.proposals((&rows, lengths.rms_sigma()), &workspace, share, told);
+    let Some((now_mm, proposals)) = proposals else { return Vec::new() };
     // With a prior the result's own figure is by the same measure, up to the robots drawn for it; where the solver
     // did worse than the prior allows, a proposal is not to pay for it.
     let scale = match options.prior {

@@ -2,14 +2,14 @@
 
 use super::covariance::{spread, too_weak};
 use super::fit::{self, Fit};
-use super::lengths::Lengths;
+use super::lengths::{Lengths, Sigma, Weighted};
 use super::options::{Options, Prior, Tolerances, tolerance};
 use super::places::{hardly_told, is_place, well_told};
 use super::prior::{self, PriorRows};
 use super::sigma::{first_sigma, shown_sigma};
 use crate::identifiability::{Analysis, analyse};
 use crate::model::parameter::{self, SetUp};
-use crate::model::{LengthModel, ParamId, Reading, Robot};
+use crate::model::{LengthModel, ParamId, Robot};
 
 /// An estimate, and how it came about.
 #[derive(Clone, Debug)]
@@ -25,8 +25,8 @@ pub(super) struct Estimate {
     pub(super) weak: Vec<ParamId>,
     pub(super) prior: Option<PriorRows>,
     pub(super) fit: Fit,
-    /// Standard deviation of each length that the fit went by, mm.
-    pub(super) sigma: Vec<f64>,
+    /// The standard deviations of the lengths that the fit went by.
+    pub(super) sigma: Sigma,
     /// Degrees of freedom of these, where the residuals gave them; none where they are as given.
     pub(super) freedom: Option<f64>,
 }
@@ -35,6 +35,11 @@ impl Estimate {
     /// One standard deviation of a parameter before the lengths; `None` of what is free or not estimated.
     pub(super) fn prior_sd(&self, id: ParamId) -> Option<f64> {
         self.prior.as_ref()?.sd(self.kept.iter().position(|kept| *kept == id)?)
+    }
+
+    /// The lengths that the fit used, as it weighed them.
+    pub(super) fn used<'a>(&'a self, lengths: &'a Lengths) -> Weighted<'a> {
+        lengths.weighted(self.sigma, &self.fit.out)
     }
 }
 
@@ -82,19 +87,18 @@ pub(super) fn estimate(
     asked: &[ParamId],
     options: &Options,
 ) -> Result<Estimate, IdentifyError> {
-    let readings = &lengths.readings;
     let follow_list = options.follows_list();
     let mut loose = Vec::new();
     let mut free = asked.to_vec();
     if !follow_list {
-        free = well_told(robot, given_start, readings, asked).ok_or(IdentifyError::NotFinite)?;
+        free = well_told(robot, given_start, &lengths.plain(), asked).ok_or(IdentifyError::NotFinite)?;
     }
-    let mut set_up = fit::set_up(readings, &lengths.given, &free, given_start);
+    let mut set_up = fit::set_up(lengths, &free, given_start);
     let analysis = loop {
         let judged: Vec<ParamId> = asked.iter().copied().filter(|id| !loose.contains(id)).collect();
-        let analysis = analyse(&set_up.model, readings, &judged).ok_or(IdentifyError::NotFinite)?;
+        let analysis = analyse(&set_up.model, &lengths.plain(), &judged).ok_or(IdentifyError::NotFinite)?;
         let places: Vec<ParamId> = analysis.kept().into_iter().filter(is_place).collect();
-        let more = if follow_list { vec![] } else { hardly_told(robot, &set_up.model, readings, places) };
+        let more = if follow_list { vec![] } else { hardly_told(robot, &set_up.model, &lengths.plain(), places) };
         if more.is_empty() {
             break analysis;
         }
@@ -104,27 +108,26 @@ pub(super) fn estimate(
     if base.is_empty() {
         return Err(IdentifyError::NothingToEstimate);
     }
-    let mut sigma = if follow_list { lengths.given.clone() } else { first_sigma(lengths, &set_up, &base) };
+    let mut sigma = if follow_list { Sigma::Given } else { first_sigma(lengths, &set_up, &base) };
     let mut start = set_up.model.clone();
     let mut iterations = set_up.iterations;
     let mut implausible: Vec<ParamId> = loose.clone();
-    let mut reached: Option<(Choice, Fit, Vec<f64>)> = None;
+    let mut reached: Option<(Choice, Fit, Sigma)> = None;
     for round in 0.. {
+        let weighted = lengths.weighted(sigma, &[]);
         let choice = match options.prior {
             Prior::None if follow_list => Choice::all(&base),
             Prior::None => {
-                Choice::told(options.tolerances(robot), &set_up.model, readings, &base, &implausible, &sigma)
+                Choice::told(options.tolerances(robot), &set_up.model, &weighted, &base, &implausible)
             }
-            _ => Choice::bound(robot, &set_up.model, readings, (&analysis, &base), &loose, &sigma, options),
+            _ => Choice::bound(robot, &set_up.model, &weighted, (&analysis, &base), &loose, options),
         };
         if let Some((before, fit, weights)) = reached.take()
-            && (round == ROUNDS || before == choice && same_weights(&weights, &sigma, options))
+            && (round == ROUNDS || before == choice && same_weights(lengths, weights, sigma, options))
         {
             let prior = prior::rows(robot, options, &before.untold_bars, &before.kept, given_start);
-            let freedom = (sigma != lengths.given).then(|| {
-                let used = fit.used.iter().filter(|used| **used).count();
-                used as f64 - before.base.len() as f64
-            });
+            let freedom = (sigma != Sigma::Given)
+                .then(|| lengths.weighted(sigma, &fit.out).count() as f64 - before.base.len() as f64);
             return Ok(Estimate {
                 before: set_up.model,
                 analysis,
@@ -142,7 +145,7 @@ pub(super) fn estimate(
         if bars.iter().any(|id| set_up.model.value(*id) != given_start.value(*id)) {
             // Without the offset of a bar the balls stand elsewhere.
             free.retain(|id| !bars.contains(id));
-            set_up = fit::set_up(readings, &lengths.given, &free, given_start);
+            set_up = fit::set_up(lengths, &free, given_start);
             start = set_up.model.clone();
         }
         // A parameter held now may have moved in the round before.
@@ -150,16 +153,17 @@ pub(super) fn estimate(
             start.shift(*id, set_up.model.value(*id) - start.value(*id));
         }
         let prior = prior::rows(robot, options, &choice.untold_bars, &choice.kept, given_start);
-        let fit = fit::all(readings, &sigma, (&choice.kept, choice.base.len()), prior.as_ref(), &start);
+        let fit = fit::all(lengths, sigma, (&choice.kept, choice.base.len()), prior.as_ref(), &start);
         iterations += fit.iterations;
-        let weights = std::mem::take(&mut sigma);
+        let weights = sigma;
         sigma = match prior {
             // Residuals that the prior has widened say nothing about the lengths.
             Some(_) => first_sigma(lengths, &fit, &base),
             None => shown_sigma(lengths, &fit, choice.kept.len()),
         };
         if !follow_list && options.prior == Prior::None {
-            let least = most_implausible(robot, &set_up.model, &fit, readings, &choice.kept, &sigma);
+            let weighted = lengths.weighted(sigma, &[]);
+            let least = most_implausible(robot, &set_up.model, &fit, &weighted, &choice.kept);
             implausible.extend(least);
         }
         start = fit.model.clone();
@@ -174,19 +178,18 @@ impl Choice {
         Self { kept: base.to_vec(), base: base.to_vec(), weak: vec![], untold_bars: vec![] }
     }
 
-    /// What lengths of these sigmas tell, without what is implausible already.
+    /// What these lengths tell, without what is implausible already.
     fn told(
         tolerances: Tolerances,
         model: &LengthModel,
-        readings: &[Reading],
+        lengths: &Weighted,
         base: &[ParamId],
         implausible: &[ParamId],
-        sigma: &[f64],
     ) -> Self {
         let left = |out: &[ParamId]| -> Vec<ParamId> {
             base.iter().copied().filter(|id| !out.contains(id)).collect()
         };
-        let judged = too_weak(tolerances, model, readings, &left(implausible), sigma);
+        let judged = too_weak(tolerances, model, lengths, &left(implausible));
         let weak = [implausible, judged.as_slice()].concat();
         Self { weak: weak.clone(), ..Self::all(&left(&weak)) }
     }
@@ -195,13 +198,12 @@ impl Choice {
     fn bound(
         robot: &Robot,
         model: &LengthModel,
-        readings: &[Reading],
+        lengths: &Weighted,
         (analysis, base): (&Analysis, &[ParamId]),
         loose: &[ParamId],
-        sigma: &[f64],
         options: &Options,
     ) -> Self {
-        let mut untold_bars = weak_bars(options.tolerances(robot), base, model, readings, sigma);
+        let mut untold_bars = weak_bars(options.tolerances(robot), base, model, lengths);
         untold_bars.extend(analysis.dependent().into_iter().filter(is_bar));
         let mut kept = [base, prior::sharing(robot, options, &untold_bars, analysis).as_slice()].concat();
         kept.sort();
@@ -219,12 +221,11 @@ const ROUNDS: usize = 8;
 
 /// Whether a fit with the new sigmas would be the same: equal to 2 %, or, where no prior stands
 /// against them, all changed alike.
-fn same_weights(old: &[f64], new: &[f64], options: &Options) -> bool {
-    let common = match (options.prior == Prior::None, old, new) {
-        (true, [first, ..], [now, ..]) => now / first,
-        _ => 1.0,
-    };
-    old.iter().zip(new).all(|(old, new)| (new / old / common - 1.0).abs() < 0.02)
+fn same_weights(lengths: &Lengths, old: Sigma, new: Sigma, options: &Options) -> bool {
+    let mut changes =
+        (0..lengths.len()).map(|at| lengths.given(at)).map(|given| new.of(given) / old.of(given));
+    let common = if options.prior == Prior::None { changes.clone().next().unwrap_or(1.0) } else { 1.0 };
+    changes.all(|change| (change / common - 1.0).abs() < 0.02)
 }
 
 /// The parameter whose correction is least believable, if one is: the data tell it worse than its
@@ -234,11 +235,10 @@ fn most_implausible(
     robot: &Robot,
     nominal: &LengthModel,
     fit: &Fit,
-    readings: &[Reading],
+    lengths: &Weighted,
     kept: &[ParamId],
-    sigma: &[f64],
 ) -> Option<ParamId> {
-    let sd = spread(&fit.model, readings, kept, kept, sigma, None)?.data_sd;
+    let sd = spread(&fit.model, lengths, kept, kept, None)?.data_sd;
     kept.iter()
         .zip(sd)
         .filter_map(|(id, sd)| {
@@ -256,14 +256,13 @@ fn weak_bars(
     tolerances: Tolerances,
     base: &[ParamId],
     model: &LengthModel,
-    readings: &[Reading],
-    sigma: &[f64],
+    lengths: &Weighted,
 ) -> Vec<ParamId> {
     let bars = (0..base.len()).filter(|&at| is_bar(&base[at]));
     if bars.clone().next().is_none() {
         return vec![];
     }
-    let sd = spread(model, readings, base, base, sigma, None).map(|spread| spread.data_sd);
+    let sd = spread(model, lengths, base, base, None).map(|spread| spread.data_sd);
     let limit = |id| tolerances.weak_limit(id).unwrap_or(f64::INFINITY);
     bars.filter(|&bar| sd.as_ref().is_none_or(|sd| sd[bar] > limit(base[bar]))).map(|bar| base[bar]).collect()
 }

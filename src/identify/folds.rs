@@ -6,7 +6,6 @@ use rand_pcg::Pcg64;
 
 use super::estimate::{Estimate, IdentifyError};
 use super::lengths::Lengths;
-use crate::model::Reading;
 
 /// Number of folds when the user does not say, and lengths per parameter below which there are none.
 pub(super) const DEFAULT_FOLDS: usize = 5;
@@ -14,34 +13,31 @@ pub(super) const LENGTHS_PER_PARAMETER: usize = 3;
 /// Above so many lengths none are held out unasked: every parameter has hundreds, and what is held out fits like the rest.
 pub(super) const MOST_UNASKED: usize = 20_000;
 
-/// Fits without each fold in turn, as `fit` does, and predicts its lengths: the residual of each used reading, in
+/// Fits without each fold in turn, as `fit` does, and predicts its lengths: the residual of each that is not `out`, in
 /// their order, mm. Rows with equal axis angles (one pose measured to several balls) stay together: a fold must not
 /// know its own poses. `None` when there are fewer poses than folds.
 pub(super) fn held_out(
     lengths: &Lengths,
-    used: &[bool],
+    out: &[usize],
     folds: usize,
     fit: impl Fn(&Lengths) -> Result<Estimate, IdentifyError>,
 ) -> Result<Option<Vec<f64>>, IdentifyError> {
-    let Some(fold_of) = assign(&lengths.readings, folds) else { return Ok(None) };
-    let mut residuals = vec![0.0; used.len()];
+    let Some(fold_of) = assign(lengths, folds) else { return Ok(None) };
+    let used: Vec<usize> = (0..lengths.len()).filter(|at| out.binary_search(at).is_err()).collect();
+    let mut residuals = vec![0.0; lengths.len()];
     for fold in 0..folds {
         let take = |chosen: bool| -> Vec<usize> {
-            (0..lengths.readings.len()).filter(|&at| used[at] && (fold_of[at] == fold) == chosen).collect()
+            used.iter().copied().filter(|&at| (fold_of[at] == fold) == chosen).collect()
         };
         let (held_out, rest) = (take(true), take(false));
-        let training = Lengths {
-            readings: rest.iter().map(|&at| lengths.readings[at]).collect(),
-            given: rest.iter().map(|&at| lengths.given[at]).collect(),
-            ..*lengths
-        };
-        let model = fit(&training)?.fit.model;
+        let model = fit(&lengths.at(&rest))?.fit.model;
         let prepared = model.prepare();
         for at in held_out {
-            residuals[at] = lengths.readings[at].length - prepared.length(&lengths.readings[at]);
+            let reading = lengths.reading(at);
+            residuals[at] = reading.length - prepared.length(&reading);
         }
     }
-    Ok(Some(residuals.into_iter().zip(used).filter(|(_, used)| **used).map(|(r, _)| r).collect()))
+    Ok(Some(used.into_iter().map(|at| residuals[at]).collect()))
 }
 
 /// Whether `after` is closer to the held-out lengths than `before` by more than chance: the mean of the
@@ -62,9 +58,9 @@ pub(super) fn rms(residuals: &[f64]) -> f64 {
 
 /// The fold of each reading: poses shuffled by a fixed seed, dealt in turn; `None` when there are fewer poses
 /// than folds.
-fn assign(readings: &[Reading], folds: usize) -> Option<Vec<usize>> {
-    let bits = |reading: &Reading| reading.axes.map(f64::to_bits);
-    let mut poses: Vec<[u64; 6]> = readings.iter().map(bits).collect();
+fn assign(lengths: &Lengths, folds: usize) -> Option<Vec<usize>> {
+    let bits = |at: usize| lengths.axes(at).map(f64::to_bits);
+    let mut poses: Vec<[u64; 6]> = (0..lengths.len()).map(bits).collect();
     poses.sort_unstable();
     poses.dedup();
     if poses.len() < folds {
@@ -72,10 +68,5 @@ fn assign(readings: &[Reading], folds: usize) -> Option<Vec<usize>> {
     }
     let mut dealt: Vec<usize> = (0..poses.len()).map(|at| at % folds).collect();
     dealt.shuffle(&mut Pcg64::seed_from_u64(1));
-    Some(
-        readings
-            .iter()
-            .map(|reading| poses.binary_search(&bits(reading)).map_or(0, |at| dealt[at]))
-            .collect(),
-    )
+    Some((0..lengths.len()).map(|at| poses.binary_search(&bits(at)).map_or(0, |at| dealt[at])).collect())
 }

@@ -12,12 +12,12 @@ use super::covariance::beyond_chance;
 use super::distribution::f_tail;
 use super::estimate::{Estimate, IdentifyError, estimate};
 use super::folds::{DEFAULT_FOLDS, held_out, predicts_better, rms};
-use super::lengths::Lengths;
+use super::lengths::{Lengths, Sigma};
 use super::options::Options;
 use super::result::{GroupChoice, WithoutWith};
-use super::summary::{predicted, used};
-use crate::linalg::{Triangle, map_pieces};
-use crate::model::{LengthModel, LengthRow, ParamId, Reading, Robot, Selection, parameter};
+use super::summary::predicted;
+use crate::linalg::Triangle;
+use crate::model::{LengthModel, LengthRow, ParamId, Readings, Robot, Selection, parameter};
 
 /// A group is taken for chance above this probability: two groups are tested, and neither may slip into one
 /// data set in a hundred.
@@ -78,7 +78,7 @@ pub(super) fn choose(
         // A fold that cannot be fitted must not cost the result that there is without the group.
         let out = |ids: &[ParamId]| {
             let fit = |training: &Lengths| estimate(robot, start, training, ids, options);
-            held_out(lengths, &best.fit.used, DEFAULT_FOLDS, fit).ok().flatten()
+            held_out(lengths, &best.fit.out, DEFAULT_FOLDS, fit).ok().flatten()
         };
         let (Some(without), Some(with)) = (out(&asked), out(&wider)) else {
             choices.push(untested(group.name, "there are too few poses to hold some out"));
@@ -114,14 +114,19 @@ fn groups(options: &Options) -> Vec<Group> {
 /// Why a group need not be tested.
 fn reason_against(robot: &Robot, group: &Group, best: &Estimate, lengths: &Lengths) -> Option<String> {
     let prepared = best.fit.model.prepare();
-    let left = |reading: &Reading| (reading.length - prepared.length(reading)).abs();
-    let used =
-        || lengths.readings.iter().zip(&best.fit.used).filter(|(_, used)| **used).map(|(reading, _)| reading);
+    let used = best.used(lengths);
+    let fits = || {
+        let pieces = used.in_pieces(|readings, sigma| {
+            let left = readings.iter().map(|reading| (reading.length - prepared.length(reading)).abs());
+            left.zip(sigma).all(|(left, sigma)| left < ROUNDING_MM || *sigma == f64::INFINITY)
+        });
+        pieces.into_iter().all(|fits| fits)
+    };
     if group.members.is_empty() {
         Some("held as asked".into())
     } else if group.name == "compliance" && robot.geometry.masses.is_empty() {
         Some("the robot file has no [[mass]] and no [payload]".into())
-    } else if used().count() > best.base.len() && used().all(|reading| left(reading) < ROUNDING_MM) {
+    } else if used.count() > best.base.len() && fits() {
         Some("the lengths fit without it to rounding".into())
     } else {
         None
@@ -136,22 +141,21 @@ fn test(best: &Estimate, lengths: &Lengths, members: &[ParamId]) -> Option<Test>
     let ids = [best.kept.as_slice(), members].concat();
     let selection = Selection::new(&ids);
     let prepared = best.fit.model.prepare();
-    let pieces = map_pieces(&lengths.readings, |first, readings| {
+    let used = best.used(lengths);
+    let pieces = used.in_pieces(|readings, sigma| {
         let mut triangle = Triangle::new(ids.len());
         let mut row = vec![0.0; ids.len()];
         let mut predicted = LengthRow::default();
-        for (at, reading) in readings.iter().enumerate().map(|(at, reading)| (first + at, reading)) {
-            if best.fit.used[at] {
-                prepared.row_into(reading, &mut predicted);
-                selection.pick(&predicted, reading.centre, &mut row);
-                row.iter_mut().for_each(|value| *value /= best.sigma[at]);
-                triangle.push(&row, (reading.length - predicted.length) / best.sigma[at]);
-            }
+        for (reading, sigma) in readings.iter().zip(sigma).filter(|(_, sigma)| **sigma != f64::INFINITY) {
+            prepared.row_into(reading, &mut predicted);
+            selection.pick(&predicted, reading.centre, &mut row);
+            row.iter_mut().for_each(|value| *value /= sigma);
+            triangle.push(&row, (reading.length - predicted.length) / sigma);
         }
         triangle
     });
     let mut triangle = Triangle::merged(pieces, ids.len());
-    let mut observations = best.fit.used.iter().filter(|used| **used).count();
+    let mut observations = used.count();
     if let Some(prior) = &best.prior {
         for k in prior.bound() {
             let off = prior.mean[k] - best.fit.model.value(best.kept[k]);
@@ -193,19 +197,15 @@ fn predicted_mm(
     lengths: &Lengths,
     options: &Options,
 ) -> Result<f64, IdentifyError> {
-    let (readings, mut sigma) = used(lengths, estimate);
+    let mut used = estimate.used(lengths);
     let prepared = estimate.fit.model.prepare();
-    let chi: f64 = readings
-        .iter()
-        .zip(&*sigma)
-        .map(|(reading, sigma)| ((reading.length - prepared.length(reading)) / sigma).powi(2))
-        .sum();
-    let freedom = (readings.len() as f64 - estimate.base.len() as f64).max(1.0);
+    let chi = used.sum(|reading, sigma| ((reading.length - prepared.length(reading)) / sigma).powi(2));
+    let freedom = (used.count() as f64 - estimate.base.len() as f64).max(1.0);
     // A sigma that was vouched for is not brought to the residuals by the estimate.
     if beyond_chance(chi / freedom, freedom) == Some(Ordering::Greater) && estimate.freedom.is_none() {
-        sigma.to_mut().iter_mut().for_each(|sigma| *sigma *= (chi / freedom).sqrt());
+        used = lengths.weighted(Sigma::Times((chi / freedom).sqrt()), &estimate.fit.out);
     }
-    let (pair, ..) = predicted(robot, estimate, &readings, &sigma, options)?;
+    let (pair, ..) = predicted(robot, estimate, &used, options)?;
     Ok(pair.identified.mean)
 }
 

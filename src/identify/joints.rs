@@ -9,6 +9,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
+use super::lengths::Weighted;
 use super::result::{JointEffect, JointError};
 use super::solver::robust_scale;
 use crate::linalg::Triangle;
@@ -25,63 +26,58 @@ const COLUMNS: usize = 5;
 
 /// For each pose (axis angles, rad) the sense in which each axis came to it, -1, 0 (not known) or 1: from the pose
 /// before; an axis that stood still keeps its sense.
-pub fn senses(axes: impl IntoIterator<Item = [f64; AXES]>) -> Vec<[i8; AXES]> {
+pub fn senses(axes: impl IntoIterator<Item = [f64; AXES]>) -> impl Iterator<Item = [i8; AXES]> {
     let mut sense = [0i8; AXES];
     let mut last: Option<[f64; AXES]> = None;
-    axes.into_iter()
-        .map(|axes| {
-            if let Some(last) = last {
-                for (axis, sense) in sense.iter_mut().enumerate() {
-                    let moved = axes[axis] - last[axis];
-                    if moved.abs() > 1e-9 {
-                        *sense = if moved > 0.0 { 1 } else { -1 };
-                    }
+    axes.into_iter().map(move |axes| {
+        if let Some(last) = last {
+            for (axis, sense) in sense.iter_mut().enumerate() {
+                let moved = axes[axis] - last[axis];
+                if moved.abs() > 1e-9 {
+                    *sense = if moved > 0.0 { 1 } else { -1 };
                 }
             }
-            last = Some(axes);
-            sense
-        })
-        .collect()
+        }
+        last = Some(axes);
+        sense
+    })
 }
 
-/// What the residuals of a fit of `kept` at `model` show beyond chance; `used` and `sigma` (mm) for each reading.
-pub(super) fn effects(
-    model: &LengthModel,
-    readings: &[Reading],
-    used: &[bool],
-    sigma: &[f64],
-    kept: &[ParamId],
-) -> Vec<JointEffect> {
-    let senses = senses(readings.iter().map(|reading| reading.axes));
-    let stride = readings.len().div_ceil(MOST).max(1);
-    let at: Vec<usize> = (0..readings.len()).filter(|&at| used[at]).step_by(stride).collect();
+/// What the residuals of a fit of `kept` to `lengths` at `model` show beyond chance.
+pub(super) fn effects(model: &LengthModel, lengths: &Weighted, kept: &[ParamId]) -> Vec<JointEffect> {
+    let all = lengths.lengths();
+    let stride = all.len().div_ceil(MOST).max(1);
+    let senses = senses((0..all.len()).map(|at| all.axes(at)));
+    let used = lengths.sigmas().zip(senses).enumerate().filter(|(_, (sigma, _))| *sigma != f64::INFINITY);
+    let seen: Vec<(Reading, f64, [i8; AXES])> =
+        used.step_by(stride).map(|(at, (sigma, senses))| (all.reading(at), sigma, senses)).collect();
     let prepared = model.prepare();
-    let raw: Vec<f64> = at.iter().map(|&at| readings[at].length - prepared.length(&readings[at])).collect();
+    let raw: Vec<f64> = seen.iter().map(|(reading, ..)| reading.length - prepared.length(reading)).collect();
     let scale = robust_scale(&raw);
-    let freedom = at.len() as f64 - kept.len() as f64;
+    let freedom = seen.len() as f64 - kept.len() as f64;
     if scale < ROUNDING_MM || freedom <= (AXES * COLUMNS) as f64 {
         return Vec::new();
     }
     let selection = Selection::new(kept);
     let mut triangle = Triangle::new(kept.len() + AXES * COLUMNS);
     let mut row = vec![0.0; kept.len() + AXES * COLUMNS];
-    for (&at, residual) in at.iter().zip(&raw) {
-        let reading = &readings[at];
+    for ((reading, sigma, senses), residual) in seen.iter().zip(&raw) {
         let derivatives = prepared.row(reading);
         selection.pick(&derivatives, reading.centre, &mut row);
         for axis in 0..AXES {
             let lever = derivatives.columns()[LengthRow::position(ParamId::Theta(axis + 1))];
             let [s, c] = reading.turns.0[axis];
-            let sense = f64::from(senses[at][axis]);
+            let sense = f64::from(senses[axis]);
             let own = [c, s, c * c - s * s, 2.0 * s * c, sense].map(|value| value * lever);
             row[kept.len() + axis * COLUMNS..][..COLUMNS].copy_from_slice(&own);
         }
-        row.iter_mut().for_each(|value| *value /= sigma[at]);
-        triangle.push(&row, residual.clamp(-3.0 * scale, 3.0 * scale) / sigma[at]);
+        row.iter_mut().for_each(|value| *value /= sigma);
+        triangle.push(&row, residual.clamp(-3.0 * scale, 3.0 * scale) / sigma);
     }
-    let sigma_mm = (at.iter().map(|&at| sigma[at] * sigma[at]).sum::<f64>() / at.len() as f64).sqrt();
+    let count = seen.len() as f64;
+    let sigma_mm = (seen.iter().map(|(_, sigma, _)| sigma * sigma).sum::<f64>() / count).sqrt();
     let mut found = judge(&mut triangle, kept.len(), freedom);
-    found.iter_mut().for_each(|effect| effect.rms_mm *= sigma_mm / (at.len() as f64).sqrt());
+    found.iter_mut().for_each(|effect| effect.rms_mm *= sigma_mm / count.sqrt());
     found
 }
 

@@ -1,35 +1,236 @@
-//! The lengths as the solver takes them.
+//! The lengths as the solver takes them: few are made ready once, many anew for each pass, a piece at a time, so that
+//! beside the rows themselves they take no memory.
+
+use std::borrow::Cow;
 
 use super::options::Options;
-use crate::model::{Observations, Reading};
+use crate::linalg::map_pieces;
+use crate::model::{AXES, Observation, Reading, Readings};
 
-/// Lengths with the standard deviations they are weighted by.
+/// Lengths of an even sample, which stands for many where a scale is asked for, or a start.
+pub(super) const SAMPLE: usize = 8192;
+/// So many lengths are many.
+const MANY: usize = 2 * SAMPLE;
+
+/// Lengths with the standard deviations that are given.
 #[derive(Clone, Debug)]
-pub(super) struct Lengths {
-    pub(super) readings: Vec<Reading>,
-    /// As given, mm; 1 where nothing is known.
-    pub(super) given: Vec<f64>,
-    /// Whether the user vouches for them, so that they are not brought to what the residuals show.
+pub(super) struct Lengths<'a> {
+    held: Held<'a>,
+    /// Whether the user vouches for their standard deviations, so that these are not brought to what the residuals show.
     pub(super) vouched: bool,
     /// Whether anything is known of them at all.
     pub(super) known: bool,
 }
 
-impl Lengths {
-    /// Of observations, by the sigma that the options or the rows give.
-    pub(super) fn of(observations: &Observations, options: &Options) -> Self {
-        let known = options.sigma_mm.is_some() || observations.rows.iter().all(|row| row.sigma_mm.is_some());
-        let given = |sigma: Option<f64>| match options.sigma_mm {
-            Some(sigma) => sigma,
-            // One row without a sigma makes all equal: a guess for it would weigh as a measurement.
-            None if known => sigma.unwrap_or(1.0),
-            None => 1.0,
-        };
-        Self {
-            readings: observations.rows.iter().map(Reading::from).collect(),
-            given: observations.rows.iter().map(|row| given(row.sigma_mm)).collect(),
-            vouched: options.sigma_mm.is_some(),
-            known,
+#[derive(Clone, Debug)]
+enum Held<'a> {
+    /// With the standard deviation of each as given, mm; 1 where nothing is known.
+    Few(Vec<Reading>, Vec<f64>),
+    /// With one for all, or those of the rows.
+    Many(Cow<'a, [Observation]>, Option<f64>),
+}
+
+/// The standard deviation that a length is weighted by, mm, from the one that is given.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Sigma {
+    /// As given.
+    Given,
+    /// So many times as large.
+    Times(f64),
+    /// With a common further deviation of this square, mm^2.
+    And(f64),
+    /// This one for all.
+    All(f64),
+}
+
+impl Sigma {
+    /// Of a length for which `given` is given.
+    pub(super) fn of(self, given: f64) -> f64 {
+        match self {
+            Self::Given => given,
+            Self::Times(factor) => given * factor,
+            Self::And(square) => (given * given + square).sqrt(),
+            Self::All(sigma) => sigma,
         }
+    }
+}
+
+/// Lengths as a fit weighs them.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Weighted<'a> {
+    lengths: &'a Lengths<'a>,
+    sigma: Sigma,
+    /// The places of those that are left out, in order.
+    out: &'a [usize],
+}
+
+impl<'a> Lengths<'a> {
+    /// Of observations, by the sigma that the options or the rows give.
+    pub(super) fn of(rows: &'a [Observation], options: &Options) -> Self {
+        let known = options.sigma_mm.is_some() || rows.iter().all(|row| row.sigma_mm.is_some());
+        // One row without a sigma makes all equal: a guess for it would weigh as a measurement.
+        let all = options.sigma_mm.or_else(|| (!known).then_some(1.0));
+        let held = match rows.len() {
+            MANY.. => Held::Many(Cow::Borrowed(rows), all),
+            _ => Held::Few(
+                rows.iter().map(Reading::from).collect(),
+                rows.iter().map(|row| given(row, all)).collect(),
+            ),
+        };
+        Self { held, vouched: options.sigma_mm.is_some(), known }
+    }
+
+    /// Of readings with their standard deviations, mm.
+    pub(super) fn few(readings: Vec<Reading>, given: Vec<f64>) -> Lengths<'static> {
+        Lengths { held: Held::Few(readings, given), vouched: true, known: true }
+    }
+
+    /// Those at some places.
+    pub(super) fn at(&self, places: &[usize]) -> Self {
+        let held = match &self.held {
+            Held::Few(readings, given) => Held::Few(
+                places.iter().map(|&at| readings[at]).collect(),
+                places.iter().map(|&at| given[at]).collect(),
+            ),
+            Held::Many(rows, all) => Held::Many(places.iter().map(|&at| rows[at]).collect(), *all),
+        };
+        Self { held, ..*self }
+    }
+
+    pub(super) fn len(&self) -> usize {
+        match &self.held {
+            Held::Few(readings, _) => readings.len(),
+            Held::Many(rows, _) => rows.len(),
+        }
+    }
+
+    /// Whether an even sample stands for them.
+    pub(super) fn are_many(&self) -> bool {
+        self.len() >= MANY
+    }
+
+    /// Places from one of an even sample to the next; 1 of few, all of which are taken.
+    pub(super) fn stride(&self) -> usize {
+        if self.are_many() { self.len() / SAMPLE } else { 1 }
+    }
+
+    pub(super) fn reading(&self, at: usize) -> Reading {
+        match &self.held {
+            Held::Few(readings, _) => readings[at],
+            Held::Many(rows, _) => Reading::from(&rows[at]),
+        }
+    }
+
+    /// The axis angles, rad.
+    pub(super) fn axes(&self, at: usize) -> [f64; AXES] {
+        match &self.held {
+            Held::Few(readings, _) => readings[at].axes,
+            Held::Many(rows, _) => rows[at].axes(),
+        }
+    }
+
+    /// The standard deviation that is given, mm; 1 where nothing is known.
+    pub(super) fn given(&self, at: usize) -> f64 {
+        match &self.held {
+            Held::Few(_, sigma) => sigma[at],
+            Held::Many(rows, all) => given(&rows[at], *all),
+        }
+    }
+
+    /// Weighted so, without those `out`.
+    pub(super) fn weighted(&'a self, sigma: Sigma, out: &'a [usize]) -> Weighted<'a> {
+        Weighted { lengths: self, sigma, out }
+    }
+
+    /// All of them as plain lengths.
+    pub(super) fn plain(&'a self) -> Weighted<'a> {
+        self.weighted(Sigma::All(1.0), &[])
+    }
+}
+
+/// The standard deviation that is given for a row, mm.
+fn given(row: &Observation, all: Option<f64>) -> f64 {
+    all.or(row.sigma_mm).unwrap_or(1.0)
+}
+
+impl<'a> Weighted<'a> {
+    /// The same by other standard deviations.
+    pub(super) fn by(self, sigma: Sigma) -> Self {
+        Self { sigma, ..self }
+    }
+
+    /// The same without those `out`.
+    pub(super) fn without(self, out: &'a [usize]) -> Self {
+        Self { out, ..self }
+    }
+
+    /// Those that are not left out.
+    pub(super) fn count(&self) -> usize {
+        self.lengths.len() - self.out.len()
+    }
+
+    pub(super) fn lengths(&self) -> &'a Lengths<'a> {
+        self.lengths
+    }
+
+    /// The standard deviations, mm; infinite of those left out.
+    pub(super) fn sigmas(&self) -> impl Iterator<Item = f64> {
+        self.sigmas_of(0, self.lengths.len())
+    }
+
+    /// Root mean square of those that are not left out, mm.
+    pub(super) fn rms_sigma(&self) -> f64 {
+        let squares = self.sigmas().filter(|sigma| *sigma != f64::INFINITY).map(|sigma| sigma * sigma);
+        (squares.sum::<f64>() / self.count().max(1) as f64).sqrt()
+    }
+
+    fn sigmas_of(&self, first: usize, count: usize) -> impl Iterator<Item = f64> {
+        let Self { lengths, sigma, out } = *self;
+        let mut out = &out[out.partition_point(|at| *at < first)..];
+        (first..first + count).map(move |at| match out.split_first() {
+            Some((next, others)) if *next == at => {
+                out = others;
+                f64::INFINITY
+            }
+            _ => sigma.of(lengths.given(at)),
+        })
+    }
+
+    /// Applies `work` to the place of the first of each piece of the readings, to these, and to their standard
+    /// deviations, infinite of those left out.
+    pub(super) fn placed<R: Send>(&self, work: impl Fn(usize, &[Reading], &[f64]) -> R + Sync) -> Vec<R> {
+        match &self.lengths.held {
+            Held::Few(readings, _) => {
+                let sigma: Vec<f64> = self.sigmas().collect();
+                map_pieces(readings, |first, piece| work(first, piece, &sigma[first..first + piece.len()]))
+            }
+            Held::Many(rows, _) => map_pieces(rows, |first, piece| {
+                let readings: Vec<Reading> = piece.iter().map(Reading::from).collect();
+                let sigma: Vec<f64> = self.sigmas_of(first, piece.len()).collect();
+                work(first, &readings, &sigma)
+            }),
+        }
+    }
+
+    /// What `of` makes of each reading and its standard deviation, of an even sample where they are many.
+    pub(super) fn some<R>(&self, of: impl Fn(&Reading, f64) -> R) -> Vec<R> {
+        let stride = self.lengths.stride();
+        let placed = self.sigmas().enumerate().step_by(stride);
+        placed.map(|(at, sigma)| of(&self.lengths.reading(at), sigma)).collect()
+    }
+
+    /// The sum over those that are not left out of what `of` makes of a reading and its standard deviation.
+    pub(super) fn sum(&self, of: impl Fn(&Reading, f64) -> f64 + Sync) -> f64 {
+        let pieces = self.in_pieces(|readings, sigma| {
+            let weighed = readings.iter().zip(sigma).filter(|(_, sigma)| **sigma != f64::INFINITY);
+            weighed.map(|(reading, sigma)| of(reading, *sigma)).sum::<f64>()
+        });
+        pieces.into_iter().sum()
+    }
+}
+
+impl Readings for Weighted<'_> {
+    fn in_pieces<R: Send>(&self, work: impl Fn(&[Reading], &[f64]) -> R + Sync) -> Vec<R> {
+        self.placed(|_, readings, sigma| work(readings, sigma))
     }
 }

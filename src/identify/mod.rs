@@ -35,7 +35,7 @@ pub use options::{Options, Prior, PriorScale, tolerance};
 pub use result::Identification;
 
 use crate::model::parameter::SetUp;
-use crate::model::{Centre, LengthModel, Observations, ParamId, Robot};
+use crate::model::{Centre, LengthModel, Observation, Observations, ParamId, Reading, Robot};
 use estimate::Estimate;
 use lengths::Lengths;
 use result::{Folds, GroupChoice, PriorUsed, Warning, WarningKind};
@@ -53,11 +53,26 @@ pub struct Identified {
     pub estimated: Vec<ParamId>,
     /// their covariance, in the units of the parameters.
     pub covariance: DMatrix<f64>,
-    /// For each observation: its residual (measured minus predicted) with the nominal robot and with
-    /// the identified one, mm, and whether it was used.
-    pub residuals: Vec<ResidualPair>,
+    /// The nominal robot with the fitted set-up.
+    pub before: LengthModel,
+    /// The places of the observations that were set aside, in order.
+    pub out: Vec<usize>,
     /// The predicted 3-D error over the workspace.
     pub predicted: ErrorMap,
+}
+
+impl Identified {
+    /// The residuals of observations, measured minus predicted.
+    pub fn residuals<'a>(
+        &'a self,
+        rows: impl IntoIterator<Item = &'a Observation>,
+    ) -> impl Iterator<Item = ResidualPair> {
+        let (before, after) = (self.before.prepare(), self.model.prepare());
+        rows.into_iter().map(Reading::from).map(move |reading| ResidualPair {
+            before: reading.length - before.length(&reading),
+            after: reading.length - after.length(&reading),
+        })
+    }
 }
 
 /// Where the ball is (robot base, mm) and the root mean square of its predicted 3-D error there, mm.
@@ -70,8 +85,6 @@ pub struct ResidualPair {
     pub before: f64,
     /// With the identified robot.
     pub after: f64,
-    /// Whether the fit used it.
-    pub used: bool,
 }
 
 /// Identifies the robot from `observations`, starting from its nominal geometry (its `[nominal]`
@@ -88,7 +101,7 @@ pub fn identify(
     options: &Options,
 ) -> Result<Identified, IdentifyError> {
     let start = LengthModel::new(robot.geometry.clone(), centres);
-    let lengths = Lengths::of(observations, options);
+    let lengths = Lengths::of(&observations.rows, options);
     let Settled { asked, options, prior, estimate, groups } =
         settle(robot, &start, &lengths, observations, options)?;
     let folds = match options.folds {
@@ -96,14 +109,14 @@ pub fn identify(
         Some(folds) => Some(folds),
         None => {
             let enough = folds::LENGTHS_PER_PARAMETER * estimate.base.len();
-            (enough..=folds::MOST_UNASKED).contains(&lengths.readings.len()).then_some(folds::DEFAULT_FOLDS)
+            (enough..=folds::MOST_UNASKED).contains(&lengths.len()).then_some(folds::DEFAULT_FOLDS)
         }
     };
     let hold_out = |folds| -> Result<Option<Folds>, IdentifyError> {
         // Optional groups are chosen anew in each fold: a choice made with the lengths held out would have seen them.
         let fit =
             |training: &Lengths| Ok(groups::choose(robot, &start, training, asked.clone(), &options)?.0);
-        let out = folds::held_out(&lengths, &estimate.fit.used, folds, fit)?;
+        let out = folds::held_out(&lengths, &estimate.fit.out, folds, fit)?;
         Ok(out.map(|residuals| Folds { folds, rms: folds::rms(&residuals) }))
     };
     let folds = folds.map(hold_out).transpose()?.flatten();
@@ -135,7 +148,7 @@ pub fn fit(
     options: &Options,
 ) -> Result<LengthModel, IdentifyError> {
     let start = LengthModel::new(robot.geometry.clone(), centres);
-    let lengths = Lengths::of(observations, options);
+    let lengths = Lengths::of(&observations.rows, options);
     Ok(settle(robot, &start, &lengths, observations, options)?.estimate.fit.model)
 }
 

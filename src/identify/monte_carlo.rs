@@ -8,7 +8,7 @@ use rand_distr::{ChiSquared, Distribution, StandardNormal};
 use rand_pcg::Pcg64;
 
 use super::estimate::Estimate;
-use super::lengths::Lengths;
+use super::lengths::{Lengths, Sigma};
 use super::options::Tolerances;
 use super::prior::PriorRows;
 use super::result::{Identification, MonteCarlo, ParameterDraws, Warning, WarningKind};
@@ -76,9 +76,11 @@ pub(super) fn tell(
 /// The estimated parameters of each trial whose fit came to rest.
 fn draw(tolerances: Tolerances, estimate: &Estimate, lengths: &Lengths, trials: usize) -> Vec<Vec<f64>> {
     let model = &estimate.fit.model;
-    let used: Vec<usize> = (0..lengths.readings.len()).filter(|&at| estimate.fit.used[at]).collect();
-    let sigma: Vec<f64> = used.iter().map(|&at| estimate.sigma[at]).collect();
-    let exact: Vec<Reading> = predicted(model, used.iter().map(|&at| lengths.readings[at]));
+    let weighted = estimate.used(lengths);
+    let used = weighted.sigmas().enumerate().filter(|(_, sigma)| *sigma != f64::INFINITY);
+    let (used, sigma): (Vec<Reading>, Vec<f64>) =
+        used.map(|(at, sigma)| (lengths.reading(at), sigma)).unzip();
+    let exact: Vec<Reading> = predicted(model, used.into_iter());
     let freedom = estimate.freedom.and_then(|freedom| Some((freedom, ChiSquared::new(freedom).ok()?)));
     // Where a prior carries what is weak, nothing held leaks into the linear figures either.
     let held: Vec<_> = if estimate.prior.is_some() { vec![] } else { estimate.weak.clone() };
@@ -98,9 +100,9 @@ fn draw(tolerances: Tolerances, estimate: &Estimate, lengths: &Lengths, trials: 
         }
         let prior =
             estimate.prior.as_ref().map(|prior| about(prior, model, &estimate.kept, || normal(&mut random)));
+        let drawn = Lengths::few(readings, sigma.clone());
         let problem = Problem {
-            readings: &readings,
-            sigma: &sigma,
+            lengths: drawn.weighted(Sigma::Given, &[]),
             ids: &estimate.kept,
             loss: Loss::Squares,
             prior: prior.as_ref(),

@@ -1,9 +1,10 @@
 //! Places of the tool ball and the base balls that poses hardly tell, as where the tool never turns.
 
 use super::covariance::spread;
+use super::lengths::{Sigma, Weighted};
 use crate::identifiability::factor;
 use crate::linalg::base_set;
-use crate::model::{LengthModel, ParamId, Reading, Robot};
+use crate::model::{LengthModel, ParamId, Robot};
 
 /// A coordinate of the tool ball or of a base ball that is told worse than this is better known from a ruler, mm.
 pub(super) fn open_mm(id: ParamId) -> f64 {
@@ -21,15 +22,15 @@ pub(super) fn is_place(id: &ParamId) -> bool {
 pub(super) fn well_told(
     robot: &Robot,
     start: &LengthModel,
-    readings: &[Reading],
+    lengths: &Weighted,
     asked: &[ParamId],
 ) -> Option<Vec<ParamId>> {
     let mut places: Vec<ParamId> = asked.iter().copied().filter(is_place).collect();
     places.sort_by_key(|id| matches!(id, ParamId::Tool(_)));
     let order: Vec<usize> = (0..places.len()).collect();
-    let set = base_set(&factor(start, readings, &places, &[]), &order)?;
+    let set = base_set(&factor(start, &lengths.by(Sigma::All(1.0)), &places), &order)?;
     let told: Vec<ParamId> = set.kept.iter().map(|&k| places[k]).collect();
-    let hardly = hardly_told(robot, start, readings, told.clone());
+    let hardly = hardly_told(robot, start, lengths, told.clone());
     let free = |id: &ParamId| !is_place(id) || told.contains(id) && !hardly.contains(id);
     Some(asked.iter().copied().filter(free).collect())
 }
@@ -38,14 +39,14 @@ pub(super) fn well_told(
 pub(super) fn hardly_told(
     robot: &Robot,
     model: &LengthModel,
-    readings: &[Reading],
+    lengths: &Weighted,
     mut places: Vec<ParamId>,
 ) -> Vec<ParamId> {
     // The nominal robot fits no better than this.
-    let sigma = vec![robot.tolerance.length_mm; readings.len()];
+    let lengths = lengths.by(Sigma::All(robot.tolerance.length_mm));
     let mut hardly = Vec::new();
     while !places.is_empty() {
-        let Some(spread) = spread(model, readings, &places, &places, &sigma, None) else { break };
+        let Some(spread) = spread(model, &lengths, &places, &places, None) else { break };
         let ratio = |k: &usize| spread.data_sd[*k] / open_mm(places[*k]);
         let Some(worst) = (0..places.len()).max_by(|a, b| ratio(a).total_cmp(&ratio(b))) else { break };
         if ratio(&worst) <= 1.0 {

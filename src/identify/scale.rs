@@ -41,7 +41,7 @@ pub(super) fn settle<'a>(
     for scale in TRIED {
         let options = with(scale);
         let fit = |training: &Lengths| estimate(robot, start, training, asked, &options);
-        let out = held_out(lengths, &first.fit.used, DEFAULT_FOLDS, fit)?;
+        let out = held_out(lengths, &first.fit.out, DEFAULT_FOLDS, fit)?;
         let Some(residuals) = out else { return Ok((Cow::Owned(with(1.0)), used(1.0, vec![]))) };
         tried.push((scale, residuals));
     }

@@ -4,40 +4,38 @@ use std::cmp::Ordering;
 
 use super::covariance::beyond_chance;
 use super::fit::Fit;
-use super::lengths::Lengths;
-use crate::linalg::{Triangle, map_pieces};
-use crate::model::{LengthRow, ParamId, Selection};
+use super::lengths::{Lengths, Sigma};
+use crate::linalg::Triangle;
+use crate::model::{LengthRow, ParamId, Reading, Readings, Selection};
 
 /// Before the fit: what a linear fit of the base set leaves, or what is given.
-pub(super) fn first_sigma(lengths: &Lengths, set_up: &Fit, base: &[ParamId]) -> Vec<f64> {
+pub(super) fn first_sigma(lengths: &Lengths, set_up: &Fit, base: &[ParamId]) -> Sigma {
     if lengths.vouched {
-        return lengths.given.clone();
+        return Sigma::Given;
     }
     let selection = Selection::new(base);
     let prepared = set_up.model.prepare();
-    let pieces = map_pieces(&lengths.readings, |first, readings| {
+    let used = lengths.weighted(Sigma::Given, &set_up.out);
+    let pieces = used.in_pieces(|readings, sigma| {
         let mut triangle = Triangle::new(base.len());
         let mut row = vec![0.0; base.len()];
         let mut predicted = LengthRow::default();
-        for (at, reading) in readings.iter().enumerate().map(|(at, reading)| (first + at, reading)) {
-            if set_up.used[at] {
-                prepared.row_into(reading, &mut predicted);
-                selection.pick(&predicted, reading.centre, &mut row);
-                row.iter_mut().for_each(|value| *value /= lengths.given[at]);
-                triangle.push(&row, (reading.length - predicted.length) / lengths.given[at]);
-            }
+        for (reading, sigma) in readings.iter().zip(sigma).filter(|(_, sigma)| sigma.is_finite()) {
+            prepared.row_into(reading, &mut predicted);
+            selection.pick(&predicted, reading.centre, &mut row);
+            row.iter_mut().for_each(|value| *value /= sigma);
+            triangle.push(&row, (reading.length - predicted.length) / sigma);
         }
         triangle
     });
     let mut triangle = Triangle::merged(pieces, base.len());
-    let freedom = set_up.used.iter().filter(|used| **used).count() as f64 - base.len() as f64;
+    let freedom = used.count() as f64 - base.len() as f64;
     let ratio = if freedom > 0.0 { triangle.residual_sum() / freedom } else { 1.0 };
-    let factor = match beyond_chance(ratio, freedom) {
-        _ if !lengths.known => ratio.sqrt().max(FLOOR_MM),
-        Some(Ordering::Greater) => ratio.sqrt(),
-        _ => 1.0,
-    };
-    lengths.given.iter().map(|sigma| sigma * factor).collect()
+    match beyond_chance(ratio, freedom) {
+        _ if !lengths.known => Sigma::Times(ratio.sqrt().max(FLOOR_MM)),
+        Some(Ordering::Greater) => Sigma::Times(ratio.sqrt()),
+        _ => Sigma::Given,
+    }
 }
 
 /// Lengths are not better than this, mm: it keeps exact data from a division by zero.
@@ -47,34 +45,36 @@ const FLOOR_MM: f64 = 1e-9;
 /// sigma for all; where the residuals are larger than the given sigmas and chance, a common further
 /// deviation (repeatability, what the model lacks) is added in squares (Paule and Mandel, J. Res.
 /// NBS 87, 1982).
-pub(super) fn shown_sigma(lengths: &Lengths, fit: &Fit, parameters: usize) -> Vec<f64> {
+pub(super) fn shown_sigma(lengths: &Lengths, fit: &Fit, parameters: usize) -> Sigma {
     if lengths.vouched {
-        return lengths.given.clone();
+        return Sigma::Given;
     }
     let prepared = fit.model.prepare();
-    let squares: Vec<(f64, f64)> = (0..lengths.readings.len())
-        .filter(|&at| fit.used[at])
-        .map(|at| {
-            let residual = lengths.readings[at].length - prepared.length(&lengths.readings[at]);
-            (residual * residual, lengths.given[at] * lengths.given[at])
-        })
-        .collect();
-    let freedom = squares.len() as f64 - parameters as f64;
+    let used = lengths.weighted(Sigma::Given, &fit.out);
+    let freedom = used.count() as f64 - parameters as f64;
     if freedom <= 0.0 {
-        return lengths.given.clone();
+        return Sigma::Given;
     }
+    let square = |reading: &Reading| {
+        let residual = reading.length - prepared.length(reading);
+        residual * residual
+    };
     if !lengths.known {
-        let sum: f64 = squares.iter().map(|(r2, _)| r2).sum();
-        return vec![(sum / freedom).sqrt().max(FLOOR_MM); lengths.given.len()];
+        return Sigma::All((used.sum(|reading, _| square(reading)) / freedom).sqrt().max(FLOOR_MM));
     }
-    let chi = |common: f64| squares.iter().map(|(r2, s2)| r2 / (s2 + common)).sum::<f64>();
-    if beyond_chance(chi(0.0) / freedom, freedom) != Some(Ordering::Greater) {
-        return lengths.given.clone();
+    let chi = used.sum(|reading, sigma| square(reading) / (sigma * sigma));
+    if beyond_chance(chi / freedom, freedom) != Some(Ordering::Greater) {
+        return Sigma::Given;
     }
+    // How large it is, an even sample of many tells to one part in a hundred.
+    let mut squares = used.some(|reading, sigma| (square(reading), sigma * sigma));
+    squares.retain(|(_, s2)| s2.is_finite());
+    let freedom = freedom * (squares.len() as f64 / used.count() as f64);
     let (mut low, mut high) = (0.0, squares.iter().map(|(r2, _)| r2).sum::<f64>());
     for _ in 0..100 {
         let middle = 0.5 * (low + high);
-        if chi(middle) > freedom { low = middle } else { high = middle }
+        let chi = squares.iter().map(|(r2, s2)| r2 / (s2 + middle)).sum::<f64>();
+        if chi > freedom { low = middle } else { high = middle }
     }
-    lengths.given.iter().map(|sigma| (sigma * sigma + high).sqrt()).collect()
+    Sigma::And(high)
 }

@@ -6,15 +6,14 @@
 
 use nalgebra::DVector;
 
+use super::lengths::Weighted;
 use super::prior::PriorRows;
-use crate::linalg::{Triangle, map_pieces};
-use crate::model::{LengthModel, LengthRow, ParamId, Reading, Selection};
+use crate::linalg::Triangle;
+use crate::model::{LengthModel, LengthRow, ParamId, Selection};
 
 /// What is to be fitted.
 pub(super) struct Problem<'a> {
-    pub(super) readings: &'a [Reading],
-    /// Standard deviation of each length, mm; infinite for one that is left out.
-    pub(super) sigma: &'a [f64],
+    pub(super) lengths: Weighted<'a>,
     /// Parameters to fit.
     pub(super) ids: &'a [ParamId],
     pub(super) loss: Loss,
@@ -36,9 +35,11 @@ pub(super) struct Solution {
     pub(super) model: LengthModel,
     pub(super) iterations: usize,
     pub(super) converged: bool,
-    /// Residuals, measured minus predicted, in sigmas, where they were last taken: at the model, or at one whose
-    /// lengths are the same to rounding.
+    /// Residuals, measured minus predicted, in sigmas (an even sample of many lengths), where they were last taken: at
+    /// the model, or at one whose lengths are the same to rounding.
     pub(super) residuals: Vec<f64>,
+    /// The same at the start.
+    pub(super) first: Vec<f64>,
 }
 
 const HUBER: f64 = 1.345;
@@ -55,16 +56,14 @@ pub(super) fn minimise(problem: &Problem, start: &LengthModel) -> Solution {
     let n = problem.ids.len();
     let mut model = start.clone();
     if n == 0 {
-        let residuals = whitened(problem, &model);
-        return Solution { model, iterations: 0, converged: true, residuals };
+        let residuals = whitened(&problem.lengths, &model);
+        return Solution { model, iterations: 0, converged: true, first: residuals.clone(), residuals };
     }
     let mut scale = DVector::<f64>::zeros(n);
     let (mut damping, mut growth) = (1e-12, 4.0);
-    let weighed = || problem.sigma.iter().filter(|sigma| sigma.is_finite());
-    let count = weighed().count() as f64;
-    let mean_sigma = (weighed().map(|s| s * s).sum::<f64>() / count).sqrt();
-    let rest = REST_MM / mean_sigma * count.sqrt();
+    let rest = REST_MM / problem.lengths.rms_sigma() * (problem.lengths.count() as f64).sqrt();
     let mut here = equations(problem, &model, f64::INFINITY);
+    let first = here.residuals.clone();
     let mut steps = 0;
     while steps < MAX_STEPS {
         let knee = match problem.loss {
@@ -77,7 +76,7 @@ pub(super) fn minimise(problem: &Problem, start: &LengthModel) -> Solution {
         let cost = here.cost;
         // Exact lengths: what is left is rounding, and would only push along what they do not tell.
         if cost.sqrt() <= 0.1 * rest {
-            return Solution { model, iterations: steps, converged: true, residuals: here.residuals };
+            return rest_at(model, steps, true, here, first);
         }
         let factor = here.triangle.factor();
         let rhs = here.triangle.rhs();
@@ -95,7 +94,13 @@ pub(super) fn minimise(problem: &Problem, start: &LengthModel) -> Solution {
                 // The reduction left is below the rounding of the cost, or moves no length: this is the minimum.
                 if change.norm() <= rest || predicted <= 1e-14 * cost {
                     let residuals = here.residuals;
-                    return Solution { model: candidate, iterations: steps, converged: true, residuals };
+                    return Solution {
+                        model: candidate,
+                        iterations: steps,
+                        converged: true,
+                        residuals,
+                        first,
+                    };
                 }
                 let there = equations(problem, &candidate, knee);
                 let gain = (cost - there.cost) / predicted;
@@ -106,24 +111,34 @@ pub(super) fn minimise(problem: &Problem, start: &LengthModel) -> Solution {
                     break;
                 }
                 if predicted <= 1e-12 * cost {
-                    return Solution { model, iterations: steps, converged: true, residuals: here.residuals };
+                    return rest_at(model, steps, true, here, first);
                 }
             }
             damping = (damping * growth).max(1e-9);
             growth *= 2.0;
             if damping > 1e12 || steps >= MAX_STEPS {
-                return Solution { model, iterations: steps, converged: false, residuals: here.residuals };
+                return rest_at(model, steps, false, here, first);
             }
         }
     }
-    Solution { model, iterations: steps, converged: false, residuals: here.residuals }
+    rest_at(model, steps, false, here, first)
+}
+
+fn rest_at(
+    model: LengthModel,
+    iterations: usize,
+    converged: bool,
+    here: Equations,
+    first: Vec<f64>,
+) -> Solution {
+    Solution { model, iterations, converged, residuals: here.residuals, first }
 }
 
 /// The equations of a step at a model.
 struct Equations {
     /// Weighted rows, the prior's among them.
     triangle: Triangle,
-    /// Residuals, measured minus predicted, in sigmas.
+    /// Residuals, measured minus predicted, in sigmas; an even sample of many.
     residuals: Vec<f64>,
     /// What is to be made least.
     cost: f64,
@@ -133,26 +148,33 @@ struct Equations {
 fn equations(problem: &Problem, model: &LengthModel, knee: f64) -> Equations {
     let selection = Selection::new(problem.ids);
     let prepared = model.prepare();
-    let pieces = map_pieces(problem.readings, |first, readings| {
+    let stride = problem.lengths.lengths().stride();
+    let loss = |r: f64| if r.abs() <= knee { r * r } else { knee * (2.0 * r.abs() - knee) };
+    let pieces = problem.lengths.placed(|first, readings, sigma| {
         let mut triangle = Triangle::new(problem.ids.len());
-        let mut residuals = Vec::with_capacity(readings.len());
+        let (mut residuals, mut cost) = (Vec::with_capacity(readings.len() / stride + 1), 0.0);
         let mut row = vec![0.0; problem.ids.len()];
         let mut derivatives = LengthRow::default();
-        for (reading, sigma) in readings.iter().zip(&problem.sigma[first..]) {
+        for (at, (reading, sigma)) in readings.iter().zip(sigma).enumerate() {
             prepared.row_into(reading, &mut derivatives);
             let residual = (reading.length - derivatives.length) / sigma;
             let weight = huber_weight(residual, knee);
             selection.pick(&derivatives, reading.centre, &mut row);
             row.iter_mut().for_each(|value| *value *= weight / sigma);
             triangle.push(&row, residual * weight);
-            residuals.push(residual);
+            cost += loss(residual);
+            if (first + at).is_multiple_of(stride) {
+                residuals.push(residual);
+            }
         }
-        (triangle, residuals)
+        (triangle, residuals, cost)
     });
-    let (triangles, residuals): (Vec<_>, Vec<_>) = pieces.into_iter().unzip();
-    let residuals = residuals.concat();
-    let loss = |r: &f64| if r.abs() <= knee { r * r } else { knee * (2.0 * r.abs() - knee) };
-    let mut cost = residuals.iter().map(loss).sum();
+    let (mut triangles, mut residuals, mut cost) = (Vec::new(), Vec::new(), 0.0);
+    for (triangle, of_piece, its_cost) in pieces {
+        triangles.push(triangle);
+        residuals.extend(of_piece);
+        cost += its_cost;
+    }
     let mut triangle = Triangle::merged(triangles, problem.ids.len());
     if let Some(prior) = problem.prior {
         cost += push_prior(&mut triangle, prior, problem.ids, model);
@@ -160,16 +182,10 @@ fn equations(problem: &Problem, model: &LengthModel, knee: f64) -> Equations {
     Equations { triangle, residuals, cost }
 }
 
-/// Residuals, measured minus predicted, in sigmas.
-pub(super) fn whitened(problem: &Problem, model: &LengthModel) -> Vec<f64> {
+/// Residuals, measured minus predicted, in sigmas; an even sample of many.
+pub(super) fn whitened(lengths: &Weighted, model: &LengthModel) -> Vec<f64> {
     let prepared = model.prepare();
-    let pieces = map_pieces(problem.readings, |first, readings| {
-        let each = |(at, reading): (usize, &Reading)| {
-            (reading.length - prepared.length(reading)) / problem.sigma[first + at]
-        };
-        readings.iter().enumerate().map(each).collect::<Vec<f64>>()
-    });
-    pieces.concat()
+    lengths.some(|reading, sigma| (reading.length - prepared.length(reading)) / sigma)
 }
 
 /// Median of the magnitudes as a standard deviation.

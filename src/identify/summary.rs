@@ -1,6 +1,5 @@
 //! Assembles the result: parameters with their fate, residuals, predicted error, warnings.
 
-use std::borrow::Cow;
 use std::collections::BTreeMap;
 
 use nalgebra::DMatrix;
@@ -8,7 +7,7 @@ use nalgebra::DMatrix;
 use super::covariance::{Spread, leaked, spread};
 use super::diagnosis::{self, Seen};
 use super::estimate::{Estimate, IdentifyError};
-use super::lengths::Lengths;
+use super::lengths::{Lengths, Weighted};
 use super::options::Options;
 use super::places::{is_place, open_mm};
 use super::prior::PriorRows;
@@ -16,11 +15,11 @@ use super::result::{
     BeforeAfter, Dependent, Folds, Identification, Outlier, ParameterResult, PredictedError, PredictedPair,
     Residual, SigmaSource, Status,
 };
-use super::{ErrorMap, Identified, ResidualPair, joints, verdict};
+use super::{ErrorMap, Identified, joints, verdict};
 use crate::identifiability::{Combination, ErrorSummary, Estimator, Workspace, factor};
 use crate::linalg::base_set;
 use crate::model::parameter::{self, SetUp};
-use crate::model::{AXES, LengthModel, Observations, ParamId, Reading, Robot};
+use crate::model::{AXES, LengthModel, Observation, Observations, ParamId, Reading, Readings, Robot};
 
 /// Poses over which the error is predicted when the user gives none, and their seed.
 const WORKSPACE_POSES: usize = 2000;
@@ -38,62 +37,50 @@ pub(super) fn summarise(
     options: &Options,
 ) -> Result<Identified, IdentifyError> {
     let model = &estimate.fit.model;
-    let (used_readings, used_sigma) = used(lengths, estimate);
-    let mut spread =
-        spread(model, &used_readings, &estimate.kept, &estimate.base, &used_sigma, estimate.prior.as_ref())
-            .ok_or(IdentifyError::NotFinite)?;
+    let used = estimate.used(lengths);
+    let mut spread = spread(model, &used, &estimate.kept, &estimate.base, estimate.prior.as_ref())
+        .ok_or(IdentifyError::NotFinite)?;
     let tolerances = options.tolerances(robot);
     if estimate.prior.is_none() && !estimate.weak.is_empty() {
-        spread.covariance +=
-            leaked(tolerances, model, &used_readings, &estimate.kept, &estimate.weak, &used_sigma)
-                .ok_or(IdentifyError::NotFinite)?;
+        spread.covariance += leaked(tolerances, model, &used, &estimate.kept, &estimate.weak)
+            .ok_or(IdentifyError::NotFinite)?;
     }
-    let (before, after) = (estimate.before.prepare(), model.prepare());
-    let residuals: Vec<ResidualPair> = lengths
-        .readings
-        .iter()
-        .zip(&estimate.fit.used)
-        .map(|(reading, &used)| ResidualPair {
-            before: reading.length - before.length(reading),
-            after: reading.length - after.length(reading),
-            used,
-        })
-        .collect();
-    if !residuals.iter().all(|residual| residual.after.is_finite()) {
-        return Err(IdentifyError::NotFinite);
-    }
+    let residual_mm = residuals(&estimate.before, model, &used).ok_or(IdentifyError::NotFinite)?;
     let nominal = nominal_model(robot, start);
     let set_up = SetUp { centres: start.centres.len(), bars: observations.bars() };
     let parameters = parameters(robot, set_up, &nominal, start, estimate, &spread, options);
-    let outliers = observations
-        .rows
-        .iter()
-        .zip(&residuals)
-        .filter(|(_, residual)| !residual.used)
-        .map(|(row, residual)| Outlier { index: row.index, centre: row.centre, residual_mm: residual.after })
-        .collect();
-    let (predicted_pair, predicted, seen) = predicted(robot, estimate, &used_readings, &used_sigma, options)?;
-    let sigma_mm = root_mean_square(used_sigma.iter().copied());
+    let after = model.prepare();
+    let set_aside = estimate.fit.out.iter().map(|&at| (&observations.rows[at], lengths.reading(at)));
+    let outlier = |(row, reading): (&Observation, Reading)| Outlier {
+        index: row.index,
+        centre: row.centre,
+        residual_mm: reading.length - after.length(&reading),
+    };
+    let outliers = set_aside.map(outlier).collect();
+    let (predicted_pair, predicted, seen) = predicted(robot, estimate, &used, options)?;
+    let sigma_mm = used.rms_sigma();
     if !sigma_mm.is_finite() {
         return Err(IdentifyError::NotFinite);
     }
+    let on_both = |set| {
+        let (before, after) = (residual_on(&estimate.before, set)?, residual_on(model, set)?);
+        Some(BeforeAfter { before, after })
+    };
+    let validation = validation.map(|set| on_both(set).ok_or(IdentifyError::NotFinite)).transpose()?;
     let told = told(&parameters);
     let pinned = verdict::is_pinned(&predicted_pair);
     let mut result = Identification {
         schema: 1,
         robot: robot.name.clone(),
-        observations: used_readings.len(),
+        observations: used.count(),
         rank: estimate.analysis.base.rank,
-        rank_at_solution: rank_at(model, &lengths.readings, &estimate.analysis.ids)?,
+        rank_at_solution: rank_at(model, &lengths.plain(), &estimate.analysis.ids)?,
         condition: estimate.analysis.base.condition,
-        observability: diagnosis::indices(robot, &seen, &told, used_readings.len(), sigma_mm),
+        observability: diagnosis::indices(robot, &seen, &told, used.count(), sigma_mm),
         iterations: estimate.fit.iterations,
         converged: estimate.fit.converged,
         sigma_mm,
-        residual_mm: BeforeAfter {
-            before: residual(residuals.iter().filter(|r| r.used).map(|r| r.before)),
-            after: residual(residuals.iter().filter(|r| r.used).map(|r| r.after)),
-        },
+        residual_mm,
         sigma_source: SigmaSource::default(),
         sigma_freedom: None,
         coverage_factor: None,
@@ -101,10 +88,7 @@ pub(super) fn summarise(
         groups: Vec::new(),
         monte_carlo: None,
         folds,
-        validation: validation.map(|set| BeforeAfter {
-            before: residual_on(&estimate.before, set),
-            after: residual_on(model, set),
-        }),
+        validation,
         predicted_position_error_mm: predicted_pair,
         parameters,
         dependent: dependent(estimate),
@@ -112,14 +96,14 @@ pub(super) fn summarise(
         advice: diagnosis::advice(
             robot,
             (start, estimate),
-            (&used_readings, &used_sigma),
+            &used,
             &seen,
             &told,
             (&predicted_pair, pinned),
             options,
         ),
         joints: if estimate.fit.converged {
-            joints::effects(model, &lengths.readings, &estimate.fit.used, &estimate.sigma, &estimate.base)
+            joints::effects(model, &used, &estimate.base)
         } else {
             Vec::new()
         },
@@ -132,7 +116,8 @@ pub(super) fn summarise(
         model: model.clone(),
         estimated: estimate.kept.clone(),
         covariance: spread.covariance,
-        residuals,
+        before: estimate.before.clone(),
+        out: estimate.fit.out.clone(),
         predicted,
         result,
     })
@@ -142,21 +127,6 @@ pub(super) fn summarise(
 fn told(parameters: &[ParameterResult]) -> Vec<ParamId> {
     let told = parameters.iter().filter(|parameter| parameter.status == Status::Identified);
     told.filter_map(|parameter| parameter.name.parse().ok()).collect()
-}
-
-/// Readings with their sigmas; a million are not copied where all are used.
-type Used<'a> = (Cow<'a, [Reading]>, Cow<'a, [f64]>);
-
-/// The readings that the fit used, with their sigmas.
-pub(super) fn used<'a>(lengths: &'a Lengths, estimate: &'a Estimate) -> Used<'a> {
-    if estimate.fit.used.iter().all(|used| *used) {
-        return (Cow::Borrowed(&lengths.readings), Cow::Borrowed(&estimate.sigma));
-    }
-    let (readings, sigma): (Vec<Reading>, Vec<f64>) = (0..lengths.readings.len())
-        .filter(|&at| estimate.fit.used[at])
-        .map(|at| (lengths.readings[at], estimate.sigma[at]))
-        .unzip();
-    (Cow::Owned(readings), Cow::Owned(sigma))
 }
 
 /// The nominal geometry: that of the `[nominal]` table where the robot was identified before.
@@ -174,9 +144,9 @@ fn identified_robot(robot: &Robot, model: &LengthModel) -> Robot {
     Robot { geometry: model.geometry.clone(), nominal: Some(nominal), ..robot.clone() }
 }
 
-fn rank_at(model: &LengthModel, readings: &[Reading], ids: &[ParamId]) -> Result<usize, IdentifyError> {
+fn rank_at(model: &LengthModel, lengths: &Weighted, ids: &[ParamId]) -> Result<usize, IdentifyError> {
     let order: Vec<usize> = (0..ids.len()).collect();
-    let set = base_set(&factor(model, readings, ids, &[]), &order).ok_or(IdentifyError::NotFinite)?;
+    let set = base_set(&factor(model, lengths, ids), &order).ok_or(IdentifyError::NotFinite)?;
     Ok(set.rank)
 }
 
@@ -337,8 +307,7 @@ pub(super) fn workspace_poses<'a>(robot: &Robot, options: &'a Options) -> Cow<'a
 pub(super) fn predicted(
     robot: &Robot,
     estimate: &Estimate,
-    readings: &[Reading],
-    sigma: &[f64],
+    lengths: &Weighted,
     options: &Options,
 ) -> Result<(PredictedPair, ErrorMap, Seen), IdentifyError> {
     let mut ids = parameter::all(&robot.parallel_joints(), estimate.before.centres.len());
@@ -355,18 +324,18 @@ pub(super) fn predicted(
     let prior = estimate.prior.as_ref();
     let no_prior = DMatrix::zeros(0, kept.len());
     let rows = prior.map_or(no_prior, PriorRows::matrix);
-    let factor = factor(&estimate.fit.model, readings, &ids, sigma);
+    let factor = factor(&estimate.fit.model, lengths, &ids);
     let estimator =
         Estimator { ids: &ids, factor: &factor, tolerance: &tolerances, kept: &kept, prior: &rows };
     let workspace = Workspace::new(&estimate.fit.model.geometry, &workspace_poses(robot, options), &ids);
-    let truths = estimator.truths();
+    let [truths, noise] = estimator.draws();
     // What the user held is taken as exact; the nominal robot has all its tolerance.
     let mut unknown = truths.clone();
     for (at, id) in ids.iter().enumerate().filter(|(_, id)| !estimate.analysis.ids.contains(id)) {
         debug_assert!(!estimate.kept.contains(id));
         unknown.row_mut(at).fill(0.0);
     }
-    let errors = estimator.errors(&unknown).ok_or(IdentifyError::NotFinite)?;
+    let errors = estimator.errors(&unknown, &noise).ok_or(IdentifyError::NotFinite)?;
     let moved = workspace.displacements(&errors);
     let told =
         |summary: ErrorSummary| PredictedError { mean: summary.mean, p95: summary.p95, max: summary.max };
@@ -379,24 +348,65 @@ pub(super) fn predicted(
     Ok((pair, map, Seen { ids, factor, workspace }))
 }
 
-fn residual_on(model: &LengthModel, set: &Observations) -> Residual {
-    let prepared = model.prepare();
-    residual(set.rows.iter().map(|row| {
-        let reading = Reading::from(row);
-        reading.length - prepared.length(&reading)
-    }))
+/// Residuals as they add up.
+#[derive(Clone, Copy, Default)]
+struct Tally {
+    count: usize,
+    sum: f64,
+    squares: f64,
+    max: f64,
 }
 
-fn residual(values: impl Iterator<Item = f64> + Clone) -> Residual {
-    let count = values.clone().count().max(1) as f64;
-    Residual {
-        rms: root_mean_square(values.clone()),
-        mean: values.clone().sum::<f64>() / count,
-        max: values.map(f64::abs).fold(0.0, f64::max),
+impl Tally {
+    fn add(&mut self, residual: f64) {
+        *self =
+            self.with(Self { count: 1, sum: residual, squares: residual * residual, max: residual.abs() });
+    }
+
+    fn with(self, other: Self) -> Self {
+        Self {
+            count: self.count + other.count,
+            sum: self.sum + other.sum,
+            squares: self.squares + other.squares,
+            max: self.max.max(other.max),
+        }
+    }
+
+    fn residual(self) -> Residual {
+        let count = self.count.max(1) as f64;
+        Residual { rms: (self.squares / count).sqrt(), mean: self.sum / count, max: self.max }
     }
 }
 
-fn root_mean_square(values: impl Iterator<Item = f64> + Clone) -> f64 {
-    let count = values.clone().count().max(1) as f64;
-    (values.map(|value| value * value).sum::<f64>() / count).sqrt()
+/// The residuals of the lengths that were used; `None` when one of all, or the sum of their squares, is not finite.
+fn residuals(before: &LengthModel, after: &LengthModel, used: &Weighted) -> Option<BeforeAfter> {
+    let (before, after) = (before.prepare(), after.prepare());
+    let pieces = used.in_pieces(|readings, sigma| {
+        let (mut tallies, mut finite) = ([Tally::default(); 2], true);
+        for (reading, sigma) in readings.iter().zip(sigma) {
+            let residuals = [&before, &after].map(|model| reading.length - model.length(reading));
+            finite &= residuals[1].is_finite();
+            if *sigma != f64::INFINITY {
+                tallies.iter_mut().zip(residuals).for_each(|(tally, residual)| tally.add(residual));
+            }
+        }
+        finite.then_some(tallies)
+    });
+    let mut sums = [Tally::default(); 2];
+    for tallies in pieces {
+        let [before, after] = tallies?;
+        sums = [sums[0].with(before), sums[1].with(after)];
+    }
+    let [before, after] = sums.map(Tally::residual);
+    (before.rms.is_finite() && after.rms.is_finite()).then_some(BeforeAfter { before, after })
+}
+
+/// The residuals of other lengths; `None` when the sum of their squares is not finite.
+fn residual_on(model: &LengthModel, set: &Observations) -> Option<Residual> {
+    let prepared = model.prepare();
+    let mut tally = Tally::default();
+    for reading in set.rows.iter().map(Reading::from) {
+        tally.add(reading.length - prepared.length(&reading));
+    }
+    Some(tally.residual()).filter(|residual| residual.rms.is_finite())
 }

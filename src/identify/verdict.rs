@@ -4,7 +4,7 @@ use std::cmp::Ordering;
 
 use super::covariance::beyond_chance;
 use super::estimate::Estimate;
-use super::lengths::Lengths;
+use super::lengths::{Lengths, Sigma};
 use super::options::{Options, tolerance};
 use super::result::{
     Identification, JointEffect, JointError, ParameterResult, PredictedPair, Status, Warning, WarningKind,
@@ -73,7 +73,7 @@ pub(super) fn warnings(
             ),
         );
     }
-    let share = result.outliers.len() as f64 / lengths.readings.len() as f64;
+    let share = result.outliers.len() as f64 / lengths.len() as f64;
     if share > OUTLIER_SHARE {
         say(
             WarningKind::Doubt,
@@ -81,7 +81,7 @@ pub(super) fn warnings(
                 "{} of {} lengths were set aside as outliers: more than one in ten, so the rest is in doubt too; \
                  check the matching of lengths to poses",
                 result.outliers.len(),
-                lengths.readings.len()
+                lengths.len()
             ),
         );
     } else if !result.outliers.is_empty() {
@@ -238,13 +238,8 @@ fn consistency(
         return;
     }
     let prepared = estimate.fit.model.prepare();
-    let chi: f64 = (0..lengths.readings.len())
-        .filter(|&at| estimate.fit.used[at])
-        .map(|at| {
-            let reading = &lengths.readings[at];
-            ((reading.length - prepared.length(reading)) / lengths.given[at]).powi(2)
-        })
-        .sum();
+    let used = lengths.weighted(Sigma::Given, &estimate.fit.out);
+    let chi = used.sum(|reading, sigma| ((reading.length - prepared.length(reading)) / sigma).powi(2));
     let ratio = chi / freedom;
     let factor = ratio.sqrt();
     let beyond = beyond_chance(ratio, freedom);

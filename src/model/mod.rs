@@ -5,20 +5,24 @@
 //! controller's axis angle. Lengths are mm, angles rad inside; files carry degrees.
 
 pub mod chain;
+pub mod further;
 pub mod inverse;
 pub mod kinematics;
 pub mod length;
 pub mod observation;
 pub mod parameter;
 pub mod pose;
+pub mod readings;
 pub mod robot;
 
 pub use chain::{Chain, LengthRow, Turns};
+pub use further::Further;
 pub use kinematics::{Geometry, Mass, Row};
 pub use length::{LengthModel, Prepared, Reading, Selection};
 pub use observation::{Centre, Observation, Observations};
 pub use parameter::ParamId;
 pub use pose::Pose;
+pub use readings::Readings;
 pub use robot::Robot;
 
 /// Axes of the robots that are modelled.

@@ -5,14 +5,16 @@ use std::iter;
 
 use nalgebra::Vector3;
 
-use super::AXES;
+use super::{AXES, Further};
 use crate::diag::Diagnostic;
 
 /// One length at one pose.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Observation {
     /// The user's number for it; the plan's, where there is a plan.
     pub index: u32,
+    /// The number of its further cells in [`Observations::further`]; 0 where it has none.
+    pub further: u32,
     /// Number of the base ball, from 1.
     pub centre: usize,
     /// Number of the bar that read it, from 1.
@@ -23,8 +25,6 @@ pub struct Observation {
     pub length_mm: f64,
     /// Standard deviation of the length, mm, where it is known.
     pub sigma_mm: Option<f64>,
-    /// Further columns, as they stood.
-    pub extra: Vec<String>,
 }
 
 impl Observation {
@@ -34,7 +34,7 @@ impl Observation {
     }
 
     /// Its line of the CSV.
-    fn append(&self, bars: bool, text: &mut String) {
+    fn append(&self, bars: bool, further: &Further, text: &mut String) {
         // Writing to a string does not fail.
         let _ = write!(text, "{},{}", self.index, self.centre);
         for angle in self.axes_deg {
@@ -47,9 +47,7 @@ impl Observation {
         if bars {
             let _ = write!(text, ",{}", self.bar);
         }
-        for cell in &self.extra {
-            let _ = write!(text, ",{}", quoted(cell));
-        }
+        text.push_str(further.line(self.further));
         text.push('\n');
     }
 }
@@ -59,8 +57,8 @@ impl Observation {
 pub struct Observations {
     /// The rows.
     pub rows: Vec<Observation>,
-    /// Names of the further columns, one for each of a row's `extra`.
-    pub extra_columns: Vec<String>,
+    /// The further columns.
+    pub further: Further,
 }
 
 /// The columns that a row must have, in the order in which they are written.
@@ -79,20 +77,33 @@ impl Observations {
     /// # Errors
     /// Names the line and column of what is missing, not a number, not finite, or impossible.
     pub fn from_csv(file: &str, text: &str) -> Result<Self, Diagnostic> {
-        let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(text.as_bytes());
+        let mut reader = csv_reader().from_reader(text.as_bytes());
         let header = reader.headers().map_err(|error| Diagnostic::csv(file, &error))?.clone();
-        let places = find_columns(file, &header, &REQUIRED)?;
+        Self::from_records(file, &header, |record| reader.read_record(record))
+    }
+
+    /// Reads the same from the records of a CSV: `next` puts the next one into its argument, or says that there is none.
+    ///
+    /// # Errors
+    /// As [`Observations::from_csv`], and what `next` says.
+    pub fn from_records(
+        file: &str,
+        header: &csv::StringRecord,
+        mut next: impl FnMut(&mut csv::StringRecord) -> csv::Result<bool>,
+    ) -> Result<Self, Diagnostic> {
+        let places = find_columns(file, header, &REQUIRED)?;
         let optional = |name: &str| match header.iter().any(|column| column == name) {
-            true => find_columns(file, &header, &[name]).map(|places| places.first().copied()),
+            true => find_columns(file, header, &[name]).map(|places| places.first().copied()),
             false => Ok(None),
         };
         let (sigma, bar) = (optional(SIGMA)?, optional(BAR)?);
         let known = |at: &usize| places.contains(at) || Some(*at) == sigma || Some(*at) == bar;
-        let extra: Vec<usize> = (0..header.len()).filter(|at| !known(at)).collect();
+        let others: Vec<usize> = (0..header.len()).filter(|at| !known(at)).collect();
+        let mut further = Further::new(others.iter().map(|&at| &header[at]));
         let mut rows = Vec::new();
         let mut record = csv::StringRecord::new();
-        while reader.read_record(&mut record).map_err(|error| Diagnostic::csv(file, &error))? {
-            let cell = Cells { file, header: &header, record: &record };
+        while next(&mut record).map_err(|error| Diagnostic::csv(file, &error))? {
+            let cell = Cells { file, header, record: &record };
             let mut axes_deg = [0.0; AXES];
             for (axis, value) in axes_deg.iter_mut().enumerate() {
                 *value = cell.number(places[2 + axis])?;
@@ -112,6 +123,7 @@ impl Observations {
             }
             rows.push(Observation {
                 index: cell.whole(places[0], 0)?,
+                further: further.add(others.iter().map(|&at| &record[at])),
                 centre: cell.whole(places[1], 1)? as usize,
                 bar: match bar {
                     Some(at) if !record[at].is_empty() => cell.whole(at, 1)? as usize,
@@ -120,14 +132,12 @@ impl Observations {
                 axes_deg,
                 length_mm,
                 sigma_mm,
-                extra: extra.iter().map(|&at| record[at].to_owned()).collect(),
             });
         }
         if rows.is_empty() {
             return Err(Diagnostic::file(file, "holds no observation: only a header, or nothing"));
         }
-        let extra_columns = extra.iter().map(|&at| header[at].to_owned()).collect();
-        let set = Self { rows, extra_columns };
+        let set = Self { rows, further };
         match (1..=set.bars()).find(|bar| set.rows.iter().all(|row| row.bar != *bar)) {
             None => Ok(set),
             Some(absent) => {
@@ -143,7 +153,7 @@ impl Observations {
     /// # Errors
     /// Names the line and column of what is missing or not a finite number.
     pub fn poses_from_csv(file: &str, text: &str) -> Result<Vec<[f64; AXES]>, Diagnostic> {
-        let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(text.as_bytes());
+        let mut reader = csv_reader().from_reader(text.as_bytes());
         let header = reader.headers().map_err(|error| Diagnostic::csv(file, &error))?.clone();
         let places = find_columns(file, &header, &REQUIRED[2..2 + AXES])?;
         let mut poses = Vec::new();
@@ -174,7 +184,7 @@ impl Observations {
             let mut text = String::new();
             for (at, row) in rows.iter().enumerate() {
                 if keep(PIECE * piece + at) {
-                    row.append(bars, &mut text);
+                    row.append(bars, &self.further, &mut text);
                 }
             }
             text
@@ -187,9 +197,7 @@ impl Observations {
         if bars {
             text.push_str(&format!(",{BAR}"));
         }
-        for name in &self.extra_columns {
-            text.push_str(&format!(",{}", quoted(name)));
-        }
+        text.push_str(&self.further.header());
         text.push('\n');
         text
     }
@@ -220,7 +228,7 @@ impl Centre {
     /// # Errors
     /// Names the line of what is missing, not a number, or a number that is twice there or absent.
     pub fn from_csv(file: &str, text: &str) -> Result<Vec<Self>, Diagnostic> {
-        let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(text.as_bytes());
+        let mut reader = csv_reader().from_reader(text.as_bytes());
         let header = reader.headers().map_err(|error| Diagnostic::csv(file, &error))?.clone();
         let places = find_columns(file, &header, &["centre", "x_mm", "y_mm", "z_mm"])?;
         let mut centres = Vec::new();
@@ -252,6 +260,13 @@ impl Centre {
         }
         text
     }
+}
+
+/// How the CSV files are read.
+pub fn csv_reader() -> csv::ReaderBuilder {
+    let mut reader = csv::ReaderBuilder::new();
+    reader.trim(csv::Trim::All);
+    reader
 }
 
 /// The places of the `required` columns in the header.
@@ -295,14 +310,5 @@ impl Cells<'_> {
         let line = self.record.position().map_or(0, |position| position.line() as usize);
         let message = format!("column `{}`: `{}`: {why}", &self.header[at], &self.record[at]);
         Diagnostic::line(self.file, line, message)
-    }
-}
-
-/// A cell as CSV, in quotes where it needs them.
-fn quoted(cell: &str) -> String {
-    if cell.contains(['"', ',', '\n', '\r']) {
-        format!("\"{}\"", cell.replace('"', "\"\""))
-    } else {
-        cell.to_owned()
     }
 }

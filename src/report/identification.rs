@@ -13,7 +13,6 @@ use super::parameters::{Group, charts, estimated, groups, word};
 use super::plot::{HeatMap, Histogram, PolarPlot, PolarTrace, ResidualPlot, ResidualPoint, Series};
 use super::scale::{fixed, significant};
 use crate::identify::result::{Identification, PredictedError, Residual, Status, WarningKind};
-use crate::plan::Kind;
 
 #[derive(Serialize)]
 struct Page<'a> {
@@ -141,18 +140,14 @@ fn went(before: f64, after: f64) -> &'static str {
 }
 
 fn facts(result: &Identification, plots: &IdentificationPlots) -> Vec<Fact> {
-    let mut per_ball: BTreeMap<usize, usize> = BTreeMap::new();
-    for observation in &plots.observations {
-        *per_ball.entry(observation.centre).or_default() += 1;
-    }
-    let balls: Vec<String> = per_ball.iter().map(|(ball, count)| format!("ball {ball}: {count}")).collect();
-    let references = plots.observations.iter().filter(|o| o.kind == Some(Kind::Reference)).count();
+    let balls: Vec<String> =
+        plots.per_ball.iter().map(|(ball, count)| format!("ball {ball}: {count}")).collect();
     let mut facts = vec![Fact::new("Lengths used", result.observations.to_string())];
     if !balls.is_empty() {
         facts.push(Fact::new("Per base ball", balls.join(", ")));
     }
-    if references > 0 {
-        facts.push(Fact::new("At the reference pose", references.to_string()));
+    if plots.references > 0 {
+        facts.push(Fact::new("At the reference pose", plots.references.to_string()));
     }
     facts.push(Fact::new("Set aside as outliers", result.outliers.len().to_string()));
     facts.push(choices::sigma(result));

@@ -1,5 +1,7 @@
 //! What `report.html` shows besides the identification's result.
 
+use std::collections::BTreeMap;
+
 use super::handing_back::{AxisZero, BallPlace};
 use super::page::{Fact, Provenance};
 use super::plot::HeatMap;
@@ -10,8 +12,12 @@ use crate::plan::Kind;
 /// What the page shows besides the result itself.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct IdentificationPlots {
-    /// The observations with their residuals, outliers included.
+    /// The observations with their residuals, outliers included; an even sample of many.
     pub observations: Vec<ObservationPoint>,
+    /// How many lengths there are to each base ball, and
+    pub per_ball: BTreeMap<usize, usize>,
+    /// how many of them at the reference pose.
+    pub references: usize,
     /// The circles, for the polar plots; none for poses that lie on no circle.
     pub circles: Vec<CirclePanel>,
     /// One standard deviation of what the robot's maker promises.

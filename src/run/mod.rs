@@ -12,7 +12,7 @@ use temperature::{Temperatures, certificate};
 
 use crate::circular::Temperature;
 use crate::diag::Diagnostic;
-use crate::model::{AXES, Centre, Robot};
+use crate::model::{AXES, Centre, Further, Robot};
 use crate::plan::Plan;
 use crate::sync::{self, Expected, Fate, Input, Report, Stream, Synced};
 
@@ -67,12 +67,16 @@ impl Run {
         let temperatures: Vec<_> = dwells.map(|t_s| self.temperature_at(t_s)).collect();
         if temperatures.iter().any(Option::is_some) {
             let observations = &mut synced.observations;
-            observations.extra_columns.push("temp_c".to_owned());
+            let before = std::mem::take(&mut observations.further);
+            let names = before.columns.iter().map(String::as_str).chain(["temp_c"]);
+            observations.further = Further::new(names);
             for (row, temp_c) in observations.rows.iter_mut().zip(temperatures) {
                 if let (Some(certificate), Some(temp_c)) = (certificate, temp_c) {
                     row.length_mm = certificate.referred_mm(row.length_mm, temp_c);
                 }
-                row.extra.push(temp_c.map_or(String::new(), |c| format!("{c:.2}")));
+                let mut cells = before.cells(row.further);
+                cells.push(temp_c.map_or(String::new(), |c| format!("{c:.2}")));
+                row.further = observations.further.add(cells);
             }
         }
         synced

@@ -29,7 +29,7 @@ mod windows;
 
 use std::collections::BTreeMap;
 
-use crate::model::{AXES, Observation, Observations};
+use crate::model::{AXES, Further, Observation, Observations};
 use crate::plan::{CirclePlace, Kind, Plan, PlanRow};
 
 pub use align::{Alignment, Pairing, align};
@@ -182,6 +182,7 @@ pub fn observations(input: &Input<'_>) -> Synced {
     let mut used = vec![false; candidates.len()];
     let mut fates = Vec::new();
     let mut rows = Vec::new();
+    let mut further = Further::new(["kind", "t_s", "samples", "creep", "circle", "angle_deg"]);
     let places = fate::Places::new(&poses, &candidates, &pairings, override_factor.unwrap_or(1.0));
     for (at, pairing) in pairings.iter().enumerate() {
         let row = poses.rows[at];
@@ -193,7 +194,7 @@ pub fn observations(input: &Input<'_>) -> Synced {
                 match measure(input.stream, candidate.from_s, to_s) {
                     Some(value) if enough(period_s, &value, row.dwell_s) => {
                         let place = (row.index as usize).checked_sub(1).and_then(|at| circle_places.get(at));
-                        rows.push(observation(input, row, place.copied().flatten(), &value));
+                        rows.push(observation(input, row, place.copied().flatten(), &value, &mut further));
                         Fate::Matched { dwell: value, posterior }
                     }
                     _ => Fate::Missing { reason: fate::unread(input.stream, candidate.stretch) },
@@ -221,16 +222,14 @@ pub fn observations(input: &Input<'_>) -> Synced {
         {
             let place = at.and_then(|at| circle_places.get(at)).copied().flatten();
             let known = Dwell { u_mm: dwell.u_mm.hypot(*timing_mm), ..*dwell };
-            rows.push(observation(input, row, place, &known));
+            rows.push(observation(input, row, place, &known, &mut further));
         }
     }
     fates.extend(passed.fates);
     fates.sort_by_key(|pose| pose.index);
     rows.sort_by_key(|row| row.index);
-    let extra_columns =
-        ["kind", "t_s", "samples", "creep", "circle", "angle_deg"].map(str::to_owned).to_vec();
     let mut synced = Synced {
-        observations: Observations { rows, extra_columns },
+        observations: Observations { rows, further },
         fates,
         spurious,
         source,
@@ -353,23 +352,29 @@ fn enough(period_s: f64, dwell: &Dwell, dwell_s: f64) -> bool {
     dwell.to_s - dwell.from_s >= LEAST_SHARE * dwell_s && dwell.samples as f64 >= LEAST_SHARE * whole
 }
 
-fn observation(input: &Input<'_>, row: &PlanRow, place: Option<CirclePlace>, dwell: &Dwell) -> Observation {
+fn observation(
+    input: &Input<'_>,
+    row: &PlanRow,
+    place: Option<CirclePlace>,
+    dwell: &Dwell,
+    further: &mut Further,
+) -> Observation {
     let logged = input.axes_deg.and_then(|axes| axes.get(&row.index));
     let kind = if row.kind == Kind::Reference { "reference" } else { "measure" };
     Observation {
         index: row.index,
-        centre: row.centre as usize,
-        bar: 1,
-        axes_deg: logged.copied().unwrap_or(row.axes_deg),
-        length_mm: input.plan.header.job.bar.length_mm + dwell.reading_mm,
-        sigma_mm: Some(dwell.u_mm.max(input.bar_sigma_mm)),
-        extra: vec![
+        further: further.add([
             kind.to_owned(),
             format!("{:.4}", 0.5 * (dwell.from_s + dwell.to_s)),
             dwell.samples.to_string(),
             u8::from(dwell.creep_mm.is_some()).to_string(),
             place.map_or(String::new(), |_| row.circle.to_string()),
             place.map_or(String::new(), |place| place.angle_deg.to_string()),
-        ],
+        ]),
+        centre: row.centre as usize,
+        bar: 1,
+        axes_deg: logged.copied().unwrap_or(row.axes_deg),
+        length_mm: input.plan.header.job.bar.length_mm + dwell.reading_mm,
+        sigma_mm: Some(dwell.u_mm.max(input.bar_sigma_mm)),
     }
 }

@@ -50,8 +50,9 @@ fn a_capture_becomes_observations() {
     assert_eq!(observations.rows.len(), 12);
     // The job says nothing of the bar, so its usual 2 um (`sigma_um`) are the least.
     assert!(observations.rows.iter().all(|row| row.sigma_mm.unwrap() >= 0.002));
-    let kinds: Vec<&str> = observations.rows.iter().map(|row| row.extra[0].as_str()).collect();
-    assert_eq!((kinds[0], kinds[1]), ("reference", "measure"));
+    let kinds: Vec<String> =
+        observations.rows.iter().map(|row| observations.further.cells(row.further).swap_remove(0)).collect();
+    assert_eq!(kinds[..2], ["reference", "measure"]);
 
     let (output, observations) = through_the_binary(&plan, &run, false);
     assert_eq!(output.status.code(), Some(3), "a run that was cut off is a doubt");
@@ -113,10 +114,13 @@ fn a_capture_becomes_a_circular_test() {
     dbbd(&["sync", "run", "--out", "obs.csv"]);
     let observations = std::fs::read_to_string(dir.path().join("obs.csv")).unwrap();
     let observations = Observations::from_csv("obs.csv", &observations).unwrap();
-    assert_eq!(observations.extra_columns[4..], ["circle", "angle_deg"]);
+    assert_eq!(observations.further.columns[4..], ["circle", "angle_deg"]);
     for (index, place) in &places {
         let row = observations.rows.iter().find(|row| row.index == *index).unwrap();
-        assert_eq!(row.extra[4..], ["1".to_owned(), place.angle_deg.to_string()]);
+        assert_eq!(
+            observations.further.cells(row.further)[4..],
+            ["1".to_owned(), place.angle_deg.to_string()]
+        );
     }
 
     let json: serde_json::Value =

@@ -105,13 +105,13 @@ pub(crate) fn measure(truth: &Robot, circles: &[Circle], points: usize, amplitud
                 axes_deg,
                 length_mm: 0.0,
                 sigma_mm: None,
-                extra: vec![],
+                further: 0,
             };
             row.length_mm = truth.geometry.length(&row.axes(), &Vector3::from(circle.centre), 0.0);
             rows.push(row);
         }
     }
-    Observations { rows, extra_columns: vec![] }
+    Observations { rows, ..Observations::default() }
 }
 
 /// The base balls of circles, as their file.

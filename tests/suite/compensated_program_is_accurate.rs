@@ -58,10 +58,10 @@ fn measured(plan: &Plan, true_robot: &Robot, seed: u64, noise_mm: f64) -> Observ
             axes_deg: row.axes_deg,
             length_mm: length + noise_mm * random.sample::<f64, _>(StandardNormal),
             sigma_mm: None,
-            extra: vec![],
+            further: 0,
         }
     });
-    Observations { rows: rows.collect(), extra_columns: vec![] }
+    Observations { rows: rows.collect(), ..Observations::default() }
 }
 
 /// `true_robot` identified from lengths at the poses of a plan, no prior.
@@ -248,9 +248,10 @@ fn what_sag_leaves_in_the_residuals() {
     let plan = chosen(1, 80, true);
     for seed in 1..=20 {
         let robot = sagging(truth::draw(&kr60(), seed, 1.0));
-        let found = identified_from(&measured(&plan, &robot, seed, 0.0), &plan);
-        let squares: f64 = found.residuals.iter().map(|pair| pair.after * pair.after).sum();
-        let lengths = found.residuals.len() as f64;
+        let data = measured(&plan, &robot, seed, 0.0);
+        let found = identified_from(&data, &plan);
+        let squares: f64 = found.residuals(&data.rows).map(|pair| pair.after * pair.after).sum();
+        let lengths = data.rows.len() as f64;
         eprintln!(
             "seed {seed}: {:.1} um rms; chi-square grows by {:.1} over {:.0}",
             (squares / lengths).sqrt() * 1e3,

@@ -174,6 +174,36 @@ fn few_clean_lengths_are_no_outliers() {
     assert!(named <= 1, "{named}");
 }
 
+/// So many lengths that they are made ready a piece at a time, and that an even sample tells their scale. The bar's
+/// sigma is a fifth of their noise, which is shown.
+#[test]
+fn many_lengths_tell_what_few_do() {
+    let circles = three_planes(1, CENTRE);
+    let mut random = Pcg64::seed_from_u64(1);
+    let mut data = measure(&with_errors(DESIGNED), &circles, 50, 25.0);
+    let poses = data.rows.clone();
+    data.rows = poses.iter().cycle().take(20_000).copied().collect();
+    for (row, index) in data.rows.iter_mut().zip(1..) {
+        row.index = index;
+        row.length_mm += 0.005 * normal(&mut random);
+        row.sigma_mm = Some(0.001);
+    }
+    let spoiled = [17, 4096, 4097, 12_345, 20_000];
+    spoiled.iter().for_each(|at| data.rows[at - 1].length_mm += 3.0);
+    let asked = DESIGNED.iter().map(|(name, _)| name.parse().unwrap()).collect();
+    let options = Options { estimate: Some(asked), folds: Some(0), ..Options::default() };
+    let found = find(&kr60(), &data, &balls(&circles), &options);
+    let named: Vec<usize> = found.result.outliers.iter().map(|outlier| outlier.index as usize).collect();
+    assert_eq!((named, &found.out), (spoiled.to_vec(), &spoiled.map(|at| at - 1).to_vec()));
+    assert!((found.result.sigma_mm / 0.005 - 1.0).abs() < 0.03, "{}", found.result.sigma_mm);
+    assert!((found.result.residual_mm.after.rms / 0.005 - 1.0).abs() < 0.03);
+    for (name, error) in DESIGNED {
+        let parameter = found.result.parameters.iter().find(|p| p.name == name).unwrap();
+        let off = (parameter.correction - error).abs() / parameter.sd.unwrap();
+        assert!(off < 4.0, "{name} is off by {off} standard deviations");
+    }
+}
+
 #[test]
 fn spoiled_rows_are_named_and_change_nothing() {
     let circles = three_planes(1, CENTRE);

@@ -41,7 +41,7 @@ fn reading(axes: &[f64; 6]) -> Reading {
 /// Mean standard deviation for 1 um of noise with only the paper's 13 unknown: of the angles, urad, and the lengths, um.
 fn thirteen(robot: &Robot, readings: &[Reading]) -> [f64; 2] {
     let ids = parameter::parse_list("alpha1-5,a1-5,d4-6", &[], 1).unwrap();
-    let mut rows = factor(&datasheet(robot).model, readings, &ids, &[]);
+    let mut rows = factor(&datasheet(robot).model, readings, &ids);
     let norms: Vec<f64> = rows.column_iter().map(|column| column.norm()).collect();
     rows.column_iter_mut().zip(&norms).for_each(|(mut column, norm)| column /= *norm);
     let inverse = rows.qr().r().try_inverse().unwrap();

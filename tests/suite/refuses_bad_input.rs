@@ -29,6 +29,21 @@ fn refused(observations: &str, more: &[&str], words: &[&str]) {
     }
 }
 
+/// The file is read a row at a time, and names the row.
+#[test]
+fn observations_that_are_no_text() {
+    let dir = tempdir().unwrap();
+    let bytes = [HEADER.as_bytes(), ROW.as_bytes(), b"2,1,0,-60,90,0,60,0,30\xff,0.01\n"].concat();
+    fs::write(dir.path().join("bytes.csv"), bytes).unwrap();
+    fs::write(dir.path().join("C.csv"), "centre,x_mm,y_mm,z_mm\n1,1300,0,800\n").unwrap();
+    let args = ["identify", "bytes.csv", "--robot", "kr60ha", "--centres", "C.csv", "--out", "out"];
+    let output = dbbd(dir.path(), &args);
+    assert_eq!(output.status.code(), Some(1));
+    assert!(stderr(&output).contains("bytes.csv:3: is not UTF-8 text"), "{}", stderr(&output));
+    let absent = args.map(|arg| if arg == "bytes.csv" { "absent.csv" } else { arg });
+    assert!(stderr(&dbbd(dir.path(), &absent)).contains("absent.csv: cannot be read"));
+}
+
 #[test]
 fn observations() {
     let robot = ["--robot", "kr60ha"];

@@ -7,7 +7,7 @@ use std::fs;
 use std::path::Path;
 
 use dbbd::model::pose::rot_x;
-use dbbd::model::{Observations, Robot};
+use dbbd::model::{Further, Observations, Robot};
 use nalgebra::Vector3;
 use rand::{RngExt, SeedableRng};
 use rand_distr::{Distribution, StandardNormal};
@@ -130,11 +130,11 @@ fn scenes() -> Vec<Scene> {
     scenes.push(Scene::new(&truth, &planes, 20, 0.01, &choices));
     // As `dbbd sync` writes them: circles with angles, and a reference pose.
     let mut synced = Scene::new(&truth, &planes, 27, 0.01, &["--prior", "datasheet", "--hold", "centres"]);
-    synced.data.extra_columns = ["kind", "circle", "angle_deg"].map(str::to_owned).to_vec();
+    synced.data.further = Further::new(["kind", "circle", "angle_deg"]);
     for (at, row) in synced.data.rows.iter_mut().enumerate() {
         let kind = if at % 20 == 0 { "reference" } else { "measure" };
         let angle = 360.0 / 27.0 * (at % 27) as f64;
-        row.extra = vec![kind.into(), (1 + at / 27).to_string(), angle.to_string()];
+        row.further = synced.data.further.add([kind, &(1 + at / 27).to_string(), &angle.to_string()]);
     }
     scenes.push(synced);
     let mut given = Scene::new(&truth, &planes, 27, 0.05, &[]);

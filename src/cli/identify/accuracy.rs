@@ -14,7 +14,7 @@ pub(super) fn doubt(robot: &Robot, found: &Identified, lengths: &Observations) -
     let ids = parameter::parse_list("geometric", &nominal.parallel_joints(), 0_usize).ok()?;
     let model = LengthModel { geometry: nominal.geometry.clone(), ..found.model.clone() };
     let readings: Vec<Reading> = lengths.rows.iter().map(Reading::from).collect();
-    let rows = factor(&model, &readings, &ids, &[]);
+    let rows = factor(&model, readings.as_slice(), &ids);
     let sd = |id: &ParamId| tolerance(nominal, *id).unwrap_or(0.0);
     let squares = rows.column_iter().zip(&ids).map(|(column, id)| column.norm_squared() * sd(id).powi(2));
     let expected_mm = (squares.sum::<f64>() / readings.len().max(1) as f64).sqrt();

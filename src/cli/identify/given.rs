@@ -3,6 +3,7 @@
 use std::error::Error;
 
 use super::Args;
+use super::inputs::observations;
 use crate::cli::Output;
 use crate::cli::robots;
 use crate::diag::Diagnostic;
@@ -48,7 +49,7 @@ impl Given {
         };
         let observations = match &joined {
             Some((_, synced)) => synced.observations.clone(),
-            None => Observations::from_csv(&input, &files::read(&args.input)?)?,
+            None => observations(&args.input)?,
         };
         if observations.rows.is_empty() {
             return Err(Diagnostic::file(&input, "no length could be matched to a pose")

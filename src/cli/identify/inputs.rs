@@ -1,4 +1,4 @@
-//! The smaller inputs of an identification: points, priors, workspaces.
+//! The inputs of an identification: observations, points, priors, workspaces.
 
 use std::collections::BTreeMap;
 use std::error::Error;
@@ -7,6 +7,7 @@ use std::path::Path;
 use crate::diag::Diagnostic;
 use crate::files;
 use crate::identify::PriorScale;
+use crate::model::observation::csv_reader;
 use crate::model::parameter::SetUp;
 use crate::model::{AXES, Observations, ParamId};
 
@@ -72,4 +73,16 @@ pub(super) fn read_workspace(path: &Path) -> Result<Vec<[f64; AXES]>, Box<dyn Er
     let file = path.display().to_string();
     let poses = Observations::poses_from_csv(&file, &files::read(path)?)?;
     Ok(poses.into_iter().map(|axes| axes.map(f64::to_radians)).collect())
+}
+
+/// The observations of a CSV, which is never whole in memory.
+///
+/// # Errors
+/// Names the path and why it could not be read, or the line and what is wrong there.
+pub(crate) fn observations(path: &Path) -> Result<Observations, Diagnostic> {
+    let name = path.display().to_string();
+    let wrong = |error: csv::Error| Diagnostic::csv(&name, &error);
+    let mut reader = csv_reader().from_path(path).map_err(wrong)?;
+    let header = reader.headers().map_err(wrong)?.clone();
+    Observations::from_records(&name, &header, |record| reader.read_record(record))
 }

@@ -15,8 +15,8 @@ use super::{Outcome, Output, Verdict};
 use crate::files;
 use crate::identify::result::WarningKind;
 use crate::identify::{self, Options, Prior, PriorScale};
-use crate::model::Observations;
 use crate::model::parameter::{self, SetUp};
+pub(crate) use inputs::observations;
 pub(crate) use page::error_maps;
 pub(crate) use tables::LENGTHS;
 
@@ -101,7 +101,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
     let validation = match &args.validate {
         Some(path) => {
             let name = path.display().to_string();
-            let set = Observations::from_csv(&name, &files::read(path)?)?;
+            let set = observations(path)?;
             check_centres(&name, &set, &given.centres)?;
             check_bars(&name, &set, given.observations.bars())?;
             Some(set)

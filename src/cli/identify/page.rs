@@ -1,14 +1,20 @@
 //! `report.html` from a result: what the page needs is picked out here, and drawn by the report room.
 
+use std::collections::BTreeMap;
+
 use crate::export::frames;
 use crate::export::mastering::{self, AxisOffset};
 use crate::identify::{Identified, senses};
 use crate::model::{Observation, Observations, Robot};
 use crate::plan::Kind;
 use crate::report::plot::HeatMap;
-use crate::report::{AxisZero, BallPlace, Provenance, ReportError, Source};
+use crate::report::{AxisZero, BallPlace, Fact, Provenance, ReportError, Source};
 use crate::report::{CirclePanel, IdentificationPlots, ObservationPoint, Tolerance, identification};
 
+/// What `dbbd sync` writes into the column `kind` of a length at the reference pose.
+const REFERENCE: &str = "reference";
+/// Lengths that are drawn at most: an even sample of more.
+const DRAWN: usize = 20_000;
 /// Cells along the longer side of a map of the predicted error.
 const CELLS: usize = 24;
 
@@ -19,10 +25,14 @@ pub(super) fn html(
     found: &Identified,
     sources: Vec<Source>,
 ) -> Result<String, ReportError> {
-    let points = points(observations, found);
+    let stride = observations.rows.len().div_ceil(DRAWN).max(1);
+    let points = points(observations, found, stride);
+    let sample = (stride > 1).then(|| Fact::new("Drawn below", format!("every {stride}th length")));
     let plots = IdentificationPlots {
         circles: circles(&points),
         observations: points,
+        per_ball: per_ball(observations),
+        references: references(observations),
         tolerance: Some(Tolerance {
             length_mm: robot.tolerance.length_mm,
             angle_rad: robot.tolerance.angle_deg.to_radians(),
@@ -30,7 +40,7 @@ pub(super) fn html(
         zeros: zeros(found),
         balls: balls(found),
         maps: error_maps(&found.predicted),
-        facts: vec![],
+        facts: sample.into_iter().collect(),
         provenance: Provenance {
             dbbd_version: env!("CARGO_PKG_VERSION").into(),
             robot: robot.name.clone(),
@@ -42,18 +52,19 @@ pub(super) fn html(
     identification::html(&found.result, &plots)
 }
 
-/// The observations as the page takes them; circle, angle and kind stand in the further columns
+/// Every `stride`-th of the observations as the page takes them; circle, angle and kind stand in the further columns
 /// that `dbbd sync` writes.
-fn points(observations: &Observations, found: &Identified) -> Vec<ObservationPoint> {
-    let column = |name: &str| observations.extra_columns.iter().position(|column| column == name);
-    let (circle, angle, kind) = (column("circle"), column("angle_deg"), column("kind"));
-    observations
-        .rows
-        .iter()
-        .zip(&found.residuals)
-        .zip(senses(observations.rows.iter().map(Observation::axes)))
+fn points(observations: &Observations, found: &Identified, stride: usize) -> Vec<ObservationPoint> {
+    let rows = observations.rows.iter();
+    let senses = senses(rows.clone().map(Observation::axes)).step_by(stride);
+    let drawn = rows.clone().step_by(stride).zip(found.residuals(rows.step_by(stride)));
+    let columns = ["circle", "angle_deg", "kind"].map(|name| column(observations, name));
+    drawn
+        .zip(senses)
         .map(|((row, residual), senses)| {
-            let cell = |at: Option<usize>| at.and_then(|at| row.extra.get(at)).map(String::as_str);
+            let cells = observations.further.cells(row.further);
+            let [circle, angle, kind] =
+                columns.map(|at| at.and_then(|at| cells.get(at)).map_or("", String::as_str));
             ObservationPoint {
                 index: row.index,
                 centre: row.centre,
@@ -61,16 +72,36 @@ fn points(observations: &Observations, found: &Identified) -> Vec<ObservationPoi
                 senses,
                 before_mm: residual.before,
                 after_mm: residual.after,
-                circle: cell(circle).and_then(|text| text.parse().ok()).filter(|number| *number > 0),
-                angle_deg: cell(angle).and_then(|text| text.parse().ok()),
-                kind: match cell(kind) {
-                    Some("measure") => Some(Kind::Measure),
-                    Some("reference") => Some(Kind::Reference),
+                circle: circle.parse().ok().filter(|number| *number > 0),
+                angle_deg: angle.parse().ok(),
+                kind: match kind {
+                    "measure" => Some(Kind::Measure),
+                    REFERENCE => Some(Kind::Reference),
                     _ => None,
                 },
             }
         })
         .collect()
+}
+
+/// Where a further column stands.
+fn column(observations: &Observations, name: &str) -> Option<usize> {
+    observations.further.columns.iter().position(|column| column == name)
+}
+
+/// How many lengths were measured at the reference pose.
+fn references(observations: &Observations) -> usize {
+    let Some(kind) = column(observations, "kind") else { return 0 };
+    let kinds = observations.rows.iter().map(|row| observations.further.cells(row.further));
+    kinds.filter(|cells| cells.get(kind).is_some_and(|kind| kind == REFERENCE)).count()
+}
+
+fn per_ball(observations: &Observations) -> BTreeMap<usize, usize> {
+    let mut per_ball = BTreeMap::new();
+    for row in &observations.rows {
+        *per_ball.entry(row.centre).or_default() += 1;
+    }
+    per_ball
 }
 
 /// What goes back to the controller.

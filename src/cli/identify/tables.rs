@@ -20,7 +20,7 @@ pub(super) fn write_results(
     observations: &Observations,
 ) -> Result<(), Box<dyn Error>> {
     let result = &found.result;
-    let used = |at: usize| found.residuals.get(at).is_some_and(|residual| residual.used);
+    let used = |at: usize| found.out.binary_search(&at).is_err();
     files::write_pieces(&dir.join(LENGTHS), observations.csv_pieces(used))?;
     files::write(&dir.join("result.json"), serde_json::to_string_pretty(result)? + "\n")?;
     files::write(&dir.join("robot-identified.toml"), found.robot.to_toml())?;

@@ -11,7 +11,7 @@ use super::{Outcome, Output, Verdict};
 use crate::cli::robots;
 use crate::diag::Diagnostic;
 use crate::files;
-use crate::model::{Centre, Observations, Reading, Robot};
+use crate::model::{Centre, Reading, Robot};
 use crate::plan::prediction::Fate;
 use crate::plan::{Check, Job, Kind, Knowledge, Plan, Prediction, Stage, Taught};
 
@@ -149,7 +149,7 @@ fn knowledge(
     let mut lengths = Vec::new();
     for path in measured {
         let name = path.display().to_string();
-        let observations = Observations::from_csv(&name, &files::read(path)?)?;
+        let observations = super::identify::observations(path)?;
         if let Some(row) = observations.rows.iter().find(|row| row.centre > job.centres.len()) {
             let message = format!("index {}: the job has no base ball {}", row.index, row.centre);
             return Err(Diagnostic::file(&name, message).into());

@@ -27,10 +27,8 @@ pub struct Measured<'a> {
     pub robot: &'a Robot,
     /// The nominal geometry in its set-up.
     pub model: &'a LengthModel,
-    /// The lengths there are.
+    /// The lengths there are, or an even sample of many.
     pub readings: &'a [Reading],
-    /// Their standard deviations, mm.
-    pub sigma: &'a [f64],
     /// What is unknown, in canonical order.
     pub ids: &'a [ParamId],
     /// One standard deviation of each as known beforehand, mm or rad.
@@ -83,7 +81,7 @@ impl Measured<'_> {
             .enumerate()
             .map(|(at, axes)| Reading::new(axes, at % balls, 0.0))
             .collect();
-        let mut columns = factor(self.model, &readings, self.ids, &[]);
+        let mut columns = factor(self.model, readings.as_slice(), self.ids);
         columns.column_iter_mut().for_each(|mut column| {
             let norm = column.norm();
             column /= if norm < 1e-9 { f64::INFINITY } else { norm };
@@ -93,22 +91,22 @@ impl Measured<'_> {
     }
 
     /// The best of each kind of further measurement, best first. `workspace` is where the error counts; `mean_of_rms`
-    /// makes a mean error of a root mean square. `told` are the parameters that count as told now. The first number is
-    /// the error that these lengths leave by the same measure, mm. `None` when a number is not finite.
+    /// makes a mean error of a root mean square. `told` are the parameters that count as told now. `factor` is that of
+    /// the weighted Jacobian of all lengths, whose standard deviation is `sigma_mm`. The first number is the error that
+    /// these lengths leave by the same measure, mm. `None` when a number is not finite.
     pub fn proposals(
         &self,
+        (factor, sigma_mm): (&DMatrix<f64>, f64),
         workspace: &Workspace,
         mean_of_rms: f64,
         told: &[ParamId],
     ) -> Option<(f64, Vec<Proposal>)> {
-        let factor = factor(self.model, self.readings, self.ids, self.sigma);
         let weight = self.weight(workspace);
-        let now_mm = mean_of_rms * rms(&self.root(&factor)?, &weight);
-        let told_now = self.told(&factor, self.ids)?;
-        let sigma = (self.sigma.iter().map(|s| s * s).sum::<f64>() / self.sigma.len().max(1) as f64).sqrt();
+        let now_mm = mean_of_rms * rms(&self.root(factor)?, &weight);
+        let told_now = self.told(factor, self.ids)?;
         let mut best: Vec<(Candidate, DMatrix<f64>, f64)> = Vec::new();
         for candidate in candidates::all(self) {
-            let stacked = self.stacked(&factor, &candidate, sigma);
+            let stacked = self.stacked(factor, &candidate, sigma_mm);
             let error_mm = mean_of_rms * rms(&self.root(&stacked)?, &weight);
             match best.iter_mut().find(|(other, ..)| other.kind == candidate.kind) {
                 Some(other) if error_mm < other.2 => *other = (candidate, stacked, error_mm),
@@ -164,7 +162,7 @@ impl Measured<'_> {
         let mut model = self.model.clone();
         model.centres.extend(candidate.ball);
         let sigmas = vec![sigma; candidate.poses.len()];
-        let further = self::factor(&model, &candidate.poses, &ids, &sigmas);
+        let further = self::factor(&model, &(candidate.poses.as_slice(), sigmas.as_slice()), &ids);
         let mut stacked = DMatrix::zeros(factor.nrows() + further.nrows(), ids.len());
         stacked.view_mut((0, 0), factor.shape()).copy_from(factor);
         stacked.rows_mut(factor.nrows(), further.nrows()).copy_from(&further);

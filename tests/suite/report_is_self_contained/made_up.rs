@@ -204,6 +204,8 @@ pub(super) fn plots() -> IdentificationPlots {
     }
     let circles = [("XY", "+X", "+Y"), ("XZ", "+X", "+Z"), ("YZ", "+Y", "+Z")];
     IdentificationPlots {
+        per_ball: [(1, 120), (2, 120)].into(),
+        references: observations.iter().filter(|point| point.kind == Some(Kind::Reference)).count(),
         observations,
         circles: circles
             .iter()
