@@ -98,7 +98,8 @@ pub(super) fn estimate(
         let judged: Vec<ParamId> = asked.iter().copied().filter(|id| !loose.contains(id)).collect();
         let analysis = analyse(&set_up.model, &lengths.plain(), &judged).ok_or(IdentifyError::NotFinite)?;
         let places: Vec<ParamId> = analysis.kept().into_iter().filter(is_place).collect();
-        let more = if follow_list { vec![] } else { hardly_told(robot, &set_up.model, &lengths.plain(), places) };
+        let more =
+            if follow_list { vec![] } else { hardly_told(robot, &set_up.model, &lengths.plain(), places) };
         if more.is_empty() {
             break analysis;
         }

@@ -175,19 +175,8 @@ impl<'a> Weighted<'a> {
 
     /// The standard deviations, mm; infinite of those left out.
     pub(super) fn sigmas(&self) -> impl Iterator<Item = f64> {
-        self.sigmas_of(0, self.lengths.len())
-    }
-
-    /// Root mean square of those that are not left out, mm.
-    pub(super) fn rms_sigma(&self) -> f64 {
-        let squares = self.sigmas().filter(|sigma| *sigma != f64::INFINITY).map(|sigma| sigma * sigma);
-        (squares.sum::<f64>() / self.count().max(1) as f64).sqrt()
-    }
-
-    fn sigmas_of(&self, first: usize, count: usize) -> impl Iterator<Item = f64> {
-        let Self { lengths, sigma, out } = *self;
-        let mut out = &out[out.partition_point(|at| *at < first)..];
-        (first..first + count).map(move |at| match out.split_first() {
+        let Self { lengths, sigma, mut out } = *self;
+        (0..lengths.len()).map(move |at| match out.split_first() {
             Some((next, others)) if *next == at => {
                 out = others;
                 f64::INFINITY
@@ -196,17 +185,33 @@ impl<'a> Weighted<'a> {
         })
     }
 
+    /// Root mean square of those that are not left out, mm.
+    pub(super) fn rms_sigma(&self) -> f64 {
+        let squares = self.sigmas().filter(|sigma| *sigma != f64::INFINITY).map(|sigma| sigma * sigma);
+        (squares.sum::<f64>() / self.count().max(1) as f64).sqrt()
+    }
+
+    /// The same of a piece that begins at `first`, from what is given.
+    fn weigh(&self, first: usize, given: impl Iterator<Item = f64>) -> Vec<f64> {
+        let mut sigma: Vec<f64> = given.map(|given| self.sigma.of(given)).collect();
+        for at in &self.out[self.out.partition_point(|at| *at < first)..] {
+            let Some(left_out) = sigma.get_mut(at - first) else { break };
+            *left_out = f64::INFINITY;
+        }
+        sigma
+    }
+
     /// Applies `work` to the place of the first of each piece of the readings, to these, and to their standard
     /// deviations, infinite of those left out.
     pub(super) fn placed<R: Send>(&self, work: impl Fn(usize, &[Reading], &[f64]) -> R + Sync) -> Vec<R> {
         match &self.lengths.held {
-            Held::Few(readings, _) => {
-                let sigma: Vec<f64> = self.sigmas().collect();
+            Held::Few(readings, given) => {
+                let sigma = self.weigh(0, given.iter().copied());
                 map_pieces(readings, |first, piece| work(first, piece, &sigma[first..first + piece.len()]))
             }
-            Held::Many(rows, _) => map_pieces(rows, |first, piece| {
+            Held::Many(rows, all) => map_pieces(rows, |first, piece| {
                 let readings: Vec<Reading> = piece.iter().map(Reading::from).collect();
-                let sigma: Vec<f64> = self.sigmas_of(first, piece.len()).collect();
+                let sigma = self.weigh(first, piece.iter().map(|row| given(row, *all)));
                 work(first, &readings, &sigma)
             }),
         }

@@ -1,5 +1,6 @@
 //! Assembles the result: parameters with their fate, residuals, predicted error, warnings.
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 
 use nalgebra::DMatrix;
