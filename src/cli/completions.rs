@@ -9,7 +9,7 @@ use super::{Cli, Outcome, Output, Verdict};
 
 /// Print shell completions.
 ///
-/// For example `dbbd completions bash > ~/.local/share/bash-completion/completions/dbbd`.
+/// For example `sudo sh -c "dbbd completions bash > /etc/bash_completion.d/dbbd"`.
 #[derive(clap::Args)]
 pub(crate) struct Args {
     /// The shell.

@@ -23,6 +23,7 @@ mod scale;
 mod sigma;
 mod solver;
 mod summary;
+mod units;
 mod verdict;
 
 use std::borrow::Cow;
@@ -33,6 +34,7 @@ pub use estimate::IdentifyError;
 pub use joints::senses;
 pub use options::{Options, Prior, PriorScale, tolerance};
 pub use result::Identification;
+pub use units::mistaken as mistaken_unit;
 
 use crate::model::parameter::SetUp;
 use crate::model::{Centre, LengthModel, Observation, Observations, ParamId, Reading, Robot};

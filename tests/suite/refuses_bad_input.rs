@@ -44,6 +44,55 @@ fn observations_that_are_no_text() {
     assert!(stderr(&dbbd(dir.path(), &absent)).contains("absent.csv: cannot be read"));
 }
 
+/// Lengths between 298 and 302 mm at poses about the ball, by the nominal robot; then the same table in other units.
+#[test]
+fn tables_in_other_units_and_plans() {
+    let example = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/paper");
+    let text = fs::read_to_string(example.join("observations.csv")).unwrap();
+    let mut rows = csv::Reader::from_reader(text.as_bytes());
+    let header = rows.headers().unwrap().clone();
+    let records: Vec<csv::StringRecord> = rows.records().map(Result::unwrap).collect();
+    let table = |factor: &dyn Fn(&str) -> f64| {
+        let lines = records.iter().map(|record| {
+            let cells = header.iter().zip(record).map(|(name, cell)| match factor(name) {
+                1.0 => cell.to_owned(),
+                factor => (cell.parse::<f64>().unwrap() * factor).to_string(),
+            });
+            cells.collect::<Vec<_>>().join(",") + "\n"
+        });
+        header.iter().collect::<Vec<_>>().join(",") + "\n" + &lines.collect::<String>()
+    };
+    let centres = example.join("centres.csv");
+    let said = |table: &str| {
+        let dir = tempdir().unwrap();
+        fs::write(dir.path().join("obs.csv"), table).unwrap();
+        let centres = centres.to_str().unwrap();
+        let output = dbbd(
+            dir.path(),
+            &["identify", "obs.csv", "--robot", "kr60ha", "--centres", centres, "--out", "out"],
+        );
+        (output.status.code(), stderr(&output))
+    };
+    for (column, factor, unit) in [
+        ("length_mm", 1e-3, "metres"),
+        ("length_mm", 1.0 / 25.4, "inches"),
+        ("_deg", 1_f64.to_radians(), "radians"),
+    ] {
+        let (code, said) = said(&table(&|name| if name.ends_with(column) { factor } else { 1.0 }));
+        assert!(code == Some(1) && said.contains(&format!("seem to be {unit}")), "{unit}: {said}");
+    }
+    let plan = format!(
+        "{},kind,move,dwell_s\n{}",
+        header.iter().collect::<Vec<_>>().join(","),
+        records
+            .iter()
+            .map(|record| record.iter().collect::<Vec<_>>().join(",") + ",measure,ptp,0.5\n")
+            .collect::<String>()
+    );
+    let (code, said) = said(&plan);
+    assert!(code == Some(1) && said.contains("is a plan"), "{said}");
+}
+
 #[test]
 fn observations() {
     let robot = ["--robot", "kr60ha"];

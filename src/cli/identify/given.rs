@@ -8,7 +8,7 @@ use crate::cli::Output;
 use crate::cli::robots;
 use crate::diag::Diagnostic;
 use crate::files;
-use crate::identify::Identified;
+use crate::identify::{Identified, mistaken_unit};
 use crate::model::{AXES, Centre, Observations, Robot};
 use crate::report::Source;
 use crate::run::{self, Run};
@@ -51,6 +51,17 @@ impl Given {
             Some((_, synced)) => synced.observations.clone(),
             None => observations(&args.input)?,
         };
+        if ["kind", "move", "dwell_s"]
+            .iter()
+            .all(|name| observations.further.columns.iter().any(|other| other == name))
+        {
+            return Err(Diagnostic::file(
+                &input,
+                "is a plan: its lengths are those that are wanted, not measured ones",
+            )
+            .help("measure them: `dbbd acquire`, then give the capture")
+            .into());
+        }
         if observations.rows.is_empty() {
             return Err(Diagnostic::file(&input, "no length could be matched to a pose")
                 .help("`dbbd sync` tells for each pose why")
@@ -72,6 +83,14 @@ impl Given {
             }
         };
         check_centres(&input, &observations, &centres)?;
+        if let Some((columns, unit)) = mistaken_unit(&robot.geometry, &centres, &observations.rows) {
+            return Err(Diagnostic::file(
+                &input,
+                format!("{columns} seem to be {unit}: in these the lengths are those of the poses"),
+            )
+            .help("convert the table: lengths in mm, angles in degrees")
+            .into());
+        }
         let source = |role: &str, name: String| Source { role: role.into(), name, hash: None };
         let from_plan = || "the plan in the capture".to_owned();
         let sources = vec![
