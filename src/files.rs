@@ -33,7 +33,7 @@ pub fn write(path: &Path, content: impl AsRef<[u8]>) -> Result<(), Diagnostic> {
 /// The same in pieces, of which one at a time is in memory.
 ///
 /// # Errors
-/// As [`write`].
+/// As [`write()`].
 pub fn write_pieces(
     path: &Path,
     pieces: impl IntoIterator<Item = impl AsRef<[u8]>>,
