@@ -7,7 +7,6 @@ use super::lengths::Weighted;
 use super::options::{Options, Prior};
 use super::places::{is_place, well_told};
 use super::result::{Advice, Correlated, PredictedPair};
-use super::summary::workspace_poses;
 use crate::identifiability::trial::{Kind, Measured};
 use crate::identifiability::{
     Correlation, Observability, Workspace, correlations, factor, known_beforehand, observability,
@@ -86,7 +85,7 @@ pub(super) fn advice(
     if !share.is_finite() {
         return Vec::new();
     }
-    let workspace = Workspace::new(&model.geometry, &workspace_poses(robot, options), &ids);
+    let workspace = Workspace::new(&model.geometry, &options.workspace_poses(robot), &ids);
     let rows = factor(model, lengths, &ids);
     let proposals = measured.proposals((&rows, lengths.rms_sigma()), &workspace, share, told);
     let Some((now_mm, proposals)) = proposals else { return Vec::new() };

@@ -16,6 +16,7 @@ mod joints;
 mod lengths;
 mod monte_carlo;
 mod options;
+mod own_accuracy;
 mod places;
 mod prior;
 pub mod result;
@@ -33,6 +34,7 @@ use nalgebra::DMatrix;
 pub use estimate::IdentifyError;
 pub use joints::senses;
 pub use options::{Options, Prior, PriorScale, tolerance};
+pub use own_accuracy::own_accuracy;
 pub use result::Identification;
 pub use units::mistaken as mistaken_unit;
 

@@ -1,7 +1,9 @@
 //! What the user asked of an identification.
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 
+use crate::identifiability::Workspace;
 use crate::model::{AXES, ParamId, Robot};
 
 /// What to estimate, from what, and how much to tell.
@@ -27,7 +29,19 @@ pub struct Options {
     pub workspace: Option<Vec<[f64; AXES]>>,
 }
 
+/// Poses over which the error is predicted when the user gives none, and their seed.
+const WORKSPACE_POSES: usize = 2000;
+const WORKSPACE_SEED: u64 = 1;
+
 impl Options {
+    /// The axis angles (rad) over which a 3-D error is predicted.
+    pub(super) fn workspace_poses(&self, robot: &Robot) -> Cow<'_, [[f64; AXES]]> {
+        match &self.workspace {
+            Some(poses) => Cow::Borrowed(poses),
+            None => Cow::Owned(Workspace::uniform(robot, WORKSPACE_POSES, WORKSPACE_SEED)),
+        }
+    }
+
     /// Whether the user's list is followed as it is: there is one, and no prior that could carry
     /// what the data do not.
     pub fn follows_list(&self) -> bool {

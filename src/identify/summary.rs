@@ -1,6 +1,5 @@
 //! Assembles the result: parameters with their fate, residuals, predicted error, warnings.
 
-use std::borrow::Cow;
 use std::collections::BTreeMap;
 
 use nalgebra::DMatrix;
@@ -20,11 +19,7 @@ use super::{ErrorMap, Identified, joints, verdict};
 use crate::identifiability::{Combination, ErrorSummary, Estimator, Workspace, factor};
 use crate::linalg::base_set;
 use crate::model::parameter::{self, SetUp};
-use crate::model::{AXES, LengthModel, Observation, Observations, ParamId, Reading, Readings, Robot};
-
-/// Poses over which the error is predicted when the user gives none, and their seed.
-const WORKSPACE_POSES: usize = 2000;
-const WORKSPACE_SEED: u64 = 1;
+use crate::model::{LengthModel, Observation, Observations, ParamId, Reading, Readings, Robot};
 
 #[allow(clippy::too_many_arguments)] // the parts of one result, each used once
 pub(super) fn summarise(
@@ -296,14 +291,6 @@ fn dependent(estimate: &Estimate) -> Vec<Dependent> {
         .collect()
 }
 
-/// The axis angles (rad) over which a 3-D error is predicted.
-pub(super) fn workspace_poses<'a>(robot: &Robot, options: &'a Options) -> Cow<'a, [[f64; AXES]]> {
-    match &options.workspace {
-        Some(poses) => Cow::Borrowed(poses),
-        None => Cow::Owned(Workspace::uniform(robot, WORKSPACE_POSES, WORKSPACE_SEED)),
-    }
-}
-
 /// The predicted 3-D errors of the nominal and the identified robot, and the latter's over the workspace.
 pub(super) fn predicted(
     robot: &Robot,
@@ -328,7 +315,7 @@ pub(super) fn predicted(
     let factor = factor(&estimate.fit.model, lengths, &ids);
     let estimator =
         Estimator { ids: &ids, factor: &factor, tolerance: &tolerances, kept: &kept, prior: &rows };
-    let workspace = Workspace::new(&estimate.fit.model.geometry, &workspace_poses(robot, options), &ids);
+    let workspace = Workspace::new(&estimate.fit.model.geometry, &options.workspace_poses(robot), &ids);
     let [truths, noise] = estimator.draws();
     // What the user held is taken as exact; the nominal robot has all its tolerance.
     let mut unknown = truths.clone();

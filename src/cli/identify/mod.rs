@@ -1,6 +1,5 @@
 //! `dbbd identify`: the robot's parameters from lengths.
 
-mod accuracy;
 mod choices;
 mod given;
 mod inputs;
@@ -126,8 +125,11 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
     say::say(out, &found.result, &args.out);
     out.document(&found.result)?;
     let doubt = found.result.warnings.iter().any(|warning| warning.kind == WarningKind::Doubt);
-    let elsewhere =
-        if given.commanded { accuracy::doubt(&given.robot, &found, &given.observations) } else { None };
+    let elsewhere = if given.commanded {
+        identify::own_accuracy(&given.robot, &found, &given.observations)
+    } else {
+        None
+    };
     if let Some(text) = &elsewhere {
         out.warning(text);
     }

@@ -1,7 +1,7 @@
 //! Whether a run looks as if the controller corrected its commands by an accuracy model of its own.
 
+use super::{Identified, tolerance};
 use crate::identifiability::factor;
-use crate::identify::{Identified, tolerance};
 use crate::model::{LengthModel, Observations, ParamId, Reading, Robot, parameter};
 
 /// A robot drawn from its tolerance is off by less than this share of what is expected in no run of a thousand.
@@ -9,7 +9,7 @@ const SHARE: f64 = 0.04;
 
 /// A doubt about lengths that agree with the nominal robot better than its tolerance lets any robot do: then the
 /// axes most likely did not stand where they were commanded to.
-pub(super) fn doubt(robot: &Robot, found: &Identified, lengths: &Observations) -> Option<String> {
+pub fn own_accuracy(robot: &Robot, found: &Identified, lengths: &Observations) -> Option<String> {
     let nominal = robot.controller();
     let ids = parameter::parse_list("geometric", &nominal.parallel_joints(), 0_usize).ok()?;
     let model = LengthModel { geometry: nominal.geometry.clone(), ..found.model.clone() };
