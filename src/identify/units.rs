@@ -6,7 +6,7 @@ use crate::model::{AXES, Centre, Geometry, Observation};
 /// Units that a length is told in by mistake, and how many of them are a millimetre.
 const LENGTHS: [(&str, f64); 3] = [("metres", 1e-3), ("inches", 1.0 / 25.4), ("micrometres", 1e3)];
 /// A length agrees with the one expected when it is off by no more than this share: tool and ball are known to some centimetres.
-const AGREES: f64 = 0.25;
+const AGREES: f64 = 0.15;
 /// So many of the lengths must agree.
 const MOST: f64 = 0.9;
 /// Fewer lengths agree by chance.
