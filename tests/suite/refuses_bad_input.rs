@@ -89,8 +89,29 @@ fn tables_in_other_units_and_plans() {
             .map(|record| record.iter().collect::<Vec<_>>().join(",") + ",measure,ptp,0.5\n")
             .collect::<String>()
     );
-    let (code, said) = said(&plan);
-    assert!(code == Some(1) && said.contains("is a plan"), "{said}");
+    let (code, plan_said) = said(&plan);
+    assert!(code == Some(1) && plan_said.contains("is a plan"), "{plan_said}");
+    // What only checks is held to the same.
+    let dir = tempdir().unwrap();
+    let metres = table(&|name| if name == "length_mm" { 1e-3 } else { 1.0 });
+    for (name, table, words) in
+        [("m.csv", &metres, "m.csv: length_mm seem to be metres"), ("p.csv", &plan, "p.csv: is a plan")]
+    {
+        fs::write(dir.path().join("obs.csv"), &text).unwrap();
+        fs::write(dir.path().join(name), table).unwrap();
+        let args = [
+            "identify",
+            "obs.csv",
+            "--robot",
+            "kr60ha",
+            "--centres",
+            centres.to_str().unwrap(),
+            "--out",
+            "out",
+        ];
+        let output = dbbd(dir.path(), &[&args[..], &["--validate", name]].concat());
+        assert!(output.status.code() == Some(1) && stderr(&output).contains(words), "{}", stderr(&output));
+    }
 }
 
 #[test]

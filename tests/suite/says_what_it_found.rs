@@ -71,6 +71,7 @@ impl Scene {
         write("headless.csv", "name,sd\na2,0.1\n");
         write("unit.csv", "name,unit,sd\na2,m,0.1\n");
         write("negative.csv", "name,unit,sd\na2,mm,-0.1\n");
+        write("plan.csv", "move,dwell_s\nptp,0.5\n");
         let args =
             ["identify", "obs.csv", "--robot", "robot.toml", "--centres", "centres.csv", "--out", "out"];
         let output = dbbd(dir.path(), &[&args[..], &self.args[..]].concat());
@@ -119,6 +120,8 @@ fn scenes() -> Vec<Scene> {
         Scene::new(&truth, &flat, 20, 0.0, &["--prior", "unit.csv"]),
         Scene::new(&truth, &flat, 20, 0.0, &["--prior", "negative.csv"]),
         Scene::new(&truth, &flat, 20, 0.0, &["--prior-scale", "0"]),
+        // A plan in place of measured lengths.
+        Scene::new(&truth, &flat, 20, 0.0, &["--validate", "plan.csv"]),
         // A length that is none.
         Scene::new(&truth, &flat, 80, 0.0, &thirteen).spoilt(1, 1e200),
     ];

@@ -51,17 +51,6 @@ impl Given {
             Some((_, synced)) => synced.observations.clone(),
             None => observations(&args.input)?,
         };
-        if ["kind", "move", "dwell_s"]
-            .iter()
-            .all(|name| observations.further.columns.iter().any(|other| other == name))
-        {
-            return Err(Diagnostic::file(
-                &input,
-                "is a plan: its lengths are those that are wanted, not measured ones",
-            )
-            .help("measure them: `dbbd acquire`, then give the capture")
-            .into());
-        }
         if observations.rows.is_empty() {
             return Err(Diagnostic::file(&input, "no length could be matched to a pose")
                 .help("`dbbd sync` tells for each pose why")
@@ -82,15 +71,7 @@ impl Given {
                 return Err("an observations CSV needs --centres C.csv with the base balls".into());
             }
         };
-        check_centres(&input, &observations, &centres)?;
-        if let Some((columns, unit)) = mistaken_unit(&robot.geometry, &centres, &observations.rows) {
-            return Err(Diagnostic::file(
-                &input,
-                format!("{columns} seem to be {unit}: in these the lengths are those of the poses"),
-            )
-            .help("convert the table: lengths in mm, angles in degrees")
-            .into());
-        }
+        check_lengths(&input, &observations, &robot, &centres)?;
         let source = |role: &str, name: String| Source { role: role.into(), name, hash: None };
         let from_plan = || "the plan in the capture".to_owned();
         let sources = vec![
@@ -135,10 +116,11 @@ fn lossy(run: &Run, synced: &Synced) -> bool {
     run.torn || synced.warnings.iter().any(|warning| warning.doubt)
 }
 
-/// Every observation must have its ball, and every ball an observation.
-pub(super) fn check_centres(
+/// Every observation must have its ball, in millimetres and degrees.
+pub(super) fn check_lengths(
     file: &str,
     observations: &Observations,
+    robot: &Robot,
     centres: &[Centre],
 ) -> Result<(), Diagnostic> {
     for row in &observations.rows {
@@ -152,7 +134,14 @@ pub(super) fn check_centres(
             return Err(Diagnostic::file(file, message));
         }
     }
-    Ok(())
+    match mistaken_unit(&robot.geometry, centres, &observations.rows) {
+        Some((columns, unit)) => Err(Diagnostic::file(
+            file,
+            format!("{columns} seem to be {unit}: in these the lengths are those of the poses"),
+        )
+        .help("convert the table: lengths in mm, angles in degrees")),
+        None => Ok(()),
+    }
 }
 
 /// Observations that only check must be of the bars that were identified.

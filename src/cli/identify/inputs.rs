@@ -75,6 +75,9 @@ pub(super) fn read_workspace(path: &Path) -> Result<Vec<[f64; AXES]>, Box<dyn Er
     Ok(poses.into_iter().map(|axes| axes.map(f64::to_radians)).collect())
 }
 
+/// Columns that a `plan.csv` has and no table of measured lengths.
+const PLAN: [&str; 2] = ["move", "dwell_s"];
+
 /// The observations of a CSV, which is never whole in memory.
 ///
 /// # Errors
@@ -84,5 +87,11 @@ pub(crate) fn observations(path: &Path) -> Result<Observations, Diagnostic> {
     let wrong = |error: csv::Error| Diagnostic::csv(&name, &error);
     let mut reader = csv_reader().from_path(path).map_err(wrong)?;
     let header = reader.headers().map_err(wrong)?.clone();
+    if PLAN.iter().all(|wanted| header.iter().any(|name| name == *wanted)) {
+        let message = "is a plan: its lengths are those that are wanted, not measured ones";
+        return Err(
+            Diagnostic::file(&name, message).help("measure them: `dbbd acquire`, then give the capture")
+        );
+    }
     Observations::from_records(&name, &header, |record| reader.read_record(record))
 }

@@ -19,7 +19,7 @@ pub(crate) use inputs::observations;
 pub(crate) use page::error_maps;
 pub(crate) use tables::LENGTHS;
 
-use given::{Given, check_bars, check_centres};
+use given::{Given, check_bars, check_lengths};
 use inputs::{parse_point, parse_positive, parse_scale, read_prior, read_workspace};
 
 /// How often a capture is aligned anew with what was identified.
@@ -101,7 +101,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
         Some(path) => {
             let name = path.display().to_string();
             let set = observations(path)?;
-            check_centres(&name, &set, &given.centres)?;
+            check_lengths(&name, &set, &given.robot, &given.centres)?;
             check_bars(&name, &set, given.observations.bars())?;
             Some(set)
         }
