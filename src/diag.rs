@@ -48,9 +48,15 @@ impl Diagnostic {
     /// From the TOML reader, which knows the span.
     pub fn toml(file: &str, text: &str, error: &toml::de::Error) -> Self {
         let message = error.message().to_owned();
-        match error.span() {
+        let wrong = match error.span() {
             Some(span) => Self::span(file, text, span, message),
             None => Self::file(file, message),
+        };
+        match file.rsplit_once('.') {
+            Some((_, kind @ ("csv" | "json" | "src" | "dat"))) => {
+                wrong.help(format!("a .toml file is read here: is a .{kind} meant?"))
+            }
+            _ => wrong,
         }
     }
 

@@ -9,6 +9,7 @@ pub mod diag;
 pub mod files;
 pub mod linalg;
 pub mod sample;
+pub mod table;
 pub mod units;
 
 // Bytes.

@@ -20,6 +20,9 @@ use crate::units::HostNs;
 /// Lines are kept in records of about this many bytes.
 const BLOCK: usize = 1 << 16;
 
+/// A trace shorter than this share of the plan's time is doubted: no override drives a program twice as fast.
+const LEAST: f64 = 0.5;
+
 /// Shown below the options.
 const LAYOUT: &str = "Without --mapping FILE is a CSV with the columns t_s (s) and length_mm (between the ball centres), \
 others are passed over. A mapping tells other layouts: [file] delimiter decimal skip_lines header comment; [time] column \
@@ -80,6 +83,13 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
     out.result(format!("{}: {samples} samples over {seconds:.1} s", args.out.display()));
     if invalid > 0 {
         out.warning(format!("{invalid} readings are beyond the bar's stroke or marked as not valid"));
+    }
+    let needed = plan.duration_s();
+    if seconds < LEAST * needed {
+        out.warning(format!(
+            "the trace lasts {seconds:.1} s and the plan {needed:.0} s: it is of another run, its times are in another unit, or it was cut off"
+        ));
+        return Ok(Outcome::Doubt);
     }
     Ok(Outcome::Done)
 }

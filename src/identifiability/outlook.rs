@@ -1,15 +1,8 @@
 //! What lengths at planned poses will tell: rank, standard deviations, indices, 3-D error.
 
-use nalgebra::DMatrix;
-use rand::SeedableRng;
-use rand_distr::{Distribution, StandardNormal};
-use rand_pcg::Pcg64;
-
+use super::predicted::unit_draws;
 use super::{Analysis, Belief, ErrorSummary, Observability, Workspace, analyse, factor, observability};
 use crate::model::{AXES, ParamId, Reading};
-
-/// How many robots are drawn for a 3-D error.
-const DRAWS: usize = 100;
 
 /// A parameter of which lengths alone leave more than this many of its standard deviations before is not told.
 const WEAK: f64 = 3.0;
@@ -77,7 +70,8 @@ pub fn outlook(
         })
         .collect();
     let workspace = Workspace::new(&belief.model.geometry, poses, ids);
-    let [now, then] = [belief.root(), after.root()].map(|root| workspace.displacements(&draw(root)));
+    let [now, then] =
+        [belief.root(), after.root()].map(|root| workspace.displacements(&(root * unit_draws(root.ncols()))));
     let positions = workspace.positions.iter().map(|position| (*position).into());
     Some(Outlook {
         observability: (!told.is_empty())
@@ -88,10 +82,4 @@ pub fn outlook(
         analysis,
         parameters,
     })
-}
-
-/// Parameter errors of robots drawn from a covariance given by its root, a column each, from seed 1.
-fn draw(root: &DMatrix<f64>) -> DMatrix<f64> {
-    let mut random = Pcg64::seed_from_u64(1);
-    root * DMatrix::from_fn(root.ncols(), DRAWS, |_, _| StandardNormal.sample(&mut random))
 }

@@ -1,8 +1,8 @@
 //! The 3-D position error of the tool ball that an estimate leaves over a workspace.
 //!
 //! The estimator is simulated to first order: true errors delta are drawn from the tolerance, noise
-//! z from the lengths' sigma, all together brought to their exact covariance; with the weighted Jacobian J = Q R of all parameters, the estimate of
-//! the kept ones is A Jk' (J delta + z) = A Rk' (R delta + Q'z), A = (Rk'Rk + P)^-1 with the
+//! z from the lengths' sigma, all together brought to their exact covariance; with the weighted Jacobian J = Q R of all
+//! parameters, the estimate of the kept ones is A Jk' (J delta + z) = A Rk' (R delta + Q'z), A = (Rk'Rk + P)^-1 with the
 //! prior's precision P = W'W, W the prior's rows. What is wrong afterwards, estimate minus delta, moves the ball by its
 //! position Jacobian; one best rigid alignment over the workspace is taken out, because lengths
 //! do not tell where the base stands. So what was held because the data could not tell it counts
@@ -211,7 +211,7 @@ impl Estimator<'_> {
 
 /// Standard normal numbers, a column a robot, from seed 1. Rows are brought to unit covariance: as drawn, so few robots
 /// can miss the size of an error in one direction, as of a scale, by a tenth.
-fn unit_draws(rows: usize) -> DMatrix<f64> {
+pub(super) fn unit_draws(rows: usize) -> DMatrix<f64> {
     let mut random = Pcg64::seed_from_u64(1);
     let robots = DRAWS.max(rows);
     let drawn = DMatrix::from_fn(robots, rows, |_, _| StandardNormal.sample(&mut random));

@@ -4,6 +4,7 @@
 //! `Ry(beta) Rx(alpha) Tx(a) Rz(theta) Tz(d)`, with `theta = sign * A + theta_offset` and A the
 //! controller's axis angle. Lengths are mm, angles rad inside; files carry degrees.
 
+pub mod centre;
 pub mod chain;
 pub mod further;
 pub mod inverse;
@@ -15,11 +16,12 @@ pub mod pose;
 pub mod readings;
 pub mod robot;
 
+pub use centre::Centre;
 pub use chain::{Chain, LengthRow, Turns};
 pub use further::Further;
 pub use kinematics::{Geometry, Mass, Row};
 pub use length::{LengthModel, Prepared, Reading, Selection};
-pub use observation::{Centre, Observation, Observations};
+pub use observation::{Observation, Observations};
 pub use parameter::ParamId;
 pub use pose::Pose;
 pub use readings::Readings;

@@ -1,12 +1,11 @@
-//! Lengths with the axis angles they were read at: the observations CSV, and the base balls' CSV.
+//! Lengths with the axis angles they were read at: the observations CSV.
 
 use std::fmt::Write;
 use std::iter;
 
-use nalgebra::Vector3;
-
 use super::{AXES, Further};
 use crate::diag::Diagnostic;
+use crate::table::{self, Columns};
 
 /// One length at one pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -77,7 +76,7 @@ impl Observations {
     /// # Errors
     /// Names the line and column of what is missing, not a number, not finite, or impossible.
     pub fn from_csv(file: &str, text: &str) -> Result<Self, Diagnostic> {
-        let mut reader = csv_reader().from_reader(text.as_bytes());
+        let mut reader = table::reader().from_reader(text.as_bytes());
         let header = reader.headers().map_err(|error| Diagnostic::csv(file, &error))?.clone();
         Self::from_records(file, &header, |record| reader.read_record(record))
     }
@@ -91,47 +90,26 @@ impl Observations {
         header: &csv::StringRecord,
         mut next: impl FnMut(&mut csv::StringRecord) -> csv::Result<bool>,
     ) -> Result<Self, Diagnostic> {
-        let places = find_columns(file, header, &REQUIRED)?;
-        let optional = |name: &str| match header.iter().any(|column| column == name) {
-            true => find_columns(file, header, &[name]).map(|places| places.first().copied()),
-            false => Ok(None),
-        };
-        let (sigma, bar) = (optional(SIGMA)?, optional(BAR)?);
+        let columns = Columns { file, header };
+        let places = columns.required(REQUIRED)?;
+        let (sigma, bar) = (columns.optional(SIGMA)?, columns.optional(BAR)?);
         let known = |at: &usize| places.contains(at) || Some(*at) == sigma || Some(*at) == bar;
         let others: Vec<usize> = (0..header.len()).filter(|at| !known(at)).collect();
         let mut further = Further::new(others.iter().map(|&at| &header[at]));
+        let [index, centre, axes @ .., length] = places;
         let mut rows = Vec::new();
         let mut record = csv::StringRecord::new();
         while next(&mut record).map_err(|error| Diagnostic::csv(file, &error))? {
-            let cell = Cells { file, header, record: &record };
-            let mut axes_deg = [0.0; AXES];
-            for (axis, value) in axes_deg.iter_mut().enumerate() {
-                *value = cell.number(places[2 + axis])?;
-            }
-            let length_mm = cell.number(places[8])?;
-            if length_mm <= 0.0 {
-                return Err(cell.wrong(places[8], "a length between ball centres is positive, in mm"));
-            }
-            let sigma_mm = match sigma {
-                Some(at) if !record[at].is_empty() => Some(cell.number(at)?),
-                _ => None,
-            };
-            if let (Some(at), Some(value)) = (sigma, sigma_mm)
-                && value <= 0.0
-            {
-                return Err(cell.wrong(at, "a standard deviation is positive, in mm"));
-            }
+            let row = columns.row(&record);
             rows.push(Observation {
-                index: cell.whole(places[0], 0)?,
-                further: further.add(others.iter().map(|&at| &record[at])),
-                centre: cell.whole(places[1], 1)? as usize,
-                bar: match bar {
-                    Some(at) if !record[at].is_empty() => cell.whole(at, 1)? as usize,
-                    _ => 1,
-                },
-                axes_deg,
-                length_mm,
-                sigma_mm,
+                index: row.whole(index, 0)?,
+                further: further.add(others.iter().map(|&at| row.text(at))),
+                centre: row.whole(centre, 1)? as usize,
+                bar: row.given(bar, |at| row.whole(at, 1))?.unwrap_or(1) as usize,
+                axes_deg: angles(&row, axes)?,
+                length_mm: row.positive(length, "a length between ball centres is positive, in mm")?,
+                sigma_mm: row
+                    .given(sigma, |at| row.positive(at, "a standard deviation is positive, in mm"))?,
             });
         }
         if rows.is_empty() {
@@ -153,18 +131,15 @@ impl Observations {
     /// # Errors
     /// Names the line and column of what is missing or not a finite number.
     pub fn poses_from_csv(file: &str, text: &str) -> Result<Vec<[f64; AXES]>, Diagnostic> {
-        let mut reader = csv_reader().from_reader(text.as_bytes());
+        let mut reader = table::reader().from_reader(text.as_bytes());
         let header = reader.headers().map_err(|error| Diagnostic::csv(file, &error))?.clone();
-        let places = find_columns(file, &header, &REQUIRED[2..2 + AXES])?;
+        let columns = Columns { file, header: &header };
+        let [_, _, names @ .., _] = REQUIRED;
+        let axes = columns.required::<AXES>(names)?;
         let mut poses = Vec::new();
         for record in reader.records() {
             let record = record.map_err(|error| Diagnostic::csv(file, &error))?;
-            let cell = Cells { file, header: &header, record: &record };
-            let mut axes_deg = [0.0; AXES];
-            for (axis, value) in axes_deg.iter_mut().enumerate() {
-                *value = cell.number(places[axis])?;
-            }
-            poses.push(axes_deg);
+            poses.push(angles(&columns.row(&record), axes)?);
         }
         if poses.is_empty() {
             return Err(Diagnostic::file(file, "holds no pose: only a header, or nothing"));
@@ -213,102 +188,11 @@ impl Observations {
     }
 }
 
-/// A base ball: its number (from 1) and its centre in the robot base, mm.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Centre {
-    /// Number, from 1.
-    pub id: usize,
-    /// Centre in the robot base, mm.
-    pub position: Vector3<f64>,
-}
-
-impl Centre {
-    /// Reads the CSV `centre,x_mm,y_mm,z_mm`: the balls in order of their numbers, which run from 1.
-    ///
-    /// # Errors
-    /// Names the line of what is missing, not a number, or a number that is twice there or absent.
-    pub fn from_csv(file: &str, text: &str) -> Result<Vec<Self>, Diagnostic> {
-        let mut reader = csv_reader().from_reader(text.as_bytes());
-        let header = reader.headers().map_err(|error| Diagnostic::csv(file, &error))?.clone();
-        let places = find_columns(file, &header, &["centre", "x_mm", "y_mm", "z_mm"])?;
-        let mut centres = Vec::new();
-        for record in reader.records() {
-            let record = record.map_err(|error| Diagnostic::csv(file, &error))?;
-            let cell = Cells { file, header: &header, record: &record };
-            let mut position = Vector3::zeros();
-            for axis in 0..3 {
-                position[axis] = cell.number(places[1 + axis])?;
-            }
-            centres.push(Self { id: cell.whole(places[0], 1)? as usize, position });
-        }
-        centres.sort_by_key(|centre| centre.id);
-        for (at, centre) in centres.iter().enumerate() {
-            if centre.id != at + 1 {
-                let message =
-                    format!("the numbers in column `centre` must run 1, 2, ..: {} is next", centre.id);
-                return Err(Diagnostic::file(file, message));
-            }
-        }
-        Ok(centres)
+/// The axis angles of a row, degrees.
+fn angles(row: &table::Row<'_>, places: [usize; AXES]) -> Result<[f64; AXES], Diagnostic> {
+    let mut axes_deg = [0.0; AXES];
+    for (angle, at) in axes_deg.iter_mut().zip(places) {
+        *angle = row.number(at)?;
     }
-
-    /// Writes the CSV.
-    pub fn to_csv(centres: &[Self]) -> String {
-        let mut text = String::from("centre,x_mm,y_mm,z_mm\n");
-        for Self { id, position } in centres {
-            text.push_str(&format!("{id},{},{},{}\n", position.x, position.y, position.z));
-        }
-        text
-    }
-}
-
-/// How the CSV files are read.
-pub fn csv_reader() -> csv::ReaderBuilder {
-    let mut reader = csv::ReaderBuilder::new();
-    reader.trim(csv::Trim::All);
-    reader
-}
-
-/// The places of the `required` columns in the header.
-fn find_columns(file: &str, header: &csv::StringRecord, required: &[&str]) -> Result<Vec<usize>, Diagnostic> {
-    required
-        .iter()
-        .map(|name| {
-            if header.iter().filter(|column| column == name).count() > 1 {
-                return Err(Diagnostic::line(file, 1, format!("the column `{name}` is there twice")));
-            }
-            header.iter().position(|column| column == *name).ok_or_else(|| {
-                let found: Vec<&str> = header.iter().collect();
-                Diagnostic::line(file, 1, format!("the column `{name}` is missing"))
-                    .help(format!("the header has: {}", found.join(",")))
-            })
-        })
-        .collect()
-}
-
-/// A record with what is needed to say where a cell stands.
-struct Cells<'a> {
-    file: &'a str,
-    header: &'a csv::StringRecord,
-    record: &'a csv::StringRecord,
-}
-
-impl Cells<'_> {
-    fn number(&self, at: usize) -> Result<f64, Diagnostic> {
-        let value: f64 = self.record[at].parse().map_err(|_| self.wrong(at, "is not a number"))?;
-        if value.is_finite() { Ok(value) } else { Err(self.wrong(at, "is not a finite number")) }
-    }
-
-    fn whole(&self, at: usize, least: u32) -> Result<u32, Diagnostic> {
-        match self.record[at].parse() {
-            Ok(value) if value >= least => Ok(value),
-            _ => Err(self.wrong(at, &format!("must be a whole number from {least}"))),
-        }
-    }
-
-    fn wrong(&self, at: usize, why: &str) -> Diagnostic {
-        let line = self.record.position().map_or(0, |position| position.line() as usize);
-        let message = format!("column `{}`: `{}`: {why}", &self.header[at], &self.record[at]);
-        Diagnostic::line(self.file, line, message)
-    }
+    Ok(axes_deg)
 }

@@ -5,7 +5,7 @@ use serde::Serialize;
 use super::page::{Fact, Provenance, ReportError, render};
 use super::plot::{PolarPlot, PolarTrace, Series};
 use super::scale::{plain, signed, significant};
-use crate::circular::{Evaluation, Mover, NAMES, Quantity, Sense, TERM_NAMES, TRACE_NAMES};
+use crate::circular::{Evaluation, Mover, NAMES, Quantity, Sense, Step, TERM_NAMES, TRACE_NAMES};
 
 /// A circle that was evaluated.
 #[derive(Clone, Debug, PartialEq)]
@@ -182,10 +182,6 @@ fn panel(test: &CircleTest) -> Panel<'_> {
             line
         })
         .collect();
-    let small = |[value, u]: [f64; 2], factor: f64, unit: &str| {
-        let decimals = if factor * u >= 10.0 { 0 } else { 2 };
-        format!("{} ± {} {unit}", signed(factor * value, decimals), significant(factor * u, 2))
-    };
     let mut meanings = Vec::new();
     if let Some(pair) = meaning.scale_mismatch {
         meanings.push(Fact::new("Scale mismatch, first less second axis", small(pair, 1e6, "ppm")));
@@ -197,18 +193,7 @@ fn panel(test: &CircleTest) -> Panel<'_> {
     if let Some(pair) = meaning.servo_mismatch_s {
         meanings.push(Fact::new("Servo mismatch, second axis lags", small(pair, 1e3, "ms")));
     }
-    let steps = found
-        .steps
-        .iter()
-        .map(|step| {
-            let (what, factor, unit) = match step.mover {
-                Mover::Axis(axis) => (format!("axis {axis}"), 1e3, "µm"),
-                Mover::Joint(joint) => (format!("joint {joint}"), 1e6, "µrad"),
-            };
-            let most = format!("{} µm", significant(1e3 * step.most_mm, 2));
-            [what, small([step.play, step.u95], factor, unit), most]
-        })
-        .collect();
+    let steps = found.steps.iter().map(play).collect();
     let arc = &found.arc;
     let extent = if arc.full {
         "full circle".into()
@@ -258,6 +243,28 @@ fn panel(test: &CircleTest) -> Panel<'_> {
         steps,
         notes: &found.notes,
     }
+}
+
+/// A value and the half width of its interval, in a unit of which there are `factor` in its own.
+fn small([value, u95]: [f64; 2], factor: f64, unit: &str) -> String {
+    let decimals = if factor * u95 >= 10.0 { 0 } else { 2 };
+    format!("{} ± {} {unit}", signed(factor * value, decimals), significant(factor * u95, 2))
+}
+
+/// A drive, its play, and the most that it does to the length.
+fn play(step: &Step) -> [String; 3] {
+    let (drive, factor, unit) = match step.mover {
+        Mover::Axis(axis) => (format!("axis {axis}"), 1e3, "µm"),
+        Mover::Joint(joint) => (format!("joint {joint}"), 1e6, "µrad"),
+    };
+    // No gear has a play of a degree: it is the joint that hardly moves the length.
+    let (bound, degree) = (step.play.abs() + step.u95, 1f64.to_radians());
+    let told = match step.mover {
+        _ if step.play.abs() > step.u95 => small([step.play, step.u95], factor, unit),
+        Mover::Joint(_) if bound > degree => "cannot be told: it hardly moves the length".into(),
+        _ => format!("none seen; up to {} {unit} would not show", significant(factor * bound, 2)),
+    };
+    [drive, told, format!("{} µm", significant(1e3 * step.most_mm, 2))]
 }
 
 /// The tests in the order of their circles, where a circle was tested more than once: the circles of one

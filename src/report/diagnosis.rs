@@ -5,7 +5,7 @@ use serde::Serialize;
 use super::identification_view::{IdentificationPlots, ObservationPoint};
 use super::page::Fact;
 use super::plot::against_axis::{AxisPlot, AxisPoint};
-use super::scale::{fixed, rounded, significant};
+use super::scale::{fixed, index, rounded};
 use crate::identify::result::{Advice, Correlated, Identification, JointEffect};
 use crate::model::AXES;
 
@@ -43,10 +43,10 @@ pub(super) fn correlated(result: &Identification) -> Vec<[String; 3]> {
 
 /// The observability indices.
 pub(super) fn facts(result: &Identification) -> Vec<Fact> {
-    let Some(index) = result.observability else { return Vec::new() };
-    let values = [index.o1, index.o2, index.o3, index.o4, index.o5];
+    let Some(all) = result.observability else { return Vec::new() };
+    let values = [all.o1, all.o2, all.o3, all.o4, all.o5];
     let names = ["Observability O1", "O2", "O3", "O4", "O5"];
-    names.into_iter().zip(values).map(|(name, value)| Fact::new(name, significant(value, 3))).collect()
+    names.into_iter().zip(values).map(|(name, value)| Fact::new(name, index(value))).collect()
 }
 
 /// What the residuals show at single axes, in sentences.

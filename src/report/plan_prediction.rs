@@ -3,7 +3,7 @@
 use serde::Serialize;
 
 use super::plan_view::{PlanView, PredictedRow};
-use super::scale::significant;
+use super::scale::{index, significant};
 use crate::identifiability::Observability;
 use crate::plan::how_many::Against;
 
@@ -48,8 +48,8 @@ fn indices(against: &[Against]) -> Table {
     let line = |name: &str, value: &dyn Fn(&Against) -> String| {
         std::iter::once(name.to_owned()).chain(against.iter().map(value)).collect()
     };
-    let index = |name: &str, of: fn(&Observability) -> f64| {
-        line(name, &|part| part.observability.as_ref().map_or("–".into(), |o| significant(of(o), 3)))
+    let observed = |name: &str, of: fn(&Observability) -> f64| {
+        line(name, &|part| part.observability.as_ref().map_or("–".into(), |o| index(of(o))))
     };
     Table {
         title: "Against the number of lengths",
@@ -61,11 +61,11 @@ fn indices(against: &[Against]) -> Table {
         rows: vec![
             line("3-D error (mm)", &|part| significant(part.error_mm, 3)),
             line("rank", &|part| part.rank.to_string()),
-            index("O1", |o| o.o1),
-            index("O2", |o| o.o2),
-            index("O3", |o| o.o3),
-            index("O4", |o| o.o4),
-            index("O5", |o| o.o5),
+            observed("O1", |o| o.o1),
+            observed("O2", |o| o.o2),
+            observed("O3", |o| o.o3),
+            observed("O4", |o| o.o4),
+            observed("O5", |o| o.o5),
         ],
     }
 }

@@ -183,6 +183,15 @@ pub(crate) fn significant(value: f64, figures: usize) -> String {
     fixed(value, decimals(scaled))
 }
 
+/// An index without a unit, of any size.
+pub(crate) fn index(value: f64) -> String {
+    if value > 0.0 && value < 1e-3 {
+        format!("{value:.2e}").replace("e-", "e−")
+    } else {
+        significant(value, 3)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -203,6 +212,7 @@ mod tests {
         assert_eq!(significant(0.041234, 3), "0.0412");
         assert_eq!(significant(1234.6, 2), "1235");
         assert_eq!(signed(0.25, 2), "+0.25");
+        assert_eq!((index(4.7134e-6), index(0.041234)), ("4.71e−6".into(), "0.0412".into()));
         assert_eq!(plain(-185.0, 2), "−185");
         assert_eq!(rounded(15_556.0, 2), "16000");
         assert_eq!(rounded(f64::NAN, 2), "–");

@@ -38,6 +38,12 @@ pub fn is_capture(path: &Path) -> Result<bool, Diagnostic> {
 /// What cannot be read or is wrong, with its file and line.
 pub fn plan_beside(csv: &Path) -> Result<Plan, Box<dyn Error>> {
     let json = csv.with_extension("json");
+    if csv.is_file() && !json.is_file() {
+        let message = format!("has no {} beside it: it is no plan, or half of one", json.display());
+        return Err(Diagnostic::file(&csv.display().to_string(), message)
+            .help("name the plan.csv that `dbbd plan` wrote, with its plan.json in the same directory")
+            .into());
+    }
     let (csv_name, json_name) = (csv.display().to_string(), json.display().to_string());
     Ok(Plan::from_files(&csv_name, &files::read(csv)?, &json_name, &files::read(&json)?)?)
 }

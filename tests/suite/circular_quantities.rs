@@ -146,7 +146,7 @@ fn warm_lengths_are_referred_to_twenty_degrees() {
 fn bad_csv_is_named_by_line_and_column() {
     let head = "run,direction,angle_deg,length_mm\n";
     for (text, says) in [
-        ("run,angle_deg,length_mm\n1,0,150\n".to_owned(), "`direction` is missing"),
+        ("run,angle_deg,length_mm\n1,0,150\n".to_owned(), "there is no column `direction`"),
         (head.to_owned(), "no length"),
         (format!("{head}1,ccw,0,150\n1,left,5,150\n"), "bad.csv:3: column `direction`: `left`"),
         (format!("{head}1,ccw,0,abc\n"), "`abc`: is not a number"),

@@ -4,7 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// The ground floor, which every room may stand on.
-const GROUND: [&str; 6] = ["units", "clock", "diag", "files", "linalg", "sample"];
+const GROUND: [&str; 7] = ["units", "clock", "diag", "files", "linalg", "sample", "table"];
 
 /// Each room and what it may import besides the ground floor.
 const TABLE: &[(&str, &[&str])] = &[
@@ -12,6 +12,7 @@ const TABLE: &[(&str, &[&str])] = &[
     ("clock", &["units"]),
     ("diag", &[]),
     ("files", &["diag"]),
+    ("table", &["diag"]),
     ("linalg", &[]),
     ("sample", &["units"]),
     ("port", &[]),

@@ -118,7 +118,7 @@ fn tables_in_other_units_and_plans() {
 fn observations() {
     let robot = ["--robot", "kr60ha"];
     let missing = HEADER.replace(",length_mm", "") + "1,1,0,-60,90,0,60,0,0.01\n";
-    refused(&missing, &robot, &["obs.csv:1", "length_mm", "missing"]);
+    refused(&missing, &robot, &["obs.csv:1", "no column `length_mm`"]);
     refused(
         &format!("{HEADER}{ROW}2,1,0,-60,NaN,0,60,0,300,0.01\n"),
         &robot,
@@ -139,7 +139,7 @@ fn observations() {
     refused(&format!("{HEADER}1,2,0,-60,90,0,60,0,300,0.01\n"), &robot, &["obs.csv", "base ball 2"]);
     refused(&format!("{HEADER}1,1,0,-60,90,0,60\n"), &robot, &["obs.csv:2"]);
     refused(HEADER, &robot, &["obs.csv", "no observation"]);
-    refused("", &robot, &["obs.csv", "missing"]);
+    refused("", &robot, &["obs.csv", "no column `index`, `centre`, "]);
 }
 
 #[test]

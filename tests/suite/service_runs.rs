@@ -163,14 +163,20 @@ impl Drop for Simulator {
 fn a_killed_run_is_there_again_and_can_be_identified() {
     let dir = tempfile::tempdir().unwrap();
     plan(dir.path());
+    // An older one, though its name comes first.
+    fs::create_dir(dir.path().join("again")).unwrap();
+    for name in ["plan.csv", "plan.json"] {
+        fs::copy(dir.path().join("plan").join(name), dir.path().join("again").join(name)).unwrap();
+    }
+    let old = fs::File::options().write(true).open(dir.path().join("again/plan.csv")).unwrap();
+    old.set_modified(std::time::UNIX_EPOCH).unwrap();
     let _simulator = Simulator::start(dir.path());
     let config = "[device]\nport = \"bar\"\n";
     let mut server = Server::start(dir.path(), config);
     let plans = server.get("/api/v1/plans").json();
-    assert_eq!(
-        (&plans["plans"][0]["name"], &plans["plans"][0]["error"]),
-        (&"plan".into(), &serde_json::Value::Null)
-    );
+    let names: Vec<_> =
+        plans["plans"].as_array().unwrap().iter().map(|plan| plan["name"].as_str().unwrap()).collect();
+    assert_eq!((names, &plans["plans"][0]["error"]), (vec!["plan", "again"], &serde_json::Value::Null));
     assert_eq!(server.post("/api/v1/run", "{\"name\":\"killed\",\"plan\":\"plan\"}").status, 201);
     server.wait("/api/v1/status", |status| status["run"]["dwells"].as_u64() >= Some(20));
     let points = server.get("/api/v1/points").json();

@@ -216,9 +216,9 @@ fn prior_files_are_checked() {
             "prior.csv:3: `centre2_x` is not a parameter: the data have 1",
         ),
         ("name,unit,sd\na1,rad,0.1\n", "prior.csv:2: `a1` is in mm, not in `rad`"),
-        ("name,unit,sd\na1,mm,-0.1\n", "prior.csv:2: sd of `a1`"),
+        ("name,unit,sd\na1,mm,-0.1\n", "prior.csv:2: column `sd`: `-0.1`: a standard deviation is positive"),
         ("name,unit,sd\na1,mm,0.1\na1,mm,0.2\n", "prior.csv:3: `a1` stands there twice"),
-        ("name,sd\na1,0.1\n", "prior.csv:1: the column `unit` is missing"),
+        ("name,sd\na1,0.1\n", "prior.csv:1: there is no column `unit`"),
     ] {
         fs::write(dir.path().join("prior.csv"), text).unwrap();
         let (code, _, said) = run(dir.path(), &["--prior", "prior.csv"]);

@@ -7,9 +7,9 @@ use std::path::Path;
 use crate::diag::Diagnostic;
 use crate::files;
 use crate::identify::PriorScale;
-use crate::model::observation::csv_reader;
 use crate::model::parameter::SetUp;
 use crate::model::{AXES, Observations, ParamId};
+use crate::table::{self, Columns};
 
 pub(super) fn parse_point(text: &str) -> Result<[f64; 3], String> {
     let numbers: Result<Vec<f64>, _> = text.split(',').map(|part| part.trim().parse::<f64>()).collect();
@@ -38,31 +38,25 @@ pub(super) fn parse_scale(text: &str) -> Result<PriorScale, String> {
 pub(super) fn read_prior(path: &Path, set_up: SetUp) -> Result<BTreeMap<ParamId, f64>, Box<dyn Error>> {
     let file = path.display().to_string();
     let text = files::read(path)?;
-    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(text.as_bytes());
+    let mut reader = table::reader().from_reader(text.as_bytes());
     let header = reader.headers().map_err(|error| Diagnostic::csv(&file, &error))?.clone();
-    let place = |name: &str| {
-        header.iter().position(|column| column == name).ok_or_else(|| {
-            Diagnostic::line(&file, 1, format!("the column `{name}` is missing: name,unit,sd"))
-        })
-    };
-    let (name, unit, sd) = (place("name")?, place("unit")?, place("sd")?);
+    let columns = Columns { file: &file, header: &header };
+    let [name, unit, sd] = columns.required(["name", "unit", "sd"])?;
     let mut prior = BTreeMap::new();
     for record in reader.records() {
         let record = record.map_err(|error| Diagnostic::csv(&file, &error))?;
-        let line = record.position().map_or(0, |position| position.line() as usize);
-        if record[sd].is_empty() {
+        let row = columns.row(&record);
+        let Some(value) = row.given(Some(sd), |at| row.positive(at, "a standard deviation is positive"))?
+        else {
             continue;
+        };
+        let id: ParamId = row.text(name).parse().map_err(|why| row.line(format!("{why}")))?;
+        set_up.check(id).map_err(|why| row.line(format!("{why}")))?;
+        if row.text(unit) != id.unit() {
+            return Err(row.line(format!("`{id}` is in {}, not in `{}`", id.unit(), row.text(unit))).into());
         }
-        let id: ParamId = record[name].parse().map_err(|e| Diagnostic::line(&file, line, format!("{e}")))?;
-        set_up.check(id).map_err(|e| Diagnostic::line(&file, line, format!("{e}")))?;
-        if record[unit] != *id.unit() {
-            let message = format!("`{id}` is in {}, not in `{}`", id.unit(), &record[unit]);
-            return Err(Diagnostic::line(&file, line, message).into());
-        }
-        let value = parse_positive(&record[sd])
-            .map_err(|why| Diagnostic::line(&file, line, format!("sd of `{id}`: {why}")))?;
         if prior.insert(id, value).is_some() {
-            return Err(Diagnostic::line(&file, line, format!("`{id}` stands there twice")).into());
+            return Err(row.line(format!("`{id}` stands there twice")).into());
         }
     }
     Ok(prior)
@@ -85,7 +79,7 @@ const PLAN: [&str; 2] = ["move", "dwell_s"];
 pub(crate) fn observations(path: &Path) -> Result<Observations, Diagnostic> {
     let name = path.display().to_string();
     let wrong = |error: csv::Error| Diagnostic::csv(&name, &error);
-    let mut reader = csv_reader().from_path(path).map_err(wrong)?;
+    let mut reader = table::reader().from_path(path).map_err(wrong)?;
     let header = reader.headers().map_err(wrong)?.clone();
     if PLAN.iter().all(|wanted| header.iter().any(|name| name == *wanted)) {
         let message = "is a plan: its lengths are those that are wanted, not measured ones";

@@ -176,7 +176,7 @@ fn lines(prediction: &Prediction) -> Vec<String> {
             count(Fate::TooWeak)
         ),
         format!(
-            "predicted 3-D error over the workspace: mean {:.3} mm -> {:.3} mm, 95 % {:.3} -> {:.3} mm",
+            "predicted 3-D error over the workspace, with --prior datasheet: mean {:.3} mm -> {:.3} mm, 95 % {:.3} -> {:.3} mm",
             now.mean, then.mean, now.p95, then.p95
         ),
     ];

@@ -2,6 +2,7 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::time::SystemTime;
 
 use serde_json::{Value, json};
 
@@ -53,11 +54,19 @@ pub(super) fn plan(csv: &Path) -> Result<Plan, String> {
     Plan::from_files(&csv_name, &read(csv)?, &json_name, &read(&json)?).map_err(|error| error.to_string())
 }
 
+/// The newest first: it is the one that is driven next.
 fn all_plans(plans: &Path) -> Vec<Value> {
     let entries = fs::read_dir(plans).into_iter().flatten().flatten();
-    let mut names: Vec<String> = entries.filter_map(|entry| entry.file_name().into_string().ok()).collect();
-    names.sort();
-    names.iter().filter_map(|name| Some(describe(name, &plan_file(plans, name)?))).collect()
+    let names = entries.filter_map(|entry| entry.file_name().into_string().ok());
+    let mut found: Vec<(Option<SystemTime>, String, PathBuf)> = names
+        .filter_map(|name| {
+            let csv = plan_file(plans, &name)?;
+            let written = fs::metadata(&csv).and_then(|file| file.modified()).ok();
+            Some((written, name, csv))
+        })
+        .collect();
+    found.sort_by(|(a, first, _), (b, second, _)| b.cmp(a).then_with(|| first.cmp(second)));
+    found.iter().map(|(_, name, csv)| describe(name, csv)).collect()
 }
 
 fn describe(name: &str, csv: &Path) -> Value {
