@@ -41,6 +41,7 @@ pub use circle::REFERENCE_EVERY;
 pub use frames::Frames;
 pub use job::{Job, MotionTable};
 pub use knowledge::{Knowledge, Taught};
+pub use module::MODULE_DWELLS;
 pub use pass::Pass;
 pub use places::CirclePlace;
 pub use prediction::Prediction;

@@ -12,6 +12,8 @@ use crate::model::Pose;
 
 /// Following poses that are tried when the next cannot be reached.
 const AHEAD: usize = 12;
+/// Dwells that a module numbers at most: their index goes out on eight outputs.
+pub const MODULE_DWELLS: u32 = 255;
 /// After so many steps another module begins: a controller takes so many lines in one.
 const MOST_STEPS: usize = 400;
 
@@ -44,6 +46,7 @@ pub(crate) fn module(
     let mut here = poses.remove(0);
     walk.lines(vec![aside(&here.pose, &ball), here.pose], Kind::Measure);
     let (mut count, mut skipped, mut missed) = (1_u32, 0, 0);
+    let mut dwells = 1;
     while !poses.is_empty() {
         let next = (0..poses.len().min(AHEAD)).find_map(|at| Some((at, router.way(&here, &poses[at])?)));
         let Some((at, way)) = next else {
@@ -59,19 +62,21 @@ pub(crate) fn module(
         let pose = poses.remove(at);
         walk.go(way, &pose, Kind::Measure);
         here = pose;
-        count += 1;
-        if walk.steps.len() - began > MOST_STEPS && !poses.is_empty() {
+        (count, dwells) = (count + 1, dwells + 1);
+        // A visit of the reference, the last pose and the last visit may follow.
+        let full = walk.steps.len() - began > MOST_STEPS || dwells + 2 >= MODULE_DWELLS;
+        if full && !poses.is_empty() {
             // Another module, the bar stays on.
             let out = safe_knock(&job.bar, radius, risk, |out| cell.risk_out(&here, out));
             walk.radial_knocks(false, &here.pose, &ball, out);
-            began = walk.steps.len();
+            (began, dwells) = (walk.steps.len(), 0);
             walk.circle += 1;
             walk.ptp(here.pose, here.axes);
             walk.radial_knocks(true, &here.pose, &ball, out);
         }
         if count % REFERENCE_EVERY == 0 && !poses.is_empty() {
             match reference(&router, walk, &here, start) {
-                true => here = start.clone(),
+                true => (here, dwells) = (start.clone(), dwells + 1),
                 false => missed += 1,
             }
         }

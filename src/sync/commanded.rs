@@ -1,7 +1,7 @@
 //! The plan's dwells as the alignment sees them.
 
 use super::interval::Commanded;
-use crate::plan::{Kind, Plan, PlanRow};
+use crate::plan::{Kind, MODULE_DWELLS, Plan, PlanRow};
 
 /// The dwell rows of a plan and their timing, in order.
 pub(super) struct Poses<'a> {
@@ -11,8 +11,6 @@ pub(super) struct Poses<'a> {
 
 /// The program waits that long after a dwell, s.
 pub(super) const AFTER_S: f64 = 0.1;
-/// A module numbers its dwells with eight bits.
-const MODULE_DWELLS: usize = 255;
 
 /// Whether the robot stands at a row to be measured.
 pub(super) fn stops(row: &PlanRow) -> bool {

@@ -119,7 +119,7 @@ fn one_robot_is_more_accurate_afterwards() {
 #[ignore = "takes minutes"]
 fn twenty_robots_through_the_programs() {
     for (bar_mm, balls, points, cube) in
-        [(RADIUS, 1, 80, true), (600.0, 1, 80, true), (RADIUS, 3, 240, false)]
+        [(RADIUS, 1, 80, true), (RADIUS, 1, 320, true), (600.0, 1, 80, true), (RADIUS, 3, 240, false)]
     {
         let dir = tempdir().unwrap();
         prepare(dir.path(), bar_mm, balls, points, cube);

@@ -219,7 +219,9 @@ fn a_compensated_program_is_more_accurate() {
 #[test]
 #[ignore = "prints figures"]
 fn closed_loop_over_twenty_robots() {
-    for (balls, points, cube) in [(1, 80, true), (3, 240, false), (3, 240, true), (1, 80, false)] {
+    for (balls, points, cube) in
+        [(1, 80, true), (1, 320, true), (3, 240, false), (3, 240, true), (1, 80, false)]
+    {
         let plan = chosen(balls, points, cube);
         for sag in [false, true] {
             let mut factors = campaign(&plan, cube, 20, sag);

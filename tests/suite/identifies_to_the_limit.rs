@@ -234,3 +234,24 @@ fn spoiled_rows_are_named_and_change_nothing() {
         }
     }
 }
+
+/// Three lengths for each parameter are enough to hold some out, unless something else was asked for.
+#[test]
+fn lengths_are_held_out_where_there_are_enough() {
+    let circles = three_planes(1, CENTRE);
+    let asked: Vec<ParamId> = DESIGNED.iter().map(|(name, _)| name.parse().unwrap()).collect();
+    let enough = 3 * asked.len();
+    for (lengths, folds, held_out) in [
+        (enough, None, Some(5)),
+        (enough - 1, None, None),
+        (enough - 1, Some(4), Some(4)),
+        (enough, Some(0), None),
+    ] {
+        let mut data = measure(&with_errors(DESIGNED), &circles, 27, 25.0);
+        // From all circles.
+        data.rows = (0..lengths).map(|at| data.rows[at * data.rows.len() / lengths]).collect();
+        let options = Options { estimate: Some(asked.clone()), folds, ..Options::default() };
+        let found = find(&kr60(), &data, &balls(&circles), &options);
+        assert_eq!(found.result.folds.map(|folds| folds.folds), held_out, "{lengths} lengths, {folds:?}");
+    }
+}

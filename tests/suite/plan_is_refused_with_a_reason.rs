@@ -148,7 +148,7 @@ fn a_mistake_in_the_job_names_its_line() {
         ("feed_mm_s = 40.0", "feed_mm_s = 251.0", 15, "above 250"),
         ("margin_mm = 0.5", "length_u_mm = -0.1", 6, "must be a positive number"),
         ("margin_mm = 0.5", "expansion_per_k = nan", 6, "is not a number"),
-        ("[motion]", "[optimise]\npoints = 3\n[motion]", 15, "points = 3 must be in 6..242"),
+        ("[motion]", "[optimise]\npoints = 3\n[motion]", 15, "points = 3 must be in 6..1000"),
         ("[motion]", "[optimise]\npoints = 20\ncandidates = 30\n[motion]", 16, "candidates = 30"),
         (
             "[motion]",

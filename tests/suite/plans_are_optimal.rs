@@ -1,13 +1,16 @@
 //! Chosen poses tell more than circles: the figures of the reference, on the KR 60 HA and one ball.
 
 use dbbd::identifiability::{Belief, Criterion, Exchange, Workspace, factor, outlook};
+use dbbd::krl;
 use dbbd::model::inverse::clearance;
 use dbbd::model::{Centre, LengthModel, ParamId, Reading, Robot, parameter};
+use dbbd::plan::Kind;
 use dbbd::plan::candidates::{Candidate, candidates, moves, rows};
 use dbbd::plan::workspace::in_box;
 use nalgebra::Vector3;
 
 use crate::cell::{self, CENTRE, RADIUS};
+use crate::compensated_program_is_accurate::chosen as chosen_about;
 
 /// Length noise of the 3-D figures, mm.
 const SIGMA_MM: f64 = 0.02;
@@ -212,4 +215,20 @@ fn lengths_are_learned_within_their_covariance() {
         assert!(sd < belief.swing(&candidate.axes, 0).norm());
     }
     assert!(learned.ids().contains(&ParamId::BarOffset(1)));
+}
+
+/// A module numbers at most 255 dwells; more poses are chosen about one ball, and measured in several modules.
+#[test]
+fn more_poses_than_a_module_numbers() {
+    let plan = chosen_about(1, 300, true);
+    let measured = plan.rows.iter().filter(|row| row.kind == Kind::Measure).count();
+    assert_eq!(measured, 300);
+    let last = plan.rows.iter().map(|row| row.circle).max().unwrap();
+    assert!(last > 1);
+    for module in 1..=last {
+        let dwells = plan.rows.iter().filter(|row| row.circle == module && row.kind != Kind::Transit).count();
+        assert!((1..=255).contains(&dwells), "module {module}: {dwells}");
+    }
+    let options = krl::Options { sync: krl::Sync::Output, controller: krl::Controller::Krc4 };
+    assert_eq!(krl::emit(&plan, options).unwrap().len(), 2 * (last as usize + 1));
 }

@@ -16,12 +16,10 @@ use std::net::SocketAddrV4;
 use super::number::character_text;
 use crate::diag::Diagnostic;
 use crate::model::{AXES, Robot};
-use crate::plan::{Kind, Motion, MoveTime, Pass, Plan, PlanRow};
+use crate::plan::{Kind, MODULE_DWELLS, Motion, MoveTime, Pass, Plan, PlanRow};
 
 /// Lines that a module may have: longer files are known to make trouble on old controllers.
 const LINES: usize = 2000;
-/// Dwells that a module may have: its index stands on eight outputs.
-const DWELLS: usize = 255;
 
 /// How the dwells are marked.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -310,8 +308,10 @@ impl<'a> Writer<'a> {
         let name = format!("DBB_C{at:03}");
         let refuse = |message: String| EmitError::Circle { circle: circle.number, message };
         let dwells = circle.rows.iter().filter(|(row, _)| self.is_told(row)).count();
-        if dwells > DWELLS {
-            return Err(refuse(format!("{dwells} dwells are too many: a module has at most {DWELLS}")));
+        if dwells > MODULE_DWELLS as usize {
+            return Err(refuse(format!(
+                "{dwells} dwells are too many: a module has at most {MODULE_DWELLS}"
+            )));
         }
         let centre = circle.rows.first().map_or(0, |(row, _)| row.centre);
         if let Some((row, _)) = circle.rows.iter().find(|(row, _)| row.centre != centre) {

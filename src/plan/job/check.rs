@@ -4,11 +4,11 @@ use super::values::{Place, Wrong, corners, direction_vector, finite, line_of, po
 use super::{CentreTable, CircleTable, Direction, Job, Mode, ObstacleTable, Orientation};
 use crate::diag::{Diagnostic, nearest};
 use crate::model::Centre;
-use crate::plan::circle::REFERENCE_EVERY;
+use crate::plan::module::MODULE_DWELLS;
 use crate::plan::timing::ACCELERATION_MM_S2;
 
-/// Dwells that one module can number: the index goes out on eight outputs.
-pub(crate) const MAX_DWELLS: u32 = 255;
+/// Chosen poses of a plan: with more the run takes hours, in which everything drifts.
+const MOST_POINTS: u32 = 1000;
 
 /// Digital outputs that a controller has.
 const OUTPUTS: std::ops::RangeInclusive<u32> = 1..=4096;
@@ -91,16 +91,18 @@ impl Job {
     fn check_optimise(&self) -> Result<(), Wrong> {
         let Some(optimise) = &self.optimise else { return Ok(()) };
         let place = |key| ("[optimise]", 0, key);
-        let most = MAX_DWELLS - MAX_DWELLS / REFERENCE_EVERY - 1;
-        if !(6..=most).contains(&optimise.points) {
-            return Err((place("points"), format!("points = {} must be in 6..{most}", optimise.points)));
+        if !(6..=MOST_POINTS).contains(&optimise.points) {
+            return Err((
+                place("points"),
+                format!("points = {} must be in 6..{MOST_POINTS}", optimise.points),
+            ));
         }
         if !(10 * optimise.points..=100_000).contains(&optimise.candidates) {
             let message = format!("candidates = {} must be in 10 * points..100000", optimise.candidates);
             return Err((place("candidates"), message));
         }
-        if !(6..=most).contains(&optimise.stage_points) {
-            let message = format!("stage_points = {} must be in 6..{most}", optimise.stage_points);
+        if !(6..=MOST_POINTS).contains(&optimise.stage_points) {
+            let message = format!("stage_points = {} must be in 6..{MOST_POINTS}", optimise.stage_points);
             return Err((place("stage_points"), message));
         }
         match optimise.workspace_mm {
@@ -199,10 +201,10 @@ impl Job {
         }
         let passes = if circle.direction == Direction::Both { 2 } else { 1 };
         let dwells = circle.dwells();
-        if circle.points < 3 || dwells > MAX_DWELLS {
+        if circle.points < 3 || dwells > MODULE_DWELLS {
             let message = format!(
                 "circle {number}: points = {} in {passes} pass(es) is {dwells} dwells with the reference poses: \
-                 a circle has 3 points at least and {MAX_DWELLS} dwells at most",
+                 a circle has 3 points at least and {MODULE_DWELLS} dwells at most",
                 circle.points
             );
             return Err((place("points"), message));
