@@ -14,8 +14,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use super::{Outcome, Output, Verdict, protocols};
 use crate::clock;
 use crate::daemon::{
-    Acquisition, Attachments, Ending, Options, Outlook, Progress, Server, Summary, Watch, stop_on_signal,
-    zero,
+    Acquisition, Attachments, Course, Ending, Options, Progress, Server, Summary, Watch, stop_on_signal, zero,
 };
 use crate::port::{self, Latency};
 use crate::units::HostNs;
@@ -147,12 +146,12 @@ fn record(args: &Args, server: Option<Server>, out: &Output) -> Verdict {
         acquisition.mark(ZEROED.into());
     }
     out.progress(format!("reading {} into {}", args.port, args.out.display()));
-    watch(&acquisition, &view::outlook(args.plan.as_deref()), out)?;
+    watch(&acquisition, &view::course(args.plan.as_deref()), out)?;
     conclude(&acquisition.join()?, args, out)
 }
 
 /// Shows how the run goes until it is over.
-fn watch(acquisition: &Acquisition, outlook: &Outlook, out: &Output) -> Result<(), Box<dyn Error>> {
+fn watch(acquisition: &Acquisition, course: &Course, out: &Output) -> Result<(), Box<dyn Error>> {
     let line = out.decorated().then(ProgressBar::new_spinner);
     if let Some(line) = &line {
         line.set_style(ProgressStyle::with_template("{spinner} {msg}")?);
@@ -164,7 +163,7 @@ fn watch(acquisition: &Acquisition, outlook: &Outlook, out: &Output) -> Result<(
         clock::sleep(0.05);
         let progress = acquisition.progress();
         if let Some(line) = &line {
-            line.set_message(view::lines(&progress, outlook, &mut bar));
+            line.set_message(view::lines(&progress, course, &mut bar));
         } else if said.is_none_or(|at| clock::now().seconds_since(at) >= LINE_EVERY_S) {
             if said.is_some() {
                 out.progress(status(&progress));

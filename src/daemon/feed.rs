@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use tokio::sync::broadcast;
 
-use super::outlook::{Outlook, Watch};
+use super::course::{Course, Watch};
 use crate::clock;
 use crate::live::{Alarm, Frame, Message, Point};
 use crate::sample::Sample;
@@ -29,7 +29,7 @@ pub struct Shown {
 #[derive(Debug)]
 pub struct Feed {
     shown: Shown,
-    outlook: Outlook,
+    course: Course,
     watch: Watch,
     /// Wall clock less the host's monotonic one, ns.
     wall_ns: f64,
@@ -43,11 +43,11 @@ pub struct Feed {
 
 impl Feed {
     /// For a run.
-    pub fn new(shown: Shown, outlook: Outlook) -> Self {
+    pub fn new(shown: Shown, course: Course) -> Self {
         let wall_ns = clock::unix_ns() as f64 - clock::now().0 as f64;
         Self {
             shown,
-            outlook,
+            course,
             watch: Watch::default(),
             wall_ns,
             first: None,
@@ -69,7 +69,7 @@ impl Feed {
                 Some(1e3 * (device_s - host_s));
         }
         let reading = sample.reading_mm;
-        let alarm = self.watch.alarm(&self.outlook, host_s, reading, sample.valid, dwells);
+        let alarm = self.watch.alarm(&self.course, host_s, reading, sample.valid, dwells);
         let (began, frame) = self.picture.get_or_insert((
             host,
             Frame {
@@ -108,7 +108,7 @@ impl Feed {
         }
         let (sum, count) = std::mem::take(&mut self.strobe);
         if dwells > self.dwells && count > 0 {
-            let point = self.outlook.point(dwells, sum / f64::from(count));
+            let point = self.course.point(dwells, sum / f64::from(count));
             self.shown.points.lock().unwrap_or_else(PoisonError::into_inner).push(point);
             self.send("point", &point);
         }

@@ -2,10 +2,10 @@
 
 mod acquisition;
 mod attachments;
+mod course;
 mod ekrl;
 mod feed;
 mod marks;
-mod outlook;
 mod polling;
 mod progress;
 mod recorder;
@@ -16,10 +16,10 @@ mod signals;
 
 pub use acquisition::{AcquireError, Acquisition, Ending, Options, Summary};
 pub use attachments::{Attachments, PlanError};
+pub use course::{ALARM_SHARE, Course, Watch};
 pub use ekrl::{ListenError, Server};
 pub use feed::{Feed, Shown};
 pub use marks::{DeviceTime, Marks};
-pub use outlook::{ALARM_SHARE, Outlook, Watch};
 pub use progress::Progress;
 pub use recorder::Recorder;
 pub use reports::Driven;

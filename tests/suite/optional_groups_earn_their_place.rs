@@ -207,6 +207,23 @@ fn a_handful_of_poses_cannot_be_checked() {
     assert!(text.contains("was not tested: there are too few poses to hold some out"), "{text}");
 }
 
+/// F compares two fits: F = ((S0 - S1) / q) / (S1 / f) of their sums of squares. The bar is held, so that no column takes
+/// up a constant.
+#[test]
+fn f_is_that_of_two_fits() {
+    let data = lengths(&truth(1, &GEAR), 1, 27);
+    let (with, ..) = run(&data, &["--hold", "bar,compliance"]);
+    let (without, ..) = run(&data, &["--hold", "bar,compliance,gear"]);
+    let choice = group(&with, "gear");
+    assert!(choice.added && with.outliers.is_empty() && without.outliers.is_empty(), "{choice:?}");
+    let [q, freedom] = choice.freedom.unwrap();
+    let [s0, s1] = [&without, &with].map(|result| result.residual_mm.after.rms.powi(2));
+    let expected = (s0 - s1) / q / (s1 / freedom);
+    let f = choice.f.unwrap();
+    // The group's fit is taken to first order.
+    assert!((f / expected - 1.0).abs() < 0.02, "{f} {expected}");
+}
+
 fn identified(data: &Observations) -> Identification {
     let centres: Vec<Centre> =
         (0..3).map(|at| Centre { id: at + 1, position: Vector3::from(balls()[3 * at].centre) }).collect();

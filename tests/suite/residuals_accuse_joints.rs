@@ -30,6 +30,12 @@ fn lengths(truth: &Robot, seed: u64, play_rad: [f64; 6]) -> Observations {
     data
 }
 
+/// What the lengths of the designed robot would be, without noise or play.
+fn lengths_without_noise(data: &Observations) -> Vec<f64> {
+    let truth = with_errors(DESIGNED).geometry;
+    data.rows.iter().map(|row| truth.length(&row.axes(), &Vector3::from(CENTRE), 0.0)).collect()
+}
+
 fn effects(data: &Observations) -> Vec<JointEffect> {
     let options = Options {
         hold: parameter::parse_list("bar", &[], 1).unwrap(),
@@ -47,11 +53,20 @@ fn play_is_found_at_its_axis_and_to_its_size() {
     for axis in [1, 3] {
         let mut plays = [0.0; 6];
         plays[axis - 1] = play;
-        let found = effects(&lengths(&with_errors(DESIGNED), axis as u64, plays));
+        let data = lengths(&with_errors(DESIGNED), axis as u64, plays);
+        let found = effects(&data);
         let first = found.first().unwrap();
         assert_eq!((first.axis, first.error), (axis, JointError::Reversal), "{found:?}");
         assert!((first.play_rad.unwrap() / play - 1.0).abs() < 0.3, "{found:?}");
         assert!(found.iter().all(|effect| effect.chance < 1e-3 / 12.0));
+        // Twice the error and the noise is twice as much of the lengths, and of the play.
+        let still = lengths_without_noise(&data);
+        let mut twice = data.clone();
+        twice.rows.iter_mut().zip(&still).for_each(|(row, still)| row.length_mm += row.length_mm - still);
+        let double = effects(&twice);
+        let of = |effect: &JointEffect| [effect.rms_mm, effect.play_rad.unwrap()];
+        let [one, two] = [of(first), of(&double[0])];
+        assert!(one.iter().zip(two).all(|(one, two)| (two / one - 2.0).abs() < 0.02), "{one:?} {two:?}");
     }
 }
 

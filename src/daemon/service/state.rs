@@ -15,7 +15,7 @@ use super::trial_cell::{self, Bench, Cell};
 use super::{catalogue, runs};
 use crate::clock;
 use crate::daemon::feed::{Feed, Shown};
-use crate::daemon::{Acquisition, Attachments, Ending, Options, Outlook};
+use crate::daemon::{Acquisition, Attachments, Course, Ending, Options};
 use crate::live::{Device, LastRun, Message, Refusal, RunStatus, StartRequest, State, Status};
 use crate::port;
 use crate::protocol::Definition;
@@ -61,7 +61,7 @@ pub(super) struct Running {
     pub(super) name: String,
     plan: Option<String>,
     started_unix_ms: u64,
-    outlook: Outlook,
+    course: Course,
     pub(super) acquisition: Acquisition,
     pub(super) stop: Arc<AtomicBool>,
     /// What goes on beside it, where it is simulated.
@@ -194,11 +194,11 @@ impl Supervisor {
             bytes: progress.bytes,
             samples: progress.samples,
             reading_mm: progress.reading_mm,
-            bar_length_mm: running.outlook.bar_length_mm,
-            stroke_mm: running.outlook.stroke_mm,
-            alarm_share: running.outlook.alarm_share,
+            bar_length_mm: running.course.bar_length_mm,
+            stroke_mm: running.course.stroke_mm,
+            alarm_share: running.course.alarm_share,
             dwells: progress.dwells,
-            poses: running.outlook.poses(),
+            poses: running.course.poses(),
             modules: progress.modules,
             gaps: progress.gaps,
             missing: progress.missing,
@@ -217,8 +217,8 @@ impl Supervisor {
         protocol: Option<Definition>,
     ) -> Result<Running, Refusal> {
         let refused = |error: &dyn std::error::Error| Refusal::Conflict(whole(error));
-        let (mut attachments, mut outlook) =
-            (Attachments::default(), Outlook::bare(self.config.stroke_mm, self.config.alarm_share));
+        let (mut attachments, mut course) =
+            (Attachments::default(), Course::bare(self.config.stroke_mm, self.config.alarm_share));
         let missing = |name: &String| Refusal::Missing(format!("there is no plan `{name}`"));
         let find =
             |name: &String| catalogue::plan_file(&self.config.plans, name).ok_or_else(|| missing(name));
@@ -234,8 +234,7 @@ impl Supervisor {
         }
         if let Some(csv) = csv {
             attachments = Attachments::of_plan(&csv).map_err(|error| refused(&error))?;
-            outlook =
-                Outlook::of(&catalogue::plan(&csv).map_err(Refusal::Conflict)?, self.config.alarm_share);
+            course = Course::of(&catalogue::plan(&csv).map_err(Refusal::Conflict)?, self.config.alarm_share);
         }
         let definition = match protocol {
             Some(definition) => definition,
@@ -264,7 +263,7 @@ impl Supervisor {
             duration_s: request.duration_s,
             gone_s: self.config.gone_s,
             sync_s: 1.0,
-            feed: Some(Feed::new(self.shown.clone(), outlook.clone())),
+            feed: Some(Feed::new(self.shown.clone(), course.clone())),
         };
         let begin = json!({ "name": request.name, "plan": request.plan });
         let _ = self.shown.messages.send(Message::new("begin", &begin));
@@ -275,7 +274,7 @@ impl Supervisor {
         })?;
         let started_unix_ms = clock::unix_ns() / 1_000_000;
         let (name, plan) = (request.name.clone(), request.plan.clone());
-        Ok(Running { name, plan, started_unix_ms, outlook, acquisition, stop, _cell: cell })
+        Ok(Running { name, plan, started_unix_ms, course, acquisition, stop, _cell: cell })
     }
 
     /// A directory for a run of that name.

@@ -1,4 +1,4 @@
-//! What a plan says about a run: the dwells to come, the stroke, and when the bar is on.
+//! The course of a run as its plan has it: the dwells to come, the stroke, and when the bar is on.
 
 use crate::live::{Alarm, Point};
 use crate::plan::{Kind, Motion, Plan};
@@ -8,7 +8,7 @@ pub const ALARM_SHARE: f64 = 0.9;
 
 /// What a plan says about the dwells to come.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Outlook {
+pub struct Course {
     /// Length of the bar at reading zero, mm.
     pub bar_length_mm: Option<f64>,
     /// Lowest and highest reading that the bar allows, mm.
@@ -30,7 +30,7 @@ struct Expected {
     length_mm: f64,
 }
 
-impl Outlook {
+impl Course {
     /// Without a plan.
     pub fn bare(stroke_mm: Option<[f64; 2]>, alarm_share: f64) -> Self {
         Self { stroke_mm, alarm_share, ..Self::default() }
@@ -123,16 +123,16 @@ impl Watch {
     /// bar vouches for it; `dwells` are over.
     pub fn alarm(
         &mut self,
-        outlook: &Outlook,
+        course: &Course,
         t_s: f64,
         reading_mm: f64,
         valid: bool,
         dwells: u32,
     ) -> Option<Alarm> {
-        let alarm = outlook.alarm(reading_mm);
+        let alarm = course.alarm(reading_mm);
         let inside = valid && alarm != Alarm::Over;
         self.inside = inside.then(|| self.inside.unwrap_or(t_s));
-        let times = outlook.taken_off.iter().filter(|off| **off <= dwells).count();
+        let times = course.taken_off.iter().filter(|off| **off <= dwells).count();
         if times != self.times {
             self.times = times;
             self.leaving = self.mounted.then_some(dwells);
@@ -145,7 +145,7 @@ impl Watch {
             Some(_) => self.leaving = None,
             None => {
                 let settled = self.inside.is_some_and(|since| t_s - since >= SETTLED_S);
-                self.mounted |= settled && (times == 0 || times < outlook.taken_off.len());
+                self.mounted |= settled && (times == 0 || times < course.taken_off.len());
             }
         }
         if self.mounted { Some(alarm) } else { inside.then_some(Alarm::None) }
@@ -158,7 +158,7 @@ mod tests {
 
     #[test]
     fn the_alarm_follows_the_stroke() {
-        let outlook = Outlook::bare(Some([-1.0, 3.0]), 0.9);
+        let course = Course::bare(Some([-1.0, 3.0]), 0.9);
         for (reading, alarm) in [
             (1.0, Alarm::None),
             (2.79, Alarm::None),
@@ -167,15 +167,15 @@ mod tests {
             (3.0, Alarm::Over),
             (-1.01, Alarm::Over),
         ] {
-            assert_eq!(outlook.alarm(reading), alarm, "{reading}");
+            assert_eq!(course.alarm(reading), alarm, "{reading}");
         }
-        assert_eq!(Outlook::bare(None, 0.9).alarm(1e9), Alarm::None);
+        assert_eq!(Course::bare(None, 0.9).alarm(1e9), Alarm::None);
     }
 
     /// Two balls with three dwells each: what the bar reads from its box to its box.
     #[test]
     fn only_a_mounted_bar_raises_the_alarm() {
-        let outlook = Outlook { taken_off: vec![3, 6], ..Outlook::bare(Some([-1.0, 1.0]), 0.9) };
+        let course = Course { taken_off: vec![3, 6], ..Course::bare(Some([-1.0, 1.0]), 0.9) };
         let mut watch = Watch::default();
         let (off, fine, near, over) = (None, Some(Alarm::None), Some(Alarm::Near), Some(Alarm::Over));
         for (t_s, reading_mm, valid, dwells, alarm) in [
@@ -201,13 +201,13 @@ mod tests {
             (15.0, 0.3, true, 6, fine),
             (16.0, 1.0, false, 6, off),
         ] {
-            assert_eq!(watch.alarm(&outlook, t_s, reading_mm, valid, dwells), alarm, "at {t_s} s");
+            assert_eq!(watch.alarm(&course, t_s, reading_mm, valid, dwells), alarm, "at {t_s} s");
         }
         // Left on between two balls: the next dwell tells.
         let mut watch = Watch::default();
         for (t_s, dwells) in [(0.0, 0), (1.0, 0), (3.0, 3), (4.0, 4)] {
-            assert_eq!(watch.alarm(&outlook, t_s, 0.0, true, dwells), fine);
+            assert_eq!(watch.alarm(&course, t_s, 0.0, true, dwells), fine);
         }
-        assert_eq!(watch.alarm(&outlook, 5.0, 1.0, false, 4), over);
+        assert_eq!(watch.alarm(&course, 5.0, 1.0, false, 4), over);
     }
 }
