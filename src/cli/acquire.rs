@@ -235,6 +235,12 @@ fn conclude(summary: &Summary, args: &Args, out: &Output) -> Verdict {
         doubts
             .push("what was received is not this protocol: check --protocol and the bar's baud rate".into());
     }
+    if progress.samples == 0 && progress.rejected > 0 {
+        doubts.push(format!(
+            "the bar sent no length, but {} times that it has none: is it within its stroke?",
+            progress.rejected
+        ));
+    }
     if progress.missing > 0 || progress.lost_bytes > 0 {
         doubts.push(format!(
             "{} samples are missing and {} bytes were lost, in {} gaps",

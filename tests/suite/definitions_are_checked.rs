@@ -302,6 +302,40 @@ fn the_list_tells_how_well_each_is_known() {
     }
 }
 
+/// What stands above a definition that is shown is what it says of its frame.
+#[test]
+fn a_shown_definition_has_its_layout() {
+    for (name, layout) in [
+        (
+            "dbb-cobs-1",
+            &[
+                "# frame: COBS, ended by 00, at most 64 bytes",
+                "#    1      2  uint16, lowest byte first                 sequence number",
+                "#    7      4  int32, lowest byte first                  length, 0.00001 mm a step",
+                "#   14      2  CRC-16, polynomial 0x1021                 check",
+            ][..],
+        ),
+        (
+            "mitutoyo-push",
+            &[
+                "# frame: ended by 0d, at most 20 bytes",
+                "#    0      3  \"01A\"",
+                "#    3      9  decimal, 3 decimals                       length, 0.001 mm a step",
+                "# no check: a damaged frame of the right form passes",
+            ],
+        ),
+    ] {
+        let output = std::process::Command::new(env!("CARGO_BIN_EXE_dbbd"))
+            .args(["protocols", "show", name])
+            .output()
+            .unwrap();
+        let said = String::from_utf8_lossy(&output.stdout).into_owned();
+        for line in layout {
+            assert!(said.lines().any(|other| other == *line), "{line}\nis not in\n{said}");
+        }
+    }
+}
+
 /// Check value 4B37 of CRC-16/MODBUS: the CRC catalogue, docs.rs/crc-catalog.
 #[test]
 fn crc_parameters_are_verified_by_their_check_value() {

@@ -137,36 +137,45 @@ fn the_bars_stroke_can_be_said() {
     }
 }
 
+const RATE_HZ: f64 = 100.0;
+
 /// Lengths on a ramp, so that each sample is known by its place.
 fn ramp_mm(t_s: f64, rate_hz: f64) -> f64 {
     -0.9 + 0.01 * ((t_s * rate_hz).round() % 180.0)
 }
 
-fn simulated_is_acquired(definition: &Definition, protocol: &str, params: &[&str]) {
+/// What `acquire` records of a virtual bar that reads so at a time, and what it said.
+fn acquired(
+    definition: &Definition,
+    protocol: &str,
+    params: &[&str],
+    read: impl Fn(f64) -> Reading + Send + 'static,
+) -> (capture::Capture, Option<i32>, String) {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("run");
     let terminal = Terminal::new().unwrap();
     let port = terminal.name().to_owned();
-    let rate_hz = 100.0;
-    let options = Options { rate_hz, speed: 1.0, first_ticks: 0 };
+    let options = Options { rate_hz: RATE_HZ, speed: 1.0, first_ticks: 0 };
     let served = definition.clone();
     let _bar = std::thread::spawn(move || {
-        let source = |t_s: f64| {
-            let reading_mm = ramp_mm(t_s, rate_hz);
-            (t_s < 20.0).then_some(Reading { reading_mm, strobe: false, valid: true, temperature_c: 20.0 })
-        };
-        bar::serve(terminal, &served, options, source)
+        bar::serve(terminal, &served, options, |t_s: f64| (t_s < 20.0).then(|| read(t_s)))
     });
     let settle = definition.line.settle.as_secs_f64();
     let mut command = Command::new(env!("CARGO_BIN_EXE_dbbd"));
     command.args(["acquire", "--port", &port, "--protocol", protocol, "--out", path.to_str().unwrap()]);
     command.args(["--duration", &(settle + 0.8).to_string()]).args(params).stdin(Stdio::null());
     let output = command.output().unwrap();
-    // On a busy machine a reply may come too late: that is told, and no length is wrong for it.
     let said = String::from_utf8_lossy(&output.stderr).into_owned();
-    let late = output.status.code() == Some(3) && said.contains("not answered in time");
-    assert!(output.status.code() == Some(0) || late, "{protocol}: {said}");
-    let capture = capture::read(&std::fs::read(&path).unwrap());
+    (capture::read(&std::fs::read(&path).unwrap()), output.status.code(), said)
+}
+
+fn simulated_is_acquired(definition: &Definition, protocol: &str, params: &[&str]) {
+    let reading =
+        |t_s| Reading { reading_mm: ramp_mm(t_s, RATE_HZ), strobe: false, valid: true, temperature_c: 20.0 };
+    let (capture, code, said) = acquired(definition, protocol, params, reading);
+    // On a busy machine a reply may come too late: that is told, and no length is wrong for it.
+    let late = code == Some(3) && said.contains("not answered in time");
+    assert!(code == Some(0) || late, "{protocol}: {said}");
     let samples: Vec<Sample> = capture.samples().map(|(_, sample)| *sample).collect();
     assert!(samples.len() >= 3, "{protocol}: {} samples", samples.len());
     for pair in samples.windows(2) {
@@ -289,6 +298,46 @@ fn parameters_are_checked() {
     let line = text.lines().position(|line| line.contains("gian")).unwrap() + 1;
     assert_eq!(wrong.line, line);
     assert!(wrong.to_string().contains("did you mean `gain`"), "{wrong}");
+}
+
+/// A bar out of its stroke says so by a flag, or by a value that stands for no reading.
+#[test]
+fn out_of_the_stroke_no_length_passes_for_one() {
+    for protocol in ["dbb-cobs-1", "microepsilon-ild1420"] {
+        let definition = Definition::by_name(protocol).unwrap().unwrap();
+        let out = |_| Reading { reading_mm: 0.5, strobe: false, valid: false, temperature_c: 20.0 };
+        let (capture, code, said) = acquired(&definition, protocol, &[], out);
+        let readings = capture.samples().count();
+        assert!(capture.samples().all(|(_, sample)| !sample.valid), "{protocol}");
+        match protocol {
+            "dbb-cobs-1" => assert!(code == Some(0) && readings > 10, "{said}"),
+            _ => assert!(code == Some(3) && said.contains("the bar sent no length, but "), "{said}"),
+        }
+    }
+}
+
+/// A field takes what its bits hold, and not one more.
+#[test]
+fn what_does_not_fit_is_not_sent() {
+    let text = OUTSIDE.replace(
+        "{ kind = \"bits\", bits = 4, role = \"seq\", modulo = 16 },\n  { kind = \"bits\", bits = 12 },",
+        "{ kind = \"uint\", bits = 8, role = \"seq\", modulo = 256 },\n  { kind = \"skip\", bytes = 1 },",
+    );
+    let definition = Definition::from_toml("outside.toml", &text).unwrap();
+    let says = |sequence: u32| {
+        let sample = Sample {
+            reading_mm: 1.0,
+            sequence: Some(sequence),
+            ticks: None,
+            trigger: None,
+            temperature_c: None,
+            valid: true,
+            status: 0,
+            offset: 0,
+        };
+        definition.encoder().encode(&sample, &mut Vec::new()).is_ok()
+    };
+    assert!(says(0) && says(255) && !says(256));
 }
 
 /// Records that end with silence.
