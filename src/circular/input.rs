@@ -4,6 +4,10 @@ use super::{Point, Sense, Trace};
 use crate::diag::Diagnostic;
 use crate::table::{self, Columns};
 
+/// Longer bars and hotter ones are told in other units.
+const LONGEST_MM: f64 = 10_000.0;
+const HOTTEST_C: f64 = 150.0;
+
 const REQUIRED: [&str; 4] = ["run", "direction", "angle_deg", "length_mm"];
 
 /// Reads the traces: one for each run and direction, in the order of their first rows.
@@ -29,10 +33,22 @@ pub fn traces_from_csv(file: &str, text: &str) -> Result<Vec<Trace>, Diagnostic>
         };
         let point = Point {
             angle_deg: row.number(angle)?,
-            length_mm: row.positive(length, "a length between ball centres is positive, in mm")?,
+            length_mm: match row.positive(length, "a length between ball centres is positive, in mm")? {
+                mm if mm > LONGEST_MM => {
+                    return Err(row.wrong(length, "no bar is so long: lengths are in mm"));
+                }
+                mm => mm,
+            },
             sigma_mm: None,
             t_s: row.given(time, |at| row.number(at))?,
-            temp_c: row.given(temperature, |at| row.number(at))?,
+            temp_c: match row.given(temperature, |at| row.number(at))? {
+                Some(celsius) if celsius > HOTTEST_C => {
+                    return Err(
+                        row.wrong(temperature.unwrap_or(0), "no bar is so hot: temperatures are in Celsius")
+                    );
+                }
+                celsius => celsius,
+            },
             axes_deg: None,
             drives: None,
         };

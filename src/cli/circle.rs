@@ -46,13 +46,13 @@ pub(crate) struct Args {
     bar_u: Option<f64>,
     /// Expansion of the bar, 1/K [default: of a capture its job's certificate]: with temperatures (of a capture, or
     /// the column temp_c) a length is what the bar had then, not at the certificate's temperature.
-    #[arg(long, value_name = "PER_K", value_parser = positive)]
+    #[arg(long, value_name = "PER_K", value_parser = expansion)]
     expansion: Option<f64>,
     /// Temperature of the bar's certificate, degrees Celsius [default: of a capture its job's, else 20].
     #[arg(long, value_name = "C", allow_negative_numbers = true)]
     certified: Option<f64>,
     /// Expansion of the machine, 1/K: with temperatures, its circle is referred to 20 degrees Celsius.
-    #[arg(long, value_name = "PER_K", value_parser = positive)]
+    #[arg(long, value_name = "PER_K", value_parser = expansion)]
     machine_expansion: Option<f64>,
     /// Draws of the Monte Carlo for the 95 % intervals; 0 for none.
     #[arg(long, value_name = "N", default_value_t = 1000)]
@@ -81,6 +81,15 @@ fn positive(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(value) if value.is_finite() && value > 0.0 => Ok(value),
         _ => Err("a positive number is needed".into()),
+    }
+}
+
+fn expansion(text: &str) -> Result<f64, String> {
+    match positive(text)? {
+        per_k if per_k < 1e-3 => Ok(per_k),
+        _ => {
+            Err("an expansion by 1 K is some 0.00001 of the length (steel 11.5e-6, carbon fibre 1e-6)".into())
+        }
     }
 }
 

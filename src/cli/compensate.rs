@@ -70,6 +70,11 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
             .into());
     }
     let source = Program::open(&args.program)?;
+    if args.program.extension().is_some_and(|kind| kind.eq_ignore_ascii_case("dat")) {
+        return Err(Diagnostic::file(&source.name, "holds the points of a program, and no motion")
+            .help("name the .src; the .dat beside it is corrected with it")
+            .into());
+    }
     let data = beside(&args.program, "dat").map(|path| Program::open(&path)).transpose()?;
     let config = args.config.as_deref().map(Program::open).transpose()?;
     for program in [Some(&source), data.as_ref()].into_iter().flatten() {

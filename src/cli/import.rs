@@ -22,6 +22,8 @@ const BLOCK: usize = 1 << 16;
 
 /// A trace shorter than this share of the plan's time is doubted: no override drives a program twice as fast.
 const LEAST: f64 = 0.5;
+/// And one longer than so many times it: an override of 1 % is the least.
+const MOST: f64 = 100.0;
 
 /// Shown below the options.
 const LAYOUT: &str = "Without --mapping FILE is a CSV with the columns t_s (s) and length_mm (between the ball centres), \
@@ -85,7 +87,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
         out.warning(format!("{invalid} readings are beyond the bar's stroke or marked as not valid"));
     }
     let needed = plan.duration_s();
-    if seconds < LEAST * needed {
+    if !(LEAST * needed..=MOST * needed).contains(&seconds) {
         out.warning(format!(
             "the trace lasts {seconds:.1} s and the plan {needed:.0} s: it is of another run, its times are in another unit, or it was cut off"
         ));

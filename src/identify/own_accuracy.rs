@@ -10,6 +10,10 @@ const SHARE: f64 = 0.04;
 /// A doubt about lengths that agree with the nominal robot better than its tolerance lets any robot do: then the
 /// axes most likely did not stand where they were commanded to.
 pub fn own_accuracy(robot: &Robot, found: &Identified, lengths: &Observations) -> Option<String> {
+    // Planned on a robot that was identified before: then they should agree.
+    if robot.nominal.is_some() {
+        return None;
+    }
     let nominal = robot.controller();
     let ids = parameter::parse_list("geometric", &nominal.parallel_joints(), 0_usize).ok()?;
     let model = LengthModel { geometry: nominal.geometry.clone(), ..found.model.clone() };

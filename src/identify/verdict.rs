@@ -15,6 +15,8 @@ use crate::model::Robot;
 const OUTLIER_SHARE: f64 = 0.1;
 /// Corrections so many times as large as the prior says throw doubt on the lengths.
 const FAR_BEYOND: f64 = 5.0;
+/// No robot is so many times as far off as its tolerance allows.
+const NO_ROBOTS: f64 = 20.0;
 /// No tool ball and no base ball is said to stand so far from where it stands, mm.
 const FAR_MM: f64 = 1000.0;
 /// No bar is longer or shorter than was said by so much, mm.
@@ -52,7 +54,7 @@ pub(super) fn warnings(
         );
     }
     beyond_prior(estimate, &mut say);
-    against_held(result, robot, options, &mut say);
+    implausible(result, robot, options, &mut say);
     let far: Vec<&str> = result
         .parameters
         .iter()
@@ -108,8 +110,9 @@ pub(super) fn warnings(
     joints(&result.joints, &mut say);
     let predicted = &result.predicted_position_error_mm;
     if !is_pinned(predicted) {
-        // Who gives a list of parameters knows that the others are held.
-        let kind = if options.follows_list() { WarningKind::Note } else { WarningKind::Doubt };
+        // Who gives a list of parameters knows that the others are held; but no one wants a robot that is worse than before.
+        let better = predicted.identified.mean < predicted.nominal.mean;
+        let kind = if options.follows_list() && better { WarningKind::Note } else { WarningKind::Doubt };
         say(
             kind,
             format!(
@@ -199,32 +202,38 @@ fn beyond_prior(estimate: &Estimate, say: &mut impl FnMut(WarningKind, String)) 
     }
 }
 
-/// Corrections that no robot needs, where the user held a part of the set-up: they make up for its error.
-fn against_held(
+/// Corrections that no robot needs. They make up for a part of the set-up that the user held, or it is another robot.
+fn implausible(
     result: &Identification,
     robot: &Robot,
     options: &Options,
     say: &mut impl FnMut(WarningKind, String),
 ) {
     let held: Vec<String> = options.hold.iter().filter(|id| id.is_setup()).map(ToString::to_string).collect();
+    let most = if held.is_empty() { NO_ROBOTS } else { FAR_BEYOND };
     let absurd = |found: &&ParameterResult| {
         let allowed = found.name.parse().ok().and_then(|id| tolerance(robot, id));
         let sd = found.sd.unwrap_or(0.0);
-        allowed.is_some_and(|allowed| found.correction.abs() > FAR_BEYOND * allowed.hypot(sd))
+        allowed.is_some_and(|allowed| found.correction.abs() > most * allowed.hypot(sd))
     };
     let names: Vec<&str> = result.parameters.iter().filter(absurd).map(|found| found.name.as_str()).collect();
-    if !held.is_empty() && !names.is_empty() {
-        say(
-            WarningKind::Doubt,
-            format!(
-                "with {} held, {} came out more than {FAR_BEYOND:.0} times as far from nominal as the robot's tolerance \
-                 allows: most likely what is held stands elsewhere (let it be estimated, or measure it again), or the robot \
-                 is worse than its file says",
-                held.join(", "),
-                names.join(", ")
-            ),
-        );
+    if names.is_empty() {
+        return;
     }
+    let names = names.join(", ");
+    let which = if held.is_empty() { names } else { format!("with {} held, {names}", held.join(", ")) };
+    let why = if held.is_empty() {
+        "no robot is so far off: lengths and poses do not belong together, or it is another robot (--robot)"
+    } else {
+        "most likely what is held stands elsewhere (let it be estimated, or measure it again), or the robot is worse \
+         than its file says"
+    };
+    say(
+        WarningKind::Doubt,
+        format!(
+            "{which} came out more than {most:.0} times as far from nominal as the robot's tolerance allows: {why}"
+        ),
+    );
 }
 
 /// Compares the residuals with the sigmas that were given.
@@ -244,11 +253,22 @@ fn consistency(
     let factor = ratio.sqrt();
     let beyond = beyond_chance(ratio, freedom);
     if beyond == Some(Ordering::Greater) {
-        let kind = if lengths.vouched { WarningKind::Doubt } else { WarningKind::Note };
-        let then = if lengths.vouched {
-            "the model lacks something, or sigma is too small; the standard deviations rest on the sigma given"
+        let (kind, then) = if lengths.vouched {
+            (
+                WarningKind::Doubt,
+                "the model lacks something, or sigma is too small; the standard deviations rest on the sigma given",
+            )
+        } else if estimate.sigma == Sigma::Given {
+            (
+                WarningKind::Doubt,
+                "the standard deviations rest on the sigma given all the same, because so few lengths cannot tell \
+                 another; give --sigma with the robot's repeatability in it, or measure more poses",
+            )
         } else {
-            "repeatability or what the model lacks; the standard deviations rest on the residuals"
+            (
+                WarningKind::Note,
+                "repeatability or what the model lacks; the standard deviations rest on the residuals",
+            )
         };
         say(kind, format!("the residuals are {factor:.1} times as large as the given sigma: {then}"));
     } else if beyond == Some(Ordering::Less) {

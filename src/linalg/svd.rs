@@ -38,7 +38,7 @@ pub fn svd(matrix: &DMatrix<f64>) -> Option<Svd> {
     order.sort_by(|&i, &j| norms[j].total_cmp(&norms[i]));
     Some(Svd {
         values: DVector::from_iterator(n, order.iter().map(|&k| norms[k])),
-        v: DMatrix::from_columns(&order.iter().map(|&k| v.column(k).into_owned()).collect::<Vec<_>>()),
+        v: DMatrix::from_fn(n, n, |row, at| v[(row, order[at])]),
     })
 }
 

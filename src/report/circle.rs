@@ -264,7 +264,9 @@ fn play(step: &Step) -> [String; 3] {
         Mover::Joint(_) if bound > degree => "cannot be told: it hardly moves the length".into(),
         _ => format!("none seen; up to {} {unit} would not show", significant(factor * bound, 2)),
     };
-    [drive, told, format!("{} µm", significant(1e3 * step.most_mm, 2))]
+    let most =
+        if step.play.abs() > step.u95 { significant(1e3 * step.most_mm, 2) + " µm" } else { "–".into() };
+    [drive, told, most]
 }
 
 /// The tests in the order of their circles, where a circle was tested more than once: the circles of one

@@ -163,6 +163,14 @@ fn all_else_stays_byte_for_byte() {
     let output = run(&["--config", "config.dat"]);
     // 3: a relative motion was left, which the user must see.
     assert_eq!(output.status.code(), Some(3), "{}", stderr(&output));
+    // The points alone are no program.
+    let args = ["compensate", "glue01.DAT", "--robot", "id.toml", "--out", "new"];
+    let refused = dbbd(dir.path(), &args);
+    assert!(
+        refused.status.code() == Some(1) && stderr(&refused).contains("name the .src"),
+        "{}",
+        stderr(&refused)
+    );
     let mut changed = 0;
     for (name, old) in [("GLUE01.src", &source), ("glue01.DAT", &data)] {
         let new = fs::read(dir.path().join("new").join(name)).unwrap();

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use tempfile::tempdir;
 
-use crate::cell::{dbbd, stderr};
+use crate::cell::{CENTRE, DESIGNED, dbbd, horizontal, measure, stderr, three_planes, with_errors};
 
 const HEADER: &str = "index,centre,a1_deg,a2_deg,a3_deg,a4_deg,a5_deg,a6_deg,length_mm,sigma_mm\n";
 const ROW: &str = "1,1,0,-60,90,0,60,0,300.1,0.01\n";
@@ -213,4 +213,26 @@ fn captures_ports_and_programs() {
         }
     }
     assert!(!at.join("r.dbbd").exists(), "nothing was measured, so there is no capture");
+}
+
+/// Nothing of the robot is asked for: no index, no correlation, and no panic.
+#[test]
+fn the_bar_alone() {
+    let dir = tempdir().unwrap();
+    let truth = with_errors(DESIGNED);
+    let text = measure(&truth, &[horizontal(1, CENTRE)], 40, 25.0).to_csv();
+    for list in ["bar", "tool", "centres", "gear"] {
+        let more = ["--robot", "kr60ha", "--prior", "datasheet", "--estimate", list];
+        let (code, said) = identify(dir.path(), &text, &more);
+        assert!(matches!(code, Some(0 | 3)) && !said.contains("panicked"), "{list}: {code:?} {said}");
+    }
+}
+
+/// Another robot than the one that was measured fits as well, with links that no robot of its kind has.
+#[test]
+fn another_robot_is_doubted() {
+    let dir = tempdir().unwrap();
+    let text = measure(&with_errors(DESIGNED), &three_planes(1, CENTRE), 27, 25.0).to_csv();
+    let (code, said) = identify(dir.path(), &text, &["--robot", "kr16-2"]);
+    assert!(code == Some(3) && said.contains("or it is another robot (--robot)"), "{said}");
 }

@@ -143,6 +143,11 @@ fn scenes() -> Vec<Scene> {
     let mut given = Scene::new(&truth, &planes, 27, 0.05, &[]);
     given.data.rows.iter_mut().for_each(|row| row.sigma_mm = Some(0.005));
     scenes.push(given);
+    // One length more than directions: it alone cannot show that sigma is too small.
+    let mut few = Scene::new(&truth, &planes, 9, 0.05, &["--prior", "datasheet"]);
+    few.data.rows.truncate(25);
+    few.data.rows.iter_mut().for_each(|row| row.sigma_mm = Some(0.015));
+    scenes.push(few);
     // Balls and lengths that have nothing to do with each other.
     let mut lost = Scene::new(&truth, &flat, 80, 0.0, &thirteen);
     lost.circles = vec![horizontal(1, [0.0, 9000.0, 0.0])];

@@ -25,8 +25,8 @@ pub(super) struct Given {
     /// Standard uncertainty of the bar's length, mm, where it has a certificate.
     pub(super) bar_u_mm: Option<f64>,
     pub(super) sources: Vec<Source>,
-    /// Whether a part of a run was lost, or poses were dropped as ambiguous.
-    pub(super) lossy: bool,
+    /// What is to be doubted of a run: lost parts, poses dropped as ambiguous, another robot.
+    pub(super) doubts: Vec<String>,
     /// Whether the axis angles are those that were commanded in a capture, none having been measured.
     pub(super) commanded: bool,
     /// The capture that the lengths come from, and how it was joined last.
@@ -82,12 +82,12 @@ impl Given {
             ),
             source("robot", args.robot.clone().unwrap_or_else(from_plan)),
         ];
-        let lossy = joined.as_ref().is_some_and(|(run, synced)| lossy(run, synced));
+        let doubts = joined.as_ref().map_or_else(Vec::new, |(run, synced)| doubts(run, synced, &robot));
         let commanded = joined.as_ref().is_some_and(|(run, _)| run.axes_deg.is_empty());
         // The job has it expanded, k = 2.
         let certified = joined.as_ref().and_then(|(run, _)| run.plan.header.job.bar.length_u_mm);
         let bar_u_mm = args.bar_u.or(certified.map(|u| 0.5 * u));
-        Ok(Self { robot, centres, observations, bar_u_mm, sources, lossy, commanded, joined })
+        Ok(Self { robot, centres, observations, bar_u_mm, sources, doubts, commanded, joined })
     }
 
     /// Joins the capture anew with the lengths that the identified robot predicts; whether the pairs changed.
@@ -105,15 +105,20 @@ impl Given {
             return false;
         }
         self.observations = synced.observations.clone();
-        self.lossy = lossy(run, &synced);
+        self.doubts = doubts(run, &synced, &self.robot);
         *before = synced;
         true
     }
 }
 
-/// Whether a part of the run was lost, or poses were dropped.
-fn lossy(run: &Run, synced: &Synced) -> bool {
-    run.torn || synced.warnings.iter().any(|warning| warning.doubt)
+/// Parts of the run that were lost, poses that were dropped, and another robot than the plan's.
+fn doubts(run: &Run, synced: &Synced, robot: &Robot) -> Vec<String> {
+    let torn = run.torn.then(|| "a part of the run was lost: `dbbd info` names the damages".to_owned());
+    let matching = synced.warnings.iter().filter(|warning| warning.doubt).map(|warning| warning.text.clone());
+    let planned = run.robot().ok().map(|planned| planned.name).filter(|name| *name != robot.name);
+    let other =
+        planned.map(|planned| format!("the poses are of a plan for {planned}, --robot names {}", robot.name));
+    torn.into_iter().chain(matching).chain(other).collect()
 }
 
 /// Every observation must have its ball, in millimetres and degrees.

@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 
 use super::{Outcome, Output, Verdict};
 use crate::files;
-use crate::identify::result::WarningKind;
+use crate::identify::result::{Warning, WarningKind};
 use crate::identify::{self, Options, Prior, PriorScale};
 use crate::model::parameter::{self, SetUp};
 pub(crate) use inputs::observations;
@@ -49,7 +49,7 @@ pub(crate) struct Args {
     /// Parameters to estimate: names, ranges, groups (`alpha1-5,a1-5,d4-6`; geometric, tool, centres, bar, all;
     /// compliance, gear); without it, all that the data can tell, and compliance (if the robot file has a [[mass]]
     /// or [payload]) and gear error where an F-test, lengths held out and the predicted 3-D error speak for them. Followed as it is when
-    /// there is no prior.
+    /// there is no prior; what it does not name counts as exact, in the predicted 3-D error too.
     #[arg(long, value_name = "LIST")]
     estimate: Option<String>,
     /// Parameters to hold at their start values.
@@ -118,6 +118,9 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
         }
         found = find(&given)?;
     }
+    let own = given.commanded.then(|| identify::own_accuracy(&given.robot, &found, &given.observations));
+    let doubts = given.doubts.drain(..).chain(own.flatten());
+    found.result.warnings.extend(doubts.map(|text| Warning { kind: WarningKind::Doubt, text }));
     files::directory(&args.out)?;
     tables::write_results(&args.out, &found, &given.observations)?;
     let page = page::html(&given.robot, &given.observations, &found, given.sources)?;
@@ -125,15 +128,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
     say::say(out, &found.result, &args.out);
     out.document(&found.result)?;
     let doubt = found.result.warnings.iter().any(|warning| warning.kind == WarningKind::Doubt);
-    let elsewhere = if given.commanded {
-        identify::own_accuracy(&given.robot, &found, &given.observations)
-    } else {
-        None
-    };
-    if let Some(text) = &elsewhere {
-        out.warning(text);
-    }
-    Ok(if doubt || given.lossy || elsewhere.is_some() { Outcome::Doubt } else { Outcome::Done })
+    Ok(if doubt { Outcome::Doubt } else { Outcome::Done })
 }
 
 fn options(args: &Args, given: &Given, set_up: SetUp) -> Result<Options, Box<dyn Error>> {

@@ -41,8 +41,9 @@ pub(super) fn say(out: &Output, result: &Identification, dir: &Path) {
         out.result(format!("observability O1 {o1:.3e}, O2 {o2:.3e}, O3 {o3:.3e}, O4 {o4:.3e}, O5 {o5:.3e}"));
     }
     let predicted = &result.predicted_position_error_mm;
+    let exact = if count(Status::Held) > 0 { " (what is held taken as exact)" } else { "" };
     out.result(format!(
-        "predicted 3-D error over the workspace: mean {} -> {}, 95 % {} -> {}",
+        "predicted 3-D error over the workspace: mean {} -> {}, 95 % {} -> {}{exact}",
         mm(predicted.nominal.mean),
         mm(predicted.identified.mean),
         mm(predicted.nominal.p95),
