@@ -86,9 +86,8 @@ pub(crate) fn enough(against: &[Against], repeatability_mm: Option<f64>) -> Opti
             at(more)
         ),
         _ if more.error_mm > WORTH * planned.error_mm => format!(
-            "{} are enough: {}, and twice as many hardly less ({:.3} mm); only a calibrated bar (length_u_mm), other poses \
-             or another base ball would tell more",
-            planned.lengths,
+            "{}, and twice as many hardly less ({:.3} mm): only other poses, another base ball or a better known bar \
+             (length_u_mm) would tell more",
             at(planned),
             more.error_mm
         ),

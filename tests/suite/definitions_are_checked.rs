@@ -200,6 +200,7 @@ const REFUSED: &[Case] = &[
     ),
     ("cobs", "role = \"temp\", unit = \"C\"", "role = \"unit\"", "role = \"unit\"", "of kind `map`"),
     ("nd28x", "\"\\\"\" = \"inch\"", "\"\\\"\" = \"foot\"", "foot", "mm, um, inch or fault"),
+    ("nd28x", "\"?\" = \"fault\"", "\"\" = \"fault\"", "\"\" = \"fault\"", "map needs `map`"),
     ("nd28x", "{ \" \" = \"mm\", ", "{ \" \" = \"um\", ", "\"um\"", "a word for mm"),
     (
         "nd28x",

@@ -35,6 +35,30 @@ fn still_stretches_carry_value_and_uncertainty() {
     }
 }
 
+/// A reading that stays on one step of a coarse scale, or hardly leaves it, is known to that step: its standard
+/// uncertainty is the step over the root of 12 (GUM 4.3.7), and not the little scatter over the root of the count.
+#[test]
+fn a_coarse_scale_is_known_to_its_step() {
+    const STEP_MM: f64 = 0.01;
+    let plan = plan(14, 30, 30, true);
+    let mut run = run(&plan, 14, World { strobe: true, ..WORLD });
+    for (_, sample) in &mut run.samples {
+        sample.reading_mm = (sample.reading_mm / STEP_MM).round() * STEP_MM;
+    }
+    let synced = observations(&Input::new(&plan, &stream(&run.samples)));
+    let step = STEP_MM / 12f64.sqrt();
+    let (mut on_the_step, mut least) = (0, f64::INFINITY);
+    for fate in &synced.fates {
+        let Fate::Matched { dwell, .. } = &fate.fate else { panic!("{fate:?}") };
+        assert!(dwell.u_mm < 1.001 * step, "{dwell:?}");
+        on_the_step += usize::from((dwell.u_mm / step - 1.0).abs() < 1e-3);
+        least = least.min(dwell.u_mm);
+    }
+    // Where it flickers between two steps the scatter averages out.
+    eprintln!("{on_the_step} of {} on the step, {least} mm at least", synced.fates.len());
+    assert!(on_the_step > 0);
+}
+
 #[test]
 fn invalid_readings_do_not_count_and_drift_is_seen() {
     let plan = plan(9, 61, 61, true);

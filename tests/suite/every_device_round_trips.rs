@@ -293,6 +293,14 @@ fn parameters_are_checked() {
     let wrong = load("range", "10").unwrap_err().to_string();
     assert!(wrong.contains("no parameter `range`") && wrong.contains("range_mm"), "{wrong}");
     assert!(load("range_mm", "-1").unwrap_err().to_string().contains("must be 1 to 1000"));
+    for (old, new) in [
+        ("len_adds = 3", "len_adds = 4096"),
+        ("len_at = 2", "len_at = 4096"),
+        ("len_at = 2", "len_at = 2\nlen_bytes = 3"),
+    ] {
+        let wrong = Definition::from_toml("bar.toml", &OUTSIDE.replace(old, new)).unwrap_err().to_string();
+        assert!(wrong.contains("len_bytes must be 1 or 2, len_at and len_adds below 4096"), "{new}: {wrong}");
+    }
     let text = OUTSIDE.replace("${gain}", "${gian}");
     let wrong = Definition::from_toml("bar.toml", &text).unwrap_err();
     let line = text.lines().position(|line| line.contains("gian")).unwrap() + 1;

@@ -195,7 +195,13 @@ fn captures_ports_and_programs() {
         "DEF P ( )\r\nPTP {A1 0,A2 -90,A3 90,A4 0,A5 0,A6 0}\r\nFROBNICATE 3\r\nEND\r\n",
     )
     .unwrap();
+    let job = include_str!("../../examples/demo.toml").replace("\"dbb-cobs-1\"", "\"dbb-cops-1\"");
+    fs::write(at.join("job.toml"), job).unwrap();
     let cases: &[(&[&str], &[&str])] = &[
+        (
+            &["plan", "job.toml", "--out", "p"],
+            &["job.toml: no protocol `dbb-cops-1`", "did you mean `dbb-cobs-1`"],
+        ),
         (&["sync", "torn.dbbd", "--out", "o.csv"], &["torn.dbbd"]),
         (&["info", "nowhere.dbbd"], &["nowhere.dbbd", "cannot be read"]),
         (&["acquire", "--port", "/dev/nowhere0", "--out", "r.dbbd"], &["/dev/nowhere0", "dbbd ports"]),

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 
 use super::{Outcome, Output, Verdict};
-use crate::cli::robots;
+use crate::cli::{protocols, robots};
 use crate::diag::Diagnostic;
 use crate::files;
 use crate::model::{Centre, Reading, Robot};
@@ -63,6 +63,11 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
     let name = args.job.display().to_string();
     let job = Job::from_toml(&name, &files::read(&args.job)?)?;
     let job = args.stage.map_or_else(|| job.clone(), |points| job.as_stage(points));
+    // A definition in a file may be there only where the run is.
+    if !job.bar.protocol.ends_with(".toml") {
+        protocols::load_with(&job.bar.protocol, &[])
+            .map_err(|why| Diagnostic::file(&name, why.to_string()))?;
+    }
     let robot_name = args.robot.as_deref().unwrap_or(&job.robot);
     let robot = robots::named(robot_name)?;
     job.check_against(robot.controller()).map_err(|why| Diagnostic::file(&name, why))?;
