@@ -235,6 +235,20 @@ fields = [
 kind = "stream"
 "#;
 
+/// A reading of 1 mm, with its number and nothing else.
+fn numbered(sequence: u32) -> Sample {
+    Sample {
+        reading_mm: 1.0,
+        sequence: Some(sequence),
+        ticks: None,
+        trigger: None,
+        temperature_c: None,
+        valid: true,
+        status: 0,
+        offset: 0,
+    }
+}
+
 #[test]
 fn a_device_from_a_file_outside_the_binary_is_read() {
     let directory = tempfile::tempdir().unwrap();
@@ -243,16 +257,7 @@ fn a_device_from_a_file_outside_the_binary_is_read() {
     let params = [("gain".to_owned(), "2.0".to_owned())];
     let exact = Definition::from_toml_with("outside.toml", OUTSIDE, &params).unwrap();
     let mut bytes = Vec::new();
-    let sample = Sample {
-        reading_mm: 1.0,
-        sequence: Some(5),
-        ticks: None,
-        trigger: None,
-        temperature_c: None,
-        valid: true,
-        status: 0,
-        offset: 0,
-    };
+    let sample = numbered(5);
     exact.encoder().encode(&sample, &mut bytes).unwrap();
     // aa 55, 3 + 11 = 14 bytes less the three before, 5, 0.5 as IEEE 754, sum of what follows the sync.
     assert_eq!(bytes, [0xaa, 0x55, 0x0b, 5, 0, 0x3f, 0xe0, 0, 0, 0, 0, 0, 0, 0x2f]);
@@ -332,19 +337,7 @@ fn what_does_not_fit_is_not_sent() {
         "{ kind = \"uint\", bits = 8, role = \"seq\", modulo = 256 },\n  { kind = \"skip\", bytes = 1 },",
     );
     let definition = Definition::from_toml("outside.toml", &text).unwrap();
-    let says = |sequence: u32| {
-        let sample = Sample {
-            reading_mm: 1.0,
-            sequence: Some(sequence),
-            ticks: None,
-            trigger: None,
-            temperature_c: None,
-            valid: true,
-            status: 0,
-            offset: 0,
-        };
-        definition.encoder().encode(&sample, &mut Vec::new()).is_ok()
-    };
+    let says = |sequence| definition.encoder().encode(&numbered(sequence), &mut Vec::new()).is_ok();
     assert!(says(0) && says(255) && !says(256));
 }
 
