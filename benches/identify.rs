@@ -4,65 +4,80 @@
 use std::hint::black_box;
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use dbbd::identify::{self, Options};
-use dbbd::model::{
-    Centre, LengthModel, LengthRow, Observation, Observations, ParamId, Robot, Selection, parameter,
-};
+use dbbd::design::calibrate;
+use dbbd::estimation::{AngleSource, Input, Options};
+use dbbd::measurement::{BaseBall, LengthModel, Measurement, Measurements, Selection};
+use dbbd::robot::{AxisAngles, BallId, BarId, LengthRow, ParamId, Robot, Unit, parameter};
 use nalgebra::Vector3;
 use rand::{RngExt, SeedableRng};
 use rand_distr::{Distribution, Normal};
 use rand_pcg::Pcg64;
 
 /// Lengths of a robot with errors of its tolerance at random poses, sigma 0.01 mm, one ball.
-fn problem(poses: usize) -> (Robot, Observations, Vec<Centre>) {
+fn problem(poses: usize) -> (Robot, Measurements, Vec<BaseBall>) {
     let mut random = Pcg64::seed_from_u64(1);
     let robot = Robot::by_name("kr60ha").expect("built in").expect("reads");
     let mut truth = robot.geometry.clone();
     for id in parameter::parse_list("alpha1-5,a1-5,d4-6", &[], 1).expect("a list") {
-        let sd = if id.unit() == "mm" { 0.5 } else { 0.05f64.to_radians() };
+        let sd = if id.unit() == Unit::Mm { 0.5 } else { 0.05f64.to_radians() };
         *truth.value_mut(id).expect("geometric") += sd * random.sample::<f64, _>(rand_distr::StandardNormal);
     }
     let centre = Vector3::new(1300.0, 0.0, 800.0);
     let noise = Normal::new(0.0, 0.01).expect("positive");
     let rows = (0..poses)
         .map(|i| {
-            let mut row = Observation {
+            let mut row = Measurement {
                 index: i as u32 + 1,
-                centre: 1,
-                bar: 1,
-                axes_deg: std::array::from_fn(|j| {
+                ball: BallId::FIRST,
+                bar: BarId::FIRST,
+                axes: AxisAngles::from_degrees(std::array::from_fn(|j| {
                     let [low, high] = robot.limits_deg[j];
                     random.random_range(low..high)
-                }),
+                })),
                 length_mm: 0.0,
                 sigma_mm: None,
-                further: 0,
+                context: None,
             };
-            row.length_mm = truth.length(&row.axes(), &centre, 0.0) + noise.sample(&mut random);
+            row.length_mm = truth.length(&row.axes.radians(), &centre, 0.0) + noise.sample(&mut random);
             row
         })
         .collect();
-    (robot, Observations { rows, ..Observations::default() }, vec![Centre { id: 1, position: centre }])
+    (
+        robot,
+        Measurements { rows, ..Measurements::default() },
+        vec![BaseBall { id: BallId::FIRST, position: centre }],
+    )
 }
 
 fn thirteen() -> Vec<ParamId> {
     parameter::parse_list("alpha1-5,a1-5,d4-6", &[], 1).expect("a list")
 }
 
+fn input<'a>(
+    robot: &'a Robot,
+    observations: &'a Measurements,
+    start: &'a LengthModel,
+    options: &'a Options,
+) -> Input<'a> {
+    Input { robot, observations, start, validation: None, options, axes: AngleSource::Given }
+}
+
 fn benches(c: &mut Criterion) {
     for poses in [80, 1000] {
         let (robot, observations, centres) = problem(poses);
+        let start = LengthModel::new(robot.geometry.clone(), &centres);
         let options = Options { estimate: Some(thirteen()), folds: Some(0), ..Options::default() };
         c.bench_function(&format!("fit 13 parameters, {poses} poses"), |b| {
-            b.iter(|| identify::fit(black_box(&robot), &observations, &centres, &options));
+            b.iter(|| input(black_box(&robot), &observations, &start, &options).fit());
         });
         let options = Options { folds: Some(0), ..Options::default() };
         c.bench_function(&format!("all parameters with the full report, {poses} poses"), |b| {
-            b.iter(|| identify::identify(black_box(&robot), &observations, &centres, None, &options));
+            b.iter(|| calibrate(&input(black_box(&robot), &observations, &start, &options), Vec::new()));
         });
     }
     let (robot, observations, centres) = problem(1000);
-    let readings: Vec<_> = observations.rows.iter().map(dbbd::model::Reading::from).collect();
+    let readings: Vec<_> =
+        observations.rows.iter().map(dbbd::measurement::PreparedMeasurement::from).collect();
     // Divide by 1000 for one pose; sines and cosines of the axis angles are taken in the first, once before in the second.
     c.bench_function("1000 Jacobian rows of all columns, from axis angles", |b| {
         b.iter(|| {
@@ -80,7 +95,7 @@ fn benches(c: &mut Criterion) {
             let prepared = model.prepare();
             for reading in &readings {
                 prepared.row_into(reading, &mut derivatives);
-                selection.pick(&derivatives, reading.centre, &mut row);
+                selection.pick(&derivatives, &mut row);
                 black_box(&row);
             }
         });

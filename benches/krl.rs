@@ -6,11 +6,11 @@ use std::fmt::Write;
 use std::hint::black_box;
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use dbbd::krl::compensate::compensate;
-use dbbd::krl::production::{Files, Given, Text, read};
-use dbbd::krl::{Controller, Options, Sync, emit, parse_data, parse_source, read_points};
-use dbbd::model::{Robot, inverse};
 use dbbd::plan::{Job, Kind, Plan};
+use dbbd::program::krl::{
+    Controller, Files, Given, Options, Sync, Text, compensate, emit, parse_data, parse_source, read,
+};
+use dbbd::robot::{Robot, inverse};
 use dbbd::sim::truth;
 
 const POINTS: usize = 100_000;
@@ -83,9 +83,11 @@ fn benches(c: &mut Criterion) {
             let mut points = 0;
             for pair in files.chunks(2).skip(1) {
                 let [(name, source), (data_name, data)] = pair else { panic!("a .src and its .dat") };
-                let source = parse_source(name, source).expect("reads");
-                let data = parse_data(data_name, data).expect("reads");
-                points += read_points(&source, Some(&data)).expect("points").len();
+                parse_source(name, source).expect("reads");
+                parse_data(data_name, data).expect("reads");
+                let data = Some(Text { file: data_name, text: data });
+                let files = Files { source: Text { file: name, text: source }, data, config: None };
+                points += read(files, Given::default()).expect("points").legs.len();
             }
             points
         });

@@ -4,9 +4,9 @@
 use std::hint::black_box;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use dbbd::protocol::Definition;
-use dbbd::sample::Sample;
-use dbbd::units::DeviceTicks;
+use dbbd::base::units::DeviceTicks;
+use dbbd::device::protocol::Definition;
+use dbbd::measurement::sample::Sample;
 
 const FRAMES: u32 = 10_000;
 

@@ -7,12 +7,13 @@
 use std::hint::black_box;
 
 use criterion::{Criterion, criterion_group, criterion_main};
+use dbbd::base::units::{DeviceTicks, HostNs};
 use dbbd::circular::{Point, Sense, Settings, Trace, circular};
-use dbbd::model::Robot;
+use dbbd::measurement::sample::Sample;
 use dbbd::plan::{Job, Kind, Plan};
-use dbbd::sample::Sample;
-use dbbd::sync::{DeviceClock, Input, Stream, StreamBuilder, observations};
-use dbbd::units::{DeviceTicks, HostNs};
+use dbbd::recording::matching::{Input, match_poses};
+use dbbd::recording::{DeviceClock, Stream, StreamBuilder};
+use dbbd::robot::Robot;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
@@ -89,7 +90,7 @@ fn hour(bench: &mut Criterion) {
     let mut group = bench.benchmark_group("an hour at 1 kHz");
     group.sample_size(10);
     let (plan, stream) = run();
-    group.bench_function("sync", |bench| bench.iter(|| observations(black_box(&Input::new(&plan, &stream)))));
+    group.bench_function("sync", |bench| bench.iter(|| match_poses(black_box(&Input::new(&plan, &stream)))));
     drop(stream);
     let traces = circle();
     let settings = Settings { draws: 100, ..Settings::new(150.0) };

@@ -4,13 +4,15 @@
 
 use std::sync::OnceLock;
 
-use dbbd::capture;
-use dbbd::krl::{self, production};
+use dbbd::device::protocol::{Decoded, Definition};
 use dbbd::live::{JobRequest, StartRequest};
-use dbbd::model::{Centre, Observations, Robot};
+use dbbd::measurement::{BaseBall, Measurements};
 use dbbd::plan::{Job, Plan};
-use dbbd::protocol::{Decoded, Definition};
-use dbbd::sync::TelegramReader;
+use dbbd::program::krl::{self, Files, Given, Text};
+use dbbd::recording::TelegramReader;
+use dbbd::recording::capture;
+use dbbd::robot::Robot;
+use dbbd::sim::Controller;
 
 /// An entrance.
 pub(crate) type Entry = fn(&[u8]);
@@ -124,21 +126,36 @@ fn krl_reader(data: &[u8]) {
     let (data, config) = rest.split_once('\0').unwrap_or((rest, ""));
     let parsed = krl::parse_data("M.dat", data).ok();
     if let Some(data) = &parsed {
-        let _ =
-            (krl::logged_axes(data), krl::plan_hash(data), krl::own_accuracy(data), krl::read_setup(data));
+        let _ = (krl::logged_axes(data), krl::plan_hash(data));
+        let _ = (krl::absolute_accuracy(data), krl::read_setup(data));
     }
-    if let Ok(source) = krl::parse_source("M.src", source) {
-        let _ = krl::read_points(&source, parsed.as_ref());
+    execute(source, data);
+    fn file<'a>(file: &'a str, text: &'a str) -> Text<'a> {
+        Text { file, text }
     }
-    fn file<'a>(file: &'a str, text: &'a str) -> production::Text<'a> {
-        production::Text { file, text }
-    }
-    let files = production::Files {
+    let files = Files {
         source: file("M.src", source),
         data: (!data.is_empty()).then(|| file("M.dat", data)),
         config: (!config.is_empty()).then(|| file("config.dat", config)),
     };
-    let _ = production::read(files, production::Given::default());
+    let _ = krl::read(files, Given::default());
+}
+
+/// What is read is executed for a while.
+fn execute(source: &str, data: &str) {
+    let files = [("M.src", source), ("M.dat", data)];
+    let file = |wanted: &str| files.iter().find(|(name, text)| *name == wanted && !text.is_empty());
+    let open = |wanted: &str| Ok(file(wanted).map(|(name, text)| ((*name).to_owned(), (*text).to_owned())));
+    let Ok(program) = krl::Program::open("M", open) else { return };
+    let Some(Ok(robot)) = Robot::by_name("kr60ha") else { return };
+    let Ok(mut controller) = Controller::new(program, &robot, 100.0) else { return };
+    for _ in 0..4 {
+        match controller.step(0.5) {
+            Ok(moment) if moment.done => return,
+            Ok(_) => controller.go_on(),
+            Err(_) => return,
+        }
+    }
 }
 
 fn capture_reader(data: &[u8]) {
@@ -206,22 +223,22 @@ fn robot(data: &[u8]) {
     }
 }
 
-/// Observations, ball centres, poses; and telegrams, which come in a stream.
+/// Measurements, ball centres, poses; and telegrams, which come in a stream.
 fn tables(data: &[u8]) {
     let (mut reader, mut slow) = (TelegramReader::default(), TelegramReader::default());
     let whole = reader.push(data);
     let pieces: Vec<_> = data.chunks(3).flat_map(|piece| slow.push(piece)).collect();
     assert_eq!(whole, pieces);
     let Ok(text) = std::str::from_utf8(data) else { return };
-    if let Ok(observations) = Observations::from_csv("observations.csv", text) {
-        let again = Observations::from_csv("observations.csv", &observations.to_csv());
+    if let Ok(observations) = Measurements::from_csv("observations.csv", text) {
+        let again = Measurements::from_csv("observations.csv", &observations.to_csv());
         assert!(again.is_ok_and(|again| again == observations), "not read as they were written");
     }
-    if let Ok(centres) = Centre::from_csv("centres.csv", text) {
-        let again = Centre::from_csv("centres.csv", &Centre::to_csv(&centres));
+    if let Ok(centres) = BaseBall::from_csv("centres.csv", text) {
+        let again = BaseBall::from_csv("centres.csv", &BaseBall::to_csv(&centres));
         assert!(again.is_ok_and(|again| again == centres), "not read as they were written");
     }
-    let _ = Observations::poses_from_csv("poses.csv", text);
+    let _ = Measurements::poses_from_csv("poses.csv", text);
 }
 
 /// Bodies of requests.

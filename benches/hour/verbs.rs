@@ -3,13 +3,13 @@
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-use dbbd::capture::{Event, Record, Writer};
-use dbbd::clock;
-use dbbd::daemon::Attachments;
+use dbbd::base::clock;
+use dbbd::base::units::{DeviceTicks, HostNs};
+use dbbd::device::protocol::Definition;
+use dbbd::measurement::sample::Sample;
 use dbbd::plan::{Kind, Plan};
-use dbbd::protocol::Definition;
-use dbbd::sample::Sample;
-use dbbd::units::{DeviceTicks, HostNs};
+use dbbd::recording::capture::{Event, Record, Writer};
+use dbbd::recording::run::PlanFiles;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
@@ -41,8 +41,9 @@ fn write(path: &Path, plan_csv: &Path, samples: u64) {
             &Record::Event(Event::Started { unix_ns: 1_700_000_000_000_000_000, version: "0".into() }),
         )
         .unwrap();
-    for (name, content) in Attachments::of_plan(plan_csv).unwrap().files {
-        writer.write(HostNs(0), &Record::Attachment { name, content }).unwrap();
+    for (name, content) in PlanFiles::read(plan_csv).unwrap().attachments() {
+        let record = Record::Attachment { name: name.into(), content: content.into_bytes() };
+        writer.write(HostNs(0), &record).unwrap();
     }
     let content = definition.text.clone().into_bytes();
     writer.write(HostNs(0), &Record::Attachment { name: "protocol.toml".into(), content }).unwrap();

@@ -42,11 +42,11 @@ impl Ray {
     }
 }
 
-/// Steps after which Gauss-Newton must stand; each squares the error.
+/// Steps after which Gauss-Newton must have converged; each squares the error.
 const STEPS: usize = 20;
 
 /// Fits centre and offset by Gauss-Newton from the programmed centre; `None` when the points do not
-/// tell them (fewer than three directions) or are no circle about a centre near the programmed one.
+/// determine them (fewer than three directions) or are no circle about a centre near the programmed one.
 pub fn fit(rays: impl Iterator<Item = Ray> + Clone) -> Option<Circle> {
     let mut centre = [0.0; 2];
     for _ in 0..STEPS {

@@ -4,10 +4,10 @@ use nalgebra::{SMatrix, SVector};
 
 use super::noise::Noise;
 use super::quantities::Rays;
-use super::{Arc, MOST_CONDITION, Sense, Trace};
+use super::{Sense, Trace};
 
 /// r + a cos + b sin + c2 cos 2 + s2 sin 2 of the deviation about the joint centre, mm.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Harmonics {
     /// The sense.
     pub sense: Sense,
@@ -22,8 +22,8 @@ pub const TERM_NAMES: [&str; TERMS] = ["r", "a", "b", "c2", "s2"];
 const TERMS: usize = 5;
 const NORMAL: f64 = 1.96;
 
-/// What the harmonics mean. Empty on an arc, where they cannot be told from each other.
-#[derive(Clone, Debug, Default, PartialEq)]
+/// What the harmonics mean. Empty on an arc, where they are linearly dependent.
+#[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
 pub struct Diagnosis {
     /// By sense.
     pub harmonics: Vec<Harmonics>,
@@ -32,9 +32,9 @@ pub struct Diagnosis {
     /// Squareness, rad: s2 / R summed over both senses; twice the one sense's where there is one, and
     /// then a servo mismatch is in it.
     pub squareness_rad: Option<[f64; 2]>,
-    /// Whether both senses were there to part squareness from servo mismatch.
+    /// Whether both senses were there to separate squareness from servo mismatch.
     pub both_senses: bool,
-    /// By how much the second axis lags behind the first, s, where times tell the speed.
+    /// By how much the second axis lags behind the first, s, where times give the speed.
     pub servo_mismatch_s: Option<[f64; 2]>,
 }
 
@@ -44,11 +44,7 @@ pub(super) fn diagnose(
     centre: [f64; 2],
     radius_mm: f64,
     noise: &Noise,
-    arc: &Arc,
 ) -> Diagnosis {
-    if !arc.full || arc.condition > MOST_CONDITION {
-        return Diagnosis::default();
-    }
     let of = |sense| fit_sense(traces, rays, centre, noise, sense);
     let (ccw, cw) = (of(Sense::CounterClockwise), of(Sense::Clockwise));
     let harmonics: Vec<Harmonics> = [ccw, cw].into_iter().flatten().collect();

@@ -1,10 +1,11 @@
 //! The CSV of a circular test: `run,direction,angle_deg,length_mm[,t_s,temp_c]`, columns in any order.
 
 use super::{Point, Sense, Trace};
-use crate::diag::Diagnostic;
-use crate::table::{self, Columns};
+use crate::base::table::{self, Columns, Row};
+use crate::catalogue::CircularFinding;
+use crate::diagnostic::Diagnostic;
 
-/// Longer bars and hotter ones are told in other units.
+/// Longer bars and hotter ones are given in other units.
 const LONGEST_MM: f64 = 10_000.0;
 const HOTTEST_C: f64 = 150.0;
 
@@ -16,7 +17,7 @@ const REQUIRED: [&str; 4] = ["run", "direction", "angle_deg", "length_mm"];
 /// Names the line and column of what is missing, not a number, not finite, or impossible.
 pub fn traces_from_csv(file: &str, text: &str) -> Result<Vec<Trace>, Diagnostic> {
     let mut reader = table::reader().from_reader(text.as_bytes());
-    let header = reader.headers().map_err(|error| Diagnostic::csv(file, &error))?.clone();
+    let header = reader.headers().map_err(|error| table::wrong_csv(file, &error))?.clone();
     let columns = Columns { file, header: &header };
     let [run, direction, angle, length] = columns.required(REQUIRED).map_err(|absent| {
         absent.help("a circular test has the columns run,direction,angle_deg,length_mm[,t_s,temp_c]")
@@ -24,42 +25,44 @@ pub fn traces_from_csv(file: &str, text: &str) -> Result<Vec<Trace>, Diagnostic>
     let (time, temperature) = (columns.optional("t_s")?, columns.optional("temp_c")?);
     let mut traces: Vec<Trace> = Vec::new();
     for record in reader.records() {
-        let record = record.map_err(|error| Diagnostic::csv(file, &error))?;
+        let record = record.map_err(|error| table::wrong_csv(file, &error))?;
         let row = columns.row(&record);
         let sense = match row.text(direction).to_ascii_lowercase().as_str() {
             "ccw" => Sense::CounterClockwise,
             "cw" => Sense::Clockwise,
-            _ => return Err(row.wrong(direction, "must be cw or ccw")),
+            _ => return Err(row.line(CircularFinding::Direction { cell: row.text(direction).into() })),
         };
         let point = Point {
             angle_deg: row.number(angle)?,
-            length_mm: match row.positive(length, "a length between ball centres is positive, in mm")? {
-                mm if mm > LONGEST_MM => {
-                    return Err(row.wrong(length, "no bar is so long: lengths are in mm"));
-                }
-                mm => mm,
-            },
+            length_mm: millimetres(&row, length)?,
             sigma_mm: None,
             t_s: row.given(time, |at| row.number(at))?,
-            temp_c: match row.given(temperature, |at| row.number(at))? {
-                Some(celsius) if celsius > HOTTEST_C => {
-                    return Err(
-                        row.wrong(temperature.unwrap_or(0), "no bar is so hot: temperatures are in Celsius")
-                    );
-                }
-                celsius => celsius,
-            },
+            temp_c: row.given(temperature, |at| celsius(&row, at))?,
             axes_deg: None,
             drives: None,
         };
-        // The last trace first: rows of one trace stand together.
+        // The last trace first: the rows of a trace follow each other.
         match traces.iter_mut().rev().find(|trace| trace.run == row.text(run) && trace.sense == sense) {
             Some(trace) => trace.points.push(point),
             None => traces.push(Trace { run: row.text(run).to_owned(), sense, points: vec![point] }),
         }
     }
     if traces.is_empty() {
-        return Err(Diagnostic::file(file, "holds no length: only a header, or nothing"));
+        return Err(Diagnostic::file(file, CircularFinding::NoLength));
     }
     Ok(traces)
+}
+
+fn millimetres(row: &Row<'_>, at: usize) -> Result<f64, Diagnostic> {
+    match row.positive(at)? {
+        length_mm if length_mm > LONGEST_MM => Err(row.line(CircularFinding::LengthTooLong { length_mm })),
+        mm => Ok(mm),
+    }
+}
+
+fn celsius(row: &Row<'_>, at: usize) -> Result<f64, Diagnostic> {
+    match row.number(at)? {
+        temp_c if temp_c > HOTTEST_C => Err(row.line(CircularFinding::TooHot { temp_c })),
+        celsius => Ok(celsius),
+    }
 }

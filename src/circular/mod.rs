@@ -1,6 +1,6 @@
-//! The circular test: what a ball-bar says of a circle, by the quantities of ISO 230-4.
+//! The circular test: the quantities of ISO 230-4 from the lengths of a ball-bar.
 //!
-//! `docs/circular-test.md` gives the definitions, their sources, and what of the standard's text could
+//! `docs/reference/circular-test.md` gives the definitions, their sources, and what of the standard's text could
 //! not be read. Pure: lengths in, numbers out.
 
 mod fit;
@@ -18,20 +18,25 @@ mod zone;
 pub use fit::{Circle, Ray, fit};
 pub use harmonics::{Diagnosis, Harmonics, TERM_NAMES};
 pub use input::traces_from_csv;
+pub use noise::SigmaSource;
 pub use quantities::{NAMES, TRACE_NAMES};
 pub use reversal::Reversal;
 pub use step::{Mover, Step};
 pub use temperature::Temperature;
 pub use zone::{Zone, minimum_zone};
 
+use crate::catalogue::CircularFinding as Finding;
+
 use quantities::{Allowed, Rays, evaluate};
 
 /// The sense in which a circle is passed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, serde::Serialize)]
 pub enum Sense {
     /// Angles grow.
+    #[serde(rename = "ccw")]
     CounterClockwise,
     /// Angles fall.
+    #[serde(rename = "cw")]
     Clockwise,
 }
 
@@ -69,7 +74,7 @@ pub struct Point {
 pub struct Drive {
     /// Change of the length with the joint, mm/rad.
     pub lever_mm: f64,
-    /// 1 or -1: the sense in which the joint came to stand there; 0 where it is not known.
+    /// 1 or -1: the sense of the joint's last move to the point; 0 where it is not known.
     pub sense: i8,
 }
 
@@ -109,47 +114,7 @@ impl Settings {
     }
 }
 
-/// Why a circle cannot be evaluated.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum CircularError {
-    /// The nominal radius is not a positive number.
-    #[error("the nominal radius must be positive: {0} mm")]
-    Radius(f64),
-    /// Too few points.
-    #[error("run {run}, {sense}: {points} points are too few, {LEAST_POINTS} are needed")]
-    TooFew {
-        /// The run.
-        run: String,
-        /// `ccw` or `cw`.
-        sense: &'static str,
-        /// How many there are.
-        points: usize,
-    },
-    /// There is nothing.
-    #[error("there is no length on a circle")]
-    Empty,
-    /// A length is far from the radius.
-    #[error(
-        "run {run}, {sense}: a length of {length_mm} mm at {angle_deg} degrees is far from the nominal radius of {radius_mm} mm: is the radius right?"
-    )]
-    FarOff {
-        /// The run.
-        run: String,
-        /// `ccw` or `cw`.
-        sense: &'static str,
-        /// Where.
-        angle_deg: f64,
-        /// The length.
-        length_mm: f64,
-        /// The nominal radius.
-        radius_mm: f64,
-    },
-    /// The points do not tell a circle.
-    #[error("the points do not tell a circle: their angles are too few or too near to each other")]
-    NoCircle,
-}
-
-/// Fewer points do not tell centre, radius and a deviation from them.
+/// Fewer points do not determine centre, radius and a deviation from them.
 pub const LEAST_POINTS: usize = 5;
 /// Lengths may differ from the radius by this share of it.
 const FAR_OFF: f64 = 0.2;
@@ -159,7 +124,7 @@ pub const MOST_CONDITION: f64 = 30.0;
 const GAP_DEG: f64 = 60.0;
 
 /// How much of the circle there is.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Arc {
     /// First angle, degrees, 0..360.
     pub from_deg: f64,
@@ -174,7 +139,7 @@ pub struct Arc {
 }
 
 /// A value with the half width of its 95 % interval; `None` where it is refused or does not exist.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
 pub struct Quantity {
     /// The value.
     pub value: Option<f64>,
@@ -182,8 +147,8 @@ pub struct Quantity {
     pub u95: Option<f64>,
 }
 
-/// What a trace says alone.
-#[derive(Clone, Debug, PartialEq)]
+/// The result of a trace alone.
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct TraceResult {
     /// The run.
     pub run: String,
@@ -198,7 +163,7 @@ pub struct TraceResult {
 }
 
 /// The evaluation of a circular test.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Evaluation {
     /// Nominal radius, mm.
     pub radius_mm: f64,
@@ -216,16 +181,16 @@ pub struct Evaluation {
     pub diagnosis: Diagnosis,
     /// Where joints reverse.
     pub reversals: Vec<Reversal>,
-    /// How much each axis or joint loses as it reverses, where that can be told.
+    /// How much each axis or joint loses as it reverses, where that is identifiable.
     pub steps: Vec<Step>,
     /// Standard uncertainty of a single length that the draws used, mm: the mean over the points.
     pub sigma_mm: f64,
     /// Where that comes from.
-    pub sigma_source: &'static str,
+    pub sigma_source: SigmaSource,
     /// Draws that were made.
     pub draws: usize,
-    /// What the user should know.
-    pub notes: Vec<String>,
+    /// What limits the evaluation.
+    pub notes: Vec<Finding>,
 }
 
 impl Evaluation {
@@ -239,67 +204,49 @@ impl Evaluation {
 /// Evaluates the traces of one circle.
 ///
 /// # Errors
-/// When there are too few points, the radius is not theirs, or they tell no circle.
-pub fn circular(traces: &[Trace], settings: &Settings) -> Result<Evaluation, CircularError> {
+/// When there are too few points, the radius is not theirs, or they determine no circle.
+pub fn circular(traces: &[Trace], settings: &Settings) -> Result<Evaluation, Finding> {
     check(traces, settings)?;
     let corrected = settings.temperature.apply(traces);
     let rays = |traces: &[Trace]| Rays::new(traces, settings.radius_mm);
     let measured = rays(corrected.as_deref().unwrap_or(traces));
-    let joint = fit(measured.all()).ok_or(CircularError::NoCircle)?;
+    let joint = fit(measured.all()).ok_or(Finding::NoCircle)?;
     let arc = arc(traces, joint.condition);
     let allowed = Allowed::of(&arc);
     let centre = if allowed.free_centre { joint.centre } else { [0.0; 2] };
-    let values = evaluate(&measured, allowed).ok_or(CircularError::NoCircle)?;
+    let values = evaluate(&measured, allowed).ok_or(Finding::NoCircle)?;
     let as_measured = corrected
         .as_ref()
         .and_then(|_| evaluate(&rays(traces), allowed))
         .map(|values| values.overall_options());
     let noise = noise::of(traces, &measured, centre, settings.sigma_mm);
-    let u95 = uncertainty::u95(&measured, &values, centre, allowed, &noise, settings);
-    let (overall, alone) = values.with(u95.as_ref());
-    let traces_out = traces
-        .iter()
-        .zip(&measured.traces)
-        .zip(alone)
-        .map(|((trace, rays), quantities)| TraceResult {
-            run: trace.run.clone(),
-            sense: trace.sense,
-            points: trace.points.len(),
-            quantities,
-            deviations: trace
-                .points
-                .iter()
-                .zip(rays)
-                .map(|(point, ray)| [point.angle_deg, ray.deviation(centre)])
-                .collect(),
-        })
-        .collect();
-    let mut notes = Vec::new();
-    if !allowed.free_centre {
-        notes.push(format!(
-            "the arc of {:.0} degrees does not tell its centre (condition {:.0}, at most {MOST_CONDITION} is accepted): G, G(b), H, D and the centre are refused; F is about the instrument's centre",
-            arc.span_deg, arc.condition
-        ));
-    } else if !arc.full {
-        notes.push(format!(
-            "partial arc of {:.0} degrees (condition {:.1}): centre and radius are fitted jointly; F is about the instrument's centre",
-            arc.span_deg, arc.condition
-        ));
-    }
-    notes.extend(traces.iter().filter(|trace| !in_sense(trace)).map(|trace| {
-        format!("run {}: its angles do not run {} as its direction says", trace.run, trace.sense.word())
-    }));
+    let u95 = uncertainty::u95(&measured, &values, Reference { centre, allowed }, &noise, settings);
+    let (quantities, alone) = values.with(u95.as_ref());
+    let results = traces.iter().zip(&measured.traces).zip(alone);
+    let results =
+        results.map(|((trace, rays), quantities)| TraceResult::new(trace, rays, centre, quantities));
+    let mut notes: Vec<Finding> = arc_finding(&arc, allowed).into_iter().collect();
+    notes.extend(
+        traces
+            .iter()
+            .filter(|trace| !in_sense(trace))
+            .map(|trace| Finding::AgainstDirection { run: trace.run.clone(), direction: trace.sense.word() }),
+    );
     if corrected.is_none() {
-        notes.push("lengths are as measured: no temperatures with an expansion were given".into());
+        notes.push(Finding::AsMeasured);
     }
     Ok(Evaluation {
         radius_mm: settings.radius_mm,
         arc,
-        quantities: overall,
+        quantities,
         as_measured,
         free_centre: arc.full,
-        traces: traces_out,
-        diagnosis: harmonics::diagnose(traces, &measured, centre, settings.radius_mm, &noise, &arc),
+        traces: results.collect(),
+        diagnosis: if arc.full && allowed.free_centre {
+            harmonics::diagnose(traces, &measured, centre, settings.radius_mm, &noise)
+        } else {
+            Diagnosis::default()
+        },
         reversals: reversal::of(traces),
         steps: if arc.full { step::fit(traces, &measured, centre) } else { Vec::new() },
         sigma_mm: noise.mean(),
@@ -309,23 +256,54 @@ pub fn circular(traces: &[Trace], settings: &Settings) -> Result<Evaluation, Cir
     })
 }
 
-fn check(traces: &[Trace], settings: &Settings) -> Result<(), CircularError> {
+/// About what deviations are taken, and what the arc allows.
+#[derive(Clone, Copy)]
+struct Reference {
+    centre: [f64; 2],
+    allowed: Allowed,
+}
+
+impl TraceResult {
+    fn new(trace: &Trace, rays: &[Ray], centre: [f64; 2], quantities: Vec<Quantity>) -> Self {
+        let points = trace.points.iter().zip(rays);
+        Self {
+            run: trace.run.clone(),
+            sense: trace.sense,
+            points: trace.points.len(),
+            quantities,
+            deviations: points.map(|(point, ray)| [point.angle_deg, ray.deviation(centre)]).collect(),
+        }
+    }
+}
+
+fn arc_finding(arc: &Arc, allowed: Allowed) -> Option<Finding> {
+    let &Arc { span_deg, condition, full, .. } = arc;
+    if !allowed.free_centre {
+        Some(Finding::ArcWithoutCentre { span_deg, condition, most: MOST_CONDITION })
+    } else if !full {
+        Some(Finding::PartialArc { span_deg, condition })
+    } else {
+        None
+    }
+}
+
+fn check(traces: &[Trace], settings: &Settings) -> Result<(), Finding> {
     let radius_mm = settings.radius_mm;
     if !(radius_mm.is_finite() && radius_mm > 0.0) {
-        return Err(CircularError::Radius(radius_mm));
+        return Err(Finding::Radius { radius_mm });
     }
     if traces.is_empty() {
-        return Err(CircularError::Empty);
+        return Err(Finding::NoLength);
     }
     for Trace { run, sense, points } in traces {
-        let (run, sense) = (run.clone(), sense.word());
+        let (run, direction) = (run.clone(), sense.word());
         if points.len() < LEAST_POINTS {
-            return Err(CircularError::TooFew { run, sense, points: points.len() });
+            return Err(Finding::TooFewPoints { run, direction, points: points.len(), least: LEAST_POINTS });
         }
         // A value that is not a number is as far off as can be.
         let near = |point: &&Point| (point.length_mm - radius_mm).abs() <= FAR_OFF * radius_mm;
         if let Some(&Point { angle_deg, length_mm, .. }) = points.iter().find(|point| !near(point)) {
-            return Err(CircularError::FarOff { run, sense, angle_deg, length_mm, radius_mm });
+            return Err(Finding::FarFromRadius { run, direction, angle_deg, length_mm, radius_mm });
         }
     }
     Ok(())

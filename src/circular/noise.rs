@@ -3,13 +3,45 @@
 use super::quantities::Rays;
 use super::{Sense, Trace};
 
+/// Where the standard uncertainty of a single length comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+pub enum SigmaSource {
+    Given,
+    /// Of each length; the repeatability of the robot is not in it.
+    Lengths,
+    /// Of each length, not less than the difference of repeated passes.
+    LengthsAndPasses,
+    /// The difference of repeated passes.
+    Passes,
+    /// The scatter between neighbours.
+    Neighbours,
+}
+
+impl SigmaSource {
+    /// As circle.json and the page have it.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Given => "as given",
+            Self::Lengths => "of each length; the repeatability of the robot is not in it",
+            Self::LengthsAndPasses => "of each length, not less than the difference of repeated passes",
+            Self::Passes => "difference of repeated passes",
+            Self::Neighbours => "scatter between neighbours",
+        }
+    }
+}
+
+/// Standard deviation of a single length, mm, and its degrees of freedom.
+struct Scatter {
+    sigma_mm: f64,
+    freedom: f64,
+}
+
 /// What each length's standard uncertainty is taken to be.
 #[derive(Clone, Debug)]
 pub(super) struct Noise {
     /// For each trace and point, mm.
     pub(super) sigma_mm: Vec<Vec<f64>>,
-    /// In words.
-    pub(super) source: &'static str,
+    pub(super) source: SigmaSource,
     /// Degrees of freedom with which it was estimated; `None` where it is known.
     pub(super) freedom: Option<f64>,
 }
@@ -36,26 +68,23 @@ impl Noise {
 pub(super) fn of(traces: &[Trace], rays: &Rays, centre: [f64; 2], given: Option<f64>) -> Noise {
     let all = |sigma: f64| traces.iter().map(|trace| vec![sigma; trace.points.len()]).collect();
     if let Some(sigma) = given {
-        return Noise { sigma_mm: all(sigma), source: "as given", freedom: None };
+        return Noise { sigma_mm: all(sigma), source: SigmaSource::Given, freedom: None };
     }
     let repeated = repeated(traces, rays, centre);
     let own: Option<Vec<Vec<f64>>> =
         traces.iter().map(|trace| trace.points.iter().map(|point| point.sigma_mm).collect()).collect();
-    if let Some(mut own) = own {
-        let least = repeated.map_or(0.0, |(sigma, _)| sigma);
-        own.iter_mut().flatten().for_each(|sigma| *sigma = sigma.max(least));
-        let source = if repeated.is_some() {
-            "of each length, not less than the difference of repeated passes"
-        } else {
-            "of each length; the repeatability of the robot is not in it"
+    let Some(mut sigma_mm) = own else {
+        let (source, scatter) = match repeated {
+            Some(repeated) => (SigmaSource::Passes, repeated),
+            None => (SigmaSource::Neighbours, neighbours(traces, rays, centre)),
         };
-        return Noise { sigma_mm: own, source, freedom: repeated.map(|(_, freedom)| freedom) };
-    }
-    let (source, (sigma, freedom)) = match repeated {
-        Some(repeated) => ("difference of repeated passes", repeated),
-        None => ("scatter between neighbours", neighbours(traces, rays, centre)),
+        return Noise { sigma_mm: all(scatter.sigma_mm), source, freedom: Some(scatter.freedom) };
     };
-    Noise { sigma_mm: all(sigma), source, freedom: Some(freedom) }
+    let Some(Scatter { sigma_mm: least_mm, freedom }) = repeated else {
+        return Noise { sigma_mm, source: SigmaSource::Lengths, freedom: None };
+    };
+    sigma_mm.iter_mut().flatten().for_each(|sigma| *sigma = sigma.max(least_mm));
+    Noise { sigma_mm, source: SigmaSource::LengthsAndPasses, freedom: Some(freedom) }
 }
 
 /// Indices of a trace's points in the order of their angles.
@@ -67,7 +96,7 @@ fn by_angle(trace: &Trace) -> Vec<usize> {
 }
 
 /// Standard deviation between passes in one sense at the same angles, and its degrees of freedom; `None` without such.
-fn repeated(traces: &[Trace], rays: &Rays, centre: [f64; 2]) -> Option<(f64, f64)> {
+fn repeated(traces: &[Trace], rays: &Rays, centre: [f64; 2]) -> Option<Scatter> {
     let (mut squares, mut freedom) = (0.0, 0);
     for sense in [Sense::CounterClockwise, Sense::Clockwise] {
         let passes: Vec<(usize, Vec<usize>)> = (0..traces.len())
@@ -91,12 +120,12 @@ fn repeated(traces: &[Trace], rays: &Rays, centre: [f64; 2]) -> Option<(f64, f64
             freedom += passes.len() - 1;
         }
     }
-    (freedom > 0).then(|| ((squares / freedom as f64).sqrt(), freedom as f64))
+    (freedom > 0).then(|| Scatter { sigma_mm: (squares / freedom as f64).sqrt(), freedom: freedom as f64 })
 }
 
 /// Robust scatter of second differences between neighbours, and its degrees of freedom: noise, and on a sparse circle
 /// form as well.
-fn neighbours(traces: &[Trace], rays: &Rays, centre: [f64; 2]) -> (f64, f64) {
+fn neighbours(traces: &[Trace], rays: &Rays, centre: [f64; 2]) -> Scatter {
     /// Standard deviation of a normal distribution over its median magnitude.
     const OF_MEDIAN: f64 = 1.4826;
     /// Degrees of freedom for each second difference: the median has 0.37 of the efficiency of the variance, and the
@@ -109,9 +138,9 @@ fn neighbours(traces: &[Trace], rays: &Rays, centre: [f64; 2]) -> (f64, f64) {
     }
     let middle = second.len() / 2;
     if second.is_empty() {
-        return (0.0, 0.0);
+        return Scatter { sigma_mm: 0.0, freedom: 0.0 };
     }
     let freedom = FREEDOM * second.len() as f64;
     let (_, median, _) = second.select_nth_unstable_by(middle, f64::total_cmp);
-    (OF_MEDIAN * *median / 6f64.sqrt(), freedom)
+    Scatter { sigma_mm: OF_MEDIAN * *median / 6f64.sqrt(), freedom }
 }

@@ -4,7 +4,7 @@
 use super::{Sense, Trace};
 
 /// A joint reverses.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Reversal {
     /// The run.
     pub run: String,
@@ -16,8 +16,8 @@ pub struct Reversal {
     pub angle_deg: f64,
 }
 
-/// A joint that moves less between two poses stands, degrees.
-const STANDS_DEG: f64 = 1e-3;
+/// A joint that moves less between two poses does not move, degrees.
+const STILL_DEG: f64 = 1e-3;
 
 /// The reversals of all traces that carry axis angles, in the order driven.
 pub(super) fn of(traces: &[Trace]) -> Vec<Reversal> {
@@ -28,7 +28,7 @@ pub(super) fn of(traces: &[Trace]) -> Vec<Reversal> {
             let (Some(from), Some(to)) = (pair[0].axes_deg, pair[1].axes_deg) else { continue };
             for (joint, going) in going.iter_mut().enumerate() {
                 let step = to[joint] - from[joint];
-                if step.abs() < STANDS_DEG {
+                if step.abs() < STILL_DEG {
                     continue;
                 }
                 if *going * step < 0.0 {

@@ -12,7 +12,7 @@ use super::quantities::Rays;
 use super::{Drive, Sense, Trace};
 
 /// What reverses.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 pub enum Mover {
     /// A linear axis of the plane, 1 or 2; its play is in mm.
     Axis(usize),
@@ -21,7 +21,7 @@ pub enum Mover {
 }
 
 /// What a drive loses as it reverses.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Step {
     /// Which.
     pub mover: Mover,

@@ -11,7 +11,7 @@ use super::noise::Noise;
 use super::quantities::{Allowed, Facing, Quantities, Rays, evaluate};
 use super::smooth::form;
 use super::zone::outermost;
-use super::{NAMES, Settings, TRACE_NAMES};
+use super::{NAMES, Reference, Settings, TRACE_NAMES};
 
 /// Traces with more points are drawn by their outermost points alone.
 const MANY: usize = 4000;
@@ -26,8 +26,7 @@ const WIDTHS: [&str; 4] = ["G_lsc", "G_mzc", "Gb", "H"];
 pub(super) fn u95(
     rays: &Rays,
     values: &Quantities,
-    centre: [f64; 2],
-    allowed: Allowed,
+    Reference { centre, allowed }: Reference,
     noise: &Noise,
     settings: &Settings,
 ) -> Option<Vec<f64>> {
@@ -69,7 +68,7 @@ pub(super) fn u95(
     Some(u95)
 }
 
-/// For each value what every draw of noise adds to it, mm; `None` where the points tell no circle.
+/// For each value what every draw of noise adds to it, mm; `None` where the points determine no circle.
 fn draw(base: &Rays, sigma_mm: &[Vec<f64>], allowed: Allowed, settings: &Settings) -> Option<Vec<Vec<f64>>> {
     let nominal: Vec<f64> = evaluate(base, allowed)?.row().collect();
     let mut random = Pcg64::seed_from_u64(settings.seed);

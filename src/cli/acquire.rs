@@ -4,7 +4,6 @@
 pub(super) mod simulated;
 mod view;
 
-use std::error::Error;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
@@ -12,12 +11,16 @@ use std::time::Duration;
 use indicatif::{ProgressBar, ProgressStyle};
 
 use super::{Outcome, Output, Verdict, protocols};
-use crate::clock;
+use crate::base::clock;
+use crate::base::units::HostNs;
+use crate::catalogue::{CliFinding, PortFinding, ProtocolFinding};
 use crate::daemon::{
-    Acquisition, Attachments, Course, Ending, Options, Progress, Server, Summary, Watch, stop_on_signal, zero,
+    ALARM_SHARE, Acquisition, Ending, MountDetector, Options, Progress, Schedule, Server, Summary,
+    stop_on_signal, zero,
 };
-use crate::port::{self, Latency};
-use crate::units::HostNs;
+use crate::device::port;
+use crate::diagnostic::Diagnostic;
+use crate::recording::run::PlanFiles;
 
 /// The protocol without a word about it.
 const DEFAULT_PROTOCOL: &str = "dbb-cobs-1";
@@ -27,7 +30,7 @@ const LINE_EVERY_S: f64 = 5.0;
 /// When a run ends; shown below the options.
 const ENDS: &str = "The run ends at the program's end mark (two short strobe pulses after a dwell: with --plan the \
 last circle's, without a plan after 20 s of device time with no strobe; with --ekrl and --plan: when the program has \
-told its last dwell and closed the channel), after --duration, on SIGINT or SIGTERM, \
+reported its last dwell and closed the channel), after --duration, on SIGINT or SIGTERM, \
 or when the port stays away for --gone. Bytes are written before they are decoded: a kill loses at most the \
 record being written, a loss of power what came since the last --sync-every. A disk that is full or fails ends \
 the run: every whole record is kept (exit code 1). Exit code 3: samples are missing, or nothing was understood.";
@@ -35,7 +38,7 @@ the run: every whole record is kept (exit code 1). Exit code 3: samples are miss
 /// Read the bar over its serial line into a capture.
 ///
 /// The capture holds the raw bytes, the samples, every gap and fault, the plan and the protocol in force, and
-/// survives a kill. More: docs/capture.md.
+/// survives a kill. More: docs/reference/capture.md.
 #[derive(clap::Args, Clone)]
 #[command(after_help = ENDS)]
 pub(crate) struct Args {
@@ -52,10 +55,10 @@ pub(crate) struct Args {
     /// Plan that the robot executes; it and the plan.json beside it go into the capture.
     #[arg(long, value_name = "PLAN.csv")]
     plan: Option<PathBuf>,
-    /// Set the bar's reading to zero where it stands before the run, where its protocol has a command for it.
+    /// Set the bar's present reading to zero before the run, where its protocol has a command for it.
     #[arg(long)]
     zero: bool,
-    /// Listen here for a program written with `krl --sync ekrl --server ADDR:PORT`: it tells the begin and the end
+    /// Listen here for a program written with `krl --sync ekrl --server ADDR:PORT`: it reports the begin and the end
     /// of each dwell with the axis angles it measured, over EthernetKRL (TCP). Addresses other than 127.0.0.1
     /// can be reached by others in that network.
     #[arg(long, value_name = "ADDR:PORT")]
@@ -74,10 +77,10 @@ pub(crate) struct Args {
     sync_every: f64,
 }
 
-fn seconds(text: &str) -> Result<f64, String> {
+fn seconds(text: &str) -> Result<f64, CliFinding> {
     match text.parse::<f64>() {
         Ok(value) if value.is_finite() && value >= 0.0 => Ok(value),
-        _ => Err("a number of seconds, 0 or more".into()),
+        _ => Err(CliFinding::NotSeconds),
     }
 }
 
@@ -87,9 +90,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
         let address = server.address();
         out.progress(format!("listening for the program's telegrams on {address}"));
         if !address.ip().is_loopback() {
-            out.warning(format!(
-                "{address} can be reached from the network, where anyone can send telegrams: use a network of the cell's own"
-            ));
+            out.finding(PortFinding::OpenToNetwork { address: address.to_string() });
         }
     }
     #[cfg(unix)]
@@ -100,7 +101,8 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
         let cell = simulated::Cell::start(args.plan.as_deref(), speed, address, out)?;
         let args = Args { port: cell.port().into(), plan: Some(cell.plan().into()), ..args.clone() };
         let verdict = record(&args, server, out)?;
-        return cell.finish().map(|()| verdict);
+        cell.finish()?;
+        return Ok(verdict);
     }
     record(args, server, out)
 }
@@ -109,23 +111,19 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
 const ZEROED: &str = "the bar's reading was set to zero before the run";
 
 fn record(args: &Args, server: Option<Server>, out: &Output) -> Verdict {
-    let attachments = args.plan.as_deref().map(Attachments::of_plan).transpose()?.unwrap_or_default();
-    let name = args.protocol.as_deref().or(attachments.protocol.as_deref()).unwrap_or(DEFAULT_PROTOCOL);
+    let plan = args.plan.as_deref().map(PlanFiles::read).transpose()?;
+    let planned = plan.as_ref().map(|files| files.plan.header.job.bar.protocol.as_str());
+    let name = args.protocol.as_deref().or(planned).unwrap_or(DEFAULT_PROTOCOL);
     let definition = protocols::load_with(name, &args.params)?;
+    let schedule =
+        plan.as_ref().map_or_else(Schedule::default, |files| Schedule::of(&files.plan, ALARM_SHARE));
     out.detail(format!("protocol {}: {}", definition.id, definition.title));
-    if let Some(Latency { ms: ms @ 2.., device }) = port::quicken(&args.port) {
-        out.warning(format!(
-            "{device} holds bytes back for up to {ms} ms, which blurs times; this udev rule mends it:\n  {}",
-            port::LATENCY_RULE
-        ));
+    if let Some(finding) = port::quicken(&args.port) {
+        out.finding(finding);
     }
     if args.zero {
         if definition.zero.is_empty() {
-            return Err(format!(
-                "--zero: the protocol `{}` has no command for it ([cmd] zero)",
-                definition.id
-            )
-            .into());
+            return Err(ProtocolFinding::NoZeroCommand { id: definition.id }.into());
         }
         zero(&args.port, &definition)?;
         out.progress(ZEROED);
@@ -135,35 +133,37 @@ fn record(args: &Args, server: Option<Server>, out: &Output) -> Verdict {
         port: args.port.clone(),
         definition,
         out: args.out.clone(),
-        attachments,
+        plan,
         duration_s: args.duration,
         gone_s: args.gone,
         feed: None,
         sync_s: args.sync_every,
     };
-    let acquisition = Acquisition::told_by(server, options, stop)?;
+    let acquisition = Acquisition::start_with(server, options, stop)?;
     if args.zero {
         acquisition.mark(ZEROED.into());
     }
     out.progress(format!("reading {} into {}", args.port, args.out.display()));
-    watch(&acquisition, &view::course(args.plan.as_deref()), out)?;
+    show(&acquisition, &schedule, out)?;
     conclude(&acquisition.join()?, args, out)
 }
 
 /// Shows how the run goes until it is over.
-fn watch(acquisition: &Acquisition, course: &Course, out: &Output) -> Result<(), Box<dyn Error>> {
+fn show(acquisition: &Acquisition, schedule: &Schedule, out: &Output) -> Result<(), Diagnostic> {
     let line = out.decorated().then(ProgressBar::new_spinner);
     if let Some(line) = &line {
-        line.set_style(ProgressStyle::with_template("{spinner} {msg}")?);
+        let style = ProgressStyle::with_template("{spinner} {msg}")
+            .map_err(|error| CliFinding::NoOutput { why: error.to_string() })?;
+        line.set_style(style);
         line.enable_steady_tick(Duration::from_millis(200));
     }
     let mut said: Option<HostNs> = None;
-    let mut bar = Watch::default();
+    let mut mount = MountDetector::default();
     while !acquisition.is_over() {
         clock::sleep(0.05);
         let progress = acquisition.progress();
         if let Some(line) = &line {
-            line.set_message(view::lines(&progress, course, &mut bar));
+            line.set_message(view::lines(&progress, schedule, &mut mount));
         } else if said.is_none_or(|at| clock::now().seconds_since(at) >= LINE_EVERY_S) {
             if said.is_some() {
                 out.progress(status(&progress));
@@ -207,63 +207,38 @@ fn losses(progress: &Progress) -> String {
     found.map(|(count, what)| format!(", {count} {what}")).collect()
 }
 
-/// Says what the run gave, and whether something of it is to be doubted.
+/// Reports what the run gave and what is to be doubted.
 fn conclude(summary: &Summary, args: &Args, out: &Output) -> Verdict {
     let Summary { ending, progress } = summary;
-    out.document(summary)?;
-    let ended = match ending {
-        Ending::Mark => "the program's end mark",
-        Ending::Duration => "the time was up",
-        Ending::Stopped => "stopped",
-        Ending::Gone => "the port stayed away",
-    };
     out.result(format!(
-        "{}: {} samples, {} dwells, {} bytes in {:.1} s; {ended}",
+        "{}: {} samples, {} dwells, {} bytes in {:.1} s; {}",
         args.out.display(),
         progress.samples,
         progress.dwells,
         progress.bytes,
-        progress.elapsed_s
+        progress.elapsed_s,
+        ending.reason()
     ));
-    let mut doubts = Vec::new();
-    if *ending == Ending::Gone {
-        doubts.push(format!("{} stayed away for {} s; what came before is kept", args.port, args.gone));
-    }
-    if progress.bytes == 0 {
-        doubts.push("nothing was received: is the bar switched on, and is this its port?".into());
-    } else if !progress.in_step && progress.rejected == 0 {
-        doubts
-            .push("what was received is not this protocol: check --protocol and the bar's baud rate".into());
-    }
-    if progress.samples == 0 && progress.rejected > 0 {
-        doubts.push(format!(
-            "the bar sent no length, but {} times that it has none: is it within its stroke?",
-            progress.rejected
-        ));
-    }
-    if progress.missing > 0 || progress.lost_bytes > 0 {
-        doubts.push(format!(
-            "{} samples are missing and {} bytes were lost, in {} gaps",
-            progress.missing, progress.lost_bytes, progress.gaps
-        ));
-    }
-    if progress.unanswered > 0 {
-        doubts.push(format!("{} requests were not answered in time", progress.unanswered));
-    }
-    if progress.refused > 0 {
-        doubts.push(format!(
-            "{} telegrams were refused, at which the program halts: is it this plan's program? \
-             `dbbd export` shows them among the events",
-            progress.refused
-        ));
-    }
-    if args.ekrl.is_some() && progress.telegrams == 0 {
-        doubts.push(
-            "no telegram came: was the program written with `krl --sync ekrl --server` and this address, and is \
-             its channel file on the controller?"
-                .into(),
-        );
-    }
-    doubts.iter().for_each(|doubt| out.warning(doubt));
-    Ok(if doubts.is_empty() { Outcome::Done } else { Outcome::Doubt })
+    doubts(summary, args).into_iter().for_each(|finding| out.finding(finding));
+    out.document(summary)?;
+    Ok(Outcome::Done)
+}
+
+fn doubts(summary: &Summary, args: &Args) -> Vec<PortFinding> {
+    let Summary { ending, progress } = *summary;
+    let Progress { missing, lost_bytes, gaps, .. } = progress;
+    let doubts = [
+        (ending == Ending::Gone, PortFinding::StayedAway { port: args.port.clone(), gone_s: args.gone }),
+        (progress.bytes == 0, PortFinding::NothingReceived),
+        (progress.bytes > 0 && !progress.in_step && progress.rejected == 0, PortFinding::NotThisProtocol),
+        (
+            progress.samples == 0 && progress.rejected > 0,
+            PortFinding::NoLength { refusals: progress.rejected },
+        ),
+        (missing > 0 || lost_bytes > 0, PortFinding::SamplesMissing { missing, lost_bytes, gaps }),
+        (progress.unanswered > 0, PortFinding::Unanswered { requests: progress.unanswered }),
+        (progress.refused > 0, PortFinding::TelegramsRefused { telegrams: progress.refused }),
+        (args.ekrl.is_some() && progress.telegrams == 0, PortFinding::NoTelegram),
+    ];
+    doubts.into_iter().filter_map(|(found, finding)| found.then_some(finding)).collect()
 }

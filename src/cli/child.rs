@@ -1,12 +1,13 @@
 //! Other verbs as child processes of this same program, in a directory of their own.
 
-use std::error::Error;
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 
 use super::Output;
-use crate::clock;
+use crate::base::clock;
+use crate::catalogue::{FileFinding, SimulationFinding};
+use crate::diagnostic::Diagnostic;
 
 /// Runs commands in a directory.
 pub(crate) struct Steps<'a> {
@@ -22,8 +23,9 @@ pub(crate) struct Simulator {
 }
 
 impl<'a> Steps<'a> {
-    pub(crate) fn new(dir: &'a Path, out: &'a Output) -> Result<Self, Box<dyn Error>> {
-        Ok(Self { program: std::env::current_exe()?, dir, out })
+    pub(crate) fn new(dir: &'a Path, out: &'a Output) -> Result<Self, Diagnostic> {
+        let program = std::env::current_exe().map_err(|error| failed(&[], error))?;
+        Ok(Self { program, dir, out })
     }
 
     /// A heading.
@@ -32,11 +34,13 @@ impl<'a> Steps<'a> {
     }
 
     /// Removes a file of an earlier run, if there is one.
-    pub(crate) fn remove(&self, name: &str) -> Result<(), Box<dyn Error>> {
+    pub(crate) fn remove(&self, name: &str) -> Result<(), Diagnostic> {
         let path = self.dir.join(name);
         if path.exists() {
-            std::fs::remove_file(&path)
-                .map_err(|error| format!("{}: cannot be removed: {error}", path.display()))?;
+            std::fs::remove_file(&path).map_err(|error| {
+                let why = FileFinding::Unwritable { why: error.to_string() };
+                Diagnostic::file(&path.display().to_string(), why)
+            })?;
         }
         Ok(())
     }
@@ -51,36 +55,47 @@ impl<'a> Steps<'a> {
         command
     }
 
-    /// Runs a command to its end; what it says on stdout goes to our stderr, which holds the progress.
-    pub(crate) fn run(&self, args: &[&str]) -> Result<(), Box<dyn Error>> {
-        let mut child = self.command(args).stdout(Stdio::piped()).spawn()?;
+    /// Runs a command to its end; what it prints on stdout goes to our stderr, which holds the progress.
+    pub(crate) fn run(&self, args: &[&str]) -> Result<(), Diagnostic> {
+        let failed = |error| failed(args, error);
+        let mut child = self.command(args).stdout(Stdio::piped()).spawn().map_err(failed)?;
         if let Some(stdout) = child.stdout.take() {
             for line in BufReader::new(stdout).lines() {
-                self.out.progress(line?);
+                self.out.progress(line.map_err(failed)?);
             }
         }
-        let status = child.wait()?;
-        // 3 is done with a doubt, which the command has told.
+        let status = child.wait().map_err(failed)?;
+        // 3 is done with a doubt, which the command has reported.
         match status.code() {
             Some(0 | 3) => Ok(()),
-            _ => Err(format!("the step `dbbd {}` failed ({status})", args.join(" ")).into()),
+            _ => {
+                let (step, status) = (args.join(" "), status.to_string());
+                Err(SimulationFinding::StepFailed { step, status }.into())
+            }
         }
     }
 
     /// Starts the simulator and waits for the name of its pty, the first line on stdout.
-    pub(crate) fn start(&self, args: &[&str]) -> Result<Simulator, Box<dyn Error>> {
-        let mut child = self.command(args).stdout(Stdio::piped()).stderr(Stdio::null()).spawn()?;
+    pub(crate) fn start(&self, args: &[&str]) -> Result<Simulator, Diagnostic> {
+        let failed = |error| failed(args, error);
+        let mut command = self.command(args);
+        let mut child = command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().map_err(failed)?;
         let mut port = String::new();
         if let Some(stdout) = child.stdout.take() {
-            BufReader::new(stdout).read_line(&mut port)?;
+            BufReader::new(stdout).read_line(&mut port).map_err(failed)?;
         }
         let port = port.trim().to_owned();
         if port.is_empty() {
-            let status = child.wait()?;
-            return Err(format!("the simulator gave no pty ({status}); run it alone to see why").into());
+            let status = child.wait().map_err(failed)?.to_string();
+            return Err(SimulationFinding::NoPort { status }.into());
         }
         Ok(Simulator { child, port })
     }
+}
+
+/// A command that the system does not run.
+fn failed(args: &[&str], error: std::io::Error) -> Diagnostic {
+    SimulationFinding::StepNotStarted { step: args.join(" "), why: error.to_string() }.into()
 }
 
 impl Simulator {
@@ -90,15 +105,16 @@ impl Simulator {
     }
 
     /// Waits for its end, which comes when nobody reads the bar any more.
-    pub(crate) fn finish(mut self) -> Result<(), Box<dyn Error>> {
+    pub(crate) fn finish(mut self) -> Result<(), Diagnostic> {
         for _ in 0..100 {
-            match self.child.try_wait()?.and_then(|status| status.code()) {
+            let status = self.child.try_wait().map_err(|error| failed(&["simulate"], error))?;
+            match status.and_then(|status| status.code()) {
                 Some(0 | 3) => return Ok(()),
-                Some(code) => return Err(format!("the simulator failed (exit code {code})").into()),
+                Some(exit_code) => return Err(SimulationFinding::SimulatorFailed { exit_code }.into()),
                 None => clock::sleep(0.1),
             }
         }
-        Err("the simulator goes on although its bar is no longer read".into())
+        Err(SimulationFinding::SimulatorGoesOn.into())
     }
 }
 

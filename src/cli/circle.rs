@@ -1,22 +1,24 @@
 //! `dbbd circle`.
 
-use std::error::Error;
 use std::path::{Path, PathBuf};
 
 use serde_json::{Map, Value, json};
 
 use super::{Outcome, Output, Verdict};
+use crate::base::files;
+use crate::catalogue::{CircularFinding, MatchingFinding};
 use crate::circular::{
-    self, Evaluation, Mover, NAMES, Quantity, Settings, TERM_NAMES, TRACE_NAMES, Temperature, Trace,
+    self, Diagnosis, Evaluation, Harmonics, Mover, NAMES, Quantity, Settings, Step, TERM_NAMES, TRACE_NAMES,
+    Temperature, Trace, TraceResult,
 };
-use crate::files;
-use crate::report::circle::{CircleTest, CircleView};
+use crate::diagnostic::Diagnostic;
+use crate::recording::run;
+use crate::report::circle::CircleTest;
 use crate::report::{self, Provenance, Source};
-use crate::run;
 
 /// Evaluate circular tests by the quantities of ISO 230-4.
 ///
-/// G, G(b), D, F and H, each with a 95 % interval, and what reverses where. docs/circular-test.md says what of the
+/// G, G(b), D, F and H, each with a 95 % interval, and what reverses where. docs/reference/circular-test.md says what of the
 /// standard could not be read.
 #[derive(clap::Args)]
 pub(crate) struct Args {
@@ -65,7 +67,7 @@ struct Found {
     circle: Option<u32>,
     radius_mm: f64,
     traces: Vec<Trace>,
-    notes: Vec<String>,
+    notes: Vec<CircularFinding>,
     /// What the bar's certificate says, where there is one.
     certificate: Certificate,
 }
@@ -94,35 +96,22 @@ fn expansion(text: &str) -> Result<f64, String> {
 }
 
 pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
-    let mut doubt = false;
     let mut found = Vec::new();
-    let mut provenance =
-        Provenance { dbbd_version: env!("CARGO_PKG_VERSION").into(), ..Provenance::default() };
+    let mut provenance = Provenance::default();
     for path in &args.inputs {
         let name = path.display().to_string();
         if run::is_capture(path)? {
-            let (circles, plan_hash, torn) = from_capture(path, args, out)?;
-            doubt |= torn;
-            provenance.plan_hash = provenance.plan_hash.or(Some(plan_hash));
-            found.extend(circles);
+            let captured = from_capture(path, args, out)?;
+            provenance.plan_hash = provenance.plan_hash.or(Some(captured.plan_hash));
+            found.extend(captured.circles);
         } else {
             found.push(from_csv(&name, &files::read(path)?, args.radius)?);
         }
-        provenance.sources.push(Source { role: "lengths".into(), name, hash: None });
+        provenance.sources.push(Source { role: "lengths", name });
     }
     let mut tests = Vec::new();
-    for Found { source, circle, radius_mm, traces, notes, certificate } in found {
-        let settings = Settings {
-            sigma_mm: args.sigma,
-            bar_u_mm: args.bar_u.or(certificate.u_mm).unwrap_or(0.0),
-            temperature: in_force(args, certificate.temperature),
-            draws: args.monte_carlo,
-            ..Settings::new(radius_mm)
-        };
-        let mut evaluation =
-            circular::circular(&traces, &settings).map_err(|error| format!("{source}: {error}"))?;
-        evaluation.notes.splice(0..0, notes);
-        tests.push(CircleTest { source, circle, evaluation });
+    for circle in found {
+        tests.push(evaluate(circle, args)?);
     }
     files::directory(&args.out)?;
     for (at, test) in tests.iter().enumerate() {
@@ -130,13 +119,30 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
         files::write(&args.out.join(name), report::svg::standalone(&test.svg()))?;
     }
     let document = document(&tests);
-    files::write(&args.out.join("circle.json"), serde_json::to_string_pretty(&document)? + "\n")?;
-    let view = CircleView { tests: &tests, provenance };
-    files::write(&args.out.join("circle.html"), report::circle::html(&view)?)?;
+    files::write(&args.out.join("circle.json"), format!("{document:#}\n"))?;
+    files::write(&args.out.join("circle.html"), report::circle::html(&tests, &provenance)?)?;
+    for CircleTest { source, evaluation, .. } in &tests {
+        evaluation.notes.iter().for_each(|note| out.finding(Diagnostic::file(source, note.clone())));
+    }
     out.document(&document)?;
     tests.iter().for_each(|test| show(test, out));
     out.result(format!("results in {}", args.out.display()));
-    Ok(if doubt { Outcome::Doubt } else { Outcome::Done })
+    Ok(Outcome::Done)
+}
+
+fn evaluate(found: Found, args: &Args) -> Result<CircleTest, Diagnostic> {
+    let Found { source, circle, radius_mm, traces, notes, certificate } = found;
+    let settings = Settings {
+        sigma_mm: args.sigma,
+        bar_u_mm: args.bar_u.or(certificate.u_mm).unwrap_or(0.0),
+        temperature: in_force(args, certificate.temperature),
+        draws: args.monte_carlo,
+        ..Settings::new(radius_mm)
+    };
+    let mut evaluation =
+        circular::circular(&traces, &settings).map_err(|finding| Diagnostic::file(&source, finding))?;
+    evaluation.notes.splice(0..0, notes);
+    Ok(CircleTest { source, circle, evaluation })
 }
 
 /// The command line before the certificate.
@@ -149,47 +155,47 @@ fn in_force(args: &Args, certificate: Option<Temperature>) -> Temperature {
     }
 }
 
-fn from_csv(name: &str, text: &str, radius: Option<f64>) -> Result<Found, Box<dyn Error>> {
+fn from_csv(name: &str, text: &str, radius: Option<f64>) -> Result<Found, Diagnostic> {
     let traces = circular::traces_from_csv(name, text)?;
     let mut notes = Vec::new();
     let radius_mm = radius.unwrap_or_else(|| {
         let lengths = || traces.iter().flat_map(|trace| &trace.points).map(|point| point.length_mm);
         let mean: f64 = lengths().sum::<f64>() / lengths().count().max(1) as f64;
-        notes.push(format!("no --radius was given: the nominal radius is taken to be {} mm", mean.round()));
+        notes.push(CircularFinding::RadiusAssumed { radius_mm: mean.round() });
         mean.round()
     });
     let certificate = Certificate::default();
     Ok(Found { source: name.to_owned(), circle: None, radius_mm, traces, notes, certificate })
 }
 
-/// The circles of a capture, its plan's hash, and whether something of it is in doubt.
-fn from_capture(
-    path: &Path,
-    args: &Args,
-    out: &Output,
-) -> Result<(Vec<Found>, String, bool), Box<dyn Error>> {
-    let run = run::open(path, args.plan.as_deref(), &args.axes, &mut |note| out.note(&note))?;
+/// The circles of a capture, and its plan's hash.
+struct Captured {
+    circles: Vec<Found>,
+    plan_hash: String,
+}
+
+fn from_capture(path: &Path, args: &Args, out: &Output) -> Result<Captured, Diagnostic> {
+    let run = run::open(path, args.plan.as_deref(), &args.axes, &mut |finding| out.finding(finding))?;
     let bar = &run.plan.header.job.bar;
     let certificate = Certificate { temperature: run.certificate(), u_mm: bar.length_u_mm.map(|u| 0.5 * u) };
-    let (circles, warnings) = run.circles()?;
-    let doubt = run.torn || warnings.iter().any(|warning| warning.doubt);
-    out.matching(&warnings);
-    let found = circles.into_iter().map(|circle| Found {
+    let found = run.circles()?;
+    out.about(&found.findings);
+    let circles = found.circles.into_iter().map(|circle| Found {
         source: format!("{}, circle {}", path.display(), circle.number),
         circle: Some(circle.number),
         radius_mm: args.radius.unwrap_or(circle.radius_mm),
         notes: match circle.lost {
             0 => Vec::new(),
-            lost => vec![format!("{lost} poses have no length (`dbbd sync` says why)")],
+            poses => vec![CircularFinding::PosesWithoutLength { poses }],
         },
         traces: circle.traces,
         certificate,
     });
-    let found: Vec<Found> = found.collect();
-    if found.is_empty() {
-        return Err(format!("{}: no dwell can be told to be a pose on a circle", path.display()).into());
+    let circles: Vec<Found> = circles.collect();
+    if circles.is_empty() {
+        return Err(Diagnostic::file(&path.display().to_string(), MatchingFinding::NoCircle));
     }
-    Ok((found, run.plan.header.hash.clone(), doubt))
+    Ok(Captured { circles, plan_hash: run.plan.header.hash.clone() })
 }
 
 fn show(test: &CircleTest, out: &Output) {
@@ -205,9 +211,6 @@ fn show(test: &CircleTest, out: &Output) {
             out.result(format!("  {name:6} {value:10.5}{u95} mm"));
         }
     }
-    for note in &test.evaluation.notes {
-        out.progress(format!("note: {note}"));
-    }
 }
 
 fn put(map: &mut Map<String, Value>, name: &str, quantity: Quantity) {
@@ -215,7 +218,7 @@ fn put(map: &mut Map<String, Value>, name: &str, quantity: Quantity) {
     map.insert(format!("{name}_u95"), json!(quantity.u95));
 }
 
-/// The first test's keys stand at the top; all tests follow where there are more.
+/// The first test's keys are at the top; all tests follow where there are more.
 fn document(tests: &[CircleTest]) -> Value {
     let mut all: Vec<Map<String, Value>> = tests.iter().map(test_document).collect();
     let mut top = Map::new();
@@ -252,37 +255,45 @@ fn test_document(test: &CircleTest) -> Map<String, Value> {
             NAMES.iter().zip(values).map(|(name, value)| ((*name).to_owned(), json!(value))).collect();
         map.insert("as_measured".into(), Value::Object(named));
     }
-    let traces: Vec<Value> = found
-        .traces
-        .iter()
-        .map(|trace| {
-            let mut one = Map::new();
-            one.insert("run".into(), json!(trace.run));
-            one.insert("direction".into(), json!(trace.sense.word()));
-            one.insert("points".into(), json!(trace.points));
-            for (name, quantity) in TRACE_NAMES.iter().zip(&trace.quantities) {
-                put(&mut one, name, *quantity);
-            }
-            Value::Object(one)
-        })
-        .collect();
-    map.insert("traces".into(), Value::Array(traces));
-    let harmonics: Vec<Value> = found
-        .diagnosis
-        .harmonics
-        .iter()
-        .map(|harmonic| {
-            let mut one = Map::new();
-            one.insert("direction".into(), json!(harmonic.sense.word()));
-            for (at, name) in TERM_NAMES.iter().enumerate() {
-                one.insert((*name).to_owned(), json!(harmonic.values_mm[at]));
-                one.insert(format!("{name}_u95"), json!(harmonic.u95_mm[at]));
-            }
-            Value::Object(one)
-        })
-        .collect();
-    map.insert("harmonics".into(), Value::Array(harmonics));
-    let meaning = &found.diagnosis;
+    let list = |values: Vec<Value>| Value::Array(values);
+    map.insert("traces".into(), list(found.traces.iter().map(trace_document).collect()));
+    map.extend(diagnosis_document(&found.diagnosis));
+    let reversals = found.reversals.iter().map(|at| {
+        json!({ "run": at.run, "direction": at.sense.word(), "joint": at.joint, "angle_deg": at.angle_deg })
+    });
+    map.insert("joint_reversals".into(), list(reversals.collect()));
+    map.insert("reversal_steps".into(), list(found.steps.iter().map(step_document).collect()));
+    map.insert("length_sigma_mm".into(), json!(found.sigma_mm));
+    map.insert("length_sigma_source".into(), json!(found.sigma_source.word()));
+    map.insert("monte_carlo_draws".into(), json!(found.draws));
+    let notes = found.notes.iter().map(|note| json!(Diagnostic::new(note.clone())));
+    map.insert("notes".into(), list(notes.collect()));
+    map
+}
+
+fn trace_document(trace: &TraceResult) -> Value {
+    let mut map = Map::new();
+    map.insert("run".into(), json!(trace.run));
+    map.insert("direction".into(), json!(trace.sense.word()));
+    map.insert("points".into(), json!(trace.points));
+    for (name, quantity) in TRACE_NAMES.iter().zip(&trace.quantities) {
+        put(&mut map, name, *quantity);
+    }
+    Value::Object(map)
+}
+
+fn diagnosis_document(meaning: &Diagnosis) -> Map<String, Value> {
+    let harmonic = |harmonic: &Harmonics| {
+        let mut map = Map::new();
+        map.insert("direction".into(), json!(harmonic.sense.word()));
+        for (at, name) in TERM_NAMES.iter().enumerate() {
+            map.insert((*name).to_owned(), json!(harmonic.values_mm[at]));
+            map.insert(format!("{name}_u95"), json!(harmonic.u95_mm[at]));
+        }
+        Value::Object(map)
+    };
+    let mut map = Map::new();
+    map.insert("harmonics".into(), Value::Array(meaning.harmonics.iter().map(harmonic).collect()));
     for (name, pair) in [
         ("scale_mismatch", meaning.scale_mismatch),
         ("squareness_rad", meaning.squareness_rad),
@@ -291,30 +302,16 @@ fn test_document(test: &CircleTest) -> Map<String, Value> {
         map.insert(name.into(), json!(pair.map(|pair| pair[0])));
         map.insert(format!("{name}_u95"), json!(pair.map(|pair| pair[1])));
     }
-    let reversals: Vec<Value> = found
-        .reversals
-        .iter()
-        .map(|at| {
-            json!({ "run": at.run, "direction": at.sense.word(), "joint": at.joint, "angle_deg": at.angle_deg })
-        })
-        .collect();
-    map.insert("joint_reversals".into(), Value::Array(reversals));
-    let steps: Vec<Value> = found
-        .steps
-        .iter()
-        .map(|step| match step.mover {
-            Mover::Axis(axis) => json!({
-                "axis": axis, "play_mm": step.play, "play_mm_u95": step.u95, "largest_step_mm": step.most_mm,
-            }),
-            Mover::Joint(joint) => json!({
-                "joint": joint, "play_rad": step.play, "play_rad_u95": step.u95, "largest_step_mm": step.most_mm,
-            }),
-        })
-        .collect();
-    map.insert("reversal_steps".into(), Value::Array(steps));
-    map.insert("length_sigma_mm".into(), json!(found.sigma_mm));
-    map.insert("length_sigma_source".into(), json!(found.sigma_source));
-    map.insert("monte_carlo_draws".into(), json!(found.draws));
-    map.insert("notes".into(), json!(found.notes));
     map
+}
+
+fn step_document(step: &Step) -> Value {
+    match step.mover {
+        Mover::Axis(axis) => json!({
+            "axis": axis, "play_mm": step.play, "play_mm_u95": step.u95, "largest_step_mm": step.most_mm,
+        }),
+        Mover::Joint(joint) => json!({
+            "joint": joint, "play_rad": step.play, "play_rad_u95": step.u95, "largest_step_mm": step.most_mm,
+        }),
+    }
 }

@@ -1,27 +1,26 @@
 //! `dbbd compensate`.
 
-use std::error::Error;
 use std::fs;
 use std::path::{Path, PathBuf};
 
 use serde_json::json;
 
 use super::{Outcome, Output, Verdict};
-use crate::diag::Diagnostic;
-use crate::files;
-use crate::krl::compensate::{Moved, compensate};
-use crate::krl::production::{Files, Given, Text, read};
-use crate::model::{Pose, Robot};
+use crate::base::files;
+use crate::catalogue::{CompensationFinding, FileFinding};
+use crate::diagnostic::Diagnostic;
+use crate::program::krl::{Compensated, Files, Given, Moved, Text, compensate, read};
+use crate::robot::{Pose, Robot};
 
 /// Correct the points of a program for an identified robot.
 ///
-/// Rewrites the points of PROGRAM.src and of the PROGRAM.dat beside it; every other byte stays. Only points are
-/// corrected that stand in these two files; XHOME points and relative motions stay.
+/// Rewrites the points of PROGRAM.src and of the PROGRAM.dat beside it; every other byte stays. Only points in
+/// these two files are corrected; XHOME points and relative motions stay.
 ///
-/// The robot's base frame cannot be told from lengths. The points are corrected in the robot's own frame, so that
+/// The robot's base frame is not identifiable from lengths. The points are corrected in the robot's own frame, so that
 /// positions come out right with respect to each other; measure $BASE again afterwards where a place in the room
-/// matters. $BASE is taken in the robot's own base ($ROBROOT null). Nor can lengths tell the flange from the ball
-/// on it: the ball is taken to sit on the flange where the nominal robot file has it. $TOOL is the program's own,
+/// matters. $BASE is taken in the robot's own base ($ROBROOT null). Nor is the place of the ball on the
+/// flange: the ball is taken to be where the nominal robot file has it. $TOOL is the program's own,
 /// never the ball.
 #[derive(clap::Args)]
 pub(crate) struct Args {
@@ -37,10 +36,10 @@ pub(crate) struct Args {
     /// The controller's $config.dat, for TOOL_DATA and BASE_DATA.
     #[arg(long, value_name = "FILE.dat", conflicts_with_all = ["tool", "base"])]
     config: Option<PathBuf>,
-    /// $TOOL where the program does not tell it: mm and degrees, in the flange frame.
+    /// $TOOL where the program does not set it: mm and degrees, in the flange frame.
     #[arg(long, value_name = "X,Y,Z,A,B,C", value_parser = parse_frame, allow_hyphen_values = true)]
     tool: Option<Pose>,
-    /// $BASE where the program does not tell it: mm and degrees, in the robot's base.
+    /// $BASE where the program does not set it: mm and degrees, in the robot's base.
     #[arg(long, value_name = "X,Y,Z,A,B,C", value_parser = parse_frame, allow_hyphen_values = true)]
     base: Option<Pose>,
     /// The program is refused when a commanded point would move by more, mm.
@@ -48,38 +47,35 @@ pub(crate) struct Args {
     limit: f64,
 }
 
-fn parse_frame(text: &str) -> Result<Pose, String> {
-    let numbers: Result<Vec<f64>, _> = text.split(',').map(|part| part.trim().parse::<f64>()).collect();
-    match numbers.as_deref() {
-        Ok(&[x, y, z, a, b, c]) if [x, y, z, a, b, c].iter().all(|v| v.is_finite()) => {
+fn parse_frame(text: &str) -> Result<Pose, CompensationFinding> {
+    let numbers: Vec<f64> = text.split(',').map(|part| part.trim().parse().unwrap_or(f64::NAN)).collect();
+    match numbers[..] {
+        [x, y, z, a, b, c] if numbers.iter().all(|number| number.is_finite()) => {
             Ok(Pose::from_kuka([x, y, z], [a, b, c]))
         }
-        _ => Err("six numbers in mm and degrees are needed, as 0,0,150,0,0,0".into()),
+        _ => Err(CompensationFinding::NotAFrame),
     }
 }
 
 pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
     if !(args.limit.is_finite() && args.limit > 0.0) {
-        return Err(format!("--limit {} must be above 0", args.limit).into());
+        return Err(Diagnostic::new(CompensationFinding::BadLimit { limit_mm: args.limit }).into());
     }
     let robot_file = args.robot.display().to_string();
     let robot = Robot::from_toml(&robot_file, &files::read(&args.robot)?)?;
     if robot.nominal.is_none() {
-        return Err(Diagnostic::file(&robot_file, "is no identified robot: it has no [nominal] table")
-            .help("give the robot-identified.toml that `dbbd identify` wrote")
-            .into());
+        return Err(Diagnostic::file(&robot_file, CompensationFinding::NotIdentified).into());
     }
     let source = Program::open(&args.program)?;
     if args.program.extension().is_some_and(|kind| kind.eq_ignore_ascii_case("dat")) {
-        return Err(Diagnostic::file(&source.name, "holds the points of a program, and no motion")
-            .help("name the .src; the .dat beside it is corrected with it")
-            .into());
+        return Err(Diagnostic::file(&source.name, CompensationFinding::DataNamed).into());
     }
     let data = beside(&args.program, "dat").map(|path| Program::open(&path)).transpose()?;
     let config = args.config.as_deref().map(Program::open).transpose()?;
     for program in [Some(&source), data.as_ref()].into_iter().flatten() {
         if same_place(&args.out.join(&program.stem), &program.path) {
-            return Err(format!("--out {} would overwrite the program itself", args.out.display()).into());
+            let directory = args.out.display().to_string();
+            return Err(Diagnostic::new(CompensationFinding::WouldOverwrite { directory }).into());
         }
     }
     let program = Files {
@@ -88,39 +84,39 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
         config: config.as_ref().map(Program::text),
     };
     let points = read(program, Given { tool: args.tool, base: args.base })?;
-    let corrected = compensate(program, &points, &robot, args.limit)?;
-    files::directory(&args.out)?;
-    source.write(&args.out, &corrected.source)?;
-    if let (Some(data), Some(text)) = (&data, &corrected.data) {
-        data.write(&args.out, text)?;
-    }
-    for left in &points.left {
-        out.warning(left.to_string());
-    }
-    tell(out, args, &corrected.moved, points.left.len())?;
-    Ok(if points.left.is_empty() { Outcome::Done } else { Outcome::Doubt })
+    let corrected = compensate(program, &points, &robot, args.limit).map_err(|refused| {
+        refused.iter().for_each(|point| out.finding(point.clone()));
+        Diagnostic::file(&source.name, CompensationFinding::PointsRefused { points: refused.len() })
+    })?;
+    write(args, [&source].into_iter().chain(&data), &corrected)?;
+    points.left.iter().for_each(|left| out.finding(left.clone()));
+    report(out, args, &corrected.moved, points.left.len())?;
+    Ok(Outcome::Done)
 }
 
-fn tell(out: &Output, args: &Args, moved: &[Moved], left: usize) -> Result<(), Box<dyn Error>> {
-    for point in moved {
-        let Moved { name, line, shift_mm, turn_deg, turn_bits } = point;
+fn write<'a>(
+    args: &Args,
+    programs: impl Iterator<Item = &'a Program>,
+    corrected: &Compensated,
+) -> Result<(), Diagnostic> {
+    files::directory(&args.out)?;
+    let texts = [Some(&corrected.source), corrected.data.as_ref()];
+    programs.zip(texts.into_iter().flatten()).try_for_each(|(program, text)| program.write(&args.out, text))
+}
+
+fn report(out: &Output, args: &Args, moved: &[Moved], left: usize) -> Result<(), Diagnostic> {
+    for Moved { name, line, shift_mm, turn_deg, turn_bits } in moved {
         out.detail(format!("line {line}: {name} moved by {shift_mm:.3} mm, {turn_deg:.4} deg"));
-        if let Some([old, new]) = turn_bits {
-            out.progress(format!("line {line}: {name}: an axis passes zero: T {old} became T {new}"));
+        if let Some([taught, corrected]) = *turn_bits {
+            let (name, line) = (name.clone(), *line);
+            out.finding(CompensationFinding::TurnChanged { name, line, taught, corrected });
         }
     }
     let shifts = moved.iter().map(|point| point.shift_mm);
     let mean_mm = shifts.clone().sum::<f64>() / moved.len().max(1) as f64;
     let largest_mm = shifts.fold(0.0, f64::max);
-    let points: Vec<_> = moved
-        .iter()
-        .map(|point| {
-            json!({ "name": point.name, "line": point.line, "shift_mm": point.shift_mm, "turn_deg": point.turn_deg,
-                "turn_bits": point.turn_bits })
-        })
-        .collect();
     out.document(&json!({
-        "points": points, "mean_shift_mm": mean_mm, "largest_shift_mm": largest_mm, "left": left,
+        "points": moved, "mean_shift_mm": mean_mm, "largest_shift_mm": largest_mm, "left": left,
         "out": args.out.display().to_string(),
     }))?;
     out.result(format!(
@@ -146,8 +142,8 @@ struct Program {
 impl Program {
     fn open(path: &Path) -> Result<Self, Diagnostic> {
         let name = path.display().to_string();
-        let bytes =
-            fs::read(path).map_err(|error| Diagnostic::file(&name, format!("cannot be read: {error}")))?;
+        let bytes = fs::read(path)
+            .map_err(|error| Diagnostic::file(&name, FileFinding::Unreadable { why: error.to_string() }))?;
         let stem = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
         let (content, bytewise) = match String::from_utf8(bytes) {
             Ok(text) => (text, false),

@@ -1,6 +1,5 @@
 //! `dbbd import`: a trace that other software recorded becomes a capture.
 
-use std::error::Error;
 use std::fs::File;
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
@@ -8,14 +7,14 @@ use std::path::{Path, PathBuf};
 use serde_json::json;
 
 use super::{Outcome, Output, Verdict};
-use crate::capture::{Event, Record, WriteError, Writer};
-use crate::daemon::Attachments;
-use crate::diag::Diagnostic;
-use crate::files;
-use crate::import::{Counts, Mapping, Trace};
-use crate::run;
-use crate::sample::Sample;
-use crate::units::HostNs;
+use crate::base::files;
+use crate::base::units::HostNs;
+use crate::catalogue::{FileFinding, ImportFinding};
+use crate::diagnostic::Diagnostic;
+use crate::measurement::sample::Sample;
+use crate::recording::capture::{Event, Record, Writer};
+use crate::recording::import::{Bar, Counts, Mapping, Trace};
+use crate::recording::run::PlanFiles;
 
 /// Lines are kept in records of about this many bytes.
 const BLOCK: usize = 1 << 16;
@@ -27,14 +26,14 @@ const MOST: f64 = 100.0;
 
 /// Shown below the options.
 const LAYOUT: &str = "Without --mapping FILE is a CSV with the columns t_s (s) and length_mm (between the ball centres), \
-others are passed over. A mapping tells other layouts: [file] delimiter decimal skip_lines header comment; [time] column \
+others are left out. A mapping describes other layouts: [file] delimiter decimal skip_lines header comment; [time] column \
 unit = s|ms|us|ns|iso, or rate_hz; [length] column unit = mm|um|m|inch kind = distance|reading; [strobe], [valid], \
 [temperature] column. A column is a name, or a number from 1. examples/mapping.toml explains each.";
 
 /// Make a capture of a trace that other software recorded.
 ///
 /// The way to dbbd from a closed instrument: time and length as text, recorded while the plan's program ran. A
-/// small mapping file tells its layout.
+/// small mapping file describes its layout.
 #[derive(clap::Args)]
 #[command(after_help = LAYOUT)]
 pub(crate) struct Args {
@@ -56,18 +55,20 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
     let map_text = args.mapping.as_deref().map(files::read).transpose()?.unwrap_or_default();
     let map_name = args.mapping.as_ref().map_or_else(String::new, |path| path.display().to_string());
     let mapping = Mapping::from_toml(&map_name, &map_text)?;
-    let attachments = Attachments::of_plan(&args.plan)?.with("mapping.toml", map_text);
-    let plan = run::plan_beside(&args.plan)?;
-    let bar = &plan.header.job.bar;
-    let trace = || Trace::new(&name, &mapping, bar.length_mm, bar.stroke_mm);
+    let files = PlanFiles::read(&args.plan)?;
+    let bar = &files.plan.header.job.bar;
+    let bar = Bar { length_mm: bar.length_mm, stroke_mm: bar.stroke_mm };
+    let trace = || Trace::new(&name, &mapping, bar);
     // Read once to its end before anything is written: a line that is wrong leaves no capture behind.
     let Counts { samples, invalid, unix_ns } = lines(&args.file, trace(), |_, _| Ok(()))?;
     let mut writer = Writer::create(&args.out)?;
     let begin = HostNs(0);
     let version = env!("CARGO_PKG_VERSION").to_owned();
     writer.write(begin, &Record::Event(Event::Started { unix_ns, version }))?;
-    for (name, content) in attachments.files {
-        writer.write(begin, &Record::Attachment { name, content })?;
+    let planned_s = files.plan.duration_s();
+    for (name, content) in files.attachments().into_iter().chain([("mapping.toml", map_text)]) {
+        let record = Record::Attachment { name: name.into(), content: content.into_bytes() };
+        writer.write(begin, &record)?;
     }
     writer.write(begin, &Record::Event(Event::Mark { text: format!("imported from {name}") }))?;
     let mut last = begin;
@@ -81,18 +82,14 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
     block.write(&mut writer, last)?;
     writer.finish(last, "the end of the file that was imported", 0)?;
     let seconds = last.seconds_since(begin);
+    if invalid > 0 {
+        out.finding(Diagnostic::file(&name, ImportFinding::NotValid { readings: invalid }));
+    }
+    if !(LEAST * planned_s..=MOST * planned_s).contains(&seconds) {
+        out.finding(Diagnostic::file(&name, ImportFinding::Duration { seconds, planned_s }));
+    }
     out.document(&json!({ "samples": samples, "invalid": invalid, "seconds": seconds }))?;
     out.result(format!("{}: {samples} samples over {seconds:.1} s", args.out.display()));
-    if invalid > 0 {
-        out.warning(format!("{invalid} readings are beyond the bar's stroke or marked as not valid"));
-    }
-    let needed = plan.duration_s();
-    if !(LEAST * needed..=MOST * needed).contains(&seconds) {
-        out.warning(format!(
-            "the trace lasts {seconds:.1} s and the plan {needed:.0} s: it is of another run, its times are in another unit, or it was cut off"
-        ));
-        return Ok(Outcome::Doubt);
-    }
     Ok(Outcome::Done)
 }
 
@@ -100,20 +97,22 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
 fn lines(
     path: &Path,
     mut trace: Trace<'_>,
-    mut each: impl FnMut(&[u8], Option<(HostNs, Sample)>) -> Result<(), WriteError>,
-) -> Result<Counts, Box<dyn Error>> {
-    let unreadable =
-        |error| Diagnostic::file(&path.display().to_string(), format!("cannot be read: {error}"));
+    mut each: impl FnMut(&[u8], Option<(HostNs, Sample)>) -> Result<(), Diagnostic>,
+) -> Result<Counts, Diagnostic> {
+    let unreadable = |error: std::io::Error| {
+        let why = error.to_string();
+        Diagnostic::file(&path.display().to_string(), FileFinding::Unreadable { why })
+    };
     let mut text = BufReader::new(File::open(path).map_err(unreadable)?);
     let mut line = Vec::new();
     while text.read_until(b'\n', &mut line).map_err(unreadable)? > 0 {
         each(&line, trace.line(&line)?)?;
         line.clear();
     }
-    Ok(trace.finish()?)
+    trace.finish()
 }
 
-/// Lines that are not written yet, and what they say.
+/// Lines that are not written yet, with their samples.
 #[derive(Default)]
 struct Block {
     text: Vec<u8>,
@@ -122,7 +121,7 @@ struct Block {
 
 impl Block {
     /// Writes the text and then its samples; without one the text is of the time `otherwise`.
-    fn write(&mut self, writer: &mut Writer, otherwise: HostNs) -> Result<(), WriteError> {
+    fn write(&mut self, writer: &mut Writer, otherwise: HostNs) -> Result<(), Diagnostic> {
         let host = self.samples.first().map_or(otherwise, |(host, _)| *host);
         writer.write(host, &Record::Raw(std::mem::take(&mut self.text)))?;
         for (host, sample) in self.samples.drain(..) {

@@ -6,9 +6,11 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 
 use super::{Outcome, Output, Verdict};
-use crate::capture::{Damage, Event, Pass, Record, Stamped};
-use crate::protocol::{Definition, Fault, FaultKind};
-use crate::units::HostNs;
+use crate::base::units::HostNs;
+use crate::catalogue::RecordingFinding;
+use crate::device::protocol::{Definition, Fault, FaultKind};
+use crate::diagnostic::{Code, Diagnostic, Finding};
+use crate::recording::capture::{Damage, Event, Pass, Record, Stamped};
 
 /// Show a capture on one screen.
 ///
@@ -47,7 +49,8 @@ struct Info {
 struct DamageInfo {
     offset: u64,
     bytes: u64,
-    what: String,
+    code: Code,
+    text: String,
 }
 
 pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
@@ -57,14 +60,19 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
         Ok(())
     })?;
     let info = gathered.finish(pass.version, &pass.damages);
+    let doubts = doubts(&pass, info.ended.is_some(), info.lost);
+    let name = args.run.display().to_string();
+    doubts.into_iter().for_each(|doubt| out.finding(Diagnostic::file(&name, doubt)));
     out.document(&info)?;
     show(&args.run, &info, out);
-    pass.remarks().iter().for_each(|remark| out.warning(remark));
-    if info.ended.is_none() {
-        out.warning("the run was cut off: it has no record of its end");
-    }
-    let whole = pass.damages.is_empty() && info.ended.is_some() && info.lost == 0;
-    Ok(if whole { Outcome::Done } else { Outcome::Doubt })
+    Ok(Outcome::Done)
+}
+
+/// Why a capture is not whole: damages, samples that were lost, no record of its end.
+pub(super) fn doubts(pass: &Pass, ended: bool, lost: u64) -> Vec<RecordingFinding> {
+    let lost = (lost > 0).then_some(RecordingFinding::SamplesLost { samples: lost });
+    let cut_off = (!ended).then_some(RecordingFinding::CutOff);
+    pass.findings().into_iter().chain(lost).chain(cut_off).collect()
 }
 
 /// What one pass collects.
@@ -134,14 +142,15 @@ impl Gathered {
             .map(|damage| DamageInfo {
                 offset: damage.offset,
                 bytes: damage.bytes,
-                what: damage.what.clone(),
+                code: damage.finding.code(),
+                text: damage.finding.to_string(),
             })
             .collect();
         info
     }
 }
 
-/// A fault's kind in a word.
+/// A line fault's kind.
 pub(crate) fn word(kind: &FaultKind) -> &'static str {
     match kind {
         FaultKind::Framing => "framing",

@@ -6,14 +6,15 @@ use std::path::PathBuf;
 use serde_json::json;
 
 use super::{Outcome, Output, Verdict};
-use crate::files;
-use crate::krl::{self, Options};
-use crate::run;
+use crate::base::files;
+use crate::catalogue::ProgramFinding;
+use crate::program::krl::{self, Controller, Options};
+use crate::recording::run;
 
 /// Write the KRL programs of a plan.
 ///
 /// One module for each circle under DBB_MAIN, for KR C2, KR C4 or KR C5, as .src and .dat. The program moves,
-/// waits, and marks each dwell; it never runs by itself. More: docs/krl.md.
+/// waits, and marks each dwell; it never runs by itself. More: docs/reference/krl.md.
 #[derive(clap::Args)]
 pub(crate) struct Args {
     /// The plan; its .json is read beside it.
@@ -42,29 +43,14 @@ enum Sync {
     Ekrl,
 }
 
-#[derive(Clone, Copy, clap::ValueEnum)]
-enum Controller {
-    Krc2,
-    Krc4,
-    Krc5,
-}
-
 pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
-    let plan = run::plan_beside(&args.plan)?;
-    let options = Options {
-        sync: match args.sync {
-            Sync::Marker => krl::Sync::Marker,
-            Sync::Output => krl::Sync::Output,
-            Sync::Ekrl => {
-                krl::Sync::Ekrl { server: args.server.ok_or("--sync ekrl needs --server ADDR:PORT")? }
-            }
-        },
-        controller: match args.controller {
-            Controller::Krc2 => krl::Controller::Krc2,
-            Controller::Krc4 => krl::Controller::Krc4,
-            Controller::Krc5 => krl::Controller::Krc5,
-        },
+    let plan = run::read_plan(&args.plan)?;
+    let sync = match args.sync {
+        Sync::Marker => krl::Sync::Marker,
+        Sync::Output => krl::Sync::Output,
+        Sync::Ekrl => krl::Sync::Ekrl { server: args.server.ok_or(ProgramFinding::NoServer)? },
     };
+    let options = Options { sync, controller: args.controller };
     let modules = krl::emit(&plan, options)?;
     files::directory(&args.out)?;
     let mut written = Vec::new();

@@ -5,6 +5,7 @@ use std::io;
 use clap::{Command, CommandFactory};
 
 use super::{Cli, Outcome, Output, Verdict};
+use crate::catalogue::CliFinding;
 
 /// Print the manual page, with every verb.
 ///
@@ -16,11 +17,13 @@ pub(crate) fn run(_args: &Args, _out: &Output) -> Verdict {
     let mut command = Cli::command();
     command.build();
     let mut page = Vec::new();
-    render(&command, &mut page)?;
-    match io::Write::write_all(&mut io::stdout(), &page) {
+    let written = render(&command, &mut page).and_then(|()| io::Write::write_all(&mut io::stdout(), &page));
+    match written {
         // A pager that was left early is no failure.
-        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(Outcome::Done),
-        written => Ok(written.map(|()| Outcome::Done)?),
+        Err(error) if error.kind() != io::ErrorKind::BrokenPipe => {
+            Err(CliFinding::NoOutput { why: error.to_string() }.into())
+        }
+        _ => Ok(Outcome::Done),
     }
 }
 

@@ -8,6 +8,7 @@ mod compensate;
 mod completions;
 #[cfg(unix)]
 mod demo;
+mod explain;
 mod export;
 mod identify;
 mod import;
@@ -37,8 +38,8 @@ const EVERYWHERE: &str = "Options of every command";
 
 /// Shown below the list of commands.
 const EXITS: &str = "Exit codes: 0 done; 1 failed or refused, with the reason on stderr; 2 wrong usage; 3 done, with a \
-loss or a doubt that you must see. Results go to stdout, all else to stderr; NO_COLOR is honoured. What a message \
-means and what to do stands in docs/troubleshooting.md.";
+loss or a doubt that you must see. Results go to stdout, all else to stderr; NO_COLOR is honoured. `dbbd explain \
+CODE` explains the code of a message.";
 
 /// Calibrates an industrial robot with a telescoping double ball-bar.
 #[derive(Parser)]
@@ -86,6 +87,7 @@ enum Verb {
     Info(info::Args),
     Recover(recover::Args),
     Export(export::Args),
+    Explain(explain::Args),
     Robots(robots::Args),
     Protocols(protocols::Args),
     Ports(ports::Args),
@@ -125,6 +127,7 @@ pub fn main() -> ExitCode {
         Verb::Import(args) => import::run(args, &out),
         Verb::Info(args) => info::run(args, &out),
         Verb::Recover(args) => recover::run(args, &out),
+        Verb::Explain(args) => explain::run(args, &out),
         Verb::Export(args) => export::run(args, &out),
         Verb::Robots(args) => robots::run(args, &out),
         Verb::Protocols(args) => protocols::run(args, &out),

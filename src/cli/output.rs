@@ -1,24 +1,34 @@
 //! What goes to stdout (results) and stderr (progress, warnings, errors), and the exit code.
 
-use std::error::Error;
 use std::io::{self, IsTerminal, Write};
 use std::process::ExitCode;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use serde::Serialize;
 
 use super::{Common, Outcome, Verdict};
-use crate::run::Note;
-use crate::sync;
+use crate::catalogue::CliFinding;
+use crate::diagnostic::{Diagnostic, Finding, Severity};
 
-/// Where a verb says things.
-#[derive(Clone, Copy)]
+/// Where a verb reports; its copies share the findings.
+#[derive(Clone)]
 pub(crate) struct Output {
     common: Common,
+    findings: Arc<Mutex<Vec<Diagnostic>>>,
+}
+
+/// A result with what was found on the way to it.
+#[derive(Serialize)]
+struct Document<'a, T> {
+    #[serde(flatten)]
+    result: &'a T,
+    #[serde(skip_serializing_if = "<[Diagnostic]>::is_empty")]
+    findings: &'a [Diagnostic],
 }
 
 impl Output {
     pub(super) fn new(common: Common) -> Self {
-        Self { common }
+        Self { common, findings: Arc::default() }
     }
 
     /// A line of the result for people, on stdout; not said under `--json`.
@@ -28,15 +38,34 @@ impl Output {
         }
     }
 
-    /// The result as JSON on stdout, under `--json` only.
+    /// The result, a struct or a map, as JSON on stdout, under `--json` only. The findings that were reported before
+    /// are its `findings`.
     ///
     /// # Errors
-    /// When `value` cannot be written as JSON.
-    pub(crate) fn document(&self, value: &impl Serialize) -> Result<(), Box<dyn Error>> {
+    /// When it cannot be written as JSON.
+    pub(crate) fn document(&self, result: &impl Serialize) -> Result<(), Diagnostic> {
+        self.json(&Document { result, findings: &self.findings() })
+    }
+
+    /// A result that is a list, as JSON on stdout, under `--json` only.
+    ///
+    /// # Errors
+    /// When it cannot be written as JSON.
+    pub(crate) fn list(&self, list: &[impl Serialize]) -> Result<(), Diagnostic> {
+        self.json(&list)
+    }
+
+    fn json(&self, value: &impl Serialize) -> Result<(), Diagnostic> {
         if self.common.json {
-            write_line(&mut io::stdout(), &serde_json::to_string_pretty(value)?);
+            let text = serde_json::to_string_pretty(value)
+                .map_err(|error| CliFinding::NoJson { why: error.to_string() })?;
+            write_line(&mut io::stdout(), &text);
         }
         Ok(())
+    }
+
+    fn findings(&self) -> MutexGuard<'_, Vec<Diagnostic>> {
+        self.findings.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// What goes on, on stderr; not said under `--quiet`.
@@ -53,24 +82,18 @@ impl Output {
         }
     }
 
-    /// What the user must see, on stderr; also under `--quiet`.
-    pub(crate) fn warning(&self, line: impl AsRef<str>) {
-        write_line(&mut io::stderr(), &format!("warning: {}", line.as_ref()));
+    /// A finding on stderr; an information is not reported under `--quiet`. A warning makes the exit code 3.
+    pub(crate) fn finding(&self, finding: impl Into<Diagnostic>) {
+        let finding = finding.into();
+        if finding.code.severity() > Severity::Info || !self.common.quiet {
+            write_line(&mut io::stderr(), &labelled(&finding));
+        }
+        self.findings().push(finding);
     }
 
-    /// What a run that was read has to say.
-    pub(crate) fn note(&self, note: &Note) {
-        match note {
-            Note::Warning(text) => self.warning(text),
-            Note::Remark(text) => self.progress(text),
-        }
-    }
-
-    /// What the matching of lengths to poses warns of; only doubts are warnings to the user.
-    pub(crate) fn matching(&self, warnings: &[sync::Warning]) {
-        for warning in warnings {
-            if warning.doubt { self.warning(&warning.text) } else { self.progress(&warning.text) }
-        }
+    /// Findings about a result.
+    pub(crate) fn about<F: Finding + Clone>(&self, findings: &[F]) {
+        findings.iter().for_each(|finding| self.finding(Diagnostic::new(finding.clone())));
     }
 
     /// A line on stderr, as it is; also under `--quiet`.
@@ -95,11 +118,32 @@ fn write_line(to: &mut impl Write, line: &str) {
     let _ = to.write_all(format!("{line}\n").as_bytes());
 }
 
-/// Says the error, if there is one, and turns the verdict into the exit code.
+/// A finding as a line, such as `warning[W0123]: FILE:LINE: ..`.
+fn labelled(finding: &Diagnostic) -> String {
+    let label = match finding.code.severity() {
+        Severity::Info => "note",
+        Severity::Warning => "warning",
+        Severity::Error => "error",
+    };
+    format!("{label}[{}]: {finding}", finding.code)
+}
+
+/// Reports the error, if there is one; the exit code. A warning that was reported is a doubt, whatever the verb.
 pub(super) fn finish(out: &Output, verdict: Verdict) -> ExitCode {
+    let warned = out.findings().iter().any(|finding| finding.code.severity() == Severity::Warning);
     match verdict {
-        Ok(Outcome::Done) => ExitCode::SUCCESS,
-        Ok(Outcome::Doubt) => ExitCode::from(if out.common.strict { 1 } else { 3 }),
+        Ok(Outcome::Done) if !warned => ExitCode::SUCCESS,
+        Ok(_) => ExitCode::from(if out.common.strict { 1 } else { 3 }),
+        Err(error) if error.is::<Diagnostic>() => {
+            if let Some(diagnostic) = error.downcast_ref::<Diagnostic>() {
+                write_line(&mut io::stderr(), &labelled(diagnostic));
+                if out.common.json {
+                    let document = serde_json::json!({ "error": diagnostic });
+                    write_line(&mut io::stdout(), &format!("{document:#}"));
+                }
+            }
+            ExitCode::FAILURE
+        }
         Err(error) => {
             let mut message = format!("error: {error}");
             let mut cause = error.source();

@@ -1,7 +1,8 @@
 //! `dbbd ports`.
 
 use super::{Outcome, Output, Verdict};
-use crate::port;
+use crate::catalogue::PortFinding;
+use crate::device::port;
 
 /// List the serial ports.
 ///
@@ -23,19 +24,16 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
         None | Some(What::List) => {}
     }
     let found = port::list()?;
-    out.document(&found)?;
+    out.list(&found)?;
     if found.is_empty() {
-        out.progress("no serial port is plugged in");
+        out.finding(PortFinding::NoPorts);
     }
     for port in found {
         let by_id = port.by_id.map_or(String::new(), |name| format!("  {name}"));
         out.result(format!("{}  {}{by_id}", port.port, port.description));
-        if let Some(ms @ 2..) = port.latency_ms {
-            out.warning(format!(
-                "{} holds bytes back for up to {ms} ms; as root: echo 1 > /sys/bus/usb-serial/devices/{}/latency_timer",
-                port.port,
-                port.port.trim_start_matches("/dev/")
-            ));
+        if let Some(hold_ms @ 2..) = port.latency_ms {
+            let device = port.port.trim_start_matches("/dev/").to_owned();
+            out.finding(PortFinding::AdapterHoldsBack { device, hold_ms });
         }
     }
     Ok(Outcome::Done)

@@ -1,21 +1,22 @@
 //! `dbbd protocols`.
 
-use std::error::Error;
 use std::path::{Path, PathBuf};
 
 use serde_json::json;
 
 use super::{Outcome, Output, Verdict};
-use crate::diag::{Diagnostic, nearest};
-use crate::files;
-use crate::protocol::Definition;
-use crate::sample::Sample;
-use crate::units::DeviceTicks;
+use crate::base::files;
+use crate::base::units::DeviceTicks;
+use crate::catalogue::CliFinding;
+use crate::catalogue::ProtocolFinding::UnknownProtocol;
+use crate::device::protocol::Definition;
+use crate::diagnostic::Diagnostic;
+use crate::measurement::sample::Sample;
 
 /// List, show or check protocol definitions.
 ///
-/// A definition is a TOML file that tells how a bar's bytes become lengths; a new device needs no code. More:
-/// docs/protocols.md, docs/build-a-bar.md.
+/// A definition is a TOML file that describes how a bar's bytes become lengths; a new device needs no code. More:
+/// docs/reference/protocols.md, docs/how-to/build-a-bar.md.
 #[derive(clap::Args)]
 pub(crate) struct Args {
     #[command(subcommand)]
@@ -64,10 +65,10 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
 }
 
 /// Parses NAME=VALUE.
-pub(crate) fn param(text: &str) -> Result<(String, String), String> {
+pub(crate) fn param(text: &str) -> Result<(String, String), CliFinding> {
     match text.split_once('=') {
         Some((name, value)) if !name.is_empty() => Ok((name.to_owned(), value.to_owned())),
-        _ => Err("must be NAME=VALUE".into()),
+        _ => Err(CliFinding::NotNameAndValue),
     }
 }
 
@@ -118,29 +119,25 @@ fn undetected(definition: &Definition) -> String {
 ///
 /// # Errors
 /// An unknown name, or what is wrong in the file.
-pub(crate) fn load_with(name: &str, params: &[(String, String)]) -> Result<Definition, Box<dyn Error>> {
+pub(crate) fn load_with(name: &str, params: &[(String, String)]) -> Result<Definition, Diagnostic> {
     if let Some(built_in) = Definition::by_name_with(name, params) {
-        return Ok(built_in?);
+        return built_in;
     }
     let path = Path::new(name);
     if path.exists() || name.ends_with(".toml") {
-        return Ok(from_file(path, params)?);
+        return from_file(path, params);
     }
-    Err(unknown(name).into())
+    Err(unknown(name))
 }
 
 fn from_file(path: &Path, params: &[(String, String)]) -> Result<Definition, Diagnostic> {
     Definition::from_toml_with(&path.display().to_string(), &files::read(path)?, params)
 }
 
-fn unknown(name: &str) -> String {
+fn unknown(name: &str) -> Diagnostic {
     let known: Vec<&str> = Definition::built_in().iter().map(|(name, _)| *name).collect();
-    let meant = nearest(name, known.iter().copied())
-        .map_or(String::new(), |near| format!("; did you mean `{near}`?"));
-    format!(
-        "no protocol `{name}`: neither built in nor a file{meant}\n  help: built in are: {}; a file ends in .toml",
-        known.join(", ")
-    )
+    let (name, built_in) = (name.to_owned(), known.join(", "));
+    Diagnostic::new(UnknownProtocol { name: name.clone(), built_in }).nearest(&name, known)
 }
 
 fn summary(definition: &Definition) -> serde_json::Value {
@@ -151,7 +148,7 @@ fn summary(definition: &Definition) -> serde_json::Value {
         "source": definition.source,
         "tested_on": definition.tested_on,
         "baud": definition.line.baud,
-        "baud_probe": definition.line_probe,
+        "baud_probe": definition.line.baud_probe,
         "nominal_hz": definition.nominal_hz,
         "params": definition.params.iter().cloned().collect::<std::collections::BTreeMap<_, _>>(),
         "resolution_mm": definition.resolution_mm(),
@@ -174,6 +171,6 @@ fn list(out: &Output) -> Verdict {
         out.result(format!("{name:20}  {} [{}{tried}; {passes}]", definition.title, definition.confidence));
         all.push(summary(&definition));
     }
-    out.document(&all)?;
+    out.list(&all)?;
     Ok(Outcome::Done)
 }

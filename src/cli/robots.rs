@@ -1,13 +1,14 @@
 //! `dbbd robots`.
 
-use std::error::Error;
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
 use super::{Outcome, Output, Verdict};
-use crate::files;
-use crate::model::Robot;
+use crate::base::files;
+use crate::diagnostic::Diagnostic;
+use crate::robot::Robot;
+use crate::robot::file::{JointTable, Tolerance};
 
 /// List, show or check robots.
 ///
@@ -29,7 +30,7 @@ enum What {
         #[arg(value_name = "NAME|FILE")]
         name: String,
     },
-    /// Check a robot file; a mistake is told with its line.
+    /// Check a robot file; a mistake is reported with its line.
     Check {
         /// The robot file.
         file: PathBuf,
@@ -40,21 +41,15 @@ enum What {
 ///
 /// # Errors
 /// An unknown name, or what is wrong in the file.
-pub(crate) fn named(name: &str) -> Result<Robot, Box<dyn Error>> {
+pub(crate) fn named(name: &str) -> Result<Robot, Diagnostic> {
     if let Some(built_in) = Robot::by_name(name) {
-        return Ok(built_in?);
+        return built_in;
     }
     let path = Path::new(name);
     if path.exists() || name.ends_with(".toml") {
-        return Ok(Robot::from_toml(name, &files::read(path)?)?);
+        return Robot::from_toml(name, &files::read(path)?);
     }
-    let known: Vec<&str> = Robot::built_in().iter().map(|(name, _)| *name).collect();
-    let meant = Robot::similar_name(name).map_or(String::new(), |near| format!("; did you mean `{near}`?"));
-    Err(format!(
-        "no robot `{name}`: neither built in nor a file{meant}\n  help: built in are: {}; a file ends in .toml",
-        known.join(", ")
-    )
-    .into())
+    Err(Robot::unknown(name))
 }
 
 /// A built-in robot, or one that was checked, in short.
@@ -70,24 +65,12 @@ struct Entry<'a> {
 struct Shown<'a> {
     #[serde(flatten)]
     entry: Entry<'a>,
-    joints: Vec<Joint>,
+    joints: Vec<JointTable>,
     tool_ball_mm: [f64; 3],
-    tolerance: crate::model::robot::Tolerance,
+    tolerance: Tolerance,
     repeatability_mm: Option<f64>,
     identified: bool,
     source: Option<&'a str>,
-}
-
-#[derive(Serialize)]
-struct Joint {
-    alpha_deg: f64,
-    a_mm: f64,
-    theta_offset_deg: f64,
-    d_mm: f64,
-    sign: f64,
-    beta_deg: f64,
-    limits_deg: [f64; 2],
-    max_speed_deg_s: f64,
 }
 
 pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
@@ -113,7 +96,7 @@ fn list(out: &Output) -> Verdict {
         .iter()
         .map(|(id, robot)| Entry { id, name: &robot.name, reach_mm: robot.reach_mm() })
         .collect();
-    out.document(&entries)?;
+    out.list(&entries)?;
     for entry in &entries {
         out.result(format!("{:<12} {}, reach {:.1} mm", entry.id, entry.name, entry.reach_mm));
     }
@@ -122,24 +105,9 @@ fn list(out: &Output) -> Verdict {
 
 fn show(name: &str, out: &Output) -> Verdict {
     let robot = named(name)?;
-    let joints: Vec<Joint> = (0..crate::model::AXES)
-        .map(|i| {
-            let row = &robot.geometry.rows[i];
-            Joint {
-                alpha_deg: row.alpha.to_degrees(),
-                a_mm: row.a,
-                theta_offset_deg: row.theta.to_degrees(),
-                d_mm: row.d,
-                sign: row.sign,
-                beta_deg: row.beta.to_degrees(),
-                limits_deg: robot.limits_deg[i],
-                max_speed_deg_s: robot.max_speed_deg_s[i],
-            }
-        })
-        .collect();
     let shown = Shown {
         entry: Entry { id: name, name: &robot.name, reach_mm: robot.reach_mm() },
-        joints,
+        joints: robot.joint_tables(),
         tool_ball_mm: robot.geometry.tool.into(),
         tolerance: robot.tolerance,
         repeatability_mm: robot.repeatability_mm,

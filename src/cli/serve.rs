@@ -10,17 +10,18 @@ use serde_json::json;
 use super::acquire::simulated;
 use super::{Outcome, Output, Verdict};
 use crate::daemon::{self, Bench, Config, Level, Log};
+use crate::diagnostic::Diagnostic;
 
 /// Shown below the options.
 const MORE: &str = "Without a configuration it listens on 127.0.0.1:8230, keeps runs in ./dbbd-runs and looks for \
-plans in ./NAME/plan.csv; the port is then chosen on the page. docs/serve.md explains every key, docs/security.md who \
+plans in ./NAME/plan.csv; the port is then chosen on the page. docs/reference/service.md explains every key, docs/reference/security.md who \
 may ask what. SIGINT and SIGTERM end a run as it should. dbbd never starts or moves the robot, and its alarm is not a \
 safety function.";
 
 /// Serve the live page and the HTTP API for one bar.
 ///
 /// Length against stroke, polar plot, start, stop, evaluation and report in a browser. dbbd never starts or moves
-/// the robot, and its alarm is not a safety function. More: docs/serve.md, docs/security.md.
+/// the robot, and its alarm is not a safety function. More: docs/reference/service.md, docs/reference/security.md.
 #[derive(clap::Args)]
 #[command(after_help = MORE)]
 pub(crate) struct Args {
@@ -44,16 +45,15 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
         out.result(format!("the configuration is sound: http://{address}/, runs in {data}"));
         return Ok(Outcome::Done);
     }
-    daemon::serve(config, Arc::new(Lines { out: *out }), bench(*out))?;
+    daemon::serve(config, Arc::new(Lines { out: out.clone() }), bench(out.clone()))?;
     Ok(Outcome::Done)
 }
 
 /// What the port `sim` reads: a simulated cell at the speed of life.
 #[cfg(unix)]
 fn bench(out: Output) -> Option<Bench> {
-    let make = move |plan: Option<&Path>| -> Result<Box<dyn daemon::Cell>, String> {
-        let cell = simulated::Cell::start(plan, "1", None, &out).map_err(|error| error.to_string())?;
-        Ok(Box::new(cell))
+    let make = move |plan: Option<&Path>| -> Result<Box<dyn daemon::Cell>, Diagnostic> {
+        Ok(Box::new(simulated::Cell::start(plan, "1", None, &out)?))
     };
     Some(Box::new(make))
 }

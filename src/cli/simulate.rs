@@ -1,22 +1,22 @@
 //! `dbbd simulate`.
 
-use std::error::Error;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
 use serde_json::json;
 
 use super::{Outcome, Output, Verdict, protocols};
+use crate::base::files;
+use crate::catalogue::{FileFinding, SimulationFinding};
 use crate::cli::robots;
-use crate::diag::Diagnostic;
-use crate::files;
-use crate::krl::Program;
-use crate::sim::bar::{Options, Reading, Source, Terminal, serve_badly};
+use crate::diagnostic::Diagnostic;
+use crate::program::krl::Program;
+use crate::sim::bar::{Line, Options, Reading, Source, Terminal, serve_over};
 use crate::sim::ekrl::Client;
 use crate::sim::fault::{BadLine, Faults};
 use crate::sim::link::Link;
 use crate::sim::world::{Setup, Stroke};
-use crate::sim::{Controller, World, truth};
+use crate::sim::{Controller, Moment, World, truth};
 
 /// How long the bar streams after the program's end, s: the end mark is to be seen whole.
 const AFTER_END_S: f64 = 3.0;
@@ -24,7 +24,7 @@ const AFTER_END_S: f64 = 3.0;
 /// Execute a KRL program on a simulated robot with a virtual ball-bar on a pty.
 ///
 /// The program is the robot's only source of motion. The true robot differs from the controller's; the bar streams the
-/// true lengths on a pseudo-terminal, whose name stands on stdout. The program goes on from its HALT once a reader has
+/// true lengths on a pseudo-terminal, whose name is printed on stdout. The program goes on from its HALT once a reader has
 /// started the bar. Exit code 3 when a reading at a dwell was out of the stroke.
 #[derive(clap::Args)]
 pub(crate) struct Args {
@@ -59,7 +59,7 @@ pub(crate) struct Args {
     /// A symlink to the pty, removed at the end.
     #[arg(long, value_name = "PATH")]
     link: Option<PathBuf>,
-    /// The EthernetKRL server to which a program written with `krl --sync ekrl` tells its dwells.
+    /// The EthernetKRL server to which a program written with `krl --sync ekrl` reports its dwells.
     #[arg(long, value_name = "ADDR:PORT")]
     ekrl: Option<SocketAddr>,
     /// A fault of the line or the bar; may be given several times. Per byte, as probabilities: drop,
@@ -75,7 +75,7 @@ pub(crate) struct Args {
     /// Seconds of device time per second; 0: as fast as the reader takes the bytes.
     #[arg(long, value_name = "X", default_value_t = 1.0)]
     speed: f64,
-    /// How long the program stands at each HALT once the bar has been started, s of device time.
+    /// How long the program waits at each HALT once the bar has been started, s of device time.
     #[arg(long, value_name = "S", default_value_t = 2.0)]
     halt: f64,
     /// The override of the controller's speed, percent.
@@ -85,95 +85,69 @@ pub(crate) struct Args {
 
 pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
     let ranges = [("--halt", args.halt, 0.0, 86_400.0), ("--override", args.override_percent, 1.0, 100.0)];
-    if let Some((name, value, low, high)) =
-        ranges.into_iter().find(|(_, v, low, high)| !(low..=high).contains(&v))
-    {
-        return Err(format!("{name} {value} must be {low} to {high}").into());
+    for (option, value, low, high) in ranges {
+        if !(low..=high).contains(&value) {
+            let option = option.to_owned();
+            let wrong = SimulationFinding::OptionOutOfRange { option, value, low, high };
+            return Err(Diagnostic::new(wrong).into());
+        }
     }
-    let mut faults = Faults::default();
-    for (name, value) in &args.faults {
-        let number = value.parse().map_err(|_| format!("--fault {name}={value}: not a number"))?;
-        faults.set(name, number).map_err(|why| format!("--fault {why}"))?;
-    }
+    let faults = faults(args)?;
     let definition = protocols::load_with(&args.protocol, &args.params)?;
-    let nominal = robots::named(&args.nominal)?;
-    let robot = match &args.robot {
-        Some(name) => robots::named(name)?,
-        None => truth::draw(&nominal, args.seed, 1.0),
-    };
-    let program = program(&args.program)?;
-    let world_text = args.world.as_deref().map(files::read).transpose()?;
-    let world_name = args.world.as_ref().map(|path| path.display().to_string());
-    let setup = Setup::new(&program, world_name.as_deref().zip(world_text.as_deref()))?;
-    let options = Options { rate_hz: setup.bar.rate_hz, speed: args.speed, first_ticks: 0 };
-    let accuracy = args.accuracy.as_deref().map(robots::named).transpose()?;
-    let mut controller =
-        Controller::new(program, accuracy.as_ref().unwrap_or(&nominal), args.override_percent)?;
-    if accuracy.is_some() {
-        controller.correct_by_itself();
-    }
-    let mut cell = Cell {
-        controller,
-        world: World::new(robot.geometry, setup, args.seed),
-        server: args.ekrl,
-        ekrl: None,
-        out,
-        halt_s: args.halt,
-        t_s: 0.0,
-        halted_at_s: None,
-        done_at_s: None,
-        said: 0,
-        strayed: 0,
-        failure: None,
-    };
-    if args.ekrl.is_some() {
-        cell.controller.link_ekrl();
-    }
+    let mut cell = Cell::new(args, out)?;
+    let options = Options { rate_hz: cell.world.setup().bar.rate_hz, speed: args.speed, first_ticks: 0 };
     let terminal = Terminal::new()?;
-    let link = args.link.as_deref().map(|path| link(path, terminal.name())).transpose()?;
+    let link = args.link.as_deref().map(|path| Link::new(path, terminal.name())).transpose()?;
     out.document(&json!({ "port": terminal.name() }))?;
     out.result(terminal.name());
-    let bad = BadLine::new(faults, args.seed);
-    let frames = serve_badly(terminal, &definition, options, &mut cell, bad, link)?;
+    let line = Line { bad: BadLine::new(faults, args.seed), link };
+    let frames = serve_over(line, terminal, &definition, options, &mut cell)?;
     if let Some(failure) = cell.failure {
         return Err(failure.into());
     }
     if let Some(directory) = &args.save {
         files::directory(directory)?;
-        for (name, text) in cell.controller.saved() {
-            let name = Path::new(&name).file_name().ok_or("a .dat file without a name")?;
+        for (path, text) in cell.controller.saved() {
+            let name = Path::new(&path).file_name().unwrap_or(path.as_ref());
             files::write(&directory.join(name), text)?;
         }
     }
     out.progress(format!("{} dwells, {frames} frames, {:.1} s", cell.controller.dwells(), cell.t_s));
     if cell.strayed > 0 {
-        out.warning(format!("{} readings at dwells were out of the bar's stroke", cell.strayed));
-        return Ok(Outcome::Doubt);
+        out.finding(SimulationFinding::OutOfStroke { readings: cell.strayed });
     }
     Ok(Outcome::Done)
 }
 
-fn link(path: &Path, name: &str) -> Result<Link, Diagnostic> {
-    Link::new(path, name)
-        .map_err(|error| Diagnostic::file(&path.display().to_string(), format!("cannot be made: {error}")))
+fn faults(args: &Args) -> Result<Faults, Diagnostic> {
+    let mut faults = Faults::default();
+    for (name, value) in &args.faults {
+        let Ok(number) = value.parse() else {
+            let (name, value) = (name.clone(), value.clone());
+            return Err(SimulationFinding::FaultNotANumber { name, value }.into());
+        };
+        faults.set(name, number)?;
+    }
+    Ok(faults)
 }
 
 /// The program in a file, with the modules beside it; names are found in any case.
-fn program(path: &Path) -> Result<Program, Box<dyn Error>> {
+fn program(path: &Path) -> Result<Program, Diagnostic> {
     let directory = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let stem = path.file_stem().and_then(|stem| stem.to_str()).unwrap_or_default();
     let names: Vec<String> = directory
         .read_dir()
         .map_err(|error| {
-            Diagnostic::file(&directory.display().to_string(), format!("cannot be read: {error}"))
+            let why = FileFinding::Unreadable { why: error.to_string() };
+            Diagnostic::file(&directory.display().to_string(), why)
         })?
         .filter_map(|entry| entry.ok()?.file_name().into_string().ok())
         .collect();
-    Ok(Program::open(stem, |wanted| {
+    Program::open(stem, |wanted| {
         let Some(name) = names.iter().find(|name| name.eq_ignore_ascii_case(wanted)) else { return Ok(None) };
         let path = directory.join(name);
         Ok(Some((path.display().to_string(), files::read(&path)?)))
-    })?)
+    })
 }
 
 /// The robot cell: controller, true robot and bar.
@@ -188,8 +162,8 @@ struct Cell<'a> {
     t_s: f64,
     halted_at_s: Option<f64>,
     done_at_s: Option<f64>,
-    /// Dwells that were told of.
-    said: u32,
+    /// Dwells that were reported.
+    reported: u32,
     /// Readings at a strobe that were out of the stroke.
     strayed: u64,
     failure: Option<Diagnostic>,
@@ -209,7 +183,7 @@ impl Source for &mut Cell<'_> {
             self.failure = Some(failure);
             return None;
         }
-        self.tell(moment.halted, moment.done);
+        self.report(&moment);
         if moment.halted {
             let since = *self.halted_at_s.get_or_insert(t_s);
             if t_s - since >= self.halt_s {
@@ -232,8 +206,43 @@ impl Source for &mut Cell<'_> {
     }
 }
 
-impl Cell<'_> {
-    /// Carries the controller's telegrams to the server and the answers back; device time stands still.
+impl<'a> Cell<'a> {
+    fn new(args: &Args, out: &'a Output) -> Result<Self, Diagnostic> {
+        let nominal = robots::named(&args.nominal)?;
+        let robot = match &args.robot {
+            Some(name) => robots::named(name)?,
+            None => truth::draw(&nominal, args.seed, 1.0),
+        };
+        let program = program(&args.program)?;
+        let world_text = args.world.as_deref().map(files::read).transpose()?;
+        let world_name = args.world.as_ref().map(|path| path.display().to_string());
+        let setup = Setup::new(&program, world_name.as_deref().zip(world_text.as_deref()))?;
+        let accuracy = args.accuracy.as_deref().map(robots::named).transpose()?;
+        let mut controller =
+            Controller::new(program, accuracy.as_ref().unwrap_or(&nominal), args.override_percent)?;
+        if accuracy.is_some() {
+            controller.correct_by_itself();
+        }
+        if args.ekrl.is_some() {
+            controller.link_ekrl();
+        }
+        Ok(Self {
+            controller,
+            world: World::new(robot.geometry, setup, args.seed),
+            server: args.ekrl,
+            ekrl: None,
+            out,
+            halt_s: args.halt,
+            t_s: 0.0,
+            halted_at_s: None,
+            done_at_s: None,
+            reported: 0,
+            strayed: 0,
+            failure: None,
+        })
+    }
+
+    /// Carries the controller's telegrams to the server and the answers back; device time stops.
     fn exchange(&mut self) -> Result<(), Diagnostic> {
         let Some(server) = self.server else { return Ok(()) };
         if !self.controller.ekrl_open() {
@@ -242,35 +251,26 @@ impl Cell<'_> {
         }
         let client = match &mut self.ekrl {
             Some(client) => client,
-            None => {
-                let client = Client::connect(server).map_err(|error| {
-                    Diagnostic::file("EthernetKRL", format!("{server}: {error}"))
-                        .help("start `dbbd acquire --ekrl` before the program")
-                })?;
-                self.ekrl.insert(client)
-            }
+            None => self.ekrl.insert(Client::connect(server)?),
         };
         while let Some(telegram) = self.controller.telegram() {
-            let id = client
-                .exchange(&telegram)
-                .map_err(|error| Diagnostic::file("EthernetKRL", format!("{telegram}: {error}")))?;
-            self.controller.answer(id);
+            self.controller.answer(client.exchange(&telegram)?);
         }
         Ok(())
     }
 
-    /// Tells of each HALT, the end, and every tenth dwell.
-    fn tell(&mut self, halted: bool, done: bool) {
+    /// Reports each HALT, the end, and every tenth dwell.
+    fn report(&mut self, moment: &Moment) {
         let dwells = self.controller.dwells();
         let (file, line) = self.controller.position();
-        if halted && self.halted_at_s.is_none() {
+        if moment.halted && self.halted_at_s.is_none() {
             self.out.progress(format!("{file}:{line}: HALT"));
         }
-        if done && self.done_at_s.is_none() {
+        if moment.done && self.done_at_s.is_none() {
             self.out.progress(format!("the program has ended after {dwells} dwells"));
         }
-        if dwells >= self.said + 10 {
-            self.said = dwells;
+        if dwells >= self.reported + 10 {
+            self.reported = dwells;
             self.out.progress(format!("{file}:{line}: {dwells} dwells done"));
         }
     }

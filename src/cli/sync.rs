@@ -5,15 +5,18 @@ use std::path::PathBuf;
 use serde_json::{Value, json};
 
 use super::{Outcome, Output, Verdict};
-use crate::files;
-use crate::run;
-use crate::sync::{Fate, Source, Stream, Synced};
+use crate::base::files;
+use crate::catalogue::MatchingFinding;
+use crate::diagnostic::{Diagnostic, Finding};
+use crate::recording::Stream;
+use crate::recording::matching::{DwellSource, Lag, MatchOutcome, PoseMatching, PoseOutcome};
+use crate::recording::run;
 
 /// Match the lengths of a capture to the commanded poses.
 ///
 /// Lays the bar's clock on the host's, finds the dwells (or the passes of a program without stops) and matches them
 /// to the plan. A pair is kept above 99 % of probability, else dropped and named with the reason. More:
-/// docs/accuracy.md.
+/// docs/explanation/pose-matching.md.
 #[derive(clap::Args)]
 pub(crate) struct Args {
     /// The capture.
@@ -31,29 +34,30 @@ pub(crate) struct Args {
 }
 
 pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
-    let run = run::open(&args.run, args.plan.as_deref(), &args.axes, &mut |note| out.note(&note))?;
-    let synced = run.timed();
-    out.document(&document(&synced, &run.stream))?;
-    show(&synced, out);
+    let run = run::open(&args.run, args.plan.as_deref(), &args.axes, &mut |finding| out.finding(finding))?;
+    let matching = run.matching(None);
+    out.about(&matching.findings);
+    out.document(&document(&matching, &run.stream))?;
+    show(&matching, out);
     out.result(format!("times: {}", times(&run.stream)));
-    if synced.observations.rows.is_empty() {
-        return Err("no dwell of the capture can be told to be a pose of the plan: nothing is written".into());
+    if matching.observations.rows.is_empty() {
+        let name = args.run.display().to_string();
+        return Err(Diagnostic::file(&name, MatchingFinding::NothingMatched).into());
     }
-    files::write(&args.out, synced.observations.to_csv())?;
-    out.result(format!("{}: {} observations", args.out.display(), synced.observations.rows.len()));
-    let doubt = run.torn || synced.warnings.iter().any(|warning| warning.doubt);
-    Ok(if doubt { Outcome::Doubt } else { Outcome::Done })
+    files::write(&args.out, matching.observations.to_csv())?;
+    out.result(format!("{}: {} observations", args.out.display(), matching.observations.rows.len()));
+    Ok(Outcome::Done)
 }
 
-fn source_word(source: Source) -> &'static str {
+fn source_word(source: DwellSource) -> &'static str {
     match source {
-        Source::Reports => "the controller's reports",
-        Source::Strobe => "the strobe",
-        Source::Stillness => "still stretches",
+        DwellSource::Reports => "the controller's reports",
+        DwellSource::Strobe => "the strobe",
+        DwellSource::Stillness => "still intervals",
     }
 }
 
-/// On what clock the times stand, and how good they are.
+/// The clock of the times, and how good they are.
 fn times(stream: &Stream) -> String {
     let Some(clock) = stream.clock() else { return "the host's stamps at arrival or request".into() };
     let wraps = if clock.wraps > 0 { format!("; it wrapped {} times", clock.wraps) } else { String::new() };
@@ -66,89 +70,81 @@ fn times(stream: &Stream) -> String {
     )
 }
 
-fn show(synced: &Synced, out: &Output) {
-    let (matched, all) = (synced.observations.rows.len(), synced.fates.len());
-    out.result(format!("{matched} of {all} poses have a length (dwells by {})", source_word(synced.source)));
-    if let Some(factor) = synced.override_factor {
+fn show(matching: &PoseMatching, out: &Output) {
+    let (matched, all) = (matching.observations.rows.len(), matching.outcomes.len());
+    let source = source_word(matching.source);
+    out.result(format!("{matched} of {all} poses have a length (dwells by {source})"));
+    if let Some(factor) = matching.override_factor {
         out.result(format!("override: {:.1} %", 100.0 * factor));
     }
-    for pose in &synced.fates {
-        match &pose.fate {
-            Fate::Matched { .. } => {}
-            Fate::Missing { reason } => out.result(format!("  pose {}: none: {reason}", pose.index)),
-            Fate::Ambiguous { reason } => out.result(format!("  pose {}: dropped: {reason}", pose.index)),
+    for PoseOutcome { index, outcome } in &matching.outcomes {
+        match outcome {
+            MatchOutcome::Matched { .. } => {}
+            MatchOutcome::Missing { reason } => out.result(format!("  pose {index}: none: {reason}")),
+            MatchOutcome::Ambiguous { reason } => out.result(format!("  pose {index}: dropped: {reason}")),
         }
     }
-    if !synced.spurious.is_empty() {
-        out.result(format!("{} stretches belong to no pose", synced.spurious.len()));
+    if !matching.spurious.is_empty() {
+        out.result(format!("{} dwells belong to no pose", matching.spurious.len()));
     }
-    for lag in &synced.lags {
-        let [lag_ms, sd_ms] = [lag.lag_s, lag.sd_s].map(|s| 1000.0 * s);
+    for Lag { circle, lag_s, sd_s, hysteresis_mm } in &matching.lags {
+        let [lag_ms, sd_ms] = [lag_s, sd_s].map(|s| 1000.0 * s);
         out.result(format!(
-            "circle {}: the reading comes {lag_ms:.1} +- {sd_ms:.1} ms after the command; the senses differ by {:.1} um",
-            lag.circle,
-            1000.0 * lag.hysteresis_mm
+            "circle {circle}: the reading comes {lag_ms:.1} +- {sd_ms:.1} ms after the command; the senses differ by {:.1} um",
+            1000.0 * hysteresis_mm
         ));
     }
-    if let Some(drift) = synced.drift {
+    if let Some(drift) = matching.drift {
         let spread = drift.sd_mm.map_or(String::new(), |sd| format!(" +- {:.1}", 1000.0 * sd));
         let (um, readings) = (1000.0 * drift.change_mm, drift.readings);
         out.result(format!("drift at the reference pose: {um:.1}{spread} um over {readings} readings"));
     }
-    out.matching(&synced.warnings);
 }
 
-fn document(synced: &Synced, stream: &Stream) -> Value {
-    let poses: Vec<Value> = synced
-        .fates
-        .iter()
-        .map(|pose| match &pose.fate {
-            Fate::Matched { dwell, posterior } => json!({
-                "index": pose.index, "fate": "matched", "posterior": posterior, "from_s": dwell.from_s,
-                "to_s": dwell.to_s, "reading_mm": dwell.reading_mm, "u_mm": dwell.u_mm,
-                "samples": dwell.samples, "invalid": dwell.invalid, "gaps": dwell.gaps,
-                "creep_mm": dwell.creep_mm,
-            }),
-            Fate::Missing { reason } => json!({ "index": pose.index, "fate": "missing", "reason": reason }),
-            Fate::Ambiguous { reason } => {
-                json!({ "index": pose.index, "fate": "ambiguous", "reason": reason })
-            }
-        })
-        .collect();
-    let drift = synced.drift.map(|drift| {
+fn document(matching: &PoseMatching, stream: &Stream) -> Value {
+    let poses: Vec<Value> = matching.outcomes.iter().map(pose_document).collect();
+    let drift = matching.drift.map(|drift| {
         json!({
             "change_mm": drift.change_mm, "sd_mm": drift.sd_mm, "readings": drift.readings,
             "significant": drift.significant,
         })
     });
-    let clock = stream.clock().map(|clock| {
-        let breaks = clock.breaks.iter().map(|broken| {
-            let t_s = stream.t_s.get(broken.at);
-            json!({ "t_s": t_s, "reset": broken.reset, "jump_s": broken.jump_s, "host_s": broken.host_s })
-        });
+    let lag = |lag: &Lag| {
         json!({
-            "drift_ppm": clock.drift().map(|drift| 1e6 * drift), "bound_s": clock.bound_s(),
-            "wraps": clock.wraps, "breaks": breaks.collect::<Vec<_>>(),
+            "circle": lag.circle, "lag_s": lag.lag_s, "sd_s": lag.sd_s, "hysteresis_mm": lag.hysteresis_mm,
         })
-    });
-    let lags: Vec<Value> = synced
-        .lags
-        .iter()
-        .map(|lag| {
-            json!({
-                "circle": lag.circle, "lag_s": lag.lag_s, "sd_s": lag.sd_s, "hysteresis_mm": lag.hysteresis_mm,
-            })
-        })
-        .collect();
-    let warnings: Vec<Value> = synced
-        .warnings
-        .iter()
-        .map(|warning| json!({ "kind": if warning.doubt { "doubt" } else { "note" }, "text": warning.text }))
-        .collect();
+    };
     json!({
-        "schema": 1, "poses": poses, "matched": synced.observations.rows.len(),
-        "spurious": synced.spurious.len(), "source": source_word(synced.source),
-        "override": synced.override_factor, "lags": lags, "drift": drift, "clock": clock,
-        "warnings": warnings,
+        "schema": 1, "poses": poses, "matched": matching.observations.rows.len(),
+        "spurious": matching.spurious.len(), "source": source_word(matching.source),
+        "override": matching.override_factor,
+        "lags": matching.lags.iter().map(lag).collect::<Vec<_>>(), "drift": drift,
+        "clock": clock_document(stream),
     })
+}
+
+fn pose_document(PoseOutcome { index, outcome }: &PoseOutcome) -> Value {
+    let without = |word: &str, reason: &MatchingFinding| json!({ "index": index, "outcome": word, "code": reason.code(), "reason": reason.to_string() });
+    match outcome {
+        MatchOutcome::Matched { reading, posterior } => json!({
+            "index": index, "outcome": "matched", "posterior": posterior, "from_s": reading.from_s,
+            "to_s": reading.to_s, "reading_mm": reading.reading_mm, "u_mm": reading.u_mm,
+            "samples": reading.samples, "invalid": reading.invalid, "gaps": reading.gaps,
+            "creep_mm": reading.creep_mm,
+        }),
+        MatchOutcome::Missing { reason } => without("missing", reason),
+        MatchOutcome::Ambiguous { reason } => without("ambiguous", reason),
+    }
+}
+
+fn clock_document(stream: &Stream) -> Option<Value> {
+    let clock = stream.clock()?;
+    let breaks = clock.breaks.iter().map(|broken| {
+        let t_s = stream.t_s.get(broken.at);
+        json!({ "t_s": t_s, "reset": broken.reset, "jump_s": broken.jump_s, "host_s": broken.host_s })
+    });
+    Some(json!({
+        "drift_ppm": clock.drift().map(|drift| 1e6 * drift), "bound_s": clock.bound_s(),
+        "wraps": clock.wraps, "breaks": breaks.collect::<Vec<_>>(),
+    }))
 }

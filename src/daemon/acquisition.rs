@@ -8,22 +8,23 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use serde::Serialize;
-use thiserror::Error;
 
-use super::attachments::Attachments;
 use super::ekrl::Server;
-use super::feed::Feed;
-use super::marks::Marks;
+use super::live_state::Feed;
 use super::polling::Polling;
 use super::progress::Progress;
 use super::recorder::Recorder;
-use super::reports::Reports;
+use super::schedule::{ALARM_SHARE, Schedule};
 use super::session::{self, Opened};
-use crate::capture::{Event, WriteError, Writer};
-use crate::clock;
-use crate::port::{self, Arrival, Port, PortError, Reader};
-use crate::protocol::{Definition, Mode};
-use crate::units::HostNs;
+use super::telegrams::{Line, Telegrams};
+use crate::base::clock;
+use crate::base::units::HostNs;
+use crate::catalogue::{RecordingFinding, ServiceFinding};
+use crate::device::port::{self, Arrival, Port, Reader};
+use crate::device::protocol::{Definition, Mode};
+use crate::diagnostic::Diagnostic;
+use crate::recording::capture::{Event, Writer};
+use crate::recording::run::PlanFiles;
 
 /// Longest wait between two attempts to open a port that went away, s.
 const LONGEST_BACKOFF_S: f64 = 0.5;
@@ -33,12 +34,11 @@ const LONGEST_BACKOFF_S: f64 = 0.5;
 pub struct Options {
     /// The port as the user named it.
     pub port: String,
-    /// The bar's protocol.
     pub definition: Definition,
     /// The capture to write.
     pub out: PathBuf,
-    /// The files that it carries; the protocol's is added.
-    pub attachments: Attachments,
+    /// The plan that the robot executes; the capture carries its files.
+    pub plan: Option<PlanFiles>,
     /// Ends the run after so many seconds of host time.
     pub duration_s: Option<f64>,
     /// Ends the run when the port has been away for so many seconds.
@@ -57,7 +57,6 @@ pub enum Ending {
     Mark,
     /// The time was up.
     Duration,
-    /// It was told to stop.
     Stopped,
     /// The port stayed away.
     Gone,
@@ -72,24 +71,10 @@ pub struct Summary {
     pub progress: Progress,
 }
 
-/// Why a run failed.
-#[derive(Debug, Error)]
-pub enum AcquireError {
-    /// The port.
-    #[error(transparent)]
-    Port(#[from] PortError),
-    /// The capture.
-    #[error(transparent)]
-    Capture(#[from] WriteError),
-    /// The recorder's thread died.
-    #[error("the recorder died; what it wrote before is kept")]
-    Died,
-}
-
 /// A run that goes on in a thread of its own.
 pub struct Acquisition {
     shared: Arc<Shared>,
-    recorder: JoinHandle<Result<Summary, AcquireError>>,
+    recorder: JoinHandle<Result<Summary, Diagnostic>>,
 }
 
 struct Shared {
@@ -99,67 +84,82 @@ struct Shared {
     stop: Arc<AtomicBool>,
 }
 
+impl Ending {
+    pub fn reason(self) -> &'static str {
+        match self {
+            Ending::Mark => "the program's end mark",
+            Ending::Duration => "the time was up",
+            Ending::Stopped => "stopped",
+            Ending::Gone => "the port stayed away",
+        }
+    }
+}
+
 impl Acquisition {
     /// Opens the port, makes the capture and begins. The run ends early when `stop` is raised.
     ///
     /// # Errors
     /// When the port cannot be opened or the capture not be made.
-    pub fn start(options: Options, stop: Arc<AtomicBool>) -> Result<Self, AcquireError> {
-        Self::told_by(None, options, stop)
+    pub fn start(options: Options, stop: Arc<AtomicBool>) -> Result<Self, Diagnostic> {
+        Self::start_with(None, options, stop)
     }
 
-    /// The same with a server to which the program tells its dwells.
+    /// The same with a server to which the program reports its dwells.
     ///
     /// # Errors
     /// As [`Self::start`].
-    pub fn told_by(
+    pub fn start_with(
         server: Option<Server>,
         options: Options,
         stop: Arc<AtomicBool>,
-    ) -> Result<Self, AcquireError> {
-        let now = clock::now();
+    ) -> Result<Self, Diagnostic> {
         if options.out.exists() {
-            return Err(WriteError::Exists(options.out).into());
+            let name = options.out.display().to_string();
+            return Err(Diagnostic::file(&name, RecordingFinding::CaptureExists));
         }
         // The port comes first: without it no file is left behind.
         let opened = session::open(&options.port, &options.definition)?;
         let writer = Writer::create(&options.out)?;
-        Self::record(server, options, now, opened, writer, stop)
+        Self::record(server, options, opened, writer, stop)
     }
 
     /// As [`Acquisition::start`], into a capture that was begun elsewhere.
     ///
     /// # Errors
     /// When the port cannot be opened or the capture not be written.
-    pub fn start_on(writer: Writer, options: Options, stop: Arc<AtomicBool>) -> Result<Self, AcquireError> {
-        let now = clock::now();
+    pub fn start_on(writer: Writer, options: Options, stop: Arc<AtomicBool>) -> Result<Self, Diagnostic> {
         let opened = session::open(&options.port, &options.definition)?;
-        Self::record(None, options, now, opened, writer, stop)
+        Self::record(None, options, opened, writer, stop)
     }
 
     fn record(
         server: Option<Server>,
         mut options: Options,
-        now: HostNs,
         opened: Opened,
         writer: Writer,
         stop: Arc<AtomicBool>,
-    ) -> Result<Self, AcquireError> {
-        let marks = Marks::new(options.attachments.modules);
-        let mut recorder = Recorder::new(writer, &options.definition, marks, options.sync_s, now);
+    ) -> Result<Self, Diagnostic> {
+        let began = opened.began;
+        let plan = options.plan.take();
+        let schedule = plan.as_ref().map(|files| Schedule::of(&files.plan, ALARM_SHARE)).unwrap_or_default();
+        let mut recorder =
+            Recorder::new(writer, &options.definition, schedule.modules(), options.sync_s, began);
         recorder.feed = options.feed.take();
         let version = env!("CARGO_PKG_VERSION").to_owned();
-        recorder.event(now, Event::Started { unix_ns: clock::unix_ns(), version })?;
-        for (name, content) in &options.attachments.files {
-            recorder.attach(now, name, content)?;
+        recorder.event(began, Event::Started { unix_ns: clock::unix_ns(), version })?;
+        for (name, content) in plan.into_iter().flat_map(PlanFiles::attachments) {
+            recorder.attach(began, name, content.as_bytes())?;
         }
-        recorder.attach(now, "protocol.toml", options.definition.text.as_bytes())?;
+        recorder.attach(began, "protocol.toml", options.definition.text.as_bytes())?;
         let port = begin(&mut recorder, &options.port, opened)?;
         let shared = Arc::new(Shared { progress: Mutex::default(), remarks: Mutex::default(), stop });
         let identity = port::identity(&options.port);
-        let reports = server.map(|server| Reports::new(server, options.attachments.driven.clone()));
-        let run = Run { options, identity, recorder, reports, shared: Arc::clone(&shared), began: now };
-        let recorder = std::thread::spawn(move || run.whole(port));
+        let telegrams = server.map(|server| Telegrams::new(server, schedule));
+        let run = Run { options, identity, recorder, telegrams, shared: Arc::clone(&shared), began };
+        let recorder = std::thread::Builder::new()
+            .name("recorder".into())
+            .spawn(move || run.whole(port))
+            .map_err(|error| ServiceFinding::NoSystem { why: error.to_string() })?;
         Ok(Self { shared, recorder })
     }
 
@@ -182,15 +182,15 @@ impl Acquisition {
     ///
     /// # Errors
     /// When the capture could not be written on.
-    pub fn join(self) -> Result<Summary, AcquireError> {
-        self.recorder.join().map_err(|_| AcquireError::Died)?
+    pub fn join(self) -> Result<Summary, Diagnostic> {
+        self.recorder.join().map_err(|_| ServiceFinding::RecorderDied)?
     }
 }
 
 /// Records that the bar was opened, and what came with its start.
-fn begin(recorder: &mut Recorder, name: &str, opened: Opened) -> Result<Port, WriteError> {
+fn begin(recorder: &mut Recorder, name: &str, opened: Opened) -> Result<Port, Diagnostic> {
     let now = clock::now();
-    let Opened { port, stale, first } = opened;
+    let Opened { port, stale, first, .. } = opened;
     recorder.event(now, Event::Opened { port: name.into() })?;
     if stale > 0 {
         let text = format!("{stale} bytes of an earlier stream were thrown away before the start");
@@ -208,9 +208,15 @@ struct Run {
     /// The name by which the port is found again.
     identity: String,
     recorder: Recorder,
-    reports: Option<Reports>,
+    telegrams: Option<Telegrams>,
     shared: Arc<Shared>,
     began: HostNs,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum PortState {
+    Open,
+    Gone,
 }
 
 /// How a session on an open port ended.
@@ -220,7 +226,7 @@ enum Session {
 }
 
 impl Run {
-    fn whole(mut self, mut port: Port) -> Result<Summary, AcquireError> {
+    fn whole(mut self, mut port: Port) -> Result<Summary, Diagnostic> {
         let ending = loop {
             let (since, why) = match self.session(&port)? {
                 Session::Over(ending) => {
@@ -244,19 +250,13 @@ impl Run {
                 Err(ending) => break ending,
             }
         };
-        let reason = match ending {
-            Ending::Mark => "the program's end mark",
-            Ending::Duration => "the time was up",
-            Ending::Stopped => "told to stop",
-            Ending::Gone => "the port stayed away",
-        };
-        let progress = self.recorder.finish(clock::now(), reason)?;
+        let progress = self.recorder.finish(clock::now(), ending.reason())?;
         Ok(Summary { ending, progress })
     }
 
     /// Records from an open port until it is gone or the run is over.
-    fn session(&mut self, port: &Port) -> Result<Session, AcquireError> {
-        let (_reader, arrivals) = Reader::start(port.handle()?);
+    fn session(&mut self, port: &Port) -> Result<Session, Diagnostic> {
+        let (_reader, arrivals) = Reader::start(port.handle()?)?;
         let mut polling = match self.options.definition.mode {
             Mode::Poll { hz, timeout } => Some(Polling::new(port.handle()?, hz, timeout)),
             Mode::Stream | Mode::Push => None,
@@ -266,7 +266,8 @@ impl Run {
             if let Some(ending) = self.ending() {
                 return Ok(Session::Over(ending));
             }
-            let unhurried = self.reports.as_ref().map_or(Duration::from_millis(50), |_| Reports::PATIENCE);
+            let unhurried =
+                self.telegrams.as_ref().map_or(Duration::from_millis(50), |_| Telegrams::PATIENCE);
             let mut patience = idle.unwrap_or(unhurried);
             if let Some(polling) = &mut polling {
                 match polling.step(&self.options.definition, &mut self.recorder)? {
@@ -275,7 +276,7 @@ impl Run {
                 }
             }
             let arrival = arrivals.recv_timeout(patience);
-            let quiet = arrival.is_err();
+            let line = if arrival.is_err() { Line::Idle } else { Line::Busy };
             match arrival {
                 Ok(Arrival::Bytes(host, bytes)) => {
                     let before = self.recorder.answers();
@@ -297,18 +298,20 @@ impl Run {
                     return Ok(Session::Gone(clock::now(), "the reading thread ended".into()));
                 }
             }
-            self.told(quiet)?;
-            self.tell(false)?;
+            self.telegrams(line)?;
+            self.publish(PortState::Open)?;
         }
     }
 
-    fn told(&mut self, idle: bool) -> Result<(), AcquireError> {
-        let Some(reports) = &mut self.reports else { return Ok(()) };
-        Ok(reports.step(&mut self.recorder, idle)?)
+    fn telegrams(&mut self, line: Line) -> Result<(), Diagnostic> {
+        match &mut self.telegrams {
+            Some(telegrams) => telegrams.step(&mut self.recorder, line),
+            None => Ok(()),
+        }
     }
 
     fn ending(&self) -> Option<Ending> {
-        if self.recorder.over() || self.reports.as_ref().is_some_and(Reports::over) {
+        if self.recorder.over() || self.telegrams.as_ref().is_some_and(Telegrams::over) {
             Some(Ending::Mark)
         } else if self.shared.stop.load(Ordering::Relaxed) {
             Some(Ending::Stopped)
@@ -319,12 +322,12 @@ impl Run {
     }
 
     /// Waits for the port to come back: more patiently each time, until it has been away too long.
-    fn reopen(&mut self, since: HostNs) -> Result<Result<Opened, Ending>, AcquireError> {
+    fn reopen(&mut self, since: HostNs) -> Result<Result<Opened, Ending>, Diagnostic> {
         let mut backoff = 0.1;
         let mut next = 0.0;
         loop {
-            self.told(true)?;
-            self.tell(true)?;
+            self.telegrams(Line::Idle)?;
+            self.publish(PortState::Gone)?;
             if let Some(ending) = self.ending() {
                 return Ok(Err(ending));
             }
@@ -343,14 +346,15 @@ impl Run {
         }
     }
 
-    fn tell(&mut self, gone: bool) -> Result<(), AcquireError> {
+    /// Writes the remarks of others and publishes the counts.
+    fn publish(&mut self, port: PortState) -> Result<(), Diagnostic> {
         let remarks =
             std::mem::take(&mut *self.shared.remarks.lock().unwrap_or_else(PoisonError::into_inner));
         for text in remarks {
             self.recorder.event(clock::now(), Event::Mark { text })?;
         }
         self.recorder.tick(clock::now())?;
-        let progress = Progress { gone, ..self.recorder.progress };
+        let progress = Progress { gone: port == PortState::Gone, ..self.recorder.progress };
         *self.shared.progress.lock().unwrap_or_else(PoisonError::into_inner) = progress;
         Ok(())
     }

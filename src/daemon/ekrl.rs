@@ -1,7 +1,7 @@
-//! The server of the channel over which a program tells its dwells: EthernetKRL, TCP.
+//! The server of the channel over which a program reports its dwells: EthernetKRL, TCP.
 //!
 //! The controller connects for each module and closes at its end; one that was switched off closes
-//! nothing, so a new connection is taken while an old one still stands. A telegram is answered when it
+//! nothing, so a new connection is taken while an old one is still open. A telegram is answered when it
 //! is in the capture, not before. One that cannot be meant (not readable, of another plan, of a row that
 //! the plan does not have) is answered with 0, at which the program halts.
 
@@ -12,11 +12,10 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::time::Duration;
 
-use thiserror::Error;
-
-use crate::clock;
-use crate::sync::{Heard, Telegram, TelegramReader};
-use crate::units::HostNs;
+use crate::base::clock;
+use crate::base::units::HostNs;
+use crate::catalogue::PortFinding::{self, NotListening};
+use crate::recording::{Heard, Telegram, TelegramReader};
 
 /// Connections at a time: the controller's, and some that it left behind.
 const MOST: usize = 8;
@@ -25,20 +24,9 @@ const QUEUE: usize = 4 * MOST;
 /// How often the threads look whether the run is over.
 const PATIENCE: Duration = Duration::from_millis(20);
 
-/// Why the server cannot listen.
-#[derive(Debug, Error)]
-#[error(
-    "--ekrl {address}: cannot listen there\n  help: another program may have the port (another dbbd?), or the address is none of this computer's"
-)]
-pub struct ListenError {
-    address: SocketAddr,
-    #[source]
-    source: io::Error,
-}
-
 /// Something that happened on the channel.
 #[derive(Debug)]
-pub(super) enum Told {
+pub(super) enum ChannelEvent {
     /// A telegram, and where its answer is waited for: the `Id` of the acknowledgement.
     Telegram(Telegram, SyncSender<u32>),
     /// What is worth a remark in the capture.
@@ -47,11 +35,11 @@ pub(super) enum Told {
     Quiet,
 }
 
-/// Listens, and hands over what is told.
+/// Listens, and hands over what happens.
 #[derive(Debug)]
 pub struct Server {
     address: SocketAddr,
-    told: Receiver<(HostNs, Told)>,
+    events: Receiver<(HostNs, ChannelEvent)>,
     stop: Arc<AtomicBool>,
 }
 
@@ -60,19 +48,19 @@ impl Server {
     ///
     /// # Errors
     /// When the address is taken or none of this computer's.
-    pub fn listen(address: SocketAddr) -> Result<Self, ListenError> {
-        let error = |source| ListenError { address, source };
+    pub fn listen(address: SocketAddr) -> Result<Self, PortFinding> {
+        let error = |error: io::Error| NotListening { address: address.to_string(), why: error.to_string() };
         let listener = TcpListener::bind(address).map_err(error)?;
         listener.set_nonblocking(true).map_err(error)?;
         let address = listener.local_addr().map_err(error)?;
-        let (sender, told) = sync_channel(QUEUE);
+        let (sender, events) = sync_channel(QUEUE);
         let stop = Arc::new(AtomicBool::new(false));
         let channel = Channel { sender, stop: Arc::clone(&stop), open: Arc::default() };
         std::thread::Builder::new()
             .name("ekrl".into())
             .spawn(move || channel.accept(&listener))
             .map_err(error)?;
-        Ok(Self { address, told, stop })
+        Ok(Self { address, events, stop })
     }
 
     /// Where it listens.
@@ -80,9 +68,9 @@ impl Server {
         self.address
     }
 
-    /// What was told next, with the time at which it came.
-    pub(super) fn told(&self) -> Option<(HostNs, Told)> {
-        self.told.try_recv().ok()
+    /// What happened next, with the time at which it came.
+    pub(super) fn next(&self) -> Option<(HostNs, ChannelEvent)> {
+        self.events.try_recv().ok()
     }
 }
 
@@ -95,7 +83,7 @@ impl Drop for Server {
 /// What the threads of the connections share.
 #[derive(Clone)]
 struct Channel {
-    sender: SyncSender<(HostNs, Told)>,
+    sender: SyncSender<(HostNs, ChannelEvent)>,
     stop: Arc<AtomicBool>,
     open: Arc<AtomicUsize>,
 }
@@ -106,8 +94,8 @@ impl Channel {
     }
 
     /// Hands over; nobody listens any more once the run is over.
-    fn tell(&self, told: Told) {
-        let _ = self.sender.send((clock::now(), told));
+    fn send(&self, event: ChannelEvent) {
+        let _ = self.sender.send((clock::now(), event));
     }
 
     fn accept(&self, listener: &TcpListener) {
@@ -122,12 +110,13 @@ impl Channel {
     fn take(&self, stream: TcpStream, from: SocketAddr) {
         if self.open.fetch_add(1, Ordering::Relaxed) >= MOST {
             self.open.fetch_sub(1, Ordering::Relaxed);
-            return self
-                .tell(Told::Remark(format!("EthernetKRL: {from} was turned away: {MOST} are connected")));
+            return self.send(ChannelEvent::Remark(format!(
+                "EthernetKRL: {from} was turned away: {MOST} are connected"
+            )));
         }
         let channel = self.clone();
         let spawned = std::thread::Builder::new().name("ekrl-client".into()).spawn(move || {
-            channel.tell(Told::Remark(format!("EthernetKRL: {from} has connected")));
+            channel.send(ChannelEvent::Remark(format!("EthernetKRL: {from} has connected")));
             let (reader, why) = channel.serve(stream);
             let left = match (reader.pending(), reader.skipped()) {
                 (0, 0) => String::new(),
@@ -139,13 +128,14 @@ impl Channel {
                     )
                 }
             };
-            channel.tell(Told::Remark(format!("EthernetKRL: {from} {why}{left}")));
+            channel.send(ChannelEvent::Remark(format!("EthernetKRL: {from} {why}{left}")));
             if channel.open.fetch_sub(1, Ordering::Relaxed) == 1 {
-                channel.tell(Told::Quiet);
+                channel.send(ChannelEvent::Quiet);
             }
         });
-        if spawned.is_err() {
+        if let Err(error) = spawned {
             self.open.fetch_sub(1, Ordering::Relaxed);
+            self.send(ChannelEvent::Remark(format!("EthernetKRL: {from} was turned away: {error}")));
         }
     }
 
@@ -186,11 +176,11 @@ impl Channel {
         match heard {
             Heard::Telegram(telegram) => {
                 let (sender, answer) = sync_channel(1);
-                self.tell(Told::Telegram(telegram, sender));
+                self.send(ChannelEvent::Telegram(telegram, sender));
                 answer.recv().ok()
             }
             Heard::Malformed(why) => {
-                self.tell(Told::Remark(format!("EthernetKRL: a telegram is not understood: {why}")));
+                self.send(ChannelEvent::Remark(format!("EthernetKRL: a telegram is not understood: {why}")));
                 Some(0)
             }
         }

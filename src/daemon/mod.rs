@@ -1,28 +1,26 @@
 //! Threads, channels and signals: the only place that knows all rooms.
 
 mod acquisition;
-mod attachments;
-mod course;
 mod ekrl;
-mod feed;
-mod marks;
+mod live_state;
+mod mount_detector;
 mod polling;
+mod program_end;
 mod progress;
 mod recorder;
-mod reports;
+mod schedule;
 mod service;
 mod session;
 mod signals;
+mod telegrams;
 
-pub use acquisition::{AcquireError, Acquisition, Ending, Options, Summary};
-pub use attachments::{Attachments, PlanError};
-pub use course::{ALARM_SHARE, Course, Watch};
-pub use ekrl::{ListenError, Server};
-pub use feed::{Feed, Shown};
-pub use marks::{DeviceTime, Marks};
+pub use acquisition::{Acquisition, Ending, Options, Summary};
+pub use ekrl::Server;
+pub use live_state::{Feed, LiveState};
+pub use mount_detector::{MountDetector, Reading};
 pub use progress::Progress;
 pub use recorder::Recorder;
-pub use reports::Driven;
-pub use service::{Bench, Cell, Config, Level, Log, ServeError, serve};
+pub use schedule::{ALARM_SHARE, Schedule};
+pub use service::{Bench, Cell, Config, Level, Log, serve};
 pub use session::zero;
 pub use signals::stop_on_signal;

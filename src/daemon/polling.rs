@@ -4,11 +4,12 @@ use std::time::Duration;
 
 use super::recorder::Recorder;
 use super::session;
-use crate::capture::WriteError;
-use crate::clock;
-use crate::port::{Port, PortError};
-use crate::protocol::Definition;
-use crate::units::HostNs;
+use crate::base::clock;
+use crate::base::units::HostNs;
+use crate::catalogue::PortFinding;
+use crate::device::port::Port;
+use crate::device::protocol::Definition;
+use crate::diagnostic::Diagnostic;
 
 /// When the next request is due, and what the last one waits for.
 pub(super) struct Polling {
@@ -36,7 +37,7 @@ impl Polling {
         &mut self,
         definition: &Definition,
         recorder: &mut Recorder,
-    ) -> Result<Result<Duration, PortError>, WriteError> {
+    ) -> Result<Result<Duration, PortFinding>, Diagnostic> {
         let now = clock::now();
         let left = |since: HostNs, span: f64| span - now.seconds_since(since);
         let wait = match (self.asked, self.last) {

@@ -1,15 +1,18 @@
 //! Writes what arrives, raw first, then what it decodes to, and counts. It reads no clock: who hands over the
 //! bytes says when they came, so a recorded line can be put through it again.
 
-use super::feed::Feed;
-use super::marks::{DeviceTime, Marks};
+use super::live_state::{Counted, Feed};
+use super::program_end::ProgramEnd;
 use super::progress::Progress;
-use crate::capture::{Event, Record, WriteError, Writer};
-use crate::protocol::{Decoded, Decoder, Definition, FaultKind};
-use crate::sample::Sample;
-use crate::units::HostNs;
+use crate::base::units::HostNs;
+use crate::catalogue::RecordingFinding;
+use crate::device::protocol::{Decoded, Decoder, Definition, FaultKind};
+use crate::diagnostic::Diagnostic;
+use crate::measurement::sample::Sample;
+use crate::recording::capture::{Event, Record, Writer};
+use crate::recording::{DeviceTime, SequenceStep, Stamp, sequence_step};
 
-/// Silence below this is not worth a record where sequence numbers tell what is missing, s: radio links
+/// Silence below this is not worth a record where sequence numbers show what is missing, s: radio links
 /// hand over batches of a second.
 const SILENCE_S: f64 = 2.5;
 
@@ -21,7 +24,7 @@ pub struct Recorder {
     /// Samples of one host time that are not written yet.
     batch: Vec<Sample>,
     batch_host: HostNs,
-    marks: Marks,
+    program: ProgramEnd,
     time: Option<DeviceTime>,
     sequence_modulo: Option<u32>,
     last_sequence: Option<u32>,
@@ -46,9 +49,15 @@ pub struct Recorder {
 }
 
 impl Recorder {
-    /// Of a device's stream into a capture that was begun. The disk is made to hold what was written every
-    /// `sync_s` seconds.
-    pub fn new(writer: Writer, definition: &Definition, marks: Marks, sync_s: f64, now: HostNs) -> Self {
+    /// Of a device's stream into a capture that was begun, of a program of so many modules. The disk is made to hold what
+    /// was written every `sync_s` seconds.
+    pub fn new(
+        writer: Writer,
+        definition: &Definition,
+        modules: Option<usize>,
+        sync_s: f64,
+        now: HostNs,
+    ) -> Self {
         let stall = definition.stall.map(|stall| stall.as_secs_f64());
         Self {
             writer,
@@ -56,8 +65,8 @@ impl Recorder {
             decoded: Vec::new(),
             batch: Vec::new(),
             batch_host: now,
-            marks,
-            time: definition.clock.map(DeviceTime::new),
+            program: ProgramEnd::new(modules),
+            time: definition.clock.map(|clock| DeviceTime::new(clock.into())),
             sequence_modulo: definition.sequence_modulo,
             last_sequence: None,
             silence_s: stall.map(|s| if definition.sequence_modulo.is_some() { s.max(SILENCE_S) } else { s }),
@@ -79,14 +88,14 @@ impl Recorder {
 
     /// Whether the program's end marks have been seen.
     pub(super) fn over(&self) -> bool {
-        self.marks.over()
+        self.program.is_over()
     }
 
     /// Something happened around the bytes.
     ///
     /// # Errors
     /// When the capture cannot be written.
-    pub fn event(&mut self, host: HostNs, event: Event) -> Result<(), WriteError> {
+    pub fn event(&mut self, host: HostNs, event: Event) -> Result<(), Diagnostic> {
         if matches!(event, Event::Gap { .. }) {
             self.progress.gaps += 1;
         }
@@ -94,7 +103,7 @@ impl Recorder {
         self.writer.write(host, &Record::Event(event))
     }
 
-    pub(super) fn attach(&mut self, host: HostNs, name: &str, content: &[u8]) -> Result<(), WriteError> {
+    pub(super) fn attach(&mut self, host: HostNs, name: &str, content: &[u8]) -> Result<(), Diagnostic> {
         self.writer.write(host, &Record::Attachment { name: name.into(), content: content.to_vec() })
     }
 
@@ -102,7 +111,7 @@ impl Recorder {
     ///
     /// # Errors
     /// When the capture cannot be written.
-    pub fn bytes(&mut self, host: HostNs, bytes: Vec<u8>) -> Result<(), WriteError> {
+    pub fn bytes(&mut self, host: HostNs, bytes: Vec<u8>) -> Result<(), Diagnostic> {
         if let (Some(limit), Some(last)) = (self.silence_s, self.last_bytes)
             && host.seconds_since(last) > limit
         {
@@ -125,7 +134,7 @@ impl Recorder {
     }
 
     /// A reading that was asked for did not come: what came of it is no part of the next.
-    pub(super) fn unanswered(&mut self, host: HostNs) -> Result<(), WriteError> {
+    pub(super) fn unanswered(&mut self, host: HostNs) -> Result<(), Diagnostic> {
         self.progress.unanswered += 1;
         self.decoder.interrupt(&mut self.decoded);
         self.decoded(host)
@@ -137,7 +146,7 @@ impl Recorder {
     }
 
     /// Nothing came for as long as ends a frame, where silence does.
-    pub(super) fn silence(&mut self, host: HostNs) -> Result<(), WriteError> {
+    pub(super) fn silence(&mut self, host: HostNs) -> Result<(), Diagnostic> {
         self.decoder.silence(&mut self.decoded);
         self.decoded(host)
     }
@@ -146,7 +155,7 @@ impl Recorder {
     ///
     /// # Errors
     /// When the capture cannot be written.
-    pub fn lost(&mut self, host: HostNs, bytes: u64) -> Result<(), WriteError> {
+    pub fn lost(&mut self, host: HostNs, bytes: u64) -> Result<(), Diagnostic> {
         self.progress.lost_bytes += bytes;
         self.interrupted(host)?;
         let reason = format!("{bytes} bytes were lost: the recorder was too slow");
@@ -157,13 +166,13 @@ impl Recorder {
     ///
     /// # Errors
     /// When the capture cannot be written.
-    pub fn interrupted(&mut self, host: HostNs) -> Result<(), WriteError> {
+    pub fn interrupted(&mut self, host: HostNs) -> Result<(), Diagnostic> {
         self.decoder.interrupt(&mut self.decoded);
         self.last_bytes = None;
         self.decoded(host)
     }
 
-    fn decoded(&mut self, host: HostNs) -> Result<(), WriteError> {
+    fn decoded(&mut self, host: HostNs) -> Result<(), Diagnostic> {
         let mut decoded = std::mem::take(&mut self.decoded);
         for one in decoded.drain(..) {
             match one {
@@ -177,10 +186,10 @@ impl Recorder {
                             self.in_a_row = 0;
                         }
                     }
-                    if let Ok(json) = serde_json::to_vec(&fault) {
-                        self.flush()?;
-                        self.writer.write(host, &Record::Fault(json))?;
-                    }
+                    let json = serde_json::to_vec(&fault)
+                        .map_err(|error| RecordingFinding::EventNotWritten { why: error.to_string() })?;
+                    self.flush()?;
+                    self.writer.write(host, &Record::Fault(json))?;
                 }
             }
         }
@@ -189,7 +198,7 @@ impl Recorder {
     }
 
     /// Writes the samples that wait: what comes after them must not stand before them.
-    fn flush(&mut self) -> Result<(), WriteError> {
+    fn flush(&mut self) -> Result<(), Diagnostic> {
         if self.batch.is_empty() {
             return Ok(());
         }
@@ -202,7 +211,7 @@ impl Recorder {
         Ok(())
     }
 
-    fn sample(&mut self, host: HostNs, sample: &Sample) -> Result<(), WriteError> {
+    fn sample(&mut self, host: HostNs, sample: &Sample) -> Result<(), Diagnostic> {
         // A polled reading is that of its request, not of the reply, which comes up to 70 ms later.
         let host = match self.requested.filter(|_| self.at_request) {
             Some(HostNs(ns)) => HostNs(ns.saturating_add(self.latch_delay_ns)),
@@ -219,31 +228,31 @@ impl Recorder {
         self.progress.samples += 1;
         self.progress.reading_mm = Some(sample.reading_mm);
         self.progress.valid = sample.valid;
-        let device = self.time.as_mut().zip(sample.ticks).map(|(time, ticks)| time.seconds(ticks));
-        self.marks.sample(device.unwrap_or_else(|| host.seconds_since(self.began)), sample);
-        self.progress.device_s = device;
-        self.progress.dwells = self.progress.dwells.max(self.marks.dwells());
-        self.progress.modules = self.marks.ends();
+        let device = self.time.as_mut().zip(sample.ticks);
+        let device_s = device.map(|(time, ticks)| time.seconds(Stamp { host, ticks }));
+        self.program.push(device_s.unwrap_or_else(|| host.seconds_since(self.began)), sample);
+        self.progress.device_s = device_s;
+        self.progress.dwells = self.progress.dwells.max(self.program.dwells);
+        self.progress.modules = self.program.modules_over;
         if let Some(feed) = &mut self.feed {
-            feed.sample(host, device, sample, self.progress.dwells);
+            let high_since_s = self.program.high_since_s();
+            let counted = Counted { dwells: self.progress.dwells, high_since_s };
+            feed.sample(host, device_s, sample, counted);
         }
         Ok(())
     }
 
     /// Compares the sequence number with the one before.
-    fn missing(&mut self, host: HostNs, sample: &Sample) -> Result<(), WriteError> {
+    fn missing(&mut self, host: HostNs, sample: &Sample) -> Result<(), Diagnostic> {
         let (Some(modulo), Some(sequence)) = (self.sequence_modulo, sample.sequence) else { return Ok(()) };
         let last = self.last_sequence.replace(sequence);
         let Some(last) = last else { return Ok(()) };
-        let modulo = u64::from(modulo);
-        let missing = (u64::from(sequence) + 2 * modulo - u64::from(last).min(modulo) - 1) % modulo;
-        let (missing, reason) = match missing {
-            0 => return Ok(()),
-            // More than half the range ahead is a step back: the device began again.
-            many if many > modulo / 2 => {
-                (None, format!("the sequence number went from {last} to {sequence}"))
+        let (missing, reason) = match sequence_step(modulo, last, sequence) {
+            SequenceStep::Next => return Ok(()),
+            SequenceStep::Missing(few) => {
+                (Some(few), "samples are missing by their sequence numbers".to_owned())
             }
-            few => (Some(few), "samples are missing by their sequence numbers".to_owned()),
+            SequenceStep::Back => (None, format!("the sequence number went from {last} to {sequence}")),
         };
         self.progress.missing += missing.unwrap_or(0);
         self.event(host, Event::Gap { seconds: None, missing, reason })
@@ -258,7 +267,7 @@ impl Recorder {
     ///
     /// # Errors
     /// When the capture cannot be written.
-    pub fn tick(&mut self, now: HostNs) -> Result<(), WriteError> {
+    pub fn tick(&mut self, now: HostNs) -> Result<(), Diagnostic> {
         self.progress.elapsed_s = now.seconds_since(self.began);
         if let Some(feed) = &mut self.feed {
             feed.tick(now);
@@ -279,8 +288,10 @@ impl Recorder {
     ///
     /// # Errors
     /// When the capture cannot be written.
-    pub fn finish(mut self, now: HostNs, reason: &str) -> Result<Progress, WriteError> {
+    pub fn finish(mut self, now: HostNs, reason: &str) -> Result<Progress, Diagnostic> {
         self.interrupted(now)?;
+        self.program.finish();
+        self.progress.dwells = self.progress.dwells.max(self.program.dwells);
         self.progress.elapsed_s = now.seconds_since(self.began);
         self.writer.finish(now, reason, self.progress.missing)?;
         Ok(self.progress)

@@ -4,9 +4,11 @@ use std::time::Duration;
 
 use serialport::{DataBits, FlowControl, StopBits};
 
-use crate::clock;
-use crate::port::{Port, PortError, Settings};
-use crate::protocol::{Definition, Flow, Line, Parity, Step};
+use crate::base::clock;
+use crate::base::units::HostNs;
+use crate::catalogue::PortFinding::{self, BarSilent};
+use crate::device::port::{Port, Settings};
+use crate::device::protocol::{Definition, Flow, Line, Parity, Step};
 
 /// The line's settings in the words of the port.
 fn settings(line: &Line) -> Settings {
@@ -32,6 +34,8 @@ fn settings(line: &Line) -> Settings {
 /// A bar that has been opened and started.
 pub(super) struct Opened {
     pub(super) port: Port,
+    /// When the line was about to be opened.
+    pub(super) began: HostNs,
     /// How many bytes of an earlier stream were thrown away.
     pub(super) stale: u64,
     /// What came behind the answer to the start command: the stream has begun.
@@ -39,29 +43,30 @@ pub(super) struct Opened {
 }
 
 /// Opens the line, silences the bar (it may still send from an earlier run) and starts it.
-pub(super) fn open(name: &str, definition: &Definition) -> Result<Opened, PortError> {
+pub(super) fn open(name: &str, definition: &Definition) -> Result<Opened, PortFinding> {
+    let began = clock::now();
     let (mut port, stale) = silence(name, definition)?;
     perform(&mut port, &definition.init)?;
     let first = perform(&mut port, &definition.start)?.rest;
-    Ok(Opened { port, stale, first })
+    Ok(Opened { port, began, stale, first })
 }
 
-/// Sets the bar's reading to zero where it stands.
+/// Sets the bar's present reading to zero.
 ///
 /// # Errors
 /// When the port cannot be opened, or the bar does not answer where it should.
-pub fn zero(name: &str, definition: &Definition) -> Result<(), PortError> {
+pub fn zero(name: &str, definition: &Definition) -> Result<(), PortFinding> {
     let (mut port, _) = silence(name, definition)?;
     let heard = perform(&mut port, &definition.zero)?;
     if heard.answered {
         Ok(())
     } else {
-        Err(PortError::Silent { name: name.into(), bauds: definition.line.baud.to_string() })
+        Err(BarSilent { port: name.into(), bauds: definition.line.baud.to_string() })
     }
 }
 
 /// Opens the line and silences the bar; how many bytes of an earlier stream were thrown away.
-fn silence(name: &str, definition: &Definition) -> Result<(Port, u64), PortError> {
+fn silence(name: &str, definition: &Definition) -> Result<(Port, u64), PortFinding> {
     let mut port = Port::open(name, &settings(&definition.line))?;
     clock::sleep(definition.line.settle.as_secs_f64());
     let mut stale = find(&mut port, name, definition)?;
@@ -73,13 +78,13 @@ fn silence(name: &str, definition: &Definition) -> Result<(Port, u64), PortError
 }
 
 /// Tries the rates that the bar may be set to until it answers; how many bytes were thrown away.
-fn find(port: &mut Port, name: &str, definition: &Definition) -> Result<u64, PortError> {
+fn find(port: &mut Port, name: &str, definition: &Definition) -> Result<u64, PortFinding> {
     let mut thrown = 0;
     if definition.ident.is_empty() {
         return Ok(thrown);
     }
     let rates: Vec<u32> =
-        std::iter::once(definition.line.baud).chain(definition.line_probe.iter().copied()).collect();
+        std::iter::once(definition.line.baud).chain(definition.line.baud_probe.iter().copied()).collect();
     for baud in &rates {
         port.set_baud(*baud)?;
         let heard = perform(port, &definition.ident)?;
@@ -90,7 +95,7 @@ fn find(port: &mut Port, name: &str, definition: &Definition) -> Result<u64, Por
         }
     }
     let bauds = rates.iter().map(u32::to_string).collect::<Vec<_>>().join(", ");
-    Err(PortError::Silent { name: name.into(), bauds })
+    Err(BarSilent { port: name.into(), bauds })
 }
 
 /// Silences the bar; a bar that is gone is silent.
@@ -99,7 +104,7 @@ pub(super) fn close(mut port: Port, definition: &Definition) {
 }
 
 /// Asks for a reading.
-pub(super) fn ask(port: &mut Port, definition: &Definition) -> Result<(), PortError> {
+pub(super) fn ask(port: &mut Port, definition: &Definition) -> Result<(), PortFinding> {
     perform(port, &definition.poll).map(drop)
 }
 
@@ -122,7 +127,7 @@ impl Heard {
 
 /// Performs the steps of a command. A device that does not answer as expected is given up after its
 /// retries: whether it sends is seen soon enough.
-fn perform(port: &mut Port, steps: &[Step]) -> Result<Heard, PortError> {
+fn perform(port: &mut Port, steps: &[Step]) -> Result<Heard, PortFinding> {
     let mut heard = Heard { drained: 0, rest: Vec::new(), answered: true };
     for step in steps {
         match step {

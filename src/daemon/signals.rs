@@ -4,11 +4,18 @@ use std::io;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use crate::catalogue::ServiceFinding;
+use crate::diagnostic::Diagnostic;
+
 /// A flag that the first SIGINT or SIGTERM raises.
 ///
 /// # Errors
 /// When the system gives no thread or no signal handler.
-pub fn stop_on_signal() -> io::Result<Arc<AtomicBool>> {
+pub fn stop_on_signal() -> Result<Arc<AtomicBool>, Diagnostic> {
+    raised_on_signal().map_err(|error| ServiceFinding::NoSystem { why: error.to_string() }.into())
+}
+
+fn raised_on_signal() -> io::Result<Arc<AtomicBool>> {
     let flag = Arc::new(AtomicBool::new(false));
     let raised = Arc::clone(&flag);
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;

@@ -10,6 +10,7 @@ use axum::http::header::{AUTHORIZATION, COOKIE, HOST, HeaderMap, ORIGIN};
 use axum::http::{StatusCode, Uri};
 
 use super::json::Problem;
+use crate::catalogue::ServiceFinding::{NoHost, NoToken, OtherHost, OtherSite};
 
 /// The cookie of a page that has shown the token.
 pub(super) const COOKIE_NAME: &str = "dbbd";
@@ -45,7 +46,7 @@ impl Token {
     }
 }
 
-/// Compares in a time that tells nothing of `secret` but its length.
+/// Compares in a time that reveals nothing of `secret` but its length.
 fn same(shown: &[u8], secret: &[u8]) -> bool {
     let mut different = u8::from(shown.len() != secret.len());
     for (one, other) in shown.iter().zip(secret.iter().cycle()) {
@@ -65,14 +66,13 @@ impl Access {
     pub(super) fn check_site(&self, uri: &Uri, headers: &HeaderMap, api: bool) -> Result<(), Problem> {
         let host = headers.get(HOST).and_then(|host| host.to_str().ok());
         let Some(host) = host.filter(|_| headers.get_all(HOST).iter().count() == 1) else {
-            return Err(Problem::new(StatusCode::BAD_REQUEST, "one Host header is needed"));
+            return Err(Problem::new(StatusCode::BAD_REQUEST, NoHost));
         };
         let authority = uri.authority().map_or(host, |authority| authority.as_str());
         if !self.knows(host) || !authority.eq_ignore_ascii_case(host) {
-            return Err(Problem::new(StatusCode::MISDIRECTED_REQUEST, "this Host is not served here")
-                .help("name it under `hosts` in the configuration, or ask by address"));
+            return Err(Problem::new(StatusCode::MISDIRECTED_REQUEST, OtherHost));
         }
-        let foreign = || Problem::new(StatusCode::FORBIDDEN, "a page of another site may not ask here");
+        let foreign = || Problem::new(StatusCode::FORBIDDEN, OtherSite);
         if let Some(origin) = headers.get(ORIGIN) {
             let origin = origin.to_str().map_err(|_| foreign())?;
             let own = origin.strip_prefix("http://").or_else(|| origin.strip_prefix("https://"));
@@ -119,8 +119,7 @@ impl Access {
         if sessions.any(|shown| same(shown.as_bytes(), self.session.as_bytes())) {
             return Ok(());
         }
-        Err(Problem::new(StatusCode::UNAUTHORIZED, "the token is missing or wrong")
-            .help("send it as `Authorization: Bearer TOKEN`, or give it to the page"))
+        Err(Problem::new(StatusCode::UNAUTHORIZED, NoToken))
     }
 
     /// The cookie for a page that shows the token.

@@ -13,8 +13,12 @@ use tokio::sync::watch;
 
 use super::access::{Access, COOKIE_NAME};
 use super::json::{Body, Problem, json};
-use super::service::{Catalogue, JobKind, JobRequest, Refusal, Service, StartRequest};
+use super::service::{Catalogue, JobKind, JobRequest, Service, StartRequest};
 use super::{downloads, metrics as prometheus, stream as live_stream};
+use crate::catalogue::ServiceFinding::{
+    NoJob, NoResultKind, PathNotText, RemarkLength, WorkerLost, WrongToken,
+};
+use crate::diagnostic::Diagnostic;
 
 /// The API's description, kept by hand; a test holds it to the routes.
 pub const OPENAPI: &str = include_str!("openapi.json");
@@ -37,17 +41,19 @@ const LONGEST_REMARK: usize = 250;
 /// Asks the service on a thread where it may wait.
 async fn ask<T: Send + 'static>(
     app: App,
-    question: impl FnOnce(&dyn Service) -> Result<T, Refusal> + Send + 'static,
+    question: impl FnOnce(&dyn Service) -> Result<T, Diagnostic> + Send + 'static,
 ) -> Result<T, Problem> {
     let service: Arc<dyn Service> = app.service;
     match tokio::task::spawn_blocking(move || question(&*service)).await {
         Ok(answer) => Ok(answer?),
-        Err(error) => Err(Problem::new(StatusCode::INTERNAL_SERVER_ERROR, error.to_string())),
+        Err(error) => Err(Diagnostic::new(WorkerLost { worker: error.to_string() }).into()),
     }
 }
 
 fn parts<T>(parts: Parts<T>) -> Result<T, Problem> {
-    parts.map(|Path(parts)| parts).map_err(|error| Problem::new(StatusCode::BAD_REQUEST, error.body_text()))
+    parts
+        .map(|Path(parts)| parts)
+        .map_err(|error| Problem::new(StatusCode::BAD_REQUEST, PathNotText { why: error.body_text() }))
 }
 
 pub(super) async fn openapi() -> Response {
@@ -62,7 +68,7 @@ pub(super) struct LogIn {
 
 pub(super) async fn log_in(State(app): State<App>, Body(shown): Body<LogIn>) -> Answer {
     let Some(session) = app.access.session_for(&shown.token) else {
-        return Err(Problem::new(StatusCode::UNAUTHORIZED, "the token is wrong"));
+        return Err(Problem::new(StatusCode::UNAUTHORIZED, WrongToken));
     };
     let cookie = format!("{COOKIE_NAME}={session}; Path=/; HttpOnly; SameSite=Strict");
     Ok((StatusCode::NO_CONTENT, [(SET_COOKIE, cookie)]).into_response())
@@ -141,8 +147,7 @@ pub(super) struct Remark {
 
 pub(super) async fn mark(State(app): State<App>, Body(remark): Body<Remark>) -> Answer {
     if remark.text.trim().is_empty() || remark.text.chars().count() > LONGEST_REMARK {
-        let message = format!("a remark has 1 to {LONGEST_REMARK} characters");
-        return Err(Problem::new(StatusCode::UNPROCESSABLE_ENTITY, message));
+        return Err(Diagnostic::new(RemarkLength { most: LONGEST_REMARK }).into());
     }
     ask(app, move |service| service.mark(remark.text)).await?;
     Ok(StatusCode::ACCEPTED.into_response())
@@ -168,7 +173,7 @@ pub(super) async fn capture(State(app): State<App>, name: Parts<String>) -> Answ
 pub(super) async fn result(State(app): State<App>, path: Parts<(String, String, String)>) -> Answer {
     let (name, kind, file) = parts(path)?;
     let Some(kind) = JobKind::ALL.into_iter().find(|known| known.name() == kind) else {
-        return Err(Problem::new(StatusCode::NOT_FOUND, "results are of sync, identify or circle"));
+        return Err(Diagnostic::new(NoResultKind { kind }).into());
     };
     let download = ask(app, move |service| service.file(&name, Some((kind, &file)))).await?;
     Ok(downloads::answer(download))
@@ -186,7 +191,7 @@ pub(super) async fn submit(State(app): State<App>, Body(request): Body<JobReques
 
 fn job_number(id: Parts<String>) -> Result<u64, Problem> {
     let id = parts(id)?;
-    id.parse().map_err(|_| Problem::new(StatusCode::NOT_FOUND, "there is no such job"))
+    id.parse().map_err(|_| Diagnostic::new(NoJob { job: id }).into())
 }
 
 pub(super) async fn job(State(app): State<App>, id: Parts<String>) -> Answer {

@@ -9,50 +9,49 @@ use axum::http::{HeaderName, StatusCode};
 use axum::response::{IntoResponse, Response};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
+use serde_json::error::Category;
 
-use super::service::Refusal;
+use crate::catalogue::ServiceFinding::{
+    self, BodyContent, BodyNotJson, BodySyntax, BodyTooLong, BodyTooSlow, Unwritten,
+};
+use crate::diagnostic::{Code, Diagnostic};
 
 /// Longest body that is taken, bytes.
 const LONGEST_BODY: usize = 64 * 1024;
 /// How long a body may take.
 const BODY_TIME: Duration = Duration::from_secs(10);
 
-/// A refusal: `{"error": .., "help": ..}`.
+/// A refusal: `{"error": .., "code": .., "help": ..}`.
 #[derive(Debug)]
 pub(super) struct Problem {
     status: StatusCode,
-    message: String,
-    help: Option<&'static str>,
+    finding: Box<Diagnostic>,
     allow: Option<&'static str>,
 }
 
 impl Problem {
-    pub(super) fn new(status: StatusCode, message: impl Into<String>) -> Self {
-        Self { status, message: message.into(), help: None, allow: None }
+    pub(super) fn new(status: StatusCode, finding: ServiceFinding) -> Self {
+        Self { status, finding: Box::new(finding.into()), allow: None }
     }
 
-    pub(super) fn help(mut self, help: &'static str) -> Self {
-        self.help = Some(help);
-        self
-    }
-
-    /// With the methods that are allowed.
     pub(super) fn allow(mut self, methods: &'static str) -> Self {
         self.allow = Some(methods);
         self
     }
 }
 
-impl From<Refusal> for Problem {
-    fn from(refusal: Refusal) -> Self {
-        let status = match refusal {
-            Refusal::Missing(_) => StatusCode::NOT_FOUND,
-            Refusal::Conflict(_) => StatusCode::CONFLICT,
-            Refusal::Invalid(_) => StatusCode::UNPROCESSABLE_ENTITY,
-            Refusal::Busy(_) => StatusCode::TOO_MANY_REQUESTS,
-            Refusal::Failed(_) => StatusCode::INTERNAL_SERVER_ERROR,
+/// Of what the service refuses: by the family and code, what is not in them is the device's or a file's.
+impl From<Diagnostic> for Problem {
+    fn from(finding: Diagnostic) -> Self {
+        let status = match finding.code.0 {
+            "E1503" => StatusCode::NOT_FOUND,
+            "E1505" => StatusCode::UNPROCESSABLE_ENTITY,
+            "E1506" => StatusCode::TOO_MANY_REQUESTS,
+            "E1507" | "E0208" => StatusCode::INTERNAL_SERVER_ERROR,
+            code if code.starts_with("E03") => StatusCode::UNPROCESSABLE_ENTITY,
+            _ => StatusCode::CONFLICT,
         };
-        Self::new(status, refusal.to_string())
+        Self { status, finding: finding.into(), allow: None }
     }
 }
 
@@ -61,10 +60,12 @@ impl IntoResponse for Problem {
         #[derive(Serialize)]
         struct Body<'a> {
             error: &'a str,
+            code: Code,
             #[serde(skip_serializing_if = "Option::is_none")]
             help: Option<&'a str>,
         }
-        let mut response = json(self.status, &Body { error: &self.message, help: self.help });
+        let Diagnostic { code, message, help, .. } = &*self.finding;
+        let mut response = json(self.status, &Body { error: message, code: *code, help: help.as_deref() });
         if self.status == StatusCode::UNAUTHORIZED {
             let scheme = HeaderValue::from_static("Bearer");
             response.headers_mut().insert(HeaderName::from_static("www-authenticate"), scheme);
@@ -80,7 +81,7 @@ impl IntoResponse for Problem {
 pub(super) fn json(status: StatusCode, content: &impl Serialize) -> Response {
     match serde_json::to_string(content) {
         Ok(text) => (status, [(CONTENT_TYPE, "application/json")], text).into_response(),
-        Err(error) => (StatusCode::INTERNAL_SERVER_ERROR, error.to_string()).into_response(),
+        Err(error) => Problem::from(Diagnostic::new(Unwritten { why: error.to_string() })).into_response(),
     }
 }
 
@@ -95,24 +96,21 @@ impl<T: DeserializeOwned, S: Sync> FromRequest<S> for Body<T> {
         let kind = kind.split(';').next().unwrap_or("").trim();
         if !kind.eq_ignore_ascii_case("application/json") {
             let status = StatusCode::UNSUPPORTED_MEDIA_TYPE;
-            return Err(Problem::new(status, "the body must be JSON").help("Content-Type: application/json"));
+            return Err(Problem::new(status, BodyNotJson));
         }
         let bytes = tokio::time::timeout(BODY_TIME, to_bytes(request.into_body(), LONGEST_BODY))
             .await
-            .map_err(|_| Problem::new(StatusCode::REQUEST_TIMEOUT, "the body took too long"))?
+            .map_err(|_| Problem::new(StatusCode::REQUEST_TIMEOUT, BodyTooSlow))?
             .map_err(|_| {
-                Problem::new(
-                    StatusCode::PAYLOAD_TOO_LARGE,
-                    format!("a body has at most {LONGEST_BODY} bytes"),
-                )
+                Problem::new(StatusCode::PAYLOAD_TOO_LARGE, BodyTooLong { most_bytes: LONGEST_BODY })
             })?;
         serde_json::from_slice(&bytes).map(Self).map_err(|error| {
-            // What is JSON but not what is asked for is told apart.
-            let status = match error.classify() {
-                serde_json::error::Category::Data => StatusCode::UNPROCESSABLE_ENTITY,
-                _ => StatusCode::BAD_REQUEST,
-            };
-            Problem::new(status, error.to_string())
+            // What is JSON but not what is asked for has a status of its own.
+            let why = error.to_string();
+            match error.classify() {
+                Category::Data => Problem::new(StatusCode::UNPROCESSABLE_ENTITY, BodyContent { why }),
+                _ => Problem::new(StatusCode::BAD_REQUEST, BodySyntax { why }),
+            }
         })
     }
 }

@@ -21,7 +21,7 @@ pub use api::OPENAPI;
 pub use routes::routes;
 pub use server::serve;
 pub use service::{
-    Catalogue, Download, Ended, Job, JobKind, JobRequest, JobState, Refusal, ResultFile, RunEntry, RunState,
-    Service, StartRequest,
+    Catalogue, Download, Ended, Job, JobKind, JobRequest, JobState, ResultFile, RunEntry, RunState, Service,
+    StartRequest,
 };
 pub use view::{Alarm, Device, Frame, LastRun, Message, Point, RunStatus, State, Status};

@@ -1,4 +1,4 @@
-//! Every route in one table, and what stands before all of them.
+//! Every route in one table, and the guard before all of them.
 
 use std::sync::Arc;
 
@@ -19,6 +19,7 @@ use super::api::App;
 use super::json::Problem;
 use super::service::Service;
 use super::{api, page};
+use crate::catalogue::ServiceFinding::{NotAllowed, NothingHere, PathTooLong};
 
 /// What the page may do: talk to this service, and nothing else.
 const PAGE_POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; \
@@ -64,10 +65,7 @@ pub fn routes() -> Vec<(&'static str, &'static str)> {
 pub(super) fn router(service: Arc<dyn Service>, access: Access, stop: watch::Receiver<bool>) -> Router {
     let app = App { service, access: Arc::new(access), stop };
     let refused = |methods: &'static str| {
-        move || async move {
-            Problem::new(StatusCode::METHOD_NOT_ALLOWED, format!("only {methods} is allowed here"))
-                .allow(methods)
-        }
+        move || async move { Problem::new(StatusCode::METHOD_NOT_ALLOWED, NotAllowed { methods }).allow(methods) }
     };
     let mut router = Router::new();
     for (path, methods, handlers) in table() {
@@ -78,7 +76,7 @@ pub(super) fn router(service: Arc<dyn Service>, access: Access, stop: watch::Rec
         router = router.route(path, handler.fallback(refused("GET")));
     }
     router
-        .fallback(|| async { Problem::new(StatusCode::NOT_FOUND, "there is nothing here") })
+        .fallback(|| async { Problem::new(StatusCode::NOT_FOUND, NothingHere) })
         .layer(from_fn_with_state(app.clone(), guard))
         .with_state(app)
 }
@@ -104,7 +102,7 @@ async fn guard(State(app): State<App>, request: Request, next: Next) -> Response
 fn admit(access: &Access, request: &Request) -> Result<(), Problem> {
     let path = request.uri().path();
     if request.uri().to_string().len() > LONGEST_URI {
-        return Err(Problem::new(StatusCode::URI_TOO_LONG, "the path is too long"));
+        return Err(Problem::new(StatusCode::URI_TOO_LONG, PathTooLong));
     }
     let asset = page::FILES.iter().any(|(name, ..)| *name == path);
     access.check_site(request.uri(), request.headers(), !asset)?;

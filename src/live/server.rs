@@ -18,6 +18,8 @@ use super::access::Access;
 use super::routes;
 use super::service::Service;
 use super::stall::Stalling;
+use crate::catalogue::ServiceFinding;
+use crate::diagnostic::Finding;
 
 /// Connections at a time.
 const MOST_CONNECTIONS: usize = 256;
@@ -42,7 +44,7 @@ pub(super) fn listen(address: SocketAddr) -> io::Result<TcpListener> {
     socket.listen(128)
 }
 
-/// Serves the page and the API at `address` until `stop` says so; `ready` is told the address once.
+/// Serves the page and the API at `address` until `stop` says so; `ready` is given the address once.
 ///
 /// # Errors
 /// When the address cannot be had.
@@ -101,8 +103,11 @@ async fn talk(stream: TcpStream, router: Router, mut stop: watch::Receiver<bool>
     let _ = connection.await;
 }
 
+/// Answers without a router: there is no room for one more.
 fn refuse(stream: &TcpStream) {
-    const ANSWER: &[u8] = b"HTTP/1.1 503 Service Unavailable\r\nconnection: close\r\nretry-after: 5\r\n\
-        content-type: application/json\r\ncontent-length: 32\r\n\r\n{\"error\":\"too many connections\"}";
-    let _ = stream.try_write(ANSWER);
+    let finding = ServiceFinding::TooManyConnections;
+    let body = serde_json::json!({ "error": finding.to_string(), "code": finding.code() }).to_string();
+    let head = "HTTP/1.1 503 Service Unavailable\r\nconnection: close\r\nretry-after: 5\r\n\
+        content-type: application/json\r\ncontent-length:";
+    let _ = stream.try_write(format!("{head} {}\r\n\r\n{body}", body.len()).as_bytes());
 }

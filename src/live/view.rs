@@ -4,6 +4,8 @@ use std::sync::Arc;
 
 use serde::Serialize;
 
+use crate::diagnostic::Code;
+
 /// One message of the live stream: its name and its JSON, made once for all clients.
 #[derive(Clone, Debug)]
 pub struct Message {
@@ -51,13 +53,12 @@ impl State {
 /// The service at a moment.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Status {
-    /// Version of dbbd.
     pub version: &'static str,
-    /// Its state.
     pub state: State,
     /// Why, where the state needs a word.
     pub reason: Option<String>,
-    /// The device.
+    /// The code of the finding that is the reason.
+    pub code: Option<Code>,
     pub device: Device,
     /// The run that is on.
     pub run: Option<RunStatus>,
@@ -79,7 +80,6 @@ pub struct Device {
 /// A run that is on.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct RunStatus {
-    /// Its name.
     pub name: String,
     /// The plan that the robot executes.
     pub plan: Option<String>,
@@ -132,7 +132,6 @@ pub struct RunStatus {
 /// How a run ended.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct LastRun {
-    /// Its name.
     pub name: String,
     /// What ended it, or why it failed.
     pub ending: String,
@@ -155,7 +154,7 @@ pub enum Alarm {
     Over,
 }
 
-/// What came between two pictures: the extremes are kept.
+/// What came between two frames: the extremes are kept.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Frame {
     /// Number of the frame in its run, from 1.
@@ -166,7 +165,6 @@ pub struct Frame {
     pub unix_ms: f64,
     /// How much earlier the first sample of the frame came, ms.
     pub span_ms: f64,
-    /// Samples in it.
     pub samples: u32,
     /// Least reading, mm.
     pub min_mm: f64,
@@ -191,7 +189,6 @@ pub struct Point {
     pub dwell: u32,
     /// The row of the plan that it is by count; which it really is, the alignment decides afterwards.
     pub index: Option<u32>,
-    /// Its circle.
     pub circle: Option<u32>,
     /// Its angle on the circle, degrees.
     pub angle_deg: Option<f64>,

@@ -1,151 +1,157 @@
-//! From a job to a plan, or to what stands against it.
+//! From a job to a plan, or to its refusal.
 
-use super::advice::advice;
-use super::cell::{Cell, Near};
-use super::check::{Facts, Finding, Inspector, judge, note_speed, path, summary};
-use super::hold::held;
+use super::cell::{Cell, StrokeMargin};
+use super::check::{Inspector, Worst, judge, note_speed, path, summary, unreachable};
 use super::quantity::{Check, Quantity};
+use super::recommend::recommendations;
 use super::rig::Rig;
 use super::risk::over_run;
 use super::solve::{Branch, runs};
 use super::steps::{Step, steps};
 use super::timing::{Pace, move_times};
-use super::{Header, Job, Knowledge, Plan, PlanRow, optimise, pass};
-use crate::model::Robot;
+use super::{Header, Job, Plan, PlanRow, PlanningPrior, Taught, optimise, orientations, pass};
+use crate::catalogue::{JobFinding, PlanFinding};
+use crate::diagnostic::Diagnostic;
+use crate::robot::Robot;
+use crate::robot::inverse::Unsolved;
 
-/// How many findings are told.
-const TOLD: usize = 10;
-/// How many branches are followed finely before the best one's findings stand.
+/// How many findings of a refusal are shown.
+const SHOWN: usize = 10;
+/// How many branches are followed finely before the best one is refused.
 const TRIED: usize = 4;
 
-/// A plan that would not be safe, or not be possible.
+/// Why a plan would not be safe, or not be possible.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Refused {
-    /// What stands against it, in the order of the rows.
-    pub findings: Vec<Finding>,
-    /// What would help, or why no poses could be chosen.
-    pub advice: Vec<String>,
+pub struct Refusal {
+    /// In the order of the rows.
+    pub findings: Vec<Diagnostic>,
+    /// What would help.
+    pub recommendations: Vec<Diagnostic>,
 }
 
-impl std::fmt::Display for Refused {
-    fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(out, "the plan is refused: {} finding(s)", self.findings.len().max(1))?;
-        for finding in self.findings.iter().take(TOLD) {
-            write!(out, "\n  {finding}")?;
-        }
-        if self.findings.len() > TOLD {
-            write!(out, "\n  and {} more", self.findings.len() - TOLD)?;
-        }
-        for advice in &self.advice {
-            write!(out, "\n  {advice}")?;
-        }
-        Ok(())
+impl Refusal {
+    /// The first findings, and what would help.
+    pub fn shown(&self) -> impl Iterator<Item = &Diagnostic> {
+        self.findings.iter().take(SHOWN).chain(&self.recommendations)
     }
 }
 
-impl std::error::Error for Refused {}
+impl std::fmt::Display for Refusal {
+    fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        self.shown().try_for_each(|finding| writeln!(out, "{}: {finding}", finding.code))
+    }
+}
 
-/// A run of rows that was followed finely.
+impl From<Refusal> for Diagnostic {
+    fn from(refusal: Refusal) -> Self {
+        let findings = refusal.findings.len();
+        PlanFinding::Refused { findings, shown: findings.min(SHOWN) }.into()
+    }
+}
+
+impl From<Diagnostic> for Refusal {
+    fn from(finding: Diagnostic) -> Self {
+        Self { findings: vec![finding], recommendations: Vec::new() }
+    }
+}
+
+impl From<JobFinding> for Refusal {
+    fn from(finding: JobFinding) -> Self {
+        Diagnostic::new(finding).into()
+    }
+}
+
+/// Rows that were followed finely.
+#[derive(Default)]
 struct Inspected {
     rows: Vec<PlanRow>,
     paces: Vec<Option<Pace>>,
-    facts: Vec<Facts>,
-    findings: Vec<Finding>,
+    worst: Vec<Worst>,
+    findings: Vec<PlanFinding>,
     /// The worst pose of each row, for the risk of all runs together.
-    nears: Vec<Near>,
+    margins: Vec<StrokeMargin>,
 }
 
 impl Inspected {
-    fn nothing(findings: Vec<Finding>) -> Self {
-        Self { rows: Vec::new(), paces: Vec::new(), facts: Vec::new(), findings, nears: Vec::new() }
+    fn refused(finding: PlanFinding) -> Self {
+        Self { findings: vec![finding], ..Self::default() }
+    }
+
+    fn append(&mut self, mut run: Self) {
+        self.rows.append(&mut run.rows);
+        self.paces.append(&mut run.paces);
+        self.worst.append(&mut run.worst);
+        self.findings.append(&mut run.findings);
+        self.margins.append(&mut run.margins);
+    }
+
+    fn judge(&self, job: &Job) -> Vec<Check> {
+        judge(job, &self.rows, &self.worst)
     }
 }
 
 impl Plan {
     /// Plans a job for a robot. Where the robot was identified (it carries its nominal one), the poses
-    /// are those that the controller, which computes with the nominal one, must be told.
+    /// are those that the controller, which computes with the nominal one, must be commanded.
     ///
     /// # Errors
-    /// Everything that stands against the plan, with row, value and limit.
-    pub fn build(job: &Job, robot: &Robot) -> Result<Self, Refused> {
-        Self::build_knowing(job, robot, &Knowledge::datasheet(job, robot))
+    /// Every unsafe or impossible row, with value and limit.
+    pub fn build(job: &Job, robot: &Robot) -> Result<Self, Refusal> {
+        Self::build_with(job, robot, &PlanningPrior::datasheet(job, robot))
     }
 
     /// As [`Plan::build`], with what is known of the robot.
     ///
     /// # Errors
     /// As [`Plan::build`].
-    pub fn build_knowing(job: &Job, robot: &Robot, known: &Knowledge) -> Result<Self, Refused> {
+    pub fn build_with(job: &Job, robot: &Robot, prior: &PlanningPrior) -> Result<Self, Refusal> {
+        job.check().map_err(|misplaced| misplaced.finding)?;
         let rig = Rig::new(robot);
-        let job =
-            &held(job, &rig, known).map_err(|advice| Refused { findings: vec![], advice: vec![advice] })?;
-        let mut steps = steps(job);
+        let job = orientations::chosen(job, &rig, prior)?;
+        let mut steps = steps(&job)?;
         let (mut notes, mut stage) = (Vec::new(), None);
         if job.optimise.is_some() {
-            let chosen = optimise::steps(job, &rig, known)
-                .map_err(|advice| Refused { findings: vec![], advice: vec![advice] })?;
+            let chosen = optimise::steps(&job, &rig, prior)?;
             steps.extend(chosen.steps);
             (notes, stage) = (chosen.notes, chosen.stage);
         }
-        let (mut rows, mut paces, mut facts) = (Vec::new(), Vec::new(), Vec::new());
-        let (mut findings, mut taught, mut nears) = (Vec::new(), Vec::new(), Vec::new());
-        let mut known = known.clone();
-        for (first, past) in runs(&steps) {
-            let run = steps.get(first..past).unwrap_or_default();
-            let mut best = inspect_best(job, robot, &rig, &known, run, first as u32 + 1, rows.last());
-            if let Some(start) = best.rows.first() {
-                let axes = start.axes_deg.map(f64::to_radians);
-                if let (belief, Some(ball)) = known.at_start(job, rig.controller, start.centre, &axes) {
-                    known.teach(belief, ball);
-                    taught.push(ball);
-                }
-            }
-            rows.append(&mut best.rows);
-            paces.append(&mut best.paces);
-            facts.append(&mut best.facts);
-            findings.append(&mut best.findings);
-            nears.append(&mut best.nears);
-        }
+        let planner = Planner { job: &job, robot, rig: &rig };
+        let (mut inspected, taught) = planner.inspect_all(&steps, prior);
         // One robot makes all the runs: their risks are not independent.
-        let stroke_risk = over_run(&nears);
-        if let Some(last) = facts.last_mut() {
+        let stroke_risk = over_run(&inspected.margins);
+        if let Some(last) = inspected.worst.last_mut() {
             last.note(Quantity::RunRisk, stroke_risk);
         }
-        if !findings.is_empty() {
-            findings
-                .extend(judge(job, &rows, &facts).into_iter().filter(|c| !c.holds()).map(Finding::Beyond));
-            let advice = advice(job, &rig, &rows, &findings);
-            return Err(Refused { findings, advice });
+        if !inspected.findings.is_empty() {
+            return Err(planner.refusal(&inspected));
         }
-        let mut moves = move_times(&rows, &paces, &job.motion, robot, u64::from(job.seed));
-        for facts in &mut facts {
-            let at = facts.position();
-            if let (Some(Some(pace)), Some(time)) = (paces.get(at), moves.get(at)) {
-                note_speed(facts, pace, time);
+        let seed = u64::from(job.seed);
+        let mut moves = move_times(&inspected.rows, &inspected.paces, &job.motion, robot, seed);
+        for worst in &mut inspected.worst {
+            let at = worst.position();
+            if let (Some(Some(pace)), Some(time)) = (inspected.paces.get(at), moves.get(at)) {
+                note_speed(worst, pace, time);
             }
         }
-        let all = judge(job, &rows, &facts);
-        let beyond: Vec<Finding> =
-            all.iter().filter(|check| !check.holds()).cloned().map(Finding::Beyond).collect();
-        if !beyond.is_empty() {
-            let advice = advice(job, &rig, &rows, &beyond);
-            return Err(Refused { findings: beyond, advice });
+        let checks = inspected.judge(&job);
+        if !checks.iter().all(Check::holds) {
+            return Err(planner.refusal(&inspected));
         }
-        let checks: Vec<Check> = summary(&all);
-        let passes = pass::passes(job, &rows, &mut moves);
+        let rows = inspected.rows;
+        let passes = pass::passes(&job, &rows, &mut moves);
         let header = Header {
             schema: super::files::SCHEMA,
             hash: String::new(),
-            job: job.clone(),
             robot: robot.to_toml(),
             moves,
             passes,
-            checks,
+            checks: summary(&checks),
             notes,
             stage,
             taught,
             stroke_risk,
             predictions: None,
+            job,
         };
         let mut plan = Self { rows, header };
         plan.header.hash = plan.hash();
@@ -166,95 +172,112 @@ impl Plan {
     }
 }
 
-/// The run in its best branch: that with the largest margin that has no finding; when all have, the
-/// largest margin's findings stand.
-fn inspect_best(
-    job: &Job,
-    robot: &Robot,
-    rig: &Rig<'_>,
-    known: &Knowledge,
-    run: &[Step],
-    first_index: u32,
-    before: Option<&PlanRow>,
-) -> Inspected {
-    let refused = |row: u32, xyz_mm: [f64; 3], reason| {
-        Inspected::nothing(vec![Finding::Unsolved { row, xyz_mm, reason }])
-    };
-    let Some(first) = run.first() else { return Inspected::nothing(Vec::new()) };
-    let starts = match rig.starts(first) {
-        Ok(starts) => starts,
-        Err(reason) => return refused(first_index, first.pose.position.into(), reason),
-    };
-    let mut failed = None;
-    let mut branches: Vec<Branch> = Vec::new();
-    for start in &starts {
-        match rig.follow(job, run, first_index, start) {
-            Ok(branch) => branches.push(branch),
-            Err(reason) => failed = failed.or(Some(reason)),
-        }
-    }
-    branches.sort_by(|a, b| b.margin_deg.total_cmp(&a.margin_deg));
-    let mut best: Option<Inspected> = None;
-    for branch in branches.into_iter().take(TRIED) {
-        let inspected = inspect(job, robot, rig, known, branch.rows, before);
-        let clean = inspected.findings.is_empty() && judge_run(job, &inspected);
-        if clean {
-            return inspected;
-        }
-        best = best.or(Some(inspected));
-    }
-    match (best, failed) {
-        (Some(best), _) => best,
-        (None, Some((row, xyz_mm, reason))) => refused(row, xyz_mm, reason),
-        (None, None) => {
-            refused(first_index, first.pose.position.into(), crate::model::inverse::Unsolved::OutOfReach)
-        }
-    }
+struct Planner<'a> {
+    job: &'a Job,
+    robot: &'a Robot,
+    rig: &'a Rig<'a>,
 }
 
-/// Whether every check of a run holds.
-fn judge_run(job: &Job, run: &Inspected) -> bool {
-    judge(job, &run.rows, &run.facts).iter().all(Check::holds)
-}
+impl Planner<'_> {
+    /// All runs, each in its best branch, and the balls that are to be taught for them.
+    fn inspect_all(&self, steps: &[Step], prior: &PlanningPrior) -> (Inspected, Vec<Taught>) {
+        let (mut all, mut taught, mut prior) = (Inspected::default(), Vec::new(), prior.clone());
+        for run in runs(steps) {
+            let first_index = run.start as u32 + 1;
+            let best = self.best(steps.get(run).unwrap_or_default(), first_index, &prior, all.rows.last());
+            if let Some(start) = best.rows.first() {
+                let axes = start.axes_deg.map(f64::to_radians);
+                let start = prior.at_start(self.job, self.rig.controller, start.centre, &axes);
+                taught.extend(prior.begin(start));
+            }
+            all.append(best);
+        }
+        (all, taught)
+    }
 
-/// Follows all motions of a run finely.
-fn inspect(
-    job: &Job,
-    robot: &Robot,
-    rig: &Rig<'_>,
-    known: &Knowledge,
-    rows: Vec<PlanRow>,
-    before: Option<&PlanRow>,
-) -> Inspected {
-    let Some(start) = rows.first() else {
-        return Inspected::nothing(Vec::new());
-    };
-    let axes = start.axes_deg.map(f64::to_radians);
-    let cell = Cell::new(job, rig, known, start.centre, &axes);
-    let mut inspector = Inspector::new(&cell, robot, start);
-    let mut paces = Vec::with_capacity(rows.len());
-    let mut from = before;
-    let mut aux = None;
-    let passes = pass::groups(&rows).unwrap_or_default();
-    for (at, row) in rows.iter().enumerate() {
-        let pass = passes.iter().find(|pass| pass.holds(at));
-        let path = match pass {
-            Some(pass) if at == pass.end => pass.path(job, from, &rows),
-            Some(_) => {
-                paces.push(None);
-                continue;
-            }
-            None if row.is_auxiliary() => {
-                aux = Some(row);
-                paces.push(None);
-                continue;
-            }
-            None => from.map(|from| path(from, aux.take(), row)),
+    /// The run in its best branch: that with the largest margin that has no finding; when all have, that with the
+    /// largest margin.
+    fn best(
+        &self,
+        run: &[Step],
+        first_index: u32,
+        prior: &PlanningPrior,
+        before: Option<&PlanRow>,
+    ) -> Inspected {
+        let Some(first) = run.first() else { return Inspected::default() };
+        let first_pose =
+            |why: &Unsolved| Inspected::refused(unreachable(first_index, first.pose.position.into(), why));
+        let starts = match self.rig.starts(first) {
+            Ok(starts) => starts,
+            Err(why) => return first_pose(&why),
         };
-        paces.push(inspector.follow(from.zip(path), row));
-        from = Some(row);
+        let mut failed = None;
+        let mut branches: Vec<Branch> = Vec::new();
+        for start in &starts {
+            match self.rig.follow(self.job, run, first_index, start) {
+                Ok(branch) => branches.push(branch),
+                Err(finding) => failed = failed.or(Some(finding)),
+            }
+        }
+        branches.sort_by(|a, b| b.margin_deg.total_cmp(&a.margin_deg));
+        let mut best: Option<Inspected> = None;
+        for branch in branches.into_iter().take(TRIED) {
+            let inspected = self.inspect(branch.rows, prior, before);
+            if inspected.findings.is_empty() && inspected.judge(self.job).iter().all(Check::holds) {
+                return inspected;
+            }
+            best = best.or(Some(inspected));
+        }
+        match (best, failed) {
+            (Some(best), _) => best,
+            (None, Some(finding)) => Inspected::refused(finding),
+            (None, None) => first_pose(&Unsolved::OutOfReach),
+        }
     }
-    inspector.finish();
-    let Inspector { facts, findings, nears, .. } = inspector;
-    Inspected { rows, paces, facts, findings, nears }
+
+    /// Follows all motions of a run finely.
+    fn inspect(&self, rows: Vec<PlanRow>, prior: &PlanningPrior, before: Option<&PlanRow>) -> Inspected {
+        let Some(start) = rows.first() else { return Inspected::default() };
+        let axes = start.axes_deg.map(f64::to_radians);
+        let cell = Cell::new(self.job, self.rig, prior, start.centre, &axes);
+        let mut inspector = Inspector::new(&cell, self.robot, start);
+        let mut paces = Vec::with_capacity(rows.len());
+        let mut from = before;
+        let mut aux = None;
+        let passes = pass::groups(&rows).unwrap_or_default();
+        for (at, row) in rows.iter().enumerate() {
+            let pass = passes.iter().find(|pass| pass.holds(at));
+            let path = match pass {
+                Some(pass) if at == pass.end => pass.path(self.job, from, &rows),
+                Some(_) => {
+                    paces.push(None);
+                    continue;
+                }
+                None if row.is_auxiliary() => {
+                    aux = Some(row);
+                    paces.push(None);
+                    continue;
+                }
+                None => from.map(|from| path(from, aux.take(), row)),
+            };
+            paces.push(inspector.follow(from.zip(path), row));
+            from = Some(row);
+        }
+        inspector.finish();
+        let Inspector { worst, findings, margins, .. } = inspector;
+        Inspected { rows, paces, worst, findings, margins }
+    }
+
+    /// What cannot be reached, then the limits that are not kept.
+    fn refusal(&self, inspected: &Inspected) -> Refusal {
+        let Inspected { rows, findings: lost, .. } = inspected;
+        let mut broken = inspected.judge(self.job);
+        broken.retain(|check| !check.holds());
+        let recommended = recommendations(self.job, self.rig, rows, lost, &broken);
+        let limits = broken.iter().map(|check| PlanFinding::from(check).into());
+        Refusal {
+            findings: lost.iter().cloned().map(Diagnostic::from).chain(limits).collect(),
+            recommendations: recommended.into_iter().map(Diagnostic::from).collect(),
+        }
+    }
 }

@@ -2,32 +2,49 @@
 
 use nalgebra::{DVector, Matrix3, Vector3};
 
-use super::Knowledge;
-use super::candidates::{Candidate, candidates};
+use super::PlanningPrior;
 use super::clearance::{IN_CUP_MM, Segment};
 use super::job::Job;
 use super::quantity::{Quantity, limit};
 use super::rig::{Rig, axis_margin_deg};
-use crate::identifiability::Belief;
-use crate::model::AXES;
-use crate::model::inverse::{clearance, status};
+use crate::design::{Candidate, Sphere};
+use crate::estimation::Posterior;
+use crate::robot::inverse::{clearance, status};
+use crate::robot::{AXES, BallId};
 
 /// The robot in its cell, with what is known of it.
 pub(crate) struct Cell<'a> {
     pub(crate) job: &'a Job,
     pub(crate) rig: &'a Rig<'a>,
-    belief: Belief,
+    posterior: Posterior,
 }
 
 /// How near a reading comes to the ends of the stroke, for the risk over a run.
 #[derive(Clone)]
-pub(crate) struct Near {
+pub(crate) struct StrokeMargin {
     /// Room to the lower and to the upper end of the stroke, mm.
     pub(crate) room: [f64; 2],
-    /// The reading's derivative in the coordinates of the belief, mm.
-    pub(crate) swing: DVector<f64>,
+    /// The reading's derivative in the coordinates of the prior, mm.
+    pub(crate) design_row: DVector<f64>,
     /// Probability of this pose alone.
     pub(crate) risk: f64,
+}
+
+/// Whether the bar is mounted; without it only the arm counts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Mounted {
+    Yes,
+    No,
+}
+
+/// Which candidates are wanted.
+pub(crate) struct Reach {
+    /// Greatest risk of one pose.
+    pub(crate) risk: f64,
+    /// The branch of the arm, if only one.
+    pub(crate) branch: Option<u8>,
+    /// An orientation of the tool near which half of them are.
+    pub(crate) near: Option<Matrix3<f64>>,
 }
 
 impl<'a> Cell<'a> {
@@ -35,27 +52,26 @@ impl<'a> Cell<'a> {
     pub(crate) fn new(
         job: &'a Job,
         rig: &'a Rig<'a>,
-        known: &Knowledge,
+        prior: &PlanningPrior,
         centre: u32,
         start: &[f64; AXES],
     ) -> Self {
-        Self { job, rig, belief: known.at_start(job, rig.controller, centre, start).0 }
+        Self { job, rig, posterior: prior.at_start(job, rig.controller, centre, start).posterior }
     }
 
-    /// Notes all quantities at axis angles in rad, what is soon computed first, until `note` gives `None`. With the bar
-    /// off only the arm counts.
+    /// Notes all quantities at axis angles in rad, what is soon computed first, until `note` gives `None`.
     pub(crate) fn look(
         &self,
         axes: &[f64; AXES],
         centre: u32,
-        bar_on: bool,
+        mounted: Mounted,
         note: &mut impl FnMut(Quantity, f64) -> Option<()>,
-    ) -> Option<Near> {
+    ) -> Option<StrokeMargin> {
         note(Quantity::AxisMarginDeg, axis_margin_deg(self.rig.controller, axes))?;
-        let table = self.job.centres.get(centre.saturating_sub(1) as usize)?;
+        let table = self.job.ball(centre)?;
         let base = Vector3::from(table.xyz_mm);
         let ball = self.rig.arm.ball(axes);
-        if !bar_on {
+        if mounted == Mounted::No {
             self.obstacles(axes, None, &ball.position, note)?;
             return None;
         }
@@ -78,10 +94,10 @@ impl<'a> Cell<'a> {
         }
         self.obstacles(axes, Some(base), &ball.position, note)?;
         let room = [reading - bar.stroke_mm[0], bar.stroke_mm[1] - reading];
-        let swing = self.belief.swing(axes, centre.saturating_sub(1) as usize);
-        let risk = self.leaves(room, &swing);
+        let design_row = self.posterior.design_row(axes, BallId::new(centre)?);
+        let risk = self.leaves(room, &design_row);
         note(Quantity::StrokeRisk, risk)?;
-        Some(Near { room, swing, risk })
+        Some(StrokeMargin { room, design_row, risk })
     }
 
     /// Whether all limits are kept, the risk of the stroke at this pose being at most `risk`.
@@ -93,28 +109,24 @@ impl<'a> Cell<'a> {
             };
             (if quantity.at_least() { value >= limit } else { value <= limit }).then_some(())
         };
-        self.look(axes, centre, true, &mut { kept }).is_some()
+        self.look(axes, centre, Mounted::Yes, &mut { kept }).is_some()
     }
 
-    /// Candidates about a base ball (from 1), each of a risk of at most `risk`; only those of a `branch`, if one is
-    /// given; half of them near the orientation `held`, if one is given.
-    pub(crate) fn candidates(
-        &self,
-        centre: u32,
-        count: usize,
-        risk: f64,
-        branch: Option<u8>,
-        held: Option<&Matrix3<f64>>,
-    ) -> Vec<Candidate> {
-        let Some(table) = self.job.centres.get(centre.saturating_sub(1) as usize) else {
-            return Vec::new();
+    /// Candidates about a base ball (from 1).
+    pub(crate) fn candidates(&self, centre: u32, count: usize, reach: &Reach) -> Vec<Candidate> {
+        let Some(table) = self.job.ball(centre) else { return Vec::new() };
+        let sphere = Sphere {
+            arm: self.rig.arm,
+            limits_deg: &self.rig.controller.limits_deg,
+            id: BallId::new(centre).unwrap_or(BallId::FIRST),
+            ball: Vector3::from(table.xyz_mm),
+            radius_mm: self.job.bar.length_mm,
+            near: reach.near.as_ref(),
         };
-        let ball = (centre, Vector3::from(table.xyz_mm));
         let seed = u64::from(self.job.seed) << 8 | u64::from(centre);
-        let limits = &self.rig.controller.limits_deg;
-        candidates(self.rig.arm, limits, ball, self.job.bar.length_mm, held, count, seed, |axes| {
-            branch.is_none_or(|branch| status(self.rig.arm, axes) & 7 == branch)
-                && self.allows(axes, centre, risk)
+        sphere.candidates(count, seed, |axes| {
+            reach.branch.is_none_or(|branch| status(self.rig.arm, axes) & 7 == branch)
+                && self.allows(axes, centre, reach.risk)
         })
     }
 
@@ -125,14 +137,14 @@ impl<'a> Cell<'a> {
 
     /// The same `out` mm farther out.
     pub(crate) fn risk_out(&self, pose: &Candidate, out: f64) -> f64 {
-        let near = self.look(&pose.axes, pose.centre, true, &mut |_, _| Some(()));
-        near.map_or(1.0, |near| self.leaves([near.room[0] + out, near.room[1] - out], &near.swing))
+        let margin = self.look(&pose.axes, pose.ball.number(), Mounted::Yes, &mut |_, _| Some(()));
+        margin.map_or(1.0, |one| self.leaves([one.room[0] + out, one.room[1] - out], &one.design_row))
     }
 
     /// The probability that a length with this room (mm) leaves the stroke.
-    fn leaves(&self, room: [f64; 2], swing: &DVector<f64>) -> f64 {
+    fn leaves(&self, room: [f64; 2], design_row: &DVector<f64>) -> f64 {
         // Never quite zero: at the start itself the bar's own noise is left.
-        let sd = swing.norm().max(self.job.bar.sigma_um * 1e-3);
+        let sd = design_row.norm().max(self.job.bar.sigma_um * 1e-3);
         (normal_tail(room[1] / sd) + normal_tail(room[0] / sd)).min(1.0)
     }
 

@@ -5,7 +5,8 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
 use super::job::{CircleTable, Direction, Job, Orientation, Plane};
-use crate::model::pose::{Pose, rot_x, rot_y, rot_z};
+use crate::catalogue::JobFinding;
+use crate::robot::pose::{Pose, rot_x, rot_y, rot_z};
 
 /// How many points stand between two visits of the reference pose.
 pub const REFERENCE_EVERY: u32 = 20;
@@ -62,6 +63,8 @@ impl CircleTable {
 
 /// A circle in the robot base.
 pub(crate) struct Circle {
+    /// From 1.
+    pub(crate) number: u32,
     centre: Vector3<f64>,
     first: Vector3<f64>,
     second: Vector3<f64>,
@@ -77,23 +80,32 @@ pub(crate) struct Circle {
 }
 
 impl Circle {
-    /// The circle number `number` (from 1) of the job; `None` where its table does not describe one.
-    pub(crate) fn new(job: &Job, table: &CircleTable, number: u32) -> Option<Self> {
+    /// The circle number `number` (from 1) of the job.
+    ///
+    /// # Errors
+    /// The table has no plane or no base ball, which a checked job has.
+    pub(crate) fn new(job: &Job, table: &CircleTable, number: u32) -> Result<Self, JobFinding> {
         let (x, y, z) = (Vector3::x(), Vector3::y(), Vector3::z());
         let (first, second) = match (table.plane, table.normal) {
             (Some(Plane::Xy), _) => (x, y),
             (Some(Plane::Xz), _) => (x, z),
             (Some(Plane::Yz), _) => (y, z),
             (None, normal) => {
-                let normal = Vector3::from(normal?).normalize();
+                let normal = normal.ok_or(JobFinding::NoPlane { circle: number as usize })?;
+                let normal = Vector3::from(normal).normalize();
                 // The first axis is X seen in the plane; Y where X stands on it.
                 let along = if normal.x.abs() < 0.999 { x } else { y };
                 let first = (along - normal * normal.dot(&along)).normalize();
                 (first, normal.cross(&first))
             }
         };
-        let centre = job.centres.get(table.centre.checked_sub(1)? as usize)?;
-        Some(Self {
+        let centre = job.ball(table.centre).ok_or(JobFinding::NoSuchBall {
+            circle: number as usize,
+            centre: table.centre as usize,
+            balls: job.centres.len(),
+        })?;
+        Ok(Self {
+            number,
             centre: Vector3::from(centre.xyz_mm),
             first,
             second,

@@ -3,12 +3,14 @@
 use serde::{Deserialize, Serialize};
 
 use super::{Header, Kind, Motion, Plan, PlanRow, pass};
-use crate::diag::Diagnostic;
+use crate::base::table::wrong_csv;
+use crate::catalogue::PlanFinding;
+use crate::diagnostic::Diagnostic;
 
 /// Version of the form of `plan.json`.
 pub(crate) const SCHEMA: u32 = 1;
 
-/// A row as it stands in the file: its fields are the columns, in order.
+/// A row as it is in the file: its fields are the columns, in order.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Line {
@@ -86,24 +88,25 @@ impl From<Line> for PlanRow {
 
 impl PlanRow {
     /// What the columns' types do not say.
-    fn check(&self, at: usize) -> Result<(), String> {
-        if self.index as usize != at + 1 {
-            return Err(format!("index = {} must be {}: rows count from 1", self.index, at + 1));
+    fn check(&self, at: usize) -> Result<(), PlanFinding> {
+        let &Self { index, status, turn, dwell_s, .. } = self;
+        if index as usize != at + 1 {
+            return Err(PlanFinding::RowIndex { index, expected: at + 1 });
         }
-        let numbers = [self.length_mm, self.dwell_s].into_iter();
-        let numbers = numbers.chain(self.xyz_mm).chain(self.abc_deg).chain(self.axes_deg);
-        if let Some(value) = numbers.into_iter().find(|value| !value.is_finite()) {
-            return Err(format!("{value} is not a finite number"));
+        let numbers = [self.length_mm, dwell_s].into_iter();
+        let mut numbers = numbers.chain(self.xyz_mm).chain(self.abc_deg).chain(self.axes_deg);
+        if let Some(value) = numbers.find(|value| !value.is_finite()) {
+            return Err(PlanFinding::NotFinite { value });
         }
-        if self.status > 7 || self.turn > 63 {
-            return Err(format!("status = {}, turn = {}: at most 7 and 63", self.status, self.turn));
+        if status > 7 || turn > 63 {
+            return Err(PlanFinding::StatusTurn { status, turn });
         }
         if self.centre == 0 {
-            return Err("centre = 0: base balls count from 1".into());
+            return Err(PlanFinding::BallZero);
         }
         let passed = self.is_passed() && self.motion == Motion::Circ;
-        if (self.kind != Kind::Transit) != (self.dwell_s > 0.0) && !passed {
-            return Err(format!("dwell_s = {} in a {:?} row", self.dwell_s, self.kind).to_lowercase());
+        if (self.kind != Kind::Transit) != (dwell_s > 0.0) && !passed {
+            return Err(PlanFinding::Dwell { dwell_s, kind: format!("{:?}", self.kind).to_lowercase() });
         }
         Ok(())
     }
@@ -146,32 +149,30 @@ impl Plan {
     ) -> Result<Self, Diagnostic> {
         let rows = read_rows(csv_name, csv_text)?;
         let header: Header = serde_json::from_str(json_text).map_err(|error| {
-            Diagnostic::position(json_name, json_text, error.line(), error.column(), error.to_string())
+            let finding = PlanFinding::NotHeader { why: error.to_string() };
+            Diagnostic::position(json_name, json_text, error.line(), error.column(), finding)
         })?;
+        let wrong = |finding: PlanFinding| Diagnostic::file(json_name, finding);
         if header.schema != SCHEMA {
-            let message = format!("has schema {}: this version reads schema {SCHEMA}", header.schema);
-            return Err(Diagnostic::file(json_name, message));
+            return Err(wrong(PlanFinding::Schema { schema: header.schema, known: SCHEMA }));
         }
-        let hash = hash_of(csv_text);
-        if header.hash != hash {
-            let message =
-                format!("belongs to another plan than {csv_name}: hash {}, not {hash}", header.hash);
-            return Err(Diagnostic::file(json_name, message).help("plan again: `dbbd plan` writes both"));
+        let found = hash_of(csv_text);
+        if header.hash != found {
+            let other = csv_name.into();
+            return Err(wrong(PlanFinding::OtherHash { other, hash: header.hash, found }));
         }
-        if let Err((_, message)) = header.job.check() {
-            return Err(Diagnostic::file(json_name, format!("its job cannot be: {message}")));
+        if let Err(misplaced) = header.job.check() {
+            return Err(Diagnostic::file(json_name, misplaced.finding));
         }
         let indices = header.moves.iter().map(|time| time.index);
         if !indices.eq(rows.iter().map(|row| row.index)) {
-            return Err(Diagnostic::file(json_name, "`moves` must have one entry for each row, in order"));
+            return Err(wrong(PlanFinding::Moves { rows: rows.len(), moves: header.moves.len() }));
         }
-        if let Some(message) = pass::mismatch(&rows, &header.passes) {
-            return Err(Diagnostic::file(json_name, message));
-        }
-        let centres = header.job.centres.len();
-        if let Some(row) = rows.iter().find(|row| row.centre as usize > centres) {
-            let message = format!("centre = {}: the job has {centres} base ball(s)", row.centre);
-            return Err(Diagnostic::line(csv_name, row.index as usize + 1, message));
+        pass::check(&rows, &header.passes).map_err(wrong)?;
+        let balls = header.job.centres.len();
+        if let Some(row) = rows.iter().find(|row| header.job.ball(row.centre).is_none()) {
+            let finding = PlanFinding::NoSuchBall { ball: row.centre, balls };
+            return Err(Diagnostic::line(csv_name, row.index as usize + 1, finding));
         }
         Ok(Self { rows, header })
     }
@@ -181,14 +182,14 @@ fn read_rows(name: &str, text: &str) -> Result<Vec<PlanRow>, Diagnostic> {
     let mut reader = csv::Reader::from_reader(text.as_bytes());
     let mut rows: Vec<PlanRow> = Vec::new();
     for (at, line) in reader.deserialize::<Line>().enumerate() {
-        let row = PlanRow::from(line.map_err(|error| Diagnostic::csv(name, &error))?);
-        row.check(at).map_err(|message| Diagnostic::line(name, at + 2, message))?;
+        let row = PlanRow::from(line.map_err(|error| wrong_csv(name, &error))?);
+        row.check(at).map_err(|finding| Diagnostic::line(name, at + 2, finding))?;
         rows.push(row);
     }
     if rows.is_empty() {
-        return Err(Diagnostic::file(name, "has no rows: it is not a plan"));
+        return Err(Diagnostic::file(name, PlanFinding::NoRows));
     }
-    pass::groups(&rows).map_err(|(at, message)| Diagnostic::line(name, at + 2, message))?;
+    pass::groups(&rows).map_err(|wrong| Diagnostic::line(name, wrong.at + 2, wrong.finding))?;
     Ok(rows)
 }
 

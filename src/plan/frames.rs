@@ -1,7 +1,7 @@
-//! The frames in which the program runs: poses as they are told to the controller, and back.
+//! The frames in which the program runs: poses as they are commanded, and back.
 
 use super::{MotionTable, PlanRow};
-use crate::model::Pose;
+use crate::robot::Pose;
 
 /// $TOOL and $BASE. The tool's origin is the tool ball; only its orientation is the job's.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -10,7 +10,7 @@ pub struct Frames {
     tool: Pose,
     /// The base frame in the robot base.
     base: Pose,
-    /// Whether both are null, so that poses are told as they are.
+    /// Whether both are null, so that poses are commanded as they are.
     null: bool,
 }
 
@@ -29,9 +29,9 @@ impl MotionTable {
 
 impl Frames {
     /// X, Y, Z and A, B, C of a pose (tool ball with the flange's orientation, robot base) as KRL prints them.
-    pub(crate) fn told(&self, pose: &Pose) -> ([f64; 3], [f64; 3]) {
-        let told = if self.null { *pose } else { self.base.inverse().then(pose).then(&self.tool) };
-        (<[f64; 3]>::from(told.position).map(|x| rounded(x, 1e3)), told.abc_deg().map(|x| rounded(x, 1e4)))
+    pub(crate) fn as_printed(&self, pose: &Pose) -> ([f64; 3], [f64; 3]) {
+        let pose = if self.null { *pose } else { self.base.inverse().then(pose).then(&self.tool) };
+        (<[f64; 3]>::from(pose.position).map(|x| rounded(x, 1e3)), pose.abc_deg().map(|x| rounded(x, 1e4)))
     }
 
     /// A row's numbers as KRL prints them.
@@ -40,12 +40,12 @@ impl Frames {
         if self.null {
             (row.xyz_mm, row.abc_deg)
         } else {
-            self.told(&Pose::from_kuka(row.xyz_mm, row.abc_deg))
+            self.as_printed(&Pose::from_kuka(row.xyz_mm, row.abc_deg))
         }
     }
 
     /// The pose that the controller takes such numbers for, in the robot base: X, Y, Z and the flange's A, B, C.
-    pub(crate) fn taken(&self, (xyz_mm, abc_deg): ([f64; 3], [f64; 3])) -> ([f64; 3], [f64; 3]) {
+    pub(crate) fn as_driven(&self, (xyz_mm, abc_deg): ([f64; 3], [f64; 3])) -> ([f64; 3], [f64; 3]) {
         if self.null {
             return (xyz_mm, abc_deg);
         }

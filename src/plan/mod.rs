@@ -1,60 +1,56 @@
 //! Circles and pose sets: what the robot is to do, checked before anything moves.
 
-mod advice;
 mod build;
-pub mod candidates;
 mod cell;
 pub mod check;
 mod circle;
 pub mod clearance;
-mod datasheet;
 mod files;
 mod frames;
-mod hold;
-pub mod how_many;
 pub mod job;
-mod knowledge;
 mod module;
 mod optimise;
+mod orientations;
 mod pass;
 pub mod path;
 mod places;
 pub mod prediction;
+mod prior;
 mod quantity;
+mod recommend;
 pub mod region;
 mod rig;
 mod risk;
 mod route;
 pub mod rows;
-mod second_ball;
 mod solve;
 mod stage;
 mod steps;
 pub mod timing;
 pub mod workspace;
 
-use serde::{Deserialize, Serialize};
+use serde::de::IgnoredAny;
+use serde::{Deserialize, Deserializer, Serialize};
 
-pub use build::Refused;
-pub use check::Finding;
+use crate::catalogue::PlanFinding;
+pub use crate::measurement::Kind;
+pub use build::Refusal;
 pub use circle::REFERENCE_EVERY;
 pub use frames::Frames;
 pub use job::{Job, MotionTable};
-pub use knowledge::{Knowledge, Taught};
 pub use module::MODULE_DWELLS;
 pub use pass::Pass;
 pub use places::CirclePlace;
 pub use prediction::Prediction;
+pub use prior::{PlanningPrior, Taught};
 pub use quantity::{Check, Quantity};
-pub use rows::{Kind, Motion, PlanRow};
+pub use rows::{Motion, PlanRow};
 pub use stage::Stage;
 
 /// A plan: the rows of `plan.csv` and the header in `plan.json`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Plan {
-    /// The rows, in order.
     pub rows: Vec<PlanRow>,
-    /// What stands beside them.
     pub header: Header,
 }
 
@@ -77,9 +73,9 @@ pub struct Header {
     pub passes: Vec<Pass>,
     /// Of each quantity that was checked the worst value, its limit, and where.
     pub checks: Vec<Check>,
-    /// What the planner has to say about it.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub notes: Vec<String>,
+    /// What was found about the chosen poses; for people, not read back.
+    #[serde(default, skip_serializing_if = "Vec::is_empty", with = "notes")]
+    pub notes: Vec<PlanFinding>,
     /// The base balls that are to be taught before the bar is mounted, and how; the risk rests on it.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub taught: Vec<Taught>,
@@ -89,9 +85,30 @@ pub struct Header {
     /// Where not every pose that can be reached is allowed yet: what this stage bars.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stage: Option<Stage>,
-    /// What the plan will tell.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    /// What the plan will determine; for people, not read back.
+    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "not_read")]
     pub predictions: Option<Prediction>,
+}
+
+/// Findings with code, text and values.
+mod notes {
+    use serde::{Deserializer, Serializer};
+
+    use super::{PlanFinding, not_read};
+    use crate::diagnostic::Diagnostic;
+
+    pub(super) fn serialize<S: Serializer>(notes: &[PlanFinding], out: S) -> Result<S::Ok, S::Error> {
+        out.collect_seq(notes.iter().map(|note| Diagnostic::new(note.clone())))
+    }
+
+    pub(super) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<PlanFinding>, D::Error> {
+        not_read(from)
+    }
+}
+
+/// Skips a value that is written for people.
+fn not_read<'de, D: Deserializer<'de>, T: Default>(from: D) -> Result<T, D::Error> {
+    IgnoredAny::deserialize(from).map(|_| T::default())
 }
 
 /// The time code: how a row's move is driven, so that every interval between dwells is its own.

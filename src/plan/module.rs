@@ -1,14 +1,16 @@
-//! A module of chosen poses: from the start, which is the reference, from pose to pose on the sphere about one base ball, with its marks and reference.
+//! A module of chosen poses: from the start, which is the reference, from pose to pose on the sphere about
+//! one base ball, with its sync markers.
 
 use nalgebra::{Rotation3, Vector3};
 
 use super::Kind;
-use super::candidates::Candidate;
 use super::cell::Cell;
 use super::circle::REFERENCE_EVERY;
 use super::route::{Router, order};
-use super::steps::{DETOUR, Walk, room, safe_knock};
-use crate::model::Pose;
+use super::steps::{DETOUR, End, Walk, safe_marker};
+use crate::catalogue::PlanFinding;
+use crate::design::Candidate;
+use crate::robot::Pose;
 
 /// Following poses that are tried when the next cannot be reached.
 const AHEAD: usize = 12;
@@ -17,104 +19,118 @@ pub const MODULE_DWELLS: u32 = 255;
 /// After so many steps another module begins: a controller takes so many lines in one.
 const MOST_STEPS: usize = 400;
 
-/// One module, or several where it grows long: to the start pose, knocks, the poses in order with visits of the first as reference, knocks.
+/// One module, or several where it grows long: to the start pose, sync markers, the poses in order with visits of the
+/// first as reference, sync markers. `risk` is the greatest one of a pose; the poses that were left out.
 pub(crate) fn module(
     walk: &mut Walk,
     cell: &Cell<'_>,
     start: &Candidate,
     mut poses: Vec<Candidate>,
     risk: f64,
-    notes: &mut Vec<String>,
-) {
-    let job = cell.job;
-    let Some(table) = job.centres.get(start.centre.saturating_sub(1) as usize) else { return };
-    let ball = Vector3::from(table.xyz_mm);
-    let radius = job.bar.length_mm;
-    let inwards = room(&job.bar, radius);
-    let sagitta = (0.25 * inwards).clamp(0.02, 0.2);
-    let router = Router { cell, centre: start.centre, ball, radius, risk, sagitta };
+) -> Vec<PlanFinding> {
+    let Some(router) = Router::new(cell, start.ball.number(), risk) else {
+        return vec![PlanFinding::NothingChosen { ball: start.ball.number() }];
+    };
     poses.insert(0, start.clone());
     order(&mut poses);
-    let wanted = poses.len();
-    (walk.circle, walk.centre) = (walk.circle + 1, start.centre);
-    let mut began = walk.steps.len();
+    let chosen = poses.len();
+    (walk.circle, walk.centre) = (walk.circle + 1, start.ball.number());
+    let began = walk.steps.len();
     walk.ptp(start.pose, start.axes);
-    let out = safe_knock(&job.bar, radius, risk, |out| cell.risk_out(start, out));
-    walk.radial_knocks(true, &start.pose, &ball, out);
-
+    let mut chain = Chain { walk, router, start, here: poses.remove(0), began, dwells: 1, missed: 0 };
+    chain.markers(End::Start);
     // The start is the first to be measured, and the reference.
-    let mut here = poses.remove(0);
-    walk.lines(vec![aside(&here.pose, &ball), here.pose], Kind::Measure);
-    let (mut count, mut skipped, mut missed) = (1_u32, 0, 0);
-    let mut dwells = 1;
-    while !poses.is_empty() {
-        let next = (0..poses.len().min(AHEAD)).find_map(|at| Some((at, router.way(&here, &poses[at])?)));
-        let Some((at, way)) = next else {
-            // Nothing ahead can be reached from here: what stands first waits till the end, once.
-            skipped += 1;
-            poses.rotate_left(1);
-            if skipped > poses.len() {
-                break;
-            }
-            continue;
-        };
-        skipped = 0;
-        let pose = poses.remove(at);
-        walk.go(way, &pose, Kind::Measure);
-        here = pose;
-        (count, dwells) = (count + 1, dwells + 1);
-        // A visit of the reference, the last pose and the last visit may follow.
-        let full = walk.steps.len() - began > MOST_STEPS || dwells + 2 >= MODULE_DWELLS;
-        if full && !poses.is_empty() {
-            // Another module, the bar stays on.
-            let out = safe_knock(&job.bar, radius, risk, |out| cell.risk_out(&here, out));
-            walk.radial_knocks(false, &here.pose, &ball, out);
-            (began, dwells) = (walk.steps.len(), 0);
-            walk.circle += 1;
-            walk.ptp(here.pose, here.axes);
-            walk.radial_knocks(true, &here.pose, &ball, out);
-        }
-        if count % REFERENCE_EVERY == 0 && !poses.is_empty() {
-            match reference(&router, walk, &here, start) {
-                true => (here, dwells) = (start.clone(), dwells + 1),
-                false => missed += 1,
-            }
-        }
-    }
-    match reference(&router, walk, &here, start) {
-        true => here = start.clone(),
-        false => missed += 1,
-    }
-    let out = safe_knock(&job.bar, radius, risk, |out| cell.risk_out(&here, out));
-    walk.radial_knocks(false, &here.pose, &ball, out);
+    let here = chain.here.pose;
+    chain.walk.lines(vec![aside(&here, &chain.router.ball), here], Kind::Measure);
+    chain.visit(&mut poses);
+    chain.reference();
+    chain.markers(End::Finish);
+    let (ball, missed) = (start.ball.number(), chain.missed);
+    let mut notes = Vec::new();
     if !poses.is_empty() {
-        notes.push(format!(
-            "base ball {}: {} of {wanted} chosen poses were left out: no path to them keeps the limits",
-            start.centre,
-            poses.len()
-        ));
+        notes.push(PlanFinding::PosesLeftOut { ball, left_out: poses.len(), chosen });
     }
     if missed > 0 {
-        notes.push(format!(
-            "base ball {}: {missed} visit(s) of the reference pose were left out",
-            start.centre
-        ));
+        notes.push(PlanFinding::ReferencesLeftOut { ball, left_out: missed });
     }
+    notes
 }
 
-/// Back to the reference pose; at it already, a step aside and back.
-fn reference(router: &Router<'_>, walk: &mut Walk, here: &Candidate, origin: &Candidate) -> bool {
-    if here == origin {
-        let aside = aside(&here.pose, &router.ball);
-        walk.lines(vec![aside, here.pose], Kind::Reference);
-        return true;
-    }
-    match router.way(here, origin) {
-        Some(way) => {
-            walk.go(way, origin, Kind::Reference);
-            true
+/// The way through chosen poses about one base ball.
+struct Chain<'a, 'c> {
+    walk: &'a mut Walk,
+    router: Router<'c>,
+    start: &'a Candidate,
+    /// The pose at which the robot is.
+    here: Candidate,
+    /// The first step of the module.
+    began: usize,
+    dwells: u32,
+    /// Visits of the reference that no path leads to.
+    missed: usize,
+}
+
+impl Chain<'_, '_> {
+    /// From pose to pose; those that cannot be reached are left.
+    fn visit(&mut self, poses: &mut Vec<Candidate>) {
+        let (mut count, mut skipped) = (1_u32, 0);
+        while !poses.is_empty() {
+            let ahead = 0..poses.len().min(AHEAD);
+            let next = ahead.into_iter().find_map(|at| Some((at, self.router.way(&self.here, &poses[at])?)));
+            let Some((at, way)) = next else {
+                // Nothing ahead can be reached from here: the first waits till the end, once.
+                skipped += 1;
+                poses.rotate_left(1);
+                if skipped > poses.len() {
+                    return;
+                }
+                continue;
+            };
+            skipped = 0;
+            let pose = poses.remove(at);
+            self.walk.go(way, &pose, Kind::Measure);
+            self.here = pose;
+            (count, self.dwells) = (count + 1, self.dwells + 1);
+            // A visit of the reference, the last pose and the last visit may follow.
+            let full = self.walk.steps.len() - self.began > MOST_STEPS || self.dwells + 2 >= MODULE_DWELLS;
+            if full && !poses.is_empty() {
+                self.next_module();
+            }
+            if count % REFERENCE_EVERY == 0 && !poses.is_empty() {
+                self.reference();
+            }
         }
-        None => false,
+    }
+
+    /// Another module; the bar stays on.
+    fn next_module(&mut self) {
+        self.markers(End::Finish);
+        (self.began, self.dwells) = (self.walk.steps.len(), 0);
+        self.walk.circle += 1;
+        self.walk.ptp(self.here.pose, self.here.axes);
+        self.markers(End::Start);
+    }
+
+    /// The sync markers of an end of the module, where the robot is.
+    fn markers(&mut self, end: End) {
+        let Router { cell, ball, radius, risk, .. } = self.router;
+        let out = safe_marker(&cell.job.bar, radius, risk, |out| cell.risk_out(&self.here, out));
+        self.walk.radial_markers(end, &self.here.pose, &ball, out);
+    }
+
+    /// Back to the reference pose; at it already, a step aside and back.
+    fn reference(&mut self) {
+        if self.here == *self.start {
+            let pose = self.here.pose;
+            self.walk.lines(vec![aside(&pose, &self.router.ball), pose], Kind::Reference);
+        } else if let Some(way) = self.router.way(&self.here, self.start) {
+            self.walk.go(way, self.start, Kind::Reference);
+        } else {
+            self.missed += 1;
+            return;
+        }
+        self.here = self.start.clone();
+        self.dwells += 1;
     }
 }
 

@@ -2,21 +2,22 @@
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
-use super::Knowledge;
-use super::candidates::{Candidate, moves, rows};
-use super::cell::Cell;
-use super::datasheet::{datasheet, length_sigma_mm};
-use super::job::{self, Job};
-use super::knowledge::touching;
+use super::PlanningPrior;
+use super::cell::{Cell, Reach};
+use super::job::{self, CentreTable, Job};
 use super::module::module;
+use super::prior::{length_sigma_mm, touching};
 use super::rig::Rig;
 use super::stage::Stage;
-use super::steps::{Step, Walk, least_knock};
+use super::steps::{Step, Walk, least_marker};
 use super::workspace::workspace;
-use crate::identifiability::{Belief, Criterion, Exchange};
-use crate::model::inverse::status;
-use crate::model::pose::{rot_x, rot_z};
-use crate::model::{ParamId, Robot, parameter};
+use crate::catalogue::{JobFinding, PlanFinding};
+use crate::design::{Candidate, Criterion, Exchange, design_rows, workspace_rows};
+use crate::diagnostic::Diagnostic;
+use crate::estimation::Posterior;
+use crate::robot::inverse::status;
+use crate::robot::parameter;
+use crate::robot::pose::{rot_x, rot_z};
 
 /// Poses of the workspace over which the 3-D error is made least.
 const POSES: usize = 400;
@@ -24,10 +25,10 @@ const POSES: usize = 400;
 const STARTS: usize = 40;
 const COMPARED: usize = 150;
 
-/// The steps of the chosen poses, and what there is to say about them.
+/// The steps of the chosen poses, and what was found about them.
 pub(crate) struct Chosen {
     pub(crate) steps: Vec<Step>,
-    pub(crate) notes: Vec<String>,
+    pub(crate) notes: Vec<PlanFinding>,
     /// Where not every pose is allowed yet.
     pub(crate) stage: Option<Stage>,
 }
@@ -43,170 +44,174 @@ struct About<'a> {
     allowed: Vec<Candidate>,
 }
 
+/// What can be measured about all base balls, for a number of poses.
+struct Survey<'a> {
+    points: u32,
+    /// Greatest risk of one pose: that of the whole run is shared among its poses.
+    risk: f64,
+    abouts: Vec<About<'a>>,
+    stage: Stage,
+}
+
 /// Chooses the job's poses.
 ///
 /// # Errors
 /// Why none could be chosen.
-pub(crate) fn steps(job: &Job, rig: &Rig<'_>, known: &Knowledge) -> Result<Chosen, String> {
+pub(crate) fn steps(job: &Job, rig: &Rig<'_>, prior: &PlanningPrior) -> Result<Chosen, Diagnostic> {
     let wanted = job.optimise.clone().unwrap_or_default();
-    // The risk of the whole run is shared among its poses.
-    let shared = |points: u32| job.limits.max_stroke_risk / f64::from(points.max(1));
-    let share = wanted.candidates as usize / job.centres.len().max(1);
-    let look = |points: u32| -> Result<(Vec<About<'_>>, Stage), String> {
+    let chooser = Chooser { job, rig, prior, share: wanted.candidates as usize / job.centres.len().max(1) };
+    let mut survey = chooser.survey(wanted.points)?;
+    if survey.stage.bars_many() && wanted.stage_points < survey.points {
+        survey = chooser.survey(wanted.stage_points)?;
+    }
+    let staged = survey.points < wanted.points;
+    let mut notes = chooser.notes(&survey, staged);
+    let chosen = chooser.choose(&survey)?;
+    let mut walk = Walk::new(job);
+    walk.circle = job.circles.len() as u32;
+    for about in &survey.abouts {
+        let ball = about.start.ball.number();
+        let poses: Vec<Candidate> = chosen.iter().filter(|c| c.ball.number() == ball).cloned().collect();
+        if poses.is_empty() {
+            notes.push(PlanFinding::NothingChosen { ball });
+            continue;
+        }
+        notes.extend(module(&mut walk, &about.cell, &about.start, poses, survey.risk));
+    }
+    if walk.steps.is_empty() {
+        return Err(PlanFinding::NoPath.into());
+    }
+    Ok(Chosen { steps: walk.steps, notes, stage: staged.then_some(survey.stage) })
+}
+
+struct Chooser<'a> {
+    job: &'a Job,
+    rig: &'a Rig<'a>,
+    prior: &'a PlanningPrior,
+    /// Candidates for each base ball.
+    share: usize,
+}
+
+impl<'a> Chooser<'a> {
+    fn survey(&self, points: u32) -> Result<Survey<'a>, PlanFinding> {
+        let risk = self.job.limits.max_stroke_risk / f64::from(points.max(1));
         let abouts: Result<Vec<_>, _> =
-            job.centres.iter().map(|table| about(job, rig, known, table.id, share, shared(points))).collect();
+            self.job.centres.iter().map(|table| self.about(table, risk)).collect();
         let abouts = abouts?;
         let stage = Stage {
-            lengths: known.lengths,
+            lengths: self.prior.lengths,
             reachable: abouts.iter().map(|about| about.reachable).sum(),
             barred: abouts.iter().map(|about| about.barred).sum(),
         };
-        Ok((abouts, stage))
-    };
-    let (mut abouts, mut stage) = look(wanted.points)?;
-    let mut points = wanted.points;
-    if stage.bars_many() && wanted.stage_points < points {
-        points = wanted.stage_points;
-        (abouts, stage) = look(points)?;
+        Ok(Survey { points, risk, abouts, stage })
     }
-    let mut notes = Vec::new();
-    let few = abouts.iter().filter(|about| about.reachable < share);
-    notes.extend(few.map(|about| {
-        let (ball, found) = (about.start.centre, about.reachable);
-        format!("base ball {ball}: {found} of {share} candidates can be reached within the limits")
-    }));
-    let staged = points < wanted.points;
-    if staged {
-        notes.push(stage.to_string());
-    } else if stage.barred > 0 {
-        notes.push(format!(
-            "{} of {} poses that can be reached are barred, because their length might leave the stroke",
-            stage.barred, stage.reachable
-        ));
+
+    fn notes(&self, survey: &Survey<'_>, staged: bool) -> Vec<PlanFinding> {
+        let few = survey.abouts.iter().filter(|about| about.reachable < self.share);
+        let mut notes: Vec<PlanFinding> = few
+            .map(|about| PlanFinding::FewCandidates {
+                ball: about.start.ball.number(),
+                found: about.reachable,
+                wanted: self.share,
+            })
+            .collect();
+        let Stage { lengths, barred, reachable } = survey.stage;
+        notes.extend(match (staged, lengths, barred) {
+            (true, 0, _) => Some(PlanFinding::FirstStage { barred, reachable }),
+            (true, ..) => Some(PlanFinding::FurtherStage { lengths, barred, reachable }),
+            (false, _, 0) => None,
+            (false, ..) => Some(PlanFinding::Barred { barred, reachable }),
+        });
+        notes
     }
-    let risk = shared(points);
-    // The starts are measured as well.
-    let others = |about: &About<'_>| {
-        about.allowed.iter().filter(|pose| **pose != about.start).cloned().collect::<Vec<_>>()
-    };
-    let pool: Vec<Candidate> = abouts.iter().flat_map(others).collect();
-    let count = (points as usize).saturating_sub(abouts.len());
-    if pool.len() < count {
-        return Err(format!(
-            "{} poses can be reached within the limits and the stroke, {points} are wanted; a longer stroke, a known \
-             ball (taught_deg) or a robot of less tolerance would allow more",
-            pool.len(),
-        ));
-    }
-    let chosen = choose(job, rig, known, &pool, count)?;
-    let mut walk = Walk::new(job);
-    walk.circle = job.circles.len() as u32;
-    for about in &abouts {
-        let ball = about.start.centre;
-        let poses: Vec<Candidate> = chosen.iter().filter(|c| c.centre == ball).cloned().collect();
-        if poses.is_empty() {
-            notes.push(format!("base ball {ball}: no pose about it was worth choosing"));
-            continue;
+
+    /// Start and candidates about one base ball, each of a risk of at most `risk`.
+    fn about(&self, table: &CentreTable, risk: f64) -> Result<About<'a>, PlanFinding> {
+        let &Self { job, rig, prior, share } = self;
+        let centre = table.id;
+        // Nothing is barred here: only the limits and the rest of the cell count.
+        let anywhere = Cell::new(job, rig, prior, centre, &[0.0; 6]);
+        // Where the ball was taught the risk is least in that branch, with the tool held as then.
+        let taught = table.taught_deg.map(|deg| deg.map(f64::to_radians));
+        let branch = taught.map(|axes| status(rig.arm, &axes) & 7);
+        let reach = anywhere.candidates(centre, share, &Reach { risk: 1.0, branch, near: None });
+        let first = reach.first().ok_or(PlanFinding::NoPose { ball: centre })?;
+        let branch = Some(status(rig.arm, &first.axes) & 7);
+        // Else with the tool down, from where the others can be reached.
+        let down = [0.0, FRAC_PI_2, PI, -FRAC_PI_2].map(|spin| rot_x(PI) * rot_z(spin));
+        let orientations = taught.map_or(down.to_vec(), |axes| vec![rig.arm.ball(&axes).rotation]);
+        let near = orientations.into_iter().map(|orientation| {
+            anywhere.candidates(centre, COMPARED, &Reach { risk: 1.0, branch, near: Some(orientation) })
+        });
+        let near = near.max_by_key(Vec::len).unwrap_or_default();
+        let start = self.start(&near, &reach, risk).ok_or(PlanFinding::NoSafeStart { ball: centre })?.clone();
+        let cell = Cell::new(job, rig, prior, centre, &start.axes);
+        let reachable = reach.len();
+        let mut allowed = reach;
+        allowed.retain(|pose| cell.risk(pose) <= risk);
+        let barred = reachable - allowed.len();
+        if barred > reachable / 10 {
+            let near = Some(start.pose.rotation);
+            allowed = cell.candidates(centre, share, &Reach { risk, branch, near });
         }
-        module(&mut walk, &about.cell, &about.start, poses, risk, &mut notes);
+        Ok(About { cell, start, reachable, barred, allowed })
     }
-    if walk.steps.is_empty() {
-        return Err("none of the chosen poses can be reached from another".into());
-    }
-    Ok(Chosen { steps: walk.steps, notes, stage: staged.then_some(stage) })
-}
 
-/// Start and candidates about one base ball, each of a risk of at most `risk`.
-fn about<'a>(
-    job: &'a Job,
-    rig: &'a Rig<'a>,
-    known: &Knowledge,
-    centre: u32,
-    share: usize,
-    risk: f64,
-) -> Result<About<'a>, String> {
-    // Nothing is barred here: only the limits and the rest of the cell count.
-    let anywhere = Cell::new(job, rig, known, centre, &[0.0; 6]);
-    // Where the ball was taught the risk is least in that branch, with the tool held as then.
-    let table = job.centres.get(centre.saturating_sub(1) as usize);
-    let taught = table.and_then(|table| table.taught_deg).map(|deg| deg.map(f64::to_radians));
-    let branch = taught.map(|axes| status(rig.arm, &axes) & 7);
-    let reach = anywhere.candidates(centre, share, 1.0, branch, None);
-    let none = || format!("no pose about base ball {centre} can be reached within the limits");
-    let branch = Some(status(rig.arm, &reach.first().ok_or_else(none)?.axes) & 7);
-    // Else with the tool down, from where the others can be reached.
-    let down = [0.0, FRAC_PI_2, PI, -FRAC_PI_2].map(|spin| rot_x(PI) * rot_z(spin));
-    let holds = taught.map_or(down.to_vec(), |axes| vec![rig.arm.ball(&axes).rotation]);
-    let near = holds.iter().map(|hold| anywhere.candidates(centre, COMPARED, 1.0, branch, Some(hold)));
-    let near = near.max_by_key(Vec::len).unwrap_or_default();
-    let at = |start: &Candidate| Cell::new(job, rig, known, centre, &start.axes);
-    let knocks = least_knock(&job.bar, job.bar.length_mm);
-    let start = near
-        .iter()
-        .chain(&reach)
-        .filter(|start| touching(job, rig.controller, centre, &start.axes).is_some())
-        .filter(|start| at(start).risk_out(start, knocks) <= risk)
-        .take(STARTS)
-        .map(|start| {
-            let cell = at(start);
-            let others = near.iter().take(COMPARED).chain(reach.iter().take(COMPARED));
-            (start, others.filter(|other| cell.risk(other) <= risk).count())
-        })
-        .max_by_key(|(_, count)| *count);
-    let (start, _) = start.ok_or_else(|| {
-        format!(
-            "no pose about base ball {centre} is safe enough to start from as the robot is known now: a longer stroke, a \
-             ball taught as its taught_deg says, or a robot of less tolerance would allow one"
-        )
-    })?;
-    let (start, cell) = (start.clone(), at(start));
-    let reachable = reach.len();
-    let mut allowed = reach;
-    allowed.retain(|pose| cell.risk(pose) <= risk);
-    let barred = reachable - allowed.len();
-    if barred > reachable / 10 {
-        allowed = cell.candidates(centre, share, risk, branch, Some(&start.pose.rotation));
+    /// The start from which most of the poses are safe.
+    fn start<'c>(&self, near: &'c [Candidate], reach: &'c [Candidate], risk: f64) -> Option<&'c Candidate> {
+        let &Self { job, rig, prior, .. } = self;
+        let marker = least_marker(&job.bar, job.bar.length_mm);
+        let at = |start: &Candidate| Cell::new(job, rig, prior, start.ball.number(), &start.axes);
+        near.iter()
+            .chain(reach)
+            .filter(|start| touching(job, rig.controller, start.ball.number(), &start.axes).is_some())
+            .filter(|start| at(start).risk_out(start, marker) <= risk)
+            .take(STARTS)
+            .map(|start| {
+                let cell = at(start);
+                let others = near.iter().take(COMPARED).chain(reach.iter().take(COMPARED));
+                (start, others.filter(|other| cell.risk(other) <= risk).count())
+            })
+            .max_by_key(|(_, count)| *count)
+            .map(|(start, _)| start)
     }
-    Ok(About { cell, start, reachable, barred, allowed })
-}
 
-/// The poses that tell most.
-fn choose(
-    job: &Job,
-    rig: &Rig<'_>,
-    known: &Knowledge,
-    pool: &[Candidate],
-    count: usize,
-) -> Result<Vec<Candidate>, String> {
-    let robot = rig.controller;
-    let sigma_mm = length_sigma_mm(job, robot);
-    let belief = unknown(job, robot, known)?;
-    let candidates = rows(&belief, pool, sigma_mm);
-    let moved = moves(&belief, &workspace(job, robot, POSES));
-    let criterion = match job.optimise.as_ref().map(|wanted| wanted.criterion).unwrap_or_default() {
-        job::Criterion::D => Criterion::D,
-        job::Criterion::I => Criterion::I,
-    };
-    let mut exchange = Exchange::new(&candidates, &moved);
-    exchange.extend(count, Criterion::D);
-    exchange.improve(Criterion::D);
-    if criterion == Criterion::I {
-        exchange.improve(Criterion::I);
+    /// The poses that determine most, besides the starts, which are measured as well.
+    fn choose(&self, survey: &Survey<'_>) -> Result<Vec<Candidate>, Diagnostic> {
+        let mut pool: Vec<Candidate> = Vec::new();
+        for about in &survey.abouts {
+            pool.extend(about.allowed.iter().filter(|pose| **pose != about.start).cloned());
+        }
+        let wanted = survey.points as usize;
+        let count = wanted.saturating_sub(survey.abouts.len());
+        if pool.len() < count {
+            return Err(PlanFinding::TooFewPoses { allowed: pool.len(), wanted }.into());
+        }
+        let criterion = match self.job.optimise.as_ref().map(|optimise| optimise.criterion) {
+            Some(job::Criterion::D) => Criterion::D,
+            Some(job::Criterion::I) | None => Criterion::I,
+        };
+        let unknown = self.unknown()?;
+        let rows = design_rows(&unknown, &pool, length_sigma_mm(self.job, self.rig.controller));
+        let moved = workspace_rows(&unknown, &workspace(self.job, self.rig.controller, POSES));
+        let mut exchange = Exchange::new(&rows, &moved);
+        let chosen = exchange.choose(count, criterion);
+        Ok(chosen.iter().filter_map(|&at| pool.get(at).cloned()).collect())
     }
-    Ok(exchange.chosen().iter().filter_map(|&at| pool.get(at).cloned()).collect())
-}
 
-/// What the poses are to tell: all that is not known, or only the parameters that the job lists, with what the maker
-/// promises of these.
-fn unknown(job: &Job, robot: &Robot, known: &Knowledge) -> Result<Belief, String> {
-    let Some(list) = job.optimise.as_ref().and_then(|wanted| wanted.parameters.as_deref()) else {
-        return Ok(known.belief.clone());
-    };
-    let ids = parameter::parse_list(list, &robot.parallel_joints(), job.centres.len())
-        .map_err(|error| format!("[optimise] parameters = \"{list}\": {error}"))?;
-    let all = datasheet(job, robot);
-    let sd = |id: &ParamId| all.ids().iter().position(|other| other == id).map(|at| all.sd(at));
-    let known_sd: Option<Vec<f64>> = ids.iter().map(sd).collect();
-    let sd = known_sd.ok_or("[optimise] parameters: geometric, tool, centres and bar can be listed")?;
-    Ok(Belief::new(known.belief.model.clone(), &ids, &sd))
+    /// What the poses are to determine: all that is not known, or only the parameters that the job lists, with what
+    /// the maker promises of these.
+    fn unknown(&self) -> Result<Posterior, JobFinding> {
+        let &Self { job, rig, prior, .. } = self;
+        let robot = rig.controller;
+        let Some(list) = job.optimise.as_ref().and_then(|wanted| wanted.parameters.clone()) else {
+            return Ok(prior.posterior.clone());
+        };
+        let ids = parameter::parse_list(&list, &robot.parallel_joints(), job.centres.len())
+            .map_err(|why| JobFinding::Parameters { list: list.clone(), why: why.to_string() })?;
+        let all = PlanningPrior::of_maker(job, robot);
+        let sd: Option<Vec<f64>> = ids.iter().map(|id| all.sd(*id)).collect();
+        let sd = sd.ok_or(JobFinding::ParametersWithoutPrior { list })?;
+        Ok(Posterior::new(prior.posterior.model.clone(), &ids, &sd))
+    }
 }

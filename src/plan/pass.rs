@@ -13,9 +13,10 @@ use super::job::Job;
 use super::path::Path;
 use super::timing::{ACCELERATION_MM_S2, ramped_s};
 use super::{Kind, Motion, MoveTime, Plan, PlanRow};
-use crate::model::Pose;
+use crate::catalogue::PlanFinding;
+use crate::robot::Pose;
 
-/// A pass, as `plan.json` tells it: indices of rows, and the one motion that goes by them.
+/// A pass, as in `plan.json`: indices of rows, and the one motion that goes by them.
 ///
 /// A time is that of the commanded motion from its begin, at full override: constant acceleration, the feed,
 /// constant deceleration.
@@ -26,7 +27,7 @@ pub struct Pass {
     pub circle: u32,
     /// Whether it goes against growing angles.
     pub clockwise: bool,
-    /// The two auxiliary rows; the row before them is where the robot stands.
+    /// The two auxiliary rows; the row before them is where the robot is.
     pub through: [u32; 2],
     /// First and last row that is passed.
     pub points: [u32; 2],
@@ -102,7 +103,7 @@ impl Plan {
     }
 }
 
-/// The arc from where the robot stands through two points, round to `end`.
+/// The arc from where the robot is through two points, round to `end`.
 fn arc(from: &PlanRow, through: [&PlanRow; 2], end: &PlanRow, sweep_deg: f64) -> Path {
     let pose = |row: &PlanRow| Pose::from_kuka(row.xyz_mm, row.abc_deg);
     match Path::arc(pose(from), &through[0].xyz_mm.into(), pose(through[1])) {
@@ -111,6 +112,13 @@ fn arc(from: &PlanRow, through: [&PlanRow; 2], end: &PlanRow, sweep_deg: f64) ->
         }
         other => other,
     }
+}
+
+/// A `circ` row that belongs to no arc, by its position from 0.
+#[derive(Debug)]
+pub(crate) struct Ungrouped {
+    pub(crate) at: usize,
+    pub(crate) finding: PlanFinding,
 }
 
 /// The rows of a pass, by their positions from 0.
@@ -138,37 +146,36 @@ impl Group {
 /// The passes among the rows.
 ///
 /// # Errors
-/// The position (from 0) of a `circ` row that belongs to no arc, and what is wrong.
-pub(crate) fn groups(rows: &[PlanRow]) -> Result<Vec<Group>, (usize, &'static str)> {
-    const ARC: &str = "an arc is two `circ` rows: its auxiliary point in transit, then its end";
-    const PASS: &str = "a pass without stops is two auxiliary `circ` rows in transit, the points (dwell_s = 0), \
-                        and its end in transit";
+/// A `circ` row that belongs to no arc.
+pub(crate) fn groups(rows: &[PlanRow]) -> Result<Vec<Group>, Ungrouped> {
+    let arc = |at| Err(Ungrouped { at, finding: PlanFinding::ArcRows });
+    let pass = |at| Err(Ungrouped { at, finding: PlanFinding::PassPattern });
     let mut found = Vec::new();
     let mut auxiliary: Vec<usize> = Vec::new();
     let mut points: Option<Range<usize>> = None;
     for (at, row) in rows.iter().enumerate() {
         let circ = row.motion == Motion::Circ;
         match (auxiliary.as_slice(), &mut points) {
-            (_, None) if row.is_passed() && auxiliary.len() != 2 => return Err((at, PASS)),
+            (_, None) if row.is_passed() && auxiliary.len() != 2 => return pass(at),
             ([], None) if circ && row.kind == Kind::Transit => auxiliary.push(at),
-            ([], None) if circ => return Err((at, ARC)),
+            ([], None) if circ => return arc(at),
             ([], None) => {}
             ([_], None) if circ && row.kind == Kind::Transit => auxiliary.push(at),
             ([_], None) if circ => auxiliary.clear(),
-            ([_], None) => return Err((at, ARC)),
+            ([_], None) => return arc(at),
             ([_, _], None) if circ && row.is_passed() => points = Some(at..at + 1),
             (_, Some(points)) if circ && row.is_passed() => points.end = at + 1,
             (&[a, b], Some(points)) if circ && row.kind == Kind::Transit => {
                 found.push(Group { through: [a, b], points: points.clone(), end: at });
             }
-            _ => return Err((at, PASS)),
+            _ => return pass(at),
         }
         if found.last().is_some_and(|group: &Group| group.end == at) {
             auxiliary.clear();
             points = None;
         }
     }
-    if auxiliary.is_empty() { Ok(found) } else { Err((rows.len().saturating_sub(1), ARC)) }
+    if auxiliary.is_empty() { Ok(found) } else { arc(rows.len().saturating_sub(1)) }
 }
 
 /// The passes of rows that were planned, and the times of their points into `moves`, which has the whole
@@ -183,7 +190,7 @@ pub(super) fn passes(job: &Job, rows: &[PlanRow], moves: &mut [MoveTime]) -> Vec
         else {
             continue;
         };
-        let Some(table) = job.circles.get(end.circle.saturating_sub(1) as usize) else { continue };
+        let Some(table) = job.circle(end.circle) else { continue };
         let length_mm = path.length_mm();
         let second = backward == Some(end.circle);
         backward = Some(end.circle);
@@ -220,29 +227,25 @@ pub(super) fn passes(job: &Job, rows: &[PlanRow], moves: &mut [MoveTime]) -> Vec
     passes
 }
 
-/// What of `plan.json` does not fit its rows.
-pub(super) fn mismatch(rows: &[PlanRow], passes: &[Pass]) -> Option<String> {
-    let groups = groups(rows).unwrap_or_default();
+/// Whether the passes of `plan.json` are those of its rows.
+pub(super) fn check(rows: &[PlanRow], passes: &[Pass]) -> Result<(), PlanFinding> {
+    let groups = groups(rows).map_err(|ungrouped| ungrouped.finding)?;
     if groups.len() != passes.len() {
-        return Some(format!("`passes` has {} entries, the rows have {} passes", passes.len(), groups.len()));
+        return Err(PlanFinding::PassCount { passes: passes.len(), found: groups.len() });
     }
     let index = |at: usize| at as u32 + 1;
-    groups.iter().zip(passes).enumerate().find_map(|(at, (group, pass))| {
-        let told = (pass.through, pass.points, pass.end);
-        let found = (
-            group.through.map(index),
-            [index(group.points.start), group.points.end as u32],
-            index(group.end),
-        );
+    for (entry, (group, pass)) in (1..).zip(groups.iter().zip(passes)) {
+        let points = [index(group.points.start), group.points.end as u32];
+        let found = (group.through.map(index), points, index(group.end));
+        if found != (pass.through, pass.points, pass.end) {
+            return Err(PlanFinding::PassRows { entry });
+        }
         let numbers =
             [pass.sweep_deg, pass.length_mm, pass.feed_mm_s, pass.acceleration_mm_s2, pass.duration_s];
         let positive = numbers.iter().all(|value| value.is_finite() && *value > 0.0);
-        if told != found {
-            Some(format!("`passes`: entry {} names other rows than those of that pass", at + 1))
-        } else if !positive || pass.sweep_deg > 1080.0 {
-            Some(format!("`passes`: entry {} has a number that cannot be", at + 1))
-        } else {
-            None
+        if !positive || pass.sweep_deg > 1080.0 {
+            return Err(PlanFinding::PassNumbers { entry });
         }
-    })
+    }
+    Ok(())
 }

@@ -2,8 +2,8 @@
 
 use nalgebra::{Matrix3, Rotation3, Vector3};
 
-use crate::model::pose::rotation_vector;
-use crate::model::{AXES, Pose};
+use crate::robot::pose::rotation_vector;
+use crate::robot::{AXES, Pose};
 
 /// A motion of the tool ball from one pose to the next.
 #[derive(Clone, Debug, PartialEq)]

@@ -1,4 +1,4 @@
-//! Where on its circle each row stands.
+//! The place of each row on its circle.
 
 use super::circle::Circle;
 use super::{Kind, Plan};
@@ -22,10 +22,9 @@ impl Plan {
         self.rows
             .iter()
             .map(|row| {
-                let at = (row.circle as usize).checked_sub(1)?;
-                let table = job.circles.get(at).filter(|_| row.kind != Kind::Transit)?;
-                let circle = Circle::new(job, table, row.circle)?;
-                let visited = measured.get_mut(at)?;
+                let table = job.circle(row.circle).filter(|_| row.kind != Kind::Transit)?;
+                let circle = Circle::new(job, table, row.circle).ok()?;
+                let visited = measured.get_mut(row.circle as usize - 1)?;
                 let clockwise = table.is_clockwise(*visited >= table.points);
                 *visited += u32::from(row.kind == Kind::Measure);
                 let angle_deg = circle.angle_deg(row.xyz_mm.into());

@@ -1,26 +1,33 @@
-//! What a plan will tell, for `plan.json`, the page and the terminal.
+//! What a plan will determine, for `plan.json`, the page and the terminal.
 
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 
-use super::datasheet::length_sigma_mm;
-use super::how_many::{Against, against, enough};
-use super::region::{self, Region, regions};
-use super::second_ball::second_ball;
+use super::job::CentreTable;
+use super::prior::length_sigma_mm;
+use super::region::{Region, regions, validity};
 use super::workspace::workspace;
-use super::{Kind, Plan, PlanRow};
-use crate::identifiability::{Belief, ErrorSummary, Observability, outlook};
-use crate::model::{AXES, Reading, Robot};
+use super::{Kind, Plan, PlanRow, PlanningPrior};
+use crate::catalogue::PlanFinding;
+use crate::design::length_count::{LengthCount, Sufficiency, by_count, sufficiency};
+use crate::design::second_ball::{OneBall, SecondBall};
+use crate::diagnostic::Diagnostic;
+use crate::estimation::result::MapPoint;
+use crate::estimation::{ErrorSummary, Foreseen, Observability, Outlook, outlook};
+use crate::measurement::PreparedMeasurement;
+use crate::robot::inverse::clearance;
+use crate::robot::{AXES, BallId, Robot};
 
-/// A parameter of which the lengths alone leave more than this many tolerances is too weak.
+/// A parameter of which the lengths alone leave more than this many tolerances is poorly observable.
 const WEAK: f64 = 3.0;
 /// Poses over which the 3-D error is taken, as in an identification.
 const POSES: usize = 2000;
 /// Of these so many where it is taken for many pose sets.
 const FEW_POSES: usize = 300;
+/// A second ball helps when it leaves less than this share of the error.
+const HELPS: f64 = 0.85;
 
-/// What the poses of a plan will tell, with lengths of the bar's sigma and the robot's repeatability.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+/// What the poses of a plan will determine, with lengths of the bar's sigma and the robot's repeatability.
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Prediction {
     /// Lengths that will be measured.
     pub lengths: usize,
@@ -32,30 +39,26 @@ pub struct Prediction {
     pub of: usize,
     /// Condition number of the unit-norm columns of the base set.
     pub condition: f64,
-    /// Observability indices of the base set, its columns in units of what is known beforehand.
+    /// Observability indices of the base set, its columns in units of their prior deviations.
     pub observability: Option<Observability>,
-    /// Every parameter.
     pub parameters: Vec<PredictedParameter>,
-    /// Combinations of which only one value can be told, in words.
+    /// Combinations of which only one value is identifiable, in words.
     pub dependent: Vec<String>,
     /// 3-D error over the workspace after one best rigid alignment, mm, as the robot is known now.
     pub now_mm: Error3d,
     /// The same after an identification with the datasheet as prior, mm.
     pub identified_mm: Error3d,
-    // A plan of an earlier version, as captures carry it, lacks these.
-    /// What fewer and more lengths tell.
-    #[serde(default)]
-    pub against: Vec<Against>,
+    /// What fewer and more lengths determine.
+    pub against: Vec<LengthCount>,
     /// The error left afterwards by the distance from the base balls.
-    #[serde(default)]
     pub regions: Vec<Region>,
-    /// How many lengths are enough, how far the result is valid, where a second ball would help: in words.
-    #[serde(default)]
-    pub advice: Vec<String>,
+    /// How many lengths are enough, how far the result is valid, where a second ball would help.
+    #[serde(rename = "advice")]
+    pub recommendations: Vec<Diagnostic>,
 }
 
 /// A 3-D error over the workspace, mm.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Error3d {
     /// Mean over robots and poses.
     pub mean: f64,
@@ -66,108 +69,168 @@ pub struct Error3d {
 }
 
 /// One parameter's standard deviations, mm or rad.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PredictedParameter {
-    /// Its name.
     pub name: String,
     /// `mm` or `rad`.
     pub unit: String,
-    /// As it is known beforehand.
+    /// Prior standard deviation.
     pub before: f64,
-    /// With the lengths and what is known beforehand.
+    /// Posterior standard deviation.
     pub sd: f64,
     /// From the lengths alone; absent for one outside the base set.
     pub alone: Option<f64>,
-    /// What the lengths alone make of it.
-    pub fate: Fate,
+    #[serde(rename = "fate")]
+    pub identifiability: Identifiability,
 }
 
 /// What the lengths alone make of a parameter.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Fate {
-    /// Told to 3 tolerances or better.
+pub enum Identifiability {
+    /// To 3 tolerances or better.
     Identified,
-    /// Told, but worse than that.
-    TooWeak,
+    /// Worse than that.
+    #[serde(rename = "too_weak")]
+    PoorlyObservable,
     /// Only in a combination that another parameter carries.
     Dependent,
     /// It changes no length.
-    Unseen,
+    #[serde(rename = "unseen")]
+    Unobservable,
 }
-
-/// A prediction and its map: where the ball is and the root mean square of its error there, mm.
-pub type Foretold = (Prediction, Vec<([f64; 3], f64)>);
 
 impl PlanRow {
     /// The row as a length to be measured.
-    pub fn reading(&self) -> Reading {
-        Reading::new(
+    pub fn reading(&self) -> PreparedMeasurement {
+        PreparedMeasurement::new(
             self.axes_deg.map(f64::to_radians),
-            self.centre.saturating_sub(1) as usize,
+            BallId::new(self.centre).unwrap_or(BallId::FIRST),
             self.length_mm,
         )
     }
 }
 
 impl Plan {
-    /// What this plan will add to `belief`; `None` when a number is not finite.
-    pub fn foretell(&self, robot: &Robot, belief: &Belief) -> Option<Foretold> {
+    /// Predicts what this plan will add to `prior`, into the header; the map of the error that is left, which is empty
+    /// when a number is not finite.
+    pub fn predict(&mut self, robot: &Robot, prior: &PlanningPrior) -> Vec<MapPoint> {
         let dwells = self.rows.iter().filter(|row| row.kind != Kind::Transit);
-        let readings: Vec<Reading> = dwells.map(PlanRow::reading).collect();
+        let readings: Vec<PreparedMeasurement> = dwells.map(PlanRow::reading).collect();
         let poses = workspace(&self.header.job, robot, POSES);
         let sigma_mm = length_sigma_mm(&self.header.job, robot);
-        let seen = outlook(belief, &readings, sigma_mm, &poses)?;
-        let few: Vec<[f64; AXES]> = poses.iter().take(FEW_POSES).copied().collect();
-        let against = against(belief, &readings, sigma_mm, &few);
+        let Some(seen) = outlook(&prior.posterior, &readings, sigma_mm, &poses) else { return Vec::new() };
+        let few = poses.get(..FEW_POSES).unwrap_or(&poses);
+        let against = by_count(&prior.posterior, &readings, sigma_mm, few);
         let regions = regions(&self.header.job, &seen.map);
-        let mut advice = Vec::new();
         // In a stage the next plan is the one that matters.
-        if self.header.stage.is_none() {
-            advice.extend(enough(&against, robot.repeatability_mm));
-            advice.extend(region::words(&regions));
-            advice.extend(second_ball(&self.header.job, robot.controller(), readings.len(), &few));
-        }
-        let (kept, unseen) = (seen.analysis.kept(), seen.analysis.zero());
-        let parameters = seen
-            .parameters
-            .iter()
-            .map(|parameter| {
-                let id = parameter.id;
-                let known = if id.is_geometric() { parameter.before } else { f64::INFINITY };
-                let fate = match parameter.alone {
-                    Some(alone) if alone <= WEAK * known => Fate::Identified,
-                    Some(_) => Fate::TooWeak,
-                    None if kept.contains(&id) => Fate::TooWeak,
-                    None if unseen.contains(&id) => Fate::Unseen,
-                    None => Fate::Dependent,
-                };
-                PredictedParameter {
-                    name: id.to_string(),
-                    unit: id.unit().into(),
-                    before: parameter.before,
-                    sd: parameter.after,
-                    alone: parameter.alone,
-                    fate,
-                }
-            })
-            .collect();
-        let prediction = Prediction {
+        let recommendations = if self.header.stage.is_some() {
+            Vec::new()
+        } else {
+            let count = sufficiency(&against, robot.repeatability_mm).map(PlanFinding::from);
+            let ball = self.second_ball(robot.controller(), readings.len(), few);
+            count.into_iter().chain(validity(&regions)).chain(ball).map(Diagnostic::from).collect()
+        };
+        self.header.predictions = Some(Prediction {
             lengths: readings.len(),
             sigma_mm,
             rank: seen.analysis.base.rank,
             of: seen.analysis.ids.len(),
             condition: seen.analysis.base.condition,
-            observability: seen.observability,
-            parameters,
-            dependent: seen.analysis.combinations().into_iter().map(|combination| combination.text).collect(),
+            parameters: seen.parameters.iter().map(|known| predicted(&seen, known)).collect(),
+            dependent: seen
+                .analysis
+                .combinations()
+                .into_iter()
+                .map(|combination| combination.to_string())
+                .collect(),
             now_mm: seen.error_mm[0].into(),
             identified_mm: seen.error_mm[1].into(),
+            observability: seen.observability,
             against,
             regions,
-            advice,
+            recommendations,
+        });
+        seen.map
+    }
+
+    /// Whether a second ball would help; `None` for a job with several balls, or where nothing can be chosen.
+    fn second_ball(&self, robot: &Robot, lengths: usize, workspace: &[[f64; AXES]]) -> Option<PlanFinding> {
+        let job = &self.header.job;
+        let [table] = job.centres.as_slice() else { return None };
+        let limits = &job.limits;
+        let one = OneBall {
+            robot,
+            ball: table.xyz_mm.into(),
+            radius_mm: job.bar.length_mm,
+            lengths,
+            sigma_mm: length_sigma_mm(job, robot),
+            workspace,
+            seed: u64::from(job.seed),
         };
-        Some((prediction, seen.map))
+        let prior = |balls: [nalgebra::Vector3<f64>; 2]| {
+            let mut two = job.clone();
+            two.centres = (1..)
+                .zip(balls)
+                .map(|(id, ball)| CentreTable { id, xyz_mm: ball.into(), taught_deg: None, ..table.clone() })
+                .collect();
+            PlanningPrior::of_maker(&two, robot)
+        };
+        let best = one.second(prior, |axes| {
+            clearance(&robot.geometry, axes).is_none_or(|clear| {
+                clear.wrist.to_degrees() > limits.min_a5_deg
+                    && clear.elbow.to_degrees() > limits.min_elbow_deg
+                    && clear.overhead > limits.min_overhead_mm
+            })
+        })?;
+        let SecondBall { place, ball, alone_mm, share, turned_share, places } = best;
+        let turned_percent = 100.0 * turned_share.min(1.0);
+        Some(if share < HELPS {
+            let ([x_mm, y_mm, z_mm], percent) = (ball.into(), 100.0 * share);
+            PlanFinding::SecondBall { place, x_mm, y_mm, z_mm, percent, alone_mm, turned_percent }
+        } else {
+            PlanFinding::NoSecondBall { places, percent: 100.0 * HELPS, alone_mm, turned_percent }
+        })
+    }
+}
+
+fn predicted(seen: &Outlook, known: &Foreseen) -> PredictedParameter {
+    let &Foreseen { id, before, after, alone } = known;
+    let limit = if id.is_geometric() { WEAK * before } else { f64::INFINITY };
+    let identifiability = match alone {
+        Some(alone) if alone <= limit => Identifiability::Identified,
+        Some(_) => Identifiability::PoorlyObservable,
+        None if seen.analysis.kept().contains(&id) => Identifiability::PoorlyObservable,
+        None if seen.analysis.zero().contains(&id) => Identifiability::Unobservable,
+        None => Identifiability::Dependent,
+    };
+    let (name, unit) = (id.to_string(), id.unit().to_string());
+    PredictedParameter { name, unit, before, sd: after, alone, identifiability }
+}
+
+impl From<Sufficiency<'_>> for PlanFinding {
+    fn from(found: Sufficiency<'_>) -> Self {
+        match found {
+            Sufficiency::Enough { few, repeatability_mm, planned, doubled } => Self::Enough {
+                lengths: few.lengths,
+                error_mm: few.error_mm,
+                repeatability_mm,
+                planned: planned.lengths,
+                planned_error_mm: planned.error_mm,
+                doubled: doubled.lengths,
+                doubled_error_mm: doubled.error_mm,
+            },
+            Sufficiency::OthersNeeded { planned, doubled } => Self::OthersNeeded {
+                planned: planned.lengths,
+                planned_error_mm: planned.error_mm,
+                doubled_error_mm: doubled.error_mm,
+            },
+            Sufficiency::MoreHelp { planned, doubled } => Self::MoreHelp {
+                planned: planned.lengths,
+                planned_error_mm: planned.error_mm,
+                doubled_error_mm: doubled.error_mm,
+            },
+        }
     }
 }
 

@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::job::{Bar, Job};
+use crate::catalogue::PlanFinding;
 
 /// An axis that turns by more than this within one fine step has jumped, degrees.
 pub(crate) const JUMP_DEG: f64 = 20.0;
@@ -72,6 +73,11 @@ impl Quantity {
         )
     }
 
+    /// The name that it has in plan.json, unit included.
+    pub fn name(self) -> String {
+        serde_json::to_value(self).ok().and_then(|name| name.as_str().map(str::to_owned)).unwrap_or_default()
+    }
+
     /// A value with its unit, for people.
     pub fn shown(self, value: f64) -> String {
         match self.words().1 {
@@ -134,6 +140,29 @@ impl std::fmt::Display for Check {
     }
 }
 
+impl From<&Check> for PlanFinding {
+    fn from(check: &Check) -> Self {
+        let &Check { quantity, worst, limit, row } = check;
+        let name = quantity.name();
+        match quantity {
+            Quantity::AxisMarginDeg | Quantity::WristDeg | Quantity::ElbowDeg | Quantity::OverheadMm => {
+                Self::ArmBelow { row, quantity: name, worst, limit }
+            }
+            Quantity::AxisJumpDeg => Self::ArmAbove { row, quantity: name, worst, limit },
+            Quantity::AxisSpeedPercent | Quantity::AxisAccelerationPercent => {
+                Self::TooFast { row, quantity: name, worst, limit }
+            }
+            Quantity::ReadingLowMm => Self::ReadingBelow { row, quantity: name, worst, limit },
+            Quantity::ReadingHighMm => Self::ReadingAbove { row, quantity: name, worst, limit },
+            Quantity::StrokeRisk | Quantity::RunRisk => {
+                Self::StrokeRisk { row, quantity: name, worst, limit }
+            }
+            Quantity::CupDeg | Quantity::ToolCupDeg => Self::CupAngle { row, quantity: name, worst, limit },
+            Quantity::ClearanceMm => Self::Obstacle { row, quantity: name, worst, limit },
+        }
+    }
+}
+
 fn within_margin(bar: &Bar) -> [f64; 2] {
     [bar.stroke_mm[0] + bar.margin_mm, bar.stroke_mm[1] - bar.margin_mm]
 }
@@ -153,9 +182,6 @@ pub(crate) fn limit(job: &Job, centre: u32, quantity: Quantity) -> f64 {
         Quantity::StrokeRisk | Quantity::RunRisk => limits.max_stroke_risk,
         Quantity::ClearanceMm => limits.min_clearance_mm,
         Quantity::ToolCupDeg => job.tool.cup_limit_deg.unwrap_or(180.0),
-        Quantity::CupDeg => {
-            let table = job.centres.get(centre.saturating_sub(1) as usize);
-            table.and_then(|table| table.cup_limit_deg).unwrap_or(180.0)
-        }
+        Quantity::CupDeg => job.ball(centre).and_then(|table| table.cup_limit_deg).unwrap_or(180.0),
     }
 }

@@ -1,7 +1,7 @@
-//! Whose axis angles a plan tells, and whose arm then moves.
+//! The controller, whose axis angles a plan has, and the arm that then moves.
 
-use crate::model::inverse::{Unsolved, nearest};
-use crate::model::{AXES, Geometry, Pose, Robot};
+use crate::robot::inverse::{Unsolved, nearest};
+use crate::robot::{AXES, Geometry, Pose, Robot};
 
 /// The controller that will be commanded, and the arm that will move.
 pub(crate) struct Rig<'a> {
@@ -18,11 +18,11 @@ impl<'a> Rig<'a> {
         Self { controller: robot.controller(), arm: &robot.geometry, identified: robot.nominal.is_some() }
     }
 
-    /// The pose that the controller must believe in for the arm to come to `pose`, near axis angles in rad.
+    /// The pose that must be commanded for the arm to come to `pose`, near axis angles in rad.
     ///
     /// # Errors
     /// The arm does not reach it.
-    pub(crate) fn told(&self, pose: &Pose, near: &[f64; AXES]) -> Result<Pose, Unsolved> {
+    pub(crate) fn commanded(&self, pose: &Pose, near: &[f64; AXES]) -> Result<Pose, Unsolved> {
         Ok(if self.identified {
             self.controller.geometry.ball(&nearest(self.arm, pose, near)?)
         } else {

@@ -9,18 +9,19 @@ use std::f64::consts::PI;
 
 use nalgebra::{Rotation3, Vector3};
 
-use super::candidates::Candidate;
 use super::cell::Cell;
 use super::path::{Path, between};
-use crate::model::inverse::{nearest, status};
-use crate::model::{AXES, Pose};
+use super::steps::room;
+use crate::design::Candidate;
+use crate::robot::inverse::{nearest, status};
+use crate::robot::{AXES, Pose};
 
 /// Steps in which a way is tried, mm and degrees; the plan's own check is finer.
 const STEP_MM: f64 = 2.0;
 const STEP_DEG: f64 = 2.0;
 /// Greatest turn of an axis in one chord, rad.
 const CHORD_TURN: f64 = 0.2;
-/// Greatest turn of an axis in one arc, rad: of a larger one the end would not tell the full turns.
+/// Greatest turn of an axis in one arc, rad: the end of a larger one leaves the full turns open.
 const ARC_TURN: f64 = 1.5;
 /// An axis may be off by this much at the end of a way; more is another turn of it, rad.
 const ASTRAY: f64 = 0.01;
@@ -45,7 +46,14 @@ pub(crate) struct Router<'a> {
     pub(crate) sagitta: f64,
 }
 
-impl Router<'_> {
+impl<'a> Router<'a> {
+    /// `None` where the job has no such ball.
+    pub(crate) fn new(cell: &'a Cell<'a>, centre: u32, risk: f64) -> Option<Self> {
+        let (bar, ball) = (&cell.job.bar, Vector3::from(cell.job.ball(centre)?.xyz_mm));
+        let sagitta = (0.25 * room(bar, bar.length_mm)).clamp(0.02, 0.2);
+        Some(Self { cell, centre, ball, radius: bar.length_mm, risk, sagitta })
+    }
+
     /// The way from one pose to another, if there is one.
     pub(crate) fn way(&self, from: &Candidate, to: &Candidate) -> Option<Way> {
         let (u, v) = (self.direction(&from.pose), self.direction(&to.pose));
@@ -58,12 +66,12 @@ impl Router<'_> {
             let half: [f64; AXES] = std::array::from_fn(|i| 0.5 * (from.axes[i] + to.axes[i]));
             let rig = self.cell.rig;
             let [start, end] = [from, to].map(|pose| rig.controller.geometry.ball(&pose.axes));
-            let path = Path::arc(start, &rig.told(&aux, &half).ok()?.position, end);
+            let path = Path::arc(start, &rig.commanded(&aux, &half).ok()?.position, end);
             if self.passes(&path, &from.axes).is_some_and(|end| apart(&end, &to.axes) < ASTRAY) {
                 return Some(Way::Arc(aux));
             }
         }
-        let table = self.cell.job.centres.get(self.centre.saturating_sub(1) as usize)?;
+        let table = self.cell.job.ball(self.centre)?;
         let up = table.cup_axis.map_or(Vector3::z(), |axis| Vector3::from(axis).normalize());
         let over = (u + v + up * 1.5).try_normalize(1e-6)?;
         self.chords(from, to, &[u, v]).or_else(|| self.chords(from, to, &[u, over, v])).map(Way::Chords)
@@ -87,7 +95,7 @@ impl Router<'_> {
                 let rotation = self.cell.rig.arm.ball(&guide).rotation;
                 Pose { rotation, position: self.ball + along(past, &legs, share * whole) * self.radius }
             };
-            let end = self.cell.rig.told(&next, &axes).ok()?;
+            let end = self.cell.rig.commanded(&next, &axes).ok()?;
             axes = self.passes(&Path::Line { from: here, to: end }, &axes)?;
             poses.push(next);
             here = end;

@@ -2,19 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::model::AXES;
-
-/// What a row is for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Kind {
-    /// A dwell whose length identifies the robot.
-    Measure,
-    /// A dwell at the repeated reference pose, which shows drift.
-    Reference,
-    /// No dwell: an approach, a mark, or (with [`Motion::Circ`]) the auxiliary point of the next row.
-    Transit,
-}
+use crate::measurement::Kind;
+use crate::robot::AXES;
 
 /// How the robot comes to a row's pose.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]

@@ -1,11 +1,15 @@
 //! From poses to rows: what KRL prints, and the axis angles that the controller takes for it.
 
+use std::ops::Range;
+
+use super::check::unreachable;
 use super::job::Job;
 use super::rig::{Rig, axis_margin_deg};
 use super::steps::Step;
 use super::{Kind, Motion, PlanRow};
-use crate::model::inverse::{Unsolved, branches, nearest, status, turn, turns_within};
-use crate::model::{AXES, Pose};
+use crate::catalogue::PlanFinding;
+use crate::robot::inverse::{Unsolved, branches, nearest, status, turn, turns_within};
+use crate::robot::{AXES, Pose};
 
 /// Axis angles of a branch along a run of steps.
 pub(crate) struct Branch {
@@ -26,25 +30,25 @@ impl Rig<'_> {
         let all = branches(self.arm, &first.pose)?;
         let within: Vec<_> =
             all.iter().flat_map(|axes| turns_within(axes, &self.controller.limits_deg)).collect();
-        // Beyond all limits, the findings will tell by how much.
+        // Beyond all limits, the findings will say by how much.
         Ok(if within.is_empty() { all } else { within })
     }
 
     /// The rows of a run of steps, followed from `start` without leaving its branch.
     ///
     /// # Errors
-    /// The position in the run of a pose that cannot be reached.
+    /// A pose that cannot be reached.
     pub(crate) fn follow(
         &self,
         job: &Job,
         steps: &[Step],
         first_index: u32,
         start: &[f64; AXES],
-    ) -> Result<Branch, (u32, [f64; 3], Unsolved)> {
+    ) -> Result<Branch, PlanFinding> {
         let frames = job.motion.frames();
         let mut near = *start;
-        // Where the robot stands before the auxiliary points of a pass: these are far away on its circle.
-        let mut stands = None;
+        // Where the robot is before the auxiliary points of a pass: these are far away on its circle.
+        let mut before_pass = None;
         let mut rows = Vec::with_capacity(steps.len());
         let mut margin_deg = f64::INFINITY;
         for ((index, step), next) in
@@ -52,22 +56,22 @@ impl Rig<'_> {
         {
             let auxiliary = |step: &Step| step.kind == Kind::Transit && step.motion == Motion::Circ;
             if auxiliary(step) && next.is_some_and(auxiliary) {
-                stands = Some(near);
+                before_pass = Some(near);
             } else if !auxiliary(step) {
-                near = stands.take().unwrap_or(near);
+                near = before_pass.take().unwrap_or(near);
             }
             near = step.axes.unwrap_or(near);
-            let failed = |reason| (index, step.pose.position.into(), reason);
-            let (xyz_mm, abc_deg) = frames.taken(frames.told(&self.told(&step.pose, &near).map_err(failed)?));
-            let told = Pose::from_kuka(xyz_mm, abc_deg);
-            near = nearest(&self.controller.geometry, &told, &near).map_err(failed)?;
+            let failed = |why| unreachable(index, step.pose.position.into(), &why);
+            let commanded = self.commanded(&step.pose, &near).map_err(failed)?;
+            let (xyz_mm, abc_deg) = frames.as_driven(frames.as_printed(&commanded));
+            let rounded = Pose::from_kuka(xyz_mm, abc_deg);
+            near = nearest(&self.controller.geometry, &rounded, &near).map_err(failed)?;
             let axes_deg = near.map(|a| if a.to_degrees().abs() < 1e-6 { 0.0 } else { a.to_degrees() });
             let axes = axes_deg.map(f64::to_radians);
             margin_deg = margin_deg
                 .min(axis_margin_deg(self.controller, &axes))
                 .min(axes_deg[4].abs() - job.limits.min_a5_deg);
-            let centre =
-                job.centres.get(step.centre.saturating_sub(1) as usize).map_or([0.0; 3], |c| c.xyz_mm);
+            let centre = job.ball(step.centre).map_or([0.0; 3], |table| table.xyz_mm);
             rows.push(PlanRow {
                 index,
                 circle: step.circle,
@@ -87,9 +91,8 @@ impl Rig<'_> {
     }
 }
 
-/// The runs of steps in which the bar stays on, as (first, past the last): each begins with a PTP motion
-/// to a pose at which the robot is not yet.
-pub(crate) fn runs(steps: &[Step]) -> Vec<(usize, usize)> {
+/// The runs of steps in which the bar stays on: each begins with a PTP motion to a pose at which the robot is not yet.
+pub(crate) fn runs(steps: &[Step]) -> Vec<Range<usize>> {
     let begins: Vec<usize> = (0..steps.len())
         .filter(|&i| {
             let there = i > 0 && steps[i].pose == steps[i - 1].pose;
@@ -97,5 +100,5 @@ pub(crate) fn runs(steps: &[Step]) -> Vec<(usize, usize)> {
         })
         .collect();
     let ends = begins.iter().skip(1).copied().chain([steps.len()]);
-    begins.iter().copied().zip(ends).collect()
+    begins.iter().copied().zip(ends).map(|(first, past)| first..past).collect()
 }

@@ -1,7 +1,7 @@
 //! What the robot is to do, circle by circle, before any axis angle is known.
 //!
 //! One module for each circle: to the start pose with all axes (the bar is off; the program halts there
-//! to have it mounted), three knocks, the points along the arc, two knocks. The start pose lies one step
+//! to have it mounted), three sync markers, the points along the arc, two markers. The start pose lies one step
 //! before the first point, so that the first point is reached as all others are.
 //!
 //! The reference pose is the first point. It is visited after every twenty points and after the last,
@@ -17,23 +17,24 @@ use std::f64::consts::TAU;
 
 use nalgebra::{Rotation3, Vector3};
 
-use super::candidates::Candidate;
 use super::circle::{Circle, REFERENCE_EVERY};
-use super::job::{Bar, Direction, Job, Mode};
+use super::job::{Bar, CircleTable, Direction, Job, Mode};
 use super::path::between;
 use super::route::Way;
 use super::{Kind, Motion};
-use crate::model::{AXES, Pose};
+use crate::catalogue::JobFinding;
+use crate::design::Candidate;
+use crate::robot::{AXES, Pose};
 
-/// How far a knock goes, mm, where the stroke has room.
-const KNOCK_MM: f64 = 0.3;
+/// How far a sync marker goes, mm, where the stroke has room.
+const MARKER_MM: f64 = 0.3;
 /// Shares of it that are taken where the length is not known well enough.
 const SMALLER: [f64; 3] = [1.0, 0.7, 0.4];
 /// How far to step aside where two dwells follow at one place, rad.
 pub(crate) const DETOUR: f64 = 0.035;
-/// Knocks that mark the start and the end of a module.
-const START_KNOCKS: u32 = 3;
-const END_KNOCKS: u32 = 2;
+/// Sync markers at the start and the end of a module: short moves out and back.
+const START_MARKERS: u32 = 3;
+const END_MARKERS: u32 = 2;
 
 /// A pose that the tool ball is to take.
 pub(crate) struct Step {
@@ -47,84 +48,74 @@ pub(crate) struct Step {
     pub(crate) axes: Option<[f64; AXES]>,
 }
 
-/// All steps of the job.
-pub(crate) fn steps(job: &Job) -> Vec<Step> {
+/// All steps of the job's circles.
+///
+/// # Errors
+/// A circle without plane or base ball, which a checked job does not have.
+pub(crate) fn steps(job: &Job) -> Result<Vec<Step>, JobFinding> {
     let mut walk = Walk::new(job);
     for (number, table) in (1_u32..).zip(&job.circles) {
-        let Some(circle) = Circle::new(job, table, number) else {
-            continue;
-        };
+        let circle = Circle::new(job, table, number)?;
         let angles = table.angles();
-        let Some(&first) = angles.first() else {
-            continue;
-        };
+        let Some(&first) = angles.first() else { continue };
         let sense = if table.direction == Direction::Cw { -1.0 } else { 1.0 };
         // Outside an open arc may be what it was left open for: there the start is inside.
         let outside = if table.is_closed() { sense } else { -sense } * table.step();
-        let continuous = table.mode == Mode::Continuous;
-        let start =
-            if continuous { first - sense * table.overshoot_deg.to_radians() } else { first - outside };
-
+        let start = match table.mode {
+            Mode::Continuous => first - sense * table.overshoot_deg.to_radians(),
+            Mode::Dwell => first - outside,
+        };
         if walk.centre == table.centre {
-            // Half of the room inwards at most, and no more than a knock.
-            let sagitta = (0.5 * room(&job.bar, circle.radius)).clamp(0.02, KNOCK_MM);
+            // Half of the room inwards at most, and no more than a marker.
+            let sagitta = (0.5 * room(&job.bar, circle.radius)).clamp(0.02, MARKER_MM);
             walk.along_the_sphere(circle.centre(), &circle.pose(start, 0.0), sagitta);
         }
         (walk.circle, walk.centre) = (number, table.centre);
         walk.push(Kind::Transit, Motion::Ptp, circle.pose(start, 0.0));
-        let knock = knock(&job.bar, circle.radius);
-        walk.knocks(START_KNOCKS, &circle, start, knock);
-        let mut at = start;
-        if continuous {
-            for pass in angles.chunks(table.points as usize) {
-                at = walk.pass(&circle, at, pass, table.sweep_deg().to_radians());
+        let out = marker(&job.bar, circle.radius);
+        walk.markers(START_MARKERS, &circle, start, out);
+        let end = match table.mode {
+            Mode::Continuous => {
+                let sweep = table.sweep_deg().to_radians();
+                let passes = angles.chunks(table.points as usize);
+                passes.fold(start, |at, points| walk.pass(&circle, at, points, sweep))
             }
-            walk.knocks(END_KNOCKS, &circle, at, knock);
-            continue;
-        }
-        let visit = |walk: &mut Walk, at: &mut f64, target: f64, kind: Kind| {
-            if (target - *at).abs() < 1e-9 {
-                // To stay would leave no interval of its own between two dwells.
-                *at = target + outside.clamp(-DETOUR, DETOUR);
-                walk.push(Kind::Transit, Motion::Lin, circle.pose(*at, 0.0));
-            }
-            walk.arc(&circle, *at, target, kind);
-            *at = target;
+            Mode::Dwell => walk.dwells(&circle, table, start, outside),
         };
-        for (count, &angle) in (1_u32..).zip(&angles) {
-            visit(&mut walk, &mut at, angle, Kind::Measure);
-            if count % REFERENCE_EVERY == 0 || count as usize == angles.len() {
-                let turns = if table.is_closed() { ((at - first) / TAU).round() } else { 0.0 };
-                visit(&mut walk, &mut at, first + turns * TAU, Kind::Reference);
-            }
-        }
-        walk.knocks(END_KNOCKS, &circle, at, knock);
+        walk.markers(END_MARKERS, &circle, end, out);
     }
-    walk.steps
+    Ok(walk.steps)
 }
 
-/// How far out a knock goes, mm: within the room that the stroke leaves, inwards where there is none.
-pub(crate) fn knock(bar: &Bar, radius: f64) -> f64 {
+/// How far out a sync marker goes, mm: within the room that the stroke leaves, inwards where there is none.
+pub(crate) fn marker(bar: &Bar, radius: f64) -> f64 {
     let reading = radius - bar.length_mm;
     let out = bar.stroke_mm[1] - bar.margin_mm - reading;
     let inwards = reading - bar.stroke_mm[0] - bar.margin_mm;
-    if out >= KNOCK_MM || out >= inwards { KNOCK_MM.min(0.8 * out) } else { -KNOCK_MM.min(0.8 * inwards) }
+    if out >= MARKER_MM || out >= inwards { MARKER_MM.min(0.8 * out) } else { -MARKER_MM.min(0.8 * inwards) }
 }
 
-/// The least of the knocks at a radius that [`safe_knock`] would take, mm.
-pub(crate) fn least_knock(bar: &Bar, radius: f64) -> f64 {
-    knock(bar, radius) * SMALLER[SMALLER.len() - 1]
+/// The least of the markers at a radius that [`safe_marker`] would take, mm.
+pub(crate) fn least_marker(bar: &Bar, radius: f64) -> f64 {
+    marker(bar, radius) * SMALLER[SMALLER.len() - 1]
 }
 
-/// The largest knock at a radius of which the risk is at most `most`, mm; the least one where all have more.
-pub(crate) fn safe_knock(bar: &Bar, radius: f64, most: f64, risk: impl Fn(f64) -> f64) -> f64 {
-    let knocks = SMALLER.map(|share| knock(bar, radius) * share);
-    knocks.into_iter().find(|out| risk(*out) <= most).unwrap_or(least_knock(bar, radius))
+/// The largest marker at a radius of which the risk is at most `most`, mm; the least one where all have more.
+pub(crate) fn safe_marker(bar: &Bar, radius: f64, most: f64, risk: impl Fn(f64) -> f64) -> f64 {
+    let markers = SMALLER.map(|share| marker(bar, radius) * share);
+    markers.into_iter().find(|out| risk(*out) <= most).unwrap_or(least_marker(bar, radius))
 }
 
 /// Room of the bar inwards at a radius, mm.
 pub(crate) fn room(bar: &Bar, radius: f64) -> f64 {
     radius - bar.length_mm - bar.stroke_mm[0] - bar.margin_mm
+}
+
+/// An end of a module.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(crate) enum End {
+    Start,
+    Finish,
 }
 
 /// The steps so far.
@@ -170,10 +161,11 @@ impl Walk {
         }
     }
 
-    /// The marks of a module's start or end, out from the base ball and back.
-    pub(crate) fn radial_knocks(&mut self, start: bool, pose: &Pose, ball: &Vector3<f64>, out: f64) {
+    /// The sync markers of a module's start or end, out from the base ball and back.
+    pub(crate) fn radial_markers(&mut self, end: End, pose: &Pose, ball: &Vector3<f64>, out: f64) {
         let along = (pose.position - ball).normalize();
-        for _ in 0..if start { START_KNOCKS } else { END_KNOCKS } {
+        let count = if end == End::Start { START_MARKERS } else { END_MARKERS };
+        for _ in 0..count {
             let position = pose.position + along * out;
             self.push(Kind::Transit, Motion::Lin, Pose { rotation: pose.rotation, position });
             self.push(Kind::Transit, Motion::Lin, *pose);
@@ -186,7 +178,7 @@ impl Walk {
         self.steps.push(Step { circle, centre, kind, motion, pose, dwell_s, axes: None });
     }
 
-    fn knocks(&mut self, count: u32, circle: &Circle, angle: f64, out: f64) {
+    fn markers(&mut self, count: u32, circle: &Circle, angle: f64, out: f64) {
         for _ in 0..count {
             self.push(Kind::Transit, Motion::Lin, circle.pose(angle, out));
             self.push(Kind::Transit, Motion::Lin, circle.pose(angle, 0.0));
@@ -202,7 +194,37 @@ impl Walk {
         self.push(kind, Motion::Circ, end);
     }
 
-    /// A pass without stops, from where the robot stands at angle `from`; the angle at which it stops.
+    /// The dwells of a circle from `start` with the visits of its reference pose, the first point; the angle of the last.
+    /// `outside` is the step to where no point is.
+    fn dwells(&mut self, circle: &Circle, table: &CircleTable, start: f64, outside: f64) -> f64 {
+        let angles = table.angles();
+        let Some(&first) = angles.first() else { return start };
+        let mut at = start;
+        for (count, &angle) in (1_u32..).zip(&angles) {
+            self.visit(circle, [at, angle], Kind::Measure, outside);
+            at = angle;
+            if count % REFERENCE_EVERY == 0 || count as usize == angles.len() {
+                let turns = if table.is_closed() { ((at - first) / TAU).round() } else { 0.0 };
+                let reference = first + turns * TAU;
+                self.visit(circle, [at, reference], Kind::Reference, outside);
+                at = reference;
+            }
+        }
+        at
+    }
+
+    /// Along the circle to a dwell, with a step aside where the robot is at its pose already.
+    fn visit(&mut self, circle: &Circle, [from, to]: [f64; 2], kind: Kind, outside: f64) {
+        let mut at = from;
+        if (to - at).abs() < 1e-9 {
+            // To stay would leave no interval of its own between two dwells.
+            at = to + outside.clamp(-DETOUR, DETOUR);
+            self.push(Kind::Transit, Motion::Lin, circle.pose(at, 0.0));
+        }
+        self.arc(circle, at, to, kind);
+    }
+
+    /// A pass without stops, from where the robot is at angle `from`; the angle at which it stops.
     fn pass(&mut self, circle: &Circle, from: f64, points: &[f64], sweep: f64) -> f64 {
         let sense = points.first().map_or(1.0, |first| (first - from).signum());
         // Through points far from each other the rounding of the poses hardly moves the circle.

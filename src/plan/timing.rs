@@ -10,7 +10,7 @@ use rand_pcg::Pcg64;
 
 use super::path::Path;
 use super::{Kind, MotionTable, MoveTime, PlanRow};
-use crate::model::{AXES, Robot};
+use crate::robot::{AXES, Robot};
 
 /// Acceleration of the ball along its path ($ACC.CP), mm/s^2.
 pub const ACCELERATION_MM_S2: f64 = 200.0;
@@ -32,8 +32,8 @@ const SPREAD_S: f64 = 2.2;
 const APART_S: f64 = 0.005;
 /// Less than this (mm, degrees) is the rounding of printed poses: that part stands still.
 const STILL: f64 = 0.01;
-/// Speed of a knock, mm/s: slow enough to be seen in the stream of a slow gauge.
-pub(crate) const KNOCK_MM_S: f64 = 1.0;
+/// Speed of a sync marker, mm/s: slow enough to be seen in the stream of a slow gauge.
+pub(crate) const MARKER_MM_S: f64 = 1.0;
 
 /// Time over `distance` at `speed` with ramps of `acceleration` (any one unit of length), s.
 pub fn ramped_s(distance: f64, speed: f64, acceleration: f64) -> f64 {
@@ -65,7 +65,7 @@ pub(crate) struct Pace {
 }
 
 /// Speeds and durations of all rows. `paces` has the motion into each row; `None` where there is none
-/// (auxiliary points, and the first row, which is reached from wherever the robot stands).
+/// (auxiliary points, and the first row, which is reached from wherever the robot is).
 pub(crate) fn move_times(
     rows: &[PlanRow],
     paces: &[Option<Pace>],
@@ -94,7 +94,7 @@ pub(crate) fn move_times(
             continue;
         }
         if row.kind == Kind::Transit {
-            let feed = if is_knock(&pace.path) { KNOCK_MM_S } else { motion.feed_mm_s };
+            let feed = if is_marker(&pace.path) { MARKER_MM_S } else { motion.feed_mm_s };
             times.push(paced(still, pace, feed, motion.turn_deg_s, None));
             continue;
         }
@@ -109,8 +109,8 @@ pub(crate) fn move_times(
     times
 }
 
-/// A radial knock is the only move of less than a millimetre.
-fn is_knock(path: &Path) -> bool {
+/// A radial marker is the only move of less than a millimetre.
+fn is_marker(path: &Path) -> bool {
     matches!(path, Path::Line { .. }) && path.length_mm() < 1.0
 }
 

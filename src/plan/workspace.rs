@@ -5,10 +5,10 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
 use super::Job;
-use crate::identifiability::Workspace;
-use crate::model::inverse::nearest;
-use crate::model::pose::{rot_x, rot_y, rot_z};
-use crate::model::{AXES, Pose, Robot};
+use crate::estimation::Workspace;
+use crate::robot::inverse::nearest;
+use crate::robot::pose::{rot_x, rot_y, rot_z};
+use crate::robot::{AXES, Pose, Robot};
 
 /// Seed of the poses: that of an identification.
 const SEED: u64 = 1;

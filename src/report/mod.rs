@@ -1,24 +1,17 @@
 //! Pages and pictures from results: SVG and HTML texts. Nothing is computed here but layout.
 //!
 //! The same input gives the same bytes. A page fetches nothing, runs no script, and follows the
-//! reader's choice of light or dark.
+//! reader's choice of light or dark. Templates take the result itself; numbers are formatted by the
+//! filters of `page`.
 
-mod choices;
+pub mod calibration;
 pub mod circle;
-mod diagnosis;
-mod handing_back;
-pub mod identification;
-mod identification_view;
+pub mod export;
 mod page;
 mod parameters;
 pub mod plan;
-mod plan_prediction;
-mod plan_view;
 pub mod plot;
 mod scale;
 pub mod svg;
 
-pub use handing_back::{AxisZero, BallPlace};
-pub use identification_view::{CirclePanel, IdentificationPlots, ObservationPoint, Tolerance};
-pub use page::{Fact, Provenance, ReportError, Source};
-pub use plan_view::{CheckRow, CircleRow, PlanView, PredictedRow};
+pub use page::{Provenance, Source};

@@ -1,81 +1,101 @@
-//! What all pages share: style, provenance, and the template engine.
+//! What all pages share: style, provenance, and the template engine with its filters.
 
 use minijinja::value::Serde;
 use minijinja::{Environment, UndefinedBehavior};
 use serde::Serialize;
 
-use super::scale::typeset;
+use super::scale::{self, fixed, plain, rounded, signed, significant, typeset};
 use super::svg::plot_css;
-use crate::identify::result::{Warning, WarningKind};
+use crate::catalogue::ReportFinding::NoPage;
+use crate::diagnostic::{Diagnostic, Finding};
 
 const PAGE_CSS: &str = include_str!("page.css");
-/// Head, style and provenance, about what a page has of its own.
+/// Head, style and provenance, about what a page has of its own; and the macros of all pages.
 const PAGE_HTML: &str = include_str!("page.html");
-
-/// A page could not be made: a fault of its template, not of the data.
-#[derive(Debug, thiserror::Error)]
-#[error("the page could not be laid out")]
-pub struct ReportError(#[from] minijinja::Error);
+const MACROS: &str = include_str!("macros.html");
 
 /// Where a page's content comes from.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Provenance {
-    /// Version of this program.
-    pub dbbd_version: String,
-    /// Name of the robot.
-    pub robot: String,
-    /// Hash of the plan, where there is one.
+    pub robot: Option<String>,
     pub plan_hash: Option<String>,
-    /// When it was measured or made, as text; the caller's to know.
-    pub date: Option<String>,
     /// The files that were read.
     pub sources: Vec<Source>,
 }
 
 /// A file that was read.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Source {
-    /// What it is, such as `observations`.
-    pub role: String,
-    /// Its name.
+    /// What it is, such as `measurements`.
+    pub role: &'static str,
     pub name: String,
-    /// A hash of its content, where one is known.
-    pub hash: Option<String>,
-}
-
-/// A line of a list of facts.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
-pub struct Fact {
-    /// What, such as `Bar length`.
-    pub label: String,
-    /// How much, with unit.
-    pub value: String,
-}
-
-impl Fact {
-    /// A line of a list of facts.
-    pub fn new(label: impl Into<String>, value: impl Into<String>) -> Self {
-        Self { label: label.into(), value: value.into() }
-    }
-}
-
-/// The texts of the warnings of one kind.
-pub(super) fn texts(warnings: &[Warning], kind: WarningKind) -> Vec<&str> {
-    warnings.iter().filter(|warning| warning.kind == kind).map(|warning| warning.text.as_str()).collect()
 }
 
 /// Fills a template that extends `page.html`; its name ends in `.html`, which turns escaping on.
-pub(super) fn render(name: &str, template: &str, page: &impl Serialize) -> Result<String, ReportError> {
+pub(super) fn render(name: &str, template: &str, page: &impl Serialize) -> Result<String, Diagnostic> {
     #[derive(Serialize)]
     struct Context<'a, T> {
         style: String,
+        version: &'static str,
         page: &'a T,
     }
+    let style = format!("{}{PAGE_CSS}", plot_css());
+    fill(name, template, &Context { style, version: env!("CARGO_PKG_VERSION"), page }).map_err(|error| {
+        let why = error.detail().map_or_else(|| error.to_string(), str::to_owned);
+        Diagnostic::new(NoPage { page: name.into(), why })
+    })
+}
+
+fn fill(name: &str, template: &str, context: &impl Serialize) -> Result<String, minijinja::Error> {
     let mut engine = Environment::new();
     engine.set_undefined_behavior(UndefinedBehavior::Strict);
+    let or_dash = |text: Option<String>| text.unwrap_or_else(|| "–".into());
+    engine.add_filter("fixed", move |value: Option<f64>, decimals: usize| {
+        or_dash(value.map(|value| fixed(value, decimals)))
+    });
+    engine.add_filter("signed", move |value: Option<f64>, decimals: usize| {
+        or_dash(value.map(|value| signed(value, decimals)))
+    });
+    engine.add_filter("plain", move |value: Option<f64>, decimals: usize| {
+        or_dash(value.map(|value| plain(value, decimals)))
+    });
+    engine.add_filter("significant", move |value: Option<f64>, figures: usize| {
+        or_dash(value.map(|value| significant(value, figures)))
+    });
+    engine.add_filter("index", move |value: Option<f64>| or_dash(value.map(scale::index)));
+    engine.add_filter("rounded", rounded);
+    engine.add_filter("times", |value: Option<f64>, factor: f64| value.map(|value| value * factor));
+    engine.add_filter("um", um);
     engine.add_filter("typeset", typeset);
     engine.add_template("page.html", PAGE_HTML)?;
+    engine.add_template("macros.html", MACROS)?;
     engine.add_template(name, template)?;
-    let style = format!("{}{PAGE_CSS}", plot_css());
-    Ok(engine.get_template(name)?.render(Serde(Context { style, page }))?)
+    engine.get_template(name)?.render(Serde(context))
+}
+
+/// Micrometres of millimetres, to as many decimals as the uncertainty needs.
+fn um(value: Option<f64>, u95: Option<f64>) -> String {
+    let decimals = match u95.map(|u| 1e3 * u) {
+        Some(u) if u >= 10.0 => 0,
+        Some(u) if u >= 1.0 => 1,
+        Some(u) if u >= 0.1 => 2,
+        _ => 3,
+    };
+    value.map_or("–".into(), |value| fixed(1e3 * value, decimals))
+}
+
+/// The findings of a result as the pages show them.
+pub(super) fn findings<F: Finding + Clone>(findings: &[F]) -> Vec<Diagnostic> {
+    findings.iter().cloned().map(Diagnostic::new).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_template_that_does_not_fit_is_a_finding() {
+        let wrong = render("wrong.html", "{{ page.no_such_field }}", &Provenance::default());
+        assert_eq!(wrong.unwrap_err().code.0, "E1701");
+    }
 }

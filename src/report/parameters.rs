@@ -2,36 +2,38 @@
 
 use serde::Serialize;
 
-use super::plot::{Interval, Intervals};
-use super::scale::{Unit, decimals, fixed, signed};
-use crate::identify::result::{ParameterResult, Status};
-use crate::model::ParamId;
+use super::plot::Intervals;
+use super::scale::{Unit, decimals};
+use crate::estimation::result::{self, CalibrationResult, Status};
+use crate::estimation::result_file::{ParameterResult, ResultFile};
+use crate::robot::{ParamId, Robot};
 
 /// A table of parameters of one unit.
 #[derive(Serialize)]
-pub(super) struct Group {
+pub(super) struct Group<'a> {
     title: &'static str,
-    /// Unit of nominal and identified.
-    value_unit: &'static str,
-    /// Unit of correction and sd.
-    small_unit: &'static str,
-    rows: Vec<Row>,
+    /// Of the values, with decimals.
+    value: Shown,
+    /// Of corrections and standard deviations, with decimals.
+    small: Shown,
+    parameters: Vec<&'a ParameterResult>,
+    /// The corrections with their intervals, where some were estimated.
+    chart: Option<String>,
 }
 
+/// A unit and its decimals, the same for a whole column so that points align.
+#[derive(Clone, Copy, Serialize)]
+struct Shown {
+    unit: Unit,
+    decimals: usize,
+}
+
+/// Parameters that were not estimated, for one reason.
 #[derive(Serialize)]
-struct Row {
-    name: String,
-    nominal: String,
-    identified: String,
-    correction: String,
-    sd: String,
-    interval: String,
-    /// Standard deviation and interval by Monte Carlo.
-    drawn: Option<[String; 2]>,
-    status: &'static str,
-    class: &'static str,
-    reason: String,
-    raw: String,
+pub(super) struct NotEstimated<'a> {
+    names: Vec<&'a str>,
+    status: Status,
+    reason: &'a str,
 }
 
 /// What a parameter belongs to, in the order of the tables.
@@ -40,25 +42,23 @@ enum Kind {
     Lengths,
     Angles,
     Tool,
-    Centres,
+    Balls,
     Compliance,
-    Gear,
-    Other,
+    Transmission,
 }
 
 impl Kind {
-    const ALL: [Self; 7] =
-        [Self::Lengths, Self::Angles, Self::Tool, Self::Centres, Self::Compliance, Self::Gear, Self::Other];
+    const ALL: [Self; 6] =
+        [Self::Lengths, Self::Angles, Self::Tool, Self::Balls, Self::Compliance, Self::Transmission];
 
-    fn of(parameter: &ParameterResult) -> Self {
-        match parameter.name.parse::<ParamId>() {
-            Ok(ParamId::Tool(_) | ParamId::BarOffset(_)) => Self::Tool,
-            Ok(ParamId::Centre(..)) => Self::Centres,
-            Ok(ParamId::A(_) | ParamId::D(_)) => Self::Lengths,
-            Ok(ParamId::Compliance(_)) => Self::Compliance,
-            Ok(ParamId::GearCos(_) | ParamId::GearSin(_)) => Self::Gear,
-            Ok(_) => Self::Angles,
-            Err(_) => Self::Other,
+    fn of(id: ParamId) -> Self {
+        match id {
+            ParamId::Tool(_) | ParamId::BarOffset(_) => Self::Tool,
+            ParamId::Ball(..) => Self::Balls,
+            ParamId::A(_) | ParamId::D(_) => Self::Lengths,
+            ParamId::Compliance(_) => Self::Compliance,
+            ParamId::GearCos(_) | ParamId::GearSin(_) => Self::Transmission,
+            ParamId::Alpha(_) | ParamId::Beta(_) | ParamId::Theta(_) => Self::Angles,
         }
     }
 
@@ -67,152 +67,79 @@ impl Kind {
             Self::Lengths => "Robot: lengths",
             Self::Angles => "Robot: angles",
             Self::Tool => "Set-up: tool ball and bar",
-            Self::Centres => "Set-up: base balls",
+            Self::Balls => "Set-up: base balls",
             Self::Compliance => "Joint compliance",
-            Self::Gear => "Gear errors",
-            Self::Other => "Others, in their own units",
+            Self::Transmission => "Transmission errors",
         }
     }
 
     /// Units of values and of corrections up to `largest`.
     fn units(self, largest: f64) -> [Unit; 2] {
         match self {
-            Self::Lengths | Self::Tool | Self::Centres => {
+            Self::Lengths | Self::Tool | Self::Balls => {
                 [Unit::MM, Unit::length(if largest < 10.0 { 0.0 } else { largest })]
             }
             Self::Angles => [Unit::DEG, Unit { sign: "mrad", factor: 1e3 }],
             Self::Compliance => [Unit { sign: "µrad/(N m)", factor: 1e6 }; 2],
-            Self::Gear => [Unit::angle(largest); 2],
-            Self::Other => [Unit { sign: "own unit", factor: 1.0 }; 2],
+            Self::Transmission => [Unit::angle(largest); 2],
+        }
+    }
+
+    /// One standard deviation of what the robot's maker promises, mm or rad.
+    fn tolerance(self, robot: &Robot) -> Option<f64> {
+        match self {
+            Self::Lengths => Some(robot.tolerance.length_mm),
+            Self::Angles => Some(robot.tolerance.angle_deg.to_radians()),
+            _ => None,
         }
     }
 }
 
-/// The members of each kind that has some, with their units.
-fn kinds(parameters: &[ParameterResult]) -> impl Iterator<Item = (Kind, Vec<&ParameterResult>, [Unit; 2])> {
-    Kind::ALL.into_iter().filter_map(|kind| {
-        let members: Vec<&ParameterResult> =
-            parameters.iter().filter(|parameter| Kind::of(parameter) == kind).collect();
-        let largest = members.iter().map(|member| member.correction.abs()).fold(0.0, f64::max);
-        (!members.is_empty()).then(|| (kind, members, kind.units(largest)))
-    })
+/// A parameter, and as it is written.
+type Member<'a> = (&'a result::ParameterResult, &'a ParameterResult);
+
+/// The tables of the kinds that have members; `file` is the result as it is written.
+pub(super) fn groups<'a>(found: &'a CalibrationResult, file: &'a ResultFile) -> Vec<Group<'a>> {
+    let of_kind = |kind| {
+        let members = found.parameters.iter().zip(&file.parameters);
+        group(kind, members.filter(|(parameter, _)| Kind::of(parameter.id) == kind).collect(), &found.robot)
+    };
+    Kind::ALL.into_iter().filter_map(of_kind).collect()
 }
 
-/// The tables.
-pub(super) fn groups(parameters: &[ParameterResult]) -> Vec<Group> {
-    kinds(parameters)
-        .map(|(kind, members, [value, small])| {
-            // Two figures of the smallest sd, the same for the whole column so that points align.
-            let sds = members.iter().filter_map(|member| member.sd).filter(|sd| *sd > 0.0);
-            let smallest = sds.fold(f64::INFINITY, f64::min);
-            let digits = |unit: Unit| match smallest.is_finite() {
-                true => (decimals(smallest * unit.factor) + 1).min(6),
-                false => 3,
-            };
-            Group {
-                title: kind.title(),
-                value_unit: value.sign,
-                small_unit: small.sign,
-                rows: members
-                    .iter()
-                    .map(|member| row(member, [value, small], [digits(value), digits(small)]))
-                    .collect(),
-            }
-        })
-        .collect()
+fn group<'a>(kind: Kind, members: Vec<Member<'a>>, robot: &Robot) -> Option<Group<'a>> {
+    if members.is_empty() {
+        return None;
+    }
+    let (found, parameters): (Vec<_>, Vec<_>) = members.into_iter().unzip();
+    let largest = found.iter().map(|parameter| parameter.correction.abs()).fold(0.0, f64::max);
+    let sds = found.iter().filter_map(|parameter| parameter.sd).filter(|sd| *sd > 0.0);
+    let smallest = sds.fold(f64::INFINITY, f64::min);
+    // Two figures of the smallest sd.
+    let shown = |unit: Unit| {
+        let figures = (decimals(smallest * unit.factor) + 1).min(6);
+        Shown { unit, decimals: if smallest.is_finite() { figures } else { 3 } }
+    };
+    let [value, small] = kind.units(largest).map(shown);
+    let title = kind.title();
+    let chart = Intervals {
+        title: format!("{title}, correction"),
+        unit: small.unit,
+        parameters: &found,
+        tolerance: kind.tolerance(robot),
+    };
+    Some(Group { title, value, small, chart: chart.to_svg(), parameters })
 }
 
-fn row(parameter: &ParameterResult, [value, small]: [Unit; 2], [long, short]: [usize; 2]) -> Row {
-    let correction = parameter.correction * small.factor;
-    let estimated = parameter.sd.is_some();
-    let range = |interval: Option<[f64; 2]>| match interval {
-        Some(ends) => {
-            let [low, high] = ends.map(|end| signed((end - parameter.nominal) * small.factor, short));
-            format!("{low} to {high}")
+/// What was not estimated, by reason.
+pub(super) fn not_estimated(parameters: &[ParameterResult]) -> Vec<NotEstimated<'_>> {
+    let mut lines: Vec<NotEstimated<'_>> = Vec::new();
+    let estimated = |status: Status| matches!(status, Status::Identified | Status::Prior);
+    for ParameterResult { name, status, reason, .. } in parameters.iter().filter(|p| !estimated(p.status)) {
+        match lines.iter_mut().find(|line| line.status == *status && line.reason == reason) {
+            Some(line) => line.names.push(name),
+            None => lines.push(NotEstimated { names: vec![name], status: *status, reason }),
         }
-        None => "–".into(),
-    };
-    let (sd, interval) = match parameter.sd {
-        Some(sd) => (fixed(sd * small.factor, short), range(parameter.interval95)),
-        None => ("–".into(), "–".into()),
-    };
-    let sd_raw = parameter.sd.map_or("none".to_owned(), |sd| sd.to_string());
-    Row {
-        name: parameter.name.clone(),
-        nominal: fixed(parameter.nominal * value.factor, long),
-        identified: fixed(parameter.identified * value.factor, long),
-        correction: if estimated || parameter.correction != 0.0 {
-            signed(correction, short)
-        } else {
-            "–".into()
-        },
-        sd,
-        interval,
-        drawn: parameter
-            .monte_carlo
-            .map(|drawn| [fixed(drawn.sd * small.factor, short), range(Some(drawn.interval95))]),
-        status: word(parameter.status),
-        class: class(parameter.status),
-        reason: parameter.reason.clone(),
-        raw: format!(
-            "{} in {}: start {}, nominal {}, identified {}, correction {}, sd {sd_raw}",
-            parameter.name,
-            parameter.unit,
-            parameter.start,
-            parameter.nominal,
-            parameter.identified,
-            parameter.correction
-        ),
     }
-}
-
-/// A chart for each kind whose corrections were estimated; the tolerance is (mm, rad).
-pub(super) fn charts(parameters: &[ParameterResult], tolerance: Option<[f64; 2]>) -> Vec<String> {
-    kinds(parameters)
-        .filter_map(|(kind, members, [_, small])| {
-            let rows: Vec<Interval> = members
-                .iter()
-                .filter_map(|member| {
-                    Some(Interval {
-                        name: member.name.clone(),
-                        value: member.correction * small.factor,
-                        half_width: member.interval95.map(|[low, high]| 0.5 * (high - low) * small.factor)?,
-                    })
-                })
-                .collect();
-            let promised = match kind {
-                Kind::Lengths => tolerance.map(|[mm, _]| mm * small.factor),
-                Kind::Angles => tolerance.map(|[_, rad]| rad * small.factor),
-                _ => None,
-            };
-            let title = format!("{}, correction", kind.title());
-            let chart = Intervals { title, unit: small.sign.into(), rows, tolerance: promised };
-            (!chart.rows.is_empty()).then(|| chart.to_svg())
-        })
-        .collect()
-}
-
-/// Whether the data moved it.
-pub(super) fn estimated(status: Status) -> bool {
-    matches!(status, Status::Identified | Status::Prior)
-}
-
-/// A status in words.
-pub(super) fn word(status: Status) -> &'static str {
-    match status {
-        Status::Identified => "identified",
-        Status::Dependent => "dependent",
-        Status::Held => "held",
-        Status::TooWeak => "too weak",
-        Status::Prior => "with prior",
-    }
-}
-
-/// The class of a status in the style sheet.
-pub(super) fn class(status: Status) -> &'static str {
-    match status {
-        Status::Identified => "told",
-        Status::Prior => "prior",
-        Status::Dependent | Status::Held | Status::TooWeak => "untold",
-    }
+    lines
 }

@@ -89,7 +89,7 @@ pub(crate) fn magnitude(values: impl Iterator<Item = f64>) -> f64 {
 }
 
 /// A display unit: its sign and how many make one of the base unit.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub(crate) struct Unit {
     /// Its sign.
     pub(crate) sign: &'static str,

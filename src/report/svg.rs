@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 
 const PLOT_CSS: &str = include_str!("plot.css");
 
-/// Where a text stands against its point.
+/// The place of a text relative to its point.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Anchor {
     /// The point is its left end.
@@ -133,7 +133,7 @@ impl Svg {
 
     /// A text that reads upwards, about its middle.
     pub fn text_upwards(&mut self, class: &str, at: [f64; 2], text: &str) {
-        if finite(&at) {
+        if finite(&at) && !text.is_empty() {
             let [x, y] = at.map(px);
             let _ = write!(
                 self.text,

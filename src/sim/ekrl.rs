@@ -1,8 +1,12 @@
 //! The controller's end of EthernetKRL: a TCP client that sends telegrams and reads their answers.
 
-use std::io::{self, ErrorKind, Read, Write};
+use std::fmt::Display;
+use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
 use std::time::Duration;
+
+use crate::catalogue::SimulationFinding;
+use crate::diagnostic::Diagnostic;
 
 /// How long an answer may take; a controller would wait for ever.
 const PATIENCE: Duration = Duration::from_secs(10);
@@ -17,52 +21,49 @@ pub struct Client {
 }
 
 impl Client {
-    /// Connects.
-    ///
     /// # Errors
     /// As the operating system says.
-    pub fn connect(server: SocketAddr) -> io::Result<Self> {
-        let stream = TcpStream::connect_timeout(&server, PATIENCE)?;
-        stream.set_read_timeout(Some(PATIENCE))?;
-        stream.set_nodelay(true)?;
-        Ok(Self { stream, read: Vec::new() })
+    pub fn connect(server: SocketAddr) -> Result<Self, Diagnostic> {
+        let connect = || {
+            let stream = TcpStream::connect_timeout(&server, PATIENCE)?;
+            stream.set_read_timeout(Some(PATIENCE))?;
+            stream.set_nodelay(true)?;
+            Ok(Self { stream, read: Vec::new() })
+        };
+        connect().map_err(|error: std::io::Error| {
+            SimulationFinding::NotConnected { server: server.to_string(), why: error.to_string() }.into()
+        })
     }
 
     /// Sends a telegram and waits for `<Ack Id=".."/>`: its number.
     ///
     /// # Errors
     /// A broken connection, no answer within ten seconds, or one that is no `Ack`.
-    pub fn exchange(&mut self, telegram: &str) -> io::Result<i64> {
-        self.stream.write_all(telegram.as_bytes())?;
+    pub fn exchange(&mut self, telegram: &str) -> Result<i64, Diagnostic> {
+        let broken = |error: &dyn Display| SimulationFinding::NotExchanged {
+            telegram: telegram.into(),
+            why: error.to_string(),
+        };
+        self.stream.write_all(telegram.as_bytes()).map_err(|error| broken(&error))?;
         loop {
             if let Some(end) = self.read.iter().position(|byte| *byte == b'>') {
                 let answer: Vec<u8> = self.read.drain(..=end).collect();
-                let answer = String::from_utf8_lossy(&answer);
-                let id = answer.trim().strip_prefix("<Ack Id=\"").and_then(|rest| {
-                    rest.strip_suffix('>')?
-                        .trim_end()
-                        .strip_suffix('/')?
-                        .trim_end()
-                        .strip_suffix('"')?
-                        .parse()
-                        .ok()
-                });
-                return id.ok_or_else(|| {
-                    io::Error::new(
-                        ErrorKind::InvalidData,
-                        format!("`{}` is no <Ack Id=\"..\"/>", answer.trim()),
-                    )
-                });
+                let answer = String::from_utf8_lossy(&answer).trim().to_owned();
+                return acknowledged(&answer)
+                    .ok_or_else(|| SimulationFinding::NotAcknowledged { answer }.into());
             }
             let mut bytes = [0; 512];
-            let count = self.stream.read(&mut bytes)?;
+            let count = self.stream.read(&mut bytes).map_err(|error| broken(&error))?;
             self.read.extend_from_slice(bytes.get(..count).unwrap_or_default());
             if count == 0 || self.read.len() > LONGEST {
-                return Err(io::Error::new(
-                    ErrorKind::UnexpectedEof,
-                    "the connection ended without an answer",
-                ));
+                return Err(SimulationFinding::NotAnswered.into());
             }
         }
     }
+}
+
+/// The number in `<Ack Id=".."/>`.
+fn acknowledged(answer: &str) -> Option<i64> {
+    let inside = answer.strip_prefix("<Ack Id=\"")?.strip_suffix('>')?.trim_end();
+    inside.strip_suffix('/')?.trim_end().strip_suffix('"')?.parse().ok()
 }

@@ -3,6 +3,9 @@
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
+use crate::catalogue::SimulationFinding;
+use crate::diagnostic::Diagnostic;
+
 /// The faults by name; rates are probabilities per byte, and all are off at 0.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Faults {
@@ -40,56 +43,52 @@ pub struct Faults {
     pub over_mm: f64,
 }
 
-impl Faults {
-    /// Their names, as `--fault NAME=VALUE` takes them.
-    pub const NAMES: [&'static str; 16] = [
-        "drop",
-        "flip",
-        "double",
-        "insert",
-        "batch_ms",
-        "stale",
-        "banner",
-        "echo",
-        "silence",
-        "refuse",
-        "skip",
-        "wrap_ticks",
-        "drift_ppm",
-        "unplug_s",
-        "away_s",
-        "over_mm",
-    ];
+/// A fault by name, with the range of its value.
+struct Kind {
+    name: &'static str,
+    field: fn(&mut Faults) -> &mut f64,
+    range: [f64; 2],
+}
 
-    /// Sets one.
+const fn kind(name: &'static str, field: fn(&mut Faults) -> &mut f64, range: [f64; 2]) -> Kind {
+    Kind { name, field, range }
+}
+
+const KINDS: [Kind; 16] = [
+    kind("drop", |faults| &mut faults.drop, [0.0, 1.0]),
+    kind("flip", |faults| &mut faults.flip, [0.0, 1.0]),
+    kind("double", |faults| &mut faults.double, [0.0, 1.0]),
+    kind("insert", |faults| &mut faults.insert, [0.0, 1.0]),
+    kind("batch_ms", |faults| &mut faults.batch_ms, [0.0, 60_000.0]),
+    kind("stale", |faults| &mut faults.stale, [0.0, 1e6]),
+    kind("banner", |faults| &mut faults.banner, [0.0, 1.0]),
+    kind("echo", |faults| &mut faults.echo, [0.0, 1.0]),
+    kind("silence", |faults| &mut faults.silence, [0.0, 1.0]),
+    kind("refuse", |faults| &mut faults.refuse, [0.0, 1.0]),
+    kind("skip", |faults| &mut faults.skip, [0.0, 1.0]),
+    kind("wrap_ticks", |faults| &mut faults.wrap_ticks, [0.0, 4e9]),
+    kind("drift_ppm", |faults| &mut faults.drift_ppm, [-1e6, 1e6]),
+    kind("unplug_s", |faults| &mut faults.unplug_s, [0.0, 1e9]),
+    kind("away_s", |faults| &mut faults.away_s, [0.0, 1e9]),
+    kind("over_mm", |faults| &mut faults.over_mm, [-1e6, 1e6]),
+];
+
+impl Faults {
+    /// Sets the one that `--fault NAME=VALUE` names.
     ///
     /// # Errors
-    /// An unknown name, or a value that makes no sense.
-    pub fn set(&mut self, name: &str, value: f64) -> Result<(), String> {
-        let (field, most) = match name {
-            "drop" => (&mut self.drop, 1.0),
-            "flip" => (&mut self.flip, 1.0),
-            "double" => (&mut self.double, 1.0),
-            "insert" => (&mut self.insert, 1.0),
-            "silence" => (&mut self.silence, 1.0),
-            "refuse" => (&mut self.refuse, 1.0),
-            "skip" => (&mut self.skip, 1.0),
-            "batch_ms" => (&mut self.batch_ms, 60_000.0),
-            "stale" => (&mut self.stale, 1e6),
-            "banner" => (&mut self.banner, 1.0),
-            "echo" => (&mut self.echo, 1.0),
-            "wrap_ticks" => (&mut self.wrap_ticks, 4e9),
-            "drift_ppm" => (&mut self.drift_ppm, 1e6),
-            "unplug_s" => (&mut self.unplug_s, 1e9),
-            "away_s" => (&mut self.away_s, 1e9),
-            "over_mm" => (&mut self.over_mm, 1e6),
-            _ => return Err(format!("no fault `{name}`; there are: {}", Self::NAMES.join(", "))),
+    /// An unknown name, or a value out of its range.
+    pub fn set(&mut self, name: &str, value: f64) -> Result<(), Diagnostic> {
+        let Some(kind) = KINDS.iter().find(|kind| kind.name == name) else {
+            let known = KINDS.map(|kind| kind.name).join(", ");
+            return Err(SimulationFinding::UnknownFault { name: name.into(), known }.into());
         };
-        let least = if matches!(name, "drift_ppm" | "over_mm") { -most } else { 0.0 };
-        if !(least..=most).contains(&value) {
-            return Err(format!("{name} must be {least} to {most}"));
+        let [low, high] = kind.range;
+        if !(low..=high).contains(&value) {
+            let option = format!("--fault {name}");
+            return Err(SimulationFinding::OptionOutOfRange { option, value, low, high }.into());
         }
-        *field = value;
+        *(kind.field)(self) = value;
         Ok(())
     }
 }
@@ -102,12 +101,10 @@ pub struct BadLine {
 }
 
 impl BadLine {
-    /// With a seed.
     pub fn new(faults: Faults, seed: u64) -> Self {
         Self { faults, dice: Pcg64::seed_from_u64(seed) }
     }
 
-    /// The faults.
     pub fn faults(&self) -> &Faults {
         &self.faults
     }

@@ -1,8 +1,10 @@
 //! A symlink that gives a pseudo terminal a name of the user's choice while it lives.
 
 use std::fs;
-use std::io;
 use std::path::{Path, PathBuf};
+
+use crate::catalogue::SimulationFinding;
+use crate::diagnostic::Diagnostic;
 
 /// A symlink that is removed when it is dropped.
 #[derive(Debug)]
@@ -16,15 +18,18 @@ impl Link {
     ///
     /// # Errors
     /// When something that is no link has that name, or the directory cannot be written.
-    pub fn new(path: &Path, target: &str) -> io::Result<Self> {
+    pub fn new(path: &Path, target: &str) -> Result<Self, Diagnostic> {
+        let wrong = |error: std::io::Error| {
+            let finding = SimulationFinding::NoLink { why: error.to_string() };
+            Diagnostic::file(&path.display().to_string(), finding)
+        };
         if fs::symlink_metadata(path).is_ok_and(|data| data.file_type().is_symlink()) {
-            fs::remove_file(path)?;
+            fs::remove_file(path).map_err(wrong)?;
         }
-        std::os::unix::fs::symlink(target, path)?;
+        std::os::unix::fs::symlink(target, path).map_err(wrong)?;
         Ok(Self { path: path.into(), target: target.into() })
     }
 
-    /// Where it stands.
     pub fn path(&self) -> &Path {
         &self.path
     }

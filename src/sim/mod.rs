@@ -3,6 +3,8 @@
 #[cfg(unix)]
 pub mod bar;
 pub mod controller;
+#[cfg(unix)]
+mod device;
 pub mod ekrl;
 pub mod fault;
 #[cfg(unix)]
@@ -15,7 +17,7 @@ pub mod world;
 pub use controller::Controller;
 pub use world::World;
 
-use crate::model::AXES;
+use crate::robot::AXES;
 
 /// The simulated controller at one moment of device time.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -30,7 +32,7 @@ pub struct Moment {
     pub strobe: bool,
     /// How many motions have begun: a new one draws a new repeatability error.
     pub motions: u32,
-    /// Whether the program stands at HALT.
+    /// Whether the program waits at HALT.
     pub halted: bool,
     /// Whether the program has ended.
     pub done: bool,

@@ -4,7 +4,7 @@ use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
 
-use crate::model::{AXES, Robot};
+use crate::robot::{Joint, Robot};
 
 /// The noise of a cell whose robot repeats as its file says and whose lengths have the standard deviation `sigma_um`, in
 /// micrometres: the first keys of a WORLD.toml.
@@ -28,12 +28,11 @@ pub fn draw(nominal: &Robot, seed: u64, scale: f64) -> Robot {
     let angle = nominal.tolerance.angle_deg.to_radians();
     let parallel = nominal.parallel_joints();
     let mut robot = nominal.clone();
-    for i in 0..AXES {
-        let row = &mut robot.geometry.rows[i];
+    for (joint, row) in Joint::ALL.into_iter().zip(&mut robot.geometry.rows) {
         row.alpha += error(angle);
         row.a += error(length);
         row.theta += error(angle);
-        if parallel.contains(&i) {
+        if parallel.contains(&joint) {
             row.beta += error(angle);
         } else {
             row.d += error(length);

@@ -9,9 +9,11 @@ use rand_pcg::Pcg64;
 use serde::Deserialize;
 
 use super::Moment;
-use crate::diag::Diagnostic;
-use crate::krl::{Program, read_setup};
-use crate::model::{AXES, Geometry};
+use crate::base::parse::wrong_toml;
+use crate::catalogue::SimulationFinding;
+use crate::diagnostic::Diagnostic;
+use crate::program::krl::{Program, read_setup};
+use crate::robot::{AXES, Geometry};
 
 /// What is true: WORLD.toml over what the program's `.dat` files say.
 #[derive(Clone, Debug, PartialEq)]
@@ -49,7 +51,7 @@ pub struct Bar {
 #[derive(Default, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct WorldFile {
-    /// `[[centre]]`: true centres of base balls, or how they were taught; those not given stand where the program has them.
+    /// `[[centre]]`: true centres of base balls, or how they were taught; those not given are where the program has them.
     #[serde(default)]
     centre: Vec<CentreTable>,
     /// `[bar]`
@@ -94,50 +96,39 @@ impl Setup {
     /// What `world` (a file's name and its text) says, and for the rest what the program's `.dat` files say.
     ///
     /// # Errors
-    /// What is wrong in the file, or what neither tells.
+    /// What is wrong in the file, or what neither has.
     pub fn new(program: &Program, world: Option<(&str, &str)>) -> Result<Self, Diagnostic> {
         let (name, text) = world.unwrap_or(("WORLD.toml", ""));
-        let file: WorldFile = toml::from_str(text).map_err(|error| Diagnostic::toml(name, text, &error))?;
-        let mut centres_mm = BTreeMap::new();
-        let mut balls = BTreeSet::new();
-        let mut first = None;
-        for data in program.modules.iter().filter_map(|module| module.data.as_ref()) {
-            if let Some(setup) = read_setup(data)? {
-                balls.insert(setup.ball);
-                centres_mm.insert(setup.ball, setup.centre_mm);
-                first = first.or(Some(setup));
-            }
-        }
-        if balls.is_empty() {
-            balls.insert(1); // a program that names no ball is about the first
-        }
+        let file: WorldFile = toml::from_str(text).map_err(|error| wrong_toml(name, text, &error))?;
+        Self::of(program, file).map_err(|finding| Diagnostic::file(name, finding))
+    }
+
+    fn of(program: &Program, file: WorldFile) -> Result<Self, SimulationFinding> {
+        let data = program.modules.iter().filter_map(|module| module.data.as_ref());
+        let setups: Vec<_> = data.filter_map(read_setup).collect();
+        let mut centres_mm: BTreeMap<u32, [f64; 3]> =
+            setups.iter().map(|setup| (setup.ball, setup.centre_mm)).collect();
+        // A program that names no ball is about the first.
+        let balls: BTreeSet<u32> =
+            if setups.is_empty() { [1].into() } else { centres_mm.keys().copied().collect() };
         let mut given = BTreeSet::new();
         let mut taught_deg = BTreeMap::new();
-        for centre in file.centre {
-            if !given.insert(centre.id) {
-                return Err(Diagnostic::file(name, format!("[[centre]]: ball {} is given twice", centre.id)));
+        for CentreTable { id: ball, xyz_mm, taught_deg: axes_deg } in file.centre {
+            if !given.insert(ball) {
+                return Err(SimulationFinding::BallTwice { ball });
             }
-            match (centre.xyz_mm, centre.taught_deg) {
-                (Some(xyz_mm), None) => _ = centres_mm.insert(centre.id, xyz_mm),
-                (None, Some(axes_deg)) => _ = taught_deg.insert(centre.id, axes_deg),
-                _ => {
-                    let message = format!("[[centre]]: ball {} needs either xyz_mm or taught_deg", centre.id);
-                    return Err(Diagnostic::file(name, message));
-                }
+            match (xyz_mm, axes_deg) {
+                (Some(xyz_mm), None) => _ = centres_mm.insert(ball, xyz_mm),
+                (None, Some(axes_deg)) => _ = taught_deg.insert(ball, axes_deg),
+                _ => return Err(SimulationFinding::BallWithoutPlace { ball }),
             }
         }
-        let unknown = |ball: &&u32| !centres_mm.contains_key(ball) && !taught_deg.contains_key(ball);
-        if let Some(ball) = balls.iter().find(unknown) {
-            let message =
-                format!("nothing tells where ball {ball} is, neither the program's .dat nor the world");
-            return Err(
-                Diagnostic::file(name, message).help("give a [[centre]] with id and xyz_mm or taught_deg")
-            );
+        let unknown = |ball: &u32| !centres_mm.contains_key(ball) && !taught_deg.contains_key(ball);
+        if let Some(ball) = balls.into_iter().find(unknown) {
+            return Err(SimulationFinding::UnknownBall { ball });
         }
-        let missing = |key: &str| {
-            let message = format!("nothing tells the bar's {key}, neither the program's .dat nor the world");
-            Diagnostic::file(name, message).help(format!("give [bar] {key}"))
-        };
+        let first = setups.first();
+        let missing = |key: &'static str| SimulationFinding::UnknownKey { key };
         let length_mm = file.bar.length_mm.or(first.map(|setup| setup.length_mm));
         let stroke_mm = file.bar.stroke_mm.or(first.map(|setup| setup.stroke_mm));
         let setup = Self {
@@ -154,37 +145,33 @@ impl Setup {
             repeatability_um: file.repeatability_um,
             backlash_deg: file.backlash_deg,
         };
-        setup.check().map_err(|message| Diagnostic::file(name, message))?;
+        setup.check()?;
         Ok(setup)
     }
 
-    fn check(&self) -> Result<(), String> {
-        let Bar { length_mm, stroke_mm: [low, high], noise_um, resolution_um, rate_hz, temperature_c } =
+    fn check(&self) -> Result<(), SimulationFinding> {
+        let Bar { length_mm, stroke_mm: [low_mm, high_mm], noise_um, resolution_um, rate_hz, temperature_c } =
             self.bar;
-        let sizes = [("noise_um", noise_um), ("resolution_um", resolution_um)];
-        let sizes = sizes.into_iter().chain([("repeatability_um", self.repeatability_um)]);
-        let play = self.backlash_deg.into_iter().map(|play| ("backlash_deg", play));
-        if let Some((key, value)) = sizes.chain(play).find(|(_, value)| !(0.0..1e6).contains(value)) {
-            return Err(format!("{key} = {value} must be 0 or more"));
+        let zero_or_more = |value: f64| (0.0..1e6).contains(&value);
+        let scalars = [
+            ("[bar] noise_um", noise_um, zero_or_more(noise_um)),
+            ("[bar] resolution_um", resolution_um, zero_or_more(resolution_um)),
+            ("repeatability_um", self.repeatability_um, zero_or_more(self.repeatability_um)),
+            ("[bar] length_mm", length_mm, length_mm > 0.0 && length_mm.is_finite()),
+            ("[bar] rate_hz", rate_hz, (0.1..=100_000.0).contains(&rate_hz)),
+            ("[bar] temperature_c", temperature_c, temperature_c.is_finite()),
+        ];
+        let play = self.backlash_deg.iter().map(|play| ("backlash_deg", *play, zero_or_more(*play)));
+        let centres = self.centres_mm.values().flatten();
+        let centres = centres.map(|value| ("[[centre]] xyz_mm", *value, value.is_finite()));
+        let taught = self.taught_deg.values().flatten();
+        let taught = taught.map(|value| ("[[centre]] taught_deg", *value, value.is_finite()));
+        let mut all = scalars.into_iter().chain(play).chain(centres).chain(taught);
+        if let Some((key, value, _)) = all.find(|(_, _, good)| !good) {
+            return Err(SimulationFinding::WorldNumber { key, value });
         }
-        if !(length_mm > 0.0 && length_mm.is_finite()) {
-            return Err(format!("[bar] length_mm = {length_mm} must be above 0"));
-        }
-        if !(low < high && low.is_finite() && high.is_finite()) {
-            return Err(format!("[bar] stroke_mm = [{low}, {high}] must be [low, high]"));
-        }
-        if !(0.1..=100_000.0).contains(&rate_hz) {
-            return Err(format!("[bar] rate_hz = {rate_hz} must be 0.1 to 100000"));
-        }
-        if !temperature_c.is_finite()
-            || self
-                .centres_mm
-                .values()
-                .flatten()
-                .chain(self.taught_deg.values().flatten())
-                .any(|value| !value.is_finite())
-        {
-            return Err("temperature and ball centres must be finite numbers".into());
+        if !(low_mm < high_mm && low_mm.is_finite() && high_mm.is_finite()) {
+            return Err(SimulationFinding::Stroke { low_mm, high_mm });
         }
         Ok(())
     }
@@ -193,7 +180,7 @@ impl Setup {
 /// A reading of the true bar.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Measured {
-    /// Reading, mm; longer is positive. Out of the stroke it stands at the stroke's end.
+    /// Reading, mm; longer is positive. Out of the stroke it is the stroke's end.
     pub reading_mm: f64,
     /// Whether the balls' distance is inside the stroke.
     pub stroke: Stroke,
@@ -258,7 +245,7 @@ impl World {
         let axes = self.true_axes(moment);
         let ball = self.robot.ball(&axes).position + self.offset;
         let centre = self.setup.centres_mm.get(&moment.centre).copied().map(Vector3::from);
-        // A ball that nothing tells of is out of the bar's reach.
+        // A ball whose place is not known is out of the bar's reach.
         let distance = centre.map_or(f64::INFINITY, |centre| (ball - centre).norm());
         let bar = self.setup.bar;
         let reading_mm = distance - bar.length_mm;

@@ -1,4 +1,4 @@
-"""Reads a capture as docs/capture.md describes it, and nothing else, and compares it with the CSV export.
+"""Reads a capture as docs/reference/capture.md describes it, and nothing else, and compares it with the CSV export.
 
     dbbd export RUN --out DIR
     python3 read_capture.py RUN DIR

@@ -3,7 +3,7 @@
     krl_grammars.py GENERATED START FILE..
 
 GENERATED is the directory into which ANTLR's Python target wrote krlLexer.py and krlParser.py, START the
-grammar's first rule; docs/krl.md says how to fetch and build both grammars. Exit code 1 when a file does not
+grammar's first rule; docs/reference/krl.md says how to fetch and build both grammars. Exit code 1 when a file does not
 parse. Needs antlr4-python3-runtime of the same version as the tool that generated the parser.
 
 --spline reads SCIRC as CIRC: the motion of KSS 8 that a grammar of 2011 does not know, in the same form.

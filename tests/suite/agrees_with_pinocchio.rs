@@ -4,7 +4,8 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use dbbd::identify::result::{Identification, Status, WarningKind};
+use dbbd::estimation::result::Status;
+use dbbd::estimation::result_file::ResultFile;
 use tempfile::tempdir;
 
 use crate::cell::{DESIGNED, dbbd, kr60, stderr};
@@ -13,7 +14,7 @@ fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).to_path_buf()
 }
 
-fn identify(observations: &str, extra: &[&str]) -> Identification {
+fn identify(observations: &str, extra: &[&str]) -> ResultFile {
     let dir = tempdir().unwrap();
     let observations = root().join(observations);
     let centres = root().join("examples/paper/centres.csv");
@@ -84,8 +85,7 @@ fn a_robot_with_errors_everywhere_is_identified() {
 #[test]
 fn what_the_model_lacks_is_noticed() {
     let result = identify("fixtures/golden/unmodelled.csv", &["--sigma", "0.005", "--folds", "0"]);
-    let doubt =
-        result.warnings.iter().find(|w| w.kind == WarningKind::Doubt && w.text.contains("the model lacks"));
+    let doubt = result.warnings.iter().find(|w| w.code == "W1316");
     assert!(doubt.is_some(), "{:?}", result.warnings);
     assert!(result.residual_mm.after.rms > 0.02);
     // A gear error twice per turn, play and sag speak for a group that they are not: where there are no lengths it would harm.

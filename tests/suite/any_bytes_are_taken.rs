@@ -61,7 +61,7 @@ fn seeds(name: &str) -> Vec<Vec<u8>> {
         "definition" => ("protocols", ".toml"),
         "job" => ("examples", ".toml"),
         "robot" => ("robots", ".toml"),
-        "capture" => ("fixtures/captures/v1", ".dbbd"),
+        "capture" => ("fixtures/captures", ".dbbd"),
         _ => ("", "none"),
     };
     paths.extend(files(&root.join(shipped), end));

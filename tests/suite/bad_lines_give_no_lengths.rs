@@ -1,9 +1,9 @@
 //! A bad line loses frames and never makes lengths up: the campaign over `dbb-cobs-1`.
 
-use dbbd::protocol::{Decoded, Definition};
-use dbbd::sample::Sample;
+use dbbd::base::units::DeviceTicks;
+use dbbd::device::protocol::{Decoded, Definition};
+use dbbd::measurement::sample::Sample;
 use dbbd::sim::fault::{BadLine, Faults};
-use dbbd::units::DeviceTicks;
 
 /// What a campaign saw.
 #[derive(Debug, Default, PartialEq)]

@@ -1,10 +1,12 @@
 //! A bar's offset looks like a uniform scale of the robot while all lengths are equal. A second length of the
 //! same bar tells them apart; a second bar with an offset of its own does not, unless one of them is calibrated.
 
+use dbbd::robot::BarId;
 use std::fs;
 
-use dbbd::identify::result::{Identification, ParameterResult, Status};
-use dbbd::model::Observations;
+use dbbd::estimation::result::Status;
+use dbbd::estimation::result_file::{ParameterResult, ResultFile};
+use dbbd::measurement::Measurements;
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
@@ -19,20 +21,20 @@ fn circles(radius: f64) -> Vec<Circle> {
 
 /// Lengths of the nominal robot at radius 300 with bar 1, then at radius 200 with `second`; offsets of 0.05 and
 /// -0.03 mm.
-fn two_lengths(second: usize, noise_mm: f64) -> Observations {
+fn two_lengths(second: usize, noise_mm: f64) -> Measurements {
     let mut random = Pcg64::seed_from_u64(7);
     let mut data = measure(&kr60(), &circles(300.0), 27, 25.0);
     let mut more = measure(&kr60(), &circles(200.0), 27, 25.0);
-    more.rows.iter_mut().for_each(|row| (row.index, row.bar) = (row.index + 100, second));
+    more.rows.iter_mut().for_each(|row| (row.index, row.bar) = (row.index + 100, BarId::at(second - 1)));
     data.rows.extend(more.rows);
     for row in &mut data.rows {
         let z: f64 = StandardNormal.sample(&mut random);
-        row.length_mm += [0.05, -0.03][row.bar - 1] + noise_mm * z;
+        row.length_mm += [0.05, -0.03][row.bar.index()] + noise_mm * z;
     }
     data
 }
 
-fn run(csv: &str, extra: &[&str]) -> (i32, Option<Identification>, String) {
+fn run(csv: &str, extra: &[&str]) -> (i32, Option<ResultFile>, String) {
     let dir = tempdir().unwrap();
     fs::write(dir.path().join("obs.csv"), csv).unwrap();
     fs::write(dir.path().join("C.csv"), centres_csv(&circles(300.0))).unwrap();
@@ -45,22 +47,21 @@ fn run(csv: &str, extra: &[&str]) -> (i32, Option<Identification>, String) {
     (output.status.code().unwrap(), result.map(|text| serde_json::from_str(&text).unwrap()), said)
 }
 
-fn identify(data: &Observations, extra: &[&str]) -> Identification {
+fn identify(data: &Measurements, extra: &[&str]) -> ResultFile {
     let (code, result, said) = run(&data.to_csv(), extra);
     assert!(matches!(code, 0 | 3), "{said}");
     result.unwrap()
 }
 
-fn parameter<'a>(result: &'a Identification, name: &str) -> &'a ParameterResult {
+fn parameter<'a>(result: &'a ResultFile, name: &str) -> &'a ParameterResult {
     result.parameters.iter().find(|parameter| parameter.name == name).unwrap()
 }
 
-fn text(result: &Identification, part: &str) -> bool {
+fn text(result: &ResultFile, part: &str) -> bool {
     result.dependent.iter().any(|group| group.text.contains(part))
 }
 
-const SCALE: &str =
-    "bar_offset cannot be told from a uniform scale; calibrate the bar or add a second length";
+const SCALE: &str = "bar_offset is a uniform scale by another name; calibrate the bar or add a second length";
 
 #[test]
 fn a_second_length_of_one_bar_raises_the_rank() {
@@ -80,13 +81,13 @@ fn two_bars_leave_the_scale_open_until_one_is_calibrated() {
     assert_eq!((free.rank, parameter(&free, "bar_offset2").status), (25, Status::Dependent));
     assert!(text(
         &free,
-        "bar_offset2 cannot be told from a uniform scale while each bar has an offset of its own"
+        "bar_offset2 is a uniform scale by another name while each bar has an offset of its own"
     ));
     assert!(text(&free, "calibrate one of the bars, or set one to a second length"));
 
     // Bar 1 is calibrated: its offset is taken out of its lengths, and it is held.
     let mut known = two_lengths(2, 0.002);
-    known.rows.iter_mut().filter(|row| row.bar == 1).for_each(|row| row.length_mm -= 0.05);
+    known.rows.iter_mut().filter(|row| row.bar == BarId::FIRST).for_each(|row| row.length_mm -= 0.05);
     let held = identify(&known, &["--hold", "bar_offset", "--estimate", "all"]);
     let second = parameter(&held, "bar_offset2");
     let [low, high] = second.interval95.unwrap();
@@ -100,9 +101,9 @@ fn two_bars_leave_the_scale_open_until_one_is_calibrated() {
 #[test]
 fn a_certificate_binds_the_offset_of_each_bar() {
     let mut data = two_lengths(2, 0.01);
-    data.rows.iter_mut().for_each(|row| row.length_mm -= [0.05, -0.03][row.bar - 1]);
+    data.rows.iter_mut().for_each(|row| row.length_mm -= [0.05, -0.03][row.bar.index()]);
     let with = |extra: &[&str]| identify(&data, &[&["--sigma", "0.01"], extra].concat());
-    let predicted = |result: &Identification| result.predicted_position_error_mm.identified.mean;
+    let predicted = |result: &ResultFile| result.predicted_position_error_mm.identified.mean;
     let free = with(&["--prior", "datasheet"]);
     let bound = with(&["--prior", "datasheet", "--bar-u", "0.001"]);
     for name in ["bar_offset", "bar_offset2"] {
@@ -115,7 +116,7 @@ fn a_certificate_binds_the_offset_of_each_bar() {
 
     // Without a prior it says how well the lengths must tell an offset for it to be estimated.
     let one = two_lengths(1, 0.05);
-    for (u, status) in [("0.0001", Status::TooWeak), ("0.1", Status::Identified)] {
+    for (u, status) in [("0.0001", Status::PoorlyObservable), ("0.1", Status::Identified)] {
         let found = identify(&one, &["--sigma", "0.05", "--bar-u", u]);
         assert_eq!(parameter(&found, "bar_offset").status, status);
     }
@@ -128,7 +129,7 @@ fn bars_are_columns_of_their_own() {
     let data = two_lengths(2, 0.002);
     let csv = data.to_csv();
     assert!(csv.lines().next().unwrap().ends_with(",length_mm,sigma_mm,bar"));
-    assert_eq!(Observations::from_csv("obs.csv", &csv).unwrap(), data);
+    assert_eq!(Measurements::from_csv("obs.csv", &csv).unwrap(), data);
     assert!(!two_lengths(1, 0.0).to_csv().contains("bar"), "one bar needs no column");
     // Naming the group covers both.
     let both = identify(&data, &["--estimate", "bar"]);

@@ -6,7 +6,7 @@ use std::fs;
 use std::path::Path;
 use std::process::Output;
 
-use dbbd::model::{AXES, Robot};
+use dbbd::robot::{AXES, Robot};
 use tempfile::tempdir;
 
 use crate::cell::{dbbd, stderr};

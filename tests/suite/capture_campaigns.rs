@@ -1,5 +1,5 @@
 //! Kills, cuts, flipped bits and failing disks: short slices here, the campaigns by `-- --ignored`
-//! (their commands and figures stand in docs/capture.md).
+//! (their commands and figures stand in docs/reference/capture.md).
 
 use std::io::{self, Write};
 use std::path::Path;
@@ -7,13 +7,15 @@ use std::process::{Child, Command, Output, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, OnceLock};
 
-use dbbd::capture::{self, Capture, Disk, Event, Record, Stamped, Writer};
-use dbbd::clock;
-use dbbd::daemon::{Acquisition, Attachments, Ending, Options, Progress};
-use dbbd::protocol::Definition;
-use dbbd::sample::Sample;
+use dbbd::base::clock;
+use dbbd::base::units::{DeviceTicks, HostNs};
+use dbbd::daemon::{Acquisition, Ending, Options, Progress};
+use dbbd::device::protocol::Definition;
+use dbbd::measurement::sample::Sample;
+
+use crate::cell::codes;
+use dbbd::recording::capture::{self, Capture, Disk, Event, Record, Stamped, Writer};
 use dbbd::sim::bar::{self, Reading, Terminal};
-use dbbd::units::{DeviceTicks, HostNs};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
@@ -260,7 +262,8 @@ fn acquire_in_shell(before: &str, path: &Path) -> Output {
 fn ended_by_the_disk(output: &Output, path: &Path, remedy: &str) {
     let said = stderr(output);
     assert_eq!(output.status.code(), Some(1), "{said}");
-    assert!(said.contains("is kept") && said.contains(remedy), "{said}");
+    assert_eq!(codes(output), ["E0403"], "{said}");
+    assert!(said.contains(remedy), "{said}");
     let capture = capture::read(&std::fs::read(path).unwrap());
     assert_eq!(capture.damages, []);
     assert!(!capture.ended());
@@ -302,12 +305,12 @@ fn a_place_that_takes_no_file_is_told() {
     let output = acquire_in_shell("", &path);
     assert_eq!(output.status.code(), Some(1));
     let said = stderr(&output);
-    assert!(said.contains("cannot be made") && said.contains("directory must exist"), "{said}");
+    assert_eq!(codes(&output), ["E0402"], "{said}");
     if cfg!(target_os = "linux") {
         // Nobody may make a file there, not even root.
         let output = acquire_in_shell("", Path::new("/sys/dbbd-run"));
         assert_eq!(output.status.code(), Some(1));
-        assert!(stderr(&output).contains("let this user write"), "{}", stderr(&output));
+        assert_eq!(codes(&output), ["E0402"], "{}", stderr(&output));
     }
 }
 
@@ -368,7 +371,7 @@ fn stalled(port: String, stall_s: f64) -> (Capture, Progress) {
         port,
         definition: definition(),
         out: "run".into(),
-        attachments: Attachments::default(),
+        plan: None,
         duration_s: None,
         gone_s: 1.0,
         feed: None,

@@ -2,11 +2,14 @@
 
 use std::process::{Command, Output};
 
-use dbbd::capture::{Record, Writer};
-use dbbd::model::{Observations, Robot};
+use dbbd::base::units::HostNs;
+use dbbd::measurement::sample::Sample;
+use dbbd::measurement::{CircleId, Measurements};
 use dbbd::plan::{Job, Kind, Plan};
-use dbbd::units::HostNs;
+use dbbd::recording::capture::{Record, Writer};
+use dbbd::robot::Robot;
 
+use crate::cell::codes;
 use crate::sync_runs::{Run, WORLD, World, plan, run};
 
 /// A capture of the run, as `acquire` writes it.
@@ -28,14 +31,19 @@ fn write_capture(path: &std::path::Path, plan: &Plan, run: &Run, finish: bool) {
 }
 
 /// Writes the run as a capture and lets the program join it: what it said, and the observations.
-fn through_the_binary(plan: &Plan, run: &Run, finish: bool) -> (Output, Option<Observations>) {
+fn through_the_binary(plan: &Plan, run: &Run, finish: bool) -> (Output, Option<Measurements>) {
     let dir = tempfile::tempdir().unwrap();
     let (capture, csv) = (dir.path().join("run"), dir.path().join("obs.csv"));
     write_capture(&capture, plan, run, finish);
     let mut command = Command::new(env!("CARGO_BIN_EXE_dbbd"));
     let output = command.arg("sync").arg(&capture).arg("--out").arg(&csv).output().unwrap();
     let observations = std::fs::read_to_string(&csv).ok();
-    (output, observations.map(|text| Observations::from_csv("obs.csv", &text).unwrap()))
+    (output, observations.map(|text| Measurements::from_csv("obs.csv", &text).unwrap()))
+}
+
+/// Runs without what a matching needs.
+pub(crate) fn provoked() -> Vec<&'static str> {
+    vec!["E0407", "W0411", "E1001", "I1414"]
 }
 
 #[test]
@@ -50,18 +58,27 @@ fn a_capture_becomes_observations() {
     assert_eq!(observations.rows.len(), 12);
     // The job says nothing of the bar, so its usual 2 um (`sigma_um`) are the least.
     assert!(observations.rows.iter().all(|row| row.sigma_mm.unwrap() >= 0.002));
-    let kinds: Vec<String> =
-        observations.rows.iter().map(|row| observations.further.cells(row.further).swap_remove(0)).collect();
-    assert_eq!(kinds[..2], ["reference", "measure"]);
+    let kinds: Vec<_> =
+        observations.rows.iter().map(|row| row.context.as_ref().unwrap().kind.unwrap()).collect();
+    assert_eq!(kinds[..2], [Kind::Reference, Kind::Measure]);
 
     let (output, observations) = through_the_binary(&plan, &run, false);
-    assert_eq!(output.status.code(), Some(3), "a run that was cut off is a doubt");
+    assert_eq!((output.status.code(), codes(&output)), (Some(3), vec!["W0411".to_owned()]));
     assert_eq!(observations.unwrap().rows.len(), 12);
 
+    let first = Sample { ticks: None, ..run.samples[0].1 };
     run.samples.clear();
     let (output, observations) = through_the_binary(&plan, &run, true);
+    assert_eq!((output.status.code(), codes(&output)), (Some(1), vec!["E0407".to_owned()]));
+    assert!(observations.is_none());
+
+    // A bar that nobody moves.
+    let still =
+        (0..20_000_u32).map(|at| (HostNs(u64::from(at) * 4_000_000), Sample { valid: false, ..first }));
+    run.samples = still.collect();
+    let (output, observations) = through_the_binary(&plan, &run, true);
     assert_eq!(output.status.code(), Some(1));
-    assert!(observations.is_none() && String::from_utf8_lossy(&output.stderr).contains("no sample"));
+    assert!(observations.is_none() && codes(&output).contains(&"E1001".to_owned()), "{:?}", codes(&output));
 }
 
 #[test]
@@ -113,14 +130,11 @@ fn a_capture_becomes_a_circular_test() {
     };
     dbbd(&["sync", "run", "--out", "obs.csv"]);
     let observations = std::fs::read_to_string(dir.path().join("obs.csv")).unwrap();
-    let observations = Observations::from_csv("obs.csv", &observations).unwrap();
-    assert_eq!(observations.further.columns[4..], ["circle", "angle_deg"]);
+    let observations = Measurements::from_csv("obs.csv", &observations).unwrap();
     for (index, place) in &places {
         let row = observations.rows.iter().find(|row| row.index == *index).unwrap();
-        assert_eq!(
-            observations.further.cells(row.further)[4..],
-            ["1".to_owned(), place.angle_deg.to_string()]
-        );
+        let context = row.context.as_ref().unwrap();
+        assert_eq!((context.circle, context.angle_deg), (CircleId::new(1), Some(place.angle_deg)));
     }
 
     let json: serde_json::Value =
@@ -134,6 +148,10 @@ fn a_capture_becomes_a_circular_test() {
     assert!((json["D"].as_f64().unwrap() - mean).abs() < 0.001, "{} {mean}", json["D"]);
     assert_eq!((&json["traces"][0]["points"], &json["traces"][1]["points"]), (&24.into(), &24.into()));
     assert!(json["Gb"].as_f64().unwrap() > 0.1, "the swing of 0.4 mm is there");
+    let half = Run { samples: run.samples[..run.samples.len() / 2].to_vec(), ..run };
+    write_capture(&dir.path().join("half"), &plan, &half, true);
+    let output = crate::cell::dbbd(dir.path(), &["circle", "half", "--out", "h", "--monte-carlo", "0"]);
+    assert!(codes(&output).contains(&"E1401".to_owned()), "{:?}", codes(&output));
     let reversals = json["joint_reversals"].as_array().unwrap();
     // On a full circle axis 1 swings out and back once: it reverses at both sides, in either sense.
     let first: Vec<f64> = reversals

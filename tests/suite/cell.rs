@@ -3,8 +3,12 @@
 use std::path::Path;
 use std::process::{Command, Output};
 
-use dbbd::model::pose::{rot_x, rot_y, rot_z};
-use dbbd::model::{Centre, Geometry, Observation, Observations, ParamId, Pose, Robot, inverse};
+use dbbd::catalogue::EstimationFinding;
+use dbbd::design::calibrate;
+use dbbd::estimation::{AngleSource, CalibrationResult, Input, Options};
+use dbbd::measurement::{BaseBall, LengthModel, Measurement, Measurements};
+use dbbd::robot::pose::{rot_x, rot_y, rot_z};
+use dbbd::robot::{AxisAngles, BallId, BarId, Geometry, ParamId, Pose, Robot, inverse};
 use nalgebra::{Matrix3, Vector3};
 
 /// The paper's circle: centre and radius, mm.
@@ -51,6 +55,12 @@ pub(crate) struct Circle {
     pub(crate) radius: f64,
 }
 
+impl Circle {
+    pub(crate) fn ball(&self) -> BallId {
+        BallId::at(self.number - 1)
+    }
+}
+
 pub(crate) fn horizontal(number: usize, centre: [f64; 3]) -> Circle {
     Circle { plane: Matrix3::identity(), centre, number, radius: RADIUS }
 }
@@ -93,35 +103,35 @@ pub(crate) fn poses(robot: &Geometry, circle: &Circle, points: usize, amplitude_
 }
 
 /// Lengths that `truth` shows at poses planned on the nominal robot.
-pub(crate) fn measure(truth: &Robot, circles: &[Circle], points: usize, amplitude_deg: f64) -> Observations {
+pub(crate) fn measure(truth: &Robot, circles: &[Circle], points: usize, amplitude_deg: f64) -> Measurements {
     let nominal = kr60();
     let mut rows = Vec::new();
     for circle in circles {
         for axes_deg in poses(&nominal.geometry, circle, points, amplitude_deg) {
-            let mut row = Observation {
+            let mut row = Measurement {
                 index: rows.len() as u32 + 1,
-                centre: circle.number,
-                bar: 1,
-                axes_deg,
+                ball: circle.ball(),
+                bar: BarId::FIRST,
+                axes: AxisAngles::from_degrees(axes_deg),
                 length_mm: 0.0,
                 sigma_mm: None,
-                further: 0,
+                context: None,
             };
-            row.length_mm = truth.geometry.length(&row.axes(), &Vector3::from(circle.centre), 0.0);
+            row.length_mm = truth.geometry.length(&row.axes.radians(), &Vector3::from(circle.centre), 0.0);
             rows.push(row);
         }
     }
-    Observations { rows, ..Observations::default() }
+    Measurements { rows, ..Measurements::default() }
 }
 
 /// The base balls of circles, as their file.
 pub(crate) fn centres_csv(circles: &[Circle]) -> String {
-    let mut centres: Vec<Centre> = circles
+    let mut centres: Vec<BaseBall> = circles
         .iter()
-        .map(|circle| Centre { id: circle.number, position: Vector3::from(circle.centre) })
+        .map(|circle| BaseBall { id: circle.ball(), position: Vector3::from(circle.centre) })
         .collect();
     centres.dedup_by_key(|centre| centre.id);
-    Centre::to_csv(&centres)
+    BaseBall::to_csv(&centres)
 }
 
 /// Runs the binary in a directory.
@@ -132,4 +142,26 @@ pub(crate) fn dbbd(dir: &Path, args: &[&str]) -> Output {
 /// Standard error of a run as text.
 pub(crate) fn stderr(output: &Output) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+/// The codes that a run of dbbd printed on stderr, in order.
+pub(crate) fn codes(output: &std::process::Output) -> Vec<String> {
+    let text = String::from_utf8_lossy(&output.stderr);
+    let labelled = |line: &str| {
+        let rest = ["error[", "warning[", "note["].into_iter().find_map(|label| line.strip_prefix(label))?;
+        Some(rest.split_once(']')?.0.to_owned())
+    };
+    text.lines().filter_map(labelled).collect()
+}
+
+/// A calibration on the robot's nominal geometry with these base balls.
+pub(crate) fn calibrated(
+    robot: &Robot,
+    observations: &Measurements,
+    balls: &[BaseBall],
+    options: &Options,
+) -> Result<CalibrationResult, EstimationFinding> {
+    let start = LengthModel::new(robot.geometry.clone(), balls);
+    let axes = AngleSource::Given;
+    calibrate(&Input { robot, observations, start: &start, validation: None, options, axes }, Vec::new())
 }

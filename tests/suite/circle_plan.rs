@@ -1,7 +1,7 @@
 //! A small plan by hand: horizontal circles about one ball, the tool down, its orientation swinging.
 
-use dbbd::model::{Pose, Robot, inverse};
 use dbbd::plan::{Header, Job, Kind, Motion, MoveTime, Plan, PlanRow};
+use dbbd::robot::{Pose, Robot, inverse};
 
 pub(crate) const BALL_MM: [f64; 3] = [1300.0, 0.0, 800.0];
 pub(crate) const BAR_MM: f64 = 300.0;

@@ -7,9 +7,9 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
-use dbbd::identifiability::aligned_distances;
-use dbbd::krl::Program;
-use dbbd::model::{Geometry, Robot};
+use dbbd::math::aligned_distances;
+use dbbd::program::krl::Program;
+use dbbd::robot::{Geometry, Robot};
 use dbbd::sim::{Controller, truth};
 use nalgebra::Vector3;
 use tempfile::tempdir;
@@ -114,7 +114,7 @@ fn one_robot_is_more_accurate_afterwards() {
     assert!(before > 0.3 && after < before / 8.0, "{before} {after}");
 }
 
-/// `cargo test --release --test suite through_the_programs -- --ignored --nocapture`: docs/krl.md.
+/// `cargo test --release --test suite through_the_programs -- --ignored --nocapture`: docs/explanation/closed-loop.md.
 #[test]
 #[ignore = "takes minutes"]
 fn twenty_robots_through_the_programs() {

@@ -2,10 +2,8 @@
 
 use std::fs;
 
-use dbbd::krl::Program;
-use dbbd::krl::compensate::compensate;
-use dbbd::krl::production::{Files, Given, Text, read};
-use dbbd::model::{Geometry, Pose, Robot, inverse};
+use dbbd::program::krl::{Files, Given, Program, Text, compensate, read};
+use dbbd::robot::{Geometry, Pose, Robot, inverse};
 use dbbd::sim::{Controller, truth};
 use nalgebra::Vector3;
 use tempfile::tempdir;
@@ -58,8 +56,8 @@ fn deviation(program: &str, robot: &Robot) -> f64 {
         if moment.done {
             break;
         }
-        let told = nominal.geometry.ball(&moment.axes).position - Vector3::from(CENTRE);
-        let angle = told.y.atan2(told.x).to_degrees();
+        let found = nominal.geometry.ball(&moment.axes).position - Vector3::from(CENTRE);
+        let angle = found.y.atan2(found.x).to_degrees();
         let moved =
             before.replace(angle).map_or(0.0, |before| (angle - before + 540.0).rem_euclid(360.0) - 180.0);
         if moment.motions < 3 || moved.abs() < 1e-3 {
@@ -80,19 +78,19 @@ fn deviation(program: &str, robot: &Robot) -> f64 {
 /// Radial deviation before and after, mm, of circles of 2 and of 12 arcs, for each robot.
 fn deviations(seeds: std::ops::RangeInclusive<u64>) -> [Vec<[f64; 2]>; 2] {
     let plan = chosen(1, 80, true);
-    let mut told = [Vec::new(), Vec::new()];
+    let mut pairs = [Vec::new(), Vec::new()];
     for seed in seeds {
         let robot = truth::draw(&kr60(), seed, 1.0);
         let found = identified(&robot, &plan, seed);
-        for (arcs, told) in [2, 12].into_iter().zip(&mut told) {
+        for (arcs, pairs) in [2, 12].into_iter().zip(&mut pairs) {
             let program = circle(arcs);
             let files = Files { source: Text { file: "P.src", text: &program }, data: None, config: None };
             let points = read(files, Given::default()).unwrap();
             let corrected = compensate(files, &points, &found.robot, 10.0).unwrap().source;
-            told.push([&program, &corrected].map(|program| deviation(program, &robot)));
+            pairs.push([&program, &corrected].map(|program| deviation(program, &robot)));
         }
     }
-    told
+    pairs
 }
 
 #[test]
@@ -102,7 +100,7 @@ fn a_compensated_circle_is_rounder() {
     assert!(many.iter().all(|[before, after]| *after < before / 4.0), "{many:?}");
 }
 
-/// `cargo test --release --test suite circles_of_twenty -- --ignored --nocapture`: the table of docs/krl.md.
+/// `cargo test --release --test suite circles_of_twenty -- --ignored --nocapture`: the table of docs/explanation/closed-loop.md.
 #[test]
 #[ignore = "prints figures"]
 fn circles_of_twenty_robots() {

@@ -4,13 +4,14 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use dbbd::krl::compensate::{Compensated, compensate};
-use dbbd::krl::production::{Files, Given, PointProgram, Position, Text, read};
-use dbbd::model::{Geometry, Pose, Robot, inverse};
+use dbbd::diagnostic::Diagnostic;
+use dbbd::program::krl::{Compensated, Files, Given, PointProgram, Text, compensate, read};
+use dbbd::program::{Frames, Target};
+use dbbd::robot::{Geometry, Pose, Robot, inverse};
 use dbbd::sim::truth;
 use nalgebra::Vector3;
 
-use crate::cell::{dbbd, kr60, stderr};
+use crate::cell::{codes, dbbd, kr60, stderr};
 
 fn fixture(name: &str) -> String {
     let path: PathBuf = [env!("CARGO_MANIFEST_DIR"), "fixtures/krl", name].iter().collect();
@@ -47,25 +48,26 @@ fn reached(program: &PointProgram, robot: &Robot) -> Vec<(Pose, Pose)> {
     let mut last = [0.0, -80.0, 100.0, 0.0, 60.0, 0.0].map(f64::to_radians);
     let mut found = Vec::new();
     for point in &program.points {
-        let (axes, told, tool) = match &point.position {
-            Position::Axes(numbers) => {
-                let axes = numbers.each_ref().map(|number| number.value.to_radians());
-                (axes, nominal.geometry.ball(&axes), Pose::identity())
+        let null = Frames { tool: Pose::identity(), base: Pose::identity() };
+        let frames = point.frames.unwrap_or(null);
+        let (axes, commanded) = match point.target {
+            Target::Axes(axes_deg) => {
+                let axes = axes_deg.map(f64::to_radians);
+                (axes, nominal.geometry.ball(&axes))
             }
-            Position::Pose { numbers, status, turn, tool, base } => {
-                let [x, y, z, a, b, c] = numbers.each_ref().map(|number| number.value);
-                let told = base.then(&Pose::from_kuka([x, y, z], [a, b, c])).then(&tool.inverse());
+            Target::Pose { xyz_mm, abc_deg, status, turn } => {
+                let commanded = frames.flange(&Pose::from_kuka(xyz_mm, abc_deg));
                 let axes = if point.by_ptp {
-                    let (s, t) = (status.unwrap() as u8, turn.clone().unwrap().0 as u8);
-                    inverse::from_status_turn(&nominal, &told, s, t).unwrap()
+                    let (s, t) = (status.unwrap() as u8, turn.unwrap() as u8);
+                    inverse::from_status_turn(&nominal, &commanded, s, t).unwrap()
                 } else {
-                    inverse::nearest(&nominal.geometry, &told, &last).unwrap()
+                    inverse::nearest(&nominal.geometry, &commanded, &last).unwrap()
                 };
-                (axes, told, *tool)
+                (axes, commanded)
             }
         };
         last = axes;
-        found.push((told.then(&tool), truth.geometry.ball(&axes).then(&tool)));
+        found.push((commanded.then(&frames.tool), truth.geometry.ball(&axes).then(&frames.tool)));
     }
     found
 }
@@ -82,15 +84,14 @@ fn every_form_of_point_is_found_with_its_frames() {
     let program = read(files(&source, &data, Some(&config)), Given::default()).unwrap();
     let names: Vec<_> = program.points.iter().map(|point| point.name.as_str()).collect();
     assert_eq!(names, ["XP1", "XP2", "XP3", "XP4", "XP5", "XSP[1]", "XSP[2]", "inline", "XVIA"]);
-    let left: Vec<_> = program.left.iter().map(|left| (left.line, left.message.clone())).collect();
-    assert!(left.len() == 1 && left[0].1.contains("relative"), "{left:?}");
+    assert_eq!(program.left.iter().map(|left| left.code.0).collect::<Vec<_>>(), ["W0905"]);
     // Axis angles from which the fixture was computed, with another program.
     let taught = [[12.0, -70.0, 95.0, 15.0, 50.0, -20.0], [20.0, -75.0, 104.0, 30.0, 45.0, -40.0]];
     let reached = reached(&program, &kr60());
     for (at, axes_deg) in [(0, taught[0]), (6, taught[1])] {
-        let Position::Pose { tool, .. } = &program.points[at].position else { panic!("no pose") };
+        let tool = program.points[at].frames.unwrap().tool;
         let flange = Geometry { tool: Vector3::zeros(), ..kr60().geometry };
-        let expected = flange.ball(&axes_deg.map(f64::to_radians)).then(tool);
+        let expected = flange.ball(&axes_deg.map(f64::to_radians)).then(&tool);
         assert!((reached[at].0.position - expected.position).norm() < 1e-4);
         assert!(reached[at].0.angle_to(&expected) < 1e-5);
     }
@@ -163,14 +164,7 @@ fn all_else_stays_byte_for_byte() {
     let output = run(&["--config", "config.dat"]);
     // 3: a relative motion was left, which the user must see.
     assert_eq!(output.status.code(), Some(3), "{}", stderr(&output));
-    // The points alone are no program.
-    let args = ["compensate", "glue01.DAT", "--robot", "id.toml", "--out", "new"];
-    let refused = dbbd(dir.path(), &args);
-    assert!(
-        refused.status.code() == Some(1) && stderr(&refused).contains("name the .src"),
-        "{}",
-        stderr(&refused)
-    );
+    assert!(codes(&output).contains(&"W0905".into()), "{}", stderr(&output));
     let mut changed = 0;
     for (name, old) in [("GLUE01.src", &source), ("glue01.DAT", &data)] {
         let new = fs::read(dir.path().join("new").join(name)).unwrap();
@@ -187,96 +181,97 @@ fn all_else_stays_byte_for_byte() {
     let digits = |line: &str| line.split(',').next().unwrap().rsplit('.').next().unwrap().len();
     assert!(points.lines().filter(|line| line.contains("XP1=")).all(|line| digits(line) == 5));
 
-    let refused = |extra: &[&str], words: &str| {
-        let output = run(extra);
-        assert_eq!(output.status.code(), Some(1), "{extra:?}");
-        assert!(stderr(&output).contains(words), "{}", stderr(&output));
+    let refused = |output: std::process::Output, code: &str| {
+        assert_eq!(output.status.code(), Some(1), "{code}");
+        assert_eq!(codes(&output).last().map(String::as_str), Some(code), "{}", stderr(&output));
     };
-    refused(&[], "$TOOL is not known here");
-    refused(&["--tool", "52.5,-3.25,210,12,25,-8", "--base", "900,-400,450,15,0,0"], "two frames");
-    refused(&["--config", "config.dat", "--limit", "0.01"], "it would move by");
-    assert!(stderr(&run_to(".", &["--config", "config.dat"])).contains("would overwrite the program"));
+    refused(run(&[]), COMMAND[0]);
+    let one = ["--tool", "52.5,-3.25,210,12,25,-8", "--base", "900,-400,450,15,0,0"];
+    refused(run(&one), COMMAND[1]);
+    let limited = run(&["--config", "config.dat", "--limit", "0.01"]);
+    assert!(codes(&limited).contains(&COMMAND[2].into()));
+    refused(limited, COMMAND[3]);
+    refused(run_to(".", &["--config", "config.dat"]), COMMAND[4]);
+    refused(run(&["--limit", "0"]), COMMAND[4]);
+    // The points alone are no program.
+    let args = ["compensate", "glue01.DAT", "--robot", "id.toml", "--out", "new"];
+    refused(dbbd(dir.path(), &args), COMMAND[4]);
     fs::write(path("id.toml"), kr60().to_toml()).unwrap();
-    refused(&["--config", "config.dat"], "no identified robot");
+    refused(run(&["--config", "config.dat"]), COMMAND[5]);
 }
 
-fn refusal(source: &str, given: Given) -> String {
+/// What the command refuses in `all_else_stays_byte_for_byte`.
+const COMMAND: [&str; 6] = ["E0901", "E0902", "E0908", "E0912", "E0910", "E0909"];
+
+/// Statements of a program, the code of what is wrong with it, its line and column. Where the frames do not matter they are
+/// `$TOOL=F1`, `$BASE=F1` in lines 2 and 3.
+const REFUSED: &[(&str, &str, usize, usize)] = &[
+    ("PTP XP1\n", "E0901", 2, 1),
+    ("$TOOL=F2\n$BASE=F1\nPTP XP1\n", "E0901", 4, 1),
+    ("$TOOL=F1\n$BASE=F1:F1\nPTP XP1\n", "E0901", 4, 1),
+    ("$TOOL=F1\n$BASE=F1\n$BASE.X=10\nPTP XP1\n", "E0901", 5, 1),
+    ("$TOOL=F1\n$BASE=F1\nBAS(#TOOL,1)\nPTP XP1\n", "E0901", 5, 1),
+    ("$TOOL=F1\n$BASE=F1\nBAS(#BASE,N)\nPTP XP1\n", "E0901", 5, 1),
+    ("$TOOL=F1\n$BASE=F1\nIF $IN[1] THEN\n$BASE={X 1,Y 0,Z 0,A 0,B 0,C 0}\nENDIF\nPTP XP1\n", "E0901", 7, 1),
+    ("$TOOL=F1\n$BASE=F1\nLOOP\nPTP XP1\n$BASE={X 1,Y 0,Z 0,A 0,B 0,C 0}\nENDLOOP\n", "E0901", 5, 1),
+    ("$TOOL=F1\n$BASE=F1\nSUB()\nPTP XP1\nEND\nDEF SUB()\n$TOOL=$NULLFRAME\n", "E0901", 5, 1),
+    ("$TOOL=F1\n$BASE=F1\nXP1.X=10.0\nPTP XP1\n", "E0903", 5, 5),
+    ("$TOOL=F1\n$BASE=F1\nLIN XP1:F1\n", "E0903", 4, 1),
+    ("$TOOL=F1\n$BASE=F1\nLIN {X 10,Y 5,Z 1}\n", "E0903", 4, 5),
+    ("$TOOL=F1\n$BASE=F1\nLIN {X 10,Y 5,Z N,A 0,B 0,C 0}\n", "E0903", 4, 5),
+    ("$TOOL=F1\n$BASE=F1\nLIN {X 10,Y 5\n", "E0803", 4, 14),
+    ("$TOOL=F1\n$BASE=F1\nPTP XP1\n$BASE={X 1,Y 0,Z 0,A 0,B 0,C 0}\nPTP XP1\n", "E0904", 6, 5),
+    // The nominal robot does not reach it.
+    ("$TOOL=F1\n$BASE=F1\nLIN {X 9000,Y 0,Z 0,A 0,B 0,C 0}\n", "E0906", 4, 5),
+];
+
+pub(crate) fn provoked() -> Vec<&'static str> {
+    let others = ["W0905", "E0907", "I0911"];
+    REFUSED.iter().map(|case| case.1).chain(COMMAND).chain(others).collect()
+}
+
+/// The first thing that is wrong with a program.
+fn refusal(source: &str, given: Given) -> Option<Diagnostic> {
     let point = "{X 1363.778,Y -282.219,Z 1360.625,A 152.596,B 29.472,C -174.261,S 2,T 34}";
     let data =
         format!("DEFDAT P\nDECL E6POS XP1={point}\nDECL FRAME F1={{X 0,Y 0,Z 0,A 0,B 0,C 0}}\nENDDAT\n");
     let files = files(source, &data, None);
     match read(files, given) {
-        Err(diagnostic) => diagnostic.to_string(),
-        Ok(program) => match compensate(files, &program, &identified(1), 5.0) {
-            Err(refused) => refused.to_string(),
-            Ok(_) => String::new(),
-        },
+        Err(diagnostic) => Some(diagnostic),
+        Ok(program) => compensate(files, &program, &identified(1), 5.0).err()?.into_iter().next(),
     }
 }
 
 #[test]
 fn what_is_not_known_before_the_run_is_refused_with_its_place() {
     let frames = "$TOOL=F1\n$BASE=$NULLFRAME\n";
-    assert_eq!(refusal(&format!("DEF P()\n{frames}PTP XP1\nEND\n"), Given::default()), "");
+    let code = |body: &str, given| refusal(&format!("DEF P()\n{body}END\n"), given).map(|wrong| wrong.code.0);
+    assert_eq!(code(&format!("{frames}PTP XP1\n"), Given::default()), None);
     let zero = Given { tool: Some(Pose::identity()), base: Some(Pose::identity()) };
-    assert_eq!(refusal("DEF P()\nPTP XP1\nEND\n", zero), "");
-    for (body, place, words) in [
-        ("PTP XP1\n", "P.src:2:1:", "nothing sets $TOOL"),
-        ("$TOOL=F2\n$BASE=F1\nPTP XP1\n", "P.src:4:1:", "F2 is declared in no file"),
-        ("$TOOL=F1\n$BASE=F1:F1\nPTP XP1\n", "P.src:4:1:", "line 3 computes it"),
-        ("$TOOL=F1\n$BASE=F1\n$BASE.X=10\nPTP XP1\n", "P.src:5:1:", "sets a part"),
-        ("$TOOL=F1\n$BASE=F1\nXP1.X=10.0\nPTP XP1\n", "P.src:5:5:", "XP1 is computed in line 4"),
-        ("$TOOL=F1\n$BASE=F1\nLIN XP1:F1\n", "P.src:4:1:", "computed"),
-        ("$TOOL=F1\n$BASE=F1\nLIN {X 10,Y 5,Z 1}\n", "P.src:4:5:", "A is missing"),
-        ("$TOOL=F1\n$BASE=F1\nLIN {X 10,Y 5\n", "P.src:4:14:", "expected"),
-        (
-            "$TOOL=F1\n$BASE=F1\nIF $IN[1] THEN\n$BASE={X 1,Y 0,Z 0,A 0,B 0,C 0}\nENDIF\nPTP XP1\n",
-            "P.src:7:1:",
-            "choice",
-        ),
-        (
-            "$TOOL=F1\n$BASE=F1\nLOOP\nPTP XP1\n$BASE={X 1,Y 0,Z 0,A 0,B 0,C 0}\nENDLOOP\n",
-            "P.src:5:1:",
-            "comes round",
-        ),
-        (
-            "$TOOL=F1\n$BASE=F1\nPTP XP1\n$BASE={X 1,Y 0,Z 0,A 0,B 0,C 0}\nPTP XP1\n",
-            "P.src:6:5:",
-            "another tool or base",
-        ),
-        (
-            "$TOOL=F1\n$BASE=F1\nSUB()\nPTP XP1\nEND\nDEF SUB()\n$TOOL=$NULLFRAME\n",
-            "P.src:5:1:",
-            "SUB sets it",
-        ),
-        // The nominal robot does not reach it.
-        (
-            "$TOOL=F1\n$BASE=F1\nLIN {X 9000,Y 0,Z 0,A 0,B 0,C 0}\n",
-            "the program is refused",
-            "P.src:4:5: inline: the nominal",
-        ),
-    ] {
-        let message = refusal(&format!("DEF P()\n{body}END\n"), Given::default());
-        assert!(message.starts_with(place) && message.contains(words), "{body}: {message}");
+    assert_eq!(code("PTP XP1\n", zero), None);
+    for (body, code, line, column) in REFUSED {
+        let wrong = refusal(&format!("DEF P()\n{body}END\n"), Given::default()).unwrap();
+        assert_eq!((wrong.code.0, wrong.line, wrong.column), (*code, *line, *column), "{body}: {wrong}");
     }
     // A wrist that is nearly straight to either side: the correction would carry one of the two through zero.
     let straight = [
         "{X 1340,Y 0,Z 1809.985,A 0,B 90.005,C 0,S 2,T 2}",
         "{X 1340,Y 0,Z 1810.015,A 0,B 89.995,C 0,S 6,T 18}",
     ];
-    let refused =
-        straight.map(|point| refusal(&format!("DEF P()\n{frames}PTP {point}\nEND\n"), Given::default()));
-    assert!(refused.iter().any(|message| message.contains("singularity")), "{refused:?}");
+    let refused = straight.map(|point| code(&format!("{frames}PTP {point}\n"), Given::default()));
+    assert!(refused.contains(&Some("E0907")), "{refused:?}");
     let other = Given { tool: Some(Pose::from_kuka([1.0, 0.0, 0.0], [0.0; 3])), base: None };
-    assert!(refusal(&format!("DEF P()\n{frames}PTP XP1\nEND\n"), other).contains("not to what --tool says"));
+    assert_eq!(code(&format!("{frames}PTP XP1\n"), other), Some("E0902"));
 }
 
 #[test]
 fn a_file_that_only_dbbd_wrote_is_compensated_too() {
     let files_of = crate::circle_plan::plan(1, 6);
-    let options =
-        dbbd::krl::Options { sync: dbbd::krl::Sync::Marker, controller: dbbd::krl::Controller::Krc4 };
-    let modules = dbbd::krl::emit(&files_of, options).unwrap();
+    let options = dbbd::program::krl::Options {
+        sync: dbbd::program::krl::Sync::Marker,
+        controller: dbbd::program::krl::Controller::Krc4,
+    };
+    let modules = dbbd::program::krl::emit(&files_of, options).unwrap();
     let find =
         |name: &str| modules.iter().find(|(file, _)| Path::new(file) == Path::new(name)).unwrap().1.clone();
     let (source, data) = (find("DBB_C001.src"), find("DBB_C001.dat"));
@@ -291,17 +286,17 @@ fn a_file_that_only_dbbd_wrote_is_compensated_too() {
 /// same turn lies a full turn away.
 #[test]
 fn digits_beside_zero_are_no_other_turn() {
-    let told = |y: f64| {
+    let corrected = |y: f64| {
         let text = format!(
             "DEF P()\n$TOOL=$NULLFRAME\n$BASE=$NULLFRAME\nPTP {{X 1170,Y {y},Z 1640,A 0,B 180,C 0,S 2,T 2}}\nEND\n"
         );
         let files = Files { source: Text { file: "P.src", text: &text }, data: None, config: None };
         let program = read(files, Given::default()).unwrap();
-        compensate(files, &program, &identified(1), 20.0).map_err(|refused| refused.to_string())
+        compensate(files, &program, &identified(1), 20.0).map_err(|refused| refused[0].code.0)
     };
-    assert!(told(0.0).is_ok());
-    assert!(told(0.001).is_ok(), "{:?}", told(0.001));
-    assert!(told(20.0).unwrap_err().contains("S 2, T 2"));
+    assert!(corrected(0.0).is_ok());
+    assert!(corrected(0.001).is_ok(), "{:?}", corrected(0.001));
+    assert_eq!(corrected(20.0).unwrap_err(), "E0906");
 }
 
 /// A correction that carries an axis through zero takes its turn bit along, in the form in which it was written;
@@ -318,14 +313,13 @@ fn the_turn_follows_an_axis_through_zero() {
         let corrected = compensate(files, &program, &robot, 20.0).unwrap();
         let again = Files { source: Text { file: "P.src", text: &corrected.source }, ..files };
         let points = read(again, Given::default()).unwrap().points;
-        let Position::Pose { numbers, status, turn, .. } = &points[0].position else { panic!("no pose") };
-        let [x, y, z, a, b, c] = numbers.each_ref().map(|number| number.value);
-        let there = Pose::from_kuka([x, y, z], [a, b, c]);
+        let Target::Pose { xyz_mm, abc_deg, status, turn } = points[0].target else { panic!("no pose") };
+        let there = Pose::from_kuka(xyz_mm, abc_deg);
         let flange = Robot {
             geometry: Geometry { tool: Vector3::zeros(), ..nominal.geometry.clone() },
             ..nominal.clone()
         };
-        let new = turn.clone().unwrap().0 as u8;
+        let new = turn.unwrap() as u8;
         let axes = inverse::from_status_turn(&flange, &there, status.unwrap() as u8, new).unwrap();
         // Taught at 0, -90, 90, 0, 90, 0: nowhere near a full turn.
         for (axis, taught) in axes.iter().zip([0.0, -90.0, 90.0, 0.0, 90.0, 0.0]) {

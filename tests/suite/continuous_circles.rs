@@ -1,7 +1,12 @@
 //! A continuous circle is planned, written, driven and told as one motion for each pass.
 
-use dbbd::krl::{self, Options, Sync, emit};
+use dbbd::base::units::HostNs;
+use dbbd::diagnostic::Finding;
+use dbbd::measurement::sample::Sample;
 use dbbd::plan::{Job, Kind, Plan};
+use dbbd::program::krl::{self, Options, Sync, emit};
+use dbbd::recording::matching::{Input, MatchOutcome, PoseOutcome, match_poses};
+use dbbd::recording::{Stream, StreamBuilder};
 use dbbd::sim::Controller;
 
 use crate::cell::kr60;
@@ -117,16 +122,66 @@ fn points_lie_where_their_times_say() {
     }
 }
 
+/// A strobe for each dwell and pass of the plan but those of `left_out`, on a bar that does not move.
+fn strobed(plan: &Plan, left_out: usize) -> Stream {
+    let mut stream = StreamBuilder::new(None);
+    let mut t_ms = 0_u64;
+    let mut run = |seconds: f64, strobe: bool| {
+        for _ in 0..(seconds * 100.0) as u32 {
+            let sample = Sample {
+                reading_mm: 0.0,
+                sequence: None,
+                ticks: None,
+                trigger: Some(strobe),
+                temperature_c: None,
+                valid: true,
+                status: 0,
+                offset: 0,
+            };
+            stream.push(HostNs(t_ms * 1_000_000), &sample);
+            t_ms += 10;
+        }
+    };
+    let pass = |index: u32| plan.header.passes.iter().find(|pass| pass.end == index);
+    let stops = plan.rows.iter().filter_map(|row| match pass(row.index) {
+        Some(pass) => Some(pass.duration_s),
+        None => (row.dwell_s > 0.0).then_some(row.dwell_s),
+    });
+    for seconds in stops.skip(left_out) {
+        run(2.0, false);
+        run(seconds + 0.01, true);
+    }
+    run(2.0, false);
+    stream.build()
+}
+
+pub(crate) fn provoked() -> Vec<&'static str> {
+    vec!["I1013", "I1024"]
+}
+
+#[test]
+fn a_pass_whose_time_or_lag_is_not_known_has_a_code() {
+    let plan = Plan::build(&job(ARC), &kr60()).unwrap();
+    let matching = match_poses(&Input::new(&plan, &strobed(&plan, 0)));
+    assert!(matching.findings.iter().any(|finding| finding.code().0 == "I1013"), "{:?}", matching.findings);
+    let matching = match_poses(&Input::new(&plan, &strobed(&plan, 1)));
+    let lost = |pose: &PoseOutcome| match &pose.outcome {
+        MatchOutcome::Missing { reason } => reason.code().0 == "I1024",
+        _ => false,
+    };
+    assert!(matching.outcomes.iter().any(lost), "{:?}", matching.outcomes);
+}
+
 #[test]
 fn what_cannot_be_driven_in_one_motion_is_refused() {
-    for (circle, line, words) in [
-        ("plane = \"XY\"\npoints = 72", 8, "needs orientation = \"fixed\""),
-        ("plane = \"XY\"\npoints = 5\norientation = \"fixed\"", 11, "must be in 12..3600"),
-        ("plane = \"XY\"\npoints = 72\norientation = \"fixed\"\novershoot_deg = 0.5", 13, "is too short"),
-        ("plane = \"XY\"\npoints = 72\norientation = \"fixed\"\novershoot_deg = 200.0", 13, "at most 180"),
+    for (circle, line, code) in [
+        ("plane = \"XY\"\npoints = 72", 8, "E0605"),
+        ("plane = \"XY\"\npoints = 5\norientation = \"fixed\"", 11, "E0601"),
+        ("plane = \"XY\"\npoints = 72\norientation = \"fixed\"\novershoot_deg = 0.5", 13, "E0605"),
+        ("plane = \"XY\"\npoints = 72\norientation = \"fixed\"\novershoot_deg = 200.0", 13, "E0601"),
     ] {
-        let message = Job::from_toml("job.toml", &text(circle)).unwrap_err().to_string();
-        assert!(message.starts_with(&format!("job.toml:{line}:")) && message.contains(words), "{message}");
+        let wrong = Job::from_toml("job.toml", &text(circle)).unwrap_err();
+        assert_eq!((wrong.line, wrong.code.0), (line, code), "{wrong}");
     }
     // A plan whose rows and passes do not fit.
     let plan = Plan::build(&job(ARC), &kr60()).unwrap();

@@ -1,9 +1,10 @@
 //! The simulated controller goes where the program says, stands while the strobe is high, and stops
 //! at what it cannot do, naming the line.
 
-use dbbd::krl::{Controller as Kind, Options, Program, Sync, emit};
-use dbbd::model::{Geometry, Pose};
+use dbbd::diagnostic::Diagnostic;
 use dbbd::plan::{Kind as RowKind, PlanRow};
+use dbbd::program::krl::{Controller as Kind, Options, Program, Sync, emit};
+use dbbd::robot::{Geometry, Pose};
 use dbbd::sim::world::{Setup, Stroke};
 use dbbd::sim::{Controller, Moment, World, truth};
 
@@ -13,10 +14,10 @@ use crate::krl_reads_back;
 const DT_S: f64 = 0.002;
 
 /// Runs to the end; HALT is left at once.
-fn run(mut controller: Controller) -> Result<Vec<Moment>, String> {
+fn run(mut controller: Controller) -> Result<Vec<Moment>, Diagnostic> {
     let mut moments = Vec::new();
     while moments.len() < 500_000 {
-        let moment = controller.step(DT_S).map_err(|stop| stop.to_string())?;
+        let moment = controller.step(DT_S)?;
         moments.push(moment);
         if moment.halted {
             controller.go_on();
@@ -25,18 +26,24 @@ fn run(mut controller: Controller) -> Result<Vec<Moment>, String> {
             return Ok(moments);
         }
     }
-    Err("never ends".into())
+    panic!("never ends")
+}
+
+/// A module T and its `.dat`.
+fn program(source: &str, data: &str) -> Result<Program, Diagnostic> {
+    Program::open("T", |wanted| {
+        let text = match wanted {
+            "T.src" => source,
+            "T.dat" => data,
+            _ => "",
+        };
+        Ok((!text.is_empty()).then(|| (wanted.to_owned(), text.to_owned())))
+    })
 }
 
 fn small(body: &str) -> Controller {
     let text = format!("DEF T ( )\nPTP {{A1 0.0,A2 -90.0,A3 90.0,A4 0.0,A5 45.0,A6 0.0}}\n{body}\nEND\n");
-    let program =
-        Program::open("T", |wanted| Ok((wanted == "T.src").then(|| ("T.src".to_owned(), text.clone()))));
-    Controller::new(program.unwrap(), &robot(), 100.0).unwrap()
-}
-
-fn stopped(body: &str) -> String {
-    run(small(body)).err().unwrap_or_else(|| panic!("{body} did not stop"))
+    Controller::new(program(&text, "").unwrap(), &robot(), 100.0).unwrap()
 }
 
 /// The first and the last moment of each time that the strobe was high for longer than a mark's pulse.
@@ -116,11 +123,8 @@ fn an_arc_keeps_its_radius_and_a_line_its_chord() {
 #[test]
 fn override_stretches_moves_and_not_waits() {
     let end_s = |percent: f64| {
-        let program = Program::open("T", |wanted| {
-            let text = "DEF T ( )\nPTP {A1 20.0}\nWAIT SEC 1.0\nEND\n";
-            Ok((wanted == "T.src").then(|| ("T.src".to_owned(), text.to_owned())))
-        });
-        let controller = Controller::new(program.unwrap(), &robot(), percent).unwrap();
+        let program = program("DEF T ( )\nPTP {A1 20.0}\nWAIT SEC 1.0\nEND\n", "").unwrap();
+        let controller = Controller::new(program, &robot(), percent).unwrap();
         run(controller).unwrap().last().unwrap().t_s
     };
     // 20 deg at 128 deg/s and 320 deg/s^2: a triangle of 2 sqrt(20/320) = 0.5 s.
@@ -134,11 +138,8 @@ fn loops_calls_signals_and_pulses_run() {
                 IF K==0 THEN\nDBBSTB=TRUE\nENDIF\nWAIT SEC 0.1\nDBBSTB=FALSE\nPULSE ($OUT[1],TRUE,0.2)\nWAIT SEC 1\n\
                 WAIT FOR IDX==3\nEND\nDEF SUB (N :IN,W :IN )\nINT N\nREAL W\nIDX=N\nQ[N]=$AXIS_ACT_MEAS\nWAIT SEC W\nEND\n";
     let data = "DEFDAT T\nINT K=0\nSIGNAL DBBSTB $OUT[1]\nSIGNAL IDX $OUT[9] TO $OUT[16]\nDECL E6AXIS Q[3]\nENDDAT\n";
-    let program = Program::open("T", |wanted| {
-        let text = if wanted == "T.src" { text } else { data };
-        Ok(Some((wanted.to_owned(), text.to_owned())))
-    });
-    let moments = run(Controller::new(program.unwrap(), &robot(), 100.0).unwrap()).unwrap();
+    let program = program(text, data).unwrap();
+    let moments = run(Controller::new(program, &robot(), 100.0).unwrap()).unwrap();
     let highs: Vec<f64> = moments
         .chunk_by(|a, b| a.strobe == b.strobe)
         .filter(|chunk| chunk[0].strobe)
@@ -150,47 +151,102 @@ fn loops_calls_signals_and_pulses_run() {
     assert!((highs[0] - 0.3).abs() < 3.0 * DT_S, "{highs:?}");
 }
 
+/// What the controller stops at in line 3 or 4 of a program, and its code, line and column.
+const STOPS: &[(&str, &str, usize, usize)] = &[
+    ("PTP {A2 40.0}", "E0813", 3, 1),
+    ("$VEL.CP=0.1\nLIN {X 5000.0}", "E0813", 4, 1),
+    ("CIRC {X 1300.0},{X 1200.0}", "E0813", 3, 1),
+    ("PTP {X 1300.0,Y 0.0,Z 900.0,A 0.0,B 180.0,C 0.0,S 2,T 63}", "E0813", 3, 5),
+    ("PTP {X 1300.0,Y 0.0,Z 900.0,A 0.0,B 180.0,C 0.0,S 2,T 999}", "E0813", 3, 5),
+    ("$VEL.CP=250.0\nLIN {Z 1700.0}", "E0814", 4, 1),
+    ("$VEL.CP=0.0\nLIN {Z 1700.0}", "E0814", 4, 1),
+    ("LIN {X 1300.0} C_DIS", "E0804", 3, 1),
+    ("$ORI_TYPE=#JOINT\nLIN {Z 1700.0}", "E0804", 4, 1),
+    ("BAS (#TOOL,3)", "E0804", 3, 1),
+    ("BAS (#VEL_PTP)", "E0817", 3, 1),
+    ("BAS (#VEL_PTP,200)", "E0816", 3, 15),
+    ("A=1", "E0811", 3, 1),
+    ("$TOOLS=1", "E0811", 3, 1),
+    ("NOWHERE=$OUT[9999]", "E0810", 3, 9),
+    ("$VEL.CP=TRUE", "E0810", 3, 1),
+    ("$TOOL.Q=1.0", "E0810", 3, 1),
+    ("$OUT=TRUE", "E0810", 3, 1),
+    ("LIN 5", "E0808", 3, 5),
+    ("$VEL.CP=1/0", "E0812", 3, 9),
+    ("$VEL.CP=1.0/0", "E0812", 3, 9),
+    ("$VEL.CP=1.0E300*1.0E300", "E0812", 3, 9),
+    ("$ADVANCE=-('HFFFFFFFFFFFFFFF'*16)", "E0812", 3, 11),
+    ("LOOP\n$OV_PRO=100\nENDLOOP", "E0815", 4, 1),
+    ("LOOP\nWAIT SEC 0\nENDLOOP", "E0815", 4, 1),
+    ("LOOP\nWAIT FOR TRUE\nENDLOOP", "E0815", 4, 1),
+    ("EXIT", "E0815", 3, 1),
+    ("FOR $ADVANCE=1 TO 2 STEP 0\nENDFOR", "E0815", 3, 1),
+    ("$AXIS_ACT.A1=3.0", "E0816", 3, 1),
+    ("$OV_PRO=101", "E0816", 3, 1),
+    ("PULSE ($OUT[1],TRUE,5.0)", "E0816", 3, 8),
+    ("PULSE ($IN[1],TRUE,0.5)", "E0816", 3, 8),
+    ("$VEL.CP=EKI_Open (\"X\")", "E0818", 3, 9),
+    ("T ( )", "E0805", 2, 1),
+];
+
+/// Lines of a `.dat` with which the controller does not start.
+const DATA: &[(&str, &str)] = &[
+    ("DECL MYTYPE A", "E0811"),
+    ("DECL INT A\nDECL INT A", "E0811"),
+    ("SIGNAL S $OUT[1] TO $OUT[99]", "E0816"),
+    ("SIGNAL S $FLAG[1]", "E0816"),
+    ("DECL INT A=B", "E0811"),
+];
+
+pub(crate) fn provoked() -> Vec<&'static str> {
+    let world = WORLDS.iter().map(|case| case.1);
+    STOPS.iter().map(|case| case.1).chain(DATA.iter().map(|case| case.1)).chain(world).collect()
+}
+
 #[test]
 fn what_cannot_be_done_stops_with_its_line() {
-    let limit = stopped("PTP {A2 40.0}");
-    assert!(
-        limit.starts_with("T.src:3:1: axis 2 leaves its limits: 40.000 deg, allowed -135 to 35"),
-        "{limit}"
-    );
-    for (body, words) in [
-        ("$VEL.CP=0.1\nLIN {X 5000.0}", "T.src:4:"),
-        ("$VEL.CP=250.0\nLIN {Z 1700.0}", "T.src:4:1: $VEL.CP=250 is faster than the robot"),
-        ("LIN {X 1300.0} C_DIS", "T.src:3:1: approximate positioning"),
-        ("A=1", "T.src:3:1: A is not declared"),
-        ("$TOOLS=1", "did you mean $TOOL?"),
-        ("NOWHERE=$OUT[9999]", "T.src:3:9: index 9999 is outside"),
-        ("$ORI_TYPE=#JOINT\nLIN {Z 1700.0}", "$ORI_TYPE=#JOINT is not simulated"),
-        ("LOOP\n$OV_PRO=100\nENDLOOP", "loops without ever taking time"),
-        ("CIRC {X 1300.0},{X 1200.0}", "on a line"),
-        ("$AXIS_ACT.A1=3.0", "cannot be set"),
-        ("BAS (#TOOL,3)", "is not simulated"),
-        ("PTP {X 1300.0,Y 0.0,Z 900.0,A 0.0,B 180.0,C 0.0,S 2,T 63}", "T.src:3:"),
-    ] {
-        let message = stopped(body);
-        assert!(message.contains(words), "{body}: {message}");
+    for (body, code, line, column) in STOPS {
+        let stop = run(small(body)).expect_err(body);
+        // A routine that calls itself stops at its first motion, whose line is 2.
+        assert_eq!((stop.code.0, stop.file.as_str()), (*code, "T.src"), "{body}: {stop}");
+        assert!(*code == "E0805" || (stop.line, stop.column) == (*line, *column), "{body}: {stop}");
     }
-    let first = "DEF T ( )\nLIN {X 1300.0}\nEND\n";
-    let program =
-        Program::open("T", |wanted| Ok((wanted == "T.src").then(|| ("T.src".to_owned(), first.to_owned()))));
-    let message = run(Controller::new(program.unwrap(), &robot(), 100.0).unwrap()).unwrap_err();
-    assert!(message.contains("T.src:2:1: the first motion of a program is a PTP"), "{message}");
-    let missing = Program::open("T", |wanted| {
-        Ok((wanted == "T.src").then(|| ("T.src".to_owned(), "DEF T ( )\nOTHER (1)\nEND\n".to_owned())))
-    });
-    assert!(missing.unwrap_err().to_string().starts_with("T.src:2:1: OTHER is called"));
+    for (line, code) in DATA {
+        let data = format!("DEFDAT T\n{line}\nENDDAT\n");
+        let program = program("DEF T ( )\nEND\n", &data).unwrap();
+        assert_eq!(Controller::new(program, &robot(), 100.0).unwrap_err().code.0, *code, "{line}");
+    }
+    let first = program("DEF T ( )\nLIN {X 1300.0}\nEND\n", "").unwrap();
+    let stop = run(Controller::new(first, &robot(), 100.0).unwrap()).unwrap_err();
+    assert_eq!((stop.code.0, stop.line, stop.column), ("E0814", 2, 1));
+    let missing = program("DEF T ( )\nOTHER (1)\nEND\n", "").unwrap_err();
+    assert_eq!((missing.code.0, missing.line, missing.column), ("E0806", 2, 1));
+    let arguments = program("DEF T ( )\nSUB (1)\nEND\nDEF SUB ( )\nEND\n", "").unwrap();
+    let stop = run(Controller::new(arguments, &robot(), 100.0).unwrap()).unwrap_err();
+    assert_eq!((stop.code.0, stop.line), ("E0817", 2));
 }
+
+/// What is wrong with a WORLD.toml.
+const WORLDS: &[(&str, &str)] = &[
+    ("[bar]\nnoise = 1.0", "E0120"),
+    ("[[centre]]\nid = 1\nxyz_mm = [1, 0, 0]\n[[centre]]\nid = 1\nxyz_mm = [1, 0, 0]", "E1602"),
+    ("[[centre]]\nid = 1", "E1602"),
+    ("[bar]\nnoise_um = -1.0", "E1603"),
+    ("[bar]\nrate_hz = 0.0", "E1603"),
+    ("[bar]\nstroke_mm = [1.0, -1.0]", "E1603"),
+    ("backlash_deg = [0, 0, 0, 0, 0, -1]", "E1603"),
+];
 
 #[test]
 fn the_world_is_what_its_file_says() {
     let files = emit(&plan(1, 3), Options { sync: Sync::Output, controller: Kind::Krc4 }).unwrap();
     let program = krl_reads_back::program(&files);
-    let unknown = Setup::new(&program, Some(("W.toml", "[bar]\nnoise = 1.0"))).unwrap_err().to_string();
-    assert!(unknown.starts_with("W.toml:2:1:") && unknown.contains("unknown field `noise`"), "{unknown}");
+    for (text, code) in WORLDS {
+        let wrong = Setup::new(&program, Some(("W.toml", text))).unwrap_err();
+        assert_eq!((wrong.code.0, wrong.file.as_str()), (*code, "W.toml"), "{text}");
+    }
+    let bare = self::program("DEF T ( )\nEND\n", "").unwrap();
+    assert_eq!(Setup::new(&bare, None).unwrap_err().code.0, "E1602");
     let text = "repeatability_um = 20.0\n[bar]\nlength_mm = 299.5\nresolution_um = 10.0\nnoise_um = 0.0\n\
                 [[centre]]\nid = 1\nxyz_mm = [1300.0, 0.0, 800.0]";
     let setup = Setup::new(&program, Some(("W.toml", text))).unwrap();

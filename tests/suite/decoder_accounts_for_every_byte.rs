@@ -1,8 +1,8 @@
 //! Whatever comes over the line: bytes = bytes of samples + bytes of faults + bytes pending.
 
-use dbbd::protocol::{Decoded, Decoder, Definition};
-use dbbd::sample::Sample;
-use dbbd::units::DeviceTicks;
+use dbbd::base::units::DeviceTicks;
+use dbbd::device::protocol::{Decoded, Decoder, Definition};
+use dbbd::measurement::sample::Sample;
 use proptest::prelude::*;
 
 fn definition(name: &str) -> Definition {

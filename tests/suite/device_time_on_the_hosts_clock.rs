@@ -2,8 +2,8 @@
 //! batches, stalls. The figures are those of the method's simulation in the reference: least delay
 //! 0.5 ms, exponential jitter of 0.3 ms, stalls of 50 ms in 0.1 % of the samples.
 
-use dbbd::sync::{ClockMap, DeviceClock};
-use dbbd::units::HostNs;
+use dbbd::base::units::{DeviceTicks, HostNs};
+use dbbd::recording::{ClockMap, DeviceClock, Stamp};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
@@ -12,7 +12,7 @@ const DRIFT: f64 = 50e-6;
 const CLOCK: DeviceClock = DeviceClock { seconds_per_tick: 1e-6, wrap: Some(1 << 32) };
 
 struct Run {
-    stamps: Vec<(HostNs, u64)>,
+    stamps: Vec<Stamp>,
     /// True host time of each sample, s.
     truth: Vec<f64>,
 }
@@ -35,7 +35,7 @@ fn run(seconds: f64, hz: f64, seed: u64) -> Run {
         let handed = ((ready - 1e-3) / 0.016).ceil() * 0.016 + 1e-3;
         let handed = if handed - ready > 0.0159 { ready } else { handed };
         last = last.max(handed);
-        stamps.push((HostNs((last * 1e9) as u64), ticks % (1 << 32)));
+        stamps.push(Stamp { host: HostNs((last * 1e9) as u64), ticks: DeviceTicks(ticks % (1 << 32)) });
         truth.push(t);
     }
     Run { stamps, truth }
@@ -62,10 +62,10 @@ fn the_hull_keeps_the_least_delay_alone() {
             .map(|(t, truth)| begin + map.host_s(*t).unwrap() - truth)
             .collect();
         let arrival: Vec<f64> =
-            stamps.iter().zip(&truth).map(|((host, _), t)| host.0 as f64 * 1e-9 - t).collect();
+            stamps.iter().zip(&truth).map(|(stamp, t)| stamp.host.0 as f64 * 1e-9 - t).collect();
         // A line by least squares through the same points.
         let n = truth.len() as f64;
-        let host: Vec<f64> = stamps.iter().map(|(host, _)| host.0 as f64 * 1e-9).collect();
+        let host: Vec<f64> = stamps.iter().map(|stamp| stamp.host.0 as f64 * 1e-9).collect();
         let (mt, mh) = (map.device_s.iter().sum::<f64>() / n, host.iter().sum::<f64>() / n);
         let slope = map.device_s.iter().zip(&host).map(|(t, h)| (t - mt) * (h - mh)).sum::<f64>()
             / map.device_s.iter().map(|t| (t - mt).powi(2)).sum::<f64>();
@@ -88,9 +88,9 @@ fn the_hull_keeps_the_least_delay_alone() {
 fn resets_and_jumps_are_breaks_and_wraps_are_not() {
     let Run { mut stamps, .. } = run(120.0, 100.0, 3);
     let reset = stamps.len() / 2;
-    let from = stamps[reset].1;
-    for (_, ticks) in &mut stamps[reset..] {
-        *ticks = ticks.wrapping_sub(from) % (1 << 32);
+    let from = stamps[reset].ticks.0;
+    for stamp in &mut stamps[reset..] {
+        stamp.ticks = DeviceTicks(stamp.ticks.0.wrapping_sub(from) % (1 << 32));
     }
     let map = ClockMap::new(&stamps, CLOCK);
     assert_eq!(map.breaks.iter().map(|broken| broken.at).collect::<Vec<_>>(), [reset]);
@@ -108,12 +108,12 @@ fn a_jump_is_a_break_and_a_stall_is_not() {
     {
         let Run { mut stamps, .. } = run(60.0, 100.0, 5);
         let (jump, stall) = (4000, 2000);
-        for (_, ticks) in &mut stamps[jump..] {
-            *ticks = (*ticks as i64 + (jump_s * 1e6) as i64) as u64 % (1 << 32);
+        for stamp in &mut stamps[jump..] {
+            stamp.ticks = DeviceTicks((stamp.ticks.0 as i64 + (jump_s * 1e6) as i64) as u64 % (1 << 32));
         }
-        let held = HostNs(stamps[stall].0.0 + (stall_s * 1e9) as u64);
-        for (host, _) in &mut stamps[stall..] {
-            *host = (*host).max(held);
+        let held = HostNs(stamps[stall].host.0 + (stall_s * 1e9) as u64);
+        for stamp in &mut stamps[stall..] {
+            stamp.host = stamp.host.max(held);
         }
         let map = ClockMap::new(&stamps, CLOCK);
         let found: Vec<usize> = map.breaks.iter().map(|broken| broken.at).collect();
@@ -126,12 +126,13 @@ fn a_jump_is_a_break_and_a_stall_is_not() {
 /// A counter faster than the host's clock is no clock of the host's; its own breaks are found still.
 #[test]
 fn a_run_faster_than_real_time_is_on_device_time_alone() {
-    let mut stamps: Vec<(HostNs, u64)> = (0..10_000u64).map(|at| (HostNs(at * 1000), at * 1000)).collect();
+    let stamp = |at: u64| Stamp { host: HostNs(at * 1000), ticks: DeviceTicks(at * 1000) };
+    let mut stamps: Vec<Stamp> = (0..10_000).map(stamp).collect();
     // The host may be held up for a while in such a run.
-    stamps.iter_mut().skip(7000).for_each(|(host, _)| host.0 += 700_000_000);
+    stamps.iter_mut().skip(7000).for_each(|stamp| stamp.host.0 += 700_000_000);
     let map = ClockMap::new(&stamps, CLOCK);
     assert_eq!((map.breaks.len(), map.host_s(1.0), map.drift()), (0, None, None));
     assert!((map.device_s[9999] - 9.999).abs() < 1e-9);
-    stamps.iter_mut().skip(5000).for_each(|(_, ticks)| *ticks += 10_000_000);
+    stamps.iter_mut().skip(5000).for_each(|stamp| stamp.ticks.0 += 10_000_000);
     assert_eq!(ClockMap::new(&stamps, CLOCK).breaks.len(), 1);
 }

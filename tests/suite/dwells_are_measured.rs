@@ -1,32 +1,33 @@
-//! What a dwell says: its value and uncertainty, creep, drift, and what is left of it where samples are missing.
+//! A dwell: its value and uncertainty, creep, drift, and what is left of it where samples are missing.
 
-use dbbd::sync::{Fate, Input, find_still, measure, observations};
+use dbbd::catalogue::MatchingFinding;
+use dbbd::diagnostic::Finding;
+use dbbd::recording::matching::{Input, MatchOutcome, match_poses, still_dwells};
+use dbbd::recording::measure;
 
 use crate::sync_runs::{BAR_MM, DWELL_S, SETTLE_S, WORLD, World, plan, right, run, stream};
 
 #[test]
-fn still_stretches_carry_value_and_uncertainty() {
+fn still_dwells_carry_value_and_uncertainty() {
     let plan = plan(1, 40, 40, true);
     // More noise hides the faintest moves: two dwells then look like one.
     let cases = [(0.0, 0.002, 1000.0, 37), (0.8, 0.002, 1000.0, 28), (0.0, 0.005, 250.0, 22)];
     for (correlation, noise_mm, rate_hz, least) in cases {
         let run = run(&plan, 7, World { correlation, noise_mm, rate_hz, ..WORLD });
         let stream = stream(&run.samples);
-        let stretches = find_still(&stream, 0.8);
+        let dwells = still_dwells(&stream, 0.8);
         let mut normalised = Vec::new();
         for (start_s, reading_mm) in run.starts_s.iter().zip(&run.readings_mm) {
-            let Some(stretch) = stretches.iter().find(|stretch| (stretch.start_s - start_s).abs() < 0.3)
-            else {
+            let Some(dwell) = dwells.iter().find(|dwell| (dwell.start_s - start_s).abs() < 0.3) else {
                 continue;
             };
-            let dwell =
-                measure(&stream, stretch.start_s + 0.5, (stretch.end_s - 0.15).min(stretch.start_s + 1.5))
-                    .unwrap();
+            let reading =
+                measure(&stream, dwell.start_s + 0.5, (dwell.end_s - 0.15).min(dwell.start_s + 1.5)).unwrap();
             // Of AR(1) noise, the mean's variance is that of N (1 - r) / (1 + r) samples.
-            let effective = dwell.samples as f64 * (1.0 - correlation) / (1.0 + correlation);
+            let effective = reading.samples as f64 * (1.0 - correlation) / (1.0 + correlation);
             let u_mm = noise_mm / effective.sqrt();
-            assert!((0.6..1.7).contains(&(dwell.u_mm / u_mm)), "{} is not {u_mm}", dwell.u_mm);
-            normalised.push((dwell.reading_mm - reading_mm) / dwell.u_mm);
+            assert!((0.6..1.7).contains(&(reading.u_mm / u_mm)), "{} is not {u_mm}", reading.u_mm);
+            normalised.push((reading.reading_mm - reading_mm) / reading.u_mm);
         }
         let rms = (normalised.iter().map(|z| z * z).sum::<f64>() / normalised.len() as f64).sqrt();
         eprintln!("noise {noise_mm} r {correlation}: {} of 40 found, rms {rms:.2} u", normalised.len());
@@ -45,17 +46,17 @@ fn a_coarse_scale_is_known_to_its_step() {
     for (_, sample) in &mut run.samples {
         sample.reading_mm = (sample.reading_mm / STEP_MM).round() * STEP_MM;
     }
-    let synced = observations(&Input::new(&plan, &stream(&run.samples)));
+    let matching = match_poses(&Input::new(&plan, &stream(&run.samples)));
     let step = STEP_MM / 12f64.sqrt();
     let (mut on_the_step, mut least) = (0, f64::INFINITY);
-    for fate in &synced.fates {
-        let Fate::Matched { dwell, .. } = &fate.fate else { panic!("{fate:?}") };
+    for pose in &matching.outcomes {
+        let Some(dwell) = pose.reading() else { panic!("{pose:?}") };
         assert!(dwell.u_mm < 1.001 * step, "{dwell:?}");
         on_the_step += usize::from((dwell.u_mm / step - 1.0).abs() < 1e-3);
         least = least.min(dwell.u_mm);
     }
     // Where it flickers between two steps the scatter averages out.
-    eprintln!("{on_the_step} of {} on the step, {least} mm at least", synced.fates.len());
+    eprintln!("{on_the_step} of {} on the step, {least} mm at least", matching.outcomes.len());
     assert!(on_the_step > 0);
 }
 
@@ -75,11 +76,14 @@ fn invalid_readings_do_not_count_and_drift_is_seen() {
             sample.reading_mm += 0.03 * t_s / end_s;
         }
     }
-    let synced = observations(&Input::new(&plan, &stream(&run.samples)));
-    assert_eq!(synced.observations.rows.len(), 60);
-    assert!(synced.observations.rows.iter().all(|row| (row.length_mm - BAR_MM).abs() < 2.0));
-    assert!(matches!(&synced.fates[33].fate, Fate::Missing { reason } if reason.contains("vouch")));
-    let drift = synced.drift.unwrap();
+    let matching = match_poses(&Input::new(&plan, &stream(&run.samples)));
+    assert_eq!(matching.observations.rows.len(), 60);
+    assert!(matching.observations.rows.iter().all(|row| (row.length_mm - BAR_MM).abs() < 2.0));
+    assert!(matches!(
+        matching.outcomes[33].outcome,
+        MatchOutcome::Missing { reason: MatchingFinding::NotValid { .. } }
+    ));
+    let drift = matching.drift.unwrap();
     assert_eq!(drift.readings, 4);
     // 30 um over the whole run, of which the reference readings span nearly all.
     assert!(drift.significant && (drift.change_mm - 0.028).abs() < 0.003, "{drift:?}");
@@ -99,16 +103,17 @@ fn creep_within_a_dwell_is_flagged_where_it_is_and_nowhere_else() {
             }
         }
     }
-    let synced = observations(&Input::new(&plan, &stream(&run.samples)));
-    for (pose, fate) in synced.fates.iter().enumerate() {
-        let Fate::Matched { dwell, .. } = &fate.fate else { panic!("{fate:?}") };
+    let matching = match_poses(&Input::new(&plan, &stream(&run.samples)));
+    for (pose, outcome) in matching.outcomes.iter().enumerate() {
+        let Some(dwell) = outcome.reading() else { panic!("{outcome:?}") };
         assert_eq!(dwell.creep_mm.is_some(), creeping.contains(&pose), "pose {pose}: {dwell:?}");
         if let Some(creep_mm) = dwell.creep_mm {
-            // 3 um in the second; 500 samples of 2 um of noise tell it to 0.3 um.
+            // 3 um in the second; 500 samples of 2 um of noise give it to 0.3 um.
             assert!((creep_mm - 0.003).abs() < 0.0012, "{creep_mm}");
         }
     }
-    assert!(synced.warnings.iter().any(|warning| warning.text.contains("in 3 dwells the reading drifted")));
+    assert!(matching.findings.contains(&MatchingFinding::Creep { dwells: 3 }));
+    assert_eq!(matching.findings[0].code().0, "I1011");
 }
 
 #[test]
@@ -122,19 +127,19 @@ fn an_outage_within_a_dwell_costs_it_only_where_little_is_left() {
             let t_s = sample.ticks.unwrap().0 as f64 * 1e-6;
             !(0..2).any(|outage| (begins[outage]..ends[outage]).contains(&t_s))
         });
-        let synced = observations(&Input::new(&plan, &stream(&run.samples)));
-        let found = right(&plan, &run, &synced);
-        eprintln!("strobe {strobe}: {found} of 40, {:?} {:?}", synced.fates[9], synced.fates[22]);
+        let matching = match_poses(&Input::new(&plan, &stream(&run.samples)));
+        let found = right(&plan, &run, &matching);
+        eprintln!("strobe {strobe}: {found} of 40, {:?} {:?}", matching.outcomes[9], matching.outcomes[22]);
         assert!(found >= if strobe { 39 } else { 36 }, "{found}");
-        if let Fate::Matched { dwell, .. } = &synced.fates[9].fate {
+        if let Some(dwell) = matching.outcomes[9].reading() {
             let read_s = dwell.samples as f64 / 500.0;
             let whole = dwell.gaps == 1 && (0.5..0.8).contains(&read_s);
             // By stillness alone the part before the outage may be all that is seen.
             let part = !strobe && dwell.gaps == 0 && (0.3..0.5).contains(&read_s);
             assert!(whole || part, "{dwell:?}");
         } else {
-            assert!(!strobe, "{:?}", synced.fates[9]);
+            assert!(!strobe, "{:?}", matching.outcomes[9]);
         }
-        assert!(!matches!(synced.fates[22].fate, Fate::Matched { .. }), "{:?}", synced.fates[22]);
+        assert!(matching.outcomes[22].reading().is_none(), "{:?}", matching.outcomes[22]);
     }
 }

@@ -1,9 +1,9 @@
 //! A plan that is accepted runs: its program stays within limits, speeds and branch on the controller.
 
-use dbbd::krl::{Options, Program, Sync, emit};
-use dbbd::model::Robot;
-use dbbd::model::inverse::status;
 use dbbd::plan::{Job, Kind, Plan};
+use dbbd::program::krl::{Options, Program, Sync, emit};
+use dbbd::robot::Robot;
+use dbbd::robot::inverse::status;
 use dbbd::sim::world::{Setup, Stroke};
 use dbbd::sim::{Controller, Moment, World, truth};
 use rand::{RngExt, SeedableRng};
@@ -53,7 +53,7 @@ fn job(seed: u64) -> String {
 
 /// How the program of a job ended.
 #[derive(Debug, PartialEq)]
-enum Fate {
+enum Ending {
     Refused,
     /// With the risk that the plan stated for its runs together, and whether the bar left its stroke.
     Ran {
@@ -64,14 +64,14 @@ enum Fate {
 }
 
 /// Plans a job, emits it, and executes the program on a robot drawn from the tolerance, the balls taught as the plan says.
-fn run(seed: u64, text: &str, step_s: f64) -> Fate {
+fn run(seed: u64, text: &str, step_s: f64) -> Ending {
     let job = Job::from_toml("job.toml", text).unwrap();
     let nominal = kr60();
-    let Ok(plan) = Plan::build(&job, &nominal) else { return Fate::Refused };
+    let Ok(plan) = Plan::build(&job, &nominal) else { return Ending::Refused };
     let sync = if seed.is_multiple_of(2) { Sync::Output } else { Sync::Marker };
-    let files = match emit(&plan, Options { sync, controller: dbbd::krl::Controller::Krc4 }) {
+    let files = match emit(&plan, Options { sync, controller: dbbd::program::krl::Controller::Krc4 }) {
         Ok(files) => files,
-        Err(error) => return Fate::Failed(error.to_string()),
+        Err(error) => return Ending::Failed(error.to_string()),
     };
     let program = Program::open("DBB_MAIN", |wanted| {
         Ok(files.iter().find(|(name, _)| name.eq_ignore_ascii_case(wanted)).cloned())
@@ -86,13 +86,13 @@ fn run(seed: u64, text: &str, step_s: f64) -> Fate {
     loop {
         let moment = match controller.step(step_s) {
             Ok(moment) => moment,
-            Err(error) => return Fate::Failed(format!("seed {seed}: {error}")),
+            Err(error) => return Ending::Failed(format!("seed {seed}: {error}")),
         };
         // On its way to another base ball the robot has no bar.
         mounted &= last.is_none_or(|last| last.centre == moment.centre);
         strayed |= mounted && world.reading(&moment).stroke != Stroke::Within;
         if let Err(why) = keeps(&nominal, last.as_ref(), &moment, mounted) {
-            return Fate::Failed(format!("seed {seed}: at {:.2} s: {why}", moment.t_s));
+            return Ending::Failed(format!("seed {seed}: at {:.2} s: {why}", moment.t_s));
         }
         last = Some(moment);
         if moment.halted {
@@ -105,9 +105,9 @@ fn run(seed: u64, text: &str, step_s: f64) -> Fate {
     }
     let dwells = plan.rows.iter().filter(|row| row.kind != Kind::Transit).count();
     if controller.dwells() as usize != dwells {
-        return Fate::Failed(format!("seed {seed}: {} of {dwells} dwells", controller.dwells()));
+        return Ending::Failed(format!("seed {seed}: {} of {dwells} dwells", controller.dwells()));
     }
-    Fate::Ran { stated: plan.header.stroke_risk, strayed }
+    Ending::Ran { stated: plan.header.stroke_risk, strayed }
 }
 
 /// Whether the commanded axes keep limits, speeds and, with the bar on, the branch.
@@ -155,14 +155,14 @@ fn campaign(
     let mut failed = Vec::new();
     for seed in seeds {
         match run(seed, &job(seed), step_s) {
-            Fate::Refused => count.refused += 1,
-            Fate::Ran { stated, strayed } => {
+            Ending::Refused => count.refused += 1,
+            Ending::Ran { stated, strayed } => {
                 count.ran += 1;
                 count.strayed += usize::from(strayed);
                 count.expected += stated;
                 count.variance += stated * (1.0 - stated);
             }
-            Fate::Failed(why) => {
+            Ending::Failed(why) => {
                 count.ran += 1;
                 failed.push(why);
             }
@@ -213,7 +213,7 @@ fn the_share_that_leaves_the_stroke_is_the_one_stated() {
     eprintln!("at {risk}: {count:?}; expected {:.2} +- {:.2}", count.expected, 1.96 * count.variance.sqrt());
 }
 
-/// `cargo test --release --test suite thousand_random_jobs -- --ignored --nocapture`: docs/krl.md.
+/// `cargo test --release --test suite thousand_random_jobs -- --ignored --nocapture`: docs/reference/krl.md.
 #[test]
 #[ignore = "takes minutes"]
 fn thousand_random_jobs_run_to_their_end() {

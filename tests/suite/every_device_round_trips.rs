@@ -3,11 +3,12 @@
 
 use std::process::{Command, Stdio};
 
-use dbbd::capture;
-use dbbd::protocol::{Decoded, Definition};
-use dbbd::sample::Sample;
+use dbbd::base::units::DeviceTicks;
+use dbbd::device::protocol::{Decoded, Definition};
+use dbbd::diagnostic::Finding;
+use dbbd::measurement::sample::Sample;
+use dbbd::recording::capture;
 use dbbd::sim::bar::{self, Options, Reading, Terminal};
-use dbbd::units::DeviceTicks;
 use proptest::prelude::*;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -137,6 +138,14 @@ fn the_bars_stroke_can_be_said() {
     }
 }
 
+const NO_LENGTH: &str = "W0222";
+const UNANSWERED: &str = "W0223";
+const NOT_SENT: &str = "E0312";
+
+pub(crate) fn provoked() -> Vec<&'static str> {
+    vec![NO_LENGTH, NOT_SENT]
+}
+
 const RATE_HZ: f64 = 100.0;
 
 /// Lengths on a ramp, so that each sample is known by its place.
@@ -174,7 +183,7 @@ fn simulated_is_acquired(definition: &Definition, protocol: &str, params: &[&str
         |t_s| Reading { reading_mm: ramp_mm(t_s, RATE_HZ), strobe: false, valid: true, temperature_c: 20.0 };
     let (capture, code, said) = acquired(definition, protocol, params, reading);
     // On a busy machine a reply may come too late: that is told, and no length is wrong for it.
-    let late = code == Some(3) && said.contains("not answered in time");
+    let late = code == Some(3) && said.contains(UNANSWERED);
     assert!(code == Some(0) || late, "{protocol}: {said}");
     let samples: Vec<Sample> = capture.samples().map(|(_, sample)| *sample).collect();
     assert!(samples.len() >= 3, "{protocol}: {} samples", samples.len());
@@ -295,22 +304,24 @@ fn parameters_are_checked() {
         Definition::by_name_with("microepsilon-ild1420", &[(name.into(), value.into())]).unwrap()
     };
     assert_eq!(load("range_mm", "10").unwrap().params, [("range_mm".to_owned(), "10.0".to_owned())]);
-    let wrong = load("range", "10").unwrap_err().to_string();
-    assert!(wrong.contains("no parameter `range`") && wrong.contains("range_mm"), "{wrong}");
-    assert!(load("range_mm", "-1").unwrap_err().to_string().contains("must be 1 to 1000"));
+    let wrong = load("range", "10").unwrap_err();
+    assert_eq!(wrong.code.0, "E0310");
+    assert_eq!(wrong.values["known"], "range_mm");
+    let wrong = load("range_mm", "-1").unwrap_err();
+    assert_eq!((&wrong.values["least"], &wrong.values["most"]), (&1.0.into(), &1000.0.into()), "{wrong}");
     for (old, new) in [
         ("len_adds = 3", "len_adds = 4096"),
         ("len_at = 2", "len_at = 4096"),
         ("len_at = 2", "len_at = 2\nlen_bytes = 3"),
     ] {
-        let wrong = Definition::from_toml("bar.toml", &OUTSIDE.replace(old, new)).unwrap_err().to_string();
-        assert!(wrong.contains("len_bytes must be 1 or 2, len_at and len_adds below 4096"), "{new}: {wrong}");
+        let wrong = Definition::from_toml("bar.toml", &OUTSIDE.replace(old, new)).unwrap_err();
+        assert_eq!(wrong.code.0, "E0304", "{new}: {wrong}");
     }
     let text = OUTSIDE.replace("${gain}", "${gian}");
     let wrong = Definition::from_toml("bar.toml", &text).unwrap_err();
     let line = text.lines().position(|line| line.contains("gian")).unwrap() + 1;
-    assert_eq!(wrong.line, line);
-    assert!(wrong.to_string().contains("did you mean `gain`"), "{wrong}");
+    assert_eq!((wrong.code.0, wrong.line), ("E0310", line), "{wrong}");
+    assert!(wrong.help.is_some_and(|help| help.contains("gain")));
 }
 
 /// A bar out of its stroke says so by a flag, or by a value that stands for no reading.
@@ -324,7 +335,7 @@ fn out_of_the_stroke_no_length_passes_for_one() {
         assert!(capture.samples().all(|(_, sample)| !sample.valid), "{protocol}");
         match protocol {
             "dbb-cobs-1" => assert!(code == Some(0) && readings > 10, "{said}"),
-            _ => assert!(code == Some(3) && said.contains("the bar sent no length, but "), "{said}"),
+            _ => assert!(code == Some(3) && said.contains(NO_LENGTH), "{said}"),
         }
     }
 }
@@ -337,8 +348,9 @@ fn what_does_not_fit_is_not_sent() {
         "{ kind = \"uint\", bits = 8, role = \"seq\", modulo = 256 },\n  { kind = \"skip\", bytes = 1 },",
     );
     let definition = Definition::from_toml("outside.toml", &text).unwrap();
-    let says = |sequence| definition.encoder().encode(&numbered(sequence), &mut Vec::new()).is_ok();
-    assert!(says(0) && says(255) && !says(256));
+    let encoded = |sequence| definition.encoder().encode(&numbered(sequence), &mut Vec::new());
+    assert!(encoded(0).is_ok() && encoded(255).is_ok());
+    assert_eq!(encoded(256).unwrap_err().code().0, NOT_SENT);
 }
 
 /// Records that end with silence.

@@ -8,8 +8,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
+use dbbd::recording::{DeviceClock, Stream, StreamBuilder};
 use dbbd::sim::bar::Terminal;
-use dbbd::sync::{DeviceClock, Stream, StreamBuilder};
 use serde_json::Value;
 use serialport::{SerialPort, TTYPort};
 

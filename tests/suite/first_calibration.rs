@@ -1,4 +1,4 @@
-//! docs/first-calibration.md and README.md tell the truth: their commands run as written, and say what stands there.
+//! The commands of docs/tutorial/first-calibration.md and README.md run as written and print what the page shows.
 #![cfg(unix)]
 
 use std::fs;
@@ -7,7 +7,7 @@ use std::process::Command;
 
 use tempfile::tempdir;
 
-const DOCUMENT: &str = include_str!("../../docs/first-calibration.md");
+const DOCUMENT: &str = include_str!("../../docs/tutorial/first-calibration.md");
 const README: &str = include_str!("../../README.md");
 
 /// A block of commands, and the lines of output that the document shows below it.

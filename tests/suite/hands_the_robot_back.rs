@@ -4,11 +4,11 @@
 
 use std::fs;
 
-use dbbd::export::urdf::urdf;
-use dbbd::krl;
-use dbbd::model::kinematics::Mass;
-use dbbd::model::pose::{rot_x, rot_y, rot_z};
-use dbbd::model::{Pose, Robot};
+use dbbd::program::krl;
+use dbbd::report::export::urdf::urdf;
+use dbbd::robot::kinematics::Mass;
+use dbbd::robot::pose::{rot_x, rot_y, rot_z};
+use dbbd::robot::{Joint, Pose, Robot};
 use nalgebra::{Rotation3, Unit, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -72,7 +72,7 @@ fn masses_stand_in_the_links() {
     let mut robot = kr60();
     robot.name = "-- \"<KR>\"".into();
     let mass = |joint, kg, x| Mass { joint, kg, centre: Vector3::new(x, 0.0, 150.0) };
-    robot.geometry.masses = vec![mass(6, 20.0, -100.0), mass(6, 20.0, 100.0)];
+    robot.geometry.masses = vec![mass(Joint::J6, 20.0, -100.0), mass(Joint::J6, 20.0, 100.0)];
     let text = urdf(&robot);
     let link = text.split("<link name=\"link_6\">").nth(1).unwrap();
     // Two points of 20 kg, 0.2 m apart: 40 kg * (0.1 m)^2 about y and z. The link's frame stands 170 mm before the flange.
@@ -116,8 +116,8 @@ fn mastering_offsets_have_the_controllers_sense() {
     for (found, expected) in offset.iter().zip([0.0, 0.05, 0.0, -0.03, 0.0, 0.0]) {
         assert!((found - expected).abs() < 2e-3, "{offset:?}");
     }
-    let told: Vec<&str> = rows.iter().map(|row| row[3]).collect();
-    assert_eq!(told, ["no", "yes", "yes", "yes", "yes", "no"]);
+    let identified: Vec<&str> = rows.iter().map(|row| row[3]).collect();
+    assert_eq!(identified, ["no", "yes", "yes", "yes", "yes", "no"]);
     let shown = [10.0f64, -70.0, 80.0, 20.0, 40.0, -30.0];
     let stands: [f64; 6] = std::array::from_fn(|i| (shown[i] + offset[i]).to_radians());
     let truly = truth.geometry.ball(&shown.map(f64::to_radians)).position;

@@ -1,13 +1,13 @@
-//! The text of a verb stands once, above its `Args`: `--help`, the manual page and the README's section "Commands" say it
-//! alike. `DBBD_BLESS=1 cargo test help_is_the_manual` writes the README's section anew.
+//! The text of a command is written once, above its `Args`: `--help`, the manual page, docs/reference/commands.md and the list in
+//! the README repeat it. `DBBD_BLESS=1 cargo test help_is_the_manual` writes the two documents anew.
 
 use std::fs;
 use std::path::Path;
 
 use crate::cell::dbbd;
 
-const BEGIN: &str = "<!-- begin of what the verbs say of themselves -->\n";
-const END: &str = "<!-- end of what the verbs say of themselves -->\n";
+const BEGIN: &str = "<!-- begin of the generated list -->\n";
+const END: &str = "<!-- end of the generated list -->\n";
 
 fn said(args: &[&str]) -> String {
     let output = dbbd(Path::new("."), args);
@@ -26,36 +26,64 @@ fn verbs() -> Vec<String> {
         .collect()
 }
 
-/// What stands before "Usage:", a paragraph an entry.
-fn paragraphs(verb: &str) -> Vec<String> {
+/// The help of a command before its "Usage:", a paragraph an entry, and the usage.
+fn paragraphs_and_usage(verb: &str) -> (Vec<String>, String) {
     let help = said(&[verb, "--help"]);
-    let text = help.split("\nUsage:").next().unwrap();
-    text.trim()
-        .split("\n\n")
-        .map(|paragraph| paragraph.split_whitespace().collect::<Vec<_>>().join(" "))
-        .collect()
+    let (text, rest) = help.split_once("\nUsage: ").unwrap();
+    let words = |text: &str| text.split_whitespace().collect::<Vec<_>>().join(" ");
+    let usage = rest.split("\n\n").next().unwrap_or_default();
+    (text.trim().split("\n\n").map(words).collect(), words(usage))
 }
 
-#[test]
-fn readme_has_the_text_of_every_verb() {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("README.md");
-    let readme = fs::read_to_string(&path).unwrap();
-    let (before, rest) = readme.split_once(BEGIN).expect("the README's marker");
-    let (section, after) = rest.split_once(END).expect("the README's second marker");
-    let wanted: String =
-        verbs().iter().map(|verb| format!("- **`{verb}`** {}\n", paragraphs(verb).join(" "))).collect();
+fn paragraphs(verb: &str) -> Vec<String> {
+    paragraphs_and_usage(verb).0
+}
+
+/// A paragraph with links in place of the names of pages, for a page in docs/reference.
+fn with_links(paragraph: &str) -> String {
+    let link = |word: &str| match word.strip_prefix("docs/").and_then(|page| page.split_once(".md")) {
+        Some((page, rest)) => format!("[{page}](../{page}.md){rest}"),
+        None => word.to_owned(),
+    };
+    paragraph.split(' ').map(link).collect::<Vec<_>>().join(" ")
+}
+
+/// Compares the generated part of a document, or writes it anew.
+fn assert_generated(document: &str, wanted: &str) {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(document);
+    let text = fs::read_to_string(&path).unwrap();
+    let (before, rest) = text.split_once(BEGIN).expect("the first marker");
+    let (section, after) = rest.split_once(END).expect("the second marker");
     if std::env::var_os("DBBD_BLESS").is_some() {
         fs::write(&path, format!("{before}{BEGIN}{wanted}{END}{after}")).unwrap();
         return;
     }
-    for (stands, wanted) in section.lines().zip(wanted.lines()) {
-        assert_eq!(stands, wanted, "the README differs; DBBD_BLESS=1 writes it anew");
+    for (is, wanted) in section.lines().zip(wanted.lines()) {
+        assert_eq!(is, wanted, "{document} differs; DBBD_BLESS=1 writes it anew");
     }
-    assert_eq!(
-        section.lines().count(),
-        wanted.lines().count(),
-        "the README lacks a verb, or has one too many"
-    );
+    assert_eq!(section.lines().count(), wanted.lines().count(), "{document}: DBBD_BLESS=1 writes it anew");
+}
+
+#[test]
+fn readme_lists_every_command() {
+    let line = |verb: &String| {
+        let (paragraphs, _) = paragraphs_and_usage(verb);
+        let summary = paragraphs[0].trim_end_matches('.');
+        format!("| [`{verb}`](docs/reference/commands.md#{verb}) | {summary} |\n")
+    };
+    let lines: String = verbs().iter().map(line).collect();
+    assert_generated("README.md", &format!("| command | does |\n|---|---|\n{lines}"));
+}
+
+#[test]
+fn reference_has_the_text_of_every_command() {
+    let section = |verb: &String| {
+        let (paragraphs, usage) = paragraphs_and_usage(verb);
+        let text: String = paragraphs.iter().map(|p| format!("{}\n\n", with_links(p))).collect();
+        format!("## {verb}\n\n{text}    {usage}\n\n")
+    };
+    let sections: String = verbs().iter().map(section).collect();
+    assert_generated("docs/reference/commands.md", &format!("\n{sections}"));
 }
 
 /// Roff escapes and line breaks aside, the manual page has each verb's text and each of its options.

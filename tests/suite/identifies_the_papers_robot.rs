@@ -2,8 +2,9 @@
 
 use std::fs;
 
-use dbbd::identify::result::{Identification, Status};
-use dbbd::model::Robot;
+use dbbd::estimation::result::Status;
+use dbbd::estimation::result_file::ResultFile;
+use dbbd::robot::Robot;
 use tempfile::tempdir;
 
 use crate::cell::{
@@ -16,11 +17,11 @@ const THIRTEEN: &str = "alpha1-5,a1-5,d4-6";
 const FIFTEEN: &str = "alpha1-5,a1-5,d2-6";
 
 /// Runs `dbbd identify` on noise-free lengths of the robot with Table 2's errors.
-fn identify(circles: &[Circle], extra: &[&str]) -> Identification {
+fn identify(circles: &[Circle], extra: &[&str]) -> ResultFile {
     identify_robot(&with_errors(DESIGNED), circles, 45.0, extra)
 }
 
-fn identify_robot(truth: &Robot, circles: &[Circle], amplitude_deg: f64, extra: &[&str]) -> Identification {
+fn identify_robot(truth: &Robot, circles: &[Circle], amplitude_deg: f64, extra: &[&str]) -> ResultFile {
     let dir = tempdir().unwrap();
     fs::write(dir.path().join("obs.csv"), measure(truth, circles, 80, amplitude_deg).to_csv()).unwrap();
     fs::write(dir.path().join("centres.csv"), centres_csv(circles)).unwrap();
@@ -64,7 +65,7 @@ fn tilted_circle_leaves_only_d2_and_d3_together() {
     let result = identify(&[tilted(30.0)], &["--estimate", FIFTEEN]);
     assert_eq!(result.rank, 14);
     assert_eq!(result.dependent.len(), 1);
-    assert_eq!(result.dependent[0].text, "only d2 + d3 can be told");
+    assert_eq!(result.dependent[0].combination.keys().collect::<Vec<_>>(), ["d2", "d3"]);
     for (name, designed) in DESIGNED {
         let found = result.parameters.iter().find(|parameter| parameter.name == name).unwrap();
         assert!((found.correction - designed).abs() < 1e-9, "{name}: {} for {designed}", found.correction);

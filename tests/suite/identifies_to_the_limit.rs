@@ -1,33 +1,34 @@
 //! As well as the data allow: scatter at the Cramer-Rao bound, intervals that cover, far starts that
 //! come home, spoiled rows that are named. The suite runs a seeded slice; the full campaigns are
-//! ignored tests, their commands and figures in docs/accuracy.md.
+//! ignored tests, their commands and figures in docs/explanation/accuracy.md.
 
-use dbbd::identifiability::aligned_distances;
-use dbbd::identify::result::{Status, WarningKind};
-use dbbd::identify::{Identified, Options, Prior, identify};
-use dbbd::model::{Centre, Observations, ParamId, Robot, parameter};
+use dbbd::estimation::result::Status;
+use dbbd::estimation::{CalibrationResult, Options, Prior};
+use dbbd::math::aligned_distances;
+use dbbd::measurement::{BaseBall, Measurements};
+use dbbd::robot::{Joint, ParamId, Robot, parameter};
 use nalgebra::Vector3;
 use rand::{RngExt, SeedableRng};
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
 
-use crate::cell::{CENTRE, Circle, DESIGNED, kr60, measure, three_planes, with_errors};
+use crate::cell::{CENTRE, Circle, DESIGNED, calibrated, kr60, measure, three_planes, with_errors};
 
 fn normal(random: &mut Pcg64) -> f64 {
     StandardNormal.sample(random)
 }
 
-fn balls(circles: &[Circle]) -> Vec<Centre> {
-    let mut centres: Vec<Centre> = circles
+fn balls(circles: &[Circle]) -> Vec<BaseBall> {
+    let mut centres: Vec<BaseBall> = circles
         .iter()
-        .map(|circle| Centre { id: circle.number, position: Vector3::from(circle.centre) })
+        .map(|circle| BaseBall { id: circle.ball(), position: Vector3::from(circle.centre) })
         .collect();
     centres.dedup_by_key(|centre| centre.id);
     centres
 }
 
-fn find(robot: &Robot, data: &Observations, centres: &[Centre], options: &Options) -> Identified {
-    identify(robot, data, centres, None, options).unwrap()
+fn find(robot: &Robot, data: &Measurements, centres: &[BaseBall], options: &Options) -> CalibrationResult {
+    calibrated(robot, data, centres, options).unwrap()
 }
 
 /// The paper's 13 from three planes with 1 um of noise: for each parameter the scatter over the
@@ -48,7 +49,7 @@ fn scatter_and_coverage(seeds: u64) -> Vec<(String, f64, f64)> {
         data.rows.iter_mut().for_each(|row| row.length_mm += 0.001 * normal(&mut random));
         let found = find(&kr60(), &data, &balls(&circles), &options);
         for ((name, designed), (squares, covered)) in DESIGNED.iter().zip(&mut sums) {
-            let parameter = found.result.parameters.iter().find(|p| p.name == *name).unwrap();
+            let parameter = found.parameter(name.parse().unwrap()).unwrap();
             let off = (parameter.correction - designed) / parameter.sd.unwrap();
             *squares += off * off;
             *covered += f64::from(off.abs() < 1.959_964);
@@ -68,7 +69,7 @@ fn scatter_is_that_of_the_bound() {
 }
 
 #[test]
-#[ignore = "2000 seeds: see docs/accuracy.md"]
+#[ignore = "2000 seeds: see docs/explanation/accuracy.md"]
 fn scatter_is_that_of_the_bound_in_2000_seeds() {
     for (name, scatter, covered) in scatter_and_coverage(2000) {
         eprintln!("{name}: scatter / bound {scatter:.3}, 95 % intervals cover {:.2} %", covered * 100.0);
@@ -81,7 +82,7 @@ fn scatter_is_that_of_the_bound_in_2000_seeds() {
 fn far_starts(circles: &[Circle], points: usize, starts: u64, angle: f64, length: f64) -> (f64, u32) {
     let truth = with_errors(DESIGNED);
     let data = measure(&truth, circles, points, 25.0);
-    let poses: Vec<[f64; 6]> = data.rows.iter().map(|row| row.axes()).collect();
+    let poses: Vec<[f64; 6]> = data.rows.iter().map(|row| row.axes.radians()).collect();
     let ball =
         |robot: &Robot| poses.iter().map(|axes| robot.geometry.ball(axes).position).collect::<Vec<_>>();
     let (mut right, mut silent) = (0, 0);
@@ -102,12 +103,12 @@ fn far_starts(circles: &[Circle], points: usize, starts: u64, angle: f64, length
             start.geometry.tool[axis] += off(length);
             centres.iter_mut().for_each(|centre| centre.position[axis] += off(length));
         }
-        let list = parameter::parse_list("geometric,tool,centres", &[2], centres.len()).unwrap();
+        let list = parameter::parse_list("geometric,tool,centres", &[Joint::J3], centres.len()).unwrap();
         let options =
             Options { estimate: Some(list), sigma_mm: Some(0.001), folds: Some(0), ..Options::default() };
-        let Ok(found) = identify(&start, &data, &centres, None, &options) else { continue };
+        let Ok(found) = calibrated(&start, &data, &centres, &options) else { continue };
         let worst = aligned_distances(&ball(&truth), &ball(&found.robot)).into_iter().fold(0.0, f64::max);
-        let doubted = found.result.warnings.iter().any(|warning| warning.kind == WarningKind::Doubt);
+        let doubted = found.is_doubtful();
         if worst < 1e-3 {
             right += 1;
         } else if !doubted {
@@ -132,7 +133,7 @@ fn far_starts_come_home() {
 }
 
 #[test]
-#[ignore = "4000 fits: see docs/accuracy.md"]
+#[ignore = "4000 fits: see docs/explanation/accuracy.md"]
 fn far_starts_come_home_in_1000() {
     for (name, circles, points) in
         [("one ball", three_planes(1, CENTRE).to_vec(), 27), ("three balls", three_balls(), 9)]
@@ -166,7 +167,7 @@ fn few_clean_lengths_are_no_outliers() {
             row.sigma_mm = Some(0.002);
         }
         let options = Options { folds: Some(0), prior: Prior::Datasheet, ..Options::default() };
-        let out = find(&kr60(), &data, &balls(&circles), &options).result.outliers;
+        let out = find(&kr60(), &data, &balls(&circles), &options).outliers;
         assert!(out.len() <= 1, "seed {seed}: {out:?}");
         named += out.len();
     }
@@ -182,7 +183,7 @@ fn many_lengths_tell_what_few_do() {
     let mut random = Pcg64::seed_from_u64(1);
     let mut data = measure(&with_errors(DESIGNED), &circles, 50, 25.0);
     let poses = data.rows.clone();
-    data.rows = poses.iter().cycle().take(20_000).copied().collect();
+    data.rows = poses.iter().cycle().take(20_000).cloned().collect();
     for (row, index) in data.rows.iter_mut().zip(1..) {
         row.index = index;
         row.length_mm += 0.005 * normal(&mut random);
@@ -193,12 +194,13 @@ fn many_lengths_tell_what_few_do() {
     let asked = DESIGNED.iter().map(|(name, _)| name.parse().unwrap()).collect();
     let options = Options { estimate: Some(asked), folds: Some(0), ..Options::default() };
     let found = find(&kr60(), &data, &balls(&circles), &options);
-    let named: Vec<usize> = found.result.outliers.iter().map(|outlier| outlier.index as usize).collect();
-    assert_eq!((named, &found.out), (spoiled.to_vec(), &spoiled.map(|at| at - 1).to_vec()));
-    assert!((found.result.sigma_mm / 0.005 - 1.0).abs() < 0.03, "{}", found.result.sigma_mm);
-    assert!((found.result.residual_mm.after.rms / 0.005 - 1.0).abs() < 0.03);
+    let named: Vec<usize> = found.outliers.iter().map(|outlier| outlier.index as usize).collect();
+    assert_eq!(named, spoiled.to_vec());
+    assert!(found.outliers.iter().all(|outlier| outlier.place + 1 == outlier.index as usize));
+    assert!((found.sigma.mm / 0.005 - 1.0).abs() < 0.03, "{}", found.sigma.mm);
+    assert!((found.residual_mm.after.rms / 0.005 - 1.0).abs() < 0.03);
     for (name, error) in DESIGNED {
-        let parameter = found.result.parameters.iter().find(|p| p.name == name).unwrap();
+        let parameter = found.parameter(name.parse().unwrap()).unwrap();
         let off = (parameter.correction - error).abs() / parameter.sd.unwrap();
         assert!(off < 4.0, "{name} is off by {off} standard deviations");
     }
@@ -224,12 +226,12 @@ fn spoiled_rows_are_named_and_change_nothing() {
         }
         spoiled.sort_unstable();
         let found = find(&kr60(), &data, &balls(&circles), &options);
-        let named: Vec<u32> = found.result.outliers.iter().map(|outlier| outlier.index).collect();
+        let named: Vec<u32> = found.outliers.iter().map(|outlier| outlier.index).collect();
         assert_eq!(named, spoiled, "seed {seed}");
-        for (with, without) in found.result.parameters.iter().zip(&clean.result.parameters) {
-            if with.status == Status::Identified && without.status == Status::Identified {
+        for (with, without) in found.parameters.iter().zip(&clean.parameters) {
+            if with.status() == Status::Identified && without.status() == Status::Identified {
                 let sd = without.sd.unwrap();
-                assert!((with.correction - without.correction).abs() < sd, "seed {seed}: {}", with.name);
+                assert!((with.correction - without.correction).abs() < sd, "seed {seed}: {}", with.id);
             }
         }
     }
@@ -249,9 +251,9 @@ fn lengths_are_held_out_where_there_are_enough() {
     ] {
         let mut data = measure(&with_errors(DESIGNED), &circles, 27, 25.0);
         // From all circles.
-        data.rows = (0..lengths).map(|at| data.rows[at * data.rows.len() / lengths]).collect();
+        data.rows = (0..lengths).map(|at| data.rows[at * data.rows.len() / lengths].clone()).collect();
         let options = Options { estimate: Some(asked.clone()), folds, ..Options::default() };
         let found = find(&kr60(), &data, &balls(&circles), &options);
-        assert_eq!(found.result.folds.map(|folds| folds.folds), held_out, "{lengths} lengths, {folds:?}");
+        assert_eq!(found.folds.map(|folds| folds.folds), held_out, "{lengths} lengths, {folds:?}");
     }
 }

@@ -3,8 +3,9 @@
 
 use std::fs;
 
-use dbbd::identify::result::{Identification, Status};
-use dbbd::model::Observations;
+use dbbd::estimation::result::Status;
+use dbbd::estimation::result_file::ResultFile;
+use dbbd::measurement::Measurements;
 use tempfile::{TempDir, tempdir};
 
 use crate::cell::{
@@ -14,7 +15,7 @@ use crate::cell::{
 struct Run {
     code: Option<i32>,
     said: String,
-    result: Option<Identification>,
+    result: Option<ResultFile>,
     _dir: TempDir,
 }
 
@@ -37,12 +38,12 @@ fn identify(csv: &str, args: &[&str]) -> Run {
 }
 
 /// Lengths of the designed robot on three planes.
-fn sound(points: usize) -> Observations {
+fn sound(points: usize) -> Measurements {
     measure(&with_errors(DESIGNED), &three_planes(1, CENTRE), points, 25.0)
 }
 
 /// With and without a prior: an answer without doubt is near the truth, else the run says what is wrong.
-fn said_or_right(data: &Observations, words: &str) {
+fn said_or_right(data: &Measurements, words: &str) {
     for args in [&[][..], &["--prior", "datasheet"][..]] {
         let run = identify(&data.to_csv(), args);
         assert!(matches!(run.code, Some(0 | 1 | 3)), "{words}: {:?}\n{}", run.code, run.said);
@@ -54,7 +55,7 @@ fn said_or_right(data: &Observations, words: &str) {
                 assert!(said || off < most, "{words} {args:?}: {} is off by {off}", found.name);
             }
         } else {
-            assert!(run.said.contains("error:"), "{words}: {}", run.said);
+            assert!(run.said.contains("error["), "{words}: {}", run.said);
         }
     }
 }
@@ -67,9 +68,9 @@ fn one_pose_one_length_and_a_row_repeated() {
         said_or_right(&data, "few rows");
     }
     let mut data = sound(8);
-    let first = data.rows[0];
+    let first = data.rows[0].clone();
     data.rows.iter_mut().for_each(|row| {
-        row.axes_deg = first.axes_deg;
+        row.axes = first.axes;
         row.length_mm = first.length_mm;
     });
     said_or_right(&data, "one pose repeated");
@@ -83,7 +84,7 @@ fn lengths_of_any_size() {
         for args in [&[][..], &["--prior", "datasheet"][..]] {
             let run = identify(&data.to_csv(), args);
             assert!(matches!(run.code, Some(1 | 3)), "{length}: {:?}\n{}", run.code, run.said);
-            assert!(run.said.contains("error:") || run.said.contains("warning:"), "{length}: {}", run.said);
+            assert!(run.said.contains("error[") || run.said.contains("warning["), "{length}: {}", run.said);
             assert!(!run.said.contains("inf"), "{length}: {}", run.said);
         }
     }
@@ -148,7 +149,7 @@ fn sigmas_of_any_size() {
 fn angles_of_any_size() {
     for (turns, within) in [(1.0, 1e-6), (1e3, 1e-4)] {
         let mut data = sound(27);
-        data.rows.iter_mut().for_each(|row| row.axes_deg[5] += 360.0 * turns);
+        data.rows.iter_mut().for_each(|row| row.axes.degrees_mut()[5] += 360.0 * turns);
         let run = identify(&data.to_csv(), &["--estimate", "alpha1-5,a1-5,d4-6"]);
         for (name, error) in DESIGNED {
             assert!((run.parameter(name).0 - error).abs() < within, "{turns} turns: {name}");
@@ -156,10 +157,10 @@ fn angles_of_any_size() {
     }
     for angle in [1e9, 1e300, -1e308] {
         let mut data = sound(20);
-        data.rows.iter_mut().for_each(|row| row.axes_deg[1] = angle);
+        data.rows.iter_mut().for_each(|row| row.axes.degrees_mut()[1] = angle);
         said_or_right(&data, &format!("angle {angle}"));
         let mut data = sound(20);
-        data.rows[7].axes_deg[1] = angle;
+        data.rows[7].axes.degrees_mut()[1] = angle;
         said_or_right(&data, &format!("one angle {angle}"));
     }
 }
@@ -170,7 +171,7 @@ fn angles_of_any_size() {
 fn a_tool_that_never_turns_stays_where_it_was() {
     let mut data = measure(&with_errors(DESIGNED), &[horizontal(1, CENTRE)], 80, 0.0);
     for (at, row) in data.rows.iter_mut().enumerate() {
-        for (axis, angle) in row.axes_deg.iter_mut().enumerate() {
+        for (axis, angle) in row.axes.degrees_mut().iter_mut().enumerate() {
             *angle += 5e-7 * ((at * 6 + axis) as f64 * 78.233).sin();
         }
     }
@@ -181,7 +182,7 @@ fn a_tool_that_never_turns_stays_where_it_was() {
             let (correction, status) = run.parameter(axis);
             assert!(correction.abs() < 20.0, "{args:?} {axis}: {correction} {status:?}");
         }
-        let held = |p: &&dbbd::identify::result::ParameterResult| p.status == Status::TooWeak;
+        let held = |p: &&dbbd::estimation::result_file::ParameterResult| p.status == Status::PoorlyObservable;
         let reasons: Vec<&str> = result.parameters.iter().filter(held).map(|p| p.reason.as_str()).collect();
         assert!(
             reasons.iter().any(|text| text.contains("as where the tool never turns")),
@@ -199,7 +200,7 @@ fn one_core_or_all_give_the_same_bytes() {
     let rows = data.rows.clone();
     for copy in 0..60 {
         data.rows.extend(rows.iter().enumerate().map(|(at, row)| {
-            let mut row = *row;
+            let mut row = row.clone();
             row.length_mm += 0.01 * ((copy * 150 + at) as f64 * 43.332).sin();
             row
         }));

@@ -5,11 +5,11 @@
 use std::fs;
 use std::path::Path;
 
-use dbbd::capture;
-use dbbd::identify::result::Identification;
+use dbbd::estimation::result_file::ResultFile;
+use dbbd::recording::capture;
 use tempfile::tempdir;
 
-use crate::cell::{dbbd, stderr};
+use crate::cell::{codes, dbbd, stderr};
 
 fn step(dir: &Path, args: &[&str]) {
     let output = dbbd(dir, args);
@@ -40,7 +40,7 @@ fn an_exported_run_comes_back_and_identifies_the_same() {
         let run = format!("{name}.dbbd");
         step(at, &["identify", &run, "--out", name]);
         let text = fs::read_to_string(at.join(name).join("result.json")).unwrap();
-        serde_json::from_str::<Identification>(&text).unwrap()
+        serde_json::from_str::<ResultFile>(&text).unwrap()
     });
     assert!(found[0].rank > 5 && found[0].observations > 30);
     for (one, other) in found[0].parameters.iter().zip(&found[1].parameters) {
@@ -69,8 +69,7 @@ fn an_exported_run_comes_back_and_identifies_the_same() {
     step(at, &[&import[..], &["third.dbbd"]].concat());
     assert_eq!(fs::read(at.join("again.dbbd")).unwrap(), fs::read(at.join("third.dbbd")).unwrap());
     let refused = dbbd(at, &[&import[..], &["third.dbbd"]].concat());
-    assert_eq!(refused.status.code(), Some(1));
-    assert!(stderr(&refused).contains("exists already"), "{}", stderr(&refused));
+    assert_eq!((refused.status.code(), codes(&refused)), (Some(1), vec!["E0401".to_owned()]));
 }
 
 #[test]
@@ -106,6 +105,10 @@ fn layouts_are_told_by_a_mapping() {
             "[time]\ncolumn = \"when\"\nunit = \"iso\"\n[length]\ncolumn = \"m\"\nunit = \"m\"\n".to_owned(),
         ),
     ];
+    // Milliseconds taken for seconds.
+    fs::write(at.join("ms.csv"), "t_s,length_mm\n0,300\n10000000,300\n").unwrap();
+    let long = dbbd(at, &["import", "ms.csv", "--plan", "plan/plan.csv", "--out", "long"]);
+    assert_eq!((long.status.code(), codes(&long)), (Some(3), vec!["W1110".to_owned()]));
     for (name, text, mapping) in traces {
         fs::write(at.join("trace.csv"), text).unwrap();
         fs::write(at.join("map.toml"), mapping).unwrap();
@@ -115,7 +118,7 @@ fn layouts_are_told_by_a_mapping() {
         );
         // Less than a second of a plan of many: taken, and doubted.
         assert_eq!(output.status.code(), Some(3), "{name}: {}", stderr(&output));
-        assert!(stderr(&output).contains("warning: the trace lasts 0.8 s and the plan "), "{name}");
+        assert_eq!(codes(&output), ["W1110"], "{name}");
         let capture = capture::read(&fs::read(at.join(name)).unwrap());
         assert_eq!(capture.samples().count(), rows.len(), "{name}");
         for ((host, sample), (t_s, mm)) in capture.samples().zip(&rows) {
@@ -126,46 +129,52 @@ fn layouts_are_told_by_a_mapping() {
     }
 }
 
+/// A trace, its mapping, the code, and where.
+const WRONG: [(&str, &str, &str, &str); 17] = [
+    ("t_s,length_mm\n0,300\n0.1,x\n", "", "E1103", "trace.csv:3:5:"),
+    ("t_s,length_mm\n0,NaN\n", "", "E1103", "trace.csv:2:3:"),
+    ("t_s,length_mm\n0,300\n0.1\n", "", "E1102", "trace.csv:3:4:"),
+    ("t_s,length_mm\n1,300\n0.5,300\n", "", "E1104", "trace.csv:3:1:"),
+    ("t_s,length_mm\n0,0.01\n", "", "E1105", "trace.csv:2:3:"),
+    ("t_s,length_mm\n0,300\n", "[length]\nkind = \"reading\"\n", "E1105", "trace.csv:2:3:"),
+    ("t_s;length_mm\n0;300\n", "", "E1102", "trace.csv:1:1:"),
+    ("t_s,length_mm\n", "", "E1106", "trace.csv:"),
+    ("", "", "E1106", "trace.csv:"),
+    ("t_s;length_mm\n0;300,5\n", "[file]\ndelimiter = \";\"\n", "E1103", "trace.csv:2:3:"),
+    ("t_s,length_mm,on\n0,300,x\n", "[strobe]\ncolumn = \"on\"\n", "E1103", "trace.csv:2:7:"),
+    ("t_s,length_mm\n0,300\n", "[file]\ndelimeter = \";\"\n", "E0120", "map.toml:2:1:"),
+    ("t_s,length_mm\n0,300\n", "[time]\nunit = \"min\"\n", "E0120", "map.toml:2:8:"),
+    ("t_s,length_mm\n0,300\n", "[length]\ncolumn = 0\n", "E0120", "map.toml:"),
+    ("t_s,length_mm\n0,300\n", "[file]\ndecimal = \",\"\n", "E1101", "map.toml:2:1:"),
+    ("0,300\n", "[file]\nheader = false\n", "E1102", "trace.csv:"),
+    ("t_s,length_mm\n12:30,300\n", "[time]\nunit = \"iso\"\n", "E1103", "trace.csv:2:1:"),
+];
+
+pub(crate) fn provoked() -> Vec<&'static str> {
+    WRONG.iter().map(|(_, _, code, _)| *code).chain(["W1110", "I1111"]).collect()
+}
+
 #[test]
-fn what_is_wrong_is_named_by_line_and_column() {
+fn what_is_wrong_has_a_code_and_a_place() {
     let dir = tempdir().unwrap();
     let at = dir.path();
     short_plan(at);
-    let cases = [
-        ("t_s,length_mm\n0,300\n0.1,x\n", "", "trace.csv:3:5: `x` is not a number"),
-        ("t_s,length_mm\n0,NaN\n", "", "trace.csv:2:3: `NaN` is not a finite number"),
-        ("t_s,length_mm\n0,300\n0.1\n", "", "trace.csv:3:4: the line ends before its column 2"),
-        ("t_s,length_mm\n1,300\n0.5,300\n", "", "trace.csv:3:1: the time goes back"),
-        ("t_s,length_mm\n0,0.01\n", "", "trace.csv:2:3: 0.01 mm is no length of a bar of 300 mm"),
-        ("t_s;length_mm\n0;300\n", "", "trace.csv:1:1: the column `t_s` is missing"),
-        ("t_s,length_mm\n", "", "holds no reading"),
-        ("", "", "holds no reading"),
-        (
-            "t_s;length_mm\n0;300,5\n",
-            "[file]\ndelimiter = \";\"\n",
-            "trace.csv:2:3: `300,5` is not a number: is the decimal a comma?",
-        ),
-        ("t_s,length_mm\n0,300\n", "[file]\ndelimeter = \";\"\n", "map.toml:2:1: unknown field `delimeter`"),
-        ("t_s,length_mm\n0,300\n", "[time]\nunit = \"min\"\n", "map.toml:2:8: unknown variant `min`"),
-        ("t_s,length_mm\n0,300\n", "[length]\ncolumn = 0\n", "columns are numbered from 1"),
-        ("t_s,length_mm\n0,300\n", "[file]\ndecimal = \",\"\n", "map.toml:2:1: is the same as the delimiter"),
-        ("0,300\n", "[file]\nheader = false\n", "must be a number from 1"),
-        (
-            "t_s,length_mm\n12:30,300\n",
-            "[time]\nunit = \"iso\"\n",
-            "trace.csv:2:1: `12:30` is no date and time",
-        ),
-    ];
-    for (text, mapping, wanted) in cases {
+    let import = |text: &str, mapping: &str| {
         fs::write(at.join("trace.csv"), text).unwrap();
         fs::write(at.join("map.toml"), mapping).unwrap();
         let args =
             ["import", "trace.csv", "--plan", "plan/plan.csv", "--mapping", "map.toml", "--out", "out.dbbd"];
-        let output = dbbd(at, &args);
-        assert_eq!(output.status.code(), Some(1), "{wanted}");
-        assert!(stderr(&output).contains(wanted), "{wanted}: {}", stderr(&output));
-        assert!(!at.join("out.dbbd").exists(), "{wanted}");
+        dbbd(at, &args)
+    };
+    for (text, mapping, code, place) in WRONG {
+        let output = import(text, mapping);
+        assert_eq!((output.status.code(), codes(&output)), (Some(1), vec![code.to_owned()]), "{text}");
+        assert!(stderr(&output).contains(&format!("]: {place}")), "{place}: {}", stderr(&output));
+        assert!(!at.join("out.dbbd").exists(), "{code}");
     }
     let output = dbbd(at, &["import", "none.csv", "--plan", "plan/plan.csv", "--out", "out.dbbd"]);
-    assert!(stderr(&output).contains("none.csv: cannot be read"), "{}", stderr(&output));
+    assert_eq!(codes(&output), ["E0101"]);
+    // Beyond the stroke: taken, and not valid.
+    let output = import("t_s,length_mm\n0,300\n1,330\n", "");
+    assert_eq!(codes(&output), ["I1111", "W1110"]);
 }

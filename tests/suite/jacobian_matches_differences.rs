@@ -1,7 +1,8 @@
 //! The analytic row of a length agrees with central differences of the length, for every parameter.
 
-use dbbd::model::kinematics::Mass;
-use dbbd::model::{LengthModel, Reading, Selection, parameter};
+use dbbd::measurement::{LengthModel, PreparedMeasurement, Selection};
+use dbbd::robot::kinematics::Mass;
+use dbbd::robot::{BallId, Joint, Unit, parameter};
 use nalgebra::Vector3;
 use proptest::prelude::*;
 
@@ -15,23 +16,23 @@ proptest! {
         errors in proptest::collection::vec(-0.01f64..0.01, 52),
         centre in proptest::array::uniform3(-1500.0f64..1500.0),
     ) {
-        let mut model = LengthModel { geometry: kr60().geometry, centres: vec![Vector3::from(centre)], bar_offsets: vec![] };
+        let mut model = LengthModel { geometry: kr60().geometry, balls: vec![Vector3::from(centre)], bar_offsets: vec![] };
         model.geometry.masses = vec![
-            Mass { joint: 2, kg: 100.0, centre: Vector3::new(400.0, 0.0, 50.0) },
-            Mass { joint: 6, kg: 60.0, centre: Vector3::new(10.0, 20.0, 150.0) },
+            Mass { joint: Joint::J2, kg: 100.0, centre: Vector3::new(400.0, 0.0, 50.0) },
+            Mass { joint: Joint::J6, kg: 60.0, centre: Vector3::new(10.0, 20.0, 150.0) },
         ];
         // Compliance bends the joints and so moves the torques; that second-order part the columns leave out.
-        let mut ids = parameter::all(&[1, 2, 3, 4, 5], 1);
+        let mut ids = parameter::all(&Joint::ALL[1..], 1);
         ids.extend(parameter::parse_list("compliance,gear", &[], 1).unwrap());
-        for (id, error) in ids.iter().zip(errors).filter(|(id, _)| id.unit() != "rad/Nm") {
+        for (id, error) in ids.iter().zip(errors).filter(|(id, _)| id.unit() != Unit::RadPerNm) {
             model.shift(*id, error);
         }
-        let reading = Reading::new(axes, 0, 0.0);
+        let reading = PreparedMeasurement::new(axes, BallId::FIRST, 0.0);
         let mut row = vec![0.0; ids.len()];
-        Selection::new(&ids).pick(&model.prepare().row(&reading), 0, &mut row);
+        Selection::new(&ids).pick(&model.prepare().row(&reading), &mut row);
         prop_assert!((model.prepare().row(&reading).length - model.prepare().length(&reading)).abs() < 1e-10);
         for (id, analytic) in ids.iter().zip(row) {
-            let step = if id.unit() == "rad/Nm" { 1e-6 } else if id.unit() == "rad" { 1e-5 } else { 1e-2 };
+            let step = if id.unit() == Unit::RadPerNm { 1e-6 } else if id.unit() == Unit::Rad { 1e-5 } else { 1e-2 };
             let difference = |h: f64| {
                 let (mut up, mut down) = (model.clone(), model.clone());
                 up.shift(*id, h);

@@ -1,11 +1,12 @@
 //! What is written as KRL reads back as the plan, and what is no KRL is refused with its place.
 
-use dbbd::krl::syntax::Source;
-use dbbd::krl::{
-    Controller, EmitError, Options, Program, Sync, Target, emit, logged_axes, parse_data, parse_source,
-    read_points, read_setup,
-};
 use dbbd::plan::{Kind, Motion, Plan};
+use dbbd::program::Target;
+use dbbd::program::krl::syntax::Source;
+use dbbd::program::krl::{
+    Controller, Files, Given, Module, Options, Program, Sync, Text, emit, logged_axes, parse_data,
+    parse_source, read, read_setup,
+};
 use proptest::prelude::*;
 
 use crate::circle_plan::{BALL_MM, BAR_MM, plan};
@@ -29,8 +30,57 @@ pub(crate) fn program(modules: &[(String, String)]) -> Program {
     .unwrap()
 }
 
-fn refused(text: &str) -> String {
-    parse_source("T.src", text).unwrap_err().to_string()
+/// The motions of a module: auxiliary point, end, sweep in degrees.
+pub(crate) fn motions(module: &Module) -> Vec<(Motion, Option<Target>, Target, Option<f64>)> {
+    let data = module.data.as_ref().map(|data| Text { file: &data.file, text: &data.text });
+    let source = Text { file: &module.source.file, text: &module.source.text };
+    let program = read(Files { source, data, config: None }, Given::default()).unwrap();
+    assert!(program.left.is_empty());
+    let target = |points: &[usize]| match points {
+        [] => None,
+        [at] => Some(program.points[*at].target.clone()),
+        more => panic!("{more:?}"),
+    };
+    let legs = program.legs.iter();
+    legs.map(|leg| (leg.motion, target(&leg.through), target(&leg.to).unwrap(), leg.sweep_deg)).collect()
+}
+
+/// Code and place of what is wrong with a `.src`.
+fn refused(text: &str) -> (&'static str, usize, usize) {
+    let wrong = parse_source("T.src", text).unwrap_err();
+    (wrong.code.0, wrong.line, wrong.column)
+}
+
+/// A `.src` that is no KRL or is not supported, and its code, line and column.
+const REFUSED: &[(&str, &str, usize, usize)] = &[
+    ("DEF T ( )\r\n  ; a comment\r\n  SPLINE\r\nEND\r\n", "E0804", 3, 3),
+    ("DEF T ( )\nA=SIN(1.0)\nEND\n", "E0804", 2, 3),
+    ("DEF T (A :OUT)\nEND\n", "E0804", 1, 11),
+    ("DEF T ( )\nWIAT SEC 1\nEND\n", "E0803", 2, 1),
+    ("DEF T ( )\nLIN {X 1,5,Y 2.0}\nEND\n", "E0803", 2, 10), // a decimal comma
+    ("DEF T ( )\nLIN {X 1.0,Y 2.0\nEND\n", "E0803", 2, 17),  // an open brace
+    ("DEF T ( )\nLIN {X 1.0,X 2.0}\nEND\n", "E0803", 2, 12),
+    ("DEF T ( )\nFOR K=1 TO 3\nHALT\nEND\n", "E0803", 4, 1), // no ENDFOR
+    ("DEF T ( )\nHALT\n", "E0803", 3, 1),                    // no END
+    ("DEF T ( )\nHALT\nINT N\nEND\n", "E0803", 3, 1),        // a declaration too late
+    ("DEF T ( )\nPTP P1 C_FAST\nEND\n", "E0803", 2, 8),      // no approximation of that name
+    ("DEF T ( )\n;FOLD A\nEND\n", "E0802", 2, 1),
+    ("DEF T ( )\n;ENDFOLD\nEND\n", "E0802", 2, 1),
+    ("DEF T ( )\nA=\u{fc}\nEND\n", "E0801", 2, 3),
+    ("\u{feff}DEF T ( )\nEND\n", "E0801", 1, 1),
+    ("DEF T ( )\nA=\"x\nEND\n", "E0801", 2, 3), // an open text
+    ("DEF T ( )\nA='B2'\nEND\n", "E0801", 2, 3),
+    ("DEF A_NAME_THAT_IS_FAR_TOO_LONG ( )\nEND\n", "E0801", 1, 5),
+    ("DEF T ( )\nA=99999999999999999999\nEND\n", "E0801", 2, 3),
+    ("", "E0806", 0, 0),
+    ("DEF T ( )\nEND\nDEF T ( )\nEND\n", "E0806", 3, 5),
+];
+
+/// Of plans that have no program, and of a `.dat` without logged axes.
+const CODES: &[&str] = &["E0805", "E0807", "E0818", "E0820", "E0821", "E0822", "E0823"];
+
+pub(crate) fn provoked() -> Vec<&'static str> {
+    REFUSED.iter().map(|case| case.1).chain(CODES.iter().copied()).collect()
 }
 
 fn parsed(text: &str) -> Source {
@@ -43,16 +93,13 @@ fn every_pose_reads_back_to_the_printed_digits() {
     for (sync, controller) in ALL {
         let program = program(&modules(&plan, sync, controller));
         assert_eq!(program.modules.len(), 3);
-        let mut read = Vec::new();
-        for module in &program.modules[1..] {
-            read.extend(read_points(&module.source, module.data.as_ref()).unwrap());
-        }
         let auxiliary = |kind, motion| kind == Kind::Transit && motion == Motion::Circ;
         let rows: Vec<_> = plan.rows.iter().filter(|row| !auxiliary(row.kind, row.motion)).collect();
+        let read: Vec<_> = program.modules[1..].iter().flat_map(motions).collect();
         assert_eq!(read.len(), rows.len());
-        for (point, row) in read.iter().zip(rows) {
-            assert_eq!(point.motion, row.motion);
-            match &point.to {
+        for ((motion, through, to, _), row) in read.into_iter().zip(rows) {
+            assert_eq!(motion, row.motion);
+            match to {
                 Target::Axes(axes) => {
                     assert_eq!(row.motion, Motion::Ptp);
                     for (read, planned) in axes.iter().zip(row.axes_deg) {
@@ -60,17 +107,17 @@ fn every_pose_reads_back_to_the_printed_digits() {
                     }
                 }
                 Target::Pose { xyz_mm, abc_deg, status, turn } => {
-                    assert_eq!((xyz_mm, abc_deg), (&row.xyz_mm, &row.abc_deg));
-                    assert_eq!((*status, *turn), (Some(row.status.into()), Some(row.turn.into())));
+                    assert_eq!((xyz_mm, abc_deg), (row.xyz_mm, row.abc_deg));
+                    assert_eq!((status, turn), (Some(row.status.into()), Some(row.turn.into())));
                 }
             }
             if row.motion == Motion::Circ {
-                let through = &plan.rows[row.index as usize - 2];
-                let Some(Target::Pose { xyz_mm, .. }) = &point.through else { panic!("no auxiliary point") };
-                assert_eq!(*xyz_mm, through.xyz_mm);
+                let planned = &plan.rows[row.index as usize - 2];
+                let Some(Target::Pose { xyz_mm, .. }) = through else { panic!("no auxiliary point") };
+                assert_eq!(xyz_mm, planned.xyz_mm);
             }
         }
-        let setup = read_setup(program.modules[1].data.as_ref().unwrap()).unwrap().unwrap();
+        let setup = read_setup(program.modules[1].data.as_ref().unwrap()).unwrap();
         assert_eq!((setup.ball, setup.centre_mm, setup.length_mm), (1, BALL_MM, BAR_MM));
         assert_eq!(setup.stroke_mm, [-1.0, 1.0]);
     }
@@ -122,37 +169,43 @@ fn logged_axes_come_with_their_rows() {
     let logged = format!("XQ[2]={{A1 1.5,A2 -60.25,A3 90.0,A4 0.0,A5 57.0,A6 -1.0E-2,{e}}}\r\nENDDAT");
     let data = parse_data(name, &text.replace("ENDDAT", &logged)).unwrap();
     let second = plan.rows.iter().filter(|row| row.kind != Kind::Transit).nth(1).unwrap();
-    assert_eq!(logged_axes(&data).unwrap(), [(second.index, [1.5, -60.25, 90.0, 0.0, 57.0, -0.01])]);
+    let logged = logged_axes(&data).unwrap();
+    assert_eq!(
+        logged.into_iter().collect::<Vec<_>>(),
+        [(second.index, [1.5, -60.25, 90.0, 0.0, 57.0, -0.01])]
+    );
+    for none in
+        ["DEFDAT T\nENDDAT\n", "DEFDAT T\nDECL INT DBBROW[1]\nDECL E6AXIS XQ[1]\nXQ[1]={A1 0}\nENDDAT\n"]
+    {
+        assert_eq!(logged_axes(&parse_data("T.dat", none).unwrap()).unwrap_err().code.0, "E0807");
+    }
 }
 
 #[test]
 fn what_is_not_known_is_refused_with_its_place() {
-    let spline = refused("DEF T ( )\r\n  ; a comment\r\n  SPLINE\r\nEND\r\n");
-    assert!(spline.starts_with("T.src:3:3: SPLINE is not supported"), "{spline}");
-    assert!(spline.contains("|   SPLINE") && spline.contains("help: write LIN"), "{spline}");
-    let typo = refused("DEF T ( )\nWIAT SEC 1\nEND\n");
-    assert!(typo.starts_with("T.src:2:1:") && typo.contains("did you mean WAIT?"), "{typo}");
-    for (text, place) in [
-        ("DEF T ( )\nLIN {X 1,5,Y 2.0}\nEND\n", "T.src:2:10:"), // a decimal comma
-        ("DEF T ( )\nLIN {X 1.0,Y 2.0\nEND\n", "T.src:2:17:"),  // an open brace
-        ("DEF T ( )\nFOR K=1 TO 3\nHALT\nEND\n", "T.src:4:1: expected ENDFOR"), // no ENDFOR
-        ("DEF T ( )\nHALT\n", "T.src:3:1:"),                    // no END
-        ("DEF T ( )\nHALT\nINT N\nEND\n", "T.src:3:1:"),        // a declaration too late
-        ("DEF T ( )\nPTP P1 C_FAST\nEND\n", "T.src:2:8:"),      // no approximation of that name
-        ("DEF T ( )\n;FOLD A\nEND\n", "T.src:2:1:"),            // a fold never closed
-        ("DEF T ( )\n;ENDFOLD\nEND\n", "T.src:2:1:"),           // a fold never opened
-        ("DEF T ( )\nA=\u{fc}\nEND\n", "T.src:2:3:"),           // an umlaut
-        ("\u{feff}DEF T ( )\nEND\n", "T.src:1:1:"),             // a byte order mark
-        ("DEF T ( )\nA=\"x\nEND\n", "T.src:2:3:"),              // an open text
-        ("DEF A_NAME_THAT_IS_FAR_TOO_LONG ( )\nEND\n", "T.src:1:5:"),
-        ("DEF T ( )\nA=99999999999999999999\nEND\n", "T.src:2:3:"),
-        ("", "T.src:"),
-    ] {
-        let message = refused(text);
-        assert!(message.starts_with(place), "{text:?}: {message}");
+    for (text, code, line, column) in REFUSED {
+        assert_eq!(refused(text), (*code, *line, *column), "{text:?}");
     }
-    let deep = format!("DEF T ( )\nA={}1\nEND\n", "(".repeat(100_000));
-    assert!(refused(&deep).contains("nested too deeply"));
+    let wrong = parse_source("T.src", "DEF T ( )\nWIAT SEC 1\nEND\n").unwrap_err();
+    assert!(wrong.help.is_some_and(|help| help.contains("WAIT")));
+}
+
+/// However deep an expression or a block is, the reader and what is done with the tree need little of the stack.
+#[test]
+fn depth_is_limited() {
+    let many = 100_000;
+    for value in ["(", "+", "-", "NOT ", "A[", "{X ", "1+", "1-(", "(1)*"].map(|piece| piece.repeat(many)) {
+        assert_eq!(refused(&format!("DEF T ( )\nA={value}1\nEND\n")).0, "E0805");
+        let files = Files {
+            source: Text { file: "T.src", text: &format!("LIN {value}1\n") },
+            data: None,
+            config: None,
+        };
+        assert!(read(files, Given::default()).is_err());
+    }
+    assert_eq!(refused(&format!("DEF T ( )\n{}", "LOOP\n".repeat(many))).0, "E0805");
+    let chain = format!("DEF T ( )\nA={}1\nEND\n", "1+".repeat(150));
+    assert_eq!(parsed(&chain).routines[0].body.len(), 1);
 }
 
 #[test]
@@ -175,18 +228,35 @@ fn real_forms_are_read() {
 #[test]
 fn plans_that_have_no_program_are_refused() {
     let options = Options { sync: Sync::Output, controller: Controller::Krc4 };
-    let mut many = plan(1, 8);
-    many.header.moves.pop();
-    assert!(matches!(emit(&many, options), Err(EmitError::Moves { .. })));
-    let mut nan = plan(1, 3);
-    nan.rows[8].xyz_mm[1] = f64::NAN;
-    assert!(matches!(emit(&nan, options), Err(EmitError::Row { index: 9, .. })));
-    let mut lost = plan(1, 3);
-    lost.rows[0].motion = Motion::Lin;
-    assert!(matches!(emit(&lost, options), Err(EmitError::Row { index: 1, .. })));
-    let mut clash = plan(1, 3);
-    clash.header.job.motion.outputs.strobe = 12;
-    assert!(matches!(emit(&clash, options), Err(EmitError::Setup(_))));
+    type Spoil = fn(&mut Plan);
+    let cases: [(&str, Spoil); 14] = [
+        ("E0821", |plan| _ = plan.header.moves.pop()),
+        ("E0821", |plan| (plan.rows.clear(), plan.header.moves.clear()).0),
+        ("E0821", |plan| plan.header.moves[8].index = 1),
+        ("E0821", |plan| plan.header.job.centres.clear()),
+        ("E0820", |plan| plan.rows[8].xyz_mm[1] = f64::NAN),
+        ("E0820", |plan| plan.rows[8].turn = 64),
+        ("E0820", |plan| plan.rows[8].dwell_s = 700.0),
+        ("E0820", |plan| (plan.rows[8].motion, plan.header.moves[8].axis_percent) = (Motion::Ptp, 0.0)),
+        ("E0820", |plan| plan.header.moves.iter_mut().for_each(|time| time.feed_mm_s = 0.0)),
+        ("E0820", |plan| plan.header.moves.iter_mut().for_each(|time| time.turn_deg_s = 0.0)),
+        ("E0820", |plan| plan.rows[0].motion = Motion::Lin),
+        ("E0820", |plan| plan.rows[8].centre = 2),
+        ("E0822", |plan| (0..300).for_each(|_| repeat(plan))),
+        ("E0823", |plan| plan.header.job.motion.outputs.strobe = 12),
+    ];
+    for (at, (code, spoil)) in cases.into_iter().enumerate() {
+        let mut plan = plan(1, 3);
+        spoil(&mut plan);
+        assert_eq!(emit(&plan, options).unwrap_err().code.0, code, "case {at}");
+    }
+}
+
+/// A dwell at the same pose once more.
+fn repeat(plan: &mut Plan) {
+    let at = plan.rows.iter().position(|row| row.kind != Kind::Transit).unwrap();
+    plan.rows.insert(at, plan.rows[at].clone());
+    plan.header.moves.insert(at, plan.header.moves[at]);
 }
 
 proptest! {
@@ -221,15 +291,15 @@ fn a_bar_that_stays_mounted_needs_no_halt() {
     assert_eq!(halts(&plan), [0, 1, 0]);
 }
 
-/// Every dwell is told twice, by the plan's row, and the program waits for the answers.
+/// Every dwell is reported twice, by the plan's row, and the program waits for the answers.
 #[test]
-fn dwells_are_told_over_ethernet_krl() {
+fn dwells_are_reported_over_ethernet_krl() {
     use std::io::{Read, Write};
     let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
     let address = listener.local_addr().unwrap();
     let server = std::thread::spawn(move || {
         let (mut stream, _) = listener.accept().unwrap();
-        let (mut text, mut told) = (String::new(), Vec::new());
+        let (mut text, mut reported) = (String::new(), Vec::new());
         let mut bytes = [0; 300];
         while let Ok(count @ 1..) = stream.read(&mut bytes) {
             text.push_str(std::str::from_utf8(&bytes[..count]).unwrap());
@@ -239,7 +309,7 @@ fn dwells_are_told_over_ethernet_krl() {
                     let from = telegram.split_once(&format!("{name}=\"")).unwrap().1;
                     from.split('"').next().unwrap().to_owned()
                 };
-                told.push((of("Id").parse::<u32>().unwrap(), of("Ph"), of("A2").parse::<f64>().unwrap()));
+                reported.push((of("Id").parse::<u32>().unwrap(), of("Ph"), of("A2").parse::<f64>().unwrap()));
                 assert!(
                     telegram.starts_with("<Dbb><Pt Run=\"291\" Id=\"")
                         && telegram.contains("\"></Pt><Ax A1=\"")
@@ -247,7 +317,7 @@ fn dwells_are_told_over_ethernet_krl() {
                 stream.write_all(format!("<Ack Id=\"{}\"/>\n", of("Id")).as_bytes()).unwrap();
             }
         }
-        told
+        reported
     });
     let plan = plan(2, 3);
     let std::net::SocketAddr::V4(to) = address else { panic!("no IPv4") };
@@ -276,22 +346,22 @@ fn dwells_are_told_over_ethernet_krl() {
     }
     drop(client);
     let expected: Vec<_> = plan.rows.iter().filter(|row| row.kind != Kind::Transit).collect();
-    let told = server.join().unwrap();
-    assert_eq!(told.len(), 2 * expected.len());
-    for (told, row) in told.chunks(2).zip(expected) {
+    let reported = server.join().unwrap();
+    assert_eq!(reported.len(), 2 * expected.len());
+    for (reported, row) in reported.chunks(2).zip(expected) {
         assert_eq!(
-            (told[0].0, told[0].1.as_str(), told[1].0, told[1].1.as_str()),
+            (reported[0].0, reported[0].1.as_str(), reported[1].0, reported[1].1.as_str()),
             (row.index, "1", row.index, "2")
         );
-        assert!((told[0].2 - row.axes_deg[1]).abs() < 1e-5);
+        assert!((reported[0].2 - row.axes_deg[1]).abs() < 1e-5);
     }
     let error = loop {
         match unlinked.step(0.1) {
             Ok(_) => unlinked.go_on(),
-            Err(error) => break error.to_string(),
+            Err(error) => break error.code.0,
         }
     };
-    assert!(error.contains("simulate --ekrl"), "{error}");
+    assert_eq!(error, "E0818");
     let options = Options { sync: Sync::Ekrl { server: to }, controller: Controller::Krc2 };
-    assert!(matches!(emit(&plan, options), Err(EmitError::Setup(_))));
+    assert_eq!(emit(&plan, options).unwrap_err().code.0, "E0823");
 }

@@ -1,10 +1,11 @@
 //! Laws of writing and reading KRL, over plans and programs drawn at random.
 
-use dbbd::krl::compensate::compensate;
-use dbbd::krl::production::{Files, Given, Text, read};
-use dbbd::krl::{Controller, Options, Sync, Target, emit, logged_axes, parse_data, plan_hash, read_points};
-use dbbd::model::Robot;
 use dbbd::plan::{Job, Motion, Plan};
+use dbbd::program::Target;
+use dbbd::program::krl::{
+    Controller, Files, Given, Options, Sync, Text, compensate, emit, logged_axes, parse_data, plan_hash, read,
+};
+use dbbd::robot::Robot;
 use dbbd::sim::truth;
 use proptest::prelude::*;
 use rand::{RngExt, SeedableRng};
@@ -12,7 +13,7 @@ use rand_pcg::Pcg64;
 
 use crate::cell::kr60;
 use crate::circle_plan;
-use crate::krl_reads_back::program;
+use crate::krl_reads_back::{motions, program};
 
 /// A plan whose poses, bits, speeds and times are any that KRL can hold; one in two has continuous passes.
 fn random_plan(seed: u64) -> Plan {
@@ -42,42 +43,35 @@ fn random_plan(seed: u64) -> Plan {
 fn same(plan: &Plan, options: Options) {
     let program = program(&emit(plan, options).unwrap());
     let stops: Vec<_> = plan.rows.iter().filter(|row| !row.is_passed()).collect();
-    let mut read = Vec::new();
-    let mut told = Vec::new();
     for module in &program.modules[1..] {
         let data = module.data.as_ref().unwrap();
         assert_eq!(plan_hash(data).as_deref(), Some(plan.header.hash.as_str()));
         assert!(logged_axes(data).unwrap().is_empty());
-        read.extend(read_points(&module.source, Some(data)).unwrap());
-        told.push(data.name.clone());
     }
     // The points in the order of the rows, auxiliary ones inside their arcs.
     let mut rows = stops.iter().peekable();
-    for point in read {
-        let pose = |target: &Target| match target {
-            Target::Pose { xyz_mm, abc_deg, status, turn } => Some((*xyz_mm, *abc_deg, *status, *turn)),
-            Target::Axes(_) => None,
-        };
-        let wanted = |row: &dbbd::plan::PlanRow| {
-            Some((row.xyz_mm, row.abc_deg, Some(i64::from(row.status)), Some(i64::from(row.turn))))
+    for (motion, through, to, sweep_deg) in program.modules[1..].iter().flat_map(motions) {
+        let wanted = |row: &dbbd::plan::PlanRow| Target::Pose {
+            xyz_mm: row.xyz_mm,
+            abc_deg: row.abc_deg,
+            status: Some(row.status.into()),
+            turn: Some(row.turn.into()),
         };
         let row = rows.next().unwrap();
-        match (point.motion, point.sweep_deg) {
-            (Motion::Ptp, _) if pose(&point.to).is_none() => assert_eq!(row.motion, Motion::Ptp),
-            (Motion::Circ, None) => {
-                assert_eq!(pose(point.through.as_ref().unwrap()), wanted(row));
-                assert_eq!(pose(&point.to), wanted(rows.next().unwrap()));
-            }
-            (Motion::Circ, Some(sweep_deg)) => {
-                assert_eq!(pose(point.through.as_ref().unwrap()), wanted(row));
-                assert_eq!(pose(&point.to), wanted(rows.next().unwrap()));
-                let end = rows.next().unwrap().index;
-                let pass = plan.header.passes.iter().find(|pass| pass.end == end).unwrap();
-                assert!((pass.sweep_deg - sweep_deg).abs() < 1e-4);
+        match (motion, &to) {
+            (Motion::Ptp, Target::Axes(_)) => assert_eq!(row.motion, Motion::Ptp),
+            (Motion::Circ, _) => {
+                assert_eq!(through, Some(wanted(row)));
+                assert_eq!(to, wanted(rows.next().unwrap()));
+                if let Some(sweep_deg) = sweep_deg {
+                    let end = rows.next().unwrap().index;
+                    let pass = plan.header.passes.iter().find(|pass| pass.end == end).unwrap();
+                    assert!((pass.sweep_deg - sweep_deg).abs() < 1e-4);
+                }
             }
             _ => {
-                assert_eq!(point.motion, row.motion);
-                assert_eq!(pose(&point.to), wanted(row));
+                assert_eq!(motion, row.motion);
+                assert_eq!(to, wanted(row));
             }
         }
     }

@@ -3,11 +3,13 @@
 use std::collections::BTreeSet;
 use std::process::Command;
 
-use dbbd::model::inverse::from_status_turn;
-use dbbd::model::{Pose, Robot};
 use dbbd::plan::timing::ramped_s;
 use dbbd::plan::{Job, Kind, Motion, Plan, PlanRow};
+use dbbd::robot::inverse::from_status_turn;
+use dbbd::robot::{Pose, Robot};
 use proptest::prelude::*;
+
+use crate::cell::codes;
 
 fn example(name: &str) -> Plan {
     let text =
@@ -47,9 +49,9 @@ fn the_demo_plans_without_findings() {
         let module: Vec<&PlanRow> = plan.rows.iter().filter(|row| row.circle == circle).collect();
         assert_eq!(module[0].motion, Motion::Ptp);
         assert!(module.iter().filter(|row| row.kind != Kind::Transit).count() <= 255);
-        // Three knocks: out and back, and the reading goes out.
-        for knock in 0..3 {
-            let out = module[1 + 2 * knock].length_mm - module[2 + 2 * knock].length_mm;
+        // Three sync markers: out and back, and the reading goes out.
+        for marker in 0..3 {
+            let out = module[1 + 2 * marker].length_mm - module[2 + 2 * marker].length_mm;
             assert!((out - 0.3).abs() < 2e-3, "{out}");
         }
         // No two moves into dwells of a module last alike.
@@ -86,7 +88,8 @@ fn the_chosen_poses_plan_without_findings() {
         assert!((row.length_mm - 300.0).abs() < 2e-3, "{row:?}");
     }
     let (csv, json) = plan.to_files();
-    assert_eq!(Plan::from_files("plan.csv", &csv, "plan.json", &json).unwrap(), plan);
+    let read = Plan::from_files("plan.csv", &csv, "plan.json", &json).unwrap();
+    assert_eq!((read.rows, read.header.moves), (plan.rows, plan.header.moves));
 }
 
 #[test]
@@ -147,7 +150,9 @@ fn the_verb_writes_the_pair_and_an_identified_robot_is_commanded_through_its_nom
         .arg(&file)
         .output()
         .unwrap();
-    assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+    // Without lengths.csv it is not known what the identification left unknown.
+    assert_eq!(codes(&out).iter().filter(|code| *code == "W0720").count(), 1);
+    assert_eq!(out.status.code(), Some(3), "{}", String::from_utf8_lossy(&out.stderr));
     let summary: serde_json::Value = serde_json::from_slice(&out.stdout).unwrap();
     assert_eq!(summary["measure"], 80);
     let read = |name: &str| std::fs::read_to_string(dir.path().join(name)).unwrap();
@@ -158,10 +163,26 @@ fn the_verb_writes_the_pair_and_an_identified_robot_is_commanded_through_its_nom
         let ball = identified.geometry.ball(&axes).position;
         let centre = nalgebra::Vector3::new(1300.0, 0.0, 800.0);
         assert!(((ball - centre).norm() - 300.0).abs() < 3e-3);
-        let told = identified.controller().geometry.ball(&axes).position;
-        assert!((told - nalgebra::Vector3::from(row.xyz_mm)).norm() < 1e-6);
-        assert!((told - ball).norm() > 0.05);
+        let commanded = identified.controller().geometry.ball(&axes).position;
+        assert!((commanded - nalgebra::Vector3::from(row.xyz_mm)).norm() < 1e-6);
+        assert!((commanded - ball).norm() > 0.05);
     }
+}
+
+/// Files that are no plan: which is changed, what is replaced in it, the code and the file and line that are named.
+const FILES: &[(&str, &str, &str, &str, &str, usize)] = &[
+    ("csv", "1599.075", "1599.076", "E0730", "plan.json", 0),
+    ("csv", "\n2,", "\n3,", "E0731", "plan.csv", 3),
+    ("csv", "measure", "mesure", "E0112", "plan.csv", 10),
+    ("csv", "transit,circ", "transit,lin", "E0731", "plan.csv", 10),
+    ("json", "\"schema\": 1", "\"schema\": 2", "E0731", "plan.json", 0),
+    ("json", "\"schema\": 1", "\"scheme\": 1", "E0731", "plan.json", 2),
+    ("json", "\"index\": 2,", "\"index\": 3,", "E0730", "plan.json", 0),
+    ("json", "\"id\": 1", "\"id\": 2", "E0604", "plan.json", 0),
+];
+
+pub(crate) fn provoked() -> Vec<&'static str> {
+    FILES.iter().map(|case| case.3).collect()
 }
 
 #[test]
@@ -169,13 +190,16 @@ fn a_pair_that_does_not_match_is_refused() {
     let plan = example("seed-experiment");
     let (csv, json) = plan.to_files();
     assert_eq!(Plan::from_files("plan.csv", &csv, "plan.json", &json).unwrap(), plan);
-    let other = csv.replacen("1300", "1301", 1).replacen("300.0", "300.1", 1);
-    assert_ne!(csv, other);
-    let error = Plan::from_files("plan.csv", &other, "plan.json", &json).unwrap_err().to_string();
-    assert!(error.contains("another plan"), "{error}");
-    let broken = csv.replacen("measure", "mesure", 1);
-    let error = Plan::from_files("plan.csv", &broken, "plan.json", &json).unwrap_err();
-    assert!(error.line > 1 && error.to_string().contains("mesure"), "{error}");
+    for (which, from, to, code, file, line) in FILES {
+        let changed = |name: &str, text: &str| {
+            assert!(name != *which || text.contains(from), "{from}");
+            if name == *which { text.replacen(from, to, 1) } else { text.to_owned() }
+        };
+        let (csv, json) = (changed("csv", &csv), changed("json", &json));
+        let error = Plan::from_files("plan.csv", &csv, "plan.json", &json).unwrap_err();
+        assert_eq!((error.code.0, error.file.as_str()), (*code, *file), "{from}: {error}");
+        assert_eq!(error.line, *line, "{from}: {error}");
+    }
     assert!(Plan::from_files("plan.csv", "", "plan.json", &json).is_err());
     assert!(Plan::from_files("plan.csv", &csv, "plan.json", "{}").is_err());
 }

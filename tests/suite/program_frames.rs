@@ -1,8 +1,8 @@
 //! The frames of the job are the program's, and the arm goes where the plan says whatever they are.
 
-use dbbd::krl::{Controller as Kind, Options, Program, Sync, emit};
-use dbbd::model::Robot;
 use dbbd::plan::{self, Job, Plan};
+use dbbd::program::krl::{Controller as Kind, Options, Program, Sync, emit};
+use dbbd::robot::Robot;
 use dbbd::sim::Controller;
 
 const JOB: &str = r#"
@@ -76,9 +76,10 @@ fn an_optimal_orientation_tells_more_than_random_ones() {
             .replace("points = 8", &format!("points = 40\norientation = \"{orientation}\""))
             .replace("[bar]", &format!("seed = {seed}\n[bar]"));
         let job = Job::from_toml("job.toml", &text).unwrap();
-        let plan = Plan::build(&job, &robot).unwrap_or_else(|refused| panic!("{refused}"));
-        let known = plan::Knowledge::datasheet(&job, &robot);
-        plan.foretell(&robot, &known.belief).unwrap().0.identified_mm.mean
+        let mut plan = Plan::build(&job, &robot).unwrap_or_else(|refused| panic!("{refused}"));
+        let prior = plan::PlanningPrior::datasheet(&job, &robot);
+        plan.predict(&robot, &prior);
+        plan.header.predictions.unwrap().identified_mm.mean
     };
     let random = (1..=3).map(|seed| error("random", seed)).fold(f64::INFINITY, f64::min);
     let optimal = error("optimal", 1);

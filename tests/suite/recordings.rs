@@ -2,8 +2,8 @@
 
 use std::path::PathBuf;
 
-use dbbd::protocol::{Decoded, Definition, Step};
-use dbbd::sample::Sample;
+use dbbd::device::protocol::{Decoded, Definition, Step};
+use dbbd::measurement::sample::Sample;
 
 /// What happened on the line.
 #[derive(Clone, Debug, PartialEq)]

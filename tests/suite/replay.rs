@@ -12,9 +12,9 @@ use std::io::{BufRead, BufReader, Write};
 use std::process::{Command, Stdio};
 use std::sync::Mutex;
 
-use dbbd::capture::{self, Capture, Event, Record};
-use dbbd::clock;
-use dbbd::protocol::{Definition, Fault, FaultKind};
+use dbbd::base::clock;
+use dbbd::device::protocol::{Definition, Fault, FaultKind};
+use dbbd::recording::capture::{self, Capture, Event, Record};
 use serde_json::Value;
 
 use crate::recordings::{Recording, all, directory};

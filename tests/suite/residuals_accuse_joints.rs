@@ -1,28 +1,29 @@
 //! A gear's error and play show in the residuals at the right axis; a sound robot is not accused.
 
-use dbbd::identify::result::{JointEffect, JointError};
-use dbbd::identify::{Options, identify, senses};
-use dbbd::model::{Centre, Observations, Reading, Robot, parameter};
+use dbbd::estimation::result::{JointEffect, JointError};
+use dbbd::estimation::{Options, senses};
+use dbbd::measurement::{BaseBall, Measurements, PreparedMeasurement};
+use dbbd::robot::{BallId, Robot, parameter};
 use nalgebra::Vector3;
 use rand::{RngExt, SeedableRng};
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
 
-use crate::cell::{CENTRE, DESIGNED, kr60, with_errors};
+use crate::cell::{CENTRE, DESIGNED, calibrated, kr60, with_errors};
 
 const SIGMA_MM: f64 = 0.01;
 
 /// Lengths to one ball at poses all over the axis limits, in the order of the seed.
-fn lengths(truth: &Robot, seed: u64, play_rad: [f64; 6]) -> Observations {
+fn lengths(truth: &Robot, seed: u64, play_rad: [f64; 6]) -> Measurements {
     let mut random = Pcg64::seed_from_u64(seed);
     let mut data = crate::cell::measure(truth, &crate::cell::three_planes(1, CENTRE), 40, 25.0);
     // The circles in a random order: an axis comes from either side.
     for i in (1..data.rows.len()).rev() {
         data.rows.swap(i, random.random_range(0..=i));
     }
-    let readings: Vec<Reading> = data.rows.iter().map(Reading::from).collect();
+    let readings: Vec<PreparedMeasurement> = data.rows.iter().map(PreparedMeasurement::from).collect();
     for (row, senses) in data.rows.iter_mut().zip(senses(readings.iter().map(|reading| reading.axes))) {
-        let axes = row.axes();
+        let axes = row.axes.radians();
         let stands = std::array::from_fn(|i| axes[i] - 0.5 * play_rad[i] * f64::from(senses[i]));
         let noise: f64 = StandardNormal.sample(&mut random);
         row.length_mm = truth.geometry.length(&stands, &Vector3::from(CENTRE), 0.0) + SIGMA_MM * noise;
@@ -31,20 +32,20 @@ fn lengths(truth: &Robot, seed: u64, play_rad: [f64; 6]) -> Observations {
 }
 
 /// What the lengths of the designed robot would be, without noise or play.
-fn lengths_without_noise(data: &Observations) -> Vec<f64> {
+fn lengths_without_noise(data: &Measurements) -> Vec<f64> {
     let truth = with_errors(DESIGNED).geometry;
-    data.rows.iter().map(|row| truth.length(&row.axes(), &Vector3::from(CENTRE), 0.0)).collect()
+    data.rows.iter().map(|row| truth.length(&row.axes.radians(), &Vector3::from(CENTRE), 0.0)).collect()
 }
 
-fn effects(data: &Observations) -> Vec<JointEffect> {
+fn effects(data: &Measurements) -> Vec<JointEffect> {
     let options = Options {
         hold: parameter::parse_list("bar", &[], 1).unwrap(),
         folds: Some(0),
         workspace: Some(vec![[0.0, -1.0, 1.0, 0.3, 1.0, 0.0], [0.5, -1.2, 1.5, -0.3, 0.6, 1.0]]),
         ..Options::default()
     };
-    let centre = Centre { id: 1, position: Vector3::from(CENTRE) };
-    identify(&kr60(), data, &[centre], None, &options).unwrap().result.joints
+    let centre = BaseBall { id: BallId::FIRST, position: Vector3::from(CENTRE) };
+    calibrated(&kr60(), data, &[centre], &options).unwrap().joint_effects
 }
 
 #[test]
@@ -78,7 +79,7 @@ fn a_gears_error_is_found_as_one_that_returns_with_the_angle() {
     // Twice a turn as well, which the model's own gear parameters lack.
     let sound = with_errors(DESIGNED);
     for row in &mut data.rows {
-        let mut axes = row.axes();
+        let mut axes = row.axes.radians();
         let centre = Vector3::from(CENTRE);
         let before = sound.geometry.length(&axes, &centre, 0.0);
         axes[2] += 0.3e-3 * (2.0 * axes[2]).sin();
@@ -101,7 +102,7 @@ fn a_sound_robot_is_not_accused() {
 }
 
 #[test]
-#[ignore = "1000 seeds: see docs/accuracy.md"]
+#[ignore = "1000 seeds: see docs/explanation/accuracy.md"]
 fn a_sound_robot_is_hardly_ever_accused() {
     let sound = with_errors(DESIGNED);
     let accused: Vec<u64> =

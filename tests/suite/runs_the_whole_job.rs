@@ -6,7 +6,7 @@ use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-use dbbd::identify::result::Identification;
+use dbbd::estimation::result_file::ResultFile;
 use tempfile::tempdir;
 
 use crate::cell::{dbbd, stderr};
@@ -38,7 +38,7 @@ fn the_demo_ends_with_the_truth_beside_the_result() {
         assert!((found - truth).abs() < 5.0 * sd + 1e-4, "{row}");
     }
     let result = fs::read_to_string(dir.path().join("demo-out/result/result.json")).unwrap();
-    let result: Identification = serde_json::from_str(&result).unwrap();
+    let result: ResultFile = serde_json::from_str(&result).unwrap();
     assert!(result.residual_mm.after.rms < 0.03 && result.residual_mm.before.rms > 0.05);
     let page = fs::read_to_string(dir.path().join("demo-out/result/report.html")).unwrap();
     assert!(page.contains("<svg") && page.contains("Circle 1"));
@@ -123,7 +123,18 @@ fn a_capture_alone_suffices() {
         ],
     );
     let read = |name: &str| fs::read_to_string(at.join(name).join("result.json")).unwrap();
-    let result: Identification = serde_json::from_str(&read("at-once")).unwrap();
+    let result: ResultFile = serde_json::from_str(&read("at-once")).unwrap();
     assert!(result.observations > 36, "{} observations", result.observations);
     assert_eq!(read("at-once"), read("by-steps"));
+    // Lengths agree with a robot that was identified before: no accuracy model of the controller is suspected for it.
+    let known =
+        dbbd(at, &["identify", "run.dbbd", "--robot", "at-once/robot-identified.toml", "--out", "again"]);
+    assert!(!stderr(&known).contains("accuracy model"), "{}", stderr(&known));
+    let again: ResultFile = serde_json::from_str(&read("again")).unwrap();
+    assert!(again.residual_mm.before.rms < 0.03, "{}", again.residual_mm.before.rms);
+    // Poses of one robot say nothing of another; the doubt stands in the result, too.
+    let other = dbbd(at, &["identify", "run.dbbd", "--robot", "kr16-2", "--out", "other"]);
+    let doubt = "the poses are of a plan for KUKA KR 60 HA, --robot names KUKA KR 16-2";
+    assert!(other.status.code() == Some(3) && stderr(&other).contains(doubt), "{}", stderr(&other));
+    assert!(read("other").contains(doubt));
 }

@@ -6,7 +6,7 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
-use dbbd::clock;
+use dbbd::base::clock;
 use serde_json::Value;
 
 /// The service as a child process.

@@ -1,11 +1,11 @@
-//! What docs/security.md promises, line by line.
+//! What docs/reference/security.md promises, line by line.
 #![cfg(unix)]
 
 use std::io::{Read, Write};
 use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 
-use dbbd::clock;
+use dbbd::base::clock;
 
 use crate::service::Server;
 
@@ -63,7 +63,7 @@ fn the_token_is_asked_for() {
     let server = with_token(dir.path());
     for path in ["/api/v1/status", "/api/v1/stream", "/api/v1/runs/a/capture", "/metrics", "/api/v1/none"] {
         let answer = server.get(path);
-        assert_eq!(answer.status, 401, "{path}");
+        assert_eq!((answer.status, answer.json()["code"].as_str()), (401, Some(STRANGER)), "{path}");
         assert!(answer.head.contains("www-authenticate: Bearer"));
     }
     let bearer = |token: &str| {
@@ -91,22 +91,43 @@ fn the_token_is_asked_for() {
     assert_eq!(server.raw(rebound.as_bytes()).status, 421);
 }
 
+/// A request that is refused: method, path, body, status and code.
+const REQUESTS: &[(&str, &str, &str, u16, &str)] = &[
+    ("POST", "/api/v1/run", "", 400, "E1509"),
+    ("POST", "/api/v1/run", "{", 400, "E1509"),
+    ("POST", "/api/v1/run", "[]", 422, "E1505"),
+    ("POST", "/api/v1/run", "{}", 422, "E1505"),
+    ("POST", "/api/v1/run", "{\"name\":\"a\",\"speed\":1}", 422, "E1505"),
+    ("POST", "/api/v1/run", "{\"name\":\"a\",\"duration_s\":-1}", 422, "E1505"),
+    ("POST", "/api/v1/run", "{\"name\":7}", 422, "E1505"),
+    ("POST", "/api/v1/run", "{\"name\":\"../a\"}", 422, "E1505"),
+    ("POST", "/api/v1/run", "{\"name\":\"a\"}", 409, "E1504"),
+    ("POST", "/api/v1/run/stop", "", 409, "E1504"),
+    ("POST", "/api/v1/run/mark", "{\"text\":\" \"}", 422, "E1505"),
+    ("POST", "/api/v1/jobs", "{\"kind\":\"sync\",\"run\":\"none\"}", 404, "E1503"),
+    ("PUT", "/api/v1/device", "{\"port\":\"/dev/ttyNONE7\"}", 404, "E1503"),
+    ("GET", "/api/v1/runs/none", "", 404, "E1503"),
+    ("GET", "/api/v1/nothing", "", 404, "E1503"),
+    ("GET", "/api/v1/runs/%ff%fe", "", 400, "E1509"),
+    ("DELETE", "/api/v1/run", "", 405, "E1509"),
+];
+
+/// The code for a client that may not ask.
+const STRANGER: &str = "E1508";
+
+pub(crate) fn provoked() -> Vec<&'static str> {
+    REQUESTS.iter().map(|(_, _, _, _, code)| *code).chain([STRANGER]).collect()
+}
+
 #[test]
 fn bodies_and_heads_have_limits() {
     let dir = tempfile::tempdir().unwrap();
     let server = Server::start(dir.path(), "");
     let long = format!("{{\"name\":\"{}\"}}", "a".repeat(70_000));
     assert_eq!(server.post("/api/v1/run", &long).status, 413);
-    for (body, status) in [
-        ("", 400),
-        ("{", 400),
-        ("[]", 422),
-        ("{}", 422),
-        ("{\"name\":\"a\",\"speed\":1}", 422),
-        ("{\"name\":\"a\",\"duration_s\":-1}", 422),
-        ("{\"name\":7}", 422),
-    ] {
-        assert_eq!(server.post("/api/v1/run", body).status, status, "{body}");
+    for (method, path, body, status, code) in REQUESTS {
+        let answer = server.ask(method, path, "Content-Type: application/json\r\n", body);
+        assert_eq!((answer.status, answer.json()["code"].as_str()), (*status, Some(*code)), "{path} {body}");
     }
     let mut bad = b"POST /api/v1/run HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\
         Content-Type: application/json\r\nContent-Length: 12\r\n\r\n{\"name\":\"a"

@@ -6,8 +6,8 @@ use std::io::{BufRead, BufReader, Read, Write};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 
-use dbbd::capture::{self, Event};
-use dbbd::protocol::Definition;
+use dbbd::device::protocol::Definition;
+use dbbd::recording::capture::{self, Event};
 use dbbd::sim::bar::{self, Options, Reading, Terminal};
 
 use crate::cell;
@@ -110,7 +110,7 @@ fn a_missing_device_is_a_state_and_not_an_end() {
     assert_eq!((&status["state"], &status["device"]["present"]), (&"no_device".into(), &false.into()));
     let refused = server.post("/api/v1/run", "{\"name\":\"a\"}");
     assert_eq!(refused.status, 409);
-    assert!(refused.json()["error"].as_str().unwrap().contains("no port `bar`"), "{}", refused.json());
+    assert_eq!(refused.json()["code"], "E0201", "{}", refused.json());
     // No trace of the run that could not begin: its name is free.
     assert!(!dir.path().join("file/a").exists());
     std::os::unix::fs::symlink(swinging(), &link).unwrap();
@@ -120,7 +120,7 @@ fn a_missing_device_is_a_state_and_not_an_end() {
     fs::write(dir.path().join("file"), "in the way").unwrap();
     let refused = server.post("/api/v1/run", "{\"name\":\"a\"}");
     assert_eq!(refused.status, 409);
-    assert!(refused.json()["error"].as_str().unwrap().contains("cannot be written"), "{}", refused.json());
+    assert_eq!(refused.json()["code"], "E1504", "{}", refused.json());
     fs::remove_file(dir.path().join("file")).unwrap();
     assert_eq!(server.post("/api/v1/run", "{\"name\":\"a\"}").status, 201);
 }

@@ -1,11 +1,92 @@
 //! A stream of lengths and a plan become observations: through stillness, strobe or reports, over
 //! wrapped and restarted clocks.
 
+use dbbd::base::units::{DeviceTicks, HostNs};
+use dbbd::catalogue::MatchingFinding;
+use dbbd::diagnostic::Finding;
+use dbbd::measurement::sample::Sample;
 use dbbd::plan::Kind;
-use dbbd::sync::{Fate, Input, Report, Source, observations, reported_axes};
-use dbbd::units::{DeviceTicks, HostNs};
+use dbbd::recording::matching::{DwellSource, Input, MatchOutcome, PoseMatching, match_poses};
+use dbbd::recording::{Report, reported_axes};
 
 use crate::sync_runs::{DWELL_S, Run, SETTLE_S, WORLD, World, plan, right, run, stream};
+
+fn codes(matching: &PoseMatching) -> Vec<&'static str> {
+    matching.findings.iter().map(|finding| finding.code().0).collect()
+}
+
+/// What becomes of a run that is not as it should be, by the code of its finding or of the reason at its poses.
+type Spoil = fn(&mut Run);
+const SPOILED: [(&str, bool, Spoil); 9] = [
+    ("W1002", false, |run| {
+        run.samples.drain(..run.samples.len() / 5);
+    }),
+    ("W1003", true, |run| run.samples.truncate(run.samples.len() / 3)),
+    ("W1004", true, |run| lower(run, 12)),
+    ("I1012", false, |run| {
+        let half = run.samples.len() / 2;
+        let from = run.samples[half].1.ticks.unwrap().0;
+        for (_, sample) in &mut run.samples[half..] {
+            sample.ticks = sample.ticks.map(|ticks| DeviceTicks(ticks.0 - from));
+        }
+    }),
+    ("I1011", true, |run| {
+        let from_s = run.starts_s[9] + SETTLE_S + 0.3;
+        run.samples.retain(|(_, sample)| !(from_s..from_s + 0.2).contains(&seconds(sample)));
+    }),
+    ("W1005", true, |run| {
+        run.samples.iter_mut().for_each(|(_, sample)| sample.reading_mm += 1e-3 * seconds(sample));
+    }),
+    ("I1020", true, |run| run.samples.truncate(run.samples.len() / 3)),
+    ("I1021", true, |run| lower(run, 12)),
+    ("I1022", true, |run| run.samples.iter_mut().for_each(|(_, sample)| sample.valid = false)),
+];
+
+fn seconds(sample: &Sample) -> f64 {
+    sample.ticks.unwrap().0 as f64 * 1e-6
+}
+
+/// Loses the strobe of a dwell.
+fn lower(run: &mut Run, dwell: usize) {
+    let lost = run.starts_s[dwell];
+    for (_, sample) in &mut run.samples {
+        if (lost..lost + 2.0).contains(&seconds(sample)) {
+            sample.trigger = Some(false);
+        }
+    }
+}
+
+pub(crate) fn provoked() -> Vec<&'static str> {
+    SPOILED.iter().map(|(code, ..)| *code).chain(["W1006", "I1010", "I1023"]).collect()
+}
+
+#[test]
+fn what_is_not_as_it_should_be_has_a_code() {
+    for (code, strobe, spoil) in SPOILED {
+        let plan = plan(4, 61, 61, code != "W1002");
+        let mut run = run(&plan, 4, World { strobe, repeatability_mm: 0.0, ..WORLD });
+        spoil(&mut run);
+        let matching = match_poses(&Input::new(&plan, &stream(&run.samples)));
+        let reasons = matching.outcomes.iter().filter_map(|pose| match &pose.outcome {
+            MatchOutcome::Matched { .. } => None,
+            MatchOutcome::Missing { reason } | MatchOutcome::Ambiguous { reason } => Some(reason.code().0),
+        });
+        let all: Vec<&str> = codes(&matching).into_iter().chain(reasons).collect();
+        assert!(all.contains(&code), "{code}: {:?}", matching.findings);
+        if code == "W1002" {
+            assert!(all.contains(&"I1023"), "{all:?}");
+        }
+    }
+    // Axis angles that are everywhere a little off the commanded ones, and one that is far off.
+    let plan = plan(8, 30, 30, true);
+    let run = run(&plan, 8, World { strobe: true, ..WORLD });
+    let stream = stream(&run.samples);
+    for (off_deg, code) in [(0.3, "I1010"), (10.0, "W1006")] {
+        let axes = plan.rows.iter().map(|row| (row.index, row.axes_deg.map(|deg| deg + off_deg))).collect();
+        let matching = match_poses(&Input { axes_deg: Some(&axes), ..Input::new(&plan, &stream) });
+        assert_eq!(codes(&matching), [code]);
+    }
+}
 
 #[test]
 fn a_run_without_strobe_is_joined_by_its_intervals() {
@@ -14,18 +95,18 @@ fn a_run_without_strobe_is_joined_by_its_intervals() {
         let plan = plan(seed, 60, 30, true);
         let override_factor = [1.0, 0.5, 0.7, 0.9][seed as usize];
         let run = run(&plan, seed, World { override_factor, ..WORLD });
-        let synced = observations(&Input::new(&plan, &stream(&run.samples)));
-        assert_eq!(synced.source, Source::Stillness);
-        let found = right(&plan, &run, &synced);
+        let matching = match_poses(&Input::new(&plan, &stream(&run.samples)));
+        assert_eq!(matching.source, DwellSource::Stillness);
+        let found = right(&plan, &run, &matching);
         eprintln!(
             "seed {seed}: {found} of 60, override {:?}, {} spurious",
-            synced.override_factor,
-            synced.spurious.len()
+            matching.override_factor,
+            matching.spurious.len()
         );
-        for pose in synced.fates.iter().filter(|pose| !matches!(pose.fate, Fate::Matched { .. })) {
+        for pose in matching.outcomes.iter().filter(|pose| pose.reading().is_none()) {
             eprintln!("{pose:?}");
         }
-        assert!((synced.override_factor.unwrap() / override_factor - 1.0).abs() < 0.02);
+        assert!((matching.override_factor.unwrap() / override_factor - 1.0).abs() < 0.02);
         all += found;
     }
     assert!(all >= 228, "{all} of 240 poses have a length");
@@ -36,8 +117,8 @@ fn a_noisy_bar_loses_poses_but_pairs_none_wrongly() {
     for (seed, correlation, noise_mm, rate_hz) in [(0, 0.8, 0.002, 1000.0), (1, 0.0, 0.005, 250.0)] {
         let plan = plan(20 + seed, 60, 60, true);
         let run = run(&plan, seed, World { correlation, noise_mm, rate_hz, ..WORLD });
-        let synced = observations(&Input::new(&plan, &stream(&run.samples)));
-        let found = right(&plan, &run, &synced);
+        let matching = match_poses(&Input::new(&plan, &stream(&run.samples)));
+        let found = right(&plan, &run, &matching);
         eprintln!("noise {noise_mm} r {correlation} at {rate_hz} Hz: {found} of 60 joined");
         assert!(found >= 24, "{found} of 60");
     }
@@ -48,9 +129,9 @@ fn strobes_count_even_where_all_moves_are_equal() {
     let plan = plan(3, 50, 25, false);
     let world = World { strobe: true, ..WORLD };
     let run = run(&plan, 3, world);
-    let synced = observations(&Input::new(&plan, &stream(&run.samples)));
-    assert_eq!(synced.source, Source::Strobe);
-    assert_eq!(right(&plan, &run, &synced), 50);
+    let matching = match_poses(&Input::new(&plan, &stream(&run.samples)));
+    assert_eq!(matching.source, DwellSource::Strobe);
+    assert_eq!(right(&plan, &run, &matching), 50);
 }
 
 #[test]
@@ -64,15 +145,19 @@ fn a_lost_strobe_shifts_no_pose() {
             sample.trigger = Some(false);
         }
     }
-    let synced = observations(&Input::new(&plan, &stream(&run.samples)));
-    let found = right(&plan, &run, &synced);
+    let matching = match_poses(&Input::new(&plan, &stream(&run.samples)));
+    let found = right(&plan, &run, &matching);
     assert_eq!(found, 49);
-    let named = synced.warnings.iter().find(|warning| warning.text.contains("strobes")).unwrap();
-    assert_eq!(named.text, "module 1: 24 strobes were seen where 25 dwells are commanded");
+    let count = MatchingFinding::StrobeCount { module: 1, strobes: 24, dwells: 25 };
+    assert_eq!(matching.findings[0], count);
+    assert_eq!(count.code().0, "W1004");
     assert!(
-        matches!(&synced.fates[12].fate, Fate::Missing { reason } if reason.contains("no strobe")),
+        matches!(
+            matching.outcomes[12].outcome,
+            MatchOutcome::Missing { reason: MatchingFinding::NoneWhenDue { dwell: "strobe", .. } }
+        ),
         "{:?}",
-        synced.fates[12]
+        matching.outcomes[12]
     );
 }
 
@@ -92,15 +177,15 @@ fn a_strobe_that_bounces_or_comes_twice_costs_nothing_else() {
                 sample.trigger = Some(true);
             }
         }
-        let synced = observations(&Input::new(&plan, &stream(&run.samples)));
-        let found = right(&plan, &run, &synced);
+        let matching = match_poses(&Input::new(&plan, &stream(&run.samples)));
+        let found = right(&plan, &run, &matching);
         eprintln!("bounce {bounce}, extra {extra}: {found} of 50");
-        let named = synced.warnings.iter().find(|warning| warning.text.contains("strobes"));
+        let count = MatchingFinding::StrobeCount { module: 1, strobes: 26, dwells: 25 };
         if bounce {
-            assert_eq!((found, named), (50, None));
+            assert_eq!((found, matching.findings.as_slice()), (50, &[][..]));
         } else {
             assert!(found >= 48, "{found}");
-            assert_eq!(named.unwrap().text, "module 1: 26 strobes were seen where 25 dwells are commanded");
+            assert_eq!(matching.findings[0], count);
         }
     }
 }
@@ -110,7 +195,7 @@ fn a_wrapped_counter_changes_nothing() {
     let plan = plan(5, 20, 20, true);
     let plain = run(&plan, 5, WORLD);
     let wrapped = run(&plan, 5, World { ticks_begin: (1 << 32) - 30_000_000, ..WORLD });
-    let csv = |run: &Run| observations(&Input::new(&plan, &stream(&run.samples))).observations.to_csv();
+    let csv = |run: &Run| match_poses(&Input::new(&plan, &stream(&run.samples))).observations.to_csv();
     assert!(stream(&wrapped.samples).breaks.is_empty());
     // The unwrapped times differ by rounding alone.
     assert_eq!(csv(&plain), csv(&wrapped));
@@ -127,10 +212,10 @@ fn a_restarted_counter_costs_at_most_the_dwell_it_falls_into() {
     }
     let stream = stream(&run.samples);
     assert_eq!(stream.breaks.len(), 1);
-    let synced = observations(&Input::new(&plan, &stream));
-    let found = right(&plan, &run, &synced);
+    let matching = match_poses(&Input::new(&plan, &stream));
+    let found = right(&plan, &run, &matching);
     assert!(found >= 36, "{found} of 40");
-    assert!(synced.warnings.iter().any(|warning| warning.text.contains("clock")));
+    assert!(codes(&matching).contains(&"I1012"), "{:?}", matching.findings);
 }
 
 #[test]
@@ -147,23 +232,22 @@ fn the_controllers_reports_name_the_poses() {
         })
         .collect();
     let stream = stream(&run.samples);
-    let synced = observations(&Input { reports: &reports, ..Input::new(&plan, &stream) });
-    assert_eq!(synced.source, Source::Reports);
-    assert_eq!(right(&plan, &run, &synced), 30);
-    assert_eq!(synced.warnings, []);
+    let matching = match_poses(&Input { reports: &reports, ..Input::new(&plan, &stream) });
+    assert_eq!(matching.source, DwellSource::Reports);
+    assert_eq!(right(&plan, &run, &matching), 30);
+    assert_eq!(matching.findings, []);
 
     // The measured angles are used: the mean of begin and end. Angles of elsewhere are a doubt.
     let mut elsewhere = reports.clone();
     elsewhere[8].axes_deg[2] += 0.02;
     elsewhere[20].axes_deg[5] += 0.4;
     let axes = reported_axes(&elsewhere);
-    let synced =
-        observations(&Input { reports: &elsewhere, axes_deg: Some(&axes), ..Input::new(&plan, &stream) });
-    let row = &synced.observations.rows[4];
-    assert!((row.axes_deg[2] - plan.rows[row.index as usize - 1].axes_deg[2] - 0.01).abs() < 1e-12);
-    let said = &synced.warnings[0];
-    assert!(
-        said.doubt && said.text.starts_with("at 1 poses") && said.text.contains("0.20 degrees"),
-        "{said:?}"
-    );
+    let matching =
+        match_poses(&Input { reports: &elsewhere, axes_deg: Some(&axes), ..Input::new(&plan, &stream) });
+    let row = &matching.observations.rows[4];
+    assert!((row.axes.degrees()[2] - plan.rows[row.index as usize - 1].axes_deg[2] - 0.01).abs() < 1e-12);
+    let [MatchingFinding::AxesMoved { poses: 1, worst_deg }] = matching.findings[..] else {
+        panic!("{:?}", matching.findings)
+    };
+    assert!((worst_deg - 0.2).abs() < 1e-9, "{worst_deg}");
 }

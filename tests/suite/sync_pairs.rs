@@ -4,7 +4,7 @@
 //! 10 % spurious, override 0.5..1, a 30 s pause; with distinct move times 0 wrong and 0.8 % dropped,
 //! with equal moves 72 % dropped and 0 wrong.
 
-use dbbd::sync::{Commanded, Expected, Pairing, Seen, align};
+use dbbd::recording::matching::{Commanded, DwellEvidence, Expected, Pairing, align};
 use rand::{RngExt, SeedableRng};
 use rand_distr::{Distribution, Normal};
 use rand_pcg::Pcg64;
@@ -39,7 +39,7 @@ fn drawn(seed: u64) -> Trouble {
 /// Commanded dwells, the begins that were seen, which pose each is, and the override.
 struct Run {
     poses: Vec<Commanded>,
-    seen: Vec<Seen>,
+    seen: Vec<DwellEvidence>,
     truth: Vec<Option<usize>>,
     override_factor: f64,
     /// What a model with start errors expects, mm.
@@ -112,10 +112,10 @@ fn run_of(seed: u64, count: usize, per_module: usize, distinct: bool, trouble: T
         true_mm.iter().map(|mm| mm + rng.random_range(-START_ERROR_MM..START_ERROR_MM)).collect();
     let seen = events
         .iter()
-        .map(|&(start_s, lasts_s, pose)| Seen {
+        .map(|&(start_s, lasts_s, pose)| DwellEvidence {
             start_s,
             start_sd_s: 0.06,
-            lasts_s: Some(lasts_s),
+            duration_s: Some(lasts_s),
             length_mm: pose.map_or(300.0, |pose| true_mm[pose]),
             after_break: false,
         })
@@ -204,7 +204,7 @@ fn torn_and_merged_dwells_and_stretches_of_lost_poses_pair_none_wrongly() {
 }
 
 #[test]
-#[ignore = "campaigns of 1000 runs of drawn trouble, and of long plans; their figures go to docs/accuracy.md"]
+#[ignore = "campaigns of 1000 runs of drawn trouble, and of long plans; their figures go to docs/explanation/pose-matching.md"]
 fn campaign_of_drawn_trouble() {
     for first in [7000, 20_000, 21_000, 22_000] {
         for model in [false, true] {
@@ -227,7 +227,7 @@ fn campaign_of_drawn_trouble() {
 }
 
 #[test]
-#[ignore = "a campaign of 1000 runs, and of 100 with equal moves; its figures go to docs/accuracy.md"]
+#[ignore = "a campaign of 1000 runs, and of 100 with equal moves; its figures go to docs/explanation/pose-matching.md"]
 fn campaign() {
     for (distinct, seeds) in [(true, 1000..2000), (false, 1000..1100)] {
         let score = score(seeds, distinct, STUDY);

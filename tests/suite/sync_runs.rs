@@ -1,10 +1,11 @@
 //! Runs of a plan whose true readings and times are known.
 
-use dbbd::model::AXES;
+use dbbd::base::units::{DeviceTicks, HostNs};
+use dbbd::measurement::sample::Sample;
 use dbbd::plan::{Header, Kind, Motion, MoveTime, Plan, PlanRow};
-use dbbd::sample::Sample;
-use dbbd::sync::{DeviceClock, Stream, StreamBuilder, Synced};
-use dbbd::units::{DeviceTicks, HostNs};
+use dbbd::recording::matching::PoseMatching;
+use dbbd::recording::{DeviceClock, Stream, StreamBuilder};
+use dbbd::robot::AXES;
 use rand::{RngExt, SeedableRng};
 use rand_distr::{Distribution, Normal};
 use rand_pcg::Pcg64;
@@ -193,19 +194,19 @@ fn travelled(share: f64, lasts_s: f64) -> f64 {
 }
 
 pub(crate) fn stream(samples: &[(HostNs, Sample)]) -> Stream {
-    let mut stream = StreamBuilder::new(Some(CLOCK));
+    let mut stream = StreamBuilder::new(Some(CLOCK)).sequence(Some(1 << 16));
     samples.iter().for_each(|(host, sample)| stream.push(*host, sample));
     stream.build()
 }
 
 /// Number of the plan's dwells that have a length; every one of them must be the right one.
-pub(crate) fn right(plan: &Plan, run: &Run, synced: &Synced) -> usize {
+pub(crate) fn right(plan: &Plan, run: &Run, matching: &PoseMatching) -> usize {
     let dwells: Vec<&PlanRow> = plan.rows.iter().filter(|row| row.kind != Kind::Transit).collect();
-    for row in &synced.observations.rows {
+    for row in &matching.observations.rows {
         let at = dwells.iter().position(|dwell| dwell.index == row.index).unwrap();
         let off_mm = row.length_mm - BAR_MM - run.readings_mm[at];
         assert!(off_mm.abs() < 5.0 * row.sigma_mm.unwrap() + 2e-4, "row {}: {off_mm} mm off", row.index);
-        assert_eq!(row.axes_deg, dwells[at].axes_deg);
+        assert_eq!(row.axes.degrees(), dwells[at].axes_deg);
     }
-    synced.observations.rows.len()
+    matching.observations.rows.len()
 }

@@ -1,20 +1,19 @@
 //! The ways to join lengths to poses lead to the same robot: knocks alone, strobe, EthernetKRL, and passes
 //! without stops, each with the program that the plan gives for it, on the same simulated robot.
 
-use dbbd::identify::{self, Options, result::Status};
-use dbbd::krl::{self, Program, Sync, emit};
-use dbbd::model::{Centre, Robot};
+use dbbd::base::units::{DeviceTicks, HostNs};
+use dbbd::estimation::{Options, result::Status};
+use dbbd::measurement::BaseBall;
+use dbbd::measurement::sample::Sample;
 use dbbd::plan::{Job, Plan};
-use dbbd::sample::Sample;
+use dbbd::program::krl::{self, Program, Sync, emit};
+use dbbd::recording::matching::{DwellSource, Input, PoseMatching, PoseOutcome, match_poses};
+use dbbd::recording::{DeviceClock, Heard, Report, StreamBuilder, TelegramReader, reported_axes};
+use dbbd::robot::{BallId, Robot};
 use dbbd::sim::world::{Setup, Stroke};
 use dbbd::sim::{Controller, World};
-use dbbd::sync::{
-    DeviceClock, Fate, Heard, Input, Report, Source, StreamBuilder, Synced, TelegramReader, observations,
-    reported_axes,
-};
-use dbbd::units::{DeviceTicks, HostNs};
 
-use crate::cell::{dbbd, kr60, stderr, with_errors};
+use crate::cell::{calibrated, dbbd, kr60, stderr, with_errors};
 
 const RATE_HZ: f64 = 250.0;
 /// How late the bar's samples and the controller's telegrams reach the host, ns.
@@ -40,7 +39,7 @@ fn plan(continuous: bool) -> Plan {
 }
 
 /// What a run of the program gives: the joined lengths.
-fn driven(plan: &Plan, sync: Sync, override_percent: f64, seed: u64, truth: &Robot) -> Synced {
+fn driven(plan: &Plan, sync: Sync, override_percent: f64, seed: u64, truth: &Robot) -> PoseMatching {
     let files = emit(plan, krl::Options { sync, controller: krl::Controller::Krc4 }).unwrap();
     let program = Program::open("DBB_MAIN", |wanted| {
         Ok(files.iter().find(|(name, _)| name.eq_ignore_ascii_case(wanted)).cloned())
@@ -90,7 +89,7 @@ fn driven(plan: &Plan, sync: Sync, override_percent: f64, seed: u64, truth: &Rob
     }
     let stream = stream.build();
     let axes = reported_axes(&reports);
-    observations(&Input {
+    match_poses(&Input {
         reports: &reports,
         axes_deg: (!axes.is_empty()).then_some(&axes),
         ..Input::new(plan, &stream)
@@ -114,14 +113,14 @@ const CENTRE: [f64; 3] = [1300.0, 0.0, 800.0];
 const CENTRE_ERRORS: [f64; 3] = [0.4, -0.3, 0.5];
 
 /// What is found for the errors and the ball's place, each with its standard deviation.
-fn identified(synced: &Synced) -> Vec<(String, f64, f64)> {
+fn identified(matching: &PoseMatching) -> Vec<(String, f64, f64)> {
     let axes = ["centre1_x", "centre1_y", "centre1_z"];
     let estimate = ERRORS.iter().map(|(name, _)| *name).chain(axes).map(|name| name.parse().unwrap());
     let options = Options { estimate: Some(estimate.collect()), ..Options::default() };
-    let centre = Centre { id: 1, position: CENTRE.into() };
-    let found = identify::identify(&kr60(), &synced.observations, &[centre], None, &options).unwrap();
-    let all = found.result.parameters.iter().filter(|parameter| parameter.status == Status::Identified);
-    all.map(|found| (found.name.clone(), found.correction, found.sd.unwrap())).collect()
+    let centre = BaseBall { id: BallId::FIRST, position: CENTRE.into() };
+    let found = calibrated(&kr60(), &matching.observations, &[centre], &options).unwrap();
+    let all = found.parameters.iter().filter(|parameter| parameter.status() == Status::Identified);
+    all.map(|found| (found.id.to_string(), found.correction, found.sd.unwrap())).collect()
 }
 
 #[test]
@@ -130,25 +129,29 @@ fn marker_strobe_telegrams_and_passes_give_the_same_robot() {
     let [stops, passes] = [false, true].map(plan);
     let server = "127.0.0.1:54600".parse().unwrap();
     let ways = [
-        ("marker", &stops, Sync::Marker, 100.0, Source::Stillness),
-        ("output", &stops, Sync::Output, 80.0, Source::Strobe),
-        ("ekrl", &stops, Sync::Ekrl { server }, 60.0, Source::Reports),
-        ("passes", &passes, Sync::Output, 90.0, Source::Strobe),
-        ("passes, ekrl", &passes, Sync::Ekrl { server }, 100.0, Source::Reports),
+        ("marker", &stops, Sync::Marker, 100.0, DwellSource::Stillness),
+        ("output", &stops, Sync::Output, 80.0, DwellSource::Strobe),
+        ("ekrl", &stops, Sync::Ekrl { server }, 60.0, DwellSource::Reports),
+        ("passes", &passes, Sync::Output, 90.0, DwellSource::Strobe),
+        ("passes, ekrl", &passes, Sync::Ekrl { server }, 100.0, DwellSource::Reports),
     ];
     let mut all = Vec::new();
     for (seed, (way, plan, sync, override_percent, source)) in (1..).zip(ways) {
-        let synced = driven(plan, sync, override_percent, seed, &truth);
-        let matched = synced.fates.iter().filter(|pose| matches!(pose.fate, Fate::Matched { .. })).count();
-        assert_eq!(synced.source, source, "{way}");
-        assert!(10 * matched >= 9 * synced.fates.len(), "{way}: {matched} of {}", synced.fates.len());
-        let found = identified(&synced);
+        let matching = driven(plan, sync, override_percent, seed, &truth);
+        let matched = matching.outcomes.iter().filter_map(PoseOutcome::reading).count();
+        assert_eq!(matching.source, source, "{way}");
+        assert!(
+            10 * matched >= 9 * matching.outcomes.len(),
+            "{way}: {matched} of {}",
+            matching.outcomes.len()
+        );
+        let found = identified(&matching);
         eprintln!(
             "{way}: {matched} of {} poses, mean sigma {:.2} um, lags {:?}",
-            synced.fates.len(),
-            1e3 * synced.observations.rows.iter().filter_map(|row| row.sigma_mm).sum::<f64>()
+            matching.outcomes.len(),
+            1e3 * matching.observations.rows.iter().filter_map(|row| row.sigma_mm).sum::<f64>()
                 / matched as f64,
-            synced
+            matching
                 .lags
                 .iter()
                 .map(|lag| format!("{:.1} +- {:.1} ms", 1e3 * lag.lag_s, 1e3 * lag.sd_s))

@@ -3,16 +3,18 @@
 
 use std::collections::BTreeMap;
 
-use dbbd::identifiability::{Workspace, aligned_distances};
-use dbbd::identify::result::{ParameterResult, Status};
-use dbbd::identify::{Identified, Options, Prior, identify};
-use dbbd::model::{Centre, ParamId, Robot};
+use dbbd::estimation::Workspace;
+use dbbd::estimation::result::{ParameterResult, Reason, Status};
+use dbbd::estimation::{CalibrationResult, Options, Prior};
+use dbbd::math::aligned_distances;
+use dbbd::measurement::BaseBall;
+use dbbd::robot::{Joint, ParamId, Robot, Unit};
 use nalgebra::Vector3;
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
 
-use crate::cell::{CENTRE, Circle, horizontal, kr60, measure, three_planes, with_errors};
+use crate::cell::{CENTRE, Circle, calibrated, horizontal, kr60, measure, three_planes, with_errors};
 
 fn normal(random: &mut Pcg64) -> f64 {
     StandardNormal.sample(random)
@@ -27,18 +29,22 @@ fn find(
     bar_mm: f64,
     prior: Prior,
     seed: u64,
-) -> Identified {
+) -> CalibrationResult {
     let mut random = Pcg64::seed_from_u64(seed);
     let mut data = measure(truth, circles, points, 25.0);
     data.rows.iter_mut().for_each(|row| row.length_mm += bar_mm + sigma_mm * normal(&mut random));
-    let mut centres: Vec<Centre> = circles
+    let mut centres: Vec<BaseBall> = circles
         .iter()
-        .map(|circle| Centre { id: circle.number, position: Vector3::from(circle.centre) })
+        .map(|circle| BaseBall { id: circle.ball(), position: Vector3::from(circle.centre) })
         .collect();
     centres.dedup_by_key(|centre| centre.id);
-    let hold =
-        vec![ParamId::Compliance(2), ParamId::Compliance(3), ParamId::Compliance(4), ParamId::Compliance(5)];
-    let gear = (1..=6).flat_map(|j| [ParamId::GearCos(j), ParamId::GearSin(j)]);
+    let hold = vec![
+        ParamId::Compliance(Joint::J2),
+        ParamId::Compliance(Joint::J3),
+        ParamId::Compliance(Joint::J4),
+        ParamId::Compliance(Joint::J5),
+    ];
+    let gear = Joint::ALL.into_iter().flat_map(|j| [ParamId::GearCos(j), ParamId::GearSin(j)]);
     let options = Options {
         prior,
         sigma_mm: Some(sigma_mm),
@@ -46,11 +52,11 @@ fn find(
         hold: hold.into_iter().chain(gear).collect(),
         ..Options::default()
     };
-    identify(&kr60(), &data, &centres, None, &options).unwrap()
+    calibrated(&kr60(), &data, &centres, &options).unwrap()
 }
 
-fn parameter<'a>(found: &'a Identified, name: &str) -> &'a ParameterResult {
-    found.result.parameters.iter().find(|p| p.name == name).unwrap()
+fn parameter<'a>(found: &'a CalibrationResult, name: &str) -> &'a ParameterResult {
+    found.parameter(name.parse().unwrap()).unwrap()
 }
 
 /// Only d2 + d3 can be told, for axes 2 and 3 are parallel: their columns are equal, so at the likeliest robot
@@ -60,7 +66,7 @@ fn parameter<'a>(found: &'a Identified, name: &str) -> &'a ParameterResult {
 fn a_sum_is_shared_by_the_variances() {
     let truth = with_errors([("d2", 0.6), ("d3", 0.2)]);
     for [s2, s3] in [[0.5, 0.5], [0.5, 0.25]] {
-        let given = BTreeMap::from([(ParamId::D(2), s2), (ParamId::D(3), s3)]);
+        let given = BTreeMap::from([(ParamId::D(Joint::J2), s2), (ParamId::D(Joint::J3), s3)]);
         let found = find(&truth, &three_planes(1, CENTRE), 27, 0.001, 0.0, Prior::Given(given), 1);
         let [d2, d3] = ["d2", "d3"].map(|name| parameter(&found, name));
         let share: f64 = (s2 / s3) * (s2 / s3);
@@ -70,11 +76,11 @@ fn a_sum_is_shared_by_the_variances() {
             d2.correction,
             d3.correction
         );
-        assert_eq!((d2.status, d3.status), (Status::Identified, Status::Prior));
-        assert!(d3.reason.contains("the prior shares it out"), "{}", d3.reason);
-        let [at2, at3] = [ParamId::D(2), ParamId::D(3)]
-            .map(|id| found.estimated.iter().position(|other| *other == id).unwrap());
-        let c = &found.covariance;
+        assert_eq!((d2.status(), d3.status()), (Status::Identified, Status::Prior));
+        assert!(matches!(d3.reason, Reason::PriorShares { .. }), "{:?}", d3.reason);
+        let [at2, at3] = [ParamId::D(Joint::J2), ParamId::D(Joint::J3)]
+            .map(|id| found.posterior.ids().iter().position(|other| *other == id).unwrap());
+        let c = found.posterior.covariance();
         let of = |k: f64| c[(at2, at2)] + k * k * c[(at3, at3)] + 2.0 * k * c[(at2, at3)];
         let untold = s2 * s2 + share * share * s3 * s3;
         assert!((of(-share) / untold - 1.0).abs() < 0.01, "{} {untold}", of(-share));
@@ -89,7 +95,7 @@ fn a_sum_is_shared_by_the_variances() {
 fn without_a_prior_one_member_carries_the_sum() {
     let truth = with_errors([("d2", 0.6), ("d3", 0.2)]);
     let found = find(&truth, &three_planes(1, CENTRE), 27, 0.001, 0.0, Prior::None, 1);
-    assert_eq!(parameter(&found, "d3").status, Status::Dependent);
+    assert_eq!(parameter(&found, "d3").status(), Status::Dependent);
     assert_eq!(parameter(&found, "d3").correction, 0.0);
 }
 
@@ -104,9 +110,9 @@ fn true_and_predicted(circles: &[Circle], points: usize, sigma_mm: f64, robots: 
     for seed in 0..robots {
         let mut random = Pcg64::seed_from_u64(100 + seed);
         let mut truth = nominal.clone();
-        for id in ParamId::denavit_hartenberg().chain([ParamId::Beta(2)]) {
+        for id in ParamId::denavit_hartenberg().chain([ParamId::Beta(Joint::J3)]) {
             let tolerance = match id.unit() {
-                "mm" => nominal.tolerance.length_mm,
+                Unit::Mm => nominal.tolerance.length_mm,
                 _ => nominal.tolerance.angle_deg.to_radians(),
             };
             *truth.geometry.value_mut(id).unwrap() += tolerance * normal(&mut random);
@@ -118,7 +124,7 @@ fn true_and_predicted(circles: &[Circle], points: usize, sigma_mm: f64, robots: 
         };
         let errors = aligned_distances(&balls(&truth), &balls(&found.robot));
         sums[0] += errors.iter().sum::<f64>() / errors.len() as f64;
-        sums[1] += found.result.predicted_position_error_mm.identified.mean;
+        sums[1] += found.predicted.identified.mean;
     }
     sums.map(|sum| sum / robots as f64)
 }

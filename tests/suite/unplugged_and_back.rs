@@ -11,13 +11,13 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use dbbd::capture::{self, Event, Record};
-use dbbd::clock;
-use dbbd::daemon::{Acquisition, Attachments, Options};
-use dbbd::protocol::Definition;
-use dbbd::sample::Sample;
+use dbbd::base::clock;
+use dbbd::base::units::{DeviceTicks, HostNs};
+use dbbd::daemon::{Acquisition, Options};
+use dbbd::device::protocol::Definition;
+use dbbd::measurement::sample::Sample;
+use dbbd::recording::capture::{self, Event, Record};
 use dbbd::sim::link::Link;
-use dbbd::units::{DeviceTicks, HostNs};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use serialport::{SerialPort, TTYPort};
@@ -135,7 +135,7 @@ fn session(directory: &Path, length: Length, seed: u64) -> Seen {
         port: link.to_str().unwrap().to_owned(),
         definition: Definition::by_name("dbb-cobs-1").unwrap().unwrap(),
         out: out.clone(),
-        attachments: Attachments::default(),
+        plan: None,
         duration_s: None,
         gone_s: 1e9,
         sync_s: 1.0,

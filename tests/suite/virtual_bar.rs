@@ -6,9 +6,9 @@ use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
 
-use dbbd::model::Robot;
-use dbbd::sample::Sample;
-use dbbd::units::{DeviceTicks, HostNs};
+use dbbd::base::units::{DeviceTicks, HostNs};
+use dbbd::measurement::sample::Sample;
+use dbbd::robot::Robot;
 use serde_json::Value;
 
 /// Of the virtual bar.

@@ -1,15 +1,16 @@
 //! `--port sim`: a simulated cell as a child process, its programs in a directory that goes with it.
 
-use std::error::Error;
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::{Path, PathBuf};
 use std::process;
 
+use crate::base::files;
+use crate::catalogue::FileFinding;
 use crate::cli::child::{Simulator, Steps};
 use crate::cli::{Output, demo};
-use crate::files;
-use crate::model::{AXES, Robot};
-use crate::plan::Header;
+use crate::diagnostic::Diagnostic;
+use crate::recording::run::read_plan;
+use crate::robot::{AXES, Robot};
 use crate::sim::truth;
 
 /// A simulator that runs a plan.
@@ -30,8 +31,8 @@ impl Drop for Directory {
 }
 
 /// A world whose robot and bar repeat as the plan counts on, and whose base balls stand where it has them taught.
-fn world(plan: &Path) -> Result<String, Box<dyn Error>> {
-    let header: Header = serde_json::from_str(&files::read(&plan.with_extension("json"))?)?;
+fn world(plan: &Path) -> Result<String, Diagnostic> {
+    let header = read_plan(plan)?.header;
     let tables = header.job.centres.iter().filter_map(|table| Some((table.id, table.taught_deg?)));
     let taught = header.taught.iter().map(|ball| (ball.centre, ball.axes_deg));
     let table = |(id, axes): (u32, [f64; AXES])| format!("[[centre]]\nid = {id}\ntaught_deg = {axes:?}\n");
@@ -42,7 +43,7 @@ fn world(plan: &Path) -> Result<String, Box<dyn Error>> {
 
 impl Cell {
     /// Starts the simulator on `plan`, or on the demo's; `speed` is device time in host time, 0 for as
-    /// fast as the bytes are taken. Its program tells its dwells to `server`, if there is one.
+    /// fast as the bytes are taken. Its program reports its dwells to `server`, if there is one.
     ///
     /// # Errors
     /// When a step on the way to its programs fails.
@@ -51,14 +52,15 @@ impl Cell {
         speed: &str,
         server: Option<SocketAddr>,
         out: &Output,
-    ) -> Result<Self, Box<dyn Error>> {
+    ) -> Result<Self, Diagnostic> {
         let directory = Directory(std::env::temp_dir().join(format!("dbbd-sim-{}", process::id())));
         files::directory(&directory.0)?;
         let steps = Steps::new(&directory.0, out)?;
         let plan = match plan {
-            Some(plan) => {
-                plan.canonicalize().map_err(|error| format!("{}: cannot be read: {error}", plan.display()))?
-            }
+            Some(plan) => plan.canonicalize().map_err(|error| {
+                let why = error.to_string();
+                Diagnostic::file(&plan.display().to_string(), FileFinding::Unreadable { why })
+            })?,
             None => {
                 files::write(&directory.0.join("job.toml"), demo::JOB)?;
                 steps.run(&["plan", "job.toml", "--out", "plan"])?;
@@ -97,7 +99,7 @@ impl Cell {
     ///
     /// # Errors
     /// When it failed.
-    pub(crate) fn finish(self) -> Result<(), Box<dyn Error>> {
+    pub(crate) fn finish(self) -> Result<(), Diagnostic> {
         let Self { simulator, plan: _, directory: _directory } = self;
         simulator.finish()
     }

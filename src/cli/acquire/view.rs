@@ -1,43 +1,29 @@
 //! How a run looks on a terminal: length against stroke, poses, gaps.
 
-use std::path::Path;
-
-use crate::daemon::{ALARM_SHARE, Course, Progress, Watch};
-use crate::files;
+use crate::daemon::{MountDetector, Progress, Reading, Schedule};
 use crate::live::Alarm;
-use crate::plan::Plan;
 
 /// Width of the gauge in characters.
 const WIDTH: usize = 41;
 
-/// What the plan says about the run; nothing where it cannot be read, which is told elsewhere.
-pub(super) fn course(plan: Option<&Path>) -> Course {
-    let read = |csv: &Path| {
-        let json = csv.with_extension("json");
-        let (rows, header) = (files::read(csv).ok()?, files::read(&json).ok()?);
-        Plan::from_files("plan.csv", &rows, "plan.json", &header).ok()
-    };
-    let plan = plan.and_then(read);
-    plan.map_or_else(Course::default, |plan| Course::of(&plan, ALARM_SHARE))
-}
-
-/// The reading against the stroke, and below it poses, rate and losses; `bar` has seen what was shown before.
-pub(super) fn lines(progress: &Progress, course: &Course, bar: &mut Watch) -> String {
+/// The reading against the stroke, and below it poses, rate and losses; `mount` was given what was shown before.
+pub(super) fn lines(progress: &Progress, schedule: &Schedule, mount: &mut MountDetector) -> String {
     let Some(reading_mm) = progress.reading_mm.filter(|_| !progress.gone) else {
         return super::status(progress);
     };
-    let poses = match course.poses() {
+    let poses = match schedule.poses() {
         Some(poses) => format!("{} of {poses} poses", progress.dwells),
         None => format!("{} dwells", progress.dwells),
     };
     let (elapsed_s, rate_hz) = (progress.elapsed_s, progress.rate_hz);
     let below = format!("  {elapsed_s:.0} s, {poses}, {rate_hz:.0} Hz{}", super::losses(progress));
-    let reading = format!("{reading_mm:+9.4} mm");
-    let alarm = bar.alarm(course, progress.elapsed_s, reading_mm, progress.valid, progress.dwells);
+    let shown = format!("{reading_mm:+9.4} mm");
+    let (valid, dwells) = (progress.valid, progress.dwells);
+    let alarm = mount.alarm(schedule, Reading { t_s: elapsed_s, reading_mm, valid, dwells });
     if alarm.is_none() {
-        return format!("{reading}  no bar mounted: reading invalid\n{below}");
+        return format!("{shown}  no bar mounted: reading invalid\n{below}");
     }
-    let Some([low, high]) = course.stroke_mm else { return format!("{reading}\n{below}") };
+    let Some([low, high]) = schedule.stroke_mm else { return format!("{shown}\n{below}") };
     let share = (reading_mm - low) / (high - low);
     // A share beyond the stroke stands at its end.
     let at = (share * (WIDTH - 1) as f64).round().clamp(0.0, (WIDTH - 1) as f64) as usize;
@@ -52,7 +38,7 @@ pub(super) fn lines(progress: &Progress, course: &Course, bar: &mut Watch) -> St
             }
         })
         .collect();
-    let line = format!("{reading}  {low:+} [{gauge}] {high:+}  {:.0} % of the stroke", 100.0 * share);
+    let line = format!("{shown}  {low:+} [{gauge}] {high:+}  {:.0} % of the stroke", 100.0 * share);
     let line = match alarm.unwrap_or_default() {
         Alarm::None => line,
         Alarm::Near => format!("\x1b[33m{line}  NEAR ITS END\x1b[0m"),
@@ -67,13 +53,13 @@ mod tests {
 
     #[test]
     fn the_gauge_follows_the_reading() {
-        let course = Course::bare(Some([-1.0, 1.0]), 0.9);
-        let mut bar = Watch::default();
+        let schedule = Schedule::bare(Some([-1.0, 1.0]), 0.9);
+        let mut mount = MountDetector::default();
         let mut elapsed_s = 0.0;
         let mut at = |mm: f64| {
             elapsed_s += 1.0;
             let progress = Progress { reading_mm: Some(mm), valid: true, elapsed_s, ..Progress::default() };
-            lines(&progress, &course, &mut bar)
+            lines(&progress, &schedule, &mut mount)
         };
         assert!(at(-1.2).contains("no bar mounted: reading invalid"));
         assert!(at(0.0).contains("[--------------------#--------------------]"), "{}", at(0.0));

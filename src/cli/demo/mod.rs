@@ -6,9 +6,9 @@ use std::path::PathBuf;
 
 use super::child::Steps;
 use super::{Outcome, Output, Verdict};
-use crate::files;
-use crate::identify::Identification;
-use crate::model::Robot;
+use crate::base::files;
+use crate::estimation::ResultFile;
+use crate::robot::Robot;
 
 /// The job that the demo runs: shipped as `examples/demo.toml`.
 pub(crate) const JOB: &str = include_str!("../../../examples/demo.toml");
@@ -75,7 +75,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
     steps.run(&identify)?;
 
     let text = files::read(&dir.join("result/result.json"))?;
-    let result: Identification = serde_json::from_str(&text)?;
+    let result: ResultFile = serde_json::from_str(&text)?;
     let path = dir.join("result/robot-identified.toml");
     let identified = Robot::from_toml(&path.display().to_string(), &files::read(&path)?)?;
     let comparison = truth.compare(&result, &identified)?;

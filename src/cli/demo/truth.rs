@@ -10,14 +10,17 @@ use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
 use serde::Serialize;
 
+use crate::base::files;
 use crate::cli::robots;
-use crate::diag::Diagnostic;
-use crate::files;
-use crate::identifiability::{Workspace, aligned_distances};
-use crate::identify::Identification;
-use crate::identify::result::{ParameterResult, Residual, Status};
-use crate::model::{Centre, Geometry, LengthModel, ParamId, Robot};
+use crate::diagnostic::Diagnostic;
+use crate::estimation::ResultFile;
+use crate::estimation::Workspace;
+use crate::estimation::result::{Residual, Status};
+use crate::estimation::result_file::ParameterResult;
+use crate::math::aligned_distances;
+use crate::measurement::{BaseBall, LengthModel};
 use crate::plan::Job;
+use crate::robot::{Geometry, ParamId, Robot};
 use crate::sim::truth;
 
 /// How far off the ball may stand from where it was taped, mm, one standard deviation.
@@ -29,7 +32,7 @@ const SEED: u64 = 1;
 /// What is true in the demo's cell.
 pub(super) struct Truth {
     robot: Robot,
-    centres: Vec<Centre>,
+    centres: Vec<BaseBall>,
 }
 
 /// True against identified.
@@ -62,7 +65,7 @@ impl Truth {
         let robot = truth::draw(&nominal, seed, 1.0);
         let job = Job::from_toml("job.toml", super::JOB)?;
         let path = dir.join("plan/centres.csv");
-        let mut centres = Centre::from_csv(&path.display().to_string(), &files::read(&path)?)?;
+        let mut centres = BaseBall::from_csv(&path.display().to_string(), &files::read(&path)?)?;
         let mut random = Pcg64::seed_from_u64(seed);
         let mut world = truth::noise(&nominal, job.bar.sigma_um);
         for centre in &mut centres {
@@ -79,11 +82,7 @@ impl Truth {
     }
 
     /// Sets the result beside the truth.
-    pub(super) fn compare(
-        &self,
-        result: &Identification,
-        identified: &Robot,
-    ) -> Result<Comparison, Diagnostic> {
+    pub(super) fn compare(&self, result: &ResultFile, identified: &Robot) -> Result<Comparison, Diagnostic> {
         let nominal = identified.nominal.as_deref().unwrap_or(identified);
         let model = LengthModel::new(self.robot.geometry.clone(), &self.centres);
         let poses = Workspace::uniform(nominal, POSES, SEED);
@@ -111,7 +110,7 @@ impl Truth {
     }
 }
 
-fn compared(parameter: &ParameterResult, result: &Identification, truth: &LengthModel) -> Option<Compared> {
+fn compared(parameter: &ParameterResult, result: &ResultFile, truth: &LengthModel) -> Option<Compared> {
     let deviation = |name: &str| -> Option<f64> {
         let id: ParamId = name.parse().ok()?;
         let nominal = result.parameters.iter().find(|other| other.name == name)?.nominal;

@@ -9,15 +9,16 @@ use std::path::{Path, PathBuf};
 use serde_json::{Map, json};
 
 use super::{Outcome, Output, Verdict};
-use crate::capture::Pass;
-use crate::diag::Diagnostic;
-use crate::export::mcap::{CHANNELS, McapFile};
-use crate::files;
-use tables::Tables;
+use crate::base::files;
+use crate::catalogue::FileFinding;
+use crate::diagnostic::Diagnostic;
+use crate::recording::capture::Pass;
+use crate::report::export::mcap::{CHANNELS, McapFile};
+use tables::{Tables, Written};
 
 /// Write a capture's samples, raw bytes, events, gaps and faults as CSV, or as MCAP.
 ///
-/// CSV for scripts, MCAP for Foxglove, Python and ROS (examples/python, examples/foxglove). More: docs/capture.md.
+/// CSV for scripts, MCAP for Foxglove, Python and ROS (examples/python, examples/foxglove). More: docs/reference/capture.md.
 #[derive(clap::Args)]
 pub(crate) struct Args {
     /// The capture.
@@ -40,9 +41,10 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
         let path = args.out.join(name);
         let unfinished = Unfinished::of(&path);
         let file = File::create(&unfinished.beside).map_err(|error| unwritten(&path, &error))?;
-        let mut mcap = McapFile::new(BufWriter::new(file))?;
-        let pass = Pass::over(&args.run, |stamped| Ok(mcap.add(&stamped)?))?;
-        let messages = mcap.finish()?;
+        let wrong = |error: Diagnostic| Diagnostic { file: path.display().to_string(), ..error };
+        let mut mcap = McapFile::new(BufWriter::new(file)).map_err(wrong)?;
+        let pass = Pass::over(&args.run, |stamped| mcap.add(&stamped).map_err(wrong))?;
+        let messages = mcap.finish().map_err(wrong)?;
         unfinished.finish()?;
         for (name, messages) in CHANNELS.iter().zip(messages) {
             out.result(format!("{}: {name}: {messages} messages", path.display()));
@@ -52,15 +54,16 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
     } else {
         let mut tables = Tables::create(&args.out)?;
         let pass = Pass::over(&args.run, |stamped| tables.add(&stamped))?;
-        for (name, path, rows) in tables.finish()? {
+        for Written { name, path, rows } in tables.finish()? {
             out.result(format!("{}: {rows} rows", path.display()));
             counts.insert(name.to_owned(), json!(rows));
         }
         pass
     };
+    let name = args.run.display().to_string();
+    pass.findings().into_iter().for_each(|damage| out.finding(Diagnostic::file(&name, damage)));
     out.document(&counts)?;
-    pass.remarks().iter().for_each(|remark| out.warning(remark));
-    Ok(if pass.damages.is_empty() { Outcome::Done } else { Outcome::Doubt })
+    Ok(Outcome::Done)
 }
 
 /// A file that is written beside its name until it is whole, and goes if it never is.
@@ -89,5 +92,5 @@ impl Drop for Unfinished {
 }
 
 fn unwritten(path: &Path, error: &dyn std::error::Error) -> Diagnostic {
-    Diagnostic::file(&path.display().to_string(), format!("cannot be written: {error}"))
+    Diagnostic::file(&path.display().to_string(), FileFinding::Unwritable { why: error.to_string() })
 }

@@ -1,15 +1,14 @@
 //! The records of a capture as CSV tables.
 
-use std::error::Error;
 use std::fs::File;
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 
 use super::{Unfinished, unwritten};
-use crate::capture::{Event, Record, Stamped};
 use crate::cli::info;
-use crate::diag::Diagnostic;
-use crate::protocol::{Fault, FaultKind};
+use crate::device::protocol::{Fault, FaultKind};
+use crate::diagnostic::Diagnostic;
+use crate::recording::capture::{Event, Record, Stamped};
 
 /// One table for each kind of record.
 pub(super) struct Tables {
@@ -27,13 +26,20 @@ struct Table {
     rows: u64,
 }
 
+/// A table that is whole.
+pub(super) struct Written {
+    pub(super) name: &'static str,
+    pub(super) path: PathBuf,
+    pub(super) rows: u64,
+}
+
 /// A float as the shortest text that reads back bit for bit; empty when there is none.
 fn cell<T: ToString>(value: Option<T>) -> String {
     value.map_or(String::new(), |value| value.to_string())
 }
 
 impl Tables {
-    pub(super) fn create(directory: &Path) -> Result<Self, Box<dyn Error>> {
+    pub(super) fn create(directory: &Path) -> Result<Self, Diagnostic> {
         let table = |name, columns| Table::create(directory, name, columns);
         Ok(Self {
             samples: table(
@@ -47,13 +53,13 @@ impl Tables {
         })
     }
 
-    /// Ends the tables; their names, paths and numbers of rows.
-    pub(super) fn finish(self) -> Result<Vec<(&'static str, PathBuf, u64)>, Diagnostic> {
+    /// Ends the tables.
+    pub(super) fn finish(self) -> Result<Vec<Written>, Diagnostic> {
         let Self { samples, raw, events, gaps, faults } = self;
         [samples, raw, events, gaps, faults].into_iter().map(Table::finish).collect()
     }
 
-    pub(super) fn add(&mut self, stamped: &Stamped) -> Result<(), Box<dyn Error>> {
+    pub(super) fn add(&mut self, stamped: &Stamped) -> Result<(), Diagnostic> {
         let host = stamped.host.0.to_string();
         match &stamped.record {
             Record::Attachment { .. } => Ok(()),
@@ -75,7 +81,7 @@ impl Tables {
                 ])
             }),
             Record::Fault(json) => {
-                let fault: Fault = serde_json::from_slice(json)?;
+                let fault: Fault = serde_json::from_slice(json).map_err(|error| self.faults.wrong(&error))?;
                 let word = match &fault.kind {
                     FaultKind::Reject(word) => word.clone(),
                     _ => String::new(),
@@ -87,7 +93,7 @@ impl Tables {
                 if let Event::Gap { seconds, missing, reason } = event {
                     self.gaps.row([host.clone(), cell(*seconds), cell(*missing), reason.clone()])?;
                 }
-                let mut value = serde_json::to_value(event)?;
+                let mut value = serde_json::to_value(event).map_err(|error| self.events.wrong(&error))?;
                 let name = value.as_object_mut().and_then(|object| object.remove("event"));
                 let name = name.as_ref().and_then(|name| name.as_str()).unwrap_or_default().to_owned();
                 self.events.row([host, name, value.to_string()])
@@ -97,22 +103,26 @@ impl Tables {
 }
 
 impl Table {
-    fn create(directory: &Path, name: &'static str, columns: &str) -> Result<Self, Box<dyn Error>> {
+    fn create(directory: &Path, name: &'static str, columns: &str) -> Result<Self, Diagnostic> {
         let file = Unfinished::of(&directory.join(name));
         let made = File::create(&file.beside).map_err(|error| unwritten(&file.path, &error))?;
         let mut writer = csv::Writer::from_writer(BufWriter::new(made));
-        writer.write_record(columns.split(','))?;
+        writer.write_record(columns.split(',')).map_err(|error| unwritten(&file.path, &error))?;
         Ok(Self { name, file, writer, rows: 0 })
     }
 
-    fn row<const N: usize>(&mut self, cells: [String; N]) -> Result<(), Box<dyn Error>> {
+    fn row<const N: usize>(&mut self, cells: [String; N]) -> Result<(), Diagnostic> {
         self.rows += 1;
-        self.writer.write_record(cells).map_err(|error| unwritten(&self.file.path, &error).into())
+        self.writer.write_record(cells).map_err(|error| self.wrong(&error))
     }
 
-    fn finish(mut self) -> Result<(&'static str, PathBuf, u64), Diagnostic> {
+    fn wrong(&self, error: &dyn std::error::Error) -> Diagnostic {
+        unwritten(&self.file.path, error)
+    }
+
+    fn finish(mut self) -> Result<Written, Diagnostic> {
         self.writer.flush().map_err(|error| unwritten(&self.file.path, &error))?;
         self.file.finish()?;
-        Ok((self.name, self.file.path.clone(), self.rows))
+        Ok(Written { name: self.name, path: self.file.path.clone(), rows: self.rows })
     }
 }

@@ -1,6 +1,5 @@
 //! `dbbd identify`: the robot's parameters from lengths.
 
-mod choices;
 mod given;
 mod inputs;
 mod page;
@@ -11,28 +10,29 @@ use std::error::Error;
 use std::path::{Path, PathBuf};
 
 use super::{Outcome, Output, Verdict};
-use crate::files;
-use crate::identify::result::{Warning, WarningKind};
-use crate::identify::{self, Options, Prior, PriorScale};
-use crate::model::parameter::{self, SetUp};
+use crate::base::files;
+use crate::design::calibrate;
+use crate::diagnostic::Diagnostic;
+use crate::estimation::{CalibrationResult, Input, Options, Prior, PriorScale, ResultFile};
+use crate::measurement::{LengthModel, Measurements};
+use crate::robot::parameter::{self, SetUp};
 pub(crate) use inputs::observations;
-pub(crate) use page::error_maps;
 pub(crate) use tables::LENGTHS;
 
-use given::{Given, check_bars, check_lengths};
+use given::{Given, check_lengths};
 use inputs::{parse_point, parse_positive, parse_scale, read_prior, read_workspace};
 
 /// How often a capture is aligned anew with what was identified.
 const ALIGNMENTS: usize = 5;
 
-/// Identify the robot's parameters from lengths, and say which of them the data can tell.
+/// Identify the robot's parameters from lengths, and report which of them are identifiable.
 ///
 /// Each parameter comes with its standard deviation or the reason why it has none, with the 3-D error predicted
 /// over the workspace and the further measurement that would help most. A capture is aligned anew with what was
-/// identified, until nothing changes. More: docs/identification.md.
+/// identified, until nothing changes. More: docs/explanation/identification.md.
 #[derive(clap::Args)]
 pub(crate) struct Args {
-    /// Observations CSV (index,centre,a1_deg,..,a6_deg,length_mm[,sigma_mm][,bar]), or a capture, which carries
+    /// Measurements CSV (index,centre,a1_deg,..,a6_deg,length_mm[,sigma_mm][,bar]), or a capture, which carries
     /// the robot and the base balls of its plan. `bar` numbers bars that have an offset each (1, 2, ..; absent =
     /// 1). One bar set to two lengths keeps its number: then its offset can be told from a scale of the robot.
     input: PathBuf,
@@ -47,13 +47,13 @@ pub(crate) struct Args {
     #[arg(long, value_name = "NAME|FILE")]
     robot: Option<String>,
     /// Parameters to estimate: names, ranges, groups (`alpha1-5,a1-5,d4-6`; geometric, tool, centres, bar, all;
-    /// compliance, gear); without it, all that the data can tell, and compliance (if the robot file has a [[mass]]
+    /// compliance, gear); without it, all that are identifiable, and compliance (if the robot file has a [[mass]]
     /// or [payload]) and gear error where an F-test, lengths held out and the predicted 3-D error speak for them. Followed as it is when
     /// there is no prior; what it does not name counts as exact, in the predicted 3-D error too.
     #[arg(long, value_name = "LIST")]
     estimate: Option<String>,
-    /// Parameters to hold at their start values.
-    #[arg(long, value_name = "LIST")]
+    /// Parameters to fix at their start values (--hold).
+    #[arg(long, alias = "fix", value_name = "LIST")]
     hold: Option<String>,
     /// Base balls: CSV centre,x_mm,y_mm,z_mm in the robot base; to centimetres when they are estimated.
     #[arg(long, value_name = "C.csv")]
@@ -95,40 +95,51 @@ pub(crate) struct Args {
 
 pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
     let mut given = Given::read(args, out)?;
-    let set_up = SetUp { centres: given.centres.len(), bars: given.observations.bars() };
+    let set_up = SetUp { balls: given.centres.len(), bars: given.observations.bars() };
     let options = options(args, &given, set_up)?;
     let validation = match &args.validate {
         Some(path) => {
             let name = path.display().to_string();
             let set = observations(path)?;
             check_lengths(&name, &set, &given.robot, &given.centres)?;
-            check_bars(&name, &set, given.observations.bars())?;
+            set.check(&name, set_up)?;
             Some(set)
         }
         None => None,
     };
-    let find = |given: &Given| {
-        identify::identify(&given.robot, &given.observations, &given.centres, validation.as_ref(), &options)
-    };
-    let mut found = find(&given)?;
-    // The lengths that the identified robot predicts speak in the alignment, until nothing changes.
+    let mut found = find(&given, validation.as_ref(), &options)?;
+    // The lengths that the identified robot predicts are used in the alignment, until nothing changes.
     for _ in 0..ALIGNMENTS {
         if !given.align_again(&found) {
             break;
         }
-        found = find(&given)?;
+        found = find(&given, validation.as_ref(), &options)?;
     }
-    let own = given.commanded.then(|| identify::own_accuracy(&given.robot, &found, &given.observations));
-    let doubts = given.doubts.drain(..).chain(own.flatten());
-    found.result.warnings.extend(doubts.map(|text| Warning { kind: WarningKind::Doubt, text }));
     files::directory(&args.out)?;
     tables::write_results(&args.out, &found, &given.observations)?;
-    let page = page::html(&given.robot, &given.observations, &found, given.sources)?;
+    let page = page::html(&found, &given.observations, given.sources)?;
     files::write(&args.out.join("report.html"), page)?;
-    say::say(out, &found.result, &args.out);
-    out.document(&found.result)?;
-    let doubt = found.result.warnings.iter().any(|warning| warning.kind == WarningKind::Doubt);
-    Ok(if doubt { Outcome::Doubt } else { Outcome::Done })
+    // Its findings are its warnings: it is written before they are reported.
+    out.document(&ResultFile::from(&found))?;
+    say::say(out, &found, &args.out);
+    Ok(if found.is_doubtful() { Outcome::Doubt } else { Outcome::Done })
+}
+
+fn find(
+    given: &Given,
+    validation: Option<&Measurements>,
+    options: &Options,
+) -> Result<CalibrationResult, Diagnostic> {
+    let start = LengthModel::new(given.robot.geometry.clone(), &given.centres);
+    let input = Input {
+        robot: &given.robot,
+        observations: &given.observations,
+        start: &start,
+        validation,
+        options,
+        axes: given.axes,
+    };
+    Ok(calibrate(&input, given.findings.clone())?)
 }
 
 fn options(args: &Args, given: &Given, set_up: SetUp) -> Result<Options, Box<dyn Error>> {

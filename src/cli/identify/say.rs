@@ -1,92 +1,139 @@
-//! What is said of a result on the terminal.
+//! A result on the terminal.
 
 use std::path::Path;
 
-use super::choices;
 use crate::cli::Output;
-use crate::identifiability::Observability;
-use crate::identify::result::{Identification, Status, WarningKind};
+use crate::estimation::result::{CalibrationResult, SigmaSource, Status};
+use crate::estimation::{Combination, Observability};
+use crate::robot::ParamId;
 
-/// Further measurements that are named here; all stand in the report.
-const ADVICE: usize = 2;
+/// Further measurements that are named here; all are in the report.
+const RECOMMENDATIONS: usize = 2;
 
-/// The result in lines, warnings to stderr.
-pub(super) fn say(out: &Output, result: &Identification, dir: &Path) {
+/// The result in lines, findings to stderr.
+pub(super) fn say(out: &Output, result: &CalibrationResult, dir: &Path) {
+    for lines in [fit(result), choices(result), position(result), parameters(result)] {
+        lines.into_iter().for_each(|line| out.result(line));
+    }
+    for recommendation in result.recommendations.iter().filter(|one| one.adds).take(RECOMMENDATIONS) {
+        out.result(format!("next: {recommendation}"));
+    }
+    result.diagnostics().for_each(|finding| out.finding(finding));
+    out.result(format!("results in {}", dir.display()));
+}
+
+fn fit(result: &CalibrationResult) -> Vec<String> {
     let residual = &result.residual_mm;
-    let count = |status: Status| result.parameters.iter().filter(|p| p.status == status).count();
-    out.result(format!(
-        "{}: {} lengths, rank {} of the parameters asked for, condition {:.0}, {} steps",
-        result.robot, result.observations, result.rank, result.condition, result.iterations
-    ));
-    out.result(format!(
-        "residual rms {} -> {}, largest {} -> {}, sigma {} ({})",
-        mm(residual.before.rms),
-        mm(residual.after.rms),
-        mm(residual.before.max),
-        mm(residual.after.max),
-        mm(result.sigma_mm),
-        choices::source(result.sigma_source)
-    ));
+    let mut lines = vec![
+        format!(
+            "{}: {} lengths, rank {} of the parameters asked for, condition {:.0}, {} steps",
+            result.robot.name,
+            result.lengths,
+            result.rank.nominal,
+            result.rank.condition,
+            result.solver.iterations
+        ),
+        format!(
+            "residual rms {} -> {}, largest {} -> {}, sigma {} ({})",
+            mm(residual.before.rms),
+            mm(residual.after.rms),
+            mm(residual.before.max),
+            mm(residual.after.max),
+            mm(result.sigma.mm),
+            source(result.sigma.source)
+        ),
+    ];
     if let Some(folds) = &result.folds {
-        out.result(format!("held out in {} folds: rms {}", folds.folds, mm(folds.rms)));
+        lines.push(format!("held out in {} folds: rms {}", folds.folds, mm(folds.rms)));
     }
     if let Some(validation) = &result.validation {
         let [before, after] = [validation.before.rms, validation.after.rms].map(mm);
-        out.result(format!("validation: rms {before} -> {after}"));
+        lines.push(format!("validation: rms {before} -> {after}"));
     }
-    for line in choices::lines(result) {
-        out.result(line);
+    lines
+}
+
+/// What was left to the data: optional groups, prior, Monte Carlo. A group that was not tested is in the files only.
+fn choices(result: &CalibrationResult) -> Vec<String> {
+    let tested = result.groups.iter().filter(|group| group.f_test().is_some());
+    let mut lines: Vec<String> = tested.map(ToString::to_string).collect();
+    if let Some(prior) = &result.prior
+        && let Some(chosen) = prior.tried.iter().find(|tried| tried.scale == prior.scale)
+    {
+        lines.push(format!(
+            "prior scale {} by cross-validation over {} values: held-out rms {:.4} mm",
+            prior.scale,
+            prior.tried.len(),
+            chosen.held_out_rms_mm
+        ));
     }
+    if let Some(drawn) = &result.monte_carlo {
+        let names: Vec<String> = drawn.disagree.iter().map(ToString::to_string).collect();
+        lines.push(match names.as_slice() {
+            [] => format!("Monte Carlo, {} trials: the linear 95 % intervals hold", drawn.used),
+            names => format!(
+                "Monte Carlo, {} trials: the linear 95 % intervals do not hold for {}",
+                drawn.used,
+                names.join(", ")
+            ),
+        });
+    }
+    lines
+}
+
+fn position(result: &CalibrationResult) -> Vec<String> {
+    let mut lines = Vec::new();
     if let Some(Observability { o1, o2, o3, o4, o5 }) = result.observability {
-        out.result(format!("observability O1 {o1:.3e}, O2 {o2:.3e}, O3 {o3:.3e}, O4 {o4:.3e}, O5 {o5:.3e}"));
+        lines.push(format!("observability O1 {o1:.3e}, O2 {o2:.3e}, O3 {o3:.3e}, O4 {o4:.3e}, O5 {o5:.3e}"));
     }
-    let predicted = &result.predicted_position_error_mm;
-    let exact = if count(Status::Held) > 0 { " (what is held taken as exact)" } else { "" };
-    out.result(format!(
-        "predicted 3-D error over the workspace: mean {} -> {}, 95 % {} -> {}{exact}",
+    let predicted = &result.predicted;
+    lines.push(format!(
+        "predicted position error over the workspace: mean {} -> {}, 95 % {} -> {}",
         mm(predicted.nominal.mean),
         mm(predicted.identified.mean),
         mm(predicted.nominal.p95),
         mm(predicted.identified.p95)
     ));
-    out.result(format!(
-        "{} identified, {} with the prior's help, {} dependent, {} too weak, {} held",
-        count(Status::Identified),
-        count(Status::Prior),
-        count(Status::Dependent),
-        count(Status::TooWeak),
-        count(Status::Held)
-    ));
-    let (set_up, own): (Vec<_>, Vec<_>) = result
-        .dependent
-        .iter()
-        .partition(|group| group.kept.starts_with("centre") || group.kept.starts_with("tool"));
-    for group in own {
-        out.result(format!("  {}", group.text));
+    if result.count(Status::Fixed) > 0 {
+        lines.push("  what is fixed counts as exact in it".into());
     }
-    let mut carried: Vec<&str> =
-        set_up.iter().flat_map(|group| group.combination.keys().map(String::as_str)).collect();
-    carried.retain(|name| !name.starts_with("centre") && !name.starts_with("tool"));
+    lines
+}
+
+fn parameters(result: &CalibrationResult) -> Vec<String> {
+    let mut lines = vec![format!(
+        "{} identified, {} with the prior's help, {} dependent, {} poorly observable, {} fixed",
+        result.count(Status::Identified),
+        result.count(Status::Prior),
+        result.count(Status::Dependent),
+        result.count(Status::PoorlyObservable),
+        result.count(Status::Fixed)
+    )];
+    let is_place = |id: ParamId| matches!(id, ParamId::Ball(..) | ParamId::Tool(_));
+    let (places, own): (Vec<&Combination>, Vec<&Combination>) =
+        result.combinations.iter().partition(|combination| is_place(combination.kept));
+    lines.extend(own.into_iter().map(|combination| format!("  {combination}")));
+    let members = places.iter().flat_map(|combination| combination.members.iter().map(|(id, _)| *id));
+    let mut carried: Vec<String> = members.filter(|id| !is_place(*id)).map(|id| id.to_string()).collect();
     carried.sort_unstable();
     carried.dedup();
     if !carried.is_empty() {
-        out.result(format!("  carried by the places of the balls: {}", carried.join(", ")));
+        lines.push(format!("  carried by the places of the balls: {}", carried.join(", ")));
     }
-    if let Some((worst, others)) = result.correlated.split_first() {
-        let [one, other] = &worst.pair;
+    if let Some((worst, others)) = result.correlations.split_first() {
+        let [one, other] = worst.pair;
         let more = if others.is_empty() { "" } else { ", and others in result.json" };
-        out.result(format!("  hardly told apart: {one} and {other}, correlation {:.3}{more}", worst.r));
+        lines.push(format!("  nearly collinear: {one} and {other}, correlation {:.3}{more}", worst.r));
     }
-    for advice in result.advice.iter().filter(|advice| advice.adds).take(ADVICE) {
-        out.result(format!("next: {}", advice.text));
+    lines
+}
+
+fn source(source: SigmaSource) -> &'static str {
+    match source {
+        SigmaSource::Given => "given",
+        SigmaSource::Estimated => "estimated",
+        SigmaSource::Assumed => "assumed",
     }
-    for warning in &result.warnings {
-        match warning.kind {
-            WarningKind::Doubt => out.warning(&warning.text),
-            WarningKind::Note => out.progress(format!("note: {}", warning.text)),
-        }
-    }
-    out.result(format!("results in {}", dir.display()));
 }
 
 /// A length for people.

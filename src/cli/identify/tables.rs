@@ -4,44 +4,51 @@ use std::error::Error;
 use std::fmt::Write;
 use std::path::Path;
 
-use crate::export::{frames, mastering, urdf};
-use crate::files;
-use crate::identify::Identified;
-use crate::model::Observations;
+use crate::base::files;
+use crate::estimation::{CalibrationResult, Posterior, ResultFile};
+use crate::measurement::Measurements;
+use crate::report::export::{frames, mastering, urdf};
 
 /// The lengths that an identification rests on, beside its robot-identified.toml.
 pub(crate) const LENGTHS: &str = "lengths.csv";
+
+const PARAMETER_COLUMNS: [&str; 14] = [
+    "name",
+    "unit",
+    "start",
+    "nominal",
+    "identified",
+    "correction",
+    "sd",
+    "status",
+    "reason",
+    "low95",
+    "high95",
+    "mc_sd",
+    "mc_low95",
+    "mc_high95",
+];
 
 /// Writes result.json, parameters.csv, covariance.csv, the robot for other programs, and as lengths.csv those of the
 /// observations that the result rests on.
 pub(super) fn write_results(
     dir: &Path,
-    found: &Identified,
-    observations: &Observations,
+    found: &CalibrationResult,
+    observations: &Measurements,
 ) -> Result<(), Box<dyn Error>> {
-    let result = &found.result;
-    let used = |at: usize| found.out.binary_search(&at).is_err();
-    files::write_pieces(&dir.join(LENGTHS), observations.csv_pieces(used))?;
-    files::write(&dir.join("result.json"), serde_json::to_string_pretty(result)? + "\n")?;
+    let file = ResultFile::from(found);
+    files::write_pieces(&dir.join(LENGTHS), observations.csv_pieces(|place| found.uses(place)))?;
+    files::write(&dir.join("result.json"), serde_json::to_string_pretty(&file)? + "\n")?;
     files::write(&dir.join("robot-identified.toml"), found.robot.to_toml())?;
+    files::write(&dir.join("parameters.csv"), parameters_csv(&file)?)?;
+    files::write(&dir.join("covariance.csv"), covariance_csv(&found.posterior))?;
+    hand_back(dir, found)
+}
+
+fn parameters_csv(file: &ResultFile) -> Result<Vec<u8>, Box<dyn Error>> {
     let mut table = csv::Writer::from_writer(Vec::new());
-    table.write_record([
-        "name",
-        "unit",
-        "start",
-        "nominal",
-        "identified",
-        "correction",
-        "sd",
-        "status",
-        "reason",
-        "low95",
-        "high95",
-        "mc_sd",
-        "mc_low95",
-        "mc_high95",
-    ])?;
-    for parameter in &result.parameters {
+    table.write_record(PARAMETER_COLUMNS)?;
+    for parameter in &file.parameters {
         table.serialize((
             &parameter.name,
             &parameter.unit,
@@ -57,29 +64,34 @@ pub(super) fn write_results(
             ends(parameter.monte_carlo.map(|drawn| drawn.interval95)),
         ))?;
     }
-    files::write(&dir.join("parameters.csv"), table.into_inner()?)?;
-    let mut covariance = String::from("name");
-    for id in &found.estimated {
-        write!(covariance, ",{id}")?;
+    Ok(table.into_inner()?)
+}
+
+/// In the units of the parameters.
+fn covariance_csv(posterior: &Posterior) -> String {
+    let mut text = String::from("name");
+    // Writing to a string does not fail.
+    for id in posterior.ids() {
+        let _ = write!(text, ",{id}");
     }
-    covariance.push('\n');
-    for (row, id) in found.estimated.iter().enumerate() {
-        write!(covariance, "{id}")?;
-        for value in found.covariance.row(row).iter() {
-            write!(covariance, ",{value:e}")?;
+    text.push('\n');
+    let covariance = posterior.covariance();
+    for (row, id) in covariance.row_iter().zip(posterior.ids()) {
+        let _ = write!(text, "{id}");
+        for value in row.iter() {
+            let _ = write!(text, ",{value:e}");
         }
-        covariance.push('\n');
+        text.push('\n');
     }
-    files::write(&dir.join("covariance.csv"), covariance)?;
-    hand_back(dir, found)
+    text
 }
 
 /// What goes to other programs and to the controller: URDF, mastering offsets, KRL frames.
-fn hand_back(dir: &Path, found: &Identified) -> Result<(), Box<dyn Error>> {
+fn hand_back(dir: &Path, found: &CalibrationResult) -> Result<(), Box<dyn Error>> {
     files::write(&dir.join("robot-identified.urdf"), urdf::urdf(&found.robot))?;
-    let offsets = mastering::offsets(&found.robot, &found.result);
+    let offsets = mastering::offsets(found);
     files::write(&dir.join("mastering.csv"), mastering::csv(&offsets)?)?;
-    let data = frames::data_list(&found.robot.name, &frames::frames(&found.result), &offsets);
+    let data = frames::data_list(&found.robot.name, &frames::frames(found), &offsets);
     files::write(&dir.join(format!("{}.dat", frames::MODULE)), data)?;
     Ok(())
 }

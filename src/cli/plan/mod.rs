@@ -8,12 +8,15 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 
 use super::{Outcome, Output, Verdict};
+use crate::base::files;
+use crate::catalogue::PlanFinding;
 use crate::cli::{protocols, robots};
-use crate::diag::Diagnostic;
-use crate::files;
-use crate::model::{Centre, Reading, Robot};
-use crate::plan::prediction::Fate;
-use crate::plan::{Check, Job, Kind, Knowledge, Plan, Prediction, Stage, Taught};
+use crate::diagnostic::Diagnostic;
+use crate::measurement::{BaseBall, PreparedMeasurement};
+use crate::plan::prediction::Identifiability;
+use crate::plan::{Check, Job, Kind, Plan, PlanningPrior, Prediction, Stage, Taught};
+use crate::robot::Robot;
+use crate::robot::parameter::SetUp;
 
 /// Plan the poses of a calibration from a job, and check them.
 ///
@@ -21,7 +24,7 @@ use crate::plan::{Check, Job, Kind, Knowledge, Plan, Prediction, Stage, Taught};
 /// design. Every pose and the path between is checked: reach, axis limits, singularities, stroke, cup, obstacles,
 /// and the risk that a robot within its tolerance leaves the stroke. What is unsafe is refused with the row, the
 /// quantity and the limit. Where only the risk is too great, a few safe poses are chosen, to be measured first.
-/// plan.html shows the poses and what they will tell. More: docs/planning.md.
+/// plan.html shows the poses and what they will tell. More: docs/explanation/planning.md.
 #[derive(clap::Args)]
 pub(crate) struct Args {
     /// The job: bar, base balls, circles, motion, limits (examples/*.toml explain every key).
@@ -30,10 +33,10 @@ pub(crate) struct Args {
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// Robot by built-in name or file, in place of the job's. With a robot-identified.toml the plan is made on what is
-    /// known since: the lengths.csv beside it counts as --measured; the controller is told its nominal poses.
+    /// known since: the lengths.csv beside it counts as --measured; the controller is commanded its nominal poses.
     #[arg(long, value_name = "NAME|FILE")]
     robot: Option<String>,
-    /// Observations CSV of lengths measured before to the same base balls (may be repeated): the plan is made on the
+    /// Measurements CSV of lengths measured before to the same base balls (may be repeated): the plan is made on the
     /// robot that is likeliest by them and by its tolerance, and its risks and predictions go by what they left unknown.
     #[arg(long, value_name = "OBS.csv")]
     measured: Vec<PathBuf>,
@@ -53,7 +56,6 @@ struct Summary<'a> {
     reference: usize,
     duration_s: f64,
     checks: &'a [Check],
-    notes: &'a [String],
     stage: Option<Stage>,
     taught: &'a [Taught],
     predictions: Option<&'a Prediction>,
@@ -77,28 +79,37 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
         if lengths.is_file() {
             measured.push(lengths);
         } else {
-            out.warning(format!(
-                "{}: not there: what the identification left unknown is not known, and the risk goes by the maker's \
-                 tolerance about the identified robot",
-                lengths.display()
-            ));
+            out.finding(PlanFinding::NoLengths { file: lengths.display().to_string() });
         }
     }
-    let (job, robot, known) = knowledge(job, robot, &measured)?;
-    let mut plan = Plan::build_knowing(&job, &robot, &known)?;
-    let foretold = plan.foretell(&robot, &known.belief);
-    let map = foretold.map(|(prediction, map)| {
-        plan.header.predictions = Some(prediction);
-        map
-    });
+    let Known { job, robot, prior } = Known::after(job, robot, &measured)?;
+    let mut plan = Plan::build_with(&job, &robot, &prior).map_err(|refusal| {
+        refusal.shown().for_each(|finding| out.finding(finding.clone()));
+        Diagnostic { file: name.clone(), ..refusal.into() }
+    })?;
+    let map = plan.predict(&robot, &prior);
+    write(&plan, page::html(&plan, &robot, &name, &map)?, &args.out)?;
+    for note in &plan.header.notes {
+        out.finding(note.clone());
+    }
+    let recommendations = plan.header.predictions.iter().flat_map(|found| &found.recommendations);
+    recommendations.for_each(|finding| out.finding(finding.clone()));
+    report(&plan, &robot, out)?;
+    out.progress(format!("wrote plan.csv, plan.json, plan.html and centres.csv to {}", args.out.display()));
+    Ok(Outcome::Done)
+}
 
+fn write(plan: &Plan, page: String, directory: &Path) -> Result<(), Diagnostic> {
     let (csv, json) = plan.to_files();
-    files::directory(&args.out)?;
-    files::write(&args.out.join("plan.csv"), csv)?;
-    files::write(&args.out.join("plan.json"), json)?;
-    files::write(&args.out.join("plan.html"), page::html(&plan, &robot, &name, &map.unwrap_or_default())?)?;
-    files::write(&args.out.join("centres.csv"), Centre::to_csv(&job.balls()))?;
+    files::directory(directory)?;
+    files::write(&directory.join("plan.csv"), csv)?;
+    files::write(&directory.join("plan.json"), json)?;
+    files::write(&directory.join("plan.html"), page)?;
+    files::write(&directory.join("centres.csv"), BaseBall::to_csv(&plan.header.job.balls()))
+}
 
+/// The result on stdout.
+fn report(plan: &Plan, robot: &Robot, out: &Output) -> Result<(), Diagnostic> {
     let count = |kind: Kind| plan.rows.iter().filter(|row| row.kind == kind).count();
     let summary = Summary {
         robot: &robot.name,
@@ -108,7 +119,6 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
         reference: count(Kind::Reference),
         duration_s: plan.duration_s(),
         checks: &plan.header.checks,
-        notes: &plan.header.notes,
         stage: plan.header.stage,
         taught: &plan.header.taught,
         predictions: plan.header.predictions.as_ref(),
@@ -126,59 +136,57 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
     for check in summary.checks {
         out.result(format!("  {check}"));
     }
-    for ball in &plan.header.taught {
+    for ball in summary.taught {
         let angles = ball.axes_deg.map(|angle| format!("{angle:.4}")).join(", ");
         out.result(format!(
             "teach base ball {}: the tool ball on it at A1..A6 = {angles}; the risk rests on it",
             ball.centre
         ));
     }
-    for note in summary.notes {
-        out.result(note);
-    }
     summary.predictions.into_iter().flat_map(lines).for_each(|line| out.result(line));
-    out.progress(format!("wrote plan.csv, plan.json, plan.html and centres.csv to {}", args.out.display()));
-    Ok(Outcome::Done)
+    Ok(())
 }
 
-/// Job, robot and what is known of it after the lengths measured before, if there are any.
-fn knowledge(
+/// Job, robot and what is known of it.
+struct Known {
     job: Job,
     robot: Robot,
-    measured: &[PathBuf],
-) -> Result<(Job, Robot, Knowledge), Box<dyn Error>> {
-    if measured.is_empty() {
-        let known = Knowledge::datasheet(&job, &robot);
-        return Ok((job, robot, known));
-    }
-    let mut lengths = Vec::new();
-    for path in measured {
-        let name = path.display().to_string();
-        let observations = super::identify::observations(path)?;
-        if let Some(row) = observations.rows.iter().find(|row| row.centre > job.centres.len()) {
-            let message = format!("index {}: the job has no base ball {}", row.index, row.centre);
-            return Err(Diagnostic::file(&name, message).into());
+    prior: PlanningPrior,
+}
+
+impl Known {
+    /// After the lengths measured before, if there are any.
+    fn after(job: Job, robot: Robot, measured: &[PathBuf]) -> Result<Self, Box<dyn Error>> {
+        if measured.is_empty() {
+            let prior = PlanningPrior::datasheet(&job, &robot);
+            return Ok(Self { job, robot, prior });
         }
-        lengths.extend(observations.rows.iter().map(Reading::from));
+        let mut lengths = Vec::new();
+        for path in measured {
+            let observations = super::identify::observations(path)?;
+            let set_up = SetUp { balls: job.centres.len(), bars: observations.bars() };
+            observations.check(&path.display().to_string(), set_up)?;
+            lengths.extend(observations.rows.iter().map(PreparedMeasurement::from));
+        }
+        let prior = PlanningPrior::after_lengths(&job, &robot, &lengths).map_err(Diagnostic::from)?;
+        let (job, robot) = prior.applied(&job, &robot);
+        Ok(Self { job, robot, prior })
     }
-    let known = Knowledge::learned(&job, &robot, &lengths)
-        .ok_or("the lengths measured before give no finite robot")?;
-    let (job, robot) = known.applied(&job, &robot);
-    Ok((job, robot, known))
 }
 
 /// A prediction in a few lines.
 fn lines(prediction: &Prediction) -> Vec<String> {
-    let count = |fate: Fate| prediction.parameters.iter().filter(|p| p.fate == fate).count();
+    let count =
+        |of: Identifiability| prediction.parameters.iter().filter(|p| p.identifiability == of).count();
     let (now, then) = (prediction.now_mm, prediction.identified_mm);
     let mut lines = vec![
         format!(
-            "these lengths ({:.1} um each) will tell {} of {} parameters or combinations: {} well, {} worse than 3 tolerances",
+            "these lengths ({:.1} um each) identify {} of {} parameters or combinations: {} well, {} worse than 3 tolerances",
             prediction.sigma_mm * 1e3,
             prediction.rank,
             prediction.of,
-            count(Fate::Identified),
-            count(Fate::TooWeak)
+            count(Identifiability::Identified),
+            count(Identifiability::PoorlyObservable)
         ),
         format!(
             "predicted 3-D error over the workspace, with --prior datasheet: mean {:.3} mm -> {:.3} mm, 95 % {:.3} -> {:.3} mm",
@@ -192,6 +200,5 @@ fn lines(prediction: &Prediction) -> Vec<String> {
         ));
     }
     lines.extend(prediction.dependent.iter().map(|text| format!("  {text}")));
-    lines.extend(prediction.advice.iter().cloned());
     lines
 }

@@ -10,12 +10,16 @@ use tokio::sync::{broadcast, watch};
 use super::log::Level;
 use super::state::{Run, Supervisor};
 use super::{catalogue, names, runs, trial_cell};
-use crate::live::{
-    Catalogue, Download, Job, JobKind, JobRequest, Message, Point, Refusal, RunEntry, Service, StartRequest,
-    Status,
+use crate::catalogue::ServiceFinding::{
+    Ending, NoPortChosen, NoRun, NoRunIsOn, NoSuchPort, NoSuchProtocol, RunDuration, RunIsOn, RunIsStarting,
+    RunName, ThisRunIsOn,
 };
-use crate::port;
-use crate::protocol::Definition;
+use crate::device::port;
+use crate::device::protocol::Definition;
+use crate::diagnostic::Diagnostic;
+use crate::live::{
+    Catalogue, Download, Job, JobKind, JobRequest, Message, Point, RunEntry, Service, StartRequest, Status,
+};
 
 /// The longest run that may be asked for, s.
 const LONGEST_S: f64 = 1e6;
@@ -26,37 +30,35 @@ impl Service for Supervisor {
     }
 
     fn messages(&self) -> broadcast::Receiver<Message> {
-        self.shown.messages.subscribe()
+        self.live.messages.subscribe()
     }
 
     fn points(&self) -> Vec<Point> {
-        self.shown.points.lock().unwrap_or_else(PoisonError::into_inner).clone()
+        self.live.points.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    fn catalogue(&self, which: Catalogue) -> Result<Value, Refusal> {
+    fn catalogue(&self, which: Catalogue) -> Result<Value, Diagnostic> {
         catalogue::list(which, &self.config.plans)
     }
 
-    fn choose(&self, port: Option<String>, protocol: Option<String>) -> Result<(), Refusal> {
+    fn choose(&self, port: Option<String>, protocol: Option<String>) -> Result<(), Diagnostic> {
         let mut inner = self.inner();
         if !matches!(inner.run, Run::None) {
-            return Err(Refusal::Conflict("a run is on: stop it first".into()));
+            return Err(RunIsOn.into());
         }
         if let Some(port) = &port {
             // Only what is a serial port may be opened, or what the configuration named.
-            let listed = port::list().map_err(|error| Refusal::Failed(error.to_string()))?;
-            let listed = listed.iter().any(|one| one.port == *port || one.by_id.as_ref() == Some(port));
+            let listed =
+                port::list()?.iter().any(|one| one.port == *port || one.by_id.as_ref() == Some(port));
             let simulated = *port == trial_cell::PORT && self.bench.is_some();
             if !listed && !simulated && self.config.port.as_ref() != Some(port) {
-                return Err(Refusal::Missing(format!("there is no port `{port}`")));
+                return Err(NoSuchPort { port: port.clone() }.into());
             }
         }
         if let Some(name) = &protocol {
             let configured = self.config.protocol.clone().filter(|configured| configured.id == *name);
             let found = configured.map(Ok).or_else(|| Definition::by_name(name));
-            let unknown = || Refusal::Missing(format!("there is no protocol `{name}`"));
-            let definition = found.ok_or_else(unknown)?;
-            inner.protocol = Some(definition.map_err(|error| Refusal::Invalid(error.to_string()))?);
+            inner.protocol = Some(found.ok_or_else(|| NoSuchProtocol { protocol: name.clone() })??);
         }
         if port.is_some() {
             inner.port = port;
@@ -67,25 +69,22 @@ impl Service for Supervisor {
         Ok(())
     }
 
-    fn start(&self, request: StartRequest) -> Result<(), Refusal> {
+    fn start(&self, request: StartRequest) -> Result<(), Diagnostic> {
         if !names::is_sound(&request.name) {
-            let message =
-                "a run's name has 1 to 64 letters, digits, `.`, `_`, `-`, and begins with a letter or digit";
-            return Err(Refusal::Invalid(message.into()));
+            return Err(RunName.into());
         }
         if request.duration_s.is_some_and(|s| !(s > 0.0 && s <= LONGEST_S)) {
-            return Err(Refusal::Invalid(format!("duration_s must be above 0 and at most {LONGEST_S}")));
+            return Err(RunDuration { most_s: LONGEST_S }.into());
         }
         let (port, protocol) = {
             let mut inner = self.inner();
             if !matches!(inner.run, Run::None) {
-                return Err(Refusal::Conflict("a run is on: stop it first".into()));
+                return Err(RunIsOn.into());
             }
             if inner.ending {
-                return Err(Refusal::Conflict("dbbd is about to end".into()));
+                return Err(Ending.into());
             }
-            let none = || Refusal::Conflict("no port was chosen".into());
-            let port = inner.port.clone().ok_or_else(none)?;
+            let port = inner.port.clone().ok_or(NoPortChosen)?;
             inner.run = Run::Starting;
             (port, inner.protocol.clone())
         };
@@ -103,48 +102,50 @@ impl Service for Supervisor {
             }
             Err(refusal) => {
                 inner.run = Run::None;
-                self.log.say(Level::Warning, "run_refused", &[("run", &request.name), ("reason", &refusal)]);
+                let fields: [(&str, &dyn Display); 3] =
+                    [("run", &request.name), ("code", &refusal.code), ("reason", &refusal)];
+                self.log.say(Level::Warning, "run_refused", &fields);
                 Err(refusal)
             }
         }
     }
 
-    fn stop(&self) -> Result<(), Refusal> {
+    fn stop(&self) -> Result<(), Diagnostic> {
         match &self.inner().run {
             Run::On(running) => running.stop.store(true, Ordering::Relaxed),
-            Run::Starting => return Err(Refusal::Conflict("the run is just starting".into())),
-            Run::None => return Err(Refusal::Conflict("no run is on".into())),
+            Run::Starting => return Err(RunIsStarting.into()),
+            Run::None => return Err(NoRunIsOn.into()),
         }
         Ok(())
     }
 
-    fn mark(&self, text: String) -> Result<(), Refusal> {
+    fn mark(&self, text: String) -> Result<(), Diagnostic> {
         match &self.inner().run {
             Run::On(running) => running.acquisition.mark(text),
-            Run::None | Run::Starting => return Err(Refusal::Conflict("no run is on".into())),
+            Run::None | Run::Starting => return Err(NoRunIsOn.into()),
         }
         Ok(())
     }
 
-    fn runs(&self) -> Result<Vec<RunEntry>, Refusal> {
+    fn runs(&self) -> Result<Vec<RunEntry>, Diagnostic> {
         runs::list(&self.config.data, self.running().as_deref())
     }
 
-    fn run(&self, name: &str) -> Result<RunEntry, Refusal> {
+    fn run(&self, name: &str) -> Result<RunEntry, Diagnostic> {
         runs::entry(&self.config.data, name, self.running().as_deref())
     }
 
-    fn file(&self, run: &str, result: Option<(JobKind, &str)>) -> Result<Download, Refusal> {
+    fn file(&self, run: &str, result: Option<(JobKind, &str)>) -> Result<Download, Diagnostic> {
         runs::open(&self.config.data, run, result)
     }
 
-    fn submit(&self, request: JobRequest) -> Result<Job, Refusal> {
+    fn submit(&self, request: JobRequest) -> Result<Job, Diagnostic> {
         let directory = runs::directory(&self.config.data, &request.run)?;
         if self.running().as_ref() == Some(&request.run) {
-            return Err(Refusal::Conflict(format!("run `{}` is on: stop it first", request.run)));
+            return Err(ThisRunIsOn { run: request.run }.into());
         }
         if !directory.join(runs::CAPTURE).is_file() {
-            return Err(Refusal::Missing(format!("there is no run `{}`", request.run)));
+            return Err(NoRun { run: request.run }.into());
         }
         let job = self.jobs.submit(request, directory)?;
         let fields: [(&str, &dyn Display); 3] =
@@ -157,11 +158,11 @@ impl Service for Supervisor {
         self.jobs.list()
     }
 
-    fn job(&self, id: u64) -> Result<Job, Refusal> {
+    fn job(&self, id: u64) -> Result<Job, Diagnostic> {
         self.jobs.get(id)
     }
 
-    fn cancel(&self, id: u64) -> Result<Job, Refusal> {
+    fn cancel(&self, id: u64) -> Result<Job, Diagnostic> {
         self.jobs.cancel(id)
     }
 }

@@ -7,17 +7,18 @@ use std::time::SystemTime;
 use serde_json::{Value, json};
 
 use super::names;
-use crate::live::{Catalogue, Refusal};
-use crate::model::Robot;
-use crate::plan::{Kind, Plan};
-use crate::port;
-use crate::protocol::Definition;
+use crate::device::port;
+use crate::device::protocol::Definition;
+use crate::diagnostic::Diagnostic;
+use crate::live::Catalogue;
+use crate::plan::Kind;
+use crate::recording::run;
+use crate::robot::Robot;
 
 /// One of the lists, under its name.
-pub(super) fn list(which: Catalogue, plans: &Path) -> Result<Value, Refusal> {
-    let failed = |error: serialport::Error| Refusal::Failed(error.to_string());
+pub(super) fn list(which: Catalogue, plans: &Path) -> Result<Value, Diagnostic> {
     Ok(match which {
-        Catalogue::Ports => json!({ "ports": port::list().map_err(failed)? }),
+        Catalogue::Ports => json!({ "ports": port::list()? }),
         Catalogue::Protocols => json!({ "protocols": protocols() }),
         Catalogue::Robots => {
             let names: Vec<&str> = Robot::built_in().iter().map(|(name, _)| *name).collect();
@@ -44,16 +45,6 @@ pub(super) fn plan_file(plans: &Path, name: &str) -> Option<PathBuf> {
     Some(plans.join(name).join("plan.csv")).filter(|path| names::is_sound(name) && path.is_file())
 }
 
-/// Reads a plan.
-pub(super) fn plan(csv: &Path) -> Result<Plan, String> {
-    let json = csv.with_extension("json");
-    let read = |path: &Path| {
-        fs::read_to_string(path).map_err(|error| format!("{}: cannot be read: {error}", path.display()))
-    };
-    let (csv_name, json_name) = (csv.display().to_string(), json.display().to_string());
-    Plan::from_files(&csv_name, &read(csv)?, &json_name, &read(&json)?).map_err(|error| error.to_string())
-}
-
 /// The newest first: it is the one that is driven next.
 fn all_plans(plans: &Path) -> Vec<Value> {
     let entries = fs::read_dir(plans).into_iter().flatten().flatten();
@@ -70,7 +61,7 @@ fn all_plans(plans: &Path) -> Vec<Value> {
 }
 
 fn describe(name: &str, csv: &Path) -> Value {
-    match plan(csv) {
+    match run::read_plan(csv) {
         Ok(plan) => {
             let poses = plan.rows.iter().filter(|row| row.kind != Kind::Transit).count();
             let (job, robot) = (&plan.header.job, Robot::from_toml("robot", &plan.header.robot));
@@ -81,6 +72,6 @@ fn describe(name: &str, csv: &Path) -> Value {
                 "duration_s": plan.duration_s(), "error": null,
             })
         }
-        Err(error) => json!({ "name": name, "error": error }),
+        Err(error) => json!({ "name": name, "error": error.to_string(), "code": error.code }),
     }
 }

@@ -9,10 +9,16 @@ use std::path::{Path, PathBuf};
 use serde::Deserialize;
 use toml::Spanned;
 
+use crate::base::files;
+use crate::base::parse::wrong_toml;
+use crate::catalogue::ServiceFinding::{
+    self, NotAHost, NotAProtocol, NotAStroke, NotAnAddress, OpenWithoutToken, OutOfRange,
+    ParametersWithoutProtocol, TokenOpen, TokenTooShort, TokenUnreadable,
+};
 use crate::daemon::ALARM_SHARE;
-use crate::diag::Diagnostic;
+use crate::device::protocol::Definition;
+use crate::diagnostic::{Diagnostic, Finding};
 use crate::live::Token;
-use crate::protocol::Definition;
 
 /// How long a port may stay away during a run before the run ends, s.
 const GONE_S: f64 = 60.0;
@@ -38,7 +44,7 @@ pub struct Config {
     pub gone_s: f64,
     /// Share of the stroke from its middle beyond which the alarm is raised.
     pub alarm_share: f64,
-    /// The stroke where no plan tells it, mm.
+    /// The stroke where no plan gives it, mm.
     pub stroke_mm: Option<[f64; 2]>,
 }
 
@@ -95,8 +101,8 @@ struct Source<'a> {
 }
 
 impl Source<'_> {
-    fn wrong(&self, span: Range<usize>, message: impl Into<String>) -> Diagnostic {
-        Diagnostic::span(&self.file, self.text, span, message)
+    fn wrong(&self, span: Range<usize>, finding: impl Finding) -> Diagnostic {
+        Diagnostic::span(&self.file, self.text, span, finding)
     }
 
     /// A finite number within a range, or what is wrong with it.
@@ -105,7 +111,7 @@ impl Source<'_> {
         if number.is_finite() && (low..=high).contains(&number) {
             return Ok(number);
         }
-        Err(self.wrong(value.span(), format!("{number} must be {low} to {high}")))
+        Err(self.wrong(value.span(), OutOfRange { value: number, least: low, most: high }))
     }
 }
 
@@ -116,11 +122,10 @@ impl Config {
     /// Names the line and column of what is wrong.
     pub fn read(path: &Path) -> Result<Self, Diagnostic> {
         let file = path.display().to_string();
-        let text = fs::read_to_string(path)
-            .map_err(|error| Diagnostic::file(&file, format!("cannot be read: {error}")))?;
+        let text = files::read(path)?;
         let base = path.parent().unwrap_or(Path::new(""));
         let table: File = toml::from_str(&text).map_err(|error| {
-            Diagnostic::toml(&file, &text, &error).help("docs/serve.md explains every key")
+            wrong_toml(&file, &text, &error).help("docs/reference/service.md explains every key")
         })?;
         Self::from_table(&Source { file, text: &text, base }, table)
     }
@@ -137,23 +142,16 @@ impl Config {
             config.token = Some(token(source, path)?);
         }
         if let Some(address) = &table.address {
-            config.address = address.get_ref().parse().map_err(|_| {
-                source
-                    .wrong(address.span(), "no address")
-                    .help("an address and a port are needed, as \"127.0.0.1:8230\" or \"[::1]:8230\"")
-            })?;
+            config.address =
+                address.get_ref().parse().map_err(|_| source.wrong(address.span(), NotAnAddress))?;
             if !config.address.ip().is_loopback() && config.token.is_none() {
-                return Err(source
-                    .wrong(address.span(), "others could reach this address, and no token is asked for")
-                    .help("set `token_file`, or listen on 127.0.0.1"));
+                return Err(source.wrong(address.span(), OpenWithoutToken));
             }
         }
         for host in table.hosts {
             let sound = |c: char| c.is_ascii_alphanumeric() || "-.".contains(c);
             if host.get_ref().is_empty() || !host.get_ref().chars().all(sound) {
-                return Err(source
-                    .wrong(host.span(), "no name of a host")
-                    .help("a name without scheme and port, as \"cell-3.local\""));
+                return Err(source.wrong(host.span(), NotAHost));
             }
             config.hosts.push(host.into_inner());
         }
@@ -162,7 +160,7 @@ impl Config {
             let params: Vec<_> = table.device.params.into_iter().collect();
             config.protocol = Some(definition(source, name, &params)?);
         } else if !table.device.params.is_empty() {
-            return Err(Diagnostic::file(&source.file, "`device.params` needs `device.protocol`"));
+            return Err(Diagnostic::file(&source.file, ParametersWithoutProtocol));
         }
         if let Some(gone_s) = &table.device.gone_s {
             config.gone_s = source.number(gone_s, 0.0, 1e6)?;
@@ -173,7 +171,7 @@ impl Config {
         if let Some(stroke) = table.alarm.stroke_mm {
             let [low, high] = *stroke.get_ref();
             if !(low.is_finite() && high.is_finite() && low < high) {
-                return Err(source.wrong(stroke.span(), "the stroke is [lowest, highest] reading, mm"));
+                return Err(source.wrong(stroke.span(), NotAStroke));
             }
             config.stroke_mm = Some([low, high]);
         }
@@ -192,27 +190,24 @@ fn definition(
     }
     let path = source.base.join(name.get_ref());
     let text = fs::read_to_string(&path).map_err(|error| {
-        let message = format!("`{}` is neither a built-in protocol nor a file: {error}", name.get_ref());
-        source.wrong(name.span(), message).help("`dbbd protocols` lists what is built in")
+        let finding = NotAProtocol { name: name.get_ref().clone(), why: error.to_string() };
+        source.wrong(name.span(), finding)
     })?;
     Definition::from_toml_with(&path.display().to_string(), &text, params)
 }
 
 fn token(source: &Source, path: &Spanned<String>) -> Result<Token, Diagnostic> {
     let file = source.base.join(path.get_ref());
-    let wrong = |message: String| source.wrong(path.span(), message);
-    let text = fs::read_to_string(&file).map_err(|error| wrong(format!("cannot be read: {error}")))?;
+    let wrong = |finding: ServiceFinding| source.wrong(path.span(), finding);
+    let text =
+        fs::read_to_string(&file).map_err(|error| wrong(TokenUnreadable { why: error.to_string() }))?;
     #[cfg(unix)]
     {
         use std::os::unix::fs::PermissionsExt;
         let mode = fs::metadata(&file).map_or(0, |data| data.permissions().mode());
         if mode & 0o007 != 0 {
-            return Err(wrong("every user of this machine may read the token".into())
-                .help("chmod 640 the file, or 600"));
+            return Err(wrong(TokenOpen));
         }
     }
-    Token::new(&text).ok_or_else(|| {
-        wrong("a token has 16 or more visible ASCII characters and no space".into())
-            .help("make one: `openssl rand -hex 24`")
-    })
+    Token::new(&text).ok_or_else(|| wrong(TokenTooShort))
 }

@@ -11,9 +11,13 @@ use std::{io, thread};
 use tokio::sync::broadcast;
 
 use super::runs::CAPTURE;
-use crate::clock;
-use crate::live::{Job, JobKind, JobRequest, JobState, Message, Refusal};
-use crate::units::HostNs;
+use crate::base::clock;
+use crate::base::units::HostNs;
+use crate::catalogue::ServiceFinding::{
+    CommandFailed, NoJob, OptionOfAnotherJob, OptionValue, TooManyJobs, WorkerLost,
+};
+use crate::diagnostic::{Diagnostic, Finding};
+use crate::live::{Job, JobKind, JobRequest, JobState, Message};
 
 /// Jobs that may wait.
 const MOST_WAITING: usize = 16;
@@ -23,7 +27,7 @@ const MOST_KEPT: usize = 100;
 const MOST_LINES: usize = 200;
 const LONGEST_LINE: usize = 400;
 /// Lines of it in the live stream.
-const LINES_TOLD: usize = 12;
+const LINES_STREAMED: usize = 12;
 
 /// The jobs of this process.
 pub(super) struct Jobs {
@@ -53,7 +57,7 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 /// The verb with its options; what is no list of names is refused.
-fn arguments(request: &JobRequest) -> Result<Vec<String>, Refusal> {
+fn arguments(request: &JobRequest) -> Result<Vec<String>, Diagnostic> {
     let kind = request.kind.name();
     let mut args = vec![kind.to_owned(), CAPTURE.to_owned()];
     args.push(match request.kind {
@@ -65,12 +69,12 @@ fn arguments(request: &JobRequest) -> Result<Vec<String>, Refusal> {
     {
         let Some(value) = value.as_deref().filter(|value| !value.is_empty()) else { continue };
         if request.kind != JobKind::Identify {
-            return Err(Refusal::Invalid(format!("`{option}` belongs to identify")));
+            return Err(OptionOfAnotherJob { option: option.into() }.into());
         }
         let sound = |byte: u8| byte.is_ascii_alphanumeric() || b"_,-".contains(&byte);
         let known = option != "prior" || matches!(value, "none" | "datasheet");
         if !known || value.len() > 1000 || !value.bytes().all(sound) {
-            return Err(Refusal::Invalid(format!("`{option}` cannot be `{value}`")));
+            return Err(OptionValue { option: option.into(), value: value.into() }.into());
         }
         args.push(format!("--{option}={value}"));
     }
@@ -88,11 +92,11 @@ impl Jobs {
     }
 
     /// Takes a job on the run in `directory`.
-    pub(super) fn submit(&self, request: JobRequest, directory: PathBuf) -> Result<Job, Refusal> {
+    pub(super) fn submit(&self, request: JobRequest, directory: PathBuf) -> Result<Job, Diagnostic> {
         let args = arguments(&request)?;
         let mut jobs = lock(&self.shared.jobs);
         if jobs.iter().filter(|kept| kept.job.state == JobState::Waiting).count() >= MOST_WAITING {
-            return Err(Refusal::Busy("too many jobs wait already".into()));
+            return Err(TooManyJobs.into());
         }
         let id = jobs.back().map_or(1, |kept| kept.job.id + 1);
         let job = Job {
@@ -108,10 +112,8 @@ impl Jobs {
             jobs.pop_front();
         }
         drop(jobs);
-        self.queue
-            .send(Task { id, directory, args })
-            .map_err(|_| Refusal::Failed("the jobs' thread has ended".into()))?;
-        self.shared.tell(id);
+        self.queue.send(Task { id, directory, args }).map_err(|_| WorkerLost { worker: "jobs".into() })?;
+        self.shared.publish(id);
         Ok(job)
     }
 
@@ -120,12 +122,12 @@ impl Jobs {
         lock(&self.shared.jobs).iter().rev().map(Kept::now).collect()
     }
 
-    pub(super) fn get(&self, id: u64) -> Result<Job, Refusal> {
-        self.shared.get(id).ok_or_else(|| Refusal::Missing(format!("there is no job {id}")))
+    pub(super) fn get(&self, id: u64) -> Result<Job, Diagnostic> {
+        self.shared.get(id).ok_or_else(|| NoJob { job: id.to_string() }.into())
     }
 
     /// Ends a job before its time; one that is over stays as it is.
-    pub(super) fn cancel(&self, id: u64) -> Result<Job, Refusal> {
+    pub(super) fn cancel(&self, id: u64) -> Result<Job, Diagnostic> {
         let job = self.get(id)?;
         if matches!(job.state, JobState::Waiting | JobState::Running) {
             self.shared.change(id, |job| job.state = JobState::Cancelled);
@@ -173,19 +175,19 @@ impl Shared {
         if let Some(kept) = lock(&self.jobs).iter_mut().find(|kept| kept.job.id == id) {
             change(&mut kept.job);
         }
-        self.tell(id);
+        self.publish(id);
     }
 
-    fn tell(&self, id: u64) {
+    fn publish(&self, id: u64) {
         if let Some(mut job) = self.get(id) {
             // The whole log is to be had by asking; the stream carries what is new.
-            job.log.drain(..job.log.len().saturating_sub(LINES_TOLD));
+            job.log.drain(..job.log.len().saturating_sub(LINES_STREAMED));
             // Nobody may be looking.
             let _ = self.messages.send(Message::new("job", &job));
         }
     }
 
-    fn say(&self, id: u64, line: &str) {
+    fn line(&self, id: u64, line: &str) {
         self.change(id, |job| {
             if job.log.len() >= MOST_LINES {
                 job.log.remove(0);
@@ -207,9 +209,10 @@ fn work(shared: &Arc<Shared>, tasks: &Receiver<Task>) {
         if !waits {
             continue;
         }
-        shared.tell(id);
+        shared.publish(id);
         let state = run(shared, &task).unwrap_or_else(|error| {
-            shared.say(id, &format!("the command cannot be run: {error}"));
+            let finding = CommandFailed { why: error.to_string() };
+            shared.line(id, &format!("error[{}]: {finding}", finding.code()));
             JobState::Failed
         });
         let elapsed_s = shared.get(id).map_or(0.0, |job| job.elapsed_s);
@@ -251,7 +254,9 @@ fn run(shared: &Arc<Shared>, task: &Task) -> io::Result<JobState> {
         }
     });
     // Its outputs are closed: it has ended or is about to.
-    let Some((_, mut child)) = lock(&shared.child).take() else { return Ok(JobState::Failed) };
+    let Some((_, mut child)) = lock(&shared.child).take() else {
+        return Err(io::Error::other("the child process was lost"));
+    };
     Ok(match child.wait()?.code() {
         Some(0) => JobState::Done,
         Some(3) => JobState::Doubt,
@@ -261,6 +266,6 @@ fn run(shared: &Arc<Shared>, task: &Task) -> io::Result<JobState> {
 
 fn listen(shared: &Shared, id: u64, output: impl Read) {
     for line in BufReader::new(output).split(b'\n').map_while(Result::ok) {
-        shared.say(id, &String::from_utf8_lossy(&line));
+        shared.line(id, &String::from_utf8_lossy(&line));
     }
 }

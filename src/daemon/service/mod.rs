@@ -14,5 +14,5 @@ mod trial_cell;
 
 pub use config::Config;
 pub use log::{Level, Log};
-pub use serve::{ServeError, serve};
+pub use serve::serve;
 pub use trial_cell::{Bench, Cell};

@@ -5,8 +5,10 @@ use std::io::{self, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 use super::names;
-use crate::capture::{self, Event};
-use crate::live::{Download, Ended, JobKind, Refusal, ResultFile, RunEntry, RunState};
+use crate::catalogue::ServiceFinding::{DataUnreadable, NoFile, NoResult, NoRun};
+use crate::diagnostic::Diagnostic;
+use crate::live::{Download, Ended, JobKind, ResultFile, RunEntry, RunState};
+use crate::recording::capture::{self, Event};
 
 /// Name of a run's capture.
 pub(super) const CAPTURE: &str = "run.dbbd";
@@ -15,12 +17,12 @@ const GLIMPSE: u64 = 4096;
 /// Runs that are listed.
 const MOST: usize = 500;
 
-fn missing(name: &str) -> Refusal {
-    Refusal::Missing(format!("there is no run `{name}`"))
+fn missing(name: &str) -> Diagnostic {
+    NoRun { run: name.into() }.into()
 }
 
 /// Where a run lives.
-pub(super) fn directory(data: &Path, name: &str) -> Result<PathBuf, Refusal> {
+pub(super) fn directory(data: &Path, name: &str) -> Result<PathBuf, Diagnostic> {
     if !names::is_sound(name) {
         return Err(missing(name));
     }
@@ -28,11 +30,11 @@ pub(super) fn directory(data: &Path, name: &str) -> Result<PathBuf, Refusal> {
 }
 
 /// All runs, the newest first; `running` is the one that is on.
-pub(super) fn list(data: &Path, running: Option<&str>) -> Result<Vec<RunEntry>, Refusal> {
+pub(super) fn list(data: &Path, running: Option<&str>) -> Result<Vec<RunEntry>, Diagnostic> {
     let entries = match fs::read_dir(data) {
         Ok(entries) => entries,
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
-        Err(error) => return Err(Refusal::Failed(format!("the data directory cannot be read: {error}"))),
+        Err(error) => return Err(DataUnreadable { why: error.to_string() }.into()),
     };
     let names = entries.flatten().filter_map(|entry| entry.file_name().into_string().ok());
     let mut runs: Vec<RunEntry> = names.filter_map(|name| entry(data, &name, running).ok()).collect();
@@ -42,7 +44,7 @@ pub(super) fn list(data: &Path, running: Option<&str>) -> Result<Vec<RunEntry>, 
 }
 
 /// One run.
-pub(super) fn entry(data: &Path, name: &str, running: Option<&str>) -> Result<RunEntry, Refusal> {
+pub(super) fn entry(data: &Path, name: &str, running: Option<&str>) -> Result<RunEntry, Diagnostic> {
     let directory = directory(data, name)?;
     let (first, last, bytes) = glimpse(&directory.join(CAPTURE)).map_err(|_| missing(name))?;
     let started_unix_ms = capture::read(&first).events().find_map(|event| match event {
@@ -92,22 +94,22 @@ fn results(directory: &Path) -> Vec<ResultFile> {
 }
 
 /// A file of a run, open: its capture or a result.
-pub(super) fn open(data: &Path, run: &str, result: Option<(JobKind, &str)>) -> Result<Download, Refusal> {
+pub(super) fn open(data: &Path, run: &str, result: Option<(JobKind, &str)>) -> Result<Download, Diagnostic> {
     let directory = directory(data, run)?;
     let (path, name) = match result {
         None => (directory.join(CAPTURE), format!("{run}.dbbd")),
         Some((kind, file)) if names::is_sound(file) => {
             (directory.join(kind.name()).join(file), file.to_owned())
         }
-        Some((_, file)) => return Err(Refusal::Missing(format!("there is no result `{file}`"))),
+        Some((_, file)) => return Err(NoResult { file: file.into() }.into()),
     };
-    let gone = |_| Refusal::Missing(format!("there is no file `{name}` of run `{run}`"));
+    let gone = || NoFile { run: run.into(), file: name.clone() };
     // A link in the data directory is not followed out of it.
-    let plain = fs::symlink_metadata(&path).map_err(gone)?.is_file();
+    let plain = fs::symlink_metadata(&path).is_ok_and(|data| data.is_file());
     if !plain {
-        return Err(gone(io::Error::other("no file")));
+        return Err(gone().into());
     }
-    let file = File::open(&path).map_err(gone)?;
-    let bytes = file.metadata().map_err(gone)?.len();
+    let file = File::open(&path).map_err(|_| gone())?;
+    let bytes = file.metadata().map_err(|_| gone())?.len();
     Ok(Download { file, name, bytes })
 }

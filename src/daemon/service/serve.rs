@@ -7,7 +7,6 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
 
-use thiserror::Error;
 use tokio::sync::watch;
 
 use super::config::Config;
@@ -15,8 +14,10 @@ use super::log::{Level, Log};
 use super::notify::{notify, watchdog_s};
 use super::state::Supervisor;
 use super::trial_cell::Bench;
-use crate::clock;
+use crate::base::clock;
+use crate::catalogue::ServiceFinding::{self, NoSystem, NotServing, WorkerLost};
 use crate::daemon::signals;
+use crate::diagnostic::Diagnostic;
 use crate::live::{self, Access, Service};
 
 /// How often the state is looked at, s.
@@ -24,39 +25,21 @@ const LOOK_S: f64 = 0.2;
 /// The pages' thread counts as alive when it moved within so many seconds.
 const ALIVE_S: f64 = 5.0;
 
-/// Why the service cannot go on.
-#[derive(Debug, Error)]
-pub enum ServeError {
-    /// The address.
-    #[error(
-        "{address} cannot be listened on\n  help: another dbbd may run; choose another `address` in the configuration"
-    )]
-    Listen {
-        /// The address.
-        address: SocketAddr,
-        /// Why.
-        source: io::Error,
-    },
-    /// Threads, random numbers, signals.
-    #[error("the system does not give what the service needs")]
-    System(#[from] io::Error),
-}
-
 /// Serves until SIGINT or SIGTERM; a run that is on then ends as it should. `bench` makes the cell of the
 /// port `sim`.
 ///
 /// # Errors
 /// When the address cannot be had or the system gives no threads.
-pub fn serve(mut config: Config, log: Arc<dyn Log>, bench: Option<Bench>) -> Result<(), ServeError> {
+pub fn serve(mut config: Config, log: Arc<dyn Log>, bench: Option<Bench>) -> Result<(), Diagnostic> {
     let address = config.address;
-    let session = session()?;
+    let session = session().map_err(no_system)?;
     let access = Access::new(address.ip(), &config.hosts, config.token.take(), session);
     if !address.ip().is_loopback() {
         let fields: [(&str, &dyn std::fmt::Display); 1] = [("address", &address)];
         log.say(Level::Warning, "open_to_the_network_without_encryption", &fields);
     }
-    let supervisor = Arc::new(Supervisor::new(config, Arc::clone(&log), bench)?);
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    let supervisor = Arc::new(Supervisor::new(config, Arc::clone(&log), bench).map_err(no_system)?);
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(no_system)?;
     let (stop, stopped) = watch::channel(false);
     let beat = Arc::new(AtomicU64::new(clock::now().0));
     let over = Arc::new(AtomicBool::new(false));
@@ -64,11 +47,12 @@ pub fn serve(mut config: Config, log: Arc<dyn Log>, bench: Option<Bench>) -> Res
         let (supervisor, beat, over) = (Arc::clone(&supervisor), Arc::clone(&beat), Arc::clone(&over));
         std::thread::Builder::new()
             .name("supervisor".into())
-            .spawn(move || look(&supervisor, &beat, &over))?
+            .spawn(move || look(&supervisor, &beat, &over))
+            .map_err(no_system)?
     };
     let service: Arc<dyn Service> = supervisor.clone();
     let served = runtime.block_on(async {
-        let mut signals = signals::Signals::new()?;
+        let mut signals = signals::Signals::new().map_err(no_system)?;
         tokio::spawn(async move {
             loop {
                 beat.store(clock::now().0, Ordering::Relaxed);
@@ -84,35 +68,39 @@ pub fn serve(mut config: Config, log: Arc<dyn Log>, bench: Option<Bench>) -> Res
             notify("READY=1");
         };
         let served = live::serve(address, service, access, stopped, ready).await;
-        served.map_err(|source| ServeError::Listen { address, source })
+        served.map_err(|error| NotServing { address: address.to_string(), why: error.to_string() })
     });
     notify("STOPPING=1");
     supervisor.end();
     over.store(true, Ordering::Relaxed);
-    // A panic there is already on stderr.
-    let _ = watcher.join();
+    let watched = watcher.join();
     served?;
+    watched.map_err(|_| WorkerLost { worker: "supervisor".into() })?;
     log.say(Level::Info, "stopped", &[]);
     Ok(())
 }
 
-/// Keeps the state up to date and tells the service manager.
+/// Keeps the state up to date and notifies the service manager.
 fn look(supervisor: &Supervisor, beat: &AtomicU64, over: &AtomicBool) {
-    let mut told = None;
+    let mut notified = None;
     let (pause_s, mut signed) = (watchdog_s(), clock::now());
     while !over.load(Ordering::Relaxed) {
         let state = supervisor.tick();
-        if told.replace(state) != Some(state) {
+        if notified.replace(state) != Some(state) {
             notify(&format!("STATUS={}", state.name()));
         }
         let now = clock::now();
-        let alive = now.seconds_since(crate::units::HostNs(beat.load(Ordering::Relaxed))) < ALIVE_S;
+        let alive = now.seconds_since(crate::base::units::HostNs(beat.load(Ordering::Relaxed))) < ALIVE_S;
         if pause_s.is_some_and(|pause_s| now.seconds_since(signed) >= pause_s) && alive {
             notify("WATCHDOG=1");
             signed = now;
         }
         clock::sleep(LOOK_S);
     }
+}
+
+fn no_system(error: io::Error) -> ServiceFinding {
+    NoSystem { why: error.to_string() }
 }
 
 /// What the cookie of a page holds that has shown the token.

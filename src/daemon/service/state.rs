@@ -13,12 +13,15 @@ use super::jobs::Jobs;
 use super::log::{Level, Log};
 use super::trial_cell::{self, Bench, Cell};
 use super::{catalogue, runs};
-use crate::clock;
-use crate::daemon::feed::{Feed, Shown};
-use crate::daemon::{Acquisition, Attachments, Course, Ending, Options};
-use crate::live::{Device, LastRun, Message, Refusal, RunStatus, StartRequest, State, Status};
-use crate::port;
-use crate::protocol::Definition;
+use crate::base::clock;
+use crate::catalogue::ServiceFinding::{self, DataUnwritable, NameTaken, NoPlan, ProtocolNotBuiltIn};
+use crate::daemon::live_state::{Feed, LiveState};
+use crate::daemon::{Acquisition, Options, Schedule};
+use crate::device::port;
+use crate::device::protocol::Definition;
+use crate::diagnostic::{Diagnostic, Finding};
+use crate::live::{Device, LastRun, Message, RunStatus, StartRequest, State, Status};
+use crate::recording::run::PlanFiles;
 
 /// The protocol without a word about it.
 const DEFAULT_PROTOCOL: &str = "dbb-cobs-1";
@@ -31,7 +34,7 @@ pub(super) struct Supervisor {
     pub(super) log: Arc<dyn Log>,
     pub(super) bench: Option<Bench>,
     pub(super) status: watch::Sender<Status>,
-    pub(super) shown: Shown,
+    pub(super) live: LiveState,
     pub(super) jobs: Jobs,
     inner: Mutex<Inner>,
 }
@@ -42,7 +45,7 @@ pub(super) struct Inner {
     pub(super) protocol: Option<Definition>,
     pub(super) run: Run,
     /// Why the last run failed.
-    pub(super) failed: Option<String>,
+    pub(super) failed: Option<Diagnostic>,
     last: Option<LastRun>,
     /// Whether the process is about to end: no run may begin.
     pub(super) ending: bool,
@@ -61,22 +64,11 @@ pub(super) struct Running {
     pub(super) name: String,
     plan: Option<String>,
     started_unix_ms: u64,
-    course: Course,
+    schedule: Schedule,
     pub(super) acquisition: Acquisition,
     pub(super) stop: Arc<AtomicBool>,
     /// What goes on beside it, where it is simulated.
     _cell: Option<Box<dyn Cell>>,
-}
-
-/// An error with its causes, for a message.
-fn whole(error: &dyn std::error::Error) -> String {
-    let mut text = error.to_string();
-    let mut cause = error.source();
-    while let Some(inner) = cause {
-        text.push_str(&format!(": {inner}"));
-        cause = inner.source();
-    }
-    text
 }
 
 impl Supervisor {
@@ -96,7 +88,7 @@ impl Supervisor {
             bench,
             status: watch::Sender::new(Status::default()),
             jobs: Jobs::start(messages.clone())?,
-            shown: Shown { messages, points: Arc::default(), clock_ahead_ms: Arc::default() },
+            live: LiveState { messages, points: Arc::default(), clock_ahead_ms: Arc::default() },
             inner: Mutex::new(inner),
         })
     }
@@ -105,7 +97,7 @@ impl Supervisor {
         self.inner.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Looks after the run that is on, and tells everybody the state.
+    /// Looks after the run that is on, and publishes the state.
     pub(super) fn tick(&self) -> State {
         let over = {
             let mut inner = self.inner();
@@ -125,32 +117,26 @@ impl Supervisor {
         let message = Message::new("status", &status);
         self.status.send_replace(status);
         // Nobody may be looking.
-        let _ = self.shown.messages.send(message);
+        let _ = self.live.messages.send(message);
         state
     }
 
     fn conclude(&self, running: Running) {
         let Running { name, acquisition, .. } = running;
         let samples = acquisition.progress().samples;
-        let (ending, failed) = match acquisition.join() {
-            Ok(summary) => {
-                let ending = match summary.ending {
-                    Ending::Mark => "the program's end mark",
-                    Ending::Duration => "the time was up",
-                    Ending::Stopped => "stopped",
-                    Ending::Gone => "the port stayed away",
-                };
-                (ending.to_owned(), false)
-            }
-            Err(error) => (whole(&error), true),
+        let joined = acquisition.join();
+        let ending = match &joined {
+            Ok(summary) => summary.ending.reason().to_owned(),
+            Err(error) => error.to_string(),
         };
-        let level = if failed { Level::Error } else { Level::Info };
-        let fields: [(&str, &dyn std::fmt::Display); 3] =
-            [("run", &name), ("ending", &ending), ("samples", &samples)];
-        self.log.say(level, "run_over", &fields);
+        let level = if joined.is_err() { Level::Error } else { Level::Info };
+        let code = joined.as_ref().err().map_or("", |error| error.code.0);
+        let fields: [(&str, &dyn std::fmt::Display); 4] =
+            [("run", &name), ("ending", &ending), ("samples", &samples), ("code", &code)];
+        self.log.say(level, "run_over", if joined.is_err() { &fields } else { &fields[..3] });
         let mut inner = self.inner();
-        inner.failed = failed.then(|| format!("run `{name}` failed: {ending}"));
-        inner.last = Some(LastRun { name, ending, failed, samples });
+        inner.last = Some(LastRun { name, ending, failed: joined.is_err(), samples });
+        inner.failed = joined.err();
     }
 
     pub(super) fn look(&self, inner: &Inner) -> Status {
@@ -161,22 +147,33 @@ impl Supervisor {
             Run::On(running) => Some(self.run_status(running)),
             Run::None | Run::Starting => None,
         };
-        let (state, reason) = if run.is_some() {
+        let (state, finding) = if run.is_some() {
             (State::Running, None)
         } else if let Some(failed) = &inner.failed {
             (State::Failed, Some(failed.clone()))
         } else if present {
             (State::Idle, None)
         } else {
-            let reason = match &inner.port {
-                Some(port) => format!("there is no port `{port}`: plug the bar in"),
-                None => "no port was chosen".into(),
-            };
-            (State::NoDevice, Some(reason))
+            let port = inner.port.clone();
+            let finding = port.map_or(ServiceFinding::NoPortChosen, |port| ServiceFinding::PortAway { port });
+            (State::NoDevice, Some(finding.into()))
         };
+        let code = finding.as_ref().map(|finding| finding.code);
+        let reason = finding.map(|finding| match state {
+            State::Failed => format!("the last run failed: {finding}"),
+            _ => finding.to_string(),
+        });
         let protocol = inner.protocol.as_ref().map(|definition| definition.id.clone());
         let device = Device { port: inner.port.clone(), present, protocol };
-        Status { version: env!("CARGO_PKG_VERSION"), state, reason, device, run, last: inner.last.clone() }
+        Status {
+            version: env!("CARGO_PKG_VERSION"),
+            state,
+            reason,
+            code,
+            device,
+            run,
+            last: inner.last.clone(),
+        }
     }
 
     fn run_status(&self, running: &Running) -> RunStatus {
@@ -187,18 +184,18 @@ impl Supervisor {
             started_unix_ms: running.started_unix_ms,
             elapsed_s: progress.elapsed_s,
             device_s: progress.device_s,
-            clock_ahead_ms: *self.shown.clock_ahead_ms.lock().unwrap_or_else(PoisonError::into_inner),
+            clock_ahead_ms: *self.live.clock_ahead_ms.lock().unwrap_or_else(PoisonError::into_inner),
             gone: progress.gone,
             in_step: progress.in_step,
             rate_hz: progress.rate_hz,
             bytes: progress.bytes,
             samples: progress.samples,
             reading_mm: progress.reading_mm,
-            bar_length_mm: running.course.bar_length_mm,
-            stroke_mm: running.course.stroke_mm,
-            alarm_share: running.course.alarm_share,
+            bar_length_mm: running.schedule.bar_length_mm,
+            stroke_mm: running.schedule.stroke_mm,
+            alarm_share: running.schedule.alarm_share,
             dwells: progress.dwells,
-            poses: running.course.poses(),
+            poses: running.schedule.poses(),
             modules: progress.modules,
             gaps: progress.gaps,
             missing: progress.missing,
@@ -215,43 +212,30 @@ impl Supervisor {
         request: &StartRequest,
         mut port: String,
         protocol: Option<Definition>,
-    ) -> Result<Running, Refusal> {
-        let refused = |error: &dyn std::error::Error| Refusal::Conflict(whole(error));
-        let (mut attachments, mut course) =
-            (Attachments::default(), Course::bare(self.config.stroke_mm, self.config.alarm_share));
-        let missing = |name: &String| Refusal::Missing(format!("there is no plan `{name}`"));
-        let find =
-            |name: &String| catalogue::plan_file(&self.config.plans, name).ok_or_else(|| missing(name));
+    ) -> Result<Running, Diagnostic> {
+        let find = |name: &String| {
+            catalogue::plan_file(&self.config.plans, name).ok_or_else(|| NoPlan { plan: name.clone() })
+        };
         let mut csv = request.plan.as_ref().map(find).transpose()?;
         let cell = match &self.bench {
-            Some(bench) if port == trial_cell::PORT => {
-                Some(bench(csv.as_deref()).map_err(Refusal::Conflict)?)
-            }
+            Some(bench) if port == trial_cell::PORT => Some(bench(csv.as_deref())?),
             _ => None,
         };
         if let Some(cell) = &cell {
             (port, csv) = (cell.port().into(), Some(cell.plan().into()));
         }
-        if let Some(csv) = csv {
-            attachments = Attachments::of_plan(&csv).map_err(|error| refused(&error))?;
-            course = Course::of(&catalogue::plan(&csv).map_err(Refusal::Conflict)?, self.config.alarm_share);
-        }
-        let definition = match protocol {
-            Some(definition) => definition,
-            None => {
-                let name = attachments.protocol.as_deref().unwrap_or(DEFAULT_PROTOCOL);
-                let unknown = || {
-                    Refusal::Conflict(format!("the plan's protocol `{name}` is not built in: configure it"))
-                };
-                Definition::by_name(name).ok_or_else(unknown)?.map_err(|error| refused(&error))?
-            }
+        let plan = csv.as_deref().map(PlanFiles::read).transpose()?;
+        let schedule = match &plan {
+            Some(files) => Schedule::of(&files.plan, self.config.alarm_share),
+            None => Schedule::bare(self.config.stroke_mm, self.config.alarm_share),
         };
-        if let Some(port::Latency { ms: ms @ 2.., device }) = port::quicken(&port) {
-            let fields: [(&str, &dyn std::fmt::Display); 2] = [("device", &device), ("ms", &ms)];
+        let definition = protocol.map_or_else(|| protocol_of(plan.as_ref()), Ok)?;
+        if let Some(finding) = port::quicken(&port) {
+            let fields: [(&str, &dyn std::fmt::Display); 2] = [("code", &finding.code()), ("text", &finding)];
             self.log.say(Level::Warning, "adapter_holds_bytes_back", &fields);
         }
         let directory = self.reserve(&request.name)?;
-        let (points, clock_ahead) = (&self.shown.points, &self.shown.clock_ahead_ms);
+        let (points, clock_ahead) = (&self.live.points, &self.live.clock_ahead_ms);
         points.lock().unwrap_or_else(PoisonError::into_inner).clear();
         *clock_ahead.lock().unwrap_or_else(PoisonError::into_inner) = None;
         let stop = Arc::new(AtomicBool::new(false));
@@ -259,36 +243,31 @@ impl Supervisor {
             port,
             definition,
             out: directory.join(runs::CAPTURE),
-            attachments,
+            plan,
             duration_s: request.duration_s,
             gone_s: self.config.gone_s,
             sync_s: 1.0,
-            feed: Some(Feed::new(self.shown.clone(), course.clone())),
+            feed: Some(Feed::new(self.live.clone(), schedule.clone())),
         };
         let begin = json!({ "name": request.name, "plan": request.plan });
-        let _ = self.shown.messages.send(Message::new("begin", &begin));
-        let acquisition = Acquisition::start(options, Arc::clone(&stop)).map_err(|error| {
+        let _ = self.live.messages.send(Message::new("begin", &begin));
+        let acquisition = Acquisition::start(options, Arc::clone(&stop)).inspect_err(|_| {
             // Nothing was recorded: the name stays free. What else is in there stays.
             let _ = fs::remove_dir(&directory);
-            refused(&error)
         })?;
         let started_unix_ms = clock::unix_ns() / 1_000_000;
         let (name, plan) = (request.name.clone(), request.plan.clone());
-        Ok(Running { name, plan, started_unix_ms, course, acquisition, stop, _cell: cell })
+        Ok(Running { name, plan, started_unix_ms, schedule, acquisition, stop, _cell: cell })
     }
 
     /// A directory for a run of that name.
-    fn reserve(&self, name: &str) -> Result<PathBuf, Refusal> {
-        let failed = |error: std::io::Error| {
-            Refusal::Conflict(format!("the data directory cannot be written: {error}"))
-        };
-        fs::create_dir_all(&self.config.data).map_err(failed)?;
+    fn reserve(&self, name: &str) -> Result<PathBuf, Diagnostic> {
+        let unwritable = |error: std::io::Error| DataUnwritable { why: error.to_string() };
+        fs::create_dir_all(&self.config.data).map_err(unwritable)?;
         let directory = runs::directory(&self.config.data, name)?;
         fs::create_dir(&directory).map_err(|error| match error.kind() {
-            std::io::ErrorKind::AlreadyExists => {
-                Refusal::Conflict(format!("there is a run `{name}` already: choose another name"))
-            }
-            _ => failed(error),
+            std::io::ErrorKind::AlreadyExists => NameTaken { run: name.into() },
+            _ => unwritable(error),
         })?;
         Ok(directory)
     }
@@ -314,4 +293,10 @@ impl Supervisor {
             clock::sleep(0.02);
         }
     }
+}
+
+/// The protocol that the plan names, else the default; both built in.
+fn protocol_of(plan: Option<&PlanFiles>) -> Result<Definition, Diagnostic> {
+    let name = plan.map_or(DEFAULT_PROTOCOL, |files| &files.plan.header.job.bar.protocol);
+    Definition::by_name(name).ok_or_else(|| ProtocolNotBuiltIn { protocol: name.into() })?
 }

@@ -1,4 +1,4 @@
-// The page: it hears the stream, shows the state, starts and stops.
+// The page: it reads the stream, shows the state, starts and stops.
 
 import { ask, hear } from "/link.js";
 import { clock, count, fixed, minutes, signed } from "/numbers.js";
@@ -25,10 +25,10 @@ function set(id, text, bad = false) {
 }
 
 function clockText(run) {
-  if (run.device_s === null) return "host (the bar has none, or nothing came yet)";
+  if (run.device_s === null) return "of the host (the bar has none, or nothing came yet)";
   const ahead = run.clock_ahead_ms ?? 0;
   const text = Math.abs(ahead) < 1000 ? `${signed(ahead, 1)} ms` : `${signed(ahead / 1000, 0)} s`;
-  return `the bar's, ${text} against the host`;
+  return `of the bar, ${text} against the host`;
 }
 
 function showStatus(now) {
@@ -36,7 +36,7 @@ function showStatus(now) {
   const run = now.run;
   const gone = run?.gone ?? false;
   $("state").dataset.state = gone ? "gone" : now.state;
-  set("state", gone ? "the port is gone, waiting for it" : STATES[now.state] + (now.reason ? ": " + now.reason : ""));
+  set("state", gone ? "the port is away, waiting for it" : STATES[now.state] + (now.reason ? ": " + now.reason : ""));
   document.title = run ? `${run.name} · dbbd` : "dbbd";
   set("version", "version " + now.version);
   gauge.setup(run);
@@ -56,12 +56,12 @@ function showStatus(now) {
     set("gaps", `${run.gaps}${run.missing ? `, ${run.missing} samples missing` : ""}${run.lost_bytes ? `, ${run.lost_bytes} bytes lost` : ""}`, losses > 0);
     const silent = run.elapsed_s > 3 && run.bytes === 0;
     const strange = run.bytes > 1000 && !run.in_step && !run.rejected;
-    const trouble = silent ? "nothing is received" : strange ? "what comes is not this protocol" : "";
+    const trouble = silent ? "nothing is received" : strange ? "the data are not of this protocol" : "";
     const counts = [[run.faults, ""], [run.rejected, " refused"], [run.unanswered, " unanswered"]];
     const shown = counts.filter(([count]) => count).map(([count, what]) => count + what).join(", ") || "0";
     set("faults", trouble || shown, !!trouble || run.faults > 0);
     set("clock", clockText(run));
-    set("delivery", lost ? `${lost} pictures were lost: this connection is slow` : "complete", lost > 0);
+    set("delivery", lost ? `${lost} messages were lost: this connection is slow` : "complete", lost > 0);
   }
   if (now.state !== seenState) {
     seenState = now.state;
@@ -92,7 +92,7 @@ async function lists() {
   [...$("plan").options].forEach((o, i) => (o.disabled = i > 0 && !!plans[i - 1].error));
   $("plan").value = chosen || plans.find((p) => !p.error)?.name || "";
   $("port").replaceChildren(new Option("none", ""), new Option("sim: a simulated cell", "sim"), ...ports.map((p) => new Option(`${p.by_id ?? p.port} ${p.description}`, p.by_id ?? p.port)));
-  $("protocol").replaceChildren(new Option("as the plan says", ""), ...protocols.map((p) => new Option(p.title, p.id)));
+  $("protocol").replaceChildren(new Option("of the plan", ""), ...protocols.map((p) => new Option(p.title, p.id)));
   if (status) choosePort();
 }
 
@@ -140,7 +140,7 @@ const reopen = hear({
   },
   down() {
     document.body.classList.add("stale");
-    set("link", "no connection: what is shown is old");
+    set("link", "no connection: the values are old");
     ask("GET", "/status").catch((error) => error.status === 401 && askToken());
   },
 });

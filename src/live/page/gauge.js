@@ -59,7 +59,7 @@ export function setup(run) {
   }
   if (!run) {
     $("value").textContent = "–";
-    $("detail").textContent = "No run is on: the bar is read during a run.";
+    $("detail").textContent = "No run. The bar is read during a run.";
     for (const id of ["hand", "band"]) $(id)?.setAttribute("x", -2000);
     $("length").dataset.bar = "none";
     setLevel("none");
@@ -81,7 +81,7 @@ export function show(frame, run) {
   const where = stroke
     ? `${fixed((100 * (frame.last_mm - stroke[0])) / (stroke[1] - stroke[0]), 0)} % of the stroke`
     : "the stroke is not known: choose a plan, or configure it";
-  const doubt = frame.valid ? "" : "the bar itself does not vouch for this reading";
+  const doubt = frame.valid ? "" : "the bar marks this reading as invalid";
   const shown = frame.mounted ? [length, where, doubt] : ["No bar mounted: reading invalid"];
   $("detail").textContent = shown.filter(Boolean).join(" · ");
   if (stroke && $("hand")) {

@@ -1,19 +1,19 @@
-// Runs, what is made from them, and the jobs that make it.
+// Runs, their results, and the jobs that compute them.
 
 import { ask } from "/link.js";
 import { count, fixed } from "/numbers.js";
 
 const $ = (id) => document.getElementById(id);
 const STATES = { running: "running", ended: "ended", ended_early: "ended early" };
-const JOBS = { waiting: "waiting", running: "at work", done: "done", doubt: "done, with a doubt", failed: "failed", cancelled: "cancelled" };
+const JOBS = { waiting: "waiting", running: "running", done: "done", doubt: "done, with a doubt", failed: "failed", cancelled: "cancelled" };
 const KINDS = { identify: "Identify", circle: "Circular test", sync: "Match" };
 
 let jobs = new Map();
 let say = () => {};
 
 /** Where messages go. */
-export function start(tell) {
-  say = tell;
+export function start(report) {
+  say = report;
 }
 
 function make(name, text, attributes = {}) {
@@ -64,7 +64,7 @@ async function submit(kind, run) {
   }
 }
 
-/** A job began, said something or ended. */
+/** A job began, printed something or ended. */
 export function show(job) {
   const before = jobs.get(job.id)?.state;
   jobs.set(job.id, job);
@@ -94,7 +94,7 @@ function drawJobs() {
       item.append(button);
     }
     const shown = at === 0 ? job.log.slice(-12) : job.log.slice(-2);
-    if (shown.length) item.append(make("pre", shown.join("\n"), at === 0 ? { tabindex: "0", "aria-label": "What the job said" } : {}));
+    if (shown.length) item.append(make("pre", shown.join("\n"), at === 0 ? { tabindex: "0", "aria-label": "Output of the job" } : {}));
     return item;
   });
   $("jobs").replaceChildren(...items);

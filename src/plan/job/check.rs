@@ -1,15 +1,22 @@
 //! Reading a job file: what TOML's types do not say, with the line of what is wrong.
 
-use super::values::{Place, Wrong, corners, direction_vector, finite, line_of, positive, within};
-use super::{CentreTable, CircleTable, Direction, Job, Mode, ObstacleTable, Orientation};
-use crate::diag::{Diagnostic, nearest};
-use crate::model::Centre;
+use super::values::{MOST, Misplaced, Table};
+use super::{CentreTable, CircleTable, Job, Mode, ObstacleTable, Orientation};
+use crate::base::parse::wrong_toml;
+use crate::catalogue::JobFinding;
+use crate::diagnostic::{Diagnostic, nearest};
+use crate::measurement::{BallId, BaseBall};
 use crate::plan::module::MODULE_DWELLS;
 use crate::plan::timing::ACCELERATION_MM_S2;
 
 /// Chosen poses of a plan: with more the run takes hours, in which everything drifts.
 const MOST_POINTS: u32 = 1000;
-
+/// Candidates to choose from.
+const MOST_CANDIDATES: u32 = 100_000;
+/// A bar is mounted: the speed of a controller's test mode is the most, mm/s.
+const MOST_FEED_MM_S: f64 = 250.0;
+/// Longest wait and dwell, s.
+const MOST_WAIT_S: f64 = 60.0;
 /// Digital outputs that a controller has.
 const OUTPUTS: std::ops::RangeInclusive<u32> = 1..=4096;
 
@@ -20,307 +27,227 @@ impl Job {
     /// Names the line of an unknown or missing key, or of a value that cannot be.
     pub fn from_toml(file: &str, text: &str) -> Result<Self, Diagnostic> {
         let job: Self = toml::from_str(text).map_err(|error| hinted(file, text, &error))?;
-        job.check().map_err(|(place, message)| match line_of(text, place) {
+        job.check().map_err(|wrong| match wrong.line(text) {
             Some(line) => {
                 let column = text.lines().nth(line - 1).map_or(0, |l| l.len() - l.trim_start().len()) + 1;
-                Diagnostic::position(file, text, line, column, message)
+                Diagnostic::position(file, text, line, column, wrong.finding)
             }
-            None => Diagnostic::file(file, message),
+            None => Diagnostic::file(file, wrong.finding),
         })?;
         Ok(job)
     }
 
     /// The base balls by their numbers.
-    pub fn balls(&self) -> Vec<Centre> {
-        let ball = |table: &CentreTable| Centre { id: table.id as usize, position: table.xyz_mm.into() };
-        self.centres.iter().map(ball).collect()
+    pub fn balls(&self) -> Vec<BaseBall> {
+        self.centres
+            .iter()
+            .map(|table| BaseBall {
+                id: BallId::new(table.id).unwrap_or(BallId::FIRST),
+                position: table.xyz_mm.into(),
+            })
+            .collect()
+    }
+
+    /// The table of a base ball by its number, from 1.
+    pub(crate) fn ball(&self, number: u32) -> Option<&CentreTable> {
+        self.centres.get((number as usize).checked_sub(1)?)
+    }
+
+    /// The table of a circle by its number, from 1; 0 is that of chosen poses, which have none.
+    pub(crate) fn circle(&self, number: u32) -> Option<&CircleTable> {
+        self.circles.get((number as usize).checked_sub(1)?)
     }
 
     /// What the types do not say.
-    pub(crate) fn check(&self) -> Result<(), Wrong> {
+    pub(crate) fn check(&self) -> Result<(), Misplaced> {
         self.check_bar()?;
         self.check_motion()?;
-        if self.centres.is_empty() || self.circles.is_empty() && self.optimise.is_none() {
-            let missing = if self.centres.is_empty() { "[[centre]]" } else { "[[circle]] or [optimise]" };
-            return Err((("", 0, ""), format!("has no {missing} table: a job needs one at least")));
+        self.check_outputs()?;
+        self.check_limits()?;
+        let missing = if self.centres.is_empty() {
+            Some("[[centre]]")
+        } else {
+            (self.circles.is_empty() && self.optimise.is_none()).then_some("[[circle]] or [optimise]")
+        };
+        if let Some(table) = missing {
+            return Err(Table::new("").wrong("", JobFinding::MissingTable { table: table.into() }));
         }
         self.check_optimise()?;
         self.check_tool()?;
         for (at, obstacle) in self.obstacles.iter().enumerate() {
-            check_obstacle(at, obstacle)?;
+            check_obstacle(Table::nth("[[obstacle]]", at), obstacle)?;
         }
-        for (at, centre) in self.centres.iter().enumerate() {
-            check_centre(at, centre)?;
+        self.check_centres()?;
+        self.circles.iter().enumerate().try_for_each(|(at, circle)| self.check_circle(at, circle))
+    }
+
+    fn check_bar(&self) -> Result<(), Misplaced> {
+        let (bar, table) = (&self.bar, Table::new("[bar]"));
+        table.positive("length_mm", bar.length_mm)?;
+        table.positive("sigma_um", bar.sigma_um)?;
+        let ([low_mm, high_mm], length_mm) = (bar.stroke_mm, bar.length_mm);
+        if !(low_mm.abs() < length_mm && high_mm.abs() < length_mm && low_mm < high_mm) {
+            return Err(table.wrong("stroke_mm", JobFinding::StrokeOrder { low_mm, high_mm, length_mm }));
         }
-        for (at, circle) in self.circles.iter().enumerate() {
-            self.check_circle(at, circle)?;
+        table.positive("radius_mm", bar.radius_mm)?;
+        bar.length_u_mm.map_or(Ok(()), |u| table.positive("length_u_mm", u))?;
+        bar.temperature_c.map_or(Ok(()), |t| table.within("temperature_c", t, [-50.0, 100.0]))?;
+        bar.expansion_per_k.map_or(Ok(()), |value| table.within("expansion_per_k", value, [-1e-3, 1e-3]))?;
+        let (margin_mm, stroke_mm) = (bar.margin_mm, high_mm - low_mm);
+        if !(margin_mm >= 0.0 && 2.0 * margin_mm < stroke_mm) {
+            return Err(table.wrong("margin_mm", JobFinding::NoStrokeLeft { margin_mm, stroke_mm }));
         }
         Ok(())
     }
 
-    fn check_bar(&self) -> Result<(), Wrong> {
-        let bar = &self.bar;
-        let place = |key| ("[bar]", 0, key);
-        positive(place("length_mm"), bar.length_mm)?;
-        positive(place("sigma_um"), bar.sigma_um)?;
-        let [low, high] = bar.stroke_mm;
-        if !(low.abs() < bar.length_mm && high.abs() < bar.length_mm && low < high) {
-            let message =
-                format!("stroke_mm = [{low}, {high}] must be [low, high], both less than the bar's length");
-            return Err((place("stroke_mm"), message));
-        }
-        positive(place("radius_mm"), bar.radius_mm)?;
-        if let Some(u) = bar.length_u_mm {
-            positive(place("length_u_mm"), u)?;
-        }
-        let optional = [
-            ("temperature_c", bar.temperature_c, [-50.0, 100.0]),
-            ("expansion_per_k", bar.expansion_per_k, [-1e-3, 1e-3]),
-        ];
-        for (key, value, range) in optional {
-            value.map_or(Ok(()), |value| within(place(key), value, range))?;
-        }
-        let margin = bar.margin_mm;
-        if !(margin >= 0.0 && 2.0 * margin < high - low) {
-            let message = format!("margin_mm = {margin} must be at least 0 and leave some of the stroke");
-            return Err((place("margin_mm"), message));
-        }
-        Ok(())
-    }
-
-    fn check_optimise(&self) -> Result<(), Wrong> {
+    fn check_optimise(&self) -> Result<(), Misplaced> {
         let Some(optimise) = &self.optimise else { return Ok(()) };
-        let place = |key| ("[optimise]", 0, key);
-        if !(6..=MOST_POINTS).contains(&optimise.points) {
-            return Err((
-                place("points"),
-                format!("points = {} must be in 6..{MOST_POINTS}", optimise.points),
-            ));
-        }
-        if !(10 * optimise.points..=100_000).contains(&optimise.candidates) {
-            let message = format!("candidates = {} must be in 10 * points..100000", optimise.candidates);
-            return Err((place("candidates"), message));
-        }
-        if !(6..=MOST_POINTS).contains(&optimise.stage_points) {
-            let message = format!("stage_points = {} must be in 6..{MOST_POINTS}", optimise.stage_points);
-            return Err((place("stage_points"), message));
-        }
-        match optimise.workspace_mm {
-            Some([low, high]) if !corners(low, high) => {
-                Err((place("workspace_mm"), "workspace_mm must be its lowest and its highest corner".into()))
-            }
-            _ => Ok(()),
-        }
+        let table = Table::new("[optimise]");
+        let count = |key, value: u32, least: u32, most: u32| {
+            table.within(key, f64::from(value), [f64::from(least), f64::from(most)])
+        };
+        count("points", optimise.points, 6, MOST_POINTS)?;
+        count("candidates", optimise.candidates, 10 * optimise.points, MOST_CANDIDATES)?;
+        count("stage_points", optimise.stage_points, 6, MOST_POINTS)?;
+        optimise.workspace_mm.map_or(Ok(()), |[low, high]| table.corners("workspace_mm", low, high))
     }
 
-    fn check_tool(&self) -> Result<(), Wrong> {
-        let tool = &self.tool;
-        let place = |key| ("[tool]", 0, key);
-        check_cup(place("cup_axis"), place("cup_limit_deg"), tool.cup_axis, tool.cup_limit_deg)?;
-        positive(place("radius_mm"), tool.radius_mm)?;
-        positive(place("arm_radius_mm"), tool.arm_radius_mm)
+    fn check_tool(&self) -> Result<(), Misplaced> {
+        let (tool, table) = (&self.tool, Table::new("[tool]"));
+        table.cup(tool.cup_axis, tool.cup_limit_deg)?;
+        table.positive("radius_mm", tool.radius_mm)?;
+        table.positive("arm_radius_mm", tool.arm_radius_mm)
     }
 
-    fn check_motion(&self) -> Result<(), Wrong> {
-        let motion = &self.motion;
-        let place = |key| ("[motion]", 0, key);
-        positive(place("feed_mm_s"), motion.feed_mm_s)?;
-        // A bar is mounted: the speed of a controller's test mode is the most.
-        if motion.feed_mm_s > 250.0 {
-            return Err((place("feed_mm_s"), format!("feed_mm_s = {} is above 250", motion.feed_mm_s)));
-        }
-        positive(place("turn_deg_s"), motion.turn_deg_s)?;
-        for (key, value) in [("settle_s", motion.settle_s), ("dwell_s", motion.dwell_s)] {
-            positive(place(key), value)?;
-            if value > 60.0 {
-                return Err((place(key), format!("{key} = {value} is above 60 s")));
-            }
-        }
-        for (key, frame) in [("tool", motion.tool), ("base", motion.base)] {
-            frame.iter().flatten().try_for_each(|value| finite(place(key), *value))?;
-        }
-        let (strobe, [first, last]) = (motion.outputs.strobe, motion.outputs.index);
-        let outputs = ("outputs", 0, "");
+    fn check_motion(&self) -> Result<(), Misplaced> {
+        let (motion, table) = (&self.motion, Table::new("[motion]"));
+        table.positive_to("feed_mm_s", motion.feed_mm_s, MOST_FEED_MM_S)?;
+        table.positive("turn_deg_s", motion.turn_deg_s)?;
+        table.positive_to("settle_s", motion.settle_s, MOST_WAIT_S)?;
+        table.positive_to("dwell_s", motion.dwell_s, MOST_WAIT_S)?;
+        table.finite("tool", motion.tool.iter().flatten())?;
+        table.finite("base", motion.base.iter().flatten())
+    }
+
+    fn check_outputs(&self) -> Result<(), Misplaced> {
+        let (strobe, [first, last]) = (self.motion.outputs.strobe, self.motion.outputs.index);
+        let table = Table::new("outputs");
         if !(OUTPUTS.contains(&strobe) && OUTPUTS.contains(&first) && first.checked_add(7) == Some(last)) {
-            let message = format!(
-                "outputs: strobe = {strobe}, index = [{first}, {last}]: outputs are 1 to 4096, the index has eight"
-            );
-            return Err((outputs, message));
+            return Err(table.wrong("", JobFinding::Outputs { strobe, first, last }));
         }
         if (first..=last).contains(&strobe) {
-            return Err((outputs, format!("outputs: the strobe {strobe} is one of the index's")));
+            return Err(table.wrong("", JobFinding::StrobeInIndex { strobe }));
         }
-        let limits = &self.limits;
-        let place = |key| ("[limits]", 0, key);
-        for (key, value, most) in [
+        Ok(())
+    }
+
+    fn check_limits(&self) -> Result<(), Misplaced> {
+        let (limits, table) = (&self.limits, Table::new("[limits]"));
+        [
             ("min_a5_deg", limits.min_a5_deg, 90.0),
             ("min_elbow_deg", limits.min_elbow_deg, 90.0),
             ("min_overhead_mm", limits.min_overhead_mm, 1e4),
             ("max_stroke_risk", limits.max_stroke_risk, 1.0),
             ("min_clearance_mm", limits.min_clearance_mm, 1e4),
-        ] {
-            if !(0.0..=most).contains(&value) {
-                return Err((place(key), format!("{key} = {value} must be in 0..{most}")));
+        ]
+        .into_iter()
+        .try_for_each(|(key, value, most)| table.within(key, value, [0.0, most]))
+    }
+
+    fn check_centres(&self) -> Result<(), Misplaced> {
+        for (at, centre) in self.centres.iter().enumerate() {
+            let table = Table::nth("[[centre]]", at);
+            if centre.id as usize != at + 1 {
+                let finding = JobFinding::BallNumber { id: centre.id as usize, expected: at + 1 };
+                return Err(table.wrong("id", finding));
             }
+            table.finite("xyz_mm", &centre.xyz_mm)?;
+            table.finite("taught_deg", centre.taught_deg.iter().flatten())?;
+            table.cup(centre.cup_axis, centre.cup_limit_deg)?;
         }
         Ok(())
     }
 
-    fn check_circle(&self, at: usize, circle: &CircleTable) -> Result<(), Wrong> {
-        let place = |key| ("[[circle]]", at, key);
-        let number = at + 1;
-        let centres = self.centres.len();
-        if circle.centre == 0 || circle.centre as usize > centres {
-            let message =
-                format!("circle {number}: centre = {}: there are {centres} [[centre]] tables", circle.centre);
-            return Err((place("centre"), message));
+    fn check_circle(&self, at: usize, circle: &CircleTable) -> Result<(), Misplaced> {
+        let (table, number) = (Table::nth("[[circle]]", at), at + 1);
+        let (centre, balls) = (circle.centre as usize, self.centres.len());
+        if !(1..=balls).contains(&centre) {
+            let finding = JobFinding::NoSuchBall { circle: number, centre, balls };
+            return Err(table.wrong("centre", finding));
         }
         match (circle.plane, circle.normal) {
             (Some(_), Some(_)) => {
-                return Err((place("normal"), format!("circle {number}: has both `plane` and `normal`")));
+                return Err(table.wrong("normal", JobFinding::PlaneAndNormal { circle: number }));
             }
-            (None, None) => {
-                return Err((place(""), format!("circle {number}: has neither `plane` nor `normal`")));
-            }
-            (None, Some(normal)) => direction_vector(place("normal"), "normal", normal)?,
+            (None, None) => return Err(table.wrong("", JobFinding::NoPlane { circle: number })),
+            (None, Some(normal)) => table.direction("normal", normal)?,
             (Some(_), None) => {}
         }
-        if let Some(radius) = circle.radius_mm {
-            positive(place("radius_mm"), radius)?;
+        circle.radius_mm.map_or(Ok(()), |radius| table.positive("radius_mm", radius))?;
+        table.finite("start_deg", [&circle.start_deg])?;
+        table.finite("tilt_deg", [&circle.tilt_deg])?;
+        table.finite("spin_deg", [&circle.spin_deg])?;
+        table.positive_to("arc_deg", circle.arc_deg, 360.0)?;
+        match circle.mode {
+            Mode::Continuous => self.check_continuous(table, number, circle),
+            Mode::Dwell => check_dwells(table, number, circle),
         }
-        finite(place("start_deg"), circle.start_deg)?;
-        finite(place("tilt_deg"), circle.tilt_deg)?;
-        finite(place("spin_deg"), circle.spin_deg)?;
-        if !(circle.arc_deg > 0.0 && circle.arc_deg <= 360.0) {
-            let message =
-                format!("circle {number}: arc_deg = {} must be above 0, at most 360", circle.arc_deg);
-            return Err((place("arc_deg"), message));
-        }
-        if circle.mode == Mode::Continuous {
-            return self.check_continuous(at, circle);
-        }
-        let passes = if circle.direction == Direction::Both { 2 } else { 1 };
-        let dwells = circle.dwells();
-        if circle.points < 3 || dwells > MODULE_DWELLS {
-            let message = format!(
-                "circle {number}: points = {} in {passes} pass(es) is {dwells} dwells with the reference poses: \
-                 a circle has 3 points at least and {MODULE_DWELLS} dwells at most",
-                circle.points
-            );
-            return Err((place("points"), message));
-        }
-        circle.turns_deg.iter().flatten().try_for_each(|turn| finite(place("turns_deg"), *turn))?;
-        match (circle.orientation, circle.amplitude_deg) {
-            (Orientation::Seed | Orientation::Random | Orientation::Optimal, Some(amplitude)) => {
-                if !(0.0..=180.0).contains(&amplitude) {
-                    let message = format!("circle {number}: amplitude_deg = {amplitude} must be in 0..180");
-                    return Err((place("amplitude_deg"), message));
-                }
-            }
-            (Orientation::Fixed | Orientation::Turning, Some(_)) => {
-                let message = format!("circle {number}: this orientation has no amplitude_deg");
-                return Err((place("amplitude_deg"), message));
-            }
-            (_, None) => {}
-        }
-        Ok(())
     }
 
-    fn check_continuous(&self, at: usize, circle: &CircleTable) -> Result<(), Wrong> {
-        let place = |key| ("[[circle]]", at, key);
-        let number = at + 1;
-        if !(12..=3600).contains(&circle.points) {
-            let message = format!("circle {number}: points = {} must be in 12..3600", circle.points);
-            return Err((place("points"), message));
-        }
+    fn check_continuous(&self, table: Table, number: usize, circle: &CircleTable) -> Result<(), Misplaced> {
+        table.within("points", f64::from(circle.points), [12.0, 3600.0])?;
         if circle.orientation != Orientation::Fixed || circle.amplitude_deg.is_some() {
-            let message = format!(
-                "circle {number}: a continuous circle is one motion: it needs orientation = \"fixed\""
-            );
-            return Err((place("orientation"), message));
+            return Err(table.wrong("orientation", JobFinding::NotFixed { circle: number }));
         }
-        if !(circle.overshoot_deg > 0.0 && circle.overshoot_deg <= 180.0) {
-            let message = format!(
-                "circle {number}: overshoot_deg = {} must be above 0, at most 180",
-                circle.overshoot_deg
-            );
-            return Err((place("overshoot_deg"), message));
-        }
-        let feed = self.motion.feed_mm_s;
+        let overshoot_deg = circle.overshoot_deg;
+        table.positive_to("overshoot_deg", overshoot_deg, 180.0)?;
+        let feed_mm_s = self.motion.feed_mm_s;
         let radius_mm = circle.radius_mm.unwrap_or(self.bar.length_mm);
-        let needed_deg = (0.5 * feed * feed / ACCELERATION_MM_S2 / radius_mm).to_degrees();
-        if circle.overshoot_deg < needed_deg {
-            let message = format!(
-                "circle {number}: overshoot_deg = {} is too short: the robot needs {needed_deg:.1} degrees to come \
-                 to {feed} mm/s",
-                circle.overshoot_deg
-            );
-            return Err((place("overshoot_deg"), message));
+        let needed_deg = (0.5 * feed_mm_s * feed_mm_s / ACCELERATION_MM_S2 / radius_mm).to_degrees();
+        if overshoot_deg < needed_deg {
+            let finding = JobFinding::OvershootShort { circle: number, overshoot_deg, needed_deg, feed_mm_s };
+            return Err(table.wrong("overshoot_deg", finding));
         }
         Ok(())
     }
 }
 
-fn check_centre(at: usize, centre: &CentreTable) -> Result<(), Wrong> {
-    let place = |key| ("[[centre]]", at, key);
-    if centre.id as usize != at + 1 {
-        return Err((place("id"), format!("id = {} must be {}: centres count from 1", centre.id, at + 1)));
+fn check_dwells(table: Table, number: usize, circle: &CircleTable) -> Result<(), Misplaced> {
+    let (points, dwells) = (circle.points, circle.dwells());
+    if points < 3 || dwells > MODULE_DWELLS {
+        let finding = JobFinding::DwellCount { circle: number, points, dwells, most: MODULE_DWELLS };
+        return Err(table.wrong("points", finding));
     }
-    for value in centre.xyz_mm {
-        finite(place("xyz_mm"), value)?;
-    }
-    for value in centre.taught_deg.iter().flatten() {
-        finite(place("taught_deg"), *value)?;
-    }
-    check_cup(place("cup_axis"), place("cup_limit_deg"), centre.cup_axis, centre.cup_limit_deg)
-}
-
-fn check_cup(
-    axis_place: Place,
-    limit_place: Place,
-    axis: Option<[f64; 3]>,
-    limit: Option<f64>,
-) -> Result<(), Wrong> {
-    match (axis, limit) {
-        (Some(axis), Some(limit)) => {
-            direction_vector(axis_place, "cup_axis", axis)?;
-            if !(limit > 0.0 && limit <= 180.0) {
-                let message = format!("cup_limit_deg = {limit} must be above 0, at most 180");
-                return Err((limit_place, message));
-            }
-            Ok(())
+    table.finite("turns_deg", circle.turns_deg.iter().flatten())?;
+    match (circle.orientation, circle.amplitude_deg) {
+        (Orientation::Fixed | Orientation::Turning, Some(_)) => {
+            Err(table.wrong("amplitude_deg", JobFinding::NoAmplitude { circle: number }))
         }
-        (None, None) => Ok(()),
-        (Some(_), None) => Err((axis_place, "cup_axis needs a cup_limit_deg beside it".into())),
-        (None, Some(_)) => Err((limit_place, "cup_limit_deg needs a cup_axis beside it".into())),
+        (_, Some(amplitude)) => table.within("amplitude_deg", amplitude, [0.0, 180.0]),
+        (_, None) => Ok(()),
     }
 }
 
-fn check_obstacle(at: usize, obstacle: &ObstacleTable) -> Result<(), Wrong> {
-    let place = |key| ("[[obstacle]]", at, key);
-    if let ObstacleTable::Box { low_mm, high_mm } = obstacle {
-        low_mm.iter().try_for_each(|value| finite(place("low_mm"), *value))?;
-        high_mm.iter().try_for_each(|value| finite(place("high_mm"), *value))?;
-    }
+fn check_obstacle(table: Table, obstacle: &ObstacleTable) -> Result<(), Misplaced> {
     match *obstacle {
-        ObstacleTable::Box { low_mm, high_mm } if !corners(low_mm, high_mm) => {
-            Err((place("low_mm"), "a box needs its lowest corner as low_mm, its highest as high_mm".into()))
+        ObstacleTable::Box { low_mm, high_mm } => {
+            table.finite("high_mm", &high_mm)?;
+            table.corners("low_mm", low_mm, high_mm)
         }
-        ObstacleTable::Box { .. } => Ok(()),
         ObstacleTable::Cylinder { from_mm, to_mm, radius_mm } => {
-            from_mm.iter().try_for_each(|value| finite(place("from_mm"), *value))?;
-            to_mm.iter().try_for_each(|value| finite(place("to_mm"), *value))?;
+            table.finite("from_mm", &from_mm)?;
+            table.finite("to_mm", &to_mm)?;
             let along = [to_mm[0] - from_mm[0], to_mm[1] - from_mm[1], to_mm[2] - from_mm[2]];
-            direction_vector(place("to_mm"), "to_mm - from_mm", along)?;
-            positive(place("radius_mm"), radius_mm)
+            table.direction("to_mm", along)?;
+            table.positive("radius_mm", radius_mm)
         }
-        ObstacleTable::Floor { z_mm } => finite(place("z_mm"), z_mm),
+        ObstacleTable::Floor { z_mm } => table.within("z_mm", z_mm, [-MOST, MOST]),
     }
 }
 
 /// TOML's own message, and the known key that an unknown one may mean.
 fn hinted(file: &str, text: &str, error: &toml::de::Error) -> Diagnostic {
-    let diagnostic = Diagnostic::toml(file, text, error);
+    let diagnostic = wrong_toml(file, text, error);
     let mut words = error.message().split('`').skip(1).step_by(2);
     let meant = words.next().and_then(|word| nearest(word, words));
     match meant {

@@ -6,7 +6,7 @@ mod values;
 
 use serde::{Deserialize, Serialize};
 
-use crate::model::AXES;
+use crate::robot::AXES;
 pub use obstacle::ObstacleTable;
 
 /// What is to be measured, with what, and within which limits.

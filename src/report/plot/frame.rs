@@ -1,80 +1,103 @@
-//! The frame of a plot with two straight axes: grid, ticks, labels.
+//! Two straight axes: the area within the picture, scales, grid, ticks and names.
 
 use crate::report::scale::{Scale, Ticks};
 use crate::report::svg::{Anchor, Svg};
 
-/// Width of a figure that stands beside another one, pixels.
-pub const NARROW: f64 = 480.0;
+/// Width of a figure beside another one, pixels.
+pub(crate) const NARROW: f64 = 480.0;
 /// Width of a figure across the page, pixels.
-pub const WIDE: f64 = 990.0;
+pub(crate) const WIDE: f64 = 990.0;
+/// Below the area: ticks and the name of the x axis, pixels.
+const BELOW: f64 = 42.0;
 
-/// Space around the plot area for title and labels, pixels.
-const LEFT: f64 = 56.0;
-const RIGHT: f64 = 14.0;
-const TOP: f64 = 44.0;
-const BOTTOM: f64 = 42.0;
-
-/// A picture with its two scales.
-pub(crate) struct Frame {
-    pub(crate) svg: Svg,
-    pub(crate) x: Scale,
-    pub(crate) y: Scale,
+/// The area of a plot within a picture of this width, edges in pixels.
+#[derive(Clone, Copy)]
+pub(super) struct Area {
+    pub(super) width: f64,
+    pub(super) left: f64,
+    pub(super) right: f64,
+    pub(super) top: f64,
+    pub(super) bottom: f64,
 }
 
-/// What stands on the frame.
-pub(crate) struct Labels<'a> {
-    pub(crate) title: &'a str,
-    pub(crate) description: &'a str,
-    pub(crate) x: &'a str,
-    pub(crate) y: &'a str,
+impl Area {
+    /// With room for a title, a legend and labels in a picture of this size.
+    pub(super) fn of([width, height]: [f64; 2]) -> Self {
+        Self { width, left: 56.0, right: width - 14.0, top: 44.0, bottom: height - BELOW }
+    }
+}
+
+/// The words of a plot; a screen reader says title and description.
+pub(super) struct Labels<'a> {
+    pub(super) title: &'a str,
+    pub(super) description: &'a str,
+    pub(super) x: &'a str,
+    pub(super) y: &'a str,
+}
+
+/// How an axis shows its ticks.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum Grid {
+    /// Lines across the area.
+    Lines,
+    /// Short marks outside of it.
+    Marks,
+}
+
+/// A picture with its two scales.
+pub(super) struct Frame {
+    pub(super) svg: Svg,
+    pub(super) x: Scale,
+    pub(super) y: Scale,
 }
 
 impl Frame {
-    /// A frame with room for `size`; ranges in display units.
-    pub(crate) fn new(size: [f64; 2], x: [f64; 2], y: [f64; 2], labels: &Labels<'_>) -> Self {
-        let [width, height] = size;
-        let mut svg = Svg::new(width, height, labels.title, labels.description);
+    /// Title and names of the axes; ranges in display units.
+    pub(super) fn new(area: Area, labels: &Labels<'_>, x: [f64; 2], y: [f64; 2]) -> Self {
+        let Area { width, left, right, top, bottom } = area;
+        let mut svg = Svg::new(width, bottom + BELOW, labels.title, labels.description);
         svg.text("head", [4.0, 16.0], Anchor::Start, labels.title);
-        Self {
-            svg,
-            x: Scale { values: x, pixels: [LEFT, width - RIGHT] },
-            y: Scale { values: y, pixels: [height - BOTTOM, TOP] },
-        }
+        svg.text("soft", [0.5 * (left + right), bottom + 34.0], Anchor::Middle, labels.x);
+        svg.text_upwards("soft", [12.0, 0.5 * (top + bottom)], labels.y);
+        let (x, y) = (Scale { values: x, pixels: [left, right] }, Scale { values: y, pixels: [bottom, top] });
+        Self { svg, x, y }
     }
 
-    /// Grid lines and tick labels of both axes, and the axes' names; `y_ticks` is about how many.
-    pub(crate) fn axes(&mut self, labels: &Labels<'_>, y_ticks: f64) {
+    /// The usual axes: lines across, marks below.
+    pub(super) fn axes(&mut self) {
         let [left, right] = self.x.pixels;
         let [bottom, top] = self.y.pixels;
-        let across = Ticks::inside(self.y.values, y_ticks);
-        for &value in &across.values {
-            let y = self.y.at(value);
-            self.svg.line("grid", [left, y], [right, y]);
-            self.svg.text("soft", [left - 6.0, y + 4.0], Anchor::End, &across.label(value));
-        }
-        self.x_axis(labels.x, false);
-        self.svg.text_upwards("soft", [12.0, 0.5 * (top + bottom)], labels.y);
-    }
-
-    /// Ticks and name of the x axis, with grid lines when `grid`.
-    pub(crate) fn x_axis(&mut self, name: &str, grid: bool) {
-        let [left, right] = self.x.pixels;
-        let [bottom, top] = self.y.pixels;
-        let along = Ticks::inside(self.x.values, (right - left) / 65.0);
-        for &value in &along.values {
-            let x = self.x.at(value);
-            if grid {
-                self.svg.line("grid", [x, top], [x, bottom]);
-            }
-            self.svg.line("rule", [x, bottom], [x, bottom + 4.0]);
-            self.svg.text("soft", [x, bottom + 17.0], Anchor::Middle, &along.label(value));
-        }
+        self.y_axis(&Ticks::inside(self.y.values, ((bottom - top) / 30.0).max(2.0)), Grid::Lines);
+        self.x_axis(&Ticks::inside(self.x.values, (right - left) / 65.0), Grid::Marks);
         self.svg.line("rule", [left, bottom], [right, bottom]);
-        self.svg.text("soft", [0.5 * (left + right), bottom + 34.0], Anchor::Middle, name);
+    }
+
+    pub(super) fn x_axis(&mut self, ticks: &Ticks, grid: Grid) {
+        let [bottom, top] = self.y.pixels;
+        for &value in &ticks.values {
+            let x = self.x.at(value);
+            match grid {
+                Grid::Lines => self.svg.line("grid", [x, top], [x, bottom]),
+                Grid::Marks => self.svg.line("rule", [x, bottom], [x, bottom + 4.0]),
+            }
+            self.svg.text("soft", [x, bottom + 17.0], Anchor::Middle, &ticks.label(value));
+        }
+    }
+
+    pub(super) fn y_axis(&mut self, ticks: &Ticks, grid: Grid) {
+        let [left, right] = self.x.pixels;
+        for &value in &ticks.values {
+            let y = self.y.at(value);
+            match grid {
+                Grid::Lines => self.svg.line("grid", [left, y], [right, y]),
+                Grid::Marks => self.svg.line("rule", [left - 4.0, y], [left, y]),
+            }
+            self.svg.text("soft", [left - 6.0, y + 4.0], Anchor::End, &ticks.label(value));
+        }
     }
 
     /// A level line from end to end, when it lies inside.
-    pub(crate) fn level(&mut self, class: &str, value: f64) {
+    pub(super) fn level(&mut self, class: &str, value: f64) {
         let [low, high] = self.y.values;
         if (low..=high).contains(&value) {
             let y = self.y.at(value);
@@ -82,8 +105,14 @@ impl Frame {
         }
     }
 
+    /// A vertical line from the bottom to the top.
+    pub(super) fn upright(&mut self, class: &str, value: f64) {
+        let x = self.x.at(value);
+        self.svg.line(class, [x, self.y.pixels[0]], [x, self.y.pixels[1]]);
+    }
+
     /// The point of a pair of values.
-    pub(crate) fn at(&self, x: f64, y: f64) -> [f64; 2] {
+    pub(super) fn at(&self, x: f64, y: f64) -> [f64; 2] {
         [self.x.at(x), self.y.at(y)]
     }
 }

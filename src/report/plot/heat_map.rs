@@ -1,13 +1,16 @@
-//! A map of a positive quantity over two coordinates, such as the predicted error over a plane.
+//! A map of a positive quantity over two coordinates, such as the predicted position uncertainty over a plane.
 
-use super::frame::NARROW;
+use super::frame::{Area, Frame, Grid, Labels, NARROW};
+use crate::estimation::result::MapPoint;
 use crate::report::scale::{Scale, Ticks, Unit, range, significant};
 use crate::report::svg::{Anchor, Svg};
 
-const LEFT: f64 = 56.0;
-const RIGHT: f64 = 390.0;
-const TOP: f64 = 30.0;
+const AREA: Area = Area { width: NARROW, left: 56.0, right: 390.0, top: 30.0, bottom: 30.0 };
 const LEGEND: f64 = 404.0;
+/// Colours of the legend.
+const STEPS: u32 = 40;
+/// Cells along the longer side of a map.
+const CELLS: usize = 24;
 /// Dark blue to yellow through grey: even steps of lightness, the same for every kind of sight.
 const COLOURS: [[f64; 3]; 5] = [
     [0.0, 34.0, 78.0],
@@ -20,7 +23,6 @@ const COLOURS: [[f64; 3]; 5] = [
 /// A map of lengths (mm) over a grid.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HeatMap {
-    /// What it shows.
     pub title: String,
     /// Names of the two coordinates with unit, such as `X (mm)`.
     pub axis_names: [String; 2],
@@ -28,69 +30,108 @@ pub struct HeatMap {
     pub extent: [[f64; 2]; 2],
     /// Number of cells along x.
     pub columns: usize,
-    /// The values in mm, row by row from the lowest y; not finite where there is none.
+    /// Row by row from the lowest y; not finite where there is none.
     pub values_mm: Vec<f64>,
 }
 
 impl HeatMap {
-    /// Draws it, x and y to the same scale.
+    /// The predicted position uncertainty seen from above and from the side.
+    pub(crate) fn of_uncertainty(found: &[MapPoint]) -> Vec<Self> {
+        let above = found.iter().map(|point| (point.position.xy().into(), point.rms_mm)).collect();
+        let from_axis_1 = |point: &MapPoint| [point.position.xy().norm(), point.position.z];
+        let side = found.iter().map(|point| (from_axis_1(point), point.rms_mm)).collect();
+        let title = |from: &str| format!("Predicted position uncertainty, {from}");
+        let from_above = Self::binned(title("from above"), ["X (mm)", "Y (mm)"], above);
+        let from_side = Self::binned(title("from the side"), ["distance from axis 1 (mm)", "Z (mm)"], side);
+        [from_above, from_side].into_iter().flatten().collect()
+    }
+
+    /// The root mean square of the values in each cell of a grid; none where all places are one.
+    fn binned(title: String, names: [&str; 2], places: Vec<([f64; 2], f64)>) -> Option<Self> {
+        let ends = [0, 1].map(|axis| {
+            let values = places.iter().map(|(place, _)| place[axis]);
+            [values.clone().fold(f64::INFINITY, f64::min), values.fold(f64::NEG_INFINITY, f64::max)]
+        });
+        let spans = ends.map(|[low, high]| high - low);
+        let cell = spans[0].max(spans[1]) / CELLS as f64;
+        if !(cell.is_finite() && cell > 0.0) {
+            return None;
+        }
+        let [columns, rows] = spans.map(|span| ((span / cell).ceil() as usize).max(1));
+        let mut sums = vec![(0.0, 0u32); columns * rows];
+        for (place, value) in &places {
+            let at =
+                |axis: usize, count: usize| (((place[axis] - ends[axis][0]) / cell) as usize).min(count - 1);
+            let (sum, count) = &mut sums[at(1, rows) * columns + at(0, columns)];
+            *sum += value * value;
+            *count += 1;
+        }
+        let mean =
+            |(sum, count): (f64, u32)| if count > 0 { (sum / f64::from(count)).sqrt() } else { f64::NAN };
+        let edges = |axis: usize, count: usize| [ends[axis][0], ends[axis][0] + cell * count as f64];
+        Some(Self {
+            title,
+            axis_names: names.map(str::to_owned),
+            extent: [edges(0, columns), edges(1, rows)],
+            columns,
+            values_mm: sums.into_iter().map(mean).collect(),
+        })
+    }
+
+    /// x and y to the same scale.
     pub fn to_svg(&self) -> String {
-        let columns = self.columns.max(1);
-        let rows = self.values_mm.len().div_ceil(columns).max(1);
-        let [x_range, y_range] = self.extent.map(|ends| range(ends.into_iter()));
-        let aspect = (y_range[1] - y_range[0]) / (x_range[1] - x_range[0]);
-        let tall = ((RIGHT - LEFT) * aspect).clamp(90.0, 520.0);
-        let bottom = TOP + tall;
-        let x = Scale { values: x_range, pixels: [LEFT, RIGHT] };
-        let y = Scale { values: y_range, pixels: [bottom, TOP] };
+        let [x, y] = self.extent.map(|ends| range(ends.into_iter()));
+        let aspect = (y[1] - y[0]) / (x[1] - x[0]);
+        let tall = ((AREA.right - AREA.left) * aspect).clamp(90.0, 520.0);
+        let labels = Labels {
+            title: &self.title,
+            description: "Map in colours, light is large",
+            x: &self.axis_names[0],
+            y: &self.axis_names[1],
+        };
+        let mut frame = Frame::new(Area { bottom: AREA.top + tall, ..AREA }, &labels, x, y);
         let found = range(self.values_mm.iter().copied());
         let unit = Unit::length(found[1]);
         let scale = [found[0].max(0.0) * unit.factor, found[1] * unit.factor];
-        let mut svg = Svg::new(NARROW, bottom + 42.0, &self.title, "Map in colours, light is large");
-        svg.text("head", [4.0, 16.0], Anchor::Start, &self.title);
-        let size = [(RIGHT - LEFT) / columns as f64, tall / rows as f64];
+        self.cells(&mut frame, unit, scale);
+        let ([left, right], [bottom, top]) = (frame.x.pixels, frame.y.pixels);
+        frame.svg.path("rule", &[[left, top], [right, top], [right, bottom], [left, bottom]], true);
+        frame.x_axis(&Ticks::inside(x, 7.0), Grid::Marks);
+        frame.y_axis(&Ticks::inside(y, 5.0), Grid::Marks);
+        colours(&mut frame.svg, &Scale { values: scale, pixels: [bottom, top] });
+        frame.svg.text("soft", [LEGEND, top - 8.0], Anchor::Start, unit.sign);
+        frame.svg.finish()
+    }
+
+    fn cells(&self, frame: &mut Frame, unit: Unit, scale: [f64; 2]) {
+        let columns = self.columns.max(1);
+        let rows = self.values_mm.len().div_ceil(columns).max(1);
+        let ([left, right], [bottom, top]) = (frame.x.pixels, frame.y.pixels);
+        let size = [(right - left) / columns as f64, (bottom - top) / rows as f64];
         for (number, value) in self.values_mm.iter().enumerate().filter(|(_, value)| value.is_finite()) {
             let (row, column) = (number / columns, number % columns);
-            let corner = [LEFT + size[0] * column as f64, bottom - size[1] * (row + 1) as f64];
+            let corner = [left + size[0] * column as f64, bottom - size[1] * (row + 1) as f64];
             let value = value * unit.factor;
-            let colour = colour((value - scale[0]) / (scale[1] - scale[0]));
             let tip = format!("{} {}", significant(value, 3), unit.sign);
-            svg.cell(&colour, corner, size, &tip);
+            frame.svg.cell(&colour((value - scale[0]) / (scale[1] - scale[0])), corner, size, &tip);
         }
-        svg.path("rule", &[[LEFT, TOP], [RIGHT, TOP], [RIGHT, bottom], [LEFT, bottom]], true);
-        axes(&mut svg, &x, &y, &self.axis_names);
-        let legend = Scale { values: scale, pixels: [bottom, TOP] };
-        for part in 0..40 {
-            let share = f64::from(part) / 39.0;
-            let at = [LEGEND, bottom - tall * f64::from(part + 1) / 40.0];
-            // Each over the one below: edges rounded to a pixel leave no gap.
-            let overlap = if part > 0 { 0.6 } else { 0.0 };
-            svg.cell(&colour(share), at, [14.0, tall / 40.0 + overlap], "");
-        }
-        let ticks = Ticks::inside(scale, 5.0);
-        for &value in &ticks.values {
-            let label = ticks.label(value);
-            svg.text("soft", [LEGEND + 19.0, legend.at(value) + 4.0], Anchor::Start, &label);
-        }
-        svg.text("soft", [LEGEND, TOP - 8.0], Anchor::Start, unit.sign);
-        svg.finish()
     }
 }
 
-fn axes(svg: &mut Svg, x: &Scale, y: &Scale, names: &[String; 2]) {
-    let [bottom, top] = y.pixels;
-    let along = Ticks::inside(x.values, 7.0);
-    for &value in &along.values {
-        svg.line("rule", [x.at(value), bottom], [x.at(value), bottom + 4.0]);
-        svg.text("soft", [x.at(value), bottom + 17.0], Anchor::Middle, &along.label(value));
+/// The legend: a column of all colours with their values.
+fn colours(svg: &mut Svg, scale: &Scale) {
+    let [bottom, top] = scale.pixels;
+    let height = (bottom - top) / f64::from(STEPS);
+    for part in 0..STEPS {
+        let at = [LEGEND, bottom - height * f64::from(part + 1)];
+        // Each over the one below: edges rounded to a pixel leave no gap.
+        let overlap = if part > 0 { 0.6 } else { 0.0 };
+        svg.cell(&colour(f64::from(part) / f64::from(STEPS - 1)), at, [14.0, height + overlap], "");
     }
-    let up = Ticks::inside(y.values, 5.0);
-    for &value in &up.values {
-        svg.line("rule", [LEFT - 4.0, y.at(value)], [LEFT, y.at(value)]);
-        svg.text("soft", [LEFT - 7.0, y.at(value) + 4.0], Anchor::End, &up.label(value));
+    let ticks = Ticks::inside(scale.values, 5.0);
+    for &value in &ticks.values {
+        svg.text("soft", [LEGEND + 19.0, scale.at(value) + 4.0], Anchor::Start, &ticks.label(value));
     }
-    svg.text("soft", [0.5 * (LEFT + RIGHT), bottom + 34.0], Anchor::Middle, &names[0]);
-    svg.text_upwards("soft", [12.0, 0.5 * (top + bottom)], &names[1]);
 }
 
 /// The colour of a share from 0 to 1.

@@ -1,23 +1,27 @@
-//! The plots: each a plain struct of data that draws itself as an SVG text.
+//! The plots: typed data drawn as SVG texts.
 
-pub mod against_axis;
-pub mod frame;
-pub mod heat_map;
-pub mod histogram;
-pub mod intervals;
-pub mod polar;
-pub mod residuals;
+mod against_axis;
+mod frame;
+mod heat_map;
+mod histogram;
+mod intervals;
+mod polar;
+mod residuals;
 mod thinning;
-pub mod trace;
-pub mod view;
+mod trace;
+mod view;
 
+pub(super) use against_axis::against_axis;
+pub(super) use frame::{NARROW, WIDE};
 pub use heat_map::HeatMap;
-pub use histogram::Histogram;
-pub use intervals::{Interval, Intervals};
+pub(super) use histogram::histogram;
+pub(super) use intervals::Intervals;
 pub use polar::{PolarPlot, PolarTrace};
-pub use residuals::{ResidualPlot, ResidualPoint};
-pub use trace::{Line, TracePlot};
-pub use view::{Projection, View};
+pub(super) use residuals::{ResidualPoint, Shown, residuals};
+pub(super) use trace::Trace;
+pub(super) use view::{Projection, View};
+
+use super::svg::{Anchor, Svg};
 
 /// How a series is drawn; the three differ in colour and in form.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -26,7 +30,7 @@ pub enum Series {
     First,
     /// Blue, filled dots: after, or the second direction.
     Second,
-    /// Green, dashed: a third, such as a mean.
+    /// Green, dashed: a third, such as an unknown direction.
     Third,
 }
 
@@ -46,12 +50,57 @@ impl Series {
             Self::Third => "d-third",
         }
     }
+
+    fn bar(self) -> &'static str {
+        match self {
+            Self::First => "f-before",
+            Self::Second | Self::Third => "f-after",
+        }
+    }
 }
 
-/// A series' dot with its name, left to right from `at`; returns where the next begins.
-fn legend(svg: &mut super::svg::Svg, at: [f64; 2], series: Series, name: &str) -> f64 {
-    let [x, y] = at;
-    svg.circle(series.dot(), [x + 4.0, y - 4.0], 3.5, "");
-    svg.text("soft", [x + 13.0, y], super::svg::Anchor::Start, name);
-    x + 13.0 + 7.0 * name.chars().count() as f64 + 14.0
+/// What is before a name in a legend.
+#[derive(Clone, Copy)]
+enum Key {
+    Dot(Series),
+    Band,
+    Outlier,
+    Interval,
+}
+
+/// Names with their keys, from left to right.
+struct Legend {
+    x: f64,
+    baseline: f64,
+}
+
+impl Legend {
+    fn new(baseline: f64) -> Self {
+        Self { x: 4.0, baseline }
+    }
+
+    fn add(&mut self, svg: &mut Svg, key: Key, name: &str) {
+        let (x, y) = (self.x, self.baseline - 4.0);
+        let width = match key {
+            Key::Dot(series) => {
+                svg.circle(series.dot(), [x + 4.0, y], 3.5, "");
+                13.0
+            }
+            Key::Band => {
+                svg.rect("band", [x, y - 5.0], [x + 14.0, y + 5.0], "");
+                19.0
+            }
+            Key::Outlier => {
+                svg.cross("l-mark", [x + 4.0, y], 3.5);
+                13.0
+            }
+            Key::Interval => {
+                svg.line("l-bar", [x, y], [x + 20.0, y]);
+                svg.circle("d-after", [x + 10.0, y], 3.4, "");
+                26.0
+            }
+        };
+        svg.text("soft", [x + width, self.baseline], Anchor::Start, name);
+        self.x = x + width + 7.0 * name.chars().count() as f64 + 14.0;
+    }
 }

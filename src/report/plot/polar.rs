@@ -1,8 +1,7 @@
 //! Radial deviation against the angle on the circle, magnified: the ball-bar's own picture.
 
-use super::Series;
 use super::frame::NARROW;
-use super::legend;
+use super::{Key, Legend, Series};
 use crate::report::scale::{Unit, decimals, magnitude, plain, rounded, signed, significant, step};
 use crate::report::svg::{Anchor, Svg};
 
@@ -15,18 +14,21 @@ const ZERO: f64 = 108.0;
 const GAP_DEG: f64 = 40.0;
 /// Above this number of points the dots would hide the line.
 const MOST_DOTS: usize = 400;
+/// Marks nearer to each other than this share one word, degrees.
+const APART_DEG: f64 = 6.0;
+/// Half of the room of the name at each quarter, degrees.
+const NAME_DEG: f64 = 8.0;
 
 /// A polar plot of radial deviations.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PolarPlot {
-    /// What it shows.
     pub title: String,
     /// Nominal radius, mm; with it the magnification is stated.
     pub radius_mm: Option<f64>,
-    /// What stands at 0 and 90 degrees, such as `+X` and `+Y`; the degrees where absent.
-    pub axis_names: Option<[String; 2]>,
-    /// The traces, drawn in order.
+    /// Drawn in order.
     pub traces: Vec<PolarTrace>,
+    /// Ticks on the outermost ring: angle (degrees) and a short word.
+    pub marks: Vec<(f64, String)>,
 }
 
 /// One trace: a direction, or the state before or after.
@@ -34,131 +36,149 @@ pub struct PolarPlot {
 pub struct PolarTrace {
     /// Its name in the legend.
     pub name: String,
-    /// How it is drawn.
     pub series: Series,
     /// Angle on the circle (degrees) and deviation (mm, outward positive), in any order.
     pub points: Vec<[f64; 2]>,
 }
 
-impl PolarPlot {
-    /// Draws it.
-    pub fn to_svg(&self) -> String {
-        self.to_svg_with(&[])
-    }
+/// The rings about the one of no deviation.
+struct Rings {
+    unit: Unit,
+    /// Between two rings, in the unit.
+    spacing: f64,
+    /// On each side.
+    count: i32,
+    px_per_unit: f64,
+}
 
-    /// Draws it with marks on the outermost ring: an angle (degrees) and a short word each. Marks that
-    /// would stand on each other share one word.
-    pub fn to_svg_with(&self, marks: &[(f64, String)]) -> String {
-        let deviations = self.traces.iter().flat_map(|trace| trace.points.iter().map(|point| point[1]));
+impl Rings {
+    fn of(traces: &[PolarTrace]) -> Self {
+        let deviations = traces.iter().flat_map(|trace| trace.points.iter().map(|point| point[1]));
         let largest_mm = magnitude(deviations);
         let unit = Unit::length(largest_mm);
-        let ring = step(largest_mm * unit.factor, 2.5);
-        let rings = (largest_mm * unit.factor / ring - 1e-9).ceil().clamp(1.0, 4.0);
-        let px_per_unit = (OUTER - ZERO) / (rings * ring);
-        let note = self.note(ring, unit, px_per_unit * unit.factor);
-        let mut svg = Svg::new(NARROW, HEIGHT, &self.title, &note);
-        svg.text("head", [4.0, 16.0], Anchor::Start, &self.title);
-        let mut x = 4.0;
-        for trace in &self.traces {
-            x = legend(&mut svg, [x, 36.0], trace.series, &trace.name);
-        }
-        self.spokes(&mut svg);
-        let digits = decimals(ring);
-        for number in -(rings as i32)..=(rings as i32) {
-            let radius = ZERO + f64::from(number) * ring * px_per_unit;
-            svg.circle(if number == 0 { "zero" } else { "grid" }, CENTRE, radius, "");
-        }
-        for trace in &self.traces {
-            draw(&mut svg, trace, unit, px_per_unit, digits + 1);
-        }
-        mark(&mut svg, marks);
-        for number in -(rings as i32)..=(rings as i32) {
-            let value = f64::from(number) * ring;
-            let at = polar(67.5, ZERO + value * px_per_unit);
-            let sign = if number == rings as i32 { unit.sign } else { "" };
-            let label = format!("{} {sign}", signed(value, digits));
-            svg.text("halo", [at[0], at[1] + 4.0], Anchor::Middle, label.trim_end());
-        }
-        svg.text("soft", [0.5 * NARROW, HEIGHT - 6.0], Anchor::Middle, &note);
-        svg.finish()
+        let spacing = step(largest_mm * unit.factor, 2.5);
+        let count = (largest_mm * unit.factor / spacing - 1e-9).ceil().clamp(1.0, 4.0);
+        Self { unit, spacing, count: count as i32, px_per_unit: (OUTER - ZERO) / (count * spacing) }
+    }
+
+    /// In pixels, of a deviation in the unit.
+    fn radius(&self, deviation: f64) -> f64 {
+        ZERO + deviation * self.px_per_unit
+    }
+
+    /// The deviation of each ring, in the unit.
+    fn values(&self) -> impl Iterator<Item = f64> {
+        let spacing = self.spacing;
+        (-self.count..=self.count).map(move |number| f64::from(number) * spacing)
     }
 
     /// The scale in words.
-    fn note(&self, ring: f64, unit: Unit, px_per_mm: f64) -> String {
-        let spacing = format!("ring spacing {} {}", significant(ring, 1), unit.sign);
-        match self.radius_mm {
+    fn note(&self, radius_mm: Option<f64>) -> String {
+        let spacing = format!("ring spacing {} {}", significant(self.spacing, 1), self.unit.sign);
+        match radius_mm {
             Some(radius) if radius.is_finite() && radius > 0.0 => {
-                let magnification = px_per_mm * radius / ZERO;
-                format!(
-                    "{spacing}; radius {} mm, deviation magnified {} ×",
-                    plain(radius, 3),
-                    rounded(magnification, 2)
-                )
+                let magnification = rounded(self.px_per_unit * self.unit.factor * radius / ZERO, 2);
+                format!("{spacing}; radius {} mm, deviation magnified {magnification} ×", plain(radius, 3))
             }
             _ => spacing,
         }
     }
+}
 
-    /// Lines each 30 degrees, names each 90.
-    fn spokes(&self, svg: &mut Svg) {
-        for number in 0..12 {
-            svg.line("grid", CENTRE, polar(f64::from(number) * 30.0, OUTER));
+impl PolarPlot {
+    pub fn to_svg(&self) -> String {
+        let rings = Rings::of(&self.traces);
+        let note = rings.note(self.radius_mm);
+        let mut svg = Svg::new(NARROW, HEIGHT, &self.title, &note);
+        svg.text("head", [4.0, 16.0], Anchor::Start, &self.title);
+        let mut legend = Legend::new(36.0);
+        for trace in &self.traces {
+            legend.add(&mut svg, Key::Dot(trace.series), &trace.name);
         }
-        let names = match &self.axis_names {
-            Some([x, y]) => [x.clone(), y.clone(), opposite(x), opposite(y)],
-            None => ["0°".into(), "90°".into(), "180°".into(), "270°".into()],
-        };
-        let anchors = [Anchor::Start, Anchor::Middle, Anchor::End, Anchor::Middle];
-        for (quarter, (name, anchor)) in names.iter().zip(anchors).enumerate() {
-            let [x, y] = polar(quarter as f64 * 90.0, OUTER + 6.0);
-            let drop = [4.0, -2.0, 4.0, 10.0];
-            svg.text("soft", [x, y + drop[quarter]], anchor, name);
+        spokes(&mut svg);
+        for value in rings.values() {
+            svg.circle(if value == 0.0 { "zero" } else { "grid" }, CENTRE, rings.radius(value), "");
+        }
+        for trace in &self.traces {
+            trace.draw(&mut svg, &rings);
+        }
+        mark(&mut svg, &self.marks);
+        ring_labels(&mut svg, &rings);
+        svg.text("soft", [0.5 * NARROW, HEIGHT - 6.0], Anchor::Middle, &note);
+        svg.finish()
+    }
+}
+
+impl PolarTrace {
+    /// Lines between neighbours and a dot each.
+    fn draw(&self, svg: &mut Svg, rings: &Rings) {
+        let mut points: Vec<[f64; 2]> = self
+            .points
+            .iter()
+            .filter(|point| point.iter().all(|value| value.is_finite()))
+            .map(|&[angle, deviation]| [angle.rem_euclid(360.0), deviation * rings.unit.factor])
+            .collect();
+        points.sort_by(|a, b| a[0].total_cmp(&b[0]));
+        let place = |&[angle, deviation]: &[f64; 2]| polar(angle, rings.radius(deviation).max(0.0));
+        // Under dots the line only leads the eye.
+        let dots = points.len() <= MOST_DOTS;
+        let class = format!("{}{}", self.series.line(), if dots { " web" } else { "" });
+        let near = |from: &[f64; 2], to: &[f64; 2]| to[0] - from[0] <= GAP_DEG;
+        let mut arcs: Vec<Vec<[f64; 2]>> =
+            points.chunk_by(near).map(|arc| arc.iter().map(place).collect()).collect();
+        let round = points.first().zip(points.last()).is_some_and(|(a, b)| a[0] + 360.0 - b[0] <= GAP_DEG);
+        let closed = round && arcs.len() == 1;
+        if round
+            && !closed
+            && let (Some(first), Some(last)) = (points.first(), arcs.last_mut())
+        {
+            last.push(place(first));
+        }
+        for arc in &arcs {
+            svg.path(&class, arc, closed);
+        }
+        if !dots {
+            return;
+        }
+        let digits = decimals(rings.spacing) + 1;
+        for point in &points {
+            let value = signed(point[1], digits);
+            let tip = format!("{}: {}°, {value} {}", self.name, signed(point[0], 1), rings.unit.sign);
+            svg.circle(self.series.dot(), place(point), 2.4, &tip);
         }
     }
 }
 
-/// Lines between neighbours and a dot each.
-fn draw(svg: &mut Svg, trace: &PolarTrace, unit: Unit, px_per_unit: f64, digits: usize) {
-    let mut points: Vec<[f64; 2]> = trace
-        .points
-        .iter()
-        .filter(|point| point.iter().all(|value| value.is_finite()))
-        .map(|&[angle, deviation]| [angle.rem_euclid(360.0), deviation])
-        .collect();
-    points.sort_by(|a, b| a[0].total_cmp(&b[0]));
-    let place =
-        |[angle, deviation]: [f64; 2]| polar(angle, (ZERO + deviation * unit.factor * px_per_unit).max(0.0));
-    // Under dots the line only leads the eye.
-    let dots = points.len() <= MOST_DOTS;
-    let class = format!("{}{}", trace.series.line(), if dots { " web" } else { "" });
-    let near = |from: &[f64; 2], to: &[f64; 2]| to[0] - from[0] <= GAP_DEG;
-    let mut arcs: Vec<Vec<[f64; 2]>> =
-        points.chunk_by(near).map(|arc| arc.iter().map(|&point| place(point)).collect()).collect();
-    let round = points.first().zip(points.last()).is_some_and(|(a, b)| a[0] + 360.0 - b[0] <= GAP_DEG);
-    let closed = round && arcs.len() == 1;
-    if round
-        && !closed
-        && let (Some(&first), Some(last)) = (points.first(), arcs.last_mut())
-    {
-        last.push(place(first));
+/// Lines each 30 degrees, names each 90.
+fn spokes(svg: &mut Svg) {
+    for number in 0..12 {
+        svg.line("grid", CENTRE, polar(f64::from(number) * 30.0, OUTER));
     }
-    for arc in &arcs {
-        svg.path(&class, arc, closed);
+    let names = [
+        (0.0, Anchor::Start, 4.0),
+        (90.0, Anchor::Middle, -2.0),
+        (180.0, Anchor::End, 4.0),
+        (270.0, Anchor::Middle, 10.0),
+    ];
+    for (angle, anchor, drop) in names {
+        let [x, y] = polar(angle, OUTER + 6.0);
+        svg.text("soft", [x, y + drop], anchor, &format!("{angle}°"));
     }
-    if dots {
-        for &point in &points {
-            let value = signed(point[1] * unit.factor, digits);
-            let tip = format!("{}: {}°, {value} {}", trace.name, signed(point[0], 1), unit.sign);
-            svg.circle(trace.series.dot(), place(point), 2.4, &tip);
-        }
+}
+
+fn ring_labels(svg: &mut Svg, rings: &Rings) {
+    let digits = decimals(rings.spacing);
+    let outermost = f64::from(rings.count) * rings.spacing;
+    for value in rings.values() {
+        let [x, y] = polar(67.5, rings.radius(value));
+        let sign = if value == outermost { rings.unit.sign } else { "" };
+        let label = format!("{} {sign}", signed(value, digits));
+        svg.text("halo", [x, y + 4.0], Anchor::Middle, label.trim_end());
     }
 }
 
 /// Ticks across the outermost ring, with their words outside.
 fn mark(svg: &mut Svg, marks: &[(f64, String)]) {
-    const APART_DEG: f64 = 6.0;
-    /// Half of the room of an axis' name.
-    const NAME_DEG: f64 = 8.0;
     let mut sorted: Vec<(f64, &str)> =
         marks.iter().map(|(angle, word)| (angle.rem_euclid(360.0), word.as_str())).collect();
     sorted.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(b.1)));
@@ -173,7 +193,7 @@ fn mark(svg: &mut Svg, marks: &[(f64, String)]) {
     for (angle, mut words) in groups {
         words.sort_unstable();
         words.dedup();
-        // Beside the names of the axes, not on them.
+        // Beside the degrees of the quarters, not on them.
         let off = (angle + 45.0).rem_euclid(90.0) - 45.0;
         let beside = if off.abs() < NAME_DEG { NAME_DEG.copysign(off) - off } else { 1.0 };
         let [x, y] = polar(angle + beside, OUTER + 15.0);
@@ -185,13 +205,4 @@ fn mark(svg: &mut Svg, marks: &[(f64, String)]) {
 fn polar(angle_deg: f64, radius: f64) -> [f64; 2] {
     let (sin, cos) = angle_deg.to_radians().sin_cos();
     [CENTRE[0] + radius * cos, CENTRE[1] - radius * sin]
-}
-
-/// `+X` against `−X`.
-fn opposite(name: &str) -> String {
-    match (name.strip_prefix('+'), name.strip_prefix(['-', '−'])) {
-        (Some(axis), _) => format!("−{axis}"),
-        (_, Some(axis)) => format!("+{axis}"),
-        _ => format!("−{name}"),
-    }
 }

@@ -1,18 +1,21 @@
 //! Begins motions: targets, frames, speeds.
 
-use std::collections::BTreeMap;
-
 use super::motion::{Arc, Motion, Path, Profile, Turn};
-use super::value::Value;
-use super::{Activity, Controller, Fault};
-use crate::krl::syntax::{Expression, Span};
-use crate::model::pose::Pose;
-use crate::model::{AXES, Geometry, inverse};
+use super::{Activity, Controller};
+use crate::catalogue::ProgramFinding;
+use crate::program::krl::evaluate::{At, Fault, POSE_NAMES, Position};
+use crate::program::krl::syntax::{Expression, Move, Span};
+use crate::program::krl::value::Value;
+use crate::robot::inverse::{self, Unsolved};
+use crate::robot::pose::Pose;
+use crate::robot::{AXES, Geometry};
 
-const AXIS_NAMES: [&str; AXES] = ["A1", "A2", "A3", "A4", "A5", "A6"];
-const POSE_NAMES: [&str; 6] = ["X", "Y", "Z", "A", "B", "C"];
 /// m/s; above it the unit was most likely mistaken.
 const FASTEST_M_S: f64 = 3.0;
+
+fn unsolved(why: Unsolved) -> ProgramFinding {
+    ProgramFinding::NoAxisAngles { why: why.to_string() }
+}
 
 impl Controller {
     /// A system variable that is a frame.
@@ -31,59 +34,49 @@ impl Controller {
     }
 
     /// X, Y, Z, A, B, C of the tool in the base frame, now.
-    pub(super) fn pose_fields(&self) -> BTreeMap<String, Value> {
+    pub(super) fn pose_now(&self) -> [f64; 6] {
         let ball = self.geometry().ball(&self.axes);
         let tool = Pose { rotation: ball.rotation * self.frame("$TOOL").rotation, position: ball.position };
         let pose = self.frame("$BASE").inverse().then(&tool);
-        let [x, y, z] = pose.position.into();
-        let [a, b, c] = pose.abc_deg();
-        POSE_NAMES.into_iter().map(str::to_owned).zip([x, y, z, a, b, c].map(Value::Real)).collect()
+        let ([x, y, z], [a, b, c]) = (<[f64; 3]>::from(pose.position), pose.abc_deg());
+        [x, y, z, a, b, c]
     }
 
-    /// A commanded position with the components that it lacks taken from where the robot is: the tool
-    /// point in the robot base with the flange's orientation.
-    fn pose(&self, given: &Value, span: &Span) -> Result<Pose, Fault> {
-        let here = self.pose_fields();
-        let mut numbers = [0.0; 6];
-        for (number, name) in numbers.iter_mut().zip(POSE_NAMES) {
-            let value = given.field(name).or_else(|| here.get(name)).unwrap_or(&Value::Unset);
-            *number = value.number().map_err(|why| Fault::new(span, format!("{name}: {why}")))?;
-        }
-        let [x, y, z, a, b, c] = numbers;
+    /// A commanded position with the components that it lacks taken from where the robot is: the tool point in the robot
+    /// base with the flange's orientation.
+    fn pose(&self, components: [Option<f64>; 6]) -> Pose {
+        let now = self.pose_now();
+        let [x, y, z, a, b, c] = std::array::from_fn(|i| components[i].unwrap_or(now[i]));
         let tool = self.frame("$BASE").then(&Pose::from_kuka([x, y, z], [a, b, c]));
         let rotation = tool.rotation * self.frame("$TOOL").rotation.transpose();
-        Ok(Pose { rotation, position: tool.position })
+        Pose { rotation, position: tool.position }
     }
 
     /// Axis angles (rad) that are commanded as such.
-    fn axis_target(&self, given: &Value, span: &Span) -> Result<[f64; AXES], Fault> {
-        let mut axes = self.axes;
-        for (axis, name) in axes.iter_mut().zip(AXIS_NAMES) {
-            if let Some(value) = given.field(name) {
-                *axis = value.number().map_err(|why| Fault::new(span, why))?.to_radians();
-            }
-        }
-        Ok(axes)
+    fn axes_of(&self, components: [Option<f64>; 6]) -> [f64; AXES] {
+        std::array::from_fn(|i| components[i].map_or(self.axes[i], f64::to_radians))
+    }
+
+    /// What an expression commands.
+    fn commanded(&mut self, to: &Expression) -> Result<Position, Fault> {
+        Position::of(&to.value(self)?).at(&to.span)
     }
 
     pub(super) fn ptp(&mut self, to: &Expression, span: &Span) -> Result<(), Fault> {
-        let given = self.evaluate(to)?;
-        let target = if is_axes(&given) {
-            self.axis_target(&given, span)?
-        } else {
-            let bits = |name: &str| given.field(name).and_then(|value| value.int().ok());
-            let pose = self.pose(&given, &to.span)?;
-            match (bits("S"), bits("T")) {
-                (Some(status), Some(turn)) => self.configuration(&pose, status, turn, &to.span)?,
-                _ if self.motions == 0 => {
-                    return Err(Fault::new(span, "the first motion must tell all axes")
-                        .help("give an axis position, or a position with S and T"));
-                }
-                _ => inverse::nearest(&self.geometry(), &pose, &self.axes)
-                    .map_err(|unsolved| Fault::new(&to.span, unsolved.to_string()))?,
+        let target = match self.commanded(to)? {
+            Position::Axes(components) => self.axes_of(components),
+            Position::Pose { components, status: Some(status), turn: Some(turn) } => {
+                self.configuration(&self.pose(components), status, turn).at(&to.span)?
+            }
+            Position::Pose { .. } if self.motions == 0 => {
+                return Err(Fault::new(span, ProgramFinding::FirstMotion));
+            }
+            Position::Pose { components, .. } => {
+                let pose = self.pose(components);
+                inverse::nearest(&self.geometry(), &pose, &self.axes).map_err(unsolved).at(&to.span)?
             }
         };
-        self.check_limits(&target, span)?;
+        self.check_limits(&target).at(span)?;
         let percent = |name: &str, i: usize| match self.system.get(name).map(|variable| &variable.value) {
             Some(Value::Array(axes)) => axes.get(i).and_then(|value| value.number().ok()).unwrap_or(100.0),
             _ => 100.0,
@@ -100,90 +93,77 @@ impl Controller {
     }
 
     /// Axis angles (rad) for a pose with the status and turn bits given.
-    fn configuration(&self, pose: &Pose, status: i64, turn: i64, span: &Span) -> Result<[f64; AXES], Fault> {
+    fn configuration(&self, pose: &Pose, status: i64, turn: i64) -> Result<[f64; AXES], ProgramFinding> {
         let mut robot = self.robot.clone();
         robot.geometry = self.geometry();
         // Bit 3 of S and above say how the point was taught, not where it is.
-        let bits =
-            |value: i64| u8::try_from(value).map_err(|_| Fault::new(span, format!("S or T is {value}")));
+        let bits = |value: i64| u8::try_from(value).map_err(|_| ProgramFinding::NoConfiguration { value });
         match inverse::from_status_turn(&robot, pose, bits(status)?, bits(turn)?) {
-            Err(inverse::Unsolved::NotAnalytic) => inverse::nearest(&robot.geometry, pose, &self.axes),
+            Err(Unsolved::NotAnalytic) => inverse::nearest(&robot.geometry, pose, &self.axes),
             solved => solved,
         }
-        .map_err(|unsolved| Fault::new(span, unsolved.to_string()))
+        .map_err(unsolved)
     }
 
     pub(super) fn lin(&mut self, to: &Expression, span: &Span) -> Result<(), Fault> {
-        let (from, target) = self.tool_motion(to, span)?;
+        let [from, target] = self.tool_motion(to, span)?;
         let length = (target.position - from.position).norm();
-        self.begin_tool(from, target, None, length, span)
+        let path = Path::Tool { from, to: target, turn: Turn::between(&from, &target), arc: None };
+        self.begin_tool(path, length).at(span)
     }
 
-    pub(super) fn circ(
-        &mut self,
-        through: &Expression,
-        to: &Expression,
-        angle: Option<&Expression>,
-        span: &Span,
-    ) -> Result<(), Fault> {
-        self.word("$CIRC_TYPE", &["BASE"], span)?;
-        let via = self.evaluate(through)?;
-        let via = self.pose(&via, &through.span)?;
-        let (from, target) = self.tool_motion(to, span)?;
-        let sweep = angle.map(|angle| self.number(angle)).transpose()?.map(f64::to_radians);
-        let Some((arc, length)) = Arc::through(from.position, via.position, target.position, sweep) else {
-            return Err(Fault::new(span, "the three points of the arc lie on a line")
-                .help("move the auxiliary point, or write LIN"));
+    pub(super) fn circ(&mut self, motion: &Move, through: &Expression, span: &Span) -> Result<(), Fault> {
+        self.simulated("$CIRC_TYPE", "BASE").at(span)?;
+        let via = match self.commanded(through)? {
+            Position::Axes(components) => self.geometry().ball(&self.axes_of(components)),
+            Position::Pose { components, .. } => self.pose(components),
         };
-        self.begin_tool(from, target, Some(arc), length, span)
+        let [from, target] = self.tool_motion(&motion.to, span)?;
+        let sweep = motion.angle.as_ref().map(|angle| angle.number(self)).transpose()?.map(f64::to_radians);
+        let Some((arc, length)) = Arc::through(from.position, via.position, target.position, sweep) else {
+            return Err(Fault::new(span, ProgramFinding::StraightArc));
+        };
+        let turn = Turn::between(&from, &target);
+        self.begin_tool(Path::Tool { from, to: target, turn, arc: Some(arc) }, length).at(span)
     }
 
     /// Start and end of a Cartesian motion.
-    fn tool_motion(&mut self, to: &Expression, span: &Span) -> Result<(Pose, Pose), Fault> {
+    fn tool_motion(&mut self, to: &Expression, span: &Span) -> Result<[Pose; 2], Fault> {
         if self.motions == 0 {
-            return Err(Fault::new(span, "the first motion of a program is a PTP")
-                .help("drive to the start by PTP to an axis position"));
+            return Err(Fault::new(span, ProgramFinding::FirstMotion));
         }
-        self.word("$IPO_MODE", &["BASE"], span)?;
-        self.word("$ORI_TYPE", &["VAR"], span)?;
-        let given = self.evaluate(to)?;
+        self.simulated("$IPO_MODE", "BASE").at(span)?;
+        self.simulated("$ORI_TYPE", "VAR").at(span)?;
+        let position = self.commanded(to)?;
         let geometry = self.geometry();
-        let target = if is_axes(&given) {
-            geometry.ball(&self.axis_target(&given, &to.span)?)
-        } else {
-            self.pose(&given, &to.span)?
+        let target = match position {
+            Position::Axes(components) => geometry.ball(&self.axes_of(components)),
+            Position::Pose { components, .. } => self.pose(components),
         };
-        Ok((geometry.ball(&self.axes), target))
+        Ok([geometry.ball(&self.axes), target])
     }
 
-    fn begin_tool(
-        &mut self,
-        from: Pose,
-        to: Pose,
-        arc: Option<Arc>,
-        length: f64,
-        span: &Span,
-    ) -> Result<(), Fault> {
-        let turn = Turn::between(&from, &to);
+    fn begin_tool(&mut self, path: Path, length_mm: f64) -> Result<(), ProgramFinding> {
         let setting = |name: &str, field: &str| {
             let variable = self.system.get(name).map(|variable| &variable.value);
             let value = variable.and_then(|value| value.field(field)).and_then(|value| value.number().ok());
-            value.filter(|value| *value > 0.0).ok_or_else(|| {
-                Fault::new(span, format!("{name}.{field} must be above zero"))
-                    .help("set it before the motion")
-            })
+            let unset = || ProgramFinding::NoSpeed { variable: format!("{name}.{field}") };
+            value.filter(|value| *value > 0.0).ok_or_else(unset)
         };
-        let speed = setting("$VEL", "CP")?;
-        if speed > FASTEST_M_S {
-            return Err(Fault::new(span, format!("$VEL.CP={speed} is faster than the robot"))
-                .help("$VEL.CP is in m/s, not mm/s"));
+        let m_per_s = setting("$VEL", "CP")?;
+        if m_per_s > FASTEST_M_S {
+            return Err(ProgramFinding::TooFast { m_per_s });
         }
+        let angle = match &path {
+            Path::Tool { turn, .. } => turn.angle,
+            Path::Axes { .. } => 0.0,
+        };
         // The path and the orientation have a ramp each; the slower of the two sets the pace.
         let profile = Profile::slowest([
-            (length, 1e3 * speed, 1e3 * setting("$ACC", "CP")?),
-            (turn.angle, setting("$VEL", "ORI1")?.to_radians(), setting("$ACC", "ORI1")?.to_radians()),
+            (length_mm, 1e3 * m_per_s, 1e3 * setting("$ACC", "CP")?),
+            (angle, setting("$VEL", "ORI1")?.to_radians(), setting("$ACC", "ORI1")?.to_radians()),
         ]);
-        self.begin(Path::Tool { from, to, turn, arc }, profile);
+        self.begin(path, profile);
         Ok(())
     }
 
@@ -192,19 +172,14 @@ impl Controller {
         self.activity = Activity::Moving(Box::new(Motion { path, profile, t_s: 0.0 }));
     }
 
-    /// Refuses a mode that is not simulated.
-    fn word(&self, name: &str, simulated: &[&str], span: &Span) -> Result<(), Fault> {
+    /// Refuses a mode other than the one that is simulated.
+    fn simulated(&self, name: &str, mode: &str) -> Result<(), ProgramFinding> {
         match self.system.get(name).map(|variable| &variable.value) {
-            Some(Value::Enum(word)) if !simulated.contains(&word.as_str()) => {
-                Err(Fault::new(span, format!("{name}=#{word} is not simulated"))
-                    .help("the simulator knows $IPO_MODE=#BASE, $ORI_TYPE=#VAR, $CIRC_TYPE=#BASE"))
-            }
+            Some(Value::Enum(word)) if word != mode => Err(ProgramFinding::Unsupported {
+                what: format!("{name}=#{word}"),
+                instead: format!("the simulator knows {name}=#{mode}"),
+            }),
             _ => Ok(()),
         }
     }
-}
-
-/// Whether a position gives axis angles.
-fn is_axes(given: &Value) -> bool {
-    AXIS_NAMES.into_iter().any(|name| given.field(name).is_some())
 }

@@ -6,9 +6,11 @@
 use std::collections::VecDeque;
 use std::fmt::Write;
 
-use super::value::{Type, Value};
-use super::{Controller, Fault};
-use crate::krl::syntax::{Expression, ExpressionKind, Span};
+use super::Controller;
+use crate::catalogue::ProgramFinding;
+use crate::program::krl::evaluate::{At, Fault};
+use crate::program::krl::syntax::{Expression, ExpressionKind, Span};
+use crate::program::krl::value::{Type, Value};
 
 /// Flags of the channel's file: connected, answered.
 const CONNECTED: usize = 1;
@@ -63,81 +65,96 @@ impl Controller {
         arguments: &[Expression],
         span: &Span,
     ) -> Result<Value, Fault> {
-        let text = |controller: &mut Self, at: usize| match arguments.get(at) {
-            Some(argument) => match controller.evaluate(argument)? {
-                Value::Text(text) => Ok(text),
-                _ => Err(Fault::new(&argument.span, "expected a text")),
-            },
-            None => Err(Fault::new(span, format!("{name} takes more arguments"))),
-        };
-        let third =
-            || arguments.get(2).ok_or_else(|| Fault::new(span, format!("{name} takes three arguments")));
-        text(self, 0)?; // the channel: there is one
-        if !self.ekrl.open && !matches!(name, "EKI_INIT" | "EKI_OPEN" | "EKI_CLEAR") {
-            return Err(Fault::new(span, "the channel is not open").help("EKI_Open comes first"));
-        }
-        match name {
-            "EKI_INIT" => self.ekrl.values.clear(),
-            "EKI_OPEN" if !self.ekrl.linked => {
-                return Err(Fault::new(span, "nothing listens to the channel")
-                    .help("give the server's address: simulate --ekrl ADDR:PORT"));
+        let expected = match name {
+            "EKI_INIT" | "EKI_OPEN" | "EKI_CLOSE" | "EKI_CLEAR" => 1,
+            "EKI_SEND" => 2,
+            "EKI_SETINT" | "EKI_SETREAL" | "EKI_SETBOOL" | "EKI_SETSTRING" | "EKI_GETINT" => 3,
+            _ => {
+                let instead = "the simulator knows the functions that `dbbd krl` writes".into();
+                return Err(Fault::new(span, ProgramFinding::Unsupported { what: name.into(), instead }));
             }
-            "EKI_OPEN" | "EKI_CLOSE" => {
+        };
+        if arguments.len() != expected {
+            let (routine, given) = (name.into(), arguments.len());
+            return Err(Fault::new(span, ProgramFinding::Arguments { routine, expected, given }));
+        }
+        // The first is the channel: there is one.
+        let path = match arguments.get(1) {
+            Some(path) => path.value(self)?.text().at(&path.span)?.to_owned(),
+            None => String::new(),
+        };
+        if !self.ekrl.open && !matches!(name, "EKI_INIT" | "EKI_OPEN" | "EKI_CLEAR") {
+            return Err(Fault::new(span, ProgramFinding::ChannelClosed));
+        }
+        match (name, arguments.get(2)) {
+            ("EKI_INIT", _) => self.ekrl.values.clear(),
+            ("EKI_OPEN", _) if !self.ekrl.linked => {
+                return Err(Fault::new(span, ProgramFinding::NoListener));
+            }
+            ("EKI_OPEN" | "EKI_CLOSE", _) => {
                 self.ekrl.open = name == "EKI_OPEN";
                 self.set_flag(CONNECTED, self.ekrl.open);
             }
-            "EKI_CLEAR" => self.ekrl.answers.clear(),
-            "EKI_SETINT" | "EKI_SETREAL" | "EKI_SETBOOL" | "EKI_SETSTRING" => {
-                let path = text(self, 1)?;
-                let value = self.evaluate(third()?)?;
-                let wrong = |why| Fault::new(span, why);
-                let value = match name {
-                    "EKI_SETINT" => value.int().map_err(wrong)?.to_string(),
-                    "EKI_SETREAL" => format!("{:.6}", value.number().map_err(wrong)?),
-                    "EKI_SETBOOL" => u8::from(value.bool().map_err(wrong)?).to_string(),
-                    _ => text(self, 2)?,
-                };
-                match self.ekrl.values.iter_mut().find(|(known, _)| *known == path) {
-                    Some((_, old)) => *old = value,
-                    None => self.ekrl.values.push((path, value)),
-                }
-            }
-            "EKI_SEND" => {
-                let root = text(self, 1)?;
-                let telegram = self.ekrl.telegram(&root);
+            ("EKI_SEND", _) => {
+                let telegram = self.ekrl.telegram(&path);
                 self.ekrl.sent.push_back(telegram);
             }
-            "EKI_GETINT" => {
-                let path = text(self, 1)?;
-                let place = third()?;
-                let ExpressionKind::Place(place) = &place.kind else {
-                    return Err(Fault::new(&place.span, "expected a variable"));
-                };
-                if path != "Ack/@Id" {
-                    return Err(Fault::new(span, format!("the answer has no {path}")));
-                }
-                let Some(id) = self.ekrl.answers.pop_front() else {
-                    return Err(Fault::new(span, "no answer has come").help("wait for its flag first"));
-                };
-                self.write(place, Value::Int(id))?;
+            ("EKI_GETINT", Some(place)) => self.answer_into(&path, place, span)?,
+            (_, Some(value)) => {
+                let written = written(name, &value.value(self)?).at(&value.span)?;
+                self.ekrl.set(path, written);
             }
-            _ => return Err(Fault::new(span, format!("{name} is not simulated"))),
+            _ => self.ekrl.answers.clear(),
         }
-        let status = Type::named("EKI_STATUS").map_or(Value::Unset, Type::unset);
-        Ok(match status {
-            Value::Struct(mut fields) => {
-                let buffered = i64::try_from(self.ekrl.answers.len()).unwrap_or(i64::MAX);
-                fields.insert("BUFF".into(), Value::Int(buffered));
-                fields.insert("CONNECTED".into(), Value::Bool(self.ekrl.open));
-                fields.insert("MSG_NO".into(), Value::Int(0));
-                Value::Struct(fields)
-            }
-            other => other,
-        })
+        Ok(self.ekrl.status())
+    }
+
+    /// `EKI_GetInt`: takes the next answer.
+    fn answer_into(&mut self, path: &str, place: &Expression, span: &Span) -> Result<(), Fault> {
+        let ExpressionKind::Place(place) = &place.kind else {
+            let wrong = ProgramFinding::WrongType { expected: "a variable", found: "a value" };
+            return Err(Fault::new(&place.span, wrong));
+        };
+        if path != "Ack/@Id" {
+            return Err(Fault::new(span, ProgramFinding::NoSuchAnswer { path: path.into() }));
+        }
+        let Some(id) = self.ekrl.answers.pop_front() else {
+            return Err(Fault::new(span, ProgramFinding::NoAnswer));
+        };
+        self.write(place, Value::Int(id))
     }
 }
 
+/// A value as `EKI_Set..` writes it into a telegram.
+fn written(function: &str, value: &Value) -> Result<String, ProgramFinding> {
+    Ok(match function {
+        "EKI_SETINT" => value.int()?.to_string(),
+        "EKI_SETREAL" => format!("{:.6}", value.number()?),
+        "EKI_SETBOOL" => u8::from(value.bool()?).to_string(),
+        _ => value.text()?.to_owned(),
+    })
+}
+
 impl Channel {
+    fn set(&mut self, path: String, value: String) {
+        match self.values.iter_mut().find(|(known, _)| *known == path) {
+            Some((_, old)) => *old = value,
+            None => self.values.push((path, value)),
+        }
+    }
+
+    /// What every function gives back.
+    fn status(&self) -> Value {
+        let mut status = Type::named("EKI_STATUS").map_or(Value::Unset, Type::unset);
+        if let Value::Struct(fields) = &mut status {
+            let buffered = i64::try_from(self.answers.len()).unwrap_or(i64::MAX);
+            fields.insert("BUFF".into(), Value::Int(buffered));
+            fields.insert("CONNECTED".into(), Value::Bool(self.open));
+            fields.insert("MSG_NO".into(), Value::Int(0));
+        }
+        status
+    }
+
     /// `<Root><Element Name="value"></Element></Root>` of the values under a root.
     fn telegram(&self, root: &str) -> String {
         let mut elements: Vec<(&str, String)> = Vec::new();

@@ -3,11 +3,15 @@
 use std::sync::Arc;
 
 use super::store::{Names, Variable};
-use super::value::{Type, Value};
-use super::{Activity, Controller, Fault, Pulse};
-use crate::krl::syntax::{
-    Block, DeclarationKind, Expression, ExpressionKind, Part, Place, Routine, Span, Statement, StatementKind,
+use super::{Activity, Controller, Pulse};
+use crate::catalogue::ProgramFinding;
+use crate::program::Motion;
+use crate::program::krl::evaluate::{At, Fault, Scope};
+use crate::program::krl::syntax::{
+    Block, DeclarationKind, Expression, ExpressionKind, Move, Part, Place, Routine, Span, Statement,
+    StatementKind,
 };
+use crate::program::krl::value::{Type, Value};
 
 /// Statements without any that takes time, after which a program is held to hang.
 const IMMEDIATE: usize = 100_000;
@@ -40,6 +44,10 @@ enum Kind {
 impl Level {
     pub(super) fn routine(module: usize, routine: &Routine, locals: Names) -> Self {
         Self { block: Arc::clone(&routine.body), next: 0, kind: Kind::Routine { module, locals } }
+    }
+
+    fn block(block: &Block, kind: Kind) -> Self {
+        Self { block: Arc::clone(block), next: 0, kind }
     }
 
     pub(super) fn module(&self) -> Option<usize> {
@@ -78,7 +86,7 @@ impl Controller {
                 None => self.end_of_block()?,
             }
         }
-        Err(Fault::new(&self.at.1, "the program loops without ever taking time"))
+        Err(Fault::new(&self.at.1, ProgramFinding::NeverWaits))
     }
 
     fn end_of_block(&mut self) -> Result<(), Fault> {
@@ -86,12 +94,9 @@ impl Controller {
         let again = match &kind {
             Kind::Routine { .. } | Kind::Plain => false,
             Kind::Loop => true,
-            Kind::While(condition) => self.condition(condition)?,
+            Kind::While(condition) => condition.bool(self)?,
             Kind::For { counter, last, step } => {
-                let expression =
-                    Expression { span: counter.span.clone(), kind: ExpressionKind::Place(counter.clone()) };
-                let value =
-                    self.evaluate(&expression)?.int().map_err(|why| Fault::new(&counter.span, why))?;
+                let value = self.read(counter)?.int().at(&counter.span)?;
                 let value = value.saturating_add(*step);
                 self.write(counter, Value::Int(value))?;
                 within(value, *last, *step)
@@ -108,7 +113,7 @@ impl Controller {
         Ok(())
     }
 
-    /// Takes the number of the base ball from a module's `.dat`, where it stands there.
+    /// Takes the number of the base ball from a module's `.dat`, where it has one.
     pub(super) fn enter(&mut self, module: usize) {
         let ball = self.data.get(module).and_then(|data| data.get("DBBBALL"));
         if let Some(ball) =
@@ -118,15 +123,12 @@ impl Controller {
         }
     }
 
-    fn condition(&mut self, expression: &Expression) -> Result<bool, Fault> {
-        self.evaluate(expression)?.bool().map_err(|why| Fault::new(&expression.span, why))
-    }
-
-    fn push(&mut self, block: &Block, kind: Kind, span: &Span) -> Result<(), Fault> {
+    /// Begins a block.
+    fn push(&mut self, level: Level) -> Result<(), ProgramFinding> {
         if self.levels.len() >= DEPTH {
-            return Err(Fault::new(span, "blocks and calls are nested too deeply"));
+            return Err(ProgramFinding::NestedTooDeeply { most: DEPTH });
         }
-        self.levels.push(Level { block: Arc::clone(block), next: 0, kind });
+        self.levels.push(level);
         Ok(())
     }
 
@@ -134,166 +136,159 @@ impl Controller {
         let span = &statement.span;
         match &statement.kind {
             StatementKind::Assign { target, value } => {
-                let value = self.evaluate(value)?;
+                let value = value.value(self)?;
                 self.write(target, value)?;
             }
-            StatementKind::Ptp { to, approximate } => {
-                exact(approximate.as_ref(), span)?;
-                self.ptp(to, span)?;
-            }
-            StatementKind::Lin { to, approximate } => {
-                exact(approximate.as_ref(), span)?;
-                self.lin(to, span)?;
-            }
-            StatementKind::Circ { through, to, angle, approximate } => {
-                exact(approximate.as_ref(), span)?;
-                self.circ(through, to, angle.as_ref(), span)?;
-            }
+            StatementKind::Move(motion) => self.motion(motion, span)?,
             StatementKind::WaitSeconds(seconds) => {
-                let seconds = self.number(seconds)?.max(0.0);
+                let seconds = seconds.number(self)?.max(0.0);
                 self.activity = Activity::Waiting(self.t_s + seconds);
             }
             StatementKind::WaitFor(condition) => self.activity = Activity::Until(condition.clone()),
             StatementKind::Pulse { output, level, seconds } => self.pulse(output, level, seconds)?,
             StatementKind::Halt => self.activity = Activity::Halted,
             StatementKind::Return => {
-                while let Some(level) = self.levels.pop() {
-                    if level.module().is_some() {
-                        break;
-                    }
-                }
+                while self.levels.pop().is_some_and(|level| level.module().is_none()) {}
                 self.enter(self.module());
             }
-            StatementKind::Exit => loop {
-                match self.levels.pop().map(|level| level.kind) {
-                    Some(Kind::Loop) => break,
-                    Some(Kind::Routine { .. }) | None => {
-                        return Err(Fault::new(span, "EXIT stands outside of a LOOP"));
-                    }
-                    Some(_) => {}
-                }
-            },
-            StatementKind::Call { name, arguments } => self.call(name, arguments, span)?,
-            StatementKind::For { counter, from, to, step, body } => {
-                let mut whole = |expression: &Expression| {
-                    self.evaluate(expression)?.int().map_err(|why| Fault::new(&expression.span, why))
-                };
-                let (from, last) = (whole(from)?, whole(to)?);
-                let step = step.as_ref().map_or(Ok(1), whole)?;
-                if step == 0 {
-                    return Err(Fault::new(span, "a STEP of 0 never ends"));
-                }
-                self.write(counter, Value::Int(from))?;
-                if within(from, last, step) {
-                    self.push(body, Kind::For { counter: counter.clone(), last, step }, span)?;
-                }
-            }
+            StatementKind::Exit => self.exit().at(span)?,
+            StatementKind::Call { name, arguments } => self.call_routine(name, arguments, span)?,
+            StatementKind::For { .. } => self.begin_for(&statement.kind, span)?,
             StatementKind::If { condition, then, otherwise } => {
-                let block = if self.condition(condition)? { then } else { otherwise };
-                self.push(block, Kind::Plain, span)?;
+                let block = if condition.bool(self)? { then } else { otherwise };
+                self.push(Level::block(block, Kind::Plain)).at(span)?;
             }
             StatementKind::While { condition, body } => {
-                if self.condition(condition)? {
-                    self.push(body, Kind::While(condition.clone()), span)?;
+                if condition.bool(self)? {
+                    self.push(Level::block(body, Kind::While(condition.clone()))).at(span)?;
                 }
             }
-            StatementKind::Loop(body) => self.push(body, Kind::Loop, span)?,
-            StatementKind::InterruptDeclaration { condition } => {
-                // The stop message of every program's head never comes here.
-                if !mentions(condition, "$STOPMESS") {
-                    return Err(Fault::new(span, "interrupts are not simulated, but that of $STOPMESS"));
-                }
+            StatementKind::Loop(body) => self.push(Level::block(body, Kind::Loop)).at(span)?,
+            // The stop message of every program's head never comes here.
+            StatementKind::InterruptDeclaration { condition } if mentions(condition, "$STOPMESS") => {}
+            StatementKind::InterruptDeclaration { .. } => {
+                let instead = "the simulator has no interrupt but that of $STOPMESS".into();
+                return Err(Fault::new(
+                    span,
+                    ProgramFinding::Unsupported { what: "INTERRUPT".into(), instead },
+                ));
             }
             StatementKind::InterruptSwitch => {}
         }
         Ok(())
     }
 
+    fn motion(&mut self, motion: &Move, span: &Span) -> Result<(), Fault> {
+        // A point that is cut short is never reached.
+        if let Some(word) = &motion.approximate {
+            let what = format!("approximate positioning ({word})");
+            let instead = "remove it: every point is an exact stop".into();
+            return Err(Fault::new(span, ProgramFinding::Unsupported { what, instead }));
+        }
+        match (motion.motion, &motion.through) {
+            (Motion::Ptp, _) => self.ptp(&motion.to, span),
+            (_, Some(through)) => self.circ(motion, through, span),
+            (_, None) => self.lin(&motion.to, span),
+        }
+    }
+
+    /// Leaves the innermost `LOOP`.
+    fn exit(&mut self) -> Result<(), ProgramFinding> {
+        loop {
+            match self.levels.pop().map(|level| level.kind) {
+                Some(Kind::Loop) => return Ok(()),
+                Some(Kind::Routine { .. }) | None => return Err(ProgramFinding::ExitOutsideLoop),
+                Some(_) => {}
+            }
+        }
+    }
+
+    fn begin_for(&mut self, statement: &StatementKind, span: &Span) -> Result<(), Fault> {
+        let StatementKind::For { counter, from, to, step, body } = statement else { return Ok(()) };
+        let (from, last) = (from.int(self)?, to.int(self)?);
+        let step = step.as_ref().map_or(Ok(1), |step| step.int(self))?;
+        if step == 0 {
+            return Err(Fault::new(span, ProgramFinding::ZeroStep));
+        }
+        self.write(counter, Value::Int(from))?;
+        if within(from, last, step) {
+            let kind = Kind::For { counter: counter.clone(), last, step };
+            self.push(Level::block(body, kind)).at(span)?;
+        }
+        Ok(())
+    }
+
     fn pulse(&mut self, output: &Place, level: &Expression, seconds: &Expression) -> Result<(), Fault> {
-        let level = self.condition(level)?;
-        let seconds = self.number(seconds)?;
+        let level = level.bool(self)?;
+        let seconds = seconds.number(self)?;
         if !(0.012..=3.0).contains(&seconds) {
-            return Err(Fault::new(&output.span, "a pulse lasts 0.012 to 3 s"));
+            return Err(Fault::new(&output.span, ProgramFinding::PulseTime { seconds }));
         }
         let number = match output.parts.as_slice() {
             [Part::Element(index)] if output.name == "$OUT" => {
-                let value = self.evaluate(index)?.int().map_err(|why| Fault::new(&index.span, why))?;
-                usize::try_from(value).ok().filter(|number| (1..=4096).contains(number))
+                usize::try_from(index.int(self)?).ok().filter(|number| (1..=4096).contains(number))
             }
             [] => self.signals.get(self.module()).and_then(|signals| signals.get(&output.name)).and_then(
                 |signal| Some(signal.first).filter(|_| signal.output && signal.first == signal.last),
             ),
             _ => None,
         };
-        let Some(number) = number else { return Err(Fault::new(&output.span, "this is no output")) };
+        let Some(number) = number else { return Err(Fault::new(&output.span, ProgramFinding::NoOutput)) };
         self.set_output(number, level);
         self.pulses.retain(|pulse| pulse.output != number);
         self.pulses.push(Pulse { output: number, level: !level, until_s: self.t_s + seconds });
         Ok(())
     }
 
-    fn call(&mut self, name: &str, arguments: &[Expression], span: &Span) -> Result<(), Fault> {
+    fn call_routine(&mut self, name: &str, arguments: &[Expression], span: &Span) -> Result<(), Fault> {
         let module = self.module();
         let found = self.program.routine(module, name).map(|(at, routine)| (at, routine.clone()));
         let Some((callee, routine)) = found else {
-            if name == "BAS" {
-                return self.bas(arguments, span);
-            }
-            return Err(Fault::new(span, format!("{name} is not simulated")));
+            return self.built_in(name, arguments, span);
         };
-        if routine.parameters.len() != arguments.len() {
-            let message =
-                format!("{name} takes {} arguments, {} are given", routine.parameters.len(), arguments.len());
-            return Err(Fault::new(span, message));
+        let (expected, given) = (routine.parameters.len(), arguments.len());
+        if expected != given {
+            let routine = name.into();
+            return Err(Fault::new(span, ProgramFinding::Arguments { routine, expected, given }));
         }
-        let mut locals = Names::new();
-        for declaration in &routine.declarations {
-            let DeclarationKind::Variables { type_name, names } = &declaration.kind else { continue };
-            for declared in names {
-                let kind = Type::named(type_name).ok_or_else(|| {
-                    Fault::new(span, format!("{name}: the type {type_name} is not simulated"))
-                })?;
-                if declared.value.is_some() {
-                    let message = format!("{name}: {} has a value in its declaration", declared.name);
-                    return Err(Fault::new(span, message).help("in a .src file set it in a line of its own"));
-                }
-                locals.insert(declared.name.clone(), Variable::new(kind, declared.elements));
-            }
-        }
+        let mut locals = locals(&routine).at(span)?;
         for (parameter, argument) in routine.parameters.iter().zip(arguments) {
-            let value = self.evaluate(argument)?;
+            let value = argument.value(self)?;
             let Some(variable) = locals.get_mut(parameter) else {
-                return Err(Fault::new(span, format!("{name}: the parameter {parameter} is not declared")));
+                let (routine, parameter) = (name.into(), parameter.clone());
+                return Err(Fault::new(span, ProgramFinding::ParameterNotDeclared { routine, parameter }));
             };
             let kind = variable.kind;
-            variable.value.store(kind, value).map_err(|why| Fault::new(&argument.span, why))?;
+            variable.value.store(kind, value).at(&argument.span)?;
         }
-        if self.levels.len() >= DEPTH {
-            return Err(Fault::new(span, "blocks and calls are nested too deeply"));
-        }
-        self.levels.push(Level::routine(callee, &routine, locals));
+        self.push(Level::routine(callee, &routine, locals)).at(span)?;
         self.enter(callee);
         Ok(())
     }
 
     /// The controller's own `BAS (#COMMAND,value)`.
-    fn bas(&mut self, arguments: &[Expression], span: &Span) -> Result<(), Fault> {
-        let [command, value] = arguments else { return Err(Fault::new(span, "BAS takes two arguments")) };
-        let ExpressionKind::Enum(command) = &command.kind else {
-            return Err(Fault::new(span, "BAS takes a command like #VEL_PTP"));
+    fn built_in(&mut self, name: &str, arguments: &[Expression], span: &Span) -> Result<(), Fault> {
+        let unsupported = |what: String, instead: &str| {
+            Fault::new(span, ProgramFinding::Unsupported { what, instead: instead.into() })
         };
-        let percent = self.number(value)?;
+        if name != "BAS" {
+            return Err(unsupported(name.into(), "the simulator has no routine of the controller but BAS"));
+        }
+        let [Expression { kind: ExpressionKind::Enum(command), .. }, value] = arguments else {
+            return Err(Fault::new(span, ProgramFinding::BasCommand));
+        };
+        let percent = value.number(self)?;
         let variable = match command.as_str() {
             "INITMOV" => return Ok(()),
             "VEL_PTP" => "$VEL_AXIS",
             "ACC_PTP" => "$ACC_AXIS",
             _ => {
-                return Err(Fault::new(span, format!("BAS (#{command},..) is not simulated"))
-                    .help("set the variables themselves, as in $TOOL={X 0.0,..}"));
+                let instead = "set the variables themselves, as in $TOOL={X 0.0,..}";
+                return Err(unsupported(format!("BAS (#{command},..)"), instead));
             }
         };
         if !(1.0..=100.0).contains(&percent) {
-            return Err(Fault::new(&value.span, format!("{percent} is no percentage of 1 to 100")));
+            return Err(Fault::new(&value.span, ProgramFinding::NotPercent { value: percent }));
         }
         if let Some(Value::Array(axes)) = self.system.get_mut(variable).map(|variable| &mut variable.value) {
             axes.fill(Value::Int(percent.round() as i64));
@@ -302,17 +297,28 @@ impl Controller {
     }
 }
 
-fn within(value: i64, last: i64, step: i64) -> bool {
-    if step > 0 { value <= last } else { value >= last }
+/// What a routine declares.
+fn locals(routine: &Routine) -> Result<Names, ProgramFinding> {
+    let mut locals = Names::new();
+    for declaration in &routine.declarations {
+        let DeclarationKind::Variables { type_name, names } = &declaration.kind else { continue };
+        let kind =
+            Type::named(type_name).ok_or_else(|| ProgramFinding::NoType { name: type_name.clone() })?;
+        for declared in names {
+            if declared.value.is_some() {
+                return Err(ProgramFinding::Unsupported {
+                    what: format!("a value in the declaration of {}", declared.name),
+                    instead: "in a .src file set it in a line of its own".into(),
+                });
+            }
+            locals.insert(declared.name.clone(), Variable::new(kind, declared.elements));
+        }
+    }
+    Ok(locals)
 }
 
-/// Refuses approximate positioning: a point that is cut short is never reached.
-fn exact(approximate: Option<&String>, span: &Span) -> Result<(), Fault> {
-    match approximate {
-        None => Ok(()),
-        Some(word) => Err(Fault::new(span, format!("approximate positioning ({word}) is not simulated"))
-            .help("remove it: every point is an exact stop")),
-    }
+fn within(value: i64, last: i64, step: i64) -> bool {
+    if step > 0 { value <= last } else { value >= last }
 }
 
 fn mentions(expression: &Expression, name: &str) -> bool {

@@ -6,25 +6,29 @@
 
 mod drive;
 mod ekrl;
-mod evaluate;
 mod execute;
 mod motion;
 mod save;
 mod start;
 mod store;
-mod value;
+mod variables;
 
 use std::collections::BTreeMap;
 
 use self::execute::Level;
 use self::motion::{Motion, Place};
 use self::store::Names;
-use self::value::Value;
 use super::Moment;
-use crate::diag::Diagnostic;
-use crate::krl::Program;
-use crate::krl::syntax::{Expression, Span};
-use crate::model::{AXES, Robot, inverse};
+use crate::catalogue::ProgramFinding;
+use crate::diagnostic::Diagnostic;
+use crate::program::krl::Program;
+use crate::program::krl::evaluate::{At, Fault};
+use crate::program::krl::syntax::{Expression, Span};
+use crate::program::krl::value::Value;
+use crate::robot::{AXES, Robot, inverse};
+
+/// Waits and motions in one step of time, after which a program is held to hang.
+const ACTIVITIES: usize = 10_000;
 
 /// What the controller is doing.
 #[derive(Clone, Debug)]
@@ -47,25 +51,6 @@ struct Pulse {
     output: usize,
     level: bool,
     until_s: f64,
-}
-
-/// What is wrong with a statement or a part of one.
-#[derive(Clone, Debug)]
-struct Fault {
-    span: Span,
-    message: String,
-    help: Option<&'static str>,
-}
-
-impl Fault {
-    fn new(span: &Span, message: impl Into<String>) -> Self {
-        Self { span: span.clone(), message: message.into(), help: None }
-    }
-
-    fn help(mut self, help: &'static str) -> Self {
-        self.help = Some(help);
-        self
-    }
 }
 
 /// The first and the last output (or input) of a signal, from 1.
@@ -108,17 +93,23 @@ impl Controller {
     /// What stops the program: names the file, the line and the column of the statement.
     pub fn step(&mut self, dt_s: f64) -> Result<Moment, Diagnostic> {
         let end_s = self.t_s + dt_s.max(0.0);
-        loop {
-            if matches!(self.activity, Activity::Ready) {
-                self.execute().map_err(|fault| self.diagnose(fault))?;
-            }
-            if !self.proceed(end_s).map_err(|fault| self.diagnose(fault))? {
-                break;
-            }
-        }
+        self.run_to(end_s).map_err(|fault| self.diagnose(fault))?;
         self.t_s = end_s;
         self.end_pulses();
         Ok(self.moment())
+    }
+
+    fn run_to(&mut self, end_s: f64) -> Result<(), Fault> {
+        for _ in 0..ACTIVITIES {
+            if matches!(self.activity, Activity::Ready) {
+                self.execute()?;
+            }
+            if !self.proceed(end_s)? {
+                return Ok(());
+            }
+        }
+        // Waits of no time, or of nearly none.
+        Err(Fault::new(&self.at.1, ProgramFinding::NeverWaits))
     }
 
     /// Says that the controller corrects by an accuracy model of its own, which the robot that it was given
@@ -139,10 +130,10 @@ impl Controller {
     /// File and line (from 1) of the statement that was begun last.
     pub fn position(&self) -> (&str, usize) {
         let (module, span) = &self.at;
-        self.program.modules.get(*module).map_or(("", 0), |module| {
-            let before = module.source.text.get(..span.start).unwrap_or("");
-            (module.source.file.as_str(), before.matches('\n').count() + 1)
-        })
+        self.program
+            .modules
+            .get(*module)
+            .map_or(("", 0), |module| (module.source.file.as_str(), module.source.as_text().line(span.start)))
     }
 
     /// How often the strobe went high and low again, or, in a program without a strobe, how often the
@@ -176,8 +167,7 @@ impl Controller {
                 return Ok(true);
             }
             Activity::Until(condition) => {
-                let fault = |message| Fault::new(&condition.span, message);
-                if self.evaluate(&condition)?.bool().map_err(fault)? {
+                if condition.bool(self)? {
                     return Ok(true);
                 }
                 self.activity = Activity::Until(condition);
@@ -188,13 +178,13 @@ impl Controller {
                 let needed_s = motion.left_s() / rate;
                 if needed_s <= left_s {
                     motion.t_s = f64::INFINITY;
-                    self.take(&motion.place(), needed_s)?;
+                    self.take(&motion.place(), needed_s).at(&self.at.1)?;
                     self.t_s += needed_s;
                     self.end_pulses();
                     return Ok(true);
                 }
                 motion.t_s += left_s * rate;
-                self.take(&motion.place(), left_s)?;
+                self.take(&motion.place(), left_s).at(&self.at.1)?;
                 self.activity = Activity::Moving(motion);
             }
             other => self.activity = other,
@@ -203,36 +193,32 @@ impl Controller {
     }
 
     /// Takes the robot to a place on its path, `elapsed_s` after the last.
-    fn take(&mut self, place: &Place, elapsed_s: f64) -> Result<(), Fault> {
-        let span = self.at.1.clone();
-        match place {
-            Place::Axes(axes) => self.axes = *axes,
+    fn take(&mut self, place: &Place, elapsed_s: f64) -> Result<(), ProgramFinding> {
+        let axes = match place {
+            Place::Axes(axes) => *axes,
             Place::Pose(pose) => {
                 let axes = inverse::nearest(&self.geometry(), pose, &self.axes)
-                    .map_err(|unsolved| Fault::new(&span, unsolved.to_string()))?;
-                self.check_limits(&axes, &span)?;
+                    .map_err(|unsolved| ProgramFinding::NoAxisAngles { why: unsolved.to_string() })?;
+                self.check_limits(&axes)?;
                 for i in 0..AXES {
                     let most = self.robot.max_speed_deg_s[i].to_radians() * elapsed_s;
                     if (axes[i] - self.axes[i]).abs() > 1.05 * most + 1e-6 {
-                        let message = format!("axis {} would have to turn faster than it can", i + 1);
-                        return Err(Fault::new(&span, message)
-                            .help("the path comes too near to a singularity, or its speed is too high"));
+                        return Err(ProgramFinding::AxisSpeed { axis: i + 1 });
                     }
                 }
-                self.axes = axes;
+                axes
             }
-        }
+        };
+        self.axes = axes;
         Ok(())
     }
 
     /// Refuses axis angles (rad) outside the robot's limits.
-    fn check_limits(&self, axes: &[f64; AXES], span: &Span) -> Result<(), Fault> {
-        for (i, angle) in axes.iter().map(|angle| angle.to_degrees()).enumerate() {
-            let [low, high] = self.robot.limits_deg[i];
-            if !(low - 1e-9..=high + 1e-9).contains(&angle) {
-                let message =
-                    format!("axis {} leaves its limits: {angle:.3} deg, allowed {low} to {high}", i + 1);
-                return Err(Fault::new(span, message));
+    fn check_limits(&self, axes: &[f64; AXES]) -> Result<(), ProgramFinding> {
+        for (i, angle_deg) in axes.iter().map(|angle| angle.to_degrees()).enumerate() {
+            let [low_deg, high_deg] = self.robot.limits_deg[i];
+            if !(low_deg - 1e-9..=high_deg + 1e-9).contains(&angle_deg) {
+                return Err(ProgramFinding::AxisLimit { axis: i + 1, angle_deg, low_deg, high_deg });
             }
         }
         Ok(())
@@ -279,13 +265,9 @@ impl Controller {
 
     /// A fault as the user reads it.
     fn diagnose(&self, fault: Fault) -> Diagnostic {
-        let Some(module) = self.program.modules.get(self.module()) else {
-            return Diagnostic::file("", fault.message);
-        };
-        let found = Diagnostic::span(&module.source.file, &module.source.text, fault.span, fault.message);
-        match fault.help {
-            Some(help) => found.help(help),
-            None => found,
+        match self.program.modules.get(self.module()) {
+            Some(module) => module.source.as_text().wrong(&fault.span, fault.finding),
+            None => fault.finding.into(),
         }
     }
 }

@@ -2,8 +2,8 @@
 
 use nalgebra::{Rotation3, Unit, UnitVector3, Vector3};
 
-use crate::model::AXES;
-use crate::model::pose::{Pose, rotation_vector};
+use crate::robot::AXES;
+use crate::robot::pose::{Pose, rotation_vector};
 
 /// A trapezoid of speed over a path from 0 to 1: full acceleration, constant speed, full deceleration.
 #[derive(Clone, Copy, Debug)]

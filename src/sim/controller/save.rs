@@ -2,8 +2,8 @@
 
 use super::Controller;
 use super::store::Variable;
-use super::value::{Type, Value};
-use crate::krl::syntax::{Data, DataItem, DeclarationKind, ExpressionKind, Part};
+use crate::program::krl::syntax::{Data, DataItem, DeclarationKind, Expression, Part};
+use crate::program::krl::value::{Type, Value};
 
 impl Controller {
     /// The name of each `.dat` file and its text with what the program has set since: scalars in their
@@ -25,10 +25,7 @@ fn saved<'v>(data: &Data, variable: impl Fn(&str) -> Option<&'v Variable>) -> St
         data.items.iter().any(|item| match item {
             DataItem::Value { target, .. } => {
                 let element = target.parts.first().and_then(|part| match part {
-                    Part::Element(index) => match index.kind {
-                        ExpressionKind::Int(index) => Some(index),
-                        _ => None,
-                    },
+                    Part::Element(index) => index.index(),
                     _ => None,
                 });
                 target.name == name && element.is_none_or(|element| usize::try_from(element) == Ok(at))
@@ -51,7 +48,7 @@ fn saved<'v>(data: &Data, variable: impl Fn(&str) -> Option<&'v Variable>) -> St
                     }
                 }
                 (value @ (Value::Int(_) | Value::Real(_) | Value::Bool(_)), Some(written))
-                    if !says(&written.kind, value) =>
+                    if !says(written, value) =>
                 {
                     replaced.extend(literal(value, variable.kind).map(|text| (written.span.clone(), text)));
                 }
@@ -68,12 +65,11 @@ fn saved<'v>(data: &Data, variable: impl Fn(&str) -> Option<&'v Variable>) -> St
 }
 
 /// Whether a declaration gives this value already.
-fn says(written: &ExpressionKind, value: &Value) -> bool {
-    match written {
-        ExpressionKind::Int(given) => value.number().is_ok_and(|value| value == *given as f64),
-        ExpressionKind::Real(given) => value.number().is_ok_and(|value| value == *given),
-        ExpressionKind::Bool(given) => *value == Value::Bool(*given),
-        _ => false,
+fn says(written: &Expression, value: &Value) -> bool {
+    match (written.constant(), value) {
+        (Ok(Value::Bool(given)), Value::Bool(value)) => given == *value,
+        (Ok(given), value) => given.number().ok() == value.number().ok(),
+        (Err(_), _) => false,
     }
 }
 

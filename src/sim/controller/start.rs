@@ -4,19 +4,21 @@ use std::collections::BTreeMap;
 
 use super::execute::Level;
 use super::store::{self, Names, Variable};
-use super::value::{Type, Value};
-use super::{Activity, Controller, Fault, Signal};
-use crate::diag::Diagnostic;
-use crate::krl::Program;
-use crate::krl::syntax::{DataItem, DeclarationKind, ExpressionKind, Part, Place};
-use crate::model::{AXES, Robot};
+use super::{Activity, Controller, Signal};
+use crate::catalogue::ProgramFinding;
+use crate::diagnostic::Diagnostic;
+use crate::program::krl::Program;
+use crate::program::krl::evaluate::{At, Fault};
+use crate::program::krl::syntax::{DataItem, DeclarationKind, Declared, Part, Place};
+use crate::program::krl::value::{Type, Value};
+use crate::robot::{AXES, Robot};
 
-/// Where the robot stands before the program: KUKA's home, degrees.
+/// Where the robot is before the program: KUKA's home, degrees.
 const HOME_DEG: [f64; AXES] = [0.0, -90.0, 90.0, 0.0, 0.0, 0.0];
 
 impl Controller {
     /// A controller of the nominal `robot` with `program` selected, at `override_percent` (1 to 100).
-    /// The robot stands at KUKA's home, or as near to it as its limits allow.
+    /// The robot is at KUKA's home, or as near to it as its limits allow.
     ///
     /// # Errors
     /// A variable that cannot be declared or set, with its line and column.
@@ -70,10 +72,10 @@ impl Controller {
             let loaded = match item {
                 DataItem::Declaration(declaration) => self.declare(module, &declaration.kind),
                 DataItem::Value { target, value } => {
-                    self.evaluate(value).and_then(|value| self.write(target, value))
+                    value.value(self).and_then(|value| self.write(target, value))
                 }
             };
-            loaded.map_err(|fault| Diagnostic::span(&data.file, &data.text, fault.span, fault.message))?;
+            loaded.map_err(|fault| data.as_text().wrong(&fault.span, fault.finding))?;
         }
         Ok(())
     }
@@ -82,51 +84,54 @@ impl Controller {
         match kind {
             DeclarationKind::External { .. } => {}
             DeclarationKind::Signal { name, first, last } => {
-                let (output, low) = signal_end(first)?;
-                let (_, high) = last.as_ref().map_or(Ok((output, low)), signal_end)?;
-                if high < low || high - low > 31 {
-                    return Err(Fault::new(&first.span, "a signal has 1 to 32 outputs in a row"));
+                let low = signal_end(first)?;
+                let high = last.as_ref().map_or(Ok(low), signal_end)?;
+                if high.last < low.first || high.last - low.first > 31 {
+                    return Err(Fault::new(&first.span, ProgramFinding::SignalWidth));
                 }
                 if let Some(signals) = self.signals.get_mut(module) {
-                    signals.insert(name.clone(), Signal { output, first: low, last: high });
+                    signals.insert(name.clone(), Signal { last: high.last, ..low });
                 }
             }
             DeclarationKind::Variables { type_name, names } => {
                 for declared in names {
-                    let Some(kind) = Type::named(type_name) else {
-                        let message = format!("the type {type_name} is not simulated");
-                        return Err(Fault::new(&declared.span, message));
-                    };
-                    let mut variable = Variable::new(kind, declared.elements);
-                    if let Some(value) = &declared.value {
-                        let given = self.evaluate(value)?;
-                        variable.value.store(kind, given).map_err(|why| Fault::new(&value.span, why))?;
-                    }
-                    let Some(variables) = self.data.get_mut(module) else { continue };
-                    if variables.insert(declared.name.clone(), variable).is_some() {
-                        return Err(Fault::new(
-                            &declared.span,
-                            format!("{} is declared twice", declared.name),
-                        ));
-                    }
+                    self.declare_variable(module, type_name, declared)?;
                 }
             }
         }
         Ok(())
     }
+
+    fn declare_variable(&mut self, module: usize, type_name: &str, declared: &Declared) -> Result<(), Fault> {
+        let Some(kind) = Type::named(type_name) else {
+            return Err(Fault::new(&declared.span, ProgramFinding::NoType { name: type_name.into() }));
+        };
+        let mut variable = Variable::new(kind, declared.elements);
+        if let Some(value) = &declared.value {
+            let given = value.value(self)?;
+            variable.value.store(kind, given).at(&value.span)?;
+        }
+        let Some(variables) = self.data.get_mut(module) else { return Ok(()) };
+        match variables.insert(declared.name.clone(), variable) {
+            Some(_) => {
+                let name = declared.name.clone();
+                Err(Fault::new(&declared.span, ProgramFinding::DeclaredTwice { name }))
+            }
+            None => Ok(()),
+        }
+    }
 }
 
-/// `$OUT[9]`: whether it is an output, and its number.
-fn signal_end(place: &Place) -> Result<(bool, usize), Fault> {
-    let wrong = || Fault::new(&place.span, "a signal names $OUT[n] or $IN[n], n from 1 to 4096");
-    let output = match place.name.as_str() {
-        "$OUT" => true,
-        "$IN" => false,
-        _ => return Err(wrong()),
+/// `$OUT[9]`: a signal of this one.
+fn signal_end(place: &Place) -> Result<Signal, Fault> {
+    let output = place.name == "$OUT";
+    let number = match place.parts.as_slice() {
+        [Part::Element(index)] if output || place.name == "$IN" => index.index(),
+        _ => None,
     };
-    let [Part::Element(index)] = place.parts.as_slice() else { return Err(wrong()) };
-    let ExpressionKind::Int(number) = index.kind else { return Err(wrong()) };
-    let number =
-        usize::try_from(number).ok().filter(|number| (1..=4096).contains(number)).ok_or_else(wrong)?;
-    Ok((output, number))
+    let number = number.and_then(|number| usize::try_from(number).ok());
+    match number.filter(|number| (1..=4096).contains(number)) {
+        Some(number) => Ok(Signal { output, first: number, last: number }),
+        None => Err(Fault::new(&place.span, ProgramFinding::NoSignal)),
+    }
 }

@@ -2,8 +2,9 @@
 
 use std::collections::BTreeMap;
 
-use super::value::{APPROXIMATE, FRAME_TYPE, LOAD_TYPE, PATH, Type, Value};
-use crate::model::AXES;
+use crate::catalogue::ProgramFinding;
+use crate::program::krl::value::{APPROXIMATE, FRAME_TYPE, LOAD_TYPE, PATH, Type, Value};
+use crate::robot::AXES;
 
 /// Digital inputs and outputs.
 const SIGNALS: usize = 4096;
@@ -87,31 +88,33 @@ pub(super) fn system() -> Names {
 pub(super) const READ_ONLY: &[&str] =
     &["$IN", "$ABS_ACCUR", "$STOPMESS", "$AXIS_ACT", "$AXIS_ACT_MEAS", "$POS_ACT", "$POS_ACT_MES"];
 
+/// A part of a variable, and its type.
+pub(super) struct Found<'v> {
+    pub(super) value: &'v mut Value,
+    pub(super) kind: Type,
+}
+
 /// The part of a variable that `steps` lead to.
-pub(super) fn part<'v>(variable: &'v mut Variable, steps: &[Step]) -> Result<(&'v mut Value, Type), String> {
+pub(super) fn part<'v>(variable: &'v mut Variable, steps: &[Step]) -> Result<Found<'v>, ProgramFinding> {
     let mut kind = variable.kind;
     let mut value = &mut variable.value;
     for step in steps {
         value = match (step, value) {
-            (Step::Element(index), Value::Array(elements)) => {
-                let count = elements.len();
-                usize::try_from(*index)
-                    .ok()
-                    .and_then(|index| elements.get_mut(index.checked_sub(1)?))
-                    .ok_or_else(|| format!("index {index} is outside of the array's 1 to {count}"))?
+            (&Step::Element(index), Value::Array(array)) => {
+                let elements = array.len();
+                let at = usize::try_from(index).ok().and_then(|index| index.checked_sub(1));
+                at.and_then(|at| array.get_mut(at)).ok_or(ProgramFinding::IndexOutside { index, elements })?
             }
             (Step::Whole, value) if kind == Type::Char => value,
-            (Step::Member(name), Value::Struct(fields)) => {
-                let Type::Struct(types) = kind else { return Err(format!("there is no component {name}")) };
-                let Some((_, of)) = types.iter().find(|(known, _)| known == name) else {
-                    return Err(format!("there is no component {name}"));
-                };
+            (Step::Member(name), value) => {
+                let none = || ProgramFinding::NoComponent { component: name.clone() };
+                let (Value::Struct(fields), Type::Struct(types)) = (value, kind) else { return Err(none()) };
+                let (_, of) = types.iter().find(|(known, _)| known == name).ok_or_else(none)?;
                 kind = *of;
                 fields.entry(name.clone()).or_insert(Value::Unset)
             }
-            (Step::Element(_) | Step::Whole, _) => return Err("this is no array".into()),
-            (Step::Member(name), _) => return Err(format!("there is no component {name} here")),
+            (Step::Element(_) | Step::Whole, _) => return Err(ProgramFinding::NotAnArray),
         };
     }
-    Ok((value, kind))
+    Ok(Found { value, kind })
 }

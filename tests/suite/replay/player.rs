@@ -8,7 +8,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use dbbd::clock;
+use dbbd::base::clock;
 use dbbd::sim::link::Link;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;

@@ -7,9 +7,9 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use dbbd::capture::{self, Record};
-use dbbd::clock;
-use dbbd::protocol::{Definition, Mode};
+use dbbd::base::clock;
+use dbbd::device::protocol::{Definition, Mode};
+use dbbd::recording::capture::{self, Record};
 use serialport::TTYPort;
 
 use super::player::{other_side, read, terminal, told};

@@ -1,0 +1,29 @@
+//! The only place that reads a clock.
+
+use std::sync::OnceLock;
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+
+use crate::base::units::HostNs;
+
+/// Now, on the monotonic clock, counted from the first call in this process.
+#[allow(clippy::disallowed_methods)] // this is the one place
+pub fn now() -> HostNs {
+    static START: OnceLock<Instant> = OnceLock::new();
+    let start = *START.get_or_init(Instant::now);
+    HostNs(u64::try_from(start.elapsed().as_nanos()).unwrap_or(u64::MAX))
+}
+
+/// Nanoseconds since the Unix epoch by the wall clock; 0 if the clock stands before it.
+#[allow(clippy::disallowed_methods)] // this is the one place
+pub fn unix_ns() -> u64 {
+    SystemTime::now()
+        .duration_since(UNIX_EPOCH)
+        .map_or(0, |since| u64::try_from(since.as_nanos()).unwrap_or(u64::MAX))
+}
+
+/// Lets at least `seconds` pass; none when not positive.
+pub fn sleep(seconds: f64) {
+    if seconds > 0.0 {
+        std::thread::sleep(Duration::from_secs_f64(seconds.min(1e9)));
+    }
+}

@@ -1,0 +1,62 @@
+//! Files in and out, with the path in every message.
+
+use std::fs;
+use std::io::Write;
+use std::path::Path;
+
+use crate::catalogue::FileFinding::{NoDirectory, NotUtf8At, Unreadable, Unwritable};
+use crate::diagnostic::Diagnostic;
+
+/// The text of a file.
+///
+/// # Errors
+/// Names the path and why it could not be read.
+pub fn read(path: &Path) -> Result<String, Diagnostic> {
+    let name = path.display().to_string();
+    fs::read(path).map_err(|error| Diagnostic::file(&name, Unreadable { why: error.to_string() })).and_then(
+        |bytes| {
+            String::from_utf8(bytes).map_err(|error| {
+                let at = error.utf8_error().valid_up_to();
+                Diagnostic::file(&name, NotUtf8At { byte: at })
+            })
+        },
+    )
+}
+
+/// Writes a file whole or not at all: beside it first, then renamed.
+///
+/// # Errors
+/// Names the path and why it could not be written.
+pub fn write(path: &Path, content: impl AsRef<[u8]>) -> Result<(), Diagnostic> {
+    write_pieces(path, [content])
+}
+
+/// The same in pieces, of which one at a time is in memory.
+///
+/// # Errors
+/// As [`write()`].
+pub fn write_pieces(
+    path: &Path,
+    pieces: impl IntoIterator<Item = impl AsRef<[u8]>>,
+) -> Result<(), Diagnostic> {
+    let wrong = |error: std::io::Error| {
+        Diagnostic::file(&path.display().to_string(), Unwritable { why: error.to_string() })
+    };
+    let mut beside = path.as_os_str().to_owned();
+    beside.push(".part");
+    let mut file = fs::File::create(&beside).map_err(wrong)?;
+    for piece in pieces {
+        file.write_all(piece.as_ref()).map_err(wrong)?;
+    }
+    fs::rename(&beside, path).map_err(wrong)
+}
+
+/// Makes the directory that results go to.
+///
+/// # Errors
+/// Names the path and why it could not be made.
+pub fn directory(path: &Path) -> Result<(), Diagnostic> {
+    fs::create_dir_all(path).map_err(|error| {
+        Diagnostic::file(&path.display().to_string(), NoDirectory { why: error.to_string() })
+    })
+}

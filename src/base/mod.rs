@@ -1,0 +1,7 @@
+//! What every module may use: units, the clock, files, tables. Nothing of dbbd's own subject.
+
+pub mod clock;
+pub mod files;
+pub mod parse;
+pub mod table;
+pub mod units;

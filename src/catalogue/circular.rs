@@ -1,0 +1,59 @@
+//! The circular test.
+
+use super::findings;
+
+findings! {
+    /// Lengths on a circle that cannot be evaluated, and what limits an evaluation.
+    CircularFinding {
+        E1401 "a circle has too few lengths",
+        cause: "A trace has too few points for a circle and deviations from it.",
+        cure: "Measure more points, or leave the trace out." {
+            NoLength => "there is no length on a circle";
+            TooFewPoints { run: String, direction: &'static str, points: usize, least: usize } => "run {run}, {direction}: {points} points are too few, at least {least} are needed";
+        }
+        E1402 "a length is not one of a circle of this radius",
+        cause: "The nominal radius is not that of the lengths, or lengths are in another unit.",
+        cure: "Give the programmed radius with --radius; lengths are between the ball centres, in mm." {
+            Radius { radius_mm: f64 } => "the nominal radius must be positive: {radius_mm} mm";
+            FarFromRadius { run: String, direction: &'static str, angle_deg: f64, length_mm: f64, radius_mm: f64 } => "run {run}, {direction}: a length of {length_mm} mm at {angle_deg} degrees is far from the nominal radius of {radius_mm} mm: is the radius right?";
+        }
+        E1403 "the points determine no circle",
+        cause: "Their angles are too few or too near to each other.",
+        cure: "Measure points over a longer arc." {
+            NoCircle => "the points determine no circle: their angles are too few or too near to each other";
+        }
+        E1404 "a cell of a circular test is not possible",
+        cause: "The cell holds a word or a unit that the column does not have.",
+        cure: "A circular test has the columns run,direction,angle_deg,length_mm[,t_s,temp_c]; direction is cw or ccw, lengths are in mm, temperatures in degrees Celsius." {
+            Direction { cell: String } => "column `direction`: `{cell}` must be cw or ccw";
+            LengthTooLong { length_mm: f64 } => "column `length_mm`: no bar is {length_mm} mm long: lengths are in mm";
+            TooHot { temp_c: f64 } => "column `temp_c`: no bar is at {temp_c} degrees: temperatures are in Celsius";
+        }
+        I1410 "an arc is not the full circle",
+        cause: "The lengths cover an arc only. A short one does not determine its centre.",
+        cure: "Measure the full circle, or a longer arc, for all quantities (docs/reference/circular-test.md)." {
+            ArcWithoutCentre { span_deg: f64, condition: f64, most: f64 } => "the arc of {span_deg:.0} degrees does not determine its centre (condition {condition:.0}, at most {most} is accepted): G, G(b), H, D and the centre are refused; F is about the instrument's centre";
+            PartialArc { span_deg: f64, condition: f64 } => "partial arc of {span_deg:.0} degrees (condition {condition:.1}): centre and radius are fitted jointly; F is about the instrument's centre";
+        }
+        I1411 "a trace does not run in its direction",
+        cause: "Most of its angles change against the direction that the file gives.",
+        cure: "Check the column `direction`." {
+            AgainstDirection { run: String, direction: &'static str } => "run {run}: its angles do not run {direction} as its direction says";
+        }
+        I1412 "lengths are not referred to 20 degrees Celsius",
+        cause: "Temperatures or the expansion of bar and machine were not given.",
+        cure: "Record temperatures, and give the expansion in the job or with --expansion and --machine-expansion." {
+            AsMeasured => "lengths are as measured: no temperatures with an expansion were given";
+        }
+        I1413 "the nominal radius is assumed",
+        cause: "A CSV does not carry the programmed radius.",
+        cure: "Give it with --radius." {
+            RadiusAssumed { radius_mm: f64 } => "no --radius was given: the nominal radius is taken to be {radius_mm} mm";
+        }
+        I1414 "poses of a circle have no length",
+        cause: "Their dwells could not be matched or read.",
+        cure: "`dbbd sync` gives the reason for each pose." {
+            PosesWithoutLength { poses: usize } => "{poses} poses have no length (`dbbd sync` gives the reasons)";
+        }
+    }
+}

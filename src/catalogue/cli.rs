@@ -1,0 +1,26 @@
+//! The command line.
+
+use super::findings;
+
+findings! {
+    /// Arguments that cannot be followed.
+    CliFinding {
+        E0001 "a code is not in the catalogue",
+        cause: "The code is mistyped, or it is of another version of dbbd.",
+        cure: "`dbbd explain` without a code lists all of them." {
+            UnknownCode { code: String } => "there is no code {code}";
+        }
+        E0003 "an option's value is not valid",
+        cause: "The value of an option on the command line is not of its type or out of its range (exit code 2).",
+        cure: "`dbbd VERB --help` says what the option takes, with the unit." {
+            NotSeconds => "a number of seconds, 0 or more, is needed";
+            NotNameAndValue => "must be NAME=VALUE";
+        }
+        E0009 "dbbd contradicts itself",
+        cause: "A step inside of dbbd failed that cannot fail with sound data: a fault of dbbd itself, or a computer without memory or threads left.",
+        cure: "Repeat the command. If it fails again, report it with the command, its input files and the output of `dbbd --version`." {
+            NoJson { why: String } => "the result cannot be written as JSON: {why}";
+            NoOutput { why: String } => "the output cannot be written: {why}";
+        }
+    }
+}

@@ -1,0 +1,156 @@
+//! Estimation: what is refused, and what is doubted or worth knowing of a result.
+
+use std::fmt;
+
+use serde::Serialize;
+
+use super::findings;
+
+/// Names in a sentence, separated by commas.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Names(pub Vec<String>);
+
+impl Names {
+    pub fn of<T: ToString>(names: impl IntoIterator<Item = T>) -> Self {
+        Self(names.into_iter().map(|name| name.to_string()).collect())
+    }
+}
+
+impl fmt::Display for Names {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.write_str(&self.0.join(", "))
+    }
+}
+
+findings! {
+    /// What an estimation refuses, doubts or notes.
+    EstimationFinding {
+        E1301 "nothing can be computed from these lengths",
+        cause: "A number is absurd (an angle, a length, a sigma, the tool ball or a base ball), or none of the parameters asked for changes a length in these poses.",
+        cure: "Check angles, lengths, sigmas, --tool and --centres. Ask for other parameters with --estimate, or vary the poses." {
+            NotFinite => "a length or its derivative is not finite";
+            NothingToEstimate => "none of the parameters asked for changes a length in these poses";
+        }
+        E1302 "an input of the estimation is missing",
+        cause: "A capture carries the robot and the base balls of its plan; a table of lengths carries neither. A run of which no length matches a pose carries no measurement.",
+        cure: "Give --robot NAME|FILE and --centres C.csv with a table. For a run, `dbbd sync` reports for each pose why it has no length." {
+            NoRobot => "a table of lengths needs --robot NAME|FILE";
+            NoBalls => "a table of lengths needs --centres C.csv with the base balls";
+            NoLength => "no length matches a pose";
+        }
+        E1304 "a prior cannot be used",
+        cause: "A row of the table `name,unit,sd` names a parameter twice, or has another unit.",
+        cure: "Correct the row. The parameters.csv of an earlier identification of the same robot is such a table." {
+            OtherUnitThan { parameter: String, unit: String, given: String } => "`{parameter}` is in {unit}, not in `{given}`";
+            ParameterTwice { parameter: String } => "`{parameter}` is there twice";
+        }
+        E1305 "an argument of the estimation cannot be read",
+        cause: "The text is not what the option takes.",
+        cure: "Write what the message asks for; `dbbd identify --help` has an example of each." {
+            NotAPoint => "three numbers in mm are needed, as 30,20,10";
+            NotPositive => "a positive number is needed";
+            NotAScale => "`auto` or a positive number is needed";
+        }
+        W1310 "the solver did not converge",
+        cause: "The start is too far from the truth: a base ball or the tool ball is elsewhere than given, or lengths and poses do not belong together.",
+        cure: "Check the places of the base balls (--centres) and the tool ball (--tool)." {
+            NotConverged { iterations: usize } => "the solver did not converge in {iterations} steps";
+        }
+        W1311 "the lengths fit worse than the nominal robot could",
+        cause: "Lengths and poses do not belong together, or a base ball, the tool ball or the robot is another one: the ball was taught with another tool, or another plan was driven.",
+        cure: "Check the plan, --centres, --tool and --robot." {
+            FitsWorseThanNominal { residual_rms_mm: f64, predicted_max_mm: f64 } => "the lengths fit only to {residual_rms_mm:.2} mm, while the nominal robot is off by at most {predicted_max_mm:.2} mm";
+        }
+        W1312 "a correction or a place is not plausible",
+        cause: "A part of the set-up that is fixed is elsewhere, or the robot is another one. A ball or bar that comes out far from where it was given is hardly observable in these poses, or was given wrongly.",
+        cure: "Let the fixed part be estimated, or measure it again; check --robot. Turn the tool more, or fix a value that you trust." {
+            ImplausibleWithFixed { fixed: Names, parameters: Names, times: f64 } => "with {fixed} fixed, the corrections of {parameters} are more than {times:.0} times the robot's tolerance";
+            Implausible { parameters: Names, times: f64 } => "the corrections of {parameters} are more than {times:.0} times the robot's tolerance: no robot is so far off";
+            Displaced { parameters: Names } => "{parameters} came out far from where they were given";
+        }
+        W1313 "more than one length in ten is an outlier",
+        cause: "Lengths are matched to wrong poses, or the bar slipped: then the lengths that are left are doubtful too.",
+        cure: "Check the pose matching with `dbbd sync`; measure again." {
+            ManyOutliers { outliers: usize, lengths: usize } => "{outliers} of {lengths} lengths are outliers";
+        }
+        I1314 "lengths are not used",
+        cause: "Their residuals are too large for the noise of the others.",
+        cure: "Nothing, if they are few. `outliers` in result.json names them." {
+            Outliers { outliers: usize } => "{outliers} lengths are outliers and are not used";
+        }
+        W1315 "no length is left over to check the result",
+        cause: "There are as many parameters as lengths.",
+        cure: "Measure more poses, or estimate fewer parameters." {
+            NoFreedom { lengths: usize, parameters: f64 } => "{lengths} lengths for {parameters:.0} parameters leave nothing to check the result by";
+        }
+        W1316 "the residuals are larger than the sigma given",
+        cause: "The model lacks something (repeatability, reversal error, transmission error, sag, warming up, a ball that moved), or sigma is too small.",
+        cure: "Give --sigma with the robot's repeatability in it, or measure more poses. report.html shows the residuals against each axis." {
+            BeyondSigma { times: f64 } => "the residuals are {times:.1} times the sigma given, on which the standard deviations rest";
+            BeyondSigmaOfFew { times: f64 } => "the residuals are {times:.1} times the sigma given; so few lengths cannot estimate another, so the standard deviations rest on the one given";
+        }
+        I1317 "the residuals are not those of the sigma in the data",
+        cause: "Larger: the robot's repeatability or what the model lacks comes on top of the bar's noise. Smaller: sigma is too large, or lengths repeat each other.",
+        cure: "Nothing: larger residuals are counted in the standard deviations. Correct sigma_mm if the standard deviations shall be as small as the residuals." {
+            AboveSigma { times: f64 } => "the residuals are {times:.1} times the sigma given; the standard deviations rest on the residuals";
+            BelowSigma { times: f64 } => "the residuals are only {times:.2} times the sigma given";
+        }
+        I1318 "the residuals show an error at a joint",
+        cause: "The residuals follow the angle of an axis (transmission error, sag) or the sense of its motion (backlash, lag) beyond chance, and the model lacks it.",
+        cure: "Come to every pose from the same side. Estimate `gear` or `compliance` if the error returns with the angle. The sense counts only if the rows are in the order of the measurement." {
+            AngleError { axes: Names, rms_um: Vec<f64> } => "the residuals follow the angle of axis {axes} beyond chance";
+            ReversalError { axes: Names, mrad: Vec<f64> } => "the residuals follow the sense of the motion of axis {axes} beyond chance";
+        }
+        W1319 "the lengths fit, but the position is not determined",
+        cause: "A small residual is no proof: the predicted position error over the workspace is hardly smaller than that of the nominal robot, or larger.",
+        cure: "Measure what the line `next:` recommends: a further ball or other circles. --prior datasheet keeps the rest near nominal." {
+            PositionUndetermined { residual_rms_mm: f64, identified_mm: f64, nominal_mm: f64 } => "the lengths fit to {residual_rms_mm:.3} mm, but the predicted position error is {identified_mm:.2} mm, the nominal robot's {nominal_mm:.2} mm";
+        }
+        I1320 "the parameters listed improve the position only a little",
+        cause: "--estimate lists few parameters; the others keep their nominal values.",
+        cure: "Leave --estimate out, or measure what the line `next:` recommends." {
+            ListImprovesLittle { residual_rms_mm: f64, identified_mm: f64, nominal_mm: f64 } => "the lengths fit to {residual_rms_mm:.3} mm, and the predicted position error is {identified_mm:.2} mm, the nominal robot's {nominal_mm:.2} mm";
+        }
+        I1321 "parameters are poorly observable",
+        cause: "These poses determine them worse than three tolerances, so they are fixed at their start values.",
+        cure: "Vary the poses, or use --prior datasheet." {
+            PoorlyObservable { parameters: Names } => "fixed because they are poorly observable: {parameters}";
+        }
+        W1322 "the corrections are far larger than the prior allows",
+        cause: "The robot is worse than the tolerance in its file (a crash, another arm, a lost mastering), or lengths and poses do not belong together.",
+        cure: "Check [tolerance] in the robot file, the residuals and the held-out residuals; try --prior-scale auto." {
+            FarBeyondPrior { times: f64 } => "the corrections are {times:.1} times as large as the prior allows";
+        }
+        I1323 "the corrections are larger than the prior allows",
+        cause: "The robot is worse than the tolerance in its file.",
+        cure: "Try --prior-scale auto, or correct [tolerance] in the robot file." {
+            BeyondPrior { times: f64 } => "the corrections are {times:.1} times as large as the prior allows";
+        }
+        W1324 "Monte Carlo fits did not converge",
+        cause: "The noise is so large that the lengths are far from linear in the parameters.",
+        cure: "Check --sigma; measure more poses." {
+            TrialsNotConverged { failed: usize, trials: usize } => "{failed} of {trials} Monte Carlo fits did not converge and do not count";
+        }
+        I1325 "Monte Carlo and linear intervals disagree",
+        cause: "The lengths are not linear in these parameters over the width of the intervals.",
+        cure: "Use the Monte Carlo intervals." {
+            IntervalsDisagree { parameters: Names } => "Monte Carlo and linear 95 % intervals disagree for {parameters}";
+        }
+        I1326 "the identified robot has compliance or gear error",
+        cause: "The data determine an optional group, so robot-identified.toml holds it.",
+        cure: "A program that reads only lengths and angles computes with another robot: `--hold compliance,gear` identifies without them." {
+            HoldsOptionalGroup { groups: Names } => "robot-identified.toml holds {groups}";
+        }
+        W1327 "the controller seems to use its own calibrated model",
+        cause: "The lengths agree with the nominal robot better than its tolerance lets any robot do: in absolute-accuracy mode the axes are not where they were commanded.",
+        cure: "Give the axis angles that the program logged: `dbbd sync --axes`, then identify its observations." {
+            AbsoluteAccuracyMode { residual_rms_mm: f64, expected_mm: f64 } => "the lengths agree with the nominal robot to {residual_rms_mm:.3} mm; its tolerance lets {expected_mm:.2} mm expect";
+        }
+        W1328 "the run is doubtful",
+        cause: "A part of the run is damaged, or its poses were planned for another robot.",
+        cure: "`dbbd info` names the damages. Give the robot of the plan, or plan for this one." {
+            PartOfRunLost => "a part of the run was lost";
+            PlannedForAnother { planned: String, given: String } => "the poses are of a plan for {planned}, --robot names {given}";
+        }
+    }
+}

@@ -1,0 +1,51 @@
+//! Files: read, written, and what stands in any table or TOML file.
+
+use super::findings;
+
+findings! {
+    /// A file that cannot be read or written, or whose text is not what it should be.
+    FileFinding {
+        E0101 "a file cannot be read",
+        cause: "The path is wrong, the file is a directory, or this user may not read it.",
+        cure: "Check the path. On Linux `ls -l` shows the rights, on Windows the file's properties." {
+            Unreadable { why: String } => "cannot be read: {why}";
+        }
+        E0102 "a file cannot be written",
+        cause: "The directory does not exist, the disk is full, another program has the file open, or this user may not write there.",
+        cure: "Check the path given with --out, the free space and the rights; close the program that shows the file." {
+            Unwritable { why: String } => "cannot be written: {why}";
+            NoDirectory { why: String } => "cannot be made: {why}";
+        }
+        E0103 "a file is not text",
+        cause: "The file is binary, or in another encoding than UTF-8.",
+        cure: "Save it as UTF-8. A capture is read by `dbbd info`, `sync`, `identify`, `circle` and `export` only." {
+            NotUtf8 => "is not UTF-8 text";
+            NotUtf8At { byte: usize } => "is not UTF-8 text (byte {byte})";
+        }
+        E0110 "a table lacks a column",
+        cause: "The header does not name all columns that are needed, or names one twice.",
+        cure: "Compare the header with the columns that the command's help lists; the order of columns is free." {
+            MissingColumns { absent: String, header: String } => "there is no column {absent}", help: "the header has: {header}";
+            ColumnTwice { column: String } => "the column `{column}` is there twice";
+        }
+        E0111 "a cell of a table is not what its column needs",
+        cause: "The cell is empty, holds text or a decimal comma, or its number is outside of what the column can mean.",
+        cure: "Correct the cell; numbers have a decimal point, units are in the column's name." {
+            NotFinite { column: String, cell: String } => "column `{column}`: `{cell}`: is not a finite number";
+            NotANumber { column: String, cell: String } => "column `{column}`: `{cell}`: is not a number";
+            NotPositive { column: String, cell: String } => "column `{column}`: `{cell}`: must be positive";
+            NotWhole { column: String, cell: String, least: u32 } => "column `{column}`: `{cell}`: must be a whole number from {least}";
+        }
+        E0112 "a table is not well-formed CSV",
+        cause: "A row has more or fewer cells than the header, or a quote is not closed.",
+        cure: "Open the line in a text editor; cells are separated by commas." {
+            NotCsv { why: String } => "{why}";
+        }
+        E0120 "a TOML file cannot be read",
+        cause: "The text is not TOML, a key is unknown or has the wrong type, or a key is missing.",
+        cure: "The message marks the place. The shipped examples show every key." {
+            NotToml { why: String } => "{why}";
+            NotTomlButAnother { why: String, kind: String } => "{why}", help: "a .toml file is read here: is a .{kind} meant?";
+        }
+    }
+}

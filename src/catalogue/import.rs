@@ -1,0 +1,60 @@
+//! Traces that other software recorded.
+
+use super::findings;
+
+findings! {
+    /// A trace or its mapping that cannot be read.
+    ImportFinding {
+        E1101 "a mapping has a value that cannot be",
+        cause: "A key of the mapping holds a value that no layout has.",
+        cure: "examples/mapping.toml explains every key." {
+            Delimiter => "must be one character, or \"space\"";
+            Decimal => "must be \".\" or \",\"";
+            DecimalIsDelimiter => "is the same as the delimiter";
+            Rate => "must be a positive number";
+        }
+        E1102 "a trace lacks a column",
+        cause: "The header does not name the column, the delimiter is another, or the line is too short.",
+        cure: "Open the trace in a text editor, and write a mapping as examples/mapping.toml." {
+            NoColumn { column: String, header: String } => "the column `{column}` is missing; there are: {header}", help: "describe the layout with --mapping MAP.toml; is the delimiter another?";
+            NoHeader { column: String } => "has no header by its mapping, so the column `{column}` must be a number from 1";
+            LineEnds { column: usize } => "the line ends before its column {column}";
+        }
+        E1103 "a field of a trace cannot be read",
+        cause: "The field holds text, a decimal comma, or another format than the mapping says.",
+        cure: "Look at the line that is named, and correct the mapping: [file] decimal, [time] unit, the columns." {
+            NotANumber { field: String } => "`{field}` is not a number";
+            NotFinite { field: String } => "`{field}` is not a finite number";
+            DecimalComma { field: String } => "`{field}` is not a number: is the decimal a comma? ([file] decimal = \",\")";
+            NoDecimalComma { field: String } => "`{field}` is not a number with a decimal comma";
+            NotAFlag { field: String } => "`{field}` must be 0 or 1";
+            NotADate { field: String } => "`{field}` is not a date and time as 2026-11-21T14:02:11.123";
+        }
+        E1104 "the time of a trace goes back",
+        cause: "A counter began again from 0, lines are not in order, or the column is not a time.",
+        cure: "Unwrap the counter, sort the lines, or correct [time] in the mapping." {
+            TimeGoesBack => "the time goes back", help: "a counter that begins again must be unwrapped; or is the unit wrong?";
+        }
+        E1105 "a length of a trace is not one of this bar",
+        cause: "The unit is another, or a reading was taken for a distance or the other way round.",
+        cure: "Correct [length] unit and kind in the mapping." {
+            NoLengthOfBar { value_mm: f64, bar_mm: f64 } => "{value_mm} mm is not a length of a bar of {bar_mm} mm", help: "is the unit right, and is it the distance between the ball centres? ([length] unit, kind)";
+            NoReadingOfBar { value_mm: f64, bar_mm: f64 } => "{value_mm} mm is not a reading of a bar of {bar_mm} mm", help: "is the unit right, and is it the reading? ([length] unit, kind)";
+        }
+        E1106 "a trace holds no reading",
+        cause: "The file is empty or holds only a header, or skip_lines or comment of the mapping leave out every line.",
+        cure: "Check the file and [file] skip_lines and comment in the mapping." {
+            Empty => "holds no reading: only a header, or nothing";
+        }
+        W1110 "a trace does not last as its plan",
+        cause: "The trace is of another run, its times are in another unit, or it was cut off.",
+        cure: "Check [time] unit in the mapping, and that the plan is the one that was driven." {
+            Duration { seconds: f64, planned_s: f64 } => "the trace lasts {seconds:.1} s and the plan {planned_s:.0} s: it is of another run, its times are in another unit, or it was cut off";
+        }
+        I1111 "readings of a trace are not valid",
+        cause: "They are beyond the bar's stroke, or the trace marks them as not valid.",
+        cure: "Nothing to do: they are kept and not used." {
+            NotValid { readings: u64 } => "{readings} readings are beyond the bar's stroke or marked as not valid";
+        }
+    }
+}

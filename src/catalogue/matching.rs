@@ -1,0 +1,99 @@
+//! The matching of dwells to poses.
+
+use super::findings;
+
+findings! {
+    /// What the matching has to say of a run, and why a pose has no length.
+    MatchingFinding {
+        E1001 "no dwell can be matched to a pose",
+        cause: "The capture is of another plan, the program did not run, or the bar sent no usable length while it ran.",
+        cure: "Look at the reasons at each pose, and check that the plan is the one that was driven." {
+            NothingMatched => "no dwell of the capture can be matched to a pose of the plan: nothing is written";
+            NoCircle => "no dwell of the capture can be matched to a pose on a circle";
+        }
+        W1002 "poses were dropped as ambiguous",
+        cause: "The program was stopped or started again, the override changed on the way, or the program is not this plan's.",
+        cure: "The poses that remain are right with more than 99 %. Where many are dropped, write the program with `krl --sync output` or `ekrl`." {
+            AmbiguousPoses { poses: usize } => "{poses} poses were dropped: more than one dwell may be theirs";
+        }
+        W1003 "few poses have a length",
+        cause: "The capture does not cover the run, the bar sent no usable length, or the plan is not the one that was driven.",
+        cure: "Look at the reasons at each pose; start `dbbd acquire` before the program and let it end by itself." {
+            FewMatched { matched: usize, poses: usize } => "only {matched} of {poses} poses have a length";
+        }
+        W1004 "a module has more or fewer strobes than dwells",
+        cause: "The module was stopped and started again, or the strobe's line is bad.",
+        cure: "The dwells of the module are matched by their times. Check the line of the strobe if it happens again." {
+            StrobeCount { module: usize, strobes: usize, dwells: usize } => "module {module}: {strobes} strobes were detected, and {dwells} dwells are commanded";
+        }
+        W1005 "the length at the reference pose drifted",
+        cause: "The robot or the bar warmed up, or a ball or a clamp moved.",
+        cure: "Let robot and bar warm up, check that the balls sit firmly, and measure again." {
+            ReferenceDrift { change_um: f64 } => "the length at the reference pose drifted by {change_um:.1} um over the run";
+        }
+        W1006 "the measured axis angles are not the commanded ones",
+        cause: "Another plan was driven, or the robot was stopped or moved by hand.",
+        cure: "Give the plan that was driven (--plan); if the robot was moved by hand, measure again." {
+            OtherPlanDriven { poses: usize, worst_deg: f64 } => "at {poses} poses the measured axis angles are up to {worst_deg:.2} degrees from the commanded ones: was another plan driven?";
+            AxesMoved { poses: usize, worst_deg: f64 } => "at {poses} poses the measured axis angles are up to {worst_deg:.2} degrees from the commanded ones, at the others they agree: was the robot stopped or moved by hand?";
+        }
+        I1010 "the measured axis angles are corrected ones",
+        cause: "The controller is in its absolute-accuracy mode and corrects its motions by a model of its own.",
+        cure: "Nothing to do: the measured axis angles are used." {
+            AxesCorrected { poses: usize, worst_deg: f64 } => "at {poses} poses the measured axis angles are up to {worst_deg:.2} degrees from the commanded ones, as in an absolute-accuracy mode";
+        }
+        I1011 "the quality of the readings",
+        cause: "The reading changed within dwells, or samples are missing by their sequence numbers.",
+        cure: "Longer settle_s and firmly seated balls reduce creep. Missing samples are counted by `dbbd info`." {
+            Creep { dwells: usize } => "in {dwells} dwells the reading drifted by more than its noise (column `creep`)";
+            MissingSamples { dwells: usize } => "in {dwells} dwells samples are missing by their sequence numbers";
+        }
+        I1012 "the bar's clock broke",
+        cause: "The bar restarted, or its counter jumped.",
+        cure: "Dwells across the break are left out. Check the bar's supply if it happens again." {
+            ClockRestarted { at_s: f64, jump_s: f64, host_s: f64 } => "the bar's clock began again at {at_s:.3} s: it changed by {jump_s:+.3} s in {host_s:.3} s";
+            ClockJumped { at_s: f64, jump_s: f64, host_s: f64 } => "the bar's clock jumped at {at_s:.3} s: it changed by {jump_s:+.3} s in {host_s:.3} s";
+        }
+        I1013 "the lag of a continuous circle is not known",
+        cause: "The circle was not passed in both directions, so that its lag cannot be estimated.",
+        cure: "Plan the circle with direction = \"both\"." {
+            OneWayCircle { circle: u32, lag_sd_ms: f64 } => "circle {circle} was not passed both ways: the reading is taken to come 0 +- {lag_sd_ms:.0} ms after the command";
+        }
+        I1020 "the capture does not cover a pose",
+        cause: "The recording began after the program or ended before it.",
+        cure: "Start `dbbd acquire` before the program, and let it end by itself." {
+            CaptureBeganLater => "the capture began later";
+            CaptureEndedBefore => "the capture ended before";
+        }
+        I1021 "nothing was detected when a pose was due",
+        cause: "The pose was not driven, or its dwell cannot be detected.",
+        cure: "Write the program with `krl --sync output` or `ekrl`, or raise dwell_s and settle_s." {
+            NoneNearby { dwell: &'static str } => "no {dwell} can be matched to this pose";
+            NoneWhenDue { dwell: &'static str, expected_s: f64 } => "no {dwell} at about {expected_s:.1} s, when it was due";
+        }
+        I1022 "the bar gave no usable reading at a pose",
+        cause: "The bar was off its range, too fast, or a ball had left its cup; its line or its clock failed; or the dwell was too short.",
+        cure: "Check the seat of the balls and the line, and raise dwell_s or settle_s." {
+            SentTooLittle { expected_s: f64 } => "the bar sent too little at {expected_s:.1} s, when it was due";
+            NotValid { at_s: f64 } => "the bar marked its readings as not valid at {at_s:.1} s";
+            ClockBroke { at_s: f64 } => "the bar's clock broke during the dwell at {at_s:.1} s";
+            TooShort { at_s: f64 } => "the dwell at {at_s:.1} s was too short or held too few readings";
+            PassedTooFast => "the bar sent too little while the robot passed";
+        }
+        I1023 "a dwell may be that of several poses",
+        cause: "The times between the dwells fit more than one pose.",
+        cure: "Write the program with `krl --sync output` or `ekrl`, which names each dwell." {
+            AmbiguousDwell { start_s: f64, percent: f64 } => "the dwell at {start_s:.1} s is this pose with {percent:.0} % only";
+        }
+        I1024 "a pass without stops has no lengths",
+        cause: "When the robot passed is not known: neither a strobe nor a report of the controller shows it, or they do not fit the plan.",
+        cure: "Write the program of a continuous circle with `krl --sync output` or `ekrl`, and run it without stopping it." {
+            PassNotReported => "the controller did not report it";
+            PassWithoutSignal => "neither a strobe nor a report shows when the robot passed: write the program with `krl --sync output` or `ekrl`";
+            PassStrobes { strobes: usize, commanded: usize } => "{strobes} strobes were detected, and {commanded} are commanded";
+            PassWithoutEnd => "the plan has no row where it ends";
+            PassDuration { seconds: f64, planned_s: f64 } => "the pass lasted {seconds:.1} s, which no override makes of {planned_s:.1} s";
+            PassClockBroke => "the bar's clock broke during the pass";
+        }
+    }
+}

@@ -1,0 +1,33 @@
+//! Tables of measurements and of base balls.
+
+use super::findings;
+
+findings! {
+    /// A table of measurements or of base balls that does not fit.
+    MeasurementFinding {
+        E1201 "a table holds no row",
+        cause: "The file has only a header, or nothing.",
+        cure: "Check that the program that wrote the file has finished, and that it is the right file." {
+            NoMeasurement => "holds no measurement: only a header, or nothing";
+            NoPose => "holds no pose: only a header, or nothing";
+        }
+        E1202 "the numbers of balls or bars have a gap",
+        cause: "Balls and bars are numbered 1, 2, .. without a gap, and no number of a ball occurs twice.",
+        cure: "Number them anew, in all files alike." {
+            BallsNotInOrder { ball: u32 } => "the numbers in column `centre` must run 1, 2, ..: {ball} is next";
+            BarWithoutLength { bar: u32 } => "column `bar`: the numbers must run 1, 2, ..: bar {bar} has no length";
+        }
+        E1203 "a measurement is of a ball or bar that is not there",
+        cause: "The column `centre` or `bar` holds a number for which no ball or bar is given.",
+        cure: "Give all base balls (--centres, or the job's [[centre]]); measurements that only check must be of the bars that were identified." {
+            UnknownBall { index: u32, ball: u32, balls: usize } => "index {index}: base ball {ball} is not among the {balls} that are given";
+            UnknownBar { index: u32, bar: u32, bars: usize } => "index {index}: bar {bar} is not among the {bars} of the input";
+        }
+        E1204 "a table is not of measurements",
+        cause: "The file is a plan, whose lengths are the wanted ones, or its lengths or angles are in another unit than its header says.",
+        cure: "Measure the plan with `dbbd acquire` and give the capture; convert the table to mm and degrees." {
+            IsPlan => "is a plan: its lengths are the wanted ones, not measured ones", help: "measure them: `dbbd acquire`, then give the capture";
+            OtherUnit { columns: String, unit: String } => "{columns} seem to be {unit}: in these the lengths agree with the poses", help: "convert the table: lengths in mm, angles in degrees";
+        }
+    }
+}

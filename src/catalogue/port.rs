@@ -1,0 +1,92 @@
+//! The bar on its line: ports, and what came over them.
+
+use super::findings;
+
+findings! {
+    /// A port that cannot be used, or a run whose data are not complete.
+    PortFinding {
+        E0201 "there is no such port",
+        cause: "The bar is not plugged in, or its port has another name since it was plugged in anew.",
+        cure: "Plug the bar in; `dbbd ports` lists what is there. The name `by-id/..` stays the same." {
+            NoPort { port: String } => "no port `{port}`", help: "plug the bar in; `dbbd ports` lists what is there";
+        }
+        E0202 "this user may not open the port",
+        cause: "A serial port belongs to a group, and this user is not in it.",
+        cure: "Add yourself to the group, as a rule `sudo usermod -aG dialout $USER`, and log in again." {
+            PortDenied { port: String } => "port `{port}` may not be opened by this user", help: "add yourself to its group, as a rule `sudo usermod -aG dialout $USER`, and log in again";
+        }
+        E0203 "another program uses the port",
+        cause: "The port is open in another program, perhaps another dbbd or a terminal program.",
+        cure: "Close the other program; on Linux `fuser PORT` names it." {
+            PortBusy { port: String } => "port `{port}` is in use by another program", help: "close the other program; `fuser {port}` names it";
+        }
+        E0204 "the port cannot be opened",
+        cause: "The system refuses the port or one of its settings: a rate that the adapter cannot do, or no device behind the name.",
+        cure: "Check [line] of the protocol and the adapter; try another port." {
+            PortRefused { port: String, why: String } => "port `{port}` cannot be opened: {why}";
+        }
+        E0208 "the serial ports cannot be listed",
+        cause: "The system refuses the list of its devices.",
+        cure: "Check the rights of this user; in a container, pass the devices on." {
+            NoPortList { why: String } => "the system cannot list its serial ports: {why}";
+        }
+        E0205 "the bar does not answer",
+        cause: "The bar is off or asleep, another device is at the port, or the protocol or its rate is another.",
+        cure: "Switch the bar on; `dbbd protocols list` names the protocols; try --protocol." {
+            BarSilent { port: String, bauds: String } => "the bar at `{port}` does not answer (tried at {bauds} baud)", help: "is it switched on, and is this its port and its protocol?";
+        }
+        E0206 "the port went away",
+        cause: "The bar was unplugged or its adapter failed while a command was sent.",
+        cure: "Plug it in again, with another cable or at another USB port if it repeats." {
+            PortGone { port: String, why: String } => "port `{port}` is gone: {why}";
+        }
+        E0207 "the address for the program's telegrams cannot be used",
+        cause: "Another program has the address (another dbbd?), or it is none of this computer's.",
+        cure: "Choose another port number, or the address of this computer in the controller's network." {
+            NotListening { address: String, why: String } => "--ekrl {address}: cannot listen there: {why}", help: "another program may have the port (another dbbd?), or the address is none of this computer's";
+        }
+        I0210 "the adapter holds bytes back",
+        cause: "Adapters of this kind gather bytes before they hand them on; the host's times are blurred by that.",
+        cure: "Install the packaged udev rule `packaging/99-dbbd.rules`, and plug the adapter in again." {
+            AdapterHoldsBack { device: String, hold_ms: u32 } => "{device} holds bytes back for up to {hold_ms} ms, which blurs times", help: "as root: echo 1 > /sys/bus/usb-serial/devices/{device}/latency_timer, or for all adapters this udev rule:\n  ACTION==\"add\", SUBSYSTEM==\"usb-serial\", DRIVER==\"ftdi_sio\", ATTR{{latency_timer}}=\"1\"";
+        }
+        I0211 "telegrams can come from others",
+        cause: "The address of --ekrl can be reached from the network, and telegrams are not signed.",
+        cure: "Use a network of the cell's own." {
+            OpenToNetwork { address: String } => "{address} can be reached from the network, where anyone can send telegrams: use a network of the cell's own";
+        }
+        I0212 "no port is there",
+        cause: "No serial device is plugged in, or its driver is not loaded.",
+        cure: "Plug the bar in; on Linux `dmesg` shows what the system found." {
+            NoPorts => "no serial port is plugged in";
+        }
+        W0220 "the port stayed away",
+        cause: "The bar was unplugged or switched off during the run, and did not come back within --gone.",
+        cure: "What came before is kept. Plug the bar in, check its cable and supply, and repeat the run or identify with what is there." {
+            StayedAway { port: String, gone_s: f64 } => "{port} stayed away for {gone_s} s; what came before is kept";
+        }
+        W0221 "nothing was received, or nothing that was understood",
+        cause: "The bar is off or asleep, or the protocol or its baud rate is another.",
+        cure: "`dbbd protocols show NAME` shows the bytes to compare with; `dbbd export RUN` writes the raw bytes." {
+            NothingReceived => "nothing was received: is the bar switched on, and is this its port?";
+            NotThisProtocol => "what was received is not this protocol: check --protocol and the bar's baud rate";
+        }
+        W0222 "the bar sent no length",
+        cause: "The bar is outside of its stroke, or is not mounted.",
+        cure: "Mount the bar between its balls and repeat the run." {
+            NoLength { refusals: u64 } => "the bar sent no length, but {refusals} times that it has none: is it within its stroke?";
+        }
+        W0223 "samples are missing",
+        cause: "The line lost bytes, the bar's buffer overflowed, or the computer was too slow.",
+        cure: "`dbbd sync` names the poses that are touched; a few samples outside of dwells do no harm. Try another cable or USB port, keep the cable from the drives' cables, and close other programs." {
+            SamplesMissing { missing: u64, lost_bytes: u64, gaps: u64 } => "{missing} samples are missing and {lost_bytes} bytes were lost, in {gaps} gaps";
+            Unanswered { requests: u64 } => "{requests} requests were not answered in time";
+        }
+        W0224 "the program's telegrams do not arrive or are refused",
+        cause: "The channel file is not on the controller, its address is another, or the program is of another plan. A program whose telegram is refused halts.",
+        cure: "Load the modules of this plan and their DbbEki.xml, written with `krl --sync ekrl --server` and this address." {
+            TelegramsRefused { telegrams: u64 } => "{telegrams} telegrams were refused, at which the program halts: is it this plan's program? `dbbd export` shows them among the events";
+            NoTelegram => "no telegram came: was the program written with `krl --sync ekrl --server` and this address, and is its channel file on the controller?";
+        }
+    }
+}

@@ -1,0 +1,51 @@
+//! Robot files, robots, axis angles, and the names of parameters.
+
+use super::findings;
+
+findings! {
+    /// A robot or a parameter that cannot be used.
+    RobotFinding {
+        E0501 "a word is not a parameter",
+        cause: "A list of parameters holds a word that is no parameter, group or range, or a range whose numbers are no parameters.",
+        cure: "The parameters are alpha0..5, a0..5, theta1..6, d1..6, beta1..5, tool_x/_y/_z, centre<k>_x/_y/_z, bar_offset (bar_offset2, .. of further bars), compliance2..5, gear1..6_cos/_sin; the groups geometric, tool, centres, bar, all, compliance, gear; a range is written alpha1-5." {
+            UnknownParameter { word: String } => "`{word}` is not a parameter", help: "names such as alpha1 or centre1_x; ranges such as alpha1-5; groups: geometric, tool, centres, bar, all, compliance, gear";
+        }
+        E0502 "a parameter is about a ball or bar that the data do not have",
+        cause: "The number in the name is higher than that of the last base ball or bar.",
+        cure: "Give a number that occurs in the column `centre` or `bar` of the measurements." {
+            NoSuchBall { name: String, balls: usize } => "`{name}` is not a parameter: the data have {balls} base ball(s)";
+            NoSuchBar { name: String, bars: usize } => "`{name}` is not a parameter: the data have {bars} bar(s)";
+        }
+        E0503 "a robot is not known",
+        cause: "The name is not that of a built-in robot, and there is no such file.",
+        cure: "`dbbd robots` lists the built-in robots. The name of a robot file ends in .toml." {
+            NoSuchRobot { name: String, meant: String, built_in: String } => "no robot `{name}`: neither built in nor a file", help: "{meant}built in are: {built_in}; a file ends in .toml";
+        }
+        E0504 "a robot file describes an arm that is not modelled",
+        cause: "Only arms with six rotary joints in a modified-DH table (Craig) are modelled.",
+        cure: "Convert the table to modified DH; `dbbd robots show kr60ha` is an example. An arm with fewer or more joints cannot be calibrated here." {
+            Convention { convention: String } => "convention `{convention}` is not known: only `modified-dh` is";
+            JointCount { joints: usize } => "has {joints} [[joint]] tables: a robot here has six";
+        }
+        E0505 "a number of a robot file is impossible",
+        cause: "A number is not finite, or outside of what its key can mean.",
+        cure: "Correct the number; the unit is in the key's name." {
+            JointNotFinite { joint: usize, key: String, value: f64 } => "joint {joint}: {key} = {value} is not a finite number";
+            JointSign { joint: usize, sign: i8 } => "joint {joint}: sign = {sign} must be 1 or -1";
+            JointLimits { joint: usize, low_deg: f64, high_deg: f64 } => "joint {joint}: limits_deg = [{low_deg}, {high_deg}] must be [low, high]";
+            JointSpeed { joint: usize, value: f64 } => "joint {joint}: a speed or acceleration of {value} must be positive";
+            Tolerance { length_mm: f64, angle_deg: f64 } => "[tolerance]: length_mm = {length_mm} and angle_deg = {angle_deg} must be positive";
+            Mass { kg: f64, centre_mm: [f64; 3] } => "a mass of {kg} kg at {centre_mm:?} mm is impossible";
+            MassJoint { joint: usize } => "[[mass]]: joint = {joint} must be 1 to 6";
+            ToolBall { ball_mm: [f64; 3] } => "[tool]: ball_mm = {ball_mm:?} must be finite numbers";
+        }
+        E0506 "a pose has no axis angles",
+        cause: "The pose is beyond the arm, or only another branch or turn of the axes reaches it.",
+        cure: "Move the pose nearer to the robot, or give it a status and turn that the arm can take there." {
+            OutOfReach => "the pose is out of reach";
+            NotAnalytic => "this arm has no closed-form solution";
+            NotConverged { distance_mm: f64 } => "no axis angles found: {distance_mm:.3} mm away after the last step";
+            NoSuchConfiguration { status: u8, turn: u8 } => "no axis angles within the limits have S {status}, T {turn}";
+        }
+    }
+}

@@ -1,0 +1,59 @@
+//! `dbbd explain`: cause and cure of a code.
+
+use serde::Serialize;
+
+use super::{Outcome, Output, Verdict};
+use crate::catalogue::{self, CliFinding, Entry};
+use crate::diagnostic::Diagnostic;
+
+/// Explain a code that dbbd printed, such as E0101: its cause and its cure.
+///
+/// Every error, warning and note has a stable code. Without a code all of them are listed.
+#[derive(clap::Args)]
+pub(crate) struct Args {
+    /// The code.
+    code: Option<String>,
+    /// Print all of them as the page docs/troubleshooting.md.
+    #[arg(long, conflicts_with = "code", hide = true)]
+    page: bool,
+}
+
+#[derive(Serialize)]
+struct Explained {
+    code: &'static str,
+    title: &'static str,
+    cause: &'static str,
+    cure: &'static str,
+    sentences: &'static [&'static str],
+}
+
+impl From<&Entry> for Explained {
+    fn from(entry: &Entry) -> Self {
+        let &Entry { code, title, cause, cure, sentences } = entry;
+        Self { code: code.0, title, cause, cure, sentences }
+    }
+}
+
+pub(super) fn run(args: &Args, out: &Output) -> Verdict {
+    if args.page {
+        out.result(catalogue::page());
+        return Ok(Outcome::Done);
+    }
+    let Some(code) = &args.code else {
+        for entry in catalogue::entries() {
+            out.result(format!("{}  {}", entry.code, entry.title));
+        }
+        out.list(&catalogue::entries().map(Explained::from).collect::<Vec<_>>())?;
+        return Ok(Outcome::Done);
+    };
+    let wanted = code.to_uppercase();
+    let Some(entry) = catalogue::entry(&wanted) else {
+        let known = catalogue::entries().map(|entry| entry.code.0);
+        return Err(Diagnostic::new(CliFinding::UnknownCode { code: wanted.clone() })
+            .nearest(&wanted, known)
+            .into());
+    };
+    out.result(catalogue::explanation(entry).trim_end());
+    out.document(&Explained::from(entry))?;
+    Ok(Outcome::Done)
+}

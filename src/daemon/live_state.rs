@@ -1,0 +1,151 @@
+//! The live state of a run: frames a few times a second, and each dwell. No client can hold the recorder up: the stream
+//! drops what is not read.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use tokio::sync::broadcast;
+
+use super::mount_detector::{MountDetector, Reading};
+use super::schedule::Schedule;
+use crate::base::clock;
+use crate::base::units::HostNs;
+use crate::live::{Alarm, Frame, Message, Point};
+use crate::measurement::sample::Sample;
+
+/// Host time that a picture gathers, s.
+const PICTURE_S: f64 = 0.05;
+
+/// What is shared with the clients.
+#[derive(Clone, Debug)]
+pub struct LiveState {
+    pub messages: broadcast::Sender<Message>,
+    /// The dwells so far.
+    pub points: Arc<Mutex<Vec<Point>>>,
+    /// By how much the device's clock is ahead of the host's since the first sample, ms.
+    pub clock_ahead_ms: Arc<Mutex<Option<f64>>>,
+}
+
+/// What the recorder has counted when it hands over a sample.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Counted {
+    /// Dwells that are over.
+    pub(super) dwells: u32,
+    /// Since when the strobe is high, s.
+    pub(super) high_since_s: Option<f64>,
+}
+
+/// The recorder's side.
+#[derive(Debug)]
+pub struct Feed {
+    state: LiveState,
+    schedule: Schedule,
+    mount: MountDetector,
+    /// Wall clock less the host's monotonic one, ns.
+    wall_ns: f64,
+    first: Option<(HostNs, Option<f64>)>,
+    picture: Option<(HostNs, Frame)>,
+    frames: u64,
+    strobe: StrobeMean,
+    dwells: u32,
+}
+
+/// The readings while the strobe was high, since it rose.
+#[derive(Clone, Copy, Debug, Default)]
+struct StrobeMean {
+    since_s: Option<f64>,
+    sum_mm: f64,
+    samples: u32,
+}
+
+impl Feed {
+    pub fn new(state: LiveState, schedule: Schedule) -> Self {
+        let wall_ns = clock::unix_ns() as f64 - clock::now().0 as f64;
+        Self {
+            state,
+            schedule,
+            mount: MountDetector::default(),
+            wall_ns,
+            first: None,
+            picture: None,
+            frames: 0,
+            strobe: StrobeMean::default(),
+            dwells: 0,
+        }
+    }
+
+    /// A sample was written; `device_s` is its device time since the first one.
+    pub(super) fn sample(&mut self, host: HostNs, device_s: Option<f64>, sample: &Sample, counted: Counted) {
+        let (first, first_device) = *self.first.get_or_insert((host, device_s));
+        let host_s = host.seconds_since(first);
+        let device_s = device_s.zip(first_device).map(|(now, first)| now - first);
+        if let Some(device_s) = device_s {
+            // A lock that nobody holds for longer than a copy.
+            *self.state.clock_ahead_ms.lock().unwrap_or_else(PoisonError::into_inner) =
+                Some(1e3 * (device_s - host_s));
+        }
+        let reading = sample.reading_mm;
+        let now = Reading { t_s: host_s, reading_mm: reading, valid: sample.valid, dwells: counted.dwells };
+        let alarm = self.mount.alarm(&self.schedule, now);
+        let (began, frame) = self.picture.get_or_insert((
+            host,
+            Frame {
+                frame: self.frames + 1,
+                t_s: 0.0,
+                unix_ms: 0.0,
+                span_ms: 0.0,
+                samples: 0,
+                min_mm: reading,
+                max_mm: reading,
+                last_mm: reading,
+                alarm: Alarm::None,
+                mounted: true,
+                strobe: None,
+                valid: true,
+            },
+        ));
+        frame.samples += 1;
+        frame.t_s = device_s.unwrap_or(host_s);
+        frame.unix_ms = (host.0 as f64 + self.wall_ns) * 1e-6;
+        frame.span_ms = 1e3 * host.seconds_since(*began);
+        frame.min_mm = frame.min_mm.min(reading);
+        frame.max_mm = frame.max_mm.max(reading);
+        frame.last_mm = reading;
+        frame.alarm = frame.alarm.max(alarm.unwrap_or_default());
+        frame.mounted &= alarm.is_some();
+        frame.strobe = sample.trigger;
+        frame.valid &= sample.valid;
+        self.dwell(sample, counted);
+    }
+
+    fn dwell(&mut self, sample: &Sample, counted: Counted) {
+        if counted.dwells > self.dwells && self.strobe.samples > 0 {
+            let StrobeMean { sum_mm, samples, .. } = std::mem::take(&mut self.strobe);
+            let point = self.schedule.point(counted.dwells, sum_mm / f64::from(samples));
+            self.state.points.lock().unwrap_or_else(PoisonError::into_inner).push(point);
+            self.send("point", &point);
+        }
+        self.dwells = counted.dwells;
+        if counted.high_since_s.is_some() && counted.high_since_s != self.strobe.since_s {
+            self.strobe = StrobeMean { since_s: counted.high_since_s, ..StrobeMean::default() };
+        }
+        if sample.trigger == Some(true) {
+            self.strobe.sum_mm += sample.reading_mm;
+            self.strobe.samples += 1;
+        }
+    }
+
+    /// Shows the picture if it has gathered for long enough.
+    pub(super) fn tick(&mut self, now: HostNs) {
+        if self.picture.is_some_and(|(began, _)| now.seconds_since(began) >= PICTURE_S)
+            && let Some((_, frame)) = self.picture.take()
+        {
+            self.frames = frame.frame;
+            self.send("frame", &frame);
+        }
+    }
+
+    fn send(&self, event: &'static str, content: &impl serde::Serialize) {
+        // Nobody may be looking.
+        let _ = self.state.messages.send(Message::new(event, content));
+    }
+}

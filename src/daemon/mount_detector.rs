@@ -1,0 +1,113 @@
+//! Whether the bar is mounted: one that is not mounted yet, or no more, reads what means nothing.
+
+use super::schedule::Schedule;
+use crate::live::Alarm;
+
+/// Hands that mount a bar do not hold it still for so long, s.
+const SETTLED_S: f64 = 1.0;
+
+/// What is read at a time.
+#[derive(Clone, Copy, Debug)]
+pub struct Reading {
+    pub t_s: f64,
+    pub reading_mm: f64,
+    /// Whether the bar vouches for it.
+    pub valid: bool,
+    /// Dwells that are over.
+    pub dwells: u32,
+}
+
+/// A bar counts as mounted once its readings were valid and inside the stroke for a second, until the dwells that the plan
+/// has before it is taken off are over and it reads something else. Without a plan it stays mounted.
+#[derive(Clone, Debug, Default)]
+pub struct MountDetector {
+    mounted: bool,
+    /// Since when it reads what a mounted bar may read, s.
+    inside_since_s: Option<f64>,
+    /// How often it was to be taken off, by the dwells.
+    times_off: usize,
+    /// How many dwells were over the last time, if it is still on.
+    leaving: Option<u32>,
+}
+
+impl MountDetector {
+    /// How near the reading is to the end of the stroke; `None` where no bar is mounted.
+    pub fn alarm(&mut self, schedule: &Schedule, now: Reading) -> Option<Alarm> {
+        let Reading { t_s, reading_mm, valid, dwells } = now;
+        let alarm = schedule.alarm(reading_mm);
+        let inside = valid && alarm != Alarm::Over;
+        self.inside_since_s = inside.then(|| self.inside_since_s.unwrap_or(t_s));
+        let times_off = schedule.taken_off.iter().filter(|off| **off <= dwells).count();
+        if times_off != self.times_off {
+            self.times_off = times_off;
+            self.leaving = self.mounted.then_some(dwells);
+            self.mounted = false;
+        }
+        match self.leaving {
+            // It was on all the time.
+            Some(since) if inside && dwells > since => (self.leaving, self.mounted) = (None, true),
+            Some(_) if inside => {}
+            Some(_) => self.leaving = None,
+            None => {
+                let settled = self.inside_since_s.is_some_and(|since| t_s - since >= SETTLED_S);
+                self.mounted |= settled && (times_off == 0 || times_off < schedule.taken_off.len());
+            }
+        }
+        if self.mounted { Some(alarm) } else { inside.then_some(Alarm::None) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Two balls with three dwells each: what the bar reads from its box to its box.
+    #[test]
+    fn only_a_mounted_bar_raises_the_alarm() {
+        let mut schedule = Schedule::bare(Some([-1.0, 1.0]), 0.9);
+        schedule.taken_off = vec![3, 6];
+        let mut detector = MountDetector::default();
+        let (off, fine, near, over) = (None, Some(Alarm::None), Some(Alarm::Near), Some(Alarm::Over));
+        for (t_s, reading_mm, valid, dwells, alarm) in [
+            (0.0, 1.0, false, 0, off),  // at its end stop
+            (1.0, 1.0, true, 0, off),   // and of a kind that does not say so
+            (2.0, 0.95, true, 0, fine), // in the hand
+            (2.5, 0.2, true, 0, fine),
+            (2.6, 1.0, false, 0, off),
+            (3.0, 0.95, true, 0, fine),
+            (4.0, 0.95, true, 0, near), // mounted, and badly
+            (5.0, 0.95, true, 1, near),
+            (5.1, 1.0, false, 1, over), // pulled out between the dwells
+            (6.0, 0.2, true, 2, fine),
+            (7.0, 0.2, true, 3, fine), // still on after the last dwell
+            (7.1, 0.95, true, 3, fine),
+            (7.2, 1.0, false, 3, off), // taken off
+            (8.0, 0.1, true, 3, fine), // on the second ball
+            (9.0, 0.1, true, 3, fine),
+            (9.1, 1.0, false, 3, over),
+            (10.0, 0.1, true, 6, fine),
+            (11.0, 1.0, false, 6, off),
+            (12.0, 0.3, true, 6, fine), // handled after the end
+            (15.0, 0.3, true, 6, fine),
+            (16.0, 1.0, false, 6, off),
+        ] {
+            assert_eq!(
+                detector.alarm(&schedule, Reading { t_s, reading_mm, valid, dwells }),
+                alarm,
+                "at {t_s} s"
+            );
+        }
+        // Left on between two balls: the next dwell shows it.
+        let mut detector = MountDetector::default();
+        for (t_s, dwells) in [(0.0, 0), (1.0, 0), (3.0, 3), (4.0, 4)] {
+            assert_eq!(
+                detector.alarm(&schedule, Reading { t_s, reading_mm: 0.0, valid: true, dwells }),
+                fine
+            );
+        }
+        assert_eq!(
+            detector.alarm(&schedule, Reading { t_s: 5.0, reading_mm: 1.0, valid: false, dwells: 4 }),
+            over
+        );
+    }
+}

@@ -1,0 +1,110 @@
+//! The end of the program by the strobe: dwells and modules that are over, while the run goes on.
+
+use crate::measurement::sample::Sample;
+use crate::recording::{StrobeDecoder, StrobeEvent};
+
+/// Without a plan the program is over when nothing follows an end mark for so long, s.
+const OVER_S: f64 = 20.0;
+
+/// Counts what the strobe shows.
+#[derive(Clone, Debug)]
+pub(super) struct ProgramEnd {
+    decoder: StrobeDecoder,
+    /// Modules that the plan has; unknown without a plan.
+    modules: Option<usize>,
+    pub(super) dwells: u32,
+    pub(super) modules_over: u32,
+    now_s: f64,
+}
+
+impl ProgramEnd {
+    pub(super) fn new(modules: Option<usize>) -> Self {
+        Self { decoder: StrobeDecoder::default(), modules, dwells: 0, modules_over: 0, now_s: 0.0 }
+    }
+
+    /// The strobe of a sample at a time, s; times do not go back.
+    pub(super) fn push(&mut self, t_s: f64, sample: &Sample) {
+        self.now_s = t_s;
+        let event = self.decoder.push(t_s, sample.trigger);
+        self.count(event);
+    }
+
+    /// The stream ends.
+    pub(super) fn finish(&mut self) {
+        let event = self.decoder.finish();
+        self.count(event);
+    }
+
+    fn count(&mut self, event: Option<StrobeEvent>) {
+        match event {
+            Some(StrobeEvent::Dwell(_)) => self.dwells += 1,
+            Some(StrobeEvent::ModuleEnd) => self.modules_over += 1,
+            None => {}
+        }
+    }
+
+    /// Since when the strobe is high, s.
+    pub(super) fn high_since_s(&self) -> Option<f64> {
+        self.decoder.high_since_s()
+    }
+
+    pub(super) fn is_over(&self) -> bool {
+        match self.modules {
+            Some(modules) => self.modules_over as usize >= modules.max(1),
+            None => self.modules_over > 0 && self.now_s - self.decoder.last_high_s() >= OVER_S,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Plays pulses (low before, high) sampled at 100 Hz, then `quiet_s` seconds.
+    fn play(end: &mut ProgramEnd, pulses: &[(f64, f64)], quiet_s: f64) {
+        let spans = pulses.iter().flat_map(|(low_s, high_s)| [(*low_s, false), (*high_s, true)]);
+        for (seconds, strobe) in spans.chain([(quiet_s, false)]) {
+            for _ in 0..(seconds * 100.0).round() as u32 {
+                let sample = Sample {
+                    reading_mm: 0.0,
+                    sequence: None,
+                    ticks: None,
+                    trigger: Some(strobe),
+                    temperature_c: None,
+                    valid: true,
+                    status: 0,
+                    offset: 0,
+                };
+                end.push(end.now_s + 0.01, &sample);
+            }
+        }
+    }
+
+    const END: [(f64, f64); 2] = [(0.4, 0.2); 2];
+
+    #[test]
+    fn a_plan_ends_with_its_last_module() {
+        let mut end = ProgramEnd::new(Some(2));
+        for module in 1..=2 {
+            play(&mut end, &[(2.0, 1.0), (3.0, 1.0)], 1.5);
+            assert!(!end.is_over());
+            play(&mut end, &END, 1.5);
+            assert_eq!(end.modules_over, module);
+        }
+        assert!(end.is_over());
+        assert_eq!(end.dwells, 4);
+    }
+
+    #[test]
+    fn without_a_plan_twenty_quiet_seconds_end_it() {
+        let mut end = ProgramEnd::new(None);
+        play(&mut end, &[(1.0, 1.0)], 2.0);
+        play(&mut end, &END, 19.0);
+        assert!(!end.is_over());
+        play(&mut end, &[], 1.5);
+        assert!(end.is_over());
+        let mut busy = ProgramEnd::new(None);
+        play(&mut busy, &[(1.0, 1.0), (2.0, 0.2), (0.4, 0.2), (15.0, 1.0)], 10.0);
+        assert_eq!((busy.modules_over, busy.is_over()), (1, false));
+    }
+}

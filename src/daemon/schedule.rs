@@ -1,0 +1,174 @@
+//! The schedule of a run by its plan: the dwells to come, its modules, the stroke, and when the bar is taken off.
+
+use std::collections::BTreeSet;
+
+use crate::live::{Alarm, Point};
+use crate::plan::{Kind, Motion, Plan};
+use crate::recording::{Telegram, run_number};
+
+/// Share of the stroke from its middle beyond which the alarm is raised.
+pub const ALARM_SHARE: f64 = 0.9;
+
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Schedule {
+    /// Length of the bar at reading zero, mm.
+    pub bar_length_mm: Option<f64>,
+    /// Lowest and highest reading that the bar allows, mm.
+    pub stroke_mm: Option<[f64; 2]>,
+    /// Share of the stroke from its middle beyond which the alarm is raised.
+    pub alarm_share: f64,
+    dwells: Vec<Expected>,
+    /// How many dwells are over when the bar is taken off, each time.
+    pub(super) taken_off: Vec<u32>,
+    program: Option<Program>,
+}
+
+/// A dwell of the plan.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Expected {
+    index: u32,
+    circle: u32,
+    angle_deg: Option<f64>,
+    clockwise: bool,
+    length_mm: f64,
+}
+
+/// What is known of the plan's program.
+#[derive(Clone, Debug, PartialEq)]
+struct Program {
+    /// Its modules: the circles of the plan.
+    modules: usize,
+    /// The number that it gives in its telegrams.
+    run: Option<u32>,
+    /// The rows whose end it reports: dwells, and ends of passes without stops.
+    reported: BTreeSet<u32>,
+}
+
+/// Why a telegram is not of the plan's program.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Stranger {
+    Run { expected: u32 },
+    NoDwell,
+}
+
+impl Program {
+    fn of(plan: &Plan) -> Self {
+        let circles: BTreeSet<u32> =
+            plan.rows.iter().map(|row| row.circle).filter(|circle| *circle != 0).collect();
+        let dwells = plan.rows.iter().filter(|row| row.kind != Kind::Transit).map(|row| row.index);
+        let reported = dwells.chain(plan.header.passes.iter().map(|pass| pass.end)).collect();
+        Self { modules: circles.len(), run: run_number(&plan.header.hash), reported }
+    }
+}
+
+impl Schedule {
+    /// Without a plan.
+    pub fn bare(stroke_mm: Option<[f64; 2]>, alarm_share: f64) -> Self {
+        Self { stroke_mm, alarm_share, ..Self::default() }
+    }
+
+    /// Of a plan.
+    pub fn of(plan: &Plan, alarm_share: f64) -> Self {
+        let places = plan.circle_places();
+        let dwells = plan.rows.iter().zip(&places).filter(|(row, _)| row.kind != Kind::Transit);
+        let dwells = dwells.map(|(row, place)| Expected {
+            index: row.index,
+            circle: row.circle,
+            // A reference pose is no part of the circle's picture.
+            angle_deg: place.filter(|_| row.kind == Kind::Measure).map(|place| place.angle_deg),
+            clockwise: place.is_some_and(|place| place.clockwise),
+            length_mm: row.length_mm,
+        });
+        // The bar is off on every PTP, and after the end.
+        let off = plan.rows.iter().filter(|row| row.motion == Motion::Ptp).map(|row| row.index);
+        let over = |index: u32| {
+            plan.rows.iter().filter(|row| row.kind != Kind::Transit && row.index < index).count() as u32
+        };
+        let mut taken_off: Vec<u32> = off.chain([u32::MAX]).map(over).filter(|dwells| *dwells > 0).collect();
+        taken_off.dedup();
+        let bar = &plan.header.job.bar;
+        Self {
+            bar_length_mm: Some(bar.length_mm),
+            stroke_mm: Some(bar.stroke_mm),
+            alarm_share,
+            dwells: dwells.collect(),
+            taken_off,
+            program: Some(Program::of(plan)),
+        }
+    }
+
+    /// Modules of the plan's program.
+    pub(super) fn modules(&self) -> Option<usize> {
+        self.program.as_ref().map(|program| program.modules)
+    }
+
+    /// Why a telegram is not of the plan's program; `None` where it is, or without a plan.
+    pub(super) fn stranger(&self, telegram: &Telegram) -> Option<Stranger> {
+        let program = self.program.as_ref()?;
+        match program.run {
+            Some(expected) if expected != telegram.run => Some(Stranger::Run { expected }),
+            _ => (!program.reported.contains(&telegram.index)).then_some(Stranger::NoDwell),
+        }
+    }
+
+    /// Whether the row is the last one whose end the program reports.
+    pub(super) fn is_last(&self, index: u32) -> bool {
+        self.program.as_ref().is_some_and(|program| program.reported.last() == Some(&index))
+    }
+
+    /// Dwells of the plan; none without a plan.
+    pub fn poses(&self) -> Option<u32> {
+        self.bar_length_mm.and_then(|_| u32::try_from(self.dwells.len()).ok())
+    }
+
+    /// How near a reading is to the end of the stroke.
+    pub fn alarm(&self, reading_mm: f64) -> Alarm {
+        let Some([low, high]) = self.stroke_mm else { return Alarm::None };
+        let share = (reading_mm - 0.5 * (low + high)).abs() / (0.5 * (high - low));
+        // A bar at its end stop reads the end of its stroke.
+        if share >= 1.0 {
+            Alarm::Over
+        } else if share > self.alarm_share {
+            Alarm::Near
+        } else {
+            Alarm::None
+        }
+    }
+
+    /// The dwell of number `dwell` (from 1) with its mean reading.
+    pub(super) fn point(&self, dwell: u32, reading_mm: f64) -> Point {
+        let expected = (dwell as usize).checked_sub(1).and_then(|at| self.dwells.get(at));
+        Point {
+            dwell,
+            index: expected.map(|expected| expected.index),
+            circle: expected.map(|expected| expected.circle),
+            angle_deg: expected.and_then(|expected| expected.angle_deg),
+            clockwise: expected.is_some_and(|expected| expected.clockwise),
+            reading_mm,
+            deviation_mm: expected
+                .zip(self.bar_length_mm)
+                .map(|(expected, length_mm)| length_mm + reading_mm - expected.length_mm),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_alarm_follows_the_stroke() {
+        let schedule = Schedule::bare(Some([-1.0, 3.0]), 0.9);
+        for (reading, alarm) in [
+            (1.0, Alarm::None),
+            (2.79, Alarm::None),
+            (2.81, Alarm::Near),
+            (-0.9, Alarm::Near),
+            (3.0, Alarm::Over),
+            (-1.01, Alarm::Over),
+        ] {
+            assert_eq!(schedule.alarm(reading), alarm, "{reading}");
+        }
+        assert_eq!(Schedule::bare(None, 0.9).alarm(1e9), Alarm::None);
+    }
+}

@@ -1,0 +1,14 @@
+//! Which poses to measure: candidates, their exchange, recommendations for a plan and for a result, and the calibration
+//! with them.
+
+mod calibrate;
+pub mod candidates;
+pub mod exchange;
+pub mod length_count;
+mod recommend;
+pub mod second_ball;
+
+pub use calibrate::calibrate;
+pub use candidates::{Candidate, Sphere, design_rows, workspace_rows};
+pub use exchange::{Criterion, Exchange};
+pub use recommend::recommend;

@@ -1,0 +1,240 @@
+//! Measurements that could be made: each of poses that the robot reaches within its axis limits.
+
+use nalgebra::{Matrix3, Vector3};
+
+use super::Trial;
+use crate::estimation::result::{CirclePlane, FurtherMeasurement};
+use crate::measurement::PreparedMeasurement;
+use crate::robot::pose::{rot_x, rot_y, rot_z};
+use crate::robot::{AXES, BallId, Geometry, Pose, inverse};
+
+/// A length farther than this from what the model has for its pose is of another ball or bar, mm.
+const FOREIGN_MM: f64 = 50.0;
+/// Poses of a candidate.
+pub(super) const POSES: usize = 20;
+/// Places tried on each circle.
+const PLACES: usize = 30;
+/// How far the wrist turns along a circle, and where it is to turn more, degrees.
+const TURN_DEG: f64 = 25.0;
+const MORE_DEG: f64 = 45.0;
+/// Tilt of a circle that is neither level nor upright, degrees.
+const TILT_DEG: f64 = 30.0;
+/// Where a further ball may stand against the first: distance from axis 1 and height, mm; turn about axis 1, degrees.
+const OUTWARD_MM: [f64; 2] = [-400.0, 300.0];
+const UPWARD_MM: [f64; 2] = [-500.0, 500.0];
+const ASIDE_DEG: [f64; 2] = [-35.0, 35.0];
+/// A ball stands at least so high above the floor, mm, and places are rounded to what one can hit.
+const LOWEST_MM: f64 = 100.0;
+const ROUND_MM: f64 = 50.0;
+/// Turns about axis 1 of the same ball and poses, degrees.
+const ABOUT_AXIS_1_DEG: [f64; 4] = [60.0, -60.0, 30.0, -30.0];
+/// Other lengths of the bar, against the first.
+const BARS: [f64; 2] = [0.6, 1.6];
+
+/// Poses that could be measured.
+pub(super) struct Candidate {
+    pub(super) measure: FurtherMeasurement,
+    /// A further ball, mm.
+    pub(super) ball: Option<Vector3<f64>>,
+    pub(super) poses: Vec<PreparedMeasurement>,
+}
+
+/// All candidates; one of a kind that the robot does not reach is absent.
+pub(super) fn all(trial: &Trial<'_>) -> Vec<Candidate> {
+    let mut all = vec![Candidate { measure: FurtherMeasurement::Prior, ball: None, poses: Vec::new() }];
+    let Some(cell) = Cell::of(trial) else { return all };
+    let further = BallId::at(trial.model.balls.len());
+    let mut add = |measure, ball, poses: Option<Vec<PreparedMeasurement>>| {
+        all.extend(poses.map(|poses| Candidate { measure, ball, poses }));
+    };
+    for plane in PLANES {
+        let poses = cell.about(cell.ball, cell.home, cell.radius, &[rotation(plane)]);
+        add(FurtherMeasurement::Circle { planes: vec![plane] }, None, poses);
+    }
+    let [xy, xz, yz, ..] = PLANES;
+    let upright = [xy, xz, yz].map(rotation);
+    let three = FurtherMeasurement::Circle { planes: vec![xy, xz, yz] };
+    add(three, None, cell.about(cell.ball, cell.home, cell.radius, &upright));
+    add(FurtherMeasurement::Wrist { degrees: MORE_DEG }, None, cell.wrist());
+    for place in cell.places() {
+        let poses = cell.about(place, further, cell.radius, &upright);
+        add(FurtherMeasurement::Ball { at_mm: place.into() }, Some(place), poses);
+    }
+    if let Some((ball, poses)) = cell.turned(further) {
+        add(FurtherMeasurement::TurnedBall { at_mm: ball.into() }, Some(ball), Some(poses));
+    }
+    for share in BARS {
+        let length_mm = (cell.radius * share / ROUND_MM).round().max(1.0) * ROUND_MM;
+        let poses = cell.about(cell.ball, cell.home, length_mm, &upright);
+        add(FurtherMeasurement::Bar { length_mm }, None, poses);
+    }
+    all
+}
+
+const PLANES: [CirclePlane; 5] = [
+    CirclePlane::Xy,
+    CirclePlane::Xz,
+    CirclePlane::Yz,
+    CirclePlane::TiltedAboutX(TILT_DEG),
+    CirclePlane::TiltedAboutY(TILT_DEG),
+];
+
+/// The plane as a rotation of XY.
+fn rotation(plane: CirclePlane) -> Matrix3<f64> {
+    let quarter = std::f64::consts::FRAC_PI_2;
+    match plane {
+        CirclePlane::Xy => Matrix3::identity(),
+        CirclePlane::Xz => rot_x(quarter),
+        CirclePlane::Yz => rot_z(quarter) * rot_x(quarter),
+        CirclePlane::TiltedAboutX(degrees) => rot_x(degrees.to_radians()),
+        CirclePlane::TiltedAboutY(degrees) => rot_y(degrees.to_radians()),
+    }
+}
+
+/// Where the candidates are: about the ball that was measured most.
+struct Cell<'a> {
+    /// As the controller moves: the nominal robot with the tool as it is known.
+    geometry: Geometry,
+    limits_deg: &'a [[f64; 2]; AXES],
+    /// The ball's place, its number from 0, and the median length to it, mm.
+    ball: Vector3<f64>,
+    home: BallId,
+    radius: f64,
+    /// Some of the poses measured to it.
+    measured: Vec<PreparedMeasurement>,
+}
+
+impl<'a> Cell<'a> {
+    /// `None` where no measured pose belongs to a ball: nothing is known of what the robot reaches with the bar.
+    fn of(trial: &Trial<'a>) -> Option<Self> {
+        let prepared = trial.model.prepare();
+        let near = |reading: &&PreparedMeasurement| {
+            (reading.length_mm - prepared.length(reading)).abs() < FOREIGN_MM
+        };
+        let of_ball =
+            |ball: BallId| trial.readings.iter().filter(near).filter(move |reading| reading.ball == ball);
+        let home = (0..trial.model.balls.len()).map(BallId::at).max_by_key(|ball| of_ball(*ball).count())?;
+        let mut lengths: Vec<f64> = of_ball(home).map(|reading| reading.length_mm).collect();
+        lengths.sort_by(f64::total_cmp);
+        let controller = trial.robot.controller();
+        Some(Self {
+            geometry: Geometry { tool: trial.model.geometry.tool, ..controller.geometry.clone() },
+            limits_deg: &controller.limits_deg,
+            ball: *trial.model.balls.get(home.index())?,
+            home,
+            radius: *lengths.get(lengths.len() / 2)?,
+            measured: evenly(&of_ball(home).copied().collect::<Vec<_>>(), POSES),
+        })
+    }
+
+    /// Poses on circles about a ball in the orientation of a measured pose, or with the tool down, the wrist turning
+    /// along the way; `None` where fewer than enough are reached.
+    fn about(
+        &self,
+        ball: Vector3<f64>,
+        number: BallId,
+        radius: f64,
+        planes: &[Matrix3<f64>],
+    ) -> Option<Vec<PreparedMeasurement>> {
+        let near = self.measured.first()?;
+        let down = rot_x(std::f64::consts::PI);
+        let facing = rot_z(ball.y.atan2(ball.x) - self.ball.y.atan2(self.ball.x));
+        [facing * self.geometry.flange(&near.axes).rotation, facing * down].into_iter().find_map(|held| {
+            let mut reached = Vec::new();
+            for plane in planes {
+                let mut last = near.axes;
+                for place in 0..PLACES {
+                    let t = std::f64::consts::TAU * place as f64 / PLACES as f64;
+                    let position = ball + plane * Vector3::new(t.cos(), t.sin(), 0.0) * radius;
+                    let pose = Pose { position, rotation: turn(t, TURN_DEG) * held };
+                    if let Some(axes) = self.reach(&pose, &last) {
+                        reached.push(PreparedMeasurement::new(axes, number, radius));
+                        last = axes;
+                    }
+                }
+            }
+            (reached.len() >= POSES).then(|| evenly(&reached, POSES))
+        })
+    }
+
+    /// The measured places again, the wrist turned more.
+    fn wrist(&self) -> Option<Vec<PreparedMeasurement>> {
+        let count = self.measured.len() as f64;
+        let turned = |(at, reading): (usize, &PreparedMeasurement)| {
+            let ball = self.geometry.ball(&reading.axes);
+            let t = std::f64::consts::TAU * at as f64 / count;
+            // Where one turn is out of reach, a smaller or the opposite one may do.
+            let axes = [1.0, -1.0, 0.5, -0.5].into_iter().find_map(|share| {
+                let rotation = turn(t + 0.3, share * MORE_DEG) * ball.rotation;
+                self.reach(&Pose { rotation, ..ball }, &reading.axes)
+            })?;
+            Some(PreparedMeasurement::new(axes, reading.ball, reading.length_mm))
+        };
+        let poses: Vec<PreparedMeasurement> = self.measured.iter().enumerate().filter_map(turned).collect();
+        (poses.len() >= POSES / 2).then_some(poses)
+    }
+
+    /// Where a further ball could stand.
+    fn places(&self) -> Vec<Vector3<f64>> {
+        let (distance, angle) = (self.ball.x.hypot(self.ball.y), self.ball.y.atan2(self.ball.x));
+        let mut places = Vec::new();
+        for outward in OUTWARD_MM {
+            for upward in UPWARD_MM {
+                for aside in ASIDE_DEG {
+                    let (s, c) = (angle + aside.to_radians()).sin_cos();
+                    let (radius, height) = (distance + outward, self.ball.z + upward);
+                    let place = Vector3::new(radius * c, radius * s, height);
+                    if radius > 0.0 && height >= LOWEST_MM {
+                        places.push((place / ROUND_MM).map(f64::round) * ROUND_MM);
+                    }
+                }
+            }
+        }
+        places
+    }
+
+    /// The measured poses and their ball, turned about axis 1 as far as its limits let them; the new ball is `number`.
+    fn turned(&self, number: BallId) -> Option<(Vector3<f64>, Vec<PreparedMeasurement>)> {
+        ABOUT_AXIS_1_DEG.into_iter().find_map(|degrees| {
+            let poses: Option<Vec<PreparedMeasurement>> = self
+                .measured
+                .iter()
+                .map(|reading| {
+                    let mut axes = reading.axes;
+                    axes[0] += degrees.to_radians();
+                    // The other axes stay.
+                    let [low, high] = self.limits_deg[0];
+                    (low..=high)
+                        .contains(&axes[0].to_degrees())
+                        .then(|| PreparedMeasurement::new(axes, number, reading.length_mm))
+                })
+                .collect();
+            let sense = self.geometry.rows.first()?.sign;
+            Some((rot_z(sense * degrees.to_radians()) * self.ball, poses?))
+        })
+    }
+
+    fn reach(&self, pose: &Pose, near: &[f64; AXES]) -> Option<[f64; AXES]> {
+        inverse::nearest(&self.geometry, pose, near).ok().filter(|axes| self.within(axes))
+    }
+
+    fn within(&self, axes: &[f64; AXES]) -> bool {
+        axes.iter()
+            .zip(self.limits_deg)
+            .all(|(axis, [low, high])| (*low..=*high).contains(&axis.to_degrees()))
+    }
+}
+
+/// The wrist's turn at the circle angle `t`: three frequencies, so that no two of its axes turn alike.
+fn turn(t: f64, amplitude_deg: f64) -> Matrix3<f64> {
+    let amplitude = amplitude_deg.to_radians();
+    rot_z(amplitude * (2.0 * t).sin())
+        * rot_y(amplitude * (3.0 * t).sin())
+        * rot_x(amplitude * (5.0 * t).sin())
+}
+
+/// At most `count` of the readings, evenly.
+fn evenly(readings: &[PreparedMeasurement], count: usize) -> Vec<PreparedMeasurement> {
+    let take = count.min(readings.len());
+    (0..take).filter_map(|at| readings.get(at * readings.len() / take).copied()).collect()
+}

@@ -1,0 +1,104 @@
+//! Where a second base ball would help, found by trying: the best poses are chosen anew with each place.
+
+use nalgebra::{Rotation3, Vector3};
+
+use super::{Candidate, Criterion, Exchange, Sphere, design_rows, workspace_rows};
+use crate::estimation::Posterior;
+use crate::robot::{AXES, BallId, Robot};
+
+/// Poses that are tried about each ball.
+const CANDIDATES: usize = 300;
+/// Places that are tried: how far out (mm), up (mm) and about axis 1 (degrees) from the ball that there is. The first is
+/// the same place turned.
+const PLACES: [([f64; 3], &str); 6] = [
+    ([0.0, 0.0, 60.0], "turned about axis 1 alone"),
+    ([-350.0, 0.0, 60.0], "nearer to axis 1"),
+    ([0.0, -400.0, 60.0], "lower"),
+    ([0.0, 400.0, 60.0], "higher"),
+    ([-350.0, -400.0, 60.0], "nearer and lower"),
+    ([-350.0, 400.0, 60.0], "nearer and higher"),
+];
+
+/// What is measured about the one ball that there is.
+pub struct OneBall<'a> {
+    pub robot: &'a Robot,
+    pub ball: Vector3<f64>,
+    pub radius_mm: f64,
+    /// Lengths of the plan, each of standard deviation `sigma_mm`.
+    pub lengths: usize,
+    pub sigma_mm: f64,
+    /// Axis vectors (rad) over which the 3-D error counts.
+    pub workspace: &'a [[f64; AXES]],
+    pub seed: u64,
+}
+
+/// The best place of those that were tried.
+pub struct SecondBall {
+    pub place: &'static str,
+    pub ball: Vector3<f64>,
+    /// Root mean square of the 3-D error that the best poses about the one ball leave, mm.
+    pub alone_mm: f64,
+    /// The share of it that as many poses about both balls leave.
+    pub share: f64,
+    /// The same of a ball that is only turned about axis 1.
+    pub turned_share: f64,
+    /// How many places were tried.
+    pub places: usize,
+}
+
+impl OneBall<'_> {
+    /// Tries a second ball; `prior` has the prior of both at their places. `None` where nothing can be chosen.
+    pub fn second(
+        &self,
+        prior: impl Fn([Vector3<f64>; 2]) -> Posterior,
+        allows: impl Fn(&[f64; AXES]) -> bool,
+    ) -> Option<SecondBall> {
+        let pool = self.reached(BallId::at(0), self.ball, &allows);
+        let alone_mm = self.left_mm(&prior([self.ball; 2]), &pool)?;
+        let tried: Vec<(f64, Vector3<f64>, &'static str)> = PLACES
+            .iter()
+            .filter_map(|(shift, place)| {
+                let ball = self.moved(*shift);
+                let mut both = pool.clone();
+                both.extend(self.reached(BallId::at(1), ball, &allows));
+                Some((self.left_mm(&prior([self.ball, ball]), &both)? / alone_mm, ball, *place))
+            })
+            .collect();
+        let turned_share = tried.first().map_or(1.0, |(share, ..)| *share);
+        let (share, ball, place) = tried.into_iter().min_by(|a, b| a.0.total_cmp(&b.0))?;
+        Some(SecondBall { place, ball, alone_mm, share, turned_share, places: PLACES.len() })
+    }
+
+    fn moved(&self, [out, up, turn_deg]: [f64; 3]) -> Vector3<f64> {
+        let radius = self.ball.xy().norm();
+        let place = Vector3::new(
+            self.ball.x * (radius + out) / radius.max(1.0),
+            self.ball.y * (radius + out) / radius.max(1.0),
+            self.ball.z + up,
+        );
+        Rotation3::from_axis_angle(&Vector3::z_axis(), turn_deg.to_radians()) * place
+    }
+
+    /// Poses about a ball; what is in the way there is not known.
+    fn reached(
+        &self,
+        id: BallId,
+        ball: Vector3<f64>,
+        allows: impl Fn(&[f64; AXES]) -> bool,
+    ) -> Vec<Candidate> {
+        let Self { robot, radius_mm, .. } = *self;
+        Sphere { arm: &robot.geometry, limits_deg: &robot.limits_deg, id, ball, radius_mm, near: None }
+            .candidates(CANDIDATES, self.seed, allows)
+    }
+
+    /// Root mean square 3-D error that the best of the poses leave, mm.
+    fn left_mm(&self, prior: &Posterior, pool: &[Candidate]) -> Option<f64> {
+        if pool.len() < self.lengths {
+            return None;
+        }
+        let rows = design_rows(prior, pool, self.sigma_mm);
+        let mut exchange = Exchange::new(&rows, &workspace_rows(prior, self.workspace));
+        exchange.choose(self.lengths, Criterion::I);
+        Some(exchange.rms_error_mm()).filter(|error| error.is_finite())
+    }
+}

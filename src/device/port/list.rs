@@ -1,0 +1,89 @@
+//! What is plugged in.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+use serialport::SerialPortType;
+
+use crate::catalogue::PortFinding::{self, NoPortList};
+
+/// A serial port of this machine.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Found {
+    /// Its name.
+    pub port: String,
+    /// A name that stays with the device wherever it is plugged in, where there is one.
+    pub by_id: Option<String>,
+    /// What it is, as far as it is known.
+    pub description: String,
+    /// Numbers of maker and product on USB.
+    pub usb_id: Option<(u16, u16)>,
+    /// The maker's name, where it is on USB.
+    pub vendor: Option<String>,
+    /// The product's name, likewise.
+    pub product: Option<String>,
+    /// Its serial number, likewise.
+    pub serial_number: Option<String>,
+    /// How long the adapter holds bytes back, ms, where it says so: more than 1 blurs the host's stamps.
+    pub latency_ms: Option<u32>,
+}
+
+/// The ports, sorted by name; on Linux only those with a device behind them.
+///
+/// # Errors
+/// When the system has no list of them.
+pub fn list() -> Result<Vec<Found>, PortFinding> {
+    let links = links();
+    let ports = serialport::available_ports().map_err(|error| NoPortList { why: error.to_string() })?;
+    let mut found: Vec<Found> = ports
+        .into_iter()
+        .map(|info| {
+            let device = Path::new(&info.port_name);
+            let base = device.file_name().map(Path::new).unwrap_or(device);
+            let latency = Path::new("/sys/bus/usb-serial/devices").join(base).join("latency_timer");
+            let usb = match &info.port_type {
+                SerialPortType::UsbPort(usb) => Some(usb),
+                _ => None,
+            };
+            Found {
+                usb_id: usb.map(|usb| (usb.vid, usb.pid)),
+                vendor: usb.and_then(|usb| usb.manufacturer.clone()),
+                product: usb.and_then(|usb| usb.product.clone()),
+                serial_number: usb.and_then(|usb| usb.serial_number.clone()),
+                by_id: links.get(device).cloned(),
+                description: description(&info.port_type),
+                latency_ms: fs::read_to_string(latency).ok().and_then(|text| text.trim().parse().ok()),
+                port: info.port_name,
+            }
+        })
+        .collect();
+    found.sort_by(|a, b| a.port.cmp(&b.port));
+    Ok(found)
+}
+
+/// Devices and their names under `/dev/serial/by-id`.
+fn links() -> BTreeMap<PathBuf, String> {
+    let entries = fs::read_dir("/dev/serial/by-id").into_iter().flatten().flatten();
+    entries
+        .filter_map(|entry| {
+            let device = fs::canonicalize(entry.path()).ok()?;
+            Some((device, format!("by-id/{}", entry.file_name().to_string_lossy())))
+        })
+        .collect()
+}
+
+fn description(kind: &SerialPortType) -> String {
+    match kind {
+        SerialPortType::UsbPort(usb) => {
+            let words = [usb.manufacturer.as_deref(), usb.product.as_deref()];
+            let mut words: Vec<String> = words.into_iter().flatten().map(str::to_owned).collect();
+            words.extend(usb.serial_number.as_ref().map(|number| format!("serial number {number}")));
+            format!("USB {:04x}:{:04x} {}", usb.vid, usb.pid, words.join(" ")).trim_end().to_owned()
+        }
+        SerialPortType::PciPort => "PCI".into(),
+        SerialPortType::BluetoothPort => "Bluetooth".into(),
+        SerialPortType::Unknown => "unknown".into(),
+    }
+}

@@ -1,0 +1,146 @@
+//! The thread that reads: each read is stamped at once and handed on through a bounded channel.
+
+use std::io::{ErrorKind, Read};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
+use std::thread::JoinHandle;
+
+use super::Port;
+use crate::base::clock;
+use crate::base::units::HostNs;
+use crate::catalogue::PortFinding::{self, PortRefused};
+
+/// Reads that may wait for the recorder before bytes are lost.
+const ROOM: usize = 4096;
+
+/// What the reading thread reports.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Arrival {
+    /// Bytes of one read, and when it returned.
+    Bytes(HostNs, Vec<u8>),
+    /// So many bytes had to be thrown away since, for the recorder was too slow.
+    Lost(HostNs, u64),
+    /// The port is gone, and why; the thread has ended.
+    Gone(HostNs, String),
+}
+
+/// The reading thread.
+pub struct Reader {
+    stop: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Reader {
+    /// Starts to read.
+    ///
+    /// # Errors
+    /// When the system gives no thread.
+    pub fn start(port: Port) -> Result<(Self, Receiver<Arrival>), PortFinding> {
+        let (sender, receiver) = sync_channel(ROOM);
+        let stop = Arc::new(AtomicBool::new(false));
+        let stopped = Arc::clone(&stop);
+        let name = port.name.clone();
+        let thread = std::thread::Builder::new()
+            .name("reader".into())
+            .spawn(move || read(port, Outbox { sender, lost: None }, &stopped))
+            .map_err(|error| PortRefused { port: name, why: error.to_string() })?;
+        Ok((Self { stop, thread: Some(thread) }, receiver))
+    }
+
+    /// Ends the thread, at the latest when its read has waited long enough.
+    pub fn stop(&mut self) {
+        self.stop.store(true, Ordering::Relaxed);
+    }
+}
+
+impl Drop for Reader {
+    fn drop(&mut self) {
+        self.stop();
+        if let Some(thread) = self.thread.take() {
+            // A panic there is already on stderr.
+            let _ = thread.join();
+        }
+    }
+}
+
+fn read(mut port: Port, mut outbox: Outbox, stop: &AtomicBool) {
+    let mut buffer = [0; 4096];
+    while !stop.load(Ordering::Relaxed) {
+        let read = port.line.read(&mut buffer);
+        let host = clock::now();
+        let gone = match read {
+            Ok(0) => "the line ended".to_owned(),
+            Ok(count) => {
+                let bytes = buffer[..count.min(buffer.len())].to_vec();
+                let sent = if port.pty { outbox.wait(host, bytes) } else { outbox.offer(host, bytes) };
+                if sent.is_err() {
+                    return;
+                }
+                continue;
+            }
+            Err(error) if matches!(error.kind(), ErrorKind::TimedOut | ErrorKind::Interrupted) => continue,
+            Err(error) => error.to_string(),
+        };
+        // Nobody listens any more when this fails.
+        let _ = outbox.sender.send(Arrival::Gone(host, gone));
+        return;
+    }
+}
+
+/// Nobody takes arrivals any more.
+struct Closed;
+
+/// The way to the recorder, and what had to be thrown away on it.
+struct Outbox {
+    sender: SyncSender<Arrival>,
+    lost: Option<(HostNs, u64)>,
+}
+
+impl Outbox {
+    /// Hands bytes on; waits while there is no room: the other side of a pseudo terminal waits too.
+    fn wait(&mut self, host: HostNs, bytes: Vec<u8>) -> Result<(), Closed> {
+        self.sender.send(Arrival::Bytes(host, bytes)).map_err(|_| Closed)
+    }
+
+    /// Hands bytes on if there is room; a device does not wait, so they are counted as lost if not.
+    fn offer(&mut self, host: HostNs, bytes: Vec<u8>) -> Result<(), Closed> {
+        if let Some((since, lost)) = self.lost {
+            match self.sender.try_send(Arrival::Lost(since, lost)) {
+                Ok(()) => self.lost = None,
+                Err(TrySendError::Full(_)) => {
+                    self.lost = Some((since, lost + bytes.len() as u64));
+                    return Ok(());
+                }
+                Err(TrySendError::Disconnected(_)) => return Err(Closed),
+            }
+        }
+        match self.sender.try_send(Arrival::Bytes(host, bytes)) {
+            Ok(()) => Ok(()),
+            Err(TrySendError::Full(Arrival::Bytes(_, bytes))) => {
+                self.lost = Some((host, bytes.len() as u64));
+                Ok(())
+            }
+            Err(_) => Err(Closed),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_full_channel_is_a_counted_loss() {
+        let (sender, receiver) = sync_channel(2);
+        let mut outbox = Outbox { sender, lost: None };
+        for at in 0..4 {
+            assert!(outbox.offer(HostNs(at), vec![0; 10]).is_ok());
+        }
+        assert_eq!(receiver.recv(), Ok(Arrival::Bytes(HostNs(0), vec![0; 10])));
+        assert_eq!(receiver.recv(), Ok(Arrival::Bytes(HostNs(1), vec![0; 10])));
+        assert!(outbox.offer(HostNs(4), vec![1; 3]).is_ok());
+        assert_eq!(receiver.recv(), Ok(Arrival::Lost(HostNs(2), 20)));
+        assert_eq!(receiver.recv(), Ok(Arrival::Bytes(HostNs(4), vec![1; 3])));
+    }
+}

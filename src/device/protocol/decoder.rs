@@ -1,0 +1,232 @@
+//! Bytes in, samples and faults out. Every byte is in exactly one of them or still pending:
+//! bytes pushed = bytes of samples + bytes of faults + [`Decoder::pending`], however they were cut.
+
+use std::sync::Arc;
+
+use super::engine::{Engine, Meaning};
+use super::fault::{Fault, FaultKind};
+use super::framing::{Cut, Framing};
+use crate::measurement::sample::Sample;
+
+/// A frame that never ends is given up in pieces of this many bytes.
+const GIVE_UP: u64 = 4096;
+
+/// What a run of bytes became.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Decoded {
+    /// A sample, and the length of its frame in bytes.
+    Sample(Sample, u64),
+    /// Bytes that are no sample.
+    Fault(Fault),
+}
+
+impl Decoded {
+    /// How many bytes of the stream it stands for.
+    pub fn bytes(&self) -> u64 {
+        match self {
+            Decoded::Sample(_, bytes) => *bytes,
+            Decoded::Fault(fault) => fault.bytes,
+        }
+    }
+}
+
+/// Decodes a stream piece by piece.
+#[derive(Clone, Debug)]
+pub struct Decoder {
+    engine: Arc<Engine>,
+    /// The frame that is not complete.
+    frame: Vec<u8>,
+    /// Offset in the stream of what is pending.
+    offset: u64,
+    /// Bytes of an endless frame thrown away so far; 0 outside one.
+    discarded: u64,
+    /// Bytes before what is pending that begin no frame, and why.
+    junk: Option<(FaultKind, u64)>,
+    /// Where a frame is unpacked.
+    room: Vec<u8>,
+}
+
+impl Decoder {
+    pub(super) fn new(engine: Arc<Engine>) -> Self {
+        Self { engine, frame: Vec::new(), offset: 0, discarded: 0, junk: None, room: Vec::new() }
+    }
+
+    /// Bytes that belong to a frame that is not complete.
+    pub fn pending(&self) -> u64 {
+        self.frame.len() as u64 + self.discarded + self.junk.as_ref().map_or(0, |(_, bytes)| *bytes)
+    }
+
+    /// Decodes the next bytes; what they complete is appended to `out`.
+    pub fn push(&mut self, bytes: &[u8], out: &mut Vec<Decoded>) {
+        let engine = Arc::clone(&self.engine);
+        let mut rest = bytes;
+        while let Some((&byte, tail)) = rest.split_first() {
+            // A frame that came whole is decoded where it is.
+            let fresh = self.frame.is_empty() && self.discarded == 0 && engine.mask == 0xff;
+            if fresh && let Some(len) = engine.framing.whole(rest) {
+                let (frame, after) = rest.split_at(len);
+                self.decode(&engine, frame, out);
+                rest = after;
+                continue;
+            }
+            self.frame.push(byte & engine.mask);
+            if engine.framing.slides() {
+                self.slide(&engine, out);
+            } else if engine.framing.complete(&self.frame) {
+                self.close(out);
+            } else if self.discarded > 0 || self.frame.len() >= engine.framing.max_len() {
+                self.overflow(out);
+            }
+            rest = tail;
+        }
+    }
+
+    /// Nothing came for as long as ends a frame, where silence does.
+    pub fn silence(&mut self, out: &mut Vec<Decoded>) {
+        if matches!(self.engine.framing, Framing::Idle { .. }) && self.pending() > 0 {
+            self.close(out);
+        }
+    }
+
+    /// The stream was interrupted: what is pending will not be completed.
+    pub fn interrupt(&mut self, out: &mut Vec<Decoded>) {
+        self.silence(out);
+        if let Some((kind, bytes)) = self.junk.take() {
+            self.fault(kind, bytes + self.frame.len() as u64, out);
+            self.frame.clear();
+        }
+        let pending = self.pending();
+        if pending > 0 {
+            let kind = if self.discarded > 0 { FaultKind::TooLong } else { FaultKind::Framing };
+            self.fault(kind, pending, out);
+        }
+        self.frame.clear();
+        self.discarded = 0;
+    }
+
+    /// Takes whole frames from the front of what is pending.
+    fn slide(&mut self, engine: &Engine, out: &mut Vec<Decoded>) {
+        while !self.frame.is_empty() {
+            let prefix = engine.ignored.iter().find(|prefix| self.frame.starts_with(prefix));
+            if let Some(prefix) = prefix {
+                self.take(prefix.len(), Meaning::Ignored, out);
+                continue;
+            }
+            let one;
+            let lens = match engine.framing.cut(&self.frame) {
+                Cut::More => return,
+                Cut::Skip => {
+                    self.skip(FaultKind::Framing, out);
+                    continue;
+                }
+                Cut::Frame(len) => {
+                    one = [len];
+                    &one[..]
+                }
+                Cut::OneOf(lens) => lens,
+            };
+            let mut wrong = None;
+            let fits = lens.iter().take_while(|len| **len <= self.frame.len()).find_map(|len| {
+                match engine.meaning(&self.frame[..*len], &mut self.room) {
+                    Ok(meaning) => Some((*len, meaning)),
+                    Err(kind) => {
+                        wrong = Some(kind);
+                        None
+                    }
+                }
+            });
+            match fits {
+                Some((len, meaning)) => self.take(len, meaning, out),
+                None if lens.last().is_some_and(|longest| *longest > self.frame.len()) => return,
+                None => self.skip(wrong.unwrap_or(FaultKind::Framing), out),
+            }
+        }
+    }
+
+    /// The first byte pending begins no frame.
+    fn skip(&mut self, why: FaultKind, out: &mut Vec<Decoded>) {
+        self.frame.remove(0);
+        let (kind, bytes) = self.junk.take().unwrap_or((why, 0));
+        if bytes + 1 >= GIVE_UP {
+            self.fault(kind, bytes + 1, out);
+        } else {
+            self.junk = Some((kind, bytes + 1));
+        }
+    }
+
+    fn take(&mut self, len: usize, meaning: Meaning, out: &mut Vec<Decoded>) {
+        if let Some((kind, bytes)) = self.junk.take() {
+            self.fault(kind, bytes, out);
+        }
+        self.accept(meaning, len as u64, out);
+        self.frame.drain(..len.min(self.frame.len()));
+    }
+
+    /// A frame is complete.
+    fn close(&mut self, out: &mut Vec<Decoded>) {
+        if self.discarded > 0 {
+            self.fault(FaultKind::TooLong, self.pending(), out);
+        } else {
+            let (engine, frame) = (Arc::clone(&self.engine), std::mem::take(&mut self.frame));
+            self.decode(&engine, &frame, out);
+            self.frame = frame;
+        }
+        self.frame.clear();
+        self.discarded = 0;
+    }
+
+    /// A frame is too long: all up to its end is thrown away, save what its end may still need.
+    fn overflow(&mut self, out: &mut Vec<Decoded>) {
+        let kept = self.frame.len().min(LONGEST_END);
+        self.discarded += (self.frame.len() - kept) as u64;
+        self.frame.drain(..self.frame.len() - kept);
+        if self.discarded >= GIVE_UP {
+            let given_up = self.discarded;
+            self.fault(FaultKind::TooLong, given_up, out);
+            // Still inside the endless frame: the next byte stays marked as discarded.
+            self.discarded = 0;
+            if !self.frame.is_empty() {
+                self.discarded = 1;
+                self.frame.remove(0);
+            }
+        }
+    }
+
+    fn decode(&mut self, engine: &Engine, frame: &[u8], out: &mut Vec<Decoded>) {
+        let kind = match engine.meaning(frame, &mut self.room) {
+            Ok(meaning) => return self.accept(meaning, frame.len() as u64, out),
+            Err(kind) => kind,
+        };
+        // A good frame may follow a bad start within the same end.
+        let checked = engine.check.is_some();
+        for start in 1..frame.len() {
+            let rest = &frame[start..];
+            if engine.framing.may_begin(rest, checked)
+                && let Ok(Meaning::Sample(sample)) = engine.meaning(rest, &mut self.room)
+            {
+                self.fault(kind, start as u64, out);
+                return self.accept(Meaning::Sample(sample), rest.len() as u64, out);
+            }
+        }
+        self.fault(kind, frame.len() as u64, out);
+    }
+
+    fn accept(&mut self, meaning: Meaning, bytes: u64, out: &mut Vec<Decoded>) {
+        match meaning {
+            Meaning::Sample(sample) => {
+                out.push(Decoded::Sample(Sample { offset: self.offset, ..sample }, bytes));
+                self.offset += bytes;
+            }
+            Meaning::Reject(word) => self.fault(FaultKind::Reject(word), bytes, out),
+            Meaning::Ignored => self.fault(FaultKind::Ignored, bytes, out),
+        }
+    }
+
+    fn fault(&mut self, kind: FaultKind, bytes: u64, out: &mut Vec<Decoded>) {
+        out.push(Decoded::Fault(Fault { kind, offset: self.offset, bytes }));
+        self.offset += bytes;
+    }
+}
+
+/// Longest end of a frame, bytes; the loader holds the ends to it.
+pub(super) const LONGEST_END: usize = 4;

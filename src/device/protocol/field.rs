@@ -1,0 +1,444 @@
+//! Fields: how a value is written in a frame, and what it says of the sample.
+
+use super::decimal::Decimal;
+use super::definition::Clock;
+use super::table::Endian;
+use crate::base::units::DeviceTicks;
+use crate::measurement::sample::Sample;
+
+/// One field of a message.
+#[derive(Clone, Debug)]
+pub(super) struct Field {
+    pub(super) form: Form,
+    pub(super) role: Option<Role>,
+}
+
+/// How a value is written.
+#[derive(Clone, Debug)]
+pub(super) enum Form {
+    /// Bytes without meaning; written as zeros.
+    Skip(usize),
+    /// An integer of 1 to 4 bytes.
+    Integer { bytes: usize, signed: bool, endian: Endian },
+    /// An IEEE 754 number of 4 or 8 bytes.
+    Float { bytes: usize, endian: Endian },
+    /// Some bits of a group of bytes; the last of a group goes past it.
+    Bits { bits: u32, shift: u32, group: usize, endian: Endian, signed: bool, last: bool },
+    /// Fixed text.
+    Literal { text: Vec<u8>, any_case: bool },
+    /// A decimal number.
+    Decimal(Decimal),
+    /// So many hexadecimal digits, in two's complement where signed.
+    Hex { digits: usize, signed: bool },
+    /// One of some words; its value is the place in the list.
+    Word { words: Vec<Vec<u8>>, default: Option<usize> },
+    /// Text up to a separator, which may be absent at the end.
+    Column { sep: u8 },
+}
+
+/// What a value means.
+#[derive(Clone, Debug)]
+pub(super) enum Role {
+    Length(Scale, Limits),
+    /// It counts from 0 to this less one.
+    Sequence {
+        modulo: u32,
+    },
+    Ticks(Clock),
+    Temperature(Scale),
+    Status(Flags),
+    /// Status words; the flag of each.
+    StatusWord(Vec<u32>, Flags),
+    /// Millimetres in the unit that each word names; none where the word says that the reading is bad.
+    Unit(Vec<Option<f64>>),
+    /// A figure of merit: the reading is good while it is within these.
+    Quality(f64, f64),
+}
+
+/// The names of status bits, lowest first, and the masks of those that the decoder knows; 0 where there is none.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Flags {
+    pub(super) names: Vec<(u32, String)>,
+    trigger: u32,
+    valid: u32,
+    /// Over, under, overspeed: the reading is bad.
+    refused: u32,
+}
+
+impl Flags {
+    pub(super) fn new(names: Vec<(u32, String)>) -> Self {
+        let mask =
+            |wanted: &str| names.iter().find(|(_, name)| name == wanted).map_or(0, |(bit, _)| 1 << bit);
+        let refused = mask("over") | mask("under") | mask("overspeed");
+        Self { trigger: mask("trigger"), valid: mask("valid"), refused, names }
+    }
+
+    /// What the sample's status says of it.
+    #[inline]
+    fn judge(&self, sample: &mut Sample) {
+        let status = sample.status;
+        sample.trigger = (self.trigger != 0).then_some(status & self.trigger != 0);
+        sample.valid &= (self.valid == 0 || status & self.valid != 0) && status & self.refused == 0;
+    }
+
+    /// The status of a sample, with the flags that its fields say.
+    fn status(&self, sample: &Sample) -> u32 {
+        let set = |status: u32, mask: u32, wanted: bool| if wanted { status | mask } else { status & !mask };
+        let status = sample.trigger.map_or(sample.status, |on| set(sample.status, self.trigger, on));
+        set(status, self.valid, sample.valid)
+    }
+}
+
+/// A value as it was read.
+#[derive(Clone, Copy)]
+enum Value {
+    Whole(i64),
+    Real(f64),
+}
+
+impl Value {
+    #[inline]
+    fn real(self) -> f64 {
+        match self {
+            Value::Whole(value) => value as f64,
+            Value::Real(value) => value,
+        }
+    }
+
+    #[inline]
+    fn count<T: TryFrom<i64>>(self) -> Option<T> {
+        let whole = match self {
+            Value::Whole(value) => value,
+            Value::Real(value) => whole(value)?,
+        };
+        T::try_from(whole).ok()
+    }
+}
+
+/// Which raw values are no readings.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Limits {
+    /// Outside these the device does not vouch for the reading.
+    pub(super) valid: Option<(f64, f64)>,
+    /// Above this they are error codes.
+    pub(super) error_above: Option<f64>,
+    /// Values that stand for a word.
+    pub(super) sentinels: Vec<(f64, String)>,
+}
+
+impl Limits {
+    /// The device's word, where the value is none.
+    #[inline]
+    fn word(&self, raw: f64) -> Option<String> {
+        let sentinel = self.sentinels.iter().find(|(value, _)| *value == raw);
+        let error = || self.error_above.is_some_and(|limit| raw > limit).then(|| format!("error {raw}"));
+        sentinel.map(|(_, word)| word.clone()).or_else(error)
+    }
+
+    #[inline]
+    fn vouched(&self, raw: f64) -> bool {
+        self.valid.is_none_or(|(low, high)| (low..=high).contains(&raw))
+    }
+}
+
+/// A sample that is being read.
+pub(super) struct Reading {
+    pub(super) sample: Sample,
+    /// Millimetres in the unit that the frame names.
+    pub(super) unit_mm: f64,
+    /// The device's word for having none.
+    pub(super) refused: Option<String>,
+}
+
+/// quantity = (raw * numerator / denominator + offset) * unit, exact while raw * numerator < 2^53.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Scale {
+    pub(super) numerator: f64,
+    pub(super) denominator: f64,
+    pub(super) offset: f64,
+    /// Millimetres in the unit, negative when the sense is inverted; 1 for a temperature.
+    pub(super) unit: f64,
+}
+
+impl Scale {
+    #[inline]
+    fn quantity(&self, raw: f64) -> f64 {
+        (raw * self.numerator / self.denominator + self.offset) * self.unit
+    }
+
+    /// Quantity of a raw step of 1.
+    pub(super) fn slope(&self) -> f64 {
+        self.numerator / self.denominator * self.unit
+    }
+
+    fn raw(&self, quantity: f64) -> f64 {
+        (quantity / self.unit - self.offset) * self.denominator / self.numerator
+    }
+}
+
+impl Form {
+    /// Length in bytes; none when it depends on the value.
+    pub(super) fn len(&self) -> Option<usize> {
+        match self {
+            Form::Skip(bytes) | Form::Integer { bytes, .. } | Form::Float { bytes, .. } => Some(*bytes),
+            Form::Bits { group, last, .. } => Some(if *last { *group } else { 0 }),
+            Form::Literal { text, .. } => Some(text.len()),
+            Form::Hex { digits, .. } => Some(*digits),
+            Form::Decimal(decimal) => decimal.width,
+            Form::Word { words, default: Some(_) } => {
+                let len = words.first().map(Vec::len);
+                len.filter(|len| words.iter().all(|word| word.len() == *len))
+            }
+            Form::Word { .. } | Form::Column { .. } => None,
+        }
+    }
+
+    /// The step between two values that can be written, where they stand at even steps.
+    pub(super) fn step(&self) -> f64 {
+        match self {
+            Form::Decimal(decimal) => 10f64.powi(-(decimal.decimals as i32)),
+            Form::Float { .. } => 0.0,
+            _ => 1.0,
+        }
+    }
+
+    /// Reads the value at the start of `rest`: the value (0 where there is none) and what follows.
+    #[inline]
+    fn read<'a>(&self, rest: &'a [u8]) -> Option<(Value, &'a [u8])> {
+        const NONE: Value = Value::Whole(0);
+        match self {
+            Form::Skip(bytes) => Some((NONE, rest.get(*bytes..)?)),
+            Form::Literal { text, any_case } => {
+                let (field, tail) = rest.split_at_checked(text.len())?;
+                let same = if *any_case { field.eq_ignore_ascii_case(text) } else { field == text };
+                same.then_some((NONE, tail))
+            }
+            Form::Integer { bytes, signed, endian } => {
+                let (field, tail) = rest.split_at_checked(*bytes)?;
+                Some((signed_value(integer(field, *endian), 8 * *bytes as u32, *signed), tail))
+            }
+            Form::Float { bytes, endian } => {
+                let (field, tail) = rest.split_at_checked(*bytes)?;
+                let bits = integer(field, *endian);
+                let value =
+                    if *bytes == 4 { f32::from_bits(bits as u32).into() } else { f64::from_bits(bits) };
+                value.is_finite().then_some((Value::Real(value), tail))
+            }
+            Form::Bits { bits, shift, group, endian, signed, last } => {
+                let (field, tail) = rest.split_at_checked(*group)?;
+                let value = (integer(field, *endian) >> shift) & ((1 << bits) - 1);
+                Some((signed_value(value, *bits, *signed), if *last { tail } else { rest }))
+            }
+            Form::Decimal(decimal) => decimal.read(rest).map(|(value, tail)| (Value::Real(value), tail)),
+            Form::Hex { digits, signed } => {
+                let (field, tail) = rest.split_at_checked(*digits)?;
+                let text = std::str::from_utf8(field).ok().filter(|text| !text.starts_with('+'))?;
+                let value = u32::from_str_radix(text, 16).ok()?;
+                Some((signed_value(value.into(), 4 * *digits as u32, *signed), tail))
+            }
+            Form::Word { words, default } => {
+                let found =
+                    words.iter().zip(0..).find_map(|(word, at)| Some((at, rest.strip_prefix(&word[..])?)));
+                match found {
+                    Some((at, tail)) => Some((Value::Whole(at), tail)),
+                    None if default.is_none() => Some((Value::Whole(words.len() as i64), rest)),
+                    None => None,
+                }
+            }
+            Form::Column { sep } => {
+                let end = rest.iter().position(|byte| byte == sep);
+                Some((NONE, end.map_or(&[], |end| &rest[end + 1..])))
+            }
+        }
+    }
+
+    /// Writes a value; none when the form cannot hold it.
+    pub(super) fn write(&self, value: f64, body: &mut Vec<u8>) -> Option<()> {
+        match self {
+            Form::Skip(bytes) => body.extend(std::iter::repeat_n(0, *bytes)),
+            Form::Literal { text, .. } => body.extend_from_slice(text),
+            Form::Integer { bytes, signed, endian } => {
+                let written = unsigned(value, 8 * *bytes as u32, *signed)?;
+                bytes_of(written, *bytes, *endian, body);
+            }
+            Form::Float { bytes, endian } => {
+                let bits = if *bytes == 4 { u64::from((value as f32).to_bits()) } else { value.to_bits() };
+                bytes_of(bits, *bytes, *endian, body);
+            }
+            Form::Bits { bits, shift, group, endian, signed, .. } => {
+                let written = unsigned(value, *bits, *signed)?;
+                if *shift == 0 {
+                    body.extend(std::iter::repeat_n(0, *group));
+                }
+                let at = body.len().checked_sub(*group)?;
+                let mut whole = integer(&body[at..], *endian);
+                whole |= written << shift;
+                body.truncate(at);
+                bytes_of(whole, *group, *endian, body);
+            }
+            Form::Decimal(decimal) => decimal.write(value, body)?,
+            Form::Hex { digits, signed } => {
+                let written = unsigned(value, 4 * *digits as u32, *signed)?;
+                body.extend(format!("{written:0digits$X}").into_bytes());
+            }
+            Form::Word { words, default } => {
+                let at = usize::try_from(whole(value)?).ok()?;
+                match words.get(at) {
+                    Some(word) => body.extend_from_slice(word),
+                    None if default.is_none() => {}
+                    None => return None,
+                }
+            }
+            Form::Column { sep } => body.push(*sep),
+        }
+        Some(())
+    }
+}
+
+#[inline]
+fn integer(field: &[u8], endian: Endian) -> u64 {
+    let fold = |value: u64, byte: &u8| (value << 8) | u64::from(*byte);
+    match (field, endian) {
+        (&[only], _) => only.into(),
+        (&[a, b], Endian::Le) => u16::from_le_bytes([a, b]).into(),
+        (&[a, b, c, d], Endian::Le) => u32::from_le_bytes([a, b, c, d]).into(),
+        (_, Endian::Le) => field.iter().rev().fold(0, fold),
+        (_, Endian::Be) => field.iter().fold(0, fold),
+    }
+}
+
+/// Of up to 32 bits.
+#[inline]
+fn signed_value(value: u64, bits: u32, signed: bool) -> Value {
+    let negative = signed && value >> (bits - 1) != 0;
+    Value::Whole(value as i64 - if negative { 1 << bits } else { 0 })
+}
+
+/// The bits of a value, if so many can hold it.
+fn unsigned(value: f64, bits: u32, signed: bool) -> Option<u64> {
+    let whole = whole(value.round())?;
+    let half = 1i64 << (bits - 1);
+    let (low, high) = if signed { (-half, half - 1) } else { (0, 2 * half - 1) };
+    (low..=high).contains(&whole).then(|| (whole as u64) & (2 * half as u64 - 1))
+}
+
+fn bytes_of(value: u64, bytes: usize, endian: Endian, body: &mut Vec<u8>) {
+    let at = body.len();
+    body.extend(value.to_le_bytes().iter().take(bytes));
+    if endian == Endian::Be {
+        body[at..].reverse();
+    }
+}
+
+/// The integer that a float holds exactly.
+fn whole(value: f64) -> Option<i64> {
+    (value.fract() == 0.0 && value.abs() < 9e15).then_some(value as i64)
+}
+
+impl Field {
+    /// Reads the field into the sample; what follows, or none when the bytes do not fit.
+    #[inline]
+    pub(super) fn read<'a>(&self, rest: &'a [u8], reading: &mut Reading) -> Option<&'a [u8]> {
+        let (value, tail) = self.form.read(rest)?;
+        let sample = &mut reading.sample;
+        match &self.role {
+            None => {}
+            Some(Role::Length(scale, limits)) => {
+                let raw = value.real();
+                sample.reading_mm = scale.quantity(raw);
+                sample.valid &= limits.vouched(raw);
+                reading.refused = limits.word(raw);
+            }
+            Some(Role::Temperature(scale)) => sample.temperature_c = Some(scale.quantity(value.real())),
+            Some(Role::Sequence { .. }) => sample.sequence = Some(value.count()?),
+            Some(Role::Ticks(_)) => sample.ticks = Some(DeviceTicks(value.count()?)),
+            Some(Role::Status(flags)) => {
+                sample.status = value.count()?;
+                flags.judge(sample);
+            }
+            Some(Role::StatusWord(bits, flags)) => {
+                let bit = bits.get(value.count::<usize>()?);
+                sample.status = bit.map_or(0, |bit| 1 << bit);
+                flags.judge(sample);
+            }
+            Some(Role::Unit(units)) => match units.get(value.count::<usize>()?)? {
+                Some(mm) => reading.unit_mm = *mm,
+                None => sample.valid = false,
+            },
+            Some(Role::Quality(low, high)) => sample.valid &= (*low..=*high).contains(&value.real()),
+        }
+        Some(tail)
+    }
+
+    /// Writes the sample's value; none when there is none or the field cannot hold it.
+    pub(super) fn write(&self, sample: &Sample, body: &mut Vec<u8>) -> Option<()> {
+        let value = match &self.role {
+            None => match &self.form {
+                Form::Word { words, default } => default.unwrap_or(words.len()) as f64,
+                _ => 0.0,
+            },
+            Some(Role::Length(scale, limits)) => {
+                let raw = scale.raw(sample.reading_mm);
+                let raw = if self.form.step() == 1.0 { raw.round() } else { raw };
+                if limits.word(raw).is_some() || sample.valid && !limits.vouched(raw) {
+                    return None;
+                }
+                raw
+            }
+            Some(Role::Temperature(scale)) => scale.raw(sample.temperature_c?),
+            Some(Role::Sequence { .. }) => sample.sequence?.into(),
+            Some(Role::Ticks(_)) => sample.ticks?.0 as f64,
+            Some(Role::Status(flags)) => flags.status(sample).into(),
+            Some(Role::StatusWord(bits, _)) => {
+                let at = bits.iter().position(|bit| sample.status == 1 << bit);
+                let Form::Word { words, default } = &self.form else { return None };
+                at.or(*default).unwrap_or(words.len()) as f64
+            }
+            Some(Role::Unit(units)) => {
+                let wanted = if sample.valid { Some(1.0) } else { None };
+                let at = units.iter().position(|unit| *unit == wanted);
+                at.or_else(|| units.iter().position(|unit| *unit == Some(1.0)))? as f64
+            }
+            Some(Role::Quality(low, high)) => {
+                if sample.valid {
+                    *high
+                } else {
+                    *low - 1.0
+                }
+            }
+        };
+        self.form.write(value, body)
+    }
+
+    /// The value that stands for having no reading, where there is one.
+    pub(super) fn sentinel(&self) -> Option<f64> {
+        match &self.role {
+            Some(Role::Length(_, limits)) => limits.sentinels.first().map(|(value, _)| *value),
+            _ => None,
+        }
+    }
+
+    /// Whether the field can say that a reading is not to be trusted.
+    pub(super) fn doubts(&self) -> bool {
+        match &self.role {
+            Some(Role::Status(flags)) => flags.valid != 0,
+            Some(Role::Unit(units)) => units.contains(&None),
+            Some(Role::Quality(..)) => true,
+            _ => false,
+        }
+    }
+
+    /// Name of the role, for messages.
+    pub(super) fn name(&self) -> &'static str {
+        match self.role {
+            None => "a field",
+            Some(Role::Length(..)) => "length",
+            Some(Role::Sequence { .. }) => "seq",
+            Some(Role::Ticks(_)) => "t_dev",
+            Some(Role::Temperature(_)) => "temp",
+            Some(Role::Status(_) | Role::StatusWord(..)) => "status",
+            Some(Role::Unit(_)) => "unit",
+            Some(Role::Quality(..)) => "quality",
+        }
+    }
+}

@@ -1,0 +1,98 @@
+//! Messages and the device's words for having no reading: whether their parts fit the frame.
+
+use std::ops::Range;
+
+use toml::Spanned;
+
+use super::source::Source;
+use super::{field, vectors};
+use crate::catalogue::ProtocolFinding::{
+    self, FramingByte, MatchedByte, NoFixedLength, OtherLength, RejectCode, RejectNumber, RejectText,
+    RoleCount, TooLong,
+};
+use crate::device::protocol::engine::{Message, Reject};
+use crate::device::protocol::field::{Field, Form};
+use crate::device::protocol::framing::Framing;
+use crate::device::protocol::table::{Code, MessageTable, RejectTable};
+use crate::diagnostic::Diagnostic;
+
+/// Checks a message and compiles it; `guard` is the length of the check behind it.
+pub(super) fn compile(
+    source: Source,
+    table: &Spanned<MessageTable>,
+    framing: &Framing,
+    guard: usize,
+) -> Result<Message, Diagnostic> {
+    let MessageTable { name, r#match: matches, fields } = table.get_ref();
+    let wrong = |finding: ProtocolFinding| source.wrong(table.span(), finding);
+    let fields = fields
+        .iter()
+        .map(|field| field::compile(field.get_ref()).map_err(|finding| source.wrong(field.span(), finding)));
+    let mut fields: Vec<Field> = fields.collect::<Result<_, _>>()?;
+    field::group_bits(&mut fields).map_err(wrong)?;
+    for role in ["length", "seq", "t_dev", "temp", "status", "unit", "quality"] {
+        let count = fields.iter().filter(|field| field.role.is_some() && field.name() == role).count();
+        if count > 1 || (role == "length" && count == 0) {
+            return Err(wrong(RoleCount { message: name.clone(), role, count }));
+        }
+    }
+    let len = fields.iter().map(|field| field.form.len()).sum::<Option<usize>>();
+    fits(name, len, framing, guard).map_err(wrong)?;
+    let skipped = skipped(&fields);
+    let free = |byte: usize| skipped.iter().any(|skipped| skipped.contains(&byte));
+    if let Some(byte) = framing.own().find(|byte| !free(*byte)) {
+        return Err(wrong(FramingByte { message: name.clone(), byte }));
+    }
+    if let Some(matched) = matches.iter().find(|matched| !free(matched.get_ref().at)) {
+        return Err(source.wrong(matched.span(), MatchedByte { byte: matched.get_ref().at }));
+    }
+    Ok(Message { matches: matches.iter().map(|matched| *matched.get_ref()).collect(), fields, len })
+}
+
+/// Whether a content of this length fits into the frame.
+fn fits(name: &str, len: Option<usize>, framing: &Framing, guard: usize) -> Result<(), ProtocolFinding> {
+    let (room, exact) = framing.room();
+    let (room, message) = (room.saturating_sub(guard), name.to_owned());
+    match len {
+        Some(bytes) if bytes > room => Err(TooLong { message, bytes, room }),
+        Some(bytes) if exact && bytes != room => Err(OtherLength { message, bytes, room }),
+        None if exact => Err(NoFixedLength { message, room }),
+        _ => Ok(()),
+    }
+}
+
+/// The bytes of the fields of kind `skip`.
+fn skipped(fields: &[Field]) -> Vec<Range<usize>> {
+    let (mut start, mut skipped) = (0usize, Vec::new());
+    for field in fields {
+        let end = field.form.len().map_or(usize::MAX, |len| start.saturating_add(len));
+        if matches!(field.form, Form::Skip(_)) {
+            skipped.push(start..end);
+        }
+        start = end;
+    }
+    skipped
+}
+
+/// Checks a `[[reject]]` and compiles it.
+pub(super) fn reject(table: &RejectTable) -> Result<Reject, ProtocolFinding> {
+    let (text, whole) = match (&table.prefix, &table.eq, &table.hex) {
+        (Some(prefix), None, None) => (prefix.clone().into_bytes(), false),
+        (None, Some(eq), None) => (eq.clone().into_bytes(), true),
+        (None, None, Some(hex)) => (vectors::bytes(hex).unwrap_or_default(), false),
+        _ => return Err(RejectText),
+    };
+    if text.is_empty() {
+        return Err(RejectText);
+    }
+    if table.code.is_some() && whole || table.code.is_none() && !table.map.is_empty() {
+        return Err(RejectCode);
+    }
+    let base = if table.code == Some(Code::Hex) { 16 } else { 10 };
+    let words = table.map.iter().map(|(code, word)| {
+        let number = u32::from_str_radix(code, base).map_err(|_| RejectNumber { code: code.clone() })?;
+        Ok((number, word.clone()))
+    });
+    let words = words.collect::<Result<_, _>>()?;
+    Ok(Reject { text, whole, checked: table.checked, code: table.code, words })
+}

@@ -1,0 +1,191 @@
+//! Checks a definition file and compiles it; every refusal names its line.
+
+mod check;
+mod command;
+mod field;
+mod framing;
+mod message;
+mod params;
+mod source;
+mod vectors;
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use toml::Spanned;
+
+use self::source::Source;
+use crate::base::parse::wrong_toml;
+use crate::catalogue::FileFinding::NotToml;
+use crate::catalogue::ProtocolFinding::{
+    BaudZero, DataBits, EmptyId, EmptyIgnore, IdentAnswer, LatchDevice, LatchRequest, NoMessage, NominalRate,
+    PollCommandMissing, PollKeysMissing, PollKeysWithoutPoll, PollRate, ProbeIdent, ProbeZero, StopBits,
+    UnknownSchema,
+};
+use crate::device::protocol::check::Check;
+use crate::device::protocol::definition::{Definition, Mode, Step};
+use crate::device::protocol::engine::Engine;
+use crate::device::protocol::table::{
+    CommandTable, Confidence, File, FramingTable, Latch, Line, ModeKind, ModeTable, StepTable, TestTable,
+};
+use crate::diagnostic::Diagnostic;
+
+/// Reads, checks and compiles a definition.
+pub(super) fn load(file: &str, text: &str, params: &[(String, String)]) -> Result<Definition, Diagnostic> {
+    let resolved = params::resolve(file, text, params)?;
+    let source = Source { file, text, resolved: &resolved };
+    let table: File = toml::from_str(&resolved.text).map_err(|error| {
+        source.wrong(error.span().unwrap_or_default(), NotToml { why: error.message().into() })
+    })?;
+    if table.schema != 1 {
+        return Err(source.key("", "schema", UnknownSchema { schema: table.schema }));
+    }
+    if table.id.is_empty() {
+        return Err(source.key("", "id", EmptyId));
+    }
+    let engine = engine(source, &table)?;
+    let (clock, sequence_modulo) = (engine.clock(), engine.sequence_modulo());
+    check_timing(source, &table, clock.is_some())?;
+    check_line(source, &table.line)?;
+    let mode = mode(source, &table)?;
+    let [ident, zero, init, poll, start, stop] = commands(source, &table, engine.check.as_ref())?;
+    Ok(Definition {
+        id: table.id,
+        title: table.title,
+        source: table.source,
+        confidence: match table.confidence {
+            Confidence::Documented => "documented",
+            Confidence::Captured => "captured",
+            Confidence::Own => "own",
+            Confidence::Guess => "guess",
+        },
+        tested_on: table.tested_on,
+        line: table.line,
+        clock,
+        sequence_modulo,
+        stall: table.mode.stall_ms.map(|ms| Duration::from_millis(ms.into())),
+        sync_frames: table.mode.sync_frames.unwrap_or(1),
+        nominal_hz: table.timing.nominal_hz,
+        latch_at_request: table.timing.latch == Some(Latch::Request),
+        latch_delay: table.timing.delay,
+        latch_jitter: table.timing.jitter,
+        mode,
+        idle: match table.framing {
+            FramingTable::Gap { idle_us, .. } => idle_us.map(|us| Duration::from_micros(us.into())),
+            _ => None,
+        },
+        sim: table.sim,
+        ident,
+        zero,
+        init,
+        poll,
+        start,
+        stop,
+        engine: Arc::new(engine),
+        text: resolved.kept,
+        params: resolved.values,
+    })
+}
+
+/// Runs the file's own tests, which hold for its default parameters.
+pub(super) fn test(file: &str, text: &str, definition: &Definition) -> Result<(), Diagnostic> {
+    #[derive(serde::Deserialize)]
+    struct Tests {
+        #[serde(default)]
+        test: Vec<Spanned<TestTable>>,
+    }
+    let resolved = params::resolve(file, text, &[])?;
+    let tests: Tests = toml::from_str(&resolved.text).map_err(|error| wrong_toml(file, text, &error))?;
+    let source = Source { file, text, resolved: &resolved };
+    tests.test.iter().try_for_each(|test| vectors::run(source, definition, test))
+}
+
+fn engine(source: Source, table: &File) -> Result<Engine, Diagnostic> {
+    let framing = framing::compile(&table.framing).map_err(|finding| source.table("framing", finding))?;
+    let check = table.check.as_ref().map(|check| check::compile_check(source, check)).transpose()?.flatten();
+    if table.message.is_empty() {
+        return Err(source.table("framing", NoMessage));
+    }
+    let guard = check.as_ref().map_or(0, Check::len);
+    let messages = table.message.iter().map(|table| message::compile(source, table, &framing, guard));
+    let messages = messages.collect::<Result<_, _>>()?;
+    let rejects = table
+        .reject
+        .iter()
+        .map(|table| message::reject(table.get_ref()).map_err(|finding| source.wrong(table.span(), finding)));
+    let rejects = rejects.collect::<Result<_, _>>()?;
+    let mut ignored = Vec::new();
+    for prefixes in table.ignore.iter().map(|ignore| &ignore.prefix) {
+        if prefixes.get_ref().iter().any(String::is_empty) {
+            return Err(source.wrong(prefixes.span(), EmptyIgnore));
+        }
+        ignored.extend(prefixes.get_ref().iter().map(|prefix| prefix.clone().into_bytes()));
+    }
+    let mask = if table.line.strip_bit7 { 0x7f } else { 0xff };
+    Ok(Engine { framing, check, messages, rejects, ignored, mask })
+}
+
+fn check_timing(source: Source, table: &File, has_clock: bool) -> Result<(), Diagnostic> {
+    match table.timing.latch {
+        Some(Latch::Device) if !has_clock => return Err(source.key("timing", "latch", LatchDevice)),
+        Some(Latch::Request) if table.mode.kind != ModeKind::Poll => {
+            return Err(source.key("timing", "latch", LatchRequest));
+        }
+        _ => {}
+    }
+    match table.timing.nominal_hz {
+        Some(hz) if !(hz > 0.0 && hz <= 1e6) => Err(source.key("timing", "nominal_hz", NominalRate)),
+        _ => Ok(()),
+    }
+}
+
+fn mode(source: Source, table: &File) -> Result<Mode, Diagnostic> {
+    let ModeTable { kind, poll_hz, reply_timeout_ms, .. } = table.mode;
+    let wrong = match (kind, poll_hz, reply_timeout_ms) {
+        (ModeKind::Stream, None, None) => return Ok(Mode::Stream),
+        (ModeKind::Push, None, None) => return Ok(Mode::Push),
+        (ModeKind::Stream | ModeKind::Push, ..) => PollKeysWithoutPoll,
+        (ModeKind::Poll, Some(hz), Some(timeout @ 1..)) => {
+            if !(hz > 0.0 && hz <= 10_000.0) {
+                return Err(source.key("mode", "poll_hz", PollRate));
+            }
+            if !table.cmd.poll.is_empty() {
+                return Ok(Mode::Poll { hz, timeout: Duration::from_millis(timeout.into()) });
+            }
+            PollCommandMissing
+        }
+        (ModeKind::Poll, ..) => PollKeysMissing,
+    };
+    Err(source.table("mode", wrong))
+}
+
+fn check_line(source: Source, line: &Line) -> Result<(), Diagnostic> {
+    let wrong = match line {
+        Line { baud: 0, .. } => BaudZero,
+        Line { baud_probe, .. } if baud_probe.contains(&0) => ProbeZero,
+        Line { data_bits, .. } if !matches!(data_bits, 7 | 8) => DataBits,
+        Line { stop_bits, .. } if !matches!(stop_bits, 1 | 2) => StopBits,
+        _ => return Ok(()),
+    };
+    Err(source.table("line", wrong))
+}
+
+/// The commands ident, zero, init, poll, start and stop.
+fn commands(source: Source, table: &File, check: Option<&Check>) -> Result<[Vec<Step>; 6], Diagnostic> {
+    let steps = |steps: &[Spanned<StepTable>]| -> Result<Vec<Step>, Diagnostic> {
+        let compiled = steps.iter().map(|step| {
+            command::compile(step.get_ref(), check).map_err(|finding| source.wrong(step.span(), finding))
+        });
+        compiled.collect()
+    };
+    let CommandTable { ident, zero, init, poll, start, stop } = &table.cmd;
+    let commands = [steps(ident)?, steps(zero)?, steps(init)?, steps(poll)?, steps(start)?, steps(stop)?];
+    let answers = commands[0].iter().any(|step| matches!(step, Step::Ask { .. }));
+    if let Some(step) = ident.first().filter(|_| !answers) {
+        return Err(source.wrong(step.span(), IdentAnswer));
+    }
+    if ident.is_empty() && !table.line.baud_probe.is_empty() {
+        return Err(source.key("line", "baud_probe", ProbeIdent));
+    }
+    Ok(commands)
+}

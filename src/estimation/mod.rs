@@ -1,0 +1,55 @@
+//! From lengths to parameters.
+//!
+//! The lengths L = |p - c| + b are fitted by least squares over a base set of the parameters asked for, chosen at the
+//! nominal geometry with the fitted set-up. What is poorly observable is fixed (or carried by the prior), and every number
+//! comes with its standard deviation or the reason why it has none.
+//!
+//! [`linear_system`] alone forms rows, [`priors`] alone knows prior deviations and limits, [`posterior`] alone holds a
+//! covariance, and [`Calibration::result`] alone makes a result.
+
+mod calibration;
+mod estimate;
+mod findings;
+mod fit;
+mod lengths;
+pub mod linear_system;
+mod monte_carlo;
+mod observability;
+mod optional_groups;
+mod options;
+mod outliers;
+mod outlook;
+pub mod posterior;
+mod predicted;
+mod prior;
+mod prior_scale;
+pub mod priors;
+mod rank;
+mod residual_tests;
+mod residuals;
+pub mod result;
+pub mod result_file;
+mod selection;
+mod setting;
+mod sigma;
+mod solver;
+mod uncertainty;
+mod units;
+mod validation;
+mod wording;
+
+pub use calibration::{AngleSource, Calibration, Input};
+pub(crate) use findings::is_determined;
+pub use linear_system::{LinearSystem, factor};
+pub use observability::{Correlation, Observability, correlations, observability};
+pub use options::Options;
+pub use outlook::{Foreseen, Outlook, outlook};
+pub use posterior::{Posterior, inverse_root, root_after};
+pub use predicted::{ErrorSummary, Estimator, Workspace};
+pub use priors::{Prior, PriorScale, Priors};
+pub use rank::{Analysis, Combination, analyse, order_of_choice};
+pub use residual_tests::senses;
+pub use result::CalibrationResult;
+pub use result_file::ResultFile;
+pub(crate) use selection::{is_place, without_open_places};
+pub use units::mistaken as mistaken_unit;

@@ -1,0 +1,85 @@
+//! Lengths whose residuals do not belong to the others.
+
+use super::fit::Fit;
+use super::lengths::Weighted;
+use super::solver::{Loss, MAD_TO_SD, ROUNDING, Solution, robust_scale, whitened};
+use crate::measurement::{LengthModel, MeasurementPieces};
+
+/// Robust standard deviations beyond which a residual of the nominal robot is absurd.
+pub(super) const ABSURD: f64 = 20.0;
+/// Rounds in which the set of outliers may change.
+const ROUNDS: usize = 10;
+
+/// The fit by squares, `plain`, when no residual stands out; else by Huber's loss, then by squares without those that
+/// stand out, until their set stands. So many `parameters` take up residuals.
+pub(super) fn robust(
+    whole: &Weighted,
+    parameters: usize,
+    plain: Solution,
+    solve: impl Fn(&Weighted, Loss, Option<&LengthModel>) -> Solution,
+) -> Fit {
+    let limit = limit(whole.count());
+    // A far outlier spreads over all residuals in a fit of few by squares: look closer already at less.
+    let suspect = if whole.lengths().are_many() { limit } else { 0.85 * limit };
+    if standing_out(whole, &plain.model, &plain.residuals, suspect, parameters).is_empty() {
+        let Solution { model, iterations, converged, .. } = plain;
+        return Fit { model, iterations, converged, out: vec![] };
+    }
+    let mut reached = solve(whole, Loss::Huber, None);
+    let mut iterations = plain.iterations + reached.iterations;
+    let mut out = Vec::new();
+    for _ in 0..ROUNDS {
+        let residuals = whitened(whole, &reached.model);
+        let now = standing_out(whole, &reached.model, &residuals, limit, parameters);
+        let next = solve(&whole.without(&now), Loss::Squares, Some(&reached.model));
+        iterations += next.iterations;
+        reached = next;
+        let stands = now == out || now.is_empty();
+        out = now;
+        if stands {
+            break;
+        }
+    }
+    Fit { model: reached.model, iterations, converged: reached.converged, out }
+}
+
+/// How many robust standard deviations a residual may have: one length in a hundred normal data
+/// sets goes beyond it (twice Mills' bound on the normal tail, solved for 0.01 / n).
+fn limit(readings: usize) -> f64 {
+    let n = readings.max(10) as f64;
+    let mut limit: f64 = 4.0;
+    for _ in 0..20 {
+        limit = (2.0 * (100.0 * n * (2.0 / std::f64::consts::PI).sqrt() / limit).ln()).sqrt();
+    }
+    limit.max(4.5)
+}
+
+/// The places of the residuals of `model` beyond `limit` robust standard deviations, which the `residuals` of all
+/// lengths or of an even sample tell. A fit of `parameters` makes as many residuals vanish, so the least ones say
+/// nothing of the scale: of few data the rest would seem to stand out.
+pub(super) fn standing_out(
+    lengths: &Weighted,
+    model: &LengthModel,
+    residuals: &[f64],
+    limit: f64,
+    parameters: usize,
+) -> Vec<usize> {
+    let stride = lengths.lengths().stride();
+    let mut left: Vec<f64> = residuals.iter().map(|r| r.abs()).collect();
+    let vanished = (parameters / stride).min(left.len().saturating_sub(1));
+    if vanished > 0 {
+        left.select_nth_unstable_by(vanished, f64::total_cmp);
+    }
+    let most = limit * robust_scale(&left[vanished..]).max(ROUNDING * MAD_TO_SD);
+    if stride == 1 {
+        return (0..residuals.len()).filter(|&at| residuals[at].abs() > most).collect();
+    }
+    let prepared = model.prepare();
+    let pieces = lengths.in_pieces(|first, readings, sigma| {
+        let beyond = |at: &usize| {
+            ((readings[*at].length_mm - prepared.length(&readings[*at])) / sigma[*at]).abs() > most
+        };
+        (0..readings.len()).filter(beyond).map(|at| first + at).collect::<Vec<usize>>()
+    });
+    pieces.concat()
+}

@@ -1,0 +1,279 @@
+//! The 3-D position error of the tool ball that an estimate leaves over a workspace.
+//!
+//! The estimator is simulated to first order: true errors delta are drawn from the tolerance, noise
+//! z from the lengths' sigma, all together brought to their exact covariance; with the weighted Jacobian J = Q R of all
+//! parameters, the estimate of the kept ones is A Jk' (J delta + z) = A Rk' (R delta + Q'z), A = (Rk'Rk + P)^-1 with the
+//! prior's precision P = W'W, W the prior's rows. What is wrong afterwards, estimate minus delta, moves the ball by its
+//! position Jacobian; one best rigid alignment over the workspace is taken out, because lengths
+//! do not tell where the base stands. So what was held because the data could not tell it counts
+//! with its full tolerance, and with what it did to the others.
+
+use nalgebra::{DMatrix, Vector3};
+use rand::RngExt;
+use rand::SeedableRng;
+use rand_distr::{Distribution, StandardNormal};
+use rand_pcg::Pcg64;
+use serde::{Deserialize, Serialize};
+
+use super::estimate::Estimate;
+use super::lengths::Weighted;
+use super::linear_system::factor;
+use super::prior::PriorRows;
+use super::result::{MapPoint, PredictedPair};
+use super::setting::Setting;
+use crate::catalogue::EstimationFinding;
+use crate::math::Orthonormal;
+use crate::robot::{AXES, Chain, Geometry, ParamId, Robot};
+
+/// How many robots are drawn for a prediction, unless more numbers are to be drawn for each.
+const DRAWS: usize = 100;
+
+/// Error of the ball's position over a workspace: pooled over the robots drawn, mm.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct ErrorSummary {
+    /// Mean over robots and poses.
+    pub mean: f64,
+    /// 95th percentile over robots and poses.
+    pub p95: f64,
+    /// Largest over the poses: 95 % of the robots stay below it, so that it is never below `p95`.
+    pub max: f64,
+}
+
+/// Poses over which the error is predicted, with the ball's position Jacobian at them.
+pub struct Workspace {
+    /// Ball positions, mm.
+    pub positions: Vec<Vector3<f64>>,
+    ids: Vec<ParamId>,
+    /// 3 rows a pose, a column a parameter, with rigid motions taken out.
+    jacobian: DMatrix<f64>,
+}
+
+impl Workspace {
+    /// `count` axis vectors uniform within the robot's limits, from `seed`, rad.
+    pub fn uniform(robot: &Robot, count: usize, seed: u64) -> Vec<[f64; AXES]> {
+        let mut random = Pcg64::seed_from_u64(seed);
+        (0..count)
+            .map(|_| {
+                std::array::from_fn(|i| {
+                    let [low, high] = robot.limits_deg[i];
+                    random.random_range(low..high).to_radians()
+                })
+            })
+            .collect()
+    }
+
+    /// The position Jacobian by `ids` at `poses` (axis angles, rad).
+    pub fn new(geometry: &Geometry, poses: &[[f64; AXES]], ids: &[ParamId]) -> Self {
+        let mut jacobian = DMatrix::zeros(3 * poses.len(), ids.len());
+        let mut positions = Vec::with_capacity(poses.len());
+        let chain = Chain::new(geometry);
+        for (at, axes) in poses.iter().enumerate() {
+            let ball = chain.ball_jacobian(axes, ids, |column, moved| {
+                jacobian.fixed_view_mut::<3, 1>(3 * at, column).copy_from(&moved);
+            });
+            positions.push(ball);
+        }
+        take_out_rigid_motion(&mut jacobian, &positions);
+        Self { positions, ids: ids.to_vec(), jacobian }
+    }
+
+    /// How the parameter errors of the robots (a column each, in the order of the ids) displace the
+    /// ball: 3 rows a pose, mm.
+    pub fn displacements(&self, errors: &DMatrix<f64>) -> DMatrix<f64> {
+        &self.jacobian * errors
+    }
+
+    /// The size of the displacements of all robots.
+    pub fn summary(&self, moved: &DMatrix<f64>) -> ErrorSummary {
+        let mut sizes = Vec::with_capacity(moved.len() / 3);
+        let mut largest = Vec::with_capacity(moved.ncols());
+        for column in moved.column_iter() {
+            let at = |pose: usize| column.fixed_rows::<3>(3 * pose).norm();
+            let first = sizes.len();
+            sizes.extend((0..self.positions.len()).map(at));
+            largest.push(sizes[first..].iter().copied().fold(0.0, f64::max));
+        }
+        if sizes.is_empty() {
+            return ErrorSummary::default();
+        }
+        let mean = sizes.iter().sum::<f64>() / sizes.len() as f64;
+        ErrorSummary { mean, p95: percentile_95(&mut sizes), max: percentile_95(&mut largest) }
+    }
+
+    /// Root mean square displacement at each pose over the robots.
+    pub fn map(&self, moved: &DMatrix<f64>) -> Vec<MapPoint> {
+        let rms = |pose: usize| (moved.rows(3 * pose, 3).norm_squared() / moved.ncols().max(1) as f64).sqrt();
+        self.positions
+            .iter()
+            .enumerate()
+            .map(|(pose, position)| MapPoint { position: *position, rms_mm: rms(pose) })
+            .collect()
+    }
+
+    /// What each parameter moves: three rows a pose, rigid motions taken out.
+    pub fn jacobian(&self) -> &DMatrix<f64> {
+        &self.jacobian
+    }
+
+    /// The parameters of the columns.
+    pub fn ids(&self) -> &[ParamId] {
+        &self.ids
+    }
+}
+
+/// The value that 95 % of some do not exceed.
+fn percentile_95(values: &mut [f64]) -> f64 {
+    let rank = ((values.len() as f64 * 0.95) as usize).min(values.len() - 1);
+    *values.select_nth_unstable_by(rank, f64::total_cmp).1
+}
+
+/// Projects the six rigid motions of the positions out of the columns.
+fn take_out_rigid_motion(jacobian: &mut DMatrix<f64>, positions: &[Vector3<f64>]) {
+    if positions.is_empty() {
+        return;
+    }
+    let centroid = positions.iter().sum::<Vector3<f64>>() / positions.len() as f64;
+    let mut rigid = DMatrix::zeros(3 * positions.len(), 6);
+    for (at, position) in positions.iter().enumerate() {
+        for axis in 0..3 {
+            let unit = Vector3::ith(axis, 1.0);
+            rigid[(3 * at + axis, axis)] = 1.0;
+            let turned = unit.cross(&(position - centroid));
+            for row in 0..3 {
+                rigid[(3 * at + row, 3 + axis)] = turned[row];
+            }
+        }
+    }
+    // Poses on a line leave fewer than six motions.
+    let mut motions = Orthonormal::default();
+    for column in rigid.column_iter() {
+        motions.push(column.into_owned(), 1e-9 * column.norm());
+    }
+    for column in jacobian.column_iter_mut() {
+        motions.remove_from(column);
+    }
+}
+
+/// What an estimate does with true errors and noise, to first order.
+pub struct Estimator<'a> {
+    /// All parameters that can be wrong, in the order of the factor's columns.
+    pub ids: &'a [ParamId],
+    /// Triangular factor of their weighted Jacobian (rows divided by sigma).
+    pub factor: &'a DMatrix<f64>,
+    /// One standard deviation of each parameter's true error; 0 for what is exact or free.
+    pub tolerance: &'a [f64],
+    /// Which of the parameters are estimated.
+    pub kept: &'a [usize],
+    /// Prior on the estimated ones as rows of weighted equations; no rows without a prior.
+    pub prior: &'a DMatrix<f64>,
+}
+
+impl Estimator<'_> {
+    /// True errors of drawn robots, a column each, and the noise of their lengths in the coordinates of the factor.
+    pub fn draws(&self) -> [DMatrix<f64>; 2] {
+        let drawn = unit_draws(self.ids.len() + self.factor.nrows());
+        let mut truths = drawn.rows(0, self.ids.len()).into_owned();
+        for (mut row, tolerance) in truths.row_iter_mut().zip(self.tolerance) {
+            row *= *tolerance;
+        }
+        [truths, drawn.rows(self.ids.len(), self.factor.nrows()).into_owned()]
+    }
+
+    /// What is wrong after the estimate, for each robot of [`Estimator::draws`]: estimate minus truth.
+    /// `None` when the estimate is not determined.
+    pub fn errors(&self, truths: &DMatrix<f64>, noise: &DMatrix<f64>) -> Option<DMatrix<f64>> {
+        let mut errors = -truths;
+        if self.kept.is_empty() {
+            return Some(errors);
+        }
+        let kept = self.factor.select_columns(self.kept);
+        let data = self.factor * truths + noise;
+        let (rows, unknowns) = (kept.nrows(), kept.ncols());
+        let mut stacked = DMatrix::zeros(rows + self.prior.nrows(), unknowns);
+        stacked.rows_mut(0, rows).copy_from(&kept);
+        stacked.rows_mut(rows, self.prior.nrows()).copy_from(self.prior);
+        let mut right = DMatrix::zeros(stacked.nrows(), truths.ncols());
+        right.rows_mut(0, rows).copy_from(&data);
+        let qr = stacked.qr();
+        qr.q_tr_mul(&mut right);
+        let estimate = qr.r().solve_upper_triangular(&right.rows(0, unknowns))?;
+        for (place, &k) in self.kept.iter().enumerate() {
+            let mut row = errors.row_mut(k);
+            row += estimate.row(place);
+        }
+        Some(errors)
+    }
+}
+
+/// The position uncertainty of the nominal and the identified robot over the workspace.
+pub(crate) struct Prediction {
+    pub(crate) pair: PredictedPair,
+    pub(super) map: Vec<MapPoint>,
+    /// All parameters that can be wrong,
+    pub(crate) ids: Vec<ParamId>,
+    /// the factor of their whitened Jacobian at the solution,
+    pub(super) factor: DMatrix<f64>,
+    /// and where an error counts.
+    pub(crate) workspace: Workspace,
+}
+
+impl Prediction {
+    /// # Errors
+    /// An estimate that is not determined, or a number that is not finite.
+    pub(super) fn of(
+        setting: &Setting<'_>,
+        estimate: &Estimate,
+        lengths: &Weighted,
+    ) -> Result<Self, EstimationFinding> {
+        let ids = setting.all_and(estimate.before.balls.len().into(), &estimate.analysis.ids);
+        // What is optional counts as exact for both robots, as where it is not estimated.
+        let sd = |id: &ParamId| setting.priors.bound(*id, &[]).or_else(|| estimate.prior_sd(*id));
+        let tolerance: Vec<f64> =
+            ids.iter().map(|id| sd(id).filter(|_| !id.is_optional()).unwrap_or(0.0)).collect();
+        let kept: Vec<usize> =
+            estimate.kept.iter().filter_map(|id| ids.iter().position(|other| other == id)).collect();
+        let prior = estimate.prior.as_ref().map_or(DMatrix::zeros(0, kept.len()), PriorRows::matrix);
+        let model = &estimate.fit.model;
+        let factor = factor(model, lengths, &ids);
+        let estimator =
+            Estimator { ids: &ids, factor: &factor, tolerance: &tolerance, kept: &kept, prior: &prior };
+        let workspace =
+            Workspace::new(&model.geometry, &setting.options.workspace_poses(setting.robot), &ids);
+        let [truths, noise] = estimator.draws();
+        // What the user fixed is taken as exact; the nominal robot has all its tolerance.
+        let mut unknown = truths.clone();
+        for (at, _) in ids.iter().enumerate().filter(|(_, id)| !estimate.analysis.ids.contains(id)) {
+            unknown.row_mut(at).fill(0.0);
+        }
+        let errors = estimator.errors(&unknown, &noise).ok_or(EstimationFinding::NotFinite)?;
+        let moved = workspace.displacements(&errors);
+        let pair = PredictedPair {
+            nominal: workspace.summary(&workspace.displacements(&truths)),
+            identified: workspace.summary(&moved),
+        };
+        Ok(Self { pair, map: workspace.map(&moved), ids, factor, workspace })
+    }
+}
+
+/// Standard normal numbers, a column a robot, from seed 1. Rows are brought to unit covariance: as drawn, so few robots
+/// can miss the size of an error in one direction, as of a scale, by a tenth.
+pub(super) fn unit_draws(rows: usize) -> DMatrix<f64> {
+    let mut random = Pcg64::seed_from_u64(1);
+    let robots = DRAWS.max(rows);
+    let drawn = DMatrix::from_fn(robots, rows, |_, _| StandardNormal.sample(&mut random));
+    drawn.qr().q().transpose() * (robots as f64).sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn draws_have_the_covariance_they_stand_for() {
+        for rows in [3, 64, 120] {
+            let draws = unit_draws(rows);
+            let covariance = &draws * draws.transpose() / draws.ncols() as f64;
+            assert!((covariance - DMatrix::identity(rows, rows)).norm() < 1e-12);
+        }
+    }
+}

@@ -1,0 +1,216 @@
+//! What is known before any length: the only source of a prior standard deviation, of a limit of weakness and of a
+//! limit of plausibility, for estimation, design and plan alike.
+//!
+//! | parameter | one standard deviation | why |
+//! |---|---|---|
+//! | geometric | the robot's tolerance | the maker's word |
+//! | gear error | the tolerance of an angle | a joint's zero is no better than that |
+//! | compliance | the tolerance of an angle under the greatest torque | it then gives way by as much |
+//! | bar | its certificate, else 0.05 mm | a bar is no part of the robot, so no tolerance of a robot says it |
+//! | tool ball, base ball | 0.1 mm, 10 mm | measured, taught or set by eye; free in an estimate |
+
+use std::collections::BTreeMap;
+
+use crate::robot::{AXES, ParamId, Robot, Unit};
+
+const TOOL_BALL_MM: f64 = 0.1;
+const BASE_BALL_MM: f64 = 10.0;
+const UNCERTIFIED_BAR_MM: f64 = 0.05;
+/// Compliance of a robot of which no mass is known, rad/(N m): one degree-minute at 300 N m. Nothing moves with it.
+const COMPLIANCE: f64 = 1e-6;
+
+/// A parameter counts as identified if its standard deviation is at most this many of those before.
+pub const WEAK: f64 = 3.0;
+/// A coordinate of the tool ball or of a base ball that poses leave open by more than this is better known from a ruler, mm.
+const OPEN_TOOL_BALL_MM: f64 = 50.0;
+const OPEN_BASE_BALL_MM: f64 = 500.0;
+/// Corrections beyond so many standard deviations (of prior and data together) are doubted if the set-up is fixed, which
+/// they may make up for,
+const IMPLAUSIBLE: f64 = 5.0;
+/// and beyond so many they are those of no robot.
+const IMPOSSIBLE: f64 = 20.0;
+/// No ball is so far from where it was given, and no bar so much longer or shorter, mm.
+const DISPLACED_BALL_MM: f64 = 1000.0;
+const DISPLACED_BAR_MM: f64 = 50.0;
+
+/// What the user lets an estimate know of the robot beforehand.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub enum Prior {
+    #[default]
+    None,
+    /// The tolerance in the robot's file.
+    Datasheet,
+    /// Standard deviations of some parameters; the datasheet's of the rest.
+    Given(BTreeMap<ParamId, f64>),
+}
+
+/// A factor on every standard deviation of the prior: above 1 the lengths count for more.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum PriorScale {
+    #[default]
+    AsGiven,
+    By(f64),
+    /// The one with which held-out lengths are predicted best.
+    CrossValidated,
+}
+
+/// Prior standard deviations and limits of one robot, bar and choice of the user.
+#[derive(Clone, Debug)]
+pub struct Priors {
+    length_mm: f64,
+    angle_rad: f64,
+    greatest_torques: [f64; AXES],
+    bar_u_mm: Option<f64>,
+    given: BTreeMap<ParamId, f64>,
+    scale: f64,
+}
+
+impl Priors {
+    /// The robot's tolerance and the standard uncertainty of the bar's length by its certificate, mm.
+    pub fn datasheet(robot: &Robot, bar_u_mm: Option<f64>) -> Self {
+        Self {
+            length_mm: robot.tolerance.length_mm,
+            angle_rad: robot.tolerance.angle_deg.to_radians(),
+            greatest_torques: robot.geometry.greatest_torques(),
+            bar_u_mm,
+            given: BTreeMap::new(),
+            scale: 1.0,
+        }
+    }
+
+    /// The same as the user's `prior` and `scale` change it.
+    pub fn of(robot: &Robot, bar_u_mm: Option<f64>, prior: &Prior, scale: PriorScale) -> Self {
+        let given = if let Prior::Given(given) = prior { given.clone() } else { BTreeMap::new() };
+        let scale = if let PriorScale::By(scale) = scale { scale } else { 1.0 };
+        Self { given, scale, ..Self::datasheet(robot, bar_u_mm) }
+    }
+
+    /// One standard deviation before any length, mm, rad or rad/(N m).
+    pub fn sd(&self, id: ParamId) -> f64 {
+        self.robot_or_bar(id).unwrap_or(match id {
+            ParamId::Tool(_) => TOOL_BALL_MM,
+            ParamId::Ball(..) => BASE_BALL_MM,
+            ParamId::Compliance(_) => COMPLIANCE,
+            _ => UNCERTIFIED_BAR_MM,
+        })
+    }
+
+    /// One standard deviation of a parameter that a prior binds; `None` of what stays free: balls, and a bar without
+    /// certificate unless it is among the `undetermined` ones. The offset of a bar that nobody calibrated may be anything.
+    pub fn bound(&self, id: ParamId, undetermined: &[ParamId]) -> Option<f64> {
+        self.robot_or_bar(id).or_else(|| undetermined.contains(&id).then_some(UNCERTIFIED_BAR_MM))
+    }
+
+    fn robot_or_bar(&self, id: ParamId) -> Option<f64> {
+        let given = self.given.get(&id).copied();
+        let by_prior = given.or_else(|| self.geometric(id)).or_else(|| self.optional(id));
+        let bar = || self.bar_u_mm.filter(|_| matches!(id, ParamId::BarOffset(_)));
+        by_prior.map(|sd| self.scale * sd).or_else(bar)
+    }
+
+    /// The maker's tolerance of a geometric parameter, whatever the user's prior.
+    pub fn geometric(&self, id: ParamId) -> Option<f64> {
+        id.is_geometric().then(|| if id.unit() == Unit::Mm { self.length_mm } else { self.angle_rad })
+    }
+
+    fn optional(&self, id: ParamId) -> Option<f64> {
+        match id {
+            ParamId::GearCos(_) | ParamId::GearSin(_) => Some(self.angle_rad),
+            ParamId::Compliance(j) => Some(self.angle_rad / self.greatest_torques[j.index()])
+                .filter(|compliance| compliance.is_finite()),
+            _ => None,
+        }
+    }
+
+    /// One standard deviation of the true error of what may be fixed, whatever the user's prior; `None` of balls.
+    fn tolerance(&self, id: ParamId) -> Option<f64> {
+        match id {
+            ParamId::BarOffset(_) => Some(self.bar_u_mm.unwrap_or(UNCERTIFIED_BAR_MM)),
+            _ => self.geometric(id).or_else(|| self.optional(id)),
+        }
+    }
+
+    /// The largest standard deviation with which a parameter counts as identified; `None` of balls, which have no limit.
+    pub fn weak_limit(&self, id: ParamId) -> Option<f64> {
+        self.tolerance(id).map(|sd| WEAK * sd)
+    }
+
+    /// One standard deviation of a parameter that is fixed although unknown. Optional ones count as none, as where they
+    /// are not estimated.
+    pub fn fixed_sd(&self, id: ParamId) -> f64 {
+        self.tolerance(id).filter(|_| !id.is_optional()).unwrap_or(0.0)
+    }
+
+    /// To what the nominal robot fits lengths, mm.
+    pub fn nominal_fit_mm(&self) -> f64 {
+        self.length_mm
+    }
+
+    /// A geometric correction in standard deviations of tolerance and data together; `None` of other parameters.
+    pub fn excess(&self, id: ParamId, correction: f64, sd: f64) -> Option<f64> {
+        self.geometric(id).map(|tolerance| correction.abs() / tolerance.hypot(sd))
+    }
+}
+
+/// Beyond so many prior standard deviations corrections are doubted: fewer where a part of the set-up is fixed.
+pub fn largest_plausible(set_up_is_fixed: bool) -> f64 {
+    if set_up_is_fixed { IMPLAUSIBLE } else { IMPOSSIBLE }
+}
+
+/// How far poses may leave a coordinate of the tool ball or of a base ball open, mm.
+pub fn open_limit_mm(id: ParamId) -> f64 {
+    if matches!(id, ParamId::Tool(_)) { OPEN_TOOL_BALL_MM } else { OPEN_BASE_BALL_MM }
+}
+
+/// The largest distance of the set-up from where it was given, mm; `None` of the robot's own parameters.
+pub fn largest_displacement_mm(id: ParamId) -> Option<f64> {
+    match id {
+        ParamId::Tool(_) | ParamId::Ball(..) => Some(DISPLACED_BALL_MM),
+        ParamId::BarOffset(_) => Some(DISPLACED_BAR_MM),
+        _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::robot::{BarId, Coordinate, Joint};
+
+    fn priors(bar_u_mm: Option<f64>, prior: Prior, scale: PriorScale) -> Priors {
+        let robot = Robot::by_name("kr60ha").unwrap().unwrap();
+        Priors::of(&robot, bar_u_mm, &prior, scale)
+    }
+
+    #[test]
+    fn a_bar_is_known_by_its_certificate_or_as_any_bar() {
+        let bar = ParamId::BarOffset(BarId::FIRST);
+        for (u, sd) in [(None, UNCERTIFIED_BAR_MM), (Some(0.002), 0.002)] {
+            let priors = priors(u, Prior::None, PriorScale::AsGiven);
+            for found in [priors.sd(bar), priors.weak_limit(bar).unwrap() / WEAK, priors.fixed_sd(bar)] {
+                assert!((found - sd).abs() < 1e-15, "{found}");
+            }
+            assert_eq!(priors.bound(bar, &[]), u);
+            assert_eq!(priors.bound(bar, &[bar]), Some(sd));
+        }
+    }
+
+    #[test]
+    fn the_scale_is_on_the_prior_and_not_on_the_limits() {
+        let given = Prior::Given(BTreeMap::from([(ParamId::A(Joint::J3), 0.1)]));
+        let priors = priors(None, given, PriorScale::By(2.0));
+        assert_eq!([priors.sd(ParamId::A(Joint::J3)), priors.sd(ParamId::A(Joint::J2))], [0.2, 1.0]);
+        assert_eq!(priors.weak_limit(ParamId::A(Joint::J3)), Some(1.5));
+        assert_eq!(priors.weak_limit(ParamId::Tool(Coordinate::X)), None);
+    }
+
+    #[test]
+    fn compliance_goes_by_the_greatest_torque() {
+        let mut robot = Robot::by_name("kr60ha").unwrap().unwrap();
+        let id = ParamId::Compliance(Joint::J2);
+        assert_eq!(Priors::datasheet(&robot, None).bound(id, &[]), None);
+        robot.geometry.masses =
+            vec![crate::robot::Mass { joint: Joint::J2, kg: 100.0, centre: nalgebra::Vector3::x() * 500.0 }];
+        let torque = robot.geometry.greatest_torques()[1];
+        assert_eq!(Priors::datasheet(&robot, None).sd(id), 0.05f64.to_radians() / torque);
+    }
+}

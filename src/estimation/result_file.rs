@@ -1,0 +1,285 @@
+//! `result.json`, schema 1: the form in which a result is written and read back. Here names become strings.
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+
+use super::result::{
+    BeforeAfter, CalibrationResult, Folds, FurtherMeasurement, GroupOutcome, GroupTest, JointEffect,
+    ParameterDraws, PredictedPair, PriorUsed, Recommendation, SigmaSource, Status, WithoutWith,
+};
+use super::{Combination, Observability, result};
+use crate::diagnostic::{Diagnostic, Severity};
+
+/// The whole result; lengths in mm, angles in rad.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ResultFile {
+    pub schema: u32,
+    pub robot: String,
+    pub observations: usize,
+    pub rank: usize,
+    pub rank_at_solution: usize,
+    pub condition: f64,
+    pub observability: Option<Observability>,
+    pub iterations: usize,
+    pub converged: bool,
+    pub sigma_mm: f64,
+    pub sigma_source: SigmaSource,
+    pub sigma_freedom: Option<f64>,
+    pub coverage_factor: Option<f64>,
+    pub prior: Option<PriorUsed>,
+    pub groups: Vec<GroupChoice>,
+    pub monte_carlo: Option<MonteCarlo>,
+    pub residual_mm: BeforeAfter,
+    pub folds: Option<Folds>,
+    pub validation: Option<BeforeAfter>,
+    pub predicted_position_error_mm: PredictedPair,
+    pub parameters: Vec<ParameterResult>,
+    pub dependent: Vec<Dependent>,
+    pub correlated: Vec<Correlated>,
+    pub advice: Vec<Advice>,
+    pub joints: Vec<JointEffect>,
+    pub outliers: Vec<Outlier>,
+    pub warnings: Vec<Warning>,
+}
+
+/// Whether an optional group was added.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct GroupChoice {
+    pub name: String,
+    pub added: bool,
+    pub f: Option<f64>,
+    pub freedom: Option<[f64; 2]>,
+    pub p: Option<f64>,
+    pub held_out_mm: Option<WithoutWith>,
+    pub predicted_mm: Option<WithoutWith>,
+    pub text: String,
+}
+
+/// A Monte Carlo of the uncertainties.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct MonteCarlo {
+    pub trials: usize,
+    pub used: usize,
+    pub disagree: Vec<String>,
+}
+
+/// One parameter.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ParameterResult {
+    pub name: String,
+    pub unit: String,
+    pub start: f64,
+    pub nominal: f64,
+    pub identified: f64,
+    pub correction: f64,
+    pub sd: Option<f64>,
+    pub interval95: Option<[f64; 2]>,
+    pub monte_carlo: Option<ParameterDraws>,
+    pub status: Status,
+    pub reason: String,
+}
+
+/// Two estimated parameters that are hardly told apart.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Correlated {
+    pub pair: [String; 2],
+    pub r: f64,
+}
+
+/// A further measurement that was tried on the model.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Advice {
+    pub kind: Kind,
+    pub text: String,
+    pub poses: usize,
+    pub ball_mm: Option<[f64; 3]>,
+    pub before_mm: f64,
+    pub after_mm: f64,
+    pub adds: bool,
+    pub tells: Vec<String>,
+}
+
+/// A direction of which only a combination can be told.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Dependent {
+    pub combination: BTreeMap<String, f64>,
+    pub kept: String,
+    pub text: String,
+}
+
+/// A length that was set aside.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Outlier {
+    pub index: u32,
+    pub centre: usize,
+    pub residual_mm: f64,
+}
+
+/// Whether a warning is to be known, or throws doubt on the result (exit code 3).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum WarningKind {
+    Note,
+    Doubt,
+}
+
+/// What the user must see.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Warning {
+    pub kind: WarningKind,
+    #[serde(default)]
+    pub code: String,
+    pub text: String,
+    /// The numbers and names in the text.
+    #[serde(default)]
+    pub values: serde_json::Value,
+}
+
+/// The kinds of further measurement.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Kind {
+    Prior,
+    Circle,
+    Wrist,
+    Ball,
+    TurnedBall,
+    Bar,
+}
+
+impl From<&CalibrationResult> for ResultFile {
+    fn from(result: &CalibrationResult) -> Self {
+        Self {
+            schema: 1,
+            robot: result.robot.name.clone(),
+            observations: result.lengths,
+            rank: result.rank.nominal,
+            rank_at_solution: result.rank.at_solution,
+            condition: result.rank.condition,
+            observability: result.observability,
+            iterations: result.solver.iterations,
+            converged: result.solver.converged,
+            sigma_mm: result.sigma.mm,
+            sigma_source: result.sigma.source,
+            sigma_freedom: result.sigma.freedom,
+            coverage_factor: result.sigma.coverage_factor,
+            prior: result.prior.clone(),
+            groups: result.groups.iter().map(GroupChoice::from).collect(),
+            monte_carlo: result.monte_carlo.as_ref().map(MonteCarlo::from),
+            residual_mm: result.residual_mm,
+            folds: result.folds,
+            validation: result.validation,
+            predicted_position_error_mm: result.predicted,
+            parameters: result.parameters.iter().map(ParameterResult::from).collect(),
+            dependent: result.combinations.iter().map(Dependent::from).collect(),
+            correlated: result
+                .correlations
+                .iter()
+                .map(|pair| Correlated { pair: pair.pair.map(|id| id.to_string()), r: pair.r })
+                .collect(),
+            advice: result.recommendations.iter().map(Advice::from).collect(),
+            joints: result.joint_effects.clone(),
+            outliers: result.outliers.iter().map(Outlier::from).collect(),
+            warnings: result.diagnostics().map(Warning::from).collect(),
+        }
+    }
+}
+
+impl From<&GroupTest> for GroupChoice {
+    fn from(group: &GroupTest) -> Self {
+        let test = group.f_test();
+        let (held_out_mm, predicted_mm) = match group.outcome {
+            GroupOutcome::NotPredictive { held_out, .. } => (Some(held_out), None),
+            GroupOutcome::CostsAccuracy { held_out, predicted, .. }
+            | GroupOutcome::Added { held_out, predicted, .. } => (Some(held_out), Some(predicted)),
+            GroupOutcome::Untested(_) | GroupOutcome::Chance { .. } => (None, None),
+        };
+        Self {
+            name: group.group.name().into(),
+            added: group.is_added(),
+            f: test.map(|test| test.f),
+            freedom: test.map(|test| test.freedom),
+            p: test.map(|test| test.p),
+            held_out_mm,
+            predicted_mm,
+            text: group.to_string(),
+        }
+    }
+}
+
+impl From<&result::MonteCarlo> for MonteCarlo {
+    fn from(drawn: &result::MonteCarlo) -> Self {
+        let disagree = drawn.disagree.iter().map(ToString::to_string).collect();
+        Self { trials: drawn.trials, used: drawn.used, disagree }
+    }
+}
+
+impl From<&result::ParameterResult> for ParameterResult {
+    fn from(parameter: &result::ParameterResult) -> Self {
+        Self {
+            name: parameter.id.to_string(),
+            unit: parameter.id.unit().to_string(),
+            start: parameter.start,
+            nominal: parameter.nominal,
+            identified: parameter.identified,
+            correction: parameter.correction,
+            sd: parameter.sd,
+            interval95: parameter.interval95,
+            monte_carlo: parameter.monte_carlo,
+            status: parameter.status(),
+            reason: parameter.reason_text(),
+        }
+    }
+}
+
+impl From<&Combination> for Dependent {
+    fn from(combination: &Combination) -> Self {
+        let member = |(id, share): &(crate::robot::ParamId, f64)| (id.to_string(), *share);
+        Self {
+            combination: combination.members.iter().map(member).collect(),
+            kept: combination.kept.to_string(),
+            text: combination.to_string(),
+        }
+    }
+}
+
+impl From<&Recommendation> for Advice {
+    fn from(recommendation: &Recommendation) -> Self {
+        let (kind, ball_mm) = match recommendation.measure {
+            FurtherMeasurement::Prior => (Kind::Prior, None),
+            FurtherMeasurement::Circle { .. } => (Kind::Circle, None),
+            FurtherMeasurement::Wrist { .. } => (Kind::Wrist, None),
+            FurtherMeasurement::Ball { at_mm } => (Kind::Ball, Some(at_mm)),
+            FurtherMeasurement::TurnedBall { at_mm } => (Kind::TurnedBall, Some(at_mm)),
+            FurtherMeasurement::Bar { .. } => (Kind::Bar, None),
+        };
+        Self {
+            kind,
+            text: recommendation.to_string(),
+            poses: recommendation.poses,
+            ball_mm,
+            before_mm: recommendation.before_mm,
+            after_mm: recommendation.after_mm,
+            adds: recommendation.adds,
+            tells: recommendation.identifies.iter().map(ToString::to_string).collect(),
+        }
+    }
+}
+
+impl From<Diagnostic> for Warning {
+    fn from(finding: Diagnostic) -> Self {
+        let kind = match finding.code.severity() {
+            Severity::Info => WarningKind::Note,
+            Severity::Warning | Severity::Error => WarningKind::Doubt,
+        };
+        Self { kind, code: finding.code.to_string(), text: finding.message, values: *finding.values }
+    }
+}
+
+impl From<&result::Outlier> for Outlier {
+    fn from(outlier: &result::Outlier) -> Self {
+        let &result::Outlier { index, ball, residual_mm, .. } = outlier;
+        Self { index, centre: ball.number() as usize, residual_mm }
+    }
+}

@@ -1,0 +1,53 @@
+//! What an estimate starts from.
+
+use std::borrow::Cow;
+
+use super::Options;
+use super::priors::{PriorScale, Priors};
+use crate::measurement::LengthModel;
+use crate::robot::parameter::{self, SetUp};
+use crate::robot::{ParamId, Robot};
+
+/// The robot with its priors, the start of the fit, and what the user asked for.
+#[derive(Clone)]
+pub(crate) struct Setting<'a> {
+    pub(crate) robot: &'a Robot,
+    /// The robot's geometry in the set-up as it was given.
+    pub(crate) start: &'a LengthModel,
+    pub(crate) set_up: SetUp,
+    pub(crate) options: Cow<'a, Options>,
+    pub(crate) priors: Priors,
+}
+
+impl<'a> Setting<'a> {
+    pub(super) fn new(robot: &'a Robot, start: &'a LengthModel, bars: usize, options: &'a Options) -> Self {
+        let set_up = SetUp { balls: start.balls.len(), bars };
+        Self { robot, start, set_up, options: Cow::Borrowed(options), priors: options.priors(robot) }
+    }
+
+    /// With this factor on the prior's standard deviations.
+    pub(super) fn scaled(&self, scale: f64) -> Self {
+        let options = Options { prior_scale: PriorScale::By(scale), ..self.options.clone().into_owned() };
+        Self { priors: options.priors(self.robot), options: Cow::Owned(options), ..self.clone() }
+    }
+
+    /// The parameters asked for, without the optional groups that nobody named.
+    pub(super) fn asked(&self) -> Vec<ParamId> {
+        let mut ids = match &self.options.estimate {
+            Some(list) => list.clone(),
+            None => parameter::all(&self.robot.parallel_joints(), self.set_up),
+        };
+        ids.retain(|id| !self.options.hold.contains(id));
+        ids.sort();
+        ids
+    }
+
+    /// Every parameter of the model and those of `more`, in canonical order.
+    pub(super) fn all_and(&self, set_up: SetUp, more: &[ParamId]) -> Vec<ParamId> {
+        let mut ids = parameter::all(&self.robot.parallel_joints(), set_up);
+        ids.extend(more);
+        ids.sort();
+        ids.dedup();
+        ids
+    }
+}

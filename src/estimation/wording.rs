@@ -1,0 +1,244 @@
+//! Combinations, reasons, groups and recommendations as sentences.
+
+use std::fmt;
+
+use super::result::{
+    CirclePlane, FTest, FurtherMeasurement, GroupOutcome, GroupTest, OptionalGroup, ParameterResult, Reason,
+    Recommendation, Untested, WithoutWith,
+};
+use super::{Combination, priors};
+use crate::robot::{BarId, ParamId, Unit};
+
+impl fmt::Display for Combination {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.write_str("only ")?;
+        for (at, (id, coefficient)) in self.members.iter().enumerate() {
+            out.write_str(match (at, *coefficient < 0.0) {
+                (0, _) => "",
+                (_, true) => " - ",
+                (_, false) => " + ",
+            })?;
+            let size = coefficient.abs();
+            if (size - 1.0).abs() > 1e-6 {
+                write!(out, "{} ", significant(size))?;
+            }
+            write!(out, "{id}")?;
+        }
+        out.write_str(" is identifiable")?;
+        let bar = |id: &ParamId| if let ParamId::BarOffset(bar) = id { Some(*bar) } else { None };
+        match (self.members.iter().filter_map(|(id, _)| bar(id)).max(), self.kept) {
+            (Some(BarId::FIRST), _) => out.write_str(
+                ": bar_offset is a uniform scale by another name; calibrate the bar or add a second length",
+            ),
+            (Some(bar), _) => write!(
+                out,
+                ": bar_offset{bar} is a uniform scale by another name while each bar has an offset of its own; calibrate \
+                 one of the bars, or set one to a second length"
+            ),
+            (None, ParamId::Ball(..)) => out.write_str(
+                ": lengths determine where the ball is from the robot's base, not where that base is",
+            ),
+            (None, ParamId::Tool(_)) => out.write_str(": the flange is known only by the ball on it"),
+            (None, _) => Ok(()),
+        }
+    }
+}
+
+/// Four significant digits, without an exponent where it reads well.
+fn significant(value: f64) -> String {
+    if !(1e-3..1e5).contains(&value) {
+        return format!("{value:.3e}");
+    }
+    let digits = (3 - value.log10().floor() as i32).clamp(0, 6) as usize;
+    let text = format!("{value:.digits$}");
+    if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
+}
+
+impl ParameterResult {
+    /// Why it has its status; empty where it is identified by itself.
+    pub fn reason_text(&self) -> String {
+        let text = |combination: &Option<Combination>| {
+            combination.as_ref().map_or_else(String::new, ToString::to_string)
+        };
+        match &self.reason {
+            Reason::Identified => String::new(),
+            Reason::IdentifiedFor { combination, shared: false } => combination.to_string(),
+            Reason::IdentifiedFor { combination, shared: true } => {
+                format!("{combination}; the prior shares it out")
+            }
+            Reason::PriorShares { combination } => format!("{}; the prior shares it out", text(combination)),
+            Reason::PriorCarries { data_sd } => {
+                format!("the data alone leave {}; the prior carries it", with_unit(*data_sd, self.id))
+            }
+            Reason::Dependent { combination } => text(combination),
+            Reason::FixedAsAsked => "fixed as asked".into(),
+            Reason::NotAsked => "not asked for".into(),
+            Reason::ChangesNoLength => "changes no length in these poses".into(),
+            Reason::Open { limit_mm } => format!(
+                "poorly observable: these poses leave it open by more than {limit_mm:.0} mm, as where the tool never turns \
+                 or every bar lies in one plane; vary the poses"
+            ),
+            Reason::PoorlyObservable { limit } => format!(
+                "poorly observable: its standard deviation would be more than {} ({} tolerances)",
+                with_unit(*limit, self.id),
+                priors::WEAK
+            ),
+        }
+    }
+}
+
+/// A value for people: mm, mrad or urad/(N m).
+fn with_unit(value: f64, id: ParamId) -> String {
+    match id.unit() {
+        _ if value.is_infinite() => "nothing known".into(),
+        Unit::Rad => format!("{:.3} mrad", value * 1e3),
+        Unit::RadPerNm => format!("{:.3} urad/(N m)", value * 1e6),
+        unit if value >= 10.0 => format!("{value:.0} {unit}"),
+        unit => format!("{value:.3} {unit}"),
+    }
+}
+
+impl OptionalGroup {
+    /// As --estimate and --hold name it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Compliance => "compliance",
+            Self::Gear => "gear",
+        }
+    }
+}
+
+impl fmt::Display for OptionalGroup {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.write_str(match self {
+            Self::Compliance => "compliance",
+            Self::Gear => "gear error",
+        })
+    }
+}
+
+impl fmt::Display for FTest {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { f, freedom: [upper, lower], p } = self;
+        write!(out, "F({upper}, {lower}) = {f:.2}, p = ")?;
+        if *p < 1e-3 { write!(out, "{p:.0e}") } else { write!(out, "{p:.3}") }
+    }
+}
+
+impl fmt::Display for Untested {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.write_str(match self {
+            Self::FixedAsAsked => "fixed as asked",
+            Self::NoMass => "the robot file has no [[mass]] and no [payload]",
+            Self::FitsToRounding => "the lengths fit without it to rounding",
+            Self::TooFewLengths => "the lengths are too few for it, or do not depend on it",
+            Self::TooFewPoses => "there are too few poses to hold some out",
+        })
+    }
+}
+
+impl fmt::Display for GroupTest {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let group = self.group;
+        let rms = |held_out: WithoutWith| {
+            format!("held-out rms {:.4} mm without, {:.4} mm with it", held_out.without, held_out.with)
+        };
+        let error = |predicted: WithoutWith| {
+            format!(
+                "predicted position error {:.3} mm without, {:.3} mm with it",
+                predicted.without, predicted.with
+            )
+        };
+        match self.outcome {
+            GroupOutcome::Untested(reason) => write!(out, "{group} was not tested: {reason}"),
+            GroupOutcome::Chance { test } => {
+                write!(out, "{group} was not added: the data do not carry it ({test})")
+            }
+            GroupOutcome::NotPredictive { test, held_out } => write!(
+                out,
+                "{group} was not added: it would explain something ({test}), but held-out lengths are not predicted \
+                 clearly better ({})",
+                rms(held_out)
+            ),
+            GroupOutcome::CostsAccuracy { test, held_out, predicted } => write!(
+                out,
+                "{group} was not added: lengths like those measured are predicted better with it ({test}; {}), but over \
+                 the whole workspace it would cost accuracy: {}; `--estimate all,{}` adds it",
+                rms(held_out),
+                error(predicted),
+                group.name()
+            ),
+            GroupOutcome::Added { test, held_out, predicted } => {
+                write!(out, "{group} was added: {test}; {}; {}", rms(held_out), error(predicted))
+            }
+        }
+    }
+}
+
+impl fmt::Display for CirclePlane {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Xy => out.write_str("XY"),
+            Self::Xz => out.write_str("XZ"),
+            Self::Yz => out.write_str("YZ"),
+            Self::TiltedAboutX(degrees) => write!(out, "XY tilted by {degrees} degrees about X"),
+            Self::TiltedAboutY(degrees) => write!(out, "XY tilted by {degrees} degrees about Y"),
+        }
+    }
+}
+
+impl Recommendation {
+    /// What is to be measured.
+    pub fn what(&self) -> String {
+        let poses = self.poses;
+        let place = |[x, y, z]: [f64; 3]| format!("({x:.0}, {y:.0}, {z:.0}) mm");
+        match &self.measure {
+            FurtherMeasurement::Prior => "the same lengths with --prior datasheet".into(),
+            FurtherMeasurement::Circle { planes } => {
+                let planes = match planes.as_slice() {
+                    [others @ .., last] if !others.is_empty() => {
+                        let others: Vec<String> = others.iter().map(ToString::to_string).collect();
+                        format!("{} and {last}", others.join(", "))
+                    }
+                    planes => planes.iter().map(ToString::to_string).collect(),
+                };
+                format!("further circles about the same ball, {planes}, {poses} poses")
+            }
+            FurtherMeasurement::Wrist { degrees } => {
+                format!("the same places with the wrist turned by {degrees} degrees more, {poses} poses")
+            }
+            FurtherMeasurement::Ball { at_mm } => {
+                format!("a further ball at {}, {poses} poses", place(*at_mm))
+            }
+            FurtherMeasurement::TurnedBall { at_mm } => {
+                format!("a ball turned about axis 1 to {}, {poses} poses", place(*at_mm))
+            }
+            FurtherMeasurement::Bar { length_mm } => {
+                format!("a bar of {length_mm:.0} mm on the same ball, {poses} poses")
+            }
+        }
+    }
+}
+
+/// With its figures.
+impl fmt::Display for Recommendation {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { before_mm, after_mm, identifies, .. } = self;
+        write!(out, "{}: predicted position error {before_mm:.3} -> {after_mm:.3} mm", self.what())?;
+        if self.needs_prior && self.measure != FurtherMeasurement::Prior {
+            out.write_str(" with --prior datasheet")?;
+        }
+        if !identifies.is_empty() {
+            let names: Vec<String> = identifies.iter().map(ToString::to_string).collect();
+            write!(out, ", and it identifies {}", names.join(", "))
+        } else if !self.adds {
+            out.write_str(if self.needs_prior {
+                ", as the prior does alone"
+            } else {
+                ", so it adds next to nothing"
+            })
+        } else {
+            Ok(())
+        }
+    }
+}

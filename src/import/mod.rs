@@ -1,8 +1,0 @@
-//! Traces that other software recorded, as samples: text, one reading a line, laid out as a small file tells.
-
-mod fields;
-mod mapping;
-mod trace;
-
-pub use mapping::Mapping;
-pub use trace::{Counts, Trace};

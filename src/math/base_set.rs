@@ -1,0 +1,88 @@
+//! Which columns carry a matrix, and how the others depend on them.
+
+use nalgebra::{DMatrix, DVector};
+
+use super::{Orthonormal, svd};
+
+/// Columns whose norm is below this are zero (mm per mm, or mm per rad).
+const ZERO_COLUMN: f64 = 1e-9;
+/// Singular values of the unit-norm columns below this share of the largest are zero.
+const RANK_TOLERANCE: f64 = 1e-8;
+
+/// A base set of columns.
+#[derive(Clone, Debug)]
+pub struct BaseSet {
+    /// Numerical rank of the columns, each scaled to unit norm.
+    pub rank: usize,
+    /// The columns kept, in the order of preference.
+    pub kept: Vec<usize>,
+    /// Columns that are zero.
+    pub zero: Vec<usize>,
+    /// Columns that depend on those kept, each with its coefficients: `column = sum x[k] * kept[k]`.
+    pub dependent: Vec<(usize, DVector<f64>)>,
+    /// Condition number of the kept columns, each scaled to unit norm.
+    pub condition: f64,
+}
+
+/// Chooses the base set of the columns of `r` (a triangular factor, or any matrix with the same
+/// Gram matrix): columns are taken in the `order` of preference, and one that depends on those
+/// already taken is left out. `None` when an element is not finite.
+pub fn base_set(r: &DMatrix<f64>, order: &[usize]) -> Option<BaseSet> {
+    let norms: Vec<f64> = (0..r.ncols()).map(|j| r.column(j).norm()).collect();
+    let (zero, live): (Vec<usize>, Vec<usize>) = order.iter().partition(|&&j| norms[j] < ZERO_COLUMN);
+    let unit: Vec<DVector<f64>> = live.iter().map(|&j| r.column(j) / norms[j]).collect();
+    if unit.is_empty() {
+        return Some(BaseSet { rank: 0, kept: vec![], zero, dependent: vec![], condition: 1.0 });
+    }
+    let values = svd(&DMatrix::from_columns(&unit))?.values;
+    let rank = values.iter().filter(|value| **value > RANK_TOLERANCE * values[0]).count();
+    // The smallest residual of a sequential choice is not a singular value: where the two would
+    // disagree on the count, the singular values decide.
+    let (taken, left) = [1.0, 10.0, 0.1, 100.0, 1e3, 1e4, 1e-2, 1e-3]
+        .iter()
+        .map(|factor| choose(&unit, RANK_TOLERANCE * factor))
+        .find(|(taken, _)| taken.len() == rank)
+        .unwrap_or_else(|| choose(&unit, RANK_TOLERANCE));
+    let kept_columns = DMatrix::from_columns(&taken.iter().map(|&i| unit[i].clone()).collect::<Vec<_>>());
+    let kept_values = svd(&kept_columns)?.values;
+    let qr = kept_columns.qr();
+    let dependent = left
+        .iter()
+        .filter_map(|&i| {
+            let rhs = qr.q().transpose() * &unit[i];
+            let scaled = qr.r().solve_upper_triangular(&rhs)?;
+            let x = DVector::from_fn(taken.len(), |k, _| scaled[k] * norms[live[i]] / norms[live[taken[k]]]);
+            Some((live[i], x))
+        })
+        .collect();
+    Some(BaseSet {
+        rank,
+        kept: taken.iter().map(|&i| live[i]).collect(),
+        zero,
+        dependent,
+        condition: kept_values[0] / kept_values[kept_values.len() - 1],
+    })
+}
+
+/// Takes the columns in turn: those taken, and those left because less than `threshold` of them is new.
+fn choose(unit: &[DVector<f64>], threshold: f64) -> (Vec<usize>, Vec<usize>) {
+    let mut directions = Orthonormal::default();
+    (0..unit.len()).partition(|&i| directions.push(unit[i].clone(), threshold))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn dependent_column_is_named_with_its_coefficients() {
+        let a = DVector::from_row_slice(&[1.0, 2.0, 3.0, 4.0]);
+        let b = DVector::from_row_slice(&[1.0, 0.0, -1.0, 5.0]);
+        let matrix = DMatrix::from_columns(&[a.clone(), b.clone(), &a * 2.0 - &b * 3.0, DVector::zeros(4)]);
+        let set = base_set(&matrix, &[1, 0, 2, 3]).unwrap();
+        assert_eq!((set.rank, set.kept, set.zero), (2, vec![1, 0], vec![3]));
+        let (column, x) = &set.dependent[0];
+        assert_eq!(*column, 2);
+        assert!((x[0] + 3.0).abs() < 1e-12 && (x[1] - 2.0).abs() < 1e-12);
+    }
+}

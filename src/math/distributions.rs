@@ -1,0 +1,194 @@
+//! Tails of the F and Student's t distribution, by the regularised incomplete beta function.
+//!
+//! Both are one continued fraction; a crate of distributions would bring far more than it.
+
+/// Probability that an F of `upper` and `lower` degrees of freedom exceeds `f`.
+pub fn f_tail(f: f64, upper: f64, lower: f64) -> f64 {
+    if f <= 0.0 { 1.0 } else { beta(lower / (lower + upper * f), 0.5 * lower, 0.5 * upper) }
+}
+
+/// Natural logarithm of [`f_tail`], also where the probability itself is smaller than any number.
+pub fn ln_f_tail(f: f64, upper: f64, lower: f64) -> f64 {
+    if f <= 0.0 {
+        return 0.0;
+    }
+    let (x, a, b) = (lower / (lower + upper * f), 0.5 * lower, 0.5 * upper);
+    if x > (a + 1.0) / (a + b + 2.0) {
+        beta(x, a, b).ln()
+    } else {
+        ln_front(x, a, b) - fraction(x, a, b).ln()
+    }
+}
+
+/// The normal deviate that is exceeded on either side with a probability of natural logarithm `ln_p`; for deviates from
+/// 1 upwards.
+pub fn normal_deviate(ln_p: f64) -> f64 {
+    // Mills' ratio as Laplace's continued fraction (DLMF 7.9.3), from its end.
+    let mills = |z: f64| (1..=MILLS_TERMS).rev().fold(z, |rest, k| z + f64::from(k) / rest).recip();
+    let ln_tail = |z: f64| 0.5 * (2.0 / std::f64::consts::PI).ln() - 0.5 * z * z + mills(z).ln();
+    let mut z = (-2.0 * ln_p).max(1.0).sqrt();
+    for _ in 0..NEWTON_STEPS {
+        // The derivative of the logarithm is minus the inverse of Mills' ratio.
+        z = (z + (ln_tail(z) - ln_p) * mills(z)).max(1.0);
+    }
+    z
+}
+
+const MILLS_TERMS: u32 = 100;
+const NEWTON_STEPS: usize = 20;
+
+/// How chi-square compares with what chance allows once in a thousand.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ChiSquare {
+    Less,
+    AsExpected,
+    Greater,
+}
+
+impl ChiSquare {
+    /// Of chi-square over its degrees of freedom (Wilson and Hilferty's normal approximation, PNAS 17, 1931).
+    pub fn of(ratio: f64, freedom: f64) -> Self {
+        let spread = (2.0 / (9.0 * freedom)).sqrt();
+        let bound = |z: f64| (1.0 - spread * spread + z * spread).powi(3);
+        if ratio > bound(3.09) {
+            Self::Greater
+        } else if ratio < bound(-3.09) {
+            Self::Less
+        } else {
+            Self::AsExpected
+        }
+    }
+}
+
+/// Half width of a 95 % interval in standard deviations: Student's t where the deviation was estimated with
+/// `freedom` degrees of freedom, else the normal distribution's.
+pub fn coverage_95(freedom: Option<f64>) -> f64 {
+    const NORMAL: f64 = 1.959_963_984_540_054;
+    let Some(freedom) = freedom else { return NORMAL };
+    let outside = |t: f64| beta(freedom / (freedom + t * t), 0.5 * freedom, 0.5);
+    let (mut low, mut high) = (0.0, NORMAL);
+    while outside(high) > 0.05 && high < 1e6 {
+        (low, high) = (high, 2.0 * high);
+    }
+    for _ in 0..100 {
+        let middle = 0.5 * (low + high);
+        if outside(middle) > 0.05 { low = middle } else { high = middle }
+    }
+    high
+}
+
+/// The regularised incomplete beta function I_x(a, b) (DLMF 8.17), for 0 <= x <= 1 and positive a, b.
+fn beta(x: f64, a: f64, b: f64) -> f64 {
+    if x <= 0.0 {
+        return 0.0;
+    }
+    if x >= 1.0 {
+        return 1.0;
+    }
+    // The fraction converges fast below the mean; above it the complement does.
+    if x > (a + 1.0) / (a + b + 2.0) {
+        return 1.0 - beta(1.0 - x, b, a);
+    }
+    ln_front(x, a, b).exp() / fraction(x, a, b)
+}
+
+/// Logarithm of what stands before the continued fraction.
+fn ln_front(x: f64, a: f64, b: f64) -> f64 {
+    a * x.ln() + b * (-x).ln_1p() + ln_gamma(a + b) - ln_gamma(a) - ln_gamma(b) - a.ln()
+}
+
+/// The continued fraction of DLMF 8.17.22, by Lentz's algorithm (Thompson and Barnett, J. Comput. Phys. 64, 1986).
+fn fraction(x: f64, a: f64, b: f64) -> f64 {
+    const TINY: f64 = 1e-300;
+    let away = |value: f64| if value.abs() < TINY { TINY } else { value };
+    let (mut value, mut c, mut d) = (1.0, 1.0, 0.0);
+    for step in 1..=400 {
+        let m = f64::from(step / 2);
+        let numerator = if step % 2 == 0 {
+            m * (b - m) * x / ((a + 2.0 * m - 1.0) * (a + 2.0 * m))
+        } else {
+            -(a + m) * (a + b + m) * x / ((a + 2.0 * m) * (a + 2.0 * m + 1.0))
+        };
+        d = 1.0 / away(1.0 + numerator * d);
+        c = away(1.0 + numerator / c);
+        value *= c * d;
+        if (c * d - 1.0).abs() < 1e-15 {
+            break;
+        }
+    }
+    value
+}
+
+/// Logarithm of the gamma function for x > 0 (Stirling's series after shifting x above 10, DLMF 5.11.1).
+fn ln_gamma(x: f64) -> f64 {
+    let (mut x, mut shift) = (x, 0.0);
+    while x < 10.0 {
+        shift -= x.ln();
+        x += 1.0;
+    }
+    let inverse = 1.0 / (x * x);
+    let series = (1.0 / 12.0
+        + inverse * (-1.0 / 360.0 + inverse * (1.0 / 1260.0 + inverse * (-1.0 / 1680.0 + inverse / 1188.0))))
+        / x;
+    shift + (x - 0.5) * x.ln() - x + 0.5 * std::f64::consts::TAU.ln() + series
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Values of scipy.stats.f.sf.
+    #[test]
+    fn tail_of_f() {
+        for (f, upper, lower, expected) in [
+            (1.0, 4.0, 210.0, 0.408559421519459),
+            (0.5, 12.0, 60.0, 0.9065875723782626),
+            (3.2, 12.0, 200.0, 0.0003255764394410984),
+            (7.5, 4.0, 40.0, 0.00013189119067580723),
+            (35.0, 12.0, 250.0, 8.631548630213195e-47),
+            (60.0, 4.0, 1000.0, 1.9027496968283392e-45),
+            (2.0, 1.0, 1.0, 0.39182655203060723),
+            (0.01, 3.0, 7.0, 0.9984952470401116),
+        ] {
+            let found = f_tail(f, upper, lower);
+            assert!((found / expected - 1.0).abs() < 1e-10, "{f}, {upper}, {lower}: {found} for {expected}");
+        }
+        assert_eq!(f_tail(0.0, 3.0, 4.0), 1.0);
+    }
+
+    #[test]
+    fn logarithm_of_the_tail_goes_on_where_the_tail_is_zero() {
+        for (f, upper, lower) in [(0.5, 12.0, 60.0), (3.2, 12.0, 200.0), (60.0, 4.0, 1000.0)] {
+            let (tail, ln) = (f_tail(f, upper, lower), ln_f_tail(f, upper, lower));
+            assert!((ln - tail.ln()).abs() < 1e-10 * ln.abs().max(1.0));
+        }
+        assert!(ln_f_tail(1e6, 4.0, 1000.0) < -1000.0);
+    }
+
+    /// Values of scipy.stats.norm.isf(p / 2).
+    #[test]
+    fn normal_deviate_of_a_probability() {
+        for (p, expected) in [(0.05, 1.959963984540054), (1e-3, 3.290526731491926), (1e-15, 8.02685888253454)]
+        {
+            let found = normal_deviate(f64::ln(p));
+            assert!((found - expected).abs() < 1e-9, "{p}: {found}");
+        }
+        assert!((normal_deviate(-5000.0) - 99.94).abs() < 0.05);
+    }
+
+    /// Values of scipy.stats.t.ppf(0.975, ..).
+    #[test]
+    fn half_width_of_a_95_percent_interval() {
+        for (freedom, expected) in [
+            (1.0, 12.706204736174694),
+            (2.0, 4.302652729749462),
+            (5.0, 2.5705818356363146),
+            (30.0, 2.0422724563012378),
+            (200.0, 1.9718962236339088),
+            (10000.0, 1.960201239890626),
+        ] {
+            assert!((coverage_95(Some(freedom)) / expected - 1.0).abs() < 1e-10, "{freedom}");
+        }
+        assert!((coverage_95(None) - 1.96).abs() < 1e-4);
+    }
+}

@@ -1,0 +1,202 @@
+//! Least squares over streamed rows: a block of rows at a time is folded into one triangular factor
+//! by Householder reflections, so that memory does not grow with the number of rows.
+
+use nalgebra::{DMatrix, DVector};
+
+/// Rows folded at once: enough to run along columns, few enough to stay in the cache.
+const BLOCK: usize = 64;
+
+/// The triangular factor of all rows `[row | rhs]` so far.
+#[derive(Clone, Debug)]
+pub struct Triangle {
+    /// Unknowns.
+    n: usize,
+    /// Upper triangle of order n + 1, by columns; its last column is the right-hand side.
+    r: Vec<f64>,
+    /// Rows that wait, by columns.
+    block: Vec<f64>,
+    waiting: usize,
+}
+
+impl Triangle {
+    /// For `columns` unknowns, no row yet.
+    pub fn new(columns: usize) -> Self {
+        let width = columns + 1;
+        Self { n: columns, r: vec![0.0; width * width], block: vec![0.0; BLOCK * width], waiting: 0 }
+    }
+
+    /// Adds the equation `row . x = rhs`.
+    pub fn push(&mut self, row: &[f64], rhs: f64) {
+        debug_assert_eq!(row.len(), self.n);
+        let mut columns = self.block.chunks_exact_mut(BLOCK);
+        for (value, column) in row.iter().zip(columns.by_ref()) {
+            column[self.waiting] = *value;
+        }
+        for column in columns {
+            column[self.waiting] = rhs;
+        }
+        self.waiting += 1;
+        if self.waiting == BLOCK {
+            self.fold();
+        }
+    }
+
+    /// Adds the equation `scale * x[unknown] = rhs`.
+    pub fn push_single(&mut self, unknown: usize, scale: f64, rhs: f64) {
+        let mut row = vec![0.0; self.n];
+        row[unknown] = scale;
+        self.push(&row, rhs);
+    }
+
+    /// All rows of several triangles over the same `columns` unknowns.
+    pub fn merged(triangles: Vec<Triangle>, columns: usize) -> Triangle {
+        let mut triangles = triangles.into_iter();
+        let mut whole = triangles.next().unwrap_or_else(|| Triangle::new(columns));
+        for mut other in triangles {
+            whole.merge(&mut other);
+        }
+        whole
+    }
+
+    /// Adds the rows of another triangle over the same unknowns.
+    fn merge(&mut self, other: &mut Triangle) {
+        other.fold();
+        let width = self.n + 1;
+        for i in 0..width {
+            let row: Vec<f64> =
+                (0..self.n).map(|j| if j >= i { other.r[j * width + i] } else { 0.0 }).collect();
+            self.push(&row, other.r[self.n * width + i]);
+        }
+    }
+
+    /// Folds the waiting rows into the triangle.
+    fn fold(&mut self) {
+        let width = self.n + 1;
+        let rows = self.waiting;
+        for k in 0..width {
+            let (head, tail) = self.block.split_at_mut((k + 1) * BLOCK);
+            let pivot = &head[k * BLOCK..k * BLOCK + rows];
+            let below = dot(pivot, pivot);
+            if below == 0.0 {
+                continue;
+            }
+            let diagonal = self.r[k * width + k];
+            let norm = (diagonal * diagonal + below).sqrt();
+            let reflected = if diagonal > 0.0 { -norm } else { norm };
+            let first = diagonal - reflected;
+            let beta = 2.0 / (first * first + below);
+            self.r[k * width + k] = reflected;
+            for j in k + 1..width {
+                let at = (j - k - 1) * BLOCK;
+                let column = &mut tail[at..at + rows];
+                let top = &mut self.r[j * width + k];
+                let scale = beta * (first * *top + dot(pivot, column));
+                *top -= scale * first;
+                for (y, x) in column.iter_mut().zip(pivot) {
+                    *y -= scale * x;
+                }
+            }
+        }
+        self.waiting = 0;
+    }
+
+    /// The factor R of the rows, n x n upper triangular: R^T R is their Gram matrix.
+    pub fn factor(&mut self) -> DMatrix<f64> {
+        self.fold();
+        let width = self.n + 1;
+        DMatrix::from_fn(self.n, self.n, |i, j| if j >= i { self.r[j * width + i] } else { 0.0 })
+    }
+
+    /// The right-hand side in the coordinates of the factor: `R x = rhs` is the solution.
+    pub fn rhs(&mut self) -> DVector<f64> {
+        self.fold();
+        let width = self.n + 1;
+        DVector::from_fn(self.n, |i, _| self.r[self.n * width + i])
+    }
+
+    /// Sum of squares that no choice of the unknowns removes.
+    pub fn residual_sum(&mut self) -> f64 {
+        self.fold();
+        let corner = self.r[self.n * (self.n + 1) + self.n];
+        corner * corner
+    }
+
+    /// The inverse of the factor, a root of the covariance: C = root root'. `None` when a pivot is zero or not finite.
+    pub fn inverse_root(&mut self) -> Option<DMatrix<f64>> {
+        let root = self.factor().solve_upper_triangular(&DMatrix::identity(self.n, self.n))?;
+        root.iter().all(|value| value.is_finite()).then_some(root)
+    }
+
+    /// The unknowns by back substitution; `None` when a pivot is zero or not finite.
+    pub fn solve(&mut self) -> Option<DVector<f64>> {
+        self.fold();
+        let width = self.n + 1;
+        let mut x = DVector::zeros(self.n);
+        for i in (0..self.n).rev() {
+            let mut sum = self.r[self.n * width + i];
+            for j in i + 1..self.n {
+                sum -= self.r[j * width + i] * x[j];
+            }
+            x[i] = sum / self.r[i * width + i];
+            if !x[i].is_finite() {
+                return None;
+            }
+        }
+        Some(x)
+    }
+}
+
+/// Sum of the products, in eight partial sums that the processor can keep apart: one alone would wait
+/// for each addition.
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    let (a, b) = (a.chunks_exact(8), b.chunks_exact(8));
+    let rest: f64 = a.remainder().iter().zip(b.remainder()).map(|(x, y)| x * y).sum();
+    let mut sums = [0.0; 8];
+    for (x, y) in a.zip(b) {
+        for lane in 0..8 {
+            sums[lane] += x[lane] * y[lane];
+        }
+    }
+    sums.iter().sum::<f64>() + rest
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Rows of a line through points: the textbook's normal equations give the same answer.
+    #[test]
+    fn streamed_rows_solve_as_normal_equations() {
+        let points: Vec<(f64, f64)> = (0..200).map(|i| (f64::from(i) * 0.1, f64::from(i % 7))).collect();
+        let mut triangle = Triangle::new(2);
+        for (x, y) in &points {
+            triangle.push(&[1.0, *x], *y);
+        }
+        let n = points.len() as f64;
+        let sum = |f: fn(&(f64, f64)) -> f64| points.iter().map(f).sum::<f64>();
+        let (sx, sy, sxx, sxy) = (sum(|p| p.0), sum(|p| p.1), sum(|p| p.0 * p.0), sum(|p| p.0 * p.1));
+        let slope = (n * sxy - sx * sy) / (n * sxx - sx * sx);
+        let offset = (sy - slope * sx) / n;
+        let x = triangle.solve().unwrap();
+        assert!((x[0] - offset).abs() < 1e-12 && (x[1] - slope).abs() < 1e-12);
+        let rss: f64 = points.iter().map(|(x, y)| (y - offset - slope * x).powi(2)).sum();
+        assert!((triangle.residual_sum() - rss).abs() < 1e-9 * rss);
+        let root = triangle.inverse_root().unwrap();
+        let variance = sxx / (n * sxx - sx * sx);
+        assert!(((&root * root.transpose())[(0, 0)] - variance).abs() < 1e-12);
+        assert!(Triangle::new(2).inverse_root().is_none(), "no row yet");
+    }
+
+    #[test]
+    fn merged_halves_equal_the_whole() {
+        let rows: Vec<[f64; 3]> =
+            (0..150).map(|i| [(i % 5) as f64, (i % 11) as f64, (i % 3) as f64]).collect();
+        let (mut whole, mut left, mut right) = (Triangle::new(2), Triangle::new(2), Triangle::new(2));
+        for (i, row) in rows.iter().enumerate() {
+            whole.push(&row[..2], row[2]);
+            if i < 70 { left.push(&row[..2], row[2]) } else { right.push(&row[..2], row[2]) }
+        }
+        let mut merged = Triangle::merged(vec![left, right], 2);
+        assert!((whole.solve().unwrap() - merged.solve().unwrap()).norm() < 1e-12);
+    }
+}

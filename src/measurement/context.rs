@@ -1,0 +1,185 @@
+//! What is known of a measurement beside its length: the further columns of a table.
+
+use std::fmt::Write;
+
+use serde::{Deserialize, Serialize};
+
+use crate::robot::CircleId;
+
+/// What a pose is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Kind {
+    /// A dwell whose length identifies the robot.
+    Measure,
+    /// A dwell at the repeated reference pose, which shows drift.
+    Reference,
+    /// No dwell: an approach, a sync marker, or the auxiliary point of the next pose.
+    Transit,
+}
+
+/// The circumstances of a measurement, as far as they are known.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Context {
+    pub kind: Option<Kind>,
+    /// The middle of the dwell, s of the run.
+    pub time_s: Option<f64>,
+    /// Samples of the mean.
+    pub samples: Option<usize>,
+    /// Whether the reading drifted within the dwell.
+    pub creep: Option<bool>,
+    pub circle: Option<CircleId>,
+    /// The angle of the pose on its circle.
+    pub angle_deg: Option<f64>,
+    /// Of the bar.
+    pub temperature_c: Option<f64>,
+    /// Cells that the fields do not hold, by the place of their column: those of a user's own columns, and those that
+    /// are written otherwise than here.
+    pub texts: Vec<(usize, Box<str>)>,
+}
+
+/// A further column of a table.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Column {
+    Kind,
+    TimeS,
+    Samples,
+    Creep,
+    Circle,
+    AngleDeg,
+    TemperatureC,
+    /// A user's own, by its name.
+    Other(String),
+}
+
+impl Column {
+    const NAMED: [(Self, &'static str); 7] = [
+        (Self::Kind, "kind"),
+        (Self::TimeS, "t_s"),
+        (Self::Samples, "samples"),
+        (Self::Creep, "creep"),
+        (Self::Circle, "circle"),
+        (Self::AngleDeg, "angle_deg"),
+        (Self::TemperatureC, "temp_c"),
+    ];
+
+    /// By its name.
+    pub fn of(name: &str) -> Self {
+        let named = Self::NAMED.into_iter().find(|(_, known)| *known == name);
+        named.map_or_else(|| Self::Other(name.into()), |(column, _)| column)
+    }
+
+    pub fn name(&self) -> &str {
+        match self {
+            Self::Other(name) => name,
+            _ => Self::NAMED.iter().find(|(column, _)| column == self).map_or("", |(_, name)| name),
+        }
+    }
+}
+
+impl Context {
+    /// From the cells of a row, one for each column.
+    pub(super) fn read<'a>(columns: &[Column], cells: impl Iterator<Item = &'a str>) -> Self {
+        let mut context = Self::default();
+        for (at, (column, cell)) in columns.iter().zip(cells).enumerate() {
+            if cell.is_empty() {
+                continue;
+            }
+            match column {
+                Column::Kind => {
+                    context.kind = match cell {
+                        "measure" => Some(Kind::Measure),
+                        "reference" => Some(Kind::Reference),
+                        "transit" => Some(Kind::Transit),
+                        _ => None,
+                    }
+                }
+                Column::TimeS => context.time_s = cell.parse().ok(),
+                Column::Samples => context.samples = cell.parse().ok(),
+                Column::Creep => context.creep = ["0", "1"].contains(&cell).then_some(cell == "1"),
+                Column::Circle => context.circle = cell.parse().ok().and_then(CircleId::new),
+                Column::AngleDeg => context.angle_deg = cell.parse().ok(),
+                Column::TemperatureC => context.temperature_c = cell.parse().ok(),
+                Column::Other(_) => {}
+            }
+            if context.field(column) != cell {
+                context.texts.push((at, cell.into()));
+            }
+        }
+        context
+    }
+
+    /// The cell of a column at its place in the table: as it was read, else as its field is written.
+    pub fn cell(&self, at: usize, column: &Column) -> String {
+        match self.texts.iter().find(|(place, _)| *place == at) {
+            Some((_, text)) => text.to_string(),
+            None => self.field(column),
+        }
+    }
+
+    /// A field as it is written; empty where it is not known.
+    fn field(&self, column: &Column) -> String {
+        let text = match column {
+            Column::Kind => self.kind.map(|kind| {
+                match kind {
+                    Kind::Measure => "measure",
+                    Kind::Reference => "reference",
+                    Kind::Transit => "transit",
+                }
+                .to_owned()
+            }),
+            Column::TimeS => self.time_s.map(|t_s| format!("{t_s:.4}")),
+            Column::Samples => self.samples.map(|count| count.to_string()),
+            Column::Creep => self.creep.map(|creep| u8::from(creep).to_string()),
+            Column::Circle => self.circle.map(|circle| circle.to_string()),
+            Column::AngleDeg => self.angle_deg.map(|deg| deg.to_string()),
+            Column::TemperatureC => self.temperature_c.map(|c| format!("{c:.2}")),
+            Column::Other(_) => None,
+        };
+        text.unwrap_or_default()
+    }
+
+    /// The cells of all columns as a CSV has them, each after a comma.
+    pub(super) fn append(&self, columns: &[Column], text: &mut String) {
+        for (at, column) in columns.iter().enumerate() {
+            // Writing to a string does not fail.
+            let _ = write!(text, ",{}", quoted(&self.cell(at, column)));
+        }
+    }
+}
+
+/// A cell as CSV, in quotes where it needs them.
+pub(super) fn quoted(cell: &str) -> String {
+    if cell.contains(['"', ',', '\n', '\r']) {
+        format!("\"{}\"", cell.replace('"', "\"\""))
+    } else {
+        cell.to_owned()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cells_come_back_as_they_were_and_known_ones_typed() {
+        let columns = ["kind", "note", "t_s", "circle", "samples"].map(Column::of);
+        let rows = [
+            ["measure", "1, 2", "0.5000", "3", "12"],
+            ["warm-up", "say \"so\"", "0.5", "A3", "1e3"],
+            ["", "two\nlines", "", "0", ""],
+        ];
+        for row in rows {
+            let context = Context::read(&columns, row.into_iter());
+            let cells = columns.iter().enumerate().map(|(at, column)| context.cell(at, column));
+            assert_eq!(cells.collect::<Vec<_>>(), row);
+        }
+        let context = Context::read(&columns, rows[0].into_iter());
+        assert_eq!(
+            (context.kind, context.time_s, context.circle),
+            (Some(Kind::Measure), Some(0.5), CircleId::new(3))
+        );
+        let other = Context::read(&columns, rows[1].into_iter());
+        assert_eq!((other.kind, other.time_s, other.circle, other.samples), (None, Some(0.5), None, None));
+    }
+}

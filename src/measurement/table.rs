@@ -1,0 +1,220 @@
+//! Lengths with the axis angles they were measured at: the observations CSV.
+
+use std::fmt::Write;
+use std::iter;
+use std::sync::Arc;
+
+use super::{Column, Context, context};
+use crate::base::table::{self, Columns};
+use crate::catalogue::MeasurementFinding::{
+    BarWithoutLength, NoMeasurement, NoPose, UnknownBall, UnknownBar,
+};
+use crate::diagnostic::Diagnostic;
+use crate::robot::parameter::SetUp;
+use crate::robot::{AXES, AxisAngles, BallId, BarId};
+
+/// One length at one pose.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Measurement {
+    /// The user's number for it; the plan's, where there is a plan.
+    pub index: u32,
+    pub ball: BallId,
+    pub bar: BarId,
+    pub axes: AxisAngles,
+    /// Distance between the ball centres: the bar's length plus its reading.
+    pub length_mm: f64,
+    /// Standard deviation of the length, where it is known.
+    pub sigma_mm: Option<f64>,
+    /// Shared by rows alike, absent where nothing is known: a million lengths stay near 100 bytes each.
+    pub context: Option<Arc<Context>>,
+}
+
+impl Measurement {
+    /// Its line of the CSV.
+    fn append(&self, bars: bool, columns: &[Column], text: &mut String) {
+        // Writing to a string does not fail.
+        let _ = write!(text, "{},{}", self.index, self.ball);
+        for angle in self.axes.degrees() {
+            let _ = write!(text, ",{angle}");
+        }
+        let _ = write!(text, ",{},", self.length_mm);
+        if let Some(sigma) = self.sigma_mm {
+            let _ = write!(text, "{sigma}");
+        }
+        if bars {
+            let _ = write!(text, ",{}", self.bar);
+        }
+        match &self.context {
+            Some(context) => context.append(columns, text),
+            None => text.extend(columns.iter().map(|_| ',')),
+        }
+        text.push('\n');
+    }
+}
+
+/// A table of measurements.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Measurements {
+    pub rows: Vec<Measurement>,
+    /// The further columns, in the order in which they are written.
+    pub columns: Vec<Column>,
+}
+
+/// The columns that a row must have, in the order in which they are written.
+const REQUIRED: [&str; 9] =
+    ["index", "centre", "a1_deg", "a2_deg", "a3_deg", "a4_deg", "a5_deg", "a6_deg", "length_mm"];
+const SIGMA: &str = "sigma_mm";
+const BAR: &str = "bar";
+
+/// Rows of a piece of CSV.
+const PIECE: usize = 4096;
+
+impl Measurements {
+    /// Reads the CSV `index,centre,a1_deg,..,a6_deg,length_mm[,sigma_mm][,bar][,..]`; columns in any order,
+    /// an absent bar is bar 1.
+    ///
+    /// # Errors
+    /// Names the line and column of what is missing, not a number, not finite, or impossible.
+    pub fn from_csv(file: &str, text: &str) -> Result<Self, Diagnostic> {
+        let mut reader = table::reader().from_reader(text.as_bytes());
+        let header = reader.headers().map_err(|error| table::wrong_csv(file, &error))?.clone();
+        Self::from_records(file, &header, |record| reader.read_record(record))
+    }
+
+    /// Reads the same from the records of a CSV: `next` puts the next one into its argument, or says that there is none.
+    ///
+    /// # Errors
+    /// As [`Measurements::from_csv`], and what `next` says.
+    pub fn from_records(
+        file: &str,
+        header: &csv::StringRecord,
+        mut next: impl FnMut(&mut csv::StringRecord) -> csv::Result<bool>,
+    ) -> Result<Self, Diagnostic> {
+        let columns = Columns { file, header };
+        let places = columns.required(REQUIRED)?;
+        let (sigma, bar) = (columns.optional(SIGMA)?, columns.optional(BAR)?);
+        let known = |at: &usize| places.contains(at) || Some(*at) == sigma || Some(*at) == bar;
+        let others: Vec<usize> = (0..header.len()).filter(|at| !known(at)).collect();
+        let further: Vec<Column> = others.iter().map(|&at| Column::of(&header[at])).collect();
+        let [index, ball, axes @ .., length] = places;
+        let mut rows: Vec<Measurement> = Vec::new();
+        let mut record = csv::StringRecord::new();
+        while next(&mut record).map_err(|error| table::wrong_csv(file, &error))? {
+            let row = columns.row(&record);
+            let context = Context::read(&further, others.iter().map(|&at| row.text(at)));
+            let before = rows.last().and_then(|row| row.context.as_ref());
+            rows.push(Measurement {
+                index: row.whole(index, 0)?,
+                ball: row.numbered(ball)?,
+                bar: row.given(bar, |at| row.numbered(at))?.unwrap_or(BarId::FIRST),
+                axes: angles(&row, axes)?,
+                length_mm: row.positive(length)?,
+                sigma_mm: row.given(sigma, |at| row.positive(at))?,
+                context: shared(context, before),
+            });
+        }
+        if rows.is_empty() {
+            return Err(Diagnostic::file(file, NoMeasurement));
+        }
+        let set = Self { rows, columns: further };
+        match (0..set.bars()).map(BarId::at).find(|bar| set.rows.iter().all(|row| row.bar != *bar)) {
+            None => Ok(set),
+            Some(absent) => Err(Diagnostic::file(file, BarWithoutLength { bar: absent.number() })),
+        }
+    }
+
+    /// Reads only the axis angles of a CSV with the columns a1_deg..a6_deg.
+    ///
+    /// # Errors
+    /// Names the line and column of what is missing or not a finite number.
+    pub fn poses_from_csv(file: &str, text: &str) -> Result<Vec<AxisAngles>, Diagnostic> {
+        let mut reader = table::reader().from_reader(text.as_bytes());
+        let header = reader.headers().map_err(|error| table::wrong_csv(file, &error))?.clone();
+        let columns = Columns { file, header: &header };
+        let [_, _, names @ .., _] = REQUIRED;
+        let axes = columns.required::<AXES>(names)?;
+        let mut poses = Vec::new();
+        for record in reader.records() {
+            let record = record.map_err(|error| table::wrong_csv(file, &error))?;
+            poses.push(angles(&columns.row(&record), axes)?);
+        }
+        if poses.is_empty() {
+            return Err(Diagnostic::file(file, NoPose));
+        }
+        Ok(poses)
+    }
+
+    /// Writes the CSV; every number reads back bit for bit.
+    pub fn to_csv(&self) -> String {
+        self.csv_pieces(|_| true).collect()
+    }
+
+    /// The CSV of the rows that `keep` wants by their places, in pieces, so that a long one need never be whole in memory.
+    pub fn csv_pieces(&self, keep: impl Fn(usize) -> bool) -> impl Iterator<Item = String> {
+        let bars = self.bars() > 1;
+        let pieces = self.rows.chunks(PIECE).enumerate().map(move |(piece, rows)| {
+            let mut text = String::new();
+            for (at, row) in rows.iter().enumerate() {
+                if keep(PIECE * piece + at) {
+                    row.append(bars, &self.columns, &mut text);
+                }
+            }
+            text
+        });
+        iter::once(self.header(bars)).chain(pieces)
+    }
+
+    fn header(&self, bars: bool) -> String {
+        let mut text = format!("{},{SIGMA}", REQUIRED.join(","));
+        if bars {
+            text.push_str(&format!(",{BAR}"));
+        }
+        for column in &self.columns {
+            text.push_str(&format!(",{}", context::quoted(column.name())));
+        }
+        text.push('\n');
+        text
+    }
+
+    /// # Errors
+    /// The first measurement of a ball or bar that the set-up does not have.
+    pub fn check(&self, file: &str, set_up: SetUp) -> Result<(), Diagnostic> {
+        let SetUp { balls, bars } = set_up;
+        let unknown = self.rows.iter().find_map(|&Measurement { index, ball, bar, .. }| {
+            if ball.index() >= balls {
+                Some(UnknownBall { index, ball: ball.number(), balls })
+            } else {
+                (bar.index() >= bars).then(|| UnknownBar { index, bar: bar.number(), bars })
+            }
+        });
+        unknown.map_or(Ok(()), |finding| Err(Diagnostic::file(file, finding)))
+    }
+
+    /// The number of bars: the highest number of one.
+    pub fn bars(&self) -> usize {
+        self.rows.iter().map(|row| row.bar.index() + 1).max().unwrap_or(1)
+    }
+
+    /// The number of base balls: the highest number of one.
+    pub fn balls(&self) -> usize {
+        self.rows.iter().map(|row| row.ball.index() + 1).max().unwrap_or(0)
+    }
+}
+
+/// A context, the one before where it is alike, none where nothing is known.
+fn shared(context: Context, before: Option<&Arc<Context>>) -> Option<Arc<Context>> {
+    match before {
+        _ if context == Context::default() => None,
+        Some(before) if **before == context => Some(Arc::clone(before)),
+        _ => Some(Arc::new(context)),
+    }
+}
+
+/// The axis angles of a row.
+fn angles(row: &table::Row<'_>, places: [usize; AXES]) -> Result<AxisAngles, Diagnostic> {
+    let mut axes_deg = [0.0; AXES];
+    for (angle, at) in axes_deg.iter_mut().zip(places) {
+        *angle = row.number(at)?;
+    }
+    Ok(AxisAngles::from_degrees(axes_deg))
+}

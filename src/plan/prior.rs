@@ -1,0 +1,180 @@
+//! What is known of robot and set-up when a plan is made.
+
+use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
+
+use super::Job;
+use crate::catalogue::{JobFinding, PlanFinding};
+use crate::estimation::{Posterior, Priors};
+use crate::measurement::{LengthModel, PreparedMeasurement};
+use crate::robot::inverse::nearest;
+use crate::robot::{AXES, BallId, Pose, Robot};
+
+/// A taught ball may be off by this much from where its axis angles say, mm: more is a mistake in one of the two.
+const TAUGHT_MM: f64 = 1.0;
+/// The program's tool may be off by this much from the tool ball, mm: what KRL prints.
+const TOOL_MM: f64 = 1e-3;
+
+/// What is known of robot and set-up when a plan is made.
+#[derive(Clone, Debug)]
+pub struct PlanningPrior {
+    /// The model and its covariance.
+    pub posterior: Posterior,
+    /// Lengths that it was determined from.
+    pub lengths: usize,
+    /// For each base ball whether it has been measured or taught. One that has not will be taught before its first
+    /// run: put where the tool ball is, it is wrong as the robot is wrong there.
+    located: Vec<bool>,
+}
+
+/// How a base ball is to be taught.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Taught {
+    /// The ball, from 1.
+    pub centre: u32,
+    /// The controller's axis angles at which the tool ball is to stand on it, degrees.
+    pub axes_deg: [f64; AXES],
+}
+
+impl PlanningPrior {
+    /// The robot's tolerance and the bar's certificate alone.
+    pub(crate) fn of_maker(job: &Job, robot: &Robot) -> Posterior {
+        let model = LengthModel::new(robot.geometry.clone(), &job.balls());
+        // A certificate states two standard deviations.
+        Posterior::prior(robot, model, &Priors::datasheet(robot, job.bar.length_u_mm.map(|u| 0.5 * u)))
+    }
+
+    /// Before anything is measured: the robot's tolerance, the bar's certificate, the balls that were taught.
+    pub fn datasheet(job: &Job, robot: &Robot) -> Self {
+        let mut posterior = Self::of_maker(job, robot);
+        let sd_mm = length_sigma_mm(job, robot.controller());
+        for (at, table) in job.centres.iter().enumerate() {
+            if let Some(taught) = table.taught_deg {
+                posterior = posterior.touched(BallId::at(at), &taught.map(f64::to_radians), sd_mm);
+            }
+        }
+        Self {
+            posterior,
+            lengths: 0,
+            located: job.centres.iter().map(|table| table.taught_deg.is_some()).collect(),
+        }
+    }
+
+    /// After lengths: the likeliest robot (with the given one as its nominal) and base balls, and their covariance.
+    ///
+    /// # Errors
+    /// When a number is not finite, or a length is to a ball that the job does not have.
+    pub fn after_lengths(
+        job: &Job,
+        robot: &Robot,
+        readings: &[PreparedMeasurement],
+    ) -> Result<Self, PlanFinding> {
+        let nominal = robot.controller();
+        let before = Self::datasheet(job, nominal);
+        let posterior = before.posterior.learn(readings, length_sigma_mm(job, nominal));
+        let posterior = posterior.ok_or(PlanFinding::NoFiniteRobot)?;
+        let mut located = before.located;
+        for reading in readings {
+            *located.get_mut(reading.ball.index()).ok_or(PlanFinding::NoFiniteRobot)? = true;
+        }
+        Ok(Self { posterior, lengths: readings.len(), located })
+    }
+
+    /// The job and the robot as they are now known: base balls and geometry moved to the likeliest.
+    pub fn applied(&self, job: &Job, robot: &Robot) -> (Job, Robot) {
+        let (mut job, nominal) = (job.clone(), robot.controller());
+        for (table, centre) in job.centres.iter_mut().zip(&self.posterior.model.balls) {
+            table.xyz_mm = (*centre).into();
+        }
+        let robot = Robot {
+            geometry: self.posterior.model.geometry.clone(),
+            nominal: Some(Box::new(nominal.clone())),
+            ..nominal.clone()
+        };
+        (job, robot)
+    }
+
+    /// At the start of a run about base ball `centre` (from 1) at axis angles in rad: where the ball was neither
+    /// measured nor taught, it is touched before with the tool held as there.
+    pub(crate) fn at_start(
+        &self,
+        job: &Job,
+        controller: &Robot,
+        centre: u32,
+        start: &[f64; AXES],
+    ) -> RunStart {
+        let unlocated = |ball: &BallId| self.located.get(ball.index()) == Some(&false);
+        let Some(ball) = BallId::new(centre).filter(unlocated) else {
+            return RunStart { posterior: self.posterior.clone(), taught: None };
+        };
+        let axes = touching(job, controller, centre, start).unwrap_or(*start);
+        let axes_deg = axes.map(|angle| (angle.to_degrees() * 1e4).round() / 1e4);
+        let sd_mm = length_sigma_mm(job, controller);
+        let posterior = self.posterior.touched(ball, &axes_deg.map(f64::to_radians), sd_mm);
+        RunStart { posterior, taught: Some(Taught { centre, axes_deg }) }
+    }
+
+    /// Goes on from such a start; the ball that is to be taught for it.
+    pub(crate) fn begin(&mut self, start: RunStart) -> Option<Taught> {
+        let taught = start.taught?;
+        self.posterior = start.posterior;
+        let ball = BallId::new(taught.centre);
+        if let Some(located) = ball.and_then(|ball| self.located.get_mut(ball.index())) {
+            *located = true;
+        }
+        Some(taught)
+    }
+}
+
+/// What is known at the start of a run.
+pub(crate) struct RunStart {
+    pub(crate) posterior: Posterior,
+    /// The ball that is taught before it.
+    pub(crate) taught: Option<Taught>,
+}
+
+/// The controller's axis angles, rad, at which the tool ball is where the job has base ball `centre`, the
+/// tool held as at `start`; `None` where it cannot be reached.
+pub(crate) fn touching(
+    job: &Job,
+    controller: &Robot,
+    centre: u32,
+    start: &[f64; AXES],
+) -> Option<[f64; AXES]> {
+    let table = job.ball(centre)?;
+    let rotation = controller.geometry.ball(start).rotation;
+    let pose = Pose { rotation, position: Vector3::from(table.xyz_mm) };
+    nearest(&controller.geometry, &pose, start).ok()
+}
+
+impl Job {
+    /// Whether each ball's `taught_deg` brings the tool ball of the controller's robot to its `xyz_mm`, and the program's
+    /// tool is at that ball.
+    ///
+    /// # Errors
+    /// What does not fit, with both values.
+    pub fn check_against(&self, controller: &Robot) -> Result<(), JobFinding> {
+        for table in &self.centres {
+            let Some(taught) = table.taught_deg else { continue };
+            let ball = controller.geometry.ball(&taught.map(f64::to_radians)).position;
+            let off_mm = (ball - Vector3::from(table.xyz_mm)).norm();
+            if off_mm > TAUGHT_MM {
+                let [x_mm, y_mm, z_mm] = ball.into();
+                return Err(JobFinding::TaughtElsewhere { ball: table.id, x_mm, y_mm, z_mm, off_mm });
+            }
+        }
+        let Some([x_mm, y_mm, z_mm, ..]) = self.motion.tool else { return Ok(()) };
+        let ball = controller.geometry.tool;
+        if (ball - Vector3::new(x_mm, y_mm, z_mm)).norm() > TOOL_MM {
+            let [ball_x_mm, ball_y_mm, ball_z_mm] = ball.into();
+            return Err(JobFinding::ToolElsewhere { x_mm, y_mm, z_mm, ball_x_mm, ball_y_mm, ball_z_mm });
+        }
+        Ok(())
+    }
+}
+
+/// Standard deviation of one length, mm: of the bar and of the robot's repeatability together.
+pub(crate) fn length_sigma_mm(job: &Job, robot: &Robot) -> f64 {
+    (job.bar.sigma_um * 1e-3).hypot(robot.repeatability_sd_mm().unwrap_or(0.0))
+}

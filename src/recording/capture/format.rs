@@ -1,0 +1,169 @@
+//! The bytes of a capture: one place for both directions.
+
+use crc::{CRC_32_ISCSI, Crc, Table};
+
+use super::record::{Record, Stamped};
+use super::sample;
+use crate::base::units::HostNs;
+
+/// CRC-32C under its catalogue name.
+const CRC_32C: Crc<u32, Table<16>> = Crc::<u32, Table<16>>::new(&CRC_32_ISCSI);
+/// The format's version.
+pub(super) const VERSION: u32 = 2;
+pub(super) const HEADER_LEN: usize = 16;
+const FILE_MAGIC: [u8; 8] = *b"DBBDCAP\n";
+/// Begins each record; no valid UTF-8, so text attachments cannot contain it.
+pub(super) const MAGIC: [u8; 4] = [0xdb, 0xbd, 0x5a, 0xa5];
+/// Magic, kind, length, host time.
+pub(super) const HEAD_LEN: usize = 4 + 1 + 4 + 8;
+pub(super) const TAIL_LEN: usize = 4;
+/// Longest payload: a length beyond it is damage.
+pub(super) const LONGEST: usize = 64 << 20;
+
+const ATTACHMENT: u8 = 1;
+const RAW: u8 = 2;
+const FAULT: u8 = 4;
+const EVENT: u8 = 5;
+const SAMPLES: u8 = 6;
+
+/// The word for a kind byte.
+pub(super) fn kind_name(kind: u8) -> &'static str {
+    match kind {
+        ATTACHMENT => "attachment",
+        RAW => "raw",
+        FAULT => "fault",
+        EVENT => "event",
+        SAMPLES => "samples",
+        _ => "unknown",
+    }
+}
+
+/// The file's header.
+pub(super) fn header() -> Vec<u8> {
+    let mut bytes = FILE_MAGIC.to_vec();
+    bytes.extend(VERSION.to_le_bytes());
+    bytes.extend(CRC_32C.checksum(&bytes).to_le_bytes());
+    bytes
+}
+
+/// The version that a header names, if it is one.
+pub(super) fn version(bytes: &[u8]) -> Option<u32> {
+    let header = bytes.get(..HEADER_LEN)?;
+    let (content, sum) = header.split_at(HEADER_LEN - TAIL_LEN);
+    let intact = content.starts_with(&FILE_MAGIC) && CRC_32C.checksum(content).to_le_bytes() == sum;
+    intact.then(|| u32_at(content, FILE_MAGIC.len())).flatten()
+}
+
+/// The bytes of a record.
+pub(super) fn encode(host: HostNs, record: &Record) -> Result<Vec<u8>, serde_json::Error> {
+    let mut bytes = MAGIC.to_vec();
+    bytes.resize(HEAD_LEN, 0);
+    bytes[4] = match record {
+        Record::Attachment { name, content } => {
+            let name = name.as_bytes();
+            let len = u16::try_from(name.len()).unwrap_or(u16::MAX);
+            bytes.extend(len.to_le_bytes());
+            bytes.extend(&name[..usize::from(len)]);
+            bytes.extend(content);
+            ATTACHMENT
+        }
+        Record::Raw(raw) => {
+            bytes.extend(raw);
+            RAW
+        }
+        Record::Samples(samples) => {
+            sample::pack(samples, &mut bytes);
+            SAMPLES
+        }
+        Record::Fault(json) => {
+            bytes.extend(json);
+            FAULT
+        }
+        Record::Event(event) => {
+            bytes.extend(serde_json::to_vec(event)?);
+            EVENT
+        }
+    };
+    let len = u32::try_from(bytes.len() - HEAD_LEN).unwrap_or(u32::MAX);
+    bytes[5..9].copy_from_slice(&len.to_le_bytes());
+    bytes[9..17].copy_from_slice(&host.0.to_le_bytes());
+    bytes.extend(CRC_32C.checksum(&bytes[4..]).to_le_bytes());
+    Ok(bytes)
+}
+
+/// What is at the start of some bytes.
+pub(super) enum Found {
+    /// A record of this many bytes.
+    Whole(Stamped, usize),
+    /// A record of this kind and length whose sum is right and whose content is not understood.
+    Strange(u8, usize),
+    /// The head of a record of this kind and length, whose sum is wrong.
+    Broken(u8),
+    /// The head of a record of this kind and length, which ends before it does.
+    Short(u8, usize),
+    /// Less than a head.
+    Stub,
+    /// No record.
+    Nothing,
+}
+
+/// How many bytes must be at hand to judge what is at the start of `bytes`, which hold a head or end
+/// before one.
+pub(super) fn needed(bytes: &[u8]) -> usize {
+    let len = u32_at(bytes, 5).and_then(|len| usize::try_from(len).ok());
+    match len.filter(|len| bytes.starts_with(&MAGIC) && *len <= LONGEST) {
+        Some(len) => HEAD_LEN + len + TAIL_LEN,
+        None => HEAD_LEN,
+    }
+}
+
+/// Looks at the start of `bytes`, of which [`needed`] are at hand or all that there are.
+pub(super) fn decode(bytes: &[u8]) -> Found {
+    if !bytes.starts_with(&MAGIC[..bytes.len().min(MAGIC.len())]) {
+        return Found::Nothing;
+    }
+    let (Some(&kind), Some(len), Some(host)) = (bytes.get(4), u32_at(bytes, 5), u64_at(bytes, 9)) else {
+        return Found::Stub;
+    };
+    let len = usize::try_from(len).unwrap_or(usize::MAX);
+    if len > LONGEST {
+        return Found::Nothing;
+    }
+    let total = HEAD_LEN + len + TAIL_LEN;
+    let Some((content, sum)) = bytes.get(4..total).and_then(|all| all.split_at_checked(total - 4 - TAIL_LEN))
+    else {
+        return Found::Short(kind, total);
+    };
+    if CRC_32C.checksum(content).to_le_bytes() != sum {
+        return Found::Broken(kind);
+    }
+    match content.get(HEAD_LEN - MAGIC.len()..).and_then(|payload| parse(kind, payload)) {
+        Some(record) => Found::Whole(Stamped { host: HostNs(host), record }, total),
+        None => Found::Strange(kind, total),
+    }
+}
+
+fn parse(kind: u8, payload: &[u8]) -> Option<Record> {
+    match kind {
+        ATTACHMENT => {
+            let (len, rest) = payload.split_at_checked(2)?;
+            let len = usize::from(u16::from_le_bytes([len[0], len[1]]));
+            let (name, content) = rest.split_at_checked(len)?;
+            let name = String::from_utf8(name.to_vec()).ok()?;
+            Some(Record::Attachment { name, content: content.to_vec() })
+        }
+        RAW => Some(Record::Raw(payload.to_vec())),
+        FAULT => Some(Record::Fault(payload.to_vec())),
+        EVENT => Some(Record::Event(serde_json::from_slice(payload).ok()?)),
+        SAMPLES => Some(Record::Samples(sample::unpack(payload)?)),
+        _ => None,
+    }
+}
+
+fn u32_at(bytes: &[u8], at: usize) -> Option<u32> {
+    Some(u32::from_le_bytes(bytes.get(at..at + 4)?.try_into().ok()?))
+}
+
+fn u64_at(bytes: &[u8], at: usize) -> Option<u64> {
+    Some(u64::from_le_bytes(bytes.get(at..at + 8)?.try_into().ok()?))
+}

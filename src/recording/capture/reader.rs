@@ -1,0 +1,178 @@
+//! Reads a capture in one pass, past every damage, with no more of it in memory than its longest record.
+
+use std::io::{self, Read};
+
+use super::format::{self, Found, HEAD_LEN, HEADER_LEN, MAGIC};
+use super::record::Stamped;
+use crate::catalogue::RecordingFinding;
+
+/// What is read from the source at least, when it is read.
+const CHUNK: usize = 1 << 18;
+
+/// A part of a capture.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Part {
+    /// A whole record.
+    Record(Stamped),
+    /// Bytes that are none.
+    Damage(Damage),
+}
+
+/// Bytes of a capture that are no whole record.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Damage {
+    /// Offset in the file.
+    pub offset: u64,
+    /// How many bytes.
+    pub bytes: u64,
+    /// What is wrong with them.
+    pub finding: RecordingFinding,
+}
+
+/// The parts of a capture in order; together they are all of its bytes after the header. No bytes make it
+/// fail, only their source can.
+#[derive(Debug)]
+pub struct Reader<R> {
+    source: R,
+    /// What was read and not yet given, from `at`.
+    buffer: Vec<u8>,
+    at: usize,
+    /// Offset in the file of what is next.
+    offset: u64,
+    ended: bool,
+    version: Option<u32>,
+}
+
+impl<R: Read> Reader<R> {
+    /// Reads the header.
+    ///
+    /// # Errors
+    /// When the source fails.
+    pub fn new(source: R) -> io::Result<Self> {
+        let mut reader = Self { source, buffer: Vec::new(), at: 0, offset: 0, ended: false, version: None };
+        reader.fill(HEADER_LEN)?;
+        reader.version = format::version(reader.rest());
+        if reader.version.is_some() {
+            reader.advance(HEADER_LEN);
+        }
+        Ok(reader)
+    }
+
+    /// The format's version by the file's header; none when the header is damaged.
+    pub fn version(&self) -> Option<u32> {
+        self.version
+    }
+
+    /// The format, if it is another than this version reads.
+    pub fn other_format(&self) -> Option<RecordingFinding> {
+        let supported = format::VERSION;
+        let other = self.version.filter(|format| *format != supported);
+        other.map(|format| RecordingFinding::OtherFormat { format, supported })
+    }
+
+    fn rest(&self) -> &[u8] {
+        &self.buffer[self.at..]
+    }
+
+    fn advance(&mut self, bytes: usize) {
+        self.at += bytes;
+        self.offset += bytes as u64;
+    }
+
+    /// Has so many bytes at hand, or all that there are.
+    fn fill(&mut self, bytes: usize) -> io::Result<()> {
+        if self.ended || self.rest().len() >= bytes {
+            return Ok(());
+        }
+        self.buffer.drain(..self.at);
+        self.at = 0;
+        let more = (bytes - self.buffer.len()).max(CHUNK) as u64;
+        let got = self.source.by_ref().take(more).read_to_end(&mut self.buffer)?;
+        self.ended = (got as u64) < more;
+        Ok(())
+    }
+
+    /// What is at the next byte.
+    fn look(&mut self) -> io::Result<Found> {
+        self.fill(HEAD_LEN)?;
+        self.fill(format::needed(self.rest()))?;
+        Ok(format::decode(self.rest()))
+    }
+
+    /// Passes over a damage, to the next whole record or to the end.
+    fn pass(&mut self, found: &Found) -> io::Result<Damage> {
+        let offset = self.offset;
+        // What is understood to its end is passed over whole.
+        if let Found::Strange(_, len) = found {
+            self.advance(*len);
+        } else {
+            self.advance(1);
+            while !self.seek()? && !matches!(self.look()?, Found::Whole(..) | Found::Strange(..)) {
+                self.advance(1);
+            }
+        }
+        let extent = Extent { offset, bytes: self.offset - offset, to_the_end: self.rest().is_empty() };
+        Ok(Damage { offset, bytes: extent.bytes, finding: extent.describe(found) })
+    }
+
+    /// Goes on to the next magic; whether there is none.
+    fn seek(&mut self) -> io::Result<bool> {
+        loop {
+            self.fill(MAGIC.len())?;
+            if let Some(next) = self.rest().windows(MAGIC.len()).position(|window| window == MAGIC) {
+                self.advance(next);
+                return Ok(false);
+            }
+            // The begin of a magic may be at hand.
+            let kept = if self.ended { 0 } else { MAGIC.len() - 1 };
+            self.advance(self.rest().len().saturating_sub(kept));
+            if self.ended {
+                return Ok(true);
+            }
+        }
+    }
+}
+
+impl<R: Read> Iterator for Reader<R> {
+    type Item = io::Result<Part>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let found = match self.look() {
+            Ok(found) => found,
+            Err(error) => return Some(Err(error)),
+        };
+        if self.rest().is_empty() {
+            return None;
+        }
+        if let Found::Whole(stamped, len) = found {
+            self.advance(len);
+            return Some(Ok(Part::Record(stamped)));
+        }
+        Some(self.pass(&found).map(Part::Damage))
+    }
+}
+
+/// Where a damage is.
+struct Extent {
+    offset: u64,
+    bytes: u64,
+    to_the_end: bool,
+}
+
+impl Extent {
+    fn describe(&self, found: &Found) -> RecordingFinding {
+        let &Self { offset, bytes, to_the_end } = self;
+        let record = format::kind_name;
+        match *found {
+            Found::Strange(kind, _) => RecordingFinding::StrangeRecord { offset, bytes, kind },
+            Found::Broken(kind) => RecordingFinding::WrongChecksum { offset, bytes, record: record(kind) },
+            Found::Short(kind, record_bytes) if to_the_end => {
+                RecordingFinding::TornRecord { offset, bytes, record: record(kind), record_bytes }
+            }
+            Found::Stub if to_the_end => RecordingFinding::TornHead { offset, bytes },
+            Found::Short(kind, _) => RecordingFinding::WrongLength { offset, bytes, record: record(kind) },
+            _ if offset == 0 => RecordingFinding::DamagedHeader { offset, bytes },
+            _ => RecordingFinding::NoRecord { offset, bytes },
+        }
+    }
+}

@@ -1,0 +1,85 @@
+//! What a capture holds.
+
+use serde::{Deserialize, Serialize};
+
+use crate::base::units::HostNs;
+use crate::measurement::sample::Sample;
+
+/// A record with the host's monotonic time at which it came about.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Stamped {
+    /// Host time.
+    pub host: HostNs,
+    /// The record.
+    pub record: Record,
+}
+
+/// One record.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Record {
+    /// A file in force during the run: `plan.csv`, `plan.json`, `robot.toml`, `job.toml`, `protocol.toml`.
+    Attachment {
+        /// Its name.
+        name: String,
+        /// Its content.
+        content: Vec<u8>,
+    },
+    /// Bytes as they came; the stamp is that of the first.
+    Raw(Vec<u8>),
+    /// Decoded samples of one host time, in order.
+    Samples(Vec<Sample>),
+    /// A decoder's fault, as JSON of the protocol's fault.
+    Fault(Vec<u8>),
+    /// What happened around the bytes.
+    Event(Event),
+}
+
+/// What happened around the bytes.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "event", rename_all = "snake_case")]
+pub enum Event {
+    /// The run began, at this wall-clock time (ns since the Unix epoch), with this version of dbbd.
+    Started {
+        /// Wall clock, ns since the Unix epoch.
+        unix_ns: u64,
+        /// Version of dbbd.
+        version: String,
+    },
+    /// The port was opened.
+    Opened {
+        /// The port's name.
+        port: String,
+    },
+    /// Nothing was received for a while, or samples are missing by their sequence numbers.
+    Gap {
+        /// How long, s, where it is known.
+        seconds: Option<f64>,
+        /// How many samples are missing, where it is known.
+        missing: Option<u64>,
+        /// Why.
+        reason: String,
+    },
+    /// A report of the controller: phase 1 is the start of a dwell, 2 its end.
+    Controller {
+        /// The plan's index.
+        index: u32,
+        /// 1 or 2.
+        phase: u8,
+        /// Measured axis angles, degrees.
+        axes_deg: [f64; 6],
+    },
+    /// A remark of the operator.
+    Mark {
+        /// What was said.
+        text: String,
+    },
+    /// The run ended as it should, and why; a run without this was cut off.
+    Ended {
+        /// Why.
+        reason: String,
+        /// Samples that were written.
+        samples: u64,
+        /// Samples that were lost on the way to the disk.
+        lost: u64,
+    },
+}

@@ -1,0 +1,119 @@
+//! A dwell: its interval in the stream, and what was read in it.
+
+use super::stream::Stream;
+use crate::math::robust;
+
+/// A dwell as it was detected, times in s of the stream.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Dwell {
+    pub start_s: f64,
+    pub end_s: f64,
+    /// Standard deviation of the begin.
+    pub start_sd_s: f64,
+    /// From when on the reading counts.
+    pub settled_s: f64,
+    /// Until when it may count at most.
+    pub until_s: f64,
+}
+
+impl Dwell {
+    /// The reading counts from the begin to the end.
+    pub fn whole(start_s: f64, end_s: f64, start_sd_s: f64) -> Self {
+        Self { start_s, end_s, start_sd_s, settled_s: start_s, until_s: end_s }
+    }
+
+    pub fn duration_s(&self) -> f64 {
+        self.end_s - self.start_s
+    }
+}
+
+/// What the bar read in a dwell, or as the robot passed a point.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DwellReading {
+    /// First time that counts, s of the stream.
+    pub from_s: f64,
+    /// Last time that counts, s of the stream.
+    pub to_s: f64,
+    /// Mean without the outer tenths, mm.
+    pub reading_mm: f64,
+    /// Standard uncertainty of the mean, mm: `s / sqrt(N (1 - r) / (1 + r))` with r the correlation of
+    /// neighbouring samples. It does not hold the robot's repeatability, which no single dwell shows.
+    pub u_mm: f64,
+    /// Number of valid samples.
+    pub samples: usize,
+    /// Number of samples that the device did not vouch for; they do not count.
+    pub invalid: usize,
+    /// Number of gaps in the sequence numbers within.
+    pub gaps: usize,
+    /// Change of the reading over the dwell, mm, if it is more than noise.
+    pub creep_mm: Option<f64>,
+}
+
+impl DwellReading {
+    pub fn middle_s(&self) -> f64 {
+        0.5 * (self.from_s + self.to_s)
+    }
+}
+
+/// A uniform reading without any noise is known to this step, mm.
+const LEAST_STEP_MM: f64 = 1e-4;
+/// The least uncertainty of a reading, mm: that of a uniform distribution over the step.
+pub(super) fn least_u_mm() -> f64 {
+    LEAST_STEP_MM / 12f64.sqrt()
+}
+/// Fewer samples make no dwell.
+const LEAST_SAMPLES: usize = 3;
+/// A change must be that many standard deviations to be creep.
+const CREEP: f64 = 4.0;
+
+/// The reading between two times; `None` when there are too few valid samples or the clock broke within.
+pub fn measure(stream: &Stream, from_s: f64, to_s: f64) -> Option<DwellReading> {
+    let range = stream.at(from_s)..stream.at(to_s);
+    if range.len() < LEAST_SAMPLES || stream.broken_between(stream.t_s[range.start], to_s) {
+        return None;
+    }
+    let valid: Vec<usize> = range.clone().filter(|&at| stream.valid(at)).collect();
+    if valid.len() < LEAST_SAMPLES {
+        return None;
+    }
+    let mut readings: Vec<f64> = valid.iter().map(|&at| stream.reading_mm[at]).collect();
+    let reading_mm = robust::trimmed_mean(&mut readings)?;
+    let count = valid.len() as f64;
+    let middle_s = valid.iter().map(|&at| stream.t_s[at]).sum::<f64>() / count;
+    let (mut squares, mut products, mut tt, mut ty) = (0.0, 0.0, 0.0, 0.0);
+    let mut before = None;
+    for &at in &valid {
+        let (t, y) = (stream.t_s[at] - middle_s, stream.reading_mm[at] - reading_mm);
+        squares += y * y;
+        products += before.map_or(0.0, |last: f64| last * y);
+        tt += t * t;
+        ty += t * y;
+        before = Some(y);
+    }
+    let correlation = if squares > 0.0 { (products / squares).clamp(0.0, 0.99) } else { 0.0 };
+    let effective = (count * (1.0 - correlation) / (1.0 + correlation)).max(1.0);
+    // A reading that stays on one step of the scale is known to that step, however often it is read.
+    let step_mm = readings.windows(2).map(|pair| pair[1] - pair[0]).filter(|step| *step > 0.0);
+    let step_mm = step_mm.fold(f64::INFINITY, f64::min);
+    let deviation = (squares / (count - 1.0)).sqrt();
+    let u_mm = if step_mm.is_finite() && deviation > 0.5 * step_mm {
+        deviation / effective.sqrt()
+    } else {
+        if step_mm.is_finite() { step_mm / 12f64.sqrt() } else { least_u_mm() }
+    };
+    let slope = if tt > 0.0 { ty / tt } else { 0.0 };
+    // Of the same effective number of samples, spread over the same time.
+    let slope_sd = if tt > 0.0 { deviation * (count / effective / tt).sqrt() } else { f64::INFINITY };
+    let creeps = slope.abs() > CREEP * slope_sd && effective > 5.0;
+    let last_s = stream.t_s[range.end - 1];
+    Some(DwellReading {
+        from_s,
+        to_s,
+        reading_mm,
+        u_mm,
+        samples: valid.len(),
+        invalid: range.len() - valid.len(),
+        gaps: range.clone().skip(1).filter(|&at| stream.gap_before(at)).count(),
+        creep_mm: creeps.then(|| slope * (last_s - stream.t_s[range.start])),
+    })
+}

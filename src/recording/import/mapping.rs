@@ -1,0 +1,189 @@
+//! How a trace is laid out: a small TOML file.
+
+use std::fmt;
+
+use serde::{Deserialize, Deserializer};
+
+use crate::base::parse::wrong_toml;
+use crate::catalogue::ImportFinding;
+use crate::diagnostic::Diagnostic;
+
+/// The layout of a trace; without any key it is the CSV `t_s,length_mm`.
+#[derive(Clone, Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Mapping {
+    pub(super) file: Layout,
+    pub(super) time: Time,
+    pub(super) length: Length,
+    pub(super) strobe: Option<Plain>,
+    pub(super) valid: Option<Plain>,
+    pub(super) temperature: Option<Plain>,
+}
+
+/// Lines and fields.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub(super) struct Layout {
+    /// Between fields: one character, or `space` for any number of blanks.
+    pub(super) delimiter: String,
+    /// The decimal point, `.` or `,`.
+    pub(super) decimal: char,
+    /// Lines before the header, or before the first row where there is none.
+    pub(super) skip_lines: usize,
+    /// Whether a line names the columns.
+    pub(super) header: bool,
+    /// Lines that begin with it are passed over.
+    pub(super) comment: Option<String>,
+}
+
+impl Default for Layout {
+    fn default() -> Self {
+        Self { delimiter: ",".into(), decimal: '.', skip_lines: 0, header: true, comment: None }
+    }
+}
+
+/// Where the time is.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub(super) struct Time {
+    pub(super) column: Column,
+    pub(super) unit: TimeUnit,
+    /// Readings a second, in place of a column.
+    pub(super) rate_hz: Option<f64>,
+}
+
+impl Default for Time {
+    fn default() -> Self {
+        Self { column: Column::Name("t_s".into()), unit: TimeUnit::S, rate_hz: None }
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum TimeUnit {
+    S,
+    Ms,
+    Us,
+    Ns,
+    /// ISO 8601 date and time.
+    Iso,
+}
+
+impl TimeUnit {
+    /// Nanoseconds in one; those of `Iso` are read by itself.
+    pub(super) fn ns(self) -> f64 {
+        match self {
+            Self::S | Self::Iso => 1e9,
+            Self::Ms => 1e6,
+            Self::Us => 1e3,
+            Self::Ns => 1.0,
+        }
+    }
+}
+
+/// Where the length is.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub(super) struct Length {
+    pub(super) column: Column,
+    pub(super) unit: LengthUnit,
+    pub(super) kind: LengthKind,
+}
+
+impl Default for Length {
+    fn default() -> Self {
+        Self { column: Column::Name("length_mm".into()), unit: LengthUnit::Mm, kind: LengthKind::Distance }
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum LengthUnit {
+    M,
+    Mm,
+    Um,
+    Inch,
+}
+
+impl LengthUnit {
+    pub(super) fn mm(self) -> f64 {
+        match self {
+            Self::M => 1e3,
+            Self::Mm => 1.0,
+            Self::Um => 1e-3,
+            Self::Inch => 25.4,
+        }
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum LengthKind {
+    /// Between the ball centres.
+    Distance,
+    /// Of the bar, positive when it is longer.
+    Reading,
+}
+
+/// A column without a unit.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Plain {
+    pub(super) column: Column,
+}
+
+/// A column by its name or its number from 1.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) enum Column {
+    Name(String),
+    Number(usize),
+}
+
+impl<'de> Deserialize<'de> for Column {
+    fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
+        struct Either;
+        impl serde::de::Visitor<'_> for Either {
+            type Value = Column;
+            fn expecting(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+                out.write_str("a column's name, or its number from 1")
+            }
+            fn visit_str<E: serde::de::Error>(self, name: &str) -> Result<Column, E> {
+                Ok(Column::Name(name.to_owned()))
+            }
+            fn visit_i64<E: serde::de::Error>(self, number: i64) -> Result<Column, E> {
+                match usize::try_from(number) {
+                    Ok(number) if number > 0 => Ok(Column::Number(number)),
+                    _ => Err(E::custom("columns are numbered from 1")),
+                }
+            }
+        }
+        from.deserialize_any(Either)
+    }
+}
+
+impl Mapping {
+    /// Reads the file's text.
+    ///
+    /// # Errors
+    /// What is wrong, with line and column.
+    pub fn from_toml(file: &str, text: &str) -> Result<Self, Diagnostic> {
+        let mapping: Self = toml::from_str(text).map_err(|error| wrong_toml(file, text, &error))?;
+        let at = |word: &str, finding: ImportFinding| {
+            let from = text.find(word).unwrap_or(0);
+            Diagnostic::span(file, text, from..from + word.len(), finding)
+        };
+        if mapping.file.delimiter != "space" && mapping.file.delimiter.chars().count() != 1 {
+            return Err(at("delimiter", ImportFinding::Delimiter));
+        }
+        if !matches!(mapping.file.decimal, '.' | ',') {
+            return Err(at("decimal", ImportFinding::Decimal));
+        }
+        if mapping.file.delimiter.starts_with(mapping.file.decimal) {
+            return Err(at("decimal", ImportFinding::DecimalIsDelimiter));
+        }
+        if mapping.time.rate_hz.is_some_and(|hz| !(hz.is_finite() && hz > 0.0)) {
+            return Err(at("rate_hz", ImportFinding::Rate));
+        }
+        Ok(mapping)
+    }
+}

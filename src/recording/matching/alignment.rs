@@ -1,0 +1,133 @@
+//! Which dwell belongs to which commanded pose.
+//!
+//! A hidden Markov model over (pose, dwell): from one matched pair to the next, with poses that left no dwell and
+//! dwells that no pose commanded between them. The evidence are the INTERVALS between the begins of dwells, since
+//! absolute times drift apart with every pause. The forward and backward sums give each pair's probability; a pair is
+//! kept when it is nearly certain. The best path is not enough: it exists also where nothing can be identified.
+
+use super::program::{Commanded, Pace};
+use super::trellis::{Answer, BEAM, LEAST_OVERRIDE, MOST_OVERRIDE, Trellis};
+
+/// What is known of a detected dwell.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DwellEvidence {
+    /// Its begin, s of the stream.
+    pub start_s: f64,
+    /// Standard deviation of the begin, s.
+    pub start_sd_s: f64,
+    /// How long the length did not change, s, where that is the duration of the dwell.
+    pub duration_s: Option<f64>,
+    /// Its reading plus the bar's length, mm.
+    pub length_mm: f64,
+    /// Whether the clock broke since the dwell before.
+    pub after_break: bool,
+}
+
+/// Lengths that a model expects, for each pose.
+#[derive(Clone, Copy, Debug)]
+pub struct Expected<'a> {
+    pub length_mm: &'a [f64],
+    /// Their standard deviation, mm.
+    pub sigma_mm: f64,
+}
+
+/// The dwell of a pose, by its number from 0, and the probability of the answer.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Pairing {
+    Dwell {
+        dwell: usize,
+        posterior: f64,
+    },
+    None {
+        posterior: f64,
+    },
+    /// More than one answer is possible; the likeliest dwell.
+    Ambiguous {
+        dwell: usize,
+        posterior: f64,
+    },
+}
+
+/// The alignment of a run.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Alignment {
+    /// One for each pose.
+    pub pairings: Vec<Pairing>,
+    /// The override that the moves were driven with, 0..1.
+    pub override_factor: f64,
+}
+
+/// Pairs less certain are dropped.
+pub(super) const KEEP: f64 = 0.99;
+/// A pose is reported to have no dwell from this probability on.
+const NONE: f64 = 0.9;
+/// Hypotheses so much worse than the best are not followed up while only the override is sought.
+const SEARCH_BEAM: f64 = 10.0;
+/// The override is sought in the middle of a long run: more dwells do not determine it better.
+const SEARCH_DWELLS: usize = 160;
+/// The override's grid, as a ratio of steps; the slack of a move's duration takes up the step as well.
+const STEP: f64 = 1.1;
+const SEARCH_SLACK: f64 = 0.03;
+
+/// Aligns the detected dwells with the commanded poses, both in order of time.
+pub fn align(poses: &[Commanded], dwells: &[DwellEvidence], expected: Option<Expected<'_>>) -> Alignment {
+    let nothing =
+        Alignment { pairings: vec![Pairing::None { posterior: 1.0 }; poses.len()], override_factor: 1.0 };
+    if poses.is_empty() || dwells.is_empty() {
+        return nothing;
+    }
+    let trellis = Trellis::new(poses, dwells, expected);
+    let starts = likely_stretches(poses, dwells, expected);
+    let answers: Vec<Answer> = starts.into_iter().map(|stretch| trellis.answer(stretch)).collect();
+    let best = answers.iter().map(|answer| answer.evidence).fold(f64::NEG_INFINITY, f64::max);
+    let Some(likeliest) = answers.iter().find(|answer| answer.evidence == best) else { return nothing };
+    let total: f64 = answers.iter().map(|answer| (answer.evidence - best).exp()).sum();
+    let mut posterior = vec![0.0; poses.len() * dwells.len()];
+    for answer in &answers {
+        let weight = (answer.evidence - best).exp() / total;
+        for (sum, part) in posterior.iter_mut().zip(&answer.posterior) {
+            *sum += weight * part;
+        }
+    }
+    let pairings = posterior.chunks(dwells.len()).map(pairing).collect();
+    Alignment { pairings, override_factor: (1.0 / likeliest.stretch).min(1.0) }
+}
+
+/// Every local maximum of the evidence over the override that explains the run about as well as the best.
+fn likely_stretches(
+    poses: &[Commanded],
+    dwells: &[DwellEvidence],
+    expected: Option<Expected<'_>>,
+) -> Vec<f64> {
+    let from = dwells.len().saturating_sub(SEARCH_DWELLS) / 2;
+    let search = Trellis::new(poses, &dwells[from..dwells.len().min(from + SEARCH_DWELLS)], expected);
+    let steps = ((MOST_OVERRIDE / LEAST_OVERRIDE).ln() / STEP.ln()).ceil() as i32;
+    let stretches: Vec<f64> = (0..=steps).map(|step| 1.0 / (LEAST_OVERRIDE * STEP.powi(step))).collect();
+    let pace = |stretch: &f64| Pace { stretch: *stretch, slack: SEARCH_SLACK };
+    let evidence: Vec<f64> =
+        stretches.iter().map(|stretch| search.evidence(pace(stretch), SEARCH_BEAM)).collect();
+    let best = evidence.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    let is_peak = |at: usize| {
+        let lower = |other: Option<usize>| {
+            other.and_then(|at| evidence.get(at)).is_none_or(|next| *next <= evidence[at])
+        };
+        evidence[at] > best - BEAM && lower(at.checked_sub(1)) && lower(Some(at + 1))
+    };
+    (0..stretches.len()).filter(|at| is_peak(*at)).map(|at| stretches[at]).collect()
+}
+
+fn pairing(row: &[f64]) -> Pairing {
+    let (dwell, posterior) = row
+        .iter()
+        .copied()
+        .enumerate()
+        .fold((0, 0.0), |best, next| if next.1 > best.1 { next } else { best });
+    let none = (1.0 - row.iter().sum::<f64>()).clamp(0.0, 1.0);
+    if posterior > KEEP {
+        Pairing::Dwell { dwell, posterior }
+    } else if none > NONE {
+        Pairing::None { posterior: none }
+    } else {
+        Pairing::Ambiguous { dwell, posterior }
+    }
+}

@@ -1,0 +1,101 @@
+//! Dwells that were too faint to be detected, but whose time is known.
+//!
+//! Where a move hardly changes the length, two dwells look like one. If the time between the certain
+//! dwells on either side is just what the program takes, it did not pause in between, and then the times of the poses
+//! between are known.
+
+use super::alignment::{Alignment, KEEP, Pairing};
+use super::program::{AFTER_S, Elapsed, Interval, Pace, Poses, Program};
+use super::trellis::{SLACK, interval_variance_s2};
+use crate::recording::dwell::{Dwell, measure};
+use crate::recording::stream::Stream;
+
+/// The interval between the certain dwells must be commanded up to this, s; their begins to this each, s.
+const AGREES_S: f64 = 0.25;
+const BEGIN_KNOWN_S: f64 = 0.15;
+/// Kept free at the end of a dwell whose begin is known no better, s.
+const MARGIN_S: f64 = 0.15;
+/// At most so many poses in one row: a short look back, not dead reckoning.
+const MOST: usize = 4;
+
+/// A pose with its dwell.
+#[derive(Clone, Copy)]
+struct Certain {
+    pose: usize,
+    dwell: Dwell,
+    posterior: f64,
+}
+
+/// The time between two certain dwells that the program took without a pause.
+struct Bridge {
+    interval: Interval,
+    residual_s: f64,
+    posterior: f64,
+}
+
+/// Pairs poses without a dwell with the time at which the program must have been there, where the reading then was
+/// still.
+pub(super) fn infer(
+    poses: &Poses<'_>,
+    dwells: &mut Vec<Dwell>,
+    alignment: &mut Alignment,
+    stream: &Stream,
+    settle_s: f64,
+) {
+    let program = Program::new(&poses.commanded);
+    let pace = Pace { stretch: 1.0 / alignment.override_factor, slack: SLACK };
+    let certain: Vec<Certain> = alignment
+        .pairings
+        .iter()
+        .enumerate()
+        .filter_map(|(pose, pairing)| match *pairing {
+            Pairing::Dwell { dwell, posterior } => {
+                Some(Certain { pose, dwell: *dwells.get(dwell)?, posterior })
+            }
+            _ => None,
+        })
+        .filter(|certain| certain.dwell.start_sd_s < BEGIN_KNOWN_S)
+        .collect();
+    for pair in certain.windows(2) {
+        let (from, to) = (pair[0], pair[1]);
+        let Some(bridge) = bridge(&program, pace, [from, to], stream) else { continue };
+        for pose in from.pose + 1..to.pose {
+            if matches!(alignment.pairings[pose], Pairing::Dwell { .. }) {
+                continue;
+            }
+            // What is left over is shared out in proportion to the moves.
+            let move_s = program.interval(from.pose, pose, Elapsed::default()).move_s;
+            let whole_s = bridge.interval.move_s;
+            let share = if whole_s > 0.0 { move_s / whole_s } else { 0.0 };
+            let start_s =
+                from.dwell.start_s + program.takes_s(from.pose, pose, pace) + share * bridge.residual_s;
+            let end_s = start_s + poses.commanded[pose].wait_s;
+            let dwell = Dwell {
+                settled_s: start_s + settle_s.max(MARGIN_S),
+                until_s: end_s - MARGIN_S - AFTER_S,
+                ..Dwell::whole(start_s, end_s, BEGIN_KNOWN_S)
+            };
+            let reading = measure(stream, dwell.settled_s, dwell.until_s);
+            if reading.is_some_and(|reading| reading.creep_mm.is_none()) {
+                dwells.push(dwell);
+                let posterior = bridge.posterior;
+                alignment.pairings[pose] = Pairing::Dwell { dwell: dwells.len() - 1, posterior };
+            }
+        }
+    }
+}
+
+fn bridge(program: &Program, pace: Pace, [from, to]: [Certain; 2], stream: &Stream) -> Option<Bridge> {
+    let elapsed = Elapsed {
+        seen_s: to.dwell.start_s - from.dwell.start_s,
+        variance_s2: interval_variance_s2([from, to].map(|certain| certain.dwell.start_sd_s)),
+        clock_broke: stream.broken_between(from.dwell.start_s, to.dwell.start_s),
+    };
+    let interval = program.interval(from.pose, to.pose, elapsed);
+    let residual_s = interval.residual_s(pace);
+    // Both neighbours are theirs, and the program did not pause between them. A begin that was detected
+    // wrongly does not make the pose another one, so long as the interval agrees.
+    let posterior = from.posterior * to.posterior * interval.unpaused(pace);
+    let off = interval.by_hand || interval.passed > MOST || residual_s.abs() > AGREES_S;
+    (!off && posterior > KEEP).then_some(Bridge { interval, residual_s, posterior })
+}

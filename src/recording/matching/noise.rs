@@ -1,0 +1,118 @@
+//! The bar's noise when nothing moves, from which the thresholds of stillness follow.
+//!
+//! It is taken from an interval in which the robot surely stands: at the first HALT, where the bar is mounted and the
+//! program waits. A run that does not begin so (a foreign trace) has it from the quietest of its still intervals. What
+//! is measured is the slope itself, so that correlated noise and slow wander are in it as they are; the white part,
+//! which neighbouring blocks show far better, is its least value. A bar that stays on a step of its scale is treated
+//! by that step.
+
+use super::windows::Windows;
+use crate::math::robust;
+use crate::recording::dwell::Dwell;
+use crate::recording::stream::Stream;
+
+/// No bar is trusted to show a change below this within a window, mm.
+const LEAST_CHANGE_MM: f64 = 0.0002;
+/// A dwell at the start lasts that long, s.
+const START_S: f64 = 2.0;
+/// A dwell's ends are not used: there the motion rounds off, s.
+const INSET_S: f64 = 0.1;
+/// The lower quartile of the slopes' rms in dwells of a second or two is this share of the true one.
+const QUARTILE: f64 = 0.75;
+/// The start may be this many times as noisy as the quiet quarter: beyond that the bar was still being handled.
+const UNQUIET: f64 = 2.0;
+
+/// Noise of one width of windows at rest.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Quiet {
+    /// Standard deviation of a window's slope, mm/s.
+    pub(super) slope_sigma: f64,
+    /// Usual scatter of the block means about the window's line, mm.
+    pub(super) scatter_sigma: f64,
+    /// Slope that cannot be distinguished from none, mm/s.
+    pub(super) slope_floor: f64,
+}
+
+impl Quiet {
+    /// By the bulk of the whole run, in which slow moves count as well: a first look.
+    pub(super) fn of_bulk(windows: &Windows, stands: f64, least_mm: f64) -> Self {
+        let finite = windows.slopes.iter().filter(|slope| slope.is_finite());
+        let slope_sigma = robust::bulk_scale(&mut finite.map(|slope| slope.abs()).collect::<Vec<_>>());
+        let slope_floor = least_mm / windows.window_s;
+        let mut scatters: Vec<f64> = windows
+            .slopes
+            .iter()
+            .zip(&windows.scatters)
+            .filter(|(slope, _)| slope.abs() <= stands * slope_sigma + slope_floor)
+            .map(|(_, scatter)| *scatter)
+            .collect();
+        let scatter_sigma = robust::median(&mut scatters).unwrap_or(0.0).max(least_mm);
+        Self { slope_sigma, scatter_sigma, slope_floor }
+    }
+
+    /// By the dwells of a first look; `None` when no window lies within any.
+    pub(super) fn at_rest(windows: &Windows, looked: &[Dwell], least_mm: f64) -> Option<Self> {
+        let mut rms: Vec<f64> = Vec::new();
+        let mut scatters: Vec<f64> = Vec::new();
+        let mut start = None;
+        let mut before_start = true;
+        for dwell in looked {
+            let at_start = before_start && dwell.duration_s() >= START_S;
+            before_start &= !at_start;
+            let Some([slope, scatter]) = within(windows, dwell) else { continue };
+            if at_start {
+                start = Some([slope.max(windows.white_slope(block_noise(windows, dwell))), scatter]);
+            }
+            rms.push(slope);
+            scatters.push(scatter);
+        }
+        rms.sort_by(f64::total_cmp);
+        let quarter = *rms.get(rms.len() / 4)?;
+        let [slope_sigma, scatter] = match start {
+            Some([slope, scatter]) if quarter > 0.0 => [slope.clamp(quarter, UNQUIET * quarter), scatter],
+            Some(start) => start,
+            None => [quarter / QUARTILE, robust::median(&mut scatters)?],
+        };
+        let slope_floor = least_mm / windows.window_s;
+        Some(Self { slope_sigma, scatter_sigma: scatter.max(least_mm), slope_floor })
+    }
+}
+
+/// Rms of the slopes and median of the scatters of the windows that lie within a dwell.
+fn within(windows: &Windows, dwell: &Dwell) -> Option<[f64; 2]> {
+    let inset_s = INSET_S + 0.5 * windows.window_s;
+    let at = |t_s: f64| windows.blocks.partition_point(|block| block.t_s < t_s);
+    let range = at(dwell.start_s + inset_s)..at(dwell.end_s - inset_s);
+    let whole = |at: &usize| windows.slopes[*at].is_finite();
+    let slopes: Vec<f64> = range.clone().filter(whole).map(|at| windows.slopes[at]).collect();
+    let mut scatters: Vec<f64> = range.filter(whole).map(|at| windows.scatters[at]).collect();
+    let mean_square = slopes.iter().map(|slope| slope * slope).sum::<f64>() / slopes.len() as f64;
+    Some([mean_square.sqrt(), robust::median(&mut scatters)?])
+}
+
+/// Standard deviation of a block's mean by the differences of neighbours within a dwell, mm.
+fn block_noise(windows: &Windows, dwell: &Dwell) -> f64 {
+    let inside = |t_s: f64| t_s >= dwell.start_s + INSET_S && t_s <= dwell.end_s - INSET_S;
+    let inside = windows.blocks.iter().filter(|block| inside(block.t_s));
+    let means: Vec<f64> = inside.map(|block| block.mean_mm).collect();
+    let mut steps: Vec<f64> = means.windows(2).map(|pair| (pair[1] - pair[0]).abs()).collect();
+    robust::SIGMA_OF_MAD * robust::median(&mut steps).unwrap_or(0.0) / 2f64.sqrt()
+}
+
+/// What change of the reading may be none, mm: half a step of the bar's scale where the noise does not carry the reading
+/// over the steps, so that no mean is better.
+pub(super) fn least_change_mm(stream: &Stream) -> f64 {
+    const ENOUGH: usize = 100_000;
+    let stride = (stream.len() / ENOUGH).max(1);
+    let pairs = (1..stream.len()).step_by(stride).filter(|&at| stream.valid(at) && stream.valid(at - 1));
+    let changes = pairs.map(|at| (stream.reading_mm[at] - stream.reading_mm[at - 1]).abs());
+    let changes: Vec<f64> = changes.collect();
+    let mut steps: Vec<f64> = changes.iter().copied().filter(|change| *change > 0.0).collect();
+    // In fast moves the reading passes over several steps at once.
+    let quarter = steps.len() / 4;
+    if 2 * steps.len() >= changes.len() || steps.is_empty() {
+        return LEAST_CHANGE_MM;
+    }
+    let (_, step_mm, _) = steps.select_nth_unstable_by(quarter, f64::total_cmp);
+    (0.5 * *step_mm).max(LEAST_CHANGE_MM)
+}

@@ -1,0 +1,195 @@
+//! The match outcome of each commanded pose, and what the user should know of a run.
+
+use super::alignment::Pairing;
+use super::program::{Pace, Poses, Program};
+use super::{DwellSource, PoseMatching};
+use crate::catalogue::MatchingFinding as Finding;
+use crate::plan::Plan;
+use crate::recording::dwell::{Dwell, DwellReading};
+use crate::recording::stream::Stream;
+
+/// A commanded dwell and its outcome.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PoseOutcome {
+    /// The plan's index.
+    pub index: u32,
+    pub outcome: MatchOutcome,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+pub enum MatchOutcome {
+    /// It has a length; `posterior` is the probability that the dwell is this pose's.
+    Matched {
+        reading: DwellReading,
+        posterior: f64,
+    },
+    Missing {
+        reason: Finding,
+    },
+    /// Dropped, since it is not certain which dwell is its.
+    Ambiguous {
+        reason: Finding,
+    },
+}
+
+impl PoseOutcome {
+    /// The reading of a matched pose.
+    pub fn reading(&self) -> Option<&DwellReading> {
+        match &self.outcome {
+            MatchOutcome::Matched { reading, .. } => Some(reading),
+            _ => None,
+        }
+    }
+}
+
+/// When poses should have begun, by their matched neighbours.
+pub(super) struct ExpectedTimes {
+    program: Program,
+    /// Begin of the matched dwell of each pose, s.
+    starts: Vec<Option<f64>>,
+    waits_s: Vec<f64>,
+    modules: Vec<usize>,
+    pace: Pace,
+}
+
+impl ExpectedTimes {
+    pub(super) fn new(
+        poses: &Poses<'_>,
+        dwells: &[Dwell],
+        pairings: &[Pairing],
+        override_factor: f64,
+    ) -> Self {
+        let start = |pairing: &Pairing| match *pairing {
+            Pairing::Dwell { dwell, .. } => dwells.get(dwell).map(|dwell| dwell.start_s),
+            _ => None,
+        };
+        Self {
+            program: Program::new(&poses.commanded),
+            starts: pairings.iter().map(start).collect(),
+            waits_s: poses.commanded.iter().map(|pose| pose.wait_s).collect(),
+            modules: poses.commanded.iter().map(|pose| pose.module).collect(),
+            pace: Pace { stretch: 1.0 / override_factor, slack: 0.0 },
+        }
+    }
+
+    /// When pose `at` should have begun; `None` when no pose of its module was matched.
+    fn expected_s(&self, at: usize) -> Option<f64> {
+        let near = |other: &usize| self.modules[*other] == self.modules[at] && self.starts[*other].is_some();
+        let takes_s = |from, to| self.program.takes_s(from, to, self.pace);
+        let before = (0..at).rev().find(near).and_then(|from| Some(self.starts[from]? + takes_s(from, at)));
+        before.or_else(|| {
+            let after = (at + 1..self.starts.len()).find(near)?;
+            Some(self.starts[after]? - takes_s(at, after))
+        })
+    }
+
+    /// Why pose `at` has no dwell.
+    pub(super) fn reason(&self, at: usize, stream: &Stream, source: DwellSource) -> Finding {
+        let dwell = match source {
+            DwellSource::Reports => "report of the controller",
+            DwellSource::Strobe => "strobe",
+            DwellSource::Stillness => "still interval",
+        };
+        let Some(expected_s) = self.expected_s(at) else { return Finding::NoneNearby { dwell } };
+        let end_s = stream.t_s.last().copied().unwrap_or(0.0);
+        let wait_s = self.waits_s[at];
+        if expected_s < 0.0 {
+            return Finding::CaptureBeganLater;
+        }
+        if expected_s + 0.5 * wait_s > end_s {
+            return Finding::CaptureEndedBefore;
+        }
+        let range = stream.at(expected_s)..stream.at(expected_s + wait_s);
+        if (range.len() as f64) * stream.period_s() < 0.5 * wait_s {
+            return Finding::SentTooLittle { expected_s };
+        }
+        if range.clone().filter(|&at| stream.valid(at)).count() * 2 < range.len() {
+            return Finding::NotValid { at_s: expected_s };
+        }
+        Finding::NoneWhenDue { dwell, expected_s }
+    }
+}
+
+/// Why a dwell that was detected gave no reading.
+pub(super) fn unread(stream: &Stream, dwell: &Dwell) -> Finding {
+    let &Dwell { start_s: at_s, end_s, .. } = dwell;
+    let range = stream.at(at_s)..stream.at(end_s);
+    let invalid = range.clone().filter(|&at| !stream.valid(at)).count();
+    if stream.broken_between(at_s, end_s) {
+        Finding::ClockBroke { at_s }
+    } else if invalid * 2 > range.len() {
+        Finding::NotValid { at_s }
+    } else {
+        Finding::TooShort { at_s }
+    }
+}
+
+/// What the user should know about a run.
+pub(super) fn findings(matching: &PoseMatching, stream: &Stream) -> Vec<Finding> {
+    let mut findings = Vec::new();
+    let poses = matching.outcomes.len();
+    let readings = || matching.outcomes.iter().filter_map(PoseOutcome::reading);
+    let matched = readings().count();
+    let is_ambiguous = |pose: &&PoseOutcome| matches!(pose.outcome, MatchOutcome::Ambiguous { .. });
+    let ambiguous = matching.outcomes.iter().filter(is_ambiguous).count();
+    if ambiguous > 0 {
+        findings.push(Finding::AmbiguousPoses { poses: ambiguous });
+    }
+    if 2 * matched < poses {
+        findings.push(Finding::FewMatched { matched, poses });
+    }
+    let creep = readings().filter(|reading| reading.creep_mm.is_some()).count();
+    if creep > 0 {
+        findings.push(Finding::Creep { dwells: creep });
+    }
+    let gaps = readings().filter(|reading| reading.gaps > 0).count();
+    if gaps > 0 {
+        findings.push(Finding::MissingSamples { dwells: gaps });
+    }
+    for broken in stream.clock().into_iter().flat_map(|clock| &clock.breaks) {
+        let at_s = stream.t_s.get(broken.at).copied().unwrap_or(0.0);
+        let (jump_s, host_s) = (broken.jump_s, broken.host_s);
+        findings.push(if broken.reset {
+            Finding::ClockRestarted { at_s, jump_s, host_s }
+        } else {
+            Finding::ClockJumped { at_s, jump_s, host_s }
+        });
+    }
+    if let Some(drift) = matching.drift.filter(|drift| drift.significant) {
+        findings.push(Finding::ReferenceDrift { change_um: 1000.0 * drift.change_mm });
+    }
+    findings
+}
+
+/// Whether the measured axis angles are not the commanded ones: everywhere by a little in an absolute-accuracy mode, at
+/// single poses or by far where something is wrong.
+pub(super) fn axes_apart(matching: &PoseMatching, plan: &Plan) -> Option<Finding> {
+    /// No controller in position is further off, degrees.
+    const IN_POSITION_DEG: f64 = 0.05;
+    /// No robot is corrected by more at most of its poses, degrees.
+    const CORRECTED_DEG: f64 = 3.0;
+    let apart_deg = matching.observations.rows.iter().filter_map(|row| {
+        let commanded = plan.rows.get((row.index as usize).checked_sub(1)?)?;
+        let apart = row
+            .axes
+            .degrees()
+            .into_iter()
+            .zip(commanded.axes_deg)
+            .map(|(measured, plan)| (measured - plan).abs());
+        Some(apart.fold(0.0, f64::max))
+    });
+    let mut apart_deg: Vec<f64> = apart_deg.collect();
+    apart_deg.sort_by(f64::total_cmp);
+    let (usual_deg, worst_deg) = (*apart_deg.get(apart_deg.len() / 2)?, *apart_deg.last()?);
+    if worst_deg <= IN_POSITION_DEG {
+        return None;
+    }
+    let poses = apart_deg.iter().filter(|deg| **deg > IN_POSITION_DEG).count();
+    Some(if usual_deg > CORRECTED_DEG {
+        Finding::OtherPlanDriven { poses, worst_deg }
+    } else if usual_deg > IN_POSITION_DEG {
+        Finding::AxesCorrected { poses, worst_deg }
+    } else {
+        Finding::AxesMoved { poses, worst_deg }
+    })
+}

@@ -1,0 +1,265 @@
+//! Lengths at the points of a pass without stops: the commanded path against time.
+//!
+//! Strobe or reports show when the motion began and ended; how long it took against the plan gives the override. What
+//! is read comes later than what is commanded, by the lag of the drives and the delays of output and line. At a
+//! constant speed these are one number, and a pass each way determines it: the length at an angle is then read early
+//! on the one and late on the other.
+
+use std::ops::Range;
+
+use super::outcome::{MatchOutcome, PoseOutcome};
+use super::passing::{Passing, passing};
+use super::{Input, program};
+use crate::catalogue::MatchingFinding as Finding;
+use crate::plan::{Pass, Plan};
+use crate::recording::dwell::Dwell;
+use crate::recording::{reports, strobe_decoder};
+
+/// The lag that a pair of passes over one circle shows.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Lag {
+    /// The circle's number.
+    pub circle: u32,
+    /// How much later the reading comes than the commanded motion, s.
+    pub lag_s: f64,
+    /// Its standard deviation, s.
+    pub sd_s: f64,
+    /// Counter-clockwise less clockwise length, mm: what backlash and friction leave.
+    pub hysteresis_mm: f64,
+}
+
+/// The passes of a run, read.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Passes {
+    pub(super) points: Vec<PassPoint>,
+    pub(super) lags: Vec<Lag>,
+    /// Circles whose lag no pair of passes determines.
+    pub(super) one_way: Vec<u32>,
+    /// When the robot was on a pass, s.
+    spans_s: Vec<Range<f64>>,
+}
+
+#[derive(Clone, Debug)]
+pub(super) struct PassPoint {
+    pub(super) pose: PoseOutcome,
+    /// How much the point's length is uncertain by the lag, mm.
+    pub(super) timing_mm: f64,
+}
+
+/// Before a pair determines it the lag is known to be about 0, with this standard deviation, s.
+pub(super) const LAG_SD_S: f64 = 0.05;
+/// A motion lasts as planned over the override: no longer than this many times, no shorter.
+const STRETCHES: Range<f64> = 0.97..10.0;
+/// Angles that are the same one, degrees.
+const SAME_DEG: f64 = 0.01;
+
+/// A pass that was found.
+struct Found<'a> {
+    pass: &'a Pass,
+    start_s: f64,
+    /// How many times as long as planned it took.
+    stretch: f64,
+}
+
+/// What was read at a point of a pass, by the plan's index.
+struct PointReading {
+    index: u32,
+    passing: Option<Passing>,
+}
+
+/// Reads the passes of the plan.
+pub(super) fn read(input: &Input<'_>) -> Passes {
+    let planned = &input.plan.header.passes;
+    let mut passes = Passes::default();
+    let spans = spans(input);
+    let mut circles: Vec<u32> = planned.iter().map(|pass| pass.circle).collect();
+    circles.dedup();
+    for circle in circles {
+        let mut found = Vec::new();
+        for (pass, span) in planned.iter().zip(&spans).filter(|(pass, _)| pass.circle == circle) {
+            match span.clone().and_then(|span| Ok((check(input, pass, &span)?, span))) {
+                Ok((one, span)) => {
+                    passes.spans_s.push(span);
+                    found.push(one);
+                }
+                Err(reason) => passes.lose(pass, &reason),
+            }
+        }
+        passes.circle(input, circle, &found);
+    }
+    passes
+}
+
+impl Passes {
+    /// Whether a dwell lies on a pass.
+    pub(super) fn holds(&self, dwell: &Dwell) -> bool {
+        let middle_s = 0.5 * (dwell.start_s + dwell.end_s);
+        self.spans_s.iter().any(|span| span.contains(&middle_s))
+    }
+
+    fn lose(&mut self, pass: &Pass, reason: &Finding) {
+        for index in pass.points[0]..=pass.points[1] {
+            self.push(index, MatchOutcome::Missing { reason: reason.clone() }, 0.0);
+        }
+    }
+
+    fn push(&mut self, index: u32, outcome: MatchOutcome, timing_mm: f64) {
+        self.points.push(PassPoint { pose: PoseOutcome { index, outcome }, timing_mm });
+    }
+
+    /// The passes over one circle, of which any number was found.
+    fn circle(&mut self, input: &Input<'_>, circle: u32, found: &[Found<'_>]) {
+        let read = |lag_s: f64| -> Vec<Vec<PointReading>> {
+            found.iter().map(|one| one.points(input, lag_s)).collect()
+        };
+        let (mut lag_s, mut sd_s) = (0.0, LAG_SD_S);
+        let mut points = read(lag_s);
+        // Each round looks where the one before says; the fit is linear in what is left.
+        for round in 0..3 {
+            let Some(left) = remaining_lag(input.plan, found, &points) else { break };
+            // What is known of lags at all counts as one observation more.
+            let [prior, measured] = [LAG_SD_S, left.sd_s].map(|sd| 1.0 / (sd * sd));
+            lag_s = measured * (lag_s + left.lag_s) / (measured + prior);
+            sd_s = 1.0 / (measured + prior).sqrt();
+            points = read(lag_s);
+            if round == 2 {
+                self.lags.push(Lag { circle, lag_s, sd_s, ..left });
+            }
+        }
+        if !found.is_empty() && self.lags.last().is_none_or(|last| last.circle != circle) {
+            self.one_way.push(circle);
+        }
+        for PointReading { index, passing } in points.into_iter().flatten() {
+            match passing {
+                Some(Passing { reading, slope_mm_s }) => {
+                    let matched = MatchOutcome::Matched { reading, posterior: 1.0 };
+                    self.push(index, matched, slope_mm_s.abs() * sd_s);
+                }
+                None => self.push(index, MatchOutcome::Missing { reason: Finding::PassedTooFast }, 0.0),
+            }
+        }
+    }
+}
+
+impl Found<'_> {
+    /// What was read at each point, `lag_s` after it was commanded.
+    fn points(&self, input: &Input<'_>, lag_s: f64) -> Vec<PointReading> {
+        let indices = self.pass.points[0]..=self.pass.points[1];
+        let mut t_s = self.start_s + lag_s;
+        let times_s: Vec<f64> = indices
+            .clone()
+            .map(|index| {
+                let time = (index as usize).checked_sub(1).and_then(|at| input.plan.header.moves.get(at));
+                t_s += self.stretch * time.map_or(0.0, |time| time.duration_s);
+                t_s
+            })
+            .collect();
+        let half_s = |at: usize| {
+            let to = (at + 1).min(times_s.len() - 1);
+            let from = at.saturating_sub(1);
+            0.5 * (times_s[to] - times_s[from]) / (to - from).max(1) as f64
+        };
+        let read =
+            |(at, index)| PointReading { index, passing: passing(input.stream, times_s[at], half_s(at)) };
+        indices.enumerate().map(read).collect()
+    }
+}
+
+/// At one angle: clockwise less counter-clockwise reading (mm) over counter-clockwise less clockwise slope (mm/s).
+struct SensePair {
+    slope_mm_s: f64,
+    reading_mm: f64,
+}
+
+/// The lag that is left, its standard deviation, and the hysteresis: least squares of the differences between the two
+/// senses at the same angles. `None` without a pass each way, or where no length changes.
+fn remaining_lag(plan: &Plan, found: &[Found<'_>], points: &[Vec<PointReading>]) -> Option<Lag> {
+    let rows = sense_pairs(plan, found, points)?;
+    let count = rows.len() as f64;
+    if rows.len() < 4 {
+        return None;
+    }
+    let (x, y) = (
+        rows.iter().map(|row| row.slope_mm_s).sum::<f64>() / count,
+        rows.iter().map(|row| row.reading_mm).sum::<f64>() / count,
+    );
+    let xx: f64 = rows.iter().map(|row| (row.slope_mm_s - x).powi(2)).sum();
+    let xy: f64 = rows.iter().map(|row| (row.slope_mm_s - x) * (row.reading_mm - y)).sum();
+    if xx <= 0.0 {
+        return None;
+    }
+    let lag_s = xy / xx;
+    let residual = |row: &SensePair| (row.reading_mm - y - lag_s * (row.slope_mm_s - x)).powi(2);
+    let rest: f64 = rows.iter().map(residual).sum();
+    let sd_s = (rest / (count - 2.0) / xx).sqrt().max(1e-6);
+    Some(Lag { circle: 0, lag_s, sd_s, hysteresis_mm: lag_s * x - y })
+}
+
+fn sense_pairs(plan: &Plan, found: &[Found<'_>], points: &[Vec<PointReading>]) -> Option<Vec<SensePair>> {
+    let places = plan.circle_places();
+    let sense = |clockwise: bool| {
+        let at = found.iter().position(|one| one.pass.clockwise == clockwise)?;
+        let known = points.get(at)?.iter().filter_map(|point| {
+            let place = places.get((point.index as usize).checked_sub(1)?)?.as_ref()?;
+            Some((place.angle_deg, point.passing.as_ref()?))
+        });
+        Some(known.collect::<Vec<_>>())
+    };
+    let (counter, clockwise) = (sense(false)?, sense(true)?);
+    let mut rows = Vec::new();
+    for (angle_deg, one) in &counter {
+        let same = |other: &&(f64, &Passing)| {
+            let apart = (other.0 - angle_deg).rem_euclid(360.0);
+            apart.min(360.0 - apart) < SAME_DEG
+        };
+        if let Some((_, other)) = clockwise.iter().find(same) {
+            rows.push(SensePair {
+                slope_mm_s: one.slope_mm_s - other.slope_mm_s,
+                reading_mm: other.reading.reading_mm - one.reading.reading_mm,
+            });
+        }
+    }
+    Some(rows)
+}
+
+/// When each pass began and ended, s of the stream, or why that is not known.
+fn spans(input: &Input<'_>) -> Vec<Result<Range<f64>, Finding>> {
+    let passes = &input.plan.header.passes;
+    if let Some(reported) = reports::spans(input.reports, input.stream) {
+        let of = |pass: &Pass| reported.get(&pass.end).cloned().ok_or(Finding::PassNotReported);
+        return passes.iter().map(of).collect();
+    }
+    if passes.is_empty() {
+        return Vec::new();
+    }
+    if !strobe_decoder::has_strobe(input.stream) {
+        return vec![Err(Finding::PassWithoutSignal); passes.len()];
+    }
+    // The n-th strobe is that of the n-th dwell or pass.
+    let is_end = |index: u32| passes.iter().any(|pass| pass.end == index);
+    let commanded = input.plan.rows.iter().filter(|row| program::stops(row) || is_end(row.index));
+    let commanded: Vec<u32> = commanded.map(|row| row.index).collect();
+    let strobed = strobe_decoder::strobed_dwells(input.stream);
+    if strobed.len() != commanded.len() {
+        let reason = Finding::PassStrobes { strobes: strobed.len(), commanded: commanded.len() };
+        return vec![Err(reason); passes.len()];
+    }
+    let of = |pass: &Pass| {
+        let at = commanded.iter().position(|index| *index == pass.end);
+        let one = at.and_then(|at| strobed.get(at)).ok_or(Finding::PassWithoutEnd)?;
+        Ok(one.dwell.start_s..one.dwell.end_s)
+    };
+    passes.iter().map(of).collect()
+}
+
+fn check<'a>(input: &Input<'_>, pass: &'a Pass, span: &Range<f64>) -> Result<Found<'a>, Finding> {
+    let seconds = span.end - span.start;
+    let stretch = seconds / pass.duration_s;
+    if !STRETCHES.contains(&stretch) {
+        return Err(Finding::PassDuration { seconds, planned_s: pass.duration_s });
+    }
+    if input.stream.broken_between(span.start, span.end) {
+        return Err(Finding::PassClockBroke);
+    }
+    Ok(Found { pass, start_s: span.start, stretch })
+}

@@ -1,0 +1,303 @@
+//! Dwells by stillness: intervals of the stream without slope.
+//!
+//! On a circle the bar's length hardly changes, and what changes it is only the robot's error, some
+//! 10 um a move. So the gate uses slopes of block means over two windows, a short one for fast moves and a long one
+//! for faint ones, with thresholds from the bar's noise at rest. A first look, with thresholds from the bulk of the
+//! run, finds where it rested.
+
+use std::ops::RangeInclusive;
+
+use super::noise::{self, Quiet};
+use super::windows::{Block, Width, Windows};
+use crate::math::robust;
+use crate::recording::dwell::Dwell;
+use crate::recording::stream::Stream;
+
+/// The short and the long window. The shortest dwell that is looked for is half of a commanded one, so that the long
+/// window fits into a whole dwell.
+const SHORT: Width = Width { count: 12, block_s: 0.02, share: 0.6 };
+const LONG: Width = Width { count: 10, block_s: 0.06, share: 1.2 };
+/// Slope beyond which the robot moves, and below which it surely stands, in standard deviations.
+const MOVES: f64 = 4.0;
+const STANDS: f64 = 2.5;
+/// Standard deviation of a begin that is clearly seen, s: acceleration rounds it off. And of one that is not.
+const LEAST_BEGIN_SD_S: f64 = 0.04;
+const UNSEEN_BEGIN_S: f64 = 0.4;
+/// No move of a plan is shorter, s: two dwells nearer than this at one level are one.
+const LEAST_MOVE_S: f64 = 0.3;
+
+/// The dwells that last at least `least_s`.
+pub fn still_dwells(stream: &Stream, least_s: f64) -> Vec<Dwell> {
+    let short = Windows::of(stream, SHORT, least_s);
+    let long = Windows::of(stream, LONG, least_s);
+    let least_mm = noise::least_change_mm(stream);
+    let bulk = |windows| Scale { windows, quiet: Quiet::of_bulk(windows, STANDS, least_mm) };
+    let looked = look(&bulk(&short), &bulk(&long), least_s);
+    let at_rest = |windows| {
+        let quiet = Quiet::at_rest(windows, &looked, least_mm)?;
+        Some(Scale { windows, quiet })
+    };
+    match at_rest(&short).zip(at_rest(&long)) {
+        Some((fine, coarse)) => look(&fine, &coarse, least_s),
+        None => looked,
+    }
+}
+
+/// The dwells by these thresholds.
+fn look(fine: &Scale<'_>, coarse: &Scale<'_>, least_s: f64) -> Vec<Dwell> {
+    let block_s = fine.windows.block_s;
+    let reach = (0.5 * coarse.windows.window_s / block_s).ceil() as usize + 2;
+    let settled: Vec<Run> = quiet_runs(fine, coarse)
+        .into_iter()
+        .filter(|run| fine.stands(run))
+        .map(|run| fine.edges(&run, reach))
+        .collect();
+    let half = 0.5 * block_s;
+    joined(settled, fine)
+        .into_iter()
+        .map(|run| {
+            let start = fine.change_point(&run, reach, Edge::Start);
+            let end_s = fine.change_point(&run, reach, Edge::End).t_s;
+            Dwell::whole(start.t_s - half, end_s.max(start.t_s) + half, start.sd_s)
+        })
+        .filter(|dwell| dwell.duration_s() >= least_s)
+        .collect()
+}
+
+/// The runs of blocks that are quiet by both windows.
+fn quiet_runs(fine: &Scale<'_>, coarse: &Scale<'_>) -> Vec<RangeInclusive<usize>> {
+    let (blocks, around) = (&fine.windows.blocks, &coarse.windows.blocks);
+    let mut runs = Vec::new();
+    let mut open: Option<usize> = None;
+    let mut over = 0; // the coarse block at or after the fine one
+    for (at, block) in blocks.iter().enumerate() {
+        while over + 1 < around.len() && around[over].t_s < block.t_s {
+            over += 1;
+        }
+        if fine.quiet(at) && coarse.quiet(over) {
+            open.get_or_insert(at);
+        } else if let Some(from) = open.take() {
+            runs.push(from..=at - 1);
+        }
+    }
+    runs.extend(open.map(|from| from..=blocks.len() - 1));
+    runs
+}
+
+/// A still run of fine blocks, both ends included, with its level.
+#[derive(Clone, Copy)]
+struct Run {
+    from: usize,
+    to: usize,
+    level_mm: f64,
+}
+
+#[derive(Clone, Copy)]
+enum Edge {
+    Start,
+    End,
+}
+
+/// A time and its standard deviation, s.
+struct ChangePoint {
+    t_s: f64,
+    sd_s: f64,
+}
+
+/// A line with a level behind it: sum of squares about both, and the line's slope.
+struct Broken {
+    squares: f64,
+    slope: f64,
+}
+
+/// Windows with the thresholds for them.
+struct Scale<'a> {
+    windows: &'a Windows,
+    quiet: Quiet,
+}
+
+impl Scale<'_> {
+    /// Neither slope nor scatter of a robot that moves.
+    fn quiet(&self, at: usize) -> bool {
+        let Windows { slopes, scatters, .. } = self.windows;
+        let (Some(slope), Some(scatter)) = (slopes.get(at), scatters.get(at)) else { return false };
+        let Quiet { slope_sigma, scatter_sigma, slope_floor } = self.quiet;
+        slope.abs() <= MOVES * slope_sigma + slope_floor && *scatter <= 4.0 * scatter_sigma
+    }
+
+    /// Whether a quiet run is still for the most part: a slow move is quiet but slopes all along.
+    fn stands(&self, run: &RangeInclusive<usize>) -> bool {
+        let limit = STANDS * self.quiet.slope_sigma + self.quiet.slope_floor;
+        let slopes = &self.windows.slopes[run.clone()];
+        let low = slopes.iter().filter(|slope| slope.abs() <= limit).count();
+        10 * low >= 7 * slopes.len()
+    }
+
+    /// Where the run begins or ends: the change point between a level and a slope adjoining, fitted to the blocks on
+    /// both sides.
+    ///
+    /// The level's tolerance alone would be left late by a slow move.
+    fn change_point(&self, run: &Run, reach: usize, at: Edge) -> ChangePoint {
+        let Run { from, to, .. } = *run;
+        let inside = reach.min(to - from);
+        let (edge, sign, blocks) = match at {
+            Edge::Start => (from, 1.0, from.saturating_sub(reach)..=from + inside),
+            Edge::End => (to, -1.0, to - inside..=(to + reach).min(self.windows.blocks.len() - 1)),
+        };
+        let Block { t_s: edge_s, epoch, .. } = self.windows.blocks[edge];
+        // Time counts from the edge into the run; what a gap or a broken clock divides stays out.
+        let points: Vec<(f64, f64)> = self.windows.blocks[blocks]
+            .iter()
+            .filter(|block| block.epoch == epoch)
+            .map(|block| (sign * (block.t_s - edge_s), block.mean_mm))
+            .filter(|(x, _)| x.abs() <= (reach + 1) as f64 * self.windows.block_s)
+            .collect();
+        let fits = points.iter().map(|&(x, _)| (x, fit_change(&points, x)));
+        let none = (0.0, Broken { squares: f64::INFINITY, slope: 0.0 });
+        let (x, Broken { slope, .. }) =
+            fits.fold(none, |best, next| if next.1.squares < best.1.squares { next } else { best });
+        let sd_s = (1.5 * self.quiet.scatter_sigma / slope.abs().max(1e-9))
+            .min(UNSEEN_BEGIN_S)
+            .hypot(LEAST_BEGIN_SD_S);
+        ChangePoint { t_s: edge_s + sign * x, sd_s }
+    }
+
+    /// The run with its ends where the level is left: the windows blur them by half their width.
+    fn edges(&self, run: &RangeInclusive<usize>, reach: usize) -> Run {
+        const NEAR: usize = 15;
+        let (from, to) = (*run.start(), *run.end());
+        let tolerance = 4.0 * self.quiet.scatter_sigma;
+        let head_mm = self.level_mm(from..=to.min(from + NEAR));
+        let tail_mm = self.level_mm(from.max(to.saturating_sub(NEAR))..=to);
+        let on = |at: usize, level_mm: f64| (self.windows.blocks[at].mean_mm - level_mm).abs() <= tolerance;
+        let adjoins = |a: usize, b: usize| {
+            let [a, b] = [a, b].map(|at| &self.windows.blocks[at]);
+            a.epoch == b.epoch && b.t_s - a.t_s < LEAST_MOVE_S
+        };
+        let (mut first, mut last) = (from, to);
+        while first < to && !on(first, head_mm) {
+            first += 1;
+        }
+        while last > first && !on(last, tail_mm) {
+            last -= 1;
+        }
+        for _ in 0..reach {
+            if first > 0 && adjoins(first - 1, first) && on(first - 1, head_mm) {
+                first -= 1;
+            }
+            if last + 1 < self.windows.blocks.len() && adjoins(last, last + 1) && on(last + 1, tail_mm) {
+                last += 1;
+            }
+        }
+        Run { from: first, to: last, level_mm: self.level_mm(first..=last) }
+    }
+
+    /// Median of the blocks' means, mm.
+    fn level_mm(&self, run: RangeInclusive<usize>) -> f64 {
+        let mut values: Vec<f64> = self.windows.blocks[run].iter().map(|block| block.mean_mm).collect();
+        robust::median(&mut values).unwrap_or(0.0)
+    }
+}
+
+/// A line up to `change` and a level from there.
+fn fit_change(points: &[(f64, f64)], change: f64) -> Broken {
+    let count = points.len() as f64;
+    let (mut x, mut y, mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0, 0.0, 0.0);
+    let origin = points.first().map_or(0.0, |point| point.1);
+    for (at, value) in points {
+        let (u, v) = ((at - change).min(0.0), value - origin);
+        x += u;
+        y += v;
+        xx += u * u;
+        xy += u * v;
+        yy += v * v;
+    }
+    let (sxx, sxy, syy) = (xx - x * x / count, xy - x * y / count, yy - y * y / count);
+    if sxx > 0.0 {
+        Broken { squares: syy - sxy * sxy / sxx, slope: sxy / sxx }
+    } else {
+        Broken { squares: syy, slope: 0.0 }
+    }
+}
+
+/// Runs that a blip or a gap in the data tore apart, as one; runs that touch are cut in the middle.
+fn joined(runs: Vec<Run>, fine: &Scale<'_>) -> Vec<Run> {
+    let mut whole: Vec<Run> = Vec::new();
+    for mut run in runs {
+        if let Some(before) = whole.last_mut() {
+            let (left, right) = (
+                &fine.windows.blocks[before.to.min(run.from)],
+                &fine.windows.blocks[run.from.max(before.to)],
+            );
+            let apart_s = right.t_s - left.t_s;
+            let one_level = (run.level_mm - before.level_mm).abs() <= 2.0 * fine.quiet.scatter_sigma;
+            if apart_s < LEAST_MOVE_S && one_level && left.epoch == right.epoch {
+                before.to = run.to.max(before.to);
+                continue;
+            }
+            if run.from <= before.to {
+                let middle = usize::midpoint(run.from, before.to);
+                before.to = middle.max(before.from);
+                run.from = (middle + 1).min(run.to);
+            }
+        }
+        whole.push(run);
+    }
+    whole
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::base::units::HostNs;
+    use crate::measurement::sample::Sample;
+    use crate::recording::stream::StreamBuilder;
+
+    /// Levels (mm, s) with a ramp of `move_s` between them, at 100 Hz, with a noise that is not random.
+    fn stream(levels: &[(f64, f64)], move_s: f64) -> Stream {
+        let mut builder = StreamBuilder::new(None);
+        let mut count = 0_u32;
+        let mut push = |reading_mm: f64| {
+            let noise_mm = 0.0005 * (f64::from(count) * 2.4).sin();
+            let host = HostNs(u64::from(count) * 10_000_000);
+            builder.push(host, &Sample { reading_mm: reading_mm + noise_mm, ..SAMPLE });
+            count += 1;
+        };
+        for (at, (level_mm, lasts_s)) in levels.iter().enumerate() {
+            (0..(lasts_s * 100.0) as u32).for_each(|_| push(*level_mm));
+            let Some((next_mm, _)) = levels.get(at + 1) else { break };
+            let steps = (move_s * 100.0) as u32;
+            (0..steps)
+                .for_each(|step| push(level_mm + (next_mm - level_mm) * f64::from(step) / f64::from(steps)));
+        }
+        builder.build()
+    }
+
+    const SAMPLE: Sample = Sample {
+        reading_mm: 0.0,
+        sequence: None,
+        ticks: None,
+        trigger: None,
+        temperature_c: None,
+        valid: true,
+        status: 0,
+        offset: 0,
+    };
+
+    #[test]
+    fn dwells_begin_and_end_at_the_change_points() {
+        let dwells = still_dwells(&stream(&[(0.0, 3.0), (0.5, 1.5), (0.3, 1.5)], 1.0), 0.5);
+        let times: Vec<[f64; 2]> = dwells.iter().map(|dwell| [dwell.start_s, dwell.end_s]).collect();
+        assert_eq!(dwells.len(), 3, "{times:?}");
+        for ([start_s, end_s], expected) in times.iter().zip([[0.0, 3.0], [4.0, 5.5], [6.5, 8.0]]) {
+            let blocks = [start_s - expected[0], end_s - expected[1]].map(|off_s| off_s / SHORT.block_s);
+            assert!(blocks.iter().all(|off| off.abs() < 3.5), "{times:?}");
+        }
+    }
+
+    #[test]
+    fn a_slow_move_is_no_dwell_and_a_short_one_is_left_out() {
+        let dwells = still_dwells(&stream(&[(0.0, 3.0), (0.5, 0.2), (0.0, 3.0)], 4.0), 0.5);
+        assert_eq!(dwells.len(), 2, "{dwells:?}");
+    }
+}

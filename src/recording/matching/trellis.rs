@@ -1,0 +1,422 @@
+//! The HMM trellis over (dwell, pose): states, transitions, forward and backward sums at one override.
+
+use std::cell::Cell;
+
+use super::alignment::{DwellEvidence, Expected};
+use super::duration::{MISSED, SPURIOUS, Span};
+use super::program::{BROKEN, Commanded, Densities, Elapsed, Interval, MOST_LOG_DENSITY, Pace, Program};
+
+/// Probability that an outage of the bar begins at a pose, and that it goes on for another. It is rated
+/// low, since a pause of the operator must not pass for an outage.
+const OUTAGE: f64 = 1e-6;
+const OUTAGE_GOES_ON: f64 = 0.8;
+/// Most spurious dwells in one row.
+const SPURIOUS_RUN: usize = 8;
+/// The same between two modules, where the operator handles the bar, and how many poses may be lost there.
+const SPURIOUS_BY_HAND: usize = 60;
+const LOST_BY_HAND: usize = 4;
+/// Most poses without a dwell in one row where the time does not limit them.
+const MISSED_RUN: usize = 60;
+/// An interval may be shorter than commanded by no more, s.
+const EARLY_S: f64 = 1.5;
+/// Hypotheses so much worse than the best (in natural logarithms) are not followed up.
+pub(super) const BEAM: f64 = 45.0;
+/// The override's least and greatest value.
+pub(super) const LEAST_OVERRIDE: f64 = 0.27;
+pub(super) const MOST_OVERRIDE: f64 = 1.03;
+/// How far a move's duration may be from the plan's, as a share.
+pub(super) const SLACK: f64 = 0.01;
+/// No begin is known better, s: the controller's own waits and outputs jitter.
+const LEAST_START_SD_S: f64 = 0.02;
+
+/// Variance of the time between two begins with these standard deviations, s2.
+pub(super) fn interval_variance_s2(start_sd_s: [f64; 2]) -> f64 {
+    start_sd_s.iter().map(|sd_s| sd_s.max(LEAST_START_SD_S).powi(2)).sum()
+}
+
+/// The dwell is the pose's.
+#[derive(Clone, Copy)]
+struct State {
+    dwell: usize,
+    pose: usize,
+}
+
+/// What follows a state, as far as it depends on the state alone.
+struct Departure {
+    from: State,
+    pace: Pace,
+    next_module: usize,
+    /// Ratio of probabilities that the next dwell is the rest of this one, and that this one ran into the next poses.
+    torn: f64,
+    merged: f64,
+}
+
+/// One override's answer: probabilities of the states, by pose, then dwell.
+pub(super) struct Answer {
+    pub(super) stretch: f64,
+    pub(super) evidence: f64,
+    pub(super) posterior: Vec<f64>,
+}
+
+/// Logarithms of the forward sums, by dwell, then pose, and of the whole.
+struct Forward {
+    sums: Vec<f64>,
+    best: Vec<f64>,
+    evidence: f64,
+}
+
+/// The same backward, and the override that the states ask for.
+struct Backward {
+    sums: Vec<f64>,
+    stretch: f64,
+}
+
+/// Poses and dwells, and what does not depend on the override.
+pub(super) struct Trellis<'a> {
+    program: Program,
+    poses: usize,
+    dwells: &'a [DwellEvidence],
+    /// The dwells with their durations, where these are known.
+    spans: Option<Vec<Span>>,
+    /// Number of clock breaks up to each dwell.
+    epochs: Vec<usize>,
+    /// Log weight of a state by the dwell's duration and length, by dwell, then pose.
+    emissions: Vec<f64>,
+    most_emission: f64,
+    /// The program may begin at any time of the run, and any poses at either end may be lost.
+    log_prior: f64,
+    /// Log weight of passing over 0, 1, .. poses.
+    passed: Vec<f64>,
+    /// For each pose, the first pose of the next module (or the number of poses).
+    next_modules: Vec<usize>,
+}
+
+impl<'a> Trellis<'a> {
+    pub(super) fn new(
+        poses: &[Commanded],
+        dwells: &'a [DwellEvidence],
+        expected: Option<Expected<'_>>,
+    ) -> Self {
+        let epochs = dwells
+            .iter()
+            .scan(0, |epoch, dwell| {
+                *epoch += usize::from(dwell.after_break);
+                Some(*epoch)
+            })
+            .collect();
+        let begin_s = |dwell: Option<&DwellEvidence>| dwell.map_or(0.0, |dwell| dwell.start_s);
+        let span_s = begin_s(dwells.last()) - begin_s(dwells.first());
+        let span = |dwell: &DwellEvidence| Some(Span::new(dwell.start_s, dwell.duration_s?));
+        let spans: Option<Vec<Span>> = dwells.iter().map(span).collect();
+        let emissions = emissions(poses, dwells, spans.as_deref(), expected);
+        let passed = (0..=MISSED_RUN as i32)
+            .map(|poses| MISSED.powi(poses).max(OUTAGE * OUTAGE_GOES_ON.powi(poses)).ln())
+            .collect();
+        let next_modules = poses
+            .chunk_by(|a, b| a.module == b.module)
+            .scan(0, |first, module| {
+                *first += module.len();
+                Some(vec![*first; module.len()])
+            })
+            .flatten()
+            .collect();
+        Self {
+            program: Program::new(poses),
+            poses: poses.len(),
+            dwells,
+            epochs,
+            most_emission: emissions.iter().copied().fold(0.0, f64::max),
+            emissions,
+            log_prior: (span_s.max(1.0) * (poses.len() * poses.len()) as f64).ln(),
+            passed,
+            next_modules,
+            spans,
+        }
+    }
+
+    fn cell(&self, State { dwell, pose }: State) -> usize {
+        dwell * self.poses + pose
+    }
+
+    fn departure(&self, from: State, pace: Pace) -> Departure {
+        let next_module = self.next_modules[from.pose];
+        let (torn, merged) = (self.torn(from), self.merged(from, next_module, pace));
+        Departure { from, pace, next_module, torn, merged }
+    }
+
+    /// Calls `visit(state, log weight, interval)` for every state that may follow the given one, unless
+    /// `worth(dwell, most log weight)` says that it cannot matter.
+    fn successors(
+        &self,
+        from: State,
+        pace: Pace,
+        worth: impl Fn(usize, f64) -> bool,
+        mut visit: impl FnMut(State, f64, &Interval),
+    ) {
+        let departure = self.departure(from, pace);
+        let next_module = departure.next_module;
+        let by_hand = next_module < self.poses && from.pose + LOST_BY_HAND >= next_module - 1;
+        let most = 1 + if by_hand { SPURIOUS_BY_HAND } else { SPURIOUS_RUN };
+        let most_log = MOST_LOG_DENSITY + self.most_emission + (1.0 + departure.torn + departure.merged).ln();
+        for dwell in from.dwell + 1..self.dwells.len().min(from.dwell + 1 + most) {
+            let elapsed = self.elapsed(from.dwell, dwell);
+            let between = dwell - from.dwell - 1;
+            let spurious = between as f64 * SPURIOUS.ln();
+            let (first, end) = if between <= SPURIOUS_RUN {
+                (from.pose + 1, from.pose + 1 + self.passed.len())
+            } else {
+                (next_module, next_module + 1 + LOST_BY_HAND)
+            };
+            for pose in first..self.poses.min(end) {
+                let interval = self.program.interval(from.pose, pose, elapsed);
+                if !elapsed.clock_broke && interval.residual_s(pace) < -EARLY_S {
+                    break;
+                }
+                let skipped = spurious + self.passed[interval.passed.min(MISSED_RUN)];
+                if !worth(dwell, skipped + most_log) {
+                    continue;
+                }
+                let to = State { dwell, pose };
+                let density = self.density(&departure, to, &interval);
+                let weight = skipped + density.max(1e-300).ln() + self.emissions[self.cell(to)];
+                visit(to, weight, &interval);
+            }
+        }
+    }
+
+    fn elapsed(&self, from: usize, to: usize) -> Elapsed {
+        Elapsed {
+            seen_s: self.dwells[to].start_s - self.dwells[from].start_s,
+            variance_s2: interval_variance_s2([from, to].map(|at| self.dwells[at].start_sd_s)),
+            clock_broke: self.epochs[to] != self.epochs[from],
+        }
+    }
+
+    /// Density of the transition, 1/s.
+    fn density(&self, departure: &Departure, to: State, interval: &Interval) -> f64 {
+        let &Departure { from, pace, torn, merged, .. } = departure;
+        // By the duration of the first: the rest of it comes next, or poses that it ran over.
+        let lasting = 1.0
+            + if to.dwell > from.dwell + 1 { torn } else { 0.0 }
+            + if interval.passed > 0 { merged } else { 0.0 };
+        if interval.elapsed.clock_broke {
+            return BROKEN * lasting;
+        }
+        let Densities { running, paused } = interval.densities(pace);
+        running * lasting + paused * self.pause_evidence(departure, to.dwell, interval).unwrap_or(lasting)
+    }
+
+    /// That the next dwell is the rest of this one, against that it is spurious.
+    fn torn(&self, State { dwell, pose }: State) -> f64 {
+        let Some(spans) = &self.spans else { return 0.0 };
+        let (Some(here), Some(next)) = (spans.get(dwell), spans.get(dwell + 1)) else { return 0.0 };
+        here.torn(next, self.program.wait_s(pose))
+    }
+
+    /// That this dwell ran together with the next poses, against that they were missed.
+    fn merged(&self, State { dwell, pose }: State, next_module: usize, pace: Pace) -> f64 {
+        let Some(here) = self.spans.as_ref().and_then(|spans| spans.get(dwell)) else { return 0.0 };
+        let ends_s = (pose + 1..next_module).map(|last| self.program.span_s(pose, last, pace));
+        here.merged(self.program.wait_s(pose), ends_s)
+    }
+
+    /// How much a dwell of its length supports a pause that fills the interval; `None` where durations say nothing.
+    fn pause_evidence(&self, departure: &Departure, next_dwell: usize, interval: &Interval) -> Option<f64> {
+        let &Departure { from, pace, .. } = departure;
+        let spans = self.spans.as_ref().filter(|_| !interval.by_hand)?;
+        let (here, between) = spans.get(from.dwell..next_dwell)?.split_first()?;
+        let move_s = pace.stretch * interval.move_s;
+        Some(here.paused(self.program.wait_s(from.pose), interval.residual_s(pace), move_s, between))
+    }
+
+    fn first(&self, state: State) -> f64 {
+        state.dwell as f64 * SPURIOUS.ln() - self.log_prior + self.emissions[self.cell(state)]
+    }
+
+    fn last(&self, state: State) -> f64 {
+        (self.dwells.len() - 1 - state.dwell) as f64 * SPURIOUS.ln() + self.torn(state).ln_1p()
+    }
+
+    /// Log of the probability of all dwells at this pace.
+    pub(super) fn evidence(&self, pace: Pace, beam: f64) -> f64 {
+        self.forward(pace, beam).evidence
+    }
+
+    fn forward(&self, pace: Pace, beam: f64) -> Forward {
+        let states =
+            (0..self.dwells.len()).flat_map(|dwell| (0..self.poses).map(move |pose| State { dwell, pose }));
+        let mut sums: Vec<f64> = states.map(|state| self.first(state)).collect();
+        let most = |row: &[f64]| row.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        let mut best: Vec<f64> = sums.chunks(self.poses).map(most).collect();
+        // That no dwell at all is the program's is possible as well.
+        let mut evidence = self.dwells.len() as f64 * SPURIOUS.ln();
+        for dwell in 0..self.dwells.len() {
+            let best = Cell::from_mut(&mut best[..]).as_slice_of_cells();
+            for pose in 0..self.poses {
+                let state = State { dwell, pose };
+                let from = sums[self.cell(state)];
+                if from < best[dwell].get() - beam {
+                    continue;
+                }
+                evidence = log_sum(evidence, from + self.last(state));
+                let worth = |next: usize, most: f64| from + most >= best[next].get() - beam;
+                self.successors(state, pace, worth, |to, weight, _| {
+                    let sum = &mut sums[self.cell(to)];
+                    *sum = log_sum(*sum, from + weight);
+                    best[to.dwell].set(best[to.dwell].get().max(*sum));
+                });
+            }
+        }
+        Forward { sums, best, evidence }
+    }
+
+    /// Beside the sums, least squares of what the intervals took over what was commanded, weighted with
+    /// their probability.
+    fn backward(&self, forward: &Forward, pace: Pace) -> Backward {
+        let mut sums = vec![f64::NEG_INFINITY; forward.sums.len()];
+        let (mut products, mut squares) = (0.0, 0.0);
+        for dwell in (0..self.dwells.len()).rev() {
+            for pose in 0..self.poses {
+                let state = State { dwell, pose };
+                let from = forward.sums[self.cell(state)];
+                if from < forward.best[dwell] - BEAM {
+                    continue;
+                }
+                let worth = |next: usize, most: f64| from + most >= forward.best[next] - BEAM;
+                let mut sum = self.last(state);
+                self.successors(state, pace, worth, |to, weight, interval| {
+                    let onward = weight + sums[self.cell(to)];
+                    sum = log_sum(sum, onward);
+                    let log_posterior = from + onward - forward.evidence;
+                    let sigma_s = interval.sigma_s(pace);
+                    let far = interval.residual_s(pace).abs() > 4.0 * sigma_s;
+                    if log_posterior < -BEAM || interval.elapsed.clock_broke || far {
+                        return;
+                    }
+                    let weight = log_posterior.exp() / (sigma_s * sigma_s);
+                    products += weight * interval.move_s * (interval.elapsed.seen_s - interval.wait_s);
+                    squares += weight * interval.move_s * interval.move_s;
+                });
+                sums[self.cell(state)] = sum;
+            }
+        }
+        let stretch = if squares > 0.0 {
+            (products / squares).clamp(1.0 / MOST_OVERRIDE, 1.0 / LEAST_OVERRIDE)
+        } else {
+            pace.stretch
+        };
+        Backward { sums, stretch }
+    }
+
+    /// Refines the override near `stretch` and gives the probabilities there.
+    pub(super) fn answer(&self, mut stretch: f64) -> Answer {
+        const ROUNDS: usize = 4;
+        let mut round = 1;
+        loop {
+            let pace = Pace { stretch, slack: SLACK };
+            let forward = self.forward(pace, BEAM);
+            let backward = self.backward(&forward, pace);
+            if round == ROUNDS || (backward.stretch / stretch - 1.0).abs() < 1e-4 {
+                let posterior = (0..self.poses)
+                    .flat_map(|pose| (0..self.dwells.len()).map(move |dwell| State { dwell, pose }))
+                    .map(|state| self.cell(state))
+                    .map(|cell| (forward.sums[cell] + backward.sums[cell] - forward.evidence).exp())
+                    .collect();
+                return Answer { stretch, evidence: forward.evidence, posterior };
+            }
+            stretch = backward.stretch;
+            round += 1;
+        }
+    }
+}
+
+/// Log weights of the states by the dwells' durations and lengths, by dwell, then pose.
+fn emissions(
+    poses: &[Commanded],
+    dwells: &[DwellEvidence],
+    spans: Option<&[Span]>,
+    expected: Option<Expected<'_>>,
+) -> Vec<f64> {
+    let expected = expected.filter(|expected| expected.length_mm.len() == poses.len());
+    let mut weights = Vec::with_capacity(poses.len() * dwells.len());
+    for (at, dwell) in dwells.iter().enumerate() {
+        let span = spans.and_then(|spans| spans.get(at));
+        weights.extend(poses.iter().enumerate().map(|(pose, commanded)| {
+            let duration = span.map_or(0.0, |span| span.dwell(commanded.wait_s).ln());
+            let length = expected.map_or(0.0, |expected| {
+                length_weight(dwell.length_mm - expected.length_mm[pose], expected.sigma_mm)
+            });
+            duration + length
+        }));
+    }
+    weights
+}
+
+/// Log of the ratio of a state's length density to that of a dwell somewhere in the bar's stroke.
+fn length_weight(difference_mm: f64, sigma_mm: f64) -> f64 {
+    const STROKE_MM: f64 = 2.0;
+    const BAD: f64 = 0.02;
+    let sigma_mm = sigma_mm.max(1e-6);
+    let standard = difference_mm / sigma_mm;
+    let normal = (-0.5 * standard * standard).exp() / (sigma_mm * std::f64::consts::TAU.sqrt());
+    ((1.0 - BAD) * normal * STROKE_MM + BAD).ln()
+}
+
+/// `ln(exp(a) + exp(b))`.
+fn log_sum(a: f64, b: f64) -> f64 {
+    let (low, high) = if a < b { (a, b) } else { (b, a) };
+    if high - low > 40.0 || low == f64::NEG_INFINITY { high } else { high + (low - high).exp().ln_1p() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn poses() -> Vec<Commanded> {
+        let moves = [0.0, 1.1, 2.3, 1.7, 0.9];
+        moves.into_iter().map(|move_s| Commanded { move_s, wait_s: 1.0, module: 0 }).collect()
+    }
+
+    /// The dwells of a program driven as planned, without those of `lost`.
+    fn dwells(lost: &[usize]) -> Vec<DwellEvidence> {
+        let mut start_s = 5.0;
+        let mut dwells = Vec::new();
+        for (at, pose) in poses().iter().enumerate() {
+            start_s += pose.move_s + if at > 0 { 1.0 } else { 0.0 };
+            if !lost.contains(&at) {
+                let (start_sd_s, length_mm) = (0.02, 0.0);
+                let (duration_s, after_break) = (None, false);
+                dwells.push(DwellEvidence { start_s, start_sd_s, duration_s, length_mm, after_break });
+            }
+        }
+        dwells
+    }
+
+    #[test]
+    fn the_posterior_of_each_dwell_sums_to_at_most_one() {
+        let (poses, dwells) = (poses(), dwells(&[2]));
+        let answer = Trellis::new(&poses, &dwells, None).answer(1.0);
+        for dwell in 0..dwells.len() {
+            let sum: f64 = (0..poses.len()).map(|pose| answer.posterior[pose * dwells.len() + dwell]).sum();
+            assert!(sum < 1.0 + 1e-9, "{sum}");
+        }
+        for (pose, dwell) in [(0, 0), (1, 1), (3, 2), (4, 3)] {
+            assert!(answer.posterior[pose * dwells.len() + dwell] > 0.99, "{:?}", answer.posterior);
+        }
+    }
+
+    #[test]
+    fn the_evidence_is_greatest_at_the_override_that_was_driven() {
+        let (poses, dwells) = (poses(), dwells(&[]));
+        let trellis = Trellis::new(&poses, &dwells, None);
+        let evidence = |stretch: f64| trellis.evidence(Pace { stretch, slack: SLACK }, BEAM);
+        assert!(evidence(1.0) > evidence(1.2) && evidence(1.0) > evidence(1.5));
+        assert!((trellis.answer(1.03).stretch - 1.0).abs() < 0.01);
+    }
+
+    #[test]
+    fn sums_of_logarithms_are_those_of_the_numbers() {
+        assert!((log_sum(2f64.ln(), 3f64.ln()) - 5f64.ln()).abs() < 1e-15);
+        assert_eq!(log_sum(f64::NEG_INFINITY, 1.0), 1.0);
+    }
+}

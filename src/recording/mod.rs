@@ -1,0 +1,22 @@
+//! From recorded bytes to measurements: the capture file, the device's clock, dwells, the matching of dwells to poses,
+//! whole runs, imported traces.
+
+pub mod capture;
+pub mod device_clock;
+pub mod dwell;
+pub mod import;
+mod lower_hull;
+pub mod matching;
+pub mod reports;
+pub mod run;
+pub mod stream;
+pub mod strobe_decoder;
+pub mod telegram;
+
+pub use device_clock::{Break, ClockMap, DeviceClock, DeviceTime, Stamp};
+pub use dwell::{Dwell, DwellReading, measure};
+pub use lower_hull::Segment;
+pub use reports::{Report, reported_axes};
+pub use stream::{SequenceStep, Stream, StreamBuilder, sequence_step};
+pub use strobe_decoder::{StrobeDecoder, StrobeEvent, StrobedDwell, strobed_dwells};
+pub use telegram::{Heard, LONGEST_TELEGRAM, Telegram, TelegramReader, run_number};

@@ -1,0 +1,119 @@
+//! The circles of a run, as the circular test takes them.
+
+use std::collections::BTreeMap;
+
+use super::Run;
+use crate::catalogue::MatchingFinding;
+use crate::circular::{Drive, Point, Sense, Trace};
+use crate::diagnostic::Diagnostic;
+use crate::plan::{Kind, PlanRow};
+use crate::recording::matching::PoseOutcome;
+use crate::robot::{AXES, Robot};
+
+/// A circle of the plan with what was measured on it.
+#[derive(Clone, Debug)]
+pub struct Circle {
+    /// Its number in the plan, from 1.
+    pub number: u32,
+    /// Nominal radius, mm.
+    pub radius_mm: f64,
+    /// The lengths (mm, as read) by the sense of the motion.
+    pub traces: Vec<Trace>,
+    /// Poses that have no length.
+    pub lost: usize,
+}
+
+/// The circles of a run, and what its matching found.
+pub struct Circles {
+    /// Those on which anything was measured, in the plan's order.
+    pub circles: Vec<Circle>,
+    pub findings: Vec<MatchingFinding>,
+}
+
+impl Run {
+    /// The lengths of the run as read: the circular test corrects them itself, and gives both.
+    ///
+    /// # Errors
+    /// What is wrong in the plan's robot.
+    pub fn circles(&self) -> Result<Circles, Diagnostic> {
+        let matching = self.matching_as_read(None);
+        let robot = self.robot()?;
+        let reading = |pose: &PoseOutcome| Some((pose.index, pose.reading()?.middle_s()));
+        let times: BTreeMap<u32, f64> = matching.outcomes.iter().filter_map(reading).collect();
+        let measured: BTreeMap<_, _> =
+            matching.observations.rows.iter().map(|row| (row.index, row)).collect();
+        let mut lost: BTreeMap<u32, usize> = BTreeMap::new();
+        let mut circles: Vec<Circle> = Vec::new();
+        for (row, place) in self.plan.rows.iter().zip(&self.plan.circle_places()) {
+            let (Some(place), Kind::Measure) = (place, row.kind) else { continue };
+            let Some(observation) = measured.get(&row.index) else {
+                *lost.entry(row.circle).or_default() += 1;
+                continue;
+            };
+            let point = Point {
+                angle_deg: place.angle_deg,
+                // The pose as printed is off the circle by up to a micrometre; that is no error of the robot.
+                length_mm: observation.length_mm - (row.length_mm - place.radius_mm),
+                sigma_mm: observation.sigma_mm,
+                t_s: None,
+                temp_c: times.get(&row.index).and_then(|t_s| self.temperature_at(*t_s)),
+                axes_deg: Some(observation.axes.degrees()),
+                drives: drives(self, &robot, row),
+            };
+            let sense = if place.clockwise { Sense::Clockwise } else { Sense::CounterClockwise };
+            if circles.last().is_none_or(|last| last.number != row.circle) {
+                circles.push(Circle::new(row.circle, place.radius_mm));
+            }
+            if let Some(circle) = circles.last_mut() {
+                circle.add(sense, point);
+            }
+        }
+        for circle in &mut circles {
+            circle.lost = lost.get(&circle.number).copied().unwrap_or(0);
+        }
+        Ok(Circles { circles, findings: matching.findings })
+    }
+}
+
+impl Circle {
+    fn new(number: u32, radius_mm: f64) -> Self {
+        Self { number, radius_mm, traces: Vec::new(), lost: 0 }
+    }
+
+    fn add(&mut self, sense: Sense, point: Point) {
+        match self.traces.iter_mut().find(|trace| trace.sense == sense) {
+            Some(trace) => trace.points.push(point),
+            None => self.traces.push(Trace { run: "1".into(), sense, points: vec![point] }),
+        }
+    }
+}
+
+/// What the joints do to the length at a pose, and in which sense each came there.
+fn drives(run: &Run, robot: &Robot, row: &PlanRow) -> Option<[Drive; AXES]> {
+    /// Half of the step of the derivative, rad.
+    const STEP: f64 = 1e-5;
+    /// A joint that moves less does not move, degrees.
+    const STILL_DEG: f64 = 1e-3;
+    let ball = run.plan.header.job.centres.iter().find(|ball| ball.id == row.centre)?;
+    let at = (row.index as usize).checked_sub(1)?;
+    let neighbour = |at: Option<usize>| at.and_then(|at| run.plan.rows.get(at)).map(|row| row.axes_deg);
+    let (before, after) = (neighbour(at.checked_sub(1)), neighbour(Some(at + 1)));
+    let axes = row.axes_deg.map(f64::to_radians);
+    Some(std::array::from_fn(|joint| {
+        let length = |step: f64| {
+            let mut moved = axes;
+            moved[joint] += step;
+            robot.geometry.length(&moved, &ball.xyz_mm.into(), 0.0)
+        };
+        let lever_mm = (length(STEP) - length(-STEP)) / (2.0 * STEP);
+        let sense = |from: f64, to: f64| match to - from {
+            step if step >= STILL_DEG => 1,
+            step if step <= -STILL_DEG => -1,
+            _ => 0,
+        };
+        let came = before.map_or(0, |before| sense(before[joint], row.axes_deg[joint]));
+        let goes = after.map_or(0, |after| sense(row.axes_deg[joint], after[joint]));
+        // Next to where it turns the joint may have turned on the way already.
+        Drive { lever_mm, sense: if came == goes { came } else { 0 } }
+    }))
+}

@@ -1,0 +1,141 @@
+//! A recorded run: a capture with its plan, read once, and what becomes of the two: lengths at poses, circles.
+
+mod circles;
+mod open;
+mod plan_files;
+mod temperature;
+
+use std::sync::Arc;
+
+pub use circles::{Circle, Circles};
+pub use open::{is_capture, open};
+pub use plan_files::{PlanFiles, attached_plan, read_plan};
+use temperature::{Temperatures, certificate};
+
+use super::matching::{self, Expected, Input, MeasuredAxes, PoseMatching, PoseOutcome};
+use super::reports::Report;
+use super::stream::Stream;
+use crate::catalogue::RecordingFinding;
+use crate::circular::Temperature;
+use crate::diagnostic::Diagnostic;
+use crate::measurement::{BallId, BaseBall, Column};
+use crate::plan::Plan;
+use crate::robot::{AXES, Robot};
+
+/// What a capture gives to be matched.
+pub struct Run {
+    /// The plan: the one attached, unless another one was named. Its header holds the job with
+    /// the base balls, and the robot.
+    pub plan: Plan,
+    /// The samples on one clock.
+    pub stream: Stream,
+    /// The bar's temperature, where it was sent.
+    temperatures: Temperatures,
+    /// What the controller reported.
+    pub reports: Vec<Report>,
+    /// Whether something of the run was lost (a damage, a cut end, samples), or it may not be that of the plan.
+    pub doubtful: bool,
+    /// As the program sent them over EthernetKRL; those of a `.dat` take precedence.
+    pub axes_deg: MeasuredAxes,
+}
+
+/// A model of the lengths: evidence for the matching as the times are.
+#[derive(Clone, Copy)]
+pub struct Predicted<'a> {
+    /// Of the base ball and the axis angles in degrees, mm.
+    pub length_mm: &'a dyn Fn(BallId, &[f64; AXES]) -> f64,
+    /// Standard deviation, mm.
+    pub sigma_mm: f64,
+}
+
+impl Run {
+    /// The measurements, with their lengths referred by the bar's certificate to the temperature that they were read
+    /// at.
+    ///
+    /// To match, identify and match again until [`PoseMatching::same_pairs`] shows that nothing changed.
+    pub fn matching(&self, predicted: Option<Predicted<'_>>) -> PoseMatching {
+        let certificate = self.certificate();
+        let warm = certificate.zip(self.temperatures.mean());
+        let factor = warm.map_or(1.0, |(certificate, mean_c)| certificate.referred_mm(1.0, mean_c));
+        // Readings are aligned as they were read.
+        let mut matching = match predicted {
+            Some(Predicted { length_mm, sigma_mm }) => {
+                let as_read = |ball: BallId, axes_deg: &[f64; AXES]| length_mm(ball, axes_deg) / factor;
+                self.matching_as_read(Some(Predicted { length_mm: &as_read, sigma_mm }))
+            }
+            None => self.matching_as_read(None),
+        };
+        let readings = matching.outcomes.iter().filter_map(PoseOutcome::reading);
+        let temperatures: Vec<_> = readings.map(|reading| self.temperature_at(reading.middle_s())).collect();
+        if temperatures.iter().any(Option::is_some) {
+            let observations = &mut matching.observations;
+            observations.columns.push(Column::TemperatureC);
+            for (row, temp_c) in observations.rows.iter_mut().zip(temperatures) {
+                if let (Some(certificate), Some(temp_c)) = (certificate, temp_c) {
+                    row.length_mm = certificate.referred_mm(row.length_mm, temp_c);
+                }
+                Arc::make_mut(row.context.get_or_insert_default()).temperature_c = temp_c;
+            }
+        }
+        matching
+    }
+
+    /// The measurements without a correction for temperature.
+    pub fn matching_as_read(&self, predicted: Option<Predicted<'_>>) -> PoseMatching {
+        let axes_deg = (!self.axes_deg.is_empty()).then_some(&self.axes_deg);
+        let lengths =
+            predicted.map(|predicted| matching::expected_lengths(&self.plan, axes_deg, predicted.length_mm));
+        let expected = lengths.as_deref().zip(predicted);
+        matching::match_poses(&Input {
+            reports: &self.reports,
+            expected: expected
+                .map(|(length_mm, predicted)| Expected { length_mm, sigma_mm: predicted.sigma_mm }),
+            bar_sigma_mm: self.plan.header.job.bar.sigma_um * 1e-3,
+            axes_deg,
+            ..Input::new(&self.plan, &self.stream)
+        })
+    }
+
+    /// How the bar's certificate refers a length; `None` where it gives no expansion.
+    pub fn certificate(&self) -> Option<Temperature> {
+        certificate(&self.plan.header.job)
+    }
+
+    /// The bar's temperature at a time of the run, degrees Celsius.
+    pub fn temperature_at(&self, t_s: f64) -> Option<f64> {
+        self.temperatures.at(self.stream.at(t_s))
+    }
+
+    /// What was done about temperature.
+    fn temperature_finding(&self) -> Option<RecordingFinding> {
+        let length_mm = self.plan.header.job.bar.length_mm;
+        match (self.certificate(), self.temperatures.mean()) {
+            (Some(certificate), Some(mean_c)) => {
+                let correction_um = 1e3 * (certificate.referred_mm(length_mm, mean_c) - length_mm);
+                Some(RecordingFinding::TemperatureCorrected { mean_c, correction_um, length_mm })
+            }
+            (Some(_), None) => Some(RecordingFinding::TemperatureUnknown),
+            (None, _) => None,
+        }
+    }
+
+    /// The base balls of the job.
+    pub fn centres(&self) -> Vec<BaseBall> {
+        let balls = &self.plan.header.job.centres;
+        balls
+            .iter()
+            .map(|ball| BaseBall {
+                id: BallId::new(ball.id).unwrap_or(BallId::FIRST),
+                position: ball.xyz_mm.into(),
+            })
+            .collect()
+    }
+
+    /// The robot that the plan was made for.
+    ///
+    /// # Errors
+    /// What is wrong in its text.
+    pub fn robot(&self) -> Result<Robot, Diagnostic> {
+        Robot::from_toml("the plan's robot", &self.plan.header.robot)
+    }
+}

@@ -1,0 +1,176 @@
+//! Reading a run.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use serde_json::Value;
+
+use super::Run;
+use super::plan_files::{attached_plan, attached_text, read_plan};
+use super::temperature::Temperatures;
+use crate::base::files;
+use crate::catalogue::{FileFinding, RecordingFinding};
+use crate::device::protocol::Definition;
+use crate::diagnostic::Diagnostic;
+use crate::plan::Plan;
+use crate::program::krl;
+use crate::recording::capture::{Event, Pass, Record, Stamped};
+use crate::recording::matching::MeasuredAxes;
+use crate::recording::reports::{Report, reported_axes};
+use crate::recording::stream::StreamBuilder;
+
+/// Whether the file at `path` is a capture, whatever its name.
+///
+/// # Errors
+/// When it cannot be read.
+pub fn is_capture(path: &Path) -> Result<bool, Diagnostic> {
+    use std::io::Read as _;
+    /// How a capture begins.
+    const MAGIC: &[u8] = b"DBBDCAP\n";
+    let mut first = Vec::new();
+    let read =
+        std::fs::File::open(path).and_then(|file| file.take(MAGIC.len() as u64).read_to_end(&mut first));
+    let unreadable = |error: std::io::Error| FileFinding::Unreadable { why: error.to_string() };
+    read.map_err(|error| Diagnostic::file(&path.display().to_string(), unreadable(error)))?;
+    Ok(first == MAGIC)
+}
+
+/// Reads the capture at `path`, and the axis angles logged into the `.dat` files `axes`; reports the capture's damages
+/// and what else is to be known.
+///
+/// # Errors
+/// When it is no capture, has no samples, or there is no plan for it; what is wrong in a `.dat`.
+pub fn open(
+    path: &Path,
+    plan: Option<&Path>,
+    axes: &[PathBuf],
+    report: &mut dyn FnMut(Diagnostic),
+) -> Result<Run, Diagnostic> {
+    let name = path.display().to_string();
+    let mut report = |finding: RecordingFinding| report(Diagnostic::file(&name, finding));
+    let mut gathered = Gathered::default();
+    let pass = Pass::over(path, |stamped| gathered.add(stamped, &name))?;
+    pass.findings().into_iter().for_each(&mut report);
+    let Gathered { attachments, stream, temperatures, reports, lost, ended } = gathered;
+    let plan = match plan {
+        Some(csv) => read_plan(csv)?,
+        None => attached_plan(&name, &attachments)?
+            .ok_or_else(|| Diagnostic::file(&name, RecordingFinding::NoPlan))?,
+    };
+    let stream = stream.map(StreamBuilder::build);
+    let stream = stream.ok_or_else(|| Diagnostic::file(&name, RecordingFinding::NoSample))?;
+    let mut doubts = Vec::new();
+    if lost > 0 {
+        doubts.push(RecordingFinding::SamplesLost { samples: lost });
+    }
+    if !ended {
+        doubts.push(RecordingFinding::CutOff);
+    }
+    let mut axes_deg = reported_axes(&reports);
+    for path in axes {
+        let logged = LoggedAxes::read(path, &plan)?;
+        if logged.absolute_accuracy {
+            report(RecordingFinding::AbsoluteAccuracy);
+        }
+        axes_deg.extend(logged.axes_deg);
+    }
+    doubts.extend(incomplete_axes(&plan, &axes_deg));
+    doubts.extend(other_plan(attachments.get("plan.json"), &plan));
+    let doubtful = !pass.damages.is_empty() || !doubts.is_empty();
+    doubts.into_iter().for_each(&mut report);
+    let run = Run { plan, stream, temperatures, reports, doubtful, axes_deg };
+    run.temperature_finding().into_iter().for_each(&mut report);
+    Ok(run)
+}
+
+/// What a program logged into its `.dat`.
+struct LoggedAxes {
+    axes_deg: MeasuredAxes,
+    absolute_accuracy: bool,
+}
+
+impl LoggedAxes {
+    fn read(path: &Path, plan: &Plan) -> Result<Self, Diagnostic> {
+        let name = path.display().to_string();
+        let data = krl::parse_data(&name, &files::read(path)?)?;
+        if let Some(hash) = krl::plan_hash(&data).filter(|hash| *hash != plan.header.hash) {
+            let run = plan.header.hash.clone();
+            return Err(Diagnostic::file(&name, RecordingFinding::OtherPlansData { plan: hash, run }));
+        }
+        let absolute_accuracy = krl::absolute_accuracy(&data) == Some(true);
+        Ok(Self { axes_deg: krl::logged_axes(&data)?, absolute_accuracy })
+    }
+}
+
+/// Axes that are this far from the commanded ones do not follow the nominal robot, degrees.
+const APART_DEG: f64 = 0.005;
+
+/// Whether the known axis angles are not the commanded ones, while those of other poses are not known.
+fn incomplete_axes(plan: &Plan, axes_deg: &MeasuredAxes) -> Option<RecordingFinding> {
+    let (mut worst_deg, mut poses) = (0.0_f64, 0);
+    for row in plan.rows.iter().filter(|row| row.dwell_s > 0.0) {
+        match axes_deg.get(&row.index) {
+            Some(axes) => {
+                let apart = axes.iter().zip(row.axes_deg).map(|(a, b)| (a - b).abs());
+                worst_deg = apart.fold(worst_deg, f64::max);
+            }
+            None => poses += 1,
+        }
+    }
+    (worst_deg > APART_DEG && poses > 0).then_some(RecordingFinding::AxesIncomplete { worst_deg, poses })
+}
+
+/// Whether the capture was recorded with another plan than the one named.
+fn other_plan(attached: Option<&Vec<u8>>, plan: &Plan) -> Option<RecordingFinding> {
+    let header = serde_json::from_slice::<Value>(attached?).ok()?;
+    let recorded = header.get("hash")?.as_str().filter(|hash| *hash != plan.header.hash)?;
+    Some(RecordingFinding::OtherPlan { recorded: recorded.into(), named: plan.header.hash.clone() })
+}
+
+/// What one pass over a capture collects.
+#[derive(Default)]
+struct Gathered {
+    attachments: BTreeMap<String, Vec<u8>>,
+    stream: Option<StreamBuilder>,
+    temperatures: Temperatures,
+    reports: Vec<Report>,
+    lost: u64,
+    ended: bool,
+}
+
+impl Gathered {
+    fn add(&mut self, stamped: Stamped, run: &str) -> Result<(), Diagnostic> {
+        match stamped.record {
+            Record::Attachment { name, content } => {
+                self.attachments.insert(name, content);
+            }
+            Record::Samples(samples) => {
+                // A capture's files come before its samples.
+                let stream = match &mut self.stream {
+                    Some(stream) => stream,
+                    none => none.insert(stream(&self.attachments, run)?),
+                };
+                for sample in &samples {
+                    stream.push(stamped.host, sample);
+                    self.temperatures.push(sample.temperature_c);
+                }
+            }
+            Record::Event(Event::Controller { index, phase, axes_deg }) => {
+                self.reports.push(Report { host: stamped.host, index, phase, axes_deg });
+            }
+            Record::Event(Event::Ended { lost, .. }) => (self.ended, self.lost) = (true, lost),
+            _ => {}
+        }
+        Ok(())
+    }
+}
+
+/// A stream with the clock and the sequence numbers of the protocol in force, where it has them.
+fn stream(attachments: &BTreeMap<String, Vec<u8>>, run: &str) -> Result<StreamBuilder, Diagnostic> {
+    let Some(text) = attached_text(run, attachments, "protocol.toml")? else {
+        return Ok(StreamBuilder::new(None));
+    };
+    let definition = Definition::from_toml(&format!("{run}: protocol.toml"), text)?;
+    let clock = definition.clock.map(Into::into);
+    Ok(StreamBuilder::new(clock).sequence(definition.sequence_modulo))
+}

@@ -1,0 +1,78 @@
+//! The one loader of a plan: from its two files, or from the attachments of a capture.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use crate::base::files;
+use crate::catalogue::FileFinding;
+use crate::diagnostic::Diagnostic;
+use crate::plan::Plan;
+
+/// The names of a plan's files among the attachments of a capture.
+const ATTACHED_CSV: &str = "plan.csv";
+const ATTACHED_JSON: &str = "plan.json";
+const ATTACHED_ROBOT: &str = "robot.toml";
+
+/// A plan with the texts that it was read from.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PlanFiles {
+    pub plan: Plan,
+    pub csv: String,
+    pub json: String,
+}
+
+impl PlanFiles {
+    /// The plan whose rows are in the CSV at `csv`, with the .json beside it.
+    ///
+    /// # Errors
+    /// What cannot be read or is wrong, with its file and line.
+    pub fn read(csv: &Path) -> Result<Self, Diagnostic> {
+        let json = csv.with_extension("json");
+        let (csv_name, json_name) = (csv.display().to_string(), json.display().to_string());
+        if csv.is_file() && !json.is_file() {
+            let message = format!("has no {json_name} beside it: it is no plan, or half of one");
+            return Err(Diagnostic::file(&csv_name, message)
+                .help("name the plan.csv that `dbbd plan` wrote, with its plan.json in the same directory"));
+        }
+        let (csv, json) = (files::read(csv)?, files::read(&json)?);
+        let plan = Plan::from_files(&csv_name, &csv, &json_name, &json)?;
+        Ok(Self { plan, csv, json })
+    }
+
+    /// The files that a capture of a run of the plan carries, by their names.
+    pub fn attachments(self) -> [(&'static str, String); 3] {
+        [(ATTACHED_CSV, self.csv), (ATTACHED_JSON, self.json), (ATTACHED_ROBOT, self.plan.header.robot)]
+    }
+}
+
+/// As [`PlanFiles::read`], without the texts.
+///
+/// # Errors
+/// As [`PlanFiles::read`].
+pub fn read_plan(csv: &Path) -> Result<Plan, Diagnostic> {
+    PlanFiles::read(csv).map(|files| files.plan)
+}
+
+/// The plan among the attachments of the capture `run`; `None` if there is none.
+///
+/// # Errors
+/// What is wrong in it.
+pub fn attached_plan(run: &str, attachments: &BTreeMap<String, Vec<u8>>) -> Result<Option<Plan>, Diagnostic> {
+    let text = |name: &str| attached_text(run, attachments, name);
+    let (Some(csv), Some(json)) = (text(ATTACHED_CSV)?, text(ATTACHED_JSON)?) else { return Ok(None) };
+    let name = |file: &str| format!("{run}: {file}");
+    Plan::from_files(&name(ATTACHED_CSV), csv, &name(ATTACHED_JSON), json).map(Some)
+}
+
+/// The text of an attachment, if it is there.
+///
+/// # Errors
+/// When it is not UTF-8.
+pub(super) fn attached_text<'a>(
+    run: &str,
+    attachments: &'a BTreeMap<String, Vec<u8>>,
+    name: &str,
+) -> Result<Option<&'a str>, Diagnostic> {
+    let text = attachments.get(name).map(|content| std::str::from_utf8(content));
+    text.transpose().map_err(|_| Diagnostic::file(&format!("{run}: {name}"), FileFinding::NotUtf8))
+}

@@ -1,0 +1,61 @@
+//! The bar's temperature over a run, and lengths referred by the bar's certificate.
+
+use crate::circular::Temperature;
+use crate::plan::Job;
+
+/// Samples whose temperatures are kept as their mean.
+const BLOCK: usize = 256;
+/// A temperature counts for so many blocks before and after it was read.
+const NEAR: usize = 200;
+
+/// Sum and count of the temperatures of a block.
+#[derive(Clone, Copy, Debug, Default)]
+struct Block {
+    sum_c: f64,
+    count: u32,
+}
+
+/// Temperatures by the place of the sample in its run, in degrees Celsius.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Temperatures {
+    blocks: Vec<Block>,
+    samples: usize,
+}
+
+impl Temperatures {
+    /// The next sample came, with its temperature if it has one.
+    pub(super) fn push(&mut self, temperature_c: Option<f64>) {
+        let block = self.samples / BLOCK;
+        self.samples += 1;
+        if let Some(temperature_c) = temperature_c.filter(|c| c.is_finite()) {
+            self.blocks.resize(self.blocks.len().max(block + 1), Block::default());
+            let block = &mut self.blocks[block];
+            block.sum_c += temperature_c;
+            block.count += 1;
+        }
+    }
+
+    /// The temperature at a sample: the mean of its block, or of the nearest one that has any.
+    pub(super) fn at(&self, sample: usize) -> Option<f64> {
+        let block = sample / BLOCK;
+        let mean = |at: usize| {
+            let block = self.blocks.get(at)?;
+            (block.count > 0).then(|| block.sum_c / f64::from(block.count))
+        };
+        (0..=NEAR).find_map(|off| block.checked_sub(off).and_then(mean).or_else(|| mean(block + off)))
+    }
+
+    /// The mean over the run.
+    pub(super) fn mean(&self) -> Option<f64> {
+        let sum_c: f64 = self.blocks.iter().fold(0.0, |sum, block| sum + block.sum_c);
+        let count: f64 = self.blocks.iter().map(|block| f64::from(block.count)).sum();
+        (count > 0.0).then(|| sum_c / count)
+    }
+}
+
+/// How the bar's certificate refers a length; `None` where it gives no expansion.
+pub(super) fn certificate(job: &Job) -> Option<Temperature> {
+    let bar_per_k = Some(job.bar.expansion_per_k?);
+    let certified_c = job.bar.temperature_c.unwrap_or(Temperature::default().certified_c);
+    Some(Temperature { bar_per_k, certified_c, machine_per_k: None })
+}

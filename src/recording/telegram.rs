@@ -1,0 +1,180 @@
+//! The telegrams of a program that reports its dwells over EthernetKRL.
+//!
+//! `<Dbb><Pt Run="..." Id="..." Ph="..."/><Ax A1="..." .. A6="..."/></Dbb>`, with no length before it and no
+//! end behind it. TCP cuts where it likes, so bytes are taken one at a time: however they are cut, the
+//! same telegrams come out. What is no telegram is counted and passed over.
+
+use std::collections::BTreeMap;
+
+use crate::catalogue::RecordingFinding as Finding;
+use crate::robot::AXES;
+
+/// What the controller sends at the begin and at the end of a dwell.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Telegram {
+    /// Number of the plan that the program was made from ([`run_number`]).
+    pub run: u32,
+    /// The plan's index.
+    pub index: u32,
+    /// 1: the robot stands; 2: the dwell is over.
+    pub phase: u8,
+    /// Measured axis angles, degrees.
+    pub axes_deg: [f64; AXES],
+}
+
+#[derive(Clone, Debug, PartialEq)]
+pub enum Heard {
+    Telegram(Telegram),
+    /// `<Dbb>..</Dbb>` that is no telegram, and why.
+    Malformed(Finding),
+}
+
+/// Takes telegrams out of a stream of bytes.
+#[derive(Clone, Debug, Default)]
+pub struct TelegramReader {
+    /// Begins as a telegram does.
+    pending: Vec<u8>,
+    skipped: u64,
+}
+
+/// No telegram is longer: what goes on without an end is thrown away, and memory stays bounded.
+pub const LONGEST_TELEGRAM: usize = 4096;
+const BEGIN: &[u8] = b"<Dbb";
+/// No axis turns further, degrees.
+const MOST_DEG: f64 = 3600.0;
+
+/// The number that a program made from the plan of this hash gives in `Run`; `None` if it is no hash.
+pub fn run_number(hash: &str) -> Option<u32> {
+    u32::from_str_radix(hash.get(..4)?, 16).ok()
+}
+
+impl TelegramReader {
+    /// Takes bytes as they came.
+    pub fn push(&mut self, bytes: &[u8]) -> Vec<Heard> {
+        bytes.iter().filter_map(|byte| self.byte(*byte)).collect()
+    }
+
+    /// Bytes of a telegram that has not ended.
+    pub fn pending(&self) -> usize {
+        self.pending.len()
+    }
+
+    /// Bytes that belong to no telegram; space between telegrams does not count.
+    pub fn skipped(&self) -> u64 {
+        self.skipped
+    }
+
+    fn byte(&mut self, byte: u8) -> Option<Heard> {
+        if self.pending.is_empty() && byte != b'<' {
+            self.skipped += u64::from(!byte.is_ascii_whitespace());
+            return None;
+        }
+        self.pending.push(byte);
+        let len = self.pending.len();
+        if byte == b'<' && len <= BEGIN.len() + 1 {
+            self.keep(1);
+        } else if len <= BEGIN.len() && !BEGIN.starts_with(&self.pending)
+            || len == BEGIN.len() + 1 && !after_name(byte)
+        {
+            self.keep(0);
+        } else if len > LONGEST_TELEGRAM {
+            let tag = self.pending.iter().rposition(|byte| *byte == b'<').unwrap_or(len);
+            let begins = BEGIN.starts_with(&self.pending[tag..]) || starts(&self.pending[tag..]);
+            self.keep(if begins { len - tag } else { 0 });
+        } else if len > BEGIN.len() && starts(&self.pending[len - BEGIN.len() - 1..]) {
+            // The one before was cut off.
+            self.keep(BEGIN.len() + 1);
+        } else if byte == b'>' && ends(&self.pending) {
+            let bytes = std::mem::take(&mut self.pending);
+            return Some(
+                match std::str::from_utf8(&bytes).map_err(|_| Finding::TelegramNotUtf8).and_then(read) {
+                    Ok(telegram) => Heard::Telegram(telegram),
+                    Err(why) => Heard::Malformed(why),
+                },
+            );
+        }
+        None
+    }
+
+    /// Throws away what is pending but its last bytes.
+    fn keep(&mut self, last: usize) {
+        let dropped = self.pending.len().saturating_sub(last);
+        self.pending.drain(..dropped);
+        self.skipped += dropped as u64;
+    }
+}
+
+/// Whether these are the name of a telegram and the byte after it.
+fn starts(bytes: &[u8]) -> bool {
+    matches!(bytes, [name @ .., after] if name == BEGIN && after_name(*after))
+}
+
+/// Whether the name of an element ends before this byte.
+fn after_name(byte: u8) -> bool {
+    byte.is_ascii_whitespace() || matches!(byte, b'>' | b'/')
+}
+
+/// Whether the last tag of `bytes` closes the telegram.
+fn ends(bytes: &[u8]) -> bool {
+    let Some(at) = bytes.iter().rposition(|byte| *byte == b'<') else { return false };
+    let tag = bytes[at..].trim_ascii_end();
+    let name = tag.strip_suffix(b">").map(<[u8]>::trim_ascii_end);
+    name.is_some_and(|name| name == b"</Dbb") || at == 0 && tag.ends_with(b"/>")
+}
+
+/// The attributes of a telegram by element and name.
+struct Values<'a>(BTreeMap<(&'a str, &'a str), &'a str>);
+
+impl<'a> Values<'a> {
+    fn of(text: &'a str) -> Result<Self, Finding> {
+        let mut values = BTreeMap::new();
+        for tag in text.split('<').skip(1) {
+            let inside = tag.split_once('>').ok_or(Finding::TelegramTagOpen)?.0;
+            let inside = inside.strip_suffix('/').unwrap_or(inside);
+            let (element, mut rest) = inside.split_once(char::is_whitespace).unwrap_or((inside, ""));
+            while let Some((name, after)) = rest.split_once('=') {
+                let (name, after) = (name.trim(), after.trim_start());
+                let quote = after.chars().next().filter(|quote| matches!(quote, '"' | '\''));
+                let quoted = quote.and_then(|quote| after.get(1..)?.split_once(quote));
+                let (value, next) = quoted.ok_or_else(|| Finding::TelegramNotQuoted {
+                    element: element.into(),
+                    name: name.into(),
+                })?;
+                values.insert((element, name), value.trim());
+                rest = next;
+            }
+        }
+        Ok(Self(values))
+    }
+
+    fn text(&self, element: &str, name: &str) -> Result<&'a str, Finding> {
+        let lacks = || Finding::TelegramLacks { element: element.into(), name: name.into() };
+        self.0.get(&(element, name)).copied().ok_or_else(lacks)
+    }
+
+    fn whole(&self, name: &str) -> Result<u32, Finding> {
+        let text = self.text("Pt", name)?;
+        text.parse().map_err(|_| Finding::TelegramNotWhole { name: name.into(), value: text.into() })
+    }
+
+    fn angle_deg(&self, name: &str) -> Result<f64, Finding> {
+        let text = self.text("Ax", name)?;
+        let degrees = text.parse::<f64>().ok().filter(|degrees| degrees.abs() <= MOST_DEG);
+        degrees.ok_or_else(|| Finding::TelegramNotAngle { name: name.into(), value: text.into() })
+    }
+}
+
+/// Reads a whole telegram.
+fn read(text: &str) -> Result<Telegram, Finding> {
+    let values = Values::of(text)?;
+    let mut axes_deg = [0.0; AXES];
+    for (axis, name) in axes_deg.iter_mut().zip(["A1", "A2", "A3", "A4", "A5", "A6"]) {
+        *axis = values.angle_deg(name)?;
+    }
+    let phase = match values.whole("Ph")? {
+        1 => 1,
+        2 => 2,
+        phase => return Err(Finding::TelegramPhase { phase }),
+    };
+    Ok(Telegram { run: values.whole("Run")?, index: values.whole("Id")?, phase, axes_deg })
+}

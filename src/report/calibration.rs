@@ -1,0 +1,191 @@
+//! `report.html`: what a calibration found, in the order in which one asks.
+
+use std::collections::BTreeMap;
+
+use serde::Serialize;
+
+use super::export::frames::{Frame, frames};
+use super::export::mastering::{AxisOffset, offsets};
+use super::page::{Provenance, render};
+use super::parameters::{Group, NotEstimated, groups, not_estimated};
+use super::plot::{
+    HeatMap, PolarPlot, PolarTrace, ResidualPoint, Series, Shown, against_axis, histogram, residuals,
+};
+use crate::diagnostic::Diagnostic;
+use crate::estimation::result::Recommendation;
+use crate::estimation::{CalibrationResult, ResultFile, senses};
+use crate::measurement::{Kind, Measurements};
+use crate::robot::{AXES, BallId, CircleId};
+
+/// Lengths that are drawn at most: an even sample of more.
+const DRAWN: usize = 20_000;
+/// The same of the panels of one axis each.
+const DRAWN_BY_AXIS: usize = 1500;
+
+#[derive(Serialize)]
+struct Page<'a> {
+    result: &'a ResultFile,
+    /// What each recommendation says to measure.
+    further: Vec<String>,
+    counts: Counts,
+    figures: Figures,
+    groups: Vec<Group<'a>>,
+    not_estimated: Vec<NotEstimated<'a>>,
+    zeros: Vec<AxisOffset>,
+    balls: Vec<Frame>,
+    provenance: &'a Provenance,
+}
+
+/// How many lengths of which kind there are.
+#[derive(Serialize)]
+struct Counts {
+    per_ball: BTreeMap<BallId, usize>,
+    at_reference: usize,
+    /// Each how-manieth is drawn.
+    stride: usize,
+}
+
+/// SVG texts.
+#[derive(Serialize)]
+struct Figures {
+    maps: Vec<String>,
+    circles: Vec<String>,
+    residuals: Vec<String>,
+    histograms: Vec<String>,
+    axes: Vec<String>,
+}
+
+/// The page `report.html`.
+///
+/// # Errors
+/// Only a fault of the template itself.
+pub fn html(
+    found: &CalibrationResult,
+    observations: &Measurements,
+    provenance: &Provenance,
+) -> Result<String, Diagnostic> {
+    let counts = Counts::of(observations);
+    let points = points(found, observations, counts.stride);
+    let file = ResultFile::from(found);
+    let page = Page {
+        result: &file,
+        further: found.recommendations.iter().map(Recommendation::what).collect(),
+        figures: Figures::of(found, &points),
+        counts,
+        groups: groups(found, &file),
+        not_estimated: not_estimated(&file.parameters),
+        zeros: offsets(found),
+        balls: frames(found),
+        provenance,
+    };
+    render("calibration.html", include_str!("calibration.html"), &page)
+}
+
+impl Counts {
+    fn of(observations: &Measurements) -> Self {
+        let mut per_ball = BTreeMap::new();
+        for row in &observations.rows {
+            *per_ball.entry(row.ball).or_default() += 1;
+        }
+        let kinds = observations.rows.iter().filter_map(|row| row.context.as_ref()?.kind);
+        let at_reference = kinds.filter(|kind| *kind == Kind::Reference).count();
+        Self { per_ball, at_reference, stride: observations.rows.len().div_ceil(DRAWN).max(1) }
+    }
+}
+
+/// Every `stride`-th measurement with its residuals.
+fn points(found: &CalibrationResult, observations: &Measurements, stride: usize) -> Vec<ResidualPoint> {
+    let rows = observations.rows.iter();
+    let senses = senses(rows.clone().map(|row| row.axes.radians())).step_by(stride);
+    let drawn = rows.clone().enumerate().step_by(stride).zip(found.residuals(rows.step_by(stride)));
+    drawn
+        .zip(senses)
+        .map(|(((at, row), residual), senses)| ResidualPoint {
+            index: row.index,
+            ball: row.ball,
+            axes_deg: row.axes.degrees(),
+            senses,
+            before_mm: residual.before,
+            after_mm: residual.after,
+            on_circle: row.context.as_ref().and_then(|context| context.circle.zip(context.angle_deg)),
+            outlier: !found.uses(at),
+        })
+        .collect()
+}
+
+impl Figures {
+    fn of(found: &CalibrationResult, points: &[ResidualPoint]) -> Self {
+        let sound: Vec<&ResidualPoint> = points.iter().filter(|point| !point.outlier).collect();
+        Self {
+            maps: HeatMap::of_uncertainty(&found.map).iter().map(HeatMap::to_svg).collect(),
+            circles: circles(&sound),
+            residuals: per_ball(points, found.sigma.mm),
+            histograms: histograms(&sound),
+            axes: axes(&sound),
+        }
+    }
+}
+
+/// For each circle: before and after on one scale, and after alone on its own.
+fn circles(sound: &[&ResidualPoint]) -> Vec<String> {
+    let mut circles: BTreeMap<(CircleId, BallId), [Vec<[f64; 2]>; 2]> = BTreeMap::new();
+    for point in sound {
+        if let Some((circle, angle_deg)) = point.on_circle {
+            let [before, after] = circles.entry((circle, point.ball)).or_default();
+            before.push([angle_deg, point.before_mm]);
+            after.push([angle_deg, point.after_mm]);
+        }
+    }
+    let draw = |title, traces| PolarPlot { title, radius_mm: None, traces, marks: Vec::new() }.to_svg();
+    let trace = |name: &str, series, points| PolarTrace { name: name.into(), series, points };
+    circles
+        .into_iter()
+        .flat_map(|((circle, ball), [before, after])| {
+            let title = format!("Circle {circle}, ball {ball}");
+            let after = trace("after", Series::Second, after);
+            let magnified = draw(format!("{title}: after, magnified"), vec![after.clone()]);
+            [draw(title, vec![trace("before", Series::First, before), after]), magnified]
+        })
+        .collect()
+}
+
+/// For each base ball: before and after on one scale, and after alone on its own.
+fn per_ball(points: &[ResidualPoint], sigma_mm: f64) -> Vec<String> {
+    let mut balls: BTreeMap<BallId, Vec<ResidualPoint>> = BTreeMap::new();
+    for point in points {
+        balls.entry(point.ball).or_default().push(*point);
+    }
+    balls
+        .into_iter()
+        .flat_map(|(ball, points)| {
+            [
+                residuals(&format!("Ball {ball}: before and after"), &points, Shown::BeforeAndAfter),
+                residuals(&format!("Ball {ball}: after, magnified"), &points, Shown::After { sigma_mm }),
+            ]
+        })
+        .collect()
+}
+
+fn histograms(sound: &[&ResidualPoint]) -> Vec<String> {
+    if sound.is_empty() {
+        return Vec::new();
+    }
+    let before: Vec<f64> = sound.iter().map(|point| point.before_mm).collect();
+    let after: Vec<f64> = sound.iter().map(|point| point.after_mm).collect();
+    vec![
+        histogram("Residuals before", &before, Series::First),
+        histogram("Residuals after", &after, Series::Second),
+    ]
+}
+
+/// A panel for each axis, all on one scale.
+fn axes(sound: &[&ResidualPoint]) -> Vec<String> {
+    let stride = sound.len().div_ceil(DRAWN_BY_AXIS).max(1);
+    let shown: Vec<&ResidualPoint> = sound.iter().copied().step_by(stride).collect();
+    if shown.is_empty() {
+        return Vec::new();
+    }
+    let sizes = shown.iter().map(|point| point.after_mm.abs()).filter(|size| size.is_finite());
+    let largest_mm = sizes.fold(0.0, f64::max);
+    (0..AXES).map(|axis| against_axis(axis, &shown, largest_mm)).collect()
+}

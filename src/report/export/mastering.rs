@@ -1,0 +1,72 @@
+//! The joints' zero errors as mastering offsets, in the controller's degrees and sense.
+//!
+//! A joint turns by theta = sign A + offset. Where the identified offset is larger than the nominal one by delta, the
+//! axis that shows A is at A + sign delta.
+
+use serde::Serialize;
+
+use crate::catalogue::FileFinding::Unwritable;
+use crate::diagnostic::Diagnostic;
+use crate::estimation::result::{CalibrationResult, ParameterResult, Reason, Status};
+use crate::robot::{Joint, ParamId};
+
+/// The zero error of one axis.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct AxisOffset {
+    /// Axis, from 1.
+    pub axis: usize,
+    /// Where the axis truly is minus what the controller shows, degrees; 0 where it is not identified.
+    pub offset_deg: f64,
+    pub sd_deg: Option<f64>,
+    /// Of the joint's theta; the offset means something by itself only where this is `Identified`.
+    pub status: Status,
+    /// What to know of it, in words.
+    pub remark: String,
+}
+
+/// The offsets of the six axes.
+pub fn offsets(result: &CalibrationResult) -> Vec<AxisOffset> {
+    Joint::ALL
+        .into_iter()
+        .filter_map(|joint| {
+            let found = result.parameter(ParamId::Theta(joint))?;
+            let sign = result.robot.geometry.rows.get(joint.index())?.sign;
+            let identified = found.status() == Status::Identified;
+            Some(AxisOffset {
+                axis: joint.number(),
+                offset_deg: if identified { sign * found.correction.to_degrees() } else { 0.0 },
+                sd_deg: found.sd.filter(|_| identified).map(f64::to_degrees),
+                status: found.status(),
+                remark: remark(found),
+            })
+        })
+        .collect()
+}
+
+/// What to know of a parameter's value by itself.
+pub(super) fn remark(found: &ParameterResult) -> String {
+    let reason = found.reason_text();
+    match (found.status(), &found.reason) {
+        (_, Reason::Identified) => "identified".into(),
+        (Status::Identified, _) => format!("identified, represents others as well: {reason}"),
+        (Status::Prior, _) => format!("not identified by the data alone: {reason}"),
+        _ => format!("not identified: {reason}"),
+    }
+}
+
+/// `mastering.csv`: `axis,offset_deg,sd_deg,identified,status,remark`.
+///
+/// # Errors
+/// Only what the CSV writer has to say.
+pub fn csv(offsets: &[AxisOffset]) -> Result<Vec<u8>, Diagnostic> {
+    let write = || {
+        let mut table = csv::Writer::from_writer(Vec::new());
+        table.write_record(["axis", "offset_deg", "sd_deg", "identified", "status", "remark"])?;
+        for AxisOffset { axis, offset_deg, sd_deg, status, remark } in offsets {
+            let identified = if *status == Status::Identified { "yes" } else { "no" };
+            table.serialize((format!("A{axis}"), offset_deg, sd_deg, identified, status, remark))?;
+        }
+        table.into_inner().map_err(|error| csv::Error::from(error.into_error()))
+    };
+    write().map_err(|error| Diagnostic::file("mastering.csv", Unwritable { why: error.to_string() }))
+}

@@ -1,0 +1,177 @@
+//! A capture as MCAP, the log format that Foxglove, Python's `mcap` and the tools of ROS read.
+//!
+//! Channels `raw`, `samples`, `faults`, `events`, `gaps`, each message a JSON object with `host_ns`, the
+//! capture's own time; a message's log time is that on the wall clock at which the run began. The
+//! capture's attachments are the file's. Chunks are not compressed and carry checksums.
+
+use std::collections::BTreeMap;
+use std::io::{Seek, Write};
+
+use ::mcap::records::MessageHeader;
+use ::mcap::{Attachment, McapError, WriteOptions};
+use serde_json::{Map, Value, json};
+
+use crate::base::units::HostNs;
+use crate::catalogue::{FileFinding, ReportFinding};
+use crate::diagnostic::Diagnostic;
+use crate::recording::capture::{Event, Record, Stamped};
+
+/// Names of the channels, in the order of their counts.
+pub const CHANNELS: [&str; 5] = ["raw", "samples", "faults", "events", "gaps"];
+
+/// A channel: its place among [`CHANNELS`].
+#[derive(Clone, Copy)]
+enum Channel {
+    Raw,
+    Samples,
+    Faults,
+    Events,
+    Gaps,
+}
+
+/// An MCAP file that is being written.
+pub struct McapFile<W: Write + Seek> {
+    writer: ::mcap::Writer<W>,
+    channels: [u16; CHANNELS.len()],
+    counts: [u32; CHANNELS.len()],
+    /// Host time and wall clock (ns since the Unix epoch) of the run's beginning.
+    began: Option<(HostNs, u64)>,
+}
+
+impl<W: Write + Seek> McapFile<W> {
+    /// Begins a file.
+    ///
+    /// # Errors
+    /// When it cannot be written.
+    pub fn new(to: W) -> Result<Self, Diagnostic> {
+        let options =
+            WriteOptions::new().compression(None).library(concat!("dbbd ", env!("CARGO_PKG_VERSION")));
+        let mut writer = ::mcap::Writer::with_options(to, options).map_err(unwritable)?;
+        let mut channels = [0; CHANNELS.len()];
+        for (channel, name) in channels.iter_mut().zip(CHANNELS) {
+            let schema = writer.add_schema(&format!("dbbd.{name}"), "jsonschema", &schema(name));
+            let added = writer.add_channel(schema.map_err(unwritable)?, name, "json", &BTreeMap::new());
+            *channel = added.map_err(unwritable)?;
+        }
+        Ok(Self { writer, channels, counts: [0; CHANNELS.len()], began: None })
+    }
+
+    /// Appends a record of the capture.
+    ///
+    /// # Errors
+    /// When the file cannot be written, or a record that must hold JSON does not.
+    pub fn add(&mut self, stamped: &Stamped) -> Result<(), Diagnostic> {
+        let host = stamped.host;
+        match &stamped.record {
+            Record::Attachment { name, content } => self.attach(host, name, content),
+            Record::Raw(bytes) => {
+                let hex: String = bytes.iter().map(|byte| format!("{byte:02x}")).collect();
+                self.message(Channel::Raw, host, json!({ "bytes_hex": hex }))
+            }
+            Record::Samples(samples) => samples.iter().try_for_each(|sample| {
+                let value = serde_json::to_value(sample).map_err(|error| not_json("samples", &error))?;
+                self.message(Channel::Samples, host, value)
+            }),
+            Record::Fault(json) => {
+                let value = serde_json::from_slice(json).map_err(|error| not_json("fault", &error))?;
+                self.message(Channel::Faults, host, value)
+            }
+            Record::Event(event) => {
+                if let Event::Started { unix_ns, .. } = event {
+                    self.began = Some((host, *unix_ns));
+                }
+                let value = serde_json::to_value(event).map_err(|error| not_json("event", &error))?;
+                if matches!(event, Event::Gap { .. }) {
+                    self.message(Channel::Gaps, host, value.clone())?;
+                }
+                self.message(Channel::Events, host, value)
+            }
+        }
+    }
+
+    /// Ends the file; how many messages each of [`CHANNELS`] has.
+    ///
+    /// # Errors
+    /// When the file cannot be written.
+    pub fn finish(mut self) -> Result<[u32; CHANNELS.len()], Diagnostic> {
+        self.writer.finish().map_err(unwritable)?;
+        self.writer.into_inner().flush().map_err(|error| unwritable(error.into()))?;
+        Ok(self.counts)
+    }
+
+    fn attach(&mut self, host: HostNs, name: &str, content: &[u8]) -> Result<(), Diagnostic> {
+        let at = self.wall_clock(host);
+        let media_type = match name.rsplit('.').next() {
+            Some("csv") => "text/csv",
+            Some("json") => "application/json",
+            Some("toml") => "application/toml",
+            _ => "application/octet-stream",
+        };
+        let attachment = Attachment {
+            log_time: at,
+            create_time: at,
+            name: name.to_owned(),
+            media_type: media_type.to_owned(),
+            data: content.into(),
+        };
+        self.writer.attach(&attachment).map_err(unwritable)
+    }
+
+    fn wall_clock(&self, host: HostNs) -> u64 {
+        let (began, unix_ns) = self.began.unwrap_or_default();
+        unix_ns.saturating_add(host.0.saturating_sub(began.0))
+    }
+
+    fn message(&mut self, channel: Channel, host: HostNs, content: Value) -> Result<(), Diagnostic> {
+        let mut message = Map::from_iter([("host_ns".to_owned(), json!(host.0))]);
+        if let Value::Object(content) = content {
+            message.extend(content);
+        }
+        let at = self.wall_clock(host);
+        let channel = channel as usize;
+        let header = MessageHeader {
+            channel_id: self.channels[channel],
+            sequence: self.counts[channel],
+            log_time: at,
+            publish_time: at,
+        };
+        self.counts[channel] = self.counts[channel].wrapping_add(1);
+        let message = Value::Object(message).to_string();
+        self.writer.write_to_known_channel(&header, message.as_bytes()).map_err(unwritable)
+    }
+}
+
+fn unwritable(error: McapError) -> Diagnostic {
+    FileFinding::Unwritable { why: error.to_string() }.into()
+}
+
+fn not_json(record: &str, error: &serde_json::Error) -> Diagnostic {
+    ReportFinding::NotJson { record: record.into(), why: error.to_string() }.into()
+}
+
+/// The JSON Schema of a channel's messages.
+fn schema(channel: &str) -> Vec<u8> {
+    let fields: &[(&str, &str)] = match channel {
+        "raw" => &[("bytes_hex", "string")],
+        "samples" => &[
+            ("reading_mm", "number"),
+            ("sequence", "integer"),
+            ("ticks", "integer"),
+            ("trigger", "boolean"),
+            ("temperature_c", "number"),
+            ("valid", "boolean"),
+            ("status", "integer"),
+            ("offset", "integer"),
+        ],
+        "faults" => &[("offset", "integer"), ("bytes", "integer")],
+        "gaps" => &[("seconds", "number"), ("missing", "integer"), ("reason", "string")],
+        _ => &[("event", "string")],
+    };
+    let host = [("host_ns", "integer")];
+    let properties: Map<String, Value> = host
+        .iter()
+        .chain(fields)
+        .map(|(name, kind)| ((*name).to_owned(), json!({ "type": [kind, "null"] })))
+        .collect();
+    json!({ "type": "object", "properties": properties }).to_string().into_bytes()
+}

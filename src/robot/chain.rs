@@ -1,0 +1,248 @@
+//! The forward pass that the solver asks for a million times: one walk inwards along the chain gives
+//! the ball, one walk outwards the derivatives of the length by every parameter.
+//!
+//! With u the unit vector from the base ball to the tool ball p, every geometric parameter moves p
+//! by a unit screw, so its column is the reciprocal product of that screw with the line of the bar:
+//! `w . (p x u)` for a turn about the axis w through the origin, `w . u` for a shift along w. The screw
+//! of a row lies on an axis of the row's own frame: p is carried inwards and u outwards into that frame,
+//! where the product is one component. No matrix is formed, and no sine is taken: those of the
+//! table are taken once for a model, those of the axis angles once for a reading.
+
+use nalgebra::Vector3;
+
+use super::{AXES, BallId, BarId, Coordinate, Geometry, Joint, ParamId};
+
+/// A length and its derivatives by every parameter (mm per mm, mm per rad, mm per rad/(N m)); the default is room
+/// for one.
+#[derive(Clone, Debug)]
+pub struct LengthRow {
+    /// Distance between the ball centres plus the bar offset, mm.
+    pub length: f64,
+    pub ball: BallId,
+    pub bar: BarId,
+    columns: Columns,
+}
+
+type Columns = [f64; ParamId::COLUMNS];
+
+/// The first column of a family of parameters.
+mod column {
+    use super::{BallId, BarId, Coordinate, Joint, ParamId};
+
+    pub(super) const ALPHA: usize = ParamId::Alpha(Joint::J1).column();
+    pub(super) const A: usize = ParamId::A(Joint::J1).column();
+    pub(super) const THETA: usize = ParamId::Theta(Joint::J1).column();
+    pub(super) const D: usize = ParamId::D(Joint::J1).column();
+    pub(super) const BETA: usize = ParamId::Beta(Joint::J1).column();
+    pub(super) const TOOL: usize = ParamId::Tool(Coordinate::X).column();
+    pub(super) const BALL: usize = ParamId::Ball(BallId::FIRST, Coordinate::X).column();
+    pub(super) const BAR: usize = ParamId::BarOffset(BarId::FIRST).column();
+    pub(super) const COMPLIANCE: usize = ParamId::Compliance(Joint::J1).column();
+    pub(super) const GEAR_COS: usize = ParamId::GearCos(Joint::J1).column();
+    pub(super) const GEAR_SIN: usize = ParamId::GearSin(Joint::J1).column();
+}
+
+impl Default for LengthRow {
+    fn default() -> Self {
+        Self { length: 0.0, ball: BallId::FIRST, bar: BarId::FIRST, columns: [0.0; ParamId::COLUMNS] }
+    }
+}
+
+impl LengthRow {
+    /// The derivative by a parameter; by a ball or a bar that of the row's own.
+    pub fn derivative(&self, id: ParamId) -> f64 {
+        self.columns[id.column()]
+    }
+
+    /// The derivatives in the order of [`ParamId::column`].
+    pub(crate) fn columns(&self) -> &Columns {
+        &self.columns
+    }
+}
+
+impl Geometry {
+    /// The length and its derivative by every parameter. Where the balls coincide the length has no
+    /// derivative, and the columns are zero.
+    pub fn length_row(&self, axes: &[f64; AXES], ball: &Vector3<f64>, bar_offset: f64) -> LengthRow {
+        let mut row = LengthRow::default();
+        Chain::new(self).row(axes, &JointSinCos::of(axes), ball, bar_offset, &mut row);
+        row
+    }
+}
+
+/// Sine and cosine of each axis angle.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct JointSinCos(pub [[f64; 2]; AXES]);
+
+impl JointSinCos {
+    /// Of the controller's axis angles, rad.
+    pub fn of(axes: &[f64; AXES]) -> Self {
+        Self(axes.map(|angle| angle.sin_cos().into()))
+    }
+}
+
+/// A geometry with the sines and cosines of its table.
+#[derive(Clone, Debug)]
+pub struct Chain<'a> {
+    geometry: &'a Geometry,
+    alpha: [(f64, f64); AXES],
+    theta: [(f64, f64); AXES],
+    beta: [(f64, f64); AXES],
+    /// Whether the joints are where the axes say: no compliance, no gear error.
+    rigid: bool,
+}
+
+/// The walk inwards at some axis angles.
+struct InwardPass {
+    /// Sine and cosine of each joint angle in the table's sense.
+    joints: [(f64, f64); AXES],
+    /// The tool ball in the frame of each row after its twist, before its shift along x.
+    points: [Vector3<f64>; AXES],
+    /// The tool ball in the robot base.
+    ball: Vector3<f64>,
+}
+
+impl<'a> Chain<'a> {
+    /// Of a geometry.
+    pub fn new(geometry: &'a Geometry) -> Self {
+        let rigid = geometry.compliance.iter().all(|c| *c == 0.0)
+            && geometry.gear.iter().flatten().all(|g| *g == 0.0);
+        let rows = &geometry.rows;
+        Self {
+            geometry,
+            alpha: std::array::from_fn(|i| rows[i].alpha.sin_cos()),
+            theta: std::array::from_fn(|i| rows[i].theta.sin_cos()),
+            beta: std::array::from_fn(|i| rows[i].beta.sin_cos()),
+            rigid,
+        }
+    }
+
+    /// Sine and cosine of each joint angle in the table's sense.
+    #[inline]
+    fn joints(&self, axes: &[f64; AXES], sin_cos: &JointSinCos) -> [(f64, f64); AXES] {
+        if !self.rigid {
+            return self.geometry.joint_angles(axes).map(f64::sin_cos);
+        }
+        std::array::from_fn(|i| {
+            let (sin, cos) = (self.geometry.rows[i].sign * sin_cos.0[i][0], sin_cos.0[i][1]);
+            let (sin_offset, cos_offset) = self.theta[i];
+            (sin * cos_offset + cos * sin_offset, cos * cos_offset - sin * sin_offset)
+        })
+    }
+
+    /// From the flange inwards: each row sin_cos and shifts one point.
+    #[inline]
+    fn inward(&self, axes: &[f64; AXES], sin_cos: &JointSinCos) -> InwardPass {
+        let joints = self.joints(axes, sin_cos);
+        let mut points = [Vector3::zeros(); AXES];
+        let mut point = self.geometry.tool;
+        for i in (0..AXES).rev() {
+            let row = &self.geometry.rows[i];
+            let (s, c) = joints[i];
+            let (x, y, z) = (point.x * c - point.y * s + row.a, point.x * s + point.y * c, point.z + row.d);
+            points[i] = Vector3::new(x, y, z);
+            let (s, c) = self.alpha[i];
+            point = Vector3::new(x, y * c - z * s, y * s + z * c);
+            if row.beta != 0.0 {
+                let (s, c) = self.beta[i];
+                point = Vector3::new(point.x * c + point.z * s, point.y, point.z * c - point.x * s);
+            }
+        }
+        InwardPass { joints, points, ball: point }
+    }
+
+    /// From the base outwards: the derivatives of the ball's place along the unit vector `u` (robot
+    /// base) by the parameters of the robot and its tool.
+    #[inline]
+    fn derivatives(&self, inward: &InwardPass, mut u: Vector3<f64>, columns: &mut Columns) {
+        for i in 0..AXES {
+            if self.geometry.rows[i].beta != 0.0 {
+                let (s, c) = self.beta[i];
+                u = Vector3::new(u.x * c - u.z * s, u.y, u.z * c + u.x * s);
+            }
+            let p = &inward.points[i];
+            let (s, c) = self.alpha[i];
+            columns[column::BETA + i] = (p.y * s + p.z * c) * u.x - p.x * u.z;
+            u = Vector3::new(u.x, u.y * c + u.z * s, u.z * c - u.y * s);
+            columns[column::ALPHA + i] = p.y * u.z - p.z * u.y;
+            columns[column::A + i] = u.x;
+            columns[column::THETA + i] = (p.x - self.geometry.rows[i].a) * u.y - p.y * u.x;
+            columns[column::D + i] = u.z;
+            let (s, c) = inward.joints[i];
+            u = Vector3::new(u.x * c + u.y * s, u.y * c - u.x * s, u.z);
+        }
+        columns[column::TOOL..column::TOOL + 3].copy_from_slice(u.as_slice());
+    }
+
+    /// The tool ball in the robot base, mm.
+    pub fn ball(&self, axes: &[f64; AXES], sin_cos: &JointSinCos) -> Vector3<f64> {
+        self.inward(axes, sin_cos).ball
+    }
+
+    /// The length from a base ball at `ball` plus `bar_offset` (mm), and its derivatives, into `row`, which is new
+    /// or was filled for this robot before. Where the balls coincide the length has no derivative, and the columns
+    /// are zero.
+    #[inline]
+    pub fn row(
+        &self,
+        axes: &[f64; AXES],
+        sin_cos: &JointSinCos,
+        ball: &Vector3<f64>,
+        bar_offset: f64,
+        row: &mut LengthRow,
+    ) {
+        let inward = self.inward(axes, sin_cos);
+        let bar = inward.ball - ball;
+        let distance = bar.norm();
+        row.length = distance + bar_offset;
+        let columns = &mut row.columns;
+        if distance > 0.0 {
+            let u = bar / distance;
+            self.derivatives(&inward, u, columns);
+            for axis in 0..3 {
+                columns[column::BALL + axis] = -u[axis];
+            }
+            columns[column::BAR] = 1.0;
+            self.non_geometric(axes, sin_cos, columns);
+        } else {
+            *columns = [0.0; ParamId::COLUMNS];
+        }
+    }
+
+    /// Compliance and gear error turn the joints: their columns are shares of theta's.
+    #[inline]
+    fn non_geometric(&self, axes: &[f64; AXES], sin_cos: &JointSinCos, columns: &mut Columns) {
+        if !self.geometry.masses.is_empty() {
+            let torques = self.geometry.torques(&self.geometry.joint_angles(axes));
+            for j in 0..AXES {
+                columns[column::COMPLIANCE + j] = columns[column::THETA + j] * torques[j];
+            }
+        }
+        for j in 0..AXES {
+            columns[column::GEAR_COS + j] = columns[column::THETA + j] * sin_cos.0[j][1];
+            columns[column::GEAR_SIN + j] = columns[column::THETA + j] * sin_cos.0[j][0];
+        }
+    }
+
+    /// How each of the parameters moves the ball, mm per mm or per rad; those of the base balls and of
+    /// the bar do not.
+    pub fn ball_jacobian(
+        &self,
+        axes: &[f64; AXES],
+        ids: &[ParamId],
+        mut each: impl FnMut(usize, Vector3<f64>),
+    ) -> Vector3<f64> {
+        let sin_cos = JointSinCos::of(axes);
+        let inward = self.inward(axes, &sin_cos);
+        let along = [0, 1, 2].map(|axis| {
+            let mut columns = [0.0; ParamId::COLUMNS];
+            self.derivatives(&inward, Vector3::ith(axis, 1.0), &mut columns);
+            self.non_geometric(axes, &sin_cos, &mut columns);
+            columns
+        });
+        for (at, id) in ids.iter().enumerate() {
+            each(at, Vector3::from_fn(|axis, _| along[axis][id.column()]));
+        }
+        inward.ball
+    }
+}

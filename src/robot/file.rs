@@ -1,0 +1,377 @@
+//! The robot file: nominal geometry, limits, speeds, tolerance.
+
+use serde::{Deserialize, Serialize};
+
+use super::kinematics::{DhRow, Geometry, Mass};
+use super::{AXES, Joint};
+use crate::base::parse::wrong_toml;
+use crate::catalogue::RobotFinding;
+use crate::diagnostic::{Diagnostic, nearest};
+
+/// The robots that come with dbbd: name and file.
+const BUILT_IN: &[(&str, &str)] = include!("../../robots/built-in.rs");
+
+/// A robot as its file describes it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Robot {
+    pub name: String,
+    /// The table, the tool ball and the masses.
+    pub geometry: Geometry,
+    pub limits_deg: [[f64; 2]; AXES],
+    pub max_speed_deg_s: [f64; AXES],
+    /// Where they are known.
+    pub max_acceleration_deg_s2: [Option<f64>; AXES],
+    pub tolerance: Tolerance,
+    /// Of a pose by ISO 9283, where it is known.
+    pub repeatability_mm: Option<f64>,
+    /// The nominal robot that an identified one came from.
+    pub nominal: Option<Box<Robot>>,
+    /// Where the file's numbers come from.
+    pub source: Option<String>,
+    /// Whether the last of the masses is the payload.
+    pub payload: bool,
+}
+
+/// One standard deviation of what the maker promises of each geometric parameter.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Tolerance {
+    /// Of the lengths a and d, mm.
+    pub length_mm: f64,
+    /// Of the angles alpha, theta and beta, degrees.
+    pub angle_deg: f64,
+}
+
+impl Default for Tolerance {
+    /// An industrial robot without an accuracy option: a millimetre of position error.
+    fn default() -> Self {
+        Self { length_mm: 1.0, angle_deg: 0.1 }
+    }
+}
+
+/// The file: what TOML holds, in degrees and with keys that may be absent.
+#[derive(Clone, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RobotFile {
+    name: String,
+    convention: String,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    source: Option<String>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    repeatability_mm: Option<f64>,
+    joint: Vec<JointTable>,
+    #[serde(default)]
+    tool: ToolTable,
+    #[serde(default)]
+    tolerance: Tolerance,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    mass: Vec<MassTable>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    payload: Option<PayloadTable>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    nominal: Option<Box<RobotFile>>,
+}
+
+/// A joint as the file has it.
+#[derive(Clone, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct JointTable {
+    pub(crate) alpha_deg: f64,
+    pub(crate) a_mm: f64,
+    pub(crate) theta_offset_deg: f64,
+    pub(crate) d_mm: f64,
+    pub(crate) sign: i8,
+    #[serde(default)]
+    pub(crate) beta_deg: f64,
+    pub(crate) limits_deg: [f64; 2],
+    pub(crate) max_speed_deg_s: f64,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    max_acceleration_deg_s2: Option<f64>,
+    #[serde(default, skip_serializing_if = "is_zero")]
+    compliance_rad_per_nm: f64,
+    #[serde(default, skip_serializing_if = "is_zero")]
+    gear_cos_rad: f64,
+    #[serde(default, skip_serializing_if = "is_zero")]
+    gear_sin_rad: f64,
+}
+
+#[allow(clippy::trivially_copy_pass_by_ref)] // the signature that serde calls
+fn is_zero(value: &f64) -> bool {
+    *value == 0.0
+}
+
+#[derive(Clone, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct ToolTable {
+    ball_mm: [f64; 3],
+}
+
+#[derive(Clone, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct MassTable {
+    joint: usize,
+    kg: f64,
+    centre_mm: [f64; 3],
+}
+
+#[derive(Clone, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct PayloadTable {
+    kg: f64,
+    centre_mm: [f64; 3],
+}
+
+/// ISO 9283 repeatability is the mean distance plus three standard deviations; for an isotropic
+/// normal error of deviation s that is (1.596 + 3 * 0.673) s.
+const REPEATABILITY: f64 = 3.616;
+
+impl Robot {
+    /// Names and files of the robots that are built in.
+    pub fn built_in() -> &'static [(&'static str, &'static str)] {
+        BUILT_IN
+    }
+
+    /// A built-in robot by its name, if there is one.
+    pub fn by_name(name: &str) -> Option<Result<Self, Diagnostic>> {
+        let (_, text) = BUILT_IN.iter().find(|(built_in, _)| *built_in == name)?;
+        Some(Self::from_toml(name, text))
+    }
+
+    /// That a name is neither built in nor a file.
+    pub fn unknown(name: &str) -> Diagnostic {
+        let known = || BUILT_IN.iter().map(|(built_in, _)| *built_in);
+        let meant =
+            nearest(name, known()).map_or_else(String::new, |near| format!("did you mean `{near}`? "));
+        let built_in = known().collect::<Vec<_>>().join(", ");
+        Diagnostic::new(RobotFinding::NoSuchRobot { name: name.into(), meant, built_in })
+    }
+
+    /// Standard deviation of each coordinate of a pose that is repeated, mm, where the repeatability is known.
+    pub fn repeatability_sd_mm(&self) -> Option<f64> {
+        self.repeatability_mm.map(|mm| mm / REPEATABILITY)
+    }
+
+    /// Reads a robot file.
+    ///
+    /// # Errors
+    /// Names the line of an unknown or missing key or a value that cannot be.
+    pub fn from_toml(file: &str, text: &str) -> Result<Self, Diagnostic> {
+        let parsed: RobotFile = toml::from_str(text).map_err(|error| wrong_toml(file, text, &error))?;
+        parsed.into_robot().map_err(|(joint, finding)| {
+            let line = joint.and_then(|at| line_of_table(text, "[[joint]]", at)).unwrap_or(0);
+            Diagnostic::line(file, line, finding)
+        })
+    }
+
+    /// Writes the robot file; numbers in full precision.
+    pub fn to_toml(&self) -> String {
+        // The tables are plain numbers and strings, which TOML can always hold.
+        toml::to_string(&RobotFile::from_robot(self)).unwrap_or_default()
+    }
+
+    /// The joints as the file has them.
+    pub(crate) fn joint_tables(&self) -> Vec<JointTable> {
+        Joint::ALL.into_iter().map(|joint| JointTable::of(self, joint)).collect()
+    }
+
+    /// The robot as its controller knows it: the nominal one, where this one was identified.
+    pub fn controller(&self) -> &Robot {
+        self.nominal.as_deref().unwrap_or(self)
+    }
+
+    /// The joints whose axis is nominally parallel to the one before, where Hayati's beta is needed.
+    pub fn parallel_joints(&self) -> Vec<Joint> {
+        let after_first = Joint::ALL.into_iter().skip(1);
+        after_first.filter(|joint| self.geometry.row(*joint).alpha.sin().abs() < 0.1).collect()
+    }
+
+    /// The axis accelerations to plan with, degrees/s^2: the file's, else full speed in 0.4 s.
+    pub fn acceleration_deg_s2(&self) -> [f64; AXES] {
+        std::array::from_fn(|i| self.max_acceleration_deg_s2[i].unwrap_or(self.max_speed_deg_s[i] / 0.4))
+    }
+
+    /// The greatest distance of the wrist's far joint from the shoulder, a bound on the reach, mm:
+    /// all lengths after joint 1 but the flange's stretched out.
+    pub fn reach_mm(&self) -> f64 {
+        let rows = &self.geometry.rows;
+        let upper: f64 = (1..3).map(|i| rows[i].a.abs()).sum();
+        upper + rows[3].a.hypot(rows[3].d)
+    }
+}
+
+/// The line (from 1) of the `at`-th (from 0) table header in the text.
+fn line_of_table(text: &str, header: &str, at: usize) -> Option<usize> {
+    text.lines().enumerate().filter(|(_, line)| line.trim() == header).nth(at).map(|(line, _)| line + 1)
+}
+
+/// What is wrong, and in which joint (from 0) where it is one.
+type Wrong = (Option<usize>, RobotFinding);
+
+impl JointTable {
+    /// What the types do not say: finite numbers, limits in order.
+    fn check(&self, joint: usize) -> Result<(), RobotFinding> {
+        let numbers = [
+            ("alpha_deg", self.alpha_deg),
+            ("a_mm", self.a_mm),
+            ("theta_offset_deg", self.theta_offset_deg),
+            ("d_mm", self.d_mm),
+            ("beta_deg", self.beta_deg),
+            ("compliance_rad_per_nm", self.compliance_rad_per_nm),
+            ("gear_cos_rad", self.gear_cos_rad),
+            ("gear_sin_rad", self.gear_sin_rad),
+        ];
+        if let Some((key, value)) = numbers.into_iter().find(|(_, value)| !value.is_finite()) {
+            return Err(RobotFinding::JointNotFinite { joint, key: key.into(), value });
+        }
+        if self.sign.abs() != 1 {
+            return Err(RobotFinding::JointSign { joint, sign: self.sign });
+        }
+        let [low_deg, high_deg] = self.limits_deg;
+        if !(low_deg.is_finite() && high_deg.is_finite() && low_deg < high_deg) {
+            return Err(RobotFinding::JointLimits { joint, low_deg, high_deg });
+        }
+        let mut speeds = [Some(self.max_speed_deg_s), self.max_acceleration_deg_s2].into_iter().flatten();
+        match speeds.find(|speed| !(speed.is_finite() && *speed > 0.0)) {
+            Some(value) => Err(RobotFinding::JointSpeed { joint, value }),
+            None => Ok(()),
+        }
+    }
+
+    fn row(&self) -> DhRow {
+        DhRow {
+            alpha: self.alpha_deg.to_radians(),
+            a: self.a_mm,
+            theta: self.theta_offset_deg.to_radians(),
+            d: self.d_mm,
+            beta: self.beta_deg.to_radians(),
+            sign: f64::from(self.sign),
+        }
+    }
+
+    fn of(robot: &Robot, joint: Joint) -> Self {
+        let (row, at) = (robot.geometry.row(joint), joint.index());
+        let [gear_cos_rad, gear_sin_rad] = robot.geometry.gear[at];
+        Self {
+            alpha_deg: row.alpha.to_degrees(),
+            a_mm: row.a,
+            theta_offset_deg: row.theta.to_degrees(),
+            d_mm: row.d,
+            sign: if row.sign < 0.0 { -1 } else { 1 },
+            beta_deg: row.beta.to_degrees(),
+            limits_deg: robot.limits_deg[at],
+            max_speed_deg_s: robot.max_speed_deg_s[at],
+            max_acceleration_deg_s2: robot.max_acceleration_deg_s2[at],
+            compliance_rad_per_nm: robot.geometry.compliance[at],
+            gear_cos_rad,
+            gear_sin_rad,
+        }
+    }
+}
+
+impl RobotFile {
+    /// The joints, checked.
+    fn joints(&self) -> Result<[&JointTable; AXES], Wrong> {
+        let joints: Vec<&JointTable> = self.joint.iter().collect();
+        let joints = <[&JointTable; AXES]>::try_from(joints)
+            .map_err(|joints| (None, RobotFinding::JointCount { joints: joints.len() }))?;
+        for (at, joint) in joints.iter().enumerate() {
+            joint.check(at + 1).map_err(|finding| (Some(at), finding))?;
+        }
+        Ok(joints)
+    }
+
+    /// The masses, the payload last.
+    fn masses(&self) -> Result<Vec<Mass>, RobotFinding> {
+        let masses = self.mass.iter().map(|mass| (mass.joint, mass.kg, mass.centre_mm));
+        let payload = self.payload.iter().map(|payload| (AXES, payload.kg, payload.centre_mm));
+        let checked = |(joint, kg, centre_mm): (usize, f64, [f64; 3])| {
+            if !(kg.is_finite() && kg >= 0.0 && centre_mm.iter().all(|x| x.is_finite())) {
+                return Err(RobotFinding::Mass { kg, centre_mm });
+            }
+            let joint = Joint::new(joint).ok_or(RobotFinding::MassJoint { joint })?;
+            Ok(Mass { joint, kg, centre: centre_mm.into() })
+        };
+        masses.chain(payload).map(checked).collect()
+    }
+
+    /// The robot, when its numbers can be.
+    fn into_robot(self) -> Result<Robot, Wrong> {
+        if self.convention != "modified-dh" {
+            return Err((None, RobotFinding::Convention { convention: self.convention }));
+        }
+        let joints = self.joints()?;
+        let Tolerance { length_mm, angle_deg } = self.tolerance;
+        if !(length_mm.is_finite() && angle_deg.is_finite() && length_mm > 0.0 && angle_deg > 0.0) {
+            return Err((None, RobotFinding::Tolerance { length_mm, angle_deg }));
+        }
+        let masses = self.masses().map_err(|finding| (None, finding))?;
+        if !self.tool.ball_mm.iter().all(|x| x.is_finite()) {
+            return Err((None, RobotFinding::ToolBall { ball_mm: self.tool.ball_mm }));
+        }
+        Ok(Robot {
+            geometry: Geometry {
+                rows: joints.map(JointTable::row),
+                tool: self.tool.ball_mm.into(),
+                masses,
+                compliance: joints.map(|joint| joint.compliance_rad_per_nm),
+                gear: joints.map(|joint| [joint.gear_cos_rad, joint.gear_sin_rad]),
+            },
+            limits_deg: joints.map(|joint| joint.limits_deg),
+            max_speed_deg_s: joints.map(|joint| joint.max_speed_deg_s),
+            max_acceleration_deg_s2: joints.map(|joint| joint.max_acceleration_deg_s2),
+            tolerance: self.tolerance,
+            repeatability_mm: self.repeatability_mm,
+            source: self.source,
+            payload: self.payload.is_some(),
+            // A joint of the nominal robot has no line: the text holds those of both.
+            nominal: match self.nominal {
+                Some(nominal) => {
+                    Some(Box::new(nominal.into_robot().map_err(|(_, finding)| (None, finding))?))
+                }
+                None => None,
+            },
+            name: self.name,
+        })
+    }
+
+    fn from_robot(robot: &Robot) -> Self {
+        let (masses, payload) = match robot.geometry.masses.split_last() {
+            Some((payload, masses)) if robot.payload => (masses, Some(payload)),
+            _ => (robot.geometry.masses.as_slice(), None),
+        };
+        let mass = |mass: &Mass| MassTable {
+            joint: mass.joint.number(),
+            kg: mass.kg,
+            centre_mm: mass.centre.into(),
+        };
+        Self {
+            name: robot.name.clone(),
+            convention: "modified-dh".into(),
+            source: robot.source.clone(),
+            repeatability_mm: robot.repeatability_mm,
+            joint: robot.joint_tables(),
+            tool: ToolTable { ball_mm: robot.geometry.tool.into() },
+            tolerance: robot.tolerance,
+            mass: masses.iter().map(mass).collect(),
+            payload: payload.map(|payload| PayloadTable { kg: payload.kg, centre_mm: payload.centre.into() }),
+            nominal: robot.nominal.as_ref().map(|nominal| Box::new(Self::from_robot(nominal))),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_robot_reads_back_and_a_wrong_number_has_its_line() {
+        for (name, text) in Robot::built_in() {
+            let robot = Robot::from_toml(name, text).unwrap();
+            assert_eq!(Robot::from_toml(name, &robot.to_toml()).unwrap(), robot);
+            let wrong = Robot::from_toml(name, &text.replacen("sign = ", "sign = 2 # ", 1)).unwrap_err();
+            assert_eq!(wrong.code.0, "E0505");
+            let first = text.lines().position(|line| line == "[[joint]]").unwrap();
+            assert_eq!(wrong.line, first + 1);
+        }
+    }
+}

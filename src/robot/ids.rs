@@ -1,0 +1,156 @@
+//! Numbers of things that a user counts from 1, and the place of each in a list.
+
+use std::fmt;
+use std::num::{NonZeroU32, ParseIntError};
+use std::str::FromStr;
+
+use serde::{Deserialize, Serialize};
+
+macro_rules! numbered {
+    ($($(#[$doc:meta])* $name:ident)+) => { $(
+        $(#[$doc])*
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+        #[serde(transparent)]
+        pub struct $name(NonZeroU32);
+
+        impl $name {
+            pub const FIRST: Self = Self(NonZeroU32::MIN);
+
+            /// By its number as written, from 1; `None` of 0.
+            pub fn new(number: u32) -> Option<Self> {
+                NonZeroU32::new(number).map(Self)
+            }
+
+            /// By its place in a list, from 0.
+            pub fn at(index: usize) -> Self {
+                Self(NonZeroU32::MIN.saturating_add(u32::try_from(index).unwrap_or(u32::MAX)))
+            }
+
+            /// As written, from 1.
+            pub fn number(self) -> u32 {
+                self.0.get()
+            }
+
+            /// The place in a list, from 0.
+            pub fn index(self) -> usize {
+                self.0.get() as usize - 1
+            }
+        }
+
+        impl FromStr for $name {
+            type Err = ParseIntError;
+
+            fn from_str(text: &str) -> Result<Self, ParseIntError> {
+                text.parse().map(Self)
+            }
+        }
+
+        impl fmt::Display for $name {
+            fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+                self.0.fmt(out)
+            }
+        }
+    )+ };
+}
+
+numbered! {
+    /// A base ball.
+    BallId
+    /// A length of the bar.
+    BarId
+    /// A circle of a plan.
+    CircleId
+}
+
+/// A joint with its row of the DH table.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Joint {
+    J1,
+    J2,
+    J3,
+    J4,
+    J5,
+    J6,
+}
+
+impl Joint {
+    /// From base to flange.
+    pub const ALL: [Self; super::AXES] = [Self::J1, Self::J2, Self::J3, Self::J4, Self::J5, Self::J6];
+
+    /// By its number, from 1.
+    pub fn new(number: usize) -> Option<Self> {
+        Self::ALL.into_iter().find(|joint| joint.number() == number)
+    }
+
+    /// From 1.
+    pub fn number(self) -> usize {
+        self.index() + 1
+    }
+
+    /// From 0.
+    pub fn index(self) -> usize {
+        self as usize
+    }
+}
+
+/// A coordinate of a point.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Coordinate {
+    X,
+    Y,
+    Z,
+}
+
+impl Coordinate {
+    pub const ALL: [Self; 3] = [Self::X, Self::Y, Self::Z];
+
+    /// The place in a vector.
+    pub fn index(self) -> usize {
+        self as usize
+    }
+}
+
+impl fmt::Display for Coordinate {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.write_str(["x", "y", "z"][self.index()])
+    }
+}
+
+/// The controller's axis angles, degrees as they were read.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct AxisAngles([f64; super::AXES]);
+
+impl AxisAngles {
+    pub fn from_degrees(degrees: [f64; super::AXES]) -> Self {
+        Self(degrees)
+    }
+
+    pub fn degrees(&self) -> [f64; super::AXES] {
+        self.0
+    }
+
+    pub fn degrees_mut(&mut self) -> &mut [f64; super::AXES] {
+        &mut self.0
+    }
+
+    pub fn radians(&self) -> [f64; super::AXES] {
+        self.0.map(f64::to_radians)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_are_written_from_one_and_nought_is_refused() {
+        let ball = BallId::at(2);
+        assert_eq!((ball.number(), ball.index(), ball.to_string()), (3, 2, "3".to_owned()));
+        assert_eq!(serde_json::to_string(&ball).ok().as_deref(), Some("3"));
+        assert_eq!(serde_json::from_str::<BallId>("3").ok(), Some(ball));
+        assert!(BallId::new(0).is_none() && serde_json::from_str::<BallId>("0").is_err());
+        assert_eq!(Joint::new(6), Some(Joint::J6));
+        assert_eq!((Joint::new(0), Joint::new(7)), (None, None));
+    }
+}

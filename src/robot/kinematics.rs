@@ -1,0 +1,190 @@
+//! The robot as numbers, its forward model, and the parameters by name.
+
+use nalgebra::Vector3;
+
+use super::pose::{Pose, rot_x, rot_y, rot_z};
+use super::{AXES, Joint, ParamId};
+
+/// Standard gravity, m/s^2.
+const GRAVITY: f64 = 9.806_65;
+
+/// One row of the modified-DH table: `Ry(beta) Rx(alpha) Tx(a) Rz(theta) Tz(d)`.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct DhRow {
+    /// Twist before the joint, rad.
+    pub alpha: f64,
+    /// Link length before the joint, mm.
+    pub a: f64,
+    /// Joint angle at axis angle zero, rad.
+    pub theta: f64,
+    /// Link offset along the joint, mm.
+    pub d: f64,
+    /// Hayati's turn about y before the row, rad.
+    pub beta: f64,
+    /// +1 or -1: the sense of the controller's axis angle.
+    pub sign: f64,
+}
+
+/// A mass that loads the joints.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Mass {
+    /// The joint with whose frame it moves; the last for the payload.
+    pub joint: Joint,
+    /// Mass, kg.
+    pub kg: f64,
+    /// Centre of mass in that joint's frame, mm.
+    pub centre: Vector3<f64>,
+}
+
+/// The numbers that place the tool ball for given axis angles.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Geometry {
+    /// The table, base to flange.
+    pub rows: [DhRow; AXES],
+    /// Tool ball in the flange frame, mm.
+    pub tool: Vector3<f64>,
+    /// Masses whose weight the joints carry.
+    pub masses: Vec<Mass>,
+    /// Compliance of each joint, rad/(N m).
+    pub compliance: [f64; AXES],
+    /// Error of each joint, once per turn of its axis: cosine and sine part, rad.
+    pub gear: [[f64; 2]; AXES],
+}
+
+impl Geometry {
+    /// The joint angles (rad, in the table's sense) at the controller's axis angles (rad).
+    pub(super) fn joint_angles(&self, axes: &[f64; AXES]) -> [f64; AXES] {
+        let mut angles = [0.0; AXES];
+        for i in 0..AXES {
+            let [cos_part, sin_part] = self.gear[i];
+            let (sin, cos) = axes[i].sin_cos();
+            angles[i] = self.rows[i].sign * axes[i] + self.rows[i].theta + cos_part * cos + sin_part * sin;
+        }
+        if self.compliance.iter().any(|c| *c != 0.0) {
+            let torques = self.torques(&angles);
+            for i in 0..AXES {
+                angles[i] += self.compliance[i] * torques[i];
+            }
+        }
+        angles
+    }
+
+    /// Frame after each row, for joint angles in the table's sense.
+    pub(super) fn frames(&self, angles: &[f64; AXES]) -> [Pose; AXES] {
+        let mut frames = [Pose::identity(); AXES];
+        let mut frame = Pose::identity();
+        for (i, row) in self.rows.iter().enumerate() {
+            if row.beta != 0.0 {
+                frame.rotation *= rot_y(row.beta);
+            }
+            frame.rotation *= rot_x(row.alpha);
+            frame.position += frame.rotation.column(0) * row.a;
+            frame.rotation *= rot_z(angles[i]);
+            frame.position += frame.rotation.column(2) * row.d;
+            frames[i] = frame;
+        }
+        frames
+    }
+
+    /// Gravity torque about each joint, N m, at joint angles in the table's sense. The base stands upright.
+    pub(super) fn torques(&self, angles: &[f64; AXES]) -> [f64; AXES] {
+        let mut torques = [0.0; AXES];
+        if self.masses.is_empty() {
+            return torques;
+        }
+        let frames = self.frames(angles);
+        for mass in &self.masses {
+            let carrier = &frames[mass.joint.index()];
+            let centre = carrier.position + carrier.rotation * mass.centre;
+            let weight = Vector3::new(0.0, 0.0, -GRAVITY * mass.kg);
+            for joint in 0..mass.joint.number() {
+                let lever = (centre - frames[joint].position) * 1e-3;
+                torques[joint] += frames[joint].rotation.column(2).dot(&lever.cross(&weight));
+            }
+        }
+        torques
+    }
+
+    /// A bound on the gravity torque about each joint over all poses, N m: every mass at full stretch.
+    pub fn greatest_torques(&self) -> [f64; AXES] {
+        let mut torques = [0.0; AXES];
+        for mass in &self.masses {
+            let mut lever_mm = mass.centre.norm();
+            for joint in (0..mass.joint.number()).rev() {
+                torques[joint] += GRAVITY * mass.kg * lever_mm * 1e-3;
+                lever_mm += self.rows[joint].a.hypot(self.rows[joint].d);
+            }
+        }
+        torques
+    }
+
+    /// The flange (frame 6) in the robot base at the controller's axis angles, rad.
+    pub fn flange(&self, axes: &[f64; AXES]) -> Pose {
+        self.frames(&self.joint_angles(axes))[AXES - 1]
+    }
+
+    /// The tool ball, with the flange's orientation, in the robot base at the axis angles, rad.
+    pub fn ball(&self, axes: &[f64; AXES]) -> Pose {
+        let flange = self.flange(axes);
+        Pose { rotation: flange.rotation, position: flange.position + flange.rotation * self.tool }
+    }
+
+    /// Origins and z axes of the joints, then the flange: the robot as a line to draw, mm.
+    pub fn skeleton(&self, axes: &[f64; AXES]) -> [Vector3<f64>; AXES] {
+        self.frames(&self.joint_angles(axes)).map(|frame| frame.position)
+    }
+
+    /// The Jacobian of the tool ball in the base frame: six columns of (dp, turn) per rad of each
+    /// *controller* axis, mm/rad and rad/rad.
+    pub fn axis_jacobian(&self, axes: &[f64; AXES]) -> [(Vector3<f64>, Vector3<f64>); AXES] {
+        let frames = self.frames(&self.joint_angles(axes));
+        let ball = frames[AXES - 1].position + frames[AXES - 1].rotation * self.tool;
+        let mut columns = [(Vector3::zeros(), Vector3::zeros()); AXES];
+        for i in 0..AXES {
+            let z: Vector3<f64> = frames[i].rotation.column(2) * self.rows[i].sign;
+            columns[i] = (z.cross(&(ball - frames[i].position)), z);
+        }
+        columns
+    }
+
+    /// The length between the tool ball and a base ball at `ball` (mm, robot base), plus `bar_offset`, mm.
+    pub fn length(&self, axes: &[f64; AXES], ball: &Vector3<f64>, bar_offset: f64) -> f64 {
+        (self.ball(axes).position - ball).norm() + bar_offset
+    }
+
+    /// The value of a parameter of the robot or its tool; `None` for those of the base balls and the bar.
+    pub fn value(&self, id: ParamId) -> Option<f64> {
+        Some(match id {
+            ParamId::Alpha(joint) => self.row(joint).alpha,
+            ParamId::A(joint) => self.row(joint).a,
+            ParamId::Theta(joint) => self.row(joint).theta,
+            ParamId::D(joint) => self.row(joint).d,
+            ParamId::Beta(joint) => self.row(joint).beta,
+            ParamId::Tool(coordinate) => self.tool[coordinate.index()],
+            ParamId::Compliance(joint) => self.compliance[joint.index()],
+            ParamId::GearCos(joint) => self.gear[joint.index()][0],
+            ParamId::GearSin(joint) => self.gear[joint.index()][1],
+            ParamId::Ball(..) | ParamId::BarOffset(_) => return None,
+        })
+    }
+
+    /// Mutable access as [`Geometry::value`].
+    pub fn value_mut(&mut self, id: ParamId) -> Option<&mut f64> {
+        Some(match id {
+            ParamId::Alpha(joint) => &mut self.rows[joint.index()].alpha,
+            ParamId::A(joint) => &mut self.rows[joint.index()].a,
+            ParamId::Theta(joint) => &mut self.rows[joint.index()].theta,
+            ParamId::D(joint) => &mut self.rows[joint.index()].d,
+            ParamId::Beta(joint) => &mut self.rows[joint.index()].beta,
+            ParamId::Tool(coordinate) => &mut self.tool[coordinate.index()],
+            ParamId::Compliance(joint) => &mut self.compliance[joint.index()],
+            ParamId::GearCos(joint) => &mut self.gear[joint.index()][0],
+            ParamId::GearSin(joint) => &mut self.gear[joint.index()][1],
+            ParamId::Ball(..) | ParamId::BarOffset(_) => return None,
+        })
+    }
+
+    pub fn row(&self, joint: Joint) -> &DhRow {
+        &self.rows[joint.index()]
+    }
+}

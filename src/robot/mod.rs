@@ -1,0 +1,23 @@
+//! Robot and bar as functions: poses, the length between the balls, and its derivatives.
+//!
+//! Craig's modified DH with Hayati's beta: row i of a robot is
+//! `Ry(beta) Rx(alpha) Tx(a) Rz(theta) Tz(d)`, with `theta = sign * A + theta_offset` and A the
+//! controller's axis angle. Lengths are mm, angles rad inside; files carry degrees.
+
+pub mod chain;
+pub mod file;
+pub mod ids;
+pub mod inverse;
+pub mod kinematics;
+pub mod parameter;
+pub mod pose;
+
+pub use chain::{Chain, JointSinCos, LengthRow};
+pub use file::Robot;
+pub use ids::{AxisAngles, BallId, BarId, CircleId, Coordinate, Joint};
+pub use kinematics::{DhRow, Geometry, Mass};
+pub use parameter::{Group, ParamId, Unit};
+pub use pose::Pose;
+
+/// Axes of the robots that are modelled.
+pub const AXES: usize = 6;

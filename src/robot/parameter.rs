@@ -1,0 +1,368 @@
+//! The parameters of the measurement model: their order, the table of what is the same for a family of them, and the
+//! LIST of the command line.
+
+use std::fmt;
+use std::str::FromStr;
+
+use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
+
+use super::{AXES, BallId, BarId, Coordinate, Joint};
+use crate::catalogue::RobotFinding;
+use crate::diagnostic::Diagnostic;
+
+/// One parameter of the measurement model, in canonical order; those of the DH table by the joint of their row.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum ParamId {
+    /// Twist of the frame before the joint: `alpha0` of joint 1.
+    Alpha(Joint),
+    /// Link length of the frame before the joint: `a0` of joint 1.
+    A(Joint),
+    /// Joint offset: `theta1` of joint 1.
+    Theta(Joint),
+    /// Link offset along the joint: `d1` of joint 1.
+    D(Joint),
+    /// Hayati's turn about y of the frame before the joint: `beta2` of joint 3.
+    Beta(Joint),
+    /// Tool ball in the flange frame.
+    Tool(Coordinate),
+    /// Base ball in the robot base.
+    Ball(BallId, Coordinate),
+    BarOffset(BarId),
+    Compliance(Joint),
+    /// Cosine part of the transmission error's first harmonic.
+    GearCos(Joint),
+    /// Sine part of the same.
+    GearSin(Joint),
+}
+
+/// The unit of a parameter's values, corrections and standard deviations.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub enum Unit {
+    #[serde(rename = "mm")]
+    Mm,
+    #[serde(rename = "rad")]
+    Rad,
+    #[serde(rename = "rad/Nm")]
+    RadPerNm,
+}
+
+impl Unit {
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Mm => "mm",
+            Self::Rad => "rad",
+            Self::RadPerNm => "rad/Nm",
+        }
+    }
+}
+
+impl fmt::Display for Unit {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.pad(self.name())
+    }
+}
+
+/// What a parameter belongs to: the groups that a LIST may name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Group {
+    Geometric,
+    Tool,
+    Balls,
+    Bar,
+    Compliance,
+    Gear,
+}
+
+impl Group {
+    const ALL: [Self; 6] =
+        [Self::Geometric, Self::Tool, Self::Balls, Self::Bar, Self::Compliance, Self::Gear];
+
+    /// As a LIST names it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Geometric => "geometric",
+            Self::Tool => "tool",
+            Self::Balls => "centres",
+            Self::Bar => "bar",
+            Self::Compliance => "compliance",
+            Self::Gear => "gear",
+        }
+    }
+
+    /// Whether it belongs to the set-up (tool ball, base balls, bar) and not to the robot.
+    pub fn is_setup(self) -> bool {
+        matches!(self, Self::Tool | Self::Balls | Self::Bar)
+    }
+
+    /// Whether it is estimated only where the data carry it.
+    pub fn is_optional(self) -> bool {
+        matches!(self, Self::Compliance | Self::Gear)
+    }
+}
+
+/// What is the same for a family of parameters.
+struct Family {
+    unit: Unit,
+    group: Group,
+    /// The first of its columns in a [`super::LengthRow`].
+    column: usize,
+}
+
+impl ParamId {
+    /// The table of the parameters.
+    const fn family(self) -> Family {
+        use Group::{Balls, Bar, Compliance, Gear, Geometric, Tool};
+        use Unit::{Mm, Rad, RadPerNm};
+        let (unit, group, column) = match self {
+            Self::Alpha(_) => (Rad, Geometric, 0),
+            Self::A(_) => (Mm, Geometric, 6),
+            Self::Theta(_) => (Rad, Geometric, 12),
+            Self::D(_) => (Mm, Geometric, 18),
+            Self::Beta(_) => (Rad, Geometric, 24),
+            Self::Tool(_) => (Mm, Tool, 30),
+            Self::Ball(..) => (Mm, Balls, 33),
+            Self::BarOffset(_) => (Mm, Bar, 36),
+            Self::Compliance(_) => (RadPerNm, Compliance, 37),
+            Self::GearCos(_) => (Rad, Gear, 43),
+            Self::GearSin(_) => (Rad, Gear, 49),
+        };
+        Family { unit, group, column }
+    }
+
+    /// Columns of a [`super::LengthRow`].
+    pub(super) const COLUMNS: usize = Self::GearSin(Joint::J1).family().column + AXES;
+
+    /// Where the derivative by it is in a [`super::LengthRow`]. A ball's columns are those of the row's own base ball,
+    /// the bar's that of its own bar: the derivatives by other balls and bars are zero.
+    pub const fn column(self) -> usize {
+        let place = match self {
+            Self::Tool(coordinate) | Self::Ball(_, coordinate) => coordinate as usize,
+            Self::BarOffset(_) => 0,
+            Self::Alpha(joint)
+            | Self::A(joint)
+            | Self::Theta(joint)
+            | Self::D(joint)
+            | Self::Beta(joint)
+            | Self::Compliance(joint)
+            | Self::GearCos(joint)
+            | Self::GearSin(joint) => joint as usize,
+        };
+        self.family().column + place
+    }
+
+    pub fn unit(self) -> Unit {
+        self.family().unit
+    }
+
+    pub fn group(self) -> Group {
+        self.family().group
+    }
+
+    /// Whether it is one of the robot's own geometric parameters (the 24 and the betas).
+    pub fn is_geometric(self) -> bool {
+        self.group() == Group::Geometric
+    }
+
+    pub fn is_setup(self) -> bool {
+        self.group().is_setup()
+    }
+
+    pub fn is_optional(self) -> bool {
+        self.group().is_optional()
+    }
+
+    /// The 24 Denavit-Hartenberg parameters in canonical order.
+    pub fn denavit_hartenberg() -> impl Iterator<Item = Self> {
+        [Self::Alpha, Self::A, Self::Theta, Self::D]
+            .into_iter()
+            .flat_map(|family: fn(Joint) -> Self| Joint::ALL.map(family))
+    }
+
+    /// All that have a name whatever the set-up and the robot.
+    fn named() -> impl Iterator<Item = Self> {
+        Self::denavit_hartenberg()
+            .chain(Joint::ALL.into_iter().skip(1).map(Self::Beta))
+            .chain(Coordinate::ALL.map(Self::Tool))
+            .chain(optional())
+    }
+}
+
+impl fmt::Display for ParamId {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match *self {
+            Self::Alpha(joint) => write!(out, "alpha{}", joint.index()),
+            Self::A(joint) => write!(out, "a{}", joint.index()),
+            Self::Theta(joint) => write!(out, "theta{}", joint.number()),
+            Self::D(joint) => write!(out, "d{}", joint.number()),
+            Self::Beta(joint) => write!(out, "beta{}", joint.index()),
+            Self::Tool(coordinate) => write!(out, "tool_{coordinate}"),
+            Self::Ball(ball, coordinate) => write!(out, "centre{ball}_{coordinate}"),
+            Self::BarOffset(BarId::FIRST) => write!(out, "bar_offset"),
+            Self::BarOffset(bar) => write!(out, "bar_offset{bar}"),
+            Self::Compliance(joint) => write!(out, "compliance{}", joint.number()),
+            Self::GearCos(joint) => write!(out, "gear{}_cos", joint.number()),
+            Self::GearSin(joint) => write!(out, "gear{}_sin", joint.number()),
+        }
+    }
+}
+
+impl FromStr for ParamId {
+    type Err = RobotFinding;
+
+    fn from_str(word: &str) -> Result<Self, RobotFinding> {
+        let number = |digits: &str| digits.parse().ok();
+        let numbered = if let Some(rest) = word.strip_prefix("centre") {
+            rest.split_once('_').and_then(|(digits, axis)| {
+                let ball = number(digits).and_then(BallId::new)?;
+                let coordinate = Coordinate::ALL.into_iter().find(|name| name.to_string() == axis)?;
+                Some(Self::Ball(ball, coordinate))
+            })
+        } else {
+            word.strip_prefix("bar_offset").and_then(|digits| {
+                let bar = if digits.is_empty() { Some(1) } else { number(digits) };
+                bar.and_then(BarId::new).map(Self::BarOffset)
+            })
+        };
+        // `centre01_x` or `bar_offset1` would parse but are not names.
+        let named = numbered.into_iter().chain(Self::named()).find(|id| id.to_string() == word);
+        named.ok_or_else(|| RobotFinding::UnknownParameter { word: word.into() })
+    }
+}
+
+impl Serialize for ParamId {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_str(self)
+    }
+}
+
+impl<'de> Deserialize<'de> for ParamId {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        String::deserialize(deserializer)?.parse().map_err(de::Error::custom)
+    }
+}
+
+/// How many base balls there are, and how many bars of different length.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SetUp {
+    pub balls: usize,
+    pub bars: usize,
+}
+
+impl SetUp {
+    /// # Errors
+    /// A parameter of a base ball or bar that is not there.
+    pub fn check(self, id: ParamId) -> Result<(), RobotFinding> {
+        let name = id.to_string();
+        match id {
+            ParamId::Ball(ball, _) if ball.index() >= self.balls => {
+                Err(RobotFinding::NoSuchBall { name, balls: self.balls })
+            }
+            ParamId::BarOffset(bar) if bar.index() >= self.bars => {
+                Err(RobotFinding::NoSuchBar { name, bars: self.bars })
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+/// Base balls measured with one bar.
+impl From<usize> for SetUp {
+    fn from(balls: usize) -> Self {
+        Self { balls, bars: 1 }
+    }
+}
+
+/// The members of the optional groups, compliance and gear.
+pub fn optional() -> impl Iterator<Item = ParamId> {
+    let inner = Joint::ALL.into_iter().skip(1).take(4);
+    let gear = Joint::ALL.into_iter().flat_map(|joint| [ParamId::GearCos(joint), ParamId::GearSin(joint)]);
+    inner.map(ParamId::Compliance).chain(gear)
+}
+
+/// The members of the optional group `compliance`.
+pub fn compliance() -> impl Iterator<Item = ParamId> {
+    optional().filter(|id| id.group() == Group::Compliance)
+}
+
+/// The members of the optional group `gear`.
+pub fn gear() -> impl Iterator<Item = ParamId> {
+    optional().filter(|id| id.group() == Group::Gear)
+}
+
+/// The parameters that a LIST may name, in canonical order, for a robot in its set-up: the 24, the beta of each joint
+/// whose axis is nominally `parallel` to the one before, tool, balls, bars. The optional groups are not among them.
+pub fn all(parallel: &[Joint], set_up: impl Into<SetUp>) -> Vec<ParamId> {
+    let SetUp { balls, bars } = set_up.into();
+    let coordinates = |ball| Coordinate::ALL.map(|coordinate| ParamId::Ball(ball, coordinate));
+    ParamId::denavit_hartenberg()
+        .chain(parallel.iter().copied().map(ParamId::Beta))
+        .chain(Coordinate::ALL.map(ParamId::Tool))
+        .chain((0..balls).map(BallId::at).flat_map(coordinates))
+        .chain((0..bars).map(|at| ParamId::BarOffset(BarId::at(at))))
+        .collect()
+}
+
+/// Reads a LIST: names, ranges (`alpha1-5`) and groups, comma-separated; sorted, each once.
+///
+/// # Errors
+/// A word that is neither, or a ball or bar that the set-up does not have.
+pub fn parse_list(
+    list: &str,
+    parallel: &[Joint],
+    set_up: impl Into<SetUp>,
+) -> Result<Vec<ParamId>, Diagnostic> {
+    let set_up = set_up.into();
+    let everything = all(parallel, set_up);
+    let mut chosen: Vec<ParamId> = Vec::new();
+    for word in list.split(',').map(str::trim).filter(|word| !word.is_empty()) {
+        if word == "all" {
+            chosen.extend(&everything);
+        } else if let Some(group) = Group::ALL.into_iter().find(|group| group.name() == word) {
+            let members = everything.iter().copied().chain(optional());
+            chosen.extend(members.filter(|id| id.group() == group));
+        } else if let Some((first, last)) = word.split_once('-') {
+            chosen.extend(range(word, first, last)?);
+        } else {
+            chosen.push(word.parse()?);
+        }
+    }
+    chosen.sort();
+    chosen.dedup();
+    chosen.iter().try_for_each(|id| set_up.check(*id))?;
+    Ok(chosen)
+}
+
+/// `alpha1-5`: the stem once, two numbers.
+fn range(word: &str, first: &str, last: &str) -> Result<Vec<ParamId>, RobotFinding> {
+    let unknown = || RobotFinding::UnknownParameter { word: word.into() };
+    let stem = first.trim_end_matches(|c: char| c.is_ascii_digit());
+    let from: usize = first[stem.len()..].parse().map_err(|_| unknown())?;
+    let to: usize = last.strip_prefix(stem).unwrap_or(last).parse().map_err(|_| unknown())?;
+    if from > to || to > 99 {
+        return Err(unknown());
+    }
+    (from..=to).map(|number| format!("{stem}{number}").parse()).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_name_reads_back_and_a_column_is_its_own() {
+        let mut columns = std::collections::BTreeSet::new();
+        let second = BarId::at(1);
+        let set_up = [ParamId::Ball(BallId::at(9), Coordinate::Y), ParamId::BarOffset(second)];
+        for id in ParamId::named().chain(set_up) {
+            let json = serde_json::to_string(&id).unwrap();
+            assert_eq!(json, format!("\"{id}\""));
+            assert_eq!(serde_json::from_str::<ParamId>(&json).unwrap(), id);
+            assert!(id.column() < ParamId::COLUMNS && columns.insert(id.column()), "{id}");
+        }
+        for word in
+            ["centre01_x", "centre0_x", "bar_offset1", "beta0", "alpha6", "theta0", "compliance1", "d"]
+        {
+            assert!(word.parse::<ParamId>().is_err(), "{word}");
+        }
+    }
+}

@@ -1,0 +1,165 @@
+//! The electronics of the virtual bar: what its protocol's definition says of the device, and what it has measured.
+
+use super::fault::{BadLine, Faults};
+use super::source::Reading;
+use crate::base::units::DeviceTicks;
+use crate::catalogue::ProtocolFinding;
+use crate::device::protocol::{Definition, Encoder, Mode, Step};
+use crate::measurement::sample::Sample;
+
+/// Longest command that is recognised, bytes.
+const LONGEST_COMMAND: usize = 256;
+
+/// A command of the host.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Command {
+    Start,
+    Stop,
+    Poll,
+    Zero,
+}
+
+/// Whether readings are sent by themselves or asked for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Sends {
+    /// As soon as a host is there.
+    AtOnce,
+    AfterStart,
+    WhenAsked,
+}
+
+/// A device as its definition has it.
+pub(super) struct Device {
+    encoder: Encoder,
+    tick_ns: u32,
+    wrap_bits: u32,
+    modulo: u32,
+    /// Of several commands that end alike the first is meant.
+    commands: [(Command, Vec<u8>); 4],
+    /// What is answered to which bytes.
+    answers: Vec<(Vec<u8>, Vec<u8>)>,
+    /// The last bytes from the host, in which a command may be.
+    received: Vec<u8>,
+    pub(super) sends: Sends,
+    pub(super) reply_delay_s: f64,
+    /// What is sent once at the beginning.
+    pub(super) banner: Vec<u8>,
+    at_mm: f64,
+    /// The reading that counts as zero, mm; none when the next one is to.
+    zero_mm: Option<f64>,
+    first_ticks: u64,
+}
+
+impl Device {
+    pub(super) fn new(definition: &Definition, first_ticks: u64, faults: &Faults) -> Self {
+        // A command of several sends is known by its last one.
+        let command = |steps: &[Step]| -> Vec<u8> {
+            let sent = steps.iter().rev().find_map(|step| match step {
+                Step::Send(bytes) | Step::Ask { send: bytes, .. } => Some(bytes.clone()),
+                _ => None,
+            });
+            sent.unwrap_or_default()
+        };
+        let Definition { ident, zero, init, start, stop, poll, sim, .. } = definition;
+        let asked = [ident, zero, init, start, stop].into_iter().flatten();
+        let answers = asked.filter_map(|step| match step {
+            Step::Ask { send, expect, .. } => Some((send.clone(), expect.clone())),
+            _ => None,
+        });
+        let commands = [
+            (Command::Stop, command(stop)),
+            (Command::Start, command(start)),
+            (Command::Poll, command(poll)),
+            (Command::Zero, command(zero)),
+        ];
+        let sends = match definition.mode {
+            Mode::Poll { .. } => Sends::WhenAsked,
+            _ if command(start).is_empty() => Sends::AtOnce,
+            _ => Sends::AfterStart,
+        };
+        let banner = match sim.banner.as_slice() {
+            [] if faults.banner > 0.0 => b"ball-bar\r\n".to_vec(),
+            banner => banner.to_vec(),
+        };
+        Self {
+            encoder: definition.encoder(),
+            tick_ns: definition.clock.map_or(1, |clock| clock.tick_ns),
+            wrap_bits: definition.clock.map_or(64, |clock| clock.wrap_bits),
+            modulo: definition.sequence_modulo.unwrap_or(u32::MAX),
+            commands,
+            answers: answers.collect(),
+            received: Vec::new(),
+            sends,
+            reply_delay_s: sim.reply_delay.as_secs_f64(),
+            banner,
+            at_mm: sim.at_mm,
+            zero_mm: Some(0.0),
+            first_ticks,
+        }
+    }
+
+    /// Takes a byte of the host: the commands that end with it, and the answer.
+    pub(super) fn receive(&mut self, byte: u8) -> (Vec<Command>, Option<&[u8]>) {
+        self.received.push(byte);
+        let received = &self.received;
+        let ends = |bytes: &[u8]| !bytes.is_empty() && received.ends_with(bytes);
+        let commands: Vec<Command> =
+            self.commands.iter().filter(|(_, bytes)| ends(bytes)).map(|(command, _)| *command).collect();
+        let answer = self.answers.iter().find(|(sent, _)| ends(sent)).map(|(_, answer)| answer.as_slice());
+        if commands.contains(&Command::Zero) {
+            self.zero_mm = None;
+        }
+        if !commands.is_empty() {
+            self.received.clear();
+        }
+        let excess = self.received.len().saturating_sub(LONGEST_COMMAND);
+        self.received.drain(..excess);
+        (commands, answer)
+    }
+
+    /// The host has gone.
+    pub(super) fn forget(&mut self) {
+        self.received.clear();
+    }
+
+    /// The frame of a reading at a device time, s, over a bad line; `count` frames were numbered before it.
+    pub(super) fn frame(
+        &mut self,
+        t_s: f64,
+        reading: &Reading,
+        count: u64,
+        bad: &mut BadLine,
+    ) -> Result<Vec<u8>, ProtocolFinding> {
+        let Faults { silence, refuse, .. } = *bad.faults();
+        let sample = self.sample(t_s, reading, count, bad.faults());
+        let mut frame = Vec::new();
+        let refused = bad.happens(refuse) && self.encoder.refuse(&sample, &mut frame);
+        if refused || bad.happens(silence) {
+            return Ok(frame);
+        }
+        // The device's word for none where the bar is out of its stroke.
+        let doubted = !sample.valid && !self.encoder.doubts() && self.encoder.refuse(&sample, &mut frame);
+        if !doubted {
+            self.encoder.encode(&sample, &mut frame)?;
+        }
+        Ok(frame)
+    }
+
+    fn sample(&mut self, t_s: f64, reading: &Reading, count: u64, faults: &Faults) -> Sample {
+        let Faults { drift_ppm, wrap_ticks, over_mm, .. } = *faults;
+        let zero_mm = *self.zero_mm.get_or_insert(reading.reading_mm);
+        let ticks = (t_s * (1.0 + drift_ppm * 1e-6) * 1e9 / f64::from(self.tick_ns)).round() as u64;
+        let ticks = ticks.wrapping_sub(wrap_ticks as u64);
+        let mask = u64::MAX >> (64 - self.wrap_bits.clamp(1, 64));
+        Sample {
+            reading_mm: reading.reading_mm - zero_mm + self.at_mm + over_mm,
+            sequence: u32::try_from(count % u64::from(self.modulo)).ok(),
+            ticks: Some(DeviceTicks(self.first_ticks.wrapping_add(ticks) & mask)),
+            trigger: Some(reading.strobe),
+            temperature_c: Some(reading.temperature_c),
+            valid: reading.valid && over_mm == 0.0,
+            status: 0,
+            offset: 0,
+        }
+    }
+}

@@ -1,0 +1,75 @@
+//! Codes are stable, explained and provoked.
+
+use std::fs;
+use std::path::Path;
+
+use dbbd::catalogue;
+
+use crate::cell::dbbd;
+
+/// The codes that tests provoke: each module gives those of the table of cases that it runs.
+fn provoked() -> Vec<&'static str> {
+    [
+        crate::acquire_reads_the_bar::provoked(),
+        crate::captures_are_joined::provoked(),
+        crate::capture_survives_damage::provoked(),
+        crate::captures_are_joined::provoked(),
+        crate::circular_plays::provoked(),
+        crate::circular_quantities::provoked(),
+        crate::compensated_robot_arrives::provoked(),
+        crate::continuous_circles::provoked(),
+        crate::controller_executes_krl::provoked(),
+        crate::ekrl_reports_the_dwells::provoked(),
+        crate::definitions_are_checked::provoked(),
+        crate::every_device_round_trips::provoked(),
+        crate::imports_foreign_traces::provoked(),
+        crate::infeasible_jobs_are_refused::provoked(),
+        crate::inverse_kinematics::provoked(),
+        crate::job_keys::provoked(),
+        crate::krl_reads_back::provoked(),
+        crate::says_what_it_found::provoked(),
+        crate::logged_axes_identify::provoked(),
+        crate::plan_is_refused_with_a_reason::provoked(),
+        crate::plans_read_back::provoked(),
+        crate::refuses_bad_input::provoked(),
+        crate::report_is_self_contained::provoked(),
+        crate::simulator_refuses::provoked(),
+        crate::service_answers_as_documented::provoked(),
+        crate::service_refuses_strangers::provoked(),
+        crate::sync_joins::provoked(),
+    ]
+    .concat()
+}
+
+#[test]
+#[ignore = "until every message has a code"]
+fn every_code_is_provoked_by_a_test() {
+    let provoked = provoked();
+    let silent: Vec<_> =
+        catalogue::entries().map(|entry| entry.code.0).filter(|code| !provoked.contains(code)).collect();
+    assert!(silent.is_empty(), "no test provokes {silent:?}");
+}
+
+/// `DBBD_BLESS=1 cargo test troubleshooting_page` writes the page anew.
+#[test]
+fn troubleshooting_page_is_the_catalogue() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/troubleshooting.md");
+    if std::env::var_os("DBBD_BLESS").is_some() {
+        fs::write(&path, catalogue::page()).unwrap();
+    }
+    assert_eq!(fs::read_to_string(path).unwrap(), catalogue::page(), "DBBD_BLESS=1 writes it anew");
+}
+
+#[test]
+fn explain_prints_an_entry_and_refuses_an_unknown_code() {
+    let root = Path::new(".");
+    for entry in catalogue::entries() {
+        let output = dbbd(root, &["explain", entry.code.0, "--json"]);
+        let json: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+        assert_eq!(json["code"], entry.code.0);
+    }
+    let unknown = dbbd(root, &["explain", "E9999", "--json"]);
+    assert_eq!(unknown.status.code(), Some(1));
+    let json: serde_json::Value = serde_json::from_slice(&unknown.stdout).unwrap();
+    assert_eq!(json["error"]["code"], "E0001");
+}

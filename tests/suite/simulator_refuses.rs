@@ -1,0 +1,110 @@
+//! `dbbd simulate` and the commands that run it refuse what they cannot run, with a code.
+#![cfg(unix)]
+
+use std::io::{BufRead, BufReader, Write};
+use std::net::{Shutdown, TcpListener};
+use std::path::Path;
+use std::process::{Command, Stdio};
+
+use tempfile::tempdir;
+
+use crate::cell::{codes, dbbd, stderr};
+use crate::circle_plan::plan;
+
+/// Options of `simulate`, and the code of what is wrong with them.
+const CASES: &[(&[&str], &str)] = &[
+    (&["--halt=-1"], "E1601"),
+    (&["--override", "0.5"], "E1601"),
+    (&["--speed=-1"], "E1601"),
+    (&["--fault", "drop=much"], "E1601"),
+    (&["--fault", "drop=2"], "E1601"),
+    (&["--fault", "dorp=0.1"], "E1601"),
+    (&["--world", "world.toml"], "E1603"),
+    (&["--link", "directory"], "E1604"),
+];
+
+/// Options with which the bar is read, and the code with which the simulator ends: the ball is always out of the stroke.
+const READ: &[(&[&str], &str)] = &[(&[], "W1607"), (&["--fault", "over_mm=1000000"], "E0312")];
+
+/// Of a server that gives no answer, and of a step that fails: their own tests.
+pub(crate) fn provoked() -> Vec<&'static str> {
+    let cases = CASES.iter().chain(READ).map(|case| case.1);
+    cases.chain(["E1606", "E1608"]).collect()
+}
+
+/// A program that stands still, and what the cases name.
+fn cell(dir: &Path) {
+    let source = "DEF T ( )\nPTP {A1 0.0,A2 -90.0,A3 90.0,A4 0.0,A5 45.0,A6 0.0}\nDBBSTB=TRUE\nWAIT SEC 0.5\n\
+                  DBBSTB=FALSE\nEND\n";
+    let data = "DEFDAT T\nSIGNAL DBBSTB $OUT[1]\nDECL INT DBBBALL=1\nDECL FRAME DBBCEN={X 0.0,Y 0.0,Z 0.0,A 0.0,B 0.0,C 0.0}\n\
+                DECL REAL DBBLEN=300.0\nDECL REAL DBBLOW=-1.0\nDECL REAL DBBHIGH=1.0\nENDDAT\n";
+    std::fs::write(dir.join("T.src"), source).unwrap();
+    std::fs::write(dir.join("T.dat"), data).unwrap();
+    std::fs::write(dir.join("world.toml"), "[bar]\nlength_mm = -1.0\n").unwrap();
+    std::fs::create_dir(dir.join("directory")).unwrap();
+}
+
+#[test]
+fn options_are_refused_with_their_code() {
+    let dir = tempdir().unwrap();
+    cell(dir.path());
+    for (options, code) in CASES {
+        let output = dbbd(dir.path(), &[&["simulate", "--program", "T.src"], *options].concat());
+        assert_eq!(output.status.code(), Some(1), "{options:?}: {}", stderr(&output));
+        assert_eq!(codes(&output), [*code], "{options:?}: {}", stderr(&output));
+    }
+    let output = dbbd(dir.path(), &["simulate", "--program", "NOWHERE.src"]);
+    assert_eq!(codes(&output), ["E0806"]);
+}
+
+#[test]
+fn a_server_that_does_not_answer_is_named() {
+    let address = {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        listener.local_addr().unwrap()
+    };
+    assert_eq!(dbbd::sim::ekrl::Client::connect(address).unwrap_err().code.0, "E1606");
+    for answer in ["", "<Nack/>", "<Ack Id=\"x\"/>"] {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let mut client = dbbd::sim::ekrl::Client::connect(listener.local_addr().unwrap()).unwrap();
+        let (mut stream, _) = listener.accept().unwrap();
+        stream.write_all(answer.as_bytes()).unwrap();
+        stream.shutdown(Shutdown::Write).unwrap();
+        assert_eq!(client.exchange("<Dbb/>").unwrap_err().code.0, "E1606", "{answer}");
+    }
+}
+
+#[test]
+fn readings_that_are_doubtful_or_impossible_are_reported() {
+    for (options, code) in READ {
+        let dir = tempdir().unwrap();
+        cell(dir.path());
+        let mut simulator = Command::new(env!("CARGO_BIN_EXE_dbbd"))
+            .args(["simulate", "--program", "T.src", "--speed", "0"])
+            .args(*options)
+            .current_dir(dir.path())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let mut port = String::new();
+        BufReader::new(simulator.stdout.take().unwrap()).read_line(&mut port).unwrap();
+        let args = ["acquire", "--port", port.trim(), "--out", "run", "--duration", "2", "--gone", "1"];
+        dbbd(dir.path(), &args);
+        let output = simulator.wait_with_output().unwrap();
+        assert_eq!(codes(&output), [*code], "{}", stderr(&output));
+    }
+}
+
+#[test]
+fn a_step_that_fails_is_named() {
+    let dir = tempdir().unwrap();
+    let mut plan = plan(1, 3);
+    plan.header.moves.iter_mut().for_each(|time| time.turn_deg_s = 0.0);
+    let (csv, json) = plan.to_files();
+    std::fs::write(dir.path().join("plan.csv"), csv).unwrap();
+    std::fs::write(dir.path().join("plan.json"), json).unwrap();
+    let output = dbbd(dir.path(), &["acquire", "--port", "sim", "--plan", "plan.csv", "--out", "run"]);
+    assert_eq!(output.status.code(), Some(1), "{}", stderr(&output));
+    assert_eq!(codes(&output), ["E0820", "E1608"], "{}", stderr(&output));
+}
