@@ -4,7 +4,7 @@ use std::fs;
 use std::io::Write;
 use std::path::Path;
 
-use crate::catalogue::FileFinding::{NoDirectory, NotUtf8At, Unreadable, Unwritable};
+use crate::catalogue::FileFinding::{NoDirectory, NotAFile, NotUtf8At, TooLarge, Unreadable, Unwritable};
 use crate::diagnostic::Diagnostic;
 
 /// The text of a file.
@@ -21,6 +21,20 @@ pub fn read(path: &Path) -> Result<String, Diagnostic> {
             })
         },
     )
+}
+
+/// The text of a file of at most `most` bytes; what is no file (a pipe, a device) is not opened.
+///
+/// # Errors
+/// As [`read()`], and when it is longer.
+pub fn read_at_most(path: &Path, most: u64) -> Result<String, Diagnostic> {
+    match fs::metadata(path) {
+        Ok(data) if !data.is_file() => Err(Diagnostic::file(&path.display().to_string(), NotAFile)),
+        Ok(data) if data.len() > most => {
+            Err(Diagnostic::file(&path.display().to_string(), TooLarge { bytes: data.len(), most }))
+        }
+        _ => read(path),
+    }
 }
 
 /// Writes a file whole or not at all: beside it first, then renamed.

@@ -3,5 +3,6 @@
 pub mod clock;
 pub mod files;
 pub mod parse;
+pub mod program;
 pub mod table;
 pub mod units;

@@ -6,9 +6,11 @@ findings! {
     /// A file that cannot be read or written, or whose text is not what it should be.
     FileFinding {
         E0101 "a file cannot be read",
-        cause: "The path is wrong, the file is a directory, or this user may not read it.",
+        cause: "The path is wrong, it is a directory or no file at all, this user may not read it, or the file is larger than any of its kind.",
         cure: "Check the path. On Linux `ls -l` shows the rights, on Windows the file's properties." {
             Unreadable { why: String } => "cannot be read: {why}";
+            NotAFile => "is not a file";
+            TooLarge { bytes: u64, most: u64 } => "has {bytes} bytes: at most {most} are read";
         }
         E0102 "a file cannot be written",
         cause: "The directory does not exist, the disk is full, another program has the file open, or this user may not write there.",

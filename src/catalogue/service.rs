@@ -50,6 +50,7 @@ findings! {
             PortAway { port: String } => "there is no port `{port}`: plug the bar in";
             NameTaken { run: String } => "there is a run `{run}` already: choose another name";
             ProtocolNotBuiltIn { protocol: String } => "the plan's protocol `{protocol}` is not built in: configure it";
+            LinkedResults { run: String, kind: String } => "`{kind}` of run `{run}` is a link or holds one", help: "results are written inside the data directory only: remove the link";
             DataUnwritable { why: String } => "the data directory cannot be written: {why}";
         }
         E1505 "a request's content is not valid",
@@ -63,10 +64,10 @@ findings! {
             BodyContent { why: String } => "{why}";
         }
         E1506 "too many at once",
-        cause: "More jobs wait or more connections are open than the service keeps.",
-        cure: "Wait until some have ended." {
+        cause: "More jobs wait than the service keeps, or too many wrong tokens came from this address within a minute.",
+        cure: "Wait a minute, or until some jobs have ended." {
             TooManyJobs => "too many jobs wait already";
-            TooManyConnections => "too many connections";
+            TooManyGuesses => "too many wrong tokens came from this address: wait a minute";
         }
         E1507 "the service failed",
         cause: "A thread of the service ended, or the disk or the system failed: a fault of dbbd or of the computer, not of the request.",

@@ -1,17 +1,16 @@
 //! Other verbs as child processes of this same program, in a directory of their own.
 
 use std::io::{BufRead, BufReader};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Child, Command, Stdio};
 
 use super::Output;
-use crate::base::clock;
+use crate::base::{clock, program};
 use crate::catalogue::{FileFinding, SimulationFinding};
 use crate::diagnostic::Diagnostic;
 
 /// Runs commands in a directory.
 pub(crate) struct Steps<'a> {
-    program: PathBuf,
     dir: &'a Path,
     out: &'a Output,
 }
@@ -23,9 +22,8 @@ pub(crate) struct Simulator {
 }
 
 impl<'a> Steps<'a> {
-    pub(crate) fn new(dir: &'a Path, out: &'a Output) -> Result<Self, Diagnostic> {
-        let program = std::env::current_exe().map_err(|error| failed(&[], error))?;
-        Ok(Self { program, dir, out })
+    pub(crate) fn new(dir: &'a Path, out: &'a Output) -> Self {
+        Self { dir, out }
     }
 
     /// A heading.
@@ -45,20 +43,20 @@ impl<'a> Steps<'a> {
         Ok(())
     }
 
-    fn command(&self, args: &[&str]) -> Command {
+    fn command(&self, args: &[&str]) -> Result<Command, Diagnostic> {
         self.out.progress(format!("$ dbbd {}", args.join(" ")));
-        let mut command = Command::new(&self.program);
-        command.args(args).current_dir(self.dir).stdin(Stdio::null());
+        let mut command = program::own().map_err(|error| failed(args, error))?;
+        command.args(args).current_dir(self.dir);
         if self.out.is_quiet() {
             command.arg("--quiet");
         }
-        command
+        Ok(command)
     }
 
     /// Runs a command to its end; what it prints on stdout goes to our stderr, which holds the progress.
     pub(crate) fn run(&self, args: &[&str]) -> Result<(), Diagnostic> {
         let failed = |error| failed(args, error);
-        let mut child = self.command(args).stdout(Stdio::piped()).spawn().map_err(failed)?;
+        let mut child = self.command(args)?.stdout(Stdio::piped()).spawn().map_err(failed)?;
         if let Some(stdout) = child.stdout.take() {
             for line in BufReader::new(stdout).lines() {
                 self.out.progress(line.map_err(failed)?);
@@ -78,7 +76,9 @@ impl<'a> Steps<'a> {
     /// Starts the simulator and waits for the name of its pty, the first line on stdout.
     pub(crate) fn start(&self, args: &[&str]) -> Result<Simulator, Diagnostic> {
         let failed = |error| failed(args, error);
-        let mut command = self.command(args);
+        let mut command = self.command(args)?;
+        // Its end of this pipe closes with this process, however that ends.
+        command.arg("--until-stdin-closes").stdin(Stdio::piped());
         let mut child = command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().map_err(failed)?;
         let mut port = String::new();
         if let Some(stdout) = child.stdout.take() {

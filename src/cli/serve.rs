@@ -74,6 +74,9 @@ fn bench(_: Output) -> Option<Bench> {
     None
 }
 
+/// Characters of a value in the log; what a client sends may be longer.
+const LONGEST_VALUE: usize = 300;
+
 /// The log: a line an event on stderr, `level=.. event=.. key=value`.
 struct Lines {
     out: Output,
@@ -88,7 +91,10 @@ impl Log for Lines {
         };
         let mut line = format!("level={word} event={event}");
         for (name, value) in fields {
-            let value = value.to_string();
+            let mut value = value.to_string();
+            if let Some((end, _)) = value.char_indices().nth(LONGEST_VALUE) {
+                value.replace_range(end.., "...");
+            }
             let bare =
                 !value.is_empty() && value.chars().all(|c| c.is_ascii_graphic() && !"\"=\\".contains(c));
             // Quoted as a string literal: no value can break the line.

@@ -3,19 +3,29 @@
 //! A page of another site that resolves its name to this machine (DNS rebinding) sends its own name as Host:
 //! only addresses and the configured names are taken. A page that posts here sends its own Origin.
 
+use std::collections::VecDeque;
+use std::fs::File;
 use std::hint::black_box;
+use std::io::{self, Read};
 use std::net::{IpAddr, Ipv6Addr};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use axum::http::header::{AUTHORIZATION, COOKIE, HOST, HeaderMap, ORIGIN};
 use axum::http::{StatusCode, Uri};
 
+use super::guesses::Guesses;
 use super::json::Problem;
-use crate::catalogue::ServiceFinding::{NoHost, NoToken, OtherHost, OtherSite};
+use crate::catalogue::ServiceFinding::{
+    NoHost, NoSystem, NoToken, OtherHost, OtherSite, TooManyGuesses, WrongToken,
+};
+use crate::diagnostic::Diagnostic;
 
 /// The cookie of a page that has shown the token.
 pub(super) const COOKIE_NAME: &str = "dbbd";
 /// A shorter token can be guessed.
 const SHORTEST_TOKEN: usize = 16;
+/// Pages that are logged in at a time; the oldest is logged out by one more.
+const MOST_SESSIONS: usize = 64;
 
 /// Who may ask.
 #[derive(Debug)]
@@ -23,8 +33,31 @@ pub struct Access {
     loopback: bool,
     hosts: Vec<String>,
     token: Option<Token>,
-    /// What the cookie of a page holds that has shown the token: drawn anew in each process.
-    session: String,
+    /// What the cookies of the pages hold that have shown the token, the oldest first.
+    sessions: Mutex<VecDeque<String>>,
+    guesses: Mutex<Guesses>,
+}
+
+/// Whether a client has shown what it must know.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Shown {
+    /// The token or a cookie, or none is needed.
+    Right,
+    Nothing,
+    Wrong,
+    /// Not looked at: too many wrong ones came from there.
+    TooOften,
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// What nobody can guess, for a cookie.
+fn drawn() -> io::Result<String> {
+    let mut random = [0; 24];
+    File::open("/dev/urandom")?.read_exact(&mut random)?;
+    Ok(random.iter().map(|byte| format!("{byte:02x}")).collect())
 }
 
 /// What whoever asks must know. It is never shown.
@@ -57,9 +90,10 @@ fn same(shown: &[u8], secret: &[u8]) -> bool {
 
 impl Access {
     /// For a service at `address`, under these names beside its addresses.
-    pub fn new(address: IpAddr, hosts: &[String], token: Option<Token>, session: String) -> Self {
+    pub fn new(address: IpAddr, hosts: &[String], token: Option<Token>) -> Self {
         let hosts = hosts.iter().map(|host| host.to_ascii_lowercase()).collect();
-        Self { loopback: address.is_loopback(), hosts, token, session }
+        let (sessions, guesses) = (Mutex::default(), Mutex::default());
+        Self { loopback: address.is_loopback(), hosts, token, sessions, guesses }
     }
 
     /// Whether Host and Origin are in order.
@@ -73,7 +107,7 @@ impl Access {
             return Err(Problem::new(StatusCode::MISDIRECTED_REQUEST, OtherHost));
         }
         let foreign = || Problem::new(StatusCode::FORBIDDEN, OtherSite);
-        if let Some(origin) = headers.get(ORIGIN) {
+        for origin in headers.get_all(ORIGIN) {
             let origin = origin.to_str().map_err(|_| foreign())?;
             let own = origin.strip_prefix("http://").or_else(|| origin.strip_prefix("https://"));
             if !own.is_some_and(|own| own.eq_ignore_ascii_case(host)) {
@@ -88,12 +122,12 @@ impl Access {
     }
 
     fn knows(&self, host: &str) -> bool {
-        let name = match host.strip_prefix('[').and_then(|rest| rest.split_once(']')) {
-            Some((address, _)) => return address.parse::<Ipv6Addr>().is_ok_and(|ip| self.serves(ip.into())),
-            None => host.rsplit_once(':').map_or(host, |(name, _)| name),
-        };
+        let Some(name) = without_port(host) else { return false };
+        if let Some(address) = name.strip_prefix('[').and_then(|rest| rest.strip_suffix(']')) {
+            return address.parse::<Ipv6Addr>().is_ok_and(|ip| self.serves(ip.into()));
+        }
         match name.parse::<IpAddr>() {
-            Ok(ip) => self.serves(ip),
+            Ok(ip) => ip.is_ipv4() && self.serves(ip),
             Err(_) => {
                 name.eq_ignore_ascii_case("localhost") || self.hosts.contains(&name.to_ascii_lowercase())
             }
@@ -104,28 +138,84 @@ impl Access {
         !self.loopback || ip.is_loopback()
     }
 
-    /// Whether whoever asks knows the token, by header or by the cookie of a page.
-    pub(super) fn check_token(&self, headers: &HeaderMap) -> Result<(), Problem> {
-        let Some(token) = &self.token else { return Ok(()) };
-        let bearer = headers.get(AUTHORIZATION).map(|value| value.as_bytes());
-        let bearer = bearer.and_then(|value| value.strip_prefix(b"Bearer "));
-        if bearer.is_some_and(|shown| same(shown, token.0.as_bytes())) {
-            return Ok(());
+    /// Whether whoever asks from `address` knows the token, by header or by the cookie of a page.
+    pub(super) fn shown(&self, headers: &HeaderMap, address: IpAddr) -> Shown {
+        if self.token.is_none() || self.session(headers).is_some() {
+            return Shown::Right;
         }
+        let bearer = headers.get(AUTHORIZATION).map(|value| value.as_bytes());
+        match bearer.and_then(|value| value.strip_prefix(b"Bearer ")) {
+            Some(shown) => self.guess(shown, address),
+            None => Shown::Nothing,
+        }
+    }
+
+    /// Compares a token that was shown, and counts the wrong ones.
+    fn guess(&self, shown: &[u8], address: IpAddr) -> Shown {
+        let Some(token) = &self.token else { return Shown::Right };
+        let mut guesses = lock(&self.guesses);
+        if guesses.too_many(address) {
+            return Shown::TooOften;
+        }
+        if same(shown, token.0.as_bytes()) {
+            return Shown::Right;
+        }
+        guesses.wrong(address);
+        Shown::Wrong
+    }
+
+    /// The cookie of a page that is logged in, where the request has one.
+    fn session(&self, headers: &HeaderMap) -> Option<String> {
         let cookies = headers.get_all(COOKIE).iter().filter_map(|value| value.to_str().ok());
-        let mut sessions = cookies
+        let mut shown = cookies
             .flat_map(|value| value.split(';'))
             .filter_map(|pair| pair.trim().strip_prefix(COOKIE_NAME)?.strip_prefix('='));
-        if sessions.any(|shown| same(shown.as_bytes(), self.session.as_bytes())) {
-            return Ok(());
-        }
-        Err(Problem::new(StatusCode::UNAUTHORIZED, NoToken))
+        let sessions = lock(&self.sessions);
+        shown.find_map(|one| sessions.iter().find(|known| same(one.as_bytes(), known.as_bytes())).cloned())
     }
 
     /// The cookie for a page that shows the token.
-    pub(super) fn session_for(&self, shown: &str) -> Option<&str> {
-        let known = self.token.as_ref().is_none_or(|token| same(shown.as_bytes(), token.0.as_bytes()));
-        known.then_some(self.session.as_str())
+    pub(super) fn log_in(&self, shown: &str, address: IpAddr) -> Result<String, Problem> {
+        match self.guess(shown.as_bytes(), address) {
+            Shown::Right => {}
+            Shown::TooOften => return Err(Diagnostic::new(TooManyGuesses).into()),
+            Shown::Wrong | Shown::Nothing => return Err(Problem::new(StatusCode::UNAUTHORIZED, WrongToken)),
+        }
+        let session = drawn().map_err(|error| Diagnostic::new(NoSystem { why: error.to_string() }))?;
+        let mut sessions = lock(&self.sessions);
+        sessions.push_back(session.clone());
+        if sessions.len() > MOST_SESSIONS {
+            sessions.pop_front();
+        }
+        Ok(session)
+    }
+
+    /// The page's cookie is worth nothing from now on.
+    pub(super) fn log_out(&self, headers: &HeaderMap) {
+        if let Some(gone) = self.session(headers) {
+            lock(&self.sessions).retain(|known| *known != gone);
+        }
+    }
+}
+
+/// The refusal of a client that has not shown what it must know.
+pub(super) fn refusal(shown: Shown) -> Option<Problem> {
+    match shown {
+        Shown::Right => None,
+        Shown::Nothing | Shown::Wrong => Some(Problem::new(StatusCode::UNAUTHORIZED, NoToken)),
+        Shown::TooOften => Some(Diagnostic::new(TooManyGuesses).into()),
+    }
+}
+
+/// The name or address in a Host, whose port must be a number.
+fn without_port(host: &str) -> Option<&str> {
+    let end = host.rfind(']').map_or(0, |bracket| bracket + 1);
+    match host.get(end..)?.split_once(':') {
+        None => Some(host),
+        Some((rest, port)) => {
+            let number = (1..=5).contains(&port.len()) && port.bytes().all(|byte| byte.is_ascii_digit());
+            number.then(|| host.get(..end + rest.len())).flatten()
+        }
     }
 }
 
@@ -134,7 +224,7 @@ mod tests {
     use super::*;
 
     fn access(address: &str) -> Access {
-        Access::new(address.parse().unwrap(), &["Cell-3".into()], None, String::new())
+        Access::new(address.parse().unwrap(), &["Cell-3".into()], None)
     }
 
     #[test]
@@ -153,8 +243,21 @@ mod tests {
         for host in ["127.0.0.1:8230", "localhost", "LOCALHOST:1", "[::1]:8230", "cell-3:80"] {
             assert!(local.knows(host), "{host}");
         }
-        for host in ["evil.example", "192.168.0.7:8230", "localhost.evil.example", "[::2]", "", ":80", "[::1"]
-        {
+        for host in [
+            "evil.example",
+            "192.168.0.7:8230",
+            "localhost.evil.example",
+            "[::2]",
+            "",
+            ":80",
+            "[::1",
+            "[::1].evil.example",
+            "[::1]evil:80",
+            "127.0.0.1:80@evil.example",
+            "127.0.0.1:",
+            "localhost:x",
+            "::1",
+        ] {
             assert!(!local.knows(host), "{host}");
         }
         assert!(access("192.168.0.7").knows("192.168.0.7:8230"));

@@ -3,21 +3,20 @@
 use std::sync::Arc;
 
 use axum::extract::rejection::PathRejection;
-use axum::extract::{Path, State};
-use axum::http::StatusCode;
+use axum::extract::{Extension, Path, State};
 use axum::http::header::{CONTENT_TYPE, SET_COOKIE};
+use axum::http::{HeaderMap, StatusCode};
 use axum::response::{IntoResponse, Response};
 use serde::Deserialize;
 use serde_json::json;
 use tokio::sync::watch;
 
 use super::access::{Access, COOKIE_NAME};
+use super::connections::Peer;
 use super::json::{Body, Problem, json};
 use super::service::{Catalogue, JobKind, JobRequest, Service, StartRequest};
 use super::{downloads, metrics as prometheus, stream as live_stream};
-use crate::catalogue::ServiceFinding::{
-    NoJob, NoResultKind, PathNotText, RemarkLength, WorkerLost, WrongToken,
-};
+use crate::catalogue::ServiceFinding::{NoJob, NoResultKind, PathNotText, RemarkLength, WorkerLost};
 use crate::diagnostic::Diagnostic;
 
 /// The API's description, kept by hand; a test holds it to the routes.
@@ -66,15 +65,25 @@ pub(super) struct LogIn {
     token: String,
 }
 
-pub(super) async fn log_in(State(app): State<App>, Body(shown): Body<LogIn>) -> Answer {
-    let Some(session) = app.access.session_for(&shown.token) else {
-        return Err(Problem::new(StatusCode::UNAUTHORIZED, WrongToken));
-    };
+pub(super) async fn log_in(
+    State(app): State<App>,
+    Extension(peer): Extension<Peer>,
+    Body(shown): Body<LogIn>,
+) -> Answer {
+    let logged_in = app.access.log_in(&shown.token, peer.address);
+    let session = logged_in.inspect_err(|_| report_guess(&*app.service, &peer))?;
+    peer.known(true);
     let cookie = format!("{COOKIE_NAME}={session}; Path=/; HttpOnly; SameSite=Strict");
     Ok((StatusCode::NO_CONTENT, [(SET_COOKIE, cookie)]).into_response())
 }
 
-pub(super) async fn log_out() -> Response {
+/// A wrong token is a matter for the log.
+pub(super) fn report_guess(service: &dyn Service, peer: &Peer) {
+    service.warn("wrong_token", &[("address", &peer.address)]);
+}
+
+pub(super) async fn log_out(State(app): State<App>, headers: HeaderMap) -> Response {
+    app.access.log_out(&headers);
     let cookie = format!("{COOKIE_NAME}=; Path=/; HttpOnly; SameSite=Strict; Max-Age=0");
     (StatusCode::NO_CONTENT, [(SET_COOKIE, cookie)]).into_response()
 }
@@ -83,8 +92,8 @@ pub(super) async fn status(State(app): State<App>) -> Response {
     json(StatusCode::OK, &*app.service.status().borrow())
 }
 
-pub(super) async fn stream(State(app): State<App>) -> Response {
-    live_stream::answer(&*app.service, app.stop)
+pub(super) async fn stream(State(app): State<App>, Extension(peer): Extension<Peer>) -> Response {
+    live_stream::answer(&*app.service, app.stop, peer.busy())
 }
 
 pub(super) async fn points(State(app): State<App>) -> Answer {
@@ -134,8 +143,9 @@ pub(super) async fn start(State(app): State<App>, Body(request): Body<StartReque
     Ok(json(StatusCode::CREATED, &json!({ "name": name })))
 }
 
+/// Not on a thread where others wait: it must work whatever they do.
 pub(super) async fn stop(State(app): State<App>) -> Answer {
-    ask(app, |service| service.stop()).await?;
+    app.service.stop()?;
     Ok(StatusCode::ACCEPTED.into_response())
 }
 
@@ -164,19 +174,27 @@ pub(super) async fn run(State(app): State<App>, name: Parts<String>) -> Answer {
     Ok(json(StatusCode::OK, &run))
 }
 
-pub(super) async fn capture(State(app): State<App>, name: Parts<String>) -> Answer {
+pub(super) async fn capture(
+    State(app): State<App>,
+    Extension(peer): Extension<Peer>,
+    name: Parts<String>,
+) -> Answer {
     let name = parts(name)?;
     let download = ask(app, move |service| service.file(&name, None)).await?;
-    Ok(downloads::answer(download))
+    Ok(downloads::answer(download, peer.busy()))
 }
 
-pub(super) async fn result(State(app): State<App>, path: Parts<(String, String, String)>) -> Answer {
+pub(super) async fn result(
+    State(app): State<App>,
+    Extension(peer): Extension<Peer>,
+    path: Parts<(String, String, String)>,
+) -> Answer {
     let (name, kind, file) = parts(path)?;
     let Some(kind) = JobKind::ALL.into_iter().find(|known| known.name() == kind) else {
         return Err(Diagnostic::new(NoResultKind { kind }).into());
     };
     let download = ask(app, move |service| service.file(&name, Some((kind, &file)))).await?;
-    Ok(downloads::answer(download))
+    Ok(downloads::answer(download, peer.busy()))
 }
 
 pub(super) async fn jobs(State(app): State<App>) -> Answer {

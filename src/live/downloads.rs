@@ -8,6 +8,7 @@ use axum::http::header::{CONTENT_DISPOSITION, CONTENT_LENGTH, CONTENT_SECURITY_P
 use axum::response::{IntoResponse, Response};
 use futures_util::stream;
 
+use super::connections::Busy;
 use super::service::Download;
 
 /// Bytes read at a time.
@@ -17,7 +18,7 @@ const REPORT_POLICY: &str = "default-src 'none'; style-src 'unsafe-inline'; img-
     base-uri 'none'; form-action 'none'; frame-ancestors 'self'";
 
 /// Answers with a file: what a browser shows is shown, the rest saved.
-pub(super) fn answer(download: Download) -> Response {
+pub(super) fn answer(download: Download, busy: Busy) -> Response {
     let Download { file, name, bytes } = download;
     let kind = match name.rsplit_once('.').map(|(_, extension)| extension) {
         Some("html") => "text/html; charset=utf-8",
@@ -35,14 +36,14 @@ pub(super) fn answer(download: Download) -> Response {
         (CONTENT_DISPOSITION, disposition),
         (CONTENT_SECURITY_POLICY, REPORT_POLICY.to_owned()),
     ];
-    let pieces = stream::unfold(Some((file, bytes)), |rest| async move {
-        let (file, left) = rest?;
+    let pieces = stream::unfold(Some((file, bytes, busy)), |rest| async move {
+        let (file, left, busy) = rest?;
         let read = tokio::task::spawn_blocking(move || piece(file, left)).await;
         match read.unwrap_or_else(|error| Err(std::io::Error::other(error))) {
             Ok((_, piece)) if piece.is_empty() => None,
             Ok((file, piece)) => {
                 let left = left.saturating_sub(piece.len() as u64);
-                Some((Ok(Bytes::from(piece)), Some((file, left))))
+                Some((Ok(Bytes::from(piece)), Some((file, left, busy))))
             }
             Err(error) => Some((Err(error), None)),
         }

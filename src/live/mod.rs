@@ -5,7 +5,9 @@
 
 mod access;
 mod api;
+mod connections;
 mod downloads;
+mod guesses;
 mod json;
 mod metrics;
 mod page;

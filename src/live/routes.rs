@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use axum::Router;
-use axum::extract::{Request, State};
+use axum::extract::{Extension, Request, State};
 use axum::http::header::{
     CACHE_CONTROL, CONTENT_SECURITY_POLICY, HeaderValue, REFERRER_POLICY, X_CONTENT_TYPE_OPTIONS,
     X_FRAME_OPTIONS,
@@ -14,8 +14,9 @@ use axum::response::{IntoResponse, Response};
 use axum::routing::{MethodRouter, delete, get, post, put};
 use tokio::sync::watch;
 
-use super::access::Access;
+use super::access::{Access, Shown, refusal};
 use super::api::App;
+use super::connections::Peer;
 use super::json::Problem;
 use super::service::Service;
 use super::{api, page};
@@ -82,9 +83,17 @@ pub(super) fn router(service: Arc<dyn Service>, access: Access, stop: watch::Rec
 }
 
 /// What every request passes: site, token, and the headers of its answer.
-async fn guard(State(app): State<App>, request: Request, next: Next) -> Response {
-    let mut response = match admit(&app.access, &request) {
-        Ok(()) => next.run(request).await,
+async fn guard(
+    State(app): State<App>,
+    Extension(peer): Extension<Peer>,
+    request: Request,
+    next: Next,
+) -> Response {
+    let mut response = match admit(&app, &peer, &request) {
+        Ok(()) => {
+            let _busy = peer.busy();
+            next.run(request).await
+        }
         Err(problem) => problem.into_response(),
     };
     let headers = response.headers_mut();
@@ -99,14 +108,21 @@ async fn guard(State(app): State<App>, request: Request, next: Next) -> Response
     response
 }
 
-fn admit(access: &Access, request: &Request) -> Result<(), Problem> {
+fn admit(app: &App, peer: &Peer, request: &Request) -> Result<(), Problem> {
     let path = request.uri().path();
     if request.uri().to_string().len() > LONGEST_URI {
         return Err(Problem::new(StatusCode::URI_TOO_LONG, PathTooLong));
     }
     let asset = page::FILES.iter().any(|(name, ..)| *name == path);
-    access.check_site(request.uri(), request.headers(), !asset)?;
+    app.access.check_site(request.uri(), request.headers(), !asset)?;
+    let shown = app.access.shown(request.headers(), peer.address);
+    peer.known(shown == Shown::Right);
     // The page itself holds nothing secret, and asks for the token.
-    let open = asset || (path == "/api/v1/session" && request.method() == Method::POST);
-    if open { Ok(()) } else { access.check_token(request.headers()) }
+    if asset || (path == "/api/v1/session" && request.method() == Method::POST) {
+        return Ok(());
+    }
+    if matches!(shown, Shown::Wrong | Shown::TooOften) {
+        api::report_guess(&*app.service, peer);
+    }
+    refusal(shown).map_or(Ok(()), Err)
 }

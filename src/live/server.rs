@@ -5,24 +5,21 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
 
-use axum::Router;
+use axum::{Extension, Router};
 use hyper::server::conn::http1;
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
 use tokio::net::{TcpListener, TcpSocket, TcpStream};
-use tokio::sync::{Semaphore, watch};
+use tokio::sync::watch;
 use tokio::task::JoinSet;
 use tokio::time::timeout;
 
 use super::access::Access;
+use super::connections::{Connections, Place};
 use super::routes;
 use super::service::Service;
 use super::stall::Stalling;
-use crate::catalogue::ServiceFinding;
-use crate::diagnostic::Finding;
 
-/// Connections at a time.
-const MOST_CONNECTIONS: usize = 256;
 /// How long the head of a request may take.
 const HEAD_TIME: Duration = Duration::from_secs(10);
 /// Longest head of a request, bytes.
@@ -57,8 +54,8 @@ pub async fn serve(
 ) -> io::Result<()> {
     let listener = listen(address)?;
     ready(listener.local_addr()?);
-    let router = routes::router(service, access, stop.clone());
-    let permits = Arc::new(Semaphore::new(MOST_CONNECTIONS));
+    let router = routes::router(Arc::clone(&service), access, stop.clone());
+    let open = Connections::default();
     let mut connections = JoinSet::new();
     loop {
         let accepted = tokio::select! {
@@ -67,16 +64,14 @@ pub async fn serve(
         };
         while connections.try_join_next().is_some() {}
         match accepted {
-            Ok((stream, _)) => match Arc::clone(&permits).try_acquire_owned() {
-                Ok(permit) => {
-                    let (router, stop) = (router.clone(), stop.clone());
-                    connections.spawn(async move {
-                        talk(stream, router, stop).await;
-                        drop(permit);
-                    });
+            Ok((stream, from)) => {
+                let (place, gone) = open.enter(from.ip());
+                if let Some(gone) = gone {
+                    service.warn("connection_shed", &[("address", &gone), ("for", &from.ip())]);
                 }
-                Err(_) => refuse(&stream),
-            },
+                let router = router.clone().layer(Extension(place.peer(from.ip())));
+                connections.spawn(talk(stream, router, stop.clone(), place));
+            }
             // Out of file handles, as a rule: others must go first.
             Err(_) => tokio::time::sleep(Duration::from_millis(50)).await,
         }
@@ -86,28 +81,22 @@ pub async fn serve(
     Ok(())
 }
 
-async fn talk(stream: TcpStream, router: Router, mut stop: watch::Receiver<bool>) {
+async fn talk(stream: TcpStream, router: Router, mut stop: watch::Receiver<bool>, place: Place) {
     // Frames are small and must not wait for each other.
     let _ = stream.set_nodelay(true);
     let connection = http1::Builder::new()
         .timer(TokioTimer::new())
         .header_read_timeout(HEAD_TIME)
         .max_buf_size(LONGEST_HEAD)
+        // The library ends the process where the clock has no date of four digits.
+        .auto_date_header(false)
         .serve_connection(TokioIo::new(Stalling::new(stream)), TowerToHyperService::new(router));
     let mut connection = std::pin::pin!(connection);
     // How it ends is the client's affair.
     tokio::select! {
         _ = &mut connection => return,
+        () = place.end.notified() => return,
         _ = stop.wait_for(|stop| *stop) => connection.as_mut().graceful_shutdown(),
     }
     let _ = connection.await;
-}
-
-/// Answers without a router: there is no room for one more.
-fn refuse(stream: &TcpStream) {
-    let finding = ServiceFinding::TooManyConnections;
-    let body = serde_json::json!({ "error": finding.to_string(), "code": finding.code() }).to_string();
-    let head = "HTTP/1.1 503 Service Unavailable\r\nconnection: close\r\nretry-after: 5\r\n\
-        content-type: application/json\r\ncontent-length:";
-    let _ = stream.try_write(format!("{head} {}\r\n\r\n{body}", body.len()).as_bytes());
 }

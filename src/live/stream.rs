@@ -11,6 +11,7 @@ use serde_json::json;
 use tokio::sync::broadcast::error::RecvError;
 use tokio::sync::{broadcast, watch};
 
+use super::connections::Busy;
 use super::service::Service;
 use super::view::Message;
 
@@ -22,15 +23,16 @@ struct Stream {
     first: VecDeque<Message>,
     messages: broadcast::Receiver<Message>,
     stop: watch::Receiver<bool>,
+    _busy: Busy,
 }
 
 /// Answers with the stream: first the state and the points so far, then what comes.
-pub(super) fn answer(service: &dyn Service, stop: watch::Receiver<bool>) -> Response {
+pub(super) fn answer(service: &dyn Service, stop: watch::Receiver<bool>, busy: Busy) -> Response {
     // Subscribed before the points are read: none falls between; one may come twice.
     let messages = service.messages();
     let status = Message::new("status", &*service.status().borrow());
     let first = VecDeque::from([status, Message::new("points", &service.points())]);
-    let stream = Stream { first, messages, stop };
+    let stream = Stream { first, messages, stop, _busy: busy };
     let events = stream::unfold(stream, |mut stream| async move {
         let message = stream.next().await?;
         let event = Event::default().event(message.event).data(&*message.data);

@@ -67,6 +67,7 @@ mod runs_the_whole_job;
 mod says_what_it_found;
 mod service;
 mod service_answers_as_documented;
+mod service_holds_out;
 mod service_refuses_strangers;
 mod service_runs;
 mod simulator_refuses;

@@ -4,6 +4,7 @@ use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{SocketAddr, TcpStream};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use dbbd::base::clock;
@@ -13,6 +14,7 @@ use serde_json::Value;
 pub(crate) struct Server {
     pub(crate) child: Child,
     pub(crate) address: SocketAddr,
+    log: Arc<Mutex<Vec<String>>>,
 }
 
 /// An answer.
@@ -36,8 +38,14 @@ impl Server {
     }
 
     pub(crate) fn start_at(dir: &Path, address: &str, config: &str) -> Self {
+        Self::start_program(Path::new(env!("CARGO_BIN_EXE_dbbd")), dir, address, config)
+    }
+
+    /// The same of another file than the one that was built.
+    pub(crate) fn start_program(program: &Path, dir: &Path, address: &str, config: &str) -> Self {
         std::fs::write(dir.join("dbbd.toml"), format!("address = \"{address}\"\n{config}")).unwrap();
-        let mut child = Command::new(env!("CARGO_BIN_EXE_dbbd"))
+        let mut child = Command::new(program)
+            .env("DBBD_TEST_SECRET", "secret")
             .args(["serve", "--config", "dbbd.toml"])
             .current_dir(dir)
             .stdin(Stdio::null())
@@ -50,8 +58,18 @@ impl Server {
         let (_, address) = listening.split_once("http://").unwrap();
         let port = address.trim_end_matches(['/', '"']).rsplit_once(':').unwrap().1.parse().unwrap();
         // The log goes on; nobody may block on it.
-        std::thread::spawn(move || lines.for_each(drop));
-        Self { child, address: SocketAddr::from(([127, 0, 0, 1], port)) }
+        let log = Arc::new(Mutex::new(Vec::new()));
+        let kept = Arc::clone(&log);
+        std::thread::spawn(move || {
+            lines.map_while(Result::ok).for_each(|line| kept.lock().unwrap().push(line))
+        });
+        Self { child, address: SocketAddr::from(([127, 0, 0, 1], port)), log }
+    }
+
+    /// Lines of the log about an event, since it listens.
+    pub(crate) fn logged(&self, event: &str) -> Vec<String> {
+        let wanted = format!("event={event} ");
+        self.log.lock().unwrap().iter().filter(|line| line.contains(&wanted)).cloned().collect()
     }
 
     pub(crate) fn connect(&self) -> TcpStream {

@@ -31,7 +31,16 @@ fn foreign_hosts_and_origins_are_refused() {
     for good in [own.as_str(), "localhost:1", "[::1]"] {
         assert_eq!(host(good).status, 200, "{good}");
     }
-    for bad in ["evil.example", "192.168.0.7", "127.0.0.1.evil.example", "", "localhost, evil.example"] {
+    for bad in [
+        "evil.example",
+        "192.168.0.7",
+        "127.0.0.1.evil.example",
+        "",
+        "localhost, evil.example",
+        "[::1].evil.example",
+        "127.0.0.1:80@evil.example",
+        "localhost:",
+    ] {
         assert_eq!(host(bad).status, 421, "{bad}");
     }
     let head = "GET /api/v1/status HTTP/1.1\r\nConnection: close\r\n";
@@ -51,6 +60,7 @@ fn foreign_hosts_and_origins_are_refused() {
     for bad in ["http://evil.example", "null", "http://127.0.0.1:1", &own] {
         assert_eq!(from(bad), 403, "{bad}");
     }
+    assert_eq!(from(&format!("http://{own}\r\nOrigin: http://evil.example")), 403, "a second Origin");
     assert_eq!(server.ask("POST", "/api/v1/run/stop", "Origin: http://evil.example\r\n", "").status, 403);
     assert_eq!(server.ask("GET", "/api/v1/runs", "Sec-Fetch-Site: cross-site\r\n", "").status, 403);
     let form = "Content-Type: text/plain\r\n";

@@ -2,7 +2,8 @@
 
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::{Path, PathBuf};
-use std::process;
+
+use tempfile::TempDir;
 
 use crate::base::files;
 use crate::catalogue::FileFinding;
@@ -17,17 +18,18 @@ use crate::sim::truth;
 pub(crate) struct Cell {
     simulator: Simulator,
     plan: PathBuf,
-    directory: Directory,
+    directory: TempDir,
 }
 
-/// A directory that is removed when it is no longer needed.
-struct Directory(PathBuf);
-
-impl Drop for Directory {
-    fn drop(&mut self) {
-        // A left-over in the temporary directory is no reason to fail.
-        let _ = std::fs::remove_dir_all(&self.0);
-    }
+/// A directory of this user's own that nobody could have made before; it goes with its value.
+fn private_directory() -> Result<TempDir, Diagnostic> {
+    use std::os::unix::fs::PermissionsExt;
+    let own = std::fs::Permissions::from_mode(0o700);
+    let made = tempfile::Builder::new().prefix("dbbd-sim-").permissions(own).tempdir();
+    made.map_err(|error| {
+        let why = FileFinding::NoDirectory { why: error.to_string() };
+        Diagnostic::file(&std::env::temp_dir().display().to_string(), why)
+    })
 }
 
 /// A world whose robot and bar repeat as the plan counts on, and whose base balls stand where it has them taught.
@@ -53,22 +55,22 @@ impl Cell {
         server: Option<SocketAddr>,
         out: &Output,
     ) -> Result<Self, Diagnostic> {
-        let directory = Directory(std::env::temp_dir().join(format!("dbbd-sim-{}", process::id())));
-        files::directory(&directory.0)?;
-        let steps = Steps::new(&directory.0, out)?;
+        let directory = private_directory()?;
+        let inside = directory.path();
+        let steps = Steps::new(inside, out);
         let plan = match plan {
             Some(plan) => plan.canonicalize().map_err(|error| {
                 let why = error.to_string();
                 Diagnostic::file(&plan.display().to_string(), FileFinding::Unreadable { why })
             })?,
             None => {
-                files::write(&directory.0.join("job.toml"), demo::JOB)?;
+                files::write(&inside.join("job.toml"), demo::JOB)?;
                 steps.run(&["plan", "job.toml", "--out", "plan"])?;
-                directory.0.join("plan/plan.csv")
+                inside.join("plan/plan.csv")
             }
         };
         let plan_name = plan.display().to_string();
-        files::write(&directory.0.join("world.toml"), world(&plan)?)?;
+        files::write(&inside.join("world.toml"), world(&plan)?)?;
         let mut emit = vec!["krl", plan_name.as_str(), "--out", "krl"];
         let mut simulate =
             vec!["simulate", "--program", "krl/DBB_MAIN.src", "--world", "world.toml", "--speed", speed];

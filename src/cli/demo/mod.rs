@@ -32,7 +32,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
     files::directory(&args.out)?;
     let dir = args.out.as_path();
     files::write(&dir.join("job.toml"), JOB)?;
-    let steps = Steps::new(dir, out)?;
+    let steps = Steps::new(dir, out);
 
     steps.say("1. Plan the circles, and check them before anything moves");
     steps.run(&["plan", "job.toml", "--out", "plan"])?;

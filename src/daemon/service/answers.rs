@@ -9,9 +9,9 @@ use tokio::sync::{broadcast, watch};
 
 use super::log::Level;
 use super::state::{Run, Supervisor};
-use super::{catalogue, names, runs, trial_cell};
+use super::{catalogue, jobs, names, runs, trial_cell};
 use crate::catalogue::ServiceFinding::{
-    Ending, NoPortChosen, NoRun, NoRunIsOn, NoSuchPort, NoSuchProtocol, RunDuration, RunIsOn, RunIsStarting,
+    Ending, NoPortChosen, NoRunIsOn, NoSuchPort, NoSuchProtocol, RunDuration, RunIsOn, RunIsStarting,
     RunName, ThisRunIsOn,
 };
 use crate::device::port;
@@ -25,6 +25,14 @@ use crate::live::{
 const LONGEST_S: f64 = 1e6;
 
 impl Service for Supervisor {
+    fn warn(&self, event: &'static str, fields: &[(&str, &dyn Display)]) {
+        if let Some(times) = self.repeats.due(event) {
+            let mut fields = fields.to_vec();
+            fields.push(("times", &times));
+            self.log.say(Level::Warning, event, &fields);
+        }
+    }
+
     fn status(&self) -> watch::Receiver<Status> {
         self.status.subscribe()
     }
@@ -38,7 +46,7 @@ impl Service for Supervisor {
     }
 
     fn catalogue(&self, which: Catalogue) -> Result<Value, Diagnostic> {
-        catalogue::list(which, &self.config.plans)
+        catalogue::list(which, &self.plans, &self.config.plans)
     }
 
     fn choose(&self, port: Option<String>, protocol: Option<String>) -> Result<(), Diagnostic> {
@@ -140,14 +148,12 @@ impl Service for Supervisor {
     }
 
     fn submit(&self, request: JobRequest) -> Result<Job, Diagnostic> {
-        let directory = runs::directory(&self.config.data, &request.run)?;
         if self.running().as_ref() == Some(&request.run) {
             return Err(ThisRunIsOn { run: request.run }.into());
         }
-        if !directory.join(runs::CAPTURE).is_file() {
-            return Err(NoRun { run: request.run }.into());
-        }
-        let job = self.jobs.submit(request, directory)?;
+        let args = jobs::arguments(&request)?;
+        let directory = runs::evaluable(&self.config.data, &request.run, request.kind)?;
+        let job = self.jobs.submit(request, args, directory)?;
         let fields: [(&str, &dyn Display); 3] =
             [("job", &job.id), ("kind", &job.kind.name()), ("run", &job.run)];
         self.log.say(Level::Info, "job_taken", &fields);

@@ -1,7 +1,9 @@
 //! What there is to choose from: ports, protocols, robots, plans.
 
+use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
 use std::time::SystemTime;
 
 use serde_json::{Value, json};
@@ -16,7 +18,7 @@ use crate::recording::run;
 use crate::robot::Robot;
 
 /// One of the lists, under its name.
-pub(super) fn list(which: Catalogue, plans: &Path) -> Result<Value, Diagnostic> {
+pub(super) fn list(which: Catalogue, plans: &Plans, directory: &Path) -> Result<Value, Diagnostic> {
     Ok(match which {
         Catalogue::Ports => json!({ "ports": port::list()? }),
         Catalogue::Protocols => json!({ "protocols": protocols() }),
@@ -24,7 +26,7 @@ pub(super) fn list(which: Catalogue, plans: &Path) -> Result<Value, Diagnostic> 
             let names: Vec<&str> = Robot::built_in().iter().map(|(name, _)| *name).collect();
             json!({ "robots": names })
         }
-        Catalogue::Plans => json!({ "plans": all_plans(plans) }),
+        Catalogue::Plans => json!({ "plans": plans.list(directory) }),
     })
 }
 
@@ -45,19 +47,51 @@ pub(super) fn plan_file(plans: &Path, name: &str) -> Option<PathBuf> {
     Some(plans.join(name).join("plan.csv")).filter(|path| names::is_sound(name) && path.is_file())
 }
 
-/// The newest first: it is the one that is driven next.
-fn all_plans(plans: &Path) -> Vec<Value> {
-    let entries = fs::read_dir(plans).into_iter().flatten().flatten();
-    let names = entries.filter_map(|entry| entry.file_name().into_string().ok());
-    let mut found: Vec<(Option<SystemTime>, String, PathBuf)> = names
-        .filter_map(|name| {
-            let csv = plan_file(plans, &name)?;
-            let written = fs::metadata(&csv).and_then(|file| file.modified()).ok();
-            Some((written, name, csv))
-        })
-        .collect();
-    found.sort_by(|(a, first, _), (b, second, _)| b.cmp(a).then_with(|| first.cmp(second)));
-    found.iter().map(|(_, name, csv)| describe(name, csv)).collect()
+/// The newest plans that are listed.
+const MOST: usize = 200;
+
+/// Size and time of a plan's two files: while they are the same, so is the plan.
+type Stamp = [Option<(u64, SystemTime)>; 2];
+
+fn stamp(csv: &Path) -> Stamp {
+    [csv.to_owned(), csv.with_extension("json")].map(|path| {
+        let data = fs::metadata(path).ok()?;
+        Some((data.len(), data.modified().ok()?))
+    })
+}
+
+/// What the plans are, read once each. Whoever asks meanwhile waits: one plan at a time is in memory.
+#[derive(Default)]
+pub(super) struct Plans(Mutex<BTreeMap<String, (Stamp, Value)>>);
+
+impl Plans {
+    /// The newest first: it is the one that is driven next.
+    fn list(&self, plans: &Path) -> Vec<Value> {
+        let mut known = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let entries = fs::read_dir(plans).into_iter().flatten().flatten();
+        let names = entries.filter_map(|entry| entry.file_name().into_string().ok());
+        let mut found: Vec<(Stamp, String, PathBuf)> = names
+            .filter_map(|name| {
+                let csv = plan_file(plans, &name)?;
+                Some((stamp(&csv), name, csv))
+            })
+            .collect();
+        let written = |stamp: &Stamp| stamp[0].map(|(_, time)| time);
+        found.sort_by(|(a, first, _), (b, second, _)| {
+            written(b).cmp(&written(a)).then_with(|| first.cmp(second))
+        });
+        found.truncate(MOST);
+        let mut described = BTreeMap::new();
+        let mut listed = Vec::new();
+        for (stamp, name, csv) in found {
+            let same = known.remove(&name).filter(|(before, _)| *before == stamp);
+            let value = same.map_or_else(|| describe(&name, &csv), |(_, value)| value);
+            listed.push(value.clone());
+            described.insert(name, (stamp, value));
+        }
+        *known = described;
+        listed
+    }
 }
 
 fn describe(name: &str, csv: &Path) -> Value {

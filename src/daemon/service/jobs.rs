@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 use std::io::{BufRead, BufReader, Read};
 use std::path::PathBuf;
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, Stdio};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::{io, thread};
@@ -11,8 +11,8 @@ use std::{io, thread};
 use tokio::sync::broadcast;
 
 use super::runs::CAPTURE;
-use crate::base::clock;
 use crate::base::units::HostNs;
+use crate::base::{clock, program};
 use crate::catalogue::ServiceFinding::{
     CommandFailed, NoJob, OptionOfAnotherJob, OptionValue, TooManyJobs, WorkerLost,
 };
@@ -57,7 +57,7 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 /// The verb with its options; what is no list of names is refused.
-fn arguments(request: &JobRequest) -> Result<Vec<String>, Diagnostic> {
+pub(super) fn arguments(request: &JobRequest) -> Result<Vec<String>, Diagnostic> {
     let kind = request.kind.name();
     let mut args = vec![kind.to_owned(), CAPTURE.to_owned()];
     args.push(match request.kind {
@@ -91,9 +91,13 @@ impl Jobs {
         Ok(Self { shared, queue })
     }
 
-    /// Takes a job on the run in `directory`.
-    pub(super) fn submit(&self, request: JobRequest, directory: PathBuf) -> Result<Job, Diagnostic> {
-        let args = arguments(&request)?;
+    /// Takes a job: the verb with `args`, on the run in `directory`.
+    pub(super) fn submit(
+        &self,
+        request: JobRequest,
+        args: Vec<String>,
+        directory: PathBuf,
+    ) -> Result<Job, Diagnostic> {
         let mut jobs = lock(&self.shared.jobs);
         if jobs.iter().filter(|kept| kept.job.state == JobState::Waiting).count() >= MOST_WAITING {
             return Err(TooManyJobs.into());
@@ -229,11 +233,10 @@ fn run(shared: &Arc<Shared>, task: &Task) -> io::Result<JobState> {
     if task.args.first().is_some_and(|verb| verb == "sync") {
         std::fs::create_dir_all(task.directory.join("sync"))?;
     }
-    let mut child = Command::new(std::env::current_exe()?)
+    let mut child = program::own()?
         .args(&task.args)
         .current_dir(&task.directory)
         .env("NO_COLOR", "1")
-        .stdin(Stdio::null())
         .stdout(Stdio::piped())
         .stderr(Stdio::piped())
         .spawn()?;

@@ -1,6 +1,14 @@
 //! What the service has to say while it goes on: events with fields, for a line each.
 
+use std::collections::BTreeMap;
 use std::fmt::Display;
+use std::sync::{Mutex, PoisonError};
+
+use crate::base::clock;
+use crate::base::units::HostNs;
+
+/// Between two lines of an event that strangers cause, s: they could fill the disk with it.
+const REPEAT_S: f64 = 10.0;
 
 /// How much an event matters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -17,4 +25,31 @@ pub enum Level {
 pub trait Log: Send + Sync {
     /// Says an event and its fields.
     fn say(&self, level: Level, event: &str, fields: &[(&str, &dyn Display)]);
+}
+
+/// Events that come again and again.
+#[derive(Default)]
+pub(super) struct Repeats(Mutex<BTreeMap<&'static str, Repeat>>);
+
+struct Repeat {
+    said: HostNs,
+    times: u64,
+}
+
+impl Repeats {
+    /// How often the event came since it was last said, where it is time to say it again.
+    pub(super) fn due(&self, event: &'static str) -> Option<u64> {
+        let mut repeats = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let now = clock::now();
+        let Some(repeat) = repeats.get_mut(event) else {
+            repeats.insert(event, Repeat { said: now, times: 0 });
+            return Some(1);
+        };
+        repeat.times += 1;
+        if now.seconds_since(repeat.said) < REPEAT_S {
+            return None;
+        }
+        repeat.said = now;
+        Some(std::mem::take(&mut repeat.times))
+    }
 }

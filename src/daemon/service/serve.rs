@@ -1,7 +1,6 @@
 //! The service from its first word to its last: runtime, signals, sign of life.
 
-use std::fs::File;
-use std::io::{self, Read};
+use std::io;
 use std::net::SocketAddr;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -25,6 +24,9 @@ const LOOK_S: f64 = 0.2;
 /// The pages' thread counts as alive when it moved within so many seconds.
 const ALIVE_S: f64 = 5.0;
 
+/// Questions of clients that wait for disk or device at a time.
+const MOST_WAITING: usize = 16;
+
 /// Serves until SIGINT or SIGTERM; a run that is on then ends as it should. `bench` makes the cell of the
 /// port `sim`.
 ///
@@ -32,14 +34,17 @@ const ALIVE_S: f64 = 5.0;
 /// When the address cannot be had or the system gives no threads.
 pub fn serve(mut config: Config, log: Arc<dyn Log>, bench: Option<Bench>) -> Result<(), Diagnostic> {
     let address = config.address;
-    let session = session().map_err(no_system)?;
-    let access = Access::new(address.ip(), &config.hosts, config.token.take(), session);
+    let access = Access::new(address.ip(), &config.hosts, config.token.take());
     if !address.ip().is_loopback() {
         let fields: [(&str, &dyn std::fmt::Display); 1] = [("address", &address)];
         log.say(Level::Warning, "open_to_the_network_without_encryption", &fields);
     }
+    if is_root() {
+        log.say(Level::Warning, "running_as_root", &[("help", &"docs/how-to/service.md")]);
+    }
     let supervisor = Arc::new(Supervisor::new(config, Arc::clone(&log), bench).map_err(no_system)?);
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(no_system)?;
+    let mut builder = tokio::runtime::Builder::new_current_thread();
+    let runtime = builder.enable_all().max_blocking_threads(MOST_WAITING).build().map_err(no_system)?;
     let (stop, stopped) = watch::channel(false);
     let beat = Arc::new(AtomicU64::new(clock::now().0));
     let over = Arc::new(AtomicBool::new(false));
@@ -72,6 +77,8 @@ pub fn serve(mut config: Config, log: Arc<dyn Log>, bench: Option<Bench>) -> Res
     });
     notify("STOPPING=1");
     supervisor.end();
+    // A question that never returns must not hold up the end.
+    runtime.shutdown_timeout(Duration::from_secs(1));
     over.store(true, Ordering::Relaxed);
     let watched = watcher.join();
     served?;
@@ -103,9 +110,14 @@ fn no_system(error: io::Error) -> ServiceFinding {
     NoSystem { why: error.to_string() }
 }
 
-/// What the cookie of a page holds that has shown the token.
-fn session() -> io::Result<String> {
-    let mut random = [0; 24];
-    File::open("/dev/urandom")?.read_exact(&mut random)?;
-    Ok(random.iter().map(|byte| format!("{byte:02x}")).collect())
+/// Whether this process may do everything, which it needs not.
+#[cfg(target_os = "linux")]
+fn is_root() -> bool {
+    use std::os::unix::fs::MetadataExt;
+    std::fs::metadata("/proc/self").is_ok_and(|own| own.uid() == 0)
+}
+
+#[cfg(not(target_os = "linux"))]
+fn is_root() -> bool {
+    false
 }

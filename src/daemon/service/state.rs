@@ -8,9 +8,10 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use serde_json::json;
 use tokio::sync::{broadcast, watch};
 
+use super::catalogue::Plans;
 use super::config::Config;
 use super::jobs::Jobs;
-use super::log::{Level, Log};
+use super::log::{Level, Log, Repeats};
 use super::trial_cell::{self, Bench, Cell};
 use super::{catalogue, runs};
 use crate::base::clock;
@@ -36,6 +37,8 @@ pub(super) struct Supervisor {
     pub(super) status: watch::Sender<Status>,
     pub(super) live: LiveState,
     pub(super) jobs: Jobs,
+    pub(super) plans: Plans,
+    pub(super) repeats: Repeats,
     inner: Mutex<Inner>,
 }
 
@@ -89,6 +92,8 @@ impl Supervisor {
             status: watch::Sender::new(Status::default()),
             jobs: Jobs::start(messages.clone())?,
             live: LiveState { messages, points: Arc::default(), clock_ahead_ms: Arc::default() },
+            plans: Plans::default(),
+            repeats: Repeats::default(),
             inner: Mutex::new(inner),
         })
     }

@@ -13,6 +13,9 @@ const ATTACHED_CSV: &str = "plan.csv";
 const ATTACHED_JSON: &str = "plan.json";
 const ATTACHED_ROBOT: &str = "robot.toml";
 
+/// Longer than the files of any plan: 1000 poses take a few hundred kB.
+const MOST_BYTES: u64 = 8 << 20;
+
 /// A plan with the texts that it was read from.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PlanFiles {
@@ -34,7 +37,7 @@ impl PlanFiles {
             return Err(Diagnostic::file(&csv_name, message)
                 .help("name the plan.csv that `dbbd plan` wrote, with its plan.json in the same directory"));
         }
-        let (csv, json) = (files::read(csv)?, files::read(&json)?);
+        let (csv, json) = (files::read_at_most(csv, MOST_BYTES)?, files::read_at_most(&json, MOST_BYTES)?);
         let plan = Plan::from_files(&csv_name, &csv, &json_name, &json)?;
         Ok(Self { plan, csv, json })
     }

@@ -1,0 +1,215 @@
+//! The service against those who have a connection or a place in its directories: nobody keeps the operator out, no
+//! link leads out of the data directory, nothing hangs or grows, and what it starts ends with it.
+#![cfg(unix)]
+
+use std::fs;
+use std::io::{Read, Write};
+use std::net::TcpStream;
+use std::os::unix::fs::{PermissionsExt, symlink};
+use std::path::Path;
+use std::process::Command;
+
+use dbbd::base::clock;
+
+use crate::service::Server;
+
+const TOKEN: &str = "0123456789abcdef-token";
+
+fn with_token(dir: &Path) -> Server {
+    let file = dir.join("token");
+    fs::write(&file, TOKEN).unwrap();
+    fs::set_permissions(&file, fs::Permissions::from_mode(0o600)).unwrap();
+    Server::start_at(dir, "0.0.0.0:0", "token_file = \"token\"\n")
+}
+
+fn bearer(server: &Server, token: &str) -> u16 {
+    server.ask("GET", "/api/v1/status", &format!("Authorization: Bearer {token}\r\n"), "").status
+}
+
+/// Asks over a connection that stays open; the beginning of the answer.
+fn ask_and_stay(server: &Server, path: &str) -> Option<TcpStream> {
+    let mut stream = server.connect();
+    stream.write_all(format!("GET {path} HTTP/1.1\r\nHost: localhost\r\n\r\n").as_bytes()).ok()?;
+    let mut first = [0; 12];
+    stream.read_exact(&mut first).ok()?;
+    Some(stream)
+}
+
+#[test]
+fn strangers_keep_nobody_out() {
+    let dir = tempfile::tempdir().unwrap();
+    let server = with_token(dir.path());
+    let mut operator = server.connect();
+    let ask =
+        format!("GET /api/v1/status HTTP/1.1\r\nHost: localhost\r\nAuthorization: Bearer {TOKEN}\r\n\r\n");
+    operator.write_all(ask.as_bytes()).unwrap();
+    operator.read_exact(&mut [0; 12]).unwrap();
+    let held: Vec<_> = (0..300).map(|_| ask_and_stay(&server, "/")).collect();
+    assert!(held.iter().flatten().count() > 250, "newcomers are let in");
+    for _ in 0..20 {
+        assert_eq!(bearer(&server, TOKEN), 200);
+    }
+    operator.write_all(ask.as_bytes()).unwrap();
+    let mut rest = vec![0; 1 << 16];
+    assert!(operator.read(&mut rest).unwrap() > 0, "a connection that has shown the token is kept");
+    assert_eq!(server.logged("connection_shed").len(), 1, "said once in ten seconds");
+}
+
+#[test]
+fn streams_without_a_token_keep_nobody_out() {
+    let dir = tempfile::tempdir().unwrap();
+    let server = Server::start(dir.path(), "");
+    let held: Vec<_> = (0..300).map(|_| ask_and_stay(&server, "/api/v1/stream")).collect();
+    assert_eq!(held.iter().flatten().count(), 300);
+    for _ in 0..20 {
+        assert_eq!(server.post("/api/v1/run/stop", "").status, 409);
+    }
+}
+
+#[test]
+fn tokens_are_not_tried_by_the_thousand() {
+    let dir = tempfile::tempdir().unwrap();
+    let server = with_token(dir.path());
+    let login = |token: &str| server.post("/api/v1/session", &format!("{{\"token\":\"{token}\"}}"));
+    let cookie = |answer: crate::service::Answer| {
+        let line = answer.head.lines().find_map(|line| line.strip_prefix("set-cookie: ")).unwrap().to_owned();
+        format!("Cookie: {}\r\n", line.split(';').next().unwrap())
+    };
+    let (first, second) = (cookie(login(TOKEN)), cookie(login(TOKEN)));
+    let status = |cookie: &str| server.ask("GET", "/api/v1/status", cookie, "").status;
+    assert_eq!([status(&first), status(&second)], [200, 200]);
+    assert_eq!(server.ask("DELETE", "/api/v1/session", &first, "").status, 204);
+    assert_eq!([status(&first), status(&second)], [401, 200], "only that page is logged out");
+    for _ in 0..10 {
+        assert_eq!(bearer(&server, "0123456789abcdef-wrong"), 401);
+    }
+    let answer = login("0123456789abcdef-wrong");
+    assert_eq!((answer.status, answer.json()["code"].as_str()), (429, Some("E1506")));
+    assert_eq!(bearer(&server, TOKEN), 429, "not even looked at");
+    assert_eq!(status(&second), 200, "who is logged in stays so");
+    assert_eq!(server.logged("wrong_token").len(), 1);
+}
+
+#[test]
+fn no_link_and_no_pipe_is_followed() {
+    let dir = tempfile::tempdir().unwrap();
+    let runs = dir.path().join("dbbd-runs");
+    let outside = dir.path().join("outside");
+    fs::create_dir_all(runs.join("a")).unwrap();
+    fs::create_dir_all(runs.join("pipe")).unwrap();
+    fs::create_dir_all(&outside).unwrap();
+    fs::copy("fixtures/captures/run.dbbd", runs.join("a/run.dbbd")).unwrap();
+    fs::copy("fixtures/captures/run.dbbd", outside.join("run.dbbd")).unwrap();
+    fs::write(outside.join("circle.json"), "secret").unwrap();
+    symlink(&outside, runs.join("linked")).unwrap();
+    symlink(&outside, runs.join("a/circle")).unwrap();
+    assert!(Command::new("mkfifo").arg(runs.join("pipe/run.dbbd")).status().unwrap().success());
+    let mut server = Server::start(dir.path(), "");
+    let listed = server.get("/api/v1/runs").json();
+    let names: Vec<_> = listed["runs"].as_array().unwrap().iter().map(|run| run["name"].clone()).collect();
+    assert_eq!(names, ["a"], "neither the link nor the pipe");
+    assert_eq!(listed["runs"][0]["results"].as_array().unwrap().len(), 0);
+    for path in ["linked", "linked/capture", "a/circle/circle.json", "pipe", "pipe/capture"] {
+        assert_eq!(server.get(&format!("/api/v1/runs/{path}")).status, 404, "{path}");
+    }
+    for (job, status, code) in [
+        ("{\"kind\":\"circle\",\"run\":\"a\"}", 409, "E1504"),
+        ("{\"kind\":\"sync\",\"run\":\"linked\"}", 404, "E1503"),
+        ("{\"kind\":\"sync\",\"run\":\"pipe\"}", 404, "E1503"),
+    ] {
+        let answer = server.post("/api/v1/jobs", job);
+        assert_eq!((answer.status, answer.json()["code"].as_str()), (status, Some(code)), "{job}");
+    }
+    assert_eq!(fs::read_dir(&outside).unwrap().count(), 2, "nothing was written there");
+    assert_eq!(server.signal("TERM"), Some(0));
+}
+
+#[test]
+fn a_huge_plan_is_not_read() {
+    let dir = tempfile::tempdir().unwrap();
+    let plan = dir.path().join("plan");
+    fs::create_dir(&plan).unwrap();
+    fs::write(plan.join("plan.csv"), "index\n").unwrap();
+    fs::File::create(plan.join("plan.json")).unwrap().set_len(20_000_000).unwrap();
+    let server = Server::start(dir.path(), "");
+    for _ in 0..20 {
+        let plans = server.get("/api/v1/plans").json();
+        assert_eq!(plans["plans"][0]["code"], "E0101", "{plans}");
+    }
+    let status = fs::read_to_string(format!("/proc/{}/status", server.child.id())).unwrap_or_default();
+    let peak_kb = status
+        .lines()
+        .find_map(|line| line.strip_prefix("VmHWM:"))
+        .map(|rest| rest.trim().trim_end_matches(" kB").parse::<u64>().unwrap());
+    assert!(peak_kb.is_none_or(|kb| kb < 60_000), "{peak_kb:?} kB");
+}
+
+/// The state of a process that was started by another one, by what its command line has.
+#[cfg(target_os = "linux")]
+fn child_of(parent: u32, word: &str) -> Option<u32> {
+    let of_parent = |id: &u32| {
+        let stat = fs::read_to_string(format!("/proc/{id}/stat")).unwrap_or_default();
+        let after = stat.rsplit_once(')').map_or("", |(_, rest)| rest);
+        after.split_whitespace().nth(1) == Some(parent.to_string().as_str())
+    };
+    let named = |id: &u32| {
+        let line = fs::read(format!("/proc/{id}/cmdline")).unwrap_or_default();
+        String::from_utf8_lossy(&line).split('\0').any(|part| part == word)
+    };
+    let ids = fs::read_dir("/proc").unwrap().flatten();
+    let mut ids = ids.filter_map(|entry| entry.file_name().to_str()?.parse().ok());
+    ids.find(|id| of_parent(id) && named(id))
+}
+
+#[test]
+#[cfg(target_os = "linux")]
+fn the_simulator_knows_no_secret_and_ends_with_the_service() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut server = Server::start(dir.path(), "[device]\nport = \"sim\"\n");
+    server.wait("/api/v1/status", |status| status["state"] == "idle");
+    assert_eq!(server.post("/api/v1/run", "{\"name\":\"tried\"}").status, 201);
+    let simulator = child_of(server.child.id(), "simulate").expect("a simulator");
+    let environment = fs::read(format!("/proc/{simulator}/environ")).unwrap();
+    assert!(!String::from_utf8_lossy(&environment).contains("DBBD_TEST_SECRET"));
+    let place = fs::read_link(format!("/proc/{simulator}/cwd")).unwrap();
+    assert_eq!(fs::metadata(&place).unwrap().permissions().mode() & 0o777, 0o700, "{}", place.display());
+    assert_eq!(server.signal("KILL"), None);
+    for _ in 0..100 {
+        if !fs::exists(format!("/proc/{simulator}/environ")).unwrap() {
+            let _ = fs::remove_dir_all(place);
+            return;
+        }
+        clock::sleep(0.1);
+    }
+    panic!("the simulator lives on");
+}
+
+#[test]
+#[cfg(target_os = "linux")]
+fn a_replaced_program_goes_on() {
+    let dir = tempfile::tempdir().unwrap();
+    let program = dir.path().join("dbbd");
+    fs::copy(env!("CARGO_BIN_EXE_dbbd"), &program).unwrap();
+    fs::create_dir_all(dir.path().join("dbbd-runs/a")).unwrap();
+    fs::copy("fixtures/captures/run.dbbd", dir.path().join("dbbd-runs/a/run.dbbd")).unwrap();
+    let server = Server::start_program(&program, dir.path(), "127.0.0.1:0", "");
+    fs::remove_file(&program).unwrap();
+    fs::write(&program, "another version").unwrap();
+    assert_eq!(server.post("/api/v1/jobs", "{\"kind\":\"sync\",\"run\":\"a\"}").status, 202);
+    let over = |job: &serde_json::Value| !["waiting", "running"].contains(&job["state"].as_str().unwrap());
+    let job = server.wait("/api/v1/jobs/1", over);
+    let log = job["log"].to_string();
+    assert!(!log.contains("E1507"), "the command was run: {log}");
+}
+
+#[test]
+fn long_values_do_not_fill_the_log_and_no_answer_needs_the_date() {
+    let dir = tempfile::tempdir().unwrap();
+    let server = Server::start(dir.path(), "[device]\nport = \"/dev/none\"\n");
+    let request = format!("{{\"name\":\"a\",\"plan\":\"{}\"}}", "p".repeat(60_000));
+    assert_eq!(server.post("/api/v1/run", &request).status, 404);
+    let lines = server.logged("run_refused");
+    assert!(lines.len() == 1 && lines[0].len() < 1000, "{lines:?}");
+    // The library's own ends the process in the year 10000.
+    assert!(!server.get("/").head.contains("\ndate:"));
+}
