@@ -51,7 +51,7 @@ findings! {
             OtherPlansData { plan: String, run: String } => "was written for plan {plan}, and the run is of plan {run}", help: "give the .dat of the program that ran";
         }
         W0410 "a capture is damaged",
-        cause: "A kill or a loss of power leaves a torn end. A damage in the middle means that the disk or a copy changed bytes.",
+        cause: "A kill or a loss of power leaves a torn end. A damage in the middle means that the disk, a copy or another program changed bytes or took records out.",
         cure: "All records around a damage are read. `dbbd recover RUN --out RUN2` writes a capture without damages; copy a file that was damaged on the way again." {
             StrangeRecord { offset: u64, bytes: u64, kind: u8 } => "byte {offset}: the content of a record of kind {kind} is not understood; {bytes} bytes are left out";
             WrongChecksum { offset: u64, bytes: u64, record: &'static str } => "byte {offset}: the checksum of a record ({record}) is wrong; {bytes} bytes are left out";
@@ -60,6 +60,10 @@ findings! {
             WrongLength { offset: u64, bytes: u64, record: &'static str } => "byte {offset}: the length of a record ({record}) is wrong; {bytes} bytes are left out";
             DamagedHeader { offset: u64, bytes: u64 } => "byte {offset}: the file's header is damaged; {bytes} bytes are left out";
             NoRecord { offset: u64, bytes: u64 } => "byte {offset}: no record begins here; {bytes} bytes are left out";
+            NoHeader => "the file's header is missing: what came before is lost";
+            RecordsMissing { offset: u64, records: u32 } => "byte {offset}: {records} records before it are missing";
+            RecordsRepeated { offset: u64, bytes: u64, records: u64 } => "byte {offset}: {records} records are there twice or out of order; {bytes} bytes are left out";
+            OtherCount { ended: u64, samples: u64 } => "the run ended with {ended} samples, and {samples} are read";
             MoreDamages { damages: usize } => "{damages} more damages (`dbbd info --json` lists all)";
         }
         W0411 "a run is not whole",

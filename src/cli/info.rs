@@ -7,10 +7,9 @@ use serde::Serialize;
 
 use super::{Outcome, Output, Verdict};
 use crate::base::units::HostNs;
-use crate::catalogue::RecordingFinding;
 use crate::device::protocol::{Definition, Fault, FaultKind};
 use crate::diagnostic::{Code, Diagnostic, Finding};
-use crate::recording::capture::{Damage, Event, Pass, Record, Stamped};
+use crate::recording::capture::{Event, Pass, Record, Stamped};
 
 /// Show a capture on one screen.
 ///
@@ -59,20 +58,12 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
         gathered.add(stamped);
         Ok(())
     })?;
-    let info = gathered.finish(pass.version, &pass.damages);
-    let doubts = doubts(&pass, info.ended.is_some(), info.lost);
+    let info = gathered.finish(&pass);
     let name = args.run.display().to_string();
-    doubts.into_iter().for_each(|doubt| out.finding(Diagnostic::file(&name, doubt)));
+    pass.doubts().into_iter().for_each(|doubt| out.finding(Diagnostic::file(&name, doubt)));
     out.document(&info)?;
     show(&args.run, &info, out);
     Ok(Outcome::Done)
-}
-
-/// Why a capture is not whole: damages, samples that were lost, no record of its end.
-pub(super) fn doubts(pass: &Pass, ended: bool, lost: u64) -> Vec<RecordingFinding> {
-    let lost = (lost > 0).then_some(RecordingFinding::SamplesLost { samples: lost });
-    let cut_off = (!ended).then_some(RecordingFinding::CutOff);
-    pass.findings().into_iter().chain(lost).chain(cut_off).collect()
 }
 
 /// What one pass collects.
@@ -99,7 +90,6 @@ impl Gathered {
                 self.span = Some((first, stamped.host));
             }
             Record::Samples(samples) => {
-                info.samples += samples.len() as u64;
                 for sample in &samples {
                     info.invalid += u64::from(!sample.valid);
                     let [low, high] = info.reading_mm.unwrap_or([sample.reading_mm; 2]);
@@ -116,28 +106,28 @@ impl Gathered {
             }
             Record::Event(Event::Gap { missing, .. }) => {
                 info.gaps += 1;
-                info.missing += missing.unwrap_or(0);
+                info.missing = info.missing.saturating_add(missing.unwrap_or(0));
             }
             Record::Event(Event::Controller { .. }) => info.controller_events += 1,
-            Record::Event(Event::Ended { reason, lost, .. }) => {
-                info.ended = Some(reason);
-                info.lost = lost;
-            }
             Record::Event(Event::Mark { text }) => info.remarks.push(text),
-            Record::Event(Event::Opened { .. }) => {}
+            Record::Event(Event::Opened { .. } | Event::Ended { .. }) => {}
         }
     }
 
-    fn finish(self, version: Option<u32>, damages: &[Damage]) -> Info {
+    fn finish(self, pass: &Pass) -> Info {
         let mut info = self.info;
-        info.format = version;
+        info.format = pass.version;
+        info.samples = pass.samples;
+        info.ended = pass.end.as_ref().map(|end| end.reason.clone());
+        info.lost = pass.end.as_ref().map_or(0, |end| end.lost);
         info.duration_s = self.span.map_or(0.0, |(first, last)| last.seconds_since(first));
         info.rate_hz = (info.duration_s > 0.0).then(|| info.samples as f64 / info.duration_s);
         info.protocol = std::str::from_utf8(&self.protocol)
             .ok()
             .and_then(|text| Definition::from_toml("protocol.toml", text).ok())
             .map(|definition| definition.id);
-        info.damages = damages
+        info.damages = pass
+            .damages
             .iter()
             .map(|damage| DamageInfo {
                 offset: damage.offset,

@@ -4,10 +4,9 @@ use std::path::PathBuf;
 
 use serde_json::json;
 
-use super::info::doubts;
 use super::{Outcome, Output, Verdict};
 use crate::diagnostic::Diagnostic;
-use crate::recording::capture::{Event, Pass, Record, Writer};
+use crate::recording::capture::{Pass, Writer};
 
 /// Restore every whole record of a damaged capture.
 ///
@@ -28,24 +27,20 @@ pub(crate) struct Args {
 pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
     // Nothing is made where there is nothing to write.
     let mut writer = None;
-    let (mut ended, mut samples) = (false, 0);
     let pass = Pass::over(&args.run, |stamped| {
         let writer = match &mut writer {
             Some(writer) => writer,
             none => none.insert(Writer::create(&args.out)?),
         };
-        writer.write(stamped.host, &stamped.record)?;
-        samples = writer.samples();
-        ended |= matches!(stamped.record, Record::Event(Event::Ended { .. }));
-        Ok(())
+        writer.write(stamped.host, &stamped.record)
     })?;
     if let Some(writer) = &mut writer {
         writer.sync()?;
     }
     let name = args.run.display().to_string();
-    let doubts = doubts(&pass, ended, 0);
-    doubts.into_iter().for_each(|doubt| out.finding(Diagnostic::file(&name, doubt)));
-    let (records, lost_bytes, damages) = (pass.records, pass.lost_bytes(), pass.damages.len());
+    pass.findings().into_iter().for_each(|doubt| out.finding(Diagnostic::file(&name, doubt)));
+    let (records, samples, ended) = (pass.records, pass.samples, pass.end.is_some());
+    let (lost_bytes, damages) = (pass.lost_bytes(), pass.damages.len());
     out.document(&json!({
         "records": records, "samples": samples, "damages": damages, "lost_bytes": lost_bytes, "ended": ended,
     }))?;

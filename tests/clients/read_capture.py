@@ -85,17 +85,23 @@ def number(text):
 run, directory = sys.argv[1], Path(sys.argv[2])
 file = Bytes(Path(run).read_bytes())
 header = file.take(16)
-assert header[:8] == b"DBBDCAP\n" and struct.unpack("<II", header[8:]) == (2, crc32c(header[:12]))
+version, check = struct.unpack("<II", header[8:])
+assert header[:8] == b"DBBDCAP\n" and version in (2, 3) and check == crc32c(header[:12])
 tables = {
     name: csv.DictReader(open(directory / f"{name}.csv", newline="")) for name in ["samples", "raw", "events", "faults"]
 }
 counts = {}
+number_of_record = 0
 while file.at < len(file.data):
     head = file.take(17)
     magic, kind, length, host_ns = struct.unpack("<4sBIQ", head)
     assert magic == b"\xdb\xbd\x5a\xa5"
     payload = file.take(length)
     assert struct.unpack("<I", file.take(4))[0] == crc32c(head[4:] + payload)
+    if version == 3:
+        assert kind >= 128 and struct.unpack("<I", payload[:4])[0] == number_of_record % 2**32
+        number_of_record += 1
+        kind, payload = kind - 128, payload[4:]
     counts[kind] = counts.get(kind, 0) + 1
     if kind == 2:
         assert next(tables["raw"]) == {"host_ns": str(host_ns), "bytes_hex": payload.hex()}

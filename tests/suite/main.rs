@@ -10,6 +10,7 @@ mod bars_of_two_lengths;
 mod built_in_robots;
 mod capture_campaigns;
 mod capture_of_an_hour;
+mod capture_shows_every_loss;
 mod capture_survives_damage;
 mod captures_are_joined;
 mod cell;

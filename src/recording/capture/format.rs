@@ -1,5 +1,7 @@
 //! The bytes of a capture: one place for both directions.
 
+use std::ops::RangeInclusive;
+
 use crc::{CRC_32_ISCSI, Crc, Table};
 
 use super::record::{Record, Stamped};
@@ -8,10 +10,12 @@ use crate::base::units::HostNs;
 
 /// CRC-32C under its catalogue name.
 const CRC_32C: Crc<u32, Table<16>> = Crc::<u32, Table<16>>::new(&CRC_32_ISCSI);
-/// The format's version.
-pub(super) const VERSION: u32 = 2;
+/// The version that is written.
+const VERSION: u32 = 3;
+/// The versions that are read; in version 2 records have no numbers.
+pub(super) const READ: RangeInclusive<u32> = 2..=VERSION;
 pub(super) const HEADER_LEN: usize = 16;
-const FILE_MAGIC: [u8; 8] = *b"DBBDCAP\n";
+pub(super) const FILE_MAGIC: [u8; 8] = *b"DBBDCAP\n";
 /// Begins each record; no valid UTF-8, so text attachments cannot contain it.
 pub(super) const MAGIC: [u8; 4] = [0xdb, 0xbd, 0x5a, 0xa5];
 /// Magic, kind, length, host time.
@@ -25,10 +29,12 @@ const RAW: u8 = 2;
 const FAULT: u8 = 4;
 const EVENT: u8 = 5;
 const SAMPLES: u8 = 6;
+/// Set in the kind of a record whose payload begins with its number.
+const NUMBERED: u8 = 0x80;
 
 /// The word for a kind byte.
 pub(super) fn kind_name(kind: u8) -> &'static str {
-    match kind {
+    match kind & !NUMBERED {
         ATTACHMENT => "attachment",
         RAW => "raw",
         FAULT => "fault",
@@ -54,36 +60,38 @@ pub(super) fn version(bytes: &[u8]) -> Option<u32> {
     intact.then(|| u32_at(content, FILE_MAGIC.len())).flatten()
 }
 
-/// The bytes of a record.
-pub(super) fn encode(host: HostNs, record: &Record) -> Result<Vec<u8>, serde_json::Error> {
+/// The bytes of the record of this number.
+pub(super) fn encode(number: u32, host: HostNs, record: &Record) -> Result<Vec<u8>, serde_json::Error> {
     let mut bytes = MAGIC.to_vec();
     bytes.resize(HEAD_LEN, 0);
-    bytes[4] = match record {
-        Record::Attachment { name, content } => {
-            let name = name.as_bytes();
-            let len = u16::try_from(name.len()).unwrap_or(u16::MAX);
-            bytes.extend(len.to_le_bytes());
-            bytes.extend(&name[..usize::from(len)]);
-            bytes.extend(content);
-            ATTACHMENT
-        }
-        Record::Raw(raw) => {
-            bytes.extend(raw);
-            RAW
-        }
-        Record::Samples(samples) => {
-            sample::pack(samples, &mut bytes);
-            SAMPLES
-        }
-        Record::Fault(json) => {
-            bytes.extend(json);
-            FAULT
-        }
-        Record::Event(event) => {
-            bytes.extend(serde_json::to_vec(event)?);
-            EVENT
-        }
-    };
+    bytes.extend(number.to_le_bytes());
+    bytes[4] = NUMBERED
+        | match record {
+            Record::Attachment { name, content } => {
+                let name = name.as_bytes();
+                let len = u16::try_from(name.len()).unwrap_or(u16::MAX);
+                bytes.extend(len.to_le_bytes());
+                bytes.extend(&name[..usize::from(len)]);
+                bytes.extend(content);
+                ATTACHMENT
+            }
+            Record::Raw(raw) => {
+                bytes.extend(raw);
+                RAW
+            }
+            Record::Samples(samples) => {
+                sample::pack(samples, &mut bytes);
+                SAMPLES
+            }
+            Record::Fault(json) => {
+                bytes.extend(json);
+                FAULT
+            }
+            Record::Event(event) => {
+                bytes.extend(serde_json::to_vec(event)?);
+                EVENT
+            }
+        };
     let len = u32::try_from(bytes.len() - HEAD_LEN).unwrap_or(u32::MAX);
     bytes[5..9].copy_from_slice(&len.to_le_bytes());
     bytes[9..17].copy_from_slice(&host.0.to_le_bytes());
@@ -93,8 +101,8 @@ pub(super) fn encode(host: HostNs, record: &Record) -> Result<Vec<u8>, serde_jso
 
 /// What is at the start of some bytes.
 pub(super) enum Found {
-    /// A record of this many bytes.
-    Whole(Stamped, usize),
+    /// A record of this many bytes, and its number if it has one.
+    Whole(Stamped, usize, Option<u32>),
     /// A record of this kind and length whose sum is right and whose content is not understood.
     Strange(u8, usize),
     /// The head of a record of this kind and length, whose sum is wrong.
@@ -137,8 +145,14 @@ pub(super) fn decode(bytes: &[u8]) -> Found {
     if CRC_32C.checksum(content).to_le_bytes() != sum {
         return Found::Broken(kind);
     }
-    match content.get(HEAD_LEN - MAGIC.len()..).and_then(|payload| parse(kind, payload)) {
-        Some(record) => Found::Whole(Stamped { host: HostNs(host), record }, total),
+    let payload = content.get(HEAD_LEN - MAGIC.len()..).unwrap_or_default();
+    let (number, payload) = match payload.split_first_chunk() {
+        _ if kind & NUMBERED == 0 => (None, payload),
+        Some((number, rest)) => (Some(u32::from_le_bytes(*number)), rest),
+        None => return Found::Strange(kind, total),
+    };
+    match parse(kind & !NUMBERED, payload) {
+        Some(record) => Found::Whole(Stamped { host: HostNs(host), record }, total, number),
         None => Found::Strange(kind, total),
     }
 }

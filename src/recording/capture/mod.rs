@@ -6,13 +6,15 @@
 //! | bytes | what |
 //! |---|---|
 //! | 4 | magic `DB BD 5A A5` |
-//! | 1 | kind: 1 attachment, 2 raw, 4 fault, 5 event, 6 samples |
-//! | 4 | length n of the payload |
+//! | 1 | kind: 1 attachment, 2 raw, 4 fault, 5 event, 6 samples, with 128 added |
+//! | 4 | length n of number and payload |
 //! | 8 | host time, ns |
-//! | n | payload |
+//! | 4 | number of the record, from 0, modulo 2^32 |
+//! | n - 4 | payload |
 //! | 4 | CRC-32C over kind to payload |
 //!
-//! Each record is written by one `write_all`, so a kill loses at most the record being written; the
+//! A record that is missing shows in the numbers. In version 2 nothing is added to the kind, and there are no
+//! numbers. Each record is written by one `write_all`, so a kill loses at most the record being written; the
 //! reader goes on after every damage and names it.
 //!
 //! `docs/reference/capture.md` describes it byte by byte.
@@ -27,11 +29,15 @@ mod whole;
 mod writer;
 
 pub use disk::Disk;
-pub use pass::Pass;
+pub use pass::{Pass, RunEnd};
 pub use reader::{Damage, Part, Reader};
 pub use record::{Event, Record, Stamped};
 pub use whole::{Capture, read};
 pub use writer::Writer;
 
-/// Transitional name: an error of the writer is a diagnostic as any other.
-pub type WriteError = crate::diagnostic::Diagnostic;
+/// Whether bytes from the beginning of a file are those of a capture, damaged or not: its header, or the begin of a
+/// record, which no text holds.
+pub fn is_capture(bytes: &[u8]) -> bool {
+    bytes.starts_with(&format::FILE_MAGIC)
+        || bytes.windows(format::MAGIC.len()).any(|some| some == format::MAGIC)
+}

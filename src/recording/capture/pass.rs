@@ -5,7 +5,7 @@ use std::io;
 use std::path::Path;
 
 use super::reader::{Damage, Part, Reader};
-use super::record::Stamped;
+use super::record::{Event, Record, Stamped};
 use crate::catalogue::{FileFinding, RecordingFinding};
 use crate::diagnostic::Diagnostic;
 
@@ -20,6 +20,20 @@ pub struct Pass {
     pub damages: Vec<Damage>,
     /// Number of whole records.
     pub records: u64,
+    /// Number of samples in them.
+    pub samples: u64,
+    /// The record of the run's end; none when it was cut off.
+    pub end: Option<RunEnd>,
+}
+
+/// How a run ended.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RunEnd {
+    pub reason: String,
+    /// Samples that were written.
+    pub samples: u64,
+    /// Samples that were lost on the way to the disk.
+    pub lost: u64,
 }
 
 impl Pass {
@@ -38,11 +52,12 @@ impl Pass {
         if let Some(other) = reader.other_format() {
             return Err(Diagnostic::file(&name, other));
         }
-        let mut pass = Self { version: reader.version(), damages: Vec::new(), records: 0 };
+        let version = reader.version();
+        let mut pass = Self { version, damages: Vec::new(), records: 0, samples: 0, end: None };
         for part in reader {
             match part.map_err(unreadable)? {
                 Part::Record(stamped) => {
-                    pass.records += 1;
+                    pass.count(&stamped.record);
                     each(stamped)?;
                 }
                 Part::Damage(damage) => pass.damages.push(damage),
@@ -57,14 +72,37 @@ impl Pass {
         Ok(pass)
     }
 
-    /// The damages, those at the end of many as their number.
+    fn count(&mut self, record: &Record) {
+        self.records += 1;
+        match record {
+            Record::Samples(samples) => self.samples += samples.len() as u64,
+            Record::Event(Event::Ended { reason, samples, lost }) => {
+                self.end = Some(RunEnd { reason: reason.clone(), samples: *samples, lost: *lost });
+            }
+            _ => {}
+        }
+    }
+
+    /// What the file lacks: the damages, those at the end of many as their number, samples, the end.
     pub fn findings(&self) -> Vec<RecordingFinding> {
         let mut findings: Vec<RecordingFinding> =
             self.damages.iter().take(REPORTED).map(|damage| damage.finding.clone()).collect();
         if let damages @ 1.. = self.damages.len().saturating_sub(REPORTED) {
             findings.push(RecordingFinding::MoreDamages { damages });
         }
+        findings.extend(match self.end {
+            None => Some(RecordingFinding::CutOff),
+            Some(RunEnd { samples: ended, .. }) => (ended != self.samples)
+                .then_some(RecordingFinding::OtherCount { ended, samples: self.samples }),
+        });
         findings
+    }
+
+    /// What the file lacks, and what did not reach it.
+    pub fn doubts(&self) -> Vec<RecordingFinding> {
+        let samples = self.end.as_ref().map_or(0, |end| end.lost);
+        let lost = (samples > 0).then_some(RecordingFinding::SamplesLost { samples });
+        self.findings().into_iter().chain(lost).collect()
     }
 
     /// Bytes that could not be read.

@@ -17,6 +17,8 @@ pub struct Writer {
     path: PathBuf,
     bytes: u64,
     samples: u64,
+    /// The number of the next record, modulo 2^32.
+    number: u32,
 }
 
 impl Writer {
@@ -53,7 +55,7 @@ impl Writer {
     /// # Errors
     /// When the disk refuses the header.
     pub fn on(disk: Box<dyn Disk>, path: &Path) -> Result<Self, Diagnostic> {
-        let mut writer = Self { disk, path: path.into(), bytes: 0, samples: 0 };
+        let mut writer = Self { disk, path: path.into(), bytes: 0, samples: 0, number: 0 };
         writer.append(&format::header())?;
         Ok(writer)
     }
@@ -63,12 +65,13 @@ impl Writer {
     /// # Errors
     /// When the disk refuses it; the capture then ends with the record before.
     pub fn write(&mut self, host: HostNs, record: &Record) -> Result<(), Diagnostic> {
-        let bytes = format::encode(host, record)
+        let bytes = format::encode(self.number, host, record)
             .map_err(|error| self.wrong(RecordingFinding::EventNotWritten { why: error.to_string() }))?;
         if bytes.len() > format::LONGEST {
             return Err(self.wrong(RecordingFinding::RecordTooLong { bytes: bytes.len() }));
         }
         self.append(&bytes)?;
+        self.number = self.number.wrapping_add(1);
         if let Record::Samples(samples) = record {
             self.samples += samples.len() as u64;
         }

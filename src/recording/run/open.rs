@@ -14,7 +14,7 @@ use crate::device::protocol::Definition;
 use crate::diagnostic::Diagnostic;
 use crate::plan::Plan;
 use crate::program::krl;
-use crate::recording::capture::{Event, Pass, Record, Stamped};
+use crate::recording::capture::{self, Event, Pass, Record, Stamped};
 use crate::recording::matching::MeasuredAxes;
 use crate::recording::reports::{Report, reported_axes};
 use crate::recording::stream::StreamBuilder;
@@ -25,14 +25,13 @@ use crate::recording::stream::StreamBuilder;
 /// When it cannot be read.
 pub fn is_capture(path: &Path) -> Result<bool, Diagnostic> {
     use std::io::Read as _;
-    /// How a capture begins.
-    const MAGIC: &[u8] = b"DBBDCAP\n";
+    /// A record begins within so many bytes, also where the header and the first records are damaged.
+    const GLIMPSE: u64 = 1 << 16;
     let mut first = Vec::new();
-    let read =
-        std::fs::File::open(path).and_then(|file| file.take(MAGIC.len() as u64).read_to_end(&mut first));
+    let read = std::fs::File::open(path).and_then(|file| file.take(GLIMPSE).read_to_end(&mut first));
     let unreadable = |error: std::io::Error| FileFinding::Unreadable { why: error.to_string() };
     read.map_err(|error| Diagnostic::file(&path.display().to_string(), unreadable(error)))?;
-    Ok(first == MAGIC)
+    Ok(capture::is_capture(&first))
 }
 
 /// Reads the capture at `path`, and the axis angles logged into the `.dat` files `axes`; reports the capture's damages
@@ -50,8 +49,10 @@ pub fn open(
     let mut report = |finding: RecordingFinding| report(Diagnostic::file(&name, finding));
     let mut gathered = Gathered::default();
     let pass = Pass::over(path, |stamped| gathered.add(stamped, &name))?;
-    pass.findings().into_iter().for_each(&mut report);
-    let Gathered { attachments, stream, temperatures, reports, lost, ended } = gathered;
+    let lacks = pass.doubts();
+    let mut doubtful = !lacks.is_empty();
+    lacks.into_iter().for_each(&mut report);
+    let Gathered { attachments, stream, temperatures, reports } = gathered;
     let plan = match plan {
         Some(csv) => read_plan(csv)?,
         None => attached_plan(&name, &attachments)?
@@ -59,13 +60,6 @@ pub fn open(
     };
     let stream = stream.map(StreamBuilder::build);
     let stream = stream.ok_or_else(|| Diagnostic::file(&name, RecordingFinding::NoSample))?;
-    let mut doubts = Vec::new();
-    if lost > 0 {
-        doubts.push(RecordingFinding::SamplesLost { samples: lost });
-    }
-    if !ended {
-        doubts.push(RecordingFinding::CutOff);
-    }
     let mut axes_deg = reported_axes(&reports);
     for path in axes {
         let logged = LoggedAxes::read(path, &plan)?;
@@ -74,10 +68,11 @@ pub fn open(
         }
         axes_deg.extend(logged.axes_deg);
     }
-    doubts.extend(incomplete_axes(&plan, &axes_deg));
-    doubts.extend(other_plan(attachments.get("plan.json"), &plan));
-    let doubtful = !pass.damages.is_empty() || !doubts.is_empty();
-    doubts.into_iter().for_each(&mut report);
+    let other = other_plan(attachments.get("plan.json"), &plan);
+    for doubt in incomplete_axes(&plan, &axes_deg).into_iter().chain(other) {
+        doubtful = true;
+        report(doubt);
+    }
     let run = Run { plan, stream, temperatures, reports, doubtful, axes_deg };
     run.temperature_finding().into_iter().for_each(&mut report);
     Ok(run)
@@ -134,8 +129,6 @@ struct Gathered {
     stream: Option<StreamBuilder>,
     temperatures: Temperatures,
     reports: Vec<Report>,
-    lost: u64,
-    ended: bool,
 }
 
 impl Gathered {
@@ -158,7 +151,6 @@ impl Gathered {
             Record::Event(Event::Controller { index, phase, axes_deg }) => {
                 self.reports.push(Report { host: stamped.host, index, phase, axes_deg });
             }
-            Record::Event(Event::Ended { lost, .. }) => (self.ended, self.lost) = (true, lost),
             _ => {}
         }
         Ok(())

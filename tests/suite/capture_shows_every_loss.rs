@@ -1,0 +1,142 @@
+//! Records that are taken out of a capture, put in twice or changed are noticed by every command that reads it.
+
+use std::path::{Path, PathBuf};
+use std::process::Output;
+
+use dbbd::base::units::HostNs;
+use dbbd::recording::capture::{self, Event, Record, Writer};
+use serde_json::Value;
+
+use crate::cell::{codes, dbbd, stderr};
+
+const DAMAGED: &str = "W0410";
+
+/// Commands that read a run with its plan.
+const VERBS: [&[&str]; 5] = [
+    &["info"],
+    &["recover", "--out", "recovered"],
+    &["sync", "--out", "sync.csv"],
+    &["identify", "--out", "identify"],
+    &["circle", "--out", "circle"],
+];
+
+fn stored() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/captures/run.dbbd")
+}
+
+/// The stored run with numbered records, and the ends of its header and records.
+fn run(dir: &Path) -> (Vec<u8>, Vec<usize>) {
+    let stored = stored();
+    let output = dbbd(dir, &["recover", stored.to_str().unwrap(), "--out", "whole"]);
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    let bytes = std::fs::read(dir.join("whole")).unwrap();
+    let ends = ends(&bytes);
+    (bytes, ends)
+}
+
+/// By the page docs/reference/capture.md.
+fn ends(bytes: &[u8]) -> Vec<usize> {
+    let mut ends = vec![16];
+    while let Some(end) = ends.last().copied().filter(|end| *end < bytes.len()) {
+        let length: [u8; 4] = bytes[end + 5..end + 9].try_into().unwrap();
+        ends.push(end + 17 + u32::from_le_bytes(length) as usize + 4);
+    }
+    ends
+}
+
+fn each_verb(dir: &Path, run: &str, mut check: impl FnMut(&str, &Output)) {
+    for verb in VERBS {
+        let output = dbbd(dir, &[&verb[..1], &[run], &verb[1..]].concat());
+        check(verb[0], &output);
+        for left in ["recovered", "sync.csv"] {
+            let _ = std::fs::remove_file(dir.join(left));
+        }
+    }
+}
+
+fn is_doubted(dir: &Path, run: &str, bytes: &[u8]) {
+    std::fs::write(dir.join(run), bytes).unwrap();
+    each_verb(dir, run, |verb, output| {
+        assert_eq!(output.status.code(), Some(3), "{run} {verb}: {}", stderr(output));
+        assert!(codes(output).iter().any(|code| code == DAMAGED), "{run} {verb}: {}", stderr(output));
+    });
+}
+
+#[test]
+fn records_that_are_missing_or_there_twice_are_noticed() {
+    let dir = tempfile::tempdir().unwrap();
+    let (bytes, ends) = run(dir.path());
+    let middle = ends.len() / 2;
+    let without = |from: usize, to: usize| [&bytes[..ends[from]], &bytes[ends[to]..]].concat();
+    is_doubted(dir.path(), "one-less", &without(middle, middle + 1));
+    is_doubted(dir.path(), "many-less", &without(middle, middle + ends.len() / 20));
+    is_doubted(dir.path(), "twice", &[&bytes[..ends[middle]], &bytes[ends[middle - 9]..]].concat());
+    is_doubted(dir.path(), "no-header", &bytes[16..]);
+    let info = dbbd(dir.path(), &["info", "many-less", "--json"]);
+    let info: Value = serde_json::from_slice(&info.stdout).unwrap();
+    let missing = &info["findings"][0]["values"]["records"];
+    assert_eq!(missing.as_u64(), Some(ends.len() as u64 / 20), "{info:#}");
+    assert_eq!(info["damages"][0]["offset"].as_u64(), Some(ends[middle] as u64));
+    // A record that is there twice is read once.
+    let twice = capture::read(&std::fs::read(dir.path().join("twice")).unwrap());
+    assert_eq!(twice.records, capture::read(&bytes).records);
+}
+
+/// Records of a capture of version 2 have no numbers; its end has the count of its samples.
+#[test]
+fn an_old_capture_is_compared_with_its_own_count() {
+    let dir = tempfile::tempdir().unwrap();
+    let bytes = std::fs::read(stored()).unwrap();
+    let ends = ends(&bytes);
+    let is_samples = |at: &usize| bytes[ends[*at] + 4] == 6;
+    let at = (ends.len() / 2..).find(is_samples).unwrap();
+    is_doubted(dir.path(), "old", &[&bytes[..ends[at]], &bytes[ends[at + 1]..]].concat());
+}
+
+#[test]
+fn a_bit_flipped_in_the_header_costs_the_header_alone() {
+    let dir = tempfile::tempdir().unwrap();
+    let (mut bytes, _) = run(dir.path());
+    let records = capture::read(&bytes).records.len();
+    for byte in 0..16 {
+        bytes[byte] ^= 4;
+        let capture = capture::read(&bytes);
+        assert_eq!((capture.records.len(), capture.damages.len()), (records, 1), "byte {byte}");
+        if byte % 5 == 0 {
+            is_doubted(dir.path(), &format!("flipped-{byte}"), &bytes);
+        }
+        bytes[byte] ^= 4;
+    }
+}
+
+/// Heads of records that claim to be long, as many as there is room for: none is one.
+#[test]
+fn heads_without_records_are_passed_over_in_time() {
+    let dir = tempfile::tempdir().unwrap();
+    let (bytes, ends) = run(dir.path());
+    let (before, after) = bytes.split_at(ends[ends.len() - 3]);
+    let head = [&[0xdb, 0xbd, 0x5a, 0xa5, 2][..], &500_000_u32.to_le_bytes()].concat();
+    let hostile = [before, &head.repeat(150_000), after].concat();
+    std::fs::write(dir.path().join("hostile"), &hostile).unwrap();
+    let begun = std::time::Instant::now();
+    let info = dbbd(dir.path(), &["info", "hostile", "--json"]);
+    let took_s = begun.elapsed().as_secs_f64();
+    assert_eq!(info.status.code(), Some(3), "{}", stderr(&info));
+    // Looking at each to its end takes minutes.
+    assert!(took_s < 15.0, "{took_s} s");
+    assert_eq!(capture::read(&hostile).records, capture::read(&bytes).records);
+}
+
+#[test]
+fn gaps_of_any_size_are_counted() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut writer = Writer::create(&dir.path().join("run")).unwrap();
+    for _ in 0..2 {
+        let gap = Event::Gap { seconds: None, missing: Some(u64::MAX), reason: String::new() };
+        writer.write(HostNs(1), &Record::Event(gap)).unwrap();
+    }
+    writer.finish(HostNs(2), "done", 0).unwrap();
+    let info = dbbd(dir.path(), &["info", "run", "--json"]);
+    let info: Value = serde_json::from_slice(&info.stdout).unwrap();
+    assert_eq!((info["gaps"].as_u64(), info["missing"].as_u64()), (Some(2), Some(u64::MAX)));
+}
