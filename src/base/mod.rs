@@ -1,6 +1,7 @@
 //! What every module may use: units, the clock, files, tables. Nothing of dbbd's own subject.
 
 pub mod clock;
+mod exact;
 pub mod files;
 pub mod parse;
 pub mod program;

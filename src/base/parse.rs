@@ -1,17 +1,110 @@
-//! What is wrong with a text that a parser of a library refused.
+//! TOML texts: the only reader, and what is wrong with one that it refuses.
 
-use crate::catalogue::FileFinding::{NotToml, NotTomlButAnother};
+use std::ops::Range;
+
+use serde::Deserialize;
+use serde::de::DeserializeOwned;
+
+use super::exact::Exact;
+use crate::catalogue::FileFinding::{
+    self, ArrayLength, ArrayLengthByComma, DecimalComma, NotToml, NotTomlButAnother,
+};
 use crate::diagnostic::Diagnostic;
 
-/// What is wrong with a TOML text.
-pub fn wrong_toml(file: &str, text: &str, error: &toml::de::Error) -> Diagnostic {
-    let why = error.message().to_owned();
+/// What a TOML file holds; a fixed-length array only if it has as many values.
+///
+/// # Errors
+/// Names the line and column of what is wrong.
+pub fn from_toml<'de, T: Deserialize<'de>>(file: &str, text: &'de str) -> Result<T, Diagnostic> {
+    deserialize(text).map_err(|error| wrong_toml(file, text, &error))
+}
+
+/// The same of a text that is no file as it is.
+///
+/// # Errors
+/// What is wrong, and where in the text.
+pub fn from_toml_text<'de, T: Deserialize<'de>>(text: &'de str) -> Result<T, (Range<usize>, FileFinding)> {
+    deserialize(text).map_err(|error| {
+        let span = error.span().unwrap_or_default();
+        (span.clone(), not_toml(text, span, &error))
+    })
+}
+
+fn deserialize<'de, T: Deserialize<'de>>(text: &'de str) -> Result<T, toml::de::Error> {
+    T::deserialize(Exact(toml::de::Deserializer::parse(text)?))
+}
+
+/// What a value of a TOML text holds.
+///
+/// # Errors
+/// What is wrong with the value.
+pub fn from_toml_value<T: DeserializeOwned>(value: toml::Value) -> Result<T, FileFinding> {
+    let text = value.to_string();
+    T::deserialize(Exact(value)).map_err(|error| not_toml(&text, 0..text.len(), &error))
+}
+
+/// What is wrong with a TOML file.
+fn wrong_toml(file: &str, text: &str, error: &toml::de::Error) -> Diagnostic {
     let finding = match file.rsplit_once('.') {
-        Some((_, kind @ ("csv" | "json" | "src" | "dat"))) => NotTomlButAnother { why, kind: kind.into() },
-        _ => NotToml { why },
+        Some((_, kind @ ("csv" | "json" | "src" | "dat"))) => {
+            NotTomlButAnother { why: error.message().to_owned(), kind: kind.into() }
+        }
+        _ => not_toml(text, error.span().unwrap_or_default(), error),
     };
-    match error.span() {
+    let diagnostic = match error.span() {
         Some(span) => Diagnostic::span(file, text, span, finding),
         None => Diagnostic::file(file, finding),
+    };
+    let mut words = error.message().split('`').skip(1).step_by(2);
+    match words.next() {
+        Some(word) if error.message().starts_with("unknown") => diagnostic.nearest(word, words),
+        _ => diagnostic,
     }
+}
+
+/// What is wrong at a place of a TOML text.
+fn not_toml(text: &str, span: Range<usize>, error: &toml::de::Error) -> FileFinding {
+    let (before, after) = text.split_at_checked(span.start).unwrap_or_default();
+    let place = text.get(span).unwrap_or("");
+    if let Some((found, expected)) = lengths(error.message()) {
+        return match without_commas(place, expected) {
+            Some(meant) => ArrayLengthByComma { found, expected, meant },
+            None => ArrayLength { found, expected },
+        };
+    }
+    let digit = |c: Option<char>| c.is_some_and(|c| c.is_ascii_digit());
+    if after.starts_with(',') && digit(after.chars().nth(1)) && digit(before.chars().next_back()) {
+        return DecimalComma { why: error.message().to_owned() };
+    }
+    NotToml { why: error.message().to_owned() }
+}
+
+/// The number of values found and expected, from the message of a wrong length.
+fn lengths(message: &str) -> Option<(usize, usize)> {
+    let (found, expected) = message.strip_prefix("invalid length ")?.split_once(", expected ")?;
+    Some((found.parse().ok()?, expected.strip_suffix(" values")?.parse().ok()?))
+}
+
+/// The array as it would be with decimal points, if decimal commas explain that it has more than `expected` values.
+fn without_commas(array: &str, expected: usize) -> Option<String> {
+    let values = array.trim().strip_prefix('[')?.strip_suffix(']')?;
+    let values: Vec<&str> = values.split(',').map(str::trim).filter(|value| !value.is_empty()).collect();
+    let mut excess = values.len().checked_sub(expected).filter(|excess| *excess > 0)?;
+    let mut numbers: Vec<String> = Vec::new();
+    let mut open = false;
+    for value in values {
+        let decimals = value.bytes().all(|byte| byte.is_ascii_digit());
+        match numbers.last_mut() {
+            Some(last) if open && decimals && excess > 0 => {
+                *last = format!("{last}.{value}");
+                excess -= 1;
+                open = false;
+            }
+            _ => {
+                open = value.parse::<i64>().is_ok();
+                numbers.push(value.to_owned());
+            }
+        }
+    }
+    (excess == 0).then(|| format!("[{}]", numbers.join(", ")))
 }

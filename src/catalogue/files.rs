@@ -48,6 +48,13 @@ findings! {
         cure: "The message marks the place. The shipped examples show every key." {
             NotToml { why: String } => "{why}";
             NotTomlButAnother { why: String, kind: String } => "{why}", help: "a .toml file is read here: is a .{kind} meant?";
+            DecimalComma { why: String } => "{why}", help: "numbers have a decimal point, not a comma";
+        }
+        E0121 "an array of a TOML file has too few or too many values",
+        cause: "A value is missing or is there twice, or the numbers are written with decimal commas: `[45,5, 0,0]` has four values.",
+        cure: "Write as many values as the message says, with decimal points: `[45.5, 0.0]`." {
+            ArrayLength { found: usize, expected: usize } => "the array has {found} values, and {expected} are needed";
+            ArrayLengthByComma { found: usize, expected: usize, meant: String } => "the array has {found} values, and {expected} are needed", help: "numbers have a decimal point, not a comma: is `{meant}` meant?";
         }
     }
 }

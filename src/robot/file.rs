@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::kinematics::{DhRow, Geometry, Mass};
 use super::{AXES, Joint};
-use crate::base::parse::wrong_toml;
+use crate::base::parse::from_toml;
 use crate::catalogue::RobotFinding;
 use crate::diagnostic::{Diagnostic, nearest};
 
@@ -156,7 +156,7 @@ impl Robot {
     /// # Errors
     /// Names the line of an unknown or missing key or a value that cannot be.
     pub fn from_toml(file: &str, text: &str) -> Result<Self, Diagnostic> {
-        let parsed: RobotFile = toml::from_str(text).map_err(|error| wrong_toml(file, text, &error))?;
+        let parsed: RobotFile = from_toml(file, text)?;
         parsed.into_robot().map_err(|(joint, finding)| {
             let line = joint.and_then(|at| line_of_table(text, "[[joint]]", at)).unwrap_or(0);
             Diagnostic::line(file, line, finding)

@@ -9,7 +9,7 @@ use rand_pcg::Pcg64;
 use serde::Deserialize;
 
 use super::Moment;
-use crate::base::parse::wrong_toml;
+use crate::base::parse::from_toml;
 use crate::catalogue::SimulationFinding;
 use crate::diagnostic::Diagnostic;
 use crate::program::krl::{Program, read_setup};
@@ -99,7 +99,7 @@ impl Setup {
     /// What is wrong in the file, or what neither has.
     pub fn new(program: &Program, world: Option<(&str, &str)>) -> Result<Self, Diagnostic> {
         let (name, text) = world.unwrap_or(("WORLD.toml", ""));
-        let file: WorldFile = toml::from_str(text).map_err(|error| wrong_toml(name, text, &error))?;
+        let file: WorldFile = from_toml(name, text)?;
         Self::of(program, file).map_err(|finding| Diagnostic::file(name, finding))
     }
 

@@ -11,6 +11,7 @@ use crate::cell::dbbd;
 fn provoked() -> Vec<&'static str> {
     [
         crate::acquire_reads_the_bar::provoked(),
+        crate::arrays_are_exact::provoked(),
         crate::captures_are_joined::provoked(),
         crate::capture_survives_damage::provoked(),
         crate::captures_are_joined::provoked(),

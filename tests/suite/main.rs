@@ -5,6 +5,7 @@ mod acquire_reads_the_bar;
 mod advises_what_to_measure;
 mod agrees_with_pinocchio;
 mod any_bytes_are_taken;
+mod arrays_are_exact;
 mod bad_lines_give_no_lengths;
 mod bars_of_two_lengths;
 mod built_in_robots;

@@ -10,7 +10,7 @@ use serde::Deserialize;
 use toml::Spanned;
 
 use crate::base::files;
-use crate::base::parse::wrong_toml;
+use crate::base::parse::from_toml;
 use crate::catalogue::ServiceFinding::{
     self, NotAHost, NotAProtocol, NotAStroke, NotAnAddress, OpenWithoutToken, OutOfRange,
     ParametersWithoutProtocol, TokenOpen, TokenTooShort, TokenUnreadable,
@@ -124,8 +124,9 @@ impl Config {
         let file = path.display().to_string();
         let text = files::read(path)?;
         let base = path.parent().unwrap_or(Path::new(""));
-        let table: File = toml::from_str(&text).map_err(|error| {
-            wrong_toml(&file, &text, &error).help("docs/reference/service.md explains every key")
+        let table: File = from_toml(&file, &text).map_err(|wrong| match wrong.help {
+            Some(_) => wrong,
+            None => wrong.help("docs/reference/service.md explains every key"),
         })?;
         Self::from_table(&Source { file, text: &text, base }, table)
     }

@@ -2,9 +2,9 @@
 
 use super::values::{MOST, Misplaced, Table};
 use super::{CentreTable, CircleTable, Job, Mode, ObstacleTable, Orientation};
-use crate::base::parse::wrong_toml;
+use crate::base::parse::from_toml;
 use crate::catalogue::JobFinding;
-use crate::diagnostic::{Diagnostic, nearest};
+use crate::diagnostic::Diagnostic;
 use crate::measurement::{BallId, BaseBall};
 use crate::plan::module::MODULE_DWELLS;
 use crate::plan::timing::ACCELERATION_MM_S2;
@@ -26,7 +26,7 @@ impl Job {
     /// # Errors
     /// Names the line of an unknown or missing key, or of a value that cannot be.
     pub fn from_toml(file: &str, text: &str) -> Result<Self, Diagnostic> {
-        let job: Self = toml::from_str(text).map_err(|error| hinted(file, text, &error))?;
+        let job: Self = from_toml(file, text)?;
         job.check().map_err(|wrong| match wrong.line(text) {
             Some(line) => {
                 let column = text.lines().nth(line - 1).map_or(0, |l| l.len() - l.trim_start().len()) + 1;
@@ -242,18 +242,5 @@ fn check_obstacle(table: Table, obstacle: &ObstacleTable) -> Result<(), Misplace
             table.positive("radius_mm", radius_mm)
         }
         ObstacleTable::Floor { z_mm } => table.within("z_mm", z_mm, [-MOST, MOST]),
-    }
-}
-
-/// TOML's own message, and the known key that an unknown one may mean.
-fn hinted(file: &str, text: &str, error: &toml::de::Error) -> Diagnostic {
-    let diagnostic = wrong_toml(file, text, error);
-    let mut words = error.message().split('`').skip(1).step_by(2);
-    let meant = words.next().and_then(|word| nearest(word, words));
-    match meant {
-        Some(key) if error.message().starts_with("unknown") => {
-            diagnostic.help(format!("did you mean `{key}`?"))
-        }
-        _ => diagnostic,
     }
 }

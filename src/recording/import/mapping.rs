@@ -4,7 +4,7 @@ use std::fmt;
 
 use serde::{Deserialize, Deserializer};
 
-use crate::base::parse::wrong_toml;
+use crate::base::parse::from_toml;
 use crate::catalogue::ImportFinding;
 use crate::diagnostic::Diagnostic;
 
@@ -167,7 +167,7 @@ impl Mapping {
     /// # Errors
     /// What is wrong, with line and column.
     pub fn from_toml(file: &str, text: &str) -> Result<Self, Diagnostic> {
-        let mapping: Self = toml::from_str(text).map_err(|error| wrong_toml(file, text, &error))?;
+        let mapping: Self = from_toml(file, text)?;
         let at = |word: &str, finding: ImportFinding| {
             let from = text.find(word).unwrap_or(0);
             Diagnostic::span(file, text, from..from + word.len(), finding)

@@ -4,6 +4,8 @@ use std::collections::BTreeMap;
 
 use serde::de::DeserializeOwned;
 
+use crate::base::parse::from_toml_value;
+use crate::catalogue::FileFinding;
 use crate::catalogue::ProtocolFinding::{
     self, BitGroup, BitsBits, BlankFill, ClockKeys, ColumnSeparator, CountScale, DecimalWidth, FlagBit,
     FloatBits, HexDigits, IntegerBits, IntegerEndian, KeyType, KeyWithoutMeaning, LengthUnit, LiteralText,
@@ -23,8 +25,8 @@ struct Keys(toml::Table);
 
 impl Keys {
     fn take<T: DeserializeOwned>(&mut self, key: &str) -> Result<Option<T>, ProtocolFinding> {
-        let wrong = |error: toml::de::Error| KeyType { key: key.into(), why: error.message().into() };
-        self.0.remove(key).map(|value| value.try_into().map_err(wrong)).transpose()
+        let wrong = |finding: FileFinding| KeyType { key: key.into(), why: finding.to_string() };
+        self.0.remove(key).map(|value| from_toml_value(value).map_err(wrong)).transpose()
     }
 
     fn take_or_default<T: DeserializeOwned + Default>(&mut self, key: &str) -> Result<T, ProtocolFinding> {

@@ -15,8 +15,7 @@ use std::time::Duration;
 use toml::Spanned;
 
 use self::source::Source;
-use crate::base::parse::wrong_toml;
-use crate::catalogue::FileFinding::NotToml;
+use crate::base::parse::from_toml_text;
 use crate::catalogue::ProtocolFinding::{
     BaudZero, DataBits, EmptyId, EmptyIgnore, IdentAnswer, LatchDevice, LatchRequest, NoMessage, NominalRate,
     PollCommandMissing, PollKeysMissing, PollKeysWithoutPoll, PollRate, ProbeIdent, ProbeZero, StopBits,
@@ -34,9 +33,8 @@ use crate::diagnostic::Diagnostic;
 pub(super) fn load(file: &str, text: &str, params: &[(String, String)]) -> Result<Definition, Diagnostic> {
     let resolved = params::resolve(file, text, params)?;
     let source = Source { file, text, resolved: &resolved };
-    let table: File = toml::from_str(&resolved.text).map_err(|error| {
-        source.wrong(error.span().unwrap_or_default(), NotToml { why: error.message().into() })
-    })?;
+    let table: File =
+        from_toml_text(&resolved.text).map_err(|(span, finding)| source.wrong(span, finding))?;
     if table.schema != 1 {
         return Err(source.key("", "schema", UnknownSchema { schema: table.schema }));
     }
@@ -95,8 +93,9 @@ pub(super) fn test(file: &str, text: &str, definition: &Definition) -> Result<()
         test: Vec<Spanned<TestTable>>,
     }
     let resolved = params::resolve(file, text, &[])?;
-    let tests: Tests = toml::from_str(&resolved.text).map_err(|error| wrong_toml(file, text, &error))?;
     let source = Source { file, text, resolved: &resolved };
+    let tests: Tests =
+        from_toml_text(&resolved.text).map_err(|(span, finding)| source.wrong(span, finding))?;
     tests.test.iter().try_for_each(|test| vectors::run(source, definition, test))
 }
 

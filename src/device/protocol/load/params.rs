@@ -8,7 +8,7 @@ use std::ops::Range;
 
 use serde::Deserialize;
 
-use crate::base::parse::wrong_toml;
+use crate::base::parse::from_toml;
 use crate::catalogue::ProtocolFinding::{
     self, BraceOpen, NoParameters, ParameterFormat, ParameterNotANumber, ParameterNotWhole, ParameterRange,
     ParameterWord, UnknownParameter,
@@ -51,7 +51,7 @@ impl Resolved {
 
 /// Puts the chosen values, else the defaults, into the text.
 pub(super) fn resolve(file: &str, text: &str, chosen: &[(String, String)]) -> Result<Resolved, Diagnostic> {
-    let head: Head = toml::from_str(text).map_err(|error| wrong_toml(file, text, &error))?;
+    let head: Head = from_toml(file, text)?;
     if let Some((name, _)) = chosen.iter().find(|(name, _)| !head.params.contains_key(name)) {
         return Err(nearest(Diagnostic::file(file, unknown(name, &head.params)), name, &head.params));
     }
