@@ -1,9 +1,10 @@
 //! The 3-D position error of the tool ball that an estimate leaves over a workspace.
 //!
-//! The estimator is simulated to first order: true errors delta are drawn from the tolerance, noise
-//! z from the lengths' sigma, all together brought to their exact covariance; with the weighted Jacobian J = Q R of all
-//! parameters, the estimate of the kept ones is A Jk' (J delta + z) = A Rk' (R delta + Q'z), A = (Rk'Rk + P)^-1 with the
-//! prior's precision P = W'W, W the prior's rows. What is wrong afterwards, estimate minus delta, moves the ball by its
+//! The estimator is simulated to first order: true errors delta are drawn from the tolerance, noise z from the lengths'
+//! sigma, all together brought to their exact covariance. With F the triangular factor of the weighted Jacobian of all
+//! parameters, Fk its columns of the kept ones and W the prior's rows, [Fk; W] = [Q1; Q2] R, the estimate of the kept ones
+//! is R^-1 Q1' F delta + R^-1 S^(1/2) z, S = Q1'Q1. F may be of deficient rank, and is then not unique; R and S are, so that
+//! the draws do not depend on rounding. What is wrong afterwards, estimate minus delta, moves the ball by its
 //! position Jacobian; one best rigid alignment over the workspace is taken out, because lengths
 //! do not tell where the base stands. So what was held because the data could not tell it counts
 //! with its full tolerance, and with what it did to the others.
@@ -22,7 +23,7 @@ use super::prior::PriorRows;
 use super::result::{MapPoint, PredictedPair};
 use super::setting::Setting;
 use crate::catalogue::EstimationFinding;
-use crate::math::Orthonormal;
+use crate::math::{Orthonormal, svd};
 use crate::robot::{AXES, Chain, Geometry, ParamId, Robot};
 
 /// How many robots are drawn for a prediction, unless more numbers are to be drawn for each.
@@ -169,14 +170,14 @@ pub struct Estimator<'a> {
 }
 
 impl Estimator<'_> {
-    /// True errors of drawn robots, a column each, and the noise of their lengths in the coordinates of the factor.
+    /// True errors of drawn robots, a column each, and the noise of their lengths, a row a kept parameter.
     pub fn draws(&self) -> [DMatrix<f64>; 2] {
-        let drawn = unit_draws(self.ids.len() + self.factor.nrows());
+        let drawn = unit_draws(self.ids.len() + self.kept.len());
         let mut truths = drawn.rows(0, self.ids.len()).into_owned();
         for (mut row, tolerance) in truths.row_iter_mut().zip(self.tolerance) {
             row *= *tolerance;
         }
-        [truths, drawn.rows(self.ids.len(), self.factor.nrows()).into_owned()]
+        [truths, drawn.rows(self.ids.len(), self.kept.len()).into_owned()]
     }
 
     /// What is wrong after the estimate, for each robot of [`Estimator::draws`]: estimate minus truth.
@@ -186,17 +187,16 @@ impl Estimator<'_> {
         if self.kept.is_empty() {
             return Some(errors);
         }
-        let kept = self.factor.select_columns(self.kept);
-        let data = self.factor * truths + noise;
-        let (rows, unknowns) = (kept.nrows(), kept.ncols());
+        let (rows, unknowns) = (self.factor.nrows(), self.kept.len());
         let mut stacked = DMatrix::zeros(rows + self.prior.nrows(), unknowns);
-        stacked.rows_mut(0, rows).copy_from(&kept);
+        stacked.rows_mut(0, rows).copy_from(&self.factor.select_columns(self.kept));
         stacked.rows_mut(rows, self.prior.nrows()).copy_from(self.prior);
-        let mut right = DMatrix::zeros(stacked.nrows(), truths.ncols());
-        right.rows_mut(0, rows).copy_from(&data);
         let qr = stacked.qr();
-        qr.q_tr_mul(&mut right);
-        let estimate = qr.r().solve_upper_triangular(&right.rows(0, unknowns))?;
+        let of_data = qr.q().rows(0, rows).into_owned();
+        let svd = svd(&of_data)?;
+        let root = &svd.v * DMatrix::from_diagonal(&svd.values) * svd.v.transpose();
+        let right = of_data.tr_mul(&(self.factor * truths)) + root * noise;
+        let estimate = qr.r().solve_upper_triangular(&right)?;
         for (place, &k) in self.kept.iter().enumerate() {
             let mut row = errors.row_mut(k);
             row += estimate.row(place);
@@ -275,5 +275,35 @@ mod tests {
             let covariance = &draws * draws.transpose() / draws.ncols() as f64;
             assert!((covariance - DMatrix::identity(rows, rows)).norm() < 1e-12);
         }
+    }
+
+    /// Lengths of which two parameters are one by another name, and a prior that separates them.
+    #[test]
+    fn errors_are_those_of_the_estimate_whatever_the_rows_of_the_factor() {
+        let factor = DMatrix::from_row_slice(
+            4,
+            4,
+            &[3.0, 1.0, 4.0, 0.5, 0.0, 2.0, 2.0, -1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.5],
+        );
+        // The third is the sum of the first two.
+        assert!((factor.column(2) - factor.column(0) - factor.column(1)).norm() < 1e-15);
+        let (ids, kept) = ([ParamId::Tool(crate::robot::Coordinate::X); 4], [0, 1, 2]);
+        let prior = DMatrix::from_diagonal(&nalgebra::DVector::from_row_slice(&[0.2, 0.1, 0.4]));
+        let tolerance = [5.0, 10.0, 2.5, 0.3];
+        let errors = |factor: &DMatrix<f64>| {
+            let estimator =
+                Estimator { ids: &ids, factor, tolerance: &tolerance, kept: &kept, prior: &prior };
+            let [truths, noise] = estimator.draws();
+            estimator.errors(&truths, &noise).unwrap()
+        };
+        let found = errors(&factor);
+        let turned = DMatrix::from_fn(4, 4, |i, j| ((3 * i + 5 * j) as f64).sin()).qr().q() * &factor;
+        assert!((errors(&turned) - &found).norm() < 1e-12 * found.norm());
+        let kept_columns = factor.columns(0, 3);
+        let inverse = (kept_columns.tr_mul(&kept_columns) + prior.tr_mul(&prior)).try_inverse().unwrap();
+        let held = &inverse * kept_columns.tr_mul(&factor.column(3)) * tolerance[3];
+        let expected = &inverse + &held * held.transpose();
+        let covariance = found.rows(0, 3) * found.rows(0, 3).transpose() / found.ncols() as f64;
+        assert!((covariance - &expected).norm() < 1e-10 * expected.norm());
     }
 }
