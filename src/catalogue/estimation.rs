@@ -152,5 +152,10 @@ findings! {
             PartOfRunLost => "a part of the run was lost";
             PlannedForAnother { planned: String, given: String } => "the poses are of a plan for {planned}, --robot names {given}";
         }
+        W1330 "the lengths seem to belong to other rows",
+        cause: "With the column of the lengths moved by some rows they fit decisively better: a row was lost or inserted in the table or in the trace.",
+        cure: "Compare the first and the last rows of poses and lengths; give the lengths to their own poses. `gain` is the natural logarithm of the likelihood ratio." {
+            ShiftedRows { rows: isize, residual_mm: f64, shifted_mm: f64, gain: f64 } => "with each length moved by {rows} row(s) the residual falls from {residual_mm:.4} mm to {shifted_mm:.4} mm (likelihood ratio e^{gain:.0})";
+        }
     }
 }

@@ -29,5 +29,15 @@ findings! {
             IsPlan => "is a plan: its lengths are the wanted ones, not measured ones", help: "measure them: `dbbd acquire`, then give the capture";
             OtherUnit { columns: String, unit: String } => "{columns} seem to be {unit}: in these the lengths agree with the poses", help: "convert the table: lengths in mm, angles in degrees";
         }
+        E1208 "rows of a table have one index",
+        cause: "Tables of several runs were put together, or rows were edited: what belongs to which pose is not certain.",
+        cure: "Number the rows anew, each with an index of its own." {
+            EqualIndices { index: u32 } => "index {index} is there more than once, with different rows";
+        }
+        W1209 "rows of a table are there twice",
+        cause: "A file was read or pasted twice. Counted twice, its lengths would promise an accuracy that they do not have.",
+        cure: "Nothing: each is used once. Remove the copies from the table." {
+            Repeated { repeated: usize, rows: usize } => "{repeated} of {rows} rows repeat other rows and are used once";
+        }
     }
 }

@@ -5,6 +5,7 @@ use super::lengths::Sigma;
 use super::linear_system::factor;
 use super::priors::{Priors, largest_displacement_mm, largest_plausible};
 use super::result::{GroupTest, JointEffect, JointError, MonteCarlo, ParameterResult, PredictedPair, Status};
+use super::shifted_rows::shifted_rows;
 use crate::catalogue::{EstimationFinding, Names};
 use crate::math::distributions::ChiSquare;
 use crate::measurement::LengthModel;
@@ -31,6 +32,7 @@ pub(super) fn findings(of: &Calibration<'_>) -> Vec<EstimationFinding> {
     found.extend(beyond_prior(of));
     found.extend(implausible(&of.parameters, &of.setting.priors, &of.setting.options.hold));
     found.extend(displaced(&of.parameters));
+    found.extend(shifted_rows(&of.estimate, &of.lengths));
     found.extend(outliers(fit.out.len(), of.lengths.len()));
     found.extend(consistency(of));
     found.extend(joints(&of.joint_effects));

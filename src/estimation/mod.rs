@@ -31,6 +31,7 @@ pub mod result;
 pub mod result_file;
 mod selection;
 mod setting;
+mod shifted_rows;
 mod sigma;
 mod solver;
 mod uncertainty;

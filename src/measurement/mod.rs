@@ -2,6 +2,7 @@
 
 pub mod base_ball;
 pub mod context;
+pub mod distinct;
 pub mod model;
 pub mod pieces;
 pub mod sample;
@@ -10,6 +11,7 @@ pub mod table;
 pub use crate::robot::{AxisAngles, BallId, BarId, CircleId};
 pub use base_ball::BaseBall;
 pub use context::{Column, Context, Kind};
+pub use distinct::Distinct;
 pub use model::{LengthModel, PreparedMeasurement, PreparedModel, Selection};
 pub use pieces::MeasurementPieces;
 pub use sample::Sample;

@@ -50,9 +50,10 @@ impl Given {
         } else {
             None
         };
+        let mut of_table = Vec::new();
         let observations = match &joined {
             Some((_, matching)) => matching.observations.clone(),
-            None => observations(&args.input)?,
+            None => observations(&args.input, &mut of_table)?,
         };
         if observations.rows.is_empty() {
             return Err(Diagnostic::file(&input, EstimationFinding::NoLength).into());
@@ -83,8 +84,7 @@ impl Given {
             ),
             source("robot", args.robot.clone().unwrap_or_else(from_plan)),
         ];
-        let findings =
-            joined.as_ref().map_or_else(Vec::new, |(run, matching)| findings(run, matching, &robot));
+        let findings = joined.as_ref().map_or(of_table, |(run, matching)| findings(run, matching, &robot));
         let axes = match &joined {
             Some((run, _)) if run.axes_deg.is_empty() => AngleSource::Commanded,
             _ => AngleSource::Given,

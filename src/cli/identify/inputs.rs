@@ -9,7 +9,7 @@ use crate::base::table::{self, Columns};
 use crate::catalogue::{EstimationFinding, MeasurementFinding, RobotFinding};
 use crate::diagnostic::Diagnostic;
 use crate::estimation::PriorScale;
-use crate::measurement::Measurements;
+use crate::measurement::{Distinct, Measurements};
 use crate::robot::parameter::SetUp;
 use crate::robot::{AXES, AxisAngles, ParamId};
 
@@ -78,9 +78,11 @@ const PLAN: [&str; 2] = ["move", "dwell_s"];
 
 /// The observations of a CSV, which is never whole in memory.
 ///
+/// Rows that are there twice are used once, with a finding.
+///
 /// # Errors
 /// Names the path and why it could not be read, or the line and what is wrong there.
-pub(crate) fn observations(path: &Path) -> Result<Measurements, Diagnostic> {
+pub(crate) fn observations(path: &Path, found: &mut Vec<Diagnostic>) -> Result<Measurements, Diagnostic> {
     let name = path.display().to_string();
     let wrong = |error: csv::Error| table::wrong_csv(&name, &error);
     let mut reader = table::reader().from_path(path).map_err(wrong)?;
@@ -88,5 +90,12 @@ pub(crate) fn observations(path: &Path) -> Result<Measurements, Diagnostic> {
     if PLAN.iter().all(|wanted| header.iter().any(|name| name == *wanted)) {
         return Err(Diagnostic::file(&name, MeasurementFinding::IsPlan));
     }
-    Measurements::from_records(&name, &header, |record| reader.read_record(record))
+    let table = Measurements::from_records(&name, &header, |record| reader.read_record(record))?;
+    let rows = table.rows.len();
+    let Distinct { measurements, repeated } =
+        table.distinct().map_err(|finding| Diagnostic::file(&name, finding))?;
+    if repeated > 0 {
+        found.push(Diagnostic::file(&name, MeasurementFinding::Repeated { repeated, rows }));
+    }
+    Ok(measurements)
 }

@@ -100,7 +100,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
     let validation = match &args.validate {
         Some(path) => {
             let name = path.display().to_string();
-            let set = observations(path)?;
+            let set = observations(path, &mut given.findings)?;
             check_lengths(&name, &set, &given.robot, &given.centres)?;
             set.check(&name, set_up)?;
             Some(set)

@@ -9,7 +9,7 @@ use serde::Serialize;
 
 use super::{Outcome, Output, Verdict};
 use crate::base::files;
-use crate::catalogue::PlanFinding;
+use crate::catalogue::{MeasurementFinding, PlanFinding};
 use crate::cli::{protocols, robots};
 use crate::diagnostic::Diagnostic;
 use crate::measurement::{BaseBall, PreparedMeasurement};
@@ -82,7 +82,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
             out.finding(PlanFinding::NoLengths { file: lengths.display().to_string() });
         }
     }
-    let Known { job, robot, prior } = Known::after(job, robot, &measured)?;
+    let Known { job, robot, prior } = Known::after(job, robot, &measured, out)?;
     let mut plan = Plan::build_with(&job, &robot, &prior).map_err(|refusal| {
         refusal.shown().for_each(|finding| out.finding(finding.clone()));
         Diagnostic { file: name.clone(), ..refusal.into() }
@@ -156,18 +156,27 @@ struct Known {
 
 impl Known {
     /// After the lengths measured before, if there are any.
-    fn after(job: Job, robot: Robot, measured: &[PathBuf]) -> Result<Self, Box<dyn Error>> {
+    fn after(job: Job, robot: Robot, measured: &[PathBuf], out: &Output) -> Result<Self, Box<dyn Error>> {
         if measured.is_empty() {
             let prior = PlanningPrior::datasheet(&job, &robot);
             return Ok(Self { job, robot, prior });
         }
-        let mut lengths = Vec::new();
+        let (mut tables, mut findings) = (Vec::new(), Vec::new());
         for path in measured {
-            let observations = super::identify::observations(path)?;
+            let observations = super::identify::observations(path, &mut findings)?;
+            let name = path.display().to_string();
             let set_up = SetUp { balls: job.centres.len(), bars: observations.bars() };
-            observations.check(&path.display().to_string(), set_up)?;
-            lengths.extend(observations.rows.iter().map(PreparedMeasurement::from));
+            observations.check(&name, set_up)?;
+            let rows = observations.rows.len();
+            if tables.contains(&observations) {
+                findings.push(Diagnostic::file(&name, MeasurementFinding::Repeated { repeated: rows, rows }));
+            } else {
+                tables.push(observations);
+            }
         }
+        findings.into_iter().for_each(|finding| out.finding(finding));
+        let rows = tables.iter().flat_map(|table| &table.rows);
+        let lengths: Vec<PreparedMeasurement> = rows.map(PreparedMeasurement::from).collect();
         let prior = PlanningPrior::after_lengths(&job, &robot, &lengths).map_err(Diagnostic::from)?;
         let (job, robot) = prior.applied(&job, &robot);
         Ok(Self { job, robot, prior })

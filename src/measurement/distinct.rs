@@ -1,0 +1,74 @@
+//! Rows that are in a table more than once.
+
+use std::cmp::Ordering;
+
+use super::{Measurement, Measurements};
+use crate::catalogue::MeasurementFinding;
+
+/// A table without its repeated rows.
+#[derive(Clone, Debug)]
+pub struct Distinct {
+    pub measurements: Measurements,
+    /// Rows that were left out.
+    pub repeated: usize,
+}
+
+impl Measurements {
+    /// Each row once: of equal rows the first. Rows that differ only in their index are equal where half of the table is
+    /// there twice; fewer can be a pose that was repeated, whose length came out the same.
+    ///
+    /// # Errors
+    /// Different rows with one index.
+    pub fn distinct(mut self) -> Result<Distinct, MeasurementFinding> {
+        let rows = &self.rows;
+        let mut repeated = Vec::new();
+        if !rows.is_sorted_by(|a, b| a.index < b.index) {
+            for [first, other] in equal_neighbours(rows, |a, b| a.index.cmp(&b.index)) {
+                if rows[first] != rows[other] {
+                    return Err(MeasurementFinding::EqualIndices { index: rows[first].index });
+                }
+                repeated.push(other);
+            }
+        }
+        let twins: Vec<usize> = equal_neighbours(rows, by_content)
+            .into_iter()
+            .filter(|[first, other]| rows[*first].context == rows[*other].context)
+            .map(|[_, other]| other)
+            .collect();
+        if 2 * twins.len() >= rows.len() {
+            repeated.extend(twins);
+        }
+        repeated.sort_unstable();
+        repeated.dedup();
+        let mut place = 0;
+        self.rows.retain(|_| {
+            place += 1;
+            repeated.binary_search(&(place - 1)).is_err()
+        });
+        Ok(Distinct { measurements: self, repeated: repeated.len() })
+    }
+}
+
+/// By what was measured, whatever its index.
+fn by_content(a: &Measurement, b: &Measurement) -> Ordering {
+    let sigma = |row: &Measurement| row.sigma_mm.unwrap_or(0.0);
+    let axes = a.axes.degrees().into_iter().zip(b.axes.degrees());
+    a.length_mm
+        .total_cmp(&b.length_mm)
+        .then_with(|| (a.ball, a.bar).cmp(&(b.ball, b.bar)))
+        .then_with(|| sigma(a).total_cmp(&sigma(b)))
+        .then_with(|| {
+            axes.map(|(a, b)| a.total_cmp(&b)).find(|order| order.is_ne()).unwrap_or(Ordering::Equal)
+        })
+}
+
+/// The places of rows that are equal by an order, each with the row before it that it equals.
+fn equal_neighbours(
+    rows: &[Measurement],
+    order: impl Fn(&Measurement, &Measurement) -> Ordering,
+) -> Vec<[usize; 2]> {
+    let mut places: Vec<usize> = (0..rows.len()).collect();
+    places.sort_unstable_by(|&a, &b| order(&rows[a], &rows[b]).then(a.cmp(&b)));
+    let pairs = places.windows(2).map(|pair| [pair[0], pair[1]]);
+    pairs.filter(|[a, b]| order(&rows[*a], &rows[*b]).is_eq()).collect()
+}
