@@ -11,11 +11,12 @@ findings! {
             NoMeasurement => "holds no measurement: only a header, or nothing";
             NoPose => "holds no pose: only a header, or nothing";
         }
-        E1202 "the numbers of balls or bars have a gap",
-        cause: "Balls and bars are numbered 1, 2, .. without a gap, and no number of a ball occurs twice.",
+        E1202 "the numbers of balls or bars have a gap or go too far",
+        cause: "Balls and bars are numbered 1, 2, .. without a gap, and no number of a ball occurs twice. One calibration has at most 100 balls and 20 bars.",
         cure: "Number them anew, in all files alike." {
             BallsNotInOrder { ball: u32 } => "the numbers in column `centre` must run 1, 2, ..: {ball} is next";
             BarWithoutLength { bar: u32 } => "column `bar`: the numbers must run 1, 2, ..: bar {bar} has no length";
+            TooMany { balls: usize, bars: usize, most_balls: usize, most_bars: usize } => "the highest numbers are ball {balls} and bar {bars}: one calibration has at most {most_balls} balls and {most_bars} bars";
         }
         E1203 "a measurement is of a ball or bar that is not there",
         cause: "The column `centre` or `bar` holds a number for which no ball or bar is given.",

@@ -30,7 +30,8 @@ findings! {
             GivenTwice { name: String } => "{name} is given twice";
             LateDeclaration => "a declaration after the first statement",
                 help: "move it above the first statement of the routine, or into the .dat file";
-            ArraySize { elements: i64 } => "an array cannot have {elements} elements";
+            ArraySize { elements: i64, most: usize } => "an array cannot have {elements} elements: all arrays of a file hold at most {most} numbers";
+            TooManyFields { most: usize } => "a structure has at most {most} components";
         }
         E0804 "a program uses KRL that is not supported",
         cause: "Controllers accept more of the language than dbbd reads, and the simulated controller executes only what can be executed in exact stops.",

@@ -30,14 +30,14 @@ findings! {
         E0505 "a number of a robot file is impossible",
         cause: "A number is not finite, or outside of what its key can mean.",
         cure: "Correct the number; the unit is in the key's name." {
-            JointNotFinite { joint: usize, key: String, value: f64 } => "joint {joint}: {key} = {value} is not a finite number";
+            JointNumber { joint: usize, key: String, value: f64, most: f64 } => "joint {joint}: {key} = {value} must be a number from -{most} to {most}";
             JointSign { joint: usize, sign: i8 } => "joint {joint}: sign = {sign} must be 1 or -1";
-            JointLimits { joint: usize, low_deg: f64, high_deg: f64 } => "joint {joint}: limits_deg = [{low_deg}, {high_deg}] must be [low, high]";
-            JointSpeed { joint: usize, value: f64 } => "joint {joint}: a speed or acceleration of {value} must be positive";
-            Tolerance { length_mm: f64, angle_deg: f64 } => "[tolerance]: length_mm = {length_mm} and angle_deg = {angle_deg} must be positive";
+            JointLimits { joint: usize, low_deg: f64, high_deg: f64 } => "joint {joint}: limits_deg = [{low_deg}, {high_deg}] must be [low, high], within 100000 degrees";
+            JointSpeed { joint: usize, value: f64 } => "joint {joint}: a speed or acceleration of {value} must be positive, and at most 100000";
+            Tolerance { length_mm: f64, angle_deg: f64 } => "[tolerance]: length_mm = {length_mm} and angle_deg = {angle_deg} must be positive, at most 100 mm and 45 degrees";
             Mass { kg: f64, centre_mm: [f64; 3] } => "a mass of {kg} kg at {centre_mm:?} mm is impossible";
             MassJoint { joint: usize } => "[[mass]]: joint = {joint} must be 1 to 6";
-            ToolBall { ball_mm: [f64; 3] } => "[tool]: ball_mm = {ball_mm:?} must be finite numbers";
+            ToolBall { ball_mm: [f64; 3] } => "[tool]: ball_mm = {ball_mm:?} must be numbers, each at most 10000 mm";
         }
         E0506 "a pose has no axis angles",
         cause: "The pose is beyond the arm, or only another branch or turn of the axes reaches it.",

@@ -2,8 +2,9 @@
 
 use nalgebra::Vector3;
 
+use super::table::{MOST_BALLS, MOST_BARS};
 use crate::base::table::{self, Columns};
-use crate::catalogue::MeasurementFinding::BallsNotInOrder;
+use crate::catalogue::MeasurementFinding::{BallsNotInOrder, TooMany};
 use crate::diagnostic::Diagnostic;
 use crate::robot::BallId;
 
@@ -33,6 +34,10 @@ impl BaseBall {
             balls.push(Self { id: row.numbered(number)?, position });
         }
         balls.sort_by_key(|ball| ball.id);
+        if balls.len() > MOST_BALLS {
+            let (balls, bars, most_balls, most_bars) = (balls.len(), 1, MOST_BALLS, MOST_BARS);
+            return Err(Diagnostic::file(file, TooMany { balls, bars, most_balls, most_bars }));
+        }
         match balls.iter().enumerate().find(|(at, ball)| ball.id.index() != *at) {
             None => Ok(balls),
             Some((_, ball)) => Err(Diagnostic::file(file, BallsNotInOrder { ball: ball.id.number() })),

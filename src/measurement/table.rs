@@ -7,7 +7,7 @@ use std::sync::Arc;
 use super::{Column, Context, context};
 use crate::base::table::{self, Columns};
 use crate::catalogue::MeasurementFinding::{
-    BarWithoutLength, NoMeasurement, NoPose, UnknownBall, UnknownBar,
+    BarWithoutLength, NoMeasurement, NoPose, TooMany, UnknownBall, UnknownBar,
 };
 use crate::diagnostic::Diagnostic;
 use crate::robot::parameter::SetUp;
@@ -66,6 +66,10 @@ const REQUIRED: [&str; 9] =
 const SIGMA: &str = "sigma_mm";
 const BAR: &str = "bar";
 
+/// Base balls and bars of one calibration: each adds unknowns, and the time grows with their cube.
+pub const MOST_BALLS: usize = 100;
+pub(super) const MOST_BARS: usize = 20;
+
 /// Rows of a piece of CSV.
 const PIECE: usize = 4096;
 
@@ -117,6 +121,11 @@ impl Measurements {
             return Err(Diagnostic::file(file, NoMeasurement));
         }
         let set = Self { rows, columns: further };
+        let (balls, bars) = (set.balls(), set.bars());
+        if balls > MOST_BALLS || bars > MOST_BARS {
+            let finding = TooMany { balls, bars, most_balls: MOST_BALLS, most_bars: MOST_BARS };
+            return Err(Diagnostic::file(file, finding));
+        }
         match (0..set.bars()).map(BarId::at).find(|bar| set.rows.iter().all(|row| row.bar != *bar)) {
             None => Ok(set),
             Some(absent) => Err(Diagnostic::file(file, BarWithoutLength { bar: absent.number() })),

@@ -204,6 +204,18 @@ fn line_of_table(text: &str, header: &str, at: usize) -> Option<usize> {
     text.lines().enumerate().filter(|(_, line)| line.trim() == header).nth(at).map(|(line, _)| line + 1)
 }
 
+/// No length of an arm is longer, mm: ten metres.
+const MOST_MM: f64 = 1e4;
+/// No angle, speed or acceleration is larger, degrees, degrees/s, degrees/s^2.
+const MOST_DEG: f64 = 1e5;
+/// No mass is larger, kg.
+const MOST_KG: f64 = 1e5;
+
+/// Whether all lengths can be those of an arm.
+fn are_lengths(mm: &[f64]) -> bool {
+    mm.iter().all(|mm| mm.abs() <= MOST_MM)
+}
+
 /// What is wrong, and in which joint (from 0) where it is one.
 type Wrong = (Option<usize>, RobotFinding);
 
@@ -211,27 +223,30 @@ impl JointTable {
     /// What the types do not say: finite numbers, limits in order.
     fn check(&self, joint: usize) -> Result<(), RobotFinding> {
         let numbers = [
-            ("alpha_deg", self.alpha_deg),
-            ("a_mm", self.a_mm),
-            ("theta_offset_deg", self.theta_offset_deg),
-            ("d_mm", self.d_mm),
-            ("beta_deg", self.beta_deg),
-            ("compliance_rad_per_nm", self.compliance_rad_per_nm),
-            ("gear_cos_rad", self.gear_cos_rad),
-            ("gear_sin_rad", self.gear_sin_rad),
+            ("alpha_deg", self.alpha_deg, MOST_DEG),
+            ("a_mm", self.a_mm, MOST_MM),
+            ("theta_offset_deg", self.theta_offset_deg, MOST_DEG),
+            ("d_mm", self.d_mm, MOST_MM),
+            ("beta_deg", self.beta_deg, MOST_DEG),
+            ("compliance_rad_per_nm", self.compliance_rad_per_nm, 1.0),
+            ("gear_cos_rad", self.gear_cos_rad, 1.0),
+            ("gear_sin_rad", self.gear_sin_rad, 1.0),
         ];
-        if let Some((key, value)) = numbers.into_iter().find(|(_, value)| !value.is_finite()) {
-            return Err(RobotFinding::JointNotFinite { joint, key: key.into(), value });
+        let possible = |value: f64, most: f64| value.abs() <= most;
+        if let Some((key, value, most)) =
+            numbers.into_iter().find(|(_, value, most)| !possible(*value, *most))
+        {
+            return Err(RobotFinding::JointNumber { joint, key: key.into(), value, most });
         }
         if self.sign.abs() != 1 {
             return Err(RobotFinding::JointSign { joint, sign: self.sign });
         }
         let [low_deg, high_deg] = self.limits_deg;
-        if !(low_deg.is_finite() && high_deg.is_finite() && low_deg < high_deg) {
+        if !(low_deg >= -MOST_DEG && high_deg <= MOST_DEG && low_deg < high_deg) {
             return Err(RobotFinding::JointLimits { joint, low_deg, high_deg });
         }
         let mut speeds = [Some(self.max_speed_deg_s), self.max_acceleration_deg_s2].into_iter().flatten();
-        match speeds.find(|speed| !(speed.is_finite() && *speed > 0.0)) {
+        match speeds.find(|speed| !(*speed > 0.0 && *speed <= MOST_DEG)) {
             Some(value) => Err(RobotFinding::JointSpeed { joint, value }),
             None => Ok(()),
         }
@@ -285,7 +300,7 @@ impl RobotFile {
         let masses = self.mass.iter().map(|mass| (mass.joint, mass.kg, mass.centre_mm));
         let payload = self.payload.iter().map(|payload| (AXES, payload.kg, payload.centre_mm));
         let checked = |(joint, kg, centre_mm): (usize, f64, [f64; 3])| {
-            if !(kg.is_finite() && kg >= 0.0 && centre_mm.iter().all(|x| x.is_finite())) {
+            if !((0.0..=MOST_KG).contains(&kg) && are_lengths(&centre_mm)) {
                 return Err(RobotFinding::Mass { kg, centre_mm });
             }
             let joint = Joint::new(joint).ok_or(RobotFinding::MassJoint { joint })?;
@@ -301,11 +316,12 @@ impl RobotFile {
         }
         let joints = self.joints()?;
         let Tolerance { length_mm, angle_deg } = self.tolerance;
-        if !(length_mm.is_finite() && angle_deg.is_finite() && length_mm > 0.0 && angle_deg > 0.0) {
+        let [most_mm, most_deg] = [100.0, 45.0];
+        if !(length_mm > 0.0 && length_mm <= most_mm && angle_deg > 0.0 && angle_deg <= most_deg) {
             return Err((None, RobotFinding::Tolerance { length_mm, angle_deg }));
         }
         let masses = self.masses().map_err(|finding| (None, finding))?;
-        if !self.tool.ball_mm.iter().all(|x| x.is_finite()) {
+        if !are_lengths(&self.tool.ball_mm) {
             return Err((None, RobotFinding::ToolBall { ball_mm: self.tool.ball_mm }));
         }
         Ok(Robot {

@@ -72,6 +72,9 @@ const REFUSED: &[(&str, &str, usize, usize)] = &[
     ("DEF T ( )\nA='B2'\nEND\n", "E0801", 2, 3),
     ("DEF A_NAME_THAT_IS_FAR_TOO_LONG ( )\nEND\n", "E0801", 1, 5),
     ("DEF T ( )\nA=99999999999999999999\nEND\n", "E0801", 2, 3),
+    ("DEF T ( )\nA=2147483649\nEND\n", "E0801", 2, 3),
+    ("DEF T ( )\nA=-'H-8000000000000000'\nEND\n", "E0801", 2, 4),
+    ("DEF T ( )\nDECL E6POS P[100000]\nEND\n", "E0803", 2, 14),
     ("", "E0806", 0, 0),
     ("DEF T ( )\nEND\nDEF T ( )\nEND\n", "E0806", 3, 5),
 ];
@@ -204,6 +207,8 @@ fn depth_is_limited() {
         assert!(read(files, Given::default()).is_err());
     }
     assert_eq!(refused(&format!("DEF T ( )\n{}", "LOOP\n".repeat(many))).0, "E0805");
+    let fields: Vec<String> = (0..60_000).map(|at| format!("F{at} 1")).collect();
+    assert_eq!(refused(&format!("DEF T ( )\nA={{{}}}\nEND\n", fields.join(","))).0, "E0803");
     let chain = format!("DEF T ( )\nA={}1\nEND\n", "1+".repeat(150));
     assert_eq!(parsed(&chain).routines[0].body.len(), 1);
 }

@@ -90,6 +90,7 @@ const TABLES: &[(&str, &str, usize)] = &[
     ("1,0,0,-60,90,0,60,0,300,0.01\n", "E0111", 2),
     ("1,1,0,-60,90,0,60\n", "E0112", 2),
     ("1,2,0,-60,90,0,60,0,300,0.01\n", "E1203", 0),
+    ("1,2000,0,-60,90,0,60,0,300,0.01\n", "E1202", 0),
     ("", "E1201", 0),
 ];
 
@@ -107,6 +108,9 @@ const ROBOTS: &[(&str, &str, &str)] = &[
     ("a_mm = 350.0", "a_mn = 350.0", "E0120"),
     ("[[joint]]", "[[joints]]", "E0120"),
     ("a_mm = 350.0", "a_mm = nan", "E0505"),
+    ("a_mm = 350.0", "a_mm = 1e300", "E0505"),
+    ("a_mm = 350.0", "a_mm = 350000.0", "E0505"),
+    ("[-135.0, 35.0]", "[-1e300, 1e300]", "E0505"),
     ("sign = -1", "sign = 2", "E0505"),
     ("[-135.0, 35.0]", "[35.0, -135.0]", "E0505"),
     ("modified-dh", "standard-dh", "E0504"),
@@ -144,6 +148,8 @@ fn observations() {
     refused("", &robot, "E0110", "obs.csv");
     let barred = HEADER.replace("sigma_mm", "bar") + "1,1,0,-60,90,0,60,0,300,2\n";
     refused(&barred, &robot, "E1202", "obs.csv");
+    let bars: String = (1..=300).map(|bar| format!("{bar},1,0,-60,90,0,60,0,300,{bar}\n")).collect();
+    refused(&(HEADER.replace("sigma_mm", "bar") + &bars), &robot, "E1202", "obs.csv");
 }
 
 #[test]

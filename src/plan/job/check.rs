@@ -5,6 +5,7 @@ use super::{CentreTable, CircleTable, Job, Mode, ObstacleTable, Orientation};
 use crate::base::parse::from_toml;
 use crate::catalogue::JobFinding;
 use crate::diagnostic::Diagnostic;
+use crate::measurement::table::MOST_BALLS;
 use crate::measurement::{BallId, BaseBall};
 use crate::plan::module::MODULE_DWELLS;
 use crate::plan::timing::ACCELERATION_MM_S2;
@@ -161,7 +162,8 @@ impl Job {
                 let finding = JobFinding::BallNumber { id: centre.id as usize, expected: at + 1 };
                 return Err(table.wrong("id", finding));
             }
-            table.finite("xyz_mm", &centre.xyz_mm)?;
+            table.within("id", f64::from(centre.id), [1.0, MOST_BALLS as f64])?;
+            centre.xyz_mm.iter().try_for_each(|mm| table.within("xyz_mm", *mm, [-MOST, MOST]))?;
             table.finite("taught_deg", centre.taught_deg.iter().flatten())?;
             table.cup(centre.cup_axis, centre.cup_limit_deg)?;
         }

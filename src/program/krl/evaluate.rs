@@ -57,7 +57,7 @@ impl Scope for Constants {
 impl Expression {
     pub(crate) fn value(&self, scope: &mut impl Scope) -> Result<Value, Fault> {
         Ok(match &self.kind {
-            ExpressionKind::Int(value) => Value::Int(*value),
+            ExpressionKind::Int(value) => in_32_bits(Some(*value)).at(&self.span)?,
             ExpressionKind::Real(value) => Value::Real(*value),
             ExpressionKind::Bool(value) => Value::Bool(*value),
             ExpressionKind::Enum(name) => Value::Enum(name.clone()),
@@ -172,9 +172,15 @@ pub(crate) fn constant_target(expression: &Expression) -> Result<Target, Fault> 
     Position::of(&expression.constant()?).and_then(Position::complete).at(&expression.span)
 }
 
+/// An INT of the controller has 32 bits with sign; what has more is no result.
+fn in_32_bits(value: Option<i64>) -> Result<Value, ProgramFinding> {
+    let fits = value.filter(|value| i32::try_from(*value).is_ok());
+    fits.map(Value::Int).ok_or(ProgramFinding::NoResult)
+}
+
 fn signed(operator: Unary, value: &Value) -> Result<Value, ProgramFinding> {
     Ok(match (operator, value) {
-        (Unary::Minus, Value::Int(value)) => Value::Int(value.checked_neg().ok_or(ProgramFinding::NoResult)?),
+        (Unary::Minus, Value::Int(value)) => in_32_bits(value.checked_neg())?,
         (Unary::Minus, value) => Value::Real(-value.number()?),
         (Unary::Not, value) => Value::Bool(!value.bool()?),
     })
@@ -209,7 +215,7 @@ fn arithmetic(operator: Binary, left: &Value, right: &Value) -> Result<Value, Pr
             Binary::Multiply => left.checked_mul(*right),
             _ => left.checked_div(*right),
         };
-        return result.map(Value::Int).ok_or(ProgramFinding::NoResult);
+        return in_32_bits(result);
     }
     let (left, right) = (left.number()?, right.number()?);
     let result = match operator {

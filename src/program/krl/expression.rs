@@ -6,6 +6,9 @@ use super::syntax::*;
 use crate::catalogue::ProgramFinding;
 use crate::diagnostic::Diagnostic;
 
+/// Of one structure: more than any of the controller's has.
+const FIELDS: usize = 100;
+
 /// The operator that a word is, and how tightly it binds.
 fn binary(token: &Token) -> Option<(Binary, u8)> {
     Some(match token {
@@ -113,6 +116,9 @@ impl Parser<'_> {
             }
             if fields.iter().any(|field| field.name == name) {
                 return Err(self.wrong(span, ProgramFinding::GivenTwice { name }));
+            }
+            if fields.len() >= FIELDS {
+                return Err(self.wrong(span, ProgramFinding::TooManyFields { most: FIELDS }));
             }
             let value = self.expression()?;
             fields.push(Field { name, value });

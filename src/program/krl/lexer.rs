@@ -153,7 +153,9 @@ impl<'a> Lexer<'a> {
             _ => None,
         };
         let digits = literal.get(1..).filter(|digits| !digits.starts_with(['+', '-']));
-        let value = radix.zip(digits).and_then(|(radix, digits)| i64::from_str_radix(digits, radix).ok());
+        // The 32 bits of an INT as they are: the highest is its sign.
+        let bits = radix.zip(digits).and_then(|(radix, digits)| u32::from_str_radix(digits, radix).ok());
+        let value = bits.map(|bits| i64::from(bits.cast_signed()));
         match value {
             Some(value) if length < inside.len() => {
                 self.push(Token::Int(value), length + 2);
@@ -186,7 +188,8 @@ impl<'a> Lexer<'a> {
         let token = if real {
             literal.parse().ok().filter(|value: &f64| value.is_finite()).map(Token::Real)
         } else {
-            literal.parse().ok().map(Token::Int)
+            // The lowest INT is written as the negative of one more than the highest.
+            literal.parse().ok().filter(|value: &i64| *value <= 1 << 31).map(Token::Int)
         };
         let Some(token) = token else {
             let number = literal.to_owned();

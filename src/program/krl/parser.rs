@@ -3,6 +3,7 @@
 
 use super::lexer::{Token, line_tokens, tokens};
 use super::syntax::*;
+use super::value::Type;
 use crate::catalogue::ProgramFinding;
 use crate::diagnostic::Diagnostic;
 
@@ -67,22 +68,26 @@ pub(super) struct Parser<'a> {
     depth: usize,
     /// Of the line so far.
     operators: usize,
+    /// Numbers in the arrays that were declared so far.
+    numbers: usize,
 }
 
 /// Deeper nesting than any program needs: the reader recurses.
 const DEPTH: usize = 60;
 /// Of one line: a chain of them is a tree that is as deep.
 const OPERATORS: usize = 200;
+/// In all arrays of a file; an E6POS has 14.
+const NUMBERS: usize = 200_000;
 
 impl<'a> Parser<'a> {
     fn new(file: Text<'a>) -> Result<Self, Diagnostic> {
-        Ok(Self { file, tokens: tokens(file)?, at: 0, depth: 0, operators: 0 })
+        Ok(Self { file, tokens: tokens(file)?, at: 0, depth: 0, operators: 0, numbers: 0 })
     }
 
     /// A reader of one line, at the bytes `line` of the text.
     pub(super) fn line(file: Text<'a>, line: &Span) -> Result<Self, Diagnostic> {
         let file = Text { text: file.text.get(..line.end).unwrap_or(file.text), ..file };
-        Ok(Self { file, tokens: line_tokens(file, line.start)?, at: 0, depth: 0, operators: 0 })
+        Ok(Self { file, tokens: line_tokens(file, line.start)?, at: 0, depth: 0, operators: 0, numbers: 0 })
     }
 
     pub(super) fn wrong(&self, span: Span, finding: ProgramFinding) -> Diagnostic {
@@ -268,9 +273,10 @@ impl<'a> Parser<'a> {
             DeclarationKind::Signal { name, first, last }
         } else if self.declares_variables(declares) {
             let (type_name, _) = self.name()?;
-            let mut names = vec![self.declared()?];
+            let each = Type::named(&type_name).map_or(1, Type::numbers);
+            let mut names = vec![self.declared(each)?];
             while self.accept_sign(",") {
-                names.push(self.declared()?);
+                names.push(self.declared(each)?);
             }
             DeclarationKind::Variables { type_name, names }
         } else if declares {
@@ -290,14 +296,17 @@ impl<'a> Parser<'a> {
             && matches!(self.ahead(1), Token::Name(_))
     }
 
-    fn declared(&mut self) -> Result<Declared, Diagnostic> {
+    /// A name with the number of its elements, which are of so many numbers `each`.
+    fn declared(&mut self, each: usize) -> Result<Declared, Diagnostic> {
         let (name, span) = self.name()?;
         let mut elements = None;
         if self.accept_sign("[") {
             let Token::Int(count) = *self.peek() else { return Err(self.unexpected("a number of elements")) };
-            elements = usize::try_from(count).ok().filter(|count| (1..=100_000).contains(count));
-            if elements.is_none() {
-                return Err(self.wrong(self.span(), ProgramFinding::ArraySize { elements: count }));
+            elements = usize::try_from(count).ok().filter(|count| (1..=NUMBERS).contains(count));
+            self.numbers += elements.unwrap_or(0) * each;
+            if elements.is_none() || self.numbers > NUMBERS {
+                let finding = ProgramFinding::ArraySize { elements: count, most: NUMBERS };
+                return Err(self.wrong(self.span(), finding));
             }
             self.advance();
             self.one_dimension()?;

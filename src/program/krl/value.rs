@@ -73,6 +73,14 @@ impl Type {
         })
     }
 
+    /// How many values one of it holds.
+    pub(crate) fn numbers(self) -> usize {
+        match self {
+            Type::Struct(fields) => fields.iter().map(|(_, kind)| kind.numbers()).sum(),
+            _ => 1,
+        }
+    }
+
     /// A variable of this type before anything was stored in it.
     pub(crate) fn unset(self) -> Value {
         match self {
