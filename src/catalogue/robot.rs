@@ -35,6 +35,7 @@ findings! {
             JointLimits { joint: usize, low_deg: f64, high_deg: f64 } => "joint {joint}: limits_deg = [{low_deg}, {high_deg}] must be [low, high], within 100000 degrees";
             JointSpeed { joint: usize, value: f64 } => "joint {joint}: a speed or acceleration of {value} must be positive, and at most 100000";
             Tolerance { length_mm: f64, angle_deg: f64 } => "[tolerance]: length_mm = {length_mm} and angle_deg = {angle_deg} must be positive, at most 100 mm and 45 degrees";
+            Repeatability { value: f64 } => "repeatability_mm = {value} must be positive";
             Mass { kg: f64, centre_mm: [f64; 3] } => "a mass of {kg} kg at {centre_mm:?} mm is impossible";
             MassJoint { joint: usize } => "[[mass]]: joint = {joint} must be 1 to 6";
             ToolBall { ball_mm: [f64; 3] } => "[tool]: ball_mm = {ball_mm:?} must be numbers, each at most 10000 mm";
@@ -46,6 +47,11 @@ findings! {
             NotAnalytic => "this arm has no closed-form solution";
             NotConverged { distance_mm: f64 } => "no axis angles found: {distance_mm:.3} mm away after the last step";
             NoSuchConfiguration { status: u8, turn: u8 } => "no axis angles within the limits have S {status}, T {turn}";
+        }
+        I0510 "the repeatability of a robot is not known",
+        cause: "The robot file has no `repeatability_mm`, so the noise of a length is taken for that of the bar alone until many lengths show more.",
+        cure: "Add `repeatability_mm` to the robot file: RP by ISO 9283 from the maker's data sheet." {
+            NoRepeatability { robot: String } => "{robot}: its file has no repeatability_mm, and a length is not better than the robot repeats";
         }
     }
 }

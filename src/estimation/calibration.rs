@@ -56,7 +56,7 @@ impl<'a> Input<'a> {
     /// # Errors
     /// Numbers that are not finite, nothing to estimate.
     pub fn fit(&self) -> Result<LengthModel, EstimationFinding> {
-        let lengths = Lengths::of(&self.observations.rows, self.options);
+        let lengths = Lengths::of(&self.observations.rows, self.options, self.robot);
         let asked = self.setting().asked();
         let Settled { setting, .. } = prior_scale::settle(self.setting(), &lengths, &asked)?;
         Ok(optional_groups::choose(&setting, &lengths, asked)?.estimate.fit.model)
@@ -92,7 +92,7 @@ impl<'a> Calibration<'a> {
     /// # Errors
     /// Numbers that are not finite, nothing to estimate.
     pub fn new(input: &Input<'a>) -> Result<Self, EstimationFinding> {
-        let lengths = Lengths::of(&input.observations.rows, input.options);
+        let lengths = Lengths::of(&input.observations.rows, input.options, input.robot);
         let asked = input.setting().asked();
         let Settled { setting, prior } = prior_scale::settle(input.setting(), &lengths, &asked)?;
         let Chosen { estimate, groups } = optional_groups::choose(&setting, &lengths, asked.clone())?;
@@ -254,7 +254,7 @@ fn uncertainty_of(setting: &Setting<'_>, estimate: &Estimate, used: &Weighted) -
 }
 
 fn sigma(estimate: &Estimate, lengths: &Lengths) -> SigmaSummary {
-    let source = match estimate.freedom {
+    let source = match estimate.noise.freedom {
         Some(_) => SigmaSource::Estimated,
         None if lengths.known => SigmaSource::Given,
         None => SigmaSource::Assumed,
@@ -262,8 +262,8 @@ fn sigma(estimate: &Estimate, lengths: &Lengths) -> SigmaSummary {
     SigmaSummary {
         mm: estimate.used(lengths).rms_sigma(),
         source,
-        freedom: estimate.freedom,
-        coverage_factor: (source != SigmaSource::Assumed).then(|| coverage_95(estimate.freedom)),
+        freedom: estimate.noise.freedom,
+        coverage_factor: (source != SigmaSource::Assumed).then(|| coverage_95(estimate.noise.freedom)),
     }
 }
 

@@ -1,12 +1,12 @@
 //! From lengths to parameters: what is identifiable, what is poorly observable, the fit, and the lengths' sigma.
 
 use super::fit::{self, Fit, Unknowns};
-use super::lengths::{Lengths, Sigma, Weighted};
+use super::lengths::{Lengths, Weighted};
 use super::prior::{self, PriorRows};
 use super::priors::Prior;
 use super::selection::{Choice, is_bar, is_place, most_implausible, open_places, without_open_places};
 use super::setting::Setting;
-use super::sigma::{first_sigma, shown_sigma};
+use super::sigma::Noise;
 use super::{Analysis, analyse};
 use crate::catalogue::EstimationFinding;
 use crate::measurement::LengthModel;
@@ -31,10 +31,8 @@ pub(crate) struct Estimate {
     pub(crate) poorly_observable: Vec<ParamId>,
     pub(super) prior: Option<PriorRows>,
     pub(super) fit: Fit,
-    /// The standard deviations of the lengths that the fit went by.
-    pub(super) sigma: Sigma,
-    /// Degrees of freedom of these, where the residuals gave them; none where they are as given.
-    pub(super) freedom: Option<f64>,
+    /// By what the fit weighted the lengths.
+    pub(super) noise: Noise,
 }
 
 impl Estimate {
@@ -45,7 +43,7 @@ impl Estimate {
 
     /// The lengths that the fit used, as it weighed them.
     pub(crate) fn used<'a>(&'a self, lengths: &'a Lengths) -> Weighted<'a> {
-        lengths.weighted(self.sigma, &self.fit.out)
+        lengths.weighted(self.noise.sigma, &self.fit.out)
     }
 }
 
@@ -63,7 +61,7 @@ pub(super) fn estimate(
     for round in 0..=ROUNDS {
         let choice = Choice::of(&search);
         if let Some(before) = reached.take()
-            && (round == ROUNDS || before.choice == choice && search.weighs_as(before.sigma))
+            && (round == ROUNDS || before.choice == choice && search.weighs_as(before.noise))
         {
             return Ok(search.estimate(before));
         }
@@ -83,7 +81,7 @@ pub(super) struct Search<'a> {
     /// These and what came out implausible.
     pub(super) implausible: Vec<ParamId>,
     pub(super) set_up: Fit,
-    pub(super) sigma: Sigma,
+    pub(super) noise: Noise,
     /// What is fitted of the set-up.
     free: Vec<ParamId>,
     start: LengthModel,
@@ -94,7 +92,7 @@ pub(super) struct Search<'a> {
 struct Reached {
     choice: Choice,
     fit: Fit,
-    sigma: Sigma,
+    noise: Noise,
 }
 
 impl<'a> Search<'a> {
@@ -134,7 +132,7 @@ impl<'a> Search<'a> {
         Ok(Self {
             setting,
             lengths,
-            sigma: if follows_list { Sigma::Given } else { first_sigma(lengths, &set_up, &base) },
+            noise: if follows_list { Noise::GIVEN } else { Noise::of_linear_fit(lengths, &set_up, &base) },
             analysis,
             base,
             implausible: open.clone(),
@@ -155,22 +153,22 @@ impl<'a> Search<'a> {
         }
         let prior = self.prior(&choice);
         let unknowns = Unknowns { free: &choice.kept, determined: choice.base.len(), prior: prior.as_ref() };
-        let fit = fit::all(self.lengths, self.sigma, &unknowns, &self.start);
+        let fit = fit::all(self.lengths, self.noise.sigma, &unknowns, &self.start);
         self.iterations += fit.iterations;
-        let sigma = self.sigma;
-        self.sigma = match prior {
+        let noise = self.noise;
+        self.noise = match prior {
             // Residuals that the prior has widened say nothing about the lengths.
-            Some(_) => first_sigma(self.lengths, &fit, &self.base),
-            None => shown_sigma(self.lengths, &fit, choice.kept.len()),
+            Some(_) => Noise::of_linear_fit(self.lengths, &fit, &self.base),
+            None => Noise::of_fit(self.lengths, &fit, choice.kept.len()),
         };
         let options = &self.setting.options;
         if !options.follows_list() && options.prior == Prior::None {
-            let weighted = self.lengths.weighted(self.sigma, &[]);
+            let weighted = self.lengths.weighted(self.noise.sigma, &[]);
             let least = most_implausible(self, &fit.model, &weighted, &choice.kept);
             self.implausible.extend(least);
         }
         self.start = fit.model.clone();
-        Reached { choice, fit, sigma }
+        Reached { choice, fit, noise }
     }
 
     /// Without the offset of a bar the balls are elsewhere: the set-up is fitted anew.
@@ -196,10 +194,11 @@ impl<'a> Search<'a> {
 
     /// Whether a fit with the sigmas found since would be the same: equal to 2 %, or, where no prior is weighed
     /// against them, all changed alike.
-    fn weighs_as(&self, old: Sigma) -> bool {
+    fn weighs_as(&self, old: Noise) -> bool {
         let lengths = self.lengths;
-        let mut changes =
-            (0..lengths.len()).map(|at| lengths.given(at)).map(|given| self.sigma.of(given) / old.of(given));
+        let mut changes = (0..lengths.len())
+            .map(|at| lengths.given(at))
+            .map(|given| self.noise.sigma.of(given) / old.sigma.of(given));
         let is_free = self.setting.options.prior == Prior::None;
         let common = if is_free { changes.clone().next().unwrap_or(1.0) } else { 1.0 };
         changes.all(|change| (change / common - 1.0).abs() < SAME_WEIGHT)
@@ -208,8 +207,6 @@ impl<'a> Search<'a> {
     fn estimate(self, reached: Reached) -> Estimate {
         let Reached { choice, fit, .. } = reached;
         let prior = self.prior(&choice);
-        let freedom = (self.sigma != Sigma::Given)
-            .then(|| self.lengths.weighted(self.sigma, &fit.out).count() as f64 - choice.base.len() as f64);
         Estimate {
             before: self.set_up.model,
             analysis: self.analysis,
@@ -218,8 +215,7 @@ impl<'a> Search<'a> {
             poorly_observable: choice.poorly_observable,
             prior,
             fit: Fit { iterations: self.iterations, ..fit },
-            sigma: self.sigma,
-            freedom,
+            noise: self.noise,
         }
     }
 }

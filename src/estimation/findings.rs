@@ -123,7 +123,7 @@ fn consistency(of: &Calibration<'_>) -> Option<EstimationFinding> {
     let times = ratio.sqrt();
     match ChiSquare::of(ratio, freedom) {
         ChiSquare::Greater if lengths.vouched => Some(EstimationFinding::BeyondSigma { times }),
-        ChiSquare::Greater if estimate.sigma == Sigma::Given => {
+        ChiSquare::Greater if estimate.noise.sigma == Sigma::Given => {
             Some(EstimationFinding::BeyondSigmaOfFew { times })
         }
         ChiSquare::Greater => Some(EstimationFinding::AboveSigma { times }),

@@ -6,7 +6,7 @@ use std::borrow::Cow;
 use super::options::Options;
 use crate::math::map_pieces;
 use crate::measurement::{Measurement, MeasurementPieces, PreparedMeasurement};
-use crate::robot::AXES;
+use crate::robot::{AXES, Robot};
 
 /// Lengths of an even sample, which stands for many where a scale is asked for, or a start.
 pub(super) const SAMPLE: usize = 8192;
@@ -21,6 +21,8 @@ pub(crate) struct Lengths<'a> {
     pub(super) vouched: bool,
     /// Whether anything is known of them at all.
     pub(super) known: bool,
+    /// Standard deviation along a length of what the robot does not repeat, mm, where it is known.
+    pub(super) repeatability_mm: Option<f64>,
 }
 
 #[derive(Clone, Debug)]
@@ -66,8 +68,8 @@ pub(crate) struct Weighted<'a> {
 }
 
 impl<'a> Lengths<'a> {
-    /// Of observations, by the sigma that the options or the rows give.
-    pub(super) fn of(rows: &'a [Measurement], options: &Options) -> Self {
+    /// Of observations, by the sigma that the options or the rows give, on a robot.
+    pub(super) fn of(rows: &'a [Measurement], options: &Options, robot: &Robot) -> Self {
         let known = options.sigma_mm.is_some() || rows.iter().all(|row| row.sigma_mm.is_some());
         // One row without a sigma makes all equal: a guess for it would weigh as a measurement.
         let all = options.sigma_mm.or_else(|| (!known).then_some(1.0));
@@ -78,12 +80,13 @@ impl<'a> Lengths<'a> {
                 rows.iter().map(|row| given(row, all)).collect(),
             ),
         };
-        Self { held, vouched: options.sigma_mm.is_some(), known }
+        let (vouched, repeatability_mm) = (options.sigma_mm.is_some(), robot.repeatability_sd_mm());
+        Self { held, vouched, known, repeatability_mm }
     }
 
     /// Of readings with their standard deviations, mm.
     pub(super) fn few(readings: Vec<PreparedMeasurement>, given: Vec<f64>) -> Lengths<'static> {
-        Lengths { held: Held::Few(readings, given), vouched: true, known: true }
+        Lengths { held: Held::Few(readings, given), vouched: true, known: true, repeatability_mm: None }
     }
 
     /// Those at some places.

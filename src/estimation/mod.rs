@@ -53,4 +53,5 @@ pub use residual_tests::senses;
 pub use result::CalibrationResult;
 pub use result_file::ResultFile;
 pub(crate) use selection::{is_place, without_open_places};
+pub use sigma::length_sd_mm;
 pub use units::mistaken as mistaken_unit;

@@ -78,7 +78,7 @@ fn draw(priors: &Priors, estimate: &Estimate, lengths: &Lengths, trials: usize) 
     let (used, sigma): (Vec<PreparedMeasurement>, Vec<f64>) =
         used.map(|(at, sigma)| (lengths.reading(at), sigma)).unzip();
     let exact: Vec<PreparedMeasurement> = predicted(model, used.into_iter());
-    let freedom = estimate.freedom.and_then(|freedom| Some((freedom, ChiSquared::new(freedom).ok()?)));
+    let freedom = estimate.noise.freedom.and_then(|freedom| Some((freedom, ChiSquared::new(freedom).ok()?)));
     // Where a prior carries what is weak, nothing fixed leaks into the linear figures either.
     let fixed: Vec<_> = if estimate.prior.is_some() { vec![] } else { estimate.poorly_observable.clone() };
     let trial = |number: usize| {

@@ -208,7 +208,7 @@ fn predicted_mm(
     let chi = used.sum(|reading, sigma| ((reading.length_mm - prepared.length(reading)) / sigma).powi(2));
     let freedom = (used.count() as f64 - estimate.base.len() as f64).max(1.0);
     // A sigma that was vouched for is not brought to the residuals by the estimate.
-    if ChiSquare::of(chi / freedom, freedom) == ChiSquare::Greater && estimate.freedom.is_none() {
+    if ChiSquare::of(chi / freedom, freedom) == ChiSquare::Greater && estimate.noise.freedom.is_none() {
         used = lengths.weighted(Sigma::Times((chi / freedom).sqrt()), &estimate.fit.out);
     }
     Ok(Prediction::of(setting, estimate, &used)?.pair.identified.mean)

@@ -26,7 +26,7 @@ pub(super) struct Choice {
 impl Choice {
     pub(super) fn of(search: &Search<'_>) -> Self {
         let Search { setting, base, set_up, implausible, .. } = search;
-        let lengths = search.lengths.weighted(search.sigma, &[]);
+        let lengths = search.lengths.weighted(search.noise.sigma, &[]);
         match setting.options.prior {
             Prior::None if setting.options.follows_list() => Self::all(base),
             Prior::None => {

@@ -59,7 +59,7 @@ fn moved(estimate: &Estimate, lengths: &Lengths, rows: isize) -> Lengths<'static
         .map(|(at, other)| {
             let length_mm = lengths.reading(other).length_mm;
             let reading = PreparedMeasurement { length_mm, ..lengths.reading(at) };
-            (reading, estimate.sigma.of(lengths.given(at)))
+            (reading, estimate.noise.sigma.of(lengths.given(at)))
         })
         .unzip();
     Lengths::few(readings, sigma)

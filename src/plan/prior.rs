@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::Job;
 use crate::catalogue::{JobFinding, PlanFinding};
-use crate::estimation::{Posterior, Priors};
+use crate::estimation::{Posterior, Priors, length_sd_mm};
 use crate::measurement::{LengthModel, PreparedMeasurement};
 use crate::robot::inverse::nearest;
 use crate::robot::{AXES, BallId, Pose, Robot};
@@ -176,5 +176,5 @@ impl Job {
 
 /// Standard deviation of one length, mm: of the bar and of the robot's repeatability together.
 pub(crate) fn length_sigma_mm(job: &Job, robot: &Robot) -> f64 {
-    (job.bar.sigma_um * 1e-3).hypot(robot.repeatability_sd_mm().unwrap_or(0.0))
+    length_sd_mm(job.bar.sigma_um * 1e-3, robot)
 }

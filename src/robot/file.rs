@@ -151,6 +151,12 @@ impl Robot {
         self.repeatability_mm.map(|mm| mm / REPEATABILITY)
     }
 
+    /// That its file should say how it repeats.
+    pub fn asked_repeatability(&self) -> Option<RobotFinding> {
+        let robot = self.name.clone();
+        self.repeatability_mm.is_none().then_some(RobotFinding::NoRepeatability { robot })
+    }
+
     /// Reads a robot file.
     ///
     /// # Errors
@@ -319,6 +325,9 @@ impl RobotFile {
         let [most_mm, most_deg] = [100.0, 45.0];
         if !(length_mm > 0.0 && length_mm <= most_mm && angle_deg > 0.0 && angle_deg <= most_deg) {
             return Err((None, RobotFinding::Tolerance { length_mm, angle_deg }));
+        }
+        if let Some(value) = self.repeatability_mm.filter(|mm| !(mm.is_finite() && *mm > 0.0)) {
+            return Err((None, RobotFinding::Repeatability { value }));
         }
         let masses = self.masses().map_err(|finding| (None, finding))?;
         if !are_lengths(&self.tool.ball_mm) {

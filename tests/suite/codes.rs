@@ -39,6 +39,7 @@ fn provoked() -> Vec<&'static str> {
         crate::service_answers_as_documented::provoked(),
         crate::service_refuses_strangers::provoked(),
         crate::sync_joins::provoked(),
+        crate::uncertainties_hold::provoked(),
     ]
     .concat()
 }

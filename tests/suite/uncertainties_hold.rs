@@ -8,12 +8,20 @@ use std::process::Command;
 use dbbd::estimation::result::{PriorSource, SigmaSource, Status};
 use dbbd::estimation::result_file::{ResultFile, Warning};
 use dbbd::measurement::Measurements;
+use dbbd::robot::Robot;
 use rand::{RngExt, SeedableRng};
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
 use tempfile::{TempDir, tempdir};
 
-use crate::cell::{CENTRE, DESIGNED, centres_csv, dbbd, measure, stderr, three_planes, with_errors};
+use crate::cell::{
+    CENTRE, DESIGNED, centres_csv, codes, dbbd, kr60, measure, stderr, three_planes, with_errors,
+};
+
+/// The codes that the tests of this module provoke.
+pub(crate) fn provoked() -> Vec<&'static str> {
+    vec!["I0510"]
+}
 
 const THIRTEEN: [&str; 2] = ["--estimate", "alpha1-5,a1-5,d4-6"];
 
@@ -255,6 +263,46 @@ fn absurd_sigmas_are_said() {
     wide.rows.iter_mut().for_each(|row| row.sigma_mm = Some(1e200));
     let (code, _, said) = run(cell(&wide).path(), &["--folds", "0"]);
     assert!(matches!(code, 1 | 3), "{said}");
+}
+
+/// Two lengths more than parameters, with the noise of a good bar: the robot repeats no better than before, as a plan
+/// expects it to.
+#[test]
+fn few_lengths_do_not_make_the_robot_repeat() {
+    let mut few = lengths(27, 0.0015);
+    few.rows.iter_mut().for_each(|row| row.sigma_mm = Some(0.0015));
+    few.rows.truncate(15);
+    let (result, said) = identify(cell(&few).path(), &THIRTEEN);
+    let planned_mm = 0.0015f64.hypot(0.05 / 3.616);
+    assert!((0.6 * planned_mm..1.2 * planned_mm).contains(&result.sigma_mm), "{said}");
+    assert_eq!(result.sigma_freedom, Some(6.0), "{said}");
+    // 68 lengths more show what the bar alone does.
+    let mut many = lengths(27, 0.0015);
+    many.rows.iter_mut().for_each(|row| row.sigma_mm = Some(0.0015));
+    let (result, said) = identify(cell(&many).path(), &THIRTEEN);
+    assert_eq!((result.sigma_mm, result.sigma_source), (0.0015, SigmaSource::Given), "{said}");
+}
+
+/// Of a robot whose file does not say how it repeats, that is asked.
+#[test]
+fn the_repeatability_is_asked_for() {
+    let dir = cell(&lengths(20, 0.01));
+    let toml = kr60().to_toml();
+    let silent: String = toml
+        .lines()
+        .filter(|line| !line.starts_with("repeatability"))
+        .fold(String::new(), |text, line| text + line + "\n");
+    for (text, asked) in [(&toml, false), (&silent, true)] {
+        fs::write(dir.path().join("robot.toml"), text).unwrap();
+        let args = ["identify", "obs.csv", "--robot", "robot.toml", "--centres", "C.csv", "--out", "out"];
+        let output = dbbd(dir.path(), &args);
+        assert_eq!(codes(&output).iter().any(|code| code == "I0510"), asked, "{}", stderr(&output));
+    }
+    for (name, text) in Robot::built_in() {
+        assert!(Robot::from_toml(name, text).unwrap().repeatability_mm.is_some(), "{name}");
+    }
+    let impossible = toml.replace("repeatability_mm = 0.05", "repeatability_mm = -0.05");
+    assert_eq!(Robot::from_toml("robot.toml", &impossible).unwrap_err().code.0, "E0505");
 }
 
 /// As many lengths as parameters: an answer, but no interval, since nothing tells sigma.

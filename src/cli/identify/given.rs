@@ -84,6 +84,7 @@ impl Given {
             ),
             source("robot", args.robot.clone().unwrap_or_else(from_plan)),
         ];
+        of_table.extend(robot.asked_repeatability().map(Diagnostic::from));
         let findings = joined.as_ref().map_or(of_table, |(run, matching)| findings(run, matching, &robot));
         let axes = match &joined {
             Some((run, _)) if run.axes_deg.is_empty() => AngleSource::Commanded,
@@ -124,7 +125,8 @@ fn findings(run: &Run, matching: &PoseMatching, robot: &Robot) -> Vec<Diagnostic
     let planned = run.robot().ok().map(|planned| planned.name).filter(|name| *name != robot.name);
     let other = planned
         .map(|planned| EstimationFinding::PlannedForAnother { planned, given: robot.name.clone() }.into());
-    torn.into_iter().chain(warnings.cloned().map(Diagnostic::from)).chain(other).collect()
+    let asked = robot.asked_repeatability().map(Diagnostic::from);
+    torn.into_iter().chain(warnings.cloned().map(Diagnostic::from)).chain(other).chain(asked).collect()
 }
 
 /// Every observation must have its ball, in millimetres and degrees.

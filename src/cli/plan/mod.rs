@@ -73,6 +73,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
     let robot_name = args.robot.as_deref().unwrap_or(&job.robot);
     let robot = robots::named(robot_name)?;
     job.check_against(robot.controller()).map_err(|why| Diagnostic::file(&name, why))?;
+    robot.asked_repeatability().into_iter().for_each(|finding| out.finding(finding));
     let mut measured = args.measured.clone();
     if robot.nominal.is_some() {
         let lengths = Path::new(robot_name).with_file_name(super::identify::LENGTHS);
