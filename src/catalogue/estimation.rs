@@ -39,10 +39,11 @@ findings! {
             NoLength => "no length matches a pose";
         }
         E1304 "a prior cannot be used",
-        cause: "A row of the table `name,unit,sd` names a parameter twice, or has another unit.",
-        cure: "Correct the row. The parameters.csv of an earlier identification of the same robot is such a table." {
+        cause: "A row of the table `name,unit,sd` names a parameter twice, or has another unit; or what the robot's earlier identification left unknown is not in its file.",
+        cure: "Correct the row; give the robot-identified.toml. The parameters.csv of an earlier identification of the same robot is such a table." {
             OtherUnitThan { parameter: String, unit: String, given: String } => "`{parameter}` is in {unit}, not in `{given}`";
             ParameterTwice { parameter: String } => "`{parameter}` is there twice";
+            NoPosterior => "the robot's file has no [posterior] of its values", help: "robot-identified.toml has it; or --prior datasheet";
         }
         E1305 "an argument of the estimation cannot be read",
         cause: "The text is not what the option takes.",
@@ -156,6 +157,12 @@ findings! {
         cause: "With the column of the lengths moved by some rows they fit decisively better: a row was lost or inserted in the table or in the trace.",
         cure: "Compare the first and the last rows of poses and lengths; give the lengths to their own poses. `gain` is the natural logarithm of the likelihood ratio." {
             ShiftedRows { rows: isize, residual_mm: f64, shifted_mm: f64, gain: f64 } => "with each length moved by {rows} row(s) the residual falls from {residual_mm:.4} mm to {shifted_mm:.4} mm (likelihood ratio e^{gain:.0})";
+        }
+        W1332 "what an earlier identification knew is lost",
+        cause: "The robot was identified before, and its file does not hold how well: it was written by an older version, or its values were changed since. These lengths alone then stand for all that is known, so that the predicted position error can rise.",
+        cure: "Give the robot-identified.toml as it was written; or identify the earlier lengths together with these. `--prior none` begins anew without a word." {
+            PosteriorLost => "the robot was identified before, but its file has no [posterior]: what these lengths do not determine is fixed as if it were exact or known by the tolerance alone";
+            PosteriorOfOtherValues => "[posterior] is of other values than the robot's: they were changed since, and it is not used";
         }
     }
 }

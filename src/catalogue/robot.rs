@@ -35,6 +35,7 @@ findings! {
             JointLimits { joint: usize, low_deg: f64, high_deg: f64 } => "joint {joint}: limits_deg = [{low_deg}, {high_deg}] must be [low, high], within 100000 degrees";
             JointSpeed { joint: usize, value: f64 } => "joint {joint}: a speed or acceleration of {value} must be positive, and at most 100000";
             Tolerance { length_mm: f64, angle_deg: f64 } => "[tolerance]: length_mm = {length_mm} and angle_deg = {angle_deg} must be positive, at most 100 mm and 45 degrees";
+            Posterior => "[posterior]: `values` and the rows of `root`, which are 1, 2, .. numbers long, must be as many as `parameters` of the robot, each there once";
             Repeatability { value: f64 } => "repeatability_mm = {value} must be positive";
             Mass { kg: f64, centre_mm: [f64; 3] } => "a mass of {kg} kg at {centre_mm:?} mm is impossible";
             MassJoint { joint: usize } => "[[mass]]: joint = {joint} must be 1 to 6";

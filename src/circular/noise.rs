@@ -2,6 +2,7 @@
 
 use super::quantities::Rays;
 use super::{Sense, Trace};
+use crate::math::robust::SIGMA_OF_MAD;
 
 /// Where the standard uncertainty of a single length comes from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
@@ -126,8 +127,6 @@ fn repeated(traces: &[Trace], rays: &Rays, centre: [f64; 2]) -> Option<Scatter> 
 /// Robust scatter of second differences between neighbours, and its degrees of freedom: noise, and on a sparse circle
 /// form as well.
 fn neighbours(traces: &[Trace], rays: &Rays, centre: [f64; 2]) -> Scatter {
-    /// Standard deviation of a normal distribution over its median magnitude.
-    const OF_MEDIAN: f64 = 1.4826;
     /// Degrees of freedom for each second difference: the median has 0.37 of the efficiency of the variance, and the
     /// correlations of neighbours, -2/3 and 1/6, cost a factor 1 + 2 (4/9 + 1/36).
     const FREEDOM: f64 = 0.19;
@@ -142,5 +141,5 @@ fn neighbours(traces: &[Trace], rays: &Rays, centre: [f64; 2]) -> Scatter {
     }
     let freedom = FREEDOM * second.len() as f64;
     let (_, median, _) = second.select_nth_unstable_by(middle, f64::total_cmp);
-    Scatter { sigma_mm: OF_MEDIAN * *median / 6f64.sqrt(), freedom }
+    Scatter { sigma_mm: SIGMA_OF_MAD * *median / 6f64.sqrt(), freedom }
 }

@@ -14,7 +14,8 @@ use super::residual_tests::joint_effects;
 use super::residuals::{residual_on, residuals};
 use super::result::{
     BeforeAfter, CalibrationResult, Folds, GroupTest, JointEffect, MonteCarlo, Outlier, ParameterResult,
-    PriorUsed, RankSummary, Reason, Recommendation, SigmaSource, SigmaSummary, SolverSummary, Status,
+    PriorUsed, RankSummary, Reason, Recommendation, SigmaSource, SigmaSummary, SolverSummary, StartRobot,
+    Status,
 };
 use super::selection::is_place;
 use super::setting::Setting;
@@ -158,7 +159,12 @@ impl<'a> Calibration<'a> {
         let nominal = setting.robot.nominal.clone().unwrap_or_else(|| Box::new(setting.robot.clone()));
         let geometry = estimate.fit.model.geometry.clone();
         CalibrationResult {
-            robot: Robot { geometry, nominal: Some(nominal), ..setting.robot.clone() },
+            robot: Robot {
+                posterior: self.prediction.posterior,
+                geometry,
+                nominal: Some(nominal),
+                ..setting.robot.clone()
+            },
             lengths: self.lengths.len() - outliers.len(),
             rank: self.rank,
             observability,
@@ -181,6 +187,7 @@ impl<'a> Calibration<'a> {
             findings,
             input_findings: inputs,
             before: estimate.before,
+            start: if setting.robot.nominal.is_some() { StartRobot::Identified } else { StartRobot::Nominal },
             posterior: uncertainty.posterior,
         }
     }

@@ -108,13 +108,19 @@ impl<'a> Search<'a> {
             free = without_open_places(priors, setting.start, &lengths.plain(), asked)
                 .ok_or(EstimationFinding::NotFinite)?;
         }
+        // What an earlier run determined is not given up to a fit of the set-up alone.
+        free.retain(|id| !priors.is_of_posterior(*id));
         let set_up = fit::set_up(lengths, &free, setting.start);
         let mut open = Vec::new();
         let analysis = loop {
             let judged: Vec<ParamId> = asked.iter().copied().filter(|id| !open.contains(id)).collect();
             let analysis =
                 analyse(&set_up.model, &lengths.plain(), &judged).ok_or(EstimationFinding::NotFinite)?;
-            let places: Vec<ParamId> = analysis.kept().into_iter().filter(is_place).collect();
+            let places: Vec<ParamId> = analysis
+                .kept()
+                .into_iter()
+                .filter(|id| is_place(id) && !priors.is_of_posterior(*id))
+                .collect();
             let more = if follows_list {
                 vec![]
             } else {

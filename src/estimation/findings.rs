@@ -4,7 +4,7 @@ use super::calibration::{AngleSource, Calibration};
 use super::lengths::Sigma;
 use super::linear_system::factor;
 use super::priors::{Priors, largest_displacement_mm, largest_plausible};
-use super::result::{GroupTest, JointEffect, JointError, MonteCarlo, ParameterResult, PredictedPair, Status};
+use super::result::{GroupTest, JointEffect, JointError, MonteCarlo, ParameterResult, Status};
 use super::shifted_rows::shifted_rows;
 use crate::catalogue::{EstimationFinding, Names};
 use crate::math::distributions::ChiSquare;
@@ -13,8 +13,6 @@ use crate::robot::{ParamId, parameter};
 
 /// Above this share of outliers the lengths that are left are doubtful too.
 const OUTLIER_SHARE: f64 = 0.1;
-/// The identified robot must be predicted at least this much better than the nominal one.
-const BETTER: f64 = 0.5;
 /// A robot drawn from its tolerance is off by less than this share of what is expected in no run of a thousand.
 const CLOSEST_TO_NOMINAL: f64 = 0.04;
 
@@ -25,7 +23,7 @@ pub(super) fn findings(of: &Calibration<'_>) -> Vec<EstimationFinding> {
     if !fit.converged {
         found.push(EstimationFinding::NotConverged { iterations: fit.iterations });
     }
-    let (residual_rms_mm, predicted_max_mm) = (of.residual_mm.after.rms, of.prediction.pair.nominal.max);
+    let (residual_rms_mm, predicted_max_mm) = (of.residual_mm.after.rms, of.prediction.maker.max);
     if residual_rms_mm > predicted_max_mm {
         found.push(EstimationFinding::FitsWorseThanNominal { residual_rms_mm, predicted_max_mm });
     }
@@ -46,18 +44,12 @@ pub(super) fn findings(of: &Calibration<'_>) -> Vec<EstimationFinding> {
     found
 }
 
-/// Whether the identified robot is predicted to be clearly better than the nominal one.
-pub(crate) fn is_determined(predicted: &PredictedPair) -> bool {
-    predicted.identified.mean <= BETTER * predicted.nominal.mean
-}
-
 /// Compares the corrections with the prior.
 fn beyond_prior(of: &Calibration<'_>) -> Option<EstimationFinding> {
     let estimate = &of.estimate;
     let prior = estimate.prior.as_ref()?;
-    let off = |k: usize| prior.weights[k] * (estimate.fit.model.value(estimate.kept[k]) - prior.mean[k]);
-    let count = prior.bound().count() as f64;
-    let ratio = prior.bound().map(|k| off(k).powi(2)).sum::<f64>() / count;
+    let count = prior.count() as f64;
+    let ratio = prior.deviates(&estimate.fit.model, &estimate.kept).norm_squared() / count;
     if count == 0.0 || ChiSquare::of(ratio, count) != ChiSquare::Greater {
         return None;
     }
@@ -152,12 +144,11 @@ fn joints(effects: &[JointEffect]) -> impl Iterator<Item = EstimationFinding> {
 
 /// Whether the lengths determine the position and not only themselves.
 fn position(of: &Calibration<'_>) -> Option<EstimationFinding> {
-    let predicted = &of.prediction.pair;
-    if is_determined(predicted) {
+    if of.prediction.is_determined() {
         return None;
     }
     let residual_rms_mm = of.residual_mm.after.rms;
-    let (identified_mm, nominal_mm) = (predicted.identified.mean, predicted.nominal.mean);
+    let (identified_mm, nominal_mm) = (of.prediction.pair.identified.mean, of.prediction.maker.mean);
     // Who gives a list of parameters knows that the others are fixed; but no one wants a robot that is worse than before.
     Some(if of.setting.options.follows_list() && identified_mm < nominal_mm {
         EstimationFinding::ListImprovesLittle { residual_rms_mm, identified_mm, nominal_mm }

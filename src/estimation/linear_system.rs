@@ -90,13 +90,17 @@ impl LinearSystem {
 
     /// Adds the prior's equations about `model`, where the rows were formed; the sum of their squares.
     pub(super) fn add_prior(&mut self, prior: &PriorRows, model: &LengthModel, ids: &[ParamId]) -> f64 {
-        let mut squares = 0.0;
-        for k in prior.bound() {
-            let wrong = prior.weights[k] * (model.value(ids[k]) - prior.mean[k]);
-            self.triangle.push_single(k, prior.weights[k], -wrong);
-            squares += wrong * wrong;
+        let wrong = prior.deviates(model, ids);
+        let mut values = vec![0.0; self.unknowns];
+        for (row, wrong) in prior.matrix().row_iter().zip(&wrong) {
+            values.iter_mut().zip(row.iter()).for_each(|(value, own)| *value = *own);
+            let mut nonzero = (0..values.len()).filter(|k| values[*k] != 0.0);
+            match (nonzero.next(), nonzero.next()) {
+                (Some(single), None) => self.triangle.push_single(single, values[single], -wrong),
+                _ => self.triangle.push(&values, -wrong),
+            }
         }
-        squares
+        wrong.norm_squared()
     }
 
     pub fn unknowns(&self) -> usize {

@@ -40,7 +40,6 @@ mod validation;
 mod wording;
 
 pub use calibration::{AngleSource, Calibration, Input};
-pub(crate) use findings::is_determined;
 pub use linear_system::{LinearSystem, factor};
 pub use observability::{Correlation, Observability, correlations, observability};
 pub use options::Options;

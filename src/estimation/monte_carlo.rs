@@ -3,13 +3,11 @@
 //! What the linear standard deviations count is drawn: the lengths' noise (with a sigma that was itself
 //! estimated, by its chi-square), the tolerance of what was fixed as poorly observable, and the rows of the prior.
 
-use nalgebra::DVector;
 use rand_distr::{ChiSquared, Distribution, StandardNormal};
 use rand_pcg::Pcg64;
 
 use super::estimate::Estimate;
 use super::lengths::{Lengths, Sigma};
-use super::prior::PriorRows;
 use super::priors::Priors;
 use super::result::{MonteCarlo, ParameterDraws, ParameterResult};
 use super::solver::{Loss, Problem, minimise};
@@ -96,7 +94,7 @@ fn draw(priors: &Priors, estimate: &Estimate, lengths: &Lengths, trials: usize) 
             reading.length_mm += factor * sigma * normal(&mut random);
         }
         let prior =
-            estimate.prior.as_ref().map(|prior| about(prior, model, &estimate.kept, || normal(&mut random)));
+            estimate.prior.as_ref().map(|prior| prior.drawn(model, &estimate.kept, || normal(&mut random)));
         let drawn = Lengths::few(readings, sigma.clone());
         let problem = Problem {
             lengths: drawn.weighted(Sigma::Given, &[]),
@@ -118,20 +116,6 @@ fn predicted(
 ) -> Vec<PreparedMeasurement> {
     let prepared = model.prepare();
     readings.map(|reading| PreparedMeasurement { length_mm: prepared.length(&reading), ..reading }).collect()
-}
-
-/// The same prior about a draw around the model.
-fn about(
-    prior: &PriorRows,
-    model: &LengthModel,
-    ids: &[ParamId],
-    mut normal: impl FnMut() -> f64,
-) -> PriorRows {
-    let mut mean = DVector::from_fn(ids.len(), |k, _| model.value(ids[k]));
-    for k in prior.bound() {
-        mean[k] += normal() / prior.weights[k];
-    }
-    PriorRows { weights: prior.weights.clone(), mean }
 }
 
 /// Standard deviation and 95 % interval of sorted draws; `None` of fewer than two.

@@ -178,7 +178,7 @@ fn f_test(best: &Estimate, lengths: &Lengths, members: &[ParamId]) -> Option<FTe
     let mut observations = used.count();
     if let Some(prior) = &best.prior {
         system.add_prior(prior, &best.fit.model, &best.kept);
-        observations += prior.bound().count();
+        observations += prior.count();
     }
     // A column that depends on those before it takes its place in the triangle with rounding: leave it out.
     loop {

@@ -2,7 +2,8 @@
 
 use super::fit::Fit;
 use super::lengths::Weighted;
-use super::solver::{Loss, MAD_TO_SD, ROUNDING, Solution, robust_scale, whitened};
+use super::solver::{Loss, ROUNDING, Solution, robust_scale, whitened};
+use crate::math::robust::SIGMA_OF_MAD;
 use crate::measurement::{LengthModel, MeasurementPieces};
 
 /// Robust standard deviations beyond which a residual of the nominal robot is absurd.
@@ -70,7 +71,7 @@ pub(super) fn standing_out(
     if vanished > 0 {
         left.select_nth_unstable_by(vanished, f64::total_cmp);
     }
-    let most = limit * robust_scale(&left[vanished..]).max(ROUNDING * MAD_TO_SD);
+    let most = limit * robust_scale(&left[vanished..]).max(ROUNDING * SIGMA_OF_MAD);
     if stride == 1 {
         return (0..residuals.len()).filter(|&at| residuals[at].abs() > most).collect();
     }

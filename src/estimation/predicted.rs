@@ -20,14 +20,17 @@ use super::estimate::Estimate;
 use super::lengths::Weighted;
 use super::linear_system::factor;
 use super::prior::PriorRows;
+use super::priors::Prior;
 use super::result::{MapPoint, PredictedPair};
 use super::setting::Setting;
 use crate::catalogue::EstimationFinding;
 use crate::math::{Orthonormal, svd};
-use crate::robot::{AXES, Chain, Geometry, ParamId, Robot};
+use crate::robot::{AXES, Chain, Geometry, ParamId, Robot, RobotPosterior};
 
 /// How many robots are drawn for a prediction, unless more numbers are to be drawn for each.
 const DRAWS: usize = 100;
+/// The identified robot must be predicted at least this much better than its maker's tolerance leaves it.
+const BETTER: f64 = 0.5;
 
 /// Error of the ball's position over a workspace: pooled over the robots drawn, mm.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -161,8 +164,8 @@ pub struct Estimator<'a> {
     pub ids: &'a [ParamId],
     /// Triangular factor of their weighted Jacobian (rows divided by sigma).
     pub factor: &'a DMatrix<f64>,
-    /// One standard deviation of each parameter's true error; 0 for what is exact or free.
-    pub tolerance: &'a [f64],
+    /// Root of the covariance of the true errors, a row a parameter; 0 for what is exact or free.
+    pub truth: &'a DMatrix<f64>,
     /// Which of the parameters are estimated.
     pub kept: &'a [usize],
     /// Prior on the estimated ones as rows of weighted equations; no rows without a prior.
@@ -173,10 +176,7 @@ impl Estimator<'_> {
     /// True errors of drawn robots, a column each, and the noise of their lengths, a row a kept parameter.
     pub fn draws(&self) -> [DMatrix<f64>; 2] {
         let drawn = unit_draws(self.ids.len() + self.kept.len());
-        let mut truths = drawn.rows(0, self.ids.len()).into_owned();
-        for (mut row, tolerance) in truths.row_iter_mut().zip(self.tolerance) {
-            row *= *tolerance;
-        }
+        let truths = self.truth * drawn.rows(0, self.ids.len());
         [truths, drawn.rows(self.ids.len(), self.kept.len()).into_owned()]
     }
 
@@ -209,7 +209,13 @@ impl Estimator<'_> {
 pub(crate) struct Prediction {
     pub(crate) pair: PredictedPair,
     pub(super) map: Vec<MapPoint>,
-    /// All parameters that can be wrong,
+    /// The robot by its maker's tolerance, whatever was identified before.
+    pub(super) maker: ErrorSummary,
+    /// What the identified robot may still be wrong by.
+    pub(super) posterior: Option<RobotPosterior>,
+    /// Root of the covariance of the errors before,
+    pub(crate) before: DMatrix<f64>,
+    /// all parameters that can be wrong,
     pub(crate) ids: Vec<ParamId>,
     /// the factor of their whitened Jacobian at the solution,
     pub(super) factor: DMatrix<f64>,
@@ -227,32 +233,88 @@ impl Prediction {
     ) -> Result<Self, EstimationFinding> {
         let ids = setting.all_and(estimate.before.balls.len().into(), &estimate.analysis.ids);
         // What is optional counts as exact for both robots, as where it is not estimated.
-        let sd = |id: &ParamId| setting.priors.bound(*id, &[]).or_else(|| estimate.prior_sd(*id));
-        let tolerance: Vec<f64> =
-            ids.iter().map(|id| sd(id).filter(|_| !id.is_optional()).unwrap_or(0.0)).collect();
+        let of_robot = |id: &ParamId| setting.priors.bound(*id, &[]).filter(|_| !id.is_optional());
+        let sd = |id: &ParamId| of_robot(id).or_else(|| estimate.prior_sd(*id).filter(|_| !id.is_optional()));
+        let tolerance: Vec<f64> = ids.iter().map(|id| sd(id).unwrap_or(0.0)).collect();
         let kept: Vec<usize> =
             estimate.kept.iter().filter_map(|id| ids.iter().position(|other| other == id)).collect();
-        let prior = estimate.prior.as_ref().map_or(DMatrix::zeros(0, kept.len()), PriorRows::matrix);
+        let none = DMatrix::zeros(0, kept.len());
+        let prior = estimate.prior.as_ref().map_or(&none, PriorRows::matrix);
         let model = &estimate.fit.model;
         let factor = factor(model, lengths, &ids);
-        let estimator =
-            Estimator { ids: &ids, factor: &factor, tolerance: &tolerance, kept: &kept, prior: &prior };
+        let before = setting.priors.root(&ids, &tolerance);
+        let estimator = Estimator { ids: &ids, factor: &factor, truth: &before, kept: &kept, prior };
         let workspace =
             Workspace::new(&model.geometry, &setting.options.workspace_poses(setting.robot), &ids);
         let [truths, noise] = estimator.draws();
         // What the user fixed is taken as exact; the nominal robot has all its tolerance.
-        let mut unknown = truths.clone();
-        for (at, _) in ids.iter().enumerate().filter(|(_, id)| !estimate.analysis.ids.contains(id)) {
-            unknown.row_mut(at).fill(0.0);
-        }
+        let fixed = |id: &ParamId| !estimate.analysis.ids.contains(id);
+        let unknown = without_rows(&truths, &ids, fixed);
         let errors = estimator.errors(&unknown, &noise).ok_or(EstimationFinding::NotFinite)?;
         let moved = workspace.displacements(&errors);
         let pair = PredictedPair {
             nominal: workspace.summary(&workspace.displacements(&truths)),
             identified: workspace.summary(&moved),
         };
-        Ok(Self { pair, map: workspace.map(&moved), ids, factor, workspace })
+        let maker = if setting.options.prior == Prior::Posterior {
+            let sd = |at: usize| setting.priors.geometric(ids[at]).unwrap_or(0.0);
+            let tolerance = DMatrix::from_fn(
+                ids.len(),
+                ids.len(),
+                |row, column| {
+                    if row == column { sd(row) } else { 0.0 }
+                },
+            );
+            workspace.summary(&workspace.displacements(&(tolerance * unit_draws(ids.len()))))
+        } else {
+            pair.nominal
+        };
+        let posterior = estimator.left(setting, estimate);
+        Ok(Self { pair, maker, posterior, map: workspace.map(&moved), before, ids, factor, workspace })
     }
+
+    /// Whether the identified robot is predicted to be clearly better than its maker's word.
+    pub(crate) fn is_determined(&self) -> bool {
+        self.pair.identified.mean <= BETTER * self.maker.mean
+    }
+}
+
+impl Estimator<'_> {
+    /// What the robot's own values may be wrong by after the estimate: by the errors before, and by the noise. A set-up that
+    /// the user fixed is exact, a robot's parameter that was fixed is known as before.
+    fn left(&self, setting: &Setting<'_>, estimate: &Estimate) -> Option<RobotPosterior> {
+        let (count, kept) = (self.ids.len(), self.kept.len());
+        let mut truth = self.truth.clone();
+        let is_own = |id: ParamId| id.is_geometric() || matches!(id, ParamId::Tool(_));
+        let is_asked = |id: &ParamId| estimate.analysis.ids.contains(id);
+        let poor = |id: &ParamId| estimate.poorly_observable.contains(id);
+        for (at, id) in self.ids.iter().enumerate() {
+            match id {
+                ParamId::Tool(_) if poor(id) => truth[(at, at)] = setting.priors.sd(*id),
+                ParamId::BarOffset(_) | ParamId::Ball(..) if !is_asked(id) => truth.row_mut(at).fill(0.0),
+                _ => {}
+            }
+        }
+        let of_truth = self.errors(&truth, &DMatrix::zeros(kept, count))?;
+        let of_noise = self.errors(&DMatrix::zeros(count, kept), &DMatrix::identity(kept, kept))?;
+        let own: Vec<usize> = (0..count)
+            .filter(|&at| is_own(self.ids[at]) && (of_truth.row(at).norm() + of_noise.row(at).norm()) > 0.0)
+            .collect();
+        let mut root = DMatrix::zeros(own.len(), count + kept);
+        root.columns_mut(0, count).copy_from(&of_truth.select_rows(&own));
+        root.columns_mut(count, kept).copy_from(&of_noise.select_rows(&own));
+        let ids: Vec<ParamId> = own.iter().map(|at| self.ids[*at]).collect();
+        RobotPosterior::new(&ids, &estimate.fit.model.geometry, &root)
+    }
+}
+
+/// The errors without those of some parameters.
+fn without_rows(errors: &DMatrix<f64>, ids: &[ParamId], out: impl Fn(&ParamId) -> bool) -> DMatrix<f64> {
+    let mut left = errors.clone();
+    for (at, _) in ids.iter().enumerate().filter(|(_, id)| out(id)) {
+        left.row_mut(at).fill(0.0);
+    }
+    left
 }
 
 /// Standard normal numbers, a column a robot, from seed 1. Rows are brought to unit covariance: as drawn, so few robots
@@ -290,9 +352,9 @@ mod tests {
         let (ids, kept) = ([ParamId::Tool(crate::robot::Coordinate::X); 4], [0, 1, 2]);
         let prior = DMatrix::from_diagonal(&nalgebra::DVector::from_row_slice(&[0.2, 0.1, 0.4]));
         let tolerance = [5.0, 10.0, 2.5, 0.3];
+        let truth = DMatrix::from_diagonal(&nalgebra::DVector::from_row_slice(&tolerance));
         let errors = |factor: &DMatrix<f64>| {
-            let estimator =
-                Estimator { ids: &ids, factor, tolerance: &tolerance, kept: &kept, prior: &prior };
+            let estimator = Estimator { ids: &ids, factor, truth: &truth, kept: &kept, prior: &prior };
             let [truths, noise] = estimator.draws();
             estimator.errors(&truths, &noise).unwrap()
         };

@@ -30,6 +30,7 @@ pub(super) fn settle<'a>(
         Prior::None => return Ok(Settled { setting, prior: None }),
         Prior::Datasheet => PriorSource::Datasheet,
         Prior::Given(_) => PriorSource::File,
+        Prior::Posterior => PriorSource::Posterior,
     };
     let scale = match setting.options.prior_scale {
         PriorScale::AsGiven => Some(1.0),

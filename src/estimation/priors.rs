@@ -11,7 +11,9 @@
 
 use std::collections::BTreeMap;
 
-use crate::robot::{AXES, ParamId, Robot, Unit};
+use nalgebra::{DMatrix, DVector};
+
+use crate::robot::{AXES, ParamId, Robot, RobotPosterior, Unit};
 
 const TOOL_BALL_MM: f64 = 0.1;
 const BASE_BALL_MM: f64 = 10.0;
@@ -42,6 +44,8 @@ pub enum Prior {
     Datasheet,
     /// Standard deviations of some parameters; the datasheet's of the rest.
     Given(BTreeMap<ParamId, f64>),
+    /// What the identification of the robot before left unknown; the datasheet's of the rest.
+    Posterior,
 }
 
 /// A factor on every standard deviation of the prior: above 1 the lengths count for more.
@@ -62,6 +66,7 @@ pub struct Priors {
     greatest_torques: [f64; AXES],
     bar_u_mm: Option<f64>,
     given: BTreeMap<ParamId, f64>,
+    posterior: Option<RobotPosterior>,
     scale: f64,
 }
 
@@ -74,6 +79,7 @@ impl Priors {
             greatest_torques: robot.geometry.greatest_torques(),
             bar_u_mm,
             given: BTreeMap::new(),
+            posterior: None,
             scale: 1.0,
         }
     }
@@ -82,7 +88,28 @@ impl Priors {
     pub fn of(robot: &Robot, bar_u_mm: Option<f64>, prior: &Prior, scale: PriorScale) -> Self {
         let given = if let Prior::Given(given) = prior { given.clone() } else { BTreeMap::new() };
         let scale = if let PriorScale::By(scale) = scale { scale } else { 1.0 };
-        Self { given, scale, ..Self::datasheet(robot, bar_u_mm) }
+        let posterior = robot.posterior.clone().filter(|_| *prior == Prior::Posterior);
+        Self { given, posterior, scale, ..Self::datasheet(robot, bar_u_mm) }
+    }
+
+    /// Whether an earlier identification left the errors of this parameter correlated with those of others.
+    pub(super) fn is_of_posterior(&self, id: ParamId) -> bool {
+        self.posterior.as_ref().is_some_and(|posterior| posterior.ids().contains(&id))
+    }
+
+    /// The root of the covariance of `ids` before any length, square and lower triangular: standard deviations `sd`, and
+    /// among the parameters of an earlier identification what this left.
+    pub fn root(&self, ids: &[ParamId], sd: &[f64]) -> DMatrix<f64> {
+        let mut root = DMatrix::from_diagonal(&DVector::from_column_slice(sd));
+        let Some(posterior) = &self.posterior else { return root };
+        let places: Vec<usize> = (0..ids.len()).filter(|&at| posterior.ids().contains(&ids[at])).collect();
+        let own: Vec<ParamId> = places.iter().map(|&at| ids[at]).collect();
+        let block = posterior.root_of(&own) * self.scale;
+        for (row, &at) in places.iter().enumerate() {
+            root[(at, at)] = 0.0;
+            places[..=row].iter().enumerate().for_each(|(column, &to)| root[(at, to)] = block[(row, column)]);
+        }
+        root
     }
 
     /// One standard deviation before any length, mm, rad or rad/(N m).
@@ -103,7 +130,8 @@ impl Priors {
 
     fn robot_or_bar(&self, id: ParamId) -> Option<f64> {
         let given = self.given.get(&id).copied();
-        let by_prior = given.or_else(|| self.geometric(id)).or_else(|| self.optional(id));
+        let posterior = || self.posterior.as_ref()?.sd(id);
+        let by_prior = given.or_else(posterior).or_else(|| self.geometric(id)).or_else(|| self.optional(id));
         let bar = || self.bar_u_mm.filter(|_| matches!(id, ParamId::BarOffset(_)));
         by_prior.map(|sd| self.scale * sd).or_else(bar)
     }

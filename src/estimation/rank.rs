@@ -16,6 +16,12 @@ pub struct Combination {
 }
 
 impl Combination {
+    /// The members with their coefficients where each is in units of an error that nobody would be surprised by.
+    pub fn scaled(&self) -> impl Iterator<Item = (ParamId, f64)> {
+        let unit = plausible(self.kept);
+        self.members.iter().map(move |(id, coefficient)| (*id, coefficient * plausible(*id) / unit))
+    }
+
     pub fn contains(&self, id: ParamId) -> bool {
         self.members.iter().any(|(member, _)| *member == id)
     }

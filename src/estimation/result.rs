@@ -15,8 +15,10 @@ use crate::robot::{BallId, ParamId, Robot};
 pub struct CalibrationResult {
     /// The identified robot, tool ball included, with the nominal one inside.
     pub robot: Robot,
-    /// The nominal robot with the part of the set-up fitted that the user did not fix.
+    /// The robot at the start with the part of the set-up fitted that the user did not fix.
     pub before: LengthModel,
+    /// Which robot that is.
+    pub start: StartRobot,
     /// The identified robot, set-up and bar, and the covariance of the parameters estimated.
     pub posterior: Posterior,
     /// Lengths used.
@@ -97,6 +99,16 @@ impl CalibrationResult {
 pub struct ResidualPair {
     pub before: f64,
     pub after: f64,
+}
+
+/// The robot that "before" is about.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum StartRobot {
+    #[default]
+    Nominal,
+    /// As an earlier run identified it.
+    Identified,
 }
 
 /// Rank of the scaled Jacobian of the parameters asked for.
@@ -189,6 +201,8 @@ pub struct PriorUsed {
 pub enum PriorSource {
     Datasheet,
     File,
+    /// What an earlier identification left.
+    Posterior,
 }
 
 /// A factor on the prior's standard deviations, and the held-out residuals with it.

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::result::{
     BeforeAfter, CalibrationResult, Folds, FurtherMeasurement, GroupOutcome, GroupTest, JointEffect,
-    ParameterDraws, PredictedPair, PriorUsed, Recommendation, SigmaSource, Status, WithoutWith,
+    ParameterDraws, PredictedPair, PriorUsed, Recommendation, SigmaSource, StartRobot, Status, WithoutWith,
 };
 use super::{Combination, Observability, result};
 use crate::diagnostic::{Diagnostic, Severity};
@@ -16,6 +16,9 @@ use crate::diagnostic::{Diagnostic, Severity};
 pub struct ResultFile {
     pub schema: u32,
     pub robot: String,
+    /// The robot that `before` and `nominal` are about.
+    #[serde(default)]
+    pub start: StartRobot,
     pub observations: usize,
     pub rank: usize,
     pub rank_at_solution: usize,
@@ -153,6 +156,7 @@ impl From<&CalibrationResult> for ResultFile {
         Self {
             schema: 1,
             robot: result.robot.name.clone(),
+            start: result.start,
             observations: result.lengths,
             rank: result.rank.nominal,
             rank_at_solution: result.rank.at_solution,

@@ -35,7 +35,7 @@ impl Choice {
                 let poor = [implausible.as_slice(), poor.as_slice()].concat();
                 Self { poorly_observable: poor.clone(), ..Self::all(&without(base, &poor)) }
             }
-            Prior::Datasheet | Prior::Given(_) => Self::bound(search, &lengths),
+            Prior::Datasheet | Prior::Given(_) | Prior::Posterior => Self::bound(search, &lengths),
         }
     }
 
@@ -153,13 +153,14 @@ pub(crate) fn without_open_places(
     lengths: &Weighted,
     asked: &[ParamId],
 ) -> Option<Vec<ParamId>> {
-    let mut places: Vec<ParamId> = asked.iter().copied().filter(is_place).collect();
+    let is_judged = |id: &ParamId| is_place(id) && !priors.is_of_posterior(*id);
+    let mut places: Vec<ParamId> = asked.iter().copied().filter(is_judged).collect();
     places.sort_by_key(|id| matches!(id, ParamId::Tool(_)));
     let order: Vec<usize> = (0..places.len()).collect();
     let set = base_set(&factor(start, &lengths.by(Sigma::All(1.0)), &places), &order)?;
     let determined: Vec<ParamId> = set.kept.iter().map(|&k| places[k]).collect();
     let open = open_places(priors, start, lengths, determined.clone());
-    let free = |id: &ParamId| !is_place(id) || determined.contains(id) && !open.contains(id);
+    let free = |id: &ParamId| !is_judged(id) || determined.contains(id) && !open.contains(id);
     Some(asked.iter().copied().filter(free).collect())
 }
 

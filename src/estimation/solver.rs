@@ -9,7 +9,7 @@ use nalgebra::DVector;
 use super::lengths::Weighted;
 use super::linear_system::{LinearSystem, Rows};
 use super::prior::PriorRows;
-use crate::math::Triangle;
+use crate::math::{Triangle, robust};
 use crate::measurement::LengthModel;
 use crate::robot::ParamId;
 
@@ -45,8 +45,6 @@ pub(super) struct Solution {
 }
 
 const HUBER: f64 = 1.345;
-/// 1 / the 75 % point of the normal distribution: makes the median of |r| a standard deviation.
-pub(super) const MAD_TO_SD: f64 = 1.482_602_218_505_602;
 /// A residual scale below this (in sigmas or mm) is rounding, not noise.
 pub(super) const ROUNDING: f64 = 1e-9;
 const MAX_STEPS: usize = 100;
@@ -219,12 +217,7 @@ pub(super) fn whitened(lengths: &Weighted, model: &LengthModel) -> Vec<f64> {
 /// Median of the magnitudes as a standard deviation.
 pub(super) fn robust_scale(residuals: &[f64]) -> f64 {
     let mut sizes: Vec<f64> = residuals.iter().map(|r| r.abs()).collect();
-    if sizes.is_empty() {
-        return 0.0;
-    }
-    let middle = sizes.len() / 2;
-    let (_, median, _) = sizes.select_nth_unstable_by(middle, f64::total_cmp);
-    *median * MAD_TO_SD
+    robust::median(&mut sizes).unwrap_or(0.0) * robust::SIGMA_OF_MAD
 }
 
 /// Root of Huber's weight.

@@ -44,9 +44,9 @@ pub(super) fn uncertainty(
         let effective_parameters = ids.len() as f64;
         return Some(Uncertainty { data_sd: norms(&root), posterior: posterior(root), effective_parameters });
     };
-    let mut stacked = DMatrix::zeros(data.nrows() + ids.len(), ids.len());
+    let mut stacked = DMatrix::zeros(data.nrows() + prior.count(), ids.len());
     stacked.rows_mut(0, data.nrows()).copy_from(&data);
-    stacked.rows_mut(data.nrows(), ids.len()).copy_from(&prior.matrix());
+    stacked.rows_mut(data.nrows(), prior.count()).copy_from(prior.matrix());
     let both = inverse_root(&stacked)?;
     let mut data_sd = vec![f64::INFINITY; ids.len()];
     let determined: Vec<usize> = (0..ids.len()).filter(|&k| base.contains(&ids[k])).collect();

@@ -4,26 +4,14 @@ use std::fmt;
 
 use super::result::{
     CirclePlane, FTest, FurtherMeasurement, GroupOutcome, GroupTest, OptionalGroup, ParameterResult, Reason,
-    Recommendation, Untested, WithoutWith,
+    Recommendation, StartRobot, Untested, WithoutWith,
 };
 use super::{Combination, priors};
 use crate::robot::{BarId, ParamId, Unit};
 
 impl fmt::Display for Combination {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        out.write_str("only ")?;
-        for (at, (id, coefficient)) in self.members.iter().enumerate() {
-            out.write_str(match (at, *coefficient < 0.0) {
-                (0, _) => "",
-                (_, true) => " - ",
-                (_, false) => " + ",
-            })?;
-            let size = coefficient.abs();
-            if (size - 1.0).abs() > 1e-6 {
-                write!(out, "{} ", significant(size))?;
-            }
-            write!(out, "{id}")?;
-        }
+        self.write_sum(out)?;
         out.write_str(" is identifiable")?;
         let bar = |id: &ParamId| if let ParamId::BarOffset(bar) = id { Some(*bar) } else { None };
         match (self.members.iter().filter_map(|(id, _)| bar(id)).max(), self.kept) {
@@ -41,6 +29,39 @@ impl fmt::Display for Combination {
             (None, ParamId::Tool(_)) => out.write_str(": the flange is known only by the ball on it"),
             (None, _) => Ok(()),
         }
+    }
+}
+
+/// Terms of a sum beyond which only their number is said.
+const MOST_TERMS: usize = 6;
+/// A term below this share of the largest is rounding beside it.
+const LEAST_TERM: f64 = 1e-3;
+
+impl Combination {
+    /// The sum, each parameter in mm or mrad (urad/(N m)); of many terms, or terms of very different sizes, their number and
+    /// the largest.
+    fn write_sum(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let terms: Vec<(ParamId, f64)> = self.scaled().collect();
+        let size = |(_, share): &&(ParamId, f64)| share.abs();
+        let Some(largest) = terms.iter().max_by(|a, b| size(a).total_cmp(&size(b))) else { return Ok(()) };
+        if terms.len() > MOST_TERMS || terms.iter().any(|term| size(&term) < LEAST_TERM * size(&largest)) {
+            return write!(out, "only a combination of {} parameters, mostly of {},", terms.len(), largest.0);
+        }
+        out.write_str("only ")?;
+        for (at, (id, coefficient)) in terms.iter().enumerate() {
+            out.write_str(match (at, *coefficient < 0.0) {
+                (0, _) => "",
+                (_, true) => " - ",
+                (_, false) => " + ",
+            })?;
+            let size = coefficient.abs();
+            if (size - 1.0).abs() > 1e-6 {
+                write!(out, "{} ", significant(size))?;
+            }
+            write!(out, "{id}")?;
+        }
+        let mixed = terms.iter().any(|(id, _)| id.unit() != self.kept.unit());
+        out.write_str(if mixed { " (in mm and mrad)" } else { "" })
     }
 }
 
@@ -95,6 +116,15 @@ fn with_unit(value: f64, id: ParamId) -> String {
         Unit::RadPerNm => format!("{:.3} urad/(N m)", value * 1e6),
         unit if value >= 10.0 => format!("{value:.0} {unit}"),
         unit => format!("{value:.3} {unit}"),
+    }
+}
+
+impl fmt::Display for StartRobot {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.write_str(match self {
+            Self::Nominal => "the nominal robot",
+            Self::Identified => "the robot as it was identified before",
+        })
     }
 }
 
@@ -240,5 +270,26 @@ impl fmt::Display for Recommendation {
         } else {
             Ok(())
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::robot::Joint;
+
+    #[test]
+    fn a_sum_has_readable_numbers_or_is_a_count() {
+        let of = |kept, others: &[(ParamId, f64)]| {
+            let members = [&[(kept, 1.0)], others].concat();
+            Combination { kept, members }.to_string()
+        };
+        let (alpha1, d2, beta2) =
+            (ParamId::Alpha(Joint::J2), ParamId::D(Joint::J2), ParamId::Beta(Joint::J3));
+        assert!(of(alpha1, &[(d2, 1.0 / 15.0)]).contains("+ 66.67 "), "{}", of(alpha1, &[(d2, 1.0 / 15.0)]));
+        let rounding = of(d2, &[(beta2, -6.607e8)]);
+        assert!(!rounding.contains("607") && rounding.contains("2 parameters"), "{rounding}");
+        let many: Vec<(ParamId, f64)> = Joint::ALL.into_iter().map(|j| (ParamId::A(j), 0.5)).collect();
+        assert!(of(d2, &many).contains("7 parameters"));
     }
 }

@@ -1,7 +1,7 @@
 //! Order statistics that one bad value does not move.
 
 /// Ratio of a normal distribution's standard deviation to its median absolute deviation.
-pub const SIGMA_OF_MAD: f64 = 1.4826;
+pub const SIGMA_OF_MAD: f64 = 1.482_602_218_505_602;
 
 /// The (upper) median; reorders `values`. `None` of nothing.
 pub fn median(values: &mut [f64]) -> Option<f64> {

@@ -121,12 +121,6 @@ impl Triangle {
         corner * corner
     }
 
-    /// The inverse of the factor, a root of the covariance: C = root root'. `None` when a pivot is zero or not finite.
-    pub fn inverse_root(&mut self) -> Option<DMatrix<f64>> {
-        let root = self.factor().solve_upper_triangular(&DMatrix::identity(self.n, self.n))?;
-        root.iter().all(|value| value.is_finite()).then_some(root)
-    }
-
     /// The unknowns by back substitution; `None` when a pivot is zero or not finite.
     pub fn solve(&mut self) -> Option<DVector<f64>> {
         self.fold();
@@ -181,10 +175,6 @@ mod tests {
         assert!((x[0] - offset).abs() < 1e-12 && (x[1] - slope).abs() < 1e-12);
         let rss: f64 = points.iter().map(|(x, y)| (y - offset - slope * x).powi(2)).sum();
         assert!((triangle.residual_sum() - rss).abs() < 1e-9 * rss);
-        let root = triangle.inverse_root().unwrap();
-        let variance = sxx / (n * sxx - sx * sx);
-        assert!(((&root * root.transpose())[(0, 0)] - variance).abs() < 1e-12);
-        assert!(Triangle::new(2).inverse_root().is_none(), "no row yet");
     }
 
     #[test]

@@ -118,7 +118,7 @@ impl<'a> Cell<'a> {
         let sphere = Sphere {
             arm: self.rig.arm,
             limits_deg: &self.rig.controller.limits_deg,
-            id: BallId::new(centre).unwrap_or(BallId::FIRST),
+            id: BallId::numbered(centre),
             ball: Vector3::from(table.xyz_mm),
             radius_mm: self.job.bar.length_mm,
             near: reach.near.as_ref(),

@@ -115,7 +115,7 @@ impl<'a> Drawer<'a> {
         let branch = status(rig.arm, &self.start);
         let seed = u64::from(job.seed) << 32 | number << 16 | circle.point(angle);
         let mut random = Pcg64::seed_from_u64(seed);
-        let ball = BallId::new(table.centre).unwrap_or(BallId::FIRST);
+        let ball = BallId::numbered(table.centre);
         let mut found = Vec::new();
         for draw in 0..DRAWS {
             let q = circle.amplitude();

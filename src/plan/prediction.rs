@@ -11,14 +11,13 @@ use crate::catalogue::PlanFinding;
 use crate::design::length_count::{LengthCount, Sufficiency, by_count, sufficiency};
 use crate::design::second_ball::{OneBall, SecondBall};
 use crate::diagnostic::Diagnostic;
+use crate::estimation::priors::WEAK;
 use crate::estimation::result::MapPoint;
 use crate::estimation::{ErrorSummary, Foreseen, Observability, Outlook, outlook};
 use crate::measurement::PreparedMeasurement;
 use crate::robot::inverse::clearance;
 use crate::robot::{AXES, BallId, Robot};
 
-/// A parameter of which the lengths alone leave more than this many tolerances is poorly observable.
-const WEAK: f64 = 3.0;
 /// Poses over which the 3-D error is taken, as in an identification.
 const POSES: usize = 2000;
 /// Of these so many where it is taken for many pose sets.
@@ -45,9 +44,9 @@ pub struct Prediction {
     /// Combinations of which only one value is identifiable, in words.
     pub dependent: Vec<String>,
     /// 3-D error over the workspace after one best rigid alignment, mm, as the robot is known now.
-    pub now_mm: Error3d,
+    pub now_mm: ErrorSummary,
     /// The same after an identification with the datasheet as prior, mm.
-    pub identified_mm: Error3d,
+    pub identified_mm: ErrorSummary,
     /// What fewer and more lengths determine.
     pub against: Vec<LengthCount>,
     /// The error left afterwards by the distance from the base balls.
@@ -55,17 +54,6 @@ pub struct Prediction {
     /// How many lengths are enough, how far the result is valid, where a second ball would help.
     #[serde(rename = "advice")]
     pub recommendations: Vec<Diagnostic>,
-}
-
-/// A 3-D error over the workspace, mm.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Error3d {
-    /// Mean over robots and poses.
-    pub mean: f64,
-    /// 95th percentile over robots and poses.
-    pub p95: f64,
-    /// Largest over the poses: 95 % of the robots stay below it.
-    pub max: f64,
 }
 
 /// One parameter's standard deviations, mm or rad.
@@ -105,7 +93,7 @@ impl PlanRow {
     pub fn reading(&self) -> PreparedMeasurement {
         PreparedMeasurement::new(
             self.axes_deg.map(f64::to_radians),
-            BallId::new(self.centre).unwrap_or(BallId::FIRST),
+            BallId::numbered(self.centre),
             self.length_mm,
         )
     }
@@ -144,8 +132,8 @@ impl Plan {
                 .into_iter()
                 .map(|combination| combination.to_string())
                 .collect(),
-            now_mm: seen.error_mm[0].into(),
-            identified_mm: seen.error_mm[1].into(),
+            now_mm: seen.error_mm[0],
+            identified_mm: seen.error_mm[1],
             observability: seen.observability,
             against,
             regions,
@@ -231,11 +219,5 @@ impl From<Sufficiency<'_>> for PlanFinding {
                 doubled_error_mm: doubled.error_mm,
             },
         }
-    }
-}
-
-impl From<ErrorSummary> for Error3d {
-    fn from(summary: ErrorSummary) -> Self {
-        Self { mean: summary.mean, p95: summary.p95, max: summary.max }
     }
 }

@@ -25,6 +25,8 @@ const DRAWN_BY_AXIS: usize = 1500;
 #[derive(Serialize)]
 struct Page<'a> {
     result: &'a ResultFile,
+    /// The robot that "before" is about.
+    before: String,
     /// What each recommendation says to measure.
     further: Vec<String>,
     counts: Counts,
@@ -69,6 +71,7 @@ pub fn html(
     let file = ResultFile::from(found);
     let page = Page {
         result: &file,
+        before: found.start.to_string(),
         further: found.recommendations.iter().map(Recommendation::what).collect(),
         figures: Figures::of(found, &points),
         counts,

@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::kinematics::{DhRow, Geometry, Mass};
+use super::posterior::{PosteriorTable, RobotPosterior};
 use super::{AXES, Joint};
 use crate::base::parse::from_toml;
 use crate::catalogue::RobotFinding;
@@ -26,6 +27,8 @@ pub struct Robot {
     pub repeatability_mm: Option<f64>,
     /// The nominal robot that an identified one came from.
     pub nominal: Option<Box<Robot>>,
+    /// What its identification left unknown.
+    pub posterior: Option<RobotPosterior>,
     /// Where the file's numbers come from.
     pub source: Option<String>,
     /// Whether the last of the masses is the payload.
@@ -68,6 +71,8 @@ struct RobotFile {
     mass: Vec<MassTable>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     payload: Option<PayloadTable>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    posterior: Option<PosteriorTable>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     nominal: Option<Box<RobotFile>>,
 }
@@ -333,6 +338,10 @@ impl RobotFile {
         if !are_lengths(&self.tool.ball_mm) {
             return Err((None, RobotFinding::ToolBall { ball_mm: self.tool.ball_mm }));
         }
+        let posterior = match &self.posterior {
+            None => None,
+            Some(table) => Some(RobotPosterior::from_table(table).ok_or((None, RobotFinding::Posterior))?),
+        };
         Ok(Robot {
             geometry: Geometry {
                 rows: joints.map(JointTable::row),
@@ -348,6 +357,7 @@ impl RobotFile {
             repeatability_mm: self.repeatability_mm,
             source: self.source,
             payload: self.payload.is_some(),
+            posterior,
             // A joint of the nominal robot has no line: the text holds those of both.
             nominal: match self.nominal {
                 Some(nominal) => {
@@ -379,6 +389,7 @@ impl RobotFile {
             tolerance: robot.tolerance,
             mass: masses.iter().map(mass).collect(),
             payload: payload.map(|payload| PayloadTable { kg: payload.kg, centre_mm: payload.centre.into() }),
+            posterior: robot.posterior.as_ref().map(RobotPosterior::to_table),
             nominal: robot.nominal.as_ref().map(|nominal| Box::new(Self::from_robot(nominal))),
         }
     }

@@ -21,6 +21,11 @@ macro_rules! numbered {
                 NonZeroU32::new(number).map(Self)
             }
 
+            /// The same of a number that was checked when it was read: 0 is the first.
+            pub fn numbered(number: u32) -> Self {
+                Self::new(number).unwrap_or(Self::FIRST)
+            }
+
             /// By its place in a list, from 0.
             pub fn at(index: usize) -> Self {
                 Self(NonZeroU32::MIN.saturating_add(u32::try_from(index).unwrap_or(u32::MAX)))

@@ -11,6 +11,7 @@ pub mod inverse;
 pub mod kinematics;
 pub mod parameter;
 pub mod pose;
+pub mod posterior;
 
 pub use chain::{Chain, JointSinCos, LengthRow};
 pub use file::Robot;
@@ -18,6 +19,7 @@ pub use ids::{AxisAngles, BallId, BarId, CircleId, Coordinate, Joint};
 pub use kinematics::{DhRow, Geometry, Mass};
 pub use parameter::{Group, ParamId, Unit};
 pub use pose::Pose;
+pub use posterior::RobotPosterior;
 
 /// Axes of the robots that are modelled.
 pub const AXES: usize = 6;

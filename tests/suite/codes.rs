@@ -35,6 +35,7 @@ fn provoked() -> Vec<&'static str> {
         crate::refuses_bad_input::provoked(),
         crate::report_is_self_contained::provoked(),
         crate::rows_are_used_once::provoked(),
+        crate::second_run_continues::provoked(),
         crate::simulator_refuses::provoked(),
         crate::service_answers_as_documented::provoked(),
         crate::service_refuses_strangers::provoked(),

@@ -68,6 +68,7 @@ mod residuals_accuse_joints;
 mod rows_are_used_once;
 mod runs_the_whole_job;
 mod says_what_it_found;
+mod second_run_continues;
 mod service;
 mod service_answers_as_documented;
 mod service_holds_out;

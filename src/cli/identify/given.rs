@@ -10,7 +10,7 @@ use crate::catalogue::MeasurementFinding::OtherUnit;
 use crate::cli::Output;
 use crate::cli::robots;
 use crate::diagnostic::{Diagnostic, Finding, Severity};
-use crate::estimation::{AngleSource, CalibrationResult, mistaken_unit};
+use crate::estimation::{AngleSource, CalibrationResult, Prior, mistaken_unit};
 use crate::measurement::{BaseBall, Measurements};
 use crate::recording::matching::PoseMatching;
 use crate::recording::run::{self, Predicted, Run};
@@ -29,8 +29,10 @@ pub(super) struct Given {
     /// Standard uncertainty of the bar's length, mm, where it has a certificate.
     pub(super) bar_u_mm: Option<f64>,
     pub(super) sources: Vec<Source>,
-    /// Of a run: lost parts, poses dropped as ambiguous, another robot.
+    /// Of the inputs as they were read.
     pub(super) findings: Vec<Diagnostic>,
+    /// Of a run as it was matched last: lost parts, poses dropped as ambiguous, another robot.
+    of_run: Vec<Diagnostic>,
     pub(super) axes: AngleSource,
     /// The capture that the lengths come from, and how it was matched last.
     joined: Option<(Box<Run>, PoseMatching)>,
@@ -50,10 +52,10 @@ impl Given {
         } else {
             None
         };
-        let mut of_table = Vec::new();
+        let mut findings = Vec::new();
         let observations = match &joined {
             Some((_, matching)) => matching.observations.clone(),
-            None => observations(&args.input, &mut of_table)?,
+            None => observations(&args.input, &mut findings)?,
         };
         if observations.rows.is_empty() {
             return Err(Diagnostic::file(&input, EstimationFinding::NoLength).into());
@@ -65,6 +67,7 @@ impl Given {
         };
         if let Some(tool) = args.tool {
             robot.geometry.tool = tool.into();
+            robot.posterior = robot.posterior.and_then(|known| known.keeping(|id| id.is_geometric()));
         }
         let centres = match (&args.centres, &joined) {
             (Some(path), _) => BaseBall::from_csv(&path.display().to_string(), &files::read(path)?)?,
@@ -84,8 +87,8 @@ impl Given {
             ),
             source("robot", args.robot.clone().unwrap_or_else(from_plan)),
         ];
-        of_table.extend(robot.asked_repeatability().map(Diagnostic::from));
-        let findings = joined.as_ref().map_or(of_table, |(run, matching)| findings(run, matching, &robot));
+        findings.extend(robot.asked_repeatability().map(Diagnostic::from));
+        let of_run = joined.as_ref().map_or_else(Vec::new, |(run, matching)| of_run(run, matching, &robot));
         let axes = match &joined {
             Some((run, _)) if run.axes_deg.is_empty() => AngleSource::Commanded,
             _ => AngleSource::Given,
@@ -93,7 +96,24 @@ impl Given {
         // The job has it expanded, k = 2.
         let certified = joined.as_ref().and_then(|(run, _)| run.plan.header.job.bar.length_u_mm);
         let bar_u_mm = args.bar_u.or(certified.map(|u| 0.5 * u));
-        Ok(Self { robot, centres, observations, bar_u_mm, sources, findings, axes, joined })
+        Ok(Self { robot, centres, observations, bar_u_mm, sources, findings, of_run, axes, joined })
+    }
+
+    /// What was found in the inputs.
+    pub(super) fn findings(&self) -> Vec<Diagnostic> {
+        [self.findings.as_slice(), self.of_run.as_slice()].concat()
+    }
+
+    /// The prior where the user names none: a robot that was identified before is known as that left it. Where its file
+    /// does not hold it, that is lost.
+    pub(super) fn continued(&mut self) -> Prior {
+        let lost = match &self.robot.posterior {
+            Some(known) if known.is_of(&self.robot.geometry) => return Prior::Posterior,
+            Some(_) => Some(EstimationFinding::PosteriorOfOtherValues),
+            None => self.robot.nominal.as_ref().map(|_| EstimationFinding::PosteriorLost),
+        };
+        self.findings.extend(lost.map(Diagnostic::from));
+        Prior::None
     }
 
     /// Joins the capture anew with the lengths that the identified robot predicts; whether the pairs changed.
@@ -112,21 +132,20 @@ impl Given {
             return false;
         }
         self.observations = matching.observations.clone();
-        self.findings = findings(run, &matching, &self.robot);
+        self.of_run = of_run(run, &matching, &self.robot);
         *before = matching;
         true
     }
 }
 
 /// Parts of the run that were lost, poses that were dropped, and another robot than the plan's.
-fn findings(run: &Run, matching: &PoseMatching, robot: &Robot) -> Vec<Diagnostic> {
+fn of_run(run: &Run, matching: &PoseMatching, robot: &Robot) -> Vec<Diagnostic> {
     let torn = run.doubtful.then(|| EstimationFinding::PartOfRunLost.into());
     let warnings = matching.findings.iter().filter(|finding| finding.code().severity() == Severity::Warning);
     let planned = run.robot().ok().map(|planned| planned.name).filter(|name| *name != robot.name);
     let other = planned
         .map(|planned| EstimationFinding::PlannedForAnother { planned, given: robot.name.clone() }.into());
-    let asked = robot.asked_repeatability().map(Diagnostic::from);
-    torn.into_iter().chain(warnings.cloned().map(Diagnostic::from)).chain(other).chain(asked).collect()
+    torn.into_iter().chain(warnings.cloned().map(Diagnostic::from)).chain(other).collect()
 }
 
 /// Every observation must have its ball, in millimetres and degrees.

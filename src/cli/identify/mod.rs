@@ -11,6 +11,7 @@ use std::path::{Path, PathBuf};
 
 use super::{Outcome, Output, Verdict};
 use crate::base::files;
+use crate::catalogue::EstimationFinding;
 use crate::design::calibrate;
 use crate::diagnostic::Diagnostic;
 use crate::estimation::{CalibrationResult, Input, Options, Prior, PriorScale, ResultFile};
@@ -77,9 +78,11 @@ pub(crate) struct Args {
     /// and at most 20000 lengths].
     #[arg(long, value_name = "N")]
     folds: Option<usize>,
-    /// What is known of the robot beforehand: the tolerance in its file, or a CSV name,unit,sd.
-    #[arg(long, value_name = "none|datasheet|FILE", default_value = "none")]
-    prior: String,
+    /// What is known of the robot beforehand: `posterior`, what its earlier identification left unknown (the table
+    /// [posterior] of robot-identified.toml; with --tool without the tool ball); `datasheet`, the tolerance in its file;
+    /// or a CSV name,unit,sd [default: posterior where the robot file has it, else none].
+    #[arg(long, value_name = "none|posterior|datasheet|FILE")]
+    prior: Option<String>,
     /// Factor on every standard deviation of the prior: above 1 the lengths count for more; `auto` takes the one
     /// with which lengths held out are predicted best.
     #[arg(long, value_name = "X|auto", default_value = "1", value_parser = parse_scale)]
@@ -96,7 +99,7 @@ pub(crate) struct Args {
 pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
     let mut given = Given::read(args, out)?;
     let set_up = SetUp { balls: given.centres.len(), bars: given.observations.bars() };
-    let options = options(args, &given, set_up)?;
+    let options = options(args, &mut given, set_up)?;
     let validation = match &args.validate {
         Some(path) => {
             let name = path.display().to_string();
@@ -139,10 +142,20 @@ fn find(
         options,
         axes: given.axes,
     };
-    Ok(calibrate(&input, given.findings.clone())?)
+    Ok(calibrate(&input, given.findings())?)
 }
 
-fn options(args: &Args, given: &Given, set_up: SetUp) -> Result<Options, Box<dyn Error>> {
+fn options(args: &Args, given: &mut Given, set_up: SetUp) -> Result<Options, Box<dyn Error>> {
+    let prior = match args.prior.as_deref() {
+        None => given.continued(),
+        Some("none") => Prior::None,
+        Some("datasheet") => Prior::Datasheet,
+        Some("posterior") => match given.continued() {
+            Prior::Posterior => Prior::Posterior,
+            _ => return Err(Diagnostic::from(EstimationFinding::NoPosterior).into()),
+        },
+        Some(file) => Prior::Given(read_prior(Path::new(file), set_up)?),
+    };
     let betas = given.robot.parallel_joints();
     let list = |text: &Option<String>| {
         text.as_deref().map(|text| parameter::parse_list(text, &betas, set_up)).transpose()
@@ -153,11 +166,7 @@ fn options(args: &Args, given: &Given, set_up: SetUp) -> Result<Options, Box<dyn
         sigma_mm: args.sigma,
         prior_scale: args.prior_scale,
         monte_carlo: args.monte_carlo.map(|trials| trials as usize),
-        prior: match args.prior.as_str() {
-            "none" => Prior::None,
-            "datasheet" => Prior::Datasheet,
-            file => Prior::Given(read_prior(Path::new(file), set_up)?),
-        },
+        prior,
         folds: args.folds,
         workspace: args.workspace.as_deref().map(read_workspace).transpose()?,
         bar_u_mm: given.bar_u_mm,

@@ -26,12 +26,13 @@ fn fit(result: &CalibrationResult) -> Vec<String> {
     let residual = &result.residual_mm;
     let mut lines = vec![
         format!(
-            "{}: {} lengths, rank {} of the parameters asked for, condition {:.0}, {} steps",
+            "{}: {} lengths, rank {} of the parameters asked for, condition {:.0}, {} steps; before is {}",
             result.robot.name,
             result.lengths,
             result.rank.nominal,
             result.rank.condition,
-            result.solver.iterations
+            result.solver.iterations,
+            result.start
         ),
         format!(
             "residual rms {} -> {}, largest {} -> {}, sigma {} ({})",

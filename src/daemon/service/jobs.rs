@@ -72,7 +72,7 @@ pub(super) fn arguments(request: &JobRequest) -> Result<Vec<String>, Diagnostic>
             return Err(OptionOfAnotherJob { option: option.into() }.into());
         }
         let sound = |byte: u8| byte.is_ascii_alphanumeric() || b"_,-".contains(&byte);
-        let known = option != "prior" || matches!(value, "none" | "datasheet");
+        let known = option != "prior" || matches!(value, "none" | "datasheet" | "posterior");
         if !known || value.len() > 1000 || !value.bytes().all(sound) {
             return Err(OptionValue { option: option.into(), value: value.into() }.into());
         }

@@ -8,12 +8,12 @@ mod candidates;
 
 use std::mem::discriminant;
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::DMatrix;
 
 use crate::estimation::result::{FurtherMeasurement, Recommendation};
 use crate::estimation::{
-    Calibration, LinearSystem, Prior, Priors, Workspace, factor, inverse_root, is_determined, is_place,
-    order_of_choice, root_after, without_open_places,
+    Calibration, LinearSystem, Prior, Priors, Workspace, factor, inverse_root, is_place, order_of_choice,
+    root_after, without_open_places,
 };
 use crate::math::base_set;
 use crate::measurement::{LengthModel, PreparedMeasurement};
@@ -62,7 +62,10 @@ pub fn recommend(of: &Calibration<'_>) -> Vec<Recommendation> {
     let all_identified =
         estimate.poorly_observable.is_empty() && estimate.base.iter().all(|id| identified.contains(id));
     let trial = Trial::of(of, identified);
-    if all_identified && is_determined(pair) && !trial.more_is_identifiable(estimate.analysis.base.rank) {
+    if all_identified
+        && of.prediction.is_determined()
+        && !trial.more_is_identifiable(estimate.analysis.base.rank)
+    {
         return Vec::new();
     }
     // Two poses or fewer are aligned away whatever the robot: there is no error to lower.
@@ -202,8 +205,10 @@ impl<'a> Trial<'a> {
     /// ball's, which is known as any that was taught.
     fn root(&self, rows: &DMatrix<f64>) -> Option<DMatrix<f64>> {
         let further = ParamId::Ball(self.further_ball(), Coordinate::X);
-        let sd = |at: usize, _| self.priors.sd(self.ids.get(at).copied().unwrap_or(further));
-        root_after(&DMatrix::from_diagonal(&DVector::from_fn(rows.ncols(), sd)), rows)
+        let ids: Vec<ParamId> =
+            self.ids.iter().copied().chain(std::iter::repeat(further)).take(rows.ncols()).collect();
+        let sd: Vec<f64> = ids.iter().map(|id| self.priors.sd(*id)).collect();
+        root_after(&self.priors.root(&ids, &sd), rows)
     }
 
     /// The parameters that whitened rows alone identify.
@@ -228,13 +233,9 @@ fn weight(workspace: &Workspace) -> DMatrix<f64> {
 
 /// The mean error of robots drawn from the prior over its root mean square.
 fn mean_of_rms(of: &Calibration<'_>) -> f64 {
-    let (prediction, priors) = (&of.prediction, &of.setting.priors);
+    let prediction = &of.prediction;
     let jacobian = prediction.workspace.jacobian();
-    let moved = |(id, column): (&ParamId, nalgebra::DVectorView<'_, f64>)| {
-        let sd = if id.is_optional() { None } else { priors.bound(*id, &[]) };
-        column.norm_squared() * sd.unwrap_or(0.0).powi(2)
-    };
-    let square: f64 = prediction.ids.iter().zip(jacobian.column_iter()).map(moved).sum();
+    let square = (jacobian * &prediction.before).norm_squared();
     prediction.pair.nominal.mean / (3.0 * square / jacobian.nrows().max(1) as f64).sqrt()
 }
 

@@ -42,10 +42,7 @@ impl Job {
     pub fn balls(&self) -> Vec<BaseBall> {
         self.centres
             .iter()
-            .map(|table| BaseBall {
-                id: BallId::new(table.id).unwrap_or(BallId::FIRST),
-                position: table.xyz_mm.into(),
-            })
+            .map(|table| BaseBall { id: BallId::numbered(table.id), position: table.xyz_mm.into() })
             .collect()
     }
 

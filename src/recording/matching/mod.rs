@@ -338,7 +338,7 @@ const COLUMNS: [Column; 6] =
 
 /// A plan's rows name balls from 1 on.
 fn ball(row: &PlanRow) -> BallId {
-    BallId::new(row.centre).unwrap_or(BallId::FIRST)
+    BallId::numbered(row.centre)
 }
 
 /// Makes the measurements.

@@ -124,10 +124,7 @@ impl Run {
         let balls = &self.plan.header.job.centres;
         balls
             .iter()
-            .map(|ball| BaseBall {
-                id: BallId::new(ball.id).unwrap_or(BallId::FIRST),
-                position: ball.xyz_mm.into(),
-            })
+            .map(|ball| BaseBall { id: BallId::numbered(ball.id), position: ball.xyz_mm.into() })
             .collect()
     }
 

@@ -1,0 +1,131 @@
+//! What an identification left unknown of a robot, in the robot's own file.
+
+use nalgebra::DMatrix;
+use serde::{Deserialize, Serialize};
+
+use super::{Geometry, ParamId};
+
+/// The errors that the values of a robot file may still have: their covariance is root root', mm and rad.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RobotPosterior {
+    ids: Vec<ParamId>,
+    /// The values that it is about.
+    values: Vec<f64>,
+    /// Square, lower triangular, a row a parameter.
+    root: DMatrix<f64>,
+}
+
+/// The table `[posterior]`.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct PosteriorTable {
+    parameters: Vec<ParamId>,
+    values: Vec<f64>,
+    /// The lower triangle, row by row.
+    root: Vec<Vec<f64>>,
+}
+
+/// A value of the file that is off by more than this, mm or rad, was changed since.
+const SAME: f64 = 1e-9;
+
+impl RobotPosterior {
+    /// Of these parameters of `geometry`, with any root of the covariance, a row a parameter; `None` where a parameter is
+    /// none of the robot's or the covariance has no inverse.
+    pub fn new(ids: &[ParamId], geometry: &Geometry, root: &DMatrix<f64>) -> Option<Self> {
+        let values = ids.iter().map(|id| geometry.value(*id)).collect::<Option<Vec<f64>>>()?;
+        let root = triangular(root);
+        let sound = root.is_square() && root.iter().all(|x| x.is_finite());
+        (sound && root.diagonal().iter().all(|x| *x != 0.0)).then(|| Self { ids: ids.to_vec(), values, root })
+    }
+
+    pub fn ids(&self) -> &[ParamId] {
+        &self.ids
+    }
+
+    /// Whether it is about the values of this geometry.
+    pub fn is_of(&self, geometry: &Geometry) -> bool {
+        let same = |(id, value): (&ParamId, &f64)| {
+            geometry.value(*id).is_some_and(|here| (here - value).abs() <= SAME)
+        };
+        self.ids.iter().zip(&self.values).all(same)
+    }
+
+    /// Standard deviation of a parameter, mm or rad; `None` of one that it does not hold.
+    pub fn sd(&self, id: ParamId) -> Option<f64> {
+        self.ids.iter().position(|own| *own == id).map(|at| self.root.row(at).norm())
+    }
+
+    /// The root of the covariance of some of its parameters, square and lower triangular in their order.
+    pub fn root_of(&self, ids: &[ParamId]) -> DMatrix<f64> {
+        let places = ids.iter().filter_map(|id| self.ids.iter().position(|own| own == id));
+        triangular(&self.root.select_rows(&places.collect::<Vec<_>>()))
+    }
+
+    /// Only the parameters that `keep` wants; `None` where none is left.
+    pub fn keeping(&self, keep: impl Fn(ParamId) -> bool) -> Option<Self> {
+        let kept = self.ids.iter().zip(&self.values).filter(|(id, _)| keep(**id));
+        let (ids, values): (Vec<ParamId>, Vec<f64>) = kept.map(|(id, value)| (*id, *value)).unzip();
+        (!ids.is_empty()).then(|| Self { root: self.root_of(&ids), ids, values })
+    }
+
+    pub(super) fn to_table(&self) -> PosteriorTable {
+        let row = |at: usize| (0..=at).map(|column| self.root[(at, column)]).collect();
+        PosteriorTable {
+            parameters: self.ids.clone(),
+            values: self.values.clone(),
+            root: (0..self.ids.len()).map(row).collect(),
+        }
+    }
+
+    /// `None` where the table's lists do not belong together, or a number cannot be.
+    pub(super) fn from_table(table: &PosteriorTable) -> Option<Self> {
+        let PosteriorTable { parameters: ids, values, root: rows } = table;
+        let count = ids.len();
+        let fits = count > 0
+            && values.len() == count
+            && rows.len() == count
+            && rows.iter().enumerate().all(|(at, row)| row.len() == at + 1 && row[at] != 0.0)
+            && rows.iter().flatten().chain(values).all(|x| x.is_finite())
+            && (1..count).all(|at| !ids[..at].contains(&ids[at]))
+            && ids.iter().all(|id| id.is_geometric() || matches!(id, ParamId::Tool(_)));
+        let element = |row: usize, column: usize| rows[row].get(column).copied().unwrap_or(0.0);
+        fits.then(|| Self {
+            ids: ids.clone(),
+            values: values.clone(),
+            root: DMatrix::from_fn(count, count, element),
+        })
+    }
+}
+
+/// The lower triangular root of the same covariance.
+fn triangular(root: &DMatrix<f64>) -> DMatrix<f64> {
+    root.transpose().qr().r().transpose()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::robot::{Joint, Robot};
+
+    #[test]
+    fn a_posterior_reads_back_and_knows_its_values() {
+        let mut robot = Robot::by_name("kr60ha").unwrap().unwrap();
+        let ids = [ParamId::A(Joint::J2), ParamId::Theta(Joint::J3), ParamId::D(Joint::J4)];
+        let root = DMatrix::from_fn(3, 5, |i, j| ((5 * i + j) as f64).sin() * 1e-3);
+        let posterior = RobotPosterior::new(&ids, &robot.geometry, &root).unwrap();
+        let covariance = &root * root.transpose();
+        let found = posterior.root_of(&ids);
+        assert!((&found * found.transpose() - &covariance).norm() < 1e-12 * covariance.norm());
+        let other = posterior.keeping(|id| id != ids[0]).unwrap();
+        assert!((other.sd(ids[2]).unwrap().powi(2) - covariance[(2, 2)]).abs() < 1e-18);
+        assert_eq!(other.sd(ids[0]), None);
+        robot.posterior = Some(posterior);
+        let read = Robot::from_toml("robot.toml", &robot.to_toml()).unwrap();
+        assert_eq!(read, robot);
+        assert!(read.posterior.as_ref().unwrap().is_of(&read.geometry));
+        robot.geometry.tool.x += 1.0;
+        assert!(robot.posterior.as_ref().unwrap().is_of(&robot.geometry), "it is not about the tool");
+        *robot.geometry.value_mut(ids[0]).unwrap() += 1e-6;
+        assert!(!robot.posterior.unwrap().is_of(&robot.geometry));
+    }
+}

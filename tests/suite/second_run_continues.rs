@@ -1,0 +1,124 @@
+//! A second run of a robot that was identified begins with what the first one left unknown.
+
+use std::fs;
+use std::path::Path;
+use std::process::Output;
+
+use dbbd::estimation::result::{PriorSource, StartRobot};
+use dbbd::estimation::result_file::ResultFile;
+use dbbd::measurement::Measurements;
+use dbbd::robot::Robot;
+use dbbd::sim::truth;
+use rand::SeedableRng;
+use rand_distr::{Distribution, StandardNormal};
+use rand_pcg::Pcg64;
+use tempfile::{TempDir, tempdir};
+
+use crate::cell::{
+    CENTRE, Circle, centres_csv, codes, dbbd, horizontal, kr60, measure, stderr, three_planes,
+};
+
+/// The codes that the tests of this module provoke.
+pub(crate) fn provoked() -> Vec<&'static str> {
+    vec!["W1332"]
+}
+
+const REPEATS_MM: f64 = 0.0138;
+
+/// Lengths of a robot drawn from the tolerance.
+fn lengths(circles: &[Circle], points: usize, seed: u64) -> Measurements {
+    let mut random = Pcg64::seed_from_u64(seed);
+    let mut data = measure(&truth::draw(&kr60(), 4, 1.0), circles, points, 30.0);
+    for row in &mut data.rows {
+        let z: f64 = StandardNormal.sample(&mut random);
+        row.length_mm += REPEATS_MM * z;
+        row.sigma_mm = Some(0.0015);
+    }
+    data
+}
+
+fn first_circles() -> Vec<Circle> {
+    let balls = [CENTRE, [1100.0, 400.0, 600.0], [1200.0, -500.0, 1000.0]];
+    (1..).zip(balls).flat_map(|(number, ball)| three_planes(number, ball)).collect()
+}
+
+/// The first calibration, and the lengths of a check of it.
+fn cell(prior: &str) -> (TempDir, ResultFile) {
+    let dir = tempdir().unwrap();
+    let write = |name: &str, text: String| fs::write(dir.path().join(name), text).unwrap();
+    write("obs.csv", lengths(&first_circles(), 20, 1).to_csv());
+    write("C.csv", centres_csv(&first_circles()));
+    write("check.csv", lengths(&[horizontal(1, CENTRE)], 16, 2).to_csv());
+    write("ball.csv", centres_csv(&[horizontal(1, CENTRE)]));
+    let args = ["identify", "obs.csv", "--robot", "kr60ha", "--centres", "C.csv", "--folds", "0"];
+    let output = dbbd(dir.path(), &[&args[..], &["--out", "first", "--prior", prior]].concat());
+    assert!(matches!(output.status.code(), Some(0 | 3)), "{}", stderr(&output));
+    let first = result(dir.path(), "first");
+    (dir, first)
+}
+
+fn result(dir: &Path, out: &str) -> ResultFile {
+    serde_json::from_str(&fs::read_to_string(dir.join(out).join("result.json")).unwrap()).unwrap()
+}
+
+fn check(dir: &Path, robot: &str, extra: &[&str]) -> Output {
+    let args = ["identify", "check.csv", "--robot", robot, "--centres", "ball.csv", "--out", "second"];
+    dbbd(dir, &[&args[..], extra].concat())
+}
+
+fn told(output: &Output, code: &str) -> bool {
+    codes(output).iter().any(|told| told == code)
+}
+
+#[test]
+fn a_check_does_not_raise_the_predicted_error() {
+    for prior in ["none", "datasheet"] {
+        let (dir, first) = cell(prior);
+        let first_mm = first.predicted_position_error_mm.identified.mean;
+        let output = check(dir.path(), "first/robot-identified.toml", &[]);
+        let second = result(dir.path(), "second");
+        let second_mm = second.predicted_position_error_mm;
+        let said = stderr(&output);
+        assert_eq!(output.status.code(), Some(0), "{said}");
+        assert!(second_mm.identified.mean < 1.05 * first_mm, "{prior} {first_mm}: {second_mm:?} {said}");
+        // What is known before is what the first run left.
+        assert!((second_mm.nominal.mean / first_mm - 1.0).abs() < 0.1, "{prior} {first_mm}: {second_mm:?}");
+        assert_eq!(second.prior.unwrap().source, PriorSource::Posterior);
+        assert_eq!([first.start, second.start], [StartRobot::Nominal, StartRobot::Identified]);
+        // A third run continues from the second.
+        let third = check(dir.path(), "second/robot-identified.toml", &[]);
+        assert!(!told(&third, "W1332"), "{}", stderr(&third));
+    }
+}
+
+#[test]
+fn what_is_lost_is_told() {
+    let (dir, _) = cell("none");
+    let path = dir.path().join("first/robot-identified.toml");
+    let text = fs::read_to_string(&path).unwrap();
+    let robot = Robot::from_toml("robot.toml", &text).unwrap();
+    let write = |name: &str, robot: &Robot| fs::write(dir.path().join(name), robot.to_toml()).unwrap();
+    write("old.toml", &Robot { posterior: None, ..robot.clone() });
+    let mut edited = robot.clone();
+    edited.geometry.rows[3].d += 0.01;
+    write("edited.toml", &edited);
+    for file in ["old.toml", "edited.toml"] {
+        let output = check(dir.path(), file, &[]);
+        assert!(output.status.code() == Some(3) && told(&output, "W1332"), "{file}: {}", stderr(&output));
+        let refused = check(dir.path(), file, &["--prior", "posterior"]);
+        assert_eq!((refused.status.code(), codes(&refused)), (Some(1), vec!["E1304".to_owned()]));
+    }
+    // Who asks for it begins anew.
+    assert!(!told(&check(dir.path(), "old.toml", &["--prior", "none"]), "W1332"));
+    let torn = text.replacen("root = [[", "root = [[1.0, 2.0], [", 1);
+    assert_eq!(Robot::from_toml("robot.toml", &torn).unwrap_err().code.0, "E0505");
+}
+
+/// Another tool ball is another set-up: the robot stays known, the ball is determined anew.
+#[test]
+fn another_tool_ball_is_determined_anew() {
+    let (dir, _) = cell("datasheet");
+    let output = check(dir.path(), "first/robot-identified.toml", &["--tool", "30.5,19.5,10.5"]);
+    assert!(!told(&output, "W1332") && !told(&output, "W1322"), "{}", stderr(&output));
+    assert_eq!(result(dir.path(), "second").prior.unwrap().source, PriorSource::Posterior);
+}
