@@ -28,6 +28,8 @@ pub mod program;
 
 pub mod circular;
 
+pub mod conformity;
+
 pub mod recording;
 
 pub mod report;

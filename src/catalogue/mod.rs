@@ -7,6 +7,7 @@
 mod circular;
 mod cli;
 mod compensation;
+mod conformity;
 mod estimation;
 mod files;
 mod import;
@@ -26,6 +27,7 @@ mod simulation;
 pub use circular::CircularFinding;
 pub use cli::CliFinding;
 pub use compensation::CompensationFinding;
+pub use conformity::ConformityFinding;
 pub use estimation::{EstimationFinding, Names};
 pub use files::FileFinding;
 pub use import::ImportFinding;
@@ -144,6 +146,7 @@ const FAMILIES: &[(&str, &[Entry])] = &[
     ("Correcting a program", CompensationFinding::ENTRIES),
     ("The simulator", SimulationFinding::ENTRIES),
     ("Estimation", EstimationFinding::ENTRIES),
+    ("Comparison and interim check", ConformityFinding::ENTRIES),
     ("Pages and exports", ReportFinding::ENTRIES),
     ("The bar and its port", PortFinding::ENTRIES),
     ("Protocol definitions", ProtocolFinding::ENTRIES),

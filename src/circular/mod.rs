@@ -30,7 +30,7 @@ use crate::catalogue::CircularFinding as Finding;
 use quantities::{Allowed, Rays, evaluate};
 
 /// The sense in which a circle is passed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, serde::Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, serde::Serialize, serde::Deserialize)]
 pub enum Sense {
     /// Angles grow.
     #[serde(rename = "ccw")]

@@ -16,6 +16,9 @@ use crate::recording::run;
 use crate::report::circle::CircleTest;
 use crate::report::{self, Provenance, Source};
 
+/// Deviations of a trace that circle.json has at most: an even sample of more.
+const DEVIATIONS: usize = 2000;
+
 /// Evaluate circular tests by the quantities of ISO 230-4.
 ///
 /// G, G(b), D, F and H, each with a 95 % interval, and what reverses where. docs/reference/circular-test.md says what of the
@@ -79,7 +82,7 @@ struct Certificate {
     u_mm: Option<f64>,
 }
 
-fn positive(text: &str) -> Result<f64, String> {
+pub(super) fn positive(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(value) if value.is_finite() && value > 0.0 => Ok(value),
         _ => Err("a positive number is needed".into()),
@@ -279,6 +282,9 @@ fn trace_document(trace: &TraceResult) -> Value {
     for (name, quantity) in TRACE_NAMES.iter().zip(&trace.quantities) {
         put(&mut map, name, *quantity);
     }
+    let stride = trace.deviations.len().div_ceil(DEVIATIONS).max(1);
+    let deviations: Vec<&[f64; 2]> = trace.deviations.iter().step_by(stride).collect();
+    map.insert("deviations".into(), json!(deviations));
     Value::Object(map)
 }
 

@@ -4,6 +4,7 @@ mod acquire;
 #[cfg(unix)]
 mod child;
 mod circle;
+mod compare;
 mod compensate;
 mod completions;
 #[cfg(unix)]
@@ -79,6 +80,7 @@ enum Verb {
     Sync(sync::Args),
     Identify(identify::Args),
     Circle(circle::Args),
+    Compare(compare::Args),
     Compensate(compensate::Args),
     Serve(serve::Args),
     #[cfg(unix)]
@@ -120,6 +122,7 @@ pub fn main() -> ExitCode {
         Verb::Sync(args) => sync::run(args, &out),
         Verb::Identify(args) => identify::run(args, &out),
         Verb::Circle(args) => circle::run(args, &out),
+        Verb::Compare(args) => compare::run(args, &out),
         Verb::Compensate(args) => compensate::run(args, &out),
         Verb::Serve(args) => serve::run(args, &out),
         #[cfg(unix)]

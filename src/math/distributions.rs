@@ -1,6 +1,7 @@
-//! Tails of the F and Student's t distribution, by the regularised incomplete beta function.
+//! Tails of the F and Student's t distribution by the regularised incomplete beta function, of chi-square and the normal
+//! distribution by the regularised incomplete gamma function.
 //!
-//! Both are one continued fraction; a crate of distributions would bring far more than it.
+//! Each is one continued fraction; a crate of distributions would bring far more than it.
 
 /// Probability that an F of `upper` and `lower` degrees of freedom exceeds `f`.
 pub fn f_tail(f: f64, upper: f64, lower: f64) -> f64 {
@@ -32,6 +33,109 @@ pub fn normal_deviate(ln_p: f64) -> f64 {
         z = (z + (ln_tail(z) - ln_p) * mills(z)).max(1.0);
     }
     z
+}
+
+/// Probability that a deviate is larger than `deviate` in magnitude: Student's t with `freedom`, else normal.
+pub fn two_sided_tail(deviate: f64, freedom: Option<f64>) -> f64 {
+    match freedom {
+        Some(freedom) => f_tail(deviate * deviate, 1.0, freedom),
+        None => chi_square_tail(deviate * deviate, 1.0),
+    }
+}
+
+/// Probability that a normal deviate is below `deviate`.
+pub fn normal_below(deviate: f64) -> f64 {
+    let outside = 0.5 * chi_square_tail(deviate * deviate, 1.0);
+    if deviate < 0.0 { outside } else { 1.0 - outside }
+}
+
+/// Probability that chi-square of `freedom` degrees exceeds `x`: Q(freedom / 2, x / 2) (DLMF 8.2.4).
+pub fn chi_square_tail(x: f64, freedom: f64) -> f64 {
+    let (a, x) = (0.5 * freedom, 0.5 * x);
+    if x.is_nan() || x <= 0.0 {
+        return if x.is_nan() { f64::NAN } else { 1.0 };
+    }
+    let front = (a * x.ln() - x - ln_gamma(a)).exp();
+    if x < a + 1.0 { 1.0 - front * gamma_series(x, a) } else { front * gamma_fraction(x, a) }
+}
+
+/// The chi-square of `freedom` degrees that is exceeded with probability `p`.
+pub fn chi_square_exceeded(p: f64, freedom: f64) -> f64 {
+    let mut high = freedom + 10.0;
+    while chi_square_tail(high, freedom) > p && high < 1e9 {
+        high *= 2.0;
+    }
+    bisect([0.0, high], |x| chi_square_tail(x, freedom) > p)
+}
+
+/// Probability that a noncentral chi-square exceeds `x`: a Poisson mixture of central ones.
+pub fn noncentral_tail(x: f64, freedom: f64, noncentrality: f64) -> f64 {
+    let half = 0.5 * noncentrality;
+    if half <= 0.0 {
+        return chi_square_tail(x, freedom);
+    }
+    // The terms within ten standard deviations of the Poisson distribution have all of the sum that counts.
+    let (low, high) = ((half - 10.0 * half.sqrt()).max(0.0).floor(), half + 10.0 * half.sqrt() + 30.0);
+    let mut sum = 0.0;
+    let mut term = low;
+    while term <= high {
+        let weight = (term * half.ln() - half - ln_gamma(term + 1.0)).exp();
+        sum += weight * chi_square_tail(x, freedom + 2.0 * term);
+        term += 1.0;
+    }
+    sum.min(1.0)
+}
+
+/// The noncentrality with which a noncentral chi-square exceeds `x` with probability `power`.
+pub fn noncentrality(x: f64, freedom: f64, power: f64) -> f64 {
+    let mut high = x + 10.0;
+    while noncentral_tail(x, freedom, high) < power && high < 1e6 {
+        high *= 2.0;
+    }
+    bisect([0.0, high], |lambda| noncentral_tail(x, freedom, lambda) < power)
+}
+
+/// Where `is_below` turns false between two ends.
+fn bisect([mut low, mut high]: [f64; 2], is_below: impl Fn(f64) -> bool) -> f64 {
+    for _ in 0..100 {
+        let middle = 0.5 * (low + high);
+        if is_below(middle) { low = middle } else { high = middle }
+    }
+    high
+}
+
+/// The series of DLMF 8.7.1 over its front x^a e^-x / gamma(a), for x < a + 1.
+fn gamma_series(x: f64, a: f64) -> f64 {
+    let (mut term, mut sum, mut n) = (1.0 / a, 1.0 / a, a);
+    for _ in 0..1000 {
+        n += 1.0;
+        term *= x / n;
+        sum += term;
+        if term < 1e-17 * sum {
+            break;
+        }
+    }
+    sum
+}
+
+/// The continued fraction of DLMF 8.9.2 over the same front, for x >= a + 1, by Lentz's algorithm.
+fn gamma_fraction(x: f64, a: f64) -> f64 {
+    const TINY: f64 = 1e-300;
+    let mut b = x + 1.0 - a;
+    let (mut c, mut d) = (1.0 / TINY, 1.0 / b);
+    let mut value = d;
+    for step in 1..=1000 {
+        let n = f64::from(step);
+        let numerator = -n * (n - a);
+        b += 2.0;
+        d = (numerator * d + b).recip();
+        c = b + numerator / c;
+        value *= c * d;
+        if (c * d - 1.0).abs() < 1e-15 {
+            break;
+        }
+    }
+    value
 }
 
 const MILLS_TERMS: u32 = 100;
@@ -70,11 +174,7 @@ pub fn coverage_95(freedom: Option<f64>) -> f64 {
     while outside(high) > 0.05 && high < 1e6 {
         (low, high) = (high, 2.0 * high);
     }
-    for _ in 0..100 {
-        let middle = 0.5 * (low + high);
-        if outside(middle) > 0.05 { low = middle } else { high = middle }
-    }
-    high
+    bisect([low, high], |t| outside(t) > 0.05)
 }
 
 /// The regularised incomplete beta function I_x(a, b) (DLMF 8.17), for 0 <= x <= 1 and positive a, b.
@@ -174,6 +274,40 @@ mod tests {
             assert!((found - expected).abs() < 1e-9, "{p}: {found}");
         }
         assert!((normal_deviate(-5000.0) - 99.94).abs() < 0.05);
+    }
+
+    /// Values of scipy.stats.chi2.sf, scipy.stats.norm.cdf and scipy.stats.ncx2.sf.
+    #[test]
+    fn tails_of_chi_square_and_the_normal_distribution() {
+        for (x, freedom, expected) in [
+            (0.5, 1.0, 0.47950012218695337),
+            (6.6348966010212145, 1.0, 0.009999999999999972),
+            (3.0, 12.0, 0.9955440192247521),
+            (30.0, 12.0, 0.0027924293327009145),
+            (150.0, 100.0, 0.0009039320423540184),
+            (40.0, 2.0, 2.0611536224385566e-09),
+        ] {
+            let found = chi_square_tail(x, freedom);
+            assert!((found / expected - 1.0).abs() < 1e-10, "{x}, {freedom}: {found} for {expected}");
+            assert!((chi_square_exceeded(expected, freedom) / x - 1.0).abs() < 1e-9);
+        }
+        for (z, expected) in
+            [(-3.0, 0.0013498980316300933), (-0.4, 0.3445782583896758), (1.2, 0.8849303297782918)]
+        {
+            assert!((normal_below(z) / expected - 1.0).abs() < 1e-10, "{z}");
+        }
+        for (x, freedom, lambda, expected) in [
+            (26.2, 12.0, 10.0, 0.2728490047149872),
+            (50.9, 30.0, 35.5, 0.8501496046151135),
+            (6.63, 1.0, 17.8, 0.949924909165437),
+        ] {
+            let found = noncentral_tail(x, freedom, lambda);
+            assert!(
+                (found / expected - 1.0).abs() < 1e-9,
+                "{x}, {freedom}, {lambda}: {found} for {expected}"
+            );
+            assert!((noncentrality(x, freedom, expected) / lambda - 1.0).abs() < 1e-7);
+        }
     }
 
     /// Values of scipy.stats.t.ppf(0.975, ..).

@@ -9,6 +9,7 @@ pub mod distributions;
 mod orthonormal;
 mod parallel;
 pub mod robust;
+pub mod straight_line;
 mod svd;
 mod triangle;
 

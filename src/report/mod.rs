@@ -6,6 +6,7 @@
 
 pub mod calibration;
 pub mod circle;
+pub mod compare;
 pub mod export;
 mod page;
 mod parameters;

@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use super::plot::Intervals;
+use super::plot::{Interval, Intervals};
 use super::scale::{Unit, decimals};
 use crate::estimation::result::{self, CalibrationResult, Status};
 use crate::estimation::result_file::{ParameterResult, ResultFile};
@@ -124,11 +124,18 @@ fn group<'a>(kind: Kind, members: Vec<Member<'a>>, robot: &Robot) -> Option<Grou
     let title = kind.title();
     let chart = Intervals {
         title: format!("{title}, correction"),
+        description: "Correction with its 95 % interval",
         unit: small.unit,
-        parameters: &found,
+        rows: found.iter().filter_map(|parameter| interval(parameter)).collect(),
         tolerance: kind.tolerance(robot),
     };
     Some(Group { title, value, small, chart: chart.to_svg(), parameters })
+}
+
+fn interval(parameter: &result::ParameterResult) -> Option<Interval> {
+    let [low, high] = parameter.interval95?;
+    let (name, value) = (parameter.id.to_string(), parameter.correction);
+    Some(Interval { name, value, half_width: 0.5 * (high - low) })
 }
 
 /// What was not estimated, by reason.

@@ -34,6 +34,7 @@ fn provoked() -> Vec<&'static str> {
         crate::plans_read_back::provoked(),
         crate::refuses_bad_input::provoked(),
         crate::report_is_self_contained::provoked(),
+        crate::results_are_compared::provoked(),
         crate::rows_are_used_once::provoked(),
         crate::second_run_continues::provoked(),
         crate::simulator_refuses::provoked(),

@@ -65,6 +65,7 @@ mod refuses_bad_input;
 mod replay;
 mod report_is_self_contained;
 mod residuals_accuse_joints;
+mod results_are_compared;
 mod rows_are_used_once;
 mod runs_the_whole_job;
 mod says_what_it_found;

@@ -35,12 +35,17 @@ pub struct HeatMap {
 }
 
 impl HeatMap {
-    /// The predicted position uncertainty seen from above and from the side.
+    /// The predicted position uncertainty.
     pub(crate) fn of_uncertainty(found: &[MapPoint]) -> Vec<Self> {
+        Self::of_positions("Predicted position uncertainty", found)
+    }
+
+    /// A quantity of the position, such as its predicted uncertainty, seen from above and from the side.
+    pub(crate) fn of_positions(quantity: &str, found: &[MapPoint]) -> Vec<Self> {
         let above = found.iter().map(|point| (point.position.xy().into(), point.rms_mm)).collect();
         let from_axis_1 = |point: &MapPoint| [point.position.xy().norm(), point.position.z];
         let side = found.iter().map(|point| (from_axis_1(point), point.rms_mm)).collect();
-        let title = |from: &str| format!("Predicted position uncertainty, {from}");
+        let title = |from: &str| format!("{quantity}, {from}");
         let from_above = Self::binned(title("from above"), ["X (mm)", "Y (mm)"], above);
         let from_side = Self::binned(title("from the side"), ["distance from axis 1 (mm)", "Z (mm)"], side);
         [from_above, from_side].into_iter().flatten().collect()

@@ -1,37 +1,44 @@
-//! Corrections with their 95 % intervals, one line each.
+//! Values with their 95 % intervals, one line each.
 
 use super::frame::{Area, Frame, Grid, Labels, NARROW};
 use super::{Key, Legend};
-use crate::estimation::result::ParameterResult;
 use crate::report::scale::{Ticks, Unit, magnitude, signed};
 use crate::report::svg::Anchor;
 
 const ROW: f64 = 19.0;
 const TOP: f64 = 46.0;
 
-/// A chart of the corrections that were estimated, about zero.
-pub(crate) struct Intervals<'a> {
+/// A chart of corrections or changes, about zero.
+pub(crate) struct Intervals {
     pub(crate) title: String,
+    pub(crate) description: &'static str,
     pub(crate) unit: Unit,
-    pub(crate) parameters: &'a [&'a ParameterResult],
+    pub(crate) rows: Vec<Interval>,
     /// One standard deviation of the tolerance, in the parameters' own unit: a band about zero.
     pub(crate) tolerance: Option<f64>,
 }
 
-struct Row {
-    name: String,
-    value: f64,
-    half_width: f64,
+/// A value with half of its interval, in its own unit.
+pub(crate) struct Interval {
+    pub(crate) name: String,
+    pub(crate) value: f64,
+    pub(crate) half_width: f64,
 }
 
-impl Intervals<'_> {
-    /// None where nothing was estimated. The values set the scale, and an interval that is wider runs to the edge.
+impl Intervals {
+    /// None where there is no value. The values set the scale, and an interval that is wider runs to the edge.
     pub(crate) fn to_svg(&self) -> Option<String> {
-        let rows: Vec<Row> = self.parameters.iter().filter_map(|parameter| self.row(parameter)).collect();
-        if rows.is_empty() {
+        if self.rows.is_empty() {
             return None;
         }
-        let tolerance = self.tolerance.map(|width| width * self.unit.factor);
+        let factor = self.unit.factor;
+        let shown = |row: &Interval| Interval {
+            name: row.name.clone(),
+            value: row.value * factor,
+            half_width: row.half_width * factor,
+        };
+        let rows: Vec<Interval> = self.rows.iter().map(shown).collect();
+        let tolerance = self.tolerance.map(|width| width * factor);
         let tolerance = tolerance.filter(|width| width.is_finite() && *width > 0.0);
         let ends = rows.iter().flat_map(|row| {
             let half = row.half_width.min(3.0 * row.value.abs());
@@ -42,7 +49,7 @@ impl Intervals<'_> {
         let area = Area { width: NARROW, left: 104.0, right: 466.0, top: TOP, bottom };
         let labels = Labels {
             title: &self.title,
-            description: "Correction with its 95 % interval",
+            description: self.description,
             x: &format!("({})", self.unit.sign),
             y: "",
         };
@@ -61,18 +68,8 @@ impl Intervals<'_> {
         Some(frame.svg.finish())
     }
 
-    fn row(&self, parameter: &ParameterResult) -> Option<Row> {
-        let [low, high] = parameter.interval95?;
-        let factor = self.unit.factor;
-        Some(Row {
-            name: parameter.id.to_string(),
-            value: parameter.correction * factor,
-            half_width: 0.5 * (high - low) * factor,
-        })
-    }
-
-    fn draw(&self, frame: &mut Frame, number: usize, row: &Row) {
-        let &Row { ref name, value, half_width } = row;
+    fn draw(&self, frame: &mut Frame, number: usize, row: &Interval) {
+        let &Interval { ref name, value, half_width } = row;
         let [left, right] = frame.x.pixels;
         let [x, y] = frame.at(value, number as f64 + 0.5);
         let [low, high] =

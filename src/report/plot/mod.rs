@@ -9,16 +9,18 @@ mod polar;
 mod residuals;
 mod thinning;
 mod trace;
+mod trend;
 mod view;
 
 pub(super) use against_axis::against_axis;
 pub(super) use frame::{NARROW, WIDE};
 pub use heat_map::HeatMap;
 pub(super) use histogram::histogram;
-pub(super) use intervals::Intervals;
+pub(super) use intervals::{Interval, Intervals};
 pub use polar::{PolarPlot, PolarTrace};
 pub(super) use residuals::{ResidualPoint, Shown, residuals};
 pub(super) use trace::Trace;
+pub(super) use trend::TrendPlot;
 pub(super) use view::{Projection, View};
 
 use super::svg::{Anchor, Svg};

@@ -1,0 +1,282 @@
+//! `dbbd compare`.
+
+use std::path::{Path, PathBuf};
+
+use serde_json::Value as Json;
+
+use super::circle::positive;
+use super::robots;
+use super::{Outcome, Output, Verdict};
+use crate::base::files;
+use crate::catalogue::{ConformityFinding, Names};
+use crate::conformity::{
+    CircleFile, Comparison, Input, LEVEL, ResultRead, ResultsCompared, Subject, Timeline, Tracked,
+    compare_circles, compare_results, same_robot,
+};
+use crate::diagnostic::Diagnostic;
+use crate::report::{Provenance, Source, compare};
+use crate::robot::Robot;
+
+/// Compare calibrations of a robot, or circular tests, in the order of time.
+///
+/// Parameters or quantities with their change, its uncertainty and significance (Holm over all of them), the change of
+/// position over the workspace as a map, circles overlaid, and a trend with the time at which a tolerance is reached.
+#[derive(clap::Args)]
+pub(crate) struct Args {
+    /// result.json of `dbbd identify` or circle.json of `dbbd circle`, or their directories, oldest first.
+    #[arg(required = true, num_args = 2.., value_name = "RESULT|CIRCLE")]
+    inputs: Vec<PathBuf>,
+    /// Directory for compare.json, compare.csv and compare.html.
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// The date YYYY-MM-DD of each result: trends are then per day, else per result.
+    #[arg(long, value_name = "DATE,..", value_delimiter = ',')]
+    dates: Vec<String>,
+    /// Tolerance, mm: of the change of position since the first result (95 % of the poses), or of the circular
+    /// deviation. Forecasts when a significant trend reaches it.
+    #[arg(long, value_name = "MM", value_parser = positive)]
+    tolerance: Option<f64>,
+    /// Robot with the axes and limits of the results [default: robot-identified.toml beside the first].
+    #[arg(long, value_name = "NAME|FILE")]
+    robot: Option<String>,
+    /// Standard uncertainty by which a quantity of a circle repeats from run to run, mm [default: 0].
+    #[arg(long, value_name = "MM", value_parser = positive)]
+    repeat_u: Option<f64>,
+}
+
+/// The files that a directory is looked through for.
+const KNOWN: [&str; 2] = ["result.json", "circle.json"];
+const ROBOT: &str = "robot-identified.toml";
+
+/// A file before its kind is known.
+struct Document {
+    path: PathBuf,
+    name: String,
+    text: String,
+    json: Json,
+}
+
+pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
+    let documents: Vec<Document> = args.inputs.iter().map(|path| read(path)).collect::<Result<_, _>>()?;
+    different(&documents)?;
+    let timeline = if args.dates.is_empty() {
+        Timeline::numbered(documents.len())
+    } else {
+        Timeline::dated(&args.dates, documents.len()).map_err(Diagnostic::from)?
+    };
+    let subject = subject(args, &documents, &timeline)?;
+    let dates = args.dates.iter().cloned().map(Some).chain(std::iter::repeat(None));
+    let input = |(document, date): (&Document, Option<String>)| Input { file: document.name.clone(), date };
+    let comparison = Comparison {
+        schema: 1,
+        inputs: documents.iter().zip(dates).map(input).collect(),
+        level: LEVEL,
+        time_unit: timeline.unit,
+        tolerance_mm: args.tolerance,
+        subject,
+    };
+    write(args, &comparison, &timeline)?;
+    if let Subject::Results(ResultsCompared { not_compared, .. }) = &comparison.subject
+        && !not_compared.is_empty()
+    {
+        let parameters = Names::of(not_compared.iter().map(|parameter| parameter.name));
+        out.finding(ConformityFinding::DifferentlyEstimated { parameters });
+    }
+    out.document(&comparison)?;
+    lines(&comparison).into_iter().for_each(|line| out.result(line));
+    out.result(format!("results in {}", args.out.display()));
+    Ok(Outcome::Done)
+}
+
+fn read(path: &Path) -> Result<Document, Diagnostic> {
+    let mut path = path.to_path_buf();
+    if path.is_dir() {
+        let found = KNOWN.iter().map(|name| path.join(name)).find(|file| file.exists());
+        let name = path.display().to_string();
+        path = found.ok_or_else(|| Diagnostic::file(&name, ConformityFinding::NoFileInDirectory))?;
+    }
+    let name = path.display().to_string();
+    let text = files::read(&path)?;
+    let json = serde_json::from_str(&text).map_err(|error| {
+        let finding = ConformityFinding::NotJson { why: error.to_string() };
+        Diagnostic::position(&name, &text, error.line(), error.column(), finding)
+    })?;
+    Ok(Document { path, name, text, json })
+}
+
+/// That no result is given twice.
+fn different(documents: &[Document]) -> Result<(), Diagnostic> {
+    for (at, document) in documents.iter().enumerate() {
+        if let Some(first) = documents[..at].iter().find(|first| first.text == document.text) {
+            let finding = ConformityFinding::Twice { first: first.name.clone() };
+            return Err(Diagnostic::file(&document.name, finding));
+        }
+    }
+    Ok(())
+}
+
+/// The kind of a file by the keys that only it has.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Kind {
+    Result,
+    Circle,
+}
+
+fn kind(document: &Document) -> Result<Kind, Diagnostic> {
+    let has = |key| document.json.get(key).is_some();
+    match (has("parameters") && has("residual_mm"), has("radius_mm") && has("traces")) {
+        (true, _) => Ok(Kind::Result),
+        (_, true) => Ok(Kind::Circle),
+        _ => Err(Diagnostic::file(&document.name, ConformityFinding::NeitherResultNorCircle)),
+    }
+}
+
+fn subject(args: &Args, documents: &[Document], timeline: &Timeline) -> Result<Subject, Diagnostic> {
+    let kinds: Vec<Kind> = documents.iter().map(kind).collect::<Result<_, _>>()?;
+    if let Some(other) = kinds.iter().position(|kind| *kind != kinds[0]) {
+        let finding = ConformityFinding::OtherKind { first: documents[0].name.clone() };
+        return Err(Diagnostic::file(&documents[other].name, finding));
+    }
+    if kinds[0] == Kind::Circle {
+        let files = documents.iter().map(|document| CircleFile::from_json(&document.name, &document.json));
+        let files: Vec<CircleFile> = files.collect::<Result<_, _>>()?;
+        let circles = compare_circles(&files, timeline, args.tolerance, args.repeat_u.unwrap_or(0.0))?;
+        return Ok(Subject::Circles { circles });
+    }
+    let read = |document: &Document| ResultRead::from_json(&document.name, document.json.clone());
+    let results: Vec<ResultRead> = documents.iter().map(read).collect::<Result<_, _>>()?;
+    same_robot(&results)?;
+    let robot = robot(args, &documents[0])?;
+    Ok(Subject::Results(compare_results(&robot, &results, timeline, args.tolerance)?))
+}
+
+fn robot(args: &Args, first: &Document) -> Result<Robot, Diagnostic> {
+    if let Some(name) = &args.robot {
+        return robots::named(name);
+    }
+    let beside = first.path.with_file_name(ROBOT);
+    if !beside.exists() {
+        let finding = ConformityFinding::NoRobotBeside { looked_for: ROBOT.into() };
+        return Err(Diagnostic::file(&first.name, finding).help("give --robot NAME|FILE"));
+    }
+    Robot::from_toml(&beside.display().to_string(), &files::read(&beside)?)
+}
+
+fn write(args: &Args, comparison: &Comparison, timeline: &Timeline) -> Verdict {
+    let source = |input: &Input| Source { role: "compared", name: input.file.clone() };
+    let provenance = Provenance {
+        robot: match &comparison.subject {
+            Subject::Results(results) => Some(results.robot.clone()),
+            Subject::Circles { .. } => None,
+        },
+        sources: comparison.inputs.iter().map(source).collect(),
+        ..Provenance::default()
+    };
+    files::directory(&args.out)?;
+    files::write(&args.out.join("compare.json"), serde_json::to_string_pretty(comparison)? + "\n")?;
+    files::write(&args.out.join("compare.csv"), csv(comparison)?)?;
+    files::write(&args.out.join("compare.html"), compare::html(comparison, timeline, &provenance)?)?;
+    Ok(Outcome::Done)
+}
+
+/// A row a quantity: what it belongs to, its values and deviations in the order of time, change and trend.
+fn csv(comparison: &Comparison) -> Result<Vec<u8>, Box<dyn std::error::Error>> {
+    let mut table = ::csv::Writer::from_writer(Vec::new());
+    let mut header: Vec<String> = ["family", "name", "unit"].map(str::to_owned).into();
+    header.extend((1..=comparison.inputs.len()).flat_map(|at| [format!("value_{at}"), format!("sd_{at}")]));
+    header.extend(
+        ["change", "change_sd", "p", "p_holm", "significant", "slope", "slope_sd"].map(str::to_owned),
+    );
+    table.write_record(&header)?;
+    for (family, rows) in families(comparison) {
+        for row in rows {
+            let mut record = vec![family.clone()];
+            record.extend(row);
+            table.write_record(&record)?;
+        }
+    }
+    Ok(table.into_inner()?)
+}
+
+/// The families that are tested together, with the cells of their rows.
+fn families(comparison: &Comparison) -> Vec<(String, Vec<Vec<String>>)> {
+    fn cells<N: std::fmt::Display>(tracked: &[Tracked<N>]) -> Vec<Vec<String>> {
+        let row = |tracked: &Tracked<N>| {
+            let mut row = vec![tracked.name.to_string(), tracked.unit.to_owned()];
+            row.extend(
+                tracked.values.iter().flat_map(|value| [value.value, value.sd].map(|x| x.to_string())),
+            );
+            let change = tracked.change;
+            row.extend([change.change, change.sd, change.p, change.p_holm].map(|x| x.to_string()));
+            row.push(change.significant.to_string());
+            let line = tracked.trend.map(|trend| trend.line);
+            row.extend(line.map_or([String::new(), String::new()], |line| {
+                [line.slope, line.slope_sd].map(|x| x.to_string())
+            }));
+            row
+        };
+        tracked.iter().map(row).collect()
+    }
+    match &comparison.subject {
+        Subject::Results(results) => {
+            vec![("robot".into(), cells(&results.parameters)), ("set-up".into(), cells(&results.set_up))]
+        }
+        Subject::Circles { circles } => {
+            let name = |circle: Option<u32>| circle.map_or("circle".into(), |at| format!("circle {at}"));
+            circles.iter().map(|circle| (name(circle.circle), cells(&circle.quantities))).collect()
+        }
+    }
+}
+
+/// The comparison on the terminal.
+fn lines(comparison: &Comparison) -> Vec<String> {
+    let word = comparison.time_unit.word();
+    let mut lines = Vec::new();
+    let reached = |when: &Option<crate::math::straight_line::Reached>| {
+        when.map(|when| {
+            let latest = when.latest.map_or("never".into(), |latest| format!("{latest:.1}"));
+            let (at, earliest) = (when.at, when.earliest);
+            format!("tolerance reached {at:.1} {word}s after the first (95 %: {earliest:.1} to {latest})")
+        })
+    };
+    match &comparison.subject {
+        Subject::Results(results) => {
+            let position = &results.position_change_mm;
+            let (mean, p95) = (position.whole.mean, position.whole.p95);
+            lines.push(format!("{}: {} results", results.robot, comparison.inputs.len()));
+            lines.push(format!(
+                "position changed by {mean:.4} mm in the mean, 95 % of the poses by {p95:.4} mm"
+            ));
+            lines.extend(significant(&results.parameters));
+            if let Some(drift) = position.drift {
+                lines.push(format!("drift {:.2e} mm per {word} (95 % of the poses)", drift.slope));
+            }
+            lines.extend(reached(&position.reaches_tolerance));
+        }
+        Subject::Circles { circles } => {
+            for circle in circles {
+                let number = circle.circle.map_or(String::new(), |number| format!(" {number}"));
+                lines.push(format!("circle{number}, radius {} mm", circle.radius_mm));
+                lines.extend(significant(&circle.quantities));
+                lines.extend(reached(&circle.reaches_tolerance));
+            }
+        }
+    }
+    lines
+}
+
+fn significant<N: std::fmt::Display>(tracked: &[Tracked<N>]) -> Vec<String> {
+    let changed: Vec<String> = tracked
+        .iter()
+        .filter(|tracked| tracked.change.significant)
+        .map(|tracked| {
+            let change = tracked.change;
+            let (name, unit) = (&tracked.name, tracked.unit);
+            format!("  {name} {:+.3e} +- {:.1e} {unit} (p {:.1e})", change.change, change.sd, change.p_holm)
+        })
+        .collect();
+    if changed.is_empty() {
+        return vec![format!("  none of {} changed significantly", tracked.len())];
+    }
+    changed
+}

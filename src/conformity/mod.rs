@@ -1,0 +1,45 @@
+//! Whether a calibrated robot is still what it was: results and circular tests side by side in time.
+//!
+//! Changes are tested at one level for all quantities of a family together (Holm, Scand. J. Statist. 6, 1979). Pure:
+//! results in, numbers out.
+
+mod circles;
+mod results;
+mod timeline;
+mod tracked;
+
+use serde::Serialize;
+
+pub use circles::{CircleCompared, CircleFile, CircleRead, TraceRead, compare_circles};
+pub use results::{NotCompared, PositionChange, ResultRead, ResultsCompared, compare_results, same_robot};
+pub use timeline::{TimeUnit, Timeline};
+pub use tracked::{Change, LEVEL, Tracked, Trend, Value};
+
+/// Results or circular tests side by side, in the order of time.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Comparison {
+    pub schema: u32,
+    pub inputs: Vec<Input>,
+    /// Probability of a change that is none among all quantities of a family.
+    pub level: f64,
+    pub time_unit: TimeUnit,
+    /// Of the position over the workspace, or of the circular deviation.
+    pub tolerance_mm: Option<f64>,
+    #[serde(flatten)]
+    pub subject: Subject,
+}
+
+/// A file that is compared.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Input {
+    pub file: String,
+    pub date: Option<String>,
+}
+
+/// What is compared.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[serde(tag = "kind", rename_all = "lowercase")]
+pub enum Subject {
+    Results(ResultsCompared),
+    Circles { circles: Vec<CircleCompared> },
+}

@@ -1,0 +1,246 @@
+//! Calibrations of one robot in the order of time.
+
+use std::collections::BTreeMap;
+
+use nalgebra::DMatrix;
+use serde::Serialize;
+
+use super::Timeline;
+use super::tracked::{Series, Tracked, Value, track};
+use crate::catalogue::ConformityFinding;
+use crate::diagnostic::Diagnostic;
+use crate::estimation::result::MapPoint;
+use crate::estimation::{ErrorSummary, Options, ResultFile, Workspace};
+use crate::math::straight_line::{Reached, StraightLine};
+use crate::robot::{ParamId, Robot};
+
+/// The schema that is known.
+const SCHEMA: u32 = 1;
+/// Nominal values that are equal to this share are one.
+const SAME: f64 = 1e-9;
+/// Half width of a 95 % interval in standard deviations.
+const COVERAGE: f64 = 1.96;
+
+/// A result that was read, with its parameters by their names.
+#[derive(Clone, Debug)]
+pub struct ResultRead {
+    pub file: String,
+    robot: String,
+    parameters: BTreeMap<ParamId, Estimated>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Estimated {
+    nominal: f64,
+    identified: f64,
+    /// `None` of what was not estimated.
+    value: Option<Value>,
+}
+
+/// The calibrations of a robot side by side.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ResultsCompared {
+    pub robot: String,
+    /// The robot's own parameters.
+    pub parameters: Vec<Tracked<ParamId>>,
+    /// Tool ball, base balls and bar: mounting changes them.
+    pub set_up: Vec<Tracked<ParamId>>,
+    pub not_compared: Vec<NotCompared>,
+    pub position_change_mm: PositionChange,
+}
+
+/// A parameter that is not estimated in all results.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct NotCompared {
+    pub name: ParamId,
+    /// The places of the results that estimate it, from 0.
+    pub estimated_in: Vec<usize>,
+}
+
+/// How far the identified robot's position moved over the workspace, after one best rigid alignment, mm.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct PositionChange {
+    /// Between the first and the last result.
+    pub whole: ErrorSummary,
+    /// By the parameters alone whose changes are significant.
+    pub significant: ErrorSummary,
+    #[serde(skip)]
+    pub map: Vec<MapPoint>,
+    /// Of the position that 95 % of the poses do not exceed, by the significant trends; `None` where none is.
+    pub drift: Option<StraightLine>,
+    /// When this drift reaches the tolerance; `None` without a tolerance or a drift.
+    pub reaches_tolerance: Option<Reached>,
+}
+
+impl ResultRead {
+    /// # Errors
+    /// What is no result of the known schema, or has a parameter or unit that dbbd does not know.
+    pub fn from_json(file: &str, json: serde_json::Value) -> Result<Self, Diagnostic> {
+        let wrong = |finding| Diagnostic::file(file, finding);
+        super::circles::check_schema(&json, SCHEMA).map_err(wrong)?;
+        let result: ResultFile = serde_json::from_value(json)
+            .map_err(|error| wrong(ConformityFinding::Incomplete { why: error.to_string() }))?;
+        let mut parameters = BTreeMap::new();
+        for parameter in &result.parameters {
+            let name = || parameter.name.clone();
+            let id: ParamId = parameter
+                .name
+                .parse()
+                .map_err(|_| wrong(ConformityFinding::UnknownParameter { parameter: name() }))?;
+            if parameter.unit != id.unit().name() {
+                let (unit, given) = (id.unit().to_string(), parameter.unit.clone());
+                return Err(wrong(ConformityFinding::OtherUnit { parameter: name(), unit, given }));
+            }
+            let (nominal, identified) = (parameter.nominal, parameter.identified);
+            let value = |sd| Value { value: identified, sd, freedom: result.sigma_freedom };
+            let sd = parameter.sd.filter(|sd| *sd > 0.0 && sd.is_finite());
+            parameters.insert(id, Estimated { nominal, identified, value: sd.map(value) });
+        }
+        Ok(Self { file: file.into(), robot: result.robot, parameters })
+    }
+}
+
+/// That all are of the robot of the first.
+///
+/// # Errors
+/// Another name, or another nominal value of the robot's own parameters.
+pub fn same_robot(results: &[ResultRead]) -> Result<(), Diagnostic> {
+    let Some((first, others)) = results.split_first() else { return Ok(()) };
+    for other in others {
+        let file = || first.file.clone();
+        let wrong = |finding| Err(Diagnostic::file(&other.file, finding));
+        if other.robot != first.robot {
+            let (robot, other) = (first.robot.clone(), other.robot.clone());
+            return wrong(ConformityFinding::OtherRobot { first: file(), robot, other });
+        }
+        for (id, known) in first.parameters.iter().filter(|(id, _)| id.is_geometric()) {
+            let Some(found) = other.parameters.get(id) else { continue };
+            if (found.nominal - known.nominal).abs() > SAME * known.nominal.abs().max(1.0) {
+                let (parameter, value, other) = (id.to_string(), known.nominal, found.nominal);
+                return wrong(ConformityFinding::OtherNominal { first: file(), parameter, value, other });
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Compares results of one robot; `robot` has its axes and limits.
+///
+/// # Errors
+/// Nothing that is estimated in all.
+pub fn compare_results(
+    robot: &Robot,
+    results: &[ResultRead],
+    timeline: &Timeline,
+    tolerance_mm: Option<f64>,
+) -> Result<ResultsCompared, Diagnostic> {
+    let mut ids: Vec<ParamId> = results.iter().flat_map(|result| result.parameters.keys().copied()).collect();
+    ids.sort();
+    ids.dedup();
+    let (mut own, mut set_up, mut not_compared) = (Vec::new(), Vec::new(), Vec::new());
+    for name in ids {
+        let value = |result: &ResultRead| result.parameters.get(&name).and_then(|found| found.value);
+        let found: Vec<Option<Value>> = results.iter().map(value).collect();
+        if let Some(values) = found.iter().copied().collect::<Option<Vec<Value>>>() {
+            let family = if name.is_setup() { &mut set_up } else { &mut own };
+            family.push(Series { name, unit: name.unit().name(), values });
+        } else if found.iter().any(Option::is_some) {
+            let estimated_in = (0..found.len()).filter(|at| found[*at].is_some()).collect();
+            not_compared.push(NotCompared { name, estimated_in });
+        }
+    }
+    let (parameters, set_up) = (track(own, timeline), track(set_up, timeline));
+    let [Some(first), Some(last)] = [results.first(), results.last()] else {
+        return Err(ConformityFinding::NeitherResultNorCircle.into());
+    };
+    if parameters.is_empty() && set_up.is_empty() {
+        let finding = ConformityFinding::NothingInCommon { first: first.file.clone() };
+        return Err(Diagnostic::file(&last.file, finding));
+    }
+    let position = Position::new(robot, first, last);
+    Ok(ResultsCompared {
+        robot: first.robot.clone(),
+        position_change_mm: position.change(&parameters, timeline, tolerance_mm),
+        parameters,
+        set_up,
+        not_compared,
+    })
+}
+
+/// The workspace in which the change of the position is taken.
+struct Position {
+    workspace: Workspace,
+    /// Change of every parameter that moves the tool ball.
+    whole: DMatrix<f64>,
+}
+
+impl Position {
+    fn new(robot: &Robot, first: &ResultRead, last: &ResultRead) -> Self {
+        let moves = |id: &ParamId| !matches!(id, ParamId::Ball(..) | ParamId::BarOffset(_));
+        let ids: Vec<ParamId> = first.parameters.keys().copied().filter(moves).collect();
+        let mut geometry = robot.geometry.clone();
+        for id in &ids {
+            if let (Some(value), Some(found)) = (geometry.value_mut(*id), first.parameters.get(id)) {
+                *value = found.identified;
+            }
+        }
+        let change = |id: &ParamId| {
+            let value = |result: &ResultRead| result.parameters.get(id).map(|found| found.identified);
+            value(last).zip(value(first)).map_or(0.0, |(last, first)| last - first)
+        };
+        let whole = DMatrix::from_iterator(ids.len(), 1, ids.iter().map(change));
+        let poses = Options::default().workspace_poses(robot).into_owned();
+        Self { workspace: Workspace::new(&geometry, &poses, &ids), whole }
+    }
+
+    fn change(
+        &self,
+        parameters: &[Tracked<ParamId>],
+        timeline: &Timeline,
+        tolerance_mm: Option<f64>,
+    ) -> PositionChange {
+        let moved = self.workspace.displacements(&self.whole);
+        let changed = parameters.iter().filter(|parameter| parameter.change.significant);
+        let changed: Vec<(ParamId, f64)> = changed.map(|found| (found.name, found.change.change)).collect();
+        let drift = self.drift(parameters);
+        let reached =
+            |(drift, tolerance): (StraightLine, f64)| drift.reaches(tolerance, timeline.last(), COVERAGE);
+        PositionChange {
+            whole: self.workspace.summary(&moved),
+            significant: self.summary(&changed),
+            map: self.workspace.map(&moved),
+            reaches_tolerance: drift.zip(tolerance_mm).and_then(reached),
+            drift,
+        }
+    }
+
+    fn summary(&self, changes: &[(ParamId, f64)]) -> ErrorSummary {
+        let ids = self.workspace.ids();
+        let of =
+            |id: &ParamId| changes.iter().find(|(name, _)| name == id).map_or(0.0, |(_, change)| *change);
+        let column = DMatrix::from_iterator(ids.len(), 1, ids.iter().map(of));
+        self.workspace.summary(&self.workspace.displacements(&column))
+    }
+
+    /// The significant trends together, as a line from the first result; its deviation from those of the slopes, which
+    /// count as independent.
+    fn drift(&self, parameters: &[Tracked<ParamId>]) -> Option<StraightLine> {
+        let lines = parameters.iter().filter_map(|parameter| {
+            parameter.trend.filter(|trend| trend.significant).map(|trend| (parameter.name, trend.line))
+        });
+        let lines: Vec<(ParamId, StraightLine)> = lines.collect();
+        if lines.is_empty() {
+            return None;
+        }
+        let slopes: Vec<(ParamId, f64)> = lines.iter().map(|(name, line)| (*name, line.slope)).collect();
+        let slope = self.summary(&slopes).p95;
+        let variance: f64 = (0..lines.len())
+            .map(|at| {
+                let mut shifted = slopes.clone();
+                shifted[at].1 += lines[at].1.slope_sd;
+                (self.summary(&shifted).p95 - slope).powi(2)
+            })
+            .sum();
+        Some(StraightLine { centre: 0.0, level: 0.0, level_sd: 0.0, slope, slope_sd: variance.sqrt() })
+    }
+}

@@ -1,0 +1,134 @@
+//! A quantity that was determined several times: its change, and its trend.
+
+use serde::Serialize;
+
+use super::Timeline;
+use crate::math::distributions::two_sided_tail;
+use crate::math::straight_line::{Sighting, StraightLine};
+
+/// Probability of a change that is none, for all quantities of a family together.
+pub const LEVEL: f64 = 0.01;
+
+/// A value with its standard deviation.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Value {
+    pub value: f64,
+    pub sd: f64,
+    /// Degrees of freedom of the standard deviation, where it was estimated.
+    #[serde(skip)]
+    pub freedom: Option<f64>,
+}
+
+/// A quantity in the order of time.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Tracked<N> {
+    pub name: N,
+    /// Of values, changes and standard deviations.
+    pub unit: &'static str,
+    pub values: Vec<Value>,
+    /// From the first to the last.
+    pub change: Change,
+    /// `None` where all times are one.
+    pub trend: Option<Trend>,
+}
+
+/// A difference and how far chance explains it.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Change {
+    pub change: f64,
+    pub sd: f64,
+    /// Probability of such a change where there is none: of this quantity alone, and as the largest of all (Holm).
+    pub p: f64,
+    pub p_holm: f64,
+    pub significant: bool,
+}
+
+/// A straight line through the values.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Trend {
+    #[serde(flatten)]
+    pub line: StraightLine,
+    pub p_holm: f64,
+    pub significant: bool,
+}
+
+/// A quantity before its test.
+pub(super) struct Series<N> {
+    pub(super) name: N,
+    pub(super) unit: &'static str,
+    pub(super) values: Vec<Value>,
+}
+
+/// Tests the changes and trends of one family.
+pub(super) fn track<N>(family: Vec<Series<N>>, timeline: &Timeline) -> Vec<Tracked<N>> {
+    let mut changes: Vec<Change> = family.iter().map(|series| change(&series.values)).collect();
+    let adjusted = holm(&changes.iter().map(|change| change.p).collect::<Vec<f64>>());
+    for (change, p_holm) in changes.iter_mut().zip(adjusted) {
+        (change.p_holm, change.significant) = (p_holm, p_holm < LEVEL);
+    }
+    let lines: Vec<Option<StraightLine>> =
+        family.iter().map(|series| StraightLine::through(&sightings(&series.values, timeline))).collect();
+    let chances = |line: &Option<StraightLine>| {
+        line.map_or(1.0, |line| two_sided_tail(line.slope / line.slope_sd, None))
+    };
+    let slopes = holm(&lines.iter().map(chances).collect::<Vec<f64>>());
+    let trend = |(line, p_holm): (Option<StraightLine>, f64)| {
+        line.map(|line| Trend { line, p_holm, significant: p_holm < LEVEL })
+    };
+    let trends = lines.into_iter().zip(slopes).map(trend);
+    let both = family.into_iter().zip(changes).zip(trends);
+    both.map(|((Series { name, unit, values }, change), trend)| Tracked { name, unit, values, change, trend })
+        .collect()
+}
+
+fn sightings(values: &[Value], timeline: &Timeline) -> Vec<Sighting> {
+    let places = timeline.times.iter().zip(values);
+    places.map(|(x, value)| Sighting { x: *x, y: value.value, sd: value.sd }).collect()
+}
+
+/// From the first to the last value; the degrees of freedom of the difference by Welch and Satterthwaite.
+fn change(values: &[Value]) -> Change {
+    let nothing = Value { value: 0.0, sd: 0.0, freedom: None };
+    let [first, last] = [values.first(), values.last()].map(|value| value.copied().unwrap_or(nothing));
+    let (change, sd) = (last.value - first.value, last.sd.hypot(first.sd));
+    let share = |value: Value| value.freedom.map_or(0.0, |freedom| value.sd.powi(4) / freedom);
+    let shares = share(first) + share(last);
+    let freedom = (shares > 0.0).then(|| sd.powi(4) / shares);
+    let p = if change == 0.0 { 1.0 } else { two_sided_tail(change / sd, freedom) };
+    Change { change, sd, p, p_holm: p, significant: false }
+}
+
+/// Holm's adjusted probabilities, in the order given.
+fn holm(chances: &[f64]) -> Vec<f64> {
+    let mut order: Vec<usize> = (0..chances.len()).collect();
+    order.sort_by(|a, b| chances[*a].total_cmp(&chances[*b]));
+    let (mut adjusted, mut most) = (vec![1.0; chances.len()], 0.0);
+    for (rank, at) in order.into_iter().enumerate() {
+        most = (chances[at] * (chances.len() - rank) as f64).min(1.0).max(most);
+        adjusted[at] = most;
+    }
+    adjusted
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Values of R: p.adjust(c(0.01, 0.04, 0.03, 0.005), "holm").
+    #[test]
+    fn probabilities_are_adjusted_by_holm() {
+        let adjusted = holm(&[0.01, 0.04, 0.03, 0.005]);
+        for (found, expected) in adjusted.iter().zip([0.03, 0.06, 0.06, 0.02]) {
+            assert!((found - expected).abs() < 1e-12, "{adjusted:?}");
+        }
+    }
+
+    #[test]
+    fn a_change_counts_the_freedom_of_both_deviations() {
+        let value = |value, freedom| Value { value, sd: 1.0, freedom };
+        // Welch: 2^2 / (1/5 + 1/5) = 10 degrees of freedom; scipy.stats.t.sf(3 / sqrt(2), 10) * 2.
+        let found = change(&[value(0.0, Some(5.0)), value(3.0, Some(5.0))]);
+        assert!((found.p - 0.0598903244255594).abs() < 1e-9, "{}", found.p);
+        assert!((change(&[value(0.0, None), value(3.0, None)]).p - 0.033894853524689295).abs() < 1e-9);
+    }
+}

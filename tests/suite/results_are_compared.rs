@@ -1,0 +1,195 @@
+//! `dbbd compare`: what changed is found and nothing else, and what cannot be compared is refused.
+
+use std::fs;
+use std::path::Path;
+
+use rand::SeedableRng;
+use rand_distr::{Distribution, StandardNormal};
+use rand_pcg::Pcg64;
+use serde_json::Value;
+use tempfile::{TempDir, tempdir};
+
+use crate::cell::{
+    CENTRE, Circle, DESIGNED, centres_csv, codes, dbbd, measure, stderr, three_planes, with_errors,
+};
+
+pub(crate) fn provoked() -> Vec<&'static str> {
+    vec!["E1901", "E1902", "E1903", "E1904", "E1905", "I1906"]
+}
+
+/// Calibrations of one robot from lengths of 2 um noise; `theta3` moves by `step` rad from one to the next.
+fn calibrations(count: u32, step: f64) -> TempDir {
+    let dir = tempdir().unwrap();
+    let circles: Vec<Circle> = [three_planes(1, CENTRE), three_planes(2, [1100.0, 500.0, 500.0])].concat();
+    fs::write(dir.path().join("C.csv"), centres_csv(&circles)).unwrap();
+    for number in 0..count {
+        let drift = ("theta3", step * f64::from(number));
+        let mut data = measure(&with_errors(DESIGNED.into_iter().chain([drift])), &circles, 12, 40.0);
+        let mut random = Pcg64::seed_from_u64(u64::from(number) + 7);
+        for row in &mut data.rows {
+            let z: f64 = StandardNormal.sample(&mut random);
+            row.length_mm += 0.002 * z;
+        }
+        fs::write(dir.path().join("obs.csv"), data.to_csv()).unwrap();
+        let name = format!("r{number}");
+        let args = ["identify", "obs.csv", "--robot", "kr60ha", "--centres", "C.csv", "--out", &name];
+        let output = dbbd(dir.path(), &[&args[..], &["--sigma", "0.002", "--folds", "0"]].concat());
+        assert!(output.status.success(), "{}", stderr(&output));
+    }
+    dir
+}
+
+fn compared(dir: &Path, args: &[&str]) -> Value {
+    let output = dbbd(dir, &[&["compare"], args, &["--out", "out", "--json"]].concat());
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    let json: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let file: Value =
+        serde_json::from_str(&fs::read_to_string(dir.join("out/compare.json")).unwrap()).unwrap();
+    assert_eq!(json["inputs"], file["inputs"]);
+    json
+}
+
+fn number(value: &Value) -> f64 {
+    value.as_f64().unwrap_or_else(|| panic!("{value} is no number"))
+}
+
+#[test]
+fn a_drift_is_named_and_forecast() {
+    let step = 0.02f64.to_radians();
+    let dir = calibrations(3, step);
+    let dates = "2025-01-01,2025-01-31,2025-03-02";
+    let found = compared(dir.path(), &["r0", "r1", "r2/result.json", "--dates", dates, "--tolerance", "2"]);
+    let changed: Vec<&Value> = found["parameters"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .filter(|parameter| parameter["change"]["significant"] == true)
+        .collect();
+    assert_eq!(changed.iter().map(|p| p["name"].as_str().unwrap()).collect::<Vec<_>>(), ["theta3"]);
+    let change = &changed[0]["change"];
+    let off = number(&change["change"]) - 2.0 * step;
+    assert!(off.abs() < 4.0 * number(&change["sd"]), "{off} rad");
+    assert!((number(&changed[0]["trend"]["slope"]) / (step / 30.0) - 1.0).abs() < 0.2);
+    // The drift leads to the tolerance in proportion to what it has done in 60 days.
+    let position = &found["position_change_mm"];
+    let expected = 60.0 * 2.0 / number(&position["significant"]["p95"]);
+    assert!((number(&position["reaches_tolerance"]["at"]) / expected - 1.0).abs() < 0.05);
+    let table = fs::read_to_string(dir.path().join("out/compare.csv")).unwrap();
+    assert!(table.lines().next().unwrap().starts_with("family,name,unit,value_1,sd_1,value_2"));
+    let page = fs::read_to_string(dir.path().join("out/compare.html")).unwrap();
+    assert!(page.matches("<svg").count() >= 5 && !page.contains("NaN"));
+    if let Some(folder) = std::env::var_os("DBBD_PAGES") {
+        fs::write(Path::new(&folder).join("compare.html"), page).unwrap();
+    }
+}
+
+#[test]
+fn nothing_is_named_where_nothing_changed_and_inputs_are_checked() {
+    let dir = calibrations(2, 0.0);
+    let at = dir.path();
+    let found = compared(at, &["r0", "r1"]);
+    let none =
+        |family: &Value| family.as_array().unwrap().iter().all(|p| p["change"]["significant"] == false);
+    assert!(none(&found["parameters"]) && none(&found["set_up"]));
+    assert!(number(&found["position_change_mm"]["whole"]["mean"]) < 0.1);
+    let text = fs::read_to_string(at.join("r1/result.json")).unwrap();
+    let edited = |name: &str, edit: &dyn Fn(&mut Value)| {
+        let mut json: Value = serde_json::from_str(&text).unwrap();
+        edit(&mut json);
+        fs::write(at.join(name), json.to_string()).unwrap();
+    };
+    edited("schema.json", &|json| json["schema"] = 7.into());
+    edited("robot.json", &|json| json["robot"] = "another".into());
+    edited("unit.json", &|json| json["parameters"][1]["unit"] = "deg".into());
+    edited("name.json", &|json| json["parameters"][1]["name"] = "elbow".into());
+    edited("nominal.json", &|json| json["parameters"][7]["nominal"] = 17.into());
+    edited("part.json", &|json| json["observations"] = Value::Null);
+    fs::write(at.join("no.json"), "{\"schema\":").unwrap();
+    fs::write(at.join("other.json"), "{\"schema\":1}").unwrap();
+    fs::create_dir(at.join("empty")).unwrap();
+    fs::create_dir(at.join("alone")).unwrap();
+    fs::copy(at.join("r0/result.json"), at.join("alone/result.json")).unwrap();
+    let circle = r#"{"schema":1,"circle":1,"radius_mm":300.0,"Gb":0.1,"Gb_u95":0.01,"traces":[]}"#;
+    fs::write(at.join("circle.json"), circle).unwrap();
+    let dates = |given: &'static str| vec!["r0", "r1", "--dates", given];
+    for (args, code) in [
+        (vec!["r0", "no.json"], "E1901"),
+        (vec!["r0", "other.json"], "E1901"),
+        (vec!["r0", "empty"], "E1901"),
+        (vec!["r0", "schema.json"], "E1901"),
+        (vec!["r0", "part.json"], "E1901"),
+        (vec!["r0", "robot.json"], "E1902"),
+        (vec!["r0", "unit.json"], "E1902"),
+        (vec!["r0", "name.json"], "E1902"),
+        (vec!["r0", "nominal.json"], "E1902"),
+        (vec!["r0", "circle.json"], "E1902"),
+        (vec!["r0", "r1", "r0/result.json"], "E1903"),
+        (dates("2025-01-01"), "E1904"),
+        (dates("2025-01-01,2024-01-01"), "E1904"),
+        (dates("2025-01-01,soon"), "E1904"),
+        (vec!["alone", "r1"], "E1905"),
+    ] {
+        let output = dbbd(at, &[&["compare"], &args[..], &["--out", "out"]].concat());
+        assert_eq!((output.status.code(), codes(&output)), (Some(1), vec![code.to_owned()]), "{args:?}");
+    }
+    let one = dbbd(at, &["compare", "r0", "--out", "out"]);
+    assert_eq!(one.status.code(), Some(2));
+    edited("few.json", &|json| json["parameters"][8]["sd"] = Value::Null);
+    let few = dbbd(at, &["compare", "r0", "few.json", "--out", "out"]);
+    assert_eq!((few.status.code(), codes(&few)), (Some(0), vec!["I1906".to_owned()]));
+}
+
+/// Radius 150 mm in both senses; an ellipse that grows.
+fn circle_csv(ellipse_mm: f64, seed: u64) -> String {
+    let mut random = Pcg64::seed_from_u64(seed);
+    let mut text = String::from("run,direction,angle_deg,length_mm\n");
+    for direction in ["ccw", "cw"] {
+        for step in 0..120 {
+            let angle =
+                if direction == "ccw" { f64::from(step) * 3.0 } else { 360.0 - f64::from(step) * 3.0 };
+            let z: f64 = StandardNormal.sample(&mut random);
+            let length = 150.0 + ellipse_mm * (2.0 * angle.to_radians()).cos() + 0.0005 * z;
+            text.push_str(&format!("1,{direction},{angle},{length}\n"));
+        }
+    }
+    text
+}
+
+#[test]
+fn circles_are_overlaid_and_their_deviation_is_forecast() {
+    let dir = tempdir().unwrap();
+    let at = dir.path();
+    for number in 0..4 {
+        let name = format!("c{number}");
+        let csv = format!("{name}.csv");
+        fs::write(at.join(&csv), circle_csv(0.01 + 0.005 * number as f64, number + 1)).unwrap();
+        let output = dbbd(at, &["circle", &csv, "--radius", "150", "--out", &name]);
+        assert!(output.status.success(), "{}", stderr(&output));
+    }
+    let found = compared(at, &["c0", "c1", "c2", "c3", "--tolerance", "0.1"]);
+    assert_eq!(found["kind"], "circles");
+    let circle = &found["circles"][0];
+    let deviation = circle["quantities"].as_array().unwrap().iter().find(|q| q["name"] == "Gb").unwrap();
+    assert_eq!(deviation["change"]["significant"], true);
+    // Gb is twice the ellipse: 0.02 mm and 0.01 mm a test, 0.1 mm at number 8 (0.003 mm of it noise).
+    assert!(
+        (number(&circle["reaches_tolerance"]["at"]) - 8.0).abs() < 0.8,
+        "{}",
+        circle["reaches_tolerance"]
+    );
+    let page = fs::read_to_string(at.join("out/compare.html")).unwrap();
+    assert!(page.contains("Circles overlaid") && page.contains("number 2") && !page.contains("NaN"));
+    if let Some(folder) = std::env::var_os("DBBD_PAGES") {
+        fs::write(Path::new(&folder).join("compare-circles.html"), page).unwrap();
+    }
+    // As the same machine would repeat to a tenth of a millimetre, nothing changed.
+    let repeated = compared(at, &["c0", "c3", "--repeat-u", "0.1"]);
+    let quantities = repeated["circles"][0]["quantities"].as_array().unwrap();
+    assert!(quantities.iter().all(|quantity| quantity["change"]["significant"] == false));
+    let other = fs::read_to_string(at.join("c1/circle.json"))
+        .unwrap()
+        .replace("\"radius_mm\": 150.0", "\"radius_mm\": 151.0");
+    fs::write(at.join("other.json"), other).unwrap();
+    let refused = dbbd(at, &["compare", "c0", "other.json", "--out", "out"]);
+    assert_eq!((refused.status.code(), codes(&refused)), (Some(1), vec!["E1902".to_owned()]));
+}
