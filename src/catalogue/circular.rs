@@ -50,10 +50,11 @@ findings! {
         cure: "Give it with --radius." {
             RadiusAssumed { radius_mm: f64 } => "no --radius was given: the nominal radius is taken to be {radius_mm} mm";
         }
-        I1414 "poses of a circle have no length",
+        W1415 "poses of a circle have no length",
         cause: "Their dwells could not be matched or read.",
-        cure: "`dbbd sync` gives the reason for each pose." {
-            PosesWithoutLength { poses: usize } => "{poses} poses have no length (`dbbd sync` gives the reasons)";
+        cure: "`dbbd sync` gives the reason for each pose. Measure the circle again where much of it is missing." {
+            PosesWithoutLength { lost: usize, poses: usize, percent: f64 } => "{lost} of {poses} poses ({percent:.1} %) have no length (`dbbd sync` gives the reasons)";
+            CircleWithoutLength { circle: u32, poses: usize } => "circle {circle}: none of its {poses} poses has a length, so it is left out";
         }
     }
 }

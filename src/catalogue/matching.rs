@@ -14,12 +14,12 @@ findings! {
         W1002 "poses were dropped as ambiguous",
         cause: "The program was stopped or started again, the override changed on the way, or the program is not this plan's.",
         cure: "The poses that remain are right with more than 99 %. Where many are dropped, write the program with `krl --sync output` or `ekrl`." {
-            AmbiguousPoses { poses: usize } => "{poses} poses were dropped: more than one dwell may be theirs";
+            AmbiguousPoses { poses: usize, percent: f64 } => "{poses} poses ({percent:.1} %) were dropped: more than one dwell may be theirs";
         }
-        W1003 "few poses have a length",
+        W1003 "poses have no length",
         cause: "The capture does not cover the run, the bar sent no usable length, or the plan is not the one that was driven.",
-        cure: "Look at the reasons at each pose; start `dbbd acquire` before the program and let it end by itself." {
-            FewMatched { matched: usize, poses: usize } => "only {matched} of {poses} poses have a length";
+        cure: "`dbbd sync` gives the reason at each pose; start `dbbd acquire` before the program and let it end by itself." {
+            PosesLost { lost: usize, poses: usize, percent: f64 } => "{lost} of {poses} poses ({percent:.1} %) have no length";
         }
         W1004 "a module has more or fewer strobes than dwells",
         cause: "The module was stopped and started again, or the strobe's line is bad.",
@@ -36,6 +36,11 @@ findings! {
         cure: "Give the plan that was driven (--plan); if the robot was moved by hand, measure again." {
             OtherPlanDriven { poses: usize, worst_deg: f64 } => "at {poses} poses the measured axis angles are up to {worst_deg:.2} degrees from the commanded ones: was another plan driven?";
             AxesMoved { poses: usize, worst_deg: f64 } => "at {poses} poses the measured axis angles are up to {worst_deg:.2} degrees from the commanded ones, at the others they agree: was the robot stopped or moved by hand?";
+        }
+        W1007 "readings within dwells are not valid",
+        cause: "The bar did not vouch for readings while the robot stood: it was outside of its stroke, or its line or its supply failed.",
+        cure: "The other readings of these dwells are used. Check the bar's stroke and its seat, and measure again where much is missing." {
+            InvalidInDwells { invalid: usize, samples: usize, percent: f64, dwells: usize } => "in {dwells} dwells {invalid} of {samples} readings ({percent:.2} %) are not valid";
         }
         I1010 "the measured axis angles are corrected ones",
         cause: "The controller is in its absolute-accuracy mode and corrects its motions by a model of its own.",

@@ -75,6 +75,7 @@ findings! {
         cause: "The bar is outside of its stroke, or is not mounted.",
         cure: "Mount the bar between its balls and repeat the run." {
             NoLength { refusals: u64 } => "the bar sent no length, but {refusals} times that it has none: is it within its stroke?";
+            NoValid { samples: u64 } => "the bar marked all of its {samples} readings as not valid: is it within its stroke?";
         }
         W0223 "samples are missing",
         cause: "The line lost bytes, the bar's buffer overflowed, or the computer was too slow.",
@@ -87,6 +88,11 @@ findings! {
         cure: "Load the modules of this plan and their DbbEki.xml, written with `krl --sync ekrl --server` and this address." {
             TelegramsRefused { telegrams: u64 } => "{telegrams} telegrams were refused, at which the program halts: is it this plan's program? `dbbd export` shows them among the events";
             NoTelegram => "no telegram came: was the program written with `krl --sync ekrl --server` and this address, and is its channel file on the controller?";
+        }
+        W0225 "the bar was silent",
+        cause: "Its cable, its supply or its adapter failed, or it fell asleep.",
+        cure: "`dbbd export` shows each silence among the gaps, `dbbd sync` names the poses that are touched. Check cable and supply, and measure again where poses are missing." {
+            FellSilent { silent_s: f64, gaps: u64 } => "the bar was silent for {silent_s:.1} s in all ({gaps} gaps)";
         }
     }
 }

@@ -93,6 +93,12 @@ findings! {
             TelegramNotAngle { name: String, value: String } => "Ax/@{name} of the telegram is `{value}`, not an angle in degrees";
             TelegramPhase { phase: u32 } => "Pt/@Ph of the telegram is {phase}, not 1 or 2";
         }
+        W0415 "the capture was taken away while it was recorded",
+        cause: "Another program or person removed, renamed, replaced or changed the file, or removed its directory.",
+        cure: "Evaluate the new file. Where another program cut the old one, keep both: the new one lacks what was recorded before, and `dbbd info` says how much. Keep other programs away from captures that are being written." {
+            TakenAway { new: String, bytes: u64 } => "the capture was removed, renamed or replaced: recording goes on in {new}, with the {bytes} bytes that were written before";
+            Resized { new: String, bytes: u64, found: u64 } => "another program changed the capture: it has {found} bytes, and {bytes} were written; recording goes on in {new}";
+        }
         I0420 "the controller was in its absolute-accuracy mode",
         cause: "The controller corrects its motions by a model of its own ($ABS_ACCUR), so its axes are not at the commanded angles.",
         cure: "Nothing is wrong while the logged axis angles of all modules are given (--axes, or EthernetKRL)." {

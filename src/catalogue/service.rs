@@ -60,7 +60,7 @@ findings! {
             RunDuration { most_s: f64 } => "duration_s must be above 0 and at most {most_s}";
             OptionOfAnotherJob { option: String } => "`{option}` belongs to identify";
             OptionValue { option: String, value: String } => "`{option}` cannot be `{value}`";
-            RemarkLength { most: usize } => "a remark has 1 to {most} characters";
+            RemarkLength { most: usize } => "a remark has 1 to {most} characters, none of which is a control character";
             BodyContent { why: String } => "{why}";
         }
         E1506 "too many at once",

@@ -20,7 +20,7 @@ use crate::daemon::{
 };
 use crate::device::port;
 use crate::diagnostic::Diagnostic;
-use crate::recording::run::PlanFiles;
+use crate::recording::run::{self, PlanFiles};
 
 /// The protocol without a word about it.
 const DEFAULT_PROTOCOL: &str = "dbb-cobs-1";
@@ -30,10 +30,12 @@ const LINE_EVERY_S: f64 = 5.0;
 /// When a run ends; shown below the options.
 const ENDS: &str = "The run ends at the program's end mark (two short strobe pulses after a dwell: with --plan the \
 last circle's, without a plan after 20 s of device time with no strobe; with --ekrl and --plan: when the program has \
-reported its last dwell and closed the channel), after --duration, on SIGINT or SIGTERM, \
+reported its last dwell and closed the channel), after --duration, on a signal (SIGINT, SIGTERM, SIGHUP, SIGQUIT, \
+SIGUSR1, SIGUSR2; after `nohup` not on SIGHUP), \
 or when the port stays away for --gone. Bytes are written before they are decoded: a kill loses at most the \
 record being written, a loss of power what came since the last --sync-every. A disk that is full or fails ends \
-the run: every whole record is kept (exit code 1). Exit code 3: samples are missing, or nothing was understood.";
+the run: every whole record is kept (exit code 1). Exit code 3: samples, poses or time are missing, nothing was \
+understood, or the capture was taken away and recording went on in a new file.";
 
 /// Read the bar over its serial line into a capture.
 ///
@@ -145,6 +147,7 @@ fn record(args: &Args, server: Option<Server>, out: &Output) -> Verdict {
     }
     out.progress(format!("reading {} into {}", args.port, args.out.display()));
     show(&acquisition, &schedule, out)?;
+    acquisition.findings().into_iter().for_each(|finding| out.finding(finding));
     conclude(&acquisition.join()?, args, out)
 }
 
@@ -161,6 +164,7 @@ fn show(acquisition: &Acquisition, schedule: &Schedule, out: &Output) -> Result<
     let mut mount = MountDetector::default();
     while !acquisition.is_over() {
         clock::sleep(0.05);
+        acquisition.findings().into_iter().for_each(|finding| out.finding(finding));
         let progress = acquisition.progress();
         if let Some(line) = &line {
             line.set_message(view::lines(&progress, schedule, &mut mount));
@@ -209,10 +213,10 @@ fn losses(progress: &Progress) -> String {
 
 /// Reports what the run gave and what is to be doubted.
 fn conclude(summary: &Summary, args: &Args, out: &Output) -> Verdict {
-    let Summary { ending, progress } = summary;
+    let Summary { capture, ending, progress } = summary;
     out.result(format!(
         "{}: {} samples, {} dwells, {} bytes in {:.1} s; {}",
-        args.out.display(),
+        capture.display(),
         progress.samples,
         progress.dwells,
         progress.bytes,
@@ -220,13 +224,16 @@ fn conclude(summary: &Summary, args: &Args, out: &Output) -> Verdict {
         ending.reason()
     ));
     doubts(summary, args).into_iter().for_each(|finding| out.finding(finding));
+    if args.plan.is_some() && progress.samples > 0 {
+        run::losses(capture)?.into_iter().for_each(|loss| out.finding(loss));
+    }
     out.document(summary)?;
     Ok(Outcome::Done)
 }
 
 fn doubts(summary: &Summary, args: &Args) -> Vec<PortFinding> {
-    let Summary { ending, progress } = *summary;
-    let Progress { missing, lost_bytes, gaps, .. } = progress;
+    let Summary { ending, progress, .. } = *summary;
+    let Progress { missing, lost_bytes, gaps, silent_s, .. } = progress;
     let doubts = [
         (ending == Ending::Gone, PortFinding::StayedAway { port: args.port.clone(), gone_s: args.gone }),
         (progress.bytes == 0, PortFinding::NothingReceived),
@@ -235,6 +242,11 @@ fn doubts(summary: &Summary, args: &Args) -> Vec<PortFinding> {
             progress.samples == 0 && progress.rejected > 0,
             PortFinding::NoLength { refusals: progress.rejected },
         ),
+        (
+            progress.samples > 0 && progress.invalid == progress.samples,
+            PortFinding::NoValid { samples: progress.samples },
+        ),
+        (silent_s > 0.0, PortFinding::FellSilent { silent_s, gaps }),
         (missing > 0 || lost_bytes > 0, PortFinding::SamplesMissing { missing, lost_bytes, gaps }),
         (progress.unanswered > 0, PortFinding::Unanswered { requests: progress.unanswered }),
         (progress.refused > 0, PortFinding::TelegramsRefused { telegrams: progress.refused }),

@@ -183,21 +183,32 @@ fn from_capture(path: &Path, args: &Args, out: &Output) -> Result<Captured, Diag
     let certificate = Certificate { temperature: run.certificate(), u_mm: bar.length_u_mm.map(|u| 0.5 * u) };
     let found = run.circles()?;
     out.about(&found.findings);
-    let circles = found.circles.into_iter().map(|circle| Found {
+    let name = path.display().to_string();
+    let (circles, empty): (Vec<_>, Vec<_>) =
+        found.circles.into_iter().partition(|circle| circle.measured() > 0);
+    if circles.is_empty() {
+        return Err(Diagnostic::file(&name, MatchingFinding::NoCircle));
+    }
+    for circle in empty {
+        let without = CircularFinding::CircleWithoutLength { circle: circle.number, poses: circle.lost };
+        out.finding(Diagnostic::file(&name, without));
+    }
+    let circles = circles.into_iter().map(|circle| Found {
         source: format!("{}, circle {}", path.display(), circle.number),
         circle: Some(circle.number),
         radius_mm: args.radius.unwrap_or(circle.radius_mm),
         notes: match circle.lost {
             0 => Vec::new(),
-            poses => vec![CircularFinding::PosesWithoutLength { poses }],
+            lost => {
+                let poses = lost + circle.measured();
+                let percent = 100.0 * lost as f64 / poses as f64;
+                vec![CircularFinding::PosesWithoutLength { lost, poses, percent }]
+            }
         },
         traces: circle.traces,
         certificate,
     });
-    let circles: Vec<Found> = circles.collect();
-    if circles.is_empty() {
-        return Err(Diagnostic::file(&path.display().to_string(), MatchingFinding::NoCircle));
-    }
+    let circles = circles.collect();
     Ok(Captured { circles, plan_hash: run.plan.header.hash.clone() })
 }
 

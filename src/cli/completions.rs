@@ -1,7 +1,5 @@
 //! `dbbd completions`: completions for a shell, on stdout.
 
-use std::io;
-
 use clap::CommandFactory;
 use clap_complete::Shell;
 
@@ -16,7 +14,9 @@ pub(crate) struct Args {
     shell: Shell,
 }
 
-pub(crate) fn run(args: &Args, _out: &Output) -> Verdict {
-    clap_complete::generate(args.shell, &mut Cli::command(), "dbbd", &mut io::stdout());
+pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
+    let mut text = Vec::new();
+    clap_complete::generate(args.shell, &mut Cli::command(), "dbbd", &mut text);
+    out.text(&text);
     Ok(Outcome::Done)
 }

@@ -10,10 +10,12 @@ use crate::base::units::HostNs;
 use crate::device::protocol::{Definition, Fault, FaultKind};
 use crate::diagnostic::{Code, Diagnostic, Finding};
 use crate::recording::capture::{Event, Pass, Record, Stamped};
+use crate::recording::run;
 
 /// Show a capture on one screen.
 ///
-/// What it carries, its samples, gaps and faults, the range of its readings, how it ended, and every damage of the file.
+/// What it carries, its samples, gaps and faults, the range of its readings, how it ended, and every damage of the file. With
+/// a plan in it, also what share of the poses and of their readings is lost.
 #[derive(clap::Args)]
 pub(crate) struct Args {
     /// The capture.
@@ -61,9 +63,20 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
     let info = gathered.finish(&pass);
     let name = args.run.display().to_string();
     pass.doubts().into_iter().for_each(|doubt| out.finding(Diagnostic::file(&name, doubt)));
+    let planned =
+        info.samples > 0 && ["plan.csv", "plan.json"].iter().all(|file| info.attachments.contains_key(*file));
+    let mut outcome = Outcome::Done;
+    match if planned { run::losses(&args.run) } else { Ok(Vec::new()) } {
+        Ok(losses) => losses.into_iter().for_each(|loss| out.finding(loss)),
+        // What is in the capture is shown also where its plan cannot be used.
+        Err(unusable) => {
+            out.finding(unusable);
+            outcome = Outcome::Doubt;
+        }
+    }
     out.document(&info)?;
     show(&args.run, &info, out);
-    Ok(Outcome::Done)
+    Ok(outcome)
 }
 
 /// What one pass collects.
@@ -97,8 +110,10 @@ impl Gathered {
                 }
             }
             Record::Fault(json) => {
-                let name = serde_json::from_slice::<Fault>(&json).map_or("unreadable", |f| word(&f.kind));
-                *info.faults.entry(name.to_owned()).or_default() += 1;
+                let fault = serde_json::from_slice::<Fault>(&json);
+                let (name, count) = fault.map_or(("unreadable", 1), |fault| (word(&fault.kind), fault.count));
+                let faults = info.faults.entry(name.to_owned()).or_default();
+                *faults = faults.saturating_add(count);
             }
             Record::Event(Event::Started { unix_ns, version }) => {
                 info.started_unix_ns = Some(unix_ns);
@@ -156,7 +171,8 @@ pub(crate) fn word(kind: &FaultKind) -> &'static str {
 const MOST_REMARKS: usize = 5;
 
 fn show(path: &Path, info: &Info, out: &Output) {
-    let line = |name: &str, value: String| out.result(format!("{name:13}{value}"));
+    // A name or a remark with lines of its own does not add any.
+    let line = |name: &str, value: String| out.result(format!("{name:13}{}", value.replace('\n', "\\n")));
     line("capture", path.display().to_string());
     line("protocol", info.protocol.clone().unwrap_or_else(|| "unknown".into()));
     line("ended", info.ended.clone().unwrap_or_else(|| "cut off".into()));

@@ -13,18 +13,13 @@ use crate::catalogue::CliFinding;
 #[derive(clap::Args)]
 pub(crate) struct Args {}
 
-pub(crate) fn run(_args: &Args, _out: &Output) -> Verdict {
+pub(crate) fn run(_args: &Args, out: &Output) -> Verdict {
     let mut command = Cli::command();
     command.build();
     let mut page = Vec::new();
-    let written = render(&command, &mut page).and_then(|()| io::Write::write_all(&mut io::stdout(), &page));
-    match written {
-        // A pager that was left early is no failure.
-        Err(error) if error.kind() != io::ErrorKind::BrokenPipe => {
-            Err(CliFinding::NoOutput { why: error.to_string() }.into())
-        }
-        _ => Ok(Outcome::Done),
-    }
+    render(&command, &mut page).map_err(|error| CliFinding::NoOutput { why: error.to_string() })?;
+    out.text(&page);
+    Ok(Outcome::Done)
 }
 
 /// A command's page, and after it those of the commands below it.

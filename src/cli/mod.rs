@@ -28,6 +28,7 @@ mod simulate;
 mod sync;
 
 use std::error::Error;
+use std::io::ErrorKind;
 use std::process::ExitCode;
 
 use clap::{Args, Parser, Subcommand};
@@ -111,7 +112,13 @@ pub(crate) type Verdict = Result<Outcome, Box<dyn Error>>;
 
 /// Runs the program.
 pub fn main() -> ExitCode {
-    let cli = Cli::parse();
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        Err(help) => {
+            let unprinted = help.print().is_err_and(|error| error.kind() != ErrorKind::BrokenPipe);
+            return ExitCode::from(if unprinted { 1 } else { u8::try_from(help.exit_code()).unwrap_or(1) });
+        }
+    };
     let out = Output::new(cli.common);
     let verdict = match &cli.verb {
         Verb::Plan(args) => plan::run(args, &out),

@@ -1,13 +1,14 @@
 //! What goes to stdout (results) and stderr (progress, warnings, errors), and the exit code.
 
+use std::borrow::Cow;
 use std::io::{self, IsTerminal, Write};
 use std::process::ExitCode;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
 use serde::Serialize;
 
 use super::{Common, Outcome, Verdict};
-use crate::catalogue::CliFinding;
+use crate::catalogue::{CliFinding, FileFinding};
 use crate::diagnostic::{Diagnostic, Finding, Severity};
 
 /// Where a verb reports; its copies share the findings.
@@ -15,6 +16,8 @@ use crate::diagnostic::{Diagnostic, Finding, Severity};
 pub(crate) struct Output {
     common: Common,
     findings: Arc<Mutex<Vec<Diagnostic>>>,
+    /// Why stdout does not take the result.
+    refused: Arc<OnceLock<String>>,
 }
 
 /// A result with what was found on the way to it.
@@ -28,14 +31,30 @@ struct Document<'a, T> {
 
 impl Output {
     pub(super) fn new(common: Common) -> Self {
-        Self { common, findings: Arc::default() }
+        Self { common, findings: Arc::default(), refused: Arc::default() }
     }
 
     /// A line of the result for people, on stdout; not said under `--json`.
     pub(crate) fn result(&self, line: impl AsRef<str>) {
         if !self.common.json {
-            write_line(&mut io::stdout(), line.as_ref());
+            self.print(&plain(line.as_ref()));
         }
+    }
+
+    /// A text for another program on stdout, as it is.
+    pub(crate) fn text(&self, text: &[u8]) {
+        let mut stdout = io::stdout();
+        match stdout.write_all(text).and_then(|()| stdout.flush()) {
+            // A reader that has gone (`dbbd info RUN | head`) is no reason to fail.
+            Err(error) if error.kind() != io::ErrorKind::BrokenPipe => {
+                self.refused.get_or_init(|| error.to_string());
+            }
+            _ => {}
+        }
+    }
+
+    fn print(&self, text: &str) {
+        self.text(format!("{text}\n").as_bytes());
     }
 
     /// The result, a struct or a map, as JSON on stdout, under `--json` only. The findings that were reported before
@@ -59,7 +78,7 @@ impl Output {
         if self.common.json {
             let text = serde_json::to_string_pretty(value)
                 .map_err(|error| CliFinding::NoJson { why: error.to_string() })?;
-            write_line(&mut io::stdout(), &text);
+            self.print(&plain(&text));
         }
         Ok(())
     }
@@ -112,10 +131,19 @@ impl Output {
     }
 }
 
-/// A reader that has gone (`dbbd info RUN | head`) is no reason to fail. One write a line: what a child and its parent say
-/// on one stderr stays in lines.
+/// One write a line: what a child and its parent say on one stderr stays in lines. Who closed it does not listen.
 fn write_line(to: &mut impl Write, line: &str) {
-    let _ = to.write_all(format!("{line}\n").as_bytes());
+    let _ = to.write_all(format!("{}\n", plain(line)).as_bytes());
+}
+
+/// A text without what would steer a terminal: files and devices speak here as well. The escapes are those of JSON.
+fn plain(text: &str) -> Cow<'_, str> {
+    let steers = |c: char| c.is_control() && c != '\n' && c != '\t';
+    if !text.contains(steers) {
+        return text.into();
+    }
+    let shown = |c: char| if steers(c) { format!("\\u{:04x}", u32::from(c)) } else { c.into() };
+    text.chars().map(shown).collect::<String>().into()
 }
 
 /// A finding as a line, such as `warning[W0123]: FILE:LINE: ..`.
@@ -130,6 +158,12 @@ fn labelled(finding: &Diagnostic) -> String {
 
 /// Reports the error, if there is one; the exit code. A warning that was reported is a doubt, whatever the verb.
 pub(super) fn finish(out: &Output, verdict: Verdict) -> ExitCode {
+    let verdict = match out.refused.get() {
+        Some(why) => {
+            verdict.and(Err(Diagnostic::file("stdout", FileFinding::Unwritable { why: why.clone() }).into()))
+        }
+        None => verdict,
+    };
     let warned = out.findings().iter().any(|finding| finding.code.severity() == Severity::Warning);
     match verdict {
         Ok(Outcome::Done) if !warned => ExitCode::SUCCESS,
@@ -139,7 +173,7 @@ pub(super) fn finish(out: &Output, verdict: Verdict) -> ExitCode {
                 write_line(&mut io::stderr(), &labelled(diagnostic));
                 if out.common.json {
                     let document = serde_json::json!({ "error": diagnostic });
-                    write_line(&mut io::stdout(), &format!("{document:#}"));
+                    out.print(&plain(&format!("{document:#}")));
                 }
             }
             ExitCode::FAILURE

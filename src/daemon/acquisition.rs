@@ -63,8 +63,10 @@ pub enum Ending {
 }
 
 /// A run that is over.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Summary {
+    /// The capture: another than was asked for where that was taken away.
+    pub capture: PathBuf,
     /// What ended it.
     pub ending: Ending,
     /// Its last counts.
@@ -81,6 +83,8 @@ struct Shared {
     progress: Mutex<Progress>,
     /// Remarks that are to be written.
     remarks: Mutex<Vec<String>>,
+    /// What others did to the capture.
+    findings: Mutex<Vec<Diagnostic>>,
     stop: Arc<AtomicBool>,
 }
 
@@ -152,7 +156,12 @@ impl Acquisition {
         }
         recorder.attach(began, "protocol.toml", options.definition.text.as_bytes())?;
         let port = begin(&mut recorder, &options.port, opened)?;
-        let shared = Arc::new(Shared { progress: Mutex::default(), remarks: Mutex::default(), stop });
+        let shared = Arc::new(Shared {
+            progress: Mutex::default(),
+            remarks: Mutex::default(),
+            findings: Mutex::default(),
+            stop,
+        });
         let identity = port::identity(&options.port);
         let telegrams = server.map(|server| Telegrams::new(server, schedule));
         let run = Run { options, identity, recorder, telegrams, shared: Arc::clone(&shared), began };
@@ -171,6 +180,11 @@ impl Acquisition {
     /// Writes a remark into the capture.
     pub fn mark(&self, text: String) {
         self.shared.remarks.lock().unwrap_or_else(PoisonError::into_inner).push(text);
+    }
+
+    /// What is to be said of the capture since it was asked for last.
+    pub fn findings(&self) -> Vec<Diagnostic> {
+        std::mem::take(&mut *self.shared.findings.lock().unwrap_or_else(PoisonError::into_inner))
     }
 
     /// Whether it is over.
@@ -239,7 +253,9 @@ impl Run {
             self.recorder.interrupted(since)?;
             let reopened = self.reopen(since)?;
             let now = clock::now();
-            let seconds = Some(now.seconds_since(since));
+            let away_s = now.seconds_since(since);
+            self.recorder.progress.silent_s += away_s;
+            let seconds = Some(away_s);
             let reason = format!("the port was gone: {why}");
             self.recorder.event(now, Event::Gap { seconds, missing: None, reason })?;
             match reopened {
@@ -250,8 +266,9 @@ impl Run {
                 Err(ending) => break ending,
             }
         };
-        let progress = self.recorder.finish(clock::now(), ending.reason())?;
-        Ok(Summary { ending, progress })
+        let progress = self.recorder.finish(clock::now(), ending.reason());
+        self.say();
+        Ok(Summary { capture: self.recorder.path().into(), ending, progress: progress? })
     }
 
     /// Records from an open port until it is gone or the run is over.
@@ -346,6 +363,12 @@ impl Run {
         }
     }
 
+    /// Hands over what was found about the capture.
+    fn say(&mut self) {
+        let mut findings = self.shared.findings.lock().unwrap_or_else(PoisonError::into_inner);
+        findings.append(&mut self.recorder.findings);
+    }
+
     /// Writes the remarks of others and publishes the counts.
     fn publish(&mut self, port: PortState) -> Result<(), Diagnostic> {
         let remarks =
@@ -354,6 +377,7 @@ impl Run {
             self.recorder.event(clock::now(), Event::Mark { text })?;
         }
         self.recorder.tick(clock::now())?;
+        self.say();
         let progress = Progress { gone: port == PortState::Gone, ..self.recorder.progress };
         *self.shared.progress.lock().unwrap_or_else(PoisonError::into_inner) = progress;
         Ok(())

@@ -7,9 +7,9 @@
 
 use std::io::{self, ErrorKind, Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use crate::base::clock;
@@ -17,7 +17,8 @@ use crate::base::units::HostNs;
 use crate::catalogue::PortFinding::{self, NotListening};
 use crate::recording::{Heard, Telegram, TelegramReader};
 
-/// Connections at a time: the controller's, and some that it left behind.
+/// Connections at a time: the controller's, and some that it left behind. A further one takes the place of that which
+/// has sent no telegram for the longest.
 const MOST: usize = 8;
 /// What was heard and is not recorded yet; each connection waits for its answer, so there is never more.
 const QUEUE: usize = 4 * MOST;
@@ -85,7 +86,16 @@ impl Drop for Server {
 struct Channel {
     sender: SyncSender<(HostNs, ChannelEvent)>,
     stop: Arc<AtomicBool>,
-    open: Arc<AtomicUsize>,
+    open: Arc<Mutex<Vec<Arc<Client>>>>,
+}
+
+/// A connection.
+#[derive(Debug, Default)]
+struct Client {
+    /// When its last telegram came, ns; 0 for none.
+    heard_ns: AtomicU64,
+    /// Whether another one has its place.
+    replaced: AtomicBool,
 }
 
 impl Channel {
@@ -108,16 +118,11 @@ impl Channel {
     }
 
     fn take(&self, stream: TcpStream, from: SocketAddr) {
-        if self.open.fetch_add(1, Ordering::Relaxed) >= MOST {
-            self.open.fetch_sub(1, Ordering::Relaxed);
-            return self.send(ChannelEvent::Remark(format!(
-                "EthernetKRL: {from} was turned away: {MOST} are connected"
-            )));
-        }
-        let channel = self.clone();
+        let client = self.enter();
+        let (channel, entered) = (self.clone(), Arc::clone(&client));
         let spawned = std::thread::Builder::new().name("ekrl-client".into()).spawn(move || {
             channel.send(ChannelEvent::Remark(format!("EthernetKRL: {from} has connected")));
-            let (reader, why) = channel.serve(stream);
+            let (reader, why) = channel.serve(stream, &client);
             let left = match (reader.pending(), reader.skipped()) {
                 (0, 0) => String::new(),
                 (0, skipped) => format!(", {skipped} bytes of it were no telegram"),
@@ -129,18 +134,39 @@ impl Channel {
                 }
             };
             channel.send(ChannelEvent::Remark(format!("EthernetKRL: {from} {why}{left}")));
-            if channel.open.fetch_sub(1, Ordering::Relaxed) == 1 {
+            if channel.leave(&client) == 0 {
                 channel.send(ChannelEvent::Quiet);
             }
         });
         if let Err(error) = spawned {
-            self.open.fetch_sub(1, Ordering::Relaxed);
+            self.leave(&entered);
             self.send(ChannelEvent::Remark(format!("EthernetKRL: {from} was turned away: {error}")));
         }
     }
 
+    /// A place for a client, that of another if there is none.
+    fn enter(&self) -> Arc<Client> {
+        let client = Arc::<Client>::default();
+        let mut open = self.open.lock().unwrap_or_else(PoisonError::into_inner);
+        if open.len() >= MOST {
+            let heard = |at: &usize| open[*at].heard_ns.load(Ordering::Relaxed);
+            if let Some(idle) = (0..open.len()).min_by_key(heard) {
+                open.remove(idle).replaced.store(true, Ordering::Relaxed);
+            }
+        }
+        open.push(Arc::clone(&client));
+        client
+    }
+
+    /// How many are left.
+    fn leave(&self, client: &Arc<Client>) -> usize {
+        let mut open = self.open.lock().unwrap_or_else(PoisonError::into_inner);
+        open.retain(|other| !Arc::ptr_eq(other, client));
+        open.len()
+    }
+
     /// Answers one client until it goes; what its reader has left, and why it went.
-    fn serve(&self, mut stream: TcpStream) -> (TelegramReader, String) {
+    fn serve(&self, mut stream: TcpStream, client: &Client) -> (TelegramReader, String) {
         let mut reader = TelegramReader::default();
         let set = stream
             .set_nonblocking(false)
@@ -152,6 +178,9 @@ impl Channel {
         }
         let mut bytes = [0; 2048];
         while !self.over() {
+            if client.replaced.load(Ordering::Relaxed) {
+                return (reader, format!("was idle the longest of {MOST}, and was left for another"));
+            }
             let count = match stream.read(&mut bytes) {
                 Ok(0) => return (reader, "has closed".into()),
                 Ok(count) => count,
@@ -160,6 +189,7 @@ impl Channel {
                 Err(error) => return (reader, format!("is gone: {error}")),
             };
             for heard in reader.push(bytes.get(..count).unwrap_or_default()) {
+                client.heard_ns.store(clock::now().0, Ordering::Relaxed);
                 let Some(id) = self.answer(heard) else {
                     return (reader, "was left: the run is over".into());
                 };

@@ -13,6 +13,8 @@ pub struct Progress {
     pub bytes: u64,
     /// Samples decoded.
     pub samples: u64,
+    /// Samples that the device does not vouch for.
+    pub invalid: u64,
     /// Samples per second over the last second.
     pub rate_hz: f64,
     /// The last reading, mm.
@@ -27,6 +29,8 @@ pub struct Progress {
     pub unanswered: u64,
     /// Gaps that were recorded.
     pub gaps: u64,
+    /// Time in which nothing came for more than a second, or the port was away, s.
+    pub silent_s: f64,
     /// Samples missing by their sequence numbers.
     pub missing: u64,
     /// Bytes lost between port and recorder.

@@ -1,12 +1,14 @@
 //! Writes what arrives, raw first, then what it decodes to, and counts. It reads no clock: who hands over the
 //! bytes says when they came, so a recorded line can be put through it again.
 
+use std::path::Path;
+
 use super::live_state::{Counted, Feed};
 use super::program_end::ProgramEnd;
 use super::progress::Progress;
 use crate::base::units::HostNs;
 use crate::catalogue::RecordingFinding;
-use crate::device::protocol::{Decoded, Decoder, Definition, FaultKind};
+use crate::device::protocol::{Decoded, Decoder, Definition, Fault, FaultKind};
 use crate::diagnostic::Diagnostic;
 use crate::measurement::sample::Sample;
 use crate::recording::capture::{Event, Record, Writer};
@@ -15,6 +17,12 @@ use crate::recording::{DeviceTime, SequenceStep, Stamp, sequence_step};
 /// Silence below this is not worth a record where sequence numbers show what is missing, s: radio links
 /// hand over batches of a second.
 const SILENCE_S: f64 = 2.5;
+/// Silence below this may be that of a host that is busy, s.
+const SILENT_S: f64 = 1.0;
+/// So many faults in a row have a record each; more of the same kind share one.
+const ONE_BY_ONE: u32 = 16;
+/// How often the capture is looked after, s.
+const LOOK_S: f64 = 0.5;
 
 /// The recorder of one run.
 pub struct Recorder {
@@ -24,6 +32,10 @@ pub struct Recorder {
     /// Samples of one host time that are not written yet.
     batch: Vec<Sample>,
     batch_host: HostNs,
+    /// Faults since the last sample.
+    faults_in_a_row: u32,
+    /// The fault that is not written yet.
+    fault: Option<(HostNs, Fault)>,
     program: ProgramEnd,
     time: Option<DeviceTime>,
     sequence_modulo: Option<u32>,
@@ -32,6 +44,7 @@ pub struct Recorder {
     silence_s: Option<f64>,
     last_bytes: Option<HostNs>,
     last_sync: HostNs,
+    last_look: HostNs,
     sync_s: f64,
     rate_since: HostNs,
     rate_samples: u64,
@@ -44,6 +57,8 @@ pub struct Recorder {
     began: HostNs,
     /// The counts so far.
     pub progress: Progress,
+    /// What others did to the capture.
+    pub(super) findings: Vec<Diagnostic>,
     /// Who looks on.
     pub(super) feed: Option<Feed>,
 }
@@ -65,6 +80,8 @@ impl Recorder {
             decoded: Vec::new(),
             batch: Vec::new(),
             batch_host: now,
+            faults_in_a_row: 0,
+            fault: None,
             program: ProgramEnd::new(modules),
             time: definition.clock.map(|clock| DeviceTime::new(clock.into())),
             sequence_modulo: definition.sequence_modulo,
@@ -72,6 +89,7 @@ impl Recorder {
             silence_s: stall.map(|s| if definition.sequence_modulo.is_some() { s.max(SILENCE_S) } else { s }),
             last_bytes: None,
             last_sync: now,
+            last_look: now,
             sync_s,
             rate_since: now,
             rate_samples: 0,
@@ -82,6 +100,7 @@ impl Recorder {
             sync_frames: definition.sync_frames,
             began: now,
             progress: Progress::default(),
+            findings: Vec::new(),
             feed: None,
         }
     }
@@ -100,6 +119,7 @@ impl Recorder {
             self.progress.gaps += 1;
         }
         self.flush()?;
+        self.flush_fault()?;
         self.writer.write(host, &Record::Event(event))
     }
 
@@ -112,12 +132,7 @@ impl Recorder {
     /// # Errors
     /// When the capture cannot be written.
     pub fn bytes(&mut self, host: HostNs, bytes: Vec<u8>) -> Result<(), Diagnostic> {
-        if let (Some(limit), Some(last)) = (self.silence_s, self.last_bytes)
-            && host.seconds_since(last) > limit
-        {
-            let seconds = Some(host.seconds_since(last));
-            self.event(host, Event::Gap { seconds, missing: None, reason: "nothing was received".into() })?;
-        }
+        self.silent(host)?;
         self.last_bytes = Some(host);
         self.progress.bytes += bytes.len() as u64;
         let record = Record::Raw(bytes);
@@ -126,6 +141,21 @@ impl Recorder {
             self.decoder.push(bytes, &mut self.decoded);
         }
         self.decoded(host)
+    }
+
+    /// Records that nothing came for long, if so.
+    fn silent(&mut self, host: HostNs) -> Result<(), Diagnostic> {
+        let silent_s = self.last_bytes.map(|last| host.seconds_since(last));
+        match silent_s.zip(self.silence_s).filter(|(silent_s, limit)| silent_s > limit) {
+            Some((silent_s, _)) => {
+                if silent_s > SILENT_S {
+                    self.progress.silent_s += silent_s;
+                }
+                let reason = "nothing was received".into();
+                self.event(host, Event::Gap { seconds: Some(silent_s), missing: None, reason })
+            }
+            None => Ok(()),
+        }
     }
 
     /// A reading was asked for.
@@ -186,15 +216,33 @@ impl Recorder {
                             self.in_a_row = 0;
                         }
                     }
-                    let json = serde_json::to_vec(&fault)
-                        .map_err(|error| RecordingFinding::EventNotWritten { why: error.to_string() })?;
-                    self.flush()?;
-                    self.writer.write(host, &Record::Fault(json))?;
+                    self.fault(host, fault)?;
                 }
             }
         }
         self.decoded = decoded;
         self.flush()
+    }
+
+    fn fault(&mut self, host: HostNs, fault: Fault) -> Result<(), Diagnostic> {
+        self.flush()?;
+        self.faults_in_a_row = self.faults_in_a_row.saturating_add(1);
+        let other = match &mut self.fault {
+            Some((_, before)) => before.join(fault),
+            None => Some(fault),
+        };
+        if let Some(other) = other {
+            self.flush_fault()?;
+            self.fault = Some((host, other));
+        }
+        if self.faults_in_a_row < ONE_BY_ONE { self.flush_fault() } else { Ok(()) }
+    }
+
+    fn flush_fault(&mut self) -> Result<(), Diagnostic> {
+        let Some((host, fault)) = self.fault.take() else { return Ok(()) };
+        let json = serde_json::to_vec(&fault)
+            .map_err(|error| RecordingFinding::EventNotWritten { why: error.to_string() })?;
+        self.writer.write(host, &Record::Fault(json))
     }
 
     /// Writes the samples that wait: what comes after them must not stand before them.
@@ -217,6 +265,8 @@ impl Recorder {
             Some(HostNs(ns)) => HostNs(ns.saturating_add(self.latch_delay_ns)),
             None => host,
         };
+        self.flush_fault()?;
+        self.faults_in_a_row = 0;
         self.missing(host, sample)?;
         if self.batch_host != host {
             self.flush()?;
@@ -228,6 +278,7 @@ impl Recorder {
         self.progress.samples += 1;
         self.progress.reading_mm = Some(sample.reading_mm);
         self.progress.valid = sample.valid;
+        self.progress.invalid += u64::from(!sample.valid);
         let device = self.time.as_mut().zip(sample.ticks);
         let device_s = device.map(|(time, ticks)| time.seconds(Stamp { host, ticks }));
         self.program.push(device_s.unwrap_or_else(|| host.seconds_since(self.began)), sample);
@@ -269,6 +320,9 @@ impl Recorder {
     /// When the capture cannot be written.
     pub fn tick(&mut self, now: HostNs) -> Result<(), Diagnostic> {
         self.progress.elapsed_s = now.seconds_since(self.began);
+        if self.fault.as_ref().is_some_and(|(since, _)| now.seconds_since(*since) >= LOOK_S) {
+            self.flush_fault()?;
+        }
         if let Some(feed) = &mut self.feed {
             feed.tick(now);
         }
@@ -281,19 +335,37 @@ impl Recorder {
             self.writer.sync()?;
             self.last_sync = now;
         }
+        if now.seconds_since(self.last_look) >= LOOK_S {
+            self.last_look = now;
+            self.look_after()?;
+        }
         Ok(())
+    }
+
+    fn look_after(&mut self) -> Result<(), Diagnostic> {
+        self.findings.extend(self.writer.look_after()?);
+        Ok(())
+    }
+
+    /// Where the capture is.
+    pub(super) fn path(&self) -> &Path {
+        self.writer.path()
     }
 
     /// Ends the file.
     ///
     /// # Errors
     /// When the capture cannot be written.
-    pub fn finish(mut self, now: HostNs, reason: &str) -> Result<Progress, Diagnostic> {
+    pub fn finish(&mut self, now: HostNs, reason: &str) -> Result<Progress, Diagnostic> {
+        self.silent(now)?;
         self.interrupted(now)?;
+        self.flush_fault()?;
         self.program.finish();
         self.progress.dwells = self.progress.dwells.max(self.program.dwells);
         self.progress.elapsed_s = now.seconds_since(self.began);
+        self.look_after()?;
         self.writer.finish(now, reason, self.progress.missing)?;
+        self.look_after()?;
         Ok(self.progress)
     }
 }

@@ -156,7 +156,8 @@ pub(super) struct Remark {
 }
 
 pub(super) async fn mark(State(app): State<App>, Body(remark): Body<Remark>) -> Answer {
-    if remark.text.trim().is_empty() || remark.text.chars().count() > LONGEST_REMARK {
+    let text = remark.text.trim();
+    if text.is_empty() || text.contains(char::is_control) || text.chars().count() > LONGEST_REMARK {
         return Err(Diagnostic::new(RemarkLength { most: LONGEST_REMARK }).into());
     }
     ask(app, move |service| service.mark(remark.text)).await?;

@@ -25,13 +25,13 @@ fn reading_mm(frame: u64) -> f64 {
     (f64::from(u32::try_from(frame % 20_001).unwrap()) - 10_000.0) / 1e5
 }
 
-fn reading(t_s: f64, strobe: bool) -> Reading {
+pub(crate) fn reading(t_s: f64, strobe: bool) -> Reading {
     let frame = (t_s * RATE_HZ).round() as u64;
     Reading { reading_mm: reading_mm(frame), strobe, valid: true, temperature_c: 20.0 }
 }
 
 /// Plays a source on a new terminal: its name, and the thread that gives the number of frames sent.
-fn play(speed: f64, source: impl Source + Send + 'static) -> (String, JoinHandle<u64>) {
+pub(crate) fn play(speed: f64, source: impl Source + Send + 'static) -> (String, JoinHandle<u64>) {
     let terminal = Terminal::new().unwrap();
     let name = terminal.name().to_owned();
     // The counter wraps after two seconds.
@@ -39,21 +39,22 @@ fn play(speed: f64, source: impl Source + Send + 'static) -> (String, JoinHandle
     (name, std::thread::spawn(move || bar::serve(terminal, &definition(), options, source).unwrap()))
 }
 
-fn dbbd(arguments: &[&str]) -> Command {
+pub(crate) fn dbbd(arguments: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_dbbd"));
     command.args(arguments).stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
     command
 }
 
-fn run(arguments: &[&str]) -> Output {
+pub(crate) fn run(arguments: &[&str]) -> Output {
     dbbd(arguments).output().unwrap()
 }
 
 const NO_PORT: &str = "E0201";
 const PORT_BUSY: &str = "E0203";
+const SILENT: &str = "W0225";
 
 pub(crate) fn provoked() -> Vec<&'static str> {
-    vec![NO_PORT, PORT_BUSY]
+    vec![NO_PORT, PORT_BUSY, SILENT]
 }
 
 fn stderr(output: &Output) -> String {
@@ -69,7 +70,7 @@ fn samples(capture: &Capture) -> Vec<Sample> {
 }
 
 /// Waits until the capture holds so many bytes.
-fn wait_for(path: &Path, bytes: u64) {
+pub(crate) fn wait_for(path: &Path, bytes: u64) {
     for _ in 0..500 {
         if std::fs::metadata(path).is_ok_and(|data| data.len() >= bytes) {
             return;
@@ -80,7 +81,7 @@ fn wait_for(path: &Path, bytes: u64) {
 }
 
 /// Sends a signal by the system's own tool.
-fn signal(child: &Child, name: &str) {
+pub(crate) fn signal(child: &Child, name: &str) {
     let status = Command::new("kill").args([format!("-{name}"), child.id().to_string()]).status().unwrap();
     assert!(status.success());
 }
@@ -217,13 +218,13 @@ fn spoiled_frames_are_faults_and_gaps_and_a_doubt() {
     assert!((faults as u64).abs_diff(expected) <= 2 + expected / 50, "{faults} of {expected}");
 }
 
-fn endless() -> impl Source {
+pub(crate) fn endless() -> impl Source {
     |t: f64| (t < 1e6).then(|| reading(t, false))
 }
 
 #[test]
-fn interrupt_and_terminate_end_a_run_well() {
-    for name in ["INT", "TERM"] {
+fn signals_end_a_run_well() {
+    for name in ["INT", "TERM", "HUP", "QUIT", "USR1", "USR2"] {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("run");
         let (port, _bar) = play(1.0, endless());
@@ -235,6 +236,72 @@ fn interrupt_and_terminate_end_a_run_well() {
         let capture = read(&path);
         assert!(capture.ended() && capture.damages.is_empty());
     }
+}
+
+#[test]
+fn a_run_under_nohup_goes_on_without_its_terminal() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("run");
+    let (port, _bar) = play(1.0, endless());
+    let mut nohup = Command::new("nohup");
+    nohup.arg(env!("CARGO_BIN_EXE_dbbd")).args(["acquire", "--port", &port, "--out", path.to_str().unwrap()]);
+    let child = nohup.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    wait_for(&path, 20_000);
+    signal(&child, "HUP");
+    wait_for(&path, std::fs::metadata(&path).unwrap().len() + 40_000);
+    signal(&child, "INT");
+    assert_eq!(child.wait_with_output().unwrap().status.code(), Some(0));
+    assert!(read(&path).ended());
+}
+
+#[test]
+fn a_bar_that_falls_silent_is_a_doubt() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("run");
+    // After half a second it sends no more, and stays plugged in.
+    let (port, _bar) = play(1.0, |t_s: f64| {
+        if t_s > 0.5 {
+            clock::sleep(60.0);
+        }
+        Some(reading(t_s, false))
+    });
+    let acquire =
+        ["acquire", "--port", &port, "--out", path.to_str().unwrap(), "--duration", "4.5", "--json"];
+    let output = run(&acquire);
+    assert_eq!((output.status.code(), codes(&output)), (Some(3), vec![SILENT.to_owned()]));
+    let summary: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    let silent_s = summary["progress"]["silent_s"].as_f64().unwrap();
+    assert!((3.0..4.5).contains(&silent_s), "{silent_s} s");
+    assert!(read(&path).events().any(|event| matches!(event, Event::Gap { seconds: Some(_), .. })));
+}
+
+/// A bar between whose frames zeros come: each ends a frame that has nothing in it.
+struct Zeros;
+
+impl Source for Zeros {
+    fn reading(&mut self, t_s: f64) -> Option<Reading> {
+        (t_s < 3600.0).then(|| reading(t_s, false))
+    }
+
+    fn spoil(&mut self, frame: &mut Vec<u8>) {
+        frame.extend([0; 1000]);
+    }
+}
+
+#[test]
+fn faults_in_a_row_are_one_record() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("run");
+    let (port, _bar) = play(0.0, Zeros);
+    let output = run(&["acquire", "--port", &port, "--out", path.to_str().unwrap(), "--duration", "1"]);
+    assert!(matches!(output.status.code(), Some(0 | 3)), "{}", stderr(&output));
+    let info: serde_json::Value =
+        serde_json::from_slice(&run(&["info", path.to_str().unwrap(), "--json"]).stdout).unwrap();
+    let raw = info["raw_bytes"].as_u64().unwrap();
+    let faults: u64 = info["faults"].as_object().unwrap().values().map(|count| count.as_u64().unwrap()).sum();
+    assert!(raw > 20_000 && 10 * faults > 9 * raw, "{info:#}");
+    let size = std::fs::metadata(&path).unwrap().len();
+    assert!(size < 4 * raw, "{size} bytes of {raw}");
 }
 
 #[test]
@@ -342,8 +409,10 @@ fn the_plan_goes_into_the_capture_and_its_last_module_ends_the_run() {
         (std::fs::read(path("plan.csv")).unwrap(), std::fs::read(path("plan.json")).unwrap());
     let (port, bar) = play(0.0, Program { over: false });
     let output = run(&["acquire", "--port", &port, "--plan", &path("plan.csv"), "--out", &path("run")]);
-    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
     bar.join().unwrap();
+    // Two dwells are no twelve poses.
+    assert_eq!(output.status.code(), Some(3));
+    assert!(codes(&output).contains(&"W1003".to_owned()), "{}", stderr(&output));
     let capture = read(Path::new(&path("run")));
     assert_eq!(capture.attachment("plan.csv"), Some(&rows[..]));
     assert_eq!(capture.attachment("plan.json"), Some(&header[..]));

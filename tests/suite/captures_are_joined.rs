@@ -43,7 +43,7 @@ fn through_the_binary(plan: &Plan, run: &Run, finish: bool) -> (Output, Option<M
 
 /// Runs without what a matching needs.
 pub(crate) fn provoked() -> Vec<&'static str> {
-    vec!["E0407", "W0411", "E1001", "I1414"]
+    vec!["E0407", "W0411", "E1001", "W1003", "W1007", "W1415"]
 }
 
 #[test]
@@ -81,8 +81,8 @@ fn a_capture_becomes_observations() {
     assert!(observations.is_none() && codes(&output).contains(&"E1001".to_owned()), "{:?}", codes(&output));
 }
 
-#[test]
-fn a_capture_becomes_a_circular_test() {
+/// A circle both ways, with stops.
+fn circle_plan() -> Plan {
     let job = r#"
         robot = "kr60ha"
         [bar]
@@ -103,7 +103,51 @@ fn a_capture_becomes_a_circular_test() {
         dwell_s = 1.0
     "#;
     let job = Job::from_toml("job.toml", job).unwrap();
-    let plan = Plan::build(&job, &Robot::by_name("kr60ha").unwrap().unwrap()).unwrap();
+    Plan::build(&job, &Robot::by_name("kr60ha").unwrap().unwrap()).unwrap()
+}
+
+/// What is lost of a run has its code and its share in every command that reads it.
+#[test]
+fn what_is_lost_of_a_run_ends_with_3_everywhere() {
+    let plan = circle_plan();
+    let whole = run(&plan, 8, World { strobe: true, ..WORLD });
+    let dir = tempfile::tempdir().unwrap();
+    // From when to when the bar does not vouch for its readings, s since the begin of the tenth dwell.
+    let spoils = [("sound", 0.0..0.0, ""), ("some", 0.8..0.9, "W1007"), ("all", 0.0..2.0, "W1003")];
+    for (name, spoiled, code) in spoils {
+        let mut run = Run { samples: whole.samples.clone(), readings_mm: Vec::new(), starts_s: Vec::new() };
+        for (_, sample) in &mut run.samples {
+            let at_s = sample.ticks.unwrap().0 as f64 * 1e-6 - whole.starts_s[9];
+            sample.valid = !spoiled.contains(&at_s);
+        }
+        write_capture(&dir.path().join(name), &plan, &run, true);
+        for verb in
+            [&["info"][..], &["sync", "--out", "s"], &["identify", "--out", "i"], &["circle", "--out", "c"]]
+        {
+            let output = crate::cell::dbbd(dir.path(), &[&verb[..1], &[name, "--json"], &verb[1..]].concat());
+            let said = codes(&output);
+            let about = format!("{name} {}: {:?} {said:?}", verb[0], output.status.code());
+            if code.is_empty() {
+                let losses = ["W1003", "W1007", "W1415"];
+                assert!(!losses.iter().any(|loss| said.iter().any(|code| code == loss)), "{about}");
+                continue;
+            }
+            assert!(output.status.code() == Some(3) && said.iter().any(|one| one == code), "{about}");
+            let json: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+            let findings = json["findings"].as_array().or(json["warnings"].as_array());
+            let finding = findings.unwrap().iter().find(|finding| finding["code"] == code);
+            if verb[0] != "identify" {
+                let percent = finding.unwrap()["values"]["percent"].as_f64().unwrap();
+                assert!(percent > 0.0 && percent < 100.0, "{about}: {percent}");
+            }
+            assert_eq!(said.contains(&"W1415".to_owned()), name == "all" && verb[0] == "circle", "{about}");
+        }
+    }
+}
+
+#[test]
+fn a_capture_becomes_a_circular_test() {
+    let plan = circle_plan();
     let places: Vec<_> = plan
         .rows
         .iter()

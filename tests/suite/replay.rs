@@ -241,7 +241,7 @@ fn told(capture: &Capture, progress: &Value, code: Option<i32>) -> String {
                 }
             }
             Record::Fault(json) => {
-                let Fault { kind, offset, bytes } = serde_json::from_slice(json).unwrap();
+                let Fault { kind, offset, bytes, .. } = serde_json::from_slice(json).unwrap();
                 let kind = if let FaultKind::Reject(word) = kind { word } else { format!("{kind:?}") };
                 writeln!(text, "{offset} fault of {bytes} bytes: {kind}").unwrap();
             }

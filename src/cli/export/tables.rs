@@ -49,7 +49,7 @@ impl Tables {
             raw: table("raw.csv", "host_ns,bytes_hex")?,
             events: table("events.csv", "host_ns,event,detail_json")?,
             gaps: table("gaps.csv", "host_ns,seconds,missing,reason")?,
-            faults: table("faults.csv", "host_ns,kind,word,offset,bytes")?,
+            faults: table("faults.csv", "host_ns,kind,word,offset,bytes,count")?,
         })
     }
 
@@ -87,7 +87,9 @@ impl Tables {
                     _ => String::new(),
                 };
                 let kind = info::word(&fault.kind).to_owned();
-                self.faults.row([host, kind, word, fault.offset.to_string(), fault.bytes.to_string()])
+                let numbers = [fault.offset, fault.bytes, fault.count].map(|number| number.to_string());
+                let [offset, bytes, count] = numbers;
+                self.faults.row([host, kind, word, offset, bytes, count])
             }
             Record::Event(event) => {
                 if let Event::Gap { seconds, missing, reason } = event {

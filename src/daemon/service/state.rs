@@ -69,6 +69,8 @@ pub(super) struct Running {
     started_unix_ms: u64,
     schedule: Schedule,
     pub(super) acquisition: Acquisition,
+    /// What others did to its capture.
+    interferences: Vec<Diagnostic>,
     pub(super) stop: Arc<AtomicBool>,
     /// What goes on beside it, where it is simulated.
     _cell: Option<Box<dyn Cell>>,
@@ -106,6 +108,14 @@ impl Supervisor {
     pub(super) fn tick(&self) -> State {
         let over = {
             let mut inner = self.inner();
+            if let Run::On(running) = &mut inner.run {
+                for finding in running.acquisition.findings() {
+                    let fields: [(&str, &dyn std::fmt::Display); 2] =
+                        [("code", &finding.code), ("text", &finding)];
+                    self.log.say(Level::Error, "capture_taken_away", &fields);
+                    running.interferences.push(finding);
+                }
+            }
             matches!(&inner.run, Run::On(running) if running.acquisition.is_over())
                 .then(|| std::mem::replace(&mut inner.run, Run::None))
         };
@@ -127,9 +137,11 @@ impl Supervisor {
     }
 
     fn conclude(&self, running: Running) {
-        let Running { name, acquisition, .. } = running;
+        let Running { name, acquisition, interferences, .. } = running;
         let samples = acquisition.progress().samples;
-        let joined = acquisition.join();
+        let mut interferences = interferences.into_iter().chain(acquisition.findings());
+        // A run whose capture was taken away is not whole, however it ended.
+        let joined = acquisition.join().and_then(|summary| interferences.next().map_or(Ok(summary), Err));
         let ending = match &joined {
             Ok(summary) => summary.ending.reason().to_owned(),
             Err(error) => error.to_string(),
@@ -262,7 +274,16 @@ impl Supervisor {
         })?;
         let started_unix_ms = clock::unix_ns() / 1_000_000;
         let (name, plan) = (request.name.clone(), request.plan.clone());
-        Ok(Running { name, plan, started_unix_ms, schedule, acquisition, stop, _cell: cell })
+        Ok(Running {
+            name,
+            plan,
+            started_unix_ms,
+            schedule,
+            acquisition,
+            interferences: Vec::new(),
+            stop,
+            _cell: cell,
+        })
     }
 
     /// A directory for a run of that name.

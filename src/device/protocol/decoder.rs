@@ -223,7 +223,7 @@ impl Decoder {
     }
 
     fn fault(&mut self, kind: FaultKind, bytes: u64, out: &mut Vec<Decoded>) {
-        out.push(Decoded::Fault(Fault { kind, offset: self.offset, bytes }));
+        out.push(Decoded::Fault(Fault { kind, offset: self.offset, bytes, count: 1 }));
         self.offset += bytes;
     }
 }

@@ -11,6 +11,29 @@ pub struct Fault {
     pub offset: u64,
     /// Number of bytes that it covers.
     pub bytes: u64,
+    /// How many faults of this kind it is, one directly after the other.
+    #[serde(default = "one", skip_serializing_if = "is_one")]
+    pub count: u64,
+}
+
+fn one() -> u64 {
+    1
+}
+
+fn is_one(count: &u64) -> bool {
+    *count == 1
+}
+
+impl Fault {
+    /// Takes the next fault in, if it is of the same kind and begins where this one ends; else gives it back.
+    pub fn join(&mut self, next: Fault) -> Option<Fault> {
+        if next.kind != self.kind || next.offset != self.offset + self.bytes {
+            return Some(next);
+        }
+        self.bytes += next.bytes;
+        self.count += next.count;
+        None
+    }
 }
 
 /// Why bytes did not become a sample.

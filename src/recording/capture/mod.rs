@@ -28,7 +28,7 @@ mod sample;
 mod whole;
 mod writer;
 
-pub use disk::Disk;
+pub use disk::{Disk, Interference};
 pub use pass::{Pass, RunEnd};
 pub use reader::{Damage, Part, Reader};
 pub use record::{Event, Record, Stamped};

@@ -1,10 +1,10 @@
 //! Writes a capture, record by record.
 
-use std::fs::{self, File, OpenOptions};
-use std::io;
+use std::fs::{self, File};
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
-use super::disk::Disk;
+use super::disk::{self, Disk, Interference};
 use super::format;
 use super::record::{Event, Record};
 use crate::base::units::HostNs;
@@ -19,6 +19,9 @@ pub struct Writer {
     samples: u64,
     /// The number of the next record, modulo 2^32.
     number: u32,
+    /// The bytes before the first raw record: the header, and the files without which nothing else is understood.
+    opening: Vec<u8>,
+    opened: bool,
 }
 
 impl Writer {
@@ -34,20 +37,11 @@ impl Writer {
             };
             Diagnostic::file(&path.display().to_string(), finding)
         };
-        let file = OpenOptions::new().append(true).create_new(true).open(path).map_err(wrong)?;
-        let writer = Self::on(Box::new(file), path);
-        if writer.is_err() {
+        let file = disk::create(path).map_err(wrong)?;
+        Self::on(Box::new(file), path).inspect_err(|_| {
             // Nothing is in it yet.
             let _ = fs::remove_file(path);
-        }
-        if cfg!(unix) {
-            // A new name outlasts a loss of power only when its directory is on the disk as well.
-            let directory = path.parent().filter(|parent| !parent.as_os_str().is_empty());
-            File::open(directory.unwrap_or(Path::new(".")))
-                .and_then(|file| file.sync_all())
-                .map_err(wrong)?;
-        }
-        writer
+        })
     }
 
     /// Begins a capture on an empty disk; `path` names it in messages.
@@ -55,7 +49,15 @@ impl Writer {
     /// # Errors
     /// When the disk refuses the header.
     pub fn on(disk: Box<dyn Disk>, path: &Path) -> Result<Self, Diagnostic> {
-        let mut writer = Self { disk, path: path.into(), bytes: 0, samples: 0, number: 0 };
+        let mut writer = Self {
+            disk,
+            path: path.into(),
+            bytes: 0,
+            samples: 0,
+            number: 0,
+            opening: format::header(),
+            opened: false,
+        };
         writer.append(&format::header())?;
         Ok(writer)
     }
@@ -72,6 +74,10 @@ impl Writer {
         }
         self.append(&bytes)?;
         self.number = self.number.wrapping_add(1);
+        self.opened |= matches!(record, Record::Raw(_));
+        if !self.opened {
+            self.opening.extend(&bytes);
+        }
         if let Record::Samples(samples) = record {
             self.samples += samples.len() as u64;
         }
@@ -82,11 +88,49 @@ impl Writer {
     ///
     /// # Errors
     /// When the disk refuses it.
-    pub fn finish(mut self, host: HostNs, reason: &str, lost: u64) -> Result<u64, Diagnostic> {
+    pub fn finish(&mut self, host: HostNs, reason: &str, lost: u64) -> Result<(), Diagnostic> {
         let samples = self.samples;
         self.write(host, &Record::Event(Event::Ended { reason: reason.into(), samples, lost }))?;
-        self.sync()?;
-        Ok(samples)
+        self.sync()
+    }
+
+    /// Where the capture is.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Looks whether the capture is where it was, as it was written. Where others took it away, recording goes on in a
+    /// new file: with all that was written, or, where that is gone, with what makes the rest readable.
+    ///
+    /// # Errors
+    /// When there is no new file, or the disk refuses it.
+    pub fn look_after(&mut self) -> Result<Option<Diagnostic>, Diagnostic> {
+        let Some(interference) = self.disk.interference(&self.path, self.bytes) else { return Ok(None) };
+        let elsewhere = std::env::temp_dir().join(self.path.file_name().unwrap_or_default());
+        let made = free_file(&self.path)
+            .or_else(|_| free_file(&elsewhere))
+            .map_err(|error| self.wrong(RecordingFinding::CaptureNotMade { why: error.to_string() }))?;
+        let NewFile { mut file, path } = made;
+        let bytes = self.bytes;
+        let kept = match interference {
+            Interference::Resized(found) if found < bytes => {
+                self.bytes = self.opening.len() as u64;
+                file.write_all(&self.opening)
+            }
+            _ => self.disk.copy(bytes, &mut file),
+        };
+        kept.map_err(|error| {
+            // What is in it is no capture.
+            let _ = fs::remove_file(&path);
+            self.refusal(&error)
+        })?;
+        let new = path.display().to_string();
+        let finding = self.wrong(match interference {
+            Interference::Moved => RecordingFinding::TakenAway { new, bytes },
+            Interference::Resized(found) => RecordingFinding::Resized { new, bytes, found },
+        });
+        (self.disk, self.path) = (Box::new(file), path);
+        Ok(Some(finding))
     }
 
     /// Samples written so far.
@@ -130,4 +174,33 @@ impl Writer {
     fn wrong(&self, finding: RecordingFinding) -> Diagnostic {
         Diagnostic::file(&self.path.display().to_string(), finding)
     }
+}
+
+struct NewFile {
+    file: File,
+    path: PathBuf,
+}
+
+/// A file at the path, or beside it with a number behind its name: the first that is free. Its directory is made again.
+fn free_file(wanted: &Path) -> io::Result<NewFile> {
+    /// So many captures are never taken away from one run.
+    const MOST: u32 = 10_000;
+    if let Some(directory) = wanted.parent() {
+        fs::create_dir_all(directory)?;
+    }
+    let mut path = wanted.to_owned();
+    for number in 2..MOST {
+        match disk::create(&path) {
+            Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {}
+            made => return made.map(|file| NewFile { file, path }),
+        }
+        let mut name = wanted.file_stem().unwrap_or_default().to_owned();
+        name.push(format!("-{number}"));
+        path = wanted.with_file_name(name);
+        if let Some(extension) = wanted.extension() {
+            path.as_mut_os_string().push(".");
+            path.as_mut_os_string().push(extension);
+        }
+    }
+    Err(io::ErrorKind::AlreadyExists.into())
 }

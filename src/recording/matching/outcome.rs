@@ -124,6 +124,10 @@ pub(super) fn unread(stream: &Stream, dwell: &Dwell) -> Finding {
     }
 }
 
+fn percent(part: usize, all: usize) -> f64 {
+    100.0 * part as f64 / all as f64
+}
+
 /// What the user should know about a run.
 pub(super) fn findings(matching: &PoseMatching, stream: &Stream) -> Vec<Finding> {
     let mut findings = Vec::new();
@@ -133,10 +137,19 @@ pub(super) fn findings(matching: &PoseMatching, stream: &Stream) -> Vec<Finding>
     let is_ambiguous = |pose: &&PoseOutcome| matches!(pose.outcome, MatchOutcome::Ambiguous { .. });
     let ambiguous = matching.outcomes.iter().filter(is_ambiguous).count();
     if ambiguous > 0 {
-        findings.push(Finding::AmbiguousPoses { poses: ambiguous });
+        let percent = percent(ambiguous, poses);
+        findings.push(Finding::AmbiguousPoses { poses: ambiguous, percent });
     }
-    if 2 * matched < poses {
-        findings.push(Finding::FewMatched { matched, poses });
+    let lost = poses - matched - ambiguous;
+    if lost > 0 {
+        findings.push(Finding::PosesLost { lost, poses, percent: percent(lost, poses) });
+    }
+    let touched = || readings().filter(|reading| reading.invalid > 0);
+    let invalid: usize = touched().map(|reading| reading.invalid).sum();
+    if invalid > 0 {
+        let samples = touched().map(|reading| reading.samples + reading.invalid).sum();
+        let (percent, dwells) = (percent(invalid, samples), touched().count());
+        findings.push(Finding::InvalidInDwells { invalid, samples, percent, dwells });
     }
     let creep = readings().filter(|reading| reading.creep_mm.is_some()).count();
     if creep > 0 {

@@ -25,7 +25,7 @@ pub struct Circle {
 
 /// The circles of a run, and what its matching found.
 pub struct Circles {
-    /// Those on which anything was measured, in the plan's order.
+    /// In the plan's order.
     pub circles: Vec<Circle>,
     pub findings: Vec<MatchingFinding>,
 }
@@ -46,6 +46,9 @@ impl Run {
         let mut circles: Vec<Circle> = Vec::new();
         for (row, place) in self.plan.rows.iter().zip(&self.plan.circle_places()) {
             let (Some(place), Kind::Measure) = (place, row.kind) else { continue };
+            if circles.last().is_none_or(|last| last.number != row.circle) {
+                circles.push(Circle::new(row.circle, place.radius_mm));
+            }
             let Some(observation) = measured.get(&row.index) else {
                 *lost.entry(row.circle).or_default() += 1;
                 continue;
@@ -61,9 +64,6 @@ impl Run {
                 drives: drives(self, &robot, row),
             };
             let sense = if place.clockwise { Sense::Clockwise } else { Sense::CounterClockwise };
-            if circles.last().is_none_or(|last| last.number != row.circle) {
-                circles.push(Circle::new(row.circle, place.radius_mm));
-            }
             if let Some(circle) = circles.last_mut() {
                 circle.add(sense, point);
             }
@@ -78,6 +78,11 @@ impl Run {
 impl Circle {
     fn new(number: u32, radius_mm: f64) -> Self {
         Self { number, radius_mm, traces: Vec::new(), lost: 0 }
+    }
+
+    /// Poses that have a length.
+    pub fn measured(&self) -> usize {
+        self.traces.iter().map(|trace| trace.points.len()).sum()
     }
 
     fn add(&mut self, sense: Sense, point: Point) {

@@ -11,7 +11,7 @@ use super::temperature::Temperatures;
 use crate::base::files;
 use crate::catalogue::{FileFinding, RecordingFinding};
 use crate::device::protocol::Definition;
-use crate::diagnostic::Diagnostic;
+use crate::diagnostic::{Diagnostic, Severity};
 use crate::plan::Plan;
 use crate::program::krl;
 use crate::recording::capture::{self, Event, Pass, Record, Stamped};
@@ -76,6 +76,16 @@ pub fn open(
     let run = Run { plan, stream, temperatures, reports, doubtful, axes_deg };
     run.temperature_finding().into_iter().for_each(&mut report);
     Ok(run)
+}
+
+/// What is lost between the capture at `path` and the lengths of its plan's poses.
+///
+/// # Errors
+/// As [`open`].
+pub fn losses(path: &Path) -> Result<Vec<Diagnostic>, Diagnostic> {
+    let run = open(path, None, &[], &mut |_| {})?;
+    let found = run.matching(None).findings.into_iter().map(Diagnostic::from);
+    Ok(found.filter(|finding| finding.code.severity() == Severity::Warning).collect())
 }
 
 /// What a program logged into its `.dat`.

@@ -1,0 +1,139 @@
+//! A capture that is taken away while it is recorded: noticed within a second, and recording goes on.
+#![cfg(unix)]
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Output};
+
+use dbbd::base::clock;
+use dbbd::recording::capture::{self, Capture};
+use serde_json::Value;
+
+use crate::acquire_reads_the_bar::{dbbd, endless, play, run, signal, wait_for};
+use crate::cell::{codes, stderr};
+
+const TAKEN_AWAY: &str = "W0415";
+
+pub(crate) fn provoked() -> Vec<&'static str> {
+    vec![TAKEN_AWAY]
+}
+
+struct Recording {
+    dir: tempfile::TempDir,
+    child: Child,
+}
+
+impl Recording {
+    fn begin() -> Self {
+        let dir = tempfile::tempdir().unwrap();
+        fs::create_dir(dir.path().join("runs")).unwrap();
+        let (port, _bar) = play(1.0, endless());
+        let out = dir.path().join("runs/run.dbbd");
+        let child = dbbd(&["acquire", "--json", "--port", &port, "--out", out.to_str().unwrap()]);
+        let recording = Self { dir, child: { child }.spawn().unwrap() };
+        wait_for(&out, 40_000);
+        recording
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.dir.path().join(name)
+    }
+
+    /// Waits until there is a file at the path and stops.
+    fn end(self, new: &str) -> (Output, PathBuf, tempfile::TempDir) {
+        let new = self.path(new);
+        let begun = clock::now();
+        while !new.exists() && clock::now().seconds_since(begun) < 5.0 {
+            clock::sleep(0.01);
+        }
+        let noticed_s = clock::now().seconds_since(begun);
+        assert!(noticed_s < 1.2, "noticed after {noticed_s} s");
+        clock::sleep(0.3);
+        signal(&self.child, "INT");
+        let output = self.child.wait_with_output().unwrap();
+        assert_eq!((output.status.code(), codes(&output)), (Some(3), vec![TAKEN_AWAY.to_owned()]));
+        let summary: Value = serde_json::from_slice(&output.stdout).unwrap();
+        assert_eq!(summary["capture"].as_str(), new.to_str(), "{}", stderr(&output));
+        assert_eq!(summary["findings"][0]["code"], TAKEN_AWAY);
+        (output, new, self.dir)
+    }
+}
+
+fn read(path: &Path) -> Capture {
+    capture::read(&fs::read(path).unwrap())
+}
+
+/// All that the bar sent, in order, with what makes it readable.
+fn is_whole(path: &Path) {
+    let capture = read(path);
+    assert!(capture.ended() && capture.damages.is_empty(), "{:?}", capture.damages);
+    assert!(capture.attachment("protocol.toml").is_some());
+    let samples: Vec<_> = capture.samples().map(|(_, sample)| sample.sequence.unwrap()).collect();
+    assert!(samples.len() > 500 && samples.iter().copied().eq(0..samples.len() as u32), "{}", samples.len());
+    assert_eq!(run(&["info", path.to_str().unwrap()]).status.code(), Some(0));
+}
+
+#[test]
+fn a_capture_that_is_removed_comes_back_whole() {
+    let recording = Recording::begin();
+    fs::remove_file(recording.path("runs/run.dbbd")).unwrap();
+    let (_, new, _dir) = recording.end("runs/run.dbbd");
+    is_whole(&new);
+}
+
+#[test]
+fn a_capture_that_is_renamed_is_gone_on_with() {
+    let recording = Recording::begin();
+    fs::rename(recording.path("runs/run.dbbd"), recording.path("runs/old.dbbd")).unwrap();
+    let (_, new, dir) = recording.end("runs/run.dbbd");
+    is_whole(&new);
+    let old = read(&dir.path().join("runs/old.dbbd"));
+    assert!(old.records.len() > 10 && read(&new).records.starts_with(&old.records));
+}
+
+#[test]
+fn a_capture_that_is_replaced_does_not_overwrite() {
+    let recording = Recording::begin();
+    fs::write(recording.path("other"), "mine").unwrap();
+    fs::rename(recording.path("other"), recording.path("runs/run.dbbd")).unwrap();
+    let (_, new, dir) = recording.end("runs/run-2.dbbd");
+    is_whole(&new);
+    assert_eq!(fs::read(dir.path().join("runs/run.dbbd")).unwrap(), b"mine");
+}
+
+#[test]
+fn the_directory_of_a_capture_is_made_again() {
+    let recording = Recording::begin();
+    fs::remove_dir_all(recording.path("runs")).unwrap();
+    let (_, new, _dir) = recording.end("runs/run.dbbd");
+    is_whole(&new);
+}
+
+/// What was cut off is lost: the new file says how much.
+#[test]
+fn a_capture_that_is_cut_goes_on_beside_and_is_damaged() {
+    for left in [0, 20_000] {
+        let recording = Recording::begin();
+        let cut = fs::OpenOptions::new().write(true).open(recording.path("runs/run.dbbd")).unwrap();
+        cut.set_len(left).unwrap();
+        let (_, new, dir) = recording.end("runs/run-2.dbbd");
+        let capture = read(&new);
+        assert!(capture.ended() && capture.attachment("protocol.toml").is_some());
+        assert_eq!(capture.damages.len(), 1, "{:?}", capture.damages);
+        assert!(capture.samples().count() > 100);
+        for file in ["runs/run.dbbd", "runs/run-2.dbbd"] {
+            let info = run(&["info", dir.path().join(file).to_str().unwrap()]);
+            assert_eq!(info.status.code(), Some(3), "{file}: {}", stderr(&info));
+            assert!(codes(&info).iter().any(|code| code == "W0410"), "{file}: {}", stderr(&info));
+        }
+    }
+}
+
+#[test]
+fn others_of_the_machine_may_not_read_a_capture() {
+    use std::os::unix::fs::PermissionsExt;
+    let dir = tempfile::tempdir().unwrap();
+    capture::Writer::create(&dir.path().join("run")).unwrap();
+    let mode = fs::metadata(dir.path().join("run")).unwrap().permissions().mode();
+    assert_eq!(mode & 0o007, 0, "{mode:o}");
+}

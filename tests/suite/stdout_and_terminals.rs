@@ -1,0 +1,75 @@
+//! What is written to stdout arrives or is said not to, and nothing that was read steers a terminal.
+#![cfg(unix)]
+
+use std::fs::File;
+use std::process::{Command, Stdio};
+
+use dbbd::base::units::HostNs;
+use dbbd::recording::capture::{Event, Record, Writer};
+use serde_json::Value;
+
+use crate::cell::{codes, dbbd, stderr};
+
+const UNWRITABLE: &str = "E0102";
+
+/// Each way to print something on stdout.
+const PRINTS: [&[&str]; 7] = [
+    &["robots", "list"],
+    &["explain", "E0101", "--json"],
+    &["protocols", "--json"],
+    &["completions", "bash"],
+    &["man"],
+    &["--help"],
+    &["--version"],
+];
+
+fn command(args: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_dbbd"));
+    command.args(args).stdin(Stdio::null()).stderr(Stdio::piped());
+    command
+}
+
+#[test]
+fn a_result_that_is_not_taken_is_a_failure() {
+    for args in PRINTS {
+        let full = File::options().write(true).open("/dev/full").unwrap();
+        let output = command(args).stdout(full).output().unwrap();
+        assert_eq!(output.status.code(), Some(1), "{args:?}: {}", stderr(&output));
+        // Help is printed by the parser of the command line.
+        if !args[0].starts_with("--") {
+            assert_eq!(codes(&output), [UNWRITABLE], "{args:?}");
+        }
+    }
+}
+
+#[test]
+fn a_reader_that_has_gone_ends_it_quietly() {
+    for args in PRINTS {
+        let (reader, writer) = std::io::pipe().unwrap();
+        drop(reader);
+        let output = command(args).stdout(writer).output().unwrap();
+        assert_eq!((output.status.code(), stderr(&output)), (Some(0), String::new()), "{args:?}");
+    }
+}
+
+#[test]
+fn nothing_in_a_capture_steers_the_terminal() {
+    const HOSTILE: &str = "\u{1b}]0;title\u{7}\u{9b}2J\r\ndamages      none";
+    let dir = tempfile::tempdir().unwrap();
+    let mut writer = Writer::create(&dir.path().join("run")).unwrap();
+    let mut write = |record| writer.write(HostNs(1), &record).unwrap();
+    write(Record::Attachment { name: HOSTILE.into(), content: vec![1] });
+    write(Record::Event(Event::Mark { text: HOSTILE.into() }));
+    write(Record::Event(Event::Ended { reason: HOSTILE.into(), samples: 0, lost: 0 }));
+    let steers = |c: char| c.is_control() && c != '\n';
+    let lines = dbbd(dir.path(), &["info", "run"]);
+    let text = String::from_utf8(lines.stdout.clone()).unwrap();
+    assert!(!text.contains(steers), "{text:?}");
+    assert_eq!(text.lines().filter(|line| line.starts_with("damages")).count(), 1, "{text}");
+    let json = String::from_utf8(dbbd(dir.path(), &["info", "run", "--json"]).stdout).unwrap();
+    assert!(!json.contains(steers), "{json:?}");
+    let info: Value = serde_json::from_str(&json).unwrap();
+    assert_eq!(info["remarks"][0], HOSTILE);
+    let wrong = dbbd(dir.path(), &["info", "\u{1b}[2Jrun"]);
+    assert!(wrong.status.code() == Some(1) && !stderr(&wrong).contains(steers), "{}", stderr(&wrong));
+}
