@@ -112,6 +112,7 @@ pub(crate) type Verdict = Result<Outcome, Box<dyn Error>>;
 
 /// Runs the program.
 pub fn main() -> ExitCode {
+    crate::daemon::abort_on_panic();
     let cli = match Cli::try_parse() {
         Ok(cli) => cli,
         Err(help) => {

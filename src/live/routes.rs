@@ -63,8 +63,8 @@ pub fn routes() -> Vec<(&'static str, &'static str)> {
 }
 
 /// All routes behind the guard.
-pub(super) fn router(service: Arc<dyn Service>, access: Access, stop: watch::Receiver<bool>) -> Router {
-    let app = App { service, access: Arc::new(access), stop };
+pub(super) fn router(service: Arc<dyn Service>, access: Arc<Access>, stop: watch::Receiver<bool>) -> Router {
+    let app = App { service, access, stop };
     let refused = |methods: &'static str| {
         move || async move { Problem::new(StatusCode::METHOD_NOT_ALLOWED, NotAllowed { methods }).allow(methods) }
     };

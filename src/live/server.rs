@@ -48,7 +48,7 @@ pub(super) fn listen(address: SocketAddr) -> io::Result<TcpListener> {
 pub async fn serve(
     address: SocketAddr,
     service: Arc<dyn Service>,
-    access: Access,
+    access: Arc<Access>,
     mut stop: watch::Receiver<bool>,
     ready: impl FnOnce(SocketAddr),
 ) -> io::Result<()> {

@@ -24,6 +24,17 @@ use crate::live::{
 /// The longest run that may be asked for, s.
 const LONGEST_S: f64 = 1e6;
 
+/// The place of a run that is starting: free again where the start panics.
+struct Place<'a>(&'a Supervisor);
+
+impl Drop for Place<'_> {
+    fn drop(&mut self) {
+        if std::thread::panicking() {
+            self.0.inner().run = Run::None;
+        }
+    }
+}
+
 impl Service for Supervisor {
     fn warn(&self, event: &'static str, fields: &[(&str, &dyn Display)]) {
         if let Some(times) = self.repeats.due(event) {
@@ -96,6 +107,7 @@ impl Service for Supervisor {
             inner.run = Run::Starting;
             (port, inner.protocol.clone())
         };
+        let _place = Place(self);
         let begun = self.begin(&request, port, protocol);
         let mut inner = self.inner();
         match begun {

@@ -240,6 +240,7 @@ fn run(shared: &Arc<Shared>, task: &Task) -> io::Result<JobState> {
         .stdout(Stdio::piped())
         .stderr(Stdio::piped())
         .spawn()?;
+    first_to_go(&child);
     let outputs = (child.stdout.take(), child.stderr.take());
     *lock(&shared.child) = Some((task.id, child));
     // It may have been cancelled while it was being started.
@@ -265,6 +266,12 @@ fn run(shared: &Arc<Shared>, task: &Task) -> io::Result<JobState> {
         Some(3) => JobState::Doubt,
         _ => JobState::Failed,
     })
+}
+
+/// Where memory runs out, the system ends an evaluation and not the recorder.
+fn first_to_go(child: &Child) {
+    // Only Linux has this file; without it the system chooses by size.
+    let _ = std::fs::write(format!("/proc/{}/oom_score_adj", child.id()), "1000");
 }
 
 fn listen(shared: &Shared, id: u64, output: impl Read) {

@@ -14,5 +14,5 @@ mod trial_cell;
 
 pub use config::Config;
 pub use log::{Level, Log};
-pub use serve::serve;
+pub use serve::{abort_on_panic, serve};
 pub use trial_cell::{Bench, Cell};

@@ -1,10 +1,10 @@
 //! The service from its first word to its last: runtime, signals, sign of life.
 
-use std::io;
 use std::net::SocketAddr;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
+use std::{io, panic, process, thread};
 
 use tokio::sync::watch;
 
@@ -14,10 +14,11 @@ use super::notify::{notify, watchdog_s};
 use super::state::Supervisor;
 use super::trial_cell::Bench;
 use crate::base::clock;
-use crate::catalogue::ServiceFinding::{self, NoSystem, NotServing, WorkerLost};
+use crate::base::units::HostNs;
+use crate::catalogue::ServiceFinding::{self, NoSystem, NotServing};
 use crate::daemon::signals;
 use crate::diagnostic::Diagnostic;
-use crate::live::{self, Access, Service};
+use crate::live::{self, Access, Service, State};
 
 /// How often the state is looked at, s.
 const LOOK_S: f64 = 0.2;
@@ -27,6 +28,21 @@ const ALIVE_S: f64 = 5.0;
 /// Questions of clients that wait for disk or device at a time.
 const MOST_WAITING: usize = 16;
 
+/// Name of the threads that answer clients. A panic on any other thread ends the process.
+const WEB: &str = "web";
+
+/// Ends the process with a thread that panics: a recorder without one of its threads would only look alive. Threads
+/// that answer clients may go: what they did is lost, the run is not.
+pub fn abort_on_panic() {
+    let report = panic::take_hook();
+    panic::set_hook(Box::new(move |panicked| {
+        report(panicked);
+        if thread::current().name() != Some(WEB) {
+            process::abort();
+        }
+    }));
+}
+
 /// Serves until SIGINT or SIGTERM; a run that is on then ends as it should. `bench` makes the cell of the
 /// port `sim`.
 ///
@@ -34,75 +50,107 @@ const MOST_WAITING: usize = 16;
 /// When the address cannot be had or the system gives no threads.
 pub fn serve(mut config: Config, log: Arc<dyn Log>, bench: Option<Bench>) -> Result<(), Diagnostic> {
     let address = config.address;
-    let access = Access::new(address.ip(), &config.hosts, config.token.take());
+    let access = Arc::new(Access::new(address.ip(), &config.hosts, config.token.take()));
     if !address.ip().is_loopback() {
-        let fields: [(&str, &dyn std::fmt::Display); 1] = [("address", &address)];
-        log.say(Level::Warning, "open_to_the_network_without_encryption", &fields);
+        log.say(Level::Warning, "open_to_the_network_without_encryption", &[("address", &address)]);
     }
     if is_root() {
         log.say(Level::Warning, "running_as_root", &[("help", &"docs/how-to/service.md")]);
     }
+    let signalled = signals::stop_on_signal()?;
     let supervisor = Arc::new(Supervisor::new(config, Arc::clone(&log), bench).map_err(no_system)?);
-    let mut builder = tokio::runtime::Builder::new_current_thread();
-    let runtime = builder.enable_all().max_blocking_threads(MOST_WAITING).build().map_err(no_system)?;
     let (stop, stopped) = watch::channel(false);
     let beat = Arc::new(AtomicU64::new(clock::now().0));
-    let over = Arc::new(AtomicBool::new(false));
-    let watcher = {
-        let (supervisor, beat, over) = (Arc::clone(&supervisor), Arc::clone(&beat), Arc::clone(&over));
-        std::thread::Builder::new()
-            .name("supervisor".into())
-            .spawn(move || look(&supervisor, &beat, &over))
-            .map_err(no_system)?
-    };
-    let service: Arc<dyn Service> = supervisor.clone();
-    let served = runtime.block_on(async {
-        let mut signals = signals::Signals::new().map_err(no_system)?;
-        tokio::spawn(async move {
-            loop {
-                beat.store(clock::now().0, Ordering::Relaxed);
-                tokio::time::sleep(Duration::from_secs(1)).await;
-            }
-        });
-        tokio::spawn(async move {
-            signals.wait().await;
-            stop.send_replace(true);
-        });
-        let ready = |address: SocketAddr| {
-            log.say(Level::Info, "listening", &[("address", &format!("http://{address}/"))]);
-            notify("READY=1");
-        };
-        let served = live::serve(address, service, access, stopped, ready).await;
-        served.map_err(|error| NotServing { address: address.to_string(), why: error.to_string() })
-    });
+    let address = Arc::new(Mutex::new(address));
+    let web = Web { service: supervisor.clone(), log: Arc::clone(&log), access, address, beat, stopped };
+    let served = look(&supervisor, &web, &signalled);
     notify("STOPPING=1");
+    stop.send_replace(true);
     supervisor.end();
-    // A question that never returns must not hold up the end.
-    runtime.shutdown_timeout(Duration::from_secs(1));
-    over.store(true, Ordering::Relaxed);
-    let watched = watcher.join();
-    served?;
-    watched.map_err(|_| WorkerLost { worker: "supervisor".into() })?;
+    match served?.join() {
+        Ok(served) => served?,
+        Err(_) => log.say(Level::Error, "web_died", &[]),
+    }
     log.say(Level::Info, "stopped", &[]);
     Ok(())
 }
 
-/// Keeps the state up to date and notifies the service manager.
-fn look(supervisor: &Supervisor, beat: &AtomicU64, over: &AtomicBool) {
+type Served = thread::JoinHandle<Result<(), Diagnostic>>;
+
+/// Keeps the state up to date, notifies the service manager, and starts the web's thread again when it died. Returns
+/// that thread when all is to end.
+fn look(supervisor: &Supervisor, web: &Web, signalled: &AtomicBool) -> Result<Served, Diagnostic> {
+    let mut served = web.start().map_err(no_system)?;
     let mut notified = None;
     let (pause_s, mut signed) = (watchdog_s(), clock::now());
-    while !over.load(Ordering::Relaxed) {
+    while !signalled.load(Ordering::Relaxed) {
         let state = supervisor.tick();
         if notified.replace(state) != Some(state) {
             notify(&format!("STATUS={}", state.name()));
         }
+        if served.is_finished() {
+            match served.join() {
+                // It ends by itself only where it cannot begin.
+                Ok(ended) => ended?,
+                Err(_) => web.log.say(Level::Error, "web_died", &[]),
+            }
+            served = web.start().map_err(no_system)?;
+        }
         let now = clock::now();
-        let alive = now.seconds_since(crate::base::units::HostNs(beat.load(Ordering::Relaxed))) < ALIVE_S;
-        if pause_s.is_some_and(|pause_s| now.seconds_since(signed) >= pause_s) && alive {
+        let alive = now.seconds_since(HostNs(web.beat.load(Ordering::Relaxed))) < ALIVE_S;
+        // A run is worth more than pages that hang.
+        let sound = alive || state == State::Running;
+        if sound && pause_s.is_some_and(|pause_s| now.seconds_since(signed) >= pause_s) {
             notify("WATCHDOG=1");
             signed = now;
         }
         clock::sleep(LOOK_S);
+    }
+    Ok(served)
+}
+
+/// What answers clients, on threads of its own.
+#[derive(Clone)]
+struct Web {
+    service: Arc<dyn Service>,
+    log: Arc<dyn Log>,
+    access: Arc<Access>,
+    /// Where it listens: with the port that the system gave, once it has.
+    address: Arc<Mutex<SocketAddr>>,
+    /// When its loop was last alive.
+    beat: Arc<AtomicU64>,
+    stopped: watch::Receiver<bool>,
+}
+
+impl Web {
+    fn start(&self) -> io::Result<Served> {
+        let web = self.clone();
+        thread::Builder::new().name(WEB.into()).spawn(move || web.run())
+    }
+
+    fn run(self) -> Result<(), Diagnostic> {
+        let mut builder = tokio::runtime::Builder::new_current_thread();
+        let builder = builder.enable_all().thread_name(WEB).max_blocking_threads(MOST_WAITING);
+        let runtime = builder.build().map_err(no_system)?;
+        let Self { service, log, access, address, beat, stopped } = self;
+        let wanted = *address.lock().unwrap_or_else(PoisonError::into_inner);
+        let served = runtime.block_on(async {
+            tokio::spawn(async move {
+                loop {
+                    beat.store(clock::now().0, Ordering::Relaxed);
+                    tokio::time::sleep(Duration::from_secs(1)).await;
+                }
+            });
+            let ready = |given: SocketAddr| {
+                *address.lock().unwrap_or_else(PoisonError::into_inner) = given;
+                log.say(Level::Info, "listening", &[("address", &format!("http://{given}/"))]);
+                notify("READY=1");
+            };
+            live::serve(wanted, service, access, stopped, ready).await
+        });
+        // A question that never returns must not hold up the end.
+        runtime.shutdown_timeout(Duration::from_secs(1));
+        served.map_err(|error| NotServing { address: wanted.to_string(), why: error.to_string() }.into())
     }
 }
 
