@@ -1,14 +1,19 @@
 //! This program as a child process.
 
 use std::io;
-use std::process::{Command, Stdio};
+use std::process::{Command, Stdio, exit};
+use std::thread;
 
 /// What a child process is to know of the environment; the rest is no business of a command of ours.
 const INHERITED: [&str; 9] =
     ["PATH", "HOME", "LANG", "LC_ALL", "TZ", "TMPDIR", "NO_COLOR", "RUST_BACKTRACE", "SystemRoot"];
 
-/// A command that runs this very program, also where its file was replaced since this process began. Its standard
-/// input is empty, and of the environment it has only what it needs.
+/// The option that ends a command of ours with its standard input.
+pub const UNTIL_STDIN_CLOSES: &str = "--until-stdin-closes";
+
+/// A command that runs this very program, also where its file was replaced since this process began. It ends with its
+/// standard input, whose other end closes with this process, however that ends; keep it until the child has ended. Of
+/// the environment it has only what it needs.
 ///
 /// # Errors
 /// When the system does not name the program.
@@ -20,6 +25,18 @@ pub fn own() -> io::Result<Command> {
     let program = std::env::current_exe()?;
     let mut command = Command::new(program);
     let kept = INHERITED.iter().filter_map(|name| Some((name, std::env::var_os(name)?)));
-    command.env_clear().envs(kept).stdin(Stdio::null());
+    command.arg(UNTIL_STDIN_CLOSES).env_clear().envs(kept).stdin(Stdio::piped());
     Ok(command)
+}
+
+/// Ends this process when its standard input ends: whoever started it is gone.
+///
+/// # Errors
+/// When the system gives no thread.
+pub fn end_with_stdin() -> io::Result<()> {
+    let watch = || {
+        let _ = io::copy(&mut io::stdin(), &mut io::sink());
+        exit(1);
+    };
+    thread::Builder::new().name("stdin".into()).spawn(watch).map(drop)
 }

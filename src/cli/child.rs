@@ -57,6 +57,7 @@ impl<'a> Steps<'a> {
     pub(crate) fn run(&self, args: &[&str]) -> Result<(), Diagnostic> {
         let failed = |error| failed(args, error);
         let mut child = self.command(args)?.stdout(Stdio::piped()).spawn().map_err(failed)?;
+        let _kept = child.stdin.take();
         if let Some(stdout) = child.stdout.take() {
             for line in BufReader::new(stdout).lines() {
                 self.out.progress(line.map_err(failed)?);
@@ -77,8 +78,6 @@ impl<'a> Steps<'a> {
     pub(crate) fn start(&self, args: &[&str]) -> Result<Simulator, Diagnostic> {
         let failed = |error| failed(args, error);
         let mut command = self.command(args)?;
-        // Its end of this pipe closes with this process, however that ends.
-        command.arg("--until-stdin-closes").stdin(Stdio::piped());
         let mut child = command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().map_err(failed)?;
         let mut port = String::new();
         if let Some(stdout) = child.stdout.take() {

@@ -33,6 +33,9 @@ use std::process::ExitCode;
 
 use clap::{Args, Parser, Subcommand};
 
+use crate::base::program;
+use crate::catalogue::ServiceFinding;
+use crate::diagnostic::Diagnostic;
 pub(crate) use output::Output;
 
 /// Heading of the options that every verb takes.
@@ -68,6 +71,9 @@ pub(crate) struct Common {
     /// Exit with 1 instead of 3 when there is a loss or a doubt.
     #[arg(long, global = true, help_heading = EVERYWHERE)]
     strict: bool,
+    /// End when the standard input does: whoever started this command is gone.
+    #[arg(long, global = true, hide = true)]
+    until_stdin_closes: bool,
 }
 
 /// The verbs; the text of each is that of its `Args`, and the README's section "Commands" too.
@@ -121,6 +127,12 @@ pub fn main() -> ExitCode {
         }
     };
     let out = Output::new(cli.common);
+    if cli.common.until_stdin_closes
+        && let Err(error) = program::end_with_stdin()
+    {
+        let finding = ServiceFinding::NoSystem { why: error.to_string() };
+        return output::finish(&out, Err(Diagnostic::new(finding).into()));
+    }
     let verdict = match &cli.verb {
         Verb::Plan(args) => plan::run(args, &out),
         Verb::Krl(args) => krl::run(args, &out),

@@ -7,7 +7,7 @@ use serde_json::json;
 
 use super::{Outcome, Output, Verdict, protocols};
 use crate::base::files;
-use crate::catalogue::{FileFinding, ServiceFinding, SimulationFinding};
+use crate::catalogue::{FileFinding, SimulationFinding};
 use crate::cli::robots;
 use crate::diagnostic::Diagnostic;
 use crate::program::krl::Program;
@@ -81,9 +81,6 @@ pub(crate) struct Args {
     /// The override of the controller's speed, percent.
     #[arg(long = "override", value_name = "PERCENT", default_value_t = 100.0)]
     override_percent: f64,
-    /// End when the standard input does: whoever started the simulator is gone.
-    #[arg(long, hide = true)]
-    until_stdin_closes: bool,
 }
 
 pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
@@ -94,9 +91,6 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
             let wrong = SimulationFinding::OptionOutOfRange { option, value, low, high };
             return Err(Diagnostic::new(wrong).into());
         }
-    }
-    if args.until_stdin_closes {
-        end_with_stdin()?;
     }
     let faults = faults(args)?;
     let definition = protocols::load_with(&args.protocol, &args.params)?;
@@ -123,16 +117,6 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
         out.finding(SimulationFinding::OutOfStroke { readings: cell.strayed });
     }
     Ok(Outcome::Done)
-}
-
-/// Ends the process when the standard input ends.
-fn end_with_stdin() -> Result<(), Diagnostic> {
-    let watch = || {
-        let _ = std::io::copy(&mut std::io::stdin(), &mut std::io::sink());
-        std::process::exit(1);
-    };
-    let thread = std::thread::Builder::new().name("stdin".into()).spawn(watch);
-    thread.map(drop).map_err(|error| ServiceFinding::NoSystem { why: error.to_string() }.into())
 }
 
 fn faults(args: &Args) -> Result<Faults, Diagnostic> {

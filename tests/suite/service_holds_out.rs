@@ -186,6 +186,30 @@ fn the_simulator_knows_no_secret_and_ends_with_the_service() {
 
 #[test]
 #[cfg(target_os = "linux")]
+fn whatever_is_at_work_ends_with_the_service() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut server = Server::start(dir.path(), "[device]\nport = \"sim\"\n");
+    server.wait("/api/v1/status", |status| status["state"] == "idle");
+    let mut asking = server.connect();
+    let body = "{\"name\":\"tried\"}";
+    let head =
+        "POST /api/v1/run HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\nContent-Length:";
+    asking.write_all(format!("{head} {}\r\n\r\n{body}", body.len()).as_bytes()).unwrap();
+    let at_work = || {
+        clock::sleep(0.02);
+        child_of(server.child.id(), dbbd::base::program::UNTIL_STDIN_CLOSES)
+    };
+    let child = (0..500).find_map(|_| at_work()).expect("a command is at work");
+    assert_eq!(server.signal("KILL"), None);
+    let gone = |_: &i32| {
+        clock::sleep(0.1);
+        !fs::exists(format!("/proc/{child}/environ")).unwrap()
+    };
+    assert!((0..100).find(gone).is_some(), "it lives on");
+}
+
+#[test]
+#[cfg(target_os = "linux")]
 fn a_replaced_program_goes_on() {
     let dir = tempfile::tempdir().unwrap();
     let program = dir.path().join("dbbd");

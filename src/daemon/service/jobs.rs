@@ -241,6 +241,7 @@ fn run(shared: &Arc<Shared>, task: &Task) -> io::Result<JobState> {
         .stderr(Stdio::piped())
         .spawn()?;
     first_to_go(&child);
+    let _kept = child.stdin.take();
     let outputs = (child.stdout.take(), child.stderr.take());
     *lock(&shared.child) = Some((task.id, child));
     // It may have been cancelled while it was being started.
