@@ -164,5 +164,10 @@ findings! {
             PosteriorLost => "the robot was identified before, but its file has no [posterior]: what these lengths do not determine is fixed as if it were exact or known by the tolerance alone";
             PosteriorOfOtherValues => "[posterior] is of other values than the robot's: they were changed since, and it is not used";
         }
+        W1334 "lengths that identified the robot are used again",
+        cause: "Most of these lengths are in the lengths.csv beside the robot's file, so its [posterior] holds them already. Counted twice, they would promise an accuracy that they do not have.",
+        cure: "Nothing: [posterior] is not used. To identify anew, give the nominal robot; to go on, give only new lengths." {
+            KnownLengths { known: usize, lengths: usize } => "{known} of {lengths} lengths identified this robot already: its [posterior] is not used";
+        }
     }
 }

@@ -49,7 +49,7 @@ const STRONG: f64 = 0.9;
 const MOST: usize = 10;
 
 /// Two parameters with the correlation of their estimates.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Correlation {
     /// The pair, in the order of the covariance.
     pub pair: [ParamId; 2],

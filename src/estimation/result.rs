@@ -293,7 +293,7 @@ pub struct WithoutWith {
 }
 
 /// A Monte Carlo of the uncertainties.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct MonteCarlo {
     pub trials: usize,
     /// Trials whose fit converged.
@@ -462,12 +462,14 @@ pub enum JointError {
 }
 
 /// A length that is not used.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Outlier {
     /// Its place among the observations.
+    #[serde(skip)]
     pub place: usize,
     /// The observation's index.
     pub index: u32,
+    #[serde(rename = "centre")]
     pub ball: BallId,
     pub residual_mm: f64,
 }

@@ -6,9 +6,10 @@ use serde::{Deserialize, Serialize};
 
 use super::result::{
     BeforeAfter, CalibrationResult, Folds, FurtherMeasurement, GroupOutcome, GroupTest, JointEffect,
-    ParameterDraws, PredictedPair, PriorUsed, Recommendation, SigmaSource, StartRobot, Status, WithoutWith,
+    MonteCarlo, Outlier, ParameterDraws, PredictedPair, PriorUsed, Recommendation, SigmaSource, StartRobot,
+    Status, WithoutWith,
 };
-use super::{Combination, Observability, result};
+use super::{Combination, Correlation, Observability, result};
 use crate::diagnostic::{Diagnostic, Severity};
 
 /// The whole result; lengths in mm, angles in rad.
@@ -39,7 +40,7 @@ pub struct ResultFile {
     pub predicted_position_error_mm: PredictedPair,
     pub parameters: Vec<ParameterResult>,
     pub dependent: Vec<Dependent>,
-    pub correlated: Vec<Correlated>,
+    pub correlated: Vec<Correlation>,
     pub advice: Vec<Advice>,
     pub joints: Vec<JointEffect>,
     pub outliers: Vec<Outlier>,
@@ -59,14 +60,6 @@ pub struct GroupChoice {
     pub text: String,
 }
 
-/// A Monte Carlo of the uncertainties.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct MonteCarlo {
-    pub trials: usize,
-    pub used: usize,
-    pub disagree: Vec<String>,
-}
-
 /// One parameter.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ParameterResult {
@@ -81,13 +74,6 @@ pub struct ParameterResult {
     pub monte_carlo: Option<ParameterDraws>,
     pub status: Status,
     pub reason: String,
-}
-
-/// Two estimated parameters that are hardly told apart.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Correlated {
-    pub pair: [String; 2],
-    pub r: f64,
 }
 
 /// A further measurement that was tried on the model.
@@ -109,14 +95,6 @@ pub struct Dependent {
     pub combination: BTreeMap<String, f64>,
     pub kept: String,
     pub text: String,
-}
-
-/// A length that was set aside.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Outlier {
-    pub index: u32,
-    pub centre: usize,
-    pub residual_mm: f64,
 }
 
 /// Whether a warning is to be known, or throws doubt on the result (exit code 3).
@@ -170,21 +148,17 @@ impl From<&CalibrationResult> for ResultFile {
             coverage_factor: result.sigma.coverage_factor,
             prior: result.prior.clone(),
             groups: result.groups.iter().map(GroupChoice::from).collect(),
-            monte_carlo: result.monte_carlo.as_ref().map(MonteCarlo::from),
+            monte_carlo: result.monte_carlo.clone(),
             residual_mm: result.residual_mm,
             folds: result.folds,
             validation: result.validation,
             predicted_position_error_mm: result.predicted,
             parameters: result.parameters.iter().map(ParameterResult::from).collect(),
             dependent: result.combinations.iter().map(Dependent::from).collect(),
-            correlated: result
-                .correlations
-                .iter()
-                .map(|pair| Correlated { pair: pair.pair.map(|id| id.to_string()), r: pair.r })
-                .collect(),
+            correlated: result.correlations.clone(),
             advice: result.recommendations.iter().map(Advice::from).collect(),
             joints: result.joint_effects.clone(),
-            outliers: result.outliers.iter().map(Outlier::from).collect(),
+            outliers: result.outliers.clone(),
             warnings: result.diagnostics().map(Warning::from).collect(),
         }
     }
@@ -209,13 +183,6 @@ impl From<&GroupTest> for GroupChoice {
             predicted_mm,
             text: group.to_string(),
         }
-    }
-}
-
-impl From<&result::MonteCarlo> for MonteCarlo {
-    fn from(drawn: &result::MonteCarlo) -> Self {
-        let disagree = drawn.disagree.iter().map(ToString::to_string).collect();
-        Self { trials: drawn.trials, used: drawn.used, disagree }
     }
 }
 
@@ -278,12 +245,5 @@ impl From<Diagnostic> for Warning {
             Severity::Warning | Severity::Error => WarningKind::Doubt,
         };
         Self { kind, code: finding.code.to_string(), text: finding.message, values: *finding.values }
-    }
-}
-
-impl From<&result::Outlier> for Outlier {
-    fn from(outlier: &result::Outlier) -> Self {
-        let &result::Outlier { index, ball, residual_mm, .. } = outlier;
-        Self { index, centre: ball.number() as usize, residual_mm }
     }
 }

@@ -49,6 +49,17 @@ impl Measurements {
     }
 }
 
+impl Measurements {
+    /// How many rows of the other table are in this one, whatever their index.
+    pub fn holds(&self, other: &Self) -> usize {
+        let mut places: Vec<usize> = (0..self.rows.len()).collect();
+        places.sort_unstable_by(|&a, &b| by_content(&self.rows[a], &self.rows[b]));
+        let held =
+            |row: &&Measurement| places.binary_search_by(|&at| by_content(&self.rows[at], row)).is_ok();
+        other.rows.iter().filter(held).count()
+    }
+}
+
 /// By what was measured, whatever its index.
 fn by_content(a: &Measurement, b: &Measurement) -> Ordering {
     let sigma = |row: &Measurement| row.sigma_mm.unwrap_or(0.0);

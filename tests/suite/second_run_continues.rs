@@ -20,7 +20,7 @@ use crate::cell::{
 
 /// The codes that the tests of this module provoke.
 pub(crate) fn provoked() -> Vec<&'static str> {
-    vec!["W1332"]
+    vec!["W1332", "W1334"]
 }
 
 const REPEATS_MM: f64 = 0.0138;
@@ -85,9 +85,13 @@ fn a_check_does_not_raise_the_predicted_error() {
         assert!((second_mm.nominal.mean / first_mm - 1.0).abs() < 0.1, "{prior} {first_mm}: {second_mm:?}");
         assert_eq!(second.prior.unwrap().source, PriorSource::Posterior);
         assert_eq!([first.start, second.start], [StartRobot::Nominal, StartRobot::Identified]);
-        // A third run continues from the second.
-        let third = check(dir.path(), "second/robot-identified.toml", &[]);
-        assert!(!told(&third, "W1332"), "{}", stderr(&third));
+        // The same lengths again are no news, others are.
+        let again = check(dir.path(), "second/robot-identified.toml", &[]);
+        assert!(again.status.code() == Some(3) && told(&again, "W1334"), "{}", stderr(&again));
+        let others = lengths(&[horizontal(1, CENTRE)], 16, 3).to_csv();
+        fs::write(dir.path().join("check.csv"), others).unwrap();
+        let third = check(dir.path(), "first/robot-identified.toml", &[]);
+        assert_eq!(third.status.code(), Some(0), "{}", stderr(&third));
     }
 }
 

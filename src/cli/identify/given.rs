@@ -1,8 +1,10 @@
 //! What an identification starts from: an observations CSV with its robot and balls, or a capture.
 
 use std::error::Error;
+use std::path::Path;
 
 use super::Args;
+use super::LENGTHS;
 use super::inputs::observations;
 use crate::base::files;
 use crate::catalogue::EstimationFinding;
@@ -106,14 +108,30 @@ impl Given {
 
     /// The prior where the user names none: a robot that was identified before is known as that left it. Where its file
     /// does not hold it, that is lost.
-    pub(super) fn continued(&mut self) -> Prior {
+    ///
+    /// # Errors
+    /// The lengths beside the robot's file cannot be read.
+    pub(super) fn continued(&mut self, robot_file: Option<&str>) -> Result<Prior, Diagnostic> {
         let lost = match &self.robot.posterior {
-            Some(known) if known.is_of(&self.robot.geometry) => return Prior::Posterior,
+            Some(known) if known.is_of(&self.robot.geometry) => {
+                let known = self.known_lengths(robot_file)?;
+                if 2 * known <= self.observations.rows.len() {
+                    return Ok(Prior::Posterior);
+                }
+                Some(EstimationFinding::KnownLengths { known, lengths: self.observations.rows.len() })
+            }
             Some(_) => Some(EstimationFinding::PosteriorOfOtherValues),
             None => self.robot.nominal.as_ref().map(|_| EstimationFinding::PosteriorLost),
         };
         self.findings.extend(lost.map(Diagnostic::from));
-        Prior::None
+        Ok(Prior::None)
+    }
+
+    /// How many of the lengths are among those beside the robot's file, from which it was identified.
+    fn known_lengths(&self, robot_file: Option<&str>) -> Result<usize, Diagnostic> {
+        let beside = robot_file.map(|name| Path::new(name).with_file_name(LENGTHS));
+        let Some(path) = beside.filter(|path| path.is_file()) else { return Ok(0) };
+        Ok(observations(&path, &mut Vec::new())?.holds(&self.observations))
     }
 
     /// Joins the capture anew with the lengths that the identified robot predicts; whether the pairs changed.

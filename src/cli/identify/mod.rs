@@ -147,10 +147,10 @@ fn find(
 
 fn options(args: &Args, given: &mut Given, set_up: SetUp) -> Result<Options, Box<dyn Error>> {
     let prior = match args.prior.as_deref() {
-        None => given.continued(),
+        None => given.continued(args.robot.as_deref())?,
         Some("none") => Prior::None,
         Some("datasheet") => Prior::Datasheet,
-        Some("posterior") => match given.continued() {
+        Some("posterior") => match given.continued(args.robot.as_deref())? {
             Prior::Posterior => Prior::Posterior,
             _ => return Err(Diagnostic::from(EstimationFinding::NoPosterior).into()),
         },
