@@ -27,9 +27,10 @@ for stage in 1 2 3 4 5 6; do
     "$dbbd" acquire --port bar --plan "stage$stage/plan/plan.csv" --out "stage$stage/run.dbbd" --quiet
     wait "$robot"                        # fails when a reading was out of the stroke
     "$dbbd" sync "stage$stage/run.dbbd" --out "stage$stage/observations.csv" --quiet
-    # All lengths so far, to the same ball: the header once.
+    # All lengths so far, to the same ball: the header once, every row with an index of its own.
     lengths="$lengths stage$stage/observations.csv"
-    awk 'FNR > 1 || NR == 1' $lengths > "stage$stage/all.csv"
+    awk 'BEGIN { FS = OFS = "," } FNR == 1 && NR > 1 { next } NR > 1 { $1 = ++rows } { print }' $lengths \
+        > "stage$stage/all.csv"
     # A table does not carry the bar's certificate: half of the job's length_u_mm.
     # Exit code 3 is a doubt that its report tells; few poses leave some.
     "$dbbd" identify "stage$stage/all.csv" --robot kr60ha --centres stage1/plan/centres.csv --prior datasheet \
