@@ -205,6 +205,7 @@ fn one_core_or_all_give_the_same_bytes() {
             row
         }));
     }
+    (1..).zip(&mut data.rows).for_each(|(index, row)| row.index = index);
     fs::write(dir.path().join("obs.csv"), data.to_csv()).unwrap();
     fs::write(dir.path().join("c.csv"), centres_csv(&[horizontal(1, CENTRE)])).unwrap();
     let identify = |out: &str, one_core: bool| {
