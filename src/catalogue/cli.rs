@@ -15,6 +15,7 @@ findings! {
         cure: "`dbbd VERB --help` says what the option takes, with the unit." {
             NotSeconds => "a number of seconds, 0 or more, is needed";
             NotNameAndValue => "must be NAME=VALUE";
+            NotARisk => "a probability between 0 and 0.5 is needed";
         }
         E0009 "dbbd contradicts itself",
         cause: "A step inside of dbbd failed that cannot fail with sound data: a fault of dbbd itself, or a computer without memory or threads left.",

@@ -46,5 +46,47 @@ findings! {
         cure: "Identify all results with the same options from like poses." {
             DifferentlyEstimated { parameters: Names } => "{parameters} are not estimated in all results and are not compared";
         }
+        E1910 "the robot cannot be checked",
+        cause: "A check compares with what the calibration left unknown, the table [posterior] of robot-identified.toml. The file has none, its values were changed since, or it is the file of another robot than the plan's.",
+        cure: "Give the robot-identified.toml of this robot as `dbbd identify` wrote it. A file of an earlier version: identify anew from its lengths." {
+            NoPosterior { robot: String } => "`{robot}` has no [posterior]: it is no identified robot, or an earlier version wrote its file";
+            PosteriorOfAnother { robot: String } => "the [posterior] of `{robot}` is of other values than the robot's";
+            PlanOfAnother { planned: String, given: String } => "the run is of a plan for {planned}, --robot is {given}";
+        }
+        E1911 "the lengths do not suffice for a check",
+        cause: "Three lengths place each base ball; fewer than four beyond these say next to nothing of a change.",
+        cure: "Measure more poses: 12 to 24 to one ball." {
+            TooFewLengths { lengths: usize, least: usize } => "{lengths} lengths, at least {least} are needed to so many base balls";
+        }
+        E1912 "the noise of the lengths is not known",
+        cause: "A check compares with noise and repeatability. The lengths have no sigma_mm, the robot no repeatability_mm, and no result.json is beside the robot.",
+        cure: "Give --sigma: the standard deviation of a length with the robot's repeatability in it." {
+            NoNoise => "neither sigma_mm nor the robot's repeatability is known", help: "give --sigma MM";
+        }
+        E1913 "a check cannot be computed",
+        cause: "A number is absurd: an angle, a length, a base ball or a value of the posterior.",
+        cure: "Check lengths, base balls and robot file." {
+            NotFinite => "a number is not finite";
+        }
+        W1914 "no such check can decide",
+        cause: "Even if all lengths agreed with the calibrated robot, what remains unknown of its position would be larger than the tolerance: by the calibration, the bar's noise, or too few poses.",
+        cure: "Check with more poses or a better bar, calibrate anew from more lengths, or state a tolerance that can be decided." {
+            Undecidable { tolerance_mm: f64, best_mm: f64 } => "undecidable with this bar and these poses: at best {best_mm:.3} mm can be decided, not {tolerance_mm} mm";
+        }
+        W1915 "conformity is undecided",
+        cause: "The tolerance lies within the uncertainty of the position, so that neither pass nor fail has the risk allowed.",
+        cure: "Measure more poses, identify what changed (--update), calibrate anew, or accept a larger --risk." {
+            Undecided { tolerance_mm: f64, position_error_mm: f64, risk: f64 } => "undecided: the position error is about {position_error_mm:.3} mm, and exceeds {tolerance_mm} mm with probability {risk:.2}";
+        }
+        W1916 "no single change explains the lengths",
+        cause: "More than two parameters changed, the lengths are those of another robot or tool, or the bar slipped.",
+        cure: "Repeat the check. If it stays, calibrate anew." {
+            NotExplained { p: f64 } => "something changed (p {p:.1e}), but no change of one or two parameters explains the lengths";
+        }
+        I1917 "there is nothing to update",
+        cause: "The test finds no change; the robot file holds.",
+        cure: "Nothing." {
+            NothingToUpdate => "nothing changed: no robot file is written";
+        }
     }
 }

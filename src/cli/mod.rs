@@ -1,6 +1,7 @@
 //! The command line: one file per verb. The only place that prints.
 
 mod acquire;
+mod check;
 #[cfg(unix)]
 mod child;
 mod circle;
@@ -43,7 +44,7 @@ const EVERYWHERE: &str = "Options of every command";
 
 /// Shown below the list of commands.
 const EXITS: &str = "Exit codes: 0 done; 1 failed or refused, with the reason on stderr; 2 wrong usage; 3 done, with a \
-loss or a doubt that you must see. Results go to stdout, all else to stderr; NO_COLOR is honoured. `dbbd explain \
+loss or a doubt that you must see; 4 of `check`: failed or changed. Results go to stdout, all else to stderr; NO_COLOR is honoured. `dbbd explain \
 CODE` explains the code of a message.";
 
 /// Calibrates an industrial robot with a telescoping double ball-bar.
@@ -87,6 +88,7 @@ enum Verb {
     Sync(sync::Args),
     Identify(identify::Args),
     Circle(circle::Args),
+    Check(check::Args),
     Compare(compare::Args),
     Compensate(compensate::Args),
     Serve(serve::Args),
@@ -111,6 +113,8 @@ pub(crate) enum Outcome {
     Done,
     /// Done, with a loss or a doubt that the user must see: exit code 3.
     Doubt,
+    /// Done, and what was checked fails: exit code 4.
+    Failed,
 }
 
 /// A verb's result; the error is what the user reads on stderr before exit code 1.
@@ -142,6 +146,7 @@ pub fn main() -> ExitCode {
         Verb::Sync(args) => sync::run(args, &out),
         Verb::Identify(args) => identify::run(args, &out),
         Verb::Circle(args) => circle::run(args, &out),
+        Verb::Check(args) => check::run(args, &out),
         Verb::Compare(args) => compare::run(args, &out),
         Verb::Compensate(args) => compensate::run(args, &out),
         Verb::Serve(args) => serve::run(args, &out),

@@ -167,6 +167,7 @@ pub(super) fn finish(out: &Output, verdict: Verdict) -> ExitCode {
     let warned = out.findings().iter().any(|finding| finding.code.severity() == Severity::Warning);
     match verdict {
         Ok(Outcome::Done) if !warned => ExitCode::SUCCESS,
+        Ok(Outcome::Failed) => ExitCode::from(4),
         Ok(_) => ExitCode::from(if out.common.strict { 1 } else { 3 }),
         Err(error) if error.is::<Diagnostic>() => {
             if let Some(diagnostic) = error.downcast_ref::<Diagnostic>() {

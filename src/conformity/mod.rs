@@ -1,9 +1,12 @@
-//! Whether a calibrated robot is still what it was: results and circular tests side by side in time.
+//! Whether a calibrated robot is still what it was: its interim check, and results and circular tests side by side in
+//! time.
 //!
 //! Changes are tested at one level for all quantities of a family together (Holm, Scand. J. Statist. 6, 1979). Pure:
 //! results in, numbers out.
 
 mod circles;
+mod decision;
+mod interim;
 mod results;
 mod timeline;
 mod tracked;
@@ -11,6 +14,8 @@ mod tracked;
 use serde::Serialize;
 
 pub use circles::{CircleCompared, CircleFile, CircleRead, TraceRead, compare_circles};
+pub use decision::{Decision, Outcome, Rule};
+pub use interim::{CheckInput, InterimCheck, LEAST_FREEDOM, PositionNow};
 pub use results::{NotCompared, PositionChange, ResultRead, ResultsCompared, compare_results, same_robot};
 pub use timeline::{TimeUnit, Timeline};
 pub use tracked::{Change, LEVEL, Tracked, Trend, Value};

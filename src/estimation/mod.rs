@@ -8,6 +8,7 @@
 //! covariance, and [`Calibration::result`] alone makes a result.
 
 mod calibration;
+pub mod change;
 mod estimate;
 mod findings;
 mod fit;

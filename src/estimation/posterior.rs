@@ -10,7 +10,7 @@ use nalgebra::{DMatrix, DVector};
 use super::linear_system::LinearSystem;
 use super::priors::Priors;
 use crate::measurement::{LengthModel, PreparedMeasurement, Selection};
-use crate::robot::{AXES, BallId, Coordinate, ParamId, Robot, parameter};
+use crate::robot::{AXES, BallId, Coordinate, ParamId, Robot, RobotPosterior, parameter};
 
 /// Gauss-Newton steps of [`Posterior::learn`]: the model is near the truth, so they settle at once.
 const STEPS: usize = 6;
@@ -25,6 +25,13 @@ pub struct Posterior {
     root: DMatrix<f64>,
 }
 
+/// What lengths lead to.
+pub(super) struct Learnt {
+    pub(super) found: Posterior,
+    /// Its place in the coordinates of the root before: x = x0 + root w.
+    pub(super) w: DVector<f64>,
+}
+
 impl Posterior {
     /// Of independent parameters with standard deviations `sd` (mm, rad), about `model`.
     pub fn new(model: LengthModel, ids: &[ParamId], sd: &[f64]) -> Self {
@@ -34,6 +41,11 @@ impl Posterior {
     /// Of the parameters `ids` with the covariance root root'.
     pub(super) fn with_root(model: LengthModel, ids: &[ParamId], root: DMatrix<f64>) -> Self {
         Self { model, ids: ids.to_vec(), selection: Selection::new(ids), root }
+    }
+
+    /// Of what an identification left unknown of a robot, about `model`.
+    pub fn of_robot(model: LengthModel, known: &RobotPosterior) -> Self {
+        Self::with_root(model, known.ids(), known.root_of(known.ids()))
     }
 
     /// Before any length: all parameters of the robot and its set-up.
@@ -125,6 +137,11 @@ impl Posterior {
 
     /// After these lengths: the likeliest model and its covariance. `None` when a number is not finite.
     pub fn learn(&self, readings: &[PreparedMeasurement], sigma_mm: f64) -> Option<Self> {
+        self.learnt(readings, sigma_mm).map(|learnt| learnt.found)
+    }
+
+    /// The same with the coordinates of the root.
+    pub(super) fn learnt(&self, readings: &[PreparedMeasurement], sigma_mm: f64) -> Option<Learnt> {
         let unknowns = self.root.ncols();
         let mut found = self.clone();
         let mut w = DVector::zeros(unknowns);
@@ -146,7 +163,7 @@ impl Posterior {
                 found.model.shift(*id, *step);
             }
         }
-        found.root.iter().all(|x| x.is_finite()).then_some(found)
+        found.root.iter().all(|x| x.is_finite()).then_some(Learnt { found, w })
     }
 
     fn system(&self, model: &LengthModel, readings: &[PreparedMeasurement], sigma_mm: f64) -> LinearSystem {

@@ -5,6 +5,7 @@
 //! filters of `page`.
 
 pub mod calibration;
+pub mod check;
 pub mod circle;
 pub mod compare;
 pub mod export;

@@ -16,6 +16,7 @@ mod capture_shows_every_loss;
 mod capture_survives_damage;
 mod captures_are_joined;
 mod cell;
+mod changes_are_found;
 mod circle_plan;
 mod circular_cases;
 mod circular_intervals;

@@ -3,12 +3,11 @@
 use std::error::Error;
 use std::path::Path;
 
-use super::Args;
 use super::LENGTHS;
 use super::inputs::observations;
 use crate::base::files;
-use crate::catalogue::EstimationFinding;
 use crate::catalogue::MeasurementFinding::OtherUnit;
+use crate::catalogue::{ConformityFinding, EstimationFinding};
 use crate::cli::Output;
 use crate::cli::robots;
 use crate::diagnostic::{Diagnostic, Finding, Severity};
@@ -23,19 +22,29 @@ use crate::robot::{AXES, BallId, BarId, Robot};
 /// Least standard deviation with which a predicted length speaks in the alignment, mm.
 const LEAST_SIGMA_MM: f64 = 0.02;
 
+/// What the command line names of lengths, robot and set-up.
+#[derive(Clone, Copy)]
+pub(crate) struct Named<'a> {
+    pub(crate) input: &'a Path,
+    pub(crate) robot: Option<&'a str>,
+    pub(crate) tool: Option<[f64; 3]>,
+    pub(crate) centres: Option<&'a Path>,
+    pub(crate) bar_u: Option<f64>,
+}
+
 /// Robot, base balls and lengths.
-pub(super) struct Given {
-    pub(super) robot: Robot,
-    pub(super) centres: Vec<BaseBall>,
-    pub(super) observations: Measurements,
+pub(crate) struct Given {
+    pub(crate) robot: Robot,
+    pub(crate) centres: Vec<BaseBall>,
+    pub(crate) observations: Measurements,
     /// Standard uncertainty of the bar's length, mm, where it has a certificate.
-    pub(super) bar_u_mm: Option<f64>,
-    pub(super) sources: Vec<Source>,
+    pub(crate) bar_u_mm: Option<f64>,
+    pub(crate) sources: Vec<Source>,
     /// Of the inputs as they were read.
-    pub(super) findings: Vec<Diagnostic>,
+    pub(crate) findings: Vec<Diagnostic>,
     /// Of a run as it was matched last: lost parts, poses dropped as ambiguous, another robot.
     of_run: Vec<Diagnostic>,
-    pub(super) axes: AngleSource,
+    pub(crate) axes: AngleSource,
     /// The capture that the lengths come from, and how it was matched last.
     joined: Option<(Box<Run>, PoseMatching)>,
 }
@@ -45,10 +54,10 @@ impl Given {
     ///
     /// # Errors
     /// What is missing or wrong, with its file and line.
-    pub(super) fn read(args: &Args, out: &Output) -> Result<Self, Box<dyn Error>> {
-        let input = args.input.display().to_string();
-        let joined = if run::is_capture(&args.input)? {
-            let run = run::open(&args.input, None, &[], &mut |finding| out.finding(finding))?;
+    pub(crate) fn read(named: Named<'_>, out: &Output) -> Result<Self, Box<dyn Error>> {
+        let input = named.input.display().to_string();
+        let joined = if run::is_capture(named.input)? {
+            let run = run::open(named.input, None, &[], &mut |finding| out.finding(finding))?;
             let matching = run.matching(None);
             Some((Box::new(run), matching))
         } else {
@@ -57,21 +66,21 @@ impl Given {
         let mut findings = Vec::new();
         let observations = match &joined {
             Some((_, matching)) => matching.observations.clone(),
-            None => observations(&args.input, &mut findings)?,
+            None => observations(named.input, &mut findings)?,
         };
         if observations.rows.is_empty() {
             return Err(Diagnostic::file(&input, EstimationFinding::NoLength).into());
         }
-        let mut robot = match (&args.robot, &joined) {
+        let mut robot = match (named.robot, &joined) {
             (Some(name), _) => robots::named(name)?,
             (None, Some((run, _))) => run.robot()?,
             (None, None) => return Err(Diagnostic::from(EstimationFinding::NoRobot).into()),
         };
-        if let Some(tool) = args.tool {
+        if let Some(tool) = named.tool {
             robot.geometry.tool = tool.into();
             robot.posterior = robot.posterior.and_then(|known| known.keeping(|id| id.is_geometric()));
         }
-        let centres = match (&args.centres, &joined) {
+        let centres = match (named.centres, &joined) {
             (Some(path), _) => BaseBall::from_csv(&path.display().to_string(), &files::read(path)?)?,
             (None, Some((run, _))) => run.centres(),
             (None, None) => {
@@ -83,11 +92,8 @@ impl Given {
         let from_plan = || "the plan in the capture".to_owned();
         let sources = vec![
             source("lengths", input),
-            source(
-                "base balls",
-                args.centres.as_ref().map_or_else(from_plan, |path| path.display().to_string()),
-            ),
-            source("robot", args.robot.clone().unwrap_or_else(from_plan)),
+            source("base balls", named.centres.map_or_else(from_plan, |path| path.display().to_string())),
+            source("robot", named.robot.map_or_else(from_plan, str::to_owned)),
         ];
         findings.extend(robot.asked_repeatability().map(Diagnostic::from));
         let of_run = joined.as_ref().map_or_else(Vec::new, |(run, matching)| of_run(run, matching, &robot));
@@ -97,12 +103,26 @@ impl Given {
         };
         // The job has it expanded, k = 2.
         let certified = joined.as_ref().and_then(|(run, _)| run.plan.header.job.bar.length_u_mm);
-        let bar_u_mm = args.bar_u.or(certified.map(|u| 0.5 * u));
+        let bar_u_mm = named.bar_u.or(certified.map(|u| 0.5 * u));
         Ok(Self { robot, centres, observations, bar_u_mm, sources, findings, of_run, axes, joined })
     }
 
+    /// That the plan of a run is for `robot`.
+    ///
+    /// # Errors
+    /// The run is of a plan for another one.
+    pub(crate) fn planned_for(&self, robot: &Robot) -> Result<(), ConformityFinding> {
+        let planned = self.joined.as_ref().and_then(|(run, _)| run.robot().ok());
+        match planned.filter(|planned| planned.name != robot.name) {
+            Some(planned) => {
+                Err(ConformityFinding::PlanOfAnother { planned: planned.name, given: robot.name.clone() })
+            }
+            None => Ok(()),
+        }
+    }
+
     /// What was found in the inputs.
-    pub(super) fn findings(&self) -> Vec<Diagnostic> {
+    pub(crate) fn findings(&self) -> Vec<Diagnostic> {
         [self.findings.as_slice(), self.of_run.as_slice()].concat()
     }
 

@@ -13,7 +13,7 @@ use crate::measurement::{Distinct, Measurements};
 use crate::robot::parameter::SetUp;
 use crate::robot::{AXES, AxisAngles, ParamId};
 
-pub(super) fn parse_point(text: &str) -> Result<[f64; 3], EstimationFinding> {
+pub(crate) fn parse_point(text: &str) -> Result<[f64; 3], EstimationFinding> {
     let numbers: Result<Vec<f64>, _> = text.split(',').map(|part| part.trim().parse::<f64>()).collect();
     match numbers.as_deref() {
         Ok(&[x, y, z]) if [x, y, z].iter().all(|v| v.is_finite()) => Ok([x, y, z]),

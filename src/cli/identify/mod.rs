@@ -20,8 +20,10 @@ use crate::robot::parameter::{self, SetUp};
 pub(crate) use inputs::observations;
 pub(crate) use tables::LENGTHS;
 
-use given::{Given, check_lengths};
-use inputs::{parse_point, parse_positive, parse_scale, read_prior, read_workspace};
+use given::check_lengths;
+pub(crate) use given::{Given, Named};
+pub(crate) use inputs::parse_point;
+use inputs::{parse_positive, parse_scale, read_prior, read_workspace};
 
 /// How often a capture is aligned anew with what was identified.
 const ALIGNMENTS: usize = 5;
@@ -96,8 +98,20 @@ pub(crate) struct Args {
     workspace: Option<PathBuf>,
 }
 
+impl Args {
+    fn named(&self) -> Named<'_> {
+        Named {
+            input: &self.input,
+            robot: self.robot.as_deref(),
+            tool: self.tool,
+            centres: self.centres.as_deref(),
+            bar_u: self.bar_u,
+        }
+    }
+}
+
 pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
-    let mut given = Given::read(args, out)?;
+    let mut given = Given::read(args.named(), out)?;
     let set_up = SetUp { balls: given.centres.len(), bars: given.observations.bars() };
     let options = options(args, &mut given, set_up)?;
     let validation = match &args.validate {

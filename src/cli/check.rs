@@ -1,0 +1,226 @@
+//! `dbbd check`.
+
+use std::path::{Path, PathBuf};
+
+use super::circle::positive;
+use super::identify::{Given, Named, parse_point};
+use super::{Outcome, Output, Verdict};
+use crate::base::files;
+use crate::catalogue::{CliFinding, ConformityFinding};
+use crate::conformity::{self, CheckInput, InterimCheck, Rule};
+use crate::diagnostic::Diagnostic;
+use crate::estimation::change::{Hypothesis, Mounting};
+use crate::estimation::{Priors, ResultFile, length_sd_mm};
+use crate::measurement::{LengthModel, PreparedMeasurement};
+use crate::report::{Provenance, check};
+use crate::robot::{BarId, Coordinate, ParamId, Unit};
+
+/// Check whether a calibrated robot is still what it was.
+///
+/// Fits only what mounting changes and tests the rest against the posterior of the calibration, noise and repeatability;
+/// names what most likely changed, and decides about a tolerance. Exit code 0 pass, 3 undecided, 4 fail (without
+/// --tolerance: changed). More: docs/explanation/check.md.
+#[derive(clap::Args)]
+pub(crate) struct Args {
+    /// Measurements CSV, or a capture, as for `dbbd identify`; 12 to 24 poses to a ball suffice.
+    #[arg(value_name = "RUN|CSV")]
+    input: PathBuf,
+    /// The robot-identified.toml of the calibration, with its table [posterior].
+    #[arg(long, value_name = "FILE")]
+    robot: String,
+    /// Directory for check.json and check.html.
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Base balls: CSV centre,x_mm,y_mm,z_mm in the robot base, to centimetres [default: a capture's plan].
+    #[arg(long, value_name = "C.csv")]
+    centres: Option<PathBuf>,
+    /// Tool ball in the flange frame, mm, where it is another one than that of the calibration.
+    #[arg(long, value_name = "X,Y,Z", value_parser = parse_point, allow_hyphen_values = true)]
+    tool: Option<[f64; 3]>,
+    /// Tolerance of the position error over the workspace that 95 % of the poses must keep, mm.
+    #[arg(long, value_name = "MM", value_parser = positive)]
+    tolerance: Option<f64>,
+    /// Largest probability of a wrong decision: the guard band (JCGM 106).
+    #[arg(long, value_name = "P", default_value_t = 0.05, value_parser = risk)]
+    risk: f64,
+    /// Decide by the likeliest position error alone, without a guard band.
+    #[arg(long, conflicts_with = "risk")]
+    simple_acceptance: bool,
+    /// Standard deviation of every length, mm [default: that of the data with the robot's repeatability, at least that of
+    /// the result.json beside the robot].
+    #[arg(long, value_name = "MM", value_parser = positive)]
+    sigma: Option<f64>,
+    /// Standard deviation with which the tool ball is mounted again, mm.
+    #[arg(long, value_name = "MM", default_value_t = 0.01, value_parser = positive)]
+    tool_repeat: f64,
+    /// Standard deviation of the base balls about --centres, mm [default: they may be anywhere].
+    #[arg(long, value_name = "MM", value_parser = positive)]
+    ball_repeat: Option<f64>,
+    /// Standard uncertainty (k = 1) of the bar's length, mm [default: half of a capture's job's length_u_mm, else 0.05].
+    #[arg(long, value_name = "MM", value_parser = positive)]
+    bar_u: Option<f64>,
+    /// Identify what changed, with the posterior as prior, and write robot-identified.toml with it into --out.
+    #[arg(long)]
+    update: bool,
+}
+
+fn risk(text: &str) -> Result<f64, CliFinding> {
+    match text.parse::<f64>() {
+        Ok(risk) if risk > 0.0 && risk < 0.5 => Ok(risk),
+        _ => Err(CliFinding::NotARisk),
+    }
+}
+
+/// The file that an update writes, and `dbbd identify` beside its result.
+const ROBOT: &str = "robot-identified.toml";
+
+pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
+    let named = Named {
+        input: &args.input,
+        robot: Some(&args.robot),
+        tool: args.tool,
+        centres: args.centres.as_deref(),
+        bar_u: args.bar_u,
+    };
+    let given = Given::read(named, out)?;
+    given.planned_for(&given.robot).map_err(Diagnostic::from)?;
+    let start = LengthModel::new(given.robot.geometry.clone(), &given.centres);
+    let readings: Vec<PreparedMeasurement> =
+        given.observations.rows.iter().map(PreparedMeasurement::from).collect();
+    let input = CheckInput {
+        robot: &given.robot,
+        start: &start,
+        readings: &readings,
+        bars: given.observations.bars(),
+        sigma_mm: sigma(args, &given).map_err(Diagnostic::from)?,
+        mounting: mounting(args, &given),
+        tolerance_mm: args.tolerance,
+        rule: if args.simple_acceptance {
+            Rule::SimpleAcceptance
+        } else {
+            Rule::GuardBand { risk: args.risk }
+        },
+    };
+    let found = input.check().map_err(|finding| Diagnostic::file(&args.robot, finding))?;
+    given.findings().into_iter().for_each(|finding| out.finding(finding));
+    findings(args, &found).into_iter().for_each(|finding| out.finding(finding));
+    write(args, &found, &given)?;
+    out.document(&found)?;
+    lines(&found).into_iter().for_each(|line| out.result(line));
+    out.result(format!("results in {}", args.out.display()));
+    Ok(match found.decision.decision {
+        conformity::Outcome::Pass => Outcome::Done,
+        conformity::Outcome::Undecided => Outcome::Doubt,
+        conformity::Outcome::Fail => Outcome::Failed,
+    })
+}
+
+/// What mounting changes; a tool ball that the posterior does not hold is as uncertain as any.
+fn mounting(args: &Args, given: &Given) -> Mounting {
+    let priors = Priors::datasheet(&given.robot, given.bar_u_mm);
+    let tool = ParamId::Tool(Coordinate::X);
+    let tool_mm = if args.tool.is_some() { priors.sd(tool) } else { args.tool_repeat };
+    let bar_mm = priors.sd(ParamId::BarOffset(BarId::FIRST));
+    Mounting { tool_mm, ball_mm: args.ball_repeat, bar_mm }
+}
+
+/// Noise, repeatability and, where the calibration's own result is beside the robot, what its model lacks.
+fn sigma(args: &Args, given: &Given) -> Result<f64, ConformityFinding> {
+    if let Some(sigma) = args.sigma {
+        return Ok(sigma);
+    }
+    let squares = given.observations.rows.iter().map(|row| row.sigma_mm.map(|sigma| sigma * sigma));
+    let count = given.observations.rows.len() as f64;
+    let bar = squares.sum::<Option<f64>>().map(|sum| (sum / count).sqrt());
+    let known = bar.or(given.robot.repeatability_sd_mm().map(|_| 0.0));
+    let own = known.map(|bar| length_sd_mm(bar, &given.robot));
+    let beside = files::read(&Path::new(&args.robot).with_file_name("result.json")).ok();
+    let calibrated = beside.and_then(|text| serde_json::from_str::<ResultFile>(&text).ok());
+    let calibrated =
+        calibrated.filter(|result| result.robot == given.robot.name).map(|result| result.sigma_mm);
+    own.into_iter()
+        .chain(calibrated)
+        .reduce(f64::max)
+        .filter(|mm| *mm > 0.0)
+        .ok_or(ConformityFinding::NoNoise)
+}
+
+fn findings(args: &Args, found: &InterimCheck) -> Vec<ConformityFinding> {
+    let mut findings = found.findings.clone();
+    let decision = &found.decision;
+    if let (conformity::Outcome::Undecided, Some(tolerance_mm), Some(risk)) =
+        (decision.decision, decision.tolerance_mm, decision.specific_risk)
+    {
+        let position_error_mm = decision.position_error_mm;
+        findings.push(ConformityFinding::Undecided { tolerance_mm, position_error_mm, risk });
+    }
+    if args.update && found.update().is_none() {
+        findings.push(ConformityFinding::NothingToUpdate);
+    }
+    findings
+}
+
+fn write(args: &Args, found: &InterimCheck, given: &Given) -> Verdict {
+    files::directory(&args.out)?;
+    files::write(&args.out.join("check.json"), serde_json::to_string_pretty(found)? + "\n")?;
+    let provenance = Provenance {
+        robot: Some(found.robot.clone()),
+        sources: given.sources.clone(),
+        ..Provenance::default()
+    };
+    files::write(&args.out.join("check.html"), check::html(found, &provenance)?)?;
+    if let Some(robot) = found.update().filter(|_| args.update) {
+        files::write(&args.out.join(ROBOT), robot.to_toml())?;
+    }
+    Ok(Outcome::Done)
+}
+
+/// The check on the terminal.
+fn lines(found: &InterimCheck) -> Vec<String> {
+    let (test, decision) = (&found.test, &found.decision);
+    let mut lines = vec![format!(
+        "{}: {} lengths, sigma {:.4} mm; innovation chi-square {:.1} of {} degrees of freedom, p {:.1e}",
+        found.robot, found.lengths, found.sigma_mm, test.chi_square, test.freedom, test.p
+    )];
+    if test.changed {
+        lines.extend(found.changes.iter().take(MOST_CHANGES).map(change));
+    } else {
+        lines.push(format!("nothing changed (probability {:.3})", found.unchanged_probability));
+    }
+    let position = &found.predicted_position_uncertainty_mm;
+    lines.push(format!(
+        "position error over the workspace, 95 % of the poses: calibrated {:.3} mm, now {:.3} mm",
+        position.calibrated.p95, position.now.p95
+    ));
+    if let Some(updated) = position.updated {
+        lines.push(format!("with what changed identified anew (--update): {:.3} mm", updated.p95));
+    }
+    let word = match decision.decision {
+        conformity::Outcome::Pass => "pass",
+        conformity::Outcome::Fail => "fail",
+        conformity::Outcome::Undecided => "undecided",
+    };
+    lines.push(match (decision.tolerance_mm, decision.specific_risk) {
+        (Some(tolerance), Some(risk)) => {
+            format!("{word} against {tolerance} mm ({}), risk {risk:.3}", decision.rule)
+        }
+        _ => format!("{word} (no tolerance given: by the change alone)"),
+    });
+    lines
+}
+
+/// Hypotheses that are said here; all are in check.json.
+const MOST_CHANGES: usize = 3;
+
+fn change(hypothesis: &Hypothesis) -> String {
+    let parts = hypothesis.parameters.iter().zip(&hypothesis.change).zip(&hypothesis.sd);
+    let parts: Vec<String> = parts
+        .map(|((id, change), sd)| match id.unit() {
+            Unit::Rad => format!("{id} {:+.4} +- {:.4} deg", change.to_degrees(), sd.to_degrees()),
+            _ => format!("{id} {change:+.4} +- {sd:.4} mm"),
+        })
+        .collect();
+    let alike: Vec<String> = hypothesis.alike.iter().map(ToString::to_string).collect();
+    let alike = if alike.is_empty() { String::new() } else { format!(" (or {})", alike.join(", ")) };
+    format!("changed: {}{alike}, probability {:.3}", parts.join(" and "), hypothesis.probability)
+}

@@ -1,0 +1,242 @@
+//! An interim check of a calibrated robot: what changed, how uncertain its position is now, and the decision.
+
+use nalgebra::DMatrix;
+use rand::SeedableRng;
+use rand_distr::{Distribution, StandardNormal};
+use rand_pcg::Pcg64;
+use serde::Serialize;
+
+use super::decision::{Decision, Rule, decide};
+use crate::catalogue::ConformityFinding;
+use crate::estimation::change::{ChangeTest, Detectable, Expected, Hypothesis, Innovation, Mounting};
+use crate::estimation::result::MapPoint;
+use crate::estimation::{ErrorSummary, Options, Posterior, Workspace};
+use crate::measurement::{LengthModel, PreparedMeasurement};
+use crate::robot::{ParamId, Robot, RobotPosterior};
+
+/// Lengths beyond those that place the balls, at least.
+pub const LEAST_FREEDOM: usize = 4;
+/// Robots that are drawn for the uncertainty of the position, and their seed.
+const DRAWS: usize = 400;
+const SEED: u64 = 1;
+/// A hypothesis that leaves an innovation of a smaller chance explains it badly.
+const BADLY_EXPLAINED: f64 = 1e-3;
+
+/// What an interim check is of.
+#[derive(Clone, Copy)]
+pub struct CheckInput<'a> {
+    /// The calibrated robot, with its posterior.
+    pub robot: &'a Robot,
+    /// Its geometry with the base balls of the check.
+    pub start: &'a LengthModel,
+    pub readings: &'a [PreparedMeasurement],
+    pub bars: usize,
+    /// Standard deviation of a length, mm: noise, repeatability and what the model lacks.
+    pub sigma_mm: f64,
+    pub mounting: Mounting,
+    pub tolerance_mm: Option<f64>,
+    pub rule: Rule,
+}
+
+/// The result of an interim check.
+#[derive(Clone, Debug, Serialize)]
+pub struct InterimCheck {
+    pub schema: u32,
+    pub robot: String,
+    pub lengths: usize,
+    pub sigma_mm: f64,
+    #[serde(flatten)]
+    pub decision: Decision,
+    pub test: ChangeTest,
+    /// What probably changed, likeliest first; empty where the test finds no change.
+    pub changes: Vec<Hypothesis>,
+    /// Probability that nothing changed.
+    pub unchanged_probability: f64,
+    pub predicted_position_uncertainty_mm: PositionNow,
+    pub detectable: Vec<Detectable>,
+    /// Position uncertainty over the workspace now.
+    #[serde(skip)]
+    pub map: Vec<MapPoint>,
+    #[serde(skip)]
+    pub findings: Vec<ConformityFinding>,
+    #[serde(skip)]
+    update: Option<Robot>,
+}
+
+/// Predicted position uncertainty over the workspace, mm.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct PositionNow {
+    /// As the calibration left it.
+    pub calibrated: ErrorSummary,
+    /// Of the robot as its file has it, after this check.
+    pub now: ErrorSummary,
+    /// Of the robot as this check identifies what changed; `None` where nothing changed.
+    pub updated: Option<ErrorSummary>,
+}
+
+impl CheckInput<'_> {
+    /// # Errors
+    /// A robot without a posterior of its values, too few lengths, numbers that are not finite.
+    pub fn check(&self) -> Result<InterimCheck, ConformityFinding> {
+        let known = self.known()?;
+        let expected = Expected::new(&known, self.bars, self.mounting);
+        let innovation =
+            Innovation::of(&expected, self.readings, self.sigma_mm).ok_or(ConformityFinding::NotFinite)?;
+        let (test, hypotheses) = (innovation.test(), innovation.hypotheses());
+        let position = Position::new(self.robot, &known);
+        let now = position.now(&expected, &hypotheses, self).ok_or(ConformityFinding::NotFinite)?;
+        let calibrated = position.of(&known, 1.0);
+        let nothing = |hypothesis: &&Hypothesis| hypothesis.parameters.is_empty();
+        let unchanged = hypotheses.iter().find(nothing).map_or(0.0, |hypothesis| hypothesis.probability);
+        let mut changes = hypotheses;
+        changes.retain(|hypothesis| test.changed && !hypothesis.parameters.is_empty());
+        let updated = match changes.first() {
+            Some(likeliest) => Some(self.updated(&expected, likeliest).ok_or(ConformityFinding::NotFinite)?),
+            None => None,
+        };
+        let of_workspace = |errors: &DMatrix<f64>| position.workspace.summary(&position.moved(errors));
+        let decision = decide(&position.sizes(&now), self.tolerance_mm, self.rule, test.changed);
+        Ok(InterimCheck {
+            schema: 1,
+            robot: self.robot.name.clone(),
+            lengths: self.readings.len(),
+            sigma_mm: self.sigma_mm,
+            findings: self.findings(&expected, &position, &test, &changes),
+            decision,
+            test,
+            unchanged_probability: unchanged,
+            predicted_position_uncertainty_mm: PositionNow {
+                calibrated: of_workspace(&calibrated),
+                now: of_workspace(&now),
+                updated: updated.as_ref().map(|posterior| of_workspace(&position.of(posterior, 1.0))),
+            },
+            detectable: innovation.detectable(),
+            map: position.workspace.map(&position.moved(&now)),
+            update: updated.and_then(|posterior| self.robot_of(&posterior, &known)),
+            changes,
+        })
+    }
+
+    /// The parameters and the tool ball as the calibration left them.
+    fn known(&self) -> Result<Posterior, ConformityFinding> {
+        let robot = || self.robot.name.clone();
+        let Some(known) = &self.robot.posterior else {
+            return Err(ConformityFinding::NoPosterior { robot: robot() });
+        };
+        if !known.is_of(&self.robot.geometry) {
+            return Err(ConformityFinding::PosteriorOfAnother { robot: robot() });
+        }
+        let least = 3 * self.start.balls.len() + LEAST_FREEDOM;
+        if self.readings.len() < least {
+            return Err(ConformityFinding::TooFewLengths { lengths: self.readings.len(), least });
+        }
+        Ok(Posterior::of_robot(self.start.clone(), known))
+    }
+
+    /// What this hypothesis leaves, of the parameters that the calibration determined.
+    fn updated(&self, expected: &Expected, hypothesis: &Hypothesis) -> Option<Posterior> {
+        let parameters = [hypothesis.parameters.as_slice(), &hypothesis.alike].concat();
+        expected.changed(&parameters).learn(self.readings, self.sigma_mm)
+    }
+
+    fn robot_of(&self, found: &Posterior, known: &Posterior) -> Option<Robot> {
+        let own: Vec<usize> =
+            known.ids().iter().filter_map(|id| found.ids().iter().position(|other| other == id)).collect();
+        let geometry = found.model.geometry.clone();
+        let posterior = RobotPosterior::new(known.ids(), &geometry, &found.root().select_rows(&own))?;
+        Some(Robot { geometry, posterior: Some(posterior), ..self.robot.clone() })
+    }
+
+    fn findings(
+        &self,
+        expected: &Expected,
+        position: &Position,
+        test: &ChangeTest,
+        changes: &[Hypothesis],
+    ) -> Vec<ConformityFinding> {
+        let mut findings = Vec::new();
+        if let Some(tolerance_mm) = self.tolerance_mm
+            && let Some(best) = expected.after(self.readings, self.sigma_mm)
+        {
+            let best =
+                decide(&position.sizes(&position.of(&best, 1.0)), Some(tolerance_mm), self.rule, false);
+            if best.decision != super::Outcome::Pass {
+                let best_mm = best.upper_mm;
+                findings.push(ConformityFinding::Undecidable { tolerance_mm, best_mm });
+            }
+        }
+        let unexplained = changes.first().is_none_or(|likeliest| likeliest.p_rest < BADLY_EXPLAINED);
+        if test.changed && unexplained {
+            findings.push(ConformityFinding::NotExplained { p: test.p });
+        }
+        findings
+    }
+}
+
+impl InterimCheck {
+    /// The robot with what changed identified anew; `None` where nothing changed.
+    pub fn update(&self) -> Option<&Robot> {
+        self.update.as_ref()
+    }
+}
+
+/// The workspace in which the errors of the calibrated parameters count.
+struct Position {
+    workspace: Workspace,
+    start: LengthModel,
+}
+
+impl Position {
+    fn new(robot: &Robot, known: &Posterior) -> Self {
+        let poses = Options::default().workspace_poses(robot).into_owned();
+        Self { workspace: Workspace::new(&robot.geometry, &poses, known.ids()), start: known.model.clone() }
+    }
+
+    /// Drawn errors of the model of `posterior`, a column each, of a share of the draws.
+    fn of(&self, posterior: &Posterior, share: f64) -> DMatrix<f64> {
+        let ids: &[ParamId] = self.workspace.ids();
+        let rows: Vec<usize> =
+            ids.iter().filter_map(|id| posterior.ids().iter().position(|other| other == id)).collect();
+        let draws = (share * DRAWS as f64).round() as usize;
+        let mut random = Pcg64::seed_from_u64(SEED);
+        let root = posterior.root().select_rows(&rows);
+        let normal = DMatrix::from_fn(root.ncols(), draws, |_, _| StandardNormal.sample(&mut random));
+        root * normal
+    }
+
+    /// Drawn errors of the robot's file after the lengths, over all hypotheses by their probability.
+    fn now(
+        &self,
+        expected: &Expected,
+        hypotheses: &[Hypothesis],
+        of: &CheckInput<'_>,
+    ) -> Option<DMatrix<f64>> {
+        let ids = self.workspace.ids();
+        let mut columns = Vec::new();
+        for hypothesis in hypotheses {
+            if hypothesis.probability * (DRAWS as f64) < 0.5 {
+                continue;
+            }
+            let posterior = expected.changed(&hypothesis.parameters).learn(of.readings, of.sigma_mm)?;
+            let moved = |id: &ParamId| posterior.model.value(*id) - self.start.value(*id);
+            let mean = nalgebra::DVector::from_iterator(ids.len(), ids.iter().map(moved));
+            let drawn = self.of(&posterior, hypothesis.probability);
+            columns.extend(drawn.column_iter().map(|column| column + &mean));
+        }
+        Some(DMatrix::from_columns(&columns))
+    }
+
+    fn moved(&self, errors: &DMatrix<f64>) -> DMatrix<f64> {
+        self.workspace.displacements(errors)
+    }
+
+    /// Of each draw the position error that 95 % of the poses do not exceed, ascending, mm.
+    fn sizes(&self, errors: &DMatrix<f64>) -> Vec<f64> {
+        let moved = self.moved(errors);
+        let mut sizes: Vec<f64> = (0..moved.ncols())
+            .map(|draw| self.workspace.summary(&moved.columns(draw, 1).into_owned()).p95)
+            .collect();
+        sizes.sort_by(f64::total_cmp);
+        sizes
+    }
+}

@@ -1,0 +1,444 @@
+//! What changed since a robot was calibrated: the innovation of a few lengths against the posterior of the calibration.
+//!
+//! Under the hypothesis that nothing changed, the lengths differ from the identified robot's by the errors that its
+//! posterior allows, by what mounting changes (base balls free, tool ball and bar by their repeat mounting) and by noise.
+//! In the coordinates w of the posterior's root that is a least-squares problem with unit normal w; its least sum of
+//! squares, the innovation, is chi-square. A change of some parameters adds columns to it. Triangularised in the order
+//! w, balls, candidates, the factor's last block has all that the lengths say of changes.
+
+use nalgebra::{DMatrix, DVector};
+use rand::SeedableRng;
+use rand_distr::{ChiSquared, Distribution, StandardNormal};
+use rand_pcg::Pcg64;
+use serde::Serialize;
+
+use super::linear_system::LinearSystem;
+use super::posterior::Posterior;
+use crate::math::Triangle;
+use crate::math::distributions::{chi_square_exceeded, chi_square_tail, noncentrality};
+use crate::measurement::PreparedMeasurement;
+use crate::robot::{Coordinate, ParamId, Unit};
+
+/// Probability that a change is reported although nothing changed.
+pub const FALSE_ALARM: f64 = 0.01;
+/// Probability with which the smallest change that is stated is found.
+pub const POWER: f64 = 0.95;
+/// One standard deviation of a change, before it is measured: a slipped coupling, a bent link.
+const CHANGED_ANGLE: f64 = 0.05 * std::f64::consts::PI / 180.0;
+const CHANGED_LENGTH_MM: f64 = 0.5;
+/// Probabilities of the hypotheses before the lengths: nothing changed, one thing, two. Half of the one is a joint offset.
+const NOTHING: f64 = 0.5;
+const ONE: f64 = 0.45;
+const TWO: f64 = 0.05;
+const OFFSET_SHARE: f64 = 0.5;
+/// Changes whose effects on the lengths have at least this cosine cannot be told apart.
+const ALIKE: f64 = 0.995;
+/// Draws for the distribution of the test without a change, and their seed.
+const DRAWS: usize = 10_000;
+const SEED: u64 = 1;
+
+/// What mounting may have changed since the calibration: standard deviations, mm.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Mounting {
+    /// Of each coordinate of the tool ball.
+    pub tool_mm: f64,
+    /// Of each coordinate of a base ball about the place given; `None` where it may be anywhere.
+    pub ball_mm: Option<f64>,
+    /// Of the length of a bar.
+    pub bar_mm: f64,
+}
+
+/// A robot in a new set-up, before its check: what its calibration left unknown, and what mounting changes.
+#[derive(Clone, Debug)]
+pub struct Expected {
+    posterior: Posterior,
+    /// The columns of the root that nothing binds.
+    free: Vec<usize>,
+}
+
+/// Free coordinates of a base ball are taken from so far, mm.
+const FREE_BALL_MM: f64 = 1000.0;
+
+impl Expected {
+    /// Of the calibrated robot `known` (its parameters and tool ball) about its model, whose balls and bars are those of
+    /// the check.
+    pub fn new(known: &Posterior, bars: usize, mounting: Mounting) -> Self {
+        let mut ids = known.ids().to_vec();
+        let mut added: Vec<(ParamId, f64)> =
+            Coordinate::ALL.map(|axis| (ParamId::Tool(axis), mounting.tool_mm)).to_vec();
+        added.extend((0..bars).map(|at| (ParamId::BarOffset(crate::robot::BarId::at(at)), mounting.bar_mm)));
+        let bound = known.root().ncols() + added.len();
+        let ball_mm = mounting.ball_mm.unwrap_or(FREE_BALL_MM);
+        for ball in 0..known.model.balls.len() {
+            let ball = crate::robot::BallId::at(ball);
+            added.extend(Coordinate::ALL.map(|axis| (ParamId::Ball(ball, axis), ball_mm)));
+        }
+        ids.extend(added.iter().map(|(id, _)| *id).filter(|id| !known.ids().contains(id)));
+        let mut root = DMatrix::zeros(ids.len(), known.root().ncols() + added.len());
+        root.view_mut((0, 0), known.root().shape()).copy_from(known.root());
+        for (column, (id, sd)) in added.iter().enumerate() {
+            if let Some(row) = ids.iter().position(|other| other == id) {
+                root[(row, known.root().ncols() + column)] = *sd;
+            }
+        }
+        let free = if mounting.ball_mm.is_some() { vec![] } else { (bound..root.ncols()).collect() };
+        Self { posterior: Posterior::with_root(known.model.clone(), &ids, root), free }
+    }
+
+    /// The same where these parameters may have changed.
+    pub fn changed(&self, parameters: &[ParamId]) -> Self {
+        let ids = self.posterior.ids();
+        let mut columns = DMatrix::zeros(ids.len(), parameters.len());
+        for (column, id) in parameters.iter().enumerate() {
+            if let Some(row) = ids.iter().position(|other| other == id) {
+                columns[(row, column)] = typical(*id);
+            }
+        }
+        Self { posterior: self.posterior.clone().widened(&columns), free: self.free.clone() }
+    }
+
+    /// After the lengths: the likeliest model and its covariance. `None` when a number is not finite.
+    pub fn learn(&self, readings: &[PreparedMeasurement], sigma_mm: f64) -> Option<Posterior> {
+        self.posterior.learn(readings, sigma_mm)
+    }
+
+    /// After lengths at these poses that agree with the model. `None` when a number is not finite.
+    pub fn after(&self, readings: &[PreparedMeasurement], sigma_mm: f64) -> Option<Posterior> {
+        self.posterior.after(readings, sigma_mm)
+    }
+
+    pub fn posterior(&self) -> &Posterior {
+        &self.posterior
+    }
+}
+
+/// One standard deviation of a change, mm or rad.
+fn typical(id: ParamId) -> f64 {
+    if id.unit() == Unit::Mm { CHANGED_LENGTH_MM } else { CHANGED_ANGLE }
+}
+
+/// What lengths say of changes.
+#[derive(Clone, Debug)]
+pub struct Innovation {
+    candidates: Vec<Candidate>,
+    /// Effect of the candidates' parameters, a column each, in units of the noise,
+    effects: DMatrix<f64>,
+    /// and the innovation in the same coordinates,
+    seen: DVector<f64>,
+    /// with the sum of squares beyond these.
+    rest: f64,
+    freedom: usize,
+    /// The statistic of the test where nothing changed, drawn and in order.
+    null: Vec<f64>,
+}
+
+/// A change that is thinkable: a parameter, or the coordinates of the tool ball.
+#[derive(Clone, Debug, PartialEq)]
+struct Candidate {
+    parameters: Vec<ParamId>,
+    /// Columns of the effects.
+    columns: Vec<usize>,
+}
+
+/// A hypothesis of what changed, and how much.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Hypothesis {
+    /// None where nothing changed.
+    pub parameters: Vec<ParamId>,
+    /// By least squares, in the order of the parameters, mm or rad.
+    pub change: Vec<f64>,
+    pub sd: Vec<f64>,
+    /// Ends of the 95 % interval of each.
+    pub interval95: Vec<[f64; 2]>,
+    pub probability: f64,
+    /// Single parameters whose change would do the same to these lengths.
+    pub alike: Vec<ParamId>,
+    /// Probability of an innovation as large as what the hypothesis leaves of it.
+    pub p_rest: f64,
+}
+
+/// The test whether anything changed.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct ChangeTest {
+    /// The innovation, chi-square of `freedom` degrees where nothing changed, and the chance that it is as large.
+    pub chi_square: f64,
+    pub freedom: usize,
+    pub p_chi_square: f64,
+    /// The chance of an innovation that speaks as clearly, as a whole or for any single change. The test goes by it.
+    pub p: f64,
+    pub false_alarm: f64,
+    pub changed: bool,
+}
+
+/// The smallest change of a parameter that is found with the stated power.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Detectable {
+    pub name: ParamId,
+    pub unit: Unit,
+    /// `None` where no change of ten times the usual is found.
+    pub smallest: Option<f64>,
+}
+
+/// Changes beyond so many typical ones are not looked for.
+const LARGEST: f64 = 10.0;
+
+impl Innovation {
+    /// Of lengths with standard deviation `sigma_mm`. `None` when a number is not finite, or no length is left over.
+    pub fn of(expected: &Expected, readings: &[PreparedMeasurement], sigma_mm: f64) -> Option<Self> {
+        let learnt = expected.posterior.learnt(readings, sigma_mm)?;
+        Self::at(expected, readings, sigma_mm, &learnt)
+    }
+
+    /// Of lengths as the model predicts them: the effects alone.
+    pub fn foreseen(expected: &Expected, readings: &[PreparedMeasurement], sigma_mm: f64) -> Option<Self> {
+        let nothing = DVector::zeros(expected.posterior.root().ncols());
+        let model = expected.posterior.clone();
+        Self::at(expected, readings, sigma_mm, &super::posterior::Learnt { found: model, w: nothing })
+    }
+
+    fn at(
+        expected: &Expected,
+        readings: &[PreparedMeasurement],
+        sigma_mm: f64,
+        learnt: &super::posterior::Learnt,
+    ) -> Option<Self> {
+        let freedom = readings.len().checked_sub(expected.free.len()).filter(|freedom| *freedom > 0)?;
+        let root = expected.posterior.root();
+        let ids = expected.posterior.ids();
+        let changeable: Vec<usize> = (0..ids.len())
+            .filter(|at| !matches!(ids[*at], ParamId::Ball(..)) && !ids[*at].is_optional())
+            .collect();
+        let sigma = vec![sigma_mm; readings.len()];
+        let mut system = LinearSystem::at(&learnt.found.model, &(readings, sigma.as_slice()), ids);
+        let (factor, rhs) = (system.factor(), system.rhs());
+        let known = &factor * root;
+        let right = rhs + &known * &learnt.w;
+        let unknowns = root.ncols();
+        let mut triangle = Triangle::new(unknowns + changeable.len());
+        (0..unknowns)
+            .filter(|at| !expected.free.contains(at))
+            .for_each(|at| triangle.push_single(at, 1.0, 0.0));
+        for row in 0..factor.nrows() {
+            let mut values: Vec<f64> = known.row(row).iter().copied().collect();
+            values.extend(changeable.iter().map(|column| factor[(row, *column)]));
+            triangle.push(&values, right[row]);
+        }
+        let rest = system.residual_sum() + triangle.residual_sum();
+        let size = changeable.len();
+        let effects = triangle.factor().view((unknowns, unknowns), (size, size)).into_owned();
+        let seen = triangle.rhs().rows(unknowns, size).into_owned();
+        let finite = effects.iter().chain(seen.iter()).all(|x| x.is_finite());
+        let changeable: Vec<ParamId> = changeable.into_iter().map(|at| ids[at]).collect();
+        if !finite {
+            return None;
+        }
+        let candidates = candidates(&changeable, &effects);
+        let mut innovation = Self { candidates, effects, seen, rest, freedom, null: Vec::new() };
+        innovation.null = innovation.drawn();
+        Some(innovation)
+    }
+
+    /// Rows of the effects that have content: the dimensions in which changes can be seen.
+    fn rank(&self) -> usize {
+        let rows = 0..self.effects.nrows();
+        let content = |row: usize| self.effects.row(row).norm() > 0.0 || self.seen[row] != 0.0;
+        rows.filter(|row| content(*row)).count().min(self.freedom)
+    }
+
+    fn chi_square(&self) -> f64 {
+        self.seen.norm_squared() + self.rest
+    }
+
+    /// Whether anything changed.
+    pub fn test(&self) -> ChangeTest {
+        let chi_square = self.chi_square();
+        let null = &self.null;
+        let statistic =
+            self.statistic(&self.projections(&DMatrix::from_columns(&[self.seen.clone()])), 0, chi_square);
+        let smaller = null.partition_point(|least| *least <= statistic);
+        let p = (smaller + 1) as f64 / (null.len() + 1) as f64;
+        ChangeTest {
+            chi_square,
+            freedom: self.freedom,
+            p_chi_square: chi_square_tail(chi_square, self.freedom as f64),
+            p,
+            false_alarm: FALSE_ALARM,
+            changed: p < FALSE_ALARM,
+        }
+    }
+
+    /// The smallest of the chances of the whole innovation and of each candidate's part of it.
+    fn statistic(&self, parts: &[DVector<f64>], draw: usize, chi_square: f64) -> f64 {
+        let mut least = chi_square_tail(chi_square, self.freedom as f64);
+        let mut largest = [0.0; 3];
+        for (candidate, parts) in self.candidates.iter().zip(parts) {
+            let of_freedom = &mut largest[candidate.columns.len().clamp(1, 3) - 1];
+            *of_freedom = parts[draw].max(*of_freedom);
+        }
+        for (freedom, part) in (1..).zip(largest).filter(|(_, part)| *part > 0.0) {
+            least = chi_square_tail(part, f64::from(freedom)).min(least);
+        }
+        least
+    }
+
+    /// For each candidate its part of the innovations, a column each.
+    fn projections(&self, innovations: &DMatrix<f64>) -> Vec<DVector<f64>> {
+        let part = |candidate: &Candidate| {
+            let basis = orthonormal(&self.effects.select_columns(&candidate.columns));
+            let along = basis.tr_mul(innovations);
+            DVector::from_iterator(
+                innovations.ncols(),
+                along.column_iter().map(|column| column.norm_squared()),
+            )
+        };
+        self.candidates.iter().map(part).collect()
+    }
+
+    /// The statistic where nothing changed, drawn and in order.
+    fn drawn(&self) -> Vec<f64> {
+        let mut random = Pcg64::seed_from_u64(SEED);
+        let rank = self.rank();
+        let mut drawn = DMatrix::zeros(self.effects.nrows(), DRAWS);
+        let content: Vec<usize> =
+            (0..self.effects.nrows()).filter(|row| self.effects.row(*row).norm() > 0.0).take(rank).collect();
+        for row in content.iter().copied() {
+            drawn.row_mut(row).iter_mut().for_each(|x| *x = StandardNormal.sample(&mut random));
+        }
+        let beyond = (self.freedom - content.len().min(self.freedom)) as f64;
+        let beyond = (beyond > 0.0).then(|| ChiSquared::new(beyond).ok()).flatten();
+        let parts = self.projections(&drawn);
+        let mut null: Vec<f64> = (0..DRAWS)
+            .map(|draw| {
+                let rest = beyond.map_or(0.0, |beyond| beyond.sample(&mut random));
+                self.statistic(&parts, draw, drawn.column(draw).norm_squared() + rest)
+            })
+            .collect();
+        null.sort_by(f64::total_cmp);
+        null
+    }
+
+    /// The smallest change of each parameter that the test finds with the stated power.
+    pub fn detectable(&self) -> Vec<Detectable> {
+        let null = &self.null;
+        let level = null[((FALSE_ALARM * DRAWS as f64) as usize).min(null.len() - 1)];
+        let needed = noncentrality(chi_square_exceeded(level, 1.0), 1.0, POWER).sqrt();
+        let single = self.candidates.iter().filter(|candidate| candidate.parameters.len() == 1);
+        single
+            .map(|candidate| {
+                let name = candidate.parameters[0];
+                let smallest = needed / self.effects.column(candidate.columns[0]).norm();
+                let smallest = Some(smallest).filter(|found| *found <= LARGEST * typical(name));
+                Detectable { name, unit: name.unit(), smallest }
+            })
+            .collect()
+    }
+
+    /// The hypotheses by their probability, likeliest first: nothing, one change, two.
+    pub fn hypotheses(&self) -> Vec<Hypothesis> {
+        let offsets = |candidate: &&Candidate| matches!(candidate.parameters[..], [ParamId::Theta(_)]);
+        let count = self.candidates.iter().filter(offsets).count();
+        let others = self.candidates.len() - count;
+        let share = |candidate: &Candidate| match (offsets(&candidate), count > 0 && others > 0) {
+            (true, true) => OFFSET_SHARE / count as f64,
+            (false, true) => (1.0 - OFFSET_SHARE) / others as f64,
+            _ => 1.0 / self.candidates.len() as f64,
+        };
+        let mut weighted: Vec<(Vec<usize>, f64)> = vec![(vec![], NOTHING.ln())];
+        for (at, one) in self.candidates.iter().enumerate() {
+            weighted.push((vec![at], (ONE * share(one)).ln() + self.evidence(&one.columns)));
+            for (second, two) in self.candidates.iter().enumerate().skip(at + 1) {
+                let columns = [one.columns.as_slice(), &two.columns].concat();
+                if columns.len() == 2 && self.cosine(&columns) < ALIKE {
+                    let prior = 2.0 * TWO * share(one) * share(two);
+                    weighted.push((vec![at, second], prior.ln() + self.evidence(&columns)));
+                }
+            }
+        }
+        let largest = weighted.iter().map(|(_, weight)| *weight).fold(f64::NEG_INFINITY, f64::max);
+        let sum: f64 = weighted.iter().map(|(_, weight)| (weight - largest).exp()).sum();
+        weighted.sort_by(|a, b| b.1.total_cmp(&a.1));
+        let probable = weighted.into_iter().map(|(of, weight)| (of, (weight - largest).exp() / sum));
+        probable
+            .take_while(|(_, probability)| *probability > LEAST_PROBABLE)
+            .map(|(of, probability)| self.hypothesis(&of, probability))
+            .collect()
+    }
+
+    /// Logarithm of the likelihood ratio of a change of the usual size to none: of y ~ N(0, I + U S^2 U').
+    fn evidence(&self, columns: &[usize]) -> f64 {
+        let mut scaled = self.effects.select_columns(columns);
+        for (mut column, at) in scaled.column_iter_mut().zip(columns) {
+            column *= self.typical(*at);
+        }
+        let along = scaled.tr_mul(&self.seen);
+        let inner = DMatrix::identity(columns.len(), columns.len()) + scaled.tr_mul(&scaled);
+        let Some(root) = inner.cholesky() else { return f64::NEG_INFINITY };
+        0.5 * along.dot(&root.solve(&along)) - root.l().diagonal().iter().map(|x| x.ln()).sum::<f64>()
+    }
+
+    fn typical(&self, column: usize) -> f64 {
+        let of_column = |candidate: &&Candidate| candidate.columns.contains(&column);
+        self.candidates.iter().find(of_column).map_or(0.0, |candidate| typical(candidate.parameters[0]))
+    }
+
+    fn cosine(&self, columns: &[usize]) -> f64 {
+        let [one, two] = [columns[0], columns[1]].map(|at| self.effects.column(at));
+        one.dot(&two).abs() / (one.norm() * two.norm())
+    }
+
+    fn hypothesis(&self, of: &[usize], probability: f64) -> Hypothesis {
+        let chosen: Vec<&Candidate> = of.iter().map(|at| &self.candidates[*at]).collect();
+        let columns: Vec<usize> = chosen.iter().flat_map(|candidate| candidate.columns.clone()).collect();
+        let effects = self.effects.select_columns(&columns);
+        let inverse = effects.tr_mul(&effects).try_inverse();
+        let inverse = inverse.unwrap_or_else(|| DMatrix::zeros(columns.len(), columns.len()));
+        let change = &inverse * effects.tr_mul(&self.seen);
+        let sd: Vec<f64> = inverse.diagonal().iter().map(|variance| variance.sqrt()).collect();
+        let left = (&self.seen - &effects * &change).norm_squared() + self.rest;
+        let freedom = self.freedom.saturating_sub(columns.len());
+        let alike = |other: &&Candidate| {
+            columns.len() == 1
+                && other.columns.len() == 1
+                && other.columns != columns
+                && self.cosine(&[columns[0], other.columns[0]]) >= ALIKE
+        };
+        Hypothesis {
+            parameters: chosen.iter().flat_map(|candidate| candidate.parameters.clone()).collect(),
+            interval95: change.iter().zip(&sd).map(|(x, sd)| [x - 1.96 * sd, x + 1.96 * sd]).collect(),
+            change: change.iter().copied().collect(),
+            sd,
+            probability,
+            alike: self.candidates.iter().filter(alike).map(|other| other.parameters[0]).collect(),
+            p_rest: if freedom > 0 { chi_square_tail(left, freedom as f64) } else { 1.0 },
+        }
+    }
+}
+
+/// Hypotheses below this probability are not listed.
+const LEAST_PROBABLE: f64 = 1e-3;
+
+/// Single parameters, and the tool ball as a whole, of which a change of the usual size can be seen in the lengths.
+fn candidates(changeable: &[ParamId], effects: &DMatrix<f64>) -> Vec<Candidate> {
+    let visible = |column: usize| effects.column(column).norm() * typical(changeable[column]) > 1.0;
+    let is_tool = |id: ParamId| matches!(id, ParamId::Tool(_));
+    let own = (0..changeable.len()).filter(|at| !is_tool(changeable[*at]) && visible(*at));
+    let mut found: Vec<Candidate> =
+        own.map(|at| Candidate { parameters: vec![changeable[at]], columns: vec![at] }).collect();
+    let tool: Vec<usize> =
+        (0..changeable.len()).filter(|at| is_tool(changeable[*at]) && visible(*at)).collect();
+    if !tool.is_empty() {
+        let parameters = tool.iter().map(|at| changeable[*at]).collect();
+        found.push(Candidate { parameters, columns: tool });
+    }
+    found
+}
+
+/// An orthonormal basis of the columns.
+fn orthonormal(columns: &DMatrix<f64>) -> DMatrix<f64> {
+    let mut unit = columns.clone();
+    unit.column_iter_mut().for_each(|mut column| {
+        let norm = column.norm();
+        column /= if norm > 0.0 { norm } else { 1.0 };
+    });
+    unit.qr().q()
+}

@@ -1,0 +1,95 @@
+//! `check.html`: the interim check of a calibrated robot.
+
+use serde::Serialize;
+
+use super::page::{Provenance, findings, render};
+use super::plot::HeatMap;
+use super::scale::Unit;
+use crate::conformity::InterimCheck;
+use crate::diagnostic::Diagnostic;
+use crate::estimation::change::{Detectable, Hypothesis};
+use crate::robot::parameter;
+
+#[derive(Serialize)]
+struct Page<'a> {
+    check: &'a InterimCheck,
+    hypotheses: Vec<Row>,
+    detectable: Vec<Smallest>,
+    maps: Vec<String>,
+    findings: Vec<Diagnostic>,
+    provenance: &'a Provenance,
+}
+
+/// A hypothesis of what changed, in units for people.
+#[derive(Serialize)]
+struct Row {
+    parts: Vec<Part>,
+    alike: Vec<String>,
+    probability: f64,
+    p_rest: f64,
+}
+
+#[derive(Serialize)]
+struct Part {
+    name: String,
+    unit: &'static str,
+    change: f64,
+    sd: f64,
+    interval95: [f64; 2],
+}
+
+#[derive(Serialize)]
+struct Smallest {
+    name: String,
+    unit: &'static str,
+    smallest: Option<f64>,
+}
+
+/// The page `check.html`.
+///
+/// # Errors
+/// Only a fault of the template itself.
+pub fn html(check: &InterimCheck, provenance: &Provenance) -> Result<String, Diagnostic> {
+    let page = Page {
+        check,
+        hypotheses: check.changes.iter().map(row).collect(),
+        detectable: check.detectable.iter().map(smallest).collect(),
+        maps: HeatMap::of_positions("Position error of the robot file now", &check.map)
+            .iter()
+            .map(HeatMap::to_svg)
+            .collect(),
+        findings: findings(&check.findings),
+        provenance,
+    };
+    render("check.html", include_str!("check.html"), &page)
+}
+
+/// Degrees and millimetres.
+fn unit(unit: parameter::Unit) -> Unit {
+    if unit == parameter::Unit::Rad { Unit::DEG } else { Unit::MM }
+}
+
+fn row(hypothesis: &Hypothesis) -> Row {
+    let part = |at: usize| {
+        let id = hypothesis.parameters[at];
+        let Unit { sign, factor } = unit(id.unit());
+        Part {
+            name: id.to_string(),
+            unit: sign,
+            change: hypothesis.change[at] * factor,
+            sd: hypothesis.sd[at] * factor,
+            interval95: hypothesis.interval95[at].map(|end| end * factor),
+        }
+    };
+    Row {
+        parts: (0..hypothesis.parameters.len()).map(part).collect(),
+        alike: hypothesis.alike.iter().map(ToString::to_string).collect(),
+        probability: hypothesis.probability,
+        p_rest: hypothesis.p_rest,
+    }
+}
+
+fn smallest(found: &Detectable) -> Smallest {
+    let Unit { sign, factor } = unit(found.unit);
+    Smallest { name: found.name.to_string(), unit: sign, smallest: found.smallest.map(|size| size * factor) }
+}
