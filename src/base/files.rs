@@ -57,12 +57,36 @@ pub fn write_pieces(
         Diagnostic::file(&path.display().to_string(), Unwritable { why: error.to_string() })
     };
     let mut beside = path.as_os_str().to_owned();
-    beside.push(".part");
-    let mut file = fs::File::create(&beside).map_err(wrong)?;
-    for piece in pieces {
-        file.write_all(piece.as_ref()).map_err(wrong)?;
-    }
-    fs::rename(&beside, path).map_err(wrong)
+    // Another process may write the same file.
+    beside.push(format!(".{}.part", std::process::id()));
+    let write = || {
+        let mut file = fs::File::create(&beside)?;
+        pieces.into_iter().try_for_each(|piece| file.write_all(piece.as_ref()))?;
+        fs::rename(&beside, path)
+    };
+    write().map_err(|error| {
+        // A part of a file is of no use.
+        let _ = fs::remove_file(&beside);
+        wrong(error)
+    })
+}
+
+/// A directory that no other process of dbbd writes results to while this is held.
+#[must_use = "the directory is shared again when this is dropped"]
+#[derive(Debug)]
+pub struct Exclusive {
+    _lock: Option<fs::File>,
+}
+
+/// Makes the directory that a set of files goes to, and waits until others have written theirs: no set is mixed.
+///
+/// # Errors
+/// As [`directory`].
+pub fn exclusive(path: &Path) -> Result<Exclusive, Diagnostic> {
+    directory(path)?;
+    // Where directories cannot be opened or locked, sets are written as they come.
+    let lock = fs::File::open(path).ok().filter(|directory| directory.lock().is_ok());
+    Ok(Exclusive { _lock: lock })
 }
 
 /// Makes the directory that results go to.

@@ -116,7 +116,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
     for circle in found {
         tests.push(evaluate(circle, args)?);
     }
-    files::directory(&args.out)?;
+    let _writing = files::exclusive(&args.out)?;
     for (at, test) in tests.iter().enumerate() {
         let name = if at == 0 { "circle.svg".to_owned() } else { format!("circle-{}.svg", at + 1) };
         files::write(&args.out.join(name), report::svg::standalone(&test.svg()))?;

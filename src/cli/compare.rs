@@ -172,7 +172,7 @@ fn write(args: &Args, comparison: &Comparison, timeline: &Timeline) -> Verdict {
         sources: comparison.inputs.iter().map(source).collect(),
         ..Provenance::default()
     };
-    files::directory(&args.out)?;
+    let _writing = files::exclusive(&args.out)?;
     files::write(&args.out.join("compare.json"), serde_json::to_string_pretty(comparison)? + "\n")?;
     files::write(&args.out.join("compare.csv"), csv(comparison)?)?;
     files::write(&args.out.join("compare.html"), compare::html(comparison, timeline, &provenance)?)?;

@@ -99,7 +99,7 @@ fn write<'a>(
     programs: impl Iterator<Item = &'a Program>,
     corrected: &Compensated,
 ) -> Result<(), Diagnostic> {
-    files::directory(&args.out)?;
+    let _writing = files::exclusive(&args.out)?;
     let texts = [Some(&corrected.source), corrected.data.as_ref()];
     programs.zip(texts.into_iter().flatten()).try_for_each(|(program, text)| program.write(&args.out, text))
 }

@@ -52,7 +52,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
     };
     let options = Options { sync, controller: args.controller };
     let modules = krl::emit(&plan, options)?;
-    files::directory(&args.out)?;
+    let _writing = files::exclusive(&args.out)?;
     let mut written = Vec::new();
     for (name, text) in &modules {
         let path = args.out.join(name);

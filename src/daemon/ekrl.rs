@@ -109,10 +109,20 @@ impl Channel {
     }
 
     fn accept(&self, listener: &TcpListener) {
+        let mut failing = false;
         while !self.over() {
             match listener.accept() {
-                Ok((stream, from)) => self.take(stream, from),
-                Err(_) => clock::sleep(PATIENCE.as_secs_f64()),
+                Ok((stream, from)) => {
+                    failing = false;
+                    self.take(stream, from);
+                }
+                Err(error) => {
+                    // Said once, not fifty times a second.
+                    if error.kind() != ErrorKind::WouldBlock && !std::mem::replace(&mut failing, true) {
+                        self.send(ChannelEvent::Remark(format!("EthernetKRL: nobody can connect: {error}")));
+                    }
+                    clock::sleep(PATIENCE.as_secs_f64());
+                }
             }
         }
     }

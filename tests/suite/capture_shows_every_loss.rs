@@ -140,3 +140,43 @@ fn gaps_of_any_size_are_counted() {
     let info: Value = serde_json::from_slice(&info.stdout).unwrap();
     assert_eq!((info["gaps"].as_u64(), info["missing"].as_u64()), (Some(2), Some(u64::MAX)));
 }
+
+/// Identifications into one directory at the same time: the files that are left are of one of them.
+#[cfg(unix)]
+#[test]
+fn sets_of_results_are_not_mixed() {
+    use std::process::{Command, Stdio};
+    let dir = tempfile::tempdir().unwrap();
+    let stored = stored();
+    let identify = |tool: &str, out: &str| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_dbbd"));
+        command.args([
+            "identify",
+            stored.to_str().unwrap(),
+            "--tool",
+            tool,
+            "--folds",
+            "0",
+            "--estimate",
+            "tool",
+            "--out",
+            out,
+        ]);
+        command.current_dir(dir.path()).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap()
+    };
+    let tools = ["30,20,10", "31,20,10", "32,20,10"];
+    let files = ["result.json", "parameters.csv", "robot-identified.toml", "lengths.csv", "covariance.csv"];
+    let read = |out: &str| files.map(|file| std::fs::read(dir.path().join(out).join(file)).unwrap());
+    for tool in tools {
+        identify(tool, tool).wait().unwrap();
+    }
+    let alone = tools.map(read);
+    let mut together = tools.map(|tool| identify(tool, "together"));
+    for child in &mut together {
+        child.wait().unwrap();
+    }
+    assert!(alone.contains(&read("together")));
+    let left = std::fs::read_dir(dir.path().join("together")).unwrap();
+    let names = left.map(|entry| entry.unwrap().file_name().into_string().unwrap());
+    assert_eq!(names.filter(|name| name.ends_with(".part")).count(), 0);
+}

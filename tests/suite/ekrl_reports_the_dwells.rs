@@ -217,6 +217,29 @@ fn ask(stream: &mut TcpStream, parts: &[&str]) -> String {
 }
 
 #[test]
+fn idle_connections_do_not_keep_the_controller_out() {
+    let dir = tempfile::tempdir().unwrap();
+    let index = small_plan(dir.path());
+    let json = std::fs::read_to_string(dir.path().join("plan/plan.json")).unwrap();
+    let json: serde_json::Value = serde_json::from_str(&json).unwrap();
+    let run = u32::from_str_radix(&json["hash"].as_str().unwrap()[..4], 16).unwrap();
+    let Listening { mut simulator, mut acquire, address } = listen(dir.path());
+    let good = |phase| written(&Telegram { run, ..telegram(index, phase) });
+    let mut first = connect(address);
+    assert_eq!(ask(&mut first, &[&good(1)]), format!("<Ack Id=\"{index}\"/>\n"));
+    // More than there are places for; they stay open and say nothing.
+    let idle: Vec<TcpStream> = (0..12).map(|_| connect(address)).collect();
+    assert_eq!(ask(&mut first, &[&good(2)]), format!("<Ack Id=\"{index}\"/>\n"));
+    let mut second = connect(address);
+    assert_eq!(ask(&mut second, &[&good(1)]), format!("<Ack Id=\"{index}\"/>\n"));
+    drop(idle);
+    for child in [&mut acquire, &mut simulator] {
+        child.kill().unwrap();
+        child.wait().unwrap();
+    }
+}
+
+#[test]
 fn a_rude_client_costs_nothing_but_its_own_telegrams() {
     let dir = tempfile::tempdir().unwrap();
     let index = small_plan(dir.path());

@@ -101,6 +101,27 @@ fn a_run_goes_from_start_to_stop_whoever_looks() {
     assert!(capture::read(&fs::read(dir.path().join("dbbd-runs/second/run.dbbd")).unwrap()).ended());
 }
 
+/// The recording goes on at the same place, and the run has failed however it is ended.
+#[test]
+fn a_run_whose_capture_is_taken_away_has_failed() {
+    let dir = tempfile::tempdir().unwrap();
+    let server = Server::start(dir.path(), &format!("[device]\nport = \"{}\"\n", swinging()));
+    server.wait("/api/v1/status", |status| status["state"] == "idle");
+    assert_eq!(server.post("/api/v1/run", "{\"name\":\"first\"}").status, 201);
+    let status = server.wait("/api/v1/status", |status| status["run"]["samples"].as_u64() > Some(100));
+    let before = status["run"]["samples"].as_u64().unwrap();
+    fs::remove_dir_all(dir.path().join("dbbd-runs/first")).unwrap();
+    server.wait("/api/v1/status", |status| status["run"]["samples"].as_u64() > Some(before + 1500));
+    assert_eq!(server.post("/api/v1/run/stop", "").status, 202);
+    let status = server.wait("/api/v1/status", |status| status["run"].is_null());
+    assert_eq!((&status["state"], &status["code"]), (&"failed".into(), &"W0415".into()), "{status}");
+    assert_eq!(status["last"]["failed"], true);
+    let recorded = capture::read(&fs::read(dir.path().join("dbbd-runs/first/run.dbbd")).unwrap());
+    assert!(recorded.ended() && recorded.damages.is_empty() && recorded.samples().count() > 1500);
+    assert_eq!(server.post("/api/v1/run", "{\"name\":\"second\"}").status, 201, "a new run may begin");
+    assert_eq!(server.post("/api/v1/run/mark", "{\"text\":\"a\\u001b[2Jb\"}").status, 422);
+}
+
 #[test]
 fn a_missing_device_is_a_state_and_not_an_end() {
     let dir = tempfile::tempdir().unwrap();

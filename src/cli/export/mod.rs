@@ -75,7 +75,7 @@ struct Unfinished {
 impl Unfinished {
     fn of(path: &Path) -> Self {
         let mut beside = path.as_os_str().to_owned();
-        beside.push(".part");
+        beside.push(format!(".{}.part", std::process::id()));
         Self { path: path.into(), beside: beside.into() }
     }
 

@@ -132,7 +132,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
         }
         found = find(&given, validation.as_ref(), &options)?;
     }
-    files::directory(&args.out)?;
+    let _writing = files::exclusive(&args.out)?;
     tables::write_results(&args.out, &found, &given.observations)?;
     let page = page::html(&found, &given.observations, given.sources)?;
     files::write(&args.out.join("report.html"), page)?;

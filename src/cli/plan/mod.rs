@@ -102,7 +102,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
 
 fn write(plan: &Plan, page: String, directory: &Path) -> Result<(), Diagnostic> {
     let (csv, json) = plan.to_files();
-    files::directory(directory)?;
+    let _writing = files::exclusive(directory)?;
     files::write(&directory.join("plan.csv"), csv)?;
     files::write(&directory.join("plan.json"), json)?;
     files::write(&directory.join("plan.html"), page)?;

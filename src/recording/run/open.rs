@@ -127,9 +127,10 @@ fn incomplete_axes(plan: &Plan, axes_deg: &MeasuredAxes) -> Option<RecordingFind
 
 /// Whether the capture was recorded with another plan than the one named.
 fn other_plan(attached: Option<&Vec<u8>>, plan: &Plan) -> Option<RecordingFinding> {
-    let header = serde_json::from_slice::<Value>(attached?).ok()?;
-    let recorded = header.get("hash")?.as_str().filter(|hash| *hash != plan.header.hash)?;
-    Some(RecordingFinding::OtherPlan { recorded: recorded.into(), named: plan.header.hash.clone() })
+    let header = serde_json::from_slice::<Value>(attached?).unwrap_or_default();
+    let recorded = header.get("hash").and_then(Value::as_str).unwrap_or("that cannot be read");
+    let named = plan.header.hash.clone();
+    (recorded != named).then(|| RecordingFinding::OtherPlan { recorded: recorded.into(), named })
 }
 
 /// What one pass over a capture collects.
