@@ -8,7 +8,7 @@ use crate::catalogue::{JobFinding, PlanFinding};
 use crate::estimation::{Posterior, Priors, length_sd_mm};
 use crate::measurement::{LengthModel, PreparedMeasurement};
 use crate::robot::inverse::nearest;
-use crate::robot::{AXES, BallId, Pose, Robot};
+use crate::robot::{AXES, BallId, ParamId, Pose, Robot, RobotPosterior};
 
 /// A taught ball may be off by this much from where its axis angles say, mm: more is a mistake in one of the two.
 const TAUGHT_MM: f64 = 1.0;
@@ -90,9 +90,19 @@ impl PlanningPrior {
         let robot = Robot {
             geometry: self.posterior.model.geometry.clone(),
             nominal: Some(Box::new(nominal.clone())),
+            posterior: self.of_robot(),
             ..nominal.clone()
         };
         (job, robot)
+    }
+
+    /// What is known of the robot's own values, so that lengths measured on the plan add to it.
+    fn of_robot(&self) -> Option<RobotPosterior> {
+        let posterior = &self.posterior;
+        let is_own = |id: &ParamId| id.is_geometric() || matches!(id, ParamId::Tool(_));
+        let own: Vec<usize> = (0..posterior.ids().len()).filter(|&at| is_own(&posterior.ids()[at])).collect();
+        let ids: Vec<ParamId> = own.iter().map(|&at| posterior.ids()[at]).collect();
+        RobotPosterior::new(&ids, &posterior.model.geometry, &posterior.root().select_rows(&own))
     }
 
     /// At the start of a run about base ball `centre` (from 1) at axis angles in rad: where the ball was neither

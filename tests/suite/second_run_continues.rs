@@ -6,7 +6,8 @@ use std::process::Output;
 
 use dbbd::estimation::result::{PriorSource, StartRobot};
 use dbbd::estimation::result_file::ResultFile;
-use dbbd::measurement::Measurements;
+use dbbd::measurement::{Measurements, PreparedMeasurement};
+use dbbd::plan::{Job, PlanningPrior};
 use dbbd::robot::Robot;
 use dbbd::sim::truth;
 use rand::SeedableRng;
@@ -116,6 +117,23 @@ fn what_is_lost_is_told() {
     assert!(!told(&check(dir.path(), "old.toml", &["--prior", "none"]), "W1332"));
     let torn = text.replacen("root = [[", "root = [[1.0, 2.0], [", 1);
     assert_eq!(Robot::from_toml("robot.toml", &torn).unwrap_err().code.0, "E0505");
+}
+
+/// What a plan knows of an identified robot goes with the plan, so that its run needs no other file to continue.
+#[test]
+fn a_plan_carries_what_is_known() {
+    let text = fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/examples/first/check.toml")).unwrap();
+    let job = Job::from_toml("check.toml", &text).unwrap();
+    let data = lengths(&[horizontal(1, CENTRE)], 30, 5);
+    let readings: Vec<PreparedMeasurement> = data.rows.iter().map(PreparedMeasurement::from).collect();
+    let known = PlanningPrior::after_lengths(&job, &kr60(), &readings).unwrap();
+    let (_, robot) = known.applied(&job, &kr60());
+    let posterior = robot.posterior.as_ref().unwrap();
+    assert!(posterior.is_of(&robot.geometry) && robot.nominal.is_some());
+    for id in posterior.ids() {
+        let (here, there) = (posterior.sd(*id).unwrap(), known.posterior.sd(*id).unwrap());
+        assert!((here / there - 1.0).abs() < 1e-9, "{id}: {here} for {there}");
+    }
 }
 
 /// Another tool ball is another set-up: the robot stays known, the ball is determined anew.
