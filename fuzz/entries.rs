@@ -4,6 +4,7 @@
 
 use std::sync::OnceLock;
 
+use dbbd::base::table::Table;
 use dbbd::device::protocol::{Decoded, Definition};
 use dbbd::live::{JobRequest, StartRequest};
 use dbbd::measurement::{BaseBall, Measurements};
@@ -229,16 +230,16 @@ fn tables(data: &[u8]) {
     let whole = reader.push(data);
     let pieces: Vec<_> = data.chunks(3).flat_map(|piece| slow.push(piece)).collect();
     assert_eq!(whole, pieces);
-    let Ok(text) = std::str::from_utf8(data) else { return };
-    if let Ok(observations) = Measurements::from_csv("observations.csv", text) {
+    let table = || Table::of("table.csv", data);
+    if let Ok(observations) = table().and_then(|mut table| Measurements::from_table(&mut table)) {
         let again = Measurements::from_csv("observations.csv", &observations.to_csv());
         assert!(again.is_ok_and(|again| again == observations), "not read as they were written");
     }
-    if let Ok(centres) = BaseBall::from_csv("centres.csv", text) {
+    if let Ok(centres) = table().and_then(|mut table| BaseBall::from_table(&mut table)) {
         let again = BaseBall::from_csv("centres.csv", &BaseBall::to_csv(&centres));
         assert!(again.is_ok_and(|again| again == centres), "not read as they were written");
     }
-    let _ = Measurements::poses_from_csv("poses.csv", text);
+    let _ = table().and_then(|mut table| Measurements::poses_from_table(&mut table));
 }
 
 /// Bodies of requests.

@@ -218,17 +218,3 @@ pub fn nearest<'a>(word: &str, known: impl IntoIterator<Item = &'a str>) -> Opti
         .min_by_key(|(distance, _)| *distance)
         .map(|(_, candidate)| candidate)
 }
-
-/// Transitional: a sentence without a code. To be removed with the last of them.
-impl Finding for String {
-    fn code(&self) -> Code {
-        Code("E0000")
-    }
-}
-
-/// Transitional: see above.
-impl Finding for &str {
-    fn code(&self) -> Code {
-        Code("E0000")
-    }
-}

@@ -6,4 +6,5 @@ pub mod files;
 pub mod parse;
 pub mod program;
 pub mod table;
+pub mod text;
 pub mod units;

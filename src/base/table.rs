@@ -1,31 +1,175 @@
-//! A CSV table that a user wrote: its columns in any order, and each wrong cell by its line and column.
+//! A table that a user wrote: delimiter, decimal and encoding as the file shows them, columns in any order, and each
+//! wrong cell by its line and column.
 
+use std::cell;
+use std::fs::File;
+use std::io::{BufRead, BufReader};
+use std::path::Path;
 use std::str::FromStr;
 
-use csv::StringRecord;
-
+use super::text::{Encoding, Lines};
 use crate::catalogue::FileFinding::{
-    ColumnTwice, MissingColumns, NotANumber, NotCsv, NotFinite, NotPositive, NotUtf8, NotWhole, Unreadable,
+    self, CellCount, ColumnTwice, MissingColumns, NoCell, NotANumber, NotFinite, NotPositive, NotWhole,
+    OpenQuote, OtherDecimal, Unreadable, WrittenAs,
 };
 use crate::diagnostic::{Diagnostic, Finding};
 
-/// How the tables are read: with a header, blanks about a cell left out.
-pub fn reader() -> csv::ReaderBuilder {
-    let mut reader = csv::ReaderBuilder::new();
-    reader.trim(csv::Trim::All);
-    reader
+/// What stands between the cells of a line.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Delimiter {
+    Character(char),
+    /// Any number of blanks.
+    Blanks,
 }
 
-/// The header of a table.
-#[derive(Clone, Copy)]
-pub struct Columns<'a> {
+impl Delimiter {
+    /// The one that a line outside of quotes shows; a line of one cell shows none.
+    fn shown(line: &str) -> Self {
+        let mut quoted = false;
+        let outside: String = line
+            .chars()
+            .filter(|&character| {
+                quoted ^= character == '"';
+                !quoted
+            })
+            .collect();
+        // A decimal comma is no delimiter beside a semicolon or a tab.
+        match ['\t', ';', ','].into_iter().find(|&character| outside.contains(character)) {
+            Some(character) => Self::Character(character),
+            None if outside.trim().contains(char::is_whitespace) => Self::Blanks,
+            None => Self::Character(','),
+        }
+    }
+
+    fn name(self) -> String {
+        match self {
+            Self::Character('\t') => "a tab".into(),
+            Self::Character(character) => format!("`{character}`"),
+            Self::Blanks => "blanks".into(),
+        }
+    }
+}
+
+/// How a table is laid out, as far as that is known before it is read.
+#[derive(Clone, Debug)]
+pub struct Layout {
+    pub delimiter: Option<Delimiter>,
+    /// `.` or `,`.
+    pub decimal: Option<char>,
+    /// Lines before the header, or before the first row where there is none.
+    pub skip_lines: usize,
+    /// Whether a line names the columns.
+    pub header: bool,
+    /// Lines that begin with it are passed over.
+    pub comment: Option<String>,
+}
+
+impl Default for Layout {
+    fn default() -> Self {
+        Self { delimiter: None, decimal: None, skip_lines: 0, header: true, comment: None }
+    }
+}
+
+/// A cell with the column of its line at which it begins, from 1, in characters.
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct Cell {
+    text: String,
+    column: usize,
+}
+
+/// A table that is read a row at a time.
+pub struct Table<'a> {
+    lines: Lines<Box<dyn BufRead + 'a>>,
+    layout: Layout,
+    delimiter: Option<Delimiter>,
+    columns: Columns,
+    /// The last row, or the header, with its text.
+    record: Record,
+    /// The text since it was taken.
+    read: String,
+    /// Bytes of all text.
+    bytes: u64,
+}
+
+/// The columns, and what their cells have in common.
+struct Columns {
+    file: String,
+    names: Vec<String>,
+    /// Of the header; 0 without one.
+    line: usize,
+    /// As the table shows it.
+    decimal: cell::Cell<Option<char>>,
+    delimiter: String,
+}
+
+#[derive(Default)]
+struct Record {
+    /// Where it begins: line, and bytes of the text before.
+    line: usize,
+    offset: u64,
+    text: String,
+    cells: Vec<Cell>,
+}
+
+impl<'a> Table<'a> {
+    /// A file.
+    ///
+    /// # Errors
+    /// Names the path and why it could not be read.
+    pub fn open(path: &Path) -> Result<Table<'static>, Diagnostic> {
+        let name = path.display().to_string();
+        let file = File::open(path)
+            .map_err(|error| Diagnostic::file(&name, Unreadable { why: error.to_string() }))?;
+        Table::new(&name, BufReader::new(file), Layout::default())
+    }
+
+    /// A text in memory.
+    ///
+    /// # Errors
+    /// When it is no text.
+    pub fn of(file: &str, text: &'a (impl AsRef<[u8]> + ?Sized)) -> Result<Self, Diagnostic> {
+        Self::new(file, text.as_ref(), Layout::default())
+    }
+
+    /// What a source holds; `file` is the name that the user knows.
+    ///
+    /// # Errors
+    /// When it cannot be read, or is no text.
+    pub fn new(file: &str, source: impl BufRead + 'a, layout: Layout) -> Result<Self, Diagnostic> {
+        let columns = Columns {
+            file: file.into(),
+            names: Vec::new(),
+            line: 0,
+            decimal: cell::Cell::new(layout.decimal),
+            delimiter: String::new(),
+        };
+        let mut table = Self {
+            lines: Lines::new(file, Box::new(source)),
+            delimiter: layout.delimiter,
+            layout,
+            columns,
+            record: Record::default(),
+            read: String::new(),
+            bytes: 0,
+        };
+        if table.layout.header && table.record()? {
+            let cells = std::mem::take(&mut table.record.cells);
+            table.columns.names = cells.into_iter().map(|cell| cell.text).collect();
+            table.columns.line = table.record.line;
+        }
+        Ok(table)
+    }
+
     /// The file as the user named it.
-    pub file: &'a str,
-    /// The names.
-    pub header: &'a StringRecord,
-}
+    pub fn file(&self) -> &str {
+        &self.columns.file
+    }
 
-impl<'a> Columns<'a> {
+    /// The names of the columns.
+    pub fn names(&self) -> &[String] {
+        &self.columns.names
+    }
+
     /// The places of columns that must be there.
     ///
     /// # Errors
@@ -42,9 +186,9 @@ impl<'a> Columns<'a> {
         if absent.is_empty() {
             return Ok(places);
         }
-        let there: Vec<&str> = self.header.iter().collect();
-        let (absent, header) = (absent.join(", "), there.join(","));
-        Err(Diagnostic::line(self.file, 1, MissingColumns { absent, header }))
+        let (absent, header) = (absent.join(", "), self.columns.names.join(", "));
+        let delimiter = self.columns.delimiter.clone();
+        Err(self.columns.header(MissingColumns { absent, header, delimiter }))
     }
 
     /// The place of a column that may be there.
@@ -52,30 +196,137 @@ impl<'a> Columns<'a> {
     /// # Errors
     /// When it is there twice.
     pub fn optional(&self, name: &str) -> Result<Option<usize>, Diagnostic> {
-        let mut places = self.header.iter().enumerate().filter(|(_, column)| *column == name);
+        let mut places = self.columns.names.iter().enumerate().filter(|(_, column)| *column == name);
         match (places.next(), places.next()) {
-            (_, Some(_)) => Err(Diagnostic::line(self.file, 1, ColumnTwice { column: name.into() })),
+            (_, Some(_)) => Err(self.columns.header(ColumnTwice { column: name.into() })),
             (first, None) => Ok(first.map(|(at, _)| at)),
         }
     }
 
-    /// A row under this header, of as many cells.
-    pub fn row(self, record: &'a StringRecord) -> Row<'a> {
-        Row { columns: self, record }
+    /// The next row, if there is one.
+    ///
+    /// # Errors
+    /// When the file cannot be read, is no text, or the row has not as many cells as the header.
+    pub fn row(&mut self) -> Result<Option<Row<'_>>, Diagnostic> {
+        if !self.record()? {
+            return Ok(None);
+        }
+        let row = Row { columns: &self.columns, record: &self.record };
+        let (cells, columns) = (self.record.cells.len(), self.columns.names.len());
+        if columns > 0 && cells != columns && self.delimiter != Some(Delimiter::Blanks) {
+            let further = self.record.cells.iter().skip(columns);
+            // Many programs end each line with a delimiter.
+            if cells < columns || further.clone().any(|cell| !cell.text.is_empty()) {
+                let delimiter = self.columns.delimiter.clone();
+                let at = further.map(|cell| cell.column).next();
+                let at = at.unwrap_or_else(|| self.record.text.chars().count() + 1);
+                return Err(row.at(at, CellCount { cells, columns, delimiter }));
+            }
+        }
+        Ok(Some(row))
+    }
+
+    /// The text that was read since it was asked for, in UTF-8.
+    pub fn take_text(&mut self) -> String {
+        std::mem::take(&mut self.read)
+    }
+
+    /// How the table that was read is written, unless it is the usual way or was known before.
+    pub fn findings(&self) -> Option<Diagnostic> {
+        let delimiter = self.delimiter.filter(|_| self.layout.delimiter.is_none());
+        let decimal = self.columns.decimal.get().filter(|_| self.layout.decimal.is_none()).unwrap_or('.');
+        let encoding = self.lines.encoding();
+        let usual = delimiter.is_none_or(|delimiter| delimiter == Delimiter::Character(','))
+            && decimal == '.'
+            && encoding == Encoding::Utf8;
+        let decimal = self.columns.decimal.get().unwrap_or('.');
+        let (encoding, delimiter) = (encoding.name().into(), self.columns.delimiter.clone());
+        (!usual).then(|| Diagnostic::file(self.file(), WrittenAs { encoding, delimiter, decimal }))
+    }
+
+    /// Reads the next line that is none to be passed over, with those after it that a quoted cell goes on in.
+    fn record(&mut self) -> Result<bool, Diagnostic> {
+        let mut line = String::new();
+        loop {
+            line.clear();
+            if !self.lines.next(&mut line)? {
+                return Ok(false);
+            }
+            self.read.push_str(&line);
+            self.record.offset = self.bytes;
+            self.bytes += line.len() as u64;
+            let text = line.trim_start_matches('\u{feff}').trim_end_matches(['\n', '\r']);
+            let comment = self.layout.comment.as_deref().is_some_and(|begin| text.starts_with(begin));
+            if self.lines.number() <= self.layout.skip_lines || text.trim().is_empty() || comment {
+                continue;
+            }
+            // A line before the header that spreadsheets write and read.
+            let given = text.strip_prefix("sep=").filter(|_| self.delimiter.is_none());
+            if let Some(delimiter) = given.and_then(|given| given.chars().next()) {
+                self.delimiter = Some(Delimiter::Character(delimiter));
+                continue;
+            }
+            text.clone_into(&mut self.record.text);
+            break;
+        }
+        self.record.line = self.lines.number();
+        let delimiter = *self.delimiter.get_or_insert_with(|| Delimiter::shown(&self.record.text));
+        if self.columns.delimiter.is_empty() {
+            self.columns.delimiter = delimiter.name();
+        }
+        while !cut(&self.record.text, delimiter, &mut self.record.cells) {
+            line.clear();
+            if !self.lines.next(&mut line)? {
+                return Err(Diagnostic::line(self.file(), self.record.line, OpenQuote));
+            }
+            self.read.push_str(&line);
+            self.bytes += line.len() as u64;
+            self.record.text.push('\n');
+            self.record.text.push_str(line.trim_end_matches(['\n', '\r']));
+        }
+        Ok(true)
     }
 }
 
-/// A row, with what is needed to say where a cell stands.
+impl Columns {
+    fn header(&self, finding: FileFinding) -> Diagnostic {
+        Diagnostic::line(&self.file, self.line.max(1), finding)
+    }
+}
+
+/// A row, with what is needed to say where a cell is.
 #[derive(Clone, Copy)]
 pub struct Row<'a> {
-    columns: Columns<'a>,
-    record: &'a StringRecord,
+    columns: &'a Columns,
+    record: &'a Record,
 }
 
 impl<'a> Row<'a> {
     /// The text of a cell.
     pub fn text(&self, at: usize) -> &'a str {
-        self.record.get(at).unwrap_or("")
+        self.record.cells.get(at).map_or("", |cell| &cell.text)
+    }
+
+    /// Bytes of the text before the row, in UTF-8.
+    pub fn offset(&self) -> u64 {
+        self.record.offset
+    }
+
+    /// Whether the row has the cell.
+    ///
+    /// # Errors
+    /// When it ends before.
+    pub fn has(&self, at: usize) -> Result<(), Diagnostic> {
+        match self.record.cells.get(at) {
+            Some(_) => Ok(()),
+            None => Err(self.at(self.record.text.chars().count() + 1, NoCell { column: at + 1 })),
+        }
+    }
+
+    /// The text of a cell; a number with a decimal comma, where the table has them, with a point.
+    pub fn plain(&self, at: usize) -> String {
+        let comma = self.columns.decimal.get() == Some(',') && self.parsed(at).is_ok();
+        if comma { self.text(at).replace(',', ".") } else { self.text(at).to_owned() }
     }
 
     /// A finite number.
@@ -83,10 +334,29 @@ impl<'a> Row<'a> {
     /// # Errors
     /// When it is none.
     pub fn number(&self, at: usize) -> Result<f64, Diagnostic> {
-        match f64::from_str(self.text(at)) {
+        self.has(at)?;
+        let value = self.parsed(at).map_err(|finding| self.wrong(at, finding))?;
+        // The first mark is that of the table.
+        if self.columns.decimal.get().is_none() {
+            self.columns.decimal.set(self.text(at).chars().find(|mark| matches!(mark, '.' | ',')));
+        }
+        Ok(value)
+    }
+
+    fn parsed(&self, at: usize) -> Result<f64, FileFinding> {
+        let (column, cell) = (self.column(at), self.text(at).to_owned());
+        let mut marks = cell.chars().filter(|mark| matches!(mark, '.' | ','));
+        match (marks.next(), marks.next(), self.columns.decimal.get()) {
+            (_, Some(_), _) => return Err(NotANumber { column, cell }),
+            (Some(mark), None, Some(decimal)) if mark != decimal => {
+                return Err(OtherDecimal { column, cell, decimal });
+            }
+            _ => {}
+        }
+        match f64::from_str(&cell.replace(',', ".")) {
             Ok(value) if value.is_finite() => Ok(value),
-            Ok(_) => Err(self.line(NotFinite { column: self.column(at), cell: self.text(at).into() })),
-            Err(_) => Err(self.line(NotANumber { column: self.column(at), cell: self.text(at).into() })),
+            Ok(_) => Err(NotFinite { column, cell }),
+            Err(_) => Err(NotANumber { column, cell }),
         }
     }
 
@@ -96,7 +366,7 @@ impl<'a> Row<'a> {
     /// When it is no finite number, or not positive.
     pub fn positive(&self, at: usize) -> Result<f64, Diagnostic> {
         let value = self.number(at)?;
-        let wrong = || self.line(NotPositive { column: self.column(at), cell: self.text(at).into() });
+        let wrong = || self.wrong(at, NotPositive { column: self.column(at), cell: self.text(at).into() });
         if value > 0.0 { Ok(value) } else { Err(wrong()) }
     }
 
@@ -117,10 +387,8 @@ impl<'a> Row<'a> {
     /// # Errors
     /// When it is none.
     pub fn whole(&self, at: usize, least: u32) -> Result<u32, Diagnostic> {
-        match self.text(at).parse() {
-            Ok(value) if value >= least => Ok(value),
-            _ => Err(self.line(NotWhole { column: self.column(at), cell: self.text(at).into(), least })),
-        }
+        let value = self.text(at).parse().ok().filter(|value| *value >= least);
+        value.ok_or_else(|| self.no_whole(at, least))
     }
 
     /// A number from 1 of something that is counted.
@@ -128,33 +396,134 @@ impl<'a> Row<'a> {
     /// # Errors
     /// When it is none.
     pub fn numbered<T: FromStr>(&self, at: usize) -> Result<T, Diagnostic> {
-        let wrong = |_| self.line(NotWhole { column: self.column(at), cell: self.text(at).into(), least: 1 });
-        self.text(at).parse().map_err(wrong)
+        self.text(at).parse().map_err(|_| self.no_whole(at, 1))
+    }
+
+    fn no_whole(&self, at: usize, least: u32) -> Diagnostic {
+        self.wrong(at, NotWhole { column: self.column(at), cell: self.text(at).into(), least })
     }
 
     /// What is wrong with a cell.
-    pub fn wrong(&self, at: usize, why: impl std::fmt::Display) -> Diagnostic {
-        let name = self.columns.header.get(at).unwrap_or("");
-        self.line(format!("column `{name}`: `{}`: {why}", self.text(at)))
+    pub fn wrong(&self, at: usize, why: impl Finding) -> Diagnostic {
+        self.at(self.record.cells.get(at).map_or(1, |cell| cell.column), why)
     }
 
     /// What is wrong with the row.
     pub fn line(&self, why: impl Finding) -> Diagnostic {
-        let line = self.record.position().map_or(0, |position| position.line() as usize);
-        Diagnostic::line(self.columns.file, line, why)
+        Diagnostic::line(&self.columns.file, self.record.line, why)
     }
 
+    fn at(&self, column: usize, why: impl Finding) -> Diagnostic {
+        self.line(why).in_line(&self.record.text, column)
+    }
+
+    /// The name of a column, else its number.
     fn column(&self, at: usize) -> String {
-        self.columns.header.get(at).unwrap_or("").to_owned()
+        self.columns.names.get(at).cloned().unwrap_or_else(|| (at + 1).to_string())
     }
 }
 
-/// What is wrong with a CSV text.
+/// Cuts a line into its cells, blanks about them left out; whether no quote is left open. A cell in double quotes may
+/// hold the delimiter, and a quote as two.
+fn cut(line: &str, delimiter: Delimiter, cells: &mut Vec<Cell>) -> bool {
+    cells.clear();
+    let mut open: Option<Cell> = None;
+    let mut quoted = false;
+    let mut characters = line.chars().enumerate().peekable();
+    while let Some((at, character)) = characters.next() {
+        let empty = || Cell { text: String::new(), column: at + 1 };
+        let ends = !quoted
+            && match delimiter {
+                Delimiter::Character(delimiter) => character == delimiter,
+                Delimiter::Blanks => character.is_whitespace(),
+            };
+        match &mut open {
+            _ if ends => match open.take() {
+                Some(cell) => cells.push(cell),
+                None if delimiter != Delimiter::Blanks => cells.push(empty()),
+                None => {}
+            },
+            Some(cell) if quoted && character == '"' => {
+                quoted = characters.next_if(|(_, next)| *next == '"').is_some();
+                if quoted {
+                    cell.text.push('"');
+                }
+            }
+            Some(cell) => cell.text.push(character),
+            None if character == '"' => {
+                quoted = true;
+                open = Some(empty());
+            }
+            None if character.is_whitespace() => {}
+            None => open.insert(empty()).text.push(character),
+        }
+    }
+    match open {
+        Some(cell) => cells.push(cell),
+        // What follows the last delimiter is a cell as well.
+        None if delimiter != Delimiter::Blanks => {
+            cells.push(Cell { text: String::new(), column: line.chars().count() + 1 });
+        }
+        None => {}
+    }
+    for cell in cells {
+        if cell.text.trim().len() < cell.text.len() {
+            cell.text = cell.text.trim().to_owned();
+        }
+    }
+    !quoted
+}
+
+/// What is wrong with a CSV text that is read into structures.
 pub fn wrong_csv(file: &str, error: &csv::Error) -> Diagnostic {
     let line = error.position().map_or(0, |position| position.line() as usize);
-    match error.kind() {
-        csv::ErrorKind::Io(error) => Diagnostic::file(file, Unreadable { why: error.to_string() }),
-        csv::ErrorKind::Utf8 { .. } => Diagnostic::line(file, line, NotUtf8),
-        _ => Diagnostic::line(file, line, NotCsv { why: error.to_string() }),
+    let finding = match error.kind() {
+        csv::ErrorKind::Io(error) => return Diagnostic::file(file, Unreadable { why: error.to_string() }),
+        csv::ErrorKind::Utf8 { .. } => FileFinding::NotText { encoding: Encoding::Utf8.name().into() },
+        csv::ErrorKind::UnequalLengths { expected_len, len, .. } => CellCount {
+            cells: *len as usize,
+            columns: *expected_len as usize,
+            delimiter: Delimiter::Character(',').name(),
+        },
+        csv::ErrorKind::Deserialize { err, .. } => FileFinding::NotACell {
+            column: err.field().map_or(0, |field| field as usize + 1),
+            why: err.kind().to_string(),
+        },
+        _ => FileFinding::NotCsv,
+    };
+    Diagnostic::line(file, line, finding)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lines_are_cut() {
+        let texts = |line: &str, delimiter| -> Vec<(String, usize)> {
+            let mut cells = Vec::new();
+            assert!(cut(line, delimiter, &mut cells));
+            cells.into_iter().map(|cell| (cell.text, cell.column)).collect()
+        };
+        let cell = |text: &str, column| (text.to_owned(), column);
+        let by = Delimiter::Character;
+        assert_eq!(texts("a; b ;;c", by(';')), [cell("a", 1), cell("b", 4), cell("", 7), cell("c", 8)]);
+        assert_eq!(texts("\"0,5\",1,", by(',')), [cell("0,5", 1), cell("1", 7), cell("", 9)]);
+        assert_eq!(texts("\"a \"\"b\"\"\",5\"", by(',')), [cell("a \"b\"", 1), cell("5\"", 11)]);
+        assert_eq!(texts("  1.0\t 2 ", Delimiter::Blanks), [cell("1.0", 3), cell("2", 8)]);
+    }
+
+    #[test]
+    fn a_delimiter_is_shown_by_the_first_line() {
+        for (line, delimiter) in [
+            ("a;b", Delimiter::Character(';')),
+            ("0,5;1,5", Delimiter::Character(';')),
+            ("a,b\tc", Delimiter::Character('\t')),
+            ("\"a;b\",c", Delimiter::Character(',')),
+            ("a b", Delimiter::Blanks),
+            ("a", Delimiter::Character(',')),
+        ] {
+            assert_eq!(Delimiter::shown(line), delimiter, "{line}");
+        }
     }
 }

@@ -19,29 +19,35 @@ findings! {
             NoDirectory { why: String } => "cannot be made: {why}";
         }
         E0103 "a file is not text",
-        cause: "The file is binary, or in another encoding than UTF-8.",
+        cause: "The file is binary, or in an encoding that is not read here: tables are UTF-8, UTF-16 behind a byte order mark or Windows-1252, other files UTF-8.",
         cure: "Save it as UTF-8. A capture is read by `dbbd info`, `sync`, `identify`, `circle` and `export` only." {
             NotUtf8 => "is not UTF-8 text";
+            NotText { encoding: String } => "is not text in {encoding}";
             NotUtf8At { byte: usize } => "is not UTF-8 text (byte {byte})";
         }
         E0110 "a table lacks a column",
         cause: "The header does not name all columns that are needed, or names one twice.",
         cure: "Compare the header with the columns that the command's help lists; the order of columns is free." {
-            MissingColumns { absent: String, header: String } => "there is no column {absent}", help: "the header has: {header}";
+            MissingColumns { absent: String, header: String, delimiter: String } => "there is no column {absent}", help: "the header, cut at {delimiter}, has: {header}";
             ColumnTwice { column: String } => "the column `{column}` is there twice";
         }
         E0111 "a cell of a table is not what its column needs",
-        cause: "The cell is empty, holds text or a decimal comma, or its number is outside of what the column can mean.",
-        cure: "Correct the cell; numbers have a decimal point, units are in the column's name." {
+        cause: "The cell is empty, holds text, a number with another decimal than those before or with thousands separated, or its number is outside of what the column can mean.",
+        cure: "Correct the cell. The first number with a decimal point or comma shows which one the table has; units are in the column's name." {
             NotFinite { column: String, cell: String } => "column `{column}`: `{cell}`: is not a finite number";
             NotANumber { column: String, cell: String } => "column `{column}`: `{cell}`: is not a number";
+            OtherDecimal { column: String, cell: String, decimal: char } => "column `{column}`: `{cell}`: the numbers of this table have the decimal `{decimal}`";
+            NotACell { column: usize, why: String } => "column {column}: {why}";
             NotPositive { column: String, cell: String } => "column `{column}`: `{cell}`: must be positive";
             NotWhole { column: String, cell: String, least: u32 } => "column `{column}`: `{cell}`: must be a whole number from {least}";
         }
-        E0112 "a table is not well-formed CSV",
-        cause: "A row has more or fewer cells than the header, or a quote is not closed.",
-        cure: "Open the line in a text editor; cells are separated by commas." {
-            NotCsv { why: String } => "{why}";
+        E0112 "a row of a table is not as its header",
+        cause: "A row has more or fewer cells than the header, or a quote is not closed. Decimal commas in a table whose cells are separated by commas give too many cells.",
+        cure: "Open the line in a text editor. Cells are separated by semicolons, tabs or commas; numbers with a decimal comma need one of the first two, or quotes." {
+            CellCount { cells: usize, columns: usize, delimiter: String } => "the row, cut at {delimiter}, has {cells} cells, and the header {columns}";
+            NoCell { column: usize } => "the line ends before its column {column}";
+            OpenQuote => "a quote is not closed";
+            NotCsv => "is not well-formed CSV";
         }
         E0120 "a TOML file cannot be read",
         cause: "The text is not TOML, a key is unknown or has the wrong type, or a key is missing.",
@@ -55,6 +61,11 @@ findings! {
         cure: "Write as many values as the message says, with decimal points: `[45.5, 0.0]`." {
             ArrayLength { found: usize, expected: usize } => "the array has {found} values, and {expected} are needed";
             ArrayLengthByComma { found: usize, expected: usize, meant: String } => "the array has {found} values, and {expected} are needed", help: "numbers have a decimal point, not a comma: is `{meant}` meant?";
+        }
+        I0121 "a table is read as it is written",
+        cause: "The table has another delimiter, decimal or encoding than dbbd writes, and shows it without doubt.",
+        cure: "Nothing to do, if the message names the right ones." {
+            WrittenAs { encoding: String, delimiter: String, decimal: char } => "is read as {encoding}, cells cut at {delimiter}, with the decimal `{decimal}`";
         }
     }
 }

@@ -12,23 +12,13 @@ findings! {
             Decimal => "must be \".\" or \",\"";
             DecimalIsDelimiter => "is the same as the delimiter";
             Rate => "must be a positive number";
-        }
-        E1102 "a trace lacks a column",
-        cause: "The header does not name the column, the delimiter is another, or the line is too short.",
-        cure: "Open the trace in a text editor, and write a mapping as examples/mapping.toml." {
-            NoColumn { column: String, header: String } => "the column `{column}` is missing; there are: {header}", help: "describe the layout with --mapping MAP.toml; is the delimiter another?";
             NoHeader { column: String } => "has no header by its mapping, so the column `{column}` must be a number from 1";
-            LineEnds { column: usize } => "the line ends before its column {column}";
         }
         E1103 "a field of a trace cannot be read",
-        cause: "The field holds text, a decimal comma, or another format than the mapping says.",
-        cure: "Look at the line that is named, and correct the mapping: [file] decimal, [time] unit, the columns." {
-            NotANumber { field: String } => "`{field}` is not a number";
-            NotFinite { field: String } => "`{field}` is not a finite number";
-            DecimalComma { field: String } => "`{field}` is not a number: is the decimal a comma? ([file] decimal = \",\")";
-            NoDecimalComma { field: String } => "`{field}` is not a number with a decimal comma";
+        cause: "The field holds another format than the mapping says, or than the rows before.",
+        cure: "Look at the line that is named, and correct the mapping: [time] unit, the columns." {
             NotAFlag { field: String } => "`{field}` must be 0 or 1";
-            NotADate { field: String } => "`{field}` is not a date and time as 2026-11-21T14:02:11.123";
+            NotADate { field: String } => "`{field}` is not a date and time as 2026-11-21T14:02:11.123 or 21.11.2026 14:02:11,123";
         }
         E1104 "the time of a trace goes back",
         cause: "A counter began again from 0, lines are not in order, or the column is not a time.",
@@ -55,6 +45,12 @@ findings! {
         cause: "They are beyond the bar's stroke, or the trace marks them as not valid.",
         cure: "Nothing to do: they are kept and not used." {
             NotValid { readings: u64 } => "{readings} readings are beyond the bar's stroke or marked as not valid";
+        }
+        I1112 "times or lengths of a trace are read as they show themselves",
+        cause: "The mapping, or its absence, leaves open what they are, and the first row shows it without doubt.",
+        cure: "Nothing to do, if the message is right. Else give [time] unit or [length] kind in a mapping." {
+            Dates => "the times are read as dates";
+            Readings { bar_mm: f64 } => "the lengths are read as readings of the bar of {bar_mm} mm";
         }
     }
 }

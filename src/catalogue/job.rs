@@ -21,10 +21,11 @@ findings! {
         }
         E0603 "a table or a key of the job is missing or one too many",
         cause: "Two keys exclude each other, or one needs another one beside it.",
-        cure: "A circle has `plane` or `normal`. `cup_axis` and `cup_limit_deg` stand together. Only the orientations seed, random and optimal have `amplitude_deg`." {
+        cure: "A circle has `plane` or `normal`. `cup_axis` and `cup_limit_deg` stand together. The tool ball (`[tool] ball_mm`) and all else of the arm are in the robot file. Only the orientations seed, random and optimal have `amplitude_deg`." {
             MissingTable { table: String } => "there is no {table} table: a job needs at least one";
             PlaneAndNormal { circle: usize } => "circle {circle}: has both `plane` and `normal`";
             NoPlane { circle: usize } => "circle {circle}: has neither `plane` nor `normal`";
+            KeyOfRobot { key: String } => "`{key}` is a key of the robot file", help: "write it there: `robot` of the job names the file, and `dbbd robots show NAME` a built-in one";
             CupAlone { key: String, needed: String } => "{key} needs a {needed} beside it";
             NoAmplitude { circle: usize } => "circle {circle}: this orientation has no amplitude_deg";
         }

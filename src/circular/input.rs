@@ -1,7 +1,7 @@
 //! The CSV of a circular test: `run,direction,angle_deg,length_mm[,t_s,temp_c]`, columns in any order.
 
 use super::{Point, Sense, Trace};
-use crate::base::table::{self, Columns, Row};
+use crate::base::table::{Row, Table};
 use crate::catalogue::CircularFinding;
 use crate::diagnostic::Diagnostic;
 
@@ -11,22 +11,25 @@ const HOTTEST_C: f64 = 150.0;
 
 const REQUIRED: [&str; 4] = ["run", "direction", "angle_deg", "length_mm"];
 
+/// Reads the traces of a text as [`traces_from_table`].
+///
+/// # Errors
+/// As that.
+pub fn traces_from_csv(file: &str, text: &str) -> Result<Vec<Trace>, Diagnostic> {
+    traces_from_table(&mut Table::of(file, text)?)
+}
+
 /// Reads the traces: one for each run and direction, in the order of their first rows.
 ///
 /// # Errors
 /// Names the line and column of what is missing, not a number, not finite, or impossible.
-pub fn traces_from_csv(file: &str, text: &str) -> Result<Vec<Trace>, Diagnostic> {
-    let mut reader = table::reader().from_reader(text.as_bytes());
-    let header = reader.headers().map_err(|error| table::wrong_csv(file, &error))?.clone();
-    let columns = Columns { file, header: &header };
-    let [run, direction, angle, length] = columns.required(REQUIRED).map_err(|absent| {
+pub fn traces_from_table(table: &mut Table<'_>) -> Result<Vec<Trace>, Diagnostic> {
+    let [run, direction, angle, length] = table.required(REQUIRED).map_err(|absent| {
         absent.help("a circular test has the columns run,direction,angle_deg,length_mm[,t_s,temp_c]")
     })?;
-    let (time, temperature) = (columns.optional("t_s")?, columns.optional("temp_c")?);
+    let (time, temperature) = (table.optional("t_s")?, table.optional("temp_c")?);
     let mut traces: Vec<Trace> = Vec::new();
-    for record in reader.records() {
-        let record = record.map_err(|error| table::wrong_csv(file, &error))?;
-        let row = columns.row(&record);
+    while let Some(row) = table.row()? {
         let sense = match row.text(direction).to_ascii_lowercase().as_str() {
             "ccw" => Sense::CounterClockwise,
             "cw" => Sense::Clockwise,
@@ -48,7 +51,7 @@ pub fn traces_from_csv(file: &str, text: &str) -> Result<Vec<Trace>, Diagnostic>
         }
     }
     if traces.is_empty() {
-        return Err(Diagnostic::file(file, CircularFinding::NoLength));
+        return Err(Diagnostic::file(table.file(), CircularFinding::NoLength));
     }
     Ok(traces)
 }

@@ -17,7 +17,7 @@ mod zone;
 
 pub use fit::{Circle, Ray, fit};
 pub use harmonics::{Diagnosis, Harmonics, TERM_NAMES};
-pub use input::traces_from_csv;
+pub use input::{traces_from_csv, traces_from_table};
 pub use noise::SigmaSource;
 pub use quantities::{NAMES, TRACE_NAMES};
 pub use reversal::Reversal;

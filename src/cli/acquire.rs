@@ -8,9 +8,9 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
 
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::ProgressBar;
 
-use super::{Outcome, Output, Verdict, protocols};
+use super::{Outcome, Output, output, protocols};
 use crate::base::clock;
 use crate::base::units::HostNs;
 use crate::catalogue::{CliFinding, PortFinding, ProtocolFinding};
@@ -86,7 +86,7 @@ fn seconds(text: &str) -> Result<f64, CliFinding> {
     }
 }
 
-pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
+pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     let server = args.ekrl.map(Server::listen).transpose()?;
     if let Some(server) = &server {
         let address = server.address();
@@ -112,7 +112,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
 /// What the capture says after `--zero`.
 const ZEROED: &str = "the bar's reading was set to zero before the run";
 
-fn record(args: &Args, server: Option<Server>, out: &Output) -> Verdict {
+fn record(args: &Args, server: Option<Server>, out: &Output) -> Result<Outcome, Diagnostic> {
     let plan = args.plan.as_deref().map(PlanFiles::read).transpose()?;
     let planned = plan.as_ref().map(|files| files.plan.header.job.bar.protocol.as_str());
     let name = args.protocol.as_deref().or(planned).unwrap_or(DEFAULT_PROTOCOL);
@@ -155,9 +155,7 @@ fn record(args: &Args, server: Option<Server>, out: &Output) -> Verdict {
 fn show(acquisition: &Acquisition, schedule: &Schedule, out: &Output) -> Result<(), Diagnostic> {
     let line = out.decorated().then(ProgressBar::new_spinner);
     if let Some(line) = &line {
-        let style = ProgressStyle::with_template("{spinner} {msg}")
-            .map_err(|error| CliFinding::NoOutput { why: error.to_string() })?;
-        line.set_style(style);
+        line.set_style(output::style("{spinner} {msg}"));
         line.enable_steady_tick(Duration::from_millis(200));
     }
     let mut said: Option<HostNs> = None;
@@ -212,7 +210,7 @@ fn losses(progress: &Progress) -> String {
 }
 
 /// Reports what the run gave and what is to be doubted.
-fn conclude(summary: &Summary, args: &Args, out: &Output) -> Verdict {
+fn conclude(summary: &Summary, args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     let Summary { capture, ending, progress } = summary;
     out.result(format!(
         "{}: {} samples, {} dwells, {} bytes in {:.1} s; {}",

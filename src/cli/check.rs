@@ -4,7 +4,8 @@ use std::path::{Path, PathBuf};
 
 use super::circle::positive;
 use super::identify::{Given, Named, parse_point};
-use super::{Outcome, Output, Verdict};
+use super::output::pretty;
+use super::{Outcome, Output};
 use crate::base::files;
 use crate::catalogue::{CliFinding, ConformityFinding};
 use crate::conformity::{self, CheckInput, InterimCheck, Rule};
@@ -74,7 +75,7 @@ fn risk(text: &str) -> Result<f64, CliFinding> {
 /// The file that an update writes, and `dbbd identify` beside its result.
 const ROBOT: &str = "robot-identified.toml";
 
-pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
+pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     let named = Named {
         input: &args.input,
         robot: Some(&args.robot),
@@ -160,9 +161,9 @@ fn findings(args: &Args, found: &InterimCheck) -> Vec<ConformityFinding> {
     findings
 }
 
-fn write(args: &Args, found: &InterimCheck, given: &Given) -> Verdict {
-    files::directory(&args.out)?;
-    files::write(&args.out.join("check.json"), serde_json::to_string_pretty(found)? + "\n")?;
+fn write(args: &Args, found: &InterimCheck, given: &Given) -> Result<Outcome, Diagnostic> {
+    let _writing = files::exclusive(&args.out)?;
+    files::write(&args.out.join("check.json"), pretty(found)? + "\n")?;
     let provenance = Provenance {
         robot: Some(found.robot.clone()),
         sources: given.sources.clone(),

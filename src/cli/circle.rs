@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use serde_json::{Map, Value, json};
 
-use super::{Outcome, Output, Verdict};
+use super::{Outcome, Output};
 use crate::base::files;
 use crate::catalogue::{CircularFinding, MatchingFinding};
 use crate::circular::{
@@ -98,7 +98,7 @@ fn expansion(text: &str) -> Result<f64, String> {
     }
 }
 
-pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
+pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     let mut found = Vec::new();
     let mut provenance = Provenance::default();
     for path in &args.inputs {
@@ -108,7 +108,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
             provenance.plan_hash = provenance.plan_hash.or(Some(captured.plan_hash));
             found.extend(captured.circles);
         } else {
-            found.push(from_csv(&name, &files::read(path)?, args.radius)?);
+            found.push(from_csv(&name, out.table(path, circular::traces_from_table)?, args.radius));
         }
         provenance.sources.push(Source { role: "lengths", name });
     }
@@ -158,8 +158,7 @@ fn in_force(args: &Args, certificate: Option<Temperature>) -> Temperature {
     }
 }
 
-fn from_csv(name: &str, text: &str, radius: Option<f64>) -> Result<Found, Diagnostic> {
-    let traces = circular::traces_from_csv(name, text)?;
+fn from_csv(name: &str, traces: Vec<Trace>, radius: Option<f64>) -> Found {
     let mut notes = Vec::new();
     let radius_mm = radius.unwrap_or_else(|| {
         let lengths = || traces.iter().flat_map(|trace| &trace.points).map(|point| point.length_mm);
@@ -168,7 +167,7 @@ fn from_csv(name: &str, text: &str, radius: Option<f64>) -> Result<Found, Diagno
         mean.round()
     });
     let certificate = Certificate::default();
-    Ok(Found { source: name.to_owned(), circle: None, radius_mm, traces, notes, certificate })
+    Found { source: name.to_owned(), circle: None, radius_mm, traces, notes, certificate }
 }
 
 /// The circles of a capture, and its plan's hash.

@@ -5,10 +5,11 @@ use std::path::{Path, PathBuf};
 use serde_json::Value as Json;
 
 use super::circle::positive;
+use super::output::pretty;
 use super::robots;
-use super::{Outcome, Output, Verdict};
+use super::{Outcome, Output};
 use crate::base::files;
-use crate::catalogue::{ConformityFinding, Names};
+use crate::catalogue::{CliFinding, ConformityFinding, Names};
 use crate::conformity::{
     CircleFile, Comparison, Input, LEVEL, ResultRead, ResultsCompared, Subject, Timeline, Tracked,
     compare_circles, compare_results, same_robot,
@@ -56,7 +57,7 @@ struct Document {
     json: Json,
 }
 
-pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
+pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     let documents: Vec<Document> = args.inputs.iter().map(|path| read(path)).collect::<Result<_, _>>()?;
     different(&documents)?;
     let timeline = if args.dates.is_empty() {
@@ -162,7 +163,7 @@ fn robot(args: &Args, first: &Document) -> Result<Robot, Diagnostic> {
     Robot::from_toml(&beside.display().to_string(), &files::read(&beside)?)
 }
 
-fn write(args: &Args, comparison: &Comparison, timeline: &Timeline) -> Verdict {
+fn write(args: &Args, comparison: &Comparison, timeline: &Timeline) -> Result<Outcome, Diagnostic> {
     let source = |input: &Input| Source { role: "compared", name: input.file.clone() };
     let provenance = Provenance {
         robot: match &comparison.subject {
@@ -173,14 +174,15 @@ fn write(args: &Args, comparison: &Comparison, timeline: &Timeline) -> Verdict {
         ..Provenance::default()
     };
     let _writing = files::exclusive(&args.out)?;
-    files::write(&args.out.join("compare.json"), serde_json::to_string_pretty(comparison)? + "\n")?;
-    files::write(&args.out.join("compare.csv"), csv(comparison)?)?;
+    files::write(&args.out.join("compare.json"), pretty(comparison)? + "\n")?;
+    let table = csv(comparison).map_err(|error| CliFinding::NoOutput { why: error.to_string() })?;
+    files::write(&args.out.join("compare.csv"), table)?;
     files::write(&args.out.join("compare.html"), compare::html(comparison, timeline, &provenance)?)?;
     Ok(Outcome::Done)
 }
 
 /// A row a quantity: what it belongs to, its values and deviations in the order of time, change and trend.
-fn csv(comparison: &Comparison) -> Result<Vec<u8>, Box<dyn std::error::Error>> {
+fn csv(comparison: &Comparison) -> Result<Vec<u8>, ::csv::Error> {
     let mut table = ::csv::Writer::from_writer(Vec::new());
     let mut header: Vec<String> = ["family", "name", "unit"].map(str::to_owned).into();
     header.extend((1..=comparison.inputs.len()).flat_map(|at| [format!("value_{at}"), format!("sd_{at}")]));
@@ -195,7 +197,7 @@ fn csv(comparison: &Comparison) -> Result<Vec<u8>, Box<dyn std::error::Error>> {
             table.write_record(&record)?;
         }
     }
-    Ok(table.into_inner()?)
+    table.into_inner().map_err(|error| error.into_error().into())
 }
 
 /// The families that are tested together, with the cells of their rows.

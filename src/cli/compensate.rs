@@ -5,12 +5,12 @@ use std::path::{Path, PathBuf};
 
 use serde_json::json;
 
-use super::{Outcome, Output, Verdict};
+use super::{Outcome, Output, robots};
 use crate::base::files;
 use crate::catalogue::{CompensationFinding, FileFinding};
 use crate::diagnostic::Diagnostic;
 use crate::program::krl::{Compensated, Files, Given, Moved, Text, compensate, read};
-use crate::robot::{Pose, Robot};
+use crate::robot::Pose;
 
 /// Correct the points of a program for an identified robot.
 ///
@@ -27,9 +27,9 @@ pub(crate) struct Args {
     /// The program: motions by PTP, LIN, CIRC, SPTP, SLIN, SCIRC and SPL, inline forms or plain.
     #[arg(value_name = "PROGRAM.src")]
     program: PathBuf,
-    /// The identified robot.
-    #[arg(long, value_name = "robot-identified.toml")]
-    robot: PathBuf,
+    /// The identified robot: its file, or a built-in name.
+    #[arg(long, value_name = "NAME|FILE")]
+    robot: String,
     /// Directory for the corrected program; not that of the program itself.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
@@ -57,25 +57,24 @@ fn parse_frame(text: &str) -> Result<Pose, CompensationFinding> {
     }
 }
 
-pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
+pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     if !(args.limit.is_finite() && args.limit > 0.0) {
-        return Err(Diagnostic::new(CompensationFinding::BadLimit { limit_mm: args.limit }).into());
+        return Err(Diagnostic::new(CompensationFinding::BadLimit { limit_mm: args.limit }));
     }
-    let robot_file = args.robot.display().to_string();
-    let robot = Robot::from_toml(&robot_file, &files::read(&args.robot)?)?;
+    let robot = robots::named(&args.robot)?;
     if robot.nominal.is_none() {
-        return Err(Diagnostic::file(&robot_file, CompensationFinding::NotIdentified).into());
+        return Err(Diagnostic::file(&args.robot, CompensationFinding::NotIdentified));
     }
     let source = Program::open(&args.program)?;
     if args.program.extension().is_some_and(|kind| kind.eq_ignore_ascii_case("dat")) {
-        return Err(Diagnostic::file(&source.name, CompensationFinding::DataNamed).into());
+        return Err(Diagnostic::file(&source.name, CompensationFinding::DataNamed));
     }
     let data = beside(&args.program, "dat").map(|path| Program::open(&path)).transpose()?;
     let config = args.config.as_deref().map(Program::open).transpose()?;
     for program in [Some(&source), data.as_ref()].into_iter().flatten() {
         if same_place(&args.out.join(&program.stem), &program.path) {
             let directory = args.out.display().to_string();
-            return Err(Diagnostic::new(CompensationFinding::WouldOverwrite { directory }).into());
+            return Err(Diagnostic::new(CompensationFinding::WouldOverwrite { directory }));
         }
     }
     let program = Files {

@@ -3,7 +3,8 @@
 use clap::CommandFactory;
 use clap_complete::Shell;
 
-use super::{Cli, Outcome, Output, Verdict};
+use super::{Cli, Outcome, Output};
+use crate::diagnostic::Diagnostic;
 
 /// Print shell completions.
 ///
@@ -14,7 +15,7 @@ pub(crate) struct Args {
     shell: Shell,
 }
 
-pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
+pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     let mut text = Vec::new();
     clap_complete::generate(args.shell, &mut Cli::command(), "dbbd", &mut text);
     out.text(&text);

@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use super::{Outcome, Output, Verdict};
+use super::{Outcome, Output};
 use crate::catalogue::{self, CliFinding, Entry};
 use crate::diagnostic::Diagnostic;
 
@@ -34,7 +34,7 @@ impl From<&Entry> for Explained {
     }
 }
 
-pub(super) fn run(args: &Args, out: &Output) -> Verdict {
+pub(super) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     if args.page {
         out.result(catalogue::page());
         return Ok(Outcome::Done);

@@ -1,19 +1,18 @@
 //! `dbbd import`: a trace that other software recorded becomes a capture.
 
-use std::fs::File;
-use std::io::{BufRead, BufReader};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use serde_json::json;
 
-use super::{Outcome, Output, Verdict};
+use super::{Outcome, Output};
 use crate::base::files;
+use crate::base::table::Table;
 use crate::base::units::HostNs;
-use crate::catalogue::{FileFinding, ImportFinding};
+use crate::catalogue::ImportFinding;
 use crate::diagnostic::Diagnostic;
 use crate::measurement::sample::Sample;
 use crate::recording::capture::{Event, Record, Writer};
-use crate::recording::import::{Bar, Counts, Mapping, Trace};
+use crate::recording::import::{Bar, Counts, Mapping, Read, Trace};
 use crate::recording::run::PlanFiles;
 
 /// Lines are kept in records of about this many bytes.
@@ -25,8 +24,8 @@ const LEAST: f64 = 0.5;
 const MOST: f64 = 100.0;
 
 /// Shown below the options.
-const LAYOUT: &str = "Without --mapping FILE is a CSV with the columns t_s (s) and length_mm (between the ball centres), \
-others are left out. A mapping describes other layouts: [file] delimiter decimal skip_lines header comment; [time] column \
+const LAYOUT: &str = "Without --mapping FILE has the columns t_s (s, or dates) and length_mm (between the ball centres, or \
+the bar's reading), others are left out. Delimiter, decimal and encoding are as the file shows them. A mapping describes other layouts: [file] delimiter decimal skip_lines header comment; [time] column \
 unit = s|ms|us|ns|iso, or rate_hz; [length] column unit = mm|um|m|inch kind = distance|reading; [strobe], [valid], \
 [temperature] column. A column is a name, or a number from 1. examples/mapping.toml explains each.";
 
@@ -50,7 +49,7 @@ pub(crate) struct Args {
     out: PathBuf,
 }
 
-pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
+pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     let name = args.file.display().to_string();
     let map_text = args.mapping.as_deref().map(files::read).transpose()?.unwrap_or_default();
     let map_name = args.mapping.as_ref().map_or_else(String::new, |path| path.display().to_string());
@@ -58,9 +57,9 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
     let files = PlanFiles::read(&args.plan)?;
     let bar = &files.plan.header.job.bar;
     let bar = Bar { length_mm: bar.length_mm, stroke_mm: bar.stroke_mm };
-    let trace = || Trace::new(&name, &mapping, bar);
     // Read once to its end before anything is written: a line that is wrong leaves no capture behind.
-    let Counts { samples, invalid, unix_ns } = lines(&args.file, trace(), |_, _| Ok(()))?;
+    let (Counts { samples, invalid, unix_ns }, told) = rows(args, &mapping, bar, out, |_| Ok(()))?;
+    told.into_iter().for_each(|finding| out.finding(finding));
     let mut writer = Writer::create(&args.out)?;
     let begin = HostNs(0);
     let version = env!("CARGO_PKG_VERSION").to_owned();
@@ -73,10 +72,10 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
     writer.write(begin, &Record::Event(Event::Mark { text: format!("imported from {name}") }))?;
     let mut last = begin;
     let mut block = Block::default();
-    lines(&args.file, trace(), |line, sample| {
-        last = sample.map_or(last, |(host, _)| host);
-        block.text.extend(line);
-        block.samples.extend(sample);
+    rows(args, &mapping, bar, out, |read| {
+        last = read.sample.map_or(last, |(host, _)| host);
+        block.text.extend(read.text.into_bytes());
+        block.samples.extend(read.sample);
         if block.text.len() >= BLOCK { block.write(&mut writer, last) } else { Ok(()) }
     })?;
     block.write(&mut writer, last)?;
@@ -93,23 +92,25 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
     Ok(Outcome::Done)
 }
 
-/// Gives each line with its sample to `each`.
-fn lines(
-    path: &Path,
-    mut trace: Trace<'_>,
-    mut each: impl FnMut(&[u8], Option<(HostNs, Sample)>) -> Result<(), Diagnostic>,
-) -> Result<Counts, Diagnostic> {
-    let unreadable = |error: std::io::Error| {
-        let why = error.to_string();
-        Diagnostic::file(&path.display().to_string(), FileFinding::Unreadable { why })
-    };
-    let mut text = BufReader::new(File::open(path).map_err(unreadable)?);
-    let mut line = Vec::new();
-    while text.read_until(b'\n', &mut line).map_err(unreadable)? > 0 {
-        each(&line, trace.line(&line)?)?;
-        line.clear();
+/// Gives each row with its text to `each`.
+fn rows(
+    args: &Args,
+    mapping: &Mapping,
+    bar: Bar,
+    out: &Output,
+    mut each: impl FnMut(Read) -> Result<(), Diagnostic>,
+) -> Result<(Counts, Vec<Diagnostic>), Diagnostic> {
+    let (source, _busy) = out.source(&args.file)?;
+    let table = Table::new(&args.file.display().to_string(), source, mapping.layout())?;
+    let mut trace = Trace::new(table, mapping, bar);
+    loop {
+        let read = trace.row()?;
+        let last = read.sample.is_none();
+        each(read)?;
+        if last {
+            return trace.finish();
+        }
     }
-    trace.finish()
 }
 
 /// Lines that are not written yet, with their samples.

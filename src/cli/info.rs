@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use super::{Outcome, Output, Verdict};
+use super::{Outcome, Output};
 use crate::base::units::HostNs;
 use crate::device::protocol::{Definition, Fault, FaultKind};
 use crate::diagnostic::{Code, Diagnostic, Finding};
@@ -54,7 +54,7 @@ struct DamageInfo {
     text: String,
 }
 
-pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
+pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     let mut gathered = Gathered::default();
     let pass = Pass::over(&args.run, |stamped| {
         gathered.add(stamped);

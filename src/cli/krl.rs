@@ -5,9 +5,10 @@ use std::path::PathBuf;
 
 use serde_json::json;
 
-use super::{Outcome, Output, Verdict};
+use super::{Outcome, Output};
 use crate::base::files;
 use crate::catalogue::ProgramFinding;
+use crate::diagnostic::Diagnostic;
 use crate::program::krl::{self, Controller, Options};
 use crate::recording::run;
 
@@ -43,7 +44,7 @@ enum Sync {
     Ekrl,
 }
 
-pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
+pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     let plan = run::read_plan(&args.plan)?;
     let sync = match args.sync {
         Sync::Marker => krl::Sync::Marker,

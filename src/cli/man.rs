@@ -4,8 +4,9 @@ use std::io;
 
 use clap::{Command, CommandFactory};
 
-use super::{Cli, Outcome, Output, Verdict};
+use super::{Cli, Outcome, Output};
 use crate::catalogue::CliFinding;
+use crate::diagnostic::Diagnostic;
 
 /// Print the manual page, with every verb.
 ///
@@ -13,7 +14,7 @@ use crate::catalogue::CliFinding;
 #[derive(clap::Args)]
 pub(crate) struct Args {}
 
-pub(crate) fn run(_args: &Args, out: &Output) -> Verdict {
+pub(crate) fn run(_args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     let mut command = Cli::command();
     command.build();
     let mut page = Vec::new();

@@ -28,7 +28,6 @@ mod serve;
 mod simulate;
 mod sync;
 
-use std::error::Error;
 use std::io::ErrorKind;
 use std::process::ExitCode;
 
@@ -117,9 +116,6 @@ pub(crate) enum Outcome {
     Failed,
 }
 
-/// A verb's result; the error is what the user reads on stderr before exit code 1.
-pub(crate) type Verdict = Result<Outcome, Box<dyn Error>>;
-
 /// Runs the program.
 pub fn main() -> ExitCode {
     crate::daemon::abort_on_panic();
@@ -135,9 +131,9 @@ pub fn main() -> ExitCode {
         && let Err(error) = program::end_with_stdin()
     {
         let finding = ServiceFinding::NoSystem { why: error.to_string() };
-        return output::finish(&out, Err(Diagnostic::new(finding).into()));
+        return output::finish(&out, Err(Diagnostic::new(finding)));
     }
-    let verdict = match &cli.verb {
+    let ended = match &cli.verb {
         Verb::Plan(args) => plan::run(args, &out),
         Verb::Krl(args) => krl::run(args, &out),
         #[cfg(unix)]
@@ -163,5 +159,5 @@ pub fn main() -> ExitCode {
         Verb::Completions(args) => completions::run(args, &out),
         Verb::Man(args) => man::run(args, &out),
     };
-    output::finish(&out, verdict)
+    output::finish(&out, ended)
 }

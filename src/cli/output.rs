@@ -1,15 +1,23 @@
 //! What goes to stdout (results) and stderr (progress, warnings, errors), and the exit code.
 
 use std::borrow::Cow;
-use std::io::{self, IsTerminal, Write};
+use std::fs::File;
+use std::io::{self, BufRead, BufReader, IsTerminal, Write};
+use std::path::Path;
 use std::process::ExitCode;
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::time::Duration;
 
+use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 
-use super::{Common, Outcome, Verdict};
+use super::{Common, Outcome};
+use crate::base::table::{Layout, Table};
 use crate::catalogue::{CliFinding, FileFinding};
 use crate::diagnostic::{Diagnostic, Finding, Severity};
+
+/// How often a line on the terminal moves.
+const TICK: Duration = Duration::from_millis(100);
 
 /// Where a verb reports; its copies share the findings.
 #[derive(Clone)]
@@ -27,6 +35,17 @@ struct Document<'a, T> {
     result: &'a T,
     #[serde(skip_serializing_if = "<[Diagnostic]>::is_empty")]
     findings: &'a [Diagnostic],
+}
+
+/// A line on the terminal that moves; it is cleared when this is dropped.
+pub(crate) struct Busy {
+    line: ProgressBar,
+}
+
+impl Drop for Busy {
+    fn drop(&mut self) {
+        self.line.finish_and_clear();
+    }
 }
 
 impl Output {
@@ -76,9 +95,7 @@ impl Output {
 
     fn json(&self, value: &impl Serialize) -> Result<(), Diagnostic> {
         if self.common.json {
-            let text = serde_json::to_string_pretty(value)
-                .map_err(|error| CliFinding::NoJson { why: error.to_string() })?;
-            self.print(&plain(&text));
+            self.print(&plain(&pretty(value)?));
         }
         Ok(())
     }
@@ -120,6 +137,53 @@ impl Output {
         write_line(&mut io::stderr(), line.as_ref());
     }
 
+    /// Reads a table of the user's, says how far it is, and once how it is written where that is not the usual way.
+    ///
+    /// # Errors
+    /// When it cannot be opened, and what `read` refuses.
+    pub(crate) fn table<T>(
+        &self,
+        path: &Path,
+        read: impl FnOnce(&mut Table<'_>) -> Result<T, Diagnostic>,
+    ) -> Result<T, Diagnostic> {
+        let (source, busy) = self.source(path)?;
+        let mut table = Table::new(&path.display().to_string(), source, Layout::default())?;
+        let found = read(&mut table)?;
+        drop(busy);
+        table.findings().into_iter().for_each(|finding| self.finding(finding));
+        Ok(found)
+    }
+
+    /// A file to read, and the line on the terminal that says how far it is read.
+    ///
+    /// # Errors
+    /// When it cannot be opened.
+    pub(crate) fn source(&self, path: &Path) -> Result<(impl BufRead + use<>, Busy), Diagnostic> {
+        let name = path.display().to_string();
+        let unreadable =
+            |error: io::Error| Diagnostic::file(&name, FileFinding::Unreadable { why: error.to_string() });
+        let file = File::open(path).map_err(unreadable)?;
+        let bytes = file.metadata().map_err(unreadable)?.len();
+        let busy = self.busy(&format!("reading {name}"), Some(bytes));
+        Ok((BufReader::new(busy.line.wrap_read(file)), busy))
+    }
+
+    /// A line on the terminal that moves until it is dropped, with the share of `of` where that is known.
+    pub(crate) fn busy(&self, what: &str, of: Option<u64>) -> Busy {
+        let line = if self.decorated() { ProgressBar::no_length() } else { ProgressBar::hidden() };
+        let template = match of {
+            Some(length) => {
+                line.set_length(length);
+                "{spinner} {msg} {percent} %"
+            }
+            None => "{spinner} {msg} {elapsed}",
+        };
+        line.set_style(style(template));
+        line.set_message(what.to_owned());
+        line.enable_steady_tick(TICK);
+        Busy { line }
+    }
+
     /// Whether nothing but errors is wanted on stderr.
     pub(crate) fn is_quiet(&self) -> bool {
         self.common.quiet
@@ -129,6 +193,11 @@ impl Output {
     pub(crate) fn decorated(&self) -> bool {
         !self.common.quiet && io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none()
     }
+}
+
+/// How a line on the terminal looks.
+pub(crate) fn style(template: &str) -> ProgressStyle {
+    ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_spinner())
 }
 
 /// One write a line: what a child and its parent say on one stderr stays in lines. Who closed it does not listen.
@@ -157,37 +226,28 @@ fn labelled(finding: &Diagnostic) -> String {
 }
 
 /// Reports the error, if there is one; the exit code. A warning that was reported is a doubt, whatever the verb.
-pub(super) fn finish(out: &Output, verdict: Verdict) -> ExitCode {
-    let verdict = match out.refused.get() {
-        Some(why) => {
-            verdict.and(Err(Diagnostic::file("stdout", FileFinding::Unwritable { why: why.clone() }).into()))
-        }
-        None => verdict,
+pub(super) fn finish(out: &Output, ended: Result<Outcome, Diagnostic>) -> ExitCode {
+    let ended = match out.refused.get() {
+        Some(why) => ended.and(Err(Diagnostic::file("stdout", FileFinding::Unwritable { why: why.clone() }))),
+        None => ended,
     };
     let warned = out.findings().iter().any(|finding| finding.code.severity() == Severity::Warning);
-    match verdict {
+    match ended {
         Ok(Outcome::Done) if !warned => ExitCode::SUCCESS,
         Ok(Outcome::Failed) => ExitCode::from(4),
         Ok(_) => ExitCode::from(if out.common.strict { 1 } else { 3 }),
-        Err(error) if error.is::<Diagnostic>() => {
-            if let Some(diagnostic) = error.downcast_ref::<Diagnostic>() {
-                write_line(&mut io::stderr(), &labelled(diagnostic));
-                if out.common.json {
-                    let document = serde_json::json!({ "error": diagnostic });
-                    out.print(&plain(&format!("{document:#}")));
-                }
-            }
-            ExitCode::FAILURE
-        }
         Err(error) => {
-            let mut message = format!("error: {error}");
-            let mut cause = error.source();
-            while let Some(inner) = cause {
-                message.push_str(&format!("\n  because: {inner}"));
-                cause = inner.source();
+            write_line(&mut io::stderr(), &labelled(&error));
+            if out.common.json {
+                let document = serde_json::json!({ "error": error });
+                out.print(&plain(&format!("{document:#}")));
             }
-            write_line(&mut io::stderr(), &message);
             ExitCode::FAILURE
         }
     }
+}
+
+/// A value as indented JSON.
+pub(crate) fn pretty(value: &impl Serialize) -> Result<String, CliFinding> {
+    serde_json::to_string_pretty(value).map_err(|error| CliFinding::NoJson { why: error.to_string() })
 }

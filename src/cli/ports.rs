@@ -1,8 +1,9 @@
 //! `dbbd ports`.
 
-use super::{Outcome, Output, Verdict};
+use super::{Outcome, Output};
 use crate::catalogue::PortFinding;
 use crate::device::port;
+use crate::diagnostic::Diagnostic;
 
 /// List the serial ports.
 ///
@@ -19,7 +20,7 @@ enum What {
     List,
 }
 
-pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
+pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     match args.what {
         None | Some(What::List) => {}
     }

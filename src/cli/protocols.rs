@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use serde_json::json;
 
-use super::{Outcome, Output, Verdict};
+use super::{Outcome, Output};
 use crate::base::files;
 use crate::base::units::DeviceTicks;
 use crate::catalogue::CliFinding;
@@ -45,7 +45,7 @@ enum What {
     },
 }
 
-pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
+pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     match &args.what {
         None | Some(What::List) => list(out),
         Some(What::Show { name, params }) => {
@@ -156,7 +156,7 @@ fn summary(definition: &Definition) -> serde_json::Value {
     })
 }
 
-fn list(out: &Output) -> Verdict {
+fn list(out: &Output) -> Result<Outcome, Diagnostic> {
     let mut all = Vec::new();
     for (name, text) in Definition::built_in() {
         let definition = Definition::from_toml(name, text)?;

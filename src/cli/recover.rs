@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use serde_json::json;
 
-use super::{Outcome, Output, Verdict};
+use super::{Outcome, Output};
 use crate::diagnostic::Diagnostic;
 use crate::recording::capture::{Pass, Writer};
 
@@ -24,7 +24,7 @@ pub(crate) struct Args {
     out: PathBuf,
 }
 
-pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
+pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     // Nothing is made where there is nothing to write.
     let mut writer = None;
     let pass = Pass::over(&args.run, |stamped| {

@@ -1,10 +1,10 @@
 //! `dbbd robots`.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use serde::Serialize;
 
-use super::{Outcome, Output, Verdict};
+use super::{Outcome, Output};
 use crate::base::files;
 use crate::diagnostic::Diagnostic;
 use crate::robot::Robot;
@@ -32,8 +32,9 @@ enum What {
     },
     /// Check a robot file; a mistake is reported with its line.
     Check {
-        /// The robot file.
-        file: PathBuf,
+        /// Built-in name or robot file.
+        #[arg(value_name = "NAME|FILE")]
+        name: String,
     },
 }
 
@@ -73,21 +74,20 @@ struct Shown<'a> {
     source: Option<&'a str>,
 }
 
-pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
+pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     match &args.what {
         None | Some(What::List) => list(out),
         Some(What::Show { name }) => show(name, out),
-        Some(What::Check { file }) => {
-            let name = file.display().to_string();
-            let robot = Robot::from_toml(&name, &files::read(file)?)?;
-            out.document(&Entry { id: &name, name: &robot.name, reach_mm: robot.reach_mm() })?;
+        Some(What::Check { name }) => {
+            let robot = named(name)?;
+            out.document(&Entry { id: name, name: &robot.name, reach_mm: robot.reach_mm() })?;
             out.result(format!("{name}: {}, reach {:.1} mm: no mistake found", robot.name, robot.reach_mm()));
             Ok(Outcome::Done)
         }
     }
 }
 
-fn list(out: &Output) -> Verdict {
+fn list(out: &Output) -> Result<Outcome, Diagnostic> {
     let mut robots = Vec::new();
     for (id, text) in Robot::built_in() {
         robots.push((*id, Robot::from_toml(id, text)?));
@@ -103,7 +103,7 @@ fn list(out: &Output) -> Verdict {
     Ok(Outcome::Done)
 }
 
-fn show(name: &str, out: &Output) -> Verdict {
+fn show(name: &str, out: &Output) -> Result<Outcome, Diagnostic> {
     let robot = named(name)?;
     let shown = Shown {
         entry: Entry { id: name, name: &robot.name, reach_mm: robot.reach_mm() },

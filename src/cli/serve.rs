@@ -8,7 +8,7 @@ use serde_json::json;
 
 #[cfg(unix)]
 use super::acquire::simulated;
-use super::{Outcome, Output, Verdict};
+use super::{Outcome, Output};
 use crate::daemon::{self, Bench, Config, Level, Log};
 use crate::diagnostic::Diagnostic;
 
@@ -33,7 +33,7 @@ pub(crate) struct Args {
     check: bool,
 }
 
-pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
+pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     let config = args.config.as_deref().map(Config::read).transpose()?.unwrap_or_default();
     let (address, data) = (config.address, config.data.display().to_string());
     if args.check {

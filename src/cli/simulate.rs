@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use serde_json::json;
 
-use super::{Outcome, Output, Verdict, protocols};
+use super::{Outcome, Output, protocols};
 use crate::base::files;
 use crate::catalogue::{FileFinding, SimulationFinding};
 use crate::cli::robots;
@@ -83,13 +83,13 @@ pub(crate) struct Args {
     override_percent: f64,
 }
 
-pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
+pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     let ranges = [("--halt", args.halt, 0.0, 86_400.0), ("--override", args.override_percent, 1.0, 100.0)];
     for (option, value, low, high) in ranges {
         if !(low..=high).contains(&value) {
             let option = option.to_owned();
             let wrong = SimulationFinding::OptionOutOfRange { option, value, low, high };
-            return Err(Diagnostic::new(wrong).into());
+            return Err(Diagnostic::new(wrong));
         }
     }
     let faults = faults(args)?;

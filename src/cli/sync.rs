@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use serde_json::{Value, json};
 
-use super::{Outcome, Output, Verdict};
+use super::{Outcome, Output};
 use crate::base::files;
 use crate::catalogue::MatchingFinding;
 use crate::diagnostic::{Diagnostic, Finding};
@@ -33,7 +33,7 @@ pub(crate) struct Args {
     out: PathBuf,
 }
 
-pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
+pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     let run = run::open(&args.run, args.plan.as_deref(), &args.axes, &mut |finding| out.finding(finding))?;
     let matching = run.matching(None);
     out.about(&matching.findings);
@@ -42,7 +42,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
     out.result(format!("times: {}", times(&run.stream)));
     if matching.observations.rows.is_empty() {
         let name = args.run.display().to_string();
-        return Err(Diagnostic::file(&name, MatchingFinding::NothingMatched).into());
+        return Err(Diagnostic::file(&name, MatchingFinding::NothingMatched));
     }
     files::write(&args.out, matching.observations.to_csv())?;
     out.result(format!("{}: {} observations", args.out.display(), matching.observations.rows.len()));

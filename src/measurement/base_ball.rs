@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 
 use super::table::{MOST_BALLS, MOST_BARS};
-use crate::base::table::{self, Columns};
+use crate::base::table::Table;
 use crate::catalogue::MeasurementFinding::{BallsNotInOrder, TooMany};
 use crate::diagnostic::Diagnostic;
 use crate::robot::BallId;
@@ -22,25 +22,30 @@ impl BaseBall {
     /// # Errors
     /// Names the line of what is missing, not a number, or a number that is twice there or absent.
     pub fn from_csv(file: &str, text: &str) -> Result<Vec<Self>, Diagnostic> {
-        let mut reader = table::reader().from_reader(text.as_bytes());
-        let header = reader.headers().map_err(|error| table::wrong_csv(file, &error))?.clone();
-        let columns = Columns { file, header: &header };
-        let [number, x, y, z] = columns.required(["centre", "x_mm", "y_mm", "z_mm"])?;
+        Self::from_table(&mut Table::of(file, text)?)
+    }
+
+    /// Reads the same from a table.
+    ///
+    /// # Errors
+    /// As [`BaseBall::from_csv`].
+    pub fn from_table(table: &mut Table<'_>) -> Result<Vec<Self>, Diagnostic> {
+        let [number, x, y, z] = table.required(["centre", "x_mm", "y_mm", "z_mm"])?;
         let mut balls = Vec::new();
-        for record in reader.records() {
-            let record = record.map_err(|error| table::wrong_csv(file, &error))?;
-            let row = columns.row(&record);
+        while let Some(row) = table.row()? {
             let position = Vector3::new(row.number(x)?, row.number(y)?, row.number(z)?);
             balls.push(Self { id: row.numbered(number)?, position });
         }
         balls.sort_by_key(|ball| ball.id);
         if balls.len() > MOST_BALLS {
             let (balls, bars, most_balls, most_bars) = (balls.len(), 1, MOST_BALLS, MOST_BARS);
-            return Err(Diagnostic::file(file, TooMany { balls, bars, most_balls, most_bars }));
+            return Err(Diagnostic::file(table.file(), TooMany { balls, bars, most_balls, most_bars }));
         }
         match balls.iter().enumerate().find(|(at, ball)| ball.id.index() != *at) {
             None => Ok(balls),
-            Some((_, ball)) => Err(Diagnostic::file(file, BallsNotInOrder { ball: ball.id.number() })),
+            Some((_, ball)) => {
+                Err(Diagnostic::file(table.file(), BallsNotInOrder { ball: ball.id.number() }))
+            }
         }
     }
 

@@ -79,9 +79,10 @@ impl Column {
 
 impl Context {
     /// From the cells of a row, one for each column.
-    pub(super) fn read<'a>(columns: &[Column], cells: impl Iterator<Item = &'a str>) -> Self {
+    pub(super) fn read(columns: &[Column], cells: impl Iterator<Item = String>) -> Self {
         let mut context = Self::default();
         for (at, (column, cell)) in columns.iter().zip(cells).enumerate() {
+            let cell = cell.as_str();
             if cell.is_empty() {
                 continue;
             }
@@ -150,7 +151,7 @@ impl Context {
 
 /// A cell as CSV, in quotes where it needs them.
 pub(super) fn quoted(cell: &str) -> String {
-    if cell.contains(['"', ',', '\n', '\r']) {
+    if cell.contains(['"', ',', ';', '\t', '\n', '\r']) {
         format!("\"{}\"", cell.replace('"', "\"\""))
     } else {
         cell.to_owned()
@@ -170,16 +171,16 @@ mod tests {
             ["", "two\nlines", "", "0", ""],
         ];
         for row in rows {
-            let context = Context::read(&columns, row.into_iter());
+            let context = Context::read(&columns, row.into_iter().map(str::to_owned));
             let cells = columns.iter().enumerate().map(|(at, column)| context.cell(at, column));
             assert_eq!(cells.collect::<Vec<_>>(), row);
         }
-        let context = Context::read(&columns, rows[0].into_iter());
+        let context = Context::read(&columns, rows[0].into_iter().map(str::to_owned));
         assert_eq!(
             (context.kind, context.time_s, context.circle),
             (Some(Kind::Measure), Some(0.5), CircleId::new(3))
         );
-        let other = Context::read(&columns, rows[1].into_iter());
+        let other = Context::read(&columns, rows[1].into_iter().map(str::to_owned));
         assert_eq!((other.kind, other.time_s, other.circle, other.samples), (None, Some(0.5), None, None));
     }
 }

@@ -5,7 +5,7 @@ use std::iter;
 use std::sync::Arc;
 
 use super::{Column, Context, context};
-use crate::base::table::{self, Columns};
+use crate::base::table::{Row, Table};
 use crate::catalogue::MeasurementFinding::{
     BarWithoutLength, NoMeasurement, NoPose, TooMany, UnknownBall, UnknownBar,
 };
@@ -80,43 +80,36 @@ impl Measurements {
     /// # Errors
     /// Names the line and column of what is missing, not a number, not finite, or impossible.
     pub fn from_csv(file: &str, text: &str) -> Result<Self, Diagnostic> {
-        let mut reader = table::reader().from_reader(text.as_bytes());
-        let header = reader.headers().map_err(|error| table::wrong_csv(file, &error))?.clone();
-        Self::from_records(file, &header, |record| reader.read_record(record))
+        Self::from_table(&mut Table::of(file, text)?)
     }
 
-    /// Reads the same from the records of a CSV: `next` puts the next one into its argument, or says that there is none.
+    /// Reads the same from a table, a row at a time.
     ///
     /// # Errors
-    /// As [`Measurements::from_csv`], and what `next` says.
-    pub fn from_records(
-        file: &str,
-        header: &csv::StringRecord,
-        mut next: impl FnMut(&mut csv::StringRecord) -> csv::Result<bool>,
-    ) -> Result<Self, Diagnostic> {
-        let columns = Columns { file, header };
-        let places = columns.required(REQUIRED)?;
-        let (sigma, bar) = (columns.optional(SIGMA)?, columns.optional(BAR)?);
+    /// As [`Measurements::from_csv`].
+    pub fn from_table(table: &mut Table<'_>) -> Result<Self, Diagnostic> {
+        let places = table.required(REQUIRED)?;
+        let (sigma, bar) = (table.optional(SIGMA)?, table.optional(BAR)?);
         let known = |at: &usize| places.contains(at) || Some(*at) == sigma || Some(*at) == bar;
-        let others: Vec<usize> = (0..header.len()).filter(|at| !known(at)).collect();
-        let further: Vec<Column> = others.iter().map(|&at| Column::of(&header[at])).collect();
+        let others: Vec<usize> = (0..table.names().len()).filter(|at| !known(at)).collect();
+        let further: Vec<Column> = others.iter().map(|&at| Column::of(&table.names()[at])).collect();
         let [index, ball, axes @ .., length] = places;
         let mut rows: Vec<Measurement> = Vec::new();
-        let mut record = csv::StringRecord::new();
-        while next(&mut record).map_err(|error| table::wrong_csv(file, &error))? {
-            let row = columns.row(&record);
-            let context = Context::read(&further, others.iter().map(|&at| row.text(at)));
+        while let Some(row) = table.row()? {
+            let (axes, length_mm) = (angles(&row, axes)?, distance(&row, length)?);
+            let context = Context::read(&further, others.iter().map(|&at| row.plain(at)));
             let before = rows.last().and_then(|row| row.context.as_ref());
             rows.push(Measurement {
                 index: row.whole(index, 0)?,
                 ball: row.numbered(ball)?,
                 bar: row.given(bar, |at| row.numbered(at))?.unwrap_or(BarId::FIRST),
-                axes: angles(&row, axes)?,
-                length_mm: row.positive(length)?,
+                axes,
+                length_mm,
                 sigma_mm: row.given(sigma, |at| row.positive(at))?,
                 context: shared(context, before),
             });
         }
+        let file = table.file();
         if rows.is_empty() {
             return Err(Diagnostic::file(file, NoMeasurement));
         }
@@ -132,23 +125,19 @@ impl Measurements {
         }
     }
 
-    /// Reads only the axis angles of a CSV with the columns a1_deg..a6_deg.
+    /// Reads only the axis angles of a table with the columns a1_deg..a6_deg.
     ///
     /// # Errors
     /// Names the line and column of what is missing or not a finite number.
-    pub fn poses_from_csv(file: &str, text: &str) -> Result<Vec<AxisAngles>, Diagnostic> {
-        let mut reader = table::reader().from_reader(text.as_bytes());
-        let header = reader.headers().map_err(|error| table::wrong_csv(file, &error))?.clone();
-        let columns = Columns { file, header: &header };
+    pub fn poses_from_table(table: &mut Table<'_>) -> Result<Vec<AxisAngles>, Diagnostic> {
         let [_, _, names @ .., _] = REQUIRED;
-        let axes = columns.required::<AXES>(names)?;
+        let axes = table.required::<AXES>(names)?;
         let mut poses = Vec::new();
-        for record in reader.records() {
-            let record = record.map_err(|error| table::wrong_csv(file, &error))?;
-            poses.push(angles(&columns.row(&record), axes)?);
+        while let Some(row) = table.row()? {
+            poses.push(angles(&row, axes)?);
         }
         if poses.is_empty() {
-            return Err(Diagnostic::file(file, NoPose));
+            return Err(Diagnostic::file(table.file(), NoPose));
         }
         Ok(poses)
     }
@@ -220,10 +209,18 @@ fn shared(context: Context, before: Option<&Arc<Context>>) -> Option<Arc<Context
 }
 
 /// The axis angles of a row.
-fn angles(row: &table::Row<'_>, places: [usize; AXES]) -> Result<AxisAngles, Diagnostic> {
+fn angles(row: &Row<'_>, places: [usize; AXES]) -> Result<AxisAngles, Diagnostic> {
     let mut axes_deg = [0.0; AXES];
     for (angle, at) in axes_deg.iter_mut().zip(places) {
         *angle = row.number(at)?;
     }
     Ok(AxisAngles::from_degrees(axes_deg))
+}
+
+/// The length of a row. A bar's reading, taken for it, is negative where the bar is short.
+fn distance(row: &Row<'_>, at: usize) -> Result<f64, Diagnostic> {
+    row.number(at)?;
+    row.positive(at).map_err(|wrong| {
+        wrong.help("is it the bar's reading? length_mm is between the ball centres: the bar's length plus the reading")
+    })
 }

@@ -73,7 +73,7 @@ fn an_exported_run_comes_back_and_identifies_the_same() {
 }
 
 #[test]
-fn layouts_are_told_by_a_mapping() {
+fn layouts_are_shown_by_the_file_or_by_a_mapping() {
     let dir = tempdir().unwrap();
     let at = dir.path();
     short_plan(at);
@@ -84,8 +84,41 @@ fn layouts_are_told_by_a_mapping() {
     let csv = |header: &str, row: &dyn Fn(f64, f64) -> String| -> String {
         rows.iter().fold(header.to_owned(), |text, &(t_s, mm)| text + &row(t_s, mm))
     };
-    let traces = [
-        ("plain", csv("t_s,length_mm,note\n", &|t, mm| format!("{t},{mm},x\n")), String::new()),
+    // Without a mapping, in the ways of spreadsheets and instruments.
+    let shown: [(&str, Vec<u8>, &[&str]); 5] = [
+        ("plain", csv("t_s,length_mm,note\n", &|t, mm| format!("{t},{mm},x\n")).into(), &[]),
+        (
+            "semicolons",
+            csv("sep=;\r\nlength_mm;t_s\r\n", &|t, mm| format!("{};{};\r\n", comma(mm), comma(t))).into(),
+            &["I0121"],
+        ),
+        (
+            "tabs, dates and readings",
+            csv("t_s\tlength_mm\n", &|t, mm| {
+                format!("21.11.2026 14:02:{}\t{}\n", comma(11.0 + t), comma(mm - 300.0))
+            })
+            .into(),
+            &["I0121", "I1112", "I1112"],
+        ),
+        (
+            "windows-1252",
+            csv("t_s,length_mm,T @\n", &|t, mm| format!("{t},{mm},20\n"))
+                .replace('@', "\u{b0}")
+                .chars()
+                .map(|c| c as u8)
+                .collect(),
+            &["I0121"],
+        ),
+        (
+            "utf-16",
+            csv("\u{feff}t_s,length_mm\n", &|t, mm| format!("{t},{mm}\n"))
+                .encode_utf16()
+                .flat_map(u16::to_le_bytes)
+                .collect(),
+            &["I0121"],
+        ),
+    ];
+    let mapped = [
         (
             "example",
             csv("Messung 7\r\n\r\nZeit;Weg\r\n# seen\r\n", &|t, mm| {
@@ -109,8 +142,11 @@ fn layouts_are_told_by_a_mapping() {
     fs::write(at.join("ms.csv"), "t_s,length_mm\n0,300\n10000000,300\n").unwrap();
     let long = dbbd(at, &["import", "ms.csv", "--plan", "plan/plan.csv", "--out", "long"]);
     assert_eq!((long.status.code(), codes(&long)), (Some(3), vec!["W1110".to_owned()]));
-    for (name, text, mapping) in traces {
-        fs::write(at.join("trace.csv"), text).unwrap();
+    let none: &[&str] = &[];
+    let mapped = mapped.map(|(name, text, mapping)| (name, text.into_bytes(), mapping, none));
+    let shown = shown.map(|(name, bytes, told)| (name, bytes, String::new(), told));
+    for (name, bytes, mapping, told) in shown.into_iter().chain(mapped) {
+        fs::write(at.join("trace.csv"), bytes).unwrap();
         fs::write(at.join("map.toml"), mapping).unwrap();
         let output = dbbd(
             at,
@@ -118,7 +154,7 @@ fn layouts_are_told_by_a_mapping() {
         );
         // Less than a second of a plan of many: taken, and doubted.
         assert_eq!(output.status.code(), Some(3), "{name}: {}", stderr(&output));
-        assert_eq!(codes(&output), ["W1110"], "{name}");
+        assert_eq!(codes(&output), told.iter().chain(&["W1110"]).copied().collect::<Vec<_>>(), "{name}");
         let capture = capture::read(&fs::read(at.join(name)).unwrap());
         assert_eq!(capture.samples().count(), rows.len(), "{name}");
         for ((host, sample), (t_s, mm)) in capture.samples().zip(&rows) {
@@ -130,28 +166,42 @@ fn layouts_are_told_by_a_mapping() {
 }
 
 /// A trace, its mapping, the code, and where.
-const WRONG: [(&str, &str, &str, &str); 17] = [
-    ("t_s,length_mm\n0,300\n0.1,x\n", "", "E1103", "trace.csv:3:5:"),
-    ("t_s,length_mm\n0,NaN\n", "", "E1103", "trace.csv:2:3:"),
-    ("t_s,length_mm\n0,300\n0.1\n", "", "E1102", "trace.csv:3:4:"),
+const WRONG: &[(&str, &str, &str, &str)] = &[
+    ("t_s,length_mm\n0,300\n0.1,x\n", "", "E0111", "trace.csv:3:5:"),
+    ("t_s,length_mm\n0,NaN\n", "", "E0111", "trace.csv:2:3:"),
+    ("t_s,length_mm\n0,300\n0.1\n", "", "E0112", "trace.csv:3:4:"),
     ("t_s,length_mm\n1,300\n0.5,300\n", "", "E1104", "trace.csv:3:1:"),
-    ("t_s,length_mm\n0,0.01\n", "", "E1105", "trace.csv:2:3:"),
+    ("t_s,length_mm\n0,0.01\n", "[length]\nkind = \"distance\"\n", "E1105", "trace.csv:2:3:"),
     ("t_s,length_mm\n0,300\n", "[length]\nkind = \"reading\"\n", "E1105", "trace.csv:2:3:"),
-    ("t_s;length_mm\n0;300\n", "", "E1102", "trace.csv:1:1:"),
     ("t_s,length_mm\n", "", "E1106", "trace.csv:"),
     ("", "", "E1106", "trace.csv:"),
-    ("t_s;length_mm\n0;300,5\n", "[file]\ndelimiter = \";\"\n", "E1103", "trace.csv:2:3:"),
+    ("t_s;length_mm\n0;300,5\n", "[file]\ndecimal = \".\"\n", "E0111", "trace.csv:2:3:"),
     ("t_s,length_mm,on\n0,300,x\n", "[strobe]\ncolumn = \"on\"\n", "E1103", "trace.csv:2:7:"),
     ("t_s,length_mm\n0,300\n", "[file]\ndelimeter = \";\"\n", "E0120", "map.toml:2:1:"),
     ("t_s,length_mm\n0,300\n", "[time]\nunit = \"min\"\n", "E0120", "map.toml:2:8:"),
     ("t_s,length_mm\n0,300\n", "[length]\ncolumn = 0\n", "E0120", "map.toml:"),
-    ("t_s,length_mm\n0,300\n", "[file]\ndecimal = \",\"\n", "E1101", "map.toml:2:1:"),
-    ("0,300\n", "[file]\nheader = false\n", "E1102", "trace.csv:"),
+    ("t_s,length_mm\n0,300\n", "[file]\ndecimal = \",\"\ndelimiter = \",\"\n", "E1101", "map.toml:2:1:"),
+    ("0,300\n", "[file]\nheader = false\n", "E1101", "trace.csv:"),
+    (
+        "0 300\n1\n",
+        "[file]\nheader = false\n[time]\ncolumn = 1\n[length]\ncolumn = 2\n",
+        "E0112",
+        "trace.csv:2:2:",
+    ),
     ("t_s,length_mm\n12:30,300\n", "[time]\nunit = \"iso\"\n", "E1103", "trace.csv:2:1:"),
+    // What the first row shows holds for all.
+    ("t_s,length_mm\n0,300.5\n1,0.5\n", "", "E1105", "trace.csv:3:3:"),
+    ("t_s,length_mm\n0,0.5\n1,300.5\n", "", "E1105", "trace.csv:3:3:"),
+    ("t_s;length_mm\n0;300,5\n1;300.5\n", "", "E0111", "trace.csv:3:3:"),
+    ("t_s;length_mm\n21.11.2026 14:02:11,5;300\n1;300\n", "", "E1103", "trace.csv:3:1:"),
+    // Decimal commas between commas.
+    ("t_s,length_mm\n0,5,300,5\n", "", "E0112", "trace.csv:2:5:"),
+    ("Zeit;Weg\n0;300\n", "", "E0110", "trace.csv:1:"),
+    ("t_s,length_mm\n0,\"300\n", "", "E0112", "trace.csv:2:"),
 ];
 
 pub(crate) fn provoked() -> Vec<&'static str> {
-    WRONG.iter().map(|(_, _, code, _)| *code).chain(["W1110", "I1111"]).collect()
+    WRONG.iter().map(|(_, _, code, _)| *code).chain(["W1110", "I1111", "I0121", "I1112"]).collect()
 }
 
 #[test]
@@ -168,7 +218,7 @@ fn what_is_wrong_has_a_code_and_a_place() {
     };
     for (text, mapping, code, place) in WRONG {
         let output = import(text, mapping);
-        assert_eq!((output.status.code(), codes(&output)), (Some(1), vec![code.to_owned()]), "{text}");
+        assert_eq!((output.status.code(), codes(&output)), (Some(1), vec![(*code).to_owned()]), "{text}");
         assert!(stderr(&output).contains(&format!("]: {place}")), "{place}: {}", stderr(&output));
         assert!(!at.join("out.dbbd").exists(), "{code}");
     }

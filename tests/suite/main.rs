@@ -84,6 +84,7 @@ mod sync_joins;
 mod sync_pairs;
 mod sync_runs;
 mod sync_ways_agree;
+mod tables_as_people_have_them;
 mod the_prior_shares_what_is_told;
 mod uncertainties_hold;
 mod unplugged_and_back;

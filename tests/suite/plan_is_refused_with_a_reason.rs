@@ -47,6 +47,7 @@ const JOBS: &[(&str, &str, usize, &str)] = &[
     ("plane = \"XY\"", "", 10, "E0603"),
     ("points = 12", "points = 12\namplitude_deg = 10.0", 13, "E0603"),
     ("[motion]", "[tool]\ncup_limit_deg = 10.0\n[motion]", 15, "E0603"),
+    ("[motion]", "[tool]\nball_mm = [30.0, 20.0, 10.0]\n[motion]", 15, "E0603"),
     ("id = 1", "id = 2", 8, "E0604"),
     ("plane", "centre = 2\nplane", 11, "E0604"),
     ("points = 12", "points = 250", 12, "E0605"),

@@ -13,25 +13,29 @@ const ROW: &str = "1,1,0,-60,90,0,60,0,300.1,0.01\n";
 
 fn identify(dir: &Path, observations: &str, more: &[&str]) -> Output {
     fs::write(dir.join("obs.csv"), observations).unwrap();
+    identify_file(dir, "obs.csv", more)
+}
+
+fn identify_file(dir: &Path, name: &str, more: &[&str]) -> Output {
     fs::write(dir.join("C.csv"), "centre,x_mm,y_mm,z_mm\n1,1300,0,800\n").unwrap();
-    let mut args = vec!["identify", "obs.csv", "--centres", "C.csv", "--out", "out"];
-    args.extend(more);
-    dbbd(dir, &args)
+    dbbd(dir, &[&["identify", name, "--centres", "C.csv", "--out", "out"], more].concat())
 }
 
 /// The file is read a row at a time, and names the row.
 #[test]
 fn observations_that_are_no_text() {
     let dir = tempdir().unwrap();
-    let bytes = [HEADER.as_bytes(), ROW.as_bytes(), b"2,1,0,-60,90,0,60,0,30\xff,0.01\n"].concat();
-    fs::write(dir.path().join("bytes.csv"), bytes).unwrap();
-    fs::write(dir.path().join("C.csv"), "centre,x_mm,y_mm,z_mm\n1,1300,0,800\n").unwrap();
-    let args = ["identify", "bytes.csv", "--robot", "kr60ha", "--centres", "C.csv", "--out", "out"];
-    let output = dbbd(dir.path(), &args);
-    assert_eq!(output.status.code(), Some(1));
-    assert!(stderr(&output).contains("bytes.csv:3: is not UTF-8 text"), "{}", stderr(&output));
-    let absent = args.map(|arg| if arg == "bytes.csv" { "absent.csv" } else { arg });
-    assert!(stderr(&dbbd(dir.path(), &absent)).contains("absent.csv: cannot be read"));
+    let refused = |row: &[u8], code: &str, place: &str| {
+        let bytes = [HEADER.as_bytes(), ROW.as_bytes(), row].concat();
+        fs::write(dir.path().join("bytes.csv"), bytes).unwrap();
+        let output = identify_file(dir.path(), "bytes.csv", &["--robot", "kr60ha"]);
+        assert_eq!((output.status.code(), codes(&output)), (Some(1), vec![code.to_owned()]));
+        assert!(stderr(&output).contains(place), "{}", stderr(&output));
+    };
+    refused(b"2,1,0,-60,90,0,60,0,30\xff,0.01\n", "E0111", "bytes.csv:3:21:");
+    refused(b"2,1,0,-60,90,0,60,0,300,0.0\0\n", "E0103", "bytes.csv:3:");
+    let absent = identify_file(dir.path(), "absent.csv", &["--robot", "kr60ha"]);
+    assert_eq!(codes(&absent), ["E0101"]);
 }
 
 /// Lengths between 298 and 302 mm at poses about the ball, by the nominal robot; then the same table in other units.
@@ -89,6 +93,11 @@ const TABLES: &[(&str, &str, usize)] = &[
     ("1,1,0,-60,90,0,60,0,300,0\n", "E0111", 2),
     ("1,0,0,-60,90,0,60,0,300,0.01\n", "E0111", 2),
     ("1,1,0,-60,90,0,60\n", "E0112", 2),
+    // Decimal commas, thousands, two decimals, a quote that is not closed.
+    ("1,1,0,0,-60,0,90,0,0,0,60,0,0,0,300,1,0,01\n", "E0112", 2),
+    ("1,1,0,-60,90,0,60,0,\"1.300,1\",0.01\n", "E0111", 2),
+    ("1,1,0,-60,90,0,60,0,300.1,0.01\n2,1,0,-60,90,0,60,0,\"300,1\",0.01\n", "E0111", 3),
+    ("1,1,0,-60,90,0,60,0,\"300.1,0.01\n2,1,0,-60,90,0,60,0,300,0.01\n", "E0112", 2),
     ("1,2,0,-60,90,0,60,0,300,0.01\n", "E1203", 0),
     ("1,2000,0,-60,90,0,60,0,300,0.01\n", "E1202", 0),
     ("", "E1201", 0),

@@ -5,8 +5,10 @@ mod truth;
 use std::path::PathBuf;
 
 use super::child::Steps;
-use super::{Outcome, Output, Verdict};
+use super::{Outcome, Output};
 use crate::base::files;
+use crate::catalogue::CliFinding;
+use crate::diagnostic::Diagnostic;
 use crate::estimation::ResultFile;
 use crate::robot::Robot;
 
@@ -28,7 +30,7 @@ pub(crate) struct Args {
     seed: u64,
 }
 
-pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
+pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     files::directory(&args.out)?;
     let dir = args.out.as_path();
     files::write(&dir.join("job.toml"), JOB)?;
@@ -75,7 +77,8 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
     steps.run(&identify)?;
 
     let text = files::read(&dir.join("result/result.json"))?;
-    let result: ResultFile = serde_json::from_str(&text)?;
+    let result: ResultFile =
+        serde_json::from_str(&text).map_err(|error| CliFinding::NoJson { why: error.to_string() })?;
     let path = dir.join("result/robot-identified.toml");
     let identified = Robot::from_toml(&path.display().to_string(), &files::read(&path)?)?;
     let comparison = truth.compare(&result, &identified)?;

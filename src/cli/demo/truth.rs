@@ -1,7 +1,5 @@
 //! The demo's true robot, and how near the identification came to it.
 
-use std::error::Error;
-use std::fmt::Write;
 use std::path::Path;
 
 use nalgebra::Vector3;
@@ -60,7 +58,7 @@ struct Compared {
 
 impl Truth {
     /// Draws the true robot and the true places of the balls, and writes `truth.toml` and `world.toml`.
-    pub(super) fn draw(dir: &Path, seed: u64) -> Result<Self, Box<dyn Error>> {
+    pub(super) fn draw(dir: &Path, seed: u64) -> Result<Self, Diagnostic> {
         let nominal = robots::named("kr60ha")?;
         let robot = truth::draw(&nominal, seed, 1.0);
         let job = Job::from_toml("job.toml", super::JOB)?;
@@ -74,7 +72,7 @@ impl Truth {
                 z * CENTRE_MM
             });
             let [x, y, z]: [f64; 3] = centre.position.into();
-            write!(world, "\n[[centre]]\nid = {}\nxyz_mm = [{x}, {y}, {z}]\n", centre.id)?;
+            world.push_str(&format!("\n[[centre]]\nid = {}\nxyz_mm = [{x}, {y}, {z}]\n", centre.id));
         }
         files::write(&dir.join("world.toml"), world)?;
         files::write(&dir.join("truth.toml"), robot.to_toml())?;

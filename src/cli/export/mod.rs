@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 
 use serde_json::{Map, json};
 
-use super::{Outcome, Output, Verdict};
+use super::{Outcome, Output};
 use crate::base::files;
 use crate::catalogue::FileFinding;
 use crate::diagnostic::Diagnostic;
@@ -33,7 +33,7 @@ pub(crate) struct Args {
     mcap: bool,
 }
 
-pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
+pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     files::directory(&args.out)?;
     let mut counts = Map::new();
     let pass = if args.mcap {

@@ -1,11 +1,9 @@
 //! What an identification starts from: an observations CSV with its robot and balls, or a capture.
 
-use std::error::Error;
 use std::path::Path;
 
 use super::LENGTHS;
 use super::inputs::observations;
-use crate::base::files;
 use crate::catalogue::MeasurementFinding::OtherUnit;
 use crate::catalogue::{ConformityFinding, EstimationFinding};
 use crate::cli::Output;
@@ -54,7 +52,7 @@ impl Given {
     ///
     /// # Errors
     /// What is missing or wrong, with its file and line.
-    pub(crate) fn read(named: Named<'_>, out: &Output) -> Result<Self, Box<dyn Error>> {
+    pub(crate) fn read(named: Named<'_>, out: &Output) -> Result<Self, Diagnostic> {
         let input = named.input.display().to_string();
         let joined = if run::is_capture(named.input)? {
             let run = run::open(named.input, None, &[], &mut |finding| out.finding(finding))?;
@@ -66,25 +64,25 @@ impl Given {
         let mut findings = Vec::new();
         let observations = match &joined {
             Some((_, matching)) => matching.observations.clone(),
-            None => observations(named.input, &mut findings)?,
+            None => observations(named.input, &mut findings, out)?,
         };
         if observations.rows.is_empty() {
-            return Err(Diagnostic::file(&input, EstimationFinding::NoLength).into());
+            return Err(Diagnostic::file(&input, EstimationFinding::NoLength));
         }
         let mut robot = match (named.robot, &joined) {
             (Some(name), _) => robots::named(name)?,
             (None, Some((run, _))) => run.robot()?,
-            (None, None) => return Err(Diagnostic::from(EstimationFinding::NoRobot).into()),
+            (None, None) => return Err(EstimationFinding::NoRobot.into()),
         };
         if let Some(tool) = named.tool {
             robot.geometry.tool = tool.into();
             robot.posterior = robot.posterior.and_then(|known| known.keeping(|id| id.is_geometric()));
         }
         let centres = match (named.centres, &joined) {
-            (Some(path), _) => BaseBall::from_csv(&path.display().to_string(), &files::read(path)?)?,
+            (Some(path), _) => out.table(path, BaseBall::from_table)?,
             (None, Some((run, _))) => run.centres(),
             (None, None) => {
-                return Err(Diagnostic::from(EstimationFinding::NoBalls).into());
+                return Err(EstimationFinding::NoBalls.into());
             }
         };
         check_lengths(&input, &observations, &robot, &centres)?;
@@ -131,10 +129,10 @@ impl Given {
     ///
     /// # Errors
     /// The lengths beside the robot's file cannot be read.
-    pub(super) fn continued(&mut self, robot_file: Option<&str>) -> Result<Prior, Diagnostic> {
+    pub(super) fn continued(&mut self, robot_file: Option<&str>, out: &Output) -> Result<Prior, Diagnostic> {
         let lost = match &self.robot.posterior {
             Some(known) if known.is_of(&self.robot.geometry) => {
-                let known = self.known_lengths(robot_file)?;
+                let known = self.known_lengths(robot_file, out)?;
                 if 2 * known <= self.observations.rows.len() {
                     return Ok(Prior::Posterior);
                 }
@@ -148,10 +146,10 @@ impl Given {
     }
 
     /// How many of the lengths are among those beside the robot's file, from which it was identified.
-    fn known_lengths(&self, robot_file: Option<&str>) -> Result<usize, Diagnostic> {
+    fn known_lengths(&self, robot_file: Option<&str>, out: &Output) -> Result<usize, Diagnostic> {
         let beside = robot_file.map(|name| Path::new(name).with_file_name(LENGTHS));
         let Some(path) = beside.filter(|path| path.is_file()) else { return Ok(0) };
-        Ok(observations(&path, &mut Vec::new())?.holds(&self.observations))
+        Ok(observations(&path, &mut Vec::new(), out)?.holds(&self.observations))
     }
 
     /// Joins the capture anew with the lengths that the identified robot predicts; whether the pairs changed.

@@ -1,12 +1,11 @@
 //! The inputs of an identification: observations, points, priors, workspaces.
 
 use std::collections::BTreeMap;
-use std::error::Error;
 use std::path::Path;
 
-use crate::base::files;
-use crate::base::table::{self, Columns};
+use crate::base::table::Table;
 use crate::catalogue::{EstimationFinding, MeasurementFinding, RobotFinding};
+use crate::cli::Output;
 use crate::diagnostic::Diagnostic;
 use crate::estimation::PriorScale;
 use crate::measurement::{Distinct, Measurements};
@@ -36,62 +35,55 @@ pub(super) fn parse_scale(text: &str) -> Result<PriorScale, EstimationFinding> {
     }
 }
 
-/// A CSV `name,unit,sd`; a parameters.csv of an earlier identification is one.
-pub(super) fn read_prior(path: &Path, set_up: SetUp) -> Result<BTreeMap<ParamId, f64>, Box<dyn Error>> {
-    let file = path.display().to_string();
-    let text = files::read(path)?;
-    let mut reader = table::reader().from_reader(text.as_bytes());
-    let header = reader.headers().map_err(|error| table::wrong_csv(&file, &error))?.clone();
-    let columns = Columns { file: &file, header: &header };
-    let [name, unit, sd] = columns.required(["name", "unit", "sd"])?;
+/// A table `name,unit,sd`; a parameters.csv of an earlier identification is one.
+pub(super) fn read_prior(table: &mut Table<'_>, set_up: SetUp) -> Result<BTreeMap<ParamId, f64>, Diagnostic> {
+    let [name, unit, sd] = table.required(["name", "unit", "sd"])?;
     let mut prior = BTreeMap::new();
-    for record in reader.records() {
-        let record = record.map_err(|error| table::wrong_csv(&file, &error))?;
-        let row = columns.row(&record);
+    while let Some(row) = table.row()? {
         let Some(value) = row.given(Some(sd), |at| row.positive(at))? else {
             continue;
         };
-        let id: ParamId = row.text(name).parse().map_err(|why: RobotFinding| row.line(why))?;
-        set_up.check(id).map_err(|why| row.line(why))?;
+        let id: ParamId = row.text(name).parse().map_err(|why: RobotFinding| row.wrong(name, why))?;
+        set_up.check(id).map_err(|why| row.wrong(name, why))?;
         if row.text(unit) != id.unit().name() {
             let (parameter, given) = (id.to_string(), row.text(unit).into());
             let wrong = EstimationFinding::OtherUnitThan { parameter, unit: id.unit().to_string(), given };
-            return Err(row.line(wrong).into());
+            return Err(row.wrong(unit, wrong));
         }
         if prior.insert(id, value).is_some() {
             let parameter = id.to_string();
-            return Err(row.line(EstimationFinding::ParameterTwice { parameter }).into());
+            return Err(row.wrong(name, EstimationFinding::ParameterTwice { parameter }));
         }
     }
     Ok(prior)
 }
 
-/// A CSV with the columns a1_deg..a6_deg, more may stand beside them.
-pub(super) fn read_workspace(path: &Path) -> Result<Vec<[f64; AXES]>, Box<dyn Error>> {
-    let file = path.display().to_string();
-    let poses = Measurements::poses_from_csv(&file, &files::read(path)?)?;
-    Ok(poses.iter().map(AxisAngles::radians).collect())
+/// A table with the columns a1_deg..a6_deg, more may stand beside them.
+pub(super) fn read_workspace(table: &mut Table<'_>) -> Result<Vec<[f64; AXES]>, Diagnostic> {
+    Ok(Measurements::poses_from_table(table)?.iter().map(AxisAngles::radians).collect())
 }
 
 /// Columns that a `plan.csv` has and no table of measured lengths.
 const PLAN: [&str; 2] = ["move", "dwell_s"];
 
-/// The observations of a CSV, which is never whole in memory.
+/// The observations of a table, which is never whole in memory.
 ///
 /// Rows that are there twice are used once, with a finding.
 ///
 /// # Errors
 /// Names the path and why it could not be read, or the line and what is wrong there.
-pub(crate) fn observations(path: &Path, found: &mut Vec<Diagnostic>) -> Result<Measurements, Diagnostic> {
-    let name = path.display().to_string();
-    let wrong = |error: csv::Error| table::wrong_csv(&name, &error);
-    let mut reader = table::reader().from_path(path).map_err(wrong)?;
-    let header = reader.headers().map_err(wrong)?.clone();
-    if PLAN.iter().all(|wanted| header.iter().any(|name| name == *wanted)) {
-        return Err(Diagnostic::file(&name, MeasurementFinding::IsPlan));
-    }
-    let table = Measurements::from_records(&name, &header, |record| reader.read_record(record))?;
-    let rows = table.rows.len();
+pub(crate) fn observations(
+    path: &Path,
+    found: &mut Vec<Diagnostic>,
+    out: &Output,
+) -> Result<Measurements, Diagnostic> {
+    let table = out.table(path, |table| {
+        if PLAN.iter().all(|wanted| table.names().iter().any(|name| name == wanted)) {
+            return Err(Diagnostic::file(table.file(), MeasurementFinding::IsPlan));
+        }
+        Measurements::from_table(table)
+    })?;
+    let (name, rows) = (path.display().to_string(), table.rows.len());
     let Distinct { measurements, repeated } =
         table.distinct().map_err(|finding| Diagnostic::file(&name, finding))?;
     if repeated > 0 {

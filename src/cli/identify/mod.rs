@@ -6,10 +6,9 @@ mod page;
 mod say;
 mod tables;
 
-use std::error::Error;
 use std::path::{Path, PathBuf};
 
-use super::{Outcome, Output, Verdict};
+use super::{Outcome, Output};
 use crate::base::files;
 use crate::catalogue::EstimationFinding;
 use crate::design::calibrate;
@@ -110,20 +109,21 @@ impl Args {
     }
 }
 
-pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
+pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     let mut given = Given::read(args.named(), out)?;
     let set_up = SetUp { balls: given.centres.len(), bars: given.observations.bars() };
-    let options = options(args, &mut given, set_up)?;
+    let options = options(args, &mut given, set_up, out)?;
     let validation = match &args.validate {
         Some(path) => {
             let name = path.display().to_string();
-            let set = observations(path, &mut given.findings)?;
+            let set = observations(path, &mut given.findings, out)?;
             check_lengths(&name, &set, &given.robot, &given.centres)?;
             set.check(&name, set_up)?;
             Some(set)
         }
         None => None,
     };
+    let busy = out.busy(&format!("identifying from {} lengths", given.observations.rows.len()), None);
     let mut found = find(&given, validation.as_ref(), &options)?;
     // The lengths that the identified robot predicts are used in the alignment, until nothing changes.
     for _ in 0..ALIGNMENTS {
@@ -132,6 +132,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
         }
         found = find(&given, validation.as_ref(), &options)?;
     }
+    drop(busy);
     let _writing = files::exclusive(&args.out)?;
     tables::write_results(&args.out, &found, &given.observations)?;
     let page = page::html(&found, &given.observations, given.sources)?;
@@ -159,16 +160,16 @@ fn find(
     Ok(calibrate(&input, given.findings())?)
 }
 
-fn options(args: &Args, given: &mut Given, set_up: SetUp) -> Result<Options, Box<dyn Error>> {
+fn options(args: &Args, given: &mut Given, set_up: SetUp, out: &Output) -> Result<Options, Diagnostic> {
     let prior = match args.prior.as_deref() {
-        None => given.continued(args.robot.as_deref())?,
+        None => given.continued(args.robot.as_deref(), out)?,
         Some("none") => Prior::None,
         Some("datasheet") => Prior::Datasheet,
-        Some("posterior") => match given.continued(args.robot.as_deref())? {
+        Some("posterior") => match given.continued(args.robot.as_deref(), out)? {
             Prior::Posterior => Prior::Posterior,
-            _ => return Err(Diagnostic::from(EstimationFinding::NoPosterior).into()),
+            _ => return Err(EstimationFinding::NoPosterior.into()),
         },
-        Some(file) => Prior::Given(read_prior(Path::new(file), set_up)?),
+        Some(file) => Prior::Given(out.table(Path::new(file), |table| read_prior(table, set_up))?),
     };
     let betas = given.robot.parallel_joints();
     let list = |text: &Option<String>| {
@@ -182,7 +183,7 @@ fn options(args: &Args, given: &mut Given, set_up: SetUp) -> Result<Options, Box
         monte_carlo: args.monte_carlo.map(|trials| trials as usize),
         prior,
         folds: args.folds,
-        workspace: args.workspace.as_deref().map(read_workspace).transpose()?,
+        workspace: args.workspace.as_deref().map(|path| out.table(path, read_workspace)).transpose()?,
         bar_u_mm: given.bar_u_mm,
     })
 }

@@ -1,10 +1,12 @@
 //! The files of a result beside its report.
 
-use std::error::Error;
 use std::fmt::Write;
 use std::path::Path;
 
 use crate::base::files;
+use crate::catalogue::CliFinding;
+use crate::cli::output::pretty;
+use crate::diagnostic::Diagnostic;
 use crate::estimation::{CalibrationResult, Posterior, ResultFile};
 use crate::measurement::Measurements;
 use crate::report::export::{frames, mastering, urdf};
@@ -35,17 +37,19 @@ pub(super) fn write_results(
     dir: &Path,
     found: &CalibrationResult,
     observations: &Measurements,
-) -> Result<(), Box<dyn Error>> {
+) -> Result<(), Diagnostic> {
     let file = ResultFile::from(found);
     files::write_pieces(&dir.join(LENGTHS), observations.csv_pieces(|place| found.uses(place)))?;
-    files::write(&dir.join("result.json"), serde_json::to_string_pretty(&file)? + "\n")?;
+    files::write(&dir.join("result.json"), pretty(&file)? + "\n")?;
     files::write(&dir.join("robot-identified.toml"), found.robot.to_toml())?;
-    files::write(&dir.join("parameters.csv"), parameters_csv(&file)?)?;
+    let parameters =
+        parameters_csv(&file).map_err(|error| CliFinding::NoOutput { why: error.to_string() })?;
+    files::write(&dir.join("parameters.csv"), parameters)?;
     files::write(&dir.join("covariance.csv"), covariance_csv(&found.posterior))?;
     hand_back(dir, found)
 }
 
-fn parameters_csv(file: &ResultFile) -> Result<Vec<u8>, Box<dyn Error>> {
+fn parameters_csv(file: &ResultFile) -> Result<Vec<u8>, csv::Error> {
     let mut table = csv::Writer::from_writer(Vec::new());
     table.write_record(PARAMETER_COLUMNS)?;
     for parameter in &file.parameters {
@@ -64,7 +68,7 @@ fn parameters_csv(file: &ResultFile) -> Result<Vec<u8>, Box<dyn Error>> {
             ends(parameter.monte_carlo.map(|drawn| drawn.interval95)),
         ))?;
     }
-    Ok(table.into_inner()?)
+    table.into_inner().map_err(|error| error.into_error().into())
 }
 
 /// In the units of the parameters.
@@ -87,7 +91,7 @@ fn covariance_csv(posterior: &Posterior) -> String {
 }
 
 /// What goes to other programs and to the controller: URDF, mastering offsets, KRL frames.
-fn hand_back(dir: &Path, found: &CalibrationResult) -> Result<(), Box<dyn Error>> {
+fn hand_back(dir: &Path, found: &CalibrationResult) -> Result<(), Diagnostic> {
     files::write(&dir.join("robot-identified.urdf"), urdf::urdf(&found.robot))?;
     let offsets = mastering::offsets(found);
     files::write(&dir.join("mastering.csv"), mastering::csv(&offsets)?)?;

@@ -2,12 +2,11 @@
 
 mod page;
 
-use std::error::Error;
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use super::{Outcome, Output, Verdict};
+use super::{Outcome, Output};
 use crate::base::files;
 use crate::catalogue::{MeasurementFinding, PlanFinding};
 use crate::cli::{protocols, robots};
@@ -61,14 +60,14 @@ struct Summary<'a> {
     predictions: Option<&'a Prediction>,
 }
 
-pub(crate) fn run(args: &Args, out: &Output) -> Verdict {
+pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     let name = args.job.display().to_string();
     let job = Job::from_toml(&name, &files::read(&args.job)?)?;
     let job = args.stage.map_or_else(|| job.clone(), |points| job.as_stage(points));
     // A definition in a file may be there only where the run is.
     if !job.bar.protocol.ends_with(".toml") {
         protocols::load_with(&job.bar.protocol, &[])
-            .map_err(|why| Diagnostic::file(&name, why.to_string()))?;
+            .map_err(|why| Diagnostic { file: name.clone(), ..why })?;
     }
     let robot_name = args.robot.as_deref().unwrap_or(&job.robot);
     let robot = robots::named(robot_name)?;
@@ -157,14 +156,14 @@ struct Known {
 
 impl Known {
     /// After the lengths measured before, if there are any.
-    fn after(job: Job, robot: Robot, measured: &[PathBuf], out: &Output) -> Result<Self, Box<dyn Error>> {
+    fn after(job: Job, robot: Robot, measured: &[PathBuf], out: &Output) -> Result<Self, Diagnostic> {
         if measured.is_empty() {
             let prior = PlanningPrior::datasheet(&job, &robot);
             return Ok(Self { job, robot, prior });
         }
         let (mut tables, mut findings) = (Vec::new(), Vec::new());
         for path in measured {
-            let observations = super::identify::observations(path, &mut findings)?;
+            let observations = super::identify::observations(path, &mut findings, out)?;
             let name = path.display().to_string();
             let set_up = SetUp { balls: job.centres.len(), bars: observations.bars() };
             observations.check(&name, set_up)?;

@@ -27,7 +27,7 @@ impl Job {
     /// # Errors
     /// Names the line of an unknown or missing key, or of a value that cannot be.
     pub fn from_toml(file: &str, text: &str) -> Result<Self, Diagnostic> {
-        let job: Self = from_toml(file, text)?;
+        let job: Self = from_toml(file, text).map_err(of_robot)?;
         job.check().map_err(|wrong| match wrong.line(text) {
             Some(line) => {
                 let column = text.lines().nth(line - 1).map_or(0, |l| l.len() - l.trim_start().len()) + 1;
@@ -242,4 +242,15 @@ fn check_obstacle(table: Table, obstacle: &ObstacleTable) -> Result<(), Misplace
         }
         ObstacleTable::Floor { z_mm } => table.within("z_mm", z_mm, [-MOST, MOST]),
     }
+}
+
+/// Keys and tables of the robot file, which no table of the job has.
+const OF_ROBOT: [&str; 6] = ["ball_mm", "joint", "tolerance", "mass", "payload", "repeatability_mm"];
+
+/// A key that the job does not know, but the robot file, at the same place.
+fn of_robot(unread: Diagnostic) -> Diagnostic {
+    let known = unread.message.strip_prefix("unknown field `").and_then(|rest| rest.split('`').next());
+    let Some(key) = known.filter(|key| OF_ROBOT.contains(key)) else { return unread };
+    let finding = Diagnostic::line(&unread.file, unread.line, JobFinding::KeyOfRobot { key: key.into() });
+    finding.in_line(unread.excerpt.as_deref().unwrap_or_default(), unread.column)
 }

@@ -5,14 +5,15 @@ use std::fmt;
 use serde::{Deserialize, Deserializer};
 
 use crate::base::parse::from_toml;
+use crate::base::table::{Delimiter, Layout};
 use crate::catalogue::ImportFinding;
 use crate::diagnostic::Diagnostic;
 
-/// The layout of a trace; without any key it is the CSV `t_s,length_mm`.
+/// The layout of a trace; without any key it has the columns `t_s` and `length_mm`.
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Mapping {
-    pub(super) file: Layout,
+    pub(super) file: File,
     pub(super) time: Time,
     pub(super) length: Length,
     pub(super) strobe: Option<Plain>,
@@ -20,25 +21,25 @@ pub struct Mapping {
     pub(super) temperature: Option<Plain>,
 }
 
-/// Lines and fields.
+/// Lines and cells; what is absent is as the trace shows it.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields, default)]
-pub(super) struct Layout {
-    /// Between fields: one character, or `space` for any number of blanks.
-    pub(super) delimiter: String,
+pub(super) struct File {
+    /// Between cells: one character, or `space` for any number of blanks.
+    delimiter: Option<String>,
     /// The decimal point, `.` or `,`.
-    pub(super) decimal: char,
+    decimal: Option<char>,
     /// Lines before the header, or before the first row where there is none.
-    pub(super) skip_lines: usize,
+    skip_lines: usize,
     /// Whether a line names the columns.
     pub(super) header: bool,
     /// Lines that begin with it are passed over.
-    pub(super) comment: Option<String>,
+    comment: Option<String>,
 }
 
-impl Default for Layout {
+impl Default for File {
     fn default() -> Self {
-        Self { delimiter: ",".into(), decimal: '.', skip_lines: 0, header: true, comment: None }
+        Self { delimiter: None, decimal: None, skip_lines: 0, header: true, comment: None }
     }
 }
 
@@ -47,14 +48,15 @@ impl Default for Layout {
 #[serde(deny_unknown_fields, default)]
 pub(super) struct Time {
     pub(super) column: Column,
-    pub(super) unit: TimeUnit,
+    /// When absent: seconds, or dates where the first row has one.
+    pub(super) unit: Option<TimeUnit>,
     /// Readings a second, in place of a column.
     pub(super) rate_hz: Option<f64>,
 }
 
 impl Default for Time {
     fn default() -> Self {
-        Self { column: Column::Name("t_s".into()), unit: TimeUnit::S, rate_hz: None }
+        Self { column: Column::Name("t_s".into()), unit: None, rate_hz: None }
     }
 }
 
@@ -65,7 +67,7 @@ pub(super) enum TimeUnit {
     Ms,
     Us,
     Ns,
-    /// ISO 8601 date and time.
+    /// Date and time.
     Iso,
 }
 
@@ -87,12 +89,13 @@ impl TimeUnit {
 pub(super) struct Length {
     pub(super) column: Column,
     pub(super) unit: LengthUnit,
-    pub(super) kind: LengthKind,
+    /// When absent: as the first row shows by the length of the bar.
+    pub(super) kind: Option<LengthKind>,
 }
 
 impl Default for Length {
     fn default() -> Self {
-        Self { column: Column::Name("length_mm".into()), unit: LengthUnit::Mm, kind: LengthKind::Distance }
+        Self { column: Column::Name("length_mm".into()), unit: LengthUnit::Mm, kind: None }
     }
 }
 
@@ -172,18 +175,30 @@ impl Mapping {
             let from = text.find(word).unwrap_or(0);
             Diagnostic::span(file, text, from..from + word.len(), finding)
         };
-        if mapping.file.delimiter != "space" && mapping.file.delimiter.chars().count() != 1 {
+        let File { delimiter, decimal, .. } = &mapping.file;
+        let delimiter = delimiter.as_deref();
+        if delimiter.is_some_and(|delimiter| delimiter != "space" && delimiter.chars().count() != 1) {
             return Err(at("delimiter", ImportFinding::Delimiter));
         }
-        if !matches!(mapping.file.decimal, '.' | ',') {
+        if decimal.is_some_and(|decimal| !matches!(decimal, '.' | ',')) {
             return Err(at("decimal", ImportFinding::Decimal));
         }
-        if mapping.file.delimiter.starts_with(mapping.file.decimal) {
+        if decimal.is_some_and(|decimal| delimiter.is_some_and(|delimiter| delimiter.starts_with(decimal))) {
             return Err(at("decimal", ImportFinding::DecimalIsDelimiter));
         }
         if mapping.time.rate_hz.is_some_and(|hz| !(hz.is_finite() && hz > 0.0)) {
             return Err(at("rate_hz", ImportFinding::Rate));
         }
         Ok(mapping)
+    }
+
+    /// How the trace is cut.
+    pub fn layout(&self) -> Layout {
+        let File { delimiter, decimal, skip_lines, header, comment } = self.file.clone();
+        let delimiter = delimiter.and_then(|delimiter| match delimiter.as_str() {
+            "space" => Some(Delimiter::Blanks),
+            other => other.chars().next().map(Delimiter::Character),
+        });
+        Layout { delimiter, decimal, skip_lines, header, comment }
     }
 }

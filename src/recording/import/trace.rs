@@ -1,7 +1,8 @@
-//! The lines of a trace become samples.
+//! The rows of a trace become samples.
 
-use super::fields::{self, Field};
+use super::date;
 use super::mapping::{Column, LengthKind, Mapping, Plain, TimeUnit};
+use crate::base::table::{Row, Table};
 use crate::base::units::HostNs;
 use crate::catalogue::ImportFinding;
 use crate::diagnostic::Diagnostic;
@@ -18,15 +19,19 @@ pub struct Bar {
     pub stroke_mm: [f64; 2],
 }
 
-/// Reads the lines of a trace one after the other.
+/// Reads the rows of a trace one after the other.
 pub struct Trace<'a> {
-    file: &'a str,
+    table: Table<'a>,
+    state: State<'a>,
+}
+
+/// What the rows before tell of the next.
+struct State<'a> {
     mapping: &'a Mapping,
     bar: Bar,
-    delimiter: Option<char>,
     places: Option<Places>,
-    lines: usize,
-    bytes: u64,
+    time: Option<TimeUnit>,
+    kind: Option<LengthKind>,
     /// Time of the first row, ns, and of the last.
     first_ns: Option<i128>,
     last: HostNs,
@@ -44,6 +49,14 @@ pub struct Counts {
     pub unix_ns: u64,
 }
 
+/// A row with the text since the row before, in UTF-8.
+#[derive(Debug)]
+pub struct Read {
+    pub text: String,
+    /// None behind the last row.
+    pub sample: Option<(HostNs, Sample)>,
+}
+
 /// The places of the columns, from 0.
 #[derive(Clone, Copy)]
 struct Places {
@@ -55,77 +68,73 @@ struct Places {
 }
 
 impl<'a> Trace<'a> {
-    pub fn new(file: &'a str, mapping: &'a Mapping, bar: Bar) -> Self {
-        let delimiter = match mapping.file.delimiter.as_str() {
-            "space" => None,
-            other => other.chars().next(),
-        };
-        Self {
-            file,
+    /// Of a table in the mapping's layout.
+    pub fn new(table: Table<'a>, mapping: &'a Mapping, bar: Bar) -> Self {
+        let state = State {
             mapping,
             bar,
-            delimiter,
             places: None,
-            lines: 0,
-            bytes: 0,
+            time: mapping.time.unit,
+            kind: mapping.length.kind,
             first_ns: None,
             last: HostNs(0),
             counts: Counts::default(),
-        }
+        };
+        Self { table, state }
     }
 
-    /// The sample of the next line, if it is a row, at its time since the first.
+    /// The next row; the last has no sample.
     ///
     /// # Errors
     /// What is wrong, with line and column.
-    pub fn line(&mut self, bytes: &[u8]) -> Result<Option<(HostNs, Sample)>, Diagnostic> {
-        let offset = self.bytes;
-        self.bytes += bytes.len() as u64;
-        self.lines += 1;
-        let text = String::from_utf8_lossy(bytes);
-        let text = text.trim_start_matches('\u{feff}').trim_end_matches(['\n', '\r']);
-        let comment = self.mapping.file.comment.as_deref().is_some_and(|begin| text.starts_with(begin));
-        if self.lines <= self.mapping.file.skip_lines || text.trim().is_empty() || comment {
-            return Ok(None);
-        }
-        let fields = fields::cut(text, self.delimiter);
-        let line = Line { file: self.file, number: self.lines, text, fields: &fields };
-        let places = match self.places {
+    pub fn row(&mut self) -> Result<Read, Diagnostic> {
+        let places = match self.state.places {
             Some(places) => places,
             None => {
-                let places = self.find(&line)?;
-                self.places = Some(places);
-                if self.mapping.file.header {
-                    return Ok(None);
+                let places = self.find();
+                // A file without anything lacks its rows, not a column.
+                if places.is_err() && self.table.names().is_empty() && self.table.row()?.is_none() {
+                    return Err(Diagnostic::file(self.table.file(), ImportFinding::Empty));
                 }
-                places
+                *self.state.places.insert(places?)
             }
         };
-        self.row(&line, places, offset).map(Some)
+        let sample = match self.table.row()? {
+            Some(row) => Some(self.state.row(&row, places)?),
+            None => None,
+        };
+        Ok(Read { text: self.table.take_text(), sample })
     }
 
-    /// Ends the trace.
+    /// Ends the trace, with what was found out about it.
     ///
     /// # Errors
     /// When it holds no row.
-    pub fn finish(self) -> Result<Counts, Diagnostic> {
-        if self.counts.samples == 0 {
-            return Err(Diagnostic::file(self.file, ImportFinding::Empty));
+    pub fn finish(self) -> Result<(Counts, Vec<Diagnostic>), Diagnostic> {
+        let Self { table, state, .. } = self;
+        if state.counts.samples == 0 {
+            return Err(Diagnostic::file(table.file(), ImportFinding::Empty));
         }
-        Ok(self.counts)
+        let dates = state.mapping.time.unit.is_none() && state.time == Some(TimeUnit::Iso);
+        let readings = state.mapping.length.kind.is_none() && state.kind == Some(LengthKind::Reading);
+        let bar_mm = state.bar.length_mm;
+        let told =
+            [dates.then_some(ImportFinding::Dates), readings.then_some(ImportFinding::Readings { bar_mm })];
+        let told = told.into_iter().flatten().map(|finding| Diagnostic::file(table.file(), finding));
+        Ok((state.counts, table.findings().into_iter().chain(told).collect()))
     }
 
     /// The places of the columns, by the header where there is one.
-    fn find(&self, line: &Line<'_>) -> Result<Places, Diagnostic> {
+    fn find(&self) -> Result<Places, Diagnostic> {
+        let Mapping { file, time, length, strobe, valid, temperature } = self.state.mapping;
         let place = |column: &Column| match column {
             Column::Number(number) => Ok(number - 1),
-            Column::Name(name) if self.mapping.file.header => line.place(name),
+            Column::Name(name) if file.header => self.table.required([name]).map(|[at]| at),
             Column::Name(name) => {
-                Err(Diagnostic::file(self.file, ImportFinding::NoHeader { column: name.clone() }))
+                Err(Diagnostic::file(self.table.file(), ImportFinding::NoHeader { column: name.clone() }))
             }
         };
         let optional = |plain: &Option<Plain>| plain.as_ref().map(|plain| place(&plain.column)).transpose();
-        let Mapping { time, length, strobe, valid, temperature, .. } = self.mapping;
         Ok(Places {
             time: if time.rate_hz.is_some() { None } else { Some(place(&time.column)?) },
             length: place(&length.column)?,
@@ -134,31 +143,29 @@ impl<'a> Trace<'a> {
             temperature: optional(temperature)?,
         })
     }
+}
 
-    fn row(&mut self, line: &Line<'_>, places: Places, offset: u64) -> Result<(HostNs, Sample), Diagnostic> {
-        let ns = self.time_ns(line, places)?;
+impl State<'_> {
+    fn row(&mut self, row: &Row<'_>, places: Places) -> Result<(HostNs, Sample), Diagnostic> {
+        let ns = self.time_ns(row, places.time)?;
         let since = ns - self.first_ns.unwrap_or(ns);
         let host = match u64::try_from(since) {
             Ok(since) if since >= self.last.0 => HostNs(since),
-            _ => {
-                let field = places.time.and_then(|place| line.fields.get(place));
-                return Err(line.wrong(field.map_or(1, |field| field.column), ImportFinding::TimeGoesBack));
-            }
+            _ => return Err(row.wrong(places.time.unwrap_or(0), ImportFinding::TimeGoesBack)),
         };
-        let reading_mm = self.reading_mm(line, places.length)?;
+        let reading_mm = self.reading_mm(row, places.length)?;
         let [low, high] = self.bar.stroke_mm;
-        let decimal = self.mapping.file.decimal;
         let sample = Sample {
             reading_mm,
             sequence: None,
             ticks: None,
-            trigger: line.flag(places.strobe)?,
-            temperature_c: places.temperature.map(|place| line.number(place, decimal)).transpose()?,
-            valid: line.flag(places.valid)?.unwrap_or(true) && (low..=high).contains(&reading_mm),
+            trigger: flag(row, places.strobe)?,
+            temperature_c: places.temperature.map(|place| row.number(place)).transpose()?,
+            valid: flag(row, places.valid)?.unwrap_or(true) && (low..=high).contains(&reading_mm),
             status: 0,
-            offset,
+            offset: row.offset(),
         };
-        if self.first_ns.is_none() && self.mapping.time.unit == TimeUnit::Iso && places.time.is_some() {
+        if self.first_ns.is_none() && self.time == Some(TimeUnit::Iso) && places.time.is_some() {
             self.counts.unix_ns = u64::try_from(ns).unwrap_or(0);
         }
         self.first_ns.get_or_insert(ns);
@@ -168,74 +175,45 @@ impl<'a> Trace<'a> {
         Ok((host, sample))
     }
 
-    fn time_ns(&self, line: &Line<'_>, places: Places) -> Result<i128, Diagnostic> {
-        let unit = self.mapping.time.unit;
-        match places.time {
-            Some(place) if unit == TimeUnit::Iso => {
-                let field = line.field(place)?;
-                let finding = || ImportFinding::NotADate { field: field.text.clone() };
-                fields::iso_ns(&field.text).ok_or_else(|| line.wrong(field.column, finding()))
+    fn time_ns(&mut self, row: &Row<'_>, place: Option<usize>) -> Result<i128, Diagnostic> {
+        let Some(place) = place else {
+            let rate_hz = self.mapping.time.rate_hz.unwrap_or(1.0);
+            return Ok((self.counts.samples as f64 * 1e9 / rate_hz).round() as i128);
+        };
+        row.has(place)?;
+        let field = row.text(place);
+        let dated = date::unix_ns(field);
+        let shown = if dated.is_some() { TimeUnit::Iso } else { TimeUnit::S };
+        match *self.time.get_or_insert(shown) {
+            TimeUnit::Iso => {
+                dated.ok_or_else(|| row.wrong(place, ImportFinding::NotADate { field: field.into() }))
             }
-            Some(place) => Ok((line.number(place, self.mapping.file.decimal)? * unit.ns()).round() as i128),
-            None => {
-                let rate_hz = self.mapping.time.rate_hz.unwrap_or(1.0);
-                Ok((self.counts.samples as f64 * 1e9 / rate_hz).round() as i128)
-            }
+            unit => Ok((row.number(place)? * unit.ns()).round() as i128),
         }
     }
 
-    fn reading_mm(&self, line: &Line<'_>, place: usize) -> Result<f64, Diagnostic> {
+    fn reading_mm(&mut self, row: &Row<'_>, place: usize) -> Result<f64, Diagnostic> {
         let bar_mm = self.bar.length_mm;
-        let value_mm = line.number(place, self.mapping.file.decimal)? * self.mapping.length.unit.mm();
-        let (reading_mm, finding) = match self.mapping.length.kind {
+        let most_mm = FAR_OFF * bar_mm;
+        let value_mm = row.number(place)? * self.mapping.length.unit.mm();
+        let shown = if value_mm.abs() <= most_mm { LengthKind::Reading } else { LengthKind::Distance };
+        let (reading_mm, finding) = match *self.kind.get_or_insert(shown) {
             LengthKind::Distance => (value_mm - bar_mm, ImportFinding::NoLengthOfBar { value_mm, bar_mm }),
             LengthKind::Reading => (value_mm, ImportFinding::NoReadingOfBar { value_mm, bar_mm }),
         };
-        if reading_mm.abs() > FAR_OFF * bar_mm {
-            return Err(line.wrong(line.field(place)?.column, finding));
+        if reading_mm.abs() > most_mm {
+            return Err(row.wrong(place, finding));
         }
         Ok(reading_mm)
     }
 }
 
-/// A line of the trace, cut.
-struct Line<'a> {
-    file: &'a str,
-    number: usize,
-    text: &'a str,
-    fields: &'a [Field],
-}
-
-impl Line<'_> {
-    fn wrong(&self, column: usize, finding: ImportFinding) -> Diagnostic {
-        Diagnostic::line(self.file, self.number, finding).in_line(self.text, column)
-    }
-
-    /// The place of a column by its name in the header.
-    fn place(&self, name: &str) -> Result<usize, Diagnostic> {
-        self.fields.iter().position(|field| field.text == *name).ok_or_else(|| {
-            let header: Vec<&str> = self.fields.iter().map(|field| field.text.as_str()).collect();
-            self.wrong(1, ImportFinding::NoColumn { column: name.into(), header: header.join(", ") })
-        })
-    }
-
-    fn field(&self, place: usize) -> Result<&Field, Diagnostic> {
-        let end = || self.text.chars().count() + 1;
-        let short = || self.wrong(end(), ImportFinding::LineEnds { column: place + 1 });
-        self.fields.get(place).ok_or_else(short)
-    }
-
-    fn number(&self, place: usize, decimal: char) -> Result<f64, Diagnostic> {
-        let field = self.field(place)?;
-        fields::number(&field.text, decimal).map_err(|finding| self.wrong(field.column, finding))
-    }
-
-    fn flag(&self, place: Option<usize>) -> Result<Option<bool>, Diagnostic> {
-        let Some(field) = place.map(|place| self.field(place)).transpose()? else { return Ok(None) };
-        match field.text.to_ascii_lowercase().as_str() {
-            "1" | "true" | "on" => Ok(Some(true)),
-            "0" | "false" | "off" => Ok(Some(false)),
-            _ => Err(self.wrong(field.column, ImportFinding::NotAFlag { field: field.text.clone() })),
-        }
+fn flag(row: &Row<'_>, place: Option<usize>) -> Result<Option<bool>, Diagnostic> {
+    let Some(place) = place else { return Ok(None) };
+    row.has(place)?;
+    match row.text(place).to_ascii_lowercase().as_str() {
+        "1" | "true" | "on" => Ok(Some(true)),
+        "0" | "false" | "off" => Ok(Some(false)),
+        field => Err(row.wrong(place, ImportFinding::NotAFlag { field: field.into() })),
     }
 }

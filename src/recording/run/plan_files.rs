@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use crate::base::files;
-use crate::catalogue::FileFinding;
+use crate::catalogue::{FileFinding, PlanFinding};
 use crate::diagnostic::Diagnostic;
 use crate::plan::Plan;
 
@@ -33,9 +33,7 @@ impl PlanFiles {
         let json = csv.with_extension("json");
         let (csv_name, json_name) = (csv.display().to_string(), json.display().to_string());
         if csv.is_file() && !json.is_file() {
-            let message = format!("has no {json_name} beside it: it is no plan, or half of one");
-            return Err(Diagnostic::file(&csv_name, message)
-                .help("name the plan.csv that `dbbd plan` wrote, with its plan.json in the same directory"));
+            return Err(Diagnostic::file(&csv_name, PlanFinding::NoHeader { json: json_name }));
         }
         let (csv, json) = (files::read_at_most(csv, MOST_BYTES)?, files::read_at_most(&json, MOST_BYTES)?);
         let plan = Plan::from_files(&csv_name, &csv, &json_name, &json)?;

@@ -1,0 +1,183 @@
+//! The lines of a text whose encoding its own bytes show: UTF-8, UTF-16 behind a byte order mark, else Windows-1252.
+
+use std::io::BufRead;
+
+use crate::catalogue::FileFinding::{NotText, Unreadable};
+use crate::diagnostic::Diagnostic;
+
+/// How characters are written as bytes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Encoding {
+    Utf8,
+    Utf16Le,
+    Utf16Be,
+    Windows1252,
+}
+
+impl Encoding {
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Utf8 => "UTF-8",
+            Self::Utf16Le | Self::Utf16Be => "UTF-16",
+            Self::Windows1252 => "Windows-1252",
+        }
+    }
+}
+
+/// Reads one line after the other.
+pub struct Lines<R> {
+    file: String,
+    source: R,
+    /// Of the text so far; a text in ASCII is UTF-8 until another byte comes.
+    encoding: Encoding,
+    /// Lines read.
+    number: usize,
+    bytes: Vec<u8>,
+}
+
+impl<R: BufRead> Lines<R> {
+    pub fn new(file: &str, source: R) -> Self {
+        Self { file: file.into(), source, encoding: Encoding::Utf8, number: 0, bytes: Vec::new() }
+    }
+
+    pub fn encoding(&self) -> Encoding {
+        self.encoding
+    }
+
+    /// The number of the last line, from 1.
+    pub fn number(&self) -> usize {
+        self.number
+    }
+
+    /// Appends the next line with its end and, if it is the first, its byte order mark; whether there was one.
+    ///
+    /// # Errors
+    /// When the file cannot be read, or is no text in an encoding that its bytes show.
+    pub fn next(&mut self, text: &mut String) -> Result<bool, Diagnostic> {
+        if self.number == 0 {
+            let first = self.source.fill_buf().map_err(|error| unreadable(&self.file, &error))?;
+            self.encoding = match first {
+                [0xff, 0xfe, ..] => Encoding::Utf16Le,
+                [0xfe, 0xff, ..] => Encoding::Utf16Be,
+                _ => Encoding::Utf8,
+            };
+        }
+        self.bytes.clear();
+        let read = match self.encoding {
+            Encoding::Utf16Le | Encoding::Utf16Be => self.read_units(),
+            _ => self.source.read_until(b'\n', &mut self.bytes).map(|_| ()),
+        };
+        read.map_err(|error| unreadable(&self.file, &error))?;
+        if self.bytes.is_empty() {
+            return Ok(false);
+        }
+        self.number += 1;
+        let encoding = self.encoding.name();
+        self.decode(text).ok_or_else(|| {
+            Diagnostic::line(&self.file, self.number, NotText { encoding: encoding.into() })
+        })?;
+        Ok(true)
+    }
+
+    /// The bytes of a line of UTF-16: to the unit that ends it.
+    fn read_units(&mut self) -> std::io::Result<()> {
+        loop {
+            // The low byte of a unit is the first or the second.
+            if self.source.read_until(b'\n', &mut self.bytes)? == 0 {
+                return Ok(());
+            }
+            if self.encoding == Encoding::Utf16Le && self.bytes.len() % 2 == 1 {
+                let mut high = [0];
+                if std::io::Read::read(&mut self.source, &mut high)? == 1 {
+                    self.bytes.push(high[0]);
+                }
+            }
+            let end: [u8; 2] = if self.encoding == Encoding::Utf16Le { [b'\n', 0] } else { [0, b'\n'] };
+            if self.bytes.len() % 2 == 0 && self.bytes.ends_with(&end) {
+                return Ok(());
+            }
+        }
+    }
+
+    /// Appends the characters of the bytes; none if they are no text.
+    fn decode(&mut self, text: &mut String) -> Option<()> {
+        let unit: fn([u8; 2]) -> u16 = match self.encoding {
+            Encoding::Utf16Le => u16::from_le_bytes,
+            Encoding::Utf16Be => u16::from_be_bytes,
+            Encoding::Utf8 | Encoding::Windows1252 => {
+                if self.bytes.contains(&0) {
+                    return None;
+                }
+                match std::str::from_utf8(&self.bytes) {
+                    Ok(line) => text.push_str(line),
+                    Err(_) => {
+                        self.encoding = Encoding::Windows1252;
+                        for &byte in &self.bytes {
+                            text.push(windows_1252(byte)?);
+                        }
+                    }
+                }
+                return Some(());
+            }
+        };
+        if self.bytes.len() % 2 != 0 {
+            return None;
+        }
+        let units = self.bytes.chunks_exact(2).map(|pair| unit([pair[0], pair[1]]));
+        for character in char::decode_utf16(units) {
+            text.push(character.ok().filter(|character| *character != '\0')?);
+        }
+        Some(())
+    }
+}
+
+fn unreadable(file: &str, error: &std::io::Error) -> Diagnostic {
+    Diagnostic::file(file, Unreadable { why: error.to_string() })
+}
+
+/// The characters from 0x80 to 0x9f (unicode.org, VENDORS/MICSFT/WINDOWS/CP1252.TXT); a blank where there is none.
+const CP1252: &str = "€ ‚ƒ„…†‡ˆ‰Š‹Œ Ž  ‘’“”•–—˜™š›œ žŸ";
+
+fn windows_1252(byte: u8) -> Option<char> {
+    match byte {
+        0x80..=0x9f => CP1252.chars().nth(usize::from(byte - 0x80)).filter(|&character| character != ' '),
+        _ => Some(char::from(byte)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn lines(bytes: &[u8]) -> Result<(Vec<String>, Encoding), Diagnostic> {
+        let mut lines = Lines::new("t", bytes);
+        let (mut all, mut line) = (Vec::new(), String::new());
+        while lines.next(&mut line)? {
+            all.push(std::mem::take(&mut line));
+        }
+        Ok((all, lines.encoding()))
+    }
+
+    #[test]
+    fn an_encoding_is_shown_by_its_bytes() {
+        // U+010A and U+0A00 hold the byte of a line's end.
+        let text = "\u{feff}a \u{10a}\u{a00}\r\nµ \u{1f600}\nend";
+        let expected: Vec<&str> = text.split_inclusive('\n').collect();
+        let le: Vec<u8> = text.encode_utf16().flat_map(u16::to_le_bytes).collect();
+        let be: Vec<u8> = text.encode_utf16().flat_map(u16::to_be_bytes).collect();
+        for (bytes, encoding) in
+            [(text.as_bytes(), Encoding::Utf8), (&le, Encoding::Utf16Le), (&be, Encoding::Utf16Be)]
+        {
+            let (found, as_read) = lines(bytes).unwrap();
+            assert_eq!(
+                (found.iter().map(String::as_str).collect::<Vec<_>>(), as_read),
+                (expected.clone(), encoding)
+            );
+        }
+        let (found, encoding) = lines(b"a\n\xb5m \x80 \xdf\n").unwrap();
+        assert_eq!((found[1].as_str(), encoding), ("µm € ß\n", Encoding::Windows1252));
+        for none in [&b"a\0b"[..], b"\xff\xfea", b"\xff\xfe\x00\xd8", b"\x81"] {
+            assert_eq!(lines(none).unwrap_err().code.0, "E0103", "{none:?}");
+        }
+    }
+}
