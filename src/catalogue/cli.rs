@@ -13,6 +13,8 @@ findings! {
         E0003 "an option's value is not valid",
         cause: "The value of an option on the command line is not of its type or out of its range (exit code 2).",
         cure: "`dbbd VERB --help` says what the option takes, with the unit." {
+            NotPositive => "a positive number is needed";
+            NotAnExpansion => "an expansion by 1 K is some 0.00001 of the length (steel 11.5e-6, carbon fibre 1e-6)";
             NotSeconds => "a number of seconds, 0 or more, is needed";
             NotNameAndValue => "must be NAME=VALUE";
             NotARisk => "a probability between 0 and 0.5 is needed";

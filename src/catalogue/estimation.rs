@@ -49,7 +49,6 @@ findings! {
         cause: "The text is not what the option takes.",
         cure: "Write what the message asks for; `dbbd identify --help` has an example of each." {
             NotAPoint => "three numbers in mm are needed, as 30,20,10";
-            NotPositive => "a positive number is needed";
             NotAScale => "`auto` or a positive number is needed";
         }
         W1310 "the solver did not converge",

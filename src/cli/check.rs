@@ -2,9 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
-use super::circle::positive;
 use super::identify::{Given, Named, parse_point};
 use super::output::pretty;
+use super::positive;
 use super::{Outcome, Output};
 use crate::base::files;
 use crate::catalogue::{CliFinding, ConformityFinding};

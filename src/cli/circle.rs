@@ -4,9 +4,9 @@ use std::path::{Path, PathBuf};
 
 use serde_json::{Map, Value, json};
 
-use super::{Outcome, Output};
+use super::{Outcome, Output, positive};
 use crate::base::files;
-use crate::catalogue::{CircularFinding, MatchingFinding};
+use crate::catalogue::{CircularFinding, CliFinding, MatchingFinding};
 use crate::circular::{
     self, Diagnosis, Evaluation, Harmonics, Mover, NAMES, Quantity, Settings, Step, TERM_NAMES, TRACE_NAMES,
     Temperature, Trace, TraceResult,
@@ -82,19 +82,10 @@ struct Certificate {
     u_mm: Option<f64>,
 }
 
-pub(super) fn positive(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(value) if value.is_finite() && value > 0.0 => Ok(value),
-        _ => Err("a positive number is needed".into()),
-    }
-}
-
-fn expansion(text: &str) -> Result<f64, String> {
+fn expansion(text: &str) -> Result<f64, CliFinding> {
     match positive(text)? {
         per_k if per_k < 1e-3 => Ok(per_k),
-        _ => {
-            Err("an expansion by 1 K is some 0.00001 of the length (steel 11.5e-6, carbon fibre 1e-6)".into())
-        }
+        _ => Err(CliFinding::NotAnExpansion),
     }
 }
 

@@ -4,10 +4,9 @@ use std::path::{Path, PathBuf};
 
 use serde_json::Value as Json;
 
-use super::circle::positive;
 use super::output::pretty;
 use super::robots;
-use super::{Outcome, Output};
+use super::{Outcome, Output, positive};
 use crate::base::files;
 use crate::catalogue::{CliFinding, ConformityFinding, Names};
 use crate::conformity::{

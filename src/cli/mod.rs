@@ -28,13 +28,12 @@ mod serve;
 mod simulate;
 mod sync;
 
-use std::io::ErrorKind;
 use std::process::ExitCode;
 
 use clap::{Args, Parser, Subcommand};
 
 use crate::base::program;
-use crate::catalogue::ServiceFinding;
+use crate::catalogue::{CliFinding, ServiceFinding};
 use crate::diagnostic::Diagnostic;
 pub(crate) use output::Output;
 
@@ -116,15 +115,20 @@ pub(crate) enum Outcome {
     Failed,
 }
 
+/// A positive number of the command line.
+fn positive(text: &str) -> Result<f64, CliFinding> {
+    match text.parse::<f64>() {
+        Ok(value) if value.is_finite() && value > 0.0 => Ok(value),
+        _ => Err(CliFinding::NotPositive),
+    }
+}
+
 /// Runs the program.
 pub fn main() -> ExitCode {
     crate::daemon::abort_on_panic();
     let cli = match Cli::try_parse() {
         Ok(cli) => cli,
-        Err(help) => {
-            let unprinted = help.print().is_err_and(|error| error.kind() != ErrorKind::BrokenPipe);
-            return ExitCode::from(if unprinted { 1 } else { u8::try_from(help.exit_code()).unwrap_or(1) });
-        }
+        Err(usage) => return output::wrong_usage(&usage),
     };
     let out = Output::new(cli.common);
     if cli.common.until_stdin_closes

@@ -1,6 +1,7 @@
 //! What goes to stdout (results) and stderr (progress, warnings, errors), and the exit code.
 
 use std::borrow::Cow;
+use std::error::Error;
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, IsTerminal, Write};
 use std::path::Path;
@@ -13,8 +14,8 @@ use serde::Serialize;
 
 use super::{Common, Outcome};
 use crate::base::table::{Layout, Table};
-use crate::catalogue::{CliFinding, FileFinding};
-use crate::diagnostic::{Diagnostic, Finding, Severity};
+use crate::catalogue::{CliFinding, CompensationFinding, EstimationFinding, FileFinding};
+use crate::diagnostic::{Code, Diagnostic, Finding, Severity};
 
 /// How often a line on the terminal moves.
 const TICK: Duration = Duration::from_millis(100);
@@ -223,6 +224,30 @@ fn labelled(finding: &Diagnostic) -> String {
         Severity::Error => "error",
     };
     format!("{label}[{}]: {finding}", finding.code)
+}
+
+/// Reports what is wrong with the command line, with the code of a value that is refused; the exit code.
+pub(super) fn wrong_usage(usage: &clap::Error) -> ExitCode {
+    match usage.source().and_then(code) {
+        Some(code) => {
+            let text = usage.render().to_string().replacen("error:", &format!("error[{code}]:"), 1);
+            write_line(&mut io::stderr(), text.trim_end());
+        }
+        // A reader that has gone is no reason to fail.
+        None if usage.print().is_err_and(|error| error.kind() != io::ErrorKind::BrokenPipe) => {
+            return ExitCode::FAILURE;
+        }
+        None => {}
+    }
+    ExitCode::from(u8::try_from(usage.exit_code()).unwrap_or(2))
+}
+
+/// The code of what a parser of a value says.
+fn code(why: &(dyn Error + 'static)) -> Option<Code> {
+    fn of<F: Finding + Error + 'static>(why: &(dyn Error + 'static)) -> Option<Code> {
+        why.downcast_ref::<F>().map(Finding::code)
+    }
+    of::<CliFinding>(why).or_else(|| of::<EstimationFinding>(why)).or_else(|| of::<CompensationFinding>(why))
 }
 
 /// Reports the error, if there is one; the exit code. A warning that was reported is a doubt, whatever the verb.

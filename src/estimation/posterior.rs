@@ -163,7 +163,7 @@ impl Posterior {
                 found.model.shift(*id, *step);
             }
         }
-        found.root.iter().all(|x| x.is_finite()).then_some(Learnt { found, w })
+        found.root.iter().chain(w.iter()).all(|x| x.is_finite()).then_some(Learnt { found, w })
     }
 
     fn system(&self, model: &LengthModel, readings: &[PreparedMeasurement], sigma_mm: f64) -> LinearSystem {

@@ -43,8 +43,8 @@ struct Panel<'a> {
 struct ReversalError {
     drive: String,
     error: String,
-    /// Where the error is beyond its interval, mm.
-    largest_step_mm: Option<f64>,
+    /// In the length, um: where the error is within its interval, the bound that it does not exceed.
+    largest_step: String,
 }
 
 impl CircleTest {
@@ -108,6 +108,13 @@ fn reversal_error(step: &Step) -> ReversalError {
     let significant_error = step.play.abs() > step.u95;
     // No gear has a reversal error of a degree: such a joint hardly changes the length.
     let (bound, degree) = (step.play.abs() + step.u95, 1f64.to_radians());
+    // A step is in proportion to its error.
+    let bound_um = if step.play == 0.0 { f64::NAN } else { 1e3 * step.most_mm * bound / step.play.abs() };
+    let largest_step = match step.mover {
+        _ if significant_error => significant(1e3 * step.most_mm, 2),
+        _ if bound_um.is_finite() => format!("< {}", significant(bound_um, 2)),
+        _ => "–".into(),
+    };
     let error = match step.mover {
         _ if significant_error => {
             let decimals = if factor * step.u95 >= 10.0 { 0 } else { 2 };
@@ -117,7 +124,7 @@ fn reversal_error(step: &Step) -> ReversalError {
         Mover::Joint(_) if bound > degree => "not identifiable: the joint hardly changes the length".into(),
         _ => format!("not significant, below {} {unit}", significant(factor * bound, 2)),
     };
-    ReversalError { drive, error, largest_step_mm: significant_error.then_some(step.most_mm) }
+    ReversalError { drive, error, largest_step }
 }
 
 /// The tests in the order of their circles, where a circle was tested more than once: the circles of one

@@ -51,10 +51,24 @@ pub(crate) fn run(arguments: &[&str]) -> Output {
 
 const NO_PORT: &str = "E0201";
 const PORT_BUSY: &str = "E0203";
-const SILENT: &str = "W0225";
+const STOPPED_SENDING: &str = "W0225";
+const PORT_REFUSED: &str = "E0204";
+const PORT_GONE: &str = "E0206";
+const STAYED_AWAY: &str = "W0220";
+const SAMPLES_MISSING: &str = "W0223";
+const OPEN_TO_ALL: &str = "I0211";
+
+/// What is asked of a bar that never sends a byte, the exit code, and the codes.
+const SILENT: &[(&[&str], i32, &[&str])] = &[
+    (&["--protocol", "microepsilon-ild1420"], 1, &["E0205"]),
+    (&["--duration", "0.3"], 3, &["W0221"]),
+    (&["--duration", "0.3", "--ekrl", "127.0.0.1:0"], 3, &["W0221", "W0224"]),
+];
 
 pub(crate) fn provoked() -> Vec<&'static str> {
-    vec![NO_PORT, PORT_BUSY, SILENT]
+    let silent = SILENT.iter().flat_map(|(_, _, codes)| *codes).copied();
+    let others = [PORT_REFUSED, PORT_GONE, STAYED_AWAY, SAMPLES_MISSING, OPEN_TO_ALL, STOPPED_SENDING];
+    silent.chain(others).chain([NO_PORT, PORT_BUSY]).collect()
 }
 
 fn stderr(output: &Output) -> String {
@@ -199,10 +213,11 @@ fn spoiled_frames_are_faults_and_gaps_and_a_doubt() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("run");
     let (port, _bar) = play(0.0, Spoiled(0));
-    let mut child = dbbd(&["acquire", "--port", &port, "--out", path.to_str().unwrap()]).spawn().unwrap();
+    let child = dbbd(&["acquire", "--port", &port, "--out", path.to_str().unwrap()]).spawn().unwrap();
     wait_for(&path, 300_000);
     signal(&child, "INT");
-    assert_eq!(child.wait().unwrap().code(), Some(3));
+    let output = child.wait_with_output().unwrap();
+    assert_eq!((output.status.code(), codes(&output)), (Some(3), vec![SAMPLES_MISSING.to_owned()]));
     let capture = read(&path);
     let missing: u64 = capture
         .events()
@@ -268,7 +283,7 @@ fn a_bar_that_falls_silent_is_a_doubt() {
     let acquire =
         ["acquire", "--port", &port, "--out", path.to_str().unwrap(), "--duration", "4.5", "--json"];
     let output = run(&acquire);
-    assert_eq!((output.status.code(), codes(&output)), (Some(3), vec![SILENT.to_owned()]));
+    assert_eq!((output.status.code(), codes(&output)), (Some(3), vec![STOPPED_SENDING.to_owned()]));
     let summary: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
     let silent_s = summary["progress"]["silent_s"].as_f64().unwrap();
     assert!((3.0..4.5).contains(&silent_s), "{silent_s} s");
@@ -426,6 +441,72 @@ fn the_plan_goes_into_the_capture_and_its_last_module_ends_the_run() {
     let output = run(&["acquire", "--port", &port, "--plan", &path("plan.csv"), "--out", &path("other")]);
     assert_eq!(output.status.code(), Some(1));
     assert_eq!(codes(&output).len(), 1, "{}", stderr(&output));
+}
+
+#[test]
+fn a_silent_bar_is_doubted() {
+    for (more, exit, expected) in SILENT {
+        let directory = tempfile::tempdir().unwrap();
+        let terminal = Terminal::new().unwrap();
+        let path = directory.path().join("run");
+        let given = ["acquire", "--port", terminal.name(), "--out", path.to_str().unwrap()];
+        let output = run(&[&given[..], more].concat());
+        assert_eq!(output.status.code(), Some(*exit), "{more:?}: {}", stderr(&output));
+        assert_eq!(codes(&output), *expected, "{more:?}");
+    }
+}
+
+/// In this process, as above: the line goes while the bar is asked.
+#[test]
+fn a_port_that_goes_while_a_command_is_sent() {
+    let (mut line, host) = serialport::TTYPort::pair().unwrap();
+    let name = serialport::SerialPort::name(&host).unwrap();
+    drop(host);
+    let pulled = std::thread::spawn(move || {
+        // Nobody has the line open at first.
+        let came =
+            |line: &mut serialport::TTYPort| std::io::Read::read(line, &mut [0; 1]).is_ok_and(|n| n > 0);
+        while !came(&mut line) {
+            clock::sleep(0.001);
+        }
+    });
+    let definition = Definition::by_name("microepsilon-ild1420").unwrap().unwrap();
+    let gone = daemon::zero(&name, &definition).unwrap_err();
+    pulled.join().unwrap();
+    assert_eq!(dbbd::diagnostic::Finding::code(&gone).0, PORT_GONE, "{gone}");
+}
+
+/// The simulator holds the other side of the line alone.
+#[test]
+fn a_bar_that_is_unplugged_for_good_is_a_doubt() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = |name: &str| directory.path().join(name).to_str().unwrap().to_owned();
+    let program = "DEF P ( )\r\nPTP {A1 0,A2 -90,A3 90,A4 0,A5 0,A6 0}\r\nHALT\r\nEND\r\n";
+    std::fs::write(path("P.src"), program).unwrap();
+    std::fs::write(path("world.toml"), "[bar]\nlength_mm = 300.0\nstroke_mm = [-6.0, 6.0]\n[[centre]]\nid = 1\nxyz_mm = [1300.0, 0.0, 800.0]\n").unwrap();
+    let simulate = ["simulate", "--program", &path("P.src"), "--world", &path("world.toml"), "--halt", "600"];
+    let mut simulator = dbbd(&[&simulate[..], &["--link", &path("bar")]].concat()).spawn().unwrap();
+    let mut byte = [0; 1];
+    std::io::Read::read_exact(simulator.stdout.as_mut().unwrap(), &mut byte).unwrap();
+    let acquire = ["acquire", "--port", &path("bar"), "--gone", "0.3", "--out", &path("run")];
+    let child = dbbd(&acquire).spawn().unwrap();
+    wait_for(Path::new(&path("run")), 20_000);
+    simulator.kill().unwrap();
+    simulator.wait().unwrap();
+    let output = child.wait_with_output().unwrap();
+    assert_eq!(output.status.code(), Some(3), "{}", stderr(&output));
+    assert!(codes(&output).contains(&STAYED_AWAY.to_owned()), "{}", stderr(&output));
+}
+
+#[test]
+fn a_file_is_no_port_and_an_open_address_is_named() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("run");
+    let out = path.to_str().unwrap();
+    let refused = run(&["acquire", "--port", "/dev/null", "--out", out]);
+    assert_eq!((refused.status.code(), codes(&refused)), (Some(1), vec![PORT_REFUSED.to_owned()]));
+    let open = run(&["acquire", "--port", "/dev/ttyNONE7", "--ekrl", "0.0.0.0:0", "--out", out]);
+    assert_eq!(codes(&open), [OPEN_TO_ALL, NO_PORT]);
 }
 
 #[test]

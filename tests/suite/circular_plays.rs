@@ -79,20 +79,30 @@ fn a_joints_play_comes_back_from_a_capture() {
     step(&["circle", "run.dbbd", "--out", "circle"]);
     let text = std::fs::read_to_string(dir.path().join("circle/circle.json")).unwrap();
     let found: serde_json::Value = serde_json::from_str(&text).unwrap();
-    // Joint 3 has its play; what the others could have unseen is said.
+    // Joint 3 has its play and its size; the page bounds what the others could have unseen.
     let page = std::fs::read_to_string(dir.path().join("circle/circle.html")).unwrap();
-    let row = |joint: usize| page.split("<tr>").find(|row| row.contains(&format!("<td>joint {joint}<")));
+    let cells = |joint: usize| -> Vec<String> {
+        let mut rows = page.split("<tr>");
+        let row = rows.find(|row| row.contains(&format!("<td>joint {joint}<"))).unwrap();
+        let texts = row.split("<td").skip(1).filter_map(|cell| cell.split(['>', '<']).nth(1));
+        texts.map(|text| text.replace("&lt;", "<")).collect()
+    };
+    let number = |text: &str| -> f64 {
+        let digits = text.split(' ').find_map(|word| word.trim_start_matches('+').parse().ok());
+        digits.unwrap_or_else(|| panic!("no number in {text}"))
+    };
+    let seen = cells(3);
+    let (size_urad, step_um) = (number(&seen[1]), number(&seen[2]));
+    assert!(seen[1].contains('±') && !seen[2].contains('<'), "{seen:?}");
     assert!(
-        row(3).is_some_and(|row| row.contains("+87.05 ± 0.27 µrad") && row.contains(">73<")),
-        "{:?}",
-        row(3)
+        (size_urad - 0.005_f64.to_radians() * 1e6).abs() < 1.0 && (70.0..76.0).contains(&step_um),
+        "{seen:?}"
     );
     for joint in [1, 2, 4, 5, 6] {
-        assert!(
-            row(joint).is_some_and(|row| row.contains("<td class=\"num\">–</td></tr>")),
-            "{:?}",
-            row(joint)
-        );
+        let unseen = cells(joint);
+        assert!(!unseen[1].contains('±') && unseen[2].starts_with("< "), "{unseen:?}");
+        // A bound is below what was seen at joint 3.
+        assert!(number(&unseen[2]) < step_um, "{unseen:?}");
     }
     let steps = found["reversal_steps"].as_array().unwrap();
     let joint = steps.iter().find(|step| step["joint"] == 3).expect("joint 3 reverses");

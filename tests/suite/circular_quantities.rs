@@ -232,7 +232,10 @@ fn the_verb_writes_json_page_and_picture() {
     for foreign in ["<script", "http://", "https://", "src=", "url(", "@import", "<link"] {
         assert!(!page.contains(foreign), "the page holds {foreign}");
     }
-    assert!(page.contains("Trend"));
+    assert!(
+        page.contains("Trend") && page.contains("id=\"standard-not-read\""),
+        "the page says what it rests on"
+    );
     let svg = std::fs::read_to_string(path("out/circle.svg")).unwrap();
     assert!(svg.starts_with("<svg xmlns=") && svg.ends_with("</svg>") && !svg.contains("NaN"));
     let again = dbbd(&[

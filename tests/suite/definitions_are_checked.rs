@@ -321,7 +321,7 @@ fn crc_parameters_are_verified_by_their_check_value() {
     let wrong = by_parameters("0x4b38").unwrap_err();
     assert_eq!((wrong.code.0, &wrong.values["check"]), ("E0305", &0x4b37.into()), "{wrong}");
     assert_eq!(wrong.excerpt.as_deref(), Some("check = 0x4b38"));
-    assert_eq!(wrong.column, 1, "the key");
+    assert_eq!(wrong.column, 9, "the value");
 }
 
 /// The frames of reference section 3, byte for byte.

@@ -48,7 +48,7 @@ fn run(at: &Path, extra: &[&str]) {
 }
 
 pub(crate) fn provoked() -> Vec<&'static str> {
-    vec!["I0420", "I1010", "W0413", "E0408", "W0412"]
+    vec!["I0420", "I1010", "W0413", "E0408", "W0412", "W1327", "W1328"]
 }
 
 #[test]
@@ -72,6 +72,9 @@ fn logged_axes_tell_where_an_accurate_controller_stood() {
     let blind = dbbd(at, &["identify", "run.dbbd", "--out", "blind"]);
     assert_eq!(blind.status.code(), Some(3), "{}", stderr(&blind));
     assert!(codes(&blind).contains(&"W1327".to_owned()), "{}", stderr(&blind));
+    let other = dbbd(at, &["identify", "run.dbbd", "--robot", "kr16-2", "--out", "other"]);
+    assert_eq!(other.status.code(), Some(3), "{}", stderr(&other));
+    assert!(codes(&other).contains(&"W1328".to_owned()), "{}", stderr(&other));
 
     let text = fs::read_to_string(at.join("dat/DBB_C001.dat")).unwrap();
     let data = parse_data("DBB_C001.dat", &text).unwrap();

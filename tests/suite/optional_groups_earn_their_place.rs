@@ -113,6 +113,10 @@ fn found(result: &ResultFile, errors: &[(&str, f64)]) {
 const SAG: [(&str, f64); 2] = [("compliance2", 4e-7), ("compliance3", 6e-7)];
 const GEAR: [(&str, f64); 3] = [("gear2_cos", 3e-4), ("gear2_sin", -2e-4), ("gear4_sin", 4e-4)];
 
+pub(crate) fn provoked() -> Vec<&'static str> {
+    vec!["I1326"]
+}
+
 #[test]
 fn sag_is_found() {
     let (result, said, report) = run(&lengths(&truth(1, &SAG), 1, 27), &[]);

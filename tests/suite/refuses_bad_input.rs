@@ -130,7 +130,11 @@ pub(crate) fn provoked() -> Vec<&'static str> {
     let tables = TABLES.iter().map(|(_, code, _)| *code);
     let arguments = ARGUMENTS.iter().map(|(_, code)| *code);
     let robots = ROBOTS.iter().map(|(_, _, code)| *code);
-    tables.chain(arguments).chain(robots).chain(["E0110", "E1202", "E1204"]).collect()
+    tables
+        .chain(arguments)
+        .chain(robots)
+        .chain(["E0103", "E0110", "E1202", "E1204", "E1302", "E0301", "E0102", "E0003", "E0721"])
+        .collect()
 }
 
 fn refused(observations: &str, more: &[&str], code: &str, place: &str) {
@@ -168,7 +172,7 @@ fn robots_lists_and_numbers() {
         refused(&good, arguments, code, "");
     }
     let nameless = identify(tempdir().unwrap().path(), &good, &[]);
-    assert!(nameless.status.code() == Some(1) && stderr(&nameless).contains("--robot"));
+    assert_eq!((nameless.status.code(), codes(&nameless)), (Some(1), vec!["E1302".to_owned()]));
     let dir = tempdir().unwrap();
     // Nor is one pose, twenty times: there is nothing to hold out.
     let same: String = (0..20).map(|i| ROW.replacen("1", &(i + 1).to_string(), 1)).collect();
@@ -214,31 +218,40 @@ fn captures_ports_and_programs() {
     let job = include_str!("../../examples/demo.toml").replace("\"dbb-cobs-1\"", "\"dbb-cops-1\"");
     fs::write(at.join("job.toml"), job).unwrap();
     fs::write(at.join("C.csv"), "centre,x_mm,y_mm,z_mm\n1,1300,0,800\n").unwrap();
-    let cases: &[(&[&str], &[&str])] = &[
-        (
-            &["plan", "job.toml", "--out", "p"],
-            &["job.toml: no protocol `dbb-cops-1`", "did you mean `dbb-cobs-1`"],
-        ),
-        (&["sync", "torn.dbbd", "--out", "o.csv"], &["torn.dbbd"]),
-        (&["info", "nowhere.dbbd"], &["nowhere.dbbd", "cannot be read"]),
-        (&["acquire", "--port", "/dev/nowhere0", "--out", "r.dbbd"], &["/dev/nowhere0", "dbbd ports"]),
-        (&["simulate", "--program", "P.src"], &["P.src:3", "FROBNICATE"]),
-        (&["plan", "nowhere.toml", "--out", "p"], &["nowhere.toml"]),
-        (&["plan", "C.csv", "--out", "p"], &["C.csv:1:", "a .toml file is read here: is a .csv meant?"]),
-        (&["krl", "C.csv", "--out", "k"], &["C.csv: has no C.json beside it", "that `dbbd plan` wrote"]),
-        (&["robots", "show", "kr61ha"], &["kr61ha"]),
-        (&["protocols", "show", "dbb-cobs-9"], &["dbb-cobs-9"]),
+    let huge: String = (0..20).map(|at| format!("{at},1,0,-60,{at},0,60,0,1e300,0.01\n")).collect();
+    fs::write(at.join("huge.csv"), format!("{HEADER}{huge}")).unwrap();
+    fs::write(at.join("demo.toml"), include_str!("../../examples/demo.toml")).unwrap();
+    // Command, code, and what the message names.
+    let cases: &[(&[&str], &str, &str)] = &[
+        (&["plan", "job.toml", "--out", "p"], "E0301", "did you mean `dbb-cobs-1`"),
+        (&["plan", "demo.toml", "--out", "p", "--measured", "huge.csv"], "E0721", ""),
+        (&["sync", "torn.dbbd", "--out", "o.csv"], "E0405", "torn.dbbd"),
+        (&["info", "nowhere.dbbd"], "E0101", "nowhere.dbbd"),
+        (&["acquire", "--port", "/dev/nowhere0", "--out", "r.dbbd"], "E0201", "/dev/nowhere0"),
+        (&["simulate", "--program", "P.src"], "E0803", "P.src:3"),
+        (&["plan", "nowhere.toml", "--out", "p"], "E0101", "nowhere.toml"),
+        (&["plan", "C.csv", "--out", "p"], "E0120", "is a .csv meant?"),
+        (&["krl", "C.csv", "--out", "k"], "E0730", "C.json"),
+        (&["robots", "show", "kr61ha"], "E0503", "kr61ha"),
+        (&["compensate", "P.src", "--robot", "kr60ha", "--out", "c"], "E0909", "kr60ha"),
+        (&["protocols", "show", "dbb-cobs-9"], "E0301", "dbb-cobs-9"),
+        (&["demo", "--out", "C.csv/demo"], "E0102", "C.csv/demo"),
     ];
-    for (args, words) in cases {
+    let mut wrong = Vec::new();
+    for (args, code, words) in cases {
         let output = dbbd(at, args);
         let said = stderr(&output);
-        assert_eq!(output.status.code(), Some(1), "dbbd {}: {said}", args.join(" "));
-        for word in *words {
-            assert!(said.contains(word), "dbbd {}: `{word}` is not in: {said}", args.join(" "));
+        if (output.status.code(), codes(&output)) != (Some(1), vec![(*code).to_owned()])
+            || !said.contains(words)
+        {
+            wrong.push(format!("dbbd {}: {:?} {said}", args.join(" "), output.status.code()));
         }
     }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
     let per_kelvin = dbbd(at, &["circle", "C.csv", "--expansion", "12", "--out", "c"]);
-    assert!(per_kelvin.status.code() == Some(2) && stderr(&per_kelvin).contains("steel 11.5e-6"));
+    assert_eq!((per_kelvin.status.code(), codes(&per_kelvin)), (Some(2), vec!["E0003".to_owned()]));
+    let checked = dbbd(at, &["robots", "check", "kr60ha"]);
+    assert_eq!(checked.status.code(), Some(0), "{}", stderr(&checked));
     assert!(!at.join("r.dbbd").exists(), "nothing was measured, so there is no capture");
 }
 

@@ -4,6 +4,7 @@ use std::fs;
 use std::sync::Arc;
 
 use dbbd::measurement::{CircleId, Column, Context, Kind, Measurements};
+use dbbd::robot::file::Tolerance;
 use dbbd::robot::pose::rot_x;
 use dbbd::robot::{BarId, Robot};
 use nalgebra::Vector3;
@@ -62,7 +63,7 @@ impl Scene {
 pub(crate) fn provoked() -> Vec<&'static str> {
     vec![
         "E1301", "E1304", "W1311", "W1312", "W1313", "I1314", "W1315", "W1316", "I1317", "I1318", "W1319",
-        "I1321", "W1324", "I1325",
+        "I1321", "W1324", "I1325", "E1305", "W1310", "I1320", "W1322", "I1323",
     ]
 }
 
@@ -101,9 +102,23 @@ fn scenes() -> Vec<Scene> {
         Scene::new(&truth, &flat, 20, 0.0, &["--prior-scale", "0"]),
         // A plan in place of measured lengths.
         Scene::new(&truth, &flat, 20, 0.0, &["--validate", "plan.csv"]),
+        // One parameter, which noise tells little of.
+        Scene::new(&truth, &flat, 80, 10.0, &["--estimate", "alpha5", "--folds", "0"]),
+        Scene::new(&truth, &flat, 80, 10.0, &["--estimate", "a2", "--folds", "0"]),
         // A length that is none.
         Scene::new(&truth, &flat, 80, 0.0, &thirteen).spoilt(1, 1e200),
     ];
+    // Corrections somewhat and far beyond what the robot file promises.
+    for (length_mm, angle_deg) in [(0.2, 0.02), (0.1, 0.01)] {
+        let mut tight = Scene::new(&truth, &flat, 80, 0.0, &["--prior", "datasheet", "--folds", "0"]);
+        tight.robot = Robot { tolerance: Tolerance { length_mm, angle_deg }, ..kr60() }.to_toml();
+        scenes.push(tight);
+    }
+    // Lengths that have nothing to do with their poses.
+    let mut drawn = Scene::new(&truth, &flat, 80, 0.0, &["--estimate", "all", "--folds", "0"]);
+    let mut random = Pcg64::seed_from_u64(2);
+    drawn.data.rows.iter_mut().for_each(|row| row.length_mm *= random.random_range(0.2..1.8));
+    scenes.push(drawn);
     // Two bars with an offset each; a prior whose strength is chosen, and lengths drawn anew.
     let mut two = Scene::new(&kr60(), &planes, 27, 0.0, &["--estimate", "all", "--folds", "0"]);
     two.data.rows.iter_mut().step_by(2).for_each(|row| row.bar = BarId::at(1));

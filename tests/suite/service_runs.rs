@@ -238,3 +238,30 @@ fn the_simulated_cell_needs_nothing() {
     assert_eq!(server.post("/api/v1/run/stop", "").status, 202);
     server.wait("/api/v1/status", |status| status["last"]["name"] == "tried");
 }
+
+/// The codes for what the computer lacks: an address that is taken, room for connections, a directory.
+const COMPUTER: [&str; 3] = ["E1502", "E1506", "E1507"];
+
+pub(crate) fn provoked() -> Vec<&'static str> {
+    COMPUTER.to_vec()
+}
+
+#[test]
+fn what_the_computer_lacks_has_a_code() {
+    let dir = tempfile::tempdir().unwrap();
+    let [taken, full, unreadable] = COMPUTER;
+    let server = Server::start(dir.path(), "data = \"runs\"\n");
+    let second = tempfile::tempdir().unwrap();
+    std::fs::write(second.path().join("dbbd.toml"), format!("address = \"{}\"\n", server.address)).unwrap();
+    let output = cell::dbbd(second.path(), &["serve", "--config", "dbbd.toml"]);
+    assert_eq!(output.status.code(), Some(1));
+    assert_eq!(cell::codes(&output), [taken]);
+    let _ = std::fs::remove_dir_all(dir.path().join("runs"));
+    std::fs::write(dir.path().join("runs"), "no directory").unwrap();
+    let answer = server.get("/api/v1/runs");
+    assert_eq!((answer.status, answer.json()["code"].as_str()), (500, Some(unreadable)));
+    let held: Vec<_> = (0..256).map(|_| server.connect()).collect();
+    let refused = (0..200).map(|_| server.get("/api/v1/status")).find(|answer| answer.status == 503);
+    assert_eq!(refused.unwrap().json()["code"].as_str(), Some(full));
+    drop(held);
+}

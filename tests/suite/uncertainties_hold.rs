@@ -200,7 +200,11 @@ fn the_prior_gives_way_where_held_out_lengths_say_so() {
     );
     assert!(auto.folds.unwrap().rms < plain.folds.unwrap().rms);
     let report = fs::read_to_string(dir.path().join("out/report.html")).unwrap();
-    assert!(report.contains("chosen by cross-validation"));
+    // Of the factors that were tried, the table marks the one of the result, and no other.
+    let chosen: Vec<&str> = report.lines().filter(|line| line.ends_with("<td>chosen</td></tr>")).collect();
+    assert_eq!(chosen.len(), 1, "{chosen:?}");
+    let factor: f64 = chosen[0].split(['>', '<']).find_map(|text| text.trim().parse().ok()).unwrap();
+    assert!((factor - prior.scale).abs() < 0.01 * prior.scale, "{factor} {}", prior.scale);
 
     let scaled = format!("{}", prior.scale);
     let (fixed, _) =

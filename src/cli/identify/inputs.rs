@@ -5,7 +5,7 @@ use std::path::Path;
 
 use crate::base::table::Table;
 use crate::catalogue::{EstimationFinding, MeasurementFinding, RobotFinding};
-use crate::cli::Output;
+use crate::cli::{Output, positive};
 use crate::diagnostic::Diagnostic;
 use crate::estimation::PriorScale;
 use crate::measurement::{Distinct, Measurements};
@@ -20,18 +20,11 @@ pub(crate) fn parse_point(text: &str) -> Result<[f64; 3], EstimationFinding> {
     }
 }
 
-pub(super) fn parse_positive(text: &str) -> Result<f64, EstimationFinding> {
-    match text.parse::<f64>() {
-        Ok(value) if value.is_finite() && value > 0.0 => Ok(value),
-        _ => Err(EstimationFinding::NotPositive),
-    }
-}
-
 /// A factor, or `auto`.
 pub(super) fn parse_scale(text: &str) -> Result<PriorScale, EstimationFinding> {
     match text {
         "auto" => Ok(PriorScale::CrossValidated),
-        _ => parse_positive(text).map(PriorScale::By).map_err(|_| EstimationFinding::NotAScale),
+        _ => positive(text).map(PriorScale::By).map_err(|_| EstimationFinding::NotAScale),
     }
 }
 

@@ -8,7 +8,7 @@ mod tables;
 
 use std::path::{Path, PathBuf};
 
-use super::{Outcome, Output};
+use super::{Outcome, Output, positive};
 use crate::base::files;
 use crate::catalogue::EstimationFinding;
 use crate::design::calibrate;
@@ -22,7 +22,7 @@ pub(crate) use tables::LENGTHS;
 use given::check_lengths;
 pub(crate) use given::{Given, Named};
 pub(crate) use inputs::parse_point;
-use inputs::{parse_positive, parse_scale, read_prior, read_workspace};
+use inputs::{parse_scale, read_prior, read_workspace};
 
 /// How often a capture is aligned anew with what was identified.
 const ALIGNMENTS: usize = 5;
@@ -64,13 +64,13 @@ pub(crate) struct Args {
     #[arg(long, value_name = "X,Y,Z", value_parser = parse_point, allow_hyphen_values = true)]
     tool: Option<[f64; 3]>,
     /// Standard deviation of every length, mm, in place of the data's sigma_mm.
-    #[arg(long, value_name = "MM", value_parser = parse_positive)]
+    #[arg(long, value_name = "MM", value_parser = positive)]
     sigma: Option<f64>,
     /// Standard uncertainty (k = 1) of each bar's length by its certificate, mm [default: half of a capture's job's
     /// length_u_mm]. With a prior it binds each bar's offset. Without one an offset is estimated where the lengths
     /// tell it to three times that, and else held; its uncertainty then counts in the standard deviations and in the
     /// predicted error.
-    #[arg(long, value_name = "MM", value_parser = parse_positive)]
+    #[arg(long, value_name = "MM", value_parser = positive)]
     bar_u: Option<f64>,
     /// Further observations, to the same balls, that only check the result.
     #[arg(long, value_name = "OBS.csv")]

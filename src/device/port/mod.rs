@@ -199,3 +199,22 @@ fn refusal(name: &str, error: &serialport::Error) -> PortFinding {
         _ => refused(name, error),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::diagnostic::Finding;
+
+    /// Root may open every port, so that no test through the binary is refused one.
+    #[test]
+    fn a_refusal_says_who_refuses() {
+        let said = |kind, text: &str| refusal("p", &serialport::Error::new(kind, text)).code().0;
+        assert_eq!(
+            said(serialport::ErrorKind::Io(ErrorKind::PermissionDenied), "Permission denied"),
+            "E0202"
+        );
+        assert_eq!(said(serialport::ErrorKind::Io(ErrorKind::NotFound), "No such file"), "E0201");
+        assert_eq!(said(serialport::ErrorKind::NoDevice, "Device or resource busy"), "E0203");
+        assert_eq!(said(serialport::ErrorKind::Unknown, "Not a typewriter"), "E0204");
+    }
+}

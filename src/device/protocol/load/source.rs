@@ -25,18 +25,20 @@ impl Source<'_> {
         self.wrong(start..start, finding)
     }
 
-    /// What is wrong with a key, at its first place behind the head of its table (empty: that of the file).
+    /// What is wrong with the value of a key, at its first place behind the head of its table (empty: that of the file).
     pub(super) fn key(&self, table: &str, key: &str, finding: impl Finding) -> Diagnostic {
         let text = &self.resolved.text;
         let head = if table.is_empty() { Some(0) } else { text.find(&format!("[{table}]")) };
         let head = head.unwrap_or(0);
         let behind = text.get(head..).unwrap_or_default();
-        let place = behind.match_indices(key).map(|(at, _)| at).find(|at| {
-            let (before, after) = (&behind[..*at], &behind[at + key.len()..]);
-            !before.ends_with(|c: char| c.is_alphanumeric() || c == '_')
-                && after.trim_start_matches([' ', '\t']).starts_with('=')
+        let value = behind.match_indices(key).find_map(|(at, _)| {
+            let (before, after) = (&behind[..at], &behind[at + key.len()..]);
+            let value =
+                after.trim_start_matches([' ', '\t']).strip_prefix('=')?.trim_start_matches([' ', '\t']);
+            let whole = !before.ends_with(|c: char| c.is_alphanumeric() || c == '_');
+            whole.then(|| behind.len() - value.len())
         });
-        let start = head + place.unwrap_or(0);
+        let start = head + value.unwrap_or(0);
         self.wrong(start..start, finding)
     }
 }
