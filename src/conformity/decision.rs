@@ -65,19 +65,20 @@ pub(super) fn decide(sizes_mm: &[f64], tolerance_mm: Option<f64>, rule: Rule, ch
     };
     let Some(tolerance) = tolerance_mm else { return whole };
     let within = sizes_mm.partition_point(|size| *size <= tolerance);
-    let exceeds = 1.0 - within as f64 / sizes_mm.len().max(1) as f64;
+    let share = |count: usize| count as f64 / sizes_mm.len().max(1) as f64;
+    let (keeps, exceeds) = (share(within), share(sizes_mm.len() - within));
     let (decision, rule) = match rule {
         Rule::SimpleAcceptance if median <= tolerance => (Outcome::Pass, "simple_acceptance"),
         Rule::SimpleAcceptance => (Outcome::Fail, "simple_acceptance"),
         Rule::GuardBand { risk } if exceeds <= risk => (Outcome::Pass, "guard_band"),
-        Rule::GuardBand { risk } if 1.0 - exceeds <= risk => (Outcome::Fail, "guard_band"),
+        Rule::GuardBand { risk } if keeps <= risk => (Outcome::Fail, "guard_band"),
         Rule::GuardBand { .. } => (Outcome::Undecided, "guard_band"),
     };
     Decision {
         decision,
         rule,
         guard_band_mm: (rule == "guard_band").then_some(upper - median),
-        specific_risk: Some(if decision == Outcome::Fail { 1.0 - exceeds } else { exceeds }),
+        specific_risk: Some(if decision == Outcome::Fail { keeps } else { exceeds }),
         ..whole
     }
 }

@@ -8,10 +8,9 @@ use super::page::{Provenance, render};
 use super::plot::{HeatMap, Interval, Intervals, PolarPlot, PolarTrace, Series, TrendPlot};
 use super::scale::{Unit, decimals};
 use crate::circular::Sense;
-use crate::conformity::{
-    CircleCompared, Comparison, ResultsCompared, Subject, TimeUnit, Timeline, Tracked, Value,
-};
+use crate::conformity::{CircleCompared, Comparison, ResultsCompared, Subject, TimeUnit, Timeline, Tracked};
 use crate::diagnostic::Diagnostic;
+use crate::math::straight_line::StraightLine;
 use crate::robot::{ParamId, parameter};
 
 /// Half width of a 95 % interval in standard deviations.
@@ -101,18 +100,37 @@ impl Time<'_> {
         self.timeline.times.len() > 2
     }
 
-    fn plot<N: Display>(&self, title: &str, tracked: &Tracked<N>, limit: Option<f64>) -> String {
+    /// The values less `origin`, with their line where the trend is significant.
+    fn plot<N: Display>(&self, tracked: &Tracked<N>, origin: f64, words: PlotWords<'_>) -> String {
         let places = self.timeline.times.iter().zip(&tracked.values);
-        let place = |(time, value): (&f64, &Value)| [*time, value.value, value.sd];
+        let values: Vec<[f64; 3]> =
+            places.map(|(time, value)| [*time, value.value - origin, value.sd]).collect();
         let line = tracked.trend.filter(|trend| trend.significant).map(|trend| trend.line);
-        let largest = tracked.values.iter().map(|value| value.value.abs()).fold(0.0, f64::max);
-        let unit = if tracked.unit == "mm" { Unit::length(largest) } else { angle_unit(tracked.unit) };
-        let values = places.map(place).collect();
-        TrendPlot { title, unit, time_name: self.axis(), values, line, limit }.to_svg()
+        let largest = values.iter().map(|[_, value, _]| value.abs()).fold(0.0, f64::max);
+        let unit = match tracked.unit {
+            "mm" => Unit::length(largest),
+            "rad" => Unit::angle(largest),
+            other => unit_of(other),
+        };
+        TrendPlot {
+            title: words.title,
+            unit,
+            time_name: self.axis(),
+            values,
+            line: line.map(|line| StraightLine { level: line.level - origin, ..line }),
+            limit: words.limit,
+        }
+        .to_svg()
     }
 }
 
-fn angle_unit(unit: &'static str) -> Unit {
+/// Title and limit of a plot.
+struct PlotWords<'a> {
+    title: &'a str,
+    limit: Option<f64>,
+}
+
+fn unit_of(unit: &'static str) -> Unit {
     match unit {
         "mm" => Unit::MM,
         "rad" => Unit::DEG,
@@ -139,7 +157,12 @@ impl Page<'_> {
         self.maps = maps.iter().map(HeatMap::to_svg).collect();
         if time.has_trend() {
             let moving = own.iter().filter(|found| found.trend.is_some_and(|trend| trend.significant));
-            self.trends = moving.map(|found| time.plot(&found.name.to_string(), found, None)).collect();
+            let plot = |found: &Tracked<ParamId>| {
+                let first = found.values.first().map_or(0.0, |value| value.value);
+                let title = format!("{}, change since the first", found.name);
+                time.plot(found, first, PlotWords { title: &title, limit: None })
+            };
+            self.trends = moving.map(plot).collect();
         }
     }
 
@@ -153,7 +176,8 @@ impl Page<'_> {
         if time.has_trend() {
             let plots = quantities.iter().map(|found| {
                 let limit = tolerance_mm.filter(|_| ["Gb", "G_lsc"].contains(&found.name));
-                time.plot(&format!("{title}, {}", found.name), found, limit)
+                let title = format!("{title}, {}", found.name);
+                time.plot(found, 0.0, PlotWords { title: &title, limit })
             });
             self.trends.extend(plots);
         }
@@ -197,7 +221,7 @@ fn overlays(title: &str, circle: &CircleCompared) -> Vec<String> {
 /// `None` of an empty family.
 fn table<N: Display>(title: &str, family: &[&Tracked<N>], time: &Time<'_>) -> Option<Table> {
     let first = family.first()?;
-    let unit = angle_unit(first.unit);
+    let unit = unit_of(first.unit);
     let smallest = family.iter().map(|found| found.change.sd * unit.factor).fold(f64::INFINITY, f64::min);
     let trend = |found: &Tracked<N>| found.trend.filter(|_| time.has_trend());
     let row = |found: &&Tracked<N>| Row {
