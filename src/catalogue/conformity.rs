@@ -83,6 +83,11 @@ findings! {
         cure: "Repeat the check. If it stays, calibrate anew." {
             NotExplained { p: f64 } => "something changed (p {p:.1e}), but no change of one or two parameters explains the lengths";
         }
+        W1918 "a robot is checked by the lengths that identified it",
+        cause: "Most of the lengths are in the lengths.csv beside the robot's file: they agree with it by construction.",
+        cure: "Measure new lengths." {
+            LengthsOfCalibration { known: usize, lengths: usize } => "{known} of {lengths} lengths identified this robot: they are no check of it";
+        }
         I1917 "there is nothing to update",
         cause: "The test finds no change; the robot file holds.",
         cure: "Nothing." {

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use super::identify::{Given, Named, parse_point};
+use super::identify::{Given, LENGTHS, Named, parse_point};
 use super::output::pretty;
 use super::positive;
 use super::{Outcome, Output};
@@ -60,7 +60,8 @@ pub(crate) struct Args {
     /// Standard uncertainty (k = 1) of the bar's length, mm [default: half of a capture's job's length_u_mm, else 0.05].
     #[arg(long, value_name = "MM", value_parser = positive)]
     bar_u: Option<f64>,
-    /// Identify what changed, with the posterior as prior, and write robot-identified.toml with it into --out.
+    /// Identify what changed, with the posterior as prior, and write robot-identified.toml with it, and its lengths.csv,
+    /// into --out.
     #[arg(long)]
     update: bool,
 }
@@ -103,6 +104,10 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         },
     };
     let found = input.check().map_err(|finding| Diagnostic::file(&args.robot, finding))?;
+    let (known, lengths) = (given.known_lengths(Some(&args.robot), out)?, readings.len());
+    if 2 * known > lengths {
+        out.finding(ConformityFinding::LengthsOfCalibration { known, lengths });
+    }
     given.findings().into_iter().for_each(|finding| out.finding(finding));
     findings(args, &found).into_iter().for_each(|finding| out.finding(finding));
     write(args, &found, &given)?;
@@ -172,6 +177,7 @@ fn write(args: &Args, found: &InterimCheck, given: &Given) -> Result<Outcome, Di
     files::write(&args.out.join("check.html"), check::html(found, &provenance)?)?;
     if let Some(robot) = found.update().filter(|_| args.update) {
         files::write(&args.out.join(ROBOT), robot.to_toml())?;
+        files::write_pieces(&args.out.join(LENGTHS), given.observations.csv_pieces(|_| true))?;
     }
     Ok(Outcome::Done)
 }

@@ -22,7 +22,7 @@ use crate::cell::{
 };
 
 pub(crate) fn provoked() -> Vec<&'static str> {
-    vec!["E1910", "E1911", "E1912", "E1913", "W1914", "W1915", "W1916", "I1917"]
+    vec!["E1910", "E1911", "E1912", "E1913", "W1914", "W1915", "W1916", "I1917", "W1918"]
 }
 
 const SIGMA: f64 = 0.01;
@@ -286,6 +286,9 @@ fn the_command_decides_and_refuses() {
     if let Some(folder) = std::env::var_os("DBBD_PAGES") {
         fs::write(Path::new(&folder).join("check.html"), page).unwrap();
     }
+    // The lengths of the update are no check of it.
+    let known = check("moved.csv", "out/robot-identified.toml", &[]);
+    assert_eq!((known.status.code(), codes(&known).contains(&"W1918".to_owned())), (Some(3), true));
     fs::rename(at.join("out/robot-identified.toml"), at.join("updated.toml")).unwrap();
     let again = check("moved.csv", "updated.toml", &[]);
     assert_eq!(again.status.code(), Some(0), "{}", stderr(&again));

@@ -146,7 +146,10 @@ impl Given {
     }
 
     /// How many of the lengths are among those beside the robot's file, from which it was identified.
-    fn known_lengths(&self, robot_file: Option<&str>, out: &Output) -> Result<usize, Diagnostic> {
+    ///
+    /// # Errors
+    /// These cannot be read.
+    pub(crate) fn known_lengths(&self, robot_file: Option<&str>, out: &Output) -> Result<usize, Diagnostic> {
         let beside = robot_file.map(|name| Path::new(name).with_file_name(LENGTHS));
         let Some(path) = beside.filter(|path| path.is_file()) else { return Ok(0) };
         Ok(observations(&path, &mut Vec::new(), out)?.holds(&self.observations))
