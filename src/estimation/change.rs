@@ -227,7 +227,7 @@ impl Innovation {
         let size = changeable.len();
         let effects = triangle.factor().view((unknowns, unknowns), (size, size)).into_owned();
         let seen = triangle.rhs().rows(unknowns, size).into_owned();
-        let finite = effects.iter().chain(seen.iter()).all(|x| x.is_finite());
+        let finite = effects.iter().chain(seen.iter()).chain([&rest]).all(|x| x.is_finite());
         let changeable: Vec<ParamId> = changeable.into_iter().map(|at| ids[at]).collect();
         if !finite {
             return None;
