@@ -12,6 +12,8 @@ pub mod base;
 
 pub mod math;
 
+pub mod provenance;
+
 pub mod robot;
 
 pub mod measurement;

@@ -1,9 +1,10 @@
 //! Files in and out, with the path in every message.
 
 use std::fs;
-use std::io::Write;
+use std::io::{Read, Write};
 use std::path::Path;
 
+use crate::base::hash::Sha256;
 use crate::catalogue::FileFinding::{NoDirectory, NotAFile, NotUtf8At, TooLarge, Unreadable, Unwritable};
 use crate::diagnostic::Diagnostic;
 
@@ -34,6 +35,24 @@ pub fn read_at_most(path: &Path, most: u64) -> Result<String, Diagnostic> {
             Err(Diagnostic::file(&path.display().to_string(), TooLarge { bytes: data.len(), most }))
         }
         _ => read(path),
+    }
+}
+
+/// The SHA-256 of a file, which is never whole in memory.
+///
+/// # Errors
+/// Names the path and why it could not be read.
+pub fn sha256(path: &Path) -> Result<String, Diagnostic> {
+    let wrong = |error: std::io::Error| {
+        Diagnostic::file(&path.display().to_string(), Unreadable { why: error.to_string() })
+    };
+    let mut file = fs::File::open(path).map_err(wrong)?;
+    let (mut hash, mut piece) = (Sha256::default(), vec![0; 1 << 16]);
+    loop {
+        match file.read(&mut piece).map_err(wrong)? {
+            0 => return Ok(hash.finish()),
+            read => hash.update(piece.get(..read).unwrap_or_default()),
+        }
     }
 }
 

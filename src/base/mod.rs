@@ -3,6 +3,7 @@
 pub mod clock;
 mod exact;
 pub mod files;
+pub mod hash;
 pub mod parse;
 pub mod program;
 pub mod table;

@@ -39,9 +39,10 @@ findings! {
             PointTwice { name: String, line: usize } => "{name} is used with another tool or base in line {line}";
         }
         W0905 "a motion stays as it is",
-        cause: "It is relative and starts from a corrected point, or its point is declared in a file that is not rewritten.",
+        cause: "It is relative and starts from a corrected point, its point is declared in a file that is not rewritten, or a routine of the user's own moves there.",
         cure: "Check that the place does not matter, or teach the point in the program's own .dat." {
             RelativeMotion => "a relative motion stays as it is: it starts from a corrected point";
+            PointInStatement { name: String } => "{name} stays as it is: this statement is no motion of KRL that is known";
             PointElsewhere { name: String } => "{name} stays as it is: it has no value in the program's files";
         }
         E0906 "a robot does not reach a point",
@@ -86,6 +87,16 @@ findings! {
         cause: "At least one of its points cannot be corrected; each is listed with its own code. Nothing is written.",
         cure: "Correct the points listed." {
             PointsRefused { points: usize } => "{points} point(s) cannot be compensated; nothing is written";
+        }
+        E0913 "a file is not a program in KRL",
+        cause: "The file has no routine (DEF NAME ( ) .. END): it is a program in another language, or a table.",
+        cure: "Name the .src of a KUKA program. Programs in other languages are not corrected." {
+            NotKrl { begins: String } => "is no program in KRL: it begins with `{begins}`";
+        }
+        W0914 "no point was corrected",
+        cause: "The program has no motion to a point in its own .src or .dat.",
+        cure: "Name the program that holds the points, with its .dat beside it." {
+            NothingCorrected => "no point was corrected: the program has none of its own";
         }
     }
 }

@@ -18,6 +18,7 @@ mod plan;
 mod port;
 mod program;
 mod protocol;
+mod provenance;
 mod recording;
 mod report;
 mod robot;
@@ -38,6 +39,7 @@ pub use plan::PlanFinding;
 pub use port::PortFinding;
 pub use program::ProgramFinding;
 pub use protocol::ProtocolFinding;
+pub use provenance::ProvenanceFinding;
 pub use recording::RecordingFinding;
 pub use report::ReportFinding;
 pub use robot::RobotFinding;
@@ -135,6 +137,7 @@ const FAMILIES: &[(&str, &[Entry])] = &[
     ("The command line", CliFinding::ENTRIES),
     ("Files", FileFinding::ENTRIES),
     ("Robots", RobotFinding::ENTRIES),
+    ("Provenance", ProvenanceFinding::ENTRIES),
     ("The job", JobFinding::ENTRIES),
     ("The plan", PlanFinding::ENTRIES),
     ("Tables of measurements", MeasurementFinding::ENTRIES),

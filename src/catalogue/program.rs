@@ -175,11 +175,34 @@ findings! {
             TooManyLines { circle: u32, lines: usize, most: usize } => "circle {circle}: {lines} lines, at most {most}";
         }
         E0823 "the chosen marks of the dwells are not possible",
-        cause: "The outputs in the job overlap or are not eight in a row, or the controller is too old for EthernetKRL.",
+        cause: "The outputs in the job overlap or are not eight in a row, the controller is too old for EthernetKRL, or the bar's protocol does not carry the strobe.",
         cure: "Correct [motion.outputs] in the job, or choose another --sync." {
             OutputsOverlap => "outputs: the index needs eight outputs in a row, and the strobe another";
             NoEthernetKrl => "EthernetKRL needs a KR C4 or later";
             NoServer => "--sync ekrl needs --server ADDR:PORT";
+            NoStrobe { protocol: String } => "--sync output: the bar's protocol {protocol} does not carry the strobe", help: "use --sync marker or --sync ekrl";
+            PassWithoutStrobe { protocol: String } => "circles without stops need a strobe, which the bar's protocol {protocol} does not carry", help: "use --sync ekrl";
+            ProtocolNotHere { protocol: String } => "the bar's protocol {protocol} is not here, so it is not known whether it carries the strobe", help: "name --sync, or go to where the definition is";
+        }
+        E0824 "a robot is not programmed in KRL",
+        cause: "The robot file names another language than KRL, or another maker in the robot's name.",
+        cure: "Write or correct its program by other means. If the controller reads KRL, add language = \"krl\" to the robot file and plan again; for `dbbd simulate`, which moves any robot, give --controller simulated." {
+            OtherLanguage { robot: String, language: String } => "{robot} is programmed in {language}, not in KRL";
+        }
+        W0825 "circles without stops cannot be read with sync markers",
+        cause: "Between two passes there is no sync marker, so that their points are reported as missing.",
+        cure: "Use --sync output or --sync ekrl." {
+            PassWithMarker => "the points of circles without stops are not matched with --sync marker";
+        }
+        I0826 "dwells are marked by sync markers",
+        cause: "The bar's protocol does not carry the strobe, and --sync is not given.",
+        cure: "Nothing is to be done. With EthernetKRL (--sync ekrl) no dwell is lost." {
+            MarkerChosen { protocol: String } => "the bar's protocol {protocol} does not carry the strobe: dwells are marked by sync markers";
+        }
+        I0827 "the language of a robot is not known",
+        cause: "The robot file has no `language`, and the robot's name begins with no known maker.",
+        cure: "Add language = \"krl\" to the robot file." {
+            LanguageNotKnown { robot: String } => "nothing says that {robot} is programmed in KRL";
         }
     }
 }

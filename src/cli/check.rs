@@ -13,8 +13,8 @@ use crate::diagnostic::Diagnostic;
 use crate::estimation::change::{Hypothesis, Mounting};
 use crate::estimation::{Priors, ResultFile, length_sd_mm};
 use crate::measurement::{LengthModel, PreparedMeasurement};
-use crate::report::{Provenance, check};
-use crate::robot::{BarId, Coordinate, ParamId, Unit};
+use crate::report::check;
+use crate::robot::{BarId, Coordinate, ParamId, Robot, Unit};
 
 /// Check whether a calibrated robot is still what it was.
 ///
@@ -169,13 +169,9 @@ fn findings(args: &Args, found: &InterimCheck) -> Vec<ConformityFinding> {
 fn write(args: &Args, found: &InterimCheck, given: &Given) -> Result<Outcome, Diagnostic> {
     let _writing = files::exclusive(&args.out)?;
     files::write(&args.out.join("check.json"), pretty(found)? + "\n")?;
-    let provenance = Provenance {
-        robot: Some(found.robot.clone()),
-        sources: given.sources.clone(),
-        ..Provenance::default()
-    };
-    files::write(&args.out.join("check.html"), check::html(found, &provenance)?)?;
+    files::write(&args.out.join("check.html"), check::html(found, &given.provenance)?)?;
     if let Some(robot) = found.update().filter(|_| args.update) {
+        let robot = Robot { provenance: given.provenance.clone(), ..robot.clone() };
         files::write(&args.out.join(ROBOT), robot.to_toml())?;
         files::write_pieces(&args.out.join(LENGTHS), given.observations.csv_pieces(|_| true))?;
     }

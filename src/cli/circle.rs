@@ -12,9 +12,10 @@ use crate::circular::{
     Temperature, Trace, TraceResult,
 };
 use crate::diagnostic::Diagnostic;
+use crate::provenance::{Artefact, Provenance, Role, Traced};
 use crate::recording::run;
+use crate::report;
 use crate::report::circle::CircleTest;
-use crate::report::{self, Provenance, Source};
 
 /// Deviations of a trace that circle.json has at most: an even sample of more.
 const DEVIATIONS: usize = 2000;
@@ -91,18 +92,19 @@ fn expansion(text: &str) -> Result<f64, CliFinding> {
 
 pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     let mut found = Vec::new();
-    let mut provenance = Provenance::default();
+    let mut sources = Vec::new();
     for path in &args.inputs {
-        let name = path.display().to_string();
         if run::is_capture(path)? {
             let captured = from_capture(path, args, out)?;
-            provenance.plan_hash = provenance.plan_hash.or(Some(captured.plan_hash));
             found.extend(captured.circles);
+            sources.push(captured.source);
         } else {
-            found.push(from_csv(&name, out.table(path, circular::traces_from_table)?, args.radius));
+            let traces = out.table(path, circular::traces_from_table)?;
+            found.push(from_csv(&path.display().to_string(), traces, args.radius));
+            sources.push(Artefact::file(Role::Measurements, path)?.into());
         }
-        provenance.sources.push(Source { role: "lengths", name });
     }
+    let provenance = Provenance::of(&sources);
     let mut tests = Vec::new();
     for circle in found {
         tests.push(evaluate(circle, args)?);
@@ -112,7 +114,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         let name = if at == 0 { "circle.svg".to_owned() } else { format!("circle-{}.svg", at + 1) };
         files::write(&args.out.join(name), report::svg::standalone(&test.svg()))?;
     }
-    let document = document(&tests);
+    let document = document(&tests, &provenance);
     files::write(&args.out.join("circle.json"), format!("{document:#}\n"))?;
     files::write(&args.out.join("circle.html"), report::circle::html(&tests, &provenance)?)?;
     for CircleTest { source, evaluation, .. } in &tests {
@@ -161,10 +163,10 @@ fn from_csv(name: &str, traces: Vec<Trace>, radius: Option<f64>) -> Found {
     Found { source: name.to_owned(), circle: None, radius_mm, traces, notes, certificate }
 }
 
-/// The circles of a capture, and its plan's hash.
+/// The circles of a capture, and the capture.
 struct Captured {
     circles: Vec<Found>,
-    plan_hash: String,
+    source: Traced,
 }
 
 fn from_capture(path: &Path, args: &Args, out: &Output) -> Result<Captured, Diagnostic> {
@@ -198,8 +200,7 @@ fn from_capture(path: &Path, args: &Args, out: &Output) -> Result<Captured, Diag
         traces: circle.traces,
         certificate,
     });
-    let circles = circles.collect();
-    Ok(Captured { circles, plan_hash: run.plan.header.hash.clone() })
+    Ok(Captured { circles: circles.collect(), source: run.traced(path)? })
 }
 
 fn show(test: &CircleTest, out: &Output) {
@@ -223,7 +224,7 @@ fn put(map: &mut Map<String, Value>, name: &str, quantity: Quantity) {
 }
 
 /// The first test's keys are at the top; all tests follow where there are more.
-fn document(tests: &[CircleTest]) -> Value {
+fn document(tests: &[CircleTest], provenance: &Provenance) -> Value {
     let mut all: Vec<Map<String, Value>> = tests.iter().map(test_document).collect();
     let mut top = Map::new();
     top.insert("schema".into(), json!(1));
@@ -233,6 +234,7 @@ fn document(tests: &[CircleTest]) -> Value {
     } else if let Some(only) = all.pop() {
         top.extend(only);
     }
+    top.insert("provenance".into(), json!(provenance));
     Value::Object(top)
 }
 

@@ -14,7 +14,8 @@ use crate::conformity::{
     compare_circles, compare_results, same_robot,
 };
 use crate::diagnostic::Diagnostic;
-use crate::report::{Provenance, Source, compare};
+use crate::provenance::{Artefact, Provenance, Role, Traced};
+use crate::report::compare;
 use crate::robot::Robot;
 
 /// Compare calibrations of a robot, or circular tests, in the order of time.
@@ -163,15 +164,9 @@ fn robot(args: &Args, first: &Document) -> Result<Robot, Diagnostic> {
 }
 
 fn write(args: &Args, comparison: &Comparison, timeline: &Timeline) -> Result<Outcome, Diagnostic> {
-    let source = |input: &Input| Source { role: "compared", name: input.file.clone() };
-    let provenance = Provenance {
-        robot: match &comparison.subject {
-            Subject::Results(results) => Some(results.robot.clone()),
-            Subject::Circles { .. } => None,
-        },
-        sources: comparison.inputs.iter().map(source).collect(),
-        ..Provenance::default()
-    };
+    let source = |input: &Input| Artefact::file(Role::Result, Path::new(&input.file)).map(Traced::from);
+    let sources: Result<Vec<Traced>, Diagnostic> = comparison.inputs.iter().map(source).collect();
+    let provenance = Provenance::of(&sources?);
     let _writing = files::exclusive(&args.out)?;
     files::write(&args.out.join("compare.json"), pretty(comparison)? + "\n")?;
     let table = csv(comparison).map_err(|error| CliFinding::NoOutput { why: error.to_string() })?;

@@ -5,11 +5,14 @@ use std::path::{Path, PathBuf};
 
 use serde_json::json;
 
-use super::{Outcome, Output, robots};
+use super::robots::{self, RobotRead};
+use super::{Outcome, Output};
 use crate::base::files;
-use crate::catalogue::{CompensationFinding, FileFinding};
+use crate::base::hash::sha256;
+use crate::catalogue::{CompensationFinding, FileFinding, ProgramFinding, ProvenanceFinding};
 use crate::diagnostic::Diagnostic;
-use crate::program::krl::{Compensated, Files, Given, Moved, Text, compensate, read};
+use crate::program::krl::{Files, Given, Moved, Text, compensate, provenance, read, stamped};
+use crate::provenance::{Artefact, Provenance, Role, Traced};
 use crate::robot::Pose;
 
 /// Correct the points of a program for an identified robot.
@@ -61,9 +64,13 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     if !(args.limit.is_finite() && args.limit > 0.0) {
         return Err(Diagnostic::new(CompensationFinding::BadLimit { limit_mm: args.limit }));
     }
-    let robot = robots::named(&args.robot)?;
+    let RobotRead { robot, source: identified } = robots::read(&args.robot)?;
     if robot.nominal.is_none() {
         return Err(Diagnostic::file(&args.robot, CompensationFinding::NotIdentified));
+    }
+    if let Some(language) = robot.controller_language().filter(|language| *language != "krl") {
+        let (robot, language) = (robot.name.clone(), language.to_owned());
+        return Err(Diagnostic::file(&args.robot, ProgramFinding::OtherLanguage { robot, language }));
     }
     let source = Program::open(&args.program)?;
     if args.program.extension().is_some_and(|kind| kind.eq_ignore_ascii_case("dat")) {
@@ -82,28 +89,48 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         data: data.as_ref().map(Program::text),
         config: config.as_ref().map(Program::text),
     };
+    let sources: Vec<Traced> =
+        [Some(&source), data.as_ref()].into_iter().flatten().map(Program::traced).collect();
+    sources.iter().try_for_each(|program| belongs(program, &identified, out))?;
     let points = read(program, Given { tool: args.tool, base: args.base })?;
     let corrected = compensate(program, &points, &robot, args.limit).map_err(|refused| {
         refused.iter().for_each(|point| out.finding(point.clone()));
         Diagnostic::file(&source.name, CompensationFinding::PointsRefused { points: refused.len() })
     })?;
-    write(args, [&source].into_iter().chain(&data), &corrected)?;
+    let made = Provenance::of(sources.iter().chain([&identified]));
+    let texts = [Some(&corrected.source), corrected.data.as_ref()].into_iter().flatten();
+    let _writing = files::exclusive(&args.out)?;
+    for (program, text) in [&source].into_iter().chain(&data).zip(texts) {
+        program.write(&args.out, &stamped(text, &made))?;
+    }
     points.left.iter().for_each(|left| out.finding(left.clone()));
     report(out, args, &corrected.moved, points.left.len())?;
     Ok(Outcome::Done)
 }
 
-fn write<'a>(
-    args: &Args,
-    programs: impl Iterator<Item = &'a Program>,
-    corrected: &Compensated,
-) -> Result<(), Diagnostic> {
-    let _writing = files::exclusive(&args.out)?;
-    let texts = [Some(&corrected.source), corrected.data.as_ref()];
-    programs.zip(texts.into_iter().flatten()).try_for_each(|(program, text)| program.write(&args.out, text))
+/// A program is corrected once, and for its own robot.
+fn belongs(program: &Traced, identified: &Traced, out: &Output) -> Result<(), Diagnostic> {
+    if let Some(source) = program.provenance.corrected_by() {
+        let before = ProvenanceFinding::CorrectedBefore { source: source.to_string() };
+        return Err(Diagnostic::file(&program.artefact.name, before));
+    }
+    let Some(made_for) = program.robot() else { return Ok(()) };
+    if made_for.differs(&identified.artefact).is_some() {
+        return Err(program.of_another_robot(made_for, &identified.artefact).into());
+    }
+    if let Some(nominal) = identified.provenance.from.iter().find(|source| source.role == Role::Robot)
+        && !identified.provenance.has(made_for)
+    {
+        let [artefact, made_for, given] = [&program.artefact, made_for, nominal].map(ToString::to_string);
+        out.finding(ProvenanceFinding::RobotChanged { artefact, made_for, given });
+    }
+    Ok(())
 }
 
 fn report(out: &Output, args: &Args, moved: &[Moved], left: usize) -> Result<(), Diagnostic> {
+    if moved.is_empty() {
+        out.finding(CompensationFinding::NothingCorrected);
+    }
     for Moved { name, line, shift_mm, turn_deg, turn_bits } in moved {
         out.detail(format!("line {line}: {name} moved by {shift_mm:.3} mm, {turn_deg:.4} deg"));
         if let Some([taught, corrected]) = *turn_bits {
@@ -134,6 +161,7 @@ struct Program {
     path: PathBuf,
     name: String,
     stem: String,
+    sha256: String,
     content: String,
     bytewise: bool,
 }
@@ -143,12 +171,19 @@ impl Program {
         let name = path.display().to_string();
         let bytes = fs::read(path)
             .map_err(|error| Diagnostic::file(&name, FileFinding::Unreadable { why: error.to_string() }))?;
+        let sha256 = sha256(&bytes);
         let stem = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
         let (content, bytewise) = match String::from_utf8(bytes) {
             Ok(text) => (text, false),
             Err(error) => (error.into_bytes().into_iter().map(char::from).collect(), true),
         };
-        Ok(Self { path: path.into(), name, stem, content, bytewise })
+        Ok(Self { path: path.into(), name, stem, sha256, content, bytewise })
+    }
+
+    fn traced(&self) -> Traced {
+        let (name, sha256) = (self.stem.clone(), self.sha256.clone());
+        let artefact = Artefact { role: Role::Program, name, serial: None, sha256 };
+        Traced { artefact, provenance: provenance(&self.content) }
     }
 
     fn text(&self) -> Text<'_> {

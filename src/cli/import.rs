@@ -11,6 +11,7 @@ use crate::base::units::HostNs;
 use crate::catalogue::ImportFinding;
 use crate::diagnostic::Diagnostic;
 use crate::measurement::sample::Sample;
+use crate::provenance;
 use crate::recording::capture::{Event, Record, Writer};
 use crate::recording::import::{Bar, Counts, Mapping, Read, Trace};
 use crate::recording::run::PlanFiles;
@@ -62,7 +63,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     told.into_iter().for_each(|finding| out.finding(finding));
     let mut writer = Writer::create(&args.out)?;
     let begin = HostNs(0);
-    let version = env!("CARGO_PKG_VERSION").to_owned();
+    let version = provenance::VERSION.to_owned();
     writer.write(begin, &Record::Event(Event::Started { unix_ns, version }))?;
     let planned_s = files.plan.duration_s();
     for (name, content) in files.attachments().into_iter().chain([("mapping.toml", map_text)]) {

@@ -5,21 +5,24 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use super::{Outcome, Output};
+use super::{Outcome, Output, artefact};
+use crate::base::files;
 use crate::base::units::HostNs;
 use crate::device::protocol::{Definition, Fault, FaultKind};
 use crate::diagnostic::{Code, Diagnostic, Finding};
+use crate::provenance::Provenance;
 use crate::recording::capture::{Event, Pass, Record, Stamped};
 use crate::recording::run;
 
-/// Show a capture on one screen.
+/// Show what a file is and what it was made from; a capture on one screen.
 ///
-/// What it carries, its samples, gaps and faults, the range of its readings, how it ended, and every damage of the file. With
+/// The chain of sources goes back to job and robot file: names, serial numbers, SHA-256. Of a capture also what it
+/// carries, its samples, gaps and faults, the range of its readings, how it ended, and every damage of the file. With
 /// a plan in it, also what share of the poses and of their readings is lost.
 #[derive(clap::Args)]
 pub(crate) struct Args {
-    /// The capture.
-    run: PathBuf,
+    /// A capture, robot file, job, plan.csv or plan.json, KRL program or result.
+    file: PathBuf,
 }
 
 /// What `--json` gives.
@@ -43,6 +46,8 @@ struct Info {
     controller_events: u64,
     remarks: Vec<String>,
     attachments: BTreeMap<String, usize>,
+    sha256: String,
+    provenance: Provenance,
     damages: Vec<DamageInfo>,
 }
 
@@ -55,18 +60,26 @@ struct DamageInfo {
 }
 
 pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
+    let path = args.file.as_path();
+    // A capture whose head is damaged is none of the other artefacts.
+    if let Some(traced) = if run::is_capture(path)? { None } else { artefact::read(path)? } {
+        out.document(&traced)?;
+        artefact::show(&traced, out);
+        return Ok(Outcome::Done);
+    }
     let mut gathered = Gathered::default();
-    let pass = Pass::over(&args.run, |stamped| {
+    let pass = Pass::over(path, |stamped| {
         gathered.add(stamped);
         Ok(())
     })?;
-    let info = gathered.finish(&pass);
-    let name = args.run.display().to_string();
+    let mut info = gathered.finish(&pass);
+    info.sha256 = files::sha256(path)?;
+    let name = path.display().to_string();
     pass.doubts().into_iter().for_each(|doubt| out.finding(Diagnostic::file(&name, doubt)));
     let planned =
         info.samples > 0 && ["plan.csv", "plan.json"].iter().all(|file| info.attachments.contains_key(*file));
     let mut outcome = Outcome::Done;
-    match if planned { run::losses(&args.run) } else { Ok(Vec::new()) } {
+    match if planned { run::losses(path) } else { Ok(Vec::new()) } {
         Ok(losses) => losses.into_iter().for_each(|loss| out.finding(loss)),
         // What is in the capture is shown also where its plan cannot be used.
         Err(unusable) => {
@@ -75,7 +88,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         }
     }
     out.document(&info)?;
-    show(&args.run, &info, out);
+    show(path, &info, out);
     Ok(outcome)
 }
 
@@ -84,7 +97,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
 struct Gathered {
     info: Info,
     span: Option<(HostNs, HostNs)>,
-    protocol: Vec<u8>,
+    attachments: BTreeMap<String, Vec<u8>>,
 }
 
 impl Gathered {
@@ -93,9 +106,7 @@ impl Gathered {
         match stamped.record {
             Record::Attachment { name, content } => {
                 info.attachments.insert(name.clone(), content.len());
-                if name == "protocol.toml" {
-                    self.protocol = content;
-                }
+                self.attachments.insert(name, content);
             }
             Record::Raw(raw) => {
                 info.raw_bytes += raw.len() as u64;
@@ -137,8 +148,14 @@ impl Gathered {
         info.lost = pass.end.as_ref().map_or(0, |end| end.lost);
         info.duration_s = self.span.map_or(0.0, |(first, last)| last.seconds_since(first));
         info.rate_hz = (info.duration_s > 0.0).then(|| info.samples as f64 / info.duration_s);
-        info.protocol = std::str::from_utf8(&self.protocol)
-            .ok()
+        let plan = run::attached_plan("the capture", &self.attachments).ok().flatten();
+        info.provenance = plan.map_or_else(Provenance::default, |plan| Provenance {
+            dbbd: info.dbbd.clone().unwrap_or_default(),
+            ..Provenance::of([&plan.traced()])
+        });
+        let protocol = self.attachments.get("protocol.toml");
+        info.protocol = protocol
+            .and_then(|text| std::str::from_utf8(text).ok())
             .and_then(|text| Definition::from_toml("protocol.toml", text).ok())
             .map(|definition| definition.id);
         info.damages = pass
@@ -170,9 +187,14 @@ pub(crate) fn word(kind: &FaultKind) -> &'static str {
 /// So many remarks fit on the screen.
 const MOST_REMARKS: usize = 5;
 
-fn show(path: &Path, info: &Info, out: &Output) {
+/// A line of the screen.
+pub(super) fn line(out: &Output, name: &str, value: &str) {
     // A name or a remark with lines of its own does not add any.
-    let line = |name: &str, value: String| out.result(format!("{name:13}{}", value.replace('\n', "\\n")));
+    out.result(format!("{name:16} {}", value.replace('\n', "\\n")));
+}
+
+fn show(path: &Path, info: &Info, out: &Output) {
+    let line = |name: &str, value: String| line(out, name, &value);
     line("capture", path.display().to_string());
     line("protocol", info.protocol.clone().unwrap_or_else(|| "unknown".into()));
     line("ended", info.ended.clone().unwrap_or_else(|| "cut off".into()));
@@ -198,5 +220,7 @@ fn show(path: &Path, info: &Info, out: &Output) {
     let files: Vec<String> =
         info.attachments.iter().map(|(name, len)| format!("{name} ({len} bytes)")).collect();
     line("files", if files.is_empty() { "none".into() } else { files.join(", ") });
+    line("SHA-256", info.sha256.clone());
+    artefact::chain(&info.provenance, out);
     line("damages", if info.damages.is_empty() { "none".into() } else { info.damages.len().to_string() });
 }

@@ -5,12 +5,14 @@ use std::path::PathBuf;
 
 use serde_json::json;
 
-use super::{Outcome, Output};
+use super::{Outcome, Output, protocols};
 use crate::base::files;
 use crate::catalogue::ProgramFinding;
 use crate::diagnostic::Diagnostic;
+use crate::plan::Plan;
 use crate::program::krl::{self, Controller, Options};
 use crate::recording::run;
+use crate::robot::Robot;
 
 /// Write the KRL programs of a plan.
 ///
@@ -25,19 +27,20 @@ pub(crate) struct Args {
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// How dwells are marked. `output`: a strobe and an index on digital outputs; `marker`: by the
-    /// plan's knocks in the length alone, no output is set.
-    /// `ekrl`: by telegrams over EthernetKRL (KR C4 and later) to `dbbd acquire --ekrl`.
-    #[arg(long, value_enum, default_value_t = Sync::Output)]
-    sync: Sync,
+    /// plan's sync markers in the length alone, no output is set.
+    /// `ekrl`: by telegrams over EthernetKRL (KR C4 and later) to `dbbd acquire --ekrl`
+    /// [default: output where the bar's protocol carries the strobe, else marker].
+    #[arg(long, value_enum)]
+    sync: Option<Sync>,
     /// For `ekrl`: where dbbd listens, as the controller's network sees it (IPv4).
     #[arg(long, value_name = "ADDR:PORT", required_if_eq("sync", "ekrl"))]
     server: Option<SocketAddrV4>,
-    /// The controller that the program is for.
+    /// The controller that the program is for; `simulated` is that of `dbbd simulate`, which moves robots of any make.
     #[arg(long, value_enum, default_value_t = Controller::Krc4)]
     controller: Controller,
 }
 
-#[derive(Clone, Copy, clap::ValueEnum)]
+#[derive(Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 enum Sync {
     Marker,
     Output,
@@ -46,7 +49,8 @@ enum Sync {
 
 pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     let plan = run::read_plan(&args.plan)?;
-    let sync = match args.sync {
+    check_language(&plan, args.controller, out)?;
+    let sync = match chosen(args.sync, &plan, out)? {
         Sync::Marker => krl::Sync::Marker,
         Sync::Output => krl::Sync::Output,
         Sync::Ekrl => krl::Sync::Ekrl { server: args.server.ok_or(ProgramFinding::NoServer)? },
@@ -65,4 +69,42 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     out.result(format!("{} files in {}; start DBB_MAIN", written.len(), args.out.display()));
     out.progress("not proven on a real controller: run it first in T1, slowly, without the bar");
     Ok(Outcome::Done)
+}
+
+/// The plan's robot must be one that is programmed in KRL.
+fn check_language(plan: &Plan, controller: Controller, out: &Output) -> Result<(), Diagnostic> {
+    let robot = Robot::from_toml("the plan's robot", &plan.header.robot)?;
+    match robot.controller_language() {
+        _ if controller == Controller::Simulated => {}
+        Some("krl") => {}
+        Some(language) => {
+            let language = language.to_owned();
+            return Err(ProgramFinding::OtherLanguage { robot: robot.name, language }.into());
+        }
+        None => out.finding(ProgramFinding::LanguageNotKnown { robot: robot.name }),
+    }
+    Ok(())
+}
+
+/// The way that the plan's bar can read.
+fn chosen(asked: Option<Sync>, plan: &Plan, out: &Output) -> Result<Sync, Diagnostic> {
+    let (protocol, passes) = (plan.header.job.bar.protocol.clone(), !plan.header.passes.is_empty());
+    // A definition in a file may be there only where the run is.
+    let strobe = protocols::load_with(&protocol, &[]).ok().map(|definition| definition.has_strobe());
+    match (asked, strobe) {
+        (None, None) => Err(ProgramFinding::ProtocolNotHere { protocol }.into()),
+        (None, Some(true)) => Ok(Sync::Output),
+        (None, Some(false)) if passes => Err(ProgramFinding::PassWithoutStrobe { protocol }.into()),
+        (None, Some(false)) => {
+            out.finding(ProgramFinding::MarkerChosen { protocol });
+            Ok(Sync::Marker)
+        }
+        (Some(Sync::Output), Some(false)) => Err(ProgramFinding::NoStrobe { protocol }.into()),
+        (Some(asked), _) => {
+            if passes && asked == Sync::Marker {
+                out.finding(ProgramFinding::PassWithMarker);
+            }
+            Ok(asked)
+        }
+    }
 }

@@ -1,6 +1,7 @@
 //! The command line: one file per verb. The only place that prints.
 
 mod acquire;
+mod artefact;
 mod check;
 #[cfg(unix)]
 mod child;
@@ -47,7 +48,7 @@ CODE` explains the code of a message.";
 
 /// Calibrates an industrial robot with a telescoping double ball-bar.
 #[derive(Parser)]
-#[command(name = "dbbd", version, max_term_width = 100, propagate_version = true, after_help = EXITS)]
+#[command(name = "dbbd", version = crate::provenance::VERSION, max_term_width = 100, propagate_version = true, after_help = EXITS)]
 struct Cli {
     #[command(flatten)]
     common: Common,

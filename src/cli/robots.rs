@@ -7,6 +7,7 @@ use serde::Serialize;
 use super::{Outcome, Output};
 use crate::base::files;
 use crate::diagnostic::Diagnostic;
+use crate::provenance::Traced;
 use crate::robot::Robot;
 use crate::robot::file::{JointTable, Tolerance};
 
@@ -38,19 +39,30 @@ enum What {
     },
 }
 
+/// A robot with the file that it was read from.
+pub(crate) struct RobotRead {
+    pub(crate) robot: Robot,
+    pub(crate) source: Traced,
+}
+
 /// A robot by built-in name or by file.
 ///
 /// # Errors
 /// An unknown name, or what is wrong in the file.
-pub(crate) fn named(name: &str) -> Result<Robot, Diagnostic> {
-    if let Some(built_in) = Robot::by_name(name) {
-        return built_in;
-    }
+pub(crate) fn read(name: &str) -> Result<RobotRead, Diagnostic> {
     let path = Path::new(name);
-    if path.exists() || name.ends_with(".toml") {
-        return Robot::from_toml(name, &files::read(path)?);
-    }
-    Err(Robot::unknown(name))
+    let text = match Robot::built_in_file(name) {
+        Some(text) => text.to_owned(),
+        None if path.exists() || name.ends_with(".toml") => files::read(path)?,
+        None => return Err(Robot::unknown(name)),
+    };
+    let robot = Robot::from_toml(name, &text)?;
+    Ok(RobotRead { source: robot.traced(&text), robot })
+}
+
+/// As [`read`], the robot alone.
+pub(crate) fn named(name: &str) -> Result<Robot, Diagnostic> {
+    read(name).map(|found| found.robot)
 }
 
 /// A built-in robot, or one that was checked, in short.

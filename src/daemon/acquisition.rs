@@ -23,6 +23,7 @@ use crate::catalogue::{RecordingFinding, ServiceFinding};
 use crate::device::port::{self, Arrival, Port, Reader};
 use crate::device::protocol::{Definition, Mode};
 use crate::diagnostic::Diagnostic;
+use crate::provenance;
 use crate::recording::capture::{Event, Writer};
 use crate::recording::run::PlanFiles;
 
@@ -149,7 +150,7 @@ impl Acquisition {
         let mut recorder =
             Recorder::new(writer, &options.definition, schedule.modules(), options.sync_s, began);
         recorder.feed = options.feed.take();
-        let version = env!("CARGO_PKG_VERSION").to_owned();
+        let version = provenance::VERSION.to_owned();
         recorder.event(began, Event::Started { unix_ns: clock::unix_ns(), version })?;
         for (name, content) in plan.into_iter().flat_map(PlanFiles::attachments) {
             recorder.attach(began, name, content.as_bytes())?;

@@ -12,6 +12,7 @@ use super::timing::{Pace, move_times};
 use super::{Header, Job, Plan, PlanRow, PlanningPrior, Taught, optimise, orientations, pass};
 use crate::catalogue::{JobFinding, PlanFinding};
 use crate::diagnostic::Diagnostic;
+use crate::provenance::Provenance;
 use crate::robot::Robot;
 use crate::robot::inverse::Unsolved;
 
@@ -143,6 +144,7 @@ impl Plan {
             schema: super::files::SCHEMA,
             hash: String::new(),
             robot: robot.to_toml(),
+            provenance: Provenance::default(),
             moves,
             passes,
             checks: summary(&checks),

@@ -6,6 +6,7 @@ use super::{Header, Kind, Motion, Plan, PlanRow, pass};
 use crate::base::table::wrong_csv;
 use crate::catalogue::PlanFinding;
 use crate::diagnostic::Diagnostic;
+use crate::provenance::{Artefact, Role, Traced};
 
 /// Version of the form of `plan.json`.
 pub(crate) const SCHEMA: u32 = 1;
@@ -126,6 +127,12 @@ impl Plan {
     /// CRC-64/XZ over the text of `plan.csv`, sixteen hexadecimal digits.
     pub(crate) fn hash(&self) -> String {
         hash_of(&self.to_csv())
+    }
+
+    /// The plan as an artefact.
+    pub fn traced(&self) -> Traced {
+        let artefact = Artefact::new(Role::Plan, &self.header.hash, self.to_csv());
+        Traced { artefact, provenance: self.header.provenance.clone() }
     }
 
     /// The texts of `plan.csv` and `plan.json`.

@@ -34,6 +34,7 @@ use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::catalogue::PlanFinding;
 pub use crate::measurement::Kind;
+use crate::provenance::Provenance;
 pub use build::Refusal;
 pub use circle::REFERENCE_EVERY;
 pub use frames::Frames;
@@ -66,6 +67,9 @@ pub struct Header {
     pub job: Job,
     /// The robot it was made for, as its file's text.
     pub robot: String,
+    /// The files that it was made from.
+    #[serde(default, skip_serializing_if = "Provenance::is_empty")]
+    pub provenance: Provenance,
     /// How long each move lasts: one entry for each row, in order.
     pub moves: Vec<MoveTime>,
     /// The passes of continuous circles, in order.

@@ -6,7 +6,7 @@ use serde::Serialize;
 
 use super::export::frames::{Frame, frames};
 use super::export::mastering::{AxisOffset, offsets};
-use super::page::{Provenance, render};
+use super::page::render;
 use super::parameters::{Group, NotEstimated, groups, not_estimated};
 use super::plot::{
     HeatMap, PolarPlot, PolarTrace, ResidualPoint, Series, Shown, against_axis, histogram, residuals,
@@ -15,6 +15,7 @@ use crate::diagnostic::Diagnostic;
 use crate::estimation::result::Recommendation;
 use crate::estimation::{CalibrationResult, ResultFile, senses};
 use crate::measurement::{Kind, Measurements};
+use crate::provenance::Provenance;
 use crate::robot::{AXES, BallId, CircleId};
 
 /// Lengths that are drawn at most: an even sample of more.

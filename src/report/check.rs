@@ -2,12 +2,13 @@
 
 use serde::Serialize;
 
-use super::page::{Provenance, findings, render};
+use super::page::{findings, render};
 use super::plot::HeatMap;
 use super::scale::Unit;
 use crate::conformity::InterimCheck;
 use crate::diagnostic::Diagnostic;
 use crate::estimation::change::{Detectable, Hypothesis};
+use crate::provenance::Provenance;
 use crate::robot::parameter;
 
 #[derive(Serialize)]

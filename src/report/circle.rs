@@ -2,11 +2,12 @@
 
 use serde::Serialize;
 
-use super::page::{Provenance, findings, render};
+use super::page::{findings, render};
 use super::plot::{PolarPlot, PolarTrace, Series};
 use super::scale::{signed, significant};
 use crate::circular::{Evaluation, Mover, NAMES, Sense, Step, TRACE_NAMES};
 use crate::diagnostic::Diagnostic;
+use crate::provenance::Provenance;
 
 /// A circle that was evaluated.
 #[derive(Clone, Debug, PartialEq, Serialize)]

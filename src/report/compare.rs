@@ -4,13 +4,14 @@ use std::fmt::Display;
 
 use serde::Serialize;
 
-use super::page::{Provenance, render};
+use super::page::render;
 use super::plot::{HeatMap, Interval, Intervals, PolarPlot, PolarTrace, Series, TrendPlot};
 use super::scale::{Unit, decimals};
 use crate::circular::Sense;
 use crate::conformity::{CircleCompared, Comparison, ResultsCompared, Subject, TimeUnit, Timeline, Tracked};
 use crate::diagnostic::Diagnostic;
 use crate::math::straight_line::StraightLine;
+use crate::provenance::Provenance;
 use crate::robot::{ParamId, parameter};
 
 /// Half width of a 95 % interval in standard deviations.

@@ -15,5 +15,3 @@ pub mod plan;
 pub mod plot;
 mod scale;
 pub mod svg;
-
-pub use page::{Provenance, Source};

@@ -14,23 +14,6 @@ const PAGE_CSS: &str = include_str!("page.css");
 const PAGE_HTML: &str = include_str!("page.html");
 const MACROS: &str = include_str!("macros.html");
 
-/// Where a page's content comes from.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
-pub struct Provenance {
-    pub robot: Option<String>,
-    pub plan_hash: Option<String>,
-    /// The files that were read.
-    pub sources: Vec<Source>,
-}
-
-/// A file that was read.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct Source {
-    /// What it is, such as `measurements`.
-    pub role: &'static str,
-    pub name: String,
-}
-
 /// Fills a template that extends `page.html`; its name ends in `.html`, which turns escaping on.
 pub(super) fn render(name: &str, template: &str, page: &impl Serialize) -> Result<String, Diagnostic> {
     #[derive(Serialize)]
@@ -40,7 +23,7 @@ pub(super) fn render(name: &str, template: &str, page: &impl Serialize) -> Resul
         page: &'a T,
     }
     let style = format!("{}{PAGE_CSS}", plot_css());
-    fill(name, template, &Context { style, version: env!("CARGO_PKG_VERSION"), page }).map_err(|error| {
+    fill(name, template, &Context { style, version: crate::provenance::VERSION, page }).map_err(|error| {
         let why = error.detail().map_or_else(|| error.to_string(), str::to_owned);
         Diagnostic::new(NoPage { page: name.into(), why })
     })
@@ -95,7 +78,7 @@ mod tests {
 
     #[test]
     fn a_template_that_does_not_fit_is_a_finding() {
-        let wrong = render("wrong.html", "{{ page.no_such_field }}", &Provenance::default());
+        let wrong = render("wrong.html", "{{ page.no_such_field }}", &[0]);
         assert_eq!(wrong.unwrap_err().code.0, "E1701");
     }
 }

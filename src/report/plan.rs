@@ -3,13 +3,14 @@
 use nalgebra::Matrix6;
 use serde::Serialize;
 
-use super::page::{Provenance, render};
+use super::page::render;
 use super::plot::{HeatMap, NARROW, Projection, Trace, View, WIDE};
 use super::scale::plain;
 use crate::diagnostic::Diagnostic;
 use crate::estimation::result::MapPoint;
 use crate::measurement::Kind;
 use crate::plan::{Check, Header, Plan, PlanRow};
+use crate::provenance::Provenance;
 use crate::robot::{AXES, Robot};
 
 /// Poses at which the robot is drawn.
@@ -17,6 +18,7 @@ const SKELETONS: usize = 8;
 
 #[derive(Serialize)]
 struct Page<'a> {
+    robot: &'a str,
     header: &'a Header,
     rows: usize,
     measure: usize,
@@ -52,14 +54,10 @@ struct Figures {
 ///
 /// # Errors
 /// Only a fault of the template itself.
-pub fn html(
-    plan: &Plan,
-    robot: &Robot,
-    map: &[MapPoint],
-    provenance: &Provenance,
-) -> Result<String, Diagnostic> {
+pub fn html(plan: &Plan, robot: &Robot, map: &[MapPoint]) -> Result<String, Diagnostic> {
     let count = |kind: Kind| plan.rows.iter().filter(|row| row.kind == kind).count();
     let page = Page {
+        robot: &robot.name,
         header: &plan.header,
         rows: plan.rows.len(),
         measure: count(Kind::Measure),
@@ -67,7 +65,7 @@ pub fn html(
         duration_min: plan.duration_s() / 60.0,
         checks: plan.header.checks.iter().map(check).collect(),
         figures: figures(plan, robot, map),
-        provenance,
+        provenance: &plan.header.provenance,
     };
     render("plan.html", include_str!("plan.html"), &page)
 }

@@ -8,6 +8,7 @@ use super::{AXES, Joint};
 use crate::base::parse::from_toml;
 use crate::catalogue::RobotFinding;
 use crate::diagnostic::{Diagnostic, nearest};
+use crate::provenance::{Artefact, Provenance, Role, Traced};
 
 /// The robots that come with dbbd: name and file.
 const BUILT_IN: &[(&str, &str)] = include!("../../robots/built-in.rs");
@@ -16,6 +17,10 @@ const BUILT_IN: &[(&str, &str)] = include!("../../robots/built-in.rs");
 #[derive(Clone, Debug, PartialEq)]
 pub struct Robot {
     pub name: String,
+    /// Serial number of the arm.
+    pub serial: Option<String>,
+    /// The language of its controller's programs, such as `krl`.
+    pub language: Option<String>,
     /// The table, the tool ball and the masses.
     pub geometry: Geometry,
     pub limits_deg: [[f64; 2]; AXES],
@@ -33,6 +38,8 @@ pub struct Robot {
     pub source: Option<String>,
     /// Whether the last of the masses is the payload.
     pub payload: bool,
+    /// What an identified robot was made from.
+    pub provenance: Provenance,
 }
 
 /// One standard deviation of what the maker promises of each geometric parameter.
@@ -57,6 +64,10 @@ impl Default for Tolerance {
 #[serde(deny_unknown_fields)]
 struct RobotFile {
     name: String,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    serial: Option<String>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    language: Option<String>,
     convention: String,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     source: Option<String>,
@@ -71,6 +82,8 @@ struct RobotFile {
     mass: Vec<MassTable>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     payload: Option<PayloadTable>,
+    #[serde(default, skip_serializing_if = "Provenance::is_empty")]
+    provenance: Provenance,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     posterior: Option<PosteriorTable>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -126,6 +139,19 @@ struct PayloadTable {
     centre_mm: [f64; 3],
 }
 
+/// The languages of makers' controllers, by the first word of a robot's name.
+const LANGUAGES: [(&str, &str); 9] = [
+    ("KUKA", "krl"),
+    ("ABB", "rapid"),
+    ("Universal", "urscript"),
+    ("UR", "urscript"),
+    ("Staubli", "val3"),
+    ("Stäubli", "val3"),
+    ("Fanuc", "karel"),
+    ("Yaskawa", "inform"),
+    ("Motoman", "inform"),
+];
+
 /// ISO 9283 repeatability is the mean distance plus three standard deviations; for an isotropic
 /// normal error of deviation s that is (1.596 + 3 * 0.673) s.
 const REPEATABILITY: f64 = 3.616;
@@ -136,10 +162,29 @@ impl Robot {
         BUILT_IN
     }
 
+    /// The file of a built-in robot by its name, if there is one.
+    pub fn built_in_file(name: &str) -> Option<&'static str> {
+        BUILT_IN.iter().find(|(built_in, _)| *built_in == name).map(|(_, text)| *text)
+    }
+
     /// A built-in robot by its name, if there is one.
     pub fn by_name(name: &str) -> Option<Result<Self, Diagnostic>> {
-        let (_, text) = BUILT_IN.iter().find(|(built_in, _)| *built_in == name)?;
-        Some(Self::from_toml(name, text))
+        Self::built_in_file(name).map(|text| Self::from_toml(name, text))
+    }
+
+    /// The robot as an artefact, `text` being its file.
+    pub fn traced(&self, text: &str) -> Traced {
+        let role = if self.nominal.is_some() { Role::IdentifiedRobot } else { Role::Robot };
+        let artefact = Artefact { serial: self.serial.clone(), ..Artefact::new(role, &self.name, text) };
+        Traced { artefact, provenance: self.provenance.clone() }
+    }
+
+    /// The language of its controller's programs: the file's, else that of the maker in its name.
+    pub fn controller_language(&self) -> Option<&str> {
+        let maker = self.name.split([' ', '-', '_']).next().unwrap_or("");
+        let by_name =
+            || LANGUAGES.iter().find(|(name, _)| name.eq_ignore_ascii_case(maker)).map(|(_, of)| *of);
+        self.language.as_deref().or_else(by_name)
     }
 
     /// That a name is neither built in nor a file.
@@ -356,6 +401,9 @@ impl RobotFile {
             tolerance: self.tolerance,
             repeatability_mm: self.repeatability_mm,
             source: self.source,
+            serial: self.serial,
+            language: self.language,
+            provenance: self.provenance,
             payload: self.payload.is_some(),
             posterior,
             // A joint of the nominal robot has no line: the text holds those of both.
@@ -381,6 +429,8 @@ impl RobotFile {
         };
         Self {
             name: robot.name.clone(),
+            serial: robot.serial.clone(),
+            language: robot.language.clone(),
             convention: "modified-dh".into(),
             source: robot.source.clone(),
             repeatability_mm: robot.repeatability_mm,
@@ -389,6 +439,7 @@ impl RobotFile {
             tolerance: robot.tolerance,
             mass: masses.iter().map(mass).collect(),
             payload: payload.map(|payload| PayloadTable { kg: payload.kg, centre_mm: payload.centre.into() }),
+            provenance: robot.provenance.clone(),
             posterior: robot.posterior.as_ref().map(RobotPosterior::to_table),
             nominal: robot.nominal.as_ref().map(|nominal| Box::new(Self::from_robot(nominal))),
         }

@@ -1,6 +1,7 @@
 //! A small plan by hand: horizontal circles about one ball, the tool down, its orientation swinging.
 
 use dbbd::plan::{Header, Job, Kind, Motion, MoveTime, Plan, PlanRow};
+use dbbd::provenance::Provenance;
 use dbbd::robot::{Pose, Robot, inverse};
 
 pub(crate) const BALL_MM: [f64; 3] = [1300.0, 0.0, 800.0];
@@ -95,6 +96,7 @@ pub(crate) fn plan(circles: u32, points: u32) -> Plan {
         hash: "0123456789abcdef".into(),
         job: Job::from_toml("job", &job).unwrap(),
         robot: robot.to_toml(),
+        provenance: Provenance::default(),
         moves: builder.moves,
         passes: Vec::new(),
         checks: Vec::new(),

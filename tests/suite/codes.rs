@@ -42,6 +42,8 @@ fn provoked() -> Vec<&'static str> {
         crate::logged_axes_identify::provoked(),
         crate::plan_is_refused_with_a_reason::provoked(),
         crate::plans_read_back::provoked(),
+        crate::programs_of_other_makes::provoked(),
+        crate::provenance::provoked(),
         crate::refuses_bad_input::provoked(),
         crate::report_is_self_contained::provoked(),
         crate::results_are_compared::provoked(),

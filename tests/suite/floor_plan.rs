@@ -12,19 +12,21 @@ pub(crate) const TABLE: &[(&str, &[&str])] = &[
     ("catalogue", &["diagnostic"]),
     ("base", &["diagnostic", "catalogue"]),
     ("math", &[]),
-    ("robot", &[]),
+    ("provenance", &[]),
+    ("robot", &["provenance"]),
     ("measurement", &["robot"]),
     ("device", &["measurement"]),
     ("estimation", &["robot", "measurement"]),
     ("design", &["robot", "measurement", "estimation"]),
-    ("plan", &["robot", "measurement", "estimation", "design"]),
-    ("program", &["robot", "measurement", "plan"]),
+    ("plan", &["provenance", "robot", "measurement", "estimation", "design"]),
+    ("program", &["provenance", "robot", "measurement", "plan"]),
     ("circular", &[]),
     ("conformity", &["robot", "measurement", "estimation", "circular"]),
-    ("recording", &["robot", "measurement", "device", "plan", "program", "circular"]),
+    ("recording", &["provenance", "robot", "measurement", "device", "plan", "program", "circular"]),
     (
         "report",
         &[
+            "provenance",
             "robot",
             "measurement",
             "recording",
@@ -38,7 +40,7 @@ pub(crate) const TABLE: &[(&str, &[&str])] = &[
     ),
     ("live", &[]),
     ("sim", &["robot", "measurement", "device", "program"]),
-    ("daemon", &["robot", "measurement", "device", "plan", "recording", "live"]),
+    ("daemon", &["provenance", "robot", "measurement", "device", "plan", "recording", "live"]),
 ];
 
 /// Modules that do no input or output, read no clock and print nothing.

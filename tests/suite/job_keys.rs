@@ -116,8 +116,8 @@ fn a_bad_value_of_every_key_names_its_line() {
             let in_place = |bad: &str| value.replacen(first, bad, 1);
             let mut bad = vec![if value.starts_with('"') { "7".into() } else { "\"word\"".to_owned() }];
             if value.starts_with('"') {
-                // Names of robots and protocols are looked up later, lists of parameters with the robot.
-                if !["robot", "protocol", "parameters"].contains(&key) {
+                // Names of robots and protocols are looked up later, lists of parameters with the robot; any serial number is.
+                if !["robot", "protocol", "parameters", "serial"].contains(&key) {
                     bad.push("\"no such word\"".into());
                 }
             } else {

@@ -62,6 +62,8 @@ mod plan_is_refused_with_a_reason;
 mod plans_are_optimal;
 mod plans_read_back;
 mod program_frames;
+mod programs_of_other_makes;
+mod provenance;
 mod recordings;
 mod refuses_bad_input;
 mod replay;

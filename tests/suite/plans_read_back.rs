@@ -5,6 +5,7 @@ use std::process::Command;
 
 use dbbd::plan::timing::ramped_s;
 use dbbd::plan::{Job, Kind, Motion, Plan, PlanRow};
+use dbbd::provenance::Provenance;
 use dbbd::robot::inverse::from_status_turn;
 use dbbd::robot::{Pose, Robot};
 use proptest::prelude::*;
@@ -223,7 +224,7 @@ proptest! {
             index: 1, feed_mm_s: values[1], turn_deg_s: values[2], axis_percent: values[3], duration_s: values[4],
         };
         let header = dbbd::plan::Header {
-            schema: 1, hash: String::new(), job, robot: "text".into(), moves: vec![time], passes: Vec::new(), checks: Vec::new(), notes: Vec::new(), taught: Vec::new(), stage: None, stroke_risk: 0.0, predictions: None,
+            schema: 1, hash: String::new(), job, robot: "text".into(), provenance: Provenance::default(), moves: vec![time], passes: Vec::new(), checks: Vec::new(), notes: Vec::new(), taught: Vec::new(), stage: None, stroke_risk: 0.0, predictions: None,
         };
         let (csv, json) = Plan { rows: vec![row.clone()], header }.to_files();
         let read = Plan::from_files("plan.csv", &csv, "plan.json", &json).unwrap();

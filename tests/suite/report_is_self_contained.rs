@@ -11,11 +11,12 @@ use dbbd::diagnostic::Finding;
 use dbbd::estimation::{CalibrationResult, Options};
 use dbbd::measurement::{BallId, BaseBall, CircleId, Context, Kind, Measurements};
 use dbbd::plan::{Job, Plan, PlanningPrior};
+use dbbd::provenance::{Artefact, Provenance, Role};
 use dbbd::recording::capture::{Record, Stamped};
 use dbbd::report::circle::CircleTest;
 use dbbd::report::export::mcap::McapFile;
 use dbbd::report::plot::{HeatMap, PolarPlot, PolarTrace, Series};
-use dbbd::report::{Provenance, Source, calibration, circle, plan, svg};
+use dbbd::report::{calibration, circle, plan, svg};
 use dbbd::robot::Robot;
 use nalgebra::Vector3;
 use proptest::prelude::*;
@@ -94,8 +95,7 @@ fn found(robot: &Robot) -> (CalibrationResult, Measurements) {
 }
 
 fn provenance(robot: &str) -> Provenance {
-    let sources = vec![Source { role: "lengths", name: robot.into() }];
-    Provenance { robot: Some(robot.into()), plan_hash: None, sources }
+    Provenance::of([&Artefact::new(Role::Measurements, robot, "").into()])
 }
 
 fn report(found: &CalibrationResult, observations: &Measurements) -> String {
@@ -138,7 +138,8 @@ fn demo_plan() -> (Plan, Robot, String) {
     let mut plan = Plan::build(&job, &robot).unwrap();
     let map = plan.predict(&robot, &PlanningPrior::datasheet(&job, &robot));
     plan.header.checks[0].limit = 1e9;
-    let html = plan::html(&plan, &robot, &map, &provenance(HOSTILE)).unwrap();
+    plan.header.provenance = provenance(HOSTILE);
+    let html = plan::html(&plan, &robot, &map).unwrap();
     (plan, robot, html)
 }
 
@@ -160,7 +161,7 @@ fn the_plan_shows_every_check_and_parameter() {
     // Reading, two of each projection, six axes, manipulability, two maps.
     assert_eq!(html.matches("<svg").count(), 1 + 6 + 6 + 1 + 2);
 
-    let page = |plan: &Plan| plan::html(plan, &robot, &[], &Provenance::default()).unwrap();
+    let page = |plan: &Plan| plan::html(plan, &robot, &[]).unwrap();
     let mut broken = plan.clone();
     (broken.rows[3].length_mm, broken.rows[4].axes_deg[2]) = (f64::NAN, f64::INFINITY);
     assert_self_contained(&page(&broken));

@@ -71,7 +71,7 @@ impl Cell {
         };
         let plan_name = plan.display().to_string();
         files::write(&inside.join("world.toml"), world(&plan)?)?;
-        let mut emit = vec!["krl", plan_name.as_str(), "--out", "krl"];
+        let mut emit = vec!["krl", plan_name.as_str(), "--out", "krl", "--controller", "simulated"];
         let mut simulate =
             vec!["simulate", "--program", "krl/DBB_MAIN.src", "--world", "world.toml", "--speed", speed];
         let address = server.map(|server| match server.ip().is_unspecified() {

@@ -5,15 +5,15 @@ use std::path::Path;
 use super::LENGTHS;
 use super::inputs::observations;
 use crate::catalogue::MeasurementFinding::OtherUnit;
-use crate::catalogue::{ConformityFinding, EstimationFinding};
+use crate::catalogue::{ConformityFinding, EstimationFinding, ProvenanceFinding};
 use crate::cli::Output;
-use crate::cli::robots;
+use crate::cli::robots::{self, RobotRead};
 use crate::diagnostic::{Diagnostic, Finding, Severity};
 use crate::estimation::{AngleSource, CalibrationResult, Prior, mistaken_unit};
 use crate::measurement::{BaseBall, Measurements};
+use crate::provenance::{Artefact, Difference, Provenance, Role, Traced};
 use crate::recording::matching::PoseMatching;
 use crate::recording::run::{self, Predicted, Run};
-use crate::report::Source;
 use crate::robot::parameter::SetUp;
 use crate::robot::{AXES, BallId, BarId, Robot};
 
@@ -37,7 +37,7 @@ pub(crate) struct Given {
     pub(crate) observations: Measurements,
     /// Standard uncertainty of the bar's length, mm, where it has a certificate.
     pub(crate) bar_u_mm: Option<f64>,
-    pub(crate) sources: Vec<Source>,
+    pub(crate) provenance: Provenance,
     /// Of the inputs as they were read.
     pub(crate) findings: Vec<Diagnostic>,
     /// Of a run as it was matched last: lost parts, poses dropped as ambiguous, another robot.
@@ -69,40 +69,38 @@ impl Given {
         if observations.rows.is_empty() {
             return Err(Diagnostic::file(&input, EstimationFinding::NoLength));
         }
-        let mut robot = match (named.robot, &joined) {
-            (Some(name), _) => robots::named(name)?,
-            (None, Some((run, _))) => run.robot()?,
-            (None, None) => return Err(EstimationFinding::NoRobot.into()),
+        let run = joined.as_ref().map(|(run, _)| run.as_ref());
+        let lengths = match run {
+            Some(run) => run.traced(named.input)?,
+            None => Artefact::file(Role::Measurements, named.input)?.into(),
         };
+        let (mut robot, mut sources) = (robot(named.robot, run, &lengths, out)?, Vec::new());
         if let Some(tool) = named.tool {
+            let RobotRead { robot, .. } = &mut robot;
             robot.geometry.tool = tool.into();
-            robot.posterior = robot.posterior.and_then(|known| known.keeping(|id| id.is_geometric()));
+            robot.posterior = robot.posterior.take().and_then(|known| known.keeping(|id| id.is_geometric()));
         }
-        let centres = match (named.centres, &joined) {
-            (Some(path), _) => out.table(path, BaseBall::from_table)?,
-            (None, Some((run, _))) => run.centres(),
-            (None, None) => {
-                return Err(EstimationFinding::NoBalls.into());
+        let centres = match (named.centres, run) {
+            (Some(path), _) => {
+                sources.push(Artefact::file(Role::BaseBalls, path)?.into());
+                out.table(path, BaseBall::from_table)?
             }
+            (None, Some(run)) => run.centres(),
+            (None, None) => return Err(Diagnostic::from(EstimationFinding::NoBalls).into()),
         };
+        let RobotRead { robot, source } = robot;
         check_lengths(&input, &observations, &robot, &centres)?;
-        let source = |role, name| Source { role, name };
-        let from_plan = || "the plan in the capture".to_owned();
-        let sources = vec![
-            source("lengths", input),
-            source("base balls", named.centres.map_or_else(from_plan, |path| path.display().to_string())),
-            source("robot", named.robot.map_or_else(from_plan, str::to_owned)),
-        ];
         findings.extend(robot.asked_repeatability().map(Diagnostic::from));
         let of_run = joined.as_ref().map_or_else(Vec::new, |(run, matching)| of_run(run, matching, &robot));
-        let axes = match &joined {
-            Some((run, _)) if run.axes_deg.is_empty() => AngleSource::Commanded,
+        let axes = match run {
+            Some(run) if run.axes_deg.is_empty() => AngleSource::Commanded,
             _ => AngleSource::Given,
         };
         // The job has it expanded, k = 2.
-        let certified = joined.as_ref().and_then(|(run, _)| run.plan.header.job.bar.length_u_mm);
+        let certified = run.and_then(|run| run.plan.header.job.bar.length_u_mm);
         let bar_u_mm = named.bar_u.or(certified.map(|u| 0.5 * u));
-        Ok(Self { robot, centres, observations, bar_u_mm, sources, findings, of_run, axes, joined })
+        let provenance = Provenance::of([&source].into_iter().chain(&sources).chain([&lengths]));
+        Ok(Self { robot, centres, observations, bar_u_mm, provenance, findings, of_run, axes, joined })
     }
 
     /// That the plan of a run is for `robot`.
@@ -175,6 +173,38 @@ impl Given {
         *before = matching;
         true
     }
+}
+
+/// The robot of the command line, else that of the run's plan; it must be that of the lengths.
+fn robot(
+    named: Option<&str>,
+    run: Option<&Run>,
+    lengths: &Traced,
+    out: &Output,
+) -> Result<RobotRead, Diagnostic> {
+    let found = match (named, run) {
+        (Some(name), _) => robots::read(name)?,
+        (None, Some(run)) => {
+            let (robot, text) = (run.robot()?, &run.plan.header.robot);
+            // A plan that has no chain knows its robot all the same.
+            let recorded = lengths.robot().map(|robot| Traced::from(robot.clone()));
+            return Ok(RobotRead { source: recorded.unwrap_or_else(|| robot.traced(text)), robot });
+        }
+        (None, None) => return Err(EstimationFinding::NoRobot.into()),
+    };
+    let given = &found.source;
+    if let Some(planned) = lengths.robot()
+        && planned.differs(&given.artefact) == Some(Difference::Serial)
+    {
+        return Err(lengths.of_another_robot(planned, &given.artefact).into());
+    }
+    if given.provenance.has(&lengths.artefact) {
+        let (lengths, robot) = (lengths.artefact.to_string(), given.artefact.to_string());
+        out.finding(ProvenanceFinding::UsedBefore { lengths, robot });
+    } else {
+        lengths.outdated_by(given).into_iter().for_each(|finding| out.finding(finding));
+    }
+    Ok(found)
 }
 
 /// Parts of the run that were lost, poses that were dropped, and another robot than the plan's.

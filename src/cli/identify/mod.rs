@@ -2,19 +2,22 @@
 
 mod given;
 mod inputs;
-mod page;
 mod say;
 mod tables;
 
 use std::path::{Path, PathBuf};
 
+use serde::Serialize;
+
 use super::{Outcome, Output, positive};
 use crate::base::files;
-use crate::catalogue::EstimationFinding;
+use crate::catalogue::{EstimationFinding, ProvenanceFinding};
 use crate::design::calibrate;
 use crate::diagnostic::Diagnostic;
 use crate::estimation::{CalibrationResult, Input, Options, Prior, PriorScale, ResultFile};
 use crate::measurement::{LengthModel, Measurements};
+use crate::provenance::{Artefact, Provenance, Role};
+use crate::report::calibration;
 use crate::robot::parameter::{self, SetUp};
 pub(crate) use inputs::observations;
 pub(crate) use tables::LENGTHS;
@@ -111,6 +114,9 @@ impl Args {
 
 pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     let mut given = Given::read(args.named(), out)?;
+    if let Some(file) = args.prior.as_deref().filter(|prior| !["none", "datasheet"].contains(prior)) {
+        given.provenance.add(&Artefact::file(Role::Prior, Path::new(file))?);
+    }
     let set_up = SetUp { balls: given.centres.len(), bars: given.observations.bars() };
     let options = options(args, &mut given, set_up, out)?;
     let validation = match &args.validate {
@@ -119,6 +125,10 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
             let set = observations(path, &mut given.findings, out)?;
             check_lengths(&name, &set, &given.robot, &given.centres)?;
             set.check(&name, set_up)?;
+            let artefact = Artefact::file(Role::Measurements, path)?;
+            if given.provenance.has(&artefact) {
+                out.finding(ProvenanceFinding::GivenTwice { lengths: artefact.to_string() });
+            }
             Some(set)
         }
         None => None,
@@ -134,13 +144,21 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     }
     drop(busy);
     let _writing = files::exclusive(&args.out)?;
-    tables::write_results(&args.out, &found, &given.observations)?;
-    let page = page::html(&found, &given.observations, given.sources)?;
+    let provenance = tables::write_results(&args.out, &found, &given.observations, given.provenance)?;
+    let page = calibration::html(&found, &given.observations, &provenance)?;
     files::write(&args.out.join("report.html"), page)?;
     // Its findings are its warnings: it is written before they are reported.
-    out.document(&ResultFile::from(&found))?;
+    out.document(&Recorded { result: &ResultFile::from(&found), provenance: &provenance })?;
     say::say(out, &found, &args.out);
     Ok(if found.is_doubtful() { Outcome::Doubt } else { Outcome::Done })
+}
+
+/// A result with what it was made from.
+#[derive(Serialize)]
+struct Recorded<'a> {
+    #[serde(flatten)]
+    result: &'a ResultFile,
+    provenance: &'a Provenance,
 }
 
 fn find(

@@ -3,13 +3,17 @@
 use std::fmt::Write;
 use std::path::Path;
 
+use super::Recorded;
 use crate::base::files;
 use crate::catalogue::CliFinding;
 use crate::cli::output::pretty;
 use crate::diagnostic::Diagnostic;
 use crate::estimation::{CalibrationResult, Posterior, ResultFile};
 use crate::measurement::Measurements;
+use crate::program::krl;
+use crate::provenance::{Artefact, Provenance, Role};
 use crate::report::export::{frames, mastering, urdf};
+use crate::robot::Robot;
 
 /// The lengths that an identification rests on, beside its robot-identified.toml.
 pub(crate) const LENGTHS: &str = "lengths.csv";
@@ -32,21 +36,27 @@ const PARAMETER_COLUMNS: [&str; 14] = [
 ];
 
 /// Writes result.json, parameters.csv, covariance.csv, the robot for other programs, and as lengths.csv those of the
-/// observations that the result rests on.
+/// observations that the result rests on; the provenance with these.
 pub(super) fn write_results(
     dir: &Path,
     found: &CalibrationResult,
     observations: &Measurements,
-) -> Result<(), Diagnostic> {
+    mut provenance: Provenance,
+) -> Result<Provenance, Diagnostic> {
     let file = ResultFile::from(found);
-    files::write_pieces(&dir.join(LENGTHS), observations.csv_pieces(|place| found.uses(place)))?;
-    files::write(&dir.join("result.json"), pretty(&file)? + "\n")?;
-    files::write(&dir.join("robot-identified.toml"), found.robot.to_toml())?;
+    let lengths = dir.join(LENGTHS);
+    files::write_pieces(&lengths, observations.csv_pieces(|place| found.uses(place)))?;
+    provenance.add(&Artefact::file(Role::Measurements, &lengths)?);
+    let recorded = Recorded { result: &file, provenance: &provenance };
+    files::write(&dir.join("result.json"), pretty(&recorded)? + "\n")?;
+    let robot = Robot { provenance: provenance.clone(), ..found.robot.clone() };
+    files::write(&dir.join("robot-identified.toml"), robot.to_toml())?;
     let parameters =
         parameters_csv(&file).map_err(|error| CliFinding::NoOutput { why: error.to_string() })?;
     files::write(&dir.join("parameters.csv"), parameters)?;
     files::write(&dir.join("covariance.csv"), covariance_csv(&found.posterior))?;
-    hand_back(dir, found)
+    hand_back(dir, found, &provenance)?;
+    Ok(provenance)
 }
 
 fn parameters_csv(file: &ResultFile) -> Result<Vec<u8>, csv::Error> {
@@ -91,12 +101,12 @@ fn covariance_csv(posterior: &Posterior) -> String {
 }
 
 /// What goes to other programs and to the controller: URDF, mastering offsets, KRL frames.
-fn hand_back(dir: &Path, found: &CalibrationResult) -> Result<(), Diagnostic> {
+fn hand_back(dir: &Path, found: &CalibrationResult, provenance: &Provenance) -> Result<(), Diagnostic> {
     files::write(&dir.join("robot-identified.urdf"), urdf::urdf(&found.robot))?;
     let offsets = mastering::offsets(found);
     files::write(&dir.join("mastering.csv"), mastering::csv(&offsets)?)?;
     let data = frames::data_list(&found.robot.name, &frames::frames(found), &offsets);
-    files::write(&dir.join(format!("{}.dat", frames::MODULE)), data)?;
+    files::write(&dir.join(format!("{}.dat", frames::MODULE)), krl::stamped(&data, provenance))?;
     Ok(())
 }
 

@@ -183,7 +183,7 @@ impl Supervisor {
         let protocol = inner.protocol.as_ref().map(|definition| definition.id.clone());
         let device = Device { port: inner.port.clone(), present, protocol };
         Status {
-            version: env!("CARGO_PKG_VERSION"),
+            version: crate::provenance::VERSION,
             state,
             reason,
             code,

@@ -7,6 +7,7 @@ use super::check::Check;
 use super::decoder::Decoder;
 use super::encoder::Encoder;
 use super::engine::Engine;
+use super::field::STROBE;
 use super::layout::{self, Part};
 use super::table::{Line, Sim};
 
@@ -128,6 +129,11 @@ impl Definition {
     /// An encoder, for a virtual device.
     pub fn encoder(&self) -> Encoder {
         Encoder::new(Arc::clone(&self.engine))
+    }
+
+    /// Whether its samples carry the controller's strobe.
+    pub fn has_strobe(&self) -> bool {
+        self.flags(u32::MAX).contains(&STROBE)
     }
 
     /// The names of the flags that are set in a sample's status, lowest bit first.

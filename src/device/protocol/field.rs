@@ -55,6 +55,9 @@ pub(super) enum Role {
     Quality(f64, f64),
 }
 
+/// The flag of a status that carries the controller's strobe.
+pub(super) const STROBE: &str = "trigger";
+
 /// The names of status bits, lowest first, and the masks of those that the decoder knows; 0 where there is none.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Flags {
@@ -70,7 +73,7 @@ impl Flags {
         let mask =
             |wanted: &str| names.iter().find(|(_, name)| name == wanted).map_or(0, |(bit, _)| 1 << bit);
         let refused = mask("over") | mask("under") | mask("overspeed");
-        Self { trigger: mask("trigger"), valid: mask("valid"), refused, names }
+        Self { trigger: mask(STROBE), valid: mask("valid"), refused, names }
     }
 
     /// What the sample's status says of it.

@@ -15,6 +15,9 @@ pub use obstacle::ObstacleTable;
 pub struct Job {
     /// Name or file of the robot.
     pub robot: String,
+    /// Serial number of the robot in this cell.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub serial: Option<String>,
     /// Seed of what is drawn: the time code and random orientations.
     #[serde(default = "first_seed")]
     pub seed: u32,
@@ -73,6 +76,9 @@ pub struct Bar {
     /// Radius of the bar's body, mm: what keeps clear of the obstacles.
     #[serde(default = "default_radius")]
     pub radius_mm: f64,
+    /// Serial number of the bar.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub serial: Option<String>,
     /// Name or file of the protocol that the bar speaks.
     #[serde(default = "default_protocol")]
     pub protocol: String,

@@ -68,6 +68,12 @@ impl<'a> Constants<'a> {
         self.0.get(name).into_iter().flat_map(|values| values.keys().copied().flatten())
     }
 
+    /// Whether a name is that of a point, or of an array of points, in the program's own files.
+    pub(super) fn has_point(&self, name: &str) -> bool {
+        let mut values = self.0.get(name).into_iter().flat_map(BTreeMap::values);
+        values.any(|constant| constant.origin != Origin::Config && constant_target(constant.value).is_ok())
+    }
+
     fn value(&self, name: &str) -> Option<Value> {
         self.get((name, None))?.value.constant().ok()
     }

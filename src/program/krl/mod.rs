@@ -7,6 +7,7 @@ mod data;
 pub mod emit;
 pub(crate) mod evaluate;
 mod expression;
+mod header;
 mod lexer;
 mod parser;
 mod points;
@@ -18,6 +19,7 @@ pub(crate) mod value;
 
 pub use data::{Origin, Setup, absolute_accuracy, logged_axes, plan_hash, read_setup};
 pub use emit::{Controller, Options, Sync, emit};
+pub use header::{is_program, provenance, stamped};
 pub use parser::{parse_data, parse_source};
 pub use points::{Files, Given, Leg, PointProgram, TaughtPoint, read};
 pub use program::{Module, Program};

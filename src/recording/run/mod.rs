@@ -5,6 +5,7 @@ mod open;
 mod plan_files;
 mod temperature;
 
+use std::path::Path;
 use std::sync::Arc;
 
 pub use circles::{Circle, Circles};
@@ -20,6 +21,7 @@ use crate::circular::Temperature;
 use crate::diagnostic::Diagnostic;
 use crate::measurement::{BallId, BaseBall, Column};
 use crate::plan::Plan;
+use crate::provenance::{Artefact, Provenance, Role, Traced};
 use crate::robot::{AXES, Robot};
 
 /// What a capture gives to be matched.
@@ -117,6 +119,15 @@ impl Run {
             (Some(_), None) => Some(RecordingFinding::TemperatureUnknown),
             (None, _) => None,
         }
+    }
+
+    /// The capture at `path` as an artefact of its plan.
+    ///
+    /// # Errors
+    /// When it cannot be read.
+    pub fn traced(&self, path: &Path) -> Result<Traced, Diagnostic> {
+        let artefact = Artefact::file(Role::Capture, path)?;
+        Ok(Traced { artefact, provenance: Provenance::of([&self.plan.traced()]) })
     }
 
     /// The base balls of the job.

@@ -14,6 +14,7 @@ impl Writer<'_> {
         let ekrl = matches!(self.options.sync, Sync::Ekrl { .. });
         source.all(HEAD);
         source.add(format!("DEF {name} ( )"));
+        source.all(&self.made);
         source.all(INI);
         self.set_up(&mut source, module);
         if output {

@@ -20,6 +20,7 @@ impl Writer<'_> {
         let mut data = Lines::default();
         data.all(HEAD);
         data.add(format!("DEFDAT {name}"));
+        data.all(&self.made);
         data.all(self.external());
         self.identity(&mut data);
         self.cell(&mut data, module)?;

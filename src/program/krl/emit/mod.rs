@@ -19,7 +19,9 @@ use self::number::character_text;
 use crate::catalogue::ProgramFinding;
 use crate::diagnostic::Diagnostic;
 use crate::plan::{MODULE_DWELLS, Plan};
+use crate::program::krl::header;
 use crate::program::sequence::{Bar, Module, modules};
+use crate::provenance::Provenance;
 use crate::robot::Robot;
 
 /// Lines that a module may have: longer files are known to make trouble on old controllers.
@@ -48,6 +50,8 @@ pub enum Controller {
     Krc4,
     // KSS 8.7, the same language.
     Krc5,
+    // That of `dbbd simulate`, which moves robots of any make.
+    Simulated,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -62,7 +66,8 @@ pub struct Options {
 /// A plan that has no program in KRL: names the row or the circle and why.
 pub fn emit(plan: &Plan, options: Options) -> Result<Vec<(String, String)>, Diagnostic> {
     let robot = Robot::from_toml("the plan's robot", &plan.header.robot)?;
-    let writer = Writer { plan, robot: robot.controller(), options };
+    let made = header::lines(&Provenance::of([&plan.traced()]));
+    let writer = Writer { plan, robot: robot.controller(), options, made };
     let modules = modules(plan)?;
     let mut files = writer.master(&modules);
     if let Sync::Ekrl { server } = options.sync {
@@ -86,7 +91,7 @@ impl Lines {
         self.0.push_str(&format!("{line}\r\n"));
     }
 
-    fn all(&mut self, lines: &[&str]) {
+    fn all(&mut self, lines: &[impl fmt::Display]) {
         for line in lines {
             self.add(line);
         }
@@ -101,6 +106,8 @@ struct Writer<'a> {
     plan: &'a Plan,
     robot: &'a Robot,
     options: Options,
+    /// Comments that say what the program was made from.
+    made: Vec<String>,
 }
 
 const HEAD: &[&str] =
@@ -130,7 +137,7 @@ impl Writer<'_> {
                 ";ENDFOLD (BASISTECH EXT)",
                 ";ENDFOLD (EXTERNAL DECLARATIONS)",
             ],
-            Controller::Krc4 | Controller::Krc5 => &[],
+            Controller::Krc4 | Controller::Krc5 | Controller::Simulated => &[],
         }
     }
 
@@ -139,6 +146,7 @@ impl Writer<'_> {
         let mut source = Lines::default();
         source.all(HEAD);
         source.add("DEF DBB_MAIN ( )");
+        source.all(&self.made);
         if self.options.controller == Controller::Krc2 {
             for at in 1..=modules.len() {
                 source.add(format!("EXT DBB_C{at:03} ( )"));
@@ -157,6 +165,7 @@ impl Writer<'_> {
         let mut data = Lines::default();
         data.all(HEAD);
         data.add("DEFDAT DBB_MAIN");
+        data.all(&self.made);
         data.all(self.external());
         self.identity(&mut data);
         data.add("ENDDAT");

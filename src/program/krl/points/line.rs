@@ -51,6 +51,20 @@ impl Line<'_> {
         self.text.get(..end.unwrap_or(self.text.len())).unwrap_or("").trim_end()
     }
 
+    /// The names in it, in capitals, with their bytes.
+    pub(super) fn words(&self) -> impl Iterator<Item = (String, Span)> {
+        let mut quoted = false;
+        let mut start = self.span.start;
+        let named = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '$';
+        self.code().split_inclusive(move |c| !named(c)).filter_map(move |piece| {
+            let (from, outside) = (start, !quoted);
+            start += piece.len();
+            quoted ^= piece.ends_with('"');
+            let word = piece.trim_end_matches(|c| !named(c));
+            (outside && !word.is_empty()).then(|| (word.to_ascii_uppercase(), from..from + word.len()))
+        })
+    }
+
     /// Whether a `.dat` file gives a point or a frame here.
     pub(super) fn holds_structure(&self) -> bool {
         let Some((left, right)) = self.code().split_once('=') else { return false };

@@ -50,6 +50,17 @@ pub(super) fn read(files: Files<'_>, given: Given) -> Result<PointProgram, Diagn
     .read()
 }
 
+/// That the file is KRL: it has a routine, whose first line is no function of another language.
+fn is_krl(file: Text<'_>) -> Result<(), Diagnostic> {
+    let routine = lines(file).find(|line| line.routine().is_some());
+    if routine.as_ref().is_some_and(|line| line.code().ends_with(')')) {
+        return Ok(());
+    }
+    let first = routine.or_else(|| lines(file).next());
+    let begins = first.as_ref().map_or_else(String::new, |line| line.code().chars().take(40).collect());
+    Err(file.wrong(&first.map_or(0..0, |line| line.span), CompensationFinding::NotKrl { begins }))
+}
+
 /// The points and frames of a `.dat` file of any controller; other lines are passed over.
 ///
 /// # Errors
@@ -86,9 +97,11 @@ struct Running<'l> {
 impl<'a> Walk<'a> {
     fn read(mut self) -> Result<PointProgram, Diagnostic> {
         let file = self.files.source;
+        is_krl(file)?;
         let setters = self.routines_that_set_frames();
         let mut follower = Follower::new();
         let mut spline: Option<Following> = None;
+        let mut named = Vec::new();
         for line in lines(file) {
             if follower.control(file, &line)? {
                 continue;
@@ -112,6 +125,9 @@ impl<'a> Walk<'a> {
                 }
                 word => {
                     let set = self.values.set(&mut follower.now, &line)?;
+                    if !set {
+                        named.extend(self.points_in(&line));
+                    }
                     if !set && setters.iter().any(|name| name == word) {
                         follower.now = Following::unknown(|frame| CompensationFinding::FrameInRoutine {
                             frame,
@@ -121,7 +137,24 @@ impl<'a> Walk<'a> {
                 }
             }
         }
+        // A point that a motion goes to as well is corrected.
+        named.retain(|(name, _)| !self.found.keys().any(|(found, _)| found == name));
+        let left = named
+            .into_iter()
+            .map(|(name, span)| file.wrong(&span, CompensationFinding::PointInStatement { name }));
+        self.program.left.extend(left);
         Ok(self.program)
+    }
+
+    /// The points of the program's files that a statement names which is no motion: an argument of a routine, a copy.
+    fn points_in(&self, line: &Line<'_>) -> Vec<(String, Span)> {
+        let mut words = line.words();
+        if line.assigns() {
+            words.next();
+        }
+        let named =
+            words.filter(|(word, _)| !word.starts_with("XHOME") && self.values.constants.has_point(word));
+        named.collect()
     }
 
     /// The file's routines that set a frame: after a call of one nothing is known.

@@ -1,19 +1,20 @@
 //! `dbbd plan`: poses from a job, checked before anything moves.
 
-mod page;
-
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
 use super::{Outcome, Output};
 use crate::base::files;
-use crate::catalogue::{MeasurementFinding, PlanFinding};
-use crate::cli::{protocols, robots};
+use crate::catalogue::{MeasurementFinding, PlanFinding, ProvenanceFinding};
+use crate::cli::protocols;
+use crate::cli::robots::{self, RobotRead};
 use crate::diagnostic::Diagnostic;
 use crate::measurement::{BaseBall, PreparedMeasurement};
 use crate::plan::prediction::Identifiability;
 use crate::plan::{Check, Job, Kind, Plan, PlanningPrior, Prediction, Stage, Taught};
+use crate::provenance::{Artefact, Provenance, Role, Traced};
+use crate::report;
 use crate::robot::Robot;
 use crate::robot::parameter::SetUp;
 
@@ -63,6 +64,7 @@ struct Summary<'a> {
 pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     let name = args.job.display().to_string();
     let job = Job::from_toml(&name, &files::read(&args.job)?)?;
+    let made_from = Artefact { serial: job.bar.serial.clone(), ..Artefact::file(Role::Job, &args.job)? };
     let job = args.stage.map_or_else(|| job.clone(), |points| job.as_stage(points));
     // A definition in a file may be there only where the run is.
     if !job.bar.protocol.ends_with(".toml") {
@@ -70,25 +72,19 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
             .map_err(|why| Diagnostic { file: name.clone(), ..why })?;
     }
     let robot_name = args.robot.as_deref().unwrap_or(&job.robot);
-    let robot = robots::named(robot_name)?;
+    let RobotRead { robot, source } = serial_of(&job, robots::read(robot_name)?)?;
     job.check_against(robot.controller()).map_err(|why| Diagnostic::file(&name, why))?;
     robot.asked_repeatability().into_iter().for_each(|finding| out.finding(finding));
-    let mut measured = args.measured.clone();
-    if robot.nominal.is_some() {
-        let lengths = Path::new(robot_name).with_file_name(super::identify::LENGTHS);
-        if lengths.is_file() {
-            measured.push(lengths);
-        } else {
-            out.finding(PlanFinding::NoLengths { file: lengths.display().to_string() });
-        }
-    }
-    let Known { job, robot, prior } = Known::after(job, robot, &measured, out)?;
+    let measured = Measured::find(args, robot_name, &source, out)?;
+    let provenance = Provenance::of([&made_from.into(), &source].into_iter().chain(&measured.sources));
+    let Known { job, robot, prior } = Known::after(job, robot, &measured.files, out)?;
     let mut plan = Plan::build_with(&job, &robot, &prior).map_err(|refusal| {
         refusal.shown().for_each(|finding| out.finding(finding.clone()));
         Diagnostic { file: name.clone(), ..refusal.into() }
     })?;
+    plan.header.provenance = provenance;
     let map = plan.predict(&robot, &prior);
-    write(&plan, page::html(&plan, &robot, &name, &map)?, &args.out)?;
+    write(&plan, report::plan::html(&plan, &robot, &map)?, &args.out)?;
     for note in &plan.header.notes {
         out.finding(note.clone());
     }
@@ -145,6 +141,67 @@ fn report(plan: &Plan, robot: &Robot, out: &Output) -> Result<(), Diagnostic> {
     }
     summary.predictions.into_iter().flat_map(lines).for_each(|line| out.result(line));
     Ok(())
+}
+
+/// The robot with the serial number that the job gives.
+fn serial_of(job: &Job, found: RobotRead) -> Result<RobotRead, Diagnostic> {
+    let RobotRead { mut robot, mut source } = found;
+    if let (Some(of_job), Some(of_robot)) = (&job.serial, &robot.serial)
+        && of_job != of_robot
+    {
+        let (job, robot) = (of_job.clone(), of_robot.clone());
+        return Err(ProvenanceFinding::OtherJobSerial { job, robot }.into());
+    }
+    if let Some(serial) = &job.serial {
+        robot.serial = Some(serial.clone());
+        robot.nominal.iter_mut().for_each(|nominal| nominal.serial = Some(serial.clone()));
+        source.artefact.serial = Some(serial.clone());
+    }
+    Ok(RobotRead { robot, source })
+}
+
+/// Tables of lengths measured before, each once.
+#[derive(Default)]
+struct Measured {
+    files: Vec<PathBuf>,
+    sources: Vec<Traced>,
+}
+
+impl Measured {
+    /// Those of the command line, and the lengths.csv beside an identified robot, which is that of its result.
+    fn find(args: &Args, robot_name: &str, robot: &Traced, out: &Output) -> Result<Self, Diagnostic> {
+        let mut found = Self::default();
+        args.measured.iter().try_for_each(|path| found.add(path, out))?;
+        if robot.artefact.role != Role::IdentifiedRobot {
+            return Ok(found);
+        }
+        let path = Path::new(robot_name).with_file_name(super::identify::LENGTHS);
+        if !path.is_file() {
+            out.finding(PlanFinding::NoLengths { file: path.display().to_string() });
+            return Ok(found);
+        }
+        let lengths = Artefact::file(Role::Measurements, &path)?;
+        let of_result = |source: &&Artefact| source.role == Role::Measurements && source.name == lengths.name;
+        if let Some(expected) = robot.provenance.from.iter().rev().find(of_result)
+            && expected.sha256 != lengths.sha256
+        {
+            let (lengths, expected) = (lengths.to_string(), expected.to_string());
+            return Err(ProvenanceFinding::OtherLengths { lengths, expected }.into());
+        }
+        found.add(&path, out)?;
+        Ok(found)
+    }
+
+    fn add(&mut self, path: &Path, out: &Output) -> Result<(), Diagnostic> {
+        let artefact = Artefact::file(Role::Measurements, path)?;
+        if self.sources.iter().any(|source| source.artefact.sha256 == artefact.sha256) {
+            out.finding(ProvenanceFinding::GivenTwice { lengths: artefact.to_string() });
+            return Ok(());
+        }
+        self.files.push(path.into());
+        self.sources.push(artefact.into());
+        Ok(())
+    }
 }
 
 /// Job, robot and what is known of it.

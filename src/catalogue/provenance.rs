@@ -1,0 +1,42 @@
+//! What artefacts were made from.
+
+use super::findings;
+
+findings! {
+    /// Artefacts that do not belong together, or whose chain is not known.
+    ProvenanceFinding {
+        E1801 "a program is corrected already",
+        cause: "The program was corrected before, or its plan was made on an identified robot. A second correction moves every point by the correction once more.",
+        cure: "Correct the original program; run a program of a plan on an identified robot as it is." {
+            CorrectedBefore { source: String } => "the program is corrected already, by {source}",
+                help: "correct the original program with the newest robot-identified.toml";
+        }
+        E1802 "inputs are of different robots",
+        cause: "The serial numbers, or without them the names of the robots in two inputs differ.",
+        cure: "Give the files of one robot. If it is the same one, give it the same `name` and `serial` in robot file and job." {
+            OtherRobot { artefact: String, made_for: String, given: String } => "{artefact} was made for {made_for}, and {given} is given";
+            OtherJobSerial { job: String, robot: String } => "the job is for serial number {job}, and the robot file has {robot}";
+        }
+        W1803 "the robot file was changed since",
+        cause: "Two inputs name one robot, but its nominal file had another content when each of them was made.",
+        cure: "Check what was changed. If it was the table or the tool, plan and measure again." {
+            RobotChanged { artefact: String, made_for: String, given: String } => "{artefact} was made with {made_for}, and {given} is given: the robot file was changed";
+        }
+        W1804 "an input is older than the newest calibration",
+        cause: "It was made on an identified robot that was identified anew since.",
+        cure: "Plan again with the newest robot-identified.toml." {
+            Outdated { artefact: String, used: String, newest: String } => "{artefact} was made on {used}; {newest} is newer";
+        }
+        W1805 "lengths are used twice",
+        cause: "The same lengths are given twice, or the robot given was identified from them. What they show then counts twice.",
+        cure: "Give each file once, and check a robot with lengths that it was not identified from." {
+            UsedBefore { lengths: String, robot: String } => "{robot} was identified from {lengths}";
+            GivenTwice { lengths: String } => "{lengths} is given twice";
+        }
+        E1806 "lengths are of another result",
+        cause: "lengths.csv beside robot-identified.toml is not the one that was written with it.",
+        cure: "Keep the files of a result together, or identify again." {
+            OtherLengths { lengths: String, expected: String } => "{lengths} is not what the robot was identified from ({expected})";
+        }
+    }
+}

@@ -1,0 +1,89 @@
+//! Any artefact that dbbd writes or reads, by what is in the file.
+
+use std::fs;
+use std::path::Path;
+
+use serde_json::Value;
+
+use super::Output;
+use super::info::line;
+use crate::base::files;
+use crate::catalogue::FileFinding;
+use crate::diagnostic::Diagnostic;
+use crate::plan::Job;
+use crate::program::krl;
+use crate::provenance::{Artefact, Provenance, Role, Traced};
+use crate::recording::run;
+use crate::robot::Robot;
+
+/// An artefact with its chain; `None` of a file of another kind. A capture is read elsewhere.
+///
+/// # Errors
+/// What is wrong in the file.
+pub(super) fn read(path: &Path) -> Result<Option<Traced>, Diagnostic> {
+    let name = path.display().to_string();
+    let bytes = fs::read(path)
+        .map_err(|error| Diagnostic::file(&name, FileFinding::Unreadable { why: error.to_string() }))?;
+    // A program may be in an old code page; what is read of it is ASCII.
+    let text = String::from_utf8_lossy(&bytes);
+    let first = text.lines().next().unwrap_or_default();
+    if let Ok(Value::Object(json)) = serde_json::from_str(&text) {
+        if ["job", "hash", "moves"].iter().all(|key| json.contains_key(*key)) {
+            return plan(path);
+        }
+        if ["provenance", "parameters"].iter().any(|key| json.contains_key(*key)) {
+            let recorded = json.get("provenance").cloned().unwrap_or_default();
+            return with(Role::Result, path, serde_json::from_value(recorded).unwrap_or_default());
+        }
+    } else if let Ok(table) = toml::from_str::<toml::Table>(&text) {
+        if table.contains_key("joint") {
+            let text = files::read(path)?;
+            return Ok(Some(Robot::from_toml(&name, &text)?.traced(&text)));
+        }
+        if table.contains_key("bar") && table.contains_key("robot") {
+            let job = Job::from_toml(&name, &text)?;
+            let artefact = Artefact { serial: job.bar.serial, ..Artefact::file(Role::Job, path)? };
+            return Ok(Some(artefact.into()));
+        }
+    } else if first.starts_with("index,circle,centre,kind,move") {
+        return plan(path);
+    } else if first.split(',').any(|column| column == "length_mm") {
+        return with(Role::Measurements, path, Provenance::default());
+    } else if krl::is_program(&text) {
+        return with(Role::Program, path, krl::provenance(&text));
+    }
+    Ok(None)
+}
+
+fn with(role: Role, path: &Path, provenance: Provenance) -> Result<Option<Traced>, Diagnostic> {
+    Ok(Some(Traced { artefact: Artefact::file(role, path)?, provenance }))
+}
+
+/// `plan.csv` and `plan.json` are one artefact.
+fn plan(path: &Path) -> Result<Option<Traced>, Diagnostic> {
+    run::read_plan(&path.with_extension("csv")).map(|plan| Some(plan.traced()))
+}
+
+/// The artefact and its chain on the screen.
+pub(super) fn show(traced: &Traced, out: &Output) {
+    let Traced { artefact, provenance } = traced;
+    line(out, &artefact.role.to_string(), &artefact.name);
+    line(out, "SHA-256", &artefact.sha256);
+    if let Some(serial) = &artefact.serial {
+        line(out, "serial number", serial);
+    }
+    chain(provenance, out);
+}
+
+/// What an artefact was made from, the newest first.
+pub(super) fn chain(provenance: &Provenance, out: &Output) {
+    if provenance.is_empty() {
+        return line(out, "made from", "not recorded");
+    }
+    if !provenance.dbbd.is_empty() {
+        line(out, "made by", &format!("dbbd {}", provenance.dbbd));
+    }
+    for (at, source) in provenance.from.iter().rev().enumerate() {
+        line(out, if at == 0 { "made from" } else { "" }, &format!("{:17}{source}", source.role));
+    }
+}

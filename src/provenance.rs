@@ -1,0 +1,200 @@
+//! What an artefact was made from: the chain from job and robot file to a corrected program.
+//!
+//! An artefact is known by the SHA-256 of its file. It carries those that it was made from, and a command compares the
+//! chains of its inputs before it computes. A chain has no date and no path: the same inputs give the same bytes.
+
+use std::fmt;
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+
+use crate::base::files;
+use crate::base::hash::sha256;
+use crate::catalogue::ProvenanceFinding;
+use crate::diagnostic::Diagnostic;
+
+/// dbbd's version, with the commit where it was built from a repository.
+pub const VERSION: &str = env!("DBBD_VERSION");
+
+/// What an artefact is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Role {
+    Job,
+    Robot,
+    IdentifiedRobot,
+    Plan,
+    Program,
+    Capture,
+    /// A table of lengths at poses.
+    Measurements,
+    BaseBalls,
+    Prior,
+    Result,
+}
+
+impl fmt::Display for Role {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.pad(match self {
+            Self::Job => "job",
+            Self::Robot => "robot",
+            Self::IdentifiedRobot => "identified robot",
+            Self::Plan => "plan",
+            Self::Program => "program",
+            Self::Capture => "capture",
+            Self::Measurements => "measurements",
+            Self::BaseBalls => "base balls",
+            Self::Prior => "prior",
+            Self::Result => "result",
+        })
+    }
+}
+
+/// A file that something was made from.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Artefact {
+    pub role: Role,
+    /// A robot's name, a plan's hash, else the file's name without its directory.
+    pub name: String,
+    /// Of the robot; of a job that of its bar.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub serial: Option<String>,
+    /// Of the file's content, in hexadecimal digits.
+    pub sha256: String,
+}
+
+impl Artefact {
+    /// One whose content is in memory.
+    pub fn new(role: Role, name: impl Into<String>, content: impl AsRef<[u8]>) -> Self {
+        Self { role, name: name.into(), serial: None, sha256: sha256(content) }
+    }
+
+    /// The file at `path`.
+    ///
+    /// # Errors
+    /// When it cannot be read.
+    pub fn file(role: Role, path: &Path) -> Result<Self, Diagnostic> {
+        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        Ok(Self { role, name, serial: None, sha256: files::sha256(path)? })
+    }
+
+    /// The first digits of its hash.
+    pub fn short_hash(&self) -> &str {
+        self.sha256.get(..12).unwrap_or(&self.sha256)
+    }
+
+    /// Whether the robot in this artefact is another one than `other`: by their serial numbers where both are known, else
+    /// by their names.
+    pub fn differs(&self, other: &Self) -> Option<Difference> {
+        match (&self.serial, &other.serial) {
+            (Some(this), Some(other)) => (this != other).then_some(Difference::Serial),
+            _ if self.name != other.name => Some(Difference::Name),
+            _ => None,
+        }
+    }
+}
+
+impl fmt::Display for Artefact {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let serial =
+            self.serial.as_ref().map_or_else(String::new, |serial| format!(", serial number {serial}"));
+        write!(out, "{}{serial} ({})", self.name, self.short_hash())
+    }
+}
+
+/// By what two robots are not the same.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Difference {
+    Serial,
+    Name,
+}
+
+/// What an artefact was made from, and by which version. Empty where that was not recorded.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Provenance {
+    /// The version of dbbd that made it.
+    #[serde(default)]
+    pub dbbd: String,
+    /// Each artefact once, before what was made from it.
+    #[serde(default)]
+    pub from: Vec<Artefact>,
+}
+
+/// An artefact with what it was made from.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Traced {
+    #[serde(flatten)]
+    pub artefact: Artefact,
+    pub provenance: Provenance,
+}
+
+impl From<Artefact> for Traced {
+    /// One that is not known to be made from others.
+    fn from(artefact: Artefact) -> Self {
+        Self { artefact, provenance: Provenance::default() }
+    }
+}
+
+impl Traced {
+    /// What it was made from, and itself.
+    pub fn chain(&self) -> impl DoubleEndedIterator<Item = &Artefact> {
+        self.provenance.from.iter().chain([&self.artefact])
+    }
+
+    /// The newest robot in its chain.
+    pub fn robot(&self) -> Option<&Artefact> {
+        let robots = [Role::Robot, Role::IdentifiedRobot];
+        self.chain().rev().find(|artefact| robots.contains(&artefact.role))
+    }
+
+    /// That it was made for one robot, and another one is given.
+    pub fn of_another_robot(&self, made_for: &Artefact, given: &Artefact) -> ProvenanceFinding {
+        let [artefact, made_for, given] = [&self.artefact, made_for, given].map(ToString::to_string);
+        ProvenanceFinding::OtherRobot { artefact, made_for, given }
+    }
+
+    /// That an identified robot was made from the calibration on which this one rests: a newer one is there.
+    pub fn outdated_by(&self, newer: &Traced) -> Option<ProvenanceFinding> {
+        let used = self.robot().filter(|robot| robot.role == Role::IdentifiedRobot)?;
+        (newer.artefact.sha256 != used.sha256 && newer.provenance.has(used)).then(|| {
+            let artefact = self.artefact.to_string();
+            ProvenanceFinding::Outdated {
+                artefact,
+                used: used.to_string(),
+                newest: newer.artefact.to_string(),
+            }
+        })
+    }
+}
+
+impl Provenance {
+    /// Of what this version makes from `inputs`.
+    pub fn of<'a>(inputs: impl IntoIterator<Item = &'a Traced>) -> Self {
+        let mut made = Self { dbbd: VERSION.into(), from: Vec::new() };
+        inputs.into_iter().flat_map(Traced::chain).for_each(|source| made.add(source));
+        made
+    }
+
+    /// One more source.
+    pub fn add(&mut self, source: &Artefact) {
+        if !self.has(source) {
+            self.from.push(source.clone());
+        }
+    }
+
+    /// Whether nothing was recorded.
+    pub fn is_empty(&self) -> bool {
+        self.from.is_empty()
+    }
+
+    /// Whether the artefact is in the chain.
+    pub fn has(&self, artefact: &Artefact) -> bool {
+        self.from.iter().any(|source| source.sha256 == artefact.sha256)
+    }
+
+    /// The measured artefact by which the commanded poses were corrected, if they were.
+    pub fn corrected_by(&self) -> Option<&Artefact> {
+        let measured = [Role::IdentifiedRobot, Role::Measurements, Role::Capture];
+        self.from.iter().rev().find(|source| measured.contains(&source.role))
+    }
+}

@@ -1,0 +1,289 @@
+//! Every artefact carries what it was made from, and inputs that do not belong together are refused or doubted.
+
+use std::fs;
+use std::path::Path;
+use std::process::Output;
+
+use dbbd::base::hash::sha256;
+use dbbd::program::krl;
+use dbbd::provenance::{Artefact, Provenance, Role, VERSION};
+use dbbd::recording::capture::{self, Record, Writer};
+use dbbd::robot::Robot;
+use dbbd::sim::truth;
+use serde_json::Value;
+use tempfile::{TempDir, tempdir};
+
+use crate::cell::{
+    CENTRE, DESIGNED, centres_csv, codes, dbbd, horizontal, kr60, measure, stderr, with_errors,
+};
+
+pub(crate) fn provoked() -> Vec<&'static str> {
+    vec!["E1801", "E1802", "W1803", "W1804", "W1805", "E1806"]
+}
+
+/// One short circle.
+const JOB: &str = "robot = 'robot.toml'\n[bar]\nlength_mm = 300.0\nstroke_mm = [-5.0, 5.0]\nmargin_mm = 0.5\nserial = 'B-1'\n\
+                   [[centre]]\nid = 1\nxyz_mm = [1300.0, 0.0, 800.0]\n[[circle]]\nplane = 'XY'\npoints = 8\ntilt_deg = 30.0\namplitude_deg = 25.0\n";
+
+/// Runs a step that must succeed.
+fn step(dir: &Path, args: &[&str]) -> Output {
+    let output = dbbd(dir, args);
+    assert!(matches!(output.status.code(), Some(0 | 3)), "dbbd {}: {}", args.join(" "), stderr(&output));
+    output
+}
+
+/// The exit code of a run, and whether it said the code.
+fn said(output: &Output, code: &str) -> (Option<i32>, bool) {
+    (output.status.code(), codes(output).iter().any(|said| said == code))
+}
+
+/// A cell with a plan, its program, lengths of a robot with errors, and an identified robot with lengths of its own.
+fn cell() -> TempDir {
+    let dir = tempdir().unwrap();
+    let at = dir.path();
+    let robot = Robot { serial: Some("KR-1".into()), ..kr60() };
+    fs::write(at.join("robot.toml"), robot.to_toml()).unwrap();
+    fs::write(at.join("job.toml"), JOB).unwrap();
+    step(at, &["plan", "job.toml", "--out", "plan"]);
+    step(at, &["krl", "plan/plan.csv", "--out", "krl"]);
+    let circle = [horizontal(1, CENTRE)];
+    let lengths = measure(&with_errors(DESIGNED), &circle, 24, 20.0).to_csv();
+    fs::write(at.join("obs.csv"), &lengths).unwrap();
+    fs::write(at.join("C.csv"), centres_csv(&circle)).unwrap();
+    fs::create_dir(at.join("result")).unwrap();
+    fs::write(at.join("result/lengths.csv"), lengths + "\n").unwrap();
+    write_identified(at, robot);
+    dir
+}
+
+/// The identified robot, as from robot.toml and the lengths beside it.
+fn write_identified(at: &Path, nominal: Robot) {
+    let source = |role, file: &str| Artefact::file(role, &at.join(file)).unwrap();
+    let robot = Artefact { name: nominal.name.clone(), ..source(Role::Robot, "robot.toml") };
+    let from = vec![robot, source(Role::Measurements, "result/lengths.csv")];
+    let provenance = Provenance { dbbd: VERSION.into(), from };
+    let identified =
+        Robot { provenance, nominal: Some(Box::new(nominal.clone())), ..truth::draw(&nominal, 1, 0.3) };
+    fs::write(at.join("result/robot-identified.toml"), identified.to_toml()).unwrap();
+}
+
+/// Few parameters, so that the test is short.
+fn identify<'a>(robot: &'a str, out: &'a str) -> Vec<&'a str> {
+    let args = ["identify", "obs.csv", "--robot", robot, "--centres", "C.csv", "--estimate", "a1-3,bar"];
+    [&args[..], &["--folds", "0", "--out", out]].concat()
+}
+
+fn compensate<'a>(program: &'a str, robot: &'a str, out: &'a str) -> [&'a str; 6] {
+    ["compensate", program, "--robot", robot, "--out", out]
+}
+
+/// What `dbbd info` says of a file.
+fn info(dir: &Path, file: &str) -> Value {
+    serde_json::from_slice(&step(dir, &["info", file, "--json"]).stdout).unwrap()
+}
+
+fn hash_of(dir: &Path, file: &str) -> String {
+    sha256(fs::read(dir.join(file)).unwrap())
+}
+
+#[test]
+fn the_chain_goes_from_a_corrected_program_back_to_the_job() {
+    let dir = cell();
+    let at = dir.path();
+    step(at, &identify("robot.toml", "result"));
+    let far = ["--limit", "50"];
+    let correct = compensate("krl/DBB_C001.src", "result/robot-identified.toml", "corrected");
+    step(at, &[&correct[..], &far].concat());
+    let roles = |file: &str| -> Vec<(String, String)> {
+        let found = info(at, file);
+        let text = |source: &Value, key: &str| source[key].as_str().unwrap().to_owned();
+        assert_eq!(found["provenance"]["dbbd"], VERSION, "{file}");
+        let sources = found["provenance"]["from"].as_array().unwrap();
+        sources.iter().map(|source| (text(source, "role"), text(source, "sha256"))).collect()
+    };
+    let is = |role: &str, file: &str| (role.to_owned(), hash_of(at, file));
+    let (job, robot, plan) = (is("job", "job.toml"), is("robot", "robot.toml"), is("plan", "plan/plan.csv"));
+    assert_eq!(roles("plan/plan.json"), [job.clone(), robot.clone()]);
+    assert_eq!(roles("plan/plan.csv"), [job.clone(), robot.clone()]);
+    for file in ["krl/DBB_MAIN.src", "krl/DBB_C001.src", "krl/DBB_C001.dat"] {
+        assert_eq!(roles(file), [job.clone(), robot.clone(), plan.clone()]);
+    }
+    let lengths = is("measurements", "result/lengths.csv");
+    let result = [robot.clone(), is("base_balls", "C.csv"), is("measurements", "obs.csv"), lengths];
+    for file in ["result/result.json", "result/robot-identified.toml", "result/DBB_RESULT.dat"] {
+        assert_eq!(roles(file)[..3], result[..3], "{file}");
+    }
+    let identified = is("identified_robot", "result/robot-identified.toml");
+    for file in ["corrected/DBB_C001.src", "corrected/DBB_C001.dat"] {
+        let chain = roles(file);
+        assert_eq!(chain[..3], [job.clone(), robot.clone(), plan.clone()]);
+        assert!(chain.contains(&is("program", "krl/DBB_C001.src")), "{chain:?}");
+        assert_eq!(chain.last(), Some(&identified));
+    }
+    // What has no sources is known by itself.
+    assert_eq!(info(at, "job.toml")["serial"], "B-1");
+    assert_eq!(info(at, "robot.toml")["serial"], "KR-1");
+    assert_eq!(info(at, "result/robot-identified.toml")["serial"], "KR-1");
+    // The same inputs give the same bytes; the pages show the chain.
+    let plan = fs::read(at.join("plan/plan.json")).unwrap();
+    step(at, &["plan", "job.toml", "--out", "again"]);
+    assert_eq!(fs::read(at.join("again/plan.json")).unwrap(), plan);
+    for (page, hash) in [("plan/plan.html", robot.1), ("result/report.html", hash_of(at, "obs.csv"))] {
+        assert!(fs::read_to_string(at.join(page)).unwrap().contains(&hash[..12]), "{page}");
+    }
+}
+
+#[test]
+fn a_program_is_corrected_once() {
+    let dir = cell();
+    let at = dir.path();
+    let identified = "result/robot-identified.toml";
+    let once = dbbd(at, &compensate("krl/DBB_C001.src", identified, "corrected"));
+    assert_eq!(once.status.code(), Some(0), "{}", stderr(&once));
+    let twice = dbbd(at, &compensate("corrected/DBB_C001.src", identified, "twice"));
+    assert_eq!(said(&twice, "E1801"), (Some(1), true), "{}", stderr(&twice));
+    // Its points alone were corrected.
+    fs::create_dir(at.join("mixed")).unwrap();
+    fs::copy(at.join("krl/DBB_C001.src"), at.join("mixed/DBB_C001.src")).unwrap();
+    fs::copy(at.join("corrected/DBB_C001.dat"), at.join("mixed/DBB_C001.dat")).unwrap();
+    let mixed = dbbd(at, &compensate("mixed/DBB_C001.src", identified, "twice"));
+    assert_eq!(said(&mixed, "E1801"), (Some(1), true), "{}", stderr(&mixed));
+    // A plan on the identified robot, and one on the lengths, command its corrected poses.
+    for (out, option, file) in [("p1", "--robot", identified), ("p2", "--measured", "obs.csv")] {
+        step(at, &["plan", "job.toml", option, file, "--out", out]);
+        step(at, &["krl", &format!("{out}/plan.csv"), "--out", &format!("{out}/krl")]);
+        let planned = dbbd(at, &compensate(&format!("{out}/krl/DBB_C001.src"), identified, "twice"));
+        assert_eq!(said(&planned, "E1801"), (Some(1), true), "{}", stderr(&planned));
+    }
+    assert!(!at.join("twice").exists());
+    // A program that is not of dbbd is known as corrected too.
+    fs::write(
+        at.join("P.src"),
+        "DEF P ( )\r\n$TOOL=$NULLFRAME\r\n$BASE=$NULLFRAME\r\nPTP {A1 5.0,A2 -80.0,A3 100.0,A4 3.0,A5 60.0,A6 4.0}\r\nEND\r\n",
+    )
+    .unwrap();
+    step(at, &compensate("P.src", identified, "own"));
+    let twice = dbbd(at, &compensate("own/P.src", identified, "twice"));
+    assert_eq!(said(&twice, "E1801"), (Some(1), true), "{}", stderr(&twice));
+}
+
+#[test]
+fn another_robots_files_are_refused() {
+    let dir = cell();
+    let at = dir.path();
+    let read = |name: &str| {
+        Robot::from_toml(name, &fs::read_to_string(at.join("result/robot-identified.toml")).unwrap()).unwrap()
+    };
+    let robot = read("identified");
+    let write = |name: &str, robot: &Robot| fs::write(at.join(name), robot.to_toml()).unwrap();
+    write("other.toml", &Robot { serial: Some("KR-2".into()), ..robot.clone() });
+    let other = dbbd(at, &compensate("krl/DBB_C001.src", "other.toml", "out"));
+    assert_eq!(said(&other, "E1802"), (Some(1), true), "{}", stderr(&other));
+    write("named.toml", &Robot { serial: None, name: "KUKA KR 16-2".into(), ..robot.clone() });
+    let named = dbbd(at, &compensate("krl/DBB_C001.src", "named.toml", "out"));
+    assert_eq!(said(&named, "E1802"), (Some(1), true), "{}", stderr(&named));
+    // The job is for one robot, the file is of another.
+    fs::write(at.join("serial.toml"), format!("serial = 'KR-9'\n{JOB}")).unwrap();
+    let job = dbbd(at, &["plan", "serial.toml", "--out", "out"]);
+    assert_eq!(said(&job, "E1802"), (Some(1), true), "{}", stderr(&job));
+    // The nominal file was edited between plan and identification.
+    let robot = Robot::from_toml("robot", &fs::read_to_string(at.join("robot.toml")).unwrap()).unwrap();
+    let edited = Robot { repeatability_mm: Some(0.06), ..robot };
+    write("robot.toml", &edited);
+    write_identified(at, edited);
+    let edited = dbbd(at, &compensate("krl/DBB_C001.src", "result/robot-identified.toml", "out"));
+    assert_eq!(said(&edited, "W1803"), (Some(3), true), "{}", stderr(&edited));
+}
+
+#[test]
+fn lengths_count_once_and_belong_to_their_result() {
+    let dir = cell();
+    let at = dir.path();
+    step(at, &identify("robot.toml", "first"));
+    let again = dbbd(at, &identify("first/robot-identified.toml", "again"));
+    assert_eq!(said(&again, "W1805"), (Some(3), true), "{}", stderr(&again));
+    let mut validated = identify("robot.toml", "validated");
+    validated.extend(["--validate", "obs.csv"]);
+    assert_eq!(said(&dbbd(at, &validated), "W1805"), (Some(3), true));
+    let twice =
+        dbbd(at, &["plan", "job.toml", "--measured", "obs.csv", "--measured", "obs.csv", "--out", "twice"]);
+    assert_eq!(said(&twice, "W1805"), (Some(3), true), "{}", stderr(&twice));
+    step(at, &["plan", "job.toml", "--measured", "obs.csv", "--out", "once"]);
+    let [once, twice] = ["once", "twice"].map(|out| fs::read(at.join(out).join("plan.json")).unwrap());
+    assert_eq!(once, twice);
+    // Another result's lengths beside the robot.
+    let lengths = fs::read_to_string(at.join("result/lengths.csv")).unwrap();
+    let fewer: Vec<&str> = lengths.lines().take(20).collect();
+    fs::write(at.join("result/lengths.csv"), fewer.join("\n")).unwrap();
+    let other = dbbd(at, &["plan", "job.toml", "--robot", "result/robot-identified.toml", "--out", "other"]);
+    assert_eq!(said(&other, "E1806"), (Some(1), true), "{}", stderr(&other));
+}
+
+/// A stored run whose plan has this chain.
+fn stored_run(dir: &Path, name: &str, chain: &Provenance) {
+    let stored = concat!(env!("CARGO_MANIFEST_DIR"), "/fixtures/captures/run.dbbd");
+    let bytes = fs::read(stored).unwrap();
+    let mut writer = Writer::create(&dir.join(name)).unwrap();
+    for stamped in capture::read(&bytes).records {
+        let record = match stamped.record {
+            Record::Attachment { name, content } if name == "plan.json" => {
+                let mut plan: Value = serde_json::from_slice(&content).unwrap();
+                plan["provenance"] = serde_json::to_value(chain).unwrap();
+                Record::Attachment { name, content: serde_json::to_vec(&plan).unwrap() }
+            }
+            other => other,
+        };
+        writer.write(stamped.host, &record).unwrap();
+    }
+}
+
+#[test]
+fn a_run_of_another_robot_or_older_than_the_calibration_is_seen() {
+    let dir = tempdir().unwrap();
+    let at = dir.path();
+    let robot = |serial: &str, from: Vec<Artefact>| Robot {
+        serial: Some(serial.into()),
+        nominal: Some(Box::new(kr60())),
+        provenance: Provenance { dbbd: VERSION.into(), from },
+        ..kr60()
+    };
+    let first = robot("KR-1", vec![Artefact::new(Role::Robot, "KUKA KR 60 HA", "")]).to_toml();
+    let first = Robot::from_toml("first", &first).unwrap().traced(&first);
+    stored_run(at, "run.dbbd", &Provenance::of([&first]));
+    let identify = |robot: &Robot| {
+        fs::write(at.join("id.toml"), robot.to_toml()).unwrap();
+        dbbd(
+            at,
+            &[
+                "identify",
+                "run.dbbd",
+                "--robot",
+                "id.toml",
+                "--estimate",
+                "a1-3",
+                "--folds",
+                "0",
+                "--out",
+                "out",
+            ],
+        )
+    };
+    let newer = identify(&robot("KR-1", first.chain().cloned().collect()));
+    assert_eq!(said(&newer, "W1804"), (Some(3), true), "{}", stderr(&newer));
+    let other = identify(&robot("KR-2", Vec::new()));
+    assert_eq!(said(&other, "E1802"), (Some(1), true), "{}", stderr(&other));
+    let chain = info(at, "run.dbbd")["provenance"]["from"].clone();
+    assert_eq!(
+        chain.as_array().unwrap().iter().map(|s| s["role"].as_str().unwrap()).collect::<Vec<_>>(),
+        ["robot", "identified_robot", "plan"]
+    );
+}
+
+#[test]
+fn the_header_of_a_program_holds_any_name() {
+    let chain = Provenance::of([&Artefact::new(Role::Robot, "Käfer \"7\"; €\n𝄞", "x").into()]);
+    let program = krl::stamped("&ACCESS RVP\r\nDEF P ( )\r\nEND\r\n", &chain);
+    assert!(program.is_ascii() && program.starts_with("&ACCESS RVP\r\nDEF P ( )\r\n; made by"), "{program}");
+    assert_eq!(krl::provenance(&program), chain);
+    assert_eq!(krl::stamped(&program, &chain), program);
+}
