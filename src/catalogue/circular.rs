@@ -56,5 +56,10 @@ findings! {
             PosesWithoutLength { lost: usize, poses: usize, percent: f64 } => "{lost} of {poses} poses ({percent:.1} %) have no length (`dbbd sync` gives the reasons)";
             CircleWithoutLength { circle: u32, poses: usize } => "circle {circle}: none of its {poses} poses has a length, so it is left out";
         }
+        I1416 "reversal steps of joints are not separable",
+        cause: "A joint's reversal is separated from the form of the circle by the poses that were measured in both senses. The circle was driven in one sense, the senses have too few poses in common, or their joints move alike.",
+        cure: "Plan the circle with `direction = \"both\"`, and with enough points." {
+            StepsNotSeparable { joints: usize } => "{joints} joints reverse along the circle; their steps are not separable from its form";
+        }
     }
 }

@@ -217,7 +217,8 @@ mod tests {
 
     #[test]
     fn a_finding_has_code_sentence_help_and_values() {
-        let finding = FileFinding::MissingColumns { absent: "`index`".into(), header: "a,b".into() };
+        let (absent, header, delimiter) = ("`index`".into(), "a,b".into(), "comma".into());
+        let finding = FileFinding::MissingColumns { absent, header, delimiter };
         let diagnostic = Diagnostic::line("obs.csv", 1, finding.clone());
         assert_eq!(diagnostic.code, finding.code());
         let json = serde_json::to_value(&diagnostic).unwrap();

@@ -78,6 +78,9 @@ findings! {
         cure: "Write the values into the job and plan again." {
             OrientationPasses { circle: u32, tilt_deg: f64, spin_deg: f64 } => "circle {circle}: tilt_deg = {tilt_deg}, spin_deg = {spin_deg} keep the axis limits, the wrist and the configuration at its points";
             NoOrientationPasses { circle: u32 } => "circle {circle}: no tilt_deg and spin_deg of a coarse grid would pass: make amplitude_deg smaller, or move the base ball";
+            TeachFirst { ball: u32, axes_deg: String } => "base ball {ball} was measured, and how it was taught is not known: with that knowledge more poses are safe", help: "write taught_deg into its [[centre]] as it was taught before the first stage, or bring the tool ball onto it near A1..A6 = {axes_deg} and write the angles there";
+            FewInReach { reachable: usize, wanted: u32 } => "{reachable} of {wanted} poses wanted are within axis limits, singularities, cups and obstacles", help: "move the base ball or what is in its way, use a shorter bar, make `points` smaller, or `candidates` greater";
+            StrokeNeeded { ball: u32, half_mm: f64, low_mm: f64, high_mm: f64 } => "base ball {ball}: a first stage needs a stroke of about +-{half_mm:.2} mm as the robot is known now; this bar has {low_mm} to {high_mm} mm", help: "use a bar with that stroke, or a shorter bar; write a smaller [tolerance] into the robot file if the maker promises it";
             StageFirst { points: u32 } => "the robot is not known well enough for these circles and this stroke: `dbbd plan JOB --stage {points}` chooses poses whose length is safe as it is known now", help: "measure them, identify, and plan again with --robot robot-identified.toml";
         }
         I0714 "how many lengths are enough",
@@ -98,6 +101,11 @@ findings! {
         cure: "Where a place helps, put a second ball near it and add its [[centre]] table." {
             SecondBall { place: &'static str, x_mm: f64, y_mm: f64, z_mm: f64, percent: f64, alone_mm: f64, turned_percent: f64 } => "a second base ball {place}, near ({x_mm:.0}, {y_mm:.0}, {z_mm:.0}) mm, would leave {percent:.0} % of the 3-D error of as many poses chosen freely about this one ({alone_mm:.3} mm); one turned about axis 1 alone leaves {turned_percent:.0} % of the error";
             NoSecondBall { places: usize, percent: f64, alone_mm: f64, turned_percent: f64 } => "no second base ball of {places} places tried would leave less than {percent:.0} % of the 3-D error of as many poses chosen freely about this one ({alone_mm:.3} mm); one turned about axis 1 alone leaves {turned_percent:.0} % of the error";
+        }
+        I0717 "a base ball is to be taught anew",
+        cause: "From where `taught_deg` says that it was taught, no pose is safe enough; from elsewhere one is.",
+        cure: "Put the ball where the tool ball is at the axis angles that the plan prints, and write these into `taught_deg`." {
+            TeachAnew { ball: u32 } => "base ball {ball}: no run is safe from where it was taught, and this plan has it taught anew";
         }
         W0720 "what the identification left unknown is not known",
         cause: "The robot file was identified, but the lengths.csv that `identify` wrote beside it is not there.",

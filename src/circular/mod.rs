@@ -235,6 +235,12 @@ pub fn circular(traces: &[Trace], settings: &Settings) -> Result<Evaluation, Fin
     if corrected.is_none() {
         notes.push(Finding::AsMeasured);
     }
+    let reversals = reversal::of(traces);
+    let steps = if arc.full { step::fit(traces, &measured, centre) } else { Vec::new() };
+    let joints: std::collections::BTreeSet<usize> = reversals.iter().map(|reversal| reversal.joint).collect();
+    if steps.is_empty() && !joints.is_empty() {
+        notes.push(Finding::StepsNotSeparable { joints: joints.len() });
+    }
     Ok(Evaluation {
         radius_mm: settings.radius_mm,
         arc,
@@ -247,8 +253,8 @@ pub fn circular(traces: &[Trace], settings: &Settings) -> Result<Evaluation, Fin
         } else {
             Diagnosis::default()
         },
-        reversals: reversal::of(traces),
-        steps: if arc.full { step::fit(traces, &measured, centre) } else { Vec::new() },
+        reversals,
+        steps,
         sigma_mm: noise.mean(),
         sigma_source: noise.source,
         draws: if u95.is_some() { settings.draws } else { 0 },

@@ -3,13 +3,15 @@
 //! Behind its play b a drive stands b/2 short of where it was sent, on the side that it came from: the
 //! length changes by -b/2 times the sense of its motion times its lever. For two linear axes the levers
 //! are cos t and sin t; for a robot's joint the lever is the derivative of the length, mm/rad. The steps
-//! are fitted together with harmonics up to the third order, so on a robot they hold where the
-//! orientation is fixed or turns smoothly.
+//! of linear axes are fitted together with the form of the circle, harmonics up to the third order. A robot's form
+//! is none of low order where the orientation changes: its steps are those between the two senses at the same poses, in
+//! which the form is not.
 
 use nalgebra::{DMatrix, DVector};
 
 use super::quantities::Rays;
-use super::{Drive, Sense, Trace};
+use super::{Drive, Point, Sense, Trace};
+use crate::math::distributions::coverage_95;
 
 /// What reverses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
@@ -40,70 +42,128 @@ const LEAST_EACH: usize = 3;
 const LEAST_SINGULAR: f64 = 1e-3;
 /// More points than this tell a few numbers no better: only some of them are used.
 const MOST_POINTS: usize = 20_000;
-const NORMAL: f64 = 1.96;
+/// Joints of one pose in both senses differ by less, degrees.
+const SAME_DEG: f64 = 1e-3;
 
-/// The plays of all drives that reverse; empty where they cannot be told.
+/// A value and what a linear model has for it.
+struct Row {
+    /// The form of the circle.
+    form: Vec<f64>,
+    /// For each drive what it does to the length, mm, and the sense of its motion: 0 where that is not known.
+    moves: Vec<Move>,
+    value: f64,
+}
+
+#[derive(Clone, Copy)]
+struct Move {
+    column: f64,
+    lever_mm: f64,
+    sense: i8,
+}
+
+impl Move {
+    /// A drive stands half of its play short of where it was sent.
+    fn new(Drive { lever_mm, sense }: Drive) -> Self {
+        Self { column: -0.5 * f64::from(sense) * lever_mm, lever_mm, sense }
+    }
+
+    /// The same pose, reached in both senses.
+    fn difference(one: Drive, other: Drive) -> Self {
+        let sense = if one.sense * other.sense < 0 { one.sense } else { 0 };
+        Self { column: Self::new(one).column - Self::new(other).column, lever_mm: one.lever_mm, sense }
+    }
+}
+
+/// The plays of all drives that reverse; empty where they are not identifiable.
 pub(super) fn fit(traces: &[Trace], rays: &Rays, centre: [f64; 2]) -> Vec<Step> {
     let joints = traces.iter().flat_map(|trace| &trace.points).any(|point| point.axes_deg.is_some());
-    let (mut rows, mut values): (Vec<(f64, Vec<Drive>)>, Vec<f64>) = (Vec::new(), Vec::new());
-    let points: usize = traces.iter().map(|trace| trace.points.len()).sum();
-    let stride = points.div_ceil(MOST_POINTS).max(1);
-    for (trace, rays) in traces.iter().zip(&rays.traces) {
-        for (point, ray) in trace.points.iter().zip(rays).step_by(stride) {
-            let theta = point.angle_deg.to_radians();
-            let drives = match (joints, point.drives) {
-                (false, _) => linear(theta, trace.sense),
-                (true, Some(drives)) => drives.to_vec(),
-                (true, None) => continue,
-            };
-            rows.push((theta, drives));
-            values.push(ray.deviation(centre));
-        }
-    }
-    let Some(drives) = rows.first().map(|(_, drives)| drives.len()) else { return Vec::new() };
+    let rows = if joints { between_senses(traces, rays, centre) } else { along(traces, rays, centre) };
+    let Some(drives) = rows.first().map(|row| row.moves.len()) else { return Vec::new() };
     let reverses = |drive: &usize| {
-        let going = |sense: i8| rows.iter().filter(|(_, drives)| drives[*drive].sense == sense).count();
-        going(1).min(going(-1)) >= LEAST_EACH
+        let going = |sense: i8| rows.iter().filter(|row| row.moves[*drive].sense == sense).count();
+        if joints { going(1) + going(-1) >= 2 * LEAST_EACH } else { going(1).min(going(-1)) >= LEAST_EACH }
     };
     let reversing: Vec<usize> = (0..drives).filter(reverses).collect();
     // Where it is not known from which side a drive came, a point says nothing of it.
-    let known = |drives: &[Drive]| reversing.iter().all(|&drive| drives[drive].sense != 0);
-    let (rows, values): (Vec<_>, Vec<f64>) =
-        rows.into_iter().zip(values).filter(|((_, drives), _)| known(drives)).unzip();
-    let smooth = 1 + 2 * ORDERS;
-    let columns = smooth + reversing.len();
+    let rows: Vec<Row> =
+        rows.into_iter().filter(|row| reversing.iter().all(|&drive| row.moves[drive].sense != 0)).collect();
+    let form = rows.first().map_or(0, |row| row.form.len());
+    let columns = form + reversing.len();
     if reversing.is_empty() || rows.len() <= columns + 2 {
         return Vec::new();
     }
-    let mut matrix = DMatrix::zeros(rows.len(), columns);
-    for (row, (theta, drives)) in rows.iter().enumerate() {
-        matrix[(row, 0)] = 1.0;
-        for order in 1..=ORDERS {
-            let (sin, cos) = (order as f64 * theta).sin_cos();
-            (matrix[(row, 2 * order - 1)], matrix[(row, 2 * order)]) = (cos, sin);
-        }
-        for (at, &drive) in reversing.iter().enumerate() {
-            let Drive { lever_mm, sense } = drives[drive];
-            matrix[(row, smooth + at)] = -0.5 * f64::from(sense) * lever_mm;
-        }
-    }
-    let Some((solved, covariance, variance)) = solve(matrix, DVector::from(values)) else {
+    let matrix = DMatrix::from_fn(rows.len(), columns, |row, column| match column.checked_sub(form) {
+        None => rows[row].form[column],
+        Some(at) => rows[row].moves[reversing[at]].column,
+    });
+    let values = DVector::from_iterator(rows.len(), rows.iter().map(|row| row.value));
+    let Some((solved, covariance, variance)) = solve(matrix, values) else {
         return Vec::new();
     };
+    let coverage = coverage_95(Some((rows.len() - columns) as f64));
     reversing
         .iter()
         .enumerate()
         .map(|(at, &drive)| {
-            let play = solved[smooth + at];
-            let levers = rows.iter().map(|(_, drives)| drives[drive].lever_mm.abs());
+            let play = solved[form + at];
+            let levers = rows.iter().map(|row| row.moves[drive].lever_mm.abs());
             Step {
                 mover: if joints { Mover::Joint(drive + 1) } else { Mover::Axis(drive + 1) },
                 play,
-                u95: NORMAL * (variance * covariance[(smooth + at, smooth + at)]).sqrt(),
+                u95: coverage * (variance * covariance[(form + at, form + at)]).sqrt(),
                 most_mm: play.abs() * levers.fold(0.0, f64::max),
             }
         })
         .collect()
+}
+
+/// Two linear axes: the deviation of each point, beside the form up to the third order.
+fn along(traces: &[Trace], rays: &Rays, centre: [f64; 2]) -> Vec<Row> {
+    let points: usize = traces.iter().map(|trace| trace.points.len()).sum();
+    let stride = points.div_ceil(MOST_POINTS).max(1);
+    let mut rows = Vec::new();
+    for (trace, rays) in traces.iter().zip(&rays.traces) {
+        for (point, ray) in trace.points.iter().zip(rays).step_by(stride) {
+            let theta = point.angle_deg.to_radians();
+            let harmonics = (1..=ORDERS).flat_map(|order| {
+                let (sin, cos) = (order as f64 * theta).sin_cos();
+                [cos, sin]
+            });
+            let moves = linear(theta, trace.sense).into_iter().map(Move::new).collect();
+            rows.push(Row {
+                form: std::iter::once(1.0).chain(harmonics).collect(),
+                moves,
+                value: ray.deviation(centre),
+            });
+        }
+    }
+    rows
+}
+
+/// Joints of a robot: the length of a pose in one sense less that in the other. The form of the circle, whatever the
+/// orientation does along it, is in both; what is left besides the plays is a constant, the drift between the passes.
+fn between_senses(traces: &[Trace], rays: &Rays, centre: [f64; 2]) -> Vec<Row> {
+    let of = |sense| traces.iter().zip(&rays.traces).filter(move |(trace, _)| trace.sense == sense);
+    let mut rows = Vec::new();
+    for (one, our_rays) in of(Sense::CounterClockwise) {
+        for (other, their_rays) in of(Sense::Clockwise).filter(|(other, _)| other.run == one.run) {
+            for (point, ray) in one.points.iter().zip(our_rays) {
+                let mut others = other.points.iter().zip(their_rays);
+                let Some((mate, mates)) = others.find(|(mate, _)| same_pose(point, mate)) else { continue };
+                let Some((ours, theirs)) = point.drives.zip(mate.drives) else { continue };
+                let moves = ours.into_iter().zip(theirs).map(|(one, other)| Move::difference(one, other));
+                let value = ray.deviation(centre) - mates.deviation(centre);
+                rows.push(Row { form: vec![1.0], moves: moves.collect(), value });
+            }
+        }
+    }
+    rows
+}
+
+/// Whether all joints are alike.
+fn same_pose(one: &Point, other: &Point) -> bool {
+    let Some((one, other)) = one.axes_deg.zip(other.axes_deg) else { return false };
+    one.iter().zip(&other).all(|(one, other)| (one - other).abs() < SAME_DEG)
 }
 
 /// Two linear axes on the circle: their levers, and the sense of their motion there.

@@ -232,8 +232,17 @@ impl Known {
             }
         }
         findings.into_iter().for_each(|finding| out.finding(finding));
-        let rows = tables.iter().flat_map(|table| &table.rows);
-        let lengths: Vec<PreparedMeasurement> = rows.map(PreparedMeasurement::from).collect();
+        let rows = || tables.iter().flat_map(|table| &table.rows);
+        let lengths: Vec<PreparedMeasurement> = rows().map(PreparedMeasurement::from).collect();
+        // What the job does not say of a ball that was taught for an earlier stage comes with its lengths.
+        let mut job = job;
+        for row in rows() {
+            let taught_deg = row.context.as_ref().and_then(|context| context.taught_deg.as_deref());
+            if let Some((table, axes_deg)) = job.centres.get_mut(row.ball.index()).zip(taught_deg) {
+                table.taught_deg.get_or_insert(*axes_deg);
+            }
+        }
+        job.check_against(robot.controller()).map_err(Diagnostic::new)?;
         let prior = PlanningPrior::after_lengths(&job, &robot, &lengths).map_err(Diagnostic::from)?;
         let (job, robot) = prior.applied(&job, &robot);
         Ok(Self { job, robot, prior })
@@ -265,6 +274,6 @@ fn lines(prediction: &Prediction) -> Vec<String> {
             index.o1, index.o2, index.o3, index.o4, index.o5, prediction.condition
         ));
     }
-    lines.extend(prediction.dependent.iter().map(|text| format!("  {text}")));
+    lines.extend(prediction.dependent_in_short.iter().map(|text| format!("  {text}")));
     lines
 }

@@ -9,8 +9,6 @@ use crate::estimation::{Posterior, Workspace};
 use crate::robot::inverse::{branches, status, turns_within};
 use crate::robot::{AXES, BallId, Geometry, Pose};
 
-/// How far from an orientation the poses near it are turned at most, rad: all angles alike.
-const NEAR: f64 = 0.7;
 /// Poses drawn at most for each candidate wanted.
 const PATIENCE: u32 = 30;
 
@@ -24,6 +22,26 @@ pub struct Candidate {
     pub pose: Pose,
 }
 
+/// Orientations of the tool near one.
+#[derive(Clone, Copy, Debug)]
+pub struct Near {
+    pub orientation: Matrix3<f64>,
+    /// How far half of the poses are turned from it at most, rad, all angles alike; at 0 all poses have it.
+    pub angle_rad: f64,
+}
+
+impl Near {
+    /// Half of the poses as much as 40 degrees from it.
+    pub fn about(orientation: Matrix3<f64>) -> Self {
+        Self { orientation, angle_rad: 0.7 }
+    }
+
+    /// That orientation alone.
+    pub fn exactly(orientation: Matrix3<f64>) -> Self {
+        Self { orientation, angle_rad: 0.0 }
+    }
+}
+
 /// The sphere about a base ball on which the tool ball is, and the arm that takes it there.
 #[derive(Clone, Copy)]
 pub struct Sphere<'a> {
@@ -32,8 +50,8 @@ pub struct Sphere<'a> {
     pub id: BallId,
     pub ball: Vector3<f64>,
     pub radius_mm: f64,
-    /// Half of the poses are near this orientation of the tool; all orientations alike where there is none.
-    pub near: Option<&'a Matrix3<f64>>,
+    /// Near which orientation of the tool; all alike where there is none.
+    pub near: Option<&'a Near>,
 }
 
 impl Sphere<'_> {
@@ -69,16 +87,17 @@ impl Sphere<'_> {
         most
     }
 
-    /// A pose in any direction; near the orientation given, if there is one and `near` is wanted.
-    fn draw(&self, random: &mut Pcg64, near: bool) -> Pose {
+    /// A pose in any direction; near the orientation given, if there is one and this is of that half.
+    fn draw(&self, random: &mut Pcg64, half: bool) -> Pose {
         let mut normal = || -> f64 { StandardNormal.sample(random) };
         let direction = Vector3::new(normal(), normal(), normal()).normalize();
         let axis = Vector3::new(normal(), normal(), normal());
         let turn = Quaternion::new(axis.x, axis.y, axis.z, normal());
         let rotation = match self.near {
-            Some(orientation) if near => {
-                let angle = random.random_range(0.0..NEAR);
-                orientation * Rotation3::from_scaled_axis(axis.normalize() * angle).matrix()
+            Some(near) if near.angle_rad <= 0.0 => near.orientation,
+            Some(near) if half => {
+                let angle = random.random_range(0.0..near.angle_rad);
+                near.orientation * Rotation3::from_scaled_axis(axis.normalize() * angle).matrix()
             }
             _ => *UnitQuaternion::from_quaternion(turn).to_rotation_matrix().matrix(),
         };

@@ -38,7 +38,7 @@ mod solver;
 mod uncertainty;
 mod units;
 mod validation;
-mod wording;
+pub mod wording;
 
 pub use calibration::{AngleSource, Calibration, Input};
 pub use linear_system::{LinearSystem, factor};

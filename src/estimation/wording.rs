@@ -65,6 +65,20 @@ impl Combination {
     }
 }
 
+/// Combinations for a terminal: the short ones, and a count of the longer ones.
+pub fn in_short<'a>(combinations: impl IntoIterator<Item = &'a Combination>) -> Vec<String> {
+    let (short, long): (Vec<_>, Vec<_>) =
+        combinations.into_iter().partition(|combination| combination.members.len() <= MOST_TERMS);
+    let mut lines: Vec<String> = short.iter().map(ToString::to_string).collect();
+    if let Some(largest) = long.iter().map(|combination| combination.members.len()).max() {
+        lines.push(format!(
+            "{} combinations of more than {MOST_TERMS} parameters are identifiable only as a whole; the largest has {largest}",
+            long.len()
+        ));
+    }
+    lines
+}
+
 /// Four significant digits, without an exponent where it reads well.
 fn significant(value: f64) -> String {
     if !(1e-3..1e5).contains(&value) {

@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use serde::{Deserialize, Serialize};
 
-use crate::robot::CircleId;
+use crate::robot::{AXES, CircleId};
 
 /// What a pose is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -33,6 +33,8 @@ pub struct Context {
     pub angle_deg: Option<f64>,
     /// Of the bar.
     pub temperature_c: Option<f64>,
+    /// The controller's axis angles at which the tool ball was where the base ball is, degrees.
+    pub taught_deg: Option<Box<[f64; AXES]>>,
     /// Cells that the fields do not hold, by the place of their column: those of a user's own columns, and those that
     /// are written otherwise than here.
     pub texts: Vec<(usize, Box<str>)>,
@@ -48,12 +50,13 @@ pub enum Column {
     Circle,
     AngleDeg,
     TemperatureC,
+    TaughtDeg,
     /// A user's own, by its name.
     Other(String),
 }
 
 impl Column {
-    const NAMED: [(Self, &'static str); 7] = [
+    const NAMED: [(Self, &'static str); 8] = [
         (Self::Kind, "kind"),
         (Self::TimeS, "t_s"),
         (Self::Samples, "samples"),
@@ -61,6 +64,7 @@ impl Column {
         (Self::Circle, "circle"),
         (Self::AngleDeg, "angle_deg"),
         (Self::TemperatureC, "temp_c"),
+        (Self::TaughtDeg, "taught_deg"),
     ];
 
     /// By its name.
@@ -101,6 +105,7 @@ impl Context {
                 Column::Circle => context.circle = cell.parse().ok().and_then(CircleId::new),
                 Column::AngleDeg => context.angle_deg = cell.parse().ok(),
                 Column::TemperatureC => context.temperature_c = cell.parse().ok(),
+                Column::TaughtDeg => context.taught_deg = angles(cell).map(Box::new),
                 Column::Other(_) => {}
             }
             if context.field(column) != cell {
@@ -135,6 +140,9 @@ impl Context {
             Column::Circle => self.circle.map(|circle| circle.to_string()),
             Column::AngleDeg => self.angle_deg.map(|deg| deg.to_string()),
             Column::TemperatureC => self.temperature_c.map(|c| format!("{c:.2}")),
+            Column::TaughtDeg => {
+                self.taught_deg.as_ref().map(|axes| axes.map(|deg| deg.to_string()).join(" "))
+            }
             Column::Other(_) => None,
         };
         text.unwrap_or_default()
@@ -147,6 +155,12 @@ impl Context {
             let _ = write!(text, ",{}", quoted(&self.cell(at, column)));
         }
     }
+}
+
+/// Six angles with blanks between them.
+fn angles(cell: &str) -> Option<[f64; AXES]> {
+    let angles: Option<Vec<f64>> = cell.split(' ').map(|angle| angle.parse().ok()).collect();
+    angles?.try_into().ok()
 }
 
 /// A cell as CSV, in quotes where it needs them.

@@ -4,63 +4,23 @@ use super::cell::{Cell, StrokeMargin};
 use super::check::{Inspector, Worst, judge, note_speed, path, summary, unreachable};
 use super::quantity::{Check, Quantity};
 use super::recommend::recommendations;
+use super::refusal::Refusal;
 use super::rig::Rig;
 use super::risk::over_run;
 use super::solve::{Branch, runs};
 use super::steps::{Step, steps};
 use super::timing::{Pace, move_times};
 use super::{Header, Job, Plan, PlanRow, PlanningPrior, Taught, optimise, orientations, pass};
-use crate::catalogue::{JobFinding, PlanFinding};
+use crate::catalogue::PlanFinding;
 use crate::diagnostic::Diagnostic;
 use crate::provenance::Provenance;
 use crate::robot::Robot;
 use crate::robot::inverse::Unsolved;
 
-/// How many findings of a refusal are shown.
-const SHOWN: usize = 10;
+/// Shares of the risk that chosen poses may have, tried in turn.
+const CAUTION: [f64; 3] = [1.0, 0.3, 0.1];
 /// How many branches are followed finely before the best one is refused.
 const TRIED: usize = 4;
-
-/// Why a plan would not be safe, or not be possible.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Refusal {
-    /// In the order of the rows.
-    pub findings: Vec<Diagnostic>,
-    /// What would help.
-    pub recommendations: Vec<Diagnostic>,
-}
-
-impl Refusal {
-    /// The first findings, and what would help.
-    pub fn shown(&self) -> impl Iterator<Item = &Diagnostic> {
-        self.findings.iter().take(SHOWN).chain(&self.recommendations)
-    }
-}
-
-impl std::fmt::Display for Refusal {
-    fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        self.shown().try_for_each(|finding| writeln!(out, "{}: {finding}", finding.code))
-    }
-}
-
-impl From<Refusal> for Diagnostic {
-    fn from(refusal: Refusal) -> Self {
-        let findings = refusal.findings.len();
-        PlanFinding::Refused { findings, shown: findings.min(SHOWN) }.into()
-    }
-}
-
-impl From<Diagnostic> for Refusal {
-    fn from(finding: Diagnostic) -> Self {
-        Self { findings: vec![finding], recommendations: Vec::new() }
-    }
-}
-
-impl From<JobFinding> for Refusal {
-    fn from(finding: JobFinding) -> Self {
-        Diagnostic::new(finding).into()
-    }
-}
 
 /// Rows that were followed finely.
 #[derive(Default)]
@@ -107,12 +67,45 @@ impl Plan {
     /// As [`Plan::build`].
     pub fn build_with(job: &Job, robot: &Robot, prior: &PlanningPrior) -> Result<Self, Refusal> {
         job.check().map_err(|misplaced| misplaced.finding)?;
+        let plan = Self::cautious(job, robot, prior);
+        // Before the first length a ball may be moved: how it was taught must not bar what another way allows.
+        let taught = job.centres.iter().any(|table| table.taught_deg.is_some());
+        match plan {
+            Err(refusal) if refusal.is_for_place() && prior.lengths == 0 && taught => {
+                let job = job.untaught();
+                let mut plan = Self::cautious(&job, robot, &PlanningPrior::datasheet(&job, robot))
+                    .map_err(|_| refusal)?;
+                let anew = plan.header.taught.iter().map(|ball| PlanFinding::TeachAnew { ball: ball.centre });
+                plan.header.notes.extend(anew);
+                Ok(plan)
+            }
+            plan => plan,
+        }
+    }
+
+    /// With chosen poses of less and less risk: that of the ways between them counts as well.
+    fn cautious(job: &Job, robot: &Robot, prior: &PlanningPrior) -> Result<Self, Refusal> {
+        let [first, further @ ..] = CAUTION;
+        let plan = Self::attempt(job, robot, prior, first);
+        let mut further = further.iter();
+        let refused = |plan: &Result<Self, Refusal>| match plan {
+            Err(refusal) => refusal.is_for_risk() && job.circles.is_empty(),
+            Ok(_) => false,
+        };
+        if !refused(&plan) {
+            return plan;
+        }
+        further.find_map(|share| Self::attempt(job, robot, prior, *share).ok()).map_or(plan, Ok)
+    }
+
+    /// With poses of this share of the risk that is allowed.
+    fn attempt(job: &Job, robot: &Robot, prior: &PlanningPrior, share: f64) -> Result<Self, Refusal> {
         let rig = Rig::new(robot);
         let job = orientations::chosen(job, &rig, prior)?;
         let mut steps = steps(&job)?;
         let (mut notes, mut stage) = (Vec::new(), None);
         if job.optimise.is_some() {
-            let chosen = optimise::steps(&job, &rig, prior)?;
+            let chosen = optimise::steps(&job, &rig, prior, share)?;
             steps.extend(chosen.steps);
             (notes, stage) = (chosen.notes, chosen.stage);
         }

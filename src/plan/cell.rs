@@ -1,13 +1,13 @@
 //! What one position of the arm comes near to: limits, singularities, cups, obstacles, the stroke's ends.
 
-use nalgebra::{DVector, Matrix3, Vector3};
+use nalgebra::{DVector, Vector3};
 
 use super::PlanningPrior;
 use super::clearance::{IN_CUP_MM, Segment};
 use super::job::Job;
 use super::quantity::{Quantity, limit};
 use super::rig::{Rig, axis_margin_deg};
-use crate::design::{Candidate, Sphere};
+use crate::design::{Candidate, Near, Sphere};
 use crate::estimation::Posterior;
 use crate::robot::inverse::{clearance, status};
 use crate::robot::{AXES, BallId};
@@ -43,8 +43,8 @@ pub(crate) struct Reach {
     pub(crate) risk: f64,
     /// The branch of the arm, if only one.
     pub(crate) branch: Option<u8>,
-    /// An orientation of the tool near which half of them are.
-    pub(crate) near: Option<Matrix3<f64>>,
+    /// Near which orientation of the tool.
+    pub(crate) near: Option<Near>,
 }
 
 impl<'a> Cell<'a> {
@@ -128,6 +128,11 @@ impl<'a> Cell<'a> {
             reach.branch.is_none_or(|branch| status(self.rig.arm, axes) & 7 == branch)
                 && self.allows(axes, centre, reach.risk)
         })
+    }
+
+    /// Standard deviation of the length of a pose as the robot is known, mm.
+    pub(crate) fn sd_mm(&self, pose: &Candidate) -> f64 {
+        self.posterior.design_row(&pose.axes, pose.ball).norm()
     }
 
     /// The probability that the length of this pose leaves the stroke.

@@ -13,6 +13,7 @@ use crate::design::second_ball::{OneBall, SecondBall};
 use crate::diagnostic::Diagnostic;
 use crate::estimation::priors::WEAK;
 use crate::estimation::result::MapPoint;
+use crate::estimation::wording;
 use crate::estimation::{ErrorSummary, Foreseen, Observability, Outlook, outlook};
 use crate::measurement::PreparedMeasurement;
 use crate::robot::inverse::clearance;
@@ -43,6 +44,9 @@ pub struct Prediction {
     pub parameters: Vec<PredictedParameter>,
     /// Combinations of which only one value is identifiable, in words.
     pub dependent: Vec<String>,
+    /// The same for a terminal.
+    #[serde(skip)]
+    pub dependent_in_short: Vec<String>,
     /// 3-D error over the workspace after one best rigid alignment, mm, as the robot is known now.
     pub now_mm: ErrorSummary,
     /// The same after an identification with the datasheet as prior, mm.
@@ -126,6 +130,7 @@ impl Plan {
             of: seen.analysis.ids.len(),
             condition: seen.analysis.base.condition,
             parameters: seen.parameters.iter().map(|known| predicted(&seen, known)).collect(),
+            dependent_in_short: wording::in_short(&seen.analysis.combinations()),
             dependent: seen
                 .analysis
                 .combinations()

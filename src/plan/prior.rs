@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
-use super::Job;
+use super::{Job, Plan};
 use crate::catalogue::{JobFinding, PlanFinding};
 use crate::estimation::{Posterior, Priors, length_sd_mm};
 use crate::measurement::{LengthModel, PreparedMeasurement};
@@ -25,6 +25,8 @@ pub struct PlanningPrior {
     /// For each base ball whether it has been measured or taught. One that has not will be taught before its first
     /// run: put where the tool ball is, it is wrong as the robot is wrong there.
     located: Vec<bool>,
+    /// For each base ball whether the job says how it was taught.
+    taught: Vec<bool>,
 }
 
 /// How a base ball is to be taught.
@@ -54,11 +56,8 @@ impl PlanningPrior {
                 posterior = posterior.touched(BallId::at(at), &taught.map(f64::to_radians), sd_mm);
             }
         }
-        Self {
-            posterior,
-            lengths: 0,
-            located: job.centres.iter().map(|table| table.taught_deg.is_some()).collect(),
-        }
+        let taught: Vec<bool> = job.centres.iter().map(|table| table.taught_deg.is_some()).collect();
+        Self { posterior, lengths: 0, located: taught.clone(), taught }
     }
 
     /// After lengths: the likeliest robot (with the given one as its nominal) and base balls, and their covariance.
@@ -78,7 +77,7 @@ impl PlanningPrior {
         for reading in readings {
             *located.get_mut(reading.ball.index()).ok_or(PlanFinding::NoFiniteRobot)? = true;
         }
-        Ok(Self { posterior, lengths: readings.len(), located })
+        Ok(Self { posterior, lengths: readings.len(), located, taught: before.taught })
     }
 
     /// The job and the robot as they are now known: base balls and geometry moved to the likeliest.
@@ -103,6 +102,11 @@ impl PlanningPrior {
         let own: Vec<usize> = (0..posterior.ids().len()).filter(|&at| is_own(&posterior.ids()[at])).collect();
         let ids: Vec<ParamId> = own.iter().map(|&at| posterior.ids()[at]).collect();
         RobotPosterior::new(&ids, &posterior.model.geometry, &posterior.root().select_rows(&own))
+    }
+
+    /// Whether lengths to a base ball were measured, and it is not known how it was taught.
+    pub(crate) fn untaught(&self, ball: BallId) -> bool {
+        self.lengths > 0 && self.taught.get(ball.index()) == Some(&false)
     }
 
     /// At the start of a run about base ball `centre` (from 1) at axis angles in rad: where the ball was neither
@@ -156,6 +160,16 @@ pub(crate) fn touching(
     let rotation = controller.geometry.ball(start).rotation;
     let pose = Pose { rotation, position: Vector3::from(table.xyz_mm) };
     nearest(&controller.geometry, &pose, start).ok()
+}
+
+impl Plan {
+    /// How each base ball was taught, or is to be taught before this run.
+    pub fn taught(&self) -> impl Iterator<Item = Taught> {
+        let tables = self.header.job.centres.iter();
+        let before =
+            tables.filter_map(|table| Some(Taught { centre: table.id, axes_deg: table.taught_deg? }));
+        before.chain(self.header.taught.iter().copied())
+    }
 }
 
 impl Job {

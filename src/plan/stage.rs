@@ -28,6 +28,14 @@ impl Stage {
 }
 
 impl Job {
+    /// The job without how its base balls were taught.
+    #[must_use]
+    pub(crate) fn untaught(&self) -> Self {
+        let mut job = self.clone();
+        job.centres.iter_mut().for_each(|table| table.taught_deg = None);
+        job
+    }
+
     /// The job with `points` chosen poses about its base balls in place of its circles.
     #[must_use]
     pub fn as_stage(&self, points: u32) -> Self {

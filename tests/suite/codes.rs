@@ -45,6 +45,7 @@ fn provoked() -> Vec<&'static str> {
         crate::programs_of_other_makes::provoked(),
         crate::provenance::provoked(),
         crate::refuses_bad_input::provoked(),
+        crate::reversal_steps_hold::provoked(),
         crate::report_is_self_contained::provoked(),
         crate::results_are_compared::provoked(),
         crate::rows_are_used_once::provoked(),

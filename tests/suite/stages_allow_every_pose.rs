@@ -21,19 +21,25 @@ fn job() -> Job {
     Job::from_toml("stages.toml", &text).unwrap()
 }
 
-/// What a robot does with the program of a plan: the greatest |reading| while the bar was on, mm, and its lengths.
-fn execute(plan: &Plan, true_robot: &Robot, seed: u64) -> (f64, Vec<PreparedMeasurement>) {
+/// A cell: the controller's robot, the true one, and the true world.
+pub(crate) struct Cell {
+    pub(crate) nominal: Robot,
+    pub(crate) true_robot: Robot,
+    pub(crate) world: String,
+}
+
+/// What the robot does with the program of a plan: the greatest |reading| while the bar was on, mm, and its lengths.
+pub(crate) fn execute(plan: &Plan, cell: &Cell, seed: u64) -> (f64, Vec<PreparedMeasurement>) {
     let options = Options { sync: krl::Sync::Output, controller: krl::Controller::Krc4 };
     let files = krl::emit(plan, options).unwrap();
     let program = Program::open("DBB_MAIN", |wanted| {
         Ok(files.iter().find(|(name, _)| name.eq_ignore_ascii_case(wanted)).cloned())
     })
     .unwrap();
-    let world =
-        include_str!("../../examples/stages/world.toml").replace("[bar]", "[bar]\nstroke_mm = [-50.0, 50.0]");
+    let world = cell.world.replace("[bar]", "[bar]\nstroke_mm = [-50.0, 50.0]");
     let setup = Setup::new(&program, Some(("world.toml", &world))).unwrap();
-    let mut world = World::new(true_robot.geometry.clone(), setup, seed);
-    let mut controller = Controller::new(program, &kr60(), 100.0).unwrap();
+    let mut world = World::new(cell.true_robot.geometry.clone(), setup, seed);
+    let mut controller = Controller::new(program, &cell.nominal, 100.0).unwrap();
     let rows: Vec<_> = plan.rows.iter().filter(|row| row.kind != Kind::Transit).collect();
     let mut sums = vec![(0.0, 0.0); rows.len()];
     let (mut mounted, mut was, mut worst) = (false, false, 0.0_f64);
@@ -59,10 +65,11 @@ fn execute(plan: &Plan, true_robot: &Robot, seed: u64) -> (f64, Vec<PreparedMeas
         }
     }
     assert_eq!(controller.dwells() as usize, rows.len());
+    let bar_mm = plan.header.job.bar.length_mm;
     let lengths = rows
         .iter()
         .zip(&sums)
-        .map(|(row, (sum, count))| PreparedMeasurement { length_mm: 300.0 + sum / count, ..row.reading() });
+        .map(|(row, (sum, count))| PreparedMeasurement { length_mm: bar_mm + sum / count, ..row.reading() });
     (worst, lengths.collect())
 }
 
@@ -80,12 +87,13 @@ struct Staged {
 fn stages(seed: u64) -> Staged {
     static FIRST: OnceLock<Plan> = OnceLock::new();
     let (job, nominal) = (job(), kr60());
-    let true_robot = truth::draw(&nominal, seed, 1.0);
+    let world = include_str!("../../examples/stages/world.toml").to_owned();
+    let cell = Cell { true_robot: truth::draw(&nominal, seed, 1.0), nominal: nominal.clone(), world };
     let first = FIRST.get_or_init(|| Plan::build(&job, &nominal).unwrap());
     let mut plan = first.clone();
     let (mut lengths, mut worst) = (Vec::new(), Vec::new());
     loop {
-        let (most, measured) = execute(&plan, &true_robot, seed + 7919 * worst.len() as u64);
+        let (most, measured) = execute(&plan, &cell, seed + 7919 * worst.len() as u64);
         worst.push(most);
         lengths.extend(measured);
         if plan.header.stage.is_none() || worst.len() == 6 {

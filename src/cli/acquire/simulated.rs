@@ -10,8 +10,9 @@ use crate::catalogue::FileFinding;
 use crate::cli::child::{Simulator, Steps};
 use crate::cli::{Output, demo};
 use crate::diagnostic::Diagnostic;
+use crate::plan::{Plan, Taught};
 use crate::recording::run::read_plan;
-use crate::robot::{AXES, Robot};
+use crate::robot::Robot;
 use crate::sim::truth;
 
 /// A simulator that runs a plan.
@@ -33,14 +34,12 @@ fn private_directory() -> Result<TempDir, Diagnostic> {
 }
 
 /// A world whose robot and bar repeat as the plan counts on, and whose base balls stand where it has them taught.
-fn world(plan: &Path) -> Result<String, Diagnostic> {
-    let header = read_plan(plan)?.header;
-    let tables = header.job.centres.iter().filter_map(|table| Some((table.id, table.taught_deg?)));
-    let taught = header.taught.iter().map(|ball| (ball.centre, ball.axes_deg));
-    let table = |(id, axes): (u32, [f64; AXES])| format!("[[centre]]\nid = {id}\ntaught_deg = {axes:?}\n");
-    let robot = Robot::from_toml("the plan's robot", &header.robot)?;
-    let noise = truth::noise(&robot, header.job.bar.sigma_um);
-    Ok(std::iter::once(noise).chain(tables.chain(taught).map(table)).collect())
+fn world(plan: &Plan, robot: &Robot) -> String {
+    let table = |Taught { centre, axes_deg }: Taught| {
+        format!("[[centre]]\nid = {centre}\ntaught_deg = {axes_deg:?}\n")
+    };
+    let noise = truth::noise(robot, plan.header.job.bar.sigma_um);
+    std::iter::once(noise).chain(plan.taught().map(table)).collect()
 }
 
 impl Cell {
@@ -70,10 +69,14 @@ impl Cell {
             }
         };
         let plan_name = plan.display().to_string();
-        files::write(&inside.join("world.toml"), world(&plan)?)?;
+        let read = read_plan(&plan)?;
+        // The controller's, where the plan was made on an identified one.
+        let robot = Robot::from_toml("the plan's robot", &read.header.robot)?;
+        files::write(&inside.join("robot.toml"), robot.controller().to_toml())?;
+        files::write(&inside.join("world.toml"), world(&read, &robot))?;
         let mut emit = vec!["krl", plan_name.as_str(), "--out", "krl", "--controller", "simulated"];
-        let mut simulate =
-            vec!["simulate", "--program", "krl/DBB_MAIN.src", "--world", "world.toml", "--speed", speed];
+        let mut simulate = vec!["simulate", "--program", "krl/DBB_MAIN.src", "--nominal", "robot.toml"];
+        simulate.extend(["--world", "world.toml", "--speed", speed]);
         let address = server.map(|server| match server.ip().is_unspecified() {
             true => SocketAddr::from((Ipv4Addr::LOCALHOST, server.port())).to_string(),
             false => server.to_string(),

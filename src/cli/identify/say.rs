@@ -4,7 +4,7 @@ use std::path::Path;
 
 use crate::cli::Output;
 use crate::estimation::result::{CalibrationResult, SigmaSource, Status};
-use crate::estimation::{Combination, Observability};
+use crate::estimation::{Combination, Observability, wording};
 use crate::robot::ParamId;
 
 /// Further measurements that are named here; all are in the report.
@@ -113,7 +113,7 @@ fn parameters(result: &CalibrationResult) -> Vec<String> {
     let is_place = |id: ParamId| matches!(id, ParamId::Ball(..) | ParamId::Tool(_));
     let (places, own): (Vec<&Combination>, Vec<&Combination>) =
         result.combinations.iter().partition(|combination| is_place(combination.kept));
-    lines.extend(own.into_iter().map(|combination| format!("  {combination}")));
+    lines.extend(wording::in_short(own).into_iter().map(|line| format!("  {line}")));
     let members = places.iter().flat_map(|combination| combination.members.iter().map(|(id, _)| *id));
     let mut carried: Vec<String> = members.filter(|id| !is_place(*id)).map(|id| id.to_string()).collect();
     carried.sort_unstable();

@@ -357,7 +357,9 @@ impl<'a> Rows<'a> {
         let mut rows: Vec<Measurement> = stopped.iter().filter_map(|pose| self.row(pose, 0.0)).collect();
         rows.extend(passes.points.iter().filter_map(|point| self.row(&point.pose, point.timing_mm)));
         rows.sort_by_key(|row| row.index);
-        Measurements { rows, columns: COLUMNS.to_vec() }
+        let mut columns = COLUMNS.to_vec();
+        columns.extend(self.input.plan.taught().next().map(|_| Column::TaughtDeg));
+        Measurements { rows, columns }
     }
 
     fn row(&self, pose: &PoseOutcome, timing_mm: f64) -> Option<Measurement> {
@@ -373,6 +375,12 @@ impl<'a> Rows<'a> {
             creep: Some(reading.creep_mm.is_some()),
             circle: place.and_then(|_| CircleId::new(row.circle)),
             angle_deg: place.map(|place| place.angle_deg),
+            taught_deg: self
+                .input
+                .plan
+                .taught()
+                .find(|taught| taught.centre == row.centre)
+                .map(|taught| Box::new(taught.axes_deg)),
             ..Context::default()
         };
         Some(Measurement {

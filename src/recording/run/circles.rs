@@ -6,7 +6,7 @@ use super::Run;
 use crate::catalogue::MatchingFinding;
 use crate::circular::{Drive, Point, Sense, Trace};
 use crate::diagnostic::Diagnostic;
-use crate::plan::{Kind, PlanRow};
+use crate::plan::{Kind, Plan, PlanRow};
 use crate::recording::matching::PoseOutcome;
 use crate::robot::{AXES, Robot};
 
@@ -61,7 +61,7 @@ impl Run {
                 t_s: None,
                 temp_c: times.get(&row.index).and_then(|t_s| self.temperature_at(*t_s)),
                 axes_deg: Some(observation.axes.degrees()),
-                drives: drives(self, &robot, row),
+                drives: drives(&self.plan, &robot, row),
             };
             let sense = if place.clockwise { Sense::Clockwise } else { Sense::CounterClockwise };
             if let Some(circle) = circles.last_mut() {
@@ -94,14 +94,14 @@ impl Circle {
 }
 
 /// What the joints do to the length at a pose, and in which sense each came there.
-fn drives(run: &Run, robot: &Robot, row: &PlanRow) -> Option<[Drive; AXES]> {
+pub fn drives(plan: &Plan, robot: &Robot, row: &PlanRow) -> Option<[Drive; AXES]> {
     /// Half of the step of the derivative, rad.
     const STEP: f64 = 1e-5;
     /// A joint that moves less does not move, degrees.
     const STILL_DEG: f64 = 1e-3;
-    let ball = run.plan.header.job.centres.iter().find(|ball| ball.id == row.centre)?;
+    let ball = plan.header.job.centres.iter().find(|ball| ball.id == row.centre)?;
     let at = (row.index as usize).checked_sub(1)?;
-    let neighbour = |at: Option<usize>| at.and_then(|at| run.plan.rows.get(at)).map(|row| row.axes_deg);
+    let neighbour = |at: Option<usize>| at.and_then(|at| plan.rows.get(at)).map(|row| row.axes_deg);
     let (before, after) = (neighbour(at.checked_sub(1)), neighbour(Some(at + 1)));
     let axes = row.axes_deg.map(f64::to_radians);
     Some(std::array::from_fn(|joint| {

@@ -8,7 +8,7 @@ mod temperature;
 use std::path::Path;
 use std::sync::Arc;
 
-pub use circles::{Circle, Circles};
+pub use circles::{Circle, Circles, drives};
 pub use open::{is_capture, losses, open};
 pub use plan_files::{PlanFiles, attached_plan, read_plan};
 use temperature::{Temperatures, certificate};
