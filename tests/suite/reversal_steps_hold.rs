@@ -18,7 +18,7 @@ use crate::cell::{dbbd, kr60};
 const SIGMA_MM: f64 = 0.005;
 
 pub(crate) fn provoked() -> Vec<&'static str> {
-    vec!["I1415"]
+    vec!["I1416"]
 }
 
 /// The demo with one circle: its orientation pattern and direction.
@@ -183,5 +183,5 @@ fn a_robot_without_backlash_has_no_step_and_one_sense_has_a_code() {
     assert_eq!(one["reversal_steps"].as_array().unwrap().len(), 0, "{one}");
     let codes: Vec<&str> =
         one["notes"].as_array().unwrap().iter().filter_map(|note| note["code"].as_str()).collect();
-    assert!(codes.contains(&"I1415"), "{codes:?}");
+    assert!(codes.contains(&"I1416"), "{codes:?}");
 }
