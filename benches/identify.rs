@@ -7,7 +7,7 @@ use criterion::{Criterion, criterion_group, criterion_main};
 use dbbd::design::calibrate;
 use dbbd::estimation::{AngleSource, Input, Options};
 use dbbd::measurement::{BaseBall, LengthModel, Measurement, Measurements, Selection};
-use dbbd::robot::{AxisAngles, BallId, BarId, LengthRow, ParamId, Robot, Unit, parameter};
+use dbbd::robot::{Approach, AxisAngles, BallId, BarId, LengthRow, ParamId, Robot, Unit, parameter};
 use nalgebra::Vector3;
 use rand::{RngExt, SeedableRng};
 use rand_distr::{Distribution, Normal};
@@ -34,6 +34,7 @@ fn problem(poses: usize) -> (Robot, Measurements, Vec<BaseBall>) {
                     let [low, high] = robot.limits_deg[j];
                     random.random_range(low..high)
                 })),
+                approach: Approach::default(),
                 length_mm: 0.0,
                 sigma_mm: None,
                 context: None,

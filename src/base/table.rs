@@ -418,7 +418,7 @@ impl<'a> Row<'a> {
     }
 
     /// The name of a column, else its number.
-    fn column(&self, at: usize) -> String {
+    pub fn column(&self, at: usize) -> String {
         self.columns.names.get(at).cloned().unwrap_or_else(|| (at + 1).to_string())
     }
 }

@@ -40,5 +40,10 @@ findings! {
         cure: "Nothing: each is used once. Remove the copies from the table." {
             Repeated { repeated: usize, rows: usize } => "{repeated} of {rows} rows repeat other rows and are used once";
         }
+        E1205 "a sense of approach is none",
+        cause: "A cell of the columns `approach1` to `approach6` is not -1, 0 or 1.",
+        cure: "Write 1 where the axis came to the pose by rising angles, -1 by falling ones, and 0 or nothing where it is not known." {
+            NotASense { column: String, cell: String } => "column `{column}`: `{cell}` is not -1, 0 or 1";
+        }
     }
 }

@@ -40,6 +40,7 @@ findings! {
             Mass { kg: f64, centre_mm: [f64; 3] } => "a mass of {kg} kg at {centre_mm:?} mm is impossible";
             MassJoint { joint: usize } => "[[mass]]: joint = {joint} must be 1 to 6";
             ToolBall { ball_mm: [f64; 3] } => "[tool]: ball_mm = {ball_mm:?} must be numbers, each at most 10000 mm";
+            Uncertainty => "[uncertainty] does not fit the robot: a row of `root` for each of `parameters` and each coefficient of the joints, all of one length";
         }
         E0506 "a pose has no axis angles",
         cause: "The pose is beyond the arm, or only another branch or turn of the axes reaches it.",

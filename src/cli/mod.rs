@@ -21,6 +21,7 @@ mod man;
 mod output;
 mod plan;
 mod ports;
+mod predict;
 mod protocols;
 mod recover;
 mod robots;
@@ -86,6 +87,7 @@ enum Verb {
     Acquire(acquire::Args),
     Sync(sync::Args),
     Identify(identify::Args),
+    Predict(predict::Args),
     Circle(circle::Args),
     Check(check::Args),
     Compare(compare::Args),
@@ -146,6 +148,7 @@ pub fn main() -> ExitCode {
         Verb::Acquire(args) => acquire::run(args, &out),
         Verb::Sync(args) => sync::run(args, &out),
         Verb::Identify(args) => identify::run(args, &out),
+        Verb::Predict(args) => predict::run(args, &out),
         Verb::Circle(args) => circle::run(args, &out),
         Verb::Check(args) => check::run(args, &out),
         Verb::Compare(args) => compare::run(args, &out),

@@ -1,7 +1,10 @@
 //! A calibration: the estimate, what it leaves unknown, how it is checked, and the one place that makes the result.
 
-use super::estimate::Estimate;
+use super::estimate::{Estimate, estimate};
 use super::findings::findings;
+use super::joint_errors;
+use super::joint_fit::JointFit;
+use super::joint_prediction::JointPrediction;
 use super::lengths::{Lengths, Weighted};
 use super::monte_carlo::Draws;
 use super::observability::{correlations, observability};
@@ -26,7 +29,7 @@ use crate::diagnostic::Diagnostic;
 use crate::math::base_set;
 use crate::math::distributions::coverage_95;
 use crate::measurement::{LengthModel, Measurements};
-use crate::robot::{ParamId, Robot};
+use crate::robot::{ParamId, Robot, RobotUncertainty};
 
 /// What a calibration is of.
 #[derive(Clone, Copy)]
@@ -59,12 +62,49 @@ impl<'a> Input<'a> {
     pub fn fit(&self) -> Result<LengthModel, EstimationFinding> {
         let lengths = Lengths::of(&self.observations.rows, self.options, self.robot);
         let asked = self.setting().asked();
-        let Settled { setting, .. } = prior_scale::settle(self.setting(), &lengths, &asked)?;
-        Ok(optional_groups::choose(&setting, &lengths, asked)?.estimate.fit.model)
+        Ok(Start::of(self, &lengths, &asked)?.chosen.estimate.fit.model)
     }
 
     fn setting(&self) -> Setting<'a> {
         Setting::new(self.robot, self.start, self.observations.bars(), self.options)
+    }
+}
+
+/// The estimate with what was chosen on the way to it.
+struct Start<'a> {
+    setting: Setting<'a>,
+    prior: Option<PriorUsed>,
+    chosen: Chosen,
+}
+
+impl<'a> Start<'a> {
+    fn of(input: &Input<'a>, lengths: &Lengths, asked: &[ParamId]) -> Result<Self, EstimationFinding> {
+        if input.options.seeks_joint_errors()
+            && let Some(found) = Self::with_joints(input, lengths, asked)?
+        {
+            return Ok(found);
+        }
+        let Settled { setting, prior } = prior_scale::settle(input.setting(), lengths, asked)?;
+        let chosen = optional_groups::choose(&setting, lengths, asked.to_vec())?;
+        Ok(Self { setting, prior, chosen })
+    }
+
+    /// With errors of the joints, where the lengths carry them.
+    fn with_joints(
+        input: &Input<'a>,
+        lengths: &Lengths,
+        asked: &[ParamId],
+    ) -> Result<Option<Self>, EstimationFinding> {
+        let Settled { setting, prior } = prior_scale::settle(input.setting().bound(), lengths, asked)?;
+        let estimate = estimate(&setting, lengths, asked)?;
+        if !joint_errors::carries(lengths, &estimate) {
+            return Ok(None);
+        }
+        let found = joint_errors::fit(&setting, lengths, &estimate);
+        Ok(found.map(|found| {
+            let estimate = estimate.with_joints(lengths, found);
+            Self { setting, prior, chosen: Chosen { estimate, groups: Vec::new() } }
+        }))
     }
 }
 
@@ -83,6 +123,8 @@ pub struct Calibration<'a> {
     pub(super) axes: AngleSource,
     observations: &'a Measurements,
     prior: Option<PriorUsed>,
+    /// What is not known of a robot with errors of its joints.
+    unknown: Option<RobotUncertainty>,
     sigma: SigmaSummary,
     rank: RankSummary,
     folds: Option<Folds>,
@@ -95,8 +137,8 @@ impl<'a> Calibration<'a> {
     pub fn new(input: &Input<'a>) -> Result<Self, EstimationFinding> {
         let lengths = Lengths::of(&input.observations.rows, input.options, input.robot);
         let asked = input.setting().asked();
-        let Settled { setting, prior } = prior_scale::settle(input.setting(), &lengths, &asked)?;
-        let Chosen { estimate, groups } = optional_groups::choose(&setting, &lengths, asked.clone())?;
+        let Start { setting, prior, chosen: Chosen { estimate, groups } } =
+            Start::of(input, &lengths, &asked)?;
         let folds = cross_validated(&setting, &lengths, &estimate, &asked)?;
         let used = estimate.used(&lengths);
         let model = &estimate.fit.model;
@@ -124,8 +166,18 @@ impl<'a> Calibration<'a> {
         };
         let validation =
             input.validation.map(|set| on_both(set).ok_or(EstimationFinding::NotFinite)).transpose()?;
+        let mut prediction = Prediction::of(&setting, &estimate, &used)?;
+        let joints = estimate.joints.as_ref().map(|fit| JointPrediction::of(&setting, fit, &lengths));
+        let unknown = match joints {
+            Some(JointPrediction { summary, map, unknown }) => {
+                (prediction.pair.identified, prediction.map) = (summary, map);
+                Some(unknown)
+            }
+            None => None,
+        };
         Ok(Self {
-            prediction: Prediction::of(&setting, &estimate, &used)?,
+            prediction,
+            unknown,
             rank: rank(&estimate, &lengths)?,
             joint_effects: if estimate.fit.converged {
                 joint_effects(model, &used, &estimate.base)
@@ -156,6 +208,7 @@ impl<'a> Calibration<'a> {
         let (observability, correlations) = (self.observability(), self.correlations());
         let outliers = self.outliers();
         let Self { setting, estimate, uncertainty, .. } = self;
+        let joints = estimate.joints.as_ref().map(JointFit::summary);
         let nominal = setting.robot.nominal.clone().unwrap_or_else(|| Box::new(setting.robot.clone()));
         let geometry = estimate.fit.model.geometry.clone();
         CalibrationResult {
@@ -163,6 +216,7 @@ impl<'a> Calibration<'a> {
                 posterior: self.prediction.posterior,
                 geometry,
                 nominal: Some(nominal),
+                uncertainty: self.unknown.map(Box::new),
                 ..setting.robot.clone()
             },
             lengths: self.lengths.len() - outliers.len(),
@@ -172,6 +226,7 @@ impl<'a> Calibration<'a> {
             sigma: self.sigma,
             prior: self.prior,
             groups: self.groups,
+            joints,
             monte_carlo: self.monte_carlo,
             residual_mm: self.residual_mm,
             folds: self.folds,
@@ -242,7 +297,13 @@ fn cross_validated(
     let Some(folds) = validation::folds(setting.options.folds, lengths.len(), estimate.base.len()) else {
         return Ok(None);
     };
-    let fit = |training: &Lengths| Ok(optional_groups::choose(setting, training, asked.to_vec())?.estimate);
+    let fit = |training: &Lengths| match &estimate.joints {
+        Some(joints) => {
+            let model = joint_errors::refit(setting, training, estimate, joints);
+            model.ok_or(EstimationFinding::NotFinite)
+        }
+        None => Ok(optional_groups::choose(setting, training, asked.to_vec())?.estimate.fit.model),
+    };
     let held_out = validation::held_out(lengths, &estimate.fit.out, folds, fit)?;
     Ok(held_out.map(|residuals| Folds { folds, rms: validation::rms(&residuals) }))
 }
@@ -251,6 +312,12 @@ fn cross_validated(
 fn uncertainty_of(setting: &Setting<'_>, estimate: &Estimate, used: &Weighted) -> Option<Uncertainty> {
     let Estimate { kept, base, poorly_observable, prior, .. } = estimate;
     let model = &estimate.fit.model;
+    if let Some(JointFit { root, effective_parameters, .. }) = &estimate.joints {
+        let found = uncertainty(model, used, kept, base, prior.as_ref())?;
+        let own = root.rows(0, kept.len()).into_owned();
+        let posterior = Posterior::with_root(model.clone(), kept, own);
+        return Some(Uncertainty { posterior, effective_parameters: *effective_parameters, ..found });
+    }
     let found = uncertainty(model, used, kept, base, prior.as_ref())?;
     if prior.is_some() || poorly_observable.is_empty() {
         return Some(found);
@@ -301,7 +368,8 @@ impl Table<'_> {
         if let Some(before) = &robot.nominal {
             nominal.geometry = before.geometry.clone();
         }
-        let ids = self.setting.all_and(set_up, &self.estimate.analysis.ids);
+        let more = [self.estimate.analysis.ids.as_slice(), &self.estimate.kept].concat();
+        let ids = self.setting.all_and(set_up, &more);
         ids.into_iter().map(|id| self.parameter(id, start.value(id), nominal.value(id))).collect()
     }
 
@@ -346,6 +414,9 @@ impl Table<'_> {
 
     fn reason_of_estimated(&self, id: ParamId, k: usize) -> Reason {
         let Estimate { kept, base, prior, .. } = self.estimate;
+        if id.is_optional() && self.estimate.joints.is_some() {
+            return Reason::ByEvidence;
+        }
         if !base.contains(&id) {
             return Reason::PriorShares { combination: self.combination(id) };
         }

@@ -1,7 +1,8 @@
 //! From lengths to parameters: what is identifiable, what is poorly observable, the fit, and the lengths' sigma.
 
 use super::fit::{self, Fit, Unknowns};
-use super::lengths::{Lengths, Weighted};
+use super::joint_fit::JointFit;
+use super::lengths::{Lengths, Sigma, Weighted};
 use super::prior::{self, PriorRows};
 use super::priors::Prior;
 use super::selection::{Choice, is_bar, is_place, most_implausible, open_places, without_open_places};
@@ -33,9 +34,28 @@ pub(crate) struct Estimate {
     pub(super) fit: Fit,
     /// By what the fit weighted the lengths.
     pub(super) noise: Noise,
+    /// Errors of the joints, where the evidence speaks for them.
+    pub(super) joints: Option<JointFit>,
 }
 
 impl Estimate {
+    /// The same with the errors of the joints that `found` holds.
+    pub(super) fn with_joints(self, lengths: &Lengths, found: JointFit) -> Self {
+        let sigma = if lengths.vouched { Sigma::Given } else { Sigma::All(found.noise.sigma_mm()) };
+        let count = self.used(lengths).count() as f64;
+        Self {
+            kept: found.ids.clone(),
+            prior: Some(found.prior.clone()),
+            fit: Fit { model: found.model.clone(), ..self.fit },
+            noise: Noise {
+                sigma,
+                freedom: (!lengths.vouched).then_some((count - found.effective_parameters).max(1.0)),
+            },
+            joints: Some(found),
+            ..self
+        }
+    }
+
     /// One standard deviation of a parameter before the lengths; `None` of what is free or not estimated.
     pub(super) fn prior_sd(&self, id: ParamId) -> Option<f64> {
         self.prior.as_ref()?.sd(self.kept.iter().position(|kept| *kept == id)?)
@@ -222,6 +242,7 @@ impl<'a> Search<'a> {
             prior,
             fit: Fit { iterations: self.iterations, ..fit },
             noise: self.noise,
+            joints: None,
         }
     }
 }

@@ -104,7 +104,7 @@ fn judge(
 ) -> Result<Judged, EstimationFinding> {
     // A fold that cannot be fitted must not cost the result that there is without the group.
     let out = |ids: &[ParamId]| {
-        let fit = |training: &Lengths| estimate(setting, training, ids);
+        let fit = |training: &Lengths| Ok(estimate(setting, training, ids)?.fit.model);
         held_out(lengths, &best.fit.out, DEFAULT_FOLDS, fit).ok().flatten()
     };
     let not_added = |outcome| Ok(Judged { outcome, added: None });

@@ -6,11 +6,22 @@ use super::Workspace;
 use super::priors::{Prior, PriorScale, Priors};
 use crate::robot::{AXES, ParamId, Robot};
 
+/// What a robot's error consists of.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ErrorModel {
+    /// Its geometry, and the optional groups that tests speak for.
+    #[default]
+    Geometric,
+    /// The geometry by its prior, and errors of the joints as the evidence speaks for them.
+    Joints,
+}
+
 /// What to estimate, and from what.
 #[derive(Clone, Debug, Default)]
 pub struct Options {
     /// The parameters to estimate; all that are identifiable when absent.
     pub estimate: Option<Vec<ParamId>>,
+    pub model: ErrorModel,
     /// Parameters to fix at their start values.
     pub hold: Vec<ParamId>,
     /// Standard deviation of every length, mm; that of the data's `sigma_mm` and residuals when absent.
@@ -46,6 +57,17 @@ impl Options {
     /// what the data do not.
     pub fn follows_list(&self) -> bool {
         self.estimate.is_some() && self.prior == Prior::None
+    }
+
+    /// Whether errors of the joints are looked for: what the user lists is complete, and only tests and draws of the
+    /// geometry alone choose a scale of the prior or draw the lengths anew.
+    pub(super) fn seeks_joint_errors(&self) -> bool {
+        self.model == ErrorModel::Joints
+            && self.estimate.is_none()
+            // A prior with correlations is that of the geometry.
+            && self.prior != Prior::Posterior
+            && self.monte_carlo.is_none()
+            && [PriorScale::AsGiven, PriorScale::By(1.0)].contains(&self.prior_scale)
     }
 
     /// What is known of the robot and the bar before any length.

@@ -89,19 +89,7 @@ impl Workspace {
 
     /// The size of the displacements of all robots.
     pub fn summary(&self, moved: &DMatrix<f64>) -> ErrorSummary {
-        let mut sizes = Vec::with_capacity(moved.len() / 3);
-        let mut largest = Vec::with_capacity(moved.ncols());
-        for column in moved.column_iter() {
-            let at = |pose: usize| column.fixed_rows::<3>(3 * pose).norm();
-            let first = sizes.len();
-            sizes.extend((0..self.positions.len()).map(at));
-            largest.push(sizes[first..].iter().copied().fold(0.0, f64::max));
-        }
-        if sizes.is_empty() {
-            return ErrorSummary::default();
-        }
-        let mean = sizes.iter().sum::<f64>() / sizes.len() as f64;
-        ErrorSummary { mean, p95: percentile_95(&mut sizes), max: percentile_95(&mut largest) }
+        ErrorSummary::of(moved)
     }
 
     /// Root mean square displacement at each pose over the robots.
@@ -125,6 +113,25 @@ impl Workspace {
     }
 }
 
+impl ErrorSummary {
+    /// Of displacements, a column a robot and 3 rows a pose, mm.
+    pub(super) fn of(moved: &DMatrix<f64>) -> Self {
+        let mut sizes = Vec::with_capacity(moved.len() / 3);
+        let mut largest = Vec::with_capacity(moved.ncols());
+        for column in moved.column_iter() {
+            let at = |pose: usize| column.fixed_rows::<3>(3 * pose).norm();
+            let first = sizes.len();
+            sizes.extend((0..moved.nrows() / 3).map(at));
+            largest.push(sizes[first..].iter().copied().fold(0.0, f64::max));
+        }
+        if sizes.is_empty() {
+            return ErrorSummary::default();
+        }
+        let mean = sizes.iter().sum::<f64>() / sizes.len() as f64;
+        Self { mean, p95: percentile_95(&mut sizes), max: percentile_95(&mut largest) }
+    }
+}
+
 /// The value that 95 % of some do not exceed.
 fn percentile_95(values: &mut [f64]) -> f64 {
     let rank = ((values.len() as f64 * 0.95) as usize).min(values.len() - 1);
@@ -132,7 +139,7 @@ fn percentile_95(values: &mut [f64]) -> f64 {
 }
 
 /// Projects the six rigid motions of the positions out of the columns.
-fn take_out_rigid_motion(jacobian: &mut DMatrix<f64>, positions: &[Vector3<f64>]) {
+pub(super) fn take_out_rigid_motion(jacobian: &mut DMatrix<f64>, positions: &[Vector3<f64>]) {
     if positions.is_empty() {
         return;
     }
@@ -231,7 +238,8 @@ impl Prediction {
         estimate: &Estimate,
         lengths: &Weighted,
     ) -> Result<Self, EstimationFinding> {
-        let ids = setting.all_and(estimate.before.balls.len().into(), &estimate.analysis.ids);
+        let more = [estimate.analysis.ids.as_slice(), &estimate.kept].concat();
+        let ids = setting.all_and(estimate.before.balls.len().into(), &more);
         // What is optional counts as exact for both robots, as where it is not estimated.
         let of_robot = |id: &ParamId| setting.priors.bound(*id, &[]).filter(|_| !id.is_optional());
         let sd = |id: &ParamId| of_robot(id).or_else(|| estimate.prior_sd(*id).filter(|_| !id.is_optional()));

@@ -26,6 +26,22 @@ pub(super) struct PriorRows {
 }
 
 impl PriorRows {
+    /// Of independent parameters with these standard deviations about `mean`; `None` of what is free.
+    pub(super) fn independent(sds: &[Option<f64>], mean: &[f64]) -> Self {
+        let bound: Vec<usize> = (0..sds.len()).filter(|&k| sds[k].is_some()).collect();
+        let of: Vec<f64> = sds.iter().copied().flatten().collect();
+        Self {
+            root: DMatrix::from_diagonal(&DVector::from_column_slice(&of)),
+            rows: DMatrix::from_fn(
+                bound.len(),
+                sds.len(),
+                |i, k| if bound[i] == k { of[i].recip() } else { 0.0 },
+            ),
+            mean: DVector::from_column_slice(mean),
+            bound,
+        }
+    }
+
     /// How many parameters are bound.
     pub(super) fn count(&self) -> usize {
         self.bound.len()

@@ -65,7 +65,7 @@ fn held_out_by_scale(
     let mut tried = Vec::new();
     for scale in TRIED {
         let setting = setting.scaled(scale);
-        let fit = |training: &Lengths| estimate(&setting, training, asked);
+        let fit = |training: &Lengths| Ok(estimate(&setting, training, asked)?.fit.model);
         match held_out(lengths, &first.fit.out, DEFAULT_FOLDS, fit)? {
             Some(residuals) => tried.push((scale, residuals)),
             None => return Ok(vec![]),

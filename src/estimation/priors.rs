@@ -35,6 +35,64 @@ const IMPOSSIBLE: f64 = 20.0;
 const DISPLACED_BALL_MM: f64 = 1000.0;
 const DISPLACED_BAR_MM: f64 = 50.0;
 
+/// What is known of a variance before any length: its root is log-normal about `median`.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct HyperPrior {
+    pub(super) median: f64,
+    /// Standard deviation of the logarithm; `None` where nothing is known.
+    pub(super) ln_sd: Option<f64>,
+    pub(super) bounds: [f64; 2],
+}
+
+/// How many there are.
+pub(super) const HYPERS: usize = 7;
+
+/// Groups of unknowns that share a variance.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Group {
+    /// First harmonic of a joint's angle, rad.
+    Harmonic,
+    /// Smooth function of a joint's angle, rad.
+    Smooth,
+    /// Half of the reversal error, rad.
+    Backlash,
+    /// Transmission ripple, rad.
+    Ripple,
+    /// Compliance, in prior standard deviations.
+    Compliance,
+}
+
+impl Group {
+    pub const ALL: [Self; 5] = [Self::Harmonic, Self::Smooth, Self::Backlash, Self::Ripple, Self::Compliance];
+
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Harmonic => "harmonic",
+            Self::Smooth => "smooth",
+            Self::Backlash => "backlash",
+            Self::Ripple => "ripple",
+            Self::Compliance => "compliance",
+        }
+    }
+}
+
+impl HyperPrior {
+    /// Places of what is no group: the length over which a smooth function is alike, rad, and sigma, mm.
+    pub(super) const LENGTH: usize = 5;
+    pub(super) const SIGMA: usize = 6;
+    /// Those of the groups in their order, of the length, of sigma. Industrial joints: a turn's eccentricity of half a
+    /// milliradian, the rest a tenth of it and less.
+    pub(super) const ALL: [Self; HYPERS] = [
+        Self { median: 5e-4, ln_sd: Some(1.0), bounds: [1e-8, 1e-1] },
+        Self { median: 1e-4, ln_sd: Some(1.0), bounds: [1e-8, 1e-1] },
+        Self { median: 3e-5, ln_sd: Some(1.0), bounds: [1e-8, 1e-1] },
+        Self { median: 2e-5, ln_sd: Some(0.7), bounds: [1e-8, 1e-1] },
+        Self { median: 1.0, ln_sd: Some(1.0), bounds: [1e-4, 1e4] },
+        Self { median: 0.15, ln_sd: Some(1.0), bounds: [0.03, 3.0] },
+        Self { median: 0.03, ln_sd: None, bounds: [1e-9, 1e3] },
+    ];
+}
+
 /// What the user lets an estimate know of the robot beforehand.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum Prior {

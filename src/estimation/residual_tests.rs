@@ -16,7 +16,7 @@ use super::solver::robust_scale;
 use crate::math::distributions::{ln_f_tail, normal_deviate};
 use crate::math::{Orthonormal, Triangle};
 use crate::measurement::{LengthModel, PreparedMeasurement};
-use crate::robot::{AXES, Joint, ParamId};
+use crate::robot::{AXES, Approach, Joint, ParamId};
 
 /// Chance that a sound robot's residuals are accused of anything.
 const CHANCE: f64 = 1e-3;
@@ -30,20 +30,7 @@ const COLUMNS: usize = 5;
 /// For each pose (axis angles, rad) the sense in which each axis came to it, -1, 0 (not known) or 1: from the pose
 /// before; an axis that stood still keeps its sense.
 pub fn senses(axes: impl IntoIterator<Item = [f64; AXES]>) -> impl Iterator<Item = [i8; AXES]> {
-    let mut sense = [0i8; AXES];
-    let mut last: Option<[f64; AXES]> = None;
-    axes.into_iter().map(move |axes| {
-        if let Some(last) = last {
-            for (axis, sense) in sense.iter_mut().enumerate() {
-                let moved = axes[axis] - last[axis];
-                if moved.abs() > 1e-9 {
-                    *sense = if moved > 0.0 { 1 } else { -1 };
-                }
-            }
-        }
-        last = Some(axes);
-        sense
-    })
+    Approach::along(axes).map(|approach| approach.senses())
 }
 
 /// What the residuals of a fit of `kept` to `lengths` at `model` show beyond chance, the strongest first.

@@ -4,6 +4,7 @@
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
+use super::joint_fit::JointSummary;
 use super::{Combination, Correlation, ErrorSummary, Observability, Posterior};
 use crate::catalogue::EstimationFinding;
 use crate::diagnostic::{Diagnostic, Severity};
@@ -32,6 +33,8 @@ pub struct CalibrationResult {
     pub prior: Option<PriorUsed>,
     /// Of each optional group; empty where the user gave a list.
     pub groups: Vec<GroupTest>,
+    /// Errors of the joints, where the evidence speaks for them: then no optional group was tested.
+    pub joints: Option<JointSummary>,
     pub monte_carlo: Option<MonteCarlo>,
     pub residual_mm: BeforeAfter,
     pub folds: Option<Folds>,
@@ -356,6 +359,8 @@ pub enum Reason {
     PriorCarries {
         data_sd: f64,
     },
+    /// Its group's variance is set by the evidence.
+    ByEvidence,
     Dependent {
         combination: Option<Combination>,
     },
@@ -376,7 +381,7 @@ impl Reason {
     pub fn status(&self) -> Status {
         match self {
             Self::Identified | Self::IdentifiedFor { .. } => Status::Identified,
-            Self::PriorShares { .. } | Self::PriorCarries { .. } => Status::Prior,
+            Self::PriorShares { .. } | Self::PriorCarries { .. } | Self::ByEvidence => Status::Prior,
             Self::Dependent { .. } => Status::Dependent,
             Self::FixedAsAsked | Self::NotAsked | Self::ChangesNoLength => Status::Fixed,
             Self::Open { .. } | Self::PoorlyObservable { .. } => Status::PoorlyObservable,

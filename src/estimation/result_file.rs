@@ -9,7 +9,7 @@ use super::result::{
     MonteCarlo, Outlier, ParameterDraws, PredictedPair, PriorUsed, Recommendation, SigmaSource, StartRobot,
     Status, WithoutWith,
 };
-use super::{Combination, Correlation, Observability, result};
+use super::{Combination, Correlation, GroupEvidence, JointSummary, Observability, result};
 use crate::diagnostic::{Diagnostic, Severity};
 
 /// The whole result; lengths in mm, angles in rad.
@@ -33,6 +33,7 @@ pub struct ResultFile {
     pub coverage_factor: Option<f64>,
     pub prior: Option<PriorUsed>,
     pub groups: Vec<GroupChoice>,
+    pub joint_errors: Option<JointErrors>,
     pub monte_carlo: Option<MonteCarlo>,
     pub residual_mm: BeforeAfter,
     pub folds: Option<Folds>,
@@ -47,11 +48,22 @@ pub struct ResultFile {
     pub warnings: Vec<Warning>,
 }
 
-/// Whether an optional group was added.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+/// Whether an optional group was added, or what the evidence says of it.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct GroupChoice {
     pub name: String,
     pub added: bool,
+    /// One standard deviation of its members by the evidence, rad; of compliance in prior standard deviations.
+    #[serde(default)]
+    pub sd: Option<f64>,
+    /// How many of its members the data determine.
+    #[serde(default)]
+    pub effective_parameters: Option<f64>,
+    /// What it explains of the lengths, root mean square, and its share of the squares that the geometry alone leaves.
+    #[serde(default)]
+    pub rms_mm: Option<f64>,
+    #[serde(default)]
+    pub share: Option<f64>,
     pub f: Option<f64>,
     pub freedom: Option<[f64; 2]>,
     pub p: Option<f64>,
@@ -147,7 +159,8 @@ impl From<&CalibrationResult> for ResultFile {
             sigma_freedom: result.sigma.freedom,
             coverage_factor: result.sigma.coverage_factor,
             prior: result.prior.clone(),
-            groups: result.groups.iter().map(GroupChoice::from).collect(),
+            groups: groups(result),
+            joint_errors: result.joints.as_ref().map(JointErrors::from),
             monte_carlo: result.monte_carlo.clone(),
             residual_mm: result.residual_mm,
             folds: result.folds,
@@ -160,6 +173,45 @@ impl From<&CalibrationResult> for ResultFile {
             joints: result.joint_effects.clone(),
             outliers: result.outliers.clone(),
             warnings: result.diagnostics().map(Warning::from).collect(),
+        }
+    }
+}
+
+fn groups(result: &CalibrationResult) -> Vec<GroupChoice> {
+    let by_evidence = result.joints.iter().flat_map(|joints| &joints.groups).map(GroupChoice::from);
+    result.groups.iter().map(GroupChoice::from).chain(by_evidence).collect()
+}
+
+/// Errors of the joints by the evidence.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct JointErrors {
+    /// Standard deviation of the pose in each direction, and of a length beside it.
+    pub pose_sigma_mm: f64,
+    pub length_sigma_mm: f64,
+    /// Over which the smooth functions are alike.
+    pub likeness_rad: f64,
+    /// Gain in the logarithm of the evidence over the geometry alone.
+    pub log_evidence_gain: f64,
+}
+
+impl From<&JointSummary> for JointErrors {
+    fn from(joints: &JointSummary) -> Self {
+        let &JointSummary { likeness_rad, pose_mm, length_mm, gain, .. } = joints;
+        Self { pose_sigma_mm: pose_mm, length_sigma_mm: length_mm, likeness_rad, log_evidence_gain: gain }
+    }
+}
+
+impl From<&GroupEvidence> for GroupChoice {
+    fn from(group: &GroupEvidence) -> Self {
+        Self {
+            name: group.group.name().into(),
+            added: true,
+            sd: Some(group.sd),
+            effective_parameters: Some(group.effective_parameters),
+            rms_mm: Some(group.rms_mm),
+            share: Some(group.share),
+            text: group.to_string(),
+            ..Self::default()
         }
     }
 }
@@ -182,6 +234,7 @@ impl From<&GroupTest> for GroupChoice {
             held_out_mm,
             predicted_mm,
             text: group.to_string(),
+            ..Self::default()
         }
     }
 }

@@ -3,7 +3,7 @@
 use std::borrow::Cow;
 
 use super::Options;
-use super::priors::{PriorScale, Priors};
+use super::priors::{Prior, PriorScale, Priors};
 use crate::measurement::LengthModel;
 use crate::robot::parameter::{self, SetUp};
 use crate::robot::{ParamId, Robot};
@@ -29,6 +29,15 @@ impl<'a> Setting<'a> {
     pub(super) fn scaled(&self, scale: f64) -> Self {
         let options = Options { prior_scale: PriorScale::By(scale), ..self.options.clone().into_owned() };
         Self { priors: options.priors(self.robot), options: Cow::Owned(options), ..self.clone() }
+    }
+
+    /// With a prior on the geometry: the user's, else the robot's tolerance.
+    pub(super) fn bound(self) -> Self {
+        if self.options.prior != Prior::None {
+            return self;
+        }
+        let options = Options { prior: Prior::Datasheet, ..self.options.clone().into_owned() };
+        Self { options: Cow::Owned(options), ..self }
     }
 
     /// The parameters asked for, without the optional groups that nobody named.

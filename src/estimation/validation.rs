@@ -4,9 +4,9 @@ use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_pcg::Pcg64;
 
-use super::estimate::Estimate;
 use super::lengths::Lengths;
 use crate::catalogue::EstimationFinding;
+use crate::measurement::LengthModel;
 
 /// Number of folds when the user does not say, and lengths per parameter below which there are none.
 pub(super) const DEFAULT_FOLDS: usize = 5;
@@ -33,7 +33,7 @@ pub(super) fn held_out(
     lengths: &Lengths,
     out: &[usize],
     folds: usize,
-    fit: impl Fn(&Lengths) -> Result<Estimate, EstimationFinding>,
+    fit: impl Fn(&Lengths) -> Result<LengthModel, EstimationFinding>,
 ) -> Result<Option<Vec<f64>>, EstimationFinding> {
     let Some(fold_of) = assign(lengths, folds) else { return Ok(None) };
     let used: Vec<usize> = (0..lengths.len()).filter(|at| out.binary_search(at).is_err()).collect();
@@ -43,7 +43,7 @@ pub(super) fn held_out(
             used.iter().copied().filter(|&at| (fold_of[at] == fold) == chosen).collect()
         };
         let (held_out, rest) = (take(true), take(false));
-        let model = fit(&lengths.at(&rest))?.fit.model;
+        let model = fit(&lengths.at(&rest))?;
         let prepared = model.prepare();
         for at in held_out {
             let reading = lengths.reading(at);

@@ -6,7 +6,7 @@ use super::result::{
     CirclePlane, FTest, FurtherMeasurement, GroupOutcome, GroupTest, OptionalGroup, ParameterResult, Reason,
     Recommendation, StartRobot, Untested, WithoutWith,
 };
-use super::{Combination, priors};
+use super::{Combination, Group, GroupEvidence, priors};
 use crate::robot::{BarId, ParamId, Unit};
 
 impl fmt::Display for Combination {
@@ -105,6 +105,7 @@ impl ParameterResult {
             Reason::PriorCarries { data_sd } => {
                 format!("the data alone leave {}; the prior carries it", with_unit(*data_sd, self.id))
             }
+            Reason::ByEvidence => "its group's variance is that of the greatest evidence".into(),
             Reason::Dependent { combination } => text(combination),
             Reason::FixedAsAsked => "fixed as asked".into(),
             Reason::NotAsked => "not asked for".into(),
@@ -216,6 +217,29 @@ impl fmt::Display for GroupTest {
                 write!(out, "{group} was added: {test}; {}; {}", rms(held_out), error(predicted))
             }
         }
+    }
+}
+
+impl fmt::Display for GroupEvidence {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { group, sd, effective_parameters, rms_mm, share } = self;
+        let what = match group {
+            Group::Harmonic => "first harmonic of the joints",
+            Group::Smooth => "smooth error of the joints",
+            Group::Backlash => "backlash of the joints",
+            Group::Ripple => "transmission ripple",
+            Group::Compliance => "compliance",
+        };
+        let size = match group {
+            Group::Compliance => format!("{sd:.2} of its prior standard deviation"),
+            _ => format!("{:.1} urad", sd * 1e6),
+        };
+        write!(
+            out,
+            "{what}: standard deviation {size}, {effective_parameters:.1} parameters determined, it explains {rms_mm:.4} mm of the \
+             lengths, {:.1} % of what the geometry leaves",
+            share * 100.0
+        )
     }
 }
 

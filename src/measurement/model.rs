@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 
 use super::{BaseBall, Measurement};
-use crate::robot::{AXES, BallId, BarId, Chain, Geometry, JointSinCos, LengthRow, ParamId};
+use crate::robot::{AXES, Approach, At, BallId, BarId, Chain, Geometry, JointSinCos, LengthRow, ParamId};
 
 /// Everything that a length depends on.
 #[derive(Clone, Debug, PartialEq)]
@@ -22,6 +22,7 @@ pub struct PreparedMeasurement {
     /// The controller's axis angles, rad.
     pub axes: [f64; AXES],
     pub sin_cos: JointSinCos,
+    pub approach: Approach,
     pub ball: BallId,
     pub bar: BarId,
     /// Distance between the ball centres.
@@ -31,14 +32,19 @@ pub struct PreparedMeasurement {
 impl PreparedMeasurement {
     /// At axis angles (rad), with the first bar.
     pub fn new(axes: [f64; AXES], ball: BallId, length_mm: f64) -> Self {
-        Self { axes, sin_cos: JointSinCos::of(&axes), ball, bar: BarId::FIRST, length_mm }
+        let sin_cos = JointSinCos::of(&axes);
+        Self { axes, sin_cos, approach: Approach::default(), ball, bar: BarId::FIRST, length_mm }
+    }
+
+    fn at(&self) -> At<'_> {
+        At { axes: &self.axes, sin_cos: &self.sin_cos, approach: self.approach }
     }
 }
 
 impl From<&Measurement> for PreparedMeasurement {
     fn from(measurement: &Measurement) -> Self {
-        let &Measurement { ball, bar, length_mm, .. } = measurement;
-        Self { bar, ..Self::new(measurement.axes.radians(), ball, length_mm) }
+        let &Measurement { ball, bar, length_mm, approach, .. } = measurement;
+        Self { bar, approach, ..Self::new(measurement.axes.radians(), ball, length_mm) }
     }
 }
 
@@ -53,7 +59,7 @@ impl PreparedModel<'_> {
     /// The length that the model predicts, mm; not a number from a ball that it does not have.
     #[inline]
     pub fn length(&self, measurement: &PreparedMeasurement) -> f64 {
-        let ball = self.chain.ball(&measurement.axes, &measurement.sin_cos);
+        let ball = self.chain.ball(&measurement.at());
         (ball - self.model.ball(measurement.ball)).norm() + self.model.bar_offset(measurement.bar)
     }
 
@@ -69,7 +75,7 @@ impl PreparedModel<'_> {
     pub fn row_into(&self, measurement: &PreparedMeasurement, row: &mut LengthRow) {
         let ball = self.model.ball(measurement.ball);
         let offset = self.model.bar_offset(measurement.bar);
-        self.chain.row(&measurement.axes, &measurement.sin_cos, &ball, offset, row);
+        self.chain.row(&measurement.at(), &ball, offset, row);
         (row.ball, row.bar) = (measurement.ball, measurement.bar);
     }
 }

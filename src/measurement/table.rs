@@ -7,11 +7,11 @@ use std::sync::Arc;
 use super::{Column, Context, context};
 use crate::base::table::{Row, Table};
 use crate::catalogue::MeasurementFinding::{
-    BarWithoutLength, NoMeasurement, NoPose, TooMany, UnknownBall, UnknownBar,
+    BarWithoutLength, NoMeasurement, NoPose, NotASense, TooMany, UnknownBall, UnknownBar,
 };
 use crate::diagnostic::Diagnostic;
 use crate::robot::parameter::SetUp;
-use crate::robot::{AXES, AxisAngles, BallId, BarId};
+use crate::robot::{AXES, Approach, AxisAngles, BallId, BarId};
 
 /// One length at one pose.
 #[derive(Clone, Debug, PartialEq)]
@@ -21,6 +21,8 @@ pub struct Measurement {
     pub ball: BallId,
     pub bar: BarId,
     pub axes: AxisAngles,
+    /// How the axes came to the pose.
+    pub approach: Approach,
     /// Distance between the ball centres: the bar's length plus its reading.
     pub length_mm: f64,
     /// Standard deviation of the length, where it is known.
@@ -31,7 +33,7 @@ pub struct Measurement {
 
 impl Measurement {
     /// Its line of the CSV.
-    fn append(&self, bars: bool, columns: &[Column], text: &mut String) {
+    fn append(&self, optional: Optional, columns: &[Column], text: &mut String) {
         // Writing to a string does not fail.
         let _ = write!(text, "{},{}", self.index, self.ball);
         for angle in self.axes.degrees() {
@@ -41,8 +43,11 @@ impl Measurement {
         if let Some(sigma) = self.sigma_mm {
             let _ = write!(text, "{sigma}");
         }
-        if bars {
+        if optional.bars {
             let _ = write!(text, ",{}", self.bar);
+        }
+        if optional.approach {
+            self.approach.append(text);
         }
         match &self.context {
             Some(context) => context.append(columns, text),
@@ -65,6 +70,25 @@ const REQUIRED: [&str; 9] =
     ["index", "centre", "a1_deg", "a2_deg", "a3_deg", "a4_deg", "a5_deg", "a6_deg", "length_mm"];
 const SIGMA: &str = "sigma_mm";
 const BAR: &str = "bar";
+/// Columns with the sense of approach, -1, 0 (not known) or 1 (by rising angles).
+pub const APPROACH: [&str; AXES] =
+    ["approach1", "approach2", "approach3", "approach4", "approach5", "approach6"];
+
+/// Which of the columns that may be absent are written.
+#[derive(Clone, Copy)]
+struct Optional {
+    bars: bool,
+    approach: bool,
+}
+
+impl Approach {
+    /// Its cells, each after a comma.
+    fn append(self, text: &mut String) {
+        for sense in self.senses() {
+            let _ = write!(text, ",{sense}");
+        }
+    }
+}
 
 /// Base balls and bars of one calibration: each adds unknowns, and the time grows with their cube.
 pub const MOST_BALLS: usize = 100;
@@ -74,7 +98,7 @@ pub(super) const MOST_BARS: usize = 20;
 const PIECE: usize = 4096;
 
 impl Measurements {
-    /// Reads the CSV `index,centre,a1_deg,..,a6_deg,length_mm[,sigma_mm][,bar][,..]`; columns in any order,
+    /// Reads the CSV `index,centre,a1_deg,..,a6_deg,length_mm[,sigma_mm][,bar][,approach1,..,approach6][,..]`; columns in any order,
     /// an absent bar is bar 1.
     ///
     /// # Errors
@@ -90,7 +114,10 @@ impl Measurements {
     pub fn from_table(table: &mut Table<'_>) -> Result<Self, Diagnostic> {
         let places = table.required(REQUIRED)?;
         let (sigma, bar) = (table.optional(SIGMA)?, table.optional(BAR)?);
-        let known = |at: &usize| places.contains(at) || Some(*at) == sigma || Some(*at) == bar;
+        let approach = ApproachColumns::of(table)?;
+        let known = |at: &usize| {
+            places.contains(at) || Some(*at) == sigma || Some(*at) == bar || approach.0.contains(&Some(*at))
+        };
         let others: Vec<usize> = (0..table.names().len()).filter(|at| !known(at)).collect();
         let further: Vec<Column> = others.iter().map(|&at| Column::of(&table.names()[at])).collect();
         let [index, ball, axes @ .., length] = places;
@@ -104,6 +131,7 @@ impl Measurements {
                 ball: row.numbered(ball)?,
                 bar: row.given(bar, |at| row.numbered(at))?.unwrap_or(BarId::FIRST),
                 axes,
+                approach: approach.read(&row)?,
                 length_mm,
                 sigma_mm: row.given(sigma, |at| row.positive(at))?,
                 context: shared(context, before),
@@ -125,16 +153,17 @@ impl Measurements {
         }
     }
 
-    /// Reads only the axis angles of a table with the columns a1_deg..a6_deg.
+    /// Reads only the axis angles of a table with the columns a1_deg..a6_deg, and the senses of approach that it has.
     ///
     /// # Errors
     /// Names the line and column of what is missing or not a finite number.
-    pub fn poses_from_table(table: &mut Table<'_>) -> Result<Vec<AxisAngles>, Diagnostic> {
+    pub fn poses_from_table(table: &mut Table<'_>) -> Result<Vec<ApproachedPose>, Diagnostic> {
         let [_, _, names @ .., _] = REQUIRED;
         let axes = table.required::<AXES>(names)?;
+        let approach = ApproachColumns::of(table)?;
         let mut poses = Vec::new();
         while let Some(row) = table.row()? {
-            poses.push(angles(&row, axes)?);
+            poses.push(ApproachedPose { axes: angles(&row, axes)?, approach: approach.read(&row)? });
         }
         if poses.is_empty() {
             return Err(Diagnostic::file(table.file(), NoPose));
@@ -149,23 +178,27 @@ impl Measurements {
 
     /// The CSV of the rows that `keep` wants by their places, in pieces, so that a long one need never be whole in memory.
     pub fn csv_pieces(&self, keep: impl Fn(usize) -> bool) -> impl Iterator<Item = String> {
-        let bars = self.bars() > 1;
+        let approach = self.rows.iter().any(|row| !row.approach.is_unknown());
+        let optional = Optional { bars: self.bars() > 1, approach };
         let pieces = self.rows.chunks(PIECE).enumerate().map(move |(piece, rows)| {
             let mut text = String::new();
             for (at, row) in rows.iter().enumerate() {
                 if keep(PIECE * piece + at) {
-                    row.append(bars, &self.columns, &mut text);
+                    row.append(optional, &self.columns, &mut text);
                 }
             }
             text
         });
-        iter::once(self.header(bars)).chain(pieces)
+        iter::once(self.header(optional)).chain(pieces)
     }
 
-    fn header(&self, bars: bool) -> String {
+    fn header(&self, optional: Optional) -> String {
         let mut text = format!("{},{SIGMA}", REQUIRED.join(","));
-        if bars {
+        if optional.bars {
             text.push_str(&format!(",{BAR}"));
+        }
+        if optional.approach {
+            text.push_str(&format!(",{}", APPROACH.join(",")));
         }
         for column in &self.columns {
             text.push_str(&format!(",{}", context::quoted(column.name())));
@@ -196,6 +229,43 @@ impl Measurements {
     /// The number of base balls: the highest number of one.
     pub fn balls(&self) -> usize {
         self.rows.iter().map(|row| row.ball.index() + 1).max().unwrap_or(0)
+    }
+}
+
+/// A pose of a table, and how the axes came to it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ApproachedPose {
+    pub axes: AxisAngles,
+    pub approach: Approach,
+}
+
+/// The columns with the sense of approach, those that there are.
+struct ApproachColumns([Option<usize>; AXES]);
+
+impl ApproachColumns {
+    fn of(table: &Table<'_>) -> Result<Self, Diagnostic> {
+        let mut places = [None; AXES];
+        for (place, name) in places.iter_mut().zip(APPROACH) {
+            *place = table.optional(name)?;
+        }
+        Ok(Self(places))
+    }
+
+    fn read(&self, row: &Row<'_>) -> Result<Approach, Diagnostic> {
+        let mut senses = [0; AXES];
+        for (sense, at) in senses.iter_mut().zip(self.0) {
+            let read = |at: usize| match row.text(at) {
+                "-1" => Ok(-1),
+                "0" => Ok(0),
+                "1" | "+1" => Ok(1),
+                cell => {
+                    let column = row.column(at);
+                    Err(row.line(NotASense { column, cell: cell.into() }))
+                }
+            };
+            *sense = row.given(at, read)?.unwrap_or(0);
+        }
+        Ok(Approach::new(senses))
     }
 }
 

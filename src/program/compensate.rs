@@ -12,7 +12,7 @@ use nalgebra::Vector3;
 use super::{Frames, Target};
 use crate::catalogue::CompensationFinding;
 use crate::robot::inverse::{self, Unsolved};
-use crate::robot::{AXES, Geometry, Pose, Robot};
+use crate::robot::{AXES, Approach, Geometry, Pose, Robot};
 
 /// Where the robot is before the first target: KUKA's home, degrees.
 const HOME_DEG: [f64; AXES] = [0.0, -90.0, 90.0, 0.0, 0.0, 0.0];
@@ -61,8 +61,9 @@ pub struct Corrector<'a> {
     identified: Geometry,
     limits_deg: &'a [[f64; 2]; AXES],
     limit_mm: f64,
-    /// Nominal axis angles at the last target, rad.
+    /// Nominal axis angles at the last target, rad, and how the axes came there.
     last: [f64; AXES],
+    approach: Approach,
 }
 
 impl<'a> Corrector<'a> {
@@ -77,6 +78,7 @@ impl<'a> Corrector<'a> {
             limits_deg: &controller.limits_deg,
             limit_mm,
             last: HOME_DEG.map(f64::to_radians),
+            approach: Approach::default(),
         }
     }
 
@@ -149,8 +151,9 @@ impl<'a> Corrector<'a> {
 
     /// The identified robot's axis angles at a pose of its flange, in the branch of `start`.
     fn solve(&mut self, flange: &Pose, start: &[f64; AXES]) -> Result<[f64; AXES], CompensationFinding> {
+        self.approach = self.approach.after(&self.last, start);
         self.last = *start;
-        let axes = inverse::numeric(&self.identified, flange, start)
+        let axes = inverse::numeric(&self.identified.approached(self.approach), flange, start)
             .map_err(|unsolved| CompensationFinding::IdentifiedDoesNotReach { why: unsolved.to_string() })?;
         for (i, (to, from)) in axes.iter().zip(start).enumerate() {
             let ([low_deg, high_deg], angle_deg, axis) = (self.limits_deg[i], to.to_degrees(), i + 1);

@@ -9,14 +9,15 @@ use super::export::mastering::{AxisOffset, offsets};
 use super::page::render;
 use super::parameters::{Group, NotEstimated, groups, not_estimated};
 use super::plot::{
-    HeatMap, PolarPlot, PolarTrace, ResidualPoint, Series, Shown, against_axis, histogram, residuals,
+    HeatMap, PolarPlot, PolarTrace, ResidualPoint, Series, Shown, against_axis, histogram, joint_error,
+    residuals,
 };
 use crate::diagnostic::Diagnostic;
 use crate::estimation::result::Recommendation;
-use crate::estimation::{CalibrationResult, ResultFile, senses};
+use crate::estimation::{CalibrationResult, ResultFile, joint_curve, senses};
 use crate::measurement::{Kind, Measurements};
 use crate::provenance::Provenance;
-use crate::robot::{AXES, BallId, CircleId};
+use crate::robot::{AXES, BallId, CircleId, Joint};
 
 /// Lengths that are drawn at most: an even sample of more.
 const DRAWN: usize = 20_000;
@@ -56,6 +57,7 @@ struct Figures {
     residuals: Vec<String>,
     histograms: Vec<String>,
     axes: Vec<String>,
+    joints: Vec<String>,
 }
 
 /// The page `report.html`.
@@ -126,6 +128,7 @@ impl Figures {
             residuals: per_ball(points, found.sigma.mm),
             histograms: histograms(&sound),
             axes: axes(&sound),
+            joints: joints(found, &sound),
         }
     }
 }
@@ -192,4 +195,18 @@ fn axes(sound: &[&ResidualPoint]) -> Vec<String> {
     let sizes = shown.iter().map(|point| point.after_mm.abs()).filter(|size| size.is_finite());
     let largest_mm = sizes.fold(0.0, f64::max);
     (0..AXES).map(|axis| against_axis(axis, &shown, largest_mm)).collect()
+}
+
+/// The error of each joint, where the robot has one.
+fn joints(found: &CalibrationResult, sound: &[&ResidualPoint]) -> Vec<String> {
+    if found.joints.is_none() {
+        return Vec::new();
+    }
+    let stride = sound.len().div_ceil(DRAWN_BY_AXIS).max(1);
+    let draw = |joint: Joint| {
+        let axis = joint.index();
+        let measured: Vec<f64> = sound.iter().step_by(stride).map(|point| point.axes_deg[axis]).collect();
+        joint_error(axis, &joint_curve(&found.robot, joint), &measured)
+    };
+    Joint::ALL.into_iter().map(draw).collect()
 }

@@ -10,7 +10,7 @@
 
 use nalgebra::Vector3;
 
-use super::{AXES, BallId, BarId, Coordinate, Geometry, Joint, ParamId};
+use super::{AXES, Approach, BallId, BarId, Coordinate, Geometry, Joint, JointErrors, ParamId};
 
 /// A length and its derivatives by every parameter (mm per mm, mm per rad, mm per rad/(N m)); the default is room
 /// for one.
@@ -54,6 +54,17 @@ impl LengthRow {
         self.columns[id.column()]
     }
 
+    /// The derivative by each coefficient of the joints' errors, mm per unit, for a row at these axis angles (rad).
+    pub fn joint_terms(&self, errors: &JointErrors, axes: &[f64; AXES], approach: Approach, out: &mut [f64]) {
+        let levers = &self.columns[column::THETA..column::THETA + AXES];
+        let mut out = out.iter_mut();
+        errors.derivatives(axes, approach, |place, value| {
+            if let Some(out) = out.next() {
+                *out = levers[place] * value;
+            }
+        });
+    }
+
     /// The derivatives in the order of [`ParamId::column`].
     pub(crate) fn columns(&self) -> &Columns {
         &self.columns
@@ -65,7 +76,9 @@ impl Geometry {
     /// derivative, and the columns are zero.
     pub fn length_row(&self, axes: &[f64; AXES], ball: &Vector3<f64>, bar_offset: f64) -> LengthRow {
         let mut row = LengthRow::default();
-        Chain::new(self).row(axes, &JointSinCos::of(axes), ball, bar_offset, &mut row);
+        let sin_cos = JointSinCos::of(axes);
+        let at = At { axes, sin_cos: &sin_cos, approach: Approach::default() };
+        Chain::new(self).row(&at, ball, bar_offset, &mut row);
         row
     }
 }
@@ -81,6 +94,15 @@ impl JointSinCos {
     }
 }
 
+/// Where the axes are, and how they came there.
+#[derive(Clone, Copy, Debug)]
+pub struct At<'a> {
+    /// The controller's axis angles, rad.
+    pub axes: &'a [f64; AXES],
+    pub sin_cos: &'a JointSinCos,
+    pub approach: Approach,
+}
+
 /// A geometry with the sines and cosines of its table.
 #[derive(Clone, Debug)]
 pub struct Chain<'a> {
@@ -88,7 +110,7 @@ pub struct Chain<'a> {
     alpha: [(f64, f64); AXES],
     theta: [(f64, f64); AXES],
     beta: [(f64, f64); AXES],
-    /// Whether the joints are where the axes say: no compliance, no gear error.
+    /// Whether the joints are where the axes say: no compliance, no error of an angle.
     rigid: bool,
 }
 
@@ -106,7 +128,8 @@ impl<'a> Chain<'a> {
     /// Of a geometry.
     pub fn new(geometry: &'a Geometry) -> Self {
         let rigid = geometry.compliance.iter().all(|c| *c == 0.0)
-            && geometry.gear.iter().flatten().all(|g| *g == 0.0);
+            && geometry.gear.iter().flatten().all(|g| *g == 0.0)
+            && geometry.joint_errors.is_none();
         let rows = &geometry.rows;
         Self {
             geometry,
@@ -119,12 +142,13 @@ impl<'a> Chain<'a> {
 
     /// Sine and cosine of each joint angle in the table's sense.
     #[inline]
-    fn joints(&self, axes: &[f64; AXES], sin_cos: &JointSinCos) -> [(f64, f64); AXES] {
+    fn joints(&self, at: &At<'_>) -> [(f64, f64); AXES] {
         if !self.rigid {
-            return self.geometry.joint_angles(axes).map(f64::sin_cos);
+            return self.geometry.joint_angles_approached(at.axes, at.approach).map(f64::sin_cos);
         }
         std::array::from_fn(|i| {
-            let (sin, cos) = (self.geometry.rows[i].sign * sin_cos.0[i][0], sin_cos.0[i][1]);
+            let [sin, cos] = at.sin_cos.0[i];
+            let sin = self.geometry.rows[i].sign * sin;
             let (sin_offset, cos_offset) = self.theta[i];
             (sin * cos_offset + cos * sin_offset, cos * cos_offset - sin * sin_offset)
         })
@@ -132,8 +156,8 @@ impl<'a> Chain<'a> {
 
     /// From the flange inwards: each row sin_cos and shifts one point.
     #[inline]
-    fn inward(&self, axes: &[f64; AXES], sin_cos: &JointSinCos) -> InwardPass {
-        let joints = self.joints(axes, sin_cos);
+    fn inward(&self, at: &At<'_>) -> InwardPass {
+        let joints = self.joints(at);
         let mut points = [Vector3::zeros(); AXES];
         let mut point = self.geometry.tool;
         for i in (0..AXES).rev() {
@@ -175,23 +199,16 @@ impl<'a> Chain<'a> {
     }
 
     /// The tool ball in the robot base, mm.
-    pub fn ball(&self, axes: &[f64; AXES], sin_cos: &JointSinCos) -> Vector3<f64> {
-        self.inward(axes, sin_cos).ball
+    pub fn ball(&self, at: &At<'_>) -> Vector3<f64> {
+        self.inward(at).ball
     }
 
     /// The length from a base ball at `ball` plus `bar_offset` (mm), and its derivatives, into `row`, which is new
     /// or was filled for this robot before. Where the balls coincide the length has no derivative, and the columns
     /// are zero.
     #[inline]
-    pub fn row(
-        &self,
-        axes: &[f64; AXES],
-        sin_cos: &JointSinCos,
-        ball: &Vector3<f64>,
-        bar_offset: f64,
-        row: &mut LengthRow,
-    ) {
-        let inward = self.inward(axes, sin_cos);
+    pub fn row(&self, at: &At<'_>, ball: &Vector3<f64>, bar_offset: f64, row: &mut LengthRow) {
+        let inward = self.inward(at);
         let bar = inward.ball - ball;
         let distance = bar.norm();
         row.length = distance + bar_offset;
@@ -203,7 +220,7 @@ impl<'a> Chain<'a> {
                 columns[column::BALL + axis] = -u[axis];
             }
             columns[column::BAR] = 1.0;
-            self.non_geometric(axes, sin_cos, columns);
+            self.non_geometric(at, columns);
         } else {
             *columns = [0.0; ParamId::COLUMNS];
         }
@@ -211,16 +228,16 @@ impl<'a> Chain<'a> {
 
     /// Compliance and gear error turn the joints: their columns are shares of theta's.
     #[inline]
-    fn non_geometric(&self, axes: &[f64; AXES], sin_cos: &JointSinCos, columns: &mut Columns) {
+    fn non_geometric(&self, at: &At<'_>, columns: &mut Columns) {
         if !self.geometry.masses.is_empty() {
-            let torques = self.geometry.torques(&self.geometry.joint_angles(axes));
+            let torques = self.geometry.torques(&self.geometry.joint_angles_approached(at.axes, at.approach));
             for j in 0..AXES {
                 columns[column::COMPLIANCE + j] = columns[column::THETA + j] * torques[j];
             }
         }
         for j in 0..AXES {
-            columns[column::GEAR_COS + j] = columns[column::THETA + j] * sin_cos.0[j][1];
-            columns[column::GEAR_SIN + j] = columns[column::THETA + j] * sin_cos.0[j][0];
+            columns[column::GEAR_COS + j] = columns[column::THETA + j] * at.sin_cos.0[j][1];
+            columns[column::GEAR_SIN + j] = columns[column::THETA + j] * at.sin_cos.0[j][0];
         }
     }
 
@@ -233,11 +250,12 @@ impl<'a> Chain<'a> {
         mut each: impl FnMut(usize, Vector3<f64>),
     ) -> Vector3<f64> {
         let sin_cos = JointSinCos::of(axes);
-        let inward = self.inward(axes, &sin_cos);
+        let at = At { axes, sin_cos: &sin_cos, approach: Approach::default() };
+        let inward = self.inward(&at);
         let along = [0, 1, 2].map(|axis| {
             let mut columns = [0.0; ParamId::COLUMNS];
             self.derivatives(&inward, Vector3::ith(axis, 1.0), &mut columns);
-            self.non_geometric(axes, &sin_cos, &mut columns);
+            self.non_geometric(&at, &mut columns);
             columns
         });
         for (at, id) in ids.iter().enumerate() {

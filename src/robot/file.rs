@@ -4,7 +4,8 @@ use serde::{Deserialize, Serialize};
 
 use super::kinematics::{DhRow, Geometry, Mass};
 use super::posterior::{PosteriorTable, RobotPosterior};
-use super::{AXES, Joint};
+use super::uncertainty::{RobotUncertainty, UncertaintyTable};
+use super::{AXES, Joint, JointError, JointErrors, Ripple, Smooth};
 use crate::base::parse::from_toml;
 use crate::catalogue::RobotFinding;
 use crate::diagnostic::{Diagnostic, nearest};
@@ -34,6 +35,8 @@ pub struct Robot {
     pub nominal: Option<Box<Robot>>,
     /// What its identification left unknown.
     pub posterior: Option<RobotPosterior>,
+    /// The same with the errors of its joints, for a prediction of the position.
+    pub uncertainty: Option<Box<RobotUncertainty>>,
     /// Where the file's numbers come from.
     pub source: Option<String>,
     /// Whether the last of the masses is the payload.
@@ -88,6 +91,8 @@ struct RobotFile {
     posterior: Option<PosteriorTable>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     nominal: Option<Box<RobotFile>>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    uncertainty: Option<UncertaintyTable>,
 }
 
 /// A joint as the file has it.
@@ -111,6 +116,30 @@ pub(crate) struct JointTable {
     gear_cos_rad: f64,
     #[serde(default, skip_serializing_if = "is_zero")]
     gear_sin_rad: f64,
+    /// Half of the reversal error.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    backlash_rad: f64,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    smooth: Option<SmoothTable>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    ripple: Vec<RippleTable>,
+}
+
+/// A smooth function of the axis angle: see [`Smooth`].
+#[derive(Clone, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct SmoothTable {
+    centre_rad: f64,
+    half_width_rad: f64,
+    coefficients: Vec<f64>,
+}
+
+#[derive(Clone, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RippleTable {
+    order: u32,
+    cos_rad: f64,
+    sin_rad: f64,
 }
 
 #[allow(clippy::trivially_copy_pass_by_ref)] // the signature that serde calls
@@ -264,6 +293,8 @@ fn line_of_table(text: &str, header: &str, at: usize) -> Option<usize> {
 const MOST_MM: f64 = 1e4;
 /// No angle, speed or acceleration is larger, degrees, degrees/s, degrees/s^2.
 const MOST_DEG: f64 = 1e5;
+/// The same in radians.
+const MOST_RAD: f64 = 2e3;
 /// No mass is larger, kg.
 const MOST_KG: f64 = 1e5;
 
@@ -287,11 +318,21 @@ impl JointTable {
             ("compliance_rad_per_nm", self.compliance_rad_per_nm, 1.0),
             ("gear_cos_rad", self.gear_cos_rad, 1.0),
             ("gear_sin_rad", self.gear_sin_rad, 1.0),
+            ("backlash_rad", self.backlash_rad, 1.0),
         ];
+        let smooth = self.smooth.iter().flat_map(|smooth| {
+            let SmoothTable { centre_rad, half_width_rad, coefficients } = smooth;
+            // The logarithm of a width that is none is no number.
+            let width = ("smooth.half_width_rad", half_width_rad.ln() + half_width_rad, MOST_RAD);
+            let coefficients = coefficients.iter().map(|value| ("smooth.coefficients", *value, 1.0));
+            coefficients.chain([("smooth.centre_rad", *centre_rad, MOST_RAD), width])
+        });
+        let ripple = self.ripple.iter().flat_map(|ripple| {
+            [("ripple.cos_rad", ripple.cos_rad, 1.0), ("ripple.sin_rad", ripple.sin_rad, 1.0)]
+        });
+        let mut numbers = numbers.into_iter().chain(smooth).chain(ripple);
         let possible = |value: f64, most: f64| value.abs() <= most;
-        if let Some((key, value, most)) =
-            numbers.into_iter().find(|(_, value, most)| !possible(*value, *most))
-        {
+        if let Some((key, value, most)) = numbers.find(|(_, value, most)| !possible(*value, *most)) {
             return Err(RobotFinding::JointNumber { joint, key: key.into(), value, most });
         }
         if self.sign.abs() != 1 {
@@ -319,9 +360,25 @@ impl JointTable {
         }
     }
 
+    fn error(&self) -> JointError {
+        let smooth = self.smooth.as_ref().map(|smooth| Smooth {
+            centre: smooth.centre_rad,
+            half_width: smooth.half_width_rad,
+            coefficients: smooth.coefficients.clone(),
+        });
+        let ripple = self.ripple.iter();
+        JointError {
+            smooth: smooth.unwrap_or_default(),
+            backlash: self.backlash_rad,
+            ripple: ripple.map(|r| Ripple { order: r.order, cos: r.cos_rad, sin: r.sin_rad }).collect(),
+        }
+    }
+
     fn of(robot: &Robot, joint: Joint) -> Self {
         let (row, at) = (robot.geometry.row(joint), joint.index());
         let [gear_cos_rad, gear_sin_rad] = robot.geometry.gear[at];
+        let error = robot.geometry.joint_errors.of(joint).cloned().unwrap_or_default();
+        let smooth = error.smooth;
         Self {
             alpha_deg: row.alpha.to_degrees(),
             a_mm: row.a,
@@ -335,6 +392,17 @@ impl JointTable {
             compliance_rad_per_nm: robot.geometry.compliance[at],
             gear_cos_rad,
             gear_sin_rad,
+            backlash_rad: error.backlash,
+            smooth: (!smooth.coefficients.is_empty()).then_some(SmoothTable {
+                centre_rad: smooth.centre,
+                half_width_rad: smooth.half_width,
+                coefficients: smooth.coefficients,
+            }),
+            ripple: error
+                .ripple
+                .iter()
+                .map(|r| RippleTable { order: r.order, cos_rad: r.cos, sin_rad: r.sin })
+                .collect(),
         }
     }
 }
@@ -387,13 +455,14 @@ impl RobotFile {
             None => None,
             Some(table) => Some(RobotPosterior::from_table(table).ok_or((None, RobotFinding::Posterior))?),
         };
-        Ok(Robot {
+        let mut robot = Robot {
             geometry: Geometry {
                 rows: joints.map(JointTable::row),
                 tool: self.tool.ball_mm.into(),
                 masses,
                 compliance: joints.map(|joint| joint.compliance_rad_per_nm),
                 gear: joints.map(|joint| [joint.gear_cos_rad, joint.gear_sin_rad]),
+                joint_errors: JointErrors::new(joints.map(JointTable::error)),
             },
             limits_deg: joints.map(|joint| joint.limits_deg),
             max_speed_deg_s: joints.map(|joint| joint.max_speed_deg_s),
@@ -406,6 +475,7 @@ impl RobotFile {
             provenance: self.provenance,
             payload: self.payload.is_some(),
             posterior,
+            uncertainty: None,
             // A joint of the nominal robot has no line: the text holds those of both.
             nominal: match self.nominal {
                 Some(nominal) => {
@@ -414,7 +484,12 @@ impl RobotFile {
                 None => None,
             },
             name: self.name,
-        })
+        };
+        if let Some(table) = &self.uncertainty {
+            let fits = table.uncertainty(&robot).ok_or((None, RobotFinding::Uncertainty))?;
+            robot.uncertainty = Some(Box::new(fits));
+        }
+        Ok(robot)
     }
 
     fn from_robot(robot: &Robot) -> Self {
@@ -442,6 +517,7 @@ impl RobotFile {
             provenance: robot.provenance.clone(),
             posterior: robot.posterior.as_ref().map(RobotPosterior::to_table),
             nominal: robot.nominal.as_ref().map(|nominal| Box::new(Self::from_robot(nominal))),
+            uncertainty: robot.uncertainty.as_deref().map(UncertaintyTable::of),
         }
     }
 }
@@ -460,5 +536,22 @@ mod tests {
             let first = text.lines().position(|line| line == "[[joint]]").unwrap();
             assert_eq!(wrong.line, first + 1);
         }
+    }
+
+    #[test]
+    fn errors_of_the_joints_read_back() {
+        let mut robot = Robot::by_name("kr60ha").unwrap().unwrap();
+        let error = JointError {
+            smooth: Smooth { centre: 0.25, half_width: 3.0, coefficients: vec![1e-4, -2e-5] },
+            backlash: 7.2e-5,
+            ripple: vec![Ripple { order: 40, cos: 1e-5, sin: -2e-5 }],
+        };
+        robot.geometry.joint_errors = JointErrors::new(std::array::from_fn(|at| {
+            if at == 1 { error.clone() } else { JointError::default() }
+        }));
+        let text = robot.to_toml();
+        assert_eq!(Robot::from_toml("robot.toml", &text).unwrap(), robot);
+        let wrong = text.replacen("half_width_rad = 3.0", "half_width_rad = 0.0", 1);
+        assert_eq!(Robot::from_toml("robot.toml", &wrong).unwrap_err().code.0, "E0505");
     }
 }

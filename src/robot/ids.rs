@@ -144,6 +144,51 @@ impl AxisAngles {
     }
 }
 
+/// The sense of each axis's last move before a pose: -1, 1, or 0 where it is not known.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct Approach([i8; super::AXES]);
+
+impl Approach {
+    /// By signs.
+    pub fn new(senses: [i8; super::AXES]) -> Self {
+        Self(senses.map(i8::signum))
+    }
+
+    pub fn senses(&self) -> [i8; super::AXES] {
+        self.0
+    }
+
+    /// Whether no sense is known.
+    pub fn is_unknown(&self) -> bool {
+        *self == Self::default()
+    }
+
+    /// At each of these poses in turn, rad.
+    pub fn along(axes: impl IntoIterator<Item = [f64; super::AXES]>) -> impl Iterator<Item = Self> {
+        let (mut approach, mut last) = (Self::default(), None);
+        axes.into_iter().map(move |axes| {
+            if let Some(last) = &last {
+                approach = approach.after(last, &axes);
+            }
+            last = Some(axes);
+            approach
+        })
+    }
+
+    /// After a move between two poses (rad): an axis that does not move keeps its sense.
+    pub fn after(self, from: &[f64; super::AXES], to: &[f64; super::AXES]) -> Self {
+        Self(std::array::from_fn(|axis| match to[axis] - from[axis] {
+            moved if moved > REST_RAD => 1,
+            moved if moved < -REST_RAD => -1,
+            _ => self.0[axis],
+        }))
+    }
+}
+
+/// An axis that turns by less does not move, rad.
+const REST_RAD: f64 = 1e-9;
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 
 use super::pose::{Pose, rot_x, rot_y, rot_z};
-use super::{AXES, Joint, ParamId};
+use super::{AXES, Approach, Joint, JointErrors, ParamId};
 
 /// Standard gravity, m/s^2.
 const GRAVITY: f64 = 9.806_65;
@@ -49,16 +49,29 @@ pub struct Geometry {
     pub compliance: [f64; AXES],
     /// Error of each joint, once per turn of its axis: cosine and sine part, rad.
     pub gear: [[f64; 2]; AXES],
+    /// What else the angle and the sense of its motion do to each joint.
+    pub joint_errors: JointErrors,
 }
 
 impl Geometry {
-    /// The joint angles (rad, in the table's sense) at the controller's axis angles (rad).
+    /// The joint angles (rad, in the table's sense) at the controller's axis angles (rad), whatever the sense of approach.
     pub(super) fn joint_angles(&self, axes: &[f64; AXES]) -> [f64; AXES] {
+        self.joint_angles_approached(axes, Approach::default())
+    }
+
+    /// The same where the sense of approach is known.
+    pub(super) fn joint_angles_approached(&self, axes: &[f64; AXES], approach: Approach) -> [f64; AXES] {
         let mut angles = [0.0; AXES];
         for i in 0..AXES {
             let [cos_part, sin_part] = self.gear[i];
             let (sin, cos) = axes[i].sin_cos();
             angles[i] = self.rows[i].sign * axes[i] + self.rows[i].theta + cos_part * cos + sin_part * sin;
+        }
+        if !self.joint_errors.is_none() {
+            let senses = approach.senses();
+            for i in 0..AXES {
+                angles[i] += self.joint_errors.correction(i, axes[i], senses[i]);
+            }
         }
         if self.compliance.iter().any(|c| *c != 0.0) {
             let torques = self.torques(&angles);
@@ -67,6 +80,16 @@ impl Geometry {
             }
         }
         angles
+    }
+
+    /// The same robot as it is at poses approached so: its backlash goes into the joint offsets.
+    pub fn approached(&self, approach: Approach) -> Self {
+        let mut approached = self.clone();
+        let errors = Joint::ALL.map(|joint| self.joint_errors.of(joint).map_or(0.0, |error| error.backlash));
+        for (i, sense) in approach.senses().into_iter().enumerate() {
+            approached.rows[i].theta += f64::from(sense) * errors[i];
+        }
+        approached
     }
 
     /// Frame after each row, for joint angles in the table's sense.

@@ -8,18 +8,22 @@ pub mod chain;
 pub mod file;
 pub mod ids;
 pub mod inverse;
+pub mod joint_error;
 pub mod kinematics;
 pub mod parameter;
 pub mod pose;
 pub mod posterior;
+pub mod uncertainty;
 
-pub use chain::{Chain, JointSinCos, LengthRow};
+pub use chain::{At, Chain, JointSinCos, LengthRow};
 pub use file::Robot;
-pub use ids::{AxisAngles, BallId, BarId, CircleId, Coordinate, Joint};
+pub use ids::{Approach, AxisAngles, BallId, BarId, CircleId, Coordinate, Joint};
+pub use joint_error::{JointError, JointErrors, JointTerm, Ripple, Smooth, TermKind};
 pub use kinematics::{DhRow, Geometry, Mass};
 pub use parameter::{Group, ParamId, Unit};
 pub use pose::Pose;
 pub use posterior::RobotPosterior;
+pub use uncertainty::RobotUncertainty;
 
 /// Axes of the robots that are modelled.
 pub const AXES: usize = 6;

@@ -272,6 +272,8 @@ impl World {
                 self.direction[i] = moved.signum();
             }
             axes[i] -= 0.5 * self.direction[i] * self.setup.backlash_deg[i].to_radians();
+            let own = self.robot.joint_errors.at(i).map_or(0.0, |error| error.backlash);
+            axes[i] += self.direction[i] * self.robot.rows[i].sign * own;
         }
         self.last = Some(moment.axes);
         axes

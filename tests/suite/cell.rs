@@ -8,7 +8,7 @@ use dbbd::design::calibrate;
 use dbbd::estimation::{AngleSource, CalibrationResult, Input, Options};
 use dbbd::measurement::{BaseBall, LengthModel, Measurement, Measurements};
 use dbbd::robot::pose::{rot_x, rot_y, rot_z};
-use dbbd::robot::{AxisAngles, BallId, BarId, Geometry, ParamId, Pose, Robot, inverse};
+use dbbd::robot::{Approach, AxisAngles, BallId, BarId, Geometry, ParamId, Pose, Robot, inverse};
 use nalgebra::{Matrix3, Vector3};
 
 /// The paper's circle: centre and radius, mm.
@@ -113,6 +113,7 @@ pub(crate) fn measure(truth: &Robot, circles: &[Circle], points: usize, amplitud
                 ball: circle.ball(),
                 bar: BarId::FIRST,
                 axes: AxisAngles::from_degrees(axes_deg),
+                approach: Approach::default(),
                 length_mm: 0.0,
                 sigma_mm: None,
                 context: None,

@@ -8,7 +8,9 @@ use dbbd::measurement::{BaseBall, Measurement, Measurements};
 use dbbd::plan::{Job, Kind, Plan};
 use dbbd::program::Target;
 use dbbd::program::krl::{Files, Given, Text, compensate, read};
-use dbbd::robot::{AxisAngles, BallId, BarId, Geometry, Joint, Mass, ParamId, Pose, Robot, inverse};
+use dbbd::robot::{
+    Approach, AxisAngles, BallId, BarId, Geometry, Joint, Mass, ParamId, Pose, Robot, inverse,
+};
 use dbbd::sim::truth;
 use nalgebra::Vector3;
 use rand::{RngExt, SeedableRng};
@@ -57,6 +59,7 @@ fn measured(plan: &Plan, true_robot: &Robot, seed: u64, noise_mm: f64) -> Measur
             ball: BallId::new(row.centre).unwrap(),
             bar: BarId::FIRST,
             axes: AxisAngles::from_degrees(row.axes_deg),
+            approach: Approach::default(),
             length_mm: length + noise_mm * random.sample::<f64, _>(StandardNormal),
             sigma_mm: None,
             context: None,

@@ -2,7 +2,7 @@
 
 use dbbd::measurement::{LengthModel, PreparedMeasurement, Selection};
 use dbbd::robot::kinematics::Mass;
-use dbbd::robot::{BallId, Joint, Unit, parameter};
+use dbbd::robot::{Approach, BallId, Joint, JointError, JointErrors, Ripple, Smooth, Unit, parameter};
 use nalgebra::Vector3;
 use proptest::prelude::*;
 
@@ -45,4 +45,41 @@ proptest! {
             prop_assert!((analytic - numeric).abs() < 1e-6 * size, "{id}: {analytic} for {numeric}");
         }
     }
+}
+
+#[test]
+fn rows_of_joint_errors_match_differences() {
+    let empty = JointErrors::new(std::array::from_fn(|joint| JointError {
+        smooth: Smooth::new(0.0, 3.5, 5),
+        backlash: 0.0,
+        ripple: vec![Ripple { order: 7 + joint as u32, ..Ripple::default() }],
+    }));
+    let mut model = LengthModel {
+        geometry: kr60().geometry,
+        balls: vec![Vector3::new(1300.0, 0.0, 800.0)],
+        bar_offsets: vec![],
+    };
+    let axes = [0.4, -1.2, 1.5, 0.7, -0.8, 0.3];
+    let approach = Approach::new([1, -1, 1, 0, -1, 1]);
+    let reading = PreparedMeasurement { approach, ..PreparedMeasurement::new(axes, BallId::FIRST, 0.0) };
+    let start: Vec<f64> = (0..empty.count()).map(|at| 1e-4 * (at as f64).cos()).collect();
+    let mut length = |coefficients: &[f64]| {
+        model.geometry.joint_errors = empty.with(coefficients.iter().copied());
+        (model.prepare().length(&reading), model.prepare().row(&reading))
+    };
+    let (_, row) = length(&start);
+    let mut analytic = vec![f64::NAN; start.len()];
+    row.joint_terms(&empty, &axes, approach, &mut analytic);
+    for at in 0..start.len() {
+        let moved = |step: f64| {
+            let mut moved = start.clone();
+            moved[at] += step;
+            moved
+        };
+        let numeric = (length(&moved(1e-5)).0 - length(&moved(-1e-5)).0) / 2e-5;
+        assert!((analytic[at] - numeric).abs() < 1e-5 * numeric.abs().max(1.0), "{at}");
+    }
+    // A sense of approach is a shift of the joints.
+    let there = model.geometry.approached(approach).length(&axes, &model.balls[0], 0.0);
+    assert!((there - model.prepare().length(&reading)).abs() < 1e-9);
 }

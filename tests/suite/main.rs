@@ -53,6 +53,7 @@ mod infeasible_jobs_are_refused;
 mod inverse_kinematics;
 mod jacobian_matches_differences;
 mod job_keys;
+mod joint_errors;
 mod krl_reads_back;
 mod krl_round_trips;
 mod logged_axes_identify;

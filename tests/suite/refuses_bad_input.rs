@@ -133,7 +133,7 @@ pub(crate) fn provoked() -> Vec<&'static str> {
     tables
         .chain(arguments)
         .chain(robots)
-        .chain(["E0103", "E0110", "E1202", "E1204", "E1302", "E0301", "E0102", "E0003", "E0721"])
+        .chain(["E0103", "E0110", "E1202", "E1204", "E1205", "E1302", "E0301", "E0102", "E0003", "E0721"])
         .collect()
 }
 
@@ -163,6 +163,8 @@ fn observations() {
     refused(&barred, &robot, "E1202", "obs.csv");
     let bars: String = (1..=300).map(|bar| format!("{bar},1,0,-60,90,0,60,0,300,{bar}\n")).collect();
     refused(&(HEADER.replace("sigma_mm", "bar") + &bars), &robot, "E1202", "obs.csv");
+    let approached = HEADER.replace("sigma_mm", "approach3") + "1,1,0,-60,90,0,60,0,300,up\n";
+    refused(&approached, &robot, "E1205", "obs.csv:2");
 }
 
 #[test]

@@ -10,7 +10,7 @@ use crate::diagnostic::Diagnostic;
 use crate::estimation::PriorScale;
 use crate::measurement::{Distinct, Measurements};
 use crate::robot::parameter::SetUp;
-use crate::robot::{AXES, AxisAngles, ParamId};
+use crate::robot::{AXES, ParamId};
 
 pub(crate) fn parse_point(text: &str) -> Result<[f64; 3], EstimationFinding> {
     let numbers: Result<Vec<f64>, _> = text.split(',').map(|part| part.trim().parse::<f64>()).collect();
@@ -53,7 +53,7 @@ pub(super) fn read_prior(table: &mut Table<'_>, set_up: SetUp) -> Result<BTreeMa
 
 /// A table with the columns a1_deg..a6_deg, more may stand beside them.
 pub(super) fn read_workspace(table: &mut Table<'_>) -> Result<Vec<[f64; AXES]>, Diagnostic> {
-    Ok(Measurements::poses_from_table(table)?.iter().map(AxisAngles::radians).collect())
+    Ok(Measurements::poses_from_table(table)?.iter().map(|pose| pose.axes.radians()).collect())
 }
 
 /// Columns that a `plan.csv` has and no table of measured lengths.

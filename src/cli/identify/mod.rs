@@ -14,7 +14,7 @@ use crate::base::files;
 use crate::catalogue::{EstimationFinding, ProvenanceFinding};
 use crate::design::calibrate;
 use crate::diagnostic::Diagnostic;
-use crate::estimation::{CalibrationResult, Input, Options, Prior, PriorScale, ResultFile};
+use crate::estimation::{CalibrationResult, ErrorModel, Input, Options, Prior, PriorScale, ResultFile};
 use crate::measurement::{LengthModel, Measurements};
 use crate::provenance::{Artefact, Provenance, Role};
 use crate::report::calibration;
@@ -87,6 +87,12 @@ pub(crate) struct Args {
     /// or a CSV name,unit,sd [default: posterior where the robot file has it, else none].
     #[arg(long, value_name = "none|posterior|datasheet|FILE")]
     prior: Option<String>,
+    /// What a robot's error consists of: its geometry and errors of its joints (first harmonic, smooth function of the
+    /// angle, backlash by the sense of approach, compliance if the robot file has a [[mass]] or [payload]), each group as
+    /// far as the evidence of the lengths speaks for it; or the geometry alone with the optional groups that tests speak
+    /// for. Few or exact lengths, `--estimate`, `--prior none`, `--prior-scale` and `--monte-carlo` take the geometry.
+    #[arg(long, value_enum, value_name = "MODEL", default_value = "joints")]
+    model: Model,
     /// Factor on every standard deviation of the prior: above 1 the lengths count for more; `auto` takes the one
     /// with which lengths held out are predicted best.
     #[arg(long, value_name = "X|auto", default_value = "1", value_parser = parse_scale)]
@@ -98,6 +104,13 @@ pub(crate) struct Args {
     /// Poses (CSV a1_deg,..,a6_deg) over which the 3-D error is predicted, in place of 2000 within the limits.
     #[arg(long, value_name = "FILE.csv")]
     workspace: Option<PathBuf>,
+}
+
+/// What a robot's error consists of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Model {
+    Joints,
+    Geometric,
 }
 
 impl Args {
@@ -200,6 +213,10 @@ fn options(args: &Args, given: &mut Given, set_up: SetUp, out: &Output) -> Resul
         prior_scale: args.prior_scale,
         monte_carlo: args.monte_carlo.map(|trials| trials as usize),
         prior,
+        model: match args.model {
+            Model::Joints if args.prior.as_deref() != Some("none") => ErrorModel::Joints,
+            _ => ErrorModel::Geometric,
+        },
         folds: args.folds,
         workspace: args.workspace.as_deref().map(|path| out.table(path, read_workspace)).transpose()?,
         bar_u_mm: given.bar_u_mm,

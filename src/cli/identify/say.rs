@@ -58,6 +58,14 @@ fn fit(result: &CalibrationResult) -> Vec<String> {
 fn choices(result: &CalibrationResult) -> Vec<String> {
     let tested = result.groups.iter().filter(|group| group.f_test().is_some());
     let mut lines: Vec<String> = tested.map(ToString::to_string).collect();
+    if let Some(joints) = &result.joints {
+        lines.push(format!(
+            "errors of the joints: the logarithm of the evidence rises by {:.0}; a pose repeats to {} in each direction",
+            joints.gain,
+            mm(joints.pose_mm)
+        ));
+        lines.extend(joints.groups.iter().map(|group| format!("  {group}")));
+    }
     if let Some(prior) = &result.prior
         && let Some(chosen) = prior.tried.iter().find(|tried| tried.scale == prior.scale)
     {

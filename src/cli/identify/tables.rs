@@ -8,12 +8,12 @@ use crate::base::files;
 use crate::catalogue::CliFinding;
 use crate::cli::output::pretty;
 use crate::diagnostic::Diagnostic;
-use crate::estimation::{CalibrationResult, Posterior, ResultFile};
+use crate::estimation::{CalibrationResult, JointPoint, Posterior, ResultFile, joint_curve};
 use crate::measurement::Measurements;
 use crate::program::krl;
 use crate::provenance::{Artefact, Provenance, Role};
 use crate::report::export::{frames, mastering, urdf};
-use crate::robot::Robot;
+use crate::robot::{Joint, Robot};
 
 /// The lengths that an identification rests on, beside its robot-identified.toml.
 pub(crate) const LENGTHS: &str = "lengths.csv";
@@ -55,6 +55,9 @@ pub(super) fn write_results(
         parameters_csv(&file).map_err(|error| CliFinding::NoOutput { why: error.to_string() })?;
     files::write(&dir.join("parameters.csv"), parameters)?;
     files::write(&dir.join("covariance.csv"), covariance_csv(&found.posterior))?;
+    if found.joints.is_some() {
+        files::write(&dir.join("joint-errors.csv"), joint_errors_csv(&found.robot))?;
+    }
     hand_back(dir, found, &provenance)?;
     Ok(provenance)
 }
@@ -96,6 +99,20 @@ fn covariance_csv(posterior: &Posterior) -> String {
             let _ = write!(text, ",{value:e}");
         }
         text.push('\n');
+    }
+    text
+}
+
+/// What each axis must be corrected by, in its own sense, by either sense of approach.
+fn joint_errors_csv(robot: &Robot) -> String {
+    let mut text = String::from("axis,angle_deg,rising_deg,falling_deg,sd_deg\n");
+    for joint in Joint::ALL {
+        for point in joint_curve(robot, joint) {
+            let JointPoint { angle_deg, rising, falling, sd } = point;
+            let [rising, falling, sd] = [rising, falling, sd].map(f64::to_degrees);
+            // Writing to a string does not fail.
+            let _ = writeln!(text, "{},{angle_deg:.3},{rising:.6},{falling:.6},{sd:.6}", joint.number());
+        }
     }
     text
 }

@@ -28,7 +28,7 @@ use super::strobe_decoder::{StrobedDwell, has_strobe, strobed_dwells};
 use crate::catalogue::MatchingFinding as Finding;
 use crate::measurement::{AxisAngles, BallId, BarId, CircleId, Column, Context, Measurement, Measurements};
 use crate::plan::{CirclePlace, Plan, PlanRow};
-use crate::robot::AXES;
+use crate::robot::{AXES, Approach};
 
 pub use alignment::{Alignment, DwellEvidence, Expected, Pairing, align};
 pub use drift::Drift;
@@ -345,11 +345,14 @@ fn ball(row: &PlanRow) -> BallId {
 struct Rows<'a> {
     input: &'a Input<'a>,
     places: Vec<Option<CirclePlace>>,
+    /// How the plan's moves bring the axes to each row.
+    approaches: Vec<Approach>,
 }
 
 impl<'a> Rows<'a> {
     fn of(input: &'a Input<'a>) -> Self {
-        Self { input, places: input.plan.circle_places() }
+        let axes = input.plan.rows.iter().map(|row| row.axes_deg.map(f64::to_radians));
+        Self { input, places: input.plan.circle_places(), approaches: Approach::along(axes).collect() }
     }
 
     /// Of the poses at which the robot stopped and of those that it passed.
@@ -388,6 +391,7 @@ impl<'a> Rows<'a> {
             ball: ball(row),
             bar: BarId::FIRST,
             axes: AxisAngles::from_degrees(measured.copied().unwrap_or(row.axes_deg)),
+            approach: self.approaches.get(at).copied().unwrap_or_default(),
             length_mm: self.input.plan.header.job.bar.length_mm + reading.reading_mm,
             sigma_mm: Some(reading.u_mm.hypot(timing_mm).max(self.input.bar_sigma_mm)),
             context: Some(Arc::new(context)),

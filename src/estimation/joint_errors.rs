@@ -1,0 +1,408 @@
+//! The fit with errors of the joints: first harmonic, smooth function of the angle, backlash, ripple and compliance beside
+//! the geometry, each group with the variance that the evidence gives it.
+//!
+//! The geometry keeps its prior from the robot's file. The lengths of one pose share the robot's own repeatability: their
+//! covariance is sigma^2 (U U' + rho^2 W), U the unit vectors along the bar, W what is given of the lengths. The fit is
+//! relinearised until it rests. Without a gain in evidence over the geometry alone there is no such fit.
+
+use std::collections::BTreeMap;
+
+use nalgebra::{DMatrix, DVector};
+
+use super::estimate::Estimate;
+use super::evidence::{Evidence, Found, Hypers, Normal, Variance};
+use super::joint_fit::{GroupEvidence, JointFit, Noise};
+use super::joint_system::System;
+use super::lengths::{Lengths, Sigma, Weighted};
+use super::linear_system::Rows;
+use super::prior::PriorRows;
+use super::priors::Group;
+use super::ripple::{Beside, Candidate, ln_candidates};
+use super::setting::Setting;
+use crate::measurement::LengthModel;
+use crate::robot::{
+    AXES, BallId, Coordinate, Joint, JointError, JointErrors, JointTerm, ParamId, Smooth, TermKind, parameter,
+};
+
+/// Lengths beyond the parameters of the geometry from which errors of joints are looked for.
+const REDUNDANT: usize = 30;
+/// Lengths that fit to this are exact, mm.
+const ROUNDING_MM: f64 = 1e-6;
+/// Gain in the logarithm of the evidence over the geometry alone from which errors of joints are believed.
+const GAIN: f64 = 3.0;
+/// Linearisations.
+const ROUNDS: usize = 4;
+/// Shares of the length's own noise in that of the pose that are tried.
+const RATIOS: [f64; 4] = [0.1, 0.3, 1.0, 3.0];
+/// The interval of a smooth function is this many times that of the angles measured.
+const WIDER: f64 = 1.5;
+/// An axis that turns by less has no function of its angle, rad.
+const LEAST_RANGE: f64 = 0.05;
+/// Basis functions for each length of likeness in half the interval (Riutort-Mayol et al., Statistics and Computing 33,
+/// 2022), and their limits.
+const FUNCTIONS: f64 = 2.65;
+const FEWEST: usize = 10;
+const MOST: usize = 48;
+
+/// Whether errors of joints can be looked for beside this estimate.
+pub(super) fn carries(lengths: &Lengths, estimate: &Estimate) -> bool {
+    let used = estimate.used(lengths);
+    let prepared = estimate.fit.model.prepare();
+    let squares =
+        used.by(Sigma::All(1.0)).sum(|reading, _| (reading.length_mm - prepared.length(reading)).powi(2));
+    let rms_mm = (squares / used.count().max(1) as f64).sqrt();
+    !lengths.are_many()
+        && estimate.fit.converged
+        && used.count() >= estimate.base.len() + REDUNDANT
+        && rms_mm > ROUNDING_MM
+}
+
+/// The fit from `estimate`, whose geometry a prior binds; `None` without a gain, or when a number is not finite.
+pub(super) fn fit(setting: &Setting<'_>, lengths: &Lengths, estimate: &Estimate) -> Option<JointFit> {
+    let used = estimate.used(lengths);
+    let mut search = Search::new(setting, estimate, &used)?;
+    let mut found = None;
+    for round in 0..ROUNDS {
+        let step = search.round(&used, round)?;
+        // What loses to the geometry by then, no further round makes up for.
+        if round == 1 && step.1.value < search.geometry_alone(&step.0)? {
+            return None;
+        }
+        found = Some(step);
+    }
+    let (system, found) = search.with_ripple(&used, found?)?;
+    let gain = found.value - search.geometry_alone(&system)?;
+    (gain > GAIN).then(|| search.fitted(&system, gain)).flatten()
+}
+
+/// The same model with the variances of `fit`, from other lengths.
+pub(super) fn refit(
+    setting: &Setting<'_>,
+    lengths: &Lengths,
+    estimate: &Estimate,
+    fit: &JointFit,
+) -> Option<LengthModel> {
+    let used = lengths.weighted(Sigma::Given, &[]);
+    let mut search = Search::new(setting, estimate, &used)?;
+    search.model = fit.model.clone();
+    search.hypers = fit.hypers;
+    search.ratio = fit.noise.length_mm / fit.noise.pose_mm;
+    for _ in 0..2 {
+        let system = search.linearise(&used);
+        search.solve(&system)?;
+    }
+    Some(search.model)
+}
+
+/// Ripples that are looked for at most.
+const MOST_RIPPLES: usize = 8;
+
+/// A fit on its way.
+#[derive(Clone)]
+struct Search<'a> {
+    setting: &'a Setting<'a>,
+    estimate: &'a Estimate,
+    ids: Vec<ParamId>,
+    /// 1 / prior standard deviation, 0 of what is free; before that of a group counts.
+    weights: Vec<f64>,
+    mean: Vec<f64>,
+    model: LengthModel,
+    hypers: Hypers,
+    ratio: f64,
+    sigma_is_given: bool,
+    /// The angles of each axis: lowest and highest, rad.
+    ranges: [[f64; 2]; AXES],
+    /// Whether a sense of approach is known.
+    approached: bool,
+}
+
+impl<'a> Search<'a> {
+    fn new(setting: &'a Setting<'a>, estimate: &'a Estimate, used: &Weighted) -> Option<Self> {
+        let prior = estimate.prior.as_ref()?;
+        let held = |id: &ParamId| setting.options.hold.contains(id) || estimate.kept.contains(id);
+        let massless = setting.robot.geometry.masses.is_empty();
+        let optional = parameter::optional().filter(|id| !held(id));
+        let optional = optional.filter(|id| !(massless && matches!(id, ParamId::Compliance(_))));
+        let mut ids: Vec<ParamId> = estimate.kept.iter().copied().chain(optional).collect();
+        ids.sort();
+        let own = |id: &ParamId| estimate.kept.iter().position(|kept| kept == id);
+        let weight = |id: &ParamId| match own(id) {
+            Some(at) => prior.sd(at).map_or(0.0, f64::recip),
+            None => 1.0,
+        };
+        let weights: Vec<f64> = ids.iter().map(weight).collect();
+        let mean: Vec<f64> = ids.iter().map(|id| setting.start.value(*id)).collect();
+        let mut ranges = [[f64::INFINITY, f64::NEG_INFINITY]; AXES];
+        let mut approached = false;
+        for (at, _) in used.sigmas().enumerate().filter(|(_, sigma)| *sigma != f64::INFINITY) {
+            let reading = used.lengths().reading(at);
+            approached |= !reading.approach.is_unknown();
+            for (range, angle) in ranges.iter_mut().zip(reading.axes) {
+                *range = [range[0].min(angle), range[1].max(angle)];
+            }
+        }
+        Some(Self {
+            setting,
+            estimate,
+            ids,
+            weights,
+            mean,
+            model: estimate.fit.model.clone(),
+            hypers: Hypers::start(used.rms_sigma()),
+            ratio: RATIOS[0],
+            sigma_is_given: used.lengths().vouched,
+            ranges,
+            approached,
+        })
+    }
+
+    /// The functions that the length of likeness needs, with the coefficients that are known of them.
+    fn errors(&self) -> JointErrors {
+        let joint = |at: usize| {
+            let [low, high] = self.ranges[at];
+            let half_width = WIDER * 0.5 * (high - low);
+            let before = self.model.geometry.joint_errors.at(at).cloned().unwrap_or_default();
+            if high - low < LEAST_RANGE {
+                return JointError::default();
+            }
+            let count = ((FUNCTIONS * half_width / self.hypers.length_rad()) as usize).clamp(FEWEST, MOST);
+            let mut smooth = Smooth::new(0.5 * (low + high), half_width, count);
+            if smooth.is_alike(&before.smooth) {
+                let known = smooth.coefficients.iter_mut().zip(before.smooth.coefficients);
+                known.for_each(|(own, value)| *own = value);
+            }
+            JointError { smooth, ..before }
+        };
+        JointErrors::new(std::array::from_fn(joint))
+    }
+
+    /// Linearises, finds the variances and solves.
+    fn round(&mut self, used: &Weighted, round: usize) -> Option<(System, Found)> {
+        self.model.geometry.joint_errors = self.errors();
+        let system = self.linearise(used);
+        let mut best = self.maximise(&system, self.ratio, self.hypers)?;
+        if round == 1 && system.poses.iter().any(|rows| rows.len() > 1) {
+            for ratio in RATIOS {
+                if let Some(found) = self.maximise(&system, ratio, best.hypers)
+                    && found.value > best.value
+                {
+                    (best, self.ratio) = (found, ratio);
+                }
+            }
+        }
+        self.hypers = best.hypers;
+        self.solve(&system)?;
+        Some((system, best))
+    }
+
+    /// With the ripples that more than chance speaks for, one after the other.
+    fn with_ripple(&mut self, used: &Weighted, start: (System, Found)) -> Option<(System, Found)> {
+        let mut best = start;
+        for _ in 0..MOST_RIPPLES {
+            let Some(candidate) = self.ripple(&best.0).filter(Candidate::is_believed) else { break };
+            let mut wider = self.clone();
+            wider.model.geometry.joint_errors.push(candidate.joint, candidate.order);
+            let rounds = wider.round(used, ROUNDS).and_then(|_| wider.round(used, ROUNDS));
+            let Some(found) = rounds.filter(|(_, found)| found.value > best.1.value + ln_candidates()) else {
+                break;
+            };
+            (*self, best) = (wider, found);
+        }
+        Some(best)
+    }
+
+    /// The ripple that most speaks for beside the fit at the model.
+    fn ripple(&self, system: &System) -> Option<Candidate> {
+        let reduced = system.reduced(self.ratio)?;
+        let variances = system.bound_variances();
+        let solved = self.evidence(&reduced.normal, &variances).solve(&self.hypers)?;
+        let sigma_mm = self.hypers.sigma_mm();
+        let beside = Beside {
+            system,
+            ratio: self.ratio,
+            sigma_mm,
+            root: &system.root(&reduced, &solved, sigma_mm)?,
+            unknowns: &system.all(&reduced, &solved),
+            sd_rad: self.hypers.sd(Group::Ripple),
+        };
+        beside.strongest()
+    }
+
+    fn maximise(&self, system: &System, ratio: f64, start: Hypers) -> Option<Found> {
+        let reduced = system.reduced(ratio)?;
+        self.evidence(&reduced.normal, &system.bound_variances()).maximise(start)
+    }
+
+    fn evidence<'b>(&self, normal: &'b Normal, variances: &'b [Variance]) -> Evidence<'b> {
+        Evidence { normal, variances, sigma_is_given: self.sigma_is_given }
+    }
+
+    /// Where the geometry alone could come to, by the logarithm of its evidence.
+    fn geometry_alone(&self, system: &System) -> Option<f64> {
+        let geometry = system.with_groups(&[]);
+        let found = RATIOS.into_iter().filter_map(|ratio| self.maximise(&geometry, ratio, self.hypers));
+        found.map(|found| found.value).max_by(f64::total_cmp)
+    }
+
+    /// The rows at the model.
+    fn linearise(&self, used: &Weighted) -> System {
+        let errors = &self.model.geometry.joint_errors;
+        let (own, count) = (self.ids.len(), self.ids.len() + errors.count());
+        let rows = Rows { model: &self.model, ids: &self.ids, further: errors.count() };
+        let given = used.by(Sigma::Given);
+        let mean = given.rms_sigma();
+        let plain = used.by(Sigma::All(1.0));
+        let pieces = rows.fold(&plain, Vec::new, |lines: &mut Vec<Line>, row| {
+            if row.weight == 0.0 {
+                return;
+            }
+            let reading = row.reading;
+            row.derivatives.joint_terms(errors, &reading.axes, reading.approach, &mut row.values[own..]);
+            let unit =
+                Coordinate::ALL.map(|axis| row.derivatives.derivative(ParamId::Ball(BallId::FIRST, axis)));
+            let levers = Joint::ALL.map(|joint| row.derivatives.derivative(ParamId::Theta(joint)));
+            let pose = (reading.axes.map(f64::to_bits), reading.approach.senses());
+            let weight = used.lengths().given(row.place) / mean;
+            let (values, residual, axes) = (row.values.to_vec(), row.residual, reading.axes);
+            lines.push(Line { values, residual, unit, pose, weight, axes, levers });
+        });
+        let lines: Vec<Line> = pieces.into_iter().flatten().collect();
+        let mut poses: BTreeMap<_, Vec<usize>> = BTreeMap::new();
+        for (at, line) in lines.iter().enumerate() {
+            poses.entry(line.pose).or_default().push(at);
+        }
+        let rows = DMatrix::from_fn(lines.len(), count, |row, column| lines[row].values[column]);
+        let now = self.unknowns();
+        let residual = DVector::from_iterator(lines.len(), lines.iter().map(|line| line.residual));
+        let (free, bound): (Vec<usize>, Vec<usize>) =
+            (0..count).partition(|&at| at < own && self.weights[at] == 0.0);
+        System {
+            right: residual + &rows * now,
+            rows,
+            units: lines.iter().map(|line| line.unit).collect(),
+            weights: lines.iter().map(|line| line.weight).collect(),
+            axes: lines.iter().map(|line| line.axes).collect(),
+            levers: lines.iter().map(|line| line.levers).collect(),
+            poses: poses.into_values().collect(),
+            variances: self.variances(errors),
+            free,
+            bound,
+        }
+    }
+
+    /// The corrections of the model: zero of what is free.
+    fn unknowns(&self) -> DVector<f64> {
+        let own = (0..self.ids.len()).map(|k| match self.weights[k] {
+            0.0 => 0.0,
+            _ => self.model.value(self.ids[k]) - self.mean[k],
+        });
+        let errors = self.model.geometry.joint_errors.coefficients();
+        let all: Vec<f64> = own.chain(errors).collect();
+        DVector::from_vec(all)
+    }
+
+    fn variances(&self, errors: &JointErrors) -> Vec<Variance> {
+        let own = (0..self.ids.len()).map(|k| match self.ids[k] {
+            id if self.estimate.kept.contains(&id) => Variance::Fixed(self.weights[k].recip()),
+            id @ ParamId::Compliance(_) => Variance::Of(Group::Compliance, self.setting.priors.sd(id)),
+            _ => Variance::Of(Group::Harmonic, 1.0),
+        });
+        let term = |term: JointTerm| match term.kind {
+            TermKind::Smooth { frequency } => Variance::Spectral(frequency),
+            TermKind::Backlash => Variance::Of(Group::Backlash, 1.0),
+            TermKind::Ripple { .. } => Variance::Of(Group::Ripple, 1.0),
+        };
+        own.chain(errors.terms().into_iter().map(term)).collect()
+    }
+
+    /// Moves the model to the likeliest unknowns.
+    fn solve(&mut self, system: &System) -> Option<()> {
+        let reduced = system.reduced(self.ratio)?;
+        let variances = system.bound_variances();
+        let solved = self.evidence(&reduced.normal, &variances).solve(&self.hypers)?;
+        let unknowns = system.all(&reduced, &solved);
+        let own = self.ids.len();
+        for (k, id) in self.ids.iter().enumerate() {
+            // Of what is free the unknown is the step itself.
+            let step = match self.weights[k] {
+                0.0 => unknowns[k],
+                _ => self.mean[k] + unknowns[k] - self.model.value(*id),
+            };
+            self.model.shift(*id, step);
+        }
+        let errors = &mut self.model.geometry.joint_errors;
+        *errors = errors.with(unknowns.iter().skip(own).copied());
+        Some(())
+    }
+
+    fn fitted(self, system: &System, gain: f64) -> Option<JointFit> {
+        let reduced = system.reduced(self.ratio)?;
+        let variances = system.bound_variances();
+        let solved = self.evidence(&reduced.normal, &variances).solve(&self.hypers)?;
+        let determined = solved.determined()?;
+        let own = self.ids.len();
+        let sd = |k: usize| match system.variances[k] {
+            _ if self.weights[k] == 0.0 => None,
+            variance => Some(variance.sd(&self.hypers)),
+        };
+        let sds: Vec<Option<f64>> = (0..own).map(sd).collect();
+        let prior = PriorRows::independent(&sds, &self.mean);
+        Some(JointFit {
+            prior,
+            root: system.root(&reduced, &solved, self.hypers.sigma_mm())?,
+            groups: self.groups(system, &determined)?,
+            effective_parameters: determined.iter().sum::<f64>() + system.free.len() as f64,
+            noise: Noise::of(&self.hypers, self.ratio),
+            hypers: self.hypers,
+            gain,
+            ids: self.ids,
+            model: self.model,
+        })
+    }
+
+    /// What each group that can be estimated came to; what it explains is beyond the groups before it.
+    fn groups(&self, system: &System, determined: &[f64]) -> Option<Vec<GroupEvidence>> {
+        let present = |group: &Group| {
+            system.variances.iter().any(|variance| variance.group() == Some(*group))
+                && (*group != Group::Backlash || self.approached)
+        };
+        let present: Vec<Group> = Group::ALL.into_iter().filter(present).collect();
+        let of_geometry = self.left(&system.with_groups(&[]))?;
+        let mut before = of_geometry;
+        let mut found = Vec::new();
+        for (at, group) in present.iter().enumerate() {
+            let left = self.left(&system.with_groups(&present[..=at]))?;
+            let members = system.bound.iter().zip(determined);
+            let members = members.filter(|(k, _)| system.variances[**k].group() == Some(*group));
+            let explained = (before - left).max(0.0);
+            found.push(GroupEvidence {
+                group: *group,
+                sd: self.hypers.sd(*group),
+                effective_parameters: members.map(|(_, share)| share).sum(),
+                rms_mm: explained.sqrt(),
+                share: explained / of_geometry,
+            });
+            before = left;
+        }
+        Some(found)
+    }
+
+    /// Mean square of the residuals that a system leaves at these variances, mm^2.
+    fn left(&self, system: &System) -> Option<f64> {
+        let reduced = system.reduced(self.ratio)?;
+        let variances = system.bound_variances();
+        let solved = self.evidence(&reduced.normal, &variances).solve(&self.hypers)?;
+        Some(system.mean_square(&system.all(&reduced, &solved)))
+    }
+}
+
+/// A row on its way into the matrix.
+struct Line {
+    values: Vec<f64>,
+    residual: f64,
+    unit: [f64; 3],
+    pose: ([u64; AXES], [i8; AXES]),
+    weight: f64,
+    axes: [f64; AXES],
+    levers: [f64; AXES],
+}

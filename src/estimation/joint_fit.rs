@@ -1,0 +1,103 @@
+//! A fit with errors of the joints, and what a result says of it.
+
+use nalgebra::DMatrix;
+
+use super::evidence::Hypers;
+use super::prior::PriorRows;
+use super::priors::Group;
+use crate::measurement::LengthModel;
+use crate::robot::{ParamId, RobotUncertainty};
+
+/// A fit with errors of the joints.
+#[derive(Clone, Debug)]
+pub(crate) struct JointFit {
+    pub(super) model: LengthModel,
+    /// Parameters that are estimated, in canonical order.
+    pub(super) ids: Vec<ParamId>,
+    /// Their priors.
+    pub(super) prior: PriorRows,
+    /// A root of the covariance of parameters and coefficients, a row each.
+    pub(super) root: DMatrix<f64>,
+    pub(super) groups: Vec<GroupEvidence>,
+    /// How many parameters and coefficients the data determine.
+    pub(super) effective_parameters: f64,
+    pub(super) noise: Noise,
+    pub(super) hypers: Hypers,
+    /// Gain in the logarithm of the evidence over the geometry alone.
+    pub(super) gain: f64,
+}
+
+/// The noise of a length.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Noise {
+    /// Of the pose, in each direction, mm.
+    pub(crate) pose_mm: f64,
+    /// Of a length beside it, mm.
+    pub(crate) length_mm: f64,
+}
+
+impl Noise {
+    pub(super) fn of(hypers: &Hypers, ratio: f64) -> Self {
+        Self { pose_mm: hypers.sigma_mm(), length_mm: ratio * hypers.sigma_mm() }
+    }
+
+    /// Of a length, mm.
+    pub(super) fn sigma_mm(self) -> f64 {
+        self.pose_mm.hypot(self.length_mm)
+    }
+}
+
+/// What the evidence says of a group.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct GroupEvidence {
+    pub group: Group,
+    /// One standard deviation of its members by the evidence: rad, of compliance in prior standard deviations.
+    pub sd: f64,
+    /// How many of its members the data determine.
+    pub effective_parameters: f64,
+    /// What it explains of the lengths beyond the geometry and the groups before it, root mean square, mm.
+    pub rms_mm: f64,
+    /// Its share of the squares of the residuals that the geometry alone leaves.
+    pub share: f64,
+}
+
+/// What a result says of the errors of the joints.
+#[derive(Clone, Debug, PartialEq)]
+pub struct JointSummary {
+    pub groups: Vec<GroupEvidence>,
+    /// Over which the smooth functions are alike, rad.
+    pub likeness_rad: f64,
+    /// Standard deviation of the pose in each direction, and of a length beside it, mm.
+    pub pose_mm: f64,
+    pub length_mm: f64,
+    /// Gain in the logarithm of the evidence over the geometry alone.
+    pub gain: f64,
+}
+
+impl JointFit {
+    /// What is not known of the robot and its tool ball.
+    pub(super) fn uncertainty(&self) -> RobotUncertainty {
+        let own = (0..self.ids.len())
+            .filter(|&k| !matches!(self.ids[k], ParamId::Ball(..) | ParamId::BarOffset(_)));
+        let own: Vec<usize> = own.collect();
+        let rows: Vec<usize> = own.iter().copied().chain(self.ids.len()..self.root.nrows()).collect();
+        RobotUncertainty {
+            parameters: own.iter().map(|&k| self.ids[k]).collect(),
+            root: self.root.select_rows(&rows),
+            pose_mm: self.noise.pose_mm,
+            smooth_rad: self.hypers.sd(Group::Smooth),
+            likeness_rad: self.hypers.length_rad(),
+            backlash_is_known: self.groups.iter().any(|group| group.group == Group::Backlash),
+        }
+    }
+
+    pub(super) fn summary(&self) -> JointSummary {
+        JointSummary {
+            groups: self.groups.clone(),
+            likeness_rad: self.hypers.length_rad(),
+            pose_mm: self.noise.pose_mm,
+            length_mm: self.noise.length_mm,
+            gain: self.gain,
+        }
+    }
+}

@@ -1,0 +1,179 @@
+//! The position uncertainty of the tool ball at poses, from all that is not known of a robot.
+//!
+//! At a pose: J C J' of parameters and joint errors, the six rigid motions of all poses taken out; at each joint what a
+//! smooth function has left beyond its basis (all of it where its angle was not measured) and, where the sense of approach
+//! is not known, its backlash.
+
+use nalgebra::{DMatrix, Matrix3, Vector3};
+use rand::SeedableRng;
+use rand_distr::{Distribution, StandardNormal};
+use rand_pcg::Pcg64;
+
+use super::evidence::spectral_density;
+use super::predicted::take_out_rigid_motion;
+use crate::measurement::ApproachedPose;
+use crate::robot::{
+    AXES, Approach, At, Chain, Geometry, Joint, JointSinCos, ParamId, RobotUncertainty, TermKind,
+};
+
+/// Fewer poses say too little of where the robot's base is: poses of the workspace are added.
+const FEWEST_POSES: usize = 10;
+
+/// The tool ball at poses, with what is not known of it.
+pub struct Positions {
+    /// In the robot base, mm.
+    pub balls: Vec<Vector3<f64>>,
+    /// What the root's columns move, 3 rows a pose, mm.
+    moved: DMatrix<f64>,
+    /// What each joint moves, mm/rad, and the standard deviation of its error beside the root's, rad.
+    joints: Vec<[Lever; AXES]>,
+    pose_mm: f64,
+}
+
+#[derive(Clone, Copy)]
+struct Lever {
+    column: Vector3<f64>,
+    sd_rad: f64,
+}
+
+impl Positions {
+    /// Of a robot at `poses`, aligned over these; over `workspace` too where they are few.
+    pub fn new(
+        geometry: &Geometry,
+        unknown: &RobotUncertainty,
+        poses: &[ApproachedPose],
+        workspace: &[[f64; AXES]],
+    ) -> Self {
+        let chain = Chain::new(geometry);
+        let more: &[[f64; AXES]] = if poses.len() < FEWEST_POSES { workspace } else { &[] };
+        let given = poses.iter().map(|pose| (pose.axes.radians(), pose.approach));
+        let all: Vec<([f64; AXES], Approach)> =
+            given.chain(more.iter().map(|axes| (*axes, Approach::default()))).collect();
+        let parameters = unknown.parameters.len();
+        let mut jacobian = DMatrix::zeros(3 * all.len(), unknown.root.nrows());
+        let (mut balls, mut joints) = (Vec::new(), Vec::new());
+        let thetas = Joint::ALL.map(ParamId::Theta);
+        let ids: Vec<ParamId> = unknown.parameters.iter().copied().chain(thetas).collect();
+        for (at, (axes, approach)) in all.iter().enumerate() {
+            let mut levers = [Vector3::zeros(); AXES];
+            chain.ball_jacobian(axes, &ids, |column, moved| {
+                if column < parameters {
+                    jacobian.fixed_view_mut::<3, 1>(3 * at, column).copy_from(&moved);
+                } else {
+                    levers[column - parameters] = moved;
+                }
+            });
+            let mut column = parameters;
+            geometry.joint_errors.derivatives(axes, *approach, |place, value| {
+                jacobian.fixed_view_mut::<3, 1>(3 * at, column).copy_from(&(levers[place] * value));
+                column += 1;
+            });
+            let sds = beside(geometry, unknown, axes, *approach);
+            joints.push(std::array::from_fn(|i| Lever { column: levers[i], sd_rad: sds[i] }));
+            balls.push(chain.ball(&At { axes, sin_cos: &JointSinCos::of(axes), approach: *approach }));
+        }
+        let mut moved = jacobian * &unknown.root;
+        take_out_rigid_motion(&mut moved, &balls);
+        balls.truncate(poses.len());
+        Self { balls, moved, joints, pose_mm: unknown.pose_mm }
+    }
+
+    /// The covariance of the ball's place at a pose, with the repeatability of the pose, mm^2.
+    pub fn covariance(&self, pose: usize) -> Matrix3<f64> {
+        let moved = self.moved.rows(3 * pose, 3);
+        let mut covariance = Matrix3::identity() * (self.pose_mm * self.pose_mm);
+        covariance += moved * moved.transpose();
+        for lever in &self.joints[pose] {
+            covariance += lever.column * lever.column.transpose() * (lever.sd_rad * lever.sd_rad);
+        }
+        covariance
+    }
+
+    /// The 3-D standard deviation (root of the mean square) at a pose, mm.
+    pub fn sd_mm(&self, pose: usize) -> f64 {
+        self.covariance(pose).trace().sqrt()
+    }
+
+    /// Errors of `robots` drawn from it, a column each, 3 rows a pose, mm; a pose repeats to `pose_mm` in them.
+    pub(super) fn draws(&self, robots: usize, pose_mm: f64) -> DMatrix<f64> {
+        let mut random = Pcg64::seed_from_u64(1);
+        let mut normal = || -> f64 { StandardNormal.sample(&mut random) };
+        let numbers = DMatrix::from_fn(self.moved.ncols(), robots, |_, _| normal());
+        let mut drawn = &self.moved * numbers;
+        for mut column in drawn.column_iter_mut() {
+            for (pose, levers) in self.joints.iter().enumerate() {
+                let mut error = Vector3::from_fn(|_, _| pose_mm * normal());
+                for lever in levers {
+                    error += lever.column * (lever.sd_rad * normal());
+                }
+                let mut there = column.fixed_rows_mut::<3>(3 * pose);
+                there += error;
+            }
+        }
+        drawn
+    }
+}
+
+/// The standard deviation of each joint's error beside what the root holds, rad.
+fn beside(
+    geometry: &Geometry,
+    unknown: &RobotUncertainty,
+    axes: &[f64; AXES],
+    approach: Approach,
+) -> [f64; AXES] {
+    let mut variance = [unknown.smooth_rad.powi(2); AXES];
+    let terms = geometry.joint_errors.terms();
+    let mut at = 0;
+    geometry.joint_errors.derivatives(axes, approach, |place, value| {
+        if let TermKind::Smooth { frequency } = terms[at].kind {
+            let density = spectral_density(unknown.smooth_rad, unknown.likeness_rad, frequency);
+            variance[place] -= density * value * value;
+        }
+        at += 1;
+    });
+    let backlash = backlash_sd(geometry, unknown);
+    std::array::from_fn(|place| {
+        let unapproached = unknown.backlash_is_known && approach.senses()[place] == 0;
+        let backlash = if unapproached { backlash[place] } else { 0.0 };
+        variance[place].max(0.0).sqrt().hypot(backlash)
+    })
+}
+
+/// What an unknown sense of approach leaves of each joint's angle, rad.
+fn backlash_sd(geometry: &Geometry, unknown: &RobotUncertainty) -> [f64; AXES] {
+    let mut found = [0.0; AXES];
+    let rows = unknown.root.row_iter().skip(unknown.parameters.len());
+    for (term, row) in geometry.joint_errors.terms().iter().zip(rows) {
+        if term.kind == TermKind::Backlash {
+            let backlash = geometry.joint_errors.of(term.joint).map_or(0.0, |error| error.backlash);
+            found[term.joint.index()] = backlash.hypot(row.norm());
+        }
+    }
+    found
+}
+
+/// Columns of a root that a robot's file holds.
+const COLUMNS: usize = 40;
+/// Iterations that find them: what they leave out is scaled in.
+const ITERATIONS: usize = 4;
+
+/// The same uncertainty with few columns: those that move the ball most at these poses.
+pub(super) fn compressed(
+    geometry: &Geometry,
+    unknown: &RobotUncertainty,
+    poses: &[ApproachedPose],
+) -> RobotUncertainty {
+    if unknown.root.ncols() <= COLUMNS {
+        return unknown.clone();
+    }
+    let moved = Positions::new(geometry, unknown, poses, &[]).moved;
+    let gram = moved.transpose() * &moved;
+    let mut random = Pcg64::seed_from_u64(1);
+    let mut space = DMatrix::from_fn(gram.ncols(), COLUMNS, |_, _| StandardNormal.sample(&mut random));
+    for _ in 0..ITERATIONS {
+        space = (&gram * space).qr().q();
+    }
+    let covered = (space.transpose() * &gram * &space).trace() / gram.trace();
+    let scale = if covered > 0.0 { covered.sqrt().recip() } else { 1.0 };
+    RobotUncertainty { root: &unknown.root * space * scale, ..unknown.clone() }
+}

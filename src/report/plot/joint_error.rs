@@ -1,0 +1,61 @@
+//! The error of a joint over its axis, with its band and the angles that were measured.
+
+use super::frame::{Area, Frame, Labels};
+use super::{Key, Legend, Series};
+use crate::estimation::JointPoint;
+use crate::report::scale::{Unit, magnitude};
+
+const SIZE: [f64; 2] = [480.0, 250.0];
+/// Half of a 95 % interval in standard deviations.
+const BAND: f64 = 1.96;
+
+/// The error of axis `axis` (from 0), about its mean; `measured_deg` are the poses' angles.
+pub(crate) fn joint_error(axis: usize, curve: &[JointPoint], measured_deg: &[f64]) -> String {
+    let within = measured_deg.iter().copied();
+    let [low, high] = crate::report::scale::range(within);
+    let seen: Vec<&JointPoint> =
+        curve.iter().filter(|point| point.angle_deg >= low - 5.0 && point.angle_deg <= high + 5.0).collect();
+    let middle = |point: &JointPoint| 0.5 * (point.rising + point.falling);
+    let mean = seen.iter().map(|point| middle(point)).sum::<f64>() / seen.len().max(1) as f64;
+    let ends = seen.iter().flat_map(|point| [point.rising - mean, point.falling - mean]);
+    let largest = magnitude(ends);
+    let unit = Unit::angle(largest);
+    let top = 1.4 * largest * unit.factor;
+    let labels = Labels {
+        title: &format!("Axis {}", axis + 1),
+        description: "Error of the joint against the axis angle, with its 95 % band",
+        x: "axis angle (deg)",
+        y: &format!("error ({})", unit.sign),
+    };
+    let (first, last) = (seen.first().map_or(0.0, |p| p.angle_deg), seen.last().map_or(1.0, |p| p.angle_deg));
+    let mut frame = Frame::new(Area::of(SIZE), &labels, [first, last], [-top, top]);
+    let at = |frame: &Frame, angle: f64, value: f64| {
+        frame.at(angle, ((value - mean) * unit.factor).clamp(-top, top))
+    };
+    let edge =
+        |side: f64| seen.iter().map(move |point| (point.angle_deg, middle(point) + side * BAND * point.sd));
+    let band: Vec<[f64; 2]> =
+        edge(1.0).chain(edge(-1.0).rev()).map(|(angle, value)| at(&frame, angle, value)).collect();
+    frame.svg.path("band", &band, true);
+    frame.axes();
+    frame.level("zero", 0.0);
+    let mut legend = Legend::new(34.0);
+    let differs = seen.iter().any(|point| point.rising != point.falling);
+    let lines: &[(Series, &str, fn(&JointPoint) -> f64)] = if differs {
+        &[(Series::First, "falling", |point| point.falling), (Series::Second, "rising", |point| point.rising)]
+    } else {
+        &[(Series::Second, "either sense", |point| point.rising)]
+    };
+    for (series, name, value) in lines {
+        let points: Vec<[f64; 2]> =
+            seen.iter().map(|point| at(&frame, point.angle_deg, value(point))).collect();
+        frame.svg.path(series.line(), &points, false);
+        legend.add(&mut frame.svg, Key::Dot(*series), name);
+    }
+    let [bottom, _] = frame.y.pixels;
+    for angle in measured_deg {
+        let x = frame.x.at(*angle);
+        frame.svg.line("rule", [x, bottom - 5.0], [x, bottom]);
+    }
+    frame.svg.finish()
+}

@@ -1,0 +1,281 @@
+//! What a joint's own angle and the sense of its motion do to it: a smooth function, backlash, transmission ripple.
+//!
+//! The joint is where its axis says plus D(q, d), q the controller's axis angle and d the sense of the axis's last move:
+//! D = sum_m w_m phi_m(q) + u d + sum_n (c_n cos n q + s_n sin n q), rad, in the sense of the DH table. The phi_m are
+//! the eigenfunctions of the Laplacian on [c - L, c + L], by which a Gaussian process is written with few coefficients
+//! (Solin and Sarkka, Statistics and Computing 30, 2020). Outside that interval nothing is known of the smooth part, and
+//! it is zero. The first harmonic of an angle is the geometry's (`gear`).
+
+use std::f64::consts::PI;
+
+use super::{AXES, Approach, Joint};
+
+/// The error of one joint.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct JointError {
+    pub smooth: Smooth,
+    /// Half of the reversal error, rad: the joint is this much further when its axis came by rising angles.
+    pub backlash: f64,
+    pub ripple: Vec<Ripple>,
+}
+
+/// A smooth function of an axis angle: zero without coefficients.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Smooth {
+    /// Middle of the interval, rad.
+    pub centre: f64,
+    /// Half of the interval, rad.
+    pub half_width: f64,
+    /// Of the basis functions 1, 2, .., rad sqrt(rad).
+    pub coefficients: Vec<f64>,
+}
+
+/// A periodic error that repeats `order` times a turn of the axis.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Ripple {
+    pub order: u32,
+    /// Cosine and sine part, rad.
+    pub cos: f64,
+    pub sin: f64,
+}
+
+/// The errors of all joints; none where nothing is known of them.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct JointErrors(Option<Box<[JointError; AXES]>>);
+
+/// What a coefficient belongs to.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum TermKind {
+    /// Of a basis function with this angular frequency, 1/rad.
+    Smooth {
+        frequency: f64,
+    },
+    Backlash,
+    Ripple {
+        order: u32,
+    },
+}
+
+/// One coefficient of the errors.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct JointTerm {
+    pub joint: Joint,
+    pub kind: TermKind,
+}
+
+impl Smooth {
+    /// Zero, with `count` basis functions.
+    pub fn new(centre: f64, half_width: f64, count: usize) -> Self {
+        Self { centre, half_width, coefficients: vec![0.0; count] }
+    }
+
+    /// Whether both have the same basis functions.
+    pub fn is_alike(&self, other: &Self) -> bool {
+        self.centre == other.centre && self.half_width == other.half_width
+    }
+
+    /// Whether the interval holds an angle, rad.
+    pub fn covers(&self, angle: f64) -> bool {
+        (angle - self.centre).abs() <= self.half_width && !self.coefficients.is_empty()
+    }
+
+    /// Angular frequency of the basis function `order`, from 1, 1/rad.
+    fn frequency(&self, order: usize) -> f64 {
+        PI * order as f64 / (2.0 * self.half_width)
+    }
+
+    /// Gives the value of each basis function at an angle (rad) to `each`, in order, 1/sqrt(rad).
+    fn basis(&self, angle: f64, mut each: impl FnMut(f64)) {
+        if !self.covers(angle) {
+            self.coefficients.iter().for_each(|_| each(0.0));
+            return;
+        }
+        let (sin, cos) = (self.frequency(1) * (angle - self.centre + self.half_width)).sin_cos();
+        let norm = self.half_width.sqrt().recip();
+        // sin (m + 1) x = 2 cos x sin m x - sin (m - 1) x
+        let (mut before, mut here) = (0.0, sin * norm);
+        for _ in &self.coefficients {
+            each(here);
+            (before, here) = (here, 2.0 * cos * here - before);
+        }
+    }
+
+    /// At an angle, rad.
+    pub fn value(&self, angle: f64) -> f64 {
+        let (mut sum, mut coefficients) = (0.0, self.coefficients.iter());
+        self.basis(angle, |value| sum += coefficients.next().map_or(0.0, |weight| weight * value));
+        sum
+    }
+}
+
+impl JointError {
+    /// The correction of the joint at an axis angle (rad) to which the axis came in this sense (-1, 0 not known, 1), rad.
+    pub fn correction(&self, angle: f64, sense: i8) -> f64 {
+        self.of_angle(angle) + f64::from(sense) * self.backlash
+    }
+
+    /// The part that the angle alone determines, rad.
+    pub fn of_angle(&self, angle: f64) -> f64 {
+        let ripple = self.ripple.iter().map(|ripple| {
+            let (sin, cos) = (f64::from(ripple.order) * angle).sin_cos();
+            ripple.cos * cos + ripple.sin * sin
+        });
+        self.smooth.value(angle) + ripple.sum::<f64>()
+    }
+
+    /// Coefficients of the errors: those of the smooth function, backlash, then cosine and sine of each ripple.
+    fn count(&self) -> usize {
+        self.smooth.coefficients.len() + 1 + 2 * self.ripple.len()
+    }
+
+    /// The derivative of the correction by each coefficient.
+    fn derivatives(&self, angle: f64, sense: i8, each: &mut impl FnMut(f64)) {
+        self.smooth.basis(angle, &mut *each);
+        each(f64::from(sense));
+        for ripple in &self.ripple {
+            let (sin, cos) = (f64::from(ripple.order) * angle).sin_cos();
+            each(cos);
+            each(sin);
+        }
+    }
+
+    fn coefficients_mut(&mut self) -> impl Iterator<Item = &mut f64> {
+        let ripple = self.ripple.iter_mut().flat_map(|ripple| [&mut ripple.cos, &mut ripple.sin]);
+        self.smooth.coefficients.iter_mut().chain([&mut self.backlash]).chain(ripple)
+    }
+
+    fn kinds(&self) -> impl Iterator<Item = TermKind> {
+        let smooth = (1..=self.smooth.coefficients.len())
+            .map(|order| TermKind::Smooth { frequency: self.smooth.frequency(order) });
+        let ripple = self.ripple.iter().flat_map(|ripple| [TermKind::Ripple { order: ripple.order }; 2]);
+        smooth.chain([TermKind::Backlash]).chain(ripple)
+    }
+}
+
+impl JointErrors {
+    /// Of all joints, base to flange.
+    pub fn new(joints: [JointError; AXES]) -> Self {
+        let none = joints.iter().all(|joint| *joint == JointError::default());
+        Self((!none).then(|| Box::new(joints)))
+    }
+
+    pub fn is_none(&self) -> bool {
+        self.0.is_none()
+    }
+
+    /// Of a joint, if any joint has one.
+    pub fn of(&self, joint: Joint) -> Option<&JointError> {
+        self.at(joint.index())
+    }
+
+    /// Of the joint at a place, from 0.
+    pub fn at(&self, place: usize) -> Option<&JointError> {
+        self.0.as_ref().map(|joints| &joints[place])
+    }
+
+    /// The correction of the joint at this place (from 0), rad.
+    pub(super) fn correction(&self, place: usize, angle: f64, sense: i8) -> f64 {
+        self.0.as_ref().map_or(0.0, |joints| joints[place].correction(angle, sense))
+    }
+
+    /// How many coefficients there are.
+    pub fn count(&self) -> usize {
+        self.0.iter().flat_map(|joints| joints.iter()).map(JointError::count).sum()
+    }
+
+    /// The coefficients' names, joint by joint.
+    pub fn terms(&self) -> Vec<JointTerm> {
+        let of = |joint: Joint| {
+            let kinds = self.of(joint).map(|error| error.kinds().collect::<Vec<_>>()).unwrap_or_default();
+            kinds.into_iter().map(move |kind| JointTerm { joint, kind })
+        };
+        Joint::ALL.into_iter().flat_map(of).collect()
+    }
+
+    /// The derivative of each joint's correction by each of its coefficients, in the order of [`JointErrors::terms`], to
+    /// `each` with the joint's place (from 0). `axes` in rad.
+    pub fn derivatives(&self, axes: &[f64; AXES], approach: Approach, mut each: impl FnMut(usize, f64)) {
+        let joints = self.0.iter().flat_map(|joints| joints.iter()).enumerate();
+        for (place, joint) in joints {
+            joint.derivatives(axes[place], approach.senses()[place], &mut |value| each(place, value));
+        }
+    }
+
+    /// Adds a ripple to a joint, still zero.
+    pub fn push(&mut self, joint: Joint, order: u32) {
+        let joints = self.0.get_or_insert_with(Box::default);
+        joints[joint.index()].ripple.push(Ripple { order, ..Ripple::default() });
+    }
+
+    /// With these coefficients, in the order of [`JointErrors::terms`].
+    pub fn with(&self, coefficients: impl IntoIterator<Item = f64>) -> Self {
+        let mut with = self.clone();
+        let joints = with.0.iter_mut().flat_map(|joints| joints.iter_mut());
+        joints.flat_map(JointError::coefficients_mut).zip(coefficients).for_each(|(own, value)| *own = value);
+        with
+    }
+
+    /// The coefficients, in the order of [`JointErrors::terms`].
+    pub fn coefficients(&self) -> Vec<f64> {
+        let mut of = self.clone();
+        let joints = of.0.iter_mut().flat_map(|joints| joints.iter_mut());
+        joints.flat_map(JointError::coefficients_mut).map(|own| *own).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn errors() -> JointErrors {
+        JointErrors::new(std::array::from_fn(|joint| JointError {
+            smooth: Smooth::new(0.1 * joint as f64, 2.0, 4 + joint),
+            backlash: 0.0,
+            ripple: vec![Ripple { order: 13, cos: 0.0, sin: 0.0 }; joint % 2],
+        }))
+    }
+
+    #[test]
+    fn a_correction_is_linear_in_its_coefficients() {
+        let empty = errors();
+        let values: Vec<f64> = (0..empty.count()).map(|at| (1.0 + at as f64).sin()).collect();
+        let errors = empty.with(values.iter().copied());
+        assert_eq!(errors.coefficients(), values);
+        assert_eq!(errors.terms().len(), errors.count());
+        let axes = [0.3, -0.9, 1.4, 0.2, -1.5, 2.0];
+        let approach = Approach::new([1, -1, 0, 1, -1, 1]);
+        let (mut sums, mut at) = ([0.0; AXES], 0);
+        errors.derivatives(&axes, approach, |place, value| {
+            sums[place] += values[at] * value;
+            at += 1;
+        });
+        for (place, sum) in sums.into_iter().enumerate() {
+            let correction = errors.correction(place, axes[place], approach.senses()[place]);
+            assert!((correction - sum).abs() < 1e-12, "{place}");
+        }
+    }
+
+    #[test]
+    fn basis_functions_are_orthonormal_and_vanish_outside() {
+        let smooth = Smooth::new(0.4, 1.5, 6);
+        let steps = 4000;
+        let mut gram = [[0.0; 6]; 6];
+        for step in 0..steps {
+            let angle = 0.4 - 1.5 + 3.0 * (step as f64 + 0.5) / f64::from(steps);
+            let mut values = Vec::new();
+            smooth.basis(angle, |value| values.push(value));
+            for i in 0..6 {
+                for j in 0..6 {
+                    gram[i][j] += values[i] * values[j] * 3.0 / f64::from(steps);
+                }
+            }
+        }
+        for (i, row) in gram.iter().enumerate() {
+            for (j, value) in row.iter().enumerate() {
+                assert!((value - if i == j { 1.0 } else { 0.0 }).abs() < 1e-6);
+            }
+        }
+        assert_eq!(smooth.value(2.0), 0.0);
+        assert!(!smooth.covers(2.0) && smooth.covers(-1.0));
+    }
+}

@@ -1,0 +1,141 @@
+//! Errors of the joints: found by the evidence where they are, not where they are not, and predicted.
+
+use std::fmt::Write;
+use std::fs;
+use std::path::Path;
+
+use dbbd::measurement::{Measurement, Measurements};
+use dbbd::robot::{
+    Approach, AxisAngles, BallId, BarId, Joint, JointError, JointErrors, Ripple, Robot, Smooth,
+};
+use dbbd::sim::truth;
+use nalgebra::Vector3;
+use rand::{RngExt, SeedableRng};
+use rand_distr::StandardNormal;
+use rand_pcg::Pcg64;
+use tempfile::tempdir;
+
+use crate::cell::{dbbd, kr60, stderr};
+
+const BALLS: [[f64; 3]; 3] = [[1300.0, 0.0, 400.0], [900.0, 800.0, 700.0], [1100.0, -700.0, 1000.0]];
+const SIGMA_MM: f64 = 0.01;
+/// Half of the reversal error of axis 1, rad.
+const BACKLASH: f64 = 8e-5;
+
+/// A robot within its tolerance, its joints with backlash, a smooth error and ripple.
+fn with_joint_errors(seed: u64) -> Robot {
+    let mut robot = truth::draw(&kr60(), seed, 0.5);
+    let mut joints = [(); 6].map(|()| JointError::default());
+    joints[0].backlash = BACKLASH;
+    joints[0].smooth =
+        Smooth { centre: 0.0, half_width: 3.3, coefficients: vec![0.0, 0.0, 0.0, 1.5e-4, -1e-4] };
+    joints[1].smooth = Smooth { centre: -0.9, half_width: 2.2, coefficients: vec![0.0, 0.0, 1e-4, -1e-4] };
+    joints[2].ripple = vec![Ripple { order: 11, cos: 4e-5, sin: 3e-5 }];
+    robot.geometry.joint_errors = JointErrors::new(joints);
+    robot
+}
+
+/// Lengths to all balls at random poses in the order of the seed.
+fn lengths(truth: &Robot, poses: usize, seed: u64) -> Measurements {
+    let mut random = Pcg64::seed_from_u64(seed);
+    let ranges =
+        [[-70.0, 70.0], [-110.0, -40.0], [60.0, 130.0], [-90.0, 90.0], [-90.0, 90.0], [-120.0, 120.0]];
+    let axes_deg: Vec<[f64; 6]> =
+        (0..poses).map(|_| ranges.map(|[low, high]| random.random_range(low..high))).collect();
+    let radians = |axes: &[f64; 6]| axes.map(f64::to_radians);
+    let approaches: Vec<Approach> = Approach::along(axes_deg.iter().map(radians)).collect();
+    let mut rows = Vec::new();
+    for (axes, approach) in axes_deg.iter().zip(approaches) {
+        for (ball, place) in BALLS.into_iter().enumerate() {
+            let there = truth.geometry.approached(approach);
+            let noise: f64 = random.sample(StandardNormal);
+            rows.push(Measurement {
+                index: rows.len() as u32 + 1,
+                ball: BallId::at(ball),
+                bar: BarId::FIRST,
+                axes: AxisAngles::from_degrees(*axes),
+                approach,
+                length_mm: there.length(&radians(axes), &Vector3::from(place), 0.0) + SIGMA_MM * noise,
+                sigma_mm: Some(SIGMA_MM),
+                context: None,
+            });
+        }
+    }
+    Measurements { rows, ..Measurements::default() }
+}
+
+/// The result of `identify` on lengths, and where its files are.
+fn identify(dir: &Path, data: &Measurements, more: &[&str]) -> serde_json::Value {
+    fs::write(dir.join("obs.csv"), data.to_csv()).unwrap();
+    let mut centres = String::from("centre,x_mm,y_mm,z_mm\n");
+    for (at, [x, y, z]) in BALLS.into_iter().enumerate() {
+        writeln!(centres, "{},{},{},{}", at + 1, x + 3.0, y - 2.0, z + 1.0).unwrap();
+    }
+    fs::write(dir.join("c.csv"), centres).unwrap();
+    let given =
+        ["identify", "obs.csv", "--robot", "kr60ha", "--centres", "c.csv", "--out", "out", "--folds", "0"];
+    let output = dbbd(dir, &[&given[..], more].concat());
+    assert!(matches!(output.status.code(), Some(0 | 3)), "{}", stderr(&output));
+    serde_json::from_str(&fs::read_to_string(dir.join("out/result.json")).unwrap()).unwrap()
+}
+
+#[test]
+fn errors_of_joints_are_found_and_predicted() {
+    let truth = with_joint_errors(3);
+    let dir = tempdir().unwrap();
+    let result = identify(dir.path(), &lengths(&truth, 70, 1), &[]);
+    let group = |name: &str| {
+        let groups = result["groups"].as_array().unwrap();
+        groups
+            .iter()
+            .find(|group| group["name"] == name)
+            .unwrap_or_else(|| panic!("{name}: {groups:?}"))
+            .clone()
+    };
+    assert!(group("backlash")["effective_parameters"].as_f64().unwrap() > 0.8);
+    assert!(group("smooth")["share"].as_f64().unwrap() > 0.05);
+    let text = fs::read_to_string(dir.path().join("out/robot-identified.toml")).unwrap();
+    let found = Robot::from_toml("robot-identified.toml", &text).unwrap();
+    let backlash = found.geometry.joint_errors.of(Joint::J1).unwrap().backlash;
+    assert!((backlash - BACKLASH).abs() < 0.2 * BACKLASH, "{backlash}");
+    // Poses that the fit did not see, by rising and falling angles.
+    let unseen = lengths(&truth, 40, 2);
+    fs::write(dir.path().join("axes.csv"), unseen.to_csv()).unwrap();
+    let arguments = ["predict", "axes.csv", "--robot", "out/robot-identified.toml", "--out", "p.csv"];
+    let output = dbbd(dir.path(), &arguments);
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    let mut table = csv::Reader::from_path(dir.path().join("p.csv")).unwrap();
+    let names: Vec<String> = table.headers().unwrap().iter().map(str::to_owned).collect();
+    let column = |name: &str| names.iter().position(|own| own == name).unwrap();
+    let (mut squares, mut expected) = (0.0, 0.0);
+    let shift = offset(&truth, &found, &unseen);
+    for (row, record) in unseen.rows.iter().zip(table.records().map(Result::unwrap)) {
+        let number = |name: &str| record[column(name)].parse::<f64>().unwrap();
+        let predicted = Vector3::new(number("x_mm"), number("y_mm"), number("z_mm"));
+        let ball = truth.geometry.approached(row.approach).ball(&row.axes.radians()).position;
+        squares += (ball + shift - predicted).norm_squared();
+        expected += number("sd_mm").powi(2);
+    }
+    let ratio = (expected / squares).sqrt();
+    assert!((squares / unseen.rows.len() as f64).sqrt() < 0.12, "{squares}");
+    assert!((0.3..3.0).contains(&ratio), "{ratio}");
+}
+
+/// The mean displacement of the base: lengths do not determine it.
+fn offset(truth: &Robot, found: &Robot, poses: &Measurements) -> Vector3<f64> {
+    let apart = poses.rows.iter().map(|row| {
+        let at = |robot: &Robot| robot.geometry.approached(row.approach).ball(&row.axes.radians()).position;
+        at(found) - at(truth)
+    });
+    apart.sum::<Vector3<f64>>() / poses.rows.len() as f64
+}
+
+#[test]
+fn a_robot_without_errors_of_joints_has_none() {
+    let dir = tempdir().unwrap();
+    let data = lengths(&truth::draw(&kr60(), 5, 0.5), 40, 4);
+    let result = identify(dir.path(), &data, &[]);
+    assert!(result["joint_errors"].is_null(), "{}", result["joint_errors"]);
+    let geometric = identify(dir.path(), &data, &["--model", "geometric"]);
+    assert_eq!(result["parameters"], geometric["parameters"]);
+}
