@@ -4,6 +4,7 @@ use std::fmt::Write;
 use std::fs;
 use std::path::Path;
 
+use dbbd::math::aligned_distances;
 use dbbd::measurement::{Measurement, Measurements};
 use dbbd::robot::{
     Approach, AxisAngles, BallId, BarId, Joint, JointError, JointErrors, Ripple, Robot, Smooth,
@@ -107,27 +108,18 @@ fn errors_of_joints_are_found_and_predicted() {
     let mut table = csv::Reader::from_path(dir.path().join("p.csv")).unwrap();
     let names: Vec<String> = table.headers().unwrap().iter().map(str::to_owned).collect();
     let column = |name: &str| names.iter().position(|own| own == name).unwrap();
-    let (mut squares, mut expected) = (0.0, 0.0);
-    let shift = offset(&truth, &found, &unseen);
+    let (mut predicted, mut balls, mut expected) = (Vec::new(), Vec::new(), 0.0);
     for (row, record) in unseen.rows.iter().zip(table.records().map(Result::unwrap)) {
         let number = |name: &str| record[column(name)].parse::<f64>().unwrap();
-        let predicted = Vector3::new(number("x_mm"), number("y_mm"), number("z_mm"));
-        let ball = truth.geometry.approached(row.approach).ball(&row.axes.radians()).position;
-        squares += (ball + shift - predicted).norm_squared();
+        predicted.push(Vector3::new(number("x_mm"), number("y_mm"), number("z_mm")));
+        balls.push(truth.geometry.approached(row.approach).ball(&row.axes.radians()).position);
         expected += number("sd_mm").powi(2);
     }
+    // Lengths do not determine where the base is.
+    let squares: f64 = aligned_distances(&balls, &predicted).iter().map(|distance| distance.powi(2)).sum();
     let ratio = (expected / squares).sqrt();
     assert!((squares / unseen.rows.len() as f64).sqrt() < 0.12, "{squares}");
     assert!((0.3..3.0).contains(&ratio), "{ratio}");
-}
-
-/// The mean displacement of the base: lengths do not determine it.
-fn offset(truth: &Robot, found: &Robot, poses: &Measurements) -> Vector3<f64> {
-    let apart = poses.rows.iter().map(|row| {
-        let at = |robot: &Robot| robot.geometry.approached(row.approach).ball(&row.axes.radians()).position;
-        at(found) - at(truth)
-    });
-    apart.sum::<Vector3<f64>>() / poses.rows.len() as f64
 }
 
 #[test]
