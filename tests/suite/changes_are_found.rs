@@ -245,6 +245,7 @@ fn the_command_decides_and_refuses() {
     write("same.csv", &lengths(&with_errors(DESIGNED), &circles, 8, 1));
     let moved = with_errors(DESIGNED.into_iter().chain([("theta3", 0.06f64.to_radians())]));
     write("moved.csv", &lengths(&moved, &circles, 8, 2));
+    write("again.csv", &lengths(&moved, &circles, 8, 4));
     let many = [
         ("theta3", 0.003),
         ("alpha3", -0.004),
@@ -291,7 +292,7 @@ fn the_command_decides_and_refuses() {
     let known = check("moved.csv", "out/robot-identified.toml", &[]);
     assert_eq!((known.status.code(), codes(&known).contains(&"W1918".to_owned())), (Some(3), true));
     fs::rename(at.join("out/robot-identified.toml"), at.join("updated.toml")).unwrap();
-    let again = check("moved.csv", "updated.toml", &[]);
+    let again = check("again.csv", "updated.toml", &[]);
     assert_eq!(again.status.code(), Some(0), "{}", stderr(&again));
     // By the position error: far beyond, near, and below what can be decided.
     let error = found["position_error_mm"].as_f64().unwrap();
