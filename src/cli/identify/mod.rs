@@ -87,11 +87,11 @@ pub(crate) struct Args {
     /// or a CSV name,unit,sd [default: posterior where the robot file has it, else none].
     #[arg(long, value_name = "none|posterior|datasheet|FILE")]
     prior: Option<String>,
-    /// What a robot's error consists of: its geometry and errors of its joints (first harmonic, smooth function of the
-    /// angle, backlash by the sense of approach, compliance if the robot file has a [[mass]] or [payload]), each group as
-    /// far as the evidence of the lengths speaks for it; or the geometry alone with the optional groups that tests speak
-    /// for. Few or exact lengths, `--estimate`, `--prior none`, `--prior-scale` and `--monte-carlo` take the geometry.
-    #[arg(long, value_enum, value_name = "MODEL", default_value = "joints")]
+    /// What a robot's error consists of: its geometry, with the optional groups that tests speak for; or also errors of
+    /// its joints (first harmonic, smooth function of the angle, backlash by the sense of approach, compliance if the
+    /// robot file has a [[mass]] or [payload]), each group as far as the evidence of the lengths speaks for it. Few or
+    /// exact lengths, `--estimate`, `--prior none`, `--prior-scale` and `--monte-carlo` take the geometry.
+    #[arg(long, value_enum, value_name = "MODEL", default_value = "geometric")]
     model: Model,
     /// Factor on every standard deviation of the prior: above 1 the lengths count for more; `auto` takes the one
     /// with which lengths held out are predicted best.
