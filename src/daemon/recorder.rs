@@ -132,7 +132,7 @@ impl Recorder {
     /// # Errors
     /// When the capture cannot be written.
     pub fn bytes(&mut self, host: HostNs, bytes: Vec<u8>) -> Result<(), Diagnostic> {
-        self.silent(host)?;
+        self.silent(host, 0.0)?;
         self.last_bytes = Some(host);
         self.progress.bytes += bytes.len() as u64;
         let record = Record::Raw(bytes);
@@ -143,10 +143,10 @@ impl Recorder {
         self.decoded(host)
     }
 
-    /// Records that nothing came for long, if so.
-    fn silent(&mut self, host: HostNs) -> Result<(), Diagnostic> {
+    /// Records that nothing came for long, if so; for at least `least_s`.
+    fn silent(&mut self, host: HostNs, least_s: f64) -> Result<(), Diagnostic> {
         let silent_s = self.last_bytes.map(|last| host.seconds_since(last));
-        match silent_s.zip(self.silence_s).filter(|(silent_s, limit)| silent_s > limit) {
+        match silent_s.zip(self.silence_s).filter(|(silent_s, limit)| *silent_s > limit.max(least_s)) {
             Some((silent_s, _)) => {
                 if silent_s > SILENT_S {
                     self.progress.silent_s += silent_s;
@@ -357,7 +357,8 @@ impl Recorder {
     /// # Errors
     /// When the capture cannot be written.
     pub fn finish(&mut self, now: HostNs, reason: &str) -> Result<Progress, Diagnostic> {
-        self.silent(now)?;
+        // Shorter than this the end of the run may be what ended the stream.
+        self.silent(now, SILENT_S)?;
         self.interrupted(now)?;
         self.flush_fault()?;
         self.program.finish();

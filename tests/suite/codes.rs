@@ -52,6 +52,7 @@ fn provoked() -> Vec<&'static str> {
         crate::second_run_continues::provoked(),
         crate::simulator_refuses::provoked(),
         crate::service_answers_as_documented::provoked(),
+        crate::service_holds_out::provoked(),
         crate::service_refuses_strangers::provoked(),
         crate::service_runs::provoked(),
         crate::sync_joins::provoked(),

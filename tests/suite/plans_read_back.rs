@@ -174,7 +174,7 @@ fn the_verb_writes_the_pair_and_an_identified_robot_is_commanded_through_its_nom
 const FILES: &[(&str, &str, &str, &str, &str, usize)] = &[
     ("csv", "1599.075", "1599.076", "E0730", "plan.json", 0),
     ("csv", "\n2,", "\n3,", "E0731", "plan.csv", 3),
-    ("csv", "measure", "mesure", "E0112", "plan.csv", 10),
+    ("csv", "measure", "mesure", "E0111", "plan.csv", 10),
     ("csv", "transit,circ", "transit,lin", "E0731", "plan.csv", 10),
     ("json", "\"schema\": 1", "\"schema\": 2", "E0731", "plan.json", 0),
     ("json", "\"schema\": 1", "\"scheme\": 1", "E0731", "plan.json", 2),

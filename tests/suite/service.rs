@@ -66,10 +66,19 @@ impl Server {
         Self { child, address: SocketAddr::from(([127, 0, 0, 1], port)), log }
     }
 
-    /// Lines of the log about an event, since it listens.
+    /// The lines of an event; a thread reads them, so the first may take a moment.
     pub(crate) fn logged(&self, event: &str) -> Vec<String> {
         let wanted = format!("event={event} ");
-        self.log.lock().unwrap().iter().filter(|line| line.contains(&wanted)).cloned().collect()
+        let lines = || -> Vec<String> {
+            self.log.lock().unwrap().iter().filter(|line| line.contains(&wanted)).cloned().collect()
+        };
+        let come = (0..20).map(|_| lines()).find(|lines| {
+            !lines.is_empty() || {
+                clock::sleep(0.05);
+                false
+            }
+        });
+        come.unwrap_or_default()
     }
 
     pub(crate) fn connect(&self) -> TcpStream {

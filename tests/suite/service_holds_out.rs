@@ -35,6 +35,12 @@ fn ask_and_stay(server: &Server, path: &str) -> Option<TcpStream> {
     Some(stream)
 }
 
+const TOO_MANY: &str = "E1506";
+
+pub(crate) fn provoked() -> Vec<&'static str> {
+    vec![TOO_MANY]
+}
+
 #[test]
 fn strangers_keep_nobody_out() {
     let dir = tempfile::tempdir().unwrap();
@@ -84,7 +90,7 @@ fn tokens_are_not_tried_by_the_thousand() {
         assert_eq!(bearer(&server, "0123456789abcdef-wrong"), 401);
     }
     let answer = login("0123456789abcdef-wrong");
-    assert_eq!((answer.status, answer.json()["code"].as_str()), (429, Some("E1506")));
+    assert_eq!((answer.status, answer.json()["code"].as_str()), (429, Some(TOO_MANY)));
     assert_eq!(bearer(&server, TOKEN), 429, "not even looked at");
     assert_eq!(status(&second), 200, "who is logged in stays so");
     assert_eq!(server.logged("wrong_token").len(), 1);

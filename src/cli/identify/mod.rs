@@ -127,7 +127,9 @@ impl Args {
 
 pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     let mut given = Given::read(args.named(), out)?;
-    if let Some(file) = args.prior.as_deref().filter(|prior| !["none", "datasheet"].contains(prior)) {
+    if let Some(file) =
+        args.prior.as_deref().filter(|prior| !["none", "datasheet", "posterior"].contains(prior))
+    {
         given.provenance.add(&Artefact::file(Role::Prior, Path::new(file))?);
     }
     let set_up = SetUp { balls: given.centres.len(), bars: given.observations.bars() };
