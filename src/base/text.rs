@@ -93,7 +93,7 @@ impl<R: BufRead> Lines<R> {
                 }
             }
             let end: [u8; 2] = if self.encoding == Encoding::Utf16Le { [b'\n', 0] } else { [0, b'\n'] };
-            if self.bytes.len() % 2 == 0 && self.bytes.ends_with(&end) {
+            if self.bytes.len().is_multiple_of(2) && self.bytes.ends_with(&end) {
                 return Ok(());
             }
         }
@@ -120,7 +120,7 @@ impl<R: BufRead> Lines<R> {
                 return Some(());
             }
         };
-        if self.bytes.len() % 2 != 0 {
+        if !self.bytes.len().is_multiple_of(2) {
             return None;
         }
         let units = self.bytes.chunks_exact(2).map(|pair| unit([pair[0], pair[1]]));

@@ -10,8 +10,8 @@ use super::{Outcome, Output, positive};
 use crate::base::files;
 use crate::catalogue::{CliFinding, ConformityFinding, Names};
 use crate::conformity::{
-    CircleFile, Comparison, Input, LEVEL, ResultRead, ResultsCompared, Subject, Timeline, Tracked,
-    compare_circles, compare_results, same_robot,
+    CircleFile, Comparison, Input, LEVEL, ResultRead, Subject, Timeline, Tracked, compare_circles,
+    compare_results, same_robot,
 };
 use crate::diagnostic::Diagnostic;
 use crate::provenance::{Artefact, Provenance, Role, Traced};
@@ -77,10 +77,10 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         subject,
     };
     write(args, &comparison, &timeline)?;
-    if let Subject::Results(ResultsCompared { not_compared, .. }) = &comparison.subject
-        && !not_compared.is_empty()
+    if let Subject::Results(results) = &comparison.subject
+        && !results.not_compared.is_empty()
     {
-        let parameters = Names::of(not_compared.iter().map(|parameter| parameter.name));
+        let parameters = Names::of(results.not_compared.iter().map(|parameter| parameter.name));
         out.finding(ConformityFinding::DifferentlyEstimated { parameters });
     }
     out.document(&comparison)?;
@@ -148,7 +148,7 @@ fn subject(args: &Args, documents: &[Document], timeline: &Timeline) -> Result<S
     let results: Vec<ResultRead> = documents.iter().map(read).collect::<Result<_, _>>()?;
     same_robot(&results)?;
     let robot = robot(args, &documents[0])?;
-    Ok(Subject::Results(compare_results(&robot, &results, timeline, args.tolerance)?))
+    Ok(Subject::Results(Box::new(compare_results(&robot, &results, timeline, args.tolerance)?)))
 }
 
 fn robot(args: &Args, first: &Document) -> Result<Robot, Diagnostic> {

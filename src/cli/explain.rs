@@ -49,9 +49,7 @@ pub(super) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     let wanted = code.to_uppercase();
     let Some(entry) = catalogue::entry(&wanted) else {
         let known = catalogue::entries().map(|entry| entry.code.0);
-        return Err(Diagnostic::new(CliFinding::UnknownCode { code: wanted.clone() })
-            .nearest(&wanted, known)
-            .into());
+        return Err(Diagnostic::new(CliFinding::UnknownCode { code: wanted.clone() }).nearest(&wanted, known));
     };
     out.result(catalogue::explanation(entry).trim_end());
     out.document(&Explained::from(entry))?;

@@ -47,7 +47,7 @@ struct Predicted {
 
 pub(super) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     let robot = robots::named(&args.robot)?;
-    let poses = out.table(&args.axes, |table| Measurements::poses_from_table(table))?;
+    let poses = out.table(&args.axes, Measurements::poses_from_table)?;
     let workspace = Workspace::uniform(robot.controller(), WORKSPACE_POSES, SEED);
     let unknown = RobotUncertainty::of(&robot);
     let positions = Positions::new(&robot.geometry, &unknown, &poses, &workspace);

@@ -103,7 +103,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     let line = Line { bad: BadLine::new(faults, args.seed), link };
     let frames = serve_over(line, terminal, &definition, options, &mut cell)?;
     if let Some(failure) = cell.failure {
-        return Err(failure.into());
+        return Err(failure);
     }
     if let Some(directory) = &args.save {
         files::directory(directory)?;

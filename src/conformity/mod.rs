@@ -45,6 +45,6 @@ pub struct Input {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(tag = "kind", rename_all = "lowercase")]
 pub enum Subject {
-    Results(ResultsCompared),
+    Results(Box<ResultsCompared>),
     Circles { circles: Vec<CircleCompared> },
 }

@@ -253,8 +253,8 @@ impl Innovation {
     pub fn test(&self) -> ChangeTest {
         let chi_square = self.chi_square();
         let null = &self.null;
-        let statistic =
-            self.statistic(&self.projections(&DMatrix::from_columns(&[self.seen.clone()])), 0, chi_square);
+        let seen = DMatrix::from_columns(std::slice::from_ref(&self.seen));
+        let statistic = self.statistic(&self.projections(&seen), 0, chi_square);
         let smaller = null.partition_point(|least| *least <= statistic);
         let p = (smaller + 1) as f64 / (null.len() + 1) as f64;
         ChangeTest {

@@ -256,3 +256,26 @@ fn what_was_taught_only_widens_what_is_safe() {
     step(&["plan", "job.toml", "--robot", "result/robot-identified.toml", "--out", "plan2"]);
     assert_eq!(taught_deg(&at.join("plan2")), taught);
 }
+
+/// A ball to be taught anew.
+const ANEW: &str = "I0717";
+
+pub(crate) fn provoked() -> Vec<&'static str> {
+    vec![ANEW]
+}
+
+/// From where the example's ball was taught no run keeps a stroke of 0.7 mm; from elsewhere one does.
+#[test]
+fn a_ball_that_bars_all_is_taught_anew() {
+    use crate::cell::{codes, dbbd, stderr};
+    let dir = tempfile::tempdir().unwrap();
+    let job = std::fs::read_to_string("examples/stages.toml").unwrap();
+    let short = job.replace("stroke_mm = [-1.0, 1.0]", "stroke_mm = [-0.7, 0.7]");
+    assert_ne!(job, short);
+    std::fs::write(dir.path().join("job.toml"), &short).unwrap();
+    let output = dbbd(dir.path(), &["plan", "job.toml", "--out", "plan"]);
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    assert!(codes(&output).contains(&ANEW.to_owned()), "{}", stderr(&output));
+    let anew = taught_deg(&dir.path().join("plan"));
+    assert!(!short.contains(&anew[0].to_string()), "{anew}");
+}

@@ -86,7 +86,7 @@ impl Given {
                 out.table(path, BaseBall::from_table)?
             }
             (None, Some(run)) => run.centres(),
-            (None, None) => return Err(Diagnostic::from(EstimationFinding::NoBalls).into()),
+            (None, None) => return Err(EstimationFinding::NoBalls.into()),
         };
         let RobotRead { robot, source } = robot;
         check_lengths(&input, &observations, &robot, &centres)?;

@@ -41,16 +41,17 @@ pub(crate) fn joint_error(axis: usize, curve: &[JointPoint], measured_deg: &[f64
     frame.level("zero", 0.0);
     let mut legend = Legend::new(34.0);
     let differs = seen.iter().any(|point| point.rising != point.falling);
-    let lines: &[(Series, &str, fn(&JointPoint) -> f64)] = if differs {
-        &[(Series::First, "falling", |point| point.falling), (Series::Second, "rising", |point| point.rising)]
-    } else {
-        &[(Series::Second, "either sense", |point| point.rising)]
-    };
-    for (series, name, value) in lines {
+    let mut line = |series: Series, name: &str, value: fn(&JointPoint) -> f64| {
         let points: Vec<[f64; 2]> =
             seen.iter().map(|point| at(&frame, point.angle_deg, value(point))).collect();
         frame.svg.path(series.line(), &points, false);
-        legend.add(&mut frame.svg, Key::Dot(*series), name);
+        legend.add(&mut frame.svg, Key::Dot(series), name);
+    };
+    if differs {
+        line(Series::First, "falling", |point| point.falling);
+        line(Series::Second, "rising", |point| point.rising);
+    } else {
+        line(Series::Second, "either sense", |point| point.rising);
     }
     let [bottom, _] = frame.y.pixels;
     for angle in measured_deg {
