@@ -13,7 +13,7 @@ pub fn now() -> HostNs {
     HostNs(u64::try_from(start.elapsed().as_nanos()).unwrap_or(u64::MAX))
 }
 
-/// Nanoseconds since the Unix epoch by the wall clock; 0 if the clock stands before it.
+/// Nanoseconds since the Unix epoch by the wall clock; 0 if the clock is before it.
 #[allow(clippy::disallowed_methods)] // this is the one place
 pub fn unix_ns() -> u64 {
     SystemTime::now()

@@ -14,7 +14,7 @@ use crate::catalogue::FileFinding::{
 };
 use crate::diagnostic::{Diagnostic, Finding};
 
-/// What stands between the cells of a line.
+/// What separates the cells of a line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Delimiter {
     Character(char),

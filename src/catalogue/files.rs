@@ -1,4 +1,4 @@
-//! Files: read, written, and what stands in any table or TOML file.
+//! Files: read, written, and what any table or TOML file contains.
 
 use super::findings;
 

@@ -31,7 +31,7 @@ pub(super) struct Facing {
 }
 
 impl Facing {
-    /// The same pair where it is not told which points face each other.
+    /// The same pair where it is not known which points face each other.
     pub(super) fn unresolved(&self) -> Self {
         Self { points: Vec::new(), ..*self }
     }
@@ -129,7 +129,7 @@ pub(super) fn evaluate(rays: &Rays, allowed: Allowed) -> Option<Quantities> {
         })
         .collect();
     let most = |at: usize| alone.iter().map(|values| values[at]).fold(f64::NEG_INFINITY, f64::max);
-    // A trace that cannot be told must not hide behind one that can.
+    // A trace that is not determined must not hide behind one that is.
     let most_of_all =
         |at: usize| if alone.iter().any(|values| values[at].is_nan()) { nothing } else { most(at) };
     let least = alone.iter().map(|values| values[4]).fold(f64::INFINITY, f64::min);

@@ -1,6 +1,6 @@
 //! How much an axis or a joint loses as it reverses: steps fitted to the deviation.
 //!
-//! Behind its play b a drive stands b/2 short of where it was sent, on the side that it came from: the
+//! With a play b a drive stops b/2 short of its target, on the side that it came from: the
 //! length changes by -b/2 times the sense of its motion times its lever. For two linear axes the levers
 //! are cos t and sin t; for a robot's joint the lever is the derivative of the length, mm/rad. The steps
 //! of linear axes are fitted together with the form of the circle, harmonics up to the third order. A robot's form
@@ -38,7 +38,7 @@ pub struct Step {
 const ORDERS: usize = 3;
 /// Points on either side of a reversal, summed over the traces, with which a play is fitted.
 const LEAST_EACH: usize = 3;
-/// Columns of unit norm that are nearer to each other cannot be told apart.
+/// Columns of unit norm that are nearer to each other are not separable.
 const LEAST_SINGULAR: f64 = 1e-3;
 /// More points than this tell a few numbers no better: only some of them are used.
 const MOST_POINTS: usize = 20_000;
@@ -62,7 +62,7 @@ struct Move {
 }
 
 impl Move {
-    /// A drive stands half of its play short of where it was sent.
+    /// A drive stops half of its play short of its target.
     fn new(Drive { lever_mm, sense }: Drive) -> Self {
         Self { column: -0.5 * f64::from(sense) * lever_mm, lever_mm, sense }
     }
@@ -175,7 +175,7 @@ fn linear(theta: f64, sense: Sense) -> Vec<Drive> {
 }
 
 /// Least squares with columns scaled to unit norm: solution, covariance for a unit variance, and the
-/// variance of the residuals. `None` when columns cannot be told apart.
+/// variance of the residuals. `None` when columns are not separable.
 fn solve(mut matrix: DMatrix<f64>, values: DVector<f64>) -> Option<(DVector<f64>, DMatrix<f64>, f64)> {
     let (rows, columns) = matrix.shape();
     let norms: Vec<f64> = matrix.column_iter().map(|column| column.norm()).collect();

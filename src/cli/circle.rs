@@ -39,8 +39,8 @@ pub(crate) struct Args {
     /// The plan that was driven, with its .json beside it [default: the one in the capture].
     #[arg(long, value_name = "PLAN.csv")]
     plan: Option<PathBuf>,
-    /// The .dat of a module as fetched from the controller after the run: where joints reverse is then told
-    /// by the axis angles that the program logged. Once for each module.
+    /// The .dat of a module as fetched from the controller after the run: the axis angles that the program logged
+    /// then show where joints reverse. Once for each module.
     #[arg(long, value_name = "FILE.dat")]
     axes: Vec<PathBuf>,
     /// Standard uncertainty of a single length, mm [default: that of the dwells; of a CSV the scatter].

@@ -59,8 +59,8 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     let bar = &files.plan.header.job.bar;
     let bar = Bar { length_mm: bar.length_mm, stroke_mm: bar.stroke_mm };
     // Read once to its end before anything is written: a line that is wrong leaves no capture behind.
-    let (Counts { samples, invalid, unix_ns }, told) = rows(args, &mapping, bar, out, |_| Ok(()))?;
-    told.into_iter().for_each(|finding| out.finding(finding));
+    let (Counts { samples, invalid, unix_ns }, findings) = rows(args, &mapping, bar, out, |_| Ok(()))?;
+    findings.into_iter().for_each(|finding| out.finding(finding));
     let mut writer = Writer::create(&args.out)?;
     let begin = HostNs(0);
     let version = provenance::VERSION.to_owned();

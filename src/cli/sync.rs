@@ -25,7 +25,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "PLAN.csv")]
     plan: Option<PathBuf>,
     /// The .dat of a module as fetched from the controller after the run: the axis angles that the program
-    /// logged replace the commanded ones, as those do that it told over EthernetKRL. Once for each module.
+    /// logged replace the commanded ones, as those do that it sent over EthernetKRL. Once for each module.
     #[arg(long, value_name = "FILE.dat")]
     axes: Vec<PathBuf>,
     /// Where the observations go: lengths in mm, axis angles in degrees.

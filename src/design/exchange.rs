@@ -20,7 +20,7 @@ pub enum Criterion {
     I,
 }
 
-/// Passes over the chosen poses before the choice stands.
+/// Passes over the chosen poses before the choice is final.
 const PASSES: usize = 12;
 /// Least share by which an exchange must better its criterion.
 const WORTH: f64 = 1e-4;

@@ -31,7 +31,7 @@ const NOTHING: f64 = 0.5;
 const ONE: f64 = 0.45;
 const TWO: f64 = 0.05;
 const OFFSET_SHARE: f64 = 0.5;
-/// Changes whose effects on the lengths have at least this cosine cannot be told apart.
+/// Changes whose effects on the lengths have at least this cosine are not separable.
 const ALIKE: f64 = 0.995;
 /// Draws for the distribution of the test without a change, and their seed.
 const DRAWS: usize = 10_000;

@@ -8,7 +8,7 @@ use crate::math::map_pieces;
 use crate::measurement::{Measurement, MeasurementPieces, PreparedMeasurement};
 use crate::robot::{AXES, Robot};
 
-/// Lengths of an even sample, which stands for many where a scale is asked for, or a start.
+/// Lengths of an even sample, which represents many where a scale is asked for, or a start.
 pub(super) const SAMPLE: usize = 8192;
 /// So many lengths are many.
 const MANY: usize = 2 * SAMPLE;
@@ -108,7 +108,7 @@ impl<'a> Lengths<'a> {
         }
     }
 
-    /// Whether an even sample stands for them.
+    /// Whether an even sample represents them.
     pub(super) fn are_many(&self) -> bool {
         self.len() >= MANY
     }

@@ -11,8 +11,8 @@ pub(super) const ABSURD: f64 = 20.0;
 /// Rounds in which the set of outliers may change.
 const ROUNDS: usize = 10;
 
-/// The fit by squares, `plain`, when no residual stands out; else by Huber's loss, then by squares without those that
-/// stand out, until their set stands. So many `parameters` take up residuals.
+/// The fit by squares, `plain`, when no residual is conspicuous; else by Huber's loss, then by squares without those that
+/// are, until their set no longer changes. So many `parameters` take up residuals.
 pub(super) fn robust(
     whole: &Weighted,
     parameters: usize,
@@ -35,9 +35,9 @@ pub(super) fn robust(
         let next = solve(&whole.without(&now), Loss::Squares, Some(&reached.model));
         iterations += next.iterations;
         reached = next;
-        let stands = now == out || now.is_empty();
+        let settled = now == out || now.is_empty();
         out = now;
-        if stands {
+        if settled {
             break;
         }
     }

@@ -13,7 +13,7 @@ use crate::robot::{AXES, ParamId};
 pub struct Outlook {
     /// Rank and dependent directions.
     pub analysis: Analysis,
-    /// The indices of what is told, its columns in units of what was known before.
+    /// The indices of what is determined, its columns in units of what was known before.
     pub observability: Option<Observability>,
     /// Each parameter: before, after, and from the lengths alone where these tell it.
     pub parameters: Vec<Foreseen>,
@@ -62,8 +62,8 @@ pub fn outlook(
         .zip(posterior.sds().zip(after.sds()))
         .map(|(id, (before, after))| Foreseen { id: *id, before, after, alone: alone(id) })
         .collect();
-    // A combination that only rounding tells would stand for all indices.
-    let told: Vec<usize> = (0..kept.len())
+    // A combination that only rounding determines would dominate all indices.
+    let determined: Vec<usize> = (0..kept.len())
         .filter(|&at| {
             let before = posterior.sd(kept[at]).unwrap_or(0.0);
             alone(&kept[at]).is_some_and(|alone| alone <= WEAK * before)
@@ -73,8 +73,8 @@ pub fn outlook(
     let [now, then] = [posterior.root(), after.root()]
         .map(|root| workspace.displacements(&(root * unit_draws(root.ncols()))));
     Some(Outlook {
-        observability: (!told.is_empty())
-            .then(|| observability(&scaled.select_columns(&told), readings.len()))
+        observability: (!determined.is_empty())
+            .then(|| observability(&scaled.select_columns(&determined), readings.len()))
             .flatten(),
         error_mm: [workspace.summary(&now), workspace.summary(&then)],
         map: workspace.map(&then),

@@ -6,7 +6,7 @@
 //! is R^-1 Q1' F delta + R^-1 S^(1/2) z, S = Q1'Q1. F may be of deficient rank, and is then not unique; R and S are, so that
 //! the draws do not depend on rounding. What is wrong afterwards, estimate minus delta, moves the ball by its
 //! position Jacobian; one best rigid alignment over the workspace is taken out, because lengths
-//! do not tell where the base stands. So what was held because the data could not tell it counts
+//! do not determine where the base is. So what was held because the data could not determine it counts
 //! with its full tolerance, and with what it did to the others.
 
 use nalgebra::{DMatrix, Vector3};

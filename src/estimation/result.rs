@@ -346,7 +346,7 @@ pub enum Status {
 #[derive(Clone, Debug, PartialEq)]
 pub enum Reason {
     Identified,
-    /// It stands for a combination, which the prior shares out among its members or not.
+    /// It represents a combination, which the prior shares out among its members or not.
     IdentifiedFor {
         combination: Combination,
         shared: bool,

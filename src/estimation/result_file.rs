@@ -101,7 +101,7 @@ pub struct Advice {
     pub tells: Vec<String>,
 }
 
-/// A direction of which only a combination can be told.
+/// A direction of which only a combination is determined.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Dependent {
     pub combination: BTreeMap<String, f64>,

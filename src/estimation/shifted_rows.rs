@@ -28,7 +28,7 @@ pub(super) fn shifted_rows(estimate: &Estimate, lengths: &Lengths) -> Option<Est
         SHIFTS.iter().filter_map(|&rows| {
             let other = moved(estimate, lengths, rows);
             let freedom = freedom(&other, estimate);
-            // One linear step is cheap, and tells for almost every shift that it is worse.
+            // One linear step is cheap, and shows for almost every shift that it is worse.
             if freedom < FEWEST || linear_squares(&other, estimate) >= squares {
                 return None;
             }

@@ -110,7 +110,7 @@ impl Noise {
         if prior.is_none() && chi(Sigma::Given) != ChiSquare::Greater {
             return Self::GIVEN;
         }
-        // How large it is, an even sample of many tells to one part in a hundred.
+        // How large it is, an even sample of many shows to one part in a hundred.
         let mut squares = used.some(|reading, sigma| (square(reading), sigma * sigma));
         squares.retain(|(_, s2)| s2.is_finite());
         let wanted = freedom * (squares.len() as f64 / used.count() as f64) + prior_freedom;

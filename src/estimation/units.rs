@@ -4,7 +4,7 @@
 use crate::measurement::{BaseBall, Measurement};
 use crate::robot::{AXES, Geometry};
 
-/// Units that a length is told in by mistake, and how many of them are a millimetre.
+/// Units in which a length is given by mistake, and how many of them are a millimetre.
 const LENGTHS: [(&str, f64); 3] = [("metres", 1e-3), ("inches", 1.0 / 25.4), ("micrometres", 1e3)];
 /// A length agrees with the one expected when it is off by no more than this share: tool and ball are known to some centimetres.
 const AGREES: f64 = 0.15;

@@ -192,7 +192,7 @@ fn beta(x: f64, a: f64, b: f64) -> f64 {
     ln_front(x, a, b).exp() / fraction(x, a, b)
 }
 
-/// Logarithm of what stands before the continued fraction.
+/// Logarithm of the factor before the continued fraction.
 fn ln_front(x: f64, a: f64, b: f64) -> f64 {
     a * x.ln() + b * (-x).ln_1p() + ln_gamma(a + b) - ln_gamma(a) - ln_gamma(b) - a.ln()
 }

@@ -93,7 +93,7 @@ impl Circle {
             (None, normal) => {
                 let normal = normal.ok_or(JobFinding::NoPlane { circle: number as usize })?;
                 let normal = Vector3::from(normal).normalize();
-                // The first axis is X seen in the plane; Y where X stands on it.
+                // The first axis is X seen in the plane; Y where X is normal to it.
                 let along = if normal.x.abs() < 0.999 { x } else { y };
                 let first = (along - normal * normal.dot(&along)).normalize();
                 (first, normal.cross(&first))

@@ -42,7 +42,7 @@ pub struct PlanRow {
     pub turn: u8,
     /// Nominal distance between the ball centres, mm.
     pub length_mm: f64,
-    /// How long the robot stands still for the measurement, s; 0 in transit.
+    /// How long the robot is at rest for the measurement, s; 0 in transit.
     pub dwell_s: f64,
 }
 

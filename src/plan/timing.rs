@@ -30,7 +30,7 @@ const SHORTEST_S: f64 = 0.8;
 const SPREAD_S: f64 = 2.2;
 /// How far the durations of the moves into a module's dwells are apart, s.
 const APART_S: f64 = 0.005;
-/// Less than this (mm, degrees) is the rounding of printed poses: that part stands still.
+/// Less than this (mm, degrees) is the rounding of printed poses: that part is at rest.
 const STILL: f64 = 0.01;
 /// Speed of a sync marker, mm/s: slow enough to be seen in the stream of a slow gauge.
 pub(crate) const MARKER_MM_S: f64 = 1.0;
@@ -135,7 +135,7 @@ fn paced(still: MoveTime, pace: &Pace, feed: f64, turn: f64, wanted: Option<f64>
     let chosen = |limit: f64, whole: f64, acceleration: f64| {
         let fastest = if rate.is_finite() { limit.min(rate * whole) } else { limit };
         let coded = wanted.and_then(|duration| speed_for(whole, duration, acceleration)).unwrap_or(fastest);
-        // As KRL prints it, and never zero: a part that stands still keeps the limit; nothing is slower than a hundredth.
+        // As KRL prints it, and never zero: a part at rest keeps the limit; nothing is slower than a hundredth.
         if whole > STILL { (coded.min(fastest) * 1e3).round().max(10.0) / 1e3 } else { limit }
     };
     let feed_mm_s = chosen(feed, distance, ACCELERATION_MM_S2);

@@ -16,7 +16,7 @@ use crate::device::protocol::Clock;
 
 /// Length of a window, s: long against the spread of delays, short against the change of drift.
 const WINDOW_S: f64 = 150.0;
-/// A lasting shift of the least delay by less than this is not told from delays, s.
+/// A lasting shift of the least delay by less than this is not distinguished from delays, s.
 const LEAST_BREAK_S: f64 = 0.1;
 /// How far before and behind a step its least delays are looked for, s.
 const NEAR_S: f64 = 10.0;

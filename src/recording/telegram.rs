@@ -16,7 +16,7 @@ pub struct Telegram {
     pub run: u32,
     /// The plan's index.
     pub index: u32,
-    /// 1: the robot stands; 2: the dwell is over.
+    /// 1: the robot is at rest; 2: the dwell is over.
     pub phase: u8,
     /// Measured axis angles, degrees.
     pub axes_deg: [f64; AXES],

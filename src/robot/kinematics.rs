@@ -109,7 +109,7 @@ impl Geometry {
         frames
     }
 
-    /// Gravity torque about each joint, N m, at joint angles in the table's sense. The base stands upright.
+    /// Gravity torque about each joint, N m, at joint angles in the table's sense. The base is upright.
     pub(super) fn torques(&self, angles: &[f64; AXES]) -> [f64; AXES] {
         let mut torques = [0.0; AXES];
         if self.masses.is_empty() {

@@ -25,7 +25,7 @@ pub(super) fn lines(progress: &Progress, schedule: &Schedule, mount: &mut MountD
     }
     let Some([low, high]) = schedule.stroke_mm else { return format!("{shown}\n{below}") };
     let share = (reading_mm - low) / (high - low);
-    // A share beyond the stroke stands at its end.
+    // A share beyond the stroke is shown at its end.
     let at = (share * (WIDTH - 1) as f64).round().clamp(0.0, (WIDTH - 1) as f64) as usize;
     let gauge: String = (0..WIDTH)
         .map(|cell| {

@@ -49,7 +49,7 @@ pub(super) struct Comparison {
 struct Compared {
     name: String,
     unit: String,
-    /// True deviation from nominal of what the parameter stands for: it and what it carries for those
+    /// True deviation from nominal of what the parameter represents: it and what it carries for those
     /// that depend on it.
     true_correction: f64,
     correction: f64,
@@ -134,7 +134,7 @@ impl Comparison {
     pub(super) fn lines(&self) -> Vec<String> {
         let mut lines = vec![
             String::new(),
-            "True against identified corrections (of what each parameter stands for; mm, mrad):".into(),
+            "True against identified corrections (of what each parameter represents; mm, mrad):".into(),
             format!(
                 "{:>12} {:>10} {:>10} {:>10} {:>8}",
                 "parameter", "true", "identified", "difference", "sd"

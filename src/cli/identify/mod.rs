@@ -39,7 +39,7 @@ const ALIGNMENTS: usize = 5;
 pub(crate) struct Args {
     /// Measurements CSV (index,centre,a1_deg,..,a6_deg,length_mm[,sigma_mm][,bar]), or a capture, which carries
     /// the robot and the base balls of its plan. `bar` numbers bars that have an offset each (1, 2, ..; absent =
-    /// 1). One bar set to two lengths keeps its number: then its offset can be told from a scale of the robot.
+    /// 1). One bar set to two lengths keeps its number: then its offset is separable from a scale of the robot.
     input: PathBuf,
     /// Directory for report.html, result.json, parameters.csv, covariance.csv (mm, rad) and lengths.csv (the
     /// observations that the result rests on); the identified robot as robot-identified.toml and as

@@ -23,7 +23,7 @@ const TILT_DEG: f64 = 30.0;
 const OUTWARD_MM: [f64; 2] = [-400.0, 300.0];
 const UPWARD_MM: [f64; 2] = [-500.0, 500.0];
 const ASIDE_DEG: [f64; 2] = [-35.0, 35.0];
-/// A ball stands at least so high above the floor, mm, and places are rounded to what one can hit.
+/// A ball is at least so high above the floor, mm, and places are rounded to what one can hit.
 const LOWEST_MM: f64 = 100.0;
 const ROUND_MM: f64 = 50.0;
 /// Turns about axis 1 of the same ball and poses, degrees.

@@ -21,7 +21,7 @@ pub enum Decoded {
 }
 
 impl Decoded {
-    /// How many bytes of the stream it stands for.
+    /// How many bytes of the stream it covers.
     pub fn bytes(&self) -> u64 {
         match self {
             Decoded::Sample(_, bytes) => *bytes,

@@ -60,7 +60,7 @@ impl Encoder {
     }
 
     /// Appends the device's word for having no reading, or the value in the place of `sample`'s reading
-    /// that stands for it; false where it has neither.
+    /// that represents it; false where it has neither.
     pub fn refuse(&self, sample: &Sample, out: &mut Vec<u8>) -> bool {
         if let Some(reject) = self.engine.rejects.first() {
             out.extend(self.frame(reject.body(), reject.checked));

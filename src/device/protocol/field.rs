@@ -413,7 +413,7 @@ impl Field {
         self.form.write(value, body)
     }
 
-    /// The value that stands for having no reading, where there is one.
+    /// The value that means no reading, where there is one.
     pub(super) fn sentinel(&self) -> Option<f64> {
         match &self.role {
             Some(Role::Length(_, limits)) => limits.sentinels.first().map(|(value, _)| *value),

@@ -5,7 +5,7 @@ import { count, signed } from "/numbers.js";
 const SVG = "http://www.w3.org/2000/svg";
 const $ = (id) => document.getElementById(id);
 const RADIUS = 70;
-// Deviation that a ring stands for, um: 1, 2, 5 and so on.
+// Deviation that a ring shows, um: 1, 2, 5 and so on.
 const STEPS = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000];
 const RING = 20;
 

@@ -253,7 +253,7 @@ fn overshoot() -> f64 {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Mode {
-    /// The robot stands still at each.
+    /// The robot is at rest at each.
     #[default]
     Dwell,
     /// The robot passes them at the feed, in one motion for each pass; the tool is held as it is.

@@ -4,7 +4,7 @@ use std::fs::{self, File, Metadata, OpenOptions};
 use std::io::{self, ErrorKind, Read, Seek, SeekFrom, Write};
 use std::path::Path;
 
-/// A file that only grows, or what stands in for one in a test: a disk that stalls or is full.
+/// A file that only grows, or its replacement in a test: a disk that stalls or is full.
 pub trait Disk: Write + Send {
     /// Has what was written put where a loss of power does not reach it.
     ///
@@ -73,7 +73,7 @@ impl Disk for File {
     }
 }
 
-/// What tells a file from others at the same path.
+/// What distinguishes a file from others at the same path.
 #[cfg(unix)]
 fn identity(file: &Metadata) -> [u64; 2] {
     use std::os::unix::fs::MetadataExt;

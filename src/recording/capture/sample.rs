@@ -25,7 +25,7 @@ const TEMPERATURE: u8 = 32;
 const TEMPERATURE_NEW: u8 = 64;
 const STATUS_NEW: u8 = 128;
 
-/// What stands before a sample in its record.
+/// What precedes a sample in its record.
 #[derive(Default)]
 struct Before {
     sequence: u64,

@@ -118,10 +118,10 @@ impl<'a> Trace<'a> {
         let dates = state.mapping.time.unit.is_none() && state.time == Some(TimeUnit::Iso);
         let readings = state.mapping.length.kind.is_none() && state.kind == Some(LengthKind::Reading);
         let bar_mm = state.bar.length_mm;
-        let told =
+        let found =
             [dates.then_some(ImportFinding::Dates), readings.then_some(ImportFinding::Readings { bar_mm })];
-        let told = told.into_iter().flatten().map(|finding| Diagnostic::file(table.file(), finding));
-        Ok((state.counts, table.findings().into_iter().chain(told).collect()))
+        let found = found.into_iter().flatten().map(|finding| Diagnostic::file(table.file(), finding));
+        Ok((state.counts, table.findings().into_iter().chain(found).collect()))
     }
 
     /// The places of the columns, by the header where there is one.

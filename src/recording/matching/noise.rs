@@ -1,6 +1,6 @@
 //! The bar's noise when nothing moves, from which the thresholds of stillness follow.
 //!
-//! It is taken from an interval in which the robot surely stands: at the first HALT, where the bar is mounted and the
+//! It is taken from an interval in which the robot is surely at rest: at the first HALT, where the bar is mounted and the
 //! program waits. A run that does not begin so (a foreign trace) has it from the quietest of its still intervals. What
 //! is measured is the slope itself, so that correlated noise and slow wander are in it as they are; the white part,
 //! which neighbouring blocks show far better, is its least value. A bar that stays on a step of its scale is treated
@@ -35,7 +35,7 @@ pub(super) struct Quiet {
 
 impl Quiet {
     /// By the bulk of the whole run, in which slow moves count as well: a first look.
-    pub(super) fn of_bulk(windows: &Windows, stands: f64, least_mm: f64) -> Self {
+    pub(super) fn of_bulk(windows: &Windows, rests: f64, least_mm: f64) -> Self {
         let finite = windows.slopes.iter().filter(|slope| slope.is_finite());
         let slope_sigma = robust::bulk_scale(&mut finite.map(|slope| slope.abs()).collect::<Vec<_>>());
         let slope_floor = least_mm / windows.window_s;
@@ -43,7 +43,7 @@ impl Quiet {
             .slopes
             .iter()
             .zip(&windows.scatters)
-            .filter(|(slope, _)| slope.abs() <= stands * slope_sigma + slope_floor)
+            .filter(|(slope, _)| slope.abs() <= rests * slope_sigma + slope_floor)
             .map(|(_, scatter)| *scatter)
             .collect();
         let scatter_sigma = robust::median(&mut scatters).unwrap_or(0.0).max(least_mm);

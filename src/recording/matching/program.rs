@@ -8,7 +8,7 @@ use crate::plan::{Kind, MODULE_DWELLS, Plan, PlanRow};
 pub struct Commanded {
     /// Time of all moves since the dwell before, at full override, s.
     pub move_s: f64,
-    /// Time that the robot stands here, s.
+    /// Time that the robot rests here, s.
     pub wait_s: f64,
     /// The program module that holds it; each is started by hand.
     pub module: usize,
@@ -133,7 +133,7 @@ impl Program {
         }
     }
 
-    /// How long the robot stands at a pose, s.
+    /// How long the robot rests at a pose, s.
     pub(super) fn wait_s(&self, pose: usize) -> f64 {
         self.waits_s[pose] - pose.checked_sub(1).map_or(0.0, |before| self.waits_s[before])
     }

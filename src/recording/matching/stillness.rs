@@ -17,9 +17,9 @@ use crate::recording::stream::Stream;
 /// window fits into a whole dwell.
 const SHORT: Width = Width { count: 12, block_s: 0.02, share: 0.6 };
 const LONG: Width = Width { count: 10, block_s: 0.06, share: 1.2 };
-/// Slope beyond which the robot moves, and below which it surely stands, in standard deviations.
+/// Slope beyond which the robot moves, and below which it is surely at rest, in standard deviations.
 const MOVES: f64 = 4.0;
-const STANDS: f64 = 2.5;
+const RESTS: f64 = 2.5;
 /// Standard deviation of a begin that is clearly seen, s: acceleration rounds it off. And of one that is not.
 const LEAST_BEGIN_SD_S: f64 = 0.04;
 const UNSEEN_BEGIN_S: f64 = 0.4;
@@ -31,7 +31,7 @@ pub fn still_dwells(stream: &Stream, least_s: f64) -> Vec<Dwell> {
     let short = Windows::of(stream, SHORT, least_s);
     let long = Windows::of(stream, LONG, least_s);
     let least_mm = noise::least_change_mm(stream);
-    let bulk = |windows| Scale { windows, quiet: Quiet::of_bulk(windows, STANDS, least_mm) };
+    let bulk = |windows| Scale { windows, quiet: Quiet::of_bulk(windows, RESTS, least_mm) };
     let looked = look(&bulk(&short), &bulk(&long), least_s);
     let at_rest = |windows| {
         let quiet = Quiet::at_rest(windows, &looked, least_mm)?;
@@ -49,7 +49,7 @@ fn look(fine: &Scale<'_>, coarse: &Scale<'_>, least_s: f64) -> Vec<Dwell> {
     let reach = (0.5 * coarse.windows.window_s / block_s).ceil() as usize + 2;
     let settled: Vec<Run> = quiet_runs(fine, coarse)
         .into_iter()
-        .filter(|run| fine.stands(run))
+        .filter(|run| fine.rests(run))
         .map(|run| fine.edges(&run, reach))
         .collect();
     let half = 0.5 * block_s;
@@ -126,8 +126,8 @@ impl Scale<'_> {
     }
 
     /// Whether a quiet run is still for the most part: a slow move is quiet but slopes all along.
-    fn stands(&self, run: &RangeInclusive<usize>) -> bool {
-        let limit = STANDS * self.quiet.slope_sigma + self.quiet.slope_floor;
+    fn rests(&self, run: &RangeInclusive<usize>) -> bool {
+        let limit = RESTS * self.quiet.slope_sigma + self.quiet.slope_floor;
         let slopes = &self.windows.slopes[run.clone()];
         let low = slopes.iter().filter(|slope| slope.abs() <= limit).count();
         10 * low >= 7 * slopes.len()

@@ -1,4 +1,4 @@
-//! Values that the user sets: `${name}` in a definition's text stands for one of them.
+//! Values that the user sets: `${name}` in a definition's text is replaced by one of them.
 //!
 //! They are put in before the text is read, so that a key that takes a number may say `"${name}"`.
 //! `${name:04}` writes an integer with four digits, `${name:02x}` in hexadecimal.
@@ -92,7 +92,7 @@ pub(super) fn resolve(file: &str, text: &str, chosen: &[(String, String)]) -> Re
         let (Some(value), Some(param)) = (values.get(name), head.params.get(name)) else {
             return Err(nearest(wrong(end, unknown(name, &head.params)), name, &head.params));
         };
-        // A number alone in its quotes stands for the number.
+        // A number alone in its quotes is the number.
         let alone = format.is_none()
             && param.r#type != ParamKind::Enum
             && text[..start].ends_with('"')
