@@ -38,5 +38,10 @@ findings! {
         cure: "Keep the files of a result together, or identify again." {
             OtherLengths { lengths: String, expected: String } => "{lengths} is not what the robot was identified from ({expected})";
         }
+        E1807 "what a file was made from cannot be read",
+        cause: "A record of the artefacts that it was made from was changed or cut, so that a second correction or another robot would not be noticed.",
+        cure: "Take the file as dbbd wrote it, or make it again." {
+            Damaged { why: String } => "the record of what the file was made from is damaged: {why}";
+        }
     }
 }

@@ -8,7 +8,7 @@ use serde_json::Value;
 use super::Output;
 use super::info::line;
 use crate::base::files;
-use crate::catalogue::FileFinding;
+use crate::catalogue::{FileFinding, ProvenanceFinding};
 use crate::diagnostic::Diagnostic;
 use crate::plan::Job;
 use crate::program::krl;
@@ -32,8 +32,11 @@ pub(super) fn read(path: &Path) -> Result<Option<Traced>, Diagnostic> {
             return plan(path);
         }
         if ["provenance", "parameters"].iter().any(|key| json.contains_key(*key)) {
-            let recorded = json.get("provenance").cloned().unwrap_or_default();
-            return with(Role::Result, path, serde_json::from_value(recorded).unwrap_or_default());
+            let damaged = |error: serde_json::Error| {
+                Diagnostic::file(&name, ProvenanceFinding::Damaged { why: error.to_string() })
+            };
+            let recorded = json.get("provenance").cloned().map(serde_json::from_value).transpose();
+            return with(Role::Result, path, recorded.map_err(damaged)?.unwrap_or_default());
         }
     } else if let Ok(table) = toml::from_str::<toml::Table>(&text) {
         if table.contains_key("joint") {
@@ -50,7 +53,7 @@ pub(super) fn read(path: &Path) -> Result<Option<Traced>, Diagnostic> {
     } else if first.split(',').any(|column| column == "length_mm") {
         return with(Role::Measurements, path, Provenance::default());
     } else if krl::is_program(&text) {
-        return with(Role::Program, path, krl::provenance(&text));
+        return with(Role::Program, path, krl::provenance(&name, &text)?);
     }
     Ok(None)
 }

@@ -94,7 +94,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         start: &start,
         readings: &readings,
         bars: given.observations.bars(),
-        sigma_mm: sigma(args, &given).map_err(Diagnostic::from)?,
+        sigma_mm: sigma(args, &given)?,
         mounting: mounting(args, &given),
         tolerance_mm: args.tolerance,
         rule: if args.simple_acceptance {
@@ -131,7 +131,7 @@ fn mounting(args: &Args, given: &Given) -> Mounting {
 }
 
 /// Noise, repeatability and, where the calibration's own result is beside the robot, what its model lacks.
-fn sigma(args: &Args, given: &Given) -> Result<f64, ConformityFinding> {
+fn sigma(args: &Args, given: &Given) -> Result<f64, Diagnostic> {
     if let Some(sigma) = args.sigma {
         return Ok(sigma);
     }
@@ -140,15 +140,29 @@ fn sigma(args: &Args, given: &Given) -> Result<f64, ConformityFinding> {
     let bar = squares.sum::<Option<f64>>().map(|sum| (sum / count).sqrt());
     let known = bar.or(given.robot.repeatability_sd_mm().map(|_| 0.0));
     let own = known.map(|bar| length_sd_mm(bar, &given.robot));
-    let beside = files::read(&Path::new(&args.robot).with_file_name("result.json")).ok();
-    let calibrated = beside.and_then(|text| serde_json::from_str::<ResultFile>(&text).ok());
+    let calibrated = result_beside(&args.robot)?;
     let calibrated =
         calibrated.filter(|result| result.robot == given.robot.name).map(|result| result.sigma_mm);
     own.into_iter()
         .chain(calibrated)
         .reduce(f64::max)
         .filter(|mm| *mm > 0.0)
-        .ok_or(ConformityFinding::NoNoise)
+        .ok_or_else(|| ConformityFinding::NoNoise.into())
+}
+
+/// The result.json beside a robot file, if there is one.
+fn result_beside(robot: &str) -> Result<Option<ResultFile>, Diagnostic> {
+    let path = Path::new(robot).with_file_name("result.json");
+    if !path.is_file() {
+        return Ok(None);
+    }
+    let wrong = |error: serde_json::Error| {
+        Diagnostic::file(
+            &path.display().to_string(),
+            ConformityFinding::Incomplete { why: error.to_string() },
+        )
+    };
+    serde_json::from_str(&files::read(&path)?).map(Some).map_err(wrong)
 }
 
 fn findings(args: &Args, found: &InterimCheck) -> Vec<ConformityFinding> {

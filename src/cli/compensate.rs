@@ -89,8 +89,11 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         data: data.as_ref().map(Program::text),
         config: config.as_ref().map(Program::text),
     };
-    let sources: Vec<Traced> =
-        [Some(&source), data.as_ref()].into_iter().flatten().map(Program::traced).collect();
+    let sources: Vec<Traced> = [Some(&source), data.as_ref()]
+        .into_iter()
+        .flatten()
+        .map(Program::traced)
+        .collect::<Result<_, _>>()?;
     sources.iter().try_for_each(|program| belongs(program, &identified, out))?;
     let points = read(program, Given { tool: args.tool, base: args.base })?;
     let corrected = compensate(program, &points, &robot, args.limit).map_err(|refused| {
@@ -180,10 +183,10 @@ impl Program {
         Ok(Self { path: path.into(), name, stem, sha256, content, bytewise })
     }
 
-    fn traced(&self) -> Traced {
+    fn traced(&self) -> Result<Traced, Diagnostic> {
         let (name, sha256) = (self.stem.clone(), self.sha256.clone());
         let artefact = Artefact { role: Role::Program, name, serial: None, sha256 };
-        Traced { artefact, provenance: provenance(&self.content) }
+        Ok(Traced { artefact, provenance: provenance(&self.name, &self.content)? })
     }
 
     fn text(&self) -> Text<'_> {

@@ -294,6 +294,11 @@ fn the_command_decides_and_refuses() {
     fs::rename(at.join("out/robot-identified.toml"), at.join("updated.toml")).unwrap();
     let again = check("again.csv", "updated.toml", &[]);
     assert_eq!(again.status.code(), Some(0), "{}", stderr(&again));
+    // A damaged result beside the robot is not passed over.
+    fs::write(at.join("result.json"), "{").unwrap();
+    let damaged = check("again.csv", "updated.toml", &[]);
+    assert_eq!((damaged.status.code(), codes(&damaged)), (Some(1), vec!["E1901".to_owned()]));
+    fs::remove_file(at.join("result.json")).unwrap();
     // By the position error: far beyond, near, and below what can be decided.
     let error = found["position_error_mm"].as_f64().unwrap();
     assert_eq!(check("moved.csv", "robot.toml", &["--tolerance", "0.05"]).status.code(), Some(4));

@@ -18,7 +18,7 @@ use crate::cell::{
 };
 
 pub(crate) fn provoked() -> Vec<&'static str> {
-    vec!["E1801", "E1802", "W1803", "W1804", "W1805", "E1806"]
+    vec!["E1801", "E1802", "W1803", "W1804", "W1805", "E1806", "E1807"]
 }
 
 /// One short circle.
@@ -284,6 +284,22 @@ fn the_header_of_a_program_holds_any_name() {
     let chain = Provenance::of([&Artefact::new(Role::Robot, "Käfer \"7\"; €\n𝄞", "x").into()]);
     let program = krl::stamped("&ACCESS RVP\r\nDEF P ( )\r\nEND\r\n", &chain);
     assert!(program.is_ascii() && program.starts_with("&ACCESS RVP\r\nDEF P ( )\r\n; made by"), "{program}");
-    assert_eq!(krl::provenance(&program), chain);
+    assert_eq!(krl::provenance("p.src", &program).unwrap(), chain);
     assert_eq!(krl::stamped(&program, &chain), program);
+}
+
+/// A record that is damaged could hide a second correction.
+#[test]
+fn a_damaged_record_is_refused() {
+    let dir = cell();
+    let at = dir.path();
+    let program = at.join("krl/DBB_C001.src");
+    let text = fs::read_to_string(&program).unwrap();
+    fs::write(&program, text.replacen("; made from {", "; made from ", 1)).unwrap();
+    let robot = "result/robot-identified.toml";
+    let corrected = dbbd(at, &["compensate", "krl/DBB_C001.src", "--robot", robot, "--out", "corrected"]);
+    assert_eq!(said(&corrected, "E1807"), (Some(1), true));
+    assert_eq!(said(&dbbd(at, &["info", "krl/DBB_C001.src"]), "E1807"), (Some(1), true));
+    fs::write(at.join("result.json"), "{\"parameters\": [], \"provenance\": 5}").unwrap();
+    assert_eq!(said(&dbbd(at, &["info", "result.json"]), "E1807"), (Some(1), true));
 }

@@ -1,5 +1,7 @@
 //! What a program was made from, as comments after its first line.
 
+use crate::catalogue::ProvenanceFinding;
+use crate::diagnostic::Diagnostic;
 use crate::provenance::{Artefact, Provenance};
 
 /// How the comments begin.
@@ -27,12 +29,22 @@ fn escaped(character: char) -> String {
 }
 
 /// What the comments of a program say; nothing where there are none.
-pub fn provenance(text: &str) -> Provenance {
-    let after = |start: &'static str| text.lines().filter_map(move |line| line.strip_prefix(start));
-    Provenance {
-        dbbd: after(BY).next().map_or_else(String::new, |version| version.trim().to_owned()),
-        from: after(FROM).filter_map(|json| serde_json::from_str(json).ok()).collect(),
+///
+/// # Errors
+/// A comment that is damaged: what is not read could not be compared.
+pub fn provenance(file: &str, text: &str) -> Result<Provenance, Diagnostic> {
+    let mut found = Provenance::default();
+    for (line, number) in text.lines().zip(1..) {
+        if let Some(version) = line.strip_prefix(BY) {
+            found.dbbd = version.trim().to_owned();
+        } else if let Some(json) = line.strip_prefix(FROM) {
+            let damaged = |error: serde_json::Error| {
+                Diagnostic::line(file, number, ProvenanceFinding::Damaged { why: error.to_string() })
+            };
+            found.add(&serde_json::from_str(json).map_err(damaged)?);
+        }
     }
+    Ok(found)
 }
 
 /// The program with these comments in place of those that it has: after the line that begins its first routine or list.
