@@ -1,6 +1,7 @@
 //! What every module may use: units, the clock, files, tables. Nothing of dbbd's own subject.
 
 pub mod clock;
+pub mod date;
 mod exact;
 pub mod files;
 pub mod hash;

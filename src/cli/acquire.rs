@@ -10,7 +10,7 @@ use std::time::Duration;
 
 use indicatif::ProgressBar;
 
-use super::{Outcome, Output, output, protocols};
+use super::{Outcome, Output, artefact, output, protocols};
 use crate::base::clock;
 use crate::base::units::HostNs;
 use crate::catalogue::{CliFinding, PortFinding, ProtocolFinding};
@@ -20,6 +20,7 @@ use crate::daemon::{
 };
 use crate::device::port;
 use crate::diagnostic::Diagnostic;
+use crate::provenance::Identity;
 use crate::recording::run::{self, PlanFiles};
 
 /// The protocol without a word about it.
@@ -57,6 +58,10 @@ pub(crate) struct Args {
     /// Plan that the robot executes; it and the plan.json beside it go into the capture.
     #[arg(long, value_name = "PLAN.csv")]
     plan: Option<PathBuf>,
+    /// Serial numbers, operator, laboratory, temperatures of this run, in place of those of the plan's job: a TOML file
+    /// with the keys of its table [identity].
+    #[arg(long, value_name = "FILE")]
+    identity: Option<PathBuf>,
     /// Set the bar's present reading to zero before the run, where its protocol has a command for it.
     #[arg(long)]
     zero: bool,
@@ -87,6 +92,7 @@ fn seconds(text: &str) -> Result<f64, CliFinding> {
 }
 
 pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
+    let identity = args.identity.as_deref().map(artefact::identity).transpose()?.unwrap_or_default();
     let server = args.ekrl.map(Server::listen).transpose()?;
     if let Some(server) = &server {
         let address = server.address();
@@ -102,17 +108,22 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         let speed = if address.is_some() { "1" } else { "0" };
         let cell = simulated::Cell::start(args.plan.as_deref(), speed, address, out)?;
         let args = Args { port: cell.port().into(), plan: Some(cell.plan().into()), ..args.clone() };
-        let verdict = record(&args, server, out)?;
+        let verdict = record(&args, identity, server, out)?;
         cell.finish()?;
         return Ok(verdict);
     }
-    record(args, server, out)
+    record(args, identity, server, out)
 }
 
 /// What the capture says after `--zero`.
 const ZEROED: &str = "the bar's reading was set to zero before the run";
 
-fn record(args: &Args, server: Option<Server>, out: &Output) -> Result<Outcome, Diagnostic> {
+fn record(
+    args: &Args,
+    identity: Identity,
+    server: Option<Server>,
+    out: &Output,
+) -> Result<Outcome, Diagnostic> {
     let plan = args.plan.as_deref().map(PlanFiles::read).transpose()?;
     let planned = plan.as_ref().map(|files| files.plan.header.job.bar.protocol.as_str());
     let name = args.protocol.as_deref().or(planned).unwrap_or(DEFAULT_PROTOCOL);
@@ -136,6 +147,7 @@ fn record(args: &Args, server: Option<Server>, out: &Output) -> Result<Outcome, 
         definition,
         out: args.out.clone(),
         plan,
+        identity,
         duration_s: args.duration,
         gone_s: args.gone,
         feed: None,

@@ -12,7 +12,7 @@ use crate::catalogue::{FileFinding, ProvenanceFinding};
 use crate::diagnostic::Diagnostic;
 use crate::plan::Job;
 use crate::program::krl;
-use crate::provenance::{Artefact, Provenance, Role, Traced};
+use crate::provenance::{Artefact, Identity, Provenance, Role, Traced};
 use crate::recording::run;
 use crate::robot::Robot;
 
@@ -45,8 +45,7 @@ pub(super) fn read(path: &Path) -> Result<Option<Traced>, Diagnostic> {
         }
         if table.contains_key("bar") && table.contains_key("robot") {
             let job = Job::from_toml(&name, &text)?;
-            let artefact = Artefact { serial: job.bar.serial, ..Artefact::file(Role::Job, path)? };
-            return Ok(Some(artefact.into()));
+            return job.traced(path).map(Some);
         }
     } else if first.starts_with("index,circle,centre,kind,move") {
         return plan(path);
@@ -67,6 +66,14 @@ fn plan(path: &Path) -> Result<Option<Traced>, Diagnostic> {
     run::read_plan(&path.with_extension("csv")).map(|plan| Some(plan.traced()))
 }
 
+/// What a file states of a measurement.
+///
+/// # Errors
+/// What is wrong in the file.
+pub(super) fn identity(path: &Path) -> Result<Identity, Diagnostic> {
+    Identity::from_toml(&path.display().to_string(), &files::read(path)?)
+}
+
 /// The artefact and its chain on the screen.
 pub(super) fn show(traced: &Traced, out: &Output) {
     let Traced { artefact, provenance } = traced;
@@ -80,7 +87,10 @@ pub(super) fn show(traced: &Traced, out: &Output) {
 
 /// What an artefact was made from, the newest first.
 pub(super) fn chain(provenance: &Provenance, out: &Output) {
-    if provenance.is_empty() {
+    for (name, value) in provenance.identity.facts() {
+        line(out, &name, &value);
+    }
+    if provenance.from.is_empty() {
         return line(out, "made from", "not recorded");
     }
     if !provenance.dbbd.is_empty() {

@@ -149,10 +149,13 @@ impl Gathered {
         info.duration_s = self.span.map_or(0.0, |(first, last)| last.seconds_since(first));
         info.rate_hz = (info.duration_s > 0.0).then(|| info.samples as f64 / info.duration_s);
         let plan = run::attached_plan("the capture", &self.attachments).ok().flatten();
-        info.provenance = plan.map_or_else(Provenance::default, |plan| Provenance {
+        let identity = run::identity("the capture", plan.as_ref(), &self.attachments, info.started_unix_ns);
+        info.provenance = Provenance {
             dbbd: info.dbbd.clone().unwrap_or_default(),
-            ..Provenance::of([&plan.traced()])
-        });
+            // What cannot be read of it is refused where the run is used.
+            identity: identity.unwrap_or_default(),
+            ..plan.map_or_else(Provenance::default, |plan| Provenance::of([&plan.traced()]))
+        };
         let protocol = self.attachments.get("protocol.toml");
         info.protocol = protocol
             .and_then(|text| std::str::from_utf8(text).ok())

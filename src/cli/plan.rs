@@ -64,7 +64,7 @@ struct Summary<'a> {
 pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     let name = args.job.display().to_string();
     let job = Job::from_toml(&name, &files::read(&args.job)?)?;
-    let made_from = Artefact { serial: job.bar.serial.clone(), ..Artefact::file(Role::Job, &args.job)? };
+    let made_from = job.traced(&args.job)?;
     let job = args.stage.map_or_else(|| job.clone(), |points| job.as_stage(points));
     // A definition in a file may be there only where the run is.
     if !job.bar.protocol.ends_with(".toml") {
@@ -76,7 +76,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     job.check_against(robot.controller()).map_err(|why| Diagnostic::file(&name, why))?;
     robot.asked_repeatability().into_iter().for_each(|finding| out.finding(finding));
     let measured = Measured::find(args, robot_name, &source, out)?;
-    let provenance = Provenance::of([&made_from.into(), &source].into_iter().chain(&measured.sources));
+    let provenance = Provenance::of([&made_from, &source].into_iter().chain(&measured.sources));
     let Known { job, robot, prior } = Known::after(job, robot, &measured.files, out)?;
     let mut plan = Plan::build_with(&job, &robot, &prior).map_err(|refusal| {
         refusal.shown().for_each(|finding| out.finding(finding.clone()));

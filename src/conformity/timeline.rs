@@ -2,6 +2,7 @@
 
 use serde::Serialize;
 
+use crate::base::date::day_number;
 use crate::catalogue::ConformityFinding;
 
 /// What is counted along a trend.
@@ -65,23 +66,6 @@ impl Timeline {
     pub fn last(&self) -> f64 {
         self.times.last().copied().unwrap_or(0.0)
     }
-}
-
-/// Days of a date of the Gregorian calendar from a fixed one; `None` of what is no date.
-fn day_number(date: &str) -> Option<f64> {
-    let mut parts = date.splitn(3, '-').map(|part| part.parse::<u32>().ok());
-    let (year, month, day) = (parts.next()??, parts.next()??, parts.next()??);
-    let leap = year.is_multiple_of(4) && (!year.is_multiple_of(100) || year.is_multiple_of(400));
-    let february = if leap { 29 } else { 28 };
-    let lengths = [31, february, 31, 30, 31, 30, 31, 31, 30, 31, 30, 31];
-    let most = *lengths.get(month.checked_sub(1)? as usize)?;
-    if !(1..=9999).contains(&year) || !(1..=most).contains(&day) {
-        return None;
-    }
-    let before = year - 1;
-    let years = 365 * before + before / 4 - before / 100 + before / 400;
-    let months: u32 = lengths.iter().take(month as usize - 1).sum();
-    Some(f64::from(years + months + day))
 }
 
 #[cfg(test)]

@@ -23,9 +23,9 @@ use crate::catalogue::{RecordingFinding, ServiceFinding};
 use crate::device::port::{self, Arrival, Port, Reader};
 use crate::device::protocol::{Definition, Mode};
 use crate::diagnostic::Diagnostic;
-use crate::provenance;
+use crate::provenance::{self, Identity};
 use crate::recording::capture::{Event, Writer};
-use crate::recording::run::PlanFiles;
+use crate::recording::run::{ATTACHED_IDENTITY, PlanFiles};
 
 /// Longest wait between two attempts to open a port that went away, s.
 const LONGEST_BACKOFF_S: f64 = 0.5;
@@ -40,6 +40,8 @@ pub struct Options {
     pub out: PathBuf,
     /// The plan that the robot executes; the capture carries its files.
     pub plan: Option<PlanFiles>,
+    /// What is stated of this run beside its plan.
+    pub identity: Identity,
     /// Ends the run after so many seconds of host time.
     pub duration_s: Option<f64>,
     /// Ends the run when the port has been away for so many seconds.
@@ -154,6 +156,9 @@ impl Acquisition {
         recorder.event(began, Event::Started { unix_ns: clock::unix_ns(), version })?;
         for (name, content) in plan.into_iter().flat_map(PlanFiles::attachments) {
             recorder.attach(began, name, content.as_bytes())?;
+        }
+        if !options.identity.is_empty() {
+            recorder.attach(began, ATTACHED_IDENTITY, options.identity.to_toml()?.as_bytes())?;
         }
         recorder.attach(began, "protocol.toml", options.definition.text.as_bytes())?;
         let port = begin(&mut recorder, &options.port, opened)?;

@@ -9,7 +9,7 @@ use super::{AXES, Joint, JointError, JointErrors, Ripple, Smooth};
 use crate::base::parse::from_toml;
 use crate::catalogue::RobotFinding;
 use crate::diagnostic::{Diagnostic, nearest};
-use crate::provenance::{Artefact, Provenance, Role, Traced};
+use crate::provenance::{Artefact, Identity, Provenance, Role, Traced};
 
 /// The robots that come with dbbd: name and file.
 const BUILT_IN: &[(&str, &str)] = include!("../../robots/built-in.rs");
@@ -20,6 +20,8 @@ pub struct Robot {
     pub name: String,
     /// Serial number of the arm.
     pub serial: Option<String>,
+    /// Serial number of its controller.
+    pub controller_serial: Option<String>,
     /// The language of its controller's programs, such as `krl`.
     pub language: Option<String>,
     /// The table, the tool ball and the masses.
@@ -69,6 +71,8 @@ struct RobotFile {
     name: String,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     serial: Option<String>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    controller_serial: Option<String>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     language: Option<String>,
     convention: String,
@@ -205,7 +209,10 @@ impl Robot {
     pub fn traced(&self, text: &str) -> Traced {
         let role = if self.nominal.is_some() { Role::IdentifiedRobot } else { Role::Robot };
         let artefact = Artefact { serial: self.serial.clone(), ..Artefact::new(role, &self.name, text) };
-        Traced { artefact, provenance: self.provenance.clone() }
+        let mut provenance = self.provenance.clone();
+        let (robot, controller) = (self.serial.clone(), self.controller_serial.clone());
+        provenance.identity.extend(&Identity { robot, controller, ..Identity::default() });
+        Traced { artefact, provenance }
     }
 
     /// The language of its controller's programs: the file's, else that of the maker in its name.
@@ -471,6 +478,7 @@ impl RobotFile {
             repeatability_mm: self.repeatability_mm,
             source: self.source,
             serial: self.serial,
+            controller_serial: self.controller_serial,
             language: self.language,
             provenance: self.provenance,
             payload: self.payload.is_some(),
@@ -505,6 +513,7 @@ impl RobotFile {
         Self {
             name: robot.name.clone(),
             serial: robot.serial.clone(),
+            controller_serial: robot.controller_serial.clone(),
             language: robot.language.clone(),
             convention: "modified-dh".into(),
             source: robot.source.clone(),

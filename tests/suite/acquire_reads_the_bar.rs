@@ -9,6 +9,7 @@ use dbbd::base::clock;
 use dbbd::daemon;
 use dbbd::device::protocol::Definition;
 use dbbd::measurement::sample::Sample;
+use dbbd::provenance::Identity;
 use dbbd::recording::capture::{self, Capture, Event, Record};
 use dbbd::sim::bar::{self, Options, Reading, Source, Terminal};
 
@@ -393,6 +394,7 @@ fn a_bar_that_goes_away_for_good_ends_the_run() {
         definition: definition(),
         out: path.clone(),
         plan: None,
+        identity: Identity::default(),
         duration_s: None,
         gone_s: 0.3,
         feed: None,

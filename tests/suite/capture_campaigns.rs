@@ -12,6 +12,7 @@ use dbbd::base::units::{DeviceTicks, HostNs};
 use dbbd::daemon::{Acquisition, Ending, Options, Progress};
 use dbbd::device::protocol::Definition;
 use dbbd::measurement::sample::Sample;
+use dbbd::provenance::Identity;
 
 use crate::cell::codes;
 use dbbd::recording::capture::{self, Capture, Disk, Event, Record, Stamped, Writer};
@@ -372,6 +373,7 @@ fn stalled(port: String, stall_s: f64) -> (Capture, Progress) {
         definition: definition(),
         out: "run".into(),
         plan: None,
+        identity: Identity::default(),
         duration_s: None,
         gone_s: 1.0,
         feed: None,

@@ -35,6 +35,7 @@ fn provoked() -> Vec<&'static str> {
         crate::every_device_round_trips::provoked(),
         crate::imports_foreign_traces::provoked(),
         crate::infeasible_jobs_are_refused::provoked(),
+        crate::identity_travels::provoked(),
         crate::inverse_kinematics::provoked(),
         crate::job_keys::provoked(),
         crate::krl_reads_back::provoked(),

@@ -48,6 +48,7 @@ mod identifies_real_robots;
 mod identifies_the_papers_robot;
 mod identifies_to_the_limit;
 mod identify_takes_any_numbers;
+mod identity_travels;
 mod imports_foreign_traces;
 mod infeasible_jobs_are_refused;
 mod inverse_kinematics;

@@ -61,7 +61,7 @@ fn write_identified(at: &Path, nominal: Robot) {
     let source = |role, file: &str| Artefact::file(role, &at.join(file)).unwrap();
     let robot = Artefact { name: nominal.name.clone(), ..source(Role::Robot, "robot.toml") };
     let from = vec![robot, source(Role::Measurements, "result/lengths.csv")];
-    let provenance = Provenance { dbbd: VERSION.into(), from };
+    let provenance = Provenance { dbbd: VERSION.into(), from, ..Provenance::default() };
     let identified =
         Robot { provenance, nominal: Some(Box::new(nominal.clone())), ..truth::draw(&nominal, 1, 0.3) };
     fs::write(at.join("result/robot-identified.toml"), identified.to_toml()).unwrap();
@@ -244,7 +244,7 @@ fn a_run_of_another_robot_or_older_than_the_calibration_is_seen() {
     let robot = |serial: &str, from: Vec<Artefact>| Robot {
         serial: Some(serial.into()),
         nominal: Some(Box::new(kr60())),
-        provenance: Provenance { dbbd: VERSION.into(), from },
+        provenance: Provenance { dbbd: VERSION.into(), from, ..Provenance::default() },
         ..kr60()
     };
     let first = robot("KR-1", vec![Artefact::new(Role::Robot, "KUKA KR 60 HA", "")]).to_toml();

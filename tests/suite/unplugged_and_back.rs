@@ -16,6 +16,7 @@ use dbbd::base::units::{DeviceTicks, HostNs};
 use dbbd::daemon::{Acquisition, Options};
 use dbbd::device::protocol::Definition;
 use dbbd::measurement::sample::Sample;
+use dbbd::provenance::Identity;
 use dbbd::recording::capture::{self, Event, Record};
 use dbbd::sim::link::Link;
 use rand::{RngExt, SeedableRng};
@@ -136,6 +137,7 @@ fn session(directory: &Path, length: Length, seed: u64) -> Seen {
         definition: Definition::by_name("dbb-cobs-1").unwrap().unwrap(),
         out: out.clone(),
         plan: None,
+        identity: Identity::default(),
         duration_s: None,
         gone_s: 1e9,
         sync_s: 1.0,

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use super::{Outcome, Output, positive};
+use super::{Outcome, Output, artefact, positive};
 use crate::base::files;
 use crate::catalogue::{EstimationFinding, ProvenanceFinding};
 use crate::design::calibrate;
@@ -101,6 +101,10 @@ pub(crate) struct Args {
     /// (GUM supplement 1), beside the linear ones; 100 to 1000000, usually 1000.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(100..=1_000_000))]
     monte_carlo: Option<u32>,
+    /// Serial numbers, bar certificate, operator, laboratory, date and temperatures, in place of those of a capture: a
+    /// TOML file with the keys of a job's table [identity].
+    #[arg(long, value_name = "FILE")]
+    identity: Option<PathBuf>,
     /// Poses (CSV a1_deg,..,a6_deg) over which the 3-D error is predicted, in place of 2000 within the limits.
     #[arg(long, value_name = "FILE.csv")]
     workspace: Option<PathBuf>,
@@ -131,6 +135,9 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         args.prior.as_deref().filter(|prior| !["none", "datasheet", "posterior"].contains(prior))
     {
         given.provenance.add(&Artefact::file(Role::Prior, Path::new(file))?);
+    }
+    if let Some(path) = &args.identity {
+        given.provenance.identity.extend(&artefact::identity(path)?);
     }
     let set_up = SetUp { balls: given.centres.len(), bars: given.observations.bars() };
     let options = options(args, &mut given, set_up, out)?;

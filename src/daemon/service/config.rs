@@ -19,6 +19,7 @@ use crate::daemon::ALARM_SHARE;
 use crate::device::protocol::Definition;
 use crate::diagnostic::{Diagnostic, Finding};
 use crate::live::Token;
+use crate::provenance::Identity;
 
 /// How long a port may stay away during a run before the run ends, s.
 const GONE_S: f64 = 60.0;
@@ -46,6 +47,8 @@ pub struct Config {
     pub alarm_share: f64,
     /// The stroke where no plan gives it, mm.
     pub stroke_mm: Option<[f64; 2]>,
+    /// What every run states of itself.
+    pub identity: Identity,
 }
 
 #[derive(Default, Deserialize)]
@@ -58,6 +61,7 @@ struct File {
     plans: Option<String>,
     device: DeviceTable,
     alarm: AlarmTable,
+    identity: Option<Spanned<Identity>>,
 }
 
 #[derive(Default, Deserialize)]
@@ -89,6 +93,7 @@ impl Default for Config {
             gone_s: GONE_S,
             alarm_share: ALARM_SHARE,
             stroke_mm: None,
+            identity: Identity::default(),
         }
     }
 }
@@ -175,6 +180,10 @@ impl Config {
                 return Err(source.wrong(stroke.span(), NotAStroke));
             }
             config.stroke_mm = Some([low, high]);
+        }
+        if let Some(identity) = table.identity {
+            identity.get_ref().check_all().map_err(|(_, wrong)| source.wrong(identity.span(), wrong))?;
+            config.identity = identity.into_inner();
         }
         Ok(config)
     }

@@ -261,6 +261,7 @@ impl Supervisor {
             definition,
             out: directory.join(runs::CAPTURE),
             plan,
+            identity: self.config.identity.clone(),
             duration_s: request.duration_s,
             gone_s: self.config.gone_s,
             sync_s: 1.0,

@@ -9,6 +9,7 @@ use crate::measurement::table::MOST_BALLS;
 use crate::measurement::{BallId, BaseBall};
 use crate::plan::module::MODULE_DWELLS;
 use crate::plan::timing::ACCELERATION_MM_S2;
+use crate::provenance::check_text;
 
 /// Chosen poses of a plan: with more the run takes hours, in which everything drifts.
 const MOST_POINTS: u32 = 1000;
@@ -59,6 +60,7 @@ impl Job {
     /// What the types do not say.
     pub(crate) fn check(&self) -> Result<(), Misplaced> {
         self.check_bar()?;
+        self.check_identity()?;
         self.check_motion()?;
         self.check_outputs()?;
         self.check_limits()?;
@@ -96,6 +98,22 @@ impl Job {
             return Err(table.wrong("margin_mm", JobFinding::NoStrokeLeft { margin_mm, stroke_mm }));
         }
         Ok(())
+    }
+
+    fn check_identity(&self) -> Result<(), Misplaced> {
+        let in_table = |table: Table, checked: Result<(), (&'static str, JobFinding)>| {
+            checked.map_err(|(key, finding)| table.wrong(key, finding))
+        };
+        let identity = &self.identity;
+        in_table(Table::new("[identity]"), identity.check())?;
+        in_table(Table::new("[identity.bar]"), identity.bar.check())?;
+        for (at, temperature) in identity.temperatures.iter().enumerate() {
+            in_table(Table::nth("[[identity.temperature]]", at), temperature.check())?;
+        }
+        for (at, centre) in self.centres.iter().enumerate() {
+            in_table(Table::nth("[[centre]]", at), check_text("serial", centre.serial.as_ref()))?;
+        }
+        in_table(Table::new("[bar]"), self.bar.identity().check())
     }
 
     fn check_optimise(&self) -> Result<(), Misplaced> {

@@ -4,8 +4,12 @@ mod check;
 mod obstacle;
 mod values;
 
+use std::path::Path;
+
 use serde::{Deserialize, Serialize};
 
+use crate::diagnostic::Diagnostic;
+use crate::provenance::{Artefact, BarIdentity, Identity, Provenance, Role, Traced};
 use crate::robot::AXES;
 pub use obstacle::ObstacleTable;
 
@@ -18,6 +22,9 @@ pub struct Job {
     /// Serial number of the robot in this cell.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub serial: Option<String>,
+    /// Serial numbers, people, place and circumstances.
+    #[serde(default, skip_serializing_if = "Identity::is_empty")]
+    pub identity: Identity,
     /// Seed of what is drawn: the time code and random orientations.
     #[serde(default = "first_seed")]
     pub seed: u32,
@@ -50,6 +57,31 @@ fn first_seed() -> u32 {
     1
 }
 
+impl Job {
+    /// Whose measurement this is to be: its table, and what robot, bar and balls say of themselves.
+    pub fn identity(&self) -> Identity {
+        let serials =
+            self.centres.iter().filter_map(|ball| Some((ball.id.to_string(), ball.serial.clone()?)));
+        let mut identity = self.identity.clone();
+        identity.extend(&Identity {
+            robot: self.serial.clone(),
+            bar: self.bar.identity(),
+            balls: serials.collect(),
+            ..Identity::default()
+        });
+        identity
+    }
+
+    /// The job as an artefact, `path` being its file.
+    ///
+    /// # Errors
+    /// When it cannot be read.
+    pub fn traced(&self, path: &Path) -> Result<Traced, Diagnostic> {
+        let artefact = Artefact { serial: self.bar.serial.clone(), ..Artefact::file(Role::Job, path)? };
+        Ok(Traced { artefact, provenance: Provenance { identity: self.identity(), ..Provenance::default() } })
+    }
+}
+
 /// The ball-bar.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -79,9 +111,31 @@ pub struct Bar {
     /// Serial number of the bar.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub serial: Option<String>,
+    /// Number of the certificate of its length, its date YYYY-MM-DD, and the laboratory that issued it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub certificate: Option<String>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub certified_on: Option<String>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub certified_by: Option<String>,
     /// Name or file of the protocol that the bar speaks.
     #[serde(default = "default_protocol")]
     pub protocol: String,
+}
+
+impl Bar {
+    pub(super) fn identity(&self) -> BarIdentity {
+        BarIdentity {
+            serial: self.serial.clone(),
+            certificate: self.certificate.clone(),
+            certified_on: self.certified_on.clone(),
+            certified_by: self.certified_by.clone(),
+            length_mm: Some(self.length_mm),
+            length_u_mm: self.length_u_mm,
+            temperature_c: self.temperature_c,
+            expansion_per_k: self.expansion_per_k,
+        }
+    }
 }
 
 fn default_radius() -> f64 {
@@ -104,6 +158,9 @@ pub struct CentreTable {
     pub id: u32,
     /// Its centre in the robot base, mm.
     pub xyz_mm: [f64; 3],
+    /// Its serial number.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub serial: Option<String>,
     /// The axis of its cup, out of the cup, in the robot base.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cup_axis: Option<[f64; 3]>,

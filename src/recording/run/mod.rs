@@ -10,7 +10,7 @@ use std::sync::Arc;
 
 pub use circles::{Circle, Circles, drives};
 pub use open::{is_capture, losses, open};
-pub use plan_files::{PlanFiles, attached_plan, read_plan};
+pub use plan_files::{ATTACHED_IDENTITY, PlanFiles, attached_plan, identity, read_plan};
 use temperature::{Temperatures, certificate};
 
 use super::matching::{self, Expected, Input, MeasuredAxes, PoseMatching, PoseOutcome};
@@ -21,7 +21,7 @@ use crate::circular::Temperature;
 use crate::diagnostic::Diagnostic;
 use crate::measurement::{BallId, BaseBall, Column};
 use crate::plan::Plan;
-use crate::provenance::{Artefact, Provenance, Role, Traced};
+use crate::provenance::{self, Artefact, Identity, Provenance, Role, Traced};
 use crate::robot::{AXES, Robot};
 
 /// What a capture gives to be matched.
@@ -39,6 +39,8 @@ pub struct Run {
     pub doubtful: bool,
     /// As the program sent them over EthernetKRL; those of a `.dat` take precedence.
     pub axes_deg: MeasuredAxes,
+    /// Whose it is, and when it was recorded.
+    identity: Identity,
 }
 
 /// A model of the lengths: evidence for the matching as the times are.
@@ -127,7 +129,19 @@ impl Run {
     /// When it cannot be read.
     pub fn traced(&self, path: &Path) -> Result<Traced, Diagnostic> {
         let artefact = Artefact::file(Role::Capture, path)?;
-        Ok(Traced { artefact, provenance: Provenance::of([&self.plan.traced()]) })
+        let mut identity = self.identity.clone();
+        if let Some(celsius) = self.temperatures.mean()
+            && identity.temperatures.iter().all(|stated| stated.of != "bar")
+        {
+            let device = Some("its own sensor".into());
+            identity.temperatures.push(provenance::Temperature {
+                of: "bar".into(),
+                celsius,
+                u_k: None,
+                device,
+            });
+        }
+        Ok(Traced { artefact, provenance: Provenance { identity, ..Provenance::of([&self.plan.traced()]) } })
     }
 
     /// The base balls of the job.

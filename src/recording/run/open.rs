@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use serde_json::Value;
 
 use super::Run;
-use super::plan_files::{attached_plan, attached_text, read_plan};
+use super::plan_files::{attached_plan, attached_text, identity, read_plan};
 use super::temperature::Temperatures;
 use crate::base::files;
 use crate::catalogue::{FileFinding, RecordingFinding};
@@ -52,7 +52,7 @@ pub fn open(
     let lacks = pass.doubts();
     let mut doubtful = !lacks.is_empty();
     lacks.into_iter().for_each(&mut report);
-    let Gathered { attachments, stream, temperatures, reports } = gathered;
+    let Gathered { attachments, stream, temperatures, reports, started } = gathered;
     let plan = match plan {
         Some(csv) => read_plan(csv)?,
         None => attached_plan(&name, &attachments)?
@@ -73,7 +73,8 @@ pub fn open(
         doubtful = true;
         report(doubt);
     }
-    let run = Run { plan, stream, temperatures, reports, doubtful, axes_deg };
+    let identity = identity(&name, Some(&plan), &attachments, started)?;
+    let run = Run { plan, stream, temperatures, reports, doubtful, axes_deg, identity };
     run.temperature_finding().into_iter().for_each(&mut report);
     Ok(run)
 }
@@ -140,6 +141,8 @@ struct Gathered {
     stream: Option<StreamBuilder>,
     temperatures: Temperatures,
     reports: Vec<Report>,
+    /// By the capture's own clock, ns since the Unix epoch.
+    started: Option<u64>,
 }
 
 impl Gathered {
@@ -162,6 +165,7 @@ impl Gathered {
             Record::Event(Event::Controller { index, phase, axes_deg }) => {
                 self.reports.push(Report { host: stamped.host, index, phase, axes_deg });
             }
+            Record::Event(Event::Started { unix_ns, .. }) => self.started = self.started.or(Some(unix_ns)),
             _ => {}
         }
         Ok(())

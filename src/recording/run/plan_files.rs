@@ -3,15 +3,18 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use crate::base::files;
+use crate::base::{date, files};
 use crate::catalogue::{FileFinding, PlanFinding};
 use crate::diagnostic::Diagnostic;
 use crate::plan::Plan;
+use crate::provenance::Identity;
 
 /// The names of a plan's files among the attachments of a capture.
 const ATTACHED_CSV: &str = "plan.csv";
 const ATTACHED_JSON: &str = "plan.json";
 const ATTACHED_ROBOT: &str = "robot.toml";
+/// What was stated of the run when it began.
+pub const ATTACHED_IDENTITY: &str = "identity.toml";
 
 /// Longer than the files of any plan: 1000 poses take a few hundred kB.
 const MOST_BYTES: u64 = 8 << 20;
@@ -63,6 +66,25 @@ pub fn attached_plan(run: &str, attachments: &BTreeMap<String, Vec<u8>>) -> Resu
     let (Some(csv), Some(json)) = (text(ATTACHED_CSV)?, text(ATTACHED_JSON)?) else { return Ok(None) };
     let name = |file: &str| format!("{run}: {file}");
     Plan::from_files(&name(ATTACHED_CSV), csv, &name(ATTACHED_JSON), json).map(Some)
+}
+
+/// Whose the run is as a whole: what its plan states, with what was stated when it began, at `started` by the capture's own
+/// clock (ns since the Unix epoch).
+///
+/// # Errors
+/// What is wrong in the attachment.
+pub fn identity(
+    run: &str,
+    plan: Option<&Plan>,
+    attachments: &BTreeMap<String, Vec<u8>>,
+    started: Option<u64>,
+) -> Result<Identity, Diagnostic> {
+    let mut identity = plan.map(|plan| plan.header.provenance.identity.clone()).unwrap_or_default();
+    if let Some(text) = attached_text(run, attachments, ATTACHED_IDENTITY)? {
+        identity.extend(&Identity::from_toml(&format!("{run}: {ATTACHED_IDENTITY}"), text)?);
+    }
+    identity.measured = started.filter(|ns| *ns > 0).map(date::utc).or(identity.measured);
+    Ok(identity)
 }
 
 /// The text of an attachment, if it is there.

@@ -1,7 +1,10 @@
 //! What an artefact was made from: the chain from job and robot file to a corrected program.
 //!
-//! An artefact is known by the SHA-256 of its file. It carries those that it was made from, and a command compares the
-//! chains of its inputs before it computes. A chain has no date and no path: the same inputs give the same bytes.
+//! An artefact is known by the SHA-256 of its file. It carries those that it was made from and whose measurement it is,
+//! and a command compares the chains of its inputs before it computes. A chain has no date but that of a capture's own
+//! clock, and no path: the same inputs give the same bytes.
+
+mod identity;
 
 use std::fmt;
 use std::path::Path;
@@ -12,6 +15,7 @@ use crate::base::files;
 use crate::base::hash::sha256;
 use crate::catalogue::ProvenanceFinding;
 use crate::diagnostic::Diagnostic;
+pub use identity::{BarIdentity, Identity, Temperature, Wrong, check_text};
 
 /// dbbd's version, with the commit where it was built from a repository.
 pub const VERSION: &str = env!("DBBD_VERSION");
@@ -110,7 +114,7 @@ pub enum Difference {
 }
 
 /// What an artefact was made from, and by which version. Empty where that was not recorded.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Provenance {
     /// The version of dbbd that made it.
     #[serde(default)]
@@ -118,10 +122,13 @@ pub struct Provenance {
     /// Each artefact once, before what was made from it.
     #[serde(default)]
     pub from: Vec<Artefact>,
+    /// Who measured what, where and when.
+    #[serde(default, skip_serializing_if = "Identity::is_empty")]
+    pub identity: Identity,
 }
 
 /// An artefact with what it was made from.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Traced {
     #[serde(flatten)]
     pub artefact: Artefact,
@@ -170,8 +177,16 @@ impl Traced {
 impl Provenance {
     /// Of what this version makes from `inputs`.
     pub fn of<'a>(inputs: impl IntoIterator<Item = &'a Traced>) -> Self {
-        let mut made = Self { dbbd: VERSION.into(), from: Vec::new() };
-        inputs.into_iter().flat_map(Traced::chain).for_each(|source| made.add(source));
+        let mut made = Self { dbbd: VERSION.into(), ..Self::default() };
+        for input in inputs {
+            input.chain().for_each(|source| made.add(source));
+            let stated = &input.provenance.identity;
+            match input.artefact.role {
+                // Of its calibration the robot carries nothing into the next measurement but itself.
+                Role::Robot | Role::IdentifiedRobot => made.identity.extend(&stated.of_robot()),
+                _ => made.identity.extend(stated),
+            }
+        }
         made
     }
 
@@ -184,7 +199,7 @@ impl Provenance {
 
     /// Whether nothing was recorded.
     pub fn is_empty(&self) -> bool {
-        self.from.is_empty()
+        self.from.is_empty() && self.identity.is_empty()
     }
 
     /// Whether the artefact is in the chain.

@@ -1,0 +1,289 @@
+//! Who measured what, where and under which circumstances.
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+
+use crate::base::date::day_number;
+use crate::base::parse::from_toml;
+use crate::catalogue::FileFinding;
+use crate::catalogue::JobFinding::{self, NotADate, NotAText, OutOfRange};
+use crate::diagnostic::Diagnostic;
+
+/// No text of an identity is longer, characters.
+const MOST_TEXT: usize = 200;
+/// No temperature of a cell is beyond, degrees Celsius.
+const TEMPERATURES_C: [f64; 2] = [-50.0, 100.0];
+
+/// Serial numbers, people, places and circumstances of a measurement, as far as they are stated: a table `[identity]` of
+/// a job or of the service's configuration, or a file of its own.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Identity {
+    /// Serial number of the robot.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub robot: Option<String>,
+    /// Serial number of its controller.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub controller: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub cell: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub laboratory: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub operator: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub customer: Option<String>,
+    /// Date, or date and time in UTC: a capture's is that of its own clock.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub measured: Option<String>,
+    /// Mass at the flange, kg.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub load_kg: Option<f64>,
+    #[serde(skip_serializing_if = "BarIdentity::is_empty")]
+    pub bar: BarIdentity,
+    /// Serial numbers of the base balls, by their numbers.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub balls: BTreeMap<String, String>,
+    #[serde(rename = "temperature", skip_serializing_if = "Vec::is_empty")]
+    pub temperatures: Vec<Temperature>,
+}
+
+/// The bar and its certificate.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct BarIdentity {
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub serial: Option<String>,
+    /// Number of the certificate of its length.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub certificate: Option<String>,
+    /// Date of the certificate.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub certified_on: Option<String>,
+    /// The laboratory that issued it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub certified_by: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub length_mm: Option<f64>,
+    /// Expanded uncertainty (k = 2) of the length, mm.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub length_u_mm: Option<f64>,
+    /// Temperature of the certified length, degrees Celsius.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub temperature_c: Option<f64>,
+    /// Thermal expansion, 1/K.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub expansion_per_k: Option<f64>,
+}
+
+/// A temperature during the measurement.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Temperature {
+    /// Of what: `air`, `bar`, `robot`, ..
+    pub of: String,
+    /// Mean, degrees Celsius.
+    pub celsius: f64,
+    /// Expanded uncertainty (k = 2), K.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub u_k: Option<f64>,
+    /// What measured it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub device: Option<String>,
+}
+
+/// What is wrong with a value, and under which key.
+pub type Wrong = (&'static str, JobFinding);
+
+/// A text in one line.
+///
+/// # Errors
+/// It is empty, too long, or has control characters.
+pub fn check_text(key: &'static str, text: Option<&String>) -> Result<(), Wrong> {
+    let Some(text) = text else { return Ok(()) };
+    let length = text.chars().count();
+    if (1..=MOST_TEXT).contains(&length) && !text.chars().any(char::is_control) {
+        return Ok(());
+    }
+    Err((key, NotAText { key: key.into(), length, most: MOST_TEXT }))
+}
+
+/// A date, or date and time.
+fn check_date(key: &'static str, date: Option<&String>) -> Result<(), Wrong> {
+    let is_date = |text: &String| day_number(text.split('T').next().unwrap_or_default()).is_some();
+    match date {
+        Some(date) if !is_date(date) => Err((key, NotADate { key: key.into(), date: date.clone() })),
+        date => check_text(key, date),
+    }
+}
+
+fn within(key: &'static str, value: Option<f64>, [least, most]: [f64; 2]) -> Result<(), Wrong> {
+    match value {
+        Some(value) if !(least..=most).contains(&value) => {
+            Err((key, OutOfRange { key: key.into(), value, least, most }))
+        }
+        _ => Ok(()),
+    }
+}
+
+impl Temperature {
+    /// # Errors
+    /// A text that is none, or a number out of its range.
+    pub fn check(&self) -> Result<(), Wrong> {
+        check_text("of", Some(&self.of))?;
+        check_text("device", self.device.as_ref())?;
+        within("celsius", Some(self.celsius), TEMPERATURES_C)?;
+        within("u_k", self.u_k, [0.0, 100.0])
+    }
+}
+
+impl BarIdentity {
+    fn is_empty(&self) -> bool {
+        *self == Self::default()
+    }
+
+    fn texts(&self) -> [(&'static str, &Option<String>); 4] {
+        [
+            ("serial", &self.serial),
+            ("certificate", &self.certificate),
+            ("certified_on", &self.certified_on),
+            ("certified_by", &self.certified_by),
+        ]
+    }
+
+    /// # Errors
+    /// A text or a date that is none, or a number out of its range.
+    pub fn check(&self) -> Result<(), Wrong> {
+        self.texts().into_iter().try_for_each(|(key, text)| check_text(key, text.as_ref()))?;
+        check_date("certified_on", self.certified_on.as_ref())?;
+        within("length_mm", self.length_mm, [0.0, 1e5])?;
+        within("length_u_mm", self.length_u_mm, [0.0, 1e5])?;
+        within("temperature_c", self.temperature_c, TEMPERATURES_C)?;
+        within("expansion_per_k", self.expansion_per_k, [-1e-3, 1e-3])
+    }
+}
+
+impl Identity {
+    /// Reads the file of an identity.
+    ///
+    /// # Errors
+    /// Names the line of an unknown key, or what is wrong with a value.
+    pub fn from_toml(file: &str, text: &str) -> Result<Self, Diagnostic> {
+        let identity: Self = from_toml(file, text)?;
+        identity.check_all().map_err(|(_, finding)| Diagnostic::file(file, finding))?;
+        Ok(identity)
+    }
+
+    /// Its file.
+    ///
+    /// # Errors
+    /// A number that TOML cannot hold.
+    pub fn to_toml(&self) -> Result<String, FileFinding> {
+        toml::to_string(self).map_err(|error| FileFinding::NotToml { why: error.to_string() })
+    }
+
+    pub fn is_empty(&self) -> bool {
+        *self == Self::default()
+    }
+
+    /// That of the robot alone, which stays with it from one measurement to the next.
+    pub fn of_robot(&self) -> Self {
+        Self { robot: self.robot.clone(), controller: self.controller.clone(), ..Self::default() }
+    }
+
+    fn texts(&self) -> [(&'static str, &Option<String>); 6] {
+        [
+            ("robot", &self.robot),
+            ("controller", &self.controller),
+            ("cell", &self.cell),
+            ("laboratory", &self.laboratory),
+            ("operator", &self.operator),
+            ("customer", &self.customer),
+        ]
+    }
+
+    /// Its own keys, without bar and temperatures.
+    ///
+    /// # Errors
+    /// A text or a date that is none, or a load out of its range.
+    pub fn check(&self) -> Result<(), Wrong> {
+        self.texts().into_iter().try_for_each(|(key, text)| check_text(key, text.as_ref()))?;
+        self.balls.values().try_for_each(|serial| check_text("balls", Some(serial)))?;
+        check_date("measured", self.measured.as_ref())?;
+        within("load_kg", self.load_kg, [0.0, 1e4])
+    }
+
+    /// # Errors
+    /// The first value that cannot be.
+    pub fn check_all(&self) -> Result<(), Wrong> {
+        self.check()?;
+        self.bar.check()?;
+        self.temperatures.iter().try_for_each(Temperature::check)
+    }
+
+    /// With what `other` states in place of what is stated here.
+    pub fn extend(&mut self, other: &Self) {
+        fn take<T: Clone>(mine: &mut Option<T>, theirs: &Option<T>) {
+            if theirs.is_some() {
+                mine.clone_from(theirs);
+            }
+        }
+        take(&mut self.robot, &other.robot);
+        take(&mut self.controller, &other.controller);
+        take(&mut self.cell, &other.cell);
+        take(&mut self.laboratory, &other.laboratory);
+        take(&mut self.operator, &other.operator);
+        take(&mut self.customer, &other.customer);
+        take(&mut self.measured, &other.measured);
+        take(&mut self.load_kg, &other.load_kg);
+        let (mine, theirs) = (&mut self.bar, &other.bar);
+        take(&mut mine.serial, &theirs.serial);
+        take(&mut mine.certificate, &theirs.certificate);
+        take(&mut mine.certified_on, &theirs.certified_on);
+        take(&mut mine.certified_by, &theirs.certified_by);
+        take(&mut mine.length_mm, &theirs.length_mm);
+        take(&mut mine.length_u_mm, &theirs.length_u_mm);
+        take(&mut mine.temperature_c, &theirs.temperature_c);
+        take(&mut mine.expansion_per_k, &theirs.expansion_per_k);
+        self.balls.extend(other.balls.clone());
+        self.temperatures.retain(|found| other.temperatures.iter().all(|newer| newer.of != found.of));
+        self.temperatures.extend(other.temperatures.iter().cloned());
+    }
+
+    /// What is stated, as name and value for a reader.
+    pub fn facts(&self) -> Vec<(String, String)> {
+        let names = [
+            "serial number of the robot",
+            "serial number of the controller",
+            "cell",
+            "laboratory",
+            "operator",
+            "customer",
+            "serial number of the bar",
+            "certificate of the bar",
+            "date of the certificate",
+            "issued by",
+        ];
+        let named = names.into_iter().zip(self.texts().into_iter().chain(self.bar.texts()));
+        let texts = named.filter_map(|(name, (_, text))| Some((name.to_owned(), text.clone()?)));
+        let mut facts: Vec<_> =
+            self.measured.iter().map(|date| ("measured".to_owned(), date.clone())).chain(texts).collect();
+        let BarIdentity { length_mm, length_u_mm, temperature_c, expansion_per_k, .. } = self.bar;
+        if let Some(length) = length_mm {
+            let u = length_u_mm.map_or_else(String::new, |u| format!(", U = {u} mm (k = 2)"));
+            let at = temperature_c.map_or_else(String::new, |c| format!(" at {c} °C"));
+            let by = expansion_per_k.map_or_else(String::new, |per_k| format!(", expansion {per_k:e} 1/K"));
+            facts.push(("length of the bar".into(), format!("{length} mm{at}{u}{by}")));
+        }
+        let balls = self.balls.iter();
+        facts.extend(balls.map(|(ball, serial)| (format!("serial number of ball {ball}"), serial.clone())));
+        facts.extend(self.load_kg.map(|kg| ("load at the flange".to_owned(), format!("{kg} kg"))));
+        facts.extend(self.temperatures.iter().map(|found| {
+            let u = found.u_k.map_or_else(String::new, |u| format!(" ± {u} K (k = 2)"));
+            let by = found.device.as_ref().map_or_else(String::new, |device| format!(", {device}"));
+            (format!("temperature of {}", found.of), format!("{:.2} °C{u}{by}", found.celsius))
+        }));
+        facts
+    }
+}
