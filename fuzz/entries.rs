@@ -201,7 +201,7 @@ fn plan(data: &[u8]) {
         _ => json.to_owned(),
     };
     if let Ok(plan) = Plan::from_files("plan.csv", csv, "plan.json", &json) {
-        let (csv, json) = plan.to_files();
+        let (csv, json) = plan.to_files().unwrap();
         let again = Plan::from_files("plan.csv", &csv, "plan.json", &json);
         assert!(again.is_ok_and(|again| again.rows == plan.rows), "a plan that was read is not read again");
     }
@@ -218,7 +218,7 @@ fn robot(data: &[u8]) {
     let Ok(text) = std::str::from_utf8(data) else { return };
     if let Ok(robot) = Robot::from_toml("robot.toml", text) {
         // Angles go through radians, which may cost their last bit.
-        let again = Robot::from_toml("robot.toml", &robot.to_toml());
+        let again = Robot::from_toml("robot.toml", &robot.to_toml().unwrap());
         assert!(again.is_ok(), "what was read and written is not read again");
         let _ = robot.geometry.ball(&[0.1; 6]);
     }

@@ -7,6 +7,7 @@ pub mod files;
 pub mod hash;
 pub mod parse;
 pub mod program;
+pub mod serialised;
 pub mod table;
 pub mod text;
 pub mod units;

@@ -22,7 +22,8 @@ findings! {
         E0009 "dbbd contradicts itself",
         cause: "A step inside of dbbd failed that cannot fail with sound data: a fault of dbbd itself, or a computer without memory or threads left.",
         cure: "Repeat the command. If it fails again, report it with the command, its input files and the output of `dbbd --version`." {
-            NoJson { why: String } => "the result cannot be written as JSON: {why}";
+            NotWritten { form: &'static str, why: String } => "cannot be written as {form}: {why}";
+            NotJson { why: String } => "a result of its own cannot be read as JSON: {why}";
             NoOutput { why: String } => "the output cannot be written: {why}";
         }
     }

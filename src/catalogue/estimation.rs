@@ -168,5 +168,10 @@ findings! {
         cure: "Nothing: [posterior] is not used. To identify anew, give the nominal robot; to go on, give only new lengths." {
             KnownLengths { known: usize, lengths: usize } => "{known} of {lengths} lengths identified this robot already: its [posterior] is not used";
         }
+        I1380 "no further measurement could be judged",
+        cause: "What further measurements would leave is not a finite number, as with standard deviations of the lengths that differ by more than a computer's numbers hold.",
+        cure: "Check sigma_mm of the lengths, --sigma and [tolerance] of the robot file." {
+            NoRecommendation => "what further measurements would add is not a finite number: none is recommended";
+        }
     }
 }

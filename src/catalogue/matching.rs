@@ -42,6 +42,12 @@ findings! {
         cure: "The other readings of these dwells are used. Check the bar's stroke and its seat, and measure again where much is missing." {
             InvalidInDwells { invalid: usize, samples: usize, percent: f64, dwells: usize } => "in {dwells} dwells {invalid} of {samples} readings ({percent:.2} %) are not valid";
         }
+        W1080 "the controller's reports of its dwells are not used",
+        cause: "The bar's clock does not keep the host's pace, as on a simulator that runs faster than real time, or the channel broke, so that no dwell has the report of its begin and of its end.",
+        cure: "Poses are matched by the strobe or by still intervals instead. Simulate with --speed 1; on a real cell check the channel and the bar's clock (`dbbd info`)." {
+            ReportsOffPace { reports: usize } => "the bar's clock does not keep the host's pace: {reports} reports of the controller cannot be laid on it, and are not used";
+            ReportsUnpaired { reports: usize } => "{reports} reports of the controller came, but no dwell has that of its begin and of its end: they are not used";
+        }
         I1010 "the measured axis angles are corrected ones",
         cause: "The controller is in its absolute-accuracy mode and corrects its motions by a model of its own.",
         cure: "Nothing to do: the measured axis angles are used." {

@@ -63,7 +63,7 @@ fn with(role: Role, path: &Path, provenance: Provenance) -> Result<Option<Traced
 
 /// `plan.csv` and `plan.json` are one artefact.
 fn plan(path: &Path) -> Result<Option<Traced>, Diagnostic> {
-    run::read_plan(&path.with_extension("csv")).map(|plan| Some(plan.traced()))
+    Ok(Some(run::read_plan(&path.with_extension("csv"))?.traced()?))
 }
 
 /// What a file states of a measurement.

@@ -3,10 +3,9 @@
 use std::path::{Path, PathBuf};
 
 use super::identify::{Given, LENGTHS, Named, parse_point};
-use super::output::pretty;
 use super::positive;
 use super::{Outcome, Output};
-use crate::base::files;
+use crate::base::{files, serialised};
 use crate::catalogue::{CliFinding, ConformityFinding};
 use crate::conformity::{self, CheckInput, InterimCheck, Rule};
 use crate::diagnostic::Diagnostic;
@@ -182,11 +181,11 @@ fn findings(args: &Args, found: &InterimCheck) -> Vec<ConformityFinding> {
 
 fn write(args: &Args, found: &InterimCheck, given: &Given) -> Result<Outcome, Diagnostic> {
     let _writing = files::exclusive(&args.out)?;
-    files::write(&args.out.join("check.json"), pretty(found)? + "\n")?;
+    files::write(&args.out.join("check.json"), serialised::json(found)? + "\n")?;
     files::write(&args.out.join("check.html"), check::html(found, &given.provenance)?)?;
     if let Some(robot) = found.update().filter(|_| args.update) {
         let robot = Robot { provenance: given.provenance.clone(), ..robot.clone() };
-        files::write(&args.out.join(ROBOT), robot.to_toml())?;
+        files::write(&args.out.join(ROBOT), robot.to_toml()?)?;
         files::write_pieces(&args.out.join(LENGTHS), given.observations.csv_pieces(|_| true))?;
     }
     Ok(Outcome::Done)

@@ -4,10 +4,9 @@ use std::path::{Path, PathBuf};
 
 use serde_json::Value as Json;
 
-use super::output::pretty;
 use super::robots;
 use super::{Outcome, Output, positive};
-use crate::base::files;
+use crate::base::{files, serialised};
 use crate::catalogue::{CliFinding, ConformityFinding, Names};
 use crate::conformity::{
     CircleFile, Comparison, Input, LEVEL, ResultRead, Subject, Timeline, Tracked, compare_circles,
@@ -168,7 +167,7 @@ fn write(args: &Args, comparison: &Comparison, timeline: &Timeline) -> Result<Ou
     let sources: Result<Vec<Traced>, Diagnostic> = comparison.inputs.iter().map(source).collect();
     let provenance = Provenance::of(&sources?);
     let _writing = files::exclusive(&args.out)?;
-    files::write(&args.out.join("compare.json"), pretty(comparison)? + "\n")?;
+    files::write(&args.out.join("compare.json"), serialised::json(comparison)? + "\n")?;
     let table = csv(comparison).map_err(|error| CliFinding::NoOutput { why: error.to_string() })?;
     files::write(&args.out.join("compare.csv"), table)?;
     files::write(&args.out.join("compare.html"), compare::html(comparison, timeline, &provenance)?)?;

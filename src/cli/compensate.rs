@@ -104,7 +104,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     let texts = [Some(&corrected.source), corrected.data.as_ref()].into_iter().flatten();
     let _writing = files::exclusive(&args.out)?;
     for (program, text) in [&source].into_iter().chain(&data).zip(texts) {
-        program.write(&args.out, &stamped(text, &made))?;
+        program.write(&args.out, &stamped(text, &made)?)?;
     }
     points.left.iter().for_each(|left| out.finding(left.clone()));
     report(out, args, &corrected.moved, points.left.len())?;

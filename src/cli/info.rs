@@ -8,6 +8,7 @@ use serde::Serialize;
 use super::{Outcome, Output, artefact};
 use crate::base::files;
 use crate::base::units::HostNs;
+use crate::catalogue::RecordingFinding;
 use crate::device::protocol::{Definition, Fault, FaultKind};
 use crate::diagnostic::{Code, Diagnostic, Finding};
 use crate::provenance::Provenance;
@@ -72,14 +73,18 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         gathered.add(stamped);
         Ok(())
     })?;
-    let mut info = gathered.finish(&pass);
+    let mut info = gathered.finish(&pass)?;
     info.sha256 = files::sha256(path)?;
     let name = path.display().to_string();
     pass.doubts().into_iter().for_each(|doubt| out.finding(Diagnostic::file(&name, doubt)));
-    let planned =
-        info.samples > 0 && ["plan.csv", "plan.json"].iter().all(|file| info.attachments.contains_key(*file));
+    let planned = ["plan.csv", "plan.json"].iter().all(|file| info.attachments.contains_key(*file));
     let mut outcome = Outcome::Done;
-    match if planned { run::losses(path) } else { Ok(Vec::new()) } {
+    let losses = match info.samples {
+        0 => Err(Diagnostic::file(&name, RecordingFinding::NoSample)),
+        _ if planned => run::losses(path),
+        _ => Ok(Vec::new()),
+    };
+    match losses {
         Ok(losses) => losses.into_iter().for_each(|loss| out.finding(loss)),
         // What is in the capture is shown also where its plan cannot be used.
         Err(unusable) => {
@@ -140,7 +145,7 @@ impl Gathered {
         }
     }
 
-    fn finish(self, pass: &Pass) -> Info {
+    fn finish(self, pass: &Pass) -> Result<Info, Diagnostic> {
         let mut info = self.info;
         info.format = pass.version;
         info.samples = pass.samples;
@@ -154,7 +159,7 @@ impl Gathered {
             dbbd: info.dbbd.clone().unwrap_or_default(),
             // What cannot be read of it is refused where the run is used.
             identity: identity.unwrap_or_default(),
-            ..plan.map_or_else(Provenance::default, |plan| Provenance::of([&plan.traced()]))
+            ..Provenance::of(&plan.map(|plan| plan.traced()).transpose()?)
         };
         let protocol = self.attachments.get("protocol.toml");
         info.protocol = protocol
@@ -171,7 +176,7 @@ impl Gathered {
                 text: damage.finding.to_string(),
             })
             .collect();
-        info
+        Ok(info)
     }
 }
 

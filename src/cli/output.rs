@@ -13,6 +13,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 
 use super::{Common, Outcome};
+use crate::base::serialised;
 use crate::base::table::{Layout, Table};
 use crate::catalogue::{CliFinding, CompensationFinding, EstimationFinding, FileFinding};
 use crate::diagnostic::{Code, Diagnostic, Finding, Severity};
@@ -96,7 +97,7 @@ impl Output {
 
     fn json(&self, value: &impl Serialize) -> Result<(), Diagnostic> {
         if self.common.json {
-            self.print(&plain(&pretty(value)?));
+            self.print(&plain(&serialised::json(value)?));
         }
         Ok(())
     }
@@ -270,9 +271,4 @@ pub(super) fn finish(out: &Output, ended: Result<Outcome, Diagnostic>) -> ExitCo
             ExitCode::FAILURE
         }
     }
-}
-
-/// A value as indented JSON.
-pub(crate) fn pretty(value: &impl Serialize) -> Result<String, CliFinding> {
-    serde_json::to_string_pretty(value).map_err(|error| CliFinding::NoJson { why: error.to_string() })
 }

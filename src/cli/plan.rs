@@ -96,7 +96,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
 }
 
 fn write(plan: &Plan, page: String, directory: &Path) -> Result<(), Diagnostic> {
-    let (csv, json) = plan.to_files();
+    let (csv, json) = plan.to_files()?;
     let _writing = files::exclusive(directory)?;
     files::write(&directory.join("plan.csv"), csv)?;
     files::write(&directory.join("plan.json"), json)?;

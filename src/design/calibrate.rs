@@ -9,8 +9,14 @@ use crate::estimation::{Calibration, CalibrationResult, Input};
 ///
 /// # Errors
 /// Numbers that are not finite, nothing to estimate.
-pub fn calibrate(input: &Input<'_>, found: Vec<Diagnostic>) -> Result<CalibrationResult, EstimationFinding> {
+pub fn calibrate(
+    input: &Input<'_>,
+    mut found: Vec<Diagnostic>,
+) -> Result<CalibrationResult, EstimationFinding> {
     let calibration = Calibration::new(input)?;
-    let recommendations = recommend(&calibration);
+    let recommendations = recommend(&calibration).unwrap_or_else(|finding| {
+        found.push(finding.into());
+        Vec::new()
+    });
     Ok(calibration.result(recommendations, found))
 }

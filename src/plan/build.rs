@@ -132,11 +132,11 @@ impl Plan {
             return Err(planner.refusal(&inspected));
         }
         let rows = inspected.rows;
-        let passes = pass::passes(&job, &rows, &mut moves);
+        let passes = pass::passes(&job, &rows, &mut moves).map_err(Diagnostic::from)?;
         let header = Header {
             schema: super::files::SCHEMA,
             hash: String::new(),
-            robot: robot.to_toml(),
+            robot: robot.to_toml().map_err(Diagnostic::from)?,
             provenance: Provenance::default(),
             moves,
             passes,
@@ -149,7 +149,7 @@ impl Plan {
             job,
         };
         let mut plan = Self { rows, header };
-        plan.header.hash = plan.hash();
+        plan.header.hash = plan.hash().map_err(Diagnostic::from)?;
         Ok(plan)
     }
 
@@ -239,7 +239,10 @@ impl Planner<'_> {
         let mut paces = Vec::with_capacity(rows.len());
         let mut from = before;
         let mut aux = None;
-        let passes = pass::groups(&rows).unwrap_or_default();
+        let passes = match pass::groups(&rows) {
+            Ok(passes) => passes,
+            Err(ungrouped) => return Inspected::refused(ungrouped.finding),
+        };
         for (at, row) in rows.iter().enumerate() {
             let pass = passes.iter().find(|pass| pass.holds(at));
             let path = match pass {

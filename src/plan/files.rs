@@ -3,8 +3,9 @@
 use serde::{Deserialize, Serialize};
 
 use super::{Header, Kind, Motion, Plan, PlanRow, pass};
+use crate::base::serialised;
 use crate::base::table::wrong_csv;
-use crate::catalogue::PlanFinding;
+use crate::catalogue::{CliFinding, PlanFinding};
 use crate::diagnostic::Diagnostic;
 use crate::provenance::{Artefact, Role, Traced};
 
@@ -115,33 +116,36 @@ impl PlanRow {
 
 impl Plan {
     /// The text of `plan.csv`.
-    pub fn to_csv(&self) -> String {
-        let mut writer = csv::Writer::from_writer(Vec::new());
-        for row in &self.rows {
-            // Plain numbers and words into memory: nothing here can fail.
-            let _ = writer.serialize(Line::from(row));
-        }
-        String::from_utf8(writer.into_inner().unwrap_or_default()).unwrap_or_default()
+    ///
+    /// # Errors
+    /// None is known: see [`serialised`].
+    pub fn to_csv(&self) -> Result<String, CliFinding> {
+        serialised::csv(self.rows.iter().map(Line::from))
     }
 
     /// CRC-64/XZ over the text of `plan.csv`, sixteen hexadecimal digits.
-    pub(crate) fn hash(&self) -> String {
-        hash_of(&self.to_csv())
+    pub(crate) fn hash(&self) -> Result<String, CliFinding> {
+        Ok(hash_of(&self.to_csv()?))
     }
 
     /// The plan as an artefact.
-    pub fn traced(&self) -> Traced {
-        let artefact = Artefact::new(Role::Plan, &self.header.hash, self.to_csv());
-        Traced { artefact, provenance: self.header.provenance.clone() }
+    ///
+    /// # Errors
+    /// As [`Self::to_csv`].
+    pub fn traced(&self) -> Result<Traced, CliFinding> {
+        let artefact = Artefact::new(Role::Plan, &self.header.hash, self.to_csv()?);
+        Ok(Traced { artefact, provenance: self.header.provenance.clone() })
     }
 
     /// The texts of `plan.csv` and `plan.json`.
-    pub fn to_files(&self) -> (String, String) {
+    ///
+    /// # Errors
+    /// As [`Self::to_csv`].
+    pub fn to_files(&self) -> Result<(String, String), CliFinding> {
         let mut header = self.header.clone();
-        let csv = self.to_csv();
+        let csv = self.to_csv()?;
         header.hash = hash_of(&csv);
-        let json = serde_json::to_string_pretty(&header).unwrap_or_default();
-        (csv, json + "\n")
+        Ok((csv, serialised::json(&header)? + "\n"))
     }
 
     /// Reads a plan from its two files.

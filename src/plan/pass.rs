@@ -121,6 +121,12 @@ pub(crate) struct Ungrouped {
     pub(crate) finding: PlanFinding,
 }
 
+impl From<Ungrouped> for PlanFinding {
+    fn from(ungrouped: Ungrouped) -> Self {
+        ungrouped.finding
+    }
+}
+
 /// The rows of a pass, by their positions from 0.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Group {
@@ -180,17 +186,24 @@ pub(crate) fn groups(rows: &[PlanRow]) -> Result<Vec<Group>, Ungrouped> {
 
 /// The passes of rows that were planned, and the times of their points into `moves`, which has the whole
 /// motion's at each pass's end.
-pub(super) fn passes(job: &Job, rows: &[PlanRow], moves: &mut [MoveTime]) -> Vec<Pass> {
+///
+/// # Errors
+/// Rows that are no pass.
+pub(super) fn passes(
+    job: &Job,
+    rows: &[PlanRow],
+    moves: &mut [MoveTime],
+) -> Result<Vec<Pass>, PlanFinding> {
     let mut passes = Vec::new();
     let mut backward: Option<u32> = None;
-    for group in groups(rows).unwrap_or_default() {
+    for group in groups(rows)? {
         let from = group.through[0].checked_sub(1).and_then(|at| rows.get(at));
         let (Some(end), Some(time), Some(path)) =
             (rows.get(group.end), moves.get(group.end).copied(), group.path(job, from, rows))
         else {
-            continue;
+            return Err(PlanFinding::PassPattern);
         };
-        let Some(table) = job.circle(end.circle) else { continue };
+        let table = job.circle(end.circle).ok_or(PlanFinding::PassPattern)?;
         let length_mm = path.length_mm();
         let second = backward == Some(end.circle);
         backward = Some(end.circle);
@@ -224,12 +237,12 @@ pub(super) fn passes(job: &Job, rows: &[PlanRow], moves: &mut [MoveTime]) -> Vec
         }
         passes.push(pass);
     }
-    passes
+    Ok(passes)
 }
 
 /// Whether the passes of `plan.json` are those of its rows.
 pub(super) fn check(rows: &[PlanRow], passes: &[Pass]) -> Result<(), PlanFinding> {
-    let groups = groups(rows).map_err(|ungrouped| ungrouped.finding)?;
+    let groups = groups(rows)?;
     if groups.len() != passes.len() {
         return Err(PlanFinding::PassCount { passes: passes.len(), found: groups.len() });
     }

@@ -6,6 +6,7 @@ use std::ops::Range;
 use super::dwell::Dwell;
 use super::stream::Stream;
 use crate::base::units::HostNs;
+use crate::catalogue::MatchingFinding;
 use crate::robot::AXES;
 
 /// The controller reports that a dwell begins or ends.
@@ -39,6 +40,19 @@ pub fn reported_axes(reports: &[Report]) -> BTreeMap<u32, [f64; AXES]> {
 
 /// Reports reach the host late, but before this, s.
 const LATE_S: f64 = 0.05;
+
+/// Why the reports give no dwell, where there are some.
+pub(super) fn unused(reports: &[Report], stream: &Stream) -> Option<MatchingFinding> {
+    let first = reports.first()?;
+    if spans(reports, stream).is_some() {
+        return None;
+    }
+    let reports = reports.len();
+    Some(match stream.time_of(first.host) {
+        Some(_) => MatchingFinding::ReportsUnpaired { reports },
+        None => MatchingFinding::ReportsOffPace { reports },
+    })
+}
 
 /// From the report of its begin to that of its end, by index, s of the stream; the last one of an index that was
 /// driven twice. `None` when there are no reports or the device's clock cannot be set against the host's.

@@ -7,7 +7,8 @@ use super::posterior::{PosteriorTable, RobotPosterior};
 use super::uncertainty::{RobotUncertainty, UncertaintyTable};
 use super::{AXES, Joint, JointError, JointErrors, Ripple, Smooth};
 use crate::base::parse::from_toml;
-use crate::catalogue::RobotFinding;
+use crate::base::serialised;
+use crate::catalogue::{CliFinding, RobotFinding};
 use crate::diagnostic::{Diagnostic, nearest};
 use crate::provenance::{Artefact, Identity, Provenance, Role, Traced};
 
@@ -256,9 +257,11 @@ impl Robot {
     }
 
     /// Writes the robot file; numbers in full precision.
-    pub fn to_toml(&self) -> String {
-        // The tables are plain numbers and strings, which TOML can always hold.
-        toml::to_string(&RobotFile::from_robot(self)).unwrap_or_default()
+    ///
+    /// # Errors
+    /// None is known: see [`serialised`].
+    pub fn to_toml(&self) -> Result<String, CliFinding> {
+        serialised::toml(&RobotFile::from_robot(self))
     }
 
     /// The joints as the file has them.
@@ -539,7 +542,7 @@ mod tests {
     fn a_robot_reads_back_and_a_wrong_number_has_its_line() {
         for (name, text) in Robot::built_in() {
             let robot = Robot::from_toml(name, text).unwrap();
-            assert_eq!(Robot::from_toml(name, &robot.to_toml()).unwrap(), robot);
+            assert_eq!(Robot::from_toml(name, &robot.to_toml().unwrap()).unwrap(), robot);
             let wrong = Robot::from_toml(name, &text.replacen("sign = ", "sign = 2 # ", 1)).unwrap_err();
             assert_eq!(wrong.code.0, "E0505");
             let first = text.lines().position(|line| line == "[[joint]]").unwrap();
@@ -558,7 +561,7 @@ mod tests {
         robot.geometry.joint_errors = JointErrors::new(std::array::from_fn(|at| {
             if at == 1 { error.clone() } else { JointError::default() }
         }));
-        let text = robot.to_toml();
+        let text = robot.to_toml().unwrap();
         assert_eq!(Robot::from_toml("robot.toml", &text).unwrap(), robot);
         let wrong = text.replacen("half_width_rad = 3.0", "half_width_rad = 0.0", 1);
         assert_eq!(Robot::from_toml("robot.toml", &wrong).unwrap_err().code.0, "E0505");

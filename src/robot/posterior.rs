@@ -120,7 +120,7 @@ mod tests {
         assert!((other.sd(ids[2]).unwrap().powi(2) - covariance[(2, 2)]).abs() < 1e-18);
         assert_eq!(other.sd(ids[0]), None);
         robot.posterior = Some(posterior);
-        let read = Robot::from_toml("robot.toml", &robot.to_toml()).unwrap();
+        let read = Robot::from_toml("robot.toml", &robot.to_toml().unwrap()).unwrap();
         assert_eq!(read, robot);
         assert!(read.posterior.as_ref().unwrap().is_of(&read.geometry));
         robot.geometry.tool.x += 1.0;

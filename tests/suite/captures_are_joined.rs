@@ -15,7 +15,7 @@ use crate::sync_runs::{Run, WORLD, World, plan, run};
 /// A capture of the run, as `acquire` writes it.
 fn write_capture(path: &std::path::Path, plan: &Plan, run: &Run, finish: bool) {
     let mut writer = Writer::create(path).unwrap();
-    let (plan_csv, plan_json) = plan.to_files();
+    let (plan_csv, plan_json) = plan.to_files().unwrap();
     for (name, content) in [("plan.csv", plan_csv), ("plan.json", plan_json)] {
         let record = Record::Attachment { name: name.into(), content: content.into() };
         writer.write(HostNs(0), &record).unwrap();

@@ -235,11 +235,11 @@ fn the_command_decides_and_refuses() {
     let at = dir.path();
     let write = |name: &str, text: &str| fs::write(at.join(name), text).unwrap();
     let robot = Robot { repeatability_mm: None, ..calibration() };
-    write("robot.toml", &robot.to_toml());
-    write("bare.toml", &Robot { posterior: None, ..robot.clone() }.to_toml());
+    write("robot.toml", &robot.to_toml().unwrap());
+    write("bare.toml", &Robot { posterior: None, ..robot.clone() }.to_toml().unwrap());
     let mut other = robot.clone();
     other.geometry.rows[2].a += 0.5;
-    write("other.toml", &other.to_toml());
+    write("other.toml", &other.to_toml().unwrap());
     let circles = three_planes(1, CENTRE);
     write("C.csv", &centres_csv(&circles));
     write("same.csv", &lengths(&with_errors(DESIGNED), &circles, 8, 1));

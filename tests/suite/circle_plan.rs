@@ -95,7 +95,7 @@ pub(crate) fn plan(circles: u32, points: u32) -> Plan {
         schema: 1,
         hash: "0123456789abcdef".into(),
         job: Job::from_toml("job", &job).unwrap(),
-        robot: robot.to_toml(),
+        robot: robot.to_toml().unwrap(),
         provenance: Provenance::default(),
         moves: builder.moves,
         passes: Vec::new(),

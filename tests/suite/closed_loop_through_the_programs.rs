@@ -73,7 +73,7 @@ fn loop_closed(dir: &Path, robot: &Robot, seed: u64) -> ([f64; 2], bool) {
     for left in ["run.dbbd", "link"] {
         let _ = fs::remove_file(dir.join(left));
     }
-    fs::write(dir.join("truth.toml"), robot.to_toml()).unwrap();
+    fs::write(dir.join("truth.toml"), robot.to_toml().unwrap()).unwrap();
     let seed = seed.to_string();
     let mut simulator = Command::new(env!("CARGO_BIN_EXE_dbbd"))
         .args(["simulate", "--program", "krl/DBB_MAIN.src", "--robot", "truth.toml", "--world", "world.toml"])

@@ -1,15 +1,17 @@
 //! Codes are stable, explained and provoked.
 
+use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
 
+use dbbd::base::serialised;
 use dbbd::catalogue;
+use dbbd::diagnostic::Finding;
 
 use crate::cell::dbbd;
 
 /// Codes that no test provokes through the binary, and why.
 const NOT_HERE: &[(&str, &str)] = &[
-    ("E0009", "no input leads to it"),
     ("E0202", "root may open every port: held beside the code, in device/port/mod.rs"),
     ("E0208", "a system that refuses the list of its devices"),
     ("I0210", "an adapter with a latency timer"),
@@ -66,10 +68,22 @@ fn provoked() -> Vec<&'static str> {
 
 /// The code for a code that there is not.
 const UNKNOWN: &str = "E0001";
+/// The code for a value that a text cannot hold.
+const UNWRITTEN: &str = "E0009";
+
+#[test]
+fn what_a_text_cannot_hold_is_an_error_and_no_empty_text() {
+    let map = BTreeMap::from([([1, 2], 3)]);
+    let texts =
+        [serialised::json(&map), serialised::json_line(&map), serialised::toml(&map), serialised::csv([&map])];
+    for text in texts {
+        assert_eq!(text.unwrap_err().code().0, UNWRITTEN);
+    }
+}
 
 #[test]
 fn every_code_is_provoked_by_a_test() {
-    let provoked = [provoked(), NOT_HERE.iter().map(|(code, _)| *code).chain([UNKNOWN]).collect()].concat();
+    let provoked = [provoked(), NOT_HERE.iter().map(|(code, _)| *code).chain([UNKNOWN, UNWRITTEN]).collect()].concat();
     let silent: Vec<_> =
         catalogue::entries().map(|entry| entry.code.0).filter(|code| !provoked.contains(code)).collect();
     assert!(silent.is_empty(), "no test provokes {silent:?}");

@@ -155,7 +155,7 @@ fn all_else_stays_byte_for_byte() {
     fs::write(path("GLUE01.src"), &source).unwrap();
     fs::write(path("glue01.DAT"), &data).unwrap();
     fs::write(path("config.dat"), fixture("config.dat")).unwrap();
-    fs::write(path("id.toml"), identified(3).to_toml()).unwrap();
+    fs::write(path("id.toml"), identified(3).to_toml().unwrap()).unwrap();
     let run_to = |out: &str, extra: &[&str]| {
         let args = ["compensate", "GLUE01.src", "--robot", "id.toml", "--out", out];
         dbbd(dir.path(), &[&args, extra].concat())
@@ -200,7 +200,7 @@ fn all_else_stays_byte_for_byte() {
     // The points alone are no program.
     let args = ["compensate", "glue01.DAT", "--robot", "id.toml", "--out", "new"];
     refused(dbbd(dir.path(), &args), COMMAND[4]);
-    fs::write(path("id.toml"), kr60().to_toml()).unwrap();
+    fs::write(path("id.toml"), kr60().to_toml().unwrap()).unwrap();
     refused(run(&["--config", "config.dat"]), COMMAND[5]);
 }
 

@@ -98,7 +98,7 @@ fn the_controller_goes_where_the_passes_say() {
 fn points_lie_where_their_times_say() {
     for circle in [BOTH, ARC] {
         let plan = Plan::build(&job(circle), &kr60()).unwrap();
-        let (csv, json) = plan.to_files();
+        let (csv, json) = plan.to_files().unwrap();
         assert_eq!(Plan::from_files("plan.csv", &csv, "plan.json", &json).unwrap(), plan);
         for pass in &plan.header.passes {
             let path = plan.pass_path(pass).unwrap();
@@ -185,14 +185,14 @@ fn what_cannot_be_driven_in_one_motion_is_refused() {
     }
     // A plan whose rows and passes do not fit.
     let plan = Plan::build(&job(ARC), &kr60()).unwrap();
-    let (csv, json) = plan.to_files();
+    let (csv, json) = plan.to_files().unwrap();
     let read = |json: &str| Plan::from_files("plan.csv", &csv, "plan.json", json).unwrap_err().to_string();
     let end = plan.header.passes[0].end;
     assert!(read(&json.replace(&format!("\"end\": {end}"), "\"end\": 3")).contains("names other rows"));
     assert!(read(&json.replace("\"sweep_deg\": 170.0", "\"sweep_deg\": 1e9")).contains("cannot be"));
     let mut lost = plan.clone();
     lost.rows[end as usize - 1].motion = dbbd::plan::Motion::Lin;
-    let (csv, json) = lost.to_files();
+    let (csv, json) = lost.to_files().unwrap();
     let message = Plan::from_files("plan.csv", &csv, "plan.json", &json).unwrap_err().to_string();
     assert!(message.starts_with("plan.csv:") && message.contains("a pass without stops is"), "{message}");
 }

@@ -59,11 +59,11 @@ fn logged_axes_tell_where_an_accurate_controller_stood() {
     plan.header.job.motion.dwell_s = 0.6;
     plan.header.job.motion.settle_s = 0.3;
     plan.rows.iter_mut().filter(|row| row.dwell_s > 0.0).for_each(|row| row.dwell_s = 0.6);
-    let (csv, json) = plan.to_files();
+    let (csv, json) = plan.to_files().unwrap();
     fs::write(at.join("plan.csv"), &csv).unwrap();
     fs::write(at.join("plan.json"), &json).unwrap();
     let true_robot = truth::draw(&kr60(), 5, 1.0);
-    fs::write(at.join("truth.toml"), true_robot.to_toml()).unwrap();
+    fs::write(at.join("truth.toml"), true_robot.to_toml().unwrap()).unwrap();
     fs::write(at.join("world.toml"), "[bar]\nnoise_um = 20.0\n").unwrap();
     assert!(dbbd(at, &["krl", "plan.csv", "--out", "krl"]).status.success());
 
@@ -138,7 +138,7 @@ fn logged_axes_tell_where_an_accurate_controller_stood() {
     // The plan of another run.
     let mut second = plan.clone();
     second.rows[5].length_mm += 1.0;
-    let (csv, json) = second.to_files();
+    let (csv, json) = second.to_files().unwrap();
     fs::write(at.join("second.csv"), csv).unwrap();
     fs::write(at.join("second.json"), json).unwrap();
     let mismatched = dbbd(at, &["sync", "run.dbbd", "--plan", "second.csv", "--out", "obs2.csv"]);

@@ -233,7 +233,7 @@ fn what_was_taught_only_widens_what_is_safe() {
     let at = dir.path();
     let mut robot = Robot::by_name("kr16-2").unwrap().unwrap();
     (robot.tolerance.length_mm, robot.tolerance.angle_deg) = (1.0, 0.1);
-    std::fs::write(at.join("robot.toml"), robot.to_toml()).unwrap();
+    std::fs::write(at.join("robot.toml"), robot.to_toml().unwrap()).unwrap();
     std::fs::write(at.join("job.toml"), JOB).unwrap();
     let step = |args: &[&str]| {
         let output = dbbd(at, args);

@@ -210,7 +210,7 @@ fn the_command_reports_every_finding() {
         let dir = tempfile::tempdir().unwrap();
         std::fs::write(dir.path().join("job.toml"), job()).unwrap();
         let identified = Robot { nominal: Some(Box::new(robot())), ..robot() };
-        std::fs::write(dir.path().join("identified.toml"), identified.to_toml()).unwrap();
+        std::fs::write(dir.path().join("identified.toml"), identified.to_toml().unwrap()).unwrap();
         let elsewhere =
             "index,centre,a1_deg,a2_deg,a3_deg,a4_deg,a5_deg,a6_deg,length_mm\n1,2,0,-60,90,0,60,0,300\n";
         std::fs::write(dir.path().join("elsewhere.csv"), elsewhere).unwrap();

@@ -88,7 +88,7 @@ fn the_chosen_poses_plan_without_findings() {
     for row in plan.rows.iter().filter(|row| row.motion != Motion::Lin) {
         assert!((row.length_mm - 300.0).abs() < 2e-3, "{row:?}");
     }
-    let (csv, json) = plan.to_files();
+    let (csv, json) = plan.to_files().unwrap();
     let read = Plan::from_files("plan.csv", &csv, "plan.json", &json).unwrap();
     assert_eq!((read.rows, read.header.moves), (plan.rows, plan.header.moves));
 }
@@ -143,7 +143,7 @@ fn the_verb_writes_the_pair_and_an_identified_robot_is_commanded_through_its_nom
     identified.geometry.rows[3].theta += 0.001;
     identified.geometry.rows[4].alpha += 0.0005;
     let file = dir.path().join("identified.toml");
-    std::fs::write(&file, identified.to_toml()).unwrap();
+    std::fs::write(&file, identified.to_toml().unwrap()).unwrap();
     let out = Command::new(env!("CARGO_BIN_EXE_dbbd"))
         .args(["plan", &job, "--json", "--out"])
         .arg(dir.path())
@@ -189,7 +189,7 @@ pub(crate) fn provoked() -> Vec<&'static str> {
 #[test]
 fn a_pair_that_does_not_match_is_refused() {
     let plan = example("seed-experiment");
-    let (csv, json) = plan.to_files();
+    let (csv, json) = plan.to_files().unwrap();
     assert_eq!(Plan::from_files("plan.csv", &csv, "plan.json", &json).unwrap(), plan);
     for (which, from, to, code, file, line) in FILES {
         let changed = |name: &str, text: &str| {
@@ -226,10 +226,10 @@ proptest! {
         let header = dbbd::plan::Header {
             schema: 1, hash: String::new(), job, robot: "text".into(), provenance: Provenance::default(), moves: vec![time], passes: Vec::new(), checks: Vec::new(), notes: Vec::new(), taught: Vec::new(), stage: None, stroke_risk: 0.0, predictions: None,
         };
-        let (csv, json) = Plan { rows: vec![row.clone()], header }.to_files();
+        let (csv, json) = Plan { rows: vec![row.clone()], header }.to_files().unwrap();
         let read = Plan::from_files("plan.csv", &csv, "plan.json", &json).unwrap();
         prop_assert_eq!(&read.rows[0], &row);
         prop_assert_eq!(read.header.moves[0], time);
-        prop_assert_eq!(read.to_files(), (csv, json));
+        prop_assert_eq!(read.to_files().unwrap(), (csv, json));
     }
 }

@@ -46,7 +46,7 @@ fn krl_is_for_robots_that_read_it() {
     let at = dir.path();
     for name in ["irb120", "ur5", "tx2-90l"] {
         let robot = Robot::by_name(name).unwrap().unwrap();
-        edit(at, |header| header["robot"] = json!(robot.to_toml()));
+        edit(at, |header| header["robot"] = json!(robot.to_toml().unwrap()));
         assert_eq!(krl(at, &[]), (Some(1), vec!["E0824".into()]), "{name}");
         assert!(!at.join("krl").exists());
     }
@@ -54,9 +54,9 @@ fn krl_is_for_robots_that_read_it() {
     assert_eq!(krl(at, &["--controller", "simulated"]), (Some(0), vec![]));
     // A maker that is not known is said; the file has the last word.
     let unknown = Robot { name: "cell 7".into(), ..kr60() };
-    edit(at, |header| header["robot"] = json!(unknown.to_toml()));
+    edit(at, |header| header["robot"] = json!(unknown.to_toml().unwrap()));
     assert_eq!(krl(at, &[]), (Some(0), vec!["I0827".into()]));
-    let language = |word: &str| Robot { language: Some(word.into()), ..unknown.clone() }.to_toml();
+    let language = |word: &str| Robot { language: Some(word.into()), ..unknown.clone() }.to_toml().unwrap();
     edit(at, |header| header["robot"] = json!(language("krl")));
     assert_eq!(krl(at, &[]), (Some(0), vec![]));
     edit(at, |header| header["robot"] = json!(language("rapid")));
@@ -109,7 +109,7 @@ fn only_krl_is_corrected() {
     let at = dir.path();
     let identified =
         |robot: Robot| Robot { nominal: Some(Box::new(robot.clone())), ..truth::draw(&robot, 1, 1.0) };
-    fs::write(at.join("id.toml"), identified(kr60()).to_toml()).unwrap();
+    fs::write(at.join("id.toml"), identified(kr60()).to_toml().unwrap()).unwrap();
     let compensate = |text: &str, robot: &str| {
         fs::write(at.join("P.src"), text).unwrap();
         dbbd(at, &["compensate", "P.src", "--robot", robot, "--out", "out", "--json"])
@@ -123,7 +123,7 @@ fn only_krl_is_corrected() {
     assert!(!at.join("out").exists());
     let nothing = compensate("DEF P ( )\nHALT\nEND\n", "id.toml");
     assert_eq!((nothing.status.code(), codes(&nothing)), (Some(3), vec!["W0914".into()]));
-    fs::write(at.join("abb.toml"), identified(Robot::by_name("irb120").unwrap().unwrap()).to_toml()).unwrap();
+    fs::write(at.join("abb.toml"), identified(Robot::by_name("irb120").unwrap().unwrap()).to_toml().unwrap()).unwrap();
     let abb = compensate("DEF P ( )\nHALT\nEND\n", "abb.toml");
     assert_eq!((abb.status.code(), codes(&abb)), (Some(1), vec!["E0824".into()]));
 }
@@ -144,7 +144,7 @@ fn points_of_other_statements_are_named() {
     let dir = tempdir().unwrap();
     let at = dir.path();
     let robot = Robot { nominal: Some(Box::new(kr60())), ..truth::draw(&kr60(), 1, 1.0) };
-    fs::write(at.join("id.toml"), robot.to_toml()).unwrap();
+    fs::write(at.join("id.toml"), robot.to_toml().unwrap()).unwrap();
     let point = "{X 1363.778,Y -282.219,Z 1360.625,A 152.596,B 29.472,C -174.261,S 2,T 34}";
     let data = format!("DEFDAT P\nDECL E6POS XP1={point}\nDECL E6POS XP3={point}\nDECL INT N=1\nENDDAT\n");
     fs::write(at.join("P.dat"), data).unwrap();

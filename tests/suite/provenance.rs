@@ -42,7 +42,7 @@ fn cell() -> TempDir {
     let dir = tempdir().unwrap();
     let at = dir.path();
     let robot = Robot { serial: Some("KR-1".into()), ..kr60() };
-    fs::write(at.join("robot.toml"), robot.to_toml()).unwrap();
+    fs::write(at.join("robot.toml"), robot.to_toml().unwrap()).unwrap();
     fs::write(at.join("job.toml"), JOB).unwrap();
     step(at, &["plan", "job.toml", "--out", "plan"]);
     step(at, &["krl", "plan/plan.csv", "--out", "krl"]);
@@ -64,7 +64,7 @@ fn write_identified(at: &Path, nominal: Robot) {
     let provenance = Provenance { dbbd: VERSION.into(), from, ..Provenance::default() };
     let identified =
         Robot { provenance, nominal: Some(Box::new(nominal.clone())), ..truth::draw(&nominal, 1, 0.3) };
-    fs::write(at.join("result/robot-identified.toml"), identified.to_toml()).unwrap();
+    fs::write(at.join("result/robot-identified.toml"), identified.to_toml().unwrap()).unwrap();
 }
 
 /// Few parameters, so that the test is short.
@@ -175,7 +175,7 @@ fn another_robots_files_are_refused() {
         Robot::from_toml(name, &fs::read_to_string(at.join("result/robot-identified.toml")).unwrap()).unwrap()
     };
     let robot = read("identified");
-    let write = |name: &str, robot: &Robot| fs::write(at.join(name), robot.to_toml()).unwrap();
+    let write = |name: &str, robot: &Robot| fs::write(at.join(name), robot.to_toml().unwrap()).unwrap();
     write("other.toml", &Robot { serial: Some("KR-2".into()), ..robot.clone() });
     let other = dbbd(at, &compensate("krl/DBB_C001.src", "other.toml", "out"));
     assert_eq!(said(&other, "E1802"), (Some(1), true), "{}", stderr(&other));
@@ -247,11 +247,11 @@ fn a_run_of_another_robot_or_older_than_the_calibration_is_seen() {
         provenance: Provenance { dbbd: VERSION.into(), from, ..Provenance::default() },
         ..kr60()
     };
-    let first = robot("KR-1", vec![Artefact::new(Role::Robot, "KUKA KR 60 HA", "")]).to_toml();
+    let first = robot("KR-1", vec![Artefact::new(Role::Robot, "KUKA KR 60 HA", "")]).to_toml().unwrap();
     let first = Robot::from_toml("first", &first).unwrap().traced(&first);
     stored_run(at, "run.dbbd", &Provenance::of([&first]));
     let identify = |robot: &Robot| {
-        fs::write(at.join("id.toml"), robot.to_toml()).unwrap();
+        fs::write(at.join("id.toml"), robot.to_toml().unwrap()).unwrap();
         dbbd(
             at,
             &[
@@ -282,10 +282,10 @@ fn a_run_of_another_robot_or_older_than_the_calibration_is_seen() {
 #[test]
 fn the_header_of_a_program_holds_any_name() {
     let chain = Provenance::of([&Artefact::new(Role::Robot, "Käfer \"7\"; €\n𝄞", "x").into()]);
-    let program = krl::stamped("&ACCESS RVP\r\nDEF P ( )\r\nEND\r\n", &chain);
+    let program = krl::stamped("&ACCESS RVP\r\nDEF P ( )\r\nEND\r\n", &chain).unwrap();
     assert!(program.is_ascii() && program.starts_with("&ACCESS RVP\r\nDEF P ( )\r\n; made by"), "{program}");
     assert_eq!(krl::provenance("p.src", &program).unwrap(), chain);
-    assert_eq!(krl::stamped(&program, &chain), program);
+    assert_eq!(krl::stamped(&program, &chain).unwrap(), program);
 }
 
 /// A record that is damaged could hide a second correction.

@@ -33,7 +33,7 @@ impl Scene {
             let z: f64 = StandardNormal.sample(&mut random);
             row.length_mm += sigma_mm * z;
         }
-        Self { robot: kr60().to_toml(), circles: circles.to_vec(), data, args: args.to_vec() }
+        Self { robot: kr60().to_toml().unwrap(), circles: circles.to_vec(), data, args: args.to_vec() }
     }
 
     fn spoilt(mut self, every: usize, mm: f64) -> Self {
@@ -111,7 +111,7 @@ fn scenes() -> Vec<Scene> {
     // Corrections somewhat and far beyond what the robot file promises.
     for (length_mm, angle_deg) in [(0.2, 0.02), (0.1, 0.01)] {
         let mut tight = Scene::new(&truth, &flat, 80, 0.0, &["--prior", "datasheet", "--folds", "0"]);
-        tight.robot = Robot { tolerance: Tolerance { length_mm, angle_deg }, ..kr60() }.to_toml();
+        tight.robot = Robot { tolerance: Tolerance { length_mm, angle_deg }, ..kr60() }.to_toml().unwrap();
         scenes.push(tight);
     }
     // Lengths that have nothing to do with their poses.
@@ -163,7 +163,7 @@ fn scenes() -> Vec<Scene> {
         let middle = 0.5 * (low + high);
         robot.limits_deg[axis] = if axis < 3 { [middle - 0.01, middle + 0.01] } else { [low, high] };
     }
-    narrow.robot = robot.to_toml();
+    narrow.robot = robot.to_toml().unwrap();
     scenes.push(narrow);
     // Play at axis 3, and a gear's error at axis 2.
     let mut random = Pcg64::seed_from_u64(3);

@@ -101,7 +101,7 @@ fn a_step_that_fails_is_named() {
     let dir = tempdir().unwrap();
     let mut plan = plan(1, 3);
     plan.header.moves.iter_mut().for_each(|time| time.turn_deg_s = 0.0);
-    let (csv, json) = plan.to_files();
+    let (csv, json) = plan.to_files().unwrap();
     std::fs::write(dir.path().join("plan.csv"), csv).unwrap();
     std::fs::write(dir.path().join("plan.json"), json).unwrap();
     let output = dbbd(dir.path(), &["acquire", "--port", "sim", "--plan", "plan.csv", "--out", "run"]);

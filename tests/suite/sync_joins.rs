@@ -57,7 +57,7 @@ fn lower(run: &mut Run, dwell: usize) {
 }
 
 pub(crate) fn provoked() -> Vec<&'static str> {
-    SPOILED.iter().map(|(code, ..)| *code).chain(["W1006", "I1010", "I1023"]).collect()
+    SPOILED.iter().map(|(code, ..)| *code).chain(["W1006", "W1080", "I1010", "I1023"]).collect()
 }
 
 #[test]
@@ -88,6 +88,41 @@ fn what_is_not_as_it_should_be_has_a_code() {
     }
 }
 
+/// Reports that cannot be used are said to be lost; the strobe takes their place.
+#[test]
+fn reports_that_give_no_dwell_have_a_code() {
+    let plan = plan(5, 30, 30, true);
+    let mut run = run(&plan, 5, World { strobe: true, ..WORLD });
+    let dwells = plan.rows.iter().filter(|row| row.kind != Kind::Transit);
+    let reports: Vec<Report> = dwells
+        .zip(&run.starts_s)
+        .flat_map(|(row, start_s)| {
+            [(1, SETTLE_S), (2, SETTLE_S + DWELL_S)].map(|(phase, after_s)| Report {
+                host: HostNs(((start_s + after_s) * 1e9) as u64),
+                index: row.index,
+                phase,
+                axes_deg: row.axes_deg,
+            })
+        })
+        .collect();
+    let matched = |run: &Run, reports: &[Report]| {
+        let stream = stream(&run.samples);
+        match_poses(&Input { reports, ..Input::new(&plan, &stream) })
+    };
+    let whole = matched(&run, &reports);
+    assert_eq!((whole.source, codes(&whole)), (DwellSource::Reports, vec![]));
+    let begins: Vec<Report> = reports.iter().filter(|report| report.phase == 1).copied().collect();
+    let unpaired = matched(&run, &begins);
+    // A simulation ten times faster than real time: stamps of the host mean nothing to the bar's clock.
+    run.samples.iter_mut().for_each(|(host, _)| host.0 /= 10);
+    let fast: Vec<Report> =
+        reports.iter().map(|report| Report { host: HostNs(report.host.0 / 10), ..*report }).collect();
+    for matching in [unpaired, matched(&run, &fast)] {
+        assert_eq!((matching.source, codes(&matching)), (DwellSource::Strobe, vec!["W1080"]));
+        assert_eq!(right(&plan, &run, &matching), 30);
+    }
+}
+
 #[test]
 fn a_run_without_strobe_is_joined_by_its_intervals() {
     let mut all = 0;
@@ -110,6 +145,21 @@ fn a_run_without_strobe_is_joined_by_its_intervals() {
         all += found;
     }
     assert!(all >= 228, "{all} of 240 poses have a length");
+}
+
+/// Long moves determine the override so well that the step of the search's grid is many standard deviations.
+#[test]
+fn any_override_is_found_where_moves_are_long() {
+    let mut plan = plan(6, 30, 30, true);
+    plan.header.moves.iter_mut().for_each(|time| time.duration_s *= 4.0);
+    for percent in [29_u32, 41, 50, 55, 73, 97] {
+        let override_factor = f64::from(percent) / 100.0;
+        let world = World { override_factor, strobe: true, rate_hz: 100.0, ..WORLD };
+        let run = run(&plan, u64::from(percent), world);
+        let matching = match_poses(&Input::new(&plan, &stream(&run.samples)));
+        assert_eq!(right(&plan, &run, &matching), 30, "{percent} %: {:?}", matching.override_factor);
+        assert!((matching.override_factor.unwrap() / override_factor - 1.0).abs() < 0.002, "{percent} %");
+    }
 }
 
 #[test]

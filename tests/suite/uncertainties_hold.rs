@@ -291,7 +291,7 @@ fn few_lengths_do_not_make_the_robot_repeat() {
 #[test]
 fn the_repeatability_is_asked_for() {
     let dir = cell(&lengths(20, 0.01));
-    let toml = kr60().to_toml();
+    let toml = kr60().to_toml().unwrap();
     let silent: String = toml
         .lines()
         .filter(|line| !line.starts_with("repeatability"))

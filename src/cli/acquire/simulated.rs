@@ -72,7 +72,7 @@ impl Cell {
         let read = read_plan(&plan)?;
         // The controller's, where the plan was made on an identified one.
         let robot = Robot::from_toml("the plan's robot", &read.header.robot)?;
-        files::write(&inside.join("robot.toml"), robot.controller().to_toml())?;
+        files::write(&inside.join("robot.toml"), robot.controller().to_toml()?)?;
         files::write(&inside.join("world.toml"), world(&read, &robot))?;
         let mut emit = vec!["krl", plan_name.as_str(), "--out", "krl", "--controller", "simulated"];
         let mut simulate = vec!["simulate", "--program", "krl/DBB_MAIN.src", "--nominal", "robot.toml"];

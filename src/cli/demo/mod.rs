@@ -78,7 +78,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
 
     let text = files::read(&dir.join("result/result.json"))?;
     let result: ResultFile =
-        serde_json::from_str(&text).map_err(|error| CliFinding::NoJson { why: error.to_string() })?;
+        serde_json::from_str(&text).map_err(|error| CliFinding::NotJson { why: error.to_string() })?;
     let path = dir.join("result/robot-identified.toml");
     let identified = Robot::from_toml(&path.display().to_string(), &files::read(&path)?)?;
     let comparison = truth.compare(&result, &identified)?;

@@ -75,7 +75,7 @@ impl Truth {
             world.push_str(&format!("\n[[centre]]\nid = {}\nxyz_mm = [{x}, {y}, {z}]\n", centre.id));
         }
         files::write(&dir.join("world.toml"), world)?;
-        files::write(&dir.join("truth.toml"), robot.to_toml())?;
+        files::write(&dir.join("truth.toml"), robot.to_toml()?)?;
         Ok(Self { robot, centres })
     }
 

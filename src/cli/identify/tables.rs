@@ -4,9 +4,8 @@ use std::fmt::Write;
 use std::path::Path;
 
 use super::Recorded;
-use crate::base::files;
+use crate::base::{files, serialised};
 use crate::catalogue::CliFinding;
-use crate::cli::output::pretty;
 use crate::diagnostic::Diagnostic;
 use crate::estimation::{CalibrationResult, JointPoint, Posterior, ResultFile, joint_curve};
 use crate::measurement::Measurements;
@@ -48,9 +47,9 @@ pub(super) fn write_results(
     files::write_pieces(&lengths, observations.csv_pieces(|place| found.uses(place)))?;
     provenance.add(&Artefact::file(Role::Measurements, &lengths)?);
     let recorded = Recorded { result: &file, provenance: &provenance };
-    files::write(&dir.join("result.json"), pretty(&recorded)? + "\n")?;
+    files::write(&dir.join("result.json"), serialised::json(&recorded)? + "\n")?;
     let robot = Robot { provenance: provenance.clone(), ..found.robot.clone() };
-    files::write(&dir.join("robot-identified.toml"), robot.to_toml())?;
+    files::write(&dir.join("robot-identified.toml"), robot.to_toml()?)?;
     let parameters =
         parameters_csv(&file).map_err(|error| CliFinding::NoOutput { why: error.to_string() })?;
     files::write(&dir.join("parameters.csv"), parameters)?;
@@ -123,7 +122,7 @@ fn hand_back(dir: &Path, found: &CalibrationResult, provenance: &Provenance) -> 
     let offsets = mastering::offsets(found);
     files::write(&dir.join("mastering.csv"), mastering::csv(&offsets)?)?;
     let data = frames::data_list(&found.robot.name, &frames::frames(found), &offsets);
-    files::write(&dir.join(format!("{}.dat", frames::MODULE)), krl::stamped(&data, provenance))?;
+    files::write(&dir.join(format!("{}.dat", frames::MODULE)), krl::stamped(&data, provenance)?)?;
     Ok(())
 }
 

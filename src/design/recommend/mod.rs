@@ -10,6 +10,7 @@ use std::mem::discriminant;
 
 use nalgebra::DMatrix;
 
+use crate::catalogue::EstimationFinding;
 use crate::estimation::result::{FurtherMeasurement, Recommendation};
 use crate::estimation::{
     Calibration, LinearSystem, Prior, Priors, Workspace, factor, inverse_root, is_place, order_of_choice,
@@ -56,7 +57,10 @@ struct Tried {
 
 /// Further measurements, best first: only where something is confounded that lengths could separate, poorly observable, or
 /// where the position is not determined; only what would lower the error.
-pub fn recommend(of: &Calibration<'_>) -> Vec<Recommendation> {
+///
+/// # Errors
+/// When what further measurements would leave is not a finite number.
+pub fn recommend(of: &Calibration<'_>) -> Result<Vec<Recommendation>, EstimationFinding> {
     let (setting, estimate, pair) = (&of.setting, &of.estimate, &of.prediction.pair);
     let identified = of.identified();
     let all_identified =
@@ -66,12 +70,12 @@ pub fn recommend(of: &Calibration<'_>) -> Vec<Recommendation> {
         && of.prediction.is_determined()
         && !trial.more_is_identifiable(estimate.analysis.base.rank)
     {
-        return Vec::new();
+        return Ok(Vec::new());
     }
     // Two poses or fewer are aligned away whatever the robot: there is no error to lower.
     let mean_of_rms = mean_of_rms(of);
     if !mean_of_rms.is_finite() {
-        return Vec::new();
+        return Ok(Vec::new());
     }
     let lengths = estimate.used(&of.lengths);
     let poses = setting.options.workspace_poses(setting.robot);
@@ -81,7 +85,9 @@ pub fn recommend(of: &Calibration<'_>) -> Vec<Recommendation> {
         weight: weight(&Workspace::new(&trial.model.geometry, &poses, trial.ids)),
         mean_of_rms,
     };
-    trial.recommendations(&scale, &setting.options.prior, pair.identified.mean).unwrap_or_default()
+    trial
+        .recommendations(&scale, &setting.options.prior, pair.identified.mean)
+        .ok_or(EstimationFinding::NoRecommendation)
 }
 
 impl<'a> Trial<'a> {

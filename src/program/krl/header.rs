@@ -1,6 +1,7 @@
 //! What a program was made from, as comments after its first line.
 
-use crate::catalogue::ProvenanceFinding;
+use crate::base::serialised;
+use crate::catalogue::{CliFinding, ProvenanceFinding};
 use crate::diagnostic::Diagnostic;
 use crate::provenance::{Artefact, Provenance};
 
@@ -9,14 +10,13 @@ const BY: &str = "; made by dbbd ";
 const FROM: &str = "; made from ";
 
 /// The comments, in ASCII.
-pub(super) fn lines(provenance: &Provenance) -> Vec<String> {
+pub(super) fn lines(provenance: &Provenance) -> Result<Vec<String>, CliFinding> {
     let source = |artefact: &Artefact| {
-        // Plain texts, which JSON can always hold.
-        let json = serde_json::to_string(artefact).unwrap_or_default();
-        FROM.chars().chain(json.chars()).map(escaped).collect()
+        let json = serialised::json_line(artefact)?;
+        Ok(FROM.chars().chain(json.chars()).map(escaped).collect())
     };
     let by = format!("{BY}{}", provenance.dbbd);
-    [by].into_iter().chain(provenance.from.iter().map(source)).collect()
+    [Ok(by)].into_iter().chain(provenance.from.iter().map(source)).collect()
 }
 
 /// As JSON escapes what is not ASCII.
@@ -48,8 +48,11 @@ pub fn provenance(file: &str, text: &str) -> Result<Provenance, Diagnostic> {
 }
 
 /// The program with these comments in place of those that it has: after the line that begins its first routine or list.
-pub fn stamped(text: &str, provenance: &Provenance) -> String {
-    let mut comments = lines(provenance);
+///
+/// # Errors
+/// None is known: see [`serialised`].
+pub fn stamped(text: &str, provenance: &Provenance) -> Result<String, CliFinding> {
+    let mut comments = lines(provenance)?;
     let mut stamped = String::with_capacity(text.len() + 256 * comments.len());
     for line in text.split_inclusive('\n') {
         if [BY, FROM].iter().any(|start| line.starts_with(start)) {
@@ -61,7 +64,7 @@ pub fn stamped(text: &str, provenance: &Provenance) -> String {
             comments.drain(..).for_each(|comment| stamped.extend([comment.as_str(), end]));
         }
     }
-    stamped
+    Ok(stamped)
 }
 
 /// Whether a text has a routine or a data list of KRL.

@@ -6,7 +6,7 @@
 //! kept when it is nearly certain. The best path is not enough: it exists also where nothing can be identified.
 
 use super::program::{Commanded, Pace};
-use super::trellis::{Answer, BEAM, LEAST_OVERRIDE, MOST_OVERRIDE, Trellis};
+use super::trellis::{Answer, BEAM, LEAST_OVERRIDE, MOST_OVERRIDE, SEARCH_SLACK, Trellis};
 
 /// What is known of a detected dwell.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -65,9 +65,8 @@ const NONE: f64 = 0.9;
 const SEARCH_BEAM: f64 = 10.0;
 /// The override is sought in the middle of a long run: more dwells do not determine it better.
 const SEARCH_DWELLS: usize = 160;
-/// The override's grid, as a ratio of steps; the slack of a move's duration takes up the step as well.
+/// The override's grid, as a ratio of steps.
 const STEP: f64 = 1.1;
-const SEARCH_SLACK: f64 = 0.03;
 
 /// Aligns the detected dwells with the commanded poses, both in order of time.
 pub fn align(poses: &[Commanded], dwells: &[DwellEvidence], expected: Option<Expected<'_>>) -> Alignment {

@@ -22,7 +22,7 @@ use std::ops::Range;
 use std::sync::Arc;
 
 use super::dwell::{Dwell, DwellReading, measure};
-use super::reports::{Report, reported_dwells};
+use super::reports::{self, Report, reported_dwells};
 use super::stream::Stream;
 use super::strobe_decoder::{StrobedDwell, has_strobe, strobed_dwells};
 use crate::catalogue::MatchingFinding as Finding;
@@ -160,6 +160,7 @@ pub fn match_poses(input: &Input<'_>) -> PoseMatching {
     let one_way = |circle| Finding::OneWayCircle { circle, lag_sd_ms: 1000.0 * passes::LAG_SD_S };
     let mut findings = std::mem::take(&mut paired.findings);
     findings.extend(passes.one_way.into_iter().map(one_way));
+    findings.extend(reports::unused(input.reports, input.stream));
     let mut matching = PoseMatching {
         observations,
         outcomes,

@@ -26,6 +26,8 @@ pub(super) const LEAST_OVERRIDE: f64 = 0.27;
 pub(super) const MOST_OVERRIDE: f64 = 1.03;
 /// How far a move's duration may be from the plan's, as a share.
 pub(super) const SLACK: f64 = 0.01;
+/// The same while the override is sought: the step of the search's grid is in it.
+pub(super) const SEARCH_SLACK: f64 = 0.03;
 /// No begin is known better, s: the controller's own waits and outputs jitter.
 const LEAST_START_SD_S: f64 = 0.02;
 
@@ -309,22 +311,24 @@ impl<'a> Trellis<'a> {
     }
 
     /// Refines the override near `stretch` and gives the probabilities there.
-    pub(super) fn answer(&self, mut stretch: f64) -> Answer {
-        const ROUNDS: usize = 4;
+    pub(super) fn answer(&self, stretch: f64) -> Answer {
+        const ROUNDS: usize = 5;
+        // The search's grid may be several narrow standard deviations off: nothing would then draw the override nearer.
+        let mut pace = Pace { stretch, slack: SEARCH_SLACK };
         let mut round = 1;
         loop {
-            let pace = Pace { stretch, slack: SLACK };
             let forward = self.forward(pace, BEAM);
             let backward = self.backward(&forward, pace);
-            if round == ROUNDS || (backward.stretch / stretch - 1.0).abs() < 1e-4 {
+            let settled = (backward.stretch / pace.stretch - 1.0).abs() < 1e-4 && pace.slack == SLACK;
+            if round == ROUNDS || settled {
                 let posterior = (0..self.poses)
                     .flat_map(|pose| (0..self.dwells.len()).map(move |dwell| State { dwell, pose }))
                     .map(|state| self.cell(state))
                     .map(|cell| (forward.sums[cell] + backward.sums[cell] - forward.evidence).exp())
                     .collect();
-                return Answer { stretch, evidence: forward.evidence, posterior };
+                return Answer { stretch: pace.stretch, evidence: forward.evidence, posterior };
             }
-            stretch = backward.stretch;
+            pace = Pace { stretch: backward.stretch, slack: SLACK };
             round += 1;
         }
     }
@@ -411,7 +415,10 @@ mod tests {
         let trellis = Trellis::new(&poses, &dwells, None);
         let evidence = |stretch: f64| trellis.evidence(Pace { stretch, slack: SLACK }, BEAM);
         assert!(evidence(1.0) > evidence(1.2) && evidence(1.0) > evidence(1.5));
-        assert!((trellis.answer(1.03).stretch - 1.0).abs() < 0.01);
+        // From anywhere between two steps of the search's grid.
+        for stretch in [0.953, 1.03, 1.049] {
+            assert!((trellis.answer(stretch).stretch - 1.0).abs() < 0.001);
+        }
     }
 
     #[test]

@@ -141,7 +141,7 @@ impl Run {
                 device,
             });
         }
-        Ok(Traced { artefact, provenance: Provenance { identity, ..Provenance::of([&self.plan.traced()]) } })
+        Ok(Traced { artefact, provenance: Provenance { identity, ..Provenance::of([&self.plan.traced()?]) } })
     }
 
     /// The base balls of the job.

@@ -66,7 +66,7 @@ pub struct Options {
 /// A plan that has no program in KRL: names the row or the circle and why.
 pub fn emit(plan: &Plan, options: Options) -> Result<Vec<(String, String)>, Diagnostic> {
     let robot = Robot::from_toml("the plan's robot", &plan.header.robot)?;
-    let made = header::lines(&Provenance::of([&plan.traced()]));
+    let made = header::lines(&Provenance::of([&plan.traced()?]))?;
     let writer = Writer { plan, robot: robot.controller(), options, made };
     let modules = modules(plan)?;
     let mut files = writer.master(&modules);
