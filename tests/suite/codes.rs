@@ -16,6 +16,7 @@ const NOT_HERE: &[(&str, &str)] = &[
     ("E0208", "a system that refuses the list of its devices"),
     ("I0210", "an adapter with a latency timer"),
     ("I0212", "a computer without serial ports"),
+    ("I1380", "no input leads to it"),
 ];
 
 /// The codes that tests provoke: each module gives those of the table of cases that it runs.
