@@ -49,7 +49,7 @@ device = "T-3"
 pub(crate) fn robot() -> String {
     let mut robot = kr60();
     (robot.serial, robot.controller_serial) = (Some("KR-1".into()), Some("C-1".into()));
-    robot.to_toml()
+    robot.to_toml().unwrap()
 }
 
 fn info(dir: &Path, file: &str) -> Value {
