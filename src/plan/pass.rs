@@ -189,11 +189,7 @@ pub(crate) fn groups(rows: &[PlanRow]) -> Result<Vec<Group>, Ungrouped> {
 ///
 /// # Errors
 /// Rows that are no pass.
-pub(super) fn passes(
-    job: &Job,
-    rows: &[PlanRow],
-    moves: &mut [MoveTime],
-) -> Result<Vec<Pass>, PlanFinding> {
+pub(super) fn passes(job: &Job, rows: &[PlanRow], moves: &mut [MoveTime]) -> Result<Vec<Pass>, PlanFinding> {
     let mut passes = Vec::new();
     let mut backward: Option<u32> = None;
     for group in groups(rows)? {

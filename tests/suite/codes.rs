@@ -75,8 +75,12 @@ const UNWRITTEN: &str = "E0009";
 #[test]
 fn what_a_text_cannot_hold_is_an_error_and_no_empty_text() {
     let map = BTreeMap::from([([1, 2], 3)]);
-    let texts =
-        [serialised::json(&map), serialised::json_line(&map), serialised::toml(&map), serialised::csv([&map])];
+    let texts = [
+        serialised::json(&map),
+        serialised::json_line(&map),
+        serialised::toml(&map),
+        serialised::csv([&map]),
+    ];
     for text in texts {
         assert_eq!(text.unwrap_err().code().0, UNWRITTEN);
     }
@@ -84,7 +88,8 @@ fn what_a_text_cannot_hold_is_an_error_and_no_empty_text() {
 
 #[test]
 fn every_code_is_provoked_by_a_test() {
-    let provoked = [provoked(), NOT_HERE.iter().map(|(code, _)| *code).chain([UNKNOWN, UNWRITTEN]).collect()].concat();
+    let provoked =
+        [provoked(), NOT_HERE.iter().map(|(code, _)| *code).chain([UNKNOWN, UNWRITTEN]).collect()].concat();
     let silent: Vec<_> =
         catalogue::entries().map(|entry| entry.code.0).filter(|code| !provoked.contains(code)).collect();
     assert!(silent.is_empty(), "no test provokes {silent:?}");

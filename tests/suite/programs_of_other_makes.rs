@@ -123,7 +123,8 @@ fn only_krl_is_corrected() {
     assert!(!at.join("out").exists());
     let nothing = compensate("DEF P ( )\nHALT\nEND\n", "id.toml");
     assert_eq!((nothing.status.code(), codes(&nothing)), (Some(3), vec!["W0914".into()]));
-    fs::write(at.join("abb.toml"), identified(Robot::by_name("irb120").unwrap().unwrap()).to_toml().unwrap()).unwrap();
+    fs::write(at.join("abb.toml"), identified(Robot::by_name("irb120").unwrap().unwrap()).to_toml().unwrap())
+        .unwrap();
     let abb = compensate("DEF P ( )\nHALT\nEND\n", "abb.toml");
     assert_eq!((abb.status.code(), codes(&abb)), (Some(1), vec!["E0824".into()]));
 }

@@ -102,7 +102,8 @@ fn what_is_lost_is_told() {
     let path = dir.path().join("first/robot-identified.toml");
     let text = fs::read_to_string(&path).unwrap();
     let robot = Robot::from_toml("robot.toml", &text).unwrap();
-    let write = |name: &str, robot: &Robot| fs::write(dir.path().join(name), robot.to_toml().unwrap()).unwrap();
+    let write =
+        |name: &str, robot: &Robot| fs::write(dir.path().join(name), robot.to_toml().unwrap()).unwrap();
     write("old.toml", &Robot { posterior: None, ..robot.clone() });
     let mut edited = robot.clone();
     edited.geometry.rows[3].d += 0.01;
