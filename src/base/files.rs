@@ -9,9 +9,6 @@ use crate::catalogue::FileFinding::{NoDirectory, NotAFile, NotUtf8At, TooLarge, 
 use crate::diagnostic::Diagnostic;
 
 /// The text of a file.
-///
-/// # Errors
-/// Names the path and why it could not be read.
 pub fn read(path: &Path) -> Result<String, Diagnostic> {
     let name = path.display().to_string();
     fs::read(path).map_err(|error| Diagnostic::file(&name, Unreadable { why: error.to_string() })).and_then(
@@ -25,9 +22,6 @@ pub fn read(path: &Path) -> Result<String, Diagnostic> {
 }
 
 /// The text of a file of at most `most` bytes; what is no file (a pipe, a device) is not opened.
-///
-/// # Errors
-/// As [`read()`], and when it is longer.
 pub fn read_at_most(path: &Path, most: u64) -> Result<String, Diagnostic> {
     match fs::metadata(path) {
         Ok(data) if !data.is_file() => Err(Diagnostic::file(&path.display().to_string(), NotAFile)),
@@ -39,9 +33,6 @@ pub fn read_at_most(path: &Path, most: u64) -> Result<String, Diagnostic> {
 }
 
 /// The SHA-256 of a file, which is never whole in memory.
-///
-/// # Errors
-/// Names the path and why it could not be read.
 pub fn sha256(path: &Path) -> Result<String, Diagnostic> {
     let wrong = |error: std::io::Error| {
         Diagnostic::file(&path.display().to_string(), Unreadable { why: error.to_string() })
@@ -57,17 +48,11 @@ pub fn sha256(path: &Path) -> Result<String, Diagnostic> {
 }
 
 /// Writes a file whole or not at all: beside it first, then renamed.
-///
-/// # Errors
-/// Names the path and why it could not be written.
 pub fn write(path: &Path, content: impl AsRef<[u8]>) -> Result<(), Diagnostic> {
     write_pieces(path, [content])
 }
 
 /// The same in pieces, of which one at a time is in memory.
-///
-/// # Errors
-/// As [`write()`].
 pub fn write_pieces(
     path: &Path,
     pieces: impl IntoIterator<Item = impl AsRef<[u8]>>,
@@ -98,9 +83,6 @@ pub struct Exclusive {
 }
 
 /// Makes the directory that a set of files goes to, and waits until others have written theirs: no set is mixed.
-///
-/// # Errors
-/// As [`directory`].
 pub fn exclusive(path: &Path) -> Result<Exclusive, Diagnostic> {
     directory(path)?;
     // Where directories cannot be opened or locked, sets are written as they come.
@@ -109,9 +91,6 @@ pub fn exclusive(path: &Path) -> Result<Exclusive, Diagnostic> {
 }
 
 /// Makes the directory that results go to.
-///
-/// # Errors
-/// Names the path and why it could not be made.
 pub fn directory(path: &Path) -> Result<(), Diagnostic> {
     fs::create_dir_all(path).map_err(|error| {
         Diagnostic::file(&path.display().to_string(), NoDirectory { why: error.to_string() })

@@ -12,17 +12,11 @@ use crate::catalogue::FileFinding::{
 use crate::diagnostic::Diagnostic;
 
 /// What a TOML file holds; a fixed-length array only if it has as many values.
-///
-/// # Errors
-/// Names the line and column of what is wrong.
 pub fn from_toml<'de, T: Deserialize<'de>>(file: &str, text: &'de str) -> Result<T, Diagnostic> {
     deserialize(text).map_err(|error| wrong_toml(file, text, &error))
 }
 
 /// The same of a text that is no file as it is.
-///
-/// # Errors
-/// What is wrong, and where in the text.
 pub fn from_toml_text<'de, T: Deserialize<'de>>(text: &'de str) -> Result<T, (Range<usize>, FileFinding)> {
     deserialize(text).map_err(|error| {
         let span = error.span().unwrap_or_default();
@@ -35,15 +29,11 @@ fn deserialize<'de, T: Deserialize<'de>>(text: &'de str) -> Result<T, toml::de::
 }
 
 /// What a value of a TOML text holds.
-///
-/// # Errors
-/// What is wrong with the value.
 pub fn from_toml_value<T: DeserializeOwned>(value: toml::Value) -> Result<T, FileFinding> {
     let text = value.to_string();
     T::deserialize(Exact(value)).map_err(|error| not_toml(&text, 0..text.len(), &error))
 }
 
-/// What is wrong with a TOML file.
 fn wrong_toml(file: &str, text: &str, error: &toml::de::Error) -> Diagnostic {
     let finding = match file.rsplit_once('.') {
         Some((_, kind @ ("csv" | "json" | "src" | "dat"))) => {

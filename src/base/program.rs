@@ -14,9 +14,6 @@ pub const UNTIL_STDIN_CLOSES: &str = "--until-stdin-closes";
 /// A command that runs this very program, also where its file was replaced since this process began. It ends with its
 /// standard input, whose other end closes with this process, however that ends; keep it until the child has ended. Of
 /// the environment it has only what it needs.
-///
-/// # Errors
-/// When the system does not name the program.
 pub fn own() -> io::Result<Command> {
     // The child still runs this program when it follows the link.
     #[cfg(target_os = "linux")]
@@ -30,9 +27,6 @@ pub fn own() -> io::Result<Command> {
 }
 
 /// Ends this process when its standard input ends: whoever started it is gone.
-///
-/// # Errors
-/// When the system gives no thread.
 pub fn end_with_stdin() -> io::Result<()> {
     let watch = || {
         let _ = io::copy(&mut io::stdin(), &mut io::sink());

@@ -113,9 +113,6 @@ struct Record {
 
 impl<'a> Table<'a> {
     /// A file.
-    ///
-    /// # Errors
-    /// Names the path and why it could not be read.
     pub fn open(path: &Path) -> Result<Table<'static>, Diagnostic> {
         let name = path.display().to_string();
         let file = File::open(path)
@@ -124,17 +121,11 @@ impl<'a> Table<'a> {
     }
 
     /// A text in memory.
-    ///
-    /// # Errors
-    /// When it is no text.
     pub fn of(file: &str, text: &'a (impl AsRef<[u8]> + ?Sized)) -> Result<Self, Diagnostic> {
         Self::new(file, text.as_ref(), Layout::default())
     }
 
     /// What a source holds; `file` is the name that the user knows.
-    ///
-    /// # Errors
-    /// When it cannot be read, or is no text.
     pub fn new(file: &str, source: impl BufRead + 'a, layout: Layout) -> Result<Self, Diagnostic> {
         let columns = Columns {
             file: file.into(),
@@ -165,15 +156,11 @@ impl<'a> Table<'a> {
         &self.columns.file
     }
 
-    /// The names of the columns.
     pub fn names(&self) -> &[String] {
         &self.columns.names
     }
 
     /// The places of columns that must be there.
-    ///
-    /// # Errors
-    /// Names all that are absent, or one that is there twice.
     pub fn required<const N: usize>(&self, names: [&str; N]) -> Result<[usize; N], Diagnostic> {
         let mut places = [0; N];
         let mut absent = Vec::new();
@@ -192,9 +179,6 @@ impl<'a> Table<'a> {
     }
 
     /// The place of a column that may be there.
-    ///
-    /// # Errors
-    /// When it is there twice.
     pub fn optional(&self, name: &str) -> Result<Option<usize>, Diagnostic> {
         let mut places = self.columns.names.iter().enumerate().filter(|(_, column)| *column == name);
         match (places.next(), places.next()) {
@@ -204,9 +188,6 @@ impl<'a> Table<'a> {
     }
 
     /// The next row, if there is one.
-    ///
-    /// # Errors
-    /// When the file cannot be read, is no text, or the row has not as many cells as the header.
     pub fn row(&mut self) -> Result<Option<Row<'_>>, Diagnostic> {
         if !self.record()? {
             return Ok(None);
@@ -302,7 +283,6 @@ pub struct Row<'a> {
 }
 
 impl<'a> Row<'a> {
-    /// The text of a cell.
     pub fn text(&self, at: usize) -> &'a str {
         self.record.cells.get(at).map_or("", |cell| &cell.text)
     }
@@ -313,9 +293,6 @@ impl<'a> Row<'a> {
     }
 
     /// Whether the row has the cell.
-    ///
-    /// # Errors
-    /// When it ends before.
     pub fn has(&self, at: usize) -> Result<(), Diagnostic> {
         match self.record.cells.get(at) {
             Some(_) => Ok(()),
@@ -330,9 +307,6 @@ impl<'a> Row<'a> {
     }
 
     /// A finite number.
-    ///
-    /// # Errors
-    /// When it is none.
     pub fn number(&self, at: usize) -> Result<f64, Diagnostic> {
         self.has(at)?;
         let value = self.parsed(at).map_err(|finding| self.wrong(at, finding))?;
@@ -361,9 +335,6 @@ impl<'a> Row<'a> {
     }
 
     /// A length or a standard deviation.
-    ///
-    /// # Errors
-    /// When it is no finite number, or not positive.
     pub fn positive(&self, at: usize) -> Result<f64, Diagnostic> {
         let value = self.number(at)?;
         let wrong = || self.wrong(at, NotPositive { column: self.column(at), cell: self.text(at).into() });
@@ -371,9 +342,6 @@ impl<'a> Row<'a> {
     }
 
     /// A number by `read`, of a column that may be absent and a cell that may be empty.
-    ///
-    /// # Errors
-    /// As `read`.
     pub fn given<T>(
         &self,
         at: Option<usize>,
@@ -383,18 +351,12 @@ impl<'a> Row<'a> {
     }
 
     /// A whole number from `least`.
-    ///
-    /// # Errors
-    /// When it is none.
     pub fn whole(&self, at: usize, least: u32) -> Result<u32, Diagnostic> {
         let value = self.text(at).parse().ok().filter(|value| *value >= least);
         value.ok_or_else(|| self.no_whole(at, least))
     }
 
     /// A number from 1 of something that is counted.
-    ///
-    /// # Errors
-    /// When it is none.
     pub fn numbered<T: FromStr>(&self, at: usize) -> Result<T, Diagnostic> {
         self.text(at).parse().map_err(|_| self.no_whole(at, 1))
     }
@@ -403,12 +365,10 @@ impl<'a> Row<'a> {
         self.wrong(at, NotWhole { column: self.column(at), cell: self.text(at).into(), least })
     }
 
-    /// What is wrong with a cell.
     pub fn wrong(&self, at: usize, why: impl Finding) -> Diagnostic {
         self.at(self.record.cells.get(at).map_or(1, |cell| cell.column), why)
     }
 
-    /// What is wrong with the row.
     pub fn line(&self, why: impl Finding) -> Diagnostic {
         Diagnostic::line(&self.columns.file, self.record.line, why)
     }

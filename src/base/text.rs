@@ -50,9 +50,6 @@ impl<R: BufRead> Lines<R> {
     }
 
     /// Appends the next line with its end and, if it is the first, its byte order mark; whether there was one.
-    ///
-    /// # Errors
-    /// When the file cannot be read, or is no text in an encoding that its bytes show.
     pub fn next(&mut self, text: &mut String) -> Result<bool, Diagnostic> {
         if self.number == 0 {
             let first = self.source.fill_buf().map_err(|error| unreadable(&self.file, &error))?;

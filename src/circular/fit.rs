@@ -6,9 +6,7 @@ use nalgebra::{Matrix3, Vector3};
 /// A programmed point, seen from the programmed centre (mm), and the length measured there (mm).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ray {
-    /// Programmed point, mm.
     pub point: [f64; 2],
-    /// Measured length, mm.
     pub length_mm: f64,
 }
 

@@ -9,7 +9,6 @@ use super::{Sense, Trace};
 /// r + a cos + b sin + c2 cos 2 + s2 sin 2 of the deviation about the joint centre, mm.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Harmonics {
-    /// The sense.
     pub sense: Sense,
     /// r, a, b, c2, s2, mm.
     pub values_mm: [f64; TERMS],
@@ -17,7 +16,6 @@ pub struct Harmonics {
     pub u95_mm: [f64; TERMS],
 }
 
-/// Names of the terms, in order.
 pub const TERM_NAMES: [&str; TERMS] = ["r", "a", "b", "c2", "s2"];
 const TERMS: usize = 5;
 const NORMAL: f64 = 1.96;
@@ -25,7 +23,6 @@ const NORMAL: f64 = 1.96;
 /// What the harmonics mean. Empty on an arc, where they are linearly dependent.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
 pub struct Diagnosis {
-    /// By sense.
     pub harmonics: Vec<Harmonics>,
     /// Scale error of the first axis less that of the second: 2 c2 / R, mean of the senses.
     pub scale_mismatch: Option<[f64; 2]>,

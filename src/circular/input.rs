@@ -12,17 +12,11 @@ const HOTTEST_C: f64 = 150.0;
 const REQUIRED: [&str; 4] = ["run", "direction", "angle_deg", "length_mm"];
 
 /// Reads the traces of a text as [`traces_from_table`].
-///
-/// # Errors
-/// As that.
 pub fn traces_from_csv(file: &str, text: &str) -> Result<Vec<Trace>, Diagnostic> {
     traces_from_table(&mut Table::of(file, text)?)
 }
 
 /// Reads the traces: one for each run and direction, in the order of their first rows.
-///
-/// # Errors
-/// Names the line and column of what is missing, not a number, not finite, or impossible.
 pub fn traces_from_table(table: &mut Table<'_>) -> Result<Vec<Trace>, Diagnostic> {
     let [run, direction, angle, length] = table.required(REQUIRED).map_err(|absent| {
         absent.help("a circular test has the columns run,direction,angle_deg,length_mm[,t_s,temp_c]")

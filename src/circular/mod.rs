@@ -81,18 +81,14 @@ pub struct Drive {
 /// One pass of the circle, in the order in which it was driven.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Trace {
-    /// The run it belongs to.
     pub run: String,
-    /// Its sense.
     pub sense: Sense,
-    /// Its points.
     pub points: Vec<Point>,
 }
 
 /// What is known besides the lengths.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
-    /// Nominal radius, mm.
     pub radius_mm: f64,
     /// Standard uncertainty of a single length, mm; without it that of the points, or their scatter.
     pub sigma_mm: Option<f64>,
@@ -102,12 +98,10 @@ pub struct Settings {
     pub temperature: Temperature,
     /// Draws of the Monte Carlo; 0 for none.
     pub draws: usize,
-    /// Seed of the draws.
     pub seed: u64,
 }
 
 impl Settings {
-    /// The usual settings for a radius.
     pub fn new(radius_mm: f64) -> Self {
         let temperature = Temperature::default();
         Self { radius_mm, sigma_mm: None, bar_u_mm: 0.0, temperature, draws: 1000, seed: 1 }
@@ -141,20 +135,15 @@ pub struct Arc {
 /// A value with the half width of its 95 % interval; `None` where it is refused or does not exist.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
 pub struct Quantity {
-    /// The value.
     pub value: Option<f64>,
     /// Half width of its 95 % interval.
     pub u95: Option<f64>,
 }
 
-/// The result of a trace alone.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct TraceResult {
-    /// The run.
     pub run: String,
-    /// The sense.
     pub sense: Sense,
-    /// Number of points.
     pub points: usize,
     /// By the names of [`TRACE_NAMES`], mm.
     pub quantities: Vec<Quantity>,
@@ -165,7 +154,6 @@ pub struct TraceResult {
 /// The evaluation of a circular test.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Evaluation {
-    /// Nominal radius, mm.
     pub radius_mm: f64,
     /// How much of the circle there is.
     pub arc: Arc,
@@ -175,7 +163,6 @@ pub struct Evaluation {
     pub as_measured: Option<Vec<Option<f64>>>,
     /// Whether F is about the least-squares centre (b), else about the instrument's (a).
     pub free_centre: bool,
-    /// Each trace alone.
     pub traces: Vec<TraceResult>,
     /// Second harmonics by sense and what they mean.
     pub diagnosis: Diagnosis,
@@ -185,11 +172,9 @@ pub struct Evaluation {
     pub steps: Vec<Step>,
     /// Standard uncertainty of a single length that the draws used, mm: the mean over the points.
     pub sigma_mm: f64,
-    /// Where that comes from.
     pub sigma_source: SigmaSource,
     /// Draws that were made.
     pub draws: usize,
-    /// What limits the evaluation.
     pub notes: Vec<Finding>,
 }
 
@@ -202,9 +187,6 @@ impl Evaluation {
 }
 
 /// Evaluates the traces of one circle.
-///
-/// # Errors
-/// When there are too few points, the radius is not theirs, or they determine no circle.
 pub fn circular(traces: &[Trace], settings: &Settings) -> Result<Evaluation, Finding> {
     check(traces, settings)?;
     let corrected = settings.temperature.apply(traces);

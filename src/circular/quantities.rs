@@ -37,7 +37,6 @@ impl Facing {
     }
 }
 
-/// What the arc allows.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Allowed {
     /// Whether a centre can be fitted.
@@ -79,7 +78,6 @@ impl Rays {
         Self { traces: traces.iter().map(rays).collect(), pairs }
     }
 
-    /// All rays of all traces.
     pub(super) fn all(&self) -> impl Iterator<Item = Ray> + Clone {
         self.traces.iter().flatten().copied()
     }

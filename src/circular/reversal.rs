@@ -6,9 +6,7 @@ use super::{Sense, Trace};
 /// A joint reverses.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Reversal {
-    /// The run.
     pub run: String,
-    /// The sense.
     pub sense: Sense,
     /// Number of the joint, from 1.
     pub joint: usize,

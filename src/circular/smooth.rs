@@ -5,7 +5,6 @@
 
 use super::fit::Ray;
 
-/// The form.
 pub(super) struct Form {
     /// The traces with their deviations replaced by means over neighbours.
     pub(super) traces: Vec<Vec<Ray>>,

@@ -25,7 +25,6 @@ pub enum Mover {
 /// What a drive loses as it reverses.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Step {
-    /// Which.
     pub mover: Mover,
     /// Play: mm of an axis, rad of a joint. Negative where the drive runs ahead.
     pub play: f64,
@@ -47,7 +46,6 @@ const SAME_DEG: f64 = 1e-3;
 
 /// A value and what a linear model has for it.
 struct Row {
-    /// The form of the circle.
     form: Vec<f64>,
     /// For each drive what it does to the length, mm, and the sense of its motion: 0 where that is not known.
     moves: Vec<Move>,

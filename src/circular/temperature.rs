@@ -8,11 +8,9 @@ pub(super) const REFERENCE_C: f64 = 20.0;
 /// How lengths depend on temperature. Both expansions are 0 when nothing is known.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Temperature {
-    /// Expansion of the bar, 1/K.
     pub bar_per_k: Option<f64>,
     /// Temperature at which the bar's length was certified, degrees Celsius.
     pub certified_c: f64,
-    /// Expansion of the machine, 1/K.
     pub machine_per_k: Option<f64>,
 }
 

@@ -8,12 +8,10 @@ use nalgebra::{Matrix4, Vector4};
 
 use super::fit::Ray;
 
-/// The zone.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Zone {
     /// Its centre: the base ball, seen from the programmed centre, mm.
     pub centre: [f64; 2],
-    /// Its width, mm.
     pub width_mm: f64,
 }
 

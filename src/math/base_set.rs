@@ -9,14 +9,12 @@ const ZERO_COLUMN: f64 = 1e-9;
 /// Singular values of the unit-norm columns below this share of the largest are zero.
 const RANK_TOLERANCE: f64 = 1e-8;
 
-/// A base set of columns.
 #[derive(Clone, Debug)]
 pub struct BaseSet {
     /// Numerical rank of the columns, each scaled to unit norm.
     pub rank: usize,
     /// The columns kept, in the order of preference.
     pub kept: Vec<usize>,
-    /// Columns that are zero.
     pub zero: Vec<usize>,
     /// Columns that depend on those kept, each with its coefficients: `column = sum x[k] * kept[k]`.
     pub dependent: Vec<(usize, DVector<f64>)>,

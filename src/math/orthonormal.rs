@@ -33,7 +33,6 @@ impl Orthonormal {
         &self.directions
     }
 
-    /// The directions from the `first` on as columns.
     pub fn columns_from(&self, first: usize) -> DMatrix<f64> {
         DMatrix::from_columns(self.directions.get(first..).unwrap_or(&[]))
     }

@@ -8,7 +8,6 @@ use crate::catalogue::MeasurementFinding::{BallsNotInOrder, TooMany};
 use crate::diagnostic::Diagnostic;
 use crate::robot::BallId;
 
-/// A base ball.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BaseBall {
     pub id: BallId,
@@ -18,17 +17,11 @@ pub struct BaseBall {
 
 impl BaseBall {
     /// Reads the CSV `centre,x_mm,y_mm,z_mm`: the balls in order of their numbers, which run from 1.
-    ///
-    /// # Errors
-    /// Names the line of what is missing, not a number, or a number that is twice there or absent.
     pub fn from_csv(file: &str, text: &str) -> Result<Vec<Self>, Diagnostic> {
         Self::from_table(&mut Table::of(file, text)?)
     }
 
     /// Reads the same from a table.
-    ///
-    /// # Errors
-    /// As [`BaseBall::from_csv`].
     pub fn from_table(table: &mut Table<'_>) -> Result<Vec<Self>, Diagnostic> {
         let [number, x, y, z] = table.required(["centre", "x_mm", "y_mm", "z_mm"])?;
         let mut balls = Vec::new();
@@ -49,7 +42,6 @@ impl BaseBall {
         }
     }
 
-    /// Writes the CSV.
     pub fn to_csv(balls: &[Self]) -> String {
         let mut text = String::from("centre,x_mm,y_mm,z_mm\n");
         for Self { id, position } in balls {

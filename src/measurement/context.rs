@@ -67,7 +67,6 @@ impl Column {
         (Self::TaughtDeg, "taught_deg"),
     ];
 
-    /// By its name.
     pub fn of(name: &str) -> Self {
         let named = Self::NAMED.into_iter().find(|(_, known)| *known == name);
         named.map_or_else(|| Self::Other(name.into()), |(column, _)| column)

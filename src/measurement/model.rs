@@ -16,7 +16,6 @@ pub struct LengthModel {
     pub bar_offsets: Vec<f64>,
 }
 
-/// A measurement prepared for the solver.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PreparedMeasurement {
     /// The controller's axis angles, rad.
@@ -140,7 +139,6 @@ impl LengthModel {
         self.balls.get(ball.index()).copied().unwrap_or(Vector3::repeat(f64::NAN))
     }
 
-    /// The offset of a bar, mm.
     #[inline]
     pub fn bar_offset(&self, bar: BarId) -> f64 {
         self.bar_offsets.get(bar.index()).copied().unwrap_or(0.0)

@@ -57,7 +57,6 @@ impl Measurement {
     }
 }
 
-/// A table of measurements.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Measurements {
     pub rows: Vec<Measurement>,
@@ -100,17 +99,11 @@ const PIECE: usize = 4096;
 impl Measurements {
     /// Reads the CSV `index,centre,a1_deg,..,a6_deg,length_mm[,sigma_mm][,bar][,approach1,..,approach6][,..]`; columns in any order,
     /// an absent bar is bar 1.
-    ///
-    /// # Errors
-    /// Names the line and column of what is missing, not a number, not finite, or impossible.
     pub fn from_csv(file: &str, text: &str) -> Result<Self, Diagnostic> {
         Self::from_table(&mut Table::of(file, text)?)
     }
 
     /// Reads the same from a table, a row at a time.
-    ///
-    /// # Errors
-    /// As [`Measurements::from_csv`].
     pub fn from_table(table: &mut Table<'_>) -> Result<Self, Diagnostic> {
         let places = table.required(REQUIRED)?;
         let (sigma, bar) = (table.optional(SIGMA)?, table.optional(BAR)?);
@@ -154,9 +147,6 @@ impl Measurements {
     }
 
     /// Reads only the axis angles of a table with the columns a1_deg..a6_deg, and the senses of approach that it has.
-    ///
-    /// # Errors
-    /// Names the line and column of what is missing or not a finite number.
     pub fn poses_from_table(table: &mut Table<'_>) -> Result<Vec<ApproachedPose>, Diagnostic> {
         let [_, _, names @ .., _] = REQUIRED;
         let axes = table.required::<AXES>(names)?;
@@ -207,8 +197,6 @@ impl Measurements {
         text
     }
 
-    /// # Errors
-    /// The first measurement of a ball or bar that the set-up does not have.
     pub fn check(&self, file: &str, set_up: SetUp) -> Result<(), Diagnostic> {
         let SetUp { balls, bars } = set_up;
         let unknown = self.rows.iter().find_map(|&Measurement { index, ball, bar, .. }| {
@@ -278,7 +266,6 @@ fn shared(context: Context, before: Option<&Arc<Context>>) -> Option<Arc<Context
     }
 }
 
-/// The axis angles of a row.
 fn angles(row: &Row<'_>, places: [usize; AXES]) -> Result<AxisAngles, Diagnostic> {
     let mut axes_deg = [0.0; AXES];
     for (angle, at) in axes_deg.iter_mut().zip(places) {

@@ -26,7 +26,6 @@ const ROUNDED_DEG: f64 = 0.005;
 pub enum Branch {
     /// As the target's status and turn say.
     ByStatusAndTurn,
-    /// Nearest to where it is.
     Nearest,
 }
 
@@ -39,7 +38,6 @@ pub struct Commanded<'a> {
     pub branch: Branch,
 }
 
-/// A corrected target.
 #[derive(Clone, Debug)]
 pub struct Corrected {
     /// A1 to A6, or X, Y, Z, A, B, C.
@@ -82,8 +80,6 @@ impl<'a> Corrector<'a> {
         }
     }
 
-    /// # Errors
-    /// A target that moves too far, is out of reach or beyond an axis limit, or is too near to a singularity.
     pub fn correct(&mut self, commanded: Commanded<'_>) -> Result<Corrected, CompensationFinding> {
         let null = Frames { tool: Pose::identity(), base: Pose::identity() };
         let frames = commanded.frames.unwrap_or(&null);
@@ -170,9 +166,6 @@ impl<'a> Corrector<'a> {
 
     /// KUKA's turn bits of a corrected target, as its printed pose has them. An axis that the correction carries through
     /// zero has another one than was taught: with the old bit a controller would look for the same pose a full turn away.
-    ///
-    /// # Errors
-    /// A target that would need another status.
     pub fn turn(
         &self,
         corrected: &Corrected,

@@ -35,10 +35,8 @@ pub enum Bar {
     Stays,
 }
 
-/// The rows of one module.
 #[derive(Clone, Debug)]
 pub struct Module<'a> {
-    /// The circle's number.
     pub circle: u32,
     /// Number of the base ball.
     pub ball: u32,
@@ -73,9 +71,6 @@ impl Step<'_> {
 }
 
 /// The modules of a plan. Rows of no circle lead to the circle after them; at the end of the plan they follow the last.
-///
-/// # Errors
-/// A plan without rows, or whose rows and times do not belong together, or with a module that has no start.
 pub fn modules(plan: &Plan) -> Result<Vec<Module<'_>>, Diagnostic> {
     let (rows, moves) = (plan.rows.len(), plan.header.moves.len());
     if rows != moves {
@@ -148,9 +143,6 @@ impl<'a> Module<'a> {
     }
 
     /// Its motions in order.
-    ///
-    /// # Errors
-    /// An arc without its auxiliary point.
     pub fn steps(&self) -> Result<Vec<Step<'a>>, Diagnostic> {
         let mut steps = Vec::new();
         let mut counted = 0;

@@ -81,7 +81,6 @@ pub struct Break {
     pub host_s: f64,
 }
 
-/// The map of a run.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ClockMap {
     /// The first stamp.
@@ -89,7 +88,6 @@ pub struct ClockMap {
     /// Windows in order; empty where the counter does not run at the host's pace (a simulation faster
     /// than real time), so that the two cannot be laid on each other.
     pub segments: Vec<Segment>,
-    /// Breaks of the counter.
     pub breaks: Vec<Break>,
     /// How often the counter began again from 0 as it should.
     pub wraps: u64,

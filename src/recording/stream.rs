@@ -12,7 +12,6 @@ pub struct Stream {
     begin: HostNs,
     /// Time since the first sample, s.
     pub t_s: Vec<f64>,
-    /// Readings, mm.
     pub reading_mm: Vec<f64>,
     flags: Vec<u8>,
     /// Samples at which the clock restarted or jumped: the time across them is a guess.

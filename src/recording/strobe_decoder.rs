@@ -133,7 +133,6 @@ pub fn has_strobe(stream: &Stream) -> bool {
     (0..stream.len()).any(|at| stream.strobe(at) == Some(true))
 }
 
-/// The dwells of a recorded stream.
 pub fn strobed_dwells(stream: &Stream) -> Vec<StrobedDwell> {
     let mut decoder = StrobeDecoder::default();
     let mut events: Vec<StrobeEvent> =

@@ -164,7 +164,6 @@ impl<'a> Values<'a> {
     }
 }
 
-/// Reads a whole telegram.
 fn read(text: &str) -> Result<Telegram, Finding> {
     let values = Values::of(text)?;
     let mut axes_deg = [0.0; AXES];

@@ -125,7 +125,6 @@ struct InwardPass {
 }
 
 impl<'a> Chain<'a> {
-    /// Of a geometry.
     pub fn new(geometry: &'a Geometry) -> Self {
         let rigid = geometry.compliance.iter().all(|c| *c == 0.0)
             && geometry.gear.iter().flatten().all(|g| *g == 0.0)

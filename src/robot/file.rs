@@ -100,7 +100,6 @@ struct RobotFile {
     uncertainty: Option<UncertaintyTable>,
 }
 
-/// A joint as the file has it.
 #[derive(Clone, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct JointTable {
@@ -196,7 +195,6 @@ impl Robot {
         BUILT_IN
     }
 
-    /// The file of a built-in robot by its name, if there is one.
     pub fn built_in_file(name: &str) -> Option<&'static str> {
         BUILT_IN.iter().find(|(built_in, _)| *built_in == name).map(|(_, text)| *text)
     }
@@ -245,9 +243,6 @@ impl Robot {
     }
 
     /// Reads a robot file.
-    ///
-    /// # Errors
-    /// Names the line of an unknown or missing key or a value that cannot be.
     pub fn from_toml(file: &str, text: &str) -> Result<Self, Diagnostic> {
         let parsed: RobotFile = from_toml(file, text)?;
         parsed.into_robot().map_err(|(joint, finding)| {
@@ -418,7 +413,6 @@ impl JointTable {
 }
 
 impl RobotFile {
-    /// The joints, checked.
     fn joints(&self) -> Result<[&JointTable; AXES], Wrong> {
         let joints: Vec<&JointTable> = self.joint.iter().collect();
         let joints = <[&JointTable; AXES]>::try_from(joints)

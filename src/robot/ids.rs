@@ -98,7 +98,6 @@ impl Joint {
     }
 }
 
-/// A coordinate of a point.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Coordinate {
     X,
@@ -150,7 +149,6 @@ impl AxisAngles {
 pub struct Approach([i8; super::AXES]);
 
 impl Approach {
-    /// By signs.
     pub fn new(senses: [i8; super::AXES]) -> Self {
         Self(senses.map(i8::signum))
     }

@@ -10,7 +10,6 @@ use std::f64::consts::PI;
 
 use super::{AXES, Approach, Joint};
 
-/// The error of one joint.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct JointError {
     pub smooth: Smooth,

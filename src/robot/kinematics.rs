@@ -30,7 +30,6 @@ pub struct DhRow {
 pub struct Mass {
     /// The joint with whose frame it moves; the last for the payload.
     pub joint: Joint,
-    /// Mass, kg.
     pub kg: f64,
     /// Centre of mass in that joint's frame, mm.
     pub centre: Vector3<f64>,

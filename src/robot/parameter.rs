@@ -249,8 +249,6 @@ pub struct SetUp {
 }
 
 impl SetUp {
-    /// # Errors
-    /// A parameter of a base ball or bar that is not there.
     pub fn check(self, id: ParamId) -> Result<(), RobotFinding> {
         let name = id.to_string();
         match id {
@@ -303,9 +301,6 @@ pub fn all(parallel: &[Joint], set_up: impl Into<SetUp>) -> Vec<ParamId> {
 }
 
 /// Reads a LIST: names, ranges (`alpha1-5`) and groups, comma-separated; sorted, each once.
-///
-/// # Errors
-/// A word that is neither, or a ball or bar that the set-up does not have.
 pub fn parse_list(
     list: &str,
     parallel: &[Joint],

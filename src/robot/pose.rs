@@ -5,7 +5,6 @@ use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 /// A frame: `rotation` maps its coordinates to the reference frame's, `position` is its origin there, mm.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pose {
-    /// Rotation matrix.
     pub rotation: Matrix3<f64>,
     /// Origin, mm.
     pub position: Vector3<f64>,

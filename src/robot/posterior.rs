@@ -9,13 +9,11 @@ use super::{Geometry, ParamId};
 #[derive(Clone, Debug, PartialEq)]
 pub struct RobotPosterior {
     ids: Vec<ParamId>,
-    /// The values that it is about.
     values: Vec<f64>,
     /// Square, lower triangular, a row a parameter.
     root: DMatrix<f64>,
 }
 
-/// The table `[posterior]`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct PosteriorTable {

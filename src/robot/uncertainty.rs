@@ -8,7 +8,6 @@ use super::{ParamId, Robot};
 /// Digits of the root that a file holds.
 const DIGITS: usize = 4;
 
-/// The uncertainty of an identified robot.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RobotUncertainty {
     /// Parameters of the robot and its tool ball.
@@ -71,7 +70,6 @@ impl RobotUncertainty {
     }
 }
 
-/// As the file has it.
 #[derive(Clone, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct UncertaintyTable {

@@ -52,8 +52,6 @@ fn failed(why: impl Display) -> SimulationFinding {
 }
 
 impl Terminal {
-    /// # Errors
-    /// When the system has none left.
     pub fn new() -> Result<Self, Diagnostic> {
         let (mut line, host) = TTYPort::pair().map_err(failed)?;
         line.set_timeout(Duration::from_millis(1)).map_err(failed)?;
@@ -76,9 +74,6 @@ pub struct Line {
 }
 
 /// Streams until the source ends and the host has gone or said stop. The number of frames sent.
-///
-/// # Errors
-/// When the terminal fails or the protocol cannot send a reading.
 pub fn serve(
     terminal: Terminal,
     definition: &Definition,
@@ -90,9 +85,6 @@ pub fn serve(
 }
 
 /// As [`serve`], over a bad line.
-///
-/// # Errors
-/// As [`serve`].
 pub fn serve_over(
     Line { bad, link }: Line,
     terminal: Terminal,

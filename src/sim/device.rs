@@ -10,7 +10,6 @@ use crate::measurement::sample::Sample;
 /// Longest command that is recognised, bytes.
 const LONGEST_COMMAND: usize = 256;
 
-/// A command of the host.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Command {
     Start,
@@ -28,7 +27,6 @@ pub(super) enum Sends {
     WhenAsked,
 }
 
-/// A device as its definition has it.
 pub(super) struct Device {
     encoder: Encoder,
     tick_ns: u32,

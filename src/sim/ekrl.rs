@@ -21,8 +21,6 @@ pub struct Client {
 }
 
 impl Client {
-    /// # Errors
-    /// As the operating system says.
     pub fn connect(server: SocketAddr) -> Result<Self, Diagnostic> {
         let connect = || {
             let stream = TcpStream::connect_timeout(&server, PATIENCE)?;
@@ -36,9 +34,6 @@ impl Client {
     }
 
     /// Sends a telegram and waits for `<Ack Id=".."/>`: its number.
-    ///
-    /// # Errors
-    /// A broken connection, no answer within ten seconds, or one that is no `Ack`.
     pub fn exchange(&mut self, telegram: &str) -> Result<i64, Diagnostic> {
         let broken = |error: &dyn Display| SimulationFinding::NotExchanged {
             telegram: telegram.into(),

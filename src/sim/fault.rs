@@ -75,9 +75,6 @@ const KINDS: [Kind; 16] = [
 
 impl Faults {
     /// Sets the one that `--fault NAME=VALUE` names.
-    ///
-    /// # Errors
-    /// An unknown name, or a value out of its range.
     pub fn set(&mut self, name: &str, value: f64) -> Result<(), Diagnostic> {
         let Some(kind) = KINDS.iter().find(|kind| kind.name == name) else {
             let known = KINDS.map(|kind| kind.name).join(", ");
@@ -93,7 +90,6 @@ impl Faults {
     }
 }
 
-/// A bad line with its dice.
 #[derive(Clone, Debug)]
 pub struct BadLine {
     faults: Faults,

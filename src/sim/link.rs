@@ -15,9 +15,6 @@ pub struct Link {
 
 impl Link {
     /// Makes the link; one that is left over from before is replaced, anything else is not.
-    ///
-    /// # Errors
-    /// When something that is no link has that name, or the directory cannot be written.
     pub fn new(path: &Path, target: &str) -> Result<Self, Diagnostic> {
         let wrong = |error: std::io::Error| {
             let finding = SimulationFinding::NoLink { why: error.to_string() };

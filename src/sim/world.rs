@@ -22,7 +22,6 @@ pub struct Setup {
     pub centres_mm: BTreeMap<u32, [f64; 3]>,
     /// Axis angles, degrees, at which the true tool ball stood where a base ball then was fixed; that is its centre.
     pub taught_deg: BTreeMap<u32, [f64; AXES]>,
-    /// The bar.
     pub bar: Bar,
     /// Standard deviation of each coordinate of the tool ball, drawn anew for each motion, micrometres.
     pub repeatability_um: f64,
@@ -54,7 +53,6 @@ struct WorldFile {
     /// `[[centre]]`: true centres of base balls, or how they were taught; those not given are where the program has them.
     #[serde(default)]
     centre: Vec<CentreTable>,
-    /// `[bar]`
     #[serde(default)]
     bar: BarTable,
     /// As [`Setup::repeatability_um`]; default 0.
@@ -94,9 +92,6 @@ struct BarTable {
 
 impl Setup {
     /// What `world` (a file's name and its text) says, and for the rest what the program's `.dat` files say.
-    ///
-    /// # Errors
-    /// What is wrong in the file, or what neither has.
     pub fn new(program: &Program, world: Option<(&str, &str)>) -> Result<Self, Diagnostic> {
         let (name, text) = world.unwrap_or(("WORLD.toml", ""));
         let file: WorldFile = from_toml(name, text)?;
@@ -189,7 +184,6 @@ pub struct Measured {
 /// Where the balls' distance lies; out of its stroke a real bar would leave its cup.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stroke {
-    /// Inside.
     Within,
     /// Too long.
     Over,
@@ -230,7 +224,6 @@ impl World {
         }
     }
 
-    /// What is true.
     pub fn setup(&self) -> &Setup {
         &self.setup
     }

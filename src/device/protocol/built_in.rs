@@ -25,17 +25,11 @@ impl Definition {
     }
 
     /// Reads, checks and compiles a definition; its own test vectors are run.
-    ///
-    /// # Errors
-    /// Names the line of what is unknown, missing, contradictory or does not give what its test expects.
     pub fn from_toml(file: &str, text: &str) -> Result<Self, Diagnostic> {
         Self::from_toml_with(file, text, &[])
     }
 
     /// The same with some parameters chosen; the test vectors are run with their defaults.
-    ///
-    /// # Errors
-    /// As [`Definition::from_toml`], and where a parameter is unknown or out of its range.
     pub fn from_toml_with(file: &str, text: &str, params: &[(String, String)]) -> Result<Self, Diagnostic> {
         let load = || {
             let defaults = load::load(file, text, &[])?;

@@ -139,7 +139,6 @@ impl Check {
         (self.sent(sent)? == self.value(content)).then_some(content)
     }
 
-    /// Appends the check to the content.
     pub(super) fn append(&self, body: &mut Vec<u8>) {
         let (value, digits) = (self.value(body), self.digits());
         body.extend(self.after);

@@ -27,7 +27,6 @@ pub struct Definition {
     /// The parameters in force: names and values.
     pub params: Vec<(String, String)>,
     pub line: Line,
-    /// The device's clock, where it has one.
     pub clock: Option<Clock>,
     /// The sequence number counts from 0 to this less one, where there is one.
     pub sequence_modulo: Option<u32>,

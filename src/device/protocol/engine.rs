@@ -22,7 +22,6 @@ pub(super) struct Engine {
     pub(super) mask: u8,
 }
 
-/// One kind of message.
 #[derive(Clone, Debug)]
 pub(super) struct Message {
     pub(super) matches: Vec<Match>,
@@ -41,11 +40,9 @@ pub(super) struct Reject {
     pub(super) checked: bool,
     /// How the code that follows is written, where one does.
     pub(super) code: Option<Code>,
-    /// Words for codes.
     pub(super) words: Vec<(u32, String)>,
 }
 
-/// What a frame means.
 pub(super) enum Meaning {
     Sample(Sample),
     Reject(String),

@@ -5,7 +5,6 @@ use serde::{Deserialize, Serialize};
 /// Bytes that did not become a sample, and why.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Fault {
-    /// What kind of fault.
     pub kind: FaultKind,
     /// Byte offset of the first byte in the stream.
     pub offset: u64,

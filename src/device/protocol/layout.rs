@@ -12,9 +12,7 @@ pub struct Part {
     pub at: Option<usize>,
     /// Bytes, where that is fixed.
     pub bytes: Option<usize>,
-    /// How it is written.
     pub written: String,
-    /// What it says.
     pub says: String,
 }
 

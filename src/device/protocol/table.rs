@@ -6,7 +6,6 @@ use std::time::Duration;
 use serde::{Deserialize, Deserializer};
 use toml::Spanned;
 
-/// The whole file.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct File {
@@ -159,7 +158,6 @@ pub enum Flow {
     RtsCts,
 }
 
-/// `[framing]`.
 #[derive(Deserialize)]
 #[serde(tag = "kind", rename_all = "lowercase", deny_unknown_fields)]
 pub(super) enum FramingTable {
@@ -221,7 +219,6 @@ pub(super) enum Endian {
     Be,
 }
 
-/// `[check]`.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct CheckTable {
@@ -261,7 +258,6 @@ pub(super) enum CheckEncoding {
     Hex,
 }
 
-/// `[[message]]`.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct MessageTable {
@@ -397,14 +393,12 @@ pub(super) enum Action {
     DropSample,
 }
 
-/// `[[ignore]]`.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct IgnoreTable {
     pub(super) prefix: Spanned<Vec<String>>,
 }
 
-/// `[mode]`.
 #[derive(Default, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct ModeTable {
@@ -429,7 +423,6 @@ pub(super) enum ModeKind {
     Push,
 }
 
-/// `[timing]`.
 #[derive(Default, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct TimingTable {
@@ -450,7 +443,6 @@ pub(super) enum Latch {
     Device,
 }
 
-/// `[cmd]`.
 #[derive(Default, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub(super) struct CommandTable {
@@ -493,7 +485,6 @@ pub(super) struct StepTable {
     pub(super) retries: Option<u32>,
 }
 
-/// `[[test]]`.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct TestTable {

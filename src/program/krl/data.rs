@@ -97,9 +97,6 @@ impl Data {
 }
 
 /// The axis angles (degrees) that the program logged into its `.dat`, by row of the plan.
-///
-/// # Errors
-/// A `.dat` without the arrays `DBBROW` and `XQ` that dbbd writes, or with a value in them that is not a constant.
 pub fn logged_axes(data: &Data) -> Result<BTreeMap<u32, [f64; AXES]>, Diagnostic> {
     let constants = data.constants();
     let declared = |wanted: &str| {

@@ -122,8 +122,6 @@ pub(crate) enum Position {
 }
 
 impl Position {
-    /// # Errors
-    /// A value that is not a structure, or whose components are not numbers.
     pub(crate) fn of(value: &Value) -> Result<Self, ProgramFinding> {
         if !matches!(value, Value::Struct(_)) {
             return Err(ProgramFinding::NoPosition);
@@ -143,8 +141,6 @@ impl Position {
         Ok(Self::Pose { components: six(POSE_NAMES)?, status: bits("S")?, turn: bits("T")? })
     }
 
-    /// # Errors
-    /// A component that is missing.
     pub(crate) fn complete(self) -> Result<Target, ProgramFinding> {
         let (names, components) = match self {
             Self::Axes(components) => (AXIS_NAMES, components),
@@ -165,9 +161,6 @@ impl Position {
 }
 
 /// What a constant expression commands.
-///
-/// # Errors
-/// A value that is not a position, or lacks a component.
 pub(crate) fn constant_target(expression: &Expression) -> Result<Target, Fault> {
     Position::of(&expression.constant()?).and_then(Position::complete).at(&expression.span)
 }

@@ -5,7 +5,6 @@ use super::syntax::{Span, Text};
 use crate::catalogue::ProgramFinding;
 use crate::diagnostic::Diagnostic;
 
-/// A word.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Token {
     /// A name or keyword, in capitals.
@@ -26,9 +25,6 @@ const SIGNS: &[&str] =
     &["==", "<>", "<=", ">=", "(", ")", "{", "}", "[", "]", ",", ":", ".", "=", "<", ">", "+", "-", "*", "/"];
 
 /// Splits a text into words with their bytes; the last is [`Token::End`].
-///
-/// # Errors
-/// A character that KRL does not have, an open string, a number out of range, unbalanced folds.
 pub(super) fn tokens(file: Text<'_>) -> Result<Vec<(Token, Span)>, Diagnostic> {
     // The DOS end-of-file mark of old controllers.
     let text = file.text.strip_suffix('\u{1a}').unwrap_or(file.text);

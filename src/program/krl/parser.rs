@@ -8,9 +8,6 @@ use crate::catalogue::ProgramFinding;
 use crate::diagnostic::Diagnostic;
 
 /// Reads a `.src` file.
-///
-/// # Errors
-/// The first thing that is not understood, with its line and column and what to do.
 pub fn parse_source(file: &str, text: &str) -> Result<Source, Diagnostic> {
     let mut parser = Parser::new(Text { file, text })?;
     let mut routines: Vec<Routine> = Vec::new();
@@ -30,9 +27,6 @@ pub fn parse_source(file: &str, text: &str) -> Result<Source, Diagnostic> {
 }
 
 /// Reads a `.dat` file.
-///
-/// # Errors
-/// As [`parse_source`].
 pub fn parse_data(file: &str, text: &str) -> Result<Data, Diagnostic> {
     let mut parser = Parser::new(Text { file, text })?;
     parser.skip_lines();

@@ -33,10 +33,6 @@ struct Wanted {
 impl Program {
     /// Reads the module `name` and every module that is called from it. `file` gives the name and the text of `NAME.src`
     /// or `NAME.dat` (case does not matter), or `None` where there is no such file.
-    ///
-    /// # Errors
-    /// An error of `file`, what is not understood in a file, a name that does not match its file's, a call of a routine
-    /// that is nowhere.
     pub fn open(
         name: &str,
         mut file: impl FnMut(&str) -> Result<Option<(String, String)>, Diagnostic>,

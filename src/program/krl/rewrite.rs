@@ -32,7 +32,6 @@ pub struct Moved {
 /// A program with corrected points.
 #[derive(Clone, Debug)]
 pub struct Compensated {
-    /// The `.src`.
     pub source: String,
     /// The `.dat`, where there was one.
     pub data: Option<String>,

@@ -14,7 +14,6 @@ const KEYWORDS: &[&str] = &[
     "ELSE", "ENDIF", "WHILE", "ENDWHILE", "LOOP", "ENDLOOP", "INTERRUPT", "DECL", "SIGNAL", "EXT", "END", "DEF",
 ];
 
-/// What ends a block.
 const CLOSING: &[&str] = &["END", "ENDFOR", "ELSE", "ENDIF", "ENDWHILE", "ENDLOOP", "DEF"];
 
 /// Statements of KRL that are known to exist and not supported, each with what to do.

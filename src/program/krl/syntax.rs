@@ -102,7 +102,6 @@ pub enum DeclarationKind {
     External { name: String },
 }
 
-/// One declared variable.
 #[derive(Clone, Debug)]
 pub struct Declared {
     pub name: String,
@@ -178,7 +177,6 @@ pub enum StatementKind {
 }
 
 impl StatementKind {
-    /// The blocks inside it.
     pub(crate) fn blocks(&self) -> impl Iterator<Item = &Block> {
         let blocks = match self {
             Self::For { body, .. } | Self::While { body, .. } | Self::Loop(body) => [Some(body), None],
@@ -189,7 +187,6 @@ impl StatementKind {
     }
 }
 
-/// A motion.
 #[derive(Clone, Debug)]
 pub struct Move {
     pub motion: Motion,

@@ -17,7 +17,6 @@ pub(crate) enum Value {
     Array(Vec<Value>),
 }
 
-/// A type of one element.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Type {
     Int,
@@ -55,7 +54,6 @@ pub(crate) const FRAME_TYPE: Type = Type::Struct(FRAME);
 pub(crate) const LOAD_TYPE: Type = Type::Struct(LOAD);
 
 impl Type {
-    /// The type that a declaration names.
     pub(crate) fn named(name: &str) -> Option<Self> {
         Some(match name {
             "INT" => Type::Int,
@@ -93,7 +91,6 @@ impl Type {
 }
 
 impl Value {
-    /// A word for what it is.
     fn describe(&self) -> &'static str {
         match self {
             Value::Unset => "nothing",

@@ -7,15 +7,9 @@ use std::path::Path;
 /// A file that only grows, or its replacement in a test: a disk that stalls or is full.
 pub trait Disk: Write + Send {
     /// Has what was written put where a loss of power does not reach it.
-    ///
-    /// # Errors
-    /// What the system says.
     fn sync(&mut self) -> io::Result<()>;
 
     /// Drops what was written beyond `bytes`.
-    ///
-    /// # Errors
-    /// What the system says.
     fn cut(&mut self, bytes: u64) -> io::Result<()>;
 
     /// What others did to the file at `path`, to which `bytes` were written; none while it is there with all of them.
@@ -24,9 +18,6 @@ pub trait Disk: Write + Send {
     }
 
     /// Copies what was written, also where no path leads to it any more.
-    ///
-    /// # Errors
-    /// What the system says.
     fn copy(&mut self, _bytes: u64, _to: &mut File) -> io::Result<()> {
         Err(ErrorKind::Unsupported.into())
     }

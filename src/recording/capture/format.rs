@@ -10,7 +10,6 @@ use crate::base::units::HostNs;
 
 /// CRC-32C under its catalogue name.
 const CRC_32C: Crc<u32, Table<16>> = Crc::<u32, Table<16>>::new(&CRC_32_ISCSI);
-/// The version that is written.
 const VERSION: u32 = 3;
 /// The versions that are read; in version 2 records have no numbers.
 pub(super) const READ: RangeInclusive<u32> = 2..=VERSION;
@@ -44,7 +43,6 @@ pub(super) fn kind_name(kind: u8) -> &'static str {
     }
 }
 
-/// The file's header.
 pub(super) fn header() -> Vec<u8> {
     let mut bytes = FILE_MAGIC.to_vec();
     bytes.extend(VERSION.to_le_bytes());
@@ -111,7 +109,6 @@ pub(super) enum Found {
     Short(u8, usize),
     /// Less than a head.
     Stub,
-    /// No record.
     Nothing,
 }
 

@@ -18,7 +18,6 @@ pub struct Pass {
     pub version: Option<u32>,
     /// What could not be read.
     pub damages: Vec<Damage>,
-    /// Number of whole records.
     pub records: u64,
     /// Number of samples in them.
     pub samples: u64,
@@ -26,7 +25,6 @@ pub struct Pass {
     pub end: Option<RunEnd>,
 }
 
-/// How a run ended.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RunEnd {
     pub reason: String,
@@ -38,9 +36,6 @@ pub struct RunEnd {
 
 impl Pass {
     /// Gives each whole record of the capture at `path` to `each`; damages are no error.
-    ///
-    /// # Errors
-    /// When the file cannot be read, holds no whole record, or is of another version; those of `each`.
     pub fn over(
         path: &Path,
         mut each: impl FnMut(Stamped) -> Result<(), Diagnostic>,

@@ -15,10 +15,8 @@ const IN_VAIN: u64 = format::LONGEST as u64;
 /// Bytes that may be looked at in vain for each byte of the file.
 const IN_VAIN_SHARE: u64 = 4;
 
-/// A part of a capture.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Part {
-    /// A whole record.
     Record(Stamped),
     /// Bytes that are none.
     Damage(Damage),
@@ -27,7 +25,6 @@ pub enum Part {
 /// Bytes of a capture that are no whole record.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Damage {
-    /// Offset in the file.
     pub offset: u64,
     /// How many bytes.
     pub bytes: u64,
@@ -66,9 +63,6 @@ enum Place {
 
 impl<R: Read> Reader<R> {
     /// Reads the header.
-    ///
-    /// # Errors
-    /// When the source fails.
     pub fn new(source: R) -> io::Result<Self> {
         let mut reader = Self {
             source,
@@ -233,7 +227,6 @@ impl<R: Read> Iterator for Reader<R> {
     }
 }
 
-/// Where a damage is.
 struct Extent {
     offset: u64,
     bytes: u64,

@@ -8,22 +8,14 @@ use crate::measurement::sample::Sample;
 /// A record with the host's monotonic time at which it came about.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Stamped {
-    /// Host time.
     pub host: HostNs,
-    /// The record.
     pub record: Record,
 }
 
-/// One record.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Record {
     /// A file in force during the run: `plan.csv`, `plan.json`, `robot.toml`, `job.toml`, `protocol.toml`.
-    Attachment {
-        /// Its name.
-        name: String,
-        /// Its content.
-        content: Vec<u8>,
-    },
+    Attachment { name: String, content: Vec<u8> },
     /// Bytes as they came; the stamp is that of the first.
     Raw(Vec<u8>),
     /// Decoded samples of one host time, in order.
@@ -42,28 +34,21 @@ pub enum Event {
     Started {
         /// Wall clock, ns since the Unix epoch.
         unix_ns: u64,
-        /// Version of dbbd.
         version: String,
     },
     /// The port was opened.
-    Opened {
-        /// The port's name.
-        port: String,
-    },
+    Opened { port: String },
     /// Nothing was received for a while, or samples are missing by their sequence numbers.
     Gap {
         /// How long, s, where it is known.
         seconds: Option<f64>,
         /// How many samples are missing, where it is known.
         missing: Option<u64>,
-        /// Why.
         reason: String,
     },
     /// A report of the controller: phase 1 is the start of a dwell, 2 its end.
     Controller {
-        /// The plan's index.
         index: u32,
-        /// 1 or 2.
         phase: u8,
         /// Measured axis angles, degrees.
         axes_deg: [f64; 6],
@@ -75,7 +60,6 @@ pub enum Event {
     },
     /// The run ended as it should, and why; a run without this was cut off.
     Ended {
-        /// Why.
         reason: String,
         /// Samples that were written.
         samples: u64,

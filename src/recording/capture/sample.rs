@@ -35,7 +35,6 @@ struct Before {
     status: u32,
 }
 
-/// Appends the samples, packed.
 pub(super) fn pack(samples: &[Sample], to: &mut Vec<u8>) {
     let mut before = Before::default();
     for sample in samples {

@@ -10,14 +10,12 @@ use crate::measurement::sample::Sample;
 pub struct Capture {
     /// The format's version by the file's header; none when the header is damaged.
     pub version: Option<u32>,
-    /// The records that are whole, in order.
     pub records: Vec<Stamped>,
     /// What is between them.
     pub damages: Vec<Damage>,
 }
 
 impl Capture {
-    /// The events, in order.
     pub fn events(&self) -> impl Iterator<Item = &Event> {
         self.records.iter().filter_map(|stamped| match &stamped.record {
             Record::Event(event) => Some(event),

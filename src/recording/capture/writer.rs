@@ -26,9 +26,6 @@ pub struct Writer {
 
 impl Writer {
     /// Makes a new capture.
-    ///
-    /// # Errors
-    /// When the file exists already or cannot be made.
     pub fn create(path: &Path) -> Result<Self, Diagnostic> {
         let wrong = |error: io::Error| {
             let finding = match error.kind() {
@@ -45,9 +42,6 @@ impl Writer {
     }
 
     /// Begins a capture on an empty disk; `path` names it in messages.
-    ///
-    /// # Errors
-    /// When the disk refuses the header.
     pub fn on(disk: Box<dyn Disk>, path: &Path) -> Result<Self, Diagnostic> {
         let mut writer = Self {
             disk,
@@ -62,10 +56,7 @@ impl Writer {
         Ok(writer)
     }
 
-    /// Appends a record, whole.
-    ///
-    /// # Errors
-    /// When the disk refuses it; the capture then ends with the record before.
+    /// Appends a record, whole; a capture whose disk refuses it ends with the record before.
     pub fn write(&mut self, host: HostNs, record: &Record) -> Result<(), Diagnostic> {
         let bytes = format::encode(self.number, host, record)
             .map_err(|error| self.wrong(RecordingFinding::EventNotWritten { why: error.to_string() }))?;
@@ -85,25 +76,18 @@ impl Writer {
     }
 
     /// Appends the record of the run's proper end.
-    ///
-    /// # Errors
-    /// When the disk refuses it.
     pub fn finish(&mut self, host: HostNs, reason: &str, lost: u64) -> Result<(), Diagnostic> {
         let samples = self.samples;
         self.write(host, &Record::Event(Event::Ended { reason: reason.into(), samples, lost }))?;
         self.sync()
     }
 
-    /// Where the capture is.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
     /// Looks whether the capture is where it was, as it was written. Where others took it away, recording goes on in a
     /// new file: with all that was written, or, where that is gone, with what makes the rest readable.
-    ///
-    /// # Errors
-    /// When there is no new file, or the disk refuses it.
     pub fn look_after(&mut self) -> Result<Option<Diagnostic>, Diagnostic> {
         let Some(interference) = self.disk.interference(&self.path, self.bytes) else { return Ok(None) };
         let elsewhere = std::env::temp_dir().join(self.path.file_name().unwrap_or_default());
@@ -139,9 +123,6 @@ impl Writer {
     }
 
     /// Has the system put on the disk what was written: for a loss of power, not for a kill.
-    ///
-    /// # Errors
-    /// When the disk refuses it.
     pub fn sync(&mut self) -> Result<(), Diagnostic> {
         self.disk.sync().map_err(|error| self.refusal(&error))
     }

@@ -43,7 +43,6 @@ impl Default for File {
     }
 }
 
-/// Where the time is.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub(super) struct Time {
@@ -83,7 +82,6 @@ impl TimeUnit {
     }
 }
 
-/// Where the length is.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub(super) struct Length {
@@ -166,9 +164,6 @@ impl<'de> Deserialize<'de> for Column {
 
 impl Mapping {
     /// Reads the file's text.
-    ///
-    /// # Errors
-    /// What is wrong, with line and column.
     pub fn from_toml(file: &str, text: &str) -> Result<Self, Diagnostic> {
         let mapping: Self = from_toml(file, text)?;
         let at = |word: &str, finding: ImportFinding| {

@@ -57,7 +57,6 @@ pub struct Read {
     pub sample: Option<(HostNs, Sample)>,
 }
 
-/// The places of the columns, from 0.
 #[derive(Clone, Copy)]
 struct Places {
     time: Option<usize>,
@@ -68,7 +67,6 @@ struct Places {
 }
 
 impl<'a> Trace<'a> {
-    /// Of a table in the mapping's layout.
     pub fn new(table: Table<'a>, mapping: &'a Mapping, bar: Bar) -> Self {
         let state = State {
             mapping,
@@ -84,9 +82,6 @@ impl<'a> Trace<'a> {
     }
 
     /// The next row; the last has no sample.
-    ///
-    /// # Errors
-    /// What is wrong, with line and column.
     pub fn row(&mut self) -> Result<Read, Diagnostic> {
         let places = match self.state.places {
             Some(places) => places,
@@ -107,9 +102,6 @@ impl<'a> Trace<'a> {
     }
 
     /// Ends the trace, with what was found out about it.
-    ///
-    /// # Errors
-    /// When it holds no row.
     pub fn finish(self) -> Result<(Counts, Vec<Diagnostic>), Diagnostic> {
         let Self { table, state, .. } = self;
         if state.counts.samples == 0 {

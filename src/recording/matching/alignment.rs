@@ -48,7 +48,6 @@ pub enum Pairing {
     },
 }
 
-/// The alignment of a run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Alignment {
     /// One for each pose.

@@ -10,7 +10,6 @@ pub struct Drift {
     pub change_mm: f64,
     /// Its standard deviation from the readings' scatter about the line, mm; `None` of two readings.
     pub sd_mm: Option<f64>,
-    /// Number of readings.
     pub readings: usize,
     /// Whether the change is beyond chance (95 %).
     pub significant: bool,

@@ -60,7 +60,6 @@ pub struct Input<'a> {
 }
 
 impl<'a> Input<'a> {
-    /// A plan and a stream alone.
     pub fn new(plan: &'a Plan, stream: &'a Stream) -> Self {
         Self { plan, stream, reports: &[], expected: None, bar_sigma_mm: 0.0, axes_deg: None }
     }
@@ -69,9 +68,7 @@ impl<'a> Input<'a> {
 /// How the dwells were found.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DwellSource {
-    /// By the controller's reports.
     Reports,
-    /// By its strobe.
     Strobe,
     /// By intervals without motion.
     Stillness,
@@ -89,7 +86,6 @@ pub struct PoseMatching {
     pub observations: Measurements,
     /// One for each of the plan's dwells, in order.
     pub outcomes: Vec<PoseOutcome>,
-    /// Dwells that belong to no pose.
     pub spurious: Vec<Dwell>,
     pub source: DwellSource,
     /// The override that the moves were driven with, 0..1, where it was estimated.

@@ -33,7 +33,6 @@ pub enum MatchOutcome {
 }
 
 impl PoseOutcome {
-    /// The reading of a matched pose.
     pub fn reading(&self) -> Option<&DwellReading> {
         match &self.outcome {
             MatchOutcome::Matched { reading, .. } => Some(reading),

@@ -18,7 +18,6 @@ use crate::recording::{reports, strobe_decoder};
 /// The lag that a pair of passes over one circle shows.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Lag {
-    /// The circle's number.
     pub circle: u32,
     /// How much later the reading comes than the commanded motion, s.
     pub lag_s: f64,
@@ -67,7 +66,6 @@ struct PointReading {
     passing: Option<Passing>,
 }
 
-/// Reads the passes of the plan.
 pub(super) fn read(input: &Input<'_>) -> Passes {
     let planned = &input.plan.header.passes;
     let mut passes = Passes::default();

@@ -26,7 +26,6 @@ const UNSEEN_BEGIN_S: f64 = 0.4;
 /// No move of a plan is shorter, s: two dwells nearer than this at one level are one.
 const LEAST_MOVE_S: f64 = 0.3;
 
-/// The dwells that last at least `least_s`.
 pub fn still_dwells(stream: &Stream, least_s: f64) -> Vec<Dwell> {
     let short = Windows::of(stream, SHORT, least_s);
     let long = Windows::of(stream, LONG, least_s);

@@ -15,7 +15,6 @@ use crate::robot::{AXES, Robot};
 pub struct Circle {
     /// Its number in the plan, from 1.
     pub number: u32,
-    /// Nominal radius, mm.
     pub radius_mm: f64,
     /// The lengths (mm, as read) by the sense of the motion.
     pub traces: Vec<Trace>,
@@ -32,9 +31,6 @@ pub struct Circles {
 
 impl Run {
     /// The lengths of the run as read: the circular test corrects them itself, and gives both.
-    ///
-    /// # Errors
-    /// What is wrong in the plan's robot.
     pub fn circles(&self) -> Result<Circles, Diagnostic> {
         let matching = self.matching_as_read(None);
         let robot = self.robot()?;

@@ -33,7 +33,6 @@ pub struct Run {
     pub stream: Stream,
     /// The bar's temperature, where it was sent.
     temperatures: Temperatures,
-    /// What the controller reported.
     pub reports: Vec<Report>,
     /// Whether something of the run was lost (a damage, a cut end, samples), or it may not be that of the plan.
     pub doubtful: bool,
@@ -124,9 +123,6 @@ impl Run {
     }
 
     /// The capture at `path` as an artefact of its plan.
-    ///
-    /// # Errors
-    /// When it cannot be read.
     pub fn traced(&self, path: &Path) -> Result<Traced, Diagnostic> {
         let artefact = Artefact::file(Role::Capture, path)?;
         let mut identity = self.identity.clone();
@@ -144,7 +140,6 @@ impl Run {
         Ok(Traced { artefact, provenance: Provenance { identity, ..Provenance::of([&self.plan.traced()?]) } })
     }
 
-    /// The base balls of the job.
     pub fn centres(&self) -> Vec<BaseBall> {
         let balls = &self.plan.header.job.centres;
         balls
@@ -154,9 +149,6 @@ impl Run {
     }
 
     /// The robot that the plan was made for.
-    ///
-    /// # Errors
-    /// What is wrong in its text.
     pub fn robot(&self) -> Result<Robot, Diagnostic> {
         Robot::from_toml("the plan's robot", &self.plan.header.robot)
     }

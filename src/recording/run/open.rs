@@ -20,9 +20,6 @@ use crate::recording::reports::{Report, reported_axes};
 use crate::recording::stream::StreamBuilder;
 
 /// Whether the file at `path` is a capture, whatever its name.
-///
-/// # Errors
-/// When it cannot be read.
 pub fn is_capture(path: &Path) -> Result<bool, Diagnostic> {
     use std::io::Read as _;
     /// A record begins within so many bytes, also where the header and the first records are damaged.
@@ -36,9 +33,6 @@ pub fn is_capture(path: &Path) -> Result<bool, Diagnostic> {
 
 /// Reads the capture at `path`, and the axis angles logged into the `.dat` files `axes`; reports the capture's damages
 /// and what else is to be known.
-///
-/// # Errors
-/// When it is no capture, has no samples, or there is no plan for it; what is wrong in a `.dat`.
 pub fn open(
     path: &Path,
     plan: Option<&Path>,
@@ -80,9 +74,6 @@ pub fn open(
 }
 
 /// What is lost between the capture at `path` and the lengths of its plan's poses.
-///
-/// # Errors
-/// As [`open`].
 pub fn losses(path: &Path) -> Result<Vec<Diagnostic>, Diagnostic> {
     let run = open(path, None, &[], &mut |_| {})?;
     let found = run.matching(None).findings.into_iter().map(Diagnostic::from);

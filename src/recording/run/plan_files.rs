@@ -29,9 +29,6 @@ pub struct PlanFiles {
 
 impl PlanFiles {
     /// The plan whose rows are in the CSV at `csv`, with the .json beside it.
-    ///
-    /// # Errors
-    /// What cannot be read or is wrong, with its file and line.
     pub fn read(csv: &Path) -> Result<Self, Diagnostic> {
         let json = csv.with_extension("json");
         let (csv_name, json_name) = (csv.display().to_string(), json.display().to_string());
@@ -50,17 +47,11 @@ impl PlanFiles {
 }
 
 /// As [`PlanFiles::read`], without the texts.
-///
-/// # Errors
-/// As [`PlanFiles::read`].
 pub fn read_plan(csv: &Path) -> Result<Plan, Diagnostic> {
     PlanFiles::read(csv).map(|files| files.plan)
 }
 
 /// The plan among the attachments of the capture `run`; `None` if there is none.
-///
-/// # Errors
-/// What is wrong in it.
 pub fn attached_plan(run: &str, attachments: &BTreeMap<String, Vec<u8>>) -> Result<Option<Plan>, Diagnostic> {
     let text = |name: &str| attached_text(run, attachments, name);
     let (Some(csv), Some(json)) = (text(ATTACHED_CSV)?, text(ATTACHED_JSON)?) else { return Ok(None) };
@@ -88,9 +79,6 @@ pub fn identity(
 }
 
 /// The text of an attachment, if it is there.
-///
-/// # Errors
-/// When it is not UTF-8.
 pub(super) fn attached_text<'a>(
     run: &str,
     attachments: &'a BTreeMap<String, Vec<u8>>,

@@ -57,7 +57,6 @@ impl Controller {
         std::array::from_fn(|i| components[i].map_or(self.axes[i], f64::to_radians))
     }
 
-    /// What an expression commands.
     fn commanded(&mut self, to: &Expression) -> Result<Position, Fault> {
         Position::of(&to.value(self)?).at(&to.span)
     }

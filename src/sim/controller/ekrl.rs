@@ -16,7 +16,6 @@ use crate::program::krl::value::{Type, Value};
 const CONNECTED: usize = 1;
 const ANSWERED: usize = 2;
 
-/// The channel.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Channel {
     /// Whether somebody carries the telegrams.

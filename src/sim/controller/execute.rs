@@ -297,7 +297,6 @@ impl Controller {
     }
 }
 
-/// What a routine declares.
 fn locals(routine: &Routine) -> Result<Names, ProgramFinding> {
     let mut locals = Names::new();
     for declaration in &routine.declarations {

@@ -61,7 +61,6 @@ struct Signal {
     last: usize,
 }
 
-/// The simulated controller.
 #[derive(Clone, Debug)]
 pub struct Controller {
     program: Program,
@@ -88,9 +87,6 @@ pub struct Controller {
 
 impl Controller {
     /// Goes on for `dt_s` seconds of device time.
-    ///
-    /// # Errors
-    /// What stops the program: names the file, the line and the column of the statement.
     pub fn step(&mut self, dt_s: f64) -> Result<Moment, Diagnostic> {
         let end_s = self.t_s + dt_s.max(0.0);
         self.run_to(end_s).map_err(|fault| self.diagnose(fault))?;
@@ -142,7 +138,6 @@ impl Controller {
         self.dwells
     }
 
-    /// The controller now.
     pub fn moment(&self) -> Moment {
         Moment {
             t_s: self.t_s,

@@ -89,7 +89,6 @@ impl Turn {
     }
 }
 
-/// An arc.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Arc {
     centre: Vector3<f64>,

@@ -19,9 +19,6 @@ const HOME_DEG: [f64; AXES] = [0.0, -90.0, 90.0, 0.0, 0.0, 0.0];
 impl Controller {
     /// A controller of the nominal `robot` with `program` selected, at `override_percent` (1 to 100).
     /// The robot is at KUKA's home, or as near to it as its limits allow.
-    ///
-    /// # Errors
-    /// A variable that cannot be declared or set, with its line and column.
     pub fn new(program: Program, robot: &Robot, override_percent: f64) -> Result<Self, Diagnostic> {
         let home = |i: usize| {
             let [low, high] = robot.limits_deg[i];

@@ -94,7 +94,6 @@ pub(super) struct Found<'v> {
     pub(super) kind: Type,
 }
 
-/// The part of a variable that `steps` lead to.
 pub(super) fn part<'v>(variable: &'v mut Variable, steps: &[Step]) -> Result<Found<'v>, ProgramFinding> {
     let mut kind = variable.kind;
     let mut value = &mut variable.value;

@@ -49,7 +49,6 @@ pub(super) fn compile(table: &FieldTable) -> Result<Field, ProtocolFinding> {
     }
 }
 
-/// Takes the keys of the field's kind.
 fn form(kind: FieldKind, keys: &mut Keys, words: &Words) -> Result<Form, ProtocolFinding> {
     Ok(match kind {
         FieldKind::Skip => match keys.take("bytes")? {

@@ -22,7 +22,6 @@ pub(super) struct Resolved {
     pub(super) text: String,
     /// The file with the chosen values as its defaults.
     pub(super) kept: String,
-    /// Names and values.
     pub(super) values: Vec<(String, String)>,
     moves: Vec<(Range<usize>, Range<usize>)>,
 }

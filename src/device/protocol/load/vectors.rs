@@ -22,7 +22,6 @@ pub(super) fn bytes(hex: &str) -> Option<Vec<u8>> {
     Some(digits.chunks_exact(2).map(|pair| 16 * pair[0] + pair[1]).collect())
 }
 
-/// Runs one test.
 pub(super) fn run(
     source: Source,
     definition: &Definition,

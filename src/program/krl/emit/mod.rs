@@ -41,7 +41,6 @@ pub enum Sync {
     },
 }
 
-/// The controller's generation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Controller {
     // No doc comments: the help would list them. KSS 5: modules elsewhere must be declared `EXT`.
@@ -61,9 +60,6 @@ pub struct Options {
 }
 
 /// The modules of a plan, each a file name and its text (ASCII, CR LF). The first is the master's code.
-///
-/// # Errors
-/// A plan that has no program in KRL: names the row or the circle and why.
 pub fn emit(plan: &Plan, options: Options) -> Result<Vec<(String, String)>, Diagnostic> {
     let robot = Robot::from_toml("the plan's robot", &plan.header.robot)?;
     let made = header::lines(&Provenance::of([&plan.traced()?]))?;
@@ -82,7 +78,6 @@ pub fn emit(plan: &Plan, options: Options) -> Result<Vec<(String, String)>, Diag
     Ok(files)
 }
 
-/// Lines of a file.
 #[derive(Default)]
 struct Lines(String);
 

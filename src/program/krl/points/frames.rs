@@ -17,7 +17,6 @@ use crate::program::krl::syntax::{Expression, ExpressionKind, Field, Place, Span
 use crate::program::krl::value::Value;
 use crate::robot::Pose;
 
-/// Which frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Slot {
     Tool,
@@ -94,7 +93,6 @@ struct Open {
     used: Option<Span>,
 }
 
-/// Follows the frames.
 pub(super) struct Follower {
     pub(super) now: Following,
     open: Vec<Open>,

@@ -16,7 +16,6 @@ use crate::plan::Motion;
 use crate::program::{Frames, Target};
 use crate::robot::Pose;
 
-/// The files of a program.
 #[derive(Clone, Copy, Debug)]
 pub struct Files<'a> {
     /// `NAME.src`
@@ -70,7 +69,6 @@ pub struct Leg {
     pub sweep_deg: Option<f64>,
 }
 
-/// What a program moves to.
 #[derive(Clone, Debug, Default)]
 pub struct PointProgram {
     /// In the order in which the text goes there.
@@ -82,9 +80,6 @@ pub struct PointProgram {
 }
 
 /// Reads the motions of a program.
-///
-/// # Errors
-/// A point or frame that is not understood, or that is not known before the program runs.
 pub fn read(files: Files<'_>, given: Given) -> Result<PointProgram, Diagnostic> {
     walk::read(files, given)
 }

@@ -62,9 +62,6 @@ fn is_krl(file: Text<'_>) -> Result<(), Diagnostic> {
 }
 
 /// The points and frames of a `.dat` file of any controller; other lines are passed over.
-///
-/// # Errors
-/// A point or frame that is not KRL.
 fn scan(file: Text<'_>) -> Result<Vec<DataItem>, Diagnostic> {
     let items = lines(file).filter(|line| line.holds_structure());
     items.map(|line| line.parser(file)?.data_item()).collect()
