@@ -1,4 +1,4 @@
-//! A straight line through values with their standard deviations.
+//! Straight lines through values, with their standard deviations or alike.
 
 /// A value at a place, with its standard deviation.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -24,6 +24,28 @@ pub struct Reached {
     pub at: f64,
     pub earliest: f64,
     pub latest: Option<f64>,
+}
+
+/// The line of least squares through points that weigh alike.
+#[derive(Clone, Copy, Debug)]
+pub struct Regression {
+    /// Means of x and y, through which the line goes.
+    pub centre: [f64; 2],
+    pub slope: f64,
+    pub slope_sd: f64,
+}
+
+impl Regression {
+    /// `None` where all x are one. Two points leave the deviation of the slope open: not a number.
+    pub fn through(points: &[[f64; 2]]) -> Option<Self> {
+        let count = points.len() as f64;
+        let [x, y] = [0, 1].map(|axis| points.iter().map(|point| point[axis]).sum::<f64>() / count);
+        let spread: f64 = points.iter().map(|point| (point[0] - x).powi(2)).sum();
+        let slope = points.iter().map(|point| (point[0] - x) * (point[1] - y)).sum::<f64>() / spread;
+        let rest: f64 = points.iter().map(|point| (point[1] - y - slope * (point[0] - x)).powi(2)).sum();
+        let slope_sd = (rest / (count - 2.0) / spread).sqrt();
+        (spread > 0.0).then_some(Self { centre: [x, y], slope, slope_sd })
+    }
 }
 
 impl StraightLine {

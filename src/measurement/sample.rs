@@ -24,3 +24,19 @@ pub struct Sample {
     /// Byte offset of the frame's first byte in the stream.
     pub offset: u64,
 }
+
+impl Sample {
+    /// A valid reading, mm, of a device that sends nothing else.
+    pub const fn of(reading_mm: f64) -> Self {
+        Self {
+            reading_mm,
+            sequence: None,
+            ticks: None,
+            trigger: None,
+            temperature_c: None,
+            valid: true,
+            status: 0,
+            offset: 0,
+        }
+    }
+}

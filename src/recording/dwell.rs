@@ -66,6 +66,27 @@ const LEAST_SAMPLES: usize = 3;
 /// A change must be that many standard deviations to be creep.
 const CREEP: f64 = 4.0;
 
+/// How residuals scatter in time.
+pub(super) struct Scatter {
+    /// Sum of their squares.
+    pub(super) squares: f64,
+    /// Of neighbours, from 0 to 0.99.
+    pub(super) correlation: f64,
+}
+
+impl Scatter {
+    pub(super) fn of(residuals: impl Iterator<Item = f64>) -> Self {
+        let (mut squares, mut products, mut before) = (0.0, 0.0, 0.0);
+        for residual in residuals {
+            squares += residual * residual;
+            products += before * residual;
+            before = residual;
+        }
+        let correlation = if squares > 0.0 { (products / squares).clamp(0.0, 0.99) } else { 0.0 };
+        Self { squares, correlation }
+    }
+}
+
 /// The reading between two times; `None` when there are too few valid samples or the clock broke within.
 pub fn measure(stream: &Stream, from_s: f64, to_s: f64) -> Option<DwellReading> {
     let range = stream.at(from_s)..stream.at(to_s);
@@ -80,17 +101,14 @@ pub fn measure(stream: &Stream, from_s: f64, to_s: f64) -> Option<DwellReading> 
     let reading_mm = robust::trimmed_mean(&mut readings)?;
     let count = valid.len() as f64;
     let middle_s = valid.iter().map(|&at| stream.t_s[at]).sum::<f64>() / count;
-    let (mut squares, mut products, mut tt, mut ty) = (0.0, 0.0, 0.0, 0.0);
-    let mut before = None;
+    let (mut tt, mut ty) = (0.0, 0.0);
     for &at in &valid {
         let (t, y) = (stream.t_s[at] - middle_s, stream.reading_mm[at] - reading_mm);
-        squares += y * y;
-        products += before.map_or(0.0, |last: f64| last * y);
         tt += t * t;
         ty += t * y;
-        before = Some(y);
     }
-    let correlation = if squares > 0.0 { (products / squares).clamp(0.0, 0.99) } else { 0.0 };
+    let Scatter { squares, correlation } =
+        Scatter::of(valid.iter().map(|&at| stream.reading_mm[at] - reading_mm));
     let effective = (count * (1.0 - correlation) / (1.0 + correlation)).max(1.0);
     // A reading that stays on one step of the scale is known to that step, however often it is read.
     let step_mm = readings.windows(2).map(|pair| pair[1] - pair[0]).filter(|step| *step > 0.0);

@@ -19,4 +19,6 @@ pub use lower_hull::Segment;
 pub use reports::{Report, reported_axes};
 pub use stream::{SequenceStep, Stream, StreamBuilder, sequence_step};
 pub use strobe_decoder::{StrobeDecoder, StrobeEvent, StrobedDwell, strobed_dwells};
-pub use telegram::{Heard, LONGEST_TELEGRAM, Telegram, TelegramReader, run_number};
+pub use telegram::{Heard, LONGEST_TELEGRAM, Telegram, TelegramReader};
+
+pub use crate::program::krl::run_number;

@@ -12,7 +12,7 @@ use crate::robot::AXES;
 /// What the controller sends at the begin and at the end of a dwell.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Telegram {
-    /// Number of the plan that the program was made from ([`run_number`]).
+    /// Number of the plan that the program was made from ([`crate::program::krl::run_number`]).
     pub run: u32,
     /// The plan's index.
     pub index: u32,
@@ -42,11 +42,6 @@ pub const LONGEST_TELEGRAM: usize = 4096;
 const BEGIN: &[u8] = b"<Dbb";
 /// No axis turns further, degrees.
 const MOST_DEG: f64 = 3600.0;
-
-/// The number that a program made from the plan of this hash gives in `Run`; `None` if it is no hash.
-pub fn run_number(hash: &str) -> Option<u32> {
-    u32::from_str_radix(hash.get(..4)?, 16).ok()
-}
 
 impl TelegramReader {
     /// Takes bytes as they came.

@@ -123,17 +123,7 @@ impl Message {
         {
             return None;
         }
-        let sample = Sample {
-            reading_mm: 0.0,
-            sequence: None,
-            ticks: None,
-            trigger: None,
-            temperature_c: None,
-            valid: true,
-            status: 0,
-            offset: 0,
-        };
-        let mut reading = Reading { sample, unit_mm: 1.0, refused: None };
+        let mut reading = Reading { sample: Sample::of(0.0), unit_mm: 1.0, refused: None };
         let mut rest = content;
         for field in &self.fields {
             rest = field.read(rest, &mut reading)?;

@@ -18,7 +18,7 @@ pub mod syntax;
 pub(crate) mod value;
 
 pub use data::{Origin, Setup, absolute_accuracy, logged_axes, plan_hash, read_setup};
-pub use emit::{Controller, Options, Sync, emit};
+pub use emit::{Controller, Options, Sync, emit, run_number};
 pub use header::{is_program, provenance, stamped};
 pub use parser::{parse_data, parse_source};
 pub use points::{Files, Given, Leg, PointProgram, TaughtPoint, read};

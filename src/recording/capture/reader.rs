@@ -187,8 +187,8 @@ impl<R: Read> Reader<R> {
                 self.advance(1);
             }
         }
-        let extent = Extent { offset, bytes: self.offset - offset, to_the_end: self.rest().is_empty() };
-        Ok(Damage { offset, bytes: extent.bytes, finding: extent.describe(found) })
+        let bytes = self.offset - offset;
+        Ok(Damage { offset, bytes, finding: damage(offset, bytes, self.rest().is_empty(), found) })
     }
 
     /// Goes on to the next magic; whether there is none.
@@ -227,26 +227,18 @@ impl<R: Read> Iterator for Reader<R> {
     }
 }
 
-struct Extent {
-    offset: u64,
-    bytes: u64,
-    to_the_end: bool,
-}
-
-impl Extent {
-    fn describe(&self, found: &Found) -> RecordingFinding {
-        let &Self { offset, bytes, to_the_end } = self;
-        let record = format::kind_name;
-        match *found {
-            Found::Strange(kind, _) => RecordingFinding::StrangeRecord { offset, bytes, kind },
-            Found::Broken(kind) => RecordingFinding::WrongChecksum { offset, bytes, record: record(kind) },
-            Found::Short(kind, record_bytes) if to_the_end => {
-                RecordingFinding::TornRecord { offset, bytes, record: record(kind), record_bytes }
-            }
-            Found::Stub if to_the_end => RecordingFinding::TornHead { offset, bytes },
-            Found::Short(kind, _) => RecordingFinding::WrongLength { offset, bytes, record: record(kind) },
-            _ if offset == 0 => RecordingFinding::DamagedHeader { offset, bytes },
-            _ => RecordingFinding::NoRecord { offset, bytes },
+/// What is wrong with bytes that are no whole record.
+fn damage(offset: u64, bytes: u64, to_the_end: bool, found: &Found) -> RecordingFinding {
+    let record = format::kind_name;
+    match *found {
+        Found::Strange(kind, _) => RecordingFinding::StrangeRecord { offset, bytes, kind },
+        Found::Broken(kind) => RecordingFinding::WrongChecksum { offset, bytes, record: record(kind) },
+        Found::Short(kind, record_bytes) if to_the_end => {
+            RecordingFinding::TornRecord { offset, bytes, record: record(kind), record_bytes }
         }
+        Found::Stub if to_the_end => RecordingFinding::TornHead { offset, bytes },
+        Found::Short(kind, _) => RecordingFinding::WrongLength { offset, bytes, record: record(kind) },
+        _ if offset == 0 => RecordingFinding::DamagedHeader { offset, bytes },
+        _ => RecordingFinding::NoRecord { offset, bytes },
     }
 }

@@ -94,7 +94,7 @@ impl Writer {
         let made = free_file(&self.path)
             .or_else(|_| free_file(&elsewhere))
             .map_err(|error| self.wrong(RecordingFinding::CaptureNotMade { why: error.to_string() }))?;
-        let NewFile { mut file, path } = made;
+        let (mut file, path) = made;
         let bytes = self.bytes;
         let kept = match interference {
             Interference::Resized(found) if found < bytes => {
@@ -157,13 +157,8 @@ impl Writer {
     }
 }
 
-struct NewFile {
-    file: File,
-    path: PathBuf,
-}
-
 /// A file at the path, or beside it with a number behind its name: the first that is free. Its directory is made again.
-fn free_file(wanted: &Path) -> io::Result<NewFile> {
+fn free_file(wanted: &Path) -> io::Result<(File, PathBuf)> {
     /// So many captures are never taken away from one run.
     const MOST: u32 = 10_000;
     if let Some(directory) = wanted.parent() {
@@ -173,7 +168,7 @@ fn free_file(wanted: &Path) -> io::Result<NewFile> {
     for number in 2..MOST {
         match disk::create(&path) {
             Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {}
-            made => return made.map(|file| NewFile { file, path }),
+            made => return made.map(|file| (file, path)),
         }
         let mut name = wanted.file_stem().unwrap_or_default().to_owned();
         name.push(format!("-{number}"));

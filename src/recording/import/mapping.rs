@@ -1,8 +1,8 @@
 //! How a trace is laid out: a small TOML file.
 
-use std::fmt;
+use std::num::NonZeroUsize;
 
-use serde::{Deserialize, Deserializer};
+use serde::Deserialize;
 
 use crate::base::parse::from_toml;
 use crate::base::table::{Delimiter, Layout};
@@ -134,32 +134,11 @@ pub(super) struct Plain {
 }
 
 /// A column by its name or its number from 1.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, Deserialize)]
+#[serde(untagged, expecting = "a column's name, or its number from 1")]
 pub(super) enum Column {
     Name(String),
-    Number(usize),
-}
-
-impl<'de> Deserialize<'de> for Column {
-    fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
-        struct Either;
-        impl serde::de::Visitor<'_> for Either {
-            type Value = Column;
-            fn expecting(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-                out.write_str("a column's name, or its number from 1")
-            }
-            fn visit_str<E: serde::de::Error>(self, name: &str) -> Result<Column, E> {
-                Ok(Column::Name(name.to_owned()))
-            }
-            fn visit_i64<E: serde::de::Error>(self, number: i64) -> Result<Column, E> {
-                match usize::try_from(number) {
-                    Ok(number) if number > 0 => Ok(Column::Number(number)),
-                    _ => Err(E::custom("columns are numbered from 1")),
-                }
-            }
-        }
-        from.deserialize_any(Either)
-    }
+    Number(NonZeroUsize),
 }
 
 impl Mapping {

@@ -120,7 +120,7 @@ impl<'a> Trace<'a> {
     fn find(&self) -> Result<Places, Diagnostic> {
         let Mapping { file, time, length, strobe, valid, temperature } = self.state.mapping;
         let place = |column: &Column| match column {
-            Column::Number(number) => Ok(number - 1),
+            Column::Number(number) => Ok(number.get() - 1),
             Column::Name(name) if file.header => self.table.required([name]).map(|[at]| at),
             Column::Name(name) => {
                 Err(Diagnostic::file(self.table.file(), ImportFinding::NoHeader { column: name.clone() }))
@@ -148,14 +148,11 @@ impl State<'_> {
         let reading_mm = self.reading_mm(row, places.length)?;
         let [low, high] = self.bar.stroke_mm;
         let sample = Sample {
-            reading_mm,
-            sequence: None,
-            ticks: None,
             trigger: flag(row, places.strobe)?,
             temperature_c: places.temperature.map(|place| row.number(place)).transpose()?,
             valid: flag(row, places.valid)?.unwrap_or(true) && (low..=high).contains(&reading_mm),
-            status: 0,
             offset: row.offset(),
+            ..Sample::of(reading_mm)
         };
         if self.first_ns.is_none() && self.time == Some(TimeUnit::Iso) && places.time.is_some() {
             self.counts.unix_ns = u64::try_from(ns).unwrap_or(0);

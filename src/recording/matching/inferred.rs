@@ -42,7 +42,7 @@ pub(super) fn infer(
     stream: &Stream,
     settle_s: f64,
 ) {
-    let program = Program::new(&poses.commanded);
+    let program = &poses.program;
     let pace = Pace { stretch: 1.0 / alignment.override_factor, slack: SLACK };
     let certain: Vec<Certain> = alignment
         .pairings
@@ -58,7 +58,7 @@ pub(super) fn infer(
         .collect();
     for pair in certain.windows(2) {
         let (from, to) = (pair[0], pair[1]);
-        let Some(bridge) = bridge(&program, pace, [from, to], stream) else { continue };
+        let Some(bridge) = bridge(program, pace, [from, to], stream) else { continue };
         for pose in from.pose + 1..to.pose {
             if matches!(alignment.pairings[pose], Pairing::Dwell { .. }) {
                 continue;

@@ -1,7 +1,7 @@
 //! The match outcome of each commanded pose, and what the user should know of a run.
 
 use super::alignment::Pairing;
-use super::program::{Pace, Poses, Program};
+use super::program::{Pace, Poses};
 use super::{DwellSource, PoseMatching};
 use crate::catalogue::MatchingFinding as Finding;
 use crate::plan::Plan;
@@ -42,18 +42,16 @@ impl PoseOutcome {
 }
 
 /// When poses should have begun, by their matched neighbours.
-pub(super) struct ExpectedTimes {
-    program: Program,
+pub(super) struct ExpectedTimes<'a> {
+    poses: &'a Poses<'a>,
     /// Begin of the matched dwell of each pose, s.
     starts: Vec<Option<f64>>,
-    waits_s: Vec<f64>,
-    modules: Vec<usize>,
     pace: Pace,
 }
 
-impl ExpectedTimes {
+impl<'a> ExpectedTimes<'a> {
     pub(super) fn new(
-        poses: &Poses<'_>,
+        poses: &'a Poses<'a>,
         dwells: &[Dwell],
         pairings: &[Pairing],
         override_factor: f64,
@@ -63,18 +61,18 @@ impl ExpectedTimes {
             _ => None,
         };
         Self {
-            program: Program::new(&poses.commanded),
+            poses,
             starts: pairings.iter().map(start).collect(),
-            waits_s: poses.commanded.iter().map(|pose| pose.wait_s).collect(),
-            modules: poses.commanded.iter().map(|pose| pose.module).collect(),
             pace: Pace { stretch: 1.0 / override_factor, slack: 0.0 },
         }
     }
 
     /// When pose `at` should have begun; `None` when no pose of its module was matched.
     fn expected_s(&self, at: usize) -> Option<f64> {
-        let near = |other: &usize| self.modules[*other] == self.modules[at] && self.starts[*other].is_some();
-        let takes_s = |from, to| self.program.takes_s(from, to, self.pace);
+        let Poses { commanded, program, .. } = self.poses;
+        let near =
+            |other: &usize| commanded[*other].module == commanded[at].module && self.starts[*other].is_some();
+        let takes_s = |from, to| program.takes_s(from, to, self.pace);
         let before = (0..at).rev().find(near).and_then(|from| Some(self.starts[from]? + takes_s(from, at)));
         before.or_else(|| {
             let after = (at + 1..self.starts.len()).find(near)?;
@@ -91,7 +89,7 @@ impl ExpectedTimes {
         };
         let Some(expected_s) = self.expected_s(at) else { return Finding::NoneNearby { dwell } };
         let end_s = stream.t_s.last().copied().unwrap_or(0.0);
-        let wait_s = self.waits_s[at];
+        let wait_s = self.poses.commanded[at].wait_s;
         if expected_s < 0.0 {
             return Finding::CaptureBeganLater;
         }

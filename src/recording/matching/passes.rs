@@ -11,6 +11,7 @@ use super::outcome::{MatchOutcome, PoseOutcome};
 use super::passing::{Passing, passing};
 use super::{Input, program};
 use crate::catalogue::MatchingFinding as Finding;
+use crate::math::straight_line::Regression;
 use crate::plan::{Pass, Plan};
 use crate::recording::dwell::Dwell;
 use crate::recording::{reports, strobe_decoder};
@@ -163,37 +164,18 @@ impl Found<'_> {
     }
 }
 
-/// At one angle: clockwise less counter-clockwise reading (mm) over counter-clockwise less clockwise slope (mm/s).
-struct SensePair {
-    slope_mm_s: f64,
-    reading_mm: f64,
-}
-
 /// The lag that is left, its standard deviation, and the hysteresis: least squares of the differences between the two
 /// senses at the same angles. `None` without a pass each way, or where no length changes.
 fn remaining_lag(plan: &Plan, found: &[Found<'_>], points: &[Vec<PointReading>]) -> Option<Lag> {
-    let rows = sense_pairs(plan, found, points)?;
-    let count = rows.len() as f64;
-    if rows.len() < 4 {
-        return None;
-    }
-    let (x, y) = (
-        rows.iter().map(|row| row.slope_mm_s).sum::<f64>() / count,
-        rows.iter().map(|row| row.reading_mm).sum::<f64>() / count,
-    );
-    let xx: f64 = rows.iter().map(|row| (row.slope_mm_s - x).powi(2)).sum();
-    let xy: f64 = rows.iter().map(|row| (row.slope_mm_s - x) * (row.reading_mm - y)).sum();
-    if xx <= 0.0 {
-        return None;
-    }
-    let lag_s = xy / xx;
-    let residual = |row: &SensePair| (row.reading_mm - y - lag_s * (row.slope_mm_s - x)).powi(2);
-    let rest: f64 = rows.iter().map(residual).sum();
-    let sd_s = (rest / (count - 2.0) / xx).sqrt().max(1e-6);
-    Some(Lag { circle: 0, lag_s, sd_s, hysteresis_mm: lag_s * x - y })
+    let pairs = sense_pairs(plan, found, points).filter(|pairs| pairs.len() >= 4)?;
+    let Regression { centre: [slope_mm_s, reading_mm], slope: lag_s, slope_sd } =
+        Regression::through(&pairs)?;
+    Some(Lag { circle: 0, lag_s, sd_s: slope_sd.max(1e-6), hysteresis_mm: lag_s * slope_mm_s - reading_mm })
 }
 
-fn sense_pairs(plan: &Plan, found: &[Found<'_>], points: &[Vec<PointReading>]) -> Option<Vec<SensePair>> {
+/// At each angle that was passed in both senses: counter-clockwise less clockwise slope (mm/s), and clockwise less
+/// counter-clockwise reading (mm).
+fn sense_pairs(plan: &Plan, found: &[Found<'_>], points: &[Vec<PointReading>]) -> Option<Vec<[f64; 2]>> {
     let places = plan.circle_places();
     let sense = |clockwise: bool| {
         let at = found.iter().position(|one| one.pass.clockwise == clockwise)?;
@@ -204,20 +186,15 @@ fn sense_pairs(plan: &Plan, found: &[Found<'_>], points: &[Vec<PointReading>]) -
         Some(known.collect::<Vec<_>>())
     };
     let (counter, clockwise) = (sense(false)?, sense(true)?);
-    let mut rows = Vec::new();
-    for (angle_deg, one) in &counter {
+    let pair = |(angle_deg, one): &(f64, &Passing)| {
         let same = |other: &&(f64, &Passing)| {
             let apart = (other.0 - angle_deg).rem_euclid(360.0);
             apart.min(360.0 - apart) < SAME_DEG
         };
-        if let Some((_, other)) = clockwise.iter().find(same) {
-            rows.push(SensePair {
-                slope_mm_s: one.slope_mm_s - other.slope_mm_s,
-                reading_mm: other.reading.reading_mm - one.reading.reading_mm,
-            });
-        }
-    }
-    Some(rows)
+        let (_, other) = clockwise.iter().find(same)?;
+        Some([one.slope_mm_s - other.slope_mm_s, other.reading.reading_mm - one.reading.reading_mm])
+    };
+    Some(counter.iter().filter_map(pair).collect())
 }
 
 /// When each pass began and ended, s of the stream, or why that is not known.

@@ -1,6 +1,6 @@
 //! The length at a moment of a motion: all samples around it, by a parabola.
 
-use crate::recording::dwell::{DwellReading, least_u_mm};
+use crate::recording::dwell::{DwellReading, Scatter, least_u_mm};
 use crate::recording::stream::Stream;
 
 /// What was read as the robot passed a point.
@@ -46,15 +46,8 @@ pub(super) fn passing(stream: &Stream, at_s: f64, half_s: f64) -> Option<Passing
     let inverse = normal.try_inverse()?;
     let parabola = inverse * nalgebra::Vector3::from(products);
     let residual = |(x, y): &(f64, f64)| y - origin - parabola[0] - x * (parabola[1] + x * parabola[2]);
-    let (mut squares, mut neighbours, mut before) = (0.0, 0.0, None);
-    for point in &valid {
-        let residual = residual(point);
-        squares += residual * residual;
-        neighbours += before.map_or(0.0, |before: f64| before * residual);
-        before = Some(residual);
-    }
+    let Scatter { squares, correlation } = Scatter::of(valid.iter().map(residual));
     let count = valid.len() as f64;
-    let correlation = if squares > 0.0 { (neighbours / squares).clamp(0.0, 0.99) } else { 0.0 };
     let variance = squares / (count - 3.0) * (1.0 + correlation) / (1.0 - correlation);
     let reading = DwellReading {
         from_s: at_s - half_s,

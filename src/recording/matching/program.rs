@@ -18,6 +18,7 @@ pub struct Commanded {
 pub(super) struct Poses<'a> {
     pub(super) rows: Vec<&'a PlanRow>,
     pub(super) commanded: Vec<Commanded>,
+    pub(super) program: Program,
 }
 
 /// The program waits that long after a dwell, s.
@@ -31,7 +32,7 @@ pub(super) fn stops(row: &PlanRow) -> bool {
 impl<'a> Poses<'a> {
     pub(super) fn of(plan: &'a Plan) -> Self {
         let settle_s = plan.header.job.motion.settle_s;
-        let mut poses = Self { rows: Vec::new(), commanded: Vec::new() };
+        let (mut rows, mut commanded) = (Vec::new(), Vec::new());
         let (mut move_s, mut module, mut dwells, mut circle) = (0.0, 0, 0, 0);
         for (at, row) in plan.rows.iter().enumerate() {
             move_s += plan.header.moves.get(at).map_or(0.0, |time| time.duration_s);
@@ -48,11 +49,12 @@ impl<'a> Poses<'a> {
                 continue;
             }
             dwells += 1;
-            poses.rows.push(row);
-            poses.commanded.push(Commanded { move_s, wait_s: settle_s + row.dwell_s + AFTER_S, module });
+            rows.push(row);
+            commanded.push(Commanded { move_s, wait_s: settle_s + row.dwell_s + AFTER_S, module });
             move_s = 0.0;
         }
-        poses
+        let program = Program::new(&commanded);
+        Self { rows, commanded, program }
     }
 }
 

@@ -259,7 +259,7 @@ mod tests {
         let mut push = |reading_mm: f64| {
             let noise_mm = 0.0005 * (f64::from(count) * 2.4).sin();
             let host = HostNs(u64::from(count) * 10_000_000);
-            builder.push(host, &Sample { reading_mm: reading_mm + noise_mm, ..SAMPLE });
+            builder.push(host, &Sample::of(reading_mm + noise_mm));
             count += 1;
         };
         for (at, (level_mm, lasts_s)) in levels.iter().enumerate() {
@@ -271,17 +271,6 @@ mod tests {
         }
         builder.build()
     }
-
-    const SAMPLE: Sample = Sample {
-        reading_mm: 0.0,
-        sequence: None,
-        ticks: None,
-        trigger: None,
-        temperature_c: None,
-        valid: true,
-        status: 0,
-        offset: 0,
-    };
 
     #[test]
     fn dwells_begin_and_end_at_the_change_points() {

@@ -11,7 +11,7 @@ use std::sync::Arc;
 pub use circles::{Circle, Circles, drives};
 pub use open::{is_capture, losses, open};
 pub use plan_files::{ATTACHED_IDENTITY, PlanFiles, attached_plan, identity, read_plan};
-use temperature::{Temperatures, certificate};
+use temperature::Temperatures;
 
 use super::matching::{self, Expected, Input, MeasuredAxes, PoseMatching, PoseOutcome};
 use super::reports::Report;
@@ -101,7 +101,9 @@ impl Run {
 
     /// How the bar's certificate refers a length; `None` where it gives no expansion.
     pub fn certificate(&self) -> Option<Temperature> {
-        certificate(&self.plan.header.job)
+        let bar = &self.plan.header.job.bar;
+        let certified_c = bar.temperature_c.unwrap_or(Temperature::default().certified_c);
+        Some(Temperature { bar_per_k: Some(bar.expansion_per_k?), certified_c, machine_per_k: None })
     }
 
     /// The bar's temperature at a time of the run, degrees Celsius.

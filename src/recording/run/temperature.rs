@@ -1,7 +1,4 @@
-//! The bar's temperature over a run, and lengths referred by the bar's certificate.
-
-use crate::circular::Temperature;
-use crate::plan::Job;
+//! The bar's temperature over a run.
 
 /// Samples whose temperatures are kept as their mean.
 const BLOCK: usize = 256;
@@ -51,11 +48,4 @@ impl Temperatures {
         let count: f64 = self.blocks.iter().map(|block| f64::from(block.count)).sum();
         (count > 0.0).then(|| sum_c / count)
     }
-}
-
-/// How the bar's certificate refers a length; `None` where it gives no expansion.
-pub(super) fn certificate(job: &Job) -> Option<Temperature> {
-    let bar_per_k = Some(job.bar.expansion_per_k?);
-    let certified_c = job.bar.temperature_c.unwrap_or(Temperature::default().certified_c);
-    Some(Temperature { bar_per_k, certified_c, machine_per_k: None })
 }
