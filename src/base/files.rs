@@ -1,24 +1,26 @@
 //! Files in and out, with the path in every message.
 
+use std::fmt::Display;
 use std::fs;
-use std::io::{Read, Write};
+use std::io::{self, Read, Write};
 use std::path::Path;
 
 use crate::base::hash::Sha256;
 use crate::catalogue::FileFinding::{NoDirectory, NotAFile, NotUtf8At, TooLarge, Unreadable, Unwritable};
 use crate::diagnostic::Diagnostic;
 
+/// What is wrong when a file could not be read.
+pub fn unreadable(file: impl Display) -> impl Fn(io::Error) -> Diagnostic {
+    move |error| Diagnostic::file(&file.to_string(), Unreadable { why: error.to_string() })
+}
+
 /// The text of a file.
 pub fn read(path: &Path) -> Result<String, Diagnostic> {
-    let name = path.display().to_string();
-    fs::read(path).map_err(|error| Diagnostic::file(&name, Unreadable { why: error.to_string() })).and_then(
-        |bytes| {
-            String::from_utf8(bytes).map_err(|error| {
-                let at = error.utf8_error().valid_up_to();
-                Diagnostic::file(&name, NotUtf8At { byte: at })
-            })
-        },
-    )
+    let bytes = fs::read(path).map_err(unreadable(path.display()))?;
+    String::from_utf8(bytes).map_err(|error| {
+        let byte = error.utf8_error().valid_up_to();
+        Diagnostic::file(&path.display().to_string(), NotUtf8At { byte })
+    })
 }
 
 /// The text of a file of at most `most` bytes; what is no file (a pipe, a device) is not opened.
@@ -34,13 +36,11 @@ pub fn read_at_most(path: &Path, most: u64) -> Result<String, Diagnostic> {
 
 /// The SHA-256 of a file, which is never whole in memory.
 pub fn sha256(path: &Path) -> Result<String, Diagnostic> {
-    let wrong = |error: std::io::Error| {
-        Diagnostic::file(&path.display().to_string(), Unreadable { why: error.to_string() })
-    };
-    let mut file = fs::File::open(path).map_err(wrong)?;
+    let wrong = unreadable(path.display());
+    let mut file = fs::File::open(path).map_err(&wrong)?;
     let (mut hash, mut piece) = (Sha256::default(), vec![0; 1 << 16]);
     loop {
-        match file.read(&mut piece).map_err(wrong)? {
+        match file.read(&mut piece).map_err(&wrong)? {
             0 => return Ok(hash.finish()),
             read => hash.update(piece.get(..read).unwrap_or_default()),
         }
@@ -57,7 +57,7 @@ pub fn write_pieces(
     path: &Path,
     pieces: impl IntoIterator<Item = impl AsRef<[u8]>>,
 ) -> Result<(), Diagnostic> {
-    let wrong = |error: std::io::Error| {
+    let wrong = |error: io::Error| {
         Diagnostic::file(&path.display().to_string(), Unwritable { why: error.to_string() })
     };
     let mut beside = path.as_os_str().to_owned();

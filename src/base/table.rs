@@ -7,6 +7,7 @@ use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::str::FromStr;
 
+use super::files::unreadable;
 use super::text::{Encoding, Lines};
 use crate::catalogue::FileFinding::{
     self, CellCount, ColumnTwice, MissingColumns, NoCell, NotANumber, NotFinite, NotPositive, NotWhole,
@@ -114,10 +115,8 @@ struct Record {
 impl<'a> Table<'a> {
     /// A file.
     pub fn open(path: &Path) -> Result<Table<'static>, Diagnostic> {
-        let name = path.display().to_string();
-        let file = File::open(path)
-            .map_err(|error| Diagnostic::file(&name, Unreadable { why: error.to_string() }))?;
-        Table::new(&name, BufReader::new(file), Layout::default())
+        let file = File::open(path).map_err(unreadable(path.display()))?;
+        Table::new(&path.display().to_string(), BufReader::new(file), Layout::default())
     }
 
     /// A text in memory.

@@ -2,7 +2,8 @@
 
 use std::io::BufRead;
 
-use crate::catalogue::FileFinding::{NotText, Unreadable};
+use super::files::unreadable;
+use crate::catalogue::FileFinding::NotText;
 use crate::diagnostic::Diagnostic;
 
 /// How characters are written as bytes.
@@ -52,7 +53,7 @@ impl<R: BufRead> Lines<R> {
     /// Appends the next line with its end and, if it is the first, its byte order mark; whether there was one.
     pub fn next(&mut self, text: &mut String) -> Result<bool, Diagnostic> {
         if self.number == 0 {
-            let first = self.source.fill_buf().map_err(|error| unreadable(&self.file, &error))?;
+            let first = self.source.fill_buf().map_err(unreadable(&self.file))?;
             self.encoding = match first {
                 [0xff, 0xfe, ..] => Encoding::Utf16Le,
                 [0xfe, 0xff, ..] => Encoding::Utf16Be,
@@ -64,7 +65,7 @@ impl<R: BufRead> Lines<R> {
             Encoding::Utf16Le | Encoding::Utf16Be => self.read_units(),
             _ => self.source.read_until(b'\n', &mut self.bytes).map(|_| ()),
         };
-        read.map_err(|error| unreadable(&self.file, &error))?;
+        read.map_err(unreadable(&self.file))?;
         if self.bytes.is_empty() {
             return Ok(false);
         }
@@ -126,10 +127,6 @@ impl<R: BufRead> Lines<R> {
         }
         Some(())
     }
-}
-
-fn unreadable(file: &str, error: &std::io::Error) -> Diagnostic {
-    Diagnostic::file(file, Unreadable { why: error.to_string() })
 }
 
 /// The characters from 0x80 to 0x9f (unicode.org, VENDORS/MICSFT/WINDOWS/CP1252.TXT); a blank where there is none.

@@ -35,14 +35,8 @@ pub struct Diagnosis {
     pub servo_mismatch_s: Option<[f64; 2]>,
 }
 
-pub(super) fn diagnose(
-    traces: &[Trace],
-    rays: &Rays,
-    centre: [f64; 2],
-    radius_mm: f64,
-    noise: &Noise,
-) -> Diagnosis {
-    let of = |sense| fit_sense(traces, rays, centre, noise, sense);
+pub(super) fn diagnose(traces: &[Trace], rays: &Rays, radius_mm: f64, noise: &Noise) -> Diagnosis {
+    let of = |sense| fit_sense(traces, rays, noise, sense);
     let (ccw, cw) = (of(Sense::CounterClockwise), of(Sense::Clockwise));
     let harmonics: Vec<Harmonics> = [ccw, cw].into_iter().flatten().collect();
     if harmonics.is_empty() {
@@ -67,23 +61,17 @@ pub(super) fn diagnose(
     }
 }
 
-fn fit_sense(
-    traces: &[Trace],
-    rays: &Rays,
-    centre: [f64; 2],
-    noise: &Noise,
-    sense: Sense,
-) -> Option<Harmonics> {
+fn fit_sense(traces: &[Trace], rays: &Rays, noise: &Noise, sense: Sense) -> Option<Harmonics> {
     let mut normal = SMatrix::<f64, TERMS, TERMS>::zeros();
     let mut right = SVector::<f64, TERMS>::zeros();
     let mut variance = 0.0;
     let mut count = 0;
     for (at, trace) in traces.iter().enumerate().filter(|(_, trace)| trace.sense == sense) {
-        for ((point, ray), sigma) in trace.points.iter().zip(&rays.traces[at]).zip(&noise.sigma_mm[at]) {
+        for ((place, point), sigma) in trace.points.iter().enumerate().zip(&noise.sigma_mm[at]) {
             let (sin, cos) = point.angle_deg.to_radians().sin_cos();
             let row = SVector::from([1.0, cos, sin, cos * cos - sin * sin, 2.0 * sin * cos]);
             normal += row * row.transpose();
-            right += row * ray.deviation(centre);
+            right += row * rays.deviation(at, place);
             variance += sigma * sigma;
             count += 1;
         }

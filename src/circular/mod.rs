@@ -191,22 +191,22 @@ pub fn circular(traces: &[Trace], settings: &Settings) -> Result<Evaluation, Fin
     check(traces, settings)?;
     let corrected = settings.temperature.apply(traces);
     let rays = |traces: &[Trace]| Rays::new(traces, settings.radius_mm);
-    let measured = rays(corrected.as_deref().unwrap_or(traces));
+    let mut measured = rays(corrected.as_deref().unwrap_or(traces));
     let joint = fit(measured.all()).ok_or(Finding::NoCircle)?;
     let arc = arc(traces, joint.condition);
     let allowed = Allowed::of(&arc);
-    let centre = if allowed.free_centre { joint.centre } else { [0.0; 2] };
+    measured.centre = if allowed.free_centre { joint.centre } else { [0.0; 2] };
     let values = evaluate(&measured, allowed).ok_or(Finding::NoCircle)?;
     let as_measured = corrected
         .as_ref()
         .and_then(|_| evaluate(&rays(traces), allowed))
         .map(|values| values.overall_options());
-    let noise = noise::of(traces, &measured, centre, settings.sigma_mm);
-    let u95 = uncertainty::u95(&measured, &values, Reference { centre, allowed }, &noise, settings);
+    let noise = noise::of(traces, &measured, settings.sigma_mm);
+    let u95 = uncertainty::u95(&measured, &values, allowed, &noise, settings);
     let (quantities, alone) = values.with(u95.as_ref());
     let results = traces.iter().zip(&measured.traces).zip(alone);
     let results =
-        results.map(|((trace, rays), quantities)| TraceResult::new(trace, rays, centre, quantities));
+        results.map(|((trace, rays), quantities)| TraceResult::new(trace, rays, measured.centre, quantities));
     let mut notes: Vec<Finding> = arc_finding(&arc, allowed).into_iter().collect();
     notes.extend(
         traces
@@ -218,7 +218,7 @@ pub fn circular(traces: &[Trace], settings: &Settings) -> Result<Evaluation, Fin
         notes.push(Finding::AsMeasured);
     }
     let reversals = reversal::of(traces);
-    let steps = if arc.full { step::fit(traces, &measured, centre) } else { Vec::new() };
+    let steps = if arc.full { step::fit(traces, &measured) } else { Vec::new() };
     let joints: std::collections::BTreeSet<usize> = reversals.iter().map(|reversal| reversal.joint).collect();
     if steps.is_empty() && !joints.is_empty() {
         notes.push(Finding::StepsNotSeparable { joints: joints.len() });
@@ -231,7 +231,7 @@ pub fn circular(traces: &[Trace], settings: &Settings) -> Result<Evaluation, Fin
         free_centre: arc.full,
         traces: results.collect(),
         diagnosis: if arc.full && allowed.free_centre {
-            harmonics::diagnose(traces, &measured, centre, settings.radius_mm, &noise)
+            harmonics::diagnose(traces, &measured, settings.radius_mm, &noise)
         } else {
             Diagnosis::default()
         },
@@ -242,13 +242,6 @@ pub fn circular(traces: &[Trace], settings: &Settings) -> Result<Evaluation, Fin
         draws: if u95.is_some() { settings.draws } else { 0 },
         notes,
     })
-}
-
-/// About what deviations are taken, and what the arc allows.
-#[derive(Clone, Copy)]
-struct Reference {
-    centre: [f64; 2],
-    allowed: Allowed,
 }
 
 impl TraceResult {

@@ -66,18 +66,18 @@ impl Noise {
 
 /// What was given, else the points' own, but not less than what repeated passes differ by; else the
 /// scatter between neighbours.
-pub(super) fn of(traces: &[Trace], rays: &Rays, centre: [f64; 2], given: Option<f64>) -> Noise {
+pub(super) fn of(traces: &[Trace], rays: &Rays, given: Option<f64>) -> Noise {
     let all = |sigma: f64| traces.iter().map(|trace| vec![sigma; trace.points.len()]).collect();
     if let Some(sigma) = given {
         return Noise { sigma_mm: all(sigma), source: SigmaSource::Given, freedom: None };
     }
-    let repeated = repeated(traces, rays, centre);
+    let repeated = repeated(traces, rays);
     let own: Option<Vec<Vec<f64>>> =
         traces.iter().map(|trace| trace.points.iter().map(|point| point.sigma_mm).collect()).collect();
     let Some(mut sigma_mm) = own else {
         let (source, scatter) = match repeated {
             Some(repeated) => (SigmaSource::Passes, repeated),
-            None => (SigmaSource::Neighbours, neighbours(traces, rays, centre)),
+            None => (SigmaSource::Neighbours, neighbours(traces, rays)),
         };
         return Noise { sigma_mm: all(scatter.sigma_mm), source, freedom: Some(scatter.freedom) };
     };
@@ -97,7 +97,7 @@ fn by_angle(trace: &Trace) -> Vec<usize> {
 }
 
 /// Standard deviation between passes in one sense at the same angles, and its degrees of freedom; `None` without such.
-fn repeated(traces: &[Trace], rays: &Rays, centre: [f64; 2]) -> Option<Scatter> {
+fn repeated(traces: &[Trace], rays: &Rays) -> Option<Scatter> {
     let (mut squares, mut freedom) = (0.0, 0);
     for sense in [Sense::CounterClockwise, Sense::Clockwise] {
         let passes: Vec<(usize, Vec<usize>)> = (0..traces.len())
@@ -115,7 +115,7 @@ fn repeated(traces: &[Trace], rays: &Rays, centre: [f64; 2]) -> Option<Scatter> 
             continue;
         }
         for place in 0..order.len() {
-            let values = || passes.iter().map(|(at, order)| rays.traces[*at][order[place]].deviation(centre));
+            let values = || passes.iter().map(|(at, order)| rays.deviation(*at, order[place]));
             let mean = values().sum::<f64>() / passes.len() as f64;
             squares += values().map(|value| (value - mean).powi(2)).sum::<f64>();
             freedom += passes.len() - 1;
@@ -126,13 +126,13 @@ fn repeated(traces: &[Trace], rays: &Rays, centre: [f64; 2]) -> Option<Scatter> 
 
 /// Robust scatter of second differences between neighbours, and its degrees of freedom: noise, and on a sparse circle
 /// form as well.
-fn neighbours(traces: &[Trace], rays: &Rays, centre: [f64; 2]) -> Scatter {
+fn neighbours(traces: &[Trace], rays: &Rays) -> Scatter {
     /// Degrees of freedom for each second difference: the median has 0.37 of the efficiency of the variance, and the
     /// correlations of neighbours, -2/3 and 1/6, cost a factor 1 + 2 (4/9 + 1/36).
     const FREEDOM: f64 = 0.19;
     let mut second: Vec<f64> = Vec::new();
-    for (trace, rays) in traces.iter().zip(&rays.traces) {
-        let values: Vec<f64> = by_angle(trace).into_iter().map(|at| rays[at].deviation(centre)).collect();
+    for (at, trace) in traces.iter().enumerate() {
+        let values: Vec<f64> = by_angle(trace).into_iter().map(|point| rays.deviation(at, point)).collect();
         second.extend(values.windows(3).map(|three| (three[0] - 2.0 * three[1] + three[2]).abs()));
     }
     let middle = second.len() / 2;

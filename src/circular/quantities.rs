@@ -19,6 +19,8 @@ pub(super) struct Rays {
     pub(super) traces: Vec<Vec<Ray>>,
     /// Counter-clockwise trace, clockwise trace, and which points of them face each other.
     pub(super) pairs: Vec<Facing>,
+    /// About what their deviations are taken, mm: the programmed centre until another is known.
+    pub(super) centre: [f64; 2],
 }
 
 /// A counter-clockwise and a clockwise trace of one circle.
@@ -75,11 +77,16 @@ impl Rays {
             .zip(of(Sense::Clockwise))
             .map(|((ccw, there), (cw, back))| Facing { ccw, cw, points: facing(there, back) })
             .collect();
-        Self { traces: traces.iter().map(rays).collect(), pairs }
+        Self { traces: traces.iter().map(rays).collect(), pairs, centre: [0.0; 2] }
     }
 
     pub(super) fn all(&self) -> impl Iterator<Item = Ray> + Clone {
         self.traces.iter().flatten().copied()
+    }
+
+    /// Of a point of a trace, mm.
+    pub(super) fn deviation(&self, trace: usize, point: usize) -> f64 {
+        self.traces[trace][point].deviation(self.centre)
     }
 }
 

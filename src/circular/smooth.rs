@@ -4,6 +4,7 @@
 //! adds to it seems least just where it added most. Only intervals rest on this; values are never smoothed.
 
 use super::fit::Ray;
+use super::quantities::Rays;
 
 pub(super) struct Form {
     /// The traces with their deviations replaced by means over neighbours.
@@ -17,9 +18,10 @@ const REACHES: [usize; 8] = [0, 1, 2, 3, 4, 6, 8, 12];
 
 /// The means over as many neighbours as the least expected error asks for: Stein's unbiased estimate of it,
 /// the squared change less the noise taken out.
-pub(super) fn form(traces: &[Vec<Ray>], sigma_mm: &[Vec<f64>], centre: [f64; 2]) -> Form {
+pub(super) fn form(rays: &Rays, sigma_mm: &[Vec<f64>]) -> Form {
+    let Rays { traces, centre, .. } = rays;
     let deviations: Vec<Vec<f64>> =
-        traces.iter().map(|trace| trace.iter().map(|ray| ray.deviation(centre)).collect()).collect();
+        traces.iter().map(|trace| trace.iter().map(|ray| ray.deviation(*centre)).collect()).collect();
     let mut best = (f64::INFINITY, 0, 1.0);
     for reach in REACHES {
         let (mut risk, mut left, mut count) = (0.0, 0.0, 0.0);

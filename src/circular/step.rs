@@ -73,9 +73,9 @@ impl Move {
 }
 
 /// The plays of all drives that reverse; empty where they are not identifiable.
-pub(super) fn fit(traces: &[Trace], rays: &Rays, centre: [f64; 2]) -> Vec<Step> {
+pub(super) fn fit(traces: &[Trace], rays: &Rays) -> Vec<Step> {
     let joints = traces.iter().flat_map(|trace| &trace.points).any(|point| point.axes_deg.is_some());
-    let rows = if joints { between_senses(traces, rays, centre) } else { along(traces, rays, centre) };
+    let rows = if joints { between_senses(traces, rays) } else { along(traces, rays) };
     let Some(drives) = rows.first().map(|row| row.moves.len()) else { return Vec::new() };
     let reverses = |drive: &usize| {
         let going = |sense: i8| rows.iter().filter(|row| row.moves[*drive].sense == sense).count();
@@ -116,12 +116,12 @@ pub(super) fn fit(traces: &[Trace], rays: &Rays, centre: [f64; 2]) -> Vec<Step> 
 }
 
 /// Two linear axes: the deviation of each point, beside the form up to the third order.
-fn along(traces: &[Trace], rays: &Rays, centre: [f64; 2]) -> Vec<Row> {
+fn along(traces: &[Trace], rays: &Rays) -> Vec<Row> {
     let points: usize = traces.iter().map(|trace| trace.points.len()).sum();
     let stride = points.div_ceil(MOST_POINTS).max(1);
     let mut rows = Vec::new();
-    for (trace, rays) in traces.iter().zip(&rays.traces) {
-        for (point, ray) in trace.points.iter().zip(rays).step_by(stride) {
+    for (at, trace) in traces.iter().enumerate() {
+        for (place, point) in trace.points.iter().enumerate().step_by(stride) {
             let theta = point.angle_deg.to_radians();
             let harmonics = (1..=ORDERS).flat_map(|order| {
                 let (sin, cos) = (order as f64 * theta).sin_cos();
@@ -131,7 +131,7 @@ fn along(traces: &[Trace], rays: &Rays, centre: [f64; 2]) -> Vec<Row> {
             rows.push(Row {
                 form: std::iter::once(1.0).chain(harmonics).collect(),
                 moves,
-                value: ray.deviation(centre),
+                value: rays.deviation(at, place),
             });
         }
     }
@@ -140,17 +140,17 @@ fn along(traces: &[Trace], rays: &Rays, centre: [f64; 2]) -> Vec<Row> {
 
 /// Joints of a robot: the length of a pose in one sense less that in the other. The form of the circle, whatever the
 /// orientation does along it, is in both; what is left besides the plays is a constant, the drift between the passes.
-fn between_senses(traces: &[Trace], rays: &Rays, centre: [f64; 2]) -> Vec<Row> {
-    let of = |sense| traces.iter().zip(&rays.traces).filter(move |(trace, _)| trace.sense == sense);
+fn between_senses(traces: &[Trace], rays: &Rays) -> Vec<Row> {
+    let of = |sense| traces.iter().enumerate().filter(move |(_, trace)| trace.sense == sense);
     let mut rows = Vec::new();
-    for (one, our_rays) in of(Sense::CounterClockwise) {
-        for (other, their_rays) in of(Sense::Clockwise).filter(|(other, _)| other.run == one.run) {
-            for (point, ray) in one.points.iter().zip(our_rays) {
-                let mut others = other.points.iter().zip(their_rays);
-                let Some((mate, mates)) = others.find(|(mate, _)| same_pose(point, mate)) else { continue };
+    for (ccw, one) in of(Sense::CounterClockwise) {
+        for (cw, other) in of(Sense::Clockwise).filter(|(_, other)| other.run == one.run) {
+            for (place, point) in one.points.iter().enumerate() {
+                let mut others = other.points.iter().enumerate();
+                let Some((back, mate)) = others.find(|(_, mate)| same_pose(point, mate)) else { continue };
                 let Some((ours, theirs)) = point.drives.zip(mate.drives) else { continue };
                 let moves = ours.into_iter().zip(theirs).map(|(one, other)| Move::difference(one, other));
-                let value = ray.deviation(centre) - mates.deviation(centre);
+                let value = rays.deviation(ccw, place) - rays.deviation(cw, back);
                 rows.push(Row { form: vec![1.0], moves: moves.collect(), value });
             }
         }

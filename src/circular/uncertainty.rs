@@ -11,7 +11,7 @@ use super::noise::Noise;
 use super::quantities::{Allowed, Facing, Quantities, Rays, evaluate};
 use super::smooth::form;
 use super::zone::outermost;
-use super::{NAMES, Reference, Settings, TRACE_NAMES};
+use super::{NAMES, Settings, TRACE_NAMES};
 
 /// Traces with more points are drawn by their outermost points alone.
 const MANY: usize = 4000;
@@ -26,7 +26,7 @@ const WIDTHS: [&str; 4] = ["G_lsc", "G_mzc", "Gb", "H"];
 pub(super) fn u95(
     rays: &Rays,
     values: &Quantities,
-    Reference { centre, allowed }: Reference,
+    allowed: Allowed,
     noise: &Noise,
     settings: &Settings,
 ) -> Option<Vec<f64>> {
@@ -34,11 +34,15 @@ pub(super) fn u95(
         return None;
     }
     let (base, sigma_mm, left) = if rays.traces.iter().any(|trace| trace.len() > MANY) {
-        let (few, sigma_mm) = outermost_of(rays, noise, centre);
+        let (few, sigma_mm) = outermost_of(rays, noise);
         (few, sigma_mm, 1.0)
     } else {
-        let form = form(&rays.traces, &noise.sigma_mm, centre);
-        (Rays { traces: form.traces, pairs: rays.pairs.clone() }, noise.sigma_mm.clone(), form.left)
+        let form = form(rays, &noise.sigma_mm);
+        (
+            Rays { traces: form.traces, pairs: rays.pairs.clone(), centre: rays.centre },
+            noise.sigma_mm.clone(),
+            form.left,
+        )
     };
     let drawn = draw(&base, &sigma_mm, allowed, settings)?;
     let student = noise.student();
@@ -46,7 +50,7 @@ pub(super) fn u95(
         drawn.into_iter().map(|mut added| student * half_width(&mut added, left)).collect();
     // A width that noise alone shows as well may be none.
     let few = Settings { draws: settings.draws / 4 + 1, ..*settings };
-    let alone = draw(&round(&base, centre), &sigma_mm, allowed, &few)?;
+    let alone = draw(&round(&base), &sigma_mm, allowed, &few)?;
     let names = NAMES.iter().chain(TRACE_NAMES.iter().cycle());
     for (((u95, value), mut alone), name) in u95.iter_mut().zip(values.row()).zip(alone).zip(names) {
         if WIDTHS.contains(name) && value <= student * within(&mut alone) {
@@ -112,9 +116,9 @@ fn within(values: &mut [f64]) -> f64 {
 }
 
 /// The rays on a circle without any deviation.
-fn round(rays: &Rays, centre: [f64; 2]) -> Rays {
+fn round(rays: &Rays) -> Rays {
     let mut round = rays.clone();
-    round.traces.iter_mut().flatten().for_each(|ray| ray.length_mm = ray.reach(centre).0);
+    round.traces.iter_mut().flatten().for_each(|ray| ray.length_mm = ray.reach(rays.centre).0);
     round
 }
 
@@ -130,12 +134,13 @@ fn fitted(rays: &[Ray], sigma_mm: &[f64], bar_mm: f64) -> [f64; 3] {
     variance.map(f64::sqrt)
 }
 
-fn outermost_of(rays: &Rays, noise: &Noise, centre: [f64; 2]) -> (Rays, Vec<Vec<f64>>) {
-    let mut few = Rays { traces: Vec::new(), pairs: rays.pairs.iter().map(Facing::unresolved).collect() };
+fn outermost_of(rays: &Rays, noise: &Noise) -> (Rays, Vec<Vec<f64>>) {
+    let pairs = rays.pairs.iter().map(Facing::unresolved).collect();
+    let mut few = Rays { traces: Vec::new(), pairs, centre: rays.centre };
     let mut sigma_mm = Vec::new();
     for (trace, sigma) in rays.traces.iter().zip(&noise.sigma_mm) {
         let mut chosen: Vec<usize> =
-            if trace.len() > MANY { outermost(trace, centre) } else { (0..trace.len()).collect() };
+            if trace.len() > MANY { outermost(trace, rays.centre) } else { (0..trace.len()).collect() };
         chosen.dedup();
         few.traces.push(chosen.iter().map(|&at| trace[at]).collect());
         sigma_mm.push(chosen.iter().map(|&at| sigma[at]).collect());

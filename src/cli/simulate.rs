@@ -15,7 +15,7 @@ use crate::sim::bar::{Line, Options, Reading, Source, Terminal, serve_over};
 use crate::sim::ekrl::Client;
 use crate::sim::fault::{BadLine, Faults};
 use crate::sim::link::Link;
-use crate::sim::world::{Setup, Stroke};
+use crate::sim::world::Setup;
 use crate::sim::{Controller, Moment, World, truth};
 
 /// How long the bar streams after the program's end, s: the end mark is to be seen whole.
@@ -195,7 +195,7 @@ impl Source for &mut Cell<'_> {
             return None;
         }
         let measured = self.world.reading(&moment);
-        let valid = measured.stroke == Stroke::Within;
+        let valid = measured.in_stroke;
         self.strayed += u64::from(moment.strobe && !valid);
         let temperature_c = self.world.setup().bar.temperature_c;
         Some(Reading { reading_mm: measured.reading_mm, strobe: moment.strobe, valid, temperature_c })

@@ -18,6 +18,11 @@ pub enum Kind {
     Transit,
 }
 
+impl Kind {
+    const WORDS: [(Self, &'static str); 3] =
+        [(Self::Measure, "measure"), (Self::Reference, "reference"), (Self::Transit, "transit")];
+}
+
 /// The circumstances of a measurement, as far as they are known.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Context {
@@ -91,12 +96,8 @@ impl Context {
             }
             match column {
                 Column::Kind => {
-                    context.kind = match cell {
-                        "measure" => Some(Kind::Measure),
-                        "reference" => Some(Kind::Reference),
-                        "transit" => Some(Kind::Transit),
-                        _ => None,
-                    }
+                    context.kind =
+                        Kind::WORDS.into_iter().find(|(_, word)| *word == cell).map(|(kind, _)| kind);
                 }
                 Column::TimeS => context.time_s = cell.parse().ok(),
                 Column::Samples => context.samples = cell.parse().ok(),
@@ -125,14 +126,7 @@ impl Context {
     /// A field as it is written; empty where it is not known.
     fn field(&self, column: &Column) -> String {
         let text = match column {
-            Column::Kind => self.kind.map(|kind| {
-                match kind {
-                    Kind::Measure => "measure",
-                    Kind::Reference => "reference",
-                    Kind::Transit => "transit",
-                }
-                .to_owned()
-            }),
+            Column::Kind => self.kind.map(|kind| Kind::WORDS[kind as usize].1.to_owned()),
             Column::TimeS => self.time_s.map(|t_s| format!("{t_s:.4}")),
             Column::Samples => self.samples.map(|count| count.to_string()),
             Column::Creep => self.creep.map(|creep| u8::from(creep).to_string()),

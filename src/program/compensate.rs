@@ -14,8 +14,8 @@ use crate::catalogue::CompensationFinding;
 use crate::robot::inverse::{self, Unsolved};
 use crate::robot::{AXES, Approach, Geometry, Pose, Robot};
 
-/// Where the robot is before the first target: KUKA's home, degrees.
-const HOME_DEG: [f64; AXES] = [0.0, -90.0, 90.0, 0.0, 0.0, 0.0];
+/// Where the robot is before a program: KUKA's home, degrees.
+pub(crate) const HOME_DEG: [f64; AXES] = [0.0, -90.0, 90.0, 0.0, 0.0, 0.0];
 /// An axis that a correction turns further, degrees, is near a singularity.
 const LARGEST_TURN_DEG: f64 = 5.0;
 /// The digits of a pose move an axis by less than this, degrees.

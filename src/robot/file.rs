@@ -3,8 +3,8 @@
 use serde::{Deserialize, Serialize};
 
 use super::kinematics::{DhRow, Geometry, Mass};
-use super::posterior::{PosteriorTable, RobotPosterior};
-use super::uncertainty::{RobotUncertainty, UncertaintyTable};
+use super::posterior::RobotPosterior;
+use super::uncertainty::RobotUncertainty;
 use super::{AXES, Joint, JointError, JointErrors, Ripple, Smooth};
 use crate::base::parse::from_toml;
 use crate::base::serialised;
@@ -93,11 +93,11 @@ struct RobotFile {
     #[serde(default, skip_serializing_if = "Provenance::is_empty")]
     provenance: Provenance,
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    posterior: Option<PosteriorTable>,
+    posterior: Option<RobotPosterior>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     nominal: Option<Box<RobotFile>>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    uncertainty: Option<UncertaintyTable>,
+    uncertainty: Option<RobotUncertainty>,
 }
 
 #[derive(Clone, Serialize, Deserialize)]
@@ -124,26 +124,9 @@ pub(crate) struct JointTable {
     #[serde(default, skip_serializing_if = "is_zero")]
     backlash_rad: f64,
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    smooth: Option<SmoothTable>,
+    smooth: Option<Smooth>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    ripple: Vec<RippleTable>,
-}
-
-/// A smooth function of the axis angle: see [`Smooth`].
-#[derive(Clone, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct SmoothTable {
-    centre_rad: f64,
-    half_width_rad: f64,
-    coefficients: Vec<f64>,
-}
-
-#[derive(Clone, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct RippleTable {
-    order: u32,
-    cos_rad: f64,
-    sin_rad: f64,
+    ripple: Vec<Ripple>,
 }
 
 #[allow(clippy::trivially_copy_pass_by_ref)] // the signature that serde calls
@@ -326,15 +309,16 @@ impl JointTable {
             ("backlash_rad", self.backlash_rad, 1.0),
         ];
         let smooth = self.smooth.iter().flat_map(|smooth| {
-            let SmoothTable { centre_rad, half_width_rad, coefficients } = smooth;
+            let Smooth { centre, half_width, coefficients } = smooth;
             // The logarithm of a width that is none is no number.
-            let width = ("smooth.half_width_rad", half_width_rad.ln() + half_width_rad, MOST_RAD);
+            let width = ("smooth.half_width_rad", half_width.ln() + half_width, MOST_RAD);
             let coefficients = coefficients.iter().map(|value| ("smooth.coefficients", *value, 1.0));
-            coefficients.chain([("smooth.centre_rad", *centre_rad, MOST_RAD), width])
+            coefficients.chain([("smooth.centre_rad", *centre, MOST_RAD), width])
         });
-        let ripple = self.ripple.iter().flat_map(|ripple| {
-            [("ripple.cos_rad", ripple.cos_rad, 1.0), ("ripple.sin_rad", ripple.sin_rad, 1.0)]
-        });
+        let ripple = self
+            .ripple
+            .iter()
+            .flat_map(|ripple| [("ripple.cos_rad", ripple.cos, 1.0), ("ripple.sin_rad", ripple.sin, 1.0)]);
         let mut numbers = numbers.into_iter().chain(smooth).chain(ripple);
         let possible = |value: f64, most: f64| value.abs() <= most;
         if let Some((key, value, most)) = numbers.find(|(_, value, most)| !possible(*value, *most)) {
@@ -366,24 +350,14 @@ impl JointTable {
     }
 
     fn error(&self) -> JointError {
-        let smooth = self.smooth.as_ref().map(|smooth| Smooth {
-            centre: smooth.centre_rad,
-            half_width: smooth.half_width_rad,
-            coefficients: smooth.coefficients.clone(),
-        });
-        let ripple = self.ripple.iter();
-        JointError {
-            smooth: smooth.unwrap_or_default(),
-            backlash: self.backlash_rad,
-            ripple: ripple.map(|r| Ripple { order: r.order, cos: r.cos_rad, sin: r.sin_rad }).collect(),
-        }
+        let (smooth, ripple) = (self.smooth.clone().unwrap_or_default(), self.ripple.clone());
+        JointError { smooth, backlash: self.backlash_rad, ripple }
     }
 
     fn of(robot: &Robot, joint: Joint) -> Self {
         let (row, at) = (robot.geometry.row(joint), joint.index());
         let [gear_cos_rad, gear_sin_rad] = robot.geometry.gear[at];
         let error = robot.geometry.joint_errors.of(joint).cloned().unwrap_or_default();
-        let smooth = error.smooth;
         Self {
             alpha_deg: row.alpha.to_degrees(),
             a_mm: row.a,
@@ -398,16 +372,8 @@ impl JointTable {
             gear_cos_rad,
             gear_sin_rad,
             backlash_rad: error.backlash,
-            smooth: (!smooth.coefficients.is_empty()).then_some(SmoothTable {
-                centre_rad: smooth.centre,
-                half_width_rad: smooth.half_width,
-                coefficients: smooth.coefficients,
-            }),
-            ripple: error
-                .ripple
-                .iter()
-                .map(|r| RippleTable { order: r.order, cos_rad: r.cos, sin_rad: r.sin })
-                .collect(),
+            smooth: Some(error.smooth).filter(|smooth| !smooth.coefficients.is_empty()),
+            ripple: error.ripple,
         }
     }
 }
@@ -455,10 +421,9 @@ impl RobotFile {
         if !are_lengths(&self.tool.ball_mm) {
             return Err((None, RobotFinding::ToolBall { ball_mm: self.tool.ball_mm }));
         }
-        let posterior = match &self.posterior {
-            None => None,
-            Some(table) => Some(RobotPosterior::from_table(table).ok_or((None, RobotFinding::Posterior))?),
-        };
+        if self.posterior.as_ref().is_some_and(|posterior| !posterior.is_sound()) {
+            return Err((None, RobotFinding::Posterior));
+        }
         let mut robot = Robot {
             geometry: Geometry {
                 rows: joints.map(JointTable::row),
@@ -479,7 +444,7 @@ impl RobotFile {
             language: self.language,
             provenance: self.provenance,
             payload: self.payload.is_some(),
-            posterior,
+            posterior: self.posterior,
             uncertainty: None,
             // A joint of the nominal robot has no line: the text holds those of both.
             nominal: match self.nominal {
@@ -490,10 +455,10 @@ impl RobotFile {
             },
             name: self.name,
         };
-        if let Some(table) = &self.uncertainty {
-            let fits = table.uncertainty(&robot).ok_or((None, RobotFinding::Uncertainty))?;
-            robot.uncertainty = Some(Box::new(fits));
+        if self.uncertainty.as_ref().is_some_and(|uncertainty| !uncertainty.fits(&robot)) {
+            return Err((None, RobotFinding::Uncertainty));
         }
+        robot.uncertainty = self.uncertainty.map(Box::new);
         Ok(robot)
     }
 
@@ -521,9 +486,9 @@ impl RobotFile {
             mass: masses.iter().map(mass).collect(),
             payload: payload.map(|payload| PayloadTable { kg: payload.kg, centre_mm: payload.centre.into() }),
             provenance: robot.provenance.clone(),
-            posterior: robot.posterior.as_ref().map(RobotPosterior::to_table),
+            posterior: robot.posterior.clone(),
             nominal: robot.nominal.as_ref().map(|nominal| Box::new(Self::from_robot(nominal))),
-            uncertainty: robot.uncertainty.as_deref().map(UncertaintyTable::of),
+            uncertainty: robot.uncertainty.as_deref().cloned(),
         }
     }
 }

@@ -8,6 +8,8 @@
 
 use std::f64::consts::PI;
 
+use serde::{Deserialize, Serialize};
+
 use super::{AXES, Approach, Joint};
 
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -19,22 +21,28 @@ pub struct JointError {
 }
 
 /// A smooth function of an axis angle: zero without coefficients.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Smooth {
     /// Middle of the interval, rad.
+    #[serde(rename = "centre_rad")]
     pub centre: f64,
     /// Half of the interval, rad.
+    #[serde(rename = "half_width_rad")]
     pub half_width: f64,
     /// Of the basis functions 1, 2, .., rad sqrt(rad).
     pub coefficients: Vec<f64>,
 }
 
 /// A periodic error that repeats `order` times a turn of the axis.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Ripple {
     pub order: u32,
     /// Cosine and sine part, rad.
+    #[serde(rename = "cos_rad")]
     pub cos: f64,
+    #[serde(rename = "sin_rad")]
     pub sin: f64,
 }
 

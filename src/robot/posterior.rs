@@ -1,26 +1,20 @@
 //! What an identification left unknown of a robot, in the robot's own file.
 
 use nalgebra::DMatrix;
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use super::{Geometry, ParamId};
 
 /// The errors that the values of a robot file may still have: their covariance is root root', mm and rad.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct RobotPosterior {
+    #[serde(rename = "parameters")]
     ids: Vec<ParamId>,
     values: Vec<f64>,
-    /// Square, lower triangular, a row a parameter.
+    /// Square, lower triangular, a row a parameter. The file has the triangle, row by row.
+    #[serde(serialize_with = "write_root", deserialize_with = "read_root")]
     root: DMatrix<f64>,
-}
-
-#[derive(Clone, Debug, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(super) struct PosteriorTable {
-    parameters: Vec<ParamId>,
-    values: Vec<f64>,
-    /// The lower triangle, row by row.
-    root: Vec<Vec<f64>>,
 }
 
 /// A value of the file that is off by more than this, mm or rad, was changed since.
@@ -66,33 +60,30 @@ impl RobotPosterior {
         (!ids.is_empty()).then(|| Self { root: self.root_of(&ids), ids, values })
     }
 
-    pub(super) fn to_table(&self) -> PosteriorTable {
-        let row = |at: usize| (0..=at).map(|column| self.root[(at, column)]).collect();
-        PosteriorTable {
-            parameters: self.ids.clone(),
-            values: self.values.clone(),
-            root: (0..self.ids.len()).map(row).collect(),
-        }
+    /// Whether its lists belong together, and its numbers can be.
+    pub(super) fn is_sound(&self) -> bool {
+        let Self { ids, values, root } = self;
+        !ids.is_empty()
+            && values.len() == ids.len()
+            && root.nrows() == ids.len()
+            && root.diagonal().iter().all(|x| *x != 0.0)
+            && root.iter().chain(values).all(|x| x.is_finite())
+            && (1..ids.len()).all(|at| !ids[..at].contains(&ids[at]))
+            && ids.iter().all(|id| id.is_geometric() || matches!(id, ParamId::Tool(_)))
     }
+}
 
-    /// `None` where the table's lists do not belong together, or a number cannot be.
-    pub(super) fn from_table(table: &PosteriorTable) -> Option<Self> {
-        let PosteriorTable { parameters: ids, values, root: rows } = table;
-        let count = ids.len();
-        let fits = count > 0
-            && values.len() == count
-            && rows.len() == count
-            && rows.iter().enumerate().all(|(at, row)| row.len() == at + 1 && row[at] != 0.0)
-            && rows.iter().flatten().chain(values).all(|x| x.is_finite())
-            && (1..count).all(|at| !ids[..at].contains(&ids[at]))
-            && ids.iter().all(|id| id.is_geometric() || matches!(id, ParamId::Tool(_)));
-        let element = |row: usize, column: usize| rows[row].get(column).copied().unwrap_or(0.0);
-        fits.then(|| Self {
-            ids: ids.clone(),
-            values: values.clone(),
-            root: DMatrix::from_fn(count, count, element),
-        })
-    }
+fn write_root<S: Serializer>(root: &DMatrix<f64>, to: S) -> Result<S::Ok, S::Error> {
+    to.collect_seq((0..root.nrows()).map(|at| (0..=at).map(|j| root[(at, j)]).collect::<Vec<f64>>()))
+}
+
+fn read_root<'de, D: Deserializer<'de>>(from: D) -> Result<DMatrix<f64>, D::Error> {
+    let rows: Vec<Vec<f64>> = Vec::deserialize(from)?;
+    // What is no triangle is refused with the numbers that cannot be.
+    let triangle = rows.iter().enumerate().all(|(at, row)| row.len() == at + 1);
+    let element = |row: usize, column: usize| rows[row].get(column).copied().unwrap_or(0.0);
+    let of = |row, column| if triangle { element(row, column) } else { f64::NAN };
+    Ok(DMatrix::from_fn(rows.len(), rows.len(), of))
 }
 
 /// The lower triangular root of the same covariance.

@@ -1,20 +1,16 @@
 //! What is not known of a robot: the covariance of its parameters and of the errors of its joints, as its file holds it.
 
 use nalgebra::DMatrix;
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use super::{ParamId, Robot};
 
 /// Digits of the root that a file holds.
 const DIGITS: usize = 4;
 
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct RobotUncertainty {
-    /// Parameters of the robot and its tool ball.
-    pub parameters: Vec<ParamId>,
-    /// A root of the covariance, C = root root': a row each parameter, then a row each coefficient of the joints' errors
-    /// in the order of [`super::JointErrors::terms`].
-    pub root: DMatrix<f64>,
     /// Standard deviation with which a pose repeats in each direction, mm.
     pub pose_mm: f64,
     /// Before any length: standard deviation of a smooth function of a joint's angle, and the angle over which it is
@@ -23,6 +19,12 @@ pub struct RobotUncertainty {
     pub likeness_rad: f64,
     /// Whether the sense of approach was known: else backlash is a part of `pose_mm`.
     pub backlash_is_known: bool,
+    /// Parameters of the robot and its tool ball.
+    pub parameters: Vec<ParamId>,
+    /// A root of the covariance, C = root root': a row each parameter, then a row each coefficient of the joints' errors
+    /// in the order of [`super::JointErrors::terms`].
+    #[serde(serialize_with = "write_root", deserialize_with = "read_root")]
+    pub root: DMatrix<f64>,
 }
 
 impl RobotUncertainty {
@@ -62,7 +64,7 @@ impl RobotUncertainty {
     }
 
     /// Whether its rows are those of this robot.
-    fn fits(&self, robot: &Robot) -> bool {
+    pub(super) fn fits(&self, robot: &Robot) -> bool {
         self.root.nrows() == self.parameters.len() + robot.geometry.joint_errors.count()
             && self.root.iter().all(|value| value.is_finite())
             && [self.pose_mm, self.smooth_rad, self.likeness_rad].iter().all(|value| value.is_finite())
@@ -70,46 +72,16 @@ impl RobotUncertainty {
     }
 }
 
-#[derive(Clone, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(super) struct UncertaintyTable {
-    pose_mm: f64,
-    smooth_rad: f64,
-    likeness_rad: f64,
-    backlash_is_known: bool,
-    parameters: Vec<ParamId>,
-    root: Vec<Vec<f64>>,
+fn write_root<S: Serializer>(root: &DMatrix<f64>, to: S) -> Result<S::Ok, S::Error> {
+    to.collect_seq(root.row_iter().map(|row| row.iter().copied().map(rounded).collect::<Vec<f64>>()))
 }
 
-impl UncertaintyTable {
-    pub(super) fn of(uncertainty: &RobotUncertainty) -> Self {
-        let rows = uncertainty.root.row_iter();
-        Self {
-            pose_mm: uncertainty.pose_mm,
-            smooth_rad: uncertainty.smooth_rad,
-            likeness_rad: uncertainty.likeness_rad,
-            backlash_is_known: uncertainty.backlash_is_known,
-            parameters: uncertainty.parameters.clone(),
-            root: rows.map(|row| row.iter().copied().map(rounded).collect()).collect(),
-        }
-    }
-
-    /// `None` where it does not fit the robot.
-    pub(super) fn uncertainty(&self, robot: &Robot) -> Option<RobotUncertainty> {
-        let columns = self.root.first().map_or(0, Vec::len);
-        if self.root.iter().any(|row| row.len() != columns) {
-            return None;
-        }
-        let uncertainty = RobotUncertainty {
-            parameters: self.parameters.clone(),
-            root: DMatrix::from_fn(self.root.len(), columns, |i, j| self.root[i][j]),
-            pose_mm: self.pose_mm,
-            smooth_rad: self.smooth_rad,
-            likeness_rad: self.likeness_rad,
-            backlash_is_known: self.backlash_is_known,
-        };
-        uncertainty.fits(robot).then_some(uncertainty)
-    }
+fn read_root<'de, D: Deserializer<'de>>(from: D) -> Result<DMatrix<f64>, D::Error> {
+    let rows: Vec<Vec<f64>> = Vec::deserialize(from)?;
+    let columns = rows.first().map_or(0, Vec::len);
+    // Rows that differ in length fit no robot.
+    let whole = rows.iter().all(|row| row.len() == columns);
+    Ok(DMatrix::from_fn(rows.len(), columns, |i, j| if whole { rows[i][j] } else { f64::NAN }))
 }
 
 /// To the digits that are written.

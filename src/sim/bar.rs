@@ -13,9 +13,9 @@ use std::time::Duration;
 use serialport::{SerialPort, TTYPort};
 
 use super::device::{Command, Device, Sends};
+pub use super::device::{Reading, Source};
 use super::fault::{BadLine, Faults};
 use super::link::Link;
-pub use super::source::{Reading, Source};
 use crate::base::clock;
 use crate::base::units::HostNs;
 use crate::catalogue::SimulationFinding;

@@ -6,43 +6,6 @@ use rand_pcg::Pcg64;
 use crate::catalogue::SimulationFinding;
 use crate::diagnostic::Diagnostic;
 
-/// The faults by name; rates are probabilities per byte, and all are off at 0.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Faults {
-    /// A byte is lost.
-    pub drop: f64,
-    /// A bit of a byte is flipped.
-    pub flip: f64,
-    /// A byte comes twice.
-    pub double: f64,
-    /// A byte comes in addition.
-    pub insert: f64,
-    /// Bytes are held back and handed over together, every so many ms.
-    pub batch_ms: f64,
-    /// Bytes of a stale stream are there when the host opens the line.
-    pub stale: f64,
-    /// The bar says who it is before its first frame.
-    pub banner: f64,
-    /// The bar sends commands back.
-    pub echo: f64,
-    /// A frame is not sent, as a probability per frame: the bar's menu is open.
-    pub silence: f64,
-    /// The bar refuses a reading, as a probability per frame.
-    pub refuse: f64,
-    /// The sequence number skips one, as a probability per frame.
-    pub skip: f64,
-    /// The counter begins so many ticks before it wraps.
-    pub wrap_ticks: f64,
-    /// The bar's clock is fast by so many parts per million.
-    pub drift_ppm: f64,
-    /// The bar is unplugged after so many s, once.
-    pub unplug_s: f64,
-    /// It comes back after so many s, under another name.
-    pub away_s: f64,
-    /// Readings are this much further out, mm.
-    pub over_mm: f64,
-}
-
 /// A fault by name, with the range of its value.
 struct Kind {
     name: &'static str,
@@ -50,34 +13,57 @@ struct Kind {
     range: [f64; 2],
 }
 
-const fn kind(name: &'static str, field: fn(&mut Faults) -> &mut f64, range: [f64; 2]) -> Kind {
-    Kind { name, field, range }
+macro_rules! faults {
+    ($($(#[$doc:meta])* $name:ident: $range:expr,)+) => {
+        /// The faults by name; rates are probabilities per byte, and all are off at 0.
+        #[derive(Clone, Copy, Debug, Default, PartialEq)]
+        pub struct Faults { $($(#[$doc])* pub $name: f64,)+ }
+
+        const KINDS: &[Kind] =
+            &[$(Kind { name: stringify!($name), field: |faults| &mut faults.$name, range: $range }),+];
+    };
 }
 
-const KINDS: [Kind; 16] = [
-    kind("drop", |faults| &mut faults.drop, [0.0, 1.0]),
-    kind("flip", |faults| &mut faults.flip, [0.0, 1.0]),
-    kind("double", |faults| &mut faults.double, [0.0, 1.0]),
-    kind("insert", |faults| &mut faults.insert, [0.0, 1.0]),
-    kind("batch_ms", |faults| &mut faults.batch_ms, [0.0, 60_000.0]),
-    kind("stale", |faults| &mut faults.stale, [0.0, 1e6]),
-    kind("banner", |faults| &mut faults.banner, [0.0, 1.0]),
-    kind("echo", |faults| &mut faults.echo, [0.0, 1.0]),
-    kind("silence", |faults| &mut faults.silence, [0.0, 1.0]),
-    kind("refuse", |faults| &mut faults.refuse, [0.0, 1.0]),
-    kind("skip", |faults| &mut faults.skip, [0.0, 1.0]),
-    kind("wrap_ticks", |faults| &mut faults.wrap_ticks, [0.0, 4e9]),
-    kind("drift_ppm", |faults| &mut faults.drift_ppm, [-1e6, 1e6]),
-    kind("unplug_s", |faults| &mut faults.unplug_s, [0.0, 1e9]),
-    kind("away_s", |faults| &mut faults.away_s, [0.0, 1e9]),
-    kind("over_mm", |faults| &mut faults.over_mm, [-1e6, 1e6]),
-];
+faults! {
+    /// A byte is lost.
+    drop: [0.0, 1.0],
+    /// A bit of a byte is flipped.
+    flip: [0.0, 1.0],
+    /// A byte comes twice.
+    double: [0.0, 1.0],
+    /// A byte comes in addition.
+    insert: [0.0, 1.0],
+    /// Bytes are held back and handed over together, every so many ms.
+    batch_ms: [0.0, 60_000.0],
+    /// Bytes of a stale stream are there when the host opens the line.
+    stale: [0.0, 1e6],
+    /// The bar says who it is before its first frame.
+    banner: [0.0, 1.0],
+    /// The bar sends commands back.
+    echo: [0.0, 1.0],
+    /// A frame is not sent, as a probability per frame: the bar's menu is open.
+    silence: [0.0, 1.0],
+    /// The bar refuses a reading, as a probability per frame.
+    refuse: [0.0, 1.0],
+    /// The sequence number skips one, as a probability per frame.
+    skip: [0.0, 1.0],
+    /// The counter begins so many ticks before it wraps.
+    wrap_ticks: [0.0, 4e9],
+    /// The bar's clock is fast by so many parts per million.
+    drift_ppm: [-1e6, 1e6],
+    /// The bar is unplugged after so many s, once.
+    unplug_s: [0.0, 1e9],
+    /// It comes back after so many s, under another name.
+    away_s: [0.0, 1e9],
+    /// Readings are this much further out, mm.
+    over_mm: [-1e6, 1e6],
+}
 
 impl Faults {
     /// Sets the one that `--fault NAME=VALUE` names.
     pub fn set(&mut self, name: &str, value: f64) -> Result<(), Diagnostic> {
         let Some(kind) = KINDS.iter().find(|kind| kind.name == name) else {
-            let known = KINDS.map(|kind| kind.name).join(", ");
+            let known = KINDS.iter().map(|kind| kind.name).collect::<Vec<_>>().join(", ");
             return Err(SimulationFinding::UnknownFault { name: name.into(), known }.into());
         };
         let [low, high] = kind.range;

@@ -9,8 +9,6 @@ pub mod ekrl;
 pub mod fault;
 #[cfg(unix)]
 pub mod link;
-#[cfg(unix)]
-mod source;
 pub mod truth;
 pub mod world;
 

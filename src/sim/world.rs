@@ -175,20 +175,9 @@ impl Setup {
 /// A reading of the true bar.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Measured {
-    /// Reading, mm; longer is positive. Out of the stroke it is the stroke's end.
+    /// Reading, mm; longer is positive. Out of the stroke, where a real bar would leave its cup, it is the stroke's end.
     pub reading_mm: f64,
-    /// Whether the balls' distance is inside the stroke.
-    pub stroke: Stroke,
-}
-
-/// Where the balls' distance lies; out of its stroke a real bar would leave its cup.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Stroke {
-    Within,
-    /// Too long.
-    Over,
-    /// Too short.
-    Under,
+    pub in_stroke: bool,
 }
 
 /// The true robot with the bar on it.
@@ -244,16 +233,13 @@ impl World {
         let reading_mm = distance - bar.length_mm;
         let noise_mm = bar.noise_um * 1e-3 * self.normal();
         let [low, high] = bar.stroke_mm;
-        if reading_mm > high {
-            return Measured { reading_mm: high, stroke: Stroke::Over };
-        }
-        if reading_mm < low {
-            return Measured { reading_mm: low, stroke: Stroke::Under };
+        if !(low..=high).contains(&reading_mm) {
+            return Measured { reading_mm: reading_mm.clamp(low, high), in_stroke: false };
         }
         let noisy = reading_mm + noise_mm;
         let step_mm = bar.resolution_um * 1e-3;
         let reading_mm = if step_mm > 0.0 { (noisy / step_mm).round() * step_mm } else { noisy };
-        Measured { reading_mm, stroke: Stroke::Within }
+        Measured { reading_mm, in_stroke: true }
     }
 
     /// The axes behind their play.

@@ -4,7 +4,7 @@ use dbbd::plan::{Job, Kind, Plan};
 use dbbd::program::krl::{Options, Program, Sync, emit};
 use dbbd::robot::Robot;
 use dbbd::robot::inverse::status;
-use dbbd::sim::world::{Setup, Stroke};
+use dbbd::sim::world::{Setup};
 use dbbd::sim::{Controller, Moment, World, truth};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -90,7 +90,7 @@ fn run(seed: u64, text: &str, step_s: f64) -> Ending {
         };
         // On its way to another base ball the robot has no bar.
         mounted &= last.is_none_or(|last| last.centre == moment.centre);
-        strayed |= mounted && world.reading(&moment).stroke != Stroke::Within;
+        strayed |= mounted && !world.reading(&moment).in_stroke;
         if let Err(why) = keeps(&nominal, last.as_ref(), &moment, mounted) {
             return Ending::Failed(format!("seed {seed}: at {:.2} s: {why}", moment.t_s));
         }

@@ -10,7 +10,7 @@ use dbbd::program::krl::{self, Program, Sync, emit};
 use dbbd::recording::matching::{DwellSource, Input, PoseMatching, PoseOutcome, match_poses};
 use dbbd::recording::{DeviceClock, Heard, Report, StreamBuilder, TelegramReader, reported_axes};
 use dbbd::robot::{BallId, Robot};
-use dbbd::sim::world::{Setup, Stroke};
+use dbbd::sim::world::{Setup};
 use dbbd::sim::{Controller, World};
 
 use crate::cell::{calibrated, dbbd, kr60, stderr, with_errors};
@@ -80,7 +80,7 @@ fn driven(plan: &Plan, sync: Sync, override_percent: f64, seed: u64, truth: &Rob
             ticks: Some(DeviceTicks((number as f64 / RATE_HZ * 1e6) as u64)),
             reading_mm: measured.reading_mm,
             trigger: (sync == Sync::Output).then_some(moment.strobe),
-            valid: measured.stroke == Stroke::Within,
+            valid: measured.in_stroke,
             temperature_c: None,
             status: 0,
             offset: 0,

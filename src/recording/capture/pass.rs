@@ -1,12 +1,12 @@
 //! One pass over the records of a capture on disk.
 
 use std::fs::File;
-use std::io;
 use std::path::Path;
 
 use super::reader::{Damage, Part, Reader};
 use super::record::{Event, Record, Stamped};
-use crate::catalogue::{FileFinding, RecordingFinding};
+use crate::base::files;
+use crate::catalogue::RecordingFinding;
 use crate::diagnostic::Diagnostic;
 
 /// Damages that are reported one by one.
@@ -41,16 +41,15 @@ impl Pass {
         mut each: impl FnMut(Stamped) -> Result<(), Diagnostic>,
     ) -> Result<Self, Diagnostic> {
         let name = path.display().to_string();
-        let unreadable =
-            |error: io::Error| Diagnostic::file(&name, FileFinding::Unreadable { why: error.to_string() });
-        let reader = Reader::new(File::open(path).map_err(unreadable)?).map_err(unreadable)?;
+        let unreadable = files::unreadable(&name);
+        let reader = Reader::new(File::open(path).map_err(&unreadable)?).map_err(&unreadable)?;
         if let Some(other) = reader.other_format() {
             return Err(Diagnostic::file(&name, other));
         }
         let version = reader.version();
         let mut pass = Self { version, damages: Vec::new(), records: 0, samples: 0, end: None };
         for part in reader {
-            match part.map_err(unreadable)? {
+            match part.map_err(&unreadable)? {
                 Part::Record(stamped) => {
                     pass.count(&stamped.record);
                     each(stamped)?;

@@ -9,7 +9,7 @@ use super::Run;
 use super::plan_files::{attached_plan, attached_text, identity, read_plan};
 use super::temperature::Temperatures;
 use crate::base::files;
-use crate::catalogue::{FileFinding, RecordingFinding};
+use crate::catalogue::RecordingFinding;
 use crate::device::protocol::Definition;
 use crate::diagnostic::{Diagnostic, Severity};
 use crate::plan::Plan;
@@ -26,8 +26,7 @@ pub fn is_capture(path: &Path) -> Result<bool, Diagnostic> {
     const GLIMPSE: u64 = 1 << 16;
     let mut first = Vec::new();
     let read = std::fs::File::open(path).and_then(|file| file.take(GLIMPSE).read_to_end(&mut first));
-    let unreadable = |error: std::io::Error| FileFinding::Unreadable { why: error.to_string() };
-    read.map_err(|error| Diagnostic::file(&path.display().to_string(), unreadable(error)))?;
+    read.map_err(files::unreadable(path.display()))?;
     Ok(capture::is_capture(&first))
 }
 

@@ -20,7 +20,7 @@ fn unsolved(why: Unsolved) -> ProgramFinding {
 impl Controller {
     /// A system variable that is a frame.
     fn frame(&self, name: &str) -> Pose {
-        let value = self.system.get(name).map(|variable| &variable.value);
+        let value = self.system(name);
         let component = |name: &str| {
             value.and_then(|value| value.field(name)).and_then(|value| value.number().ok()).unwrap_or(0.0)
         };
@@ -76,7 +76,7 @@ impl Controller {
             }
         };
         self.check_limits(&target).at(span)?;
-        let percent = |name: &str, i: usize| match self.system.get(name).map(|variable| &variable.value) {
+        let percent = |name: &str, i: usize| match self.system(name) {
             Some(Value::Array(axes)) => axes.get(i).and_then(|value| value.number().ok()).unwrap_or(100.0),
             _ => 100.0,
         };
@@ -144,8 +144,8 @@ impl Controller {
 
     fn begin_tool(&mut self, path: Path, length_mm: f64) -> Result<(), ProgramFinding> {
         let setting = |name: &str, field: &str| {
-            let variable = self.system.get(name).map(|variable| &variable.value);
-            let value = variable.and_then(|value| value.field(field)).and_then(|value| value.number().ok());
+            let value =
+                self.system(name).and_then(|value| value.field(field)).and_then(|value| value.number().ok());
             let unset = || ProgramFinding::NoSpeed { variable: format!("{name}.{field}") };
             value.filter(|value| *value > 0.0).ok_or_else(unset)
         };
@@ -173,7 +173,7 @@ impl Controller {
 
     /// Refuses a mode other than the one that is simulated.
     fn simulated(&self, name: &str, mode: &str) -> Result<(), ProgramFinding> {
-        match self.system.get(name).map(|variable| &variable.value) {
+        match self.system(name) {
             Some(Value::Enum(word)) if word != mode => Err(ProgramFinding::Unsupported {
                 what: format!("{name}=#{word}"),
                 instead: format!("the simulator knows {name}=#{mode}"),

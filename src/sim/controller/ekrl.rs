@@ -46,15 +46,7 @@ impl Controller {
     /// The `Id` of an answer that has come.
     pub fn answer(&mut self, id: i64) {
         self.ekrl.answers.push_back(id);
-        self.set_flag(ANSWERED, true);
-    }
-
-    fn set_flag(&mut self, flag: usize, level: bool) {
-        if let Some(Value::Array(flags)) = self.system.get_mut("$FLAG").map(|variable| &mut variable.value)
-            && let Some(here) = flag.checked_sub(1).and_then(|at| flags.get_mut(at))
-        {
-            *here = Value::Bool(level);
-        }
+        self.set_bit("$FLAG", ANSWERED, true);
     }
 
     /// An `EKI_..` function; its value is the status that KUKA's give.
@@ -92,7 +84,7 @@ impl Controller {
             }
             ("EKI_OPEN" | "EKI_CLOSE", _) => {
                 self.ekrl.open = name == "EKI_OPEN";
-                self.set_flag(CONNECTED, self.ekrl.open);
+                self.set_bit("$FLAG", CONNECTED, self.ekrl.open);
             }
             ("EKI_SEND", _) => {
                 let telegram = self.ekrl.telegram(&path);

@@ -219,9 +219,14 @@ impl Controller {
         Ok(())
     }
 
+    /// The value of a system variable.
+    fn system(&self, name: &str) -> Option<&Value> {
+        self.system.get(name).map(|variable| &variable.value)
+    }
+
     /// `$OV_PRO` as a share.
     fn override_share(&self) -> f64 {
-        let percent = self.system.get("$OV_PRO").and_then(|variable| variable.value.number().ok());
+        let percent = self.system("$OV_PRO").and_then(|value| value.number().ok());
         percent.unwrap_or(100.0).clamp(0.0, 100.0) / 100.0
     }
 
@@ -237,7 +242,7 @@ impl Controller {
 
     /// The level of an output, from 1.
     fn output(&self, output: usize) -> bool {
-        match self.system.get("$OUT").map(|variable| &variable.value) {
+        match self.system("$OUT") {
             Some(Value::Array(levels)) => {
                 output.checked_sub(1).and_then(|at| levels.get(at)) == Some(&Value::Bool(true))
             }
@@ -246,8 +251,13 @@ impl Controller {
     }
 
     fn set_output(&mut self, output: usize, level: bool) {
-        if let Some(Value::Array(levels)) = self.system.get_mut("$OUT").map(|variable| &mut variable.value)
-            && let Some(here) = output.checked_sub(1).and_then(|at| levels.get_mut(at))
+        self.set_bit("$OUT", output, level);
+    }
+
+    /// Sets an element, from 1, of a system variable that is an array of BOOL.
+    fn set_bit(&mut self, array: &str, number: usize, level: bool) {
+        if let Some(Value::Array(levels)) = self.system.get_mut(array).map(|variable| &mut variable.value)
+            && let Some(here) = number.checked_sub(1).and_then(|at| levels.get_mut(at))
         {
             *here = Value::Bool(level);
         }

@@ -7,14 +7,12 @@ use super::store::{self, Names, Variable};
 use super::{Activity, Controller, Signal};
 use crate::catalogue::ProgramFinding;
 use crate::diagnostic::Diagnostic;
+use crate::program::compensate::HOME_DEG;
 use crate::program::krl::Program;
 use crate::program::krl::evaluate::{At, Fault};
 use crate::program::krl::syntax::{DataItem, DeclarationKind, Declared, Part, Place};
 use crate::program::krl::value::{Type, Value};
-use crate::robot::{AXES, Robot};
-
-/// Where the robot is before the program: KUKA's home, degrees.
-const HOME_DEG: [f64; AXES] = [0.0, -90.0, 90.0, 0.0, 0.0, 0.0];
+use crate::robot::Robot;
 
 impl Controller {
     /// A controller of the nominal `robot` with `program` selected, at `override_percent` (1 to 100).

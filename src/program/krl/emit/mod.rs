@@ -13,19 +13,18 @@
 use std::net::SocketAddrV4;
 
 use minijinja::syntax::SyntaxConfig;
-use minijinja::value::Serde;
-use minijinja::{Environment, UndefinedBehavior};
-use serde::Serialize;
+use minijinja::value::{Serde, Value};
+use minijinja::{Environment, UndefinedBehavior, context};
 
 use crate::catalogue::{ProgramFinding, ReportFinding};
 use crate::diagnostic::Diagnostic;
-use crate::plan::job::{self, Outputs};
+use crate::plan::job::Outputs;
 use crate::plan::timing::{ACCELERATION_DEG_S2, ACCELERATION_MM_S2, PTP_ACCELERATION_PERCENT};
-use crate::plan::{Kind, MODULE_DWELLS, Motion, Pass, Plan, PlanRow};
+use crate::plan::{Frames, Kind, MODULE_DWELLS, Motion, Plan, PlanRow};
 use crate::program::krl::header;
-use crate::program::sequence::{self, Bar, Module, Timed, modules};
+use crate::program::sequence::{Bar, Module, Step, Timed, modules};
 use crate::provenance::Provenance;
-use crate::robot::{AXES, Joint, Mass, Robot};
+use crate::robot::{Joint, Robot};
 
 /// Lines that a module may have: longer files are known to make trouble on old controllers.
 const LINES: usize = 2000;
@@ -79,12 +78,14 @@ pub fn run_number(hash: &str) -> Option<u32> {
 /// The modules of a plan, each a file name and its text (ASCII, CR LF). The first is the master's code.
 pub fn emit(plan: &Plan, options: Options) -> Result<Vec<(String, String)>, Diagnostic> {
     let robot = Robot::from_toml("the plan's robot", &plan.header.robot)?;
-    let writer = Writer::new(plan, robot.controller(), options)?;
+    let engine = engine().map_err(|error| no_text("KRL", &error))?;
+    let writer = Writer { plan, options, texts: texts(plan, robot.controller(), options)?, engine };
     let modules = modules(plan)?;
-    let of_all = Circles {
-        plan: &writer.texts,
-        modules: modules.iter().zip(1..).map(|(module, number)| Called::new(module, number)).collect(),
-    };
+    let called = modules.iter().zip(1..).map(|(module, number)| {
+        let stays = module.bar == Bar::Stays;
+        context! { name => name(number), stays => stays }
+    });
+    let of_all = context! { plan => &writer.texts, modules => called.collect::<Value>() };
     let mut files = vec![
         ("DBB_MAIN.src".into(), writer.fill("main.src", &of_all)?),
         ("DBB_MAIN.dat".into(), writer.fill("main.dat", &of_all)?),
@@ -93,168 +94,66 @@ pub fn emit(plan: &Plan, options: Options) -> Result<Vec<(String, String)>, Diag
         if options.controller == Controller::Krc2 {
             return Err(ProgramFinding::NoEthernetKrl.into());
         }
-        let address = Address { ip: server.ip().to_string(), port: server.port() };
+        let address = context! { ip => server.ip().to_string(), port => server.port() };
         files.push(("DbbEki.xml".into(), writer.fill("channel.xml", &address)?));
     }
-    for (module, called) in modules.iter().zip(of_all.modules) {
-        files.extend(writer.module(module, called)?);
+    for (module, number) in modules.iter().zip(1..) {
+        files.extend(writer.module(module, &name(number))?);
     }
     Ok(files)
 }
 
+fn name(number: usize) -> String {
+    format!("DBB_C{number:03}")
+}
+
 /// What every file may say of the plan.
-#[derive(Serialize)]
-struct Texts<'a> {
-    hash: String,
-    robot: String,
-    run: u32,
-    /// Comments that say what the program was made from.
-    made: Vec<String>,
-    krc2: bool,
-    sync: &'static str,
-    outputs: &'a Outputs,
-    bar: &'a job::Bar,
-    settle_s: f64,
-    tool: [f64; 6],
-    base: [f64; 6],
-    payload: Option<Payload>,
-    ptp_acceleration_percent: f64,
-    acceleration_mm_s2: f64,
-    acceleration_deg_s2: f64,
-}
-
-#[derive(Serialize)]
-struct Payload {
-    kg: f64,
-    centre: [f64; 6],
-}
-
-#[derive(Serialize)]
-struct Circles<'a> {
-    plan: &'a Texts<'a>,
-    modules: Vec<Called>,
-}
-
-#[derive(Serialize)]
-struct Called {
-    name: String,
-    stays: bool,
-}
-
-#[derive(Serialize)]
-struct Address {
-    ip: String,
-    port: u16,
-}
-
-#[derive(Serialize)]
-struct Circle<'a> {
-    plan: &'a Texts<'a>,
-    #[serde(flatten)]
-    called: Called,
-    circle: u32,
-    ball: u32,
-    centre: [f64; 6],
-    start_deg: [f64; AXES],
-    start_percent: f64,
-    steps: Vec<Step<'a>>,
-    end_mark: usize,
-    points: Vec<Point>,
-    /// Of the plan, by dwell.
-    rows: Vec<u32>,
-    /// Whether it has dwells, and passes.
-    stops: bool,
-    passes: bool,
-}
-
-/// A motion to a row of the module, counted from 1, or the pass that ends there.
-#[derive(Serialize)]
-struct Step<'a> {
-    row: usize,
-    /// Of the dwell or pass.
-    number: Option<usize>,
-    pass: Option<&'a Pass>,
-    index: u32,
-    kind: Kind,
-    motion: Motion,
-    through: Option<usize>,
-    axis_percent: f64,
-    dwell_s: f64,
-}
-
-#[derive(Serialize)]
-struct Point {
-    pose: [f64; 6],
-    status: u8,
-    turn: u8,
-    /// Along the path, m/s, and of the orientation, deg/s.
-    speeds: Option<[f64; 2]>,
-}
-
-impl Called {
-    fn new(module: &Module<'_>, number: usize) -> Self {
-        Self { name: format!("DBB_C{number:03}"), stays: module.bar == Bar::Stays }
-    }
-}
-
-impl<'a> Step<'a> {
-    fn new(module: &Module<'a>, step: &sequence::Step<'a>) -> Option<Self> {
-        let Timed { row, time, .. } = module.rows.get(step.row().checked_sub(1)?)?;
-        let (number, pass, through) = match *step {
-            sequence::Step::Move { dwell, through, .. } => (dwell, None, through),
-            sequence::Step::Pass { number, pass, .. } => (Some(number), Some(pass), None),
-        };
-        let &PlanRow { index, kind, motion, dwell_s, .. } = *row;
-        let (row, axis_percent) = (step.row(), time.axis_percent);
-        Some(Self { row, number, pass, index, kind, motion, through, axis_percent, dwell_s })
-    }
+fn texts(plan: &Plan, robot: &Robot, options: Options) -> Result<Value, Diagnostic> {
+    let job = &plan.header.job;
+    let sync = match options.sync {
+        Sync::Marker => "marker",
+        Sync::Output => "output",
+        Sync::Ekrl { .. } => "ekrl",
+    };
+    let [.., a, b, c] = job.motion.tool.unwrap_or_default();
+    let [x, y, z] = robot.geometry.tool.into();
+    // The one mass on the flange, where the robot file has it.
+    let mut carried = robot.geometry.masses.iter().filter(|mass| mass.joint == Joint::J6);
+    let payload = carried.next().filter(|_| carried.next().is_none());
+    Ok(context! {
+        hash => character_text(&plan.header.hash, 32),
+        robot => character_text(&robot.name, 64),
+        run => run_number(&plan.header.hash).unwrap_or(0),
+        // What the program was made from.
+        made => Value::from_iter(header::lines(&Provenance::of([&plan.traced()?]))?),
+        krc2 => options.controller == Controller::Krc2,
+        sync => sync,
+        outputs => Serde(&job.motion.outputs),
+        bar => Serde(&job.bar),
+        settle_s => job.motion.settle_s,
+        tool => Serde([x, y, z, a, b, c]),
+        base => Serde(job.motion.base.unwrap_or_default()),
+        payload => payload.map(|mass| context! { kg => mass.kg, centre => unturned(mass.centre.into()) }),
+        ptp_acceleration_percent => PTP_ACCELERATION_PERCENT,
+        acceleration_mm_s2 => ACCELERATION_MM_S2,
+        acceleration_deg_s2 => ACCELERATION_DEG_S2,
+    })
 }
 
 struct Writer<'a> {
     plan: &'a Plan,
-    texts: Texts<'a>,
+    options: Options,
+    texts: Value,
     engine: Environment<'static>,
 }
 
-impl<'a> Writer<'a> {
-    fn new(plan: &'a Plan, robot: &Robot, options: Options) -> Result<Self, Diagnostic> {
-        let job = &plan.header.job;
-        let [.., a, b, c] = job.motion.tool.unwrap_or_default();
-        let [x, y, z] = robot.geometry.tool.into();
-        // The one mass on the flange, where the robot file has it.
-        let mut carried = robot.geometry.masses.iter().filter(|mass| mass.joint == Joint::J6);
-        let payload = |&Mass { kg, centre, .. }: &Mass| Payload { kg, centre: unturned(centre.into()) };
-        let texts = Texts {
-            hash: character_text(&plan.header.hash, 32),
-            robot: character_text(&robot.name, 64),
-            run: run_number(&plan.header.hash).unwrap_or(0),
-            made: header::lines(&Provenance::of([&plan.traced()?]))?,
-            krc2: options.controller == Controller::Krc2,
-            sync: match options.sync {
-                Sync::Marker => "marker",
-                Sync::Output => "output",
-                Sync::Ekrl { .. } => "ekrl",
-            },
-            outputs: &job.motion.outputs,
-            bar: &job.bar,
-            settle_s: job.motion.settle_s,
-            tool: [x, y, z, a, b, c],
-            base: job.motion.base.unwrap_or_default(),
-            payload: carried.next().filter(|_| carried.next().is_none()).map(payload),
-            ptp_acceleration_percent: PTP_ACCELERATION_PERCENT,
-            acceleration_mm_s2: ACCELERATION_MM_S2,
-            acceleration_deg_s2: ACCELERATION_DEG_S2,
-        };
-        let engine = engine().map_err(|error| no_text("KRL", &error))?;
-        Ok(Self { plan, texts, engine })
-    }
-
-    fn fill(&self, template: &str, context: &impl Serialize) -> Result<String, Diagnostic> {
-        let text = self.engine.get_template(template).and_then(|template| template.render(Serde(context)));
+impl Writer<'_> {
+    fn fill(&self, template: &str, context: &Value) -> Result<String, Diagnostic> {
+        let text = self.engine.get_template(template).and_then(|template| template.render(context));
         text.map(|text| text.replace('\n', "\r\n")).map_err(|error| no_text(template, &error))
     }
 
-    fn module(&self, module: &Module<'_>, called: Called) -> Result<[(String, String); 2], Diagnostic> {
+    fn module(&self, module: &Module<'_>, name: &str) -> Result<[(String, String); 2], Diagnostic> {
         let (circle, dwells) = (module.circle, module.counted().count());
         if dwells > MODULE_DWELLS as usize {
             return Err(ProgramFinding::TooManyDwells { circle, dwells, most: MODULE_DWELLS }.into());
@@ -265,46 +164,69 @@ impl<'a> Writer<'a> {
         let Some(table) = job.centres.iter().find(|table| table.id == ball) else {
             return Err(ProgramFinding::NoBall { ball }.into());
         };
-        if self.texts.sync == "output" {
+        if self.options.sync == Sync::Output {
             check_outputs(&job.motion.outputs)?;
         }
+        module.rows.iter().try_for_each(check)?;
         let frames = job.motion.frames();
-        let point = |timed: &Timed<'_>| {
-            check(timed)?;
-            let Timed { row, time, .. } = timed;
-            let ([x, y, z], [a, b, c]) = frames.printed(row);
-            let straight = row.motion != Motion::Ptp && !timed.is_auxiliary();
-            let speeds = straight.then_some([time.feed_mm_s * 1e-3, time.turn_deg_s]);
-            Ok(Point { pose: [x, y, z, a, b, c], status: row.status, turn: row.turn, speeds })
+        let context = context! {
+            plan => &self.texts,
+            name => name,
+            circle => circle,
+            ball => ball,
+            stays => module.bar == Bar::Stays,
+            centre => unturned(table.xyz_mm),
+            start_deg => Serde(module.start.row.axes_deg),
+            start_percent => module.start.time.axis_percent,
+            steps => steps.iter().map(step_text).collect::<Value>(),
+            end_mark => module.end_mark(),
+            points => module.rows.iter().map(|timed| point_text(timed, &frames)).collect::<Value>(),
+            rows => module.counted().map(|timed| timed.row.index).collect::<Value>(),
+            stops => module.rows.iter().any(|timed| timed.row.kind != Kind::Transit),
+            passes => module.rows.iter().any(|timed| timed.pass.is_some()),
         };
-        let circle_text = Circle {
-            plan: &self.texts,
-            circle,
-            ball,
-            centre: unturned(table.xyz_mm),
-            start_deg: module.start.row.axes_deg,
-            start_percent: module.start.time.axis_percent,
-            steps: steps.iter().filter_map(|step| Step::new(module, step)).collect(),
-            end_mark: module.end_mark(),
-            points: module.rows.iter().map(point).collect::<Result<_, ProgramFinding>>()?,
-            rows: module.counted().map(|timed| timed.row.index).collect(),
-            stops: module.rows.iter().any(|timed| timed.row.kind != Kind::Transit),
-            passes: module.rows.iter().any(|timed| timed.pass.is_some()),
-            called,
-        };
-        let texts = [self.fill("circle.src", &circle_text)?, self.fill("circle.dat", &circle_text)?];
-        let lines = texts.iter().map(|text| text.matches('\n').count()).max().unwrap_or(0);
+        let (source, data) = (self.fill("circle.src", &context)?, self.fill("circle.dat", &context)?);
+        let lines = source.matches('\n').count().max(data.matches('\n').count());
         if lines > LINES {
             return Err(ProgramFinding::TooManyLines { circle, lines, most: LINES }.into());
         }
-        let [source, data] = texts;
-        let name = circle_text.called.name;
         Ok([(format!("{name}.src"), source), (format!("{name}.dat"), data)])
     }
 }
 
-fn unturned([x, y, z]: [f64; 3]) -> [f64; 6] {
-    [x, y, z, 0.0, 0.0, 0.0]
+fn step_text(step: &Step<'_>) -> Value {
+    match *step {
+        Step::Pass { row, pass, number } => context! { row => row, pass => Serde(pass), number => number },
+        Step::Move { row, timed: Timed { row: pose, time, .. }, through, dwell } => context! {
+            row => row,
+            pass => false,
+            number => dwell,
+            through => through,
+            index => pose.index,
+            kind => Serde(pose.kind),
+            motion => Serde(pose.motion),
+            dwell_s => pose.dwell_s,
+            axis_percent => time.axis_percent,
+        },
+    }
+}
+
+fn point_text(timed: &Timed<'_>, frames: &Frames) -> Value {
+    let Timed { row, time, .. } = timed;
+    let ([x, y, z], [a, b, c]) = frames.printed(row);
+    // Along the path, m/s, and of the orientation, deg/s.
+    let speeds = || Value::from_iter([time.feed_mm_s * 1e-3, time.turn_deg_s]);
+    let has_speeds = row.motion != Motion::Ptp && !timed.is_auxiliary();
+    context! {
+        pose => Serde([x, y, z, a, b, c]),
+        status => row.status,
+        turn => row.turn,
+        speeds => has_speeds.then(speeds),
+    }
+}
+
+fn unturned([x, y, z]: [f64; 3]) -> Value {
+    Serde([x, y, z, 0.0, 0.0, 0.0]).into()
 }
 
 fn engine() -> Result<Environment<'static>, minijinja::Error> {

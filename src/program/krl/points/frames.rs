@@ -50,29 +50,12 @@ impl Slot {
 /// A frame, or why it is not known; the same reason is the same frame.
 pub(super) type Frame = Result<Pose, CompensationFinding>;
 
-/// `$TOOL` and `$BASE`.
-#[derive(Clone, Debug, PartialEq)]
-pub(super) struct Following {
-    pub(super) tool: Frame,
-    pub(super) base: Frame,
-}
+/// `$TOOL` and `$BASE`, by [`Slot`].
+pub(super) type Following = [Frame; 2];
 
-impl Following {
-    /// Neither known, for a reason.
-    pub(super) fn unknown(why: impl Fn(&'static str) -> CompensationFinding) -> Self {
-        Self { tool: Err(why(Slot::Tool.name())), base: Err(why(Slot::Base.name())) }
-    }
-
-    fn start() -> Self {
-        Self::unknown(|frame| CompensationFinding::FrameNotSet { frame })
-    }
-
-    fn slot(&mut self, slot: Slot) -> &mut Frame {
-        match slot {
-            Slot::Tool => &mut self.tool,
-            Slot::Base => &mut self.base,
-        }
-    }
+/// Neither known, for a reason.
+pub(super) fn unknown(why: impl Fn(&'static str) -> CompensationFinding) -> Following {
+    [Slot::Tool, Slot::Base].map(|slot| Err(why(slot.name())))
 }
 
 /// What an open block does when its end is reached.
@@ -100,7 +83,7 @@ pub(super) struct Follower {
 
 impl Follower {
     pub(super) fn new() -> Self {
-        Self { now: Following::start(), open: Vec::new() }
+        Self { now: unknown(|frame| CompensationFinding::FrameNotSet { frame }), open: Vec::new() }
     }
 
     /// Notes that a motion runs under the frames as they are.
@@ -143,12 +126,11 @@ impl Follower {
             };
         }
         let line = file.line(line.span.start);
-        let chosen = Following::unknown(|frame| CompensationFinding::FrameChosen { frame, line });
-        if self.now.tool != open.before.tool || open.differs {
-            self.now.tool = chosen.tool;
-        }
-        if self.now.base != open.before.base || open.differs {
-            self.now.base = chosen.base;
+        let chosen = unknown(|frame| CompensationFinding::FrameChosen { frame, line });
+        for ((now, before), chosen) in self.now.iter_mut().zip(open.before).zip(chosen) {
+            if *now != before || open.differs {
+                *now = chosen;
+            }
         }
         Ok(())
     }
@@ -166,8 +148,8 @@ impl Values<'_> {
     /// Takes what a line sets of the frames; whether it did.
     pub(super) fn set(&self, frames: &mut Following, line: &Line<'_>) -> Result<bool, Diagnostic> {
         match line.word.as_str() {
-            "$TOOL" => *frames.slot(Slot::Tool) = self.assigned(Slot::Tool, line)?,
-            "$BASE" => *frames.slot(Slot::Base) = self.assigned(Slot::Base, line)?,
+            "$TOOL" => frames[Slot::Tool as usize] = self.assigned(Slot::Tool, line)?,
+            "$BASE" => frames[Slot::Base as usize] = self.assigned(Slot::Base, line)?,
             "BAS" => return self.bas(frames, line),
             "FDAT_ACT" => {
                 let mut parser = line.parser(self.file)?;
@@ -204,7 +186,7 @@ impl Values<'_> {
         parser.advance();
         parser.sign(",")?;
         let index = parser.expression()?;
-        *frames.slot(slot) = match index.index() {
+        frames[slot as usize] = match index.index() {
             Some(number) => self.numbered(slot, number, &index.span)?,
             None => self.computed(slot, &index.span),
         };
@@ -219,7 +201,7 @@ impl Values<'_> {
             if let Some(slot) = slot
                 && parser.accept_sign("=")
             {
-                *frames.slot(slot) = self.value(slot, parser)?;
+                frames[slot as usize] = self.value(slot, parser)?;
             }
         }
         Ok(())
@@ -263,7 +245,8 @@ impl Values<'_> {
             }
             parser.advance();
         }
-        Ok(if function == "SBASE" { companion.base } else { companion.tool })
+        let [tool, base] = companion;
+        Ok(if function == "SBASE" { base } else { tool })
     }
 
     fn named(&self, slot: Slot, place: &Place) -> Result<Frame, Diagnostic> {
@@ -316,10 +299,7 @@ impl Values<'_> {
     /// The frames of an inline form's FDAT.
     fn companion(&self, name: &str, span: &Span) -> Result<Following, Diagnostic> {
         let Some(constant) = self.constants.get((name, None)) else {
-            return Ok(Following::unknown(|frame| CompensationFinding::FrameElsewhere {
-                frame,
-                name: name.into(),
-            }));
+            return Ok(unknown(|frame| CompensationFinding::FrameElsewhere { frame, name: name.into() }));
         };
         let wrong = |why: String| {
             self.file.wrong(span, CompensationFinding::PointIncomplete { name: name.into(), why })
@@ -339,9 +319,7 @@ impl Values<'_> {
             });
             index.ok_or_else(|| wrong(format!("{name} is missing")))
         };
-        Ok(Following {
-            tool: self.numbered(Slot::Tool, number("TOOL_NO")?, span)?,
-            base: self.numbered(Slot::Base, number("BASE_NO")?, span)?,
-        })
+        let tool = self.numbered(Slot::Tool, number("TOOL_NO")?, span)?;
+        Ok([tool, self.numbered(Slot::Base, number("BASE_NO")?, span)?])
     }
 }

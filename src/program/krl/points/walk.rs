@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use super::frames::{Follower, Following, Frame, Slot, Values};
+use super::frames::{Follower, Following, Slot, Values, unknown};
 use super::line::{Line, lines};
 use super::{Files, Given, Leg, PointProgram, TaughtPoint};
 use crate::catalogue::{CompensationFinding, ProgramFinding};
@@ -126,7 +126,7 @@ impl<'a> Walk<'a> {
                         named.extend(self.points_in(&line));
                     }
                     if !set && setters.iter().any(|name| name == word) {
-                        follower.now = Following::unknown(|frame| CompensationFinding::FrameInRoutine {
+                        follower.now = unknown(|frame| CompensationFinding::FrameInRoutine {
                             frame,
                             routine: word.into(),
                         });
@@ -294,9 +294,8 @@ impl<'a> Walk<'a> {
         let frames = match target {
             Target::Axes(_) => None,
             Target::Pose { .. } => {
-                let tool = self.resolve(Slot::Tool, &running.frames.tool, &running.line.span)?;
-                let base = self.resolve(Slot::Base, &running.frames.base, &running.line.span)?;
-                Some(Frames { tool, base })
+                let tool = self.resolve(Slot::Tool, running)?;
+                Some(Frames { tool, base: self.resolve(Slot::Base, running)? })
             }
         };
         Ok(TaughtPoint {
@@ -313,12 +312,10 @@ impl<'a> Walk<'a> {
     }
 
     /// What the program sets, else what the user gave.
-    fn resolve(&mut self, slot: Slot, frame: &Frame, span: &Span) -> Result<Pose, Diagnostic> {
-        let (given, used_for) = match slot {
-            Slot::Tool => (self.given.tool, &mut self.given_for[0]),
-            Slot::Base => (self.given.base, &mut self.given_for[1]),
-        };
-        let wrong = |finding: CompensationFinding| self.files.source.wrong(span, finding);
+    fn resolve(&mut self, slot: Slot, running: &Running<'_>) -> Result<Pose, Diagnostic> {
+        let (at, frame) = (slot as usize, &running.frames[slot as usize]);
+        let (given, used_for) = ([self.given.tool, self.given.base][at], &mut self.given_for[at]);
+        let wrong = |finding: CompensationFinding| self.files.source.wrong(&running.line.span, finding);
         let option = slot.option();
         match (frame, given) {
             (Ok(pose), None) => Ok(*pose),
