@@ -5,7 +5,7 @@ use dbbd::diagnostic::Diagnostic;
 use dbbd::plan::{Kind as RowKind, PlanRow};
 use dbbd::program::krl::{Controller as Kind, Options, Program, Sync, emit};
 use dbbd::robot::{Geometry, Pose};
-use dbbd::sim::world::{Setup};
+use dbbd::sim::world::Setup;
 use dbbd::sim::{Controller, Moment, World, truth};
 
 use crate::circle_plan::{BAR_MM, plan, robot};

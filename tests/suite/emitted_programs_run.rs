@@ -4,7 +4,7 @@ use dbbd::plan::{Job, Kind, Plan};
 use dbbd::program::krl::{Options, Program, Sync, emit};
 use dbbd::robot::Robot;
 use dbbd::robot::inverse::status;
-use dbbd::sim::world::{Setup};
+use dbbd::sim::world::Setup;
 use dbbd::sim::{Controller, Moment, World, truth};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;

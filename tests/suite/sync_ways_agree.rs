@@ -10,7 +10,7 @@ use dbbd::program::krl::{self, Program, Sync, emit};
 use dbbd::recording::matching::{DwellSource, Input, PoseMatching, PoseOutcome, match_poses};
 use dbbd::recording::{DeviceClock, Heard, Report, StreamBuilder, TelegramReader, reported_axes};
 use dbbd::robot::{BallId, Robot};
-use dbbd::sim::world::{Setup};
+use dbbd::sim::world::Setup;
 use dbbd::sim::{Controller, World};
 
 use crate::cell::{calibrated, dbbd, kr60, stderr, with_errors};
