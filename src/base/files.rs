@@ -96,3 +96,8 @@ pub fn directory(path: &Path) -> Result<(), Diagnostic> {
         Diagnostic::file(&path.display().to_string(), NoDirectory { why: error.to_string() })
     })
 }
+
+/// Whether two paths are one existing file.
+pub fn same_place(a: &Path, b: &Path) -> bool {
+    matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
+}

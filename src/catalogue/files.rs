@@ -13,10 +13,11 @@ findings! {
             TooLarge { bytes: u64, most: u64 } => "has {bytes} bytes: at most {most} are read";
         }
         E0102 "a file cannot be written",
-        cause: "The directory does not exist, the disk is full, another program has the file open, or this user may not write there.",
+        cause: "The directory does not exist, the disk is full, another program has the file open, this user may not write there, or the file is the one that is read.",
         cure: "Check the path given with --out, the free space and the rights; close the program that shows the file." {
             Unwritable { why: String } => "cannot be written: {why}";
             NoDirectory { why: String } => "cannot be made: {why}";
+            IsRead => "is read by this command: name another directory with --out";
         }
         E0103 "a file is not text",
         cause: "The file is binary, or in an encoding that is not read here: tables are UTF-8, UTF-16 behind a byte order mark or Windows-1252, other files UTF-8.",

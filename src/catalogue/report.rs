@@ -15,5 +15,23 @@ findings! {
         cure: "`dbbd recover` writes a capture without its damaged records; export that one." {
             NotJson { record: String, why: String } => "a {record} record is not JSON: {why}";
         }
+        E1720 "a URDF cannot be read",
+        cause: "The file is no XML, or its joints are not those of a six-axis arm: another number of joints, several arms, a sliding joint, a xacro file that was not expanded.",
+        cure: "Expand xacro files (`xacro FILE > robot.urdf`). Name the six joints with --joints where the file has several chains." {
+            NotXml { why: String } => "{why}";
+            NoSixJoints { chains: usize, joints: String } => "{chains} chains of six movable joints, and one is needed", help: "movable joints: {joints}";
+            OtherJoint { joint: String, kind: String } => "joint `{joint}` is of type `{kind}`, and only turning joints are corrected";
+            NotNumbers { attribute: String } => "`{attribute}` is not three numbers";
+        }
+        E1721 "a URDF is of another robot",
+        cause: "With all joints at zero an axis of the URDF is not where the nominal robot has it: the file is of another robot, or its joints have another zero or sense than the controller's axes.",
+        cure: "Use the URDF of this robot. Change the zero or the sense of a joint in the URDF to that of the controller." {
+            OtherUrdf { joint: String, number: usize, off_mm: f64, off_deg: f64 } => "joint `{joint}` is {off_mm:.1} mm and {off_deg:.2} deg from axis {number} of the nominal robot";
+        }
+        I1722 "a URDF cannot hold all that was identified",
+        cause: "A URDF describes rigid links. Gear errors, compliance, backlash and smooth joint errors have no place in it.",
+        cure: "Nothing to do, if the accuracy suffices; else compute positions with `dbbd predict`, which knows them." {
+            NotInUrdf { mean_mm: f64, max_mm: f64 } => "the URDF leaves out the joints' errors and compliance: {mean_mm:.3} mm at the tool ball in the mean, {max_mm:.3} mm at most, backlash not counted";
+        }
     }
 }

@@ -79,7 +79,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     let data = beside(&args.program, "dat").map(|path| Program::open(&path)).transpose()?;
     let config = args.config.as_deref().map(Program::open).transpose()?;
     for program in [Some(&source), data.as_ref()].into_iter().flatten() {
-        if same_place(&args.out.join(&program.stem), &program.path) {
+        if files::same_place(&args.out.join(&program.stem), &program.path) {
             let directory = args.out.display().to_string();
             return Err(Diagnostic::new(CompensationFinding::WouldOverwrite { directory }));
         }
@@ -212,8 +212,4 @@ fn beside(path: &Path, extension: &str) -> Option<PathBuf> {
         let entry = entry.ok()?;
         entry.file_name().to_str()?.eq_ignore_ascii_case(wanted).then(|| entry.path())
     })
-}
-
-fn same_place(a: &Path, b: &Path) -> bool {
-    matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
 }

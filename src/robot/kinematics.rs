@@ -81,6 +81,16 @@ impl Geometry {
         angles
     }
 
+    /// The same robot with rigid joints that turn as their angles say.
+    pub fn rigid(&self) -> Self {
+        Self {
+            compliance: [0.0; AXES],
+            gear: [[0.0; 2]; AXES],
+            joint_errors: JointErrors::default(),
+            ..self.clone()
+        }
+    }
+
     /// The same robot as it is at poses approached so: its backlash goes into the joint offsets.
     pub fn approached(&self, approach: Approach) -> Self {
         let mut approached = self.clone();

@@ -62,6 +62,7 @@ fn provoked() -> Vec<&'static str> {
         crate::service_runs::provoked(),
         crate::sync_joins::provoked(),
         crate::uncertainties_hold::provoked(),
+        crate::users_urdf_is_patched::provoked(),
         crate::optional_groups_earn_their_place::provoked(),
     ]
     .concat()

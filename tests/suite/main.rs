@@ -94,4 +94,5 @@ mod tables_as_people_have_them;
 mod the_prior_shares_what_is_told;
 mod uncertainties_hold;
 mod unplugged_and_back;
+mod users_urdf_is_patched;
 mod virtual_bar;

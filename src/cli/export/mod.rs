@@ -1,6 +1,7 @@
 //! `dbbd export`.
 
 mod tables;
+mod urdf;
 
 use std::fs::File;
 use std::io::BufWriter;
@@ -16,25 +17,36 @@ use crate::recording::capture::Pass;
 use crate::report::export::mcap::{CHANNELS, McapFile};
 use tables::{Tables, Written};
 
-/// Write a capture's samples, raw bytes, events, gaps and faults as CSV, or as MCAP.
+/// Write a capture's samples, raw bytes, events, gaps and faults as CSV, or as MCAP; or a robot into your URDF.
 ///
 /// CSV for scripts, MCAP for Foxglove, Python and ROS (examples/python, examples/foxglove). More: docs/reference/capture.md.
+/// With --urdf-in the joints' origins in a URDF become those of an identified robot, and nothing else of it changes.
 #[derive(clap::Args)]
 pub(crate) struct Args {
-    /// The capture.
+    /// The capture; with --urdf-in the robot: a built-in name or a TOML file, such as robot-identified.toml.
+    #[arg(value_name = "RUN|ROBOT")]
     run: PathBuf,
     /// Directory for samples.csv, raw.csv, events.csv, gaps.csv and faults.csv: times in ns of the host's
-    /// clock, readings in mm.
+    /// clock, readings in mm; or for the URDF.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// Write one MCAP file (RUN's name with the ending .mcap) instead: the channels raw, samples, faults, events
     /// and gaps as JSON, and the capture's attachments.
     #[arg(long)]
     mcap: bool,
+    /// Your URDF: it is written to DIR under its name with the robot's identified joints.
+    #[arg(long, value_name = "FILE", conflicts_with = "mcap")]
+    urdf_in: Option<PathBuf>,
+    /// The six joints of the arm, base to flange, where the URDF has several chains.
+    #[arg(long, value_name = "NAMES", value_delimiter = ',', requires = "urdf_in")]
+    joints: Vec<String>,
 }
 
 pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     files::directory(&args.out)?;
+    if let Some(users) = &args.urdf_in {
+        return urdf::run(args, users, out);
+    }
     let mut counts = Map::new();
     let pass = if args.mcap {
         let name = Path::new(args.run.file_name().unwrap_or_default()).with_extension("mcap");

@@ -4,3 +4,4 @@ pub mod frames;
 pub mod mastering;
 pub mod mcap;
 pub mod urdf;
+pub mod urdf_patch;

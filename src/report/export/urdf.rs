@@ -78,7 +78,7 @@ fn fixed(name: &str, parent: &str, place_mm: &Vector3<f64>) -> String {
     )
 }
 
-fn origin_tag(place_mm: &Vector3<f64>, rotation: &Matrix3<f64>) -> String {
+pub(super) fn origin_tag(place_mm: &Vector3<f64>, rotation: &Matrix3<f64>) -> String {
     let [x, y, z] = [0, 1, 2].map(|axis| place_mm[axis] * 1e-3);
     let [roll, pitch, yaw] = roll_pitch_yaw(rotation);
     format!("<origin xyz=\"{x} {y} {z}\" rpy=\"{roll} {pitch} {yaw}\"/>")
