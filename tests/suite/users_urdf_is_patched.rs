@@ -127,7 +127,7 @@ fn the_flange_is_where_the_model_has_it() {
         let dir = tempdir().unwrap();
         let users = users(&kr60(), root, seed);
         fs::write(dir.path().join("arm.urdf"), &users.text).unwrap();
-        fs::write(dir.path().join("robot.toml"), robot.to_toml()).unwrap();
+        fs::write(dir.path().join("robot.toml"), robot.to_toml().unwrap()).unwrap();
         let output =
             dbbd(dir.path(), &["export", "robot.toml", "--urdf-in", "arm.urdf", "--out", "out", "--json"]);
         assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
@@ -148,7 +148,7 @@ fn the_flange_is_where_the_model_has_it() {
 fn what_is_no_urdf_of_this_robot_is_refused() {
     let dir = tempdir().unwrap();
     let good = users(&kr60(), pose([0.0; 3], [0.0; 3]), 1).text;
-    fs::write(dir.path().join("robot.toml"), identified().to_toml()).unwrap();
+    fs::write(dir.path().join("robot.toml"), identified().to_toml().unwrap()).unwrap();
     let patch = |text: &str, more: &[&str]| {
         fs::write(dir.path().join("arm.urdf"), text).unwrap();
         let args = ["export", "robot.toml", "--urdf-in", "arm.urdf", "--out", "out"];
@@ -170,7 +170,7 @@ fn what_is_no_urdf_of_this_robot_is_refused() {
     assert_eq!(codes(&patch(&both, &[])), ["E1720"]);
     let names = "joint_1,joint_2,joint_3,joint_4,joint_5,joint_6";
     assert_eq!(patch(&both, &["--joints", names]).status.code(), Some(0));
-    assert!(fs::read_to_string(dir.path().join("out/arm.urdf")).unwrap().ends_with(&(second + "</robot>")));
+    assert!(fs::read_to_string(dir.path().join("out/arm.urdf")).unwrap().ends_with(&(second + "\n</robot>")));
     // The file itself is not written over.
     fs::write(dir.path().join("arm.urdf"), &good).unwrap();
     let output = dbbd(dir.path(), &["export", "robot.toml", "--urdf-in", "arm.urdf", "--out", "."]);
@@ -185,7 +185,7 @@ fn what_a_urdf_cannot_hold_is_said() {
     let mut robot = identified();
     robot.geometry.gear[1] = [1e-3, 0.0];
     fs::write(dir.path().join("arm.urdf"), users(&kr60(), pose([0.0; 3], [0.0; 3]), 1).text).unwrap();
-    fs::write(dir.path().join("robot.toml"), robot.to_toml()).unwrap();
+    fs::write(dir.path().join("robot.toml"), robot.to_toml().unwrap()).unwrap();
     let output =
         dbbd(dir.path(), &["export", "robot.toml", "--urdf-in", "arm.urdf", "--out", "out", "--json"]);
     assert_eq!(codes(&output), ["I1722"]);
