@@ -60,6 +60,39 @@ findings! {
         cure: "Plug the bar in; on Linux `dmesg` shows what the system found." {
             NoPorts => "no serial port is plugged in";
         }
+        E0230 "the address of the port is not valid",
+        cause: "--port has a scheme that is not known, or an address without a host or a port number.",
+        cure: "Write a device (`/dev/ttyUSB0`, `COM3`, `by-id/..`), `tcp://HOST:PORT`, `rfc2217://HOST:PORT` or `sim`." {
+            NoAddress => "the port has no name";
+            AddressScheme { scheme: String } => "no transport `{scheme}://`", help: "a port is a device, tcp://HOST:PORT, rfc2217://HOST:PORT or sim";
+            AddressHost { address: String } => "`{address}`: the host is missing or not valid", help: "HOST:PORT, a number of IPv6 in brackets: [::1]:4001";
+            AddressNumber { address: String } => "`{address}`: the port number is missing or not 0 to 65535", help: "HOST:PORT; the serial server's settings show the number of each of its lines";
+        }
+        E0231 "the serial server cannot be reached",
+        cause: "The host is off or in another network, the name or port number is another, or a firewall is between.",
+        cure: "`ping` the host; compare the port number with the settings of the serial server." {
+            ServerAway { port: String, why: String } => "{port}: {why}", help: "is the serial server on, and is this its address and port number?";
+        }
+        E0232 "the serial server closes the connection at once",
+        cause: "Another program uses the line (a serial server has one user a line), or the server may not open it.",
+        cure: "Close the other program; the page or log of the serial server names the user of each line." {
+            ServerCloses { port: String, said: String } => "{port} closes the connection at once: `{said}`", help: "another program may use the line";
+        }
+        E0233 "the server does not speak RFC 2217",
+        cause: "The line is a raw one, or its server lets nobody set it.",
+        cure: "Use `tcp://` and set rate and bits at the server, or allow RFC 2217 (ser2net: `telnet(rfc2217)`)." {
+            NotRfc2217 { port: String } => "{port} does not speak RFC 2217", help: "try tcp:// in place of rfc2217://";
+        }
+        E0234 "the serial server does not take a setting of the line",
+        cause: "The server or the adapter behind it cannot do this rate, or its administrator has fixed it.",
+        cure: "Set the bar and the protocol's [line] to what the server can do." {
+            SettingRefused { port: String, setting: &'static str, asked: u32, got: String } => "{port}: {setting} {asked} was asked for, the server has {got}";
+        }
+        I0240 "the network blurs times",
+        cause: "Bytes are stamped when they reach this computer; network and serial server hold them back for a time that varies.",
+        cure: "Nothing is to be done for dwells. For a motion without stops use a bar with a clock of its own, or a serial port of this computer." {
+            NetworkBlurs { port: String } => "{port}: the host's times are those of the arrival over the network; a bar with a clock of its own does not mind";
+        }
         W0220 "the port stayed away",
         cause: "The bar was unplugged or switched off during the run, and did not come back within --gone.",
         cure: "What came before is kept. Plug the bar in, check its cable and supply, and repeat the run or identify with what is there." {

@@ -27,10 +27,11 @@ findings! {
             WorldNumber { key: &'static str, value: f64 } => "{key} = {value} is out of range";
             Stroke { low_mm: f64, high_mm: f64 } => "[bar] stroke_mm = [{low_mm}, {high_mm}] must be [low, high]";
         }
-        E1604 "the pseudo terminal of the virtual bar fails",
-        cause: "The system has no pseudo terminal left, or the link cannot be made because a file that is no link has its name.",
-        cure: "Close programs that hold terminals; choose another --link." {
-            Terminal { why: String } => "the virtual bar's pseudo terminal: {why}";
+        E1604 "the line of the virtual bar fails",
+        cause: "The system has no pseudo-terminal left, the address of --listen is taken or none of this computer's, or the link cannot be made because a file that is no link has its name.",
+        cure: "Close programs that hold terminals; choose another --link or --listen." {
+            Terminal { why: String } => "the virtual bar's line: {why}";
+            NotToListenOn { address: String } => "--listen {address}: not an address of the network", help: "tcp://ADDR:PORT or rfc2217://ADDR:PORT";
             NoLink { why: String } => "cannot be made: {why}";
         }
         E1606 "the simulated controller gets no answer over EthernetKRL",
@@ -51,7 +52,7 @@ findings! {
         cure: "Run the step alone, as it is printed." {
             StepFailed { step: String, status: String } => "the step `dbbd {step}` failed ({status})";
             StepNotStarted { step: String, why: String } => "the step `dbbd {step}` could not be run: {why}";
-            NoPort { status: String } => "the simulator gave no pty ({status})", help: "run it alone to see why";
+            NoPort { status: String } => "the simulator gave no port ({status})", help: "run it alone to see why";
             SimulatorFailed { exit_code: i32 } => "the simulator failed (exit code {exit_code})";
             SimulatorGoesOn => "the simulator goes on although its bar is no longer read";
         }

@@ -1,6 +1,5 @@
 //! `dbbd acquire`: the bar's lengths into a capture.
 
-#[cfg(unix)]
 pub(super) mod simulated;
 mod view;
 
@@ -18,7 +17,7 @@ use crate::daemon::{
     ALARM_SHARE, Acquisition, Ending, MountDetector, Options, Progress, Schedule, Server, Summary,
     stop_on_signal, zero,
 };
-use crate::device::port;
+use crate::device::port::{self, PortAddress};
 use crate::diagnostic::Diagnostic;
 use crate::provenance::Identity;
 use crate::recording::run::{self, PlanFiles};
@@ -45,10 +44,11 @@ understood, or the capture was taken away and recording went on in a new file.";
 #[derive(clap::Args, Clone)]
 #[command(after_help = ENDS)]
 pub(crate) struct Args {
-    /// Serial port of the bar: a device, by-id/NAME, or by-path/NAME (see `dbbd ports`); `sim` starts a
-    /// simulated cell that runs the plan, or without one the demo's.
-    #[arg(long)]
-    port: String,
+    /// Where the bar is: a serial port (/dev/ttyUSB0, COM3, by-id/NAME or by-path/NAME, see `dbbd ports`), a raw serial
+    /// server as tcp://HOST:PORT, one whose line is set from here as rfc2217://HOST:PORT, or `sim`: a simulated cell that
+    /// runs the plan, or without one the demo's.
+    #[arg(long, value_name = "PORT")]
+    port: PortAddress,
     /// Protocol of the bar: a built-in name or a TOML file [default: the plan's, else dbb-cobs-1].
     #[arg(long, value_name = "NAME|FILE")]
     protocol: Option<String>,
@@ -101,13 +101,12 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
             out.finding(PortFinding::OpenToNetwork { address: address.to_string() });
         }
     }
-    #[cfg(unix)]
-    if args.port == "sim" {
+    if args.port == PortAddress::Sim {
         let address = server.as_ref().map(Server::address);
         // A telegram has the host's time, so the simulation must keep to it.
         let speed = if address.is_some() { "1" } else { "0" };
         let cell = simulated::Cell::start(args.plan.as_deref(), speed, address, out)?;
-        let args = Args { port: cell.port().into(), plan: Some(cell.plan().into()), ..args.clone() };
+        let args = Args { port: cell.port().clone(), plan: Some(cell.plan().into()), ..args.clone() };
         let verdict = record(&args, identity, server, out)?;
         cell.finish()?;
         return Ok(verdict);
@@ -131,7 +130,7 @@ fn record(
     let schedule =
         plan.as_ref().map_or_else(Schedule::default, |files| Schedule::of(&files.plan, ALARM_SHARE));
     out.detail(format!("protocol {}: {}", definition.id, definition.title));
-    if let Some(finding) = port::quicken(&args.port) {
+    if let Some(finding) = port::blur(&args.port) {
         out.finding(finding);
     }
     if args.zero {
@@ -245,7 +244,7 @@ fn doubts(summary: &Summary, args: &Args) -> Vec<PortFinding> {
     let Summary { ending, progress, .. } = *summary;
     let Progress { missing, lost_bytes, gaps, silent_s, .. } = progress;
     let doubts = [
-        (ending == Ending::Gone, PortFinding::StayedAway { port: args.port.clone(), gone_s: args.gone }),
+        (ending == Ending::Gone, PortFinding::StayedAway { port: args.port.to_string(), gone_s: args.gone }),
         (progress.bytes == 0, PortFinding::NothingReceived),
         (progress.bytes > 0 && !progress.in_step && progress.rejected == 0, PortFinding::NotThisProtocol),
         (

@@ -7,7 +7,11 @@ use std::process::{Child, Command, Stdio};
 use super::Output;
 use crate::base::{clock, program};
 use crate::catalogue::{FileFinding, SimulationFinding};
+use crate::device::port::PortAddress;
 use crate::diagnostic::Diagnostic;
+
+/// Where a simulator of our own listens: a port number that the system chooses, for this computer alone.
+pub(crate) const LOOPBACK: &str = "tcp://127.0.0.1:0";
 
 /// Runs commands in a directory.
 pub(crate) struct Steps<'a> {
@@ -18,7 +22,7 @@ pub(crate) struct Steps<'a> {
 /// A simulator that runs beside the next step.
 pub(crate) struct Simulator {
     child: Child,
-    port: String,
+    port: PortAddress,
 }
 
 impl<'a> Steps<'a> {
@@ -74,7 +78,7 @@ impl<'a> Steps<'a> {
         }
     }
 
-    /// Starts the simulator and waits for the name of its pty, the first line on stdout.
+    /// Starts the simulator and waits for the address of its bar, the first line on stdout.
     pub(crate) fn start(&self, args: &[&str]) -> Result<Simulator, Diagnostic> {
         let failed = |error| failed(args, error);
         let mut command = self.command(args)?;
@@ -83,11 +87,10 @@ impl<'a> Steps<'a> {
         if let Some(stdout) = child.stdout.take() {
             BufReader::new(stdout).read_line(&mut port).map_err(failed)?;
         }
-        let port = port.trim().to_owned();
-        if port.is_empty() {
+        let Ok(port) = port.trim().parse() else {
             let status = child.wait().map_err(failed)?.to_string();
             return Err(SimulationFinding::NoPort { status }.into());
-        }
+        };
         Ok(Simulator { child, port })
     }
 }
@@ -98,8 +101,8 @@ fn failed(args: &[&str], error: std::io::Error) -> Diagnostic {
 }
 
 impl Simulator {
-    /// Name of the virtual bar's pty.
-    pub(crate) fn port(&self) -> &str {
+    /// Where the virtual bar is.
+    pub(crate) fn port(&self) -> &PortAddress {
         &self.port
     }
 
@@ -119,7 +122,7 @@ impl Simulator {
 
 impl Drop for Simulator {
     fn drop(&mut self) {
-        // When the step beside it failed, nobody reads the pty any more; after a normal end this does nothing.
+        // When the step beside it failed, nobody reads the bar any more; after a normal end this does nothing.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }

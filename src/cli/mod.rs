@@ -3,13 +3,11 @@
 mod acquire;
 mod artefact;
 mod check;
-#[cfg(unix)]
 mod child;
 mod circle;
 mod compare;
 mod compensate;
 mod completions;
-#[cfg(unix)]
 mod demo;
 mod explain;
 mod export;
@@ -26,7 +24,6 @@ mod protocols;
 mod recover;
 mod robots;
 mod serve;
-#[cfg(unix)]
 mod simulate;
 mod sync;
 
@@ -82,7 +79,6 @@ pub(crate) struct Common {
 enum Verb {
     Plan(plan::Args),
     Krl(krl::Args),
-    #[cfg(unix)]
     Simulate(simulate::Args),
     Acquire(acquire::Args),
     Sync(sync::Args),
@@ -93,7 +89,6 @@ enum Verb {
     Compare(compare::Args),
     Compensate(compensate::Args),
     Serve(serve::Args),
-    #[cfg(unix)]
     Demo(demo::Args),
     Import(import::Args),
     Info(info::Args),
@@ -143,7 +138,6 @@ pub fn main() -> ExitCode {
     let ended = match &cli.verb {
         Verb::Plan(args) => plan::run(args, &out),
         Verb::Krl(args) => krl::run(args, &out),
-        #[cfg(unix)]
         Verb::Simulate(args) => simulate::run(args, &out),
         Verb::Acquire(args) => acquire::run(args, &out),
         Verb::Sync(args) => sync::run(args, &out),
@@ -154,7 +148,6 @@ pub fn main() -> ExitCode {
         Verb::Compare(args) => compare::run(args, &out),
         Verb::Compensate(args) => compensate::run(args, &out),
         Verb::Serve(args) => serve::run(args, &out),
-        #[cfg(unix)]
         Verb::Demo(args) => demo::run(args, &out),
         Verb::Import(args) => import::run(args, &out),
         Verb::Info(args) => info::run(args, &out),

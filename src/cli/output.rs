@@ -15,7 +15,7 @@ use serde::Serialize;
 use super::{Common, Outcome};
 use crate::base::serialised;
 use crate::base::table::{Layout, Table};
-use crate::catalogue::{CliFinding, CompensationFinding, EstimationFinding, FileFinding};
+use crate::catalogue::{CliFinding, CompensationFinding, EstimationFinding, FileFinding, PortFinding};
 use crate::diagnostic::{Code, Diagnostic, Finding, Severity};
 
 /// How often a line on the terminal moves.
@@ -248,7 +248,10 @@ fn code(why: &(dyn Error + 'static)) -> Option<Code> {
     fn of<F: Finding + Error + 'static>(why: &(dyn Error + 'static)) -> Option<Code> {
         why.downcast_ref::<F>().map(Finding::code)
     }
-    of::<CliFinding>(why).or_else(|| of::<EstimationFinding>(why)).or_else(|| of::<CompensationFinding>(why))
+    of::<CliFinding>(why)
+        .or_else(|| of::<EstimationFinding>(why))
+        .or_else(|| of::<CompensationFinding>(why))
+        .or_else(|| of::<PortFinding>(why))
 }
 
 /// Reports the error, if there is one; the exit code. A warning that was reported is a doubt, whatever the verb.

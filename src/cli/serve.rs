@@ -6,10 +6,10 @@ use std::sync::Arc;
 
 use serde_json::json;
 
-#[cfg(unix)]
 use super::acquire::simulated;
 use super::{Outcome, Output};
 use crate::daemon::{self, Bench, Config, Level, Log};
+use crate::device::port::PortAddress;
 use crate::diagnostic::Diagnostic;
 
 /// Shown below the options.
@@ -39,7 +39,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     if args.check {
         out.document(&json!({
             "address": address.to_string(), "data": data, "plans": config.plans.display().to_string(),
-            "port": config.port, "protocol": config.protocol.as_ref().map(|one| &one.id),
+            "port": config.port.map(|port| port.to_string()), "protocol": config.protocol.as_ref().map(|one| &one.id),
             "token": config.token.is_some(),
         }))?;
         out.result(format!("the configuration is sound: http://{address}/, runs in {data}"));
@@ -50,7 +50,6 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
 }
 
 /// What the port `sim` reads: a simulated cell at the speed of life.
-#[cfg(unix)]
 fn bench(out: Output) -> Option<Bench> {
     let make = move |plan: Option<&Path>| -> Result<Box<dyn daemon::Cell>, Diagnostic> {
         Ok(Box::new(simulated::Cell::start(plan, "1", None, &out)?))
@@ -58,20 +57,14 @@ fn bench(out: Output) -> Option<Bench> {
     Some(Box::new(make))
 }
 
-#[cfg(unix)]
 impl daemon::Cell for simulated::Cell {
-    fn port(&self) -> &str {
+    fn port(&self) -> &PortAddress {
         self.port()
     }
 
     fn plan(&self) -> &Path {
         self.plan()
     }
-}
-
-#[cfg(not(unix))]
-fn bench(_: Output) -> Option<Bench> {
-    None
 }
 
 /// Characters of a value in the log; what a client sends may be longer.

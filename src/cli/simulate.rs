@@ -9,11 +9,13 @@ use super::{Outcome, Output, protocols};
 use crate::base::files;
 use crate::catalogue::{FileFinding, SimulationFinding};
 use crate::cli::robots;
+use crate::device::port::PortAddress;
 use crate::diagnostic::Diagnostic;
 use crate::program::krl::Program;
-use crate::sim::bar::{Line, Options, Reading, Source, Terminal, serve_over};
+use crate::sim::bar::{Options, Reading, Source, Terminal, serve_over};
 use crate::sim::ekrl::Client;
 use crate::sim::fault::{BadLine, Faults};
+#[cfg(unix)]
 use crate::sim::link::Link;
 use crate::sim::world::Setup;
 use crate::sim::{Controller, Moment, World, truth};
@@ -21,11 +23,11 @@ use crate::sim::{Controller, Moment, World, truth};
 /// How long the bar streams after the program's end, s: the end mark is to be seen whole.
 const AFTER_END_S: f64 = 3.0;
 
-/// Execute a KRL program on a simulated robot with a virtual ball-bar on a pty.
+/// Execute a KRL program on a simulated robot with a virtual ball-bar.
 ///
 /// The program is the robot's only source of motion. The true robot differs from the controller's; the bar streams the
-/// true lengths on a pseudo-terminal, whose name is printed on stdout. The program goes on from its HALT once a reader has
-/// started the bar. Exit code 3 when a reading at a dwell was out of the stroke.
+/// true lengths on a pseudo-terminal or, with --listen, through the network; what `acquire --port` takes for it is printed
+/// on stdout. The program goes on from its HALT once a reader has started the bar. Exit code 3 when a reading at a dwell was out of the stroke.
 #[derive(clap::Args)]
 pub(crate) struct Args {
     /// The KRL program; its .dat and the modules that it calls are read beside it.
@@ -56,8 +58,13 @@ pub(crate) struct Args {
     /// Set a parameter of the protocol, as range_mm=50; `dbbd protocols show NAME` lists them.
     #[arg(long = "param", value_name = "NAME=VALUE", value_parser = protocols::param)]
     params: Vec<(String, String)>,
-    /// A symlink to the pty, removed at the end.
-    #[arg(long, value_name = "PATH")]
+    /// Serve the bar as a serial server does, on tcp://ADDR:PORT or, with a line that can be set, on rfc2217://ADDR:PORT; of
+    /// port number 0 the system chooses one [default: a pseudo-terminal; on Windows tcp://127.0.0.1:0].
+    #[arg(long, value_name = "ADDRESS")]
+    listen: Option<PortAddress>,
+    /// A symlink to the pseudo-terminal, removed at the end.
+    #[cfg(unix)]
+    #[arg(long, value_name = "PATH", conflicts_with = "listen")]
     link: Option<PathBuf>,
     /// The EthernetKRL server to which a program written with `krl --sync ekrl` reports its dwells.
     #[arg(long, value_name = "ADDR:PORT")]
@@ -96,12 +103,12 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     let definition = protocols::load_with(&args.protocol, &args.params)?;
     let mut cell = Cell::new(args, out)?;
     let options = Options { rate_hz: cell.world.setup().bar.rate_hz, speed: args.speed, first_ticks: 0 };
-    let terminal = Terminal::new()?;
-    let link = args.link.as_deref().map(|path| Link::new(path, terminal.name())).transpose()?;
-    out.document(&json!({ "port": terminal.name() }))?;
-    out.result(terminal.name());
-    let line = Line { bad: BadLine::new(faults, args.seed), link };
-    let frames = serve_over(line, terminal, &definition, options, &mut cell)?;
+    let terminal = terminal(args)?;
+    let port = terminal.address().to_string();
+    out.document(&json!({ "port": port }))?;
+    out.result(port);
+    let bad = BadLine::new(faults, args.seed);
+    let frames = serve_over(bad, terminal, &definition, options, &mut cell)?;
     if let Some(failure) = cell.failure {
         return Err(failure);
     }
@@ -117,6 +124,17 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         out.finding(SimulationFinding::OutOfStroke { readings: cell.strayed });
     }
     Ok(Outcome::Done)
+}
+
+/// Where the host finds the bar.
+fn terminal(args: &Args) -> Result<Terminal, Diagnostic> {
+    let terminal = args.listen.as_ref().map_or_else(Terminal::new, Terminal::listen)?;
+    #[cfg(unix)]
+    if let Some(path) = &args.link {
+        let link = Link::new(path, &terminal.address().to_string())?;
+        return Ok(terminal.followed_by(link));
+    }
+    Ok(terminal)
 }
 
 fn faults(args: &Args) -> Result<Faults, Diagnostic> {

@@ -20,7 +20,7 @@ use super::telegrams::{Line, Telegrams};
 use crate::base::clock;
 use crate::base::units::HostNs;
 use crate::catalogue::{RecordingFinding, ServiceFinding};
-use crate::device::port::{self, Arrival, Port, Reader};
+use crate::device::port::{self, Arrival, Port, PortAddress, Reader};
 use crate::device::protocol::{Definition, Mode};
 use crate::diagnostic::Diagnostic;
 use crate::provenance::{self, Identity};
@@ -33,8 +33,7 @@ const LONGEST_BACKOFF_S: f64 = 0.5;
 /// What a run is to do.
 #[derive(Debug)]
 pub struct Options {
-    /// The port as the user named it.
-    pub port: String,
+    pub port: PortAddress,
     pub definition: Definition,
     /// The capture to write.
     pub out: PathBuf,
@@ -208,10 +207,10 @@ impl Acquisition {
 }
 
 /// Records that the bar was opened, and what came with its start.
-fn begin(recorder: &mut Recorder, name: &str, opened: Opened) -> Result<Port, Diagnostic> {
+fn begin(recorder: &mut Recorder, address: &PortAddress, opened: Opened) -> Result<Port, Diagnostic> {
     let now = clock::now();
     let Opened { port, stale, first, .. } = opened;
-    recorder.event(now, Event::Opened { port: name.into() })?;
+    recorder.event(now, Event::Opened { port: address.to_string(), stamps: Some(port.stamps()) })?;
     if stale > 0 {
         let text = format!("{stale} bytes of an earlier stream were thrown away before the start");
         recorder.event(now, Event::Mark { text })?;
@@ -225,8 +224,8 @@ fn begin(recorder: &mut Recorder, name: &str, opened: Opened) -> Result<Port, Di
 /// The recorder's thread.
 struct Run {
     options: Options,
-    /// The name by which the port is found again.
-    identity: String,
+    /// The address by which the port is found again.
+    identity: PortAddress,
     recorder: Recorder,
     telegrams: Option<Telegrams>,
     shared: Arc<Shared>,

@@ -7,7 +7,7 @@ use serialport::{DataBits, FlowControl, StopBits};
 use crate::base::clock;
 use crate::base::units::HostNs;
 use crate::catalogue::PortFinding::{self, BarSilent};
-use crate::device::port::{Port, Settings};
+use crate::device::port::{Port, PortAddress, Settings};
 use crate::device::protocol::{Definition, Flow, Line, Parity, Step};
 
 /// The line's settings in the words of the port.
@@ -43,9 +43,9 @@ pub(super) struct Opened {
 }
 
 /// Opens the line, silences the bar (it may still send from an earlier run) and starts it.
-pub(super) fn open(name: &str, definition: &Definition) -> Result<Opened, PortFinding> {
+pub(super) fn open(address: &PortAddress, definition: &Definition) -> Result<Opened, PortFinding> {
     let began = clock::now();
-    let (mut port, stale) = silence(name, definition)?;
+    let (mut port, stale) = silence(address, definition)?;
     perform(&mut port, &definition.init)?;
     let first = perform(&mut port, &definition.start)?.rest;
     Ok(Opened { port, began, stale, first })
@@ -55,21 +55,21 @@ pub(super) fn open(name: &str, definition: &Definition) -> Result<Opened, PortFi
 ///
 /// # Errors
 /// When the port cannot be opened, or the bar does not answer where it should.
-pub fn zero(name: &str, definition: &Definition) -> Result<(), PortFinding> {
-    let (mut port, _) = silence(name, definition)?;
+pub fn zero(address: &PortAddress, definition: &Definition) -> Result<(), PortFinding> {
+    let (mut port, _) = silence(address, definition)?;
     let heard = perform(&mut port, &definition.zero)?;
     if heard.answered {
         Ok(())
     } else {
-        Err(BarSilent { port: name.into(), bauds: definition.line.baud.to_string() })
+        Err(BarSilent { port: address.to_string(), bauds: definition.line.baud.to_string() })
     }
 }
 
 /// Opens the line and silences the bar; how many bytes of an earlier stream were thrown away.
-fn silence(name: &str, definition: &Definition) -> Result<(Port, u64), PortFinding> {
-    let mut port = Port::open(name, &settings(&definition.line))?;
+fn silence(address: &PortAddress, definition: &Definition) -> Result<(Port, u64), PortFinding> {
+    let mut port = Port::open(address, &settings(&definition.line))?;
     clock::sleep(definition.line.settle.as_secs_f64());
-    let mut stale = find(&mut port, name, definition)?;
+    let mut stale = find(&mut port, address, definition)?;
     stale += perform(&mut port, &definition.stop)?.thrown();
     if definition.stop.is_empty() {
         stale += port.drain(Duration::from_millis(1))?.len() as u64;
@@ -78,7 +78,7 @@ fn silence(name: &str, definition: &Definition) -> Result<(Port, u64), PortFindi
 }
 
 /// Tries the rates that the bar may be set to until it answers; how many bytes were thrown away.
-fn find(port: &mut Port, name: &str, definition: &Definition) -> Result<u64, PortFinding> {
+fn find(port: &mut Port, address: &PortAddress, definition: &Definition) -> Result<u64, PortFinding> {
     let mut thrown = 0;
     if definition.ident.is_empty() {
         return Ok(thrown);
@@ -95,7 +95,7 @@ fn find(port: &mut Port, name: &str, definition: &Definition) -> Result<u64, Por
         }
     }
     let bauds = rates.iter().map(u32::to_string).collect::<Vec<_>>().join(", ");
-    Err(BarSilent { port: name.into(), bauds })
+    Err(BarSilent { port: address.to_string(), bauds })
 }
 
 /// Silences the bar; a bar that is gone is silent.

@@ -1,21 +1,19 @@
-//! The virtual double ball-bar: frames on a pseudo terminal, as a real one would send them.
+//! The virtual double ball-bar: frames on its terminal, as a real one would send them.
 //!
 //! The bar is silent until the host has opened the terminal and sent the protocol's start
 //! command (or, without one, anything has opened it). From then on device time runs: frame k is the
 //! reading at k / rate. The stop command and a host that goes away silence it; the next start goes
-//! on. At the end it waits until the host has gone or said stop, for a pseudo terminal throws away
+//! on. At the end it waits until the host has gone or said stop, for a pseudo-terminal throws away
 //! what was not read when this side closes.
 
-use std::fmt::Display;
-use std::io::{ErrorKind, Read, Write};
+use std::io::ErrorKind;
 use std::time::Duration;
-
-use serialport::{SerialPort, TTYPort};
 
 use super::device::{Command, Device, Sends};
 pub use super::device::{Reading, Source};
 use super::fault::{BadLine, Faults};
-use super::link::Link;
+use super::terminal::PATIENCE;
+pub use super::terminal::Terminal;
 use crate::base::clock;
 use crate::base::units::HostNs;
 use crate::catalogue::SimulationFinding;
@@ -41,38 +39,6 @@ pub struct Options {
     pub first_ticks: u64,
 }
 
-/// A pseudo terminal for a virtual bar.
-pub struct Terminal {
-    line: TTYPort,
-    name: String,
-}
-
-fn failed(why: impl Display) -> SimulationFinding {
-    SimulationFinding::Terminal { why: why.to_string() }
-}
-
-impl Terminal {
-    pub fn new() -> Result<Self, Diagnostic> {
-        let (mut line, host) = TTYPort::pair().map_err(failed)?;
-        line.set_timeout(Duration::from_millis(1)).map_err(failed)?;
-        // Only while no handle of the host's side is open here can its coming and going be seen.
-        let name = host.name().unwrap_or_default();
-        Ok(Self { line, name })
-    }
-
-    /// What the host opens.
-    pub fn name(&self) -> &str {
-        &self.name
-    }
-}
-
-/// What goes wrong between the bar and the host.
-pub struct Line {
-    pub bad: BadLine,
-    /// A bar that is unplugged comes back under another name; this follows it.
-    pub link: Option<Link>,
-}
-
 /// Streams until the source ends and the host has gone or said stop. The number of frames sent.
 pub fn serve(
     terminal: Terminal,
@@ -80,13 +46,12 @@ pub fn serve(
     options: Options,
     source: impl Source,
 ) -> Result<u64, Diagnostic> {
-    let line = Line { bad: BadLine::new(Faults::default(), 0), link: None };
-    serve_over(line, terminal, definition, options, source)
+    serve_over(BadLine::new(Faults::default(), 0), terminal, definition, options, source)
 }
 
 /// As [`serve`], over a bad line.
 pub fn serve_over(
-    Line { bad, link }: Line,
+    bad: BadLine,
     terminal: Terminal,
     definition: &Definition,
     options: Options,
@@ -102,7 +67,7 @@ pub fn serve_over(
     }
     let bar = Bar {
         device: Device::new(definition, options.first_ticks, bad.faults()),
-        line: terminal.line,
+        line: terminal,
         asked: 0,
         running: false,
         stale: bad.faults().stale as usize,
@@ -110,7 +75,6 @@ pub fn serve_over(
         batched: None,
         unplugged: false,
         bad,
-        link,
         options,
         source,
         frames: 0,
@@ -122,7 +86,7 @@ pub fn serve_over(
 
 struct Bar<S> {
     device: Device,
-    line: TTYPort,
+    line: Terminal,
     /// Requests that are not answered yet.
     asked: u32,
     running: bool,
@@ -134,7 +98,6 @@ struct Bar<S> {
     batched: Option<HostNs>,
     unplugged: bool,
     bad: BadLine,
-    link: Option<Link>,
     options: Options,
     source: S,
     /// Frames of device time that have passed.
@@ -177,12 +140,12 @@ impl<S: Source> Bar<S> {
     fn listen(&mut self) -> Result<(), Diagnostic> {
         // Without pacing there is no time to wait for a word that is not there.
         if self.running && self.options.speed == 0.0 {
-            self.line.set_timeout(Duration::ZERO).map_err(failed)?;
+            self.line.set_timeout(Duration::ZERO)?;
         }
         let mut buffer = [0; 256];
         let read = self.line.read(&mut buffer);
         if self.options.speed == 0.0 {
-            self.line.set_timeout(Duration::from_millis(1)).map_err(failed)?;
+            self.line.set_timeout(PATIENCE)?;
         }
         match read {
             Ok(count) => {
@@ -193,7 +156,7 @@ impl<S: Source> Bar<S> {
             Err(error) => match error.kind() {
                 ErrorKind::TimedOut if self.stale > 0 => {
                     let noise = self.bad.noise(std::mem::take(&mut self.stale));
-                    self.line.write_all(&noise).map_err(failed)?;
+                    self.line.write_all(&noise)?;
                 }
                 // A host is there: a protocol without a start command has been started by that.
                 ErrorKind::TimedOut if self.device.sends == Sends::AtOnce => self.begin(),
@@ -210,11 +173,11 @@ impl<S: Source> Bar<S> {
 
     fn receive(&mut self, byte: u8) -> Result<(), Diagnostic> {
         if self.bad.faults().echo > 0.0 {
-            self.line.write_all(&[byte]).map_err(failed)?;
+            self.line.write_all(&[byte])?;
         }
         let (commands, answer) = self.device.receive(byte);
         if let Some(answer) = answer {
-            self.line.write_all(answer).map_err(failed)?;
+            self.line.write_all(answer)?;
         }
         match commands.first() {
             Some(Command::Stop) => self.running = false,
@@ -260,7 +223,7 @@ impl<S: Source> Bar<S> {
         Ok(true)
     }
 
-    /// Pulls the plug once, when it is time, and comes back under another name.
+    /// Pulls the plug once, when it is time.
     fn unplug(&mut self) -> Result<(), Diagnostic> {
         let Faults { unplug_s, away_s, .. } = *self.bad.faults();
         let t_s = self.frames as f64 / self.options.rate_hz;
@@ -268,17 +231,9 @@ impl<S: Source> Bar<S> {
             return Ok(());
         }
         self.unplugged = true;
-        let path = self.link.take().map(|link| link.path().to_owned());
-        // The new terminal is made first: the system would give the old name again.
-        let new = Terminal::new()?;
-        self.line = new.line;
         self.running = false;
         self.device.forget();
-        clock::sleep(away_s);
-        if let Some(path) = path {
-            self.link = Some(Link::new(&path, &new.name)?);
-        }
-        Ok(())
+        self.line.unplug(away_s)
     }
 
     fn due(&self) -> bool {

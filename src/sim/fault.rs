@@ -105,7 +105,7 @@ impl BadLine {
         let mut carried = Vec::with_capacity(bytes.len() + 2);
         for &byte in bytes.iter() {
             if self.happens(insert) {
-                carried.push(self.dice.random());
+                carried.push(self.dice.random::<u8>());
             }
             if self.happens(drop) {
                 continue;

@@ -1,14 +1,13 @@
 //! Standing in for hardware: a controller that executes KRL, the true robot, a virtual ball-bar.
 
-#[cfg(unix)]
 pub mod bar;
 pub mod controller;
-#[cfg(unix)]
 mod device;
 pub mod ekrl;
 pub mod fault;
 #[cfg(unix)]
 pub mod link;
+mod terminal;
 pub mod truth;
 pub mod world;
 

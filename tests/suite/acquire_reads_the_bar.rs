@@ -34,7 +34,7 @@ pub(crate) fn reading(t_s: f64, strobe: bool) -> Reading {
 /// Plays a source on a new terminal: its name, and the thread that gives the number of frames sent.
 pub(crate) fn play(speed: f64, source: impl Source + Send + 'static) -> (String, JoinHandle<u64>) {
     let terminal = Terminal::new().unwrap();
-    let name = terminal.name().to_owned();
+    let name = terminal.address().to_string();
     // The counter wraps after two seconds.
     let options = Options { rate_hz: RATE_HZ, speed, first_ticks: (1 << 32) - 2_000_000 };
     (name, std::thread::spawn(move || bar::serve(terminal, &definition(), options, source).unwrap()))
@@ -128,7 +128,7 @@ fn a_reading_that_was_set_to_zero_says_so_in_the_capture() {
     let path = directory.path().join("run");
     let path = path.to_str().unwrap();
     let terminal = Terminal::new().unwrap();
-    let port = terminal.name().to_owned();
+    let port = terminal.address().to_string();
     std::thread::spawn(move || {
         let definition = Definition::by_name("cdi-starrett").unwrap().unwrap();
         let options = Options { rate_hz: RATE_HZ, speed: 1.0, first_ticks: 0 };
@@ -390,7 +390,7 @@ fn a_bar_that_goes_away_for_good_ends_the_run() {
     let path = directory.path().join("run");
     let terminal = Terminal::new().unwrap();
     let options = daemon::Options {
-        port: terminal.name().to_owned(),
+        port: terminal.address().clone(),
         definition: definition(),
         out: path.clone(),
         plan: None,
@@ -451,7 +451,8 @@ fn a_silent_bar_is_doubted() {
         let directory = tempfile::tempdir().unwrap();
         let terminal = Terminal::new().unwrap();
         let path = directory.path().join("run");
-        let given = ["acquire", "--port", terminal.name(), "--out", path.to_str().unwrap()];
+        let port = terminal.address().to_string();
+        let given = ["acquire", "--port", &port, "--out", path.to_str().unwrap()];
         let output = run(&[&given[..], more].concat());
         assert_eq!(output.status.code(), Some(*exit), "{more:?}: {}", stderr(&output));
         assert_eq!(codes(&output), *expected, "{more:?}");
@@ -473,7 +474,7 @@ fn a_port_that_goes_while_a_command_is_sent() {
         }
     });
     let definition = Definition::by_name("microepsilon-ild1420").unwrap().unwrap();
-    let gone = daemon::zero(&name, &definition).unwrap_err();
+    let gone = daemon::zero(&name.parse().unwrap(), &definition).unwrap_err();
     pulled.join().unwrap();
     assert_eq!(dbbd::diagnostic::Finding::code(&gone).0, PORT_GONE, "{gone}");
 }

@@ -34,7 +34,7 @@ fn definition() -> Definition {
 /// A bar that streams until `over`, as fast as it is read: the name of its port.
 fn stream(over: &Arc<AtomicBool>) -> String {
     let terminal = Terminal::new().unwrap();
-    let name = terminal.name().to_owned();
+    let name = terminal.address().to_string();
     let over = Arc::clone(over);
     std::thread::spawn(move || {
         let source = |t_s: f64| {
@@ -369,7 +369,7 @@ fn stalled(port: String, stall_s: f64) -> (Capture, Progress) {
     let disk = Stalling { taken: Arc::clone(&taken), stalled: Arc::clone(&stalled) };
     let writer = Writer::on(Box::new(disk), Path::new("run")).unwrap();
     let options = Options {
-        port,
+        port: port.parse().unwrap(),
         definition: definition(),
         out: "run".into(),
         plan: None,

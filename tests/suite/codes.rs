@@ -24,6 +24,7 @@ fn provoked() -> Vec<&'static str> {
     [
         crate::acquire_reads_the_bar::provoked(),
         crate::arrays_are_exact::provoked(),
+        crate::bars_on_the_network::provoked(),
         crate::captures_are_joined::provoked(),
         crate::capture_is_taken_away::provoked(),
         crate::capture_survives_damage::provoked(),

@@ -163,7 +163,7 @@ fn acquired(
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("run");
     let terminal = Terminal::new().unwrap();
-    let port = terminal.name().to_owned();
+    let port = terminal.address().to_string();
     let options = Options { rate_hz: RATE_HZ, speed: 1.0, first_ticks: 0 };
     let served = definition.clone();
     let _bar = std::thread::spawn(move || {
@@ -271,7 +271,7 @@ fn a_device_from_a_file_outside_the_binary_is_read() {
     // aa 55, 3 + 11 = 14 bytes less the three before, 5, 0.5 as IEEE 754, sum of what follows the sync.
     assert_eq!(bytes, [0xaa, 0x55, 0x0b, 5, 0, 0x3f, 0xe0, 0, 0, 0, 0, 0, 0, 0x2f]);
     let terminal = Terminal::new().unwrap();
-    let port = terminal.name().to_owned();
+    let port = terminal.address().to_string();
     let _served = std::thread::spawn(move || {
         let source = |t_s: f64| {
             (t_s < 9.0).then_some(Reading {

@@ -352,7 +352,8 @@ fn a_rate_is_found_and_the_first_readings_are_kept() {
 #[test]
 fn a_bar_that_does_not_answer_is_told() {
     let terminal = Terminal::new().unwrap();
-    let mut command = dbbd(&["acquire", "--port", terminal.name(), "--protocol", "microepsilon-ild1420"]);
+    let port = terminal.address().to_string();
+    let mut command = dbbd(&["acquire", "--port", &port, "--protocol", "microepsilon-ild1420"]);
     let directory = tempfile::tempdir().unwrap();
     let output = command.args(["--out", "run"]).current_dir(directory.path()).output().unwrap();
     assert_eq!(output.status.code(), Some(1));

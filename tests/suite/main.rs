@@ -8,6 +8,7 @@ mod any_bytes_are_taken;
 mod arrays_are_exact;
 mod bad_lines_give_no_lengths;
 mod bars_of_two_lengths;
+mod bars_on_the_network;
 mod built_in_robots;
 mod capture_campaigns;
 mod capture_is_taken_away;

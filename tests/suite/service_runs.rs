@@ -16,7 +16,7 @@ use crate::service::Server;
 /// A bar that swings over its stroke of 1 mm, with a dwell of half a second in each second.
 fn swinging() -> String {
     let terminal = Terminal::new().unwrap();
-    let name = terminal.name().to_owned();
+    let name = terminal.address().to_string();
     let definition = Definition::by_name("dbb-cobs-1").unwrap().unwrap();
     let options = Options { rate_hz: 1000.0, speed: 1.0, first_ticks: 0 };
     let source = |t_s: f64| {

@@ -1,10 +1,11 @@
-//! The bar is pulled out at random moments and comes back under another name: the run goes on soon, and
-//! each gap is recorded once, with its length.
+//! The bar is pulled out at random moments and comes back under another name, or the network to it is cut: the run goes on
+//! soon, each gap is recorded once, with its length, and every byte is in a sample or in a fault.
 //!
-//! The sessions run in real time and beside each other, each an acquisition on pseudo terminals of its own.
+//! The sessions run in real time and beside each other, each an acquisition on a line of its own.
 #![cfg(unix)]
 
-use std::io::{Read, Write};
+use std::io::{ErrorKind, Read, Write};
+use std::net::{TcpListener, TcpStream};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::Arc;
@@ -14,6 +15,7 @@ use std::time::Duration;
 use dbbd::base::clock;
 use dbbd::base::units::{DeviceTicks, HostNs};
 use dbbd::daemon::{Acquisition, Options};
+use dbbd::device::port::PortAddress;
 use dbbd::device::protocol::Definition;
 use dbbd::measurement::sample::Sample;
 use dbbd::provenance::Identity;
@@ -22,6 +24,8 @@ use dbbd::sim::link::Link;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use serialport::{SerialPort, TTYPort};
+
+use crate::virtual_bar::simulate;
 
 /// The run must go on so soon after the port's return, s.
 const BACK_S: f64 = 3.0;
@@ -110,6 +114,64 @@ fn bar(link: &Path, length: Length, seed: u64, ready: &AtomicBool) -> Vec<Away> 
     away
 }
 
+/// What carries the bytes of a session.
+#[derive(Clone, Copy, PartialEq)]
+enum Wire {
+    /// A pseudo-terminal under a link.
+    Pty,
+    /// A serial server, named by its scheme, behind a network that is cut.
+    Network(&'static str),
+}
+
+/// Passes bytes on between a host and a serial server, until the network is cut; both are as long as a bar is plugged in
+/// and away. When it was cut.
+fn network(own: u16, server: u16, length: Length, seed: u64, ready: &AtomicBool) -> Vec<Away> {
+    let mut dice = Pcg64::seed_from_u64(seed);
+    let begin = clock::now();
+    let mut away: Vec<Away> = Vec::new();
+    let mut left_s = None;
+    while clock::now().seconds_since(begin) < length.lasting_s {
+        let listener = TcpListener::bind(("127.0.0.1", own)).unwrap();
+        listener.set_nonblocking(true).unwrap();
+        let whole = clock::now();
+        away.extend(left_s.map(|from_s| Away { from_s, to_s: seconds(whole) }));
+        // The first time the host is to find it.
+        let stays_s = if left_s.is_none() { 1.0 } else { dice.random_range(0.2..length.longest_s) };
+        ready.store(true, Ordering::Relaxed);
+        let mut ends: Option<[TcpStream; 2]> = None;
+        while clock::now().seconds_since(whole) < stays_s {
+            if let Ok((host, _)) = listener.accept() {
+                let server = TcpStream::connect(("127.0.0.1", server)).unwrap();
+                let both = [host, server];
+                both.iter().for_each(|end| end.set_nonblocking(true).unwrap());
+                ends = Some(both);
+            }
+            let Some([host, server]) = &mut ends else {
+                clock::sleep(0.005);
+                continue;
+            };
+            if !(pass(host, server) && pass(server, host)) {
+                ends = None;
+            }
+            clock::sleep(0.001);
+        }
+        left_s = Some(seconds(clock::now()));
+        drop((ends, listener));
+        clock::sleep(dice.random_range(0.05..0.625 * length.longest_s));
+    }
+    away
+}
+
+/// Passes on what has come; whether both ends are there.
+fn pass(from: &mut TcpStream, to: &mut TcpStream) -> bool {
+    let mut room = [0; 4096];
+    match from.read(&mut room) {
+        Ok(0) => false,
+        Ok(count) => to.write_all(&room[..count]).is_ok(),
+        Err(error) => error.kind() == ErrorKind::WouldBlock,
+    }
+}
+
 /// What a session saw, s.
 #[derive(Debug, Default)]
 struct Seen {
@@ -122,18 +184,32 @@ struct Seen {
     noticed_s: Vec<f64>,
 }
 
-fn session(directory: &Path, length: Length, seed: u64) -> Seen {
-    let link = directory.join(format!("bar-{seed}"));
-    let out: PathBuf = directory.join(format!("run-{seed}"));
+fn session(directory: &Path, wire: Wire, length: Length, seed: u64) -> Seen {
+    let directory = directory.join(seed.to_string());
+    std::fs::create_dir(&directory).unwrap();
+    let out: PathBuf = directory.join("run");
     let ready = Arc::new(AtomicBool::new(false));
     let plugged = Arc::clone(&ready);
-    let path = link.clone();
-    let bar = std::thread::spawn(move || bar(&path, length, seed, &plugged));
+    let (port, bar, _simulator) = match wire {
+        Wire::Pty => {
+            let link = directory.join("bar");
+            let port = link.to_str().unwrap().to_owned();
+            (port, std::thread::spawn(move || bar(&link, length, seed, &plugged)), None)
+        }
+        Wire::Network(scheme) => {
+            let bar = simulate(&directory, "1", &["--listen", &format!("{scheme}://127.0.0.1:0")]);
+            let server = bar.1.rsplit_once(':').unwrap().1.parse().unwrap();
+            let own = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+            let cut = move || network(own, server, length, seed, &plugged);
+            (format!("{scheme}://127.0.0.1:{own}"), std::thread::spawn(cut), Some(bar))
+        }
+    };
+    let port: PortAddress = port.parse().unwrap();
     while !ready.load(Ordering::Relaxed) {
         clock::sleep(0.01);
     }
     let options = Options {
-        port: link.to_str().unwrap().to_owned(),
+        port,
         definition: Definition::by_name("dbb-cobs-1").unwrap().unwrap(),
         out: out.clone(),
         plan: None,
@@ -151,6 +227,7 @@ fn session(directory: &Path, length: Length, seed: u64) -> Seen {
     let samples = acquisition.join().unwrap().progress.samples;
     let capture = capture::read(&std::fs::read(&out).unwrap());
     assert!(capture.ended() && capture.damages.is_empty());
+    accounts_for_every_byte(&capture);
     let mut gaps: Vec<Away> = Vec::new();
     for stamped in &capture.records {
         if let Record::Event(Event::Gap { seconds: Some(lasted_s), reason, .. }) = &stamped.record {
@@ -179,13 +256,30 @@ fn session(directory: &Path, length: Length, seed: u64) -> Seen {
     seen
 }
 
+/// Bytes received = bytes in samples + in faults; at the end nothing is pending. A frame of the protocol has 18.
+fn accounts_for_every_byte(capture: &capture::Capture) {
+    let (mut received, mut explained) = (0, 0);
+    for stamped in &capture.records {
+        match &stamped.record {
+            Record::Raw(bytes) => received += bytes.len() as u64,
+            Record::Samples(samples) => explained += 18 * samples.len() as u64,
+            Record::Fault(json) => {
+                let fault: serde_json::Value = serde_json::from_slice(json).unwrap();
+                explained += fault["bytes"].as_u64().unwrap();
+            }
+            Record::Attachment { .. } | Record::Event(_) => {}
+        }
+    }
+    assert_eq!(received, explained);
+}
+
 /// Sessions beside each other; prints what they saw.
-fn campaign(sessions: u64, length: Length) {
+fn campaign(wire: Wire, sessions: u64, length: Length) {
     let directory = tempfile::tempdir().unwrap();
     let at = directory.path();
     let seen: Vec<Seen> = std::thread::scope(|scope| {
         let all: Vec<_> =
-            (0..sessions).map(|seed| scope.spawn(move || session(at, length, seed + 1))).collect();
+            (0..sessions).map(|seed| scope.spawn(move || session(at, wire, length, seed + 1))).collect();
         all.into_iter().map(|session| session.join().unwrap()).collect()
     });
     let sum = |of: fn(&Seen) -> u64| seen.iter().map(of).sum::<u64>();
@@ -228,12 +322,27 @@ fn a_bar_comes_and_goes() {
 #[test]
 #[ignore = "runs in a process of its own, started by a_bar_comes_and_goes"]
 fn a_few_sessions() {
-    campaign(16, Length { lasting_s: 5.0, longest_s: 1.6 });
+    campaign(Wire::Pty, 16, Length { lasting_s: 5.0, longest_s: 1.6 });
+}
+
+#[test]
+fn a_network_comes_and_goes() {
+    campaign(Wire::Network("tcp"), 2, Length { lasting_s: 5.0, longest_s: 1.6 });
+    campaign(Wire::Network("rfc2217"), 2, Length { lasting_s: 5.0, longest_s: 1.6 });
+}
+
+/// cargo test --release --test suite two_hundred_cuts -- --ignored --nocapture
+#[test]
+#[ignore = "twice 4 sessions of 150 s"]
+fn two_hundred_cuts() {
+    for scheme in ["tcp", "rfc2217"] {
+        campaign(Wire::Network(scheme), 4, Length { lasting_s: 150.0, longest_s: 4.0 });
+    }
 }
 
 /// TMPDIR=/dev/shm cargo test --release --test suite ten_thousand_seconds -- --ignored --nocapture
 #[test]
 #[ignore = "64 sessions of 160 s"]
 fn ten_thousand_seconds_of_unplugging() {
-    campaign(64, Length { lasting_s: 160.0, longest_s: 8.0 });
+    campaign(Wire::Pty, 64, Length { lasting_s: 160.0, longest_s: 8.0 });
 }

@@ -7,8 +7,9 @@ use tempfile::TempDir;
 
 use crate::base::files;
 use crate::catalogue::FileFinding;
-use crate::cli::child::{Simulator, Steps};
+use crate::cli::child::{LOOPBACK, Simulator, Steps};
 use crate::cli::{Output, demo};
+use crate::device::port::PortAddress;
 use crate::diagnostic::Diagnostic;
 use crate::plan::{Plan, Taught};
 use crate::recording::run::read_plan;
@@ -24,9 +25,11 @@ pub(crate) struct Cell {
 
 /// A directory of this user's own that nobody could have made before; it goes with its value.
 fn private_directory() -> Result<TempDir, Diagnostic> {
-    use std::os::unix::fs::PermissionsExt;
-    let own = std::fs::Permissions::from_mode(0o700);
-    let made = tempfile::Builder::new().prefix("dbbd-sim-").permissions(own).tempdir();
+    let mut builder = tempfile::Builder::new();
+    builder.prefix("dbbd-sim-");
+    #[cfg(unix)]
+    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o700));
+    let made = builder.tempdir();
     made.map_err(|error| {
         let why = FileFinding::NoDirectory { why: error.to_string() };
         Diagnostic::file(&std::env::temp_dir().display().to_string(), why)
@@ -77,6 +80,7 @@ impl Cell {
         let mut emit = vec!["krl", plan_name.as_str(), "--out", "krl", "--controller", "simulated"];
         let mut simulate = vec!["simulate", "--program", "krl/DBB_MAIN.src", "--nominal", "robot.toml"];
         simulate.extend(["--world", "world.toml", "--speed", speed]);
+        simulate.extend(["--listen", LOOPBACK]);
         let address = server.map(|server| match server.ip().is_unspecified() {
             true => SocketAddr::from((Ipv4Addr::LOCALHOST, server.port())).to_string(),
             false => server.to_string(),
@@ -90,8 +94,8 @@ impl Cell {
         Ok(Self { simulator, plan, directory })
     }
 
-    /// Name of the virtual bar's pty.
-    pub(crate) fn port(&self) -> &str {
+    /// Where the virtual bar is.
+    pub(crate) fn port(&self) -> &PortAddress {
         self.simulator.port()
     }
 

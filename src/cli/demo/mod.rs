@@ -4,7 +4,7 @@ mod truth;
 
 use std::path::PathBuf;
 
-use super::child::Steps;
+use super::child::{LOOPBACK, Steps};
 use super::{Outcome, Output};
 use crate::base::files;
 use crate::catalogue::CliFinding;
@@ -17,7 +17,7 @@ pub(crate) const JOB: &str = include_str!("../../../examples/demo.toml");
 
 /// Run the whole job with no hardware.
 ///
-/// A plan, its KRL programs, a simulated robot that executes them with a virtual ball-bar on a pty, the capture,
+/// A plan, its KRL programs, a simulated robot that executes them with a virtual ball-bar on a TCP port of this computer, the capture,
 /// the matching and the identification, each by its own command on files; at the end the true beside the identified
 /// parameters.
 #[derive(clap::Args)]
@@ -56,8 +56,11 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         "0",
         "--seed",
         &seed,
+        "--listen",
+        LOOPBACK,
     ])?;
-    steps.run(&["acquire", "--port", simulator.port(), "--plan", "plan/plan.csv", "--out", "run.dbbd"])?;
+    let port = simulator.port().to_string();
+    steps.run(&["acquire", "--port", &port, "--plan", "plan/plan.csv", "--out", "run.dbbd"])?;
     simulator.finish()?;
     steps.say("4. Match the lengths to the commanded poses");
     steps.run(&["sync", "run.dbbd", "--out", "observations.csv"])?;

@@ -9,12 +9,12 @@ use tokio::sync::{broadcast, watch};
 
 use super::log::Level;
 use super::state::{Run, Supervisor};
-use super::{catalogue, jobs, names, runs, trial_cell};
+use super::{catalogue, jobs, names, runs};
 use crate::catalogue::ServiceFinding::{
     Ending, NoPortChosen, NoRunIsOn, NoSuchPort, NoSuchProtocol, RunDuration, RunIsOn, RunIsStarting,
     RunName, ThisRunIsOn,
 };
-use crate::device::port;
+use crate::device::port::{self, PortAddress};
 use crate::device::protocol::Definition;
 use crate::diagnostic::Diagnostic;
 use crate::live::{
@@ -65,12 +65,12 @@ impl Service for Supervisor {
         if !matches!(inner.run, Run::None) {
             return Err(RunIsOn.into());
         }
-        if let Some(port) = &port {
+        let address = port.as_deref().map(str::parse::<PortAddress>).transpose()?;
+        if let Some((port, address)) = port.as_ref().zip(address.as_ref()) {
             // Only what is a serial port may be opened, or what the configuration named.
             let listed =
                 port::list()?.iter().any(|one| one.port == *port || one.by_id.as_ref() == Some(port));
-            let simulated = *port == trial_cell::PORT && self.bench.is_some();
-            if !listed && !simulated && self.config.port.as_ref() != Some(port) {
+            if !listed && !self.is_simulated(address) && self.config.port.as_ref() != Some(address) {
                 return Err(NoSuchPort { port: port.clone() }.into());
             }
         }
@@ -79,8 +79,8 @@ impl Service for Supervisor {
             let found = configured.map(Ok).or_else(|| Definition::by_name(name));
             inner.protocol = Some(found.ok_or_else(|| NoSuchProtocol { protocol: name.clone() })??);
         }
-        if port.is_some() {
-            inner.port = port;
+        if address.is_some() {
+            inner.port = address;
         }
         let status = self.look(&inner);
         drop(inner);

@@ -11,11 +11,13 @@ use toml::Spanned;
 
 use crate::base::files;
 use crate::base::parse::from_toml;
+use crate::catalogue::PortFinding;
 use crate::catalogue::ServiceFinding::{
     self, NotAHost, NotAProtocol, NotAStroke, NotAnAddress, OpenWithoutToken, OutOfRange,
     ParametersWithoutProtocol, TokenOpen, TokenTooShort, TokenUnreadable,
 };
 use crate::daemon::ALARM_SHARE;
+use crate::device::port::PortAddress;
 use crate::device::protocol::Definition;
 use crate::diagnostic::{Diagnostic, Finding};
 use crate::live::Token;
@@ -38,7 +40,7 @@ pub struct Config {
     /// Where plans are looked for: `NAME/plan.csv`.
     pub plans: PathBuf,
     /// The port of the bar.
-    pub port: Option<String>,
+    pub port: Option<PortAddress>,
     /// Its protocol; none: that of the plan.
     pub protocol: Option<Definition>,
     /// How long a port may stay away during a run before the run ends, s.
@@ -161,7 +163,10 @@ impl Config {
             }
             config.hosts.push(host.into_inner());
         }
-        config.port = table.device.port.map(Spanned::into_inner);
+        if let Some(port) = table.device.port {
+            let address = port.get_ref().parse();
+            config.port = Some(address.map_err(|finding: PortFinding| source.wrong(port.span(), finding))?);
+        }
         if let Some(name) = &table.device.protocol {
             let params: Vec<_> = table.device.params.into_iter().collect();
             config.protocol = Some(definition(source, name, &params)?);

@@ -12,13 +12,13 @@ use super::catalogue::Plans;
 use super::config::Config;
 use super::jobs::Jobs;
 use super::log::{Level, Log, Repeats};
-use super::trial_cell::{self, Bench, Cell};
+use super::trial_cell::{Bench, Cell};
 use super::{catalogue, runs};
 use crate::base::clock;
 use crate::catalogue::ServiceFinding::{self, DataUnwritable, NameTaken, NoPlan, ProtocolNotBuiltIn};
 use crate::daemon::live_state::{Feed, LiveState};
 use crate::daemon::{Acquisition, Options, Schedule};
-use crate::device::port;
+use crate::device::port::{self, PortAddress};
 use crate::device::protocol::Definition;
 use crate::diagnostic::{Diagnostic, Finding};
 use crate::live::{Device, LastRun, Message, RunStatus, StartRequest, State, Status};
@@ -44,7 +44,7 @@ pub(super) struct Supervisor {
 
 /// What changes.
 pub(super) struct Inner {
-    pub(super) port: Option<String>,
+    pub(super) port: Option<PortAddress>,
     pub(super) protocol: Option<Definition>,
     pub(super) run: Run,
     /// Why the last run failed.
@@ -157,8 +157,7 @@ impl Supervisor {
     }
 
     pub(super) fn look(&self, inner: &Inner) -> Status {
-        let there =
-            |port: &String| port::device(port).exists() || (port == trial_cell::PORT && self.bench.is_some());
+        let there = |port: &PortAddress| *port != PortAddress::Sim && port.is_present() || self.is_simulated(port);
         let present = inner.port.as_ref().is_some_and(there);
         let run = match &inner.run {
             Run::On(running) => Some(self.run_status(running)),
@@ -171,7 +170,7 @@ impl Supervisor {
         } else if present {
             (State::Idle, None)
         } else {
-            let port = inner.port.clone();
+            let port = inner.port.as_ref().map(PortAddress::to_string);
             let finding = port.map_or(ServiceFinding::NoPortChosen, |port| ServiceFinding::PortAway { port });
             (State::NoDevice, Some(finding.into()))
         };
@@ -181,7 +180,7 @@ impl Supervisor {
             _ => finding.to_string(),
         });
         let protocol = inner.protocol.as_ref().map(|definition| definition.id.clone());
-        let device = Device { port: inner.port.clone(), present, protocol };
+        let device = Device { port: inner.port.as_ref().map(PortAddress::to_string), present, protocol };
         Status {
             version: crate::provenance::VERSION,
             state,
@@ -191,6 +190,11 @@ impl Supervisor {
             run,
             last: inner.last.clone(),
         }
+    }
+
+    /// Whether the port is that of the simulated cell, and there is one.
+    pub(super) fn is_simulated(&self, port: &PortAddress) -> bool {
+        *port == PortAddress::Sim && self.bench.is_some()
     }
 
     fn run_status(&self, running: &Running) -> RunStatus {
@@ -227,7 +231,7 @@ impl Supervisor {
     pub(super) fn begin(
         &self,
         request: &StartRequest,
-        mut port: String,
+        mut port: PortAddress,
         protocol: Option<Definition>,
     ) -> Result<Running, Diagnostic> {
         let find = |name: &String| {
@@ -235,11 +239,11 @@ impl Supervisor {
         };
         let mut csv = request.plan.as_ref().map(find).transpose()?;
         let cell = match &self.bench {
-            Some(bench) if port == trial_cell::PORT => Some(bench(csv.as_deref())?),
+            Some(bench) if port == PortAddress::Sim => Some(bench(csv.as_deref())?),
             _ => None,
         };
         if let Some(cell) = &cell {
-            (port, csv) = (cell.port().into(), Some(cell.plan().into()));
+            (port, csv) = (cell.port().clone(), Some(cell.plan().into()));
         }
         let plan = csv.as_deref().map(PlanFiles::read).transpose()?;
         let schedule = match &plan {
@@ -247,9 +251,9 @@ impl Supervisor {
             None => Schedule::bare(self.config.stroke_mm, self.config.alarm_share),
         };
         let definition = protocol.map_or_else(|| protocol_of(plan.as_ref()), Ok)?;
-        if let Some(finding) = port::quicken(&port) {
+        if let Some(finding) = port::blur(&port) {
             let fields: [(&str, &dyn std::fmt::Display); 2] = [("code", &finding.code()), ("text", &finding)];
-            self.log.say(Level::Warning, "adapter_holds_bytes_back", &fields);
+            self.log.say(Level::Warning, "times_are_blurred", &fields);
         }
         let directory = self.reserve(&request.name)?;
         let (points, clock_ahead) = (&self.live.points, &self.live.clock_ahead_ms);

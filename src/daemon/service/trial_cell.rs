@@ -2,10 +2,8 @@
 
 use std::path::Path;
 
+use crate::device::port::PortAddress;
 use crate::diagnostic::Diagnostic;
-
-/// The name of its port.
-pub(super) const PORT: &str = "sim";
 
 /// Makes a cell that runs a plan, or one of its own.
 pub type Bench = Box<dyn Fn(Option<&Path>) -> Result<Box<dyn Cell>, Diagnostic> + Send + Sync>;
@@ -13,7 +11,7 @@ pub type Bench = Box<dyn Fn(Option<&Path>) -> Result<Box<dyn Cell>, Diagnostic> 
 /// A cell whose program begins when its bar is read; it ends when it is dropped.
 pub trait Cell: Send {
     /// The port of its bar.
-    fn port(&self) -> &str;
+    fn port(&self) -> &PortAddress;
     /// The plan that it runs.
     fn plan(&self) -> &Path;
 }

@@ -1,39 +1,50 @@
 //! The adapter behind a port: the name that stays with it, and how long it holds bytes back.
 
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-use super::device;
-use crate::catalogue::PortFinding::{self, AdapterHoldsBack};
+use super::PortAddress;
+use crate::catalogue::PortFinding::{self, AdapterHoldsBack, NetworkBlurs};
 
-/// The name by which the device is found again when it comes back under another number: by-id, else
-/// by-path, else the name itself (a link of the user's own is followed afresh each time).
-pub fn identity(name: &str) -> String {
-    let path = device(name);
-    if path.starts_with("/dev/serial") {
-        return name.to_owned();
-    }
-    let Ok(target) = fs::canonicalize(&path) else { return name.to_owned() };
+/// The address by which the device is found again when it comes back under another number: by-id, else
+/// by-path, else the address itself (a link of the user's own is followed afresh each time).
+pub fn identity(address: &PortAddress) -> PortAddress {
+    let Some(path) = address.device().filter(|path| !path.starts_with("/dev/serial")) else {
+        return address.clone();
+    };
+    let Ok(target) = fs::canonicalize(&path) else { return address.clone() };
     for kind in ["by-id", "by-path"] {
         let entries = fs::read_dir(Path::new("/dev/serial").join(kind)).into_iter().flatten().flatten();
         let found = entries.filter(|entry| fs::canonicalize(entry.path()).is_ok_and(|to| to == target));
         if let Some(least) = found.filter_map(|entry| entry.file_name().into_string().ok()).min() {
-            return format!("{kind}/{least}");
+            return PortAddress::Serial(format!("{kind}/{least}"));
         }
     }
-    name.to_owned()
+    address.clone()
 }
 
-/// Sets the adapter's latency timer to 1 ms where that is permitted; the finding if it still holds bytes back for
-/// longer.
-pub fn quicken(name: &str) -> Option<PortFinding> {
-    let target = fs::canonicalize(device(name)).ok()?;
-    let device = target.file_name()?.to_str()?.to_owned();
-    let timer = Path::new("/sys/bus/usb-serial/devices").join(&device).join("latency_timer");
-    let read = || fs::read_to_string(&timer).ok()?.trim().parse::<u32>().ok();
-    if read()? > 1 {
+/// The latency timer of the adapter behind a device, where the system shows it.
+pub(super) fn timer(device: &Path) -> Option<PathBuf> {
+    let target = fs::canonicalize(device).ok()?;
+    Some(Path::new("/sys/bus/usb-serial/devices").join(target.file_name()?).join("latency_timer"))
+}
+
+/// How long that adapter holds bytes back, ms.
+pub(super) fn latency_ms(device: &Path) -> Option<u32> {
+    fs::read_to_string(timer(device)?).ok()?.trim().parse().ok()
+}
+
+/// What blurs the stamps of a line. The timer of a USB adapter is set to 1 ms before, where that is permitted.
+pub fn blur(address: &PortAddress) -> Option<PortFinding> {
+    let device = address.device();
+    let Some(device) = device else {
+        return matches!(address, PortAddress::Tcp(_) | PortAddress::Rfc2217(_))
+            .then(|| NetworkBlurs { port: address.to_string() });
+    };
+    if latency_ms(&device)? > 1 {
         // Not permitted to most: what is read back counts.
-        let _ = fs::write(&timer, "1");
+        let _ = fs::write(timer(&device)?, "1");
     }
-    Some(AdapterHoldsBack { device, hold_ms: read().filter(|ms| *ms > 1)? })
+    let name = fs::canonicalize(&device).ok()?.file_name()?.to_string_lossy().into_owned();
+    Some(AdapterHoldsBack { device: name, hold_ms: latency_ms(&device).filter(|ms| *ms > 1)? })
 }

@@ -41,8 +41,6 @@ pub fn list() -> Result<Vec<Found>, PortFinding> {
         .into_iter()
         .map(|info| {
             let device = Path::new(&info.port_name);
-            let base = device.file_name().map(Path::new).unwrap_or(device);
-            let latency = Path::new("/sys/bus/usb-serial/devices").join(base).join("latency_timer");
             let usb = match &info.port_type {
                 SerialPortType::UsbPort(usb) => Some(usb),
                 _ => None,
@@ -54,7 +52,7 @@ pub fn list() -> Result<Vec<Found>, PortFinding> {
                 serial_number: usb.and_then(|usb| usb.serial_number.clone()),
                 by_id: links.get(device).cloned(),
                 description: description(&info.port_type),
-                latency_ms: fs::read_to_string(latency).ok().and_then(|text| text.trim().parse().ok()),
+                latency_ms: super::adapter::latency_ms(device),
                 port: info.port_name,
             }
         })

@@ -1,26 +1,35 @@
-//! The serial line and nothing else: opening, writing, and a thread that reads and stamps.
+//! The line to the bar and nothing else: opening, writing, and a thread that reads and stamps.
+//!
+//! `address` is what the user writes; `tty` and `network` are the lines that it may mean, `line` what they have in common.
 
 mod adapter;
+mod address;
+mod line;
 mod list;
+mod network;
 mod reader;
+pub(crate) mod telnet;
+mod tty;
 
-use std::io::{ErrorKind, Read, Write};
-use std::path::{Path, PathBuf};
+use std::io::ErrorKind;
 use std::time::Duration;
 
-use serialport::{DataBits, FlowControl, Parity, SerialPort, StopBits};
+use serialport::{DataBits, FlowControl, Parity, StopBits};
 
 use crate::base::clock;
-use crate::catalogue::PortFinding::{self, NoPort, PortBusy, PortDenied, PortGone, PortRefused};
+use crate::catalogue::PortFinding::{self, NoPort, PortGone, PortRefused};
+use line::Line;
 
-pub use adapter::{identity, quicken};
+pub use adapter::{blur, identity};
+pub use address::{NetworkAddress, PortAddress};
+pub use line::{Stamps, Transport};
 pub use list::{Found, list};
 pub use reader::{Arrival, Reader};
 
 /// How long a read waits before it looks whether it is to end.
 const PATIENCE: Duration = Duration::from_millis(50);
 /// How long a write may take.
-const WRITE_PATIENCE_S: f64 = 2.0;
+const WRITE_PATIENCE: Duration = Duration::from_secs(2);
 
 /// Settings of the line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -38,18 +47,8 @@ pub struct Settings {
 
 /// An open line, for this process alone.
 pub struct Port {
-    line: Box<dyn SerialPort>,
+    line: Box<dyn Line>,
     name: String,
-    pty: bool,
-}
-
-/// The device of a port as the user named it: `by-id/..` and `by-path/..` stand under `/dev/serial`.
-pub fn device(name: &str) -> PathBuf {
-    if name.starts_with("by-id/") || name.starts_with("by-path/") {
-        Path::new("/dev/serial").join(name)
-    } else {
-        PathBuf::from(name)
-    }
 }
 
 impl Port {
@@ -57,33 +56,22 @@ impl Port {
     ///
     /// # Errors
     /// When it is missing, denied, in use, or refuses the settings.
-    pub fn open(name: &str, settings: &Settings) -> Result<Self, PortFinding> {
-        let path = device(name);
-        if cfg!(unix) && !path.exists() {
-            return Err(NoPort { port: name.into() });
-        }
-        // A pseudo terminal has no modem wires and no symbol rate: it takes the bytes as they come.
-        let target = std::fs::canonicalize(&path).unwrap_or_else(|_| path.clone());
-        let pty = target.starts_with("/dev/pts");
-        let mut builder = serialport::new(path.to_string_lossy(), settings.baud)
-            .data_bits(settings.data_bits)
-            .parity(settings.parity)
-            .stop_bits(settings.stop_bits)
-            .flow_control(settings.flow)
-            .timeout(PATIENCE);
-        if let (Some(dtr), false) = (settings.dtr, pty) {
-            builder = builder.dtr_on_open(dtr);
-        }
-        let mut line = builder.open().map_err(|error| refusal(name, &error))?;
-        if let (Some(rts), false) = (settings.rts, pty) {
-            line.write_request_to_send(rts).map_err(|error| refused(name, &error))?;
-        }
-        Ok(Self { line, name: name.into(), pty })
+    pub fn open(address: &PortAddress, settings: &Settings) -> Result<Self, PortFinding> {
+        let name = address.to_string();
+        let line: Box<dyn Line> = match address {
+            PortAddress::Tcp(server) => Box::new(network::Network::tcp(server)?),
+            PortAddress::Rfc2217(server) => Box::new(network::Network::rfc2217(server, settings)?),
+            PortAddress::Serial(_) | PortAddress::Sim => {
+                let device = address.device().ok_or_else(|| NoPort { port: name.clone() })?;
+                Box::new(tty::Tty::open(&name, &device, settings)?)
+            }
+        };
+        Ok(Self { line, name })
     }
 
-    /// Whether this is a pseudo terminal, whose other side waits until its bytes are taken.
-    pub fn is_pty(&self) -> bool {
-        self.pty
+    /// What carries the bytes, and what their stamps are worth.
+    pub fn stamps(&self) -> Stamps {
+        self.line.stamps()
     }
 
     /// Sends all of `bytes`.
@@ -95,12 +83,17 @@ impl Port {
         let mut rest = bytes;
         while !rest.is_empty() {
             match self.line.write(rest) {
-                Ok(sent) => rest = &rest[sent.min(rest.len())..],
+                Ok(sent @ 1..) => rest = &rest[sent.min(rest.len())..],
                 Err(error) if error.kind() == ErrorKind::Interrupted => {}
-                Err(error)
-                    if error.kind() == ErrorKind::TimedOut
-                        && clock::now().seconds_since(began) < WRITE_PATIENCE_S => {}
-                Err(error) => return Err(self.gone(&error)),
+                // Windows has no error for a write that timed out.
+                result => {
+                    let error = result.err().unwrap_or_else(|| ErrorKind::TimedOut.into());
+                    let waited = clock::now().seconds_since(began);
+                    if error.kind() != ErrorKind::TimedOut || waited >= WRITE_PATIENCE.as_secs_f64() {
+                        return Err(self.gone(&error));
+                    }
+                    clock::sleep(0.001);
+                }
             }
         }
         Ok(())
@@ -147,25 +140,22 @@ impl Port {
         Ok(came)
     }
 
-    /// Changes the rate, symbols per second; a pseudo terminal takes the bytes at any.
+    /// Changes the rate, symbols per second; a line without one takes the bytes at any.
     ///
     /// # Errors
     /// When the port is gone or cannot do it.
     pub fn set_baud(&mut self, baud: u32) -> Result<(), PortFinding> {
-        self.line.set_baud_rate(baud).map_err(|error| refused(&self.name, &error))
+        self.line.set_baud(baud).map_err(|error| self.refused(&error))
     }
 
-    /// Lowers DTR for so long; a pseudo terminal has none.
+    /// Lowers DTR for so long, where the line has that wire.
     ///
     /// # Errors
     /// When the port is gone.
     pub fn pulse_dtr(&mut self, low: Duration) -> Result<(), PortFinding> {
-        if self.pty {
-            return Ok(());
-        }
-        self.line.write_data_terminal_ready(false).map_err(|error| self.gone(&error))?;
+        self.line.set_dtr(false).map_err(|error| self.gone(&error))?;
         clock::sleep(low.as_secs_f64());
-        self.line.write_data_terminal_ready(true).map_err(|error| self.gone(&error))
+        self.line.set_dtr(true).map_err(|error| self.gone(&error))
     }
 
     /// A second handle of the same line, for the reading thread.
@@ -173,48 +163,15 @@ impl Port {
     /// # Errors
     /// When the system has no handle left.
     pub fn handle(&self) -> Result<Self, PortFinding> {
-        let line = self.line.try_clone().map_err(|error| refused(&self.name, &error))?;
-        Ok(Self { line, name: self.name.clone(), pty: self.pty })
+        let line = self.line.handle().map_err(|error| self.refused(&error))?;
+        Ok(Self { line, name: self.name.clone() })
+    }
+
+    fn refused(&self, why: &impl ToString) -> PortFinding {
+        PortRefused { port: self.name.clone(), why: why.to_string() }
     }
 
     fn gone(&self, why: &impl ToString) -> PortFinding {
         PortGone { port: self.name.clone(), why: why.to_string() }
-    }
-}
-
-fn refused(name: &str, error: &serialport::Error) -> PortFinding {
-    PortRefused { port: name.into(), why: error.to_string() }
-}
-
-/// By the words of the system, which has no kind of error for a port in use.
-fn refusal(name: &str, error: &serialport::Error) -> PortFinding {
-    use serialport::ErrorKind::{Io, NoDevice};
-    let text = error.to_string().to_lowercase();
-    let says = |words: &[&str]| words.iter().any(|word| text.contains(word));
-    match error.kind() {
-        Io(ErrorKind::PermissionDenied) => PortDenied { port: name.into() },
-        Io(ErrorKind::NotFound) => NoPort { port: name.into() },
-        _ if says(&["busy", "lock", "unavailable", "would block"]) => PortBusy { port: name.into() },
-        NoDevice => NoPort { port: name.into() },
-        _ => refused(name, error),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::diagnostic::Finding;
-
-    /// Root may open every port, so that no test through the binary is refused one.
-    #[test]
-    fn a_refusal_says_who_refuses() {
-        let said = |kind, text: &str| refusal("p", &serialport::Error::new(kind, text)).code().0;
-        assert_eq!(
-            said(serialport::ErrorKind::Io(ErrorKind::PermissionDenied), "Permission denied"),
-            "E0202"
-        );
-        assert_eq!(said(serialport::ErrorKind::Io(ErrorKind::NotFound), "No such file"), "E0201");
-        assert_eq!(said(serialport::ErrorKind::NoDevice, "Device or resource busy"), "E0203");
-        assert_eq!(said(serialport::ErrorKind::Unknown, "Not a typewriter"), "E0204");
     }
 }

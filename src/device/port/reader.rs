@@ -1,6 +1,6 @@
 //! The thread that reads: each read is stamped at once and handed on through a bounded channel.
 
-use std::io::{ErrorKind, Read};
+use std::io::ErrorKind;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
@@ -65,6 +65,7 @@ impl Drop for Reader {
 }
 
 fn read(mut port: Port, mut outbox: Outbox, stop: &AtomicBool) {
+    let waits = port.stamps().transport.waits();
     let mut buffer = [0; 4096];
     while !stop.load(Ordering::Relaxed) {
         let read = port.line.read(&mut buffer);
@@ -73,7 +74,7 @@ fn read(mut port: Port, mut outbox: Outbox, stop: &AtomicBool) {
             Ok(0) => "the line ended".to_owned(),
             Ok(count) => {
                 let bytes = buffer[..count.min(buffer.len())].to_vec();
-                let sent = if port.pty { outbox.wait(host, bytes) } else { outbox.offer(host, bytes) };
+                let sent = if waits { outbox.wait(host, bytes) } else { outbox.offer(host, bytes) };
                 if sent.is_err() {
                     return;
                 }
@@ -98,7 +99,7 @@ struct Outbox {
 }
 
 impl Outbox {
-    /// Hands bytes on; waits while there is no room: the other side of a pseudo terminal waits too.
+    /// Hands bytes on; waits while there is no room: the other side waits too.
     fn wait(&mut self, host: HostNs, bytes: Vec<u8>) -> Result<(), Closed> {
         self.sender.send(Arrival::Bytes(host, bytes)).map_err(|_| Closed)
     }

@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::base::units::HostNs;
+use crate::device::port::Stamps;
 use crate::measurement::sample::Sample;
 
 /// A record with the host's monotonic time at which it came about.
@@ -37,7 +38,13 @@ pub enum Event {
         version: String,
     },
     /// The port was opened.
-    Opened { port: String },
+    Opened {
+        /// The port's address.
+        port: String,
+        /// What carries its bytes, and what their times are worth; captures of older versions have none.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        stamps: Option<Stamps>,
+    },
     /// Nothing was received for a while, or samples are missing by their sequence numbers.
     Gap {
         /// How long, s, where it is known.

@@ -1,0 +1,278 @@
+//! Lines through the network: raw TCP to a serial server, and RFC 2217, which sets the server's line too.
+
+use std::collections::VecDeque;
+use std::io::{self, ErrorKind, Read, Write};
+use std::net::{TcpStream, ToSocketAddrs};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use serialport::{DataBits, FlowControl, Parity, StopBits};
+use socket2::{SockRef, TcpKeepalive};
+
+use super::address::NetworkAddress;
+use super::line::{Line, Stamps, Transport};
+use super::telnet::{self, Side, Telnet};
+use super::{PATIENCE, PortAddress, Settings, WRITE_PATIENCE};
+use crate::base::clock;
+use crate::catalogue::PortFinding::{self, NotRfc2217, ServerAway, ServerCloses, SettingRefused};
+
+/// How long a server may take to accept, for each of its addresses.
+const CONNECT: Duration = Duration::from_secs(1);
+/// A server whose line is taken by another accepts and closes within this.
+const TURNED_AWAY_S: f64 = 0.15;
+/// Its last words are no longer than this; a bar sends more.
+const LAST_WORDS: usize = 256;
+/// How long a server may take to answer a command.
+const ANSWER_S: f64 = 2.0;
+/// Silence after which the server is asked whether it is there, how often, and how many times.
+const PROBE: Duration = Duration::from_secs(1);
+const PROBES: u32 = 3;
+
+pub(super) struct Network {
+    stream: TcpStream,
+    shared: Arc<Mutex<Shared>>,
+    stamps: Stamps,
+}
+
+/// What the handles of a line have in common.
+struct Shared {
+    /// None for raw TCP.
+    telnet: Option<Telnet>,
+    /// Bytes that came while something else was waited for.
+    early: VecDeque<u8>,
+}
+
+impl Network {
+    /// # Errors
+    /// When the server cannot be reached or closes at once.
+    pub(super) fn tcp(address: &NetworkAddress) -> Result<Self, PortFinding> {
+        let mut line = Self::connect(address, Transport::Tcp)?;
+        let name = PortAddress::Tcp(address.clone()).to_string();
+        let began = clock::now();
+        while clock::now().seconds_since(began) < TURNED_AWAY_S && line.shared().early.len() <= LAST_WORDS {
+            if line.pump().is_err() {
+                let said = line.shared().early.drain(..).collect::<Vec<_>>();
+                let said = String::from_utf8_lossy(&said).trim().escape_default().to_string();
+                return Err(ServerCloses { port: name, said });
+            }
+        }
+        Ok(line)
+    }
+
+    /// # Errors
+    /// When the server cannot be reached, knows no RFC 2217, or refuses a setting.
+    pub(super) fn rfc2217(address: &NetworkAddress, settings: &Settings) -> Result<Self, PortFinding> {
+        let mut line = Self::connect(address, Transport::Rfc2217)?;
+        let port = PortAddress::Rfc2217(address.clone()).to_string();
+        let closes = |_| ServerCloses { port: port.clone(), said: String::new() };
+        let (telnet, greeting) = Telnet::new(Side::Client);
+        line.shared().telnet = Some(telnet);
+        line.stream.write_all(&greeting).map_err(closes)?;
+        let agreed = line.wait(|telnet| telnet.com_port()).map_err(closes)?;
+        if agreed != Some(true) {
+            return Err(NotRfc2217 { port });
+        }
+        for (setting, code, value) in line_settings(settings) {
+            let set = line.command(code, &value).map_err(closes)?;
+            if set.as_deref() != Some(&value[..]) {
+                let got = set.map_or("no answer".into(), |bytes| format!("{}", number(&bytes)));
+                let asked = number(&value);
+                return Err(SettingRefused { port, setting, asked, got });
+            }
+        }
+        for value in control_settings(settings) {
+            line.control(value).map_err(closes)?;
+        }
+        Ok(line)
+    }
+
+    fn connect(address: &NetworkAddress, transport: Transport) -> Result<Self, PortFinding> {
+        let away = |error: io::Error| {
+            let name = match transport {
+                Transport::Rfc2217 => PortAddress::Rfc2217(address.clone()),
+                _ => PortAddress::Tcp(address.clone()),
+            };
+            ServerAway { port: name.to_string(), why: error.to_string() }
+        };
+        let mut last = io::Error::new(ErrorKind::NotFound, "the name has no address");
+        for socket in (address.host.as_str(), address.port).to_socket_addrs().map_err(away)? {
+            let began = clock::now();
+            match TcpStream::connect_timeout(&socket, CONNECT) {
+                Ok(stream) => {
+                    let held_ms = Some(1e3 * clock::now().seconds_since(began));
+                    prepare(&stream).map_err(away)?;
+                    let shared = Arc::new(Mutex::new(Shared { telnet: None, early: VecDeque::new() }));
+                    return Ok(Self { stream, shared, stamps: Stamps { transport, held_ms } });
+                }
+                Err(error) => last = error,
+            }
+        }
+        Err(away(last))
+    }
+
+    fn shared(&self) -> MutexGuard<'_, Shared> {
+        self.shared.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Takes what has come into `early`; an error when the connection has ended.
+    fn pump(&mut self) -> io::Result<()> {
+        let mut room = [0; 1024];
+        match self.receive(&mut room) {
+            Ok(0) => Err(ErrorKind::UnexpectedEof.into()),
+            Ok(count) => {
+                self.shared().early.extend(&room[..count]);
+                Ok(())
+            }
+            Err(error) if matches!(error.kind(), ErrorKind::TimedOut | ErrorKind::Interrupted) => Ok(()),
+            Err(error) => Err(error),
+        }
+    }
+
+    /// Reads from the network and takes the data out of what came.
+    fn receive(&mut self, room: &mut [u8]) -> io::Result<usize> {
+        let count = self.stream.read(room).map_err(|error| match error.kind() {
+            // The word of Unix for a read that timed out.
+            ErrorKind::WouldBlock => ErrorKind::TimedOut.into(),
+            _ => error,
+        })?;
+        let received = match &mut self.shared().telnet {
+            Some(telnet) if count > 0 => telnet.receive(&room[..count]),
+            _ => return Ok(count),
+        };
+        self.stream.write_all(&received.reply)?;
+        room[..received.data.len()].copy_from_slice(&received.data);
+        if received.data.is_empty() { Err(ErrorKind::Interrupted.into()) } else { Ok(received.data.len()) }
+    }
+
+    /// Waits until telnet has what is asked for; none when it is not there in time.
+    fn wait<T>(&mut self, ask: impl Fn(&mut Telnet) -> Option<T>) -> io::Result<Option<T>> {
+        let began = clock::now();
+        loop {
+            let found = self.shared().telnet.as_mut().and_then(&ask);
+            if found.is_some() || clock::now().seconds_since(began) >= ANSWER_S {
+                return Ok(found);
+            }
+            self.pump()?;
+        }
+    }
+
+    /// Sends a command of RFC 2217 and waits for its answer.
+    fn command(&mut self, code: u8, value: &[u8]) -> io::Result<Option<Vec<u8>>> {
+        self.stream.write_all(&Telnet::command(code, value))?;
+        self.wait(|telnet| telnet.answer(code))
+    }
+
+    /// Sets a wire or the flow control; not every server answers.
+    fn control(&mut self, value: u8) -> io::Result<()> {
+        self.stream.write_all(&Telnet::command(telnet::SET_CONTROL, &[value]))
+    }
+}
+
+/// No byte waits for more to go with it, and a server that is gone is noticed.
+fn prepare(stream: &TcpStream) -> io::Result<()> {
+    stream.set_nodelay(true)?;
+    stream.set_read_timeout(Some(PATIENCE))?;
+    stream.set_write_timeout(Some(WRITE_PATIENCE))?;
+    let socket = SockRef::from(stream);
+    socket.set_tcp_keepalive(
+        &TcpKeepalive::new().with_time(PROBE).with_interval(PROBE).with_retries(PROBES),
+    )?;
+    #[cfg(target_os = "linux")]
+    socket.set_tcp_user_timeout(Some(PROBE * (PROBES + 1)))?;
+    Ok(())
+}
+
+/// The settings that a server must confirm, in the numbers of RFC 2217.
+fn line_settings(settings: &Settings) -> [(&'static str, u8, Vec<u8>); 4] {
+    let bits = match settings.data_bits {
+        DataBits::Five => 5,
+        DataBits::Six => 6,
+        DataBits::Seven => 7,
+        DataBits::Eight => 8,
+    };
+    let parity = match settings.parity {
+        Parity::None => 1,
+        Parity::Odd => 2,
+        Parity::Even => 3,
+    };
+    let stop = match settings.stop_bits {
+        StopBits::One => 1,
+        StopBits::Two => 2,
+    };
+    [
+        ("baud rate", telnet::SET_BAUD, settings.baud.to_be_bytes().to_vec()),
+        ("data bits", telnet::SET_DATA_BITS, vec![bits]),
+        ("parity (1 none, 2 odd, 3 even)", telnet::SET_PARITY, vec![parity]),
+        ("stop bits", telnet::SET_STOP_BITS, vec![stop]),
+    ]
+}
+
+/// Flow control and modem wires.
+fn control_settings(settings: &Settings) -> impl Iterator<Item = u8> {
+    let flow = match settings.flow {
+        FlowControl::None => 1,
+        FlowControl::Software => 2,
+        FlowControl::Hardware => 3,
+    };
+    let rts = settings.rts.map(|level| if level { 11 } else { 12 });
+    [Some(flow), settings.dtr.map(dtr), rts].into_iter().flatten()
+}
+
+fn dtr(level: bool) -> u8 {
+    if level { 8 } else { 9 }
+}
+
+fn number(bytes: &[u8]) -> u32 {
+    bytes.iter().fold(0, |value, byte| value << 8 | u32::from(*byte))
+}
+
+impl Line for Network {
+    fn read(&mut self, room: &mut [u8]) -> io::Result<usize> {
+        let early = self.shared().early.read(room)?;
+        if early > 0 { Ok(early) } else { self.receive(room) }
+    }
+
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let telnet = match &self.shared().telnet {
+            Some(telnet) if telnet.is_suspended() => return Err(ErrorKind::TimedOut.into()),
+            telnet => telnet.is_some(),
+        };
+        if !telnet {
+            return self.stream.write(bytes);
+        }
+        self.stream.write_all(&Telnet::escaped(bytes))?;
+        Ok(bytes.len())
+    }
+
+    fn set_timeout(&mut self, timeout: Duration) -> io::Result<()> {
+        self.stream.set_read_timeout(Some(timeout))
+    }
+
+    fn set_baud(&mut self, baud: u32) -> io::Result<()> {
+        if self.stamps.transport == Transport::Tcp {
+            return Ok(());
+        }
+        let asked = baud.to_be_bytes();
+        match self.command(telnet::SET_BAUD, &asked)? {
+            Some(set) if set == asked => Ok(()),
+            Some(set) => Err(io::Error::other(format!("the server set {} baud", number(&set)))),
+            None => Err(io::Error::other("the server does not answer")),
+        }
+    }
+
+    fn set_dtr(&mut self, level: bool) -> io::Result<()> {
+        match self.stamps.transport {
+            Transport::Rfc2217 => self.control(dtr(level)),
+            _ => Ok(()),
+        }
+    }
+
+    fn handle(&self) -> io::Result<Box<dyn Line>> {
+        let stream = self.stream.try_clone()?;
+        Ok(Box::new(Self { stream, shared: Arc::clone(&self.shared), stamps: self.stamps }))
+    }
+
+    fn stamps(&self) -> Stamps {
+        self.stamps
+    }
+}

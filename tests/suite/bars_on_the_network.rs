@@ -1,0 +1,163 @@
+//! Bars behind serial servers: raw TCP and RFC 2217, of the simulator, of ser2net and of pyserial.
+#![cfg(unix)]
+
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::{TcpListener, TcpStream};
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::thread;
+
+use dbbd::base::clock;
+
+use crate::cell::codes;
+use crate::virtual_bar::{Run, acquire, dbbd, simulate, stderr};
+
+const WRONG_ADDRESS: &str = "E0230";
+const AWAY: &str = "E0231";
+const CLOSES: &str = "E0232";
+const NOT_RFC2217: &str = "E0233";
+const SETTING: &str = "E0234";
+const BLURS: &str = "I0240";
+
+pub(crate) fn provoked() -> Vec<&'static str> {
+    vec![WRONG_ADDRESS, AWAY, CLOSES, NOT_RFC2217, SETTING, BLURS]
+}
+
+/// The program is ended with the test.
+struct Running(Child);
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+fn free_port() -> u16 {
+    TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
+}
+
+/// A server that does this with its clients; its port.
+fn server(with: impl Fn(TcpStream) + Send + 'static) -> u16 {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let port = listener.local_addr().unwrap().port();
+    thread::spawn(move || listener.incoming().flatten().for_each(with));
+    port
+}
+
+/// The code with which `acquire` refuses a port, and its exit code.
+fn refusal(directory: &Path, port: &str) -> (Vec<String>, Option<i32>) {
+    let mut command = dbbd(&["acquire", "--port", port, "--out", "refused", "--duration", "1"]);
+    let output = command.current_dir(directory).output().unwrap();
+    assert!(!directory.join("refused").exists(), "{port}");
+    (codes(&output), output.status.code())
+}
+
+#[test]
+fn a_server_that_cannot_be_used_is_named() {
+    let directory = tempfile::tempdir().unwrap();
+    let at = directory.path();
+    assert_eq!(refusal(at, "tcp://127.0.0.1"), (vec![WRONG_ADDRESS.into()], Some(2)));
+    let with_note = |code: &str| (vec![BLURS.to_owned(), code.to_owned()], Some(1));
+    assert_eq!(refusal(at, &format!("tcp://127.0.0.1:{}", free_port())), with_note(AWAY));
+    let taken = server(|mut client| client.write_all(b"Port already in use\r\n").unwrap());
+    assert_eq!(refusal(at, &format!("tcp://127.0.0.1:{taken}")), with_note(CLOSES));
+    // IAC DONT COM-PORT-OPTION.
+    let raw = server(|mut client| {
+        client.write_all(&[255, 254, 44]).unwrap();
+        let _ = client.read_to_end(&mut Vec::new());
+    });
+    assert_eq!(refusal(at, &format!("rfc2217://127.0.0.1:{raw}")), with_note(NOT_RFC2217));
+    // IAC DO COM-PORT-OPTION; whatever is asked for, it stays at 9600 baud.
+    let fixed = server(|mut client| {
+        client.write_all(&[255, 253, 44, 255, 250, 44, 101, 0, 0, 0x25, 0x80, 255, 240]).unwrap();
+        let _ = client.read_to_end(&mut Vec::new());
+    });
+    assert_eq!(refusal(at, &format!("rfc2217://127.0.0.1:{fixed}")), with_note(SETTING));
+}
+
+/// Readings without a loss, and every byte in one of them or in a fault.
+fn is_whole(run: &Run, transport: &str) {
+    assert_eq!(run.output.status.code(), Some(0), "{}", stderr(&run.output));
+    assert!(run.rows.len() > 200, "{} samples", run.rows.len());
+    for pair in run.rows.windows(2) {
+        let [before, after] = [&pair[0], &pair[1]].map(|row| row.sample.sequence.unwrap());
+        assert_eq!((before + 1) % 65536, after);
+    }
+    let in_faults: u64 = run.faults.iter().map(|(_, _, bytes)| bytes).sum();
+    assert_eq!(run.bytes, 18 * run.rows.len() as u64 + in_faults);
+    let opened = run.events.iter().find(|(_, name, _)| name == "opened").unwrap();
+    assert_eq!(opened.2["stamps"]["transport"], transport);
+    assert!(opened.2["stamps"]["held_ms"].as_f64().unwrap() >= 0.0);
+}
+
+#[test]
+fn the_simulator_serves_each_transport() {
+    for transport in ["tcp", "rfc2217"] {
+        let directory = tempfile::tempdir().unwrap();
+        let bar = simulate(directory.path(), "1", &["--listen", &format!("{transport}://127.0.0.1:0")]);
+        assert!(bar.1.starts_with(transport), "{}", bar.1);
+        let port = bar.1.clone();
+        let at = directory.path().to_owned();
+        let first = thread::spawn(move || acquire(&at, &port, "2", &[]));
+        clock::sleep(1.0);
+        // The line has one user.
+        let second = refusal(directory.path(), &bar.1);
+        assert_eq!(second, (vec![BLURS.into(), CLOSES.into()], Some(1)));
+        let run = first.join().unwrap();
+        is_whole(&run, transport);
+        assert_eq!(codes(&run.output), [BLURS]);
+    }
+}
+
+/// Whether a program is there; says loudly when not.
+fn installed(program: &str, args: &[&str]) -> bool {
+    let runs = Command::new(program).args(args).stdout(Stdio::null()).stderr(Stdio::null()).status();
+    let there = runs.is_ok_and(|status| status.success());
+    if !there {
+        eprintln!("SKIPPED: {program} {} is not installed", args.join(" "));
+    }
+    there
+}
+
+#[test]
+fn pyserials_server_is_understood() {
+    if !installed("python3", &["-c", "import serial.rfc2217"]) {
+        return;
+    }
+    let directory = tempfile::tempdir().unwrap();
+    let bar = simulate(directory.path(), "1", &[]);
+    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/clients/rfc2217_server.py");
+    let mut child = Command::new("python3").args([script, &bar.1]).stdout(Stdio::piped()).spawn().unwrap();
+    let mut port = String::new();
+    BufReader::new(child.stdout.take().unwrap()).read_line(&mut port).unwrap();
+    let _server = Running(child);
+    for _ in 0..2 {
+        let run = acquire(directory.path(), &format!("rfc2217://127.0.0.1:{}", port.trim()), "1.5", &[]);
+        is_whole(&run, "rfc2217");
+        std::fs::remove_file(directory.path().join("run")).unwrap();
+    }
+}
+
+#[test]
+fn ser2net_is_understood() {
+    if !installed("ser2net", &["-v"]) {
+        return;
+    }
+    for (scheme, accepter) in [("tcp", "tcp"), ("rfc2217", "telnet(rfc2217),tcp")] {
+        let directory = tempfile::tempdir().unwrap();
+        let bar = simulate(directory.path(), "1", &[]);
+        let port = free_port();
+        let config = format!(
+            "connection: &bar\n  accepter: {accepter},127.0.0.1,{port}\n  connector: serialdev,{},115200n81,local\n",
+            bar.1
+        );
+        let file = directory.path().join("ser2net.yaml");
+        std::fs::write(&file, config).unwrap();
+        let _server = Running(Command::new("ser2net").args(["-n", "-c"]).arg(&file).spawn().unwrap());
+        clock::sleep(1.0);
+        let address = format!("{scheme}://127.0.0.1:{port}");
+        let run = acquire(directory.path(), &address, "2", &[]);
+        is_whole(&run, scheme);
+    }
+}
