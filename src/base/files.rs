@@ -85,10 +85,40 @@ pub struct Exclusive {
 /// Makes the directory that a set of files goes to, and waits until others have written theirs: no set is mixed.
 pub fn exclusive(path: &Path) -> Result<Exclusive, Diagnostic> {
     directory(path)?;
-    // Where directories cannot be opened or locked, sets are written as they come.
-    let lock = fs::File::open(path).ok().filter(|directory| directory.lock().is_ok());
-    Ok(Exclusive { _lock: lock })
+    Ok(Exclusive { _lock: lock(path) })
 }
+
+/// Where directories cannot be opened or locked, sets are written as they come.
+#[cfg(not(windows))]
+fn lock(directory: &Path) -> Option<fs::File> {
+    fs::File::open(directory).ok().filter(|directory| directory.lock().is_ok())
+}
+
+/// A directory cannot be locked there: a file in it is, which goes with its handle.
+#[cfg(windows)]
+fn lock(directory: &Path) -> Option<fs::File> {
+    use std::os::windows::fs::OpenOptionsExt;
+    const DELETE_ON_CLOSE: u32 = 0x0400_0000;
+    const SHARING_VIOLATION: i32 = 32;
+    const ACCESS_DENIED: i32 = 5;
+    let mut options = fs::OpenOptions::new();
+    options.write(true).create(true).truncate(true).share_mode(0).custom_flags(DELETE_ON_CLOSE);
+    for _ in 0..LOCK_TRIES {
+        match options.open(directory.join(".dbbd-lock")) {
+            // Another has it, or it is just being deleted.
+            Err(error) if matches!(error.raw_os_error(), Some(SHARING_VIOLATION | ACCESS_DENIED)) => {
+                super::clock::sleep(0.02);
+            }
+            opened => return opened.ok(),
+        }
+    }
+    None
+}
+
+/// How often a file that another process holds is tried for, 20 ms apart: a directory that cannot be written to is denied
+/// for ever.
+#[cfg(windows)]
+const LOCK_TRIES: usize = 1500;
 
 /// Makes the directory that results go to.
 pub fn directory(path: &Path) -> Result<(), Diagnostic> {

@@ -5,8 +5,19 @@ use std::process::{Command, Stdio, exit};
 use std::thread;
 
 /// What a child process is to know of the environment; the rest is no business of a command of ours.
-const INHERITED: [&str; 9] =
-    ["PATH", "HOME", "LANG", "LC_ALL", "TZ", "TMPDIR", "NO_COLOR", "RUST_BACKTRACE", "SystemRoot"];
+const INHERITED: [&str; 11] = [
+    "PATH",
+    "HOME",
+    "LANG",
+    "LC_ALL",
+    "TZ",
+    "TMPDIR",
+    "NO_COLOR",
+    "RUST_BACKTRACE",
+    "SystemRoot",
+    "TEMP",
+    "TMP",
+];
 
 /// The option that ends a command of ours with its standard input.
 pub const UNTIL_STDIN_CLOSES: &str = "--until-stdin-closes";

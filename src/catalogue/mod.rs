@@ -4,6 +4,7 @@
 //! entry, docs/troubleshooting.md is made from all of them, and tests ask for codes and values, never for sentences.
 //! A code that was released keeps its meaning; a code that is dropped is not used again.
 
+mod bar;
 mod circular;
 mod cli;
 mod compensation;
@@ -25,6 +26,7 @@ mod robot;
 mod service;
 mod simulation;
 
+pub use bar::BarFinding;
 pub use circular::CircularFinding;
 pub use cli::CliFinding;
 pub use compensation::CompensationFinding;
@@ -141,6 +143,7 @@ const FAMILIES: &[(&str, &[Entry])] = &[
     ("The job", JobFinding::ENTRIES),
     ("The plan", PlanFinding::ENTRIES),
     ("Tables of measurements", MeasurementFinding::ENTRIES),
+    ("The bar", BarFinding::ENTRIES),
     ("Captures and runs", RecordingFinding::ENTRIES),
     ("Matching of dwells to poses", MatchingFinding::ENTRIES),
     ("Import of traces", ImportFinding::ENTRIES),

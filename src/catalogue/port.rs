@@ -11,14 +11,14 @@ findings! {
             NoPort { port: String } => "no port `{port}`", help: "plug the bar in; `dbbd ports` lists what is there";
         }
         E0202 "this user may not open the port",
-        cause: "A serial port belongs to a group, and this user is not in it.",
+        cause: "On Linux a serial port belongs to a group, and this user is not in it.",
         cure: "Add yourself to the group, as a rule `sudo usermod -aG dialout $USER`, and log in again." {
             PortDenied { port: String } => "port `{port}` may not be opened by this user", help: "add yourself to its group, as a rule `sudo usermod -aG dialout $USER`, and log in again";
         }
         E0203 "another program uses the port",
         cause: "The port is open in another program, perhaps another dbbd or a terminal program.",
         cure: "Close the other program; on Linux `fuser PORT` names it." {
-            PortBusy { port: String } => "port `{port}` is in use by another program", help: "close the other program; `fuser {port}` names it";
+            PortBusy { port: String } => "port `{port}` is in use by another program", help: "close the other program; on Linux `fuser {port}` names it";
         }
         E0204 "the port cannot be opened",
         cause: "The system refuses the port or one of its settings: a rate that the adapter cannot do, or no device behind the name.",

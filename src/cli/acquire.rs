@@ -23,7 +23,7 @@ use crate::provenance::Identity;
 use crate::recording::run::{self, PlanFiles};
 
 /// The protocol without a word about it.
-const DEFAULT_PROTOCOL: &str = "dbb-cobs-1";
+pub(super) const DEFAULT_PROTOCOL: &str = "dbb-cobs-1";
 /// Pause between lines of progress where there is no terminal, s.
 const LINE_EVERY_S: f64 = 5.0;
 
@@ -37,7 +37,7 @@ record being written, a loss of power what came since the last --sync-every. A d
 the run: every whole record is kept (exit code 1). Exit code 3: samples, poses or time are missing, nothing was \
 understood, or the capture was taken away and recording went on in a new file.";
 
-/// Read the bar over its serial line into a capture.
+/// Read the bar into a capture.
 ///
 /// The capture holds the raw bytes, the samples, every gap and fault, the plan and the protocol in force, and
 /// survives a kill. More: docs/reference/capture.md.
@@ -107,22 +107,50 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         let speed = if address.is_some() { "1" } else { "0" };
         let cell = simulated::Cell::start(args.plan.as_deref(), speed, address, out)?;
         let args = Args { port: cell.port().clone(), plan: Some(cell.plan().into()), ..args.clone() };
-        let verdict = record(&args, identity, server, out)?;
+        let summary = record(&args, identity, server, out)?;
         cell.finish()?;
-        return Ok(verdict);
+        out.document(&summary)?;
+        return Ok(Outcome::Done);
     }
-    record(args, identity, server, out)
+    out.document(&record(args, identity, server, out)?)?;
+    Ok(Outcome::Done)
+}
+
+impl Args {
+    /// A bar read for so many seconds, without a plan.
+    pub(super) fn timed(
+        port: PortAddress,
+        protocol: String,
+        params: Vec<(String, String)>,
+        out: PathBuf,
+        s: f64,
+    ) -> Self {
+        Self {
+            port,
+            protocol: Some(protocol),
+            params,
+            plan: None,
+            identity: None,
+            zero: false,
+            ekrl: None,
+            out,
+            duration: Some(s),
+            gone: 10.0,
+            sync_every: 1.0,
+        }
+    }
 }
 
 /// What the capture says after `--zero`.
 const ZEROED: &str = "the bar's reading was set to zero before the run";
 
-fn record(
+/// Records until the run is over, and reports what it gave and what is to be doubted.
+pub(super) fn record(
     args: &Args,
     identity: Identity,
     server: Option<Server>,
     out: &Output,
-) -> Result<Outcome, Diagnostic> {
+) -> Result<Summary, Diagnostic> {
     let plan = args.plan.as_deref().map(PlanFiles::read).transpose()?;
     let planned = plan.as_ref().map(|files| files.plan.header.job.bar.protocol.as_str());
     let name = args.protocol.as_deref().or(planned).unwrap_or(DEFAULT_PROTOCOL);
@@ -159,7 +187,9 @@ fn record(
     out.progress(format!("reading {} into {}", args.port, args.out.display()));
     show(&acquisition, &schedule, out)?;
     acquisition.findings().into_iter().for_each(|finding| out.finding(finding));
-    conclude(&acquisition.join()?, args, out)
+    let summary = acquisition.join()?;
+    conclude(&summary, args, out)?;
+    Ok(summary)
 }
 
 /// Shows how the run goes until it is over.
@@ -220,8 +250,7 @@ fn losses(progress: &Progress) -> String {
     found.map(|(count, what)| format!(", {count} {what}")).collect()
 }
 
-/// Reports what the run gave and what is to be doubted.
-fn conclude(summary: &Summary, args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
+fn conclude(summary: &Summary, args: &Args, out: &Output) -> Result<(), Diagnostic> {
     let Summary { capture, ending, progress } = summary;
     out.result(format!(
         "{}: {} samples, {} dwells, {} bytes in {:.1} s; {}",
@@ -236,8 +265,7 @@ fn conclude(summary: &Summary, args: &Args, out: &Output) -> Result<Outcome, Dia
     if args.plan.is_some() && progress.samples > 0 {
         run::losses(capture)?.into_iter().for_each(|loss| out.finding(loss));
     }
-    out.document(summary)?;
-    Ok(Outcome::Done)
+    Ok(())
 }
 
 fn doubts(summary: &Summary, args: &Args) -> Vec<PortFinding> {

@@ -2,6 +2,7 @@
 
 mod acquire;
 mod artefact;
+mod bar;
 mod check;
 mod child;
 mod circle;
@@ -80,6 +81,7 @@ enum Verb {
     Plan(plan::Args),
     Krl(krl::Args),
     Simulate(simulate::Args),
+    Bar(bar::Args),
     Acquire(acquire::Args),
     Sync(sync::Args),
     Identify(identify::Args),
@@ -139,6 +141,7 @@ pub fn main() -> ExitCode {
         Verb::Plan(args) => plan::run(args, &out),
         Verb::Krl(args) => krl::run(args, &out),
         Verb::Simulate(args) => simulate::run(args, &out),
+        Verb::Bar(args) => bar::run(args, &out),
         Verb::Acquire(args) => acquire::run(args, &out),
         Verb::Sync(args) => sync::run(args, &out),
         Verb::Identify(args) => identify::run(args, &out),

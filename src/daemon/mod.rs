@@ -2,6 +2,7 @@
 
 mod acquisition;
 mod ekrl;
+mod identify;
 mod live_state;
 mod mount_detector;
 mod polling;
@@ -16,6 +17,7 @@ mod telegrams;
 
 pub use acquisition::{Acquisition, Ending, Options, Summary};
 pub use ekrl::Server;
+pub use identify::{Attempt, Search};
 pub use live_state::{Feed, LiveState};
 pub use mount_detector::{MountDetector, Reading};
 pub use progress::Progress;

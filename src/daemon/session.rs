@@ -11,7 +11,7 @@ use crate::device::port::{Port, PortAddress, Settings};
 use crate::device::protocol::{Definition, Flow, Line, Parity, Step};
 
 /// The line's settings in the words of the port.
-fn settings(line: &Line) -> Settings {
+pub(super) fn settings(line: &Line) -> Settings {
     Settings {
         baud: line.baud,
         data_bits: if line.data_bits == 7 { DataBits::Seven } else { DataBits::Eight },

@@ -3,13 +3,13 @@
 use std::io;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-#[cfg(unix)]
 use std::task::Poll;
 
 use crate::catalogue::ServiceFinding;
 use crate::diagnostic::Diagnostic;
 
-/// A flag that the first signal raises: SIGINT, SIGTERM, SIGHUP, SIGQUIT, SIGUSR1 or SIGUSR2.
+/// A flag that the first signal raises: SIGINT, SIGTERM, SIGHUP, SIGQUIT, SIGUSR1 or SIGUSR2; on Windows Ctrl-C, Ctrl-Break,
+/// the closing of the window or the session, the shutdown.
 ///
 /// # Errors
 /// When the system gives no thread or no signal handler.
@@ -69,18 +69,39 @@ fn is_ignored(kind: tokio::signal::unix::SignalKind) -> bool {
     mask >> (kind.as_raw_value() - 1) & 1 == 1
 }
 
-#[cfg(not(unix))]
-pub(super) struct Signals;
+/// The keys Ctrl-C and Ctrl-Break, the closing window, the end of the session, the shutdown. The system waits a few seconds
+/// for a process that has been asked to close.
+#[cfg(windows)]
+pub(super) struct Signals {
+    ctrl_c: tokio::signal::windows::CtrlC,
+    ctrl_break: tokio::signal::windows::CtrlBreak,
+    close: tokio::signal::windows::CtrlClose,
+    logoff: tokio::signal::windows::CtrlLogoff,
+    shutdown: tokio::signal::windows::CtrlShutdown,
+}
 
-#[cfg(not(unix))]
+#[cfg(windows)]
 impl Signals {
     pub(super) fn new() -> io::Result<Self> {
-        Ok(Self)
+        use tokio::signal::windows;
+        Ok(Self {
+            ctrl_c: windows::ctrl_c()?,
+            ctrl_break: windows::ctrl_break()?,
+            close: windows::ctrl_close()?,
+            logoff: windows::ctrl_logoff()?,
+            shutdown: windows::ctrl_shutdown()?,
+        })
     }
 
     pub(super) async fn wait(&mut self) {
-        if tokio::signal::ctrl_c().await.is_err() {
-            std::future::pending::<()>().await;
-        }
+        std::future::poll_fn(|context| {
+            let came = self.ctrl_c.poll_recv(context).is_ready()
+                || self.ctrl_break.poll_recv(context).is_ready()
+                || self.close.poll_recv(context).is_ready()
+                || self.logoff.poll_recv(context).is_ready()
+                || self.shutdown.poll_recv(context).is_ready();
+            if came { Poll::Ready(()) } else { Poll::Pending }
+        })
+        .await;
     }
 }

@@ -1,6 +1,7 @@
 //! From recorded bytes to measurements: the capture file, the device's clock, dwells, the matching of dwells to poses,
 //! whole runs, imported traces.
 
+pub mod bar_check;
 pub mod capture;
 pub mod device_clock;
 pub mod dwell;

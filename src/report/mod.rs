@@ -4,6 +4,7 @@
 //! reader's choice of light or dark. Templates take the result itself; numbers are formatted by the
 //! filters of `page`.
 
+pub mod bar;
 pub mod calibration;
 pub mod check;
 pub mod circle;

@@ -122,6 +122,6 @@ impl BadLine {
 
     /// Bytes of an earlier stream: the tail of nothing in particular.
     pub fn noise(&mut self, count: usize) -> Vec<u8> {
-        (0..count).map(|_| self.dice.random()).collect()
+        (0..count).map(|_| self.dice.random::<u8>()).collect()
     }
 }

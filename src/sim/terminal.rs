@@ -27,7 +27,10 @@ pub struct Terminal {
 
 enum Wire {
     #[cfg(unix)]
-    Pty { line: TTYPort, link: Option<Link> },
+    Pty {
+        line: TTYPort,
+        link: Option<Link>,
+    },
     Network(Server),
 }
 
@@ -72,7 +75,8 @@ impl Terminal {
         };
         let NetworkAddress { host, port } = network;
         let mut addresses = (host.as_str(), *port).to_socket_addrs().map_err(failed)?;
-        let listener = addresses.next().map_or_else(|| Err(ErrorKind::NotFound.into()), bound).map_err(failed)?;
+        let listener =
+            addresses.next().map_or_else(|| Err(ErrorKind::NotFound.into()), bound).map_err(failed)?;
         let port = listener.local_addr().map_err(failed)?.port();
         let network = NetworkAddress { host: host.clone(), port };
         let address = match speaks {

@@ -1,4 +1,5 @@
 //! `dbbd acquire` over a real pseudo terminal, with a virtual bar on its other side.
+#![cfg(unix)]
 
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};

@@ -1,5 +1,6 @@
 //! Kills, cuts, flipped bits and failing disks: short slices here, the campaigns by `-- --ignored`
 //! (their commands and figures stand in docs/reference/capture.md).
+#![cfg(unix)]
 
 use std::io::{self, Write};
 use std::path::Path;
@@ -174,7 +175,7 @@ fn long() -> &'static (Vec<u8>, Vec<usize>, Vec<Stamped>) {
         while frame < 4000 {
             let count = random.random_range(1..9);
             // The bytes are any, those of a record's begin among them.
-            let mut raw: Vec<u8> = (0..18 * count).map(|_| random.random()).collect();
+            let mut raw: Vec<u8> = (0..18 * count).map(|_| random.random::<u8>()).collect();
             if frame.is_multiple_of(7) {
                 raw[..4].copy_from_slice(&[0xdb, 0xbd, 0x5a, 0xa5]);
             }

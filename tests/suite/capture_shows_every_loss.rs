@@ -143,7 +143,6 @@ fn gaps_of_any_size_are_counted() {
 }
 
 /// Identifications into one directory at the same time: the files that are left are of one of them.
-#[cfg(unix)]
 #[test]
 fn sets_of_results_are_not_mixed() {
     use std::process::{Command, Stdio};

@@ -32,7 +32,6 @@ fn reversal_steps_are_fitted() {
 }
 
 /// A simulated robot with play in a joint: the play comes back from a capture.
-#[cfg(unix)]
 #[test]
 fn a_joints_play_comes_back_from_a_capture() {
     let dir = tempfile::tempdir().unwrap();

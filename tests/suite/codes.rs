@@ -1,4 +1,5 @@
 //! Codes are stable, explained and provoked.
+#![cfg(unix)]
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -37,6 +38,7 @@ fn provoked() -> Vec<&'static str> {
         crate::ekrl_reports_the_dwells::provoked(),
         crate::definitions_are_checked::provoked(),
         crate::every_device_round_trips::provoked(),
+        crate::first_contact::provoked(),
         crate::imports_foreign_traces::provoked(),
         crate::infeasible_jobs_are_refused::provoked(),
         crate::identity_travels::provoked(),

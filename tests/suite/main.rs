@@ -41,6 +41,7 @@ mod every_device_round_trips;
 mod every_fault_is_accounted_for;
 mod fault_matrix;
 mod first_calibration;
+mod first_contact;
 mod floor_plan;
 mod foxglove_layout;
 mod hands_the_robot_back;

@@ -159,7 +159,6 @@ fn a_thousand_circles() {
 }
 
 /// A capture of a circle on a robot without backlash whose orientation changes, through the binary: its notes and steps.
-#[cfg(unix)]
 fn captured(dir: &Path, direction: &str) -> serde_json::Value {
     let step = |args: &[&str]| {
         let output = dbbd(dir, args);
@@ -175,7 +174,6 @@ fn captured(dir: &Path, direction: &str) -> serde_json::Value {
     serde_json::from_str(&std::fs::read_to_string(dir.join("circle/circle.json")).unwrap()).unwrap()
 }
 
-#[cfg(unix)]
 #[test]
 fn a_robot_without_backlash_has_no_step_and_one_sense_has_a_code() {
     let dir = tempfile::tempdir().unwrap();

@@ -61,7 +61,7 @@ impl Cell {
         let inside = directory.path();
         let steps = Steps::new(inside, out);
         let plan = match plan {
-            Some(plan) => plan.canonicalize().map_err(|error| {
+            Some(plan) => std::path::absolute(plan).map_err(|error| {
                 let why = error.to_string();
                 Diagnostic::file(&plan.display().to_string(), FileFinding::Unreadable { why })
             })?,

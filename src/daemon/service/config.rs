@@ -14,7 +14,7 @@ use crate::base::parse::from_toml;
 use crate::catalogue::PortFinding;
 use crate::catalogue::ServiceFinding::{
     self, NotAHost, NotAProtocol, NotAStroke, NotAnAddress, OpenWithoutToken, OutOfRange,
-    ParametersWithoutProtocol, TokenOpen, TokenTooShort, TokenUnreadable,
+    ParametersWithoutProtocol, TokenTooShort, TokenUnreadable,
 };
 use crate::daemon::ALARM_SHARE;
 use crate::device::port::PortAddress;
@@ -221,7 +221,7 @@ fn token(source: &Source, path: &Spanned<String>) -> Result<Token, Diagnostic> {
         use std::os::unix::fs::PermissionsExt;
         let mode = fs::metadata(&file).map_or(0, |data| data.permissions().mode());
         if mode & 0o007 != 0 {
-            return Err(wrong(TokenOpen));
+            return Err(wrong(ServiceFinding::TokenOpen));
         }
     }
     Token::new(&text).ok_or_else(|| wrong(TokenTooShort))

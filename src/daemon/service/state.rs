@@ -157,7 +157,8 @@ impl Supervisor {
     }
 
     pub(super) fn look(&self, inner: &Inner) -> Status {
-        let there = |port: &PortAddress| *port != PortAddress::Sim && port.is_present() || self.is_simulated(port);
+        let there =
+            |port: &PortAddress| *port != PortAddress::Sim && port.is_present() || self.is_simulated(port);
         let present = inner.port.as_ref().is_some_and(there);
         let run = match &inner.run {
             Run::On(running) => Some(self.run_status(running)),

@@ -107,7 +107,9 @@ mod tests {
 
     #[test]
     fn an_address_reads_back_as_it_is_written() {
-        for text in ["/dev/ttyUSB0", "COM3", "by-id/usb-x", "sim", "tcp://10.0.0.7:4001", "rfc2217://[::1]:2217"] {
+        for text in
+            ["/dev/ttyUSB0", "COM3", "by-id/usb-x", "sim", "tcp://10.0.0.7:4001", "rfc2217://[::1]:2217"]
+        {
             let address: PortAddress = text.parse().unwrap();
             assert_eq!(address.to_string(), text);
         }
@@ -117,7 +119,9 @@ mod tests {
 
     #[test]
     fn a_wrong_address_is_refused() {
-        for text in ["", "http://a:1", "tcp://a", "tcp://:1", "tcp://a:65536", "tcp://::1:5", "tcp://a b:1", "tcp://"] {
+        for text in
+            ["", "http://a:1", "tcp://a", "tcp://:1", "tcp://a:65536", "tcp://::1:5", "tcp://a b:1", "tcp://"]
+        {
             assert_eq!(text.parse::<PortAddress>().unwrap_err().code().0, "E0230", "{text}");
         }
     }

@@ -26,8 +26,9 @@ pub use line::{Stamps, Transport};
 pub use list::{Found, list};
 pub use reader::{Arrival, Reader};
 
-/// How long a read waits before it looks whether it is to end.
-const PATIENCE: Duration = Duration::from_millis(50);
+/// How long a read waits before it looks whether it is to end. On Windows a write to a serial port waits for the read: a
+/// request must not be late.
+const PATIENCE: Duration = Duration::from_millis(if cfg!(windows) { 5 } else { 50 });
 /// How long a write may take.
 const WRITE_PATIENCE: Duration = Duration::from_secs(2);
 

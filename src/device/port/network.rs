@@ -174,9 +174,8 @@ fn prepare(stream: &TcpStream) -> io::Result<()> {
     stream.set_read_timeout(Some(PATIENCE))?;
     stream.set_write_timeout(Some(WRITE_PATIENCE))?;
     let socket = SockRef::from(stream);
-    socket.set_tcp_keepalive(
-        &TcpKeepalive::new().with_time(PROBE).with_interval(PROBE).with_retries(PROBES),
-    )?;
+    socket
+        .set_tcp_keepalive(&TcpKeepalive::new().with_time(PROBE).with_interval(PROBE).with_retries(PROBES))?;
     #[cfg(target_os = "linux")]
     socket.set_tcp_user_timeout(Some(PROBE * (PROBES + 1)))?;
     Ok(())

@@ -206,7 +206,8 @@ mod tests {
     /// Both ends, each fed with what the other says until neither has anything to say.
     fn settled(client: &mut Telnet, server: &mut Telnet, mut to_server: Vec<u8>, mut to_client: Vec<u8>) {
         for _ in 0..10 {
-            let (from_server, from_client) = (server.receive(&to_server).reply, client.receive(&to_client).reply);
+            let (from_server, from_client) =
+                (server.receive(&to_server).reply, client.receive(&to_client).reply);
             (to_server, to_client) = (from_client, from_server);
             if to_server.is_empty() && to_client.is_empty() {
                 return;

@@ -221,7 +221,7 @@ impl Form {
     /// The step between two values that can be written, where they stand at even steps.
     pub(super) fn step(&self) -> f64 {
         match self {
-            Form::Decimal(decimal) => 10f64.powi(-(decimal.decimals as i32)),
+            Form::Decimal(decimal) => 1.0 / 10f64.powi(decimal.decimals as i32),
             Form::Float { .. } => 0.0,
             _ => 1.0,
         }

@@ -1,0 +1,164 @@
+//! `dbbd bar`: first contact with a bar.
+
+use std::path::PathBuf;
+
+use serde::Serialize;
+
+use super::{Outcome, Output, acquire, positive, protocols};
+use crate::base::files;
+use crate::catalogue::BarFinding;
+use crate::daemon::{Attempt, Search};
+use crate::device::port::PortAddress;
+use crate::device::protocol::Definition;
+use crate::diagnostic::Diagnostic;
+use crate::provenance::{Artefact, Identity, Provenance, Role};
+use crate::recording::StreamBuilder;
+use crate::recording::bar_check::BarCheck;
+use crate::recording::capture::{Pass, Record};
+use crate::report;
+
+/// Find out which bar is at a port, and how well it reads.
+#[derive(clap::Args)]
+pub(crate) struct Args {
+    #[command(subcommand)]
+    what: What,
+}
+
+#[derive(clap::Subcommand)]
+enum What {
+    Identify(Identify),
+    Check(Check),
+}
+
+/// Find out which protocol a bar speaks.
+///
+/// Listens at the rates of the built-in definitions; a bar that says nothing by itself is then asked in the words of each
+/// (the commands of `dbbd protocols show`: stop, init, start, poll). The definitions are ranked by the share of the bytes
+/// that they explain and by how improbable so many readings are in the same bytes in random order. Exit code 3: unknown,
+/// or nothing heard.
+#[derive(clap::Args)]
+struct Identify {
+    /// Where the bar is, as for `dbbd acquire`.
+    #[arg(long, value_name = "PORT")]
+    port: PortAddress,
+    /// How long bytes are gathered, s.
+    #[arg(long, value_name = "S", default_value_t = 2.0, value_parser = positive)]
+    duration: f64,
+    /// Only listen: send nothing to the device.
+    #[arg(long)]
+    listen: bool,
+}
+
+/// Measure how well a bar at rest reads.
+///
+/// The bar sits between two balls that do not move. Gives noise, resolution, rate and drift, and the standard deviation of a
+/// length at a dwell: `bar.toml` has it as the section [bar] of a job, `bar.html` the pictures, `bar.json` the numbers,
+/// `bar.dbbd` the capture. Exit code 3 when the bar was not at rest, drifts, or lost readings.
+#[derive(clap::Args)]
+struct Check {
+    /// Where the bar is, as for `dbbd acquire`.
+    #[arg(long, value_name = "PORT")]
+    port: PortAddress,
+    /// Protocol of the bar: a built-in name or a TOML file; `dbbd bar identify` finds it.
+    #[arg(long, value_name = "NAME|FILE", default_value = acquire::DEFAULT_PROTOCOL)]
+    protocol: String,
+    /// Set a parameter of the protocol, as range_mm=50; `dbbd protocols show NAME` lists them.
+    #[arg(long = "param", value_name = "NAME=VALUE", value_parser = protocols::param)]
+    params: Vec<(String, String)>,
+    /// How long the bar is read, s.
+    #[arg(long, value_name = "S", default_value_t = 60.0, value_parser = positive)]
+    duration: f64,
+    /// Directory for bar.toml, bar.html, bar.json and the capture bar.dbbd, which must not be there yet.
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+}
+
+/// What `identify --json` gives.
+#[derive(Serialize)]
+struct Identified<'a> {
+    port: String,
+    /// The protocol, where the bytes name it.
+    protocol: Option<&'a str>,
+    attempts: &'a [Attempt],
+}
+
+pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
+    match &args.what {
+        What::Identify(args) => identify(args, out),
+        What::Check(args) => check(args, out),
+    }
+}
+
+fn identify(args: &Identify, out: &Output) -> Result<Outcome, Diagnostic> {
+    let definitions: Vec<Definition> = Definition::built_in()
+        .iter()
+        .filter_map(|(name, _)| Definition::by_name(name))
+        .collect::<Result<_, _>>()?;
+    let search =
+        Search { port: &args.port, definitions: &definitions, span_s: args.duration, asks: !args.listen };
+    let attempts = search.attempts(|attempt| out.progress(progress(attempt)))?;
+    let last = attempts.iter().max_by_key(|attempt| (attempt.found().is_some(), attempt.bytes));
+    let protocol = last.and_then(Attempt::found).map(|evidence| evidence.protocol.as_str());
+    if protocol.is_none() {
+        out.finding(match last.map_or(0, |attempt| attempt.bytes) {
+            0 => BarFinding::SaysNothing { port: args.port.to_string() },
+            bytes => BarFinding::UnknownDevice { bytes },
+        });
+    }
+    for evidence in last.into_iter().flat_map(|attempt| &attempt.ranked) {
+        out.result(format!(
+            "{:<22} {:>6} readings, {:>3.0} % of the bytes explained, 2^-{:.0} by chance",
+            evidence.protocol,
+            evidence.samples,
+            100.0 * evidence.explained,
+            evidence.bits
+        ));
+    }
+    if let Some(protocol) = protocol {
+        out.result(format!("dbbd acquire --port {} --protocol {protocol} --out RUN", args.port));
+    }
+    out.document(&Identified { port: args.port.to_string(), protocol, attempts: &attempts })?;
+    Ok(Outcome::Done)
+}
+
+fn progress(attempt: &Attempt) -> String {
+    let baud = attempt.baud.map_or(String::new(), |baud| format!(" at {baud} baud"));
+    let how = attempt.asked.as_ref().map_or("listened".to_owned(), |name| format!("asked as {name}"));
+    format!("{how}{baud}: {} bytes", attempt.bytes)
+}
+
+fn check(args: &Check, out: &Output) -> Result<Outcome, Diagnostic> {
+    files::directory(&args.out)?;
+    let capture = args.out.join("bar.dbbd");
+    let Check { port, protocol, params, duration, .. } = args;
+    let run =
+        acquire::Args::timed(port.clone(), protocol.clone(), params.clone(), capture.clone(), *duration);
+    acquire::record(&run, Identity::default(), None, out)?;
+    let definition = protocols::load_with(protocol, params)?;
+    let mut builder =
+        StreamBuilder::new(definition.clock.map(Into::into)).sequence(definition.sequence_modulo);
+    Pass::over(&capture, |stamped| {
+        if let Record::Samples(samples) = &stamped.record {
+            samples.iter().for_each(|sample| builder.push(stamped.host, sample));
+        }
+        Ok(())
+    })?;
+    let found = BarCheck::of(&builder.build(), &definition)?;
+    found.findings.iter().for_each(|finding| out.finding(finding.clone()));
+    let provenance = Provenance::of([&Artefact::file(Role::Capture, &capture)?.into()]);
+    files::write(&args.out.join("bar.toml"), found.to_toml())?;
+    files::write(&args.out.join("bar.json"), super::output::pretty(&found)?)?;
+    files::write(&args.out.join("bar.html"), report::bar::html(&found, &provenance)?)?;
+    let um = |mm: f64| 1e3 * mm;
+    out.result(format!(
+        "sigma_um = {:.3}: one reading {:.3} um, resolution {:.3} um, {:.4} readings per second, drift {:+.3} um/min",
+        um(found.sigma_mm),
+        um(found.noise_mm),
+        um(found.resolution_mm),
+        found.rate_hz,
+        um(found.drift_mm_min),
+    ));
+    out.result(args.out.join("bar.html").display().to_string());
+    out.document(&found)?;
+    Ok(Outcome::Done)
+}

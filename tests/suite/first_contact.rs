@@ -1,0 +1,253 @@
+//! First contact with a bar: `bar identify` names its protocol, or says that it does not know; `bar check` measures how well
+//! it reads.
+
+use std::path::Path;
+use std::process::{Command, Output};
+use std::thread;
+
+use dbbd::base::units::DeviceTicks;
+use dbbd::device::protocol::{Definition, Evidence, Mode};
+use dbbd::measurement::sample::Sample;
+use dbbd::sim::bar::{self, Options, Reading, Source, Terminal};
+use rand::{RngExt, SeedableRng};
+use rand_distr::{Distribution, Normal};
+use rand_pcg::Pcg64;
+use serde_json::Value;
+
+use crate::cell::codes;
+
+const UNKNOWN: &str = "W2100";
+const SILENT: &str = "W2102";
+const FEW: &str = "E2105";
+const NOT_AT_REST: &str = "W2106";
+const DRIFTS: &str = "W2107";
+const RATE: &str = "W2108";
+const INVALID: &str = "W2109";
+
+pub(crate) fn provoked() -> Vec<&'static str> {
+    vec![UNKNOWN, SILENT, FEW, NOT_AT_REST, DRIFTS, RATE, INVALID]
+}
+
+fn built_in() -> Vec<Definition> {
+    Definition::built_in().iter().map(|(name, _)| Definition::by_name(name).unwrap().unwrap()).collect()
+}
+
+/// What a device sends in two seconds about one length; the line was opened within a frame.
+fn two_seconds(definition: &Definition, seed: u64) -> Vec<u8> {
+    let mut dice = Pcg64::seed_from_u64(seed);
+    let rate_hz = match definition.mode {
+        Mode::Poll { hz, .. } => hz,
+        Mode::Stream | Mode::Push => definition.nominal_hz.unwrap_or(10.0),
+    };
+    let mut bytes = Vec::new();
+    let begin: u32 = dice.random_range(0..1_000_000);
+    for frame in 0..(2.0 * rate_hz) as u32 {
+        let ticks = |tick_ns: u32| f64::from(begin) + f64::from(frame) / rate_hz * 1e9 / f64::from(tick_ns);
+        let sample = Sample {
+            reading_mm: definition.sim.at_mm + 0.1 + dice.random_range(-0.002..0.002),
+            sequence: definition.sequence_modulo.map(|modulo| (begin + frame) % modulo),
+            ticks: definition.clock.map(|clock| DeviceTicks(ticks(clock.tick_ns) as u64)),
+            trigger: Some(false),
+            temperature_c: Some(21.5),
+            valid: true,
+            status: 0,
+            offset: 0,
+        };
+        definition.encoder().encode(&sample, &mut bytes).unwrap();
+    }
+    bytes.split_off(2)
+}
+
+fn named<'a>(ranked: &'a [Evidence]) -> Option<&'a str> {
+    ranked.first().filter(|evidence| evidence.is_enough()).map(|evidence| evidence.protocol.as_str())
+}
+
+#[test]
+fn two_seconds_of_bytes_name_the_definition_and_no_other() {
+    let definitions = built_in();
+    for definition in &definitions {
+        for seed in 0..2 {
+            let mut bytes = two_seconds(definition, seed);
+            // One byte of a line is damaged.
+            let middle = bytes.len() / 2;
+            bytes[middle] ^= 0x11;
+            let ranked = Evidence::ranked(&definitions, &bytes);
+            assert_eq!(named(&ranked), Some(definition.id.as_str()), "{:?}", &ranked[..2]);
+            assert!(!ranked[1].is_enough(), "{}: {:?}", definition.id, &ranked[..2]);
+        }
+    }
+}
+
+const GPS: &str = "$GPGGA,123519.00,4807.0380,N,01131.0000,E,1,08,0.9,545.4,M,46.9,M,,*47\r\n\
+                   $GPGSA,A,3,04,05,,09,12,,,24,,,,,2.5,1.3,2.1*39\r\n\
+                   $GPRMC,123519.00,A,4807.0380,N,01131.0000,E,022.4,084.4,230394,003.1,W*6A\r\n";
+const MODEM: &str = "\r\nRING\r\n\r\nNO CARRIER\r\nAT\r\r\nOK\r\nAT+CSQ\r\r\n+CSQ: 15,99\r\n\r\nOK\r\nAT+CREG?\r\r\n\
+                     +CREG: 0,1\r\n\r\nOK\r\n\r\nERROR\r\nNO DIALTONE\r\n";
+
+/// What is no bar: noise of each density, a receiver of satellites, a modem, a line that is stuck.
+fn strangers() -> Vec<(&'static str, Vec<u8>)> {
+    let noise = |seed: u64, least: u8| -> Vec<u8> {
+        let mut dice = Pcg64::seed_from_u64(seed);
+        (0..8000).map(|_| dice.random::<u8>()).filter(|byte| *byte >= least).collect()
+    };
+    let digits: Vec<u8> =
+        noise(3, 0).iter().map(|byte| b"0123456789+-. ,\r\n"[usize::from(*byte) % 17]).collect();
+    vec![
+        ("noise", noise(1, 0)),
+        ("high noise", noise(2, 128)),
+        ("noise of digits", digits),
+        ("satellites", GPS.repeat(20).into_bytes()),
+        ("modem", MODEM.repeat(20).into_bytes()),
+        ("stuck low", vec![0; 4000]),
+        ("stuck high", vec![255; 4000]),
+    ]
+}
+
+#[test]
+fn a_stranger_is_unknown() {
+    let definitions = built_in();
+    for (name, bytes) in strangers() {
+        let ranked = Evidence::ranked(&definitions, &bytes);
+        assert_eq!(named(&ranked), None, "{name}: {:?}", ranked[0]);
+    }
+}
+
+fn dbbd(args: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_dbbd")).args(args).output().unwrap()
+}
+
+fn json(output: &Output) -> Value {
+    serde_json::from_slice(&output.stdout)
+        .unwrap_or_else(|_| panic!("{}", String::from_utf8_lossy(&output.stderr)))
+}
+
+/// A virtual bar; its port.
+fn served(definition: &Definition, rate_hz: f64, source: impl Source + Send + 'static) -> String {
+    let terminal = Terminal::new().unwrap();
+    let port = terminal.address().to_string();
+    let definition = definition.clone();
+    let options = Options { rate_hz, speed: 1.0, first_ticks: 0 };
+    thread::spawn(move || bar::serve(terminal, &definition, options, source));
+    port
+}
+
+fn at_rest(reading_mm: f64) -> Option<Reading> {
+    Some(Reading { reading_mm, strobe: false, valid: true, temperature_c: 20.0 })
+}
+
+#[test]
+fn each_virtual_bar_is_named_over_its_line() {
+    thread::scope(|scope| {
+        for definition in built_in() {
+            scope.spawn(move || {
+                let port = served(&definition, 100.0, |t_s: f64| at_rest(0.01 * t_s.sin()));
+                let output = dbbd(&["bar", "identify", "--port", &port, "--json"]);
+                let said = json(&output);
+                assert_eq!(said["protocol"], *definition.id, "{said}");
+                assert_eq!(output.status.code(), Some(0));
+            });
+        }
+    });
+}
+
+#[test]
+fn who_says_nothing_known_is_reported() {
+    let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let port = format!("tcp://{}", listener.local_addr().unwrap());
+    thread::spawn(move || {
+        for (mut client, says) in listener.incoming().flatten().zip([GPS, ""]) {
+            thread::spawn(move || {
+                use std::io::Write;
+                while client.write_all(says.as_bytes()).is_ok() {
+                    dbbd::base::clock::sleep(0.1);
+                }
+            });
+        }
+    });
+    for code in [UNKNOWN, SILENT] {
+        let output = dbbd(&["bar", "identify", "--port", &port, "--listen", "--json"]);
+        assert_eq!((codes(&output), output.status.code()), (vec![code.to_owned()], Some(3)));
+        assert_eq!(json(&output)["protocol"], Value::Null);
+    }
+}
+
+fn check(directory: &Path, port: &str, protocol: &str, seconds: &str) -> Output {
+    let out = directory.join("check");
+    dbbd(&[
+        "bar",
+        "check",
+        "--port",
+        port,
+        "--protocol",
+        protocol,
+        "--duration",
+        seconds,
+        "--json",
+        "--out",
+        out.to_str().unwrap(),
+    ])
+}
+
+/// A bar at 1000 Hz with 0.5 um of noise, in steps of 0.01 um.
+fn noisy(also: impl Fn(f64) -> f64 + Send + 'static) -> impl Source + Send + 'static {
+    let mut dice = Pcg64::seed_from_u64(5);
+    let noise = Normal::new(0.0, 0.0005).unwrap();
+    move |t_s: f64| at_rest(0.2 + also(t_s) + noise.sample(&mut dice))
+}
+
+/// White noise s at n readings a second leaves s / sqrt(n) in a mean of one second; the limits are four standard
+/// deviations of the estimates from 8 s: 1 / sqrt(2 n) of a standard deviation from n values.
+#[test]
+fn a_check_measures_noise_resolution_and_rate() {
+    let directory = tempfile::tempdir().unwrap();
+    let definition = Definition::by_name("dbb-cobs-1").unwrap().unwrap();
+    let port = served(&definition, 1000.0, noisy(|_| 0.0));
+    let output = check(directory.path(), &port, "dbb-cobs-1", "9");
+    let found = json(&output);
+    assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
+    let number = |name: &str| found[name].as_f64().unwrap();
+    assert!((number("noise_mm") / 0.0005 - 1.0).abs() < 0.04, "{found}");
+    assert!((number("resolution_mm") - 1e-5).abs() < 1e-9);
+    assert!((number("rate_hz") - 1000.0).abs() < 1.0);
+    assert!((number("sigma_mm") / (0.0005 / 1000f64.sqrt()) - 1.0).abs() < 4.0 / 12f64.sqrt());
+    assert!(number("drift_mm_min").abs() < 4.0 * number("drift_sd_mm_min"));
+    let toml: toml::Table =
+        std::fs::read_to_string(directory.path().join("check/bar.toml")).unwrap().parse().unwrap();
+    let sigma_um = toml["bar"]["sigma_um"].as_float().unwrap();
+    assert!((sigma_um - 1e3 * number("sigma_mm")).abs() < 0.000_51, "{toml}");
+    assert_eq!(toml["bar"]["protocol"].as_str(), Some("dbb-cobs-1"));
+    for file in ["bar.html", "bar.json", "bar.dbbd"] {
+        assert!(directory.path().join("check").join(file).exists());
+    }
+}
+
+#[test]
+fn a_check_says_what_is_wrong_with_the_bar() {
+    let cobs = Definition::by_name("dbb-cobs-1").unwrap().unwrap();
+    let cases: Vec<(&str, String, Vec<&str>)> = vec![
+        (
+            "jump",
+            served(&cobs, 1000.0, noisy(|t_s| if t_s > 4.0 && t_s < 5.2 { 0.01 } else { 0.0 })),
+            vec![NOT_AT_REST],
+        ),
+        // 6 um a minute.
+        ("drift", served(&cobs, 1000.0, noisy(|t_s| 1e-4 * t_s)), vec![DRIFTS]),
+        ("slow", served(&cobs, 200.0, noisy(|_| 0.0)), vec![RATE]),
+        (
+            "doubtful",
+            served(&cobs, 1000.0, |t_s: f64| at_rest(0.1).map(|at| Reading { valid: t_s % 1.0 < 0.5, ..at })),
+            vec![INVALID],
+        ),
+        ("short", served(&cobs, 1000.0, |t_s: f64| at_rest(0.1).filter(|_| t_s < 1.0)), vec![FEW]),
+    ];
+    thread::scope(|scope| {
+        for (name, port, expected) in cases {
+            scope.spawn(move || {
+                let directory = tempfile::tempdir().unwrap();
+                let output = check(directory.path(), &port, "dbb-cobs-1", "9");
+                let said = codes(&output);
+                assert!(expected.iter().all(|code| said.contains(&(*code).to_owned())), "{name}: {said:?}");
+            });
+        }
+    });
+}

@@ -1,0 +1,78 @@
+#!/usr/bin/env bash
+# The Windows build under wine: plan, krl, identify (the numbers of Linux to 1e-12), acquire from tcp://, serve, demo.
+# Usage: tests/windows.sh [LINUX-BINARY]   (default target/release/dbbd). Says loudly when it skips.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+target=x86_64-pc-windows-gnu
+for needed in x86_64-w64-mingw32-gcc wine python3; do
+    command -v "$needed" >/dev/null || { echo "SKIPPED: the Windows build was not tried: $needed is not installed"; exit 0; }
+done
+rustup target list --installed 2>/dev/null | grep -qx $target || { echo "SKIPPED: the Windows build was not tried: rustup target add $target"; exit 0; }
+${CARGO:-cargo} build --release --locked --target $target --bin dbbd
+linux=$(realpath "${1:-target/release/dbbd}")
+
+# A drive C: of its own. Without Z: no path of this system passes.
+work=$(mktemp -d)
+export WINEPREFIX=$work/prefix WINEDEBUG=-all WINEDLLOVERRIDES="mscoree,mshtml="
+wine wineboot -i >/dev/null 2>&1
+trap 'kill $(jobs -p) 2>/dev/null; wineserver -k; rm -rf "$work"' EXIT
+if ! [ -e "$WINEPREFIX/drive_c/windows/system32/bcryptprimitives.dll" ]; then
+    # wine 8 lacks the library from which the standard library draws its seeds.
+    cat > "$work/prng.c" <<'C'
+#include <windows.h>
+BOOLEAN NTAPI SystemFunction036(PVOID, ULONG);
+__declspec(dllexport) BOOL WINAPI ProcessPrng(PBYTE data, SIZE_T size) { return SystemFunction036(data, (ULONG)size); }
+C
+    x86_64-w64-mingw32-gcc -shared -o "$WINEPREFIX/drive_c/windows/system32/bcryptprimitives.dll" "$work/prng.c" -ladvapi32
+fi
+rm -f "$WINEPREFIX/dosdevices/z:"
+cell=$WINEPREFIX/drive_c/cell
+mkdir "$cell"
+cp -r target/$target/release/dbbd.exe examples/demo.toml examples/paper "$cell/"
+cd "$cell"
+# Output goes to files: wine holds pipes open.
+dbbd() { wine 'C:\cell\dbbd.exe' "$@" >"$work/out" 2>"$work/err" </dev/null || { code=$?; [ $code = 3 ] || { cat "$work/err"; echo "FAILED ($code): dbbd $*"; exit 1; }; }; }
+step() { echo "$(date +%T) $*"; }
+
+step "plan, krl"
+dbbd plan demo.toml --out plan
+dbbd krl 'plan\plan.csv' --out krl
+grep -q "DEF DBB_MAIN" krl/DBB_MAIN.src
+
+step "demo"
+dbbd demo --out demo
+
+step "identify the paper's experiment, against Linux"
+estimate=alpha1-5,a1-5,d4-6
+dbbd identify 'paper\observations.csv' --robot kr60ha --centres 'paper\centres.csv' --estimate $estimate --out windows
+"$linux" identify paper/observations.csv --robot kr60ha --centres paper/centres.csv --estimate $estimate --out linux >/dev/null 2>&1 || [ $? = 3 ]
+python3 - <<'PY'
+import json
+here, there = (json.load(open(f"{name}/result.json"))["parameters"] for name in ("linux", "windows"))
+assert [one["name"] for one in here] == [one["name"] for one in there]
+off = max(abs(a["identified"] - b["identified"]) for a, b in zip(here, there))
+print(f"         largest difference of {len(here)} parameters: {off:.1e} rad or mm")
+assert off <= 1e-12, off
+PY
+
+step "acquire over tcp:// from a simulator of Linux"
+"$linux" simulate --program demo/krl/DBB_MAIN.src --robot demo/truth.toml --world demo/world.toml --speed 0 --listen tcp://127.0.0.1:0 >"$work/port" 2>/dev/null &
+until [ -s "$work/port" ]; do sleep 0.1; done
+dbbd acquire --port "$(head -1 "$work/port")" --plan 'demo\plan\plan.csv' --out tcp.dbbd
+dbbd sync tcp.dbbd --out tcp.csv
+[ "$(wc -l < tcp.csv)" -gt 100 ]
+
+step "simulate on Windows, acquire over rfc2217:// on Linux"
+wine 'C:\cell\dbbd.exe' simulate --program 'demo\krl\DBB_MAIN.src' --robot 'demo\truth.toml' --world 'demo\world.toml' --speed 0 --listen rfc2217://127.0.0.1:0 >"$work/port2" 2>/dev/null </dev/null &
+until [ -s "$work/port2" ]; do sleep 0.1; done
+"$linux" acquire --port "$(head -1 "$work/port2" | tr -d '\r')" --plan demo/plan/plan.csv --out rfc2217.dbbd 2>/dev/null
+cmp <("$linux" sync tcp.dbbd --out a.csv >/dev/null; cut -d, -f1-8 a.csv) <("$linux" sync rfc2217.dbbd --out b.csv >/dev/null; cut -d, -f1-8 b.csv)
+
+step "serve, asked from outside"
+port=$(python3 -c 'import socket; s = socket.create_server(("127.0.0.1", 0)); print(s.getsockname()[1])')
+printf 'address = "127.0.0.1:%s"\n[device]\nport = "COM5"\n' "$port" > dbbd.toml
+wine 'C:\cell\dbbd.exe' serve --config dbbd.toml >/dev/null 2>"$work/serve" </dev/null &
+for _ in $(seq 100); do curl -sf "http://127.0.0.1:$port/api/v1/status" >"$work/status" && break; sleep 0.1; done
+grep -q '"no_device"' "$work/status"
+curl -sf "http://127.0.0.1:$port/" | grep -qi "<!doctype html>"
+step "done"
