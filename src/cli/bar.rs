@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use serde::Serialize;
 
 use super::{Outcome, Output, acquire, positive, protocols};
-use crate::base::files;
+use crate::base::{files, serialised};
 use crate::catalogue::BarFinding;
 use crate::daemon::{Attempt, Search};
 use crate::device::port::PortAddress;
@@ -147,7 +147,7 @@ fn check(args: &Check, out: &Output) -> Result<Outcome, Diagnostic> {
     found.findings.iter().for_each(|finding| out.finding(finding.clone()));
     let provenance = Provenance::of([&Artefact::file(Role::Capture, &capture)?.into()]);
     files::write(&args.out.join("bar.toml"), found.to_toml())?;
-    files::write(&args.out.join("bar.json"), super::output::pretty(&found)?)?;
+    files::write(&args.out.join("bar.json"), serialised::json(&found)? + "\n")?;
     files::write(&args.out.join("bar.html"), report::bar::html(&found, &provenance)?)?;
     let um = |mm: f64| 1e3 * mm;
     out.result(format!(
