@@ -174,8 +174,10 @@ fn prepare(stream: &TcpStream) -> io::Result<()> {
     stream.set_read_timeout(Some(PATIENCE))?;
     stream.set_write_timeout(Some(WRITE_PATIENCE))?;
     let socket = SockRef::from(stream);
-    socket
-        .set_tcp_keepalive(&TcpKeepalive::new().with_time(PROBE).with_interval(PROBE).with_retries(PROBES))?;
+    let asking = TcpKeepalive::new().with_time(PROBE).with_interval(PROBE);
+    // Some systems fix how many times they ask.
+    let times = socket.set_tcp_keepalive(&asking.clone().with_retries(PROBES));
+    times.or_else(|_| socket.set_tcp_keepalive(&asking))?;
     #[cfg(target_os = "linux")]
     socket.set_tcp_user_timeout(Some(PROBE * (PROBES + 1)))?;
     Ok(())
