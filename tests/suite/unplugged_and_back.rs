@@ -333,10 +333,10 @@ fn a_network_comes_and_goes() {
 
 /// cargo test --release --test suite two_hundred_cuts -- --ignored --nocapture
 #[test]
-#[ignore = "twice 4 sessions of 150 s"]
+#[ignore = "twice 4 sessions of 200 s"]
 fn two_hundred_cuts() {
     for scheme in ["tcp", "rfc2217"] {
-        campaign(Wire::Network(scheme), 4, Length { lasting_s: 150.0, longest_s: 4.0 });
+        campaign(Wire::Network(scheme), 4, Length { lasting_s: 200.0, longest_s: 4.0 });
     }
 }
 
