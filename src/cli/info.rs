@@ -9,6 +9,7 @@ use super::{Outcome, Output, artefact};
 use crate::base::files;
 use crate::base::units::HostNs;
 use crate::catalogue::RecordingFinding;
+use crate::device::port::Stamps;
 use crate::device::protocol::{Definition, Fault, FaultKind};
 use crate::diagnostic::{Code, Diagnostic, Finding};
 use crate::provenance::Provenance;
@@ -31,6 +32,8 @@ pub(crate) struct Args {
 struct Info {
     format: Option<u32>,
     protocol: Option<String>,
+    /// What carried the bytes, and what their times are worth.
+    stamps: Option<Stamps>,
     started_unix_ns: Option<u64>,
     dbbd: Option<String>,
     ended: Option<String>,
@@ -141,7 +144,8 @@ impl Gathered {
             }
             Record::Event(Event::Controller { .. }) => info.controller_events += 1,
             Record::Event(Event::Mark { text }) => info.remarks.push(text),
-            Record::Event(Event::Opened { .. } | Event::Ended { .. }) => {}
+            Record::Event(Event::Opened { stamps, .. }) => info.stamps = info.stamps.or(stamps),
+            Record::Event(Event::Ended { .. }) => {}
         }
     }
 
@@ -205,6 +209,10 @@ fn show(path: &Path, info: &Info, out: &Output) {
     let line = |name: &str, value: String| line(out, name, &value);
     line("capture", path.display().to_string());
     line("protocol", info.protocol.clone().unwrap_or_else(|| "unknown".into()));
+    if let Some(Stamps { transport, held_ms }) = info.stamps {
+        let held = held_ms.map_or(String::new(), |ms| format!(", bytes held back for {ms:.1} ms or more"));
+        line("line", format!("{transport}{held}"));
+    }
     line("ended", info.ended.clone().unwrap_or_else(|| "cut off".into()));
     line("duration", format!("{:.1} s of host time", info.duration_s));
     let invalid = if info.invalid > 0 { format!(", {} not valid", info.invalid) } else { String::new() };

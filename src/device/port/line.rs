@@ -1,7 +1,7 @@
 //! What every line can do, whatever carries it.
 
-use std::io;
 use std::time::Duration;
+use std::{fmt, io};
 
 use serde::{Deserialize, Serialize};
 
@@ -31,14 +31,21 @@ pub enum Transport {
     Rfc2217,
 }
 
+impl fmt::Display for Transport {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.write_str(match self {
+            Self::Tty => "serial port",
+            Self::Pty => "pseudo-terminal",
+            Self::Tcp => "TCP",
+            Self::Rfc2217 => "RFC 2217",
+        })
+    }
+}
+
 impl Transport {
     /// Whether the other side waits until its bytes are taken; a device on a tty does not.
     pub fn waits(self) -> bool {
         self != Self::Tty
-    }
-
-    pub fn is_network(self) -> bool {
-        matches!(self, Self::Tcp | Self::Rfc2217)
     }
 }
 
