@@ -49,7 +49,6 @@ findings! {
         cause: "The text is not what the option takes.",
         cure: "Write what the message asks for; `dbbd identify --help` has an example of each." {
             NotAPoint => "three numbers in mm are needed, as 30,20,10";
-            NotAScale => "`auto` or a positive number is needed";
         }
         W1310 "the solver did not converge",
         cause: "The start is too far from the truth: a base ball or the tool ball is elsewhere than given, or lengths and poses do not belong together.",
@@ -118,12 +117,12 @@ findings! {
         }
         W1322 "the corrections are far larger than the prior allows",
         cause: "The robot is worse than the tolerance in its file (a crash, another arm, a lost mastering), or lengths and poses do not belong together.",
-        cure: "Check [tolerance] in the robot file, the residuals and the held-out residuals; try --prior-scale auto." {
+        cure: "Check [tolerance] in the robot file, the residuals and the held-out residuals; give wider standard deviations with --prior FILE." {
             FarBeyondPrior { times: f64 } => "the corrections are {times:.1} times as large as the prior allows";
         }
         I1323 "the corrections are larger than the prior allows",
         cause: "The robot is worse than the tolerance in its file.",
-        cure: "Try --prior-scale auto, or correct [tolerance] in the robot file." {
+        cure: "Correct [tolerance] in the robot file, or give wider standard deviations with --prior FILE." {
             BeyondPrior { times: f64 } => "the corrections are {times:.1} times as large as the prior allows";
         }
         W1324 "Monte Carlo fits did not converge",
@@ -136,10 +135,15 @@ findings! {
         cure: "Use the Monte Carlo intervals." {
             IntervalsDisagree { parameters: Names } => "Monte Carlo and linear 95 % intervals disagree for {parameters}";
         }
-        I1326 "the identified robot has compliance or gear error",
-        cause: "The data determine an optional group, so robot-identified.toml holds it.",
-        cure: "A program that reads only lengths and angles computes with another robot: `--hold compliance,gear` identifies without them." {
-            HoldsOptionalGroup { groups: Names } => "robot-identified.toml holds {groups}";
+        I1326 "the identified robot has errors of its joints",
+        cause: "The lengths speak for compliance, harmonics, smooth errors, backlash or ripple of the joints, so robot-identified.toml holds them. URDF, mastering offsets and programs that read only lengths and angles do without them.",
+        cure: "Use `dbbd predict` and `dbbd compensate`, or the table joint-errors.csv. `--model geometric` identifies the robot that lengths and angles alone describe best." {
+            BeyondTable { left_out_mm: f64 } => "robot-identified.toml holds errors of the joints: a program that reads only lengths and angles leaves out {left_out_mm:.3} mm in the mean over the workspace";
+        }
+        I1340 "the tolerance in the robot file is too small for this robot",
+        cause: "The corrections are larger than [tolerance] lets expect. No prior was named, so the standard deviations of the prior were widened to what the lengths show.",
+        cure: "Correct [tolerance] in the robot file." {
+            PriorWidened { times: f64 } => "the corrections are {times:.1} times as large as the tolerance in the robot file lets expect; the prior is so much wider";
         }
         W1327 "the controller seems to use its own calibrated model",
         cause: "The lengths agree with the nominal robot better than its tolerance lets any robot do: in absolute-accuracy mode the axes are not where they were commanded.",

@@ -8,22 +8,20 @@ use super::joint_prediction::JointPrediction;
 use super::lengths::{Lengths, Weighted};
 use super::monte_carlo::Draws;
 use super::observability::{correlations, observability};
-use super::optional_groups::{self, Chosen};
 use super::posterior::Posterior;
 use super::predicted::Prediction;
-use super::prior_scale::{self, Settled};
 use super::priors::open_limit_mm;
 use super::residual_tests::joint_effects;
 use super::residuals::{residual_on, residuals};
 use super::result::{
-    BeforeAfter, CalibrationResult, Folds, GroupTest, JointEffect, MonteCarlo, Outlier, ParameterResult,
+    BeforeAfter, CalibrationResult, Folds, JointEffect, MonteCarlo, Outlier, ParameterResult,
     PriorUsed, RankSummary, Reason, Recommendation, SigmaSource, SigmaSummary, SolverSummary, StartRobot,
     Status,
 };
 use super::selection::is_place;
 use super::setting::Setting;
 use super::uncertainty::{Uncertainty, leaks, uncertainty};
-use super::{Combination, Correlation, Observability, Options, factor, validation};
+use super::{Combination, Correlation, Observability, Options, Prior, factor, validation};
 use crate::catalogue::EstimationFinding;
 use crate::diagnostic::Diagnostic;
 use crate::math::base_set;
@@ -62,7 +60,7 @@ impl<'a> Input<'a> {
     pub fn fit(&self) -> Result<LengthModel, EstimationFinding> {
         let lengths = Lengths::of(&self.observations.rows, self.options, self.robot);
         let asked = self.setting().asked();
-        Ok(Start::of(self, &lengths, &asked)?.chosen.estimate.fit.model)
+        Ok(Start::of(self, &lengths, &asked)?.estimate.fit.model)
     }
 
     fn setting(&self) -> Setting<'a> {
@@ -70,11 +68,10 @@ impl<'a> Input<'a> {
     }
 }
 
-/// The estimate with what was chosen on the way to it.
+/// The estimate with the setting that it is of.
 struct Start<'a> {
     setting: Setting<'a>,
-    prior: Option<PriorUsed>,
-    chosen: Chosen,
+    estimate: Estimate,
 }
 
 impl<'a> Start<'a> {
@@ -84,9 +81,8 @@ impl<'a> Start<'a> {
         {
             return Ok(found);
         }
-        let Settled { setting, prior } = prior_scale::settle(input.setting(), lengths, asked)?;
-        let chosen = optional_groups::choose(&setting, lengths, asked.to_vec())?;
-        Ok(Self { setting, prior, chosen })
+        let setting = input.setting();
+        Ok(Self { estimate: estimate(&setting, lengths, asked)?, setting })
     }
 
     /// With errors of the joints, where the lengths carry them.
@@ -95,16 +91,24 @@ impl<'a> Start<'a> {
         lengths: &Lengths,
         asked: &[ParamId],
     ) -> Result<Option<Self>, EstimationFinding> {
-        let Settled { setting, prior } = prior_scale::settle(input.setting().bound(), lengths, asked)?;
-        let estimate = estimate(&setting, lengths, asked)?;
+        let mut setting = input.setting().bound();
+        let mut estimate = estimate(&setting, lengths, asked)?;
+        if let Some(times) = estimate.beyond_prior() {
+            // What makes up for a ball that is fixed elsewhere than it is, is no error of a joint.
+            if setting.options.hold.iter().any(|id| id.is_setup()) {
+                return Ok(None);
+            }
+            // A tolerance that nobody asked for gives way where the lengths contradict it.
+            if input.options.prior == Prior::None {
+                setting = setting.widened(times);
+                estimate = self::estimate(&setting, lengths, asked)?;
+            }
+        }
         if !joint_errors::carries(lengths, &estimate) {
             return Ok(None);
         }
         let found = joint_errors::fit(&setting, lengths, &estimate);
-        Ok(found.map(|found| {
-            let estimate = estimate.with_joints(lengths, found);
-            Self { setting, prior, chosen: Chosen { estimate, groups: Vec::new() } }
-        }))
+        Ok(found.map(|found| Self { estimate: estimate.with_joints(lengths, found), setting }))
     }
 }
 
@@ -114,7 +118,6 @@ pub struct Calibration<'a> {
     pub(crate) lengths: Lengths<'a>,
     pub(crate) estimate: Estimate,
     pub(crate) prediction: Prediction,
-    pub(super) groups: Vec<GroupTest>,
     pub(super) uncertainty: Uncertainty,
     pub(super) residual_mm: BeforeAfter,
     pub(super) parameters: Vec<ParameterResult>,
@@ -122,7 +125,6 @@ pub struct Calibration<'a> {
     pub(super) monte_carlo: Option<MonteCarlo>,
     pub(super) axes: AngleSource,
     observations: &'a Measurements,
-    prior: Option<PriorUsed>,
     /// What is not known of a robot with errors of its joints.
     unknown: Option<RobotUncertainty>,
     sigma: SigmaSummary,
@@ -137,8 +139,7 @@ impl<'a> Calibration<'a> {
     pub fn new(input: &Input<'a>) -> Result<Self, EstimationFinding> {
         let lengths = Lengths::of(&input.observations.rows, input.options, input.robot);
         let asked = input.setting().asked();
-        let Start { setting, prior, chosen: Chosen { estimate, groups } } =
-            Start::of(input, &lengths, &asked)?;
+        let Start { setting, estimate } = Start::of(input, &lengths, &asked)?;
         let folds = cross_validated(&setting, &lengths, &estimate, &asked)?;
         let used = estimate.used(&lengths);
         let model = &estimate.fit.model;
@@ -193,8 +194,6 @@ impl<'a> Calibration<'a> {
             uncertainty,
             sigma,
             folds,
-            prior,
-            groups,
             setting,
             estimate,
             lengths,
@@ -224,8 +223,7 @@ impl<'a> Calibration<'a> {
             observability,
             solver: SolverSummary { iterations: estimate.fit.iterations, converged: estimate.fit.converged },
             sigma: self.sigma,
-            prior: self.prior,
-            groups: self.groups,
+            prior: PriorUsed::of(&setting.options.prior, setting.priors.scale()),
             joints,
             monte_carlo: self.monte_carlo,
             residual_mm: self.residual_mm,
@@ -286,8 +284,7 @@ impl<'a> Calibration<'a> {
     }
 }
 
-/// Held-out residuals. Optional groups are chosen anew in each fold: a choice made with the lengths held out would have
-/// seen them.
+/// Held-out residuals. Errors of the joints keep their variances in each fold.
 fn cross_validated(
     setting: &Setting<'_>,
     lengths: &Lengths,
@@ -302,7 +299,7 @@ fn cross_validated(
             let model = joint_errors::refit(setting, training, estimate, joints);
             model.ok_or(EstimationFinding::NotFinite)
         }
-        None => Ok(optional_groups::choose(setting, training, asked.to_vec())?.estimate.fit.model),
+        None => Ok(self::estimate(setting, training, asked)?.fit.model),
     };
     let held_out = validation::held_out(lengths, &estimate.fit.out, folds, fit)?;
     Ok(held_out.map(|residuals| Folds { folds, rms: validation::rms(&residuals) }))
@@ -415,7 +412,9 @@ impl Table<'_> {
     fn reason_of_estimated(&self, id: ParamId, k: usize) -> Reason {
         let Estimate { kept, base, prior, .. } = self.estimate;
         if id.is_optional() && self.estimate.joints.is_some() {
-            return Reason::ByEvidence;
+            let before = self.estimate.prior_sd(id).unwrap_or(f64::INFINITY);
+            let after = self.uncertainty.posterior.sd(id).unwrap_or(before);
+            return Reason::ByEvidence { determined: 1.0 - (after / before).powi(2) };
         }
         if !base.contains(&id) {
             return Reason::PriorShares { combination: self.combination(id) };

@@ -10,6 +10,7 @@ use super::setting::Setting;
 use super::sigma::Noise;
 use super::{Analysis, analyse};
 use crate::catalogue::EstimationFinding;
+use crate::math::distributions::ChiSquare;
 use crate::measurement::LengthModel;
 use crate::robot::ParamId;
 
@@ -59,6 +60,14 @@ impl Estimate {
     /// One standard deviation of a parameter before the lengths; `None` of what is free or not estimated.
     pub(super) fn prior_sd(&self, id: ParamId) -> Option<f64> {
         self.prior.as_ref()?.sd(self.kept.iter().position(|kept| *kept == id)?)
+    }
+
+    /// How many times as large the corrections are as the prior allows, where that is beyond chance.
+    pub(super) fn beyond_prior(&self) -> Option<f64> {
+        let prior = self.prior.as_ref()?;
+        let count = prior.count() as f64;
+        let ratio = prior.deviates(&self.fit.model, &self.kept).norm_squared() / count;
+        (count > 0.0 && ChiSquare::of(ratio, count) == ChiSquare::Greater).then(|| ratio.sqrt())
     }
 
     /// The lengths that the fit used, as it weighed them.

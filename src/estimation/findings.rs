@@ -1,15 +1,16 @@
 //! What is doubted or worth knowing of a result.
 
 use super::calibration::{AngleSource, Calibration};
+use super::left_out::left_out_mm;
 use super::lengths::Sigma;
 use super::linear_system::factor;
 use super::priors::{Priors, largest_displacement_mm, largest_plausible};
-use super::result::{GroupTest, JointEffect, JointError, MonteCarlo, ParameterResult, Status};
+use super::result::{JointEffect, JointError, MonteCarlo, ParameterResult, Status};
 use super::shifted_rows::shifted_rows;
 use crate::catalogue::{EstimationFinding, Names};
 use crate::math::distributions::ChiSquare;
 use crate::measurement::LengthModel;
-use crate::robot::{ParamId, parameter};
+use crate::robot::{ParamId, Robot, parameter};
 
 /// Above this share of outliers the lengths that are left are doubtful too.
 const OUTLIER_SHARE: f64 = 0.1;
@@ -36,7 +37,8 @@ pub(super) fn findings(of: &Calibration<'_>) -> Vec<EstimationFinding> {
     found.extend(joints(&of.joint_effects));
     found.extend(position(of));
     found.extend(poorly_observable(&of.parameters));
-    found.extend(optional_groups(&of.groups));
+    let identified = Robot { geometry: fit.model.geometry.clone(), ..of.setting.robot.clone() };
+    found.extend(left_out_mm(&identified).map(|left_out_mm| EstimationFinding::BeyondTable { left_out_mm }));
     if let Some(drawn) = &of.monte_carlo {
         found.extend(monte_carlo(drawn));
     }
@@ -46,14 +48,11 @@ pub(super) fn findings(of: &Calibration<'_>) -> Vec<EstimationFinding> {
 
 /// Compares the corrections with the prior.
 fn beyond_prior(of: &Calibration<'_>) -> Option<EstimationFinding> {
-    let estimate = &of.estimate;
-    let prior = estimate.prior.as_ref()?;
-    let count = prior.count() as f64;
-    let ratio = prior.deviates(&estimate.fit.model, &estimate.kept).norm_squared() / count;
-    if count == 0.0 || ChiSquare::of(ratio, count) != ChiSquare::Greater {
-        return None;
+    let scale = of.setting.priors.scale();
+    if scale != 1.0 {
+        return Some(EstimationFinding::PriorWidened { times: scale });
     }
-    let times = ratio.sqrt();
+    let times = of.estimate.beyond_prior()?;
     Some(if times > largest_plausible(true) {
         EstimationFinding::FarBeyondPrior { times }
     } else {
@@ -160,12 +159,6 @@ fn position(of: &Calibration<'_>) -> Option<EstimationFinding> {
 fn poorly_observable(parameters: &[ParameterResult]) -> Option<EstimationFinding> {
     let poor = parameters.iter().filter(|parameter| parameter.status() == Status::PoorlyObservable);
     Some(EstimationFinding::PoorlyObservable { parameters: names(poor)? })
-}
-
-fn optional_groups(groups: &[GroupTest]) -> Option<EstimationFinding> {
-    let added: Vec<&GroupTest> = groups.iter().filter(|group| group.is_added()).collect();
-    let groups = || Names::of(added.iter().map(|group| group.group));
-    (!added.is_empty()).then(|| EstimationFinding::HoldsOptionalGroup { groups: groups() })
 }
 
 fn monte_carlo(drawn: &MonteCarlo) -> impl Iterator<Item = EstimationFinding> {

@@ -6,13 +6,13 @@ use super::lengths::Lengths;
 use super::position::{Positions, compressed};
 use super::result::MapPoint;
 use super::setting::Setting;
-use crate::measurement::ApproachedPose;
+use crate::measurement::{ApproachedPose, PreparedMeasurement};
 use crate::robot::{AXES, Approach, AxisAngles, RobotUncertainty};
 
 /// Robots that are drawn.
 const ROBOTS: usize = 100;
-/// Poses of the workspace by which the uncertainty is compressed.
-const COMPRESSING: usize = 250;
+/// Poses of the workspace, and as many of those measured, by which the uncertainty is compressed.
+const COMPRESSING: usize = 150;
 
 /// What is left over the workspace.
 pub(super) struct JointPrediction {
@@ -27,7 +27,12 @@ impl JointPrediction {
         let geometry = &fit.model.geometry;
         let poses: Vec<ApproachedPose> =
             setting.options.workspace_poses(setting.robot).iter().map(unapproached).collect();
-        let few = poses.iter().step_by(poses.len().div_ceil(COMPRESSING).max(1)).copied().collect::<Vec<_>>();
+        let some = |poses: &[ApproachedPose]| -> Vec<ApproachedPose> {
+            poses.iter().step_by(poses.len().div_ceil(COMPRESSING).max(1)).copied().collect()
+        };
+        let measured: Vec<ApproachedPose> =
+            (0..lengths.len()).map(|at| lengths.reading(at)).map(|reading| measured_pose(&reading)).collect();
+        let few = [some(&poses), some(&measured)].concat();
         let unknown = compressed(geometry, &fit.uncertainty(), &few);
         let positions = Positions::new(geometry, &unknown, &poses, &[]);
         let moved = positions.draws(ROBOTS, unexplained_mm(setting, fit, lengths));
@@ -36,6 +41,13 @@ impl JointPrediction {
         let point =
             |(pose, ball): (usize, &nalgebra::Vector3<f64>)| MapPoint { position: *ball, rms_mm: rms(pose) };
         Self { summary, map: positions.balls.iter().enumerate().map(point).collect(), unknown }
+    }
+}
+
+fn measured_pose(reading: &PreparedMeasurement) -> ApproachedPose {
+    ApproachedPose {
+        axes: AxisAngles::from_degrees(reading.axes.map(f64::to_degrees)),
+        approach: reading.approach,
     }
 }
 

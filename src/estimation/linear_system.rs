@@ -131,18 +131,6 @@ impl LinearSystem {
         }
         damped.solve()
     }
-
-    /// The same rows without unknown `out`. What it alone explained goes into the residual.
-    pub(super) fn without(&mut self, out: usize) -> Self {
-        let mut fewer = Triangle::new(self.unknowns - 1);
-        for (row, rhs) in self.factor().row_iter().zip(&self.rhs()) {
-            let left: Vec<f64> = row.iter().enumerate().filter(|(k, _)| *k != out).map(|(_, x)| *x).collect();
-            fewer.push(&left, *rhs);
-        }
-        let rest = self.residual_sum().sqrt();
-        fewer.push(&vec![0.0; self.unknowns - 1], rest);
-        Self { unknowns: self.unknowns - 1, triangle: fewer }
-    }
 }
 
 /// The triangular factor of the rows of `lengths` by `ids` at `model`.

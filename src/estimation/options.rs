@@ -3,17 +3,17 @@
 use std::borrow::Cow;
 
 use super::Workspace;
-use super::priors::{Prior, PriorScale, Priors};
+use super::priors::{Prior, Priors};
 use crate::robot::{AXES, ParamId, Robot};
 
 /// What a robot's error consists of.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ErrorModel {
-    /// Its geometry, and the optional groups that tests speak for.
-    #[default]
-    Geometric,
     /// The geometry by its prior, and errors of the joints as the evidence speaks for them.
+    #[default]
     Joints,
+    /// Its geometry.
+    Geometric,
 }
 
 /// What to estimate, and from what.
@@ -30,8 +30,6 @@ pub struct Options {
     pub prior: Prior,
     /// Standard uncertainty of each bar's length by its certificate, mm.
     pub bar_u_mm: Option<f64>,
-    /// How far the prior is trusted.
-    pub prior_scale: PriorScale,
     /// Number of cross-validation folds; `None` chooses 5 when there are enough lengths.
     pub folds: Option<usize>,
     /// Trials of a Monte Carlo of the uncertainties (GUM supplement 1); none when absent.
@@ -59,19 +57,18 @@ impl Options {
         self.estimate.is_some() && self.prior == Prior::None
     }
 
-    /// Whether errors of the joints are looked for: what the user lists is complete, and only tests and draws of the
-    /// geometry alone choose a scale of the prior or draw the lengths anew.
+    /// Whether errors of the joints are looked for: what the user lists is complete, and a Monte Carlo draws the lengths
+    /// of the geometry alone.
     pub(super) fn seeks_joint_errors(&self) -> bool {
         self.model == ErrorModel::Joints
             && self.estimate.is_none()
             // A prior with correlations is that of the geometry.
             && self.prior != Prior::Posterior
             && self.monte_carlo.is_none()
-            && [PriorScale::AsGiven, PriorScale::By(1.0)].contains(&self.prior_scale)
     }
 
     /// What is known of the robot and the bar before any length.
     pub fn priors(&self, robot: &Robot) -> Priors {
-        Priors::of(robot, self.bar_u_mm, &self.prior, self.prior_scale)
+        Priors::of(robot, self.bar_u_mm, &self.prior)
     }
 }

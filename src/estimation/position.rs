@@ -153,11 +153,12 @@ fn backlash_sd(geometry: &Geometry, unknown: &RobotUncertainty) -> [f64; AXES] {
 }
 
 /// Columns of a root that a robot's file holds.
-const COLUMNS: usize = 40;
+const COLUMNS: usize = 60;
 /// Iterations that find them: what they leave out is scaled in.
 const ITERATIONS: usize = 4;
 
-/// The same uncertainty with few columns: those that move the ball most at these poses.
+/// The same uncertainty with few columns: those that move the ball most at these poses, each pose in units of its own
+/// standard deviation, so that it is kept where it is small.
 pub(super) fn compressed(
     geometry: &Geometry,
     unknown: &RobotUncertainty,
@@ -166,7 +167,14 @@ pub(super) fn compressed(
     if unknown.root.ncols() <= COLUMNS {
         return unknown.clone();
     }
-    let moved = Positions::new(geometry, unknown, poses, &[]).moved;
+    let mut moved = Positions::new(geometry, unknown, poses, &[]).moved;
+    for pose in 0..poses.len() {
+        let mut rows = moved.rows_mut(3 * pose, 3);
+        let norm = rows.norm();
+        if norm > 0.0 {
+            rows /= norm;
+        }
+    }
     let gram = moved.transpose() * &moved;
     let mut random = Pcg64::seed_from_u64(1);
     let mut space = DMatrix::from_fn(gram.ncols(), COLUMNS, |_, _| StandardNormal.sample(&mut random));

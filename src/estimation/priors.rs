@@ -106,16 +106,6 @@ pub enum Prior {
     Posterior,
 }
 
-/// A factor on every standard deviation of the prior: above 1 the lengths count for more.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub enum PriorScale {
-    #[default]
-    AsGiven,
-    By(f64),
-    /// The one with which held-out lengths are predicted best.
-    CrossValidated,
-}
-
 /// Prior standard deviations and limits of one robot, bar and choice of the user.
 #[derive(Clone, Debug)]
 pub struct Priors {
@@ -125,6 +115,7 @@ pub struct Priors {
     bar_u_mm: Option<f64>,
     given: BTreeMap<ParamId, f64>,
     posterior: Option<RobotPosterior>,
+    /// Factor on the standard deviations of the robot's parameters.
     scale: f64,
 }
 
@@ -142,12 +133,21 @@ impl Priors {
         }
     }
 
-    /// The same as the user's `prior` and `scale` change it.
-    pub fn of(robot: &Robot, bar_u_mm: Option<f64>, prior: &Prior, scale: PriorScale) -> Self {
+    /// The same as the user's `prior` changes it.
+    pub fn of(robot: &Robot, bar_u_mm: Option<f64>, prior: &Prior) -> Self {
         let given = if let Prior::Given(given) = prior { given.clone() } else { BTreeMap::new() };
-        let scale = if let PriorScale::By(scale) = scale { scale } else { 1.0 };
         let posterior = robot.posterior.clone().filter(|_| *prior == Prior::Posterior);
-        Self { given, posterior, scale, ..Self::datasheet(robot, bar_u_mm) }
+        Self { given, posterior, ..Self::datasheet(robot, bar_u_mm) }
+    }
+
+    /// The same with all of the robot's standard deviations so many times as large.
+    pub(super) fn widened(self, times: f64) -> Self {
+        Self { scale: self.scale * times, ..self }
+    }
+
+    /// How many times as large they are.
+    pub(super) fn scale(&self) -> f64 {
+        self.scale
     }
 
     /// Whether an earlier identification left the errors of this parameter correlated with those of others.
@@ -262,16 +262,16 @@ mod tests {
     use super::*;
     use crate::robot::{BarId, Coordinate, Joint};
 
-    fn priors(bar_u_mm: Option<f64>, prior: Prior, scale: PriorScale) -> Priors {
+    fn priors(bar_u_mm: Option<f64>, prior: Prior) -> Priors {
         let robot = Robot::by_name("kr60ha").unwrap().unwrap();
-        Priors::of(&robot, bar_u_mm, &prior, scale)
+        Priors::of(&robot, bar_u_mm, &prior)
     }
 
     #[test]
     fn a_bar_is_known_by_its_certificate_or_as_any_bar() {
         let bar = ParamId::BarOffset(BarId::FIRST);
         for (u, sd) in [(None, UNCERTIFIED_BAR_MM), (Some(0.002), 0.002)] {
-            let priors = priors(u, Prior::None, PriorScale::AsGiven);
+            let priors = priors(u, Prior::None);
             for found in [priors.sd(bar), priors.weak_limit(bar).unwrap() / WEAK, priors.fixed_sd(bar)] {
                 assert!((found - sd).abs() < 1e-15, "{found}");
             }
@@ -281,9 +281,9 @@ mod tests {
     }
 
     #[test]
-    fn the_scale_is_on_the_prior_and_not_on_the_limits() {
+    fn a_wider_prior_leaves_the_limits() {
         let given = Prior::Given(BTreeMap::from([(ParamId::A(Joint::J3), 0.1)]));
-        let priors = priors(None, given, PriorScale::By(2.0));
+        let priors = priors(None, given).widened(2.0);
         assert_eq!([priors.sd(ParamId::A(Joint::J3)), priors.sd(ParamId::A(Joint::J2))], [0.2, 1.0]);
         assert_eq!(priors.weak_limit(ParamId::A(Joint::J3)), Some(1.5));
         assert_eq!(priors.weak_limit(ParamId::Tool(Coordinate::X)), None);

@@ -5,6 +5,7 @@ use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
 use super::joint_fit::JointSummary;
+use super::priors::Prior;
 use super::{Combination, Correlation, ErrorSummary, Observability, Posterior};
 use crate::catalogue::EstimationFinding;
 use crate::diagnostic::{Diagnostic, Severity};
@@ -31,9 +32,7 @@ pub struct CalibrationResult {
     pub solver: SolverSummary,
     pub sigma: SigmaSummary,
     pub prior: Option<PriorUsed>,
-    /// Of each optional group; empty where the user gave a list.
-    pub groups: Vec<GroupTest>,
-    /// Errors of the joints, where the evidence speaks for them: then no optional group was tested.
+    /// Errors of the joints, where the evidence speaks for them.
     pub joints: Option<JointSummary>,
     pub monte_carlo: Option<MonteCarlo>,
     pub residual_mm: BeforeAfter,
@@ -190,13 +189,23 @@ pub struct MapPoint {
     pub rms_mm: f64,
 }
 
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PriorUsed {
     pub source: PriorSource,
-    /// Factor on its standard deviations.
+    /// Factor on its standard deviations: above 1 where the tolerance of the robot's file is too small for the lengths.
     pub scale: f64,
-    /// The factors that were tried, when the scale was chosen by cross-validation.
-    pub tried: Vec<ScaleTried>,
+}
+
+impl PriorUsed {
+    pub(super) fn of(prior: &Prior, scale: f64) -> Option<Self> {
+        let source = match prior {
+            Prior::None => return None,
+            Prior::Datasheet => PriorSource::Datasheet,
+            Prior::Given(_) => PriorSource::File,
+            Prior::Posterior => PriorSource::Posterior,
+        };
+        Some(Self { source, scale })
+    }
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -206,93 +215,6 @@ pub enum PriorSource {
     File,
     /// What an earlier identification left.
     Posterior,
-}
-
-/// A factor on the prior's standard deviations, and the held-out residuals with it.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct ScaleTried {
-    pub scale: f64,
-    pub held_out_rms_mm: f64,
-}
-
-/// What was found of an optional group.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct GroupTest {
-    pub group: OptionalGroup,
-    pub outcome: GroupOutcome,
-}
-
-impl GroupTest {
-    pub fn is_added(&self) -> bool {
-        matches!(self.outcome, GroupOutcome::Added { .. })
-    }
-
-    /// The F-test, if there was one.
-    pub fn f_test(&self) -> Option<FTest> {
-        match self.outcome {
-            GroupOutcome::Untested(_) => None,
-            GroupOutcome::Chance { test }
-            | GroupOutcome::NotPredictive { test, .. }
-            | GroupOutcome::CostsAccuracy { test, .. }
-            | GroupOutcome::Added { test, .. } => Some(test),
-        }
-    }
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum OptionalGroup {
-    Compliance,
-    Gear,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum GroupOutcome {
-    Untested(Untested),
-    /// The data do not carry it.
-    Chance {
-        test: FTest,
-    },
-    /// Held-out lengths (mm) are not predicted clearly better.
-    NotPredictive {
-        test: FTest,
-        held_out: WithoutWith,
-    },
-    /// They are, but the position over the workspace (mm) is not.
-    CostsAccuracy {
-        test: FTest,
-        held_out: WithoutWith,
-        predicted: WithoutWith,
-    },
-    Added {
-        test: FTest,
-        held_out: WithoutWith,
-        predicted: WithoutWith,
-    },
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Untested {
-    FixedAsAsked,
-    NoMass,
-    FitsToRounding,
-    /// No degree of freedom is left, or no column of the group is independent.
-    TooFewLengths,
-    TooFewPoses,
-}
-
-/// A nested F-test and the probability that chance does as well.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct FTest {
-    pub f: f64,
-    pub freedom: [f64; 2],
-    pub p: f64,
-}
-
-/// A quantity without and with an optional group, mm.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct WithoutWith {
-    pub without: f64,
-    pub with: f64,
 }
 
 /// A Monte Carlo of the uncertainties.
@@ -359,8 +281,10 @@ pub enum Reason {
     PriorCarries {
         data_sd: f64,
     },
-    /// Its group's variance is set by the evidence.
-    ByEvidence,
+    /// Its group's variance is set by the evidence; the share of it that the lengths determine.
+    ByEvidence {
+        determined: f64,
+    },
     Dependent {
         combination: Option<Combination>,
     },
@@ -381,7 +305,8 @@ impl Reason {
     pub fn status(&self) -> Status {
         match self {
             Self::Identified | Self::IdentifiedFor { .. } => Status::Identified,
-            Self::PriorShares { .. } | Self::PriorCarries { .. } | Self::ByEvidence => Status::Prior,
+            Self::ByEvidence { determined } if *determined > 0.5 => Status::Identified,
+            Self::PriorShares { .. } | Self::PriorCarries { .. } | Self::ByEvidence { .. } => Status::Prior,
             Self::Dependent { .. } => Status::Dependent,
             Self::FixedAsAsked | Self::NotAsked | Self::ChangesNoLength => Status::Fixed,
             Self::Open { .. } | Self::PoorlyObservable { .. } => Status::PoorlyObservable,

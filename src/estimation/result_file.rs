@@ -5,9 +5,9 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 use super::result::{
-    BeforeAfter, CalibrationResult, Folds, FurtherMeasurement, GroupOutcome, GroupTest, JointEffect,
+    BeforeAfter, CalibrationResult, Folds, FurtherMeasurement, JointEffect,
     MonteCarlo, Outlier, ParameterDraws, PredictedPair, PriorUsed, Recommendation, SigmaSource, StartRobot,
-    Status, WithoutWith,
+    Status,
 };
 use super::{Combination, Correlation, GroupEvidence, JointSummary, Observability, result};
 use crate::diagnostic::{Diagnostic, Severity};
@@ -32,7 +32,7 @@ pub struct ResultFile {
     pub sigma_freedom: Option<f64>,
     pub coverage_factor: Option<f64>,
     pub prior: Option<PriorUsed>,
-    pub groups: Vec<GroupChoice>,
+    pub groups: Vec<ErrorGroup>,
     pub joint_errors: Option<JointErrors>,
     pub monte_carlo: Option<MonteCarlo>,
     pub residual_mm: BeforeAfter,
@@ -48,27 +48,17 @@ pub struct ResultFile {
     pub warnings: Vec<Warning>,
 }
 
-/// Whether an optional group was added, or what the evidence says of it.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct GroupChoice {
+/// What the evidence says of a group of errors.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ErrorGroup {
     pub name: String,
-    pub added: bool,
-    /// One standard deviation of its members by the evidence, rad; of compliance in prior standard deviations.
-    #[serde(default)]
-    pub sd: Option<f64>,
+    /// One standard deviation of its members, rad; of compliance in prior standard deviations.
+    pub sd: f64,
     /// How many of its members the data determine.
-    #[serde(default)]
-    pub effective_parameters: Option<f64>,
+    pub effective_parameters: f64,
     /// What it explains of the lengths, root mean square, and its share of the squares that the geometry alone leaves.
-    #[serde(default)]
-    pub rms_mm: Option<f64>,
-    #[serde(default)]
-    pub share: Option<f64>,
-    pub f: Option<f64>,
-    pub freedom: Option<[f64; 2]>,
-    pub p: Option<f64>,
-    pub held_out_mm: Option<WithoutWith>,
-    pub predicted_mm: Option<WithoutWith>,
+    pub rms_mm: f64,
+    pub share: f64,
     pub text: String,
 }
 
@@ -158,8 +148,8 @@ impl From<&CalibrationResult> for ResultFile {
             sigma_source: result.sigma.source,
             sigma_freedom: result.sigma.freedom,
             coverage_factor: result.sigma.coverage_factor,
-            prior: result.prior.clone(),
-            groups: groups(result),
+            prior: result.prior,
+            groups: result.joints.iter().flat_map(|joints| &joints.groups).map(ErrorGroup::from).collect(),
             joint_errors: result.joints.as_ref().map(JointErrors::from),
             monte_carlo: result.monte_carlo.clone(),
             residual_mm: result.residual_mm,
@@ -175,11 +165,6 @@ impl From<&CalibrationResult> for ResultFile {
             warnings: result.diagnostics().map(Warning::from).collect(),
         }
     }
-}
-
-fn groups(result: &CalibrationResult) -> Vec<GroupChoice> {
-    let by_evidence = result.joints.iter().flat_map(|joints| &joints.groups).map(GroupChoice::from);
-    result.groups.iter().map(GroupChoice::from).chain(by_evidence).collect()
 }
 
 /// Errors of the joints by the evidence.
@@ -201,40 +186,16 @@ impl From<&JointSummary> for JointErrors {
     }
 }
 
-impl From<&GroupEvidence> for GroupChoice {
+impl From<&GroupEvidence> for ErrorGroup {
     fn from(group: &GroupEvidence) -> Self {
+        let &GroupEvidence { sd, effective_parameters, rms_mm, share, .. } = group;
         Self {
             name: group.group.name().into(),
-            added: true,
-            sd: Some(group.sd),
-            effective_parameters: Some(group.effective_parameters),
-            rms_mm: Some(group.rms_mm),
-            share: Some(group.share),
+            sd,
+            effective_parameters,
+            rms_mm,
+            share,
             text: group.to_string(),
-            ..Self::default()
-        }
-    }
-}
-
-impl From<&GroupTest> for GroupChoice {
-    fn from(group: &GroupTest) -> Self {
-        let test = group.f_test();
-        let (held_out_mm, predicted_mm) = match group.outcome {
-            GroupOutcome::NotPredictive { held_out, .. } => (Some(held_out), None),
-            GroupOutcome::CostsAccuracy { held_out, predicted, .. }
-            | GroupOutcome::Added { held_out, predicted, .. } => (Some(held_out), Some(predicted)),
-            GroupOutcome::Untested(_) | GroupOutcome::Chance { .. } => (None, None),
-        };
-        Self {
-            name: group.group.name().into(),
-            added: group.is_added(),
-            f: test.map(|test| test.f),
-            freedom: test.map(|test| test.freedom),
-            p: test.map(|test| test.p),
-            held_out_mm,
-            predicted_mm,
-            text: group.to_string(),
-            ..Self::default()
         }
     }
 }

@@ -3,7 +3,7 @@
 use std::borrow::Cow;
 
 use super::Options;
-use super::priors::{Prior, PriorScale, Priors};
+use super::priors::{Prior, Priors};
 use crate::measurement::LengthModel;
 use crate::robot::parameter::{self, SetUp};
 use crate::robot::{ParamId, Robot};
@@ -25,12 +25,6 @@ impl<'a> Setting<'a> {
         Self { robot, start, set_up, options: Cow::Borrowed(options), priors: options.priors(robot) }
     }
 
-    /// With this factor on the prior's standard deviations.
-    pub(super) fn scaled(&self, scale: f64) -> Self {
-        let options = Options { prior_scale: PriorScale::By(scale), ..self.options.clone().into_owned() };
-        Self { priors: options.priors(self.robot), options: Cow::Owned(options), ..self.clone() }
-    }
-
     /// With a prior on the geometry: the user's, else the robot's tolerance.
     pub(super) fn bound(self) -> Self {
         if self.options.prior != Prior::None {
@@ -38,6 +32,11 @@ impl<'a> Setting<'a> {
         }
         let options = Options { prior: Prior::Datasheet, ..self.options.clone().into_owned() };
         Self { options: Cow::Owned(options), ..self }
+    }
+
+    /// With all standard deviations of the prior so many times as large.
+    pub(super) fn widened(self, times: f64) -> Self {
+        Self { priors: self.priors.widened(times), ..self }
     }
 
     /// The parameters asked for, without the optional groups that nobody named.

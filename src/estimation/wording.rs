@@ -3,8 +3,7 @@
 use std::fmt;
 
 use super::result::{
-    CirclePlane, FTest, FurtherMeasurement, GroupOutcome, GroupTest, OptionalGroup, ParameterResult, Reason,
-    Recommendation, StartRobot, Untested, WithoutWith,
+    CirclePlane, FurtherMeasurement, ParameterResult, Reason, Recommendation, StartRobot,
 };
 use super::{Combination, Group, GroupEvidence, priors};
 use crate::robot::{BarId, ParamId, Unit};
@@ -105,7 +104,10 @@ impl ParameterResult {
             Reason::PriorCarries { data_sd } => {
                 format!("the data alone leave {}; the prior carries it", with_unit(*data_sd, self.id))
             }
-            Reason::ByEvidence => "its group's variance is that of the greatest evidence".into(),
+            Reason::ByEvidence { determined } => format!(
+                "its group's variance is that of the greatest evidence; the lengths determine {:.0} % of it",
+                determined * 100.0
+            ),
             Reason::Dependent { combination } => text(combination),
             Reason::FixedAsAsked => "fixed as asked".into(),
             Reason::NotAsked => "not asked for".into(),
@@ -140,83 +142,6 @@ impl fmt::Display for StartRobot {
             Self::Nominal => "the nominal robot",
             Self::Identified => "the robot as it was identified before",
         })
-    }
-}
-
-impl OptionalGroup {
-    /// As --estimate and --hold name it.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Compliance => "compliance",
-            Self::Gear => "gear",
-        }
-    }
-}
-
-impl fmt::Display for OptionalGroup {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        out.write_str(match self {
-            Self::Compliance => "compliance",
-            Self::Gear => "gear error",
-        })
-    }
-}
-
-impl fmt::Display for FTest {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { f, freedom: [upper, lower], p } = self;
-        write!(out, "F({upper}, {lower}) = {f:.2}, p = ")?;
-        if *p < 1e-3 { write!(out, "{p:.0e}") } else { write!(out, "{p:.3}") }
-    }
-}
-
-impl fmt::Display for Untested {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        out.write_str(match self {
-            Self::FixedAsAsked => "fixed as asked",
-            Self::NoMass => "the robot file has no [[mass]] and no [payload]",
-            Self::FitsToRounding => "the lengths fit without it to rounding",
-            Self::TooFewLengths => "the lengths are too few for it, or do not depend on it",
-            Self::TooFewPoses => "there are too few poses to hold some out",
-        })
-    }
-}
-
-impl fmt::Display for GroupTest {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let group = self.group;
-        let rms = |held_out: WithoutWith| {
-            format!("held-out rms {:.4} mm without, {:.4} mm with it", held_out.without, held_out.with)
-        };
-        let error = |predicted: WithoutWith| {
-            format!(
-                "predicted position error {:.3} mm without, {:.3} mm with it",
-                predicted.without, predicted.with
-            )
-        };
-        match self.outcome {
-            GroupOutcome::Untested(reason) => write!(out, "{group} was not tested: {reason}"),
-            GroupOutcome::Chance { test } => {
-                write!(out, "{group} was not added: the data do not carry it ({test})")
-            }
-            GroupOutcome::NotPredictive { test, held_out } => write!(
-                out,
-                "{group} was not added: it would explain something ({test}), but held-out lengths are not predicted \
-                 clearly better ({})",
-                rms(held_out)
-            ),
-            GroupOutcome::CostsAccuracy { test, held_out, predicted } => write!(
-                out,
-                "{group} was not added: lengths like those measured are predicted better with it ({test}; {}), but over \
-                 the whole workspace it would cost accuracy: {}; `--estimate all,{}` adds it",
-                rms(held_out),
-                error(predicted),
-                group.name()
-            ),
-            GroupOutcome::Added { test, held_out, predicted } => {
-                write!(out, "{group} was added: {test}; {}; {}", rms(held_out), error(predicted))
-            }
-        }
     }
 }
 

@@ -8,6 +8,7 @@ use crate::base::table::wrong_csv;
 use crate::catalogue::{CliFinding, PlanFinding};
 use crate::diagnostic::Diagnostic;
 use crate::provenance::{Artefact, Role, Traced};
+use crate::robot::Approach;
 
 /// Version of the form of `plan.json`.
 pub(crate) const SCHEMA: u32 = 1;
@@ -37,10 +38,24 @@ struct Line {
     turn: u8,
     length_mm: f64,
     dwell_s: f64,
+    /// The sense of each axis's last move before the pose; it follows from the rows.
+    #[serde(default)]
+    approach1: i8,
+    #[serde(default)]
+    approach2: i8,
+    #[serde(default)]
+    approach3: i8,
+    #[serde(default)]
+    approach4: i8,
+    #[serde(default)]
+    approach5: i8,
+    #[serde(default)]
+    approach6: i8,
 }
 
-impl From<&PlanRow> for Line {
-    fn from(row: &PlanRow) -> Self {
+impl Line {
+    fn of(row: &PlanRow, approach: Approach) -> Self {
+        let [approach1, approach2, approach3, approach4, approach5, approach6] = approach.senses();
         let ([x_mm, y_mm, z_mm], [a_deg, b_deg, c_deg]) = (row.xyz_mm, row.abc_deg);
         let [a1_deg, a2_deg, a3_deg, a4_deg, a5_deg, a6_deg] = row.axes_deg;
         Self {
@@ -65,6 +80,12 @@ impl From<&PlanRow> for Line {
             turn: row.turn,
             length_mm: row.length_mm,
             dwell_s: row.dwell_s,
+            approach1,
+            approach2,
+            approach3,
+            approach4,
+            approach5,
+            approach6,
         }
     }
 }
@@ -120,7 +141,12 @@ impl Plan {
     /// # Errors
     /// None is known: see [`serialised`].
     pub fn to_csv(&self) -> Result<String, CliFinding> {
-        serialised::csv(self.rows.iter().map(Line::from))
+        serialised::csv(self.rows.iter().zip(self.approaches()).map(|(row, approach)| Line::of(row, approach)))
+    }
+
+    /// How the moves bring the axes to each row.
+    pub fn approaches(&self) -> impl Iterator<Item = Approach> {
+        Approach::along(self.rows.iter().map(|row| row.axes_deg.map(f64::to_radians)))
     }
 
     /// CRC-64/XZ over the text of `plan.csv`, sixteen hexadecimal digits.

@@ -506,7 +506,7 @@ def items(shared):
     for name, more in {
         "thirteen": thirteen, "fifteen": "--estimate alpha1-5,a1-5,d2-6", "default": "", "datasheet": "--prior datasheet",
         "monte-carlo": thirteen + " --monte-carlo 100 --sigma 0.002", "folds": "--folds 4 --sigma 0.005", "all": "--estimate all",
-        "hold": "--hold centres,tool,bar", "prior-scale": "--prior datasheet --prior-scale auto", "bar": "--bar-u 0.001",
+        "hold": "--hold centres,tool,bar", "bar": "--bar-u 0.001",
         "workspace": "--workspace {root}/examples/paper/observations.csv",
     }.items():
         add(f"identify paper {name}", f"{paper} {more}")
@@ -533,7 +533,6 @@ def items(shared):
             line = f"identify {{shared}}/data/kr60/{balls}_ball{'s' if balls == 'three' else ''}{order}.csv {kr60}{balls}.csv"
             add(f"identify real {balls}{order}", line)
             add(f"identify real {balls}{order} prior", f"{line} --prior datasheet")
-    add("identify real three auto", f"identify {{shared}}/data/kr60/three_balls.csv {kr60}three.csv --prior datasheet --prior-scale auto")
     add("identify real wire", wire)
     add("identify real wire prior", f"{wire} --prior datasheet --folds 5")
     # plans and programs

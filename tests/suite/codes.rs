@@ -66,7 +66,7 @@ fn provoked() -> Vec<&'static str> {
         crate::sync_joins::provoked(),
         crate::uncertainties_hold::provoked(),
         crate::users_urdf_is_patched::provoked(),
-        crate::optional_groups_earn_their_place::provoked(),
+        crate::sag_and_harmonics_by_evidence::provoked(),
     ]
     .concat()
 }

@@ -10,7 +10,7 @@ use tempfile::tempdir;
 
 use crate::cell::{dbbd, stderr};
 
-fn data(name: &str) -> Option<PathBuf> {
+pub(crate) fn data(name: &str) -> Option<PathBuf> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data").join(name);
     if !path.is_file() {
         eprintln!("skipped: {} is not there", path.display());
@@ -50,10 +50,6 @@ fn three_balls_lower_the_residual_and_stay_plausible() {
     assert!(result.parameters.iter().any(|p| p.status == Status::Dependent));
     let shared = result.parameters.iter().find(|p| p.name == "d3").unwrap();
     assert!(shared.status == Status::Prior && shared.correction != 0.0, "{shared:?}");
-    // A gear error would mimic what the model lacks: it explains lengths like these, not the workspace.
-    let gear = result.groups.iter().find(|group| group.name == "gear").unwrap();
-    assert!(!gear.added && gear.held_out_mm.unwrap().with < gear.held_out_mm.unwrap().without, "{gear:?}");
-    assert!(gear.text.contains("over the whole workspace it would cost accuracy"), "{}", gear.text);
 }
 
 #[test]

@@ -84,7 +84,7 @@ fn identify(dir: &Path, data: &Measurements, more: &[&str]) -> serde_json::Value
 fn errors_of_joints_are_found_and_predicted() {
     let truth = with_joint_errors(3);
     let dir = tempdir().unwrap();
-    let result = identify(dir.path(), &lengths(&truth, 70, 1), &["--model", "joints"]);
+    let result = identify(dir.path(), &lengths(&truth, 70, 1), &[]);
     let group = |name: &str| {
         let groups = result["groups"].as_array().unwrap();
         groups
@@ -126,7 +126,7 @@ fn errors_of_joints_are_found_and_predicted() {
 fn a_robot_without_errors_of_joints_has_none() {
     let dir = tempdir().unwrap();
     let data = lengths(&truth::draw(&kr60(), 5, 0.5), 40, 4);
-    let result = identify(dir.path(), &data, &["--model", "joints"]);
+    let result = identify(dir.path(), &data, &[]);
     assert!(result["joint_errors"].is_null(), "{}", result["joint_errors"]);
     let geometric = identify(dir.path(), &data, &["--model", "geometric"]);
     assert_eq!(result["parameters"], geometric["parameters"]);

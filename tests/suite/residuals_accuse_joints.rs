@@ -1,7 +1,7 @@
 //! A gear's error and play show in the residuals at the right axis; a sound robot is not accused.
 
 use dbbd::estimation::result::{JointEffect, JointError};
-use dbbd::estimation::{Options, senses};
+use dbbd::estimation::{ErrorModel, Options, senses};
 use dbbd::measurement::{BaseBall, Measurements, PreparedMeasurement};
 use dbbd::robot::{BallId, Robot, parameter};
 use nalgebra::Vector3;
@@ -41,6 +41,7 @@ fn effects(data: &Measurements) -> Vec<JointEffect> {
     let options = Options {
         hold: parameter::parse_list("bar", &[], 1).unwrap(),
         folds: Some(0),
+        model: ErrorModel::Geometric,
         workspace: Some(vec![[0.0, -1.0, 1.0, 0.3, 1.0, 0.0], [0.5, -1.2, 1.5, -0.3, 0.6, 1.0]]),
         ..Options::default()
     };

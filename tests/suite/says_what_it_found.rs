@@ -99,7 +99,6 @@ fn scenes() -> Vec<Scene> {
         Scene::new(&truth, &flat, 20, 0.0, &["--prior", "headless.csv"]),
         Scene::new(&truth, &flat, 20, 0.0, &["--prior", "unit.csv"]),
         Scene::new(&truth, &flat, 20, 0.0, &["--prior", "negative.csv"]),
-        Scene::new(&truth, &flat, 20, 0.0, &["--prior-scale", "0"]),
         // A plan in place of measured lengths.
         Scene::new(&truth, &flat, 20, 0.0, &["--validate", "plan.csv"]),
         // One parameter, which noise tells little of.
@@ -119,11 +118,11 @@ fn scenes() -> Vec<Scene> {
     let mut random = Pcg64::seed_from_u64(2);
     drawn.data.rows.iter_mut().for_each(|row| row.length_mm *= random.random_range(0.2..1.8));
     scenes.push(drawn);
-    // Two bars with an offset each; a prior whose strength is chosen, and lengths drawn anew.
+    // Two bars with an offset each; lengths drawn anew.
     let mut two = Scene::new(&kr60(), &planes, 27, 0.0, &["--estimate", "all", "--folds", "0"]);
     two.data.rows.iter_mut().step_by(2).for_each(|row| row.bar = BarId::at(1));
     scenes.push(two);
-    let choices = ["--prior", "datasheet", "--prior-scale", "auto", "--monte-carlo", "100"];
+    let choices = ["--prior", "datasheet", "--monte-carlo", "100"];
     scenes.push(Scene::new(&truth, &planes, 20, 0.01, &choices));
     // As `dbbd sync` writes them: circles with angles, and a reference pose.
     let mut synced = Scene::new(&truth, &planes, 27, 0.01, &["--prior", "datasheet", "--hold", "centres"]);

@@ -5,7 +5,7 @@ use std::fs;
 use std::path::Path;
 use std::process::Command;
 
-use dbbd::estimation::result::{PriorSource, SigmaSource, Status};
+use dbbd::estimation::result::{SigmaSource, Status};
 use dbbd::estimation::result_file::{ResultFile, Warning};
 use dbbd::measurement::Measurements;
 use dbbd::robot::Robot;
@@ -169,51 +169,6 @@ fn monte_carlo_is_the_same_on_one_core() {
     };
     assert!(matches!(pinned.status.code(), Some(0 | 3)), "{}", stderr(&pinned));
     assert_eq!(both, fs::read(dir.path().join("out/result.json")).unwrap());
-}
-
-/// A robot ten times worse than its datasheet: cross-validation loosens the prior, and the result is better.
-#[test]
-fn the_prior_gives_way_where_held_out_lengths_say_so() {
-    let mut random = Pcg64::seed_from_u64(5);
-    let truth = with_errors(DESIGNED.map(|(name, error)| (name, 4.0 * error)));
-    let mut data = measure(&truth, &three_planes(1, CENTRE), 30, 25.0);
-    for row in &mut data.rows {
-        let z: f64 = StandardNormal.sample(&mut random);
-        row.length_mm += 0.3 * z;
-    }
-    let dir = cell(&data);
-    let (plain, _) = identify(dir.path(), &["--prior", "datasheet", "--folds", "5"]);
-    assert_eq!(
-        plain.prior.as_ref().map(|prior| (prior.source, prior.scale)),
-        Some((PriorSource::Datasheet, 1.0))
-    );
-    let (auto, said) =
-        identify(dir.path(), &["--prior", "datasheet", "--prior-scale", "auto", "--folds", "5"]);
-    let prior = auto.prior.unwrap();
-    assert!(prior.scale > 1.0 && prior.tried.len() == 9, "{prior:?}");
-    assert!(
-        said.contains(&format!(
-            "prior scale {} by cross-validation over 9 values: held-out rms",
-            prior.scale
-        )),
-        "{said}"
-    );
-    assert!(auto.folds.unwrap().rms < plain.folds.unwrap().rms);
-    let report = fs::read_to_string(dir.path().join("out/report.html")).unwrap();
-    // Of the factors that were tried, the table marks the one of the result, and no other.
-    let chosen: Vec<&str> = report.lines().filter(|line| line.ends_with("<td>chosen</td></tr>")).collect();
-    assert_eq!(chosen.len(), 1, "{chosen:?}");
-    let factor: f64 = chosen[0].split(['>', '<']).find_map(|text| text.trim().parse().ok()).unwrap();
-    assert!((factor - prior.scale).abs() < 0.01 * prior.scale, "{factor} {}", prior.scale);
-
-    let scaled = format!("{}", prior.scale);
-    let (fixed, _) =
-        identify(dir.path(), &["--prior", "datasheet", "--prior-scale", &scaled, "--folds", "5"]);
-    assert_eq!(fixed.parameters, auto.parameters);
-    for wrong in ["0", "-1", "soft"] {
-        let (code, _, said) = run(dir.path(), &["--prior", "datasheet", "--prior-scale", wrong]);
-        assert_eq!(code, 2, "{said}");
-    }
 }
 
 #[test]

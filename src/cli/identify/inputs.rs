@@ -5,9 +5,8 @@ use std::path::Path;
 
 use crate::base::table::Table;
 use crate::catalogue::{EstimationFinding, MeasurementFinding, RobotFinding};
-use crate::cli::{Output, positive};
+use crate::cli::Output;
 use crate::diagnostic::Diagnostic;
-use crate::estimation::PriorScale;
 use crate::measurement::{Distinct, Measurements};
 use crate::robot::parameter::SetUp;
 use crate::robot::{AXES, ParamId};
@@ -17,14 +16,6 @@ pub(crate) fn parse_point(text: &str) -> Result<[f64; 3], EstimationFinding> {
     match numbers.as_deref() {
         Ok(&[x, y, z]) if [x, y, z].iter().all(|v| v.is_finite()) => Ok([x, y, z]),
         _ => Err(EstimationFinding::NotAPoint),
-    }
-}
-
-/// A factor, or `auto`.
-pub(super) fn parse_scale(text: &str) -> Result<PriorScale, EstimationFinding> {
-    match text {
-        "auto" => Ok(PriorScale::CrossValidated),
-        _ => positive(text).map(PriorScale::By).map_err(|_| EstimationFinding::NotAScale),
     }
 }
 

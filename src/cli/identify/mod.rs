@@ -14,7 +14,7 @@ use crate::base::files;
 use crate::catalogue::{EstimationFinding, ProvenanceFinding};
 use crate::design::calibrate;
 use crate::diagnostic::Diagnostic;
-use crate::estimation::{CalibrationResult, ErrorModel, Input, Options, Prior, PriorScale, ResultFile};
+use crate::estimation::{CalibrationResult, ErrorModel, Input, Options, Prior, ResultFile};
 use crate::measurement::{LengthModel, Measurements};
 use crate::provenance::{Artefact, Provenance, Role};
 use crate::report::calibration;
@@ -25,7 +25,7 @@ pub(crate) use tables::LENGTHS;
 use given::check_lengths;
 pub(crate) use given::{Given, Named};
 pub(crate) use inputs::parse_point;
-use inputs::{parse_scale, read_prior, read_workspace};
+use inputs::{read_prior, read_workspace};
 
 /// How often a capture is aligned anew with what was identified.
 const ALIGNMENTS: usize = 5;
@@ -52,9 +52,8 @@ pub(crate) struct Args {
     #[arg(long, value_name = "NAME|FILE")]
     robot: Option<String>,
     /// Parameters to estimate: names, ranges, groups (`alpha1-5,a1-5,d4-6`; geometric, tool, centres, bar, all;
-    /// compliance, gear); without it, all that are identifiable, and compliance (if the robot file has a [[mass]]
-    /// or [payload]) and gear error where an F-test, lengths held out and the predicted 3-D error speak for them. Followed as it is when
-    /// there is no prior; what it does not name counts as exact, in the predicted 3-D error too.
+    /// compliance, gear); without it, all that are identifiable, and errors of the joints (see --model). Followed as
+    /// it is when there is no prior; what it does not name counts as exact, in the predicted 3-D error too.
     #[arg(long, value_name = "LIST")]
     estimate: Option<String>,
     /// Parameters to fix at their start values (--hold).
@@ -87,16 +86,14 @@ pub(crate) struct Args {
     /// or a CSV name,unit,sd [default: posterior where the robot file has it, else none].
     #[arg(long, value_name = "none|posterior|datasheet|FILE")]
     prior: Option<String>,
-    /// What a robot's error consists of: its geometry, with the optional groups that tests speak for; or also errors of
-    /// its joints (first harmonic, smooth function of the angle, backlash by the sense of approach, compliance if the
-    /// robot file has a [[mass]] or [payload]), each group as far as the evidence of the lengths speaks for it. Few or
-    /// exact lengths, `--estimate`, `--prior none`, `--prior-scale` and `--monte-carlo` take the geometry.
-    #[arg(long, value_enum, value_name = "MODEL", default_value = "geometric")]
+    /// What a robot's error consists of: `joints`, its geometry and errors of its joints (first harmonic, smooth function
+    /// of the angle, backlash by the sense of approach, ripple, compliance if the robot file has a [[mass]] or [payload]),
+    /// each group as far as the evidence of the lengths speaks for it; `geometric`, the geometry alone. Without
+    /// `--prior` the geometry is then bound by the tolerance of the robot file. The geometry alone is taken where the evidence does
+    /// not speak for errors of the joints, where there are fewer than 30 lengths beyond the parameters, or more than 16384,
+    /// where they are exact, and with `--estimate`, `--prior none`, `--prior posterior` or `--monte-carlo`.
+    #[arg(long, value_enum, value_name = "MODEL", default_value = "joints")]
     model: Model,
-    /// Factor on every standard deviation of the prior: above 1 the lengths count for more; `auto` takes the one
-    /// with which lengths held out are predicted best.
-    #[arg(long, value_name = "X|auto", default_value = "1", value_parser = parse_scale)]
-    prior_scale: PriorScale,
     /// Draw the lengths anew N times and fit them: standard deviations and 95 % intervals without linearising
     /// (GUM supplement 1), beside the linear ones; 100 to 1000000, usually 1000.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(100..=1_000_000))]
@@ -219,7 +216,6 @@ fn options(args: &Args, given: &mut Given, set_up: SetUp, out: &Output) -> Resul
         estimate: list(&args.estimate)?,
         hold: list(&args.hold)?.unwrap_or_default(),
         sigma_mm: args.sigma,
-        prior_scale: args.prior_scale,
         monte_carlo: args.monte_carlo.map(|trials| trials as usize),
         prior,
         model: match args.model {

@@ -54,10 +54,9 @@ fn fit(result: &CalibrationResult) -> Vec<String> {
     lines
 }
 
-/// What was left to the data: optional groups, prior, Monte Carlo. A group that was not tested is in the files only.
+/// What was left to the data: errors of the joints, Monte Carlo.
 fn choices(result: &CalibrationResult) -> Vec<String> {
-    let tested = result.groups.iter().filter(|group| group.f_test().is_some());
-    let mut lines: Vec<String> = tested.map(ToString::to_string).collect();
+    let mut lines = Vec::new();
     if let Some(joints) = &result.joints {
         lines.push(format!(
             "errors of the joints: the logarithm of the evidence rises by {:.0}; a pose repeats to {} in each direction",
@@ -65,16 +64,6 @@ fn choices(result: &CalibrationResult) -> Vec<String> {
             mm(joints.pose_mm)
         ));
         lines.extend(joints.groups.iter().map(|group| format!("  {group}")));
-    }
-    if let Some(prior) = &result.prior
-        && let Some(chosen) = prior.tried.iter().find(|tried| tried.scale == prior.scale)
-    {
-        lines.push(format!(
-            "prior scale {} by cross-validation over {} values: held-out rms {:.4} mm",
-            prior.scale,
-            prior.tried.len(),
-            chosen.held_out_rms_mm
-        ));
     }
     if let Some(drawn) = &result.monte_carlo {
         let names: Vec<String> = drawn.disagree.iter().map(ToString::to_string).collect();

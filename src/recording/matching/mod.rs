@@ -348,8 +348,8 @@ struct Rows<'a> {
 
 impl<'a> Rows<'a> {
     fn of(input: &'a Input<'a>) -> Self {
-        let axes = input.plan.rows.iter().map(|row| row.axes_deg.map(f64::to_radians));
-        Self { input, places: input.plan.circle_places(), approaches: Approach::along(axes).collect() }
+        let plan = input.plan;
+        Self { input, places: plan.circle_places(), approaches: plan.approaches().collect() }
     }
 
     /// Of the poses at which the robot stopped and of those that it passed.

@@ -2,12 +2,14 @@
 //!
 //! Row i is `Ry(beta) Rx(alpha) Tx(a) Rz(theta) Tz(d)`. A URDF joint is a fixed origin followed by a turn about
 //! its axis, so joint i's origin is the shift d of the row before, then `Ry(beta) Rx(alpha) Tx(a) Rz(offset)`, and
-//! its axis is z with the sense of the controller's angle. Gear errors and compliance have no place in a URDF.
+//! its axis is z with the sense of the controller's angle. Compliance and errors of the joints have no place in a URDF: a
+//! comment says how far the ball is off without them.
 
 use std::fmt::Write;
 
 use nalgebra::{Matrix3, Vector3};
 
+use crate::estimation::left_out_mm;
 use crate::robot::kinematics::Mass;
 use crate::robot::pose::{rot_x, rot_y, rot_z};
 use crate::robot::{AXES, Robot};
@@ -18,6 +20,12 @@ pub fn urdf(robot: &Robot) -> String {
     let _ =
         writeln!(text, "<!-- {}. Joint variables are the controller's axis angles.", comment(&robot.name));
     text.push_str("     Of inertias only masses are known (as points); efforts are not. -->\n");
+    if let Some(mm) = left_out_mm(robot) {
+        let _ = writeln!(
+            text,
+            "<!-- Without compliance and errors of the joints: the ball is {mm:.3} mm off in the mean over the workspace. -->"
+        );
+    }
     let _ = writeln!(text, "<robot name=\"{}\">\n  <link name=\"base_link\"/>", name(&robot.name));
     let mut before_mm = 0.0;
     for (at, row) in robot.geometry.rows.iter().enumerate() {
