@@ -14,9 +14,8 @@ use super::priors::open_limit_mm;
 use super::residual_tests::joint_effects;
 use super::residuals::{residual_on, residuals};
 use super::result::{
-    BeforeAfter, CalibrationResult, Folds, JointEffect, MonteCarlo, Outlier, ParameterResult,
-    PriorUsed, RankSummary, Reason, Recommendation, SigmaSource, SigmaSummary, SolverSummary, StartRobot,
-    Status,
+    BeforeAfter, CalibrationResult, Folds, JointEffect, MonteCarlo, Outlier, ParameterResult, PriorUsed,
+    RankSummary, Reason, Recommendation, SigmaSource, SigmaSummary, SolverSummary, StartRobot, Status,
 };
 use super::selection::is_place;
 use super::setting::Setting;

@@ -5,9 +5,8 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 use super::result::{
-    BeforeAfter, CalibrationResult, Folds, FurtherMeasurement, JointEffect,
-    MonteCarlo, Outlier, ParameterDraws, PredictedPair, PriorUsed, Recommendation, SigmaSource, StartRobot,
-    Status,
+    BeforeAfter, CalibrationResult, Folds, FurtherMeasurement, JointEffect, MonteCarlo, Outlier,
+    ParameterDraws, PredictedPair, PriorUsed, Recommendation, SigmaSource, StartRobot, Status,
 };
 use super::{Combination, Correlation, GroupEvidence, JointSummary, Observability, result};
 use crate::diagnostic::{Diagnostic, Severity};

@@ -2,9 +2,7 @@
 
 use std::fmt;
 
-use super::result::{
-    CirclePlane, FurtherMeasurement, ParameterResult, Reason, Recommendation, StartRobot,
-};
+use super::result::{CirclePlane, FurtherMeasurement, ParameterResult, Reason, Recommendation, StartRobot};
 use super::{Combination, Group, GroupEvidence, priors};
 use crate::robot::{BarId, ParamId, Unit};
 

@@ -84,7 +84,10 @@ fn a_robot_with_errors_everywhere_is_identified() {
 /// The robot sags, has play and a gear error that the model lacks: the result says so.
 #[test]
 fn what_the_model_lacks_is_noticed() {
-    let result = identify("fixtures/golden/unmodelled.csv", &["--sigma", "0.005", "--folds", "0", "--model", "geometric"]);
+    let result = identify(
+        "fixtures/golden/unmodelled.csv",
+        &["--sigma", "0.005", "--folds", "0", "--model", "geometric"],
+    );
     let doubt = result.warnings.iter().find(|w| w.code == "W1316");
     assert!(doubt.is_some(), "{:?}", result.warnings);
     assert!(result.residual_mm.after.rms > 0.02);

@@ -38,7 +38,12 @@ struct Case {
 }
 
 impl Case {
-    const fn of(name: &'static str, balls: usize, approached: bool, options: &'static [&'static str]) -> Self {
+    const fn of(
+        name: &'static str,
+        balls: usize,
+        approached: bool,
+        options: &'static [&'static str],
+    ) -> Self {
         Self { name, balls, approached, options }
     }
 }
@@ -93,7 +98,8 @@ impl Robot60 {
         identify(at, seen.iter().flat_map(|pose| &self.poses[*pose]), case);
         let first = kept.iter().map(|pose| self.poses[*pose][0].clone());
         fs::write(at.join("axes.csv"), table(first, case).to_csv()).unwrap();
-        let output = dbbd(at, &["predict", "axes.csv", "--robot", "o/robot-identified.toml", "--out", "p.csv"]);
+        let output =
+            dbbd(at, &["predict", "axes.csv", "--robot", "o/robot-identified.toml", "--out", "p.csv"]);
         assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
         let mut reader = csv::Reader::from_path(at.join("p.csv")).unwrap();
         let (mut measured, mut predicted, mut sds) = (Vec::new(), Vec::new(), Vec::new());
@@ -111,15 +117,21 @@ impl Robot60 {
 
     /// Where the three lengths of a pose say that the ball was, near `place`.
     fn trilaterated(&self, pose: usize, mut place: Vector3<f64>) -> Option<Vector3<f64>> {
-        let mut units = Matrix3::zeros();
-        for _ in 0..30 {
-            let away = self.balls.map(|ball| place - ball);
-            units = Matrix3::from_fn(|i, j| away[i][j] / away[i].norm());
-            let gaps = Vector3::from_fn(|i, _| self.poses[pose][i].length_mm - away[i].norm());
-            place += units.lu().solve(&gaps)?;
+        let units = |place: Vector3<f64>| {
+            let away = self.balls.map(|ball| (place - ball).normalize());
+            Matrix3::from_fn(|i, j| away[i][j])
+        };
+        let first = units(place);
+        // Near the plane of the balls lengths do not determine a position, nor on which side of it.
+        let magnified = (first.transpose() * first).try_inverse()?.trace().sqrt();
+        if magnified > MAGNIFIED {
+            return None;
         }
-        let magnified = (units.transpose() * units).try_inverse()?.trace().sqrt();
-        (magnified < MAGNIFIED).then_some(place)
+        for _ in 0..30 {
+            let gap = |i: usize| self.poses[pose][i].length_mm - (place - self.balls[i]).norm();
+            place += units(place).lu().solve(&Vector3::from_fn(|i, _| gap(i)))?;
+        }
+        Some(place)
     }
 
     /// Poses in the order of a seed.
@@ -165,7 +177,6 @@ fn joint_errors_lower_the_error_at_kept_poses() {
     let Some(robot) = Robot60::read() else { return };
     let order = robot.shuffled(1001);
     let kept = robot.kept(Case::of("", 3, true, &[]), &order[..SEEN], &order[SEEN..]);
-    eprintln!("{:?} {:?}", robot.balls, kept.errors);
     assert!(kept.errors.len() > 25 && kept.mean() < 0.075, "{:.4}", kept.mean());
     assert!((0.6..1.5).contains(&kept.ratio()), "{:.2}", kept.ratio());
 }
@@ -194,7 +205,9 @@ fn kept_poses_in_twelve_splits() {
         let scatter = mean(&|kept| (kept.mean() - average).powi(2)).sqrt();
         let largest = found.iter().flat_map(|kept| &kept.errors).fold(0.0f64, |a, b| a.max(*b));
         let (name, ratio) = (case.name, mean(&Kept::ratio));
-        eprintln!("{name}: mean {average:.4} (sd {scatter:.4}), largest {largest:.3} mm, predicted/true {ratio:.2}");
+        eprintln!(
+            "{name}: mean {average:.4} (sd {scatter:.4}), largest {largest:.3} mm, predicted/true {ratio:.2}"
+        );
     }
 }
 

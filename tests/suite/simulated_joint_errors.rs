@@ -43,8 +43,11 @@ fn drawn(seed: u64) -> Robot {
         joint.smooth = Smooth { centre: 0.5 * (low + high), half_width, coefficients };
     }
     let (amplitude, phase) = (random.random_range(0.0..5e-5), random.random_range(0.0..6.0_f64));
-    let ripple =
-        Ripple { order: random.random_range(5..40), cos: amplitude * phase.cos(), sin: amplitude * phase.sin() };
+    let ripple = Ripple {
+        order: random.random_range(5..40),
+        cos: amplitude * phase.cos(),
+        sin: amplitude * phase.sin(),
+    };
     joints[random.random_range(0..6)].ripple.push(ripple);
     robot.geometry.joint_errors = JointErrors::new(joints);
     robot
