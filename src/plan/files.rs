@@ -141,7 +141,9 @@ impl Plan {
     /// # Errors
     /// None is known: see [`serialised`].
     pub fn to_csv(&self) -> Result<String, CliFinding> {
-        serialised::csv(self.rows.iter().zip(self.approaches()).map(|(row, approach)| Line::of(row, approach)))
+        serialised::csv(
+            self.rows.iter().zip(self.approaches()).map(|(row, approach)| Line::of(row, approach)),
+        )
     }
 
     /// How the moves bring the axes to each row.
