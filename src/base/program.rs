@@ -19,6 +19,10 @@ const INHERITED: [&str; 11] = [
     "TMP",
 ];
 
+/// The variable that makes a command of ours report how much of it is done, a line each: this word and the per cent.
+pub const PROGRESS_VARIABLE: &str = "DBBD_PROGRESS";
+pub const PROGRESS: &str = "done, per cent:";
+
 /// The option that ends a command of ours with its standard input.
 pub const UNTIL_STDIN_CLOSES: &str = "--until-stdin-closes";
 

@@ -127,5 +127,30 @@ findings! {
         cure: "`dbbd export` shows each silence among the gaps, `dbbd sync` names the poses that are touched. Check cable and supply, and measure again where poses are missing." {
             FellSilent { silent_s: f64, gaps: u64 } => "the bar was silent for {silent_s:.1} s in all ({gaps} gaps)";
         }
+        W0280 "the bar is not seated",
+        cause: "A ball lies on the rim of its cup or on a chip, so that the bar rocks at rest.",
+        cure: "Take the bar off, wipe balls and cups, and mount it again until the page says *stable*." {
+            NotSeated { rocks_um: f64 } => "the bar is not seated: it rocks by {rocks_um:.0} micrometres";
+        }
+        W0281 "a ball creeps after mounting",
+        cause: "A magnet still pulls its ball in, a screw or glue gives way, or the bar is warm from the hand.",
+        cure: "Wait until the page says *stable*; if it does not stop, tighten the cups and mount the bar again." {
+            BallCreeps { rate_um_s: f64 } => "a ball creeps by {rate_um_s:.1} micrometres a second";
+        }
+        W0282 "a magnet slipped",
+        cause: "A ball left its seat for a moment: the magnet is weak or dirty, or the robot accelerates too hard.",
+        cure: "Clean the cups, use less speed, and repeat the run if it happens again." {
+            MagnetSlipped { jump_um: f64 } => "a magnet slipped: the reading jumped by {jump_um:.0} micrometres and came back";
+        }
+        W0283 "the cable pulls at the bar",
+        cause: "The bar's cable is too short, hangs free and swings, or is caught.",
+        cure: "Lay the cable loosely along the arm with a loop at the bar, and fix it before the tool." {
+            CablePulls { change_um: f64 } => "the cable pulls at the bar: the reading changes by {change_um:.0} micrometres at rest";
+        }
+        W0284 "a ball moved in its cup",
+        cause: "A ball left its seat and came to rest in another place.",
+        cure: "Clean balls and cups, mount the bar again, and repeat the run: lengths before and after do not belong together." {
+            BallMoved { jump_um: f64 } => "a ball moved in its cup: the reading jumped by {jump_um:.0} micrometres and did not come back";
+        }
     }
 }

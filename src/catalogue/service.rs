@@ -98,5 +98,11 @@ findings! {
             BodyTooSlow => "the body took too long";
             BodyTooLong { most_bytes: usize } => "a body has at most {most_bytes} bytes";
         }
+        E1520 "the bar cannot be set to zero",
+        cause: "Its protocol has no command for it, or the bar is not being read.",
+        cure: "Connect the bar first; where there is no command, the offset is estimated with the other parameters." {
+            NoZeroCommand { protocol: String } => "the protocol `{protocol}` has no command that sets the reading to zero";
+            NotRead => "the bar is not being read: connect it first";
+        }
     }
 }

@@ -106,9 +106,12 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     }
     let provenance = Provenance::of(&sources);
     let mut tests = Vec::new();
-    for circle in found {
+    let circles = found.len();
+    for (at, circle) in found.into_iter().enumerate() {
+        out.done(50 + u8::try_from(40 * at / circles).unwrap_or(40));
         tests.push(evaluate(circle, args)?);
     }
+    out.done(90);
     let _writing = files::exclusive(&args.out)?;
     for (at, test) in tests.iter().enumerate() {
         let name = if at == 0 { "circle.svg".to_owned() } else { format!("circle-{}.svg", at + 1) };

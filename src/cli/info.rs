@@ -145,6 +145,10 @@ impl Gathered {
             Record::Event(Event::Controller { .. }) => info.controller_events += 1,
             Record::Event(Event::Mark { text }) => info.remarks.push(text),
             Record::Event(Event::Opened { stamps, .. }) => info.stamps = info.stamps.or(stamps),
+            Record::Event(Event::Operator { action, detail, .. }) => {
+                info.remarks.push(format!("operator: {action} {detail}").trim_end().to_owned());
+            }
+            Record::Event(Event::Finding { code, text }) => info.remarks.push(format!("{code}: {text}")),
             Record::Event(Event::Ended { .. }) => {}
         }
     }

@@ -13,6 +13,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 
 use super::{Common, Outcome};
+use crate::base::program::{PROGRESS, PROGRESS_VARIABLE};
 use crate::base::serialised;
 use crate::base::table::{Layout, Table};
 use crate::catalogue::{CliFinding, CompensationFinding, EstimationFinding, FileFinding, PortFinding};
@@ -168,6 +169,13 @@ impl Output {
         let bytes = file.metadata().map_err(unreadable)?.len();
         let busy = self.busy(&format!("reading {name}"), Some(bytes));
         Ok((BufReader::new(busy.line.wrap_read(file)), busy))
+    }
+
+    /// How much of the command is done, per cent, by its steps; for the service that started it.
+    pub(crate) fn done(&self, percent: u8) {
+        if std::env::var_os(PROGRESS_VARIABLE).is_some() {
+            write_line(&mut io::stderr(), &format!("{PROGRESS} {percent}"));
+        }
     }
 
     /// A line on the terminal that moves until it is dropped, with the share of `of` where that is known.

@@ -8,7 +8,7 @@ use serde_json::json;
 
 use super::acquire::simulated;
 use super::{Outcome, Output};
-use crate::daemon::{self, Bench, Config, Level, Log};
+use crate::daemon::{self, Bench, Config, Level, Log, Program};
 use crate::device::port::PortAddress;
 use crate::diagnostic::Diagnostic;
 
@@ -51,10 +51,18 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
 
 /// What the port `sim` reads: a simulated cell at the speed of life.
 fn bench(out: Output) -> Option<Bench> {
-    let make = move |plan: Option<&Path>| -> Result<Box<dyn daemon::Cell>, Diagnostic> {
-        Ok(Box::new(simulated::Cell::start(plan, "1", None, &out)?))
+    let make = move |plan: Option<&Path>, program: Program| -> Result<Box<dyn daemon::Cell>, Diagnostic> {
+        Ok(Box::new(simulated::Cell::start_at(plan, "1", halt(program), None, &out)?))
     };
     Some(Box::new(make))
+}
+
+/// How long the program waits at its HALT, s.
+fn halt(program: Program) -> &'static str {
+    match program {
+        Program::Runs => "2",
+        Program::Waits => "86400",
+    }
 }
 
 impl daemon::Cell for simulated::Cell {

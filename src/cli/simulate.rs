@@ -74,6 +74,8 @@ pub(crate) struct Args {
     /// sequence number). batch_ms holds bytes back; stale sends so many bytes of an earlier stream at
     /// opening; banner=1, echo=1; wrap_ticks before the counter wraps; drift_ppm of the bar's clock;
     /// unplug_s, away_s: unplugged once, back under another name (--link follows); over_mm beyond the stroke.
+    /// Of the mounting, micrometres: unseated_um (the bar rocks), creep_um (after mounting), slip_um (a magnet, for a
+    /// moment every 10 to 20 s), cable_um (the cable swings at rest).
     #[arg(long = "fault", value_name = "NAME=VALUE", value_parser = protocols::param)]
     faults: Vec<(String, String)>,
     /// Seed of all that is random.

@@ -35,7 +35,9 @@ pub(crate) struct Args {
 
 pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     let run = run::open(&args.run, args.plan.as_deref(), &args.axes, &mut |finding| out.finding(finding))?;
+    out.done(40);
     let matching = run.matching(None);
+    out.done(90);
     out.about(&matching.findings);
     out.document(&document(&matching, &run.stream))?;
     show(&matching, out);

@@ -83,8 +83,8 @@ pub struct Acquisition {
 
 struct Shared {
     progress: Mutex<Progress>,
-    /// Remarks that are to be written.
-    remarks: Mutex<Vec<String>>,
+    /// What others say that is to be written.
+    notes: Mutex<Vec<Event>>,
     /// What others did to the capture.
     findings: Mutex<Vec<Diagnostic>>,
     stop: Arc<AtomicBool>,
@@ -163,7 +163,7 @@ impl Acquisition {
         let port = begin(&mut recorder, &options.port, opened)?;
         let shared = Arc::new(Shared {
             progress: Mutex::default(),
-            remarks: Mutex::default(),
+            notes: Mutex::default(),
             findings: Mutex::default(),
             stop,
         });
@@ -184,7 +184,12 @@ impl Acquisition {
 
     /// Writes a remark into the capture.
     pub fn mark(&self, text: String) {
-        self.shared.remarks.lock().unwrap_or_else(PoisonError::into_inner).push(text);
+        self.note(Event::Mark { text });
+    }
+
+    /// Writes what happened beside the line into the capture.
+    pub fn note(&self, event: Event) {
+        self.shared.notes.lock().unwrap_or_else(PoisonError::into_inner).push(event);
     }
 
     /// What is to be said of the capture since it was asked for last.
@@ -271,6 +276,7 @@ impl Run {
                 Err(ending) => break ending,
             }
         };
+        self.write_notes()?;
         let progress = self.recorder.finish(clock::now(), ending.reason());
         self.say();
         Ok(Summary { capture: self.recorder.path().into(), ending, progress: progress? })
@@ -374,13 +380,14 @@ impl Run {
         findings.append(&mut self.recorder.findings);
     }
 
-    /// Writes the remarks of others and publishes the counts.
+    fn write_notes(&mut self) -> Result<(), Diagnostic> {
+        let notes = std::mem::take(&mut *self.shared.notes.lock().unwrap_or_else(PoisonError::into_inner));
+        notes.into_iter().try_for_each(|event| self.recorder.event(clock::now(), event))
+    }
+
+    /// Writes the notes of others and publishes the counts.
     fn publish(&mut self, port: PortState) -> Result<(), Diagnostic> {
-        let remarks =
-            std::mem::take(&mut *self.shared.remarks.lock().unwrap_or_else(PoisonError::into_inner));
-        for text in remarks {
-            self.recorder.event(clock::now(), Event::Mark { text })?;
-        }
+        self.write_notes()?;
         self.recorder.tick(clock::now())?;
         self.say();
         let progress = Progress { gone: port == PortState::Gone, ..self.recorder.progress };

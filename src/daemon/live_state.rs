@@ -1,7 +1,7 @@
 //! The live state of a run: frames a few times a second, and each dwell. No client can hold the recorder up: the stream
 //! drops what is not read.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use tokio::sync::broadcast;
 
@@ -9,11 +9,15 @@ use super::mount_detector::{MountDetector, Reading};
 use super::schedule::Schedule;
 use crate::base::clock;
 use crate::base::units::HostNs;
-use crate::live::{Alarm, Frame, Message, Point};
+use crate::diagnostic::Finding;
+use crate::live::{Alarm, Frame, Message, Mounting, MountingNote, Point};
 use crate::measurement::sample::Sample;
+use crate::recording::mounting::{Expected, MountedReading, MountingMonitor};
 
 /// Host time that a picture gathers, s.
 const PICTURE_S: f64 = 0.05;
+/// Findings about the mounting that are kept.
+const MOST_FINDINGS: usize = 20;
 
 /// What is shared with the clients.
 #[derive(Clone, Debug)]
@@ -23,6 +27,7 @@ pub struct LiveState {
     pub points: Arc<Mutex<Vec<Point>>>,
     /// By how much the device's clock is ahead of the host's since the first sample, ms.
     pub clock_ahead_ms: Arc<Mutex<Option<f64>>>,
+    pub mounting: Arc<Mutex<Mounting>>,
 }
 
 /// What the recorder has counted when it hands over a sample.
@@ -40,6 +45,8 @@ pub struct Feed {
     state: LiveState,
     schedule: Schedule,
     mount: MountDetector,
+    monitor: MountingMonitor,
+    temperature_c: Option<f64>,
     /// Wall clock less the host's monotonic one, ns.
     wall_ns: f64,
     first: Option<(HostNs, Option<f64>)>,
@@ -58,12 +65,14 @@ struct StrobeMean {
 }
 
 impl Feed {
-    pub fn new(state: LiveState, schedule: Schedule) -> Self {
+    pub fn new(state: LiveState, schedule: Schedule, expected: Expected) -> Self {
         let wall_ns = clock::unix_ns() as f64 - clock::now().0 as f64;
         Self {
             state,
             schedule,
             mount: MountDetector::default(),
+            monitor: MountingMonitor::new(expected),
+            temperature_c: None,
             wall_ns,
             first: None,
             picture: None,
@@ -73,8 +82,14 @@ impl Feed {
         }
     }
 
-    /// A sample was written; `device_s` is its device time since the first one.
-    pub(super) fn sample(&mut self, host: HostNs, device_s: Option<f64>, sample: &Sample, counted: Counted) {
+    /// A sample was written; `device_s` is its device time since the first one. What it shows of the mounting.
+    pub(super) fn sample(
+        &mut self,
+        host: HostNs,
+        device_s: Option<f64>,
+        sample: &Sample,
+        counted: Counted,
+    ) -> Option<MountingNote> {
         let (first, first_device) = *self.first.get_or_insert((host, device_s));
         let host_s = host.seconds_since(first);
         let device_s = device_s.zip(first_device).map(|(now, first)| now - first);
@@ -115,6 +130,27 @@ impl Feed {
         frame.strobe = sample.trigger;
         frame.valid &= sample.valid;
         self.dwell(sample, counted);
+        self.temperature_c = sample.temperature_c.or(self.temperature_c);
+        let mounted = sample.valid && alarm.is_some_and(|alarm| alarm != Alarm::Over);
+        let t_s = device_s.unwrap_or(host_s);
+        let read = MountedReading { t_s, reading_mm: reading, mounted, strobe: sample.trigger };
+        let named = self.monitor.push(read)?;
+        let finding = named.finding();
+        let unix_ms = ((host.0 as f64 + self.wall_ns) * 1e-6).max(0.0) as u64;
+        let (code, text, size_um) = (finding.code(), finding.to_string(), 1e3 * named.size);
+        let note = MountingNote { code, text, size_um, unix_ms };
+        let mut mounting = self.mounting();
+        if mounting.findings.len() >= MOST_FINDINGS {
+            mounting.findings.remove(0);
+        }
+        mounting.findings.push(note.clone());
+        drop(mounting);
+        self.send("mounting", &note);
+        Some(note)
+    }
+
+    fn mounting(&self) -> MutexGuard<'_, Mounting> {
+        self.state.mounting.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     fn dwell(&mut self, sample: &Sample, counted: Counted) {
@@ -140,6 +176,12 @@ impl Feed {
             && let Some((_, frame)) = self.picture.take()
         {
             self.frames = frame.frame;
+            let scatter = self.monitor.scatter().map(|scatter| scatter.map(|mm| 1e3 * mm));
+            let mut mounting = self.mounting();
+            mounting.state = self.monitor.state().name();
+            (mounting.scatter_um, mounting.drift_um_s) = scatter.map(|[sd, drift]| (sd, drift)).unzip();
+            mounting.temperature_c = self.temperature_c;
+            drop(mounting);
             self.send("frame", &frame);
         }
     }

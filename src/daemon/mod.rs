@@ -23,6 +23,6 @@ pub use mount_detector::{MountDetector, Reading};
 pub use progress::Progress;
 pub use recorder::Recorder;
 pub use schedule::{ALARM_SHARE, Schedule};
-pub use service::{Bench, Cell, Config, Level, Log, abort_on_panic, serve};
+pub use service::{Bench, Cell, Config, Level, Log, Program, abort_on_panic, serve};
 pub use session::zero;
 pub use signals::stop_on_signal;

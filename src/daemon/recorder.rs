@@ -288,7 +288,9 @@ impl Recorder {
         if let Some(feed) = &mut self.feed {
             let high_since_s = self.program.high_since_s();
             let counted = Counted { dwells: self.progress.dwells, high_since_s };
-            feed.sample(host, device_s, sample, counted);
+            if let Some(note) = feed.sample(host, device_s, sample, counted) {
+                self.event(host, Event::Finding { code: note.code.0.into(), text: note.text })?;
+            }
         }
         Ok(())
     }

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use crate::live::{Alarm, Point};
+use crate::live::{Alarm, NextPose, Point};
 use crate::plan::{Kind, Motion, Plan};
 use crate::recording::{Telegram, run_number};
 
@@ -18,6 +18,8 @@ pub struct Schedule {
     /// Share of the stroke from its middle beyond which the alarm is raised.
     pub alarm_share: f64,
     dwells: Vec<Expected>,
+    /// Time of the whole plan, s.
+    duration_s: Option<f64>,
     /// How many dwells are over when the bar is taken off, each time.
     pub(super) taken_off: Vec<u32>,
     program: Option<Program>,
@@ -31,6 +33,8 @@ struct Expected {
     angle_deg: Option<f64>,
     clockwise: bool,
     length_mm: f64,
+    /// Time of the plan after it, s.
+    left_s: f64,
 }
 
 /// What is known of the plan's program.
@@ -70,14 +74,20 @@ impl Schedule {
     /// Of a plan.
     pub fn of(plan: &Plan, alarm_share: f64) -> Self {
         let places = plan.circle_places();
-        let dwells = plan.rows.iter().zip(&places).filter(|(row, _)| row.kind != Kind::Transit);
-        let dwells = dwells.map(|(row, place)| Expected {
+        let duration_s = plan.duration_s();
+        let left = plan.row_times_s().scan(duration_s, |left_s, row_s| {
+            *left_s -= row_s;
+            Some(left_s.max(0.0))
+        });
+        let rows = plan.rows.iter().zip(&places).zip(left).filter(|((row, _), _)| row.kind != Kind::Transit);
+        let dwells = rows.map(|((row, place), left_s)| Expected {
             index: row.index,
             circle: row.circle,
             // A reference pose is no part of the circle's picture.
             angle_deg: place.filter(|_| row.kind == Kind::Measure).map(|place| place.angle_deg),
             clockwise: place.is_some_and(|place| place.clockwise),
             length_mm: row.length_mm,
+            left_s,
         });
         // The bar is off on every PTP, and after the end.
         let off = plan.rows.iter().filter(|row| row.motion == Motion::Ptp).map(|row| row.index);
@@ -92,6 +102,7 @@ impl Schedule {
             stroke_mm: Some(bar.stroke_mm),
             alarm_share,
             dwells: dwells.collect(),
+            duration_s: Some(duration_s),
             taken_off,
             program: Some(Program::of(plan)),
         }
@@ -119,6 +130,20 @@ impl Schedule {
     /// Dwells of the plan; none without a plan.
     pub fn poses(&self) -> Option<u32> {
         self.bar_length_mm.and_then(|_| u32::try_from(self.dwells.len()).ok())
+    }
+
+    /// Time that the plan takes after so many dwells, at full override, s.
+    pub(super) fn left_s(&self, dwells: u32) -> Option<f64> {
+        match (dwells as usize).checked_sub(1) {
+            None => self.duration_s,
+            Some(last) => self.duration_s.map(|_| self.dwells.get(last).map_or(0.0, |dwell| dwell.left_s)),
+        }
+    }
+
+    /// The dwell that follows so many.
+    pub(super) fn next(&self, dwells: u32) -> Option<NextPose> {
+        let Expected { index, circle, angle_deg, .. } = *self.dwells.get(dwells as usize)?;
+        Some(NextPose { index, circle, angle_deg })
     }
 
     /// How near a reading is to the end of the stroke.

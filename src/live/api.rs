@@ -14,7 +14,7 @@ use tokio::sync::watch;
 use super::access::{Access, COOKIE_NAME};
 use super::connections::Peer;
 use super::json::{Body, Problem, json};
-use super::service::{Catalogue, JobKind, JobRequest, Service, StartRequest};
+use super::service::{Act, Catalogue, JobKind, JobRequest, Service, StartRequest};
 use super::{downloads, metrics as prometheus, stream as live_stream};
 use crate::catalogue::ServiceFinding::{NoJob, NoResultKind, PathNotText, RemarkLength, WorkerLost};
 use crate::diagnostic::Diagnostic;
@@ -135,6 +135,43 @@ pub(super) async fn robots(State(app): State<App>) -> Answer {
 
 pub(super) async fn plans(State(app): State<App>) -> Answer {
     catalogue(app, Catalogue::Plans).await
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Connect {
+    #[serde(default)]
+    plan: Option<String>,
+}
+
+pub(super) async fn connect(State(app): State<App>, Body(Connect { plan }): Body<Connect>) -> Answer {
+    ask(app, move |service| service.connect(plan)).await?;
+    Ok(StatusCode::ACCEPTED.into_response())
+}
+
+pub(super) async fn disconnect(State(app): State<App>) -> Answer {
+    ask(app, |service| service.disconnect()).await?;
+    Ok(StatusCode::ACCEPTED.into_response())
+}
+
+pub(super) async fn zero(State(app): State<App>) -> Answer {
+    ask(app, |service| service.zero()).await?;
+    Ok(StatusCode::ACCEPTED.into_response())
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Acted {
+    act: Act,
+}
+
+pub(super) async fn act(State(app): State<App>, Body(Acted { act }): Body<Acted>) -> Answer {
+    ask(app, move |service| {
+        service.act(act);
+        Ok(())
+    })
+    .await?;
+    Ok(StatusCode::ACCEPTED.into_response())
 }
 
 pub(super) async fn start(State(app): State<App>, Body(request): Body<StartRequest>) -> Answer {

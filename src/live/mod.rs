@@ -23,7 +23,9 @@ pub use api::OPENAPI;
 pub use routes::routes;
 pub use server::serve;
 pub use service::{
-    Catalogue, Download, Ended, Job, JobKind, JobRequest, JobState, ResultFile, RunEntry, RunState, Service,
-    StartRequest,
+    Act, Catalogue, CheckItem, Download, Ended, Job, JobKind, JobRequest, JobState, ResultFile, RunEntry,
+    RunState, Service, StartRequest,
 };
-pub use view::{Alarm, Device, Frame, LastRun, Message, Point, RunStatus, State, Status};
+pub use view::{
+    Alarm, Device, Frame, LastRun, Message, Mounting, MountingNote, NextPose, Point, RunStatus, State, Status,
+};

@@ -13,8 +13,20 @@ pub(super) const FILES: &[(&str, &str, &str)] = &[
     ("/numbers.js", "text/javascript; charset=utf-8", include_str!("page/numbers.js")),
     ("/strip.js", "text/javascript; charset=utf-8", include_str!("page/strip.js")),
     ("/link.js", "text/javascript; charset=utf-8", include_str!("page/link.js")),
+    ("/mounting.js", "text/javascript; charset=utf-8", include_str!("page/mounting.js")),
+    ("/texts.js", "text/javascript; charset=utf-8", include_str!("page/texts.js")),
+    ("/texts.json", "application/json", LANGUAGES),
     ("/runs.js", "text/javascript; charset=utf-8", include_str!("page/runs.js")),
 ];
+
+/// The texts of the page by language: a further language is a file and its line here.
+const LANGUAGES: &str = concat!(
+    "{\"en\":",
+    include_str!("page/texts/en.json"),
+    ",\"de\":",
+    include_str!("page/texts/de.json"),
+    "}"
+);
 
 /// Answers with one of the page's files.
 pub(super) fn answer(kind: &'static str, content: &'static str) -> Response {

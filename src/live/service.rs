@@ -25,6 +25,14 @@ pub trait Service: Send + Sync + 'static {
     fn catalogue(&self, which: Catalogue) -> Result<Value, Diagnostic>;
     /// Chooses the device for the next run.
     fn choose(&self, port: Option<String>, protocol: Option<String>) -> Result<(), Diagnostic>;
+    /// Reads the bar without a run, against the stroke of a plan.
+    fn connect(&self, plan: Option<String>) -> Result<(), Diagnostic>;
+    /// Ends that.
+    fn disconnect(&self) -> Result<(), Diagnostic>;
+    /// Sets the reading of the bar that is read to zero.
+    fn zero(&self) -> Result<(), Diagnostic>;
+    /// Notes what the operator did on the page.
+    fn act(&self, act: Act);
     /// Starts a run.
     fn start(&self, request: StartRequest) -> Result<(), Diagnostic>;
     /// Tells the run to stop.
@@ -70,6 +78,51 @@ pub struct StartRequest {
     /// Ends it after so many seconds.
     #[serde(default)]
     pub duration_s: Option<f64>,
+    /// What the operator checked at the cell.
+    #[serde(default)]
+    pub checked: Vec<CheckItem>,
+}
+
+/// An item of the cell check list.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum CheckItem {
+    BallClean,
+    BarMounted,
+    Override,
+    Tool,
+    T1,
+}
+
+impl CheckItem {
+    pub fn name(self) -> &'static str {
+        match self {
+            CheckItem::BallClean => "ball_clean",
+            CheckItem::BarMounted => "bar_mounted",
+            CheckItem::Override => "override",
+            CheckItem::Tool => "tool",
+            CheckItem::T1 => "t1",
+        }
+    }
+}
+
+/// What the operator does on the page without asking for anything.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Act {
+    AlarmCleared,
+    SoundOn,
+    SoundOff,
+}
+
+impl Act {
+    pub fn name(self) -> &'static str {
+        match self {
+            Act::AlarmCleared => "alarm_cleared",
+            Act::SoundOn => "sound_on",
+            Act::SoundOff => "sound_off",
+        }
+    }
 }
 
 /// State of a run in the data directory.
@@ -183,6 +236,8 @@ pub struct Job {
     pub state: JobState,
     /// For how long it has been running, s.
     pub elapsed_s: f64,
+    /// How much of it is done, per cent, by its steps.
+    pub percent: u8,
     /// What it said, line by line; the last ones.
     pub log: Vec<String>,
 }

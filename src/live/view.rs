@@ -9,7 +9,7 @@ use crate::diagnostic::Code;
 /// One message of the live stream: its name and its JSON, made once for all clients.
 #[derive(Clone, Debug)]
 pub struct Message {
-    /// Name of the event: `status`, `frame`, `point`, `begin`, `job`.
+    /// Name of the event: `status`, `frame`, `point`, `mounting`, `begin`, `job`.
     pub event: &'static str,
     /// Its content, one JSON document.
     pub data: Arc<str>,
@@ -62,6 +62,8 @@ pub struct Status {
     pub device: Device,
     /// The run that is on.
     pub run: Option<RunStatus>,
+    /// The bar that is read without a run: a run without name.
+    pub reading: Option<RunStatus>,
     /// How the last run of this process ended.
     pub last: Option<LastRun>,
 }
@@ -83,6 +85,15 @@ pub struct RunStatus {
     pub name: String,
     /// The plan that the robot executes.
     pub plan: Option<String>,
+    /// The robot that the plan was made for.
+    pub robot: Option<String>,
+    /// Time that the rest of the plan takes at full override, s.
+    pub left_s: Option<f64>,
+    /// The pose of the next dwell.
+    pub next: Option<NextPose>,
+    pub mounting: Mounting,
+    /// Whether the bar can be set to zero.
+    pub can_zero: bool,
     /// When it began, ms since the Unix epoch.
     pub started_unix_ms: u64,
     /// Host time since, s.
@@ -127,6 +138,42 @@ pub struct RunStatus {
     pub unanswered: u64,
     /// Bytes lost between port and recorder.
     pub lost_bytes: u64,
+}
+
+/// The pose at which the robot dwells next.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct NextPose {
+    /// Its row in the plan.
+    pub index: u32,
+    pub circle: u32,
+    /// Its angle on the circle, degrees.
+    pub angle_deg: Option<f64>,
+}
+
+/// How the bar is mounted, by its readings.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Mounting {
+    /// `off`, `handled`, `settling`, `stable`, `moving`.
+    pub state: &'static str,
+    /// Standard deviation of means over 50 ms at rest, micrometres.
+    pub scatter_um: Option<f64>,
+    /// Drift at rest, micrometres a second.
+    pub drift_um_s: Option<f64>,
+    /// Temperature of the bar, degrees Celsius.
+    pub temperature_c: Option<f64>,
+    /// What was found, the newest last.
+    pub findings: Vec<MountingNote>,
+}
+
+/// A finding about the mounting.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct MountingNote {
+    pub code: Code,
+    pub text: String,
+    /// Its size, micrometres; of a creep micrometres a second.
+    pub size_um: f64,
+    /// When, ms since the Unix epoch.
+    pub unix_ms: u64,
 }
 
 /// How a run ended.

@@ -155,15 +155,18 @@ impl Plan {
 
     /// Time that the program takes at full override, without the waits for the operator, s.
     pub fn duration_s(&self) -> f64 {
+        self.row_times_s().sum()
+    }
+
+    /// The time of each row: the move to it, and the stop there, s.
+    pub fn row_times_s(&self) -> impl Iterator<Item = f64> {
         let motion = &self.header.job.motion;
-        let moving: f64 = self.header.moves.iter().map(|time| time.duration_s).sum();
-        let dwells = self.rows.iter().filter(|row| row.dwell_s > 0.0).map(|row| row.dwell_s);
-        // A pass is waited for as a dwell is, and none follows.
-        let still: f64 = dwells
-            .chain(self.header.passes.iter().map(|_| 0.0))
-            .map(|dwell_s| motion.settle_s + dwell_s + super::timing::AFTER_STROBE_S)
-            .sum();
-        moving + still
+        self.rows.iter().zip(&self.header.moves).map(|(row, time)| {
+            // A pass is waited for as a dwell is, and none follows.
+            let stops = row.dwell_s > 0.0 || self.header.passes.iter().any(|pass| pass.end == row.index);
+            let still_s = motion.settle_s + row.dwell_s + super::timing::AFTER_STROBE_S;
+            time.duration_s + if stops { still_s } else { 0.0 }
+        })
     }
 }
 

@@ -8,6 +8,7 @@ pub mod dwell;
 pub mod import;
 mod lower_hull;
 pub mod matching;
+pub mod mounting;
 pub mod reports;
 pub mod run;
 pub mod stream;

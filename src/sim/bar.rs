@@ -202,7 +202,8 @@ impl<S: Source> Bar<S> {
         let polled = self.device.sends == Sends::WhenAsked;
         while batch.len() < room && self.due() {
             let t_s = self.frames as f64 / self.options.rate_hz;
-            let Some(reading) = self.source.reading(t_s) else { return Ok(false) };
+            let Some(mut reading) = self.source.reading(t_s) else { return Ok(false) };
+            reading.reading_mm += self.bad.loose.offset_mm(t_s, reading.valid, reading.strobe);
             if self.running && (!polled || self.asked > 0) {
                 let skip = self.bad.faults().skip;
                 self.skipped += u64::from(self.bad.happens(skip));

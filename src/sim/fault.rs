@@ -3,6 +3,7 @@
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
+use super::loose::{Loose, Looseness};
 use crate::catalogue::SimulationFinding;
 use crate::diagnostic::Diagnostic;
 
@@ -57,6 +58,14 @@ faults! {
     away_s: [0.0, 1e9],
     /// Readings are this much further out, mm.
     over_mm: [-1e6, 1e6],
+    /// The mounted bar rocks by so much, micrometres.
+    unseated_um: [0.0, 1e6],
+    /// A ball creeps by so much in all after mounting, micrometres.
+    creep_um: [-1e6, 1e6],
+    /// A magnet slips by so much every now and then, micrometres.
+    slip_um: [-1e6, 1e6],
+    /// The cable pulls by so much every now and then, micrometres.
+    cable_um: [-1e6, 1e6],
 }
 
 impl Faults {
@@ -76,15 +85,19 @@ impl Faults {
     }
 }
 
+/// A bad line with its dice, and the mounting of the bar at its end.
 #[derive(Clone, Debug)]
 pub struct BadLine {
     faults: Faults,
     dice: Pcg64,
+    pub(super) loose: Loose,
 }
 
 impl BadLine {
     pub fn new(faults: Faults, seed: u64) -> Self {
-        Self { faults, dice: Pcg64::seed_from_u64(seed) }
+        let Faults { unseated_um, creep_um, slip_um, cable_um, .. } = faults;
+        let loose = Loose::new(Looseness { unseated_um, creep_um, slip_um, cable_um }, seed);
+        Self { faults, dice: Pcg64::seed_from_u64(seed), loose }
     }
 
     pub fn faults(&self) -> &Faults {

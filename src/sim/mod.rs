@@ -7,6 +7,7 @@ pub mod ekrl;
 pub mod fault;
 #[cfg(unix)]
 pub mod link;
+pub mod loose;
 mod terminal;
 pub mod truth;
 pub mod world;

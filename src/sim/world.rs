@@ -15,6 +15,9 @@ use crate::diagnostic::Diagnostic;
 use crate::program::krl::{Program, read_setup};
 use crate::robot::{AXES, Geometry};
 
+/// The repeatability error of a motion replaces that of the one before within so long, s: no robot jumps.
+const REPLACED_S: f64 = 0.2;
+
 /// What is true: WORLD.toml over what the program's `.dat` files say.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Setup {
@@ -188,8 +191,9 @@ pub struct World {
     random: Pcg64,
     /// The motion for which `offset` was drawn.
     motion: Option<u32>,
-    /// Repeatability error of the tool ball, mm.
-    offset: Vector3<f64>,
+    /// Repeatability error of the tool ball in the motion before and in this one, mm, and since when, s.
+    offsets: [Vector3<f64>; 2],
+    since_s: f64,
     /// Last commanded axis angles, and which way each moved last.
     last: Option<[f64; AXES]>,
     direction: [f64; AXES],
@@ -207,7 +211,8 @@ impl World {
             setup,
             random: Pcg64::seed_from_u64(seed),
             motion: None,
-            offset: Vector3::zeros(),
+            offsets: [Vector3::zeros(); 2],
+            since_s: 0.0,
             last: None,
             direction: [0.0; AXES],
         }
@@ -222,10 +227,11 @@ impl World {
         if self.motion != Some(moment.motions) {
             self.motion = Some(moment.motions);
             let sd_mm = self.setup.repeatability_um * 1e-3;
-            self.offset = Vector3::from_fn(|_, _| sd_mm * self.normal());
+            self.offsets = [self.offset(moment.t_s), Vector3::from_fn(|_, _| sd_mm * self.normal())];
+            self.since_s = moment.t_s;
         }
         let axes = self.true_axes(moment);
-        let ball = self.robot.ball(&axes).position + self.offset;
+        let ball = self.robot.ball(&axes).position + self.offset(moment.t_s);
         let centre = self.setup.centres_mm.get(&moment.centre).copied().map(Vector3::from);
         // A ball whose place is not known is out of the bar's reach.
         let distance = centre.map_or(f64::INFINITY, |centre| (ball - centre).norm());
@@ -240,6 +246,12 @@ impl World {
         let step_mm = bar.resolution_um * 1e-3;
         let reading_mm = if step_mm > 0.0 { (noisy / step_mm).round() * step_mm } else { noisy };
         Measured { reading_mm, in_stroke: true }
+    }
+
+    /// Repeatability error at a time, mm.
+    fn offset(&self, t_s: f64) -> Vector3<f64> {
+        let share = ((t_s - self.since_s) / REPLACED_S).clamp(0.0, 1.0);
+        self.offsets[0].lerp(&self.offsets[1], share * share * (3.0 - 2.0 * share))
     }
 
     /// The axes behind their play.

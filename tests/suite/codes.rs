@@ -47,6 +47,7 @@ fn provoked() -> Vec<&'static str> {
         crate::krl_reads_back::provoked(),
         crate::says_what_it_found::provoked(),
         crate::logged_axes_identify::provoked(),
+        crate::mounting_faults::provoked(),
         crate::no_stage_is_a_dead_end::provoked(),
         crate::plan_is_refused_with_a_reason::provoked(),
         crate::plans_read_back::provoked(),

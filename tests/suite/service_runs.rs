@@ -101,6 +101,77 @@ fn a_run_goes_from_start_to_stop_whoever_looks() {
     assert!(capture::read(&fs::read(dir.path().join("dbbd-runs/second/run.dbbd")).unwrap()).ended());
 }
 
+/// What is done on the page before the run and during it.
+fn operator(recorded: &capture::Capture) -> Vec<String> {
+    let acts = recorded.events().filter_map(|event| match event {
+        Event::Operator { action, detail, .. } => Some(format!("{action} {detail}").trim_end().to_owned()),
+        _ => None,
+    });
+    acts.collect()
+}
+
+/// A bar that says 1.5 mm, of a protocol with a command that sets it to zero.
+fn resting(name: &str) -> String {
+    let terminal = Terminal::new().unwrap();
+    let port = terminal.address().to_string();
+    let definition = Definition::by_name(name).unwrap().unwrap();
+    let options = Options { rate_hz: 50.0, speed: 1.0, first_ticks: 0 };
+    let source = |t_s: f64| {
+        (t_s < 600.0).then_some(Reading { reading_mm: 1.5, strobe: false, valid: true, temperature_c: 20.0 })
+    };
+    std::thread::spawn(move || bar::serve(terminal, &definition, options, source));
+    port
+}
+
+#[test]
+fn a_bar_is_read_and_set_to_zero_before_the_run_and_the_run_knows() {
+    let dir = tempfile::tempdir().unwrap();
+    let port = resting("usdigital-qsb");
+    let config = format!(
+        "[device]\nport = \"{port}\"\nprotocol = \"usdigital-qsb\"\n[alarm]\nstroke_mm = [-5.0, 5.0]\n"
+    );
+    let server = Server::start(dir.path(), &config);
+    server.wait("/api/v1/status", |status| status["state"] == "idle");
+    let refused = server.post("/api/v1/reading/zero", "");
+    assert_eq!((refused.status, refused.json()["code"].as_str()), (409, Some(NOT_ZEROED)), "it is not read");
+    assert_eq!(server.post("/api/v1/reading", "{\"plan\":\"none\"}").status, 404);
+    assert_eq!(server.post("/api/v1/reading", "{}").status, 202);
+    let status = server.wait("/api/v1/status", |status| status["reading"]["mounting"]["state"] == "stable");
+    assert_eq!((&status["run"], &status["state"]), (&serde_json::Value::Null, &"idle".into()));
+    assert_eq!(status["reading"]["can_zero"], true);
+    assert_eq!(server.post("/api/v1/run/stop", "").status, 409, "a reading is no run");
+    assert_eq!(server.post("/api/v1/reading/zero", "").status, 202);
+    let near_zero = |status: &serde_json::Value| {
+        status["reading"]["reading_mm"].as_f64().is_some_and(|mm| mm.abs() < 0.01)
+    };
+    server.wait("/api/v1/status", near_zero);
+    assert_eq!(server.post("/api/v1/act", "{\"act\":\"sound_off\"}").status, 202);
+    assert_eq!(server.post("/api/v1/act", "{\"act\":\"sound\"}").status, 422);
+    let start = "{\"name\":\"first\",\"checked\":[\"ball_clean\",\"t1\"]}";
+    assert_eq!(server.post("/api/v1/run", start).status, 201, "the reading gives way");
+    let status = server.wait("/api/v1/status", |status| status["run"]["samples"].as_u64() > Some(20));
+    assert_eq!(status["reading"], serde_json::Value::Null);
+    assert_eq!(server.post("/api/v1/reading", "{}").status, 409);
+    assert_eq!(server.post("/api/v1/run/stop", "").status, 202);
+    server.wait("/api/v1/status", |status| status["run"].is_null());
+    let recorded = capture::read(&fs::read(dir.path().join("dbbd-runs/first/run.dbbd")).unwrap());
+    assert!(recorded.ended() && recorded.damages.is_empty());
+    let acts = operator(&recorded);
+    assert_eq!(acts.len(), 6, "{acts:?}");
+    assert_eq!(acts[0], "connect");
+    assert!(acts[1].starts_with("zero ") && acts[1].ends_with(" mm before"), "{acts:?}");
+    assert_eq!(acts[2..], ["sound_off", "checked ball_clean t1", "start first", "stop"]);
+    // After the run it is read again, and the next run has only what was done since.
+    assert_eq!(server.post("/api/v1/reading", "{}").status, 202);
+    assert_eq!(server.ask("DELETE", "/api/v1/reading", "", "").status, 202);
+    assert_eq!(server.post("/api/v1/run", "{\"name\":\"second\"}").status, 201);
+    server.wait("/api/v1/status", |status| status["run"]["samples"].as_u64() > Some(20));
+    assert_eq!(server.post("/api/v1/run/stop", "").status, 202);
+    server.wait("/api/v1/status", |status| status["run"].is_null());
+    let recorded = capture::read(&fs::read(dir.path().join("dbbd-runs/second/run.dbbd")).unwrap());
+    assert_eq!(operator(&recorded), ["connect", "disconnect", "checked", "start second", "stop"]);
+}
+
 /// The recording goes on at the same place, and the run has failed however it is ended.
 #[test]
 fn a_run_whose_capture_is_taken_away_has_failed() {
@@ -241,9 +312,11 @@ fn the_simulated_cell_needs_nothing() {
 
 /// The codes for what the computer lacks: an address that is taken, a directory.
 const COMPUTER: [&str; 2] = ["E1502", "E1507"];
+/// The code for a bar that cannot be set to zero.
+const NOT_ZEROED: &str = "E1520";
 
 pub(crate) fn provoked() -> Vec<&'static str> {
-    COMPUTER.to_vec()
+    [&COMPUTER[..], &[NOT_ZEROED]].concat()
 }
 
 #[test]

@@ -57,6 +57,20 @@ impl Cell {
         server: Option<SocketAddr>,
         out: &Output,
     ) -> Result<Self, Diagnostic> {
+        Self::start_at(plan, speed, "2", server, out)
+    }
+
+    /// The same with a program that waits at each HALT for so many seconds.
+    ///
+    /// # Errors
+    /// As [`Self::start`].
+    pub(crate) fn start_at(
+        plan: Option<&Path>,
+        speed: &str,
+        halt_s: &str,
+        server: Option<SocketAddr>,
+        out: &Output,
+    ) -> Result<Self, Diagnostic> {
         let directory = private_directory()?;
         let inside = directory.path();
         let steps = Steps::new(inside, out);
@@ -79,7 +93,7 @@ impl Cell {
         files::write(&inside.join("world.toml"), world(&read, &robot))?;
         let mut emit = vec!["krl", plan_name.as_str(), "--out", "krl", "--controller", "simulated"];
         let mut simulate = vec!["simulate", "--program", "krl/DBB_MAIN.src", "--nominal", "robot.toml"];
-        simulate.extend(["--world", "world.toml", "--speed", speed]);
+        simulate.extend(["--world", "world.toml", "--speed", speed, "--halt", halt_s]);
         simulate.extend(["--listen", LOOPBACK]);
         let address = server.map(|server| match server.ip().is_unspecified() {
             true => SocketAddr::from((Ipv4Addr::LOCALHOST, server.port())).to_string(),

@@ -153,7 +153,9 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         None => None,
     };
     let busy = out.busy(&format!("identifying from {} lengths", given.observations.rows.len()), None);
+    out.done(20);
     let mut found = find(&given, validation.as_ref(), &options)?;
+    out.done(60);
     // The lengths that the identified robot predicts are used in the alignment, until nothing changes.
     for _ in 0..ALIGNMENTS {
         if !given.align_again(&found) {
@@ -161,6 +163,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         }
         found = find(&given, validation.as_ref(), &options)?;
     }
+    out.done(90);
     drop(busy);
     let _writing = files::exclusive(&args.out)?;
     let provenance = tables::write_results(&args.out, &found, &given.observations, given.provenance)?;

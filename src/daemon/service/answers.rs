@@ -8,17 +8,18 @@ use serde_json::Value;
 use tokio::sync::{broadcast, watch};
 
 use super::log::Level;
-use super::state::{Run, Supervisor};
+use super::state::{Aim, Run, Running, Supervisor};
 use super::{catalogue, jobs, names, runs};
 use crate::catalogue::ServiceFinding::{
-    Ending, NoPortChosen, NoRunIsOn, NoSuchPort, NoSuchProtocol, RunDuration, RunIsOn, RunIsStarting,
-    RunName, ThisRunIsOn,
+    NoPortChosen, NoRunIsOn, NoSuchPort, NoSuchProtocol, RunDuration, RunIsOn, RunIsStarting, RunName,
+    ThisRunIsOn,
 };
 use crate::device::port::{self, PortAddress};
 use crate::device::protocol::Definition;
 use crate::diagnostic::Diagnostic;
 use crate::live::{
-    Catalogue, Download, Job, JobKind, JobRequest, Message, Point, RunEntry, Service, StartRequest, Status,
+    Act, Catalogue, CheckItem, Download, Job, JobKind, JobRequest, Message, Point, RunEntry, Service,
+    StartRequest, Status,
 };
 
 /// The longest run that may be asked for, s.
@@ -61,6 +62,9 @@ impl Service for Supervisor {
     }
 
     fn choose(&self, port: Option<String>, protocol: Option<String>) -> Result<(), Diagnostic> {
+        if matches!(self.inner().run, Run::Reading(_)) {
+            self.end_reading()?;
+        }
         let mut inner = self.inner();
         if !matches!(inner.run, Run::None) {
             return Err(RunIsOn.into());
@@ -79,13 +83,31 @@ impl Service for Supervisor {
             let found = configured.map(Ok).or_else(|| Definition::by_name(name));
             inner.protocol = Some(found.ok_or_else(|| NoSuchProtocol { protocol: name.clone() })??);
         }
+        let chosen = [&port, &protocol].map(|one| one.clone().unwrap_or_default()).join(" ");
         if address.is_some() {
             inner.port = address;
         }
         let status = self.look(&inner);
         drop(inner);
         self.status.send_replace(status);
+        self.note("choose", chosen.trim());
         Ok(())
+    }
+
+    fn connect(&self, plan: Option<String>) -> Result<(), Diagnostic> {
+        self.read(plan)
+    }
+
+    fn disconnect(&self) -> Result<(), Diagnostic> {
+        self.end_reading()
+    }
+
+    fn zero(&self) -> Result<(), Diagnostic> {
+        self.set_zero()
+    }
+
+    fn act(&self, act: Act) {
+        self.note(act.name(), "");
     }
 
     fn start(&self, request: StartRequest) -> Result<(), Diagnostic> {
@@ -95,35 +117,37 @@ impl Service for Supervisor {
         if request.duration_s.is_some_and(|s| !(s > 0.0 && s <= LONGEST_S)) {
             return Err(RunDuration { most_s: LONGEST_S }.into());
         }
-        let (port, protocol) = {
-            let mut inner = self.inner();
-            if !matches!(inner.run, Run::None) {
-                return Err(RunIsOn.into());
-            }
-            if inner.ending {
-                return Err(Ending.into());
-            }
-            let port = inner.port.clone().ok_or(NoPortChosen)?;
-            inner.run = Run::Starting;
-            (port, inner.protocol.clone())
-        };
+        let reading = self.take_place()?;
         let _place = Place(self);
-        let begun = self.begin(&request, port, protocol);
+        reading.map(Running::end);
+        let (port, protocol) = {
+            let inner = self.inner();
+            (inner.port.clone(), inner.protocol.clone())
+        };
+        let (name, plan) = (request.name.clone(), request.plan.clone().unwrap_or_default());
+        let checked: Vec<&str> = request.checked.iter().copied().map(CheckItem::name).collect();
+        let checked = checked.join(" ");
+        let begun = match port {
+            Some(port) => self.begin(Aim::Run(request), port, protocol),
+            None => Err(NoPortChosen.into()),
+        };
         let mut inner = self.inner();
         match begun {
             Ok(running) => {
-                let plan = request.plan.as_deref().unwrap_or("");
-                self.log.say(Level::Info, "run_started", &[("run", &request.name), ("plan", &plan)]);
+                self.log.say(Level::Info, "run_started", &[("run", &name), ("plan", &plan)]);
+                std::mem::take(&mut inner.notes).into_iter().for_each(|note| running.acquisition.note(note));
                 inner.run = Run::On(Box::new(running));
                 inner.failed = None;
                 drop(inner);
+                self.note("checked", &checked);
+                self.note("start", &name);
                 self.tick();
                 Ok(())
             }
             Err(refusal) => {
                 inner.run = Run::None;
                 let fields: [(&str, &dyn Display); 3] =
-                    [("run", &request.name), ("code", &refusal.code), ("reason", &refusal)];
+                    [("run", &name), ("code", &refusal.code), ("reason", &refusal)];
                 self.log.say(Level::Warning, "run_refused", &fields);
                 Err(refusal)
             }
@@ -132,9 +156,13 @@ impl Service for Supervisor {
 
     fn stop(&self) -> Result<(), Diagnostic> {
         match &self.inner().run {
-            Run::On(running) => running.stop.store(true, Ordering::Relaxed),
+            Run::On(_) => {}
             Run::Starting => return Err(RunIsStarting.into()),
-            Run::None => return Err(NoRunIsOn.into()),
+            Run::None | Run::Reading(_) => return Err(NoRunIsOn.into()),
+        }
+        self.note("stop", "");
+        if let Run::On(running) = &self.inner().run {
+            running.stop.store(true, Ordering::Relaxed);
         }
         Ok(())
     }
@@ -142,7 +170,7 @@ impl Service for Supervisor {
     fn mark(&self, text: String) -> Result<(), Diagnostic> {
         match &self.inner().run {
             Run::On(running) => running.acquisition.mark(text),
-            Run::None | Run::Starting => return Err(NoRunIsOn.into()),
+            Run::None | Run::Starting | Run::Reading(_) => return Err(NoRunIsOn.into()),
         }
         Ok(())
     }

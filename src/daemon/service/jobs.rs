@@ -11,6 +11,7 @@ use std::{io, thread};
 use tokio::sync::broadcast;
 
 use super::runs::CAPTURE;
+use crate::base::program::{PROGRESS, PROGRESS_VARIABLE};
 use crate::base::units::HostNs;
 use crate::base::{clock, program};
 use crate::catalogue::ServiceFinding::{
@@ -109,6 +110,7 @@ impl Jobs {
             run: request.run,
             state: JobState::Waiting,
             elapsed_s: 0.0,
+            percent: 0,
             log: Vec::new(),
         };
         jobs.push_back(Kept { job: job.clone(), began: None });
@@ -193,6 +195,10 @@ impl Shared {
 
     fn line(&self, id: u64, line: &str) {
         self.change(id, |job| {
+            if let Some(percent) = line.strip_prefix(PROGRESS).and_then(|rest| rest.trim().parse().ok()) {
+                job.percent = percent;
+                return;
+            }
             if job.log.len() >= MOST_LINES {
                 job.log.remove(0);
             }
@@ -222,7 +228,7 @@ fn work(shared: &Arc<Shared>, tasks: &Receiver<Task>) {
         let elapsed_s = shared.get(id).map_or(0.0, |job| job.elapsed_s);
         shared.change(id, |job| {
             if job.state == JobState::Running {
-                (job.state, job.elapsed_s) = (state, elapsed_s);
+                (job.state, job.elapsed_s, job.percent) = (state, elapsed_s, 100);
             }
         });
     }
@@ -237,6 +243,7 @@ fn run(shared: &Arc<Shared>, task: &Task) -> io::Result<JobState> {
         .args(&task.args)
         .current_dir(&task.directory)
         .env("NO_COLOR", "1")
+        .env(PROGRESS_VARIABLE, "1")
         .stdout(Stdio::piped())
         .stderr(Stdio::piped())
         .spawn()?;

@@ -12,8 +12,8 @@ use super::catalogue::Plans;
 use super::config::Config;
 use super::jobs::Jobs;
 use super::log::{Level, Log, Repeats};
-use super::trial_cell::{Bench, Cell};
-use super::{catalogue, runs};
+use super::trial_cell::{Bench, Cell, Program};
+use super::{catalogue, reading, runs};
 use crate::base::clock;
 use crate::catalogue::ServiceFinding::{self, DataUnwritable, NameTaken, NoPlan, ProtocolNotBuiltIn};
 use crate::daemon::live_state::{Feed, LiveState};
@@ -21,8 +21,12 @@ use crate::daemon::{Acquisition, Options, Schedule};
 use crate::device::port::{self, PortAddress};
 use crate::device::protocol::Definition;
 use crate::diagnostic::{Diagnostic, Finding};
-use crate::live::{Device, LastRun, Message, RunStatus, StartRequest, State, Status};
+use crate::live::{Device, LastRun, Message, Mounting, RunStatus, StartRequest, State, Status};
+use crate::plan::SIGMA_UM;
+use crate::recording::capture::Event;
+use crate::recording::mounting::{Expected, Rest};
 use crate::recording::run::PlanFiles;
+use crate::robot::Robot;
 
 /// The protocol without a word about it.
 const DEFAULT_PROTOCOL: &str = "dbb-cobs-1";
@@ -50,30 +54,56 @@ pub(super) struct Inner {
     /// Why the last run failed.
     pub(super) failed: Option<Diagnostic>,
     last: Option<LastRun>,
+    /// What the operator did since the last run began.
+    pub(super) notes: Vec<Event>,
     /// Whether the process is about to end: no run may begin.
     pub(super) ending: bool,
 }
 
-/// The place of the one run.
+/// The place of the one run, or of what reads the bar without one.
 pub(super) enum Run {
     None,
     /// The port is being opened.
     Starting,
     On(Box<Running>),
+    Reading(Box<Running>),
 }
 
-/// A run that is on.
+/// What the bar is read for.
+pub(super) enum Aim {
+    Run(StartRequest),
+    /// To see it against the stroke of a plan.
+    Reading {
+        plan: Option<String>,
+    },
+}
+
+/// The line to a bar, not yet open.
+pub(super) struct Line {
+    pub(super) port: PortAddress,
+    /// Its protocol; none: that of the plan.
+    pub(super) protocol: Option<Definition>,
+    /// The plan's file.
+    pub(super) plan: Option<PathBuf>,
+    /// What goes on beside it, where it is simulated.
+    pub(super) _cell: Option<Box<dyn Cell>>,
+}
+
+/// A run that is on, or a reading.
 pub(super) struct Running {
+    /// Its name; empty of a reading.
     pub(super) name: String,
-    plan: Option<String>,
+    pub(super) plan: Option<String>,
+    robot: Option<String>,
     started_unix_ms: u64,
     schedule: Schedule,
     pub(super) acquisition: Acquisition,
     /// What others did to its capture.
     interferences: Vec<Diagnostic>,
     pub(super) stop: Arc<AtomicBool>,
-    /// What goes on beside it, where it is simulated.
-    _cell: Option<Box<dyn Cell>>,
+    pub(super) definition: Definition,
+    /// The line, to open it again.
+    pub(super) line: Line,
 }
 
 impl Supervisor {
@@ -85,6 +115,7 @@ impl Supervisor {
             run: Run::None,
             failed: None,
             last: None,
+            notes: Vec::new(),
             ending: false,
         };
         Ok(Self {
@@ -93,7 +124,12 @@ impl Supervisor {
             bench,
             status: watch::Sender::new(Status::default()),
             jobs: Jobs::start(messages.clone())?,
-            live: LiveState { messages, points: Arc::default(), clock_ahead_ms: Arc::default() },
+            live: LiveState {
+                messages,
+                points: Arc::default(),
+                clock_ahead_ms: Arc::default(),
+                mounting: Arc::default(),
+            },
             plans: Plans::default(),
             repeats: Repeats::default(),
             inner: Mutex::new(inner),
@@ -116,11 +152,13 @@ impl Supervisor {
                     running.interferences.push(finding);
                 }
             }
-            matches!(&inner.run, Run::On(running) if running.acquisition.is_over())
+            matches!(&inner.run, Run::On(running) | Run::Reading(running) if running.acquisition.is_over())
                 .then(|| std::mem::replace(&mut inner.run, Run::None))
         };
-        if let Some(Run::On(running)) = over {
-            self.conclude(*running);
+        match over {
+            Some(Run::On(running)) => self.conclude(*running),
+            Some(Run::Reading(running)) => running.end(),
+            _ => {}
         }
         let status = self.look(&self.inner());
         let state = status.state;
@@ -162,7 +200,11 @@ impl Supervisor {
         let present = inner.port.as_ref().is_some_and(there);
         let run = match &inner.run {
             Run::On(running) => Some(self.run_status(running)),
-            Run::None | Run::Starting => None,
+            Run::None | Run::Starting | Run::Reading(_) => None,
+        };
+        let reading = match &inner.run {
+            Run::Reading(running) => Some(self.run_status(running)),
+            Run::None | Run::Starting | Run::On(_) => None,
         };
         let (state, finding) = if run.is_some() {
             (State::Running, None)
@@ -189,6 +231,7 @@ impl Supervisor {
             code,
             device,
             run,
+            reading,
             last: inner.last.clone(),
         }
     }
@@ -203,6 +246,11 @@ impl Supervisor {
         RunStatus {
             name: running.name.clone(),
             plan: running.plan.clone(),
+            robot: running.robot.clone(),
+            left_s: running.schedule.left_s(progress.dwells),
+            next: running.schedule.next(progress.dwells),
+            mounting: self.live.mounting.lock().unwrap_or_else(PoisonError::into_inner).clone(),
+            can_zero: !running.definition.zero.is_empty(),
             started_unix_ms: running.started_unix_ms,
             elapsed_s: progress.elapsed_s,
             device_s: progress.device_s,
@@ -228,68 +276,114 @@ impl Supervisor {
         }
     }
 
-    /// Opens the device and begins; the caller holds the place of the run.
-    pub(super) fn begin(
+    /// The line to the bar at `port`; where that is simulated, its cell is made.
+    fn line(
         &self,
-        request: &StartRequest,
+        aim: &Aim,
         mut port: PortAddress,
         protocol: Option<Definition>,
-    ) -> Result<Running, Diagnostic> {
+    ) -> Result<Line, Diagnostic> {
         let find = |name: &String| {
             catalogue::plan_file(&self.config.plans, name).ok_or_else(|| NoPlan { plan: name.clone() })
         };
-        let mut csv = request.plan.as_ref().map(find).transpose()?;
+        let (plan, program) = match aim {
+            Aim::Run(request) => (&request.plan, Program::Runs),
+            Aim::Reading { plan } => (plan, Program::Waits),
+        };
+        let mut plan = plan.as_ref().map(find).transpose()?;
         let cell = match &self.bench {
-            Some(bench) if port == PortAddress::Sim => Some(bench(csv.as_deref())?),
+            Some(bench) if port == PortAddress::Sim => Some(bench(plan.as_deref(), program)?),
             _ => None,
         };
         if let Some(cell) = &cell {
-            (port, csv) = (cell.port().clone(), Some(cell.plan().into()));
+            (port, plan) = (cell.port().clone(), Some(cell.plan().into()));
         }
-        let plan = csv.as_deref().map(PlanFiles::read).transpose()?;
-        let schedule = match &plan {
-            Some(files) => Schedule::of(&files.plan, self.config.alarm_share),
-            None => Schedule::bare(self.config.stroke_mm, self.config.alarm_share),
-        };
-        let definition = protocol.map_or_else(|| protocol_of(plan.as_ref()), Ok)?;
         if let Some(finding) = port::blur(&port) {
             let fields: [(&str, &dyn std::fmt::Display); 2] = [("code", &finding.code()), ("text", &finding)];
             self.log.say(Level::Warning, "times_are_blurred", &fields);
         }
-        let directory = self.reserve(&request.name)?;
-        let (points, clock_ahead) = (&self.live.points, &self.live.clock_ahead_ms);
-        points.lock().unwrap_or_else(PoisonError::into_inner).clear();
-        *clock_ahead.lock().unwrap_or_else(PoisonError::into_inner) = None;
-        let stop = Arc::new(AtomicBool::new(false));
-        let options = Options {
-            port,
-            definition,
-            out: directory.join(runs::CAPTURE),
-            plan,
-            identity: self.config.identity.clone(),
-            duration_s: request.duration_s,
-            gone_s: self.config.gone_s,
-            sync_s: 1.0,
-            feed: Some(Feed::new(self.live.clone(), schedule.clone())),
+        Ok(Line { port, protocol, plan, _cell: cell })
+    }
+
+    /// Opens the device and begins; the caller holds the place of the run.
+    pub(super) fn begin(
+        &self,
+        aim: Aim,
+        port: PortAddress,
+        protocol: Option<Definition>,
+    ) -> Result<Running, Diagnostic> {
+        let line = self.line(&aim, port, protocol)?;
+        self.open(aim, line)
+    }
+
+    /// The same on a line.
+    pub(super) fn open(&self, aim: Aim, line: Line) -> Result<Running, Diagnostic> {
+        let files = line.plan.as_deref().map(PlanFiles::read).transpose()?;
+        let definition = line.protocol.clone().map_or_else(|| protocol_of(files.as_ref()), Ok)?;
+        let schedule = match &files {
+            Some(files) => Schedule::of(&files.plan, self.config.alarm_share),
+            None => Schedule::bare(self.config.stroke_mm, self.config.alarm_share),
         };
-        let begin = json!({ "name": request.name, "plan": request.plan });
-        let _ = self.live.messages.send(Message::new("begin", &begin));
-        let acquisition = Acquisition::start(options, Arc::clone(&stop)).inspect_err(|_| {
-            // Nothing was recorded: the name stays free. What else is in there stays.
-            let _ = fs::remove_dir(&directory);
-        })?;
+        // The program of a run that was stopped goes on.
+        let rest = if self.inner().last.is_some() { Rest::UnderWay } else { Rest::Standing };
+        let expected = expected(&aim, files.as_ref(), rest).with_resolution(definition.resolution_mm());
+        let robot = files.as_ref().and_then(|files| {
+            Robot::from_toml("robot", &files.plan.header.robot).ok().map(|robot| robot.name)
+        });
+        let stop = Arc::new(AtomicBool::new(false));
+        let mut options = Options {
+            port: line.port.clone(),
+            definition: definition.clone(),
+            out: PathBuf::new(),
+            plan: None,
+            identity: self.config.identity.clone(),
+            duration_s: None,
+            gone_s: f64::INFINITY,
+            sync_s: f64::INFINITY,
+            feed: Some(Feed::new(self.live.clone(), schedule.clone(), expected)),
+        };
+        self.forget();
+        let (name, plan, acquisition) = match aim {
+            Aim::Reading { plan } => {
+                let acquisition = Acquisition::start_on(reading::nowhere()?, options, Arc::clone(&stop))?;
+                (String::new(), plan, acquisition)
+            }
+            Aim::Run(request) => {
+                let directory = self.reserve(&request.name)?;
+                let begin = json!({ "name": request.name, "plan": request.plan });
+                let _ = self.live.messages.send(Message::new("begin", &begin));
+                options.out = directory.join(runs::CAPTURE);
+                (options.plan, options.duration_s) = (files, request.duration_s);
+                (options.gone_s, options.sync_s) = (self.config.gone_s, 1.0);
+                let begun = Acquisition::start(options, Arc::clone(&stop));
+                let acquisition = begun.inspect_err(|_| {
+                    // Nothing was recorded: the name stays free. What else is in there stays.
+                    let _ = fs::remove_dir(&directory);
+                })?;
+                (request.name, request.plan, acquisition)
+            }
+        };
         let started_unix_ms = clock::unix_ns() / 1_000_000;
-        let (name, plan) = (request.name.clone(), request.plan.clone());
         Ok(Running {
             name,
             plan,
+            robot,
             started_unix_ms,
             schedule,
             acquisition,
             interferences: Vec::new(),
             stop,
-            _cell: cell,
+            definition,
+            line,
         })
+    }
+
+    /// What is shown is that of the run to come.
+    fn forget(&self) {
+        let LiveState { points, clock_ahead_ms, mounting, .. } = &self.live;
+        points.lock().unwrap_or_else(PoisonError::into_inner).clear();
+        *clock_ahead_ms.lock().unwrap_or_else(PoisonError::into_inner) = None;
+        *mounting.lock().unwrap_or_else(PoisonError::into_inner) = Mounting::default();
     }
 
     /// A directory for a run of that name.
@@ -307,7 +401,7 @@ impl Supervisor {
     pub(super) fn running(&self) -> Option<String> {
         match &self.inner().run {
             Run::On(running) => Some(running.name.clone()),
-            Run::None | Run::Starting => None,
+            Run::None | Run::Starting | Run::Reading(_) => None,
         }
     }
 
@@ -319,10 +413,22 @@ impl Supervisor {
             match &self.inner().run {
                 Run::None => return,
                 Run::Starting => {}
-                Run::On(running) => running.stop.store(true, Ordering::Relaxed),
+                Run::On(running) | Run::Reading(running) => running.stop.store(true, Ordering::Relaxed),
             }
             self.tick();
             clock::sleep(0.02);
+        }
+    }
+}
+
+/// What is expected of the bar's readings.
+fn expected(aim: &Aim, files: Option<&PlanFiles>, rest: Rest) -> Expected {
+    match (aim, files) {
+        (Aim::Run(_), Some(files)) => Expected::of(&files.plan, Rest::Program),
+        (Aim::Run(_), None) => Expected::unplanned(SIGMA_UM),
+        (Aim::Reading { .. }, files) => {
+            let sigma_um = files.map_or(SIGMA_UM, |files| files.plan.header.job.bar.sigma_um);
+            Expected { rest, ..Expected::standing(sigma_um) }
         }
     }
 }

@@ -1,19 +1,23 @@
-// The page: it reads the stream, shows the state, starts and stops.
+// The page: it reads the stream, shows the state, connects, starts and stops.
 
+import { choose, known, language, languages, t } from "/texts.js";
 import { ask, hear } from "/link.js";
 import { clock, count, fixed, minutes, signed } from "/numbers.js";
 import * as gauge from "/gauge.js";
+import * as mounting from "/mounting.js";
 import * as polar from "/polar.js";
 import * as strip from "/strip.js";
 import * as runs from "/runs.js";
 
 const $ = (id) => document.getElementById(id);
-const STATES = { no_device: "no device", idle: "ready", running: "running", failed: "failed" };
 
 let status = null;
+let plans = [];
 let lost = 0;
 let named = false;
 let seenState = null;
+// Whether the bar is to be read again after the run.
+let connected = false;
 
 function say(text) {
   $("message").textContent = text;
@@ -25,44 +29,77 @@ function set(id, text, bad = false) {
 }
 
 function clockText(run) {
-  if (run.device_s === null) return "of the host (the bar has none, or nothing came yet)";
+  if (run.device_s === null) return t("run.clock_host");
   const ahead = run.clock_ahead_ms ?? 0;
-  const text = Math.abs(ahead) < 1000 ? `${signed(ahead, 1)} ms` : `${signed(ahead / 1000, 0)} s`;
-  return `of the bar, ${text} against the host`;
+  return t("run.clock_bar", { ahead: Math.abs(ahead) < 1000 ? `${signed(ahead, 1)} ms` : `${signed(ahead / 1000, 0)} s` });
+}
+
+function stateText(now) {
+  if (now.run?.gone || now.reading?.gone) return t("state.gone");
+  if (now.reading) return t("state.reading");
+  if (now.state === "no_device") {
+    const { port } = now.device;
+    return `${t("state.no_device")}: ${port ? t("state.port_away", { port }) : t("state.no_port")}`;
+  }
+  return t(`state.${now.state}`) + (now.state === "failed" && now.reason ? `: ${now.reason}` : "");
+}
+
+function ending(text) {
+  return known(`ending.${text}`) ? t(`ending.${text}`) : text;
+}
+
+function showNext(run) {
+  const { next, left_s } = run;
+  set("time-left", left_s === null ? "–" : t("run.left_value", { time: clock(left_s) }));
+  if (next) {
+    const angle = next.angle_deg === null ? null : fixed(next.angle_deg, 0);
+    set("next", t(angle === null ? "run.next_value" : "run.next_angle", { index: next.index, circle: next.circle, angle }));
+  } else {
+    set("next", run.poses ? t("run.next_none") : "–");
+  }
+}
+
+function showRun(run) {
+  $("poses").max = run.poses || 1;
+  $("poses").value = run.poses ? Math.min(run.dwells, run.poses) : 0;
+  set("poses-text", run.poses ? t("run.poses", { done: run.dwells, all: run.poses }) : t("run.dwells", { done: run.dwells }));
+  showNext(run);
+  set("elapsed", clock(run.elapsed_s));
+  set("samples", count(run.samples));
+  set("rate", t("run.rate_value", { hz: fixed(run.rate_hz, 0) }), run.elapsed_s > 3 && run.rate_hz === 0);
+  const losses = [[run.missing, "run.missing"], [run.lost_bytes, "run.lost"]].filter(([n]) => n);
+  set("gaps", [count(run.gaps), ...losses.map(([n, key]) => t(key, { count: n }))].join(", "), losses.length > 0);
+  const silent = run.elapsed_s > 3 && run.bytes === 0;
+  const strange = run.bytes > 1000 && !run.in_step && !run.rejected;
+  const trouble = silent ? t("run.silent") : strange ? t("run.strange") : "";
+  const counts = [[run.faults, null], [run.rejected, "run.refused"], [run.unanswered, "run.unanswered"]].filter(([n]) => n);
+  set("faults", trouble || counts.map(([n, key]) => (key ? t(key, { count: n }) : String(n))).join(", ") || "0", !!trouble || run.faults > 0);
+  set("clock", clockText(run));
+  set("delivery", lost ? t("run.delivery_lost", { count: lost }) : t("run.delivery_whole"), lost > 0);
 }
 
 function showStatus(now) {
+  const before = status;
   status = now;
-  const run = now.run;
-  const gone = run?.gone ?? false;
-  $("state").dataset.state = gone ? "gone" : now.state;
-  set("state", gone ? "the port is away, waiting for it" : STATES[now.state] + (now.reason ? ": " + now.reason : ""));
+  const { run, reading, last } = now;
+  $("state").dataset.state = (run ?? reading)?.gone ? "gone" : now.state;
+  set("state", stateText(now));
   document.title = run ? `${run.name} · dbbd` : "dbbd";
-  set("version", "version " + now.version);
-  gauge.setup(run);
+  set("version", t("version", { version: now.version }));
+  gauge.setup(run ?? reading);
+  mounting.show((run ?? reading)?.mounting);
+  document.body.dataset.run = run ? "on" : "off";
   $("stop").disabled = $("mark").disabled = !run;
-  $("start").disabled = !!run;
-  set("run-name", run ? run.name : now.last ? `${now.last.name} (over)` : "none");
-  set("run-plan", run?.plan ? `by the plan “${run.plan}”` : "");
-  set("last", now.last ? `Last run: ${now.last.name}, ${count(now.last.samples)} samples; ${now.last.ending}.` : "", now.last?.failed);
-  if (run) {
-    $("poses").max = run.poses || 1;
-    $("poses").value = run.poses ? Math.min(run.dwells, run.poses) : 0;
-    set("poses-text", run.poses ? `${run.dwells} of ${run.poses} poses` : `${run.dwells} dwells; no plan`);
-    set("elapsed", clock(run.elapsed_s));
-    set("samples", count(run.samples));
-    set("rate", `${fixed(run.rate_hz, 0)} a second`, run.elapsed_s > 3 && run.rate_hz === 0);
-    const losses = run.missing + run.lost_bytes;
-    set("gaps", `${run.gaps}${run.missing ? `, ${run.missing} samples missing` : ""}${run.lost_bytes ? `, ${run.lost_bytes} bytes lost` : ""}`, losses > 0);
-    const silent = run.elapsed_s > 3 && run.bytes === 0;
-    const strange = run.bytes > 1000 && !run.in_step && !run.rejected;
-    const trouble = silent ? "nothing is received" : strange ? "the data are not of this protocol" : "";
-    const counts = [[run.faults, ""], [run.rejected, " refused"], [run.unanswered, " unanswered"]];
-    const shown = counts.filter(([count]) => count).map(([count, what]) => count + what).join(", ") || "0";
-    set("faults", trouble || shown, !!trouble || run.faults > 0);
-    set("clock", clockText(run));
-    set("delivery", lost ? `${lost} messages were lost: this connection is slow` : "complete", lost > 0);
-  }
+  $("connect").hidden = !!run || !!reading;
+  $("disconnect").hidden = !reading;
+  $("zero").hidden = !reading?.can_zero;
+  permit();
+  set("run-name", run ? run.name : last ? t("run.over", { name: last.name }) : t("run.none"));
+  set("run-plan", run?.plan ? t("run.plan", { plan: run.plan, robot: run.robot ?? "–" }) : "");
+  const over = last && t("run.last", { name: last.name, samples: count(last.samples), ending: ending(last.ending) });
+  set("last", over || "", last?.failed);
+  if (run) showRun(run);
+  if (before?.run && !run && connected) attempt(connect);
   if (now.state !== seenState) {
     seenState = now.state;
     runs.refresh().catch(() => {});
@@ -76,6 +113,26 @@ function showStatus(now) {
   choosePort();
 }
 
+const checks = () => [...document.querySelectorAll("#checks input")];
+
+// The start waits for the check list.
+function permit() {
+  const ready = checks().every((box) => box.checked);
+  $("start").disabled = !!status?.run || !ready;
+  $("start-hint").hidden = !!status?.run || ready;
+}
+
+function showPlan() {
+  const plan = plans.find((one) => one.name === $("plan").value);
+  const values = plan && { robot: plan.robot ?? "–", length: fixed(plan.bar_length_mm, 1), circles: plan.circles, poses: plan.poses, minutes: minutes(plan.duration_s) };
+  set("plan-for", plan ? t("plan.for", values) : t("plan.none_hint"));
+}
+
+async function connect() {
+  await ask("POST", "/reading", { plan: $("plan").value || null });
+  connected = true;
+}
+
 function choosePort() {
   const { port, protocol } = status.device;
   if (port && ![...$("port").options].some((o) => o.value === port)) $("port").add(new Option(port, port));
@@ -85,14 +142,16 @@ function choosePort() {
 }
 
 async function lists() {
-  const [{ plans }, { ports }, { protocols }] = await Promise.all(["/plans", "/ports", "/protocols"].map((p) => ask("GET", p)));
+  const [all, { ports }, { protocols }] = await Promise.all(["/plans", "/ports", "/protocols"].map((p) => ask("GET", p)));
+  plans = all.plans;
   const chosen = $("plan").value;
-  const text = (p) => (p.error ? `${p.name} (cannot be used)` : `${p.name}: ${p.poses} poses, ${minutes(p.duration_s)}`);
-  $("plan").replaceChildren(new Option("no plan", ""), ...plans.map((p) => new Option(text(p), p.name)));
+  const text = ({ name, error, poses, duration_s }) => (error ? t("plan.unusable", { name }) : t("plan.option", { name, poses, minutes: minutes(duration_s) }));
+  $("plan").replaceChildren(new Option(t("plan.none"), ""), ...plans.map((p) => new Option(text(p), p.name)));
   [...$("plan").options].forEach((o, i) => (o.disabled = i > 0 && !!plans[i - 1].error));
   $("plan").value = chosen || plans.find((p) => !p.error)?.name || "";
-  $("port").replaceChildren(new Option("none", ""), new Option("sim: a simulated cell", "sim"), ...ports.map((p) => new Option(`${p.by_id ?? p.port} ${p.description}`, p.by_id ?? p.port)));
-  $("protocol").replaceChildren(new Option("of the plan", ""), ...protocols.map((p) => new Option(p.title, p.id)));
+  $("port").replaceChildren(new Option(t("port.none"), ""), new Option(t("port.sim"), "sim"), ...ports.map((p) => new Option(`${p.by_id ?? p.port} ${p.description}`, p.by_id ?? p.port)));
+  $("protocol").replaceChildren(new Option(t("protocol.plan"), ""), ...protocols.map((p) => new Option(p.title, p.id)));
+  showPlan();
   if (status) choosePort();
 }
 
@@ -102,7 +161,7 @@ async function attempt(work) {
     await work();
   } catch (error) {
     if (error.status === 401) askToken();
-    else say(error.status ? error.message : "no connection to dbbd");
+    else say(error.status ? t("problem", { text: error.message }) : t("link.none"));
   }
 }
 
@@ -115,15 +174,18 @@ function askToken() {
 const reopen = hear({
   status: showStatus,
   frame(frame) {
-    gauge.show(frame, status?.run);
-    strip.add(frame, status?.run);
+    const shown = status?.run ?? status?.reading;
+    gauge.show(frame, shown);
+    strip.add(frame, shown);
   },
   point: polar.add,
   points: polar.all,
+  mounting: mounting.add,
   begin() {
     gauge.begin();
     polar.begin();
     strip.begin();
+    mounting.begin();
     lost = 0;
     named = false;
   },
@@ -140,7 +202,7 @@ const reopen = hear({
   },
   down() {
     document.body.classList.add("stale");
-    set("link", "no connection: the values are old");
+    set("link", t("link.down"));
     ask("GET", "/status").catch((error) => error.status === 401 && askToken());
   },
 });
@@ -148,17 +210,45 @@ const reopen = hear({
 runs.start(say);
 $("start-form").addEventListener("submit", (event) => {
   event.preventDefault();
-  attempt(() => ask("POST", "/run", { name: $("name").value, plan: $("plan").value || null }));
+  attempt(async () => {
+    connected = !!status?.reading;
+    const checked = checks().filter((box) => box.checked).map((box) => box.value);
+    await ask("POST", "/run", { name: $("name").value, plan: $("plan").value || null, checked });
+    // Every run is checked anew.
+    checks().forEach((box) => (box.checked = false));
+    permit();
+  });
 });
 $("mark-form").addEventListener("submit", (event) => {
   event.preventDefault();
   attempt(async () => {
     await ask("POST", "/run/mark", { text: $("remark").value });
     $("remark").value = "";
-    say("The remark was written.");
+    say(t("remark.written"));
   });
 });
-$("stop").addEventListener("click", () => attempt(() => ask("POST", "/run/stop")));
+$("stop").addEventListener("click", () => $("confirm").showModal());
+$("confirm").addEventListener("close", () => {
+  if ($("confirm").returnValue === "yes") attempt(() => ask("POST", "/run/stop"));
+  $("confirm").returnValue = "";
+});
+$("checks").addEventListener("change", permit);
+$("plan").addEventListener("change", () => {
+  showPlan();
+  // The stroke that is shown is that of the plan.
+  if (status?.reading) attempt(connect);
+});
+$("connect").addEventListener("click", () => attempt(connect));
+$("disconnect").addEventListener("click", () => {
+  connected = false;
+  attempt(() => ask("DELETE", "/reading"));
+});
+$("zero").addEventListener("click", () =>
+  attempt(async () => {
+    await ask("POST", "/reading/zero");
+    say(t("zeroed"));
+  }),
+);
 for (const id of ["port", "protocol"]) {
   $(id).addEventListener("change", () => $(id).value && attempt(() => ask("PUT", "/device", { [id]: $(id).value })));
 }
@@ -176,7 +266,7 @@ $("token-form").addEventListener("submit", async (event) => {
 
 function theme(dark) {
   document.documentElement.dataset.theme = dark ? "dark" : "light";
-  $("theme").textContent = dark ? "Light" : "Dark";
+  $("theme").textContent = t(dark ? "theme.light" : "theme.dark");
 }
 function turnTheme() {
   const dark = document.documentElement.dataset.theme !== "dark";
@@ -186,6 +276,9 @@ function turnTheme() {
 const kept = localStorage.getItem("theme");
 theme(kept ? kept === "dark" : matchMedia("(prefers-color-scheme: dark)").matches);
 $("theme").addEventListener("click", turnTheme);
+$("language").replaceChildren(...languages.map(([tag, name]) => new Option(name, tag, false, tag === language)));
+$("language").addEventListener("change", () => choose($("language").value));
+permit();
 document.addEventListener("keydown", (event) => {
   if (event.ctrlKey || event.altKey || event.metaKey || /^(INPUT|SELECT|TEXTAREA)$/.test(event.target.tagName)) return;
   const keys = { m: () => $("remark").focus(), "+": () => polar.magnify(-1), "-": () => polar.magnify(1), 0: () => polar.magnify(null), d: turnTheme };

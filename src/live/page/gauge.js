@@ -1,6 +1,8 @@
 // Length and stroke: the number, the bar with its zones, the alarm with its sound.
 
-import { fixed, signed } from "/numbers.js";
+import { ask } from "/link.js";
+import { fixed, signed, timeOfDay } from "/numbers.js";
+import { t } from "/texts.js";
 
 const SVG = "http://www.w3.org/2000/svg";
 const $ = (id) => document.getElementById(id);
@@ -59,7 +61,7 @@ export function setup(run) {
   }
   if (!run) {
     $("value").textContent = "–";
-    $("detail").textContent = "No run. The bar is read during a run.";
+    $("detail").textContent = t("length.none");
     for (const id of ["hand", "band"]) $(id)?.setAttribute("x", -2000);
     $("length").dataset.bar = "none";
     setLevel("none");
@@ -77,22 +79,22 @@ export function begin() {
 export function show(frame, run) {
   $("value").textContent = signed(frame.last_mm);
   $("length").dataset.bar = frame.mounted ? "mounted" : "off";
-  const length = run?.bar_length_mm ? `${fixed(run.bar_length_mm + frame.last_mm)} mm between the balls` : "";
+  const length = run?.bar_length_mm ? t("length.between", { mm: fixed(run.bar_length_mm + frame.last_mm) }) : "";
   const where = stroke
-    ? `${fixed((100 * (frame.last_mm - stroke[0])) / (stroke[1] - stroke[0]), 0)} % of the stroke`
-    : "the stroke is not known: choose a plan, or configure it";
-  const doubt = frame.valid ? "" : "the bar marks this reading as invalid";
-  const shown = frame.mounted ? [length, where, doubt] : ["No bar mounted: reading invalid"];
+    ? t("length.share", { percent: fixed((100 * (frame.last_mm - stroke[0])) / (stroke[1] - stroke[0]), 0) })
+    : t("length.no_stroke");
+  const doubt = frame.valid ? "" : t("length.invalid");
+  const shown = frame.mounted ? [length, where, doubt] : [t("length.off")];
   $("detail").textContent = shown.filter(Boolean).join(" · ");
   if (stroke && $("hand")) {
     $("hand").setAttribute("x", place(frame.last_mm) - 4);
     $("band").setAttribute("x", place(frame.min_mm));
     $("band").setAttribute("width", Math.max(1, place(frame.max_mm) - place(frame.min_mm)));
-    $("gauge").setAttribute("aria-label", `Stroke: ${frame.mounted ? where : "no bar mounted"}, ${signed(frame.last_mm)} mm`);
+    $("gauge").setAttribute("aria-label", t("gauge.label", { text: `${frame.mounted ? where : t("steady.off")}, ${signed(frame.last_mm)} mm` }));
     if (frame.alarm !== "none") {
       const far = Math.abs(frame.max_mm - stroke[1]) < Math.abs(frame.min_mm - stroke[0]) ? frame.max_mm : frame.min_mm;
       const beyond = (value) => Math.max(value - stroke[1], stroke[0] - value);
-      if (!worst || beyond(far) > beyond(worst.value)) worst = { value: far, level: frame.alarm, at: new Date() };
+      if (!worst || beyond(far) > beyond(worst.value)) worst = { value: far, level: frame.alarm, at: Date.now() };
     }
   }
   // An alarm stays for a moment, or the eye would miss it.
@@ -115,14 +117,15 @@ function showAlarm() {
   box.hidden = level === "none" && !worst;
   box.dataset.level = level === "none" ? "past" : level;
   const texts = {
-    over: "OVER THE STROKE: stop the robot, the bar may break",
-    near: "Near the end of the stroke",
-    none: worst ? `The reading was ${worst.level === "over" ? "beyond" : "near the end of"} the stroke: ${signed(worst.value)} mm at ${worst.at.toLocaleTimeString()}` : "",
+    over: t("alarm.over"),
+    near: t("alarm.near"),
+    none: worst ? t(`alarm.past_${worst.level}`, { mm: signed(worst.value), time: timeOfDay(worst.at) }) : "",
   };
   if (box.textContent !== texts[level]) box.textContent = texts[level];
 }
 
-function beep(hertz) {
+/** A short tone, unless the sound is off. */
+export function beep(hertz) {
   if (!$("sound").checked || !audio) return;
   const tone = audio.createOscillator();
   tone.type = "square";
@@ -135,13 +138,21 @@ function beep(hertz) {
 setInterval(() => {
   if (level === "over") beep(880);
 }, 500);
+$("gauge").setAttribute("aria-label", t("gauge.label", { text: t("gauge.unknown") }));
+$("sound").checked = localStorage.getItem("sound") !== "off";
 // A browser gives sound only after the user did something.
-$("sound").addEventListener("change", () => {
+document.addEventListener("click", () => {
   audio ??= new AudioContext();
   audio.resume();
+});
+$("sound").addEventListener("change", () => {
+  const sound = $("sound").checked ? "on" : "off";
+  localStorage.setItem("sound", sound);
+  ask("POST", "/act", { act: `sound_${sound}` }).catch(() => {});
   beep(520);
 });
 $("quiet").addEventListener("click", () => {
   worst = null;
   showAlarm();
+  ask("POST", "/act", { act: "alarm_cleared" }).catch(() => {});
 });

@@ -32,7 +32,7 @@ export function hear(on) {
     source?.close();
     last = performance.now();
     source = new EventSource("/api/v1/stream");
-    for (const name of ["status", "frame", "point", "points", "begin", "job", "lost"]) {
+    for (const name of ["status", "frame", "point", "points", "mounting", "begin", "job", "lost"]) {
       source.addEventListener(name, (event) => {
         last = performance.now();
         set(true);

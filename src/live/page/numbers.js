@@ -1,22 +1,29 @@
-// Numbers as a reader wants them, everywhere on the page.
+// Numbers as a reader wants them, everywhere on the page, in the page's language.
+
+import { language } from "/texts.js";
+
+const POINT = (1.5).toLocaleString(language)[1];
 
 /** With fixed decimals, a true minus sign and no minus zero. */
 export function fixed(value, digits = 3) {
-  const text = Math.abs(value).toFixed(digits);
-  return value < 0 && Number(text) !== 0 ? "−" + text : text;
+  const text = Math.abs(value).toFixed(digits).replace(".", POINT);
+  return value < 0 && /[1-9]/.test(text) ? "−" + text : text;
 }
 
 /** The same with its sign; zero has none. */
 export function signed(value, digits = 3) {
   const text = fixed(value, digits);
-  return value > 0 && Number(text) !== 0 ? "+" + text : text;
+  return value > 0 && /[1-9]/.test(text) ? "+" + text : text;
 }
 
 /** A count, in thousands. */
-export const count = (value) => value.toLocaleString("en");
+export const count = (value) => value.toLocaleString(language);
 
-/** How long a plan takes, as `dbbd plan` says it. */
-export const minutes = (s) => `${fixed(s / 60, 1)} min`;
+/** Minutes of a plan, as `dbbd plan` gives them. */
+export const minutes = (s) => fixed(s / 60, 1);
+
+/** A time of the day. */
+export const timeOfDay = (ms) => new Date(ms).toLocaleTimeString(language);
 
 /** A time that goes on, to the second. */
 export function clock(s) {

@@ -1,6 +1,7 @@
 // The circle as it grows: the deviation at each dwell, magnified.
 
 import { count, signed } from "/numbers.js";
+import { t } from "/texts.js";
 
 const SVG = "http://www.w3.org/2000/svg";
 const $ = (id) => document.getElementById(id);
@@ -62,11 +63,11 @@ function draw() {
   const circles = [...new Set([...points.values()].map((p) => p.circle).filter((c) => c !== null))];
   const select = $("circle");
   if (select.options.length !== circles.length) {
-    select.replaceChildren(...circles.map((c) => new Option(c === 0 ? "chosen poses" : c, c)));
+    select.replaceChildren(...circles.map((c) => new Option(c === 0 ? t("polar.chosen") : c, c)));
   }
   if (circle !== null) select.value = circle;
   const scale = STEPS[step ?? fit(list)];
-  $("scale").textContent = list.length ? `${scale} µm a ring` : "–";
+  $("scale").textContent = list.length ? t("polar.scale", { um: count(scale) }) : "–";
   svg.replaceChildren();
   for (const ring of [-2, -1, 0, 1, 2]) {
     node("circle", { class: ring ? "ring" : "nominal", r: RADIUS + ring * RING }, svg);
@@ -91,8 +92,8 @@ function draw() {
     }
   }
   const last = list.at(-1);
-  const text = last ? `${list.length} points, ring ${count(scale)} micrometres, last ${signed(last.deviation_mm * 1e3, 1)} micrometres` : "no point yet";
-  svg.setAttribute("aria-label", `Polar plot: ${text}`);
+  const text = last ? t("polar.points", { count: list.length, ring: count(scale), last: signed(last.deviation_mm * 1e3, 1) }) : t("polar.none");
+  svg.setAttribute("aria-label", t("polar.label", { text }));
 }
 
 /** Changes the magnification: more, less, or null for fit. */

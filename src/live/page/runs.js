@@ -2,11 +2,10 @@
 
 import { ask } from "/link.js";
 import { count, fixed } from "/numbers.js";
+import { known, language, t } from "/texts.js";
 
 const $ = (id) => document.getElementById(id);
-const STATES = { running: "running", ended: "ended", ended_early: "ended early" };
-const JOBS = { waiting: "waiting", running: "running", done: "done", doubt: "done, with a doubt", failed: "failed", cancelled: "cancelled" };
-const KINDS = { identify: "Identify", circle: "Circular test", sync: "Match" };
+const KINDS = ["identify", "circle", "sync"];
 
 let jobs = new Map();
 let say = () => {};
@@ -26,31 +25,41 @@ function make(name, text, attributes = {}) {
 /** Reads the list of runs anew. */
 export async function refresh() {
   const { runs } = await ask("GET", "/runs");
-  $("runs").replaceChildren(...runs.slice(0, 50).map(row));
+  const rows = runs.slice(0, 50).map(row);
+  if (!rows.length) {
+    const none = make("tr", null);
+    none.append(make("td", t("results.none"), { colspan: "6" }));
+    rows.push(none);
+  }
+  $("runs").replaceChildren(...rows);
 }
 
 function row(run) {
   const line = make("tr", null);
   line.append(make("th", run.name, { scope: "row" }));
-  const when = run.started_unix_ms ? new Date(run.started_unix_ms).toLocaleString() : "";
-  line.append(make("td", when));
-  line.append(make("td", `${STATES[run.state]}${run.ended ? ": " + run.ended.reason : ""}`));
-  const size = `${fixed(run.bytes / 1e6, 1)} MB`;
-  line.append(make("td", run.ended ? `${count(run.ended.samples)} samples, ${size}` : size));
-  const act = make("td", null);
-  for (const [kind, text] of Object.entries(KINDS)) {
-    const button = make("button", text, { type: "button", "aria-label": `${text}: run ${run.name}`, "data-kind": kind });
+  const when = run.started_unix_ms ? new Date(run.started_unix_ms).toLocaleString(language) : "";
+  const cell = (key, text) => make("td", text, { "data-head": t(key) });
+  line.append(cell("results.started", when));
+  const reason = run.ended?.reason;
+  const ended = reason ? ": " + (known(`ending.${reason}`) ? t(`ending.${reason}`) : reason) : "";
+  line.append(cell("results.state", t(`runs.${run.state}`) + ended));
+  const size = fixed(run.bytes / 1e6, 1);
+  line.append(cell("results.recorded", run.ended ? t("results.samples", { samples: count(run.ended.samples), size }) : t("results.size", { size })));
+  const act = cell("results.evaluate", null);
+  for (const kind of KINDS) {
+    const label = t("kind.of", { kind: t(`kind.${kind}`), run: run.name });
+    const button = make("button", t(`kind.${kind}`), { type: "button", "aria-label": label, "data-kind": kind });
     button.disabled = run.state === "running";
     button.addEventListener("click", () => submit(kind, run.name));
     act.append(button);
   }
-  const results = make("td", null);
+  const results = cell("results.results", null);
   const base = `/api/v1/runs/${run.name}`;
   for (const result of run.results.filter((one) => /\.(html|json|csv|toml)$/.test(one.file))) {
     const link = make("a", result.file, { href: `${base}/${result.kind}/${result.file}`, target: "_blank", rel: "noopener" });
     results.append(link, " ");
   }
-  results.append(make("a", "capture", { href: `${base}/capture`, download: "" }));
+  results.append(make("a", t("results.capture"), { href: `${base}/capture`, download: "" }));
   line.append(act, results);
   return line;
 }
@@ -58,7 +67,7 @@ function row(run) {
 async function submit(kind, run) {
   try {
     show(await ask("POST", "/jobs", kind === "identify" ? { kind, run, prior: "datasheet" } : { kind, run }));
-    say(`${KINDS[kind]} of ${run} was started.`);
+    say(t("jobs.started", { kind: t(`kind.${kind}`), run }));
   } catch (error) {
     say(error.message);
   }
@@ -72,7 +81,7 @@ export function show(job) {
   const over = !["waiting", "running"].includes(job.state);
   if (over && before !== job.state) {
     refresh().catch((error) => say(error.message));
-    if (before) say(`${KINDS[job.kind]} of ${job.run}: ${JOBS[job.state]}.`);
+    if (before) say(line(job));
   }
 }
 
@@ -83,18 +92,27 @@ export async function refreshJobs() {
   drawJobs();
 }
 
+function line(job) {
+  const state = t(`job.${job.state}`, { percent: job.percent });
+  return t("jobs.line", { kind: t(`kind.${job.kind}`), run: job.run, state });
+}
+
 function drawJobs() {
   const newest = [...jobs.values()].reverse().slice(0, 8);
   if (!newest.length) return;
   const items = newest.map((job, at) => {
-    const item = make("li", `${KINDS[job.kind]} of ${job.run}: ${JOBS[job.state]} (${fixed(job.elapsed_s, 0)} s) `);
+    const item = make("li", `${line(job)} (${fixed(job.elapsed_s, 0)} s) `);
+    if (job.state === "running") {
+      const label = t("jobs.progress", { kind: t(`kind.${job.kind}`), run: job.run });
+      item.append(make("progress", null, { max: "100", value: String(job.percent), "aria-label": label }));
+    }
     if (["waiting", "running"].includes(job.state)) {
-      const button = make("button", "Cancel", { type: "button", "aria-label": `Cancel job ${job.id}` });
+      const button = make("button", t("jobs.cancel"), { type: "button", "aria-label": t("jobs.cancel_label", { id: job.id }) });
       button.addEventListener("click", () => ask("POST", `/jobs/${job.id}/cancel`).then(show, (error) => say(error.message)));
       item.append(button);
     }
     const shown = at === 0 ? job.log.slice(-12) : job.log.slice(-2);
-    if (shown.length) item.append(make("pre", shown.join("\n"), at === 0 ? { tabindex: "0", "aria-label": "Output of the job" } : {}));
+    if (shown.length) item.append(make("pre", shown.join("\n"), at === 0 ? { tabindex: "0", role: "region", "aria-label": t("jobs.output") } : {}));
     return item;
   });
   $("jobs").replaceChildren(...items);

@@ -142,8 +142,11 @@ fn default_radius() -> f64 {
     15.0
 }
 
+/// Standard deviation of a length where the job gives none, micrometres.
+pub const SIGMA_UM: f64 = 2.0;
+
 fn default_sigma() -> f64 {
-    2.0
+    SIGMA_UM
 }
 
 fn default_protocol() -> String {

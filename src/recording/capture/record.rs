@@ -65,6 +65,22 @@ pub enum Event {
         /// What was said.
         text: String,
     },
+    /// What the operator did on the page, before the run or during it.
+    Operator {
+        /// Wall clock, ms since the Unix epoch.
+        unix_ms: u64,
+        /// What: `connect`, `zero`, `checked`, ..
+        action: String,
+        /// With what.
+        detail: String,
+    },
+    /// What the live reading showed of the mounting.
+    Finding {
+        /// Its code.
+        code: String,
+        /// Its sentence.
+        text: String,
+    },
     /// The run ended as it should, and why; a run without this was cut off.
     Ended {
         reason: String,

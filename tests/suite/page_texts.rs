@@ -1,0 +1,54 @@
+//! The page says the same in every language: all have the same keys, and every key that the page asks for exists.
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::Path;
+
+use serde_json::{Map, Value};
+
+fn page(name: &str) -> String {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/live/page");
+    fs::read_to_string(root.join(name)).unwrap()
+}
+
+fn texts(language: &str) -> Map<String, Value> {
+    serde_json::from_str(&page(&format!("texts/{language}.json"))).unwrap()
+}
+
+/// The names in braces of a text.
+fn values(text: &Value) -> BTreeSet<String> {
+    let parts = text.as_str().unwrap().split('{').skip(1);
+    parts.map(|part| part.split_once('}').unwrap().0.to_owned()).collect()
+}
+
+/// What stands between a mark and a quote, after each mark.
+fn quoted<'a>(text: &'a str, mark: &'a str) -> impl Iterator<Item = &'a str> {
+    text.split(mark).skip(1).filter_map(|rest| rest.split_once('"')).map(|(key, _)| key)
+}
+
+#[test]
+fn page_texts_are_complete() {
+    let files = fs::read_dir(Path::new(env!("CARGO_MANIFEST_DIR")).join("src/live/page/texts")).unwrap();
+    let names = files.map(|file| file.unwrap().path().file_stem().unwrap().to_str().unwrap().to_owned());
+    let english = texts("en");
+    let mut languages = 0;
+    for language in names {
+        languages += 1;
+        let other = texts(&language);
+        assert!(other.keys().eq(english.keys()), "{language} has other keys");
+        for (key, text) in &other {
+            assert_eq!(values(text), values(&english[key]), "{language}: {key}");
+        }
+    }
+    assert!(languages >= 2);
+    for file in ["index.html", "app.js", "gauge.js", "mounting.js", "polar.js", "strip.js", "runs.js"] {
+        let text = page(file);
+        let marks = [" t(\"", "(t(\"", "[t(\"", "data-text=\"", "data-label=\"", "data-title=\""];
+        for key in marks.into_iter().flat_map(|mark| quoted(&text, mark)) {
+            assert!(english.contains_key(key), "{file} asks for `{key}`");
+        }
+    }
+    for code in ["W0280", "W0281", "W0282", "W0283", "W0284"] {
+        assert!(english.contains_key(code), "{code} has no text");
+    }
+}
