@@ -29,7 +29,7 @@ pub struct BarCheck {
     /// Readings that the bar does not vouch for; they are left out.
     pub invalid: usize,
     pub span_s: f64,
-    /// Readings per second: 1 over the median of their distances in time.
+    /// Readings per second, valid or not.
     pub rate_hz: f64,
     pub nominal_hz: Option<f64>,
     pub mean_mm: f64,
@@ -66,8 +66,11 @@ impl BarCheck {
         let few = || FewReadings { readings: valid.len(), needed_s: LEAST_MEANS as f64 * MEAN_S };
         let resolution_mm = resolution_mm(&reading_mm, definition.resolution_mm());
         let rounding_mm = resolution_mm / 12f64.sqrt();
-        let mut steps: Vec<f64> = t_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
-        let period_s = median(&mut steps).filter(|period| *period > 0.0).ok_or_else(few)?;
+        let span = |t_s: &[f64]| t_s.last().unwrap_or(&0.0) - t_s.first().unwrap_or(&0.0);
+        let whole_s = span(&stream.t_s);
+        if valid.len() < 2 || whole_s <= 0.0 {
+            return Err(few());
+        }
         let squares: f64 = reading_mm.windows(2).map(|pair| (pair[1] - pair[0]).powi(2)).sum();
         let noise_mm = (squares / (2.0 * (reading_mm.len() - 1) as f64)).sqrt().max(rounding_mm);
         let means = means(&t_s, &reading_mm, noise_mm);
@@ -80,8 +83,8 @@ impl BarCheck {
             protocol: definition.id.clone(),
             samples: valid.len(),
             invalid: stream.len() - valid.len(),
-            span_s: t_s.last().unwrap_or(&0.0) - t_s.first().unwrap_or(&0.0),
-            rate_hz: 1.0 / period_s,
+            span_s: span(&t_s),
+            rate_hz: (stream.len() - 1) as f64 / whole_s,
             nominal_hz: definition.nominal_hz,
             mean_mm: line.level,
             resolution_mm,
