@@ -74,5 +74,6 @@ printf 'address = "127.0.0.1:%s"\n[device]\nport = "COM5"\n' "$port" > dbbd.toml
 wine 'C:\cell\dbbd.exe' serve --config dbbd.toml >/dev/null 2>"$work/serve" </dev/null &
 for _ in $(seq 100); do curl -sf "http://127.0.0.1:$port/api/v1/status" >"$work/status" && break; sleep 0.1; done
 grep -q '"no_device"' "$work/status"
-curl -sf "http://127.0.0.1:$port/" | grep -qi "<!doctype html>"
+curl -sf "http://127.0.0.1:$port/" >"$work/page"
+grep -qi "<!doctype html>" "$work/page"
 step "done"

@@ -72,16 +72,20 @@ impl Network {
         if agreed != Some(true) {
             return Err(NotRfc2217 { port });
         }
-        for (setting, code, value) in line_settings(settings) {
-            let set = line.command(code, &value).map_err(closes)?;
+        let settings_of_line = line_settings(settings);
+        // All at once: the network is slower than the server.
+        let commands = settings_of_line.iter().flat_map(|(_, code, value)| Telnet::command(*code, value));
+        let controls =
+            control_settings(settings).flat_map(|value| Telnet::command(telnet::SET_CONTROL, &[value]));
+        let all: Vec<u8> = commands.chain(controls).collect();
+        line.stream.write_all(&all).map_err(closes)?;
+        for (setting, code, value) in settings_of_line {
+            let set = line.wait(|telnet| telnet.answer(code)).map_err(closes)?;
             if set.as_deref() != Some(&value[..]) {
                 let got = set.map_or("no answer".into(), |bytes| format!("{}", number(&bytes)));
                 let asked = number(&value);
                 return Err(SettingRefused { port, setting, asked, got });
             }
-        }
-        for value in control_settings(settings) {
-            line.control(value).map_err(closes)?;
         }
         Ok(line)
     }
