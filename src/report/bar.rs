@@ -4,8 +4,9 @@ use serde::Serialize;
 
 use super::page::{findings, render};
 use super::plot::{Series, TrendPlot, histogram};
-use super::scale::Unit;
+use super::scale::{Unit, magnitude};
 use crate::diagnostic::Diagnostic;
+use crate::math::straight_line::StraightLine;
 use crate::provenance::Provenance;
 use crate::recording::bar_check::BarCheck;
 
@@ -25,12 +26,15 @@ struct Page<'a> {
 /// # Errors
 /// Only a fault of the template itself.
 pub fn html(check: &BarCheck, provenance: &Provenance) -> Result<String, Diagnostic> {
+    // About their mean: a scale of micrometres has no room for the length.
+    let off = |&[t_s, mm, sd]: &[f64; 3]| [t_s, mm - check.mean_mm, sd];
+    let values: Vec<[f64; 3]> = check.means.iter().map(off).collect();
     let trend = TrendPlot {
-        title: "Means of one second",
-        unit: Unit::length(check.means.iter().fold(0.0, |most, mean| f64::max(most, mean[1].abs()))),
+        title: "Means of one second about their mean",
+        unit: Unit::length(magnitude(values.iter().map(|value| value[1]))),
         time_name: "time (s)",
-        values: check.means.clone(),
-        line: Some(check.line),
+        values,
+        line: Some(StraightLine { level: 0.0, ..check.line }),
         limit: None,
     };
     let every = check.residual_mm.len().div_ceil(MOST_VALUES).max(1);
