@@ -88,6 +88,11 @@ findings! {
         cure: "Measure new lengths." {
             LengthsOfCalibration { known: usize, lengths: usize } => "{known} of {lengths} lengths identified this robot: they are no check of it";
         }
+        I1920 "what the model of the calibration lacks is not known",
+        cause: "The result.json of the calibration is not beside the robot file, so that the standard deviation of a length is that of bar and repeatability alone. What the model lacks can then pass for a change.",
+        cure: "Keep result.json beside robot-identified.toml, or give --sigma." {
+            NoResultBeside { looked_for: String, sigma_mm: f64 } => "{looked_for} is not there: a length counts with {sigma_mm:.4} mm, of bar and repeatability alone";
+        }
         I1917 "there is nothing to update",
         cause: "The test finds no change; the robot file holds.",
         cure: "Nothing." {

@@ -142,5 +142,10 @@ findings! {
             ArcRows => "an arc is two `circ` rows: its auxiliary point in transit, then its end";
             PassPattern => "a pass without stops is two auxiliary `circ` rows in transit, the points (dwell_s = 0), and its end in transit";
         }
+        E0740 "poses that see changes are planned without a calibration",
+        cause: "`criterion = \"change\"` chooses poses against the posterior of a calibrated robot.",
+        cure: "Plan the check with `dbbd plan --check JOB --robot robot-identified.toml`." {
+            NotCalibrated => "the criterion `change` needs a calibrated robot", help: "give --check and --robot robot-identified.toml";
+        }
     }
 }

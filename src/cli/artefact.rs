@@ -36,7 +36,12 @@ pub(super) fn read(path: &Path) -> Result<Option<Traced>, Diagnostic> {
                 Diagnostic::file(&name, ProvenanceFinding::Damaged { why: error.to_string() })
             };
             let recorded = json.get("provenance").cloned().map(serde_json::from_value).transpose();
-            return with(Role::Result, path, recorded.map_err(damaged)?.unwrap_or_default());
+            let role = match json {
+                json if json.contains_key("decision") => Role::Check,
+                json if json.contains_key("inputs") => Role::Comparison,
+                _ => Role::Result,
+            };
+            return with(role, path, recorded.map_err(damaged)?.unwrap_or_default());
         }
     } else if let Ok(table) = toml::from_str::<toml::Table>(&text) {
         if table.contains_key("joint") {

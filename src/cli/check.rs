@@ -2,7 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
-use super::identify::{Given, LENGTHS, Named, parse_point};
+use serde::Serialize;
+
+use super::identify::{Given, LENGTHS, Named, parse_point, read_workspace};
 use super::positive;
 use super::{Outcome, Output};
 use crate::base::{files, serialised};
@@ -10,8 +12,9 @@ use crate::catalogue::{CliFinding, ConformityFinding};
 use crate::conformity::{self, CheckInput, InterimCheck, Rule};
 use crate::diagnostic::Diagnostic;
 use crate::estimation::change::{Hypothesis, Mounting};
-use crate::estimation::{Priors, ResultFile, length_sd_mm};
+use crate::estimation::{DistanceQuantities, Options, Priors, ResultFile, length_sd_mm};
 use crate::measurement::{LengthModel, PreparedMeasurement};
+use crate::provenance::Provenance;
 use crate::report::check;
 use crate::robot::{BarId, Coordinate, ParamId, Robot, Unit};
 
@@ -51,7 +54,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "MM", value_parser = positive)]
     sigma: Option<f64>,
     /// Standard deviation with which the tool ball is mounted again, mm.
-    #[arg(long, value_name = "MM", default_value_t = 0.01, value_parser = positive)]
+    #[arg(long, value_name = "MM", default_value_t = TOOL_REPEAT_MM, value_parser = positive)]
     tool_repeat: f64,
     /// Standard deviation of the base balls about --centres, mm [default: they may be anywhere].
     #[arg(long, value_name = "MM", value_parser = positive)]
@@ -59,13 +62,19 @@ pub(crate) struct Args {
     /// Standard uncertainty (k = 1) of the bar's length, mm [default: half of a capture's job's length_u_mm, else 0.05].
     #[arg(long, value_name = "MM", value_parser = positive)]
     bar_u: Option<f64>,
+    /// CSV a1_deg..a6_deg: the poses over which the position error is taken [default: 2000 within the axis limits].
+    #[arg(long, value_name = "FILE.csv")]
+    workspace: Option<PathBuf>,
     /// Identify what changed, with the posterior as prior, and write robot-identified.toml with it, and its lengths.csv,
     /// into --out.
     #[arg(long)]
     update: bool,
 }
 
-fn risk(text: &str) -> Result<f64, CliFinding> {
+/// Standard deviation with which a tool ball is mounted again in its seat, mm.
+pub(super) const TOOL_REPEAT_MM: f64 = 0.01;
+
+pub(super) fn risk(text: &str) -> Result<f64, CliFinding> {
     match text.parse::<f64>() {
         Ok(risk) if risk > 0.0 && risk < 0.5 => Ok(risk),
         _ => Err(CliFinding::NotARisk),
@@ -88,12 +97,16 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     let start = LengthModel::new(given.robot.geometry.clone(), &given.centres);
     let readings: Vec<PreparedMeasurement> =
         given.observations.rows.iter().map(PreparedMeasurement::from).collect();
+    let workspace = args.workspace.as_deref().map(|path| out.table(path, read_workspace)).transpose()?;
+    let workspace = Options { workspace, ..Options::default() };
+    let noise = Noise::of(args, &given)?;
+    out.about(&noise.finding.into_iter().collect::<Vec<_>>());
     let input = CheckInput {
         robot: &given.robot,
         start: &start,
         readings: &readings,
         bars: given.observations.bars(),
-        sigma_mm: sigma(args, &given)?,
+        sigma_mm: noise.sigma_mm,
         mounting: mounting(args, &given),
         tolerance_mm: args.tolerance,
         rule: if args.simple_acceptance {
@@ -101,6 +114,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         } else {
             Rule::GuardBand { risk: args.risk }
         },
+        workspace: &workspace.workspace_poses(&given.robot),
     };
     let found = input.check().map_err(|finding| Diagnostic::file(&args.robot, finding))?;
     let (known, lengths) = (given.known_lengths(Some(&args.robot), out)?, readings.len());
@@ -109,9 +123,16 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     }
     given.findings().into_iter().for_each(|finding| out.finding(finding));
     findings(args, &found).into_iter().for_each(|finding| out.finding(finding));
+    let set_up = input.set_up();
+    let found = Made {
+        check: &found,
+        distance: set_up.and_then(|model| DistanceQuantities::of(&given.observations.rows, &model)),
+        provenance: &given.provenance,
+    };
     write(args, &found, &given)?;
     out.document(&found)?;
-    lines(&found).into_iter().for_each(|line| out.result(line));
+    let found = found.check;
+    lines(found).into_iter().for_each(|line| out.result(line));
     out.result(format!("results in {}", args.out.display()));
     Ok(match found.decision.decision {
         conformity::Outcome::Pass => Outcome::Done,
@@ -129,39 +150,43 @@ fn mounting(args: &Args, given: &Given) -> Mounting {
     Mounting { tool_mm, ball_mm: args.ball_repeat, bar_mm }
 }
 
-/// Noise, repeatability and, where the calibration's own result is beside the robot, what its model lacks.
-fn sigma(args: &Args, given: &Given) -> Result<f64, Diagnostic> {
-    if let Some(sigma) = args.sigma {
-        return Ok(sigma);
-    }
-    let squares = given.observations.rows.iter().map(|row| row.sigma_mm.map(|sigma| sigma * sigma));
-    let count = given.observations.rows.len() as f64;
-    let bar = squares.sum::<Option<f64>>().map(|sum| (sum / count).sqrt());
-    let known = bar.or(given.robot.repeatability_sd_mm().map(|_| 0.0));
-    let own = known.map(|bar| length_sd_mm(bar, &given.robot));
-    let calibrated = result_beside(&args.robot)?;
-    let calibrated =
-        calibrated.filter(|result| result.robot == given.robot.name).map(|result| result.sigma_mm);
-    own.into_iter()
-        .chain(calibrated)
-        .reduce(f64::max)
-        .filter(|mm| *mm > 0.0)
-        .ok_or_else(|| ConformityFinding::NoNoise.into())
+/// The standard deviation of a length, mm, and that a part of it is not known.
+pub(super) struct Noise {
+    pub(super) sigma_mm: f64,
+    pub(super) finding: Option<ConformityFinding>,
 }
 
-/// The result.json beside a robot file, if there is one.
-fn result_beside(robot: &str) -> Result<Option<ResultFile>, Diagnostic> {
-    let path = Path::new(robot).with_file_name("result.json");
-    if !path.is_file() {
-        return Ok(None);
+impl Noise {
+    /// Of bar and repeatability, at least that of the result.json beside a robot file.
+    pub(super) fn at_least(own: Option<f64>, file: &str, robot: &Robot) -> Result<Self, Diagnostic> {
+        let path = Path::new(file).with_file_name("result.json");
+        let result: Option<ResultFile> = path
+            .is_file()
+            .then(|| serde_json::from_str(&files::read(&path)?).map_err(|error| incomplete(&path, &error)))
+            .transpose()?;
+        let result = result.filter(|result| result.robot == robot.name);
+        let sigma_mm = own.into_iter().chain(result.as_ref().map(|result| result.sigma_mm)).reduce(f64::max);
+        let sigma_mm = sigma_mm.filter(|mm| *mm > 0.0).ok_or(ConformityFinding::NoNoise)?;
+        let looked_for = path.display().to_string();
+        let finding = result.is_none().then_some(ConformityFinding::NoResultBeside { looked_for, sigma_mm });
+        Ok(Self { sigma_mm, finding })
     }
-    let wrong = |error: serde_json::Error| {
-        Diagnostic::file(
-            &path.display().to_string(),
-            ConformityFinding::Incomplete { why: error.to_string() },
-        )
-    };
-    serde_json::from_str(&files::read(&path)?).map(Some).map_err(wrong)
+
+    /// Noise, repeatability and, where the calibration's own result is beside the robot, what its model lacks.
+    fn of(args: &Args, given: &Given) -> Result<Self, Diagnostic> {
+        if let Some(sigma_mm) = args.sigma {
+            return Ok(Self { sigma_mm, finding: None });
+        }
+        let squares = given.observations.rows.iter().map(|row| row.sigma_mm.map(|sigma| sigma * sigma));
+        let count = given.observations.rows.len() as f64;
+        let bar = squares.sum::<Option<f64>>().map(|sum| (sum / count).sqrt());
+        let known = bar.or(given.robot.repeatability_sd_mm().map(|_| 0.0));
+        Self::at_least(known.map(|bar| length_sd_mm(bar, &given.robot)), &args.robot, &given.robot)
+    }
+}
+
+fn incomplete(path: &Path, error: &serde_json::Error) -> Diagnostic {
+    Diagnostic::file(&path.display().to_string(), ConformityFinding::Incomplete { why: error.to_string() })
 }
 
 fn findings(args: &Args, found: &InterimCheck) -> Vec<ConformityFinding> {
@@ -179,16 +204,27 @@ fn findings(args: &Args, found: &InterimCheck) -> Vec<ConformityFinding> {
     findings
 }
 
-fn write(args: &Args, found: &InterimCheck, given: &Given) -> Result<Outcome, Diagnostic> {
+/// `check.json`.
+#[derive(Serialize)]
+struct Made<'a> {
+    #[serde(flatten)]
+    check: &'a InterimCheck,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    distance: Option<DistanceQuantities>,
+    provenance: &'a Provenance,
+}
+
+fn write(args: &Args, made: &Made<'_>, given: &Given) -> Result<(), Diagnostic> {
+    let found = made.check;
     let _writing = files::exclusive(&args.out)?;
-    files::write(&args.out.join("check.json"), serialised::json(found)? + "\n")?;
-    files::write(&args.out.join("check.html"), check::html(found, &given.provenance)?)?;
+    files::write(&args.out.join("check.json"), serialised::json(made)? + "\n")?;
+    files::write(&args.out.join("check.html"), check::html(found, made.distance.as_ref(), made.provenance)?)?;
     if let Some(robot) = found.update().filter(|_| args.update) {
         let robot = Robot { provenance: given.provenance.clone(), ..robot.clone() };
         files::write(&args.out.join(ROBOT), robot.to_toml()?)?;
         files::write_pieces(&args.out.join(LENGTHS), given.observations.csv_pieces(|_| true))?;
     }
-    Ok(Outcome::Done)
+    Ok(())
 }
 
 /// The check on the terminal.

@@ -2,10 +2,11 @@
 
 use std::path::{Path, PathBuf};
 
+use serde::Serialize;
 use serde_json::Value as Json;
 
-use super::robots;
 use super::{Outcome, Output, positive};
+use super::{artefact, robots};
 use crate::base::{files, serialised};
 use crate::catalogue::{CliFinding, ConformityFinding, Names};
 use crate::conformity::{
@@ -75,14 +76,16 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         tolerance_mm: args.tolerance,
         subject,
     };
-    write(args, &comparison, &timeline)?;
+    let sources: Vec<Traced> = documents.iter().map(traced).collect::<Result<_, _>>()?;
+    let made = Made { comparison: &comparison, provenance: Provenance::of(&sources) };
+    write(args, &made, &timeline)?;
     if let Subject::Results(results) = &comparison.subject
         && !results.not_compared.is_empty()
     {
         let parameters = Names::of(results.not_compared.iter().map(|parameter| parameter.name));
         out.finding(ConformityFinding::DifferentlyEstimated { parameters });
     }
-    out.document(&comparison)?;
+    out.document(&made)?;
     lines(&comparison).into_iter().for_each(|line| out.result(line));
     out.result(format!("results in {}", args.out.display()));
     Ok(Outcome::Done)
@@ -162,16 +165,30 @@ fn robot(args: &Args, first: &Document) -> Result<Robot, Diagnostic> {
     Robot::from_toml(&beside.display().to_string(), &files::read(&beside)?)
 }
 
-fn write(args: &Args, comparison: &Comparison, timeline: &Timeline) -> Result<Outcome, Diagnostic> {
-    let source = |input: &Input| Artefact::file(Role::Result, Path::new(&input.file)).map(Traced::from);
-    let sources: Result<Vec<Traced>, Diagnostic> = comparison.inputs.iter().map(source).collect();
-    let provenance = Provenance::of(&sources?);
+/// `compare.json`.
+#[derive(Serialize)]
+struct Made<'a> {
+    #[serde(flatten)]
+    comparison: &'a Comparison,
+    provenance: Provenance,
+}
+
+/// A result with what it was made from.
+fn traced(document: &Document) -> Result<Traced, Diagnostic> {
+    match artefact::read(&document.path)? {
+        Some(traced) => Ok(traced),
+        None => Artefact::file(Role::Result, &document.path).map(Traced::from),
+    }
+}
+
+fn write(args: &Args, made: &Made<'_>, timeline: &Timeline) -> Result<(), Diagnostic> {
+    let Made { comparison, provenance } = made;
     let _writing = files::exclusive(&args.out)?;
-    files::write(&args.out.join("compare.json"), serialised::json(comparison)? + "\n")?;
+    files::write(&args.out.join("compare.json"), serialised::json(made)? + "\n")?;
     let table = csv(comparison).map_err(|error| CliFinding::NoOutput { why: error.to_string() })?;
     files::write(&args.out.join("compare.csv"), table)?;
-    files::write(&args.out.join("compare.html"), compare::html(comparison, timeline, &provenance)?)?;
-    Ok(Outcome::Done)
+    files::write(&args.out.join("compare.html"), compare::html(comparison, timeline, provenance)?)?;
+    Ok(())
 }
 
 /// A row a quantity: what it belongs to, its values and deviations in the order of time, change and trend.

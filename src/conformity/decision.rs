@@ -41,7 +41,7 @@ pub struct Decision {
 const USUAL_RISK: f64 = 0.05;
 
 /// Decides by drawn values (ascending) of what the tolerance applies to; without a tolerance by whether anything changed.
-pub(super) fn decide(sizes_mm: &[f64], tolerance_mm: Option<f64>, rule: Rule, changed: bool) -> Decision {
+pub fn decide(sizes_mm: &[f64], tolerance_mm: Option<f64>, rule: Rule, changed: bool) -> Decision {
     let at = |share: f64| {
         let place = (share * sizes_mm.len() as f64).ceil() as usize;
         sizes_mm
@@ -80,6 +80,17 @@ pub(super) fn decide(sizes_mm: &[f64], tolerance_mm: Option<f64>, rule: Rule, ch
         guard_band_mm: (rule == "guard_band").then_some(upper - median),
         specific_risk: Some(if decision == Outcome::Fail { keeps } else { exceeds }),
         ..whole
+    }
+}
+
+impl Decision {
+    /// Where a failure is no finding of the lengths.
+    pub(super) fn unless_failed(self) -> Self {
+        if self.decision != Outcome::Fail {
+            return self;
+        }
+        let specific_risk = self.specific_risk.map(|keeps| 1.0 - keeps);
+        Self { decision: Outcome::Undecided, specific_risk, ..self }
     }
 }
 

@@ -14,7 +14,7 @@ mod tracked;
 use serde::Serialize;
 
 pub use circles::{CircleCompared, CircleFile, CircleRead, TraceRead, compare_circles};
-pub use decision::{Decision, Outcome, Rule};
+pub use decision::{Decision, Outcome, Rule, decide};
 pub use interim::{CheckInput, InterimCheck, LEAST_FREEDOM, PositionNow};
 pub use results::{NotCompared, PositionChange, ResultRead, ResultsCompared, compare_results, same_robot};
 pub use timeline::{TimeUnit, Timeline};

@@ -62,6 +62,11 @@ impl Timeline {
         Ok(Self { unit: TimeUnit::Days, times: days.into_iter().map(|day| day - first).collect() })
     }
 
+    /// Two values are a difference: any line fits them.
+    pub fn has_trend(&self) -> bool {
+        self.times.len() > 2
+    }
+
     /// The time of the last result.
     pub fn last(&self) -> f64 {
         self.times.last().copied().unwrap_or(0.0)

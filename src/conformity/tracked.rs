@@ -28,7 +28,7 @@ pub struct Tracked<N> {
     pub values: Vec<Value>,
     /// From the first to the last.
     pub change: Change,
-    /// `None` where all times are one.
+    /// `None` of fewer than three values, and where all times are one.
     pub trend: Option<Trend>,
 }
 
@@ -66,8 +66,10 @@ pub(super) fn track<N>(family: Vec<Series<N>>, timeline: &Timeline) -> Vec<Track
     for (change, p_holm) in changes.iter_mut().zip(adjusted) {
         (change.p_holm, change.significant) = (p_holm, p_holm < LEVEL);
     }
-    let lines: Vec<Option<StraightLine>> =
-        family.iter().map(|series| StraightLine::through(&sightings(&series.values, timeline))).collect();
+    let line = |series: &Series<N>| {
+        timeline.has_trend().then(|| StraightLine::through(&sightings(&series.values, timeline))).flatten()
+    };
+    let lines: Vec<Option<StraightLine>> = family.iter().map(line).collect();
     let chances = |line: &Option<StraightLine>| {
         line.map_or(1.0, |line| two_sided_tail(line.slope / line.slope_sd, None))
     };

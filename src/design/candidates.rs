@@ -5,6 +5,7 @@ use rand::{RngExt, SeedableRng};
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
 
+use crate::estimation::change::Expected;
 use crate::estimation::{Posterior, Workspace};
 use crate::robot::inverse::{branches, status, turns_within};
 use crate::robot::{AXES, BallId, Geometry, Pose};
@@ -118,6 +119,15 @@ pub fn design_rows(posterior: &Posterior, candidates: &[Candidate], sigma_mm: f6
         column.copy_from(&(row / sigma_mm));
     }
     rows
+}
+
+/// The effects of changes of the usual size as an exchange takes them: a column a candidate, over sigma.
+pub fn change_rows(expected: &Expected, candidates: &[Candidate], sigma_mm: f64) -> DMatrix<f64> {
+    let columns: Vec<_> = candidates
+        .iter()
+        .map(|candidate| expected.effects(&candidate.axes, candidate.ball) / sigma_mm)
+        .collect();
+    DMatrix::from_columns(&columns)
 }
 
 /// The Jacobian of the tool ball over a workspace, in the coordinates of the prior, three rows a pose.

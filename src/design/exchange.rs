@@ -1,4 +1,4 @@
-//! The choice of N poses among many candidates: D-optimal, then I-optimal, by exchange.
+//! The choice of N poses among many candidates: D-optimal, then I-optimal or to see changes, by exchange.
 //!
 //! A candidate is the row a of its length in the coordinates of a posterior, over sigma, so that the
 //! information before any length is I and C = (I + sum a a')^-1. D-optimal makes det C least, I-optimal the
@@ -6,18 +6,28 @@
 //! or out changes C by q v v', v = C a, and with it what every candidate would gain: for
 //! d = a' C a by q (a'v)^2, for e = a' C W C a by 2 q (a'v)(a'u) + q^2 s (a'v)^2, u = C W v, s = v' W v (Fedorov,
 //! "Theory of Optimal Experiments", 1972). One pass over the candidates a change, nothing allocated.
+//!
+//! A change that moves the lengths of the candidates by g, over sigma, is seen through what the unknowns cannot imitate:
+//! h = g - a' C (sum of a g over the chosen), with the noncentrality s = sum of h^2 / (1 + d) over the poses as they come
+//! in. A pose in or out changes h by q (a'v) h_pose, and s by -q h_pose^2. The product of the 1 + s of all changes is
+//! made greatest: of their powers none is bought with another's.
 
 use std::ops::Range;
 
 use nalgebra::{DMatrix, DVector};
+use serde::{Deserialize, Serialize};
 
 /// What is made least.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Criterion {
-    /// The volume of what is left unknown.
+    /// The volume of what is left unknown of the parameters.
     D,
     /// The mean square of the 3-D error over a workspace.
+    #[default]
     I,
+    /// What is not seen of changes of a calibrated robot.
+    #[serde(rename = "change")]
+    Change,
 }
 
 /// Passes over the chosen poses before the choice is final.
@@ -42,6 +52,12 @@ pub struct Exchange<'a> {
     v: DVector<f64>,
     wv: DVector<f64>,
     u: DVector<f64>,
+    /// Effects of the changes on the candidates, a column a candidate, over sigma,
+    effects: DMatrix<f64>,
+    /// what the unknowns do not imitate of them,
+    seen: DMatrix<f64>,
+    /// and the noncentrality of each change.
+    noncentrality: DVector<f64>,
 }
 
 impl<'a> Exchange<'a> {
@@ -64,15 +80,24 @@ impl<'a> Exchange<'a> {
             wv: DVector::zeros(n),
             u: DVector::zeros(n),
             weight,
+            effects: DMatrix::zeros(0, candidates.ncols()),
+            seen: DMatrix::zeros(0, candidates.ncols()),
+            noncentrality: DVector::zeros(0),
         }
+    }
+
+    /// For [`Criterion::Change`]: `effects` has a row a change and a column a candidate, over sigma.
+    pub fn for_changes(candidates: &'a DMatrix<f64>, effects: DMatrix<f64>) -> Self {
+        let none = Self::new(candidates, &DMatrix::zeros(0, candidates.nrows()));
+        Self { seen: effects.clone(), noncentrality: DVector::zeros(effects.nrows()), effects, ..none }
     }
 
     /// Chooses `count` candidates: D-optimal ones, which are then bettered where the criterion is another one.
     pub fn choose(&mut self, count: usize, criterion: Criterion) -> &[usize] {
         self.extend(count, Criterion::D);
         self.improve(Criterion::D);
-        if criterion == Criterion::I {
-            self.improve(Criterion::I);
+        if criterion != Criterion::D {
+            self.improve(criterion);
         }
         &self.chosen
     }
@@ -89,14 +114,7 @@ impl<'a> Exchange<'a> {
 
     /// Exchanges chosen poses for better ones until none is worth it.
     pub fn improve(&mut self, criterion: Criterion) {
-        if criterion == Criterion::I {
-            // The D-optimal passes left this behind.
-            for (at, e) in self.e.iter_mut().enumerate() {
-                self.v.gemv(1.0, &self.covariance, &self.rows.column(at), 0.0);
-                self.wv.gemv(1.0, &self.weight, &self.v, 0.0);
-                *e = self.v.dot(&self.wv);
-            }
-        }
+        self.renew(criterion);
         for _ in 0..PASSES {
             let mut exchanged = 0;
             for place in 0..self.chosen.len() {
@@ -113,6 +131,31 @@ impl<'a> Exchange<'a> {
             }
             if exchanged * SETTLED < self.chosen.len().max(1) {
                 return;
+            }
+        }
+    }
+
+    /// What the D-optimal passes left behind.
+    fn renew(&mut self, criterion: Criterion) {
+        match criterion {
+            Criterion::D => {}
+            Criterion::I => {
+                for (at, e) in self.e.iter_mut().enumerate() {
+                    self.v.gemv(1.0, &self.covariance, &self.rows.column(at), 0.0);
+                    self.wv.gemv(1.0, &self.weight, &self.v, 0.0);
+                    *e = self.v.dot(&self.wv);
+                }
+            }
+            Criterion::Change => {
+                let (rows, effects) =
+                    (self.rows.select_columns(&self.chosen), self.effects.select_columns(&self.chosen));
+                let crossed = rows * effects.transpose();
+                let imitated = &self.covariance * &crossed;
+                self.seen = &self.effects - imitated.tr_mul(self.rows);
+                for (change, noncentrality) in self.noncentrality.iter_mut().enumerate() {
+                    let lost = crossed.column(change).dot(&imitated.column(change));
+                    *noncentrality = (effects.row(change).norm_squared() - lost).max(0.0);
+                }
             }
         }
     }
@@ -159,6 +202,11 @@ impl<'a> Exchange<'a> {
         match criterion {
             Criterion::D => self.d[at],
             Criterion::I => self.e[at] / (1.0 + self.d[at]),
+            Criterion::Change => {
+                let seen = self.seen.column(at);
+                let share = |(h, s): (&f64, &f64)| 1.0 + h * h / ((1.0 + self.d[at]) * (1.0 + s));
+                seen.iter().zip(&self.noncentrality).map(share).product()
+            }
         }
     }
 
@@ -181,20 +229,32 @@ impl<'a> Exchange<'a> {
         let n = self.v.len();
         let rows = self.rows.as_slice().chunks_exact(n.max(1));
         let v = self.v.as_slice();
-        if criterion == Criterion::D {
-            for (a, d) in rows.zip(&mut self.d) {
-                let av = dot(a, v);
-                *d += q * av * av;
+        match criterion {
+            Criterion::D => {
+                for (a, d) in rows.zip(&mut self.d) {
+                    let av = dot(a, v);
+                    *d += q * av * av;
+                }
             }
-        } else {
-            self.wv.gemv(1.0, &self.weight, &self.v, 0.0);
-            self.u.gemv(1.0, &self.covariance, &self.wv, 0.0);
-            let s = self.v.dot(&self.wv);
-            let u = self.u.as_slice();
-            for ((a, d), e) in rows.zip(&mut self.d).zip(&mut self.e) {
-                let (av, au) = (dot(a, v), dot(a, u));
-                *d += q * av * av;
-                *e += q * av * (2.0 * au + q * s * av);
+            Criterion::I => {
+                self.wv.gemv(1.0, &self.weight, &self.v, 0.0);
+                self.u.gemv(1.0, &self.covariance, &self.wv, 0.0);
+                let s = self.v.dot(&self.wv);
+                let u = self.u.as_slice();
+                for ((a, d), e) in rows.zip(&mut self.d).zip(&mut self.e) {
+                    let (av, au) = (dot(a, v), dot(a, u));
+                    *d += q * av * av;
+                    *e += q * av * (2.0 * au + q * s * av);
+                }
+            }
+            Criterion::Change => {
+                let of_pose = self.seen.column(at).into_owned();
+                for ((a, d), mut seen) in rows.zip(&mut self.d).zip(self.seen.column_iter_mut()) {
+                    let av = dot(a, v);
+                    *d += q * av * av;
+                    seen.axpy(q * av, &of_pose, 1.0);
+                }
+                of_pose.iter().zip(&mut self.noncentrality).for_each(|(h, s)| *s -= q * h * h);
             }
         }
         self.covariance.ger(q, &self.v, &self.v, 1.0);

@@ -9,6 +9,6 @@ mod recommend;
 pub mod second_ball;
 
 pub use calibrate::calibrate;
-pub use candidates::{Candidate, Near, Sphere, design_rows, workspace_rows};
+pub use candidates::{Candidate, Near, Sphere, change_rows, design_rows, workspace_rows};
 pub use exchange::{Criterion, Exchange};
 pub use recommend::recommend;

@@ -20,7 +20,7 @@ use super::result::{
 use super::selection::is_place;
 use super::setting::Setting;
 use super::uncertainty::{Uncertainty, leaks, uncertainty};
-use super::{Combination, Correlation, Observability, Options, Prior, factor, validation};
+use super::{Combination, Correlation, DistanceQuantities, Observability, Options, Prior, factor, validation};
 use crate::catalogue::EstimationFinding;
 use crate::diagnostic::Diagnostic;
 use crate::math::base_set;
@@ -228,6 +228,7 @@ impl<'a> Calibration<'a> {
             residual_mm: self.residual_mm,
             folds: self.folds,
             validation: self.validation,
+            distance: DistanceQuantities::of(&self.observations.rows, &estimate.fit.model),
             predicted: self.prediction.pair,
             map: self.prediction.map,
             parameters: self.parameters,

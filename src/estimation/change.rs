@@ -15,9 +15,9 @@ use serde::Serialize;
 use super::linear_system::LinearSystem;
 use super::posterior::Posterior;
 use crate::math::Triangle;
-use crate::math::distributions::{chi_square_exceeded, chi_square_tail, noncentrality};
+use crate::math::distributions::{chi_square_exceeded, chi_square_tail, noncentral_tail, noncentrality};
 use crate::measurement::PreparedMeasurement;
-use crate::robot::{Coordinate, ParamId, Unit};
+use crate::robot::{AXES, BallId, BarId, Coordinate, ParamId, Unit};
 
 /// Probability that a change is reported although nothing changed.
 pub const FALSE_ALARM: f64 = 0.01;
@@ -57,7 +57,7 @@ pub struct Expected {
 }
 
 /// Free coordinates of a base ball are taken from so far, mm.
-const FREE_BALL_MM: f64 = 1000.0;
+pub(crate) const FREE_BALL_MM: f64 = 1000.0;
 
 impl Expected {
     /// Of the calibrated robot `known` (its parameters and tool ball) about its model, whose balls and bars are those of
@@ -66,11 +66,11 @@ impl Expected {
         let mut ids = known.ids().to_vec();
         let mut added: Vec<(ParamId, f64)> =
             Coordinate::ALL.map(|axis| (ParamId::Tool(axis), mounting.tool_mm)).to_vec();
-        added.extend((0..bars).map(|at| (ParamId::BarOffset(crate::robot::BarId::at(at)), mounting.bar_mm)));
+        added.extend((0..bars).map(|at| (ParamId::BarOffset(BarId::at(at)), mounting.bar_mm)));
         let bound = known.root().ncols() + added.len();
         let ball_mm = mounting.ball_mm.unwrap_or(FREE_BALL_MM);
         for ball in 0..known.model.balls.len() {
-            let ball = crate::robot::BallId::at(ball);
+            let ball = BallId::at(ball);
             added.extend(Coordinate::ALL.map(|axis| (ParamId::Ball(ball, axis), ball_mm)));
         }
         ids.extend(added.iter().map(|(id, _)| *id).filter(|id| !known.ids().contains(id)));
@@ -83,6 +83,23 @@ impl Expected {
         }
         let free = if mounting.ball_mm.is_some() { vec![] } else { (bound..root.ncols()).collect() };
         Self { posterior: Posterior::with_root(known.model.clone(), &ids, root), free }
+    }
+
+    /// The parameters whose change is looked for, by their places among those of the posterior: not a ball that may be
+    /// anywhere, nor what no check determines.
+    fn changeable(&self) -> impl Iterator<Item = usize> {
+        let bound = self.free.is_empty();
+        let ids = self.posterior.ids().iter().enumerate();
+        ids.filter(move |(_, id)| !id.is_optional() && (bound || !matches!(id, ParamId::Ball(..))))
+            .map(|(at, _)| at)
+    }
+
+    /// What a change of the usual size does to the length from a base ball at `axes` (rad): an element each parameter
+    /// whose change is looked for, mm.
+    pub fn effects(&self, axes: &[f64; AXES], ball: BallId) -> DVector<f64> {
+        let derivative = self.posterior.derivative(axes, ball);
+        let effect = |at: usize| derivative[at] * typical(self.posterior.ids()[at]);
+        DVector::from_iterator(self.changeable().count(), self.changeable().map(effect))
     }
 
     /// The same where these parameters may have changed.
@@ -120,8 +137,9 @@ fn typical(id: ParamId) -> f64 {
 /// What lengths say of changes.
 #[derive(Clone, Debug)]
 pub struct Innovation {
+    changeable: Vec<ParamId>,
     candidates: Vec<Candidate>,
-    /// Effect of the candidates' parameters, a column each, in units of the noise,
+    /// Effect of each changeable parameter, a column each, in units of the noise,
     effects: DMatrix<f64>,
     /// and the innovation in the same coordinates,
     seen: DVector<f64>,
@@ -132,7 +150,7 @@ pub struct Innovation {
     null: Vec<f64>,
 }
 
-/// A change that is thinkable: a parameter, or the coordinates of the tool ball.
+/// A change that is thinkable: a parameter, or the coordinates of the tool ball or of a base ball.
 #[derive(Clone, Debug, PartialEq)]
 struct Candidate {
     parameters: Vec<ParamId>,
@@ -175,8 +193,21 @@ pub struct ChangeTest {
 pub struct Detectable {
     pub name: ParamId,
     pub unit: Unit,
-    /// `None` where no change of ten times the usual is found.
+    /// mm or rad; `None` where no change of ten times the usual is found.
     pub smallest: Option<f64>,
+}
+
+/// What a check by planned poses will find. `least_tolerance_mm`: the smallest tolerance of the position error of 95 % of
+/// the poses with which lengths that agree with the calibrated robot pass.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct CheckPower {
+    pub lengths: usize,
+    pub sigma_mm: f64,
+    pub false_alarm: f64,
+    pub power: f64,
+    pub detectable: Vec<Detectable>,
+    pub tolerance_mm: Option<f64>,
+    pub least_tolerance_mm: f64,
 }
 
 /// Changes beyond so many typical ones are not looked for.
@@ -205,9 +236,7 @@ impl Innovation {
         let freedom = readings.len().checked_sub(expected.free.len()).filter(|freedom| *freedom > 0)?;
         let root = expected.posterior.root();
         let ids = expected.posterior.ids();
-        let changeable: Vec<usize> = (0..ids.len())
-            .filter(|at| !matches!(ids[*at], ParamId::Ball(..)) && !ids[*at].is_optional())
-            .collect();
+        let changeable: Vec<usize> = expected.changeable().collect();
         let sigma = vec![sigma_mm; readings.len()];
         let mut system = LinearSystem::at(&learnt.found.model, &(readings, sigma.as_slice()), ids);
         let (factor, rhs) = (system.factor(), system.rhs());
@@ -233,7 +262,7 @@ impl Innovation {
             return None;
         }
         let candidates = candidates(&changeable, &effects);
-        let mut innovation = Self { candidates, effects, seen, rest, freedom, null: Vec::new() };
+        let mut innovation = Self { changeable, candidates, effects, seen, rest, freedom, null: Vec::new() };
         innovation.null = innovation.drawn();
         Some(innovation)
     }
@@ -319,18 +348,37 @@ impl Innovation {
 
     /// The smallest change of each parameter that the test finds with the stated power.
     pub fn detectable(&self) -> Vec<Detectable> {
-        let null = &self.null;
-        let level = null[((FALSE_ALARM * DRAWS as f64) as usize).min(null.len() - 1)];
-        let needed = noncentrality(chi_square_exceeded(level, 1.0), 1.0, POWER).sqrt();
-        let single = self.candidates.iter().filter(|candidate| candidate.parameters.len() == 1);
-        single
-            .map(|candidate| {
-                let name = candidate.parameters[0];
-                let smallest = needed / self.effects.column(candidate.columns[0]).norm();
-                let smallest = Some(smallest).filter(|found| *found <= LARGEST * typical(name));
-                Detectable { name, unit: name.unit(), smallest }
-            })
-            .collect()
+        let needed =
+            [1.0, 2.0, 3.0].map(|freedom| noncentrality(self.exceeded(freedom), freedom, POWER).sqrt());
+        let smallest = |(column, name): (usize, &ParamId)| {
+            let candidate = self.candidates.iter().find(|candidate| candidate.columns.contains(&column));
+            let smallest =
+                candidate.map(|found| needed[found.columns.len() - 1] / self.effects.column(column).norm());
+            let smallest = smallest.filter(|found| *found <= LARGEST * typical(*name));
+            Detectable { name: *name, unit: name.unit(), smallest }
+        };
+        self.changeable.iter().enumerate().map(smallest).collect()
+    }
+
+    /// Probability with which the test along a change of these parameters finds it (mm, rad); `None` of one that is not
+    /// looked for. The whole test finds it at least as often.
+    pub fn power(&self, change: &[(ParamId, f64)]) -> Option<f64> {
+        let column = |id: &ParamId| self.changeable.iter().position(|other| other == id);
+        let columns: Vec<usize> = change.iter().map(|(id, _)| column(id)).collect::<Option<_>>()?;
+        let candidate = self
+            .candidates
+            .iter()
+            .find(|found| columns.iter().all(|column| found.columns.contains(column)))?;
+        let sizes = DVector::from_iterator(change.len(), change.iter().map(|(_, size)| *size));
+        let effect = (self.effects.select_columns(&columns) * sizes).norm_squared();
+        let freedom = candidate.columns.len() as f64;
+        Some(noncentral_tail(self.exceeded(freedom), freedom, effect))
+    }
+
+    /// The chi-square of a part of the innovation beyond which a change is reported.
+    fn exceeded(&self, freedom: f64) -> f64 {
+        let level = self.null[((FALSE_ALARM * DRAWS as f64) as usize).min(self.null.len() - 1)];
+        chi_square_exceeded(level, freedom)
     }
 
     /// The hypotheses by their probability, likeliest first: nothing, one change, two.
@@ -417,20 +465,31 @@ impl Innovation {
 /// Hypotheses below this probability are not listed.
 const LEAST_PROBABLE: f64 = 1e-3;
 
-/// Single parameters, and the tool ball as a whole, of which a change of the usual size can be seen in the lengths.
+/// Single parameters, and balls as a whole, of which a change of the usual size can be seen in the lengths.
 fn candidates(changeable: &[ParamId], effects: &DMatrix<f64>) -> Vec<Candidate> {
-    let visible = |column: usize| effects.column(column).norm() * typical(changeable[column]) > 1.0;
-    let is_tool = |id: ParamId| matches!(id, ParamId::Tool(_));
-    let own = (0..changeable.len()).filter(|at| !is_tool(changeable[*at]) && visible(*at));
-    let mut found: Vec<Candidate> =
-        own.map(|at| Candidate { parameters: vec![changeable[at]], columns: vec![at] }).collect();
-    let tool: Vec<usize> =
-        (0..changeable.len()).filter(|at| is_tool(changeable[*at]) && visible(*at)).collect();
-    if !tool.is_empty() {
-        let parameters = tool.iter().map(|at| changeable[*at]).collect();
-        found.push(Candidate { parameters, columns: tool });
+    let visible = |column: &usize| effects.column(*column).norm() * typical(changeable[*column]) > 1.0;
+    let mut found: Vec<Candidate> = Vec::new();
+    for column in (0..changeable.len()).filter(visible) {
+        let id = changeable[column];
+        let same = |candidate: &&mut Candidate| is_one_body(candidate.parameters[0], id);
+        match found.iter_mut().find(same) {
+            Some(body) => {
+                body.parameters.push(id);
+                body.columns.push(column);
+            }
+            None => found.push(Candidate { parameters: vec![id], columns: vec![column] }),
+        }
     }
     found
+}
+
+/// Whether both are coordinates of the same ball.
+fn is_one_body(one: ParamId, other: ParamId) -> bool {
+    match (one, other) {
+        (ParamId::Tool(_), ParamId::Tool(_)) => true,
+        (ParamId::Ball(one, _), ParamId::Ball(other, _)) => one == other,
+        _ => false,
+    }
 }
 
 /// An orthonormal basis of the columns.

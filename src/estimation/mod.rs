@@ -9,6 +9,7 @@
 
 mod calibration;
 pub mod change;
+mod distance;
 mod estimate;
 mod evidence;
 mod findings;
@@ -48,6 +49,7 @@ mod validation;
 pub mod wording;
 
 pub use calibration::{AngleSource, Calibration, Input};
+pub use distance::DistanceQuantities;
 pub use joint_curve::{JointPoint, joint_curve};
 pub use joint_fit::{GroupEvidence, JointSummary};
 pub use left_out::left_out_mm;

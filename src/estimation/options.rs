@@ -44,7 +44,7 @@ const WORKSPACE_SEED: u64 = 1;
 
 impl Options {
     /// The axis angles (rad) over which a 3-D error is predicted.
-    pub(crate) fn workspace_poses(&self, robot: &Robot) -> Cow<'_, [[f64; AXES]]> {
+    pub fn workspace_poses(&self, robot: &Robot) -> Cow<'_, [[f64; AXES]]> {
         match &self.workspace {
             Some(poses) => Cow::Borrowed(poses),
             None => Cow::Owned(Workspace::uniform(robot, WORKSPACE_POSES, WORKSPACE_SEED)),

@@ -91,14 +91,18 @@ impl Posterior {
     /// The derivative of the length from a base ball at `axes` (rad) in the coordinates of the root, mm: its norm is the
     /// length's standard deviation.
     pub fn design_row(&self, axes: &[f64; AXES], ball: BallId) -> DVector<f64> {
-        let Some(place) = self.model.balls.get(ball.index()) else {
-            return DVector::zeros(self.root.ncols());
-        };
+        self.root.tr_mul(&self.derivative(axes, ball))
+    }
+
+    /// The derivative of the length from a base ball at `axes` (rad) by the parameters; of no ball, zero.
+    pub fn derivative(&self, axes: &[f64; AXES], ball: BallId) -> DVector<f64> {
         let mut picked = DVector::zeros(self.ids.len());
-        let mut row = self.model.geometry.length_row(axes, place, 0.0);
-        row.ball = ball;
-        self.selection.pick(&row, picked.as_mut_slice());
-        self.root.tr_mul(&picked)
+        if let Some(place) = self.model.balls.get(ball.index()) {
+            let mut row = self.model.geometry.length_row(axes, place, 0.0);
+            row.ball = ball;
+            self.selection.pick(&row, picked.as_mut_slice());
+        }
+        picked
     }
 
     /// With a base ball touched by the tool ball at `axes` (rad) to `sd_mm`: the ball is then wrong as the robot is wrong
@@ -120,8 +124,8 @@ impl Posterior {
                     there += self.root.row(parameter) * row.derivative(*id);
                 }
             }
-            // Unmeasured, the ball has had this coordinate to itself.
-            there[at] += sd_mm;
+            // Unmeasured, the ball has had this coordinate of the root to itself.
+            there[self.root.row(at).iamax_full().1] += sd_mm;
             touched.root.set_row(at, &there);
         }
         touched

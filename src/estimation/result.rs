@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::joint_fit::JointSummary;
 use super::priors::Prior;
-use super::{Combination, Correlation, ErrorSummary, Observability, Posterior};
+use super::{Combination, Correlation, DistanceQuantities, ErrorSummary, Observability, Posterior};
 use crate::catalogue::EstimationFinding;
 use crate::diagnostic::{Diagnostic, Severity};
 use crate::measurement::{LengthModel, Measurement, PreparedMeasurement};
@@ -39,6 +39,8 @@ pub struct CalibrationResult {
     pub folds: Option<Folds>,
     /// Residuals of separate lengths.
     pub validation: Option<BeforeAfter>,
+    /// Where poses were visited more than once.
+    pub distance: Option<DistanceQuantities>,
     pub predicted: PredictedPair,
     /// Position uncertainty of the identified robot over the workspace.
     pub map: Vec<MapPoint>,

@@ -8,7 +8,9 @@ use super::result::{
     BeforeAfter, CalibrationResult, Folds, FurtherMeasurement, JointEffect, MonteCarlo, Outlier,
     ParameterDraws, PredictedPair, PriorUsed, Recommendation, SigmaSource, StartRobot, Status,
 };
-use super::{Combination, Correlation, GroupEvidence, JointSummary, Observability, result};
+use super::{
+    Combination, Correlation, DistanceQuantities, GroupEvidence, JointSummary, Observability, result,
+};
 use crate::diagnostic::{Diagnostic, Severity};
 
 /// The whole result; lengths in mm, angles in rad.
@@ -37,6 +39,8 @@ pub struct ResultFile {
     pub residual_mm: BeforeAfter,
     pub folds: Option<Folds>,
     pub validation: Option<BeforeAfter>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub distance: Option<DistanceQuantities>,
     pub predicted_position_error_mm: PredictedPair,
     pub parameters: Vec<ParameterResult>,
     pub dependent: Vec<Dependent>,
@@ -154,6 +158,7 @@ impl From<&CalibrationResult> for ResultFile {
             residual_mm: result.residual_mm,
             folds: result.folds,
             validation: result.validation,
+            distance: result.distance.clone(),
             predicted_position_error_mm: result.predicted,
             parameters: result.parameters.iter().map(ParameterResult::from).collect(),
             dependent: result.combinations.iter().map(Dependent::from).collect(),

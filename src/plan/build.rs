@@ -146,6 +146,7 @@ impl Plan {
             taught,
             stroke_risk,
             predictions: None,
+            check: None,
             job,
         };
         let mut plan = Self { rows, header };

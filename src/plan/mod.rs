@@ -34,6 +34,7 @@ use serde::de::IgnoredAny;
 use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::catalogue::PlanFinding;
+use crate::estimation::change::CheckPower;
 pub use crate::measurement::Kind;
 use crate::provenance::Provenance;
 pub use circle::REFERENCE_EVERY;
@@ -93,6 +94,9 @@ pub struct Header {
     /// What the plan will determine; for people, not read back.
     #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "not_read")]
     pub predictions: Option<Prediction>,
+    /// What the check of a calibrated robot by this plan will find; for people, not read back.
+    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "not_read")]
+    pub check: Option<CheckPower>,
 }
 
 /// Findings with code, text and values.

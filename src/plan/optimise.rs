@@ -4,7 +4,7 @@ use std::f64::consts::{FRAC_PI_2, PI};
 
 use super::PlanningPrior;
 use super::cell::{Cell, Reach};
-use super::job::{self, CentreTable, Job, Optimise};
+use super::job::{CentreTable, Job, Optimise};
 use super::module::module;
 use super::prior::{length_sigma_mm, touching};
 use super::refusal::Refusal;
@@ -13,7 +13,7 @@ use super::stage::Stage;
 use super::steps::{Step, Walk, least_marker};
 use super::workspace::workspace;
 use crate::catalogue::{JobFinding, PlanFinding};
-use crate::design::{Candidate, Criterion, Exchange, Near, design_rows, workspace_rows};
+use crate::design::{Candidate, Criterion, Exchange, Near, change_rows, design_rows, workspace_rows};
 use crate::diagnostic::Diagnostic;
 use crate::estimation::Posterior;
 use crate::math::distributions::normal_deviate;
@@ -316,14 +316,20 @@ impl<'a> Chooser<'a> {
         for about in &survey.abouts {
             pool.extend(about.others().cloned());
         }
-        let criterion = match self.job.optimise.as_ref().map(|optimise| optimise.criterion) {
-            Some(job::Criterion::D) => Criterion::D,
-            Some(job::Criterion::I) | None => Criterion::I,
-        };
+        let criterion = self.job.optimise.as_ref().map(|optimise| optimise.criterion).unwrap_or_default();
         let unknown = self.unknown()?;
-        let rows = design_rows(&unknown, &pool, length_sigma_mm(self.job, self.rig.controller));
-        let moved = workspace_rows(&unknown, &workspace(self.job, self.rig.controller, POSES));
-        let mut exchange = Exchange::new(&rows, &moved);
+        let sigma_mm = length_sigma_mm(self.job, self.rig.controller);
+        let rows = design_rows(&unknown, &pool, sigma_mm);
+        let mut exchange = match (criterion, &self.prior.calibrated) {
+            (Criterion::Change, None) => return Err(PlanFinding::NotCalibrated.into()),
+            (Criterion::Change, Some(expected)) => {
+                Exchange::for_changes(&rows, change_rows(expected, &pool, sigma_mm))
+            }
+            (Criterion::D | Criterion::I, _) => {
+                let poses = workspace(self.job, self.rig.controller, POSES);
+                Exchange::new(&rows, &workspace_rows(&unknown, &poses))
+            }
+        };
         let chosen = exchange.choose(survey.count(), criterion);
         Ok(chosen.iter().filter_map(|&at| pool.get(at).cloned()).collect())
     }

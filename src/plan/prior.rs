@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{Job, Plan};
 use crate::catalogue::{JobFinding, PlanFinding};
+use crate::estimation::change::Expected;
 use crate::estimation::{Posterior, Priors, length_sd_mm};
 use crate::measurement::{LengthModel, PreparedMeasurement};
 use crate::robot::inverse::nearest;
@@ -27,6 +28,8 @@ pub struct PlanningPrior {
     located: Vec<bool>,
     /// For each base ball whether the job says how it was taught.
     taught: Vec<bool>,
+    /// A calibrated robot in a new set-up, where its check is planned.
+    pub(crate) calibrated: Option<Expected>,
 }
 
 /// How a base ball is to be taught.
@@ -49,7 +52,17 @@ impl PlanningPrior {
 
     /// Before anything is measured: the robot's tolerance, the bar's certificate, the balls that were taught.
     pub fn datasheet(job: &Job, robot: &Robot) -> Self {
-        let mut posterior = Self::of_maker(job, robot);
+        Self::with_taught(job, robot, Self::of_maker(job, robot))
+    }
+
+    /// Before its check: what the calibration left unknown and what mounting changes, the balls that were taught.
+    pub fn of_check(job: &Job, robot: &Robot, expected: Expected) -> Self {
+        let known = Self::with_taught(job, robot, expected.posterior().clone());
+        Self { calibrated: Some(expected), ..known }
+    }
+
+    /// With the balls that were taught.
+    fn with_taught(job: &Job, robot: &Robot, mut posterior: Posterior) -> Self {
         let sd_mm = length_sigma_mm(job, robot.controller());
         for (at, table) in job.centres.iter().enumerate() {
             if let Some(taught) = table.taught_deg {
@@ -57,7 +70,7 @@ impl PlanningPrior {
             }
         }
         let taught: Vec<bool> = job.centres.iter().map(|table| table.taught_deg.is_some()).collect();
-        Self { posterior, lengths: 0, located: taught.clone(), taught }
+        Self { posterior, lengths: 0, located: taught.clone(), taught, calibrated: None }
     }
 
     /// After lengths: the likeliest robot (with the given one as its nominal) and base balls, and their covariance.
@@ -77,7 +90,7 @@ impl PlanningPrior {
         for reading in readings {
             *located.get_mut(reading.ball.index()).ok_or(PlanFinding::NoFiniteRobot)? = true;
         }
-        Ok(Self { posterior, lengths: readings.len(), located, taught: before.taught })
+        Ok(Self { posterior, lengths: readings.len(), located, ..before })
     }
 
     /// The job and the robot as they are now known: base balls and geometry moved to the likeliest.

@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::job::{Job, Optimise};
+use crate::design::Criterion;
 
 /// Up to this share of the poses may be barred without a stage: of a robot of which nothing was measured yet, and later.
 const FEW_AT_FIRST: f64 = 1.0 / 3.0;
@@ -40,7 +41,18 @@ impl Job {
     #[must_use]
     pub fn as_stage(&self, points: u32) -> Self {
         let before = self.optimise.clone().unwrap_or(Optimise { points, ..Optimise::default() });
-        let optimise = Some(Optimise { stage_points: points, ..before });
-        Self { circles: Vec::new(), optimise, ..self.clone() }
+        self.with_poses(Optimise { stage_points: points, ..before })
+    }
+
+    /// The job with `points` poses about its base balls that see most of a change, in place of its circles.
+    #[must_use]
+    pub fn as_check(&self, points: u32) -> Self {
+        let before = self.optimise.clone().unwrap_or_default();
+        let criterion = Criterion::Change;
+        self.with_poses(Optimise { points, criterion, parameters: None, stage_points: points, ..before })
+    }
+
+    fn with_poses(&self, optimise: Optimise) -> Self {
+        Self { circles: Vec::new(), optimise: Some(optimise), ..self.clone() }
     }
 }

@@ -35,6 +35,8 @@ pub enum Role {
     BaseBalls,
     Prior,
     Result,
+    Check,
+    Comparison,
 }
 
 impl fmt::Display for Role {
@@ -50,6 +52,8 @@ impl fmt::Display for Role {
             Self::BaseBalls => "base balls",
             Self::Prior => "prior",
             Self::Result => "result",
+            Self::Check => "check",
+            Self::Comparison => "comparison",
         })
     }
 }

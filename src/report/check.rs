@@ -7,6 +7,7 @@ use super::plot::HeatMap;
 use super::scale::Unit;
 use crate::conformity::InterimCheck;
 use crate::diagnostic::Diagnostic;
+use crate::estimation::DistanceQuantities;
 use crate::estimation::change::{Detectable, Hypothesis};
 use crate::provenance::Provenance;
 use crate::robot::parameter;
@@ -18,6 +19,7 @@ struct Page<'a> {
     detectable: Vec<Smallest>,
     maps: Vec<String>,
     findings: Vec<Diagnostic>,
+    distance: Option<&'a DistanceQuantities>,
     provenance: &'a Provenance,
 }
 
@@ -40,7 +42,7 @@ struct Part {
 }
 
 #[derive(Serialize)]
-struct Smallest {
+pub(super) struct Smallest {
     name: String,
     unit: &'static str,
     smallest: Option<f64>,
@@ -50,16 +52,21 @@ struct Smallest {
 ///
 /// # Errors
 /// Only a fault of the template itself.
-pub fn html(check: &InterimCheck, provenance: &Provenance) -> Result<String, Diagnostic> {
+pub fn html(
+    check: &InterimCheck,
+    distance: Option<&DistanceQuantities>,
+    provenance: &Provenance,
+) -> Result<String, Diagnostic> {
     let page = Page {
         check,
         hypotheses: check.changes.iter().map(row).collect(),
-        detectable: check.detectable.iter().map(smallest).collect(),
+        detectable: smallest_changes(&check.detectable),
         maps: HeatMap::of_positions("Position error of the robot file now", &check.map)
             .iter()
             .map(HeatMap::to_svg)
             .collect(),
         findings: findings(&check.findings),
+        distance,
         provenance,
     };
     render("check.html", include_str!("check.html"), &page)
@@ -90,7 +97,15 @@ fn row(hypothesis: &Hypothesis) -> Row {
     }
 }
 
-fn smallest(found: &Detectable) -> Smallest {
-    let Unit { sign, factor } = unit(found.unit);
-    Smallest { name: found.name.to_string(), unit: sign, smallest: found.smallest.map(|size| size * factor) }
+/// In units for people.
+pub(super) fn smallest_changes(detectable: &[Detectable]) -> Vec<Smallest> {
+    let smallest = |found: &Detectable| {
+        let Unit { sign, factor } = unit(found.unit);
+        Smallest {
+            name: found.name.to_string(),
+            unit: sign,
+            smallest: found.smallest.map(|size| size * factor),
+        }
+    };
+    detectable.iter().map(smallest).collect()
 }

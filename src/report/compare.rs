@@ -96,11 +96,6 @@ impl Time<'_> {
         }
     }
 
-    /// A trend needs a third value.
-    fn has_trend(&self) -> bool {
-        self.timeline.times.len() > 2
-    }
-
     /// The values less `origin`, with their line where the trend is significant.
     fn plot<N: Display>(&self, tracked: &Tracked<N>, origin: f64, words: PlotWords<'_>) -> String {
         let places = self.timeline.times.iter().zip(&tracked.values);
@@ -156,7 +151,7 @@ impl Page<'_> {
         self.changed = changed.iter().map(|found| found.name.to_string()).collect();
         let maps = HeatMap::of_positions("Change of position", &results.position_change_mm.map);
         self.maps = maps.iter().map(HeatMap::to_svg).collect();
-        if time.has_trend() {
+        if time.timeline.has_trend() {
             let moving = own.iter().filter(|found| found.trend.is_some_and(|trend| trend.significant));
             let plot = |found: &Tracked<ParamId>| {
                 let first = found.values.first().map_or(0.0, |value| value.value);
@@ -174,7 +169,7 @@ impl Page<'_> {
         let changed = quantities.iter().filter(|found| found.change.significant);
         self.changed.extend(changed.map(|found| format!("{} ({title})", found.name)));
         self.overlays.extend(overlays(&title, circle));
-        if time.has_trend() {
+        if time.timeline.has_trend() {
             let plots = quantities.iter().map(|found| {
                 let limit = tolerance_mm.filter(|_| ["Gb", "G_lsc"].contains(&found.name));
                 let title = format!("{title}, {}", found.name);
@@ -224,7 +219,6 @@ fn table<N: Display>(title: &str, family: &[&Tracked<N>], time: &Time<'_>) -> Op
     let first = family.first()?;
     let unit = unit_of(first.unit);
     let smallest = family.iter().map(|found| found.change.sd * unit.factor).fold(f64::INFINITY, f64::min);
-    let trend = |found: &Tracked<N>| found.trend.filter(|_| time.has_trend());
     let row = |found: &&Tracked<N>| Row {
         name: found.name.to_string(),
         values: found.values.iter().map(|value| value.value * unit.factor).collect(),
@@ -232,8 +226,8 @@ fn table<N: Display>(title: &str, family: &[&Tracked<N>], time: &Time<'_>) -> Op
         u95: COVERAGE * found.change.sd * unit.factor,
         p_holm: found.change.p_holm,
         significant: found.change.significant,
-        slope: trend(found).map(|trend| trend.line.slope * unit.factor),
-        slope_u95: trend(found).map(|trend| COVERAGE * trend.line.slope_sd * unit.factor),
+        slope: found.trend.map(|trend| trend.line.slope * unit.factor),
+        slope_u95: found.trend.map(|trend| COVERAGE * trend.line.slope_sd * unit.factor),
     };
     let interval = |found: &&Tracked<N>| Interval {
         name: found.name.to_string(),
@@ -253,6 +247,6 @@ fn table<N: Display>(title: &str, family: &[&Tracked<N>], time: &Time<'_>) -> Op
         decimals: (decimals(smallest) + 1).min(6),
         rows: family.iter().map(row).collect(),
         chart: chart.to_svg(),
-        with_trend: time.has_trend(),
+        with_trend: time.timeline.has_trend(),
     })
 }

@@ -3,6 +3,7 @@
 use nalgebra::Matrix6;
 use serde::Serialize;
 
+use super::check::{Smallest, smallest_changes};
 use super::page::render;
 use super::plot::{HeatMap, NARROW, Projection, Trace, View, WIDE};
 use super::scale::plain;
@@ -26,6 +27,7 @@ struct Page<'a> {
     duration_min: f64,
     checks: Vec<CheckLine>,
     figures: Figures,
+    detectable: Vec<Smallest>,
     provenance: &'a Provenance,
 }
 
@@ -65,6 +67,7 @@ pub fn html(plan: &Plan, robot: &Robot, map: &[MapPoint]) -> Result<String, Diag
         duration_min: plan.duration_s() / 60.0,
         checks: plan.header.checks.iter().map(check).collect(),
         figures: figures(plan, robot, map),
+        detectable: plan.header.check.iter().flat_map(|power| smallest_changes(&power.detectable)).collect(),
         provenance: &plan.header.provenance,
     };
     render("plan.html", include_str!("plan.html"), &page)

@@ -105,6 +105,7 @@ pub(crate) fn plan(circles: u32, points: u32) -> Plan {
         stage: None,
         stroke_risk: 0.0,
         predictions: None,
+        check: None,
     };
     Plan { rows: builder.rows, header }
 }

@@ -102,3 +102,55 @@ fn draw_wire_lengths_of_clustered_poses() {
     assert!(robots_own.clone().all(|p| p.correction.abs() < 3.0), "{:?}", robots_own.collect::<Vec<_>>());
     assert!(result.parameters.iter().any(|p| p.status == Status::PoorlyObservable));
 }
+
+/// A third of the poses is the check of a calibration by the others: it passes, and finds a joint whose angles are off.
+#[test]
+fn a_check_of_the_real_robot_passes_and_names_a_joint_that_moved() {
+    let Some(data) = data("kr60/three_balls.csv") else { return };
+    let dir = tempdir().unwrap();
+    let at = dir.path();
+    fs::write(at.join("C.csv"), TAPED).unwrap();
+    let text = fs::read_to_string(data).unwrap();
+    let (header, rows) = text.split_once('\n').unwrap();
+    let pose = |row: &str| row.split(',').skip(2).take(6).map(str::to_owned).collect::<Vec<_>>();
+    let mut poses: Vec<Vec<String>> = Vec::new();
+    let (mut calibration, mut check, mut moved) = (header.to_owned(), header.to_owned(), header.to_owned());
+    for row in rows.lines() {
+        let known = poses.iter().position(|known| *known == pose(row));
+        let number = known.unwrap_or_else(|| {
+            poses.push(pose(row));
+            poses.len() - 1
+        });
+        if number % 3 != 0 {
+            calibration += &format!("\n{row}");
+            continue;
+        }
+        check += &format!("\n{row}");
+        let mut cells: Vec<String> = row.split(',').map(str::to_owned).collect();
+        cells[4] = (cells[4].parse::<f64>().unwrap() + 0.02).to_string();
+        moved += &format!("\n{}", cells.join(","));
+    }
+    for (name, text) in [("calibration.csv", &calibration), ("check.csv", &check), ("moved.csv", &moved)] {
+        fs::write(at.join(name), text).unwrap();
+    }
+    identify(
+        at,
+        &at.join("calibration.csv"),
+        &["--robot", "kr60ha", "--tool", "0,0,104", "--prior", "datasheet"],
+    );
+    let run = |lengths: &str| {
+        let robot = ["check", lengths, "--robot", "out/robot-identified.toml", "--centres", "C.csv"];
+        let output = dbbd(at, &[&robot[..], &["--out", "check", "--bar-u", "0.001"]].concat());
+        let found: serde_json::Value =
+            serde_json::from_str(&fs::read_to_string(at.join("check/check.json")).unwrap()).unwrap();
+        (output.status.code(), found)
+    };
+    let (code, found) = run("check.csv");
+    assert_eq!(code, Some(0), "{found}");
+    let (code, found) = run("moved.csv");
+    let likeliest = &found["changes"][0];
+    assert_eq!((code, &likeliest["parameters"][0]), (Some(4), &"theta3".into()), "{found}");
+    // The controller's angles are 0.02 degrees too large: the offset is that much smaller.
+    let [change, sd] = ["change", "sd"].map(|key| likeliest[key][0].as_f64().unwrap().to_degrees());
+    assert!((change + 0.02).abs() < 3.0 * sd && sd < 0.01, "{change} {sd}");
+}

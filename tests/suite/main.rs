@@ -20,6 +20,7 @@ mod capture_survives_damage;
 mod captures_are_joined;
 mod cell;
 mod changes_are_found;
+mod check_campaigns;
 mod circle_plan;
 mod circular_cases;
 mod circular_intervals;

@@ -225,6 +225,7 @@ proptest! {
         };
         let header = dbbd::plan::Header {
             schema: 1, hash: String::new(), job, robot: "text".into(), provenance: Provenance::default(), moves: vec![time], passes: Vec::new(), checks: Vec::new(), notes: Vec::new(), taught: Vec::new(), stage: None, stroke_risk: 0.0, predictions: None,
+        check: None,
         };
         let (csv, json) = Plan { rows: vec![row.clone()], header }.to_files().unwrap();
         let read = Plan::from_files("plan.csv", &csv, "plan.json", &json).unwrap();

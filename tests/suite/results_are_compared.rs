@@ -91,6 +91,9 @@ fn nothing_is_named_where_nothing_changed_and_inputs_are_checked() {
     let none =
         |family: &Value| family.as_array().unwrap().iter().all(|p| p["change"]["significant"] == false);
     assert!(none(&found["parameters"]) && none(&found["set_up"]));
+    // Two values are a difference, not a trend.
+    assert!(found["parameters"].as_array().unwrap().iter().all(|p| p["trend"].is_null()));
+    assert_eq!(found["provenance"]["from"].as_array().unwrap().last().unwrap()["name"], "result.json");
     assert!(number(&found["position_change_mm"]["whole"]["mean"]) < 0.1);
     let text = fs::read_to_string(at.join("r1/result.json")).unwrap();
     let edited = |name: &str, edit: &dyn Fn(&mut Value)| {

@@ -43,7 +43,7 @@ pub(super) fn read_prior(table: &mut Table<'_>, set_up: SetUp) -> Result<BTreeMa
 }
 
 /// A table with the columns a1_deg..a6_deg, more may stand beside them.
-pub(super) fn read_workspace(table: &mut Table<'_>) -> Result<Vec<[f64; AXES]>, Diagnostic> {
+pub(crate) fn read_workspace(table: &mut Table<'_>) -> Result<Vec<[f64; AXES]>, Diagnostic> {
     Ok(Measurements::poses_from_table(table)?.iter().map(|pose| pose.axes.radians()).collect())
 }
 

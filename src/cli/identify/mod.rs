@@ -25,7 +25,8 @@ pub(crate) use tables::LENGTHS;
 use given::check_lengths;
 pub(crate) use given::{Given, Named};
 pub(crate) use inputs::parse_point;
-use inputs::{read_prior, read_workspace};
+use inputs::read_prior;
+pub(crate) use inputs::read_workspace;
 
 /// How often a capture is aligned anew with what was identified.
 const ALIGNMENTS: usize = 5;

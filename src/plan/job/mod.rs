@@ -8,6 +8,7 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
+use crate::design::Criterion;
 use crate::diagnostic::Diagnostic;
 use crate::provenance::{Artefact, BarIdentity, Identity, Provenance, Role, Traced};
 use crate::robot::AXES;
@@ -220,16 +221,6 @@ fn default_candidates() -> u32 {
 
 fn default_stage_points() -> u32 {
     20
-}
-
-/// What chosen poses make least.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Criterion {
-    /// The volume of what is left unknown of the parameters.
-    D,
-    /// The 3-D error over the workspace.
-    #[default]
-    I,
 }
 
 /// The tool: its cup, and how thick it and the arm are.

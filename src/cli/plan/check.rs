@@ -1,0 +1,112 @@
+//! `dbbd plan --check`: a short programme that sees changes of a calibrated robot.
+
+use super::{Args, Known};
+use crate::catalogue::ConformityFinding;
+use crate::cli::Output;
+use crate::cli::check::{Noise, TOOL_REPEAT_MM};
+use crate::conformity::{CheckInput, Rule};
+use crate::diagnostic::Diagnostic;
+use crate::estimation::change::{CheckPower, Mounting};
+use crate::estimation::result::MapPoint;
+use crate::estimation::{Options, Priors, length_sd_mm};
+use crate::measurement::{LengthModel, PreparedMeasurement};
+use crate::plan::{Job, Kind, Plan, PlanRow, PlanningPrior};
+use crate::robot::{AXES, BarId, ParamId, Robot, Unit};
+
+/// The check that is planned, but for its poses.
+pub(super) struct PlannedCheck<'a> {
+    file: &'a str,
+    poses: u32,
+    robot: Robot,
+    start: LengthModel,
+    sigma_mm: f64,
+    mounting: Mounting,
+    tolerance_mm: Option<f64>,
+    rule: Rule,
+    workspace: Vec<[f64; AXES]>,
+}
+
+impl<'a> PlannedCheck<'a> {
+    pub(super) fn new(args: &'a Args, job: &Job, robot: &Robot, out: &Output) -> Result<Self, Diagnostic> {
+        let file = args.robot.as_deref().unwrap_or_default();
+        let noise = Noise::at_least(Some(length_sd_mm(job.bar.sigma_um * 1e-3, robot)), file, robot)?;
+        out.about(&noise.finding.into_iter().collect::<Vec<_>>());
+        // A certificate states two standard deviations.
+        let priors = Priors::datasheet(robot, job.bar.length_u_mm.map(|u| 0.5 * u));
+        let bar_mm = priors.sd(ParamId::BarOffset(BarId::FIRST));
+        Ok(Self {
+            file,
+            poses: args.poses,
+            robot: robot.clone(),
+            start: LengthModel::new(robot.geometry.clone(), &job.balls()),
+            sigma_mm: noise.sigma_mm,
+            mounting: Mounting { tool_mm: TOOL_REPEAT_MM, ball_mm: None, bar_mm },
+            tolerance_mm: args.tolerance,
+            rule: Rule::GuardBand { risk: args.risk },
+            workspace: Options::default().workspace_poses(robot).into_owned(),
+        })
+    }
+
+    fn input<'b>(&'b self, readings: &'b [PreparedMeasurement]) -> CheckInput<'b> {
+        CheckInput {
+            robot: &self.robot,
+            start: &self.start,
+            readings,
+            bars: 1,
+            sigma_mm: self.sigma_mm,
+            mounting: self.mounting,
+            tolerance_mm: self.tolerance_mm,
+            rule: self.rule,
+            workspace: &self.workspace,
+        }
+    }
+
+    /// Job, robot and what is known of it.
+    pub(super) fn known(&self, job: &Job) -> Result<Known, Diagnostic> {
+        let expected = self.input(&[]).expected().map_err(|finding| Diagnostic::file(self.file, finding))?;
+        let prior = PlanningPrior::of_check(job, &self.robot, expected);
+        Ok(Known { job: job.as_check(self.poses), robot: self.robot.clone(), prior })
+    }
+
+    /// What the check will find, into the header; no map of the error that is left.
+    pub(super) fn predict(&self, plan: &mut Plan, out: &Output) -> Result<Vec<MapPoint>, Diagnostic> {
+        let dwells = plan.rows.iter().filter(|row| row.kind != Kind::Transit);
+        let readings: Vec<PreparedMeasurement> = dwells.map(PlanRow::reading).collect();
+        let power = self.input(&readings).power()?;
+        let best_mm = power.least_tolerance_mm;
+        if let Some(tolerance_mm) = power.tolerance_mm.filter(|tolerance| *tolerance < best_mm) {
+            out.finding(ConformityFinding::Undecidable { tolerance_mm, best_mm });
+        }
+        plan.header.check = Some(power);
+        Ok(Vec::new())
+    }
+}
+
+/// What a check will find, in a few lines.
+pub(super) fn lines(power: &CheckPower) -> Vec<String> {
+    let smallest = |angles: bool| {
+        let found = power.detectable.iter().filter(|found| (found.unit == Unit::Rad) == angles);
+        let found = found.filter_map(|found| {
+            let size = found.smallest?;
+            Some(if angles {
+                format!("{} {:.4} deg", found.name, size.to_degrees())
+            } else {
+                format!("{} {size:.3} mm", found.name)
+            })
+        });
+        found.collect::<Vec<String>>().join(", ")
+    };
+    vec![
+        format!(
+            "smallest changes found with {:.0} % probability at {:.0} % of false alarms:",
+            100.0 * power.power,
+            100.0 * power.false_alarm
+        ),
+        format!("  {}", smallest(true)),
+        format!("  {}", smallest(false)),
+        format!(
+            "smallest tolerance of the position error that it decides: {:.3} mm",
+            power.least_tolerance_mm
+        ),
+    ]
+}
