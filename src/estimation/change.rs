@@ -85,13 +85,11 @@ impl Expected {
         Self { posterior: Posterior::with_root(known.model.clone(), &ids, root), free }
     }
 
-    /// The parameters whose change is looked for, by their places among those of the posterior: not a ball that may be
-    /// anywhere, nor what no check determines.
+    /// The parameters whose change is looked for, by their places among those of the posterior: not the base balls, nor
+    /// what no check determines.
     fn changeable(&self) -> impl Iterator<Item = usize> {
-        let bound = self.free.is_empty();
         let ids = self.posterior.ids().iter().enumerate();
-        ids.filter(move |(_, id)| !id.is_optional() && (bound || !matches!(id, ParamId::Ball(..))))
-            .map(|(at, _)| at)
+        ids.filter(|(_, id)| !id.is_optional() && !matches!(id, ParamId::Ball(..))).map(|(at, _)| at)
     }
 
     /// What a change of the usual size does to the length from a base ball at `axes` (rad): an element each parameter
@@ -150,7 +148,7 @@ pub struct Innovation {
     null: Vec<f64>,
 }
 
-/// A change that is thinkable: a parameter, or the coordinates of the tool ball or of a base ball.
+/// A change that is thinkable: a parameter, or the coordinates of the tool ball.
 #[derive(Clone, Debug, PartialEq)]
 struct Candidate {
     parameters: Vec<ParamId>,
@@ -465,14 +463,15 @@ impl Innovation {
 /// Hypotheses below this probability are not listed.
 const LEAST_PROBABLE: f64 = 1e-3;
 
-/// Single parameters, and balls as a whole, of which a change of the usual size can be seen in the lengths.
+/// Single parameters, and the tool ball as a whole, of which a change of the usual size can be seen in the lengths.
 fn candidates(changeable: &[ParamId], effects: &DMatrix<f64>) -> Vec<Candidate> {
     let visible = |column: &usize| effects.column(*column).norm() * typical(changeable[*column]) > 1.0;
     let mut found: Vec<Candidate> = Vec::new();
     for column in (0..changeable.len()).filter(visible) {
         let id = changeable[column];
-        let same = |candidate: &&mut Candidate| is_one_body(candidate.parameters[0], id);
-        match found.iter_mut().find(same) {
+        let is_tool = |id: ParamId| matches!(id, ParamId::Tool(_));
+        let body = |candidate: &&mut Candidate| is_tool(id) && is_tool(candidate.parameters[0]);
+        match found.iter_mut().find(body) {
             Some(body) => {
                 body.parameters.push(id);
                 body.columns.push(column);
@@ -481,15 +480,6 @@ fn candidates(changeable: &[ParamId], effects: &DMatrix<f64>) -> Vec<Candidate> 
         }
     }
     found
-}
-
-/// Whether both are coordinates of the same ball.
-fn is_one_body(one: ParamId, other: ParamId) -> bool {
-    match (one, other) {
-        (ParamId::Tool(_), ParamId::Tool(_)) => true,
-        (ParamId::Ball(one, _), ParamId::Ball(other, _)) => one == other,
-        _ => false,
-    }
 }
 
 /// An orthonormal basis of the columns.

@@ -140,7 +140,7 @@ fn the_command_decides_and_refuses() {
 /// The job of a check about one ball.
 const JOB: &str = r#"
 robot = "kr60ha"
-optimise = { points = 60, candidates = 300 }
+optimise = { points = 60, candidates = 600 }
 [bar]
 length_mm = 500.0
 stroke_mm = [-5.0, 5.0]
