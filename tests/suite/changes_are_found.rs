@@ -154,8 +154,8 @@ xyz_mm = [1200.0, 0.0, 600.0]
 fn cell() -> TempDir {
     let dir = tempdir().unwrap();
     let robot = Robot { repeatability_mm: None, ..calibration() };
-    fs::write(dir.path().join("robot.toml"), robot.to_toml()).unwrap();
-    fs::write(dir.path().join("bare.toml"), Robot { posterior: None, ..robot }.to_toml()).unwrap();
+    fs::write(dir.path().join("robot.toml"), robot.to_toml().unwrap()).unwrap();
+    fs::write(dir.path().join("bare.toml"), Robot { posterior: None, ..robot }.to_toml().unwrap()).unwrap();
     fs::write(dir.path().join("job.toml"), JOB).unwrap();
     dir
 }
