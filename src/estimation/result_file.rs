@@ -39,7 +39,7 @@ pub struct ResultFile {
     pub residual_mm: BeforeAfter,
     pub folds: Option<Folds>,
     pub validation: Option<BeforeAfter>,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(default)]
     pub distance: Option<DistanceQuantities>,
     pub predicted_position_error_mm: PredictedPair,
     pub parameters: Vec<ParameterResult>,
