@@ -136,7 +136,7 @@ fn a_check_of_the_real_robot_passes_and_names_a_joint_that_moved() {
     identify(
         at,
         &at.join("calibration.csv"),
-        &["--robot", "kr60ha", "--tool", "0,0,104", "--prior", "datasheet"],
+        &["--robot", "kr60ha", "--tool", "0,0,104", "--prior", "datasheet", "--model", "geometric"],
     );
     let run = |lengths: &str| {
         let robot = ["check", lengths, "--robot", "out/robot-identified.toml", "--centres", "C.csv"];
