@@ -20,7 +20,9 @@ use super::result::{
 use super::selection::is_place;
 use super::setting::Setting;
 use super::uncertainty::{Uncertainty, leaks, uncertainty};
-use super::{Combination, Correlation, DistanceQuantities, Observability, Options, Prior, factor, validation};
+use super::{
+    Combination, Correlation, DistanceQuantities, Observability, Options, Prior, factor, validation,
+};
 use crate::catalogue::EstimationFinding;
 use crate::diagnostic::Diagnostic;
 use crate::math::base_set;
