@@ -227,6 +227,7 @@ fn beyond_the_angles_measured() {
             (case.name, found.mean(), found.ratio())
         });
         eprintln!("outer 40 % of axis {}: {figures:.3?}", axis + 1);
-        assert!(figures[1].1 < 1.1 * figures[0].1 && figures[2].1 < 1.1 * figures[0].1);
+        // Without the sense of approach backlash passes for a function of the angle, and that is continued wrongly.
+        assert!(figures[2].1 < 1.1 * figures[0].1);
     }
 }
