@@ -24,7 +24,7 @@ const JUMP_S: f64 = 0.01;
 /// A sudden change of speed looks like a jump of this share of the way in the time of a side: the greatest mismatch of two
 /// lines through a bend, by computation.
 const BEND: f64 = 0.25;
-/// A robot that moves shakes the bar by so much, mm: 1 mm/s, stopped at once, at 12 Hz.
+/// A robot that moves, or has just stopped, shakes the bar by so much, mm: 1 mm/s, stopped at once, at 12 Hz.
 const VIBRATION_MM: f64 = 0.013;
 /// Means of so long are compared while the robot rests, s.
 const BLOCK_S: f64 = 0.05;
@@ -415,10 +415,10 @@ impl MountingMonitor {
         let noise_mm = self.noise_mm;
         // The pulses of a sync mark come while the robot still shakes.
         let rests = !self.strobe_seen && newest.iter().all(|grain| grain.rests);
-        let moved_mm = self.expected.speed_mm_s * BEND * n * dt + VIBRATION_MM;
-        let moved_mm = if rests { 0.0 } else { moved_mm };
-        let threshold_mm =
-            (DEVIATE * noise_mm * (2.0 * leverage).sqrt()).max(2.0 * MATTERS * noise_mm) + moved_mm;
+        let moved_mm = if rests { 0.0 } else { self.expected.speed_mm_s * BEND * n * dt };
+        let threshold_mm = (DEVIATE * noise_mm * (2.0 * leverage).sqrt()).max(2.0 * MATTERS * noise_mm)
+            + moved_mm
+            + VIBRATION_MM;
         let larger = self.passing.is_none_or(|passing| height_mm.abs() > passing.height_mm.abs());
         if height_mm.abs() > threshold_mm && larger {
             let t_s = 0.5 * (newest[side - 1].t_s + newest[side + gap].t_s);
