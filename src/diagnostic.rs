@@ -211,9 +211,14 @@ fn is_zero(number: &usize) -> bool {
 
 /// The member of `known` that a mistyped `word` most likely means, if one is near.
 pub fn nearest<'a>(word: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
+    // Another case is nearer than any other letter; two letters that are swapped are one mistake.
+    let distance = |candidate: &str| {
+        let (word, lower) = (word.to_lowercase(), candidate.to_lowercase());
+        strsim::damerau_levenshtein(&word, &lower)
+    };
     known
         .into_iter()
-        .map(|candidate| (strsim::levenshtein(word, candidate), candidate))
+        .map(|candidate| (distance(candidate), candidate))
         .filter(|(distance, _)| *distance <= 1 + word.len() / 4)
         .min_by_key(|(distance, _)| *distance)
         .map(|(_, candidate)| candidate)

@@ -6,7 +6,9 @@ use std::io::{self, Read, Write};
 use std::path::Path;
 
 use crate::base::hash::Sha256;
-use crate::catalogue::FileFinding::{NoDirectory, NotAFile, NotUtf8At, TooLarge, Unreadable, Unwritable};
+use crate::catalogue::FileFinding::{
+    IsInput, NoDirectory, NotAFile, NotUtf8At, TooLarge, Unreadable, Unwritable,
+};
 use crate::diagnostic::Diagnostic;
 
 /// What is wrong when a file could not be read.
@@ -60,19 +62,36 @@ pub fn write_pieces(
     let wrong = |error: io::Error| {
         Diagnostic::file(&path.display().to_string(), Unwritable { why: error.to_string() })
     };
-    let mut beside = path.as_os_str().to_owned();
+    let fill = |mut file: fs::File| pieces.into_iter().try_for_each(|piece| file.write_all(piece.as_ref()));
+    // A link stays one: what it points to is replaced. A device or a pipe takes the text as it is.
+    let target = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
+    if fs::metadata(&target).is_ok_and(|data| !data.is_file() && !data.is_dir()) {
+        return fs::OpenOptions::new().write(true).open(&target).and_then(fill).map_err(wrong);
+    }
+    let mut beside = target.as_os_str().to_owned();
     // Another process may write the same file.
     beside.push(format!(".{}.part", std::process::id()));
     let write = || {
-        let mut file = fs::File::create(&beside)?;
-        pieces.into_iter().try_for_each(|piece| file.write_all(piece.as_ref()))?;
-        fs::rename(&beside, path)
+        fill(fs::File::create(&beside)?)?;
+        fs::rename(&beside, &target)
     };
     write().map_err(|error| {
         // A part of a file is of no use.
         let _ = fs::remove_file(&beside);
         wrong(error)
     })
+}
+
+/// That a result does not take the place of a file that the command reads.
+///
+/// # Errors
+/// Names the file.
+pub fn keeps<'a>(out: &Path, inputs: impl IntoIterator<Item = &'a Path>) -> Result<(), Diagnostic> {
+    let Ok(out) = fs::canonicalize(out) else { return Ok(()) };
+    match inputs.into_iter().find(|input| fs::canonicalize(input).is_ok_and(|input| input == out)) {
+        Some(input) => Err(Diagnostic::file(&input.display().to_string(), IsInput)),
+        None => Ok(()),
+    }
 }
 
 /// A directory that no other process of dbbd writes results to while this is held.

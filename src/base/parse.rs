@@ -66,7 +66,30 @@ fn not_toml(text: &str, span: Range<usize>, error: &toml::de::Error) -> FileFind
     if after.starts_with(',') && digit(after.chars().nth(1)) && digit(before.chars().next_back()) {
         return DecimalComma { why: error.message().to_owned() };
     }
-    NotToml { why: error.message().to_owned() }
+    match error.message().split_once(", expected ") {
+        Some((found, expected)) if found.starts_with("invalid ") => {
+            let found = found.replace("floating point", "number").replace("integer", "whole number");
+            NotToml { why: format!("{found}, and {} is needed", plain(expected)) }
+        }
+        _ => NotToml { why: error.message().to_owned() },
+    }
+}
+
+/// What is needed, in the words of the file instead of those of Rust.
+fn plain(expected: &str) -> &str {
+    match expected.trim() {
+        "f64" => "a number",
+        "u8" | "u16" | "u32" | "u64" | "usize" | "nonzero u32" => "a whole number, 0 or more,",
+        "i8" | "i32" | "i64" => "a whole number",
+        "a boolean" => "true or false",
+        "a string" => "a text in quotes",
+        other => match other.strip_prefix("an array of length ") {
+            Some("2") => "an array `[low, high]` of two values",
+            Some("3") => "an array of three values",
+            Some("6") => "an array of six values",
+            _ => other,
+        },
+    }
 }
 
 /// The number of values found and expected, from the message of a wrong length.

@@ -56,6 +56,13 @@ findings! {
             PosesWithoutLength { lost: usize, poses: usize, percent: f64 } => "{lost} of {poses} poses ({percent:.1} %) have no length (`dbbd sync` gives the reasons)";
             CircleWithoutLength { circle: u32, poses: usize } => "circle {circle}: none of its {poses} poses has a length, so it is left out";
         }
+        W1480 "lengths are none of a circular test",
+        cause: "A length is mistyped or the bar slipped at it, the lengths are the nominal ones, or --radius is that of another circle.",
+        cure: "Correct or leave out the row that is named; give the lengths that the bar measured, and the programmed radius." {
+            Spike { run: String, angle_deg: f64, off_mm: f64 } => "run {run}: at {angle_deg:.1} degrees the length is {off_mm:+.3} mm from those beside it";
+            OtherRadius { mean_mm: f64, radius_mm: f64 } => "the mean length is {mean_mm:.3} mm, and the nominal radius {radius_mm} mm";
+            EqualLengths { length_mm: f64 } => "all lengths are {length_mm:.4} mm: are they measured ones?";
+        }
         I1416 "reversal steps of joints are not separable",
         cause: "A joint's reversal is separated from the form of the circle by the poses that were measured in both senses. The circle was driven in one sense, the senses have too few poses in common, or their joints move alike.",
         cure: "Plan the circle with `direction = \"both\"`, and with enough points." {

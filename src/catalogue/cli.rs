@@ -14,6 +14,7 @@ findings! {
         cause: "The value of an option on the command line is not of its type or out of its range (exit code 2).",
         cure: "`dbbd VERB --help` says what the option takes, with the unit." {
             NotPositive => "a positive number is needed";
+            NotFine { most_mm: f64 } => "a positive number of at most {most_mm} mm is needed: is it in um?";
             NotAnExpansion => "an expansion by 1 K is some 0.00001 of the length (steel 11.5e-6, carbon fibre 1e-6)";
             NotSeconds => "a number of seconds, 0 or more, is needed";
             NotNameAndValue => "must be NAME=VALUE";

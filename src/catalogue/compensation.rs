@@ -70,6 +70,11 @@ findings! {
         cure: "Give the robot-identified.toml that `dbbd identify` wrote." {
             NotIdentified => "the file has no [nominal] table";
         }
+        E0980 "a program is cut off",
+        cause: "The file ends before the routine or the data list does: a copy broke off, or it was cut by an editor.",
+        cure: "Fetch the file from the controller again." {
+            CutOff { end: String } => "the file has no {end}: it is cut off";
+        }
         E0910 "the arguments of compensate do not fit",
         cause: "The program named is a .dat file, the results would replace the program, or the limit is not a length.",
         cure: "Name the .src, another directory for --out, and a --limit above 0." {

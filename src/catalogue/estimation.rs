@@ -26,9 +26,12 @@ findings! {
     /// What an estimation refuses, doubts or notes.
     EstimationFinding {
         E1301 "nothing can be computed from these lengths",
-        cause: "A number is absurd (an angle, a length, a sigma, the tool ball or a base ball), or none of the parameters asked for changes a length in these poses.",
+        cause: "A number is absurd (an angle, a length, a sigma, the tool ball or a base ball), options contradict each other, or none of the parameters asked for changes a length in these poses.",
         cure: "Check angles, lengths, sigmas, --tool and --centres. Ask for other parameters with --estimate, or vary the poses." {
             NotFinite => "a length or its derivative is not finite";
+            NoFolds { folds: usize, lengths: usize } => "--folds {folds}: {lengths} lengths are cut into 2 folds or more, at most one for each length";
+            ScaleWithoutPrior => "--prior-scale needs a prior: give --prior datasheet or a FILE";
+            SmallWorkspace { poses: usize, least: usize } => "{poses} poses are too few for a workspace: at least {least} are needed";
             NothingToEstimate => "none of the parameters asked for changes a length in these poses";
         }
         E1302 "an input of the estimation is missing",
@@ -41,6 +44,7 @@ findings! {
         E1304 "a prior cannot be used",
         cause: "A row of the table `name,unit,sd` names a parameter twice, or has another unit; or what the robot's earlier identification left unknown is not in its file.",
         cure: "Correct the row; give the robot-identified.toml. The parameters.csv of an earlier identification of the same robot is such a table." {
+            EmptyPrior => "the prior has no row with a standard deviation";
             OtherUnitThan { parameter: String, unit: String, given: String } => "`{parameter}` is in {unit}, not in `{given}`";
             ParameterTwice { parameter: String } => "`{parameter}` is there twice";
             NoPosterior => "the robot's file has no [posterior] of its values", help: "robot-identified.toml has it; or --prior datasheet";
@@ -146,8 +150,8 @@ findings! {
             PriorWidened { times: f64 } => "the corrections are {times:.1} times as large as the tolerance in the robot file lets expect; the prior is so much wider";
         }
         W1327 "the controller seems to use its own calibrated model",
-        cause: "The lengths agree with the nominal robot better than its tolerance lets any robot do: in absolute-accuracy mode the axes are not where they were commanded.",
-        cure: "Give the axis angles that the program logged: `dbbd sync --axes`, then identify its observations." {
+        cause: "The lengths agree with the nominal robot better than its tolerance lets any robot do: in absolute-accuracy mode, or in the run of a corrected program, the axes are not at the angles that are given; or the lengths are the commanded ones.",
+        cure: "Give the axis angles that the program logged: `dbbd sync --axes`, then identify its observations. Give lengths that the bar measured." {
             AbsoluteAccuracyMode { residual_rms_mm: f64, expected_mm: f64 } => "the lengths agree with the nominal robot to {residual_rms_mm:.3} mm; its tolerance lets {expected_mm:.2} mm expect";
         }
         W1328 "the run is doubtful",
@@ -171,6 +175,16 @@ findings! {
         cause: "Most of these lengths are in the lengths.csv beside the robot's file, so its [posterior] holds them already. Counted twice, they would promise an accuracy that they do not have.",
         cure: "Nothing: [posterior] is not used. To identify anew, give the nominal robot; to go on, give only new lengths." {
             KnownLengths { known: usize, lengths: usize } => "{known} of {lengths} lengths identified this robot already: its [posterior] is not used";
+        }
+        W1381 "the residuals are far above what the robot repeats",
+        cause: "The lengths do not belong to their poses (a column sorted or shifted, bars of two lengths under one number, another unit), or the model lacks most of the error (transmission error, backlash, sag, a list of parameters that is too short).",
+        cure: "Look at the residuals in report.html: by row they show a mistake in the table, by axis an error of a joint. Check `bar`, `centre`, --robot and --estimate." {
+            BeyondRepeatability { residual_rms_mm: f64, repeatability_mm: f64 } => "the lengths fit to {residual_rms_mm:.3} mm, and the robot repeats to {repeatability_mm:.3} mm along a length";
+        }
+        W1382 "lengths that only check do not fit",
+        cause: "They are of another robot, another mounting of the ball, another bar or other poses than the lengths that identified the robot.",
+        cure: "Check where the lengths of --validate come from." {
+            HeldOutDiffers { held_out_mm: f64, residual_rms_mm: f64 } => "the lengths that only check fit to {held_out_mm:.3} mm, and those that were used to {residual_rms_mm:.3} mm";
         }
         I1380 "no further measurement could be judged",
         cause: "What further measurements would leave is not a finite number, as with standard deviations of the lengths that differ by more than a computer's numbers hold.",

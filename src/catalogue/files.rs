@@ -63,6 +63,11 @@ findings! {
             ArrayLength { found: usize, expected: usize } => "the array has {found} values, and {expected} are needed";
             ArrayLengthByComma { found: usize, expected: usize, meant: String } => "the array has {found} values, and {expected} are needed", help: "numbers have a decimal point, not a comma: is `{meant}` meant?";
         }
+        E0180 "the result would take the place of an input",
+        cause: "--out names a file that the command reads, or a directory in which one has the name of a result.",
+        cure: "Give another name with --out." {
+            IsInput => "is read by this command, and --out would overwrite it", help: "give another name with --out";
+        }
         I0121 "a table is read as it is written",
         cause: "The table has another delimiter, decimal or encoding than dbbd writes, and shows it without doubt.",
         cure: "Nothing to do, if the message names the right ones." {

@@ -12,6 +12,7 @@ findings! {
             Decimal => "must be \".\" or \",\"";
             DecimalIsDelimiter => "is the same as the delimiter";
             Rate => "must be a positive number";
+            RateAndColumn => "rate_hz is in place of a column of times: give one of them";
             NoHeader { column: String } => "has no header by its mapping, so the column `{column}` must be a number from 1";
         }
         E1103 "a field of a trace cannot be read",
@@ -35,6 +36,19 @@ findings! {
         cause: "The file is empty or holds only a header, or skip_lines or comment of the mapping leave out every line.",
         cure: "Check the file and [file] skip_lines and comment in the mapping." {
             Empty => "holds no reading: only a header, or nothing";
+        }
+        E1180 "a trace holds no reading of this bar",
+        cause: "Every reading is beyond the bar's stroke or marked as not valid: the unit or the kind of the lengths is another, or the bar was not zeroed.",
+        cure: "Correct [length] unit and kind in the mapping, or length_mm and stroke_mm of the job's bar." {
+            AllInvalid { readings: u64, low_mm: f64, high_mm: f64 } => "none of {readings} readings is valid: they are {low_mm:.3} to {high_mm:.3} mm as readings of the bar";
+        }
+        W1181 "a trace cannot show the dwells of its plan",
+        cause: "The readings come too slowly, share their times, or never change; or the trace has holes.",
+        cure: "Record at least five readings in a dwell, with their own times; check that the length is the bar's." {
+            TooSlow { period_s: f64, dwell_s: f64 } => "the readings come every {period_s:.3} s, and a dwell lasts {dwell_s} s";
+            Constant { reading_mm: f64 } => "the length never changes: every reading is {reading_mm:.4} mm";
+            Holes { holes: u64, longest_s: f64 } => "{holes} times no reading came for more than a second, the longest for {longest_s:.1} s";
+            SameTimes { percent: f64 } => "{percent:.0} % of the readings have the time of the one before";
         }
         W1110 "a trace does not last as its plan",
         cause: "The trace is of another run, its times are in another unit, or it was cut off.",

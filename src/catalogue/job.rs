@@ -10,6 +10,7 @@ findings! {
         cure: "Correct the value. examples/demo.toml explains every key with its unit and its default." {
             NotPositive { key: String, value: f64, most: f64 } => "{key} = {value} must be a positive number, at most {most}";
             OutOfRange { key: String, value: f64, least: f64, most: f64 } => "{key} = {value} must be a number from {least} to {most}";
+            TinyObstacle { key: String, size_mm: f64 } => "{key}: the obstacle is {size_mm} mm large", help: "lengths are in mm: is it in metres?";
             NoDirection { key: String, x: f64, y: f64, z: f64 } => "{key} = [{x}, {y}, {z}] is no direction";
         }
         E0602 "two values of the job contradict each other",

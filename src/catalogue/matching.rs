@@ -9,6 +9,9 @@ findings! {
         cause: "The capture is of another plan, the program did not run, or the bar sent no usable length while it ran.",
         cure: "Look at the reasons at each pose, and check that the plan is the one that was driven." {
             NothingMatched => "no dwell of the capture can be matched to a pose of the plan: nothing is written";
+            NothingValid => "the bar vouches for no reading of the capture: nothing is written", help: "is the unit right, and was the bar within its stroke?";
+            NothingMoves { reading_mm: f64 } => "the length never changes (a reading of {reading_mm:.3} mm): nothing is written", help: "was the bar mounted, and did the program run?";
+            OtherDuration { seconds: f64, planned_s: f64 } => "the capture lasts {seconds:.1} s and the program at least {planned_s:.0} s: nothing is written", help: "does it cover the run, and is the unit of its times right?";
             NoCircle => "no dwell of the capture can be matched to a pose on a circle";
         }
         W1002 "poses were dropped as ambiguous",

@@ -14,7 +14,8 @@ findings! {
         E1202 "the numbers of balls or bars have a gap or go too far",
         cause: "Balls and bars are numbered 1, 2, .. without a gap, and no number of a ball occurs twice. One calibration has at most 100 balls and 20 bars.",
         cure: "Number them anew, in all files alike." {
-            BallsNotInOrder { ball: u32 } => "the numbers in column `centre` must run 1, 2, ..: {ball} is next";
+            BallsNotInOrder { ball: u32, found: u32 } => "the numbers in column `centre` must run 1, 2, .., each once: {found} is there where {ball} is expected";
+            NoBall => "holds no base ball: only a header, or nothing";
             BarWithoutLength { bar: u32 } => "column `bar`: the numbers must run 1, 2, ..: bar {bar} has no length";
             TooMany { balls: usize, bars: usize, most_balls: usize, most_bars: usize } => "the highest numbers are ball {balls} and bar {bars}: one calibration has at most {most_balls} balls and {most_bars} bars";
         }
@@ -39,6 +40,21 @@ findings! {
         cause: "A file was read or pasted twice. Counted twice, its lengths would promise an accuracy that they do not have.",
         cure: "Nothing: each is used once. Remove the copies from the table." {
             Repeated { repeated: usize, rows: usize } => "{repeated} of {rows} rows repeat other rows and are used once";
+        }
+        W1280 "standard deviations of some lengths are missing",
+        cause: "The column sigma_mm is empty in some rows. Without a value for each, none is used: all lengths weigh alike.",
+        cure: "Fill the column, or leave it out and give --sigma." {
+            SigmaMissing { without: usize, rows: usize } => "{without} of {rows} rows have no sigma_mm: none is used, and all lengths weigh alike";
+        }
+        W1282 "lengths of single rows cannot be",
+        cause: "The number of the ball, an angle or the length of a row was mistyped or is in another unit. One such row can spoil the whole result.",
+        cure: "Correct or remove the row that is named." {
+            FarLengths { rows: usize, index: u32, off_mm: f64 } => "{rows} rows are far from where robot and base balls have them, first index {index}: by {off_mm:.0} mm";
+        }
+        W1281 "axis angles are beyond the robot's limits",
+        cause: "The table is of another robot, an angle was mistyped or is in another unit, or limits_deg of the robot file are those of another arm.",
+        cure: "Correct the row that is named, --robot, or limits_deg in the robot file." {
+            BeyondLimits { rows: usize, index: usize, axis: usize, deg: f64 } => "{rows} rows are beyond the limits of the robot, first index {index}: axis {axis} at {deg} degrees";
         }
         E1205 "a sense of approach is none",
         cause: "A cell of the columns `approach1` to `approach6` is not -1, 0 or 1.",

@@ -121,7 +121,7 @@ findings! {
         cause: "One of them was edited, copied from elsewhere, or is of another version.",
         cure: "Plan again: `dbbd plan` writes both. Change the job, never the plan." {
             NoHeader { json: String } => "has no {json} beside it: it is no plan, or half of one", help: "name the plan.csv that `dbbd plan` wrote, with its plan.json in the same directory";
-            OtherHash { other: String, hash: String, found: String } => "belongs to another plan than {other}: hash {hash}, not {found}", help: "plan again: `dbbd plan` writes both";
+            OtherHash { other: String, hash: String, found: String } => "is not what was written together with {other}, or one of the two was changed since: hash {hash}, not {found}", help: "plan again: `dbbd plan` writes both";
             Moves { rows: usize, moves: usize } => "`moves` has {moves} entries: it must have one for each of {rows} rows, in order";
             PassCount { passes: usize, found: usize } => "`passes` has {passes} entries, the rows have {found} passes";
             PassRows { entry: usize } => "`passes`: entry {entry} names other rows than those of that pass";

@@ -174,6 +174,22 @@ findings! {
             TooManyDwells { circle: u32, dwells: usize, most: u32 } => "circle {circle}: {dwells} dwells, at most {most}";
             TooManyLines { circle: u32, lines: usize, most: usize } => "circle {circle}: {lines} lines, at most {most}";
         }
+        E0880 "the address of --server cannot be used",
+        cause: "Only a program that reports over EthernetKRL connects to it, and a controller needs its port.",
+        cure: "Give --sync ekrl with --server ADDR:PORT as in `dbbd acquire --ekrl`, or leave --server out." {
+            ServerUnused => "--server is of use with --sync ekrl only";
+            ServerPort => "--server needs a port other than 0: the one of `dbbd acquire --ekrl`";
+        }
+        I0881 "the address of --server is the controller itself",
+        cause: "127.x.x.x is the computer on which the program runs: on a robot that is its controller.",
+        cure: "Give the address of this computer in the controller's network; for `dbbd simulate` nothing need be done." {
+            ServerLoopback { server: String } => "{server} is the controller itself, as long as it is no simulated one";
+        }
+        W0882 "modules of another plan are in the directory",
+        cause: "The program was written into a directory that holds modules of an earlier plan.",
+        cure: "Remove the modules that are named, or write into an empty directory: load only those of one plan." {
+            StaleModules { modules: String } => "the directory holds modules that are not of this plan: {modules}";
+        }
         E0823 "the chosen marks of the dwells are not possible",
         cause: "The outputs in the job overlap or are not eight in a row, the controller is too old for EthernetKRL, or the bar's protocol does not carry the strobe.",
         cure: "Correct [motion.outputs] in the job, or choose another --sync." {

@@ -82,6 +82,16 @@ findings! {
         cure: "Give the .dat of every module with --axes." {
             AxesIncomplete { worst_deg: f64, poses: usize } => "the logged axis angles are up to {worst_deg:.3} degrees from the commanded ones, and {poses} poses have none: give the .dat of every module";
         }
+        W0480 "a .dat holds no logged axis angles",
+        cause: "The .dat is as `dbbd krl` wrote it: it was not fetched from the controller after the run, or its module did not run.",
+        cure: "Fetch the .dat from the controller after the run. Without it the commanded axis angles are used." {
+            NoAxesLogged { data: String } => "{data} holds no axis angles of a run: the commanded ones are used";
+        }
+        W0481 "the temperatures of a run are none of a bar",
+        cause: "The sensor of the bar failed or is not connected, or the column of an imported trace is in another unit.",
+        cure: "Lengths are corrected by these temperatures where the job gives expansion_per_k: leave that out, or correct [temperature] of the mapping." {
+            NoTemperature { low_c: f64, high_c: f64 } => "the bar's temperature is {low_c:.1} to {high_c:.1} degrees Celsius";
+        }
         W0414 "a telegram of the program is malformed",
         cause: "Something else than the program of this plan sends to the address of --ekrl, or the channel file is another version's.",
         cure: "Load the modules and the channel file (DbbEki.xml) that `dbbd krl --sync ekrl` wrote for this plan." {

@@ -36,11 +36,17 @@ findings! {
             JointSpeed { joint: usize, value: f64 } => "joint {joint}: a speed or acceleration of {value} must be positive, and at most 100000";
             Tolerance { length_mm: f64, angle_deg: f64 } => "[tolerance]: length_mm = {length_mm} and angle_deg = {angle_deg} must be positive, at most 100 mm and 45 degrees";
             Posterior => "[posterior]: `values` and the rows of `root`, which are 1, 2, .. numbers long, must be as many as `parameters` of the robot, each there once";
-            Repeatability { value: f64 } => "repeatability_mm = {value} must be positive";
+            Repeatability { value: f64 } => "repeatability_mm = {value} must be positive, at most 5 mm";
+            NoName => "name is empty: runs and programs are compared by it";
             Mass { kg: f64, centre_mm: [f64; 3] } => "a mass of {kg} kg at {centre_mm:?} mm is impossible";
             MassJoint { joint: usize } => "[[mass]]: joint = {joint} must be 1 to 6";
             ToolBall { ball_mm: [f64; 3] } => "[tool]: ball_mm = {ball_mm:?} must be numbers, each at most 10000 mm";
             Uncertainty => "[uncertainty] does not fit the robot: a row of `root` for each of `parameters` and each coefficient of the joints, all of one length";
+        }
+        E0580 "an angle of a robot file seems to be in radians",
+        cause: "alpha_deg or theta_offset_deg is a part of pi, limits_deg span less than a turn of radians, or a joint would be slower than any.",
+        cure: "Convert the value to degrees." {
+            Radians { joint: usize, key: String, value: f64 } => "joint {joint}: {key} = {value} seems to be in radians: degrees are needed";
         }
         E0506 "a pose has no axis angles",
         cause: "The pose is beyond the arm, or only another branch or turn of the axes reaches it.",

@@ -3,6 +3,7 @@
 //! `docs/reference/circular-test.md` gives the definitions, their sources, and what of the standard's text could
 //! not be read. Pure: lengths in, numbers out.
 
+mod doubts;
 mod fit;
 mod harmonics;
 mod input;
@@ -214,6 +215,7 @@ pub fn circular(traces: &[Trace], settings: &Settings) -> Result<Evaluation, Fin
             .filter(|trace| !in_sense(trace))
             .map(|trace| Finding::AgainstDirection { run: trace.run.clone(), direction: trace.sense.word() }),
     );
+    notes.extend(doubts::of(traces, settings.radius_mm));
     if corrected.is_none() {
         notes.push(Finding::AsMeasured);
     }

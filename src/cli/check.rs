@@ -4,9 +4,9 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use super::identify::{Given, LENGTHS, Named, parse_point, read_workspace};
-use super::positive;
+use super::identify::{Given, LENGTHS, Named, ROBOT, parse_point, read_workspace};
 use super::{Outcome, Output};
+use super::{bar_u, fine, length_sd, positive};
 use crate::base::{files, serialised};
 use crate::catalogue::{CliFinding, ConformityFinding};
 use crate::conformity::{self, CheckInput, InterimCheck, Rule};
@@ -41,7 +41,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "X,Y,Z", value_parser = parse_point, allow_hyphen_values = true)]
     tool: Option<[f64; 3]>,
     /// Tolerance of the position error over the workspace that 95 % of the poses must keep, mm.
-    #[arg(long, value_name = "MM", value_parser = positive)]
+    #[arg(long, value_name = "MM", value_parser = |text: &str| fine(text, 20.0))]
     tolerance: Option<f64>,
     /// Largest probability of a wrong decision: the guard band (JCGM 106).
     #[arg(long, value_name = "P", default_value_t = 0.05, value_parser = risk)]
@@ -51,7 +51,7 @@ pub(crate) struct Args {
     simple_acceptance: bool,
     /// Standard deviation of every length, mm [default: that of the data with the robot's repeatability, at least that of
     /// the result.json beside the robot].
-    #[arg(long, value_name = "MM", value_parser = positive)]
+    #[arg(long, value_name = "MM", value_parser = length_sd)]
     sigma: Option<f64>,
     /// Standard deviation with which the tool ball is mounted again, mm.
     #[arg(long, value_name = "MM", default_value_t = TOOL_REPEAT_MM, value_parser = positive)]
@@ -60,7 +60,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "MM", value_parser = positive)]
     ball_repeat: Option<f64>,
     /// Standard uncertainty (k = 1) of the bar's length, mm [default: half of a capture's job's length_u_mm, else 0.05].
-    #[arg(long, value_name = "MM", value_parser = positive)]
+    #[arg(long, value_name = "MM", value_parser = bar_u)]
     bar_u: Option<f64>,
     /// CSV a1_deg..a6_deg: the poses over which the position error is taken [default: 2000 within the axis limits].
     #[arg(long, value_name = "FILE.csv")]
@@ -81,10 +81,10 @@ pub(super) fn risk(text: &str) -> Result<f64, CliFinding> {
     }
 }
 
-/// The file that an update writes, and `dbbd identify` beside its result.
-const ROBOT: &str = "robot-identified.toml";
-
 pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
+    if args.update {
+        files::keeps(&args.out.join(ROBOT), [Path::new(&args.robot)])?;
+    }
     let named = Named {
         input: &args.input,
         robot: Some(&args.robot),

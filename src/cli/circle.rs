@@ -4,9 +4,9 @@ use std::path::{Path, PathBuf};
 
 use serde_json::{Map, Value, json};
 
-use super::{Outcome, Output, positive};
+use super::{Outcome, Output, bar_u, length_sd, positive};
 use crate::base::files;
-use crate::catalogue::{CircularFinding, CliFinding, MatchingFinding};
+use crate::catalogue::{CircularFinding, CliFinding, MatchingFinding, ProvenanceFinding};
 use crate::circular::{
     self, Diagnosis, Evaluation, Harmonics, Mover, NAMES, Quantity, Settings, Step, TERM_NAMES, TRACE_NAMES,
     Temperature, Trace, TraceResult,
@@ -44,11 +44,11 @@ pub(crate) struct Args {
     #[arg(long, value_name = "FILE.dat")]
     axes: Vec<PathBuf>,
     /// Standard uncertainty of a single length, mm [default: that of the dwells; of a CSV the scatter].
-    #[arg(long, value_name = "MM", value_parser = positive)]
+    #[arg(long, value_name = "MM", value_parser = length_sd)]
     sigma: Option<f64>,
     /// Standard uncertainty of the bar's length by its certificate, mm: part of D and F [default: half of a
     /// capture's job's length_u_mm].
-    #[arg(long, value_name = "MM", value_parser = positive)]
+    #[arg(long, value_name = "MM", value_parser = bar_u)]
     bar_u: Option<f64>,
     /// Expansion of the bar, 1/K [default: of a capture its job's certificate]: with temperatures (of a capture, or
     /// the column temp_c) a length is what the bar had then, not at the certificate's temperature.
@@ -102,6 +102,11 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
             let traces = out.table(path, circular::traces_from_table)?;
             found.push(from_csv(&path.display().to_string(), traces, args.radius));
             sources.push(Artefact::file(Role::Measurements, path)?.into());
+        }
+    }
+    for (at, source) in sources.iter().enumerate() {
+        if sources[..at].iter().any(|other| other.artefact.sha256 == source.artefact.sha256) {
+            out.finding(ProvenanceFinding::GivenTwice { lengths: source.artefact.to_string() });
         }
     }
     let provenance = Provenance::of(&sources);

@@ -9,7 +9,9 @@ use super::robots::{self, RobotRead};
 use super::{Outcome, Output};
 use crate::base::files;
 use crate::base::hash::sha256;
-use crate::catalogue::{CompensationFinding, FileFinding, ProgramFinding, ProvenanceFinding};
+use crate::catalogue::{
+    CompensationFinding, EstimationFinding, FileFinding, ProgramFinding, ProvenanceFinding,
+};
 use crate::diagnostic::Diagnostic;
 use crate::program::krl::{Files, Given, Moved, Text, compensate, provenance, read, stamped};
 use crate::provenance::{Artefact, Provenance, Role, Traced};
@@ -68,6 +70,8 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     if robot.nominal.is_none() {
         return Err(Diagnostic::file(&args.robot, CompensationFinding::NotIdentified));
     }
+    let changed = robots::edited(&robot).filter(|doubt| *doubt == EstimationFinding::PosteriorOfOtherValues);
+    changed.into_iter().for_each(|doubt| out.finding(Diagnostic::file(&args.robot, doubt)));
     if let Some(language) = robot.controller_language().filter(|language| *language != "krl") {
         let (robot, language) = (robot.name.clone(), language.to_owned());
         return Err(Diagnostic::file(&args.robot, ProgramFinding::OtherLanguage { robot, language }));
@@ -78,6 +82,8 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     }
     let data = beside(&args.program, "dat").map(|path| Program::open(&path)).transpose()?;
     let config = args.config.as_deref().map(Program::open).transpose()?;
+    source.check("DEF", &source)?;
+    data.iter().try_for_each(|data| data.check("DEFDAT", &source))?;
     for program in [Some(&source), data.as_ref()].into_iter().flatten() {
         if files::same_place(&args.out.join(&program.stem), &program.path) {
             let directory = args.out.display().to_string();
@@ -187,6 +193,35 @@ impl Program {
         let (name, sha256) = (self.stem.clone(), self.sha256.clone());
         let artefact = Artefact { role: Role::Program, name, serial: None, sha256 };
         Ok(Traced { artefact, provenance: provenance(&self.name, &self.content)? })
+    }
+
+    /// That it is not cut off, and of the module that `source` is named by.
+    fn check(&self, begins: &str, source: &Self) -> Result<(), Diagnostic> {
+        let words = |line: &str| -> Vec<String> {
+            let words = line.split(|c: char| c.is_whitespace() || c == '(').filter(|word| !word.is_empty());
+            words
+                .filter(|word| !word.eq_ignore_ascii_case("GLOBAL"))
+                .map(str::to_ascii_uppercase)
+                .take(2)
+                .collect()
+        };
+        let mut lines = self.content.lines().map(words);
+        let Some(name) = lines.find(|words| words.first().is_some_and(|word| word == begins)) else {
+            return Ok(());
+        };
+        let end = format!("END{}", begins.trim_start_matches("DEF"));
+        if !lines.any(|words| words.first() == Some(&end)) {
+            return Err(Diagnostic::file(&self.name, CompensationFinding::CutOff { end }));
+        }
+        let stem =
+            source.stem.rsplit_once('.').map_or(source.stem.as_str(), |(stem, _)| stem).to_ascii_uppercase();
+        match name.get(1).filter(|name| begins == "DEFDAT" && **name != stem) {
+            Some(data) => {
+                let (data, module) = (data.clone(), stem);
+                Err(Diagnostic::file(&self.name, ProgramFinding::OtherDataName { data, module }))
+            }
+            None => Ok(()),
+        }
     }
 
     fn text(&self) -> Text<'_> {

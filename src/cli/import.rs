@@ -19,8 +19,8 @@ use crate::recording::run::PlanFiles;
 /// Lines are kept in records of about this many bytes.
 const BLOCK: usize = 1 << 16;
 
-/// A trace shorter than this share of the plan's time is doubted: no override drives a program twice as fast.
-const LEAST: f64 = 0.5;
+/// A trace shorter than this share of the plan's time is doubted: no override drives a program faster.
+const LEAST: f64 = 0.9;
 /// And one longer than so many times it: an override of 1 % is the least.
 const MOST: f64 = 100.0;
 
@@ -59,13 +59,20 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     let bar = &files.plan.header.job.bar;
     let bar = Bar { length_mm: bar.length_mm, stroke_mm: bar.stroke_mm };
     // Read once to its end before anything is written: a line that is wrong leaves no capture behind.
-    let (Counts { samples, invalid, unix_ns }, findings) = rows(args, &mapping, bar, out, |_| Ok(()))?;
+    let (counts, findings) = rows(args, &mapping, bar, out, |_| Ok(()))?;
     findings.into_iter().for_each(|finding| out.finding(finding));
+    let Counts { samples, invalid, unix_ns, .. } = counts;
+    if let Some([low_mm, high_mm]) = counts.range_mm.filter(|_| invalid == samples) {
+        return Err(Diagnostic::file(
+            &name,
+            ImportFinding::AllInvalid { readings: samples, low_mm, high_mm },
+        ));
+    }
     let mut writer = Writer::create(&args.out)?;
     let begin = HostNs(0);
     let version = provenance::VERSION.to_owned();
     writer.write(begin, &Record::Event(Event::Started { unix_ns, version }))?;
-    let planned_s = files.plan.duration_s();
+    let (planned_s, dwell_s) = (files.plan.duration_s(), files.plan.header.job.motion.dwell_s);
     for (name, content) in files.attachments().into_iter().chain([("mapping.toml", map_text)]) {
         let record = Record::Attachment { name: name.into(), content: content.into_bytes() };
         writer.write(begin, &record)?;
@@ -88,6 +95,8 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     if !(LEAST * planned_s..=MOST * planned_s).contains(&seconds) {
         out.finding(Diagnostic::file(&name, ImportFinding::Duration { seconds, planned_s }));
     }
+    let doubts = counts.doubts(seconds, dwell_s);
+    doubts.for_each(|doubt| out.finding(Diagnostic::file(&name, doubt)));
     out.document(&json!({ "samples": samples, "invalid": invalid, "seconds": seconds }))?;
     out.result(format!("{}: {samples} samples over {seconds:.1} s", args.out.display()));
     Ok(Outcome::Done)

@@ -1,7 +1,7 @@
 //! `dbbd krl`.
 
 use std::net::SocketAddrV4;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use serde_json::json;
 
@@ -55,6 +55,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         Sync::Output => krl::Sync::Output,
         Sync::Ekrl => krl::Sync::Ekrl { server: args.server.ok_or(ProgramFinding::NoServer)? },
     };
+    check_server(args, matches!(sync, krl::Sync::Ekrl { .. }), out)?;
     let options = Options { sync, controller: args.controller };
     let modules = krl::emit(&plan, options)?;
     let _writing = files::exclusive(&args.out)?;
@@ -65,10 +66,47 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         out.detail(format!("wrote {}", path.display()));
         written.push(path.display().to_string());
     }
+    let others = stale(&args.out, &modules);
+    if !others.is_empty() {
+        let directory = args.out.display().to_string();
+        out.finding(Diagnostic::file(
+            &directory,
+            ProgramFinding::StaleModules { modules: others.join(", ") },
+        ));
+    }
     out.document(&json!({ "plan": plan.header.hash, "files": written }))?;
     out.result(format!("{} files in {}; start DBB_MAIN", written.len(), args.out.display()));
     out.progress("not proven on a real controller: run it first in T1, slowly, without the bar");
     Ok(Outcome::Done)
+}
+
+/// The address must be used, and one that a controller can connect to.
+fn check_server(args: &Args, used: bool, out: &Output) -> Result<(), ProgramFinding> {
+    let Some(server) = args.server else { return Ok(()) };
+    if !used {
+        return Err(ProgramFinding::ServerUnused);
+    }
+    if server.port() == 0 {
+        return Err(ProgramFinding::ServerPort);
+    }
+    if server.ip().is_loopback() && args.controller != Controller::Simulated {
+        out.finding(ProgramFinding::ServerLoopback { server: server.to_string() });
+    }
+    Ok(())
+}
+
+/// Modules of another plan in the directory, which would be loaded with these.
+fn stale(directory: &Path, modules: &[(String, String)]) -> Vec<String> {
+    let is_module = |name: &String| {
+        let upper = name.to_ascii_uppercase();
+        upper.starts_with("DBB_C") && (upper.ends_with(".SRC") || upper.ends_with(".DAT"))
+    };
+    let is_written = |name: &String| modules.iter().any(|(module, _)| module.eq_ignore_ascii_case(name));
+    let found = directory.read_dir().into_iter().flatten().flatten();
+    let names = found.filter_map(|entry| entry.file_name().into_string().ok());
+    let mut stale: Vec<String> = names.filter(|name| is_module(name) && !is_written(name)).collect();
+    stale.sort();
+    stale
 }
 
 /// The plan's robot must be one that is programmed in KRL.

@@ -30,7 +30,7 @@ mod sync;
 
 use std::process::ExitCode;
 
-use clap::{Args, Parser, Subcommand};
+use clap::{Args, CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
 
 use crate::base::program;
 use crate::catalogue::{CliFinding, ServiceFinding};
@@ -123,10 +123,35 @@ fn positive(text: &str) -> Result<f64, CliFinding> {
     }
 }
 
+/// A length of the command line that is small by its nature, mm.
+fn fine(text: &str, most_mm: f64) -> Result<f64, CliFinding> {
+    positive(text).ok().filter(|mm| *mm <= most_mm).ok_or(CliFinding::NotFine { most_mm })
+}
+
+/// The standard uncertainty of a bar's length, mm.
+fn bar_u(text: &str) -> Result<f64, CliFinding> {
+    fine(text, 0.5)
+}
+
+/// The standard deviation of a length, mm.
+fn length_sd(text: &str) -> Result<f64, CliFinding> {
+    fine(text, 1.0)
+}
+
+/// The command line; a negative number is the value of its option, which says what it takes.
+fn command() -> clap::Command {
+    let negative = |arg: clap::Arg| {
+        let valued = arg.get_action().takes_values() && !arg.is_positional();
+        if valued && !arg.is_allow_hyphen_values_set() { arg.allow_negative_numbers(true) } else { arg }
+    };
+    Cli::command().mut_subcommands(|verb| verb.mut_args(negative))
+}
+
 /// Runs the program.
 pub fn main() -> ExitCode {
     crate::daemon::abort_on_panic();
-    let cli = match Cli::try_parse() {
+    let parsed = command().try_get_matches().and_then(|matches| Cli::from_arg_matches(&matches));
+    let cli = match parsed {
         Ok(cli) => cli,
         Err(usage) => return output::wrong_usage(&usage),
     };

@@ -1,7 +1,7 @@
 //! `dbbd predict`: where the tool ball is at axis angles.
 
 use std::error::Error;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
@@ -10,7 +10,7 @@ use crate::base::files;
 use crate::catalogue::CliFinding;
 use crate::diagnostic::Diagnostic;
 use crate::estimation::{Positions, Workspace};
-use crate::measurement::{APPROACH, Measurements};
+use crate::measurement::{self, APPROACH, Measurements};
 use crate::robot::{Robot, RobotUncertainty};
 
 /// Poses of the workspace that align few poses, and their seed.
@@ -46,8 +46,16 @@ struct Predicted {
 }
 
 pub(super) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
+    files::keeps(&args.out, [args.axes.as_path(), Path::new(&args.robot)])?;
     let robot = robots::named(&args.robot)?;
     let poses = out.table(&args.axes, Measurements::poses_from_table)?;
+    let edited = robots::edited(&robot);
+    edited.into_iter().for_each(|doubt| out.finding(Diagnostic::file(&args.robot, doubt)));
+    let angles = poses.iter().zip(1..).map(|(pose, number)| (number, pose.axes));
+    let beyond = measurement::beyond(angles, &robot.controller().limits_deg);
+    beyond
+        .into_iter()
+        .for_each(|doubt| out.finding(Diagnostic::file(&args.axes.display().to_string(), doubt)));
     let workspace = Workspace::uniform(robot.controller(), WORKSPACE_POSES, SEED);
     let unknown = RobotUncertainty::of(&robot);
     let positions = Positions::new(&robot.geometry, &unknown, &poses, &workspace);

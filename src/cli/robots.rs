@@ -6,6 +6,7 @@ use serde::Serialize;
 
 use super::{Outcome, Output};
 use crate::base::files;
+use crate::catalogue::EstimationFinding;
 use crate::diagnostic::Diagnostic;
 use crate::provenance::Traced;
 use crate::robot::Robot;
@@ -73,6 +74,14 @@ struct Entry<'a> {
     reach_mm: f64,
 }
 
+/// What an identified robot's file does not hold of what is known of it, as after an edit by hand.
+pub(crate) fn edited(robot: &Robot) -> Option<EstimationFinding> {
+    match &robot.posterior {
+        Some(known) => (!known.is_of(&robot.geometry)).then_some(EstimationFinding::PosteriorOfOtherValues),
+        None => robot.nominal.as_ref().map(|_| EstimationFinding::PosteriorLost),
+    }
+}
+
 /// A robot as `--json` shows it.
 #[derive(Serialize)]
 struct Shown<'a> {
@@ -92,6 +101,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         Some(What::Show { name }) => show(name, out),
         Some(What::Check { name }) => {
             let robot = named(name)?;
+            edited(&robot).into_iter().for_each(|doubt| out.finding(Diagnostic::file(name, doubt)));
             out.document(&Entry { id: name, name: &robot.name, reach_mm: robot.reach_mm() })?;
             out.result(format!("{name}: {}, reach {:.1} mm: no mistake found", robot.name, robot.reach_mm()));
             Ok(Outcome::Done)

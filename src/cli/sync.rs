@@ -9,7 +9,7 @@ use crate::base::files;
 use crate::catalogue::MatchingFinding;
 use crate::diagnostic::{Diagnostic, Finding};
 use crate::recording::Stream;
-use crate::recording::matching::{DwellSource, Lag, MatchOutcome, PoseMatching, PoseOutcome};
+use crate::recording::matching::{self, DwellSource, Lag, MatchOutcome, PoseMatching, PoseOutcome};
 use crate::recording::run;
 
 /// Match the lengths of a capture to the commanded poses.
@@ -34,6 +34,7 @@ pub(crate) struct Args {
 }
 
 pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
+    files::keeps(&args.out, args.axes.iter().chain(&args.plan).chain([&args.run]).map(PathBuf::as_path))?;
     let run = run::open(&args.run, args.plan.as_deref(), &args.axes, &mut |finding| out.finding(finding))?;
     out.done(40);
     let matching = run.matching(None);
@@ -44,7 +45,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     out.result(format!("times: {}", times(&run.stream)));
     if matching.observations.rows.is_empty() {
         let name = args.run.display().to_string();
-        return Err(Diagnostic::file(&name, MatchingFinding::NothingMatched));
+        return Err(Diagnostic::file(&name, matching::nothing_matched(&run.plan, &run.stream)));
     }
     files::write(&args.out, matching.observations.to_csv())?;
     out.result(format!("{}: {} observations", args.out.display(), matching.observations.rows.len()));

@@ -131,7 +131,7 @@ pub struct Calibration<'a> {
     sigma: SigmaSummary,
     rank: RankSummary,
     folds: Option<Folds>,
-    validation: Option<BeforeAfter>,
+    pub(super) validation: Option<BeforeAfter>,
 }
 
 impl<'a> Calibration<'a> {

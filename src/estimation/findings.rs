@@ -17,6 +17,9 @@ const OUTLIER_SHARE: f64 = 0.1;
 /// A robot drawn from its tolerance is off by less than this share of what is expected in no run of a thousand.
 const CLOSEST_TO_NOMINAL: f64 = 0.04;
 
+/// Lengths from which an agreement with the nominal robot is no chance.
+const LEAST_LENGTHS: usize = 20;
+
 /// The findings of a calibration, the gravest first.
 pub(super) fn findings(of: &Calibration<'_>) -> Vec<EstimationFinding> {
     let fit = &of.estimate.fit;
@@ -34,6 +37,7 @@ pub(super) fn findings(of: &Calibration<'_>) -> Vec<EstimationFinding> {
     found.extend(shifted_rows(&of.estimate, &of.lengths));
     found.extend(outliers(fit.out.len(), of.lengths.len()));
     found.extend(consistency(of));
+    found.extend(against_repeatability(of));
     found.extend(joints(&of.joint_effects));
     found.extend(position(of));
     found.extend(poorly_observable(&of.parameters));
@@ -123,6 +127,24 @@ fn consistency(of: &Calibration<'_>) -> Option<EstimationFinding> {
     }
 }
 
+/// Residuals that are far above what the robot repeats, of the lengths used and of those that only check.
+fn against_repeatability(of: &Calibration<'_>) -> Option<EstimationFinding> {
+    /// The model lacks most of what the residuals show.
+    const FAR: f64 = 5.0;
+    let repeatability_mm = of.setting.robot.repeatability_sd_mm()?;
+    let given = of.lengths.weighted(Sigma::Given, &of.estimate.fit.out);
+    let given_mm = if of.lengths.known { given.rms_sigma() } else { 0.0 };
+    let least_mm = repeatability_mm.hypot(given_mm);
+    let residual_rms_mm = of.residual_mm.after.rms;
+    if residual_rms_mm > FAR * least_mm {
+        return Some(EstimationFinding::BeyondRepeatability { residual_rms_mm, repeatability_mm });
+    }
+    // What was never used shows the errors of the parameters too.
+    let held_out_mm = of.validation.as_ref()?.after.rms;
+    (held_out_mm > FAR * least_mm.max(residual_rms_mm))
+        .then_some(EstimationFinding::HeldOutDiffers { held_out_mm, residual_rms_mm })
+}
+
 /// What the residuals show at the joints, a finding for each kind of error.
 fn joints(effects: &[JointEffect]) -> impl Iterator<Item = EstimationFinding> {
     let of_kind = |error: JointError| {
@@ -179,8 +201,9 @@ fn names<'a>(parameters: impl Iterator<Item = &'a ParameterResult>) -> Option<Na
 /// Whether lengths at commanded axis angles agree with the nominal robot better than its tolerance lets any robot do.
 fn absolute_accuracy_mode(of: &Calibration<'_>) -> Option<EstimationFinding> {
     let robot = of.setting.robot;
-    // Planned on a robot that was identified before: then they should agree.
-    if of.axes == AngleSource::Given || robot.nominal.is_some() {
+    // Planned on a robot that was identified before: then they should agree. Few lengths agree by chance.
+    let few = of.axes == AngleSource::Given && of.lengths.len() < LEAST_LENGTHS;
+    if robot.nominal.is_some() || few {
         return None;
     }
     let ids = parameter::parse_list("geometric", &robot.parallel_joints(), 0_usize).ok()?;

@@ -33,6 +33,8 @@ const IMPLAUSIBLE: f64 = 5.0;
 const IMPOSSIBLE: f64 = 20.0;
 /// No ball is so far from where it was given, and no bar so much longer or shorter, mm.
 const DISPLACED_BALL_MM: f64 = 1000.0;
+/// A tool ball is known from a drawing or from the controller.
+const DISPLACED_TOOL_MM: f64 = 20.0;
 const DISPLACED_BAR_MM: f64 = 50.0;
 
 /// What is known of a variance before any length: its root is log-normal about `median`.
@@ -251,7 +253,8 @@ pub fn open_limit_mm(id: ParamId) -> f64 {
 /// The largest distance of the set-up from where it was given, mm; `None` of the robot's own parameters.
 pub fn largest_displacement_mm(id: ParamId) -> Option<f64> {
     match id {
-        ParamId::Tool(_) | ParamId::Ball(..) => Some(DISPLACED_BALL_MM),
+        ParamId::Tool(_) => Some(DISPLACED_TOOL_MM),
+        ParamId::Ball(..) => Some(DISPLACED_BALL_MM),
         ParamId::BarOffset(_) => Some(DISPLACED_BAR_MM),
         _ => None,
     }

@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 
 use super::table::{MOST_BALLS, MOST_BARS};
 use crate::base::table::Table;
-use crate::catalogue::MeasurementFinding::{BallsNotInOrder, TooMany};
+use crate::catalogue::MeasurementFinding::{BallsNotInOrder, NoBall, TooMany};
 use crate::diagnostic::Diagnostic;
 use crate::robot::BallId;
 
@@ -29,6 +29,9 @@ impl BaseBall {
             let position = Vector3::new(row.number(x)?, row.number(y)?, row.number(z)?);
             balls.push(Self { id: row.numbered(number)?, position });
         }
+        if balls.is_empty() {
+            return Err(Diagnostic::file(table.file(), NoBall));
+        }
         balls.sort_by_key(|ball| ball.id);
         if balls.len() > MOST_BALLS {
             let (balls, bars, most_balls, most_bars) = (balls.len(), 1, MOST_BALLS, MOST_BARS);
@@ -36,8 +39,9 @@ impl BaseBall {
         }
         match balls.iter().enumerate().find(|(at, ball)| ball.id.index() != *at) {
             None => Ok(balls),
-            Some((_, ball)) => {
-                Err(Diagnostic::file(table.file(), BallsNotInOrder { ball: ball.id.number() }))
+            Some((at, found)) => {
+                let (ball, found) = (BallId::at(at).number(), found.id.number());
+                Err(Diagnostic::file(table.file(), BallsNotInOrder { ball, found }))
             }
         }
     }

@@ -15,4 +15,4 @@ pub use distinct::Distinct;
 pub use model::{LengthModel, PreparedMeasurement, PreparedModel, Selection};
 pub use pieces::MeasurementPieces;
 pub use sample::Sample;
-pub use table::{APPROACH, ApproachedPose, Measurement, Measurements};
+pub use table::{APPROACH, ApproachedPose, Measurement, Measurements, beyond};

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use super::{Column, Context, context};
 use crate::base::table::{Row, Table};
 use crate::catalogue::MeasurementFinding::{
-    BarWithoutLength, NoMeasurement, NoPose, NotASense, TooMany, UnknownBall, UnknownBar,
+    self, BarWithoutLength, NoMeasurement, NoPose, NotASense, TooMany, UnknownBall, UnknownBar,
 };
 use crate::diagnostic::Diagnostic;
 use crate::robot::parameter::SetUp;
@@ -209,6 +209,18 @@ impl Measurements {
         unknown.map_or(Ok(()), |finding| Err(Diagnostic::file(file, finding)))
     }
 
+    /// That some rows have a standard deviation and others none.
+    pub fn without_sigma(&self) -> Option<MeasurementFinding> {
+        let (rows, without) =
+            (self.rows.len(), self.rows.iter().filter(|row| row.sigma_mm.is_none()).count());
+        (0 < without && without < rows).then_some(MeasurementFinding::SigmaMissing { without, rows })
+    }
+
+    /// That rows are at axis angles beyond a robot's limits, degrees.
+    pub fn beyond(&self, limits_deg: &[[f64; 2]; AXES]) -> Option<MeasurementFinding> {
+        beyond(self.rows.iter().map(|row| (row.index as usize, row.axes)), limits_deg)
+    }
+
     /// The number of bars: the highest number of one.
     pub fn bars(&self) -> usize {
         self.rows.iter().map(|row| row.bar.index() + 1).max().unwrap_or(1)
@@ -218,6 +230,25 @@ impl Measurements {
     pub fn balls(&self) -> usize {
         self.rows.iter().map(|row| row.ball.index() + 1).max().unwrap_or(0)
     }
+}
+
+/// The poses, each with its number, that no axis angles within the limits (degrees) give: those of another robot, or typing
+/// errors.
+pub fn beyond(
+    poses: impl Iterator<Item = (usize, AxisAngles)>,
+    limits_deg: &[[f64; 2]; AXES],
+) -> Option<MeasurementFinding> {
+    /// Controllers let an axis come to its very limit, and a little beyond.
+    const BEYOND_DEG: f64 = 1.0;
+    let beyond = poses.filter_map(|(number, axes)| {
+        let out = |(deg, [low, high]): (&f64, &[f64; 2])| *deg < low - BEYOND_DEG || *deg > high + BEYOND_DEG;
+        let axes_deg = axes.degrees();
+        let axis = axes_deg.iter().zip(limits_deg).position(out)?;
+        Some((number, axis + 1, axes_deg[axis]))
+    });
+    let beyond: Vec<_> = beyond.collect();
+    let &(index, axis, deg) = beyond.first()?;
+    Some(MeasurementFinding::BeyondLimits { rows: beyond.len(), index, axis, deg })
 }
 
 /// A pose of a table, and how the axes came to it.

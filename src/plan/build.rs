@@ -17,8 +17,21 @@ use crate::provenance::Provenance;
 use crate::robot::Robot;
 use crate::robot::inverse::Unsolved;
 
-/// Shares of the risk that chosen poses may have, tried in turn.
-const CAUTION: [f64; 3] = [1.0, 0.3, 0.1];
+/// How cautiously poses are chosen.
+#[derive(Clone, Copy)]
+struct Caution {
+    /// Of the risk that is allowed.
+    risk_share: f64,
+    /// Beyond the least clearance, mm: a way is tried in coarser steps than it is checked.
+    clearance_mm: f64,
+}
+
+/// Tried in turn.
+const CAUTION: [Caution; 3] = [
+    Caution { risk_share: 1.0, clearance_mm: 0.0 },
+    Caution { risk_share: 0.3, clearance_mm: 3.0 },
+    Caution { risk_share: 0.1, clearance_mm: 8.0 },
+];
 /// How many branches are followed finely before the best one is refused.
 const TRIED: usize = 4;
 
@@ -83,29 +96,31 @@ impl Plan {
         }
     }
 
-    /// With chosen poses of less and less risk: that of the ways between them counts as well.
+    /// With chosen poses of less and less risk, farther and farther from what is in the way: the ways between them count as
+    /// well.
     fn cautious(job: &Job, robot: &Robot, prior: &PlanningPrior) -> Result<Self, Refusal> {
         let [first, further @ ..] = CAUTION;
         let plan = Self::attempt(job, robot, prior, first);
         let mut further = further.iter();
         let refused = |plan: &Result<Self, Refusal>| match plan {
-            Err(refusal) => refusal.is_for_risk() && job.circles.is_empty(),
+            Err(refusal) => refusal.is_for_caution() && job.circles.is_empty(),
             Ok(_) => false,
         };
         if !refused(&plan) {
             return plan;
         }
-        further.find_map(|share| Self::attempt(job, robot, prior, *share).ok()).map_or(plan, Ok)
+        further.find_map(|caution| Self::attempt(job, robot, prior, *caution).ok()).map_or(plan, Ok)
     }
 
-    /// With poses of this share of the risk that is allowed.
-    fn attempt(job: &Job, robot: &Robot, prior: &PlanningPrior, share: f64) -> Result<Self, Refusal> {
+    fn attempt(job: &Job, robot: &Robot, prior: &PlanningPrior, caution: Caution) -> Result<Self, Refusal> {
         let rig = Rig::new(robot);
         let job = orientations::chosen(job, &rig, prior)?;
         let mut steps = steps(&job)?;
         let (mut notes, mut stage) = (Vec::new(), None);
         if job.optimise.is_some() {
-            let chosen = optimise::steps(&job, &rig, prior, share)?;
+            let mut wary = job.clone();
+            wary.limits.min_clearance_mm += caution.clearance_mm;
+            let chosen = optimise::steps(&wary, &rig, prior, caution.risk_share)?;
             steps.extend(chosen.steps);
             (notes, stage) = (chosen.notes, chosen.stage);
         }
@@ -136,6 +151,7 @@ impl Plan {
         let header = Header {
             schema: super::files::SCHEMA,
             hash: String::new(),
+            text_hash: String::new(),
             robot: robot.to_toml().map_err(Diagnostic::from)?,
             provenance: Provenance::default(),
             moves,

@@ -151,9 +151,10 @@ impl Plan {
         Approach::along(self.rows.iter().map(|row| row.axes_deg.map(f64::to_radians)))
     }
 
-    /// CRC-64/XZ over the text of `plan.csv`, sixteen hexadecimal digits.
+    /// What `hash` of the header must be.
     pub(crate) fn hash(&self) -> Result<String, CliFinding> {
-        Ok(hash_of(&self.to_csv()?))
+        let Header { job, robot, moves, passes, .. } = &self.header;
+        Ok(hash_of([self.to_csv()?.as_str(), &serialised::json_line(&(job, robot, moves, passes))?]))
     }
 
     /// The plan as an artefact.
@@ -172,8 +173,11 @@ impl Plan {
     pub fn to_files(&self) -> Result<(String, String), CliFinding> {
         let mut header = self.header.clone();
         let csv = self.to_csv()?;
-        header.hash = hash_of(&csv);
-        Ok((csv, serialised::json(&header)? + "\n"))
+        header.hash = self.hash()?;
+        header.text_hash = BLANK.into();
+        let json = serialised::json(&header)? + "\n";
+        let json = json.replacen(&text_hash(BLANK), &text_hash(&hash_of([csv.as_str(), &json])), 1);
+        Ok((csv, json))
     }
 
     /// Reads a plan from its two files.
@@ -187,18 +191,13 @@ impl Plan {
         json_text: &str,
     ) -> Result<Self, Diagnostic> {
         let rows = read_rows(csv_name, csv_text)?;
-        let header: Header = serde_json::from_str(json_text).map_err(|error| {
+        let mut header: Header = serde_json::from_str(json_text).map_err(|error| {
             let finding = PlanFinding::NotHeader { why: error.to_string() };
             Diagnostic::position(json_name, json_text, error.line(), error.column(), finding)
         })?;
         let wrong = |finding: PlanFinding| Diagnostic::file(json_name, finding);
         if header.schema != SCHEMA {
             return Err(wrong(PlanFinding::Schema { schema: header.schema, known: SCHEMA }));
-        }
-        let found = hash_of(csv_text);
-        if header.hash != found {
-            let other = csv_name.into();
-            return Err(wrong(PlanFinding::OtherHash { other, hash: header.hash, found }));
         }
         if let Err(misplaced) = header.job.check() {
             return Err(Diagnostic::file(json_name, misplaced.finding));
@@ -212,6 +211,16 @@ impl Plan {
         if let Some(row) = rows.iter().find(|row| header.job.ball(row.centre).is_none()) {
             let finding = PlanFinding::NoSuchBall { ball: row.centre, balls };
             return Err(Diagnostic::line(csv_name, row.index as usize + 1, finding));
+        }
+        let written = std::mem::take(&mut header.text_hash);
+        let (hash, found) = if written.is_empty() {
+            (header.hash.clone(), hash_of([csv_text]))
+        } else {
+            let blank = json_text.replacen(&text_hash(&written), &text_hash(BLANK), 1);
+            (written, hash_of([csv_text, blank.as_str()]))
+        };
+        if hash != found {
+            return Err(wrong(PlanFinding::OtherHash { other: csv_name.into(), hash, found }));
         }
         Ok(Self { rows, header })
     }
@@ -232,6 +241,17 @@ fn read_rows(name: &str, text: &str) -> Result<Vec<PlanRow>, Diagnostic> {
     Ok(rows)
 }
 
-fn hash_of(text: &str) -> String {
-    format!("{:016x}", crc::Crc::<u64>::new(&crc::CRC_64_XZ).checksum(text.as_bytes()))
+fn hash_of<'a>(texts: impl IntoIterator<Item = &'a str>) -> String {
+    let crc = crc::Crc::<u64>::new(&crc::CRC_64_XZ);
+    let mut digest = crc.digest();
+    texts.into_iter().for_each(|text| digest.update(text.as_bytes()));
+    format!("{:016x}", digest.finalize())
+}
+
+/// The digits of a hash that is not computed yet.
+const BLANK: &str = "0000000000000000";
+
+/// The hash of both files as `plan.json` has it.
+fn text_hash(digits: &str) -> String {
+    format!("\"text_hash\": \"{digits}\"")
 }

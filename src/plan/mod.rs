@@ -63,8 +63,13 @@ pub struct Plan {
 pub struct Header {
     /// Version of this form: 1.
     pub schema: u32,
-    /// CRC-64/XZ over the text of `plan.csv`, sixteen hexadecimal digits.
+    /// What the program does and with what: CRC-64/XZ over the text of `plan.csv` with job, robot, moves and passes, sixteen
+    /// hexadecimal digits.
     pub hash: String,
+    /// The same over both files, with these digits 0, while it is in a file; absent in those of older versions, whose
+    /// `hash` is that of `plan.csv` alone.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub text_hash: String,
     /// The job it was made from.
     pub job: Job,
     /// The robot it was made for, as its file's text.

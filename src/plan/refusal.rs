@@ -15,9 +15,9 @@ pub struct Refusal {
 }
 
 impl Refusal {
-    /// Whether nothing is refused but a risk of leaving the stroke.
-    pub(super) fn is_for_risk(&self) -> bool {
-        self.findings.iter().all(|finding| finding.code.0 == "E0706")
+    /// Whether other poses may help: nothing is refused but a risk of leaving the stroke, or a clearance.
+    pub(super) fn is_for_caution(&self) -> bool {
+        self.findings.iter().all(|finding| matches!(finding.code.0, "E0706" | "E0708"))
     }
 
     /// Whether another place of the base ball may help: for that risk, or where too few poses can be chosen.

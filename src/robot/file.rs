@@ -284,7 +284,9 @@ const MOST_DEG: f64 = 1e5;
 /// The same in radians.
 const MOST_RAD: f64 = 2e3;
 /// No mass is larger, kg.
-const MOST_KG: f64 = 1e5;
+const MOST_KG: f64 = 5e3;
+/// No robot repeats worse, mm.
+const MOST_REPEATABILITY_MM: f64 = 5.0;
 
 /// Whether all lengths can be those of an arm.
 fn are_lengths(mm: &[f64]) -> bool {
@@ -327,6 +329,9 @@ impl JointTable {
         if self.sign.abs() != 1 {
             return Err(RobotFinding::JointSign { joint, sign: self.sign });
         }
+        if let Some((key, value)) = self.radians() {
+            return Err(RobotFinding::Radians { joint, key: key.into(), value });
+        }
         let [low_deg, high_deg] = self.limits_deg;
         if !(low_deg >= -MOST_DEG && high_deg <= MOST_DEG && low_deg < high_deg) {
             return Err(RobotFinding::JointLimits { joint, low_deg, high_deg });
@@ -336,6 +341,26 @@ impl JointTable {
             Some(value) => Err(RobotFinding::JointSpeed { joint, value }),
             None => Ok(()),
         }
+    }
+
+    /// An angle that was given in radians: a part of a turn as an arm has it, a range of axis angles, a speed.
+    fn radians(&self) -> Option<(&'static str, f64)> {
+        use std::f64::consts::{FRAC_PI_4, TAU};
+        /// Written with five digits.
+        const ROUNDED: f64 = 5e-5;
+        /// No joint of an arm is slower, degrees/s.
+        const LEAST_SPEED: f64 = 6.0;
+        let is_turn = |value: f64| {
+            let parts = (value / FRAC_PI_4).round();
+            (1.0..=8.0).contains(&parts.abs()) && (value - parts * FRAC_PI_4).abs() < ROUNDED
+        };
+        let turns = [("alpha_deg", self.alpha_deg), ("theta_offset_deg", self.theta_offset_deg)];
+        let [low, high] = self.limits_deg;
+        let narrow = low.abs() < TAU + 0.1 && high.abs() < TAU + 0.1 && low < high;
+        let slow = self.max_speed_deg_s > 0.0 && self.max_speed_deg_s < LEAST_SPEED;
+        let turn = turns.into_iter().find(|(_, value)| is_turn(*value));
+        turn.or(narrow.then_some(("limits_deg", high)))
+            .or(slow.then_some(("max_speed_deg_s", self.max_speed_deg_s)))
     }
 
     fn row(&self) -> DhRow {
@@ -414,7 +439,10 @@ impl RobotFile {
         if !(length_mm > 0.0 && length_mm <= most_mm && angle_deg > 0.0 && angle_deg <= most_deg) {
             return Err((None, RobotFinding::Tolerance { length_mm, angle_deg }));
         }
-        if let Some(value) = self.repeatability_mm.filter(|mm| !(mm.is_finite() && *mm > 0.0)) {
+        if self.name.trim().is_empty() {
+            return Err((None, RobotFinding::NoName));
+        }
+        if let Some(value) = self.repeatability_mm.filter(|mm| !(*mm > 0.0 && *mm <= MOST_REPEATABILITY_MM)) {
             return Err((None, RobotFinding::Repeatability { value }));
         }
         let masses = self.masses().map_err(|finding| (None, finding))?;

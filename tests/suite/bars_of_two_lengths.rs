@@ -121,7 +121,7 @@ fn a_certificate_binds_the_offset_of_each_bar() {
         assert_eq!(parameter(&found, "bar_offset").status, status);
     }
     let (code, _, said) = run(&data.to_csv(), &["--bar-u", "0"]);
-    assert!(code == 2 && said.contains("a positive number is needed"), "{said}");
+    assert!(code == 2 && said.contains("E0003"), "{said}");
 }
 
 #[test]

@@ -94,6 +94,7 @@ pub(crate) fn plan(circles: u32, points: u32) -> Plan {
     let header = Header {
         schema: 1,
         hash: "0123456789abcdef".into(),
+        text_hash: String::new(),
         job: Job::from_toml("job", &job).unwrap(),
         robot: robot.to_toml().unwrap(),
         provenance: Provenance::default(),

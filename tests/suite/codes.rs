@@ -49,6 +49,7 @@ fn provoked() -> Vec<&'static str> {
         crate::logged_axes_identify::provoked(),
         crate::mounting_faults::provoked(),
         crate::no_stage_is_a_dead_end::provoked(),
+        crate::nothing_wrong_is_silent::provoked(),
         crate::plan_is_refused_with_a_reason::provoked(),
         crate::plans_read_back::provoked(),
         crate::programs_of_other_makes::provoked(),

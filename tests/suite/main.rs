@@ -66,6 +66,7 @@ mod krl_round_trips;
 mod logged_axes_identify;
 mod mounting_faults;
 mod no_stage_is_a_dead_end;
+mod nothing_wrong_is_silent;
 mod obstacle_distances;
 mod page_story;
 mod page_texts;

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use dbbd::catalogue::CircularFinding;
 use dbbd::circular::{Mover, Point, Sense, Settings, Trace, circular};
 use dbbd::plan::{Job, Kind, Plan};
 use dbbd::program::krl::{self, Options, Program};
@@ -112,7 +113,7 @@ impl Driven {
 /// Of so many circles the steps that were reported, and those whose interval holds the true play.
 fn coverage(orientation: &str, circles: u64) -> (usize, usize) {
     let driven = Driven::new(orientation);
-    let (mut reported, mut held, mut largest) = (0, 0, 0.0_f64);
+    let (mut reported, mut held, mut largest, mut silent) = (0, 0, 0.0_f64, 0);
     for seed in 1..=circles {
         let mut random = Pcg64::seed_from_u64(1_000_000 + seed);
         // Every second robot has no play at all.
@@ -122,6 +123,8 @@ fn coverage(orientation: &str, circles: u64) -> (usize, usize) {
         });
         let traces = driven.measured(seed, &plays);
         let found = circular(&traces, &Settings { draws: 0, ..Settings::new(300.0) }).unwrap();
+        let is_said = |note: &CircularFinding| matches!(note, CircularFinding::StepsNotSeparable { .. });
+        silent += usize::from(found.steps.is_empty() && !found.notes.iter().any(is_said));
         for step in &found.steps {
             let Mover::Joint(joint) = step.mover else { panic!("{step:?}") };
             reported += 1;
@@ -136,6 +139,7 @@ fn coverage(orientation: &str, circles: u64) -> (usize, usize) {
         100.0 * held as f64 / reported.max(1) as f64,
         1e3 * largest
     );
+    assert_eq!(silent, 0, "circles without a step and without the reason");
     (reported, held)
 }
 
@@ -154,7 +158,12 @@ fn some_steps_hold_their_intervals() {
 fn a_thousand_circles() {
     for orientation in PATTERNS {
         let (reported, held) = coverage(orientation, 1000);
-        assert!(reported >= 1000 && held as f64 >= 0.93 * reported as f64, "{held} of {reported}");
+        // Random orientations leave the two senses no pose in common: no step is separable.
+        let expected = if orientation.contains("random") { 0..=0 } else { 1000..=6000 };
+        assert!(
+            expected.contains(&reported) && held as f64 >= 0.93 * reported as f64,
+            "{held} of {reported}"
+        );
     }
 }
 

@@ -4,12 +4,13 @@ use std::path::Path;
 
 use super::LENGTHS;
 use super::inputs::observations;
-use crate::catalogue::MeasurementFinding::OtherUnit;
+use crate::catalogue::MeasurementFinding::{self, OtherUnit};
 use crate::catalogue::{ConformityFinding, EstimationFinding, ProvenanceFinding};
 use crate::cli::Output;
 use crate::cli::robots::{self, RobotRead};
 use crate::diagnostic::{Diagnostic, Finding, Severity};
 use crate::estimation::{AngleSource, CalibrationResult, Prior, mistaken_unit};
+use crate::math::robust::median;
 use crate::measurement::{BaseBall, Measurements};
 use crate::provenance::{Artefact, Difference, Provenance, Role, Traced};
 use crate::recording::matching::PoseMatching;
@@ -91,6 +92,12 @@ impl Given {
         let RobotRead { robot, source } = robot;
         check_lengths(&input, &observations, &robot, &centres)?;
         findings.extend(robot.asked_repeatability().map(Diagnostic::from));
+        let doubts = [
+            observations.without_sigma(),
+            observations.beyond(&robot.controller().limits_deg),
+            far_rows(&observations, &robot, &centres),
+        ];
+        findings.extend(doubts.into_iter().flatten().map(|doubt| Diagnostic::file(&input, doubt)));
         let of_run = joined.as_ref().map_or_else(Vec::new, |(run, matching)| of_run(run, matching, &robot));
         let axes = match run {
             Some(run) if run.axes_deg.is_empty() => AngleSource::Commanded,
@@ -215,6 +222,28 @@ fn of_run(run: &Run, matching: &PoseMatching, robot: &Robot) -> Vec<Diagnostic> 
     let other = planned
         .map(|planned| EstimationFinding::PlannedForAnother { planned, given: robot.name.clone() }.into());
     torn.into_iter().chain(warnings.cloned().map(Diagnostic::from)).chain(other).collect()
+}
+
+/// Rows whose lengths are far from where robot and balls have them, while the others are near: single typing errors, which can
+/// spoil a whole result.
+fn far_rows(observations: &Measurements, robot: &Robot, centres: &[BaseBall]) -> Option<MeasurementFinding> {
+    /// Balls may be given to centimetres, mm.
+    const FAR_MM: f64 = 100.0;
+    /// Where more are far, robot or balls are others.
+    const FEW: f64 = 0.2;
+    let off = observations.rows.iter().map(|row| {
+        let centre = &centres.get(row.ball.index())?.position;
+        Some((row.index, (row.length_mm - robot.geometry.length(&row.axes.radians(), centre, 0.0)).abs()))
+    });
+    let off: Vec<(u32, f64)> = off.collect::<Option<_>>()?;
+    let usual_mm = median(&mut off.iter().map(|(_, off_mm)| *off_mm).collect::<Vec<_>>())?;
+    let far: Vec<_> = off.iter().filter(|(_, off_mm)| !(*off_mm <= usual_mm + FAR_MM)).collect();
+    let &&(index, off_mm) = far.first()?;
+    ((far.len() as f64) < FEW * off.len() as f64).then_some(MeasurementFinding::FarLengths {
+        rows: far.len(),
+        index,
+        off_mm,
+    })
 }
 
 /// Every observation must have its ball, in millimetres and degrees.

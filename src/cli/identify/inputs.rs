@@ -44,7 +44,14 @@ pub(super) fn read_prior(table: &mut Table<'_>, set_up: SetUp) -> Result<BTreeMa
 
 /// A table with the columns a1_deg..a6_deg, more may stand beside them.
 pub(crate) fn read_workspace(table: &mut Table<'_>) -> Result<Vec<[f64; AXES]>, Diagnostic> {
-    Ok(Measurements::poses_from_table(table)?.iter().map(|pose| pose.axes.radians()).collect())
+    /// Fewer are aligned away: the robot's error would not show.
+    const LEAST: usize = 10;
+    let poses = Measurements::poses_from_table(table)?;
+    if poses.len() < LEAST {
+        let finding = EstimationFinding::SmallWorkspace { poses: poses.len(), least: LEAST };
+        return Err(Diagnostic::file(table.file(), finding));
+    }
+    Ok(poses.iter().map(|pose| pose.axes.radians()).collect())
 }
 
 /// Columns that a `plan.csv` has and no table of measured lengths.

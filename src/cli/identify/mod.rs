@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use super::{Outcome, Output, artefact, positive};
+use super::{Outcome, Output, artefact, bar_u, positive};
 use crate::base::files;
 use crate::catalogue::{EstimationFinding, ProvenanceFinding};
 use crate::design::calibrate;
@@ -20,7 +20,7 @@ use crate::provenance::{Artefact, Provenance, Role};
 use crate::report::calibration;
 use crate::robot::parameter::{self, SetUp};
 pub(crate) use inputs::observations;
-pub(crate) use tables::LENGTHS;
+pub(crate) use tables::{LENGTHS, ROBOT};
 
 use given::check_lengths;
 pub(crate) use given::{Given, Named};
@@ -73,7 +73,7 @@ pub(crate) struct Args {
     /// length_u_mm]. With a prior it binds each bar's offset. Without one an offset is estimated where the lengths
     /// tell it to three times that, and else held; its uncertainty then counts in the standard deviations and in the
     /// predicted error.
-    #[arg(long, value_name = "MM", value_parser = positive)]
+    #[arg(long, value_name = "MM", value_parser = bar_u)]
     bar_u: Option<f64>,
     /// Further observations, to the same balls, that only check the result.
     #[arg(long, value_name = "OBS.csv")]
@@ -128,6 +128,8 @@ impl Args {
 }
 
 pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
+    files::keeps(&args.out.join(LENGTHS), [args.input.as_path()])?;
+    files::keeps(&args.out.join(ROBOT), args.robot.as_deref().map(Path::new))?;
     let mut given = Given::read(args.named(), out)?;
     if let Some(file) =
         args.prior.as_deref().filter(|prior| !["none", "datasheet", "posterior"].contains(prior))
@@ -201,6 +203,19 @@ fn find(
     Ok(calibrate(&input, given.findings())?)
 }
 
+/// What no identification can follow, though each value alone is possible.
+fn check_options(args: &Args, prior: &Prior, given: &Given) -> Result<(), EstimationFinding> {
+    let lengths = given.observations.rows.len();
+    if let Some(folds) = args.folds.filter(|folds| *folds == 1 || *folds > lengths) {
+        return Err(EstimationFinding::NoFolds { folds, lengths });
+    }
+    match prior {
+        Prior::None if args.prior_scale != PriorScale::By(1.0) => Err(EstimationFinding::ScaleWithoutPrior),
+        Prior::Given(sd) if sd.is_empty() => Err(EstimationFinding::EmptyPrior),
+        _ => Ok(()),
+    }
+}
+
 fn options(args: &Args, given: &mut Given, set_up: SetUp, out: &Output) -> Result<Options, Diagnostic> {
     let prior = match args.prior.as_deref() {
         None => given.continued(args.robot.as_deref(), out)?,
@@ -212,6 +227,7 @@ fn options(args: &Args, given: &mut Given, set_up: SetUp, out: &Output) -> Resul
         },
         Some(file) => Prior::Given(out.table(Path::new(file), |table| read_prior(table, set_up))?),
     };
+    check_options(args, &prior, given)?;
     let betas = given.robot.parallel_joints();
     let list = |text: &Option<String>| {
         text.as_deref().map(|text| parameter::parse_list(text, &betas, set_up)).transpose()

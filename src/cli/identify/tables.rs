@@ -16,6 +16,8 @@ use crate::robot::{Joint, Robot};
 
 /// The lengths that an identification rests on, beside its robot-identified.toml.
 pub(crate) const LENGTHS: &str = "lengths.csv";
+/// The identified robot beside them.
+pub(crate) const ROBOT: &str = "robot-identified.toml";
 
 const PARAMETER_COLUMNS: [&str; 14] = [
     "name",
@@ -49,7 +51,7 @@ pub(super) fn write_results(
     let recorded = Recorded { result: &file, provenance: &provenance };
     files::write(&dir.join("result.json"), serialised::json(&recorded)? + "\n")?;
     let robot = Robot { provenance: provenance.clone(), ..found.robot.clone() };
-    files::write(&dir.join("robot-identified.toml"), robot.to_toml()?)?;
+    files::write(&dir.join(ROBOT), robot.to_toml()?)?;
     let parameters =
         parameters_csv(&file).map_err(|error| CliFinding::NoOutput { why: error.to_string() })?;
     files::write(&dir.join("parameters.csv"), parameters)?;

@@ -15,8 +15,20 @@ use crate::provenance::check_text;
 const MOST_POINTS: u32 = 1000;
 /// Candidates to choose from.
 const MOST_CANDIDATES: u32 = 100_000;
-/// A bar is mounted: the speed of a controller's test mode is the most, mm/s.
-const MOST_FEED_MM_S: f64 = 250.0;
+/// A bar is mounted: the speed of a controller's test mode is the most, mm/s. The least is no speed in m/s.
+const FEED_MM_S: [f64; 2] = [0.5, 250.0];
+/// In a shorter dwell no bar sends enough readings, s.
+const LEAST_DWELL_S: f64 = 0.05;
+/// A bar that is known worse is no standard, mm.
+const MOST_LENGTH_U_MM: f64 = 0.5;
+/// Where lengths are certified, degrees Celsius.
+const CERTIFIED_C: [f64; 2] = [0.0, 50.0];
+/// From carbon fibre to plastics, 1/K.
+const EXPANSION_PER_K: [f64; 2] = [-2e-6, 2e-4];
+/// A shorter arc is one in radians, degrees.
+const LEAST_ARC_DEG: f64 = 7.0;
+/// A smaller box or cylinder is one in metres, mm.
+const LEAST_OBSTACLE_MM: f64 = 3.0;
 /// Longest wait and dwell, s.
 const MOST_WAIT_S: f64 = 60.0;
 /// Digital outputs that a controller has.
@@ -90,9 +102,10 @@ impl Job {
             return Err(table.wrong("stroke_mm", JobFinding::StrokeOrder { low_mm, high_mm, length_mm }));
         }
         table.positive("radius_mm", bar.radius_mm)?;
-        bar.length_u_mm.map_or(Ok(()), |u| table.positive("length_u_mm", u))?;
-        bar.temperature_c.map_or(Ok(()), |t| table.within("temperature_c", t, [-50.0, 100.0]))?;
-        bar.expansion_per_k.map_or(Ok(()), |value| table.within("expansion_per_k", value, [-1e-3, 1e-3]))?;
+        bar.length_u_mm.map_or(Ok(()), |u| table.positive_to("length_u_mm", u, MOST_LENGTH_U_MM))?;
+        bar.temperature_c.map_or(Ok(()), |t| table.within("temperature_c", t, CERTIFIED_C))?;
+        bar.expansion_per_k
+            .map_or(Ok(()), |value| table.within("expansion_per_k", value, EXPANSION_PER_K))?;
         let (margin_mm, stroke_mm) = (bar.margin_mm, high_mm - low_mm);
         if !(margin_mm >= 0.0 && 2.0 * margin_mm < stroke_mm) {
             return Err(table.wrong("margin_mm", JobFinding::NoStrokeLeft { margin_mm, stroke_mm }));
@@ -137,10 +150,10 @@ impl Job {
 
     fn check_motion(&self) -> Result<(), Misplaced> {
         let (motion, table) = (&self.motion, Table::new("[motion]"));
-        table.positive_to("feed_mm_s", motion.feed_mm_s, MOST_FEED_MM_S)?;
+        table.within("feed_mm_s", motion.feed_mm_s, FEED_MM_S)?;
         table.positive("turn_deg_s", motion.turn_deg_s)?;
         table.positive_to("settle_s", motion.settle_s, MOST_WAIT_S)?;
-        table.positive_to("dwell_s", motion.dwell_s, MOST_WAIT_S)?;
+        table.within("dwell_s", motion.dwell_s, [LEAST_DWELL_S, MOST_WAIT_S])?;
         table.finite("tool", motion.tool.iter().flatten())?;
         table.finite("base", motion.base.iter().flatten())
     }
@@ -204,7 +217,7 @@ impl Job {
         table.finite("start_deg", [&circle.start_deg])?;
         table.finite("tilt_deg", [&circle.tilt_deg])?;
         table.finite("spin_deg", [&circle.spin_deg])?;
-        table.positive_to("arc_deg", circle.arc_deg, 360.0)?;
+        table.within("arc_deg", circle.arc_deg, [LEAST_ARC_DEG, 360.0])?;
         match circle.mode {
             Mode::Continuous => self.check_continuous(table, number, circle),
             Mode::Dwell => check_dwells(table, number, circle),
@@ -249,16 +262,30 @@ fn check_obstacle(table: Table, obstacle: &ObstacleTable) -> Result<(), Misplace
     match *obstacle {
         ObstacleTable::Box { low_mm, high_mm } => {
             table.finite("high_mm", &high_mm)?;
-            table.corners("low_mm", low_mm, high_mm)
+            table.corners("low_mm", low_mm, high_mm)?;
+            table.large("high_mm", std::array::from_fn(|axis| high_mm[axis] - low_mm[axis]))
         }
         ObstacleTable::Cylinder { from_mm, to_mm, radius_mm } => {
             table.finite("from_mm", &from_mm)?;
             table.finite("to_mm", &to_mm)?;
             let along = [to_mm[0] - from_mm[0], to_mm[1] - from_mm[1], to_mm[2] - from_mm[2]];
             table.direction("to_mm", along)?;
-            table.positive("radius_mm", radius_mm)
+            table.positive("radius_mm", radius_mm)?;
+            table.large("to_mm", [along[0], along[1], along[2].hypot(2.0 * radius_mm)])
         }
         ObstacleTable::Floor { z_mm } => table.within("z_mm", z_mm, [-MOST, MOST]),
+    }
+}
+
+impl Table {
+    /// That an obstacle of this size, mm, is not one in metres.
+    fn large(self, key: &'static str, size: [f64; 3]) -> Result<(), Misplaced> {
+        match size.into_iter().map(f64::abs).fold(0.0, f64::max) {
+            size_mm if size_mm < LEAST_OBSTACLE_MM => {
+                Err(self.wrong(key, JobFinding::TinyObstacle { key: key.into(), size_mm }))
+            }
+            _ => Ok(()),
+        }
     }
 }
 

@@ -134,7 +134,7 @@ pub(super) struct Plain {
 }
 
 /// A column by its name or its number from 1.
-#[derive(Clone, Debug, Deserialize)]
+#[derive(Clone, Debug, Deserialize, PartialEq)]
 #[serde(untagged, expecting = "a column's name, or its number from 1")]
 pub(super) enum Column {
     Name(String),
@@ -159,6 +159,10 @@ impl Mapping {
         }
         if decimal.is_some_and(|decimal| delimiter.is_some_and(|delimiter| delimiter.starts_with(decimal))) {
             return Err(at("decimal", ImportFinding::DecimalIsDelimiter));
+        }
+        let named = mapping.time.column != Time::default().column || mapping.time.unit.is_some();
+        if mapping.time.rate_hz.is_some() && named {
+            return Err(at("rate_hz", ImportFinding::RateAndColumn));
         }
         if mapping.time.rate_hz.is_some_and(|hz| !(hz.is_finite() && hz > 0.0)) {
             return Err(at("rate_hz", ImportFinding::Rate));

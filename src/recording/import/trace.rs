@@ -45,8 +45,46 @@ pub struct Counts {
     pub samples: u64,
     /// Those beyond the stroke, or marked as not valid.
     pub invalid: u64,
+    /// Lowest and highest, mm.
+    pub range_mm: Option<[f64; 2]>,
+    /// How often no reading came for more than a second, and the longest of these times, s.
+    pub holes: u64,
+    pub longest_s: f64,
+    /// Readings with the time of the one before.
+    pub same_times: u64,
     /// Wall clock of the first row, ns since 1970, where the trace gives it.
     pub unix_ns: u64,
+}
+
+impl Counts {
+    /// A reading that came so long after the one before.
+    fn add(&mut self, reading_mm: f64, after_s: f64) {
+        const HOLE_S: f64 = 1.0;
+        let [low, high] = self.range_mm.unwrap_or([reading_mm; 2]);
+        self.range_mm = Some([low.min(reading_mm), high.max(reading_mm)]);
+        self.same_times += u64::from(self.samples > 0 && after_s == 0.0);
+        self.holes += u64::from(after_s > HOLE_S);
+        self.longest_s = self.longest_s.max(after_s);
+    }
+
+    /// Why the dwells of a plan cannot be found in readings over `seconds`.
+    pub fn doubts(&self, seconds: f64, dwell_s: f64) -> impl Iterator<Item = ImportFinding> {
+        const LEAST_IN_DWELL: f64 = 5.0;
+        const MOST_SAME: f64 = 0.5;
+        let [low, high] = self.range_mm.unwrap_or_default();
+        let period_s = seconds / (self.samples.max(2) - 1) as f64;
+        let same = self.same_times as f64 / self.samples.max(1) as f64;
+        let slow = LEAST_IN_DWELL * period_s > dwell_s;
+        [
+            (low == high && self.samples > 1).then_some(ImportFinding::Constant { reading_mm: low }),
+            slow.then_some(ImportFinding::TooSlow { period_s, dwell_s }),
+            (same > MOST_SAME).then_some(ImportFinding::SameTimes { percent: 100.0 * same }),
+            (!slow && self.holes > 0)
+                .then_some(ImportFinding::Holes { holes: self.holes, longest_s: self.longest_s }),
+        ]
+        .into_iter()
+        .flatten()
+    }
 }
 
 /// A row with the text since the row before, in UTF-8.
@@ -158,6 +196,7 @@ impl State<'_> {
             self.counts.unix_ns = u64::try_from(ns).unwrap_or(0);
         }
         self.first_ns.get_or_insert(ns);
+        self.counts.add(reading_mm, host.seconds_since(self.last));
         self.last = host;
         self.counts.samples += 1;
         self.counts.invalid += u64::from(!sample.valid);

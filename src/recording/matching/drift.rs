@@ -12,7 +12,7 @@ pub struct Drift {
     /// Its standard deviation from the readings' scatter about the line, mm; `None` of two readings.
     pub sd_mm: Option<f64>,
     pub readings: usize,
-    /// Whether the change is beyond chance (95 %).
+    /// Whether the change is beyond chance (95 %) and beyond the bar's standard deviation.
     pub significant: bool,
 }
 
@@ -21,7 +21,9 @@ const STUDENT: [f64; 10] = [12.71, 4.30, 3.18, 2.78, 2.57, 2.45, 2.36, 2.31, 2.2
 const NORMAL: f64 = 2.0;
 
 /// The greatest drift (in standard deviations, where known) of the poses that are read repeatedly.
-pub(super) fn of(rows: &[&PlanRow], outcomes: &[PoseOutcome]) -> Option<Drift> {
+///
+/// A change by less than the bar's standard deviation, mm, is of no interest.
+pub(super) fn of(rows: &[&PlanRow], outcomes: &[PoseOutcome], bar_sigma_mm: f64) -> Option<Drift> {
     let mut groups: Vec<(&PlanRow, Vec<[f64; 2]>)> = Vec::new();
     for (row, pose) in rows.iter().zip(outcomes).filter(|(row, _)| row.kind == Kind::Reference) {
         let Some(reading) = pose.reading() else { continue };
@@ -35,7 +37,12 @@ pub(super) fn of(rows: &[&PlanRow], outcomes: &[PoseOutcome]) -> Option<Drift> {
         }
     }
     let weight = |drift: &Drift| drift.change_mm.abs() / drift.sd_mm.unwrap_or(f64::INFINITY);
-    groups.iter().filter_map(|(_, points)| line(points)).max_by(|a, b| weight(a).total_cmp(&weight(b)))
+    let lines = groups.iter().filter_map(|(_, points)| line(points));
+    let worth = |drift: Drift| Drift {
+        significant: drift.significant && drift.change_mm.abs() > bar_sigma_mm,
+        ..drift
+    };
+    lines.map(worth).max_by(|a, b| weight(a).total_cmp(&weight(b)))
 }
 
 /// By times, s, and readings, mm, in order of time.

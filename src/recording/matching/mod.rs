@@ -32,7 +32,7 @@ use crate::robot::{AXES, Approach};
 
 pub use alignment::{Alignment, DwellEvidence, Expected, Pairing, align};
 pub use drift::Drift;
-pub use outcome::{MatchOutcome, PoseOutcome};
+pub use outcome::{MatchOutcome, PoseOutcome, nothing_matched};
 pub use passes::Lag;
 pub use program::Commanded;
 pub use stillness::still_dwells;
@@ -148,7 +148,7 @@ pub fn match_poses(input: &Input<'_>) -> PoseMatching {
         by_stillness(input, &poses)
     };
     let mut outcomes = outcomes(input, &poses, &paired);
-    let drift = drift::of(&poses.rows, &outcomes);
+    let drift = drift::of(&poses.rows, &outcomes, input.bar_sigma_mm);
     let spurious = spurious(&paired, &passes);
     let observations = Rows::of(input).collect(&outcomes, &passes);
     outcomes.extend(passes.points.into_iter().map(|point| point.pose));

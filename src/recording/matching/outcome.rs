@@ -121,6 +121,28 @@ pub(super) fn unread(stream: &Stream, dwell: &Dwell) -> Finding {
     }
 }
 
+/// Why no dwell is a pose's, as far as the stream shows it.
+pub fn nothing_matched(plan: &Plan, stream: &Stream) -> Finding {
+    /// No bar is still to less while a robot moves it, mm.
+    const STILL_MM: f64 = 0.005;
+    /// No run takes so many times as long as its program.
+    const LONGEST: f64 = 50.0;
+    let valid = (0..stream.len()).filter(|at| stream.valid(*at)).map(|at| stream.reading_mm[at]);
+    let [low, high] = valid.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], reading| {
+        [low.min(reading), high.max(reading)]
+    });
+    let (seconds, planned_s) = (stream.t_s.last().copied().unwrap_or(0.0), plan.duration_s());
+    if low > high {
+        Finding::NothingValid
+    } else if high - low < STILL_MM {
+        Finding::NothingMoves { reading_mm: low }
+    } else if !(0.9 * planned_s..=LONGEST * planned_s).contains(&seconds) {
+        Finding::OtherDuration { seconds, planned_s }
+    } else {
+        Finding::NothingMatched
+    }
+}
+
 fn percent(part: usize, all: usize) -> f64 {
     100.0 * part as f64 / all as f64
 }

@@ -59,6 +59,10 @@ pub fn open(
         if logged.absolute_accuracy {
             report(RecordingFinding::AbsoluteAccuracy);
         }
+        if logged.axes_deg.is_empty() {
+            doubtful = true;
+            report(RecordingFinding::NoAxesLogged { data: path.display().to_string() });
+        }
         axes_deg.extend(logged.axes_deg);
     }
     let other = other_plan(attachments.get("plan.json"), &plan);
@@ -68,7 +72,7 @@ pub fn open(
     }
     let identity = identity(&name, Some(&plan), &attachments, started)?;
     let run = Run { plan, stream, temperatures, reports, doubtful, axes_deg, identity };
-    run.temperature_finding().into_iter().for_each(&mut report);
+    run.temperatures.doubt().into_iter().chain(run.temperature_finding()).for_each(&mut report);
     Ok(run)
 }
 

@@ -1,5 +1,7 @@
 //! The bar's temperature over a run.
 
+use crate::catalogue::RecordingFinding;
+
 /// Samples whose temperatures are kept as their mean.
 const BLOCK: usize = 256;
 /// A temperature counts for so many blocks before and after it was read.
@@ -17,6 +19,8 @@ struct Block {
 pub(super) struct Temperatures {
     blocks: Vec<Block>,
     samples: usize,
+    /// Lowest and highest.
+    range_c: Option<[f64; 2]>,
 }
 
 impl Temperatures {
@@ -25,6 +29,8 @@ impl Temperatures {
         let block = self.samples / BLOCK;
         self.samples += 1;
         if let Some(temperature_c) = temperature_c.filter(|c| c.is_finite()) {
+            let [low, high] = self.range_c.unwrap_or([temperature_c; 2]);
+            self.range_c = Some([low.min(temperature_c), high.max(temperature_c)]);
             self.blocks.resize(self.blocks.len().max(block + 1), Block::default());
             let block = &mut self.blocks[block];
             block.sum_c += temperature_c;
@@ -40,6 +46,13 @@ impl Temperatures {
             (block.count > 0).then(|| block.sum_c / f64::from(block.count))
         };
         (0..=NEAR).find_map(|off| block.checked_sub(off).and_then(mean).or_else(|| mean(block + off)))
+    }
+
+    /// That no bar had them while people worked beside it.
+    pub(super) fn doubt(&self) -> Option<RecordingFinding> {
+        const ROOM_C: [f64; 2] = [-10.0, 60.0];
+        let [low_c, high_c] = self.range_c?;
+        (low_c < ROOM_C[0] || high_c > ROOM_C[1]).then_some(RecordingFinding::NoTemperature { low_c, high_c })
     }
 
     /// The mean over the run.

@@ -1,0 +1,45 @@
+//! Lengths that no circular test gives: mistakes in a table.
+
+use super::Trace;
+use crate::catalogue::CircularFinding as Finding;
+use crate::math::robust::median;
+
+/// Times the usual difference from the neighbours, and mm: no reversal makes such a peak at a single point.
+const SPIKE: f64 = 20.0;
+const LEAST_SPIKE_MM: f64 = 0.2;
+/// Share of the radius by which the mean length may be off.
+const MOST_APART: f64 = 0.01;
+/// Points from which neighbours are near.
+const LEAST_POINTS: usize = 12;
+
+pub(super) fn of(traces: &[Trace], radius_mm: f64) -> Vec<Finding> {
+    let mut found: Vec<Finding> = traces.iter().filter_map(spike).collect();
+    let lengths = || traces.iter().flat_map(|trace| &trace.points).map(|point| point.length_mm);
+    let mean_mm = lengths().sum::<f64>() / lengths().count().max(1) as f64;
+    if (mean_mm - radius_mm).abs() > MOST_APART * radius_mm {
+        found.push(Finding::OtherRadius { mean_mm, radius_mm });
+    }
+    let mut rest = lengths();
+    let first = rest.next();
+    if rest.all(|length_mm| Some(length_mm) == first) {
+        found.push(Finding::EqualLengths { length_mm: mean_mm });
+    }
+    found
+}
+
+/// The point that is the farthest from the mean of its neighbours, if no circle has it.
+fn spike(trace: &Trace) -> Option<Finding> {
+    if trace.points.len() < LEAST_POINTS {
+        return None;
+    }
+    let mut points: Vec<_> = trace.points.iter().collect();
+    points.sort_by(|a, b| a.angle_deg.total_cmp(&b.angle_deg));
+    let off = points
+        .windows(3)
+        .map(|near| (near[1].angle_deg, near[1].length_mm - 0.5 * (near[0].length_mm + near[2].length_mm)));
+    let off: Vec<(f64, f64)> = off.collect();
+    let usual_mm = median(&mut off.iter().map(|(_, off_mm)| off_mm.abs()).collect::<Vec<_>>())?;
+    let &(angle_deg, off_mm) = off.iter().max_by(|a, b| a.1.abs().total_cmp(&b.1.abs()))?;
+    let is_spike = off_mm.abs() > LEAST_SPIKE_MM.max(SPIKE * usual_mm);
+    is_spike.then(|| Finding::Spike { run: trace.run.clone(), angle_deg, off_mm })
+}
