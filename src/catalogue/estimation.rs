@@ -30,7 +30,6 @@ findings! {
         cure: "Check angles, lengths, sigmas, --tool and --centres. Ask for other parameters with --estimate, or vary the poses." {
             NotFinite => "a length or its derivative is not finite";
             NoFolds { folds: usize, lengths: usize } => "--folds {folds}: {lengths} lengths are cut into 2 folds or more, at most one for each length";
-            ScaleWithoutPrior => "--prior-scale needs a prior: give --prior datasheet or a FILE";
             SmallWorkspace { poses: usize, least: usize } => "{poses} poses are too few for a workspace: at least {least} are needed";
             NothingToEstimate => "none of the parameters asked for changes a length in these poses";
         }

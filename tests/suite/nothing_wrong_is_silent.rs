@@ -110,7 +110,6 @@ fn tables_of_lengths() {
         (&["--folds", "1"][..], 2, ""),
         (&["--bar-u", "1"], 2, ""),
         (&["--bar-u", "-0.001"], 2, ""),
-        (&["--prior-scale", "5"], 1, "E1301"),
         (&["--workspace", "far.csv"], 1, "E1301"),
     ] {
         let output = identified(&data, options);

@@ -210,7 +210,6 @@ fn check_options(args: &Args, prior: &Prior, given: &Given) -> Result<(), Estima
         return Err(EstimationFinding::NoFolds { folds, lengths });
     }
     match prior {
-        Prior::None if args.prior_scale != PriorScale::By(1.0) => Err(EstimationFinding::ScaleWithoutPrior),
         Prior::Given(sd) if sd.is_empty() => Err(EstimationFinding::EmptyPrior),
         _ => Ok(()),
     }
