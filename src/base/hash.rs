@@ -17,9 +17,34 @@ impl Sha256 {
     }
 }
 
+/// The hash of a text in Base64, as policies of web pages name a script.
+pub fn sha256_base64(content: impl AsRef<[u8]>) -> String {
+    const DIGITS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
+    let hash = Hash::hash(content.as_ref());
+    let digit = |bits: u32| char::from(DIGITS[(bits & 63) as usize]);
+    let group = |bytes: &[u8]| {
+        let bits = (0..3).fold(0, |bits, at| bits << 8 | u32::from(bytes.get(at).copied().unwrap_or(0)));
+        let digits = [18, 12, 6, 0].map(|shift| digit(bits >> shift));
+        let padded = |at| if at <= bytes.len() { digits[at] } else { '=' };
+        [0, 1, 2, 3].map(padded)
+    };
+    hash.chunks(3).flat_map(group).collect()
+}
+
 /// The hash of a text or of bytes, in hexadecimal digits.
 pub fn sha256(content: impl AsRef<[u8]>) -> String {
     let mut hash = Sha256::default();
     hash.update(content);
     hash.finish()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_script_is_named_as_openssl_names_it() {
+        // printf 'abc' | openssl dgst -sha256 -binary | base64
+        assert_eq!(sha256_base64("abc"), "ungWv48Bz+pBQUDeXa4iI7ADYaOWF3qctBD/YfIAFa0=");
+    }
 }

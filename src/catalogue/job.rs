@@ -62,9 +62,10 @@ findings! {
             ParametersWithoutPrior { list: String } => "[optimise] parameters = \"{list}\": only geometric, tool, centres and bar can be listed";
         }
         E0680 "a text or a date of an identity cannot be used",
-        cause: "A text of [identity], [bar] or [[centre]] is empty, too long or has control characters, or a date is none of the calendar.",
+        cause: "A text of [identity], [bar] or [[centre]] is empty, too long or has control characters, a date is none of the calendar, or a country no code.",
         cure: "Write texts in one line of at most 200 characters, and dates as \"2026-03-31\"." {
             NotAText { key: String, length: usize, most: usize } => "{key} must be a text of 1 to {most} characters in one line, it has {length}";
+            NotACountry { code: String } => "country = \"{code}\" must be two capital letters of ISO 3166-1, such as DE";
             NotADate { key: String, date: String } => "{key} = \"{date}\" is no date YYYY-MM-DD";
         }
     }

@@ -5,6 +5,7 @@
 //! A code that was released keeps its meaning; a code that is dropped is not used again.
 
 mod bar;
+mod certificate;
 mod circular;
 mod cli;
 mod compensation;
@@ -27,6 +28,7 @@ mod service;
 mod simulation;
 
 pub use bar::BarFinding;
+pub use certificate::CertificateFinding;
 pub use circular::CircularFinding;
 pub use cli::CliFinding;
 pub use compensation::CompensationFinding;
@@ -153,6 +155,7 @@ const FAMILIES: &[(&str, &[Entry])] = &[
     ("The simulator", SimulationFinding::ENTRIES),
     ("Estimation", EstimationFinding::ENTRIES),
     ("Comparison and interim check", ConformityFinding::ENTRIES),
+    ("Certificates", CertificateFinding::ENTRIES),
     ("Pages and exports", ReportFinding::ENTRIES),
     ("The bar and its port", PortFinding::ENTRIES),
     ("Protocol definitions", ProtocolFinding::ENTRIES),

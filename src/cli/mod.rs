@@ -3,6 +3,7 @@
 mod acquire;
 mod artefact;
 mod bar;
+mod certificate;
 mod check;
 mod child;
 mod circle;
@@ -89,6 +90,7 @@ enum Verb {
     Circle(circle::Args),
     Check(check::Args),
     Compare(compare::Args),
+    Certificate(certificate::Args),
     Compensate(compensate::Args),
     Serve(serve::Args),
     Demo(demo::Args),
@@ -174,6 +176,7 @@ pub fn main() -> ExitCode {
         Verb::Circle(args) => circle::run(args, &out),
         Verb::Check(args) => check::run(args, &out),
         Verb::Compare(args) => compare::run(args, &out),
+        Verb::Certificate(args) => certificate::run(args, &out),
         Verb::Compensate(args) => compensate::run(args, &out),
         Verb::Serve(args) => serve::run(args, &out),
         Verb::Demo(args) => demo::run(args, &out),

@@ -4,6 +4,7 @@
 //! Changes are tested at one level for all quantities of a family together (Holm, Scand. J. Statist. 6, 1979). Pure:
 //! results in, numbers out.
 
+mod budget;
 mod circles;
 mod decision;
 mod interim;
@@ -13,6 +14,7 @@ mod tracked;
 
 use serde::Serialize;
 
+pub use budget::{Basis, Budget, BudgetLine, COVERAGE_FACTOR, Source};
 pub use circles::{CircleCompared, CircleFile, CircleRead, TraceRead, compare_circles};
 pub use decision::{Decision, Outcome, Rule, decide};
 pub use interim::{CheckInput, InterimCheck, LEAST_FREEDOM, PositionNow};

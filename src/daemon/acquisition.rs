@@ -17,7 +17,7 @@ use super::recorder::Recorder;
 use super::schedule::{ALARM_SHARE, Schedule};
 use super::session::{self, Opened};
 use super::telegrams::{Line, Telegrams};
-use crate::base::clock;
+use crate::base::{clock, serialised};
 use crate::base::units::HostNs;
 use crate::catalogue::{RecordingFinding, ServiceFinding};
 use crate::device::port::{self, Arrival, Port, PortAddress, Reader};
@@ -157,7 +157,7 @@ impl Acquisition {
             recorder.attach(began, name, content.as_bytes())?;
         }
         if !options.identity.is_empty() {
-            recorder.attach(began, ATTACHED_IDENTITY, options.identity.to_toml()?.as_bytes())?;
+            recorder.attach(began, ATTACHED_IDENTITY, serialised::toml(&options.identity)?.as_bytes())?;
         }
         recorder.attach(began, "protocol.toml", options.definition.text.as_bytes())?;
         let port = begin(&mut recorder, &options.port, opened)?;

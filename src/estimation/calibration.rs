@@ -232,6 +232,7 @@ impl<'a> Calibration<'a> {
             validation: self.validation,
             distance: DistanceQuantities::of(&self.observations.rows, &estimate.fit.model),
             predicted: self.prediction.pair,
+            position_parts: self.prediction.parts,
             map: self.prediction.map,
             parameters: self.parameters,
             combinations: estimate.analysis.combinations(),

@@ -59,7 +59,7 @@ pub use options::{ErrorModel, Options};
 pub use outlook::{Foreseen, Outlook, outlook};
 pub use position::Positions;
 pub use posterior::{Posterior, inverse_root, root_after};
-pub use predicted::{ErrorSummary, Estimator, Workspace};
+pub use predicted::{ErrorSummary, Estimator, PositionParts, Workspace};
 pub use priors::{Group, Prior, Priors};
 pub use rank::{Analysis, Combination, analyse, order_of_choice};
 pub use residual_tests::senses;

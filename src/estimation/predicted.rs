@@ -43,6 +43,15 @@ pub struct ErrorSummary {
     pub max: f64,
 }
 
+/// What two sources alone leave of the identified robot's position: root mean square over robots and poses, mm.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct PositionParts {
+    /// The error of the bar's length.
+    pub bar_mm: f64,
+    /// The noise of the lengths.
+    pub noise_mm: f64,
+}
+
 /// Poses over which the error is predicted, with the ball's position Jacobian at them.
 pub struct Workspace {
     /// Ball positions, mm.
@@ -215,6 +224,7 @@ impl Estimator<'_> {
 /// The position uncertainty of the nominal and the identified robot over the workspace.
 pub(crate) struct Prediction {
     pub(crate) pair: PredictedPair,
+    pub(super) parts: PositionParts,
     pub(super) map: Vec<MapPoint>,
     /// The robot by its maker's tolerance, whatever was identified before.
     pub(super) maker: ErrorSummary,
@@ -260,6 +270,17 @@ impl Prediction {
         let unknown = without_rows(&truths, &ids, fixed);
         let errors = estimator.errors(&unknown, &noise).ok_or(EstimationFinding::NotFinite)?;
         let moved = workspace.displacements(&errors);
+        // The estimate is linear in its errors: those of one source go on alone.
+        let rms = |truths: &DMatrix<f64>, noise: &DMatrix<f64>| {
+            let moved = workspace.displacements(&estimator.errors(truths, noise)?);
+            Some(moved.norm() / (moved.len().max(3) as f64 / 3.0).sqrt())
+        };
+        let is_bar = |id: &ParamId| matches!(id, ParamId::BarOffset(_));
+        let of_bar = without_rows(&unknown, &ids, |id| !is_bar(id));
+        let parts = PositionParts {
+            bar_mm: rms(&of_bar, &(&noise * 0.0)).ok_or(EstimationFinding::NotFinite)?,
+            noise_mm: rms(&(&unknown * 0.0), &noise).ok_or(EstimationFinding::NotFinite)?,
+        };
         let pair = PredictedPair {
             nominal: workspace.summary(&workspace.displacements(&truths)),
             identified: workspace.summary(&moved),
@@ -278,7 +299,7 @@ impl Prediction {
             pair.nominal
         };
         let posterior = estimator.left(setting, estimate);
-        Ok(Self { pair, maker, posterior, map: workspace.map(&moved), before, ids, factor, workspace })
+        Ok(Self { pair, parts, maker, posterior, map: workspace.map(&moved), before, ids, factor, workspace })
     }
 
     /// Whether the identified robot is predicted to be clearly better than its maker's word.

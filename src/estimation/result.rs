@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::joint_fit::JointSummary;
 use super::priors::Prior;
-use super::{Combination, Correlation, DistanceQuantities, ErrorSummary, Observability, Posterior};
+use super::{Combination, Correlation, DistanceQuantities, ErrorSummary, Observability, PositionParts, Posterior};
 use crate::catalogue::EstimationFinding;
 use crate::diagnostic::{Diagnostic, Severity};
 use crate::measurement::{LengthModel, Measurement, PreparedMeasurement};
@@ -42,6 +42,8 @@ pub struct CalibrationResult {
     /// Where poses were visited more than once.
     pub distance: Option<DistanceQuantities>,
     pub predicted: PredictedPair,
+    /// What the bar and the noise contribute to it.
+    pub position_parts: PositionParts,
     /// Position uncertainty of the identified robot over the workspace.
     pub map: Vec<MapPoint>,
     /// Every parameter of the model.

@@ -10,12 +10,22 @@ use futures_util::stream;
 
 use super::connections::Busy;
 use super::service::Download;
+use crate::base::hash::sha256_base64;
 
 /// Bytes read at a time.
 const PIECE: usize = 64 * 1024;
-/// A report holds its own style and pictures, and nothing that acts.
-const REPORT_POLICY: &str = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; sandbox; \
-    base-uri 'none'; form-action 'none'; frame-ancestors 'self'";
+/// The script of the pages' viewer.
+const VIEWER: &str = include_str!("../report/viewer.js");
+
+/// A report holds its own style and pictures, and of scripts that of the viewer alone; its origin is none, so that it reaches
+/// nothing of the service.
+fn report_policy() -> String {
+    format!(
+        "default-src 'none'; script-src 'sha256-{}'; style-src 'unsafe-inline'; img-src data:; sandbox allow-scripts; \
+         base-uri 'none'; form-action 'none'; frame-ancestors 'self'",
+        sha256_base64(VIEWER)
+    )
+}
 
 /// Answers with a file: what a browser shows is shown, the rest saved.
 pub(super) fn answer(download: Download, busy: Busy) -> Response {
@@ -34,7 +44,7 @@ pub(super) fn answer(download: Download, busy: Busy) -> Response {
         (CONTENT_TYPE, kind.to_owned()),
         (CONTENT_LENGTH, bytes.to_string()),
         (CONTENT_DISPOSITION, disposition),
-        (CONTENT_SECURITY_POLICY, REPORT_POLICY.to_owned()),
+        (CONTENT_SECURITY_POLICY, report_policy()),
     ];
     let pieces = stream::unfold(Some((file, bytes, busy)), |rest| async move {
         let (file, left, busy) = rest?;

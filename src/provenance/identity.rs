@@ -6,8 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::base::date::day_number;
 use crate::base::parse::from_toml;
-use crate::catalogue::FileFinding;
-use crate::catalogue::JobFinding::{self, NotADate, NotAText, OutOfRange};
+use crate::catalogue::JobFinding::{self, NotACountry, NotADate, NotAText, OutOfRange};
 use crate::diagnostic::Diagnostic;
 
 /// No text of an identity is longer, characters.
@@ -30,6 +29,9 @@ pub struct Identity {
     pub cell: Option<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub laboratory: Option<String>,
+    /// Its country by ISO 3166-1, two capital letters.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub country: Option<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub operator: Option<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -175,14 +177,6 @@ impl Identity {
         Ok(identity)
     }
 
-    /// Its file.
-    ///
-    /// # Errors
-    /// A number that TOML cannot hold.
-    pub fn to_toml(&self) -> Result<String, FileFinding> {
-        toml::to_string(self).map_err(|error| FileFinding::NotToml { why: error.to_string() })
-    }
-
     pub fn is_empty(&self) -> bool {
         *self == Self::default()
     }
@@ -192,12 +186,13 @@ impl Identity {
         Self { robot: self.robot.clone(), controller: self.controller.clone(), ..Self::default() }
     }
 
-    fn texts(&self) -> [(&'static str, &Option<String>); 6] {
+    fn texts(&self) -> [(&'static str, &Option<String>); 7] {
         [
             ("robot", &self.robot),
             ("controller", &self.controller),
             ("cell", &self.cell),
             ("laboratory", &self.laboratory),
+            ("country", &self.country),
             ("operator", &self.operator),
             ("customer", &self.customer),
         ]
@@ -211,6 +206,11 @@ impl Identity {
         self.texts().into_iter().try_for_each(|(key, text)| check_text(key, text.as_ref()))?;
         self.balls.values().try_for_each(|serial| check_text("balls", Some(serial)))?;
         check_date("measured", self.measured.as_ref())?;
+        if let Some(code) = self.country.as_ref()
+            && !(code.len() == 2 && code.bytes().all(|byte| byte.is_ascii_uppercase()))
+        {
+            return Err(("country", NotACountry { code: code.clone() }));
+        }
         within("load_kg", self.load_kg, [0.0, 1e4])
     }
 
@@ -233,6 +233,7 @@ impl Identity {
         take(&mut self.controller, &other.controller);
         take(&mut self.cell, &other.cell);
         take(&mut self.laboratory, &other.laboratory);
+        take(&mut self.country, &other.country);
         take(&mut self.operator, &other.operator);
         take(&mut self.customer, &other.customer);
         take(&mut self.measured, &other.measured);
@@ -258,6 +259,7 @@ impl Identity {
             "serial number of the controller",
             "cell",
             "laboratory",
+            "country",
             "operator",
             "customer",
             "serial number of the bar",

@@ -12,6 +12,8 @@ use super::plot::{
     HeatMap, PolarPlot, PolarTrace, ResidualPoint, Series, Shown, against_axis, histogram, joint_error,
     residuals,
 };
+use super::scene::{Posed, Scene, SceneBall, skeleton};
+use crate::conformity::{Budget, BudgetLine};
 use crate::diagnostic::Diagnostic;
 use crate::estimation::result::Recommendation;
 use crate::estimation::{CalibrationResult, ResultFile, joint_curve, senses};
@@ -37,7 +39,28 @@ struct Page<'a> {
     not_estimated: Vec<NotEstimated<'a>>,
     zeros: Vec<AxisOffset>,
     balls: Vec<Frame>,
+    budget: &'a Budget,
+    contributions: Vec<Contribution>,
+    identity: Vec<(String, String)>,
+    /// Data of the viewer.
+    scene: String,
     provenance: &'a Provenance,
+}
+
+/// A line of the budget in words.
+#[derive(Serialize)]
+struct Contribution {
+    name: &'static str,
+    basis: &'static str,
+    length_mm: Option<f64>,
+    position_mm: Option<f64>,
+}
+
+impl From<&BudgetLine> for Contribution {
+    fn from(line: &BudgetLine) -> Self {
+        let &BudgetLine { source, basis, length_mm, position_mm } = line;
+        Self { name: source.words(), basis: basis.words(), length_mm, position_mm }
+    }
 }
 
 /// How many lengths of which kind there are.
@@ -68,6 +91,7 @@ pub fn html(
     found: &CalibrationResult,
     observations: &Measurements,
     provenance: &Provenance,
+    budget: &Budget,
 ) -> Result<String, Diagnostic> {
     let counts = Counts::of(observations);
     let points = points(found, observations, counts.stride);
@@ -82,6 +106,10 @@ pub fn html(
         not_estimated: not_estimated(&file.parameters),
         zeros: offsets(found),
         balls: frames(found),
+        budget,
+        contributions: budget.lines.iter().map(Contribution::from).collect(),
+        identity: provenance.identity.facts(),
+        scene: scene(found, &points).json()?,
         provenance,
     };
     render("calibration.html", include_str!("calibration.html"), &page)
@@ -123,7 +151,7 @@ impl Figures {
     fn of(found: &CalibrationResult, points: &[ResidualPoint]) -> Self {
         let sound: Vec<&ResidualPoint> = points.iter().filter(|point| !point.outlier).collect();
         Self {
-            maps: HeatMap::of_uncertainty(&found.map).iter().map(HeatMap::to_svg).collect(),
+            maps: maps(found, points),
             circles: circles(&sound),
             residuals: per_ball(points, found.sigma.mm),
             histograms: histograms(&sound),
@@ -131,6 +159,31 @@ impl Figures {
             joints: joints(found, &sound),
         }
     }
+}
+
+/// The base balls as identified.
+fn balls(found: &CalibrationResult) -> impl Iterator<Item = (BallId, [f64; 3])> {
+    found.posterior.model.balls.iter().enumerate().map(|(at, ball)| (BallId::at(at), (*ball).into()))
+}
+
+/// The maps, with the arm at the first pose.
+fn maps(found: &CalibrationResult, points: &[ResidualPoint]) -> Vec<String> {
+    let arm = points.first().map_or_else(Vec::new, |point| skeleton(&found.robot, &point.axes_deg));
+    let balls: Vec<_> = balls(found).map(|(ball, at)| (format!("ball {ball}"), at)).collect();
+    HeatMap::of_uncertainty(&found.map, &arm, &balls).iter().map(HeatMap::to_svg).collect()
+}
+
+/// What the viewer shows.
+fn scene(found: &CalibrationResult, points: &[ResidualPoint]) -> Scene {
+    let id = |ball: BallId| u32::try_from(ball.index() + 1).unwrap_or(u32::MAX);
+    let posed = points.iter().filter(|point| !point.outlier).map(|point| Posed {
+        index: point.index,
+        ball: id(point.ball),
+        axes_deg: point.axes_deg,
+        residual_mm: Some(point.after_mm),
+    });
+    let balls = balls(found).map(|(ball, at)| SceneBall { id: id(ball), at }).collect();
+    Scene::new(&found.robot, balls, &posed.collect::<Vec<_>>(), &[])
 }
 
 /// For each circle: before and after on one scale, and after alone on its own.

@@ -1,11 +1,12 @@
 //! Pages and pictures from results: SVG and HTML texts. Nothing is computed here but layout.
 //!
-//! The same input gives the same bytes. A page fetches nothing, runs no script, and follows the
-//! reader's choice of light or dark. Templates take the result itself; numbers are formatted by the
+//! The same input gives the same bytes. A page fetches nothing, can be read and printed without its
+//! script, and follows the reader's choice of light or dark. Templates take the result itself; numbers are formatted by the
 //! filters of `page`.
 
 pub mod bar;
 pub mod calibration;
+pub mod certificate;
 pub mod check;
 pub mod circle;
 pub mod compare;
@@ -15,4 +16,5 @@ mod parameters;
 pub mod plan;
 pub mod plot;
 mod scale;
+mod scene;
 pub mod svg;

@@ -6,10 +6,13 @@ use serde::Serialize;
 
 use super::scale::{self, fixed, plain, rounded, signed, significant, typeset};
 use super::svg::plot_css;
+use crate::base::serialised;
 use crate::catalogue::ReportFinding::NoPage;
 use crate::diagnostic::{Diagnostic, Finding};
 
 const PAGE_CSS: &str = include_str!("page.css");
+/// What turns and zooms the viewer, and shows what is wider than the page.
+const VIEWER_JS: &str = include_str!("viewer.js");
 /// Head, style and provenance, about what a page has of its own; and the macros of all pages.
 const PAGE_HTML: &str = include_str!("page.html");
 const MACROS: &str = include_str!("macros.html");
@@ -19,14 +22,16 @@ pub(super) fn render(name: &str, template: &str, page: &impl Serialize) -> Resul
     #[derive(Serialize)]
     struct Context<'a, T> {
         style: String,
+        script: &'static str,
         version: &'static str,
         page: &'a T,
     }
     let style = format!("{}{PAGE_CSS}", plot_css());
-    fill(name, template, &Context { style, version: crate::provenance::VERSION, page }).map_err(|error| {
-        let why = error.detail().map_or_else(|| error.to_string(), str::to_owned);
-        Diagnostic::new(NoPage { page: name.into(), why })
-    })
+    fill(name, template, &Context { style, script: VIEWER_JS, version: crate::provenance::VERSION, page })
+        .map_err(|error| {
+            let why = error.detail().map_or_else(|| error.to_string(), str::to_owned);
+            Diagnostic::new(NoPage { page: name.into(), why })
+        })
 }
 
 fn fill(name: &str, template: &str, context: &impl Serialize) -> Result<String, minijinja::Error> {
@@ -50,6 +55,8 @@ fn fill(name: &str, template: &str, context: &impl Serialize) -> Result<String, 
     engine.add_filter("times", |value: Option<f64>, factor: f64| value.map(|value| value * factor));
     engine.add_filter("um", um);
     engine.add_filter("typeset", typeset);
+    engine.add_filter("capitalise", |text: String| capitalised(&text));
+    engine.add_filter("css", css);
     engine.add_template("page.html", PAGE_HTML)?;
     engine.add_template("macros.html", MACROS)?;
     engine.add_template(name, template)?;
@@ -65,6 +72,29 @@ fn um(value: Option<f64>, u95: Option<f64>) -> String {
         _ => 3,
     };
     value.map_or("–".into(), |value| fixed(1e3 * value, decimals))
+}
+
+/// A value as JSON within a script element: no `<` closes it.
+pub(super) fn script_json(value: &impl Serialize) -> Result<String, Diagnostic> {
+    Ok(serialised::json_line(value)?.replace('<', "\\u003c").replace('/', "\\/"))
+}
+
+/// With a capital letter first.
+pub(super) fn capitalised(text: &str) -> String {
+    let mut letters = text.chars();
+    letters.next().map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect())
+}
+
+/// A text within the quotes of a style sheet.
+fn css(text: String) -> String {
+    let escaped = |c: char| {
+        if c.is_alphanumeric() || " .,:-".contains(c) {
+            c.to_string()
+        } else {
+            format!("\\{:x} ", u32::from(c))
+        }
+    };
+    text.chars().map(escaped).collect()
 }
 
 /// The findings of a result as the pages show them.

@@ -31,9 +31,9 @@ struct Shown {
 /// Parameters that were not estimated, for one reason.
 #[derive(Serialize)]
 pub(super) struct NotEstimated<'a> {
-    names: Vec<&'a str>,
+    pub(super) names: Vec<&'a str>,
     status: Status,
-    reason: &'a str,
+    pub(super) reason: &'a str,
 }
 
 /// What a parameter belongs to, in the order of the tables.

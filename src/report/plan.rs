@@ -7,6 +7,7 @@ use super::check::{Smallest, smallest_changes};
 use super::page::render;
 use super::plot::{HeatMap, NARROW, Projection, Trace, View, WIDE};
 use super::scale::plain;
+use super::scene::{Posed, Scene, SceneBall, skeleton, wireframe};
 use crate::diagnostic::Diagnostic;
 use crate::estimation::result::MapPoint;
 use crate::measurement::Kind;
@@ -28,6 +29,9 @@ struct Page<'a> {
     checks: Vec<CheckLine>,
     figures: Figures,
     detectable: Vec<Smallest>,
+    /// Data of the viewer.
+    scene: String,
+    identity: Vec<(String, String)>,
     provenance: &'a Provenance,
 }
 
@@ -68,6 +72,8 @@ pub fn html(plan: &Plan, robot: &Robot, map: &[MapPoint]) -> Result<String, Diag
         checks: plan.header.checks.iter().map(check).collect(),
         figures: figures(plan, robot, map),
         detectable: plan.header.check.iter().flat_map(|power| smallest_changes(&power.detectable)).collect(),
+        scene: scene(plan, robot).json()?,
+        identity: plan.header.provenance.identity.facts(),
         provenance: &plan.header.provenance,
     };
     render("plan.html", include_str!("plan.html"), &page)
@@ -86,7 +92,9 @@ fn check(check: &Check) -> CheckLine {
 }
 
 fn figures(plan: &Plan, robot: &Robot, map: &[MapPoint]) -> Figures {
-    let maps = HeatMap::of_uncertainty(map).iter().map(HeatMap::to_svg).collect();
+    let arm = plan.rows.iter().find(|row| row.kind == Kind::Measure);
+    let arm = arm.map_or_else(Vec::new, |row| skeleton(robot, &row.axes_deg));
+    let maps = HeatMap::of_uncertainty(map, &arm, &balls(plan)).iter().map(HeatMap::to_svg).collect();
     if plan.rows.is_empty() {
         return Figures { reading: None, views: Vec::new(), axes: Vec::new(), manipulability: None, maps };
     }
@@ -121,14 +129,37 @@ fn figures(plan: &Plan, robot: &Robot, map: &[MapPoint]) -> Figures {
 
 /// Each projection twice: with the robot, and around the balls.
 fn views(plan: &Plan, robot: &Robot) -> Vec<String> {
-    let centres = plan.header.job.centres.iter();
-    let balls: Vec<(String, [f64; 3])> =
-        centres.map(|centre| (format!("ball {}", centre.id), centre.xyz_mm)).collect();
-    let skeletons = skeletons(plan, robot);
-    let cell = View { title: "robot and path", balls: &balls, rows: &plan.rows, skeletons: &skeletons };
+    let (balls, skeletons) = (balls(plan), skeletons(plan, robot));
+    let places: Vec<[f64; 3]> = balls.iter().map(|(_, at)| *at).collect();
+    let edges = plan.header.job.obstacles.iter().flat_map(|obstacle| wireframe(obstacle, &places));
+    let obstacles: Vec<Vec<[f64; 3]>> = edges.collect();
+    let cell = View {
+        title: "robot and path",
+        balls: &balls,
+        rows: &plan.rows,
+        skeletons: &skeletons,
+        obstacles: &obstacles,
+    };
     let around = View { title: "around the balls", skeletons: &[], ..cell };
     let draw = |projection| [cell.to_svg(projection), around.to_svg(projection)];
     Projection::ALL.into_iter().flat_map(draw).collect()
+}
+
+/// Names and places of the base balls.
+fn balls(plan: &Plan) -> Vec<(String, [f64; 3])> {
+    let centres = plan.header.job.centres.iter();
+    centres.map(|centre| (format!("ball {}", centre.id), centre.xyz_mm)).collect()
+}
+
+/// What the viewer shows.
+fn scene(plan: &Plan, robot: &Robot) -> Scene {
+    let job = &plan.header.job;
+    let balls = job.centres.iter().map(|centre| SceneBall { id: centre.id, at: centre.xyz_mm }).collect();
+    let measured = plan.rows.iter().filter(|row| row.kind == Kind::Measure);
+    let poses: Vec<Posed> = measured
+        .map(|row| Posed { index: row.index, ball: row.centre, axes_deg: row.axes_deg, residual_mm: None })
+        .collect();
+    Scene::new(robot, balls, &poses, &job.obstacles)
 }
 
 /// The robot as lines at a few of the poses.
@@ -137,13 +168,7 @@ fn skeletons(plan: &Plan, robot: &Robot) -> Vec<Vec<[f64; 3]>> {
     measured
         .iter()
         .step_by(measured.len().div_ceil(SKELETONS).max(1))
-        .map(|row| {
-            let axes = row.axes_deg.map(f64::to_radians);
-            let mut line: Vec<[f64; 3]> = vec![[0.0; 3]];
-            line.extend(robot.geometry.skeleton(&axes).iter().map(|joint| <[f64; 3]>::from(*joint)));
-            line.push(robot.geometry.ball(&axes).position.into());
-            line
-        })
+        .map(|row| skeleton(robot, &row.axes_deg))
         .collect()
 }
 

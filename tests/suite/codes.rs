@@ -29,6 +29,7 @@ fn provoked() -> Vec<&'static str> {
         crate::captures_are_joined::provoked(),
         crate::capture_is_taken_away::provoked(),
         crate::capture_survives_damage::provoked(),
+        crate::certificate::provoked(),
         crate::changes_are_found::provoked(),
         crate::circular_plays::provoked(),
         crate::circular_quantities::provoked(),

@@ -21,7 +21,7 @@ pub(crate) const TABLE: &[(&str, &[&str])] = &[
     ("plan", &["provenance", "robot", "measurement", "estimation", "design"]),
     ("program", &["provenance", "robot", "measurement", "plan"]),
     ("circular", &[]),
-    ("conformity", &["robot", "measurement", "estimation", "circular"]),
+    ("conformity", &["provenance", "robot", "measurement", "estimation", "circular"]),
     ("recording", &["provenance", "robot", "measurement", "device", "plan", "program", "circular"]),
     (
         "report",

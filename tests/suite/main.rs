@@ -19,6 +19,7 @@ mod capture_shows_every_loss;
 mod capture_survives_damage;
 mod captures_are_joined;
 mod cell;
+mod certificate;
 mod changes_are_found;
 mod check_campaigns;
 mod circle_plan;

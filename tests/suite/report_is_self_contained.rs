@@ -7,6 +7,7 @@ use std::sync::Arc;
 use dbbd::base::units::HostNs;
 use dbbd::catalogue::EstimationFinding;
 use dbbd::circular::{self, Settings};
+use dbbd::conformity::Budget;
 use dbbd::diagnostic::Finding;
 use dbbd::estimation::{CalibrationResult, Options};
 use dbbd::measurement::{BallId, BaseBall, CircleId, Context, Kind, Measurements};
@@ -15,7 +16,7 @@ use dbbd::provenance::{Artefact, Provenance, Role};
 use dbbd::recording::capture::{Record, Stamped};
 use dbbd::report::circle::CircleTest;
 use dbbd::report::export::mcap::McapFile;
-use dbbd::report::plot::{HeatMap, PolarPlot, PolarTrace, Series};
+use dbbd::report::plot::{HeatMap, Overlay, PolarPlot, PolarTrace, Series};
 use dbbd::report::{calibration, circle, plan, svg};
 use dbbd::robot::Robot;
 use nalgebra::Vector3;
@@ -35,7 +36,7 @@ fn noise(seed: usize) -> f64 {
 
 /// Every element that is opened is closed in order; attributes are quoted.
 fn assert_well_formed(html: &str) {
-    const VOID: [&str; 3] = ["meta", "br", "!doctype"];
+    const VOID: [&str; 4] = ["meta", "br", "input", "!doctype"];
     let mut open: Vec<&str> = Vec::new();
     let (mut rest, mut elements) = (html, 0);
     while let Some(start) = rest.find('<') {
@@ -54,9 +55,23 @@ fn assert_well_formed(html: &str) {
     assert!(elements > 0 && open.is_empty(), "left open: {open:?}");
 }
 
-/// Nothing that a browser would fetch or run, and no number that is none.
+/// Nothing that a browser would fetch, and no number that is none; a script is in the page.
 fn assert_self_contained(html: &str) {
-    for word in ["http:", "https:", "//", "src=", "url(", "@import", "<link", "<script", "NaN", "=\"inf"] {
+    for word in [
+        "http:",
+        "https:",
+        "//",
+        "src=",
+        "url(",
+        "@import",
+        "<link",
+        "<script src",
+        "fetch(",
+        "XMLHttp",
+        "import(",
+        "NaN",
+        "=\"inf",
+    ] {
         assert!(!html.contains(word), "the page holds {word}");
     }
 }
@@ -99,7 +114,9 @@ fn provenance(robot: &str) -> Provenance {
 }
 
 fn report(found: &CalibrationResult, observations: &Measurements) -> String {
-    calibration::html(found, observations, &provenance(&found.robot.name)).unwrap()
+    let provenance = provenance(&found.robot.name);
+    let budget = Budget::of(found, observations, None, &provenance.identity);
+    calibration::html(found, observations, &provenance, &budget).unwrap()
 }
 
 #[test]
@@ -294,6 +311,7 @@ proptest! {
             extent: [[600.0, 1800.0], [-400.0, 400.0]],
             columns: 4,
             values_mm: values.iter().map(|v| v.1).collect(),
+            overlay: Overlay { arm: values.iter().map(|v| [v.0, v.1]).collect(), balls: Vec::new() },
         };
         for text in [plot.to_svg(), map.to_svg()] {
             assert_well_formed(&text);

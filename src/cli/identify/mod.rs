@@ -12,6 +12,7 @@ use serde::Serialize;
 use super::{Outcome, Output, artefact, bar_u, positive};
 use crate::base::files;
 use crate::catalogue::{EstimationFinding, ProvenanceFinding};
+use crate::conformity::Budget;
 use crate::design::calibrate;
 use crate::diagnostic::Diagnostic;
 use crate::estimation::{CalibrationResult, ErrorModel, Input, Options, Prior, ResultFile};
@@ -169,11 +170,13 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     out.done(90);
     drop(busy);
     let _writing = files::exclusive(&args.out)?;
-    let provenance = tables::write_results(&args.out, &found, &given.observations, given.provenance)?;
-    let page = calibration::html(&found, &given.observations, &provenance)?;
+    let budget = Budget::of(&found, &given.observations, given.bar_u_mm, &given.provenance.identity);
+    let provenance =
+        tables::write_results(&args.out, &found, &given.observations, given.provenance, &budget)?;
+    let page = calibration::html(&found, &given.observations, &provenance, &budget)?;
     files::write(&args.out.join("report.html"), page)?;
     // Its findings are its warnings: it is written before they are reported.
-    out.document(&Recorded { result: &ResultFile::from(&found), provenance: &provenance })?;
+    out.document(&Recorded { result: &ResultFile::from(&found), budget: &budget, provenance: &provenance })?;
     say::say(out, &found, &args.out);
     Ok(if found.is_doubtful() { Outcome::Doubt } else { Outcome::Done })
 }
@@ -183,6 +186,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
 struct Recorded<'a> {
     #[serde(flatten)]
     result: &'a ResultFile,
+    budget: &'a Budget,
     provenance: &'a Provenance,
 }
 

@@ -6,6 +6,7 @@ use std::path::Path;
 use super::Recorded;
 use crate::base::{files, serialised};
 use crate::catalogue::CliFinding;
+use crate::conformity::Budget;
 use crate::diagnostic::Diagnostic;
 use crate::estimation::{CalibrationResult, JointPoint, Posterior, ResultFile, joint_curve};
 use crate::measurement::Measurements;
@@ -43,12 +44,13 @@ pub(super) fn write_results(
     found: &CalibrationResult,
     observations: &Measurements,
     mut provenance: Provenance,
+    budget: &Budget,
 ) -> Result<Provenance, Diagnostic> {
     let file = ResultFile::from(found);
     let lengths = dir.join(LENGTHS);
     files::write_pieces(&lengths, observations.csv_pieces(|place| found.uses(place)))?;
     provenance.add(&Artefact::file(Role::Measurements, &lengths)?);
-    let recorded = Recorded { result: &file, provenance: &provenance };
+    let recorded = Recorded { result: &file, budget, provenance: &provenance };
     files::write(&dir.join("result.json"), serialised::json(&recorded)? + "\n")?;
     let robot = Robot { provenance: provenance.clone(), ..found.robot.clone() };
     files::write(&dir.join(ROBOT), robot.to_toml()?)?;

@@ -32,12 +32,34 @@ pub struct HeatMap {
     pub columns: usize,
     /// Row by row from the lowest y; not finite where there is none.
     pub values_mm: Vec<f64>,
+    /// What is drawn over it.
+    pub overlay: Overlay,
+}
+
+/// The arm and the base balls in the coordinates of a map, mm.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Overlay {
+    pub arm: Vec<[f64; 2]>,
+    /// Name and place.
+    pub balls: Vec<(String, [f64; 2])>,
 }
 
 impl HeatMap {
-    /// The predicted position uncertainty.
-    pub(crate) fn of_uncertainty(found: &[MapPoint]) -> Vec<Self> {
-        Self::of_positions("Predicted position uncertainty", found)
+    /// The predicted position uncertainty with the arm and the base balls in it.
+    pub(crate) fn of_uncertainty(
+        found: &[MapPoint],
+        arm: &[[f64; 3]],
+        balls: &[(String, [f64; 3])],
+    ) -> Vec<Self> {
+        let mut maps = Self::of_positions("Predicted position uncertainty", found);
+        let projections = [|[x, y, _]: [f64; 3]| [x, y], |[x, y, z]: [f64; 3]| [x.hypot(y), z]];
+        for (map, project) in maps.iter_mut().zip(projections) {
+            map.overlay = Overlay {
+                arm: arm.iter().map(|joint| project(*joint)).collect(),
+                balls: balls.iter().map(|(name, at)| (name.clone(), project(*at))).collect(),
+            };
+        }
+        maps
     }
 
     /// A quantity of the position, such as its predicted uncertainty, seen from above and from the side.
@@ -80,12 +102,17 @@ impl HeatMap {
             extent: [edges(0, columns), edges(1, rows)],
             columns,
             values_mm: sums.into_iter().map(mean).collect(),
+            overlay: Overlay::default(),
         })
     }
 
     /// x and y to the same scale.
     pub fn to_svg(&self) -> String {
-        let [x, y] = self.extent.map(|ends| range(ends.into_iter()));
+        let drawn = |axis: usize| {
+            let balls = self.overlay.balls.iter().map(move |(_, ball)| ball[axis]);
+            self.overlay.arm.iter().map(move |joint| joint[axis]).chain(balls)
+        };
+        let [x, y] = [0, 1].map(|axis| range(self.extent[axis].into_iter().chain(drawn(axis))));
         let aspect = (y[1] - y[0]) / (x[1] - x[0]);
         let tall = ((AREA.right - AREA.left) * aspect).clamp(90.0, 520.0);
         let labels = Labels {
@@ -99,6 +126,7 @@ impl HeatMap {
         let unit = Unit::length(found[1]);
         let scale = [found[0].max(0.0) * unit.factor, found[1] * unit.factor];
         self.cells(&mut frame, unit, scale);
+        self.overlay(&mut frame);
         let ([left, right], [bottom, top]) = (frame.x.pixels, frame.y.pixels);
         frame.svg.path("rule", &[[left, top], [right, top], [right, bottom], [left, bottom]], true);
         frame.x_axis(&Ticks::inside(x, 7.0), Grid::Marks);
@@ -108,16 +136,31 @@ impl HeatMap {
         frame.svg.finish()
     }
 
+    fn overlay(&self, frame: &mut Frame) {
+        let place = |frame: &Frame, [x, y]: [f64; 2]| frame.at(x, y);
+        let arm: Vec<[f64; 2]> = self.overlay.arm.iter().map(|joint| place(frame, *joint)).collect();
+        ["arm", "arm-core"].into_iter().for_each(|class| frame.svg.path(class, &arm, false));
+        arm.into_iter().for_each(|joint| frame.svg.circle("joint", joint, 2.6, ""));
+        for (name, ball) in &self.overlay.balls {
+            let [x, y] = place(frame, *ball);
+            frame.svg.circle("d-ball", [x, y], 5.0, name);
+            frame.svg.text("halo", [x + 7.0, y - 7.0], Anchor::Start, name);
+        }
+    }
+
     fn cells(&self, frame: &mut Frame, unit: Unit, scale: [f64; 2]) {
         let columns = self.columns.max(1);
         let rows = self.values_mm.len().div_ceil(columns).max(1);
-        let ([left, right], [bottom, top]) = (frame.x.pixels, frame.y.pixels);
+        let [[left, right], [bottom, top]] =
+            [self.extent[0].map(|value| frame.x.at(value)), self.extent[1].map(|value| frame.y.at(value))];
         let size = [(right - left) / columns as f64, (bottom - top) / rows as f64];
         for (number, value) in self.values_mm.iter().enumerate().filter(|(_, value)| value.is_finite()) {
             let (row, column) = (number / columns, number % columns);
             let corner = [left + size[0] * column as f64, bottom - size[1] * (row + 1) as f64];
             let value = value * unit.factor;
             let tip = format!("{} {}", significant(value, 3), unit.sign);
+            // Each over the one before: edges rounded to a pixel leave no gap.
+            let size = size.map(|side| side + 0.6);
             frame.svg.cell(&colour((value - scale[0]) / (scale[1] - scale[0])), corner, size, &tip);
         }
     }

@@ -15,7 +15,7 @@ mod view;
 
 pub(super) use against_axis::against_axis;
 pub(super) use frame::{NARROW, WIDE};
-pub use heat_map::HeatMap;
+pub use heat_map::{HeatMap, Overlay};
 pub(super) use histogram::histogram;
 pub(super) use intervals::{Interval, Intervals};
 pub(super) use joint_error::joint_error;

@@ -44,6 +44,26 @@ pub(crate) struct View<'a> {
     pub(crate) rows: &'a [PlanRow],
     /// Polylines through the robot's joints, base first.
     pub(crate) skeletons: &'a [Vec<[f64; 3]>],
+    /// Edges of the obstacles; what is outside of the rest is cut.
+    pub(crate) obstacles: &'a [Vec<[f64; 3]>],
+}
+
+/// The part of a segment within a rectangle, given by its range along x and along y (Liang and Barsky, 1984).
+fn clipped([from, to]: [[f64; 2]; 2], area: [[f64; 2]; 2]) -> Option<[[f64; 2]; 2]> {
+    let (mut first, mut last) = (0.0_f64, 1.0_f64);
+    for (axis, [low, high]) in area.into_iter().enumerate() {
+        let step = to[axis] - from[axis];
+        if step == 0.0 {
+            if !(low..=high).contains(&from[axis]) {
+                return None;
+            }
+            continue;
+        }
+        let [one, other] = [low, high].map(|end| (end - from[axis]) / step);
+        (first, last) = (first.max(one.min(other)), last.min(one.max(other)));
+    }
+    let at = |share: f64| [0, 1].map(|axis| from[axis] + share * (to[axis] - from[axis]));
+    (first < last).then(|| [at(first), at(last)])
 }
 
 impl View<'_> {
@@ -64,6 +84,15 @@ impl View<'_> {
         frame.x_axis(&along, Grid::Lines);
         frame.y_axis(&Ticks::stepped(y.values, along.step), Grid::Lines);
         let place = |frame: &Frame, point: &[f64; 3]| frame.at(point[axes[0]], point[axes[1]]);
+        let [bottom, top] = frame.y.pixels;
+        for edge in self.obstacles {
+            let points: Vec<[f64; 2]> = edge.iter().map(|point| place(&frame, point)).collect();
+            for ends in points.windows(2) {
+                if let Some([from, to]) = clipped([ends[0], ends[1]], [[LEFT, RIGHT], [top, bottom]]) {
+                    frame.svg.line("edge", from, to);
+                }
+            }
+        }
         for skeleton in self.skeletons {
             let bones: Vec<[f64; 2]> = skeleton.iter().map(|joint| place(&frame, joint)).collect();
             frame.svg.path("bone", &bones, false);

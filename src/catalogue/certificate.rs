@@ -1,0 +1,41 @@
+//! The certificate of a calibration.
+
+use super::{Names, findings};
+
+findings! {
+    /// What a certificate refuses, doubts or leaves empty.
+    CertificateFinding {
+        E2001 "a certificate cannot be made from a file",
+        cause: "The file is not the result.json of `dbbd identify`, is not complete, or is of a version that did not compute an uncertainty budget.",
+        cure: "Give result.json or the directory that holds it. Identify anew from the lengths of an older result." {
+            NoResult { why: String } => "is no result: {why}";
+            NoBudget => "has no uncertainty budget: an earlier version wrote it";
+        }
+        E2002 "a check cannot be stated in a certificate",
+        cause: "The file is not the check.json of `dbbd check`, or it is the check of another robot.",
+        cure: "Give the check.json of this robot." {
+            NoCheck { why: String } => "is no check: {why}";
+            CheckOfAnother { robot: String, checked: String } => "is of `{checked}`, the result is of `{robot}`";
+        }
+        I2003 "this build writes no PDF",
+        cause: "dbbd was built without the feature `pdf`.",
+        cure: "Print certificate.html from a browser, or build with `cargo build --release --features pdf`." {
+            NoPdf => "certificate.pdf is not written: this build has no PDF";
+        }
+        I2004 "a certificate has empty places",
+        cause: "A certificate states these, and neither job, capture nor --identity does. The draft says `not stated`; a DCC, which needs a date, has 0001-01-01.",
+        cure: "State them in [identity] of the job or with --identity FILE; docs/reference/files.md has the keys." {
+            NotStated { what: Names } => "not stated: {what}";
+        }
+        W2005 "a certificate of a doubtful result",
+        cause: "The result has warnings or did not converge.",
+        cure: "Resolve the warnings of the result first; `report.html` shows them." {
+            Doubtful { warnings: usize } => "the result has {warnings} warnings, which the certificate lists";
+        }
+        E2006 "the PDF cannot be made",
+        cause: "The text has a character that the PDF's font lacks, or a fault of dbbd.",
+        cure: "Use letters of European scripts in [identity], or print certificate.html." {
+            PdfFailed { why: String } => "certificate.pdf cannot be made: {why}";
+        }
+    }
+}

@@ -1,0 +1,73 @@
+//! `dbbd certificate`.
+
+use std::path::{Path, PathBuf};
+
+use serde_json::json;
+
+use super::{Outcome, Output, artefact};
+use crate::base::files;
+use crate::catalogue::CertificateFinding;
+use crate::diagnostic::Diagnostic;
+use crate::report::certificate::Certificate;
+
+/// Write the draft of a calibration certificate.
+///
+/// certificate.html is for print on A4, dcc.xml a Digital Calibration Certificate (DCC 3.3.0), certificate.pdf a PDF/A-3 with
+/// dcc.xml in it (builds with the feature `pdf`). They state object, traceability of the bar, conditions, results, uncertainty
+/// budget, the decision of a check with its rule, and what was not determined. The draft is not accredited and not
+/// signed. More: docs/reference/certificate.md.
+#[derive(clap::Args)]
+pub(crate) struct Args {
+    /// result.json of `dbbd identify`, or its directory.
+    #[arg(value_name = "RESULT")]
+    result: PathBuf,
+    /// Directory for certificate.html, dcc.xml and certificate.pdf.
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// check.json of `dbbd check`, or its directory: its decision with its rule.
+    #[arg(long, value_name = "CHECK.json")]
+    check: Option<PathBuf>,
+    /// Serial numbers, laboratory, customer, operator, date, .. in place of those that the result carries: a TOML file with
+    /// the keys of a job's table [identity].
+    #[arg(long, value_name = "FILE")]
+    identity: Option<PathBuf>,
+}
+
+/// A file, or that of this name in a directory: its name and text.
+fn read(path: &Path, name: &str) -> Result<(String, String), Diagnostic> {
+    let path = if path.is_dir() { path.join(name) } else { path.to_owned() };
+    Ok((path.display().to_string(), files::read(&path)?))
+}
+
+pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
+    let (file, text) = read(&args.result, "result.json")?;
+    let mut certificate = Certificate::read(&text).map_err(|why| Diagnostic::file(&file, why))?;
+    if let Some(path) = &args.check {
+        let (file, text) = read(path, "check.json")?;
+        certificate = certificate.with_check(&text).map_err(|why| Diagnostic::file(&file, why))?;
+    }
+    if let Some(path) = &args.identity {
+        certificate = certificate.with_identity(&artefact::identity(path)?);
+    }
+    out.about(&certificate.findings());
+    let dcc = certificate.dcc()?;
+    let pdf = certificate.pdf(&dcc)?;
+    let _writing = files::exclusive(&args.out)?;
+    files::write(&args.out.join("certificate.html"), certificate.html()?)?;
+    files::write(&args.out.join("dcc.xml"), dcc)?;
+    let mut written = vec!["certificate.html", "dcc.xml"];
+    match pdf {
+        Some(pdf) => {
+            files::write(&args.out.join("certificate.pdf"), pdf)?;
+            written.push("certificate.pdf");
+        }
+        None => out.finding(CertificateFinding::NoPdf),
+    }
+    out.document(&json!({ "files": written }))?;
+    out.result(format!(
+        "{} in {}: a draft, not accredited, not signed",
+        written.join(", "),
+        args.out.display()
+    ));
+    Ok(Outcome::Done)
+}

@@ -1,0 +1,203 @@
+//! The uncertainty budget of a calibrated robot's position.
+//!
+//! The measurand is the position of the tool ball over the workspace, after the best rigid alignment, which lengths do not
+//! determine; each contribution is the root mean square of the 3-D error that its source alone leaves. The sources are
+//! independent, so their squares add (GUM 5.1.2). The expanded uncertainty is twice the root mean square: a normal 3-D error
+//! exceeds it with a probability of at most 4.6 %, which is reached where it lies along one direction.
+
+use serde::{Deserialize, Serialize};
+
+use crate::estimation::result::SigmaSource;
+use crate::estimation::{CalibrationResult, Priors};
+use crate::measurement::Measurements;
+use crate::provenance::Identity;
+use crate::robot::{BarId, ParamId};
+
+/// Factor of the expanded uncertainty.
+pub const COVERAGE_FACTOR: f64 = 2.0;
+
+/// The budget; lengths in mm.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Budget {
+    pub lines: Vec<BudgetLine>,
+    /// Root of the sum of the squares of the contributions that are known.
+    pub combined_mm: f64,
+    pub coverage_factor: f64,
+    pub expanded_mm: f64,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct BudgetLine {
+    pub source: Source,
+    pub basis: Basis,
+    /// Standard uncertainty of a length by this source, mm; of the geometry there is none.
+    pub length_mm: Option<f64>,
+    /// Its contribution to the position, mm; `None` of what is not determined.
+    pub position_mm: Option<f64>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Source {
+    /// The bar's length.
+    Bar,
+    /// The bar's temperature.
+    Temperature,
+    /// The robot's repeatability.
+    Repeatability,
+    /// The noise of the bar's readings.
+    Noise,
+    /// What the lengths scatter beyond noise and repeatability: the model does not hold it.
+    Model,
+    /// What the lengths do not determine of the robot.
+    Geometry,
+}
+
+/// Where the figure of a line comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Basis {
+    /// A certificate.
+    Certificate,
+    /// Stated by the user or a file.
+    Stated,
+    /// From the residuals.
+    Residuals,
+    /// Assumed, because nothing is known.
+    Assumed,
+    /// By the propagation of prior and lengths.
+    Prediction,
+    /// The lengths determine it.
+    Lengths,
+    /// Taken as exact by the user.
+    Exact,
+    NotDetermined,
+}
+
+impl Source {
+    pub fn words(self) -> &'static str {
+        match self {
+            Self::Bar => "length of the bar",
+            Self::Temperature => "temperature of the bar",
+            Self::Repeatability => "repeatability of the robot",
+            Self::Noise => "noise of the bar's readings",
+            Self::Model => "model: scatter beyond noise and repeatability",
+            Self::Geometry => "model: geometry that the lengths do not determine",
+        }
+    }
+}
+
+impl Basis {
+    pub fn words(self) -> &'static str {
+        match self {
+            Self::Certificate => "certificate",
+            Self::Stated => "stated",
+            Self::Residuals => "residuals of the lengths",
+            Self::Assumed => "assumed: no certificate",
+            Self::Prediction => "propagated",
+            Self::Lengths => "determined by the lengths",
+            Self::Exact => "taken as exact",
+            Self::NotDetermined => "not determined",
+        }
+    }
+}
+
+impl Budget {
+    /// Of a result from these lengths; `bar_u_mm` is the standard uncertainty of the bar's length, where it is known.
+    pub fn of(
+        found: &CalibrationResult,
+        lengths: &Measurements,
+        bar_u_mm: Option<f64>,
+        identity: &Identity,
+    ) -> Self {
+        let mut lines = vec![bar(found, bar_u_mm), temperature(found, bar_u_mm, identity)];
+        lines.extend(scatter(found, lengths));
+        lines.push(geometry(found));
+        let squares = lines.iter().filter_map(|line| line.position_mm).map(|mm| mm * mm);
+        let combined_mm = squares.sum::<f64>().sqrt();
+        let expanded_mm = COVERAGE_FACTOR * combined_mm;
+        Self { lines, combined_mm, coverage_factor: COVERAGE_FACTOR, expanded_mm }
+    }
+}
+
+/// Standard uncertainty of the bar's length that the estimate went by, mm.
+fn bar_sd_mm(found: &CalibrationResult, bar_u_mm: Option<f64>) -> f64 {
+    Priors::datasheet(&found.robot, bar_u_mm).sd(ParamId::BarOffset(BarId::FIRST))
+}
+
+fn bar(found: &CalibrationResult, bar_u_mm: Option<f64>) -> BudgetLine {
+    let position_mm = found.position_parts.bar_mm;
+    let offset = found.parameter(ParamId::BarOffset(BarId::FIRST));
+    let estimated = offset.is_some_and(|offset| offset.sd.is_some());
+    let basis = match bar_u_mm {
+        _ if estimated && found.prior.is_none() => Basis::Lengths,
+        _ if position_mm == 0.0 => Basis::Exact,
+        Some(_) => Basis::Certificate,
+        None => Basis::Assumed,
+    };
+    let stated = [Basis::Certificate, Basis::Assumed].contains(&basis);
+    let length_mm = stated.then(|| bar_sd_mm(found, bar_u_mm));
+    BudgetLine { source: Source::Bar, basis, length_mm, position_mm: Some(position_mm) }
+}
+
+/// An error of the bar's temperature is one of its length, u = L alpha u(T), and moves the position as that does.
+fn temperature(found: &CalibrationResult, bar_u_mm: Option<f64>, identity: &Identity) -> BudgetLine {
+    let of_bar = identity.temperatures.iter().find(|found| found.of == "bar").and_then(|found| found.u_k);
+    let length_mm = identity.bar.length_mm.zip(identity.bar.expansion_per_k).zip(of_bar);
+    let length_mm = length_mm.map(|((length, per_k), u_k)| length * per_k.abs() * 0.5 * u_k);
+    let leverage = found.position_parts.bar_mm / bar_sd_mm(found, bar_u_mm);
+    BudgetLine {
+        source: Source::Temperature,
+        basis: if length_mm.is_some() { Basis::Stated } else { Basis::NotDetermined },
+        length_mm,
+        position_mm: length_mm.map(|mm| mm * leverage),
+    }
+}
+
+/// The scatter of the lengths by what is known of it; the contributions are as the variances.
+fn scatter(found: &CalibrationResult, lengths: &Measurements) -> Vec<BudgetLine> {
+    let squares = lengths.rows.iter().map(|row| row.sigma_mm.map(|mm| mm * mm)).sum::<Option<f64>>();
+    let whole = found.sigma.mm.powi(2);
+    let sd = found.robot.repeatability_sd_mm();
+    let repeatability = sd.map_or(0.0, |mm| mm * mm);
+    // A standard deviation that the user gave holds the repeatability.
+    let given = (found.sigma.source == SigmaSource::Given).then_some((whole - repeatability).max(0.0));
+    let of_rows = squares.map(|sum| sum / lengths.rows.len().max(1) as f64);
+    let stated = of_rows.or(given);
+    let noise = stated.unwrap_or(0.0).min(whole);
+    let repeated = repeatability.min(whole - noise);
+    let of = |source, basis, variance: f64| {
+        let share = if whole > 0.0 { (variance / whole).sqrt() } else { 0.0 };
+        let position_mm = Some(share * found.position_parts.noise_mm);
+        BudgetLine { source, basis, length_mm: Some(variance.sqrt()), position_mm }
+    };
+    let unknown =
+        |source| BudgetLine { source, basis: Basis::NotDetermined, length_mm: None, position_mm: None };
+    let known = |source, is_known, variance| match is_known {
+        true => of(source, Basis::Stated, variance),
+        false => unknown(source),
+    };
+    vec![
+        known(Source::Noise, stated.is_some(), noise),
+        match sd {
+            // The residuals leave no room for it.
+            Some(_) if repeated < repeatability => of(Source::Repeatability, Basis::Residuals, repeated),
+            known_sd => known(Source::Repeatability, known_sd.is_some(), repeated),
+        },
+        of(Source::Model, Basis::Residuals, (whole - noise - repeated).max(0.0)),
+    ]
+}
+
+/// What is left of the predicted position uncertainty.
+fn geometry(found: &CalibrationResult) -> BudgetLine {
+    let whole =
+        found.map.iter().map(|point| point.rms_mm.powi(2)).sum::<f64>() / found.map.len().max(1) as f64;
+    let parts = found.position_parts;
+    let rest = (whole - parts.bar_mm.powi(2) - parts.noise_mm.powi(2)).max(0.0).sqrt();
+    BudgetLine {
+        source: Source::Geometry,
+        basis: Basis::Prediction,
+        length_mm: None,
+        position_mm: Some(rest),
+    }
+}

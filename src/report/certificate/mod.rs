@@ -1,0 +1,185 @@
+//! The certificate of a calibration: one content as a page for print, as a DCC and, with the feature `pdf`, as a PDF/A-3.
+//!
+//! It is a draft: nobody is accredited by a program, and its signature fields are empty.
+
+mod dcc;
+#[cfg(feature = "pdf")]
+mod pdf;
+mod sections;
+
+use serde::{Deserialize, Serialize};
+
+use super::page::render;
+use crate::base::hash::sha256;
+use crate::catalogue::CertificateFinding::{
+    self, CheckOfAnother, Doubtful, NoBudget, NoCheck, NoResult, NotStated,
+};
+use crate::catalogue::Names;
+use crate::conformity::Budget;
+use crate::diagnostic::Diagnostic;
+use crate::estimation::ResultFile;
+use crate::estimation::result_file::WarningKind;
+use crate::provenance::{Identity, Provenance};
+use sections::Section;
+
+#[cfg(feature = "pdf")]
+use super::page::capitalised;
+
+/// What the draft calls itself.
+const DRAFT: &str = "Draft, not accredited, not signed";
+
+/// `result.json` with all that stands in it beside the result.
+#[derive(Deserialize)]
+struct ResultRead {
+    #[serde(flatten)]
+    result: ResultFile,
+    budget: Option<Budget>,
+    #[serde(default)]
+    provenance: Provenance,
+}
+
+/// What `check.json` states of the conformity.
+#[derive(Clone, Debug, Deserialize)]
+struct Check {
+    robot: String,
+    lengths: usize,
+    decision: String,
+    rule: String,
+    tolerance_mm: Option<f64>,
+    position_error_mm: f64,
+    upper_mm: f64,
+    guard_band_mm: Option<f64>,
+    specific_risk: Option<f64>,
+}
+
+/// A result, and the decision of an interim check where there is one.
+pub struct Certificate {
+    result: ResultFile,
+    budget: Budget,
+    provenance: Provenance,
+    check: Option<Check>,
+    /// First digits of the SHA-256 of `result.json`.
+    number: String,
+}
+
+#[derive(Serialize)]
+struct Page<'a> {
+    title: String,
+    draft: &'static str,
+    robot: &'a str,
+    number: &'a str,
+    measured: &'a str,
+    sections: Vec<Section>,
+    provenance: &'a Provenance,
+}
+
+impl Certificate {
+    /// Of the text of `result.json`.
+    ///
+    /// # Errors
+    /// It is no result, or has no budget.
+    pub fn read(text: &str) -> Result<Self, CertificateFinding> {
+        let read: ResultRead =
+            serde_json::from_str(text).map_err(|error| NoResult { why: error.to_string() })?;
+        let ResultRead { result, budget, provenance } = read;
+        let number = sha256(text).chars().take(16).collect();
+        Ok(Self { result, budget: budget.ok_or(NoBudget)?, provenance, check: None, number })
+    }
+
+    /// With the decision in the text of `check.json`.
+    ///
+    /// # Errors
+    /// It is no check, or that of another robot.
+    pub fn with_check(self, text: &str) -> Result<Self, CertificateFinding> {
+        let check: Check = serde_json::from_str(text).map_err(|error| NoCheck { why: error.to_string() })?;
+        if check.robot != self.result.robot {
+            return Err(CheckOfAnother { robot: self.result.robot, checked: check.robot });
+        }
+        Ok(Self { check: Some(check), ..self })
+    }
+
+    /// With what is stated now in place of what the result carries.
+    pub fn with_identity(mut self, identity: &Identity) -> Self {
+        self.provenance.identity.extend(identity);
+        self
+    }
+
+    fn identity(&self) -> &Identity {
+        &self.provenance.identity
+    }
+
+    fn title(&self) -> String {
+        format!("Calibration certificate of {}", self.result.robot)
+    }
+
+    fn measured(&self) -> &str {
+        self.identity().measured.as_deref().unwrap_or("not stated")
+    }
+
+    fn doubts(&self) -> usize {
+        self.result.warnings.iter().filter(|warning| warning.kind == WarningKind::Doubt).count()
+    }
+
+    /// What the certificate lacks, or throws doubt on it.
+    pub fn findings(&self) -> Vec<CertificateFinding> {
+        let Identity { robot, laboratory, country, operator, customer, measured, bar, temperatures, .. } =
+            self.identity();
+        let bar_by = [&bar.certificate, &bar.certified_on, &bar.certified_by];
+        let lacks = [
+            ("date of measurement", measured.is_none()),
+            ("serial number of the robot", robot.is_none()),
+            ("laboratory", laboratory.is_none()),
+            ("country", country.is_none()),
+            ("operator", operator.is_none()),
+            ("customer", customer.is_none()),
+            ("certificate of the bar", bar_by.iter().any(|text| text.is_none()) || bar.length_u_mm.is_none()),
+            ("temperatures", temperatures.is_empty()),
+        ];
+        let lacking: Vec<&str> = lacks.iter().filter(|(_, lacks)| *lacks).map(|(name, _)| *name).collect();
+        let empty = (!lacking.is_empty()).then(|| NotStated { what: Names::of(lacking) });
+        let doubts = self.doubts() + usize::from(!self.result.converged);
+        empty.into_iter().chain((doubts > 0).then_some(Doubtful { warnings: doubts })).collect()
+    }
+
+    /// `certificate.html`.
+    ///
+    /// # Errors
+    /// Only a fault of the template itself.
+    pub fn html(&self) -> Result<String, Diagnostic> {
+        let page = Page {
+            title: self.title(),
+            draft: DRAFT,
+            robot: &self.result.robot,
+            number: &self.number,
+            measured: self.measured(),
+            sections: self.sections(),
+            provenance: &self.provenance,
+        };
+        render("certificate.html", include_str!("../certificate.html"), &page)
+    }
+
+    /// `dcc.xml`, DCC 3.3.0.
+    ///
+    /// # Errors
+    /// When it cannot be written.
+    pub fn dcc(&self) -> Result<Vec<u8>, Diagnostic> {
+        dcc::write(self)
+    }
+
+    /// `certificate.pdf` with `dcc.xml` in it; `None` where this build has no PDF.
+    ///
+    /// # Errors
+    /// A character that its font lacks.
+    #[cfg(feature = "pdf")]
+    pub fn pdf(&self, dcc: &[u8]) -> Result<Option<Vec<u8>>, Diagnostic> {
+        pdf::write(self, dcc).map(Some).map_err(|why| CertificateFinding::PdfFailed { why }.into())
+    }
+
+    /// # Errors
+    /// None: this build has no PDF.
+    #[cfg(not(feature = "pdf"))]
+    #[allow(clippy::unused_self, clippy::unnecessary_wraps)] // the same call with and without the feature
+    pub fn pdf(&self, _: &[u8]) -> Result<Option<Vec<u8>>, Diagnostic> {
+        Ok(None)
+    }
+}

@@ -1,0 +1,169 @@
+//! The certificate: its budget adds up, its three forms say the same, and other programs read them.
+
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+
+use serde_json::Value;
+use tempfile::{TempDir, tempdir};
+
+use crate::cell::{
+    CENTRE, DESIGNED, centres_csv, codes, dbbd, horizontal, kr60, measure, stderr, with_errors,
+};
+
+pub(crate) fn provoked() -> Vec<&'static str> {
+    // A letter that the font lacks is tried where the build has a PDF.
+    vec!["E2001", "E2002", "I2003", "I2004", "W2005", "E2006"]
+}
+
+const IDENTITY: &str = "robot = 'KR-1'\nlaboratory = 'Lab <&> 1'\ncountry = 'DE'\noperator = 'A. Example'\ncustomer = 'Plant 7'\n\
+    measured = '2026-03-31'\n[bar]\nserial = 'B-1'\ncertificate = 'K-77'\ncertified_on = '2026-03-01'\ncertified_by = 'Length lab'\n\
+    length_mm = 300.0\nlength_u_mm = 0.002\nexpansion_per_k = 12e-6\n[[temperature]]\nof = 'bar'\ncelsius = 20.4\nu_k = 0.2\n";
+
+/// Lengths of a robot with errors, with noise, and what was stated of them.
+fn cell() -> TempDir {
+    let dir = tempdir().unwrap();
+    let circle = [horizontal(1, CENTRE)];
+    let mut lengths = measure(&with_errors(DESIGNED), &circle, 60, 25.0);
+    for (at, row) in lengths.rows.iter_mut().enumerate() {
+        row.length_mm += 0.004 * ((at as f64 * 12.9898).sin() * 43758.5453).fract();
+        row.sigma_mm = Some(0.002);
+    }
+    fs::write(dir.path().join("robot.toml"), kr60().to_toml().unwrap()).unwrap();
+    fs::write(dir.path().join("obs.csv"), lengths.to_csv()).unwrap();
+    fs::write(dir.path().join("C.csv"), centres_csv(&circle)).unwrap();
+    fs::write(dir.path().join("identity.toml"), IDENTITY).unwrap();
+    dir
+}
+
+fn identify(dir: &Path, out: &str, more: &[&str]) -> Value {
+    let args =
+        ["identify", "obs.csv", "--robot", "robot.toml", "--centres", "C.csv", "--folds", "0", "--out", out];
+    let output = dbbd(dir, &[&args[..], &["--identity", "identity.toml"], more].concat());
+    assert!(matches!(output.status.code(), Some(0 | 3)), "{}", stderr(&output));
+    serde_json::from_str(&fs::read_to_string(dir.join(out).join("result.json")).unwrap()).unwrap()
+}
+
+fn line<'a>(result: &'a Value, source: &str) -> &'a Value {
+    let lines = result["budget"]["lines"].as_array().unwrap();
+    lines.iter().find(|line| line["source"] == source).unwrap()
+}
+
+fn number(value: &Value) -> f64 {
+    value.as_f64().unwrap_or_else(|| panic!("{value}"))
+}
+
+#[test]
+fn the_budget_adds_up_and_follows_its_sources() {
+    let dir = cell();
+    let list = ["--estimate", "a1-3,alpha1-3,bar", "--prior", "datasheet", "--bar-u", "0.001"];
+    let result = identify(dir.path(), "one", &list);
+    let lines = result["budget"]["lines"].as_array().unwrap();
+    let squares: f64 = lines.iter().filter_map(|line| line["position_mm"].as_f64()).map(|mm| mm * mm).sum();
+    let combined = number(&result["budget"]["combined_mm"]);
+    assert!((squares.sqrt() - combined).abs() < 1e-12 * combined.max(1.0));
+    assert_eq!(number(&result["budget"]["expanded_mm"]), 2.0 * combined);
+    // u(L) = L alpha u(T) = 300 mm * 12e-6 / K * 0.1 K; it moves the position as an error of the length does.
+    let (bar, warm) = (line(&result, "bar"), line(&result, "temperature"));
+    assert!((number(&warm["length_mm"]) - 300.0 * 12e-6 * 0.1).abs() < 1e-15);
+    assert_eq!((number(&bar["length_mm"]), &bar["basis"]), (0.001, &"certificate".into()));
+    let leverage = |line: &Value| number(&line["position_mm"]) / number(&line["length_mm"]);
+    assert!(leverage(bar) > 0.0 && (leverage(bar) - leverage(warm)).abs() < 1e-9 * leverage(bar));
+    // The parts of a length's standard deviation are as large as it.
+    let parts = ["noise", "repeatability", "model"]
+        .map(|source| line(&result, source)["length_mm"].as_f64().unwrap_or(0.0));
+    let whole = parts.iter().map(|mm| mm * mm).sum::<f64>().sqrt();
+    assert!((whole - number(&result["sigma_mm"])).abs() < 1e-12);
+    assert!((parts[0] - 0.002).abs() < 1e-12);
+    // Without a prior the estimate is linear in the noise: twice the noise, twice its contribution.
+    let free = |out, sigma| {
+        identify(dir.path(), out, &["--estimate", "a1-3,bar", "--prior", "none", "--sigma", sigma])
+    };
+    let [one, two] = [free("two", "0.002"), free("three", "0.004")]
+        .map(|found| number(&line(&found, "noise")["position_mm"]));
+    assert!(one > 0.0 && (two / one - 2.0).abs() < 1e-3, "{one} {two}");
+}
+
+#[test]
+fn three_forms_state_the_result() {
+    let dir = cell();
+    let at = dir.path();
+    let mut result = identify(at, "result", &["--estimate", "a1-3,bar", "--prior", "none"]);
+    // What so few parameters leave is doubted: that is tried below.
+    result["warnings"] = Value::Array(Vec::new());
+    fs::write(at.join("result/result.json"), serde_json::to_string_pretty(&result).unwrap()).unwrap();
+    let check = "{\"schema\":1,\"robot\":\"KUKA KR 60 HA\",\"lengths\":24,\"decision\":\"pass\",\"rule\":\"guard_band\",\
+                 \"tolerance_mm\":0.5,\"position_error_mm\":0.21,\"upper_mm\":0.3,\"guard_band_mm\":0.09,\"specific_risk\":0.01}";
+    fs::write(at.join("check.json"), check).unwrap();
+    let args = ["certificate", "result", "--check", "check.json", "--out", "cert"];
+    let output = dbbd(at, &args);
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    let pdf = cfg!(feature = "pdf");
+    assert_eq!(codes(&output), if pdf { vec![] } else { vec!["I2003".to_owned()] });
+    assert_eq!(at.join("cert/certificate.pdf").is_file(), pdf);
+    let [html, dcc] =
+        ["certificate.html", "dcc.xml"].map(|file| fs::read_to_string(at.join("cert").join(file)).unwrap());
+    for text in [&html, &dcc] {
+        for stated in [
+            "KR-1",
+            "Lab &lt;&amp;&gt; 1",
+            "A. Example",
+            "Plant 7",
+            "2026-03-31",
+            "B-1",
+            "K-77",
+            "pass",
+            "not accredited",
+        ] {
+            assert!(text.contains(stated), "{stated}");
+        }
+    }
+    for word in ["http:", "https:", "src=", "url(", "<script", "NaN"] {
+        assert!(!html.contains(word), "{word}");
+    }
+    let combined = format!("<si:value>{}</si:value>", result["budget"]["combined_mm"]);
+    assert!(dcc.contains(&combined), "{combined}");
+    // The same result gives the same bytes, and another robot's check is none of it.
+    let first = ["certificate.html", "dcc.xml"].map(|file| fs::read(at.join("cert").join(file)).unwrap());
+    dbbd(at, &args);
+    assert_eq!(
+        ["certificate.html", "dcc.xml"].map(|file| fs::read(at.join("cert").join(file)).unwrap()),
+        first
+    );
+    fs::write(at.join("check.json"), check.replace("KR 60", "KR 6")).unwrap();
+    assert_eq!(codes(&dbbd(at, &args)), ["E2002"]);
+    other_programs_read(&at.join("cert"), pdf);
+    refused_and_doubted(at);
+}
+
+fn refused_and_doubted(at: &Path) {
+    let text = fs::read_to_string(at.join("result/result.json")).unwrap();
+    let certificate = |text: &str, more: &[&str]| {
+        fs::write(at.join("other.json"), text).unwrap();
+        dbbd(at, &[&["certificate", "other.json", "--out", "other"][..], more].concat())
+    };
+    assert_eq!(codes(&certificate("{}", &[])), ["E2001"]);
+    assert_eq!(codes(&certificate(&text.replace("\"budget\"", "\"no_budget\""), &[])), ["E2001"]);
+    let none = certificate(&text.replace("\"operator\"", "\"cell\""), &[]);
+    assert!(codes(&none).contains(&"I2004".to_owned()) && none.status.code() == Some(0));
+    let doubtful = certificate(&text.replace("\"converged\": true", "\"converged\": false"), &[]);
+    assert!(codes(&doubtful).contains(&"W2005".to_owned()) && doubtful.status.code() == Some(3));
+    fs::write(at.join("other.toml"), "operator = '\u{4e2d}\u{6587}'\n").unwrap();
+    let foreign = certificate(&text, &["--identity", "other.toml"]);
+    let expected = if cfg!(feature = "pdf") { "E2006" } else { "I2003" };
+    assert!(codes(&foreign).contains(&expected.to_owned()));
+}
+
+/// tests/clients/read_certificate.py reads them with pydcc, dccQuantities and pikepdf, where these are installed.
+fn other_programs_read(dir: &Path, pdf: bool) {
+    let modules = if pdf { "import dcc_quantities, pikepdf" } else { "import dcc_quantities" };
+    if !Command::new("python3").args(["-c", modules]).output().is_ok_and(|output| output.status.success()) {
+        eprintln!(
+            "SKIPPED: pydcc, dccQuantities and pikepdf are not installed (pip install pydcc dccQuantities pikepdf)"
+        );
+        return;
+    }
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/clients/read_certificate.py");
+    let output = Command::new("python3").arg(script).arg(dir).output().unwrap();
+    assert!(output.status.success(), "{}{}", String::from_utf8_lossy(&output.stdout), stderr(&output));
+}
