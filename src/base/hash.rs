@@ -23,7 +23,7 @@ pub fn sha256_base64(content: impl AsRef<[u8]>) -> String {
     let hash = Hash::hash(content.as_ref());
     let digit = |bits: u32| char::from(DIGITS[(bits & 63) as usize]);
     let group = |bytes: &[u8]| {
-        let bits = (0..3).fold(0, |bits, at| bits << 8 | u32::from(bytes.get(at).copied().unwrap_or(0)));
+        let bits = (0..3).fold(0, |bits, at| (bits << 8) | u32::from(bytes.get(at).copied().unwrap_or(0)));
         let digits = [18, 12, 6, 0].map(|shift| digit(bits >> shift));
         let padded = |at| if at <= bytes.len() { digits[at] } else { '=' };
         [0, 1, 2, 3].map(padded)

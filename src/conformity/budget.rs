@@ -160,9 +160,11 @@ fn scatter(found: &CalibrationResult, lengths: &Measurements) -> Vec<BudgetLine>
     let whole = found.sigma.mm.powi(2);
     let sd = found.robot.repeatability_sd_mm();
     let repeatability = sd.map_or(0.0, |mm| mm * mm);
-    // A standard deviation that the user gave holds the repeatability.
-    let given = (found.sigma.source == SigmaSource::Given).then_some((whole - repeatability).max(0.0));
+    // One that the user gave in place of the data's holds the repeatability.
+    let is_given = found.sigma.source == SigmaSource::Given;
+    let given = is_given.then_some((whole - repeatability).max(0.0));
     let of_rows = squares.map(|sum| sum / lengths.rows.len().max(1) as f64);
+    let of_rows = of_rows.filter(|rows| !is_given || (rows - whole).abs() <= 1e-9 * whole);
     let stated = of_rows.or(given);
     let noise = stated.unwrap_or(0.0).min(whole);
     let repeated = repeatability.min(whole - noise);

@@ -6,7 +6,9 @@ use serde::{Deserialize, Serialize};
 
 use super::joint_fit::JointSummary;
 use super::priors::Prior;
-use super::{Combination, Correlation, DistanceQuantities, ErrorSummary, Observability, PositionParts, Posterior};
+use super::{
+    Combination, Correlation, DistanceQuantities, ErrorSummary, Observability, PositionParts, Posterior,
+};
 use crate::catalogue::EstimationFinding;
 use crate::diagnostic::{Diagnostic, Severity};
 use crate::measurement::{LengthModel, Measurement, PreparedMeasurement};

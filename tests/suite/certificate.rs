@@ -79,8 +79,12 @@ fn the_budget_adds_up_and_follows_its_sources() {
     let free = |out, sigma| {
         identify(dir.path(), out, &["--estimate", "a1-3,bar", "--prior", "none", "--sigma", sigma])
     };
-    let [one, two] = [free("two", "0.002"), free("three", "0.004")]
-        .map(|found| number(&line(&found, "noise")["position_mm"]));
+    let scatter = |found: Value| {
+        let parts =
+            ["noise", "repeatability", "model"].map(|source| line(&found, source)["position_mm"].as_f64());
+        parts.into_iter().flatten().map(|mm| mm * mm).sum::<f64>().sqrt()
+    };
+    let [one, two] = [free("two", "0.002"), free("three", "0.004")].map(scatter);
     assert!(one > 0.0 && (two / one - 2.0).abs() < 1e-3, "{one} {two}");
 }
 

@@ -178,7 +178,6 @@ impl Certificate {
     /// # Errors
     /// None: this build has no PDF.
     #[cfg(not(feature = "pdf"))]
-    #[allow(clippy::unused_self, clippy::unnecessary_wraps)] // the same call with and without the feature
     pub fn pdf(&self, _: &[u8]) -> Result<Option<Vec<u8>>, Diagnostic> {
         Ok(None)
     }

@@ -136,11 +136,9 @@ impl Certificate {
                 .folds
                 .map(|folds| ("Held-out residual by cross-validation, rms".to_owned(), mm(folds.rms))),
         );
-        facts.extend(
-            result
-                .validation
-                .map(|pair_| pair("Residual of separate lengths, rms", pair_.before.rms, pair_.after.rms)),
-        );
+        facts.extend(result.validation.map(|separate| {
+            pair("Residual of separate lengths, rms", separate.before.rms, separate.after.rms)
+        }));
         facts.push(pair("Position uncertainty, mean", predicted.nominal.mean, predicted.identified.mean));
         facts.push(pair(
             "Position uncertainty, 95 % of the poses",
