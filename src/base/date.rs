@@ -2,48 +2,31 @@
 
 /// Days of a date `YYYY-MM-DD` from a fixed one; `None` of what is no date.
 pub fn day_number(date: &str) -> Option<f64> {
-    let mut parts = date.splitn(3, '-').map(|part| part.parse::<u32>().ok());
+    let mut parts = date.splitn(3, '-').map(|part| part.parse::<u32>().ok().map(i64::from));
     let (year, month, day) = (parts.next()??, parts.next()??, parts.next()??);
-    let lengths = month_lengths(year);
-    let most = *lengths.get(month.checked_sub(1)? as usize)?;
-    if !(1..=9999).contains(&year) || !(1..=most).contains(&day) {
-        return None;
-    }
-    let months: u32 = lengths.iter().take(month as usize - 1).sum();
-    Some(f64::from(days_before(year) + months + day))
+    let days = |month: i64, day: i64| days_since_1970(year, month, day);
+    let is_month = (1..=9999).contains(&year) && (1..=12).contains(&month);
+    let is_date = is_month && (1..=days(month + 1, 1) - days(month, 1)).contains(&day);
+    is_date.then(|| days(month, day) as f64)
 }
 
 /// Date and time `YYYY-MM-DDThh:mm:ssZ`, UTC, of nanoseconds since the Unix epoch.
 pub fn utc(unix_ns: u64) -> String {
-    let seconds = unix_ns / 1_000_000_000;
-    let (mut days, time) = (u32::try_from(seconds / 86_400).unwrap_or(u32::MAX), seconds % 86_400);
-    let mut year = 1970;
-    while days >= days_before(year + 1) - days_before(year) {
-        days -= days_before(year + 1) - days_before(year);
-        year += 1;
-    }
-    let mut month = 1;
-    for length in month_lengths(year) {
-        if days < length {
-            break;
-        }
-        days -= length;
-        month += 1;
-    }
+    let seconds = (unix_ns / 1_000_000_000) as i64;
+    let (days, time) = (seconds / 86_400, seconds % 86_400);
+    let begun = |year: i64, month: i64| days_since_1970(year, month, 1) <= days;
+    let year = (1970..).take_while(|year| begun(*year, 1)).last().unwrap_or(1970);
+    let month = (1..=12).take_while(|month| begun(year, *month)).last().unwrap_or(1);
+    let day = days - days_since_1970(year, month, 1) + 1;
     let [hour, minute, second] = [time / 3600, time / 60 % 60, time % 60];
-    format!("{year:04}-{month:02}-{:02}T{hour:02}:{minute:02}:{second:02}Z", days + 1)
+    format!("{year:04}-{month:02}-{day:02}T{hour:02}:{minute:02}:{second:02}Z")
 }
 
-fn month_lengths(year: u32) -> [u32; 12] {
-    let leap = year.is_multiple_of(4) && (!year.is_multiple_of(100) || year.is_multiple_of(400));
-    let february = if leap { 29 } else { 28 };
-    [31, february, 31, 30, 31, 30, 31, 31, 30, 31, 30, 31]
-}
-
-/// Days from the first of year 1 to that of `year`.
-fn days_before(year: u32) -> u32 {
-    let before = year.saturating_sub(1);
-    365 * before + before / 4 - before / 100 + before / 400
+/// Days from 1970-01-01 to a date of the Gregorian calendar, counted in years that begin in March; month 13 is the next
+/// January.
+pub fn days_since_1970(year: i64, month: i64, day: i64) -> i64 {
+    let (year, month) = if month > 2 { (year, month - 3) } else { (year - 1, month + 9) };
+    365 * year + year / 4 - year / 100 + year / 400 + (153 * month + 2) / 5 + day - 1 - 719_468
 }
 
 #[cfg(test)]

@@ -68,7 +68,7 @@ impl<'de, D: Deserializer<'de>> Deserializer<'de> for Exact<D> {
     }
 }
 
-/// Scalars go to the visitor as they are.
+/// Scalars go to the visitor as they are; TOML has no null.
 macro_rules! forward {
     ($($method:ident: $type:ty),+) => {
         $(fn $method<E: Error>(self, value: $type) -> Result<V::Value, E> {
@@ -87,14 +87,6 @@ impl<'de, V: Visitor<'de>> Visitor<'de> for Inside<V> {
     forward! {
         visit_bool: bool, visit_i64: i64, visit_i128: i128, visit_u64: u64, visit_u128: u128, visit_f64: f64,
         visit_str: &str, visit_borrowed_str: &'de str, visit_string: String
-    }
-
-    fn visit_none<E: Error>(self) -> Result<V::Value, E> {
-        self.visitor.visit_none()
-    }
-
-    fn visit_unit<E: Error>(self) -> Result<V::Value, E> {
-        self.visitor.visit_unit()
     }
 
     fn visit_some<D: Deserializer<'de>>(self, inner: D) -> Result<V::Value, D::Error> {

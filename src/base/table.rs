@@ -113,7 +113,6 @@ struct Record {
 }
 
 impl<'a> Table<'a> {
-    /// A file.
     pub fn open(path: &Path) -> Result<Table<'static>, Diagnostic> {
         let file = File::open(path).map_err(unreadable(path.display()))?;
         Table::new(&path.display().to_string(), BufReader::new(file), Layout::default())

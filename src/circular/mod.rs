@@ -152,7 +152,6 @@ pub struct TraceResult {
     pub deviations: Vec<[f64; 2]>,
 }
 
-/// The evaluation of a circular test.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Evaluation {
     pub radius_mm: f64,
@@ -167,14 +166,12 @@ pub struct Evaluation {
     pub traces: Vec<TraceResult>,
     /// Second harmonics by sense and what they mean.
     pub diagnosis: Diagnosis,
-    /// Where joints reverse.
     pub reversals: Vec<Reversal>,
     /// How much each axis or joint loses as it reverses, where that is identifiable.
     pub steps: Vec<Step>,
     /// Standard uncertainty of a single length that the draws used, mm: the mean over the points.
     pub sigma_mm: f64,
     pub sigma_source: SigmaSource,
-    /// Draws that were made.
     pub draws: usize,
     pub notes: Vec<Finding>,
 }

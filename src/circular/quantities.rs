@@ -12,10 +12,8 @@ pub const NAMES: [&str; 9] = ["G_lsc", "G_mzc", "Gb", "D", "F_max", "F_min", "H"
 /// What a trace says alone, about its own centre (F about the test's).
 pub const TRACE_NAMES: [&str; 7] = ["G_lsc", "G_mzc", "D", "F_max", "F_min", "x", "y"];
 
-/// The traces of a test as rays.
 #[derive(Clone, Debug)]
 pub(super) struct Rays {
-    /// One list for each trace.
     pub(super) traces: Vec<Vec<Ray>>,
     /// Counter-clockwise trace, clockwise trace, and which points of them face each other.
     pub(super) pairs: Vec<Facing>,

@@ -149,7 +149,7 @@ impl Gathered {
                 info.remarks.push(format!("operator: {action} {detail}").trim_end().to_owned());
             }
             Record::Event(Event::Finding { code, text }) => info.remarks.push(format!("{code}: {text}")),
-            Record::Event(Event::Ended { .. }) => {}
+            Record::Event(Event::Ended(_)) => {}
         }
     }
 

@@ -128,7 +128,6 @@ impl LengthModel {
         Self { geometry, balls: balls.iter().map(|ball| ball.position).collect(), bar_offsets: vec![] }
     }
 
-    /// Prepared for many measurements.
     pub fn prepare(&self) -> PreparedModel<'_> {
         PreparedModel { model: self, chain: Chain::new(&self.geometry) }
     }

@@ -19,7 +19,6 @@ pub struct Sample {
     pub temperature_c: Option<f64>,
     /// Whether the device itself vouches for the reading (not over, under, too fast, ..).
     pub valid: bool,
-    /// The status bits as sent.
     pub status: u32,
     /// Byte offset of the frame's first byte in the stream.
     pub offset: u64,

@@ -142,7 +142,6 @@ impl<'a> Module<'a> {
         Ok(Self { circle, ball, start, bar, rows })
     }
 
-    /// Its motions in order.
     pub fn steps(&self) -> Result<Vec<Step<'a>>, Diagnostic> {
         let mut steps = Vec::new();
         let mut counted = 0;

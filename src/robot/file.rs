@@ -15,7 +15,6 @@ use crate::provenance::{Artefact, Identity, Provenance, Role, Traced};
 /// The robots that come with dbbd: name and file.
 const BUILT_IN: &[(&str, &str)] = include!("../../robots/built-in.rs");
 
-/// A robot as its file describes it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Robot {
     pub name: String,
@@ -173,7 +172,6 @@ const LANGUAGES: [(&str, &str); 9] = [
 const REPEATABILITY: f64 = 3.616;
 
 impl Robot {
-    /// Names and files of the robots that are built in.
     pub fn built_in() -> &'static [(&'static str, &'static str)] {
         BUILT_IN
     }
@@ -225,7 +223,6 @@ impl Robot {
         self.repeatability_mm.is_none().then_some(RobotFinding::NoRepeatability { robot })
     }
 
-    /// Reads a robot file.
     pub fn from_toml(file: &str, text: &str) -> Result<Self, Diagnostic> {
         let parsed: RobotFile = from_toml(file, text)?;
         parsed.into_robot().map_err(|(joint, finding)| {

@@ -52,6 +52,24 @@ pub struct Geometry {
     pub joint_errors: JointErrors,
 }
 
+/// Where a geometry has a parameter, by reference.
+macro_rules! place {
+    ($geometry:ident, $id:ident $(, $mutable:tt)?) => {
+        match $id {
+            ParamId::Alpha(joint) => Some(&$($mutable)? $geometry.rows[joint.index()].alpha),
+            ParamId::A(joint) => Some(&$($mutable)? $geometry.rows[joint.index()].a),
+            ParamId::Theta(joint) => Some(&$($mutable)? $geometry.rows[joint.index()].theta),
+            ParamId::D(joint) => Some(&$($mutable)? $geometry.rows[joint.index()].d),
+            ParamId::Beta(joint) => Some(&$($mutable)? $geometry.rows[joint.index()].beta),
+            ParamId::Tool(coordinate) => Some(&$($mutable)? $geometry.tool[coordinate.index()]),
+            ParamId::Compliance(joint) => Some(&$($mutable)? $geometry.compliance[joint.index()]),
+            ParamId::GearCos(joint) => Some(&$($mutable)? $geometry.gear[joint.index()][0]),
+            ParamId::GearSin(joint) => Some(&$($mutable)? $geometry.gear[joint.index()][1]),
+            ParamId::Ball(..) | ParamId::BarOffset(_) => None,
+        }
+    };
+}
+
 impl Geometry {
     /// The joint angles (rad, in the table's sense) at the controller's axis angles (rad), whatever the sense of approach.
     pub(super) fn joint_angles(&self, axes: &[f64; AXES]) -> [f64; AXES] {
@@ -186,34 +204,12 @@ impl Geometry {
 
     /// The value of a parameter of the robot or its tool; `None` for those of the base balls and the bar.
     pub fn value(&self, id: ParamId) -> Option<f64> {
-        Some(match id {
-            ParamId::Alpha(joint) => self.row(joint).alpha,
-            ParamId::A(joint) => self.row(joint).a,
-            ParamId::Theta(joint) => self.row(joint).theta,
-            ParamId::D(joint) => self.row(joint).d,
-            ParamId::Beta(joint) => self.row(joint).beta,
-            ParamId::Tool(coordinate) => self.tool[coordinate.index()],
-            ParamId::Compliance(joint) => self.compliance[joint.index()],
-            ParamId::GearCos(joint) => self.gear[joint.index()][0],
-            ParamId::GearSin(joint) => self.gear[joint.index()][1],
-            ParamId::Ball(..) | ParamId::BarOffset(_) => return None,
-        })
+        place!(self, id).copied()
     }
 
     /// Mutable access as [`Geometry::value`].
     pub fn value_mut(&mut self, id: ParamId) -> Option<&mut f64> {
-        Some(match id {
-            ParamId::Alpha(joint) => &mut self.rows[joint.index()].alpha,
-            ParamId::A(joint) => &mut self.rows[joint.index()].a,
-            ParamId::Theta(joint) => &mut self.rows[joint.index()].theta,
-            ParamId::D(joint) => &mut self.rows[joint.index()].d,
-            ParamId::Beta(joint) => &mut self.rows[joint.index()].beta,
-            ParamId::Tool(coordinate) => &mut self.tool[coordinate.index()],
-            ParamId::Compliance(joint) => &mut self.compliance[joint.index()],
-            ParamId::GearCos(joint) => &mut self.gear[joint.index()][0],
-            ParamId::GearSin(joint) => &mut self.gear[joint.index()][1],
-            ParamId::Ball(..) | ParamId::BarOffset(_) => return None,
-        })
+        place!(self, id, mut)
     }
 
     pub fn row(&self, joint: Joint) -> &DhRow {

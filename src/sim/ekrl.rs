@@ -13,7 +13,6 @@ const PATIENCE: Duration = Duration::from_secs(10);
 /// An answer is short; more without its end is none.
 const LONGEST: usize = 4096;
 
-/// A connection to the server.
 #[derive(Debug)]
 pub struct Client {
     stream: TcpStream,

@@ -11,7 +11,7 @@ use dbbd::daemon;
 use dbbd::device::protocol::Definition;
 use dbbd::measurement::sample::Sample;
 use dbbd::provenance::Identity;
-use dbbd::recording::capture::{self, Capture, Event, Record};
+use dbbd::recording::capture::{self, Capture, Event, Record, RunEnd};
 use dbbd::sim::bar::{self, Options, Reading, Source, Terminal};
 
 use crate::cell::codes;
@@ -171,7 +171,10 @@ fn a_program_is_recorded_to_its_end_mark() {
     assert!(capture.attachment("protocol.toml").is_some());
     let events: Vec<&Event> = capture.events().collect();
     assert!(
-        matches!(events[..], [Event::Started { .. }, Event::Opened { .. }, Event::Ended { lost: 0, .. }]),
+        matches!(
+            events[..],
+            [Event::Started { .. }, Event::Opened { .. }, Event::Ended(RunEnd { lost: 0, .. })]
+        ),
         "{events:?}"
     );
 

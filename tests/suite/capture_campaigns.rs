@@ -16,7 +16,7 @@ use dbbd::measurement::sample::Sample;
 use dbbd::provenance::Identity;
 
 use crate::cell::codes;
-use dbbd::recording::capture::{self, Capture, Disk, Event, Record, Stamped, Writer};
+use dbbd::recording::capture::{self, Capture, Disk, Event, Record, RunEnd, Stamped, Writer};
 use dbbd::sim::bar::{self, Reading, Terminal};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -193,7 +193,7 @@ fn long() -> &'static (Vec<u8>, Vec<usize>, Vec<Stamped>) {
             write(frame, Record::Samples((frame..frame + count).map(sample).collect()));
             frame += count;
         }
-        write(frame, Record::Event(Event::Ended { reason: "done".into(), samples: frame, lost: 0 }));
+        write(frame, Record::Event(Event::Ended(RunEnd { reason: "done".into(), samples: frame, lost: 0 })));
         (std::fs::read(&path).unwrap(), ends, records)
     })
 }

@@ -9,7 +9,7 @@ use dbbd::catalogue::RecordingFinding::{TornHead, TornRecord};
 use dbbd::diagnostic::Finding;
 use dbbd::measurement::Measurements;
 use dbbd::measurement::sample::Sample;
-use dbbd::recording::capture::{self, Disk, Event, Record, Stamped, Writer};
+use dbbd::recording::capture::{self, Disk, Event, Record, RunEnd, Stamped, Writer};
 use proptest::prelude::*;
 
 use crate::cell::{codes, dbbd};
@@ -40,7 +40,7 @@ fn records() -> Vec<Stamped> {
         Record::Fault(b"{}".to_vec()),
         Record::Raw((0..=255).collect()),
         Record::Event(Event::Gap { seconds: Some(0.25), missing: None, reason: "r".into() }),
-        Record::Event(Event::Ended { reason: "done".into(), samples: 2, lost: 0 }),
+        Record::Event(Event::Ended(RunEnd { reason: "done".into(), samples: 2, lost: 0 })),
     ];
     let stamped =
         records.into_iter().zip(1u64..).map(|(record, at)| Stamped { host: HostNs(at << 40), record });

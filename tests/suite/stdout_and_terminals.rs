@@ -5,7 +5,7 @@ use std::fs::File;
 use std::process::{Command, Stdio};
 
 use dbbd::base::units::HostNs;
-use dbbd::recording::capture::{Event, Record, Writer};
+use dbbd::recording::capture::{Event, Record, RunEnd, Writer};
 use serde_json::Value;
 
 use crate::cell::{codes, dbbd, stderr};
@@ -60,7 +60,7 @@ fn nothing_in_a_capture_steers_the_terminal() {
     let mut write = |record| writer.write(HostNs(1), &record).unwrap();
     write(Record::Attachment { name: HOSTILE.into(), content: vec![1] });
     write(Record::Event(Event::Mark { text: HOSTILE.into() }));
-    write(Record::Event(Event::Ended { reason: HOSTILE.into(), samples: 0, lost: 0 }));
+    write(Record::Event(Event::Ended(RunEnd { reason: HOSTILE.into(), samples: 0, lost: 0 })));
     let steers = |c: char| c.is_control() && c != '\n';
     let lines = dbbd(dir.path(), &["info", "run"]);
     let text = String::from_utf8(lines.stdout.clone()).unwrap();

@@ -8,7 +8,7 @@ use super::names;
 use crate::catalogue::ServiceFinding::{DataUnreadable, LinkedResults, NoFile, NoResult, NoRun};
 use crate::diagnostic::Diagnostic;
 use crate::live::{Download, Ended, JobKind, ResultFile, RunEntry, RunState};
-use crate::recording::capture::{self, Event};
+use crate::recording::capture::{self, Event, RunEnd};
 
 /// Name of a run's capture.
 pub(super) const CAPTURE: &str = "run.dbbd";
@@ -107,7 +107,7 @@ pub(super) fn entry(data: &Path, name: &str, running: Option<&str>) -> Result<Ru
         _ => None,
     });
     let ended = capture::read(&last).events().find_map(|event| match event {
-        Event::Ended { reason, samples, lost } => {
+        Event::Ended(RunEnd { reason, samples, lost }) => {
             Some(Ended { reason: reason.clone(), samples: *samples, lost: *lost })
         }
         _ => None,

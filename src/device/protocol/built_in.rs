@@ -8,7 +8,6 @@ use crate::diagnostic::Diagnostic;
 const BUILT_IN: &[(&str, &str)] = include!("../../../protocols/built-in.rs");
 
 impl Definition {
-    /// Names and files of the definitions that are built in.
     pub fn built_in() -> &'static [(&'static str, &'static str)] {
         BUILT_IN
     }

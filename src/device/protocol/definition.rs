@@ -120,12 +120,10 @@ impl Definition {
         self.engine.check.as_ref().map_or(1.0, Check::undetected)
     }
 
-    /// A decoder at the start of a stream.
     pub fn decoder(&self) -> Decoder {
         Decoder::new(Arc::clone(&self.engine))
     }
 
-    /// An encoder, for a virtual device.
     pub fn encoder(&self) -> Encoder {
         Encoder::new(Arc::clone(&self.engine))
     }

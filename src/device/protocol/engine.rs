@@ -8,7 +8,6 @@ use super::framing::Framing;
 use super::table::{Code, Match};
 use crate::measurement::sample::Sample;
 
-/// The compiled definition.
 #[derive(Clone, Debug)]
 pub(super) struct Engine {
     pub(super) framing: Framing,

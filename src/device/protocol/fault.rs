@@ -8,7 +8,6 @@ pub struct Fault {
     pub kind: FaultKind,
     /// Byte offset of the first byte in the stream.
     pub offset: u64,
-    /// Number of bytes that it covers.
     pub bytes: u64,
     /// How many faults of this kind it is, one directly after the other.
     #[serde(default = "one", skip_serializing_if = "is_one")]

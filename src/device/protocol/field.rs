@@ -18,44 +18,21 @@ pub(super) enum Form {
     /// Bytes without meaning; written as zeros.
     Skip(usize),
     /// An integer of 1 to 4 bytes.
-    Integer {
-        bytes: usize,
-        signed: bool,
-        endian: Endian,
-    },
+    Integer { bytes: usize, signed: bool, endian: Endian },
     /// An IEEE 754 number of 4 or 8 bytes.
-    Float {
-        bytes: usize,
-        endian: Endian,
-    },
+    Float { bytes: usize, endian: Endian },
     /// Some bits of a group of bytes; the last of a group goes past it.
-    Bits {
-        bits: u32,
-        shift: u32,
-        group: usize,
-        endian: Endian,
-        signed: bool,
-        last: bool,
-    },
-    Literal {
-        text: Vec<u8>,
-        any_case: bool,
-    },
+    Bits { bits: u32, shift: u32, group: usize, endian: Endian, signed: bool, last: bool },
+    /// Fixed text.
+    Literal { text: Vec<u8>, any_case: bool },
+    /// A decimal number.
     Decimal(Decimal),
     /// So many hexadecimal digits, in two's complement where signed.
-    Hex {
-        digits: usize,
-        signed: bool,
-    },
+    Hex { digits: usize, signed: bool },
     /// One of some words; its value is the place in the list.
-    Word {
-        words: Vec<Vec<u8>>,
-        default: Option<usize>,
-    },
+    Word { words: Vec<Vec<u8>>, default: Option<usize> },
     /// Text up to a separator, which may be absent at the end.
-    Column {
-        sep: u8,
-    },
+    Column { sep: u8 },
 }
 
 /// What a value means.

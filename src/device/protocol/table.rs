@@ -72,7 +72,6 @@ pub(super) enum Confidence {
     Guess,
 }
 
-/// Settings of the serial line.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Line {
@@ -284,7 +283,6 @@ pub(super) struct FieldTable {
     pub(super) keys: toml::Table,
 }
 
-/// How a field is written.
 #[derive(Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub(super) enum FieldKind {
@@ -309,7 +307,6 @@ pub(super) enum FieldKind {
     Column,
 }
 
-/// What a field means.
 #[derive(Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub(super) enum RoleName {

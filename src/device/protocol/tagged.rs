@@ -8,7 +8,6 @@ use crate::catalogue::ProtocolFinding::{
     self, TagBits, TagCount, TagLetterApart, TagLettersDiffer, TagSymbol,
 };
 
-/// The tags of a record.
 #[derive(Clone, Debug)]
 pub(super) struct Tagged {
     data_bits: u32,
@@ -72,7 +71,6 @@ impl Tagged {
         Ok(Self { data_bits, order, tags: fixed, letters })
     }
 
-    /// Bytes of a record.
     pub(super) fn len(&self) -> usize {
         self.tags.len()
     }
@@ -94,7 +92,6 @@ impl Tagged {
         })
     }
 
-    /// The content of a record.
     pub(super) fn unwrap(&self, frame: &[u8], body: &mut Vec<u8>) -> Option<()> {
         if frame.len() != self.len() || !self.fits(frame) {
             return None;

@@ -7,7 +7,6 @@ use super::value::Type;
 use crate::catalogue::ProgramFinding;
 use crate::diagnostic::Diagnostic;
 
-/// Reads a `.src` file.
 pub fn parse_source(file: &str, text: &str) -> Result<Source, Diagnostic> {
     let mut parser = Parser::new(Text { file, text })?;
     let mut routines: Vec<Routine> = Vec::new();
@@ -26,7 +25,6 @@ pub fn parse_source(file: &str, text: &str) -> Result<Source, Diagnostic> {
     Ok(Source { file: file.into(), text: text.into(), routines })
 }
 
-/// Reads a `.dat` file.
 pub fn parse_data(file: &str, text: &str) -> Result<Data, Diagnostic> {
     let mut parser = Parser::new(Text { file, text })?;
     parser.skip_lines();

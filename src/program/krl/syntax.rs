@@ -121,10 +121,7 @@ pub struct Statement {
 #[derive(Clone, Debug)]
 pub enum StatementKind {
     /// `A=B`
-    Assign {
-        target: Place,
-        value: Expression,
-    },
+    Assign { target: Place, value: Expression },
     /// `PTP p`, `LIN p`, `CIRC through,to,CA angle`
     Move(Move),
     /// `WAIT SEC t`
@@ -132,46 +129,25 @@ pub enum StatementKind {
     /// `WAIT FOR condition`
     WaitFor(Expression),
     /// `PULSE (output,level,seconds)`
-    Pulse {
-        output: Place,
-        level: Expression,
-        seconds: Expression,
-    },
+    Pulse { output: Place, level: Expression, seconds: Expression },
     /// `HALT`: until the operator presses START.
     Halt,
+    /// `RETURN`
     Return,
     /// `EXIT`: leaves the innermost `LOOP`.
     Exit,
     /// `NAME (arguments)`
-    Call {
-        name: String,
-        arguments: Vec<Expression>,
-    },
+    Call { name: String, arguments: Vec<Expression> },
     /// `FOR K=1 TO N STEP 1 .. ENDFOR`; without a step 1 is added.
-    For {
-        counter: Place,
-        from: Expression,
-        to: Expression,
-        step: Option<Expression>,
-        body: Block,
-    },
+    For { counter: Place, from: Expression, to: Expression, step: Option<Expression>, body: Block },
     /// `IF c THEN .. ELSE .. ENDIF`
-    If {
-        condition: Expression,
-        then: Block,
-        otherwise: Block,
-    },
+    If { condition: Expression, then: Block, otherwise: Block },
     /// `WHILE c .. ENDWHILE`
-    While {
-        condition: Expression,
-        body: Block,
-    },
+    While { condition: Expression, body: Block },
     /// `LOOP .. ENDLOOP`
     Loop(Block),
     /// `INTERRUPT DECL n WHEN condition DO call`
-    InterruptDeclaration {
-        condition: Expression,
-    },
+    InterruptDeclaration { condition: Expression },
     /// `INTERRUPT ON n`, `INTERRUPT OFF n`
     InterruptSwitch,
 }

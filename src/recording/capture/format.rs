@@ -31,7 +31,6 @@ const SAMPLES: u8 = 6;
 /// Set in the kind of a record whose payload begins with its number.
 const NUMBERED: u8 = 0x80;
 
-/// The word for a kind byte.
 pub(super) fn kind_name(kind: u8) -> &'static str {
     match kind & !NUMBERED {
         ATTACHMENT => "attachment",

@@ -29,9 +29,9 @@ mod whole;
 mod writer;
 
 pub use disk::{Disk, Interference};
-pub use pass::{Pass, RunEnd};
+pub use pass::Pass;
 pub use reader::{Damage, Part, Reader};
-pub use record::{Event, Record, Stamped};
+pub use record::{Event, Record, RunEnd, Stamped};
 pub use whole::{Capture, read};
 pub use writer::Writer;
 

@@ -4,7 +4,7 @@ use std::fs::File;
 use std::path::Path;
 
 use super::reader::{Damage, Part, Reader};
-use super::record::{Event, Record, Stamped};
+use super::record::{Event, Record, RunEnd, Stamped};
 use crate::base::files;
 use crate::catalogue::RecordingFinding;
 use crate::diagnostic::Diagnostic;
@@ -23,15 +23,6 @@ pub struct Pass {
     pub samples: u64,
     /// The record of the run's end; none when it was cut off.
     pub end: Option<RunEnd>,
-}
-
-#[derive(Clone, Debug, PartialEq)]
-pub struct RunEnd {
-    pub reason: String,
-    /// Samples that were written.
-    pub samples: u64,
-    /// Samples that were lost on the way to the disk.
-    pub lost: u64,
 }
 
 impl Pass {
@@ -70,9 +61,7 @@ impl Pass {
         self.records += 1;
         match record {
             Record::Samples(samples) => self.samples += samples.len() as u64,
-            Record::Event(Event::Ended { reason, samples, lost }) => {
-                self.end = Some(RunEnd { reason: reason.clone(), samples: *samples, lost: *lost });
-            }
+            Record::Event(Event::Ended(end)) => self.end = Some(end.clone()),
             _ => {}
         }
     }

@@ -26,9 +26,7 @@ pub enum Part {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Damage {
     pub offset: u64,
-    /// How many bytes.
     pub bytes: u64,
-    /// What is wrong with them.
     pub finding: RecordingFinding,
 }
 
@@ -62,7 +60,6 @@ enum Place {
 }
 
 impl<R: Read> Reader<R> {
-    /// Reads the header.
     pub fn new(source: R) -> io::Result<Self> {
         let mut reader = Self {
             source,

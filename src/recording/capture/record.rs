@@ -61,10 +61,7 @@ pub enum Event {
         axes_deg: [f64; 6],
     },
     /// A remark of the operator.
-    Mark {
-        /// What was said.
-        text: String,
-    },
+    Mark { text: String },
     /// What the operator did on the page, before the run or during it.
     Operator {
         /// Wall clock, ms since the Unix epoch.
@@ -82,11 +79,13 @@ pub enum Event {
         text: String,
     },
     /// The run ended as it should, and why; a run without this was cut off.
-    Ended {
-        reason: String,
-        /// Samples that were written.
-        samples: u64,
-        /// Samples that were lost on the way to the disk.
-        lost: u64,
-    },
+    Ended(RunEnd),
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct RunEnd {
+    pub reason: String,
+    pub samples: u64,
+    /// Samples that were lost on the way to the disk.
+    pub lost: u64,
 }

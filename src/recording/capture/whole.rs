@@ -44,7 +44,7 @@ impl Capture {
 
     /// Whether the run ended as it should; one that was cut off has no such record.
     pub fn ended(&self) -> bool {
-        self.events().any(|event| matches!(event, Event::Ended { .. }))
+        self.events().any(|event| matches!(event, Event::Ended(_)))
     }
 }
 

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use super::disk::{self, Disk, Interference};
 use super::format;
-use super::record::{Event, Record};
+use super::record::{Event, Record, RunEnd};
 use crate::base::units::HostNs;
 use crate::catalogue::RecordingFinding;
 use crate::diagnostic::Diagnostic;
@@ -78,7 +78,7 @@ impl Writer {
     /// Appends the record of the run's proper end.
     pub fn finish(&mut self, host: HostNs, reason: &str, lost: u64) -> Result<(), Diagnostic> {
         let samples = self.samples;
-        self.write(host, &Record::Event(Event::Ended { reason: reason.into(), samples, lost }))?;
+        self.write(host, &Record::Event(Event::Ended(RunEnd { reason: reason.into(), samples, lost })))?;
         self.sync()
     }
 

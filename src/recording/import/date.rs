@@ -1,5 +1,7 @@
 //! Dates with times, as instruments write them.
 
+use crate::base::date::days_since_1970;
+
 /// Nanoseconds since 1970 of `2026-11-21T14:02:11.123Z` or `21.11.2026 14:02:11,123`; a blank for the T, `,` for the
 /// point, an offset such as `+01:00`, or no zone are taken.
 pub(super) fn unix_ns(text: &str) -> Option<i128> {
@@ -38,12 +40,6 @@ pub(super) fn unix_ns(text: &str) -> Option<i128> {
 fn whole(text: &str, least: i64, most: i64) -> Option<i64> {
     let digits = !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
     text.parse().ok().filter(|value| digits && (least..=most).contains(value))
-}
-
-/// Days from 1970-01-01 to a date of the Gregorian calendar, counted in years that begin in March.
-fn days_since_1970(year: i64, month: i64, day: i64) -> i64 {
-    let (year, month) = if month > 2 { (year, month - 3) } else { (year - 1, month + 9) };
-    365 * year + year / 4 - year / 100 + year / 400 + (153 * month + 2) / 5 + day - 1 - 719_468
 }
 
 #[cfg(test)]

@@ -142,7 +142,6 @@ pub(super) enum Column {
 }
 
 impl Mapping {
-    /// Reads the file's text.
     pub fn from_toml(file: &str, text: &str) -> Result<Self, Diagnostic> {
         let mapping: Self = from_toml(file, text)?;
         let at = |word: &str, finding: ImportFinding| {

@@ -38,7 +38,6 @@ struct State<'a> {
     counts: Counts,
 }
 
-/// What a trace held.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Counts {
     /// Readings.

@@ -31,21 +31,13 @@ pub struct Expected<'a> {
     pub sigma_mm: f64,
 }
 
-/// The dwell of a pose, by its number from 0, and the probability of the answer.
+/// The dwell of a pose, by its number from 0, and the probability of the answer; where more than one answer is possible,
+/// the likeliest dwell.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Pairing {
-    Dwell {
-        dwell: usize,
-        posterior: f64,
-    },
-    None {
-        posterior: f64,
-    },
-    /// More than one answer is possible; the likeliest dwell.
-    Ambiguous {
-        dwell: usize,
-        posterior: f64,
-    },
+    Dwell { dwell: usize, posterior: f64 },
+    None { posterior: f64 },
+    Ambiguous { dwell: usize, posterior: f64 },
 }
 
 #[derive(Clone, Debug, PartialEq)]

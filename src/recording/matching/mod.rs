@@ -74,7 +74,6 @@ pub enum DwellSource {
     Stillness,
 }
 
-/// The outcome of a run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PoseMatching {
     /// The lengths with the angles they were read at, in the plan's order, measure and reference rows;

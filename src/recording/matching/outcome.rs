@@ -19,17 +19,11 @@ pub struct PoseOutcome {
 #[derive(Clone, Debug, PartialEq)]
 pub enum MatchOutcome {
     /// It has a length; `posterior` is the probability that the dwell is this pose's.
-    Matched {
-        reading: DwellReading,
-        posterior: f64,
-    },
-    Missing {
-        reason: Finding,
-    },
+    Matched { reading: DwellReading, posterior: f64 },
+    /// It has no length.
+    Missing { reason: Finding },
     /// Dropped, since it is not certain which dwell is its.
-    Ambiguous {
-        reason: Finding,
-    },
+    Ambiguous { reason: Finding },
 }
 
 impl PoseOutcome {

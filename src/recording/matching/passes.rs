@@ -28,7 +28,6 @@ pub struct Lag {
     pub hysteresis_mm: f64,
 }
 
-/// The passes of a run, read.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Passes {
     pub(super) points: Vec<PassPoint>,

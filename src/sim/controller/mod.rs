@@ -219,7 +219,6 @@ impl Controller {
         Ok(())
     }
 
-    /// The value of a system variable.
     fn system(&self, name: &str) -> Option<&Value> {
         self.system.get(name).map(|variable| &variable.value)
     }

@@ -128,7 +128,6 @@ impl Arc {
     }
 }
 
-/// A motion under way.
 #[derive(Clone, Debug)]
 pub(super) struct Motion {
     pub(super) path: Path,

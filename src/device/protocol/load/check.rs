@@ -2,7 +2,7 @@
 
 use crc::Algorithm;
 
-use super::source::Source;
+use super::Source;
 use crate::catalogue::ProtocolFinding::{
     self, AfterCharacter, CrcDiffers, CrcWidth, EncodingMissing, NameAndParameters, OptionalWithoutAfter,
     ParametersMissing, ParametersWithoutCrc, UnknownCrc,

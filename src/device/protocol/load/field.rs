@@ -34,7 +34,6 @@ impl Keys {
     }
 }
 
-/// Checks a field and compiles it.
 pub(super) fn compile(table: &FieldTable) -> Result<Field, ProtocolFinding> {
     let mut keys = Keys(table.keys.clone());
     let words = match table.kind {

@@ -4,8 +4,7 @@ use std::ops::Range;
 
 use toml::Spanned;
 
-use super::source::Source;
-use super::{field, vectors};
+use super::{Source, field, vectors};
 use crate::catalogue::ProtocolFinding::{
     self, FramingByte, MatchedByte, NoFixedLength, OtherLength, RejectCode, RejectNumber, RejectText,
     RoleCount, TooLong,

@@ -1,25 +1,24 @@
 //! Checks a definition file and compiles it; every refusal names its line.
 
 mod check;
-mod command;
 mod field;
 mod framing;
 mod message;
 mod params;
-mod source;
 mod vectors;
 
+use std::ops::Range;
 use std::sync::Arc;
 use std::time::Duration;
 
 use toml::Spanned;
 
-use self::source::Source;
+use self::params::Resolved;
 use crate::base::parse::from_toml_text;
 use crate::catalogue::ProtocolFinding::{
-    BaudZero, DataBits, EmptyId, EmptyIgnore, IdentAnswer, LatchDevice, LatchRequest, NoMessage, NominalRate,
-    PollCommandMissing, PollKeysMissing, PollKeysWithoutPoll, PollRate, ProbeIdent, ProbeZero, StopBits,
-    UnknownSchema,
+    self, BaudZero, DataBits, EmptyId, EmptyIgnore, IdentAnswer, LatchDevice, LatchRequest, NoMessage,
+    NominalRate, PollCommandMissing, PollKeysMissing, PollKeysWithoutPoll, PollRate, ProbeIdent, ProbeZero,
+    StepActions, StepCheck, StepExpect, StepHex, StepSendsNothing, StopBits, UnknownSchema,
 };
 use crate::device::protocol::check::Check;
 use crate::device::protocol::definition::{Definition, Mode, Step};
@@ -27,7 +26,7 @@ use crate::device::protocol::engine::Engine;
 use crate::device::protocol::table::{
     CommandTable, Confidence, File, FramingTable, Latch, Line, ModeKind, ModeTable, StepTable, TestTable,
 };
-use crate::diagnostic::Diagnostic;
+use crate::diagnostic::{Diagnostic, Finding};
 
 /// Reads, checks and compiles a definition.
 pub(super) fn load(file: &str, text: &str, params: &[(String, String)]) -> Result<Definition, Diagnostic> {
@@ -173,7 +172,7 @@ fn check_line(source: Source, line: &Line) -> Result<(), Diagnostic> {
 fn commands(source: Source, table: &File, check: Option<&Check>) -> Result<[Vec<Step>; 6], Diagnostic> {
     let steps = |steps: &[Spanned<StepTable>]| -> Result<Vec<Step>, Diagnostic> {
         let compiled = steps.iter().map(|step| {
-            command::compile(step.get_ref(), check).map_err(|finding| source.wrong(step.span(), finding))
+            compile_step(step.get_ref(), check).map_err(|finding| source.wrong(step.span(), finding))
         });
         compiled.collect()
     };
@@ -187,4 +186,85 @@ fn commands(source: Source, table: &File, check: Option<&Check>) -> Result<[Vec<
         return Err(source.key("line", "baud_probe", ProbeIdent));
     }
     Ok(commands)
+}
+
+/// Checks a step of a command and compiles it.
+fn compile_step(step: &StepTable, check: Option<&Check>) -> Result<Step, ProtocolFinding> {
+    let duration = |ms: u32| Duration::from_millis(ms.into());
+    let mut bytes = match step {
+        StepTable {
+            send: Some(text), hex: None, wait_ms: None, drain_ms: None, dtr_pulse_ms: None, ..
+        } => text.clone().into_bytes(),
+        StepTable {
+            send: None, hex: Some(hex), wait_ms: None, drain_ms: None, dtr_pulse_ms: None, ..
+        } => vectors::bytes(hex).ok_or(StepHex)?,
+        StepTable { send: None, hex: None, wait_ms, drain_ms, dtr_pulse_ms, .. } => {
+            let action = match (wait_ms, drain_ms, dtr_pulse_ms) {
+                (Some(ms), None, None) => Step::Wait(duration(*ms)),
+                (None, Some(ms), None) => Step::Drain(duration(*ms)),
+                (None, None, Some(ms)) => Step::DtrPulse(duration(*ms)),
+                _ => return Err(StepActions),
+            };
+            return match (step.check || step.expect.is_some(), step.timeout_ms, step.retries) {
+                (true, ..) => Err(StepSendsNothing),
+                (false, None, None) => Ok(action),
+                _ => Err(StepExpect),
+            };
+        }
+        _ => return Err(StepActions),
+    };
+    if bytes.is_empty() && (step.check || step.expect.is_some()) {
+        return Err(StepSendsNothing);
+    }
+    if step.check {
+        check.ok_or(StepCheck)?.append(&mut bytes);
+    }
+    match (&step.expect, step.timeout_ms, step.retries) {
+        (Some(expect), Some(timeout @ 1..), retries) if !expect.is_empty() => Ok(Step::Ask {
+            send: bytes,
+            expect: expect.clone().into_bytes(),
+            timeout: duration(timeout),
+            retries: retries.unwrap_or(0),
+        }),
+        (None, None, None) => Ok(Step::Send(bytes)),
+        _ => Err(StepExpect),
+    }
+}
+
+/// Where messages point to.
+#[derive(Clone, Copy)]
+struct Source<'a> {
+    file: &'a str,
+    text: &'a str,
+    resolved: &'a Resolved,
+}
+
+impl Source<'_> {
+    /// What is wrong at a place of the file.
+    fn wrong(&self, span: Range<usize>, finding: impl Finding) -> Diagnostic {
+        Diagnostic::span(self.file, self.text, self.resolved.original(span), finding)
+    }
+
+    /// What is wrong with a table, at its head.
+    fn table(&self, table: &str, finding: impl Finding) -> Diagnostic {
+        let start = self.resolved.text.find(&format!("[{table}]")).unwrap_or(0);
+        self.wrong(start..start, finding)
+    }
+
+    /// What is wrong with the value of a key, at its first place behind the head of its table (empty: that of the file).
+    fn key(&self, table: &str, key: &str, finding: impl Finding) -> Diagnostic {
+        let text = &self.resolved.text;
+        let head = if table.is_empty() { Some(0) } else { text.find(&format!("[{table}]")) };
+        let head = head.unwrap_or(0);
+        let behind = text.get(head..).unwrap_or_default();
+        let value = behind.match_indices(key).find_map(|(at, _)| {
+            let (before, after) = (&behind[..at], &behind[at + key.len()..]);
+            let value =
+                after.trim_start_matches([' ', '\t']).strip_prefix('=')?.trim_start_matches([' ', '\t']);
+            let whole = !before.ends_with(|c: char| c.is_alphanumeric() || c == '_');
+            whole.then(|| behind.len() - value.len())
+        });
+        let start = head + value.unwrap_or(0);
+        self.wrong(start..start, finding)
+    }
 }

@@ -2,7 +2,7 @@
 
 use toml::Spanned;
 
-use super::source::Source;
+use super::Source;
 use crate::catalogue::ProtocolFinding::{VectorDiffers, VectorDoesNotSurvive, VectorHasMore, VectorHex};
 use crate::device::protocol::decoder::Decoded;
 use crate::device::protocol::definition::Definition;

@@ -79,7 +79,6 @@ pub struct PointProgram {
     pub left: Vec<Diagnostic>,
 }
 
-/// Reads the motions of a program.
 pub fn read(files: Files<'_>, given: Given) -> Result<PointProgram, Diagnostic> {
     walk::read(files, given)
 }
