@@ -72,7 +72,11 @@ fn visits(rows: &[Measurement], model: &LengthModel) -> Vec<Visit> {
     let visit = |(pose, row): (usize, &Measurement)| Visit {
         pose,
         deviation_mm: row.length_mm - model.length(&PreparedMeasurement::from(row)),
-        time_h: row.context.as_ref().and_then(|context| context.time_s).map(|time_s| time_s / 3600.0),
+        time_h: row
+            .context
+            .as_ref()
+            .and_then(|context| context.time_s)
+            .map(|time_s| (time_s * 1e6).round() / 3.6e9),
     };
     let each = repeated.enumerate().flat_map(|(pose, group)| group.iter().map(move |at| (pose, &rows[*at])));
     each.map(visit).collect()

@@ -53,14 +53,12 @@ pub(super) fn findings(of: &Calibration<'_>) -> Vec<EstimationFinding> {
 /// Compares the corrections with the prior.
 fn beyond_prior(of: &Calibration<'_>) -> Option<EstimationFinding> {
     let scale = of.setting.priors.scale();
-    if scale != 1.0 {
-        return Some(EstimationFinding::PriorWidened { times: scale });
-    }
-    let times = of.estimate.beyond_prior()?;
-    Some(if times > largest_plausible(true) {
-        EstimationFinding::FarBeyondPrior { times }
-    } else {
-        EstimationFinding::BeyondPrior { times }
+    let widened = scale != 1.0;
+    let times = if widened { scale } else { of.estimate.beyond_prior()? };
+    Some(match times > largest_plausible(true) {
+        true => EstimationFinding::FarBeyondPrior { times },
+        false if widened => EstimationFinding::PriorWidened { times },
+        false => EstimationFinding::BeyondPrior { times },
     })
 }
 

@@ -241,7 +241,11 @@ pub fn beyond(
     /// Controllers let an axis come to its very limit, and a little beyond.
     const BEYOND_DEG: f64 = 1.0;
     let beyond = poses.filter_map(|(number, axes)| {
-        let out = |(deg, [low, high]): (&f64, &[f64; 2])| *deg < low - BEYOND_DEG || *deg > high + BEYOND_DEG;
+        let out = |(deg, [low, high]): (&f64, &[f64; 2])| {
+            // Where the limits hold a full turn, a pose may be given by another turn than that of the axis.
+            let turned = if high - low >= 360.0 { low + (deg - low).rem_euclid(360.0) } else { *deg };
+            turned < low - BEYOND_DEG || turned > high + BEYOND_DEG
+        };
         let axes_deg = axes.degrees();
         let axis = axes_deg.iter().zip(limits_deg).position(out)?;
         Some((number, axis + 1, axes_deg[axis]))

@@ -252,8 +252,9 @@ fn the_world_is_what_its_file_says() {
                 [[centre]]\nid = 1\nxyz_mm = [1300.0, 0.0, 800.0]";
     let setup = Setup::new(&program, Some(("W.toml", text))).unwrap();
     let robot = robot();
-    let still = |motions| Moment {
-        t_s: 0.0,
+    let still = |motions: u32| Moment {
+        // Each motion's error has replaced the one before.
+        t_s: f64::from(motions),
         axes: plan(1, 3).rows[0].axes_deg.map(f64::to_radians),
         centre: 1,
         strobe: false,

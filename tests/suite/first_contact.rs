@@ -58,7 +58,7 @@ fn two_seconds(definition: &Definition, seed: u64) -> Vec<u8> {
     bytes.split_off(2)
 }
 
-fn named<'a>(ranked: &'a [Evidence]) -> Option<&'a str> {
+fn named(ranked: &[Evidence]) -> Option<&str> {
     ranked.first().filter(|evidence| evidence.is_enough()).map(|evidence| evidence.protocol.as_str())
 }
 

@@ -226,5 +226,5 @@ fn what_is_wrong_has_a_code_and_a_place() {
     assert_eq!(codes(&output), ["E0101"]);
     // Beyond the stroke: taken, and not valid.
     let output = import("t_s,length_mm\n0,300\n1,330\n", "");
-    assert_eq!(codes(&output), ["I1111", "W1110"]);
+    assert_eq!(codes(&output), ["I1111", "W1110", "W1181"]);
 }

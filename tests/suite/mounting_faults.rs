@@ -169,12 +169,12 @@ fn named_in_time(fault: MountingFault, seeds: std::ops::Range<u64>) -> (usize, f
                 slowest_s = slowest_s.max(after_s);
             }
             other => {
-                println!("seed {seed}, {looseness:?}: {other:?}");
+                eprintln!("seed {seed}, {looseness:?}: {other:?}");
                 *others.entry(format!("{:?}", other.map(|(named, _)| named.fault))).or_default() += 1;
             }
         }
     }
-    println!("{fault:?}: {in_time} in time, slowest {slowest_s:.2} s, others {others:?}");
+    eprintln!("{fault:?}: {in_time} in time, slowest {slowest_s:.2} s, others {others:?}");
     (in_time, slowest_s)
 }
 
@@ -188,7 +188,7 @@ fn false_alarms(hours: f64) -> Vec<Named> {
         loop {
             let Now { reading, done } = cell.next();
             if let Some(one) = monitor.push(reading) {
-                println!("seed {seed}: {one:?}");
+                eprintln!("seed {seed}: {one:?}");
                 named.push(one);
             }
             if done {
@@ -198,7 +198,7 @@ fn false_alarms(hours: f64) -> Vec<Named> {
         }
         seed += 1;
     }
-    println!("{} false alarms in {:.1} h", named.len(), passed_s / 3600.0);
+    eprintln!("{} false alarms in {:.1} h", named.len(), passed_s / 3600.0);
     named
 }
 

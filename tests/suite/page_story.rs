@@ -19,13 +19,14 @@ fn play(languages: &[&str]) {
         .args(languages)
         .output();
     // Straight to stderr, past the test harness, which keeps what a test that passes prints.
-    let skip = |why: &str| writeln!(std::io::stderr(), "SKIPPED: the page in a browser: {why}").unwrap();
+    let mut loud = std::io::stderr();
+    let mut skip = |why: &str| writeln!(loud, "SKIPPED: the page in a browser: {why}").unwrap();
     let Ok(played) = played else {
         return skip("there is no python3");
     };
     let said = [played.stdout, played.stderr].map(|bytes| String::from_utf8_lossy(&bytes).into_owned());
     match played.status.code() {
-        Some(0) => println!("{}", said[0]),
+        Some(0) => eprintln!("{}", said[0]),
         Some(SKIPPED) => skip(&said[0]),
         code => panic!("{code:?}\n{}\n{}", said[0], said[1]),
     }

@@ -63,7 +63,8 @@ fn result(dir: &Path, out: &str) -> ResultFile {
 }
 
 fn check(dir: &Path, robot: &str, extra: &[&str]) -> Output {
-    let args = ["identify", "check.csv", "--robot", robot, "--centres", "ball.csv", "--out", "second"];
+    let out = if robot.starts_with("second/") { "third" } else { "second" };
+    let args = ["identify", "check.csv", "--robot", robot, "--centres", "ball.csv", "--out", out];
     dbbd(dir, &[&args[..], extra].concat())
 }
 

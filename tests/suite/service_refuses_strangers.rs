@@ -249,5 +249,5 @@ fn every_answer_forbids_what_the_page_does_not_need() {
     for word in ["http:", "https:", "style=", "onclick", "<script>"] {
         assert!(!page.contains(word), "the page holds {word}");
     }
-    assert!(page.contains("Not a safety function"));
+    assert!(page.contains("data-text=\"safety.title\""));
 }

@@ -287,7 +287,9 @@ fn a_killed_run_is_there_again_and_can_be_identified() {
     assert_eq!(job["state"], "doubt", "a run that was cut off is a doubt: {job}");
     let report = server.get("/api/v1/runs/killed/identify/report.html");
     assert_eq!(report.status, 200);
-    assert!(report.head.contains("content-security-policy: default-src 'none'; style-src 'unsafe-inline'"));
+    for part in ["default-src 'none'; script-src 'sha256-", "; sandbox allow-scripts; "] {
+        assert!(report.head.contains(part), "{}", report.head);
+    }
     assert_eq!(report.body, fs::read(dir.path().join("dbbd-runs/killed/identify/report.html")).unwrap());
     // What cannot be done is said, not hidden.
     let job =

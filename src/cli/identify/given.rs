@@ -237,7 +237,8 @@ fn far_rows(observations: &Measurements, robot: &Robot, centres: &[BaseBall]) ->
     });
     let off: Vec<(u32, f64)> = off.collect::<Option<_>>()?;
     let usual_mm = median(&mut off.iter().map(|(_, off_mm)| *off_mm).collect::<Vec<_>>())?;
-    let far: Vec<_> = off.iter().filter(|(_, off_mm)| !(*off_mm <= usual_mm + FAR_MM)).collect();
+    let far: Vec<_> =
+        off.iter().filter(|(_, off_mm)| *off_mm > usual_mm + FAR_MM || off_mm.is_nan()).collect();
     let &&(index, off_mm) = far.first()?;
     ((far.len() as f64) < FEW * off.len() as f64).then_some(MeasurementFinding::FarLengths {
         rows: far.len(),

@@ -8,7 +8,7 @@ use serde_json::Value;
 use tokio::sync::{broadcast, watch};
 
 use super::log::Level;
-use super::state::{Aim, Run, Running, Supervisor};
+use super::state::{Aim, Run, Supervisor};
 use super::{catalogue, jobs, names, runs};
 use crate::catalogue::ServiceFinding::{
     NoPortChosen, NoRunIsOn, NoSuchPort, NoSuchProtocol, RunDuration, RunIsOn, RunIsStarting, RunName,
@@ -119,7 +119,9 @@ impl Service for Supervisor {
         }
         let reading = self.take_place()?;
         let _place = Place(self);
-        reading.map(Running::end);
+        if let Some(reading) = reading {
+            reading.end();
+        }
         let (port, protocol) = {
             let inner = self.inner();
             (inner.port.clone(), inner.protocol.clone())

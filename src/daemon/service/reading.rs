@@ -82,7 +82,9 @@ impl Supervisor {
     pub(super) fn read(&self, plan: Option<String>) -> Result<(), Diagnostic> {
         let before = self.take_place()?;
         let detail = plan.clone().unwrap_or_default();
-        before.map(Running::end);
+        if let Some(before) = before {
+            before.end();
+        }
         let (port, protocol) = {
             let inner = self.inner();
             (inner.port.clone(), inner.protocol.clone())
@@ -99,7 +101,9 @@ impl Supervisor {
     pub(super) fn end_reading(&self) -> Result<(), Diagnostic> {
         let before = self.take_place()?;
         let read = before.is_some();
-        before.map(Running::end);
+        if let Some(before) = before {
+            before.end();
+        }
         self.give_place(Ok(None))?;
         if read {
             self.note("disconnect", "");

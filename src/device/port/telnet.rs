@@ -184,11 +184,9 @@ impl Telnet {
             (Side::Client, code) if code == ANSWER + SUSPEND => self.suspended = true,
             (Side::Client, code) if code == ANSWER + RESUME => self.suspended = false,
             (Side::Client, SET_BAUD..=SET_CONTROL) => {}
-            (Side::Client, code @ ANSWER..=200) => {
-                // Only commands are waited for: notes on the state of the line come for ever.
-                if (SET_BAUD..=SET_CONTROL).contains(&(code - ANSWER)) {
-                    self.answers.push((code - ANSWER, value.to_vec()));
-                }
+            // Only commands are waited for: notes on the state of the line come for ever.
+            (Side::Client, code @ ANSWER..=200) if (SET_BAUD..=SET_CONTROL).contains(&(code - ANSWER)) => {
+                self.answers.push((code - ANSWER, value.to_vec()));
             }
             (Side::Server, code @ (SET_BAUD..=SET_CONTROL | 10..=12)) => {
                 received.reply.extend(Self::command(code + ANSWER, value));
