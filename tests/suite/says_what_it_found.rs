@@ -108,8 +108,9 @@ fn scenes() -> Vec<Scene> {
         Scene::new(&truth, &flat, 80, 0.0, &thirteen).spoilt(1, 1e200),
     ];
     // Corrections somewhat and far beyond what the robot file promises.
-    for (length_mm, angle_deg) in [(0.2, 0.02), (0.04, 0.004)] {
-        let mut tight = Scene::new(&truth, &flat, 80, 0.0, &["--prior", "datasheet", "--folds", "0"]);
+    for (length_mm, angle_deg) in [(0.2, 0.02), (0.1, 0.01)] {
+        let args = ["--prior", "datasheet", "--model", "geometric", "--folds", "0"];
+        let mut tight = Scene::new(&truth, &flat, 80, 0.0, &args);
         tight.robot = Robot { tolerance: Tolerance { length_mm, angle_deg }, ..kr60() }.to_toml().unwrap();
         scenes.push(tight);
     }
