@@ -55,7 +55,8 @@ fn beyond_prior(of: &Calibration<'_>) -> Option<EstimationFinding> {
     let scale = of.setting.priors.scale();
     let widened = scale != 1.0;
     let times = if widened { scale } else { of.estimate.beyond_prior()? };
-    Some(match times > largest_plausible(true) {
+    // A tolerance that nobody named has given way: doubted is what no robot has.
+    Some(match times > largest_plausible(!widened) {
         true => EstimationFinding::FarBeyondPrior { times },
         false if widened => EstimationFinding::PriorWidened { times },
         false => EstimationFinding::BeyondPrior { times },

@@ -242,8 +242,8 @@ pub fn beyond(
     const BEYOND_DEG: f64 = 1.0;
     let beyond = poses.filter_map(|(number, axes)| {
         let out = |(deg, [low, high]): (&f64, &[f64; 2])| {
-            // Where the limits hold a full turn, a pose may be given by another turn than that of the axis.
-            let turned = if high - low >= 360.0 { low + (deg - low).rem_euclid(360.0) } else { *deg };
+            // Limits of one and a half turns are those of a wrist: a pose may be given by another of its turns.
+            let turned = if high - low >= 540.0 { low + (deg - low).rem_euclid(360.0) } else { *deg };
             turned < low - BEYOND_DEG || turned > high + BEYOND_DEG
         };
         let axes_deg = axes.degrees();
