@@ -5,12 +5,15 @@
 use std::sync::OnceLock;
 
 use dbbd::base::table::Table;
+use dbbd::base::units::HostNs;
+use dbbd::device::axes::{AxesDecoder, AxesProtocol, rsi, rtde};
 use dbbd::device::protocol::{Decoded, Definition};
 use dbbd::live::{JobRequest, StartRequest};
 use dbbd::measurement::{BaseBall, Measurements};
 use dbbd::plan::{Job, Plan};
 use dbbd::program::krl::{self, Files, Given, Text};
 use dbbd::recording::TelegramReader;
+use dbbd::recording::axes::AxesReceiver;
 use dbbd::recording::capture;
 use dbbd::robot::Robot;
 use dbbd::sim::Controller;
@@ -19,7 +22,8 @@ use dbbd::sim::Controller;
 pub(crate) type Entry = fn(&[u8]);
 
 /// The entrances by name; each has a corpus of that name.
-pub(crate) const ENTRIES: [(&str, Entry); 9] = [
+pub(crate) const ENTRIES: [(&str, Entry); 10] = [
+    ("axes", axes),
     ("capture", capture_reader),
     ("decoder", decoder),
     ("definition", definition),
@@ -102,6 +106,41 @@ fn decoder(data: &[u8]) {
             let _ = definition.encoder().encode(sample, &mut Vec::new());
             let _ = definition.flags(sample.status);
         }
+    }
+}
+
+/// Packets of a controller's axes: a datagram of RSI, and a stream of RTDE behind an agreed recipe; the first byte says how
+/// the stream is cut.
+fn axes(data: &[u8]) {
+    let Some((piece, packets)) = data.split_first() else { return };
+    for protocol in [AxesProtocol::Rsi, AxesProtocol::Rtde] {
+        let recipe = rtde::package(rtde::SET_UP_OUTPUTS, &[b"\x01", rtde::TYPES.as_bytes()].concat());
+        let stream =
+            if protocol == AxesProtocol::Rtde { [&recipe, packets].concat() } else { packets.to_vec() };
+        let (mut whole, mut pieces) = (Vec::new(), Vec::new());
+        let (mut decoder, mut again) = (AxesDecoder::new(protocol), AxesDecoder::new(protocol));
+        decoder.push(&stream, |packet| whole.push(packet));
+        let accounted: u64 = whole.iter().map(|packet| packet.bytes).sum();
+        assert_eq!(accounted + decoder.pending(), stream.len() as u64, "{protocol:?}");
+        if protocol == AxesProtocol::Rtde {
+            stream
+                .chunks(usize::from(*piece).max(1))
+                .for_each(|part| again.push(part, |one| pieces.push(one)));
+            assert_eq!(whole, pieces, "the cuts matter");
+        }
+        let mut receiver = AxesReceiver::new(protocol);
+        receiver.push(HostNs(1), &stream, |_, _, sample| {
+            assert!(sample.measured_deg.iter().all(|deg| deg.is_finite()));
+            // What was understood is understood again.
+            if protocol == AxesProtocol::Rsi {
+                let read = rsi::read(rsi::write(&sample).as_bytes());
+                assert_eq!(read.map(|read| read.ticks), Ok(sample.ticks));
+            }
+        });
+        let counts = receiver.counts();
+        let parts =
+            [counts.used, counts.late, counts.doubled, counts.stray, counts.control, counts.malformed];
+        assert_eq!((counts.packets, counts.bytes), (parts.iter().sum(), stream.len() as u64));
     }
 }
 

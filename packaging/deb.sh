@@ -6,7 +6,7 @@ cd "$(dirname "$0")/.."
 home=${CARGO_HOME:-$HOME/.cargo}
 RUSTFLAGS="${RUSTFLAGS:-} --remap-path-prefix=$home=/cargo --remap-path-prefix=$PWD=/dbbd"
 export RUSTFLAGS
-[ "${1:-}" = --no-build ] || cargo build --release --locked --features pdf
+[ "${1:-}" = --no-build ] || cargo build --release --locked --features archive,pdf
 mkdir -p target/deb
 dbbd=target/release/dbbd
 $dbbd man > target/deb/dbbd.1

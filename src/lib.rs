@@ -38,6 +38,9 @@ pub mod report;
 
 pub mod live;
 
+#[cfg(feature = "archive")]
+pub mod archive;
+
 pub mod sim;
 
 pub mod daemon;

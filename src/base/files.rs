@@ -25,6 +25,11 @@ pub fn read(path: &Path) -> Result<String, Diagnostic> {
     })
 }
 
+/// The text of a file, if there is one of this name or the name ends like that of one.
+pub fn if_there(path: &Path, ending: &str) -> Option<Result<String, Diagnostic>> {
+    (path.exists() || path.to_string_lossy().ends_with(ending)).then(|| read(path))
+}
+
 /// The text of a file of at most `most` bytes; what is no file (a pipe, a device) is not opened.
 pub fn read_at_most(path: &Path, most: u64) -> Result<String, Diagnostic> {
     match fs::metadata(path) {
@@ -80,6 +85,18 @@ pub fn write_pieces(
         let _ = fs::remove_file(&beside);
         wrong(error)
     })
+}
+
+/// Who may do what with a file, as Unix has it; of no file, and elsewhere, nobody.
+#[cfg(unix)]
+pub fn mode(path: &Path) -> u32 {
+    use std::os::unix::fs::PermissionsExt;
+    fs::metadata(path).map_or(0, |data| data.permissions().mode())
+}
+
+#[cfg(not(unix))]
+pub fn mode(_: &Path) -> u32 {
+    0
 }
 
 /// That a result does not take the place of a file that the command reads.

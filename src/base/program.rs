@@ -1,7 +1,9 @@
 //! This program as a child process.
 
+use std::ffi::OsString;
 use std::io;
 use std::process::{Command, Stdio, exit};
+use std::sync::OnceLock;
 use std::thread;
 
 /// What a child process is to know of the environment; the rest is no business of a command of ours.
@@ -26,6 +28,14 @@ pub const PROGRESS: &str = "done, per cent:";
 /// The option that ends a command of ours with its standard input.
 pub const UNTIL_STDIN_CLOSES: &str = "--until-stdin-closes";
 
+/// How this program is started where it is no file of its own.
+static LAUNCHER: OnceLock<Vec<OsString>> = OnceLock::new();
+
+/// Children are started with this command line (program and first arguments) from now on; the first call counts.
+pub fn launch_by(command: Vec<OsString>) {
+    LAUNCHER.get_or_init(|| command);
+}
+
 /// A command that runs this very program, also where its file was replaced since this process began. It ends with its
 /// standard input, whose other end closes with this process, however that ends; keep it until the child has ended. Of
 /// the environment it has only what it needs.
@@ -35,7 +45,14 @@ pub fn own() -> io::Result<Command> {
     let program = "/proc/self/exe";
     #[cfg(not(target_os = "linux"))]
     let program = std::env::current_exe()?;
-    let mut command = Command::new(program);
+    let mut command = match LAUNCHER.get().and_then(|launcher| launcher.split_first()) {
+        Some((program, first)) => {
+            let mut command = Command::new(program);
+            command.args(first);
+            command
+        }
+        None => Command::new(program),
+    };
     let kept = INHERITED.iter().filter_map(|name| Some((name, std::env::var_os(name)?)));
     command.arg(UNTIL_STDIN_CLOSES).env_clear().envs(kept).stdin(Stdio::piped());
     Ok(command)

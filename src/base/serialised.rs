@@ -2,7 +2,8 @@
 
 use serde::Serialize;
 
-use crate::catalogue::CliFinding;
+use super::hash::sha256;
+use crate::catalogue::{CliFinding, ProvenanceFinding};
 
 fn unfit(form: &'static str) -> impl Fn(&dyn std::fmt::Display) -> CliFinding {
     move |why| CliFinding::NotWritten { form, why: why.to_string() }
@@ -14,6 +15,28 @@ fn unfit(form: &'static str) -> impl Fn(&dyn std::fmt::Display) -> CliFinding {
 /// What JSON cannot hold.
 pub fn json(value: &impl Serialize) -> Result<String, CliFinding> {
     serde_json::to_string_pretty(value).map_err(|error| unfit("JSON")(&error))
+}
+
+/// Indented JSON of an object, a line at its end, whose last key has the SHA-256 of the text without it.
+///
+/// # Errors
+/// As [`json`].
+pub fn sealed_json(value: &impl Serialize) -> Result<String, CliFinding> {
+    let text = json(value)?;
+    let open = text.strip_suffix("\n}").unwrap_or(&text);
+    Ok(format!("{open}{SEAL}{}\"\n}}\n", sha256(&text)))
+}
+
+const SEAL: &str = ",\n  \"sha256\": \"";
+
+/// That nobody changed a text since [`sealed_json`] made it; one without a hash is as good as any.
+///
+/// # Errors
+/// Its hash is of another text.
+pub fn check_seal(text: &str) -> Result<(), ProvenanceFinding> {
+    let Some((open, end)) = text.rsplit_once(SEAL) else { return Ok(()) };
+    let sha256_is = sha256(format!("{open}\n}}"));
+    if end.trim_end() == format!("{sha256_is}\"\n}}") { Ok(()) } else { Err(ProvenanceFinding::Edited) }
 }
 
 /// JSON in one line.
@@ -37,7 +60,21 @@ pub fn toml(value: &impl Serialize) -> Result<String, CliFinding> {
 /// # Errors
 /// What a cell cannot hold.
 pub fn csv(rows: impl IntoIterator<Item = impl Serialize>) -> Result<String, CliFinding> {
-    let mut writer = csv::Writer::from_writer(Vec::new());
+    lines(csv::Writer::from_writer(Vec::new()), rows)
+}
+
+/// The same without its header.
+///
+/// # Errors
+/// As [`csv()`].
+pub fn csv_rows(rows: impl IntoIterator<Item = impl Serialize>) -> Result<String, CliFinding> {
+    lines(csv::WriterBuilder::new().has_headers(false).from_writer(Vec::new()), rows)
+}
+
+fn lines(
+    mut writer: csv::Writer<Vec<u8>>,
+    rows: impl IntoIterator<Item = impl Serialize>,
+) -> Result<String, CliFinding> {
     for row in rows {
         writer.serialize(row).map_err(|error| unfit("CSV")(&error))?;
     }

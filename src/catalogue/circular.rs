@@ -56,6 +56,11 @@ findings! {
             PosesWithoutLength { lost: usize, poses: usize, percent: f64 } => "{lost} of {poses} poses ({percent:.1} %) have no length (`dbbd sync` gives the reasons)";
             CircleWithoutLength { circle: u32, poses: usize } => "circle {circle}: none of its {poses} poses has a length, so it is left out";
         }
+        E1481 "an option is of use with a capture only",
+        cause: "--plan and --axes belong to the poses of a recorded run; a CSV of a circle has none.",
+        cure: "Leave the option out, or give the capture." {
+            NoCapture => "--plan and --axes are of use with a capture only";
+        }
         W1480 "lengths are none of a circular test",
         cause: "A length is mistyped or the bar slipped at it, the lengths are the nominal ones, or --radius is that of another circle.",
         cure: "Correct or leave out the row that is named; give the lengths that the bar measured, and the programmed radius." {

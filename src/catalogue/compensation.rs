@@ -81,6 +81,8 @@ findings! {
             DataNamed => "the file holds the points of a program, and no motion", help: "name the .src; the .dat beside it is corrected with it";
             WouldOverwrite { directory: String } => "--out {directory} would overwrite the program itself";
             BadLimit { limit_mm: f64 } => "--limit {limit_mm} must be above 0";
+            FrameUnused { language: &'static str } => "a program in {language} does not take these frames",
+                help: "in RAPID a module with tools and work objects is given by --config, in URScript the TCP by --tool";
             NotAFrame => "six numbers in mm and degrees are needed, as 0,0,150,0,0,0";
         }
         I0911 "an axis passes zero",
@@ -93,9 +95,12 @@ findings! {
         cure: "Correct the points listed." {
             PointsRefused { points: usize } => "{points} point(s) cannot be compensated; nothing is written";
         }
-        E0913 "a file is not a program in KRL",
-        cause: "The file has no routine (DEF NAME ( ) .. END): it is a program in another language, or a table.",
-        cure: "Name the .src of a KUKA program. Programs in other languages are not corrected." {
+        E0913 "a file is not a program in its language",
+        cause: "The file has no routine (DEF NAME ( ) .. END of KRL, MODULE .. ENDMODULE of RAPID, def name(): .. end of URScript): it is a program in another language than its extension says, or a table.",
+        cure: "Name the .src of a KUKA program, the .mod of an ABB or the .script of a Universal Robots program. Programs in other languages are not corrected." {
+            NotRapid { begins: String } => "is no module in RAPID: it begins with `{begins}`";
+            NotUrscript { begins: String } => "is no program in URScript: it begins with `{begins}`";
+            NoLanguage { file: String } => "{file} is in no language that is known by its extension", help: ".src is KRL, .mod RAPID, .script URScript";
             NotKrl { begins: String } => "is no program in KRL: it begins with `{begins}`";
         }
         W0914 "no point was corrected",

@@ -88,6 +88,11 @@ findings! {
         cure: "Measure new lengths." {
             LengthsOfCalibration { known: usize, lengths: usize } => "{known} of {lengths} lengths identified this robot: they are no check of it";
         }
+        W1921 "the lengths agree better than they can",
+        cause: "The lengths agree with the robot far better than their standard deviation allows: sigma is too large (the column sigma_mm, --sigma, repeatability_mm of the robot file), or the lengths were computed. A check with too large a sigma finds no change.",
+        cure: "Give the standard deviation that the lengths have, and measured lengths." {
+            TooGood { chi_square: f64, freedom: usize } => "chi-square {chi_square:.2} of {freedom} degrees of freedom: the lengths agree far better than their standard deviation";
+        }
         I1920 "what the model of the calibration lacks is not known",
         cause: "The result.json of the calibration is not beside the robot file, so that the standard deviation of a length is that of bar and repeatability alone. What the model lacks can then pass for a change.",
         cure: "Keep result.json beside robot-identified.toml, or give --sigma." {

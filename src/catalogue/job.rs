@@ -66,6 +66,7 @@ findings! {
         cure: "Write texts in one line of at most 200 characters, and dates as \"2026-03-31\"." {
             NotAText { key: String, length: usize, most: usize } => "{key} must be a text of 1 to {most} characters in one line, it has {length}";
             NotACountry { code: String } => "country = \"{code}\" must be two capital letters of ISO 3166-1, such as DE";
+            CertifiedLater { date: String } => "certified_on = \"{date}\" is after the day of the measurement";
             NotADate { key: String, date: String } => "{key} = \"{date}\" is no date YYYY-MM-DD";
         }
     }

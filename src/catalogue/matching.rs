@@ -51,6 +51,17 @@ findings! {
             ReportsOffPace { reports: usize } => "the bar's clock does not keep the host's pace: {reports} reports of the controller cannot be laid on it, and are not used";
             ReportsUnpaired { reports: usize } => "{reports} reports of the controller came, but no dwell has that of its begin and of its end: they are not used";
         }
+        W2220 "the published axes are not used",
+        cause: "The clock of the bar or of the controller does not keep the host's pace, as on a simulator that runs faster than real time.",
+        cure: "Poses are matched by the strobe or by still intervals, and lengths are taken at the commanded axes. Simulate with --speed 1; on a real cell check both clocks (`dbbd info`)." {
+            AxesUnused { packets: usize } => "{packets} axes of the controller cannot be laid on the bar's time, and are not used";
+        }
+        I2221 "lengths are taken at measured axes",
+        cause: "The controller published its axes, and they were recorded (`acquire --axes`).",
+        cure: "Nothing to do: poses are matched by the axes' own motion, and lengths are identified at the measured angles." {
+            AxesMeasured { measured: usize, protocol: &'static str, lag_ms: f64, sd_ms: f64 } => "{measured} lengths are at axes that the controller measured ({protocol}); the reading comes {lag_ms:.2} +- {sd_ms:.2} ms after them";
+            AxesMeasuredLagUnknown { measured: usize, protocol: &'static str } => "{measured} lengths are at axes that the controller measured ({protocol}); no motion shows how late the reading comes";
+        }
         I1010 "the measured axis angles are corrected ones",
         cause: "The controller is in its absolute-accuracy mode and corrects its motions by a model of its own.",
         cure: "Nothing to do: the measured axis angles are used." {
@@ -105,6 +116,7 @@ findings! {
             PassNotReported => "the controller did not report it";
             PassWithoutSignal => "neither a strobe nor a report shows when the robot passed: write the program with `krl --sync output` or `ekrl`";
             PassStrobes { strobes: usize, commanded: usize } => "{strobes} strobes were detected, and {commanded} are commanded";
+            PassNotSeen => "the published axes do not go by its points one after the other";
             PassWithoutEnd => "the plan has no row where it ends";
             PassDuration { seconds: f64, planned_s: f64 } => "the pass lasted {seconds:.1} s, which no override makes of {planned_s:.1} s";
             PassClockBroke => "the bar's clock broke during the pass";

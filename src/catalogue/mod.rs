@@ -4,6 +4,8 @@
 //! entry, docs/troubleshooting.md is made from all of them, and tests ask for codes and values, never for sentences.
 //! A code that was released keeps its meaning; a code that is dropped is not used again.
 
+mod archive;
+mod axes;
 mod bar;
 mod certificate;
 mod circular;
@@ -27,6 +29,8 @@ mod robot;
 mod service;
 mod simulation;
 
+pub use archive::ArchiveFinding;
+pub use axes::AxesFinding;
 pub use bar::BarFinding;
 pub use certificate::CertificateFinding;
 pub use circular::CircularFinding;
@@ -158,8 +162,10 @@ const FAMILIES: &[(&str, &[Entry])] = &[
     ("Certificates", CertificateFinding::ENTRIES),
     ("Pages and exports", ReportFinding::ENTRIES),
     ("The bar and its port", PortFinding::ENTRIES),
+    ("The axes of the controller", AxesFinding::ENTRIES),
     ("Protocol definitions", ProtocolFinding::ENTRIES),
     ("The service", ServiceFinding::ENTRIES),
+    ("The archive", ArchiveFinding::ENTRIES),
 ];
 
 /// All entries, in the order of the families.

@@ -27,6 +27,7 @@ findings! {
             Expected { expected: String, found: String } => "expected {expected}, found {found}";
             NoStatement { word: String } => "`{word}` does not begin a statement",
                 help: "supported are assignments, calls, PTP, LIN, CIRC, WAIT, PULSE, HALT, FOR, IF, WHILE, LOOP";
+            NoBlock => "`end` ends nothing here";
             GivenTwice { name: String } => "{name} is given twice";
             LateDeclaration => "a declaration after the first statement",
                 help: "move it above the first statement of the routine, or into the .dat file";
@@ -48,6 +49,8 @@ findings! {
         cause: "A module is called whose file is not beside the program, or a file is named otherwise than the module in it.",
         cure: "Put all modules into one directory, and give the .src, the .dat and the first routine one name." {
             NoRoutine => "the file has no routine", help: "a .src file begins with DEF NAME ( )";
+            NoProc => "the module has no routine", help: "a module has PROC name() .. ENDPROC";
+            NoDef => "the script has no routine", help: "a script has def name(): .. end";
             SecondRoutine { name: String } => "a second routine {name}";
             NoModuleFile => "there is no such file";
             OtherModuleName { routine: String, file: String } => "DEF {routine} is in a file named {file}";
@@ -105,6 +108,8 @@ findings! {
                 help: "the path is too near to a singularity, or its speed is too high";
             NoAxisAngles { why: String } => "{why}";
             NoConfiguration { value: i64 } => "S or T is {value}";
+            OtherConfiguration { programmed: String, reached: String } =>
+                "the motion ends in the configuration {reached}, not in {programmed}", help: "compute the confdata anew, or switch ConfL\\Off";
             StraightArc => "the three points of the arc are on a line", help: "move the auxiliary point, or write LIN";
         }
         E0814 "a motion lacks its start or its speed",
@@ -147,7 +152,7 @@ findings! {
             NoAnswer => "no answer has come", help: "wait for its flag first";
             NoSuchAnswer { path: String } => "the answer has no {path}";
         }
-        E0820 "a row of the plan cannot be written as KRL",
+        E0820 "a row of the plan cannot be written as a program",
         cause: "plan.csv was changed by hand, and a number is out of what a controller accepts or rows are in an order that has no motion.",
         cure: "Make the plan anew with `dbbd plan`." {
             RowNumber { row: u32, value: f64 } => "row {row}: {value} is not a length or an angle that a controller accepts";
@@ -190,20 +195,33 @@ findings! {
         cure: "Remove the modules that are named, or write into an empty directory: load only those of one plan." {
             StaleModules { modules: String } => "the directory holds modules that are not of this plan: {modules}";
         }
+        E0884 "a module has the name of its routine",
+        cause: "In RAPID modules and routines share their names, and a controller refuses to load such a module.",
+        cure: "Rename the module or the routine." {
+            ModuleNamedAsRoutine { name: String } => "the module and a routine in it are both named {name}";
+        }
+        E0883 "a plan needs what a language does not have",
+        cause: "Circles without stops are one motion further round than an arc of RAPID or URScript goes, and EthernetKRL is KUKA's.",
+        cure: "Plan dwells in place of continuous circles, or use --sync output or marker; or write KRL." {
+            NoPasses { language: &'static str } => "circles without stops are not written in {language}";
+            NoTelegrams { language: &'static str } => "--sync ekrl is of KUKA controllers, not in {language}";
+            NoController { language: &'static str } => "--controller is the generation of a KUKA controller, not used in {language}";
+        }
         E0823 "the chosen marks of the dwells are not possible",
         cause: "The outputs in the job overlap or are not eight in a row, the controller is too old for EthernetKRL, or the bar's protocol does not carry the strobe.",
         cure: "Correct [motion.outputs] in the job, or choose another --sync." {
             OutputsOverlap => "outputs: the index needs eight outputs in a row, and the strobe another";
+            OutputNumber { output: u32 } => "outputs: there is no standard output {output}", help: "URScript has the outputs 0 to 7, and the index on the eight configurable ones";
             NoEthernetKrl => "EthernetKRL needs a KR C4 or later";
             NoServer => "--sync ekrl needs --server ADDR:PORT";
             NoStrobe { protocol: String } => "--sync output: the bar's protocol {protocol} does not carry the strobe", help: "use --sync marker or --sync ekrl";
             PassWithoutStrobe { protocol: String } => "circles without stops need a strobe, which the bar's protocol {protocol} does not carry", help: "use --sync ekrl";
             ProtocolNotHere { protocol: String } => "the bar's protocol {protocol} is not here, so it is not known whether it carries the strobe", help: "name --sync, or go to where the definition is";
         }
-        E0824 "a robot is not programmed in KRL",
-        cause: "The robot file names another language than KRL, or another maker in the robot's name.",
-        cure: "Write or correct its program by other means. If the controller reads KRL, add language = \"krl\" to the robot file and plan again; for `dbbd simulate`, which moves any robot, give --controller simulated." {
-            OtherLanguage { robot: String, language: String } => "{robot} is programmed in {language}, not in KRL";
+        E0824 "a robot is programmed in another language",
+        cause: "The robot file names another language than the one that is written or read, or another maker in the robot's name.",
+        cure: "Choose the --language of the robot, or write and correct its program by other means. If the controller reads KRL, add language = \"krl\" to the robot file and plan again; for `dbbd simulate`, which moves any robot, give --controller simulated." {
+            OtherLanguage { robot: String, language: String, wanted: &'static str } => "{robot} is programmed in {language}, not in {wanted}";
         }
         W0825 "circles without stops cannot be read with sync markers",
         cause: "Between two passes there is no sync marker, so that their points are reported as missing.",
@@ -217,8 +235,8 @@ findings! {
         }
         I0827 "the language of a robot is not known",
         cause: "The robot file has no `language`, and the robot's name begins with no known maker.",
-        cure: "Add language = \"krl\" to the robot file." {
-            LanguageNotKnown { robot: String } => "nothing says that {robot} is programmed in KRL";
+        cure: "Add language = \"krl\", \"rapid\" or \"urscript\" to the robot file." {
+            LanguageNotKnown { robot: String, wanted: &'static str } => "nothing says that {robot} is programmed in {wanted}";
         }
     }
 }

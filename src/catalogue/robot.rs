@@ -25,7 +25,7 @@ findings! {
         cause: "Only arms with six rotary joints in a modified-DH table (Craig) are modelled.",
         cure: "Convert the table to modified DH; `dbbd robots show kr60ha` is an example. An arm with fewer or more joints cannot be calibrated here." {
             Convention { convention: String } => "convention `{convention}` is not known: only `modified-dh` is";
-            JointCount { joints: usize } => "has {joints} [[joint]] tables: a robot here has six";
+            JointCount { robot: String, joints: usize, needed: String } => "{robot} has {joints} [[joint]] tables: a robot here has six rotary joints", help: "{needed}";
         }
         E0505 "a number of a robot file is impossible",
         cause: "A number is not finite, or outside of what its key can mean.",
@@ -52,8 +52,8 @@ findings! {
         cause: "The pose is beyond the arm, or only another branch or turn of the axes reaches it.",
         cure: "Move the pose nearer to the robot, or give it a status and turn that the arm can take there." {
             OutOfReach => "the pose is out of reach";
-            NotAnalytic => "this arm has no closed-form solution";
             NotConverged { distance_mm: f64 } => "no axis angles found: {distance_mm:.3} mm away after the last step";
+            NoSuchQuadrants { wanted: String } => "no axis angles within the limits have the configuration {wanted}";
             NoSuchConfiguration { status: u8, turn: u8 } => "no axis angles within the limits have S {status}, T {turn}";
         }
         I0510 "the repeatability of a robot is not known",

@@ -12,14 +12,16 @@ use indicatif::ProgressBar;
 use super::{Outcome, Output, artefact, output, protocols};
 use crate::base::clock;
 use crate::base::units::HostNs;
-use crate::catalogue::{CliFinding, PortFinding, ProtocolFinding};
+use crate::catalogue::{AxesFinding, CliFinding, PortFinding, ProtocolFinding};
 use crate::daemon::{
-    ALARM_SHARE, Acquisition, Ending, MountDetector, Options, Progress, Schedule, Server, Summary,
-    stop_on_signal, zero,
+    ALARM_SHARE, Acquisition, AxesSource, Ending, Lines, MountDetector, Options, Progress, Schedule, Server,
+    Summary, stop_on_signal, zero,
 };
+use crate::device::axes::AxesAddress;
 use crate::device::port::{self, PortAddress};
 use crate::diagnostic::Diagnostic;
 use crate::provenance::Identity;
+use crate::recording::axes::PacketCounts;
 use crate::recording::run::{self, PlanFiles};
 
 /// The protocol without a word about it.
@@ -70,6 +72,11 @@ pub(crate) struct Args {
     /// can be reached by others in that network.
     #[arg(long, value_name = "ADDR:PORT")]
     ekrl: Option<SocketAddr>,
+    /// The controller's measured and commanded axes, recorded beside the bar's samples: rsi://ADDR:PORT listens here for
+    /// KUKA RSI (UDP) and sends nothing, with ?answer=zero it answers each packet with a correction of zero, for a
+    /// controller whose configuration waits for answers; rtde://HOST[:30004][?hz=125] asks a UR controller over RTDE (TCP).
+    #[arg(long, value_name = "ADDRESS")]
+    axes: Option<AxesAddress>,
     /// Capture to write; an existing file is not overwritten.
     #[arg(long, value_name = "RUN")]
     out: PathBuf,
@@ -101,18 +108,27 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
             out.finding(PortFinding::OpenToNetwork { address: address.to_string() });
         }
     }
+    let axes = args.axes.as_ref().map(AxesSource::open).transpose()?;
+    if let Some(axes) = &axes {
+        out.progress(format!(
+            "axes over {} at {}",
+            args.axes.as_ref().map_or("", |at| at.protocol().name()),
+            axes.address()
+        ));
+    }
+    let lines = Lines { ekrl: server, axes };
     if args.port == PortAddress::Sim {
-        let address = server.as_ref().map(Server::address);
+        let address = lines.ekrl.as_ref().map(Server::address);
         // A telegram has the host's time, so the simulation must keep to it.
         let speed = if address.is_some() { "1" } else { "0" };
         let cell = simulated::Cell::start(args.plan.as_deref(), speed, address, out)?;
         let args = Args { port: cell.port().clone(), plan: Some(cell.plan().into()), ..args.clone() };
-        let summary = record(&args, identity, server, out)?;
+        let summary = record(&args, identity, lines, out)?;
         cell.finish()?;
         out.document(&summary)?;
         return Ok(Outcome::Done);
     }
-    out.document(&record(args, identity, server, out)?)?;
+    out.document(&record(args, identity, lines, out)?)?;
     Ok(Outcome::Done)
 }
 
@@ -133,6 +149,7 @@ impl Args {
             identity: None,
             zero: false,
             ekrl: None,
+            axes: None,
             out,
             duration: Some(s),
             gone: 10.0,
@@ -148,7 +165,7 @@ const ZEROED: &str = "the bar's reading was set to zero before the run";
 pub(super) fn record(
     args: &Args,
     identity: Identity,
-    server: Option<Server>,
+    lines: Lines,
     out: &Output,
 ) -> Result<Summary, Diagnostic> {
     let plan = args.plan.as_deref().map(PlanFiles::read).transpose()?;
@@ -180,7 +197,7 @@ pub(super) fn record(
         feed: None,
         sync_s: args.sync_every,
     };
-    let acquisition = Acquisition::start_with(server, options, stop)?;
+    let acquisition = Acquisition::start_with(lines, options, stop)?;
     if args.zero {
         acquisition.mark(ZEROED.into());
     }
@@ -247,7 +264,8 @@ fn losses(progress: &Progress) -> String {
         (progress.refused, "telegrams refused"),
     ];
     let found = counts.into_iter().filter(|(count, _)| *count > 0);
-    found.map(|(count, what)| format!(", {count} {what}")).collect()
+    let axes = progress.axes.map(|counts| format!("; axes: {}", output::packets(&counts)));
+    found.map(|(count, what)| format!(", {count} {what}")).chain(axes).collect()
 }
 
 fn conclude(summary: &Summary, args: &Args, out: &Output) -> Result<(), Diagnostic> {
@@ -262,6 +280,7 @@ fn conclude(summary: &Summary, args: &Args, out: &Output) -> Result<(), Diagnost
         ending.reason()
     ));
     doubts(summary, args).into_iter().for_each(|finding| out.finding(finding));
+    axes_doubts(summary, args).into_iter().for_each(|finding| out.finding(finding));
     if args.plan.is_some() && progress.samples > 0 {
         run::losses(capture)?.into_iter().for_each(|loss| out.finding(loss));
     }
@@ -288,6 +307,25 @@ fn doubts(summary: &Summary, args: &Args) -> Vec<PortFinding> {
         (progress.unanswered > 0, PortFinding::Unanswered { requests: progress.unanswered }),
         (progress.refused > 0, PortFinding::TelegramsRefused { telegrams: progress.refused }),
         (args.ekrl.is_some() && progress.telegrams == 0, PortFinding::NoTelegram),
+    ];
+    doubts.into_iter().filter_map(|(found, finding)| found.then_some(finding)).collect()
+}
+
+/// What is to be doubted of the controller's axes.
+fn axes_doubts(summary: &Summary, args: &Args) -> Vec<AxesFinding> {
+    let Some(address) = args.axes.as_ref().map(ToString::to_string) else { return Vec::new() };
+    let counts = summary.progress.axes.unwrap_or_default();
+    let PacketCounts { packets, used, lost, malformed, restarts, late_answers, .. } = counts;
+    let none = if packets == malformed && packets > 0 {
+        AxesFinding::NothingUnderstood { address, packets }
+    } else {
+        AxesFinding::NothingCame { address }
+    };
+    let doubts = [
+        (used == 0, none),
+        (lost + malformed > 0 && used > 0, AxesFinding::PacketsLost { lost, malformed, packets }),
+        (restarts > 0, AxesFinding::ClockRestarted { restarts }),
+        (late_answers > 0, AxesFinding::AnswersLate { late_answers }),
     ];
     doubts.into_iter().filter_map(|(found, finding)| found.then_some(finding)).collect()
 }

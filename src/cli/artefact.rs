@@ -11,7 +11,7 @@ use crate::base::files;
 use crate::catalogue::{FileFinding, ProvenanceFinding};
 use crate::diagnostic::Diagnostic;
 use crate::plan::Job;
-use crate::program::krl;
+use crate::program::{self, Language};
 use crate::provenance::{Artefact, Identity, Provenance, Role, Traced};
 use crate::recording::run;
 use crate::robot::Robot;
@@ -56,8 +56,8 @@ pub(super) fn read(path: &Path) -> Result<Option<Traced>, Diagnostic> {
         return plan(path);
     } else if first.split(',').any(|column| column == "length_mm") {
         return with(Role::Measurements, path, Provenance::default());
-    } else if krl::is_program(&text) {
-        return with(Role::Program, path, krl::provenance(&name, &text)?);
+    } else if Language::of_text(&text).is_some() {
+        return with(Role::Program, path, program::provenance(&name, &text)?);
     }
     Ok(None)
 }

@@ -7,7 +7,7 @@ use serde::Serialize;
 use super::{Outcome, Output, acquire, positive, protocols};
 use crate::base::{files, serialised};
 use crate::catalogue::BarFinding;
-use crate::daemon::{Attempt, Search};
+use crate::daemon::{Attempt, Lines, Search};
 use crate::device::port::PortAddress;
 use crate::device::protocol::Definition;
 use crate::diagnostic::Diagnostic;
@@ -133,7 +133,7 @@ fn check(args: &Check, out: &Output) -> Result<Outcome, Diagnostic> {
     let Check { port, protocol, params, duration, .. } = args;
     let run =
         acquire::Args::timed(port.clone(), protocol.clone(), params.clone(), capture.clone(), *duration);
-    acquire::record(&run, Identity::default(), None, out)?;
+    acquire::record(&run, Identity::default(), Lines::default(), out)?;
     let definition = protocols::load_with(protocol, params)?;
     let mut builder =
         StreamBuilder::new(definition.clock.map(Into::into)).sequence(definition.sequence_modulo);

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use serde_json::json;
 
 use super::{Outcome, Output, artefact};
-use crate::base::files;
+use crate::base::{files, serialised};
 use crate::catalogue::CertificateFinding;
 use crate::diagnostic::Diagnostic;
 use crate::report::certificate::Certificate;
@@ -36,7 +36,9 @@ pub(crate) struct Args {
 /// A file, or that of this name in a directory: its name and text.
 fn read(path: &Path, name: &str) -> Result<(String, String), Diagnostic> {
     let path = if path.is_dir() { path.join(name) } else { path.to_owned() };
-    Ok((path.display().to_string(), files::read(&path)?))
+    let (name, text) = (path.display().to_string(), files::read(&path)?);
+    serialised::check_seal(&text).map_err(|finding| Diagnostic::file(&name, finding))?;
+    Ok((name, text))
 }
 
 pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {

@@ -12,11 +12,11 @@ use crate::catalogue::{CliFinding, ConformityFinding};
 use crate::conformity::{self, CheckInput, InterimCheck, Rule};
 use crate::diagnostic::Diagnostic;
 use crate::estimation::change::{Hypothesis, Mounting};
-use crate::estimation::{DistanceQuantities, Options, Priors, ResultFile, length_sd_mm};
+use crate::estimation::{DistanceQuantities, Options, Priors, ResultFile};
 use crate::measurement::{LengthModel, PreparedMeasurement};
 use crate::provenance::Provenance;
 use crate::report::check;
-use crate::robot::{BarId, Coordinate, ParamId, Robot, Unit};
+use crate::robot::{Coordinate, ParamId, Robot, Unit};
 
 /// Check whether a calibrated robot is still what it was.
 ///
@@ -54,7 +54,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "MM", value_parser = length_sd)]
     sigma: Option<f64>,
     /// Standard deviation with which the tool ball is mounted again, mm.
-    #[arg(long, value_name = "MM", default_value_t = TOOL_REPEAT_MM, value_parser = positive)]
+    #[arg(long, value_name = "MM", default_value_t = Mounting::TOOL_REPEAT_MM, value_parser = positive)]
     tool_repeat: f64,
     /// Standard deviation of the base balls about --centres, mm [default: they may be anywhere].
     #[arg(long, value_name = "MM", value_parser = positive)]
@@ -70,9 +70,6 @@ pub(crate) struct Args {
     #[arg(long)]
     update: bool,
 }
-
-/// Standard deviation with which a tool ball is mounted again in its seat, mm.
-pub(super) const TOOL_REPEAT_MM: f64 = 0.01;
 
 pub(super) fn risk(text: &str) -> Result<f64, CliFinding> {
     match text.parse::<f64>() {
@@ -143,11 +140,9 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
 
 /// What mounting changes; a tool ball that the posterior does not hold is as uncertain as any.
 fn mounting(args: &Args, given: &Given) -> Mounting {
-    let priors = Priors::datasheet(&given.robot, given.bar_u_mm);
-    let tool = ParamId::Tool(Coordinate::X);
-    let tool_mm = if args.tool.is_some() { priors.sd(tool) } else { args.tool_repeat };
-    let bar_mm = priors.sd(ParamId::BarOffset(BarId::FIRST));
-    Mounting { tool_mm, ball_mm: args.ball_repeat, bar_mm }
+    let another = || Priors::datasheet(&given.robot, given.bar_u_mm).sd(ParamId::Tool(Coordinate::X));
+    let tool_mm = if args.tool.is_some() { another() } else { args.tool_repeat };
+    Mounting { tool_mm, ball_mm: args.ball_repeat, ..Mounting::again(&given.robot, given.bar_u_mm) }
 }
 
 /// The standard deviation of a length, mm, and that a part of it is not known.
@@ -159,14 +154,8 @@ pub(super) struct Noise {
 impl Noise {
     /// Of bar and repeatability, at least that of the result.json beside a robot file.
     pub(super) fn at_least(own: Option<f64>, file: &str, robot: &Robot) -> Result<Self, Diagnostic> {
-        let path = Path::new(file).with_file_name("result.json");
-        let result: Option<ResultFile> = path
-            .is_file()
-            .then(|| serde_json::from_str(&files::read(&path)?).map_err(|error| incomplete(&path, &error)))
-            .transpose()?;
-        let result = result.filter(|result| result.robot == robot.name);
-        let sigma_mm = own.into_iter().chain(result.as_ref().map(|result| result.sigma_mm)).reduce(f64::max);
-        let sigma_mm = sigma_mm.filter(|mm| *mm > 0.0).ok_or(ConformityFinding::NoNoise)?;
+        let (path, result) = ResultFile::beside(Path::new(file), &robot.name)?;
+        let sigma_mm = conformity::sigma_mm(own, result.as_ref().map(|result| result.sigma_mm))?;
         let looked_for = path.display().to_string();
         let finding = result.is_none().then_some(ConformityFinding::NoResultBeside { looked_for, sigma_mm });
         Ok(Self { sigma_mm, finding })
@@ -177,16 +166,8 @@ impl Noise {
         if let Some(sigma_mm) = args.sigma {
             return Ok(Self { sigma_mm, finding: None });
         }
-        let squares = given.observations.rows.iter().map(|row| row.sigma_mm.map(|sigma| sigma * sigma));
-        let count = given.observations.rows.len() as f64;
-        let bar = squares.sum::<Option<f64>>().map(|sum| (sum / count).sqrt());
-        let known = bar.or(given.robot.repeatability_sd_mm().map(|_| 0.0));
-        Self::at_least(known.map(|bar| length_sd_mm(bar, &given.robot)), &args.robot, &given.robot)
+        Self::at_least(conformity::own_sigma_mm(&given.observations, &given.robot), &args.robot, &given.robot)
     }
-}
-
-fn incomplete(path: &Path, error: &serde_json::Error) -> Diagnostic {
-    Diagnostic::file(&path.display().to_string(), ConformityFinding::Incomplete { why: error.to_string() })
 }
 
 fn findings(args: &Args, found: &InterimCheck) -> Vec<ConformityFinding> {
@@ -217,7 +198,7 @@ struct Made<'a> {
 fn write(args: &Args, made: &Made<'_>, given: &Given) -> Result<(), Diagnostic> {
     let found = made.check;
     let _writing = files::exclusive(&args.out)?;
-    files::write(&args.out.join("check.json"), serialised::json(made)? + "\n")?;
+    files::write(&args.out.join("check.json"), serialised::sealed_json(made)?)?;
     files::write(&args.out.join("check.html"), check::html(found, made.distance.as_ref(), made.provenance)?)?;
     if let Some(robot) = found.update().filter(|_| args.update) {
         let robot = Robot { provenance: given.provenance.clone(), ..robot.clone() };

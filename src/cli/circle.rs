@@ -12,7 +12,7 @@ use crate::circular::{
     Temperature, Trace, TraceResult,
 };
 use crate::diagnostic::Diagnostic;
-use crate::provenance::{Artefact, Provenance, Role, Traced};
+use crate::provenance::{Artefact, CERTIFIED_C, Provenance, Role, Traced};
 use crate::recording::run;
 use crate::report;
 use crate::report::circle::CircleTest;
@@ -55,7 +55,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "PER_K", value_parser = expansion)]
     expansion: Option<f64>,
     /// Temperature of the bar's certificate, degrees Celsius [default: of a capture its job's, else 20].
-    #[arg(long, value_name = "C", allow_negative_numbers = true)]
+    #[arg(long, value_name = "C", value_parser = certified, allow_negative_numbers = true)]
     certified: Option<f64>,
     /// Expansion of the machine, 1/K: with temperatures, its circle is referred to 20 degrees Celsius.
     #[arg(long, value_name = "PER_K", value_parser = expansion)]
@@ -90,11 +90,23 @@ fn expansion(text: &str) -> Result<f64, CliFinding> {
     }
 }
 
+fn certified(text: &str) -> Result<f64, CliFinding> {
+    let [least, most] = CERTIFIED_C;
+    match text.parse() {
+        Ok(celsius) if (least..=most).contains(&celsius) => Ok(celsius),
+        _ => Err(CliFinding::NotACertifiedTemperature { least, most }),
+    }
+}
+
 pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     let mut found = Vec::new();
     let mut sources = Vec::new();
-    for path in &args.inputs {
-        if run::is_capture(path)? {
+    let captures = args.inputs.iter().map(|path| run::is_capture(path)).collect::<Result<Vec<_>, _>>()?;
+    if !captures.contains(&true) && (args.plan.is_some() || !args.axes.is_empty()) {
+        return Err(CircularFinding::NoCapture.into());
+    }
+    for (path, is_capture) in args.inputs.iter().zip(captures) {
+        if is_capture {
             let captured = from_capture(path, args, out)?;
             found.extend(captured.circles);
             sources.push(captured.source);

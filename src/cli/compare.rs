@@ -11,7 +11,7 @@ use crate::base::{files, serialised};
 use crate::catalogue::{CliFinding, ConformityFinding, Names};
 use crate::conformity::{
     CircleFile, Comparison, Input, LEVEL, ResultRead, Subject, Timeline, Tracked, compare_circles,
-    compare_results, same_robot,
+    compare_results, of_robot, same_robot,
 };
 use crate::diagnostic::Diagnostic;
 use crate::provenance::{Artefact, Provenance, Role, Traced};
@@ -100,6 +100,7 @@ fn read(path: &Path) -> Result<Document, Diagnostic> {
     }
     let name = path.display().to_string();
     let text = files::read(&path)?;
+    serialised::check_seal(&text).map_err(|finding| Diagnostic::file(&name, finding))?;
     let json = serde_json::from_str(&text).map_err(|error| {
         let finding = ConformityFinding::NotJson { why: error.to_string() };
         Diagnostic::position(&name, &text, error.line(), error.column(), finding)
@@ -150,6 +151,8 @@ fn subject(args: &Args, documents: &[Document], timeline: &Timeline) -> Result<S
     let results: Vec<ResultRead> = documents.iter().map(read).collect::<Result<_, _>>()?;
     same_robot(&results)?;
     let robot = robot(args, &documents[0])?;
+    of_robot(&results, &robot.name)
+        .map_err(|finding| Diagnostic::file(args.robot.as_deref().unwrap_or(ROBOT), finding))?;
     Ok(Subject::Results(Box::new(compare_results(&robot, &results, timeline, args.tolerance)?)))
 }
 

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use serde_json::json;
 
-use super::robots::{self, RobotRead};
+use super::robots;
 use super::{Outcome, Output};
 use crate::base::files;
 use crate::base::hash::sha256;
@@ -13,14 +13,16 @@ use crate::catalogue::{
     CompensationFinding, EstimationFinding, FileFinding, ProgramFinding, ProvenanceFinding,
 };
 use crate::diagnostic::Diagnostic;
-use crate::program::krl::{Files, Given, Moved, Text, compensate, provenance, read, stamped};
+use crate::program::krl::{self, Files, Given};
+use crate::program::{Language, Moved, Text, provenance, rapid, stamped, urscript};
 use crate::provenance::{Artefact, Provenance, Role, Traced};
-use crate::robot::Pose;
+use crate::robot::{Pose, Robot, RobotRead};
 
 /// Correct the points of a program for an identified robot.
 ///
-/// Rewrites the points of PROGRAM.src and of the PROGRAM.dat beside it; every other byte stays. Only points in
-/// these two files are corrected; XHOME points and relative motions stay.
+/// Rewrites the points of a program in KRL (PROGRAM.src and the PROGRAM.dat beside it), RAPID or URScript, which are known
+/// by the extension; every other byte stays. Only points in these files are corrected; XHOME points and relative motions
+/// stay.
 ///
 /// The robot's base frame is not identifiable from lengths. The points are corrected in the robot's own frame, so that
 /// positions come out right with respect to each other; measure $BASE again afterwards where a place in the room
@@ -29,8 +31,9 @@ use crate::robot::Pose;
 /// never the ball.
 #[derive(clap::Args)]
 pub(crate) struct Args {
-    /// The program: motions by PTP, LIN, CIRC, SPTP, SLIN, SCIRC and SPL, inline forms or plain.
-    #[arg(value_name = "PROGRAM.src")]
+    /// The program: .src of KRL (motions by PTP, LIN, CIRC, SPTP, SLIN, SCIRC and SPL, inline forms or plain), .mod of
+    /// RAPID (MoveAbsJ, MoveJ, MoveL, MoveC) or .script of URScript (movej, movel, movec).
+    #[arg(value_name = "PROGRAM")]
     program: PathBuf,
     /// The identified robot: its file, or a built-in name.
     #[arg(long, value_name = "NAME|FILE")]
@@ -38,10 +41,10 @@ pub(crate) struct Args {
     /// Directory for the corrected program; not that of the program itself.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// The controller's $config.dat, for TOOL_DATA and BASE_DATA.
-    #[arg(long, value_name = "FILE.dat", conflicts_with_all = ["tool", "base"])]
+    /// The controller's $config.dat, for TOOL_DATA and BASE_DATA; in RAPID a module that declares tools and work objects.
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["tool", "base"])]
     config: Option<PathBuf>,
-    /// $TOOL where the program does not set it: mm and degrees, in the flange frame.
+    /// $TOOL (in URScript the TCP) where the program does not set it: mm and degrees, in the flange frame.
     #[arg(long, value_name = "X,Y,Z,A,B,C", value_parser = parse_frame, allow_hyphen_values = true)]
     tool: Option<Pose>,
     /// $BASE where the program does not set it: mm and degrees, in the robot's base.
@@ -72,49 +75,119 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     }
     let changed = robots::edited(&robot).filter(|doubt| *doubt == EstimationFinding::PosteriorOfOtherValues);
     changed.into_iter().for_each(|doubt| out.finding(Diagnostic::file(&args.robot, doubt)));
-    if let Some(language) = robot.controller_language().filter(|language| *language != "krl") {
-        let (robot, language) = (robot.name.clone(), language.to_owned());
-        return Err(Diagnostic::file(&args.robot, ProgramFinding::OtherLanguage { robot, language }));
+    let language = language(&args.program)?;
+    let wanted = language.name();
+    if let Some(other) = robot.controller_language().filter(|other| *other != wanted) {
+        let (robot, language) = (robot.name.clone(), other.to_owned());
+        return Err(Diagnostic::file(&args.robot, ProgramFinding::OtherLanguage { robot, language, wanted }));
     }
-    let source = Program::open(&args.program)?;
-    if args.program.extension().is_some_and(|kind| kind.eq_ignore_ascii_case("dat")) {
-        return Err(Diagnostic::file(&source.name, CompensationFinding::DataNamed));
+    let cell = Cell { args, robot: &robot, identified: &identified, out };
+    match language {
+        Language::Krl => cell.krl(),
+        Language::Rapid | Language::Urscript => cell.one_file(language),
     }
-    let data = beside(&args.program, "dat").map(|path| Program::open(&path)).transpose()?;
-    let config = args.config.as_deref().map(Program::open).transpose()?;
-    source.check("DEF", &source)?;
-    data.iter().try_for_each(|data| data.check("DEFDAT", &source))?;
-    for program in [Some(&source), data.as_ref()].into_iter().flatten() {
-        if files::same_place(&args.out.join(&program.stem), &program.path) {
-            let directory = args.out.display().to_string();
+}
+
+/// The language of a program, by its extension.
+fn language(program: &Path) -> Result<Language, Diagnostic> {
+    let extension = program.extension().and_then(|extension| extension.to_str()).unwrap_or("src");
+    Language::of_extension(extension).ok_or_else(|| {
+        let file = program.display().to_string();
+        Diagnostic::file(&file.clone(), CompensationFinding::NoLanguage { file })
+    })
+}
+
+/// What a program is corrected with.
+struct Cell<'a> {
+    args: &'a Args,
+    robot: &'a Robot,
+    identified: &'a Traced,
+    out: &'a Output,
+}
+
+impl Cell<'_> {
+    fn krl(&self) -> Result<Outcome, Diagnostic> {
+        let Self { args, robot, identified, out } = *self;
+        let source = Program::open(&args.program)?;
+        if args.program.extension().is_some_and(|kind| kind.eq_ignore_ascii_case("dat")) {
+            return Err(Diagnostic::file(&source.name, CompensationFinding::DataNamed));
+        }
+        let data = beside(&args.program, "dat").map(|path| Program::open(&path)).transpose()?;
+        let config = args.config.as_deref().map(Program::open).transpose()?;
+        source.check("DEF", &source)?;
+        data.iter().try_for_each(|data| data.check("DEFDAT", &source))?;
+        let both: Vec<&Program> = [Some(&source), data.as_ref()].into_iter().flatten().collect();
+        self.keeps(&both)?;
+        let program = Files {
+            source: source.text(),
+            data: data.as_ref().map(Program::text),
+            config: config.as_ref().map(Program::text),
+        };
+        let sources = both.iter().map(|program| program.traced()).collect::<Result<Vec<_>, _>>()?;
+        sources.iter().try_for_each(|program| belongs(program, identified, out))?;
+        let points = krl::read(program, Given { tool: args.tool, base: args.base })?;
+        let corrected = krl::compensate(program, &points, robot, args.limit)
+            .map_err(|refused| self.refused(&source, &refused))?;
+        let made = Provenance::of(sources.iter().chain([identified]));
+        let texts = [Some(&corrected.source), corrected.data.as_ref()].into_iter().flatten();
+        let _writing = files::exclusive(&args.out)?;
+        for (program, text) in both.iter().zip(texts) {
+            program.write(&args.out, &stamped(Language::Krl, text, &made)?)?;
+        }
+        points.left.iter().for_each(|left| out.finding(left.clone()));
+        report(out, args, &corrected.moved, points.left.len())?;
+        Ok(Outcome::Done)
+    }
+
+    /// A program whose points are in one file.
+    fn one_file(&self, language: Language) -> Result<Outcome, Diagnostic> {
+        let Self { args, robot, identified, out } = *self;
+        let source = Program::open(&args.program)?;
+        self.keeps(&[&source])?;
+        let traced = source.traced()?;
+        belongs(&traced, identified, out)?;
+        let config = args.config.as_deref().map(Program::open).transpose()?;
+        let unused = match language {
+            Language::Urscript => config.is_some() || args.base.is_some(),
+            _ => args.tool.is_some() || args.base.is_some(),
+        };
+        if unused {
+            return Err(CompensationFinding::FrameUnused { language: language.name() }.into());
+        }
+        let (text, limit_mm) = (source.text(), args.limit);
+        let (points, corrected) = if language == Language::Urscript {
+            let points = urscript::read(text, args.tool)?;
+            let corrected = urscript::compensate(text, &points, robot, limit_mm);
+            (points, corrected)
+        } else {
+            let points = rapid::read(text, config.as_ref().map(Program::text))?;
+            let corrected = rapid::compensate(text, &points, robot, limit_mm);
+            (points, corrected)
+        };
+        let (corrected, moved) = corrected.map_err(|refused| self.refused(&source, &refused))?;
+        let made = Provenance::of([&traced, identified]);
+        let _writing = files::exclusive(&args.out)?;
+        source.write(&args.out, &stamped(language, &corrected, &made)?)?;
+        points.left.iter().for_each(|left| out.finding(left.clone()));
+        report(out, args, &moved, points.left.len())?;
+        Ok(Outcome::Done)
+    }
+
+    /// The program itself is not written over.
+    fn keeps(&self, programs: &[&Program]) -> Result<(), Diagnostic> {
+        let out = &self.args.out;
+        if programs.iter().any(|program| files::same_place(&out.join(&program.stem), &program.path)) {
+            let directory = out.display().to_string();
             return Err(Diagnostic::new(CompensationFinding::WouldOverwrite { directory }));
         }
+        Ok(())
     }
-    let program = Files {
-        source: source.text(),
-        data: data.as_ref().map(Program::text),
-        config: config.as_ref().map(Program::text),
-    };
-    let sources: Vec<Traced> = [Some(&source), data.as_ref()]
-        .into_iter()
-        .flatten()
-        .map(Program::traced)
-        .collect::<Result<_, _>>()?;
-    sources.iter().try_for_each(|program| belongs(program, &identified, out))?;
-    let points = read(program, Given { tool: args.tool, base: args.base })?;
-    let corrected = compensate(program, &points, &robot, args.limit).map_err(|refused| {
-        refused.iter().for_each(|point| out.finding(point.clone()));
-        Diagnostic::file(&source.name, CompensationFinding::PointsRefused { points: refused.len() })
-    })?;
-    let made = Provenance::of(sources.iter().chain([&identified]));
-    let texts = [Some(&corrected.source), corrected.data.as_ref()].into_iter().flatten();
-    let _writing = files::exclusive(&args.out)?;
-    for (program, text) in [&source].into_iter().chain(&data).zip(texts) {
-        program.write(&args.out, &stamped(text, &made)?)?;
+
+    /// Names the points that cannot be corrected.
+    fn refused(&self, source: &Program, points: &[Diagnostic]) -> Diagnostic {
+        points.iter().for_each(|point| self.out.finding(point.clone()));
+        Diagnostic::file(&source.name, CompensationFinding::PointsRefused { points: points.len() })
     }
-    points.left.iter().for_each(|left| out.finding(left.clone()));
-    report(out, args, &corrected.moved, points.left.len())?;
-    Ok(Outcome::Done)
 }
 
 /// A program is corrected once, and for its own robot.

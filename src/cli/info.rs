@@ -5,14 +5,16 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use super::{Outcome, Output, artefact};
+use super::{Outcome, Output, artefact, output};
 use crate::base::files;
 use crate::base::units::HostNs;
 use crate::catalogue::RecordingFinding;
+use crate::device::axes::{AxesFault, AxesProtocol};
 use crate::device::port::Stamps;
 use crate::device::protocol::{Definition, Fault, FaultKind};
 use crate::diagnostic::{Code, Diagnostic, Finding};
 use crate::provenance::Provenance;
+use crate::recording::axes::{AxesRecords, PacketCounts};
 use crate::recording::capture::{Event, Pass, Record, Stamped};
 use crate::recording::run;
 
@@ -48,11 +50,21 @@ struct Info {
     missing: u64,
     lost: u64,
     controller_events: u64,
+    /// The packets of a controller that published its axes.
+    axes: Option<AxesInfo>,
     remarks: Vec<String>,
     attachments: BTreeMap<String, usize>,
     sha256: String,
     provenance: Provenance,
     damages: Vec<DamageInfo>,
+}
+
+#[derive(Serialize)]
+struct AxesInfo {
+    protocol: AxesProtocol,
+    #[serde(flatten)]
+    counts: PacketCounts,
+    faults: BTreeMap<AxesFault, u64>,
 }
 
 #[derive(Serialize)]
@@ -106,10 +118,12 @@ struct Gathered {
     info: Info,
     span: Option<(HostNs, HostNs)>,
     attachments: BTreeMap<String, Vec<u8>>,
+    axes: AxesRecords,
 }
 
 impl Gathered {
     fn add(&mut self, stamped: Stamped) {
+        self.axes.add(stamped.host, &stamped.record, |_, _, _| {});
         let info = &mut self.info;
         match stamped.record {
             Record::Attachment { name, content } => {
@@ -149,7 +163,7 @@ impl Gathered {
                 info.remarks.push(format!("operator: {action} {detail}").trim_end().to_owned());
             }
             Record::Event(Event::Finding { code, text }) => info.remarks.push(format!("{code}: {text}")),
-            Record::Event(Event::Ended(_)) => {}
+            Record::Axes(_) | Record::Event(Event::AxesOpened { .. } | Event::Ended(_)) => {}
         }
     }
 
@@ -161,14 +175,13 @@ impl Gathered {
         info.lost = pass.end.as_ref().map_or(0, |end| end.lost);
         info.duration_s = self.span.map_or(0.0, |(first, last)| last.seconds_since(first));
         info.rate_hz = (info.duration_s > 0.0).then(|| info.samples as f64 / info.duration_s);
-        let plan = run::attached_plan("the capture", &self.attachments).ok().flatten();
-        let identity = run::identity("the capture", plan.as_ref(), &self.attachments, info.started_unix_ns);
-        info.provenance = Provenance {
-            dbbd: info.dbbd.clone().unwrap_or_default(),
-            // What cannot be read of it is refused where the run is used.
-            identity: identity.unwrap_or_default(),
-            ..Provenance::of(&plan.map(|plan| plan.traced()).transpose()?)
-        };
+        let (started, dbbd) = (info.started_unix_ns, info.dbbd.clone());
+        (_, info.provenance) = run::sources(&self.attachments, started, dbbd)?;
+        info.axes = self.axes.receiver().map(|receiver| AxesInfo {
+            protocol: receiver.protocol(),
+            counts: receiver.counts(),
+            faults: receiver.faults().clone(),
+        });
         let protocol = self.attachments.get("protocol.toml");
         info.protocol = protocol
             .and_then(|text| std::str::from_utf8(text).ok())
@@ -230,6 +243,9 @@ fn show(path: &Path, info: &Info, out: &Output) {
     line("gaps", format!("{}, {} samples missing", info.gaps, info.missing));
     if info.controller_events > 0 {
         line("controller", format!("{} events", info.controller_events));
+    }
+    if let Some(AxesInfo { protocol, counts, .. }) = &info.axes {
+        line("axes", format!("{}, {}", protocol.name(), output::packets(counts)));
     }
     for remark in info.remarks.iter().take(MOST_REMARKS) {
         line("remark", remark.clone());

@@ -1,6 +1,7 @@
 //! The command line: one file per verb. The only place that prints.
 
 mod acquire;
+mod archive;
 mod artefact;
 mod bar;
 mod certificate;
@@ -22,6 +23,7 @@ mod output;
 mod plan;
 mod ports;
 mod predict;
+mod program;
 mod protocols;
 mod recover;
 mod robots;
@@ -29,11 +31,12 @@ mod serve;
 mod simulate;
 mod sync;
 
+use std::ffi::OsString;
 use std::process::ExitCode;
 
 use clap::{Args, CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
 
-use crate::base::program;
+use crate::base;
 use crate::catalogue::{CliFinding, ServiceFinding};
 use crate::diagnostic::Diagnostic;
 pub(crate) use output::Output;
@@ -81,6 +84,7 @@ pub(crate) struct Common {
 enum Verb {
     Plan(plan::Args),
     Krl(krl::Args),
+    Program(program::Args),
     Simulate(simulate::Args),
     Bar(bar::Args),
     Acquire(acquire::Args),
@@ -93,6 +97,7 @@ enum Verb {
     Certificate(certificate::Args),
     Compensate(compensate::Args),
     Serve(serve::Args),
+    Archive(archive::Args),
     Demo(demo::Args),
     Import(import::Args),
     Info(info::Args),
@@ -149,17 +154,23 @@ fn command() -> clap::Command {
     Cli::command().mut_subcommands(|verb| verb.mut_args(negative))
 }
 
-/// Runs the program.
+/// Runs the program with the arguments of this process.
 pub fn main() -> ExitCode {
+    main_with(std::env::args_os())
+}
+
+/// Runs the program; the first of the arguments is its name.
+pub fn main_with(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
     crate::daemon::abort_on_panic();
-    let parsed = command().try_get_matches().and_then(|matches| Cli::from_arg_matches(&matches));
+    let parsed =
+        command().try_get_matches_from(arguments).and_then(|matches| Cli::from_arg_matches(&matches));
     let cli = match parsed {
         Ok(cli) => cli,
         Err(usage) => return output::wrong_usage(&usage),
     };
     let out = Output::new(cli.common);
     if cli.common.until_stdin_closes
-        && let Err(error) = program::end_with_stdin()
+        && let Err(error) = base::program::end_with_stdin()
     {
         let finding = ServiceFinding::NoSystem { why: error.to_string() };
         return output::finish(&out, Err(Diagnostic::new(finding)));
@@ -167,6 +178,7 @@ pub fn main() -> ExitCode {
     let ended = match &cli.verb {
         Verb::Plan(args) => plan::run(args, &out),
         Verb::Krl(args) => krl::run(args, &out),
+        Verb::Program(args) => program::run(args, &out),
         Verb::Simulate(args) => simulate::run(args, &out),
         Verb::Bar(args) => bar::run(args, &out),
         Verb::Acquire(args) => acquire::run(args, &out),
@@ -179,6 +191,7 @@ pub fn main() -> ExitCode {
         Verb::Certificate(args) => certificate::run(args, &out),
         Verb::Compensate(args) => compensate::run(args, &out),
         Verb::Serve(args) => serve::run(args, &out),
+        Verb::Archive(args) => archive::run(args, &out),
         Verb::Demo(args) => demo::run(args, &out),
         Verb::Import(args) => import::run(args, &out),
         Verb::Info(args) => info::run(args, &out),

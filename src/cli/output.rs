@@ -18,6 +18,7 @@ use crate::base::serialised;
 use crate::base::table::{Layout, Table};
 use crate::catalogue::{CliFinding, CompensationFinding, EstimationFinding, FileFinding, PortFinding};
 use crate::diagnostic::{Code, Diagnostic, Finding, Severity};
+use crate::recording::axes::PacketCounts;
 
 /// How often a line on the terminal moves.
 const TICK: Duration = Duration::from_millis(100);
@@ -282,4 +283,24 @@ pub(super) fn finish(out: &Output, ended: Result<Outcome, Diagnostic>) -> ExitCo
             ExitCode::FAILURE
         }
     }
+}
+
+/// The packets of a controller's axes on one line; what there is none of is left out.
+pub(super) fn packets(counts: &PacketCounts) -> String {
+    let rate = match counts.cycle_us {
+        0 => String::new(),
+        us => format!(" every {} ms", us as f64 * 1e-3),
+    };
+    let others = [
+        (counts.lost, "lost"),
+        (counts.late, "late"),
+        (counts.doubled, "twice"),
+        (counts.stray, "astray"),
+        (counts.malformed, "malformed"),
+        (counts.restarts, "restarts of the clock"),
+        (u64::from(counts.late_answers), "answers late"),
+    ];
+    let others = others.into_iter().filter(|(count, _)| *count > 0);
+    let others: String = others.map(|(count, what)| format!(", {count} {what}")).collect();
+    format!("{} packets{rate}{others}", counts.packets)
 }

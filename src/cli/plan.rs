@@ -12,7 +12,7 @@ use super::{Outcome, Output, positive};
 use crate::base::files;
 use crate::catalogue::{MeasurementFinding, PlanFinding, ProvenanceFinding};
 use crate::cli::protocols;
-use crate::cli::robots::{self, RobotRead};
+use crate::cli::robots;
 use crate::diagnostic::Diagnostic;
 use crate::estimation::change::CheckPower;
 use crate::measurement::{BaseBall, PreparedMeasurement};
@@ -20,8 +20,8 @@ use crate::plan::prediction::Identifiability;
 use crate::plan::{Check, Job, Kind, Plan, PlanningPrior, Prediction, Stage, Taught};
 use crate::provenance::{Artefact, Provenance, Role, Traced};
 use crate::report;
-use crate::robot::Robot;
 use crate::robot::parameter::SetUp;
+use crate::robot::{Robot, RobotRead};
 
 /// Plan the poses of a calibration from a job, and check them.
 ///

@@ -9,13 +9,9 @@ use super::{Outcome, Output, robots};
 use crate::base::files;
 use crate::catalogue::CliFinding;
 use crate::diagnostic::Diagnostic;
-use crate::estimation::{Positions, Workspace};
+use crate::estimation::Positions;
 use crate::measurement::{self, APPROACH, Measurements};
-use crate::robot::{Robot, RobotUncertainty};
-
-/// Poses of the workspace that align few poses, and their seed.
-const WORKSPACE_POSES: usize = 300;
-const SEED: u64 = 1;
+use crate::robot::Robot;
 
 /// Predict where the tool ball is at axis angles, with its uncertainty, by any robot file.
 ///
@@ -56,9 +52,7 @@ pub(super) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     beyond
         .into_iter()
         .for_each(|doubt| out.finding(Diagnostic::file(&args.axes.display().to_string(), doubt)));
-    let workspace = Workspace::uniform(robot.controller(), WORKSPACE_POSES, SEED);
-    let unknown = RobotUncertainty::of(&robot);
-    let positions = Positions::new(&robot.geometry, &unknown, &poses, &workspace);
+    let positions = Positions::of(&robot, &poses);
     let predicted: Vec<Predicted> = (0..poses.len())
         .map(|at| Predicted {
             axes_deg: poses[at].axes.degrees(),

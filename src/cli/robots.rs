@@ -1,16 +1,13 @@
 //! `dbbd robots`.
 
-use std::path::Path;
-
 use serde::Serialize;
 
 use super::{Outcome, Output};
 use crate::base::files;
 use crate::catalogue::EstimationFinding;
 use crate::diagnostic::Diagnostic;
-use crate::provenance::Traced;
-use crate::robot::Robot;
 use crate::robot::file::{JointTable, Tolerance};
+use crate::robot::{Robot, RobotRead};
 
 /// List, show or check robots.
 ///
@@ -40,25 +37,12 @@ enum What {
     },
 }
 
-/// A robot with the file that it was read from.
-pub(crate) struct RobotRead {
-    pub(crate) robot: Robot,
-    pub(crate) source: Traced,
-}
-
 /// A robot by built-in name or by file.
 ///
 /// # Errors
 /// An unknown name, or what is wrong in the file.
 pub(crate) fn read(name: &str) -> Result<RobotRead, Diagnostic> {
-    let path = Path::new(name);
-    let text = match Robot::built_in_file(name) {
-        Some(text) => text.to_owned(),
-        None if path.exists() || name.ends_with(".toml") => files::read(path)?,
-        None => return Err(Robot::unknown(name)),
-    };
-    let robot = Robot::from_toml(name, &text)?;
-    Ok(RobotRead { source: robot.traced(&text), robot })
+    Robot::named(name, |path| files::if_there(path, ".toml"))
 }
 
 /// As [`read`], the robot alone.

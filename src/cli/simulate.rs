@@ -9,9 +9,11 @@ use super::{Outcome, Output, protocols};
 use crate::base::files;
 use crate::catalogue::{FileFinding, SimulationFinding};
 use crate::cli::robots;
+use crate::device::axes::AxesAddress;
 use crate::device::port::PortAddress;
 use crate::diagnostic::Diagnostic;
-use crate::program::krl::Program;
+use crate::program::{Language, Program, krl, rapid, urscript};
+use crate::sim::axes::{AxesLine, Publisher};
 use crate::sim::bar::{Options, Reading, Source, Terminal, serve_over};
 use crate::sim::ekrl::Client;
 use crate::sim::fault::{BadLine, Faults};
@@ -23,15 +25,20 @@ use crate::sim::{Controller, Moment, World, truth};
 /// How long the bar streams after the program's end, s: the end mark is to be seen whole.
 const AFTER_END_S: f64 = 3.0;
 
-/// Execute a KRL program on a simulated robot with a virtual ball-bar.
+/// The controller's clock when the simulation begins, ticks.
+const FIRST_TICKS: u64 = 300_000_000;
+
+/// Execute a robot program on a simulated robot with a virtual ball-bar.
 ///
 /// The program is the robot's only source of motion. The true robot differs from the controller's; the bar streams the
 /// true lengths on a pseudo-terminal or, with --listen, through the network; what `acquire --port` takes for it is printed
-/// on stdout. The program goes on from its HALT once a reader has started the bar. Exit code 3 when a reading at a dwell was out of the stroke.
+/// on stdout. The program goes on from its HALT once a reader has started the bar. KRL, RAPID and URScript are known by
+/// the extension of the file; of the last two what `dbbd program` writes is executed. Exit code 3 when a reading at a dwell was out of the stroke.
 #[derive(clap::Args)]
 pub(crate) struct Args {
-    /// The KRL program; its .dat and the modules that it calls are read beside it.
-    #[arg(long, value_name = "FILE.src")]
+    /// The program: .src of KRL, with its .dat and the modules that it calls beside it; .mod of RAPID, likewise; or
+    /// .script of URScript.
+    #[arg(long, value_name = "FILE")]
     program: PathBuf,
     /// The controller's robot: a built-in name or a file.
     #[arg(long, value_name = "NAME|FILE", default_value = "kr60ha")]
@@ -47,7 +54,8 @@ pub(crate) struct Args {
     #[arg(long, value_name = "DIR")]
     save: Option<PathBuf>,
     /// True ball centres and bar [default: those in the program's .dat]. Keys: repeatability_um
-    /// (sd per coordinate, default 0), backlash_deg (six, default 0), [[centre]] id, and xyz_mm or taught_deg
+    /// (sd per coordinate, default 0), backlash_deg (six, default 0), following_ms (six time constants with which the axes
+    /// follow their commands, default 0), [[centre]] id, and xyz_mm or taught_deg
     /// (axis angles at which the true tool ball stood there), [bar]
     /// length_mm stroke_mm noise_um (1) resolution_um (0.1) rate_hz (200) temperature_c (20).
     #[arg(long, value_name = "WORLD.toml")]
@@ -69,6 +77,10 @@ pub(crate) struct Args {
     /// The EthernetKRL server to which a program written with `krl --sync ekrl` reports its dwells.
     #[arg(long, value_name = "ADDR:PORT")]
     ekrl: Option<SocketAddr>,
+    /// The controller publishes its axes: rsi://ADDR:PORT sends KUKA RSI there every 4 ms (UDP), rtde://ADDR:PORT serves UR
+    /// RTDE (TCP). How the axes follow their commands is following_ms of the world; with --speed 1.
+    #[arg(long, value_name = "ADDRESS")]
+    axes: Option<AxesAddress>,
     /// A fault of the line or the bar; may be given several times. Per byte, as probabilities: drop,
     /// flip, double, insert. Per frame: silence, refuse (the bar's word for no reading), skip (a
     /// sequence number). batch_ms holds bytes back; stale sends so many bytes of an earlier stream at
@@ -76,6 +88,8 @@ pub(crate) struct Args {
     /// unplug_s, away_s: unplugged once, back under another name (--link follows); over_mm beyond the stroke.
     /// Of the mounting, micrometres: unseated_um (the bar rocks), creep_um (after mounting), slip_um (a magnet, for a
     /// moment every 10 to 20 s), cable_um (the cable swings at rest).
+    /// Of the packets with axes, as probabilities: axes_drop, axes_double, axes_swap, axes_spoil; axes_drift_ppm of the
+    /// controller's clock, axes_delay_ms.
     #[arg(long = "fault", value_name = "NAME=VALUE", value_parser = protocols::param)]
     faults: Vec<(String, String)>,
     /// Seed of all that is random.
@@ -103,7 +117,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     }
     let faults = faults(args)?;
     let definition = protocols::load_with(&args.protocol, &args.params)?;
-    let mut cell = Cell::new(args, out)?;
+    let mut cell = Cell::new(args, &faults, out)?;
     let options = Options { rate_hz: cell.world.setup().bar.rate_hz, speed: args.speed, first_ticks: 0 };
     let terminal = terminal(args)?;
     let port = terminal.address().to_string();
@@ -153,6 +167,26 @@ fn faults(args: &Args) -> Result<Faults, Diagnostic> {
 
 /// The program in a file, with the modules beside it; names are found in any case.
 fn program(path: &Path) -> Result<Program, Diagnostic> {
+    let extension = path.extension().and_then(|extension| extension.to_str()).unwrap_or_default();
+    let read = |path: &Path| Ok::<_, Diagnostic>((path.display().to_string(), files::read(path)?));
+    match Language::of_extension(extension) {
+        None | Some(Language::Krl) => {}
+        Some(Language::Urscript) => return Ok(urscript::open(read(path)?)?.into()),
+        Some(Language::Rapid) => {
+            let beside =
+                path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+            let found = beside.read_dir().into_iter().flatten().flatten().map(|entry| entry.path());
+            let is_other = |other: &PathBuf| {
+                let extension = other.extension().and_then(|extension| extension.to_str());
+                extension.and_then(Language::of_extension) == Some(Language::Rapid)
+                    && other.file_name() != path.file_name()
+            };
+            let mut others: Vec<PathBuf> = found.filter(is_other).collect();
+            others.sort();
+            let others = others.iter().map(|other| read(other)).collect::<Result<_, _>>()?;
+            return Ok(rapid::open(read(path)?, others)?.into());
+        }
+    }
     let directory = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let stem = path.file_stem().and_then(|stem| stem.to_str()).unwrap_or_default();
     let names: Vec<String> = directory
@@ -163,11 +197,19 @@ fn program(path: &Path) -> Result<Program, Diagnostic> {
         })?
         .filter_map(|entry| entry.ok()?.file_name().into_string().ok())
         .collect();
-    Program::open(stem, |wanted| {
+    let program = krl::Program::open(stem, |wanted| {
         let Some(name) = names.iter().find(|name| name.eq_ignore_ascii_case(wanted)) else { return Ok(None) };
-        let path = directory.join(name);
-        Ok(Some((path.display().to_string(), files::read(&path)?)))
-    })
+        read(&directory.join(name)).map(Some)
+    })?;
+    Ok(program.into())
+}
+
+/// The axes that the controller publishes.
+struct Axes {
+    line: AxesLine,
+    publisher: Publisher,
+    /// The time of the next packet, s.
+    next_s: f64,
 }
 
 /// The robot cell: controller, true robot and bar.
@@ -177,6 +219,7 @@ struct Cell<'a> {
     /// The EthernetKRL server, and the line to it while the program holds the channel open.
     server: Option<SocketAddr>,
     ekrl: Option<Client>,
+    axes: Option<Axes>,
     out: &'a Output,
     halt_s: f64,
     t_s: f64,
@@ -191,7 +234,7 @@ struct Cell<'a> {
 
 impl Source for &mut Cell<'_> {
     fn reading(&mut self, t_s: f64) -> Option<Reading> {
-        let moment = match self.controller.step(t_s - self.t_s) {
+        let moment = match self.publish(t_s).and_then(|()| self.controller.step(t_s - self.t_s)) {
             Ok(moment) => moment,
             Err(failure) => {
                 self.failure = Some(failure);
@@ -227,7 +270,7 @@ impl Source for &mut Cell<'_> {
 }
 
 impl<'a> Cell<'a> {
-    fn new(args: &Args, out: &'a Output) -> Result<Self, Diagnostic> {
+    fn new(args: &Args, faults: &Faults, out: &'a Output) -> Result<Self, Diagnostic> {
         let nominal = robots::named(&args.nominal)?;
         let robot = match &args.robot {
             Some(name) => robots::named(name)?,
@@ -246,11 +289,18 @@ impl<'a> Cell<'a> {
         if args.ekrl.is_some() {
             controller.link_ekrl();
         }
+        let axes = args.axes.as_ref().map(|address| -> Result<Axes, Diagnostic> {
+            let line = AxesLine::open(address)?;
+            // As a controller that has run for some days.
+            let publisher = Publisher::new(line.protocol(), faults, args.seed, FIRST_TICKS);
+            Ok(Axes { line, publisher, next_s: 0.0 })
+        });
         Ok(Self {
             controller,
             world: World::new(robot.geometry, setup, args.seed),
             server: args.ekrl,
             ekrl: None,
+            axes: axes.transpose()?,
             out,
             halt_s: args.halt,
             t_s: 0.0,
@@ -260,6 +310,22 @@ impl<'a> Cell<'a> {
             strayed: 0,
             failure: None,
         })
+    }
+
+    /// Goes on to each cycle up to a time, s, and publishes the axes.
+    fn publish(&mut self, until_s: f64) -> Result<(), Diagnostic> {
+        let Some(axes) = &mut self.axes else { return Ok(()) };
+        while axes.next_s <= until_s {
+            let moment = self.controller.step(axes.next_s - self.t_s)?;
+            self.t_s = axes.next_s;
+            let measured = self.world.measured(&moment);
+            axes.publisher.cycle(self.t_s, &measured, &moment.axes);
+            while let Some(packet) = axes.publisher.arrived(self.t_s) {
+                axes.line.send(&packet);
+            }
+            axes.next_s += axes.line.cycle_s();
+        }
+        Ok(())
     }
 
     /// Carries the controller's telegrams to the server and the answers back; device time stops.

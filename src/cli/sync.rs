@@ -4,12 +4,15 @@ use std::path::PathBuf;
 
 use serde_json::{Value, json};
 
-use super::{Outcome, Output};
+use super::{Outcome, Output, output};
 use crate::base::files;
 use crate::catalogue::MatchingFinding;
 use crate::diagnostic::{Diagnostic, Finding};
 use crate::recording::Stream;
-use crate::recording::matching::{self, DwellSource, Lag, MatchOutcome, PoseMatching, PoseOutcome};
+use crate::recording::axes::Following;
+use crate::recording::matching::{
+    self, AxesReport, BarLag, DwellSource, Lag, MatchOutcome, PoseMatching, PoseOutcome,
+};
 use crate::recording::run;
 
 /// Match the lengths of a capture to the commanded poses.
@@ -56,6 +59,7 @@ fn source_word(source: DwellSource) -> &'static str {
     match source {
         DwellSource::Reports => "the controller's reports",
         DwellSource::Strobe => "the strobe",
+        DwellSource::Axes => "the published axes",
         DwellSource::Stillness => "still intervals",
     }
 }
@@ -97,11 +101,49 @@ fn show(matching: &PoseMatching, out: &Output) {
             1000.0 * hysteresis_mm
         ));
     }
+    if let Some(axes) = &matching.axes {
+        show_axes(axes, out);
+    }
     if let Some(drift) = matching.drift {
         let spread = drift.sd_mm.map_or(String::new(), |sd| format!(" +- {:.1}", 1000.0 * sd));
         let (um, readings) = (1000.0 * drift.change_mm, drift.readings);
         out.result(format!("drift at the reference pose: {um:.1}{spread} um over {readings} readings"));
     }
+}
+
+/// What the published axes showed.
+fn show_axes(axes: &AxesReport, out: &Output) {
+    out.result(format!("axes over {}: {}", axes.protocol, output::packets(&axes.packets)));
+    if let Some(BarLag { lag_s, sd_s, windows }) = axes.lag {
+        let [lag_ms, sd_ms] = [lag_s, sd_s].map(|s| 1000.0 * s);
+        out.result(format!(
+            "the reading comes {lag_ms:.2} +- {sd_ms:.2} ms after the axes ({windows} windows of motion)"
+        ));
+    }
+    for Following { axis, lag_s, moving_rms_deg, moving_max_deg, rest_max_deg, settling_s } in
+        axes.following.iter().flatten()
+    {
+        let settling = settling_s.map_or(String::new(), |s| format!(", settles in {:.0} ms", 1000.0 * s));
+        out.result(format!(
+            "  axis {axis}: {:.1} ms behind its command, {moving_rms_deg:.4} degrees rms in motion (at most \
+             {moving_max_deg:.4}), at most {rest_max_deg:.4} at rest{settling}",
+            1000.0 * lag_s
+        ));
+    }
+    if axes.pairs > 0 {
+        let AxesReport { pairs, effective_pairs, .. } = axes;
+        out.result(format!(
+            "{pairs} pairs of axes and length in motion, worth {effective_pairs:.0} independent ones"
+        ));
+    }
+}
+
+fn axes_document(axes: &AxesReport) -> Value {
+    json!({
+        "protocol": axes.protocol, "packets": axes.packets, "drift_ppm": axes.drift.map(|drift| 1e6 * drift),
+        "bound_s": axes.bound_s, "lag": axes.lag, "following": axes.following, "rests": axes.rests,
+        "measured": axes.measured, "pairs": axes.pairs, "effective_pairs": axes.effective_pairs,
+    })
 }
 
 fn document(matching: &PoseMatching, stream: &Stream) -> Value {
@@ -122,7 +164,7 @@ fn document(matching: &PoseMatching, stream: &Stream) -> Value {
         "spurious": matching.spurious.len(), "source": source_word(matching.source),
         "override": matching.override_factor,
         "lags": matching.lags.iter().map(lag).collect::<Vec<_>>(), "drift": drift,
-        "clock": clock_document(stream),
+        "clock": clock_document(stream), "axes": matching.axes.as_ref().map(axes_document),
     })
 }
 

@@ -1,6 +1,6 @@
 //! An interim check of a calibrated robot: what changed, how uncertain its position is now, and the decision.
 
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, DVector};
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
@@ -13,9 +13,10 @@ use crate::estimation::change::{
     Mounting, POWER,
 };
 use crate::estimation::result::MapPoint;
-use crate::estimation::{ErrorSummary, Posterior, Workspace};
-use crate::measurement::{LengthModel, PreparedMeasurement};
-use crate::robot::{AXES, BallId, BarId, Coordinate, ParamId, Robot, RobotPosterior};
+use crate::estimation::{ErrorSummary, LengthNoise, Posterior, Workspace, length_sd_mm};
+use crate::math::distributions::chi_square_tail;
+use crate::measurement::{LengthModel, Measurements, PreparedMeasurement};
+use crate::robot::{AXES, BallId, BarId, Coordinate, ParamId, Robot, RobotPosterior, RobotUncertainty};
 
 /// Lengths beyond those that place the balls, at least.
 pub const LEAST_FREEDOM: usize = 4;
@@ -24,6 +25,8 @@ const DRAWS: usize = 400;
 const SEED: u64 = 1;
 /// A hypothesis that leaves an innovation of a smaller chance explains it badly.
 const BADLY_EXPLAINED: f64 = 1e-3;
+/// So improbably small an innovation is none of lengths with this standard deviation.
+const TOO_GOOD: f64 = 1e-9;
 
 /// What an interim check is of.
 #[derive(Clone, Copy)]
@@ -41,6 +44,23 @@ pub struct CheckInput<'a> {
     pub rule: Rule,
     /// Axis vectors (rad) over which the position error is taken.
     pub workspace: &'a [[f64; AXES]],
+}
+
+/// The standard deviation of lengths as the data and their robot's repeatability have it, mm, where either does.
+pub fn own_sigma_mm(observations: &Measurements, robot: &Robot) -> Option<f64> {
+    let squares = observations.rows.iter().map(|row| row.sigma_mm.map(|sigma| sigma * sigma));
+    let bar = squares.sum::<Option<f64>>().map(|sum| (sum / observations.rows.len() as f64).sqrt());
+    bar.or(robot.repeatability_sd_mm().map(|_| 0.0)).map(|bar| length_sd_mm(bar, robot))
+}
+
+/// The standard deviation of a check's lengths, mm: at least that which the calibration found, which has what its model
+/// lacks.
+///
+/// # Errors
+/// Nothing is known of it.
+pub fn sigma_mm(own: Option<f64>, of_calibration: Option<f64>) -> Result<f64, ConformityFinding> {
+    let sigma_mm = own.into_iter().chain(of_calibration).reduce(f64::max);
+    sigma_mm.filter(|mm| *mm > 0.0).ok_or(ConformityFinding::NoNoise)
 }
 
 /// The result of an interim check.
@@ -90,7 +110,7 @@ impl CheckInput<'_> {
         let expected = Expected::new(&known, self.bars, self.mounting);
         self.enough()?;
         let innovation =
-            Innovation::of(&expected, self.readings, self.sigma_mm).ok_or(ConformityFinding::NotFinite)?;
+            Innovation::of(&expected, self.readings, self.noise()).ok_or(ConformityFinding::NotFinite)?;
         let (test, hypotheses) = (innovation.test(), innovation.hypotheses());
         let position = Position::new(self, &known);
         let now = position.now(&expected, &hypotheses, self).ok_or(ConformityFinding::NotFinite)?;
@@ -141,7 +161,7 @@ impl CheckInput<'_> {
     pub fn power(&self) -> Result<CheckPower, ConformityFinding> {
         let expected = self.expected()?;
         self.enough()?;
-        let foreseen = Innovation::foreseen(&expected, self.readings, self.sigma_mm);
+        let foreseen = Innovation::foreseen(&expected, self.readings, self.noise());
         let position = Position::new(self, &self.known()?);
         let least = self.least_tolerance(&expected, &position);
         let (foreseen, least_tolerance_mm) = foreseen.zip(least).ok_or(ConformityFinding::NotFinite)?;
@@ -164,6 +184,11 @@ impl CheckInput<'_> {
         Ok(Expected::new(&self.known()?, self.bars, self.mounting))
     }
 
+    /// The noise of the lengths.
+    pub fn noise(&self) -> LengthNoise<'_> {
+        LengthNoise::of(self.sigma_mm, self.robot.uncertainty.as_deref())
+    }
+
     /// The robot of the file with base balls and bar fitted to the lengths, nothing else.
     pub fn set_up(&self) -> Option<LengthModel> {
         let balls = (0..self.start.balls.len()).flat_map(|ball| {
@@ -177,7 +202,7 @@ impl CheckInput<'_> {
 
     /// The smallest tolerance with which lengths that agree with the calibrated robot pass.
     fn least_tolerance(&self, expected: &Expected, position: &Position) -> Option<f64> {
-        let best = expected.after(self.readings, self.sigma_mm)?;
+        let best = expected.after(self.readings, self.noise())?;
         let best = decide(&position.sizes(&position.of(&best, 1.0)), None, self.rule, false);
         Some(if self.rule == Rule::SimpleAcceptance { best.position_error_mm } else { best.upper_mm })
     }
@@ -191,7 +216,7 @@ impl CheckInput<'_> {
         if !known.is_of(&self.robot.geometry) {
             return Err(ConformityFinding::PosteriorOfAnother { robot: robot() });
         }
-        Ok(Posterior::of_robot(self.start.clone(), known))
+        Ok(Posterior::of_robot(self.start.clone(), known, self.robot.uncertainty.as_deref()))
     }
 
     fn enough(&self) -> Result<(), ConformityFinding> {
@@ -202,15 +227,22 @@ impl CheckInput<'_> {
     /// What this hypothesis leaves, of the parameters that the calibration determined.
     fn updated(&self, expected: &Expected, hypothesis: &Hypothesis) -> Option<Posterior> {
         let parameters = [hypothesis.parameters.as_slice(), &hypothesis.alike].concat();
-        expected.changed(&parameters).learn(self.readings, self.sigma_mm)
+        expected.changed(&parameters).learn(self.readings, self.noise())
     }
 
     fn robot_of(&self, found: &Posterior, known: &Posterior) -> Option<Robot> {
-        let own: Vec<usize> =
-            known.ids().iter().filter_map(|id| found.ids().iter().position(|other| other == id)).collect();
         let geometry = found.model.geometry.clone();
-        let posterior = RobotPosterior::new(known.ids(), &geometry, &found.root().select_rows(&own))?;
-        Some(Robot { geometry, posterior: Some(posterior), ..self.robot.clone() })
+        let before = self.robot.posterior.as_ref()?;
+        let own: Vec<usize> = places(found, before.ids()).collect();
+        let ids: Vec<ParamId> = own.iter().map(|at| found.ids()[*at]).collect();
+        let posterior = RobotPosterior::new(&ids, &geometry, &found.root().select_rows(&own))?;
+        let after = |unknown: &RobotUncertainty| RobotUncertainty {
+            parameters: known.ids().to_vec(),
+            root: found.root().select_rows(&rows_of(found, known.ids())),
+            ..unknown.clone()
+        };
+        let uncertainty = self.robot.uncertainty.as_deref().map(|unknown| Box::new(after(unknown)));
+        Some(Robot { geometry, posterior: Some(posterior), uncertainty, ..self.robot.clone() })
     }
 
     fn findings(
@@ -224,6 +256,10 @@ impl CheckInput<'_> {
             findings.push(ConformityFinding::Undecidable { tolerance_mm, best_mm });
         }
         let unexplained = changes.first().is_none_or(|likeliest| likeliest.p_rest < BADLY_EXPLAINED);
+        if chi_square_tail(test.chi_square, test.freedom as f64) > 1.0 - TOO_GOOD {
+            let ChangeTest { chi_square, freedom, .. } = *test;
+            findings.push(ConformityFinding::TooGood { chi_square, freedom });
+        }
         if test.changed && unexplained {
             findings.push(ConformityFinding::NotExplained { p: test.p });
         }
@@ -238,6 +274,22 @@ impl InterimCheck {
     }
 }
 
+/// The rows of the root for these parameters, then those of the coefficients.
+fn rows_of(posterior: &Posterior, ids: &[ParamId]) -> Vec<usize> {
+    places(posterior, ids).chain(posterior.ids().len()..posterior.root().nrows()).collect()
+}
+
+/// The rows of the root for those of these parameters that it has.
+fn places(posterior: &Posterior, ids: &[ParamId]) -> impl Iterator<Item = usize> {
+    ids.iter().filter_map(|id| posterior.ids().iter().position(|other| other == id))
+}
+
+/// Of these parameters at a model, then of the coefficients of the joints' errors that a posterior has.
+fn values(posterior: &Posterior, ids: &[ParamId], model: &LengthModel) -> DVector<f64> {
+    let coefficients = model.geometry.joint_errors.coefficients().into_iter().take(posterior.coefficients());
+    DVector::from_vec(ids.iter().map(|id| model.value(*id)).chain(coefficients).collect())
+}
+
 /// The workspace in which the errors of the calibrated parameters count.
 struct Position {
     workspace: Workspace,
@@ -246,15 +298,19 @@ struct Position {
 
 impl Position {
     fn new(check: &CheckInput<'_>, known: &Posterior) -> Self {
-        let workspace = Workspace::new(&check.robot.geometry, check.workspace, known.ids());
+        let geometry = &check.robot.geometry;
+        let workspace = if known.coefficients() > 0 {
+            Workspace::with_joint_errors(geometry, check.workspace, known.ids())
+        } else {
+            Workspace::new(geometry, check.workspace, known.ids())
+        };
         Self { workspace, start: known.model.clone() }
     }
 
     /// Drawn errors of the model of `posterior`, a column each, of a share of the draws.
     fn of(&self, posterior: &Posterior, share: f64) -> DMatrix<f64> {
         let ids: &[ParamId] = self.workspace.ids();
-        let rows: Vec<usize> =
-            ids.iter().filter_map(|id| posterior.ids().iter().position(|other| other == id)).collect();
+        let rows = rows_of(posterior, ids);
         let draws = (share * DRAWS as f64).round() as usize;
         let mut random = Pcg64::seed_from_u64(SEED);
         let root = posterior.root().select_rows(&rows);
@@ -275,9 +331,8 @@ impl Position {
             if hypothesis.probability * (DRAWS as f64) < 0.5 {
                 continue;
             }
-            let posterior = expected.changed(&hypothesis.parameters).learn(of.readings, of.sigma_mm)?;
-            let moved = |id: &ParamId| posterior.model.value(*id) - self.start.value(*id);
-            let mean = nalgebra::DVector::from_iterator(ids.len(), ids.iter().map(moved));
+            let posterior = expected.changed(&hypothesis.parameters).learn(of.readings, of.noise())?;
+            let mean = values(&posterior, ids, &posterior.model) - values(&posterior, ids, &self.start);
             let drawn = self.of(&posterior, hypothesis.probability);
             columns.extend(drawn.column_iter().map(|column| column + &mean));
         }

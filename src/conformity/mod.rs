@@ -17,8 +17,10 @@ use serde::Serialize;
 pub use budget::{Basis, Budget, BudgetLine, COVERAGE_FACTOR, Source};
 pub use circles::{CircleCompared, CircleFile, CircleRead, TraceRead, compare_circles};
 pub use decision::{Decision, Outcome, Rule, decide};
-pub use interim::{CheckInput, InterimCheck, LEAST_FREEDOM, PositionNow};
-pub use results::{NotCompared, PositionChange, ResultRead, ResultsCompared, compare_results, same_robot};
+pub use interim::{CheckInput, InterimCheck, LEAST_FREEDOM, PositionNow, own_sigma_mm, sigma_mm};
+pub use results::{
+    NotCompared, PositionChange, ResultRead, ResultsCompared, compare_results, of_robot, same_robot,
+};
 pub use timeline::{TimeUnit, Timeline};
 pub use tracked::{Change, LEVEL, Tracked, Trend, Value};
 

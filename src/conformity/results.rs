@@ -91,12 +91,31 @@ impl ResultRead {
                 let (unit, given) = (id.unit().to_string(), parameter.unit.clone());
                 return Err(wrong(ConformityFinding::OtherUnit { parameter: name(), unit, given }));
             }
+            if parameter.sd.is_some_and(|sd| sd < 0.0) {
+                let why = format!("the standard deviation of {} is negative", parameter.name);
+                return Err(wrong(ConformityFinding::Incomplete { why }));
+            }
             let (nominal, identified) = (parameter.nominal, parameter.identified);
             let value = |sd| Value { value: identified, sd, freedom: result.sigma_freedom };
             let sd = parameter.sd.filter(|sd| *sd > 0.0 && sd.is_finite());
             parameters.insert(id, Estimated { nominal, identified, value: sd.map(value) });
         }
         Ok(Self { file: file.into(), robot: result.robot, parameters })
+    }
+}
+
+/// That all are of this robot.
+///
+/// # Errors
+/// Another name.
+pub fn of_robot(results: &[ResultRead], name: &str) -> Result<(), ConformityFinding> {
+    match results.iter().find(|result| result.robot != name) {
+        Some(ResultRead { file, robot, .. }) => Err(ConformityFinding::OtherRobot {
+            first: file.clone(),
+            robot: robot.clone(),
+            other: name.into(),
+        }),
+        None => Ok(()),
     }
 }
 

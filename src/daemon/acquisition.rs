@@ -9,6 +9,7 @@ use std::time::Duration;
 
 use serde::Serialize;
 
+use super::axes::{AxesArrival, AxesSource};
 use super::ekrl::Server;
 use super::live_state::Feed;
 use super::polling::Polling;
@@ -29,6 +30,15 @@ use crate::recording::run::{ATTACHED_IDENTITY, PlanFiles};
 
 /// Longest wait between two attempts to open a port that went away, s.
 const LONGEST_BACKOFF_S: f64 = 0.5;
+
+/// The lines to the controller beside the bar's.
+#[derive(Debug, Default)]
+pub struct Lines {
+    /// The program reports its dwells here.
+    pub ekrl: Option<Server>,
+    /// The controller publishes its axes here.
+    pub axes: Option<AxesSource>,
+}
 
 /// What a run is to do.
 #[derive(Debug)]
@@ -107,18 +117,14 @@ impl Acquisition {
     /// # Errors
     /// When the port cannot be opened or the capture not be made.
     pub fn start(options: Options, stop: Arc<AtomicBool>) -> Result<Self, Diagnostic> {
-        Self::start_with(None, options, stop)
+        Self::start_with(Lines::default(), options, stop)
     }
 
-    /// The same with a server to which the program reports its dwells.
+    /// The same with lines to the controller.
     ///
     /// # Errors
     /// As [`Self::start`].
-    pub fn start_with(
-        server: Option<Server>,
-        options: Options,
-        stop: Arc<AtomicBool>,
-    ) -> Result<Self, Diagnostic> {
+    pub fn start_with(lines: Lines, options: Options, stop: Arc<AtomicBool>) -> Result<Self, Diagnostic> {
         if options.out.exists() {
             let name = options.out.display().to_string();
             return Err(Diagnostic::file(&name, RecordingFinding::CaptureExists));
@@ -126,7 +132,7 @@ impl Acquisition {
         // The port comes first: without it no file is left behind.
         let opened = session::open(&options.port, &options.definition)?;
         let writer = Writer::create(&options.out)?;
-        Self::record(server, options, opened, writer, stop)
+        Self::record(lines, options, opened, writer, stop)
     }
 
     /// As [`Acquisition::start`], into a capture that was begun elsewhere.
@@ -135,11 +141,11 @@ impl Acquisition {
     /// When the port cannot be opened or the capture not be written.
     pub fn start_on(writer: Writer, options: Options, stop: Arc<AtomicBool>) -> Result<Self, Diagnostic> {
         let opened = session::open(&options.port, &options.definition)?;
-        Self::record(None, options, opened, writer, stop)
+        Self::record(Lines::default(), options, opened, writer, stop)
     }
 
     fn record(
-        server: Option<Server>,
+        lines: Lines,
         mut options: Options,
         opened: Opened,
         writer: Writer,
@@ -168,8 +174,9 @@ impl Acquisition {
             stop,
         });
         let identity = port::identity(&options.port);
-        let telegrams = server.map(|server| Telegrams::new(server, schedule));
-        let run = Run { options, identity, recorder, telegrams, shared: Arc::clone(&shared), began };
+        let telegrams = lines.ekrl.map(|server| Telegrams::new(server, schedule));
+        let axes = lines.axes;
+        let run = Run { options, identity, recorder, telegrams, axes, shared: Arc::clone(&shared), began };
         let recorder = std::thread::Builder::new()
             .name("recorder".into())
             .spawn(move || run.whole(port))
@@ -233,6 +240,7 @@ struct Run {
     identity: PortAddress,
     recorder: Recorder,
     telegrams: Option<Telegrams>,
+    axes: Option<AxesSource>,
     shared: Arc<Shared>,
     began: HostNs,
 }
@@ -277,6 +285,7 @@ impl Run {
             }
         };
         self.write_notes()?;
+        self.beside(Line::Idle)?;
         let progress = self.recorder.finish(clock::now(), ending.reason());
         self.say();
         Ok(Summary { capture: self.recorder.path().into(), ending, progress: progress? })
@@ -294,8 +303,8 @@ impl Run {
             if let Some(ending) = self.ending() {
                 return Ok(Session::Over(ending));
             }
-            let unhurried =
-                self.telegrams.as_ref().map_or(Duration::from_millis(50), |_| Telegrams::PATIENCE);
+            let beside = self.telegrams.is_some() || self.axes.is_some();
+            let unhurried = if beside { Telegrams::PATIENCE } else { Duration::from_millis(50) };
             let mut patience = idle.unwrap_or(unhurried);
             if let Some(polling) = &mut polling {
                 match polling.step(&self.options.definition, &mut self.recorder)? {
@@ -326,12 +335,19 @@ impl Run {
                     return Ok(Session::Gone(clock::now(), "the reading thread ended".into()));
                 }
             }
-            self.telegrams(line)?;
+            self.beside(line)?;
             self.publish(PortState::Open)?;
         }
     }
 
-    fn telegrams(&mut self, line: Line) -> Result<(), Diagnostic> {
+    /// Records what came from the controller.
+    fn beside(&mut self, line: Line) -> Result<(), Diagnostic> {
+        while let Some((host, arrival)) = self.axes.as_ref().and_then(AxesSource::next) {
+            match arrival {
+                AxesArrival::Bytes(bytes) => self.recorder.axes(host, bytes)?,
+                AxesArrival::Event(event) => self.recorder.event(host, event)?,
+            }
+        }
         match &mut self.telegrams {
             Some(telegrams) => telegrams.step(&mut self.recorder, line),
             None => Ok(()),
@@ -354,7 +370,7 @@ impl Run {
         let mut backoff = 0.1;
         let mut next = 0.0;
         loop {
-            self.telegrams(Line::Idle)?;
+            self.beside(Line::Idle)?;
             self.publish(PortState::Gone)?;
             if let Some(ending) = self.ending() {
                 return Ok(Err(ending));

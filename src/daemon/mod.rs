@@ -1,6 +1,7 @@
 //! Threads, channels and signals: the only place that knows all rooms.
 
 mod acquisition;
+mod axes;
 mod ekrl;
 mod identify;
 mod live_state;
@@ -15,7 +16,8 @@ mod session;
 mod signals;
 mod telegrams;
 
-pub use acquisition::{Acquisition, Ending, Options, Summary};
+pub use acquisition::{Acquisition, Ending, Lines, Options, Summary};
+pub use axes::AxesSource;
 pub use ekrl::Server;
 pub use identify::{Attempt, Search};
 pub use live_state::{Feed, LiveState};

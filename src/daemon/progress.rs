@@ -2,6 +2,8 @@
 
 use serde::Serialize;
 
+use crate::recording::axes::PacketCounts;
+
 /// How a run is going.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Progress {
@@ -43,6 +45,8 @@ pub struct Progress {
     pub telegrams: u64,
     /// Telegrams that were refused: of another plan, or of no dwell.
     pub refused: u64,
+    /// The packets of a controller that publishes its axes.
+    pub axes: Option<PacketCounts>,
     /// Whether the frames were ever understood one after the other.
     pub in_step: bool,
     /// Whether the port is away at this moment.

@@ -11,6 +11,7 @@ use crate::catalogue::RecordingFinding;
 use crate::device::protocol::{Decoded, Decoder, Definition, Fault, FaultKind};
 use crate::diagnostic::Diagnostic;
 use crate::measurement::sample::Sample;
+use crate::recording::axes::{AxesReceiver, AxesRecords};
 use crate::recording::capture::{Event, Record, Writer};
 use crate::recording::{DeviceTime, SequenceStep, Stamp, sequence_step};
 
@@ -59,6 +60,7 @@ pub struct Recorder {
     pub progress: Progress,
     /// What others did to the capture.
     pub(super) findings: Vec<Diagnostic>,
+    axes: AxesRecords,
     /// Who looks on.
     pub(super) feed: Option<Feed>,
 }
@@ -101,6 +103,7 @@ impl Recorder {
             began: now,
             progress: Progress::default(),
             findings: Vec::new(),
+            axes: AxesRecords::default(),
             feed: None,
         }
     }
@@ -120,7 +123,20 @@ impl Recorder {
         }
         self.flush()?;
         self.flush_fault()?;
-        self.writer.write(host, &Record::Event(event))
+        let record = Record::Event(event);
+        self.axes.add(host, &record, |_, _, _| {});
+        self.writer.write(host, &record)
+    }
+
+    /// Bytes came from the controller that publishes its axes.
+    ///
+    /// # Errors
+    /// When the capture cannot be written.
+    pub fn axes(&mut self, host: HostNs, bytes: Vec<u8>) -> Result<(), Diagnostic> {
+        let record = Record::Axes(bytes);
+        self.writer.write(host, &record)?;
+        self.axes.add(host, &record, |_, _, _| {});
+        Ok(())
     }
 
     pub(super) fn attach(&mut self, host: HostNs, name: &str, content: &[u8]) -> Result<(), Diagnostic> {
@@ -322,6 +338,7 @@ impl Recorder {
     /// When the capture cannot be written.
     pub fn tick(&mut self, now: HostNs) -> Result<(), Diagnostic> {
         self.progress.elapsed_s = now.seconds_since(self.began);
+        self.progress.axes = self.axes.receiver().map(AxesReceiver::counts);
         if self.fault.as_ref().is_some_and(|(since, _)| now.seconds_since(*since) >= LOOK_S) {
             self.flush_fault()?;
         }
@@ -366,6 +383,7 @@ impl Recorder {
         self.program.finish();
         self.progress.dwells = self.progress.dwells.max(self.program.dwells);
         self.progress.elapsed_s = now.seconds_since(self.began);
+        self.progress.axes = self.axes.receiver().map(AxesReceiver::counts);
         self.look_after()?;
         self.writer.finish(now, reason, self.progress.missing)?;
         self.look_after()?;

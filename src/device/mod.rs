@@ -1,4 +1,5 @@
-//! The bar as a device: the port that it is on, and the protocol that it speaks.
+//! The bar as a device, and the axes that a controller publishes: ports, and the protocols spoken on them.
 
+pub mod axes;
 pub mod port;
 pub mod protocol;

@@ -12,12 +12,13 @@ use rand_distr::{ChiSquared, Distribution, StandardNormal};
 use rand_pcg::Pcg64;
 use serde::Serialize;
 
-use super::linear_system::LinearSystem;
+use super::pose_rows::LengthNoise;
 use super::posterior::Posterior;
+use super::priors::Priors;
 use crate::math::Triangle;
 use crate::math::distributions::{chi_square_exceeded, chi_square_tail, noncentral_tail, noncentrality};
 use crate::measurement::PreparedMeasurement;
-use crate::robot::{AXES, BallId, BarId, Coordinate, ParamId, Unit};
+use crate::robot::{AXES, BallId, BarId, Coordinate, ParamId, Robot, Unit};
 
 /// Probability that a change is reported although nothing changed.
 pub const FALSE_ALARM: f64 = 0.01;
@@ -48,6 +49,17 @@ pub struct Mounting {
     pub bar_mm: f64,
 }
 
+impl Mounting {
+    /// Standard deviation with which a tool ball is mounted again in its seat, mm.
+    pub const TOOL_REPEAT_MM: f64 = 0.01;
+
+    /// The tool ball in its seat again, base balls anywhere, a bar with this standard uncertainty of its length, mm.
+    pub fn again(robot: &Robot, bar_u_mm: Option<f64>) -> Self {
+        let bar_mm = Priors::datasheet(robot, bar_u_mm).sd(ParamId::BarOffset(BarId::FIRST));
+        Self { tool_mm: Self::TOOL_REPEAT_MM, ball_mm: None, bar_mm }
+    }
+}
+
 /// A robot in a new set-up, before its check: what its calibration left unknown, and what mounting changes.
 #[derive(Clone, Debug)]
 pub struct Expected {
@@ -74,11 +86,15 @@ impl Expected {
             added.extend(Coordinate::ALL.map(|axis| (ParamId::Ball(ball, axis), ball_mm)));
         }
         ids.extend(added.iter().map(|(id, _)| *id).filter(|id| !known.ids().contains(id)));
-        let mut root = DMatrix::zeros(ids.len(), known.root().ncols() + added.len());
-        root.view_mut((0, 0), known.root().shape()).copy_from(known.root());
+        // Parameters of the calibration, those of the set-up, coefficients of the joints' errors.
+        let (own, columns) = (known.ids().len(), known.root().ncols());
+        let mut root = DMatrix::zeros(ids.len() + known.coefficients(), columns + added.len());
+        root.view_mut((0, 0), (own, columns)).copy_from(&known.root().rows(0, own));
+        let coefficients = known.root().rows(own, known.coefficients());
+        root.view_mut((ids.len(), 0), coefficients.shape()).copy_from(&coefficients);
         for (column, (id, sd)) in added.iter().enumerate() {
             if let Some(row) = ids.iter().position(|other| other == id) {
-                root[(row, known.root().ncols() + column)] = *sd;
+                root[(row, columns + column)] = *sd;
             }
         }
         let free = if mounting.ball_mm.is_some() { vec![] } else { (bound..root.ncols()).collect() };
@@ -103,7 +119,7 @@ impl Expected {
     /// The same where these parameters may have changed.
     pub fn changed(&self, parameters: &[ParamId]) -> Self {
         let ids = self.posterior.ids();
-        let mut columns = DMatrix::zeros(ids.len(), parameters.len());
+        let mut columns = DMatrix::zeros(self.posterior.root().nrows(), parameters.len());
         for (column, id) in parameters.iter().enumerate() {
             if let Some(row) = ids.iter().position(|other| other == id) {
                 columns[(row, column)] = typical(*id);
@@ -113,13 +129,13 @@ impl Expected {
     }
 
     /// After the lengths: the likeliest model and its covariance. `None` when a number is not finite.
-    pub fn learn(&self, readings: &[PreparedMeasurement], sigma_mm: f64) -> Option<Posterior> {
-        self.posterior.learn(readings, sigma_mm)
+    pub fn learn(&self, readings: &[PreparedMeasurement], noise: LengthNoise<'_>) -> Option<Posterior> {
+        self.posterior.learn(readings, noise)
     }
 
     /// After lengths at these poses that agree with the model. `None` when a number is not finite.
-    pub fn after(&self, readings: &[PreparedMeasurement], sigma_mm: f64) -> Option<Posterior> {
-        self.posterior.after(readings, sigma_mm)
+    pub fn after(&self, readings: &[PreparedMeasurement], noise: LengthNoise<'_>) -> Option<Posterior> {
+        self.posterior.after(readings, noise)
     }
 
     pub fn posterior(&self) -> &Posterior {
@@ -212,31 +228,34 @@ pub struct CheckPower {
 const LARGEST: f64 = 10.0;
 
 impl Innovation {
-    /// Of lengths with standard deviation `sigma_mm`. `None` when a number is not finite, or no length is left over.
-    pub fn of(expected: &Expected, readings: &[PreparedMeasurement], sigma_mm: f64) -> Option<Self> {
-        let learnt = expected.posterior.learnt(readings, sigma_mm)?;
-        Self::at(expected, readings, sigma_mm, &learnt)
+    /// `None` when a number is not finite, or no length is left over.
+    pub fn of(expected: &Expected, readings: &[PreparedMeasurement], noise: LengthNoise<'_>) -> Option<Self> {
+        let learnt = expected.posterior.learnt(readings, noise)?;
+        Self::at(expected, readings, noise, &learnt)
     }
 
     /// Of lengths as the model predicts them: the effects alone.
-    pub fn foreseen(expected: &Expected, readings: &[PreparedMeasurement], sigma_mm: f64) -> Option<Self> {
+    pub fn foreseen(
+        expected: &Expected,
+        readings: &[PreparedMeasurement],
+        noise: LengthNoise<'_>,
+    ) -> Option<Self> {
         let nothing = DVector::zeros(expected.posterior.root().ncols());
         let model = expected.posterior.clone();
-        Self::at(expected, readings, sigma_mm, &super::posterior::Learnt { found: model, w: nothing })
+        Self::at(expected, readings, noise, &super::posterior::Learnt { found: model, w: nothing })
     }
 
     fn at(
         expected: &Expected,
         readings: &[PreparedMeasurement],
-        sigma_mm: f64,
+        noise: LengthNoise<'_>,
         learnt: &super::posterior::Learnt,
     ) -> Option<Self> {
         let freedom = readings.len().checked_sub(expected.free.len()).filter(|freedom| *freedom > 0)?;
         let root = expected.posterior.root();
         let ids = expected.posterior.ids();
         let changeable: Vec<usize> = expected.changeable().collect();
-        let sigma = vec![sigma_mm; readings.len()];
-        let mut system = LinearSystem::at(&learnt.found.model, &(readings, sigma.as_slice()), ids);
+        let mut system = expected.posterior.system(&learnt.found.model, readings, noise)?;
         let (factor, rhs) = (system.factor(), system.rhs());
         let known = &factor * root;
         let right = rhs + &known * &learnt.w;

@@ -5,6 +5,7 @@ use std::borrow::Cow;
 use serde::{Deserialize, Serialize};
 
 use crate::math::distributions::{chi_square_exceeded, coverage_95};
+use crate::math::straight_line::Regression;
 use crate::measurement::{LengthModel, Measurement, PreparedMeasurement};
 
 /// Degrees of freedom that each half of a run needs for a change of repeatability.
@@ -148,11 +149,11 @@ impl Pooled {
             .zip(&times)
             .map(|(visit, time)| [time - means[visit.pose], visit.deviation_mm - self.means[visit.pose].0])
             .collect();
-        let spread: f64 = points.iter().map(|[time, _]| time * time).sum();
-        let freedom = self.freedom.checked_sub(1).filter(|freedom| *freedom > 0 && spread > 0.0)?;
-        let slope = points.iter().map(|[time, mm]| time * mm).sum::<f64>() / spread;
-        let left: f64 = points.iter().map(|[time, mm]| (mm - slope * time).powi(2)).sum();
-        let half = coverage_95(Some(freedom as f64)) * (left / freedom as f64 / spread).sqrt();
+        let freedom = self.freedom.checked_sub(1).filter(|freedom| *freedom > 0)? as f64;
+        let Regression { slope, slope_sd, .. } = Regression::through(&points)?;
+        // The mean of each pose was taken from the same lengths.
+        let sd = slope_sd * ((points.len() as f64 - 2.0) / freedom).sqrt();
+        let half = coverage_95(Some(freedom)) * sd;
         Some(Quantity {
             value: slope,
             interval95: [slope - half, slope + half],

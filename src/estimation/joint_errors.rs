@@ -5,24 +5,20 @@
 //! covariance is sigma^2 (U U' + rho^2 W), U the unit vectors along the bar, W what is given of the lengths. The fit is
 //! relinearised until it rests. Without a gain in evidence over the geometry alone there is no such fit.
 
-use std::collections::BTreeMap;
-
-use nalgebra::{DMatrix, DVector};
+use nalgebra::DVector;
 
 use super::estimate::Estimate;
 use super::evidence::{Evidence, Found, Hypers, Normal, Variance};
-use super::joint_fit::{GroupEvidence, JointFit, Noise};
+use super::joint_fit::{GroupEvidence, JointFit};
 use super::joint_system::System;
 use super::lengths::{Lengths, Sigma, Weighted};
-use super::linear_system::Rows;
+use super::pose_rows::{LengthNoise, PoseRows};
 use super::prior::PriorRows;
 use super::priors::Group;
 use super::ripple::{Beside, Candidate, ln_candidates};
 use super::setting::Setting;
 use crate::measurement::LengthModel;
-use crate::robot::{
-    AXES, BallId, Coordinate, Joint, JointError, JointErrors, JointTerm, ParamId, Smooth, TermKind, parameter,
-};
+use crate::robot::{AXES, JointError, JointErrors, JointTerm, ParamId, Smooth, TermKind, parameter};
 
 /// Lengths beyond the parameters of the geometry from which errors of joints are looked for.
 const REDUNDANT: usize = 30;
@@ -181,7 +177,7 @@ impl<'a> Search<'a> {
         self.model.geometry.joint_errors = self.errors();
         let system = self.linearise(used);
         let mut best = self.maximise(&system, self.ratio, self.hypers)?;
-        if round == 1 && system.poses.iter().any(|rows| rows.len() > 1) {
+        if round == 1 && system.lines.poses.iter().any(|rows| rows.len() > 1) {
             for ratio in RATIOS {
                 if let Some(found) = self.maximise(&system, ratio, best.hypers)
                     && found.value > best.value
@@ -246,45 +242,16 @@ impl<'a> Search<'a> {
 
     /// The rows at the model.
     fn linearise(&self, used: &Weighted) -> System {
-        let errors = &self.model.geometry.joint_errors;
-        let (own, count) = (self.ids.len(), self.ids.len() + errors.count());
-        let rows = Rows { model: &self.model, ids: &self.ids, further: errors.count() };
-        let given = used.by(Sigma::Given);
-        let mean = given.rms_sigma();
-        let plain = used.by(Sigma::All(1.0));
-        let pieces = rows.fold(&plain, Vec::new, |lines: &mut Vec<Line>, row| {
-            if row.weight == 0.0 {
-                return;
-            }
-            let reading = row.reading;
-            row.derivatives.joint_terms(errors, &reading.axes, reading.approach, &mut row.values[own..]);
-            let unit =
-                Coordinate::ALL.map(|axis| row.derivatives.derivative(ParamId::Ball(BallId::FIRST, axis)));
-            let levers = Joint::ALL.map(|joint| row.derivatives.derivative(ParamId::Theta(joint)));
-            let pose = (reading.axes.map(f64::to_bits), reading.approach.senses());
-            let weight = used.lengths().given(row.place) / mean;
-            let (values, residual, axes) = (row.values.to_vec(), row.residual, reading.axes);
-            lines.push(Line { values, residual, unit, pose, weight, axes, levers });
-        });
-        let lines: Vec<Line> = pieces.into_iter().flatten().collect();
-        let mut poses: BTreeMap<_, Vec<usize>> = BTreeMap::new();
-        for (at, line) in lines.iter().enumerate() {
-            poses.entry(line.pose).or_default().push(at);
-        }
-        let rows = DMatrix::from_fn(lines.len(), count, |row, column| lines[row].values[column]);
-        let now = self.unknowns();
-        let residual = DVector::from_iterator(lines.len(), lines.iter().map(|line| line.residual));
-        let (free, bound): (Vec<usize>, Vec<usize>) =
-            (0..count).partition(|&at| at < own && self.weights[at] == 0.0);
+        let own = self.ids.len();
+        let mean = used.by(Sigma::Given).rms_sigma();
+        let lines = PoseRows::at(&self.model, &used.by(Sigma::All(1.0)), &self.ids);
+        let is_free = |at: &usize| *at < own && self.weights[*at] == 0.0;
+        let (free, bound) = (0..lines.values.ncols()).partition(is_free);
         System {
-            right: residual + &rows * now,
-            rows,
-            units: lines.iter().map(|line| line.unit).collect(),
-            weights: lines.iter().map(|line| line.weight).collect(),
-            axes: lines.iter().map(|line| line.axes).collect(),
-            levers: lines.iter().map(|line| line.levers).collect(),
-            poses: poses.into_values().collect(),
-            variances: self.variances(errors),
+            right: &lines.residual + &lines.values * self.unknowns(),
+            weights: lines.places.iter().map(|place| used.lengths().given(*place) / mean).collect(),
+            lines,
+            variances: self.variances(&self.model.geometry.joint_errors),
             free,
             bound,
         }
@@ -352,7 +319,11 @@ impl<'a> Search<'a> {
             root: system.root(&reduced, &solved, self.hypers.sigma_mm())?,
             groups: self.groups(system, &determined)?,
             effective_parameters: determined.iter().sum::<f64>() + system.free.len() as f64,
-            noise: Noise::of(&self.hypers, self.ratio),
+            noise: LengthNoise {
+                pose_mm: self.hypers.sigma_mm(),
+                length_mm: self.ratio * self.hypers.sigma_mm(),
+                joints: None,
+            },
             hypers: self.hypers,
             gain,
             ids: self.ids,
@@ -394,15 +365,4 @@ impl<'a> Search<'a> {
         let solved = self.evidence(&reduced.normal, &variances).solve(&self.hypers)?;
         Some(system.mean_square(&system.all(&reduced, &solved)))
     }
-}
-
-/// A row on its way into the matrix.
-struct Line {
-    values: Vec<f64>,
-    residual: f64,
-    unit: [f64; 3],
-    pose: ([u64; AXES], [i8; AXES]),
-    weight: f64,
-    axes: [f64; AXES],
-    levers: [f64; AXES],
 }

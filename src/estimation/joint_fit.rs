@@ -3,6 +3,7 @@
 use nalgebra::DMatrix;
 
 use super::evidence::Hypers;
+use super::pose_rows::LengthNoise;
 use super::prior::PriorRows;
 use super::priors::Group;
 use crate::measurement::LengthModel;
@@ -21,30 +22,10 @@ pub(crate) struct JointFit {
     pub(super) groups: Vec<GroupEvidence>,
     /// How many parameters and coefficients the data determine.
     pub(super) effective_parameters: f64,
-    pub(super) noise: Noise,
+    pub(super) noise: LengthNoise<'static>,
     pub(super) hypers: Hypers,
     /// Gain in the logarithm of the evidence over the geometry alone.
     pub(super) gain: f64,
-}
-
-/// The noise of a length.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Noise {
-    /// Of the pose, in each direction, mm.
-    pub(crate) pose_mm: f64,
-    /// Of a length beside it, mm.
-    pub(crate) length_mm: f64,
-}
-
-impl Noise {
-    pub(super) fn of(hypers: &Hypers, ratio: f64) -> Self {
-        Self { pose_mm: hypers.sigma_mm(), length_mm: ratio * hypers.sigma_mm() }
-    }
-
-    /// Of a length, mm.
-    pub(super) fn sigma_mm(self) -> f64 {
-        self.pose_mm.hypot(self.length_mm)
-    }
 }
 
 /// What the evidence says of a group.

@@ -3,24 +3,17 @@
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
 use super::evidence::{Normal, Solved, Variance};
+use super::pose_rows::PoseRows;
 use super::priors::Group;
-use crate::robot::AXES;
 
 /// Rows at a model.
 #[derive(Clone)]
 pub(super) struct System {
-    /// A row a length, a column an unknown: parameters, then coefficients.
-    pub(super) rows: DMatrix<f64>,
+    pub(super) lines: PoseRows,
     /// Measured minus what the model without its corrections predicts, to first order.
     pub(super) right: DVector<f64>,
-    /// Unit vectors along the bar, and the given standard deviations about their mean.
-    pub(super) units: Vec<[f64; 3]>,
+    /// The given standard deviations about their mean.
     pub(super) weights: Vec<f64>,
-    /// Axis angles (rad), and what the joints move, mm/rad.
-    pub(super) axes: Vec<[f64; AXES]>,
-    pub(super) levers: Vec<[f64; AXES]>,
-    /// Rows of equal pose.
-    pub(super) poses: Vec<Vec<usize>>,
     pub(super) variances: Vec<Variance>,
     /// Places of the free and of the bound unknowns.
     pub(super) free: Vec<usize>,
@@ -49,16 +42,16 @@ impl System {
 
     /// Mean square of the residuals that these unknowns leave, mm^2.
     pub(super) fn mean_square(&self, unknowns: &DVector<f64>) -> f64 {
-        (&self.right - &self.rows * unknowns).norm_squared() / self.rows.nrows() as f64
+        (&self.right - &self.lines.values * unknowns).norm_squared() / self.lines.values.nrows() as f64
     }
 
     /// The normal equations of rows of unit noise, what is free taken out.
     pub(super) fn reduced(&self, ratio: f64) -> Option<Reduced> {
         let order: Vec<usize> = self.free.iter().chain(&self.bound).copied().collect();
         let count = order.len();
-        let mut whole = DMatrix::zeros(self.rows.nrows(), count + 1);
+        let mut whole = DMatrix::zeros(self.lines.values.nrows(), count + 1);
         for (to, from) in order.iter().enumerate() {
-            whole.column_mut(to).copy_from(&self.rows.column(*from));
+            whole.column_mut(to).copy_from(&self.lines.values.column(*from));
         }
         whole.column_mut(count).copy_from(&self.right);
         let ln_whitening = self.whiten_all(&mut whole, ratio)?;
@@ -70,7 +63,7 @@ impl System {
             gram: gram.view((f, f), (b, b)).into_owned(),
             rhs: gram.view((f, count), (b, 1)).column(0).into_owned(),
             squares: gram[(count, count)],
-            freedom: (self.rows.nrows() - f) as f64,
+            freedom: (self.lines.values.nrows() - f) as f64,
             ln_whitening,
         };
         if f == 0 {
@@ -86,37 +79,16 @@ impl System {
         Some(Reduced { normal, free: Some(free), cross, free_right })
     }
 
-    /// Brings rows to unit noise; the logarithm of the determinant of their covariance.
+    /// Brings rows to unit noise of the pose; the logarithm of the determinant of their covariance.
     pub(super) fn whiten_all(&self, whole: &mut DMatrix<f64>, ratio: f64) -> Option<f64> {
-        let mut ln_determinant = 0.0;
-        for rows in &self.poses {
-            ln_determinant += self.whiten(whole, rows, ratio)?;
-        }
-        Some(ln_determinant)
-    }
-
-    /// Brings the rows of a pose to unit noise; the logarithm of the determinant of their covariance.
-    fn whiten(&self, whole: &mut DMatrix<f64>, rows: &[usize], ratio: f64) -> Option<f64> {
-        let covariance = DMatrix::from_fn(rows.len(), rows.len(), |i, j| {
-            let [u, v] = [rows[i], rows[j]].map(|row| self.units[row]);
-            let shared = u[0] * v[0] + u[1] * v[1] + u[2] * v[2];
-            let own = if i == j { (ratio * self.weights[rows[i]]).powi(2) } else { 0.0 };
-            shared + own
-        });
-        let factor = Cholesky::new(covariance)?.l();
-        for mut column in whole.column_iter_mut() {
-            for i in 0..rows.len() {
-                let before: f64 = (0..i).map(|j| factor[(i, j)] * column[rows[j]]).sum();
-                column[rows[i]] = (column[rows[i]] - before) / factor[(i, i)];
-            }
-        }
-        Some(factor.diagonal().iter().map(|pivot| 2.0 * pivot.ln()).sum())
+        let own: Vec<f64> = self.weights.iter().map(|weight| ratio * weight).collect();
+        self.lines.whiten(whole, 1.0, &own)
     }
 
     /// All unknowns; of what is free the step.
     pub(super) fn all(&self, reduced: &Reduced, solved: &Solved) -> DVector<f64> {
         let bound = solved.unknowns();
-        let mut all = DVector::zeros(self.rows.ncols());
+        let mut all = DVector::zeros(self.lines.values.ncols());
         self.bound.iter().zip(&bound).for_each(|(k, value)| all[*k] = *value);
         if let Some(free) = &reduced.free {
             let step = free.solve(&(&reduced.free_right - &reduced.cross * bound));
@@ -129,7 +101,7 @@ impl System {
     pub(super) fn root(&self, reduced: &Reduced, solved: &Solved, sigma_mm: f64) -> Option<DMatrix<f64>> {
         let bound = solved.root()?;
         let (f, b) = (self.free.len(), self.bound.len());
-        let mut root = DMatrix::zeros(self.rows.ncols(), b + f);
+        let mut root = DMatrix::zeros(self.lines.values.ncols(), b + f);
         for (at, k) in self.bound.iter().enumerate() {
             root.view_mut((*k, 0), (1, b)).copy_from(&bound.row(at));
         }

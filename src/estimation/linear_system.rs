@@ -6,6 +6,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
+use super::pose_rows::{LengthNoise, PoseRows};
 use super::prior::PriorRows;
 use crate::math::Triangle;
 use crate::measurement::{LengthModel, MeasurementPieces, PreparedMeasurement, Selection};
@@ -81,6 +82,28 @@ impl LinearSystem {
             |triangle, row| triangle.push(row.values, row.residual),
         );
         Self::of(triangles, ids.len())
+    }
+
+    /// Of lengths by `ids`, then by the coefficients of the joints' errors, whitened pose by pose. `None` where the noise has
+    /// no inverse.
+    pub(super) fn by_pose(
+        model: &LengthModel,
+        readings: &[PreparedMeasurement],
+        noise: LengthNoise<'_>,
+        ids: &[ParamId],
+    ) -> Option<Self> {
+        let unit = vec![1.0; readings.len()];
+        let lines = PoseRows::at(model, &(readings, unit.as_slice()), ids);
+        let unknowns = lines.values.ncols();
+        let mut whole = lines.values.clone().insert_column(unknowns, 0.0);
+        whole.set_column(unknowns, &lines.residual);
+        lines.whiten(&mut whole, noise.pose_mm, &lines.own(&noise, model))?;
+        let mut triangle = Triangle::new(unknowns);
+        for row in whole.row_iter() {
+            let values: Vec<f64> = row.iter().copied().collect();
+            triangle.push(&values[..unknowns], values[unknowns]);
+        }
+        Some(Self { unknowns, triangle })
     }
 
     /// Of the triangles of pieces.

@@ -4,6 +4,7 @@ use std::borrow::Cow;
 
 use super::Workspace;
 use super::priors::{Prior, Priors};
+use crate::catalogue::EstimationFinding;
 use crate::robot::{AXES, ParamId, Robot};
 
 /// What a robot's error consists of.
@@ -43,6 +44,20 @@ const WORKSPACE_POSES: usize = 2000;
 const WORKSPACE_SEED: u64 = 1;
 
 impl Options {
+    /// That they can be followed with so many lengths.
+    ///
+    /// # Errors
+    /// What no identification can follow, though each value alone is possible.
+    pub fn check(&self, lengths: usize) -> Result<(), EstimationFinding> {
+        if let Some(folds) = self.folds.filter(|folds| *folds == 1 || *folds > lengths) {
+            return Err(EstimationFinding::NoFolds { folds, lengths });
+        }
+        match &self.prior {
+            Prior::Given(sd) if sd.is_empty() => Err(EstimationFinding::EmptyPrior),
+            _ => Ok(()),
+        }
+    }
+
     /// The axis angles (rad) over which a 3-D error is predicted.
     pub fn workspace_poses(&self, robot: &Robot) -> Cow<'_, [[f64; AXES]]> {
         match &self.workspace {

@@ -10,10 +10,10 @@ use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
 
 use super::evidence::spectral_density;
-use super::predicted::take_out_rigid_motion;
+use super::predicted::{Workspace, take_out_rigid_motion};
 use crate::measurement::ApproachedPose;
 use crate::robot::{
-    AXES, Approach, At, Chain, Geometry, Joint, JointSinCos, ParamId, RobotUncertainty, TermKind,
+    AXES, Approach, At, Chain, Geometry, Joint, JointSinCos, ParamId, Robot, RobotUncertainty, TermKind,
 };
 
 /// Fewer poses say too little of where the robot's base is: poses of the workspace are added.
@@ -37,6 +37,15 @@ struct Lever {
 }
 
 impl Positions {
+    /// Of a robot at `poses`, by what is not known of it.
+    pub fn of(robot: &Robot, poses: &[ApproachedPose]) -> Self {
+        /// Poses of the workspace that align few poses, and their seed.
+        const WORKSPACE_POSES: usize = 300;
+        const SEED: u64 = 1;
+        let workspace = Workspace::uniform(robot.controller(), WORKSPACE_POSES, SEED);
+        Self::new(&robot.geometry, &RobotUncertainty::of(robot), poses, &workspace)
+    }
+
     /// Of a robot at `poses`, aligned over these; over `workspace` too where they are few.
     pub fn new(
         geometry: &Geometry,
@@ -44,34 +53,17 @@ impl Positions {
         poses: &[ApproachedPose],
         workspace: &[[f64; AXES]],
     ) -> Self {
-        let chain = Chain::new(geometry);
         let more: &[[f64; AXES]] = if poses.len() < FEWEST_POSES { workspace } else { &[] };
         let given = poses.iter().map(|pose| (pose.axes.radians(), pose.approach));
         let all: Vec<([f64; AXES], Approach)> =
             given.chain(more.iter().map(|axes| (*axes, Approach::default()))).collect();
-        let parameters = unknown.parameters.len();
-        let mut jacobian = DMatrix::zeros(3 * all.len(), unknown.root.nrows());
-        let (mut balls, mut joints) = (Vec::new(), Vec::new());
-        let thetas = Joint::ALL.map(ParamId::Theta);
-        let ids: Vec<ParamId> = unknown.parameters.iter().copied().chain(thetas).collect();
-        for (at, (axes, approach)) in all.iter().enumerate() {
-            let mut levers = [Vector3::zeros(); AXES];
-            chain.ball_jacobian(axes, &ids, |column, moved| {
-                if column < parameters {
-                    jacobian.fixed_view_mut::<3, 1>(3 * at, column).copy_from(&moved);
-                } else {
-                    levers[column - parameters] = moved;
-                }
-            });
-            let mut column = parameters;
-            geometry.joint_errors.derivatives(axes, *approach, |place, value| {
-                jacobian.fixed_view_mut::<3, 1>(3 * at, column).copy_from(&(levers[place] * value));
-                column += 1;
-            });
+        let motion = BallMotion::new(geometry, &all, &unknown.parameters);
+        let joints = all.iter().zip(&motion.levers).map(|((axes, approach), levers)| {
             let sds = beside(geometry, unknown, axes, *approach);
-            joints.push(std::array::from_fn(|i| Lever { column: levers[i], sd_rad: sds[i] }));
-            balls.push(chain.ball(&At { axes, sin_cos: &JointSinCos::of(axes), approach: *approach }));
-        }
+            std::array::from_fn(|i| Lever { column: levers[i], sd_rad: sds[i] })
+        });
+        let joints = joints.collect();
+        let BallMotion { jacobian, mut balls, .. } = motion;
         let mut moved = jacobian * &unknown.root;
         take_out_rigid_motion(&mut moved, &balls);
         balls.truncate(poses.len());
@@ -114,8 +106,44 @@ impl Positions {
     }
 }
 
+/// How the tool ball moves at poses.
+pub(super) struct BallMotion {
+    /// By parameters, then by coefficients of the joints' errors: 3 rows a pose, mm per unit.
+    pub(super) jacobian: DMatrix<f64>,
+    /// In the robot base, mm.
+    pub(super) balls: Vec<Vector3<f64>>,
+    /// By the angle of each joint, mm/rad.
+    levers: Vec<[Vector3<f64>; AXES]>,
+}
+
+impl BallMotion {
+    /// At axis angles (rad) with the sense of approach.
+    pub(super) fn new(geometry: &Geometry, poses: &[([f64; AXES], Approach)], ids: &[ParamId]) -> Self {
+        let chain = Chain::new(geometry);
+        let own = ids.len();
+        let mut jacobian = DMatrix::zeros(3 * poses.len(), own + geometry.joint_errors.count());
+        let (mut balls, mut joints) = (Vec::new(), Vec::new());
+        let ids: Vec<ParamId> = ids.iter().copied().chain(Joint::ALL.map(ParamId::Theta)).collect();
+        for (at, (axes, approach)) in poses.iter().enumerate() {
+            let mut levers = [Vector3::zeros(); AXES];
+            chain.ball_jacobian(axes, &ids, |column, moved| match column.checked_sub(own) {
+                None => jacobian.fixed_view_mut::<3, 1>(3 * at, column).copy_from(&moved),
+                Some(joint) => levers[joint] = moved,
+            });
+            let mut column = own;
+            geometry.joint_errors.derivatives(axes, *approach, |place, value| {
+                jacobian.fixed_view_mut::<3, 1>(3 * at, column).copy_from(&(levers[place] * value));
+                column += 1;
+            });
+            joints.push(levers);
+            balls.push(chain.ball(&At { axes, sin_cos: &JointSinCos::of(axes), approach: *approach }));
+        }
+        Self { jacobian, balls, levers: joints }
+    }
+}
+
 /// The standard deviation of each joint's error beside what the root holds, rad.
-fn beside(
+pub(super) fn beside(
     geometry: &Geometry,
     unknown: &RobotUncertainty,
     axes: &[f64; AXES],

@@ -4,13 +4,18 @@
 //! normal; lengths whose whitened rows have the factor R add the rows R root to it: with Q S = [I; R root] the new root
 //! is root S^-1. No matrix is squared, so mm and rad, and what is known well beside what is not known at all, do not
 //! disturb each other.
+//!
+//! Behind the parameters come the coefficients of the joints' errors, where the covariance has them.
 
 use nalgebra::{DMatrix, DVector};
 
 use super::linear_system::LinearSystem;
+use super::pose_rows::LengthNoise;
 use super::priors::Priors;
 use crate::measurement::{LengthModel, PreparedMeasurement, Selection};
-use crate::robot::{AXES, BallId, Coordinate, ParamId, Robot, RobotPosterior, parameter};
+use crate::robot::{
+    AXES, Approach, BallId, Coordinate, ParamId, Robot, RobotPosterior, RobotUncertainty, parameter,
+};
 
 /// Gauss-Newton steps of [`Posterior::learn`]: the model is near the truth, so they settle at once.
 const STEPS: usize = 6;
@@ -38,14 +43,24 @@ impl Posterior {
         Self::with_root(model, ids, DMatrix::from_diagonal(&DVector::from_column_slice(sd)))
     }
 
-    /// Of the parameters `ids` with the covariance root root'.
+    /// Of the parameters `ids`, and the coefficients of the joints' errors in the further rows, with the covariance root
+    /// root'.
     pub(super) fn with_root(model: LengthModel, ids: &[ParamId], root: DMatrix<f64>) -> Self {
         Self { model, ids: ids.to_vec(), selection: Selection::new(ids), root }
     }
 
-    /// Of what an identification left unknown of a robot, about `model`.
-    pub fn of_robot(model: LengthModel, known: &RobotPosterior) -> Self {
-        Self::with_root(model, known.ids(), known.root_of(known.ids()))
+    /// Of what an identification left unknown of a robot, about `model`: with the coefficients of the joints' errors where its
+    /// file has their covariance.
+    pub fn of_robot(model: LengthModel, known: &RobotPosterior, unknown: Option<&RobotUncertainty>) -> Self {
+        let Some(unknown) = unknown else {
+            return Self::with_root(model, known.ids(), known.root_of(known.ids()));
+        };
+        // Another tool ball than that of the identification is in neither.
+        let is_known = |id: &ParamId| !matches!(id, ParamId::Tool(_)) || known.ids().contains(id);
+        let parameters = unknown.parameters.iter().enumerate().filter(|(_, id)| is_known(id));
+        let (mut rows, ids): (Vec<usize>, Vec<ParamId>) = parameters.map(|(row, id)| (row, *id)).unzip();
+        rows.extend(unknown.parameters.len()..unknown.root.nrows());
+        Self::with_root(model, &ids, unknown.root.select_rows(&rows))
     }
 
     /// Before any length: all parameters of the robot and its set-up.
@@ -58,6 +73,11 @@ impl Posterior {
     /// The parameters, in the order of the rows of [`Posterior::root`].
     pub fn ids(&self) -> &[ParamId] {
         &self.ids
+    }
+
+    /// How many coefficients of the joints' errors there are behind the parameters.
+    pub fn coefficients(&self) -> usize {
+        self.root.nrows() - self.ids.len()
     }
 
     /// The root of the covariance: C = root root', mm and rad.
@@ -80,7 +100,7 @@ impl Posterior {
         self.root.row_iter().map(|row| row.norm())
     }
 
-    /// With the covariance of errors added that these columns carry, a row a parameter.
+    /// With the covariance of errors added that these columns carry, a row a row of the root.
     pub(super) fn widened(self, columns: &DMatrix<f64>) -> Self {
         let mut root = DMatrix::zeros(self.root.nrows(), self.root.ncols() + columns.ncols());
         root.columns_mut(0, self.root.ncols()).copy_from(&self.root);
@@ -94,13 +114,16 @@ impl Posterior {
         self.root.tr_mul(&self.derivative(axes, ball))
     }
 
-    /// The derivative of the length from a base ball at `axes` (rad) by the parameters; of no ball, zero.
+    /// The derivative of the length from a base ball at `axes` (rad) in the order of the root's rows; of no ball, zero.
     pub fn derivative(&self, axes: &[f64; AXES], ball: BallId) -> DVector<f64> {
-        let mut picked = DVector::zeros(self.ids.len());
+        let mut picked = DVector::zeros(self.root.nrows());
         if let Some(place) = self.model.balls.get(ball.index()) {
-            let mut row = self.model.geometry.length_row(axes, place, 0.0);
+            let geometry = &self.model.geometry;
+            let mut row = geometry.length_row(axes, place, 0.0);
             row.ball = ball;
-            self.selection.pick(&row, picked.as_mut_slice());
+            let (own, coefficients) = picked.as_mut_slice().split_at_mut(self.ids.len());
+            self.selection.pick(&row, own);
+            row.joint_terms(&geometry.joint_errors, axes, Approach::default(), coefficients);
         }
         picked
     }
@@ -131,26 +154,33 @@ impl Posterior {
         touched
     }
 
-    /// After lengths at these poses, each with standard deviation `sigma_mm`, about the same model. `None` when a number
-    /// is not finite.
-    pub fn after(&self, readings: &[PreparedMeasurement], sigma_mm: f64) -> Option<Self> {
-        let mut system = self.system(&self.model, readings, sigma_mm);
+    /// After lengths at these poses about the same model. `None` when a number is not finite.
+    pub fn after<'a>(
+        &self,
+        readings: &[PreparedMeasurement],
+        noise: impl Into<LengthNoise<'a>>,
+    ) -> Option<Self> {
+        let mut system = self.system(&self.model, readings, noise.into())?;
         let root = root_after(&self.root, &system.factor())?;
         Some(Self { root, ..self.clone() })
     }
 
     /// After these lengths: the likeliest model and its covariance. `None` when a number is not finite.
-    pub fn learn(&self, readings: &[PreparedMeasurement], sigma_mm: f64) -> Option<Self> {
-        self.learnt(readings, sigma_mm).map(|learnt| learnt.found)
+    pub fn learn<'a>(
+        &self,
+        readings: &[PreparedMeasurement],
+        noise: impl Into<LengthNoise<'a>>,
+    ) -> Option<Self> {
+        self.learnt(readings, noise.into()).map(|learnt| learnt.found)
     }
 
     /// The same with the coordinates of the root.
-    pub(super) fn learnt(&self, readings: &[PreparedMeasurement], sigma_mm: f64) -> Option<Learnt> {
+    pub(super) fn learnt(&self, readings: &[PreparedMeasurement], noise: LengthNoise<'_>) -> Option<Learnt> {
         let unknowns = self.root.ncols();
         let mut found = self.clone();
         let mut w = DVector::zeros(unknowns);
         for _ in 0..STEPS {
-            let mut system = self.system(&found.model, readings, sigma_mm);
+            let mut system = self.system(&found.model, readings, noise)?;
             let rows = system.factor() * &self.root;
             let rhs = system.rhs() + &rows * &w;
             let mut stacked = DMatrix::identity(unknowns + rows.nrows(), unknowns);
@@ -162,17 +192,37 @@ impl Posterior {
             w = qr.r().solve_upper_triangular(&right.rows(0, unknowns))?;
             found.root =
                 &self.root * qr.r().solve_upper_triangular(&DMatrix::identity(unknowns, unknowns))?;
-            found.model = self.model.clone();
-            for (id, step) in self.ids.iter().zip((&self.root * &w).iter()) {
-                found.model.shift(*id, *step);
-            }
+            found.model = self.moved(&(&self.root * &w));
         }
         found.root.iter().chain(w.iter()).all(|x| x.is_finite()).then_some(Learnt { found, w })
     }
 
-    fn system(&self, model: &LengthModel, readings: &[PreparedMeasurement], sigma_mm: f64) -> LinearSystem {
-        let sigma = vec![sigma_mm; readings.len()];
-        LinearSystem::at(model, &(readings, sigma.as_slice()), &self.ids)
+    /// The model with its parameters, then the coefficients of the joints' errors, moved by these steps.
+    fn moved(&self, steps: &DVector<f64>) -> LengthModel {
+        let mut model = self.model.clone();
+        self.ids.iter().zip(steps).for_each(|(id, step)| model.shift(*id, *step));
+        if self.coefficients() > 0 {
+            let errors = &self.model.geometry.joint_errors;
+            let further = steps.iter().skip(self.ids.len());
+            let coefficients: Vec<f64> =
+                errors.coefficients().iter().zip(further).map(|(c, step)| c + step).collect();
+            model.geometry.joint_errors = errors.with(coefficients);
+        }
+        model
+    }
+
+    /// `None` where the noise has no inverse.
+    pub(super) fn system(
+        &self,
+        model: &LengthModel,
+        readings: &[PreparedMeasurement],
+        noise: LengthNoise<'_>,
+    ) -> Option<LinearSystem> {
+        if self.coefficients() > 0 {
+            return LinearSystem::by_pose(model, readings, noise, &self.ids);
+        }
+        let sigma = vec![noise.sigma_mm(); readings.len()];
+        Some(LinearSystem::at(model, &(readings, sigma.as_slice()), &self.ids))
     }
 }
 

@@ -19,13 +19,14 @@ use serde::{Deserialize, Serialize};
 use super::estimate::Estimate;
 use super::lengths::Weighted;
 use super::linear_system::factor;
+use super::position::BallMotion;
 use super::prior::PriorRows;
 use super::priors::Prior;
 use super::result::{MapPoint, PredictedPair};
 use super::setting::Setting;
 use crate::catalogue::EstimationFinding;
 use crate::math::{Orthonormal, svd};
-use crate::robot::{AXES, Chain, Geometry, ParamId, Robot, RobotPosterior};
+use crate::robot::{AXES, Approach, Chain, Geometry, ParamId, Robot, RobotPosterior};
 
 /// How many robots are drawn for a prediction, unless more numbers are to be drawn for each.
 const DRAWS: usize = 100;
@@ -86,6 +87,14 @@ impl Workspace {
             });
             positions.push(ball);
         }
+        take_out_rigid_motion(&mut jacobian, &positions);
+        Self { positions, ids: ids.to_vec(), jacobian }
+    }
+
+    /// The same by `ids`, then by the coefficients of the joints' errors.
+    pub fn with_joint_errors(geometry: &Geometry, poses: &[[f64; AXES]], ids: &[ParamId]) -> Self {
+        let poses: Vec<_> = poses.iter().map(|axes| (*axes, Approach::default())).collect();
+        let BallMotion { mut jacobian, balls: positions, .. } = BallMotion::new(geometry, &poses, ids);
         take_out_rigid_motion(&mut jacobian, &positions);
         Self { positions, ids: ids.to_vec(), jacobian }
     }

@@ -13,6 +13,7 @@ use std::collections::BTreeMap;
 
 use nalgebra::{DMatrix, DVector};
 
+use crate::catalogue::EstimationFinding;
 use crate::robot::{AXES, ParamId, Robot, RobotPosterior, Unit};
 
 const TOOL_BALL_MM: f64 = 0.1;
@@ -106,6 +107,32 @@ pub enum Prior {
     Given(BTreeMap<ParamId, f64>),
     /// What the identification of the robot before left unknown; the datasheet's of the rest.
     Posterior,
+}
+
+impl Prior {
+    /// The prior where the user names none, for so many lengths: a robot that was identified before is known as that left
+    /// it; `known` counts the lengths from which it was. Where its file does not hold it, that is lost.
+    ///
+    /// # Errors
+    /// Those of `known`.
+    pub fn continued<E>(
+        robot: &Robot,
+        lengths: usize,
+        known: impl FnOnce() -> Result<usize, E>,
+    ) -> Result<(Self, Option<EstimationFinding>), E> {
+        let lost = match &robot.posterior {
+            Some(posterior) if posterior.is_of(&robot.geometry) => {
+                let known = known()?;
+                if 2 * known <= lengths {
+                    return Ok((Self::Posterior, None));
+                }
+                Some(EstimationFinding::KnownLengths { known, lengths })
+            }
+            Some(_) => Some(EstimationFinding::PosteriorOfOtherValues),
+            None => robot.nominal.as_ref().map(|_| EstimationFinding::PosteriorLost),
+        };
+        Ok((Self::None, lost))
+    }
 }
 
 /// Prior standard deviations and limits of one robot, bar and choice of the user.

@@ -1,6 +1,7 @@
 //! `result.json`, schema 1: the form in which a result is written and read back. Here names become strings.
 
 use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
@@ -11,6 +12,9 @@ use super::result::{
 use super::{
     Combination, Correlation, DistanceQuantities, GroupEvidence, JointSummary, Observability, result,
 };
+use crate::base::files;
+use crate::base::serialised::check_seal;
+use crate::catalogue::ConformityFinding;
 use crate::diagnostic::{Diagnostic, Severity};
 
 /// The whole result; lengths in mm, angles in rad.
@@ -49,6 +53,29 @@ pub struct ResultFile {
     pub joints: Vec<JointEffect>,
     pub outliers: Vec<Outlier>,
     pub warnings: Vec<Warning>,
+}
+
+impl ResultFile {
+    /// Of the text of `file`.
+    ///
+    /// # Errors
+    /// It is no result, or was edited.
+    pub fn from_json(file: &str, text: &str) -> Result<Self, Diagnostic> {
+        check_seal(text).map_err(|finding| Diagnostic::file(file, finding))?;
+        serde_json::from_str(text)
+            .map_err(|error| Diagnostic::file(file, ConformityFinding::Incomplete { why: error.to_string() }))
+    }
+
+    /// The path where the result of a robot file is looked for, and the result there if it is of that robot.
+    ///
+    /// # Errors
+    /// It cannot be read; as [`Self::from_json`].
+    pub fn beside(robot_file: &Path, robot: &str) -> Result<(PathBuf, Option<Self>), Diagnostic> {
+        let path = robot_file.with_file_name("result.json");
+        let text = path.is_file().then(|| files::read(&path)).transpose()?;
+        let result = text.map(|text| Self::from_json(&path.display().to_string(), &text)).transpose()?;
+        Ok((path, result.filter(|result| result.robot == robot)))
+    }
 }
 
 /// What the evidence says of a group of errors.

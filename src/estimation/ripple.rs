@@ -50,20 +50,20 @@ impl Beside<'_> {
     /// The candidate that most speaks for.
     pub(super) fn strongest(&self) -> Option<Candidate> {
         let Self { system, ratio, sigma_mm, .. } = *self;
-        let mut rows = system.rows.clone();
+        let mut rows = system.lines.values.clone();
         system.whiten_all(&mut rows, ratio)?;
         let mut residual = DMatrix::from_column_slice(
             system.right.len(),
             1,
-            (&system.right - &system.rows * self.unknowns).as_slice(),
+            (&system.right - &system.lines.values * self.unknowns).as_slice(),
         );
         system.whiten_all(&mut residual, ratio)?;
         // Rows of the posterior, over sigma^2.
         let known = (rows * self.root).transpose() / (sigma_mm * sigma_mm);
         let mut best: Option<Candidate> = None;
         for order in ORDERS {
-            let mut columns = DMatrix::zeros(system.rows.nrows(), 2 * AXES);
-            for (row, (axes, levers)) in system.axes.iter().zip(&system.levers).enumerate() {
+            let mut columns = DMatrix::zeros(system.lines.values.nrows(), 2 * AXES);
+            for (row, (axes, levers)) in system.lines.axes.iter().zip(&system.lines.levers).enumerate() {
                 for joint in 0..AXES {
                     let (sin, cos) = (f64::from(order) * axes[joint]).sin_cos();
                     columns[(row, 2 * joint)] = levers[joint] * cos;

@@ -15,7 +15,7 @@ const FEWEST: usize = 4;
 
 /// What the table seems to hold instead of millimetres and degrees: the column's name and its unit. The lengths are compared
 /// with those that the nominal robot would give between its ball and the base balls.
-pub fn mistaken(
+pub(super) fn mistaken(
     geometry: &Geometry,
     centres: &[BaseBall],
     rows: &[Measurement],

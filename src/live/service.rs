@@ -35,7 +35,7 @@ pub trait Service: Send + Sync + 'static {
     fn act(&self, act: Act);
     /// Starts a run.
     fn start(&self, request: StartRequest) -> Result<(), Diagnostic>;
-    /// Tells the run to stop.
+    /// Stops the run.
     fn stop(&self) -> Result<(), Diagnostic>;
     /// Writes a remark into the run.
     fn mark(&self, text: String) -> Result<(), Diagnostic>;

@@ -130,19 +130,25 @@ impl Measurements {
                 context: shared(context, before),
             });
         }
-        let file = table.file();
+        Self::new(rows, further).map_err(|finding| Diagnostic::file(table.file(), finding))
+    }
+
+    /// Of these rows, with the further columns that their contexts have.
+    ///
+    /// # Errors
+    /// No row, too many balls or bars, a bar without a length.
+    pub fn new(rows: Vec<Measurement>, columns: Vec<Column>) -> Result<Self, MeasurementFinding> {
         if rows.is_empty() {
-            return Err(Diagnostic::file(file, NoMeasurement));
+            return Err(NoMeasurement);
         }
-        let set = Self { rows, columns: further };
+        let set = Self { rows, columns };
         let (balls, bars) = (set.balls(), set.bars());
         if balls > MOST_BALLS || bars > MOST_BARS {
-            let finding = TooMany { balls, bars, most_balls: MOST_BALLS, most_bars: MOST_BARS };
-            return Err(Diagnostic::file(file, finding));
+            return Err(TooMany { balls, bars, most_balls: MOST_BALLS, most_bars: MOST_BARS });
         }
         match (0..set.bars()).map(BarId::at).find(|bar| set.rows.iter().all(|row| row.bar != *bar)) {
             None => Ok(set),
-            Some(absent) => Err(Diagnostic::file(file, BarWithoutLength { bar: absent.number() })),
+            Some(absent) => Err(BarWithoutLength { bar: absent.number() }),
         }
     }
 

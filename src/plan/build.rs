@@ -7,15 +7,15 @@ use super::recommend::recommendations;
 use super::refusal::Refusal;
 use super::rig::Rig;
 use super::risk::over_run;
-use super::solve::{Branch, runs};
+use super::solve::runs;
 use super::steps::{Step, steps};
 use super::timing::{Pace, move_times};
 use super::{Header, Job, Plan, PlanRow, PlanningPrior, Taught, optimise, orientations, pass};
 use crate::catalogue::PlanFinding;
 use crate::diagnostic::Diagnostic;
 use crate::provenance::Provenance;
-use crate::robot::Robot;
 use crate::robot::inverse::Unsolved;
+use crate::robot::{AXES, Robot};
 
 /// How cautiously poses are chosen.
 #[derive(Clone, Copy)]
@@ -227,16 +227,17 @@ impl Planner<'_> {
             Err(why) => return first_pose(&why),
         };
         let mut failed = None;
-        let mut branches: Vec<Branch> = Vec::new();
+        let mut turns: Vec<(f64, [f64; AXES])> = Vec::new();
         for start in &starts {
             match self.rig.follow(self.job, run, first_index, start) {
-                Ok(branch) => branches.push(branch),
+                Ok(branch) => turns.extend(branch.starts),
                 Err(finding) => failed = failed.or(Some(finding)),
             }
         }
-        branches.sort_by(|a, b| b.margin_deg.total_cmp(&a.margin_deg));
+        turns.sort_by(|(a, _), (b, _)| b.total_cmp(a));
         let mut best: Option<Inspected> = None;
-        for branch in branches.into_iter().take(TRIED) {
+        for (_, start) in turns.into_iter().take(TRIED) {
+            let Ok(branch) = self.rig.follow(self.job, run, first_index, &start) else { continue };
             let inspected = self.inspect(branch.rows, prior, before);
             if inspected.findings.is_empty() && inspected.judge(self.job).iter().all(Check::holds) {
                 return inspected;

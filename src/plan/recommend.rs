@@ -78,7 +78,8 @@ fn passes(job: &Job, rig: &Rig<'_>) -> bool {
         starts.iter().any(|start| {
             rig.follow(job, run, 1, start).is_ok_and(|branch| {
                 let began = branch.rows.first().map(|row| row.status);
-                branch.margin_deg >= MARGIN_DEG && branch.rows.iter().all(|row| Some(row.status) == began)
+                branch.starts.iter().any(|(margin_deg, _)| *margin_deg >= MARGIN_DEG)
+                    && branch.rows.iter().all(|row| Some(row.status) == began)
             })
         })
     })

@@ -4,32 +4,61 @@ use std::ops::Range;
 
 use super::check::unreachable;
 use super::job::Job;
-use super::rig::{Rig, axis_margin_deg};
+use super::rig::Rig;
 use super::steps::Step;
 use super::{Kind, Motion, PlanRow};
 use crate::catalogue::PlanFinding;
-use crate::robot::inverse::{Unsolved, branches, nearest, status, turn, turns_within};
-use crate::robot::{AXES, Pose};
+use crate::robot::inverse::{Unsolved, branches, clearance, nearest, status, turn, turns_within};
+use crate::robot::{AXES, Pose, Robot};
 
 /// Axis angles of a branch along a run of steps.
 pub(crate) struct Branch {
     pub(crate) rows: Vec<PlanRow>,
-    /// Least distance from any limit, degrees: negative outside.
-    pub(crate) margin_deg: f64,
+    /// Where the run may start to be in this branch, rad, each with the least distance of the run from any limit, degrees:
+    /// negative outside.
+    pub(crate) starts: Vec<(f64, [f64; AXES])>,
+}
+
+/// The nearest of a run to the limits.
+struct Extremes {
+    /// Lowest and highest angle of each axis, degrees.
+    range_deg: [[f64; 2]; AXES],
+    /// Least distance of the wrist from its singularity beyond the limit, degrees.
+    wrist_deg: f64,
+}
+
+impl Extremes {
+    fn note(&mut self, robot: &Robot, axes: &[f64; AXES], job: &Job) {
+        for ([low, high], angle) in self.range_deg.iter_mut().zip(axes) {
+            (*low, *high) = (low.min(angle.to_degrees()), high.max(angle.to_degrees()));
+        }
+        if let Some(clear) = clearance(&robot.geometry, axes) {
+            self.wrist_deg = self.wrist_deg.min(clear.wrist.to_degrees() - job.limits.min_a5_deg);
+        }
+    }
+
+    /// The least distance from any limit, each axis turned by so much, rad.
+    fn margin_deg(&self, robot: &Robot, turn: [f64; AXES]) -> f64 {
+        let axes = (0..AXES).map(|i| {
+            let ([low, high], [lowest, highest]) = (robot.limits_deg[i], self.range_deg[i]);
+            (lowest + turn[i].to_degrees() - low).min(high - highest - turn[i].to_degrees())
+        });
+        axes.fold(self.wrist_deg, f64::min)
+    }
 }
 
 impl Rig<'_> {
-    /// The start angles from which a run of steps may be taken: every branch in every turn.
+    /// The branches in which a run of steps may be taken, as angles of its start: those with a turn within the limits.
     ///
     /// # Errors
-    /// The first pose is out of reach, or beyond all limits.
+    /// The first pose is out of reach.
     pub(crate) fn starts(&self, first: &Step) -> Result<Vec<[f64; AXES]>, Unsolved> {
         if let Some(axes) = first.axes {
             return Ok(vec![axes]);
         }
         let all = branches(self.arm, &first.pose)?;
-        let within: Vec<_> =
-            all.iter().flat_map(|axes| turns_within(axes, &self.controller.limits_deg)).collect();
+        let turns = |axes: &&[f64; AXES]| !turns_within(axes, &self.controller.limits_deg).is_empty();
+        let within: Vec<_> = all.iter().filter(turns).copied().collect();
         // Beyond all limits, the findings will say by how much.
         Ok(if within.is_empty() { all } else { within })
     }
@@ -50,7 +79,8 @@ impl Rig<'_> {
         // Where the robot is before the auxiliary points of a pass: these are far away on its circle.
         let mut before_pass = None;
         let mut rows = Vec::with_capacity(steps.len());
-        let mut margin_deg = f64::INFINITY;
+        let range_deg = [[f64::INFINITY, f64::NEG_INFINITY]; AXES];
+        let mut extremes = Extremes { range_deg, wrist_deg: f64::INFINITY };
         for ((index, step), next) in
             (first_index..).zip(steps).zip(steps.iter().skip(1).map(Some).chain([None]))
         {
@@ -68,9 +98,7 @@ impl Rig<'_> {
             near = nearest(&self.controller.geometry, &rounded, &near).map_err(failed)?;
             let axes_deg = near.map(|a| if a.to_degrees().abs() < 1e-6 { 0.0 } else { a.to_degrees() });
             let axes = axes_deg.map(f64::to_radians);
-            margin_deg = margin_deg
-                .min(axis_margin_deg(self.controller, &axes))
-                .min(axes_deg[4].abs() - job.limits.min_a5_deg);
+            extremes.note(self.controller, &axes, job);
             let centre = job.ball(step.centre).map_or([0.0; 3], |table| table.xyz_mm);
             rows.push(PlanRow {
                 index,
@@ -87,7 +115,13 @@ impl Rig<'_> {
                 dwell_s: step.dwell_s,
             });
         }
-        Ok(Branch { rows, margin_deg })
+        let given = steps.first().is_some_and(|first| first.axes.is_some());
+        let within = turns_within(start, &self.controller.limits_deg);
+        let starts = if given || within.is_empty() { vec![*start] } else { within };
+        let margin_deg = |turned: &[f64; AXES]| {
+            extremes.margin_deg(self.controller, std::array::from_fn(|i| turned[i] - start[i]))
+        };
+        Ok(Branch { rows, starts: starts.into_iter().map(|turned| (margin_deg(&turned), turned)).collect() })
     }
 }
 

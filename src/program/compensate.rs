@@ -9,13 +9,11 @@
 
 use nalgebra::Vector3;
 
-use super::{Frames, Target};
+use super::{Frames, Language, Target};
 use crate::catalogue::CompensationFinding;
 use crate::robot::inverse::{self, Unsolved};
 use crate::robot::{AXES, Approach, Geometry, Pose, Robot};
 
-/// Where the robot is before a program: KUKA's home, degrees.
-pub(crate) const HOME_DEG: [f64; AXES] = [0.0, -90.0, 90.0, 0.0, 0.0, 0.0];
 /// An axis that a correction turns further, degrees, is near a singularity.
 const LARGEST_TURN_DEG: f64 = 5.0;
 /// The digits of a pose move an axis by less than this, degrees.
@@ -26,6 +24,8 @@ const ROUNDED_DEG: f64 = 0.005;
 pub enum Branch {
     /// As the target's status and turn say.
     ByStatusAndTurn,
+    /// By ABB's configuration: see [`inverse::quadrants`].
+    ByQuadrants([i32; 4]),
     Nearest,
 }
 
@@ -75,7 +75,7 @@ impl<'a> Corrector<'a> {
             identified: flange(&robot.geometry, off),
             limits_deg: &controller.limits_deg,
             limit_mm,
-            last: HOME_DEG.map(f64::to_radians),
+            last: Language::of_robot(robot).home_deg().map(f64::to_radians),
             approach: Approach::default(),
         }
     }
@@ -114,6 +114,9 @@ impl<'a> Corrector<'a> {
             Target::Pose { xyz_mm, abc_deg, status, turn } => {
                 let flange = frames.flange(&Pose::from_kuka(xyz_mm, abc_deg));
                 let axes = match (commanded.branch, status.zip(turn)) {
+                    (Branch::ByQuadrants(wanted), _) => {
+                        inverse::from_quadrants(&self.nominal, &flange, wanted)
+                    }
                     (Branch::ByStatusAndTurn, Some((status, turn))) => {
                         let bits = (u8::try_from(status & 7), u8::try_from(turn));
                         let (Ok(status), Ok(turn)) = bits else {
@@ -172,6 +175,27 @@ impl<'a> Corrector<'a> {
         printed: &Pose,
         frames: &Frames,
     ) -> Result<u8, CompensationFinding> {
+        Ok(inverse::turn(&self.there(corrected, printed, frames)?))
+    }
+
+    /// ABB's configuration of a corrected target, likewise.
+    pub fn quadrants(
+        &self,
+        corrected: &Corrected,
+        printed: &Pose,
+        frames: &Frames,
+    ) -> Result<[i32; 4], CompensationFinding> {
+        let there = self.there(corrected, printed, frames)?;
+        Ok(inverse::quadrants(&self.nominal.geometry, &there))
+    }
+
+    /// The nominal robot's axis angles at a corrected pose as it is printed, in the branch in which it was taught.
+    fn there(
+        &self,
+        corrected: &Corrected,
+        printed: &Pose,
+        frames: &Frames,
+    ) -> Result<[f64; AXES], CompensationFinding> {
         let geometry = &self.nominal.geometry;
         let there = inverse::nearest(geometry, &frames.flange(printed), &corrected.axes)
             .map_err(|unsolved| CompensationFinding::NominalDoesNotReach { why: unsolved.to_string() })?;
@@ -179,6 +203,6 @@ impl<'a> Corrector<'a> {
         if taught != corrected {
             return Err(CompensationFinding::OtherStatus { taught, corrected });
         }
-        Ok(inverse::turn(&there))
+        Ok(there)
     }
 }

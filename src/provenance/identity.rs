@@ -12,7 +12,15 @@ use crate::diagnostic::Diagnostic;
 /// No text of an identity is longer, characters.
 const MOST_TEXT: usize = 200;
 /// No temperature of a cell is beyond, degrees Celsius.
-const TEMPERATURES_C: [f64; 2] = [-50.0, 100.0];
+const TEMPERATURES_C: [f64; 2] = [-30.0, 60.0];
+/// Lengths of bars, mm.
+const BARS_MM: [f64; 2] = [10.0, 10_000.0];
+/// A bar that is known worse (k = 2) is no standard, mm.
+pub const MOST_LENGTH_U_MM: f64 = 0.5;
+/// Where lengths are certified, degrees Celsius.
+pub const CERTIFIED_C: [f64; 2] = [0.0, 50.0];
+/// Expansion of what bars are made of, 1/K: from nothing (glass ceramics) to plastics.
+const EXPANSIONS_PER_K: [f64; 2] = [0.0, 2e-4];
 
 /// Serial numbers, people, places and circumstances of a measurement, as far as they are stated: a table `[identity]` of
 /// a job or of the service's configuration, or a file of its own.
@@ -136,7 +144,7 @@ impl Temperature {
         check_text("of", Some(&self.of))?;
         check_text("device", self.device.as_ref())?;
         within("celsius", Some(self.celsius), TEMPERATURES_C)?;
-        within("u_k", self.u_k, [0.0, 100.0])
+        within("u_k", self.u_k, [0.0, 20.0])
     }
 }
 
@@ -159,10 +167,10 @@ impl BarIdentity {
     pub fn check(&self) -> Result<(), Wrong> {
         self.texts().into_iter().try_for_each(|(key, text)| check_text(key, text.as_ref()))?;
         check_date("certified_on", self.certified_on.as_ref())?;
-        within("length_mm", self.length_mm, [0.0, 1e5])?;
-        within("length_u_mm", self.length_u_mm, [0.0, 1e5])?;
-        within("temperature_c", self.temperature_c, TEMPERATURES_C)?;
-        within("expansion_per_k", self.expansion_per_k, [-1e-3, 1e-3])
+        within("length_mm", self.length_mm, BARS_MM)?;
+        within("length_u_mm", self.length_u_mm, [f64::MIN_POSITIVE, MOST_LENGTH_U_MM])?;
+        within("temperature_c", self.temperature_c, CERTIFIED_C)?;
+        within("expansion_per_k", self.expansion_per_k, EXPANSIONS_PER_K)
     }
 }
 
@@ -219,6 +227,13 @@ impl Identity {
     pub fn check_all(&self) -> Result<(), Wrong> {
         self.check()?;
         self.bar.check()?;
+        let day = |date: &Option<String>| day_number(date.as_ref()?.split('T').next()?);
+        if let (Some(certified), Some(measured)) = (day(&self.bar.certified_on), day(&self.measured))
+            && certified > measured
+        {
+            let date = self.bar.certified_on.clone().unwrap_or_default();
+            return Err(("certified_on", JobFinding::CertifiedLater { date }));
+        }
         self.temperatures.iter().try_for_each(Temperature::check)
     }
 

@@ -188,6 +188,11 @@ impl Step {
 }
 
 impl DeviceClock {
+    /// Whether the counter went further than a host that reads late can explain, or back.
+    pub(super) fn is_gross(self, from: Stamp, to: Stamp) -> bool {
+        self.step(from, to).is_gross()
+    }
+
     /// The one unwrapping of the counter.
     fn step(self, from: Stamp, to: Stamp) -> Step {
         let host_s = to.host.seconds_since(from.host);

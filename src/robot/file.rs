@@ -1,11 +1,13 @@
 //! The robot file: nominal geometry, limits, speeds, tolerance.
 
+use std::path::Path;
+
 use serde::{Deserialize, Serialize};
 
 use super::kinematics::{DhRow, Geometry, Mass};
 use super::posterior::RobotPosterior;
 use super::uncertainty::RobotUncertainty;
-use super::{AXES, Joint, JointError, JointErrors, Ripple, Smooth};
+use super::{AXES, Joint, JointError, JointErrors, ParamId, Ripple, Smooth};
 use crate::base::parse::from_toml;
 use crate::base::serialised;
 use crate::catalogue::{CliFinding, RobotFinding};
@@ -14,6 +16,12 @@ use crate::provenance::{Artefact, Identity, Provenance, Role, Traced};
 
 /// The robots that come with dbbd: name and file.
 const BUILT_IN: &[(&str, &str)] = include!("../../robots/built-in.rs");
+
+/// A robot with the file that it was read from.
+pub struct RobotRead {
+    pub robot: Robot,
+    pub source: Traced,
+}
 
 #[derive(Clone, Debug, PartialEq)]
 pub struct Robot {
@@ -223,6 +231,22 @@ impl Robot {
         self.repeatability_mm.is_none().then_some(RobotFinding::NoRepeatability { robot })
     }
 
+    /// A robot by built-in name or by file, whose text `file` reads where there is one of this name.
+    ///
+    /// # Errors
+    /// An unknown name, or what is wrong in the file.
+    pub fn named(
+        name: &str,
+        file: impl FnOnce(&Path) -> Option<Result<String, Diagnostic>>,
+    ) -> Result<RobotRead, Diagnostic> {
+        let text = match Self::built_in_file(name) {
+            Some(text) => text.to_owned(),
+            None => file(Path::new(name)).ok_or_else(|| Self::unknown(name))??,
+        };
+        let robot = Self::from_toml(name, &text)?;
+        Ok(RobotRead { source: robot.traced(&text), robot })
+    }
+
     pub fn from_toml(file: &str, text: &str) -> Result<Self, Diagnostic> {
         let parsed: RobotFile = from_toml(file, text)?;
         parsed.into_robot().map_err(|(joint, finding)| {
@@ -242,6 +266,12 @@ impl Robot {
     /// The joints as the file has them.
     pub(crate) fn joint_tables(&self) -> Vec<JointTable> {
         Joint::ALL.into_iter().map(|joint| JointTable::of(self, joint)).collect()
+    }
+
+    /// Gives it another tool ball (flange frame, mm), of which nothing is known from an earlier identification.
+    pub fn set_tool(&mut self, tool_mm: [f64; 3]) {
+        self.geometry.tool = tool_mm.into();
+        self.posterior = self.posterior.take().and_then(|known| known.keeping(ParamId::is_geometric));
     }
 
     /// The robot as its controller knows it: the nominal one, where this one was identified.
@@ -401,10 +431,26 @@ impl JointTable {
 }
 
 impl RobotFile {
+    /// What an arm with another number of axes would need.
+    fn not_six(&self, joints: usize) -> RobotFinding {
+        let needed = match joints {
+            4 => {
+                "an arm of four axes (SCARA, palletiser) needs a linear axis or a coupled one in the model, and poses of four coordinates"
+            }
+            7 => {
+                "an arm of seven axes has a curve of axis angles for a pose: the angle of its elbow would have to be part of every pose"
+            }
+            _ => {
+                "an arm with fewer axes does not reach every orientation, one with more has free axes that would have to be part of every pose"
+            }
+        };
+        RobotFinding::JointCount { robot: self.name.clone(), joints, needed: needed.into() }
+    }
+
     fn joints(&self) -> Result<[&JointTable; AXES], Wrong> {
         let joints: Vec<&JointTable> = self.joint.iter().collect();
-        let joints = <[&JointTable; AXES]>::try_from(joints)
-            .map_err(|joints| (None, RobotFinding::JointCount { joints: joints.len() }))?;
+        let joints =
+            <[&JointTable; AXES]>::try_from(joints).map_err(|joints| (None, self.not_six(joints.len())))?;
         for (at, joint) in joints.iter().enumerate() {
             joint.check(at + 1).map_err(|finding| (Some(at), finding))?;
         }

@@ -16,7 +16,7 @@ pub mod posterior;
 pub mod uncertainty;
 
 pub use chain::{At, Chain, JointSinCos, LengthRow};
-pub use file::Robot;
+pub use file::{Robot, RobotRead};
 pub use ids::{Approach, AxisAngles, BallId, BarId, CircleId, Coordinate, Joint};
 pub use joint_error::{JointError, JointErrors, JointTerm, Ripple, Smooth, TermKind};
 pub use kinematics::{DhRow, Geometry, Mass};

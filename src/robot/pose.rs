@@ -1,6 +1,6 @@
 //! A rigid pose, and KUKA's A, B, C.
 
-use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
+use nalgebra::{Matrix3, Quaternion, Rotation3, UnitQuaternion, Vector3};
 
 /// A frame: `rotation` maps its coordinates to the reference frame's, `position` is its origin there, mm.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -33,6 +33,25 @@ impl Pose {
             ((-r[(0, 1)]).atan2(r[(1, 1)]), 0.0)
         };
         [a, b, c].map(f64::to_degrees)
+    }
+
+    /// From a position in mm and a quaternion, real part first, of any length but zero.
+    pub fn from_quaternion(xyz_mm: [f64; 3], [w, x, y, z]: [f64; 4]) -> Option<Self> {
+        let turn = UnitQuaternion::try_new(Quaternion::new(w, x, y, z), 1e-6)?;
+        Some(Self { rotation: *turn.to_rotation_matrix().matrix(), position: Vector3::from(xyz_mm) })
+    }
+
+    /// Its orientation as a unit quaternion, real part first and not negative.
+    pub fn quaternion(&self) -> [f64; 4] {
+        let turn = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(self.rotation));
+        let sign = if turn.w < 0.0 { -1.0 } else { 1.0 };
+        [turn.w, turn.i, turn.j, turn.k].map(|part| sign * part)
+    }
+
+    /// From a position in mm and a rotation vector: the axis times the angle in rad.
+    pub fn from_rotation_vector(xyz_mm: [f64; 3], turn: [f64; 3]) -> Self {
+        let rotation = *Rotation3::new(Vector3::from(turn)).matrix();
+        Self { rotation, position: Vector3::from(xyz_mm) }
     }
 
     /// This pose followed by `next`, which is given in this one's frame.

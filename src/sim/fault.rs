@@ -58,6 +58,18 @@ faults! {
     away_s: [0.0, 1e9],
     /// Readings are this much further out, mm.
     over_mm: [-1e6, 1e6],
+    /// A packet of the controller's axes is lost, as a probability per packet.
+    axes_drop: [0.0, 1.0],
+    /// It comes twice.
+    axes_double: [0.0, 1.0],
+    /// It is overtaken by the next one.
+    axes_swap: [0.0, 1.0],
+    /// It is spoiled: cut, or of another recipe.
+    axes_spoil: [0.0, 1.0],
+    /// The controller's clock is fast by so many parts per million.
+    axes_drift_ppm: [-1e6, 1e6],
+    /// Packets come so much later, ms.
+    axes_delay_ms: [0.0, 10_000.0],
     /// The mounted bar rocks by so much, micrometres.
     unseated_um: [0.0, 1e6],
     /// A ball creeps by so much in all after mounting, micrometres.

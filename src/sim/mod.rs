@@ -1,5 +1,6 @@
 //! Standing in for hardware: a controller that executes KRL, the true robot, a virtual ball-bar.
 
+pub mod axes;
 pub mod bar;
 pub mod controller;
 mod device;

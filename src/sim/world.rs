@@ -12,7 +12,7 @@ use super::Moment;
 use crate::base::parse::from_toml;
 use crate::catalogue::SimulationFinding;
 use crate::diagnostic::Diagnostic;
-use crate::program::krl::{Program, read_setup};
+use crate::program::Equipped;
 use crate::robot::{AXES, Geometry};
 
 /// The repeatability error of a motion replaces that of the one before within so long, s: no robot jumps.
@@ -30,6 +30,8 @@ pub struct Setup {
     pub repeatability_um: f64,
     /// Play of each axis, degrees: the true axis lags half of it behind the direction of its last move.
     pub backlash_deg: [f64; AXES],
+    /// Time constant with which each axis follows its command, ms: in motion it is behind by its speed times this.
+    pub following_ms: [f64; AXES],
 }
 
 /// The true ball-bar.
@@ -64,6 +66,9 @@ struct WorldFile {
     /// As [`Setup::backlash_deg`]; default 0 for all.
     #[serde(default)]
     backlash_deg: [f64; AXES],
+    /// As [`Setup::following_ms`]; default 0 for all.
+    #[serde(default)]
+    following_ms: [f64; AXES],
 }
 
 #[derive(Deserialize)]
@@ -95,15 +100,13 @@ struct BarTable {
 
 impl Setup {
     /// What `world` (a file's name and its text) says, and for the rest what the program's `.dat` files say.
-    pub fn new(program: &Program, world: Option<(&str, &str)>) -> Result<Self, Diagnostic> {
+    pub fn new(program: &impl Equipped, world: Option<(&str, &str)>) -> Result<Self, Diagnostic> {
         let (name, text) = world.unwrap_or(("WORLD.toml", ""));
         let file: WorldFile = from_toml(name, text)?;
-        Self::of(program, file).map_err(|finding| Diagnostic::file(name, finding))
+        Self::of(&program.setups(), file).map_err(|finding| Diagnostic::file(name, finding))
     }
 
-    fn of(program: &Program, file: WorldFile) -> Result<Self, SimulationFinding> {
-        let data = program.modules.iter().filter_map(|module| module.data.as_ref());
-        let setups: Vec<_> = data.filter_map(read_setup).collect();
+    fn of(setups: &[crate::program::Setup], file: WorldFile) -> Result<Self, SimulationFinding> {
         let mut centres_mm: BTreeMap<u32, [f64; 3]> =
             setups.iter().map(|setup| (setup.ball, setup.centre_mm)).collect();
         // A program that names no ball is about the first.
@@ -142,12 +145,15 @@ impl Setup {
             },
             repeatability_um: file.repeatability_um,
             backlash_deg: file.backlash_deg,
+            following_ms: file.following_ms,
         };
         setup.check()?;
         Ok(setup)
     }
 
-    fn check(&self) -> Result<(), SimulationFinding> {
+    /// # Errors
+    /// A number that cannot be.
+    pub fn check(&self) -> Result<(), SimulationFinding> {
         let Bar { length_mm, stroke_mm: [low_mm, high_mm], noise_um, resolution_um, rate_hz, temperature_c } =
             self.bar;
         let zero_or_more = |value: f64| (0.0..1e6).contains(&value);
@@ -160,6 +166,7 @@ impl Setup {
             ("[bar] temperature_c", temperature_c, temperature_c.is_finite()),
         ];
         let play = self.backlash_deg.iter().map(|play| ("backlash_deg", *play, zero_or_more(*play)));
+        let play = play.chain(self.following_ms.iter().map(|ms| ("following_ms", *ms, zero_or_more(*ms))));
         let centres = self.centres_mm.values().flatten();
         let centres = centres.map(|value| ("[[centre]] xyz_mm", *value, value.is_finite()));
         let taught = self.taught_deg.values().flatten();
@@ -197,6 +204,15 @@ pub struct World {
     /// Last commanded axis angles, and which way each moved last.
     last: Option<[f64; AXES]>,
     direction: [f64; AXES],
+    follower: Option<Follower>,
+}
+
+/// Where the axes are that follow their commands, and the commands at that time.
+#[derive(Clone, Copy, Debug)]
+struct Follower {
+    t_s: f64,
+    commanded: [f64; AXES],
+    axes: [f64; AXES],
 }
 
 impl World {
@@ -215,11 +231,43 @@ impl World {
             since_s: 0.0,
             last: None,
             direction: [0.0; AXES],
+            follower: None,
         }
+    }
+
+    /// The axes as the encoders measure them, rad; moments come in order.
+    pub fn measured(&mut self, moment: &Moment) -> [f64; AXES] {
+        let Moment { t_s, axes: commanded, .. } = *moment;
+        let before = self.follower.unwrap_or(Follower { t_s, commanded, axes: commanded });
+        let dt_s = t_s - before.t_s;
+        let axes = std::array::from_fn(|i| {
+            let lag_s = self.setup.following_ms[i] * 1e-3;
+            if lag_s <= 0.0 || dt_s <= 0.0 {
+                return if lag_s <= 0.0 { commanded[i] } else { before.axes[i] };
+            }
+            // A first-order lag under a command that goes straight from the one before to this.
+            let behind = (commanded[i] - before.commanded[i]) / dt_s * lag_s;
+            let decays = (-dt_s / lag_s).exp();
+            commanded[i] - behind + (before.axes[i] - before.commanded[i] + behind) * decays
+        });
+        self.follower = Some(Follower { t_s, commanded, axes });
+        axes
     }
 
     pub fn setup(&self) -> &Setup {
         &self.setup
+    }
+
+    /// What the bar reads at rest at poses (axis angles, rad), each with the number of its base ball; each is reached by a
+    /// motion of its own.
+    pub fn readings(&mut self, poses: impl IntoIterator<Item = ([f64; AXES], u32)>) -> Vec<Measured> {
+        let at_rest = |(motions, (axes, centre)): (u32, ([f64; AXES], u32))| {
+            let t_s = 2.0 * REPLACED_S * f64::from(motions);
+            let begins = Moment { t_s, axes, centre, strobe: false, motions, halted: false, done: false };
+            self.reading(&begins);
+            self.reading(&Moment { t_s: t_s + REPLACED_S, strobe: true, ..begins })
+        };
+        (1..).zip(poses).map(at_rest).collect()
     }
 
     /// What the bar reads at a moment; moments come in order.
@@ -256,7 +304,7 @@ impl World {
 
     /// The axes behind their play.
     fn true_axes(&mut self, moment: &Moment) -> [f64; AXES] {
-        let mut axes = moment.axes;
+        let mut axes = self.measured(moment);
         for i in 0..AXES {
             let moved = self.last.map_or(0.0, |last| moment.axes[i] - last[i]);
             if moved.abs() > 1e-9 {

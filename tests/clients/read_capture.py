@@ -86,7 +86,7 @@ run, directory = sys.argv[1], Path(sys.argv[2])
 file = Bytes(Path(run).read_bytes())
 header = file.take(16)
 version, check = struct.unpack("<II", header[8:])
-assert header[:8] == b"DBBDCAP\n" and version in (2, 3) and check == crc32c(header[:12])
+assert header[:8] == b"DBBDCAP\n" and version in (2, 3, 4) and check == crc32c(header[:12])
 tables = {
     name: csv.DictReader(open(directory / f"{name}.csv", newline="")) for name in ["samples", "raw", "events", "faults"]
 }
@@ -98,7 +98,7 @@ while file.at < len(file.data):
     assert magic == b"\xdb\xbd\x5a\xa5"
     payload = file.take(length)
     assert struct.unpack("<I", file.take(4))[0] == crc32c(head[4:] + payload)
-    if version == 3:
+    if version >= 3:
         assert kind >= 128 and struct.unpack("<I", payload[:4])[0] == number_of_record % 2**32
         number_of_record += 1
         kind, payload = kind - 128, payload[4:]

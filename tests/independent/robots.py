@@ -5,8 +5,8 @@
 
 writes fixtures/golden/robots.csv with numpy alone. Each robot is written down as its description has it: for
 every joint its place and turn (roll, pitch, yaw) in the frame before and the axis that it turns about, then
-the flange; no DH parameter occurs here. Sources: the ROS-Industrial descriptions of the KUKA, ABB and Staubli
-robots, and the maker's ROS 2 description of the Universal Robots arms.
+the flange; no DH parameter occurs here. Sources: the ROS-Industrial descriptions of the KUKA, ABB, Yaskawa and
+Staubli robots, kroshu's ROS 2 descriptions of the newer KUKA robots, and the maker's ROS 2 description of the Universal Robots arms.
 """
 import math
 from pathlib import Path
@@ -27,6 +27,9 @@ def arm(axes, *places, flange=(0, QUARTER, 0)):
 
 KUKA = (DOWN, Y, Y, BACK, Y, BACK)
 ABB = (Z, Y, Y, X, Y, X)
+YASKAWA = (Z, Y, (0, -1, 0), BACK, (0, -1, 0), BACK)
+STAUBLI = (Z, Y, Y, Z, Y, Z)
+TURNED = (math.pi, -QUARTER, 0)
 
 
 def universal(d1, a2, a3, d4, d5, d6):
@@ -55,6 +58,23 @@ ROBOTS = {
     "tx2-90l": arm(
         (Z, Y, Y, Z, Y, Z), (0, 0, 0), (50, 0, 0), (0, 50, 500), (0, 0, 0), (0, 0, 550), (0, 0, 100), flange=STRAIGHT
     ),
+    "ur3e": universal(151.85, -243.55, -213.2, 131.05, 85.35, 92.1),
+    "ur5e": universal(162.5, -425, -392.2, 133.3, 99.7, 99.6),
+    "ur10e": universal(180.7, -612.7, -571.55, 174.15, 119.85, 116.55),
+    "ur16e": universal(180.7, -478.4, -360, 174.15, 119.85, 116.55),
+    "ur20": universal(236.3, -862, -728.7, 201, 159.3, 154.3),
+    "kr10r1100-2": arm(KUKA, (0, 0, 400), (25, 0, 0), (560, 0, 0), (196, 0, 25), (319, 0, 0), (90, 0, 0)),
+    "kr16r2010-2": arm(KUKA, (0, 0, 0), (160, 0, 520), (980, 0, 0), (0, 0, 150), (860, 0, 0), (153, 0, 0)),
+    "kr20r1810-2": arm(KUKA, (0, 0, 312.7), (160, 0, 207.3), (780, 0, 0), (427, 0, 150), (433, 0, 0), (153, 0, 0)),
+    "kr210r2700-2": arm(KUKA, (0, 0, 0), (330, 0, 645), (1150, 0, 0), (0, 0, 115), (1220, 0, 0), (215, 0, 0)),
+    "irb2600-12-165": arm(ABB, (0, 0, 445), (150, 0, 0), (0, 0, 700), (0, 0, 115), (795, 0, 0), (85, 0, 0)),
+    "irb4600-60-205": arm(ABB, (0, 0, 495), (175, 0, 0), (0, 0, 900), (0, 0, 175), (960, 0, 0), (135, 0, 0)),
+    "irb6700-200-260": arm(ABB, (0, 0, 780), (320, 0, 0), (0, 0, 1125), (0, 0, 200), (1142.5, 0, 0), (200, 0, 0)),
+    # The controllers' frames lie in height of axis 2.
+    "gp12": arm(YASKAWA, (0, 0, 0), (155, 0, 0), (0, 0, 614), (640, 0, 200), (0, 0, 0), (100, 0, 0), flange=TURNED),
+    "gp25": arm(YASKAWA, (0, 0, 0), (150, 0, 0), (0, 0, 760), (0, 0, 200), (795, 0, 0), (100, 0, 0), flange=TURNED),
+    "tx2-60": arm(STAUBLI, (0, 0, 0), (0, 0, 0), (0, 20, 290), (0, 0, 0), (0, 0, 310), (0, 0, 70), flange=STRAIGHT),
+    "tx2-90": arm(STAUBLI, (0, 0, 0), (50, 0, 0), (0, 50, 425), (0, 0, 0), (0, 0, 425), (0, 0, 100), flange=STRAIGHT),
 }
 
 

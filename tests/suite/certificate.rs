@@ -4,6 +4,7 @@ use std::fs;
 use std::path::Path;
 use std::process::Command;
 
+use dbbd::base::serialised;
 use serde_json::Value;
 use tempfile::{TempDir, tempdir};
 
@@ -13,7 +14,7 @@ use crate::cell::{
 
 pub(crate) fn provoked() -> Vec<&'static str> {
     // A letter that the font lacks is tried where the build has a PDF.
-    vec!["E2001", "E2002", "I2003", "I2004", "W2005", "E2006"]
+    vec!["E1808", "E2001", "E2002", "I2003", "I2004", "W2005", "E2006"]
 }
 
 const IDENTITY: &str = "robot = 'KR-1'\nlaboratory = 'Lab <&> 1'\ncountry = 'DE'\noperator = 'A. Example'\ncustomer = 'Plant 7'\n\
@@ -95,6 +96,7 @@ fn three_forms_state_the_result() {
     let mut result = identify(at, "result", &["--estimate", "a1-3,bar", "--prior", "none"]);
     // What so few parameters leave is doubted: that is tried below.
     result["warnings"] = Value::Array(Vec::new());
+    result.as_object_mut().unwrap().remove("sha256");
     fs::write(at.join("result/result.json"), serde_json::to_string_pretty(&result).unwrap()).unwrap();
     let check = "{\"schema\":1,\"robot\":\"KUKA KR 60 HA\",\"lengths\":24,\"decision\":\"pass\",\"rule\":\"guard_band\",\
                  \"tolerance_mm\":0.5,\"position_error_mm\":0.21,\"upper_mm\":0.3,\"guard_band_mm\":0.09,\"specific_risk\":0.01}";
@@ -147,6 +149,20 @@ fn refused_and_doubted(at: &Path) {
         dbbd(at, &[&["certificate", "other.json", "--out", "other"][..], more].concat())
     };
     assert_eq!(codes(&certificate("{}", &[])), ["E2001"]);
+    let sealed = serialised::sealed_json(&serde_json::from_str::<Value>(&text).unwrap()).unwrap();
+    assert_ne!(codes(&certificate(&sealed, &[])), ["E1808"]);
+    assert_eq!(codes(&certificate(&sealed.replacen('1', "2", 1), &[])), ["E1808"]);
+    for wrong in ["[bar]\nlength_u_mm = 2.0", "[bar]\ntemperature_c = 68.0", "[bar]\nexpansion_per_k = -1e-5"]
+    {
+        fs::write(at.join("other.toml"), wrong).unwrap();
+        assert_eq!(certificate(&text, &["--identity", "other.toml"]).status.code(), Some(1), "{wrong}");
+    }
+    fs::write(
+        at.join("other.toml"),
+        IDENTITY.replace("certified_on = '2026-03-01'", "certified_on = '2026-04-01'"),
+    )
+    .unwrap();
+    assert_eq!(codes(&certificate(&text, &["--identity", "other.toml"])), ["E0680"]);
     assert_eq!(codes(&certificate(&text.replace("\"budget\"", "\"no_budget\""), &[])), ["E2001"]);
     let none = certificate(&text.replace("\"operator\"", "\"cell\""), &[]);
     assert!(codes(&none).contains(&"I2004".to_owned()) && none.status.code() == Some(0));

@@ -15,7 +15,10 @@ use crate::cell::{
 use crate::check_campaigns::{SIGMA, calibration, normal};
 
 pub(crate) fn provoked() -> Vec<&'static str> {
-    vec!["E1910", "E1911", "E1912", "E1913", "W1914", "W1915", "W1916", "I1917", "W1918", "I1920", "E0740"]
+    vec![
+        "E1910", "E1911", "E1912", "E1913", "W1914", "W1915", "W1916", "I1917", "W1918", "I1920", "W1921",
+        "W1922", "E0740",
+    ]
 }
 
 /// The lengths of a check as their file; the robot's true errors are those that it was calibrated with.
@@ -134,6 +137,9 @@ fn the_command_decides_and_refuses() {
         assert_eq!(refused.status.code(), Some(1), "{code}: {}", stderr(&refused));
         assert!(codes(&refused).contains(&code.to_owned()), "{code}: {}", stderr(&refused));
     }
+    let blind = check("same.csv", "robot.toml", &["--sigma", "1"]);
+    assert_eq!(blind.status.code(), Some(3), "{}", stderr(&blind));
+    assert!(codes(&blind).contains(&"W1921".to_owned()), "{}", stderr(&blind));
     assert_eq!(check("same.csv", "robot.toml", &["--risk", "0.7"]).status.code(), Some(2));
 }
 

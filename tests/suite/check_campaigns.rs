@@ -64,7 +64,7 @@ impl Bench {
     }
 
     fn known(&self) -> Posterior {
-        Posterior::of_robot(self.start.clone(), self.robot.posterior.as_ref().unwrap())
+        Posterior::of_robot(self.start.clone(), self.robot.posterior.as_ref().unwrap(), None)
     }
 
     fn readings(&self) -> Vec<PreparedMeasurement> {
@@ -188,7 +188,7 @@ fn campaign(robots: usize, seed: u64) -> Counts {
         let change = if changed { drawn_change(number / 2, &mut random) } else { Vec::new() };
         let drawn = Drawn::new(&bench, &change, &mut random);
         let input = bench.input(&drawn.readings);
-        let innovation = Innovation::of(&input.expected().unwrap(), &drawn.readings, SIGMA).unwrap();
+        let innovation = Innovation::of(&input.expected().unwrap(), &drawn.readings, input.noise()).unwrap();
         let found = innovation.test().changed;
         if !changed {
             counts.unchanged += 1;

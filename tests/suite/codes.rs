@@ -24,7 +24,11 @@ const NOT_HERE: &[(&str, &str)] = &[
 fn provoked() -> Vec<&'static str> {
     [
         crate::acquire_reads_the_bar::provoked(),
+        crate::archive::provoked(),
+        crate::fleet_is_estimated::provoked(),
         crate::arrays_are_exact::provoked(),
+        crate::axes_are_recorded::provoked(),
+        crate::axes_show_the_poses::provoked(),
         crate::bars_on_the_network::provoked(),
         crate::captures_are_joined::provoked(),
         crate::capture_is_taken_away::provoked(),
@@ -55,6 +59,7 @@ fn provoked() -> Vec<&'static str> {
         crate::plans_read_back::provoked(),
         crate::programs_of_other_makes::provoked(),
         crate::provenance::provoked(),
+        crate::rapid_and_urscript::provoked(),
         crate::refuses_bad_input::provoked(),
         crate::reversal_steps_hold::provoked(),
         crate::report_is_self_contained::provoked(),

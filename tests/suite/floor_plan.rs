@@ -15,7 +15,7 @@ pub(crate) const TABLE: &[(&str, &[&str])] = &[
     ("provenance", &[]),
     ("robot", &["provenance"]),
     ("measurement", &["robot"]),
-    ("device", &["measurement"]),
+    ("device", &["robot", "measurement"]),
     ("estimation", &["robot", "measurement"]),
     ("design", &["robot", "measurement", "estimation"]),
     ("plan", &["provenance", "robot", "measurement", "estimation", "design"]),
@@ -39,14 +39,16 @@ pub(crate) const TABLE: &[(&str, &[&str])] = &[
         ],
     ),
     ("live", &[]),
+    ("archive", &["provenance", "robot", "measurement", "estimation", "recording", "live"]),
     ("sim", &["robot", "measurement", "device", "program"]),
-    ("daemon", &["provenance", "robot", "measurement", "device", "plan", "recording", "live"]),
+    ("daemon", &["provenance", "robot", "measurement", "device", "plan", "recording", "live", "archive"]),
 ];
 
 /// Modules that do no input or output, read no clock and print nothing.
 const PURE: &[&str] = &[
     "robot",
     "measurement",
+    "device/axes",
     "device/protocol",
     "estimation",
     "design",
@@ -54,6 +56,7 @@ const PURE: &[&str] = &[
     "program",
     "circular",
     "conformity",
+    "recording/axes",
     "recording/matching",
     "recording/import",
     "report",

@@ -133,11 +133,7 @@ fn a_check_of_the_real_robot_passes_and_names_a_joint_that_moved() {
     for (name, text) in [("calibration.csv", &calibration), ("check.csv", &check), ("moved.csv", &moved)] {
         fs::write(at.join(name), text).unwrap();
     }
-    identify(
-        at,
-        &at.join("calibration.csv"),
-        &["--robot", "kr60ha", "--tool", "0,0,104", "--prior", "datasheet", "--model", "geometric"],
-    );
+    identify(at, &at.join("calibration.csv"), &["--robot", "kr60ha", "--tool", "0,0,104"]);
     let run = |lengths: &str| {
         let robot = ["check", lengths, "--robot", "out/robot-identified.toml", "--centres", "C.csv"];
         let output = dbbd(at, &[&robot[..], &["--out", "check", "--bar-u", "0.001"]].concat());

@@ -60,7 +60,10 @@ pub(crate) fn provoked() -> Vec<&'static str> {
         "E0180", "W0480", "E0880", "I0881", "W0882", "E0980", "E1180", "W1181", "W1280", "W1281", "W1282",
         "W0481",
     ];
-    jobs.chain(robots).chain(more).chain(["W1312", "W1381", "W1382", "W1480", "W1805", "E0730"]).collect()
+    jobs.chain(robots)
+        .chain(more)
+        .chain(["W1312", "W1381", "W1382", "W1480", "E1481", "W1805", "E0730"])
+        .collect()
 }
 
 #[test]
@@ -276,5 +279,8 @@ fn corrections_and_circles() {
     );
     says(&circle("equal.csv", &|_| 300.0, &["--radius", "300"]), 3, "W1480");
     says(&circle("c.csv", &round, &["--radius", "300", "c.csv"]), 3, "W1805");
-    assert_eq!(circle("c.csv", &round, &["--radius", "300", "--sigma", "2"]).status.code(), Some(2));
+    says(&circle("c.csv", &round, &["--radius", "300", "--plan", "plan.csv"]), 1, "E1481");
+    for wrong in [["--sigma", "2"], ["--certified", "293.15"]] {
+        assert_eq!(circle("c.csv", &round, &wrong).status.code(), Some(2));
+    }
 }

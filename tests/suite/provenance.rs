@@ -5,7 +5,7 @@ use std::path::Path;
 use std::process::Output;
 
 use dbbd::base::hash::sha256;
-use dbbd::program::krl;
+use dbbd::program::{self, Language};
 use dbbd::provenance::{Artefact, Provenance, Role, VERSION};
 use dbbd::recording::capture::{self, Record, Writer};
 use dbbd::robot::Robot;
@@ -282,10 +282,10 @@ fn a_run_of_another_robot_or_older_than_the_calibration_is_seen() {
 #[test]
 fn the_header_of_a_program_holds_any_name() {
     let chain = Provenance::of([&Artefact::new(Role::Robot, "Käfer \"7\"; €\n𝄞", "x").into()]);
-    let program = krl::stamped("&ACCESS RVP\r\nDEF P ( )\r\nEND\r\n", &chain).unwrap();
+    let program = program::stamped(Language::Krl, "&ACCESS RVP\r\nDEF P ( )\r\nEND\r\n", &chain).unwrap();
     assert!(program.is_ascii() && program.starts_with("&ACCESS RVP\r\nDEF P ( )\r\n; made by"), "{program}");
-    assert_eq!(krl::provenance("p.src", &program).unwrap(), chain);
-    assert_eq!(krl::stamped(&program, &chain).unwrap(), program);
+    assert_eq!(program::provenance("p.src", &program).unwrap(), chain);
+    assert_eq!(program::stamped(Language::Krl, &program, &chain).unwrap(), program);
 }
 
 /// A record that is damaged could hide a second correction.

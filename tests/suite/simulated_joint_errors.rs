@@ -1,11 +1,16 @@
 //! Robots with drawn errors of their joints: how far the predicted position uncertainty is right, and what looking for
 //! them costs a robot that has none. Campaigns; figures in docs/explanation/accuracy.md.
 
+use dbbd::conformity::{CheckInput, Rule};
+use dbbd::estimation::change::{Innovation, Mounting};
 use dbbd::estimation::result::CalibrationResult;
 use dbbd::estimation::{ErrorModel, Options, Positions, Prior};
-use dbbd::measurement::{ApproachedPose, BaseBall, Measurement, Measurements};
+use dbbd::measurement::{
+    ApproachedPose, BaseBall, LengthModel, Measurement, Measurements, PreparedMeasurement,
+};
 use dbbd::robot::{
-    Approach, AxisAngles, BallId, BarId, JointError, JointErrors, Ripple, Robot, RobotUncertainty, Smooth,
+    Approach, AxisAngles, BallId, BarId, Joint, JointError, JointErrors, ParamId, Ripple, Robot,
+    RobotUncertainty, Smooth,
 };
 use dbbd::sim::truth;
 use nalgebra::{DMatrix, DVector, Vector3};
@@ -196,4 +201,67 @@ fn forty_drawn_robots_and_three_balls() {
 #[ignore = "80 identifications: see docs/explanation/accuracy.md"]
 fn forty_drawn_robots_and_one_ball() {
     campaign(40, 140, 1);
+}
+
+/// Standard deviations with which tool ball and bar are mounted again, mm.
+const MOUNTED: Mounting = Mounting { tool_mm: 0.01, ball_mm: None, bar_mm: 0.005 };
+
+/// Checks of a calibrated robot with errors of its joints at new poses: `checks` without a change, as many with a joint
+/// offset of axis 3 by 0.03 degrees; those that report a change.
+fn checked(seed: u64, checks: u64, balls: usize) -> [u64; 2] {
+    let truth = drawn(seed);
+    let result = identified(&lengths(&truth, 70, 3, 1000 + seed), 3, ErrorModel::Joints);
+    let centres: Vec<BaseBall> =
+        (0..balls).map(|at| BaseBall { id: BallId::at(at), position: BALLS[at].into() }).collect();
+    let start = LengthModel::new(result.robot.geometry.clone(), &centres);
+    let mut random = Pcg64::seed_from_u64(seed);
+    let mut found = [0, 0];
+    for check in 0..checks {
+        for (count, change) in found.iter_mut().zip([0.0, 0.03_f64.to_radians()]) {
+            let mut mounted = truth.clone();
+            *mounted.geometry.value_mut(ParamId::Theta(Joint::J3)).unwrap() += change;
+            for axis in 0..3 {
+                mounted.geometry.tool[axis] += MOUNTED.tool_mm * random.sample::<f64, _>(StandardNormal);
+            }
+            let data = lengths(&mounted, 24 / balls, balls, 77 * seed + 1000 * check + 5);
+            let readings: Vec<PreparedMeasurement> =
+                data.rows.iter().map(PreparedMeasurement::from).collect();
+            let input = CheckInput {
+                robot: &result.robot,
+                start: &start,
+                readings: &readings,
+                bars: 1,
+                sigma_mm: result.sigma.mm,
+                mounting: MOUNTED,
+                tolerance_mm: None,
+                rule: Rule::GuardBand { risk: 0.05 },
+                workspace: &[],
+            };
+            let innovation = Innovation::of(&input.expected().unwrap(), &readings, input.noise()).unwrap();
+            *count += u64::from(innovation.test().changed);
+        }
+    }
+    found
+}
+
+#[test]
+fn a_check_takes_what_is_not_known_of_the_joints_errors() {
+    let [alarms, found] = checked(3, 4, 3);
+    assert!(alarms <= 1 && found >= 3, "{alarms} {found}");
+}
+
+#[test]
+#[ignore = "a campaign: see docs/explanation/check.md"]
+fn checks_of_robots_with_errors_of_joints() {
+    for balls in [1, 3] {
+        let robots: Vec<u64> = (1..=40).filter(|seed: &u64| !seed.is_multiple_of(4)).collect();
+        let found: Vec<[u64; 2]> = robots.iter().map(|seed| checked(*seed, 10, balls)).collect();
+        let sum = |at: usize| found.iter().map(|of| of[at]).sum::<u64>();
+        eprintln!(
+            "{balls} balls: of {} checks each {} false alarms, {} changes found",
+            10 * robots.len(),
+            sum(0),
+            sum(1)
+        );
+    }
 }

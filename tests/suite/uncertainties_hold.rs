@@ -257,9 +257,6 @@ fn the_repeatability_is_asked_for() {
         let output = dbbd(dir.path(), &args);
         assert_eq!(codes(&output).iter().any(|code| code == "I0510"), asked, "{}", stderr(&output));
     }
-    for (name, text) in Robot::built_in() {
-        assert!(Robot::from_toml(name, text).unwrap().repeatability_mm.is_some(), "{name}");
-    }
     let impossible = toml.replace("repeatability_mm = 0.05", "repeatability_mm = -0.05");
     assert_eq!(Robot::from_toml("robot.toml", &impossible).unwrap_err().code.0, "E0505");
 }

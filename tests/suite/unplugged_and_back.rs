@@ -267,7 +267,7 @@ fn accounts_for_every_byte(capture: &capture::Capture) {
                 let fault: serde_json::Value = serde_json::from_slice(json).unwrap();
                 explained += fault["bytes"].as_u64().unwrap();
             }
-            Record::Attachment { .. } | Record::Event(_) => {}
+            Record::Attachment { .. } | Record::Axes(_) | Record::Event(_) => {}
         }
     }
     assert_eq!(received, explained);

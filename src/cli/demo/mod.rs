@@ -7,7 +7,6 @@ use std::path::PathBuf;
 use super::child::{LOOPBACK, Steps};
 use super::{Outcome, Output};
 use crate::base::files;
-use crate::catalogue::CliFinding;
 use crate::diagnostic::Diagnostic;
 use crate::estimation::ResultFile;
 use crate::robot::Robot;
@@ -79,9 +78,8 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     ];
     steps.run(&identify)?;
 
-    let text = files::read(&dir.join("result/result.json"))?;
-    let result: ResultFile =
-        serde_json::from_str(&text).map_err(|error| CliFinding::NotJson { why: error.to_string() })?;
+    let path = dir.join("result/result.json");
+    let result = ResultFile::from_json(&path.display().to_string(), &files::read(&path)?)?;
     let path = dir.join("result/robot-identified.toml");
     let identified = Robot::from_toml(&path.display().to_string(), &files::read(&path)?)?;
     let comparison = truth.compare(&result, &identified)?;

@@ -8,7 +8,9 @@ use super::{Unfinished, unwritten};
 use crate::cli::info;
 use crate::device::protocol::{Fault, FaultKind};
 use crate::diagnostic::Diagnostic;
+use crate::recording::axes::AxesRecords;
 use crate::recording::capture::{Event, Record, Stamped};
+use crate::robot::AXES;
 
 /// One table for each kind of record.
 pub(super) struct Tables {
@@ -17,6 +19,10 @@ pub(super) struct Tables {
     events: Table,
     gaps: Table,
     faults: Table,
+    /// Made when there are axes.
+    axes: Option<Table>,
+    received: AxesRecords,
+    directory: PathBuf,
 }
 
 struct Table {
@@ -25,6 +31,9 @@ struct Table {
     writer: csv::Writer<BufWriter<File>>,
     rows: u64,
 }
+
+const AXES_COLUMNS: &str = "host_ns,ticks,place,a1_deg,a2_deg,a3_deg,a4_deg,a5_deg,a6_deg,commanded1_deg,commanded2_deg,\
+commanded3_deg,commanded4_deg,commanded5_deg,commanded6_deg";
 
 /// A table that is whole.
 pub(super) struct Written {
@@ -50,13 +59,16 @@ impl Tables {
             events: table("events.csv", "host_ns,event,detail_json")?,
             gaps: table("gaps.csv", "host_ns,seconds,missing,reason")?,
             faults: table("faults.csv", "host_ns,kind,word,offset,bytes,count")?,
+            axes: None,
+            received: AxesRecords::default(),
+            directory: directory.to_owned(),
         })
     }
 
     /// Ends the tables.
     pub(super) fn finish(self) -> Result<Vec<Written>, Diagnostic> {
-        let Self { samples, raw, events, gaps, faults } = self;
-        [samples, raw, events, gaps, faults].into_iter().map(Table::finish).collect()
+        let Self { samples, raw, events, gaps, faults, axes, .. } = self;
+        [samples, raw, events, gaps, faults].into_iter().chain(axes).map(Table::finish).collect()
     }
 
     pub(super) fn add(&mut self, stamped: &Stamped) -> Result<(), Diagnostic> {
@@ -80,6 +92,7 @@ impl Tables {
                     sample.offset.to_string(),
                 ])
             }),
+            Record::Axes(_) => self.add_axes(stamped),
             Record::Fault(json) => {
                 let fault: Fault = serde_json::from_slice(json).map_err(|error| self.faults.wrong(&error))?;
                 let word = match &fault.kind {
@@ -98,9 +111,25 @@ impl Tables {
                 let mut value = serde_json::to_value(event).map_err(|error| self.events.wrong(&error))?;
                 let name = value.as_object_mut().and_then(|object| object.remove("event"));
                 let name = name.as_ref().and_then(|name| name.as_str()).unwrap_or_default().to_owned();
+                self.received.add(stamped.host, &stamped.record, |_, _, _| {});
                 self.events.row([host, name, value.to_string()])
             }
         }
+    }
+
+    fn add_axes(&mut self, stamped: &Stamped) -> Result<(), Diagnostic> {
+        let mut samples = Vec::new();
+        self.received.add(stamped.host, &stamped.record, |place, _, sample| samples.push((place, sample)));
+        let table = match &mut self.axes {
+            Some(table) => table,
+            none => none.insert(Table::create(&self.directory, "axes.csv", AXES_COLUMNS)?),
+        };
+        samples.into_iter().try_for_each(|(place, sample)| {
+            let commanded = sample.commanded_deg.map_or([None; AXES], |axes| axes.map(Some));
+            let head = [stamped.host.0.to_string(), sample.ticks.0.to_string(), place.word().to_owned()];
+            let measured = sample.measured_deg.map(|deg| deg.to_string());
+            table.row(head.into_iter().chain(measured).chain(commanded.map(cell)))
+        })
     }
 }
 
@@ -113,7 +142,7 @@ impl Table {
         Ok(Self { name, file, writer, rows: 0 })
     }
 
-    fn row<const N: usize>(&mut self, cells: [String; N]) -> Result<(), Diagnostic> {
+    fn row(&mut self, cells: impl IntoIterator<Item = String>) -> Result<(), Diagnostic> {
         self.rows += 1;
         self.writer.write_record(cells).map_err(|error| self.wrong(&error))
     }

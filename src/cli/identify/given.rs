@@ -4,19 +4,16 @@ use std::path::Path;
 
 use super::LENGTHS;
 use super::inputs::observations;
-use crate::catalogue::MeasurementFinding::{self, OtherUnit};
-use crate::catalogue::{ConformityFinding, EstimationFinding, ProvenanceFinding};
+use crate::catalogue::{ConformityFinding, EstimationFinding, MatchingFinding, ProvenanceFinding};
 use crate::cli::Output;
-use crate::cli::robots::{self, RobotRead};
+use crate::cli::robots;
 use crate::diagnostic::{Diagnostic, Finding, Severity};
-use crate::estimation::{AngleSource, CalibrationResult, Prior, mistaken_unit};
-use crate::math::robust::median;
+use crate::estimation::{AngleSource, CalibrationResult, Prior, check_lengths, doubts};
 use crate::measurement::{BaseBall, Measurements};
 use crate::provenance::{Artefact, Difference, Provenance, Role, Traced};
 use crate::recording::matching::PoseMatching;
 use crate::recording::run::{self, Predicted, Run};
-use crate::robot::parameter::SetUp;
-use crate::robot::{AXES, BallId, BarId, Robot};
+use crate::robot::{AXES, BallId, BarId, Robot, RobotRead};
 
 /// Least standard deviation with which a predicted length speaks in the alignment, mm.
 const LEAST_SIGMA_MM: f64 = 0.02;
@@ -77,9 +74,7 @@ impl Given {
         };
         let (mut robot, mut sources) = (robot(named.robot, run, &lengths, out)?, Vec::new());
         if let Some(tool) = named.tool {
-            let RobotRead { robot, .. } = &mut robot;
-            robot.geometry.tool = tool.into();
-            robot.posterior = robot.posterior.take().and_then(|known| known.keeping(|id| id.is_geometric()));
+            robot.robot.set_tool(tool);
         }
         let centres = match (named.centres, run) {
             (Some(path), _) => {
@@ -91,16 +86,13 @@ impl Given {
         };
         let RobotRead { robot, source } = robot;
         check_lengths(&input, &observations, &robot, &centres)?;
-        findings.extend(robot.asked_repeatability().map(Diagnostic::from));
-        let doubts = [
-            observations.without_sigma(),
-            observations.beyond(&robot.controller().limits_deg),
-            far_rows(&observations, &robot, &centres),
-        ];
-        findings.extend(doubts.into_iter().flatten().map(|doubt| Diagnostic::file(&input, doubt)));
+        findings.extend(doubts(&input, &observations, &robot, &centres));
         let of_run = joined.as_ref().map_or_else(Vec::new, |(run, matching)| of_run(run, matching, &robot));
-        let axes = match run {
-            Some(run) if run.axes_deg.is_empty() => AngleSource::Commanded,
+        let measured = |(run, matching): &(Box<Run>, PoseMatching)| {
+            !run.axes_deg.is_empty() || matching.axes.as_ref().is_some_and(|axes| axes.measured > 0)
+        };
+        let axes = match &joined {
+            Some(joined) if !measured(joined) => AngleSource::Commanded,
             _ => AngleSource::Given,
         };
         // The job has it expanded, k = 2.
@@ -135,19 +127,10 @@ impl Given {
     /// # Errors
     /// The lengths beside the robot's file cannot be read.
     pub(super) fn continued(&mut self, robot_file: Option<&str>, out: &Output) -> Result<Prior, Diagnostic> {
-        let lost = match &self.robot.posterior {
-            Some(known) if known.is_of(&self.robot.geometry) => {
-                let known = self.known_lengths(robot_file, out)?;
-                if 2 * known <= self.observations.rows.len() {
-                    return Ok(Prior::Posterior);
-                }
-                Some(EstimationFinding::KnownLengths { known, lengths: self.observations.rows.len() })
-            }
-            Some(_) => Some(EstimationFinding::PosteriorOfOtherValues),
-            None => self.robot.nominal.as_ref().map(|_| EstimationFinding::PosteriorLost),
-        };
+        let known = || self.known_lengths(robot_file, out);
+        let (prior, lost) = Prior::continued(&self.robot, self.observations.rows.len(), known)?;
         self.findings.extend(lost.map(Diagnostic::from));
-        Ok(Prior::None)
+        Ok(prior)
     }
 
     /// How many of the lengths are among those beside the robot's file, from which it was identified.
@@ -217,48 +200,18 @@ fn robot(
 /// Parts of the run that were lost, poses that were dropped, and another robot than the plan's.
 fn of_run(run: &Run, matching: &PoseMatching, robot: &Robot) -> Vec<Diagnostic> {
     let torn = run.doubtful.then(|| EstimationFinding::PartOfRunLost.into());
-    let warnings = matching.findings.iter().filter(|finding| finding.code().severity() == Severity::Warning);
+    let is_axes = |finding: &MatchingFinding| {
+        matches!(
+            finding,
+            MatchingFinding::AxesMeasured { .. } | MatchingFinding::AxesMeasuredLagUnknown { .. }
+        )
+    };
+    let warnings = matching
+        .findings
+        .iter()
+        .filter(|finding| finding.code().severity() == Severity::Warning || is_axes(finding));
     let planned = run.robot().ok().map(|planned| planned.name).filter(|name| *name != robot.name);
     let other = planned
         .map(|planned| EstimationFinding::PlannedForAnother { planned, given: robot.name.clone() }.into());
     torn.into_iter().chain(warnings.cloned().map(Diagnostic::from)).chain(other).collect()
-}
-
-/// Rows whose lengths are far from where robot and balls have them, while the others are near: single typing errors, which can
-/// spoil a whole result.
-fn far_rows(observations: &Measurements, robot: &Robot, centres: &[BaseBall]) -> Option<MeasurementFinding> {
-    /// Balls may be given to centimetres, mm.
-    const FAR_MM: f64 = 100.0;
-    /// Where more are far, robot or balls are others.
-    const FEW: f64 = 0.2;
-    let off = observations.rows.iter().map(|row| {
-        let centre = &centres.get(row.ball.index())?.position;
-        Some((row.index, (row.length_mm - robot.geometry.length(&row.axes.radians(), centre, 0.0)).abs()))
-    });
-    let off: Vec<(u32, f64)> = off.collect::<Option<_>>()?;
-    let usual_mm = median(&mut off.iter().map(|(_, off_mm)| *off_mm).collect::<Vec<_>>())?;
-    let far: Vec<_> =
-        off.iter().filter(|(_, off_mm)| *off_mm > usual_mm + FAR_MM || off_mm.is_nan()).collect();
-    let &&(index, off_mm) = far.first()?;
-    ((far.len() as f64) < FEW * off.len() as f64).then_some(MeasurementFinding::FarLengths {
-        rows: far.len(),
-        index,
-        off_mm,
-    })
-}
-
-/// Every observation must have its ball, in millimetres and degrees.
-pub(super) fn check_lengths(
-    file: &str,
-    observations: &Measurements,
-    robot: &Robot,
-    centres: &[BaseBall],
-) -> Result<(), Diagnostic> {
-    observations.check(file, SetUp { balls: centres.len(), bars: observations.bars() })?;
-    match mistaken_unit(&robot.geometry, centres, &observations.rows) {
-        Some((columns, unit)) => {
-            Err(Diagnostic::file(file, OtherUnit { columns: columns.into(), unit: unit.into() }))
-        }
-        None => Ok(()),
-    }
 }

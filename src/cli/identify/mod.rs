@@ -15,7 +15,7 @@ use crate::catalogue::{EstimationFinding, ProvenanceFinding};
 use crate::conformity::Budget;
 use crate::design::calibrate;
 use crate::diagnostic::Diagnostic;
-use crate::estimation::{CalibrationResult, ErrorModel, Input, Options, Prior, ResultFile};
+use crate::estimation::{CalibrationResult, ErrorModel, Input, Options, Prior, ResultFile, check_lengths};
 use crate::measurement::{LengthModel, Measurements};
 use crate::provenance::{Artefact, Provenance, Role};
 use crate::report::calibration;
@@ -23,7 +23,6 @@ use crate::robot::parameter::{self, SetUp};
 pub(crate) use inputs::observations;
 pub(crate) use tables::{LENGTHS, ROBOT};
 
-use given::check_lengths;
 pub(crate) use given::{Given, Named};
 pub(crate) use inputs::parse_point;
 use inputs::read_prior;
@@ -207,18 +206,6 @@ fn find(
     Ok(calibrate(&input, given.findings())?)
 }
 
-/// What no identification can follow, though each value alone is possible.
-fn check_options(args: &Args, prior: &Prior, given: &Given) -> Result<(), EstimationFinding> {
-    let lengths = given.observations.rows.len();
-    if let Some(folds) = args.folds.filter(|folds| *folds == 1 || *folds > lengths) {
-        return Err(EstimationFinding::NoFolds { folds, lengths });
-    }
-    match prior {
-        Prior::Given(sd) if sd.is_empty() => Err(EstimationFinding::EmptyPrior),
-        _ => Ok(()),
-    }
-}
-
 fn options(args: &Args, given: &mut Given, set_up: SetUp, out: &Output) -> Result<Options, Diagnostic> {
     let prior = match args.prior.as_deref() {
         None => given.continued(args.robot.as_deref(), out)?,
@@ -230,12 +217,11 @@ fn options(args: &Args, given: &mut Given, set_up: SetUp, out: &Output) -> Resul
         },
         Some(file) => Prior::Given(out.table(Path::new(file), |table| read_prior(table, set_up))?),
     };
-    check_options(args, &prior, given)?;
     let betas = given.robot.parallel_joints();
     let list = |text: &Option<String>| {
         text.as_deref().map(|text| parameter::parse_list(text, &betas, set_up)).transpose()
     };
-    Ok(Options {
+    let options = Options {
         estimate: list(&args.estimate)?,
         hold: list(&args.hold)?.unwrap_or_default(),
         sigma_mm: args.sigma,
@@ -248,5 +234,7 @@ fn options(args: &Args, given: &mut Given, set_up: SetUp, out: &Output) -> Resul
         folds: args.folds,
         workspace: args.workspace.as_deref().map(|path| out.table(path, read_workspace)).transpose()?,
         bar_u_mm: given.bar_u_mm,
-    })
+    };
+    options.check(given.observations.rows.len())?;
+    Ok(options)
 }

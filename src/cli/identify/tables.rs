@@ -10,7 +10,7 @@ use crate::conformity::Budget;
 use crate::diagnostic::Diagnostic;
 use crate::estimation::{CalibrationResult, JointPoint, Posterior, ResultFile, joint_curve};
 use crate::measurement::Measurements;
-use crate::program::krl;
+use crate::program::{self, Language};
 use crate::provenance::{Artefact, Provenance, Role};
 use crate::report::export::{frames, mastering, urdf};
 use crate::robot::{Joint, Robot};
@@ -51,7 +51,7 @@ pub(super) fn write_results(
     files::write_pieces(&lengths, observations.csv_pieces(|place| found.uses(place)))?;
     provenance.add(&Artefact::file(Role::Measurements, &lengths)?);
     let recorded = Recorded { result: &file, budget, provenance: &provenance };
-    files::write(&dir.join("result.json"), serialised::json(&recorded)? + "\n")?;
+    files::write(&dir.join("result.json"), serialised::sealed_json(&recorded)?)?;
     let robot = Robot { provenance: provenance.clone(), ..found.robot.clone() };
     files::write(&dir.join(ROBOT), robot.to_toml()?)?;
     let parameters =
@@ -126,7 +126,10 @@ fn hand_back(dir: &Path, found: &CalibrationResult, provenance: &Provenance) -> 
     let offsets = mastering::offsets(found);
     files::write(&dir.join("mastering.csv"), mastering::csv(&offsets)?)?;
     let data = frames::data_list(&found.robot.name, &frames::frames(found), &offsets);
-    files::write(&dir.join(format!("{}.dat", frames::MODULE)), krl::stamped(&data, provenance)?)?;
+    files::write(
+        &dir.join(format!("{}.dat", frames::MODULE)),
+        program::stamped(Language::Krl, &data, provenance)?,
+    )?;
     Ok(())
 }
 

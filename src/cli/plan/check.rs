@@ -3,15 +3,15 @@
 use super::{Args, Known};
 use crate::catalogue::ConformityFinding;
 use crate::cli::Output;
-use crate::cli::check::{Noise, TOOL_REPEAT_MM};
+use crate::cli::check::Noise;
 use crate::conformity::{CheckInput, Rule};
 use crate::diagnostic::Diagnostic;
 use crate::estimation::change::{CheckPower, Mounting};
 use crate::estimation::result::MapPoint;
-use crate::estimation::{Options, Priors, length_sd_mm};
+use crate::estimation::{Options, length_sd_mm};
 use crate::measurement::{LengthModel, PreparedMeasurement};
 use crate::plan::{Job, Kind, Plan, PlanRow, PlanningPrior};
-use crate::robot::{AXES, BarId, ParamId, Robot, Unit};
+use crate::robot::{AXES, Robot, Unit};
 
 /// The check that is planned, but for its poses.
 pub(super) struct PlannedCheck<'a> {
@@ -32,15 +32,14 @@ impl<'a> PlannedCheck<'a> {
         let noise = Noise::at_least(Some(length_sd_mm(job.bar.sigma_um * 1e-3, robot)), file, robot)?;
         out.about(&noise.finding.into_iter().collect::<Vec<_>>());
         // A certificate states two standard deviations.
-        let priors = Priors::datasheet(robot, job.bar.length_u_mm.map(|u| 0.5 * u));
-        let bar_mm = priors.sd(ParamId::BarOffset(BarId::FIRST));
+        let bar_u_mm = job.bar.length_u_mm.map(|u| 0.5 * u);
         Ok(Self {
             file,
             poses: args.poses,
             robot: robot.clone(),
             start: LengthModel::new(robot.geometry.clone(), &job.balls()),
             sigma_mm: noise.sigma_mm,
-            mounting: Mounting { tool_mm: TOOL_REPEAT_MM, ball_mm: None, bar_mm },
+            mounting: Mounting::again(robot, bar_u_mm),
             tolerance_mm: args.tolerance,
             rule: Rule::GuardBand { risk: args.risk },
             workspace: Options::default().workspace_poses(robot).into_owned(),

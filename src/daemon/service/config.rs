@@ -216,13 +216,8 @@ fn token(source: &Source, path: &Spanned<String>) -> Result<Token, Diagnostic> {
     let wrong = |finding: ServiceFinding| source.wrong(path.span(), finding);
     let text =
         fs::read_to_string(&file).map_err(|error| wrong(TokenUnreadable { why: error.to_string() }))?;
-    #[cfg(unix)]
-    {
-        use std::os::unix::fs::PermissionsExt;
-        let mode = fs::metadata(&file).map_or(0, |data| data.permissions().mode());
-        if mode & 0o007 != 0 {
-            return Err(wrong(ServiceFinding::TokenOpen));
-        }
+    if files::mode(&file) & 0o007 != 0 {
+        return Err(wrong(ServiceFinding::TokenOpen));
     }
     Token::new(&text).ok_or_else(|| wrong(TokenTooShort))
 }

@@ -9,7 +9,7 @@ use crate::measurement::table::MOST_BALLS;
 use crate::measurement::{BallId, BaseBall};
 use crate::plan::module::MODULE_DWELLS;
 use crate::plan::timing::ACCELERATION_MM_S2;
-use crate::provenance::check_text;
+use crate::provenance::{CERTIFIED_C, MOST_LENGTH_U_MM, check_text};
 
 /// Chosen poses of a plan: with more the run takes hours, in which everything drifts.
 const MOST_POINTS: u32 = 1000;
@@ -19,10 +19,6 @@ const MOST_CANDIDATES: u32 = 100_000;
 const FEED_MM_S: [f64; 2] = [0.5, 250.0];
 /// In a shorter dwell no bar sends enough readings, s.
 const LEAST_DWELL_S: f64 = 0.05;
-/// A bar that is known worse is no standard, mm.
-const MOST_LENGTH_U_MM: f64 = 0.5;
-/// Where lengths are certified, degrees Celsius.
-const CERTIFIED_C: [f64; 2] = [0.0, 50.0];
 /// From carbon fibre to plastics, 1/K.
 const EXPANSION_PER_K: [f64; 2] = [-2e-6, 2e-4];
 /// A shorter arc is one in radians, degrees.

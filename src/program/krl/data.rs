@@ -7,7 +7,7 @@ use super::syntax::{Data, DataItem, DeclarationKind, Expression, Part, Place};
 use super::value::Value;
 use crate::catalogue::ProgramFinding;
 use crate::diagnostic::Diagnostic;
-use crate::program::Target;
+use crate::program::{Setup, Target};
 use crate::robot::AXES;
 
 /// The file of a value.
@@ -143,19 +143,6 @@ pub fn plan_hash(data: &Data) -> Option<String> {
 /// `$ABS_ACCUR` when the program ran: whether the controller was in its absolute-accuracy mode, where the `.dat` has it.
 pub fn absolute_accuracy(data: &Data) -> Option<bool> {
     data.constants().value("DBBABS")?.bool().ok()
-}
-
-/// The ball and the bar that a module's `.dat` names.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Setup {
-    /// Number of the base ball, from 1.
-    pub ball: u32,
-    /// In the robot base.
-    pub centre_mm: [f64; 3],
-    /// Distance between the ball centres at reading zero.
-    pub length_mm: f64,
-    /// Lowest and highest reading.
-    pub stroke_mm: [f64; 2],
 }
 
 /// The set-up that dbbd wrote into a `.dat`; `None` where it is not there, whole.

@@ -1,9 +1,11 @@
 //! A program: a module and all that it calls, each a `.src` with its `.dat`.
 
+use super::data::read_setup;
 use super::parser::{parse_data, parse_source};
 use super::syntax::{Block, Data, Routine, Source, Span, StatementKind};
 use crate::catalogue::ProgramFinding;
 use crate::diagnostic::Diagnostic;
+use crate::program::{Equipped, Setup};
 
 /// Routines of the controller itself that a program may call.
 pub const BUILT_IN: &[&str] = &["BAS", "IR_STOPM"];
@@ -72,6 +74,12 @@ impl Program {
         }
         let at = self.modules.iter().position(|module| module.name == name)?;
         Some((at, local(at)?.first()?))
+    }
+}
+
+impl Equipped for Program {
+    fn setups(&self) -> Vec<Setup> {
+        self.modules.iter().filter_map(|module| read_setup(module.data.as_ref()?)).collect()
     }
 }
 

@@ -1,33 +1,18 @@
 //! Rewrites the points of a program for an identified robot: only their numbers change, every other byte stays.
 
 use super::data::Origin;
-use super::emit::fixed;
 use super::points::{Files, PointProgram, TaughtPoint};
-use super::syntax::{Span, Text};
 use crate::catalogue::CompensationFinding;
 use crate::diagnostic::Diagnostic;
 use crate::program::compensate::{Branch, Commanded, Corrected, Corrector};
+use crate::program::rewrite::{self, Moved};
+use crate::program::text::{Edit, Span, Text, number_like, rewritten};
 use crate::program::{Frames, Target};
 use crate::robot::{Pose, Robot};
 
 /// Fewest decimals of a rewritten length and angle: those that were taught with fewer get more.
 const DECIMALS_MM: usize = 3;
 const DECIMALS_DEG: usize = 4;
-
-/// A point that was rewritten.
-#[derive(Clone, Debug, serde::Serialize)]
-pub struct Moved {
-    /// `inline` for one without.
-    pub name: String,
-    /// The line of the `.src` that goes there first.
-    pub line: usize,
-    /// As [`Corrected::shift_mm`].
-    pub shift_mm: f64,
-    /// As [`Corrected::turn_deg`].
-    pub turn_deg: f64,
-    /// KUKA's turn bits before and after, where an axis came to the other side of zero.
-    pub turn_bits: Option<[u8; 2]>,
-}
 
 /// A program with corrected points.
 #[derive(Clone, Debug)]
@@ -38,9 +23,6 @@ pub struct Compensated {
     /// The points in the order in which the program first goes there.
     pub moved: Vec<Moved>,
 }
-
-/// New text for some bytes.
-type Edit = (Span, String);
 
 /// Corrects a program for `robot`, an identified one that carries its nominal robot. No commanded point may move by more
 /// than `limit_mm`.
@@ -53,26 +35,18 @@ pub fn compensate(
     robot: &Robot,
     limit_mm: f64,
 ) -> Result<Compensated, Vec<Diagnostic>> {
-    let mut corrector = Corrector::new(robot, limit_mm);
     let (mut source_edits, mut data_edits) = (Vec::new(), Vec::new());
-    let (mut moved, mut refused) = (Vec::new(), Vec::new());
-    let ends: Vec<usize> = files.source.text.match_indices('\n').map(|(at, _)| at).collect();
-    for point in &program.points {
+    let moved = rewrite::points(robot, limit_mm, &program.points, |corrector, point| {
         let (text, edits) = match (point.origin, files.data) {
             (Origin::Data, Some(data)) => (data, &mut data_edits),
             _ => (files.source, &mut source_edits),
         };
-        match rewrite(&mut corrector, point, text, edits) {
-            Ok((Corrected { shift_mm, turn_deg, .. }, turn_bits)) => {
-                let line = ends.partition_point(|end| *end < point.used.start) + 1;
-                moved.push(Moved { name: point.name.clone(), line, shift_mm, turn_deg, turn_bits });
-            }
-            Err(why) => refused.push(text.wrong(&point.span, why)),
-        }
-    }
-    if !refused.is_empty() {
-        return Err(refused);
-    }
+        let rewritten = rewrite(corrector, point, text, edits);
+        let (Corrected { shift_mm, turn_deg, .. }, turn_bits) =
+            rewritten.map_err(|why| text.wrong(&point.span, why))?;
+        let line = files.source.line(point.used.start);
+        Ok(Moved { name: point.name.clone(), line, shift_mm, turn_deg, turn_bits })
+    })?;
     let source = rewritten(files.source.text, source_edits);
     let data = files.data.map(|data| rewritten(data.text, data_edits));
     Ok(Compensated { source, data, moved })
@@ -126,14 +100,6 @@ fn new_turn(
     corrector.turn(corrected, &Pose::from_kuka([x, y, z], [a, b, c]), frames)
 }
 
-/// A number with at least the decimals of another and `fewest` of them.
-fn number_like(written: &str, value: f64, fewest: usize) -> String {
-    let decimals = written
-        .split_once('.')
-        .map_or(0, |(_, tail)| tail.find(|c: char| !c.is_ascii_digit()).unwrap_or(tail.len()));
-    fixed(value, decimals.clamp(fewest, 9))
-}
-
 /// A whole number in the form in which another was written: decimal, `'B..'` or `'H..'`.
 fn whole_like(written: &str, value: u8) -> String {
     let width = written.len().saturating_sub(3);
@@ -142,18 +108,4 @@ fn whole_like(written: &str, value: u8) -> String {
         [b'\'', b'H' | b'h', ..] => format!("'H{value:0width$X}'"),
         _ => value.to_string(),
     }
-}
-
-/// The text with the edits, which do not overlap.
-fn rewritten(text: &str, mut edits: Vec<Edit>) -> String {
-    edits.sort_by_key(|(span, _)| span.start);
-    let mut out = String::with_capacity(text.len() + 4 * edits.len());
-    let mut at = 0;
-    for (span, new) in edits {
-        out.push_str(text.get(at..span.start).unwrap_or(""));
-        out.push_str(&new);
-        at = span.end;
-    }
-    out.push_str(text.get(at..).unwrap_or(""));
-    out
 }

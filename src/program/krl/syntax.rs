@@ -1,32 +1,10 @@
 //! The tree of a KRL program. Every node has its bytes in the text, so that a reader can point at them and a writer can
 //! replace them and nothing else.
 
-use std::ops::Range;
 use std::sync::Arc;
 
-use crate::diagnostic::{Diagnostic, Finding};
 use crate::plan::Motion;
-
-/// A range of bytes of the file's text.
-pub type Span = Range<usize>;
-
-/// A file as the user named it, and its text.
-#[derive(Clone, Copy, Debug)]
-pub struct Text<'a> {
-    pub file: &'a str,
-    pub text: &'a str,
-}
-
-impl Text<'_> {
-    pub(crate) fn wrong(&self, span: &Span, finding: impl Finding) -> Diagnostic {
-        Diagnostic::span(self.file, self.text, span.clone(), finding)
-    }
-
-    /// The line (from 1) of a byte.
-    pub(crate) fn line(&self, at: usize) -> usize {
-        self.text.as_bytes().get(..at).unwrap_or_default().iter().filter(|byte| **byte == b'\n').count() + 1
-    }
-}
+pub use crate::program::text::{Span, Text};
 
 /// A `.src` file.
 #[derive(Clone, Debug)]

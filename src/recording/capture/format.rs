@@ -10,8 +10,8 @@ use crate::base::units::HostNs;
 
 /// CRC-32C under its catalogue name.
 const CRC_32C: Crc<u32, Table<16>> = Crc::<u32, Table<16>>::new(&CRC_32_ISCSI);
-const VERSION: u32 = 3;
-/// The versions that are read; in version 2 records have no numbers.
+const VERSION: u32 = 4;
+/// The versions that are read; in version 2 records have no numbers, before version 4 there are no axes.
 pub(super) const READ: RangeInclusive<u32> = 2..=VERSION;
 pub(super) const HEADER_LEN: usize = 16;
 pub(super) const FILE_MAGIC: [u8; 8] = *b"DBBDCAP\n";
@@ -28,6 +28,7 @@ const RAW: u8 = 2;
 const FAULT: u8 = 4;
 const EVENT: u8 = 5;
 const SAMPLES: u8 = 6;
+const AXES: u8 = 7;
 /// Set in the kind of a record whose payload begins with its number.
 const NUMBERED: u8 = 0x80;
 
@@ -38,6 +39,7 @@ pub(super) fn kind_name(kind: u8) -> &'static str {
         FAULT => "fault",
         EVENT => "event",
         SAMPLES => "samples",
+        AXES => "axes",
         _ => "unknown",
     }
 }
@@ -79,6 +81,10 @@ pub(super) fn encode(number: u32, host: HostNs, record: &Record) -> Result<Vec<u
             Record::Samples(samples) => {
                 sample::pack(samples, &mut bytes);
                 SAMPLES
+            }
+            Record::Axes(raw) => {
+                bytes.extend(raw);
+                AXES
             }
             Record::Fault(json) => {
                 bytes.extend(json);
@@ -163,6 +169,7 @@ fn parse(kind: u8, payload: &[u8]) -> Option<Record> {
             Some(Record::Attachment { name, content: content.to_vec() })
         }
         RAW => Some(Record::Raw(payload.to_vec())),
+        AXES => Some(Record::Axes(payload.to_vec())),
         FAULT => Some(Record::Fault(payload.to_vec())),
         EVENT => Some(Record::Event(serde_json::from_slice(payload).ok()?)),
         SAMPLES => Some(Record::Samples(sample::unpack(payload)?)),

@@ -6,7 +6,7 @@
 //! | bytes | what |
 //! |---|---|
 //! | 4 | magic `DB BD 5A A5` |
-//! | 1 | kind: 1 attachment, 2 raw, 4 fault, 5 event, 6 samples, with 128 added |
+//! | 1 | kind: 1 attachment, 2 raw, 4 fault, 5 event, 6 samples, 7 axes, with 128 added |
 //! | 4 | length n of number and payload |
 //! | 8 | host time, ns |
 //! | 4 | number of the record, from 0, modulo 2^32 |

@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::base::units::HostNs;
+use crate::device::axes::AxesProtocol;
 use crate::device::port::Stamps;
 use crate::measurement::sample::Sample;
 
@@ -23,6 +24,8 @@ pub enum Record {
     Samples(Vec<Sample>),
     /// A decoder's fault, as JSON of the protocol's fault.
     Fault(Vec<u8>),
+    /// What came from the controller that publishes its axes: a datagram, or the bytes of one read.
+    Axes(Vec<u8>),
     /// What happened around the bytes.
     Event(Event),
 }
@@ -45,6 +48,8 @@ pub enum Event {
         #[serde(default, skip_serializing_if = "Option::is_none")]
         stamps: Option<Stamps>,
     },
+    /// The controller that publishes its axes is listened to, or was connected to.
+    AxesOpened { address: String, protocol: AxesProtocol },
     /// Nothing was received for a while, or samples are missing by their sequence numbers.
     Gap {
         /// How long, s, where it is known.

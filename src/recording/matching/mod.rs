@@ -5,14 +5,17 @@
 //! from its strobe, else from intervals in which the length does not change.
 
 mod alignment;
+mod by_axes;
 mod drift;
 mod duration;
 mod inferred;
+mod lag;
 mod noise;
 mod outcome;
 mod passes;
 mod passing;
 mod program;
+mod published;
 mod stillness;
 mod trellis;
 mod windows;
@@ -32,9 +35,11 @@ use crate::robot::{AXES, Approach};
 
 pub use alignment::{Alignment, DwellEvidence, Expected, Pairing, align};
 pub use drift::Drift;
+pub use lag::BarLag;
 pub use outcome::{MatchOutcome, PoseOutcome, nothing_matched};
 pub use passes::Lag;
 pub use program::Commanded;
+pub use published::{AxesReport, PublishedAxes};
 pub use stillness::still_dwells;
 
 use outcome::ExpectedTimes;
@@ -57,11 +62,21 @@ pub struct Input<'a> {
     pub bar_sigma_mm: f64,
     /// They replace the commanded ones.
     pub axes_deg: Option<&'a MeasuredAxes>,
+    /// The axes that the controller published: they show the dwells, and replace all others.
+    pub published: Option<PublishedAxes<'a>>,
 }
 
 impl<'a> Input<'a> {
     pub fn new(plan: &'a Plan, stream: &'a Stream) -> Self {
-        Self { plan, stream, reports: &[], expected: None, bar_sigma_mm: 0.0, axes_deg: None }
+        Self {
+            plan,
+            stream,
+            reports: &[],
+            expected: None,
+            bar_sigma_mm: 0.0,
+            axes_deg: None,
+            published: None,
+        }
     }
 }
 
@@ -70,6 +85,8 @@ impl<'a> Input<'a> {
 pub enum DwellSource {
     Reports,
     Strobe,
+    /// By the published axes.
+    Axes,
     /// By intervals without motion.
     Stillness,
 }
@@ -93,6 +110,8 @@ pub struct PoseMatching {
     pub lags: Vec<Lag>,
     /// Change of the length at the repeated reference pose, where it was read twice or more.
     pub drift: Option<Drift>,
+    /// What the published axes showed, where they were used.
+    pub axes: Option<AxesReport>,
     pub findings: Vec<Finding>,
 }
 
@@ -134,28 +153,30 @@ struct Paired {
     findings: Vec<Finding>,
 }
 
+/// What was found of a run, by whatever shows it.
+struct Shown {
+    paired: Paired,
+    passes: Passes,
+    /// Measured axes, degrees, by the plan's index.
+    axes_deg: MeasuredAxes,
+    report: Option<AxesReport>,
+}
+
 /// Matches the dwells of a run to the poses of its plan.
 pub fn match_poses(input: &Input<'_>) -> PoseMatching {
     let poses = Poses::of(input.plan);
-    let passes = passes::read(input);
-    let reported = reported_dwells(input.reports, input.stream);
-    let mut paired = if let Some(reported) = reported {
-        by_reports(&poses, &reported)
-    } else if has_strobe(input.stream) {
-        by_strobe(input, &poses, &passes)
-    } else {
-        by_stillness(input, &poses)
-    };
+    let Shown { mut paired, passes, axes_deg, report } =
+        by_axes::shown(input, &poses).unwrap_or_else(|| by_others(input, &poses));
     let mut outcomes = outcomes(input, &poses, &paired);
     let drift = drift::of(&poses.rows, &outcomes, input.bar_sigma_mm);
     let spurious = spurious(&paired, &passes);
-    let observations = Rows::of(input).collect(&outcomes, &passes);
+    let observations = Rows::of(input, &axes_deg).collect(&outcomes, &passes);
     outcomes.extend(passes.points.into_iter().map(|point| point.pose));
     outcomes.sort_by_key(|pose| pose.index);
     let one_way = |circle| Finding::OneWayCircle { circle, lag_sd_ms: 1000.0 * passes::LAG_SD_S };
     let mut findings = std::mem::take(&mut paired.findings);
     findings.extend(passes.one_way.into_iter().map(one_way));
-    findings.extend(reports::unused(input.reports, input.stream));
+    findings.extend(reports::unused(input.reports, input.stream).filter(|_| report.is_none()));
     let mut matching = PoseMatching {
         observations,
         outcomes,
@@ -164,13 +185,31 @@ pub fn match_poses(input: &Input<'_>) -> PoseMatching {
         override_factor: paired.override_factor.filter(|_| !poses.rows.is_empty()),
         lags: passes.lags,
         drift,
+        axes: report,
         findings,
     };
+    matching.findings.extend(matching.axes.as_ref().map(AxesReport::finding));
     let more = outcome::findings(&matching, input.stream);
     matching.findings.extend(more);
     let apart = outcome::axes_apart(&matching, input.plan);
     matching.findings.extend(apart);
     matching
+}
+
+/// By the controller's reports, else its strobe, else stillness.
+fn by_others(input: &Input<'_>, poses: &Poses<'_>) -> Shown {
+    let passes = passes::read(input);
+    let reported = reported_dwells(input.reports, input.stream);
+    let mut paired = if let Some(reported) = reported {
+        by_reports(poses, &reported)
+    } else if has_strobe(input.stream) {
+        by_strobe(input, poses, &passes)
+    } else {
+        by_stillness(input, poses)
+    };
+    let off_pace = input.published.filter(|axes| !axes.track.is_empty());
+    paired.findings.extend(off_pace.map(|axes| Finding::AxesUnused { packets: axes.track.len() }));
+    Shown { paired, passes, axes_deg: input.axes_deg.cloned().unwrap_or_default(), report: None }
 }
 
 /// The outcome of each pose at which the robot stops.
@@ -340,15 +379,16 @@ fn ball(row: &PlanRow) -> BallId {
 /// Makes the measurements.
 struct Rows<'a> {
     input: &'a Input<'a>,
+    axes_deg: &'a MeasuredAxes,
     places: Vec<Option<CirclePlace>>,
     /// How the plan's moves bring the axes to each row.
     approaches: Vec<Approach>,
 }
 
 impl<'a> Rows<'a> {
-    fn of(input: &'a Input<'a>) -> Self {
+    fn of(input: &'a Input<'a>, axes_deg: &'a MeasuredAxes) -> Self {
         let plan = input.plan;
-        Self { input, places: plan.circle_places(), approaches: plan.approaches().collect() }
+        Self { input, axes_deg, places: plan.circle_places(), approaches: plan.approaches().collect() }
     }
 
     /// Of the poses at which the robot stopped and of those that it passed.
@@ -366,7 +406,7 @@ impl<'a> Rows<'a> {
         let at = (pose.index as usize).checked_sub(1)?;
         let row = self.input.plan.rows.get(at)?;
         let place = self.places.get(at).copied().flatten();
-        let measured = self.input.axes_deg.and_then(|axes| axes.get(&row.index));
+        let measured = self.axes_deg.get(&row.index);
         let context = Context {
             kind: Some(row.kind),
             time_s: Some(reading.middle_s()),

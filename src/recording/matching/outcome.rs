@@ -79,6 +79,7 @@ impl<'a> ExpectedTimes<'a> {
         let dwell = match source {
             DwellSource::Reports => "report of the controller",
             DwellSource::Strobe => "strobe",
+            DwellSource::Axes => "rest of the axes",
             DwellSource::Stillness => "still interval",
         };
         let Some(expected_s) = self.expected_s(at) else { return Finding::NoneNearby { dwell } };

@@ -9,7 +9,8 @@ use std::ops::Range;
 
 use super::outcome::{MatchOutcome, PoseOutcome};
 use super::passing::{Passing, passing};
-use super::{Input, program};
+use super::published::Published;
+use super::{Input, MeasuredAxes, program};
 use crate::catalogue::MatchingFinding as Finding;
 use crate::math::straight_line::Regression;
 use crate::plan::{Pass, Plan};
@@ -36,6 +37,11 @@ pub(super) struct Passes {
     pub(super) one_way: Vec<u32>,
     /// When the robot was on a pass, s.
     spans_s: Vec<Range<f64>>,
+    /// The measured axes at the points, degrees, by the plan's index.
+    pub(super) axes_deg: MeasuredAxes,
+    /// Pairs of axes and length in motion, and how many independent ones they are worth.
+    pub(super) pairs: usize,
+    pub(super) effective_pairs: f64,
 }
 
 #[derive(Clone, Debug)]
@@ -55,15 +61,16 @@ const SAME_DEG: f64 = 0.01;
 /// A pass that was found.
 struct Found<'a> {
     pass: &'a Pass,
-    start_s: f64,
-    /// How many times as long as planned it took.
-    stretch: f64,
+    /// When each of its points was passed, s: by the command, or by the measured axes in the bar's time without lag.
+    times_s: Vec<f64>,
 }
 
 /// What was read at a point of a pass, by the plan's index.
 struct PointReading {
     index: u32,
     passing: Option<Passing>,
+    /// Half of the time that belongs to the point, s.
+    half_s: f64,
 }
 
 pub(super) fn read(input: &Input<'_>) -> Passes {
@@ -88,6 +95,30 @@ pub(super) fn read(input: &Input<'_>) -> Passes {
     passes
 }
 
+/// The passes by the published axes, of which `times_s` has when each point was passed, s of the track.
+pub(super) fn read_published(
+    input: &Input<'_>,
+    published: &Published<'_>,
+    times_s: &[Option<Vec<f64>>],
+) -> Passes {
+    let mut passes = Passes::default();
+    for (pass, times_s) in input.plan.header.passes.iter().zip(times_s) {
+        let Some(track_s) = times_s else {
+            passes.lose(pass, &Finding::PassNotSeen);
+            continue;
+        };
+        let times_s: Vec<f64> = track_s.iter().map(|t_s| published.bar_s(*t_s)).collect();
+        if let [first, .., last] = times_s[..] {
+            passes.spans_s.push(first..last);
+        }
+        let found = Found { pass, times_s };
+        for (point, track_s) in found.points(input, 0.0).into_iter().zip(track_s) {
+            passes.published(published, point, *track_s);
+        }
+    }
+    passes
+}
+
 impl Passes {
     /// Whether a dwell lies on a pass.
     pub(super) fn holds(&self, dwell: &Dwell) -> bool {
@@ -103,6 +134,21 @@ impl Passes {
 
     fn push(&mut self, index: u32, outcome: MatchOutcome, timing_mm: f64) {
         self.points.push(PassPoint { pose: PoseOutcome { index, outcome }, timing_mm });
+    }
+
+    /// A point of a pass, which the axes passed at a time of their track.
+    fn published(&mut self, published: &Published<'_>, point: PointReading, track_s: f64) {
+        let PointReading { index, passing, half_s } = point;
+        match passing.zip(published.passing_deg(track_s, half_s)) {
+            Some((Passing { reading, slope_mm_s, effective }, (axes_deg, pairs))) => {
+                self.axes_deg.insert(index, axes_deg);
+                self.pairs += pairs;
+                self.effective_pairs += effective.min(pairs as f64);
+                let timing_mm = slope_mm_s.abs() * published.lag_sd_s();
+                self.push(index, MatchOutcome::Matched { reading, posterior: 1.0 }, timing_mm);
+            }
+            None => self.push(index, MatchOutcome::Missing { reason: Finding::PassedTooFast }, 0.0),
+        }
     }
 
     /// The passes over one circle, of which any number was found.
@@ -127,9 +173,9 @@ impl Passes {
         if !found.is_empty() && self.lags.last().is_none_or(|last| last.circle != circle) {
             self.one_way.push(circle);
         }
-        for PointReading { index, passing } in points.into_iter().flatten() {
+        for PointReading { index, passing, .. } in points.into_iter().flatten() {
             match passing {
-                Some(Passing { reading, slope_mm_s }) => {
+                Some(Passing { reading, slope_mm_s, .. }) => {
                     let matched = MatchOutcome::Matched { reading, posterior: 1.0 };
                     self.push(index, matched, slope_mm_s.abs() * sd_s);
                 }
@@ -140,26 +186,20 @@ impl Passes {
 }
 
 impl Found<'_> {
-    /// What was read at each point, `lag_s` after it was commanded.
+    /// What was read at each point, `lag_s` after its time.
     fn points(&self, input: &Input<'_>, lag_s: f64) -> Vec<PointReading> {
-        let indices = self.pass.points[0]..=self.pass.points[1];
-        let mut t_s = self.start_s + lag_s;
-        let times_s: Vec<f64> = indices
-            .clone()
-            .map(|index| {
-                let time = (index as usize).checked_sub(1).and_then(|at| input.plan.header.moves.get(at));
-                t_s += self.stretch * time.map_or(0.0, |time| time.duration_s);
-                t_s
-            })
-            .collect();
+        let times_s = &self.times_s;
         let half_s = |at: usize| {
             let to = (at + 1).min(times_s.len() - 1);
             let from = at.saturating_sub(1);
             0.5 * (times_s[to] - times_s[from]) / (to - from).max(1) as f64
         };
-        let read =
-            |(at, index)| PointReading { index, passing: passing(input.stream, times_s[at], half_s(at)) };
-        indices.enumerate().map(read).collect()
+        let read = |(at, index)| {
+            let half_s = half_s(at);
+            PointReading { index, passing: passing(input.stream, times_s[at] + lag_s, half_s), half_s }
+        };
+        let [first, last] = self.pass.points;
+        (first..=last).take(times_s.len()).enumerate().map(read).collect()
     }
 }
 
@@ -235,5 +275,11 @@ fn check<'a>(input: &Input<'_>, pass: &'a Pass, span: &Range<f64>) -> Result<Fou
     if input.stream.broken_between(span.start, span.end) {
         return Err(Finding::PassClockBroke);
     }
-    Ok(Found { pass, start_s: span.start, stretch })
+    let mut t_s = span.start;
+    let time = |index: u32| {
+        let time = (index as usize).checked_sub(1).and_then(|at| input.plan.header.moves.get(at));
+        t_s += stretch * time.map_or(0.0, |time| time.duration_s);
+        t_s
+    };
+    Ok(Found { pass, times_s: (pass.points[0]..=pass.points[1]).map(time).collect() })
 }

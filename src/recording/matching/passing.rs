@@ -10,6 +10,53 @@ pub(super) struct Passing {
     pub(super) reading: DwellReading,
     /// Change of the reading there, mm/s.
     pub(super) slope_mm_s: f64,
+    /// How many independent samples the reading is worth.
+    pub(super) effective: f64,
+}
+
+/// y = a + b x + c x^2 by least squares.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Parabola {
+    coefficients: nalgebra::Vector3<f64>,
+    inverse: nalgebra::Matrix3<f64>,
+}
+
+impl Parabola {
+    /// At x = 0.
+    pub(super) fn value(&self) -> f64 {
+        self.coefficients[0]
+    }
+
+    fn at(&self, x: f64) -> f64 {
+        self.coefficients[0] + x * (self.coefficients[1] + x * self.coefficients[2])
+    }
+}
+
+/// The parabola through points with |x| <= 1; `None` where they are too few, or all on one side.
+pub(super) fn parabola(points: impl Iterator<Item = (f64, f64)> + Clone) -> Option<Parabola> {
+    let (first, last) = points
+        .clone()
+        .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), (x, _)| (low.min(x), high.max(x)));
+    let origin = points.clone().next()?.1;
+    let (mut powers, mut products, mut count) = ([0.0; 5], [0.0; 3], 0);
+    for (x, y) in points {
+        count += 1;
+        let mut power = 1.0;
+        for (at, sum) in powers.iter_mut().enumerate() {
+            *sum += power;
+            if let Some(product) = products.get_mut(at) {
+                *product += power * (y - origin);
+            }
+            power *= x;
+        }
+    }
+    if count < LEAST_SAMPLES || first > -LEAST_SHARE || last < LEAST_SHARE {
+        return None;
+    }
+    let inverse = nalgebra::Matrix3::from_fn(|i, j| powers[i + j]).try_inverse()?;
+    let mut coefficients = inverse * nalgebra::Vector3::from(products);
+    coefficients[0] += origin;
+    Some(Parabola { coefficients, inverse })
 }
 
 /// Fewer samples determine no parabola.
@@ -25,39 +72,21 @@ pub(super) fn passing(stream: &Stream, at_s: f64, half_s: f64) -> Option<Passing
         .filter(|&at| stream.valid(at))
         .map(|at| ((stream.t_s[at] - at_s) / half_s, stream.reading_mm[at]))
         .collect();
-    let (first, last) = (valid.first()?, valid.last()?);
-    if valid.len() < LEAST_SAMPLES || first.0 > -LEAST_SHARE || last.0 < LEAST_SHARE {
-        return None;
-    }
-    let origin = first.1;
-    // Normal equations of y = a + b x + c x^2, with |x| <= 1.
-    let (mut powers, mut products) = ([0.0; 5], [0.0; 3]);
-    for (x, y) in &valid {
-        let mut power = 1.0;
-        for (at, sum) in powers.iter_mut().enumerate() {
-            *sum += power;
-            if let Some(product) = products.get_mut(at) {
-                *product += power * (y - origin);
-            }
-            power *= x;
-        }
-    }
-    let normal = nalgebra::Matrix3::from_fn(|i, j| powers[i + j]);
-    let inverse = normal.try_inverse()?;
-    let parabola = inverse * nalgebra::Vector3::from(products);
-    let residual = |(x, y): &(f64, f64)| y - origin - parabola[0] - x * (parabola[1] + x * parabola[2]);
-    let Scatter { squares, correlation } = Scatter::of(valid.iter().map(residual));
+    let parabola = parabola(valid.iter().copied())?;
+    let Scatter { squares, correlation } = Scatter::of(valid.iter().map(|(x, y)| y - parabola.at(*x)));
     let count = valid.len() as f64;
     let variance = squares / (count - 3.0) * (1.0 + correlation) / (1.0 - correlation);
     let reading = DwellReading {
         from_s: at_s - half_s,
         to_s: at_s + half_s,
-        reading_mm: origin + parabola[0],
-        u_mm: (variance * inverse[(0, 0)]).sqrt().max(least_u_mm()),
+        reading_mm: parabola.value(),
+        u_mm: (variance * parabola.inverse[(0, 0)]).sqrt().max(least_u_mm()),
         samples: valid.len(),
         invalid: range.len() - valid.len(),
         gaps: range.skip(1).filter(|&at| stream.gap_before(at)).count(),
         creep_mm: None,
     };
-    Some(Passing { reading, slope_mm_s: parabola[1] / half_s })
+    let slope_mm_s = parabola.coefficients[1] / half_s;
+    let effective = count * (1.0 - correlation) / (1.0 + correlation);
+    Some(Passing { reading, slope_mm_s, effective })
 }

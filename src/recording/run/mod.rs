@@ -10,10 +10,11 @@ use std::sync::Arc;
 
 pub use circles::{Circle, Circles, drives};
 pub use open::{is_capture, losses, open};
-pub use plan_files::{ATTACHED_IDENTITY, PlanFiles, attached_plan, identity, read_plan};
+pub use plan_files::{ATTACHED_IDENTITY, PlanFiles, attached_plan, identity, read_plan, sources};
 use temperature::Temperatures;
 
-use super::matching::{self, Expected, Input, MeasuredAxes, PoseMatching, PoseOutcome};
+use super::axes::AxisTrack;
+use super::matching::{self, Expected, Input, MeasuredAxes, PoseMatching, PoseOutcome, PublishedAxes};
 use super::reports::Report;
 use super::stream::Stream;
 use crate::catalogue::RecordingFinding;
@@ -34,6 +35,8 @@ pub struct Run {
     /// The bar's temperature, where it was sent.
     temperatures: Temperatures,
     pub reports: Vec<Report>,
+    /// The axes that the controller published, where they were recorded.
+    pub track: Option<AxisTrack>,
     /// Whether something of the run was lost (a damage, a cut end, samples), or it may not be that of the plan.
     pub doubtful: bool,
     /// As the program sent them over EthernetKRL; those of a `.dat` take precedence.
@@ -89,12 +92,16 @@ impl Run {
         let lengths =
             predicted.map(|predicted| matching::expected_lengths(&self.plan, axes_deg, predicted.length_mm));
         let expected = lengths.as_deref().zip(predicted);
+        let robot = self.robot().ok();
+        let published = self.track.as_ref().zip(robot.as_ref());
         matching::match_poses(&Input {
             reports: &self.reports,
             expected: expected
                 .map(|(length_mm, predicted)| Expected { length_mm, sigma_mm: predicted.sigma_mm }),
             bar_sigma_mm: self.plan.header.job.bar.sigma_um * 1e-3,
             axes_deg,
+            published: published
+                .map(|(track, robot)| PublishedAxes { track, geometry: &robot.controller().geometry }),
             ..Input::new(&self.plan, &self.stream)
         })
     }

@@ -14,6 +14,7 @@ use crate::device::protocol::Definition;
 use crate::diagnostic::{Diagnostic, Severity};
 use crate::plan::Plan;
 use crate::program::krl;
+use crate::recording::axes::AxisTrackBuilder;
 use crate::recording::capture::{self, Event, Pass, Record, Stamped};
 use crate::recording::matching::MeasuredAxes;
 use crate::recording::reports::{Report, reported_axes};
@@ -45,7 +46,8 @@ pub fn open(
     let lacks = pass.doubts();
     let mut doubtful = !lacks.is_empty();
     lacks.into_iter().for_each(&mut report);
-    let Gathered { attachments, stream, temperatures, reports, started } = gathered;
+    let Gathered { attachments, stream, temperatures, reports, axes: track, started } = gathered;
+    let track = track.build();
     let plan = match plan {
         Some(csv) => read_plan(csv)?,
         None => attached_plan(&name, &attachments)?
@@ -71,7 +73,7 @@ pub fn open(
         report(doubt);
     }
     let identity = identity(&name, Some(&plan), &attachments, started)?;
-    let run = Run { plan, stream, temperatures, reports, doubtful, axes_deg, identity };
+    let run = Run { plan, stream, temperatures, reports, track, doubtful, axes_deg, identity };
     run.temperatures.doubt().into_iter().chain(run.temperature_finding()).for_each(&mut report);
     Ok(run)
 }
@@ -135,12 +137,14 @@ struct Gathered {
     stream: Option<StreamBuilder>,
     temperatures: Temperatures,
     reports: Vec<Report>,
+    axes: AxisTrackBuilder,
     /// By the capture's own clock, ns since the Unix epoch.
     started: Option<u64>,
 }
 
 impl Gathered {
     fn add(&mut self, stamped: Stamped, run: &str) -> Result<(), Diagnostic> {
+        self.axes.add(stamped.host, &stamped.record);
         match stamped.record {
             Record::Attachment { name, content } => {
                 self.attachments.insert(name, content);

@@ -7,7 +7,7 @@ use crate::base::{date, files};
 use crate::catalogue::{FileFinding, PlanFinding};
 use crate::diagnostic::Diagnostic;
 use crate::plan::Plan;
-use crate::provenance::Identity;
+use crate::provenance::{Identity, Provenance};
 
 /// The names of a plan's files among the attachments of a capture.
 const ATTACHED_CSV: &str = "plan.csv";
@@ -76,6 +76,23 @@ pub fn identity(
     }
     identity.measured = started.filter(|ns| *ns > 0).map(date::utc).or(identity.measured);
     Ok(identity)
+}
+
+/// The plan of a capture and what the capture was made from, as far as its attachments can be read: what cannot is refused
+/// where the run is used.
+///
+/// # Errors
+/// As [`Plan::traced`].
+pub fn sources(
+    attachments: &BTreeMap<String, Vec<u8>>,
+    started: Option<u64>,
+    dbbd: Option<String>,
+) -> Result<(Option<Plan>, Provenance), Diagnostic> {
+    let plan = attached_plan("the capture", attachments).ok().flatten();
+    let identity = identity("the capture", plan.as_ref(), attachments, started);
+    let made = Provenance::of(&plan.as_ref().map(Plan::traced).transpose()?);
+    let (dbbd, identity) = (dbbd.unwrap_or_default(), identity.unwrap_or_default());
+    Ok((plan, Provenance { dbbd, identity, ..made }))
 }
 
 /// The text of an attachment, if it is there.

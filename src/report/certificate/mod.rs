@@ -28,7 +28,7 @@ use super::page::capitalised;
 /// What the draft calls itself.
 const DRAFT: &str = "Draft, not accredited, not signed";
 
-/// `result.json` with all that stands in it beside the result.
+/// `result.json` with all that it holds beside the result.
 #[derive(Deserialize)]
 struct ResultRead {
     #[serde(flatten)]

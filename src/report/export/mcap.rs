@@ -1,6 +1,6 @@
 //! A capture as MCAP, the log format that Foxglove, Python's `mcap` and the tools of ROS read.
 //!
-//! Channels `raw`, `samples`, `faults`, `events`, `gaps`, each message a JSON object with `host_ns`, the
+//! Channels `raw`, `samples`, `faults`, `events`, `gaps`, `axes`, each message a JSON object with `host_ns`, the
 //! capture's own time; a message's log time is that on the wall clock at which the run began. The
 //! capture's attachments are the file's. Chunks are not compressed and carry checksums.
 
@@ -14,10 +14,11 @@ use serde_json::{Map, Value, json};
 use crate::base::units::HostNs;
 use crate::catalogue::{FileFinding, ReportFinding};
 use crate::diagnostic::Diagnostic;
+use crate::recording::axes::AxesRecords;
 use crate::recording::capture::{Event, Record, Stamped};
 
 /// Names of the channels, in the order of their counts.
-pub const CHANNELS: [&str; 5] = ["raw", "samples", "faults", "events", "gaps"];
+pub const CHANNELS: [&str; 6] = ["raw", "samples", "faults", "events", "gaps", "axes"];
 
 /// A channel: its place among [`CHANNELS`].
 #[derive(Clone, Copy)]
@@ -27,6 +28,7 @@ enum Channel {
     Faults,
     Events,
     Gaps,
+    Axes,
 }
 
 /// An MCAP file that is being written.
@@ -36,6 +38,7 @@ pub struct McapFile<W: Write + Seek> {
     counts: [u32; CHANNELS.len()],
     /// Host time and wall clock (ns since the Unix epoch) of the run's beginning.
     began: Option<(HostNs, u64)>,
+    axes: AxesRecords,
 }
 
 impl<W: Write + Seek> McapFile<W> {
@@ -53,7 +56,7 @@ impl<W: Write + Seek> McapFile<W> {
             let added = writer.add_channel(schema.map_err(unwritable)?, name, "json", &BTreeMap::new());
             *channel = added.map_err(unwritable)?;
         }
-        Ok(Self { writer, channels, counts: [0; CHANNELS.len()], began: None })
+        Ok(Self { writer, channels, counts: [0; CHANNELS.len()], began: None, axes: AxesRecords::default() })
     }
 
     /// Appends a record of the capture.
@@ -62,6 +65,8 @@ impl<W: Write + Seek> McapFile<W> {
     /// When the file cannot be written, or a record that must hold JSON does not.
     pub fn add(&mut self, stamped: &Stamped) -> Result<(), Diagnostic> {
         let host = stamped.host;
+        let mut axes = Vec::new();
+        self.axes.add(host, &stamped.record, |place, _, sample| axes.push((place, sample)));
         match &stamped.record {
             Record::Attachment { name, content } => self.attach(host, name, content),
             Record::Raw(bytes) => {
@@ -71,6 +76,13 @@ impl<W: Write + Seek> McapFile<W> {
             Record::Samples(samples) => samples.iter().try_for_each(|sample| {
                 let value = serde_json::to_value(sample).map_err(|error| not_json("samples", &error))?;
                 self.message(Channel::Samples, host, value)
+            }),
+            Record::Axes(_) => axes.into_iter().try_for_each(|(place, sample)| {
+                let value = json!({
+                    "ticks": sample.ticks, "place": place.word(), "measured_deg": sample.measured_deg,
+                    "commanded_deg": sample.commanded_deg,
+                });
+                self.message(Channel::Axes, host, value)
             }),
             Record::Fault(json) => {
                 let value = serde_json::from_slice(json).map_err(|error| not_json("fault", &error))?;
@@ -165,6 +177,12 @@ fn schema(channel: &str) -> Vec<u8> {
         ],
         "faults" => &[("offset", "integer"), ("bytes", "integer")],
         "gaps" => &[("seconds", "number"), ("missing", "integer"), ("reason", "string")],
+        "axes" => &[
+            ("ticks", "integer"),
+            ("place", "string"),
+            ("measured_deg", "array"),
+            ("commanded_deg", "array"),
+        ],
         _ => &[("event", "string")],
     };
     let host = [("host_ns", "integer")];

@@ -1,8 +1,12 @@
-//! The closed form: shoulder, two parallel axes, spherical wrist.
+//! The closed forms: shoulder, two parallel axes, and a spherical wrist or a third parallel axis.
 //!
-//! The wrist centre W lies where axes 4, 5 and 6 meet. Seen in frame 1, its side offset is that of
-//! the arm, which leaves two angles of joint 1; joints 2 and 3 are a planar two-link arm from the
-//! shoulder to W (two elbows); what rotation is left is that of the wrist (two flips).
+//! The point where axes 5 and 6 meet follows from the pose. Seen in frame 1, its side offset is that of
+//! the arm, which leaves two angles of joint 1. With a spherical wrist joints 2 and 3 are a planar
+//! two-link arm to that point (two elbows), and what rotation is left is that of the wrist (two flips).
+//! With axis 4 parallel to axes 2 and 3 the rotation gives joints 5, 6 and the sum of 2, 3 and 4 first
+//! (two flips); then joints 2 and 3 are the two-link arm to axis 4 (two elbows).
+
+use std::f64::consts::{FRAC_PI_2, PI};
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -10,27 +14,39 @@ use super::Unsolved;
 use crate::robot::pose::{Pose, rot_x, rot_z};
 use crate::robot::{AXES, DhRow, Geometry};
 
-/// How far a twist may be from a right angle, rad, and the wrist's axes from meeting, mm, for the arm to
+/// How far a twist may be from a right angle, rad, and axes that shall meet from meeting, mm, for the arm to
 /// count as near one with a closed form: far above any real robot's errors, far below a design.
 const NEAR_RAD: f64 = 0.3;
-const NEAR_MM: f64 = 60.0;
+const NEAR_MM: f64 = 10.0;
 
-/// Below this sine the wrist is straight: axes 4 and 6 turn about one line.
+/// Below this sine the wrist is straight: axes 4 and 6 are parallel.
 const STRAIGHT: f64 = 1e-9;
 
-/// An arm that has the closed form exactly.
+/// What axis 4 is to the axes around it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Fourth {
+    /// It meets axes 5 and 6 in one point.
+    Wrist,
+    /// It is parallel to axes 2 and 3.
+    Parallel,
+}
+
+/// An arm that has a closed form exactly.
 pub(super) struct Arm {
     rows: [DhRow; AXES],
     tool: Vector3<f64>,
+    fourth: Fourth,
     exact: bool,
 }
 
 impl Arm {
-    /// The arm itself where it has the closed form, else the ideal one nearby, if there is one.
+    /// The arm itself where it has a closed form, else the ideal one nearby, if there is one.
     pub(super) fn near(geometry: &Geometry) -> Option<Self> {
         let mut rows = geometry.rows;
         let mut exact = geometry.compliance.iter().all(|c| *c == 0.0) || geometry.masses.is_empty();
-        exact &= geometry.gear.iter().flatten().all(|part| *part == 0.0);
+        exact &= geometry.gear.iter().flatten().all(|part| *part == 0.0) && geometry.joint_errors.is_none();
+        let is_parallel = |alpha: f64| quarters(alpha).rem_euclid(2.0) == 0.0;
+        let fourth = if is_parallel(rows[3].alpha) { Fourth::Parallel } else { Fourth::Wrist };
         for (i, row) in rows.iter_mut().enumerate() {
             exact &= row.beta == 0.0;
             if row.beta.abs() > NEAR_RAD {
@@ -39,24 +55,29 @@ impl Arm {
             row.beta = 0.0;
             // The base may be tilted at will; after it every twist is a right angle or none.
             if i > 0 {
-                let quarters = (row.alpha / std::f64::consts::FRAC_PI_2).round();
-                let ideal = quarters * std::f64::consts::FRAC_PI_2;
-                let parallel = i == 2;
+                let ideal = quarters(row.alpha) * FRAC_PI_2;
                 let off = (row.alpha - ideal).abs();
-                if off > NEAR_RAD || (quarters.rem_euclid(2.0) == 0.0) != parallel {
+                let parallel = i == 2 || i == 3 && fourth == Fourth::Parallel;
+                if off > NEAR_RAD || is_parallel(row.alpha) != parallel {
                     return None;
                 }
                 exact &= off < 1e-12;
                 row.alpha = ideal;
             }
         }
-        let offsets = [rows[4].a, rows[5].a, rows[4].d];
-        if !offsets.iter().all(|offset| offset.abs() <= NEAR_MM) {
-            return None;
+        let [.., five, six] = &mut rows;
+        let offsets = match fourth {
+            Fourth::Wrist => vec![&mut five.a, &mut five.d, &mut six.a],
+            Fourth::Parallel => vec![&mut six.a],
+        };
+        for offset in offsets {
+            if offset.abs() > NEAR_MM {
+                return None;
+            }
+            exact &= offset.abs() < 1e-12;
+            *offset = 0.0;
         }
-        exact &= offsets.iter().all(|offset| offset.abs() < 1e-12);
-        (rows[4].a, rows[5].a, rows[4].d) = (0.0, 0.0, 0.0);
-        Some(Self { rows, tool: geometry.tool, exact })
+        Some(Self { rows, tool: geometry.tool, fourth, exact })
     }
 
     /// Whether it is the arm that was given, to the last digit.
@@ -64,7 +85,7 @@ impl Arm {
         self.exact
     }
 
-    /// The forearm in frame 3, from joint 3 to the wrist centre, mm.
+    /// The forearm in frame 3, from joint 3 to the wrist centre or to axis 4, mm.
     fn forearm(&self) -> Vector3<f64> {
         let DhRow { alpha, a, d, .. } = self.rows[3];
         Vector3::new(a, -alpha.sin() * d, alpha.cos() * d)
@@ -81,17 +102,24 @@ impl Arm {
         let forearm = self.forearm();
         let row = &self.rows[2];
         let joint = row.sign * a3 + row.theta + forearm.y.atan2(forearm.x);
-        super::wrapped(row.sign * joint)
+        super::wrapped(row.sign * joint + if row.a < 0.0 { PI } else { 0.0 })
     }
 
-    /// The angle of joint 5 from a straight wrist, rad.
+    /// The angle of joint 5 from a straight wrist, rad, in (-pi, pi], in the sense of the controller's axis angle; errors
+    /// of the joint's zero do not count.
     pub(super) fn wrist(&self, a5: f64) -> f64 {
         let row = &self.rows[4];
-        row.sign * a5 + row.theta
+        super::wrapped(a5 + row.sign * quarters(row.theta) * FRAC_PI_2)
     }
 
-    /// The branches at `ball`; `a4` is axis 4 where the wrist is straight. Angles in rad, not wrapped.
-    pub(super) fn branches(&self, ball: &Pose, a4: f64) -> Result<Vec<[f64; AXES]>, Unsolved> {
+    /// The joint angle at the axis angle of joint `i`, from 0.
+    fn joint(&self, i: usize, axes: &[f64; AXES]) -> f64 {
+        self.rows[i].sign * axes[i] + self.rows[i].theta
+    }
+
+    /// The branches at `ball`; where the wrist is straight, the axis that may be chosen (4, or 6 of an arm with
+    /// three parallel axes) is that of `near`. Angles in rad, not wrapped.
+    pub(super) fn branches(&self, ball: &Pose, near: &[f64; AXES]) -> Result<Vec<[f64; AXES]>, Unsolved> {
         let rows = &self.rows;
         let flange = ball.position - ball.rotation * self.tool;
         let wrist = flange - ball.rotation.column(2) * rows[5].d;
@@ -101,9 +129,7 @@ impl Arm {
         seen.x -= rows[0].a;
         seen.z -= rows[0].d;
 
-        let forearm = self.forearm();
-        let fold = self.fold();
-        let side = rows[1].d + fold * (rows[2].d + forearm.z);
+        let side = rows[1].d + self.fold() * (rows[2].d + self.forearm().z);
         let twist = rows[1].alpha.sin().signum();
         let radius_squared = seen.x * seen.x + seen.y * seen.y;
         let Some(forward) = root(radius_squared - side * side, radius_squared) else {
@@ -112,65 +138,115 @@ impl Arm {
         let mut found = Vec::with_capacity(8);
         for forward in [forward, -forward] {
             let theta1 = seen.y.atan2(seen.x) - (-twist * side).atan2(forward);
-            let target = (forward - rows[1].a, twist * seen.z);
-            for (theta2, theta3) in self.elbows(target, &forearm, fold) {
-                let carried = tilt
-                    * rot_z(theta1)
-                    * rot_x(rows[1].alpha)
-                    * rot_z(theta2)
-                    * rot_x(rows[2].alpha)
-                    * rot_z(theta3)
-                    * rot_x(rows[3].alpha);
-                for [theta4, theta5, theta6] in self.flips(&(carried.transpose() * ball.rotation), a4) {
-                    let thetas = [theta1, theta2, theta3, theta4, theta5, theta6];
-                    found.push(std::array::from_fn(|i| rows[i].sign * (thetas[i] - rows[i].theta)));
-                }
+            // After the twist of row 2: the plane of the arm.
+            let turned = tilt * rot_z(theta1) * rot_x(rows[1].alpha);
+            let wrist = [forward - rows[1].a, twist * seen.z];
+            let others = match self.fourth {
+                Fourth::Wrist => self.with_wrist(wrist, &turned, &ball.rotation, near),
+                Fourth::Parallel => self.with_parallel(wrist, &(turned.transpose() * ball.rotation), near),
+            };
+            for [theta2, theta3, theta4, theta5, theta6] in others {
+                let thetas = [theta1, theta2, theta3, theta4, theta5, theta6];
+                found.push(std::array::from_fn(|i| rows[i].sign * (thetas[i] - rows[i].theta)));
             }
         }
         if found.is_empty() { Err(Unsolved::OutOfReach) } else { Ok(found) }
     }
 
-    /// Joints 2 and 3 that bring the wrist centre to `target` in the plane of the arm, from joint 2.
-    fn elbows(&self, target: (f64, f64), forearm: &Vector3<f64>, fold: f64) -> Vec<(f64, f64)> {
+    /// Joints 2 to 6 of an arm with a spherical wrist, its plane `turned`.
+    fn with_wrist(
+        &self,
+        wrist: [f64; 2],
+        turned: &Matrix3<f64>,
+        rotation: &Matrix3<f64>,
+        near: &[f64; AXES],
+    ) -> Vec<[f64; 5]> {
+        let rows = &self.rows;
+        let mut found = Vec::with_capacity(4);
+        for (theta2, theta3) in self.elbows(wrist) {
+            let carried =
+                turned * rot_z(theta2) * rot_x(rows[2].alpha) * rot_z(theta3) * rot_x(rows[3].alpha);
+            let flips = self.flips(&(carried.transpose() * rotation), rows[4].alpha, near);
+            found.extend(
+                flips.into_iter().map(|[theta4, theta5, theta6]| [theta2, theta3, theta4, theta5, theta6]),
+            );
+        }
+        found
+    }
+
+    /// Joints 2 to 6 of an arm with three parallel axes.
+    fn with_parallel(&self, wrist: [f64; 2], rotation: &Matrix3<f64>, near: &[f64; AXES]) -> Vec<[f64; 5]> {
+        let rows = &self.rows;
+        let folded = rows[2].alpha + rows[3].alpha;
+        let mut found = Vec::with_capacity(4);
+        for [sum, theta5, theta6] in self.flips(rotation, folded + rows[4].alpha, near) {
+            // From the wrist back to axis 4, in the plane.
+            let fourth = rot_z(sum) * rot_x(folded);
+            let back = fourth * (Vector3::x() * rows[4].a + rot_x(rows[4].alpha).column(2) * rows[4].d);
+            for (theta2, theta3) in self.elbows([wrist[0] - back.x, wrist[1] - back.y]) {
+                let theta4 = folded.cos().signum() * (sum - theta2 - self.fold() * theta3);
+                found.push([theta2, theta3, theta4, theta5, theta6]);
+            }
+        }
+        found
+    }
+
+    /// Joints 2 and 3 that bring the end of the forearm to `target` in the plane of the arm, from joint 2.
+    fn elbows(&self, target: [f64; 2]) -> Vec<(f64, f64)> {
+        let forearm = self.forearm();
         let (upper, lower) = (self.rows[2].a, forearm.x.hypot(forearm.y));
         let bend = forearm.y.atan2(forearm.x);
         let product = 2.0 * upper * lower;
         if product == 0.0 {
             return Vec::new();
         }
-        let cos = (target.0 * target.0 + target.1 * target.1 - upper * upper - lower * lower) / product;
+        let [x, y] = target;
+        let cos = (x * x + y * y - upper * upper - lower * lower) / product;
         let Some(sin) = root(1.0 - cos * cos, 1.0) else {
             return Vec::new();
         };
         [sin, -sin]
             .map(|sin| {
-                let theta2 = target.1.atan2(target.0) - (lower * sin).atan2(upper + lower * cos);
-                (theta2, fold * sin.atan2(cos) - bend)
+                let theta2 = y.atan2(x) - (lower * sin).atan2(upper + lower * cos);
+                (theta2, self.fold() * sin.atan2(cos) - bend)
             })
             .to_vec()
     }
 
-    /// Joints 4, 5 and 6 for the rotation `left` after joint 3's frame and the twist of row 4.
-    fn flips(&self, left: &Matrix3<f64>, a4: f64) -> Vec<[f64; 3]> {
-        let (twist5, twist6) = (self.rows[4].alpha.sin().signum(), self.rows[5].alpha.sin().signum());
+    /// The first angle, theta 5 and theta 6 for which `left` is `Rz Rx(twist) Rz(theta5) Rx(alpha6) Rz(theta6)`; the
+    /// twist is an odd number of right angles.
+    fn flips(&self, left: &Matrix3<f64>, twist: f64, near: &[f64; AXES]) -> Vec<[f64; 3]> {
+        let last = rot_x(self.rows[5].alpha);
+        let (twist5, twist6) = (twist.sin().signum(), self.rows[5].alpha.sin().signum());
         let sine = left[(0, 2)].hypot(left[(1, 2)]);
         let cosine = -twist5 * twist6 * left[(2, 2)];
-        let rest = |theta4: f64, theta5: f64| {
-            let before =
-                rot_z(theta4) * rot_x(self.rows[4].alpha) * rot_z(theta5) * rot_x(self.rows[5].alpha);
-            let last = before.transpose() * left;
-            [theta4, theta5, last[(1, 0)].atan2(last[(0, 0)])]
+        let about_z = |rotation: Matrix3<f64>| rotation[(1, 0)].atan2(rotation[(0, 0)]);
+        let with_first = |first: f64, theta5: f64| {
+            let before = rot_z(first) * rot_x(twist) * rot_z(theta5) * last;
+            [first, theta5, about_z(before.transpose() * left)]
         };
-        if sine < STRAIGHT {
-            let theta4 = self.rows[3].sign * a4 + self.rows[3].theta;
-            return vec![rest(theta4, sine.atan2(cosine))];
+        if sine >= STRAIGHT {
+            let flip = |sign: f64| {
+                let side = sign * twist6;
+                with_first((side * left[(1, 2)]).atan2(side * left[(0, 2)]), (sign * sine).atan2(cosine))
+            };
+            return vec![flip(1.0), flip(-1.0)];
         }
-        let flip = |sign: f64| {
-            let side = sign * twist6;
-            rest((side * left[(1, 2)]).atan2(side * left[(0, 2)]), (sign * sine).atan2(cosine))
-        };
-        vec![flip(1.0), flip(-1.0)]
+        let theta5 = sine.atan2(cosine);
+        vec![match self.fourth {
+            Fourth::Wrist => with_first(self.joint(3, near), theta5),
+            Fourth::Parallel => {
+                let theta6 = self.joint(5, near);
+                let after = rot_x(twist) * rot_z(theta5) * last * rot_z(theta6);
+                [about_z(left * after.transpose()), theta5, theta6]
+            }
+        }]
     }
+}
+
+/// How many right angles an angle is nearest to.
+fn quarters(angle: f64) -> f64 {
+    (angle / FRAC_PI_2).round()
 }
 
 /// The square root of a value that rounding may have pushed below zero: within 1e-12 of `scale`.

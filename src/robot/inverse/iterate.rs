@@ -7,7 +7,7 @@ use crate::robot::pose::{Pose, rotation_vector};
 use crate::robot::{AXES, Geometry};
 
 /// Where the iteration stops: distance in mm and turn in rad from the pose.
-const NEAR_MM: f64 = 1e-9;
+const NEAR_MM: f64 = 0.9e-9;
 const NEAR_RAD: f64 = 1e-11;
 
 /// Lever that makes a turn comparable to a distance, mm/rad: the size of an industrial arm.
@@ -16,7 +16,7 @@ const LEVER_MM: f64 = 1000.0;
 /// Steps before the iteration gives up.
 const STEPS: usize = 100;
 
-/// The axis angles (rad) for `ball` that the damped iteration reaches from `start`, to 1e-9 mm and
+/// The axis angles (rad) for `ball` that the damped iteration reaches from `start`, to 1e-9 mm (with room for rounding) and
 /// 1e-11 rad; they stay in the branch and turn of `start` when that is near.
 ///
 /// # Errors

@@ -1,4 +1,5 @@
-//! Axis angles for a pose: closed form for a spherical wrist, damped least squares for any arm.
+//! Axis angles for a pose: closed forms for a spherical wrist and for three parallel axes, a search for any other arm,
+//! damped least squares from a neighbour.
 //!
 //! An identified robot is not exact in any closed form's sense: its twists are not quite right
 //! angles, its wrist axes do not quite meet. Its branches are those of the ideal arm nearby, each
@@ -7,6 +8,7 @@
 mod closed;
 mod configuration;
 mod iterate;
+mod search;
 
 use std::f64::consts::TAU;
 
@@ -14,23 +16,26 @@ use super::pose::Pose;
 use super::{AXES, Geometry};
 
 pub use crate::catalogue::RobotFinding as Unsolved;
-pub use configuration::{Clearance, clearance, from_status_turn, status, turn, turns_within};
+pub use configuration::{
+    Clearance, clearance, from_quadrants, from_status_turn, quadrants, status, turn, turns_within,
+};
 pub use iterate::numeric;
 
-/// All branches (up to eight) that put the tool ball at `ball` with the flange's orientation; axis
-/// angles of the controller, rad, each in (-pi, pi]. Where the wrist is straight and only the sum of
-/// axes 4 and 6 is defined, axis 4 is 0.
+/// Without a closed form, what the damped iteration reaches with no axis turned by more has stayed in its branch, rad.
+const FOLLOWED: f64 = 0.3;
+
+/// All branches (up to eight with a closed form) that put the tool ball at `ball` with the flange's orientation; axis
+/// angles of the controller, rad, each in (-pi, pi]. Where the wrist is straight and
+/// axes 4 and 6 turn alike, axis 4 is 0 (axis 6 of an arm with three parallel axes).
 ///
 /// # Errors
-/// Out of reach, or an arm that is not near one with a closed form.
+/// Out of reach.
 pub fn branches(geometry: &Geometry, ball: &Pose) -> Result<Vec<[f64; AXES]>, Unsolved> {
-    branches_near(geometry, ball, 0.0)
-}
-
-/// As [`branches`], with axis 4 at `a4` (rad) where the wrist is straight.
-fn branches_near(geometry: &Geometry, ball: &Pose, a4: f64) -> Result<Vec<[f64; AXES]>, Unsolved> {
-    let arm = closed::Arm::near(geometry).ok_or(Unsolved::NotAnalytic)?;
-    let ideal = arm.branches(ball, a4)?;
+    let Some(arm) = closed::Arm::near(geometry) else {
+        let found = search::branches(geometry, ball);
+        return if found.is_empty() { Err(Unsolved::OutOfReach) } else { Ok(found) };
+    };
+    let ideal = arm.branches(ball, &[0.0; AXES])?;
     if arm.is_exact() {
         return Ok(ideal.into_iter().map(|axes| axes.map(wrapped)).collect());
     }
@@ -49,20 +54,23 @@ fn branches_near(geometry: &Geometry, ball: &Pose, a4: f64) -> Result<Vec<[f64; 
 /// Out of reach, or no convergence.
 pub fn nearest(geometry: &Geometry, ball: &Pose, near: &[f64; AXES]) -> Result<[f64; AXES], Unsolved> {
     let Some(arm) = closed::Arm::near(geometry) else {
-        return numeric(geometry, ball, near);
+        let followed = numeric(geometry, ball, near).ok().filter(|axes| distance(axes, near) < FOLLOWED);
+        return followed.map_or_else(|| nearest_of(&branches(geometry, ball)?, near), Ok);
     };
-    let ideal = arm.branches(ball, near[3]);
-    let chosen = ideal.as_ref().ok().and_then(|ideal| {
-        let unwound = ideal.iter().map(|axes| unwound(axes, near));
-        unwound.min_by(|a, b| distance(a, near).total_cmp(&distance(b, near)))
-    });
-    match (chosen, ideal) {
-        (Some(axes), _) if arm.is_exact() => Ok(axes),
-        (Some(axes), _) => numeric(geometry, ball, &axes).or_else(|_| numeric(geometry, ball, near)),
-        (None, Err(reason)) if arm.is_exact() => Err(reason),
+    let ideal = arm.branches(ball, near);
+    match ideal.and_then(|ideal| nearest_of(&ideal, near)) {
+        ideal if arm.is_exact() => ideal,
+        Ok(axes) => numeric(geometry, ball, &axes).or_else(|_| numeric(geometry, ball, near)),
         // The true arm may just reach what the ideal one does not.
-        (None, _) => numeric(geometry, ball, near),
+        Err(_) => numeric(geometry, ball, near),
     }
+}
+
+/// The branch that is nearest to `near`, turns included.
+fn nearest_of(branches: &[[f64; AXES]], near: &[f64; AXES]) -> Result<[f64; AXES], Unsolved> {
+    let unwound = branches.iter().map(|axes| unwound(axes, near));
+    let nearest = unwound.min_by(|a, b| distance(a, near).total_cmp(&distance(b, near)));
+    nearest.ok_or(Unsolved::OutOfReach)
 }
 
 /// The greatest difference of an axis, rad.

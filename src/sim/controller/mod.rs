@@ -1,277 +1,127 @@
-//! A controller that executes a KRL program in virtual time; the program is its only source of motion.
+//! A controller that executes a program in virtual time; the program is its only source of motion.
 //!
-//! It knows the NOMINAL robot: Cartesian positions become axis angles by the nominal inverse
-//! kinematics, as in a real controller. All stops are exact, and there is no advance run: a statement
-//! takes effect when it is reached.
+//! It knows the NOMINAL robot: Cartesian positions become axis angles by the nominal inverse kinematics, as in a real
+//! controller. KRL is interpreted (`krl`); of other languages the list of what the program does is executed
+//! (`listed`), with the stopping behaviour of their controllers.
 
-mod drive;
-mod ekrl;
-mod execute;
+mod arm;
+mod krl;
+mod listed;
 mod motion;
-mod save;
-mod start;
-mod store;
-mod variables;
 
-use std::collections::BTreeMap;
-
-use self::execute::Level;
-use self::motion::{Motion, Place};
-use self::store::Names;
 use super::Moment;
-use crate::catalogue::ProgramFinding;
 use crate::diagnostic::Diagnostic;
-use crate::program::krl::Program;
-use crate::program::krl::evaluate::{At, Fault};
-use crate::program::krl::syntax::{Expression, Span};
-use crate::program::krl::value::Value;
-use crate::robot::{AXES, Robot, inverse};
-
-/// Waits and motions in one step of time, after which a program is held to hang.
-const ACTIVITIES: usize = 10_000;
-
-/// What the controller is doing.
-#[derive(Clone, Debug)]
-enum Activity {
-    /// The next statement is to be executed.
-    Ready,
-    Moving(Box<Motion>),
-    /// Until this time, s.
-    Waiting(f64),
-    /// Until this condition holds.
-    Until(Expression),
-    /// Until the operator presses START.
-    Halted,
-    Done,
-}
-
-/// An output that goes back to a level at a time.
-#[derive(Clone, Copy, Debug)]
-struct Pulse {
-    output: usize,
-    level: bool,
-    until_s: f64,
-}
-
-/// The first and the last output (or input) of a signal, from 1.
-#[derive(Clone, Copy, Debug)]
-struct Signal {
-    output: bool,
-    first: usize,
-    last: usize,
-}
+use crate::program::Program;
+use crate::robot::Robot;
 
 #[derive(Clone, Debug)]
-pub struct Controller {
-    program: Program,
-    robot: Robot,
-    t_s: f64,
-    /// Commanded axis angles, rad.
-    axes: [f64; AXES],
-    motions: u32,
-    dwells: u32,
-    centre: u32,
-    /// The output that is the strobe, where the program has one.
-    strobe: Option<usize>,
-    activity: Activity,
-    levels: Vec<Level>,
-    system: Names,
-    /// Variables of each module's `.dat`.
-    data: Vec<Names>,
-    signals: Vec<BTreeMap<String, Signal>>,
-    pulses: Vec<Pulse>,
-    ekrl: ekrl::Channel,
-    /// Module and bytes of the statement that was begun last.
-    at: (usize, Span),
+pub struct Controller(Machine);
+
+#[derive(Clone, Debug)]
+enum Machine {
+    Krl(Box<krl::Interpreter>),
+    Listed(Box<listed::Executor>),
 }
 
 impl Controller {
+    /// A controller of the nominal `robot` with `program` selected, at `override_percent` (1 to 100).
+    /// The robot is at its controller's home, or as near to it as its limits allow.
+    pub fn new(
+        program: impl Into<Program>,
+        robot: &Robot,
+        override_percent: f64,
+    ) -> Result<Self, Diagnostic> {
+        let percent = override_percent.clamp(1.0, 100.0).round();
+        Ok(Self(match program.into() {
+            Program::Krl(program) => Machine::Krl(Box::new(krl::Interpreter::new(program, robot, percent)?)),
+            Program::Listed(listing) => {
+                Machine::Listed(Box::new(listed::Executor::new(listing, robot, percent)))
+            }
+        }))
+    }
+
     /// Goes on for `dt_s` seconds of device time.
     pub fn step(&mut self, dt_s: f64) -> Result<Moment, Diagnostic> {
-        let end_s = self.t_s + dt_s.max(0.0);
-        self.run_to(end_s).map_err(|fault| self.diagnose(fault))?;
-        self.t_s = end_s;
-        self.end_pulses();
-        Ok(self.moment())
-    }
-
-    fn run_to(&mut self, end_s: f64) -> Result<(), Fault> {
-        for _ in 0..ACTIVITIES {
-            if matches!(self.activity, Activity::Ready) {
-                self.execute()?;
-            }
-            if !self.proceed(end_s)? {
-                return Ok(());
-            }
-        }
-        // Waits of no time, or of nearly none.
-        Err(Fault::new(&self.at.1, ProgramFinding::NeverWaits))
-    }
-
-    /// Says that the controller corrects by an accuracy model of its own, which the robot that it was given
-    /// then is: `$ABS_ACCUR` is TRUE, and a Cartesian command moves the axes elsewhere than the nominal robot's would.
-    pub fn correct_by_itself(&mut self) {
-        if let Some(variable) = self.system.get_mut("$ABS_ACCUR") {
-            variable.value = Value::Bool(true);
+        match &mut self.0 {
+            Machine::Krl(machine) => machine.step(dt_s),
+            Machine::Listed(machine) => machine.step(dt_s),
         }
     }
 
-    /// Presses START: a program at HALT goes on.
+    /// Where it is now.
+    pub fn moment(&self) -> Moment {
+        match &self.0 {
+            Machine::Krl(machine) => machine.moment(),
+            Machine::Listed(machine) => machine.moment(),
+        }
+    }
+
+    /// Presses START: a program that waits for the operator goes on.
     pub fn go_on(&mut self) {
-        if matches!(self.activity, Activity::Halted) {
-            self.activity = Activity::Ready;
+        match &mut self.0 {
+            Machine::Krl(machine) => machine.go_on(),
+            Machine::Listed(machine) => machine.go_on(),
         }
     }
 
     /// File and line (from 1) of the statement that was begun last.
     pub fn position(&self) -> (&str, usize) {
-        let (module, span) = &self.at;
-        self.program
-            .modules
-            .get(*module)
-            .map_or(("", 0), |module| (module.source.file.as_str(), module.source.as_text().line(span.start)))
+        match &self.0 {
+            Machine::Krl(machine) => machine.position(),
+            Machine::Listed(machine) => machine.position(),
+        }
     }
 
-    /// How often the strobe went high and low again, or, in a program without a strobe, how often the
-    /// measured axes were logged.
+    /// How often the strobe went high and low again, or, in a program without a strobe, how often the measured axes were
+    /// logged or the robot settled and waited.
     pub fn dwells(&self) -> u32 {
-        self.dwells
-    }
-
-    pub fn moment(&self) -> Moment {
-        Moment {
-            t_s: self.t_s,
-            axes: self.axes,
-            centre: self.centre,
-            strobe: self.strobe.is_some_and(|output| self.output(output)),
-            motions: self.motions,
-            halted: matches!(self.activity, Activity::Halted),
-            done: matches!(self.activity, Activity::Done),
+        match &self.0 {
+            Machine::Krl(machine) => machine.dwells(),
+            Machine::Listed(machine) => machine.dwells(),
         }
     }
 
-    /// Goes on with the present activity up to `end_s`; whether it ended before, so that the next
-    /// statement has its turn.
-    fn proceed(&mut self, end_s: f64) -> Result<bool, Fault> {
-        let left_s = end_s - self.t_s;
-        match std::mem::replace(&mut self.activity, Activity::Ready) {
-            Activity::Ready => return Ok(true),
-            Activity::Waiting(until_s) if until_s <= end_s => {
-                self.t_s = self.t_s.max(until_s);
-                self.end_pulses();
-                return Ok(true);
-            }
-            Activity::Until(condition) => {
-                if condition.bool(self)? {
-                    return Ok(true);
-                }
-                self.activity = Activity::Until(condition);
-            }
-            Activity::Moving(mut motion) => {
-                // The override stretches the time on the path.
-                let rate = self.override_share();
-                let needed_s = motion.left_s() / rate;
-                if needed_s <= left_s {
-                    motion.t_s = f64::INFINITY;
-                    self.take(&motion.place(), needed_s).at(&self.at.1)?;
-                    self.t_s += needed_s;
-                    self.end_pulses();
-                    return Ok(true);
-                }
-                motion.t_s += left_s * rate;
-                self.take(&motion.place(), left_s).at(&self.at.1)?;
-                self.activity = Activity::Moving(motion);
-            }
-            other => self.activity = other,
-        }
-        Ok(false)
-    }
-
-    /// Takes the robot to a place on its path, `elapsed_s` after the last.
-    fn take(&mut self, place: &Place, elapsed_s: f64) -> Result<(), ProgramFinding> {
-        let axes = match place {
-            Place::Axes(axes) => *axes,
-            Place::Pose(pose) => {
-                let axes = inverse::nearest(&self.geometry(), pose, &self.axes)
-                    .map_err(|unsolved| ProgramFinding::NoAxisAngles { why: unsolved.to_string() })?;
-                self.check_limits(&axes)?;
-                for i in 0..AXES {
-                    let most = self.robot.max_speed_deg_s[i].to_radians() * elapsed_s;
-                    if (axes[i] - self.axes[i]).abs() > 1.05 * most + 1e-6 {
-                        return Err(ProgramFinding::AxisSpeed { axis: i + 1 });
-                    }
-                }
-                axes
-            }
-        };
-        self.axes = axes;
-        Ok(())
-    }
-
-    /// Refuses axis angles (rad) outside the robot's limits.
-    fn check_limits(&self, axes: &[f64; AXES]) -> Result<(), ProgramFinding> {
-        for (i, angle_deg) in axes.iter().map(|angle| angle.to_degrees()).enumerate() {
-            let [low_deg, high_deg] = self.robot.limits_deg[i];
-            if !(low_deg - 1e-9..=high_deg + 1e-9).contains(&angle_deg) {
-                return Err(ProgramFinding::AxisLimit { axis: i + 1, angle_deg, low_deg, high_deg });
-            }
-        }
-        Ok(())
-    }
-
-    fn system(&self, name: &str) -> Option<&Value> {
-        self.system.get(name).map(|variable| &variable.value)
-    }
-
-    /// `$OV_PRO` as a share.
-    fn override_share(&self) -> f64 {
-        let percent = self.system("$OV_PRO").and_then(|value| value.number().ok());
-        percent.unwrap_or(100.0).clamp(0.0, 100.0) / 100.0
-    }
-
-    fn end_pulses(&mut self) {
-        let now_s = self.t_s + 1e-9;
-        let (due, left) = self.pulses.iter().partition(|pulse| pulse.until_s <= now_s);
-        self.pulses = left;
-        let due: Vec<Pulse> = due;
-        for pulse in due {
-            self.set_output(pulse.output, pulse.level);
+    /// Says that the controller corrects by an accuracy model of its own, which the robot that it was given then is: a
+    /// Cartesian command moves the axes elsewhere than the nominal robot's would, and in KRL `$ABS_ACCUR` is TRUE.
+    pub fn correct_by_itself(&mut self) {
+        if let Machine::Krl(machine) = &mut self.0 {
+            machine.correct_by_itself();
         }
     }
 
-    /// The level of an output, from 1.
-    fn output(&self, output: usize) -> bool {
-        match self.system("$OUT") {
-            Some(Value::Array(levels)) => {
-                output.checked_sub(1).and_then(|at| levels.get(at)) == Some(&Value::Bool(true))
-            }
-            _ => false,
+    /// The name of each `.dat` file of a KRL program and its text with what the program has set since: scalars in their
+    /// declarations, elements of arrays in lines before `ENDDAT`. All else stays as it is.
+    pub fn saved(&self) -> Vec<(String, String)> {
+        match &self.0 {
+            Machine::Krl(machine) => machine.saved(),
+            Machine::Listed(_) => Vec::new(),
         }
     }
 
-    fn set_output(&mut self, output: usize, level: bool) {
-        self.set_bit("$OUT", output, level);
-    }
-
-    /// Sets an element, from 1, of a system variable that is an array of BOOL.
-    fn set_bit(&mut self, array: &str, number: usize, level: bool) {
-        if let Some(Value::Array(levels)) = self.system.get_mut(array).map(|variable| &mut variable.value)
-            && let Some(here) = number.checked_sub(1).and_then(|at| levels.get_mut(at))
-        {
-            *here = Value::Bool(level);
+    /// Says that telegrams are carried to a server: without that a KRL program cannot open a channel.
+    pub fn link_ekrl(&mut self) {
+        if let Machine::Krl(machine) = &mut self.0 {
+            machine.link_ekrl();
         }
     }
 
-    /// The module whose routine runs.
-    fn module(&self) -> usize {
-        self.levels.iter().rev().find_map(Level::module).unwrap_or(self.at.0)
+    /// Whether the program holds the channel open.
+    pub fn ekrl_open(&self) -> bool {
+        matches!(&self.0, Machine::Krl(machine) if machine.ekrl_open())
     }
 
-    /// A fault as the user reads it.
-    fn diagnose(&self, fault: Fault) -> Diagnostic {
-        match self.program.modules.get(self.module()) {
-            Some(module) => module.source.as_text().wrong(&fault.span, fault.finding),
-            None => fault.finding.into(),
+    /// The next telegram to be sent.
+    pub fn telegram(&mut self) -> Option<String> {
+        match &mut self.0 {
+            Machine::Krl(machine) => machine.telegram(),
+            Machine::Listed(_) => None,
+        }
+    }
+
+    /// The `Id` of an answer that has come.
+    pub fn answer(&mut self, id: i64) {
+        if let Machine::Krl(machine) = &mut self.0 {
+            machine.answer(id);
         }
     }
 }

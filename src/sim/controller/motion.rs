@@ -39,6 +39,20 @@ impl Profile {
         alone.into_iter().max_by(longest).unwrap_or_else(|| Self::within([]))
     }
 
+    /// That lasts so long, s, with ramps of a quarter of it.
+    pub(super) fn lasting(seconds: f64) -> Self {
+        if seconds <= 0.0 {
+            return Self::within([]);
+        }
+        let speed = 4.0 / (3.0 * seconds);
+        Self { speed, acceleration: 4.0 * speed / seconds, duration_s: seconds }
+    }
+
+    /// Itself, or one that lasts so long, s, where it would be over before.
+    pub(super) fn not_before(self, seconds: f64) -> Self {
+        if self.duration_s < seconds && self.duration_s > 0.0 { Self::lasting(seconds) } else { self }
+    }
+
     /// The share of the path after `t_s` seconds.
     fn share(&self, t_s: f64) -> f64 {
         if t_s >= self.duration_s {

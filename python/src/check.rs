@@ -1,0 +1,130 @@
+//! `check` and `Check`.
+
+use dbbd::conformity::{self, CheckInput, InterimCheck, Rule};
+use dbbd::estimation::change::Mounting;
+use dbbd::estimation::{Options, ResultFile};
+use dbbd::measurement::{LengthModel, PreparedMeasurement};
+use dbbd::robot::AXES;
+use pyo3::prelude::*;
+
+use crate::arrays::{Numbers, Rows, Wholes};
+use crate::error::{Failure, failed, to_python};
+use crate::lengths::{Given, balls, checked};
+use crate::robot::PyRobot;
+
+/// The result of an interim check.
+#[pyclass(name = "Check", module = "dbbd", frozen)]
+pub(crate) struct PyCheck {
+    found: InterimCheck,
+}
+
+#[pymethods]
+impl PyCheck {
+    /// `pass`, `fail` or `undecided`.
+    #[getter]
+    fn decision(&self, py: Python<'_>) -> PyResult<Py<PyAny>> {
+        to_python(py, &self.found.decision.decision)
+    }
+
+    /// What probably changed, likeliest first; empty where the test finds no change.
+    #[getter]
+    fn changes(&self, py: Python<'_>) -> PyResult<Py<PyAny>> {
+        to_python(py, &self.found.changes)
+    }
+
+    /// As `check.json` has it, without the files that a check in memory was not made from.
+    fn to_dict(&self, py: Python<'_>) -> PyResult<Py<PyAny>> {
+        to_python(py, &self.found)
+    }
+
+    /// The robot with what changed identified anew, or None where nothing changed.
+    #[getter]
+    fn updated(&self) -> Result<Option<PyRobot>, Failure> {
+        self.found.update().cloned().map(PyRobot::of).transpose()
+    }
+
+    fn __repr__(&self) -> String {
+        format!("<dbbd.Check of {:?}: {:?}>", self.found.robot, self.found.decision.decision)
+    }
+}
+
+/// Standard deviation of a length of the result beside a robot's file, mm.
+fn sigma_of_result(robot: &PyRobot) -> Result<Option<f64>, Failure> {
+    let Some(file) = &robot.file else { return Ok(None) };
+    let (_, result) = ResultFile::beside(file, &robot.robot().name)?;
+    Ok(result.map(|result| result.sigma_mm))
+}
+
+/// Checks whether a calibrated robot is still what it was, from lengths (mm) at axis angles (degrees) to base balls.
+#[pyfunction]
+#[pyo3(signature = (
+    axes_deg, lengths_mm, ball, *, robot, balls_mm, sigma_mm=None, bar=None, approach=None, index=None,
+    tolerance_mm=None, risk=Some(0.05), tool_repeat_mm=Mounting::TOOL_REPEAT_MM, ball_repeat_mm=None, bar_u_mm=None,
+    workspace_deg=None
+))]
+#[allow(clippy::too_many_arguments)] // keywords of a Python function
+pub(crate) fn check<'py>(
+    py: Python<'py>,
+    axes_deg: Numbers<'py>,
+    lengths_mm: Numbers<'py>,
+    ball: Wholes<'py>,
+    robot: &PyRobot,
+    balls_mm: Numbers<'py>,
+    sigma_mm: Option<Numbers<'py>>,
+    bar: Option<Wholes<'py>>,
+    approach: Option<Wholes<'py>>,
+    index: Option<Wholes<'py>>,
+    tolerance_mm: Option<f64>,
+    risk: Option<f64>,
+    tool_repeat_mm: f64,
+    ball_repeat_mm: Option<f64>,
+    bar_u_mm: Option<f64>,
+    workspace_deg: Option<Numbers<'py>>,
+) -> Result<PyCheck, Failure> {
+    use numpy::PyUntypedArrayMethods as _;
+    let (all, each) = match &sigma_mm {
+        Some(sigma) if sigma.shape().is_empty() => (sigma.as_array().iter().copied().next(), None),
+        each => (None, each.as_ref()),
+    };
+    let given = Given {
+        axes_deg: &axes_deg,
+        lengths_mm: &lengths_mm,
+        ball: &ball,
+        sigma_mm: each,
+        bar: bar.as_ref(),
+        approach: approach.as_ref(),
+        index: index.as_ref(),
+    };
+    let (lengths, _) = given.measurements()?;
+    let balls = balls(&balls_mm)?;
+    let (of, read) = (robot.robot(), robot);
+    checked(&lengths, of, &balls)?;
+    let sigma_mm = match all {
+        Some(sigma_mm) => sigma_mm,
+        None => conformity::sigma_mm(conformity::own_sigma_mm(&lengths, of), sigma_of_result(read)?)
+            .map_err(failed)?,
+    };
+    let workspace = workspace_deg.map(|q| Rows::<AXES>::of(&q, "workspace_deg")).transpose()?;
+    let workspace = Options {
+        workspace: workspace.map(|q| q.rows.iter().map(|axes| axes.map(f64::to_radians)).collect()),
+        ..Options::default()
+    };
+    let start = LengthModel::new(of.geometry.clone(), &balls);
+    let readings: Vec<PreparedMeasurement> = lengths.rows.iter().map(PreparedMeasurement::from).collect();
+    py.detach(|| {
+        let mounting =
+            Mounting { tool_mm: tool_repeat_mm, ball_mm: ball_repeat_mm, ..Mounting::again(of, bar_u_mm) };
+        let input = CheckInput {
+            robot: of,
+            start: &start,
+            readings: &readings,
+            bars: lengths.bars(),
+            sigma_mm,
+            mounting,
+            tolerance_mm,
+            rule: risk.map_or(Rule::SimpleAcceptance, |risk| Rule::GuardBand { risk }),
+            workspace: &workspace.workspace_poses(of),
+        };
+        Ok(PyCheck { found: input.check().map_err(failed)? })
+    })
+}

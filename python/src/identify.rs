@@ -1,0 +1,287 @@
+//! `identify` and its `Result`.
+
+use std::collections::BTreeMap;
+
+use dbbd::base::serialised;
+use dbbd::catalogue::RobotFinding;
+use dbbd::conformity::Budget;
+use dbbd::design::calibrate;
+use dbbd::diagnostic::Diagnostic;
+use dbbd::estimation::{
+    AngleSource, CalibrationResult, ErrorModel, Input, Options, Positions, Prior, ResultFile,
+};
+use dbbd::measurement::{ApproachedPose, LengthModel, Measurements};
+use dbbd::robot::parameter::{SetUp, parse_list};
+use dbbd::robot::{AXES, AxisAngles, ParamId, Robot};
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+use serde::Serialize;
+
+use crate::arrays::{Floats, Numbers, Rows, Wholes, approaches, array};
+use crate::error::{Failure, Outcome, failed, to_python};
+use crate::lengths::{Given, balls, checked};
+use crate::robot::PyRobot;
+
+/// What is known of a robot beforehand, as a caller gives it.
+#[derive(FromPyObject)]
+pub(crate) enum PriorGiven {
+    Name(String),
+    Deviations(BTreeMap<String, f64>),
+}
+
+/// The result of an identification.
+#[pyclass(name = "Result", module = "dbbd", frozen)]
+pub(crate) struct PyResult_ {
+    found: CalibrationResult,
+    budget: Budget,
+}
+
+/// As `result.json` has it, without the files that a result in memory was not made from.
+#[derive(Serialize)]
+struct Recorded<'a> {
+    #[serde(flatten)]
+    result: &'a ResultFile,
+    budget: &'a Budget,
+}
+
+#[pymethods]
+impl PyResult_ {
+    /// Every parameter as in result.json: name, unit, start, nominal, identified, correction, sd, interval95, status, reason.
+    #[getter]
+    fn parameters(&self, py: Python<'_>) -> PyResult<Py<PyAny>> {
+        to_python(py, &ResultFile::from(&self.found).parameters)
+    }
+
+    /// The parameters estimated, in the order of `covariance`.
+    #[getter]
+    fn names(&self) -> Vec<String> {
+        self.found.posterior.ids().iter().map(ToString::to_string).collect()
+    }
+
+    /// Covariance of the parameters estimated (mm, rad).
+    #[getter]
+    fn covariance<'py>(&self, py: Python<'py>) -> PyResult<Floats<'py>> {
+        let covariance = self.found.posterior.covariance();
+        // It is symmetric: its columns are its rows.
+        array(py, covariance.as_slice().to_vec(), &[covariance.nrows(), covariance.ncols()])
+    }
+
+    /// What was found, a dictionary each with code, severity, text and values.
+    #[getter]
+    fn findings(&self, py: Python<'_>) -> PyResult<Py<PyAny>> {
+        to_python(py, &self.found.diagnostics().collect::<Vec<_>>())
+    }
+
+    /// Whether a finding throws doubt on the result.
+    #[getter]
+    fn doubtful(&self) -> bool {
+        self.found.is_doubtful()
+    }
+
+    /// The identified robot, with the nominal one and what is not known of it.
+    #[getter]
+    fn robot(&self) -> std::result::Result<PyRobot, Failure> {
+        PyRobot::of(self.found.robot.clone())
+    }
+
+    /// As `result.json` has it, without the files that a result in memory was not made from.
+    fn to_json(&self) -> std::result::Result<String, Failure> {
+        let result = &ResultFile::from(&self.found);
+        serialised::json(&Recorded { result, budget: &self.budget }).map_err(failed)
+    }
+
+    /// The same as a dictionary.
+    fn to_dict(&self, py: Python<'_>) -> PyResult<Py<PyAny>> {
+        to_python(py, &Recorded { result: &ResultFile::from(&self.found), budget: &self.budget })
+    }
+
+    /// Where the tool ball is at axis angles (degrees, N x 6 or 6): its places in the robot base (mm) and their 3-D standard
+    /// deviations (mm), after the best rigid alignment over the poses. `approach` (N x 6) is the sense of each axis's last
+    /// move: 1 by rising angles, -1 by falling ones, 0 not known.
+    #[pyo3(signature = (q, *, approach=None))]
+    fn predict_deg<'py>(
+        &self,
+        py: Python<'py>,
+        q: Numbers<'py>,
+        approach: Option<Wholes<'py>>,
+    ) -> PyResult<(Floats<'py>, Floats<'py>)> {
+        let q = Rows::<AXES>::of(&q, "q")?;
+        let senses = approaches(approach.as_ref(), q.rows.len())?;
+        let poses: Vec<ApproachedPose> = q
+            .rows
+            .iter()
+            .zip(senses)
+            .map(|(axes, approach)| ApproachedPose { axes: AxisAngles::from_degrees(*axes), approach })
+            .collect();
+        let (balls, sd) = py.detach(|| {
+            let positions = Positions::of(&self.found.robot, &poses);
+            let sd: Vec<f64> = (0..poses.len()).map(|at| positions.sd_mm(at)).collect();
+            let balls = positions.balls.iter().flat_map(|ball| [ball.x, ball.y, ball.z]).collect();
+            (balls, sd)
+        });
+        Ok((array(py, balls, &q.shape(&[3]))?, array(py, sd, &q.shape(&[]))?))
+    }
+
+    fn __repr__(&self) -> String {
+        let (robot, lengths) = (&self.found.robot.name, self.found.lengths);
+        format!("<dbbd.Result of {robot:?} from {lengths} lengths>")
+    }
+}
+
+/// What the keywords of a call ask for.
+struct Asked<'a> {
+    estimate: Option<&'a str>,
+    hold: Option<&'a str>,
+    prior: Option<PriorGiven>,
+    model: &'a str,
+    rest: Options,
+}
+
+impl Asked<'_> {
+    /// The options, and what was found of the robot's file.
+    fn options(
+        self,
+        robot: &Robot,
+        lengths: &Measurements,
+        set_up: SetUp,
+    ) -> Outcome<(Options, Vec<Diagnostic>)> {
+        let Self { estimate, hold, prior, model, rest } = self;
+        let refused = matches!(&prior, Some(PriorGiven::Name(name)) if name == "none");
+        let (prior, lost) = self::prior(prior, robot, lengths.rows.len(), set_up)?;
+        let betas = robot.parallel_joints();
+        let list = |text: Option<&str>| text.map(|text| parse_list(text, &betas, set_up)).transpose();
+        let model = match model {
+            "joints" if !refused => ErrorModel::Joints,
+            "joints" | "geometric" => ErrorModel::Geometric,
+            _ => return Err(PyValueError::new_err("model is 'joints' or 'geometric'").into()),
+        };
+        let (estimate, hold) = (list(estimate)?, list(hold)?.unwrap_or_default());
+        let options = Options { estimate, hold, prior, model, ..rest };
+        options.check(lengths.rows.len()).map_err(failed)?;
+        Ok((options, lost))
+    }
+}
+
+fn prior(
+    given: Option<PriorGiven>,
+    robot: &Robot,
+    lengths: usize,
+    set_up: SetUp,
+) -> Outcome<(Prior, Vec<Diagnostic>)> {
+    let continued = || Prior::continued(robot, lengths, || Ok::<_, Failure>(0));
+    let prior = match given {
+        None => {
+            let (prior, lost) = continued()?;
+            return Ok((prior, lost.into_iter().map(Diagnostic::from).collect()));
+        }
+        Some(PriorGiven::Name(name)) => match name.as_str() {
+            "none" => Prior::None,
+            "datasheet" => Prior::Datasheet,
+            "posterior" => match continued()? {
+                (Prior::Posterior, _) => Prior::Posterior,
+                _ => return Err(failed(dbbd::catalogue::EstimationFinding::NoPosterior)),
+            },
+            _ => {
+                let why = "prior is 'none', 'datasheet', 'posterior' or a dictionary of standard deviations";
+                return Err(PyValueError::new_err(why).into());
+            }
+        },
+        Some(PriorGiven::Deviations(given)) => {
+            let mut deviations = BTreeMap::new();
+            for (name, sd) in given {
+                let id: ParamId = name.parse().map_err(|why: RobotFinding| failed(why))?;
+                set_up.check(id).map_err(failed)?;
+                if !(sd > 0.0 && sd.is_finite()) {
+                    return Err(PyValueError::new_err(format!("prior of {name} must be positive")).into());
+                }
+                deviations.insert(id, sd);
+            }
+            Prior::Given(deviations)
+        }
+    };
+    Ok((prior, Vec::new()))
+}
+
+/// Identifies a robot's parameters from lengths, as the command `identify` does.
+///
+/// `axes_deg` (N x 6, the controller's axis angles), `lengths_mm` (N, between the ball centres), `ball` (N or one number, from
+/// 1), `balls_mm` (K x 3, robot base). `sigma_mm` is a number for all lengths, the user's word, or an array, that of the data.
+/// `estimate` and `hold` are lists as the command takes them ("alpha1-5,a1-5,d4-6"); `prior` is 'none', 'datasheet',
+/// 'posterior' or a dictionary of standard deviations (mm, rad) by names.
+#[pyfunction]
+#[pyo3(signature = (
+    axes_deg, lengths_mm, ball, *, robot, balls_mm, sigma_mm=None, bar=None, approach=None, index=None, tool_mm=None,
+    estimate=None, hold=None, prior=None, model="joints", bar_u_mm=None, folds=None, monte_carlo=None, workspace_deg=None
+))]
+#[allow(clippy::too_many_arguments)] // keywords of a Python function
+pub(crate) fn identify<'py>(
+    py: Python<'py>,
+    axes_deg: Numbers<'py>,
+    lengths_mm: Numbers<'py>,
+    ball: Wholes<'py>,
+    robot: &PyRobot,
+    balls_mm: Numbers<'py>,
+    sigma_mm: Option<Numbers<'py>>,
+    bar: Option<Wholes<'py>>,
+    approach: Option<Wholes<'py>>,
+    index: Option<Wholes<'py>>,
+    tool_mm: Option<[f64; 3]>,
+    estimate: Option<&str>,
+    hold: Option<&str>,
+    prior: Option<PriorGiven>,
+    model: &str,
+    bar_u_mm: Option<f64>,
+    folds: Option<usize>,
+    monte_carlo: Option<usize>,
+    workspace_deg: Option<Numbers<'py>>,
+) -> std::result::Result<PyResult_, Failure> {
+    use numpy::PyUntypedArrayMethods as _;
+    // One number for all is the user's word; an array is that of the data.
+    let (all, each) = match &sigma_mm {
+        Some(sigma) if sigma.shape().is_empty() => (sigma.as_array().iter().copied().next(), None),
+        each => (None, each.as_ref()),
+    };
+    let given = Given {
+        axes_deg: &axes_deg,
+        lengths_mm: &lengths_mm,
+        ball: &ball,
+        sigma_mm: each,
+        bar: bar.as_ref(),
+        approach: approach.as_ref(),
+        index: index.as_ref(),
+    };
+    let (lengths, mut findings) = given.measurements()?;
+    let mut robot = robot.robot().clone();
+    if let Some(tool_mm) = tool_mm {
+        robot.set_tool(tool_mm);
+    }
+    let balls = balls(&balls_mm)?;
+    findings.extend(checked(&lengths, &robot, &balls)?);
+    let workspace = workspace_deg.map(|q| Rows::<AXES>::of(&q, "workspace_deg")).transpose()?;
+    let rest = Options {
+        sigma_mm: all,
+        bar_u_mm,
+        folds,
+        monte_carlo,
+        workspace: workspace.map(|q| q.rows.iter().map(|axes| axes.map(f64::to_radians)).collect()),
+        ..Options::default()
+    };
+    let asked = Asked { estimate, hold, prior, model, rest };
+    let set_up = SetUp { balls: balls.len(), bars: lengths.bars() };
+    let (options, lost) = asked.options(&robot, &lengths, set_up)?;
+    findings.extend(lost);
+    let start = LengthModel::new(robot.geometry.clone(), &balls);
+    py.detach(|| {
+        let input = Input {
+            robot: &robot,
+            observations: &lengths,
+            start: &start,
+            validation: None,
+            options: &options,
+            axes: AngleSource::Given,
+        };
+        let found = calibrate(&input, findings).map_err(failed)?;
+        let budget = Budget::of(&found, &lengths, bar_u_mm, &robot.provenance.identity);
+        Ok(PyResult_ { found, budget })
+    })
+}

@@ -1,0 +1,127 @@
+//! Lengths at poses, as arrays.
+
+use dbbd::catalogue::MeasurementFinding;
+use dbbd::diagnostic::Diagnostic;
+use dbbd::estimation::{check_lengths, doubts};
+use dbbd::measurement::{BaseBall, Distinct, Measurement, Measurements};
+use dbbd::robot::{AXES, AxisAngles, BallId, BarId, Robot};
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+
+use crate::arrays::{Floats, Numbers, Rows, Wholes, approaches, array, column};
+use crate::error::{Outcome, failed};
+
+/// Where the lengths of a call are, as a message names it.
+pub(crate) const ARRAYS: &str = "lengths";
+
+/// The arrays of a call with lengths.
+pub(crate) struct Given<'a, 'py> {
+    pub(crate) axes_deg: &'a Numbers<'py>,
+    pub(crate) lengths_mm: &'a Numbers<'py>,
+    pub(crate) ball: &'a Wholes<'py>,
+    pub(crate) sigma_mm: Option<&'a Numbers<'py>>,
+    pub(crate) bar: Option<&'a Wholes<'py>>,
+    pub(crate) approach: Option<&'a Wholes<'py>>,
+    pub(crate) index: Option<&'a Wholes<'py>>,
+}
+
+impl Given<'_, '_> {
+    /// The table, its rows once; what was found in it.
+    pub(crate) fn measurements(&self) -> Outcome<(Measurements, Vec<Diagnostic>)> {
+        let axes = Rows::<AXES>::of(self.axes_deg, "axes_deg")?.rows;
+        let count = axes.len();
+        let lengths = column(self.lengths_mm, "lengths_mm", count)?;
+        let balls = self.numbers(Some(self.ball), "ball", count)?;
+        let bars = self.numbers(self.bar, "bar", count)?;
+        let sigmas = match self.sigma_mm {
+            Some(sigma) => column(sigma, "sigma_mm", count)?.into_iter().map(Some).collect(),
+            None => vec![None; count],
+        };
+        let approaches = approaches(self.approach, count)?;
+        let indices = match self.index {
+            Some(index) => whole(&column(index, "index", count)?, "index", 0)?,
+            None => (1..=count as u32).collect(),
+        };
+        let row = |at: usize| Measurement {
+            index: indices[at],
+            ball: BallId::numbered(balls[at]),
+            bar: BarId::numbered(bars[at]),
+            axes: AxisAngles::from_degrees(axes[at]),
+            approach: approaches[at],
+            length_mm: lengths[at],
+            sigma_mm: sigmas[at],
+            context: None,
+        };
+        let table = Measurements::new((0..count).map(row).collect(), Vec::new()).map_err(failed)?;
+        let Distinct { measurements, repeated } = table.distinct().map_err(failed)?;
+        let found = (repeated > 0)
+            .then(|| Diagnostic::file(ARRAYS, MeasurementFinding::Repeated { repeated, rows: count }));
+        Ok((measurements, found.into_iter().collect()))
+    }
+
+    /// Numbers from 1; all the first where there is no array.
+    fn numbers(&self, array: Option<&Wholes<'_>>, name: &str, count: usize) -> PyResult<Vec<u32>> {
+        array.map_or_else(|| Ok(vec![1; count]), |array| whole(&column(array, name, count)?, name, 1))
+    }
+}
+
+fn whole(numbers: &[i64], name: &str, least: u32) -> PyResult<Vec<u32>> {
+    let number = |number: &i64| u32::try_from(*number).ok().filter(|number| *number >= least);
+    let numbers: Option<_> = numbers.iter().map(number).collect();
+    numbers.ok_or_else(|| PyValueError::new_err(format!("{name} must be whole numbers from {least}")))
+}
+
+/// Base balls by an array of the shape (K, 3), or (3,) of one.
+pub(crate) fn balls(array: &Numbers<'_>) -> PyResult<Vec<BaseBall>> {
+    let rows = Rows::<3>::of(array, "balls_mm")?.rows;
+    Ok(rows
+        .into_iter()
+        .enumerate()
+        .map(|(at, mm)| BaseBall { id: BallId::at(at), position: mm.into() })
+        .collect())
+}
+
+/// What is doubtful in the lengths, after what makes them unusable.
+pub(crate) fn checked(lengths: &Measurements, robot: &Robot, balls: &[BaseBall]) -> Outcome<Vec<Diagnostic>> {
+    check_lengths(ARRAYS, lengths, robot, balls)?;
+    Ok(doubts(ARRAYS, lengths, robot, balls))
+}
+
+/// The places of base balls.
+pub(crate) struct BallPlaces<'a>(pub(crate) &'a [BaseBall]);
+
+impl BallPlaces<'_> {
+    /// As an array of the shape (K, 3), mm.
+    pub(crate) fn array<'py>(&self, py: Python<'py>) -> PyResult<Floats<'py>> {
+        let flat =
+            self.0.iter().flat_map(|ball| [ball.position.x, ball.position.y, ball.position.z]).collect();
+        array(py, flat, &[self.0.len(), 3])
+    }
+}
+
+/// A table as the arguments of `identify`.
+pub(crate) fn table<'py>(
+    py: Python<'py>,
+    lengths: &Measurements,
+    balls: &BallPlaces<'_>,
+) -> PyResult<Bound<'py, PyDict>> {
+    let (rows, count) = (&lengths.rows, lengths.rows.len());
+    let table = PyDict::new(py);
+    table.set_item(
+        "axes_deg",
+        array(py, rows.iter().flat_map(|row| row.axes.degrees()).collect(), &[count, AXES])?,
+    )?;
+    table.set_item("lengths_mm", array(py, rows.iter().map(|row| row.length_mm).collect(), &[count])?)?;
+    table.set_item(
+        "ball",
+        array(py, rows.iter().map(|row| i64::from(row.ball.number())).collect(), &[count])?,
+    )?;
+    table.set_item("index", array(py, rows.iter().map(|row| i64::from(row.index)).collect(), &[count])?)?;
+    let senses = rows.iter().flat_map(|row| row.approach.senses()).map(i64::from).collect();
+    table.set_item("approach", array(py, senses, &[count, AXES])?)?;
+    let sigma: Option<Vec<f64>> = rows.iter().map(|row| row.sigma_mm).collect();
+    table.set_item("sigma_mm", sigma.map(|sigma| array(py, sigma, &[count])).transpose()?)?;
+    table.set_item("balls_mm", balls.array(py)?)?;
+    Ok(table)
+}

@@ -1,0 +1,27 @@
+#!/usr/bin/env bash
+# The Python package as a user gets it: a wheel in a fresh environment, the Python of README and docs, the tests, the examples.
+set -euo pipefail
+cd "$(dirname "$0")"
+cargo fmt --check
+work=$(mktemp -d)
+trap 'rm -rf "$work"' EXIT
+skip() { echo "SKIPPED: the Python package: $1"; exit 0; }
+python3 -c 'import sys; sys.exit(sys.version_info < (3, 10))' 2>/dev/null || skip "no Python 3.10 or newer"
+python3 -m venv "$work/venv" 2>/dev/null || skip "no venv"
+venv=$work/venv/bin
+"$venv/pip" -q install 'maturin>=1.9,<2' "${DBBD_NUMPY:-numpy}" pytest >/dev/null 2>&1 || skip "maturin, NumPy and pytest cannot be installed"
+"$venv/pip" -q install pin example-robot-data >/dev/null 2>&1 || echo "SKIPPED: the comparison with Pinocchio: pin cannot be installed"
+PATH=$venv:$PATH maturin build --release --locked --quiet --out "$work/wheel"
+"$venv/pip" -q install --no-deps "$work"/wheel/*.whl
+"$venv/dbbd" --version
+# The Python of the documents, each document's blocks as one program in the repository.
+for page in ../README.md ../docs/how-to/python.md ../docs/how-to/crash-check.md; do
+    awk '/^```python$/ { on = 1; next } /^```$/ { on = 0 } on' "$page" >"$work/page.py"
+    (cd .. && "$venv/python" -W error "$work/page.py")
+done
+DBBD_RUST_FK_S=$(cargo run --release --locked --quiet --example fk)
+export DBBD_RUST_FK_S
+"$venv/python" -m pytest -q -rs -s -p no:cacheprovider tests
+for example in examples/*.py; do
+    "$venv/python" "$example"
+done

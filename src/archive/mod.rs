@@ -1,0 +1,59 @@
+//! Runs of many cells: a database with who measured what and when, and an object store with the files.
+//!
+//! A run is known by the SHA-256 of its capture, and so is every file. A row of the database is written when all files of
+//! its run are in the store and were read back, so a run in the list is whole. On one machine the database is SQLite and
+//! the store a directory; the verbs are the same.
+
+mod address;
+mod database;
+mod local;
+mod push;
+mod query;
+mod schema;
+mod spool;
+mod store;
+mod tls;
+mod work;
+
+pub use address::{Addresses, Secrets};
+pub use database::Database;
+pub use local::LocalRun;
+pub use push::Pushed;
+pub use query::{ArchivedFile, ArchivedRun, Selection};
+pub use spool::Spool;
+pub use store::Store;
+pub use work::{ArchivedResult, Job, Queue, Settings, Summary, Worker};
+
+use crate::diagnostic::Diagnostic;
+
+/// A database with its store.
+pub struct Archive {
+    pub(crate) database: Database,
+    pub(crate) store: Store,
+}
+
+impl Archive {
+    /// Opens an archive whose form is that of this version.
+    ///
+    /// # Errors
+    /// It cannot be reached, or has another form.
+    pub fn open(addresses: &Addresses) -> Result<Self, Diagnostic> {
+        let mut archive = Self::connect(addresses)?;
+        schema::check(&mut archive.database)?;
+        Ok(archive)
+    }
+
+    /// Makes a new archive, or brings an older one forward; how many steps that took.
+    ///
+    /// # Errors
+    /// It cannot be reached, or is of a newer version.
+    pub fn init(addresses: &Addresses) -> Result<usize, Diagnostic> {
+        let mut archive = Self::connect(addresses)?;
+        archive.store.check()?;
+        schema::migrate(&mut archive.database)
+    }
+
+    fn connect(addresses: &Addresses) -> Result<Self, Diagnostic> {
+        Ok(Self { database: Database::open(&addresses.archive)?, store: Store::open(&addresses.store)? })
+    }
+}

@@ -1,0 +1,202 @@
+//! What the archive holds.
+
+use std::path::Path;
+
+use serde::Serialize;
+
+use super::Archive;
+use super::database::{Database, Row, Value};
+use super::local::is_sound;
+use crate::base::files;
+use crate::catalogue::ArchiveFinding::{ManyRuns, NoRun, NotAName, NotDigits};
+use crate::diagnostic::Diagnostic;
+
+/// Fewer digits of a SHA-256 are no name.
+const LEAST_DIGITS: usize = 6;
+
+/// What the registry states of a run; empty where it was not stated.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct ArchivedRun {
+    /// Of the capture.
+    pub sha256: String,
+    pub cell: String,
+    /// Its serial number, else its name.
+    pub robot: String,
+    /// The name of the robot's model.
+    #[serde(rename = "type")]
+    pub kind: String,
+    /// Its serial number.
+    pub bar: String,
+    pub certificate: Option<String>,
+    pub certified_on: Option<String>,
+    pub operator: Option<String>,
+    /// Date and time, UTC.
+    pub measured: String,
+    /// Its hash.
+    pub plan: Option<String>,
+    pub bytes: u64,
+    /// `pass`, `fail` or `undecided`, of the check that was pushed with it.
+    pub decision: Option<String>,
+    /// JSON of [`crate::provenance::Provenance`].
+    #[serde(skip)]
+    pub provenance: String,
+}
+
+/// The columns of a run, in the order of [`ArchivedRun::of_row`].
+const COLUMNS: &str = "sha256, cell, robot, type, bar, certificate, certified_on, operator, measured, plan, bytes, \
+    decision, provenance";
+
+impl ArchivedRun {
+    fn of_row(row: &Row) -> Result<Self, Diagnostic> {
+        Ok(Self {
+            sha256: row.text(0)?,
+            cell: row.text(1)?,
+            robot: row.text(2)?,
+            kind: row.text(3)?,
+            bar: row.text(4)?,
+            certificate: row.some_text(5)?,
+            certified_on: row.some_text(6)?,
+            operator: row.some_text(7)?,
+            measured: row.text(8)?,
+            plan: row.some_text(9)?,
+            bytes: row.count(10)?,
+            decision: row.some_text(11)?,
+            provenance: row.text(12)?,
+        })
+    }
+
+    /// Writes it if no run of this capture is there; whether it was written.
+    pub(super) fn insert(&self, database: &mut Database) -> Result<bool, Diagnostic> {
+        let values: [Value; 13] = [
+            (&self.sha256).into(),
+            (&self.cell).into(),
+            (&self.robot).into(),
+            (&self.kind).into(),
+            (&self.bar).into(),
+            self.certificate.as_ref().into(),
+            self.certified_on.as_ref().into(),
+            self.operator.as_ref().into(),
+            (&self.measured).into(),
+            self.plan.as_ref().into(),
+            self.bytes.into(),
+            self.decision.as_ref().into(),
+            (&self.provenance).into(),
+        ];
+        let sql = format!(
+            "INSERT INTO run ({COLUMNS}, pushed_at) \
+             VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12, $13, {{now}}) ON CONFLICT DO NOTHING"
+        );
+        Ok(database.execute(&sql, &values)? == 1)
+    }
+}
+
+/// A file of a run in the archive.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ArchivedFile {
+    pub name: String,
+    pub sha256: String,
+    pub bytes: u64,
+}
+
+/// Which runs: all that is given must hold.
+#[derive(Clone, Debug, Default)]
+pub struct Selection {
+    pub robot: Option<String>,
+    pub kind: Option<String>,
+    pub bar: Option<String>,
+    pub cell: Option<String>,
+    /// Dates, or dates and times: from the first on, up to before the second.
+    pub since: Option<String>,
+    pub until: Option<String>,
+    /// A text that is in robot, type, bar, cell or operator.
+    pub search: Option<String>,
+    pub limit: Option<u64>,
+}
+
+impl Selection {
+    /// The condition on the table `run`, and its values.
+    pub(super) fn condition(&self) -> (String, Vec<Value>) {
+        let mut values: Vec<Value> = Vec::new();
+        let mut parts = vec!["1 = 1".to_owned()];
+        let equal = [("robot", &self.robot), ("type", &self.kind), ("bar", &self.bar), ("cell", &self.cell)];
+        let equal = equal.into_iter().map(|(column, value)| (format!("run.{column} = $"), value));
+        let bounds = [("run.measured >= $", &self.since), ("run.measured < $", &self.until)];
+        let bounds = bounds.into_iter().map(|(part, value)| (part.to_owned(), value));
+        for (part, value) in equal.chain(bounds) {
+            if let Some(value) = value {
+                values.push(value.into());
+                parts.push(format!("{part}{}", values.len()));
+            }
+        }
+        if let Some(search) = &self.search {
+            let escaped = search.to_lowercase().replace('\\', "\\\\").replace('%', "\\%").replace('_', "\\_");
+            values.push(format!("%{escaped}%").as_str().into());
+            let at = values.len();
+            let like = ["robot", "type", "bar", "cell", "operator", "sha256"]
+                .map(|column| format!("lower(run.{column}) LIKE ${at} ESCAPE '\\'"));
+            parts.push(format!("({})", like.join(" OR ")));
+        }
+        (parts.join(" AND "), values)
+    }
+}
+
+impl Archive {
+    /// The runs, the newest first.
+    pub fn list(&mut self, selection: &Selection) -> Result<Vec<ArchivedRun>, Diagnostic> {
+        let (condition, mut values) = selection.condition();
+        values.push(selection.limit.unwrap_or(i64::MAX as u64).into());
+        let sql = format!(
+            "SELECT {COLUMNS} FROM run WHERE {condition} ORDER BY measured DESC, sha256 LIMIT ${}",
+            values.len()
+        );
+        self.database.query(&sql, &values)?.iter().map(ArchivedRun::of_row).collect()
+    }
+
+    /// The run whose SHA-256 begins with these digits.
+    pub fn run(&mut self, digits: &str) -> Result<ArchivedRun, Diagnostic> {
+        let digits = digits.to_ascii_lowercase();
+        if !(LEAST_DIGITS..=64).contains(&digits.len())
+            || !digits.bytes().all(|byte| byte.is_ascii_hexdigit())
+        {
+            return Err(NotDigits { digits }.into());
+        }
+        let sql = format!("SELECT {COLUMNS} FROM run WHERE sha256 LIKE $1");
+        let mut found = self.database.query(&sql, &[format!("{digits}%").as_str().into()])?;
+        match (found.pop(), found.len()) {
+            (None, _) => Err(NoRun { digits }.into()),
+            (Some(one), 0) => ArchivedRun::of_row(&one),
+            (Some(_), more) => Err(ManyRuns { digits, runs: more + 1 }.into()),
+        }
+    }
+
+    /// Its files, the newest version of each.
+    pub fn files(&mut self, run: &ArchivedRun) -> Result<Vec<ArchivedFile>, Diagnostic> {
+        let sql = "SELECT name, sha256, bytes FROM run_file WHERE run = $1 ORDER BY name, pushed_at, sha256";
+        let mut found: Vec<ArchivedFile> = Vec::new();
+        for row in self.database.query(sql, &[(&run.sha256).into()])? {
+            let file = ArchivedFile { name: row.text(0)?, sha256: row.text(1)?, bytes: row.count(2)? };
+            found.retain(|older| older.name != file.name);
+            found.push(file);
+        }
+        Ok(found)
+    }
+
+    /// Writes one object as a file.
+    pub fn fetch_object(&self, sha256: &str, path: &Path) -> Result<(), Diagnostic> {
+        self.store.fetch(sha256, path)
+    }
+
+    /// Writes the files of a run into a directory, each as it was pushed.
+    pub fn fetch(&mut self, run: &ArchivedRun, directory: &Path) -> Result<Vec<ArchivedFile>, Diagnostic> {
+        let found = self.files(run)?;
+        for file in &found {
+            if !is_sound(&file.name) {
+                return Err(NotAName { name: file.name.clone() }.into());
+            }
+            let path = directory.join(&file.name);
+            files::directory(path.parent().unwrap_or(directory))?;
+            self.store.fetch(&file.sha256, &path)?;
+        }
+        Ok(found)
+    }
+}

@@ -1,0 +1,207 @@
+//! Objects by their SHA-256: a directory, or a bucket of an S3-compatible store.
+
+use std::fs::File;
+use std::future::Future;
+use std::io::{Read, Write};
+use std::path::Path;
+use std::sync::Arc;
+use std::time::Duration;
+
+use futures_util::StreamExt as _;
+use object_store::aws::AmazonS3Builder;
+use object_store::local::LocalFileSystem;
+use object_store::{
+    Error, ObjectStore, ObjectStoreExt as _, RetryConfig, WriteMultipart, path::Path as Place,
+};
+use tokio::runtime::{Builder, Runtime};
+
+use super::address::StoreAddress;
+use crate::base::files;
+use crate::base::hash::{Sha256, sha256};
+use crate::catalogue::ArchiveFinding::{
+    ChangedMeanwhile, Differs, Missing, NotAnAddress, NotReached, StoreRefused,
+};
+use crate::catalogue::{FileFinding, ServiceFinding};
+use crate::diagnostic::Diagnostic;
+
+/// A file is sent in parts of so many bytes, of which a few are on their way at a time.
+const PART: usize = 8 << 20;
+const PARTS_AT_A_TIME: usize = 4;
+/// How long a request that fails is tried again.
+const PATIENCE: Duration = Duration::from_secs(20);
+const TRIES: usize = 4;
+
+/// An object store.
+pub struct Store {
+    objects: Arc<dyn ObjectStore>,
+    prefix: String,
+    is_directory: bool,
+    runtime: Runtime,
+}
+
+impl Store {
+    pub(super) fn open(address: &StoreAddress) -> Result<Self, Diagnostic> {
+        let runtime = Builder::new_current_thread().enable_all().build();
+        let runtime = runtime.map_err(|error| ServiceFinding::NoSystem { why: error.to_string() })?;
+        let wrong = |error: Error| NotAnAddress { option: "--store".into(), why: error.to_string() };
+        let (objects, prefix, is_directory): (Arc<dyn ObjectStore>, _, _) = match address {
+            StoreAddress::Directory(path) => {
+                files::directory(path)?;
+                let directory = LocalFileSystem::new_with_prefix(path).map_err(wrong)?.with_fsync(true);
+                (Arc::new(directory), String::new(), true)
+            }
+            StoreAddress::S3 { bucket, prefix, keys } => {
+                // Another part of this program may have chosen it already.
+                let _ = rustls::crypto::ring::default_provider().install_default();
+                let retry = RetryConfig { max_retries: TRIES, retry_timeout: PATIENCE, ..Default::default() };
+                let mut builder = AmazonS3Builder::from_env().with_bucket_name(bucket).with_retry(retry);
+                if let Some([id, key]) = keys {
+                    builder = builder.with_access_key_id(id).with_secret_access_key(key);
+                }
+                (Arc::new(builder.build().map_err(wrong)?), prefix.clone(), false)
+            }
+        };
+        Ok(Self { objects, prefix, is_directory, runtime })
+    }
+
+    /// Objects are spread over 256 directories.
+    fn place(&self, sha256: &str) -> Place {
+        let prefix = if self.prefix.is_empty() { String::new() } else { format!("{}/", self.prefix) };
+        Place::from(format!("{prefix}objects/{}/{sha256}", sha256.get(..2).unwrap_or_default()))
+    }
+
+    fn wait<T>(&self, object: &str, work: impl Future<Output = Result<T, Error>>) -> Result<T, Diagnostic> {
+        self.runtime.block_on(work).map_err(|error| self.wrong(object, &error))
+    }
+
+    fn wrong(&self, object: &str, error: &Error) -> Diagnostic {
+        let object = object.to_owned();
+        match error {
+            Error::NotFound { .. } => Missing { object }.into(),
+            Error::Generic { .. } if !self.is_directory => {
+                NotReached { what: "the store".into(), why: innermost(error) }.into()
+            }
+            _ => StoreRefused { object, why: innermost(error) }.into(),
+        }
+    }
+
+    /// That it can be written and read.
+    pub(super) fn check(&self) -> Result<(), Diagnostic> {
+        let text = b"dbbd archive\n";
+        let name = sha256(text);
+        self.put(&name, &mut text.as_slice(), text.len() as u64)?;
+        self.verify(&name)
+    }
+
+    /// Whether an object of this size is there.
+    pub(super) fn holds(&self, sha256: &str, bytes: u64) -> Result<bool, Diagnostic> {
+        match self.runtime.block_on(self.objects.head(&self.place(sha256))) {
+            Ok(found) => Ok(found.size == bytes),
+            Err(Error::NotFound { .. }) => Ok(false),
+            Err(error) => Err(self.wrong(sha256, &error)),
+        }
+    }
+
+    /// Stores what `from` gives, whole or not at all.
+    ///
+    /// # Errors
+    /// The store refuses, or the content has another SHA-256.
+    pub(super) fn put(&self, name: &str, from: &mut dyn Read, bytes: u64) -> Result<(), Diagnostic> {
+        let place = self.place(name);
+        if bytes <= PART as u64 {
+            let mut content = Vec::new();
+            from.read_to_end(&mut content).map_err(files::unreadable(name))?;
+            if sha256(&content) != name {
+                return Err(Diagnostic::file(name, ChangedMeanwhile));
+            }
+            return self.wait(name, self.objects.put(&place, content.into())).map(drop);
+        }
+        let upload = self.wait(name, self.objects.put_multipart(&place))?;
+        let sent = self.runtime.block_on(async {
+            let mut parts = WriteMultipart::new_with_chunk_size(upload, PART);
+            let (mut piece, mut hash) = (vec![0; 1 << 18], Sha256::default());
+            loop {
+                let read = match from.read(&mut piece) {
+                    Ok(0) => break,
+                    Ok(read) => piece.get(..read).unwrap_or_default(),
+                    Err(error) => {
+                        // What was sent of it goes with it; the reason is what counts.
+                        let _ = parts.abort().await;
+                        return Err(files::unreadable(name)(error));
+                    }
+                };
+                hash.update(read);
+                parts.wait_for_capacity(PARTS_AT_A_TIME).await.map_err(|error| self.wrong(name, &error))?;
+                parts.write(read);
+            }
+            if hash.finish() != name {
+                let _ = parts.abort().await;
+                return Err(Diagnostic::file(name, ChangedMeanwhile));
+            }
+            parts.finish().await.map_err(|error| self.wrong(name, &error))
+        });
+        sent.map(drop)
+    }
+
+    /// Reads an object piece by piece into `to`.
+    ///
+    /// # Errors
+    /// It is not there, or has another SHA-256.
+    fn read(&self, name: &str, mut to: impl FnMut(&[u8]) -> std::io::Result<()>) -> Result<(), Diagnostic> {
+        let found = self.runtime.block_on(async {
+            let mut hash = Sha256::default();
+            let got = self.objects.get(&self.place(name)).await.map_err(|error| self.wrong(name, &error))?;
+            let mut pieces = got.into_stream();
+            while let Some(piece) = pieces.next().await {
+                let piece = piece.map_err(|error| self.wrong(name, &error))?;
+                hash.update(&piece);
+                to(&piece).map_err(|error| {
+                    Diagnostic::file(name, FileFinding::Unwritable { why: error.to_string() })
+                })?;
+            }
+            Ok::<_, Diagnostic>(hash.finish())
+        })?;
+        if found == name { Ok(()) } else { Err(Differs { object: name.into(), found }.into()) }
+    }
+
+    /// That an object reads back as what its name states.
+    pub(super) fn verify(&self, name: &str) -> Result<(), Diagnostic> {
+        self.read(name, |_| Ok(()))
+    }
+
+    /// An object in memory, for what is small.
+    pub(super) fn get(&self, name: &str) -> Result<Vec<u8>, Diagnostic> {
+        let mut content = Vec::new();
+        self.read(name, |piece| {
+            content.extend_from_slice(piece);
+            Ok(())
+        })?;
+        Ok(content)
+    }
+
+    /// An object as a file, whole or not at all.
+    pub(super) fn fetch(&self, name: &str, path: &Path) -> Result<(), Diagnostic> {
+        let unwritable = |error: std::io::Error| {
+            Diagnostic::file(&path.display().to_string(), FileFinding::Unwritable { why: error.to_string() })
+        };
+        let mut beside = path.as_os_str().to_owned();
+        beside.push(format!(".{}.part", std::process::id()));
+        let mut file = File::create(&beside).map_err(unwritable)?;
+        let read = self.read(name, |piece| file.write_all(piece));
+        let done = read.and_then(|()| std::fs::rename(&beside, path).map_err(unwritable));
+        if done.is_err() {
+            // A part of a file is of no use.
+            let _ = std::fs::remove_file(&beside);
+        }
+        done
+    }
+}
+
+/// The cause of a failure, without the chain of who passed it on.
+fn innermost(error: &Error) -> String {
+    let mut cause: &dyn std::error::Error = error;
+    while let Some(source) = cause.source() {
+        cause = source;
+    }
+    cause.to_string()
+}

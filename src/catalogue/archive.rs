@@ -1,0 +1,107 @@
+//! The archive: runs of many cells in a database and an object store.
+
+use super::findings;
+
+findings! {
+    /// What the archive refuses, or does not hold.
+    ArchiveFinding {
+        E2401 "this program was built without the archive",
+        cause: "`dbbd archive` needs a database and an object store, which are compiled in by the feature `archive` only.",
+        cure: "Install a package of dbbd, which has it, or build it: `cargo install --path . --locked --features archive`." {
+            NotBuilt => "this program was built without the archive", help: "build it with `--features archive`";
+        }
+        E2402 "an address of the archive is not valid",
+        cause: "The archive is at `sqlite:FILE` or `postgres://USER@HOST/DATABASE`, its store at `file:DIRECTORY` or `s3://BUCKET/PREFIX`.",
+        cure: "Give --archive and --store, or set DBBD_ARCHIVE and DBBD_STORE. docs/how-to/archive.md has examples." {
+            NoAddress { option: String, variable: String } => "{option} is missing", help: "give it, or set {variable}";
+            OtherScheme { option: String, schemes: String } => "{option}: is none of {schemes}";
+            NotAnAddress { option: String, why: String } => "{option}: {why}";
+            OtherSslMode { mode: String } => "sslmode={mode}: is not supported", help: "verify-full, or disable on this computer and in a tunnel";
+            NoRootCertificate => "an encrypted connection needs the certificate of its authority", help: "add sslrootcert=FILE to the address";
+        }
+        E2403 "a secret is where others can read it",
+        cause: "A password is in an address, where it shows in the list of processes and in logs, or in a file that others may read.",
+        cure: "Put the password into a file with mode 600 and its path into DBBD_ARCHIVE_PASSWORD_FILE, or into the variable PGPASSWORD; keys of the store into AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY or a file named by DBBD_STORE_SECRET_FILE." {
+            SecretInAddress { option: String } => "{option}: an address must not have a password in it";
+            SecretOpen => "others may read this secret", help: "chmod 600 the file";
+            SecretUnreadable { why: String } => "the secret cannot be read: {why}";
+            NotASecret { variable: String, form: String } => "{variable}: the file must have {form}";
+        }
+        E2404 "the archive cannot be reached",
+        cause: "The database or the store is down, the network is cut, the address is wrong, or the certificate is not that of the host.",
+        cure: "Try again. `push --spool DIR` keeps the run until the archive is back." {
+            NotReached { what: String, why: String } => "{what} cannot be reached: {why}";
+        }
+        E2405 "the database refuses",
+        cause: "The role may not do this, the disk is full, or the database was changed by others.",
+        cure: "The message is the database's own. docs/how-to/archive.md lists what each role may do." {
+            Refused { why: String } => "the database refuses: {why}";
+            NotAValue { column: usize } => "column {column} of a row is not what it should be";
+        }
+        E2406 "the store refuses",
+        cause: "The keys may not do this, the bucket does not exist, or the disk is full.",
+        cure: "The message is the store's own. A cell needs to read and write objects, a viewer and a worker to read them." {
+            StoreRefused { object: String, why: String } => "{object}: the store refuses: {why}";
+        }
+        E2407 "the archive has another form",
+        cause: "Nothing was initialised there yet, or it was by another version of dbbd.",
+        cure: "`dbbd archive init` makes a new archive, and brings an older one forward; a newer one needs a newer dbbd." {
+            NotInitialised => "there is no archive yet", help: "make it: `dbbd archive init`";
+            Older { found: u64, needed: u64 } => "the archive has the form {found}, and this version needs {needed}", help: "bring it forward: `dbbd archive init`";
+            Newer { found: u64, known: u64 } => "the archive has the form {found}, and this version knows {known}", help: "use a newer version of dbbd";
+            OtherForm { step: u64 } => "step {step} of the archive's form was made by another program";
+        }
+        E2408 "an object is not what was stored",
+        cause: "The store lost or changed an object, or another program wrote there.",
+        cure: "Push the run again from its cell, or restore the store from its backup. The object's name is its SHA-256." {
+            Differs { object: String, found: String } => "{object}: has the SHA-256 {found}";
+            Missing { object: String } => "{object}: is not in the store";
+            NotAName { name: String } => "`{name}` is not the name of a file of a run";
+        }
+        E2409 "there is no such run in the archive",
+        cause: "The digits are mistyped, this role may not see the run, or it was never pushed.",
+        cure: "`dbbd archive list` shows the runs that this role may see. At least 6 digits of the SHA-256 are needed, as many as make it unique." {
+            NoRun { digits: String } => "there is no run {digits}";
+            ManyRuns { digits: String, runs: usize } => "{digits} is the begin of {runs} runs", help: "give more digits";
+            NotDigits { digits: String } => "`{digits}` is not the begin of a SHA-256", help: "6 to 64 hexadecimal digits";
+        }
+        E2410 "there is nothing to push",
+        cause: "The path is no capture, no directory with a run.dbbd, and no directory of such directories.",
+        cure: "Name a capture, the directory of a run, or the data directory of `dbbd serve`." {
+            NothingToPush => "there is no run here";
+            ChangedMeanwhile => "changed while it was read", help: "push it when the run is over";
+        }
+        E2411 "a setting of a job is not valid",
+        cause: "A value holds other characters than those of lists of names, or the job was written by another program.",
+        cure: "Settings are those of `dbbd identify`: --prior, --estimate, --hold, --model." {
+            NotASetting { option: String, value: String } => "--{option}: `{value}` is no list of names";
+        }
+        E2415 "there are no results to estimate a fleet from",
+        cause: "No run of the selection was identified with the usual settings, none has a date, or a number in them is not finite.",
+        cure: "Let `dbbd archive worker` identify the runs first." {
+            NoFleet { results: usize } => "{results} results do not make a fleet";
+        }
+        W2416 "a bar jumped, or a robot changed suddenly",
+        cause: "A bar was dropped or its ends were exchanged; a robot crashed, or was repaired or mastered anew. Runs before and after disagree by more than drift and noise allow.",
+        cure: "Have the bar certified again before its next run. Calibrate the robot anew, and check what it did in between." {
+            BarJumped { bar: String, um: f64, sd_um: f64 } => "bar {bar} jumped by {um:+.1} um (standard deviation {sd_um:.1} um)";
+            RobotChanged { robot: String, times: usize } => "robot {robot} changed suddenly, {times} times";
+        }
+        W2412 "a run waits in the spool",
+        cause: "The archive could not be reached.",
+        cure: "The next `dbbd archive push` with the same --spool sends it. Nothing was deleted." {
+            Spooled { run: String, why: String } => "run {run} waits in the spool: {why}";
+            SpoolWaits { runs: usize } => "{runs} runs wait in the spool";
+        }
+        W2414 "runs could not be identified",
+        cause: "A capture has no plan, too few of its poses have a length, or its worker ended again and again.",
+        cure: "`dbbd archive show SHA256` has the reason of each; `dbbd archive get` and `dbbd identify` show it in full." {
+            JobsFailed { jobs: u64 } => "{jobs} jobs failed";
+        }
+        I2413 "the archive holds the run already",
+        cause: "The same capture was pushed before, from here or from another cell.",
+        cure: "Nothing to do." {
+            HeldAlready { run: String } => "the archive holds run {run} already";
+        }
+    }
+}

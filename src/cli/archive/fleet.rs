@@ -1,0 +1,96 @@
+//! What the results of a plant say together.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use nalgebra::{DMatrix, DVector};
+use serde::Deserialize;
+use serde_json::json;
+
+use crate::archive::{Archive, ArchivedResult, Selection, Settings};
+use crate::base::{date, files, serialised};
+use crate::catalogue::ArchiveFinding;
+use crate::cli::{Outcome, Output};
+use crate::diagnostic::Diagnostic;
+use crate::estimation::fleet::{Assumptions, RunPosterior, fleet};
+use crate::robot::{ParamId, Robot};
+
+/// The posterior of a result as a worker writes it.
+#[derive(Deserialize)]
+struct Written {
+    parameters: Vec<ParamId>,
+    corrections: Vec<f64>,
+    covariance: Vec<Vec<f64>>,
+    prior: Vec<Option<f64>>,
+}
+
+/// A result as the fleet takes it; `None` of one without a posterior or a date.
+fn of_result(result: &ArchivedResult, kind: &str, bar: &str) -> Option<RunPosterior> {
+    let written: Written = serde_json::from_str(result.found.posterior.as_ref()?).ok()?;
+    let size = written.parameters.len();
+    let triangle = written.covariance.iter().enumerate().all(|(at, row)| row.len() == at + 1);
+    let sound =
+        triangle && [written.corrections.len(), written.covariance.len(), written.prior.len()] == [size; 3];
+    let covariance =
+        sound.then(|| DMatrix::from_fn(size, size, |i, j| written.covariance[i.max(j)][i.min(j)]))?;
+    Some(RunPosterior {
+        robot: result.robot.clone(),
+        kind: kind.into(),
+        bar: bar.into(),
+        day: date::day_number(result.measured.split('T').next()?)?,
+        ids: written.parameters,
+        corrections: DVector::from_vec(written.corrections),
+        covariance,
+        prior: written.prior,
+    })
+}
+
+/// Writes fleet.json, and a robot file for a new robot of each type.
+pub(super) fn run(
+    archive: &mut Archive,
+    selection: &Selection,
+    directory: &Path,
+    out: &Output,
+) -> Result<Outcome, Diagnostic> {
+    let settings = Settings::usual();
+    let results = archive.results(selection, Some(&settings))?;
+    let runs: BTreeMap<String, [String; 2]> =
+        archive.list(selection)?.into_iter().map(|run| (run.sha256, [run.kind, run.bar])).collect();
+    let mut newest: BTreeMap<&str, RunPosterior> = BTreeMap::new();
+    let mut example: BTreeMap<&str, &str> = BTreeMap::new();
+    for result in &results {
+        let Some([kind, bar]) = runs.get(&result.run) else { continue };
+        if let Some(run) = of_result(result, kind, bar) {
+            newest.insert(&result.run, run);
+            example.insert(kind, &result.run);
+        }
+    }
+    let posteriors: Vec<RunPosterior> = newest.into_values().collect();
+    let used = posteriors.len();
+    let found = fleet(&posteriors, &Assumptions::default()).filter(|_| used > 0);
+    let found = found.ok_or(ArchiveFinding::NoFleet { results: used })?;
+    files::directory(directory)?;
+    let mut written = Vec::new();
+    for kind in &found.types {
+        let Some(run) = example.get(kind.kind.as_str()) else { continue };
+        let Some(text) = archive.result_file(run, "robot-identified.toml")? else { continue };
+        let identified = Robot::from_toml("robot-identified.toml", &String::from_utf8_lossy(&text))?;
+        let Some(robot) = identified.nominal.and_then(|nominal| kind.robot(&nominal)) else { continue };
+        let plain = |c: char| if c.is_ascii_alphanumeric() { c.to_ascii_lowercase() } else { '-' };
+        let name = format!("{}.toml", kind.kind.chars().map(plain).collect::<String>());
+        files::write(&directory.join(&name), robot.to_toml()?)?;
+        written.push(name);
+    }
+    let crashes: Vec<_> = found.robots.iter().filter(|robot| !robot.crashes.is_empty()).collect();
+    found.findings().into_iter().for_each(|finding| out.finding(finding));
+    let crashes: Vec<_> =
+        crashes.iter().map(|robot| json!({ "robot": robot.robot, "days": robot.crashes })).collect();
+    let document = json!({
+        "results": used, "unusable": found.unusable, "robots": found.robots.len(), "bars": found.bars,
+        "changed": crashes, "types": written,
+    });
+    files::write(&directory.join("fleet.json"), serialised::json(&document)? + "\n")?;
+    out.document(&document)?;
+    out.result(format!("{used} results, {} robots, {} bars", found.robots.len(), found.bars.len()));
+    Ok(Outcome::Done)
+}

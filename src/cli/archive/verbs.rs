@@ -1,0 +1,236 @@
+//! The verbs of the archive.
+
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+use serde_json::json;
+
+use super::work::{Until, compare, work, worker};
+use super::{Args, Choice, What};
+use crate::archive::{
+    Addresses, Archive, ArchivedFile, ArchivedRun, LocalRun, Pushed, Secrets, Selection, Settings, Spool,
+};
+use crate::base::{files, serialised};
+use crate::catalogue::{ArchiveFinding, ProvenanceFinding};
+use crate::cli::info::line;
+use crate::cli::{Outcome, Output};
+use crate::diagnostic::Diagnostic;
+use crate::provenance::{Provenance, VERSION};
+
+pub(super) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
+    let environment = |name| std::env::var(name).ok();
+    let archive = args.archive.clone().or_else(|| environment("DBBD_ARCHIVE"));
+    let store = args.store.clone().or_else(|| environment("DBBD_STORE"));
+    let addresses = Addresses::read(archive.as_deref(), store.as_deref(), &Secrets::of_environment())?;
+    match &args.what {
+        What::Init => init(&addresses, out),
+        What::Push { runs, spool } => push(&addresses, runs, spool.as_deref(), out),
+        What::List(choice) => list(&mut Archive::open(&addresses)?, choice, out),
+        What::Show { run } => show(&mut Archive::open(&addresses)?, run, out),
+        What::Worker { until_empty, lease } => {
+            let until = if *until_empty { Until::Empty } else { Until::Stopped };
+            let [done, failed] = work(&mut Archive::open(&addresses)?, &worker(*lease), until, out)?;
+            out.document(&json!({ "done": done, "failed": failed }))?;
+            out.result(format!("{done} runs identified, {failed} not"));
+            Ok(Outcome::Done)
+        }
+        What::Reprocess { choice, estimate, hold, prior, model, ask_only } => {
+            let options = [("estimate", estimate), ("hold", hold), ("model", model), ("prior", prior)];
+            let settings = Settings::new(&options.map(|(name, value)| (name, value.as_deref())))?;
+            reprocess(&mut Archive::open(&addresses)?, &choice.selection(), &settings, *ask_only, out)
+        }
+        What::Fleet { choice, out: directory } => {
+            super::fleet::run(&mut Archive::open(&addresses)?, &choice.selection(), directory, out)
+        }
+        What::Export { choice, out: directory } => {
+            export(&mut Archive::open(&addresses)?, &choice.selection(), directory, out)
+        }
+        What::Get { run, out: directory } => get(&mut Archive::open(&addresses)?, run, directory, out),
+    }
+}
+
+fn init(addresses: &Addresses, out: &Output) -> Result<Outcome, Diagnostic> {
+    let steps = Archive::init(addresses)?;
+    out.document(&json!({ "steps": steps }))?;
+    out.result(if steps == 0 { "nothing to do".into() } else { format!("{steps} steps made") });
+    Ok(Outcome::Done)
+}
+
+/// Runs that were sent and runs that wait.
+#[derive(Default, Serialize)]
+struct Sent {
+    new: Vec<String>,
+    held: Vec<String>,
+    waiting: Vec<String>,
+}
+
+fn push(
+    addresses: &Addresses,
+    runs: &[PathBuf],
+    spool: Option<&Path>,
+    out: &Output,
+) -> Result<Outcome, Diagnostic> {
+    let found: Vec<Vec<PathBuf>> = runs.iter().map(|run| LocalRun::find(run)).collect::<Result<_, _>>()?;
+    let (mut sent, spool) = (Sent::default(), spool.map(Spool));
+    let mut archive = Archive::open(addresses);
+    if let (Ok(archive), Some(spool)) = (&mut archive, &spool) {
+        for path in spool.waiting()? {
+            match send(archive, &LocalRun::read(&path)?, &mut sent, out) {
+                Ok(()) => spool.remove(&path)?,
+                Err(why) => out.finding(waits(&path.display().to_string(), &why)),
+            }
+        }
+    }
+    for path in found.concat() {
+        let run = LocalRun::read(&path)?;
+        let done = match &mut archive {
+            Ok(archive) => send(archive, &run, &mut sent, out),
+            Err(why) => Err(why.clone()),
+        };
+        match (done, &spool) {
+            (Ok(()), _) => {}
+            (Err(why), Some(spool)) => {
+                spool.add(&run)?;
+                sent.waiting.push(run.sha256().into());
+                out.finding(waits(run.sha256(), &why));
+            }
+            (Err(why), None) => return Err(why),
+        }
+    }
+    if let (Err(why), Some(spool), true) = (&archive, &spool, found.is_empty()) {
+        out.finding(ArchiveFinding::SpoolWaits { runs: spool.waiting()?.len() });
+        out.finding(waits("", why));
+    }
+    out.document(&sent)?;
+    let [new, held, waiting] = [&sent.new, &sent.held, &sent.waiting].map(Vec::len);
+    out.result(format!("{new} runs stored, {held} held already, {waiting} wait"));
+    Ok(Outcome::Done)
+}
+
+fn waits(run: &str, why: &Diagnostic) -> ArchiveFinding {
+    ArchiveFinding::Spooled { run: run.into(), why: why.to_string() }
+}
+
+fn send(archive: &mut Archive, run: &LocalRun, sent: &mut Sent, out: &Output) -> Result<(), Diagnostic> {
+    let name = run.sha256().to_owned();
+    match archive.push(run)? {
+        Pushed::New => sent.new.push(name),
+        Pushed::HeldAlready => {
+            out.finding(ArchiveFinding::HeldAlready { run: name.clone() });
+            sent.held.push(name);
+        }
+    }
+    Ok(())
+}
+
+impl Choice {
+    fn selection(&self) -> Selection {
+        Selection {
+            robot: self.robot.clone(),
+            kind: self.kind.clone(),
+            bar: self.bar.clone(),
+            cell: self.cell.clone(),
+            since: self.since.clone(),
+            until: self.until.clone(),
+            search: self.search.clone(),
+            limit: self.limit,
+        }
+    }
+}
+
+fn list(archive: &mut Archive, choice: &Choice, out: &Output) -> Result<Outcome, Diagnostic> {
+    let runs = archive.list(&choice.selection())?;
+    out.list(&runs)?;
+    for run in &runs {
+        let ArchivedRun { sha256, measured, cell, robot, bar, .. } = run;
+        let digits = sha256.get(..12).unwrap_or(sha256);
+        out.result(format!("{digits}  {measured:20}  {cell:12}  {robot:16}  {bar}"));
+    }
+    Ok(Outcome::Done)
+}
+
+#[derive(Serialize)]
+struct Shown<'a> {
+    #[serde(flatten)]
+    run: &'a ArchivedRun,
+    files: &'a [ArchivedFile],
+    provenance: Provenance,
+}
+
+fn show(archive: &mut Archive, digits: &str, out: &Output) -> Result<Outcome, Diagnostic> {
+    let run = archive.run(digits)?;
+    let files = archive.files(&run)?;
+    let provenance: Provenance = serde_json::from_str(&run.provenance)
+        .map_err(|error| ProvenanceFinding::Damaged { why: error.to_string() })?;
+    out.document(&Shown { run: &run, files: &files, provenance: provenance.clone() })?;
+    line(out, "run", &run.sha256);
+    line(out, "robot", &format!("{} ({})", run.robot, run.kind));
+    crate::cli::artefact::chain(&provenance, out);
+    for file in &files {
+        line(out, "file", &format!("{:32} {} bytes", file.name, file.bytes));
+    }
+    Ok(Outcome::Done)
+}
+
+fn reprocess(
+    archive: &mut Archive,
+    selection: &Selection,
+    settings: &Settings,
+    ask_only: bool,
+    out: &Output,
+) -> Result<Outcome, Diagnostic> {
+    let asked = archive.ask(selection, settings, VERSION)?;
+    out.result(format!("{asked} runs to identify"));
+    if ask_only {
+        out.document(&json!({ "asked": asked }))?;
+        return Ok(Outcome::Done);
+    }
+    work(archive, &worker(None), Until::Empty, out)?;
+    compare(archive, selection, settings, VERSION, out)
+}
+
+fn export(
+    archive: &mut Archive,
+    selection: &Selection,
+    directory: &Path,
+    out: &Output,
+) -> Result<Outcome, Diagnostic> {
+    let (runs, mut results) = (archive.list(selection)?, archive.results(selection, None)?);
+    results.iter_mut().for_each(|result| result.found.posterior = None);
+    files::directory(directory)?;
+    files::write(&directory.join("runs.csv"), serialised::csv(&runs)?)?;
+    let rows = results.iter().map(|one| {
+        let found = &one.found;
+        let numbers = [
+            found.sigma_mm,
+            found.rms_before_mm,
+            found.rms_after_mm,
+            found.error_nominal_mm,
+            found.error_identified_mm,
+        ];
+        (
+            &one.run,
+            &one.robot,
+            &one.measured,
+            &one.settings,
+            &one.version,
+            found.doubtful,
+            found.lengths,
+            numbers,
+        )
+    });
+    let header = "run,robot,measured,settings,version,doubtful,lengths,sigma_mm,rms_before_mm,rms_after_mm,\
+        error_nominal_mm,error_identified_mm\n";
+    files::write(&directory.join("results.csv"), header.to_owned() + &serialised::csv_rows(rows)?)?;
+    out.document(&json!({ "runs": runs.len(), "results": results.len() }))?;
+    out.result(format!("{} runs and {} results in {}", runs.len(), results.len(), directory.display()));
+    Ok(Outcome::Done)
+}
+
+fn get(archive: &mut Archive, digits: &str, directory: &Path, out: &Output) -> Result<Outcome, Diagnostic> {
+    let run = archive.run(digits)?;
+    let files = archive.fetch(&run, directory)?;
+    out.document(&Shown { run: &run, files: &files, provenance: Provenance::default() })?;
+    out.result(format!("{} files in {}", files.len(), directory.display()));
+    Ok(Outcome::Done)
+}

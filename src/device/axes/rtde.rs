@@ -1,0 +1,138 @@
+//! UR RTDE, version 2: packages of `u16 size` (head included), `u8 type` and content, all big-endian.
+//!
+//! A client asks for the version (`V`), then for a recipe (`O`: a rate and names of variables; the answer has the recipe's
+//! number and the variables' types), then for the start (`S`); data come as packages `U` (recipe's number, values).
+
+use super::{AxesFault, AxesSample, Control, Heard, Packet, possible};
+use crate::base::units::DeviceTicks;
+use crate::robot::AXES;
+
+/// The TCP port of a controller.
+pub const PORT: u16 = 30004;
+/// The version of the protocol.
+pub const VERSION: u16 = 2;
+/// The variables that are asked for: seconds of the controller, measured and commanded axes in rad.
+pub const VARIABLES: &str = "timestamp,actual_q,target_q";
+/// Their types.
+pub const TYPES: &str = "DOUBLE,VECTOR6D,VECTOR6D";
+
+pub const ASK_VERSION: u8 = b'V';
+pub const ASK_CONTROLLER: u8 = b'v';
+pub const SET_UP_OUTPUTS: u8 = b'O';
+pub const START: u8 = b'S';
+pub const PAUSE: u8 = b'P';
+pub const DATA: u8 = b'U';
+
+/// Size and type.
+const HEAD: usize = 3;
+const WORD: usize = 8;
+/// Content of a data package: the recipe's number and the values.
+const DATA_LEN: usize = 1 + WORD * (1 + 2 * AXES);
+
+/// A package of a type.
+pub fn package(kind: u8, content: &[u8]) -> Vec<u8> {
+    let size = u16::try_from(HEAD + content.len()).unwrap_or(u16::MAX);
+    let mut bytes = size.to_be_bytes().to_vec();
+    bytes.push(kind);
+    bytes.extend(&content[..usize::from(size) - HEAD]);
+    bytes
+}
+
+/// A package at the begin of some bytes.
+pub struct Package<'a> {
+    pub kind: u8,
+    pub content: &'a [u8],
+    /// Its bytes with the head.
+    pub bytes: usize,
+}
+
+/// The package at the begin of bytes; `None` where it has not ended. An error where its size cannot be.
+pub fn next_package(bytes: &[u8]) -> Result<Option<Package<'_>>, AxesFault> {
+    let Some(&[high, low, kind]) = bytes.get(..HEAD) else { return Ok(None) };
+    let size = usize::from(u16::from_be_bytes([high, low]));
+    if size < HEAD {
+        return Err(AxesFault::Framing);
+    }
+    Ok(bytes.get(HEAD..size).map(|content| Package { kind, content, bytes: size }))
+}
+
+/// What a client sends, in order; each is sent when the one before was accepted.
+pub fn requests(rate_hz: f64) -> [Vec<u8>; 3] {
+    let recipe = [&rate_hz.to_be_bytes()[..], VARIABLES.as_bytes()].concat();
+    [package(ASK_VERSION, &VERSION.to_be_bytes()), package(SET_UP_OUTPUTS, &recipe), package(START, &[])]
+}
+
+/// The data package of a sample; commanded axes that are not known are the measured ones.
+pub fn data(recipe: u8, sample: &AxesSample) -> Vec<u8> {
+    let seconds = sample.ticks.0 as f64 * 1e-6;
+    let commanded_deg = sample.commanded_deg.unwrap_or(sample.measured_deg);
+    let axes = sample.measured_deg.into_iter().chain(commanded_deg).map(f64::to_radians);
+    let values = std::iter::once(seconds).chain(axes).flat_map(f64::to_be_bytes);
+    let content: Vec<u8> = std::iter::once(recipe).chain(values).collect();
+    package(DATA, &content)
+}
+
+/// Takes packages out of a stream.
+#[derive(Clone, Debug, Default)]
+pub struct Decoder {
+    /// Begins as a package does.
+    pending: Vec<u8>,
+    /// The number of the recipe that was agreed on.
+    recipe: Option<u8>,
+}
+
+impl Decoder {
+    pub(super) fn pending(&self) -> u64 {
+        self.pending.len() as u64
+    }
+
+    /// A size that cannot be is passed over a byte at a time.
+    pub(super) fn push(&mut self, bytes: &[u8], mut out: impl FnMut(Packet)) {
+        self.pending.extend_from_slice(bytes);
+        let mut at = 0;
+        loop {
+            let (heard, bytes) = match next_package(&self.pending[at..]) {
+                Ok(None) => break,
+                Ok(Some(package)) => (heard(&mut self.recipe, package.kind, package.content), package.bytes),
+                Err(fault) => (Heard::Fault(fault), 1),
+            };
+            out(Packet { heard, bytes: bytes as u64 });
+            at += bytes;
+        }
+        self.pending.drain(..at);
+    }
+}
+
+fn heard(recipe: &mut Option<u8>, kind: u8, content: &[u8]) -> Heard {
+    let accepted = content == [1];
+    match kind {
+        DATA => data_of(*recipe, content).map_or_else(Heard::Fault, Heard::Sample),
+        ASK_VERSION => Heard::Control(Control::Version { accepted }),
+        START => Heard::Control(Control::Started { accepted }),
+        SET_UP_OUTPUTS => {
+            *recipe =
+                content.split_first().filter(|(_, types)| *types == TYPES.as_bytes()).map(|(id, _)| *id);
+            Heard::Control(Control::Recipe { accepted: recipe.is_some() })
+        }
+        other => Heard::Control(Control::Other(other)),
+    }
+}
+
+fn data_of(recipe: Option<u8>, content: &[u8]) -> Result<AxesSample, AxesFault> {
+    let (id, values) = content.split_first().ok_or(AxesFault::OtherRecipe)?;
+    if recipe != Some(*id) || content.len() != DATA_LEN {
+        return Err(AxesFault::OtherRecipe);
+    }
+    let (words, _) = values.as_chunks::<WORD>();
+    let word = |at: usize| words.get(at).map_or(f64::NAN, |word| f64::from_be_bytes(*word));
+    let seconds = word(0);
+    let degrees = |from: usize| std::array::from_fn(|axis| word(from + axis).to_degrees());
+    let (measured_deg, commanded_deg) = (degrees(1), degrees(1 + AXES));
+    // Half of the ticks that a float holds exactly.
+    let clock = (0.0..4e9).contains(&seconds);
+    if !clock || !possible(&measured_deg) || !possible(&commanded_deg) {
+        return Err(AxesFault::NotANumber);
+    }
+    let ticks = DeviceTicks((seconds * 1e6).round() as u64);
+    Ok(AxesSample { ticks, measured_deg, commanded_deg: Some(commanded_deg), late: None })
+}

@@ -1,0 +1,70 @@
+//! What is wrong or doubtful in the inputs of an estimation, before anything is computed.
+
+use super::units::mistaken;
+use crate::catalogue::MeasurementFinding::{self, OtherUnit};
+use crate::diagnostic::Diagnostic;
+use crate::math::robust::median;
+use crate::measurement::{BaseBall, Measurements};
+use crate::robot::Robot;
+use crate::robot::parameter::SetUp;
+
+/// Every observation must have its ball, in millimetres and degrees; `file` is where they are.
+///
+/// # Errors
+/// A ball or bar that is not there; lengths or angles in another unit.
+pub fn check_lengths(
+    file: &str,
+    observations: &Measurements,
+    robot: &Robot,
+    centres: &[BaseBall],
+) -> Result<(), Diagnostic> {
+    observations.check(file, SetUp { balls: centres.len(), bars: observations.bars() })?;
+    match mistaken(&robot.geometry, centres, &observations.rows) {
+        Some((columns, unit)) => {
+            Err(Diagnostic::file(file, OtherUnit { columns: columns.into(), unit: unit.into() }))
+        }
+        None => Ok(()),
+    }
+}
+
+/// What is doubtful in observations that [`check_lengths`] takes, and unknown of their robot; `file` is where they are.
+pub fn doubts(
+    file: &str,
+    observations: &Measurements,
+    robot: &Robot,
+    centres: &[BaseBall],
+) -> Vec<Diagnostic> {
+    let doubts = [
+        observations.without_sigma(),
+        observations.beyond(&robot.controller().limits_deg),
+        far_rows(observations, robot, centres),
+    ];
+    let unknown = robot.asked_repeatability().map(Diagnostic::from);
+    unknown
+        .into_iter()
+        .chain(doubts.into_iter().flatten().map(|doubt| Diagnostic::file(file, doubt)))
+        .collect()
+}
+
+/// Rows whose lengths are far from where robot and balls have them, while the others are near: single typing errors, which can
+/// spoil a whole result.
+fn far_rows(observations: &Measurements, robot: &Robot, centres: &[BaseBall]) -> Option<MeasurementFinding> {
+    /// Balls may be given to centimetres, mm.
+    const FAR_MM: f64 = 100.0;
+    /// Where more are far, robot or balls are others.
+    const FEW: f64 = 0.2;
+    let off = observations.rows.iter().map(|row| {
+        let centre = &centres.get(row.ball.index())?.position;
+        Some((row.index, (row.length_mm - robot.geometry.length(&row.axes.radians(), centre, 0.0)).abs()))
+    });
+    let off: Vec<(u32, f64)> = off.collect::<Option<_>>()?;
+    let usual_mm = median(&mut off.iter().map(|(_, off_mm)| *off_mm).collect::<Vec<_>>())?;
+    let far: Vec<_> =
+        off.iter().filter(|(_, off_mm)| *off_mm > usual_mm + FAR_MM || off_mm.is_nan()).collect();
+    let &&(index, off_mm) = far.first()?;
+    ((far.len() as f64) < FEW * off.len() as f64).then_some(MeasurementFinding::FarLengths {
+        rows: far.len(),
+        index,
+        off_mm,
+    })
+}

@@ -1,0 +1,218 @@
+//! What the emitters of all languages share: the facts of a plan and of its modules for the templates, and what is
+//! refused because no controller accepts it.
+
+use std::net::SocketAddrV4;
+
+use minijinja::syntax::SyntaxConfig;
+use minijinja::value::{Serde, Value};
+use minijinja::{Environment, UndefinedBehavior, context};
+
+use super::sequence::{Bar, Module, Step, Timed};
+use super::text::fixed;
+use super::{Language, header};
+use crate::catalogue::{ProgramFinding, ReportFinding};
+use crate::diagnostic::Diagnostic;
+use crate::plan::{Kind, MODULE_DWELLS, Motion, Plan, PlanRow};
+use crate::provenance::Provenance;
+use crate::robot::{Joint, Mass, Robot};
+
+/// Files of a program: names and texts, the first of them where it begins.
+pub type Written = Vec<(String, String)>;
+
+/// How the dwells are marked.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Sync {
+    /// By the plan's own sync markers in the length alone; the program sets no output.
+    Marker,
+    /// By a strobe and an index on digital outputs as well.
+    Output,
+    /// By telegrams over EthernetKRL (KUKA's KR C4 and later, an option package): dbbd is the server.
+    Ekrl {
+        /// As the controller's line network sees it.
+        server: SocketAddrV4,
+    },
+}
+
+impl Sync {
+    fn name(self) -> &'static str {
+        match self {
+            Self::Marker => "marker",
+            Self::Output => "output",
+            Self::Ekrl { .. } => "ekrl",
+        }
+    }
+}
+
+/// The name of the module of the `number`-th circle, from 1.
+pub(super) fn name(number: usize) -> String {
+    format!("DBB_C{number:03}")
+}
+
+/// What every file may say of the plan.
+pub(super) fn plan_text(plan: &Plan, language: Language, sync: Sync) -> Result<Value, Diagnostic> {
+    let job = &plan.header.job;
+    let robot = Robot::from_toml("the plan's robot", &plan.header.robot)?;
+    Ok(context! {
+        hash => character_text(&plan.header.hash, 32),
+        robot => character_text(&robot.name, 64),
+        // What the program was made from.
+        made => Value::from_iter(header::lines(language, &Provenance::of([&plan.traced()?]))?),
+        sync => sync.name(),
+        outputs => Serde(&job.motion.outputs),
+        bar => Serde(&job.bar),
+        settle_s => job.motion.settle_s,
+    })
+}
+
+/// The one mass on the flange, where the robot file has it.
+pub(super) fn payload(robot: &Robot) -> Option<&Mass> {
+    let mut carried = robot.geometry.masses.iter().filter(|mass| mass.joint == Joint::J6);
+    carried.next().filter(|_| carried.next().is_none())
+}
+
+/// Which modules a master calls, and which of them keep the bar.
+pub(super) fn called(modules: &[Module<'_>]) -> Value {
+    let called = modules.iter().zip(1..).map(|(module, number)| {
+        let stays = module.bar == Bar::Stays;
+        context! { name => name(number), stays => stays }
+    });
+    called.collect()
+}
+
+/// What a file may say of its module; a module that no controller accepts is refused.
+pub(super) fn module_text(plan: &Plan, module: &Module<'_>) -> Result<Value, Diagnostic> {
+    let (circle, dwells) = (module.circle, module.counted().count());
+    if dwells > MODULE_DWELLS as usize {
+        return Err(ProgramFinding::TooManyDwells { circle, dwells, most: MODULE_DWELLS }.into());
+    }
+    let steps = module.steps()?;
+    let ball = module.ball;
+    let Some(table) = plan.header.job.centres.iter().find(|table| table.id == ball) else {
+        return Err(ProgramFinding::NoBall { ball }.into());
+    };
+    module.rows.iter().try_for_each(check)?;
+    Ok(context! {
+        circle => circle,
+        ball => ball,
+        stays => module.bar == Bar::Stays,
+        centre => unturned(table.xyz_mm),
+        start_deg => Serde(module.start.row.axes_deg),
+        start_percent => module.start.time.axis_percent,
+        steps => steps.iter().map(step_text).collect::<Value>(),
+        end_mark => module.end_mark(),
+        rows => module.counted().map(|timed| timed.row.index).collect::<Value>(),
+        stops => module.rows.iter().any(|timed| timed.row.kind != Kind::Transit),
+        passes => module.rows.iter().any(|timed| timed.pass.is_some()),
+    })
+}
+
+/// X, Y, Z and the angles of a pose that is not turned.
+pub(super) fn unturned([x, y, z]: [f64; 3]) -> Value {
+    Serde([x, y, z, 0.0, 0.0, 0.0]).into()
+}
+
+/// That a plan has nothing that only KRL can hold: a pass goes round further than one arc of other controllers does, and
+/// the telegrams are KUKA's.
+pub(super) fn only_stops(plan: &Plan, language: Language, sync: Sync) -> Result<(), ProgramFinding> {
+    let language = language.name();
+    match sync {
+        _ if !plan.header.passes.is_empty() => Err(ProgramFinding::NoPasses { language }),
+        Sync::Ekrl { .. } => Err(ProgramFinding::NoTelegrams { language }),
+        Sync::Marker | Sync::Output => Ok(()),
+    }
+}
+
+/// The templates of a language.
+pub(super) struct Templates(Environment<'static>);
+
+impl Templates {
+    pub(super) fn new(templates: &[(&'static str, &'static str)]) -> Result<Self, Diagnostic> {
+        engine(templates).map(Self).map_err(|error| no_text("a program", &error))
+    }
+
+    /// The text of a file; lines end with CR LF.
+    pub(super) fn fill(&self, template: &str, context: &Value) -> Result<String, Diagnostic> {
+        let text = self.0.get_template(template).and_then(|template| template.render(context));
+        text.map(|text| text.replace('\n', "\r\n")).map_err(|error| no_text(template, &error))
+    }
+}
+
+fn step_text(step: &Step<'_>) -> Value {
+    match *step {
+        Step::Pass { row, pass, number } => context! { row => row, pass => Serde(pass), number => number },
+        Step::Move { row, timed: Timed { row: pose, time, .. }, through, dwell } => context! {
+            row => row,
+            pass => false,
+            number => dwell,
+            through => through,
+            index => pose.index,
+            kind => Serde(pose.kind),
+            motion => Serde(pose.motion),
+            dwell_s => pose.dwell_s,
+            axis_percent => time.axis_percent,
+            duration_s => time.duration_s,
+        },
+    }
+}
+
+fn engine(templates: &[(&'static str, &'static str)]) -> Result<Environment<'static>, minijinja::Error> {
+    let mut engine = Environment::new();
+    engine.set_undefined_behavior(UndefinedBehavior::Strict);
+    let syntax =
+        SyntaxConfig::builder().trim_blocks(true).lstrip_blocks(true).keep_trailing_newline(true).build()?;
+    engine.set_syntax(syntax);
+    engine.add_filter("mm", |value: f64| fixed(value, 3));
+    engine.add_filter("deg", |value: f64| fixed(value, 4));
+    engine.add_filter("speed", |value: f64| fixed(value, 6));
+    engine.add_filter("seconds", |value: f64| fixed(value, 3));
+    // Of unit quaternions, and of metres and radians.
+    engine.add_filter("fine", |value: f64| fixed(value, 9));
+    engine.add_filter("axis", |value: f64| fixed(value, 6));
+    // The controller rounds; never more than asked.
+    engine.add_filter("percent", |value: f64| fixed(value.floor(), 0));
+    for &(name, text) in templates {
+        engine.add_template(name, text)?;
+    }
+    Ok(engine)
+}
+
+fn no_text(file: &str, error: &minijinja::Error) -> Diagnostic {
+    let why = error.detail().map_or_else(|| error.to_string(), str::to_owned);
+    ReportFinding::NoPage { page: file.into(), why }.into()
+}
+
+/// What a program can hold: finite numbers, status and turn bits, speeds above zero.
+fn check(timed: &Timed<'_>) -> Result<(), ProgramFinding> {
+    let Timed { row: PlanRow { index: row, status, turn, dwell_s, motion, .. }, time, .. } = *timed;
+    let (&row, &status, &turn, &dwell_s) = (row, status, turn, dwell_s);
+    if time.index != row {
+        return Err(ProgramFinding::OtherMove { row, index: time.index });
+    }
+    let numbers = timed.row.xyz_mm.iter().chain(&timed.row.abc_deg).chain(&timed.row.axes_deg);
+    if let Some(&value) = numbers.into_iter().find(|value| !value.is_finite() || value.abs() >= 1e6) {
+        return Err(ProgramFinding::RowNumber { row, value });
+    }
+    if status > 31 || turn > 63 {
+        return Err(ProgramFinding::RowConfiguration { row, status, turn });
+    }
+    if !(0.0..=600.0).contains(&dwell_s) {
+        return Err(ProgramFinding::RowDwell { row, dwell_s });
+    }
+    let (percent, feed_mm_s, turn_deg_s) = (time.axis_percent, time.feed_mm_s, time.turn_deg_s);
+    match motion {
+        Motion::Ptp if !(1.0..=100.0).contains(&percent) => {
+            Err(ProgramFinding::RowAxisSpeed { row, percent })
+        }
+        Motion::Ptp => Ok(()),
+        _ if timed.is_auxiliary() => Ok(()),
+        _ if !(0.01..=2000.0).contains(&feed_mm_s) => Err(ProgramFinding::RowFeed { row, feed_mm_s }),
+        _ if !(0.01..=1000.0).contains(&turn_deg_s) => Err(ProgramFinding::RowTurn { row, turn_deg_s }),
+        _ => Ok(()),
+    }
+}
+
+/// A text for a string or a comment: printable ASCII without quotes, at most `length` characters.
+fn character_text(text: &str, length: usize) -> String {
+    let plain = |c: char| if c == ' ' || (c.is_ascii_graphic() && c != '"' && c != ';') { c } else { '_' };
+    text.chars().map(plain).take(length).collect()
+}

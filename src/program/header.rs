@@ -1,0 +1,77 @@
+//! What a program was made from, as comments after its first line.
+
+use super::Language;
+use crate::base::serialised;
+use crate::catalogue::{CliFinding, ProvenanceFinding};
+use crate::diagnostic::Diagnostic;
+use crate::provenance::{Artefact, Provenance};
+
+/// How the comments go on after the sign of a comment.
+const BY: &str = " made by dbbd ";
+const FROM: &str = " made from ";
+
+/// The comments, in ASCII.
+pub(super) fn lines(language: Language, provenance: &Provenance) -> Result<Vec<String>, CliFinding> {
+    let sign = language.comment();
+    let source = |artefact: &Artefact| {
+        let json = serialised::json_line(artefact)?;
+        Ok([sign].into_iter().chain(FROM.chars()).chain(json.chars()).map(escaped).collect())
+    };
+    let by = format!("{sign}{BY}{}", provenance.dbbd);
+    [Ok(by)].into_iter().chain(provenance.from.iter().map(source)).collect()
+}
+
+/// What follows the sign of a comment that begins a line, in any language.
+fn comment(line: &str) -> Option<&str> {
+    line.strip_prefix(Language::ALL.map(Language::comment))
+}
+
+/// As JSON escapes what is not ASCII.
+fn escaped(character: char) -> String {
+    let mut units = [0; 2];
+    match character {
+        ' '..='~' => character.into(),
+        _ => character.encode_utf16(&mut units).iter().map(|unit| format!("\\u{unit:04x}")).collect(),
+    }
+}
+
+/// What the comments of a program say; nothing where there are none.
+///
+/// # Errors
+/// A comment that is damaged: what is not read could not be compared.
+pub fn provenance(file: &str, text: &str) -> Result<Provenance, Diagnostic> {
+    let mut found = Provenance::default();
+    for (line, number) in text.lines().zip(1..) {
+        let Some(comment) = comment(line) else { continue };
+        if let Some(version) = comment.strip_prefix(BY) {
+            found.dbbd = version.trim().to_owned();
+        } else if let Some(json) = comment.strip_prefix(FROM) {
+            let damaged = |error: serde_json::Error| {
+                Diagnostic::line(file, number, ProvenanceFinding::Damaged { why: error.to_string() })
+            };
+            found.add(&serde_json::from_str(json).map_err(damaged)?);
+        }
+    }
+    Ok(found)
+}
+
+/// The program with these comments in place of those that it has: after the line that begins its first routine, list or
+/// module.
+///
+/// # Errors
+/// None is known: see [`serialised`].
+pub fn stamped(language: Language, text: &str, provenance: &Provenance) -> Result<String, CliFinding> {
+    let mut comments = lines(language, provenance)?;
+    let mut stamped = String::with_capacity(text.len() + 256 * comments.len());
+    for line in text.split_inclusive('\n') {
+        if comment(line).is_some_and(|comment| [BY, FROM].iter().any(|start| comment.starts_with(start))) {
+            continue;
+        }
+        stamped.push_str(line);
+        if language.begins(line) {
+            let end = if line.ends_with("\r\n") { "\r\n" } else { "\n" };
+            comments.drain(..).for_each(|comment| stamped.extend([comment.as_str(), end]));
+        }
+    }
+    Ok(stamped)
+}

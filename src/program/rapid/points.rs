@@ -1,0 +1,122 @@
+//! The points of a module, and new numbers for them.
+
+use super::instruction::{Instruction, motion};
+use super::parser::{Module, parse};
+use super::program::declared;
+use crate::catalogue::CompensationFinding;
+use crate::diagnostic::Diagnostic;
+use crate::program::compensate::{Branch, Corrected, Corrector};
+use crate::program::rewrite::Moved;
+use crate::program::script::points::{Point, Points, numbers};
+use crate::program::script::statement::Statement;
+use crate::program::script::value::{Kind, Value};
+use crate::program::text::{Edit, Text};
+use crate::program::{Motion, Target};
+use crate::robot::{Pose, Robot};
+
+/// Fewest decimals of a length, an axis angle and a part of a quaternion.
+const DECIMALS_MM: usize = 3;
+const DECIMALS_DEG: usize = 5;
+const DECIMALS_TURN: usize = 8;
+
+/// The points of a module; `config` is a module that holds tools and work objects.
+pub fn read(text: Text<'_>, config: Option<Text<'_>>) -> Result<Points, Diagnostic> {
+    let module = parse(text, 0)?;
+    let config = config.map(|config| parse(config, 1)).transpose()?;
+    let mut points = Points::default();
+    for (routine, _) in &module.routines {
+        for statement in &routine.body {
+            take(statement, &module, config.as_ref(), &mut points, text)?;
+        }
+    }
+    Ok(points)
+}
+
+fn take(
+    statement: &Statement,
+    module: &Module,
+    config: Option<&Module>,
+    points: &mut Points,
+    text: Text<'_>,
+) -> Result<(), Diagnostic> {
+    let Some(instruction) = motion(statement) else { return Ok(()) };
+    let lookup = |name: &str| {
+        let own = declared(module, name, 0);
+        own.or_else(|| declared(config?, name, 1)).or_else(|| super::literal::predefined(name))
+    };
+    for expression in [instruction.through, Some(instruction.to)].into_iter().flatten() {
+        let Some((value, taught)) = Instruction::point(expression, 0, &lookup) else {
+            let name = match &expression.kind {
+                Kind::Name(name) | Kind::Call(name) => name.clone(),
+                _ => "this point".into(),
+            };
+            let elsewhere = CompensationFinding::PointElsewhere { name };
+            points.left.push(text.wrong(&expression.span, elsewhere));
+            continue;
+        };
+        if value.file != 0 {
+            let name = value.name.unwrap_or_default();
+            points.left.push(text.wrong(&expression.span, CompensationFinding::PointElsewhere { name }));
+            continue;
+        }
+        let frames = match taught.target {
+            Target::Axes(_) => None,
+            Target::Pose { .. } => {
+                let frames = instruction.frames(0, &lookup);
+                Some(frames.map_err(|why| text.wrong(&statement.span, why))?)
+            }
+        };
+        let branch = match taught.configuration {
+            Some(configuration) if instruction.motion == Motion::Ptp => Branch::ByQuadrants(configuration),
+            _ => Branch::Nearest,
+        };
+        let used = statement.span.clone();
+        points.add(Point { value, used, branch, target: taught.target, frames }, text)?;
+    }
+    Ok(())
+}
+
+/// The module with corrected points and what was moved.
+///
+/// # Errors
+/// Every point that cannot be corrected; not empty.
+pub fn compensate(
+    text: Text<'_>,
+    points: &Points,
+    robot: &Robot,
+    limit_mm: f64,
+) -> Result<(String, Vec<Moved>), Vec<Diagnostic>> {
+    points.corrected(text, robot, limit_mm, write)
+}
+
+fn write(
+    corrector: &Corrector<'_>,
+    point: &Point,
+    corrected: &Corrected,
+    text: Text<'_>,
+) -> Result<Vec<Edit>, CompensationFinding> {
+    let parts: &[Value] = point.value.list().unwrap_or_default();
+    let inside = |at: usize| parts.get(at).and_then(Value::list).unwrap_or_default();
+    let [x, y, z, a, b, c] = corrected.numbers;
+    let Some(frames) = &point.frames else {
+        return Ok(numbers(inside(0), &corrected.numbers, text, DECIMALS_DEG).0);
+    };
+    let (mut edits, place) = numbers(inside(0), &[x, y, z], text, DECIMALS_MM);
+    let taught: [f64; 4] = parts.get(1).and_then(Value::numbers).unwrap_or_default();
+    let new = Pose::from_kuka([x, y, z], [a, b, c]).quaternion();
+    let along: f64 = taught.iter().zip(new).map(|(taught, new)| taught * new).sum();
+    let turned = new.map(|part| if along < 0.0 { -part } else { part });
+    let (turns, turn) = numbers(inside(1), &turned, text, DECIMALS_TURN);
+    edits.extend(turns);
+    let printed = place.try_into().ok().zip(turn.try_into().ok());
+    let printed = printed.and_then(|(place, turn)| Pose::from_quaternion(place, turn));
+    if let Some(printed) = printed {
+        let configuration = corrector.quadrants(corrected, &printed, frames)?;
+        for (old, new) in inside(2).iter().zip(configuration) {
+            if old.number() != Some(f64::from(new)) {
+                edits.push((old.span.clone(), new.to_string()));
+            }
+        }
+    }
+    Ok(edits)
+}

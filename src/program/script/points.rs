@@ -1,0 +1,94 @@
+//! Points of a program that are rewritten: each once, where its numbers are written.
+
+use std::collections::HashMap;
+
+use super::value::Value;
+use crate::catalogue::CompensationFinding;
+use crate::diagnostic::Diagnostic;
+use crate::program::compensate::{Branch, Commanded, Corrected, Corrector};
+use crate::program::rewrite::{self, Moved};
+use crate::program::text::{Edit, Span, Text, number_like, rewritten};
+use crate::program::{Frames, Target};
+use crate::robot::Robot;
+
+/// A point to which the program moves.
+#[derive(Clone, Debug)]
+pub struct Point {
+    /// Where its numbers are.
+    pub(crate) value: Value,
+    /// The statement that goes there first.
+    pub(crate) used: Span,
+    pub(crate) branch: Branch,
+    pub target: Target,
+    /// When the robot goes there; an axis position needs none.
+    pub(crate) frames: Option<Frames>,
+}
+
+/// The points of a program in the order in which its text goes there.
+#[derive(Clone, Debug, Default)]
+pub struct Points {
+    pub points: Vec<Point>,
+    /// Motions that are not to a point of this file.
+    pub left: Vec<Diagnostic>,
+    found: HashMap<usize, usize>,
+}
+
+impl Points {
+    /// Takes a point of the program's own file.
+    pub(crate) fn add(&mut self, point: Point, file: Text<'_>) -> Result<(), Diagnostic> {
+        let at = *self.found.entry(point.value.span.start).or_insert(self.points.len());
+        match self.points.get_mut(at) {
+            None => self.points.push(point),
+            Some(before) if before.frames == point.frames => {
+                if before.branch == Branch::Nearest {
+                    before.branch = point.branch;
+                }
+            }
+            Some(before) => {
+                let line = file.line(before.used.start);
+                let twice = CompensationFinding::PointTwice { name: point.name(), line };
+                return Err(file.wrong(&point.used, twice));
+            }
+        }
+        Ok(())
+    }
+
+    /// The program with corrected points, as [`rewrite::points`]; `write` gives the new text of one.
+    pub(crate) fn corrected(
+        &self,
+        file: Text<'_>,
+        robot: &Robot,
+        limit_mm: f64,
+        write: impl Fn(&Corrector<'_>, &Point, &Corrected, Text<'_>) -> Result<Vec<Edit>, CompensationFinding>,
+    ) -> Result<(String, Vec<Moved>), Vec<Diagnostic>> {
+        let mut edits = Vec::new();
+        let moved = rewrite::points(robot, limit_mm, &self.points, |corrector, point| {
+            let wrong = |why: CompensationFinding| file.wrong(&point.value.span, why);
+            let frames = point.frames.as_ref();
+            let commanded = Commanded { target: &point.target, frames, branch: point.branch };
+            let corrected = corrector.correct(commanded).map_err(wrong)?;
+            edits.extend(write(corrector, point, &corrected, file).map_err(wrong)?);
+            let Corrected { shift_mm, turn_deg, .. } = corrected;
+            let line = file.line(point.used.start);
+            Ok(Moved { name: point.name(), line, shift_mm, turn_deg, turn_bits: None })
+        })?;
+        Ok((rewritten(file.text, edits), moved))
+    }
+}
+
+impl Point {
+    fn name(&self) -> String {
+        self.value.name.clone().unwrap_or_else(|| "inline".into())
+    }
+}
+
+/// New numbers in place of those of a list, each with at least so many decimals; and what is then written there.
+pub(crate) fn numbers(list: &[Value], new: &[f64], file: Text<'_>, fewest: usize) -> (Vec<Edit>, Vec<f64>) {
+    let edits = list.iter().zip(new).map(|(old, new)| {
+        let written = file.text.get(old.span.clone()).unwrap_or("");
+        (old.span.clone(), number_like(written, *new, fewest))
+    });
+    let edits: Vec<Edit> = edits.collect();
+    let written = edits.iter().zip(new).map(|((_, text), new)| text.parse().unwrap_or(*new)).collect();
+    (edits, written)
+}

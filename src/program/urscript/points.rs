@@ -1,0 +1,145 @@
+//! The points of a script, and new numbers for them.
+
+use super::instruction::{motion, pose, target};
+use super::parser::parse;
+use crate::catalogue::CompensationFinding;
+use crate::diagnostic::Diagnostic;
+use crate::program::compensate::{Branch, Corrected, Corrector};
+use crate::program::rewrite::Moved;
+use crate::program::script::points::{Point, Points, numbers};
+use crate::program::script::statement::{Kind, Statement};
+use crate::program::script::value::{self, Names, Of, Value};
+use crate::program::text::{Edit, Text};
+use crate::program::{Frames, Target};
+use crate::robot::pose::rotation_vector;
+use crate::robot::{Pose, Robot};
+
+/// Fewest decimals: a tenth of a micrometre in metres, and of a radian what moves a point a metre away by less.
+const DECIMALS: usize = 7;
+
+/// Goes through the text: the tool that is set and the variables so far.
+struct Walk<'a> {
+    text: Text<'a>,
+    /// As the user gave it, where the program does not set it.
+    given: Option<Pose>,
+    /// `None` before `set_tcp`; then the pose, where it can be read.
+    tool: Option<Option<Pose>>,
+    names: Names,
+    points: Points,
+}
+
+/// The points of a script; `tool` where it does not set one by `set_tcp`.
+pub fn read(text: Text<'_>, tool: Option<Pose>) -> Result<Points, Diagnostic> {
+    let mut walk = Walk { text, given: tool, tool: None, names: Names::new(), points: Points::default() };
+    let mut statements: Vec<Statement> = parse(text)?.into_iter().flat_map(|routine| routine.body).collect();
+    statements.sort_by_key(|statement| statement.span.start);
+    for statement in &statements {
+        walk.take(statement)?;
+    }
+    Ok(walk.points)
+}
+
+impl Walk<'_> {
+    fn take(&mut self, statement: &Statement) -> Result<(), Diagnostic> {
+        match &statement.kind {
+            Kind::Assign { name, value } => {
+                let found = value::value(value, 0, &|name| self.names.get(name).cloned());
+                match found {
+                    // A name that gets a second value is none that could be read.
+                    Some(found) if !self.names.contains_key(name) => {
+                        let named = Value { name: Some(name.clone()), ..found };
+                        self.names.insert(name.clone(), named);
+                    }
+                    _ => _ = self.names.remove(name),
+                }
+            }
+            Kind::Call { name, arguments } if name == "set_tcp" => {
+                let given = arguments.first().and_then(|argument| argument.value.as_ref());
+                let found =
+                    given.and_then(|value| value::value(value, 0, &|name| self.names.get(name).cloned()));
+                self.tool = Some(found.and_then(|value| pose(&value)));
+            }
+            _ => self.motion(statement)?,
+        }
+        Ok(())
+    }
+
+    fn motion(&mut self, statement: &Statement) -> Result<(), Diagnostic> {
+        let Some(instruction) = motion(statement) else { return Ok(()) };
+        for expression in instruction.points() {
+            let found = value::value(expression, 0, &|name| self.names.get(name).cloned());
+            let taught = found.and_then(|value| target(&value).map(|target| (value, target)));
+            let Some((value, target)) = taught else {
+                let name = match &expression.kind {
+                    value::Kind::Name(name) | value::Kind::Call(name) => name.clone(),
+                    _ => "this point".into(),
+                };
+                let elsewhere = CompensationFinding::PointElsewhere { name };
+                self.points.left.push(self.text.wrong(&expression.span, elsewhere));
+                continue;
+            };
+            let frames = match target {
+                Target::Axes(_) => None,
+                Target::Pose { .. } => Some(self.frames(statement)?),
+            };
+            let used = statement.span.clone();
+            self.points.add(Point { value, used, branch: Branch::Nearest, target, frames }, self.text)?;
+        }
+        Ok(())
+    }
+
+    fn frames(&self, statement: &Statement) -> Result<Frames, Diagnostic> {
+        let wrong = |why| self.text.wrong(&statement.span, why);
+        let frame = "the tool";
+        let tool = match (self.tool, self.given) {
+            (Some(Some(tool)), _) => tool,
+            (Some(None), _) => {
+                let line = self.text.line(statement.span.start);
+                return Err(wrong(CompensationFinding::FrameComputed { frame, line }));
+            }
+            (None, Some(given)) => given,
+            (None, None) => return Err(wrong(CompensationFinding::FrameNotSet { frame })),
+        };
+        Ok(Frames { tool, base: Pose::identity() })
+    }
+}
+
+/// The script with corrected points and what was moved.
+///
+/// # Errors
+/// Every point that cannot be corrected; not empty.
+pub fn compensate(
+    text: Text<'_>,
+    points: &Points,
+    robot: &Robot,
+    limit_mm: f64,
+) -> Result<(String, Vec<Moved>), Vec<Diagnostic>> {
+    points.corrected(text, robot, limit_mm, write)
+}
+
+fn write(
+    _: &Corrector<'_>,
+    point: &Point,
+    corrected: &Corrected,
+    text: Text<'_>,
+) -> Result<Vec<Edit>, CompensationFinding> {
+    let (Of::List(list) | Of::Pose(list)) = &point.value.of else { return Ok(Vec::new()) };
+    let new = match point.target {
+        Target::Axes(_) => corrected.numbers.map(f64::to_radians),
+        Target::Pose { .. } => {
+            let [x, y, z, a, b, c] = corrected.numbers;
+            let turn = rotation_vector(&Pose::from_kuka([x, y, z], [a, b, c]).rotation);
+            let [.., rx, ry, rz]: [f64; 6] = point.value.numbers().unwrap_or_default();
+            // The same turn the other way round where the taught one was so written.
+            let other = turn * (1.0 - std::f64::consts::TAU / turn.norm());
+            let off = |turn: &nalgebra::Vector3<f64>| (turn - nalgebra::Vector3::new(rx, ry, rz)).norm();
+            let turn = if other.iter().all(|part| part.is_finite()) && off(&other) < off(&turn) {
+                other
+            } else {
+                turn
+            };
+            [x * 1e-3, y * 1e-3, z * 1e-3, turn.x, turn.y, turn.z]
+        }
+    };
+    Ok(numbers(list, &new, text, DECIMALS).0)
+}

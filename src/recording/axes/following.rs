@@ -1,0 +1,90 @@
+//! How the measured axes follow the commanded ones.
+
+use serde::Serialize;
+
+use super::rest::Rest;
+use super::track::AxisTrack;
+use crate::robot::AXES;
+
+/// An axis moves above this speed, degrees/s.
+const MOVES_DEG_S: f64 = 0.1;
+/// An axis has settled within this of where it comes to rest, degrees.
+pub const SETTLED_DEG: f64 = 0.005;
+/// Settling is looked for this far before and after the command stops, s.
+const SETTLING_S: f64 = 2.0;
+
+/// The following of one axis.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Following {
+    /// The axis, from 1.
+    pub axis: usize,
+    /// How much later the measured axis is where it was commanded to be, by its motion, s.
+    pub lag_s: f64,
+    /// Commanded less measured angle in motion, root of the mean square, degrees.
+    pub moving_rms_deg: f64,
+    /// The greatest in motion, degrees.
+    pub moving_max_deg: f64,
+    /// The greatest mean over a rest, degrees.
+    pub rest_max_deg: f64,
+    /// From the end of the command until the axis stays within [`SETTLED_DEG`] of where it rests, mean, s; `None` where no
+    /// rest shows it.
+    pub settling_s: Option<f64>,
+}
+
+impl AxisTrack {
+    /// The following of each axis; `None` where the commanded axes are not known.
+    pub fn following(&self, rests: &[Rest]) -> Option<[Following; AXES]> {
+        (!self.commanded_deg.is_empty()).then(|| std::array::from_fn(|axis| self.follow(axis, rests)))
+    }
+
+    fn follow(&self, axis: usize, rests: &[Rest]) -> Following {
+        let error = |at: usize| self.commanded_deg[at][axis] - self.measured_deg[at][axis];
+        let (mut moving, mut squares, mut products, mut speeds, mut most) = (0_u64, 0.0, 0.0, 0.0, 0.0_f64);
+        for at in 1..self.len().saturating_sub(1) {
+            let span_s = self.t_s[at + 1] - self.t_s[at - 1];
+            let speed = (self.commanded_deg[at + 1][axis] - self.commanded_deg[at - 1][axis]) / span_s;
+            // A step of the clock by a loss gives a mean speed, which is none of a moment.
+            if span_s > 3.0 * self.period_of_cycle_s() || speed.abs() < MOVES_DEG_S {
+                continue;
+            }
+            moving += 1;
+            squares += error(at) * error(at);
+            products += error(at) * speed;
+            speeds += speed * speed;
+            most = most.max(error(at).abs());
+        }
+        let at_rest = rests.iter().map(|rest| {
+            let [commanded, measured] = [&self.commanded_deg, &self.measured_deg]
+                .map(|column| self.mean_deg(&rest.samples, column)[axis]);
+            (commanded - measured).abs()
+        });
+        let settling: Vec<f64> = rests.iter().filter_map(|rest| self.settling_s(axis, rest)).collect();
+        Following {
+            axis: axis + 1,
+            lag_s: if speeds > 0.0 { products / speeds } else { 0.0 },
+            moving_rms_deg: if moving > 0 { (squares / moving as f64).sqrt() } else { 0.0 },
+            moving_max_deg: most,
+            rest_max_deg: at_rest.fold(0.0, f64::max),
+            settling_s: (!settling.is_empty()).then(|| settling.iter().sum::<f64>() / settling.len() as f64),
+        }
+    }
+
+    /// The controller's cycle, s.
+    fn period_of_cycle_s(&self) -> f64 {
+        self.counts.cycle_us as f64 * 1e-6
+    }
+
+    /// How long the axis moves on after its command stopped before a rest, s; `None` where it did not move.
+    fn settling_s(&self, axis: usize, rest: &Rest) -> Option<f64> {
+        let (first, last) = (self.at(rest.start_s - SETTLING_S), rest.samples.end.min(self.len()));
+        let (commanded, measured) = (&self.commanded_deg, &self.measured_deg);
+        let middle = rest.samples.start + (rest.samples.end - rest.samples.start) / 2;
+        let goal = commanded.get(middle)?[axis];
+        let stopped = (first..middle).rev().find(|at| (commanded[*at][axis] - goal).abs() > 1e-4)? + 1;
+        let rests_at =
+            measured.get(middle..last)?.iter().map(|row| row[axis]).sum::<f64>() / (last - middle) as f64;
+        let off = |at: &usize| (measured[*at][axis] - rests_at).abs() > SETTLED_DEG;
+        let settled = (stopped..middle).rev().find(off).map_or(stopped, |at| at + 1);
+        Some(self.t_s[settled] - self.t_s[stopped])
+    }
+}

@@ -1,0 +1,153 @@
+//! The order of packets by the controller's clock: which came late or twice, and how many never came.
+//!
+//! A controller sends one packet a cycle. Its cycle is the commonest step of its clock, so nobody need state it: losses
+//! make steps of several cycles, each of them rarer.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::ops::Range;
+
+use crate::base::units::HostNs;
+use crate::recording::{DeviceClock, Stamp};
+
+/// A packet is no later than this; what is further back is of a clock that began again, s.
+const LATEST_S: f64 = 1.0;
+/// Steps that are distinguished; more kinds of them have no common cycle.
+const MOST_STEPS: usize = 4096;
+
+/// Where a packet belongs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Place {
+    /// After all that came.
+    Next,
+    /// Before some that came: it was overtaken.
+    Late,
+    /// Its time was there before.
+    Doubled,
+    /// Far before all that came, or far ahead: of no use unless the next one goes on from it.
+    Stray,
+    /// The clock began again with the stray packet before.
+    Restart,
+}
+
+impl Place {
+    pub const fn word(self) -> &'static str {
+        match self {
+            Self::Next => "next",
+            Self::Late => "late",
+            Self::Doubled => "doubled",
+            Self::Stray => "stray",
+            Self::Restart => "restart",
+        }
+    }
+}
+
+/// Puts packets in order.
+#[derive(Clone, Debug)]
+pub struct PacketOrder {
+    clock: DeviceClock,
+    /// The first and the last time since the clock began, ticks, and when the last came.
+    span: Option<(u64, Stamp)>,
+    /// Times that are missing, in order, no older than [`LATEST_S`].
+    gaps: VecDeque<Range<u64>>,
+    stray: Option<Stamp>,
+    /// How often each step of the clock was taken, ticks.
+    steps: BTreeMap<u64, u64>,
+    late: u64,
+}
+
+impl PacketOrder {
+    pub fn new(clock: DeviceClock) -> Self {
+        let (gaps, steps) = (VecDeque::new(), BTreeMap::new());
+        Self { clock, span: None, gaps, stray: None, steps, late: 0 }
+    }
+
+    /// The controller's cycle, ticks, once two packets came.
+    pub fn cycle(&self) -> Option<u64> {
+        // Of steps that are as common the least: a loss makes longer ones.
+        self.steps.iter().rev().max_by_key(|(_, count)| **count).map(|(step, _)| *step)
+    }
+
+    /// Packets that did not come so far.
+    pub fn lost(&self) -> u64 {
+        let Some(cycle) = self.cycle() else { return 0 };
+        let missing = |step: u64| ((step + cycle / 2) / cycle).saturating_sub(1);
+        let missing: u64 = self.steps.iter().map(|(step, count)| missing(*step) * count).sum();
+        missing.saturating_sub(self.late)
+    }
+
+    /// Places the next packet.
+    pub fn place(&mut self, stamp: Stamp) -> Place {
+        let Some((first, last)) = self.span else {
+            self.span = Some((stamp.ticks.0, stamp));
+            return Place::Next;
+        };
+        let (now, latest) = (stamp.ticks.0, last.ticks.0);
+        let reach = (LATEST_S / self.clock.seconds_per_tick) as u64;
+        if now > latest && !self.clock.is_gross(last, stamp) {
+            self.stray = None;
+            self.advance(latest, stamp, reach);
+            return Place::Next;
+        }
+        if now <= latest && latest - now <= reach {
+            self.stray = None;
+            return self.earlier(first, now);
+        }
+        match self.stray.replace(stamp) {
+            Some(before) if (1..=reach).contains(&now.saturating_sub(before.ticks.0)) => {
+                (self.stray, self.gaps) = (None, VecDeque::new());
+                self.span = Some((before.ticks.0, before));
+                self.advance(before.ticks.0, stamp, reach);
+                Place::Restart
+            }
+            _ => Place::Stray,
+        }
+    }
+
+    /// A packet after all others.
+    fn advance(&mut self, latest: u64, stamp: Stamp, reach: u64) {
+        let now = stamp.ticks.0;
+        self.step(now - latest);
+        if now - latest > 1 {
+            self.gaps.push_back(latest + 1..now);
+        }
+        while self.gaps.front().is_some_and(|gap| gap.end + reach < now) {
+            self.gaps.pop_front();
+        }
+        if let Some((_, last)) = &mut self.span {
+            *last = stamp;
+        }
+    }
+
+    /// A packet at or before the last.
+    fn earlier(&mut self, first: u64, now: u64) -> Place {
+        if now < first {
+            // The first that came was not the first that was sent.
+            self.step(first - now);
+            self.gaps.push_front(now + 1..first);
+            if let Some((first, _)) = &mut self.span {
+                *first = now;
+            }
+            return Place::Late;
+        }
+        let at = self.gaps.partition_point(|gap| gap.end <= now);
+        let Some(gap) = self.gaps.get_mut(at).filter(|gap| gap.contains(&now)) else { return Place::Doubled };
+        let after = now + 1..gap.end;
+        gap.end = now;
+        if !after.is_empty() {
+            self.gaps.insert(at + 1, after);
+        }
+        self.late += 1;
+        Place::Late
+    }
+
+    fn step(&mut self, step: u64) {
+        if self.steps.len() < MOST_STEPS || self.steps.contains_key(&step) {
+            *self.steps.entry(step).or_default() += 1;
+        }
+    }
+
+    /// When the last packet in order came.
+    pub fn last(&self) -> Option<HostNs> {
+        self.span.map(|(_, last)| last.host)
+    }
+}

@@ -1,0 +1,169 @@
+//! Counts what comes from a controller, and hands on what is a sample at its time.
+
+use std::collections::BTreeMap;
+
+use serde::Serialize;
+
+use super::order::{PacketOrder, Place};
+use crate::base::units::HostNs;
+use crate::device::axes::{AxesDecoder, AxesFault, AxesProtocol, AxesSample, Heard};
+use crate::recording::capture::{Event, Record};
+use crate::recording::{DeviceClock, Stamp};
+
+/// What came. Each packet is counted once: packets = used + late + doubled + stray + control + malformed, and each byte
+/// belongs to one of them or is pending.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct PacketCounts {
+    pub bytes: u64,
+    pub packets: u64,
+    /// Packets with axes that came in order, the first after a restart among them.
+    pub used: u64,
+    /// Packets that were overtaken by later ones; they are used as well.
+    pub late: u64,
+    /// Packets whose time was there before.
+    pub doubled: u64,
+    /// Packets of a time far from all others; the first after a restart of the clock is one.
+    pub stray: u64,
+    /// Packages without axes.
+    pub control: u64,
+    pub malformed: u64,
+    /// Bytes of malformed packets.
+    pub malformed_bytes: u64,
+    /// Bytes of a package that has not ended.
+    pub pending: u64,
+    /// Packets that did not come by the controller's clock.
+    pub lost: u64,
+    /// How often the controller's clock began again.
+    pub restarts: u64,
+    /// Answers that the controller counted as late, where it counts them.
+    pub late_answers: u32,
+    /// The controller's cycle, us; 0 while it is not known.
+    pub cycle_us: u64,
+}
+
+/// The axes among the records of a capture.
+#[derive(Clone, Debug, Default)]
+pub struct AxesRecords {
+    receiver: Option<AxesReceiver>,
+}
+
+impl AxesRecords {
+    /// Takes the next record, whatever it is, and gives the samples in it.
+    pub fn add(&mut self, host: HostNs, record: &Record, each: impl FnMut(Place, Stamp, AxesSample)) {
+        match (record, &mut self.receiver) {
+            (Record::Event(Event::AxesOpened { protocol, .. }), Some(receiver))
+                if receiver.protocol == *protocol =>
+            {
+                receiver.reconnected();
+            }
+            (Record::Event(Event::AxesOpened { protocol, .. }), receiver) => {
+                *receiver = Some(AxesReceiver::new(*protocol));
+            }
+            (Record::Axes(bytes), Some(receiver)) => receiver.push(host, bytes, each),
+            _ => {}
+        }
+    }
+
+    /// The receiver, once a controller was listened to.
+    pub fn receiver(&self) -> Option<&AxesReceiver> {
+        self.receiver.as_ref()
+    }
+}
+
+/// Takes what comes from one controller.
+#[derive(Clone, Debug)]
+pub struct AxesReceiver {
+    protocol: AxesProtocol,
+    decoder: AxesDecoder,
+    order: PacketOrder,
+    counts: PacketCounts,
+    faults: BTreeMap<AxesFault, u64>,
+}
+
+impl AxesReceiver {
+    pub fn new(protocol: AxesProtocol) -> Self {
+        Self {
+            protocol,
+            decoder: AxesDecoder::new(protocol),
+            order: PacketOrder::new(clock(protocol)),
+            counts: PacketCounts::default(),
+            faults: BTreeMap::new(),
+        }
+    }
+
+    pub fn protocol(&self) -> AxesProtocol {
+        self.protocol
+    }
+
+    /// The connection was made anew: what is pending will not be completed.
+    pub fn reconnected(&mut self) {
+        let pending = self.decoder.pending();
+        if pending > 0 {
+            self.fault(AxesFault::Framing, pending);
+        }
+        self.decoder = AxesDecoder::new(self.protocol);
+    }
+
+    /// Takes a datagram, or the next bytes of the stream, that came at `host`.
+    pub fn push(&mut self, host: HostNs, bytes: &[u8], mut each: impl FnMut(Place, Stamp, AxesSample)) {
+        self.counts.bytes += bytes.len() as u64;
+        let mut decoder = std::mem::replace(&mut self.decoder, AxesDecoder::Rsi);
+        decoder.push(bytes, |packet| match packet.heard {
+            Heard::Sample(sample) => {
+                self.counts.packets += 1;
+                let stamp = Stamp { host, ticks: sample.ticks };
+                let place = self.order.place(stamp);
+                self.count(place);
+                self.counts.late_answers = sample.late.unwrap_or(self.counts.late_answers);
+                each(place, stamp, sample);
+            }
+            Heard::Control(_) => {
+                self.counts.packets += 1;
+                self.counts.control += 1;
+            }
+            Heard::Fault(fault) => self.fault(fault, packet.bytes),
+        });
+        self.decoder = decoder;
+    }
+
+    fn count(&mut self, place: Place) {
+        match place {
+            Place::Next => self.counts.used += 1,
+            Place::Late => self.counts.late += 1,
+            Place::Doubled => self.counts.doubled += 1,
+            Place::Stray => self.counts.stray += 1,
+            Place::Restart => {
+                self.counts.used += 1;
+                self.counts.restarts += 1;
+            }
+        }
+    }
+
+    fn fault(&mut self, fault: AxesFault, bytes: u64) {
+        self.counts.packets += 1;
+        self.counts.malformed += 1;
+        self.counts.malformed_bytes += bytes;
+        *self.faults.entry(fault).or_default() += 1;
+    }
+
+    /// The counts so far.
+    pub fn counts(&self) -> PacketCounts {
+        let tick_us = f64::from(self.protocol.tick_ns()) * 1e-3;
+        PacketCounts {
+            pending: self.decoder.pending(),
+            lost: self.order.lost(),
+            cycle_us: self.order.cycle().map_or(0, |ticks| (ticks as f64 * tick_us).round() as u64),
+            ..self.counts
+        }
+    }
+
+    /// The malformed packets by their fault.
+    pub fn faults(&self) -> &BTreeMap<AxesFault, u64> {
+        &self.faults
+    }
+}
+
+/// The controller's clock; whether it wraps is not known, so that a wrap is a restart.
+pub(super) fn clock(protocol: AxesProtocol) -> DeviceClock {
+    DeviceClock { seconds_per_tick: f64::from(protocol.tick_ns()) * 1e-9, wrap: None }
+}

@@ -1,0 +1,179 @@
+//! How much later the bar's reading comes than the published axes that belong to it.
+//!
+//! In a window of half a second L(t) is the length that the nominal robot has at the measured axes, d(t) its derivative,
+//! r(t) the reading at t + lag less L(t). A lag that is left shows as r = .. + lag d. What the errors of robot and
+//! base ball do within a window is a constant, a trend and a scale of L: these are removed first. The lag is the weighted median
+//! over all windows, so that windows without the bar on its balls do not count.
+
+use nalgebra::Vector3;
+use serde::Serialize;
+
+use super::published::Published;
+use crate::math::robust;
+use crate::recording::stream::Stream;
+use crate::robot::Geometry;
+
+/// The lag of the bar's line behind the controller's.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct BarLag {
+    pub lag_s: f64,
+    pub sd_s: f64,
+    /// Windows of motion that show it.
+    pub windows: usize,
+}
+
+/// When the bar is on a ball, in the track's time.
+#[derive(Clone, Debug)]
+pub(super) struct OnBall {
+    pub(super) from_s: f64,
+    pub(super) to_s: f64,
+    pub(super) centre_mm: Vector3<f64>,
+}
+
+const WINDOW_S: f64 = 0.5;
+/// Less change of d within a window shows no lag, mm/s (root of the mean square).
+const LEAST_MM_S: f64 = 0.05;
+const LEAST_WINDOWS: usize = 5;
+/// No line is later, s.
+const MOST_S: f64 = 0.5;
+/// A lag known no better is none: the lengths are not those of these axes, s.
+const WORST_SD_S: f64 = 0.005;
+const ROUNDS: usize = 6;
+
+/// A window: times, lengths and their derivatives.
+struct Window {
+    t_s: Vec<f64>,
+    length_mm: Vec<f64>,
+    slope_mm_s: Vec<f64>,
+}
+
+/// `None` where no motion shows it.
+pub(super) fn determine(
+    published: &Published<'_>,
+    stream: &Stream,
+    geometry: &Geometry,
+    on_ball: &[OnBall],
+) -> Option<BarLag> {
+    let windows: Vec<Window> = on_ball.iter().flat_map(|on| windows(published, geometry, on)).collect();
+    let mut lag_s = 0.0;
+    let mut found = None;
+    for _ in 0..ROUNDS {
+        let mut shown: Vec<Shown> = windows.iter().filter_map(|window| window.lag(stream, lag_s)).collect();
+        if shown.len() < LEAST_WINDOWS {
+            return None;
+        }
+        let left_s = median(&mut shown);
+        lag_s += left_s;
+        if lag_s.abs() > MOST_S {
+            return None;
+        }
+        let mut off: Vec<f64> = shown.iter().map(|one| (one.lag_s - left_s).abs()).collect();
+        let spread = robust::SIGMA_OF_MAD * robust::median(&mut off)?;
+        // The median of normal values scatters by sqrt(pi / 2) more than their mean.
+        let sd_s = (1.2533 * spread / (shown.len() as f64).sqrt()).max(1e-5);
+        found = Some(BarLag { lag_s, sd_s, windows: shown.len() });
+        if left_s.abs() < 1e-5 {
+            break;
+        }
+    }
+    found.filter(|lag| lag.sd_s < WORST_SD_S)
+}
+
+/// What a window shows.
+struct Shown {
+    lag_s: f64,
+    weight: f64,
+}
+
+fn median(shown: &mut [Shown]) -> f64 {
+    shown.sort_by(|a, b| a.lag_s.total_cmp(&b.lag_s));
+    let half = 0.5 * shown.iter().map(|one| one.weight).sum::<f64>();
+    let mut sum = 0.0;
+    let middle = shown.iter().find(|one| {
+        sum += one.weight;
+        sum >= half
+    });
+    middle.map_or(0.0, |one| one.lag_s)
+}
+
+/// The windows of motion while the bar is on a ball; times are the bar's.
+fn windows(published: &Published<'_>, geometry: &Geometry, on: &OnBall) -> Vec<Window> {
+    let track = published.track;
+    let all = track.at(on.from_s)..track.at(on.to_s);
+    let mut found = Vec::new();
+    let mut first = all.start;
+    while first < all.end {
+        let end = track.at(track.t_s[first] + WINDOW_S).min(all.end);
+        let times = &track.t_s[first..end];
+        let moves = track.measured_deg[first] != track.measured_deg[end - 1];
+        if times.len() >= 8 && moves && published.bridged(first..end) {
+            let lengths: Vec<f64> = track.measured_deg[first..end]
+                .iter()
+                .map(|axes| geometry.length(&axes.map(f64::to_radians), &on.centre_mm, 0.0))
+                .collect();
+            let inner = 1..times.len() - 1;
+            let slope = |at: usize| (lengths[at + 1] - lengths[at - 1]) / (times[at + 1] - times[at - 1]);
+            found.push(Window {
+                t_s: inner.clone().map(|at| published.bar_without_lag_s(times[at])).collect(),
+                length_mm: lengths[inner.clone()].to_vec(),
+                slope_mm_s: inner.map(slope).collect(),
+            });
+        }
+        first = end.max(first + 1);
+    }
+    found
+}
+
+impl Window {
+    /// The lag that is left, by this window.
+    fn lag(&self, stream: &Stream, lag_s: f64) -> Option<Shown> {
+        let mut left = Vec::with_capacity(self.t_s.len());
+        for (t_s, length) in self.t_s.iter().zip(&self.length_mm) {
+            left.push(reading(stream, t_s + lag_s)? - length);
+        }
+        let mut slopes = self.slope_mm_s.clone();
+        let mut removed: Vec<Vec<f64>> = Vec::new();
+        for part in [vec![1.0; left.len()], self.t_s.clone(), self.length_mm.clone()] {
+            let whole = norm(&part);
+            let mut part = part;
+            removed.iter().for_each(|other| remove(&mut part, other));
+            let rest = norm(&part);
+            // What is left of a part by rounding is none.
+            if rest > 1e-7 * whole {
+                part.iter_mut().for_each(|value| *value /= rest);
+                remove(&mut slopes, &part);
+                remove(&mut left, &part);
+                removed.push(part);
+            }
+        }
+        let weight = slopes.iter().map(|slope| slope * slope).sum::<f64>();
+        let products: f64 = slopes.iter().zip(&left).map(|(slope, left)| slope * left).sum();
+        let shows = (weight / slopes.len() as f64).sqrt() > LEAST_MM_S;
+        // Later readings are those of earlier axes.
+        shows.then_some(Shown { lag_s: -products / weight, weight })
+    }
+}
+
+fn norm(values: &[f64]) -> f64 {
+    values.iter().map(|value| value * value).sum::<f64>().sqrt()
+}
+
+/// Removes the part along a unit vector.
+fn remove(from: &mut [f64], unit: &[f64]) {
+    let share: f64 = from.iter().zip(unit).map(|(a, b)| a * b).sum();
+    from.iter_mut().zip(unit).for_each(|(value, unit)| *value -= share * unit);
+}
+
+/// The reading at a time between two valid samples.
+fn reading(stream: &Stream, t_s: f64) -> Option<f64> {
+    /// Samples further apart have a gap between them, s.
+    const APART_S: f64 = 0.05;
+    let after = stream.at(t_s);
+    let before = after.checked_sub(1)?;
+    let (a_s, b_s) = (*stream.t_s.get(before)?, *stream.t_s.get(after)?);
+    if !stream.valid(before) || !stream.valid(after) || b_s - a_s > APART_S {
+        return None;
+    }
+    let share = if b_s > a_s { (t_s - a_s) / (b_s - a_s) } else { 0.0 };
+    Some(stream.reading_mm[before] + share * (stream.reading_mm[after] - stream.reading_mm[before]))
+}

@@ -1,0 +1,136 @@
+//! What is wrong with a mounted bar, from its readings alone and while it happens.
+//!
+//! Readings are averaged over 5 ms. A jump is the mismatch of two straight lines, one through the 40 ms before and one
+//! through the 40 ms after a place. While the robot rests, the scatter of means over 50 ms about a straight line, its
+//! slope and its roughness show everything slower. Thresholds follow from the noise of a reading, the rate and the speed of
+//! the reading that the plan allows: `docs/explanation/mounting.md`.
+
+mod monitor;
+mod still;
+
+use crate::catalogue::PortFinding;
+use crate::plan::Plan;
+use crate::plan::timing::MARKER_MM_S;
+pub use monitor::MountingMonitor;
+
+/// What is wrong with the mounting.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum MountingFault {
+    NotSeated,
+    Creep,
+    Slip,
+    CablePull,
+    Moved,
+}
+
+/// A fault that was named.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Named {
+    pub fault: MountingFault,
+    /// When, s.
+    pub t_s: f64,
+    /// Its size: a height, mm; of a creep its rate, mm/s.
+    pub size: f64,
+}
+
+/// When the robot is known to rest.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Rest {
+    /// No program runs, until a strobe shows one.
+    Standing,
+    /// The program begins: until the first strobe after the bar was mounted, and while the strobe is high. Unknown
+    /// without a strobe.
+    Program,
+    /// A program may run already: while the strobe is high, until the bar is taken off.
+    UnderWay,
+}
+
+/// What is expected of a bar that is mounted well.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Expected {
+    /// Standard deviation of a reading, mm.
+    pub noise_mm: f64,
+    /// Greatest speed of the reading while the robot moves, at which it may stop at once, mm/s.
+    pub speed_mm_s: f64,
+    pub rest: Rest,
+}
+
+/// A reading at a time.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MountedReading {
+    /// Time, s.
+    pub t_s: f64,
+    pub reading_mm: f64,
+    /// Whether it is valid and of a bar between its balls.
+    pub mounted: bool,
+    pub strobe: Option<bool>,
+}
+
+/// How the bar is, for the operator.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum MountingState {
+    /// Not between its balls.
+    #[default]
+    Off,
+    /// It moves more than a mounted bar does: hands are on it.
+    Handled,
+    /// It rests, and is watched for less than a second.
+    Settling,
+    Stable,
+    /// The robot moves, or may.
+    Moving,
+}
+
+impl MountingState {
+    /// As it is written in JSON.
+    pub fn name(self) -> &'static str {
+        match self {
+            MountingState::Off => "off",
+            MountingState::Handled => "handled",
+            MountingState::Settling => "settling",
+            MountingState::Stable => "stable",
+            MountingState::Moving => "moving",
+        }
+    }
+}
+
+impl Expected {
+    /// Of a bar that is read without a run.
+    pub fn standing(sigma_um: f64) -> Self {
+        Self { noise_mm: 1e-3 * sigma_um, speed_mm_s: f64::INFINITY, rest: Rest::Standing }
+    }
+
+    /// While the robot may move as nobody knows: a jump is seen at rest only.
+    pub fn unplanned(sigma_um: f64) -> Self {
+        Self { noise_mm: 1e-3 * sigma_um, speed_mm_s: f64::INFINITY, rest: Rest::Program }
+    }
+
+    /// While the robot follows a plan. The reading changes with the feed across a bar whose ball is at most half a stroke
+    /// off its place, and with the sync markers.
+    pub fn of(plan: &Plan, rest: Rest) -> Self {
+        let job = &plan.header.job;
+        let [low_mm, high_mm] = job.bar.stroke_mm;
+        let off = 0.5 * (high_mm - low_mm) / job.bar.length_mm;
+        let speed_mm_s = job.motion.feed_mm_s * off + MARKER_MM_S;
+        Self { noise_mm: 1e-3 * job.bar.sigma_um, speed_mm_s, rest }
+    }
+
+    /// The same with a bar that shows no smaller steps.
+    pub fn with_resolution(self, resolution_mm: f64) -> Self {
+        Self { noise_mm: self.noise_mm.max(resolution_mm), ..self }
+    }
+}
+
+impl Named {
+    /// As the catalogue has it.
+    pub fn finding(&self) -> PortFinding {
+        let size_um = 1e3 * self.size;
+        match self.fault {
+            MountingFault::NotSeated => PortFinding::NotSeated { rocks_um: size_um },
+            MountingFault::Creep => PortFinding::BallCreeps { rate_um_s: size_um },
+            MountingFault::Slip => PortFinding::MagnetSlipped { jump_um: size_um },
+            MountingFault::CablePull => PortFinding::CablePulls { change_um: size_um },
+            MountingFault::Moved => PortFinding::BallMoved { jump_um: size_um },
+        }
+    }
+}

@@ -1,0 +1,45 @@
+//! The archive holds each run once and whole, whatever happens on the way.
+#![cfg_attr(not(feature = "archive"), allow(dead_code))]
+
+use std::path::Path;
+use std::process::{Command, Output};
+
+#[cfg(feature = "archive")]
+mod on_one_machine;
+#[cfg(feature = "archive")]
+mod on_servers;
+#[cfg(feature = "archive")]
+mod plant;
+
+/// The codes of these tables; those of the archive need its feature.
+pub(crate) fn provoked() -> Vec<&'static str> {
+    vec![
+        "E2401", "E2402", "E2403", "E2404", "E2405", "E2406", "E2407", "E2408", "E2409", "E2410", "E2411",
+        "E2415", "W2412", "I2413", "W2414",
+    ]
+}
+
+/// Runs `dbbd archive` on the archive in this directory, with no other environment.
+pub(crate) fn archive(dir: &Path, args: &[&str]) -> Output {
+    archive_with(dir, args, &[("DBBD_ARCHIVE", "sqlite:plant.db"), ("DBBD_STORE", "file:objects")])
+}
+
+/// The same with these variables.
+pub(crate) fn archive_with(dir: &Path, args: &[&str], variables: &[(&str, &str)]) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_dbbd"));
+    for name in
+        ["DBBD_ARCHIVE", "DBBD_STORE", "PGPASSWORD", "DBBD_ARCHIVE_PASSWORD_FILE", "DBBD_STORE_SECRET_FILE"]
+    {
+        command.env_remove(name);
+    }
+    command.envs(variables.iter().copied());
+    command.arg("archive").args(args).current_dir(dir).output().unwrap()
+}
+
+#[cfg(not(feature = "archive"))]
+#[test]
+fn without_the_feature_the_verb_says_how_to_get_it() {
+    let dir = tempfile::tempdir().unwrap();
+    let output = archive(dir.path(), &["list"]);
+    assert_eq!((output.status.code(), crate::cell::codes(&output)), (Some(1), vec!["E2401".to_owned()]));
+}

@@ -1,0 +1,230 @@
+//! PostgreSQL with its roles, and workers that share the work. What needs a server is skipped loudly where there is none;
+//! with DBBD_REQUIRE_SERVERS set it fails.
+
+use std::path::Path;
+use std::process::{Command, Output, Stdio};
+
+use postgres::{Client, NoTls};
+use serde_json::Value;
+use tempfile::{TempDir, tempdir};
+
+use super::{archive, archive_with, plant};
+use crate::cell::{codes, stderr};
+
+/// Where the databases of these tests are made: an address without a database, of a role that may make databases and roles.
+fn server() -> String {
+    std::env::var("DBBD_TEST_POSTGRES").unwrap_or_else(|_| "postgres://postgres@127.0.0.1:5432".into())
+}
+
+/// A database of its own with four roles, gone at the end.
+struct Plant {
+    name: String,
+    dir: TempDir,
+    admin: Client,
+}
+
+impl Plant {
+    fn new(name: &str, runs: u64) -> Option<Self> {
+        let connected = Client::connect(&format!("{}/postgres", server()), NoTls);
+        let mut admin = match connected {
+            Ok(admin) => admin,
+            Err(error) => {
+                assert!(std::env::var_os("DBBD_REQUIRE_SERVERS").is_none(), "no PostgreSQL: {error}");
+                eprintln!("SKIPPED: no PostgreSQL at {}: {error}", server());
+                return None;
+            }
+        };
+        let name = format!("dbbd_{name}_{}", std::process::id());
+        admin.batch_execute(&format!("CREATE DATABASE {name}")).unwrap();
+        let plant = Self { name, dir: tempdir().unwrap(), admin };
+        plant::directory(&plant.dir.path().join("runs"), runs);
+        let made = plant.run_as("postgres", &["init"]);
+        assert_eq!(made.status.code(), Some(0), "{}", stderr(&made));
+        let mut own = plant.client("postgres");
+        for (role, group) in [("a", "cell"), ("b", "cell"), ("v", "viewer"), ("w", "worker")] {
+            own.batch_execute(&format!("CREATE ROLE {} LOGIN IN ROLE dbbd_{group}", plant.role(role)))
+                .unwrap();
+        }
+        Some(plant)
+    }
+
+    fn role(&self, short: &str) -> String {
+        if short == "postgres" { short.into() } else { format!("{}_{short}", self.name) }
+    }
+
+    fn address(&self, role: &str) -> String {
+        format!("postgres://{}@{}/{}", self.role(role), server().split('@').nth(1).unwrap(), self.name)
+    }
+
+    fn client(&self, role: &str) -> Client {
+        let mut client = Client::connect(&self.address(role), NoTls).unwrap();
+        client.batch_execute("SET search_path TO dbbd").unwrap();
+        client
+    }
+
+    fn run_as(&self, role: &str, args: &[&str]) -> Output {
+        let address = self.address(role);
+        archive_with(self.dir.path(), args, &[("DBBD_ARCHIVE", &address), ("DBBD_STORE", "file:objects")])
+    }
+
+    fn listed(&self, role: &str) -> usize {
+        let output = self.run_as(role, &["list", "--json"]);
+        serde_json::from_slice::<Value>(&output.stdout).unwrap().as_array().unwrap().len()
+    }
+}
+
+impl Drop for Plant {
+    fn drop(&mut self) {
+        let roles = ["a", "b", "v", "w"].map(|role| self.role(role));
+        let name = &self.name;
+        let _ = self.admin.batch_execute(&format!("DROP DATABASE {name} WITH (FORCE)"));
+        for role in roles {
+            let _ = self.admin.batch_execute(&format!("DROP ROLE IF EXISTS {role}"));
+        }
+    }
+}
+
+#[test]
+fn a_cell_sees_and_writes_its_own_runs_alone() {
+    let Some(plant) = Plant::new("roles", 3) else { return };
+    for (role, run) in [("a", "runs/run-0"), ("a", "runs/run-1"), ("b", "runs/run-2")] {
+        let pushed = plant.run_as(role, &["push", run]);
+        assert_eq!(pushed.status.code(), Some(0), "{}", stderr(&pushed));
+    }
+    // The run of another cell: held once, and not shown.
+    let again = plant.run_as("b", &["push", "runs/run-0"]);
+    assert_eq!((again.status.code(), codes(&again)), (Some(0), vec!["I2413".to_owned()]));
+    assert_eq!(["a", "b", "v", "w"].map(|role| plant.listed(role)), [2, 1, 3, 3]);
+    for role in ["v", "w"] {
+        let refused = plant.run_as(role, &["push", "runs/run-0"]);
+        assert_eq!((refused.status.code(), codes(&refused)), (Some(1), vec!["E2405".to_owned()]), "{role}");
+    }
+    let a = plant.role("a");
+    let mut own = plant.client("a");
+    let run: String = own.query("SELECT sha256 FROM run ORDER BY measured", &[]).unwrap()[0].get(0);
+    for role in ["b", "v"] {
+        let mut client = plant.client(role);
+        if role == "b" {
+            for table in ["run", "run_file", "job", "result", "history"] {
+                let key = if ["run", "history"].contains(&table) { "sha256" } else { "run" };
+                let sql = format!("SELECT count(*) FROM {table} WHERE {key} = $1");
+                assert_eq!(client.query_one(&sql, &[&run]).unwrap().get::<_, i64>(0), 0, "{table}");
+            }
+        }
+        for attempt in [
+            format!("UPDATE run SET operator = 'x' WHERE sha256 = '{run}'"),
+            format!("DELETE FROM run WHERE sha256 = '{run}'"),
+            "TRUNCATE run CASCADE".into(),
+            "DROP TABLE result".into(),
+            format!(
+                "INSERT INTO run (sha256, owner, pushed_at, cell, robot, type, bar, measured, bytes, provenance) VALUES ('f', '{a}', 0, '', '', '', '', '', 0, '')"
+            ),
+            format!("INSERT INTO run_file VALUES ('{run}', 'x', 'y', 0, 0)"),
+            format!("INSERT INTO job (run, settings, version) VALUES ('{run}', 'x', '')"),
+            format!("UPDATE job SET state = 'done' WHERE run = '{run}'"),
+            format!(
+                "INSERT INTO result (run, settings, version, made_at, worker, doubtful, lengths) VALUES ('{run}', '', '', 0, '', 0, 0)"
+            ),
+            format!("SET ROLE {a}"),
+            "ALTER TABLE run DISABLE ROW LEVEL SECURITY".into(),
+            "DROP POLICY own_read ON run".into(),
+            "UPDATE step SET sha256 = ''".into(),
+            "CREATE TABLE dbbd.mine (x INT)".into(),
+        ] {
+            assert!(client.batch_execute(&attempt).is_err(), "{role}: {attempt}");
+        }
+    }
+    let mut worker = plant.client("w");
+    for attempt in [
+        "UPDATE run SET operator = 'x'",
+        "DELETE FROM run",
+        "UPDATE result SET lengths = 0",
+        "DELETE FROM job",
+    ] {
+        assert!(worker.batch_execute(attempt).is_err(), "{attempt}");
+    }
+    assert_eq!(plant.listed("a"), 2);
+}
+
+#[test]
+fn cells_that_push_at_once_and_workers_that_are_killed_do_each_run_once() {
+    let Some(plant) = Plant::new("work", 4) else { return };
+    let address = ["a", "b", "w"].map(|role| plant.address(role));
+    let start = |address: &str, args: &[&str]| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_dbbd"));
+        command
+            .arg("archive")
+            .args(args)
+            .current_dir(plant.dir.path())
+            .stdout(Stdio::null())
+            .stderr(Stdio::null());
+        command.env("DBBD_ARCHIVE", address).env("DBBD_STORE", "file:objects").spawn().unwrap()
+    };
+    let pushers = [&address[0], &address[1], &address[0]].map(|address| start(address, &["push", "runs"]));
+    for mut pusher in pushers {
+        assert!(pusher.wait().unwrap().success());
+    }
+    assert_eq!(plant.listed("v"), 4);
+    // Killed in the middle of a job; the others take it when the lease ends.
+    let mut killed = start(&address[2], &["worker", "--lease", "1"]);
+    let mut admin = plant.client("postgres");
+    let count = |admin: &mut Client, sql: &str| admin.query_one(sql, &[]).unwrap().get::<_, i64>(0);
+    while count(&mut admin, "SELECT count(*) FROM job WHERE state = 'running'") == 0 {
+        std::thread::yield_now();
+    }
+    killed.kill().unwrap();
+    killed.wait().unwrap();
+    let workers = [0, 1].map(|_| start(&address[2], &["worker", "--until-empty", "--lease", "5"]));
+    for mut worker in workers {
+        assert!(worker.wait().unwrap().success());
+    }
+    for (sql, wanted) in [
+        ("SELECT count(*) FROM job WHERE state = 'done'", 4),
+        ("SELECT count(*) FROM result", 4),
+        ("SELECT count(*) FROM result WHERE posterior IS NULL OR lengths <> 24", 0),
+        (
+            "SELECT count(*) FROM result_file f LEFT JOIN run ON run.sha256 = f.run WHERE run.sha256 IS NULL",
+            0,
+        ),
+        ("SELECT count(*) FROM run_file WHERE name = 'run.dbbd'", 4),
+    ] {
+        assert_eq!(count(&mut admin, sql), wanted, "{sql}");
+    }
+}
+
+/// Runs that are identified anew are compared with what was found before; nothing is overwritten.
+#[test]
+fn work_is_done_once_and_anew_with_other_settings() {
+    let dir = tempdir().unwrap();
+    let at: &Path = dir.path();
+    plant::directory(&at.join("runs"), 2);
+    assert_eq!(archive(at, &["init"]).status.code(), Some(0));
+    let empty = archive(at, &["fleet", "--out", "fleet"]);
+    assert_eq!((empty.status.code(), codes(&empty)), (Some(1), vec!["E2415".to_owned()]));
+    assert_eq!(archive(at, &["push", "runs"]).status.code(), Some(0));
+    let counts = |args: &[&str]| -> Value {
+        let output = archive(at, args);
+        assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+        serde_json::from_slice(&output.stdout).unwrap()
+    };
+    assert_eq!(counts(&["worker", "--until-empty", "--json"])["done"], 2);
+    assert_eq!(counts(&["worker", "--until-empty", "--json"])["done"], 0);
+    let fleet = counts(&["fleet", "--out", "fleet", "--json"]);
+    assert_eq!((&fleet["results"], &fleet["robots"], &fleet["unusable"]), (&2.into(), &2.into(), &0.into()));
+    let prior = std::fs::read_to_string(at.join("fleet/kuka-kr-60-ha.toml")).unwrap();
+    assert!(dbbd::robot::Robot::from_toml("prior", &prior).unwrap().posterior.is_some());
+    let again = counts(&["reprocess", "--robot", "R1", "--prior", "none", "--model", "geometric", "--json"]);
+    assert_eq!(again["compared"].as_array().unwrap().len(), 1);
+    assert_eq!(again["compared"][0]["robot"], "R1");
+    let exported = counts(&["export", "--out", "tables", "--json"]);
+    assert_eq!((&exported["runs"], &exported["results"]), (&2.into(), &3.into()));
+    let refused = archive(at, &["reprocess", "--estimate", "a1;rm -rf"]);
+    assert_eq!((refused.status.code(), codes(&refused)), (Some(1), vec!["E2411".to_owned()]));
+    // A capture without a plan is kept, and cannot be identified.
+    std::fs::create_dir(at.join("bare")).unwrap();
+    let mut writer = dbbd::recording::capture::Writer::create(&at.join("bare/run.dbbd")).unwrap();
+    writer.finish(dbbd::base::units::HostNs(0), "end", 0).unwrap();
+    assert_eq!(archive(at, &["push", "bare"]).status.code(), Some(0));
+    let failed = archive(at, &["reprocess", "--prior", "datasheet"]);
+    assert_eq!((failed.status.code(), codes(&failed)), (Some(3), vec!["W2414".to_owned()]));
+}

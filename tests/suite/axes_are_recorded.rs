@@ -1,0 +1,357 @@
+//! The axes that a controller publishes are recorded as they come: every packet and byte is accounted for, and nothing is
+//! sent to an RSI controller unless it is asked for.
+#![cfg(unix)]
+
+use std::io::{Read, Write};
+use std::net::{SocketAddr, TcpListener, UdpSocket};
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::Duration;
+
+use dbbd::base::units::{DeviceTicks, HostNs};
+use dbbd::device::axes::{AxesProtocol, AxesSample, rsi, rtde};
+use dbbd::recording::axes::{AxesReceiver, PacketCounts, Place};
+use dbbd::sim::axes::{Publisher, RECIPE};
+use dbbd::sim::fault::Faults;
+use serde_json::Value;
+
+use crate::cell::{codes, dbbd, stderr};
+
+/// What the simulated packets hold: axes that depend on the cycle.
+fn axes(cycle: u64) -> [f64; 6] {
+    std::array::from_fn(|axis| 1e-6 * cycle as f64 + axis as f64 * 0.1)
+}
+
+/// Faults of the line, mostly rare.
+fn faults(seed: u64) -> Faults {
+    let share = |of: u64| [0.0, 1e-4, 1e-3, 1e-2][(seed / of % 4) as usize];
+    Faults {
+        axes_drop: share(1),
+        axes_double: share(4),
+        axes_swap: share(16),
+        axes_spoil: share(64),
+        axes_drift_ppm: [0.0, 80.0, -250.0][(seed % 3) as usize],
+        ..Faults::default()
+    }
+}
+
+/// Sends `cycles` packets over a bad line and compares every count with what was done.
+fn accounted(protocol: AxesProtocol, seed: u64, cycles: u64) -> PacketCounts {
+    let cycle_s = if protocol == AxesProtocol::Rsi { 0.004 } else { 0.002 };
+    let faults = Faults { axes_drift_ppm: 0.0, ..faults(seed) };
+    let mut publisher = Publisher::new(protocol, &faults, seed, 4_208_163_634);
+    let mut receiver = AxesReceiver::new(protocol);
+    let mut control = 0;
+    if protocol == AxesProtocol::Rtde {
+        let recipe = [&[RECIPE], rtde::TYPES.as_bytes()].concat();
+        receiver.push(HostNs(0), &rtde::package(rtde::SET_UP_OUTPUTS, &recipe), |_, _, _| {});
+        control = 1;
+    }
+    let (mut heard, mut last) = (0_u64, None);
+    let mut take = |publisher: &mut Publisher, t_s: f64| {
+        while let Some(packet) = publisher.arrived(t_s) {
+            receiver.push(HostNs((t_s * 1e9) as u64 + 1), &packet, |place, stamp, sample| {
+                heard += u64::from(matches!(place, Place::Next | Place::Late));
+                assert_eq!(stamp.ticks, sample.ticks);
+                let cycle = ((sample.ticks.0 - 4_208_163_634) as f64 * f64::from(protocol.tick_ns()) * 1e-9
+                    / cycle_s)
+                    .round() as u64;
+                let sent = axes(cycle).map(f64::to_degrees);
+                assert!(sample.measured_deg.iter().zip(sent).all(|(a, b)| (a - b).abs() < 6e-5));
+                last = Some(cycle);
+            });
+        }
+    };
+    // The line is sound for a cycle at each end: what is lost there leaves no trace.
+    let sound = Publisher::new(protocol, &Faults::default(), seed, 4_208_163_634);
+    let (mut first, mut final_one) = (sound.clone(), sound);
+    first.cycle(0.0, &axes(0), &axes(0));
+    take(&mut first, 0.0);
+    for cycle in 1..cycles {
+        let t_s = cycle as f64 * cycle_s;
+        publisher.cycle(t_s, &axes(cycle), &axes(cycle));
+        take(&mut publisher, t_s);
+    }
+    let end_s = cycles as f64 * cycle_s;
+    final_one.cycle(end_s, &axes(cycles), &axes(cycles));
+    take(&mut final_one, end_s);
+    let (counts, sent) = (receiver.counts(), publisher.sent);
+    let intact = sent.cycles - sent.dropped - sent.spoiled;
+    // One that was to be overtaken by a packet that never came is still under way.
+    let under_way = (intact + 2) - heard;
+    assert!(under_way <= 1, "{protocol:?} {seed}: {under_way}");
+    assert_eq!(
+        counts.lost,
+        sent.dropped + sent.spoiled + under_way,
+        "{protocol:?} {seed}: {counts:?} {sent:?}"
+    );
+    assert_eq!(counts.doubled, sent.doubled, "{protocol:?} {seed}: {counts:?} {sent:?}");
+    assert_eq!(counts.late, sent.swapped - under_way, "{protocol:?} {seed}: {counts:?} {sent:?}");
+    assert_eq!((counts.malformed, counts.control), (sent.spoiled, control));
+    let parts = [counts.used, counts.late, counts.doubled, counts.stray, counts.control, counts.malformed];
+    assert_eq!(counts.packets, parts.iter().sum::<u64>());
+    assert_eq!((counts.stray, counts.restarts, counts.pending), (0, 0, 0));
+    assert_eq!(counts.cycle_us as f64, 1e6 * cycle_s);
+    counts
+}
+
+#[test]
+fn every_packet_over_a_bad_line_is_accounted_for() {
+    for seed in [0, 5, 85, 170, 255] {
+        for protocol in [AxesProtocol::Rsi, AxesProtocol::Rtde] {
+            accounted(protocol, seed, 4000);
+        }
+    }
+}
+
+#[test]
+#[ignore = "10 million packets of each protocol over 256 bad lines; its figures go to docs/reference/measured-axes.md"]
+fn campaign_of_ten_million_packets() {
+    for protocol in [AxesProtocol::Rsi, AxesProtocol::Rtde] {
+        let mut all = PacketCounts::default();
+        for seed in 0..256 {
+            let counts = accounted(protocol, seed, 39_063);
+            all.packets += counts.packets;
+            all.lost += counts.lost;
+            all.doubled += counts.doubled;
+            all.late += counts.late;
+            all.malformed += counts.malformed;
+        }
+        eprintln!("{protocol:?}: {all:?}");
+        assert!(all.packets > 9_900_000);
+    }
+}
+
+/// A clock that begins again, one packet from elsewhere, and bytes that are no package.
+#[test]
+fn a_restart_is_no_loss_and_a_stray_packet_no_restart() {
+    let packet = |ticks: u64| {
+        let sample =
+            AxesSample { ticks: DeviceTicks(ticks), measured_deg: [1.0; 6], commanded_deg: None, late: None };
+        rsi::write(&sample).into_bytes()
+    };
+    let mut receiver = AxesReceiver::new(AxesProtocol::Rsi);
+    let mut host = 0;
+    let mut push = |receiver: &mut AxesReceiver, ticks: u64| {
+        host += 4_000_000;
+        let mut placed = None;
+        receiver.push(HostNs(host), &packet(ticks), |place, _, _| placed = Some(place));
+        placed.unwrap()
+    };
+    for ticks in (100_000..100_400).step_by(4) {
+        assert_eq!(push(&mut receiver, ticks), Place::Next);
+    }
+    assert_eq!(push(&mut receiver, 50_000), Place::Stray);
+    assert_eq!(push(&mut receiver, 100_400), Place::Next);
+    assert_eq!(push(&mut receiver, 8_000_000), Place::Stray);
+    assert_eq!(push(&mut receiver, 100_404), Place::Next);
+    assert_eq!(
+        [8, 12, 16].map(|ticks| push(&mut receiver, ticks)),
+        [Place::Stray, Place::Restart, Place::Next]
+    );
+    let PacketCounts { lost, stray, restarts, used, .. } = receiver.counts();
+    assert_eq!((lost, stray, restarts, used), (0, 3, 1, 104));
+}
+
+/// A bar that nobody moves, as a child process.
+fn bar(dir: &Path) -> Child {
+    let job = "robot = \"kr60ha\"\n[bar]\nlength_mm = 300.0\nstroke_mm = [-6.0, 6.0]\n[[centre]]\nid = 1\nxyz_mm = [1300.0, 0.0, 800.0]\n\
+               [[circle]]\nplane = \"XY\"\npoints = 3\narc_deg = 10.0\norientation = \"fixed\"\ntilt_deg = 30.0\n";
+    std::fs::write(dir.join("job.toml"), job).unwrap();
+    dbbd(dir, &["plan", "job.toml", "--out", "plan"]);
+    assert!(dbbd(dir, &["krl", "plan/plan.csv", "--out", "krl"]).status.success());
+    let mut bar =
+        spawn(dir, &["simulate", "--program", "krl/DBB_MAIN.src", "--link", "bar", "--halt", "600"]);
+    let mut byte = [0; 1];
+    bar.stdout.as_mut().unwrap().read_exact(&mut byte).unwrap();
+    bar
+}
+
+fn spawn(dir: &Path, args: &[&str]) -> Child {
+    Command::new(env!("CARGO_BIN_EXE_dbbd"))
+        .args(args)
+        .current_dir(dir)
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap()
+}
+
+fn free_udp() -> SocketAddr {
+    UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap()
+}
+
+/// Records for 3 s while `packets` are sent every 4 ms; what the run said, the axes of `info`, and the answers.
+fn recorded(dir: &Path, query: &str, packets: &[Vec<u8>], run: &str) -> (Vec<String>, Value, Vec<String>) {
+    let at = free_udp();
+    let address = format!("rsi://{at}{query}");
+    let acquire =
+        spawn(dir, &["acquire", "--port", "bar", "--axes", &address, "--out", run, "--duration", "3"]);
+    while !dir.join(run).exists() {
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
+    socket.set_read_timeout(Some(Duration::from_millis(2))).unwrap();
+    let (mut answers, mut room) = (Vec::new(), [0; 2048]);
+    for packet in packets {
+        socket.send_to(packet, at).unwrap();
+        if let Ok(count) = socket.recv(&mut room) {
+            answers.push(String::from_utf8(room[..count].to_vec()).unwrap());
+        }
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    while let Ok(count) = socket.recv(&mut room) {
+        answers.push(String::from_utf8(room[..count].to_vec()).unwrap());
+    }
+    let output = acquire.wait_with_output().unwrap();
+    let info = dbbd(dir, &["info", run, "--json"]);
+    let info: Value = serde_json::from_slice(&info.stdout).unwrap();
+    (codes(&output), info["axes"].clone(), answers)
+}
+
+pub(crate) fn provoked() -> Vec<&'static str> {
+    vec!["E2201", "E2202", "E2203", "E2204", "W2210", "W2211", "W2212", "W2213"]
+}
+
+#[test]
+fn rsi_is_listened_to_and_answered_only_when_asked() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut bar = bar(dir.path());
+    let packet = |ticks: u64, late: u32| {
+        let sample = AxesSample {
+            ticks: DeviceTicks(ticks),
+            measured_deg: [1.0, -90.5, 90.25, 0.0, -0.125, 7.0],
+            commanded_deg: Some([1.0, -90.5, 90.25, 0.0, -0.125, 7.01]),
+            late: Some(late),
+        };
+        rsi::write(&sample).into_bytes()
+    };
+    let good: Vec<Vec<u8>> = (0..100).map(|n| packet(4000 + 4 * n, 0)).collect();
+    let (said, axes, answers) = recorded(dir.path(), "", &good, "quiet");
+    assert!(answers.is_empty(), "{answers:?}");
+    assert!(!said.iter().any(|code| code.starts_with("W22")), "{said:?}");
+    let count = |axes: &Value, name: &str| axes[name].as_u64().unwrap();
+    assert_eq!(["packets", "used", "lost", "cycle_us"].map(|name| count(&axes, name)), [100, 100, 0, 4000]);
+    let bytes: usize = good.iter().map(Vec::len).sum();
+    assert_eq!(count(&axes, "bytes"), bytes as u64);
+    let exported = dbbd(dir.path(), &["export", "quiet", "--out", "csv"]);
+    assert_eq!(exported.status.code(), Some(0), "{}", stderr(&exported));
+    let table = std::fs::read_to_string(dir.path().join("csv/axes.csv")).unwrap();
+    assert_eq!(table.lines().count(), 101);
+    assert!(
+        table
+            .lines()
+            .nth(1)
+            .unwrap()
+            .ends_with(",4000,next,1,-90.5,90.25,0,-0.125,7,1,-90.5,90.25,0,-0.125,7.01")
+    );
+    let mcap = dbbd(dir.path(), &["export", "quiet", "--out", "mcap", "--mcap", "--json"]);
+    let mcap: Value = serde_json::from_slice(&mcap.stdout).unwrap();
+    assert_eq!(mcap["axes"], 100);
+
+    // Every fourth is missing, one is no text, the clock begins again, and answers come late.
+    let mut bad: Vec<Vec<u8>> = (0..100).filter(|n| n % 4 != 1).map(|n| packet(4000 + 4 * n, 2)).collect();
+    bad.insert(10, vec![0xff, 0xfe]);
+    bad.insert(20, b"<Rob><AIPos A1=\"1\"/><IPOC>12</IPOC></Rob>".to_vec());
+    bad.extend((0..20).map(|n| packet(100 + 4 * n, 3)));
+    let (said, axes, answers) = recorded(dir.path(), "?answer=zero", &bad, "answered");
+    for code in ["W2211", "W2212", "W2213"] {
+        assert!(said.iter().any(|found| found == code), "{code}: {said:?}");
+    }
+    assert_eq!(["lost", "malformed", "stray", "restarts"].map(|name| count(&axes, name)), [25, 2, 1, 1]);
+    assert_eq!(axes["faults"]["not_xml"], 1);
+    assert_eq!(axes["faults"]["incomplete"], 1);
+    // Each packet that has a time is answered once, with that.
+    assert_eq!(answers.len(), 95, "{answers:?}");
+    for (answer, n) in answers.iter().zip((0..100).filter(|n| n % 4 != 1)) {
+        let zeros: String = (1..=6).map(|axis| format!(" A{axis}=\"0.0000\"")).collect();
+        let ipoc = 4000 + 4 * n;
+        assert_eq!(*answer, format!("<Sen Type=\"ImFree\"><AK{zeros}/><IPOC>{ipoc}</IPOC></Sen>"));
+    }
+
+    let (said, ..) = recorded(dir.path(), "", &[], "silent");
+    assert!(said.iter().any(|code| code == "W2210"), "{said:?}");
+    bar.kill().unwrap();
+    bar.wait().unwrap();
+}
+
+#[test]
+fn an_address_of_no_use_is_named() {
+    let dir = tempfile::tempdir().unwrap();
+    let acquire = |axes: &str| {
+        let output = dbbd(dir.path(), &["acquire", "--port", "none", "--axes", axes, "--out", "run"]);
+        (output.status.code(), stderr(&output))
+    };
+    for text in ["rsi://nowhere", "udp://0.0.0.0:1", "rsi://0.0.0.0:1?answer=all", "rtde://h?hz=0", "rtde://"]
+    {
+        let (code, said) = acquire(text);
+        assert_eq!(code, Some(2), "{text}: {said}");
+        let wrong = text.parse::<dbbd::device::axes::AxesAddress>().unwrap_err();
+        assert_eq!(dbbd::diagnostic::Finding::code(&wrong).0, "E2201", "{text}");
+    }
+    for text in ["rsi://0.0.0.0:49152", "rsi://[::1]:5?answer=zero", "rtde://10.0.0.1:30004?hz=250"] {
+        assert_eq!(text.parse::<dbbd::device::axes::AxesAddress>().unwrap().to_string(), text);
+    }
+    let taken = UdpSocket::bind("127.0.0.1:0").unwrap();
+    let (code, said) = acquire(&format!("rsi://{}", taken.local_addr().unwrap()));
+    assert!(code == Some(1) && said.contains("E2202"), "{said}");
+    let gone = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    let (code, said) = acquire(&format!("rtde://{gone}"));
+    assert!(code == Some(1) && said.contains("E2203"), "{said}");
+    // A controller that lacks a variable.
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap();
+    let controller = std::thread::spawn(move || {
+        let (mut stream, _) = listener.accept().unwrap();
+        let mut room = [0; 512];
+        for answer in [
+            rtde::package(rtde::ASK_VERSION, &[1]),
+            rtde::package(rtde::SET_UP_OUTPUTS, b"\x01DOUBLE,NOT_FOUND,VECTOR6D"),
+        ] {
+            let _ = stream.read(&mut room).unwrap();
+            stream.write_all(&answer).unwrap();
+        }
+        let _ = stream.read(&mut room);
+    });
+    let (code, said) = acquire(&format!("rtde://{address}"));
+    assert!(code == Some(1) && said.contains("E2204"), "{said}");
+    controller.join().unwrap();
+}
+
+/// The whole chain at the pace of the clock: a simulated controller drives and publishes its axes, the poses are matched by
+/// them, and the lengths are taken where they were.
+#[test]
+fn a_simulated_controller_is_recorded_matched_and_identified() {
+    let dir = tempfile::tempdir().unwrap();
+    let job = "robot = \"kr60ha\"\n[bar]\nlength_mm = 300.0\nstroke_mm = [-6.0, 6.0]\n[[centre]]\nid = 1\nxyz_mm = [1300.0, 0.0, 800.0]\n\
+               [[circle]]\nplane = \"XY\"\npoints = 3\narc_deg = 10.0\norientation = \"fixed\"\ntilt_deg = 30.0\n[motion]\n\
+               settle_s = 0.2\ndwell_s = 0.4\n";
+    std::fs::write(dir.path().join("job.toml"), job).unwrap();
+    std::fs::write(dir.path().join("world.toml"), "following_ms = [20, 22, 18, 12, 14, 10]\n").unwrap();
+    dbbd(dir.path(), &["plan", "job.toml", "--out", "plan"]);
+    assert!(dbbd(dir.path(), &["krl", "plan/plan.csv", "--out", "krl"]).status.success());
+    let at = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    let address = format!("rtde://{at}");
+    let simulate = ["simulate", "--program", "krl/DBB_MAIN.src", "--world", "world.toml", "--link", "bar"];
+    let mut bar = spawn(dir.path(), &[&simulate[..], &["--halt", "0.5", "--axes", &address]].concat());
+    let mut byte = [0; 1];
+    bar.stdout.as_mut().unwrap().read_exact(&mut byte).unwrap();
+    let axes = format!("{address}?hz=250");
+    let acquire = ["acquire", "--port", "bar", "--plan", "plan/plan.csv", "--out", "run", "--duration", "60"];
+    let recorded = dbbd(dir.path(), &[&acquire[..], &["--axes", &axes]].concat());
+    assert!(matches!(recorded.status.code(), Some(0 | 3)), "{}", stderr(&recorded));
+    let synced = dbbd(dir.path(), &["sync", "run", "--out", "obs.csv", "--json"]);
+    let json: Value = serde_json::from_slice(&synced.stdout).unwrap();
+    assert_eq!(json["source"], "the published axes", "{json}");
+    assert_eq!(json["matched"].as_u64().unwrap(), json["poses"].as_array().unwrap().len() as u64, "{json}");
+    assert_eq!(json["axes"]["measured"], json["matched"]);
+    assert_eq!(json["axes"]["packets"]["cycle_us"], 4000);
+    assert!(codes(&synced).contains(&"I2221".to_owned()), "{}", stderr(&synced));
+    let found = dbbd(dir.path(), &["identify", "run", "--out", "found", "--prior", "datasheet", "--json"]);
+    let result: Value = serde_json::from_slice(&found.stdout).unwrap();
+    let says = |warning: &Value| warning["code"] == "I2221";
+    assert!(result["warnings"].as_array().unwrap().iter().any(says), "{}", stderr(&found));
+    bar.kill().unwrap();
+    bar.wait().unwrap();
+}
