@@ -1,7 +1,7 @@
 //! `check` and `Check`.
 
 use dbbd::conformity::{self, CheckInput, InterimCheck, Rule};
-use dbbd::estimation::change::Mounting;
+use dbbd::estimation::expected::Mounting;
 use dbbd::estimation::{Options, ResultFile};
 use dbbd::measurement::{LengthModel, PreparedMeasurement};
 use dbbd::robot::AXES;

@@ -6,7 +6,8 @@ use super::{Outcome, Output};
 use crate::base::files;
 use crate::catalogue::EstimationFinding;
 use crate::diagnostic::Diagnostic;
-use crate::robot::file::{JointTable, Tolerance};
+use crate::robot::Tolerance;
+use crate::robot::file::JointTable;
 use crate::robot::{Robot, RobotRead};
 
 /// List, show or check robots.

@@ -9,9 +9,9 @@ use serde::Serialize;
 use super::decision::{Decision, Rule, decide};
 use crate::catalogue::ConformityFinding;
 use crate::estimation::change::{
-    ChangeTest, CheckPower, Detectable, Expected, FALSE_ALARM, FREE_BALL_MM, Hypothesis, Innovation,
-    Mounting, POWER,
+    ChangeTest, CheckPower, Detectable, FALSE_ALARM, Hypothesis, Innovation, POWER,
 };
+use crate::estimation::expected::{Expected, FREE_BALL_MM, Mounting};
 use crate::estimation::result::MapPoint;
 use crate::estimation::{ErrorSummary, LengthNoise, Posterior, Workspace, length_sd_mm};
 use crate::math::distributions::chi_square_tail;

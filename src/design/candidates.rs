@@ -5,7 +5,7 @@ use rand::{RngExt, SeedableRng};
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
 
-use crate::estimation::change::Expected;
+use crate::estimation::expected::Expected;
 use crate::estimation::{Posterior, Workspace};
 use crate::robot::inverse::{branches, status, turns_within};
 use crate::robot::{AXES, BallId, Geometry, Pose};

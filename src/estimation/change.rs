@@ -12,21 +12,17 @@ use rand_distr::{ChiSquared, Distribution, StandardNormal};
 use rand_pcg::Pcg64;
 use serde::Serialize;
 
+use super::expected::{Expected, typical};
 use super::pose_rows::LengthNoise;
-use super::posterior::Posterior;
-use super::priors::Priors;
 use crate::math::Triangle;
 use crate::math::distributions::{chi_square_exceeded, chi_square_tail, noncentral_tail, noncentrality};
 use crate::measurement::PreparedMeasurement;
-use crate::robot::{AXES, BallId, BarId, Coordinate, ParamId, Robot, Unit};
+use crate::robot::{ParamId, Unit};
 
 /// Probability that a change is reported although nothing changed.
 pub const FALSE_ALARM: f64 = 0.01;
 /// Probability with which the smallest change that is stated is found.
 pub const POWER: f64 = 0.95;
-/// One standard deviation of a change, before it is measured: a slipped coupling, a bent link.
-const CHANGED_ANGLE: f64 = 0.05 * std::f64::consts::PI / 180.0;
-const CHANGED_LENGTH_MM: f64 = 0.5;
 /// Probabilities of the hypotheses before the lengths: nothing changed, one thing, two. Half of the one is a joint offset.
 const NOTHING: f64 = 0.5;
 const ONE: f64 = 0.45;
@@ -37,116 +33,6 @@ const ALIKE: f64 = 0.995;
 /// Draws for the distribution of the test without a change, and their seed.
 const DRAWS: usize = 10_000;
 const SEED: u64 = 1;
-
-/// What mounting may have changed since the calibration: standard deviations, mm.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Mounting {
-    /// Of each coordinate of the tool ball.
-    pub tool_mm: f64,
-    /// Of each coordinate of a base ball about the place given; `None` where it may be anywhere.
-    pub ball_mm: Option<f64>,
-    /// Of the length of a bar.
-    pub bar_mm: f64,
-}
-
-impl Mounting {
-    /// Standard deviation with which a tool ball is mounted again in its seat, mm.
-    pub const TOOL_REPEAT_MM: f64 = 0.01;
-
-    /// The tool ball in its seat again, base balls anywhere, a bar with this standard uncertainty of its length, mm.
-    pub fn again(robot: &Robot, bar_u_mm: Option<f64>) -> Self {
-        let bar_mm = Priors::datasheet(robot, bar_u_mm).sd(ParamId::BarOffset(BarId::FIRST));
-        Self { tool_mm: Self::TOOL_REPEAT_MM, ball_mm: None, bar_mm }
-    }
-}
-
-/// A robot in a new set-up, before its check: what its calibration left unknown, and what mounting changes.
-#[derive(Clone, Debug)]
-pub struct Expected {
-    posterior: Posterior,
-    /// The columns of the root that nothing binds.
-    free: Vec<usize>,
-}
-
-/// Free coordinates of a base ball are taken from so far, mm.
-pub(crate) const FREE_BALL_MM: f64 = 1000.0;
-
-impl Expected {
-    /// Of the calibrated robot `known` (its parameters and tool ball) about its model, whose balls and bars are those of
-    /// the check.
-    pub fn new(known: &Posterior, bars: usize, mounting: Mounting) -> Self {
-        let mut ids = known.ids().to_vec();
-        let mut added: Vec<(ParamId, f64)> =
-            Coordinate::ALL.map(|axis| (ParamId::Tool(axis), mounting.tool_mm)).to_vec();
-        added.extend((0..bars).map(|at| (ParamId::BarOffset(BarId::at(at)), mounting.bar_mm)));
-        let bound = known.root().ncols() + added.len();
-        let ball_mm = mounting.ball_mm.unwrap_or(FREE_BALL_MM);
-        for ball in 0..known.model.balls.len() {
-            let ball = BallId::at(ball);
-            added.extend(Coordinate::ALL.map(|axis| (ParamId::Ball(ball, axis), ball_mm)));
-        }
-        ids.extend(added.iter().map(|(id, _)| *id).filter(|id| !known.ids().contains(id)));
-        // Parameters of the calibration, those of the set-up, coefficients of the joints' errors.
-        let (own, columns) = (known.ids().len(), known.root().ncols());
-        let mut root = DMatrix::zeros(ids.len() + known.coefficients(), columns + added.len());
-        root.view_mut((0, 0), (own, columns)).copy_from(&known.root().rows(0, own));
-        let coefficients = known.root().rows(own, known.coefficients());
-        root.view_mut((ids.len(), 0), coefficients.shape()).copy_from(&coefficients);
-        for (column, (id, sd)) in added.iter().enumerate() {
-            if let Some(row) = ids.iter().position(|other| other == id) {
-                root[(row, columns + column)] = *sd;
-            }
-        }
-        let free = if mounting.ball_mm.is_some() { vec![] } else { (bound..root.ncols()).collect() };
-        Self { posterior: Posterior::with_root(known.model.clone(), &ids, root), free }
-    }
-
-    /// The parameters whose change is looked for, by their places among those of the posterior: not the base balls, nor
-    /// what no check determines.
-    fn changeable(&self) -> impl Iterator<Item = usize> {
-        let ids = self.posterior.ids().iter().enumerate();
-        ids.filter(|(_, id)| !id.is_optional() && !matches!(id, ParamId::Ball(..))).map(|(at, _)| at)
-    }
-
-    /// What a change of the usual size does to the length from a base ball at `axes` (rad): an element each parameter
-    /// whose change is looked for, mm.
-    pub fn effects(&self, axes: &[f64; AXES], ball: BallId) -> DVector<f64> {
-        let derivative = self.posterior.derivative(axes, ball);
-        let effect = |at: usize| derivative[at] * typical(self.posterior.ids()[at]);
-        DVector::from_iterator(self.changeable().count(), self.changeable().map(effect))
-    }
-
-    /// The same where these parameters may have changed.
-    pub fn changed(&self, parameters: &[ParamId]) -> Self {
-        let ids = self.posterior.ids();
-        let mut columns = DMatrix::zeros(self.posterior.root().nrows(), parameters.len());
-        for (column, id) in parameters.iter().enumerate() {
-            if let Some(row) = ids.iter().position(|other| other == id) {
-                columns[(row, column)] = typical(*id);
-            }
-        }
-        Self { posterior: self.posterior.clone().widened(&columns), free: self.free.clone() }
-    }
-
-    /// After the lengths: the likeliest model and its covariance. `None` when a number is not finite.
-    pub fn learn(&self, readings: &[PreparedMeasurement], noise: LengthNoise<'_>) -> Option<Posterior> {
-        self.posterior.learn(readings, noise)
-    }
-
-    /// After lengths at these poses that agree with the model. `None` when a number is not finite.
-    pub fn after(&self, readings: &[PreparedMeasurement], noise: LengthNoise<'_>) -> Option<Posterior> {
-        self.posterior.after(readings, noise)
-    }
-
-    pub fn posterior(&self) -> &Posterior {
-        &self.posterior
-    }
-}
-
-/// One standard deviation of a change, mm or rad.
-fn typical(id: ParamId) -> f64 {
-    if id.unit() == Unit::Mm { CHANGED_LENGTH_MM } else { CHANGED_ANGLE }
-}
 
 /// What lengths say of changes.
 #[derive(Clone, Debug)]
@@ -230,7 +116,7 @@ const LARGEST: f64 = 10.0;
 impl Innovation {
     /// `None` when a number is not finite, or no length is left over.
     pub fn of(expected: &Expected, readings: &[PreparedMeasurement], noise: LengthNoise<'_>) -> Option<Self> {
-        let learnt = expected.posterior.learnt(readings, noise)?;
+        let learnt = expected.posterior().learnt(readings, noise)?;
         Self::at(expected, readings, noise, &learnt)
     }
 
@@ -240,8 +126,8 @@ impl Innovation {
         readings: &[PreparedMeasurement],
         noise: LengthNoise<'_>,
     ) -> Option<Self> {
-        let nothing = DVector::zeros(expected.posterior.root().ncols());
-        let model = expected.posterior.clone();
+        let nothing = DVector::zeros(expected.posterior().root().ncols());
+        let model = expected.posterior().clone();
         Self::at(expected, readings, noise, &super::posterior::Learnt { found: model, w: nothing })
     }
 
@@ -251,18 +137,18 @@ impl Innovation {
         noise: LengthNoise<'_>,
         learnt: &super::posterior::Learnt,
     ) -> Option<Self> {
-        let freedom = readings.len().checked_sub(expected.free.len()).filter(|freedom| *freedom > 0)?;
-        let root = expected.posterior.root();
-        let ids = expected.posterior.ids();
+        let freedom = readings.len().checked_sub(expected.free().len()).filter(|freedom| *freedom > 0)?;
+        let root = expected.posterior().root();
+        let ids = expected.posterior().ids();
         let changeable: Vec<usize> = expected.changeable().collect();
-        let mut system = expected.posterior.system(&learnt.found.model, readings, noise)?;
+        let mut system = expected.posterior().system(&learnt.found.model, readings, noise)?;
         let (factor, rhs) = (system.factor(), system.rhs());
         let known = &factor * root;
         let right = rhs + &known * &learnt.w;
         let unknowns = root.ncols();
         let mut triangle = Triangle::new(unknowns + changeable.len());
         (0..unknowns)
-            .filter(|at| !expected.free.contains(at))
+            .filter(|at| !expected.free().contains(at))
             .for_each(|at| triangle.push_single(at, 1.0, 0.0));
         for row in 0..factor.nrows() {
             let mut values: Vec<f64> = known.row(row).iter().copied().collect();

@@ -12,6 +12,7 @@ pub mod change;
 mod distance;
 mod estimate;
 mod evidence;
+pub mod expected;
 mod findings;
 mod fit;
 pub mod fleet;

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{Job, Plan};
 use crate::catalogue::{JobFinding, PlanFinding};
-use crate::estimation::change::Expected;
+use crate::estimation::expected::Expected;
 use crate::estimation::{Posterior, Priors, length_sd_mm};
 use crate::measurement::{LengthModel, PreparedMeasurement};
 use crate::robot::inverse::nearest;

@@ -5,6 +5,7 @@
 //! controller's axis angle. Lengths are mm, angles rad inside; files carry degrees.
 
 pub mod chain;
+pub mod definition;
 pub mod file;
 pub mod ids;
 pub mod inverse;
@@ -16,7 +17,7 @@ pub mod posterior;
 pub mod uncertainty;
 
 pub use chain::{At, Chain, JointSinCos, LengthRow};
-pub use file::{Robot, RobotRead};
+pub use definition::{Robot, RobotRead, Tolerance};
 pub use ids::{Approach, AxisAngles, BallId, BarId, CircleId, Coordinate, Joint};
 pub use joint_error::{JointError, JointErrors, JointTerm, Ripple, Smooth, TermKind};
 pub use kinematics::{DhRow, Geometry, Mass};

@@ -2,7 +2,8 @@
 
 use dbbd::conformity::{CheckInput, InterimCheck, Outcome, Rule, decide};
 use dbbd::diagnostic::Finding;
-use dbbd::estimation::change::{Innovation, Mounting};
+use dbbd::estimation::change::Innovation;
+use dbbd::estimation::expected::Mounting;
 use dbbd::estimation::{Options, Posterior, Workspace};
 use dbbd::measurement::{BaseBall, LengthModel, Measurements, PreparedMeasurement};
 use dbbd::robot::{BallId, Coordinate, ParamId, Robot};

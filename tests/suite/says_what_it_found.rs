@@ -4,7 +4,7 @@ use std::fs;
 use std::sync::Arc;
 
 use dbbd::measurement::{CircleId, Column, Context, Kind, Measurements};
-use dbbd::robot::file::Tolerance;
+use dbbd::robot::Tolerance;
 use dbbd::robot::pose::rot_x;
 use dbbd::robot::{BarId, Robot};
 use nalgebra::Vector3;

@@ -2,7 +2,8 @@
 //! them costs a robot that has none. Campaigns; figures in docs/explanation/accuracy.md.
 
 use dbbd::conformity::{CheckInput, Rule};
-use dbbd::estimation::change::{Innovation, Mounting};
+use dbbd::estimation::change::Innovation;
+use dbbd::estimation::expected::Mounting;
 use dbbd::estimation::result::CalibrationResult;
 use dbbd::estimation::{ErrorModel, Options, Positions, Prior};
 use dbbd::measurement::{
