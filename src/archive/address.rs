@@ -1,5 +1,6 @@
 //! Where the archive is, and the secrets that open it.
 
+use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
@@ -12,6 +13,8 @@ use crate::catalogue::ArchiveFinding::{
 };
 use crate::diagnostic::Diagnostic;
 
+/// The password, its file and the file with the keys of the store, in the order of [`Secrets`].
+const VARIABLES: [&str; 3] = ["PGPASSWORD", "DBBD_ARCHIVE_PASSWORD_FILE", "DBBD_STORE_SECRET_FILE"];
 const ARCHIVE: &str = "--archive";
 const STORE: &str = "--store";
 
@@ -40,22 +43,28 @@ pub struct Addresses {
 /// What the environment states: never the command line.
 #[derive(Default)]
 pub struct Secrets {
-    /// `PGPASSWORD`.
     pub password: Option<String>,
-    /// `DBBD_ARCHIVE_PASSWORD_FILE`.
     pub password_file: Option<PathBuf>,
-    /// `DBBD_STORE_SECRET_FILE`: the key's identity and the secret, a line each.
+    /// The key's identity and the secret, a line each.
     pub store_file: Option<PathBuf>,
 }
 
 impl Secrets {
+    /// The variables of this process that open an archive, for a child that reaches it.
+    pub fn variables() -> impl Iterator<Item = (OsString, OsString)> {
+        std::env::vars_os().filter(|(name, _)| {
+            let name = name.to_string_lossy();
+            name.starts_with("AWS_") || VARIABLES.contains(&&*name)
+        })
+    }
+
     /// Those of the environment of this process.
     pub fn of_environment() -> Self {
-        let path = |name| std::env::var_os(name).map(PathBuf::from);
+        let [password, password_file, store_file] = VARIABLES.map(std::env::var_os);
         Self {
-            password: std::env::var("PGPASSWORD").ok(),
-            password_file: path("DBBD_ARCHIVE_PASSWORD_FILE"),
-            store_file: path("DBBD_STORE_SECRET_FILE"),
+            password: password.and_then(|password| password.into_string().ok()),
+            password_file: password_file.map(PathBuf::from),
+            store_file: store_file.map(PathBuf::from),
         }
     }
 }

@@ -3,10 +3,12 @@
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::time::UNIX_EPOCH;
 
 use serde_json::Value;
 
 use super::query::ArchivedRun;
+use crate::base::hash::sha256;
 use crate::base::{date, files, serialised};
 use crate::catalogue::ArchiveFinding::NothingToPush;
 use crate::diagnostic::Diagnostic;
@@ -84,6 +86,21 @@ impl LocalRun {
         kept.sort_by_key(|file| (file.name == CAPTURE, file.name.clone()));
         let record = record(&capture, &kept)?;
         Ok(Self { record, files: kept })
+    }
+
+    /// What changes whenever a file of the run in `directory` does: a hash of names, lengths and times. Nothing is read.
+    pub fn state(directory: &Path) -> Result<String, Diagnostic> {
+        let mut found = Vec::new();
+        list(directory, "", &mut found)?;
+        found.sort();
+        let mut text = String::new();
+        for (name, path) in found {
+            let data = fs::metadata(&path).map_err(files::unreadable(path.display()))?;
+            // A system without times of files has lengths.
+            let at = data.modified().ok().and_then(|at| at.duration_since(UNIX_EPOCH).ok());
+            text += &format!("{name} {} {}\n", data.len(), at.map_or(0, |at| at.as_nanos()));
+        }
+        Ok(sha256(text))
     }
 
     /// The SHA-256 of its capture.

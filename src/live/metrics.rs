@@ -34,6 +34,14 @@ pub(super) fn text(status: &Status) -> String {
     metric("unanswered_total", "counter", "Requests without an answer.", count(|run| run.unanswered));
     metric("lost_bytes_total", "counter", "Bytes lost before the recorder.", count(|run| run.lost_bytes));
     metric("dwells_total", "counter", "Dwells that are over in this run.", count(|run| run.dwells.into()));
+    if let Some(archive) = &status.archive {
+        metric(
+            "archive_waiting",
+            "gauge",
+            "Runs that the archive has not confirmed.",
+            archive.waiting as f64,
+        );
+    }
     if let Some(mm) = run.and_then(|run| run.reading_mm) {
         metric("reading_millimetres", "gauge", "The last reading of the bar.", mm);
     }

@@ -27,5 +27,6 @@ pub use service::{
     RunState, Service, StartRequest,
 };
 pub use view::{
-    Alarm, Device, Frame, LastRun, Message, Mounting, MountingNote, NextPose, Point, RunStatus, State, Status,
+    Alarm, Archiving, Device, Frame, LastRun, Message, Mounting, MountingNote, NextPose, Point, RunStatus,
+    State, Status,
 };

@@ -66,6 +66,17 @@ pub struct Status {
     pub reading: Option<RunStatus>,
     /// How the last run of this process ended.
     pub last: Option<LastRun>,
+    /// What waits for the archive, where there is one.
+    pub archive: Option<Archiving>,
+}
+
+/// Runs on their way to the archive.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Archiving {
+    /// Runs that the archive has not confirmed.
+    pub waiting: u64,
+    /// Why, of the last attempt.
+    pub reason: Option<String>,
 }
 
 /// The device that a run would read.

@@ -10,6 +10,8 @@ mod on_one_machine;
 mod on_servers;
 #[cfg(feature = "archive")]
 mod plant;
+#[cfg(feature = "archive")]
+mod service_pushes;
 
 /// The codes of these tables; those of the archive need its feature.
 pub(crate) fn provoked() -> Vec<&'static str> {
@@ -41,5 +43,9 @@ pub(crate) fn archive_with(dir: &Path, args: &[&str], variables: &[(&str, &str)]
 fn without_the_feature_the_verb_says_how_to_get_it() {
     let dir = tempfile::tempdir().unwrap();
     let output = archive(dir.path(), &["list"]);
+    assert_eq!((output.status.code(), crate::cell::codes(&output)), (Some(1), vec!["E2401".to_owned()]));
+    std::fs::write(dir.path().join("dbbd.toml"), "[archive]\ndatabase = \"sqlite:a\"\nstore = \"file:b\"\n")
+        .unwrap();
+    let output = crate::cell::dbbd(dir.path(), &["serve", "--config", "dbbd.toml", "--check"]);
     assert_eq!((output.status.code(), crate::cell::codes(&output)), (Some(1), vec!["E2401".to_owned()]));
 }

@@ -14,7 +14,7 @@ use crate::cell;
 use crate::service::Server;
 
 /// A bar that swings over its stroke of 1 mm, with a dwell of half a second in each second.
-fn swinging() -> String {
+pub(crate) fn swinging() -> String {
     let terminal = Terminal::new().unwrap();
     let name = terminal.address().to_string();
     let definition = Definition::by_name("dbb-cobs-1").unwrap().unwrap();

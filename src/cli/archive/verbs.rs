@@ -71,11 +71,11 @@ fn push(
     out: &Output,
 ) -> Result<Outcome, Diagnostic> {
     let found: Vec<Vec<PathBuf>> = runs.iter().map(|run| LocalRun::find(run)).collect::<Result<_, _>>()?;
-    let (mut sent, spool) = (Sent::default(), spool.map(Spool));
+    let (mut sent, spool) = (Sent::default(), spool.map(Spool::open).transpose()?);
     let mut archive = Archive::open(addresses);
     if let (Ok(archive), Some(spool)) = (&mut archive, &spool) {
         for path in spool.waiting()? {
-            match send(archive, &LocalRun::read(&path)?, &mut sent, out) {
+            match LocalRun::read(&path).and_then(|run| send(archive, &run, &mut sent, out)) {
                 Ok(()) => spool.remove(&path)?,
                 Err(why) => out.finding(waits(&path.display().to_string(), &why)),
             }

@@ -26,6 +26,10 @@ use crate::provenance::Identity;
 /// How long a port may stay away during a run before the run ends, s.
 const GONE_S: f64 = 60.0;
 
+/// How often what waits for the archive is tried again, s.
+#[cfg(feature = "archive")]
+const RETRY_S: f64 = 60.0;
+
 /// What the service is to do.
 #[derive(Debug)]
 pub struct Config {
@@ -51,6 +55,23 @@ pub struct Config {
     pub stroke_mm: Option<[f64; 2]>,
     /// What every run states of itself.
     pub identity: Identity,
+    /// Where runs that are over go.
+    pub archive: Option<ToArchive>,
+}
+
+/// The archive of the plant, and what waits for it.
+#[derive(Debug)]
+pub struct ToArchive {
+    /// As of `dbbd archive --archive`.
+    pub database: String,
+    /// As of `dbbd archive --store`.
+    pub store: String,
+    /// Whence relative paths in the two count.
+    pub base: PathBuf,
+    /// Where runs wait while the archive cannot be reached.
+    pub spool: PathBuf,
+    /// How often what waits is tried again, s.
+    pub retry_s: f64,
 }
 
 #[derive(Default, Deserialize)]
@@ -64,6 +85,7 @@ struct File {
     device: DeviceTable,
     alarm: AlarmTable,
     identity: Option<Spanned<Identity>>,
+    archive: Option<Spanned<ArchiveTable>>,
 }
 
 #[derive(Default, Deserialize)]
@@ -82,6 +104,19 @@ struct AlarmTable {
     stroke_mm: Option<Spanned<[f64; 2]>>,
 }
 
+#[cfg(not(feature = "archive"))]
+type ArchiveTable = serde::de::IgnoredAny;
+
+#[cfg(feature = "archive")]
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct ArchiveTable {
+    database: String,
+    store: String,
+    spool: Option<String>,
+    retry_s: Option<Spanned<f64>>,
+}
+
 impl Default for Config {
     fn default() -> Self {
         Self {
@@ -96,6 +131,7 @@ impl Default for Config {
             alarm_share: ALARM_SHARE,
             stroke_mm: None,
             identity: Identity::default(),
+            archive: None,
         }
     }
 }
@@ -190,8 +226,28 @@ impl Config {
             identity.get_ref().check_all().map_err(|(_, wrong)| source.wrong(identity.span(), wrong))?;
             config.identity = identity.into_inner();
         }
+        config.archive = table.archive.map(|table| to_archive(source, table)).transpose()?;
         Ok(config)
     }
+}
+
+#[cfg(not(feature = "archive"))]
+fn to_archive(source: &Source, table: Spanned<ArchiveTable>) -> Result<ToArchive, Diagnostic> {
+    Err(source.wrong(table.span(), crate::catalogue::ArchiveFinding::NotBuilt))
+}
+
+#[cfg(feature = "archive")]
+fn to_archive(source: &Source, table: Spanned<ArchiveTable>) -> Result<ToArchive, Diagnostic> {
+    use crate::archive::{Addresses, Secrets};
+    let ArchiveTable { database, store, spool, retry_s } = table.into_inner();
+    Addresses::read(Some(&database), Some(&store), &Secrets::of_environment())?;
+    Ok(ToArchive {
+        database,
+        store,
+        base: source.base.into(),
+        spool: source.base.join(spool.as_deref().unwrap_or("dbbd-spool")),
+        retry_s: retry_s.map_or(Ok(RETRY_S), |retry_s| source.number(&retry_s, 0.01, 1e6))?,
+    })
 }
 
 /// A protocol by its built-in name or its file.

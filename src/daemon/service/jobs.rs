@@ -40,6 +40,8 @@ struct Shared {
     jobs: Mutex<VecDeque<Kept>>,
     child: Mutex<Option<(u64, Child)>>,
     messages: broadcast::Sender<Message>,
+    /// Is sent that a job is over.
+    over: Sender<()>,
 }
 
 struct Kept {
@@ -84,8 +86,8 @@ pub(super) fn arguments(request: &JobRequest) -> Result<Vec<String>, Diagnostic>
 
 impl Jobs {
     /// Starts the thread that does them.
-    pub(super) fn start(messages: broadcast::Sender<Message>) -> io::Result<Self> {
-        let shared = Arc::new(Shared { jobs: Mutex::default(), child: Mutex::default(), messages });
+    pub(super) fn start(messages: broadcast::Sender<Message>, over: Sender<()>) -> io::Result<Self> {
+        let shared = Arc::new(Shared { jobs: Mutex::default(), child: Mutex::default(), messages, over });
         let (queue, tasks) = channel();
         let worker = Arc::clone(&shared);
         thread::Builder::new().name("jobs".into()).spawn(move || work(&worker, &tasks))?;
@@ -126,6 +128,13 @@ impl Jobs {
     /// The newest first.
     pub(super) fn list(&self) -> Vec<Job> {
         lock(&self.shared.jobs).iter().rev().map(Kept::now).collect()
+    }
+
+    /// Whether one writes results of a run, or will.
+    #[cfg(feature = "archive")]
+    pub(super) fn concern(&self, run: &str) -> bool {
+        let open = |job: &Job| matches!(job.state, JobState::Waiting | JobState::Running);
+        lock(&self.shared.jobs).iter().any(|kept| kept.job.run == run && open(&kept.job))
     }
 
     pub(super) fn get(&self, id: u64) -> Result<Job, Diagnostic> {
@@ -231,6 +240,8 @@ fn work(shared: &Arc<Shared>, tasks: &Receiver<Task>) {
                 (job.state, job.elapsed_s, job.percent) = (state, elapsed_s, 100);
             }
         });
+        // Without an archive nobody waits for it.
+        let _ = shared.over.send(());
     }
 }
 
@@ -277,7 +288,7 @@ fn run(shared: &Arc<Shared>, task: &Task) -> io::Result<JobState> {
 }
 
 /// Where memory runs out, the system ends an evaluation and not the recorder.
-fn first_to_go(child: &Child) {
+pub(super) fn first_to_go(child: &Child) {
     // Only Linux has this file; without it the system chooses by size.
     let _ = std::fs::write(format!("/proc/{}/oom_score_adj", child.id()), "1000");
 }

@@ -1,6 +1,7 @@
 //! The service: one device, one run at a time, jobs, and the state that everybody sees.
 
 mod answers;
+mod archiving;
 mod catalogue;
 mod config;
 mod jobs;

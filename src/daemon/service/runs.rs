@@ -30,7 +30,7 @@ pub(super) fn directory(data: &Path, name: &str) -> Result<PathBuf, Diagnostic> 
 }
 
 /// Whether a path is a directory, and not a link to one.
-fn is_plain_directory(path: &Path) -> bool {
+pub(super) fn is_plain_directory(path: &Path) -> bool {
     fs::symlink_metadata(path).is_ok_and(|data| data.is_dir())
 }
 

@@ -8,6 +8,7 @@ use std::{io, panic, process, thread};
 
 use tokio::sync::watch;
 
+use super::archiving;
 use super::config::Config;
 use super::log::{Level, Log};
 use super::notify::{notify, watchdog_s};
@@ -58,7 +59,9 @@ pub fn serve(mut config: Config, log: Arc<dyn Log>, bench: Option<Bench>) -> Res
         log.say(Level::Warning, "running_as_root", &[("help", &"docs/how-to/service.md")]);
     }
     let signalled = signals::stop_on_signal()?;
-    let supervisor = Arc::new(Supervisor::new(config, Arc::clone(&log), bench).map_err(no_system)?);
+    let (supervisor, over) = Supervisor::new(config, Arc::clone(&log), bench).map_err(no_system)?;
+    let supervisor = Arc::new(supervisor);
+    archiving::start(&supervisor, over).map_err(no_system)?;
     let (stop, stopped) = watch::channel(false);
     let beat = Arc::new(AtomicU64::new(clock::now().0));
     let address = Arc::new(Mutex::new(address));

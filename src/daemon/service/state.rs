@@ -3,6 +3,7 @@
 use std::fs;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use serde_json::json;
@@ -21,7 +22,7 @@ use crate::daemon::{Acquisition, Options, Schedule};
 use crate::device::port::{self, PortAddress};
 use crate::device::protocol::Definition;
 use crate::diagnostic::{Diagnostic, Finding};
-use crate::live::{Device, LastRun, Message, Mounting, RunStatus, StartRequest, State, Status};
+use crate::live::{Archiving, Device, LastRun, Message, Mounting, RunStatus, StartRequest, State, Status};
 use crate::plan::SIGMA_UM;
 use crate::recording::capture::Event;
 use crate::recording::mounting::{Expected, Rest};
@@ -43,6 +44,10 @@ pub(super) struct Supervisor {
     pub(super) jobs: Jobs,
     pub(super) plans: Plans,
     pub(super) repeats: Repeats,
+    /// What waits for the archive.
+    pub(super) archiving: Mutex<Option<Archiving>>,
+    /// Is sent that a run is over.
+    over: Sender<()>,
     inner: Mutex<Inner>,
 }
 
@@ -107,8 +112,14 @@ pub(super) struct Running {
 }
 
 impl Supervisor {
-    pub(super) fn new(config: Config, log: Arc<dyn Log>, bench: Option<Bench>) -> std::io::Result<Self> {
+    /// With the end at which it is heard that a run or a job is over.
+    pub(super) fn new(
+        config: Config,
+        log: Arc<dyn Log>,
+        bench: Option<Bench>,
+    ) -> std::io::Result<(Self, Receiver<()>)> {
         let messages = broadcast::Sender::new(BACKLOG);
+        let (over, heard) = channel();
         let inner = Inner {
             port: config.port.clone(),
             protocol: config.protocol.clone(),
@@ -118,12 +129,12 @@ impl Supervisor {
             notes: Vec::new(),
             ending: false,
         };
-        Ok(Self {
+        let supervisor = Self {
             config,
             log,
             bench,
             status: watch::Sender::new(Status::default()),
-            jobs: Jobs::start(messages.clone())?,
+            jobs: Jobs::start(messages.clone(), over.clone())?,
             live: LiveState {
                 messages,
                 points: Arc::default(),
@@ -132,8 +143,11 @@ impl Supervisor {
             },
             plans: Plans::default(),
             repeats: Repeats::default(),
+            archiving: Mutex::default(),
+            over,
             inner: Mutex::new(inner),
-        })
+        };
+        Ok((supervisor, heard))
     }
 
     pub(super) fn inner(&self) -> MutexGuard<'_, Inner> {
@@ -192,6 +206,8 @@ impl Supervisor {
         let mut inner = self.inner();
         inner.last = Some(LastRun { name, ending, failed: joined.is_err(), samples });
         inner.failed = joined.err();
+        // Without an archive nobody waits for it.
+        let _ = self.over.send(());
     }
 
     pub(super) fn look(&self, inner: &Inner) -> Status {
@@ -233,6 +249,7 @@ impl Supervisor {
             run,
             reading,
             last: inner.last.clone(),
+            archive: self.archiving.lock().unwrap_or_else(PoisonError::into_inner).clone(),
         }
     }
 

@@ -110,13 +110,16 @@ fn while_the_archive_is_away_runs_wait_and_are_sent_once() {
         assert_eq!(fs::read_dir(at.join("spool")).unwrap().count(), 2);
     }
     // What a kill left in the middle is no run.
-    fs::create_dir(at.join(format!("spool/{}.1.part", "0".repeat(64)))).unwrap();
+    fs::create_dir(at.join(format!("spool/{}.part", "0".repeat(64)))).unwrap();
+    // What somebody damaged keeps no other run back.
+    let damaged = at.join("spool").join("0".repeat(64));
+    fs::create_dir(&damaged).unwrap();
     fs::remove_dir_all(at.join("runs")).unwrap();
     let sent = archive(at, &["push", "--spool", "spool", "--json"]);
-    assert_eq!(sent.status.code(), Some(0), "{}", crate::cell::stderr(&sent));
+    assert_eq!((sent.status.code(), codes(&sent)), (Some(3), vec!["W2412".to_owned()]));
     assert_eq!(json(&sent)["new"].as_array().unwrap().len(), 2);
-    let left = fs::read_dir(at.join("spool")).unwrap().map(|entry| entry.unwrap().file_name());
-    assert_eq!(left.filter(|name| name.len() == 64).count(), 0);
+    let left: Vec<_> = fs::read_dir(at.join("spool")).unwrap().map(|entry| entry.unwrap().path()).collect();
+    assert_eq!(left, [damaged]);
     assert_eq!(json(&archive(at, &["list", "--json"])).as_array().unwrap().len(), 2);
 }
 

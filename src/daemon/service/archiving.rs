@@ -1,0 +1,173 @@
+//! Runs that are over go to the archive: `dbbd archive push` as a child process, one after the other.
+
+use std::io;
+use std::sync::Arc;
+use std::sync::mpsc::Receiver;
+
+use super::state::Supervisor;
+
+/// Starts the thread that pushes, where there is an archive; `over` says that a run or a job is over.
+#[cfg(feature = "archive")]
+pub(super) fn start(supervisor: &Arc<Supervisor>, over: Receiver<()>) -> io::Result<()> {
+    if supervisor.config.archive.is_none() {
+        return Ok(());
+    }
+    let supervisor = Arc::clone(supervisor);
+    std::thread::Builder::new().name("archive".into()).spawn(move || push::all(&supervisor, &over)).map(drop)
+}
+
+#[cfg(not(feature = "archive"))]
+pub(super) fn start(_: &Arc<Supervisor>, _: Receiver<()>) -> io::Result<()> {
+    Ok(())
+}
+
+#[cfg(feature = "archive")]
+mod push {
+    use std::fs;
+    use std::io::{self, Read as _};
+    use std::path::{Path, absolute};
+    use std::process::Stdio;
+    use std::sync::PoisonError;
+    use std::sync::mpsc::{Receiver, RecvTimeoutError};
+    use std::time::Duration;
+
+    use crate::archive::{LocalRun, Secrets, Spool};
+    use crate::base::{files, hash::sha256, program};
+    use crate::daemon::service::config::ToArchive;
+    use crate::daemon::service::log::Level;
+    use crate::daemon::service::state::{Run, Supervisor};
+    use crate::daemon::service::{jobs, names, runs};
+    use crate::live::Archiving;
+
+    /// In the directory of a run: which of its states was handed over. It is no file of the run.
+    const HANDED_OVER: &str = ".archive";
+    /// How often is looked where nothing waits, s.
+    const IDLE_S: f64 = 3600.0;
+
+    /// What became of a push.
+    enum Pushed {
+        /// The archive confirmed it.
+        Confirmed,
+        /// It is in the spool, and why.
+        Waits(String),
+        /// It is where it was, and why.
+        Failed(String),
+    }
+
+    /// Hands over every run that is over and was not yet, and sends what waits.
+    pub(super) fn all(supervisor: &Supervisor, over: &Receiver<()>) {
+        let Some(archive) = &supervisor.config.archive else { return };
+        loop {
+            let state = round(supervisor, archive);
+            let waits = state.waiting > 0;
+            let before =
+                supervisor.archiving.lock().unwrap_or_else(PoisonError::into_inner).replace(state.clone());
+            if before.as_ref() != Some(&state) {
+                let level = if waits { Level::Warning } else { Level::Info };
+                let reason = state.reason.unwrap_or_default();
+                supervisor.log.say(level, "archive", &[("waiting", &state.waiting), ("reason", &reason)]);
+            }
+            let pause = Duration::from_secs_f64(if waits { archive.retry_s } else { IDLE_S });
+            if over.recv_timeout(pause) == Err(RecvTimeoutError::Disconnected) {
+                return;
+            }
+            while over.try_recv().is_ok() {}
+        }
+    }
+
+    fn round(supervisor: &Supervisor, archive: &ToArchive) -> Archiving {
+        let mut state = Archiving::default();
+        let mut sent = false;
+        for name in over(supervisor) {
+            let directory = supervisor.config.data.join(&name);
+            let pushed = hand_over(archive, &directory);
+            match pushed {
+                Ok(None) => {}
+                Ok(Some(Pushed::Confirmed)) => {
+                    sent = true;
+                    supervisor.log.say(Level::Info, "archived", &[("run", &name)]);
+                }
+                // It is counted in the spool.
+                Ok(Some(Pushed::Waits(why))) => (sent, state.reason) = (true, Some(why)),
+                Ok(Some(Pushed::Failed(why))) => {
+                    (state.waiting, state.reason) = (state.waiting + 1, Some(why))
+                }
+                Err(error) => (state.waiting, state.reason) = (state.waiting + 1, Some(error.to_string())),
+            }
+        }
+        let waiting = || Spool::count(&archive.spool).map_or(1, |waiting| waiting as u64);
+        if waiting() > 0 && !sent {
+            state.reason = match push(archive, None) {
+                Ok(Pushed::Confirmed) => state.reason,
+                Ok(Pushed::Waits(why) | Pushed::Failed(why)) => Some(why),
+                Err(error) => Some(error.to_string()),
+            };
+        }
+        state.waiting += waiting();
+        state
+    }
+
+    /// The names of the runs to which nothing is added now. They are listed first: a run that begins meanwhile is not
+    /// among them.
+    fn over(supervisor: &Supervisor) -> Vec<String> {
+        let entries = fs::read_dir(&supervisor.config.data).into_iter().flatten().flatten();
+        let names = entries.filter_map(|entry| entry.file_name().into_string().ok());
+        let is_run = |name: &String| {
+            let directory = supervisor.config.data.join(name);
+            names::is_sound(name)
+                && runs::is_plain_directory(&directory)
+                && directory.join(runs::CAPTURE).is_file()
+        };
+        let mut names: Vec<String> = names.filter(is_run).collect();
+        match &supervisor.inner().run {
+            Run::Starting => names.clear(),
+            Run::On(running) => names.retain(|name| *name != running.name),
+            Run::None | Run::Reading(_) => {}
+        }
+        names.retain(|name| !supervisor.jobs.concern(name));
+        names.sort();
+        names
+    }
+
+    /// Pushes the run in `directory`, unless this state of it was.
+    fn hand_over(archive: &ToArchive, directory: &Path) -> io::Result<Option<Pushed>> {
+        let state = LocalRun::state(directory).map_err(io::Error::other)?;
+        let state = sha256(format!("{}\n{}\n{state}", archive.database, archive.store));
+        let noted = directory.join(HANDED_OVER);
+        if fs::read_to_string(&noted).is_ok_and(|noted| noted == state) {
+            return Ok(None);
+        }
+        let pushed = push(archive, Some(directory))?;
+        if !matches!(pushed, Pushed::Failed(_)) {
+            files::write(&noted, state).map_err(io::Error::other)?;
+        }
+        Ok(Some(pushed))
+    }
+
+    /// Sends what waits in the spool, and this run.
+    fn push(archive: &ToArchive, run: Option<&Path>) -> io::Result<Pushed> {
+        let mut command = program::own()?;
+        command.args(["archive", "push"]).args(run.map(absolute).transpose()?);
+        command.arg("--spool").arg(absolute(&archive.spool)?);
+        command.arg(format!("--archive={}", archive.database)).arg(format!("--store={}", archive.store));
+        if !archive.base.as_os_str().is_empty() {
+            command.current_dir(&archive.base);
+        }
+        command.envs(Secrets::variables()).env("NO_COLOR", "1").stdout(Stdio::null()).stderr(Stdio::piped());
+        let mut child = command.spawn()?;
+        jobs::first_to_go(&child);
+        let _kept = child.stdin.take();
+        let mut said = Vec::new();
+        if let Some(mut stderr) = child.stderr.take() {
+            stderr.read_to_end(&mut said)?;
+        }
+        let said = String::from_utf8_lossy(&said);
+        let finding = |line: &&str| line.starts_with("error[") || line.starts_with("warning[");
+        let why = said.lines().find(finding).unwrap_or(said.trim()).to_owned();
+        Ok(match child.wait()?.code() {
+            Some(0) => Pushed::Confirmed,
+            Some(3) => Pushed::Waits(why),
+            _ => Pushed::Failed(why),
+        })
+    }
+}
