@@ -32,6 +32,7 @@ findings! {
             PointComputed { name: String, line: usize } => "{name} is computed in line {line}";
             PointExpression => "a motion to a point that is computed cannot be compensated";
             PointIncomplete { name: String, why: String } => "{name}: {why}";
+            PointShape { numbers: usize } => "the point is not written as a list with {numbers} numbers where they are needed";
         }
         E0904 "a point is used with two tools or bases",
         cause: "The correction depends on the frames, so that one point would need two corrections.",

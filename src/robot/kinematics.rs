@@ -99,6 +99,12 @@ impl Geometry {
         angles
     }
 
+    /// Whether its joints are rigid and turn as their angles say.
+    pub fn is_rigid(&self) -> bool {
+        let bends = self.compliance.iter().any(|c| *c != 0.0) && !self.masses.is_empty();
+        !bends && self.gear.iter().flatten().all(|part| *part == 0.0) && self.joint_errors.is_none()
+    }
+
     /// The same robot with rigid joints that turn as their angles say.
     pub fn rigid(&self) -> Self {
         Self {

@@ -194,7 +194,18 @@ fn robot_files() {
     let dir = tempdir().unwrap();
     let text = include_str!("../../robots/kr60ha.toml");
     let cut = (text[..text.len() / 2].to_owned(), &"E0120");
-    for (text, code) in ROBOTS.iter().map(|(was, is, code)| (text.replacen(was, is, 1), code)).chain([cut]) {
+    // SCARA, a palletiser without axis 6, an arm of seven axes.
+    let (head, joints) = text.split_at(text.find("[[joint]]").unwrap());
+    let (joints, tail) = joints.split_at(joints.find("# The tool ball").unwrap());
+    let joints: Vec<&str> = joints.split_inclusive("\n\n").collect();
+    assert_eq!(joints.len(), 6);
+    let with = |count: usize| {
+        let joints: String = joints.iter().cycle().take(count).copied().collect();
+        (format!("{head}{joints}{tail}"), &"E0504")
+    };
+    let counts = [1, 4, 5, 7].map(with);
+    let changed = ROBOTS.iter().map(|(was, is, code)| (text.replacen(was, is, 1), code));
+    for (text, code) in changed.chain([cut]).chain(counts) {
         fs::write(dir.path().join("bad.toml"), text).unwrap();
         let output = identify(dir.path(), &format!("{HEADER}{ROW}"), &["--robot", "bad.toml"]);
         assert_eq!(

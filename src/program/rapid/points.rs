@@ -5,13 +5,13 @@ use super::parser::{Module, parse};
 use super::program::declared;
 use crate::catalogue::CompensationFinding;
 use crate::diagnostic::Diagnostic;
+use crate::program::Motion;
 use crate::program::compensate::{Branch, Corrected, Corrector};
 use crate::program::rewrite::Moved;
-use crate::program::script::points::{Point, Points, numbers};
+use crate::program::script::points::{Point, Points, Taught, numbers};
 use crate::program::script::statement::Statement;
-use crate::program::script::value::{Kind, Value};
+use crate::program::script::value::Value;
 use crate::program::text::{Edit, Text};
-use crate::program::{Motion, Target};
 use crate::robot::{Pose, Robot};
 
 /// Fewest decimals of a length, an axis angle and a part of a quaternion.
@@ -45,33 +45,17 @@ fn take(
         own.or_else(|| declared(config?, name, 1)).or_else(|| super::literal::predefined(name))
     };
     for expression in [instruction.through, Some(instruction.to)].into_iter().flatten() {
-        let Some((value, taught)) = Instruction::point(expression, 0, &lookup) else {
-            let name = match &expression.kind {
-                Kind::Name(name) | Kind::Call(name) => name.clone(),
-                _ => "this point".into(),
+        let taught = Instruction::point(expression, 0, &lookup).map(|(value, taught)| {
+            let branch = match taught.configuration {
+                Some(configuration) if instruction.motion == Motion::Ptp => {
+                    Branch::ByQuadrants(configuration)
+                }
+                _ => Branch::Nearest,
             };
-            let elsewhere = CompensationFinding::PointElsewhere { name };
-            points.left.push(text.wrong(&expression.span, elsewhere));
-            continue;
-        };
-        if value.file != 0 {
-            let name = value.name.unwrap_or_default();
-            points.left.push(text.wrong(&expression.span, CompensationFinding::PointElsewhere { name }));
-            continue;
-        }
-        let frames = match taught.target {
-            Target::Axes(_) => None,
-            Target::Pose { .. } => {
-                let frames = instruction.frames(0, &lookup);
-                Some(frames.map_err(|why| text.wrong(&statement.span, why))?)
-            }
-        };
-        let branch = match taught.configuration {
-            Some(configuration) if instruction.motion == Motion::Ptp => Branch::ByQuadrants(configuration),
-            _ => Branch::Nearest,
-        };
-        let used = statement.span.clone();
-        points.add(Point { value, used, branch, target: taught.target, frames }, text)?;
+            Taught { value, target: taught.target, branch }
+        });
+        let frames = || instruction.frames(0, &lookup).map_err(|why| text.wrong(&statement.span, why));
+        points.visit(text, &statement.span, expression, taught, frames)?;
     }
     Ok(())
 }
@@ -95,28 +79,29 @@ fn write(
     corrected: &Corrected,
     text: Text<'_>,
 ) -> Result<Vec<Edit>, CompensationFinding> {
-    let parts: &[Value] = point.value.list().unwrap_or_default();
-    let inside = |at: usize| parts.get(at).and_then(Value::list).unwrap_or_default();
     let [x, y, z, a, b, c] = corrected.numbers;
     let Some(frames) = &point.frames else {
-        return Ok(numbers(inside(0), &corrected.numbers, text, DECIMALS_DEG).0);
+        let [axes, _] = parts(&point.value)?;
+        return Ok(numbers(axes, &corrected.numbers, text, DECIMALS_DEG)?.0);
     };
-    let (mut edits, place) = numbers(inside(0), &[x, y, z], text, DECIMALS_MM);
-    let taught: [f64; 4] = parts.get(1).and_then(Value::numbers).unwrap_or_default();
+    let [place, turn, configuration, _] = parts(&point.value)?;
+    let (mut edits, place) = numbers(place, &[x, y, z], text, DECIMALS_MM)?;
+    let taught: [f64; 4] = turn.numbers().ok_or(CompensationFinding::PointShape { numbers: 4 })?;
     let new = Pose::from_kuka([x, y, z], [a, b, c]).quaternion();
     let along: f64 = taught.iter().zip(new).map(|(taught, new)| taught * new).sum();
     let turned = new.map(|part| if along < 0.0 { -part } else { part });
-    let (turns, turn) = numbers(inside(1), &turned, text, DECIMALS_TURN);
+    let (turns, turn) = numbers(turn, &turned, text, DECIMALS_TURN)?;
     edits.extend(turns);
-    let printed = place.try_into().ok().zip(turn.try_into().ok());
-    let printed = printed.and_then(|(place, turn)| Pose::from_quaternion(place, turn));
-    if let Some(printed) = printed {
-        let configuration = corrector.quadrants(corrected, &printed, frames)?;
-        for (old, new) in inside(2).iter().zip(configuration) {
-            if old.number() != Some(f64::from(new)) {
-                edits.push((old.span.clone(), new.to_string()));
-            }
+    let printed = Pose::from_quaternion(place, turn).ok_or(CompensationFinding::PointShape { numbers: 4 })?;
+    let quadrants = corrector.quadrants(corrected, &printed, frames)?;
+    for (old, new) in parts::<4>(configuration)?.iter().zip(quadrants) {
+        if old.number() != Some(f64::from(new)) {
+            edits.push((old.span.clone(), new.to_string()));
         }
     }
     Ok(edits)
+}
+
+fn parts<const N: usize>(value: &Value) -> Result<&[Value; N], CompensationFinding> {
+    value.parts().ok_or(CompensationFinding::PointShape { numbers: N })
 }

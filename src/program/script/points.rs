@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use super::value::Value;
+use super::value::{Expression, Kind, Value};
 use crate::catalogue::CompensationFinding;
 use crate::diagnostic::Diagnostic;
 use crate::program::compensate::{Branch, Commanded, Corrected, Corrector};
@@ -33,9 +33,41 @@ pub struct Points {
     found: HashMap<usize, usize>,
 }
 
+/// What an expression teaches.
+pub(crate) struct Taught {
+    pub(crate) value: Value,
+    pub(crate) target: Target,
+    pub(crate) branch: Branch,
+}
+
 impl Points {
+    /// Takes the point of a motion, `frames` where it is a pose. One that is computed, or not written in this file (the
+    /// file 0), is left.
+    pub(crate) fn visit(
+        &mut self,
+        file: Text<'_>,
+        motion: &Span,
+        to: &Expression,
+        taught: Option<Taught>,
+        frames: impl FnOnce() -> Result<Frames, Diagnostic>,
+    ) -> Result<(), Diagnostic> {
+        let Some(Taught { value, target, branch }) = taught.filter(|taught| taught.value.file == 0) else {
+            let name = match &to.kind {
+                Kind::Name(name) | Kind::Call(name) => name.clone(),
+                _ => "this point".into(),
+            };
+            self.left.push(file.wrong(&to.span, CompensationFinding::PointElsewhere { name }));
+            return Ok(());
+        };
+        let frames = match target {
+            Target::Axes(_) => None,
+            Target::Pose { .. } => Some(frames()?),
+        };
+        self.add(Point { value, used: motion.clone(), branch, target, frames }, file)
+    }
+
     /// Takes a point of the program's own file.
-    pub(crate) fn add(&mut self, point: Point, file: Text<'_>) -> Result<(), Diagnostic> {
+    fn add(&mut self, point: Point, file: Text<'_>) -> Result<(), Diagnostic> {
         let at = *self.found.entry(point.value.span.start).or_insert(self.points.len());
         match self.points.get_mut(at) {
             None => self.points.push(point),
@@ -83,12 +115,19 @@ impl Point {
 }
 
 /// New numbers in place of those of a list, each with at least so many decimals; and what is then written there.
-pub(crate) fn numbers(list: &[Value], new: &[f64], file: Text<'_>, fewest: usize) -> (Vec<Edit>, Vec<f64>) {
-    let edits = list.iter().zip(new).map(|(old, new)| {
-        let written = file.text.get(old.span.clone()).unwrap_or("");
-        (old.span.clone(), number_like(written, *new, fewest))
-    });
-    let edits: Vec<Edit> = edits.collect();
-    let written = edits.iter().zip(new).map(|((_, text), new)| text.parse().unwrap_or(*new)).collect();
-    (edits, written)
+pub(crate) fn numbers<const N: usize>(
+    list: &Value,
+    new: &[f64; N],
+    file: Text<'_>,
+    fewest: usize,
+) -> Result<(Vec<Edit>, [f64; N]), CompensationFinding> {
+    let old = list.parts::<N>().ok_or(CompensationFinding::PointShape { numbers: N })?;
+    let mut written = *new;
+    let mut edits = Vec::with_capacity(N);
+    for ((old, new), written) in old.iter().zip(new).zip(&mut written) {
+        let text = number_like(file.text.get(old.span.clone()).unwrap_or("0"), *new, fewest);
+        *written = text.parse().map_err(|_| CompensationFinding::PointShape { numbers: N })?;
+        edits.push((old.span.clone(), text));
+    }
+    Ok((edits, written))
 }

@@ -77,10 +77,15 @@ impl Value {
         }
     }
 
-    /// The numbers of a list of so many.
-    pub(crate) fn numbers<const N: usize>(&self) -> Option<[f64; N]> {
+    /// The members of a list or a pose of so many.
+    pub(crate) fn parts<const N: usize>(&self) -> Option<&[Value; N]> {
         let (Of::List(list) | Of::Pose(list)) = &self.of else { return None };
-        let numbers: Option<Vec<f64>> = list.iter().map(Value::number).collect();
+        list.as_slice().try_into().ok()
+    }
+
+    /// The numbers of a list or a pose of so many.
+    pub(crate) fn numbers<const N: usize>(&self) -> Option<[f64; N]> {
+        let numbers: Option<Vec<f64>> = self.parts::<N>()?.iter().map(Value::number).collect();
         numbers?.try_into().ok()
     }
 }

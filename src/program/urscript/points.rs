@@ -6,10 +6,10 @@ use crate::catalogue::CompensationFinding;
 use crate::diagnostic::Diagnostic;
 use crate::program::compensate::{Branch, Corrected, Corrector};
 use crate::program::rewrite::Moved;
-use crate::program::script::points::{Point, Points, numbers};
+use crate::program::script::points::{Point, Points, Taught, numbers};
 use crate::program::script::statement::{Kind, Statement};
-use crate::program::script::value::{self, Names, Of, Value};
-use crate::program::text::{Edit, Text};
+use crate::program::script::value::{self, Names, Value};
+use crate::program::text::{Edit, Span, Text};
 use crate::program::{Frames, Target};
 use crate::robot::pose::rotation_vector;
 use crate::robot::{Pose, Robot};
@@ -68,40 +68,33 @@ impl Walk<'_> {
         let Some(instruction) = motion(statement) else { return Ok(()) };
         for expression in instruction.points() {
             let found = value::value(expression, 0, &|name| self.names.get(name).cloned());
-            let taught = found.and_then(|value| target(&value).map(|target| (value, target)));
-            let Some((value, target)) = taught else {
-                let name = match &expression.kind {
-                    value::Kind::Name(name) | value::Kind::Call(name) => name.clone(),
-                    _ => "this point".into(),
-                };
-                let elsewhere = CompensationFinding::PointElsewhere { name };
-                self.points.left.push(self.text.wrong(&expression.span, elsewhere));
-                continue;
-            };
-            let frames = match target {
-                Target::Axes(_) => None,
-                Target::Pose { .. } => Some(self.frames(statement)?),
-            };
-            let used = statement.span.clone();
-            self.points.add(Point { value, used, branch: Branch::Nearest, target, frames }, self.text)?;
+            let taught = found.and_then(|value| {
+                let target = target(&value)?;
+                Some(Taught { value, target, branch: Branch::Nearest })
+            });
+            let (tool, given, text) = (self.tool, self.given, self.text);
+            let frames = || frames(tool, given, text, &statement.span);
+            self.points.visit(text, &statement.span, expression, taught, frames)?;
         }
         Ok(())
     }
+}
 
-    fn frames(&self, statement: &Statement) -> Result<Frames, Diagnostic> {
-        let wrong = |why| self.text.wrong(&statement.span, why);
-        let frame = "the tool";
-        let tool = match (self.tool, self.given) {
-            (Some(Some(tool)), _) => tool,
-            (Some(None), _) => {
-                let line = self.text.line(statement.span.start);
-                return Err(wrong(CompensationFinding::FrameComputed { frame, line }));
-            }
-            (None, Some(given)) => given,
-            (None, None) => return Err(wrong(CompensationFinding::FrameNotSet { frame })),
-        };
-        Ok(Frames { tool, base: Pose::identity() })
-    }
+/// With the tool that the script sets (the inner `None`: computed), else with the given one.
+fn frames(
+    set: Option<Option<Pose>>,
+    given: Option<Pose>,
+    text: Text<'_>,
+    motion: &Span,
+) -> Result<Frames, Diagnostic> {
+    let frame = "the tool";
+    let tool = match (set, given) {
+        (Some(None), _) => Err(CompensationFinding::FrameComputed { frame, line: text.line(motion.start) }),
+        (Some(Some(tool)), _) | (None, Some(tool)) => Ok(tool),
+        (None, None) => Err(CompensationFinding::FrameNotSet { frame }),
+    };
+    let tool = tool.map_err(|why| text.wrong(motion, why))?;
+    Ok(Frames { tool, base: Pose::identity() })
 }
 
 /// The script with corrected points and what was moved.
@@ -123,13 +116,13 @@ fn write(
     corrected: &Corrected,
     text: Text<'_>,
 ) -> Result<Vec<Edit>, CompensationFinding> {
-    let (Of::List(list) | Of::Pose(list)) = &point.value.of else { return Ok(Vec::new()) };
     let new = match point.target {
         Target::Axes(_) => corrected.numbers.map(f64::to_radians),
         Target::Pose { .. } => {
             let [x, y, z, a, b, c] = corrected.numbers;
             let turn = rotation_vector(&Pose::from_kuka([x, y, z], [a, b, c]).rotation);
-            let [.., rx, ry, rz]: [f64; 6] = point.value.numbers().unwrap_or_default();
+            let taught: Option<[f64; 6]> = point.value.numbers();
+            let [.., rx, ry, rz] = taught.ok_or(CompensationFinding::PointShape { numbers: 6 })?;
             // The same turn the other way round where the taught one was so written.
             let other = turn * (1.0 - std::f64::consts::TAU / turn.norm());
             let off = |turn: &nalgebra::Vector3<f64>| (turn - nalgebra::Vector3::new(rx, ry, rz)).norm();
@@ -141,5 +134,5 @@ fn write(
             [x * 1e-3, y * 1e-3, z * 1e-3, turn.x, turn.y, turn.z]
         }
     };
-    Ok(numbers(list, &new, text, DECIMALS).0)
+    Ok(numbers(&point.value, &new, text, DECIMALS)?.0)
 }

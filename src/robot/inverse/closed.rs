@@ -43,8 +43,7 @@ impl Arm {
     /// The arm itself where it has a closed form, else the ideal one nearby, if there is one.
     pub(super) fn near(geometry: &Geometry) -> Option<Self> {
         let mut rows = geometry.rows;
-        let mut exact = geometry.compliance.iter().all(|c| *c == 0.0) || geometry.masses.is_empty();
-        exact &= geometry.gear.iter().flatten().all(|part| *part == 0.0) && geometry.joint_errors.is_none();
+        let mut exact = geometry.is_rigid();
         let is_parallel = |alpha: f64| quarters(alpha).rem_euclid(2.0) == 0.0;
         let fourth = if is_parallel(rows[3].alpha) { Fourth::Parallel } else { Fourth::Wrist };
         for (i, row) in rows.iter_mut().enumerate() {

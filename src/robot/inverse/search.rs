@@ -9,7 +9,7 @@ use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::iterate::numeric;
+use super::iterate::{numeric, twin};
 use crate::robot::pose::{Pose, rot_x, rot_z};
 use crate::robot::{AXES, DhRow, Geometry};
 
@@ -18,9 +18,16 @@ const NEAR_RAD: f64 = 0.3;
 const NEAR_MM: f64 = 10.0;
 /// Least sine of the angle between axes 5 and 6.
 const LEAST_SINE: f64 = 0.1;
-/// Angles of joint 4 that are tried in a turn, and halvings of an interval with a zero or an end.
-const TRIED: usize = 240;
+/// Angles of joint 4 that are tried in a turn; least number in an interval of it, and halvings of one.
+const TRIED: usize = 90;
+const LEAST_TRIED: usize = 8;
 const HALVINGS: usize = 30;
+/// A condition that comes so near to zero without a sample beyond it is searched for two zeros.
+const NEAR_ZERO: f64 = 0.3;
+/// By how much conditions of an arm differ from those of the ideal one nearby, and how long an interval beyond its reach
+/// may be that the arm reaches, rad.
+const TOUCHING: f64 = 0.05;
+const BEYOND: f64 = 0.3;
 /// Starts of the search for an arm with nothing to go by.
 const STARTS: usize = 400;
 /// Axis angles nearer than this are one branch, rad.
@@ -34,6 +41,10 @@ struct Offset {
     fifth: Vector3<f64>,
     fold: f64,
     twist: f64,
+    /// Sine and cosine of twist 4.
+    fourth: (f64, f64),
+    /// A condition that turns back so near to zero may have two zeros in the arm that was given.
+    touching: f64,
 }
 
 /// A pose before joint 1, out of the base's tilt and shift.
@@ -45,6 +56,42 @@ struct Target {
 
 /// Cosine and sine.
 type Turn = [f64; 2];
+
+/// The link from joint 3 to where axes 5 and 6 meet, in frame 3, for one angle of joint 4.
+struct Forearm {
+    end: Vector3<f64>,
+    fifth: Vector3<f64>,
+    /// Distance of the arm's plane from axis 1, mm.
+    side: f64,
+}
+
+/// One of two shoulders or elbows.
+#[derive(Clone, Copy)]
+enum Side {
+    First,
+    Second,
+}
+
+impl Side {
+    const BOTH: [Self; 2] = [Self::First, Self::Second];
+
+    fn of(self, value: f64) -> f64 {
+        match self {
+            Self::First => value,
+            Self::Second => -value,
+        }
+    }
+}
+
+/// Joint 1, and from joint 2 to the wrist in the plane of the arm.
+struct Shoulder {
+    first: Turn,
+    to_wrist: [f64; 2],
+    /// Cosine of the angle between upper arm and forearm.
+    bend: f64,
+    /// Not negative where the arm reaches the wrist; the more it is, the further the arm is from a singular position.
+    room: f64,
+}
 
 /// Joints 1 to 3 for one angle of joint 4.
 struct Reach {
@@ -68,20 +115,26 @@ fn angle([cos, sin]: Turn) -> f64 {
 impl Offset {
     fn near(geometry: &Geometry) -> Option<Self> {
         let mut rows = geometry.rows;
-        let off = |i: usize, ideal: f64| (rows[i].alpha - ideal).sin().abs() > NEAR_RAD.sin();
-        let bent = rows.iter().any(|row| row.beta.abs() > NEAR_RAD);
-        if bent || off(1, FRAC_PI_2) || off(2, 0.0) || rows[5].a.abs() > NEAR_MM {
+        let off = |i: usize, ideal: f64| (rows[i].alpha - ideal).sin().abs();
+        let bent = |most: f64| rows.iter().any(|row| row.beta.abs() > most);
+        if bent(NEAR_RAD) || off(1, FRAC_PI_2).max(off(2, 0.0)) > NEAR_RAD.sin() || rows[5].a.abs() > NEAR_MM
+        {
             return None;
         }
         if rows[5].alpha.sin().abs() < LEAST_SINE {
             return None;
         }
+        let exact = geometry.is_rigid()
+            && !bent(0.0)
+            && off(1, FRAC_PI_2).max(off(2, 0.0)) < 1e-12
+            && rows[5].a == 0.0;
+        let touching = if exact { 0.0 } else { TOUCHING };
         let (sin, cos) = rows[4].alpha.sin_cos();
         rows[5].a = 0.0;
         let fifth = Vector3::new(0.0, -sin, cos);
         let wrist = Vector3::x() * rows[4].a + fifth * rows[4].d;
         let (fold, twist) = (rows[2].alpha.cos().signum(), rows[1].alpha.sin().signum());
-        Some(Self { rows, wrist, fifth, fold, twist })
+        Some(Self { rows, wrist, fifth, fold, twist, fourth: rows[3].alpha.sin_cos(), touching })
     }
 
     fn target(&self, geometry: &Geometry, ball: &Pose) -> Target {
@@ -94,49 +147,49 @@ impl Offset {
         Target { wrist: flange - sixth * rows[5].d - shift, sixth, rotation }
     }
 
-    /// Joints 1 to 3 where joint 4 has this angle, in each of two shoulders and two elbows.
-    fn reach(&self, target: &Target, theta4: f64) -> [Option<Reach>; 4] {
+    fn forearm(&self, theta4: f64) -> Forearm {
         let rows = &self.rows;
         let (sin, cos) = theta4.sin_cos();
-        let (sin4, cos4) = rows[3].alpha.sin_cos();
+        let (sin4, cos4) = self.fourth;
         let in_third = |v: &Vector3<f64>| {
             let (x, y) = (cos * v.x - sin * v.y, sin * v.x + cos * v.y);
             Vector3::new(x, cos4 * y - sin4 * v.z, sin4 * y + cos4 * v.z)
         };
-        let forearm = Vector3::new(rows[3].a, -sin4 * rows[3].d, cos4 * rows[3].d) + in_third(&self.wrist);
-        let fifth = in_third(&self.fifth);
-        let wrist = &target.wrist;
-        let side = rows[1].d + self.fold * (rows[2].d + forearm.z);
+        let end = Vector3::new(rows[3].a, -sin4 * rows[3].d, cos4 * rows[3].d) + in_third(&self.wrist);
+        Forearm { fifth: in_third(&self.fifth), side: rows[1].d + self.fold * (rows[2].d + end.z), end }
+    }
+
+    fn shoulder(&self, target: &Target, forearm: &Forearm, shoulder: Side) -> Shoulder {
+        let (wrist, side) = (&target.wrist, forearm.side);
         let square = wrist.x * wrist.x + wrist.y * wrist.y;
-        let (upper, lower) = (rows[2].a, forearm.x.hypot(forearm.y));
-        let mut found = [None, None, None, None];
-        let forward = (square - side * side).sqrt();
-        if forward.is_nan() || upper * lower == 0.0 || square == 0.0 {
-            return found;
-        }
-        for (s, forward) in [forward, -forward].into_iter().enumerate() {
-            let first = minus([wrist.x / square, wrist.y / square], [forward, -self.twist * side]);
-            let [x, y] = [forward - rows[1].a, self.twist * wrist.z];
-            let far = x * x + y * y;
-            let bend = (far - upper * upper - lower * lower) / (2.0 * upper * lower);
-            let straight = (1.0 - bend * bend).sqrt();
-            if straight.is_nan() || far == 0.0 {
-                continue;
-            }
-            // Axis 6 in the plane of the arm.
-            let [along, across] = minus([target.sixth.x, target.sixth.y], first);
-            let sixth = [along, self.twist * target.sixth.z];
-            for (e, sine) in [straight, -straight].into_iter().enumerate() {
-                let second = minus([x / far, y / far], [upper + lower * bend, lower * sine]);
-                let hand = [(x - upper * second[0]) / lower, (y - upper * second[1]) / lower];
-                let both = minus(hand, [forearm.x / lower, self.fold * forearm.y / lower]);
-                let [u, v] = minus(sixth, both);
-                let cosine = fifth.x * u + self.fold * (fifth.y * v - fifth.z * self.twist * across);
-                let miss = cosine - rows[5].alpha.cos();
-                found[2 * s + e] = Some(Reach { miss, first, second, both });
-            }
-        }
-        found
+        let left = square - side * side;
+        let forward = shoulder.of(left.max(0.0).sqrt());
+        let first = minus([wrist.x / square, wrist.y / square], [forward, -self.twist * side]);
+        let [x, y] = [forward - self.rows[1].a, self.twist * wrist.z];
+        let (upper, lower) = (self.rows[2].a, forearm.end.x.hypot(forearm.end.y));
+        let bend = (x * x + y * y - upper * upper - lower * lower) / (2.0 * upper * lower);
+        let left = left / square;
+        let room = if left < 0.0 { left } else { left.min(1.0 - bend * bend) };
+        Shoulder { first, to_wrist: [x, y], bend, room }
+    }
+
+    /// Joints 1 to 3 where joint 4 has this angle; beyond the reach as at its end.
+    fn reach(&self, target: &Target, theta4: f64, [shoulder, elbow]: [Side; 2]) -> Reach {
+        let forearm = self.forearm(theta4);
+        let Shoulder { first, to_wrist: [x, y], bend, .. } = self.shoulder(target, &forearm, shoulder);
+        let (upper, lower) = (self.rows[2].a, forearm.end.x.hypot(forearm.end.y));
+        let sine = elbow.of((1.0 - bend * bend).max(0.0).sqrt());
+        let far = x * x + y * y;
+        // Axis 6 in the plane of the arm.
+        let [along, across] = minus([target.sixth.x, target.sixth.y], first);
+        let sixth = [along, self.twist * target.sixth.z];
+        let second = minus([x / far, y / far], [upper + lower * bend, lower * sine]);
+        let hand = [(x - upper * second[0]) / lower, (y - upper * second[1]) / lower];
+        let both = minus(hand, [forearm.end.x / lower, self.fold * forearm.end.y / lower]);
+        let [u, v] = minus(sixth, both);
+        let fifth = forearm.fifth;
+        let cosine = fifth.x * u + self.fold * (fifth.y * v - fifth.z * self.twist * across);
+        Reach { miss: cosine - self.rows[5].alpha.cos(), first, second, both }
     }
 
     /// The controller's axis angles.
@@ -164,42 +217,22 @@ impl Offset {
     /// Axis angles at and near every zero.
     fn starts(&self, geometry: &Geometry, ball: &Pose) -> Vec<[f64; AXES]> {
         let target = self.target(geometry, ball);
-        let step = TAU / TRIED as f64;
-        let at = |k: usize| -PI + step * k as f64;
-        let tried: Vec<[Option<Reach>; 4]> = (0..TRIED).map(|k| self.reach(&target, at(k))).collect();
         let mut found = Vec::with_capacity(16);
-        for branch in 0..4 {
-            let one = |theta4: f64| -> Option<Reach> {
-                let mut reach = self.reach(&target, theta4);
-                reach[branch].take()
-            };
-            let mut add = |theta4: f64| {
-                if let Some(reach) = one(theta4) {
-                    found.push(self.axes(&target, theta4, &reach));
-                }
-            };
-            let miss = |k: usize| tried[k % TRIED][branch].as_ref().map(|reach| reach.miss);
-            for k in 0..TRIED {
-                match (miss(k), miss(k + 1)) {
-                    (Some(a), Some(b)) if a * b <= 0.0 => {
-                        add(zero(at(k), at(k + 1), a, |theta4| one(theta4).map(|reach| reach.miss)));
-                    }
-                    (Some(a), Some(b)) => {
-                        // Two zeros between: the condition turns back towards zero.
-                        let turns = |before: Option<f64>, a: f64, b: f64| {
-                            before.is_none_or(|before| before.abs() > a.abs()) && a.abs() <= b.abs()
-                        };
-                        if turns(miss(k + TRIED - 1), a, b) && a.abs() < 0.05 {
-                            add(at(k) - 0.3 * step);
-                            add(at(k) + 0.3 * step);
-                        }
-                        if miss(k + 2).is_none() && b.abs() <= a.abs() && b.abs() < 0.05 {
-                            add(at(k + 1));
-                        }
-                    }
-                    (Some(_), None) => edge(at(k), at(k + 1), one, miss(k), &mut add),
-                    (None, Some(_)) => edge(at(k + 1), at(k), one, miss(k + 1), &mut add),
-                    (None, None) => {}
+        for shoulder in Side::BOTH {
+            let room = |theta4: f64| self.shoulder(&target, &self.forearm(theta4), shoulder).room;
+            for (from, to) in reached(self.touching, room) {
+                for elbow in Side::BOTH {
+                    let branch = [shoulder, elbow];
+                    let half = 0.5 * (to - from);
+                    // Like a square root where the reach ends, the condition is smooth over the angle of a half turn.
+                    let theta4 = |t: f64| from + half * (1.0 - t.cos());
+                    let miss = |t: f64| self.reach(&target, theta4(t), branch).miss;
+                    let tried = LEAST_TRIED.max((0.25 * (to - from) * TRIED as f64).ceil() as usize);
+                    let search = Search { end: PI, tried, ends: Ends::Apart, touching: self.touching };
+                    search.zeros(miss, &mut |t| {
+                        let theta4 = theta4(t);
+                        found.push(self.axes(&target, theta4, &self.reach(&target, theta4, branch)));
+                    });
                 }
             }
         }
@@ -207,16 +240,115 @@ impl Offset {
     }
 }
 
+/// Where the ends of the searched interval are.
+#[derive(Clone, Copy, PartialEq)]
+enum Ends {
+    Apart,
+    /// The end is the begin again.
+    Joined,
+}
+
+/// The intervals of joint 4 with room.
+fn reached(touching: f64, room: impl Fn(f64) -> f64) -> Vec<(f64, f64)> {
+    let mut ends = Vec::new();
+    let search = Search { end: TAU, tried: TRIED, ends: Ends::Joined, touching };
+    search.zeros(&room, &mut |end| ends.push(end));
+    ends.sort_by(f64::total_cmp);
+    let Some(first) = ends.first().copied() else {
+        return if room(0.0) >= 0.0 { vec![(0.0, TAU)] } else { Vec::new() };
+    };
+    ends.push(first + TAU);
+    let between = ends.windows(2).map(|ends| (ends[0], ends[1]));
+    let least = |from: f64, to: f64| if to - from < BEYOND { -touching } else { 0.0 };
+    between.filter(|(from, to)| room(0.5 * (from + to)) >= least(*from, *to)).collect()
+}
+
+/// A search for the zeros of a smooth function from 0 to `end`.
+struct Search {
+    end: f64,
+    tried: usize,
+    ends: Ends,
+    /// As of the arm.
+    touching: f64,
+}
+
+impl Search {
+    /// Two zeros between samples are found by the extremum between them.
+    fn zeros(&self, f: impl Fn(f64) -> f64, add: &mut impl FnMut(f64)) {
+        let step = self.end / self.tried as f64;
+        let at = |k: usize| step * k as f64;
+        let mut values: Vec<f64> = (0..self.tried).map(|k| f(at(k))).collect();
+        values.push(if self.ends == Ends::Joined { values[0] } else { f(self.end) });
+        for (k, pair) in values.windows(2).enumerate() {
+            if pair[0] * pair[1] <= 0.0 {
+                add(zero(at(k), at(k + 1), [pair[0], pair[1]], &f));
+            }
+        }
+        let last = if self.ends == Ends::Joined { self.tried - 1 } else { self.tried };
+        for (k, here) in values.iter().copied().enumerate().take(last + 1) {
+            let before = match k.checked_sub(1) {
+                None if self.ends == Ends::Joined => Some(self.tried - 1),
+                before => before,
+            };
+            let turns = |other: Option<&f64>| {
+                other.is_none_or(|other| other * here > 0.0 && other.abs() >= here.abs())
+            };
+            let (before, after) = (before.and_then(|before| values.get(before)), values.get(k + 1));
+            if here.abs() < NEAR_ZERO && turns(before) && turns(after) {
+                let low = at(k) - if before.is_some() { step } else { 0.0 };
+                let high = at(k) + if after.is_some() { step } else { 0.0 };
+                let is_end = before.is_none() || after.is_none();
+                let touching = if is_end && self.touching > 0.0 { NEAR_ZERO } else { self.touching };
+                turned([low, high], touching, |t| here.signum() * f(t), add);
+            }
+        }
+    }
+}
+
+/// The two zeros about the minimum of a function that is positive at both ends; where it has none and the minimum is less than `touching`,
+/// two points beside the minimum.
+fn turned([low, high]: [f64; 2], touching: f64, f: impl Fn(f64) -> f64, add: &mut impl FnMut(f64)) {
+    let (lowest, value) = lowest(low, high, &f);
+    if value <= 0.0 {
+        add(zero(low, lowest, [f(low), value], &f));
+        add(zero(lowest, high, [value, f(high)], &f));
+    } else if value < touching {
+        add(0.5 * (low + lowest));
+        add(0.5 * (lowest + high));
+    }
+}
+
+/// Where a function with one minimum between `low` and `high` is least, or not positive, by golden sections.
+fn lowest(mut low: f64, mut high: f64, f: impl Fn(f64) -> f64) -> (f64, f64) {
+    const SECTION: f64 = 0.381_966_011_250_105_2;
+    let (mut a, mut b) = (low + SECTION * (high - low), high - SECTION * (high - low));
+    let (mut at_a, mut at_b) = (f(a), f(b));
+    for _ in 0..HALVINGS {
+        if at_a <= 0.0 || at_b <= 0.0 {
+            break;
+        }
+        if at_a < at_b {
+            (high, b, at_b) = (b, a, at_a);
+            a = low + SECTION * (high - low);
+            at_a = f(a);
+        } else {
+            (low, a, at_a) = (a, b, at_b);
+            b = high - SECTION * (high - low);
+            at_b = f(b);
+        }
+    }
+    if at_a < at_b { (a, at_a) } else { (b, at_b) }
+}
+
 /// The zero between `a` and `b`, where the values have different signs.
-fn zero(mut a: f64, mut b: f64, mut at_a: f64, miss: impl Fn(f64) -> Option<f64>) -> f64 {
-    let Some(mut at_b) = miss(b) else { return a };
+fn zero(mut a: f64, mut b: f64, [mut at_a, mut at_b]: [f64; 2], f: impl Fn(f64) -> f64) -> f64 {
     for _ in 0..HALVINGS {
         if at_a == at_b {
             break;
         }
         // Regula falsi, the side that stays counted half (Illinois).
         let next = (a * at_b - b * at_a) / (at_b - at_a);
-        let Some(value) = miss(next) else { break };
+        let value = f(next);
         if value.abs() < 1e-14 {
             return next;
         }
@@ -233,32 +365,6 @@ fn zero(mut a: f64, mut b: f64, mut at_a: f64, miss: impl Fn(f64) -> Option<f64>
     b
 }
 
-/// Starts where the reach ends between `inside` and `outside`: two branches of the arm meet there.
-fn edge(
-    inside: f64,
-    outside: f64,
-    one: impl Fn(f64) -> Option<Reach>,
-    at_inside: Option<f64>,
-    add: &mut impl FnMut(f64),
-) {
-    let (mut within, mut beyond) = (inside, outside);
-    for _ in 0..HALVINGS {
-        let middle = 0.5 * (within + beyond);
-        if one(middle).is_some() {
-            within = middle;
-        } else {
-            beyond = middle;
-        }
-    }
-    let (Some(a), Some(end)) = (at_inside, one(within).map(|reach| reach.miss)) else { return };
-    if a * end <= 0.0 {
-        add(zero(inside, within, a, |theta4| one(theta4).map(|reach| reach.miss)));
-    } else if end.abs() < 0.2 {
-        add(0.5 * (inside + within));
-        add(0.9 * within + 0.1 * inside);
-    }
-}
-
 /// Axis angles all over the arm's turns, in a sequence with low discrepancy: multiples of the powers of the root of
 /// x^7 = x + 1 (Roberts).
 fn anywhere() -> impl Iterator<Item = [f64; AXES]> {
@@ -271,21 +377,37 @@ fn anywhere() -> impl Iterator<Item = [f64; AXES]> {
     })
 }
 
+/// The branches that are found.
+struct Found<'a> {
+    geometry: &'a Geometry,
+    ball: &'a Pose,
+    branches: Vec<[f64; AXES]>,
+}
+
+impl Found<'_> {
+    fn add(&mut self, start: [f64; AXES]) {
+        let Ok(axes) = numeric(self.geometry, self.ball, &start) else { return };
+        let axes = axes.map(super::wrapped);
+        let is = |other: &[f64; AXES]| (0..AXES).all(|i| super::wrapped(axes[i] - other[i]).abs() < SAME_RAD);
+        if !self.branches.iter().any(is) {
+            self.branches.push(axes);
+        }
+    }
+}
+
 /// All branches at `ball` that are found; axis angles in rad, each in (-pi, pi]. Each is reached to 1e-9 mm and 1e-11 rad
 /// forward.
 pub(super) fn branches(geometry: &Geometry, ball: &Pose) -> Vec<[f64; AXES]> {
-    let mut found: Vec<[f64; AXES]> = Vec::new();
-    let mut keep = |start: [f64; AXES]| {
-        let Ok(axes) = numeric(geometry, ball, &start) else { return };
-        let axes = axes.map(super::wrapped);
-        let is = |other: &[f64; AXES]| (0..AXES).all(|i| super::wrapped(axes[i] - other[i]).abs() < SAME_RAD);
-        if !found.iter().any(is) {
-            found.push(axes);
-        }
-    };
+    let mut found = Found { geometry, ball, branches: Vec::new() };
     match Offset::near(geometry) {
-        Some(arm) => arm.starts(geometry, ball).into_iter().for_each(&mut keep),
-        None => anywhere().for_each(&mut keep),
+        Some(arm) => arm.starts(geometry, ball).into_iter().for_each(|start| found.add(start)),
+        None => anywhere().for_each(|start| found.add(start)),
     }
-    found
+    // The zeros of a periodic function are even in number: a branch that met another is missing.
+    if found.branches.len() % 2 == 1 {
+        for axes in found.branches.clone() {
+            twin(geometry, &axes).into_iter().for_each(|start| found.add(start));
+        }
+    }
+    found.branches
 }
