@@ -22,7 +22,7 @@ const LEAST_SINE: f64 = 0.1;
 const TRIED: usize = 90;
 const LEAST_TRIED: usize = 8;
 const HALVINGS: usize = 30;
-/// A condition that comes so near to zero without a sample beyond it is searched for two zeros.
+/// A condition that comes so near to zero without a sample beyond is searched for two zeros.
 const NEAR_ZERO: f64 = 0.3;
 /// By how much conditions of an arm differ from those of the ideal one nearby, and how long an interval beyond its reach
 /// may be that the arm reaches, rad.
@@ -228,7 +228,8 @@ impl Offset {
                     let theta4 = |t: f64| from + half * (1.0 - t.cos());
                     let miss = |t: f64| self.reach(&target, theta4(t), branch).miss;
                     let tried = LEAST_TRIED.max((0.25 * (to - from) * TRIED as f64).ceil() as usize);
-                    let search = Search { end: PI, tried, ends: Ends::Apart, touching: self.touching };
+                    let (end, ends, near) = (PI, Ends::Apart, NEAR_ZERO);
+                    let search = Search { end, tried, ends, near, touching: self.touching };
                     search.zeros(miss, &mut |t| {
                         let theta4 = theta4(t);
                         found.push(self.axes(&target, theta4, &self.reach(&target, theta4, branch)));
@@ -251,7 +252,7 @@ enum Ends {
 /// The intervals of joint 4 with room.
 fn reached(touching: f64, room: impl Fn(f64) -> f64) -> Vec<(f64, f64)> {
     let mut ends = Vec::new();
-    let search = Search { end: TAU, tried: TRIED, ends: Ends::Joined, touching };
+    let search = Search { end: TAU, tried: TRIED, ends: Ends::Joined, near: f64::INFINITY, touching };
     search.zeros(&room, &mut |end| ends.push(end));
     ends.sort_by(f64::total_cmp);
     let Some(first) = ends.first().copied() else {
@@ -268,6 +269,8 @@ struct Search {
     end: f64,
     tried: usize,
     ends: Ends,
+    /// An extremum between samples is looked for where the function is nearer to zero than this.
+    near: f64,
     /// As of the arm.
     touching: f64,
 }
@@ -294,11 +297,11 @@ impl Search {
                 other.is_none_or(|other| other * here > 0.0 && other.abs() >= here.abs())
             };
             let (before, after) = (before.and_then(|before| values.get(before)), values.get(k + 1));
-            if here.abs() < NEAR_ZERO && turns(before) && turns(after) {
+            if here.abs() < self.near && turns(before) && turns(after) {
                 let low = at(k) - if before.is_some() { step } else { 0.0 };
                 let high = at(k) + if after.is_some() { step } else { 0.0 };
                 let is_end = before.is_none() || after.is_none();
-                let touching = if is_end && self.touching > 0.0 { NEAR_ZERO } else { self.touching };
+                let touching = if is_end && self.touching > 0.0 { self.near } else { self.touching };
                 turned([low, high], touching, |t| here.signum() * f(t), add);
             }
         }
