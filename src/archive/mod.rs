@@ -6,7 +6,11 @@
 
 mod address;
 mod database;
+mod drift;
 mod local;
+mod pages;
+mod plant;
+mod posterior;
 mod push;
 mod query;
 mod schema;
@@ -18,6 +22,8 @@ mod work;
 pub use address::{Addresses, Secrets};
 pub use database::Database;
 pub use local::LocalRun;
+pub use pages::{PlantOptions, PlantPages};
+pub use posterior::WrittenPosterior;
 pub use push::Pushed;
 pub use query::{ArchivedFile, ArchivedRun, Selection};
 pub use spool::Spool;

@@ -110,7 +110,22 @@ pub struct Selection {
     pub until: Option<String>,
     /// A text that is in robot, type, bar, cell or operator.
     pub search: Option<String>,
+    /// Those that follow this one in the order of the list, the newest first.
+    pub after: Option<Place>,
     pub limit: Option<u64>,
+}
+
+/// The place of a run in the list.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Place {
+    pub measured: String,
+    pub sha256: String,
+}
+
+/// The pattern of what contains a text, whatever its case.
+pub(super) fn like(text: &str) -> Value {
+    let escaped = text.to_lowercase().replace('\\', "\\\\").replace('%', "\\%").replace('_', "\\_");
+    format!("%{escaped}%").as_str().into()
 }
 
 impl Selection {
@@ -128,9 +143,12 @@ impl Selection {
                 parts.push(format!("{part}{}", values.len()));
             }
         }
+        if let Some(Place { measured, sha256 }) = &self.after {
+            values.extend([measured.into(), sha256.into()]);
+            parts.push(format!("(run.measured, run.sha256) < (${}, ${})", values.len() - 1, values.len()));
+        }
         if let Some(search) = &self.search {
-            let escaped = search.to_lowercase().replace('\\', "\\\\").replace('%', "\\%").replace('_', "\\_");
-            values.push(format!("%{escaped}%").as_str().into());
+            values.push(like(search));
             let at = values.len();
             let like = ["robot", "type", "bar", "cell", "operator", "sha256"]
                 .map(|column| format!("lower(run.{column}) LIKE ${at} ESCAPE '\\'"));
@@ -146,7 +164,7 @@ impl Archive {
         let (condition, mut values) = selection.condition();
         values.push(selection.limit.unwrap_or(i64::MAX as u64).into());
         let sql = format!(
-            "SELECT {COLUMNS} FROM run WHERE {condition} ORDER BY measured DESC, sha256 LIMIT ${}",
+            "SELECT {COLUMNS} FROM run WHERE {condition} ORDER BY measured DESC, sha256 DESC LIMIT ${}",
             values.len()
         );
         self.database.query(&sql, &values)?.iter().map(ArchivedRun::of_row).collect()
@@ -160,8 +178,9 @@ impl Archive {
         {
             return Err(NotDigits { digits }.into());
         }
-        let sql = format!("SELECT {COLUMNS} FROM run WHERE sha256 LIKE $1");
-        let mut found = self.database.query(&sql, &[format!("{digits}%").as_str().into()])?;
+        // `g` follows every digit; a pattern would not use the index in every collation.
+        let sql = format!("SELECT {COLUMNS} FROM run WHERE sha256 >= $1 AND sha256 < $2 LIMIT 100");
+        let mut found = self.database.query(&sql, &[(&digits).into(), (&format!("{digits}g")).into()])?;
         match (found.pop(), found.len()) {
             (None, _) => Err(NoRun { digits }.into()),
             (Some(one), 0) => ArchivedRun::of_row(&one),

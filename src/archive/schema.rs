@@ -11,8 +11,10 @@ struct Step {
     postgres: &'static str,
 }
 
-const STEPS: &[Step] =
-    &[Step { sql: include_str!("schema/1.sql"), postgres: include_str!("schema/1-postgres.sql") }];
+const STEPS: &[Step] = &[
+    Step { sql: include_str!("schema/1.sql"), postgres: include_str!("schema/1-postgres.sql") },
+    Step { sql: include_str!("schema/2.sql"), postgres: include_str!("schema/2-postgres.sql") },
+];
 
 /// Made before the first step; roles of the whole server are made once.
 const GROUND: &str = include_str!("schema/0-postgres.sql");

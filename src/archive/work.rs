@@ -294,19 +294,32 @@ impl Archive {
             values.push(settings.text().into());
             condition += &format!(" AND result.settings = ${}", values.len());
         }
+        self.results_where(&condition, &values)
+    }
+
+    pub(super) fn results_where(
+        &mut self,
+        condition: &str,
+        values: &[Value],
+    ) -> Result<Vec<ArchivedResult>, Diagnostic> {
         let sql = format!(
             "SELECT {RESULT} FROM result JOIN run ON run.sha256 = result.run WHERE {condition} \
              ORDER BY run.robot, run.measured, result.settings, result.made_at"
         );
-        self.database.query(&sql, &values)?.iter().map(ArchivedResult::of_row).collect()
+        self.database.query(&sql, values)?.iter().map(ArchivedResult::of_row).collect()
     }
 
     /// The content of a file of a run's newest result; `None` where there is none.
     pub fn result_file(&mut self, run: &str, name: &str) -> Result<Option<Vec<u8>>, Diagnostic> {
+        self.result_object(run, name)?.map(|object| self.store.get(&object)).transpose()
+    }
+
+    /// The SHA-256 of that file.
+    pub(super) fn result_object(&mut self, run: &str, name: &str) -> Result<Option<String>, Diagnostic> {
         let sql = "SELECT f.sha256 FROM result_file f JOIN result r ON r.run = f.run AND r.settings = f.settings \
             AND r.version = f.version WHERE f.run = $1 AND f.name = $2 ORDER BY r.made_at DESC LIMIT 1";
         let rows = self.database.query(sql, &[run.into(), name.into()])?;
-        rows.first().map(|row| self.store.get(&row.text(0)?)).transpose()
+        rows.first().map(|row| row.text(0)).transpose()
     }
 }
 

@@ -87,6 +87,20 @@ findings! {
             BarJumped { bar: String, um: f64, sd_um: f64 } => "bar {bar} jumped by {um:+.1} um (standard deviation {sd_um:.1} um)";
             RobotChanged { robot: String, times: usize } => "robot {robot} changed suddenly, {times} times";
         }
+        E2430 "a page of the plant is asked for in a form that it has not",
+        cause: "The address was typed, or a link is of another version: a field is unknown, or its value is none of those that it can have.",
+        cure: "Begin at the first page, /. A robot is at /robot?name=SERIAL, a bar at /bar?name=SERIAL, a run at /runs/SHA256." {
+            NotAQuestion { why: String } => "the question cannot be read: {why}";
+            NotACursor { text: String } => "after={text}: must be a date, a space and a SHA-256";
+            NotADate { text: String } => "`{text}` is no date", help: "YYYY-MM-DD";
+        }
+        E2431 "the archive has no such robot, bar or report",
+        cause: "The name is mistyped, this role may not see its runs, or no worker has identified the run yet.",
+        cure: "Search for it on the first page. A run gets its report from `dbbd archive worker`." {
+            NoSuchRobot { robot: String } => "there is no robot `{robot}`";
+            NoSuchBar { bar: String } => "there is no bar `{bar}`";
+            NoReport { run: String } => "run {run} has no report yet";
+        }
         W2412 "a run waits in the spool",
         cause: "The archive could not be reached.",
         cure: "The next `dbbd archive push` with the same --spool sends it. Nothing was deleted." {

@@ -8,6 +8,8 @@ use crate::diagnostic::Diagnostic;
 #[cfg(feature = "archive")]
 mod fleet;
 #[cfg(feature = "archive")]
+mod serve;
+#[cfg(feature = "archive")]
 mod verbs;
 #[cfg(feature = "archive")]
 mod work;
@@ -96,6 +98,24 @@ enum What {
         /// The directory.
         #[arg(long, value_name = "DIR")]
         out: PathBuf,
+    },
+    /// Serve the page of the plant: robots with check, decision, due date and drift, bars, runs with their reports.
+    Serve {
+        /// Where to listen; other computers may ask only with --token-file.
+        #[arg(long, value_name = "ADDR:PORT", default_value = "127.0.0.1:8231")]
+        listen: String,
+        /// A file with the token that whoever asks must know.
+        #[arg(long, value_name = "FILE")]
+        token_file: Option<PathBuf>,
+        /// A name under which the page is reached, beside its address; may be given several times.
+        #[arg(long, value_name = "NAME")]
+        host: Vec<String>,
+        /// A robot is checked again after so many days.
+        #[arg(long, value_name = "DAYS", default_value = "180", value_parser = positive)]
+        interval: f64,
+        /// Mean position error that a robot must not reach; its drift is led on to it.
+        #[arg(long, value_name = "MM", value_parser = positive)]
+        limit: Option<f64>,
     },
     /// Write runs.csv and results.csv of a selection.
     Export {

@@ -35,12 +35,12 @@ pub(crate) struct Args {
 
 pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     let config = args.config.as_deref().map(Config::read).transpose()?.unwrap_or_default();
-    let (address, data) = (config.address, config.data.display().to_string());
+    let (address, data) = (config.door.address, config.data.display().to_string());
     if args.check {
         out.document(&json!({
             "address": address.to_string(), "data": data, "plans": config.plans.display().to_string(),
             "port": config.port.map(|port| port.to_string()), "protocol": config.protocol.as_ref().map(|one| &one.id),
-            "token": config.token.is_some(),
+            "token": config.door.token.is_some(),
         }))?;
         out.result(format!("the configuration is sound: http://{address}/, runs in {data}"));
         return Ok(Outcome::Done);
@@ -79,8 +79,8 @@ impl daemon::Cell for simulated::Cell {
 const LONGEST_VALUE: usize = 300;
 
 /// The log: a line an event on stderr, `level=.. event=.. key=value`.
-struct Lines {
-    out: Output,
+pub(super) struct Lines {
+    pub(super) out: Output,
 }
 
 impl Log for Lines {

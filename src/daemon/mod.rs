@@ -25,6 +25,8 @@ pub use mount_detector::{MountDetector, Reading};
 pub use progress::Progress;
 pub use recorder::Recorder;
 pub use schedule::{ALARM_SHARE, Schedule};
-pub use service::{Bench, Cell, Config, Level, Log, Program, abort_on_panic, serve};
+#[cfg(feature = "archive")]
+pub use service::serve_plant;
+pub use service::{Bench, Cell, Config, Door, Level, Log, Program, abort_on_panic, serve};
 pub use session::zero;
 pub use signals::stop_on_signal;

@@ -4,14 +4,13 @@ use std::sync::Arc;
 
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Extension, Path, State};
-use axum::http::header::{CONTENT_TYPE, SET_COOKIE};
-use axum::http::{HeaderMap, StatusCode};
+use axum::http::StatusCode;
+use axum::http::header::CONTENT_TYPE;
 use axum::response::{IntoResponse, Response};
 use serde::Deserialize;
 use serde_json::json;
 use tokio::sync::watch;
 
-use super::access::{Access, COOKIE_NAME};
 use super::connections::Peer;
 use super::json::{Body, Problem, json};
 use super::service::{Act, Catalogue, JobKind, JobRequest, Service, StartRequest};
@@ -26,7 +25,6 @@ pub const OPENAPI: &str = include_str!("openapi.json");
 #[derive(Clone)]
 pub(super) struct App {
     pub(super) service: Arc<dyn Service>,
-    pub(super) access: Arc<Access>,
     pub(super) stop: watch::Receiver<bool>,
 }
 
@@ -42,11 +40,15 @@ async fn ask<T: Send + 'static>(
     app: App,
     question: impl FnOnce(&dyn Service) -> Result<T, Diagnostic> + Send + 'static,
 ) -> Result<T, Problem> {
-    let service: Arc<dyn Service> = app.service;
-    match tokio::task::spawn_blocking(move || question(&*service)).await {
-        Ok(answer) => Ok(answer?),
-        Err(error) => Err(Diagnostic::new(WorkerLost { worker: error.to_string() }).into()),
-    }
+    Ok(wait(move || question(&*app.service)).await?)
+}
+
+/// Does what may wait on a thread for it.
+pub(super) async fn wait<T: Send + 'static>(
+    work: impl FnOnce() -> Result<T, Diagnostic> + Send + 'static,
+) -> Result<T, Diagnostic> {
+    let done = tokio::task::spawn_blocking(work).await;
+    done.unwrap_or_else(|error| Err(WorkerLost { worker: error.to_string() }.into()))
 }
 
 fn parts<T>(parts: Parts<T>) -> Result<T, Problem> {
@@ -57,35 +59,6 @@ fn parts<T>(parts: Parts<T>) -> Result<T, Problem> {
 
 pub(super) async fn openapi() -> Response {
     ([(CONTENT_TYPE, "application/json")], OPENAPI).into_response()
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(super) struct LogIn {
-    token: String,
-}
-
-pub(super) async fn log_in(
-    State(app): State<App>,
-    Extension(peer): Extension<Peer>,
-    Body(shown): Body<LogIn>,
-) -> Answer {
-    let logged_in = app.access.log_in(&shown.token, peer.address);
-    let session = logged_in.inspect_err(|_| report_guess(&*app.service, &peer))?;
-    peer.known(true);
-    let cookie = format!("{COOKIE_NAME}={session}; Path=/; HttpOnly; SameSite=Strict");
-    Ok((StatusCode::NO_CONTENT, [(SET_COOKIE, cookie)]).into_response())
-}
-
-/// A wrong token is a matter for the log.
-pub(super) fn report_guess(service: &dyn Service, peer: &Peer) {
-    service.warn("wrong_token", &[("address", &peer.address)]);
-}
-
-pub(super) async fn log_out(State(app): State<App>, headers: HeaderMap) -> Response {
-    app.access.log_out(&headers);
-    let cookie = format!("{COOKIE_NAME}=; Path=/; HttpOnly; SameSite=Strict; Max-Age=0");
-    (StatusCode::NO_CONTENT, [(SET_COOKIE, cookie)]).into_response()
 }
 
 pub(super) async fn status(State(app): State<App>) -> Response {
@@ -262,5 +235,5 @@ pub(super) async fn cancel(State(app): State<App>, id: Parts<String>) -> Answer 
 
 pub(super) async fn metrics(State(app): State<App>) -> Response {
     let text = prometheus::text(&app.service.status().borrow());
-    ([(CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")], text).into_response()
+    prometheus::answer(text)
 }

@@ -34,6 +34,10 @@ impl Problem {
         Self { status, finding: Box::new(finding.into()), allow: None }
     }
 
+    pub(super) fn status(&self) -> StatusCode {
+        self.status
+    }
+
     pub(super) fn allow(mut self, methods: &'static str) -> Self {
         self.allow = Some(methods);
         self
@@ -44,7 +48,9 @@ impl Problem {
 impl From<Diagnostic> for Problem {
     fn from(finding: Diagnostic) -> Self {
         let status = match finding.code.0 {
-            "E1503" => StatusCode::NOT_FOUND,
+            "E1503" | "E2409" | "E2431" => StatusCode::NOT_FOUND,
+            "E2430" => StatusCode::BAD_REQUEST,
+            "E2404" => StatusCode::SERVICE_UNAVAILABLE,
             "E1505" => StatusCode::UNPROCESSABLE_ENTITY,
             "E1506" => StatusCode::TOO_MANY_REQUESTS,
             "E1507" | "E0208" => StatusCode::INTERNAL_SERVER_ERROR,

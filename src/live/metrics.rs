@@ -2,15 +2,29 @@
 
 use std::fmt::Write;
 
+use axum::http::header::CONTENT_TYPE;
+use axum::response::{IntoResponse, Response};
+
 use super::view::{RunStatus, State, Status};
+
+/// A family of values, each with its labels as `{state="done"}` or with none.
+pub(super) fn family(out: &mut String, name: &str, kind: &str, help: &str, values: &[(&str, f64)]) {
+    // A String takes every write.
+    let _ = writeln!(out, "# HELP dbbd_{name} {help}\n# TYPE dbbd_{name} {kind}");
+    for (labels, value) in values {
+        let _ = writeln!(out, "dbbd_{name}{labels} {value}");
+    }
+}
+
+pub(super) fn answer(text: String) -> Response {
+    ([(CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")], text).into_response()
+}
 
 /// The metrics; counts are those of the run that is on.
 pub(super) fn text(status: &Status) -> String {
     let mut out = String::new();
-    let mut metric = |name: &str, kind: &str, help: &str, value: f64| {
-        // A String takes every write.
-        let _ = writeln!(out, "# HELP dbbd_{name} {help}\n# TYPE dbbd_{name} {kind}\ndbbd_{name} {value}");
-    };
+    let mut metric =
+        |name: &str, kind: &str, help: &str, value: f64| family(&mut out, name, kind, help, &[("", value)]);
     let run = status.run.as_ref();
     let on = |value: bool| f64::from(u8::from(value));
     let count = |field: fn(&RunStatus) -> u64| run.map_or(0.0, |run| field(run) as f64);

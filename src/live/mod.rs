@@ -7,10 +7,13 @@ mod access;
 mod api;
 mod connections;
 mod downloads;
+mod guard;
 mod guesses;
 mod json;
 mod metrics;
 mod page;
+#[cfg(feature = "archive")]
+mod plant;
 mod routes;
 mod server;
 mod service;
@@ -20,7 +23,10 @@ mod view;
 
 pub use access::{Access, Token};
 pub use api::OPENAPI;
-pub use routes::routes;
+pub use guard::{Journal, PageFile, Site};
+#[cfg(feature = "archive")]
+pub use plant::{Decided, Filter, Name, Order, Plant, PlantNumbers, Question, RunFilter, plant_site};
+pub use routes::{cell_site, routes};
 pub use server::serve;
 pub use service::{
     Act, Catalogue, CheckItem, Download, Ended, Job, JobKind, JobRequest, JobState, ResultFile, RunEntry,

@@ -1,22 +1,20 @@
 //! The live page: files inside the binary.
 
-use axum::http::header::CONTENT_TYPE;
-use axum::response::{IntoResponse, Response};
+use super::guard::PageFile;
 
-/// Names, kinds and contents.
-pub(super) const FILES: &[(&str, &str, &str)] = &[
-    ("/", "text/html; charset=utf-8", include_str!("page/index.html")),
-    ("/style.css", "text/css; charset=utf-8", include_str!("page/style.css")),
-    ("/app.js", "text/javascript; charset=utf-8", include_str!("page/app.js")),
-    ("/gauge.js", "text/javascript; charset=utf-8", include_str!("page/gauge.js")),
-    ("/polar.js", "text/javascript; charset=utf-8", include_str!("page/polar.js")),
-    ("/numbers.js", "text/javascript; charset=utf-8", include_str!("page/numbers.js")),
-    ("/strip.js", "text/javascript; charset=utf-8", include_str!("page/strip.js")),
-    ("/link.js", "text/javascript; charset=utf-8", include_str!("page/link.js")),
-    ("/mounting.js", "text/javascript; charset=utf-8", include_str!("page/mounting.js")),
-    ("/texts.js", "text/javascript; charset=utf-8", include_str!("page/texts.js")),
-    ("/texts.json", "application/json", LANGUAGES),
-    ("/runs.js", "text/javascript; charset=utf-8", include_str!("page/runs.js")),
+pub(super) const FILES: &[PageFile] = &[
+    file("/", "text/html; charset=utf-8", include_str!("page/index.html")),
+    file("/style.css", "text/css; charset=utf-8", include_str!("page/style.css")),
+    file("/app.js", "text/javascript; charset=utf-8", include_str!("page/app.js")),
+    file("/gauge.js", "text/javascript; charset=utf-8", include_str!("page/gauge.js")),
+    file("/polar.js", "text/javascript; charset=utf-8", include_str!("page/polar.js")),
+    file("/numbers.js", "text/javascript; charset=utf-8", include_str!("page/numbers.js")),
+    file("/strip.js", "text/javascript; charset=utf-8", include_str!("page/strip.js")),
+    file("/link.js", "text/javascript; charset=utf-8", include_str!("page/link.js")),
+    file("/mounting.js", "text/javascript; charset=utf-8", include_str!("page/mounting.js")),
+    file("/texts.js", "text/javascript; charset=utf-8", include_str!("page/texts.js")),
+    file("/texts.json", "application/json", LANGUAGES),
+    file("/runs.js", "text/javascript; charset=utf-8", include_str!("page/runs.js")),
 ];
 
 /// The texts of the page by language: a further language is a file and its line here.
@@ -28,7 +26,6 @@ const LANGUAGES: &str = concat!(
     "}"
 );
 
-/// Answers with one of the page's files.
-pub(super) fn answer(kind: &'static str, content: &'static str) -> Response {
-    ([(CONTENT_TYPE, kind)], content).into_response()
+const fn file(path: &'static str, kind: &'static str, content: &'static str) -> PageFile {
+    PageFile { path, kind, content }
 }

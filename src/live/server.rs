@@ -2,7 +2,6 @@
 
 use std::io;
 use std::net::SocketAddr;
-use std::sync::Arc;
 use std::time::Duration;
 
 use axum::{Extension, Router};
@@ -14,10 +13,8 @@ use tokio::sync::watch;
 use tokio::task::JoinSet;
 use tokio::time::timeout;
 
-use super::access::Access;
 use super::connections::{Connections, Place};
-use super::routes;
-use super::service::Service;
+use super::guard::Site;
 use super::stall::Stalling;
 
 /// How long the head of a request may take.
@@ -41,20 +38,18 @@ pub(super) fn listen(address: SocketAddr) -> io::Result<TcpListener> {
     socket.listen(128)
 }
 
-/// Serves the page and the API at `address` until `stop` says so; `ready` is given the address once.
+/// Serves a site at `address` until `stop` says so; `ready` is given the address once.
 ///
 /// # Errors
 /// When the address cannot be had.
 pub async fn serve(
     address: SocketAddr,
-    service: Arc<dyn Service>,
-    access: Arc<Access>,
+    site: Site,
     mut stop: watch::Receiver<bool>,
     ready: impl FnOnce(SocketAddr),
 ) -> io::Result<()> {
     let listener = listen(address)?;
     ready(listener.local_addr()?);
-    let router = routes::router(Arc::clone(&service), access, stop.clone());
     let open = Connections::default();
     let mut connections = JoinSet::new();
     loop {
@@ -67,9 +62,9 @@ pub async fn serve(
             Ok((stream, from)) => {
                 let (place, gone) = open.enter(from.ip());
                 if let Some(gone) = gone {
-                    service.warn("connection_shed", &[("address", &gone), ("for", &from.ip())]);
+                    site.journal.warn("connection_shed", &[("address", &gone), ("for", &from.ip())]);
                 }
-                let router = router.clone().layer(Extension(place.peer(from.ip())));
+                let router = site.router.clone().layer(Extension(place.peer(from.ip())));
                 connections.spawn(talk(stream, router, stop.clone(), place));
             }
             // Out of file handles, as a rule: others must go first.

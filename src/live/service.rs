@@ -1,20 +1,18 @@
 //! What the pages ask of the service behind them.
 
-use std::fmt::Display;
 use std::fs::File;
 
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use tokio::sync::{broadcast, watch};
 
+use super::guard::Journal;
 use super::view::{Message, Point, Status};
 use crate::diagnostic::Diagnostic;
 
 /// The service behind the pages. The methods may wait for disk and device: they are called on threads of
 /// their own.
-pub trait Service: Send + Sync + 'static {
-    /// Writes a warning into the log; one that comes again and again is counted.
-    fn warn(&self, event: &'static str, fields: &[(&str, &dyn Display)]);
+pub trait Service: Journal {
     /// The state, as it changes.
     fn status(&self) -> watch::Receiver<Status>;
     /// The live stream; who reads too slowly loses messages.

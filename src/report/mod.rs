@@ -14,6 +14,8 @@ pub mod export;
 mod page;
 mod parameters;
 pub mod plan;
+#[cfg(feature = "archive")]
+pub mod plant;
 pub mod plot;
 mod scale;
 mod scene;

@@ -13,9 +13,14 @@ use crate::diagnostic::{Diagnostic, Finding};
 const PAGE_CSS: &str = include_str!("page.css");
 /// What turns and zooms the viewer, and shows what is wider than the page.
 const VIEWER_JS: &str = include_str!("viewer.js");
-/// Head, style and provenance, about what a page has of its own; and the macros of all pages.
+/// What every page begins with, also those of a service.
+const FRAME_HTML: &str = include_str!("frame.html");
+/// Style and provenance, about what a page has of its own; and the macros of all pages.
 const PAGE_HTML: &str = include_str!("page.html");
 const MACROS: &str = include_str!("macros.html");
+
+/// Name and text.
+pub(super) type Template<'a> = (&'a str, &'a str);
 
 /// Fills a template that extends `page.html`; its name ends in `.html`, which turns escaping on.
 pub(super) fn render(name: &str, template: &str, page: &impl Serialize) -> Result<String, Diagnostic> {
@@ -27,14 +32,24 @@ pub(super) fn render(name: &str, template: &str, page: &impl Serialize) -> Resul
         page: &'a T,
     }
     let style = format!("{}{PAGE_CSS}", plot_css());
-    fill(name, template, &Context { style, script: VIEWER_JS, version: crate::provenance::VERSION, page })
-        .map_err(|error| {
-            let why = error.detail().map_or_else(|| error.to_string(), str::to_owned);
-            Diagnostic::new(NoPage { page: name.into(), why })
-        })
+    let context = Context { style, script: VIEWER_JS, version: crate::provenance::VERSION, page };
+    fill(&[&[("page.html", PAGE_HTML), ("macros.html", MACROS)], &[(name, template)][..]].concat(), &context)
 }
 
-fn fill(name: &str, template: &str, context: &impl Serialize) -> Result<String, minijinja::Error> {
+/// Fills the last of these templates, which may use those before and `frame.html`.
+pub(super) fn fill(templates: &[Template<'_>], context: &impl Serialize) -> Result<String, Diagnostic> {
+    let name = templates.last().map_or("", |(name, _)| name);
+    filled(name, templates, context).map_err(|error| {
+        let why = error.detail().map_or_else(|| error.to_string(), str::to_owned);
+        Diagnostic::new(NoPage { page: name.into(), why })
+    })
+}
+
+fn filled(
+    name: &str,
+    templates: &[Template<'_>],
+    context: &impl Serialize,
+) -> Result<String, minijinja::Error> {
     let mut engine = Environment::new();
     engine.set_undefined_behavior(UndefinedBehavior::Strict);
     let or_dash = |text: Option<String>| text.unwrap_or_else(|| "–".into());
@@ -57,9 +72,10 @@ fn fill(name: &str, template: &str, context: &impl Serialize) -> Result<String, 
     engine.add_filter("typeset", typeset);
     engine.add_filter("capitalise", |text: String| capitalised(&text));
     engine.add_filter("css", css);
-    engine.add_template("page.html", PAGE_HTML)?;
-    engine.add_template("macros.html", MACROS)?;
-    engine.add_template(name, template)?;
+    engine.add_template("frame.html", FRAME_HTML)?;
+    for (name, template) in templates {
+        engine.add_template(name, template)?;
+    }
     engine.get_template(name)?.render(Serde(context))
 }
 

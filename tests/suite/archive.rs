@@ -9,6 +9,8 @@ mod on_one_machine;
 #[cfg(feature = "archive")]
 mod on_servers;
 #[cfg(feature = "archive")]
+mod pages;
+#[cfg(feature = "archive")]
 mod plant;
 #[cfg(feature = "archive")]
 mod service_pushes;
@@ -17,7 +19,7 @@ mod service_pushes;
 pub(crate) fn provoked() -> Vec<&'static str> {
     vec![
         "E2401", "E2402", "E2403", "E2404", "E2405", "E2406", "E2407", "E2408", "E2409", "E2410", "E2411",
-        "E2415", "W2412", "I2413", "W2414",
+        "E2415", "E2430", "E2431", "W2412", "I2413", "W2414",
     ]
 }
 
@@ -28,6 +30,11 @@ pub(crate) fn archive(dir: &Path, args: &[&str]) -> Output {
 
 /// The same with these variables.
 pub(crate) fn archive_with(dir: &Path, args: &[&str], variables: &[(&str, &str)]) -> Output {
+    command(dir, args, variables).output().unwrap()
+}
+
+/// The same, before it is run.
+pub(crate) fn command(dir: &Path, args: &[&str], variables: &[(&str, &str)]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_dbbd"));
     for name in
         ["DBBD_ARCHIVE", "DBBD_STORE", "PGPASSWORD", "DBBD_ARCHIVE_PASSWORD_FILE", "DBBD_STORE_SECRET_FILE"]
@@ -35,7 +42,8 @@ pub(crate) fn archive_with(dir: &Path, args: &[&str], variables: &[(&str, &str)]
         command.env_remove(name);
     }
     command.envs(variables.iter().copied());
-    command.arg("archive").args(args).current_dir(dir).output().unwrap()
+    command.arg("archive").args(args).current_dir(dir);
+    command
 }
 
 #[cfg(not(feature = "archive"))]

@@ -39,7 +39,10 @@ pub(crate) const TABLE: &[(&str, &[&str])] = &[
         ],
     ),
     ("live", &[]),
-    ("archive", &["provenance", "robot", "measurement", "estimation", "recording", "live"]),
+    (
+        "archive",
+        &["provenance", "robot", "measurement", "estimation", "conformity", "recording", "report", "live"],
+    ),
     ("sim", &["robot", "measurement", "device", "program"]),
     ("daemon", &["provenance", "robot", "measurement", "device", "plan", "recording", "live", "archive"]),
 ];

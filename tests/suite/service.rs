@@ -44,14 +44,14 @@ impl Server {
     /// The same of another file than the one that was built.
     pub(crate) fn start_program(program: &Path, dir: &Path, address: &str, config: &str) -> Self {
         std::fs::write(dir.join("dbbd.toml"), format!("address = \"{address}\"\n{config}")).unwrap();
-        let mut child = Command::new(program)
-            .env("DBBD_TEST_SECRET", "secret")
-            .args(["serve", "--config", "dbbd.toml"])
-            .current_dir(dir)
-            .stdin(Stdio::null())
-            .stderr(Stdio::piped())
-            .spawn()
-            .unwrap();
+        let mut command = Command::new(program);
+        command.env("DBBD_TEST_SECRET", "secret").args(["serve", "--config", "dbbd.toml"]).current_dir(dir);
+        Self::start_command(command)
+    }
+
+    /// A command that says where it listens.
+    pub(crate) fn start_command(mut command: Command) -> Self {
+        let mut child = command.stdin(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
         let mut lines = BufReader::new(child.stderr.take().unwrap()).lines();
         let listening = lines.by_ref().map(Result::unwrap).find(|line| line.contains("event=listening"));
         let listening = listening.expect("the service listens");

@@ -4,35 +4,21 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use nalgebra::{DMatrix, DVector};
-use serde::Deserialize;
 use serde_json::json;
 
-use crate::archive::{Archive, ArchivedResult, Selection, Settings};
+use crate::archive::{Archive, ArchivedResult, Selection, Settings, WrittenPosterior};
 use crate::base::{date, files, serialised};
 use crate::catalogue::ArchiveFinding;
 use crate::cli::{Outcome, Output};
 use crate::diagnostic::Diagnostic;
 use crate::estimation::fleet::{Assumptions, RunPosterior, fleet};
-use crate::robot::{ParamId, Robot};
-
-/// The posterior of a result as a worker writes it.
-#[derive(Deserialize)]
-struct Written {
-    parameters: Vec<ParamId>,
-    corrections: Vec<f64>,
-    covariance: Vec<Vec<f64>>,
-    prior: Vec<Option<f64>>,
-}
+use crate::robot::Robot;
 
 /// A result as the fleet takes it; `None` of one without a posterior or a date.
 fn of_result(result: &ArchivedResult, kind: &str, bar: &str) -> Option<RunPosterior> {
-    let written: Written = serde_json::from_str(result.found.posterior.as_ref()?).ok()?;
+    let written = WrittenPosterior::read(result.found.posterior.as_ref()?)?;
     let size = written.parameters.len();
-    let triangle = written.covariance.iter().enumerate().all(|(at, row)| row.len() == at + 1);
-    let sound =
-        triangle && [written.corrections.len(), written.covariance.len(), written.prior.len()] == [size; 3];
-    let covariance =
-        sound.then(|| DMatrix::from_fn(size, size, |i, j| written.covariance[i.max(j)][i.min(j)]))?;
+    let covariance = DMatrix::from_fn(size, size, |i, j| written.covariance[i.max(j)][i.min(j)]);
     Some(RunPosterior {
         robot: result.robot.clone(),
         kind: kind.into(),

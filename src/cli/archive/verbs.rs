@@ -8,12 +8,14 @@ use serde_json::json;
 use super::work::{Until, compare, work, worker};
 use super::{Args, Choice, What};
 use crate::archive::{
-    Addresses, Archive, ArchivedFile, ArchivedRun, LocalRun, Pushed, Secrets, Selection, Settings, Spool,
+    Addresses, Archive, ArchivedFile, ArchivedRun, LocalRun, PlantOptions, Pushed, Secrets, Selection,
+    Settings, Spool,
 };
 use crate::base::{files, serialised};
 use crate::catalogue::{ArchiveFinding, ProvenanceFinding};
 use crate::cli::info::line;
 use crate::cli::{Outcome, Output};
+use crate::daemon::Door;
 use crate::diagnostic::Diagnostic;
 use crate::provenance::{Provenance, VERSION};
 
@@ -44,6 +46,15 @@ pub(super) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         }
         What::Export { choice, out: directory } => {
             export(&mut Archive::open(&addresses)?, &choice.selection(), directory, out)
+        }
+        What::Serve { listen, token_file, host, interval, limit } => {
+            let door = Door::new(listen, token_file.as_deref(), host)?;
+            super::serve::run(
+                addresses,
+                door,
+                PlantOptions { interval_days: *interval, limit_mm: *limit },
+                out,
+            )
         }
         What::Get { run, out: directory } => get(&mut Archive::open(&addresses)?, run, directory, out),
     }
@@ -133,6 +144,7 @@ impl Choice {
             since: self.since.clone(),
             until: self.until.clone(),
             search: self.search.clone(),
+            after: None,
             limit: self.limit,
         }
     }

@@ -18,8 +18,8 @@ use crate::device::port::{self, PortAddress};
 use crate::device::protocol::Definition;
 use crate::diagnostic::Diagnostic;
 use crate::live::{
-    Act, Catalogue, CheckItem, Download, Job, JobKind, JobRequest, Message, Point, RunEntry, Service,
-    StartRequest, Status,
+    Act, Catalogue, CheckItem, Download, Job, JobKind, JobRequest, Journal, Message, Point, RunEntry,
+    Service, StartRequest, Status,
 };
 
 /// The longest run that may be asked for, s.
@@ -36,15 +36,13 @@ impl Drop for Place<'_> {
     }
 }
 
-impl Service for Supervisor {
+impl Journal for Supervisor {
     fn warn(&self, event: &'static str, fields: &[(&str, &dyn Display)]) {
-        if let Some(times) = self.repeats.due(event) {
-            let mut fields = fields.to_vec();
-            fields.push(("times", &times));
-            self.log.say(Level::Warning, event, &fields);
-        }
+        self.journal.warn(event, fields);
     }
+}
 
+impl Service for Supervisor {
     fn status(&self) -> watch::Receiver<Status> {
         self.status.subscribe()
     }

@@ -30,15 +30,20 @@ const GONE_S: f64 = 60.0;
 #[cfg(feature = "archive")]
 const RETRY_S: f64 = 60.0;
 
-/// What the service is to do.
+/// Where a service listens, and who may ask.
 #[derive(Debug)]
-pub struct Config {
-    /// Where it listens.
+pub struct Door {
     pub address: SocketAddr,
     /// Names under which it is reached, beside its addresses.
     pub hosts: Vec<String>,
     /// What whoever asks must know.
     pub token: Option<Token>,
+}
+
+/// What the service is to do.
+#[derive(Debug)]
+pub struct Config {
+    pub door: Door,
     /// Where the runs go: a directory for each.
     pub data: PathBuf,
     /// Where plans are looked for: `NAME/plan.csv`.
@@ -120,9 +125,11 @@ struct ArchiveTable {
 impl Default for Config {
     fn default() -> Self {
         Self {
-            address: SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 8230),
-            hosts: Vec::new(),
-            token: None,
+            door: Door {
+                address: SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 8230),
+                hosts: Vec::new(),
+                token: None,
+            },
             data: PathBuf::from("dbbd-runs"),
             plans: PathBuf::from("."),
             port: None,
@@ -158,6 +165,38 @@ impl Source<'_> {
     }
 }
 
+impl Door {
+    /// At an address with a port, for whoever knows the token of a file, under these names besides.
+    ///
+    /// # Errors
+    /// What of them is not valid, and others that could reach the address where no token is asked for.
+    pub fn new(address: &str, token_file: Option<&Path>, hosts: &[String]) -> Result<Self, ServiceFinding> {
+        let mut door = Config::default().door;
+        door.token = token_file.map(token).transpose()?;
+        door.listen(address)?;
+        hosts.iter().try_for_each(|host| door.add_host(host))?;
+        Ok(door)
+    }
+
+    /// The token first: without it nobody else may reach the address.
+    fn listen(&mut self, address: &str) -> Result<(), ServiceFinding> {
+        self.address = address.parse().map_err(|_| NotAnAddress)?;
+        if !self.address.ip().is_loopback() && self.token.is_none() {
+            return Err(OpenWithoutToken);
+        }
+        Ok(())
+    }
+
+    fn add_host(&mut self, host: &str) -> Result<(), ServiceFinding> {
+        let sound = |c: char| c.is_ascii_alphanumeric() || "-.".contains(c);
+        if host.is_empty() || !host.chars().all(sound) {
+            return Err(NotAHost);
+        }
+        self.hosts.push(host.into());
+        Ok(())
+    }
+}
+
 impl Config {
     /// Reads the file at `path`; paths in it count from its directory.
     ///
@@ -183,21 +222,15 @@ impl Config {
             config.plans = PathBuf::from(".");
         }
         if let Some(path) = &table.token_file {
-            config.token = Some(token(source, path)?);
+            let file = source.base.join(path.get_ref());
+            config.door.token = Some(token(&file).map_err(|wrong| source.wrong(path.span(), wrong))?);
         }
         if let Some(address) = &table.address {
-            config.address =
-                address.get_ref().parse().map_err(|_| source.wrong(address.span(), NotAnAddress))?;
-            if !config.address.ip().is_loopback() && config.token.is_none() {
-                return Err(source.wrong(address.span(), OpenWithoutToken));
-            }
+            let listen = config.door.listen(address.get_ref());
+            listen.map_err(|wrong| source.wrong(address.span(), wrong))?;
         }
         for host in table.hosts {
-            let sound = |c: char| c.is_ascii_alphanumeric() || "-.".contains(c);
-            if host.get_ref().is_empty() || !host.get_ref().chars().all(sound) {
-                return Err(source.wrong(host.span(), NotAHost));
-            }
-            config.hosts.push(host.into_inner());
+            config.door.add_host(host.get_ref()).map_err(|wrong| source.wrong(host.span(), wrong))?;
         }
         if let Some(port) = table.device.port {
             let address = port.get_ref().parse();
@@ -267,13 +300,10 @@ fn definition(
     Definition::from_toml_with(&path.display().to_string(), &text, params)
 }
 
-fn token(source: &Source, path: &Spanned<String>) -> Result<Token, Diagnostic> {
-    let file = source.base.join(path.get_ref());
-    let wrong = |finding: ServiceFinding| source.wrong(path.span(), finding);
-    let text =
-        fs::read_to_string(&file).map_err(|error| wrong(TokenUnreadable { why: error.to_string() }))?;
-    if files::mode(&file) & 0o007 != 0 {
-        return Err(wrong(ServiceFinding::TokenOpen));
+fn token(file: &Path) -> Result<Token, ServiceFinding> {
+    let text = fs::read_to_string(file).map_err(|error| TokenUnreadable { why: error.to_string() })?;
+    if files::mode(file) & 0o007 != 0 {
+        return Err(ServiceFinding::TokenOpen);
     }
-    Token::new(&text).ok_or_else(|| wrong(TokenTooShort))
+    Token::new(&text).ok_or(TokenTooShort)
 }

@@ -2,10 +2,11 @@
 
 use std::collections::BTreeMap;
 use std::fmt::Display;
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 
 use crate::base::clock;
 use crate::base::units::HostNs;
+use crate::live::Journal;
 
 /// Between two lines of an event that strangers cause, s: they could fill the disk with it.
 const REPEAT_S: f64 = 10.0;
@@ -27,19 +28,35 @@ pub trait Log: Send + Sync {
     fn say(&self, level: Level, event: &str, fields: &[(&str, &dyn Display)]);
 }
 
-/// Events that come again and again.
-#[derive(Default)]
-pub(super) struct Repeats(Mutex<BTreeMap<&'static str, Repeat>>);
+/// Warnings, of which those that come again and again are counted.
+pub(super) struct Warnings {
+    log: Arc<dyn Log>,
+    repeats: Mutex<BTreeMap<&'static str, Repeat>>,
+}
 
 struct Repeat {
     said: HostNs,
     times: u64,
 }
 
-impl Repeats {
+impl Journal for Warnings {
+    fn warn(&self, event: &'static str, fields: &[(&str, &dyn Display)]) {
+        if let Some(times) = self.due(event) {
+            let mut fields = fields.to_vec();
+            fields.push(("times", &times));
+            self.log.say(Level::Warning, event, &fields);
+        }
+    }
+}
+
+impl Warnings {
+    pub(super) fn new(log: Arc<dyn Log>) -> Self {
+        Self { log, repeats: Mutex::default() }
+    }
+
     /// How often the event came since it was last said, where it is time to say it again.
-    pub(super) fn due(&self, event: &'static str) -> Option<u64> {
-        let mut repeats = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+    fn due(&self, event: &'static str) -> Option<u64> {
+        let mut repeats = self.repeats.lock().unwrap_or_else(PoisonError::into_inner);
         let now = clock::now();
         let Some(repeat) = repeats.get_mut(event) else {
             repeats.insert(event, Repeat { said: now, times: 0 });

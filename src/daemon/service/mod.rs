@@ -14,7 +14,9 @@ mod serve;
 mod state;
 mod trial_cell;
 
-pub use config::Config;
+pub use config::{Config, Door};
 pub use log::{Level, Log};
+#[cfg(feature = "archive")]
+pub use serve::serve_plant;
 pub use serve::{abort_on_panic, serve};
 pub use trial_cell::{Bench, Cell, Program};

@@ -9,7 +9,9 @@ use std::{io, panic, process, thread};
 use tokio::sync::watch;
 
 use super::archiving;
-use super::config::Config;
+use super::config::{Config, Door};
+#[cfg(feature = "archive")]
+use super::log::Warnings;
 use super::log::{Level, Log};
 use super::notify::{notify, watchdog_s};
 use super::state::Supervisor;
@@ -19,7 +21,7 @@ use crate::base::units::HostNs;
 use crate::catalogue::ServiceFinding::{self, NoSystem, NotServing};
 use crate::daemon::signals;
 use crate::diagnostic::Diagnostic;
-use crate::live::{self, Access, Service, State};
+use crate::live::{self, Access, Site, State};
 
 /// How often the state is looked at, s.
 const LOOK_S: f64 = 0.2;
@@ -50,27 +52,56 @@ pub fn abort_on_panic() {
 /// # Errors
 /// When the address cannot be had or the system gives no threads.
 pub fn serve(mut config: Config, log: Arc<dyn Log>, bench: Option<Bench>) -> Result<(), Diagnostic> {
-    let address = config.address;
-    let access = Arc::new(Access::new(address.ip(), &config.hosts, config.token.take()));
+    let (address, access) = open(&mut config.door, &*log);
+    let signalled = signals::stop_on_signal()?;
+    let (supervisor, over) = Supervisor::new(config, Arc::clone(&log), bench).map_err(no_system)?;
+    let supervisor = Arc::new(supervisor);
+    archiving::start(&supervisor, over).map_err(no_system)?;
+    let (stop, stopped) = watch::channel(false);
+    let site = live::cell_site(supervisor.clone(), access, stopped.clone());
+    let web = Web::new(site, Arc::clone(&log), address, stopped);
+    let served = look(&web, &signalled, || {
+        let state = supervisor.tick();
+        // A run is worth more than pages that hang.
+        Look { status: state.name(), goes_on: state == State::Running }
+    });
+    notify("STOPPING=1");
+    stop.send_replace(true);
+    supervisor.end();
+    close(served?, &*log)
+}
+
+/// Serves the page of a plant until SIGINT or SIGTERM.
+///
+/// # Errors
+/// When the address cannot be had or the system gives no threads.
+#[cfg(feature = "archive")]
+pub fn serve_plant(mut door: Door, log: Arc<dyn Log>, plant: Arc<dyn live::Plant>) -> Result<(), Diagnostic> {
+    let (address, access) = open(&mut door, &*log);
+    let signalled = signals::stop_on_signal()?;
+    let (stop, stopped) = watch::channel(false);
+    let site = live::plant_site(plant, access, Arc::new(Warnings::new(Arc::clone(&log))))?;
+    let web = Web::new(site, Arc::clone(&log), address, stopped);
+    let served = look(&web, &signalled, || Look { status: "serving", goes_on: false });
+    notify("STOPPING=1");
+    stop.send_replace(true);
+    close(served?, &*log)
+}
+
+/// Where it listens and who may ask; the log has what is dangerous about it.
+fn open(door: &mut Door, log: &dyn Log) -> (SocketAddr, Arc<Access>) {
+    let address = door.address;
     if !address.ip().is_loopback() {
         log.say(Level::Warning, "open_to_the_network_without_encryption", &[("address", &address)]);
     }
     if is_root() {
         log.say(Level::Warning, "running_as_root", &[("help", &"docs/how-to/service.md")]);
     }
-    let signalled = signals::stop_on_signal()?;
-    let (supervisor, over) = Supervisor::new(config, Arc::clone(&log), bench).map_err(no_system)?;
-    let supervisor = Arc::new(supervisor);
-    archiving::start(&supervisor, over).map_err(no_system)?;
-    let (stop, stopped) = watch::channel(false);
-    let beat = Arc::new(AtomicU64::new(clock::now().0));
-    let address = Arc::new(Mutex::new(address));
-    let web = Web { service: supervisor.clone(), log: Arc::clone(&log), access, address, beat, stopped };
-    let served = look(&supervisor, &web, &signalled);
-    notify("STOPPING=1");
-    stop.send_replace(true);
-    supervisor.end();
-    match served?.join() {
+    (address, Arc::new(Access::new(address.ip(), &door.hosts, door.token.take())))
+}
+
+fn close(served: Served, log: &dyn Log) -> Result<(), Diagnostic> {
+    match served.join() {
         Ok(served) => served?,
         Err(_) => log.say(Level::Error, "web_died", &[]),
     }
@@ -80,16 +111,23 @@ pub fn serve(mut config: Config, log: Arc<dyn Log>, bench: Option<Bench>) -> Res
 
 type Served = thread::JoinHandle<Result<(), Diagnostic>>;
 
+/// What a look at the state finds.
+struct Look {
+    status: &'static str,
+    /// Whether it must go on although the pages hang.
+    goes_on: bool,
+}
+
 /// Keeps the state up to date, notifies the service manager, and starts the web's thread again when it died. Returns
 /// that thread when all is to end.
-fn look(supervisor: &Supervisor, web: &Web, signalled: &AtomicBool) -> Result<Served, Diagnostic> {
+fn look(web: &Web, signalled: &AtomicBool, tick: impl Fn() -> Look) -> Result<Served, Diagnostic> {
     let mut served = web.start().map_err(no_system)?;
     let mut notified = None;
     let (pause_s, mut signed) = (watchdog_s(), clock::now());
     while !signalled.load(Ordering::Relaxed) {
-        let state = supervisor.tick();
-        if notified.replace(state) != Some(state) {
-            notify(&format!("STATUS={}", state.name()));
+        let Look { status, goes_on } = tick();
+        if notified.replace(status) != Some(status) {
+            notify(&format!("STATUS={status}"));
         }
         if served.is_finished() {
             match served.join() {
@@ -101,9 +139,7 @@ fn look(supervisor: &Supervisor, web: &Web, signalled: &AtomicBool) -> Result<Se
         }
         let now = clock::now();
         let alive = now.seconds_since(HostNs(web.beat.load(Ordering::Relaxed))) < ALIVE_S;
-        // A run is worth more than pages that hang.
-        let sound = alive || state == State::Running;
-        if sound && pause_s.is_some_and(|pause_s| now.seconds_since(signed) >= pause_s) {
+        if (alive || goes_on) && pause_s.is_some_and(|pause_s| now.seconds_since(signed) >= pause_s) {
             notify("WATCHDOG=1");
             signed = now;
         }
@@ -115,9 +151,8 @@ fn look(supervisor: &Supervisor, web: &Web, signalled: &AtomicBool) -> Result<Se
 /// What answers clients, on threads of its own.
 #[derive(Clone)]
 struct Web {
-    service: Arc<dyn Service>,
+    site: Site,
     log: Arc<dyn Log>,
-    access: Arc<Access>,
     /// Where it listens: with the port that the system gave, once it has.
     address: Arc<Mutex<SocketAddr>>,
     /// When its loop was last alive.
@@ -126,6 +161,11 @@ struct Web {
 }
 
 impl Web {
+    fn new(site: Site, log: Arc<dyn Log>, address: SocketAddr, stopped: watch::Receiver<bool>) -> Self {
+        let beat = Arc::new(AtomicU64::new(clock::now().0));
+        Self { site, log, address: Arc::new(Mutex::new(address)), beat, stopped }
+    }
+
     fn start(&self) -> io::Result<Served> {
         let web = self.clone();
         thread::Builder::new().name(WEB.into()).spawn(move || web.run())
@@ -135,7 +175,7 @@ impl Web {
         let mut builder = tokio::runtime::Builder::new_current_thread();
         let builder = builder.enable_all().thread_name(WEB).max_blocking_threads(MOST_WAITING);
         let runtime = builder.build().map_err(no_system)?;
-        let Self { service, log, access, address, beat, stopped } = self;
+        let Self { site, log, address, beat, stopped } = self;
         let wanted = *address.lock().unwrap_or_else(PoisonError::into_inner);
         let served = runtime.block_on(async {
             tokio::spawn(async move {
@@ -149,7 +189,7 @@ impl Web {
                 log.say(Level::Info, "listening", &[("address", &format!("http://{given}/"))]);
                 notify("READY=1");
             };
-            live::serve(wanted, service, access, stopped, ready).await
+            live::serve(wanted, site, stopped, ready).await
         });
         // A question that never returns must not hold up the end.
         runtime.shutdown_timeout(Duration::from_secs(1));

@@ -12,7 +12,7 @@ use tokio::sync::{broadcast, watch};
 use super::catalogue::Plans;
 use super::config::Config;
 use super::jobs::Jobs;
-use super::log::{Level, Log, Repeats};
+use super::log::{Level, Log, Warnings};
 use super::trial_cell::{Bench, Cell, Program};
 use super::{catalogue, reading, runs};
 use crate::base::clock;
@@ -43,7 +43,7 @@ pub(super) struct Supervisor {
     pub(super) live: LiveState,
     pub(super) jobs: Jobs,
     pub(super) plans: Plans,
-    pub(super) repeats: Repeats,
+    pub(super) journal: Warnings,
     /// What waits for the archive.
     pub(super) archiving: Mutex<Option<Archiving>>,
     /// Is sent that a run is over.
@@ -131,6 +131,7 @@ impl Supervisor {
         };
         let supervisor = Self {
             config,
+            journal: Warnings::new(Arc::clone(&log)),
             log,
             bench,
             status: watch::Sender::new(Status::default()),
@@ -142,7 +143,6 @@ impl Supervisor {
                 mounting: Arc::default(),
             },
             plans: Plans::default(),
-            repeats: Repeats::default(),
             archiving: Mutex::default(),
             over,
             inner: Mutex::new(inner),

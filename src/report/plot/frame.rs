@@ -66,8 +66,8 @@ impl Frame {
     /// The usual axes: lines across, marks below.
     pub(super) fn axes(&mut self) {
         let [left, right] = self.x.pixels;
-        let [bottom, top] = self.y.pixels;
-        self.y_axis(&Ticks::inside(self.y.values, ((bottom - top) / 30.0).max(2.0)), Grid::Lines);
+        let bottom = self.y.pixels[0];
+        self.y_axis_lines();
         self.x_axis(&Ticks::inside(self.x.values, (right - left) / 65.0), Grid::Marks);
         self.svg.line("rule", [left, bottom], [right, bottom]);
     }
@@ -82,6 +82,12 @@ impl Frame {
             }
             self.svg.text("soft", [x, bottom + 17.0], Anchor::Middle, &ticks.label(value));
         }
+    }
+
+    /// Lines across at the usual distance.
+    pub(super) fn y_axis_lines(&mut self) {
+        let [bottom, top] = self.y.pixels;
+        self.y_axis(&Ticks::inside(self.y.values, ((bottom - top) / 30.0).max(2.0)), Grid::Lines);
     }
 
     pub(super) fn y_axis(&mut self, ticks: &Ticks, grid: Grid) {
@@ -109,6 +115,13 @@ impl Frame {
     pub(super) fn upright(&mut self, class: &str, value: f64) {
         let x = self.x.at(value);
         self.svg.line(class, [x, self.y.pixels[0]], [x, self.y.pixels[1]]);
+    }
+
+    /// The point of a pair of values, and none where the value is outside of the area.
+    #[cfg(feature = "archive")]
+    pub(super) fn inside(&self, x: f64, y: f64) -> [f64; 2] {
+        let [low, high] = self.y.values;
+        if (low..=high).contains(&y) { self.at(x, y) } else { [f64::NAN; 2] }
     }
 
     /// The point of a pair of values.

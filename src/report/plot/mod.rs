@@ -1,6 +1,8 @@
 //! The plots: typed data drawn as SVG texts.
 
 mod against_axis;
+#[cfg(feature = "archive")]
+mod drift;
 mod frame;
 mod heat_map;
 mod histogram;
@@ -14,6 +16,8 @@ mod trend;
 mod view;
 
 pub(super) use against_axis::against_axis;
+#[cfg(feature = "archive")]
+pub use drift::{Drift, DriftLine, DriftPoint};
 pub(super) use frame::{NARROW, WIDE};
 pub use heat_map::{HeatMap, Overlay};
 pub(super) use histogram::histogram;

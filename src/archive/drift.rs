@@ -1,0 +1,200 @@
+//! How a robot or a bar changes with time: the straight line through its results, and when a robot must be checked again.
+
+use serde::Serialize;
+
+use crate::base::date;
+use crate::conformity::LEVEL;
+use crate::math::distributions::{coverage_95, two_sided_tail};
+use crate::math::straight_line::{Reached, Sighting, StraightLine};
+use crate::report::plot::{DriftLine, DriftPoint};
+
+/// Fewer values make no line.
+pub(super) const LEAST: usize = 4;
+/// A forecast is drawn so many days beyond the last value, and days beyond the second number have no date.
+const AHEAD_DAYS: f64 = 365.0;
+const LAST_DAY: f64 = 200_000.0;
+const YEAR_DAYS: f64 = 365.25;
+/// Values that weigh alike take their deviation from their scatter; so small a one of their own adds nothing to it, mm.
+const NO_SD_MM: f64 = 1e-9;
+
+/// How a line weighs its values.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Weights {
+    Alike,
+    /// By their intervals.
+    Intervals,
+}
+
+/// The straight line through values in time.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Trend {
+    line: StraightLine,
+    coverage: f64,
+    significant: bool,
+    last: f64,
+    reached: Option<Reached>,
+}
+
+impl Trend {
+    /// Of values in the order of time. `None` of fewer than [`LEAST`], or of a single day.
+    pub(super) fn of(points: &[DriftPoint], weights: Weights, limit_mm: Option<f64>) -> Option<Self> {
+        let sd = |point: &DriftPoint| match weights {
+            Weights::Alike => NO_SD_MM,
+            Weights::Intervals => point.u95 / coverage_95(None),
+        };
+        let sighting = |point: &DriftPoint| Sighting { x: point.day, y: point.value, sd: sd(point) };
+        let sightings: Vec<Sighting> = points.iter().map(sighting).filter(|one| one.sd > 0.0).collect();
+        let last = points.last()?.day;
+        let line = StraightLine::through(&sightings).filter(|_| sightings.len() >= LEAST)?;
+        let freedom = Some((sightings.len() - 2) as f64);
+        let significant = two_sided_tail(line.slope / line.slope_sd, freedom) < LEVEL;
+        let coverage = coverage_95(freedom);
+        let reached = limit_mm.filter(|_| significant).and_then(|limit| line.reaches(limit, last, coverage));
+        Some(Self { line, coverage, significant, last, reached })
+    }
+
+    /// What the chart draws: a trend is led on to where it reaches the limit, within bounds.
+    pub(super) fn drawn(&self) -> DriftLine {
+        let ahead =
+            self.reached.map_or(AHEAD_DAYS, |reached| (reached.at - self.last).clamp(30.0, AHEAD_DAYS));
+        let until = if self.significant { self.last + ahead } else { self.last };
+        DriftLine { line: self.line, coverage: self.coverage, until }
+    }
+
+    /// The day on which the limit is reached: the last one where it is exceeded already.
+    fn reaches(&self, limit_mm: f64) -> Option<f64> {
+        let now = if self.significant { self.line.at(self.last) } else { self.line.level };
+        if now >= limit_mm { Some(self.last) } else { self.reached.map(|reached| reached.at) }
+    }
+
+    /// In words for the page.
+    pub(super) fn shown(&self) -> TrendShown {
+        let reached = self.reached.filter(|reached| reached.at < LAST_DAY);
+        TrendShown {
+            slope_a_year: self.line.slope * YEAR_DAYS,
+            u95_a_year: self.coverage * self.line.slope_sd * YEAR_DAYS,
+            significant: self.significant,
+            reached: reached.map(|reached| day_text(reached.at)),
+            earliest: reached.map(|reached| day_text(reached.earliest)),
+            latest: reached.and_then(|reached| reached.latest).filter(|day| *day < LAST_DAY).map(day_text),
+        }
+    }
+}
+
+/// A trend in mm a year, and the dates of its forecast.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub(super) struct TrendShown {
+    slope_a_year: f64,
+    u95_a_year: f64,
+    significant: bool,
+    reached: Option<String>,
+    earliest: Option<String>,
+    latest: Option<String>,
+}
+
+/// The last check of a robot.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Checked<'a> {
+    pub(super) on: Option<&'a str>,
+    pub(super) failed: bool,
+}
+
+/// When a robot must be checked again.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub(super) struct Due {
+    date: String,
+    overdue: bool,
+    by: DueBy,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+enum DueBy {
+    Interval,
+    Forecast,
+    /// The last check failed.
+    Failed,
+}
+
+impl Due {
+    /// So many days after the last check, at once after one that failed, or when the drift reaches the limit if that is
+    /// earlier.
+    pub(super) fn of(
+        checked: &Checked<'_>,
+        interval_days: f64,
+        trend: Option<(&Trend, f64)>,
+        today: f64,
+    ) -> Option<Self> {
+        let by_interval = checked.on.and_then(day_of).map(|day| match checked.failed {
+            true => (day, DueBy::Failed),
+            false => (day + interval_days, DueBy::Interval),
+        });
+        let by_drift = trend.and_then(|(trend, limit_mm)| trend.reaches(limit_mm));
+        let by_drift = by_drift.map(|day| (day, DueBy::Forecast));
+        let earlier = |(day, _): &(f64, DueBy)| *day;
+        let both = by_interval.into_iter().chain(by_drift).filter(|(day, _)| *day < LAST_DAY);
+        let (day, by) = both.min_by(|one, other| earlier(one).total_cmp(&earlier(other)))?;
+        Some(Self { date: day_text(day), overdue: day < today, by })
+    }
+}
+
+/// The day of a date or of a date and time, since 1970-01-01; `None` of what is none.
+pub(super) fn day_of(moment: &str) -> Option<f64> {
+    let (date, time) = moment.split_once('T').unwrap_or((moment, ""));
+    let mut parts = time.split([':', 'Z']).map(|part| part.parse::<f64>().unwrap_or(0.0));
+    let mut part = || parts.next().unwrap_or(0.0);
+    let day = date::day_number(date)?;
+    Some(day + (part() + part() / 60.0 + part() / 3600.0) / 24.0)
+}
+
+/// `YYYY-MM-DD`.
+pub(super) fn day_text(day: f64) -> String {
+    let ns = (day.clamp(0.0, LAST_DAY) * 86_400.0) as u64 * 1_000_000_000;
+    date::utc(ns).split('T').next().unwrap_or_default().into()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn points(values: &[f64]) -> Vec<DriftPoint> {
+        let point = |(at, value): (usize, &f64)| DriftPoint {
+            day: 20_000.0 + 100.0 * at as f64,
+            value: *value,
+            u95: 0.0,
+            doubtful: false,
+        };
+        values.iter().enumerate().map(point).collect()
+    }
+
+    /// Slope by hand: (2 (0.505 - 0.100) + (0.395 - 0.205)) / 10 = 0.1 mm in 100 days.
+    #[test]
+    fn a_trend_is_led_to_its_limit_and_scatter_is_none() {
+        let rising = points(&[0.100, 0.205, 0.300, 0.395, 0.505]);
+        let trend = Trend::of(&rising, Weights::Alike, Some(0.8)).unwrap();
+        let shown = trend.shown();
+        assert!((shown.slope_a_year / YEAR_DAYS - 1.0e-3).abs() < 1e-12, "{shown:?}");
+        assert!(shown.significant);
+        // 0.8 mm: 500 days after the mean day at the mean 0.301, 20 200.
+        let passed = Checked { on: Some("2024-10-04T00:00:00Z"), failed: false };
+        let due = Due::of(&passed, 365.0, Some((&trend, 0.8)), 20_401.0).unwrap();
+        assert_eq!((due.by, due.overdue), (DueBy::Interval, false));
+        let due = Due::of(&passed, 3650.0, Some((&trend, 0.8)), 21_000.0).unwrap();
+        assert_eq!((due.by, due.overdue), (DueBy::Forecast, true));
+        let due = Due::of(&Checked { failed: true, ..passed }, 365.0, None, 20_401.0).unwrap();
+        assert_eq!((due.by, due.date.as_str()), (DueBy::Failed, "2024-10-04"));
+        let flat = Trend::of(&points(&[0.3, 0.31, 0.29, 0.31, 0.3]), Weights::Alike, Some(0.8)).unwrap();
+        assert!(!flat.shown().significant && flat.shown().reached.is_none());
+        let never = Checked { on: None, failed: false };
+        let due = Due::of(&never, 365.0, Some((&flat, 0.2)), 0.0);
+        assert!(due.is_some_and(|due| due.by == DueBy::Forecast));
+        assert!(Trend::of(&points(&[0.1, 0.2, 0.3]), Weights::Alike, None).is_none());
+    }
+
+    #[test]
+    fn days_have_their_dates() {
+        assert_eq!(day_text(day_of("2024-02-29T12:00:00Z").unwrap()), "2024-02-29");
+        assert_eq!(day_of("2024-02-29T12:00:00Z").unwrap() - day_of("2024-02-28").unwrap(), 1.5);
+        assert_eq!(day_of("soon"), None);
+    }
+}

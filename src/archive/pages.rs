@@ -1,0 +1,326 @@
+//! The pages of a plant, made from what the archive holds.
+
+use std::io::{Seek as _, Write as _};
+use std::sync::{Mutex, PoisonError};
+
+use serde::Serialize;
+use serde_json::json;
+
+use super::drift::{Due, LEAST, Trend, TrendShown, Weights, day_of, day_text};
+use super::plant::{Found, PAGE_ROWS, Past, RobotState, Subject};
+use super::query::{ArchivedRun, Place, Selection};
+use super::{Addresses, Archive, WrittenPosterior};
+use crate::base::clock;
+use crate::catalogue::ArchiveFinding::{NoReport, NotACursor, NotADate, NotReached};
+use crate::catalogue::ServiceFinding::NoSystem;
+use crate::diagnostic::{Diagnostic, Finding as _};
+use crate::live::{Download, Filter, Name, PageFile, Plant, PlantNumbers, Question, RunFilter};
+use crate::math::distributions::coverage_95;
+use crate::report::plant::{PlantPage, SIGN_IN_JS, STYLE};
+use crate::report::plot::{Drift, DriftPoint};
+
+/// Results that a chart shows and a forecast is made from.
+const MOST_POINTS: u64 = 60;
+/// Runs on the page of a robot or a bar.
+const LAST_RUNS: u64 = 10;
+const REPORT: &str = "report.html";
+const FILES: [PageFile; 2] = [
+    PageFile { path: "/style.css", kind: "text/css; charset=utf-8", content: STYLE },
+    PageFile { path: "/sign-in.js", kind: "text/javascript; charset=utf-8", content: SIGN_IN_JS },
+];
+
+/// What the plant holds itself to; both are above 0.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PlantOptions {
+    /// A robot is checked again after so many days.
+    pub interval_days: f64,
+    /// Mean position error that a robot must not reach, mm.
+    pub limit_mm: Option<f64>,
+}
+
+/// The pages of an archive, with connections that are used again.
+pub struct PlantPages {
+    addresses: Addresses,
+    options: PlantOptions,
+    idle: Mutex<Vec<Archive>>,
+}
+
+/// A row of a list of runs.
+#[derive(Serialize)]
+struct RunLine {
+    #[serde(flatten)]
+    run: ArchivedRun,
+    /// The state of its newest job.
+    job: Option<String>,
+}
+
+#[derive(Serialize)]
+struct RobotLine {
+    #[serde(flatten)]
+    state: RobotState,
+    due: Option<Due>,
+    error_mm: Option<f64>,
+}
+
+/// The history of a robot or a bar.
+struct History {
+    points: Vec<DriftPoint>,
+    trend: Option<Trend>,
+}
+
+/// Where a list has further pages.
+#[derive(Serialize)]
+struct Pager {
+    page: u64,
+    pages: u64,
+    found: u64,
+    before: Option<String>,
+    next: Option<String>,
+}
+
+impl PlantPages {
+    /// # Errors
+    /// The archive cannot be reached, or has another form.
+    pub fn open(addresses: Addresses, options: PlantOptions) -> Result<Self, Diagnostic> {
+        let first = Archive::open(&addresses)?;
+        Ok(Self { addresses, options, idle: Mutex::new(vec![first]) })
+    }
+
+    /// Asks on a connection that is free. One that broke meanwhile is replaced once.
+    fn ask<T>(&self, question: impl Fn(&mut Archive) -> Result<T, Diagnostic>) -> Result<T, Diagnostic> {
+        let idle = || self.idle.lock().unwrap_or_else(PoisonError::into_inner);
+        let kept = idle().pop();
+        let used = kept.is_some();
+        let mut archive = kept.map_or_else(|| Archive::open(&self.addresses), Ok)?;
+        let mut answer = question(&mut archive);
+        let gone = NotReached { what: String::new(), why: String::new() }.code();
+        if used && answer.as_ref().is_err_and(|why| why.code == gone) {
+            idle().clear();
+            archive = Archive::open(&self.addresses)?;
+            answer = question(&mut archive);
+        }
+        if answer.as_ref().map_or_else(|why| why.code != gone, |_| true) {
+            idle().push(archive);
+        }
+        answer
+    }
+
+    fn history(&self, archive: &mut Archive, subject: Subject<'_>) -> Result<History, Diagnostic> {
+        let past = match subject {
+            Subject::Robot(_) => archive.history(subject, MOST_POINTS)?,
+            Subject::Bar(bar) => archive.life_of_bar(bar, MOST_POINTS)?,
+        };
+        let points: Vec<DriftPoint> = past.iter().filter_map(|past| point(past, subject)).collect();
+        let (weights, limit_mm) = match subject {
+            Subject::Robot(_) => (Weights::Alike, self.options.limit_mm),
+            Subject::Bar(_) => (Weights::Intervals, None),
+        };
+        let trend = Trend::of(&points, weights, limit_mm);
+        Ok(History { points, trend })
+    }
+
+    fn due(&self, robot: &RobotState, history: &History) -> Option<Due> {
+        let trend = history.trend.as_ref().zip(self.options.limit_mm);
+        Due::of(&robot.checked(), self.options.interval_days, trend, today())
+    }
+
+    fn robots(&self, archive: &mut Archive, filter: &Filter) -> Result<String, Diagnostic> {
+        let PlantOptions { interval_days, limit_mm } = self.options;
+        let totals = archive.totals(&day_text(today() - interval_days))?;
+        let found = archive.robots(filter)?;
+        let pager = pager("/", filter, &found);
+        let mut robots = Vec::new();
+        for state in found.rows {
+            let history = self.history(archive, Subject::Robot(&state.robot))?;
+            let due = self.due(&state, &history);
+            robots.push(RobotLine { state, due, error_mm: history.points.last().map(|point| point.value) });
+        }
+        PlantPage::Robots.html(&json!({
+            "totals": totals, "filter": filter, "robots": robots, "interval_days": interval_days,
+            "limit_mm": limit_mm, "page": pager.page, "pages": pager.pages, "found": pager.found,
+            "before": pager.before, "next": pager.next,
+        }))
+    }
+
+    fn robot(&self, archive: &mut Archive, name: &str) -> Result<String, Diagnostic> {
+        let state = archive.robot(name)?;
+        let history = self.history(archive, Subject::Robot(name))?;
+        let due = self.due(&state, &history);
+        let last = Selection { robot: Some(name.into()), limit: Some(LAST_RUNS), ..Selection::default() };
+        let runs = lines(archive, &last)?;
+        let limit_mm = self.options.limit_mm;
+        let chart = history.chart("Mean position error of the nominal model", limit_mm);
+        PlantPage::Robot.html(&json!({
+            "robot": RobotLine { state, due, error_mm: None }, "runs": runs, "chart": chart, "least": LEAST,
+            "trend": history.trend_shown(), "points": history.points.len(), "limit_mm": limit_mm,
+        }))
+    }
+
+    fn bars(&self, archive: &mut Archive, filter: &Filter) -> Result<String, Diagnostic> {
+        let found = archive.bars(filter)?;
+        let pager = pager("/bars", filter, &found);
+        let mut bars = Vec::new();
+        for state in found.rows {
+            let subject = Subject::Bar(&state.bar);
+            let newest = archive.history(subject, 1)?.iter().find_map(|past| point(past, subject));
+            let mut line = json!(state);
+            line["offset_mm"] = json!(newest.map(|newest| newest.value));
+            bars.push(line);
+        }
+        PlantPage::Bars.html(&json!({
+            "filter": filter, "bars": bars, "page": pager.page, "pages": pager.pages, "found": pager.found,
+            "before": pager.before, "next": pager.next,
+        }))
+    }
+
+    fn bar(&self, archive: &mut Archive, name: &str) -> Result<String, Diagnostic> {
+        let state = archive.bar(name)?;
+        let history = self.history(archive, Subject::Bar(name))?;
+        let last = Selection { bar: Some(name.into()), limit: Some(LAST_RUNS), ..Selection::default() };
+        let runs = lines(archive, &last)?;
+        PlantPage::Bar.html(&json!({
+            "bar": state, "runs": runs, "chart": history.chart("Offset of the bar", None), "least": LEAST,
+            "trend": history.trend_shown(), "points": history.points.len(),
+        }))
+    }
+}
+
+impl History {
+    fn chart(&self, title: &str, limit: Option<f64>) -> String {
+        Drift { title, points: &self.points, line: self.trend.map(|trend| trend.drawn()), limit }.to_svg()
+    }
+
+    fn trend_shown(&self) -> Option<TrendShown> {
+        self.trend.map(|trend| trend.shown())
+    }
+}
+
+/// A result as the chart of its subject shows it.
+fn point(past: &Past, subject: Subject<'_>) -> Option<DriftPoint> {
+    let (value, u95) = match subject {
+        Subject::Robot(_) => (past.error_mm?, 0.0),
+        Subject::Bar(_) => {
+            let [offset, sd] = WrittenPosterior::read(past.posterior.as_ref()?)?.bar_offset()?;
+            (offset, coverage_95(None) * sd)
+        }
+    };
+    let finite = value.is_finite() && u95.is_finite();
+    finite.then_some(DriftPoint { day: past.day, value, u95, doubtful: past.doubtful })
+}
+
+/// Days since 1970-01-01.
+fn today() -> f64 {
+    (clock::unix_ns() / 1_000_000_000) as f64 / 86_400.0
+}
+
+fn pager<T>(path: &str, filter: &Filter, found: &Found<T>) -> Pager {
+    let (page, pages) = (u64::from(filter.page.max(1)), found.count.div_ceil(PAGE_ROWS).max(1));
+    let place = |page: u64| {
+        let filter = Filter { page: u32::try_from(page).unwrap_or(u32::MAX), ..filter.clone() };
+        link(path, &filter)
+    };
+    let before = (page > 1).then(|| place((page - 1).min(pages)));
+    Pager { page, pages, found: found.count, before, next: (page < pages).then(|| place(page + 1)) }
+}
+
+/// The address of a list.
+fn link(path: &str, filter: &impl Serialize) -> String {
+    // Every filter has plain fields, which take this form.
+    format!("{path}?{}", serde_urlencoded::to_string(filter).unwrap_or_default())
+}
+
+fn lines(archive: &mut Archive, selection: &Selection) -> Result<Vec<RunLine>, Diagnostic> {
+    let runs = archive.list(selection)?;
+    let jobs = archive.jobs(&runs)?;
+    let line = |run: ArchivedRun| {
+        let job = jobs.iter().rfind(|job| job.run == run.sha256).map(|job| job.state.clone());
+        RunLine { run, job }
+    };
+    Ok(runs.into_iter().map(line).collect())
+}
+
+fn runs(archive: &mut Archive, filter: &RunFilter) -> Result<String, Diagnostic> {
+    let some = |text: &String| Some(text.trim().to_owned()).filter(|text| !text.is_empty());
+    for date in [&filter.since, &filter.until].into_iter().filter_map(some) {
+        if day_of(&date).is_none() {
+            return Err(NotADate { text: date }.into());
+        }
+    }
+    let after = |text: String| match text.split_once(' ') {
+        Some((measured, sha256)) => Ok(Place { measured: measured.into(), sha256: sha256.into() }),
+        None => Err(Diagnostic::new(NotACursor { text })),
+    };
+    let selection = Selection {
+        robot: some(&filter.robot),
+        bar: some(&filter.bar),
+        cell: some(&filter.cell),
+        since: some(&filter.since),
+        until: some(&filter.until),
+        search: some(&filter.q),
+        after: Some(&filter.after).filter(|text| !text.is_empty()).cloned().map(after).transpose()?,
+        limit: Some(PAGE_ROWS),
+        kind: None,
+    };
+    let found = lines(archive, &selection)?;
+    let place = |after: String| link("/runs", &RunFilter { after, ..filter.clone() });
+    let last = found.last().filter(|_| found.len() as u64 == PAGE_ROWS);
+    let next = last.map(|last| place(format!("{} {}", last.run.measured, last.run.sha256)));
+    let page = json!({ "filter": filter, "runs": found, "first": place(String::new()), "next": next });
+    PlantPage::Runs.html(&page)
+}
+
+fn run(archive: &mut Archive, digits: &str) -> Result<String, Diagnostic> {
+    let run = archive.run(digits)?;
+    let files = archive.files(&run)?;
+    let results = archive.results_of(&run)?;
+    let jobs = archive.jobs(std::slice::from_ref(&run))?;
+    let has_report = archive.result_object(&run.sha256, REPORT)?.is_some();
+    let page =
+        json!({ "run": run, "files": files, "results": results, "jobs": jobs, "has_report": has_report });
+    PlantPage::Run.html(&page)
+}
+
+impl Plant for PlantPages {
+    fn page(&self, question: &Question) -> Result<String, Diagnostic> {
+        self.ask(|archive| match question {
+            Question::Robots(filter) => self.robots(archive, filter),
+            Question::Robot(Name { name }) => self.robot(archive, name),
+            Question::Bars(filter) => self.bars(archive, filter),
+            Question::Bar(Name { name }) => self.bar(archive, name),
+            Question::Runs(filter) => runs(archive, filter),
+            Question::Run(digits) => run(archive, digits),
+        })
+    }
+
+    fn refusal(&self, why: &Diagnostic) -> Result<String, Diagnostic> {
+        PlantPage::Refusal.html(why)
+    }
+
+    fn sign_in(&self) -> Result<String, Diagnostic> {
+        PlantPage::SignIn.html(&())
+    }
+
+    fn files(&self) -> &'static [PageFile] {
+        &FILES
+    }
+
+    fn report(&self, run: &str) -> Result<Download, Diagnostic> {
+        self.ask(|archive| {
+            let run = archive.run(run)?.sha256;
+            let found = archive.result_file(&run, REPORT)?;
+            let content = found.ok_or_else(|| Diagnostic::new(NoReport { run }))?;
+            let system = |error: std::io::Error| NoSystem { why: error.to_string() };
+            let mut file = tempfile::tempfile().map_err(system)?;
+            file.write_all(&content).and_then(|()| file.rewind()).map_err(system)?;
+            Ok(Download { file, name: REPORT.into(), bytes: content.len() as u64 })
+        })
+    }
+
+    fn numbers(&self) -> Result<PlantNumbers, Diagnostic> {
+        self.ask(|archive| {
+            let ([runs, results], oldest_waiting_s) = archive.sizes()?;
+            let (jobs, robots) = (archive.queue()?.named(), archive.totals("")?.decisions);
+            Ok(PlantNumbers { runs, results, jobs, robots, oldest_waiting_s })
+        })
+    }
+}
