@@ -1,0 +1,94 @@
+//! The bars: each with an offset, a drift and jumps.
+
+use nalgebra::{DMatrix, DVector};
+
+use super::{Assumptions, BarHistory, EPOCH_DAYS, Estimate, Jump, Knot, YEAR_DAYS};
+
+/// Standard deviation of a bar's drift before any run, mm a year.
+const DRIFT_MM: f64 = 0.05;
+/// And of a jump, mm.
+const JUMP_MM: f64 = 1.0;
+
+/// An unknown of a bar.
+#[derive(Clone, Copy, PartialEq)]
+pub(super) enum Column {
+    Offset(usize),
+    Drift(usize),
+    /// Of a bar, from an epoch on.
+    Jump(usize, i64),
+}
+
+impl Column {
+    /// What a unit of it adds to a bar's offset, mm; `first` is the plant's first epoch.
+    fn value(self, (bar, epoch): Knot, first: i64) -> f64 {
+        match self {
+            Self::Offset(own) => f64::from(u8::from(own == bar)),
+            Self::Drift(own) if own == bar => (epoch - first) as f64 * EPOCH_DAYS / YEAR_DAYS,
+            Self::Drift(_) => 0.0,
+            Self::Jump(own, from) => f64::from(u8::from(own == bar && epoch >= from)),
+        }
+    }
+
+    /// Standard deviation before any run.
+    pub(super) fn prior_sd(self, assumed: &Assumptions) -> f64 {
+        match self {
+            Self::Offset(_) => assumed.bar_u_mm,
+            Self::Drift(_) => DRIFT_MM,
+            Self::Jump(..) => JUMP_MM,
+        }
+    }
+
+    /// The bars' offsets at `knots` by the columns.
+    pub(super) fn design(columns: &[Self], knots: &[Knot]) -> DMatrix<f64> {
+        let first = knots.iter().map(|(_, epoch)| *epoch).min().unwrap_or(0);
+        DMatrix::from_fn(knots.len(), columns.len(), |at, column| columns[column].value(knots[at], first))
+    }
+
+    /// A jump at each knot of a bar but its first.
+    pub(super) fn jumps(knots: &[Knot]) -> Vec<Self> {
+        let first_of = |bar: usize| knots.iter().filter(|knot| knot.0 == bar).map(|knot| knot.1).min();
+        let later = knots.iter().filter(|(bar, epoch)| first_of(*bar) != Some(*epoch));
+        later.map(|(bar, epoch)| Self::Jump(*bar, *epoch)).collect()
+    }
+}
+
+/// The bars by the values of the columns and their covariance.
+pub(super) fn histories(
+    bars: &[String],
+    knots: &[Knot],
+    columns: &[Column],
+    values: &DVector<f64>,
+    covariance: &DMatrix<f64>,
+) -> Vec<BarHistory> {
+    let epochs = knots.iter().map(|(_, epoch)| *epoch);
+    let (first, last) = (epochs.clone().min().unwrap_or(0), epochs.max().unwrap_or(0));
+    let along = |row: DVector<f64>| Estimate {
+        value: row.dot(values),
+        sd: (row.dot(&(covariance * &row))).max(0.0).sqrt(),
+    };
+    let unit = |wanted: Column| {
+        along(DVector::from_fn(columns.len(), |at, _| f64::from(u8::from(columns[at] == wanted))))
+    };
+    let history = |(bar, name): (usize, &String)| BarHistory {
+        bar: name.clone(),
+        offset_mm: unit(Column::Offset(bar)),
+        drift_mm_a_year: unit(Column::Drift(bar)),
+        jumps: columns
+            .iter()
+            .filter_map(|column| match *column {
+                Column::Jump(own, from) if own == bar => {
+                    let before =
+                        knots.iter().filter(|knot| knot.0 == bar && knot.1 < from).map(|knot| knot.1).max();
+                    Some(Jump {
+                        after_day: before.unwrap_or(from) as f64 * EPOCH_DAYS,
+                        before_day: (from + 1) as f64 * EPOCH_DAYS,
+                        change_mm: unit(*column),
+                    })
+                }
+                _ => None,
+            })
+            .collect(),
+        offset_now_mm: along(DVector::from_fn(columns.len(), |at, _| columns[at].value((bar, last), first))),
+    };
+    bars.iter().enumerate().map(history).collect()
+}

@@ -1,0 +1,133 @@
+//! The runs of a robot folded, the newest first, into one Gaussian: a Kalman filter. A robot drifts as a random walk, and a
+//! run that contradicts the later ones is a crash.
+
+use nalgebra::{DMatrix, DVector};
+
+use super::kind::Kind;
+use super::run::information;
+use super::{Assumptions, EPOCH_DAYS, Knot, RunPosterior, YEAR_DAYS, inverse};
+use crate::math::distributions::chi_square_exceeded;
+
+/// Before any run, a bar's offset at a time may be anything, mm; this much is taken away again.
+const OPEN_MM: f64 = 10.0;
+/// The same for a robot, in standard deviations of its prior.
+const OPEN: f64 = 30.0;
+/// A run contradicts others when chance does it with this probability.
+const CRASH: f64 = 1e-6;
+
+/// The runs of a robot, folded: information on the robot at its first run (scaled by its prior) and on the bars.
+pub(super) struct Folded {
+    pub(super) robot: String,
+    pub(super) kind: usize,
+    pub(super) knots: Vec<Knot>,
+    pub(super) information: DMatrix<f64>,
+    pub(super) rhs: DVector<f64>,
+    pub(super) crashes: Vec<f64>,
+}
+
+/// The state of a robot, the newest run first: itself and the knots that its runs touched.
+struct Filter {
+    knots: Vec<Knot>,
+    mean: DVector<f64>,
+    covariance: DMatrix<f64>,
+}
+
+impl Filter {
+    fn new(count: usize) -> Self {
+        Self {
+            knots: Vec::new(),
+            mean: DVector::zeros(count),
+            covariance: DMatrix::identity(count, count) * (OPEN * OPEN),
+        }
+    }
+
+    /// The place of a knot, which begins as unknown.
+    fn place(&mut self, knot: Knot, count: usize) -> usize {
+        if let Some(at) = self.knots.iter().position(|known| *known == knot) {
+            return count + at;
+        }
+        self.knots.push(knot);
+        let size = self.mean.len();
+        self.mean = self.mean.clone().insert_row(size, 0.0);
+        self.covariance = self.covariance.clone().insert_row(size, 0.0).insert_column(size, 0.0);
+        self.covariance[(size, size)] = OPEN_MM * OPEN_MM;
+        size
+    }
+
+    /// The robot may be another by this variance, in every direction.
+    fn widen(&mut self, count: usize, variance: f64) {
+        (0..count).for_each(|at| self.covariance[(at, at)] += variance);
+    }
+
+    /// How far a run is from what is known: chi square and its degrees of freedom.
+    fn contradiction(&self, places: &[usize], data: &DMatrix<f64>, rhs: &DVector<f64>) -> Option<(f64, f64)> {
+        let own = self.covariance.select_rows(places).select_columns(places);
+        let root = own.cholesky()?.l();
+        let expected = DVector::from_fn(places.len(), |i, _| self.mean[places[i]]);
+        let eigen = (root.transpose() * data * &root).symmetric_eigen();
+        let right = eigen.eigenvectors.tr_mul(&(root.transpose() * (rhs - data * expected)));
+        let seen = eigen.eigenvalues.iter().zip(right.iter()).filter(|(value, _)| **value > 1e-3);
+        let (square, freedom) = seen.fold((0.0, 0.0), |(square, freedom), (value, right)| {
+            (square + right * right / (value * (1.0 + value)), freedom + 1.0)
+        });
+        Some((square, freedom))
+    }
+
+    /// Adds information on the parameters at `places`.
+    fn update(&mut self, places: &[usize], data: &DMatrix<f64>, rhs: &DVector<f64>) -> Option<()> {
+        let before = inverse(&self.covariance)?;
+        let (mut after, mut right) = (before.clone(), &before * &self.mean);
+        for (i, &row) in places.iter().enumerate() {
+            right[row] += rhs[i];
+            places.iter().enumerate().for_each(|(j, &column)| after[(row, column)] += data[(i, j)]);
+        }
+        self.covariance = inverse(&after)?;
+        self.mean = &self.covariance * right;
+        Some(())
+    }
+}
+
+/// Folds the runs of a robot; they are in the order of time. The number of runs that cannot be used.
+pub(super) fn fold(
+    runs: &[&RunPosterior],
+    kinds: &[Kind],
+    bars: &[String],
+    assumed: &Assumptions,
+) -> Option<(Folded, usize)> {
+    let first = runs.first()?;
+    let at = kinds.iter().position(|kind| kind.name == first.kind)?;
+    let (kind, count) = (&kinds[at], kinds[at].ids.len());
+    let (mut filter, mut crashes, mut unusable, mut later) = (Filter::new(count), Vec::new(), 0, None);
+    for run in runs.iter().rev() {
+        let Some((data, rhs)) = information(run, kind) else {
+            unusable += 1;
+            continue;
+        };
+        if let Some(later) = later {
+            let years: f64 = (later - run.day) / YEAR_DAYS;
+            filter.widen(count, assumed.drift * assumed.drift * years.max(0.0));
+        }
+        let bar = bars.iter().position(|bar| *bar == run.bar)?;
+        let knot = filter.place((bar, (run.day / EPOCH_DAYS).floor() as i64), count);
+        let places: Vec<usize> = (0..count).chain([knot]).collect();
+        if let Some(later) = later
+            && let Some((square, freedom)) = filter.contradiction(&places, &data, &rhs)
+            && square > chi_square_exceeded(CRASH, freedom)
+        {
+            crashes.push(later);
+            filter.widen(count, OPEN * OPEN);
+        }
+        later = Some(run.day);
+        filter.update(&places, &data, &rhs)?;
+    }
+    crashes.reverse();
+    // What was assumed at the begin is taken away again.
+    let mut information = inverse(&filter.covariance)?;
+    let rhs = &information * &filter.mean;
+    for place in 0..information.nrows() {
+        let open = if place < count { OPEN } else { OPEN_MM };
+        information[(place, place)] -= 1.0 / (open * open);
+    }
+    let robot = first.robot.clone();
+    Some((Folded { robot, kind: at, knots: filter.knots, information, rhs, crashes }, unusable))
+}

@@ -1,0 +1,199 @@
+//! What the runs of a plant say together: each robot at its first run, each bar with its drift and its jumps, each type of
+//! robot with the mean and the covariance of its robots.
+//!
+//! A run enters as what its lengths alone say (`run`). The runs of a robot are folded into one Gaussian of the robot at its
+//! first run and of the bars' offsets at the times of its runs (`fold`). Then the robots leave by their Schur complement: the
+//! means of the types and the bars remain, one system, because a longer bar and larger robots of a type look alike
+//! (`plant`, `bars`). The covariances of the types follow by empirical Bayes (`kind`). Memory grows with robots and bars,
+//! not with runs.
+
+mod bars;
+mod fold;
+mod kind;
+mod plant;
+mod run;
+
+use std::collections::BTreeMap;
+
+use nalgebra::{DMatrix, DVector};
+
+use self::fold::{Folded, fold};
+use self::kind::{Kind, kinds};
+use self::plant::Plant;
+use crate::catalogue::ArchiveFinding;
+use crate::robot::{ParamId, Robot, RobotPosterior};
+
+/// Offsets of a bar within so many days are one.
+const EPOCH_DAYS: f64 = 10.0;
+const YEAR_DAYS: f64 = 365.25;
+/// Iterations at most, and the relative change of the types' covariances that ends them.
+const ITERATIONS: usize = 200;
+const SETTLED: f64 = 1e-3;
+/// Searches for jumps, each with the types settled beside the jumps before.
+const SEARCHES: usize = 4;
+
+/// What an identification found of a robot and its bar, and what it knew beforehand.
+#[derive(Clone, Debug)]
+pub struct RunPosterior {
+    pub robot: String,
+    /// The robot's type.
+    pub kind: String,
+    pub bar: String,
+    /// Days from any fixed one.
+    pub day: f64,
+    pub ids: Vec<ParamId>,
+    /// Corrections of the nominal values, mm or rad.
+    pub corrections: DVector<f64>,
+    pub covariance: DMatrix<f64>,
+    /// Standard deviations of the prior about the nominal values; `None` of what was free.
+    pub prior: Vec<Option<f64>>,
+}
+
+/// What is assumed of a plant.
+#[derive(Clone, Copy, Debug)]
+pub struct Assumptions {
+    /// Standard deviation of a robot's drift in a year, in those of its prior.
+    pub drift: f64,
+    /// Of a bar's length by its certificate, mm.
+    pub bar_u_mm: f64,
+}
+
+impl Default for Assumptions {
+    fn default() -> Self {
+        Self { drift: 0.1, bar_u_mm: 0.05 }
+    }
+}
+
+/// A number with its standard deviation.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+pub struct Estimate {
+    pub value: f64,
+    pub sd: f64,
+}
+
+impl Estimate {
+    /// Whether it is within the interval of 95 %.
+    pub fn covers(&self, truth: f64) -> bool {
+        (self.value - truth).abs() <= 1.959_964 * self.sd
+    }
+}
+
+/// A bar: its offset is `offset + drift * years since the first run + sum of jumps before`.
+#[derive(Clone, Debug, serde::Serialize)]
+pub struct BarHistory {
+    pub bar: String,
+    /// At the plant's first run, mm.
+    pub offset_mm: Estimate,
+    pub drift_mm_a_year: Estimate,
+    pub jumps: Vec<Jump>,
+    /// At the plant's last run, mm.
+    pub offset_now_mm: Estimate,
+}
+
+/// A bar's sudden change, such as that of a bar that was dropped.
+#[derive(Clone, Debug, serde::Serialize)]
+pub struct Jump {
+    /// It came after this day and before the next one in which the bar was used.
+    pub after_day: f64,
+    pub before_day: f64,
+    pub change_mm: Estimate,
+}
+
+/// A robot at its first run.
+#[derive(Clone, Debug)]
+pub struct FleetRobot {
+    pub robot: String,
+    pub kind: String,
+    pub corrections: DVector<f64>,
+    pub covariance: DMatrix<f64>,
+    /// Days of runs that the one before contradicts.
+    pub crashes: Vec<f64>,
+}
+
+/// The robots of a type: what a new one is before any length.
+#[derive(Clone, Debug)]
+pub struct FleetType {
+    pub kind: String,
+    pub ids: Vec<ParamId>,
+    pub mean: DVector<f64>,
+    /// Of a new robot about `mean`, with the uncertainty of the mean.
+    pub covariance: DMatrix<f64>,
+    pub robots: usize,
+}
+
+impl FleetType {
+    /// A new robot of the type, for `dbbd identify --robot`: the likeliest values, and what is not known of them as its
+    /// posterior. `None` where a parameter is none of `nominal`'s.
+    pub fn robot(&self, nominal: &Robot) -> Option<Robot> {
+        let mut robot = nominal.clone();
+        for (id, correction) in self.ids.iter().zip(self.mean.iter()) {
+            *robot.geometry.value_mut(*id)? += correction;
+        }
+        let root = self.covariance.clone().cholesky()?.l();
+        robot.posterior = Some(RobotPosterior::new(&self.ids, &robot.geometry, &root)?);
+        robot.serial = None;
+        Some(robot)
+    }
+}
+
+/// The plant.
+#[derive(Clone, Debug, Default)]
+pub struct Fleet {
+    pub bars: Vec<BarHistory>,
+    pub robots: Vec<FleetRobot>,
+    pub types: Vec<FleetType>,
+    /// Runs whose posterior has no inverse.
+    pub unusable: usize,
+}
+
+impl Fleet {
+    /// Bars that jumped, and robots that changed suddenly.
+    pub fn findings(&self) -> Vec<ArchiveFinding> {
+        let jumps = self.bars.iter().flat_map(|bar| bar.jumps.iter().map(move |jump| (bar, jump.change_mm)));
+        let jumped = jumps.map(|(bar, change_mm)| {
+            let [um, sd_um] = [change_mm.value, change_mm.sd].map(|mm| 1e3 * mm);
+            ArchiveFinding::BarJumped { bar: bar.bar.clone(), um, sd_um }
+        });
+        let crashed = self.robots.iter().filter(|robot| !robot.crashes.is_empty());
+        let changed = crashed.map(|robot| ArchiveFinding::RobotChanged {
+            robot: robot.robot.clone(),
+            times: robot.crashes.len(),
+        });
+        jumped.chain(changed).collect()
+    }
+}
+
+/// A bar within a span of time.
+type Knot = (usize, i64);
+
+/// The inverse of a symmetric positive definite matrix, `None` where it is not.
+fn inverse(matrix: &DMatrix<f64>) -> Option<DMatrix<f64>> {
+    Some(matrix.clone().cholesky()?.inverse())
+}
+
+/// The plant from its runs, in any order.
+///
+/// `None` where a system has no solution: a number is not finite.
+pub fn fleet(runs: &[RunPosterior], assumed: &Assumptions) -> Option<Fleet> {
+    let mut by_robot: BTreeMap<&str, Vec<&RunPosterior>> = BTreeMap::new();
+    runs.iter().for_each(|run| by_robot.entry(&run.robot).or_default().push(run));
+    let mut bars: Vec<String> = runs.iter().map(|run| run.bar.clone()).collect();
+    bars.sort_unstable();
+    bars.dedup();
+    let kinds = kinds(runs);
+    let (mut robots, mut unusable) = (Vec::new(), 0);
+    for own in by_robot.values_mut() {
+        own.sort_by(|a, b| a.day.total_cmp(&b.day));
+        let (folded, without) = fold(own, &kinds, &bars, assumed)?;
+        unusable += without;
+        robots.push(folded);
+    }
+    let mut plant = Plant::new(robots, kinds, bars, *assumed);
+    for _ in 0..SEARCHES {
+        plant.settle()?;
+        if !plant.finds_jumps()? {
+            break;
+        }
+    }
+    Some(Fleet { unusable, ..plant.fleet()? })
+}
