@@ -51,7 +51,7 @@ impl PyCheck {
 /// Standard deviation of a length of the result beside a robot's file, mm.
 fn sigma_of_result(robot: &PyRobot) -> Result<Option<f64>, Failure> {
     let Some(file) = &robot.file else { return Ok(None) };
-    let (_, result) = ResultFile::beside(file, &robot.robot().name)?;
+    let (_, result) = ResultFile::beside(file, &robot.robot().name, dbbd::base::files::read_if_file)?;
     Ok(result.map(|result| result.sigma_mm))
 }
 

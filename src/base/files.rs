@@ -30,6 +30,11 @@ pub fn if_there(path: &Path, ending: &str) -> Option<Result<String, Diagnostic>>
     (path.exists() || path.to_string_lossy().ends_with(ending)).then(|| read(path))
 }
 
+/// The text of a file, if there is one.
+pub fn read_if_file(path: &Path) -> Option<Result<String, Diagnostic>> {
+    path.is_file().then(|| read(path))
+}
+
 /// The text of a file of at most `most` bytes; what is no file (a pipe, a device) is not opened.
 pub fn read_at_most(path: &Path, most: u64) -> Result<String, Diagnostic> {
     match fs::metadata(path) {

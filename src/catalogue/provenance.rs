@@ -48,5 +48,10 @@ findings! {
         cure: "Take the file as dbbd wrote it, or compute it again." {
             Edited => "was changed since dbbd wrote it: its hash is of another text";
         }
+        W1809 "a table was changed after it was written",
+        cause: "The file beside the table states what another content of it was made from. Whether that is true of this one is not known.",
+        cure: "Take the table as dbbd wrote it. Give a changed table another name: then nothing is said of its origin." {
+            TableChanged { record: String } => "was changed since {record} was written; its robot, bar and date may be others";
+        }
     }
 }

@@ -20,7 +20,7 @@ use crate::robot::Robot;
 ///
 /// # Errors
 /// What is wrong in the file.
-pub(super) fn read(path: &Path) -> Result<Option<Traced>, Diagnostic> {
+pub(super) fn read(path: &Path, out: &Output) -> Result<Option<Traced>, Diagnostic> {
     let name = path.display().to_string();
     let bytes = fs::read(path)
         .map_err(|error| Diagnostic::file(&name, FileFinding::Unreadable { why: error.to_string() }))?;
@@ -30,6 +30,11 @@ pub(super) fn read(path: &Path) -> Result<Option<Traced>, Diagnostic> {
     if let Ok(Value::Object(json)) = serde_json::from_str(&text) {
         if ["job", "hash", "moves"].iter().all(|key| json.contains_key(*key)) {
             return plan(path);
+        }
+        if let Some(table) = json.get("table").and_then(Value::as_str)
+            && json.contains_key("provenance")
+        {
+            return read(&path.with_file_name(table), out);
         }
         if ["provenance", "parameters"].iter().any(|key| json.contains_key(*key)) {
             let damaged = |error: serde_json::Error| {
@@ -55,7 +60,9 @@ pub(super) fn read(path: &Path) -> Result<Option<Traced>, Diagnostic> {
     } else if first.starts_with("index,circle,centre,kind,move") {
         return plan(path);
     } else if first.split(',').any(|column| column == "length_mm") {
-        return with(Role::Measurements, path, Provenance::default());
+        let (table, changed) = Traced::table(Role::Measurements, path)?;
+        changed.into_iter().for_each(|finding| out.finding(finding));
+        return Ok(Some(table));
     } else if Language::of_text(&text).is_some() {
         return with(Role::Program, path, program::provenance(&name, &text)?);
     }

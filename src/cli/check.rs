@@ -155,7 +155,7 @@ pub(super) struct Noise {
 impl Noise {
     /// Of bar and repeatability, at least that of the result.json beside a robot file.
     pub(super) fn at_least(own: Option<f64>, file: &str, robot: &Robot) -> Result<Self, Diagnostic> {
-        let (path, result) = ResultFile::beside(Path::new(file), &robot.name)?;
+        let (path, result) = ResultFile::beside(Path::new(file), &robot.name, files::read_if_file)?;
         let sigma_mm = conformity::sigma_mm(own, result.as_ref().map(|result| result.sigma_mm))?;
         let looked_for = path.display().to_string();
         let finding = result.is_none().then_some(ConformityFinding::NoResultBeside { looked_for, sigma_mm });

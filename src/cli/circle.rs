@@ -192,7 +192,7 @@ struct Captured {
 fn from_capture(path: &Path, args: &Args, out: &Output) -> Result<Captured, Diagnostic> {
     let run = run::open(path, args.plan.as_deref(), &args.axes, &mut |finding| out.finding(finding))?;
     let bar = &run.plan.header.job.bar;
-    let certificate = Certificate { temperature: run.certificate(), u_mm: bar.length_u_mm.map(|u| 0.5 * u) };
+    let certificate = Certificate { temperature: run.certificate(), u_mm: bar.u_mm() };
     let found = run.circles()?;
     out.about(&found.findings);
     let name = path.display().to_string();

@@ -76,7 +76,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         tolerance_mm: args.tolerance,
         subject,
     };
-    let sources: Vec<Traced> = documents.iter().map(traced).collect::<Result<_, _>>()?;
+    let sources: Vec<Traced> = documents.iter().map(|one| traced(one, out)).collect::<Result<_, _>>()?;
     let made = Made { comparison: &comparison, provenance: Provenance::of(&sources) };
     write(args, &made, &timeline)?;
     if let Subject::Results(results) = &comparison.subject
@@ -177,8 +177,8 @@ struct Made<'a> {
 }
 
 /// A result with what it was made from.
-fn traced(document: &Document) -> Result<Traced, Diagnostic> {
-    match artefact::read(&document.path)? {
+fn traced(document: &Document, out: &Output) -> Result<Traced, Diagnostic> {
+    match artefact::read(&document.path, out)? {
         Some(traced) => Ok(traced),
         None => Artefact::file(Role::Result, &document.path).map(Traced::from),
     }

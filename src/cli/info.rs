@@ -78,7 +78,7 @@ struct DamageInfo {
 pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     let path = args.file.as_path();
     // A capture whose head is damaged is none of the other artefacts.
-    if let Some(traced) = if run::is_capture(path)? { None } else { artefact::read(path)? } {
+    if let Some(traced) = if run::is_capture(path)? { None } else { artefact::read(path, out)? } {
         out.document(&traced)?;
         artefact::show(&traced, out);
         return Ok(Outcome::Done);

@@ -224,13 +224,14 @@ impl Measured {
     }
 
     fn add(&mut self, path: &Path, out: &Output) -> Result<(), Diagnostic> {
-        let artefact = Artefact::file(Role::Measurements, path)?;
-        if self.sources.iter().any(|source| source.artefact.sha256 == artefact.sha256) {
-            out.finding(ProvenanceFinding::GivenTwice { lengths: artefact.to_string() });
+        let (lengths, changed) = Traced::table(Role::Measurements, path)?;
+        changed.into_iter().for_each(|finding| out.finding(finding));
+        if self.sources.iter().any(|source| source.artefact.sha256 == lengths.artefact.sha256) {
+            out.finding(ProvenanceFinding::GivenTwice { lengths: lengths.artefact.to_string() });
             return Ok(());
         }
         self.files.push(path.into());
-        self.sources.push(artefact.into());
+        self.sources.push(lengths);
         Ok(())
     }
 }

@@ -8,12 +8,13 @@ use super::{Outcome, Output, output};
 use crate::base::files;
 use crate::catalogue::MatchingFinding;
 use crate::diagnostic::{Diagnostic, Finding};
+use crate::provenance::{Artefact, Provenance, Role};
 use crate::recording::Stream;
 use crate::recording::axes::Following;
 use crate::recording::matching::{
     self, AxesReport, BarLag, DwellSource, Lag, MatchOutcome, PoseMatching, PoseOutcome,
 };
-use crate::recording::run;
+use crate::recording::run::{self, Run};
 
 /// Match the lengths of a capture to the commanded poses.
 ///
@@ -50,9 +51,20 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         let name = args.run.display().to_string();
         return Err(Diagnostic::file(&name, matching::nothing_matched(&run.plan, &run.stream)));
     }
-    files::write(&args.out, matching.observations.to_csv())?;
+    let table = matching.observations.to_csv();
+    made_from(args, &run)?.write_beside(&args.out, &table)?;
+    files::write(&args.out, table)?;
     out.result(format!("{}: {} observations", args.out.display(), matching.observations.rows.len()));
     Ok(Outcome::Done)
+}
+
+/// The capture, and the logs of the controller.
+fn made_from(args: &Args, run: &Run) -> Result<Provenance, Diagnostic> {
+    let mut made = Provenance::of([&run.traced(&args.run)?]);
+    for path in &args.axes {
+        made.add(&Artefact::file(Role::Program, path)?);
+    }
+    Ok(made)
 }
 
 fn source_word(source: DwellSource) -> &'static str {

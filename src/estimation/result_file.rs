@@ -12,7 +12,6 @@ use super::result::{
 use super::{
     Combination, Correlation, DistanceQuantities, GroupEvidence, JointSummary, Observability, result,
 };
-use crate::base::files;
 use crate::base::serialised::check_seal;
 use crate::catalogue::ConformityFinding;
 use crate::diagnostic::{Diagnostic, Severity};
@@ -66,13 +65,18 @@ impl ResultFile {
             .map_err(|error| Diagnostic::file(file, ConformityFinding::Incomplete { why: error.to_string() }))
     }
 
-    /// The path where the result of a robot file is looked for, and the result there if it is of that robot.
+    /// The path where the result of a robot file is looked for, and the result there if it is of that robot. `read` reads
+    /// a file where there is one.
     ///
     /// # Errors
     /// It cannot be read; as [`Self::from_json`].
-    pub fn beside(robot_file: &Path, robot: &str) -> Result<(PathBuf, Option<Self>), Diagnostic> {
+    pub fn beside(
+        robot_file: &Path,
+        robot: &str,
+        read: impl FnOnce(&Path) -> Option<Result<String, Diagnostic>>,
+    ) -> Result<(PathBuf, Option<Self>), Diagnostic> {
         let path = robot_file.with_file_name("result.json");
-        let text = path.is_file().then(|| files::read(&path)).transpose()?;
+        let text = read(&path).transpose()?;
         let result = text.map(|text| Self::from_json(&path.display().to_string(), &text)).transpose()?;
         Ok((path, result.filter(|result| result.robot == robot)))
     }

@@ -46,8 +46,7 @@ impl PlanningPrior {
     /// The robot's tolerance and the bar's certificate alone.
     pub(crate) fn of_maker(job: &Job, robot: &Robot) -> Posterior {
         let model = LengthModel::new(robot.geometry.clone(), &job.balls());
-        // A certificate states two standard deviations.
-        Posterior::prior(robot, model, &Priors::datasheet(robot, job.bar.length_u_mm.map(|u| 0.5 * u)))
+        Posterior::prior(robot, model, &Priors::datasheet(robot, job.bar.u_mm()))
     }
 
     /// Before anything is measured: the robot's tolerance, the bar's certificate, the balls that were taught.

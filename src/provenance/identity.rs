@@ -162,6 +162,11 @@ impl BarIdentity {
         ]
     }
 
+    /// Standard uncertainty of the length, mm: a certificate states two standard deviations.
+    pub fn u_mm(&self) -> Option<f64> {
+        self.length_u_mm.map(|u| 0.5 * u)
+    }
+
     /// # Errors
     /// A text or a date that is none, or a number out of its range.
     pub fn check(&self) -> Result<(), Wrong> {

@@ -7,12 +7,13 @@
 mod identity;
 
 use std::fmt;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
 use crate::base::files;
 use crate::base::hash::sha256;
+use crate::base::serialised;
 use crate::catalogue::ProvenanceFinding;
 use crate::diagnostic::Diagnostic;
 pub use identity::{BarIdentity, CERTIFIED_C, Identity, MOST_LENGTH_U_MM, Temperature, Wrong, check_text};
@@ -139,6 +140,15 @@ pub struct Traced {
     pub provenance: Provenance,
 }
 
+/// What the file beside a table says of it: a table has no place for its chain.
+#[derive(Serialize, Deserialize)]
+struct TableRecord {
+    table: String,
+    /// Of the table, in hexadecimal digits.
+    sha256: String,
+    provenance: Provenance,
+}
+
 impl From<Artefact> for Traced {
     /// One that is not known to be made from others.
     fn from(artefact: Artefact) -> Self {
@@ -147,6 +157,32 @@ impl From<Artefact> for Traced {
 }
 
 impl Traced {
+    /// The file that records what the table at `path` was made from.
+    pub fn record_of(table: &Path) -> PathBuf {
+        table.with_extension("provenance.json")
+    }
+
+    /// A table, with its chain where the file beside it has it, and that it was changed since.
+    ///
+    /// # Errors
+    /// A file that cannot be read, or a record that is damaged.
+    pub fn table(role: Role, path: &Path) -> Result<(Self, Option<Diagnostic>), Diagnostic> {
+        let artefact = Artefact::file(role, path)?;
+        let beside = Self::record_of(path);
+        let Some(text) = files::read_if_file(&beside).transpose()? else {
+            return Ok((artefact.into(), None));
+        };
+        let TableRecord { sha256, provenance, .. } = serde_json::from_str(&text).map_err(|error| {
+            let why = error.to_string();
+            Diagnostic::file(&beside.display().to_string(), ProvenanceFinding::Damaged { why })
+        })?;
+        let changed = (sha256 != artefact.sha256).then(|| {
+            let record = beside.display().to_string();
+            Diagnostic::file(&path.display().to_string(), ProvenanceFinding::TableChanged { record })
+        });
+        Ok((Self { artefact, provenance }, changed))
+    }
+
     /// What it was made from, and itself.
     pub fn chain(&self) -> impl DoubleEndedIterator<Item = &Artefact> {
         self.provenance.from.iter().chain([&self.artefact])
@@ -192,6 +228,16 @@ impl Provenance {
             }
         }
         made
+    }
+
+    /// Records beside the table at `path`, which is `content`, what it was made from.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn write_beside(&self, path: &Path, content: &str) -> Result<(), Diagnostic> {
+        let table = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let record = TableRecord { table, sha256: sha256(content), provenance: self.clone() };
+        files::write(&Traced::record_of(path), serialised::json(&record)?)
     }
 
     /// One more source.

@@ -134,7 +134,7 @@ pub enum AxesLine {
         socket: UdpSocket,
         to: SocketAddr,
     },
-    /// A thread serves whoever asks, also while the robot's time stands still.
+    /// A thread serves whoever asks, also while the time of the robot is stopped.
     Rtde {
         client: Arc<Mutex<Option<Client>>>,
     },

@@ -59,7 +59,7 @@ fn pose_error(geometry: &Geometry, moment: &Moment, row: &PlanRow) -> (f64, f64)
 }
 
 #[test]
-fn every_strobe_stands_at_its_pose() {
+fn every_strobe_is_at_its_pose() {
     let plan = plan(2, 8);
     let files = emit(&plan, Options { sync: Sync::Output, controller: Kind::Krc4 }).unwrap();
     let program = krl_reads_back::program(&files);

@@ -18,7 +18,7 @@ use crate::cell::{
 };
 
 pub(crate) fn provoked() -> Vec<&'static str> {
-    vec!["E1801", "E1802", "W1803", "W1804", "W1805", "E1806", "E1807"]
+    vec!["E1801", "E1802", "W1803", "W1804", "W1805", "E1806", "E1807", "W1809"]
 }
 
 /// One short circle.
@@ -277,6 +277,33 @@ fn a_run_of_another_robot_or_older_than_the_calibration_is_seen() {
         chain.as_array().unwrap().iter().map(|s| s["role"].as_str().unwrap()).collect::<Vec<_>>(),
         ["robot", "identified_robot", "plan"]
     );
+}
+
+#[test]
+fn a_table_of_lengths_has_the_chain_of_its_run() {
+    let dir = tempdir().unwrap();
+    let at = dir.path();
+    let robot = Robot { serial: Some("KR-1".into()), ..kr60() };
+    let text = robot.to_toml().unwrap();
+    stored_run(at, "run.dbbd", &Provenance::of([&robot.traced(&text)]));
+    step(at, &["sync", "run.dbbd", "--out", "obs.csv"]);
+    let made = info(at, "obs.csv");
+    assert_eq!(made, info(at, "obs.provenance.json"));
+    let roles: Vec<&Value> =
+        made["provenance"]["from"].as_array().unwrap().iter().map(|from| &from["role"]).collect();
+    assert_eq!(roles, ["robot", "plan", "capture"]);
+    assert_eq!(made["provenance"]["from"][2]["sha256"], hash_of(at, "run.dbbd"));
+    fs::write(at.join("other.toml"), Robot { serial: Some("KR-2".into()), ..robot }.to_toml().unwrap())
+        .unwrap();
+    let other = dbbd(at, &["identify", "obs.csv", "--robot", "other.toml", "--out", "out"]);
+    assert_eq!(said(&other, "E1802"), (Some(1), true), "{}", stderr(&other));
+    let table = fs::read_to_string(at.join("obs.csv")).unwrap();
+    let (shorter, _) = table.trim_end().rsplit_once('\n').unwrap();
+    fs::write(at.join("obs.csv"), shorter).unwrap();
+    assert_eq!(said(&dbbd(at, &["info", "obs.csv"]), "W1809"), (Some(3), true));
+    let record = fs::read_to_string(at.join("obs.provenance.json")).unwrap();
+    fs::write(at.join("obs.provenance.json"), &record[..record.len() / 2]).unwrap();
+    assert_eq!(said(&dbbd(at, &["info", "obs.csv"]), "E1807"), (Some(1), true));
 }
 
 #[test]

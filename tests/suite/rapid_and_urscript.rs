@@ -127,7 +127,7 @@ fn points_read_back_to_a_micrometre() {
 }
 
 #[test]
-fn every_strobe_stands_at_its_pose() {
+fn every_strobe_is_at_its_pose() {
     for (language, robot, plan) in plans() {
         let moments = run(listing(&plan, language, Sync::Output), &robot);
         let rows: Vec<_> = plan.rows.iter().filter(|row| row.kind != RowKind::Transit).collect();

@@ -38,6 +38,8 @@ fn the_demo_ends_with_the_truth_beside_the_result() {
         assert!((found - truth).abs() < 5.0 * sd + 1e-4, "{row}");
     }
     let result = fs::read_to_string(dir.path().join("demo-out/result/result.json")).unwrap();
+    let made: serde_json::Value = serde_json::from_str(&result).unwrap();
+    assert_eq!(made["provenance"]["identity"]["laboratory"], "Example laboratory");
     let result: ResultFile = serde_json::from_str(&result).unwrap();
     assert!(result.residual_mm.after.rms < 0.03 && result.residual_mm.before.rms > 0.05);
     let page = fs::read_to_string(dir.path().join("demo-out/result/report.html")).unwrap();

@@ -155,8 +155,7 @@ fn priors(result: &Path) -> Result<Priors, Diagnostic> {
         Robot::from_toml("robot-identified.toml", &files::read(&result.join("robot-identified.toml"))?)?;
     let capture = result.with_file_name("run.dbbd");
     let run = run::open(&capture, None, &[], &mut |_| {})?;
-    // The job has it expanded, k = 2.
-    Ok(Priors::datasheet(&robot, run.plan.header.job.bar.length_u_mm.map(|u| 0.5 * u)))
+    Ok(Priors::datasheet(&robot, run.plan.header.job.bar.u_mm()))
 }
 
 /// Corrections and covariance in one text: what the fleet is estimated from.

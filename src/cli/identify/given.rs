@@ -70,7 +70,11 @@ impl Given {
         let run = joined.as_ref().map(|(run, _)| run.as_ref());
         let lengths = match run {
             Some(run) => run.traced(named.input)?,
-            None => Artefact::file(Role::Measurements, named.input)?.into(),
+            None => {
+                let (lengths, changed) = Traced::table(Role::Measurements, named.input)?;
+                findings.extend(changed);
+                lengths
+            }
         };
         let (mut robot, mut sources) = (robot(named.robot, run, &lengths, out)?, Vec::new());
         if let Some(tool) = named.tool {
@@ -95,10 +99,8 @@ impl Given {
             Some(joined) if !measured(joined) => AngleSource::Commanded,
             _ => AngleSource::Given,
         };
-        // The job has it expanded, k = 2.
-        let certified = run.and_then(|run| run.plan.header.job.bar.length_u_mm);
-        let bar_u_mm = named.bar_u.or(certified.map(|u| 0.5 * u));
         let provenance = Provenance::of([&source].into_iter().chain(&sources).chain([&lengths]));
+        let bar_u_mm = named.bar_u.or(provenance.identity.bar.u_mm());
         Ok(Self { robot, centres, observations, bar_u_mm, provenance, findings, of_run, axes, joined })
     }
 

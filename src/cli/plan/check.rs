@@ -32,15 +32,13 @@ impl<'a> PlannedCheck<'a> {
         let file = args.robot.as_deref().unwrap_or_default();
         let noise = Noise::at_least(Some(length_sd_mm(job.bar.sigma_um * 1e-3, robot)), file, robot)?;
         out.about(&noise.finding.into_iter().collect::<Vec<_>>());
-        // A certificate states two standard deviations.
-        let bar_u_mm = job.bar.length_u_mm.map(|u| 0.5 * u);
         Ok(Self {
             file,
             poses: args.poses,
             robot: robot.clone(),
             start: LengthModel::new(robot.geometry.clone(), &job.balls()),
             sigma_mm: noise.sigma_mm,
-            mounting: Mounting::again(robot, bar_u_mm),
+            mounting: Mounting::again(robot, job.bar.u_mm()),
             tolerance_mm: args.tolerance,
             rule: Rule::GuardBand { risk: args.risk },
             workspace: Options::default().workspace_poses(robot).into_owned(),

@@ -125,6 +125,11 @@ pub struct Bar {
 }
 
 impl Bar {
+    /// Standard uncertainty of the length, mm, where it has a certificate.
+    pub fn u_mm(&self) -> Option<f64> {
+        self.identity().u_mm()
+    }
+
     pub(super) fn identity(&self) -> BarIdentity {
         BarIdentity {
             serial: self.serial.clone(),

@@ -12,7 +12,7 @@ const STILL_DEG: f64 = 0.003;
 const STILL_NOISES: f64 = 10.0;
 /// A rest lasts at least so long, s.
 const LEAST_S: f64 = 0.25;
-/// What lies between the parts of one rest, s: a knock by hand, packets that are missing.
+/// What lies between the parts of one rest, s: a push by hand, packets that are missing.
 const TORN_S: f64 = 0.12;
 /// Over a longer loss of packets nobody knows where the robot was, s.
 pub(crate) const LOSS_S: f64 = 0.25;

@@ -127,7 +127,7 @@ pub fn quadrants(geometry: &Geometry, axes: &[f64; AXES]) -> [i32; 4] {
     [quadrant(0), quadrant(3), quadrant(5), i32::from(cfx)]
 }
 
-/// The axis angles (rad) that a controller takes for a pose with ABB's configuration. An axis that stands on the border
+/// The axis angles (rad) that a controller takes for a pose with ABB's configuration. An axis on the border
 /// of two quadrants has both.
 ///
 /// # Errors

@@ -176,7 +176,7 @@ impl Executor {
             }
             Activity::Settling(standstill) => {
                 let standstill = *standstill;
-                Ok(self.stands(standstill).then_some(0.0))
+                Ok(self.is_at_rest(standstill).then_some(0.0))
             }
             Activity::Moving { motion, geometry, configuration } => {
                 let ended = self.arm.advance(motion, geometry, [left_s, rate])?;
@@ -209,7 +209,7 @@ impl Executor {
         }
     }
 
-    fn stands(&self, standstill: Standstill) -> bool {
+    fn is_at_rest(&self, standstill: Standstill) -> bool {
         let off = |i: usize| (self.arm.axes[i] - self.axes[i]).abs();
         (0..AXES).all(|i| match standstill {
             Standstill::InPosition => off(i) <= IN_POSITION,
@@ -247,10 +247,10 @@ impl Executor {
     fn has_settled(&self) -> bool {
         let before = self.listing.actions.get(..self.next.saturating_sub(1)).unwrap_or_default();
         let does = before.iter().rev().map(|action| &action.does);
-        let stands = does.take_while(|does| matches!(does, Does::Standstill(_))).count();
-        let at = self.next.saturating_sub(2 + stands);
+        let standstills = does.take_while(|does| matches!(does, Does::Standstill(_))).count();
+        let at = self.next.saturating_sub(2 + standstills);
         let waits = self.listing.actions.get(at).is_some_and(|action| matches!(action.does, Does::Wait(_)));
-        stands > 0 && waits
+        standstills > 0 && waits
     }
 
     fn moving(&mut self, motion: &Move) -> Result<Activity, ProgramFinding> {

@@ -78,7 +78,7 @@ MODULE {{ name }}
 {% if stops %}
 
   LOCAL PROC DbbMark(num n,num dwell_s)
-    ! stand still: `fine` is the end of the command, not of the motion; settle, see that it stands, dwell
+    ! stand still: `fine` is the end of the command, not of the motion; settle, see that it is at rest, dwell
     WaitTime {{ plan.settle_s|seconds }};
     WaitRob\InPos;
     WaitRob\ZeroSpeed;
