@@ -60,6 +60,7 @@ pub(super) struct Gate {
 pub(super) enum Forms {
     Nowhere,
     /// To the service itself, as a search does.
+    #[cfg_attr(not(feature = "archive"), expect(dead_code))]
     Here,
 }
 

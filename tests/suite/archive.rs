@@ -5,6 +5,8 @@ use std::path::Path;
 use std::process::{Command, Output};
 
 #[cfg(feature = "archive")]
+mod figures;
+#[cfg(feature = "archive")]
 mod on_one_machine;
 #[cfg(feature = "archive")]
 mod on_servers;

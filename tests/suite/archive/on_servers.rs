@@ -8,7 +8,7 @@ use postgres::{Client, NoTls};
 use serde_json::Value;
 use tempfile::{TempDir, tempdir};
 
-use super::{archive, archive_with, plant};
+use super::{archive, command, plant};
 use crate::cell::{codes, stderr};
 
 /// Where the databases of these tests are made: an address without a database, of a role that may make databases and roles.
@@ -17,14 +17,14 @@ fn server() -> String {
 }
 
 /// A database of its own with four roles, gone at the end.
-struct Plant {
+pub(super) struct Plant {
     name: String,
     dir: TempDir,
     admin: Client,
 }
 
 impl Plant {
-    fn new(name: &str, runs: u64) -> Option<Self> {
+    pub(super) fn new(name: &str, runs: u64) -> Option<Self> {
         let connected = Client::connect(&format!("{}/postgres", server()), NoTls);
         let mut admin = match connected {
             Ok(admin) => admin,
@@ -56,15 +56,19 @@ impl Plant {
         format!("postgres://{}@{}/{}", self.role(role), server().split('@').nth(1).unwrap(), self.name)
     }
 
-    fn client(&self, role: &str) -> Client {
+    pub(super) fn client(&self, role: &str) -> Client {
         let mut client = Client::connect(&self.address(role), NoTls).unwrap();
         client.batch_execute("SET search_path TO dbbd").unwrap();
         client
     }
 
     fn run_as(&self, role: &str, args: &[&str]) -> Output {
+        self.command(role, args).output().unwrap()
+    }
+
+    pub(super) fn command(&self, role: &str, args: &[&str]) -> Command {
         let address = self.address(role);
-        archive_with(self.dir.path(), args, &[("DBBD_ARCHIVE", &address), ("DBBD_STORE", "file:objects")])
+        command(self.dir.path(), args, &[("DBBD_ARCHIVE", &address), ("DBBD_STORE", "file:objects")])
     }
 
     fn listed(&self, role: &str) -> usize {

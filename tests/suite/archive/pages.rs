@@ -7,6 +7,7 @@ use rusqlite::{Connection, params};
 use serde_json::Value;
 use tempfile::{TempDir, tempdir};
 
+use super::on_servers::Plant;
 use super::{archive, command, plant};
 use crate::service::{Answer, Server};
 
@@ -252,10 +253,29 @@ fn whoever_has_no_token_gets_the_page_that_asks_for_it() {
     assert_eq!(foreign.status, 421);
 }
 
-/// The archive goes away under the page and comes back.
 #[test]
 fn a_page_without_its_archive_says_so() {
     let dir = tempdir().unwrap();
     let none = archive(dir.path(), &["serve", "--listen", "127.0.0.1:0"]);
     assert_eq!((none.status.code(), crate::cell::codes(&none)), (Some(1), vec!["E2407".to_owned()]));
+}
+
+/// Every query of the dashboard is one that a viewer may ask of PostgreSQL.
+#[test]
+fn the_example_of_a_dashboard_asks_what_the_views_have() {
+    let Some(plant) = Plant::new("grafana", 1) else { return };
+    let dashboard: Value =
+        serde_json::from_str(include_str!("../../../examples/grafana/archive.json")).unwrap();
+    let mut viewer = plant.client("v");
+    let panels = dashboard["panels"].as_array().unwrap().iter();
+    let of_panels = panels.map(|panel| panel["targets"][0]["rawSql"].as_str().unwrap());
+    let of_variables = dashboard["templating"]["list"][1]["query"].as_str();
+    let queries: Vec<&str> = of_panels.chain(of_variables).collect();
+    assert_eq!(queries.len(), 7);
+    for query in queries {
+        let query = query
+            .replace("$__timeFilter(measured::timestamptz)", "measured::timestamptz > '2020-01-01'")
+            .replace("$robot", "'R0'");
+        viewer.query(&query, &[]).unwrap_or_else(|error| panic!("{query}: {error}"));
+    }
 }

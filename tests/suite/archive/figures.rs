@@ -1,0 +1,96 @@
+//! How long the pages and queries of a plant take: `DBBD_RESULTS=500000 cargo test --features archive --test suite
+//! figures_of_the_page -- --ignored --nocapture`.
+
+use std::time::Instant;
+
+use super::on_servers::Plant;
+use crate::service::Server;
+
+/// 1000 robots of 4 types, 40 bars and 50 cells over three years; a posterior has as many numbers as that of a robot of six
+/// joints. The values are made by the database.
+const FILL: &str = "
+INSERT INTO run (sha256, pushed_at, cell, robot, type, bar, certificate, certified_on, operator, measured, bytes, decision, provenance)
+SELECT encode(sha256(n::text::bytea), 'hex'), 0, 'cell ' || n % 50, 'KR-' || 10000 + n % 1000, 'type ' || n % 4,
+       'B' || 100 + (n * 7919) % 40, 'K-' || 100 + (n * 7919) % 40, '2023-01-01', 'operator ' || n % 97,
+       to_char(timestamp '2023-01-01' + n * interval '1095 days' / {results}, 'YYYY-MM-DD\"T\"HH24:MI:SS\"Z\"'), 200000,
+       CASE n % 5 WHEN 0 THEN NULL WHEN 1 THEN 'fail' WHEN 2 THEN 'undecided' ELSE 'pass' END, '{}'
+FROM generate_series(1::bigint, {results}) AS n;
+INSERT INTO job (run, settings, version, state) SELECT sha256, '--model=geometric --prior=datasheet', '',
+       CASE WHEN decision IS NULL THEN 'waiting' ELSE 'done' END FROM run;
+INSERT INTO result SELECT sha256, '--model=geometric --prior=datasheet', '0.1.0', 0, 'w', 0, 48, 0.006, 1.1, 0.012,
+       0.4 + 0.2 * random(), 0.09, (SELECT text FROM posterior) FROM run;
+ANALYZE;";
+
+const PATHS: [&str; 10] = [
+    "/",
+    "/?page=15",
+    "/?decision=fail&order=check",
+    "/robot?name=KR-10500",
+    "/bars",
+    "/bar?name=B120",
+    "/runs",
+    "/runs?robot=KR-10500&since=2024-01-01",
+    "/runs?q=nothing+like+this",
+    "/metrics",
+];
+
+const STATEMENTS: [(&str, &str); 4] = [
+    ("view robot_state", "SELECT * FROM robot_state"),
+    ("view queue", "SELECT * FROM queue"),
+    ("view robot", "SELECT * FROM robot"),
+    ("view history, one robot", "SELECT * FROM history WHERE robot = 'KR-10500'"),
+];
+
+/// The posterior that a worker wrote: as long as a real one.
+fn posterior() -> String {
+    let names =
+        (1..=6).flat_map(|joint| ["a", "d", "alpha", "theta"].map(|name| format!("\"{name}{joint}\"")));
+    let names: Vec<String> = names.chain(["\"bar_offset\"".into()]).collect();
+    let number = |at: usize| format!("{:.17e}", (at as f64 * 0.618_034).fract() * 1e-3 + 1e-6);
+    let row =
+        |row: usize| format!("[{}]", (0..=row).map(|at| number(row * 31 + at)).collect::<Vec<_>>().join(","));
+    let numbers = (0..names.len()).map(number).collect::<Vec<_>>().join(",");
+    let rows = (0..names.len()).map(row).collect::<Vec<_>>().join(",");
+    let prior = vec!["0.05"; names.len()].join(",");
+    let names = names.join(",");
+    format!(
+        "{{\"parameters\":[{names}],\"corrections\":[{numbers}],\"covariance\":[{rows}],\"prior\":[{prior}]}}"
+    )
+}
+
+fn measure(name: &str, times: usize, mut work: impl FnMut()) {
+    let mut took: Vec<f64> = (0..times)
+        .map(|_| {
+            let begun = Instant::now();
+            work();
+            1e3 * begun.elapsed().as_secs_f64()
+        })
+        .collect();
+    took.sort_by(f64::total_cmp);
+    let at = |share: f64| took[((times - 1) as f64 * share).round() as usize];
+    println!("{name:40} median {:7.1} ms, 99 % {:7.1} ms", at(0.5), at(0.99));
+}
+
+#[test]
+#[ignore = "a campaign"]
+fn figures_of_the_page() {
+    let results = std::env::var("DBBD_RESULTS").unwrap_or_else(|_| "5000".into());
+    let Some(plant) = Plant::new("figures", 0) else { return };
+    let mut owner = plant.client("postgres");
+    let posterior = posterior();
+    println!("{results} results, a posterior of {} bytes", posterior.len());
+    owner.batch_execute("CREATE TEMPORARY TABLE posterior (text TEXT)").unwrap();
+    owner.execute("INSERT INTO posterior VALUES ($1)", &[&posterior]).unwrap();
+    owner.batch_execute(&FILL.replace("{results}", &results)).unwrap();
+    let sizes = "SELECT pg_size_pretty(pg_database_size(current_database()))";
+    println!("database {}", owner.query_one(sizes, &[]).unwrap().get::<_, String>(0));
+    let server =
+        Server::start_command(plant.command("v", &["serve", "--listen", "127.0.0.1:0", "--limit", "0.8"]));
+    for path in PATHS {
+        measure(path, 100, || assert_eq!(server.get(path).status, 200, "{path}"));
+    }
+    let mut viewer = plant.client("v");
+    for (name, statement) in STATEMENTS {
+        measure(name, 100, || drop(viewer.query(statement, &[]).unwrap()));
+    }
+}
