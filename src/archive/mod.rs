@@ -23,6 +23,7 @@ pub use address::{Addresses, Secrets};
 pub use database::Database;
 pub use local::LocalRun;
 pub use pages::{PlantOptions, PlantPages};
+pub use plant::RunJob;
 pub use posterior::WrittenPosterior;
 pub use push::Pushed;
 pub use query::{ArchivedFile, ArchivedRun, Selection};
@@ -30,12 +31,19 @@ pub use spool::Spool;
 pub use store::Store;
 pub use work::{ArchivedResult, Job, Queue, Settings, Summary, Worker};
 
-use crate::diagnostic::Diagnostic;
+use crate::catalogue::ArchiveFinding;
+use crate::diagnostic::{Diagnostic, Finding as _};
+
+/// Whether the archive could not be reached: what failed may be tried again.
+pub fn is_away(why: &Diagnostic) -> bool {
+    why.code == ArchiveFinding::NotReached { what: String::new(), why: String::new() }.code()
+}
 
 /// A database with its store.
 pub struct Archive {
     pub(crate) database: Database,
     pub(crate) store: Store,
+    addresses: Addresses,
 }
 
 impl Archive {
@@ -60,6 +68,16 @@ impl Archive {
     }
 
     fn connect(addresses: &Addresses) -> Result<Self, Diagnostic> {
-        Ok(Self { database: Database::open(&addresses.archive)?, store: Store::open(&addresses.store)? })
+        let (database, store) = (Database::open(&addresses.archive)?, Store::open(&addresses.store)?);
+        Ok(Self { database, store, addresses: addresses.clone() })
+    }
+
+    /// Connects to the database anew, after the connection was lost.
+    ///
+    /// # Errors
+    /// It cannot be reached.
+    pub fn reconnect(&mut self) -> Result<(), Diagnostic> {
+        self.database = Database::open(&self.addresses.archive)?;
+        Ok(())
     }
 }

@@ -129,14 +129,16 @@ impl Past {
 
 /// A job of a run.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub(super) struct RunJob {
+pub struct RunJob {
     #[serde(skip)]
     pub(super) run: String,
-    settings: String,
-    version: String,
-    pub(super) state: String,
-    code: Option<String>,
-    message: Option<String>,
+    pub settings: String,
+    /// The version that was asked for; empty for any.
+    pub version: String,
+    pub state: String,
+    /// Why it failed.
+    pub code: Option<String>,
+    pub message: Option<String>,
 }
 
 impl Archive {
@@ -255,7 +257,7 @@ impl Archive {
     }
 
     /// The jobs of these runs, the newest last.
-    pub(super) fn jobs(&mut self, runs: &[ArchivedRun]) -> Result<Vec<RunJob>, Diagnostic> {
+    pub fn jobs(&mut self, runs: &[ArchivedRun]) -> Result<Vec<RunJob>, Diagnostic> {
         if runs.is_empty() {
             return Ok(Vec::new());
         }

@@ -11,7 +11,7 @@ use super::Archive;
 use super::database::{Row, Value};
 use super::query::Selection;
 use crate::base::hash::sha256;
-use crate::catalogue::ArchiveFinding::NotASetting;
+use crate::catalogue::ArchiveFinding::{GivenUp, NotASetting};
 use crate::diagnostic::Diagnostic;
 
 /// A job that lost its worker so often is not tried again.
@@ -157,7 +157,8 @@ impl ArchivedResult {
 }
 
 impl Archive {
-    /// Asks for the runs of a selection to be identified by `version`, where that was not asked for before; how many.
+    /// Asks for the runs of a selection to be identified by `version`, where that was not asked for before or failed; how
+    /// many.
     pub fn ask(
         &mut self,
         selection: &Selection,
@@ -169,7 +170,8 @@ impl Archive {
         values.extend([settings.text().into(), version.into()]);
         let sql = format!(
             "INSERT INTO job (run, settings, version) SELECT sha256, ${}, ${} FROM run WHERE {condition} \
-             ON CONFLICT DO NOTHING",
+             ON CONFLICT (run, settings, version) DO UPDATE SET state = 'waiting', attempts = 0, code = NULL, \
+             message = NULL WHERE job.state = 'failed'",
             count + 1,
             count + 2
         );
@@ -184,7 +186,10 @@ impl Archive {
                 AND attempts < $3 AND version IN ('', $4) ORDER BY asked_at, run LIMIT 1 {skip_locked}) \
             RETURNING run, settings, version";
         let values = [(&worker.name).into(), lease(worker), MOST_ATTEMPTS.into(), (&worker.version).into()];
-        let Some(row) = self.database.query(sql, &values)?.pop() else { return Ok(None) };
+        let Some(row) = self.database.query(sql, &values)?.pop() else {
+            self.give_up()?;
+            return Ok(None);
+        };
         let (run, settings, asked) = (row.text(0)?, row.text(1)?, row.text(2)?);
         match Settings::of_job(&settings) {
             Ok(known) if known.text() == settings => Ok(Some(Job { run, settings: known, asked })),
@@ -197,6 +202,15 @@ impl Archive {
                 self.claim(worker)
             }
         }
+    }
+
+    /// Jobs that lost their worker too often have failed.
+    fn give_up(&mut self) -> Result<(), Diagnostic> {
+        let why = Diagnostic::from(GivenUp { attempts: MOST_ATTEMPTS });
+        let sql = "UPDATE job SET state = 'failed', code = $1, message = $2 \
+            WHERE state = 'running' AND lease_until < {now} AND attempts >= $3";
+        let values = [why.code.0.into(), why.to_string().as_str().into(), MOST_ATTEMPTS.into()];
+        self.database.execute(sql, &values).map(drop)
     }
 
     /// Says that the worker is still at it; whether the job is still its own.

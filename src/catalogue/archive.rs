@@ -81,6 +81,11 @@ findings! {
         cure: "Let `dbbd archive worker` identify the runs first." {
             NoFleet { results: usize } => "{results} results do not make a fleet";
         }
+        E2417 "a job was given up",
+        cause: "Its worker was killed in the middle of it again and again: memory ran out, or the identification ends the process.",
+        cure: "`dbbd archive get` and `dbbd identify` show what it does. `dbbd archive reprocess` asks for it again." {
+            GivenUp { attempts: u64 } => "the worker was lost {attempts} times in the middle of it";
+        }
         W2416 "a bar jumped, or a robot changed suddenly",
         cause: "A bar was dropped or its ends were exchanged; a robot crashed, or was repaired or mastered anew. Runs before and after disagree by more than drift and noise allow.",
         cure: "Have the bar certified again before its next run. Calibrate the robot anew, and check what it did in between." {

@@ -5,6 +5,8 @@ use std::path::Path;
 use std::process::{Command, Output};
 
 #[cfg(feature = "archive")]
+mod faults;
+#[cfg(feature = "archive")]
 mod figures;
 #[cfg(feature = "archive")]
 mod on_one_machine;
@@ -15,13 +17,17 @@ mod pages;
 #[cfg(feature = "archive")]
 mod plant;
 #[cfg(feature = "archive")]
+mod restore;
+#[cfg(feature = "archive")]
+mod servers;
+#[cfg(feature = "archive")]
 mod service_pushes;
 
 /// The codes of these tables; those of the archive need its feature.
 pub(crate) fn provoked() -> Vec<&'static str> {
     vec![
         "E2401", "E2402", "E2403", "E2404", "E2405", "E2406", "E2407", "E2408", "E2409", "E2410", "E2411",
-        "E2415", "E2430", "E2431", "W2412", "I2413", "W2414",
+        "E2415", "E2417", "E2430", "E2431", "W2412", "I2413", "W2414",
     ]
 }
 

@@ -5,11 +5,11 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 use serde_json::json;
 
-use super::work::{Until, compare, work, worker};
+use super::work::{Until, compare, report_failures, work, worker};
 use super::{Args, Choice, What};
 use crate::archive::{
-    Addresses, Archive, ArchivedFile, ArchivedRun, LocalRun, PlantOptions, Pushed, Secrets, Selection,
-    Settings, Spool,
+    Addresses, Archive, ArchivedFile, ArchivedRun, LocalRun, PlantOptions, Pushed, RunJob, Secrets,
+    Selection, Settings, Spool,
 };
 use crate::base::{files, serialised};
 use crate::catalogue::{ArchiveFinding, ProvenanceFinding};
@@ -31,7 +31,9 @@ pub(super) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         What::Show { run } => show(&mut Archive::open(&addresses)?, run, out),
         What::Worker { until_empty, lease } => {
             let until = if *until_empty { Until::Empty } else { Until::Stopped };
-            let [done, failed] = work(&mut Archive::open(&addresses)?, &worker(*lease), until, out)?;
+            let mut archive = Archive::open(&addresses)?;
+            let [done, failed] = work(&mut archive, &worker(*lease), until, out)?;
+            report_failures(&mut archive, out)?;
             out.document(&json!({ "done": done, "failed": failed }))?;
             out.result(format!("{done} runs identified, {failed} not"));
             Ok(Outcome::Done)
@@ -166,20 +168,25 @@ struct Shown<'a> {
     #[serde(flatten)]
     run: &'a ArchivedRun,
     files: &'a [ArchivedFile],
+    jobs: &'a [RunJob],
     provenance: Provenance,
 }
 
 fn show(archive: &mut Archive, digits: &str, out: &Output) -> Result<Outcome, Diagnostic> {
     let run = archive.run(digits)?;
-    let files = archive.files(&run)?;
+    let (files, jobs) = (archive.files(&run)?, archive.jobs(std::slice::from_ref(&run))?);
     let provenance: Provenance = serde_json::from_str(&run.provenance)
         .map_err(|error| ProvenanceFinding::Damaged { why: error.to_string() })?;
-    out.document(&Shown { run: &run, files: &files, provenance: provenance.clone() })?;
+    out.document(&Shown { run: &run, files: &files, jobs: &jobs, provenance: provenance.clone() })?;
     line(out, "run", &run.sha256);
     line(out, "robot", &format!("{} ({})", run.robot, run.kind));
     crate::cli::artefact::chain(&provenance, out);
     for file in &files {
         line(out, "file", &format!("{:32} {} bytes", file.name, file.bytes));
+    }
+    for RunJob { settings, state, code, message, .. } in &jobs {
+        let why = [code.as_deref(), message.as_deref()].map(Option::unwrap_or_default).join(" ");
+        line(out, "job", format!("{settings} {state} {why}").trim_end());
     }
     Ok(Outcome::Done)
 }
@@ -242,7 +249,7 @@ fn export(
 fn get(archive: &mut Archive, digits: &str, directory: &Path, out: &Output) -> Result<Outcome, Diagnostic> {
     let run = archive.run(digits)?;
     let files = archive.fetch(&run, directory)?;
-    out.document(&Shown { run: &run, files: &files, provenance: Provenance::default() })?;
+    out.document(&Shown { run: &run, files: &files, jobs: &[], provenance: Provenance::default() })?;
     out.result(format!("{} files in {}", files.len(), directory.display()));
     Ok(Outcome::Done)
 }

@@ -2,12 +2,12 @@
 
 use std::fs;
 use std::path::Path;
-use std::process::Stdio;
+use std::process::{ExitStatus, Stdio};
 use std::time::Duration;
 
 use serde_json::json;
 
-use crate::archive::{Archive, Job, Settings, Summary, Worker};
+use crate::archive::{Archive, Job, Settings, Summary, Worker, is_away};
 use crate::base::{clock, files, program};
 use crate::catalogue::{ArchiveFinding, ServiceFinding};
 use crate::cli::{Outcome, Output};
@@ -23,8 +23,15 @@ const LEASE: Duration = Duration::from_secs(30);
 /// How often it looks for work and at its child, s.
 const PAUSE_S: f64 = 1.0;
 const LOOK_S: f64 = 0.02;
+/// How long it waits for an archive that cannot be reached, s.
+const PATIENCE_S: f64 = 60.0;
 /// What of a result is kept.
 const KEPT: [&str; 4] = ["result.json", "report.html", "robot-identified.toml", "lengths.csv"];
+
+/// Where an identification writes why it failed.
+const SAID: &str = "said";
+/// The code of an object that is not what was stored.
+const DAMAGED: &str = "E2408";
 
 /// Files by name.
 type Contents = Vec<(String, Vec<u8>)>;
@@ -55,8 +62,8 @@ pub(super) fn work(
 ) -> Result<[u64; 2], Diagnostic> {
     let mut counts = [0; 2];
     loop {
-        let Some(job) = archive.claim(worker)? else {
-            let open = archive.queue()?;
+        let Some(job) = patiently(archive, out, |archive| archive.claim(worker))? else {
+            let open = patiently(archive, out, Archive::queue)?;
             // A job of another worker may come back.
             if until == Until::Empty && open.waiting + open.running == 0 {
                 return Ok(counts);
@@ -64,66 +71,118 @@ pub(super) fn work(
             clock::sleep(PAUSE_S);
             continue;
         };
-        match one(archive, &job, worker) {
-            Ok(true) => counts[0] += 1,
-            Ok(false) => counts[1] += 1,
-            Err(why) => return Err(why),
-        }
+        counts[usize::from(!one(archive, &job, worker, out)?)] += 1;
         out.progress(format!("{} {}", &job.run[..12.min(job.run.len())], job.settings.text()));
     }
 }
 
-/// Does a job; whether there is a result.
-fn one(archive: &mut Archive, job: &Job, worker: &Worker) -> Result<bool, Diagnostic> {
-    let directory =
-        tempfile::tempdir().map_err(|error| ServiceFinding::NoSystem { why: error.to_string() })?;
-    let run = archive.run(&job.run)?;
-    let capture = archive.files(&run)?.into_iter().find(|file| file.sha256 == job.run);
-    if capture.is_none() {
-        archive.fail(job, "E2408", "the run has no capture")?;
-        return Ok(false);
-    }
-    archive.fetch_object(&job.run, &directory.path().join("run.dbbd"))?;
-    let system = |error: std::io::Error| ServiceFinding::NoSystem { why: error.to_string() };
-    let mut command = program::own().map_err(system)?;
-    command.args(["identify", "run.dbbd", "--out=result", "--quiet"]).args(job.settings.arguments());
-    let said = directory.path().join("said");
-    let log = fs::File::create(&said).map_err(system)?;
-    command.current_dir(directory.path()).stdout(Stdio::null()).stderr(log);
-    let mut child = command.spawn().map_err(system)?;
-    let third_s = worker.lease.as_secs_f64() / 3.0;
-    let mut kept = clock::now();
-    let status = loop {
-        if let Some(status) = child.try_wait().map_err(system)? {
-            break status;
-        }
-        if clock::now().seconds_since(kept) > third_s {
-            kept = clock::now();
-            if !archive.keep(job, worker).unwrap_or(true) {
-                // Another worker has it.
-                let _ = child.kill();
+/// Does something with the archive, again and again while that cannot be reached, for a while.
+fn patiently<T>(
+    archive: &mut Archive,
+    out: &Output,
+    mut what: impl FnMut(&mut Archive) -> Result<T, Diagnostic>,
+) -> Result<T, Diagnostic> {
+    let began = clock::now();
+    loop {
+        match what(archive) {
+            Err(why) if is_away(&why) && clock::now().seconds_since(began) < PATIENCE_S => {
+                out.progress(why.to_string())
             }
+            done => return done,
         }
-        clock::sleep(LOOK_S);
-    };
+        clock::sleep(PAUSE_S);
+        // Where this fails, so does the next attempt.
+        let _ = archive.reconnect();
+    }
+}
+
+/// Does a job; whether there is a result.
+fn one(archive: &mut Archive, job: &Job, worker: &Worker, out: &Output) -> Result<bool, Diagnostic> {
+    let directory = tempfile::tempdir().map_err(system)?;
+    let capture = directory.path().join("run.dbbd");
+    match patiently(archive, out, |archive| archive.fetch_object(&job.run, &capture)) {
+        // Other runs are whole.
+        Err(why) if why.code.0 == DAMAGED => return failed(archive, job, why.code.0, &why.to_string(), out),
+        fetched => fetched?,
+    }
+    let status = identify(archive, job, worker, directory.path())?;
     match status.code() {
         Some(code @ (0 | 3)) => {
             let (found, contents) = read(&directory.path().join("result"), code == 3)?;
-            archive.finish(job, worker, &found, &contents)?;
+            patiently(archive, out, |archive| archive.finish(job, worker, &found, &contents))?;
             Ok(true)
         }
         code => {
-            let text = String::from_utf8_lossy(&fs::read(&said).unwrap_or_default()).into_owned();
+            let said = fs::read(directory.path().join(SAID)).unwrap_or_default();
+            let text = String::from_utf8_lossy(&said);
             let error = text.lines().find_map(|line| line.strip_prefix("error[")?.split_once("]: "));
             match (error, code) {
-                (Some((code, message)), _) => archive.fail(job, code, message)?,
-                (None, Some(_)) => archive.fail(job, "E2411", text.trim())?,
+                (Some((code, message)), _) => failed(archive, job, code, message, out),
+                (None, Some(_)) => failed(archive, job, "E2411", text.trim(), out),
                 // Ended by the system or by another worker: it stays claimed until the lease ends.
-                (None, None) => {}
+                (None, None) => Ok(false),
             }
-            Ok(false)
         }
     }
+}
+
+fn failed(
+    archive: &mut Archive,
+    job: &Job,
+    code: &str,
+    message: &str,
+    out: &Output,
+) -> Result<bool, Diagnostic> {
+    patiently(archive, out, |archive| archive.fail(job, code, message))?;
+    Ok(false)
+}
+
+/// Identifies the capture in `directory`, and keeps the job meanwhile.
+fn identify(
+    archive: &mut Archive,
+    job: &Job,
+    worker: &Worker,
+    directory: &Path,
+) -> Result<ExitStatus, Diagnostic> {
+    let mut command = program::own().map_err(system)?;
+    command.args(["identify", "run.dbbd", "--out=result", "--quiet"]).args(job.settings.arguments());
+    let log = fs::File::create(directory.join(SAID)).map_err(system)?;
+    command.current_dir(directory).stdout(Stdio::null()).stderr(log);
+    let mut child = command.spawn().map_err(system)?;
+    let third_s = worker.lease.as_secs_f64() / 3.0;
+    let mut kept = clock::now();
+    loop {
+        if let Some(status) = child.try_wait().map_err(system)? {
+            return Ok(status);
+        }
+        if clock::now().seconds_since(kept) > third_s {
+            kept = clock::now();
+            match archive.keep(job, worker) {
+                Ok(true) => {}
+                Ok(false) => {
+                    // Another worker has it, or it has just ended.
+                    let _ = child.kill();
+                }
+                Err(_) => {
+                    // The next time it is asked again; what is found counts also when the lease has ended.
+                    let _ = archive.reconnect();
+                }
+            }
+        }
+        clock::sleep(LOOK_S);
+    }
+}
+
+fn system(error: std::io::Error) -> ServiceFinding {
+    ServiceFinding::NoSystem { why: error.to_string() }
+}
+
+/// Says how many jobs failed.
+pub(super) fn report_failures(archive: &mut Archive, out: &Output) -> Result<(), Diagnostic> {
+    if let failed @ 1.. = archive.queue()?.failed {
+        out.finding(ArchiveFinding::JobsFailed { jobs: failed });
+    }
+    Ok(())
 }
 
 /// What the files of a result state, and those that are kept.
@@ -218,8 +277,6 @@ pub(super) fn compare(
     out.result(format!(
         "{count} runs compared: predicted position error changes by {mean:+.4} mm on average, by {worst:+.4} mm at most"
     ));
-    if let failed @ 1.. = archive.queue()?.failed {
-        out.finding(ArchiveFinding::JobsFailed { jobs: failed });
-    }
+    report_failures(archive, out)?;
     Ok(Outcome::Done)
 }

@@ -8,6 +8,7 @@ use postgres::{Client, NoTls};
 use serde_json::Value;
 use tempfile::{TempDir, tempdir};
 
+use super::servers::skipped;
 use super::{archive, command, plant};
 use crate::cell::{codes, stderr};
 
@@ -17,22 +18,18 @@ fn server() -> String {
 }
 
 /// A database of its own with four roles, gone at the end.
-pub(super) struct Plant {
-    name: String,
-    dir: TempDir,
-    admin: Client,
+pub(crate) struct Plant {
+    pub(crate) name: String,
+    pub(crate) dir: TempDir,
+    pub(crate) admin: Client,
 }
 
 impl Plant {
-    pub(super) fn new(name: &str, runs: u64) -> Option<Self> {
+    pub(crate) fn new(name: &str, runs: u64) -> Option<Self> {
         let connected = Client::connect(&format!("{}/postgres", server()), NoTls);
         let mut admin = match connected {
             Ok(admin) => admin,
-            Err(error) => {
-                assert!(std::env::var_os("DBBD_REQUIRE_SERVERS").is_none(), "no PostgreSQL: {error}");
-                eprintln!("SKIPPED: no PostgreSQL at {}: {error}", server());
-                return None;
-            }
+            Err(error) => return skipped(&format!("PostgreSQL at {}: {error}", server())),
         };
         let name = format!("dbbd_{name}_{}", std::process::id());
         admin.batch_execute(&format!("CREATE DATABASE {name}")).unwrap();
@@ -52,7 +49,7 @@ impl Plant {
         if short == "postgres" { short.into() } else { format!("{}_{short}", self.name) }
     }
 
-    fn address(&self, role: &str) -> String {
+    pub(crate) fn address(&self, role: &str) -> String {
         format!("postgres://{}@{}/{}", self.role(role), server().split('@').nth(1).unwrap(), self.name)
     }
 
@@ -62,16 +59,16 @@ impl Plant {
         client
     }
 
-    fn run_as(&self, role: &str, args: &[&str]) -> Output {
+    pub(crate) fn run_as(&self, role: &str, args: &[&str]) -> Output {
         self.command(role, args).output().unwrap()
     }
 
-    pub(super) fn command(&self, role: &str, args: &[&str]) -> Command {
+    pub(crate) fn command(&self, role: &str, args: &[&str]) -> Command {
         let address = self.address(role);
         command(self.dir.path(), args, &[("DBBD_ARCHIVE", &address), ("DBBD_STORE", "file:objects")])
     }
 
-    fn listed(&self, role: &str) -> usize {
+    pub(crate) fn listed(&self, role: &str) -> usize {
         let output = self.run_as(role, &["list", "--json"]);
         serde_json::from_slice::<Value>(&output.stdout).unwrap().as_array().unwrap().len()
     }
@@ -196,6 +193,44 @@ fn cells_that_push_at_once_and_workers_that_are_killed_do_each_run_once() {
     }
 }
 
+/// Every name of a run as a piece of SQL: it is stored, found and exported as it is.
+#[test]
+fn sql_in_names_does_nothing() {
+    let Some(plant) = Plant::new("inert", 0) else { return };
+    let names =
+        ["'; DROP TABLE run CASCADE; --", "$1); DELETE FROM job; --", "\" OR 1=1 \\", "%_' {now} {user}"];
+    let case = plant::Case {
+        robot: names[0].into(),
+        bar: names[1].into(),
+        cell: names[2].into(),
+        ..plant::Case::number(0)
+    };
+    let other = plant::Case { robot: names[3].into(), ..plant::Case::number(1) };
+    let plan = plant::plan(case.points);
+    for (at, case) in [case, other].iter().enumerate() {
+        let path = plant.dir.path().join(format!("run-{at}.dbbd"));
+        plant::write(&path, &plan, &crate::cell::kr60().geometry, case);
+        let pushed = plant.run_as("a", &["push", path.to_str().unwrap()]);
+        assert_eq!(pushed.status.code(), Some(0), "{}", stderr(&pushed));
+    }
+    assert_eq!(plant.run_as("w", &["worker", "--until-empty"]).status.code(), Some(0));
+    for (option, name) in
+        [("--robot", 0), ("--bar", 1), ("--cell", 2), ("--search", 0), ("--robot", 3), ("--search", 3)]
+    {
+        let found = plant.run_as("v", &["list", "--json", option, names[name]]);
+        let found: Vec<Value> = serde_json::from_slice(&found.stdout).unwrap();
+        assert_eq!(found.len(), 1, "{option} {}", names[name]);
+        assert_eq!(found[0]["robot"], if name == 3 { names[3] } else { names[0] });
+    }
+    assert_eq!(plant.run_as("v", &["export", "--out", "tables"]).status.code(), Some(0));
+    let table = std::fs::read_to_string(plant.dir.path().join("tables/results.csv")).unwrap();
+    assert_eq!(table.lines().count(), 3);
+    let asked = plant.run_as("w", &["reprocess", "--ask-only", "--robot", names[0]]);
+    assert_eq!(asked.status.code(), Some(0), "{}", stderr(&asked));
+    let jobs: i64 = plant.client("postgres").query_one("SELECT count(*) FROM job", &[]).unwrap().get(0);
+    assert_eq!(jobs, 3);
+}
+
 /// Runs that are identified anew are compared with what was found before; nothing is overwritten.
 #[test]
 fn work_is_done_once_and_anew_with_other_settings() {
@@ -224,6 +259,19 @@ fn work_is_done_once_and_anew_with_other_settings() {
     assert_eq!((&exported["runs"], &exported["results"]), (&2.into(), &3.into()));
     let refused = archive(at, &["reprocess", "--estimate", "a1;rm -rf"]);
     assert_eq!((refused.status.code(), codes(&refused)), (Some(1), vec!["E2411".to_owned()]));
+    // Its worker was lost too often: it is given up, and asked for anew it is done.
+    let database = rusqlite::Connection::open(at.join("plant.db")).unwrap();
+    let lost =
+        "UPDATE job SET state = 'running', attempts = 5, lease_until = 0 WHERE version = '' AND run = ?1";
+    let run = again["compared"][0]["run"].as_str().unwrap();
+    assert_eq!(database.execute(lost, [run]).unwrap(), 1);
+    let worked = archive(at, &["worker", "--until-empty"]);
+    assert_eq!((worked.status.code(), codes(&worked)), (Some(3), vec!["W2414".to_owned()]));
+    let shown = counts(&["show", run, "--json"]);
+    let jobs: Vec<_> =
+        shown["jobs"].as_array().unwrap().iter().filter(|job| job["state"] == "failed").collect();
+    assert_eq!((jobs.len(), &jobs[0]["code"]), (1, &"E2417".into()));
+    assert_eq!(database.execute("UPDATE job SET state = 'done' WHERE state = 'failed'", []).unwrap(), 1);
     // A capture without a plan is kept, and cannot be identified.
     std::fs::create_dir(at.join("bare")).unwrap();
     let mut writer = dbbd::recording::capture::Writer::create(&at.join("bare/run.dbbd")).unwrap();

@@ -97,8 +97,9 @@ pub(crate) fn write(path: &Path, plan: &Plan, truth: &Geometry, case: &Case) {
     put(begin, Record::Event(Event::Started { unix_ns: case.unix_ns, version: "0.1.0".into() }));
     let Case { robot, bar, cell, .. } = case;
     let identity = format!(
-        "robot = '{robot}'\ncell = '{cell}'\noperator = 'Op {}'\n[bar]\nserial = '{bar}'\ncertificate = 'K-{bar}'\n",
-        case.seed % 5
+        "robot = {robot:?}\ncell = {cell:?}\noperator = 'Op {}'\n[bar]\nserial = {bar:?}\ncertificate = {:?}\n",
+        case.seed % 5,
+        format!("K-{bar}")
     );
     let (csv, json) = plan.to_files().unwrap();
     let protocol = include_str!("../../../protocols/dbb-cobs-1.toml").to_owned();
