@@ -39,6 +39,19 @@ pub fn check_seal(text: &str) -> Result<(), ProvenanceFinding> {
     if end.trim_end() == format!("{sha256_is}\"\n}}") { Ok(()) } else { Err(ProvenanceFinding::Edited) }
 }
 
+/// A TOML text with a last line, a comment, that has the SHA-256 of what is above.
+pub fn sealed_toml(text: &str) -> String {
+    format!("{text}{TOML_SEAL}{}\n", sha256(text))
+}
+
+const TOML_SEAL: &str = "# SHA-256 of the lines above: ";
+
+/// Whether a text is as [`sealed_toml`] made it; `None` of one without a hash.
+pub fn is_sealed_toml(text: &str) -> Option<bool> {
+    let (above, end) = text.rsplit_once(TOML_SEAL)?;
+    Some(sha256(above) == end.trim_end())
+}
+
 /// JSON in one line.
 ///
 /// # Errors

@@ -68,6 +68,13 @@ findings! {
             OtherRadius { mean_mm: f64, radius_mm: f64 } => "the mean length is {mean_mm:.3} mm, and the nominal radius {radius_mm} mm";
             EqualLengths { length_mm: f64 } => "all lengths are {length_mm:.4} mm: are they measured ones?";
         }
+        W1482 "a trace of a circle has rows twice, too many turns, or temperatures of no bar",
+        cause: "A file was joined with itself, angle_deg is in another unit than degrees or counts on over the runs, or temp_c is in another unit than degrees Celsius.",
+        cure: "Give each row once, each run its own number in the column `run`, angles in degrees and temperatures in degrees Celsius." {
+            RowsTwice { run: String, rows: usize } => "run {run}: {rows} rows are there twice";
+            ManyTurns { run: String, span_deg: f64 } => "run {run}: the angles span {span_deg:.0} degrees in one sense";
+            WarmBar { mean_c: f64 } => "the mean of `temp_c` is {mean_c:.1} degrees: is it in Fahrenheit?";
+        }
         I1416 "reversal steps of joints are not separable",
         cause: "A joint's reversal is separated from the form of the circle by the poses that were measured in both senses. The circle was driven in one sense, the senses have too few poses in common, or their joints move alike.",
         cure: "Plan the circle with `direction = \"both\"`, and with enough points." {

@@ -67,6 +67,9 @@ findings! {
             NotAText { key: String, length: usize, most: usize } => "{key} must be a text of 1 to {most} characters in one line, it has {length}";
             NotACountry { code: String } => "country = \"{code}\" must be two capital letters of ISO 3166-1, such as DE";
             CertifiedLater { date: String } => "certified_on = \"{date}\" is after the day of the measurement";
+            InFuture { key: String, date: String } => "{key} = \"{date}\" is in the future, by the clock of this computer";
+            NotABall { key: String } => "`{key}` is no number of a base ball: they count from 1";
+            SerialTwice { serial: String } => "two base balls have the serial number {serial}";
             NotADate { key: String, date: String } => "{key} = \"{date}\" is no date YYYY-MM-DD";
         }
     }

@@ -51,9 +51,15 @@ findings! {
         cure: "Correct or remove the row that is named." {
             FarLengths { rows: usize, index: u32, off_mm: f64 } => "{rows} rows are far from where robot and base balls have them, first index {index}: by {off_mm:.0} mm";
         }
-        W1281 "axis angles are beyond the robot's limits",
+        W1842 "the temperatures of a table are none of a room",
+        cause: "The column temp_c is in another unit than degrees Celsius.",
+        cure: "Convert the column, or leave it out." {
+            WarmRoom { mean_c: f64 } => "the mean of `temp_c` is {mean_c:.1} degrees: is it in Fahrenheit?";
+        }
+        W1281 "axis angles are beyond the robot's limits, or in radians",
         cause: "The table is of another robot, an angle was mistyped or is in another unit, or limits_deg of the robot file are those of another arm.",
         cure: "Correct the row that is named, --robot, or limits_deg in the robot file." {
+            Radians { rows: usize } => "all axis angles of {rows} rows are within 2 pi: are they in radians?";
             BeyondLimits { rows: usize, index: usize, axis: usize, deg: f64 } => "{rows} rows are beyond the limits of the robot, first index {index}: axis {axis} at {deg} degrees";
         }
         E1205 "a sense of approach is none",

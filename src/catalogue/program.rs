@@ -183,6 +183,7 @@ findings! {
         cause: "Only a program that reports over EthernetKRL connects to it, and a controller needs its port.",
         cure: "Give --sync ekrl with --server ADDR:PORT as in `dbbd acquire --ekrl`, or leave --server out." {
             ServerUnused => "--server is of use with --sync ekrl only";
+            ServerAddress { server: String } => "no controller connects to {server}", help: "give the address of this computer in the controller's network";
             ServerPort => "--server needs a port other than 0: the one of `dbbd acquire --ekrl`";
         }
         I0881 "the address of --server is the controller itself",

@@ -33,6 +33,16 @@ findings! {
             UsedBefore { lengths: String, robot: String } => "{robot} was identified from {lengths}";
             GivenTwice { lengths: String } => "{lengths} is given twice";
         }
+        W1840 "a robot file was changed after it was written",
+        cause: "The hash in the last line of robot-identified.toml is that of another text. What it states was not identified.",
+        cure: "Take the file as dbbd wrote it. If the change is meant, remove the last line, and what it changes is answered for by you." {
+            RobotEdited => "was changed since dbbd wrote it: its hash is of another text";
+        }
+        W1841 "the file of --config is not $config.dat",
+        cause: "Tools and bases of a KUKA controller are in $config.dat. Another file may have other values of the same names.",
+        cure: "Give the controller's own $config.dat." {
+            NotConfig { begins: String } => "the file begins with `{begins}`, and $config.dat with DEFDAT $CONFIG";
+        }
         E1806 "lengths are of another result",
         cause: "lengths.csv beside robot-identified.toml is not the one that was written with it.",
         cure: "Keep the files of a result together, or identify again." {

@@ -13,6 +13,8 @@ findings! {
             OpenWithoutToken => "others could reach this address, and no token is asked for", help: "set `token_file`, or listen on 127.0.0.1";
             NotAHost => "no name of a host", help: "a name without scheme and port, as \"cell-3.local\"";
             ParametersWithoutProtocol => "`device.params` needs `device.protocol`";
+            NotADirectory => "`data` and `plans` are directories, and this is none";
+            NoPlans => "`plans` is no directory";
             NotAStroke => "the stroke is [lowest, highest] reading, mm";
             NotAProtocol { name: String, why: String } => "`{name}` is neither a built-in protocol nor a file: {why}", help: "`dbbd protocols` lists what is built in";
             TokenUnreadable { why: String } => "the token cannot be read: {why}";

@@ -1,6 +1,8 @@
 //! Lengths that no circular test gives: mistakes in a table.
 
-use super::Trace;
+use std::cmp::Ordering;
+
+use super::{Point, Trace};
 use crate::catalogue::CircularFinding as Finding;
 use crate::math::robust::median;
 
@@ -9,11 +11,18 @@ const SPIKE: f64 = 20.0;
 const LEAST_SPIKE_MM: f64 = 0.2;
 /// Share of the radius by which the mean length may be off.
 const MOST_APART: f64 = 0.01;
+/// No controller makes more turns in one run of a circular test, degrees.
+const MOST_TURNED_DEG: f64 = 750.0;
+/// Nobody measures in a warmer room, degrees Celsius: 50 degrees Fahrenheit and more are.
+const WARMEST_C: f64 = 45.0;
 /// Points from which neighbours are near.
 const LEAST_POINTS: usize = 12;
 
 pub(super) fn of(traces: &[Trace], radius_mm: f64) -> Vec<Finding> {
     let mut found: Vec<Finding> = traces.iter().filter_map(spike).collect();
+    found.extend(traces.iter().filter_map(rows_twice));
+    found.extend(traces.iter().filter_map(many_turns));
+    found.extend(warm(traces));
     let lengths = || traces.iter().flat_map(|trace| &trace.points).map(|point| point.length_mm);
     let mean_mm = lengths().sum::<f64>() / lengths().count().max(1) as f64;
     if (mean_mm - radius_mm).abs() > MOST_APART * radius_mm {
@@ -25,6 +34,27 @@ pub(super) fn of(traces: &[Trace], radius_mm: f64) -> Vec<Finding> {
         found.push(Finding::EqualLengths { length_mm: mean_mm });
     }
     found
+}
+
+fn rows_twice(trace: &Trace) -> Option<Finding> {
+    let row = |point: &Point| [Some(point.angle_deg), Some(point.length_mm), point.t_s];
+    let mut rows: Vec<_> = trace.points.iter().map(row).collect();
+    rows.sort_by(|a, b| a.partial_cmp(b).unwrap_or(Ordering::Equal));
+    let twice = rows.windows(2).filter(|pair| pair[0] == pair[1]).count();
+    (2 * twice >= trace.points.len()).then(|| Finding::RowsTwice { run: trace.run.clone(), rows: twice })
+}
+
+fn many_turns(trace: &Trace) -> Option<Finding> {
+    let angles = || trace.points.iter().map(|point| point.angle_deg);
+    let span_deg = angles().fold(f64::MIN, f64::max) - angles().fold(f64::MAX, f64::min);
+    (span_deg > MOST_TURNED_DEG).then(|| Finding::ManyTurns { run: trace.run.clone(), span_deg })
+}
+
+fn warm(traces: &[Trace]) -> Option<Finding> {
+    let found = traces.iter().flat_map(|trace| &trace.points).filter_map(|point| point.temp_c);
+    let found: Vec<f64> = found.collect();
+    let mean_c = found.iter().sum::<f64>() / found.len() as f64;
+    (mean_c > WARMEST_C).then_some(Finding::WarmBar { mean_c })
 }
 
 /// The point that is the farthest from the mean of its neighbours, if no circle has it.

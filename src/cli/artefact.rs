@@ -7,7 +7,7 @@ use serde_json::Value;
 
 use super::Output;
 use super::info::line;
-use crate::base::files;
+use crate::base::{clock, files};
 use crate::catalogue::{FileFinding, ProvenanceFinding};
 use crate::diagnostic::Diagnostic;
 use crate::plan::Job;
@@ -83,7 +83,10 @@ fn plan(path: &Path) -> Result<Option<Traced>, Diagnostic> {
 /// # Errors
 /// What is wrong in the file.
 pub(super) fn identity(path: &Path) -> Result<Identity, Diagnostic> {
-    Identity::from_toml(&path.display().to_string(), &files::read(path)?)
+    let file = path.display().to_string();
+    let identity = Identity::from_toml(&file, &files::read(path)?)?;
+    identity.check_dates(clock::unix_ns()).map_err(|(_, finding)| Diagnostic::file(&file, finding))?;
+    Ok(identity)
 }
 
 /// The artefact and its chain on the screen.

@@ -203,7 +203,7 @@ fn write(args: &Args, made: &Made<'_>, given: &Given) -> Result<(), Diagnostic> 
     files::write(&args.out.join("check.html"), check::html(found, made.distance.as_ref(), made.provenance)?)?;
     if let Some(robot) = found.update().filter(|_| args.update) {
         let robot = Robot { provenance: given.provenance.clone(), ..robot.clone() };
-        files::write(&args.out.join(ROBOT), robot.to_toml()?)?;
+        files::write(&args.out.join(ROBOT), serialised::sealed_toml(&robot.to_toml()?))?;
         files::write_pieces(&args.out.join(LENGTHS), given.observations.csv_pieces(|_| true))?;
     }
     Ok(())

@@ -65,7 +65,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     } else {
         Timeline::dated(&args.dates, documents.len()).map_err(Diagnostic::from)?
     };
-    let subject = subject(args, &documents, &timeline)?;
+    let subject = subject(args, &documents, &timeline, out)?;
     let dates = args.dates.iter().cloned().map(Some).chain(std::iter::repeat(None));
     let input = |(document, date): (&Document, Option<String>)| Input { file: document.name.clone(), date };
     let comparison = Comparison {
@@ -135,7 +135,12 @@ fn kind(document: &Document) -> Result<Kind, Diagnostic> {
     }
 }
 
-fn subject(args: &Args, documents: &[Document], timeline: &Timeline) -> Result<Subject, Diagnostic> {
+fn subject(
+    args: &Args,
+    documents: &[Document],
+    timeline: &Timeline,
+    out: &Output,
+) -> Result<Subject, Diagnostic> {
     let kinds: Vec<Kind> = documents.iter().map(kind).collect::<Result<_, _>>()?;
     if let Some(other) = kinds.iter().position(|kind| *kind != kinds[0]) {
         let finding = ConformityFinding::OtherKind { first: documents[0].name.clone() };
@@ -150,22 +155,22 @@ fn subject(args: &Args, documents: &[Document], timeline: &Timeline) -> Result<S
     let read = |document: &Document| ResultRead::from_json(&document.name, document.json.clone());
     let results: Vec<ResultRead> = documents.iter().map(read).collect::<Result<_, _>>()?;
     same_robot(&results)?;
-    let robot = robot(args, &documents[0])?;
+    let robot = robot(args, &documents[0], out)?;
     of_robot(&results, &robot.name)
         .map_err(|finding| Diagnostic::file(args.robot.as_deref().unwrap_or(ROBOT), finding))?;
     Ok(Subject::Results(Box::new(compare_results(&robot, &results, timeline, args.tolerance)?)))
 }
 
-fn robot(args: &Args, first: &Document) -> Result<Robot, Diagnostic> {
+fn robot(args: &Args, first: &Document, out: &Output) -> Result<Robot, Diagnostic> {
     if let Some(name) = &args.robot {
-        return robots::named(name);
+        return robots::named(name, out);
     }
     let beside = first.path.with_file_name(ROBOT);
     if !beside.exists() {
         let finding = ConformityFinding::NoRobotBeside { looked_for: ROBOT.into() };
         return Err(Diagnostic::file(&first.name, finding).help("give --robot NAME|FILE"));
     }
-    Robot::from_toml(&beside.display().to_string(), &files::read(&beside)?)
+    robots::named(&beside.display().to_string(), out)
 }
 
 /// `compare.json`.

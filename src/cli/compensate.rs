@@ -69,7 +69,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     if !(args.limit.is_finite() && args.limit > 0.0) {
         return Err(Diagnostic::new(CompensationFinding::BadLimit { limit_mm: args.limit }));
     }
-    let RobotRead { robot, source: identified } = robots::read(&args.robot)?;
+    let RobotRead { robot, source: identified } = robots::read(&args.robot, out)?;
     if robot.nominal.is_none() {
         return Err(Diagnostic::file(&args.robot, CompensationFinding::NotIdentified));
     }
@@ -97,6 +97,17 @@ fn language(program: &Path) -> Result<Language, Diagnostic> {
     })
 }
 
+/// Doubts a file with tools and bases that is no `$config.dat`.
+fn out_of_config(config: &Program, out: &Output) {
+    let words =
+        |line: &str| line.split_whitespace().take(2).collect::<Vec<_>>().join(" ").to_ascii_uppercase();
+    let begins = config.text().text.lines().map(words).find(|line| line.starts_with("DEFDAT"));
+    let begins = begins.unwrap_or_default();
+    if begins != "DEFDAT $CONFIG" {
+        out.finding(Diagnostic::file(&config.name, ProvenanceFinding::NotConfig { begins }));
+    }
+}
+
 /// What a program is corrected with.
 struct Cell<'a> {
     args: &'a Args,
@@ -114,6 +125,7 @@ impl Cell<'_> {
         }
         let data = beside(&args.program, "dat").map(|path| Program::open(&path)).transpose()?;
         let config = args.config.as_deref().map(Program::open).transpose()?;
+        config.iter().for_each(|config| out_of_config(config, out));
         source.check("DEF", &source)?;
         data.iter().try_for_each(|data| data.check("DEFDAT", &source))?;
         let both: Vec<&Program> = [Some(&source), data.as_ref()].into_iter().flatten().collect();

@@ -43,7 +43,7 @@ struct Predicted {
 
 pub(super) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     files::keeps(&args.out, [args.axes.as_path(), Path::new(&args.robot)])?;
-    let robot = robots::named(&args.robot)?;
+    let robot = robots::named(&args.robot, out)?;
     let poses = out.table(&args.axes, Measurements::poses_from_table)?;
     let edited = robots::edited(&robot);
     edited.into_iter().for_each(|doubt| out.finding(Diagnostic::file(&args.robot, doubt)));

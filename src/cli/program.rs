@@ -128,6 +128,10 @@ fn check_server(request: &Request<'_>, used: bool, out: &Output) -> Result<(), P
     if server.port() == 0 {
         return Err(ProgramFinding::ServerPort);
     }
+    let ip = server.ip();
+    if ip.is_unspecified() || ip.is_multicast() || ip.is_broadcast() {
+        return Err(ProgramFinding::ServerAddress { server: server.to_string() });
+    }
     if server.ip().is_loopback() && request.controller != Some(Controller::Simulated) {
         out.finding(ProgramFinding::ServerLoopback { server: server.to_string() });
     }

@@ -3,8 +3,8 @@
 use serde::Serialize;
 
 use super::{Outcome, Output};
-use crate::base::files;
-use crate::catalogue::EstimationFinding;
+use crate::base::{files, serialised};
+use crate::catalogue::{EstimationFinding, ProvenanceFinding};
 use crate::diagnostic::Diagnostic;
 use crate::robot::Tolerance;
 use crate::robot::file::JointTable;
@@ -42,13 +42,18 @@ enum What {
 ///
 /// # Errors
 /// An unknown name, or what is wrong in the file.
-pub(crate) fn read(name: &str) -> Result<RobotRead, Diagnostic> {
-    Robot::named(name, |path| files::if_there(path, ".toml"))
+pub(crate) fn read(name: &str, out: &Output) -> Result<RobotRead, Diagnostic> {
+    let sealed = |text: &String| {
+        if serialised::is_sealed_toml(text) == Some(false) {
+            out.finding(Diagnostic::file(name, ProvenanceFinding::RobotEdited));
+        }
+    };
+    Robot::named(name, |path| Some(files::if_there(path, ".toml")?.inspect(sealed)))
 }
 
 /// As [`read`], the robot alone.
-pub(crate) fn named(name: &str) -> Result<Robot, Diagnostic> {
-    read(name).map(|found| found.robot)
+pub(crate) fn named(name: &str, out: &Output) -> Result<Robot, Diagnostic> {
+    read(name, out).map(|found| found.robot)
 }
 
 /// A built-in robot, or one that was checked, in short.
@@ -85,7 +90,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         None | Some(What::List) => list(out),
         Some(What::Show { name }) => show(name, out),
         Some(What::Check { name }) => {
-            let robot = named(name)?;
+            let robot = named(name, out)?;
             edited(&robot).into_iter().for_each(|doubt| out.finding(Diagnostic::file(name, doubt)));
             out.document(&Entry { id: name, name: &robot.name, reach_mm: robot.reach_mm() })?;
             out.result(format!("{name}: {}, reach {:.1} mm: no mistake found", robot.name, robot.reach_mm()));
@@ -111,7 +116,7 @@ fn list(out: &Output) -> Result<Outcome, Diagnostic> {
 }
 
 fn show(name: &str, out: &Output) -> Result<Outcome, Diagnostic> {
-    let robot = named(name)?;
+    let robot = named(name, out)?;
     let shown = Shown {
         entry: Entry { id: name, name: &robot.name, reach_mm: robot.reach_mm() },
         joints: robot.joint_tables(),

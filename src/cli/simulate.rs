@@ -271,16 +271,16 @@ impl Source for &mut Cell<'_> {
 
 impl<'a> Cell<'a> {
     fn new(args: &Args, faults: &Faults, out: &'a Output) -> Result<Self, Diagnostic> {
-        let nominal = robots::named(&args.nominal)?;
+        let nominal = robots::named(&args.nominal, out)?;
         let robot = match &args.robot {
-            Some(name) => robots::named(name)?,
+            Some(name) => robots::named(name, out)?,
             None => truth::draw(&nominal, args.seed, 1.0),
         };
         let program = program(&args.program)?;
         let world_text = args.world.as_deref().map(files::read).transpose()?;
         let world_name = args.world.as_ref().map(|path| path.display().to_string());
         let setup = Setup::new(&program, world_name.as_deref().zip(world_text.as_deref()))?;
-        let accuracy = args.accuracy.as_deref().map(robots::named).transpose()?;
+        let accuracy = args.accuracy.as_deref().map(|name| robots::named(name, out)).transpose()?;
         let mut controller =
             Controller::new(program, accuracy.as_ref().unwrap_or(&nominal), args.override_percent)?;
         if accuracy.is_some() {

@@ -37,6 +37,7 @@ pub fn doubts(
     let doubts = [
         observations.without_sigma(),
         observations.beyond(&robot.controller().limits_deg),
+        observations.warm(),
         far_rows(observations, robot, centres),
     ];
     let unknown = robot.asked_repeatability().map(Diagnostic::from);

@@ -1,5 +1,6 @@
 //! Lengths with the axis angles they were measured at: the observations CSV.
 
+use std::f64::consts::TAU;
 use std::fmt::Write;
 use std::iter;
 use std::sync::Arc;
@@ -227,6 +228,16 @@ impl Measurements {
         beyond(self.rows.iter().map(|row| (row.index as usize, row.axes)), limits_deg)
     }
 
+    /// That the temperatures of its rows are those of no room.
+    pub fn warm(&self) -> Option<MeasurementFinding> {
+        /// 50 degrees Fahrenheit and more are above, degrees Celsius.
+        const WARMEST_C: f64 = 45.0;
+        let found = self.rows.iter().filter_map(|row| row.context.as_ref()?.temperature_c);
+        let found: Vec<f64> = found.collect();
+        let mean_c = found.iter().sum::<f64>() / found.len() as f64;
+        (mean_c > WARMEST_C).then_some(MeasurementFinding::WarmRoom { mean_c })
+    }
+
     /// The number of bars: the highest number of one.
     pub fn bars(&self) -> usize {
         self.rows.iter().map(|row| row.bar.index() + 1).max().unwrap_or(1)
@@ -246,7 +257,8 @@ pub fn beyond(
 ) -> Option<MeasurementFinding> {
     /// Controllers let an axis come to its very limit, and a little beyond.
     const BEYOND_DEG: f64 = 1.0;
-    let beyond = poses.filter_map(|(number, axes)| {
+    let all: Vec<(usize, AxisAngles)> = poses.collect();
+    let beyond = all.iter().filter_map(|&(number, axes)| {
         let out = |(deg, [low, high]): (&f64, &[f64; 2])| {
             // Limits of one and a half turns are those of a wrist: a pose may be given by another of its turns.
             let turned = if high - low >= 540.0 { low + (deg - low).rem_euclid(360.0) } else { *deg };
@@ -257,8 +269,18 @@ pub fn beyond(
         Some((number, axis + 1, axes_deg[axis]))
     });
     let beyond: Vec<_> = beyond.collect();
-    let &(index, axis, deg) = beyond.first()?;
+    let Some(&(index, axis, deg)) = beyond.first() else { return in_radians(&all) };
     Some(MeasurementFinding::BeyondLimits { rows: beyond.len(), index, axis, deg })
+}
+
+/// That axis angles of several poses are all small numbers with decimals.
+fn in_radians(poses: &[(usize, AxisAngles)]) -> Option<MeasurementFinding> {
+    const LEAST_ROWS: usize = 3;
+    let angles = || poses.iter().flat_map(|(_, axes)| axes.degrees());
+    let decimals = angles().filter(|angle| angle.fract() != 0.0).count();
+    let small = angles().all(|angle| angle.abs() <= TAU);
+    (small && poses.len() >= LEAST_ROWS && 2 * decimals >= angles().count())
+        .then_some(MeasurementFinding::Radians { rows: poses.len() })
 }
 
 /// A pose of a table, and how the axes came to it.

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use crate::base::date::day_number;
+use crate::base::date::{day_number, utc};
 use crate::base::parse::from_toml;
 use crate::catalogue::JobFinding::{self, NotACountry, NotADate, NotAText, OutOfRange};
 use crate::diagnostic::Diagnostic;
@@ -217,7 +217,7 @@ impl Identity {
     /// A text or a date that is none, or a load out of its range.
     pub fn check(&self) -> Result<(), Wrong> {
         self.texts().into_iter().try_for_each(|(key, text)| check_text(key, text.as_ref()))?;
-        self.balls.values().try_for_each(|serial| check_text("balls", Some(serial)))?;
+        self.check_balls()?;
         check_date("measured", self.measured.as_ref())?;
         if let Some(code) = self.country.as_ref()
             && !(code.len() == 2 && code.bytes().all(|byte| byte.is_ascii_uppercase()))
@@ -225,6 +225,37 @@ impl Identity {
             return Err(("country", NotACountry { code: code.clone() }));
         }
         within("load_kg", self.load_kg, [0.0, 1e4])
+    }
+
+    fn check_balls(&self) -> Result<(), Wrong> {
+        let mut known: Vec<&String> = Vec::new();
+        for (ball, serial) in &self.balls {
+            check_text("balls", Some(serial))?;
+            if ball.parse::<u32>().ok().is_none_or(|number| number == 0) {
+                return Err(("balls", JobFinding::NotABall { key: ball.clone() }));
+            }
+            if known.contains(&serial) {
+                return Err(("balls", JobFinding::SerialTwice { serial: serial.clone() }));
+            }
+            known.push(serial);
+        }
+        Ok(())
+    }
+
+    /// That no date is after `today`, nanoseconds since the Unix epoch; a day is left to the zones of time.
+    ///
+    /// # Errors
+    /// The first that is.
+    pub fn check_dates(&self, today: u64) -> Result<(), Wrong> {
+        let latest = day_number(utc(today).split('T').next().unwrap_or_default()).map(|day| day + 1.0);
+        let dates = [("measured", &self.measured), ("certified_on", &self.bar.certified_on)];
+        for (key, date) in dates {
+            let Some(date) = date else { continue };
+            if day_number(date.split('T').next().unwrap_or_default()) > latest {
+                return Err((key, JobFinding::InFuture { key: key.into(), date: date.clone() }));
+            }
+        }
+        Ok(())
     }
 
     /// # Errors

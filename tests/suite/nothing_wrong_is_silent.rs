@@ -58,7 +58,7 @@ pub(crate) fn provoked() -> Vec<&'static str> {
     let robots = ROBOTS.iter().map(|(_, _, code)| *code);
     let more = [
         "E0180", "W0480", "E0880", "I0881", "W0882", "E0980", "E1180", "W1181", "W1280", "W1281", "W1282",
-        "W0481",
+        "W0481", "W1482", "W1840", "W1841", "W1842",
     ];
     jobs.chain(robots)
         .chain(more)
@@ -102,6 +102,11 @@ fn tables_of_lengths() {
     says(&identified(&data, &[&prior[..], &["--validate", "other.csv"]].concat()), 3, "W1382");
     says(&identified(&changed(&|table| table.rows[5].sigma_mm = None), &prior), 3, "W1280");
     says(&identified(&changed(&|table| table.rows[7].length_mm /= 25.4), &prior), 3, "W1282");
+    // 20 degrees Celsius in Fahrenheit.
+    let (header, rows) = data.to_csv().split_once('\n').map(|(a, b)| (a.to_owned(), b.to_owned())).unwrap();
+    let rows: String = rows.lines().map(|row| format!("{row},68.0\n")).collect();
+    let warm = identify(dir.path(), &format!("{header},temp_c\n{rows}"), &prior);
+    says(&warm, 3, "W1842");
     says(&identified(&data, &[&prior[..], &["--tool", "130,20,10"]].concat()), 3, "W1312");
     let narrow = Robot { limits_deg: [[-20.0, 20.0]; 6], ..kr60() };
     fs::write(dir.path().join("narrow.toml"), narrow.to_toml().unwrap()).unwrap();
@@ -109,6 +114,12 @@ fn tables_of_lengths() {
     let far = "a1_deg,a2_deg,a3_deg,a4_deg,a5_deg,a6_deg\n500,-60,90,0,60,0\n";
     fs::write(dir.path().join("far.csv"), far).unwrap();
     says(&dbbd(dir.path(), &["predict", "far.csv", "--robot", "kr60ha", "--out", "p.csv"]), 3, "W1281");
+    let radians: String = data.rows.iter().fold(far.lines().next().unwrap().to_owned(), |table, row| {
+        let angles = row.axes.degrees().map(|deg| deg.to_radians().to_string());
+        format!("{table}\n{}", angles.join(","))
+    });
+    fs::write(dir.path().join("rad.csv"), radians).unwrap();
+    says(&dbbd(dir.path(), &["predict", "rad.csv", "--robot", "kr60ha", "--out", "p.csv"]), 3, "W1281");
     for (options, exit, code) in [
         (&["--folds", "1"][..], 2, ""),
         (&["--bar-u", "1"], 2, ""),
@@ -193,6 +204,9 @@ fn plans_programs_and_traces() {
     let krl = |more: &[&str]| dbbd(at, &[&["krl", "plan/plan.csv", "--out", "krl"], more].concat());
     says(&krl(&["--server", "10.0.0.1:54600"]), 1, "E0880");
     says(&krl(&["--sync", "ekrl", "--server", "10.0.0.1:0"]), 1, "E0880");
+    for nobody in ["0.0.0.0:54600", "255.255.255.255:54600", "239.0.0.1:54600"] {
+        says(&krl(&["--sync", "ekrl", "--server", nobody]), 1, "E0880");
+    }
     says(&krl(&["--sync", "ekrl", "--server", "127.0.0.1:54600"]), 0, "I0881");
     fs::write(at.join("krl/DBB_C002.src"), "").unwrap();
     says(&krl(&[]), 3, "W0882");
@@ -258,6 +272,20 @@ fn corrections_and_circles() {
     ] {
         says(&output, 3, "W1332");
     }
+    // Another name, another limit, another root of the covariance.
+    let root =
+        text.split("root = ").nth(1).unwrap().split(['[', ']', ',']).find(|word| word.contains('.')).unwrap();
+    for (from, to) in [("name = \"KUKA", "name = \"KUKO"), ("-135.0", "-115.0"), (root, "0.5")] {
+        let changed = text.replacen(from, to, 1);
+        assert_ne!(changed, text, "{from}");
+        fs::write(at.join("edited.toml"), changed).unwrap();
+        says(&dbbd(at, &["robots", "check", "edited.toml"]), 3, "W1840");
+    }
+    fs::write(at.join("frames.dat"), "DEFDAT CELL\nTOOL_DATA[1]={X 0,Y 0,Z 0,A 0,B 0,C 0}\nENDDAT\n")
+        .unwrap();
+    compensate(program, points, robot);
+    let config = ["compensate", "P.src", "--robot", robot, "--out", "new", "--config", "frames.dat"];
+    says(&dbbd(at, &config), 3, "W1841");
 
     let circle = |name: &str, length: &dyn Fn(u32) -> f64, more: &[&str]| {
         let rows = (0..72).map(|point| format!("1,ccw,{},{}\n", 5 * point, length(point)));
@@ -279,8 +307,43 @@ fn corrections_and_circles() {
     );
     says(&circle("equal.csv", &|_| 300.0, &["--radius", "300"]), 3, "W1480");
     says(&circle("c.csv", &round, &["--radius", "300", "c.csv"]), 3, "W1805");
+    let rows = |name: &str, angle: &dyn Fn(u32) -> u32, more: &str, times: usize| {
+        let rows = (0..72).map(|point| format!("1,ccw,{},{}{more}\n", angle(point), round(point)));
+        let header = if more.is_empty() { "" } else { ",temp_c" };
+        let rows = rows.collect::<String>().repeat(times);
+        fs::write(at.join(name), format!("run,direction,angle_deg,length_mm{header}\n{rows}")).unwrap();
+        dbbd(at, &["circle", name, "--out", "q", "--monte-carlo", "0", "--radius", "300"])
+    };
+    says(&rows("turns.csv", &|point| 50 * point, "", 1), 3, "W1482");
+    says(&rows("twice.csv", &|point| 5 * point, "", 2), 3, "W1482");
+    says(&rows("warm.csv", &|point| 5 * point, ",68.0", 1), 3, "W1482");
     says(&circle("c.csv", &round, &["--radius", "300", "--plan", "plan.csv"]), 1, "E1481");
     for wrong in [["--sigma", "2"], ["--certified", "293.15"]] {
         assert_eq!(circle("c.csv", &round, &wrong).status.code(), Some(2));
     }
+}
+
+#[test]
+fn dates_balls_and_directories() {
+    let dir = tempdir().unwrap();
+    let at = dir.path();
+    fs::create_dir(at.join("plans")).unwrap();
+    fs::write(at.join("file"), "").unwrap();
+    let wrong = [
+        ("[identity]\nmeasured = \"2399-01-01\"\n", "E0680"),
+        ("[identity.bar]\ncertified_on = \"2399-01-01\"\n", "E0680"),
+        ("[identity.balls]\nleft = \"S-1\"\n", "E0680"),
+        ("[identity.balls]\n1 = \"S-1\"\n2 = \"S-1\"\n", "E0680"),
+        ("data = \"file\"\n", "E1501"),
+        ("plans = \"file\"\n", "E1501"),
+        ("plans = \"nowhere\"\n", "E1501"),
+        ("[alarm]\nshare = 0.0\n", "E1501"),
+        ("[alarm]\nstroke_mm = [-5000.0, 5000.0]\n", "E1501"),
+    ];
+    for (text, code) in wrong {
+        fs::write(at.join("service.toml"), text).unwrap();
+        says(&dbbd(at, &["serve", "--check", "--config", "service.toml"]), 1, code);
+    }
+    fs::write(at.join("service.toml"), "plans = \"plans\"\n").unwrap();
+    assert_eq!(ended(&dbbd(at, &["serve", "--check", "--config", "service.toml"])).0, Some(0));
 }

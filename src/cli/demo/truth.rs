@@ -9,7 +9,6 @@ use rand_pcg::Pcg64;
 use serde::Serialize;
 
 use crate::base::files;
-use crate::cli::robots;
 use crate::diagnostic::Diagnostic;
 use crate::estimation::ResultFile;
 use crate::estimation::Workspace;
@@ -59,7 +58,7 @@ struct Compared {
 impl Truth {
     /// Draws the true robot and the true places of the balls, and writes `truth.toml` and `world.toml`.
     pub(super) fn draw(dir: &Path, seed: u64) -> Result<Self, Diagnostic> {
-        let nominal = robots::named("kr60ha")?;
+        let nominal = Robot::named("kr60ha", |_| None)?.robot;
         let robot = truth::draw(&nominal, seed, 1.0);
         let job = Job::from_toml("job.toml", super::JOB)?;
         let path = dir.join("plan/centres.csv");

@@ -26,7 +26,7 @@ struct Document<'a> {
 }
 
 pub(super) fn run(args: &Args, users: &Path, out: &Output) -> Result<Outcome, Diagnostic> {
-    let robot = robots::named(&args.run.to_string_lossy())?;
+    let robot = robots::named(&args.run.to_string_lossy(), out)?;
     let to = args.out.join(users.file_name().unwrap_or_default());
     if files::same_place(&to, users) {
         return Err(Diagnostic::file(&to.display().to_string(), FileFinding::IsRead));

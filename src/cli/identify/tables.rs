@@ -53,7 +53,7 @@ pub(super) fn write_results(
     let recorded = Recorded { result: &file, budget, provenance: &provenance };
     files::write(&dir.join("result.json"), serialised::sealed_json(&recorded)?)?;
     let robot = Robot { provenance: provenance.clone(), ..found.robot.clone() };
-    files::write(&dir.join(ROBOT), robot.to_toml()?)?;
+    files::write(&dir.join(ROBOT), serialised::sealed_toml(&robot.to_toml()?))?;
     let parameters =
         parameters_csv(&file).map_err(|error| CliFinding::NoOutput { why: error.to_string() })?;
     files::write(&dir.join("parameters.csv"), parameters)?;

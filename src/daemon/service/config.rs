@@ -9,12 +9,12 @@ use std::path::{Path, PathBuf};
 use serde::Deserialize;
 use toml::Spanned;
 
-use crate::base::files;
 use crate::base::parse::from_toml;
+use crate::base::{clock, files};
 use crate::catalogue::PortFinding;
 use crate::catalogue::ServiceFinding::{
-    self, NotAHost, NotAProtocol, NotAStroke, NotAnAddress, OpenWithoutToken, OutOfRange,
-    ParametersWithoutProtocol, TokenTooShort, TokenUnreadable,
+    self, NoPlans, NotADirectory, NotAHost, NotAProtocol, NotAStroke, NotAnAddress, OpenWithoutToken,
+    OutOfRange, ParametersWithoutProtocol, TokenTooShort, TokenUnreadable,
 };
 use crate::daemon::ALARM_SHARE;
 use crate::device::port::PortAddress;
@@ -25,6 +25,10 @@ use crate::provenance::Identity;
 
 /// How long a port may stay away during a run before the run ends, s.
 const GONE_S: f64 = 60.0;
+/// An alarm in a smaller share of the stroke is raised always.
+const LEAST_SHARE: f64 = 0.05;
+/// No bar reads further from its middle, mm: other numbers are in micrometres.
+const MOST_STROKE_MM: f64 = 500.0;
 
 /// How often what waits for the archive is tried again, s.
 #[cfg(feature = "archive")]
@@ -221,6 +225,13 @@ impl Config {
         if config.plans.as_os_str().is_empty() {
             config.plans = PathBuf::from(".");
         }
+        let is_file = |path: &Path| path.exists() && !path.is_dir();
+        if let Some(path) = [&config.data, &config.plans].into_iter().find(|path| is_file(path)) {
+            return Err(Diagnostic::file(&path.display().to_string(), NotADirectory));
+        }
+        if !config.plans.is_dir() {
+            return Err(Diagnostic::file(&config.plans.display().to_string(), NoPlans));
+        }
         if let Some(path) = &table.token_file {
             let file = source.base.join(path.get_ref());
             config.door.token = Some(token(&file).map_err(|wrong| source.wrong(path.span(), wrong))?);
@@ -246,17 +257,23 @@ impl Config {
             config.gone_s = source.number(gone_s, 0.0, 1e6)?;
         }
         if let Some(share) = &table.alarm.share {
-            config.alarm_share = source.number(share, 0.0, 1.0)?;
+            config.alarm_share = source.number(share, LEAST_SHARE, 1.0)?;
         }
         if let Some(stroke) = table.alarm.stroke_mm {
             let [low, high] = *stroke.get_ref();
             if !(low.is_finite() && high.is_finite() && low < high) {
                 return Err(source.wrong(stroke.span(), NotAStroke));
             }
+            if let Some(value) = [low, high].into_iter().find(|end| end.abs() > MOST_STROKE_MM) {
+                let (least, most) = (-MOST_STROKE_MM, MOST_STROKE_MM);
+                return Err(source.wrong(stroke.span(), OutOfRange { value, least, most }));
+            }
             config.stroke_mm = Some([low, high]);
         }
         if let Some(identity) = table.identity {
-            identity.get_ref().check_all().map_err(|(_, wrong)| source.wrong(identity.span(), wrong))?;
+            let checked = identity.get_ref().check_all();
+            let checked = checked.and_then(|()| identity.get_ref().check_dates(clock::unix_ns()));
+            checked.map_err(|(_, wrong)| source.wrong(identity.span(), wrong))?;
             config.identity = identity.into_inner();
         }
         config.archive = table.archive.map(|table| to_archive(source, table)).transpose()?;
