@@ -11,18 +11,21 @@ findings! {
             NoMeasurement => "holds no measurement: only a header, or nothing";
             NoPose => "holds no pose: only a header, or nothing";
         }
-        E1202 "the numbers of balls or bars have a gap or go too far",
-        cause: "Balls and bars are numbered 1, 2, .. without a gap, and no number of a ball occurs twice. One calibration has at most 100 balls and 20 bars.",
+        E1202 "the numbers of balls, bars or targets have a gap or go too far",
+        cause: "Balls, bars and targets are numbered 1, 2, .. without a gap, and no number of a ball occurs twice. One calibration has at most 100 balls, 20 bars and 20 targets.",
         cure: "Number them anew, in all files alike." {
             BallsNotInOrder { ball: u32, found: u32 } => "the numbers in column `centre` must run 1, 2, .., each once: {found} is there where {ball} is expected";
             NoBall => "holds no base ball: only a header, or nothing";
             BarWithoutLength { bar: u32 } => "column `bar`: the numbers must run 1, 2, ..: bar {bar} has no length";
+            TooManyTargets { targets: usize, most: usize } => "the highest number in column `target` is {targets}: one calibration has at most {most} targets";
+            UnseenTarget { target: u32 } => "column `target`: the numbers must run 1, 2, ..: target {target} has no measurement";
             TooMany { balls: usize, bars: usize, most_balls: usize, most_bars: usize } => "the highest numbers are ball {balls} and bar {bars}: one calibration has at most {most_balls} balls and {most_bars} bars";
         }
-        E1203 "a measurement is of a ball or bar that is not there",
-        cause: "The column `centre` or `bar` holds a number for which no ball or bar is given.",
-        cure: "Give all base balls (--centres, or the job's [[centre]]); measurements that only check must be of the bars that were identified." {
+        E1203 "a measurement is of a ball, bar or target that is not there",
+        cause: "The column `centre`, `bar` or `target` holds a number for which nothing is given.",
+        cure: "Give all base balls (--centres, or the job's [[centre]]); measurements that only check must be of the bars and targets that were identified." {
             UnknownBall { index: u32, ball: u32, balls: usize } => "index {index}: base ball {ball} is not among the {balls} that are given";
+            UnknownTarget { index: u32, target: u32, targets: usize } => "index {index}: target {target} is not among the {targets} of the input";
             UnknownBar { index: u32, bar: u32, bars: usize } => "index {index}: bar {bar} is not among the {bars} of the input";
         }
         E1204 "a table is not of measurements",

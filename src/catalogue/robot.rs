@@ -7,14 +7,16 @@ findings! {
     RobotFinding {
         E0501 "a word is not a parameter",
         cause: "A list of parameters holds a word that is no parameter, group or range, or a range whose numbers are no parameters.",
-        cure: "The parameters are alpha0..5, a0..5, theta1..6, d1..6, beta1..5, tool_x/_y/_z, centre<k>_x/_y/_z, bar_offset (bar_offset2, .. of further bars), compliance2..5, gear1..6_cos/_sin; the groups geometric, tool, centres, bar, all, compliance, gear; a range is written alpha1-5." {
-            UnknownParameter { word: String } => "`{word}` is not a parameter", help: "names such as alpha1 or centre1_x; ranges such as alpha1-5; groups: geometric, tool, centres, bar, all, compliance, gear";
+        cure: "The parameters are alpha0..5, a0..5, theta1..6, d1..6, beta1..5, tool_x/_y/_z, target<k>_x/_y/_z of further targets, centre<k>_x/_y/_z, bar_offset (bar_offset2, .. of further bars), tracker_x/_y/_z, tracker_rx/_ry/_rz, compliance2..5, gear1..6_cos/_sin; the groups geometric, tool, targets, centres, bar, tracker, all, compliance, gear; a range is written alpha1-5." {
+            UnknownParameter { word: String } => "`{word}` is not a parameter", help: "names such as alpha1 or centre1_x; ranges such as alpha1-5; groups: geometric, tool, targets, centres, bar, tracker, all, compliance, gear";
         }
-        E0502 "a parameter is about a ball or bar that the data do not have",
-        cause: "The number in the name is higher than that of the last base ball or bar.",
-        cure: "Give a number that occurs in the column `centre` or `bar` of the measurements." {
+        E0502 "a parameter is about a ball, bar, target or tracker that the data do not have",
+        cause: "The number in the name is higher than that of the last base ball, bar or target, or there is no position of a tracker.",
+        cure: "Give a number that occurs in the column `centre`, `bar` or `target` of the measurements." {
             NoSuchBall { name: String, balls: usize } => "`{name}` is not a parameter: the data have {balls} base ball(s)";
             NoSuchBar { name: String, bars: usize } => "`{name}` is not a parameter: the data have {bars} bar(s)";
+            NoSuchTarget { name: String, targets: usize } => "`{name}` is not a parameter: the data have {targets} target(s)";
+            NoTracker { name: String } => "`{name}` is not a parameter: the data have no position of a tracker";
         }
         E0503 "a robot is not known",
         cause: "The name is not that of a built-in robot, and there is no such file.",

@@ -20,7 +20,6 @@ use crate::plan::prediction::Identifiability;
 use crate::plan::{Check, Job, Kind, Plan, PlanningPrior, Prediction, Stage, Taught};
 use crate::provenance::{Artefact, Provenance, Role, Traced};
 use crate::report;
-use crate::robot::parameter::SetUp;
 use crate::robot::{Robot, RobotRead};
 
 /// Plan the poses of a calibration from a job, and check them.
@@ -254,8 +253,7 @@ impl Known {
         for path in measured {
             let observations = super::identify::observations(path, &mut findings, out)?;
             let name = path.display().to_string();
-            let set_up = SetUp { balls: job.centres.len(), bars: observations.bars() };
-            observations.check(&name, set_up)?;
+            observations.check(&name, observations.set_up(job.centres.len()))?;
             let rows = observations.rows.len();
             if tables.contains(&observations) {
                 findings.push(Diagnostic::file(&name, MeasurementFinding::Repeated { repeated: rows, rows }));
@@ -270,7 +268,8 @@ impl Known {
         let mut job = job;
         for row in rows() {
             let taught_deg = row.context.as_ref().and_then(|context| context.taught_deg.as_deref());
-            if let Some((table, axes_deg)) = job.centres.get_mut(row.ball.index()).zip(taught_deg) {
+            let ball = row.datum.ball().and_then(|ball| job.centres.get_mut(ball.index()));
+            if let Some((table, axes_deg)) = ball.zip(taught_deg) {
                 table.taught_deg.get_or_insert(*axes_deg);
             }
         }

@@ -195,7 +195,7 @@ struct Position {
 
 impl Position {
     fn new(robot: &Robot, first: &ResultRead, last: &ResultRead) -> Self {
-        let moves = |id: &ParamId| !matches!(id, ParamId::Ball(..) | ParamId::BarOffset(_));
+        let moves = |id: &ParamId| id.moves_tool_ball();
         let ids: Vec<ParamId> = first.parameters.keys().copied().filter(moves).collect();
         let mut geometry = robot.geometry.clone();
         for id in &ids {

@@ -41,7 +41,9 @@ pub fn by_count(
 ) -> Vec<LengthCount> {
     let mut columns = DMatrix::zeros(posterior.root().ncols(), readings.len());
     for (mut column, reading) in columns.column_iter_mut().zip(readings) {
-        column.copy_from(&(posterior.design_row(&reading.axes, reading.ball) / sigma_mm));
+        if let Some(ball) = reading.datum.ball() {
+            column.copy_from(&(posterior.design_row(&reading.axes, ball) / sigma_mm));
+        }
     }
     let mut order = Exchange::new(&columns, &DMatrix::zeros(0, columns.nrows()));
     order.extend(readings.len(), Criterion::D);

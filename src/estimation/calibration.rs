@@ -10,11 +10,11 @@ use super::monte_carlo::Draws;
 use super::observability::{correlations, observability};
 use super::posterior::Posterior;
 use super::predicted::Prediction;
-use super::priors::open_limit_mm;
+use super::priors::open_limit;
 use super::residual_tests::joint_effects;
 use super::residuals::{residual_on, residuals};
 use super::result::{
-    BeforeAfter, CalibrationResult, Folds, JointEffect, MonteCarlo, Outlier, ParameterResult, PriorUsed,
+    BeforeAfter, CalibrationResult, Folds, JointEffect, MadeFrom, MonteCarlo, Outlier, ParameterResult, PriorUsed,
     RankSummary, Reason, Recommendation, SigmaSource, SigmaSummary, SolverSummary, StartRobot, Status,
 };
 use super::selection::is_place;
@@ -28,7 +28,7 @@ use crate::diagnostic::Diagnostic;
 use crate::math::base_set;
 use crate::math::distributions::coverage_95;
 use crate::measurement::{LengthModel, Measurements};
-use crate::robot::{ParamId, Robot, RobotUncertainty};
+use crate::robot::{Datum, ParamId, Robot, RobotUncertainty};
 
 /// What a calibration is of.
 #[derive(Clone, Copy)]
@@ -38,7 +38,7 @@ pub struct Input<'a> {
     pub observations: &'a Measurements,
     /// The robot's geometry in the set-up as it was given.
     pub start: &'a LengthModel,
-    /// Separate lengths to the same balls, on which nothing is fitted.
+    /// Separate measurements in the same set-up, on which nothing is fitted.
     pub validation: Option<&'a Measurements>,
     pub options: &'a Options,
     pub axes: AngleSource,
@@ -65,7 +65,7 @@ impl<'a> Input<'a> {
     }
 
     fn setting(&self) -> Setting<'a> {
-        Setting::new(self.robot, self.start, self.observations.bars(), self.options)
+        Setting::new(self.robot, self.start, self.observations, self.options)
     }
 }
 
@@ -219,7 +219,8 @@ impl<'a> Calibration<'a> {
                 uncertainty: self.unknown.map(Box::new),
                 ..setting.robot.clone()
             },
-            lengths: self.lengths.len() - outliers.len(),
+            lengths: self.observations.count() - outliers.len(),
+            made_from: MadeFrom::of(self.observations, &outliers),
             rank: self.rank,
             observability,
             solver: SolverSummary { iterations: estimate.fit.iterations, converged: estimate.fit.converged },
@@ -278,12 +279,21 @@ impl<'a> Calibration<'a> {
 
     fn outliers(&self) -> Vec<Outlier> {
         let after = self.estimate.fit.model.prepare();
-        let outlier = |place: usize| {
-            let (row, reading) = (&self.observations.rows[place], self.lengths.reading(place));
-            let residual_mm = reading.length_mm - after.length(&reading);
-            Outlier { place, index: row.index, ball: row.ball, residual_mm }
+        let residual = |place: usize| {
+            let reading = self.lengths.reading(place);
+            reading.length_mm - after.length(&reading)
         };
-        self.estimate.fit.out.iter().copied().map(outlier).collect()
+        let outlier = |place: usize| {
+            let row = &self.observations.rows[place];
+            let places = row.datum.rows(place);
+            let residual_mm = match row.datum {
+                Datum::Ball(..) => residual(place),
+                Datum::Plane(_) => places.clone().map(|at| residual(at).powi(2)).sum::<f64>().sqrt(),
+            };
+            Outlier { places, index: row.index, ball: row.datum.ball(), residual_mm }
+        };
+        let is_first = |place: &usize| self.observations.rows[*place].datum.is_first();
+        self.estimate.fit.out.iter().copied().filter(is_first).map(outlier).collect()
     }
 }
 
@@ -400,7 +410,7 @@ impl Table<'_> {
             Reason::FixedAsAsked
         } else if self.estimate.poorly_observable.contains(&id) {
             match is_place(&id) {
-                true => Reason::Open { limit_mm: open_limit_mm(id) },
+                true => Reason::Open { limit: open_limit(id) },
                 false => Reason::PoorlyObservable { limit: limit() },
             }
         } else if !self.estimate.analysis.ids.contains(&id) {

@@ -66,8 +66,8 @@ impl DistanceQuantities {
 /// The lengths at poses with the same commanded angles, ball and bar.
 fn visits(rows: &[Measurement], model: &LengthModel) -> Vec<Visit> {
     let model = model.prepare();
-    let key = |row: &Measurement| (row.ball, row.bar, row.axes.degrees().map(f64::to_bits));
-    let mut places: Vec<usize> = (0..rows.len()).collect();
+    let key = |row: &Measurement| (row.datum, row.target, row.axes.degrees().map(f64::to_bits));
+    let mut places: Vec<usize> = (0..rows.len()).filter(|at| !rows[*at].datum.is_plane()).collect();
     places.sort_by_key(|at| key(&rows[*at]));
     let repeated = places.chunk_by(|a, b| key(&rows[*a]) == key(&rows[*b])).filter(|group| group.len() > 1);
     let visit = |(pose, row): (usize, &Measurement)| Visit {
@@ -192,7 +192,7 @@ mod tests {
     use nalgebra::Vector3;
 
     use super::*;
-    use crate::measurement::{AxisAngles, BallId, BarId, BaseBall, Context};
+    use crate::measurement::{AxisAngles, BallId, BarId, BaseBall, Context, Datum, TargetId};
     use crate::robot::{Approach, Robot};
 
     /// Three poses in turn, four times: deviations by hand. Tables: t(0.975; 9), chi-square(0.025 and 0.975; 9).
@@ -206,8 +206,8 @@ mod tests {
             let axes = AxisAngles::from_degrees([10.0 * (at % 3) as f64, -90.0, 90.0, 10.0, 40.0, 0.0]);
             let mut row = Measurement {
                 index: at as u32 + 1,
-                ball: BallId::FIRST,
-                bar: BarId::FIRST,
+                datum: Datum::Ball(BallId::FIRST, BarId::FIRST),
+                target: TargetId::FIRST,
                 axes,
                 approach: Approach::default(),
                 length_mm: 0.0,

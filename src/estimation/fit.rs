@@ -3,6 +3,7 @@
 use super::lengths::{Lengths, Sigma, Weighted};
 use super::outliers::{ABSURD, robust, standing_out};
 use super::prior::PriorRows;
+use super::selection::is_place;
 use super::solver::{Loss, Problem, Solution, minimise};
 use crate::measurement::LengthModel;
 use crate::robot::ParamId;
@@ -48,7 +49,7 @@ pub(super) fn all(lengths: &Lengths, sigma: Sigma, unknowns: &Unknowns<'_>, star
     let offsets: Vec<ParamId> = free
         .iter()
         .copied()
-        .filter(|id| matches!(id, ParamId::Theta(_) | ParamId::Tool(_) | ParamId::Ball(..)))
+        .filter(|id| matches!(id, ParamId::Theta(_)) || is_place(id))
         .collect();
     // With a prior the robot is near its nominal, and offsets that the data do not hold could run away.
     let joints_first = prior.is_none() && offsets.iter().any(|id| matches!(id, ParamId::Theta(_)));

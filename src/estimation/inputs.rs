@@ -4,9 +4,8 @@ use super::units::mistaken;
 use crate::catalogue::MeasurementFinding::{self, OtherUnit};
 use crate::diagnostic::Diagnostic;
 use crate::math::robust::median;
-use crate::measurement::{BaseBall, Measurements};
+use crate::measurement::{BaseBall, Measurements, TargetId};
 use crate::robot::Robot;
-use crate::robot::parameter::SetUp;
 
 /// Every observation must have its ball, in millimetres and degrees; `file` is where they are.
 ///
@@ -18,7 +17,7 @@ pub fn check_lengths(
     robot: &Robot,
     centres: &[BaseBall],
 ) -> Result<(), Diagnostic> {
-    observations.check(file, SetUp { balls: centres.len(), bars: observations.bars() })?;
+    observations.check(file, observations.set_up(centres.len()))?;
     match mistaken(&robot.geometry, centres, &observations.rows) {
         Some((columns, unit)) => {
             Err(Diagnostic::file(file, OtherUnit { columns: columns.into(), unit: unit.into() }))
@@ -54,8 +53,12 @@ fn far_rows(observations: &Measurements, robot: &Robot, centres: &[BaseBall]) ->
     const FAR_MM: f64 = 100.0;
     /// Where more are far, robot or balls are others.
     const FEW: f64 = 0.2;
-    let off = observations.rows.iter().map(|row| {
-        let centre = &centres.get(row.ball.index())?.position;
+    let off = observations.rows.iter().filter(|row| row.target == TargetId::FIRST).filter_map(|row| {
+        let centre = centres.get(row.datum.ball()?.index()).map(|ball| &ball.position);
+        Some((row, centre))
+    });
+    let off = off.map(|(row, centre)| {
+        let centre = centre?;
         Some((row.index, (row.length_mm - robot.geometry.length(&row.axes.radians(), centre, 0.0)).abs()))
     });
     let off: Vec<(u32, f64)> = off.collect::<Option<_>>()?;

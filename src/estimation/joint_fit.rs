@@ -59,7 +59,7 @@ impl JointFit {
     /// What is not known of the robot and its tool ball.
     pub(super) fn uncertainty(&self) -> RobotUncertainty {
         let own = (0..self.ids.len())
-            .filter(|&k| !matches!(self.ids[k], ParamId::Ball(..) | ParamId::BarOffset(_)));
+            .filter(|&k| self.ids[k].moves_tool_ball());
         let own: Vec<usize> = own.collect();
         let rows: Vec<usize> = own.iter().copied().chain(self.ids.len()..self.root.nrows()).collect();
         RobotUncertainty {

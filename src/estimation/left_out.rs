@@ -28,7 +28,7 @@ pub fn left_out_mm(robot: &Robot) -> Option<f64> {
         let chain = Chain::new(geometry);
         let approached = poses.iter().zip(Approach::along(poses.iter().copied()));
         let ball = |(axes, approach): (&[f64; AXES], Approach)| {
-            chain.ball(&At { axes, sin_cos: &JointSinCos::of(axes), approach })
+            chain.ball(&At { axes, sin_cos: &JointSinCos::of(axes), approach, target: &geometry.tool })
         };
         approached.map(ball).collect()
     };

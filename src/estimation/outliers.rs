@@ -65,6 +65,23 @@ pub(super) fn standing_out(
     limit: f64,
     parameters: usize,
 ) -> Vec<usize> {
+    let out = beyond(lengths, model, residuals, limit, parameters);
+    let datum = |at: usize| lengths.lengths().reading(at).datum;
+    // Of a position all coordinates are used or none.
+    let mut whole: Vec<usize> = out.into_iter().flat_map(|at| datum(at).rows(at)).collect();
+    whole.sort_unstable();
+    whole.dedup();
+    whole
+}
+
+/// The places of single rows beyond the limit.
+fn beyond(
+    lengths: &Weighted,
+    model: &LengthModel,
+    residuals: &[f64],
+    limit: f64,
+    parameters: usize,
+) -> Vec<usize> {
     let stride = lengths.lengths().stride();
     let mut left: Vec<f64> = residuals.iter().map(|r| r.abs()).collect();
     let vanished = (parameters / stride).min(left.len().saturating_sub(1));

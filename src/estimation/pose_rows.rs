@@ -1,7 +1,7 @@
 //! Rows of lengths by parameters and coefficients of the joints' errors, whitened pose by pose.
 //!
-//! The lengths of one pose share its repeatability: with U the unit vectors along the bar their covariance is
-//! s^2 U U' plus what each length has of its own.
+//! The lengths of one pose share its repeatability: with U the unit vectors along them their covariance is
+//! s^2 U U' plus what each length has of its own. Coordinates of a position are lengths along the axes of the tracker.
 
 use std::collections::BTreeMap;
 
@@ -10,7 +10,7 @@ use nalgebra::{Cholesky, DMatrix, DVector};
 use super::linear_system::Rows;
 use super::position::beside;
 use crate::measurement::{LengthModel, MeasurementPieces};
-use crate::robot::{AXES, Approach, BallId, Coordinate, Joint, ParamId, RobotUncertainty};
+use crate::robot::{AXES, Approach, Joint, ParamId, RobotUncertainty};
 
 /// The noise of a length.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -56,7 +56,7 @@ pub(super) struct PoseRows {
     pub(super) residual: DVector<f64>,
     /// Places among all lengths.
     pub(super) places: Vec<usize>,
-    /// Unit vectors along the bar.
+    /// Unit vectors along the lengths.
     units: Vec<[f64; 3]>,
     /// Axis angles (rad) with the sense of approach, and what the joints move, mm/rad.
     pub(super) axes: Vec<[f64; AXES]>,
@@ -96,7 +96,7 @@ impl PoseRows {
                 place: row.place,
                 values: row.values.to_vec(),
                 residual: row.residual,
-                unit: Coordinate::ALL.map(|axis| by.derivative(ParamId::Ball(BallId::FIRST, axis))),
+                unit: by.unit().into(),
                 axes: reading.axes,
                 approach: reading.approach,
                 levers: Joint::ALL.map(|joint| by.derivative(ParamId::Theta(joint))),

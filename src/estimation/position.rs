@@ -136,7 +136,8 @@ impl BallMotion {
                 column += 1;
             });
             joints.push(levers);
-            balls.push(chain.ball(&At { axes, sin_cos: &JointSinCos::of(axes), approach: *approach }));
+            let (sin_cos, approach, target) = (&JointSinCos::of(axes), *approach, &geometry.tool);
+            balls.push(chain.ball(&At { axes, sin_cos, approach, target }));
         }
         Self { jacobian, balls, levers: joints }
     }

@@ -14,7 +14,7 @@ use super::pose_rows::LengthNoise;
 use super::priors::Priors;
 use crate::measurement::{LengthModel, PreparedMeasurement, Selection};
 use crate::robot::{
-    AXES, Approach, BallId, Coordinate, ParamId, Robot, RobotPosterior, RobotUncertainty, parameter,
+    AXES, Approach, BallId, BarId, Coordinate, Datum, ParamId, Robot, RobotPosterior, RobotUncertainty, parameter,
 };
 
 /// Gauss-Newton steps of [`Posterior::learn`]: the model is near the truth, so they settle at once.
@@ -120,7 +120,7 @@ impl Posterior {
         if let Some(place) = self.model.balls.get(ball.index()) {
             let geometry = &self.model.geometry;
             let mut row = geometry.length_row(axes, place, 0.0);
-            row.ball = ball;
+            row.datum = Datum::Ball(ball, BarId::FIRST);
             let (own, coefficients) = picked.as_mut_slice().split_at_mut(self.ids.len());
             self.selection.pick(&row, own);
             row.joint_terms(&geometry.joint_errors, axes, Approach::default(), coefficients);
@@ -143,7 +143,7 @@ impl Posterior {
             let row = self.model.geometry.length_row(axes, &far, 0.0);
             let mut there = self.root.row(at) * 0.0;
             for (parameter, id) in self.ids.iter().enumerate() {
-                if !matches!(id, ParamId::Ball(..) | ParamId::BarOffset(_)) {
+                if id.moves_tool_ball() {
                     there += self.root.row(parameter) * row.derivative(*id);
                 }
             }

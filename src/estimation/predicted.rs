@@ -329,7 +329,7 @@ impl Estimator<'_> {
         for (at, id) in self.ids.iter().enumerate() {
             match id {
                 ParamId::Tool(_) if poor(id) => truth[(at, at)] = setting.priors.sd(*id),
-                ParamId::BarOffset(_) | ParamId::Ball(..) if !is_asked(id) => truth.row_mut(at).fill(0.0),
+                _ if !id.moves_tool_ball() && !is_asked(id) => truth.row_mut(at).fill(0.0),
                 _ => {}
             }
         }

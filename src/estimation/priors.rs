@@ -18,6 +18,10 @@ use crate::robot::{AXES, ParamId, Robot, RobotPosterior, Unit};
 
 const TOOL_BALL_MM: f64 = 0.1;
 const BASE_BALL_MM: f64 = 10.0;
+/// A tracker and targets are set up anywhere.
+const TARGET_MM: f64 = 100.0;
+const TRACKER_MM: f64 = 1000.0;
+const TRACKER_RAD: f64 = 1.0;
 const UNCERTIFIED_BAR_MM: f64 = 0.05;
 /// Compliance of a robot of which no mass is known, rad/(N m): one degree-minute at 300 N m. Nothing moves with it.
 const COMPLIANCE: f64 = 1e-6;
@@ -27,6 +31,7 @@ pub const WEAK: f64 = 3.0;
 /// A coordinate of the tool ball or of a base ball that poses leave open by more than this is better known from a ruler, mm.
 const OPEN_TOOL_BALL_MM: f64 = 50.0;
 const OPEN_BASE_BALL_MM: f64 = 500.0;
+const OPEN_TURN_RAD: f64 = 0.1;
 /// Corrections beyond so many standard deviations (of prior and data together) are doubted if the set-up is fixed, which
 /// they may make up for,
 const IMPLAUSIBLE: f64 = 5.0;
@@ -204,6 +209,9 @@ impl Priors {
         self.robot_or_bar(id).unwrap_or(match id {
             ParamId::Tool(_) => TOOL_BALL_MM,
             ParamId::Ball(..) => BASE_BALL_MM,
+            ParamId::Target(..) => TARGET_MM,
+            ParamId::Tracker(_) => TRACKER_MM,
+            ParamId::TrackerTurn(_) => TRACKER_RAD,
             ParamId::Compliance(_) => COMPLIANCE,
             _ => UNCERTIFIED_BAR_MM,
         })
@@ -272,9 +280,13 @@ pub fn largest_plausible(set_up_is_fixed: bool) -> f64 {
     if set_up_is_fixed { IMPLAUSIBLE } else { IMPOSSIBLE }
 }
 
-/// How far poses may leave a coordinate of the tool ball or of a base ball open, mm.
-pub fn open_limit_mm(id: ParamId) -> f64 {
-    if matches!(id, ParamId::Tool(_)) { OPEN_TOOL_BALL_MM } else { OPEN_BASE_BALL_MM }
+/// How far poses may leave a parameter of the set-up's places open, mm or rad.
+pub fn open_limit(id: ParamId) -> f64 {
+    match id {
+        ParamId::Tool(_) | ParamId::Target(..) => OPEN_TOOL_BALL_MM,
+        ParamId::TrackerTurn(_) => OPEN_TURN_RAD,
+        _ => OPEN_BASE_BALL_MM,
+    }
 }
 
 /// The largest distance of the set-up from where it was given, mm; `None` of the robot's own parameters.

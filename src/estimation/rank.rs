@@ -1,6 +1,7 @@
 //! Rank and base set of the parameters asked for, at one model.
 
 use super::linear_system::factor;
+use super::selection::is_place;
 use crate::math::{BaseSet, base_set};
 use crate::measurement::{LengthModel, MeasurementPieces};
 use crate::robot::Joint::J1;
@@ -99,7 +100,7 @@ pub fn order_of_choice(ids: &[ParamId]) -> Vec<usize> {
 /// Lower is kept first.
 fn tier(id: ParamId) -> u8 {
     match id {
-        ParamId::Ball(..) | ParamId::Tool(_) => 0,
+        _ if is_place(&id) => 0,
         ParamId::Alpha(J1) | ParamId::A(J1) | ParamId::Theta(J1) | ParamId::D(J1) => 2,
         ParamId::BarOffset(_) => 3,
         // Sag and gear error must not take the place of a length or an angle.

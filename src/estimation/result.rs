@@ -1,6 +1,9 @@
 //! What a calibration found. [`super::Calibration::result`] makes it, complete; nobody fills a field later, and every
 //! file, page and line is a function of it.
 
+use std::cmp::Ordering;
+use std::ops::Range;
+
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
@@ -11,7 +14,7 @@ use super::{
 };
 use crate::catalogue::EstimationFinding;
 use crate::diagnostic::{Diagnostic, Severity};
-use crate::measurement::{LengthModel, Measurement, PreparedMeasurement};
+use crate::measurement::{LengthModel, Measurement, Measurements, PreparedMeasurement};
 use crate::robot::{BallId, ParamId, Robot};
 
 /// Lengths in mm, angles in rad.
@@ -25,8 +28,9 @@ pub struct CalibrationResult {
     pub start: StartRobot,
     /// The identified robot, set-up and bar, and the covariance of the parameters estimated.
     pub posterior: Posterior,
-    /// Lengths used.
+    /// Measurements used; a position counts once.
     pub lengths: usize,
+    pub made_from: MadeFrom,
     pub rank: RankSummary,
     /// Of the identified parameters at the solution, their columns in units of their prior standard deviations; `None`
     /// where nothing was identified.
@@ -98,7 +102,11 @@ impl CalibrationResult {
 
     /// Whether the observation at this place of the table is used.
     pub fn uses(&self, place: usize) -> bool {
-        self.outliers.binary_search_by_key(&place, |outlier| outlier.place).is_err()
+        let against = |outlier: &Outlier| match &outlier.places {
+            places if places.contains(&place) => Ordering::Equal,
+            places => places.start.cmp(&place),
+        };
+        self.outliers.binary_search_by(against).is_err()
     }
 }
 
@@ -297,9 +305,9 @@ pub enum Reason {
     FixedAsAsked,
     NotAsked,
     ChangesNoLength,
-    /// Poses leave a coordinate of a ball open by more than this, mm.
+    /// Poses leave a place open by more than this.
     Open {
-        limit_mm: f64,
+        limit: f64,
     },
     /// Its standard deviation would be larger than this.
     PoorlyObservable {
@@ -397,15 +405,38 @@ pub enum JointError {
     Reversal,
 }
 
-/// A length that is not used.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+/// A measurement that is not used.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Outlier {
-    /// Its place among the observations.
+    /// The places of its rows among the observations.
     #[serde(skip)]
-    pub place: usize,
+    pub places: Range<usize>,
     /// The observation's index.
     pub index: u32,
+    /// None of a position.
     #[serde(rename = "centre")]
-    pub ball: BallId,
+    pub ball: Option<BallId>,
+    /// Of a position the distance.
     pub residual_mm: f64,
+}
+
+/// What a result was made from: the measurements used, by their kind.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct MadeFrom {
+    pub lengths: usize,
+    pub positions: usize,
+    /// On the tool, the tool ball among them.
+    pub targets: usize,
+}
+
+impl MadeFrom {
+    pub(super) fn of(observations: &Measurements, outliers: &[Outlier]) -> Self {
+        let positions = observations.positions().count();
+        let out = outliers.iter().filter(|outlier| outlier.ball.is_none()).count();
+        Self {
+            lengths: observations.count() - positions - (outliers.len() - out),
+            positions: positions - out,
+            targets: observations.targets(),
+        }
+    }
 }

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use super::result::{
-    BeforeAfter, CalibrationResult, Folds, FurtherMeasurement, JointEffect, MonteCarlo, Outlier,
+    BeforeAfter, CalibrationResult, Folds, FurtherMeasurement, JointEffect, MadeFrom, MonteCarlo, Outlier,
     ParameterDraws, PredictedPair, PriorUsed, Recommendation, SigmaSource, StartRobot, Status,
 };
 use super::{
@@ -25,6 +25,8 @@ pub struct ResultFile {
     #[serde(default)]
     pub start: StartRobot,
     pub observations: usize,
+    #[serde(default)]
+    pub made_from: MadeFrom,
     pub rank: usize,
     pub rank_at_solution: usize,
     pub condition: f64,
@@ -172,6 +174,7 @@ impl From<&CalibrationResult> for ResultFile {
             robot: result.robot.name.clone(),
             start: result.start,
             observations: result.lengths,
+            made_from: result.made_from,
             rank: result.rank.nominal,
             rank_at_solution: result.rank.at_solution,
             condition: result.rank.condition,

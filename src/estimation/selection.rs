@@ -5,7 +5,7 @@ use super::estimate::Search;
 use super::lengths::{Sigma, Weighted};
 use super::linear_system::factor;
 use super::prior;
-use super::priors::{Prior, Priors, largest_plausible, open_limit_mm};
+use super::priors::{Prior, Priors, largest_plausible, open_limit};
 use super::uncertainty::{Partition, data_sd};
 use crate::math::base_set;
 use crate::measurement::LengthModel;
@@ -69,9 +69,9 @@ pub(super) fn is_bar(id: &ParamId) -> bool {
     matches!(id, ParamId::BarOffset(_))
 }
 
-/// Whether a parameter is a coordinate of the tool ball or of a base ball.
+/// Whether a parameter says where a target, a base ball or the tracker is.
 pub(crate) fn is_place(id: &ParamId) -> bool {
-    matches!(id, ParamId::Tool(_) | ParamId::Ball(..))
+    id.is_setup() && !is_bar(id)
 }
 
 /// The parameters of `ids` that these lengths determine too weakly, weakest first: each is fixed before the next is
@@ -144,7 +144,7 @@ pub(super) fn most_implausible(
         .map(|(id, _)| id)
 }
 
-/// What is asked for without those places of tool and base balls that the lengths leave open, or determine only with
+/// What is asked for without those places of tool, base balls and tracker that the lengths leave open, or determine only with
 /// others, even of the nominal robot, as where the tool never turns: fitted alone they would run off together. The
 /// balls go before the tool, which is known better beforehand.
 pub(crate) fn without_open_places(
@@ -176,7 +176,7 @@ pub(super) fn open_places(
     let mut open = Vec::new();
     while !places.is_empty() {
         let Some(sd) = data_sd(model, &lengths, &places) else { break };
-        let ratio = |k: &usize| sd[*k] / open_limit_mm(places[*k]);
+        let ratio = |k: &usize| sd[*k] / open_limit(places[*k]);
         let Some(worst) = (0..places.len()).max_by(|a, b| ratio(a).total_cmp(&ratio(b))) else { break };
         if ratio(&worst) <= 1.0 {
             break;

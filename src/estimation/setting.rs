@@ -4,7 +4,7 @@ use std::borrow::Cow;
 
 use super::Options;
 use super::priors::{Prior, Priors};
-use crate::measurement::LengthModel;
+use crate::measurement::{LengthModel, Measurements};
 use crate::robot::parameter::{self, SetUp};
 use crate::robot::{ParamId, Robot};
 
@@ -20,8 +20,13 @@ pub(crate) struct Setting<'a> {
 }
 
 impl<'a> Setting<'a> {
-    pub(super) fn new(robot: &'a Robot, start: &'a LengthModel, bars: usize, options: &'a Options) -> Self {
-        let set_up = SetUp { balls: start.balls.len(), bars };
+    pub(super) fn new(
+        robot: &'a Robot,
+        start: &'a LengthModel,
+        observations: &Measurements,
+        options: &'a Options,
+    ) -> Self {
+        let set_up = observations.set_up(start.balls.len());
         Self { robot, start, set_up, options: Cow::Borrowed(options), priors: options.priors(robot) }
     }
 

@@ -53,7 +53,12 @@ pub(super) fn shifted_rows(estimate: &Estimate, lengths: &Lengths) -> Option<Est
 /// The poses with the lengths of other rows, of very many the first; those that would have none are left out.
 fn moved(estimate: &Estimate, lengths: &Lengths, rows: isize) -> Lengths<'static> {
     let count = lengths.len().min(2 * SAMPLE);
-    let other = |at: usize| at.checked_add_signed(rows).filter(|other| *other < count);
+    let other = |at: usize| {
+        let datum = lengths.reading(at).datum;
+        let rows = if datum.is_plane() { 3 * rows } else { rows };
+        let other = at.checked_add_signed(rows).filter(|other| *other < count)?;
+        (lengths.reading(other).datum.is_plane() == datum.is_plane()).then_some(other)
+    };
     let pairs = (0..count).filter_map(|at| Some((at, other(at)?)));
     let (readings, sigma) = pairs
         .map(|(at, other)| {

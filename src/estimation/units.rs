@@ -21,7 +21,7 @@ pub(super) fn mistaken(
     rows: &[Measurement],
 ) -> Option<(&'static str, &'static str)> {
     let expected = |row: &Measurement, axes: &[f64; AXES]| {
-        let centre = centres.get(row.ball.index())?;
+        let centre = centres.get(row.datum.ball()?.index())?;
         Some(geometry.length(axes, &centre.position, 0.0))
     };
     let agree = |axes: &dyn Fn(&Measurement) -> [f64; AXES], per_mm: f64| {

@@ -2,9 +2,20 @@
 
 use std::fmt;
 
-use super::result::{CirclePlane, FurtherMeasurement, ParameterResult, Reason, Recommendation, StartRobot};
+use super::result::{CirclePlane, FurtherMeasurement, MadeFrom, ParameterResult, Reason, Recommendation, StartRobot};
 use super::{Combination, Group, GroupEvidence, priors};
 use crate::robot::{BarId, ParamId, Unit};
+
+/// "140 lengths and 70 positions of 2 targets"; what there is none of is absent.
+impl fmt::Display for MadeFrom {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { lengths, positions, targets } = *self;
+        let kinds = [(lengths, "lengths"), (positions, "positions")].into_iter().filter(|(count, _)| *count > 0);
+        let kinds: Vec<String> = kinds.map(|(count, kind)| format!("{count} {kind}")).collect();
+        out.write_str(&kinds.join(" and "))?;
+        if targets > 1 { write!(out, " of {targets} targets") } else { Ok(()) }
+    }
+}
 
 impl fmt::Display for Combination {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -110,9 +121,10 @@ impl ParameterResult {
             Reason::FixedAsAsked => "fixed as asked".into(),
             Reason::NotAsked => "not asked for".into(),
             Reason::ChangesNoLength => "changes no length in these poses".into(),
-            Reason::Open { limit_mm } => format!(
-                "poorly observable: these poses leave it open by more than {limit_mm:.0} mm, as where the tool never turns \
-                 or every bar lies in one plane; vary the poses"
+            Reason::Open { limit } => format!(
+                "poorly observable: these poses leave it open by more than {}, as where the tool never turns or every bar \
+                 lies in one plane; vary the poses",
+                with_unit(*limit, self.id)
             ),
             Reason::PoorlyObservable { limit } => format!(
                 "poorly observable: its standard deviation would be more than {} ({} tolerances)",

@@ -1,46 +1,83 @@
-//! The 3-D differences of two sets of positions after one best rigid motion.
+//! The rigid motion that best brings one set of positions onto another, and what it leaves.
 
-use nalgebra::{DMatrix, Rotation3, Vector3};
+use nalgebra::{DMatrix, Matrix3, Quaternion, Rotation3, UnitQuaternion, Vector3};
 
-use crate::math::Triangle;
+use super::svd;
 
-/// Distances between `measured` and `model` (mm, pairwise) after the rigid motion of `model` that
-/// makes their squares least. Gauss-Newton on the motion: sets that are not far from each other
-/// (here a robot and its model) are aligned to rounding in a few steps.
+/// A rigid motion of positions onto others.
+#[derive(Clone, Copy, Debug)]
+pub struct Alignment {
+    pub rotation: Rotation3<f64>,
+    /// Of the turned positions, in their unit.
+    pub shift: Vector3<f64>,
+    /// The factor on the positions about their centre that would make the squares least.
+    pub scale: f64,
+    /// Root mean square of what motion and factor leave, as a share of the extent of the positions moved onto.
+    pub misfit: f64,
+}
+
+impl Alignment {
+    /// The motion of `from` onto `to` (pairwise) that makes the squares of the distances least: Horn, "Closed-form solution of
+    /// absolute orientation using unit quaternions", J. Opt. Soc. Am. A 4, 1987. `None` where a number is not finite or a set
+    /// is one point.
+    pub fn of(from: &[Vector3<f64>], to: &[Vector3<f64>]) -> Option<Self> {
+        let count = from.len().min(to.len()) as f64;
+        let mean = |points: &[Vector3<f64>]| points.iter().sum::<Vector3<f64>>() / count;
+        let [a, b] = [mean(from), mean(to)];
+        let extent = |points: &[Vector3<f64>], mean: Vector3<f64>| -> f64 {
+            points.iter().map(|point| (point - mean).norm_squared()).sum()
+        };
+        let [of_from, of_to] = [extent(from, a), extent(to, b)];
+        if !(of_from * of_to > 0.0 && (of_from * of_to).is_finite()) {
+            return None;
+        }
+        let pairs = || from.iter().zip(to).map(|(from, to)| (from - a, to - b));
+        let s = pairs().fold(Matrix3::zeros(), |sum, (from, to)| sum + from * to.transpose());
+        let rotation = Rotation3::from(rotation(&s)?);
+        let along: f64 = pairs().map(|(from, to)| to.dot(&(rotation * from))).sum();
+        Some(Self {
+            rotation,
+            shift: b - rotation * a,
+            scale: along / of_from,
+            misfit: (1.0 - along * along / (of_from * of_to)).max(0.0).sqrt(),
+        })
+    }
+
+    pub fn apply(&self, point: &Vector3<f64>) -> Vector3<f64> {
+        self.rotation * point + self.shift
+    }
+}
+
+/// Horn's quaternion of the sum of products `s`: the eigenvector of a symmetric matrix with the largest eigenvalue.
+fn rotation(s: &Matrix3<f64>) -> Option<UnitQuaternion<f64>> {
+    let (trace, axial) = (s.trace(), [s.m23 - s.m32, s.m31 - s.m13, s.m12 - s.m21]);
+    let symmetric = s + s.transpose() - Matrix3::identity() * trace;
+    // Raised by more than any eigenvalue is negative, so that singular values are in their order.
+    let raised = 3.0 * s.norm();
+    let matrix = DMatrix::from_fn(4, 4, |i, j| {
+        let own = match (i, j) {
+            (0, 0) => trace,
+            (0, k) | (k, 0) => axial[k - 1],
+            _ => symmetric[(i - 1, j - 1)],
+        };
+        if i == j { own + raised } else { own }
+    });
+    let largest = svd(&matrix)?.v.column(0).into_owned();
+    Some(UnitQuaternion::from_quaternion(Quaternion::new(largest[0], largest[1], largest[2], largest[3])))
+}
+
+/// Distances between `measured` and `model` (mm, pairwise) after the rigid motion of `model` that makes their squares least;
+/// not numbers where one of them is none.
 pub fn aligned_distances(measured: &[Vector3<f64>], model: &[Vector3<f64>]) -> Vec<f64> {
-    let mut moved = model.to_vec();
-    for _ in 0..5 {
-        let centroid = moved.iter().sum::<Vector3<f64>>() / moved.len().max(1) as f64;
-        let mut equations = Triangle::new(6);
-        for (to, from) in measured.iter().zip(&moved) {
-            let (lever, gap) = (from - centroid, to - from);
-            // A turn w moves a point by w x lever.
-            let rows = DMatrix::from_row_slice(
-                3,
-                6,
-                &[
-                    1.0, 0.0, 0.0, 0.0, lever.z, -lever.y, //
-                    0.0, 1.0, 0.0, -lever.z, 0.0, lever.x, //
-                    0.0, 0.0, 1.0, lever.y, -lever.x, 0.0,
-                ],
-            );
-            for axis in 0..3 {
-                let row: Vec<f64> = rows.row(axis).iter().copied().collect();
-                equations.push(&row, gap[axis]);
-            }
-        }
-        // Positions on a line leave a turn about it undetermined: any will do, so none.
-        for turn in 3..6 {
-            equations.push_single(turn, 1e-9, 0.0);
-        }
-        let Some(motion) = equations.solve() else { break };
-        let shift = Vector3::new(motion[0], motion[1], motion[2]);
-        let turn = Rotation3::new(Vector3::new(motion[3], motion[4], motion[5]));
-        for point in &mut moved {
-            *point = turn * (*point - centroid) + centroid + shift;
+    let pairs = measured.iter().zip(model);
+    match Alignment::of(model, measured) {
+        Some(motion) => pairs.map(|(to, from)| (to - motion.apply(from)).norm()).collect(),
+        None => {
+            let [to, from] =
+                [measured, model].map(|set| set.iter().sum::<Vector3<f64>>() / set.len().max(1) as f64);
+            pairs.map(|(a, b)| ((a - to) - (b - from)).norm()).collect()
         }
     }
-    measured.iter().zip(&moved).map(|(a, b)| (a - b).norm()).collect()
 }
 
 #[cfg(test)]
@@ -51,10 +88,16 @@ mod tests {
     fn a_moved_copy_has_no_distance() {
         let points: Vec<Vector3<f64>> =
             (0..20).map(|i| Vector3::new(f64::from(i % 4), f64::from(i % 7), f64::from(i)) * 100.0).collect();
-        let turn = Rotation3::new(Vector3::new(0.02, -0.03, 0.05));
-        let moved: Vec<Vector3<f64>> =
-            points.iter().map(|p| turn * p + Vector3::new(5.0, -9.0, 2.0)).collect();
-        let largest = aligned_distances(&moved, &points).into_iter().fold(0.0, f64::max);
-        assert!(largest < 1e-9, "{largest}");
+        for turn in [Vector3::new(0.02, -0.03, 0.05), Vector3::new(2.0, -1.5, 1.0), Vector3::zeros()] {
+            let turn = Rotation3::new(turn);
+            let move_one = |p: &Vector3<f64>| turn * p + Vector3::new(5.0, -9000.0, 2.0);
+            let moved: Vec<Vector3<f64>> = points.iter().map(move_one).collect();
+            let largest = aligned_distances(&moved, &points).into_iter().fold(0.0, f64::max);
+            assert!(largest < 1e-9, "{largest}");
+            let metres: Vec<Vector3<f64>> = moved.iter().map(|point| point * 1e-3).collect();
+            let found = Alignment::of(&metres, &points).unwrap();
+            assert!((found.scale - 1e3).abs() < 1e-6 && found.misfit < 1e-6, "{found:?}");
+        }
+        assert!(aligned_distances(&points[..1], &points[1..2]).iter().all(|distance| *distance == 0.0));
     }
 }

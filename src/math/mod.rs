@@ -13,7 +13,7 @@ pub mod straight_line;
 mod svd;
 mod triangle;
 
-pub use alignment::aligned_distances;
+pub use alignment::{Alignment, aligned_distances};
 pub use base_set::{BaseSet, base_set};
 pub use orthonormal::Orthonormal;
 pub use parallel::{map_items, map_pieces};

@@ -9,7 +9,7 @@ use crate::catalogue::MeasurementFinding;
 #[derive(Clone, Debug)]
 pub struct Distinct {
     pub measurements: Measurements,
-    /// Rows that were left out.
+    /// Measurements that were left out.
     pub repeated: usize,
 }
 
@@ -23,7 +23,7 @@ impl Measurements {
         let rows = &self.rows;
         let mut repeated = Vec::new();
         if !rows.is_sorted_by(|a, b| a.index < b.index) {
-            for [first, other] in equal_neighbours(rows, |a, b| a.index.cmp(&b.index)) {
+            for [first, other] in equal_neighbours(rows, by_index) {
                 if rows[first] != rows[other] {
                     return Err(MeasurementFinding::EqualIndices { index: rows[first].index });
                 }
@@ -40,12 +40,17 @@ impl Measurements {
         }
         repeated.sort_unstable();
         repeated.dedup();
+        // Of a position all coordinates repeat or none.
+        let is_repeated = |at: usize| repeated.binary_search(&at).is_ok();
+        let whole = |at: &usize| rows[*at].datum.rows(*at).all(is_repeated);
+        let repeated: Vec<usize> = repeated.iter().copied().filter(whole).collect();
+        let count = repeated.iter().filter(|at| rows[**at].datum.is_first()).count();
         let mut place = 0;
         self.rows.retain(|_| {
             place += 1;
             repeated.binary_search(&(place - 1)).is_err()
         });
-        Ok(Distinct { measurements: self, repeated: repeated.len() })
+        Ok(Distinct { measurements: self, repeated: count })
     }
 }
 
@@ -60,13 +65,19 @@ impl Measurements {
     }
 }
 
+/// By the index; the rows of a position, and those of several targets at one pose, may share theirs.
+fn by_index(a: &Measurement, b: &Measurement) -> Ordering {
+    let place = |row: &Measurement| row.datum.is_plane().then_some((row.datum, row.target));
+    a.index.cmp(&b.index).then_with(|| place(a).cmp(&place(b)))
+}
+
 /// By what was measured, whatever its index.
 fn by_content(a: &Measurement, b: &Measurement) -> Ordering {
     let sigma = |row: &Measurement| row.sigma_mm.unwrap_or(0.0);
     let axes = a.axes.degrees().into_iter().zip(b.axes.degrees());
     a.length_mm
         .total_cmp(&b.length_mm)
-        .then_with(|| (a.ball, a.bar).cmp(&(b.ball, b.bar)))
+        .then_with(|| (a.datum, a.target).cmp(&(b.datum, b.target)))
         .then_with(|| sigma(a).total_cmp(&sigma(b)))
         .then_with(|| {
             axes.map(|(a, b)| a.total_cmp(&b)).find(|order| order.is_ne()).unwrap_or(Ordering::Equal)

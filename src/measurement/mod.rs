@@ -1,18 +1,22 @@
-//! What is measured: samples of the bar, lengths at poses, base balls, and the model that predicts a length.
+//! What is measured: samples of the bar, lengths and positions at poses, base balls, and the model that predicts them.
 
 pub mod base_ball;
 pub mod context;
 pub mod distinct;
 pub mod model;
 pub mod pieces;
+pub mod positions;
 pub mod sample;
 pub mod table;
+pub mod tracker;
 
-pub use crate::robot::{AxisAngles, BallId, BarId, CircleId};
+pub use crate::robot::{AxisAngles, BallId, BarId, CircleId, Datum, TargetId};
 pub use base_ball::BaseBall;
 pub use context::{Column, Context, Kind};
 pub use distinct::Distinct;
 pub use model::{LengthModel, PreparedMeasurement, PreparedModel, Selection};
 pub use pieces::MeasurementPieces;
+pub use positions::Position;
 pub use sample::Sample;
 pub use table::{APPROACH, ApproachedPose, Measurement, Measurements, beyond};
+pub use tracker::Tracker;

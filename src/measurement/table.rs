@@ -1,30 +1,32 @@
-//! Lengths with the axis angles they were measured at: the observations CSV.
+//! Measurements with the axis angles they were made at, and the observations CSV of the lengths among them.
 
 use std::f64::consts::TAU;
 use std::fmt::Write;
 use std::iter;
 use std::sync::Arc;
 
+use super::positions::TARGET;
 use super::{Column, Context, context};
 use crate::base::table::{Row, Table};
 use crate::catalogue::MeasurementFinding::{
-    self, BarWithoutLength, NoMeasurement, NoPose, NotASense, TooMany, UnknownBall, UnknownBar,
+    self, BarWithoutLength, NoMeasurement, NoPose, NotASense, TooMany, TooManyTargets, UnknownBall, UnknownBar,
+    UnknownTarget, UnseenTarget,
 };
 use crate::diagnostic::Diagnostic;
 use crate::robot::parameter::SetUp;
-use crate::robot::{AXES, Approach, AxisAngles, BallId, BarId};
+use crate::robot::{AXES, Approach, AxisAngles, BarId, Datum, TargetId};
 
-/// One length at one pose.
+/// One length at one pose; a position is three of them, one for each plane of the tracker's frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Measurement {
     /// The user's number for it; the plan's, where there is a plan.
     pub index: u32,
-    pub ball: BallId,
-    pub bar: BarId,
+    pub datum: Datum,
+    pub target: TargetId,
     pub axes: AxisAngles,
     /// How the axes came to the pose.
     pub approach: Approach,
-    /// Distance between the ball centres: the bar's length plus its reading.
+    /// Distance between the ball centres, the bar's length plus its reading; from a plane the coordinate, which has a sign.
     pub length_mm: f64,
     /// Standard deviation of the length, where it is known.
     pub sigma_mm: Option<f64>,
@@ -36,7 +38,8 @@ impl Measurement {
     /// Its line of the CSV.
     fn append(&self, optional: Optional, columns: &[Column], text: &mut String) {
         // Writing to a string does not fail.
-        let _ = write!(text, "{},{}", self.index, self.ball);
+        let Datum::Ball(ball, bar) = self.datum else { return };
+        let _ = write!(text, "{},{ball}", self.index);
         for angle in self.axes.degrees() {
             let _ = write!(text, ",{angle}");
         }
@@ -45,11 +48,12 @@ impl Measurement {
             let _ = write!(text, "{sigma}");
         }
         if optional.bars {
-            let _ = write!(text, ",{}", self.bar);
+            let _ = write!(text, ",{bar}");
         }
-        if optional.approach {
-            self.approach.append(text);
+        if optional.targets {
+            let _ = write!(text, ",{}", self.target);
         }
+        optional.approach.append(self, text);
         match &self.context {
             Some(context) => context.append(columns, text),
             None => text.extend(columns.iter().map(|_| ',')),
@@ -78,13 +82,24 @@ pub const APPROACH: [&str; AXES] =
 #[derive(Clone, Copy)]
 struct Optional {
     bars: bool,
-    approach: bool,
+    targets: bool,
+    approach: Approaching,
 }
 
-impl Approach {
-    /// Its cells, each after a comma.
-    fn append(self, text: &mut String) {
-        for sense in self.senses() {
+/// Whether rows are written with the columns of the sense of approach.
+#[derive(Clone, Copy)]
+pub(super) struct Approaching {
+    pub(super) is_known: bool,
+}
+
+impl Approaching {
+    pub(super) fn of<'a>(mut rows: impl Iterator<Item = &'a Measurement>) -> Self {
+        Self { is_known: rows.any(|row| !row.approach.is_unknown()) }
+    }
+
+    /// The cells of a row, each after a comma.
+    pub(super) fn append(self, row: &Measurement, text: &mut String) {
+        for sense in row.approach.senses().into_iter().filter(|_| self.is_known) {
             let _ = write!(text, ",{sense}");
         }
     }
@@ -93,13 +108,14 @@ impl Approach {
 /// Base balls and bars of one calibration: each adds unknowns, and the time grows with their cube.
 pub const MOST_BALLS: usize = 100;
 pub(super) const MOST_BARS: usize = 20;
+const MOST_TARGETS: usize = 20;
 
 /// Rows of a piece of CSV.
 const PIECE: usize = 4096;
 
 impl Measurements {
-    /// Reads the CSV `index,centre,a1_deg,..,a6_deg,length_mm[,sigma_mm][,bar][,approach1,..,approach6][,..]`; columns in any order,
-    /// an absent bar is bar 1.
+    /// Reads the CSV `index,centre,a1_deg,..,a6_deg,length_mm[,sigma_mm][,bar][,target][,approach1,..,approach6][,..]`; columns in any
+    /// order, an absent bar is bar 1, an absent target the tool ball.
     pub fn from_csv(file: &str, text: &str) -> Result<Self, Diagnostic> {
         Self::from_table(&mut Table::of(file, text)?)
     }
@@ -108,9 +124,9 @@ impl Measurements {
     pub fn from_table(table: &mut Table<'_>) -> Result<Self, Diagnostic> {
         let places = table.required(REQUIRED)?;
         let (sigma, bar) = (table.optional(SIGMA)?, table.optional(BAR)?);
-        let approach = ApproachColumns::of(table)?;
+        let (target, approach) = (table.optional(TARGET)?, ApproachColumns::of(table)?);
         let known = |at: &usize| {
-            places.contains(at) || Some(*at) == sigma || Some(*at) == bar || approach.0.contains(&Some(*at))
+            places.contains(at) || [sigma, bar, target].contains(&Some(*at)) || approach.0.contains(&Some(*at))
         };
         let others: Vec<usize> = (0..table.names().len()).filter(|at| !known(at)).collect();
         let further: Vec<Column> = others.iter().map(|&at| Column::of(&table.names()[at])).collect();
@@ -122,8 +138,11 @@ impl Measurements {
             let before = rows.last().and_then(|row| row.context.as_ref());
             rows.push(Measurement {
                 index: row.whole(index, 0)?,
-                ball: row.numbered(ball)?,
-                bar: row.given(bar, |at| row.numbered(at))?.unwrap_or(BarId::FIRST),
+                datum: Datum::Ball(
+                    row.numbered(ball)?,
+                    row.given(bar, |at| row.numbered(at))?.unwrap_or(BarId::FIRST),
+                ),
+                target: row.given(target, |at| row.numbered(at))?.unwrap_or(TargetId::FIRST),
                 axes,
                 approach: approach.read(&row)?,
                 length_mm,
@@ -137,7 +156,7 @@ impl Measurements {
     /// Of these rows, with the further columns that their contexts have.
     ///
     /// # Errors
-    /// No row, too many balls or bars, a bar without a length.
+    /// No row, too many balls, bars or targets, a bar without a length, a target without a measurement.
     pub fn new(rows: Vec<Measurement>, columns: Vec<Column>) -> Result<Self, MeasurementFinding> {
         if rows.is_empty() {
             return Err(NoMeasurement);
@@ -147,9 +166,18 @@ impl Measurements {
         if balls > MOST_BALLS || bars > MOST_BARS {
             return Err(TooMany { balls, bars, most_balls: MOST_BALLS, most_bars: MOST_BARS });
         }
-        match (0..set.bars()).map(BarId::at).find(|bar| set.rows.iter().all(|row| row.bar != *bar)) {
+        let is_without = |bar: &BarId| set.rows.iter().all(|row| row.datum.bar() != Some(*bar));
+        if let Some(absent) = (0..set.bars()).map(BarId::at).find(is_without) {
+            return Err(BarWithoutLength { bar: absent.number() });
+        }
+        let targets = set.targets();
+        if targets > MOST_TARGETS {
+            return Err(TooManyTargets { targets, most: MOST_TARGETS });
+        }
+        let is_unseen = |target: &TargetId| set.rows.iter().all(|row| row.target != *target);
+        match (1..targets).map(TargetId::at).find(is_unseen) {
             None => Ok(set),
-            Some(absent) => Err(BarWithoutLength { bar: absent.number() }),
+            Some(absent) => Err(UnseenTarget { target: absent.number() }),
         }
     }
 
@@ -168,15 +196,16 @@ impl Measurements {
         Ok(poses)
     }
 
-    /// Writes the CSV; every number reads back bit for bit.
+    /// Writes the CSV of the lengths; every number reads back bit for bit.
     pub fn to_csv(&self) -> String {
         self.csv_pieces(|_| true).collect()
     }
 
     /// The CSV of the rows that `keep` wants by their places, in pieces, so that a long one need never be whole in memory.
     pub fn csv_pieces(&self, keep: impl Fn(usize) -> bool) -> impl Iterator<Item = String> {
-        let approach = self.rows.iter().any(|row| !row.approach.is_unknown());
-        let optional = Optional { bars: self.bars() > 1, approach };
+        let lengths = || self.rows.iter().filter(|row| !row.datum.is_plane());
+        let targets = lengths().any(|row| row.target != TargetId::FIRST);
+        let optional = Optional { bars: self.bars() > 1, targets, approach: Approaching::of(lengths()) };
         let pieces = self.rows.chunks(PIECE).enumerate().map(move |(piece, rows)| {
             let mut text = String::new();
             for (at, row) in rows.iter().enumerate() {
@@ -194,7 +223,10 @@ impl Measurements {
         if optional.bars {
             text.push_str(&format!(",{BAR}"));
         }
-        if optional.approach {
+        if optional.targets {
+            text.push_str(&format!(",{TARGET}"));
+        }
+        if optional.approach.is_known {
             text.push_str(&format!(",{}", APPROACH.join(",")));
         }
         for column in &self.columns {
@@ -205,8 +237,12 @@ impl Measurements {
     }
 
     pub fn check(&self, file: &str, set_up: SetUp) -> Result<(), Diagnostic> {
-        let SetUp { balls, bars } = set_up;
-        let unknown = self.rows.iter().find_map(|&Measurement { index, ball, bar, .. }| {
+        let SetUp { balls, bars, targets, .. } = set_up;
+        let unknown = self.rows.iter().find_map(|&Measurement { index, datum, target, .. }| {
+            if target.index() >= targets {
+                return Some(UnknownTarget { index, target: target.number(), targets });
+            }
+            let Datum::Ball(ball, bar) = datum else { return None };
             if ball.index() >= balls {
                 Some(UnknownBall { index, ball: ball.number(), balls })
             } else {
@@ -238,14 +274,30 @@ impl Measurements {
         (mean_c > WARMEST_C).then_some(MeasurementFinding::WarmRoom { mean_c })
     }
 
-    /// The number of bars: the highest number of one.
+    /// The set-up that the rows are of, with so many base balls.
+    pub fn set_up(&self, balls: usize) -> SetUp {
+        let trackers = usize::from(self.rows.iter().any(|row| row.datum.is_plane()));
+        SetUp { balls, bars: self.bars(), targets: self.targets(), trackers }
+    }
+
+    /// How many measurements there are: a position counts once.
+    pub fn count(&self) -> usize {
+        self.rows.iter().filter(|row| row.datum.is_first()).count()
+    }
+
+    /// The number of targets, the tool ball among them: the highest number of one.
+    pub fn targets(&self) -> usize {
+        self.rows.iter().map(|row| row.target.index() + 1).max().unwrap_or(1)
+    }
+
+    /// The number of bars: the highest number of one; none without lengths.
     pub fn bars(&self) -> usize {
-        self.rows.iter().map(|row| row.bar.index() + 1).max().unwrap_or(1)
+        self.rows.iter().filter_map(|row| Some(row.datum.bar()?.index() + 1)).max().unwrap_or(0)
     }
 
     /// The number of base balls: the highest number of one.
     pub fn balls(&self) -> usize {
-        self.rows.iter().map(|row| row.ball.index() + 1).max().unwrap_or(0)
+        self.rows.iter().filter_map(|row| Some(row.datum.ball()?.index() + 1)).max().unwrap_or(0)
     }
 }
 
@@ -291,10 +343,10 @@ pub struct ApproachedPose {
 }
 
 /// The columns with the sense of approach, those that there are.
-struct ApproachColumns([Option<usize>; AXES]);
+pub(super) struct ApproachColumns([Option<usize>; AXES]);
 
 impl ApproachColumns {
-    fn of(table: &Table<'_>) -> Result<Self, Diagnostic> {
+    pub(super) fn of(table: &Table<'_>) -> Result<Self, Diagnostic> {
         let mut places = [None; AXES];
         for (place, name) in places.iter_mut().zip(APPROACH) {
             *place = table.optional(name)?;
@@ -302,7 +354,7 @@ impl ApproachColumns {
         Ok(Self(places))
     }
 
-    fn read(&self, row: &Row<'_>) -> Result<Approach, Diagnostic> {
+    pub(super) fn read(&self, row: &Row<'_>) -> Result<Approach, Diagnostic> {
         let mut senses = [0; AXES];
         for (sense, at) in senses.iter_mut().zip(self.0) {
             let read = |at: usize| match row.text(at) {
@@ -329,7 +381,7 @@ fn shared(context: Context, before: Option<&Arc<Context>>) -> Option<Arc<Context
     }
 }
 
-fn angles(row: &Row<'_>, places: [usize; AXES]) -> Result<AxisAngles, Diagnostic> {
+pub(super) fn angles(row: &Row<'_>, places: [usize; AXES]) -> Result<AxisAngles, Diagnostic> {
     let mut axes_deg = [0.0; AXES];
     for (angle, at) in axes_deg.iter_mut().zip(places) {
         *angle = row.number(at)?;

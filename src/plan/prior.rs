@@ -87,7 +87,8 @@ impl PlanningPrior {
         let posterior = posterior.ok_or(PlanFinding::NoFiniteRobot)?;
         let mut located = before.located;
         for reading in readings {
-            *located.get_mut(reading.ball.index()).ok_or(PlanFinding::NoFiniteRobot)? = true;
+            let ball = reading.datum.ball().and_then(|ball| located.get_mut(ball.index()));
+            *ball.ok_or(PlanFinding::NoFiniteRobot)? = true;
         }
         Ok(Self { posterior, lengths: readings.len(), located, ..before })
     }

@@ -19,7 +19,7 @@ use crate::estimation::result::Recommendation;
 use crate::estimation::{CalibrationResult, ResultFile, joint_curve, senses};
 use crate::measurement::{Kind, Measurements};
 use crate::provenance::Provenance;
-use crate::robot::{AXES, BallId, CircleId, Joint};
+use crate::robot::{AXES, BallId, BarId, CircleId, Datum, Joint};
 
 /// Lengths that are drawn at most: an even sample of more.
 const DRAWN: usize = 20_000;
@@ -67,6 +67,7 @@ impl From<&BudgetLine> for Contribution {
 #[derive(Serialize)]
 struct Counts {
     per_ball: BTreeMap<BallId, usize>,
+    positions: usize,
     at_reference: usize,
     /// Each how-manieth is drawn.
     stride: usize,
@@ -119,11 +120,14 @@ impl Counts {
     fn of(observations: &Measurements) -> Self {
         let mut per_ball = BTreeMap::new();
         for row in &observations.rows {
-            *per_ball.entry(row.ball).or_default() += 1;
+            if let Some(ball) = row.datum.ball() {
+                *per_ball.entry(ball).or_default() += 1;
+            }
         }
         let kinds = observations.rows.iter().filter_map(|row| row.context.as_ref()?.kind);
         let at_reference = kinds.filter(|kind| *kind == Kind::Reference).count();
-        Self { per_ball, at_reference, stride: observations.rows.len().div_ceil(DRAWN).max(1) }
+        let positions = observations.positions().count();
+        Self { per_ball, positions, at_reference, stride: observations.rows.len().div_ceil(DRAWN).max(1) }
     }
 }
 
@@ -136,7 +140,7 @@ fn points(found: &CalibrationResult, observations: &Measurements, stride: usize)
         .zip(senses)
         .map(|(((at, row), residual), senses)| ResidualPoint {
             index: row.index,
-            ball: row.ball,
+            datum: row.datum,
             axes_deg: row.axes.degrees(),
             senses,
             before_mm: residual.before,
@@ -153,7 +157,7 @@ impl Figures {
         Self {
             maps: maps(found, points),
             circles: circles(&sound),
-            residuals: per_ball(points, found.sigma.mm),
+            residuals: per_datum(points, found.sigma.mm),
             histograms: histograms(&sound),
             axes: axes(&sound),
             joints: joints(found, &sound),
@@ -176,11 +180,9 @@ fn maps(found: &CalibrationResult, points: &[ResidualPoint]) -> Vec<String> {
 /// What the viewer shows.
 fn scene(found: &CalibrationResult, points: &[ResidualPoint]) -> Scene {
     let id = |ball: BallId| u32::try_from(ball.index() + 1).unwrap_or(u32::MAX);
-    let posed = points.iter().filter(|point| !point.outlier).map(|point| Posed {
-        index: point.index,
-        ball: id(point.ball),
-        axes_deg: point.axes_deg,
-        residual_mm: Some(point.after_mm),
+    let posed = points.iter().filter(|point| !point.outlier).filter_map(|point| {
+        let (index, axes_deg, residual_mm) = (point.index, point.axes_deg, Some(point.after_mm));
+        Some(Posed { index, ball: id(point.datum.ball()?), axes_deg, residual_mm })
     });
     let balls = balls(found).map(|(ball, at)| SceneBall { id: id(ball), at }).collect();
     Scene::new(&found.robot, balls, &posed.collect::<Vec<_>>(), &[])
@@ -190,8 +192,8 @@ fn scene(found: &CalibrationResult, points: &[ResidualPoint]) -> Scene {
 fn circles(sound: &[&ResidualPoint]) -> Vec<String> {
     let mut circles: BTreeMap<(CircleId, BallId), [Vec<[f64; 2]>; 2]> = BTreeMap::new();
     for point in sound {
-        if let Some((circle, angle_deg)) = point.on_circle {
-            let [before, after] = circles.entry((circle, point.ball)).or_default();
+        if let Some(((circle, angle_deg), ball)) = point.on_circle.zip(point.datum.ball()) {
+            let [before, after] = circles.entry((circle, ball)).or_default();
             before.push([angle_deg, point.before_mm]);
             after.push([angle_deg, point.after_mm]);
         }
@@ -209,18 +211,22 @@ fn circles(sound: &[&ResidualPoint]) -> Vec<String> {
         .collect()
 }
 
-/// For each base ball: before and after on one scale, and after alone on its own.
-fn per_ball(points: &[ResidualPoint], sigma_mm: f64) -> Vec<String> {
-    let mut balls: BTreeMap<BallId, Vec<ResidualPoint>> = BTreeMap::new();
+/// For each base ball and each coordinate of the tracker: before and after on one scale, and after alone on its own.
+fn per_datum(points: &[ResidualPoint], sigma_mm: f64) -> Vec<String> {
+    let mut sets: BTreeMap<Datum, Vec<ResidualPoint>> = BTreeMap::new();
     for point in points {
-        balls.entry(point.ball).or_default().push(*point);
+        let by_any_bar = point.datum.ball().map(|ball| Datum::Ball(ball, BarId::FIRST));
+        sets.entry(by_any_bar.unwrap_or(point.datum)).or_default().push(*point);
     }
-    balls
-        .into_iter()
-        .flat_map(|(ball, points)| {
+    sets.into_iter()
+        .flat_map(|(datum, points)| {
+            let what = match datum {
+                Datum::Ball(ball, _) => format!("Ball {ball}"),
+                Datum::Plane(coordinate) => format!("Tracker, {coordinate}"),
+            };
             [
-                residuals(&format!("Ball {ball}: before and after"), &points, Shown::BeforeAndAfter),
-                residuals(&format!("Ball {ball}: after, magnified"), &points, Shown::After { sigma_mm }),
+                residuals(&format!("{what}: before and after"), &points, Shown::BeforeAndAfter),
+                residuals(&format!("{what}: after, magnified"), &points, Shown::After { sigma_mm }),
             ]
         })
         .collect()

@@ -43,18 +43,27 @@ enum Kind {
     Angles,
     Tool,
     Balls,
+    Tracker,
     Compliance,
     Transmission,
 }
 
 impl Kind {
-    const ALL: [Self; 6] =
-        [Self::Lengths, Self::Angles, Self::Tool, Self::Balls, Self::Compliance, Self::Transmission];
+    const ALL: [Self; 7] = [
+        Self::Lengths,
+        Self::Angles,
+        Self::Tool,
+        Self::Balls,
+        Self::Tracker,
+        Self::Compliance,
+        Self::Transmission,
+    ];
 
     fn of(id: ParamId) -> Self {
         match id {
-            ParamId::Tool(_) | ParamId::BarOffset(_) => Self::Tool,
+            ParamId::Tool(_) | ParamId::Target(..) | ParamId::BarOffset(_) => Self::Tool,
             ParamId::Ball(..) => Self::Balls,
+            ParamId::Tracker(_) | ParamId::TrackerTurn(_) => Self::Tracker,
             ParamId::A(_) | ParamId::D(_) => Self::Lengths,
             ParamId::Compliance(_) => Self::Compliance,
             ParamId::GearCos(_) | ParamId::GearSin(_) => Self::Transmission,
@@ -66,8 +75,9 @@ impl Kind {
         match self {
             Self::Lengths => "Robot: lengths",
             Self::Angles => "Robot: angles",
-            Self::Tool => "Set-up: tool ball and bar",
+            Self::Tool => "Set-up: tool ball, targets and bar",
             Self::Balls => "Set-up: base balls",
+            Self::Tracker => "Set-up: frame of the tracker (mm, rad)",
             Self::Compliance => "Joint compliance",
             Self::Transmission => "Transmission errors",
         }
@@ -80,6 +90,7 @@ impl Kind {
                 [Unit::MM, Unit::length(if largest < 10.0 { 0.0 } else { largest })]
             }
             Self::Angles => [Unit::DEG, Unit { sign: "mrad", factor: 1e3 }],
+            Self::Tracker => [Unit { sign: "", factor: 1.0 }; 2],
             Self::Compliance => [Unit { sign: "µrad/(N m)", factor: 1e6 }; 2],
             Self::Transmission => [Unit::angle(largest); 2],
         }

@@ -1,7 +1,9 @@
 //! The forward pass that the solver asks for a million times: one walk inwards along the chain gives
 //! the ball, one walk outwards the derivatives of the length by every parameter.
 //!
-//! With u the unit vector from the base ball to the tool ball p, every geometric parameter moves p
+//! A coordinate in the frame of a tracker is a length too: the distance of a target from a plane of that frame.
+//!
+//! With u the unit vector along the length to the tool ball p, every geometric parameter moves p
 //! by a unit screw, so its column is the reciprocal product of that screw with the line of the bar:
 //! `w . (p x u)` for a turn about the axis w through the origin, `w . u` for a shift along w. The screw
 //! of a row lies on an axis of the row's own frame: p is carried inwards and u outwards into that frame,
@@ -10,16 +12,18 @@
 
 use nalgebra::Vector3;
 
-use super::{AXES, Approach, BallId, BarId, Coordinate, Geometry, Joint, JointErrors, ParamId};
+use super::{
+    AXES, Approach, BallId, BarId, Coordinate, Datum, Geometry, Joint, JointErrors, ParamId, TargetId,
+};
 
 /// A length and its derivatives by every parameter (mm per mm, mm per rad, mm per rad/(N m)); the default is room
 /// for one.
 #[derive(Clone, Debug)]
 pub struct LengthRow {
-    /// Distance between the ball centres plus the bar offset, mm.
+    /// Distance between the ball centres plus the bar offset, or from a plane, mm.
     pub length: f64,
-    pub ball: BallId,
-    pub bar: BarId,
+    pub datum: Datum,
+    pub target: TargetId,
     columns: Columns,
 }
 
@@ -40,18 +44,25 @@ mod column {
     pub(super) const COMPLIANCE: usize = ParamId::Compliance(Joint::J1).column();
     pub(super) const GEAR_COS: usize = ParamId::GearCos(Joint::J1).column();
     pub(super) const GEAR_SIN: usize = ParamId::GearSin(Joint::J1).column();
+    pub(super) const TURN: usize = ParamId::TrackerTurn(Coordinate::X).column();
 }
 
 impl Default for LengthRow {
     fn default() -> Self {
-        Self { length: 0.0, ball: BallId::FIRST, bar: BarId::FIRST, columns: [0.0; ParamId::COLUMNS] }
+        let datum = Datum::Ball(BallId::FIRST, BarId::FIRST);
+        Self { length: 0.0, datum, target: TargetId::FIRST, columns: [0.0; ParamId::COLUMNS] }
     }
 }
 
 impl LengthRow {
-    /// The derivative by a parameter; by a ball or a bar that of the row's own.
+    /// The derivative by a parameter; by a target, a ball or a bar that of the row's own.
     pub fn derivative(&self, id: ParamId) -> f64 {
         self.columns[id.column()]
+    }
+
+    /// The unit vector along the length, away from what it is measured from, in the robot base.
+    pub fn unit(&self) -> Vector3<f64> {
+        -Vector3::from_fn(|axis, _| self.columns[column::BALL + axis])
     }
 
     /// The derivative by each coefficient of the joints' errors, mm per unit, for a row at these axis angles (rad).
@@ -77,7 +88,7 @@ impl Geometry {
     pub fn length_row(&self, axes: &[f64; AXES], ball: &Vector3<f64>, bar_offset: f64) -> LengthRow {
         let mut row = LengthRow::default();
         let sin_cos = JointSinCos::of(axes);
-        let at = At { axes, sin_cos: &sin_cos, approach: Approach::default() };
+        let at = At { axes, sin_cos: &sin_cos, approach: Approach::default(), target: &self.tool };
         Chain::new(self).row(&at, ball, bar_offset, &mut row);
         row
     }
@@ -101,6 +112,18 @@ pub struct At<'a> {
     pub axes: &'a [f64; AXES],
     pub sin_cos: &'a JointSinCos,
     pub approach: Approach,
+    /// What is at the end of the arm, the tool ball or another target, in the flange frame, mm.
+    pub target: &'a Vector3<f64>,
+}
+
+/// A plane of the tracker's frame, in the robot base.
+#[derive(Clone, Copy, Debug)]
+pub struct Plane {
+    /// The frame's origin, mm.
+    pub origin: Vector3<f64>,
+    pub normal: Vector3<f64>,
+    /// The normal's derivatives by the frame's rotation vector.
+    pub normal_by_turn: [Vector3<f64>; 3],
 }
 
 /// A geometry with the sines and cosines of its table.
@@ -158,7 +181,7 @@ impl<'a> Chain<'a> {
     fn inward(&self, at: &At<'_>) -> InwardPass {
         let joints = self.joints(at);
         let mut points = [Vector3::zeros(); AXES];
-        let mut point = self.geometry.tool;
+        let mut point = *at.target;
         for i in (0..AXES).rev() {
             let row = &self.geometry.rows[i];
             let (s, c) = joints[i];
@@ -197,7 +220,7 @@ impl<'a> Chain<'a> {
         columns[column::TOOL..column::TOOL + 3].copy_from_slice(u.as_slice());
     }
 
-    /// The tool ball in the robot base, mm.
+    /// The target in the robot base, mm.
     pub fn ball(&self, at: &At<'_>) -> Vector3<f64> {
         self.inward(at).ball
     }
@@ -213,16 +236,34 @@ impl<'a> Chain<'a> {
         row.length = distance + bar_offset;
         let columns = &mut row.columns;
         if distance > 0.0 {
-            let u = bar / distance;
-            self.derivatives(&inward, u, columns);
-            for axis in 0..3 {
-                columns[column::BALL + axis] = -u[axis];
-            }
+            self.along(bar / distance, at, &inward, columns);
             columns[column::BAR] = 1.0;
-            self.non_geometric(at, columns);
         } else {
             *columns = [0.0; ParamId::COLUMNS];
         }
+    }
+
+    /// The distance from a plane and its derivatives, into a row as for [`Self::row`].
+    pub fn plane_row(&self, at: &At<'_>, plane: &Plane, row: &mut LengthRow) {
+        let inward = self.inward(at);
+        let from = inward.ball - plane.origin;
+        row.length = plane.normal.dot(&from);
+        self.along(plane.normal, at, &inward, &mut row.columns);
+        row.columns[column::BAR] = 0.0;
+        for (axis, by_turn) in plane.normal_by_turn.iter().enumerate() {
+            row.columns[column::TURN + axis] = by_turn.dot(&from);
+        }
+    }
+
+    /// The derivatives of a length along the unit vector `u` by the parameters of robot and target and by the place that
+    /// it is measured from.
+    #[inline]
+    fn along(&self, u: Vector3<f64>, at: &At<'_>, inward: &InwardPass, columns: &mut Columns) {
+        self.derivatives(inward, u, columns);
+        for axis in 0..3 {
+            columns[column::BALL + axis] = -u[axis];
+        }
+        self.non_geometric(at, columns);
     }
 
     /// Compliance and gear error turn the joints: their columns are shares of theta's.
@@ -240,8 +281,7 @@ impl<'a> Chain<'a> {
         }
     }
 
-    /// How each of the parameters moves the ball, mm per mm or per rad; those of the base balls and of
-    /// the bar do not.
+    /// How each of the parameters moves the tool ball, mm per mm or per rad; those of the rest of the set-up do not.
     pub fn ball_jacobian(
         &self,
         axes: &[f64; AXES],
@@ -249,7 +289,8 @@ impl<'a> Chain<'a> {
         mut each: impl FnMut(usize, Vector3<f64>),
     ) -> Vector3<f64> {
         let sin_cos = JointSinCos::of(axes);
-        let at = At { axes, sin_cos: &sin_cos, approach: Approach::default() };
+        let target = &self.geometry.tool;
+        let at = At { axes, sin_cos: &sin_cos, approach: Approach::default(), target };
         let inward = self.inward(&at);
         let along = [0, 1, 2].map(|axis| {
             let mut columns = [0.0; ParamId::COLUMNS];
@@ -258,7 +299,8 @@ impl<'a> Chain<'a> {
             columns
         });
         for (at, id) in ids.iter().enumerate() {
-            each(at, Vector3::from_fn(|axis, _| along[axis][id.column()]));
+            let share = if id.moves_tool_ball() { 1.0 } else { 0.0 };
+            each(at, Vector3::from_fn(|axis, _| share * along[axis][id.column()]));
         }
         inward.ball
     }

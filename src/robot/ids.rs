@@ -63,8 +63,39 @@ numbered! {
     BallId
     /// A length of the bar.
     BarId
+    /// A target on the tool; the first is the tool ball.
+    TargetId
     /// A circle of a plan.
     CircleId
+}
+
+/// What a length is measured from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Datum {
+    /// A base ball, by a bar.
+    Ball(BallId, BarId),
+    /// The plane of the tracker's frame on which this coordinate is zero: the length is the coordinate.
+    Plane(Coordinate),
+}
+
+impl Datum {
+    pub fn ball(self) -> Option<BallId> {
+        match self {
+            Self::Ball(ball, _) => Some(ball),
+            Self::Plane(_) => None,
+        }
+    }
+
+    pub fn bar(self) -> Option<BarId> {
+        match self {
+            Self::Ball(_, bar) => Some(bar),
+            Self::Plane(_) => None,
+        }
+    }
+
+    pub fn is_plane(self) -> bool {
+        matches!(self, Self::Plane(_))
+    }
 }
 
 /// A joint with its row of the DH table.

@@ -65,7 +65,11 @@ macro_rules! place {
             ParamId::Compliance(joint) => Some(&$($mutable)? $geometry.compliance[joint.index()]),
             ParamId::GearCos(joint) => Some(&$($mutable)? $geometry.gear[joint.index()][0]),
             ParamId::GearSin(joint) => Some(&$($mutable)? $geometry.gear[joint.index()][1]),
-            ParamId::Ball(..) | ParamId::BarOffset(_) => None,
+            ParamId::Target(..)
+            | ParamId::Ball(..)
+            | ParamId::BarOffset(_)
+            | ParamId::Tracker(_)
+            | ParamId::TrackerTurn(_) => None,
         }
     };
 }

@@ -16,9 +16,9 @@ pub mod pose;
 pub mod posterior;
 pub mod uncertainty;
 
-pub use chain::{At, Chain, JointSinCos, LengthRow};
+pub use chain::{At, Chain, JointSinCos, LengthRow, Plane};
 pub use definition::{Robot, RobotRead, Tolerance};
-pub use ids::{Approach, AxisAngles, BallId, BarId, CircleId, Coordinate, Joint};
+pub use ids::{Approach, AxisAngles, BallId, BarId, CircleId, Coordinate, Datum, Joint, TargetId};
 pub use joint_error::{JointError, JointErrors, JointTerm, Ripple, Smooth, TermKind};
 pub use kinematics::{DhRow, Geometry, Mass};
 pub use parameter::{Group, ParamId, Unit};

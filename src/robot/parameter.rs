@@ -6,7 +6,7 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 
-use super::{AXES, BallId, BarId, Coordinate, Joint};
+use super::{BallId, BarId, Coordinate, Joint, TargetId};
 use crate::catalogue::RobotFinding;
 use crate::diagnostic::Diagnostic;
 
@@ -25,9 +25,15 @@ pub enum ParamId {
     Beta(Joint),
     /// Tool ball in the flange frame.
     Tool(Coordinate),
+    /// A further target on the tool, from the second, in the flange frame.
+    Target(TargetId, Coordinate),
     /// Base ball in the robot base.
     Ball(BallId, Coordinate),
     BarOffset(BarId),
+    /// Origin of the tracker's frame in the robot base.
+    Tracker(Coordinate),
+    /// Rotation vector of the tracker's frame in the robot base.
+    TrackerTurn(Coordinate),
     Compliance(Joint),
     /// Cosine part of the transmission error's first harmonic.
     GearCos(Joint),
@@ -67,31 +73,43 @@ impl fmt::Display for Unit {
 pub enum Group {
     Geometric,
     Tool,
+    Targets,
     Balls,
     Bar,
+    Tracker,
     Compliance,
     Gear,
 }
 
 impl Group {
-    const ALL: [Self; 6] =
-        [Self::Geometric, Self::Tool, Self::Balls, Self::Bar, Self::Compliance, Self::Gear];
+    const ALL: [Self; 8] = [
+        Self::Geometric,
+        Self::Tool,
+        Self::Targets,
+        Self::Balls,
+        Self::Bar,
+        Self::Tracker,
+        Self::Compliance,
+        Self::Gear,
+    ];
 
     /// As a LIST names it.
     pub fn name(self) -> &'static str {
         match self {
             Self::Geometric => "geometric",
             Self::Tool => "tool",
+            Self::Targets => "targets",
             Self::Balls => "centres",
             Self::Bar => "bar",
+            Self::Tracker => "tracker",
             Self::Compliance => "compliance",
             Self::Gear => "gear",
         }
     }
 
-    /// Whether it belongs to the set-up (tool ball, base balls, bar) and not to the robot.
+    /// Whether it belongs to the set-up (targets, base balls, bar, tracker) and not to the robot.
     pub fn is_setup(self) -> bool {
-        matches!(self, Self::Tool | Self::Balls | Self::Bar)
+        matches!(self, Self::Tool | Self::Targets | Self::Balls | Self::Bar | Self::Tracker)
     }
 
     /// Whether it is estimated only where the data carry it.
@@ -111,7 +129,7 @@ struct Family {
 impl ParamId {
     /// The table of the parameters.
     const fn family(self) -> Family {
-        use Group::{Balls, Bar, Compliance, Gear, Geometric, Tool};
+        use Group::{Balls, Bar, Compliance, Gear, Geometric, Targets, Tool, Tracker};
         use Unit::{Mm, Rad, RadPerNm};
         let (unit, group, column) = match self {
             Self::Alpha(_) => (Rad, Geometric, 0),
@@ -120,8 +138,11 @@ impl ParamId {
             Self::D(_) => (Mm, Geometric, 18),
             Self::Beta(_) => (Rad, Geometric, 24),
             Self::Tool(_) => (Mm, Tool, 30),
+            Self::Target(..) => (Mm, Targets, 30),
             Self::Ball(..) => (Mm, Balls, 33),
             Self::BarOffset(_) => (Mm, Bar, 36),
+            Self::Tracker(_) => (Mm, Tracker, 33),
+            Self::TrackerTurn(_) => (Rad, Tracker, 55),
             Self::Compliance(_) => (RadPerNm, Compliance, 37),
             Self::GearCos(_) => (Rad, Gear, 43),
             Self::GearSin(_) => (Rad, Gear, 49),
@@ -130,13 +151,17 @@ impl ParamId {
     }
 
     /// Columns of a [`super::LengthRow`].
-    pub(super) const COLUMNS: usize = Self::GearSin(Joint::J1).family().column + AXES;
+    pub(super) const COLUMNS: usize = Self::TrackerTurn(Coordinate::Z).column() + 1;
 
-    /// Where the derivative by it is in a [`super::LengthRow`]. A ball's columns are those of the row's own base ball,
-    /// the bar's that of its own bar: the derivatives by other balls and bars are zero.
+    /// Where the derivative by it is in a [`super::LengthRow`]. The columns of targets, of base balls or the
+    /// tracker's origin, and of bars are those of the row's own: the derivatives by others are zero.
     pub const fn column(self) -> usize {
         let place = match self {
-            Self::Tool(coordinate) | Self::Ball(_, coordinate) => coordinate as usize,
+            Self::Tool(coordinate)
+            | Self::Target(_, coordinate)
+            | Self::Ball(_, coordinate)
+            | Self::Tracker(coordinate)
+            | Self::TrackerTurn(coordinate) => coordinate as usize,
             Self::BarOffset(_) => 0,
             Self::Alpha(joint)
             | Self::A(joint)
@@ -171,6 +196,11 @@ impl ParamId {
         self.group().is_optional()
     }
 
+    /// Whether the place of the tool ball in the robot base depends on it.
+    pub fn moves_tool_ball(self) -> bool {
+        !self.is_setup() || self.group() == Group::Tool
+    }
+
     /// The 24 Denavit-Hartenberg parameters in canonical order.
     pub fn denavit_hartenberg() -> impl Iterator<Item = Self> {
         [Self::Alpha, Self::A, Self::Theta, Self::D]
@@ -183,6 +213,8 @@ impl ParamId {
         Self::denavit_hartenberg()
             .chain(Joint::ALL.into_iter().skip(1).map(Self::Beta))
             .chain(Coordinate::ALL.map(Self::Tool))
+            .chain(Coordinate::ALL.map(Self::Tracker))
+            .chain(Coordinate::ALL.map(Self::TrackerTurn))
             .chain(optional())
     }
 }
@@ -196,9 +228,12 @@ impl fmt::Display for ParamId {
             Self::D(joint) => write!(out, "d{}", joint.number()),
             Self::Beta(joint) => write!(out, "beta{}", joint.index()),
             Self::Tool(coordinate) => write!(out, "tool_{coordinate}"),
+            Self::Target(target, coordinate) => write!(out, "target{target}_{coordinate}"),
             Self::Ball(ball, coordinate) => write!(out, "centre{ball}_{coordinate}"),
             Self::BarOffset(BarId::FIRST) => write!(out, "bar_offset"),
             Self::BarOffset(bar) => write!(out, "bar_offset{bar}"),
+            Self::Tracker(coordinate) => write!(out, "tracker_{coordinate}"),
+            Self::TrackerTurn(coordinate) => write!(out, "tracker_r{coordinate}"),
             Self::Compliance(joint) => write!(out, "compliance{}", joint.number()),
             Self::GearCos(joint) => write!(out, "gear{}_cos", joint.number()),
             Self::GearSin(joint) => write!(out, "gear{}_sin", joint.number()),
@@ -211,12 +246,16 @@ impl FromStr for ParamId {
 
     fn from_str(word: &str) -> Result<Self, RobotFinding> {
         let number = |digits: &str| digits.parse().ok();
+        let placed = |rest: &str| {
+            let (digits, axis) = rest.split_once('_')?;
+            let coordinate = Coordinate::ALL.into_iter().find(|name| name.to_string() == axis)?;
+            Some((number(digits)?, coordinate))
+        };
         let numbered = if let Some(rest) = word.strip_prefix("centre") {
-            rest.split_once('_').and_then(|(digits, axis)| {
-                let ball = number(digits).and_then(BallId::new)?;
-                let coordinate = Coordinate::ALL.into_iter().find(|name| name.to_string() == axis)?;
-                Some(Self::Ball(ball, coordinate))
-            })
+            placed(rest).and_then(|(ball, axis)| Some(Self::Ball(BallId::new(ball)?, axis)))
+        } else if let Some(rest) = word.strip_prefix("target") {
+            let further = |number: u32| TargetId::new(number).filter(|target| *target != TargetId::FIRST);
+            placed(rest).and_then(|(target, axis)| Some(Self::Target(further(target)?, axis)))
         } else {
             word.strip_prefix("bar_offset").and_then(|digits| {
                 let bar = if digits.is_empty() { Some(1) } else { number(digits) };
@@ -241,11 +280,14 @@ impl<'de> Deserialize<'de> for ParamId {
     }
 }
 
-/// How many base balls there are, and how many bars of different length.
+/// How many base balls there are, bars of different length, targets on the tool (the tool ball among them) and trackers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SetUp {
     pub balls: usize,
     pub bars: usize,
+    pub targets: usize,
+    /// 0 or 1.
+    pub trackers: usize,
 }
 
 impl SetUp {
@@ -258,6 +300,12 @@ impl SetUp {
             ParamId::BarOffset(bar) if bar.index() >= self.bars => {
                 Err(RobotFinding::NoSuchBar { name, bars: self.bars })
             }
+            ParamId::Target(target, _) if target.index() >= self.targets => {
+                Err(RobotFinding::NoSuchTarget { name, targets: self.targets })
+            }
+            ParamId::Tracker(_) | ParamId::TrackerTurn(_) if self.trackers == 0 => {
+                Err(RobotFinding::NoTracker { name })
+            }
             _ => Ok(()),
         }
     }
@@ -266,7 +314,7 @@ impl SetUp {
 /// Base balls measured with one bar.
 impl From<usize> for SetUp {
     fn from(balls: usize) -> Self {
-        Self { balls, bars: 1 }
+        Self { balls, bars: 1, targets: 1, trackers: 0 }
     }
 }
 
@@ -288,15 +336,21 @@ pub fn gear() -> impl Iterator<Item = ParamId> {
 }
 
 /// The parameters that a LIST may name, in canonical order, for a robot in its set-up: the 24, the beta of each joint
-/// whose axis is nominally `parallel` to the one before, tool, balls, bars. The optional groups are not among them.
+/// whose axis is nominally `parallel` to the one before, tool, targets, balls, bars, tracker. The optional groups are not among them.
 pub fn all(parallel: &[Joint], set_up: impl Into<SetUp>) -> Vec<ParamId> {
-    let SetUp { balls, bars } = set_up.into();
+    let SetUp { balls, bars, targets, trackers } = set_up.into();
+    let of_target = |target| Coordinate::ALL.map(|coordinate| ParamId::Target(target, coordinate));
+    let of_tracker = [ParamId::Tracker, ParamId::TrackerTurn]
+        .into_iter()
+        .flat_map(|family: fn(Coordinate) -> ParamId| Coordinate::ALL.map(family));
     let coordinates = |ball| Coordinate::ALL.map(|coordinate| ParamId::Ball(ball, coordinate));
     ParamId::denavit_hartenberg()
         .chain(parallel.iter().copied().map(ParamId::Beta))
         .chain(Coordinate::ALL.map(ParamId::Tool))
+        .chain((1..targets).map(TargetId::at).flat_map(of_target))
         .chain((0..balls).map(BallId::at).flat_map(coordinates))
         .chain((0..bars).map(|at| ParamId::BarOffset(BarId::at(at))))
+        .chain(of_tracker.filter(|_| trackers > 0))
         .collect()
 }
 
@@ -347,15 +401,21 @@ mod tests {
     fn a_name_reads_back_and_a_column_is_its_own() {
         let mut columns = std::collections::BTreeSet::new();
         let second = BarId::at(1);
-        let set_up = [ParamId::Ball(BallId::at(9), Coordinate::Y), ParamId::BarOffset(second)];
+        let set_up = [
+            ParamId::Ball(BallId::at(9), Coordinate::Y),
+            ParamId::Target(TargetId::at(1), Coordinate::Z),
+            ParamId::BarOffset(second),
+        ];
         for id in ParamId::named().chain(set_up) {
             let json = serde_json::to_string(&id).unwrap();
             assert_eq!(json, format!("\"{id}\""));
             assert_eq!(serde_json::from_str::<ParamId>(&json).unwrap(), id);
-            assert!(id.column() < ParamId::COLUMNS && columns.insert(id.column()), "{id}");
+            // Rows from the tracker have its origin where others have their ball.
+            let is_own = matches!(id, ParamId::Tracker(_) | ParamId::Target(..)) || columns.insert(id.column());
+            assert!(id.column() < ParamId::COLUMNS && is_own, "{id}");
         }
         for word in
-            ["centre01_x", "centre0_x", "bar_offset1", "beta0", "alpha6", "theta0", "compliance1", "d"]
+            ["centre01_x", "centre0_x", "target1_x", "bar_offset1", "beta0", "alpha6", "theta0", "compliance1", "d"]
         {
             assert!(word.parse::<ParamId>().is_err(), "{word}");
         }

@@ -139,7 +139,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     if let Some(path) = &args.identity {
         given.provenance.identity.extend(&artefact::identity(path)?);
     }
-    let set_up = SetUp { balls: given.centres.len(), bars: given.observations.bars() };
+    let set_up = given.observations.set_up(given.centres.len());
     let options = options(args, &mut given, set_up, out)?;
     let validation = match &args.validate {
         Some(path) => {
@@ -194,7 +194,7 @@ fn find(
     validation: Option<&Measurements>,
     options: &Options,
 ) -> Result<CalibrationResult, Diagnostic> {
-    let start = LengthModel::new(given.robot.geometry.clone(), &given.centres);
+    let start = LengthModel::before(given.robot.geometry.clone(), &given.centres, &given.observations);
     let input = Input {
         robot: &given.robot,
         observations: &given.observations,

@@ -4,8 +4,7 @@ use std::path::Path;
 
 use crate::cli::Output;
 use crate::estimation::result::{CalibrationResult, SigmaSource, Status};
-use crate::estimation::{Combination, Observability, wording};
-use crate::robot::ParamId;
+use crate::estimation::{Combination, Observability, is_place, wording};
 
 /// Further measurements that are named here; all are in the report.
 const RECOMMENDATIONS: usize = 2;
@@ -26,9 +25,9 @@ fn fit(result: &CalibrationResult) -> Vec<String> {
     let residual = &result.residual_mm;
     let mut lines = vec![
         format!(
-            "{}: {} lengths, rank {} of the parameters asked for, condition {:.0}, {} steps; before is {}",
+            "{}: {}, rank {} of the parameters asked for, condition {:.0}, {} steps; before is {}",
             result.robot.name,
-            result.lengths,
+            result.made_from,
             result.rank.nominal,
             result.rank.condition,
             result.solver.iterations,
@@ -107,12 +106,11 @@ fn parameters(result: &CalibrationResult) -> Vec<String> {
         result.count(Status::PoorlyObservable),
         result.count(Status::Fixed)
     )];
-    let is_place = |id: ParamId| matches!(id, ParamId::Ball(..) | ParamId::Tool(_));
     let (places, own): (Vec<&Combination>, Vec<&Combination>) =
-        result.combinations.iter().partition(|combination| is_place(combination.kept));
+        result.combinations.iter().partition(|combination| is_place(&combination.kept));
     lines.extend(wording::in_short(own).into_iter().map(|line| format!("  {line}")));
     let members = places.iter().flat_map(|combination| combination.members.iter().map(|(id, _)| *id));
-    let mut carried: Vec<String> = members.filter(|id| !is_place(*id)).map(|id| id.to_string()).collect();
+    let mut carried: Vec<String> = members.filter(|id| !is_place(id)).map(|id| id.to_string()).collect();
     carried.sort_unstable();
     carried.dedup();
     if !carried.is_empty() {

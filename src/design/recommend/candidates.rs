@@ -112,7 +112,7 @@ impl<'a> Cell<'a> {
             (reading.length_mm - prepared.length(reading)).abs() < FOREIGN_MM
         };
         let of_ball =
-            |ball: BallId| trial.readings.iter().filter(near).filter(move |reading| reading.ball == ball);
+            |ball: BallId| trial.readings.iter().filter(near).filter(move |reading| reading.datum.ball() == Some(ball));
         let home = (0..trial.model.balls.len()).map(BallId::at).max_by_key(|ball| of_ball(*ball).count())?;
         let mut lengths: Vec<f64> = of_ball(home).map(|reading| reading.length_mm).collect();
         lengths.sort_by(f64::total_cmp);
@@ -168,7 +168,7 @@ impl<'a> Cell<'a> {
                 let rotation = turn(t + 0.3, share * MORE_DEG) * ball.rotation;
                 self.reach(&Pose { rotation, ..ball }, &reading.axes)
             })?;
-            Some(PreparedMeasurement::new(axes, reading.ball, reading.length_mm))
+            Some(PreparedMeasurement::new(axes, self.home, reading.length_mm))
         };
         let poses: Vec<PreparedMeasurement> = self.measured.iter().enumerate().filter_map(turned).collect();
         (poses.len() >= POSES / 2).then_some(poses)

@@ -113,7 +113,10 @@ impl<'a> Trial<'a> {
     /// Whether poses all over the robot's reach, to the same balls, would determine more directions than these do.
     /// What remains dependent then, no lengths separate.
     fn more_is_identifiable(&self, rank: usize) -> bool {
-        let balls = self.model.balls.len().max(1);
+        let balls = self.model.balls.len();
+        if balls == 0 {
+            return false;
+        }
         let count = 3 * self.ids.len() + 10;
         let readings: Vec<PreparedMeasurement> = Workspace::uniform(self.robot.controller(), count, 1)
             .into_iter()

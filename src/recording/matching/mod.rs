@@ -31,7 +31,7 @@ use super::strobe_decoder::{StrobedDwell, has_strobe, strobed_dwells};
 use crate::catalogue::MatchingFinding as Finding;
 use crate::measurement::{AxisAngles, BallId, BarId, CircleId, Column, Context, Measurement, Measurements};
 use crate::plan::{CirclePlace, Plan, PlanRow};
-use crate::robot::{AXES, Approach};
+use crate::robot::{AXES, Approach, Datum, TargetId};
 
 pub use alignment::{Alignment, DwellEvidence, Expected, Pairing, align};
 pub use drift::Drift;
@@ -424,8 +424,8 @@ impl<'a> Rows<'a> {
         };
         Some(Measurement {
             index: row.index,
-            ball: ball(row),
-            bar: BarId::FIRST,
+            datum: Datum::Ball(ball(row), BarId::FIRST),
+            target: TargetId::FIRST,
             axes: AxisAngles::from_degrees(measured.copied().unwrap_or(row.axes_deg)),
             approach: self.approaches.get(at).copied().unwrap_or_default(),
             length_mm: self.input.plan.header.job.bar.length_mm + reading.reading_mm,

@@ -5,7 +5,7 @@ use super::thinning::thinned;
 use super::{Key, Legend, Series};
 use crate::report::scale::{Unit, magnitude, range, signed};
 use crate::report::svg::Anchor;
-use crate::robot::{AXES, BallId, CircleId};
+use crate::robot::{AXES, CircleId, Datum};
 
 const HEIGHT: f64 = 270.0;
 
@@ -13,7 +13,7 @@ const HEIGHT: f64 = 270.0;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct ResidualPoint {
     pub(crate) index: u32,
-    pub(crate) ball: BallId,
+    pub(crate) datum: Datum,
     pub(crate) axes_deg: [f64; AXES],
     /// The sense in which each axis came to its angle: -1, 1, or 0 where it is not known.
     pub(crate) senses: [i8; AXES],

@@ -1,0 +1,127 @@
+//! Places of targets in the frame of a tracker: the positions CSV. A position is three rows, one for each coordinate.
+
+use std::fmt::Write;
+use std::ops::Range;
+
+use nalgebra::Vector3;
+
+use super::table::{APPROACH, ApproachColumns, Approaching, angles};
+use super::{Measurement, Measurements};
+use crate::base::table::Table;
+use crate::catalogue::MeasurementFinding::NoMeasurement;
+use crate::diagnostic::Diagnostic;
+use crate::robot::{AXES, Coordinate, Datum, TargetId};
+
+const AXIS_COLUMNS: [&str; AXES] = ["a1_deg", "a2_deg", "a3_deg", "a4_deg", "a5_deg", "a6_deg"];
+/// The columns that make a table one of positions.
+pub const PLACE: [&str; 3] = ["x_mm", "y_mm", "z_mm"];
+pub(super) const TARGET: &str = "target";
+
+/// Where a tracker saw a target.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Position {
+    /// The controller's axis angles, rad.
+    pub axes: [f64; AXES],
+    pub target: TargetId,
+    /// In the tracker's frame, mm.
+    pub place: Vector3<f64>,
+}
+
+impl Datum {
+    /// The rows of the measurement of which the row at this place is one.
+    pub fn rows(self, at: usize) -> Range<usize> {
+        match self {
+            Self::Ball(..) => at..at + 1,
+            Self::Plane(coordinate) => at - coordinate.index()..at - coordinate.index() + 3,
+        }
+    }
+
+    /// Whether its row is the first of a measurement.
+    pub fn is_first(self) -> bool {
+        !matches!(self, Self::Plane(Coordinate::Y | Coordinate::Z))
+    }
+}
+
+impl Measurements {
+    /// Reads the CSV `a1_deg,..,a6_deg,x_mm,y_mm,z_mm[,index][,target][,sigma_mm][,approach1,..,approach6]`; columns in any
+    /// order. An absent target is the tool ball, an absent index the number of the row; `sigma_mm` is of each coordinate.
+    pub fn positions_from_table(table: &mut Table<'_>) -> Result<Self, Diagnostic> {
+        let (axes, place) = (table.required(AXIS_COLUMNS)?, table.required(PLACE)?);
+        let (index, target) = (table.optional("index")?, table.optional(TARGET)?);
+        let (sigma, approach) = (table.optional("sigma_mm")?, ApproachColumns::of(table)?);
+        let mut rows = Vec::new();
+        let mut number = 0;
+        while let Some(row) = table.row()? {
+            number += 1;
+            let (at, approach) = (angles(&row, axes)?, approach.read(&row)?);
+            let index = row.given(index, |at| row.whole(at, 0))?.unwrap_or(number);
+            let target = row.given(target, |at| row.numbered(at))?.unwrap_or(TargetId::FIRST);
+            let sigma_mm = row.given(sigma, |at| row.positive(at))?;
+            for (coordinate, column) in Coordinate::ALL.into_iter().zip(place) {
+                let (length_mm, datum) = (row.number(column)?, Datum::Plane(coordinate));
+                let of_position = Measurement { index, datum, target, axes: at, approach, length_mm, sigma_mm, context: None };
+                rows.push(of_position);
+            }
+        }
+        if rows.is_empty() {
+            return Err(Diagnostic::file(table.file(), NoMeasurement));
+        }
+        Self::new(rows, Vec::new()).map_err(|finding| Diagnostic::file(table.file(), finding))
+    }
+
+    /// Reads the same from a text.
+    pub fn positions_from_csv(file: &str, text: &str) -> Result<Self, Diagnostic> {
+        Self::positions_from_table(&mut Table::of(file, text)?)
+    }
+
+    /// The positions among the rows.
+    pub fn positions(&self) -> impl Iterator<Item = Position> {
+        self.triples().map(|(_, rows)| Position {
+            axes: rows[0].axes.radians(),
+            target: rows[0].target,
+            place: Vector3::from_fn(|axis, _| rows[axis].length_mm),
+        })
+    }
+
+    /// The rows of each position, with the place of the first.
+    fn triples(&self) -> impl Iterator<Item = (usize, &[Measurement])> {
+        let firsts = self.rows.iter().enumerate().filter(|(_, row)| row.datum == Datum::Plane(Coordinate::X));
+        firsts.filter_map(|(at, row)| Some((at, self.rows.get(row.datum.rows(at))?)))
+    }
+
+    /// The CSV of the positions that `keep` wants by the place of their first row; `None` where there are none. Every number
+    /// reads back bit for bit.
+    pub fn positions_csv(&self, keep: impl Fn(usize) -> bool) -> Option<String> {
+        let of_tracker = || self.triples().map(|(_, rows)| &rows[0]);
+        of_tracker().next()?;
+        let targets = of_tracker().any(|row| row.target != TargetId::FIRST);
+        let sigmas = of_tracker().any(|row| row.sigma_mm.is_some());
+        let approach = Approaching::of(of_tracker());
+        let mut text = format!("index,{},{}", AXIS_COLUMNS.join(","), PLACE.join(","));
+        let further = [(targets, TARGET), (sigmas, "sigma_mm")].into_iter().filter(|(is_there, _)| *is_there);
+        further.for_each(|(_, name)| text.extend([",", name]));
+        if approach.is_known {
+            text.extend(APPROACH.into_iter().flat_map(|name| [",", name]));
+        }
+        text.push('\n');
+        for (_, rows) in self.triples().filter(|(at, _)| keep(*at)) {
+            let first = &rows[0];
+            // Writing to a string does not fail.
+            let _ = write!(text, "{}", first.index);
+            let numbers = first.axes.degrees().into_iter().chain(rows.iter().map(|row| row.length_mm));
+            for number in numbers {
+                let _ = write!(text, ",{number}");
+            }
+            if targets {
+                let _ = write!(text, ",{}", first.target);
+            }
+            if sigmas {
+                text.push(',');
+                text.extend(first.sigma_mm.map(|sigma| sigma.to_string()));
+            }
+            approach.append(first, &mut text);
+            text.push('\n');
+        }
+        Some(text)
+    }
+}

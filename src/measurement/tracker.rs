@@ -1,0 +1,99 @@
+//! The frame of a tracker: where it is in the robot base, and its planes.
+
+use nalgebra::{Matrix3, Rotation3, Vector3};
+
+use super::{BaseBall, LengthModel, Measurements, Position};
+use crate::math::Alignment;
+use crate::robot::{Geometry, Plane, TargetId};
+
+/// A tracker's frame in the robot base.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Tracker {
+    /// mm.
+    pub origin: Vector3<f64>,
+    /// Rotation vector, rad.
+    pub turn: Vector3<f64>,
+}
+
+impl Tracker {
+    /// The planes on which x, y and z are zero.
+    pub fn planes(&self) -> [Plane; 3] {
+        let axes = Rotation3::new(self.turn);
+        let by_turn = left_jacobian(&self.turn);
+        [Vector3::x(), Vector3::y(), Vector3::z()].map(|axis| {
+            let normal = axes * axis;
+            let normal_by_turn = [0, 1, 2].map(|k| by_turn.column(k).cross(&normal));
+            Plane { origin: self.origin, normal, normal_by_turn }
+        })
+    }
+
+    /// A place in the tracker's frame, in the robot base, mm.
+    pub fn in_base(&self, place: &Vector3<f64>) -> Vector3<f64> {
+        Rotation3::new(self.turn) * place + self.origin
+    }
+}
+
+/// By how much a change of a rotation vector turns a body (Chirikjian, Stochastic Models, Information Theory, and Lie Groups
+/// 2, 10.86: the left Jacobian of SO(3)).
+fn left_jacobian(turn: &Vector3<f64>) -> Matrix3<f64> {
+    let (angle, cross) = (turn.norm(), turn.cross_matrix());
+    if angle < 1e-4 {
+        return Matrix3::identity() + cross * 0.5 + cross * cross / 6.0;
+    }
+    let (square, cube) = (angle * angle, angle.powi(3));
+    Matrix3::identity() + cross * ((1.0 - angle.cos()) / square) + cross * cross * ((angle - angle.sin()) / cube)
+}
+
+impl LengthModel {
+    /// Before any fit, bars exact: the tracker's frame where the tool ball of this geometry best follows the positions, and
+    /// further targets where they then are on the tool in the mean, else at the tool ball.
+    pub fn before(geometry: Geometry, balls: &[BaseBall], observations: &Measurements) -> Self {
+        let positions: Vec<Position> = observations.positions().collect();
+        let tracker = located(&geometry, &positions);
+        let on_tool = |target: TargetId| {
+            let of_target = positions.iter().filter(|position| position.target == target);
+            let on_tool = of_target.zip(tracker.iter().cycle()).map(|(position, tracker)| {
+                let flange = geometry.flange(&position.axes);
+                flange.rotation.transpose() * (tracker.in_base(&position.place) - flange.position)
+            });
+            let places: Vec<Vector3<f64>> = on_tool.collect();
+            match places.len() {
+                0 => geometry.tool,
+                count => places.iter().sum::<Vector3<f64>>() / count as f64,
+            }
+        };
+        let targets = (1..observations.targets()).map(|at| on_tool(TargetId::at(at))).collect();
+        Self { targets, tracker, ..Self::new(geometry, balls) }
+    }
+}
+
+/// By the positions of the first target that has any, as if it were the tool ball.
+fn located(geometry: &Geometry, positions: &[Position]) -> Option<Tracker> {
+    let first = positions.iter().map(|position| position.target).min()?;
+    let leading = || positions.iter().filter(|position| position.target == first);
+    let measured: Vec<Vector3<f64>> = leading().map(|position| position.place).collect();
+    let balls: Vec<Vector3<f64>> = leading().map(|position| geometry.ball(&position.axes).position).collect();
+    Some(match Alignment::of(&measured, &balls) {
+        Some(motion) => Tracker { origin: motion.shift, turn: motion.rotation.scaled_axis() },
+        None => Tracker { origin: Vector3::zeros(), turn: Vector3::zeros() },
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_normal_turns_as_its_differences() {
+        for turn in [Vector3::new(0.3, -2.0, 1.1), Vector3::new(1e-6, 0.0, 2e-6), Vector3::new(0.0, 3.1, 0.1)] {
+            let at = |turn| Tracker { origin: Vector3::zeros(), turn }.planes();
+            for (axis, plane) in at(turn).iter().enumerate() {
+                for k in 0..3 {
+                    let step = Vector3::ith(k, 1e-6);
+                    let difference = (at(turn + step)[axis].normal - at(turn - step)[axis].normal) / 2e-6;
+                    assert!((difference - plane.normal_by_turn[k]).norm() < 1e-8, "{turn} {axis} {k}");
+                }
+            }
+        }
+    }
+}
