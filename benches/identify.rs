@@ -6,7 +6,7 @@ use std::hint::black_box;
 use criterion::{Criterion, criterion_group, criterion_main};
 use dbbd::design::calibrate;
 use dbbd::estimation::{AngleSource, Input, Options};
-use dbbd::measurement::{BaseBall, LengthModel, Measurement, Measurements, Selection};
+use dbbd::measurement::{BaseBall, Datum, LengthModel, Measurement, Measurements, Selection, TargetId};
 use dbbd::robot::{Approach, AxisAngles, BallId, BarId, LengthRow, ParamId, Robot, Unit, parameter};
 use nalgebra::Vector3;
 use rand::{RngExt, SeedableRng};
@@ -28,8 +28,8 @@ fn problem(poses: usize) -> (Robot, Measurements, Vec<BaseBall>) {
         .map(|i| {
             let mut row = Measurement {
                 index: i as u32 + 1,
-                ball: BallId::FIRST,
-                bar: BarId::FIRST,
+                datum: Datum::Ball(BallId::FIRST, BarId::FIRST),
+                target: TargetId::FIRST,
                 axes: AxisAngles::from_degrees(std::array::from_fn(|j| {
                     let [low, high] = robot.limits_deg[j];
                     random.random_range(low..high)

@@ -263,7 +263,7 @@ fn robot(data: &[u8]) {
     }
 }
 
-/// Measurements, ball centres, poses; and telegrams, which come in a stream.
+/// Measurements, positions, ball centres, poses; and telegrams, which come in a stream.
 fn tables(data: &[u8]) {
     let (mut reader, mut slow) = (TelegramReader::default(), TelegramReader::default());
     let whole = reader.push(data);
@@ -277,6 +277,12 @@ fn tables(data: &[u8]) {
     if let Ok(centres) = table().and_then(|mut table| BaseBall::from_table(&mut table)) {
         let again = BaseBall::from_csv("centres.csv", &BaseBall::to_csv(&centres));
         assert!(again.is_ok_and(|again| again == centres), "not read as they were written");
+    }
+    if let Ok(positions) = table().and_then(|mut table| Measurements::positions_from_table(&mut table)) {
+        let text = positions.positions_csv(|_| true).unwrap_or_default();
+        let again = Table::of("positions.csv", &text)
+            .and_then(|mut table| Measurements::positions_from_table(&mut table));
+        assert!(again.is_ok_and(|again| again == positions), "not read as they were written");
     }
     let _ = table().and_then(|mut table| Measurements::poses_from_table(&mut table));
 }

@@ -19,7 +19,7 @@ use serde::Serialize;
 
 use crate::arrays::{Floats, Numbers, Rows, Wholes, approaches, array};
 use crate::error::{Failure, Outcome, failed, to_python};
-use crate::lengths::{Given, balls, checked};
+use crate::lengths::{Given, GivenPositions, balls, checked};
 use crate::robot::PyRobot;
 
 /// What is known of a robot beforehand, as a caller gives it.
@@ -123,8 +123,8 @@ impl PyResult_ {
     }
 
     fn __repr__(&self) -> String {
-        let (robot, lengths) = (&self.found.robot.name, self.found.lengths);
-        format!("<dbbd.Result of {robot:?} from {lengths} lengths>")
+        let (robot, made_from) = (&self.found.robot.name, self.found.made_from);
+        format!("<dbbd.Result of {robot:?} from {made_from}>")
     }
 }
 
@@ -202,25 +202,34 @@ fn prior(
     Ok((prior, Vec::new()))
 }
 
-/// Identifies a robot's parameters from lengths, as the command `identify` does.
+/// Identifies a robot's parameters from lengths, from positions, or from both, as the command `identify` does.
 ///
 /// `axes_deg` (N x 6, the controller's axis angles), `lengths_mm` (N, between the ball centres), `ball` (N or one number, from
 /// 1), `balls_mm` (K x 3, robot base). `sigma_mm` is a number for all lengths, the user's word, or an array, that of the data.
 /// `estimate` and `hold` are lists as the command takes them ("alpha1-5,a1-5,d4-6"); `prior` is 'none', 'datasheet',
 /// 'posterior' or a dictionary of standard deviations (mm, rad) by names.
+///
+/// Positions: `positions_mm` (M x 3, in the frame of a tracker, whose place is estimated) at `positions_deg` (M x 6), of `target`
+/// (M or one number, from 1: the tool ball), with `positions_sigma_mm` of each coordinate and `positions_approach`.
 #[pyfunction]
 #[pyo3(signature = (
-    axes_deg, lengths_mm, ball, *, robot, balls_mm, sigma_mm=None, bar=None, approach=None, index=None, tool_mm=None,
+    axes_deg=None, lengths_mm=None, ball=None, *, robot, balls_mm=None, positions_deg=None, positions_mm=None, target=None,
+    positions_sigma_mm=None, positions_approach=None, sigma_mm=None, bar=None, approach=None, index=None, tool_mm=None,
     estimate=None, hold=None, prior=None, model="joints", bar_u_mm=None, folds=None, monte_carlo=None, workspace_deg=None
 ))]
 #[allow(clippy::too_many_arguments)] // keywords of a Python function
 pub(crate) fn identify<'py>(
     py: Python<'py>,
-    axes_deg: Numbers<'py>,
-    lengths_mm: Numbers<'py>,
-    ball: Wholes<'py>,
+    axes_deg: Option<Numbers<'py>>,
+    lengths_mm: Option<Numbers<'py>>,
+    ball: Option<Wholes<'py>>,
     robot: &PyRobot,
-    balls_mm: Numbers<'py>,
+    balls_mm: Option<Numbers<'py>>,
+    positions_deg: Option<Numbers<'py>>,
+    positions_mm: Option<Numbers<'py>>,
+    target: Option<Wholes<'py>>,
+    positions_sigma_mm: Option<Numbers<'py>>,
+    positions_approach: Option<Wholes<'py>>,
     sigma_mm: Option<Numbers<'py>>,
     bar: Option<Wholes<'py>>,
     approach: Option<Wholes<'py>>,
@@ -241,21 +250,34 @@ pub(crate) fn identify<'py>(
         Some(sigma) if sigma.shape().is_empty() => (sigma.as_array().iter().copied().next(), None),
         each => (None, each.as_ref()),
     };
-    let given = Given {
-        axes_deg: &axes_deg,
-        lengths_mm: &lengths_mm,
-        ball: &ball,
-        sigma_mm: each,
-        bar: bar.as_ref(),
-        approach: approach.as_ref(),
-        index: index.as_ref(),
+    let tracked = match (&positions_deg, &positions_mm) {
+        (Some(axes_deg), Some(places_mm)) => {
+            let (target, sigma_mm) = (target.as_ref(), positions_sigma_mm.as_ref());
+            let approach = positions_approach.as_ref();
+            Some(GivenPositions { axes_deg, places_mm, target, sigma_mm, approach }.measurements()?)
+        }
+        (None, None) => None,
+        _ => return Err(PyValueError::new_err("positions_deg and positions_mm belong together").into()),
     };
-    let (lengths, mut findings) = given.measurements()?;
+    let (lengths, mut findings) = match (&axes_deg, &lengths_mm, &ball) {
+        (Some(axes_deg), Some(lengths_mm), Some(ball)) => {
+            let (bar, approach, index) = (bar.as_ref(), approach.as_ref(), index.as_ref());
+            let given = Given { axes_deg, lengths_mm, ball, sigma_mm: each, bar, approach, index };
+            let (lengths, findings) = given.measurements()?;
+            let joined = tracked.map_or(Ok(lengths.clone()), |tracked| lengths.and(&tracked));
+            (joined.map_err(failed)?, findings)
+        }
+        (None, None, None) => {
+            let needed = || PyValueError::new_err("lengths_mm or positions_mm are needed");
+            (tracked.ok_or_else(needed)?, Vec::new())
+        }
+        _ => return Err(PyValueError::new_err("axes_deg, lengths_mm and ball belong together").into()),
+    };
     let mut robot = robot.robot().clone();
     if let Some(tool_mm) = tool_mm {
         robot.set_tool(tool_mm);
     }
-    let balls = balls(&balls_mm)?;
+    let balls = balls_mm.as_ref().map_or(Ok(Vec::new()), balls)?;
     findings.extend(checked(&lengths, &robot, &balls)?);
     let workspace = workspace_deg.map(|q| Rows::<AXES>::of(&q, "workspace_deg")).transpose()?;
     let rest = Options {
@@ -267,10 +289,10 @@ pub(crate) fn identify<'py>(
         ..Options::default()
     };
     let asked = Asked { estimate, hold, prior, model, rest };
-    let set_up = SetUp { balls: balls.len(), bars: lengths.bars() };
+    let set_up = lengths.set_up(balls.len());
     let (options, lost) = asked.options(&robot, &lengths, set_up)?;
     findings.extend(lost);
-    let start = LengthModel::new(robot.geometry.clone(), &balls);
+    let start = LengthModel::before(robot.geometry.clone(), &balls, &lengths);
     py.detach(|| {
         let input = Input {
             robot: &robot,

@@ -1,10 +1,10 @@
-//! Lengths at poses, as arrays.
+//! Lengths and positions at poses, as arrays.
 
 use dbbd::catalogue::MeasurementFinding;
 use dbbd::diagnostic::Diagnostic;
-use dbbd::estimation::{check_lengths, doubts};
+use dbbd::estimation::{check_measurements, doubts};
 use dbbd::measurement::{BaseBall, Distinct, Measurement, Measurements};
-use dbbd::robot::{AXES, AxisAngles, BallId, BarId, Robot};
+use dbbd::robot::{AXES, AxisAngles, BallId, BarId, Coordinate, Datum, Robot, TargetId};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -13,7 +13,7 @@ use crate::arrays::{Floats, Numbers, Rows, Wholes, approaches, array, column};
 use crate::error::{Outcome, failed};
 
 /// Where the lengths of a call are, as a message names it.
-pub(crate) const ARRAYS: &str = "lengths";
+pub(crate) const ARRAYS: &str = "measurements";
 
 /// The arrays of a call with lengths.
 pub(crate) struct Given<'a, 'py> {
@@ -32,8 +32,8 @@ impl Given<'_, '_> {
         let axes = Rows::<AXES>::of(self.axes_deg, "axes_deg")?.rows;
         let count = axes.len();
         let lengths = column(self.lengths_mm, "lengths_mm", count)?;
-        let balls = self.numbers(Some(self.ball), "ball", count)?;
-        let bars = self.numbers(self.bar, "bar", count)?;
+        let balls = numbers(Some(self.ball), "ball", count)?;
+        let bars = numbers(self.bar, "bar", count)?;
         let sigmas = match self.sigma_mm {
             Some(sigma) => column(sigma, "sigma_mm", count)?.into_iter().map(Some).collect(),
             None => vec![None; count],
@@ -45,8 +45,8 @@ impl Given<'_, '_> {
         };
         let row = |at: usize| Measurement {
             index: indices[at],
-            ball: BallId::numbered(balls[at]),
-            bar: BarId::numbered(bars[at]),
+            datum: Datum::Ball(BallId::numbered(balls[at]), BarId::numbered(bars[at])),
+            target: TargetId::FIRST,
             axes: AxisAngles::from_degrees(axes[at]),
             approach: approaches[at],
             length_mm: lengths[at],
@@ -59,11 +59,52 @@ impl Given<'_, '_> {
             .then(|| Diagnostic::file(ARRAYS, MeasurementFinding::Repeated { repeated, rows: count }));
         Ok((measurements, found.into_iter().collect()))
     }
+}
 
-    /// Numbers from 1; all the first where there is no array.
-    fn numbers(&self, array: Option<&Wholes<'_>>, name: &str, count: usize) -> PyResult<Vec<u32>> {
-        array.map_or_else(|| Ok(vec![1; count]), |array| whole(&column(array, name, count)?, name, 1))
+/// The arrays of a call with positions.
+pub(crate) struct GivenPositions<'a, 'py> {
+    pub(crate) axes_deg: &'a Numbers<'py>,
+    pub(crate) places_mm: &'a Numbers<'py>,
+    pub(crate) target: Option<&'a Wholes<'py>>,
+    pub(crate) sigma_mm: Option<&'a Numbers<'py>>,
+    pub(crate) approach: Option<&'a Wholes<'py>>,
+}
+
+impl GivenPositions<'_, '_> {
+    /// The table, three rows a position.
+    pub(crate) fn measurements(&self) -> Outcome<Measurements> {
+        let axes = Rows::<AXES>::of(self.axes_deg, "positions_deg")?.rows;
+        let places = Rows::<3>::of(self.places_mm, "positions_mm")?.rows;
+        let count = axes.len();
+        if places.len() != count {
+            return Err(PyValueError::new_err("positions_deg and positions_mm must have as many rows").into());
+        }
+        let targets = numbers(self.target, "target", count)?;
+        let sigmas = match self.sigma_mm {
+            Some(sigma) => column(sigma, "positions_sigma_mm", count)?.into_iter().map(Some).collect(),
+            None => vec![None; count],
+        };
+        let approaches = approaches(self.approach, count)?;
+        let position = |at: usize| {
+            let row = Measurement {
+                index: at as u32 + 1,
+                datum: Datum::Plane(Coordinate::X),
+                target: TargetId::numbered(targets[at]),
+                axes: AxisAngles::from_degrees(axes[at]),
+                approach: approaches[at],
+                length_mm: 0.0,
+                sigma_mm: sigmas[at],
+                context: None,
+            };
+            row.at_place(places[at])
+        };
+        Measurements::new((0..count).flat_map(position).collect(), Vec::new()).map_err(failed)
     }
+}
+
+/// Numbers from 1; all the first where there is no array.
+fn numbers(array: Option<&Wholes<'_>>, name: &str, count: usize) -> PyResult<Vec<u32>> {
+    array.map_or_else(|| Ok(vec![1; count]), |array| whole(&column(array, name, count)?, name, 1))
 }
 
 fn whole(numbers: &[i64], name: &str, least: u32) -> PyResult<Vec<u32>> {
@@ -82,9 +123,9 @@ pub(crate) fn balls(array: &Numbers<'_>) -> PyResult<Vec<BaseBall>> {
         .collect())
 }
 
-/// What is doubtful in the lengths, after what makes them unusable.
+/// What is doubtful in the measurements, after what makes them unusable.
 pub(crate) fn checked(lengths: &Measurements, robot: &Robot, balls: &[BaseBall]) -> Outcome<Vec<Diagnostic>> {
-    check_lengths(ARRAYS, lengths, robot, balls)?;
+    check_measurements(ARRAYS, lengths, robot, balls)?;
     Ok(doubts(ARRAYS, lengths, robot, balls))
 }
 
@@ -115,7 +156,7 @@ pub(crate) fn table<'py>(
     table.set_item("lengths_mm", array(py, rows.iter().map(|row| row.length_mm).collect(), &[count])?)?;
     table.set_item(
         "ball",
-        array(py, rows.iter().map(|row| i64::from(row.ball.number())).collect(), &[count])?,
+        array(py, rows.iter().map(|row| row.datum.ball().map_or(0, |ball| ball.number().into())).collect(), &[count])?,
     )?;
     table.set_item("index", array(py, rows.iter().map(|row| i64::from(row.index)).collect(), &[count])?)?;
     let senses = rows.iter().flat_map(|row| row.approach.senses()).map(i64::from).collect();

@@ -190,5 +190,22 @@ findings! {
         cure: "Check sigma_mm of the lengths, --sigma and [tolerance] of the robot file." {
             NoRecommendation => "what further measurements would add is not a finite number: none is recommended";
         }
+        E1360 "positions do not follow the poses of the robot",
+        cause: "The rows are of another robot, positions and axis angles were put together in another order, columns were swapped, or the frame is left-handed.",
+        cure: "Compare one row with the robot: which pose, and which place. Give the coordinates in a right-handed frame." {
+            PositionsElsewhere { misfit_percent: f64 } => "the positions are not where the robot has its tool in any place of the tracker: {misfit_percent:.0} % of their extent remain";
+            PositionsMirrored => "the positions are a mirror image of where the robot has its tool", help: "swap two columns, or change the sign of one: the frame must be right-handed";
+        }
+        E1361 "positions are not taken here",
+        cause: "This command compares lengths with a robot; it has no tracker whose place it could find.",
+        cure: "Give a table of lengths, or identify from the positions with `dbbd identify`." {
+            LengthsOnly => "positions are not taken by this command: it needs lengths";
+            PositionsTwice => "--positions is for positions beside lengths: the input has positions already";
+        }
+        W1362 "lengths and positions contradict each other",
+        cause: "Each kind of measurement alone fits better than both together: they were made of different robots, before and after a change, or with tables of axis angles that differ.",
+        cure: "Identify from each alone and compare (`dbbd compare`); measure the kind that is in doubt again." {
+            KindsDisagree { apart_mm: f64, together_mm: f64 } => "lengths and positions alone leave residuals of {apart_mm:.3} mm, together {together_mm:.3} mm: they are not of one robot";
+        }
     }
 }

@@ -26,13 +26,14 @@ findings! {
         cure: "Give all base balls (--centres, or the job's [[centre]]); measurements that only check must be of the bars and targets that were identified." {
             UnknownBall { index: u32, ball: u32, balls: usize } => "index {index}: base ball {ball} is not among the {balls} that are given";
             UnknownTarget { index: u32, target: u32, targets: usize } => "index {index}: target {target} is not among the {targets} of the input";
+            UntrackedPosition { index: u32 } => "index {index}: a position, but the robot is identified from lengths alone";
             UnknownBar { index: u32, bar: u32, bars: usize } => "index {index}: bar {bar} is not among the {bars} of the input";
         }
         E1204 "a table is not of measurements",
         cause: "The file is a plan, whose lengths are the wanted ones, or its lengths or angles are in another unit than its header says.",
         cure: "Measure the plan with `dbbd acquire` and give the capture; convert the table to mm and degrees." {
             IsPlan => "is a plan: its lengths are the wanted ones, not measured ones", help: "measure them: `dbbd acquire`, then give the capture";
-            OtherUnit { columns: String, unit: String } => "{columns} seem to be {unit}: in these the lengths agree with the poses", help: "convert the table: lengths in mm, angles in degrees";
+            OtherUnit { columns: String, unit: String } => "{columns} seem to be {unit}: in these the measurements agree with the poses", help: "convert the table: lengths in mm, angles in degrees";
         }
         E1208 "rows of a table have one index",
         cause: "Tables of several runs were put together, or rows were edited: what belongs to which pose is not certain.",

@@ -8,7 +8,7 @@ use super::identify::{Given, LENGTHS, Named, ROBOT, parse_point, read_workspace}
 use super::{Outcome, Output};
 use super::{bar_u, fine, length_sd, positive};
 use crate::base::{files, serialised};
-use crate::catalogue::{CliFinding, ConformityFinding};
+use crate::catalogue::{CliFinding, ConformityFinding, EstimationFinding};
 use crate::conformity::{self, CheckInput, InterimCheck, Rule};
 use crate::diagnostic::Diagnostic;
 use crate::estimation::change::Hypothesis;
@@ -85,12 +85,16 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     }
     let named = Named {
         input: &args.input,
+        positions: None,
         robot: Some(&args.robot),
         tool: args.tool,
         centres: args.centres.as_deref(),
         bar_u: args.bar_u,
     };
     let given = Given::read(named, out)?;
+    if given.observations.set_up(0).trackers > 0 {
+        return Err(EstimationFinding::LengthsOnly.into());
+    }
     given.planned_for(&given.robot).map_err(Diagnostic::from)?;
     let start = LengthModel::new(given.robot.geometry.clone(), &given.centres);
     let readings: Vec<PreparedMeasurement> =

@@ -14,8 +14,9 @@ use super::priors::open_limit;
 use super::residual_tests::joint_effects;
 use super::residuals::{residual_on, residuals};
 use super::result::{
-    BeforeAfter, CalibrationResult, Folds, JointEffect, MadeFrom, MonteCarlo, Outlier, ParameterResult, PriorUsed,
-    RankSummary, Reason, Recommendation, SigmaSource, SigmaSummary, SolverSummary, StartRobot, Status,
+    BeforeAfter, CalibrationResult, Folds, JointEffect, MadeFrom, MonteCarlo, Outlier, ParameterResult,
+    PriorUsed, RankSummary, Reason, Recommendation, SigmaSource, SigmaSummary, SolverSummary, StartRobot,
+    Status,
 };
 use super::selection::is_place;
 use super::setting::Setting;

@@ -1,6 +1,7 @@
 //! What is doubted or worth knowing of a result.
 
 use super::calibration::{AngleSource, Calibration};
+use super::contradiction::kinds_disagree;
 use super::left_out::left_out_mm;
 use super::lengths::Sigma;
 use super::linear_system::factor;
@@ -35,6 +36,7 @@ pub(super) fn findings(of: &Calibration<'_>) -> Vec<EstimationFinding> {
     found.extend(implausible(&of.parameters, &of.setting.priors, &of.setting.options.hold));
     found.extend(displaced(&of.parameters));
     found.extend(shifted_rows(&of.estimate, &of.lengths));
+    found.extend(kinds_disagree(&of.estimate, &of.lengths));
     found.extend(outliers(fit.out.len(), of.lengths.len()));
     found.extend(consistency(of));
     found.extend(against_repeatability(of));

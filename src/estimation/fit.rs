@@ -46,11 +46,8 @@ pub(super) struct Unknowns<'a> {
 /// All unknowns from `start`, whose set-up has been fitted.
 pub(super) fn all(lengths: &Lengths, sigma: Sigma, unknowns: &Unknowns<'_>, start: &LengthModel) -> Fit {
     let Unknowns { free, determined, prior } = *unknowns;
-    let offsets: Vec<ParamId> = free
-        .iter()
-        .copied()
-        .filter(|id| matches!(id, ParamId::Theta(_)) || is_place(id))
-        .collect();
+    let offsets: Vec<ParamId> =
+        free.iter().copied().filter(|id| matches!(id, ParamId::Theta(_)) || is_place(id)).collect();
     // With a prior the robot is near its nominal, and offsets that the data do not hold could run away.
     let joints_first = prior.is_none() && offsets.iter().any(|id| matches!(id, ParamId::Theta(_)));
     let both: [&[ParamId]; 2] = [&offsets, free];

@@ -1,24 +1,31 @@
 //! What is wrong or doubtful in the inputs of an estimation, before anything is computed.
 
-use super::units::mistaken;
+use super::units::{mistaken, mistaken_positions};
 use crate::catalogue::MeasurementFinding::{self, OtherUnit};
 use crate::diagnostic::Diagnostic;
 use crate::math::robust::median;
 use crate::measurement::{BaseBall, Measurements, TargetId};
 use crate::robot::Robot;
 
-/// Every observation must have its ball, in millimetres and degrees; `file` is where they are.
+/// Every length must have its ball, positions must follow the robot, all in millimetres and degrees; `file` is where they
+/// are.
 ///
 /// # Errors
-/// A ball or bar that is not there; lengths or angles in another unit.
-pub fn check_lengths(
+/// A ball or bar that is not there; lengths, positions or angles in another unit; positions of another robot.
+pub fn check_measurements(
     file: &str,
     observations: &Measurements,
     robot: &Robot,
     centres: &[BaseBall],
 ) -> Result<(), Diagnostic> {
     observations.check(file, observations.set_up(centres.len()))?;
-    match mistaken(&robot.geometry, centres, &observations.rows) {
+    let mistaken = match mistaken(&robot.geometry, centres, &observations.rows) {
+        Some(mistaken) => Some(mistaken),
+        None => {
+            mistaken_positions(&robot.geometry, observations).map_err(|why| Diagnostic::file(file, why))?
+        }
+    };
+    match mistaken {
         Some((columns, unit)) => {
             Err(Diagnostic::file(file, OtherUnit { columns: columns.into(), unit: unit.into() }))
         }
@@ -26,7 +33,7 @@ pub fn check_lengths(
     }
 }
 
-/// What is doubtful in observations that [`check_lengths`] takes, and unknown of their robot; `file` is where they are.
+/// What is doubtful in observations that [`check_measurements`] takes, and unknown of their robot; `file` is where they are.
 pub fn doubts(
     file: &str,
     observations: &Measurements,

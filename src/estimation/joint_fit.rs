@@ -58,8 +58,7 @@ pub struct JointSummary {
 impl JointFit {
     /// What is not known of the robot and its tool ball.
     pub(super) fn uncertainty(&self) -> RobotUncertainty {
-        let own = (0..self.ids.len())
-            .filter(|&k| self.ids[k].moves_tool_ball());
+        let own = (0..self.ids.len()).filter(|&k| self.ids[k].moves_tool_ball());
         let own: Vec<usize> = own.collect();
         let rows: Vec<usize> = own.iter().copied().chain(self.ids.len()..self.root.nrows()).collect();
         RobotUncertainty {

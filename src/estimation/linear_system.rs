@@ -168,12 +168,16 @@ pub fn factor<L: MeasurementPieces + ?Sized>(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::measurement::BaseBall;
     use crate::robot::{BallId, Joint, Robot};
     use nalgebra::Vector3;
 
     fn model() -> LengthModel {
         let geometry = Robot::by_name("kr60ha").unwrap().unwrap().geometry;
-        LengthModel { geometry, balls: vec![Vector3::new(1300.0, 0.0, 800.0)], bar_offsets: vec![] }
+        LengthModel::new(
+            geometry,
+            &[BaseBall { id: BallId::FIRST, position: Vector3::new(1300.0, 0.0, 800.0) }],
+        )
     }
 
     fn readings(count: usize) -> Vec<PreparedMeasurement> {

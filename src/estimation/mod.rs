@@ -1,6 +1,6 @@
 //! From lengths to parameters.
 //!
-//! The lengths L = |p - c| + b are fitted by least squares over a base set of the parameters asked for, chosen at the
+//! The lengths L = |p - c| + b, and the coordinates of a tracker as distances from its planes, are fitted by least squares over a base set of the parameters asked for, chosen at the
 //! nominal geometry with the fitted set-up. What is poorly observable is fixed (or carried by the prior), and every number
 //! comes with its standard deviation or the reason why it has none.
 //!
@@ -9,6 +9,7 @@
 
 mod calibration;
 pub mod change;
+mod contradiction;
 mod distance;
 mod estimate;
 mod evidence;
@@ -54,7 +55,7 @@ pub mod wording;
 
 pub use calibration::{AngleSource, Calibration, Input};
 pub use distance::DistanceQuantities;
-pub use inputs::{check_lengths, doubts};
+pub use inputs::{check_measurements, doubts};
 pub use joint_curve::{JointPoint, joint_curve};
 pub use joint_fit::{GroupEvidence, JointSummary};
 pub use left_out::left_out_mm;

@@ -14,7 +14,8 @@ use super::pose_rows::LengthNoise;
 use super::priors::Priors;
 use crate::measurement::{LengthModel, PreparedMeasurement, Selection};
 use crate::robot::{
-    AXES, Approach, BallId, BarId, Coordinate, Datum, ParamId, Robot, RobotPosterior, RobotUncertainty, parameter,
+    AXES, Approach, BallId, BarId, Coordinate, Datum, ParamId, Robot, RobotPosterior, RobotUncertainty,
+    parameter,
 };
 
 /// Gauss-Newton steps of [`Posterior::learn`]: the model is near the truth, so they settle at once.

@@ -2,7 +2,9 @@
 
 use std::fmt;
 
-use super::result::{CirclePlane, FurtherMeasurement, MadeFrom, ParameterResult, Reason, Recommendation, StartRobot};
+use super::result::{
+    CirclePlane, FurtherMeasurement, MadeFrom, ParameterResult, Reason, Recommendation, StartRobot,
+};
 use super::{Combination, Group, GroupEvidence, priors};
 use crate::robot::{BarId, ParamId, Unit};
 
@@ -10,7 +12,8 @@ use crate::robot::{BarId, ParamId, Unit};
 impl fmt::Display for MadeFrom {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { lengths, positions, targets } = *self;
-        let kinds = [(lengths, "lengths"), (positions, "positions")].into_iter().filter(|(count, _)| *count > 0);
+        let kinds =
+            [(lengths, "lengths"), (positions, "positions")].into_iter().filter(|(count, _)| *count > 0);
         let kinds: Vec<String> = kinds.map(|(count, kind)| format!("{count} {kind}")).collect();
         out.write_str(&kinds.join(" and "))?;
         if targets > 1 { write!(out, " of {targets} targets") } else { Ok(()) }

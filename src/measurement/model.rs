@@ -4,7 +4,8 @@ use nalgebra::Vector3;
 
 use super::{BaseBall, Measurement, Tracker};
 use crate::robot::{
-    AXES, Approach, At, BallId, BarId, Chain, Datum, Geometry, JointSinCos, LengthRow, ParamId, Plane, TargetId,
+    AXES, Approach, At, BallId, BarId, Chain, Datum, Geometry, JointSinCos, LengthRow, ParamId, Plane,
+    TargetId,
 };
 
 /// The place of what is not there.
@@ -191,7 +192,9 @@ impl LengthModel {
             ParamId::BarOffset(bar) => self.bar_offset(bar),
             ParamId::Target(target, coordinate) => self.target(target)[coordinate.index()],
             ParamId::Tracker(coordinate) => self.tracker.map_or(f64::NAN, |at| at.origin[coordinate.index()]),
-            ParamId::TrackerTurn(coordinate) => self.tracker.map_or(f64::NAN, |at| at.turn[coordinate.index()]),
+            ParamId::TrackerTurn(coordinate) => {
+                self.tracker.map_or(f64::NAN, |at| at.turn[coordinate.index()])
+            }
             _ => self.geometry.value(id).unwrap_or(f64::NAN),
         }
     }

@@ -42,6 +42,16 @@ impl Datum {
     }
 }
 
+impl Measurement {
+    /// The rows of a position whose circumstances are those of this row.
+    pub fn at_place(&self, place: [f64; 3]) -> [Self; 3] {
+        Coordinate::ALL.map(|coordinate| {
+            let (datum, length_mm) = (Datum::Plane(coordinate), place[coordinate.index()]);
+            Self { datum, length_mm, ..self.clone() }
+        })
+    }
+}
+
 impl Measurements {
     /// Reads the CSV `a1_deg,..,a6_deg,x_mm,y_mm,z_mm[,index][,target][,sigma_mm][,approach1,..,approach6]`; columns in any
     /// order. An absent target is the tool ball, an absent index the number of the row; `sigma_mm` is of each coordinate.
@@ -53,25 +63,23 @@ impl Measurements {
         let mut number = 0;
         while let Some(row) = table.row()? {
             number += 1;
-            let (at, approach) = (angles(&row, axes)?, approach.read(&row)?);
-            let index = row.given(index, |at| row.whole(at, 0))?.unwrap_or(number);
-            let target = row.given(target, |at| row.numbered(at))?.unwrap_or(TargetId::FIRST);
-            let sigma_mm = row.given(sigma, |at| row.positive(at))?;
-            for (coordinate, column) in Coordinate::ALL.into_iter().zip(place) {
-                let (length_mm, datum) = (row.number(column)?, Datum::Plane(coordinate));
-                let of_position = Measurement { index, datum, target, axes: at, approach, length_mm, sigma_mm, context: None };
-                rows.push(of_position);
-            }
+            let of_position = Measurement {
+                index: row.given(index, |at| row.whole(at, 0))?.unwrap_or(number),
+                datum: Datum::Plane(Coordinate::X),
+                target: row.given(target, |at| row.numbered(at))?.unwrap_or(TargetId::FIRST),
+                axes: angles(&row, axes)?,
+                approach: approach.read(&row)?,
+                length_mm: 0.0,
+                sigma_mm: row.given(sigma, |at| row.positive(at))?,
+                context: None,
+            };
+            let [x, y, z] = place;
+            rows.extend(of_position.at_place([row.number(x)?, row.number(y)?, row.number(z)?]));
         }
         if rows.is_empty() {
             return Err(Diagnostic::file(table.file(), NoMeasurement));
         }
         Self::new(rows, Vec::new()).map_err(|finding| Diagnostic::file(table.file(), finding))
-    }
-
-    /// Reads the same from a text.
-    pub fn positions_from_csv(file: &str, text: &str) -> Result<Self, Diagnostic> {
-        Self::positions_from_table(&mut Table::of(file, text)?)
     }
 
     /// The positions among the rows.

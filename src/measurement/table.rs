@@ -9,8 +9,8 @@ use super::positions::TARGET;
 use super::{Column, Context, context};
 use crate::base::table::{Row, Table};
 use crate::catalogue::MeasurementFinding::{
-    self, BarWithoutLength, NoMeasurement, NoPose, NotASense, TooMany, TooManyTargets, UnknownBall, UnknownBar,
-    UnknownTarget, UnseenTarget,
+    self, BarWithoutLength, NoMeasurement, NoPose, NotASense, TooMany, TooManyTargets, UnknownBall,
+    UnknownBar, UnknownTarget, UnseenTarget, UntrackedPosition,
 };
 use crate::diagnostic::Diagnostic;
 use crate::robot::parameter::SetUp;
@@ -126,7 +126,9 @@ impl Measurements {
         let (sigma, bar) = (table.optional(SIGMA)?, table.optional(BAR)?);
         let (target, approach) = (table.optional(TARGET)?, ApproachColumns::of(table)?);
         let known = |at: &usize| {
-            places.contains(at) || [sigma, bar, target].contains(&Some(*at)) || approach.0.contains(&Some(*at))
+            places.contains(at)
+                || [sigma, bar, target].contains(&Some(*at))
+                || approach.0.contains(&Some(*at))
         };
         let others: Vec<usize> = (0..table.names().len()).filter(|at| !known(at)).collect();
         let further: Vec<Column> = others.iter().map(|&at| Column::of(&table.names()[at])).collect();
@@ -179,6 +181,16 @@ impl Measurements {
             None => Ok(set),
             Some(absent) => Err(UnseenTarget { target: absent.number() }),
         }
+    }
+
+    /// With those of the same robot in a further table; the further columns stay those of this one.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn and(mut self, further: &Self) -> Result<Self, MeasurementFinding> {
+        let plain = |row: &Measurement| Measurement { context: None, ..row.clone() };
+        self.rows.extend(further.rows.iter().map(plain));
+        Self::new(self.rows, self.columns)
     }
 
     /// Reads only the axis angles of a table with the columns a1_deg..a6_deg, and the senses of approach that it has.
@@ -237,12 +249,14 @@ impl Measurements {
     }
 
     pub fn check(&self, file: &str, set_up: SetUp) -> Result<(), Diagnostic> {
-        let SetUp { balls, bars, targets, .. } = set_up;
+        let SetUp { balls, bars, targets, trackers } = set_up;
         let unknown = self.rows.iter().find_map(|&Measurement { index, datum, target, .. }| {
             if target.index() >= targets {
                 return Some(UnknownTarget { index, target: target.number(), targets });
             }
-            let Datum::Ball(ball, bar) = datum else { return None };
+            let Datum::Ball(ball, bar) = datum else {
+                return (trackers == 0).then_some(UntrackedPosition { index });
+            };
             if ball.index() >= balls {
                 Some(UnknownBall { index, ball: ball.number(), balls })
             } else {

@@ -41,7 +41,9 @@ fn left_jacobian(turn: &Vector3<f64>) -> Matrix3<f64> {
         return Matrix3::identity() + cross * 0.5 + cross * cross / 6.0;
     }
     let (square, cube) = (angle * angle, angle.powi(3));
-    Matrix3::identity() + cross * ((1.0 - angle.cos()) / square) + cross * cross * ((angle - angle.sin()) / cube)
+    Matrix3::identity()
+        + cross * ((1.0 - angle.cos()) / square)
+        + cross * cross * ((angle - angle.sin()) / cube)
 }
 
 impl LengthModel {
@@ -85,7 +87,8 @@ mod tests {
 
     #[test]
     fn a_normal_turns_as_its_differences() {
-        for turn in [Vector3::new(0.3, -2.0, 1.1), Vector3::new(1e-6, 0.0, 2e-6), Vector3::new(0.0, 3.1, 0.1)] {
+        for turn in [Vector3::new(0.3, -2.0, 1.1), Vector3::new(1e-6, 0.0, 2e-6), Vector3::new(0.0, 3.1, 0.1)]
+        {
             let at = |turn| Tracker { origin: Vector3::zeros(), turn }.planes();
             for (axis, plane) in at(turn).iter().enumerate() {
                 for k in 0..3 {

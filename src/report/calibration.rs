@@ -31,6 +31,8 @@ struct Page<'a> {
     result: &'a ResultFile,
     /// The robot that "before" is about.
     before: String,
+    /// Lengths and positions.
+    made_from: String,
     /// What each recommendation says to measure.
     further: Vec<String>,
     counts: Counts,
@@ -100,6 +102,7 @@ pub fn html(
     let page = Page {
         result: &file,
         before: found.start.to_string(),
+        made_from: found.made_from.to_string(),
         further: found.recommendations.iter().map(Recommendation::what).collect(),
         figures: Figures::of(found, &points),
         counts,

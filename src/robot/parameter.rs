@@ -411,12 +411,21 @@ mod tests {
             assert_eq!(json, format!("\"{id}\""));
             assert_eq!(serde_json::from_str::<ParamId>(&json).unwrap(), id);
             // Rows from the tracker have its origin where others have their ball.
-            let is_own = matches!(id, ParamId::Tracker(_) | ParamId::Target(..)) || columns.insert(id.column());
+            let is_own =
+                matches!(id, ParamId::Tracker(_) | ParamId::Target(..)) || columns.insert(id.column());
             assert!(id.column() < ParamId::COLUMNS && is_own, "{id}");
         }
-        for word in
-            ["centre01_x", "centre0_x", "target1_x", "bar_offset1", "beta0", "alpha6", "theta0", "compliance1", "d"]
-        {
+        for word in [
+            "centre01_x",
+            "centre0_x",
+            "target1_x",
+            "bar_offset1",
+            "beta0",
+            "alpha6",
+            "theta0",
+            "compliance1",
+            "d",
+        ] {
             assert!(word.parse::<ParamId>().is_err(), "{word}");
         }
     }

@@ -1,12 +1,12 @@
 //! A bar's offset looks like a uniform scale of the robot while all lengths are equal. A second length of the
 //! same bar tells them apart; a second bar with an offset of its own does not, unless one of them is calibrated.
 
-use dbbd::robot::BarId;
+use dbbd::robot::{BallId, BarId};
 use std::fs;
 
 use dbbd::estimation::result::Status;
 use dbbd::estimation::result_file::{ParameterResult, ResultFile};
-use dbbd::measurement::Measurements;
+use dbbd::measurement::{Datum, Measurements};
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
@@ -25,11 +25,13 @@ fn two_lengths(second: usize, noise_mm: f64) -> Measurements {
     let mut random = Pcg64::seed_from_u64(7);
     let mut data = measure(&kr60(), &circles(300.0), 27, 25.0);
     let mut more = measure(&kr60(), &circles(200.0), 27, 25.0);
-    more.rows.iter_mut().for_each(|row| (row.index, row.bar) = (row.index + 100, BarId::at(second - 1)));
+    more.rows.iter_mut().for_each(|row| {
+        (row.index, row.datum) = (row.index + 100, Datum::Ball(BallId::FIRST, BarId::at(second - 1)))
+    });
     data.rows.extend(more.rows);
     for row in &mut data.rows {
         let z: f64 = StandardNormal.sample(&mut random);
-        row.length_mm += [0.05, -0.03][row.bar.index()] + noise_mm * z;
+        row.length_mm += [0.05, -0.03][row.datum.bar().unwrap().index()] + noise_mm * z;
     }
     data
 }
@@ -87,7 +89,11 @@ fn two_bars_leave_the_scale_open_until_one_is_calibrated() {
 
     // Bar 1 is calibrated: its offset is taken out of its lengths, and it is held.
     let mut known = two_lengths(2, 0.002);
-    known.rows.iter_mut().filter(|row| row.bar == BarId::FIRST).for_each(|row| row.length_mm -= 0.05);
+    known
+        .rows
+        .iter_mut()
+        .filter(|row| row.datum.bar() == Some(BarId::FIRST))
+        .for_each(|row| row.length_mm -= 0.05);
     let held = identify(&known, &["--hold", "bar_offset", "--estimate", "all"]);
     let second = parameter(&held, "bar_offset2");
     let [low, high] = second.interval95.unwrap();
@@ -101,7 +107,7 @@ fn two_bars_leave_the_scale_open_until_one_is_calibrated() {
 #[test]
 fn a_certificate_binds_the_offset_of_each_bar() {
     let mut data = two_lengths(2, 0.01);
-    data.rows.iter_mut().for_each(|row| row.length_mm -= [0.05, -0.03][row.bar.index()]);
+    data.rows.iter_mut().for_each(|row| row.length_mm -= [0.05, -0.03][row.datum.bar().unwrap().index()]);
     let with = |extra: &[&str]| identify(&data, &[&["--sigma", "0.01"], extra].concat());
     let predicted = |result: &ResultFile| result.predicted_position_error_mm.identified.mean;
     let free = with(&["--prior", "datasheet"]);

@@ -6,7 +6,7 @@ use std::process::{Command, Output};
 use dbbd::catalogue::EstimationFinding;
 use dbbd::design::calibrate;
 use dbbd::estimation::{AngleSource, CalibrationResult, Input, Options};
-use dbbd::measurement::{BaseBall, LengthModel, Measurement, Measurements};
+use dbbd::measurement::{BaseBall, Datum, LengthModel, Measurement, Measurements, TargetId};
 use dbbd::robot::pose::{rot_x, rot_y, rot_z};
 use dbbd::robot::{Approach, AxisAngles, BallId, BarId, Geometry, ParamId, Pose, Robot, inverse};
 use nalgebra::{Matrix3, Vector3};
@@ -110,8 +110,8 @@ pub(crate) fn measure(truth: &Robot, circles: &[Circle], points: usize, amplitud
         for axes_deg in poses(&nominal.geometry, circle, points, amplitude_deg) {
             let mut row = Measurement {
                 index: rows.len() as u32 + 1,
-                ball: circle.ball(),
-                bar: BarId::FIRST,
+                datum: Datum::Ball(circle.ball(), BarId::FIRST),
+                target: TargetId::FIRST,
                 axes: AxisAngles::from_degrees(axes_deg),
                 approach: Approach::default(),
                 length_mm: 0.0,

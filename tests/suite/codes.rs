@@ -57,6 +57,7 @@ fn provoked() -> Vec<&'static str> {
         crate::nothing_wrong_is_silent::provoked(),
         crate::plan_is_refused_with_a_reason::provoked(),
         crate::plans_read_back::provoked(),
+        crate::positions_identify::provoked(),
         crate::programs_of_other_makes::provoked(),
         crate::provenance::provoked(),
         crate::rapid_and_urscript::provoked(),

@@ -4,7 +4,7 @@
 use dbbd::diagnostic::Severity;
 use dbbd::estimation::{CalibrationResult, Options};
 use dbbd::math::aligned_distances;
-use dbbd::measurement::{BaseBall, Measurement, Measurements};
+use dbbd::measurement::{BaseBall, Datum, Measurement, Measurements, TargetId};
 use dbbd::plan::{Job, Kind, Plan};
 use dbbd::program::Target;
 use dbbd::program::krl::{Files, Given, Text, compensate, read};
@@ -56,8 +56,8 @@ fn measured(plan: &Plan, true_robot: &Robot, seed: u64, noise_mm: f64) -> Measur
         let length = true_robot.geometry.length(&row.axes_deg.map(f64::to_radians), &ball, 0.0);
         Measurement {
             index: row.index,
-            ball: BallId::new(row.centre).unwrap(),
-            bar: BarId::FIRST,
+            datum: Datum::Ball(BallId::new(row.centre).unwrap(), BarId::FIRST),
+            target: TargetId::FIRST,
             axes: AxisAngles::from_degrees(row.axes_deg),
             approach: Approach::default(),
             length_mm: length + noise_mm * random.sample::<f64, _>(StandardNormal),

@@ -191,8 +191,8 @@ impl World {
         let lengths = self.lengths(truth, count, bar_mm);
         let rows = lengths.iter().enumerate().map(|(at, one)| Measurement {
             index: at as u32 + 1,
-            ball: one.ball,
-            bar: BarId::FIRST,
+            datum: one.datum,
+            target: one.target,
             axes: AxisAngles::from_degrees(one.axes.map(f64::to_degrees)),
             approach: Approach::default(),
             length_mm: one.length_mm,

@@ -196,7 +196,7 @@ fn many_lengths_tell_what_few_do() {
     let found = find(&kr60(), &data, &balls(&circles), &options);
     let named: Vec<usize> = found.outliers.iter().map(|outlier| outlier.index as usize).collect();
     assert_eq!(named, spoiled.to_vec());
-    assert!(found.outliers.iter().all(|outlier| outlier.place + 1 == outlier.index as usize));
+    assert!(found.outliers.iter().all(|outlier| outlier.places.end == outlier.index as usize));
     assert!((found.sigma.mm / 0.005 - 1.0).abs() < 0.03, "{}", found.sigma.mm);
     assert!((found.residual_mm.after.rms / 0.005 - 1.0).abs() < 0.03);
     for (name, error) in DESIGNED {

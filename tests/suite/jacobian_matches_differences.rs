@@ -1,33 +1,47 @@
 //! The analytic row of a length agrees with central differences of the length, for every parameter.
 
-use dbbd::measurement::{LengthModel, PreparedMeasurement, Selection};
+use dbbd::measurement::{Datum, LengthModel, PreparedMeasurement, Selection, TargetId, Tracker};
 use dbbd::robot::kinematics::Mass;
-use dbbd::robot::{Approach, BallId, Joint, JointError, JointErrors, Ripple, Smooth, Unit, parameter};
+use dbbd::robot::parameter::SetUp;
+use dbbd::robot::{
+    Approach, BallId, Coordinate, Joint, JointError, JointErrors, Ripple, Smooth, Unit, parameter,
+};
 use nalgebra::Vector3;
 use proptest::prelude::*;
 
 use crate::cell::kr60;
+
+/// One base ball, two targets on the tool, a tracker.
+fn model(ball: Vector3<f64>) -> LengthModel {
+    let tracker = Tracker { origin: Vector3::new(3000.0, -500.0, 900.0), turn: Vector3::new(0.4, -0.3, 2.0) };
+    let (targets, tracker) = (vec![Vector3::new(-80.0, 30.0, 150.0)], Some(tracker));
+    LengthModel { geometry: kr60().geometry, balls: vec![ball], bar_offsets: vec![], targets, tracker }
+}
 
 proptest! {
     #![proptest_config(ProptestConfig { cases: 100, rng_seed: proptest::test_runner::RngSeed::Fixed(1), ..ProptestConfig::default() })]
     #[test]
     fn row_matches_central_differences(
         axes in proptest::array::uniform6(-3.0f64..3.0),
-        errors in proptest::collection::vec(-0.01f64..0.01, 52),
+        errors in proptest::collection::vec(-0.01f64..0.01, 61),
+        plane in 0..4usize,
+        target in 0..2usize,
         centre in proptest::array::uniform3(-1500.0f64..1500.0),
     ) {
-        let mut model = LengthModel { geometry: kr60().geometry, balls: vec![Vector3::from(centre)], bar_offsets: vec![] };
+        let mut model = model(Vector3::from(centre));
         model.geometry.masses = vec![
             Mass { joint: Joint::J2, kg: 100.0, centre: Vector3::new(400.0, 0.0, 50.0) },
             Mass { joint: Joint::J6, kg: 60.0, centre: Vector3::new(10.0, 20.0, 150.0) },
         ];
         // Compliance bends the joints and so moves the torques; that second-order part the columns leave out.
-        let mut ids = parameter::all(&Joint::ALL[1..], 1);
+        let mut ids = parameter::all(&Joint::ALL[1..], SetUp { balls: 1, bars: 1, targets: 2, trackers: 1 });
         ids.extend(parameter::parse_list("compliance,gear", &[], 1).unwrap());
         for (id, error) in ids.iter().zip(errors).filter(|(id, _)| id.unit() != Unit::RadPerNm) {
             model.shift(*id, error);
         }
-        let reading = PreparedMeasurement::new(axes, BallId::FIRST, 0.0);
+        let of_ball = PreparedMeasurement::new(axes, BallId::FIRST, 0.0);
+        let datum = Coordinate::ALL.get(plane).map_or(of_ball.datum, |coordinate| Datum::Plane(*coordinate));
+        let reading = PreparedMeasurement { datum, target: TargetId::at(target), ..of_ball };
         let mut row = vec![0.0; ids.len()];
         Selection::new(&ids).pick(&model.prepare().row(&reading), &mut row);
         prop_assert!((model.prepare().row(&reading).length - model.prepare().length(&reading)).abs() < 1e-10);
@@ -54,11 +68,7 @@ fn rows_of_joint_errors_match_differences() {
         backlash: 0.0,
         ripple: vec![Ripple { order: 7 + joint as u32, ..Ripple::default() }],
     }));
-    let mut model = LengthModel {
-        geometry: kr60().geometry,
-        balls: vec![Vector3::new(1300.0, 0.0, 800.0)],
-        bar_offsets: vec![],
-    };
+    let mut model = model(Vector3::new(1300.0, 0.0, 800.0));
     let axes = [0.4, -1.2, 1.5, 0.7, -0.8, 0.3];
     let approach = Approach::new([1, -1, 1, 0, -1, 1]);
     let reading = PreparedMeasurement { approach, ..PreparedMeasurement::new(axes, BallId::FIRST, 0.0) };

@@ -5,7 +5,7 @@ use std::fs;
 use std::path::Path;
 
 use dbbd::math::aligned_distances;
-use dbbd::measurement::{Measurement, Measurements};
+use dbbd::measurement::{Datum, Measurement, Measurements, TargetId};
 use dbbd::robot::{
     Approach, AxisAngles, BallId, BarId, Joint, JointError, JointErrors, Ripple, Robot, Smooth,
 };
@@ -52,8 +52,8 @@ fn lengths(truth: &Robot, poses: usize, seed: u64) -> Measurements {
             let noise: f64 = random.sample(StandardNormal);
             rows.push(Measurement {
                 index: rows.len() as u32 + 1,
-                ball: BallId::at(ball),
-                bar: BarId::FIRST,
+                datum: Datum::Ball(BallId::at(ball), BarId::FIRST),
+                target: TargetId::FIRST,
                 axes: AxisAngles::from_degrees(*axes),
                 approach,
                 length_mm: there.length(&radians(axes), &Vector3::from(place), 0.0) + SIGMA_MM * noise,

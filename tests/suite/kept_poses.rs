@@ -10,6 +10,7 @@ use std::path::Path;
 use dbbd::estimation::result_file::ResultFile;
 use dbbd::math::aligned_distances;
 use dbbd::measurement::{Measurement, Measurements};
+use dbbd::robot::Robot;
 use nalgebra::{Matrix3, Vector3};
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
@@ -31,7 +32,10 @@ const MAGNIFIED: f64 = 4.0;
 #[derive(Clone, Copy)]
 struct Case {
     name: &'static str,
+    /// Lengths to so many of the balls.
     balls: usize,
+    /// Positions at so many of the poses that identify.
+    positions: usize,
     /// Whether with the sense of approach.
     approached: bool,
     options: &'static [&'static str],
@@ -44,7 +48,11 @@ impl Case {
         approached: bool,
         options: &'static [&'static str],
     ) -> Self {
-        Self { name, balls, approached, options }
+        Self { name, balls, positions: 0, approached, options }
+    }
+
+    const fn with_positions(self, positions: usize) -> Self {
+        Self { positions, ..self }
     }
 }
 
@@ -95,7 +103,8 @@ impl Robot60 {
     fn kept(&self, case: Case, seen: &[usize], kept: &[usize]) -> Kept {
         let dir = tempdir().unwrap();
         let at = dir.path();
-        identify(at, seen.iter().flat_map(|pose| &self.poses[*pose]), case);
+        let tracked = self.positions(&seen[..case.positions], case);
+        identify_tracked(at, seen.iter().flat_map(|pose| &self.poses[*pose]), tracked, case);
         let first = kept.iter().map(|pose| self.poses[*pose][0].clone());
         fs::write(at.join("axes.csv"), table(first, case).to_csv()).unwrap();
         let output =
@@ -113,6 +122,18 @@ impl Robot60 {
             }
         }
         Kept { errors: aligned_distances(&measured, &predicted), sds }
+    }
+
+    /// The places at these poses as positions in the frame of the balls.
+    fn positions(&self, poses: &[usize], case: Case) -> Option<String> {
+        let mut arm = Robot::by_name("kr60ha").unwrap().unwrap();
+        arm.set_tool([0.0, 0.0, 104.0]);
+        let rows = poses.iter().filter_map(|pose| {
+            let row = &self.poses[*pose][0];
+            let place = self.trilaterated(*pose, arm.geometry.ball(&row.axes.radians()).position)?;
+            Some(row.at_place(place.into()))
+        });
+        table(rows.flatten(), Case { balls: 3, ..case }).positions_csv(|_| true)
     }
 
     /// Where the three lengths of a pose say that the ball was, near `place`.
@@ -154,20 +175,37 @@ impl Robot60 {
 }
 
 fn table(rows: impl Iterator<Item = Measurement>, case: Case) -> Measurements {
-    let rows = rows.filter(|row| row.ball.index() < case.balls).map(|mut row| {
-        if !case.approached {
-            row.approach = Default::default();
-        }
-        row
-    });
+    let rows =
+        rows.filter(|row| row.datum.ball().is_none_or(|ball| ball.index() < case.balls)).map(|mut row| {
+            if !case.approached {
+                row.approach = Default::default();
+            }
+            row
+        });
     Measurements { rows: rows.collect(), ..Measurements::default() }
 }
 
 fn identify<'a>(at: &Path, rows: impl Iterator<Item = &'a Measurement>, case: Case) -> ResultFile {
+    identify_tracked(at, rows, None, case)
+}
+
+fn identify_tracked<'a>(
+    at: &Path,
+    rows: impl Iterator<Item = &'a Measurement>,
+    positions: Option<String>,
+    case: Case,
+) -> ResultFile {
     fs::write(at.join("obs.csv"), table(rows.cloned(), case).to_csv()).unwrap();
     fs::write(at.join("C.csv"), TAPED[..=case.balls].concat()).unwrap();
-    let plain = ["identify", "obs.csv", "--robot", "kr60ha", "--centres", "C.csv", "--tool", "0,0,104"];
-    let output = dbbd(at, &[&plain[..], &["--out", "o", "--folds", "0"], case.options].concat());
+    let is_tracked = positions.is_some();
+    fs::write(at.join("pos.csv"), positions.unwrap_or_default()).unwrap();
+    let input: &[&str] = match (case.balls, is_tracked) {
+        (0, _) => &["pos.csv"],
+        (_, false) => &["obs.csv", "--centres", "C.csv"],
+        (_, true) => &["obs.csv", "--centres", "C.csv", "--positions", "pos.csv"],
+    };
+    let plain = ["--robot", "kr60ha", "--tool", "0,0,104", "--out", "o", "--folds", "0"];
+    let output = dbbd(at, &[&["identify"], input, &plain, case.options].concat());
     assert!(matches!(output.status.code(), Some(0 | 3)), "{}", stderr(&output));
     serde_json::from_str(&fs::read_to_string(at.join("o/result.json")).unwrap()).unwrap()
 }
@@ -182,10 +220,20 @@ fn joint_errors_lower_the_error_at_kept_poses() {
 }
 
 #[test]
+#[ignore = "48 identifications: see docs/how-to/tracker.md"]
+fn lengths_and_positions_side_by_side() {
+    let lengths = Case::of("lengths to one ball, 105 poses", 1, true, &[]);
+    let tracked = Case::of("positions, 105 poses", 0, true, &[]).with_positions(SEEN);
+    let few = Case::of("positions, 35 poses", 0, true, &[]).with_positions(35);
+    let both = Case::of("lengths to one ball, 105 poses, and positions at 35 of them", 1, true, &[])
+        .with_positions(35);
+    twelve_splits(&[lengths, tracked, few, both]);
+}
+
+#[test]
 #[ignore = "84 identifications: see docs/explanation/accuracy.md"]
 fn kept_poses_in_twelve_splits() {
-    let Some(robot) = Robot60::read() else { return };
-    let cases = [
+    twelve_splits(&[
         Case::of("three balls, geometric", 3, true, &["--model", "geometric", "--prior", "datasheet"]),
         Case::of("three balls", 3, false, &[]),
         Case::of("three balls, approach", 3, true, &[]),
@@ -193,8 +241,12 @@ fn kept_poses_in_twelve_splits() {
         Case::of("one ball, geometric", 1, true, &["--model", "geometric", "--prior", "datasheet"]),
         Case::of("one ball", 1, false, &[]),
         Case::of("one ball, approach", 1, true, &[]),
-    ];
-    for case in cases {
+    ]);
+}
+
+fn twelve_splits(cases: &[Case]) {
+    let Some(robot) = Robot60::read() else { return };
+    for &case in cases {
         let split = |seed: u64| {
             let order = robot.shuffled(seed);
             robot.kept(case, &order[..SEEN], &order[SEEN..])

@@ -79,6 +79,7 @@ mod page_texts;
 mod plan_is_refused_with_a_reason;
 mod plans_are_optimal;
 mod plans_read_back;
+mod positions_identify;
 mod program_frames;
 mod programs_of_other_makes;
 mod provenance;

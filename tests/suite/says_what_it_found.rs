@@ -3,7 +3,7 @@
 use std::fs;
 use std::sync::Arc;
 
-use dbbd::measurement::{CircleId, Column, Context, Kind, Measurements};
+use dbbd::measurement::{CircleId, Column, Context, Datum, Kind, Measurements};
 use dbbd::robot::Tolerance;
 use dbbd::robot::pose::rot_x;
 use dbbd::robot::{BarId, Robot};
@@ -121,7 +121,11 @@ fn scenes() -> Vec<Scene> {
     scenes.push(drawn);
     // Two bars with an offset each; lengths drawn anew.
     let mut two = Scene::new(&kr60(), &planes, 27, 0.0, &["--estimate", "all", "--folds", "0"]);
-    two.data.rows.iter_mut().step_by(2).for_each(|row| row.bar = BarId::at(1));
+    two.data
+        .rows
+        .iter_mut()
+        .step_by(2)
+        .for_each(|row| row.datum = Datum::Ball(row.datum.ball().unwrap(), BarId::at(1)));
     scenes.push(two);
     let choices = ["--prior", "datasheet", "--monte-carlo", "100"];
     scenes.push(Scene::new(&truth, &planes, 20, 0.01, &choices));

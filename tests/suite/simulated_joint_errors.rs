@@ -7,7 +7,7 @@ use dbbd::estimation::expected::Mounting;
 use dbbd::estimation::result::CalibrationResult;
 use dbbd::estimation::{ErrorModel, Options, Positions, Prior};
 use dbbd::measurement::{
-    ApproachedPose, BaseBall, LengthModel, Measurement, Measurements, PreparedMeasurement,
+    ApproachedPose, BaseBall, Datum, LengthModel, Measurement, Measurements, PreparedMeasurement, TargetId,
 };
 use dbbd::robot::{
     Approach, AxisAngles, BallId, BarId, Joint, JointError, JointErrors, ParamId, Ripple, Robot,
@@ -81,8 +81,8 @@ fn lengths(truth: &Robot, poses_: usize, balls: usize, seed: u64) -> Measurement
             let noise: f64 = random.sample(StandardNormal);
             rows.push(Measurement {
                 index: rows.len() as u32 + 1,
-                ball: BallId::at(ball),
-                bar: BarId::FIRST,
+                datum: Datum::Ball(BallId::at(ball), BarId::FIRST),
+                target: TargetId::FIRST,
                 axes: pose.axes,
                 approach: pose.approach,
                 length_mm: (place - Vector3::from(centre)).norm() + LENGTH_MM * noise,

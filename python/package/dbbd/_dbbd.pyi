@@ -95,12 +95,17 @@ class Check:
     def to_dict(self) -> _Dict: ...
 
 def identify(
-    axes_deg: ArrayLike,
-    lengths_mm: ArrayLike,
-    ball: ArrayLike,
+    axes_deg: ArrayLike | None = None,
+    lengths_mm: ArrayLike | None = None,
+    ball: ArrayLike | None = None,
     *,
     robot: Robot,
-    balls_mm: ArrayLike,
+    balls_mm: ArrayLike | None = None,
+    positions_deg: ArrayLike | None = None,
+    positions_mm: ArrayLike | None = None,
+    target: ArrayLike | None = None,
+    positions_sigma_mm: ArrayLike | None = None,
+    positions_approach: ArrayLike | None = None,
     sigma_mm: ArrayLike | None = None,
     bar: ArrayLike | None = None,
     approach: ArrayLike | None = None,

@@ -2,13 +2,13 @@
 
 use std::path::Path;
 
-use super::LENGTHS;
-use super::inputs::observations;
+use super::inputs::measurements;
+use super::{LENGTHS, POSITIONS};
 use crate::catalogue::{ConformityFinding, EstimationFinding, MatchingFinding, ProvenanceFinding};
 use crate::cli::Output;
 use crate::cli::robots;
 use crate::diagnostic::{Diagnostic, Finding, Severity};
-use crate::estimation::{AngleSource, CalibrationResult, Prior, check_lengths, doubts};
+use crate::estimation::{AngleSource, CalibrationResult, Prior, check_measurements, doubts};
 use crate::measurement::{BaseBall, Measurements};
 use crate::provenance::{Artefact, Difference, Provenance, Role, Traced};
 use crate::recording::matching::PoseMatching;
@@ -22,6 +22,8 @@ const LEAST_SIGMA_MM: f64 = 0.02;
 #[derive(Clone, Copy)]
 pub(crate) struct Named<'a> {
     pub(crate) input: &'a Path,
+    /// Positions beside the lengths of the input.
+    pub(crate) positions: Option<&'a Path>,
     pub(crate) robot: Option<&'a str>,
     pub(crate) tool: Option<[f64; 3]>,
     pub(crate) centres: Option<&'a Path>,
@@ -33,6 +35,8 @@ pub(crate) struct Given {
     pub(crate) robot: Robot,
     pub(crate) centres: Vec<BaseBall>,
     pub(crate) observations: Measurements,
+    /// Those of the positions' own table.
+    positions: Option<Measurements>,
     /// Standard uncertainty of the bar's length, mm, where it has a certificate.
     pub(crate) bar_u_mm: Option<f64>,
     pub(crate) provenance: Provenance,
@@ -62,8 +66,12 @@ impl Given {
         let mut findings = Vec::new();
         let observations = match &joined {
             Some((_, matching)) => matching.observations.clone(),
-            None => observations(named.input, &mut findings, out)?,
+            None => measurements(named.input, &mut findings, out)?,
         };
+        let is_tracked = observations.set_up(0).trackers > 0;
+        if is_tracked && named.positions.is_some() {
+            return Err(EstimationFinding::PositionsTwice.into());
+        }
         if observations.rows.is_empty() {
             return Err(Diagnostic::file(&input, EstimationFinding::NoLength));
         }
@@ -86,11 +94,18 @@ impl Given {
                 out.table(path, BaseBall::from_table)?
             }
             (None, Some(run)) => run.centres(),
+            (None, None) if is_tracked => Vec::new(),
             (None, None) => return Err(EstimationFinding::NoBalls.into()),
         };
         let RobotRead { robot, source } = robot;
-        check_lengths(&input, &observations, &robot, &centres)?;
+        check_measurements(&input, &observations, &robot, &centres)?;
         findings.extend(doubts(&input, &observations, &robot, &centres));
+        let positions = named.positions.map(|path| {
+            sources.push(Artefact::file(Role::Measurements, path)?.into());
+            positions(path, &robot, &mut findings, out)
+        });
+        let positions = positions.transpose()?;
+        let observations = joined_with(observations, positions.as_ref())?;
         let of_run = joined.as_ref().map_or_else(Vec::new, |(run, matching)| of_run(run, matching, &robot));
         let measured = |(run, matching): &(Box<Run>, PoseMatching)| {
             !run.axes_deg.is_empty() || matching.axes.as_ref().is_some_and(|axes| axes.measured > 0)
@@ -101,7 +116,18 @@ impl Given {
         };
         let provenance = Provenance::of([&source].into_iter().chain(&sources).chain([&lengths]));
         let bar_u_mm = named.bar_u.or(provenance.identity.bar.u_mm());
-        Ok(Self { robot, centres, observations, bar_u_mm, provenance, findings, of_run, axes, joined })
+        Ok(Self {
+            robot,
+            centres,
+            observations,
+            positions,
+            bar_u_mm,
+            provenance,
+            findings,
+            of_run,
+            axes,
+            joined,
+        })
     }
 
     /// That the plan of a run is for `robot`.
@@ -140,9 +166,14 @@ impl Given {
     /// # Errors
     /// These cannot be read.
     pub(crate) fn known_lengths(&self, robot_file: Option<&str>, out: &Output) -> Result<usize, Diagnostic> {
-        let beside = robot_file.map(|name| Path::new(name).with_file_name(LENGTHS));
-        let Some(path) = beside.filter(|path| path.is_file()) else { return Ok(0) };
-        Ok(observations(&path, &mut Vec::new(), out)?.holds(&self.observations))
+        let beside = [LENGTHS, POSITIONS]
+            .into_iter()
+            .filter_map(|file| Some(Path::new(robot_file?).with_file_name(file)));
+        let known = beside.filter(|path| path.is_file()).map(|path| {
+            let table = measurements(&path, &mut Vec::new(), out)?;
+            Ok(table.holds(&self.observations))
+        });
+        known.sum()
     }
 
     /// Joins the capture anew with the lengths that the identified robot predicts; whether the pairs changed.
@@ -160,11 +191,34 @@ impl Given {
         if matching.same_pairs(before) || matching.observations.rows.is_empty() {
             return false;
         }
-        self.observations = matching.observations.clone();
+        let Ok(observations) = joined_with(matching.observations.clone(), self.positions.as_ref()) else {
+            return false;
+        };
+        self.observations = observations;
         self.of_run = of_run(run, &matching, &self.robot);
         *before = matching;
         true
     }
+}
+
+/// Positions beside lengths, with what is doubtful in them.
+fn positions(
+    path: &Path,
+    robot: &Robot,
+    findings: &mut Vec<Diagnostic>,
+    out: &Output,
+) -> Result<Measurements, Diagnostic> {
+    let (name, set) = (path.display().to_string(), measurements(path, findings, out)?);
+    check_measurements(&name, &set, robot, &[])?;
+    findings.extend(
+        doubts(&name, &set, robot, &[]).into_iter().filter(|doubt| doubt.code.severity() != Severity::Info),
+    );
+    Ok(set)
+}
+
+/// Lengths with the positions of a further table.
+fn joined_with(lengths: Measurements, positions: Option<&Measurements>) -> Result<Measurements, Diagnostic> {
+    Ok(positions.map_or(Ok(lengths.clone()), |positions| lengths.and(positions))?)
 }
 
 /// The robot of the command line, else that of the run's plan; it must be that of the lengths.

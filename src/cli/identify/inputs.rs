@@ -7,6 +7,7 @@ use crate::base::table::Table;
 use crate::catalogue::{EstimationFinding, MeasurementFinding, RobotFinding};
 use crate::cli::Output;
 use crate::diagnostic::Diagnostic;
+use crate::measurement::positions::PLACE;
 use crate::measurement::{Distinct, Measurements};
 use crate::robot::parameter::SetUp;
 use crate::robot::{AXES, ParamId};
@@ -57,7 +58,51 @@ pub(crate) fn read_workspace(table: &mut Table<'_>) -> Result<Vec<[f64; AXES]>, 
 /// Columns that a `plan.csv` has and no table of measured lengths.
 const PLAN: [&str; 2] = ["move", "dwell_s"];
 
-/// The observations of a table, which is never whole in memory.
+/// The lengths or the positions of a table, whichever it has.
+///
+/// # Errors
+/// As [`observations`].
+pub(crate) fn measurements(
+    path: &Path,
+    found: &mut Vec<Diagnostic>,
+    out: &Output,
+) -> Result<Measurements, Diagnostic> {
+    let (name, table) = (
+        path.display().to_string(),
+        out.table(path, |table| {
+            let has = |wanted: &str| table.names().iter().any(|name| name == wanted);
+            if PLACE.into_iter().all(has) && !has("length_mm") && !PLAN.into_iter().all(has) {
+                return Measurements::positions_from_table(table);
+            }
+            lengths(table)
+        })?,
+    );
+    distinct(&name, table, found)
+}
+
+fn lengths(table: &mut Table<'_>) -> Result<Measurements, Diagnostic> {
+    if PLAN.iter().all(|wanted| table.names().iter().any(|name| name == wanted)) {
+        return Err(Diagnostic::file(table.file(), MeasurementFinding::IsPlan));
+    }
+    Measurements::from_table(table)
+}
+
+/// Each row once, with a finding where one was there twice.
+fn distinct(
+    name: &str,
+    table: Measurements,
+    found: &mut Vec<Diagnostic>,
+) -> Result<Measurements, Diagnostic> {
+    let rows = table.count();
+    let Distinct { measurements, repeated } =
+        table.distinct().map_err(|finding| Diagnostic::file(name, finding))?;
+    if repeated > 0 {
+        found.push(Diagnostic::file(name, MeasurementFinding::Repeated { repeated, rows }));
+    }
+    Ok(measurements)
+}
+
+/// The lengths of a table, which is never whole in memory.
 ///
 /// Rows that are there twice are used once, with a finding.
 ///
@@ -68,17 +113,6 @@ pub(crate) fn observations(
     found: &mut Vec<Diagnostic>,
     out: &Output,
 ) -> Result<Measurements, Diagnostic> {
-    let table = out.table(path, |table| {
-        if PLAN.iter().all(|wanted| table.names().iter().any(|name| name == wanted)) {
-            return Err(Diagnostic::file(table.file(), MeasurementFinding::IsPlan));
-        }
-        Measurements::from_table(table)
-    })?;
-    let (name, rows) = (path.display().to_string(), table.rows.len());
-    let Distinct { measurements, repeated } =
-        table.distinct().map_err(|finding| Diagnostic::file(&name, finding))?;
-    if repeated > 0 {
-        found.push(Diagnostic::file(&name, MeasurementFinding::Repeated { repeated, rows }));
-    }
-    Ok(measurements)
+    let table = out.table(path, lengths)?;
+    distinct(&path.display().to_string(), table, found)
 }

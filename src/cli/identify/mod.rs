@@ -1,4 +1,4 @@
-//! `dbbd identify`: the robot's parameters from lengths.
+//! `dbbd identify`: the robot's parameters from lengths and positions.
 
 mod given;
 mod inputs;
@@ -15,13 +15,15 @@ use crate::catalogue::{EstimationFinding, ProvenanceFinding};
 use crate::conformity::Budget;
 use crate::design::calibrate;
 use crate::diagnostic::Diagnostic;
-use crate::estimation::{CalibrationResult, ErrorModel, Input, Options, Prior, ResultFile, check_lengths};
+use crate::estimation::{
+    CalibrationResult, ErrorModel, Input, Options, Prior, ResultFile, check_measurements,
+};
 use crate::measurement::{LengthModel, Measurements};
 use crate::provenance::{Artefact, Provenance, Role};
 use crate::report::calibration;
 use crate::robot::parameter::{self, SetUp};
 pub(crate) use inputs::observations;
-pub(crate) use tables::{LENGTHS, ROBOT};
+pub(crate) use tables::{LENGTHS, POSITIONS, ROBOT};
 
 pub(crate) use given::{Given, Named};
 pub(crate) use inputs::parse_point;
@@ -31,19 +33,19 @@ pub(crate) use inputs::read_workspace;
 /// How often a capture is aligned anew with what was identified.
 const ALIGNMENTS: usize = 5;
 
-/// Identify the robot's parameters from lengths, and report which of them are identifiable.
+/// Identify the robot's parameters from lengths or positions, and report which of them are identifiable.
 ///
 /// Each parameter comes with its standard deviation or the reason why it has none, with the 3-D error predicted
 /// over the workspace and the further measurement that would help most. A capture is aligned anew with what was
 /// identified, until nothing changes. More: docs/explanation/identification.md.
 #[derive(clap::Args)]
 pub(crate) struct Args {
-    /// Measurements CSV (index,centre,a1_deg,..,a6_deg,length_mm[,sigma_mm][,bar]), or a capture, which carries
-    /// the robot and the base balls of its plan. `bar` numbers bars that have an offset each (1, 2, ..; absent =
+    /// Measurements CSV (index,centre,a1_deg,..,a6_deg,length_mm[,sigma_mm][,bar][,target]), or a capture, which carries
+    /// the robot and the base balls of its plan, or a table of positions (see --positions). `bar` numbers bars that have an offset each (1, 2, ..; absent =
     /// 1). One bar set to two lengths keeps its number: then its offset is separable from a scale of the robot.
     input: PathBuf,
-    /// Directory for report.html, result.json, parameters.csv, covariance.csv (mm, rad) and lengths.csv (the
-    /// observations that the result rests on); the identified robot as robot-identified.toml and as
+    /// Directory for report.html, result.json, parameters.csv, covariance.csv (mm, rad), lengths.csv and
+    /// positions.csv (the observations that the result rests on); the identified robot as robot-identified.toml and as
     /// robot-identified.urdf (m, rad; a joint variable is the controller's axis angle); for the controller
     /// mastering.csv (zero error of each axis, degrees) and DBB_RESULT.dat (tool ball, base balls and offsets in KRL;
     /// nothing in it acts by itself).
@@ -52,21 +54,26 @@ pub(crate) struct Args {
     /// Robot: a built-in name or a TOML file.
     #[arg(long, value_name = "NAME|FILE")]
     robot: Option<String>,
-    /// Parameters to estimate: names, ranges, groups (`alpha1-5,a1-5,d4-6`; geometric, tool, centres, bar, all;
-    /// compliance, gear); without it, all that are identifiable, and errors of the joints (see --model). Followed as
+    /// Parameters to estimate: names, ranges, groups (`alpha1-5,a1-5,d4-6`; geometric, tool, targets, centres, bar,
+    /// tracker, all; compliance, gear); without it, all that are identifiable, and errors of the joints (see --model). Followed as
     /// it is when there is no prior; what it does not name counts as exact, in the predicted 3-D error too.
     #[arg(long, value_name = "LIST")]
     estimate: Option<String>,
     /// Parameters to fix at their start values (--hold).
     #[arg(long, alias = "fix", value_name = "LIST")]
     hold: Option<String>,
+    /// Positions of targets on the tool beside the lengths of the input: CSV a1_deg,..,a6_deg,x_mm,y_mm,z_mm[,target]
+    /// [,sigma_mm][,index] in the frame of a tracker, whose place is estimated. Target 1 is the tool ball; the places of further
+    /// ones (2, 3, ..) on the tool are estimated.
+    #[arg(long, value_name = "POS.csv")]
+    positions: Option<PathBuf>,
     /// Base balls: CSV centre,x_mm,y_mm,z_mm in the robot base; to centimetres when they are estimated.
     #[arg(long, value_name = "C.csv")]
     centres: Option<PathBuf>,
     /// Tool ball in the flange frame, mm, in place of the robot file's.
     #[arg(long, value_name = "X,Y,Z", value_parser = parse_point, allow_hyphen_values = true)]
     tool: Option<[f64; 3]>,
-    /// Standard deviation of every length, mm, in place of the data's sigma_mm.
+    /// Standard deviation of every length and coordinate, mm, in place of the data's sigma_mm.
     #[arg(long, value_name = "MM", value_parser = positive)]
     sigma: Option<f64>,
     /// Standard uncertainty (k = 1) of each bar's length by its certificate, mm [default: half of a capture's job's
@@ -75,7 +82,7 @@ pub(crate) struct Args {
     /// predicted error.
     #[arg(long, value_name = "MM", value_parser = bar_u)]
     bar_u: Option<f64>,
-    /// Further observations, to the same balls, that only check the result.
+    /// Further observations, lengths to the same balls or positions in the same frame, that only check the result.
     #[arg(long, value_name = "OBS.csv")]
     validate: Option<PathBuf>,
     /// Cross-validation folds; 0 for none [default: 5 when there are three lengths per parameter
@@ -119,6 +126,7 @@ impl Args {
     fn named(&self) -> Named<'_> {
         Named {
             input: &self.input,
+            positions: self.positions.as_deref(),
             robot: self.robot.as_deref(),
             tool: self.tool,
             centres: self.centres.as_deref(),
@@ -128,7 +136,9 @@ impl Args {
 }
 
 pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
-    files::keeps(&args.out.join(LENGTHS), [args.input.as_path()])?;
+    let read = [Some(&args.input), args.positions.as_ref()].into_iter().flatten();
+    files::keeps(&args.out.join(LENGTHS), read.clone().map(PathBuf::as_path))?;
+    files::keeps(&args.out.join(POSITIONS), read.map(PathBuf::as_path))?;
     files::keeps(&args.out.join(ROBOT), args.robot.as_deref().map(Path::new))?;
     let mut given = Given::read(args.named(), out)?;
     if let Some(file) =
@@ -144,8 +154,8 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     let validation = match &args.validate {
         Some(path) => {
             let name = path.display().to_string();
-            let set = observations(path, &mut given.findings, out)?;
-            check_lengths(&name, &set, &given.robot, &given.centres)?;
+            let set = inputs::measurements(path, &mut given.findings, out)?;
+            check_measurements(&name, &set, &given.robot, &given.centres)?;
             set.check(&name, set_up)?;
             let artefact = Artefact::file(Role::Measurements, path)?;
             if given.provenance.has(&artefact) {
@@ -155,7 +165,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         }
         None => None,
     };
-    let busy = out.busy(&format!("identifying from {} lengths", given.observations.rows.len()), None);
+    let busy = out.busy(&format!("identifying from {} measurements", given.observations.count()), None);
     out.done(20);
     let mut found = find(&given, validation.as_ref(), &options)?;
     out.done(60);

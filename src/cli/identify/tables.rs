@@ -17,6 +17,8 @@ use crate::robot::{Joint, Robot};
 
 /// The lengths that an identification rests on, beside its robot-identified.toml.
 pub(crate) const LENGTHS: &str = "lengths.csv";
+/// The positions beside them.
+pub(crate) const POSITIONS: &str = "positions.csv";
 /// The identified robot beside them.
 pub(crate) const ROBOT: &str = "robot-identified.toml";
 
@@ -47,9 +49,16 @@ pub(super) fn write_results(
     budget: &Budget,
 ) -> Result<Provenance, Diagnostic> {
     let file = ResultFile::from(found);
-    let lengths = dir.join(LENGTHS);
-    files::write_pieces(&lengths, observations.csv_pieces(|place| found.uses(place)))?;
-    provenance.add(&Artefact::file(Role::Measurements, &lengths)?);
+    let is_used = |place: usize| found.uses(place);
+    let [lengths, positions] = [LENGTHS, POSITIONS].map(|file| dir.join(file));
+    if found.made_from.lengths > 0 {
+        files::write_pieces(&lengths, observations.csv_pieces(is_used))?;
+        provenance.add(&Artefact::file(Role::Measurements, &lengths)?);
+    }
+    if let Some(text) = observations.positions_csv(is_used) {
+        files::write(&positions, text)?;
+        provenance.add(&Artefact::file(Role::Measurements, &positions)?);
+    }
     let recorded = Recorded { result: &file, budget, provenance: &provenance };
     files::write(&dir.join("result.json"), serialised::sealed_json(&recorded)?)?;
     let robot = Robot { provenance: provenance.clone(), ..found.robot.clone() };

@@ -111,8 +111,9 @@ impl<'a> Cell<'a> {
         let near = |reading: &&PreparedMeasurement| {
             (reading.length_mm - prepared.length(reading)).abs() < FOREIGN_MM
         };
-        let of_ball =
-            |ball: BallId| trial.readings.iter().filter(near).filter(move |reading| reading.datum.ball() == Some(ball));
+        let of_ball = |ball: BallId| {
+            trial.readings.iter().filter(near).filter(move |reading| reading.datum.ball() == Some(ball))
+        };
         let home = (0..trial.model.balls.len()).map(BallId::at).max_by_key(|ball| of_ball(*ball).count())?;
         let mut lengths: Vec<f64> = of_ball(home).map(|reading| reading.length_mm).collect();
         lengths.sort_by(f64::total_cmp);
