@@ -148,6 +148,7 @@ pub(crate) fn table<'py>(
     balls: &BallPlaces<'_>,
 ) -> PyResult<Bound<'py, PyDict>> {
     let (rows, count) = (&lengths.rows, lengths.rows.len());
+    let ball = |row: &Measurement| row.datum.ball().map_or(0, |ball| i64::from(ball.number()));
     let table = PyDict::new(py);
     table.set_item(
         "axes_deg",
@@ -156,7 +157,7 @@ pub(crate) fn table<'py>(
     table.set_item("lengths_mm", array(py, rows.iter().map(|row| row.length_mm).collect(), &[count])?)?;
     table.set_item(
         "ball",
-        array(py, rows.iter().map(|row| row.datum.ball().map_or(0, |ball| ball.number().into())).collect(), &[count])?,
+        array(py, rows.iter().map(ball).collect(), &[count])?,
     )?;
     table.set_item("index", array(py, rows.iter().map(|row| i64::from(row.index)).collect(), &[count])?)?;
     let senses = rows.iter().flat_map(|row| row.approach.senses()).map(i64::from).collect();

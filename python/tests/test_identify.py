@@ -109,3 +109,26 @@ def test_a_capture_has_the_numbers_of_its_export(tmp_path):
     assert len(capture.plan.axes_deg) >= len(arguments["lengths_mm"]) == len(arguments["axes_deg"]) > 50
     result = dbbd.identify(**arguments, robot=dbbd.Robot.load("kr60ha"), prior="datasheet", model="geometric")
     assert len(result.names) > 20
+
+
+def test_positions_identify_alone_and_beside_lengths() -> None:
+    nominal, random = dbbd.Robot.load("kr60ha"), np.random.default_rng(4)
+    home, turns = np.array([0, -90, 90, 0, 60, 0]), np.array([60, 30, 30, 90, 50, 120])
+    q = home + random.uniform(-1, 1, (60, 6)) * turns
+    truth = nominal.drawn(seed=7)
+    # A frame turned by a quarter about z and shifted.
+    places = truth.fk_deg(q)[:, :3, 3] @ np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1.0]]) + [3000, -500, 200]
+    balls = [[1300.0, -300.0, 600.0]]
+    lengths = dbbd.simulate(q, 1, robot=truth, balls_mm=balls, bar_mm=300.0, noise_um=1.0, seed=1)
+    tracked = {"positions_deg": q, "positions_mm": places, "positions_sigma_mm": 0.001, "model": "geometric"}
+    alone = dbbd.identify(robot=nominal, **tracked)
+    both = dbbd.identify(q, lengths, 1, robot=nominal, balls_mm=balls, sigma_mm=np.full(60, 0.001), **tracked)
+    assert alone.to_dict()["made_from"] == {"lengths": 0, "positions": 60, "targets": 1}
+    assert both.to_dict()["made_from"] == {"lengths": 60, "positions": 60, "targets": 1}
+    others = home + random.uniform(-1, 1, (50, 6)) * turns
+    distances = lambda at: np.linalg.norm(np.diff(at, axis=0), axis=1)  # noqa: E731
+    true = distances(truth.fk_deg(others)[:, :3, 3])
+    for result in (alone, both):
+        assert np.abs(distances(result.predict_deg(others)[0]) - true).max() < 0.02
+    with pytest.raises(ValueError):
+        dbbd.identify(robot=nominal, positions_mm=places)
