@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 
-use super::{BaseBall, Measurement, Tracker};
+use super::{BaseBall, Measurement, Measurements, Position, Tracker};
 use crate::robot::{
     AXES, Approach, At, BallId, BarId, Chain, Datum, Geometry, JointSinCos, LengthRow, ParamId, Plane,
     TargetId,
@@ -157,6 +157,27 @@ impl LengthModel {
     pub fn new(geometry: Geometry, balls: &[BaseBall]) -> Self {
         let balls = balls.iter().map(|ball| ball.position).collect();
         Self { geometry, balls, bar_offsets: vec![], targets: vec![], tracker: None }
+    }
+
+    /// Before any fit, bars exact: the tracker's frame where the tool ball of this geometry best follows the positions, and
+    /// further targets where they then are on the tool in the mean, else at the tool ball.
+    pub fn before(geometry: Geometry, balls: &[BaseBall], observations: &Measurements) -> Self {
+        let positions: Vec<Position> = observations.positions().collect();
+        let tracker = Tracker::located(&geometry, &positions);
+        let on_tool = |target: TargetId| {
+            let of_target = positions.iter().filter(|position| position.target == target);
+            let on_tool = of_target.zip(tracker.iter().cycle()).map(|(position, tracker)| {
+                let flange = geometry.flange(&position.axes);
+                flange.rotation.transpose() * (tracker.in_base(&position.place) - flange.position)
+            });
+            let places: Vec<Vector3<f64>> = on_tool.collect();
+            match places.len() {
+                0 => geometry.tool,
+                count => places.iter().sum::<Vector3<f64>>() / count as f64,
+            }
+        };
+        let targets = (1..observations.targets()).map(|at| on_tool(TargetId::at(at))).collect();
+        Self { targets, tracker, ..Self::new(geometry, balls) }
     }
 
     pub fn prepare(&self) -> PreparedModel<'_> {

@@ -5,7 +5,7 @@ use std::ops::Range;
 
 use nalgebra::Vector3;
 
-use super::table::{APPROACH, ApproachColumns, Approaching, angles};
+use super::table::{APPROACH, ApproachColumns, Approaching, TARGET, angles};
 use super::{Measurement, Measurements};
 use crate::base::table::Table;
 use crate::catalogue::MeasurementFinding::NoMeasurement;
@@ -15,7 +15,6 @@ use crate::robot::{AXES, Coordinate, Datum, TargetId};
 const AXIS_COLUMNS: [&str; AXES] = ["a1_deg", "a2_deg", "a3_deg", "a4_deg", "a5_deg", "a6_deg"];
 /// The columns that make a table one of positions.
 pub const PLACE: [&str; 3] = ["x_mm", "y_mm", "z_mm"];
-pub(super) const TARGET: &str = "target";
 
 /// Where a tracker saw a target.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -5,7 +5,6 @@ use std::fmt::Write;
 use std::iter;
 use std::sync::Arc;
 
-use super::positions::TARGET;
 use super::{Column, Context, context};
 use crate::base::table::{Row, Table};
 use crate::catalogue::MeasurementFinding::{
@@ -74,6 +73,7 @@ const REQUIRED: [&str; 9] =
     ["index", "centre", "a1_deg", "a2_deg", "a3_deg", "a4_deg", "a5_deg", "a6_deg", "length_mm"];
 const SIGMA: &str = "sigma_mm";
 const BAR: &str = "bar";
+pub(super) const TARGET: &str = "target";
 /// Columns with the sense of approach, -1, 0 (not known) or 1 (by rising angles).
 pub const APPROACH: [&str; AXES] =
     ["approach1", "approach2", "approach3", "approach4", "approach5", "approach6"];

@@ -2,9 +2,9 @@
 
 use nalgebra::{Matrix3, Rotation3, Vector3};
 
-use super::{BaseBall, LengthModel, Measurements, Position};
+use super::Position;
 use crate::math::Alignment;
-use crate::robot::{Geometry, Plane, TargetId};
+use crate::robot::{Geometry, Plane};
 
 /// A tracker's frame in the robot base.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -16,6 +16,20 @@ pub struct Tracker {
 }
 
 impl Tracker {
+    /// Where this geometry best follows the positions, by those of the first target that has any, as if it were the tool ball;
+    /// `None` without positions.
+    pub fn located(geometry: &Geometry, positions: &[Position]) -> Option<Self> {
+        let first = positions.iter().map(|position| position.target).min()?;
+        let leading = || positions.iter().filter(|position| position.target == first);
+        let measured: Vec<Vector3<f64>> = leading().map(|position| position.place).collect();
+        let balls: Vec<Vector3<f64>> =
+            leading().map(|position| geometry.ball(&position.axes).position).collect();
+        Some(match Alignment::of(&measured, &balls) {
+            Some(motion) => Self { origin: motion.shift, turn: motion.rotation.scaled_axis() },
+            None => Self { origin: Vector3::zeros(), turn: Vector3::zeros() },
+        })
+    }
+
     /// The planes on which x, y and z are zero.
     pub fn planes(&self) -> [Plane; 3] {
         let axes = Rotation3::new(self.turn);
@@ -44,41 +58,6 @@ fn left_jacobian(turn: &Vector3<f64>) -> Matrix3<f64> {
     Matrix3::identity()
         + cross * ((1.0 - angle.cos()) / square)
         + cross * cross * ((angle - angle.sin()) / cube)
-}
-
-impl LengthModel {
-    /// Before any fit, bars exact: the tracker's frame where the tool ball of this geometry best follows the positions, and
-    /// further targets where they then are on the tool in the mean, else at the tool ball.
-    pub fn before(geometry: Geometry, balls: &[BaseBall], observations: &Measurements) -> Self {
-        let positions: Vec<Position> = observations.positions().collect();
-        let tracker = located(&geometry, &positions);
-        let on_tool = |target: TargetId| {
-            let of_target = positions.iter().filter(|position| position.target == target);
-            let on_tool = of_target.zip(tracker.iter().cycle()).map(|(position, tracker)| {
-                let flange = geometry.flange(&position.axes);
-                flange.rotation.transpose() * (tracker.in_base(&position.place) - flange.position)
-            });
-            let places: Vec<Vector3<f64>> = on_tool.collect();
-            match places.len() {
-                0 => geometry.tool,
-                count => places.iter().sum::<Vector3<f64>>() / count as f64,
-            }
-        };
-        let targets = (1..observations.targets()).map(|at| on_tool(TargetId::at(at))).collect();
-        Self { targets, tracker, ..Self::new(geometry, balls) }
-    }
-}
-
-/// By the positions of the first target that has any, as if it were the tool ball.
-fn located(geometry: &Geometry, positions: &[Position]) -> Option<Tracker> {
-    let first = positions.iter().map(|position| position.target).min()?;
-    let leading = || positions.iter().filter(|position| position.target == first);
-    let measured: Vec<Vector3<f64>> = leading().map(|position| position.place).collect();
-    let balls: Vec<Vector3<f64>> = leading().map(|position| geometry.ball(&position.axes).position).collect();
-    Some(match Alignment::of(&measured, &balls) {
-        Some(motion) => Tracker { origin: motion.shift, turn: motion.rotation.scaled_axis() },
-        None => Tracker { origin: Vector3::zeros(), turn: Vector3::zeros() },
-    })
 }
 
 #[cfg(test)]
