@@ -209,6 +209,6 @@ fn contradictory_inputs_are_found() {
         assert!(said.contains(code), "{code}: {arguments:?}: {said}");
         assert_eq!(exit, Some(if code.starts_with('E') { 1 } else { 3 }), "{code}: {said}");
     }
-    let check = dbbd(at, &["check", "p.csv", "--robot", "kr60ha", "--centres", "C.csv"]);
+    let check = dbbd(at, &["check", "p.csv", "--robot", "kr60ha", "--centres", "C.csv", "--out", "o"]);
     assert!(stderr(&check).contains("E1361"), "{}", stderr(&check));
 }
