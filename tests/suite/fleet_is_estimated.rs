@@ -8,7 +8,7 @@ use dbbd::estimation::priors::Priors;
 use dbbd::estimation::{AngleSource, ErrorModel, Input, Options, Prior, Workspace};
 use dbbd::math::aligned_distances;
 use dbbd::measurement::{BaseBall, LengthModel, Measurement, Measurements, PreparedMeasurement};
-use dbbd::robot::{Approach, AxisAngles, BallId, BarId, Geometry, ParamId, Robot, parameter};
+use dbbd::robot::{Approach, AxisAngles, BallId, Geometry, ParamId, Robot, parameter};
 use nalgebra::{DMatrix, DVector, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_distr::{Distribution, Normal, StandardNormal};
