@@ -155,10 +155,7 @@ pub(crate) fn table<'py>(
         array(py, rows.iter().flat_map(|row| row.axes.degrees()).collect(), &[count, AXES])?,
     )?;
     table.set_item("lengths_mm", array(py, rows.iter().map(|row| row.length_mm).collect(), &[count])?)?;
-    table.set_item(
-        "ball",
-        array(py, rows.iter().map(ball).collect(), &[count])?,
-    )?;
+    table.set_item("ball", array(py, rows.iter().map(ball).collect(), &[count])?)?;
     table.set_item("index", array(py, rows.iter().map(|row| i64::from(row.index)).collect(), &[count])?)?;
     let senses = rows.iter().flat_map(|row| row.approach.senses()).map(i64::from).collect();
     table.set_item("approach", array(py, senses, &[count, AXES])?)?;

@@ -143,7 +143,7 @@ impl Gate {
         }
         let is_file = self.files.iter().any(|file| file.path == path);
         // A link from elsewhere may lead to a page; the API is for the service's own pages.
-        let own_alone = !is_file && !(self.sign_in.is_some() && is_page(request));
+        let own_alone = !(is_file || self.sign_in.is_some() && is_page(request));
         self.access.check_site(request.uri(), request.headers(), own_alone)?;
         let shown = self.access.shown(request.headers(), peer.address);
         peer.known(shown == Shown::Right);

@@ -1,7 +1,7 @@
 //! How long the pages and queries of a plant take: `DBBD_RESULTS=500000 cargo test --features archive --test suite
 //! figures_of_the_page -- --ignored --nocapture`.
 
-use std::time::Instant;
+use dbbd::base::clock;
 
 use super::on_servers::Plant;
 use crate::service::Server;
@@ -61,14 +61,14 @@ fn posterior() -> String {
 fn measure(name: &str, times: usize, mut work: impl FnMut()) {
     let mut took: Vec<f64> = (0..times)
         .map(|_| {
-            let begun = Instant::now();
+            let begun = clock::now();
             work();
-            1e3 * begun.elapsed().as_secs_f64()
+            1e-6 * (clock::now().0 - begun.0) as f64
         })
         .collect();
     took.sort_by(f64::total_cmp);
     let at = |share: f64| took[((times - 1) as f64 * share).round() as usize];
-    println!("{name:40} median {:7.1} ms, 99 % {:7.1} ms", at(0.5), at(0.99));
+    eprintln!("{name:40} median {:7.1} ms, 99 % {:7.1} ms", at(0.5), at(0.99));
 }
 
 #[test]
@@ -78,12 +78,12 @@ fn figures_of_the_page() {
     let Some(plant) = Plant::new("figures", 0) else { return };
     let mut owner = plant.client("postgres");
     let posterior = posterior();
-    println!("{results} results, a posterior of {} bytes", posterior.len());
+    eprintln!("{results} results, a posterior of {} bytes", posterior.len());
     owner.batch_execute("CREATE TEMPORARY TABLE posterior (text TEXT)").unwrap();
     owner.execute("INSERT INTO posterior VALUES ($1)", &[&posterior]).unwrap();
     owner.batch_execute(&FILL.replace("{results}", &results)).unwrap();
     let sizes = "SELECT pg_size_pretty(pg_database_size(current_database()))";
-    println!("database {}", owner.query_one(sizes, &[]).unwrap().get::<_, String>(0));
+    eprintln!("database {}", owner.query_one(sizes, &[]).unwrap().get::<_, String>(0));
     let server =
         Server::start_command(plant.command("v", &["serve", "--listen", "127.0.0.1:0", "--limit", "0.8"]));
     for path in PATHS {
