@@ -106,7 +106,7 @@ impl Robot60 {
         let tracked = self.positions(&seen[..case.positions], case);
         identify_tracked(at, seen.iter().flat_map(|pose| &self.poses[*pose]), tracked, case);
         let first = kept.iter().map(|pose| self.poses[*pose][0].clone());
-        fs::write(at.join("axes.csv"), table(first, case).to_csv()).unwrap();
+        fs::write(at.join("axes.csv"), table(first, Case { balls: 3, ..case }).to_csv()).unwrap();
         let output =
             dbbd(at, &["predict", "axes.csv", "--robot", "o/robot-identified.toml", "--out", "p.csv"]);
         assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
