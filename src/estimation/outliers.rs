@@ -74,7 +74,8 @@ pub(super) fn standing_out(
     whole
 }
 
-/// The places of single rows beyond the limit.
+/// The places of single rows beyond the limit of their kind: lengths and coordinates come from two instruments, and what is
+/// stated of one may be further from the truth than what is stated of the other.
 fn beyond(
     lengths: &Weighted,
     model: &LengthModel,
@@ -83,19 +84,29 @@ fn beyond(
     parameters: usize,
 ) -> Vec<usize> {
     let stride = lengths.lengths().stride();
-    let mut left: Vec<f64> = residuals.iter().map(|r| r.abs()).collect();
-    let vanished = (parameters / stride).min(left.len().saturating_sub(1));
-    if vanished > 0 {
-        left.select_nth_unstable_by(vanished, f64::total_cmp);
-    }
-    let most = limit * robust_scale(&left[vanished..]).max(ROUNDING * SIGMA_OF_MAD);
+    let is_plane = |at: usize| lengths.lengths().reading(at).datum.is_plane();
+    let (planes, others): (Vec<usize>, Vec<usize>) =
+        (0..residuals.len()).partition(|sampled| is_plane(sampled * stride));
+    let most = |kind: &[usize]| {
+        let mut left: Vec<f64> = kind.iter().map(|sampled| residuals[*sampled].abs()).collect();
+        let share = parameters * kind.len() / residuals.len().max(1);
+        let vanished = (share / stride).min(left.len().saturating_sub(1));
+        if vanished > 0 {
+            left.select_nth_unstable_by(vanished, f64::total_cmp);
+        }
+        limit * robust_scale(&left[vanished..]).max(ROUNDING * SIGMA_OF_MAD)
+    };
+    let [of_plane, of_other] = [most(&planes), most(&others)];
+    let most = |is_plane: bool| if is_plane { of_plane } else { of_other };
     if stride == 1 {
-        return (0..residuals.len()).filter(|&at| residuals[at].abs() > most).collect();
+        return (0..residuals.len()).filter(|&at| residuals[at].abs() > most(is_plane(at))).collect();
     }
     let prepared = model.prepare();
     let pieces = lengths.in_pieces(|first, readings, sigma| {
         let beyond = |at: &usize| {
-            ((readings[*at].length_mm - prepared.length(&readings[*at])) / sigma[*at]).abs() > most
+            let reading = &readings[*at];
+            let residual = (reading.length_mm - prepared.length(reading)) / sigma[*at];
+            residual.abs() > most(reading.datum.is_plane())
         };
         (0..readings.len()).filter(beyond).map(|at| first + at).collect::<Vec<usize>>()
     });
