@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
-# The Windows build under wine: plan, krl, identify (the numbers of Linux to 1e-12), acquire from tcp://, serve, demo.
+# The Windows build under wine: plan, krl, identify (the numbers of Linux to 1e-12), acquire from tcp://, Ctrl-C and a kill during a run,
+# a result that another program has open, reserved names, long paths, CR LF, serve, demo.
 # Usage: tests/windows.sh [LINUX-BINARY]   (default target/release/dbbd). Says loudly when it skips.
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -67,6 +68,59 @@ wine 'C:\cell\dbbd.exe' simulate --program 'demo\krl\DBB_MAIN.src' --robot 'demo
 until [ -s "$work/port2" ]; do sleep 0.1; done
 "$linux" acquire --port "$(head -1 "$work/port2" | tr -d '\r')" --plan demo/plan/plan.csv --out rfc2217.dbbd 2>/dev/null
 cmp <("$linux" sync tcp.dbbd --out a.csv >/dev/null; cut -d, -f1-8 a.csv) <("$linux" sync rfc2217.dbbd --out b.csv >/dev/null; cut -d, -f1-8 b.csv)
+
+# The simulated bar of a run that goes on, and what a capture of it says of its end.
+begin() { : >"$work/slow"; "$linux" simulate --program demo/krl/DBB_MAIN.src --robot demo/truth.toml --world demo/world.toml --speed 1 --listen tcp://127.0.0.1:0 >"$work/slow" 2>/dev/null & until [ -s "$work/slow" ]; do sleep 0.1; done; bar=$(head -1 "$work/slow"); }
+ended() { { "$linux" info "$1" --json 2>/dev/null || true; } | python3 -c 'import json, sys; one = json.load(sys.stdin); print(one["ended"], one["samples"] > 0)'; }
+
+step "Ctrl-C in the terminal of a run"
+begin
+python3 - "$bar" <<'PY'
+import os, pty, select, sys, time
+child, terminal = pty.fork()
+if child == 0:
+    os.execvp("wine", ["wine", r"C:\cell\dbbd.exe", "acquire", "--port", sys.argv[1], "--plan", r"demo\plan\plan.csv", "--out", "stopped.dbbd"])
+began, pressed = time.time(), False
+while time.time() - began < 60:
+    if select.select([terminal], [], [], 0.1)[0]:
+        try:
+            if not os.read(terminal, 4096):
+                break
+        except OSError:
+            break
+    if not pressed and time.time() - began > 6:
+        pressed = os.write(terminal, b"\x03") == 1
+else:
+    sys.exit("the run went on after Ctrl-C")
+assert pressed, "the run ended before the key"
+assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 3
+PY
+[ "$(ended stopped.dbbd)" = "stopped True" ]
+
+step "a run that is killed"
+begin
+wine 'C:\cell\dbbd.exe' acquire --port "$bar" --plan 'demo\plan\plan.csv' --out killed.dbbd >/dev/null 2>&1 </dev/null &
+sleep 6
+pkill -9 -f 'dbbd.exe.acquire.*killed.dbbd'
+[ "$(ended killed.dbbd)" = "None True" ]
+dbbd recover killed.dbbd --out recovered.dbbd
+
+step "a result that another program has open, reserved names, a long path, lines that end with CR LF"
+refused() { wine 'C:\cell\dbbd.exe' "$@" >"$work/out" 2>"$work/err" </dev/null && { echo "NOT REFUSED: dbbd $*"; exit 1; }; grep -q '^error\[E' "$work/err" || { cat "$work/err"; exit 1; }; }
+identify=(identify 'paper\observations.csv' --robot kr60ha --centres 'paper\centres.csv' --estimate $estimate)
+before=$(cd windows && sha256sum ./*.toml ./*.csv ./*.dat ./*.html)
+wine cmd /c 'ping -n 8 127.0.0.1 >windows\result.json' >/dev/null 2>&1 </dev/null &
+sleep 2
+refused identify 'paper\observations.csv' --robot kr60ha --centres 'paper\centres.csv' --estimate a1-3 --out windows
+[ "$before" = "$(cd windows && sha256sum ./*.toml ./*.csv ./*.dat ./*.html)" ]
+wait $!
+for name in NUL con.csv aux; do refused "${identify[@]}" --out "$name"; done
+long=$(printf 'l%.0s' $(seq 120))
+dbbd "${identify[@]}" --out "$long\\$long\\$long"
+cmp "$long/$long/$long/parameters.csv" linux/parameters.csv
+sed 's/$/\r/' paper/observations.csv >'paper/crlf.csv'
+dbbd identify 'paper\crlf.csv' --robot kr60ha --centres 'paper\centres.csv' --estimate $estimate --out crlf
+cmp crlf/parameters.csv linux/parameters.csv
 
 step "serve, asked from outside"
 port=$(python3 -c 'import socket; s = socket.create_server(("127.0.0.1", 0)); print(s.getsockname()[1])')

@@ -377,7 +377,9 @@ impl Run {
             }
             let away = clock::now().seconds_since(since);
             if away >= next {
-                if let Ok(opened) = session::open(&self.identity, &self.options.definition) {
+                if self.identity.may_return()
+                    && let Ok(opened) = session::open(&self.identity, &self.options.definition)
+                {
                     return Ok(Ok(opened));
                 }
                 next = away + backoff;

@@ -34,6 +34,12 @@ impl PortAddress {
         Some(if stays { Path::new("/dev/serial").join(name) } else { PathBuf::from(name) })
     }
 
+    /// Whether what is gone from this address may come back to it. The number of a pseudo-terminal that ended is given
+    /// to the next one, which is another's.
+    pub fn may_return(&self) -> bool {
+        !self.device().is_some_and(|device| device.starts_with("/dev/pts"))
+    }
+
     /// Whether a serial port is plugged in; whether a server is there shows when it is opened.
     pub fn is_present(&self) -> bool {
         match self.device() {
@@ -115,6 +121,13 @@ mod tests {
         }
         let device = "by-id/usb-x".parse::<PortAddress>().unwrap().device();
         assert_eq!(device, Some(PathBuf::from("/dev/serial/by-id/usb-x")));
+    }
+
+    #[test]
+    fn the_number_of_a_pseudo_terminal_is_not_waited_for() {
+        let may_return = |text: &str| text.parse::<PortAddress>().unwrap().may_return();
+        assert!(!may_return("/dev/pts/4"));
+        assert!(["bar", "/dev/ttyUSB0", "COM3", "tcp://10.0.0.7:4001"].into_iter().all(may_return));
     }
 
     #[test]
