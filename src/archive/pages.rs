@@ -1,7 +1,7 @@
 //! The pages of a plant, made from what the archive holds.
 
 use std::io::{Seek as _, Write as _};
-use std::sync::{Mutex, PoisonError};
+use std::sync::Mutex;
 
 use serde::Serialize;
 use serde_json::json;
@@ -11,6 +11,7 @@ use super::plant::{Found, PAGE_ROWS, Past, RobotState, Subject};
 use super::query::{ArchivedRun, Place, Selection};
 use super::{Addresses, Archive, WrittenPosterior};
 use crate::base::clock;
+use crate::base::sync::lock;
 use crate::catalogue::ArchiveFinding::{NoReport, NotACursor, NotADate, NotReached};
 use crate::catalogue::ServiceFinding::NoSystem;
 use crate::diagnostic::{Diagnostic, Finding as _};
@@ -88,7 +89,7 @@ impl PlantPages {
 
     /// Asks on a connection that is free. One that broke meanwhile is replaced once.
     fn ask<T>(&self, question: impl Fn(&mut Archive) -> Result<T, Diagnostic>) -> Result<T, Diagnostic> {
-        let idle = || self.idle.lock().unwrap_or_else(PoisonError::into_inner);
+        let idle = || lock(&self.idle);
         let kept = idle().pop();
         let used = kept.is_some();
         let mut archive = kept.map_or_else(|| Archive::open(&self.addresses), Ok)?;

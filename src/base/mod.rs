@@ -8,6 +8,7 @@ pub mod hash;
 pub mod parse;
 pub mod program;
 pub mod serialised;
+pub mod sync;
 pub mod table;
 pub mod text;
 pub mod units;

@@ -6,7 +6,7 @@ use std::fs::File;
 use std::io::{self, BufRead, BufReader, IsTerminal, Write};
 use std::path::Path;
 use std::process::ExitCode;
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock};
 use std::time::Duration;
 
 use indicatif::{ProgressBar, ProgressStyle};
@@ -15,6 +15,7 @@ use serde::Serialize;
 use super::{Common, Outcome};
 use crate::base::program::{PROGRESS, PROGRESS_VARIABLE};
 use crate::base::serialised;
+use crate::base::sync::lock;
 use crate::base::table::{Layout, Table};
 use crate::catalogue::{CliFinding, CompensationFinding, EstimationFinding, FileFinding, PortFinding};
 use crate::diagnostic::{Code, Diagnostic, Finding, Severity};
@@ -105,7 +106,7 @@ impl Output {
     }
 
     fn findings(&self) -> MutexGuard<'_, Vec<Diagnostic>> {
-        self.findings.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.findings)
     }
 
     /// What goes on, on stderr; not said under `--quiet`.

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::RecvTimeoutError;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
@@ -18,6 +18,7 @@ use super::recorder::Recorder;
 use super::schedule::{ALARM_SHARE, Schedule};
 use super::session::{self, Opened};
 use super::telegrams::{Line, Telegrams};
+use crate::base::sync::lock;
 use crate::base::units::HostNs;
 use crate::base::{clock, serialised};
 use crate::catalogue::{RecordingFinding, ServiceFinding};
@@ -186,7 +187,7 @@ impl Acquisition {
 
     /// How it is going.
     pub fn progress(&self) -> Progress {
-        *self.shared.progress.lock().unwrap_or_else(PoisonError::into_inner)
+        *lock(&self.shared.progress)
     }
 
     /// Writes a remark into the capture.
@@ -196,12 +197,12 @@ impl Acquisition {
 
     /// Writes what happened beside the line into the capture.
     pub fn note(&self, event: Event) {
-        self.shared.notes.lock().unwrap_or_else(PoisonError::into_inner).push(event);
+        lock(&self.shared.notes).push(event);
     }
 
     /// What is to be said of the capture since it was asked for last.
     pub fn findings(&self) -> Vec<Diagnostic> {
-        std::mem::take(&mut *self.shared.findings.lock().unwrap_or_else(PoisonError::into_inner))
+        std::mem::take(&mut *lock(&self.shared.findings))
     }
 
     /// Whether it is over.
@@ -394,12 +395,12 @@ impl Run {
 
     /// Hands over what was found about the capture.
     fn say(&mut self) {
-        let mut findings = self.shared.findings.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut findings = lock(&self.shared.findings);
         findings.append(&mut self.recorder.findings);
     }
 
     fn write_notes(&mut self) -> Result<(), Diagnostic> {
-        let notes = std::mem::take(&mut *self.shared.notes.lock().unwrap_or_else(PoisonError::into_inner));
+        let notes = std::mem::take(&mut *lock(&self.shared.notes));
         notes.into_iter().try_for_each(|event| self.recorder.event(clock::now(), event))
     }
 
@@ -409,7 +410,7 @@ impl Run {
         self.recorder.tick(clock::now())?;
         self.say();
         let progress = Progress { gone: port == PortState::Gone, ..self.recorder.progress };
-        *self.shared.progress.lock().unwrap_or_else(PoisonError::into_inner) = progress;
+        *lock(&self.shared.progress) = progress;
         Ok(())
     }
 }

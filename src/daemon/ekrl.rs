@@ -9,10 +9,11 @@ use std::io::{self, ErrorKind, Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use crate::base::clock;
+use crate::base::sync::lock;
 use crate::base::units::HostNs;
 use crate::catalogue::PortFinding::{self, NotListening};
 use crate::recording::{Heard, Telegram, TelegramReader};
@@ -157,7 +158,7 @@ impl Channel {
     /// A place for a client, that of another if there is none.
     fn enter(&self) -> Arc<Client> {
         let client = Arc::<Client>::default();
-        let mut open = self.open.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut open = lock(&self.open);
         if open.len() >= MOST {
             let heard = |at: &usize| open[*at].heard_ns.load(Ordering::Relaxed);
             if let Some(idle) = (0..open.len()).min_by_key(heard) {
@@ -170,7 +171,7 @@ impl Channel {
 
     /// How many are left.
     fn leave(&self, client: &Arc<Client>) -> usize {
-        let mut open = self.open.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut open = lock(&self.open);
         open.retain(|other| !Arc::ptr_eq(other, client));
         open.len()
     }

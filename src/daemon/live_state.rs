@@ -1,13 +1,14 @@
 //! The live state of a run: frames a few times a second, and each dwell. No client can hold the recorder up: the stream
 //! drops what is not read.
 
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 
 use tokio::sync::broadcast;
 
 use super::mount_detector::{MountDetector, Reading};
 use super::schedule::Schedule;
 use crate::base::clock;
+use crate::base::sync::lock;
 use crate::base::units::HostNs;
 use crate::diagnostic::Finding;
 use crate::live::{Alarm, Frame, Message, Mounting, MountingNote, Point};
@@ -95,8 +96,7 @@ impl Feed {
         let device_s = device_s.zip(first_device).map(|(now, first)| now - first);
         if let Some(device_s) = device_s {
             // A lock that nobody holds for longer than a copy.
-            *self.state.clock_ahead_ms.lock().unwrap_or_else(PoisonError::into_inner) =
-                Some(1e3 * (device_s - host_s));
+            *lock(&self.state.clock_ahead_ms) = Some(1e3 * (device_s - host_s));
         }
         let reading = sample.reading_mm;
         let now = Reading { t_s: host_s, reading_mm: reading, valid: sample.valid, dwells: counted.dwells };
@@ -150,14 +150,14 @@ impl Feed {
     }
 
     fn mounting(&self) -> MutexGuard<'_, Mounting> {
-        self.state.mounting.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.state.mounting)
     }
 
     fn dwell(&mut self, sample: &Sample, counted: Counted) {
         if counted.dwells > self.dwells && self.strobe.samples > 0 {
             let StrobeMean { sum_mm, samples, .. } = std::mem::take(&mut self.strobe);
             let point = self.schedule.point(counted.dwells, sum_mm / f64::from(samples));
-            self.state.points.lock().unwrap_or_else(PoisonError::into_inner).push(point);
+            lock(&self.state.points).push(point);
             self.send("point", &point);
         }
         self.dwells = counted.dwells;

@@ -7,13 +7,14 @@ use std::collections::VecDeque;
 use std::hint::black_box;
 use std::io;
 use std::net::{IpAddr, Ipv6Addr};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::Mutex;
 
 use axum::http::header::{AUTHORIZATION, COOKIE, HOST, HeaderMap, ORIGIN};
 use axum::http::{StatusCode, Uri};
 
 use super::guesses::Guesses;
 use super::json::Problem;
+use crate::base::sync::lock;
 use crate::catalogue::ServiceFinding::{
     NoHost, NoSystem, NoToken, OtherHost, OtherSite, TooManyGuesses, WrongToken,
 };
@@ -46,10 +47,6 @@ pub(super) enum Shown {
     Wrong,
     /// Not looked at: too many wrong ones came from there.
     TooOften,
-}
-
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// What nobody can guess, for a cookie.

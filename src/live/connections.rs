@@ -5,9 +5,11 @@
 //! oldest.
 
 use std::net::IpAddr;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 
 use tokio::sync::Notify;
+
+use crate::base::sync::lock;
 
 /// Connections at a time.
 const MOST: usize = 256;
@@ -82,7 +84,7 @@ impl Table {
 
 impl Connections {
     fn table(&self) -> MutexGuard<'_, Table> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.0)
     }
 
     /// A place for a connection from `address`, and the address of the one that had to go for it.

@@ -3,13 +3,14 @@
 use std::collections::VecDeque;
 use std::io::{self, ErrorKind, Read, Write};
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, TcpListener, TcpStream, UdpSocket};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
 use super::fault::Faults;
 use crate::base::clock;
+use crate::base::sync::lock;
 use crate::base::units::DeviceTicks;
 use crate::catalogue::AxesFinding;
 use crate::device::axes::rtde::{self, Package};
@@ -194,7 +195,7 @@ impl AxesLine {
         match self {
             Self::Rsi { .. } => RSI_CYCLE_S,
             Self::Rtde { client } => {
-                locked(client).as_ref().map_or(4.0 * RTDE_CYCLE_S, |client| client.cycle_s)
+                lock(client).as_ref().map_or(4.0 * RTDE_CYCLE_S, |client| client.cycle_s)
             }
         }
     }
@@ -204,7 +205,7 @@ impl AxesLine {
         match self {
             Self::Rsi { socket, to } => _ = socket.send_to(packet, *to),
             Self::Rtde { client } => {
-                let mut client = locked(client);
+                let mut client = lock(client);
                 let gone = |client: &mut Client| client.started && client.stream.write_all(packet).is_err();
                 if client.as_mut().is_some_and(gone) {
                     *client = None;
@@ -214,13 +215,9 @@ impl AxesLine {
     }
 }
 
-fn locked(client: &Mutex<Option<Client>>) -> MutexGuard<'_, Option<Client>> {
-    client.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
 /// Lets a client in and answers its requests.
 fn serve(listener: &TcpListener, client: &Mutex<Option<Client>>) {
-    let mut client = locked(client);
+    let mut client = lock(client);
     if let Ok((stream, _)) = listener.accept()
         && stream.set_nonblocking(true).and_then(|()| stream.set_nodelay(true)).is_ok()
     {

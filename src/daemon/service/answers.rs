@@ -1,7 +1,6 @@
 //! What the service answers to the pages.
 
 use std::fmt::Display;
-use std::sync::PoisonError;
 use std::sync::atomic::Ordering;
 
 use serde_json::Value;
@@ -10,6 +9,7 @@ use tokio::sync::{broadcast, watch};
 use super::log::Level;
 use super::state::{Aim, Run, Supervisor};
 use super::{catalogue, jobs, names, runs};
+use crate::base::sync::lock;
 use crate::catalogue::ServiceFinding::{
     NoPortChosen, NoRunIsOn, NoSuchPort, NoSuchProtocol, RunDuration, RunIsOn, RunIsStarting, RunName,
     ThisRunIsOn,
@@ -52,7 +52,7 @@ impl Service for Supervisor {
     }
 
     fn points(&self) -> Vec<Point> {
-        self.live.points.lock().unwrap_or_else(PoisonError::into_inner).clone()
+        lock(&self.live.points).clone()
     }
 
     fn catalogue(&self, which: Catalogue) -> Result<Value, Diagnostic> {

@@ -27,12 +27,11 @@ mod push {
     use std::io::{self, Read as _};
     use std::path::{Path, absolute};
     use std::process::Stdio;
-    use std::sync::PoisonError;
     use std::sync::mpsc::{Receiver, RecvTimeoutError};
     use std::time::Duration;
 
     use crate::archive::{LocalRun, Secrets, Spool};
-    use crate::base::{files, hash::sha256, program};
+    use crate::base::{files, hash::sha256, program, sync::lock};
     use crate::daemon::service::config::ToArchive;
     use crate::daemon::service::log::Level;
     use crate::daemon::service::state::{Run, Supervisor};
@@ -60,8 +59,7 @@ mod push {
         loop {
             let state = round(supervisor, archive);
             let waits = state.waiting > 0;
-            let before =
-                supervisor.archiving.lock().unwrap_or_else(PoisonError::into_inner).replace(state.clone());
+            let before = lock(&supervisor.archiving).replace(state.clone());
             if before.as_ref() != Some(&state) {
                 let level = if waits { Level::Warning } else { Level::Info };
                 let reason = state.reason.unwrap_or_default();

@@ -3,12 +3,13 @@
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, PoisonError};
+use std::sync::Mutex;
 use std::time::SystemTime;
 
 use serde_json::{Value, json};
 
 use super::names;
+use crate::base::sync::lock;
 use crate::device::port;
 use crate::device::protocol::Definition;
 use crate::diagnostic::Diagnostic;
@@ -67,7 +68,7 @@ pub(super) struct Plans(Mutex<BTreeMap<String, (Stamp, Value)>>);
 impl Plans {
     /// The newest first: it is the one that is driven next.
     fn list(&self, plans: &Path) -> Vec<Value> {
-        let mut known = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut known = lock(&self.0);
         let entries = fs::read_dir(plans).into_iter().flatten().flatten();
         let names = entries.filter_map(|entry| entry.file_name().into_string().ok());
         let mut found: Vec<(Stamp, String, PathBuf)> = names

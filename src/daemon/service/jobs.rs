@@ -5,13 +5,14 @@ use std::io::{BufRead, BufReader, Read};
 use std::path::PathBuf;
 use std::process::{Child, Stdio};
 use std::sync::mpsc::{Receiver, Sender, channel};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::{io, thread};
 
 use tokio::sync::broadcast;
 
 use super::runs::CAPTURE;
 use crate::base::program::{PROGRESS, PROGRESS_VARIABLE};
+use crate::base::sync::lock;
 use crate::base::units::HostNs;
 use crate::base::{clock, program};
 use crate::catalogue::ServiceFinding::{
@@ -53,10 +54,6 @@ struct Task {
     id: u64,
     directory: PathBuf,
     args: Vec<String>,
-}
-
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// The verb with its options; what is no list of names is refused.

@@ -2,9 +2,10 @@
 
 use std::collections::BTreeMap;
 use std::fmt::Display;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 
 use crate::base::clock;
+use crate::base::sync::lock;
 use crate::base::units::HostNs;
 use crate::live::Journal;
 
@@ -56,7 +57,7 @@ impl Warnings {
 
     /// How often the event came since it was last said, where it is time to say it again.
     fn due(&self, event: &'static str) -> Option<u64> {
-        let mut repeats = self.repeats.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut repeats = lock(&self.repeats);
         let now = clock::now();
         let Some(repeat) = repeats.get_mut(event) else {
             repeats.insert(event, Repeat { said: now, times: 0 });

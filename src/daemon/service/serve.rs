@@ -2,7 +2,7 @@
 
 use std::net::SocketAddr;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 use std::{io, panic, process, thread};
 
@@ -17,6 +17,7 @@ use super::notify::{notify, watchdog_s};
 use super::state::Supervisor;
 use super::trial_cell::Bench;
 use crate::base::clock;
+use crate::base::sync::lock;
 use crate::base::units::HostNs;
 use crate::catalogue::ServiceFinding::{self, NoSystem, NotServing};
 use crate::daemon::signals;
@@ -176,7 +177,7 @@ impl Web {
         let builder = builder.enable_all().thread_name(WEB).max_blocking_threads(MOST_WAITING);
         let runtime = builder.build().map_err(no_system)?;
         let Self { site, log, address, beat, stopped } = self;
-        let wanted = *address.lock().unwrap_or_else(PoisonError::into_inner);
+        let wanted = *lock(&address);
         let served = runtime.block_on(async {
             tokio::spawn(async move {
                 loop {
@@ -185,7 +186,7 @@ impl Web {
                 }
             });
             let ready = |given: SocketAddr| {
-                *address.lock().unwrap_or_else(PoisonError::into_inner) = given;
+                *lock(&address) = given;
                 log.say(Level::Info, "listening", &[("address", &format!("http://{given}/"))]);
                 notify("READY=1");
             };

@@ -4,7 +4,7 @@ use std::fs;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 
 use serde_json::json;
 use tokio::sync::{broadcast, watch};
@@ -16,6 +16,7 @@ use super::log::{Level, Log, Warnings};
 use super::trial_cell::{Bench, Cell, Program};
 use super::{catalogue, reading, runs};
 use crate::base::clock;
+use crate::base::sync::lock;
 use crate::catalogue::ServiceFinding::{self, DataUnwritable, NameTaken, NoPlan, ProtocolNotBuiltIn};
 use crate::daemon::live_state::{Feed, LiveState};
 use crate::daemon::{Acquisition, Options, Schedule};
@@ -151,7 +152,7 @@ impl Supervisor {
     }
 
     pub(super) fn inner(&self) -> MutexGuard<'_, Inner> {
-        self.inner.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.inner)
     }
 
     /// Looks after the run that is on, and publishes the state.
@@ -249,7 +250,7 @@ impl Supervisor {
             run,
             reading,
             last: inner.last.clone(),
-            archive: self.archiving.lock().unwrap_or_else(PoisonError::into_inner).clone(),
+            archive: lock(&self.archiving).clone(),
         }
     }
 
@@ -266,12 +267,12 @@ impl Supervisor {
             robot: running.robot.clone(),
             left_s: running.schedule.left_s(progress.dwells),
             next: running.schedule.next(progress.dwells),
-            mounting: self.live.mounting.lock().unwrap_or_else(PoisonError::into_inner).clone(),
+            mounting: lock(&self.live.mounting).clone(),
             can_zero: !running.definition.zero.is_empty(),
             started_unix_ms: running.started_unix_ms,
             elapsed_s: progress.elapsed_s,
             device_s: progress.device_s,
-            clock_ahead_ms: *self.live.clock_ahead_ms.lock().unwrap_or_else(PoisonError::into_inner),
+            clock_ahead_ms: *lock(&self.live.clock_ahead_ms),
             gone: progress.gone,
             in_step: progress.in_step,
             rate_hz: progress.rate_hz,
@@ -398,9 +399,9 @@ impl Supervisor {
     /// What is shown is that of the run to come.
     fn forget(&self) {
         let LiveState { points, clock_ahead_ms, mounting, .. } = &self.live;
-        points.lock().unwrap_or_else(PoisonError::into_inner).clear();
-        *clock_ahead_ms.lock().unwrap_or_else(PoisonError::into_inner) = None;
-        *mounting.lock().unwrap_or_else(PoisonError::into_inner) = Mounting::default();
+        lock(points).clear();
+        *lock(clock_ahead_ms) = None;
+        *lock(mounting) = Mounting::default();
     }
 
     /// A directory for a run of that name.

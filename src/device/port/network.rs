@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 use std::io::{self, ErrorKind, Read, Write};
 use std::net::{TcpStream, ToSocketAddrs};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
 
 use serialport::{DataBits, FlowControl, Parity, StopBits};
@@ -14,6 +14,7 @@ use super::line::{Line, Stamps, Transport};
 use super::telnet::{self, Side, Telnet};
 use super::{PATIENCE, PortAddress, Settings, WRITE_PATIENCE};
 use crate::base::clock;
+use crate::base::sync::lock;
 use crate::catalogue::PortFinding::{self, NotRfc2217, ServerAway, ServerCloses, SettingRefused};
 
 /// How long a server may take to accept, for each of its addresses.
@@ -115,7 +116,7 @@ impl Network {
     }
 
     fn shared(&self) -> MutexGuard<'_, Shared> {
-        self.shared.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.shared)
     }
 
     /// Takes what has come into `early`; an error when the connection has ended.

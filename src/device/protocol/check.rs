@@ -4,11 +4,12 @@
 //! final XOR; the check value is the CRC over the nine characters "123456789".
 
 use std::fmt;
-use std::sync::{Mutex, PoisonError};
+use std::sync::Mutex;
 
 use crc::{Algorithm, Table};
 
 use super::table::CheckEncoding;
+use crate::base::sync::lock;
 
 #[derive(Clone, Debug)]
 pub(super) struct Check {
@@ -70,7 +71,7 @@ impl Crc {
     pub(super) fn new(parameters: Algorithm<u32>) -> Self {
         // A table borrows its parameters for as long as the program runs: each set of them is kept once.
         static KEPT: Mutex<Vec<&Algorithm<u32>>> = Mutex::new(Vec::new());
-        let mut kept = KEPT.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut kept = lock(&KEPT);
         let known = kept.iter().copied().find(|known| **known == parameters);
         let algorithm = known.unwrap_or_else(|| {
             let new: &Algorithm<u32> = Box::leak(Box::new(parameters));
