@@ -76,6 +76,11 @@ struct Phase {
     pose: Option<usize>,
 }
 
+/// How far the robot stops from a pose in one axis at most, degrees.
+fn off_deg(has: impl Fn(Trouble) -> bool) -> f64 {
+    if has(Trouble::Noise) { 0.05 } else { 0.0 }
+}
+
 /// The phases of a run.
 fn phases(plan: &Plan, rng: &mut Pcg64, has: impl Fn(Trouble) -> bool) -> Vec<Phase> {
     let rows: Vec<_> =
@@ -85,27 +90,26 @@ fn phases(plan: &Plan, rng: &mut Pcg64, has: impl Fn(Trouble) -> bool) -> Vec<Ph
         let stopped = rng.random_range(3..MODULE as usize - 3);
         order = (0..stopped).chain(0..rows.len()).collect();
     }
-    let off_deg = if has(Trouble::Noise) { 0.05 } else { 0.0 };
+    let off_deg = off_deg(&has);
     let speed = rng.random_range(0.5..1.0);
     let mut here = rows[0].0.axes_deg;
     let mut phases = vec![Phase { from: here, to: here, lasts_s: rng.random_range(1.0..20.0), pose: None }];
     let mut before = None;
     for pose in order {
         let (row, time) = rows[pose];
+        let to = row.axes_deg.map(|deg| deg + rng.random_range(-1.0..=1.0) * off_deg);
         if pose % MODULE as usize == 0 || before.is_some_and(|before| pose < before) {
             // HALT at the start of the module, and knocks.
-            let start = rows[pose].0.axes_deg;
-            phases.push(Phase { from: here, to: start, lasts_s: 5.0, pose: None });
-            phases.push(Phase { from: start, to: start, lasts_s: rng.random_range(2.0..30.0), pose: None });
+            phases.push(Phase { from: here, to, lasts_s: 5.0, pose: None });
+            phases.push(Phase { from: to, to, lasts_s: rng.random_range(2.0..30.0), pose: None });
             for _ in 0..3 {
-                let aside = start.map(|deg| deg + 0.05);
-                phases.push(Phase { from: start, to: aside, lasts_s: 0.3, pose: None });
-                phases.push(Phase { from: aside, to: start, lasts_s: 0.3, pose: None });
+                let aside = to.map(|deg| deg + 0.05);
+                phases.push(Phase { from: to, to: aside, lasts_s: 0.3, pose: None });
+                phases.push(Phase { from: aside, to, lasts_s: 0.3, pose: None });
             }
-            here = start;
+            here = to;
         }
         before = Some(pose);
-        let to = row.axes_deg.map(|deg| deg + rng.random_range(-1.0..=1.0) * off_deg);
         let move_s = time.duration_s / speed;
         if has(Trouble::Pauses) && rng.random_bool(0.05) {
             let middle = std::array::from_fn(|axis| 0.5 * (here[axis] + to[axis]));
@@ -141,6 +145,18 @@ struct Score {
     wrong: usize,
 }
 
+/// Where the robot rested at a time of the run, if that was for a pose: the program's wait, or the HALT before it.
+fn place_of(phases: &[Phase], pose: usize, t_s: f64) -> Option<[f64; 6]> {
+    let mut until_s = 0.0;
+    let at = phases.iter().position(|phase| {
+        until_s += phase.lasts_s;
+        t_s < until_s
+    })?;
+    let next = phases[at..].iter().find_map(|phase| phase.pose)?;
+    let Phase { from, to, .. } = phases[at];
+    (next == pose && from == to).then_some(to)
+}
+
 /// A run with trouble, matched by its axes.
 fn score(seed: u64, distinct: bool, trouble: Trouble) -> Score {
     let mut rng = Pcg64::seed_from_u64(seed);
@@ -163,7 +179,7 @@ fn score(seed: u64, distinct: bool, trouble: Trouble) -> Score {
     track.add(HostNs(0), &Record::Axes(rtde::package(rtde::SET_UP_OUTPUTS, &recipe)));
     let mut stream = StreamBuilder::new(Some(DeviceClock { seconds_per_tick: 1e-6, wrap: None }));
     let (mut phase, mut since_s) = (0, 0.0);
-    let mut true_mm = vec![0.0; POSES as usize];
+    let mut first_s = None;
     let mut sound = vec![false; POSES as usize];
     let mut from_s = 0.0;
     for one in &phases {
@@ -172,7 +188,6 @@ fn score(seed: u64, distinct: bool, trouble: Trouble) -> Score {
             let clear =
                 |range: &Range<f64>| range.end < from_s - margin_s || range.start > until_s + margin_s;
             sound[pose] |= from_s > begin_s + 1.0 && lost.iter().chain(&silent).all(clear);
-            true_mm[pose] = length(&one.to);
         }
         from_s = until_s;
     }
@@ -201,6 +216,7 @@ fn score(seed: u64, distinct: bool, trouble: Trouble) -> Score {
         if !silent.iter().any(|range| range.contains(&t_s)) {
             let ticks = Some(DeviceTicks((t_s * 1e6).round() as u64));
             let reading_mm = length(&axes_deg) - BAR_MM + 0.001 * rng.random_range(-1.7..1.7);
+            first_s.get_or_insert(t_s);
             stream.push(host(rng.random_range(0.006..0.010)), &Sample { ticks, ..Sample::of(reading_mm) });
         }
     }
@@ -209,18 +225,20 @@ fn score(seed: u64, distinct: bool, trouble: Trouble) -> Score {
     let published = Some(PublishedAxes { track: &track, geometry: &geometry });
     let matching = match_poses(&Input { published, ..Input::new(&plan, &stream) });
     assert_eq!(matching.source, DwellSource::Axes);
-    let dwells: Vec<u32> =
-        plan.rows.iter().filter(|row| row.kind != Kind::Transit).map(|row| row.index).collect();
+    let rows: Vec<_> = plan.rows.iter().filter(|row| row.kind != Kind::Transit).collect();
     let mut score = Score { sound: sound.iter().filter(|sound| **sound).count(), ..Score::default() };
     for row in &matching.observations.rows {
-        let pose = dwells.iter().position(|index| *index == row.index).unwrap();
-        // The next pose is some millimetres longer or shorter.
-        let right = (row.length_mm - true_mm[pose]).abs() < if has(Trouble::Noise) { 2.0 } else { 0.02 }
+        let pose = rows.iter().position(|planned| planned.index == row.index).unwrap();
+        let read_s = first_s.unwrap() + row.context.as_ref().unwrap().time_s.unwrap();
+        let place = place_of(&phases, pose, read_s).filter(|place| {
+            place.iter().zip(rows[pose].axes_deg).all(|(a, b)| (a - b).abs() <= off_deg(has) + 1e-9)
+        });
+        let right = place.is_some_and(|place| (row.length_mm - length(&place)).abs() < 0.02)
             && (row.length_mm - length(&row.axes.degrees())).abs() < 0.02;
         score.wrong += usize::from(!right);
         score.kept += usize::from(right && sound[pose]);
         if !right {
-            eprintln!("{trouble:?} {seed}: row {} is wrong: {row:?}, truly {}", row.index, true_mm[pose]);
+            eprintln!("{trouble:?} {seed}: row {} is wrong: {row:?}, truly at {place:?}", row.index);
         }
     }
     score
@@ -236,20 +254,20 @@ fn total(seeds: Range<u64>, distinct: bool, trouble: Trouble) -> Score {
 
 #[test]
 fn no_trouble_gives_a_wrong_pair() {
-    for trouble in [Trouble::RunAgain, Trouble::All] {
-        let score = total(1..2, false, trouble);
+    for trouble in TROUBLES {
+        let score = total(1..4, false, trouble);
         assert_eq!(score.wrong, 0, "{trouble:?}: {score:?}");
-        assert!(score.sound > 20 && score.kept + 1 >= score.sound, "{trouble:?}: {score:?}");
+        assert!(score.sound > 100 && score.kept + 1 >= score.sound, "{trouble:?}: {score:?}");
     }
 }
 
 #[test]
-#[ignore = "1000 runs of each kind of trouble; its figures go to docs/explanation/pose-matching.md"]
+#[ignore = "2 x 1000 runs of each kind of trouble; its figures go to docs/explanation/pose-matching.md"]
 fn campaign_of_trouble() {
     let mut wrong = 0;
     for trouble in TROUBLES {
         for distinct in [true, false] {
-            let score = total(if distinct { 1000..1500 } else { 1500..2000 }, distinct, trouble);
+            let score = total(if distinct { 1000..2000 } else { 2000..3000 }, distinct, trouble);
             let percent = 100.0 * (1.0 - score.kept as f64 / score.sound as f64);
             eprintln!("{trouble:?}, distinct moves {distinct}: {score:?}, {percent:.4} % dropped");
             wrong += score.wrong;

@@ -51,7 +51,7 @@ pub struct Alignment {
 /// Pairs less certain are dropped.
 pub(super) const KEEP: f64 = 0.99;
 /// A pose is reported to have no dwell from this probability on.
-const NONE: f64 = 0.9;
+pub(super) const NONE: f64 = 0.9;
 /// Hypotheses so much worse than the best are not followed up while only the override is sought.
 const SEARCH_BEAM: f64 = 10.0;
 /// The override is sought in the middle of a long run: more dwells do not determine it better.

@@ -1,13 +1,15 @@
 //! Poses by the axes that the controller published: where the robot rested, and which pose of the plan is there.
 //!
-//! No strobe, time code or sync marker is needed. Rests and poses are both in order of time, so they are aligned by dynamic
-//! programming: as many pairs as there can be, then as few poses as possible passed over while the axes show that the robot
-//! did not rest there. A pair that another alignment as good does not have is not used.
+//! No strobe, time code or sync marker is needed: the places of the rests and their order show which pose each is at.
 
+use super::alignment::{KEEP, NONE};
 use super::lag::{self, OnBall};
-use super::program::Poses;
+use super::program::{Commanded, Poses};
 use super::published::Published;
-use super::{AxesReport, DwellSource, Input, Paired, Pairing, PublishedAxes, Shown, outcomes, passes};
+use super::visits::{self, Seen, Visit};
+use super::{
+    AxesReport, DwellSource, Input, Paired, Pairing, PublishedAxes, Shown, outcomes, passes, reading,
+};
 use crate::plan::Plan;
 use crate::recording::ClockMap;
 use crate::recording::axes::Rest;
@@ -20,8 +22,6 @@ const NEAR: f64 = 0.25;
 const FAR_DEG: f64 = 1.0;
 /// Poses nearer to each other than this are one place, degrees.
 const SAME_DEG: f64 = 0.01;
-/// A pair weighs more than all poses that can be passed over.
-const PAIR: i64 = 1 << 20;
 /// Kept free at the end of a rest, s.
 const GUARD_S: f64 = 0.03;
 /// A rest that is longer than its program waits by more than this holds something else too, s.
@@ -105,92 +105,62 @@ pub(super) fn reach_deg(poses: &[[f64; AXES]]) -> Vec<f64> {
     poses.iter().map(|pose| NEAR * nearest(pose)).collect()
 }
 
-/// Scores of the best alignments of the first rests and poses, and of the last ones.
-struct Table {
-    poses: usize,
-    scores: Vec<i64>,
-}
-
-impl Table {
-    fn at(&self, rest: usize, pose: usize) -> i64 {
-        self.scores[rest * (self.poses + 1) + pose]
-    }
-
-    /// By rests and poses in the order of `near(rest, pose)`; passing over a pose before the rest costs `cost(rest)`.
-    fn new(
-        rests: usize,
-        poses: usize,
-        near: impl Fn(usize, usize) -> bool,
-        cost: impl Fn(usize) -> i64,
-    ) -> Self {
-        let mut table = Self { poses, scores: vec![0; (rests + 1) * (poses + 1)] };
-        for rest in 0..=rests {
-            for pose in 0..=poses {
-                let mut best = if rest + pose == 0 { 0 } else { i64::MIN };
-                if rest > 0 {
-                    best = best.max(table.at(rest - 1, pose));
-                }
-                if pose > 0 {
-                    best = best.max(table.at(rest, pose - 1) - cost(rest));
-                }
-                if rest > 0 && pose > 0 && near(rest - 1, pose - 1) {
-                    best = best.max(table.at(rest - 1, pose - 1) + PAIR);
-                }
-                table.scores[rest * (poses + 1) + pose] = best;
-            }
-        }
-        table
-    }
-}
-
-/// The rests that are a pose's in some best alignment, for each pose, and how many poses each rest is so.
-struct Candidates {
-    rests: Vec<Vec<usize>>,
-    shared: Vec<usize>,
-}
-
-fn candidates(rests: &[Rest], poses: &[[f64; AXES]], lost: &[bool]) -> Candidates {
-    let reach = reach_deg(poses);
-    let (many, all) = (rests.len(), poses.len());
-    let near = |rest: usize, pose: usize| apart_deg(&rests[rest].axes_deg, &poses[pose]) <= reach[pose];
-    // Before the first rest and after the last, and where packets are lost, poses may have been without a trace.
-    let cost = |rest: usize| i64::from(rest > 0 && rest < many && !lost[rest]);
-    let forward = Table::new(many, all, near, cost);
-    let backward =
-        Table::new(many, all, |rest, pose| near(many - 1 - rest, all - 1 - pose), |rest| cost(many - rest));
-    let best = forward.at(many, all);
-    let mut found = Candidates { rests: vec![Vec::new(); all], shared: vec![0; many] };
-    for pose in 0..all {
-        for rest in (0..many).filter(|rest| near(*rest, pose)) {
-            let through = forward.at(rest, pose) + PAIR + backward.at(many - 1 - rest, all - 1 - pose);
-            if through == best {
-                found.rests[pose].push(rest);
-                found.shared[rest] += 1;
-            }
-        }
-    }
-    found
-}
-
-/// The rest of each pose, and by how many poses it may be shared.
+/// The rests of each pose, the best first.
 pub(super) struct Assigned {
-    rests: Vec<Option<(usize, usize)>>,
+    rests: Vec<Vec<Visit>>,
 }
 
-/// Which rest is at which pose.
+/// Which rests are at which pose.
 pub(super) fn assign(poses: &Poses<'_>, published: &Published<'_>) -> Assigned {
-    let rests = &published.rests;
     let places: Vec<[f64; AXES]> = poses.rows.iter().map(|row| row.axes_deg).collect();
-    let lost: Vec<bool> = (0..rests.len())
-        .map(|at| at > 0 && !published.is_whole(rests[at - 1].end_s, rests[at].start_s))
-        .collect();
-    let found = candidates(rests, &places, &lost);
-    let of_pose = |(of_pose, wait_s): (&Vec<usize>, f64)| {
-        let shared = of_pose.iter().map(|rest| found.shared[*rest]).max().unwrap_or(1);
-        Some((choose(rests, of_pose, wait_s)?, shared))
+    let reach = reach_deg(&places);
+    let at = |rest: &Rest| -> Vec<usize> {
+        let near = |pose: &usize| apart_deg(&rest.axes_deg, &places[*pose]) <= reach[*pose];
+        (0..places.len()).filter(near).collect()
     };
-    let waits_s = poses.commanded.iter().map(|pose| pose.wait_s);
-    Assigned { rests: found.rests.iter().zip(waits_s).map(of_pose).collect() }
+    // A rest at no pose tells nothing of the order.
+    let (mut rests, mut seen): (Vec<usize>, Vec<Seen>) = (Vec::new(), Vec::new());
+    for (rest, interval) in published.rests.iter().enumerate() {
+        let poses = at(interval);
+        if poses.is_empty() {
+            continue;
+        }
+        let before = rests.last().map(|before| published.rests[*before].end_s);
+        let after_loss = before.is_some_and(|end_s| !published.is_whole(end_s, interval.start_s));
+        rests.push(rest);
+        seen.push(Seen { poses, after_loss });
+    }
+    let of_pose = |(visits, pose): (Vec<Visit>, &Commanded)| {
+        let mut visits = by_preference(visits, |visit| {
+            let Rest { start_s, end_s, .. } = published.rests[rests[visit.rest]];
+            (end_s - start_s - pose.wait_s).abs()
+        });
+        visits.iter_mut().for_each(|visit| visit.rest = rests[visit.rest]);
+        visits
+    };
+    let visits = visits::visits(&seen, &poses.commanded);
+    Assigned { rests: visits.into_iter().zip(&poses.commanded).map(of_pose).collect() }
+}
+
+/// Those of a pose that are certain, else the likeliest. Of the rests of one visit that whose duration is the program's, by
+/// `off_s`, of rests alike the last; and so of the visits.
+fn by_preference(visits: Vec<Visit>, off_s: impl Fn(&Visit) -> f64) -> Vec<Visit> {
+    let least_s = |visits: &[Visit]| visits.iter().map(&off_s).fold(f64::INFINITY, f64::min);
+    let mut certain = visits.clone();
+    certain.retain(|visit| visit.posterior > KEEP);
+    if certain.is_empty() {
+        let likeliest = visits.into_iter().max_by(|a, b| a.posterior.total_cmp(&b.posterior));
+        return likeliest.into_iter().filter(|visit| visit.posterior > 1.0 - NONE).collect();
+    }
+    let of_visit = |rests: &[Visit]| {
+        let least_s = least_s(rests);
+        rests.iter().rev().copied().find(|rest| off_s(rest) <= least_s + ALIKE_S)
+    };
+    let mut chosen: Vec<Visit> = certain.chunk_by(|a, b| a.rest + 1 == b.rest).filter_map(of_visit).collect();
+    let least_s = least_s(&chosen);
+    chosen.reverse();
+    chosen.sort_by_key(|visit| off_s(visit) > least_s + ALIKE_S);
+    chosen
 }
 
 impl Assigned {
@@ -200,29 +170,29 @@ impl Assigned {
         published: &'b Published<'_>,
     ) -> impl Iterator<Item = (f64, usize)> + 'b {
         let middle = |rest: usize| published.rests.get(rest).map(|rest| 0.5 * (rest.start_s + rest.end_s));
-        self.rests
-            .iter()
-            .enumerate()
-            .filter_map(move |(pose, found)| Some((middle(found.as_ref()?.0)?, pose)))
+        let certain = |visits: &'b [Visit]| visits.iter().filter(|visit| visit.posterior > KEEP);
+        self.rests.iter().enumerate().flat_map(move |(pose, visits)| {
+            certain(visits).filter_map(move |visit| Some((middle(visit.rest)?, pose)))
+        })
     }
 
     /// The dwells of the poses, in the bar's time.
     pub(super) fn paired(&self, input: &Input<'_>, poses: &Poses<'_>, published: &Published<'_>) -> Paired {
         let mut dwells: Vec<Dwell> = Vec::new();
         let mut pairings = Vec::new();
-        for (found, pose) in self.rests.iter().zip(&poses.commanded) {
-            let Some((rest, shared)) =
-                found.and_then(|(rest, shared)| Some((published.rests.get(rest)?, shared)))
-            else {
+        for ((visits, pose), row) in self.rests.iter().zip(&poses.commanded).zip(&poses.rows) {
+            let dwell = |visit: &Visit| dwell(input, published, &published.rests[visit.rest], pose.wait_s);
+            let read = |visit: &&Visit| dwell(visit).is_ok_and(|dwell| reading(input, &dwell, row).is_some());
+            let Some(visit) = visits.iter().find(read).or(visits.first()) else {
                 pairings.push(Pairing::None { posterior: 1.0 });
                 continue;
             };
-            let number = dwells.len();
-            let dwell = dwell(input, published, rest, pose.wait_s);
-            pairings.push(if shared == 1 && dwell.is_ok() {
-                Pairing::Dwell { dwell: number, posterior: 1.0 }
+            let (number, dwell) = (dwells.len(), dwell(visit));
+            let posterior = if dwell.is_ok() { visit.posterior } else { 0.5 * visit.posterior };
+            pairings.push(if posterior > KEEP {
+                Pairing::Dwell { dwell: number, posterior }
             } else {
-                Pairing::Ambiguous { dwell: number, posterior: 1.0 / (shared.max(2) as f64) }
+                Pairing::Ambiguous { dwell: number, posterior }
             });
             dwells.push(dwell.unwrap_or_else(|whole| whole));
         }
@@ -303,13 +273,6 @@ fn time_at(published: &Published<'_>, point: &[f64; AXES], at: usize) -> f64 {
         square += speed(axis) * speed(axis);
     }
     track.t_s[at] + if square > 0.0 { (along / square).clamp(-span_s, span_s) } else { 0.0 }
-}
-
-/// Of several rests at a pose that whose duration is the program's; of rests alike the last.
-fn choose(rests: &[Rest], of_pose: &[usize], wait_s: f64) -> Option<usize> {
-    let off = |rest: usize| (rests[rest].end_s - rests[rest].start_s - wait_s).abs();
-    let least = of_pose.iter().map(|rest| off(*rest)).fold(f64::INFINITY, f64::min);
-    of_pose.iter().rev().copied().find(|rest| off(*rest) <= least + ALIKE_S)
 }
 
 /// When a rest was read; the whole rest as an error where the bar was not the same at both of its ends.

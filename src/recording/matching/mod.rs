@@ -18,6 +18,7 @@ mod program;
 mod published;
 mod stillness;
 mod trellis;
+mod visits;
 mod windows;
 
 use std::collections::BTreeMap;
@@ -216,17 +217,11 @@ fn by_others(input: &Input<'_>, poses: &Poses<'_>) -> Shown {
 fn outcomes(input: &Input<'_>, poses: &Poses<'_>, paired: &Paired) -> Vec<PoseOutcome> {
     let Paired { source, dwells, pairings, override_factor, .. } = paired;
     let expected = ExpectedTimes::new(poses, dwells, pairings, override_factor.unwrap_or(1.0));
-    let period_s = input.stream.period_s();
     let outcome = |at: usize, pairing: &Pairing, row: &PlanRow| match *pairing {
-        Pairing::Dwell { dwell, posterior } => {
-            let dwell = &dwells[dwell];
-            let to_s = dwell.until_s.min(dwell.settled_s + row.dwell_s);
-            let reading = measure(input.stream, dwell.settled_s, to_s);
-            match reading.filter(|reading| suffices(reading, period_s, row.dwell_s)) {
-                Some(reading) => MatchOutcome::Matched { reading, posterior },
-                None => MatchOutcome::Missing { reason: outcome::unread(input.stream, dwell) },
-            }
-        }
+        Pairing::Dwell { dwell, posterior } => match reading(input, &dwells[dwell], row) {
+            Some(reading) => MatchOutcome::Matched { reading, posterior },
+            None => MatchOutcome::Missing { reason: outcome::unread(input.stream, &dwells[dwell]) },
+        },
         Pairing::None { .. } => MatchOutcome::Missing { reason: expected.reason(at, input.stream, *source) },
         Pairing::Ambiguous { dwell, posterior } => {
             let start_s = dwells[dwell].start_s;
@@ -241,10 +236,16 @@ fn outcomes(input: &Input<'_>, poses: &Poses<'_>, paired: &Paired) -> Vec<PoseOu
         .collect()
 }
 
-/// Whether enough of a dwell was read for its mean.
-fn suffices(reading: &DwellReading, period_s: f64, dwell_s: f64) -> bool {
-    let whole = if period_s > 0.0 { dwell_s / period_s } else { 0.0 };
-    reading.to_s - reading.from_s >= LEAST_SHARE * dwell_s && reading.samples as f64 >= LEAST_SHARE * whole
+/// What the bar read in the dwell of a row; `None` where that is not enough for a mean.
+fn reading(input: &Input<'_>, dwell: &Dwell, row: &PlanRow) -> Option<DwellReading> {
+    let period_s = input.stream.period_s();
+    let whole = if period_s > 0.0 { row.dwell_s / period_s } else { 0.0 };
+    let to_s = dwell.until_s.min(dwell.settled_s + row.dwell_s);
+    let suffices = |reading: &DwellReading| {
+        reading.to_s - reading.from_s >= LEAST_SHARE * row.dwell_s
+            && reading.samples as f64 >= LEAST_SHARE * whole
+    };
+    measure(input.stream, dwell.settled_s, to_s).filter(suffices)
 }
 
 /// The dwells that no pose and no pass has.

@@ -1,0 +1,136 @@
+//! Which pose of the plan the robot was at in each of its rests.
+//!
+//! A hidden Markov model over the rests in order of time; its state is the pose that comes next. A program goes on from pose
+//! to pose. It can rest twice at one pose, leave a pose without a rest (mostly where packets are missing), begin a module
+//! again, or rest where no pose was commanded, as at the HALT of a module's begin. The forward and backward sums give the
+//! probability of each pair.
+
+use super::program::Commanded;
+
+/// Probability of another rest at the same pose: a HALT, a push by hand, missing packets.
+const AGAIN: f64 = 0.1;
+/// Probability that a pose left no rest, and the same where packets are missing.
+const PASSED: f64 = 1e-4;
+const PASSED_UNSEEN: f64 = 0.8;
+/// Probability that a rest at the place of a pose is no visit of it, and the same at the begin of a module.
+const OTHER: f64 = 1e-5;
+const HALT: f64 = 0.1;
+/// Probability that a module begins again before a rest. Less than [`OTHER`]: a single rest at its begin proves nothing.
+const RESTARTED: f64 = 1e-7;
+/// Probability that the program goes on anywhere else.
+const ELSEWHERE: f64 = 1e-10;
+
+/// A rest as the model sees it.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Seen {
+    /// The poses whose place it is.
+    pub(super) poses: Vec<usize>,
+    /// Whether packets are missing since the rest before.
+    pub(super) after_loss: bool,
+}
+
+/// A rest and the probability that it is the pose's.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Visit {
+    pub(super) rest: usize,
+    pub(super) posterior: f64,
+}
+
+/// The rests at the place of each pose, in order of time.
+pub(super) fn visits(seen: &[Seen], poses: &[Commanded]) -> Vec<Vec<Visit>> {
+    let chain = Chain::new(poses);
+    // Whatever came before the first rest and after the last left no trace.
+    let mut next = vec![1.0; chain.other.len()];
+    let mut before = Vec::with_capacity(seen.len());
+    for (at, rest) in seen.iter().enumerate() {
+        if at > 0 {
+            chain.go_on(&mut next, rest.after_loss);
+        }
+        before.push(next.clone());
+        next = chain.after(rest, &next);
+        normalise(&mut next);
+    }
+    let mut visits = vec![Vec::new(); poses.len()];
+    let mut later = vec![1.0; chain.other.len()];
+    for (at, (rest, before)) in seen.iter().zip(&before).enumerate().rev() {
+        let since = chain.since(rest, &later);
+        let total: f64 = before.iter().zip(&since).map(|(before, since)| before * since).sum();
+        for pose in &rest.poses {
+            let posterior = (before[*pose] + AGAIN * before[pose + 1]) * later[pose + 1] / total;
+            visits[*pose].push(Visit { rest: at, posterior });
+        }
+        later = since;
+        chain.go_back(&mut later, rest.after_loss);
+        normalise(&mut later);
+    }
+    visits.iter_mut().for_each(|visits| visits.reverse());
+    visits
+}
+
+fn normalise(weights: &mut [f64]) {
+    let total: f64 = weights.iter().sum();
+    weights.iter_mut().for_each(|weight| *weight /= total);
+}
+
+/// Weights of what can happen at a rest and between two of them.
+struct Chain {
+    /// That a rest is no visit, by the pose that comes next; after the last pose none does.
+    other: Vec<f64>,
+    /// The first pose of each module.
+    begins: Vec<usize>,
+}
+
+impl Chain {
+    fn new(poses: &[Commanded]) -> Self {
+        let begins = |pose: &usize| *pose == 0 || poses[*pose].module != poses[pose - 1].module;
+        let begins: Vec<usize> = (0..poses.len()).filter(begins).collect();
+        let mut other = vec![OTHER; poses.len() + 1];
+        begins.iter().for_each(|begin| other[*begin] = HALT);
+        Self { other, begins }
+    }
+
+    /// Weights of the next pose after a rest, of those before it.
+    fn after(&self, rest: &Seen, before: &[f64]) -> Vec<f64> {
+        let mut after: Vec<f64> =
+            before.iter().zip(&self.other).map(|(weight, other)| other * weight).collect();
+        for pose in &rest.poses {
+            after[pose + 1] += before[*pose] + AGAIN * before[pose + 1];
+        }
+        after
+    }
+
+    /// The same backwards.
+    fn since(&self, rest: &Seen, later: &[f64]) -> Vec<f64> {
+        let mut since: Vec<f64> =
+            later.iter().zip(&self.other).map(|(weight, other)| other * weight).collect();
+        for pose in &rest.poses {
+            since[*pose] += later[pose + 1];
+            since[pose + 1] += AGAIN * later[pose + 1];
+        }
+        since
+    }
+
+    fn passed(after_loss: bool) -> f64 {
+        if after_loss { PASSED_UNSEEN } else { PASSED }
+    }
+
+    fn go_on(&self, next: &mut [f64], after_loss: bool) {
+        let total: f64 = next.iter().sum();
+        let elsewhere = ELSEWHERE / next.len() as f64 * total;
+        next.iter_mut().for_each(|weight| *weight += elsewhere);
+        self.begins.iter().for_each(|begin| next[*begin] += RESTARTED * total);
+        for at in 1..next.len() {
+            next[at] += Self::passed(after_loss) * next[at - 1];
+        }
+    }
+
+    /// The same backwards.
+    fn go_back(&self, later: &mut [f64], after_loss: bool) {
+        for at in (1..later.len()).rev() {
+            later[at - 1] += Self::passed(after_loss) * later[at];
+        }
+        let elsewhere = ELSEWHERE / later.len() as f64 * later.iter().sum::<f64>();
+        let restarted = RESTARTED * self.begins.iter().map(|begin| later[*begin]).sum::<f64>();
+        later.iter_mut().for_each(|weight| *weight += elsewhere + restarted);
+    }
+}
