@@ -323,7 +323,7 @@ impl<'a> Cell<'a> {
             while let Some(packet) = axes.publisher.arrived(self.t_s) {
                 axes.line.send(&packet);
             }
-            axes.next_s += axes.line.cycle_s();
+            axes.next_s += axes.line.cycle_s() / axes.publisher.pace();
         }
         Ok(())
     }

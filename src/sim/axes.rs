@@ -57,9 +57,14 @@ impl Publisher {
         Self { protocol, faults: *faults, dice, first_ticks, overtaken, under_way, sent: Sent::default() }
     }
 
+    /// Seconds of the controller's clock in a second of the robot.
+    pub fn pace(&self) -> f64 {
+        1.0 + self.faults.axes_drift_ppm * 1e-6
+    }
+
     /// A cycle at a time of the robot, s, with the axes in rad.
     pub fn cycle(&mut self, t_s: f64, measured: &[f64; AXES], commanded: &[f64; AXES]) {
-        let clock_ns = t_s * (1.0 + self.faults.axes_drift_ppm * 1e-6) * 1e9;
+        let clock_ns = t_s * self.pace() * 1e9;
         let ticks = (clock_ns / f64::from(self.protocol.tick_ns())).round() as u64;
         let sample = AxesSample {
             ticks: DeviceTicks(self.first_ticks + ticks),
@@ -261,7 +266,8 @@ impl Client {
                 let cycles = (1.0 / f64::from_be_bytes(*rate) / RTDE_CYCLE_S).round();
                 self.cycle_s = RTDE_CYCLE_S * if cycles.is_finite() { cycles.clamp(1.0, 500.0) } else { 1.0 };
                 let names = String::from_utf8_lossy(names);
-                let types = if names == rtde::VARIABLES {
+                // ur_rtde ends its list with a comma.
+                let types = if names.trim_end_matches(',') == rtde::VARIABLES {
                     rtde::TYPES.to_owned()
                 } else {
                     names.split(',').map(|_| "NOT_FOUND").collect::<Vec<_>>().join(",")

@@ -2,11 +2,12 @@
 """Independent peers of the axes of a controller, sharing nothing with dbbd.
 
     python3 tests/clients/axes.py rtde HOST PORT SECONDS        reads `dbbd simulate --axes rtde://..` with the maker's client
+    python3 tests/clients/axes.py ur-rtde HOST SECONDS          the same with ur-rtde (SDU; PyPI), which knows port 30004 only
     python3 tests/clients/axes.py rsi-listen PORT SECONDS       reads `dbbd simulate --axes rsi://..`
     python3 tests/clients/axes.py rsi-send HOST PORT SECONDS    is a controller for `dbbd acquire --axes rsi://..`
 
-prints what came, as JSON. Run by hand; `cargo test` does not need it. `rtde` needs UniversalRobots/RTDE_Python_Client_Library on
-PYTHONPATH.
+prints what came, as JSON. The suite runs `ur-rtde` where it is installed; exit code 77 where it is not. The others are run by
+hand; `rtde` needs UniversalRobots/RTDE_Python_Client_Library on PYTHONPATH.
 """
 import json
 import math
@@ -44,6 +45,26 @@ def rtde(host, port, seconds):
     client.send_pause()
     client.disconnect()
     return {"version": version, "packages": len(times), "steps_ms": steps(times), "apart_deg": math.degrees(apart)}
+
+
+def ur_rtde(host, seconds):
+    try:
+        from rtde_receive import RTDEReceiveInterface
+    except ImportError as missing:
+        print(f"SKIPPED: {missing} (pip install ur-rtde)")
+        sys.exit(77)
+    robot = RTDEReceiveInterface(host, 250.0, ["timestamp", "actual_q", "target_q"])
+    times, until = [robot.getTimestamp()], time.monotonic() + float(seconds)
+    while time.monotonic() < until:
+        now = robot.getTimestamp()
+        if now != times[-1]:
+            times.append(now)
+        time.sleep(0.0005)
+    degrees = lambda axes: [math.degrees(axis) for axis in axes]
+    found = {"times": len(times), "steps_ms": steps(times)}
+    found |= {"measured_deg": degrees(robot.getActualQ()), "commanded_deg": degrees(robot.getTargetQ())}
+    robot.disconnect()
+    return found
 
 
 def rsi_listen(port, seconds):
@@ -88,5 +109,5 @@ def rsi_send(host, port, seconds):
     return {"sent": sent, "answers": echoed, "wrong_answers": wrong}
 
 
-WAYS = {"rtde": rtde, "rsi-listen": rsi_listen, "rsi-send": rsi_send}
+WAYS = {"rtde": rtde, "ur-rtde": ur_rtde, "rsi-listen": rsi_listen, "rsi-send": rsi_send}
 print(json.dumps(WAYS[sys.argv[1]](*sys.argv[2:])))

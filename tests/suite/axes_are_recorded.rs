@@ -10,9 +10,12 @@ use std::time::Duration;
 
 use dbbd::base::units::{DeviceTicks, HostNs};
 use dbbd::device::axes::{AxesProtocol, AxesSample, rsi, rtde};
-use dbbd::recording::axes::{AxesReceiver, PacketCounts, Place};
+use dbbd::recording::axes::{AxesReceiver, AxisTrackBuilder, PacketCounts, Place};
+use dbbd::recording::capture::{Event, Record};
 use dbbd::sim::axes::{Publisher, RECIPE};
 use dbbd::sim::fault::Faults;
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64;
 use serde_json::Value;
 
 use crate::cell::{codes, dbbd, stderr};
@@ -35,22 +38,37 @@ fn faults(seed: u64) -> Faults {
     }
 }
 
-/// Sends `cycles` packets over a bad line and compares every count with what was done.
-fn accounted(protocol: AxesProtocol, seed: u64, cycles: u64) -> PacketCounts {
+/// What was counted of a line, and how far the drift of the controller's clock was off.
+struct Accounted {
+    counts: PacketCounts,
+    drift_off: f64,
+}
+
+/// Sends `cycles` packets over a bad line and compares every count with what was done. The controller's clock drifts; the
+/// packets come up to 1.5 ms late.
+fn accounted(protocol: AxesProtocol, seed: u64, cycles: u64) -> Accounted {
     let cycle_s = if protocol == AxesProtocol::Rsi { 0.004 } else { 0.002 };
-    let faults = Faults { axes_drift_ppm: 0.0, ..faults(seed) };
+    let faults = faults(seed);
+    let mut jitter = Pcg64::seed_from_u64(seed);
+    let mut track = AxisTrackBuilder::default();
+    let opened = Event::AxesOpened { address: "simulated".into(), protocol };
+    track.add(HostNs(0), &Record::Event(opened));
     let mut publisher = Publisher::new(protocol, &faults, seed, 4_208_163_634);
+    let host_cycle_s = cycle_s / publisher.pace();
     let mut receiver = AxesReceiver::new(protocol);
     let mut control = 0;
     if protocol == AxesProtocol::Rtde {
         let recipe = [&[RECIPE], rtde::TYPES.as_bytes()].concat();
-        receiver.push(HostNs(0), &rtde::package(rtde::SET_UP_OUTPUTS, &recipe), |_, _, _| {});
+        let recipe = rtde::package(rtde::SET_UP_OUTPUTS, &recipe);
+        receiver.push(HostNs(0), &recipe, |_, _, _| {});
+        track.add(HostNs(0), &Record::Axes(recipe));
         control = 1;
     }
-    let (mut heard, mut last) = (0_u64, None);
+    let mut heard = 0_u64;
     let mut take = |publisher: &mut Publisher, t_s: f64| {
         while let Some(packet) = publisher.arrived(t_s) {
-            receiver.push(HostNs((t_s * 1e9) as u64 + 1), &packet, |place, stamp, sample| {
+            let host = HostNs(((t_s + jitter.random_range(0.0..0.0015)) * 1e9) as u64 + 1);
+            receiver.push(host, &packet, |place, stamp, sample| {
                 heard += u64::from(matches!(place, Place::Next | Place::Late));
                 assert_eq!(stamp.ticks, sample.ticks);
                 let cycle = ((sample.ticks.0 - 4_208_163_634) as f64 * f64::from(protocol.tick_ns()) * 1e-9
@@ -58,21 +76,22 @@ fn accounted(protocol: AxesProtocol, seed: u64, cycles: u64) -> PacketCounts {
                     .round() as u64;
                 let sent = axes(cycle).map(f64::to_degrees);
                 assert!(sample.measured_deg.iter().zip(sent).all(|(a, b)| (a - b).abs() < 6e-5));
-                last = Some(cycle);
             });
+            track.add(host, &Record::Axes(packet));
         }
     };
     // The line is sound for a cycle at each end: what is lost there leaves no trace.
-    let sound = Publisher::new(protocol, &Faults::default(), seed, 4_208_163_634);
+    let drifts = Faults { axes_drift_ppm: faults.axes_drift_ppm, ..Faults::default() };
+    let sound = Publisher::new(protocol, &drifts, seed, 4_208_163_634);
     let (mut first, mut final_one) = (sound.clone(), sound);
     first.cycle(0.0, &axes(0), &axes(0));
     take(&mut first, 0.0);
     for cycle in 1..cycles {
-        let t_s = cycle as f64 * cycle_s;
+        let t_s = cycle as f64 * host_cycle_s;
         publisher.cycle(t_s, &axes(cycle), &axes(cycle));
         take(&mut publisher, t_s);
     }
-    let end_s = cycles as f64 * cycle_s;
+    let end_s = cycles as f64 * host_cycle_s;
     final_one.cycle(end_s, &axes(cycles), &axes(cycles));
     take(&mut final_one, end_s);
     let (counts, sent) = (receiver.counts(), publisher.sent);
@@ -92,7 +111,13 @@ fn accounted(protocol: AxesProtocol, seed: u64, cycles: u64) -> PacketCounts {
     assert_eq!(counts.packets, parts.iter().sum::<u64>());
     assert_eq!((counts.stray, counts.restarts, counts.pending), (0, 0, 0));
     assert_eq!(counts.cycle_us as f64, 1e6 * cycle_s);
-    counts
+    let track = track.build().unwrap();
+    assert_eq!(track.counts, counts);
+    let clock = track.clock().unwrap();
+    let drift_off = (clock.drift().unwrap() - (host_cycle_s / cycle_s - 1.0)).abs();
+    // No packet is later than the jitter, so the line lies within it at both ends.
+    assert!(drift_off < 0.0015 / end_s, "{protocol:?} {seed}: {drift_off:e} in {end_s} s");
+    Accounted { counts, drift_off }
 }
 
 #[test]
@@ -108,16 +133,17 @@ fn every_packet_over_a_bad_line_is_accounted_for() {
 #[ignore = "10 million packets of each protocol over 256 bad lines; its figures go to docs/reference/measured-axes.md"]
 fn campaign_of_ten_million_packets() {
     for protocol in [AxesProtocol::Rsi, AxesProtocol::Rtde] {
-        let mut all = PacketCounts::default();
+        let (mut all, mut drift_off) = (PacketCounts::default(), 0.0_f64);
         for seed in 0..256 {
-            let counts = accounted(protocol, seed, 39_063);
+            let Accounted { counts, drift_off: off } = accounted(protocol, seed, 39_063);
+            drift_off = drift_off.max(off);
             all.packets += counts.packets;
             all.lost += counts.lost;
             all.doubled += counts.doubled;
             all.late += counts.late;
             all.malformed += counts.malformed;
         }
-        eprintln!("{protocol:?}: {all:?}");
+        eprintln!("{protocol:?}: {all:?}, drift off by {:.3} ppm at most", 1e6 * drift_off);
         assert!(all.packets > 9_900_000);
     }
 }
@@ -153,18 +179,18 @@ fn a_restart_is_no_loss_and_a_stray_packet_no_restart() {
     assert_eq!((lost, stray, restarts, used), (0, 3, 1, 104));
 }
 
-/// A bar that nobody moves, as a child process.
-fn bar(dir: &Path) -> Child {
+/// A robot that waits for its operator, as a child process that is ready.
+fn waiting(dir: &Path, more: &[&str]) -> Child {
     let job = "robot = \"kr60ha\"\n[bar]\nlength_mm = 300.0\nstroke_mm = [-6.0, 6.0]\n[[centre]]\nid = 1\nxyz_mm = [1300.0, 0.0, 800.0]\n\
                [[circle]]\nplane = \"XY\"\npoints = 3\narc_deg = 10.0\norientation = \"fixed\"\ntilt_deg = 30.0\n";
     std::fs::write(dir.join("job.toml"), job).unwrap();
     dbbd(dir, &["plan", "job.toml", "--out", "plan"]);
     assert!(dbbd(dir, &["krl", "plan/plan.csv", "--out", "krl"]).status.success());
-    let mut bar =
-        spawn(dir, &["simulate", "--program", "krl/DBB_MAIN.src", "--link", "bar", "--halt", "600"]);
+    let simulate = ["simulate", "--program", "krl/DBB_MAIN.src", "--link", "bar", "--halt", "600"];
+    let mut robot = spawn(dir, &[&simulate[..], more].concat());
     let mut byte = [0; 1];
-    bar.stdout.as_mut().unwrap().read_exact(&mut byte).unwrap();
-    bar
+    robot.stdout.as_mut().unwrap().read_exact(&mut byte).unwrap();
+    robot
 }
 
 fn spawn(dir: &Path, args: &[&str]) -> Child {
@@ -217,7 +243,7 @@ pub(crate) fn provoked() -> Vec<&'static str> {
 #[test]
 fn rsi_is_listened_to_and_answered_only_when_asked() {
     let dir = tempfile::tempdir().unwrap();
-    let mut bar = bar(dir.path());
+    let mut bar = waiting(dir.path(), &[]);
     let packet = |ticks: u64, late: u32| {
         let sample = AxesSample {
             ticks: DeviceTicks(ticks),
@@ -354,4 +380,42 @@ fn a_simulated_controller_is_recorded_matched_and_identified() {
     assert!(result["warnings"].as_array().unwrap().iter().any(says), "{}", stderr(&found));
     bar.kill().unwrap();
     bar.wait().unwrap();
+}
+
+/// A client that shares nothing with dbbd reads what dbbd itself records.
+#[test]
+#[cfg(target_os = "linux")]
+fn ur_rtde_reads_the_simulated_controller() {
+    use crate::cell::client;
+    let dir = tempfile::tempdir().unwrap();
+    // It knows no other port, so that the address is another.
+    let host = format!("127.0.{}.{}", std::process::id() / 250 % 250, 1 + std::process::id() % 250);
+    let address = format!("rtde://{host}:30004");
+    let mut robot = waiting(dir.path(), &["--axes", &address]);
+    // The time of the simulated robot goes on while its bar is read.
+    let mut reader = spawn(dir.path(), &["acquire", "--port", "bar", "--out", "first", "--duration", "20"]);
+    let said = client("axes.py", ["ur-rtde", &host, "2"].map(std::ffi::OsStr::new).into_iter());
+    reader.kill().unwrap();
+    reader.wait().unwrap();
+    if let Some(said) = said {
+        eprintln!("{said}");
+        let theirs: Value = serde_json::from_str(said.lines().last().unwrap()).unwrap();
+        assert!(theirs["times"].as_u64().unwrap() > 50, "{theirs}");
+        let cycles = |step: &String| (step.parse::<f64>().unwrap() / 4.0).fract();
+        assert!(theirs["steps_ms"].as_object().unwrap().keys().all(|step| cycles(step) == 0.0), "{theirs}");
+        let acquire = ["acquire", "--port", "bar", "--out", "run", "--duration", "2", "--axes", &address];
+        dbbd(dir.path(), &acquire);
+        assert!(dbbd(dir.path(), &["export", "run", "--out", "csv"]).status.success());
+        let table = std::fs::read_to_string(dir.path().join("csv/axes.csv")).unwrap();
+        let columns: Vec<&str> = table.lines().next().unwrap().split(',').collect();
+        let row: Vec<&str> = table.lines().nth(1).unwrap().split(',').collect();
+        for (name, first) in [("measured_deg", columns.len() - 12), ("commanded_deg", columns.len() - 6)] {
+            for (axis, ours) in row[first..first + 6].iter().enumerate() {
+                let off = theirs[name][axis].as_f64().unwrap() - ours.parse::<f64>().unwrap();
+                assert!(off.abs() < 1e-9, "{name} {axis}: {off}");
+            }
+        }
+    }
+    robot.kill().unwrap();
+    robot.wait().unwrap();
 }

@@ -1,5 +1,7 @@
 //! A cell to test in: pose sets on circles, lengths on a robot with errors, and the binary.
 
+use std::ffi::OsStr;
+use std::io::Write;
 use std::path::Path;
 use std::process::{Command, Output};
 
@@ -143,6 +145,30 @@ pub(crate) fn dbbd(dir: &Path, args: &[&str]) -> Output {
 /// Standard error of a run as text.
 pub(crate) fn stderr(output: &Output) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+/// What a script of tests/clients prints; `None` where something that it needs is not installed, which is said.
+pub(crate) fn client<'a>(script: &str, args: impl Iterator<Item = &'a OsStr>) -> Option<String> {
+    /// Exit code of a script where something is not installed.
+    const SKIPPED: i32 = 77;
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/clients").join(script);
+    let run = Command::new("python3").arg(path).args(args).output();
+    // Straight to stderr, past the test harness, which keeps what a test that passes prints.
+    let mut loud = std::io::stderr();
+    let mut skip = |why: &str| writeln!(loud, "SKIPPED: {script}: {why}").unwrap();
+    let Ok(run) = run else {
+        skip("there is no python3");
+        return None;
+    };
+    let [said, errors] = [run.stdout, run.stderr].map(|bytes| String::from_utf8_lossy(&bytes).into_owned());
+    match run.status.code() {
+        Some(0) => Some(said),
+        Some(SKIPPED) => {
+            skip(&said);
+            None
+        }
+        code => panic!("{script}: {code:?}\n{said}\n{errors}"),
+    }
 }
 
 /// The codes that a run of dbbd printed on stderr, in order.
