@@ -3,9 +3,7 @@
 
 use dbbd::base::units::{DeviceTicks, HostNs};
 use dbbd::device::axes::AxesProtocol;
-use dbbd::estimation::Options;
 use dbbd::math::aligned_distances;
-use dbbd::measurement::BaseBall;
 use dbbd::measurement::sample::Sample;
 use dbbd::plan::{Job, Plan};
 use dbbd::program::krl::{self, Program, Sync, emit};
@@ -15,7 +13,7 @@ use dbbd::recording::matching::{
     AxesReport, DwellSource, Input, PoseMatching, PoseOutcome, PublishedAxes, match_poses,
 };
 use dbbd::recording::{DeviceClock, Stream, StreamBuilder};
-use dbbd::robot::{BallId, Robot};
+use dbbd::robot::Robot;
 use dbbd::sim::axes::Publisher;
 use dbbd::sim::fault::Faults;
 use dbbd::sim::world::Setup;
@@ -24,7 +22,8 @@ use nalgebra::Vector3;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
-use crate::cell::{calibrated, kr60, with_errors};
+use crate::cell::{CENTRE, kr60, with_errors};
+use crate::sync_ways_agree::{CENTRE_ERRORS, ERRORS, calibration};
 
 /// Samples of the bar a second, and the controller's cycle.
 const BAR_HZ: f64 = 250.0;
@@ -34,21 +33,6 @@ const BAR_LATE_S: f64 = 0.011;
 const AXES_LATE_S: f64 = 0.002;
 /// Time constants with which the axes follow, ms: the axes of a heavy arm differ.
 const FOLLOWING_MS: [f64; 6] = [24.0, 30.0, 27.0, 15.0, 18.0, 12.0];
-const CENTRE: [f64; 3] = [1300.0, 0.0, 800.0];
-const CENTRE_ERRORS: [f64; 3] = [0.4, -0.3, 0.5];
-
-/// Errors (rad, mm) that circles with the tool held in one orientation determine.
-const ERRORS: [(&str, f64); 9] = [
-    ("alpha1", 4e-4),
-    ("alpha2", -3e-4),
-    ("alpha3", 5e-4),
-    ("a1", 0.3),
-    ("a2", -0.25),
-    ("theta2", 6e-4),
-    ("theta3", -4e-4),
-    ("theta4", 5e-4),
-    ("beta2", 3e-4),
-];
 
 /// Circles about one ball, of dwells or of passes both ways.
 fn plan(circles: &[[f64; 3]], points: usize, mode: &str) -> Plan {
@@ -146,12 +130,7 @@ fn matched(matching: &PoseMatching) -> usize {
 }
 
 fn identified(matching: &PoseMatching) -> Robot {
-    let axes = ["centre1_x", "centre1_y", "centre1_z"];
-    let estimate = ERRORS.iter().map(|(name, _)| *name).chain(axes).map(|name| name.parse().unwrap());
-    let options = Options { estimate: Some(estimate.collect()), ..Options::default() };
-    let centre = BaseBall { id: BallId::FIRST, position: CENTRE.into() };
-    let found = calibrated(&kr60(), &matching.observations, &[centre], &options).unwrap();
-    Robot { geometry: found.posterior.model.geometry.clone(), ..kr60() }
+    Robot { geometry: calibration(matching).posterior.model.geometry, ..kr60() }
 }
 
 /// Mean and greatest distance of the tool ball by two robots after one rigid alignment, mm: 300 poses of the circles'

@@ -9,6 +9,7 @@ use serde_json::{Value, json};
 use tempfile::{TempDir, tempdir};
 
 use crate::cell::{codes, dbbd, kr60, stderr};
+use crate::rapid_and_urscript::named;
 
 pub(crate) fn provoked() -> Vec<&'static str> {
     vec!["E0823", "E0824", "W0825", "I0826", "I0827", "E0913", "W0914"]
@@ -18,16 +19,17 @@ pub(crate) fn provoked() -> Vec<&'static str> {
 const JOB: &str = "robot = 'kr60ha'\n[bar]\nlength_mm = 300.0\nstroke_mm = [-5.0, 5.0]\nmargin_mm = 0.5\n\
                    [[centre]]\nid = 1\nxyz_mm = [1300.0, 0.0, 800.0]\n[[circle]]\nplane = 'XY'\npoints = 8\ntilt_deg = 30.0\n";
 
-fn plan(job: &str) -> TempDir {
+/// A directory with the plan of a job.
+pub(crate) fn plan_in_a_directory(job: &str) -> TempDir {
     let dir = tempdir().unwrap();
     fs::write(dir.path().join("job.toml"), job).unwrap();
-    let output = dbbd(dir.path(), &["plan", "job.toml", "--out", "."]);
+    let output = dbbd(dir.path(), &["plan", "job.toml", "--out", ".", "--quiet"]);
     assert!(output.status.success(), "{}", stderr(&output));
     dir
 }
 
 /// Changes the header of the plan in a directory.
-fn edit(dir: &Path, change: impl FnOnce(&mut Value)) {
+pub(crate) fn edit(dir: &Path, change: impl FnOnce(&mut Value)) {
     let path = dir.join("plan.json");
     let mut header: Value = serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
     change(&mut header);
@@ -46,13 +48,24 @@ fn krl(dir: &Path, options: &[&str]) -> (Option<i32>, Vec<String>) {
 
 #[test]
 fn krl_is_for_robots_that_read_it() {
-    let dir = plan(JOB);
+    let dir = plan_in_a_directory(JOB);
     let at = dir.path();
     for name in ["irb120", "ur5", "tx2-90l"] {
-        let robot = Robot::by_name(name).unwrap().unwrap();
+        let robot = named(name);
         edit(at, |header| header["robot"] = json!(robot.to_toml().unwrap()));
         assert_eq!(krl(at, &[]), (Some(1), vec!["E0824".into()]), "{name}");
         assert!(!at.join("krl").exists());
+    }
+    // Makers whose language is not written are refused in every language.
+    for name in ["tx2-60", "tx2-90", "tx2-90l", "gp12", "gp25"] {
+        let robot = named(name);
+        edit(at, |header| header["robot"] = json!(robot.to_toml().unwrap()));
+        for language in
+            [&[][..], &["--language", "krl"], &["--language", "rapid"], &["--language", "urscript"]]
+        {
+            let output = dbbd(at, &[&["program", "plan.csv", "--out", "program"], language].concat());
+            assert_eq!((output.status.code(), codes(&output)), (Some(1), vec!["E0824".into()]), "{name}");
+        }
     }
     // The simulated controller moves any robot.
     assert_eq!(krl(at, &["--controller", "simulated"]), (Some(0), vec![]));
@@ -69,7 +82,7 @@ fn krl_is_for_robots_that_read_it() {
 
 #[test]
 fn dwells_are_marked_as_the_bar_can_read_them() {
-    let dir = plan(JOB);
+    let dir = plan_in_a_directory(JOB);
     let at = dir.path();
     let data = || fs::read_to_string(at.join("krl/DBB_C001.dat")).unwrap();
     assert_eq!(krl(at, &[]), (Some(0), vec![]));
@@ -88,7 +101,7 @@ fn dwells_are_marked_as_the_bar_can_read_them() {
 #[test]
 fn circles_without_stops_need_a_signal() {
     let more = "mode = 'continuous'\norientation = 'fixed'\ndirection = 'both'\narc_deg = 120.0\novershoot_deg = 15.0\n";
-    let dir = plan(&JOB.replace("points = 8\n", &format!("points = 12\n{more}")));
+    let dir = plan_in_a_directory(&JOB.replace("points = 8\n", &format!("points = 12\n{more}")));
     let at = dir.path();
     assert_eq!(krl(at, &["--sync", "marker"]), (Some(3), vec!["W0825".into()]));
     edit(at, |header| header["job"]["bar"]["protocol"] = json!("mitutoyo-idh"));
@@ -127,8 +140,7 @@ fn only_krl_is_corrected() {
     assert!(!at.join("out").exists());
     let nothing = compensate("DEF P ( )\nHALT\nEND\n", "id.toml");
     assert_eq!((nothing.status.code(), codes(&nothing)), (Some(3), vec!["W0914".into()]));
-    fs::write(at.join("abb.toml"), identified(Robot::by_name("irb120").unwrap().unwrap()).to_toml().unwrap())
-        .unwrap();
+    fs::write(at.join("abb.toml"), identified(named("irb120")).to_toml().unwrap()).unwrap();
     let abb = compensate("DEF P ( )\nHALT\nEND\n", "abb.toml");
     assert_eq!((abb.status.code(), codes(&abb)), (Some(1), vec!["E0824".into()]));
 }

@@ -2,7 +2,7 @@
 //! without stops, each with the program that the plan gives for it, on the same simulated robot.
 
 use dbbd::base::units::{DeviceTicks, HostNs};
-use dbbd::estimation::{Options, result::Status};
+use dbbd::estimation::{CalibrationResult, Options, result::Status};
 use dbbd::measurement::BaseBall;
 use dbbd::measurement::sample::Sample;
 use dbbd::plan::{Job, Plan};
@@ -13,7 +13,7 @@ use dbbd::robot::{BallId, Robot};
 use dbbd::sim::world::Setup;
 use dbbd::sim::{Controller, World};
 
-use crate::cell::{calibrated, dbbd, kr60, stderr, with_errors};
+use crate::cell::{CENTRE, calibrated, dbbd, kr60, stderr, with_errors};
 
 const RATE_HZ: f64 = 250.0;
 /// How late the bar's samples and the controller's telegrams reach the host, ns.
@@ -98,7 +98,7 @@ fn driven(plan: &Plan, sync: Sync, override_percent: f64, seed: u64, truth: &Rob
 
 /// What the true robot has and what is estimated: errors (rad, mm) that three circles with the tool held in one
 /// orientation tell apart.
-const ERRORS: [(&str, f64); 9] = [
+pub(crate) const ERRORS: [(&str, f64); 9] = [
     ("alpha1", 4e-4),
     ("alpha2", -3e-4),
     ("alpha3", 5e-4),
@@ -109,16 +109,20 @@ const ERRORS: [(&str, f64); 9] = [
     ("theta4", 5e-4),
     ("beta2", 3e-4),
 ];
-const CENTRE: [f64; 3] = [1300.0, 0.0, 800.0];
-const CENTRE_ERRORS: [f64; 3] = [0.4, -0.3, 0.5];
+pub(crate) const CENTRE_ERRORS: [f64; 3] = [0.4, -0.3, 0.5];
 
-/// What is found for the errors and the ball's place, each with its standard deviation.
-fn identified(matching: &PoseMatching) -> Vec<(String, f64, f64)> {
+/// The errors and the ball's place by a run.
+pub(crate) fn calibration(matching: &PoseMatching) -> CalibrationResult {
     let axes = ["centre1_x", "centre1_y", "centre1_z"];
     let estimate = ERRORS.iter().map(|(name, _)| *name).chain(axes).map(|name| name.parse().unwrap());
     let options = Options { estimate: Some(estimate.collect()), ..Options::default() };
     let centre = BaseBall { id: BallId::FIRST, position: CENTRE.into() };
-    let found = calibrated(&kr60(), &matching.observations, &[centre], &options).unwrap();
+    calibrated(&kr60(), &matching.observations, &[centre], &options).unwrap()
+}
+
+/// What is found for the errors and the ball's place, each with its standard deviation.
+fn identified(matching: &PoseMatching) -> Vec<(String, f64, f64)> {
+    let found = calibration(matching);
     let all = found.parameters.iter().filter(|parameter| parameter.status() == Status::Identified);
     all.map(|found| (found.id.to_string(), found.correction, found.sd.unwrap())).collect()
 }

@@ -1,0 +1,284 @@
+//! From the plan to the corrected program for an arm of each make with a language and of each geometry, through the files and
+//! the simulated controller: the true 3-D error before and after.
+
+use std::fs;
+use std::path::Path;
+
+use dbbd::math::aligned_distances;
+use dbbd::program::{Language, Program, Text, krl, rapid, urscript};
+use dbbd::robot::pose::rotation_vector;
+use dbbd::robot::{Geometry, Robot, inverse};
+use dbbd::sim::truth;
+use nalgebra::Vector3;
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64;
+use tempfile::tempdir;
+
+use crate::cell::{codes, dbbd, kr60, stderr};
+use crate::rapid_and_urscript::{job, named, run};
+
+/// An arm in its language.
+struct Arm {
+    language: Language,
+    /// A built-in robot, or the one of [`offset_wrist`].
+    name: &'static str,
+    /// Place of the base ball, mm.
+    centre: [f64; 3],
+    /// Axis angles of its production program, degrees.
+    range_deg: [[f64; 2]; 6],
+}
+
+const OFFSET_WRIST: &str = "offset wrist";
+const KUKA_DEG: [[f64; 2]; 6] =
+    [[-40.0, 40.0], [-100.0, -50.0], [60.0, 120.0], [-60.0, 60.0], [20.0, 80.0], [-60.0, 60.0]];
+const KUKA: Arm =
+    Arm { language: Language::Krl, name: "kr16r2010-2", centre: [1300.0, 0.0, 800.0], range_deg: KUKA_DEG };
+const OFFSET: Arm = Arm { name: OFFSET_WRIST, centre: [1400.0, -300.0, 700.0], ..KUKA };
+const ABB: Arm = Arm {
+    language: Language::Rapid,
+    name: "irb1600-10-145",
+    centre: [900.0, 0.0, 850.0],
+    range_deg: [[-40.0, 40.0], [-20.0, 40.0], [-20.0, 30.0], [-60.0, 60.0], [20.0, 80.0], [-60.0, 60.0]],
+};
+const UR: Arm = Arm {
+    language: Language::Urscript,
+    name: "ur10",
+    centre: [700.0, 0.0, 300.0],
+    range_deg: [
+        [-40.0, 40.0],
+        [-110.0, -60.0],
+        [60.0, 120.0],
+        [-120.0, -60.0],
+        [-120.0, -60.0],
+        [-60.0, 60.0],
+    ],
+};
+
+/// A KR 60 HA with the wrist of a CRX-10iA/L, which has no closed form: axes 4 and 6 pass each other at 150 mm.
+fn offset_wrist() -> Robot {
+    let mut robot = Robot { name: OFFSET_WRIST.into(), language: Some("krl".into()), ..kr60() };
+    robot.geometry.rows[4].d = 150.0;
+    robot
+}
+
+impl Arm {
+    fn robot(&self) -> Robot {
+        if self.name == OFFSET_WRIST { offset_wrist() } else { named(self.name) }
+    }
+}
+
+fn numbers(list: &[f64], decimals: usize) -> String {
+    list.iter().map(|number| format!("{number:.decimals$}")).collect::<Vec<_>>().join(",")
+}
+
+/// Random targets of an arm, and a program in its language that goes there.
+fn production(arm: &Arm, robot: &Robot, count: usize) -> (String, Vec<Vector3<f64>>) {
+    let mut random = Pcg64::seed_from_u64(7);
+    let tool: [f64; 3] = robot.geometry.tool.into();
+    let (mut data, mut moves, mut wanted) = (String::new(), String::new(), Vec::new());
+    for number in 1..=count {
+        let axes = arm.range_deg.map(|[low, high]| random.random_range(low..high).to_radians());
+        let ball = robot.geometry.ball(&axes);
+        let place: [f64; 3] = ball.position.into();
+        wanted.push(ball.position);
+        match arm.language {
+            Language::Krl => {
+                let ([x, y, z], [a, b, c]) = (place, ball.abc_deg());
+                let (s, t) = (inverse::status(&robot.geometry, &axes), inverse::turn(&axes));
+                moves += &format!(
+                    "PTP {{X {x:.3},Y {y:.3},Z {z:.3},A {a:.4},B {b:.4},C {c:.4},S {s},T {t}}}\nWAIT SEC 1\n"
+                );
+            }
+            Language::Rapid => {
+                let [a, b, c, d] = inverse::quadrants(&robot.geometry, &axes);
+                data += &format!(
+                    "  CONST robtarget p{number}:=[[{}],[{}],[{a},{b},{c},{d}],[9E9,9E9,9E9,9E9,9E9,9E9]];\n",
+                    numbers(&place, 3),
+                    numbers(&ball.quaternion(), 8)
+                );
+                moves += &format!("    MoveJ p{number},v200,fine,tBall;\n    WaitTime 1;\n");
+            }
+            Language::Urscript => {
+                let turn: [f64; 3] = rotation_vector(&ball.rotation).into();
+                let pose = format!("p[{},{}]", numbers(&place.map(|x| x * 1e-3), 7), numbers(&turn, 7));
+                let near = numbers(&axes.map(|angle| angle + 0.02), 3);
+                moves += &format!("  movej([{near}])\n  movej({pose}, a=1.0, v=0.5)\n  sleep(1.0)\n");
+            }
+        }
+    }
+    let text = match arm.language {
+        Language::Krl => {
+            let frame = |[x, y, z]: [f64; 3]| format!("{{X {x:.3},Y {y:.3},Z {z:.3},A 0.0,B 0.0,C 0.0}}");
+            format!("DEF P ( )\n$TOOL={}\n$BASE={}\n{moves}END\n", frame(tool), frame([0.0; 3]))
+        }
+        Language::Rapid => format!(
+            "MODULE Prod\n  PERS tooldata tBall:=[TRUE,[[{}],[1,0,0,0]],[1,[0,0,1],[1,0,0,0],0,0,0]];\n{data}  PROC main()\n\
+             {moves}  ENDPROC\nENDMODULE\n",
+            numbers(&tool, 3)
+        ),
+        Language::Urscript => {
+            format!("def prod():\n  set_tcp(p[{},0,0,0])\n{moves}end\n", numbers(&tool.map(|x| x * 1e-3), 6))
+        }
+    };
+    (text, wanted)
+}
+
+/// Where a robot is at the end of each wait of a program.
+fn stops(language: Language, text: &str, nominal: &Robot, robot: &Robot) -> Vec<Vector3<f64>> {
+    let file = ("P".to_owned(), text.to_owned());
+    let program: Program = match language {
+        Language::Krl => {
+            let source = |name: &str| Ok((name == "P.src").then(|| (name.to_owned(), text.to_owned())));
+            krl::Program::open("P", source).unwrap().into()
+        }
+        Language::Rapid => rapid::open(file, vec![]).unwrap().into(),
+        Language::Urscript => urscript::open(file).unwrap().into(),
+    };
+    let there = Geometry { tool: nominal.geometry.tool, ..robot.geometry.clone() };
+    let mut stops: Vec<Vector3<f64>> = Vec::new();
+    for moment in run(program, nominal) {
+        stops.resize(moment.motions as usize, Vector3::zeros());
+        if let Some(stop) = stops.last_mut() {
+            *stop = there.ball(&moment.axes).position;
+        }
+    }
+    // Of a script every other motion goes near only.
+    let step = if language == Language::Urscript { 2 } else { 1 };
+    stops.into_iter().skip(step - 1).step_by(step).collect()
+}
+
+/// A tool ball off the flange, and axes that turn the ball.
+fn with_ball(name: &str) -> Robot {
+    let mut robot = named(name);
+    robot.geometry.tool = Vector3::new(30.0, 20.0, 60.0);
+    robot
+}
+
+#[test]
+fn a_corrected_program_arrives() {
+    for arm in [ABB, UR] {
+        let (language, nominal) = (arm.language, with_ball(arm.name));
+        // The identified robot is the true one: what is left are the digits, half a micrometre and less.
+        let found = Robot { nominal: Some(Box::new(nominal.clone())), ..truth::draw(&nominal, 3, 1.0) };
+        let (text, wanted) = production(&arm, &nominal, 20);
+        let file = Text { file: "P", text: &text };
+        let (corrected, moved) = match language {
+            Language::Rapid => rapid::compensate(file, &rapid::read(file, None).unwrap(), &found, 50.0),
+            _ => urscript::compensate(file, &urscript::read(file, None).unwrap(), &found, 50.0),
+        }
+        .unwrap();
+        assert_eq!(moved.len(), if language == Language::Rapid { 20 } else { 40 });
+        let [before, after] = [&text, &corrected].map(|text| {
+            let off = aligned_distances(&stops(language, text, &nominal, &found), &wanted);
+            off.iter().sum::<f64>() / off.len() as f64
+        });
+        eprintln!("{language:?}: {before:.4} mm before, {after:.5} mm after");
+        assert!(before > 0.2 && after < 0.002, "{language:?}: {before} {after}");
+        // Only numbers change.
+        let shape = |text: &str| text.replace(|c: char| c.is_ascii_digit() || "-.".contains(c), "");
+        assert_eq!(shape(&text), shape(&corrected));
+    }
+}
+
+/// Each coordinate of the tool ball is off by this much at each stop.
+const WORLD: &str = "repeatability_um = 20.0\n[bar]\nstroke_mm = [-15.0, 15.0]\nnoise_um = 1.0\n";
+
+/// Runs a step; a doubt (3) is a result, too.
+fn step(dir: &Path, args: &str) -> Vec<String> {
+    let args: Vec<&str> = args.split_whitespace().collect();
+    let output = dbbd(dir, &args);
+    assert!(matches!(output.status.code(), Some(0 | 3)), "dbbd {}: {}", args.join(" "), stderr(&output));
+    codes(&output)
+}
+
+/// The closed loop through the files of a language: plan, program, simulate, acquire, sync, identify, compensate. How many
+/// dwells have a length, of how many; and the mean 3-D error of a production program before and after, mm.
+fn closed_loop(arm: &Arm, job: &str, seed: u64) -> ([usize; 2], [f64; 2]) {
+    let dir = tempdir().unwrap();
+    let at = dir.path();
+    let (language, nominal) = (arm.language, arm.robot());
+    let robot = truth::draw(&nominal, seed, 1.0);
+    let write = |file: &str, text: String| fs::write(at.join(file), text).unwrap();
+    write("nominal.toml", nominal.to_toml().unwrap());
+    write("truth.toml", robot.to_toml().unwrap());
+    write("job.toml", job.replace(arm.name, "nominal.toml"));
+    write("world.toml", WORLD.into());
+    step(at, "plan job.toml --out plan --quiet");
+    step(at, "program plan/plan.csv --out program --sync output --quiet");
+    let (main, production_file) = match language {
+        Language::Krl => ("DBB_MAIN.src", "P.src"),
+        Language::Rapid => ("DBB_MAIN.mod", "P.mod"),
+        Language::Urscript => ("DBB_MAIN.script", "P.script"),
+    };
+    let mut simulator = std::process::Command::new(env!("CARGO_BIN_EXE_dbbd"))
+        .args(["simulate", "--program", &format!("program/{main}"), "--nominal", "nominal.toml"])
+        .args(["--robot", "truth.toml", "--world", "world.toml", "--seed", &seed.to_string()])
+        .args(["--speed", "0", "--link", "link", "--quiet"])
+        .current_dir(at)
+        .stdout(std::process::Stdio::null())
+        .spawn()
+        .unwrap();
+    for _ in 0..600 {
+        if at.join("link").exists() {
+            break;
+        }
+        std::thread::sleep(std::time::Duration::from_millis(20));
+    }
+    step(at, "acquire --port link --plan plan/plan.csv --out run.dbbd --quiet");
+    assert!(simulator.wait().unwrap().success());
+    step(at, "sync run.dbbd --out obs.csv --quiet");
+    step(
+        at,
+        "identify obs.csv --robot nominal.toml --centres plan/centres.csv --sigma 0.02 --hold bar --prior datasheet --folds 0 \
+         --out result --quiet",
+    );
+    let lines = |file: &str| fs::read_to_string(at.join(file)).unwrap();
+    let dwells = lines("plan/plan.csv")
+        .lines()
+        .filter(|line| line.contains(",measure,") || line.contains(",reference,"))
+        .count();
+    let lengths = lines("obs.csv").lines().count() - 1;
+    let (text, wanted) = production(arm, &nominal, 100);
+    write(production_file, text.clone());
+    let args = format!(
+        "compensate {production_file} --robot result/robot-identified.toml --limit 50 --out new --quiet"
+    );
+    step(at, &args);
+    let corrected = lines(&format!("new/{production_file}"));
+    let errors = [&text, &corrected].map(|text| {
+        let off = aligned_distances(&stops(language, text, &nominal, &robot), &wanted);
+        off.iter().sum::<f64>() / off.len() as f64
+    });
+    ([lengths, dwells], errors)
+}
+
+/// So few lengths determine no robot; they pass through every step.
+#[test]
+#[cfg(unix)]
+fn every_dwell_of_each_make_is_matched() {
+    for arm in [KUKA, OFFSET, ABB, UR] {
+        let ([lengths, dwells], _) = closed_loop(&arm, &job(arm.name, arm.centre, 8), 1);
+        assert_eq!((lengths, dwells > 0), (dwells, true), "{}", arm.name);
+    }
+}
+
+/// `cargo test --release --test suite chosen_poses_of_each_make -- --ignored --nocapture`: docs/explanation/closed-loop.md.
+#[test]
+#[cfg(unix)]
+#[ignore = "takes minutes"]
+fn chosen_poses_of_each_make() {
+    for arm in [KUKA, OFFSET, ABB, UR] {
+        let [low, high] = [-250.0, 250.0].map(|side| arm.centre.map(|middle| middle + side));
+        let text = job(arm.name, arm.centre, 8);
+        let text = text.split("[[circle]]").next().unwrap_or_default();
+        let text = format!("{text}[optimise]\npoints = 60\nworkspace_mm = [{low:?}, {high:?}]\n");
+        for seed in 1..=3 {
+            let ([lengths, dwells], [before, after]) = closed_loop(&arm, &text, seed);
+            let name = arm.name;
+            eprintln!(
+                "{name}, robot {seed}: {lengths} of {dwells} dwells; {before:.3} mm before, {after:.4} mm after"
+            );
+            assert!(lengths == dwells && after < 0.05, "{name}, robot {seed}");
+        }
+    }
+}
