@@ -393,8 +393,9 @@ fn ur_rtde_reads_the_simulated_controller() {
     let address = format!("rtde://{host}:30004");
     let mut robot = waiting(dir.path(), &["--axes", &address]);
     // The time of the simulated robot goes on while its bar is read.
-    let mut reader = spawn(dir.path(), &["acquire", "--port", "bar", "--out", "first", "--duration", "20"]);
-    let said = client("axes.py", ["ur-rtde", &host, "2"].map(std::ffi::OsStr::new).into_iter());
+    let mut reader = spawn(dir.path(), &["acquire", "--port", "bar", "--out", "first", "--duration", "60"]);
+    // After 6 s it waits for its operator.
+    let said = client("axes.py", ["ur-rtde", &host, "9"].map(std::ffi::OsStr::new).into_iter());
     reader.kill().unwrap();
     reader.wait().unwrap();
     if let Some(said) = said {
