@@ -1,7 +1,7 @@
 //! `check` and `Check`.
 
 use dbbd::conformity::{self, CheckInput, InterimCheck, Rule};
-use dbbd::estimation::expected::Mounting;
+use dbbd::estimation::expected::{BallMounting, Mounting};
 use dbbd::estimation::{Options, ResultFile};
 use dbbd::measurement::{LengthModel, PreparedMeasurement};
 use dbbd::robot::AXES;
@@ -59,7 +59,7 @@ fn sigma_of_result(robot: &PyRobot) -> Result<Option<f64>, Failure> {
 #[pyfunction]
 #[pyo3(signature = (
     axes_deg, lengths_mm, ball, *, robot, balls_mm, sigma_mm=None, bar=None, approach=None, index=None,
-    tolerance_mm=None, risk=Some(0.05), tool_repeat_mm=Mounting::TOOL_REPEAT_MM, ball_repeat_mm=None, bar_u_mm=None,
+    tolerance_mm=None, risk=Some(0.05), tool_repeat_mm=Mounting::SEAT_REPEAT_MM, ball_repeat_mm=None, bar_u_mm=None,
     workspace_deg=None
 ))]
 #[allow(clippy::too_many_arguments)] // keywords of a Python function
@@ -112,8 +112,8 @@ pub(crate) fn check<'py>(
     let start = LengthModel::new(of.geometry.clone(), &balls);
     let readings: Vec<PreparedMeasurement> = lengths.rows.iter().map(PreparedMeasurement::from).collect();
     py.detach(|| {
-        let mounting =
-            Mounting { tool_mm: tool_repeat_mm, ball_mm: ball_repeat_mm, ..Mounting::again(of, bar_u_mm) };
+        let balls = ball_repeat_mm.map_or(BallMounting::Anywhere, BallMounting::About);
+        let mounting = Mounting { tool_mm: tool_repeat_mm, balls, ..Mounting::again(of, bar_u_mm) };
         let input = CheckInput {
             robot: of,
             start: &start,

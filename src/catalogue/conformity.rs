@@ -68,6 +68,17 @@ findings! {
         cure: "Check lengths, base balls and robot file." {
             NotFinite => "a number is not finite";
         }
+        E1923 "a base ball is not where the calibration had it",
+        cause: "--balls-kept says that the base balls are mounted as in the calibration. The robot file does not have their places (they were fixed in the calibration, or an earlier version wrote the file), or the place given is more than 50 mm from the calibration's.",
+        cure: "Leave --balls-kept out: the base balls then count as mounted anew. To have their places in the file, identify anew from the lengths of the calibration." {
+            BallUnknown { ball: u32 } => "the [posterior] of the robot file has no place of base ball {ball}";
+            BallElsewhere { ball: u32, away_mm: f64 } => "base ball {ball} is given {away_mm:.0} mm from where the calibration had it";
+        }
+        I1924 "a base ball that moved is not tested",
+        cause: "The base balls count as mounted anew, so that each may be anywhere, and the lengths place them. A ball that moved is then no change, nor are the zero of axis 1 and the height of the base, which it carries.",
+        cure: "Where the base balls stayed as in the calibration, check with --balls-kept." {
+            BallsNotTested => "the base balls count as mounted anew: whether one moved is not tested";
+        }
         W1914 "no such check can decide",
         cause: "Even if all lengths agreed with the calibrated robot, what remains unknown of its position would be larger than the tolerance: by the calibration, the bar's noise, or too few poses.",
         cure: "Check with more poses or a better bar, calibrate anew from more lengths, or state a tolerance that can be decided." {

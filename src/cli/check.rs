@@ -12,7 +12,7 @@ use crate::catalogue::{CliFinding, ConformityFinding, EstimationFinding};
 use crate::conformity::{self, CheckInput, InterimCheck, Rule};
 use crate::diagnostic::Diagnostic;
 use crate::estimation::change::Hypothesis;
-use crate::estimation::expected::Mounting;
+use crate::estimation::expected::{BallMounting, Mounting};
 use crate::estimation::{DistanceQuantities, Options, Priors, ResultFile};
 use crate::measurement::{LengthModel, PreparedMeasurement};
 use crate::provenance::Provenance;
@@ -55,9 +55,14 @@ pub(crate) struct Args {
     #[arg(long, value_name = "MM", value_parser = length_sd)]
     sigma: Option<f64>,
     /// Standard deviation with which the tool ball is mounted again, mm.
-    #[arg(long, value_name = "MM", default_value_t = Mounting::TOOL_REPEAT_MM, value_parser = positive)]
+    #[arg(long, value_name = "MM", default_value_t = Mounting::SEAT_REPEAT_MM, value_parser = positive)]
     tool_repeat: f64,
-    /// Standard deviation of the base balls about --centres, mm [default: they may be anywhere].
+    /// The base balls are mounted as in the calibration: one that moved is named as a change [default: they were mounted
+    /// anew].
+    #[arg(long)]
+    balls_kept: bool,
+    /// Standard deviation of the base balls about --centres, mm [default: they may be anywhere]; with --balls-kept about
+    /// where the calibration had them [default: 0.01].
     #[arg(long, value_name = "MM", value_parser = positive)]
     ball_repeat: Option<f64>,
     /// Standard uncertainty (k = 1) of the bar's length, mm [default: half of a capture's job's length_u_mm, else 0.05].
@@ -147,7 +152,12 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
 fn mounting(args: &Args, given: &Given) -> Mounting {
     let another = || Priors::datasheet(&given.robot, given.bar_u_mm).sd(ParamId::Tool(Coordinate::X));
     let tool_mm = if args.tool.is_some() { another() } else { args.tool_repeat };
-    Mounting { tool_mm, ball_mm: args.ball_repeat, ..Mounting::again(&given.robot, given.bar_u_mm) }
+    let balls = match args.ball_repeat {
+        repeat if args.balls_kept => BallMounting::Kept(repeat.unwrap_or(Mounting::SEAT_REPEAT_MM)),
+        Some(repeat) => BallMounting::About(repeat),
+        None => BallMounting::Anywhere,
+    };
+    Mounting { tool_mm, balls, ..Mounting::again(&given.robot, given.bar_u_mm) }
 }
 
 /// The standard deviation of a length, mm, and that a part of it is not known.

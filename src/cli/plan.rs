@@ -56,6 +56,9 @@ pub(crate) struct Args {
     /// Poses of the check.
     #[arg(long, value_name = "N", requires = "check", default_value_t = 18, value_parser = clap::value_parser!(u32).range(12..=24))]
     poses: u32,
+    /// The base balls of the check are mounted as in the calibration: it sees whether one moved.
+    #[arg(long, requires = "check")]
+    balls_kept: bool,
     /// Tolerance of the check, mm, as `dbbd check` takes it: one that it could not decide is reported now.
     #[arg(long, value_name = "MM", requires = "check", value_parser = positive)]
     tolerance: Option<f64>,

@@ -11,7 +11,7 @@ use crate::catalogue::ConformityFinding;
 use crate::estimation::change::{
     ChangeTest, CheckPower, Detectable, FALSE_ALARM, Hypothesis, Innovation, POWER,
 };
-use crate::estimation::expected::{Expected, FREE_BALL_MM, Mounting};
+use crate::estimation::expected::{BallMounting, Expected, FREE_BALL_MM, Mounting};
 use crate::estimation::result::MapPoint;
 use crate::estimation::{ErrorSummary, LengthNoise, Posterior, Workspace, length_sd_mm};
 use crate::math::distributions::chi_square_tail;
@@ -25,6 +25,9 @@ const DRAWS: usize = 400;
 const SEED: u64 = 1;
 /// A hypothesis that leaves an innovation of a smaller chance explains it badly.
 const BADLY_EXPLAINED: f64 = 1e-3;
+/// A base ball that is given so far from where the calibration had it is not mounted there, mm: places are known to
+/// centimetres.
+const MOST_ASTRAY_MM: f64 = 50.0;
 /// So improbably small an innovation is none of lengths with this standard deviation.
 const TOO_GOOD: f64 = 1e-9;
 
@@ -216,7 +219,20 @@ impl CheckInput<'_> {
         if !known.is_of(&self.robot.geometry) {
             return Err(ConformityFinding::PosteriorOfAnother { robot: robot() });
         }
-        Ok(Posterior::of_robot(self.start.clone(), known, self.robot.uncertainty.as_deref()))
+        let (mut start, unknown) = (self.start.clone(), self.robot.uncertainty.as_deref());
+        if !matches!(self.mounting.balls, BallMounting::Kept(_)) {
+            return Ok(Posterior::of_robot(start, known, unknown));
+        }
+        for (at, place) in start.balls.iter_mut().enumerate() {
+            let ball = BallId::at(at);
+            let kept = known.ball(ball).ok_or_else(|| ConformityFinding::BallUnknown { ball: ball.number() })?;
+            let away_mm = (*place - kept).norm();
+            if away_mm > MOST_ASTRAY_MM {
+                return Err(ConformityFinding::BallElsewhere { ball: ball.number(), away_mm });
+            }
+            *place = kept;
+        }
+        Ok(Posterior::of_robot_with_balls(start, known, unknown))
     }
 
     fn enough(&self) -> Result<(), ConformityFinding> {
@@ -233,13 +249,19 @@ impl CheckInput<'_> {
     fn robot_of(&self, found: &Posterior, known: &Posterior) -> Option<Robot> {
         let geometry = found.model.geometry.clone();
         let before = self.robot.posterior.as_ref()?;
-        let own: Vec<usize> = places(found, before.ids()).collect();
+        let balls = found.ids().iter().copied().filter(|id| matches!(id, ParamId::Ball(..)));
+        let with_balls = |ids: &[ParamId]| -> Vec<ParamId> {
+            let own = ids.iter().copied().filter(|id| !matches!(id, ParamId::Ball(..)));
+            own.chain(balls.clone()).collect()
+        };
+        let own: Vec<usize> = places(found, &with_balls(before.ids())).collect();
         let ids: Vec<ParamId> = own.iter().map(|at| found.ids()[*at]).collect();
-        let posterior = RobotPosterior::new(&ids, &geometry, &found.root().select_rows(&own))?;
-        let after = |unknown: &RobotUncertainty| RobotUncertainty {
-            parameters: known.ids().to_vec(),
-            root: found.root().select_rows(&rows_of(found, known.ids())),
-            ..unknown.clone()
+        let root = found.root().select_rows(&own);
+        let posterior = RobotPosterior::with_balls(&ids, &geometry, &found.model.balls, &root)?;
+        let after = |unknown: &RobotUncertainty| {
+            let parameters = with_balls(known.ids());
+            let root = found.root().select_rows(&rows_of(found, &parameters));
+            RobotUncertainty { parameters, root, ..unknown.clone() }
         };
         let uncertainty = self.robot.uncertainty.as_deref().map(|unknown| Box::new(after(unknown)));
         Some(Robot { geometry, posterior: Some(posterior), uncertainty, ..self.robot.clone() })
@@ -252,6 +274,9 @@ impl CheckInput<'_> {
         changes: &[Hypothesis],
     ) -> Vec<ConformityFinding> {
         let mut findings = Vec::new();
+        if self.mounting.balls == BallMounting::Anywhere {
+            findings.push(ConformityFinding::BallsNotTested);
+        }
         if let Some((tolerance_mm, best_mm)) = self.tolerance_mm.zip(undecidable) {
             findings.push(ConformityFinding::Undecidable { tolerance_mm, best_mm });
         }

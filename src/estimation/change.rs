@@ -1,7 +1,7 @@
 //! What changed since a robot was calibrated: the innovation of a few lengths against the posterior of the calibration.
 //!
 //! Under the hypothesis that nothing changed, the lengths differ from the identified robot's by the errors that its
-//! posterior allows, by what mounting changes (base balls free, tool ball and bar by their repeat mounting) and by noise.
+//! posterior allows, by what mounting changes (base balls free or kept, tool ball and bar by their repeat mounting) and by noise.
 //! In the coordinates w of the posterior's root that is a least-squares problem with unit normal w; its least sum of
 //! squares, the innovation, is chi-square. A change of some parameters adds columns to it. Triangularised in the order
 //! w, balls, candidates, the factor's last block has all that the lengths say of changes.
@@ -17,7 +17,7 @@ use super::pose_rows::LengthNoise;
 use crate::math::Triangle;
 use crate::math::distributions::{chi_square_exceeded, chi_square_tail, noncentral_tail, noncentrality};
 use crate::measurement::PreparedMeasurement;
-use crate::robot::{ParamId, Unit};
+use crate::robot::{BallId, ParamId, Unit};
 
 /// Probability that a change is reported although nothing changed.
 pub const FALSE_ALARM: f64 = 0.01;
@@ -50,7 +50,7 @@ pub struct Innovation {
     null: Vec<f64>,
 }
 
-/// A change that is thinkable: a parameter, or the coordinates of the tool ball.
+/// A change that is thinkable: a parameter, or the coordinates of the tool ball or of a base ball.
 #[derive(Clone, Debug, PartialEq)]
 struct Candidate {
     parameters: Vec<ParamId>,
@@ -69,7 +69,7 @@ pub struct Hypothesis {
     /// Ends of the 95 % interval of each.
     pub interval95: Vec<[f64; 2]>,
     pub probability: f64,
-    /// Single parameters whose change would do the same to these lengths.
+    /// Single parameters and base balls whose change would do the same to these lengths.
     pub alike: Vec<ParamId>,
     /// Probability of an innovation as large as what the hypothesis leaves of it.
     pub p_rest: f64,
@@ -299,7 +299,7 @@ impl Innovation {
             weighted.push((vec![at], (ONE * share(one)).ln() + self.evidence(&one.columns)));
             for (second, two) in self.candidates.iter().enumerate().skip(at + 1) {
                 let columns = [one.columns.as_slice(), &two.columns].concat();
-                if columns.len() == 2 && self.cosine(&columns) < ALIKE {
+                if columns.len() == 2 && self.cosine(columns[0], &columns[1..]) < ALIKE {
                     let prior = 2.0 * TWO * share(one) * share(two);
                     weighted.push((vec![at, second], prior.ln() + self.evidence(&columns)));
                 }
@@ -332,9 +332,10 @@ impl Innovation {
         self.candidates.iter().find(of_column).map_or(0.0, |candidate| typical(candidate.parameters[0]))
     }
 
-    fn cosine(&self, columns: &[usize]) -> f64 {
-        let [one, two] = [columns[0], columns[1]].map(|at| self.effects.column(at));
-        one.dot(&two).abs() / (one.norm() * two.norm())
+    /// Of the angle between a column of the effects and the space of others.
+    fn cosine(&self, column: usize, others: &[usize]) -> f64 {
+        let effect = self.effects.column(column);
+        orthonormal(&self.effects.select_columns(others)).tr_mul(&effect).norm() / effect.norm()
     }
 
     fn hypothesis(&self, of: &[usize], probability: f64) -> Hypothesis {
@@ -349,9 +350,9 @@ impl Innovation {
         let freedom = self.freedom.saturating_sub(columns.len());
         let alike = |other: &&Candidate| {
             columns.len() == 1
-                && other.columns.len() == 1
+                && (other.columns.len() == 1 || matches!(other.parameters[0], ParamId::Ball(..)))
                 && other.columns != columns
-                && self.cosine(&[columns[0], other.columns[0]]) >= ALIKE
+                && self.cosine(columns[0], &other.columns) >= ALIKE
         };
         Hypothesis {
             parameters: chosen.iter().flat_map(|candidate| candidate.parameters.clone()).collect(),
@@ -359,7 +360,7 @@ impl Innovation {
             change: change.iter().copied().collect(),
             sd,
             probability,
-            alike: self.candidates.iter().filter(alike).map(|other| other.parameters[0]).collect(),
+            alike: self.candidates.iter().filter(alike).flat_map(|other| other.parameters.clone()).collect(),
             p_rest: if freedom > 0 { chi_square_tail(left, freedom as f64) } else { 1.0 },
         }
     }
@@ -368,18 +369,34 @@ impl Innovation {
 /// Hypotheses below this probability are not listed.
 const LEAST_PROBABLE: f64 = 1e-3;
 
-/// Single parameters, and the tool ball as a whole, of which a change of the usual size can be seen in the lengths.
+/// The ball that a coordinate is of; `None` of other parameters.
+fn ball_of(id: ParamId) -> Option<ChangedBall> {
+    match id {
+        ParamId::Tool(_) => Some(ChangedBall::Tool),
+        ParamId::Ball(ball, _) => Some(ChangedBall::Base(ball)),
+        _ => None,
+    }
+}
+
+/// A ball that changes its place as a whole.
+#[derive(Clone, Copy, PartialEq)]
+enum ChangedBall {
+    Tool,
+    Base(BallId),
+}
+
+/// Single parameters, and balls as a whole, of which a change of the usual size can be seen in the lengths.
 fn candidates(changeable: &[ParamId], effects: &DMatrix<f64>) -> Vec<Candidate> {
     let visible = |column: &usize| effects.column(*column).norm() * typical(changeable[*column]) > 1.0;
     let mut found: Vec<Candidate> = Vec::new();
     for column in (0..changeable.len()).filter(visible) {
         let id = changeable[column];
-        let is_tool = |id: ParamId| matches!(id, ParamId::Tool(_));
-        let body = |candidate: &&mut Candidate| is_tool(id) && is_tool(candidate.parameters[0]);
-        match found.iter_mut().find(body) {
-            Some(body) => {
-                body.parameters.push(id);
-                body.columns.push(column);
+        let ball = ball_of(id);
+        let same = |candidate: &&mut Candidate| ball.is_some() && ball_of(candidate.parameters[0]) == ball;
+        match found.iter_mut().find(same) {
+            Some(whole) => {
+                whole.parameters.push(id);
+                whole.columns.push(column);
             }
             None => found.push(Candidate { parameters: vec![id], columns: vec![column] }),
         }

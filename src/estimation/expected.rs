@@ -13,20 +13,30 @@ use crate::robot::{AXES, BallId, BarId, Coordinate, ParamId, Robot, Unit};
 pub struct Mounting {
     /// Of each coordinate of the tool ball.
     pub tool_mm: f64,
-    /// Of each coordinate of a base ball about the place given; `None` where it may be anywhere.
-    pub ball_mm: Option<f64>,
+    pub balls: BallMounting,
     /// Of the length of a bar.
     pub bar_mm: f64,
 }
 
+/// Where the base balls may be.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum BallMounting {
+    /// Mounted anew, anywhere.
+    Anywhere,
+    /// About the places given, with this standard deviation of each coordinate, mm.
+    About(f64),
+    /// Where the calibration had them, with this standard deviation of each coordinate, mm: one that moved is a change.
+    Kept(f64),
+}
+
 impl Mounting {
-    /// Standard deviation with which a tool ball is mounted again in its seat, mm.
-    pub const TOOL_REPEAT_MM: f64 = 0.01;
+    /// Standard deviation with which a ball is mounted again in its seat, mm.
+    pub const SEAT_REPEAT_MM: f64 = 0.01;
 
     /// The tool ball in its seat again, base balls anywhere, a bar with this standard uncertainty of its length, mm.
     pub fn again(robot: &Robot, bar_u_mm: Option<f64>) -> Self {
         let bar_mm = Priors::datasheet(robot, bar_u_mm).sd(ParamId::BarOffset(BarId::FIRST));
-        Self { tool_mm: Self::TOOL_REPEAT_MM, ball_mm: None, bar_mm }
+        Self { tool_mm: Self::SEAT_REPEAT_MM, balls: BallMounting::Anywhere, bar_mm }
     }
 }
 
@@ -36,21 +46,25 @@ pub struct Expected {
     posterior: Posterior,
     /// The columns of the root that nothing binds.
     free: Vec<usize>,
+    balls: BallMounting,
 }
 
 /// Free coordinates of a base ball are taken from so far, mm.
 pub(crate) const FREE_BALL_MM: f64 = 1000.0;
 
 impl Expected {
-    /// Of the calibrated robot `known` (its parameters and tool ball) about its model, whose balls and bars are those of
-    /// the check.
+    /// Of the calibrated robot `known` (its parameters and tool ball, and base balls that stayed) about its model, whose
+    /// balls and bars are those of the check.
     pub fn new(known: &Posterior, bars: usize, mounting: Mounting) -> Self {
         let mut ids = known.ids().to_vec();
         let mut added: Vec<(ParamId, f64)> =
             Coordinate::ALL.map(|axis| (ParamId::Tool(axis), mounting.tool_mm)).to_vec();
         added.extend((0..bars).map(|at| (ParamId::BarOffset(BarId::at(at)), mounting.bar_mm)));
         let bound = known.root().ncols() + added.len();
-        let ball_mm = mounting.ball_mm.unwrap_or(FREE_BALL_MM);
+        let ball_mm = match mounting.balls {
+            BallMounting::Anywhere => FREE_BALL_MM,
+            BallMounting::About(mm) | BallMounting::Kept(mm) => mm,
+        };
         for ball in 0..known.model.balls.len() {
             let ball = BallId::at(ball);
             added.extend(Coordinate::ALL.map(|axis| (ParamId::Ball(ball, axis), ball_mm)));
@@ -67,15 +81,19 @@ impl Expected {
                 root[(row, columns + column)] = *sd;
             }
         }
-        let free = if mounting.ball_mm.is_some() { vec![] } else { (bound..root.ncols()).collect() };
-        Self { posterior: Posterior::with_root(known.model.clone(), &ids, root), free }
+        let free = if mounting.balls == BallMounting::Anywhere { bound..root.ncols() } else { 0..0 };
+        let posterior = Posterior::with_root(known.model.clone(), &ids, root);
+        Self { posterior, free: free.collect(), balls: mounting.balls }
     }
 
-    /// The parameters whose change is looked for, by their places among those of the posterior: not the base balls, nor
-    /// what no check determines.
+    /// The parameters whose change is looked for, by their places among those of the posterior: not base balls that are
+    /// mounted anew, nor what no check determines.
     pub(super) fn changeable(&self) -> impl Iterator<Item = usize> {
+        let kept = matches!(self.balls, BallMounting::Kept(_));
+        let is_changeable =
+            move |id: &ParamId| !id.is_optional() && (kept || !matches!(id, ParamId::Ball(..)));
         let ids = self.posterior.ids().iter().enumerate();
-        ids.filter(|(_, id)| !id.is_optional() && !matches!(id, ParamId::Ball(..))).map(|(at, _)| at)
+        ids.filter(move |(_, id)| is_changeable(id)).map(|(at, _)| at)
     }
 
     /// What a change of the usual size does to the length from a base ball at `axes` (rad): an element each parameter
@@ -95,7 +113,7 @@ impl Expected {
                 columns[(row, column)] = typical(*id);
             }
         }
-        Self { posterior: self.posterior.clone().widened(&columns), free: self.free.clone() }
+        Self { posterior: self.posterior.clone().widened(&columns), ..self.clone() }
     }
 
     pub(super) fn free(&self) -> &[usize] {

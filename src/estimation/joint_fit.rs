@@ -56,9 +56,10 @@ pub struct JointSummary {
 }
 
 impl JointFit {
-    /// What is not known of the robot and its tool ball.
+    /// What is not known of the robot, its tool ball and the base balls.
     pub(super) fn uncertainty(&self) -> RobotUncertainty {
-        let own = (0..self.ids.len()).filter(|&k| self.ids[k].moves_tool_ball());
+        let is_own = |id: ParamId| id.moves_tool_ball() || matches!(id, ParamId::Ball(..));
+        let own = (0..self.ids.len()).filter(|&k| is_own(self.ids[k]));
         let own: Vec<usize> = own.collect();
         let rows: Vec<usize> = own.iter().copied().chain(self.ids.len()..self.root.nrows()).collect();
         RobotUncertainty {

@@ -33,7 +33,7 @@ impl JointPrediction {
         let measured: Vec<ApproachedPose> =
             (0..lengths.len()).map(|at| lengths.reading(at)).map(|reading| measured_pose(&reading)).collect();
         let few = [some(&poses), some(&measured)].concat();
-        let unknown = compressed(geometry, &fit.uncertainty(), &few);
+        let unknown = compressed(&fit.model, &fit.uncertainty(), &few);
         let positions = Positions::new(geometry, &unknown, &poses, &[]);
         let moved = positions.draws(ROBOTS, unexplained_mm(setting, fit, lengths));
         let summary = ErrorSummary::of(&moved);

@@ -11,7 +11,7 @@ use rand_pcg::Pcg64;
 
 use super::evidence::spectral_density;
 use super::predicted::{Workspace, take_out_rigid_motion};
-use crate::measurement::ApproachedPose;
+use crate::measurement::{ApproachedPose, LengthModel};
 use crate::robot::{
     AXES, Approach, At, Chain, Geometry, Joint, JointSinCos, ParamId, Robot, RobotUncertainty, TermKind,
 };
@@ -186,18 +186,18 @@ const COLUMNS: usize = 60;
 /// Iterations that find them: what they leave out is scaled in.
 const ITERATIONS: usize = 4;
 
-/// The same uncertainty with few columns: those that move the ball most at these poses, each pose in units of its own
-/// standard deviation, so that it is kept where it is small.
+/// The same uncertainty with few columns: those that move the tool ball at these poses and the base balls most against each
+/// other, each place in units of its own standard deviation, so that it is kept where it is small.
 pub(super) fn compressed(
-    geometry: &Geometry,
+    model: &LengthModel,
     unknown: &RobotUncertainty,
     poses: &[ApproachedPose],
 ) -> RobotUncertainty {
     if unknown.root.ncols() <= COLUMNS {
         return unknown.clone();
     }
-    let mut moved = Positions::new(geometry, unknown, poses, &[]).moved;
-    for pose in 0..poses.len() {
+    let mut moved = moved_with_balls(model, unknown, poses);
+    for pose in 0..moved.nrows() / 3 {
         let mut rows = moved.rows_mut(3 * pose, 3);
         let norm = rows.norm();
         if norm > 0.0 {
@@ -213,4 +213,27 @@ pub(super) fn compressed(
     let covered = (space.transpose() * &gram * &space).trace() / gram.trace();
     let scale = if covered > 0.0 { covered.sqrt().recip() } else { 1.0 };
     RobotUncertainty { root: &unknown.root * space * scale, ..unknown.clone() }
+}
+
+/// What the root's columns move: the tool ball at the poses, then the base balls, 3 rows each, without rigid motions of all.
+fn moved_with_balls(
+    model: &LengthModel,
+    unknown: &RobotUncertainty,
+    poses: &[ApproachedPose],
+) -> DMatrix<f64> {
+    let poses: Vec<_> = poses.iter().map(|pose| (pose.axes.radians(), pose.approach)).collect();
+    let BallMotion { jacobian, balls: mut places, .. } =
+        BallMotion::new(&model.geometry, &poses, &unknown.parameters);
+    let is_ball = |id: &ParamId| matches!(id, ParamId::Ball(..));
+    let rows: Vec<usize> =
+        (0..unknown.parameters.len()).filter(|at| is_ball(&unknown.parameters[*at])).collect();
+    // A ball of which one coordinate is exact is no place that moves freely.
+    let whole = rows.len() == 3 * model.balls.len();
+    let rows = if whole { rows } else { Vec::new() };
+    let mut moved = DMatrix::zeros(jacobian.nrows() + rows.len(), unknown.root.ncols());
+    moved.rows_mut(0, jacobian.nrows()).copy_from(&(&jacobian * &unknown.root));
+    moved.rows_mut(jacobian.nrows(), rows.len()).copy_from(&unknown.root.select_rows(&rows));
+    places.extend(model.balls.iter().take(rows.len() / 3));
+    take_out_rigid_motion(&mut moved, &places);
+    moved
 }

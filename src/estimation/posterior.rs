@@ -53,11 +53,30 @@ impl Posterior {
     /// Of what an identification left unknown of a robot, about `model`: with the coefficients of the joints' errors where its
     /// file has their covariance.
     pub fn of_robot(model: LengthModel, known: &RobotPosterior, unknown: Option<&RobotUncertainty>) -> Self {
+        Self::of_known(model, known, known.ids(), unknown)
+    }
+
+    /// The same with the base balls where the identification had them.
+    pub fn of_robot_with_balls(
+        model: LengthModel,
+        known: &RobotPosterior,
+        unknown: Option<&RobotUncertainty>,
+    ) -> Self {
+        Self::of_known(model, known, known.all_ids(), unknown)
+    }
+
+    fn of_known(
+        model: LengthModel,
+        known: &RobotPosterior,
+        ids: &[ParamId],
+        unknown: Option<&RobotUncertainty>,
+    ) -> Self {
         let Some(unknown) = unknown else {
-            return Self::with_root(model, known.ids(), known.root_of(known.ids()));
+            return Self::with_root(model, ids, known.root_of(ids));
         };
         // Another tool ball than that of the identification is in neither.
-        let is_known = |id: &ParamId| !matches!(id, ParamId::Tool(_)) || known.ids().contains(id);
+        let is_known =
+            |id: &ParamId| !matches!(id, ParamId::Tool(_) | ParamId::Ball(..)) || ids.contains(id);
         let parameters = unknown.parameters.iter().enumerate().filter(|(_, id)| is_known(id));
         let (mut rows, ids): (Vec<usize>, Vec<ParamId>) = parameters.map(|(row, id)| (row, *id)).unzip();
         rows.extend(unknown.parameters.len()..unknown.root.nrows());

@@ -26,6 +26,7 @@ use super::result::{MapPoint, PredictedPair};
 use super::setting::Setting;
 use crate::catalogue::EstimationFinding;
 use crate::math::{Orthonormal, svd};
+use crate::measurement::LengthModel;
 use crate::robot::{AXES, Approach, Chain, Geometry, ParamId, Robot, RobotPosterior};
 
 /// How many robots are drawn for a prediction, unless more numbers are to be drawn for each.
@@ -318,12 +319,12 @@ impl Prediction {
 }
 
 impl Estimator<'_> {
-    /// What the robot's own values may be wrong by after the estimate: by the errors before, and by the noise. A set-up that
-    /// the user fixed is exact, a robot's parameter that was fixed is known as before.
+    /// What the robot's own values and the base balls may be wrong by after the estimate: by the errors before, and by the
+    /// noise. A set-up that the user fixed is exact, a robot's parameter that was fixed is known as before.
     fn left(&self, setting: &Setting<'_>, estimate: &Estimate) -> Option<RobotPosterior> {
         let (count, kept) = (self.ids.len(), self.kept.len());
         let mut truth = self.truth.clone();
-        let is_own = |id: ParamId| id.is_geometric() || matches!(id, ParamId::Tool(_));
+        let is_own = |id: ParamId| id.is_geometric() || matches!(id, ParamId::Tool(_) | ParamId::Ball(..));
         let is_asked = |id: &ParamId| estimate.analysis.ids.contains(id);
         let poor = |id: &ParamId| estimate.poorly_observable.contains(id);
         for (at, id) in self.ids.iter().enumerate() {
@@ -342,7 +343,8 @@ impl Estimator<'_> {
         root.columns_mut(0, count).copy_from(&of_truth.select_rows(&own));
         root.columns_mut(count, kept).copy_from(&of_noise.select_rows(&own));
         let ids: Vec<ParamId> = own.iter().map(|at| self.ids[*at]).collect();
-        RobotPosterior::new(&ids, &estimate.fit.model.geometry, &root)
+        let LengthModel { geometry, balls, .. } = &estimate.fit.model;
+        RobotPosterior::with_balls(&ids, geometry, balls, &root)
     }
 }
 

@@ -73,8 +73,12 @@ pub struct Status {
 /// Runs on their way to the archive.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Archiving {
-    /// Runs that the archive has not confirmed.
+    /// Runs that the archive confirmed since the start of the service.
+    pub confirmed: u64,
+    /// Runs that it has not confirmed: in the spool, and refused ones.
     pub waiting: u64,
+    /// Runs that could neither be pushed nor spooled.
+    pub refused: u64,
     /// Why, of the last attempt.
     pub reason: Option<String>,
 }

@@ -1,11 +1,12 @@
 //! What an identification left unknown of a robot, in the robot's own file.
 
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, Vector3};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-use super::{Geometry, ParamId};
+use super::{BallId, Coordinate, Geometry, ParamId};
 
-/// The errors that the values of a robot file may still have: their covariance is root root', mm and rad.
+/// The errors that the values of a robot file may still have: their covariance is root root', mm and rad. Behind the robot's
+/// parameters are the base balls, where the identification had them.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RobotPosterior {
@@ -24,14 +25,42 @@ impl RobotPosterior {
     /// Of these parameters of `geometry`, with any root of the covariance, a row a parameter; `None` where a parameter is
     /// none of the robot's or the covariance has no inverse.
     pub fn new(ids: &[ParamId], geometry: &Geometry, root: &DMatrix<f64>) -> Option<Self> {
-        let values = ids.iter().map(|id| geometry.value(*id)).collect::<Option<Vec<f64>>>()?;
+        Self::with_balls(ids, geometry, &[], root)
+    }
+
+    /// The same, of these base balls too: their coordinates are behind the robot's parameters.
+    pub fn with_balls(
+        ids: &[ParamId],
+        geometry: &Geometry,
+        balls: &[Vector3<f64>],
+        root: &DMatrix<f64>,
+    ) -> Option<Self> {
+        let value = |id: &ParamId| match id {
+            ParamId::Ball(ball, axis) => balls.get(ball.index()).map(|place| place[axis.index()]),
+            _ => geometry.value(*id),
+        };
+        let values = ids.iter().map(value).collect::<Option<Vec<f64>>>()?;
         let root = triangular(root);
         let sound = root.is_square() && root.iter().all(|x| x.is_finite());
         (sound && root.diagonal().iter().all(|x| *x != 0.0)).then(|| Self { ids: ids.to_vec(), values, root })
     }
 
+    /// The robot's parameters.
     pub fn ids(&self) -> &[ParamId] {
+        let own = self.ids.iter().position(|id| is_ball(*id)).unwrap_or(self.ids.len());
+        &self.ids[..own]
+    }
+
+    /// The robot's parameters, then the coordinates of the base balls.
+    pub fn all_ids(&self) -> &[ParamId] {
         &self.ids
+    }
+
+    /// Where the identification had a base ball, mm in the robot base; `None` of one that it did not determine.
+    pub fn ball(&self, ball: BallId) -> Option<Vector3<f64>> {
+        let of = |axis| self.ids.iter().position(|id| *id == ParamId::Ball(ball, axis));
+        let [x, y, z] = Coordinate::ALL.map(|axis| of(axis).map(|at| self.values[at]));
+        Some(Vector3::new(x?, y?, z?))
     }
 
     /// Whether it is about the values of this geometry.
@@ -39,7 +68,7 @@ impl RobotPosterior {
         let same = |(id, value): (&ParamId, &f64)| {
             geometry.value(*id).is_some_and(|here| (here - value).abs() <= SAME)
         };
-        self.ids.iter().zip(&self.values).all(same)
+        self.ids().iter().zip(&self.values).all(same)
     }
 
     /// Standard deviation of a parameter, mm or rad; `None` of one that it does not hold.
@@ -53,7 +82,7 @@ impl RobotPosterior {
         triangular(&self.root.select_rows(&places.collect::<Vec<_>>()))
     }
 
-    /// Only the parameters that `keep` wants; `None` where none is left.
+    /// Only the parameters and coordinates that `keep` wants; `None` where none is left.
     pub fn keeping(&self, keep: impl Fn(ParamId) -> bool) -> Option<Self> {
         let kept = self.ids.iter().zip(&self.values).filter(|(id, _)| keep(**id));
         let (ids, values): (Vec<ParamId>, Vec<f64>) = kept.map(|(id, value)| (*id, *value)).unzip();
@@ -69,8 +98,13 @@ impl RobotPosterior {
             && root.diagonal().iter().all(|x| *x != 0.0)
             && root.iter().chain(values).all(|x| x.is_finite())
             && (1..ids.len()).all(|at| !ids[..at].contains(&ids[at]))
-            && ids.iter().all(|id| id.is_geometric() || matches!(id, ParamId::Tool(_)))
+            && self.ids().iter().all(|id| id.is_geometric() || matches!(id, ParamId::Tool(_)))
+            && ids.iter().skip(self.ids().len()).all(|id| is_ball(*id))
     }
+}
+
+fn is_ball(id: ParamId) -> bool {
+    matches!(id, ParamId::Ball(..))
 }
 
 fn write_root<S: Serializer>(root: &DMatrix<f64>, to: S) -> Result<S::Ok, S::Error> {

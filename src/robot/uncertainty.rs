@@ -19,7 +19,7 @@ pub struct RobotUncertainty {
     pub likeness_rad: f64,
     /// Whether the sense of approach was known: else backlash is a part of `pose_mm`.
     pub backlash_is_known: bool,
-    /// Parameters of the robot and its tool ball.
+    /// Parameters of the robot and its tool ball, and coordinates of the base balls.
     pub parameters: Vec<ParamId>,
     /// A root of the covariance, C = root root': a row each parameter, then a row each coefficient of the joints' errors
     /// in the order of [`super::JointErrors::terms`].

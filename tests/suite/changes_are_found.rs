@@ -16,7 +16,7 @@ use crate::check_campaigns::{SIGMA, calibration, normal};
 
 pub(crate) fn provoked() -> Vec<&'static str> {
     vec![
-        "E1910", "E1911", "E1912", "E1913", "W1914", "W1915", "W1916", "I1917", "W1918", "I1920", "W1921",
+        "E1910", "E1911", "E1912", "E1913", "E1923", "I1924", "W1914", "W1915", "W1916", "I1917", "W1918", "I1920", "W1921",
         "W1922", "E0740",
     ]
 }
@@ -63,8 +63,10 @@ fn the_command_decides_and_refuses() {
     let without: Vec<String> = bare.lines().map(|line| line.rsplit_once(',').unwrap().0.to_owned()).collect();
     write("bare.csv", &(without.join("\n") + "\n"));
     let check = |lengths: &str, robot: &str, more: &[&str]| {
-        let args =
-            ["check", lengths, "--robot", robot, "--centres", "C.csv", "--out", "out", "--bar-u", "0.005"];
+        let mut args = vec!["check", lengths, "--robot", robot, "--out", "out", "--bar-u", "0.005"];
+        if !more.contains(&"--centres") {
+            args.extend(["--centres", "C.csv"]);
+        }
         dbbd(at, &[&args[..], more].concat())
     };
     let json = || -> Value {
@@ -102,6 +104,16 @@ fn the_command_decides_and_refuses() {
     let damaged = check("again.csv", "updated.toml", &[]);
     assert_eq!((damaged.status.code(), codes(&damaged)), (Some(1), vec!["E1901".to_owned()]));
     fs::remove_file(at.join("result.json")).unwrap();
+    // A base ball that moved is a change only where it should have stayed.
+    let [x, y, z] = CENTRE;
+    let away = three_planes(1, [x + 0.3, y - 0.2, z + 0.25]);
+    write("ball.csv", &lengths(&with_errors(DESIGNED), &away, 8, 6));
+    let anew = check("ball.csv", "robot.toml", &[]);
+    assert_eq!((anew.status.code(), codes(&anew).contains(&"I1924".to_owned())), (Some(0), true));
+    let kept = check("ball.csv", "robot.toml", &["--balls-kept"]);
+    assert_eq!((kept.status.code(), codes(&kept).contains(&"I1924".to_owned())), (Some(4), false));
+    assert_eq!(json()["changes"][0]["parameters"], json!(["centre1_x", "centre1_y", "centre1_z"]));
+    assert_eq!(check("same.csv", "robot.toml", &["--balls-kept"]).status.code(), Some(0));
     // By the position error: far beyond, near, and below what can be decided.
     let error = found["position_error_mm"].as_f64().unwrap();
     assert_eq!(check("moved.csv", "robot.toml", &["--tolerance", "0.05"]).status.code(), Some(4));
@@ -127,13 +139,20 @@ fn the_command_decides_and_refuses() {
         (unexplained.status.code(), codes(&unexplained).contains(&"W1916".to_owned())),
         (Some(4), true)
     );
-    for (lengths, robot, code) in [
-        ("same.csv", "bare.toml", "E1910"),
-        ("same.csv", "other.toml", "E1910"),
-        ("few.csv", "robot.toml", "E1911"),
-        ("bare.csv", "robot.toml", "E1912"),
+    let known = robot.posterior.as_ref().unwrap();
+    let no_balls = known.keeping(|id| known.ids().contains(&id));
+    write("no-balls.toml", &Robot { posterior: no_balls, ..robot.clone() }.to_toml().unwrap());
+    let far = three_planes(1, [x + 60.0, y, z]);
+    write("far.csv", &centres_csv(&far));
+    for (lengths, robot, more, code) in [
+        ("same.csv", "bare.toml", &[][..], "E1910"),
+        ("same.csv", "other.toml", &[], "E1910"),
+        ("few.csv", "robot.toml", &[], "E1911"),
+        ("bare.csv", "robot.toml", &[], "E1912"),
+        ("same.csv", "no-balls.toml", &["--balls-kept"], "E1923"),
+        ("same.csv", "robot.toml", &["--balls-kept", "--centres", "far.csv"], "E1923"),
     ] {
-        let refused = check(lengths, robot, &[]);
+        let refused = check(lengths, robot, more);
         assert_eq!(refused.status.code(), Some(1), "{code}: {}", stderr(&refused));
         assert!(codes(&refused).contains(&code.to_owned()), "{code}: {}", stderr(&refused));
     }
@@ -196,11 +215,19 @@ fn a_check_is_planned_for_the_changes_it_finds() {
     };
     // The free ball carries the zero of axis 1; a joint in the middle of the arm is seen well.
     assert!(smallest("theta1").is_none() && smallest("theta3").unwrap().to_degrees() < 0.02, "{power}");
+    let shift = |power: &Value| {
+        let mut found = power["detectable"].as_array().unwrap().iter();
+        found.find(|found| found["name"] == "centre1_x").and_then(|found| found["smallest"].as_f64())
+    };
+    assert_eq!(shift(&power), None);
     let page = fs::read_to_string(at.join("plan/plan.html")).unwrap();
     assert!(page.contains("What this check will find") && !page.contains("NaN"));
     if let Some(folder) = std::env::var_os("DBBD_PAGES") {
         fs::write(Path::new(&folder).join("plan-check.html"), page).unwrap();
     }
+    // A base ball that stays is one of the changes.
+    assert_eq!(plan(&["--balls-kept"]).status.code(), Some(0));
+    assert!(shift(&read(at, "plan/plan.json")["check"]).is_some_and(|mm| mm < 1.0));
     // What no such check can decide is reported before anything is measured.
     let below = plan(&["--tolerance", &format!("{:.4}", 0.9 * least)]);
     assert_eq!((below.status.code(), codes(&below).contains(&"W1914".to_owned())), (Some(3), true));

@@ -3,7 +3,7 @@
 
 use dbbd::conformity::{CheckInput, Rule};
 use dbbd::estimation::change::Innovation;
-use dbbd::estimation::expected::Mounting;
+use dbbd::estimation::expected::{BallMounting, Mounting};
 use dbbd::estimation::result::CalibrationResult;
 use dbbd::estimation::{ErrorModel, Options, Positions, Prior};
 use dbbd::measurement::{
@@ -205,7 +205,7 @@ fn forty_drawn_robots_and_one_ball() {
 }
 
 /// Standard deviations with which tool ball and bar are mounted again, mm.
-const MOUNTED: Mounting = Mounting { tool_mm: 0.01, ball_mm: None, bar_mm: 0.005 };
+const MOUNTED: Mounting = Mounting { tool_mm: 0.01, balls: BallMounting::Anywhere, bar_mm: 0.005 };
 
 /// Checks of a calibrated robot with errors of its joints at new poses: `checks` without a change, as many with a joint
 /// offset of axis 3 by 0.03 degrees; those that report a change.

@@ -7,7 +7,7 @@ use crate::cli::check::Noise;
 use crate::conformity::{CheckInput, Rule};
 use crate::diagnostic::Diagnostic;
 use crate::estimation::change::CheckPower;
-use crate::estimation::expected::Mounting;
+use crate::estimation::expected::{BallMounting, Mounting};
 use crate::estimation::result::MapPoint;
 use crate::estimation::{Options, length_sd_mm};
 use crate::measurement::{LengthModel, PreparedMeasurement};
@@ -32,13 +32,17 @@ impl<'a> PlannedCheck<'a> {
         let file = args.robot.as_deref().unwrap_or_default();
         let noise = Noise::at_least(Some(length_sd_mm(job.bar.sigma_um * 1e-3, robot)), file, robot)?;
         out.about(&noise.finding.into_iter().collect::<Vec<_>>());
+        let mut mounting = Mounting::again(robot, job.bar.u_mm());
+        if args.balls_kept {
+            mounting.balls = BallMounting::Kept(Mounting::SEAT_REPEAT_MM);
+        }
         Ok(Self {
             file,
             poses: args.poses,
             robot: robot.clone(),
             start: LengthModel::new(robot.geometry.clone(), &job.balls()),
             sigma_mm: noise.sigma_mm,
-            mounting: Mounting::again(robot, job.bar.u_mm()),
+            mounting,
             tolerance_mm: args.tolerance,
             rule: Rule::GuardBand { risk: args.risk },
             workspace: Options::default().workspace_poses(robot).into_owned(),

@@ -56,8 +56,10 @@ mod push {
     /// Hands over every run that is over and was not yet, and sends what waits.
     pub(super) fn all(supervisor: &Supervisor, over: &Receiver<()>) {
         let Some(archive) = &supervisor.config.archive else { return };
+        let mut confirmed = 0;
         loop {
-            let state = round(supervisor, archive);
+            let state = round(supervisor, archive, confirmed);
+            confirmed = state.confirmed;
             let waits = state.waiting > 0;
             let before = lock(&supervisor.archiving).replace(state.clone());
             if before.as_ref() != Some(&state) {
@@ -73,8 +75,11 @@ mod push {
         }
     }
 
-    fn round(supervisor: &Supervisor, archive: &ToArchive) -> Archiving {
+    /// `confirmed`: runs that the archive confirmed before.
+    fn round(supervisor: &Supervisor, archive: &ToArchive, confirmed: u64) -> Archiving {
         let mut state = Archiving::default();
+        let spooled = || Spool::count(&archive.spool).map_or(1, |waiting| waiting as u64);
+        let (before, mut handed_over) = (spooled(), 0);
         let mut sent = false;
         for name in over(supervisor) {
             let directory = supervisor.config.data.join(&name);
@@ -82,26 +87,29 @@ mod push {
             match pushed {
                 Ok(None) => {}
                 Ok(Some(Pushed::Confirmed)) => {
-                    sent = true;
+                    (sent, handed_over) = (true, handed_over + 1);
                     supervisor.log.say(Level::Info, "archived", &[("run", &name)]);
                 }
                 // It is counted in the spool.
-                Ok(Some(Pushed::Waits(why))) => (sent, state.reason) = (true, Some(why)),
-                Ok(Some(Pushed::Failed(why))) => {
-                    (state.waiting, state.reason) = (state.waiting + 1, Some(why))
+                Ok(Some(Pushed::Waits(why))) => {
+                    (sent, handed_over, state.reason) = (true, handed_over + 1, Some(why));
                 }
-                Err(error) => (state.waiting, state.reason) = (state.waiting + 1, Some(error.to_string())),
+                Ok(Some(Pushed::Failed(why))) => {
+                    (state.refused, state.reason) = (state.refused + 1, Some(why))
+                }
+                Err(error) => (state.refused, state.reason) = (state.refused + 1, Some(error.to_string())),
             }
         }
-        let waiting = || Spool::count(&archive.spool).map_or(1, |waiting| waiting as u64);
-        if waiting() > 0 && !sent {
+        if spooled() > 0 && !sent {
             state.reason = match push(archive, None) {
                 Ok(Pushed::Confirmed) => state.reason,
                 Ok(Pushed::Waits(why) | Pushed::Failed(why)) => Some(why),
                 Err(error) => Some(error.to_string()),
             };
         }
-        state.waiting += waiting();
+        let left = spooled();
+        state.confirmed = confirmed + (before + handed_over).saturating_sub(left);
+        state.waiting = left + state.refused;
         state
     }
 

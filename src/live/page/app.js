@@ -78,6 +78,11 @@ function showRun(run) {
   set("delivery", lost ? t("run.delivery_lost", { count: lost }) : t("run.delivery_whole"), lost > 0);
 }
 
+function archiveText({ confirmed, waiting, refused, reason }) {
+  const state = t("archive.state", { confirmed: count(confirmed), spooled: count(waiting - refused), refused: count(refused) });
+  return reason ? `${state}. ${reason}` : state;
+}
+
 function showStatus(now) {
   const before = status;
   status = now;
@@ -98,6 +103,7 @@ function showStatus(now) {
   set("run-plan", run?.plan ? t("run.plan", { plan: run.plan, robot: run.robot ?? "–" }) : "");
   const over = last && t("run.last", { name: last.name, samples: count(last.samples), ending: ending(last.ending) });
   set("last", over || "", last?.failed);
+  set("archive", now.archive ? archiveText(now.archive) : "", now.archive?.waiting > 0);
   if (run) showRun(run);
   if (before?.run && !run && connected) attempt(connect);
   if (now.state !== seenState) {

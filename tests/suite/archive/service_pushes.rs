@@ -45,10 +45,12 @@ fn runs_of_the_service_reach_the_archive_by_themselves() {
     // There is no archive yet: the run waits in the spool, also when what the service recorded is gone.
     let status = waiting(&server, 1);
     assert!(status["archive"]["reason"].as_str().unwrap().contains("W2412"), "{status}");
+    assert_eq!((&status["archive"]["confirmed"], &status["archive"]["refused"]), (&0.into(), &0.into()));
     let capture = fs::read(at.join("dbbd-runs/first/run.dbbd")).unwrap();
     fs::remove_dir_all(at.join("dbbd-runs/first")).unwrap();
     assert_eq!(archive(at, &["init"]).status.code(), Some(0));
-    waiting(&server, 0);
+    let status = waiting(&server, 0);
+    assert_eq!((&status["archive"]["confirmed"], &status["archive"]["refused"]), (&1.into(), &0.into()));
     let first = held(at);
     assert_eq!(first.len(), 1);
     assert_eq!(archive(at, &["get", &first[0].0, "--out", "back"]).status.code(), Some(0));
