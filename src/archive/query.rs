@@ -4,7 +4,7 @@ use std::path::Path;
 
 use serde::Serialize;
 
-use super::Archive;
+use super::{Archive, ColumnKind};
 use super::database::{Database, Row, Value};
 use super::local::is_sound;
 use crate::base::files;
@@ -40,6 +40,24 @@ pub struct ArchivedRun {
     /// JSON of [`crate::provenance::Provenance`].
     #[serde(skip)]
     pub provenance: String,
+}
+
+impl ArchivedRun {
+    /// What a table of runs has of each.
+    pub const TABLE: [(&'static str, ColumnKind); 12] = [
+        ("sha256", ColumnKind::Text),
+        ("cell", ColumnKind::Text),
+        ("robot", ColumnKind::Text),
+        ("type", ColumnKind::Text),
+        ("bar", ColumnKind::Text),
+        ("certificate", ColumnKind::Text),
+        ("certified_on", ColumnKind::Text),
+        ("operator", ColumnKind::Text),
+        ("measured", ColumnKind::Text),
+        ("plan", ColumnKind::Text),
+        ("bytes", ColumnKind::Integer),
+        ("decision", ColumnKind::Text),
+    ];
 }
 
 /// The columns of a run, in the order of [`ArchivedRun::of_row`].

@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 
-use super::Archive;
+use super::{Archive, ColumnKind};
 use super::database::{Row, Value};
 use super::query::Selection;
 use crate::base::hash::sha256;
@@ -117,6 +117,24 @@ pub struct ArchivedResult {
     pub version: String,
     #[serde(flatten)]
     pub found: Summary,
+}
+
+impl ArchivedResult {
+    /// What a table of results has of each.
+    pub const TABLE: [(&'static str, ColumnKind); 12] = [
+        ("run", ColumnKind::Text),
+        ("robot", ColumnKind::Text),
+        ("measured", ColumnKind::Text),
+        ("settings", ColumnKind::Text),
+        ("version", ColumnKind::Text),
+        ("doubtful", ColumnKind::Flag),
+        ("lengths", ColumnKind::Integer),
+        ("sigma_mm", ColumnKind::Real),
+        ("rms_before_mm", ColumnKind::Real),
+        ("rms_after_mm", ColumnKind::Real),
+        ("error_nominal_mm", ColumnKind::Real),
+        ("error_identified_mm", ColumnKind::Real),
+    ];
 }
 
 /// The jobs by state.

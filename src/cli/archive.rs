@@ -117,14 +117,24 @@ enum What {
         #[arg(long, value_name = "MM", value_parser = positive)]
         limit: Option<f64>,
     },
-    /// Write runs.csv and results.csv of a selection.
+    /// Write the tables runs and results of a selection.
     Export {
         #[command(flatten)]
         choice: Choice,
+        /// The form of the tables: runs.csv and results.csv, or runs.parquet and results.parquet.
+        #[arg(long, value_enum, default_value = "csv")]
+        format: TableFormat,
         /// The directory.
         #[arg(long, value_name = "DIR")]
         out: PathBuf,
     },
+}
+
+/// The form of an exported table.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum TableFormat {
+    Csv,
+    Parquet,
 }
 
 /// Which runs; all that is given must hold.

@@ -56,13 +56,18 @@ impl Posterior {
         Self::of_known(model, known, known.ids(), unknown)
     }
 
-    /// The same with the base balls where the identification had them.
+    /// The same with the base balls of `model` where the identification had them.
     pub fn of_robot_with_balls(
         model: LengthModel,
         known: &RobotPosterior,
         unknown: Option<&RobotUncertainty>,
     ) -> Self {
-        Self::of_known(model, known, known.all_ids(), unknown)
+        let is_here = |id: &ParamId| match id {
+            ParamId::Ball(ball, _) => ball.index() < model.balls.len(),
+            _ => true,
+        };
+        let ids: Vec<ParamId> = known.all_ids().iter().copied().filter(is_here).collect();
+        Self::of_known(model, known, &ids, unknown)
     }
 
     fn of_known(

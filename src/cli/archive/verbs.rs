@@ -6,13 +6,13 @@ use serde::Serialize;
 use serde_json::json;
 
 use super::work::{Until, compare, report_failures, work, worker};
-use super::{Args, Choice, What};
+use super::{Args, Choice, TableFormat, What};
 use crate::archive::{
-    Addresses, Archive, ArchivedFile, ArchivedRun, LocalRun, PlantOptions, Pushed, RunJob, Secrets,
-    Selection, Settings, Spool,
+    Addresses, Archive, ArchivedFile, ArchivedResult, ArchivedRun, LocalRun, PlantOptions, Pushed, RunJob,
+    Secrets, Selection, Settings, Spool, parquet,
 };
 use crate::base::{files, serialised};
-use crate::catalogue::{ArchiveFinding, ProvenanceFinding};
+use crate::catalogue::{ArchiveFinding, CliFinding, ProvenanceFinding};
 use crate::cli::info::line;
 use crate::cli::{Outcome, Output};
 use crate::daemon::Door;
@@ -46,8 +46,8 @@ pub(super) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         What::Fleet { choice, out: directory } => {
             super::fleet::run(&mut Archive::open(&addresses)?, &choice.selection(), directory, out)
         }
-        What::Export { choice, out: directory } => {
-            export(&mut Archive::open(&addresses)?, &choice.selection(), directory, out)
+        What::Export { choice, format, out: directory } => {
+            export(&mut Archive::open(&addresses)?, &choice.selection(), *format, directory, out)
         }
         What::Serve { listen, token_file, host, interval, limit } => {
             let door = Door::new(listen, token_file.as_deref(), host)?;
@@ -211,13 +211,29 @@ fn reprocess(
 fn export(
     archive: &mut Archive,
     selection: &Selection,
+    format: TableFormat,
     directory: &Path,
     out: &Output,
 ) -> Result<Outcome, Diagnostic> {
     let (runs, mut results) = (archive.list(selection)?, archive.results(selection, None)?);
     results.iter_mut().for_each(|result| result.found.posterior = None);
     files::directory(directory)?;
-    files::write(&directory.join("runs.csv"), serialised::csv(&runs)?)?;
+    match format {
+        TableFormat::Csv => {
+            files::write(&directory.join("runs.csv"), serialised::csv(&runs)?)?;
+            files::write(&directory.join("results.csv"), results_csv(&results)?)?;
+        }
+        TableFormat::Parquet => {
+            files::write(&directory.join("runs.parquet"), parquet(&ArchivedRun::TABLE, &runs)?)?;
+            files::write(&directory.join("results.parquet"), parquet(&ArchivedResult::TABLE, &results)?)?;
+        }
+    }
+    out.document(&json!({ "runs": runs.len(), "results": results.len() }))?;
+    out.result(format!("{} runs and {} results in {}", runs.len(), results.len(), directory.display()));
+    Ok(Outcome::Done)
+}
+
+fn results_csv(results: &[ArchivedResult]) -> Result<String, CliFinding> {
     let rows = results.iter().map(|one| {
         let found = &one.found;
         let numbers = [
@@ -238,12 +254,8 @@ fn export(
             numbers,
         )
     });
-    let header = "run,robot,measured,settings,version,doubtful,lengths,sigma_mm,rms_before_mm,rms_after_mm,\
-        error_nominal_mm,error_identified_mm\n";
-    files::write(&directory.join("results.csv"), header.to_owned() + &serialised::csv_rows(rows)?)?;
-    out.document(&json!({ "runs": runs.len(), "results": results.len() }))?;
-    out.result(format!("{} runs and {} results in {}", runs.len(), results.len(), directory.display()));
-    Ok(Outcome::Done)
+    let header = ArchivedResult::TABLE.map(|(name, _)| name).join(",");
+    Ok(header + "\n" + &serialised::csv_rows(rows)?)
 }
 
 fn get(archive: &mut Archive, digits: &str, directory: &Path, out: &Output) -> Result<Outcome, Diagnostic> {

@@ -1,5 +1,7 @@
 //! How long the pages and queries of a plant take: `DBBD_RESULTS=500000 cargo test --features archive --test suite
-//! figures_of_the_page -- --ignored --nocapture`.
+//! figures_of_the_page -- --ignored --nocapture`; and how fast runs are pushed and identified: `rates_of_push_and_work`.
+
+use std::process::{Child, Stdio};
 
 use dbbd::base::clock;
 
@@ -92,5 +94,59 @@ fn figures_of_the_page() {
     let mut viewer = plant.client("v");
     for (name, statement) in STATEMENTS {
         measure(name, 100, || drop(viewer.query(statement, &[]).unwrap()));
+    }
+}
+
+/// Seconds that some work takes.
+fn seconds(work: impl FnOnce()) -> f64 {
+    let begun = clock::now();
+    work();
+    1e-9 * (clock::now().0 - begun.0) as f64
+}
+
+/// Identifies all runs anew with so many workers; the time that takes, s.
+fn identified(plant: &Plant, workers: usize) -> f64 {
+    let anew = "DELETE FROM result_file; DELETE FROM result; UPDATE job SET state = 'waiting', attempts = 0";
+    plant.client("postgres").batch_execute(anew).unwrap();
+    seconds(|| {
+        let start = |_| {
+            let mut command = plant.command("w", &["worker", "--until-empty", "--quiet"]);
+            command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap()
+        };
+        let started: Vec<Child> = (0..workers).map(start).collect();
+        started.into_iter().for_each(|mut child| assert!(child.wait().unwrap().success()));
+    })
+}
+
+#[test]
+#[ignore = "a campaign"]
+fn rates_of_push_and_work() {
+    const RUNS: u64 = 120;
+    let Some(plant) = Plant::new("rates", RUNS) else { return };
+    let load = || std::fs::read_to_string("/proc/loadavg").unwrap_or_default();
+    let push = || assert_eq!(plant.run_as("a", &["push", "runs"]).status.code(), Some(0));
+    let pushed = seconds(push);
+    eprintln!("push: {:.1} runs a second", RUNS as f64 / pushed);
+    let again = seconds(push);
+    eprintln!("push of runs that are held: {:.1} a second", RUNS as f64 / again);
+    for _ in 0..2 {
+        let mut one = None;
+        for workers in [1, 2, 4] {
+            let took = identified(&plant, workers);
+            let one = *one.get_or_insert(took);
+            let rate = 60.0 * RUNS as f64 / took;
+            eprintln!("{workers} workers: {rate:.0} runs a minute, {:.2} times one; load {}", one / took, load().trim());
+        }
+    }
+    let mut owner = plant.client("postgres");
+    let results: i64 = owner.query_one("SELECT count(*) FROM result", &[]).unwrap().get(0);
+    assert_eq!(results as u64, RUNS);
+    for (what, sql) in [
+        ("files of a run", "SELECT sum(bytes)::BIGINT FROM run_file"),
+        ("files of its result", "SELECT sum(bytes)::BIGINT FROM result_file"),
+        ("database", "SELECT pg_database_size(current_database())"),
+    ] {
+        let bytes: i64 = owner.query_one(sql, &[]).unwrap().get(0);
+        eprintln!("{what}: {:.1} kB a run", bytes as f64 * 1e-3 / RUNS as f64);
     }
 }

@@ -4,6 +4,8 @@
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
 
+use parquet::file::reader::{FileReader as _, SerializedFileReader};
+use parquet::record::Field;
 use postgres::{Client, NoTls};
 use serde_json::Value;
 use tempfile::{TempDir, tempdir};
@@ -257,6 +259,10 @@ fn work_is_done_once_and_anew_with_other_settings() {
     assert_eq!(again["compared"][0]["robot"], "R1");
     let exported = counts(&["export", "--out", "tables", "--json"]);
     assert_eq!((&exported["runs"], &exported["results"]), (&2.into(), &3.into()));
+    assert_eq!(counts(&["export", "--format", "parquet", "--out", "tables", "--json"]), exported);
+    for table in ["runs", "results"] {
+        tables_agree(&at.join("tables"), table);
+    }
     let refused = archive(at, &["reprocess", "--estimate", "a1;rm -rf"]);
     assert_eq!((refused.status.code(), codes(&refused)), (Some(1), vec!["E2411".to_owned()]));
     // Its worker was lost too often: it is given up, and asked for anew it is done.
@@ -279,4 +285,29 @@ fn work_is_done_once_and_anew_with_other_settings() {
     assert_eq!(archive(at, &["push", "bare"]).status.code(), Some(0));
     let failed = archive(at, &["reprocess", "--prior", "datasheet"]);
     assert_eq!((failed.status.code(), codes(&failed)), (Some(3), vec!["W2414".to_owned()]));
+}
+
+/// A table as Parquet has the columns and values of the same as CSV.
+fn tables_agree(dir: &Path, table: &str) {
+    let file = std::fs::File::open(dir.join(format!("{table}.parquet"))).unwrap();
+    let reader = SerializedFileReader::new(file).unwrap();
+    let fields = reader.metadata().file_metadata().schema().get_fields();
+    let names: Vec<&str> = fields.iter().map(|field| field.name()).collect();
+    let mut csv = csv::Reader::from_path(dir.join(format!("{table}.csv"))).unwrap();
+    assert_eq!(csv.headers().unwrap().iter().collect::<Vec<_>>(), names);
+    let rows: Vec<_> = reader.get_row_iter(None).unwrap().map(Result::unwrap).collect();
+    let lines: Vec<_> = csv.records().map(Result::unwrap).collect();
+    assert_eq!(rows.len(), lines.len());
+    for (row, line) in rows.iter().zip(&lines) {
+        for ((_, field), cell) in row.get_column_iter().zip(line) {
+            match field {
+                Field::Null => assert_eq!(cell, ""),
+                Field::Str(text) => assert_eq!(text, cell),
+                Field::Long(number) => assert_eq!(*number, cell.parse::<i64>().unwrap()),
+                Field::Double(number) => assert_eq!(*number, cell.parse::<f64>().unwrap()),
+                Field::Bool(flag) => assert_eq!(flag.to_string(), cell),
+                other => panic!("{other}"),
+            }
+        }
+    }
 }

@@ -1,0 +1,86 @@
+//! Tables as Parquet files, for programs that analyse many runs.
+
+use std::sync::Arc;
+
+use parquet::data_type::{BoolType, ByteArray, ByteArrayType, DataType, DoubleType, Int64Type};
+use parquet::errors::ParquetError;
+use parquet::file::properties::WriterProperties;
+use parquet::file::writer::{SerializedColumnWriter, SerializedFileWriter};
+use parquet::schema::parser::parse_message_type;
+use serde::Serialize;
+use serde_json::Value;
+
+use crate::catalogue::CliFinding;
+
+/// What a column holds; every one may have gaps.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ColumnKind {
+    Text,
+    Integer,
+    Real,
+    Flag,
+}
+
+impl ColumnKind {
+    fn field(self, name: &str) -> String {
+        match self {
+            Self::Text => format!("optional binary {name} (STRING); "),
+            Self::Integer => format!("optional int64 {name}; "),
+            Self::Real => format!("optional double {name}; "),
+            Self::Flag => format!("optional boolean {name}; "),
+        }
+    }
+}
+
+/// A Parquet file of rows: the fields of these names.
+///
+/// # Errors
+/// A value that JSON or its column cannot hold.
+pub fn parquet(
+    columns: &[(&str, ColumnKind)],
+    rows: impl IntoIterator<Item = impl Serialize>,
+) -> Result<Vec<u8>, CliFinding> {
+    let unfit = |why: String| CliFinding::NotWritten { form: "Parquet", why };
+    let mut cells: Vec<Vec<Value>> = vec![Vec::new(); columns.len()];
+    for row in rows {
+        let mut row = serde_json::to_value(row).map_err(|error| unfit(error.to_string()))?;
+        for ((name, _), cells) in columns.iter().zip(&mut cells) {
+            cells.push(row.get_mut(name).map(Value::take).ok_or_else(|| unfit(format!("no field {name}")))?);
+        }
+    }
+    file(columns, &cells).map_err(|error| unfit(error.to_string()))
+}
+
+fn file(columns: &[(&str, ColumnKind)], cells: &[Vec<Value>]) -> Result<Vec<u8>, ParquetError> {
+    let fields: String = columns.iter().map(|(name, kind)| kind.field(name)).collect();
+    let schema = Arc::new(parse_message_type(&format!("message table {{ {fields}}}"))?);
+    let mut writer = SerializedFileWriter::new(Vec::new(), schema, Arc::new(WriterProperties::default()))?;
+    let mut group = writer.next_row_group()?;
+    for ((_, kind), cells) in columns.iter().zip(cells) {
+        let Some(column) = group.next_column()? else { break };
+        match kind {
+            ColumnKind::Text => write::<ByteArrayType>(column, cells, |cell| cell.as_str().map(ByteArray::from)),
+            ColumnKind::Integer => write::<Int64Type>(column, cells, Value::as_i64),
+            ColumnKind::Real => write::<DoubleType>(column, cells, Value::as_f64),
+            ColumnKind::Flag => write::<BoolType>(column, cells, Value::as_bool),
+        }?;
+    }
+    group.close()?;
+    writer.into_inner()
+}
+
+fn write<T: DataType>(
+    mut column: SerializedColumnWriter<'_>,
+    cells: &[Value],
+    of: impl Fn(&Value) -> Option<T::T>,
+) -> Result<(), ParquetError> {
+    let given = cells.iter().filter(|cell| !cell.is_null());
+    let values: Vec<T::T> = given.map(|cell| of(cell).ok_or_else(|| other(cell))).collect::<Result<_, _>>()?;
+    let present: Vec<i16> = cells.iter().map(|cell| i16::from(!cell.is_null())).collect();
+    column.typed::<T>().write_batch(&values, Some(&present), None)?;
+    column.close()
+}
+
+fn other(cell: &Value) -> ParquetError {
+    ParquetError::General(format!("{cell} is of another kind than its column"))
+}
