@@ -59,7 +59,9 @@ fn file(columns: &[(&str, ColumnKind)], cells: &[Vec<Value>]) -> Result<Vec<u8>,
     for ((_, kind), cells) in columns.iter().zip(cells) {
         let Some(column) = group.next_column()? else { break };
         match kind {
-            ColumnKind::Text => write::<ByteArrayType>(column, cells, |cell| cell.as_str().map(ByteArray::from)),
+            ColumnKind::Text => {
+                write::<ByteArrayType>(column, cells, |cell| cell.as_str().map(ByteArray::from))
+            }
             ColumnKind::Integer => write::<Int64Type>(column, cells, Value::as_i64),
             ColumnKind::Real => write::<DoubleType>(column, cells, Value::as_f64),
             ColumnKind::Flag => write::<BoolType>(column, cells, Value::as_bool),
@@ -75,7 +77,8 @@ fn write<T: DataType>(
     of: impl Fn(&Value) -> Option<T::T>,
 ) -> Result<(), ParquetError> {
     let given = cells.iter().filter(|cell| !cell.is_null());
-    let values: Vec<T::T> = given.map(|cell| of(cell).ok_or_else(|| other(cell))).collect::<Result<_, _>>()?;
+    let values: Vec<T::T> =
+        given.map(|cell| of(cell).ok_or_else(|| other(cell))).collect::<Result<_, _>>()?;
     let present: Vec<i16> = cells.iter().map(|cell| i16::from(!cell.is_null())).collect();
     column.typed::<T>().write_batch(&values, Some(&present), None)?;
     column.close()

@@ -4,9 +4,9 @@ use std::path::Path;
 
 use serde::Serialize;
 
-use super::{Archive, ColumnKind};
 use super::database::{Database, Row, Value};
 use super::local::is_sound;
+use super::{Archive, ColumnKind};
 use crate::base::files;
 use crate::catalogue::ArchiveFinding::{ManyRuns, NoRun, NotAName, NotDigits};
 use crate::diagnostic::Diagnostic;

@@ -7,9 +7,9 @@ use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 
-use super::{Archive, ColumnKind};
 use super::database::{Row, Value};
 use super::query::Selection;
+use super::{Archive, ColumnKind};
 use crate::base::hash::sha256;
 use crate::catalogue::ArchiveFinding::{GivenUp, NotASetting};
 use crate::diagnostic::Diagnostic;

@@ -225,7 +225,8 @@ impl CheckInput<'_> {
         }
         for (at, place) in start.balls.iter_mut().enumerate() {
             let ball = BallId::at(at);
-            let kept = known.ball(ball).ok_or_else(|| ConformityFinding::BallUnknown { ball: ball.number() })?;
+            let kept =
+                known.ball(ball).ok_or_else(|| ConformityFinding::BallUnknown { ball: ball.number() })?;
             let away_mm = (*place - kept).norm();
             if away_mm > MOST_ASTRAY_MM {
                 return Err(ConformityFinding::BallElsewhere { ball: ball.number(), away_mm });

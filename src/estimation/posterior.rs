@@ -80,8 +80,7 @@ impl Posterior {
             return Self::with_root(model, ids, known.root_of(ids));
         };
         // Another tool ball than that of the identification is in neither.
-        let is_known =
-            |id: &ParamId| !matches!(id, ParamId::Tool(_) | ParamId::Ball(..)) || ids.contains(id);
+        let is_known = |id: &ParamId| !matches!(id, ParamId::Tool(_) | ParamId::Ball(..)) || ids.contains(id);
         let parameters = unknown.parameters.iter().enumerate().filter(|(_, id)| is_known(id));
         let (mut rows, ids): (Vec<usize>, Vec<ParamId>) = parameters.map(|(row, id)| (row, *id)).unzip();
         rows.extend(unknown.parameters.len()..unknown.root.nrows());

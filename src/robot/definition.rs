@@ -158,7 +158,8 @@ impl Robot {
     /// Gives it another tool ball (flange frame, mm), of which nothing is known from an earlier identification.
     pub fn set_tool(&mut self, tool_mm: [f64; 3]) {
         self.geometry.tool = tool_mm.into();
-        self.posterior = self.posterior.take().and_then(|known| known.keeping(|id| !matches!(id, ParamId::Tool(_))));
+        self.posterior =
+            self.posterior.take().and_then(|known| known.keeping(|id| !matches!(id, ParamId::Tool(_))));
     }
 
     /// The robot as its controller knows it: the nominal one, where this one was identified.

@@ -135,7 +135,11 @@ fn rates_of_push_and_work() {
             let took = identified(&plant, workers);
             let one = *one.get_or_insert(took);
             let rate = 60.0 * RUNS as f64 / took;
-            eprintln!("{workers} workers: {rate:.0} runs a minute, {:.2} times one; load {}", one / took, load().trim());
+            eprintln!(
+                "{workers} workers: {rate:.0} runs a minute, {:.2} times one; load {}",
+                one / took,
+                load().trim()
+            );
         }
     }
     let mut owner = plant.client("postgres");
