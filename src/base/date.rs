@@ -10,6 +10,17 @@ pub fn day_number(date: &str) -> Option<f64> {
     is_date.then(|| days(month, day) as f64)
 }
 
+/// Whether a text is a time `hh:mm` or `hh:mm:ss`, of UTC with or without a `Z` at its end.
+pub fn is_time(text: &str) -> bool {
+    let parts: Vec<&str> = text.strip_suffix('Z').unwrap_or(text).split(':').collect();
+    let below = |(part, most): (&&str, u8)| {
+        part.len() == 2
+            && part.bytes().all(|byte| byte.is_ascii_digit())
+            && part.parse::<u8>().is_ok_and(|n| n < most)
+    };
+    (2..=3).contains(&parts.len()) && parts.iter().zip([24, 60, 60]).all(below)
+}
+
 /// Date and time `YYYY-MM-DDThh:mm:ssZ`, UTC, of nanoseconds since the Unix epoch.
 pub fn utc(unix_ns: u64) -> String {
     let seconds = (unix_ns / 1_000_000_000) as i64;
@@ -46,5 +57,7 @@ mod tests {
         }
         assert_eq!(day_number("2024-03-01").unwrap() - day_number("2024-02-28").unwrap(), 2.0);
         assert_eq!(day_number("2100-02-29"), None);
+        assert!(["23:59", "00:00:59Z"].into_iter().all(is_time));
+        assert!(!["24:00", "10:60", "10", "10:00:00+01:00", "+1:00", ""].into_iter().any(is_time));
     }
 }

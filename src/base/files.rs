@@ -92,6 +92,16 @@ pub fn write_pieces(
     })
 }
 
+/// Removes a file of an earlier run that this one does not write; that there is none is no error.
+pub fn remove(path: &Path) -> Result<(), Diagnostic> {
+    match fs::remove_file(path) {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => {
+            Err(Diagnostic::file(&path.display().to_string(), Unwritable { why: error.to_string() }))
+        }
+        _ => Ok(()),
+    }
+}
+
 /// Who may do what with a file, as Unix has it; of no file, and elsewhere, nobody.
 #[cfg(unix)]
 pub fn mode(path: &Path) -> u32 {

@@ -12,10 +12,11 @@ findings! {
             NoBudget => "has no uncertainty budget: an earlier version wrote it";
         }
         E2002 "a check cannot be stated in a certificate",
-        cause: "The file is not the check.json of `dbbd check`, or it is the check of another robot.",
-        cure: "Give the check.json of this robot." {
+        cause: "The file is not the check.json of `dbbd check`, or it is the check of another robot or of another calibration.",
+        cure: "Give the check.json of this robot and this result." {
             NoCheck { why: String } => "is no check: {why}";
             CheckOfAnother { robot: String, checked: String } => "is of `{checked}`, the result is of `{robot}`";
+            CheckOfOtherResult { lengths: String } => "is the check of another calibration: the result was identified from {lengths}, and what was checked was not";
         }
         I2003 "this build writes no PDF",
         cause: "dbbd was built without the feature `pdf`.",
@@ -31,6 +32,13 @@ findings! {
         cause: "The result has warnings or did not converge.",
         cure: "Resolve the warnings of the result first; `report.html` shows them." {
             Doubtful { warnings: usize } => "the result has {warnings} warnings, which the certificate lists";
+        }
+        W2007 "an identity contradicts the result",
+        cause: "--identity states another bar, robot or day than the result carries, or a base ball that the measurement has not. The certificate states what --identity states; the numbers are those of the measurement.",
+        cure: "Correct the file of --identity, or identify again with the right job." {
+            OtherThanCarried { key: &'static str, carried: String, stated: String } => "{key} is stated as {stated}, and the result carries {carried}";
+            OtherThanUsed { stated_mm: f64, used_mm: f64 } => "the bar is stated to be {stated_mm} mm long, and the lengths were computed with {used_mm} mm";
+            NoSuchBall { ball: String, balls: usize } => "a serial number is stated of base ball {ball}, and {balls} were measured";
         }
         E2006 "the PDF cannot be made",
         cause: "The text has a character that the PDF's font lacks, or a fault of dbbd.",

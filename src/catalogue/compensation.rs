@@ -17,6 +17,7 @@ findings! {
             FrameElsewhere { frame: &'static str, name: String } => "{frame} is {name}, which is in no file given",
                 help: "give --config $config.dat, or --tool and --base X,Y,Z,A,B,C";
             FramesInLoop => "this motion has other frames when the loop is repeated", help: "set $TOOL and $BASE at the start of the loop";
+            MovedWorkObject { name: String } => "{name} is moved by a mechanical unit";
             FixedTool { name: String } => "{name} moves the workpiece against a fixed tool (#TCP)",
                 help: "only a tool on the flange (#BASE) can be compensated";
         }
@@ -40,10 +41,13 @@ findings! {
             PointTwice { name: String, line: usize } => "{name} is used with another tool or base in line {line}";
         }
         W0905 "a motion stays as it is",
-        cause: "It is relative and starts from a corrected point, its point is declared in a file that is not rewritten, or a routine of the user's own moves there.",
+        cause: "It is relative and starts from a corrected point, its point is declared in a file that is not rewritten, another instruction or a routine of the user's own moves there, or an instruction displaces it.",
         cure: "Check that the place does not matter, or teach the point in the program's own .dat." {
             RelativeMotion => "a relative motion stays as it is: it starts from a corrected point";
             PointInStatement { name: String } => "{name} stays as it is: this statement is no motion of KRL that is known";
+            PointOfOtherCall { name: String, call: String } => "{name} stays as it is: {call} is no motion that is corrected";
+            NotRead { word: String } => "a motion by {word} stays as it is: its point is not written there";
+            Displacing { word: String } => "{word} displaces the motions after it: their points are corrected as they are without it";
             PointElsewhere { name: String } => "{name} stays as it is: it has no value in the program's files";
         }
         E0906 "a robot does not reach a point",

@@ -197,9 +197,10 @@ findings! {
             PositionsMirrored => "the positions are a mirror image of where the robot has its tool", help: "swap two columns, or change the sign of one: the frame must be right-handed";
         }
         E1361 "positions are not taken here",
-        cause: "This command compares lengths with a robot; it has no tracker whose place it could find.",
+        cause: "This command compares lengths with a robot and has no tracker whose place it could find, or an option is about lengths and there are none.",
         cure: "Give a table of lengths, or identify from the positions with `dbbd identify`." {
             LengthsOnly => "positions are not taken by this command: it needs lengths";
+            OfLengths { option: &'static str } => "{option} is about lengths, and the input has positions alone";
             PositionsTwice => "--positions is for positions beside lengths: the input has positions already";
         }
         W1362 "lengths and positions contradict each other",

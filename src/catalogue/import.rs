@@ -55,6 +55,11 @@ findings! {
         cure: "Check [time] unit in the mapping, and that the plan is the one that was driven." {
             Duration { seconds: f64, planned_s: f64 } => "the trace lasts {seconds:.1} s and the plan {planned_s:.0} s: it is of another run, its times are in another unit, or it was cut off";
         }
+        I1113 "a trace lasts longer than its plan at full override",
+        cause: "The override was lower, waits for the operator are in the trace, or its times are in another unit or those of another run.",
+        cure: "Compare with the override of the run. If it was full, check [time] of the mapping." {
+            Longer { seconds: f64, times: f64 } => "the trace lasts {seconds:.0} s, {times:.1} times as long as the plan at full override: are its times right?";
+        }
         I1111 "readings of a trace are not valid",
         cause: "They are beyond the bar's stroke, or the trace marks them as not valid.",
         cure: "Nothing to do: they are kept and not used." {

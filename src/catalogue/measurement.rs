@@ -56,9 +56,10 @@ findings! {
             FarLengths { rows: usize, index: u32, off_mm: f64 } => "{rows} rows are far from where robot and base balls have them, first index {index}: by {off_mm:.0} mm";
         }
         W1842 "the temperatures of a table are none of a room",
-        cause: "The column temp_c is in another unit than degrees Celsius.",
+        cause: "The column temp_c is in another unit than degrees Celsius, or its sensor was missing or faulty.",
         cure: "Convert the column, or leave it out." {
             WarmRoom { mean_c: f64 } => "the mean of `temp_c` is {mean_c:.1} degrees: is it in Fahrenheit?";
+            NoTemperature { rows: usize, celsius: f64 } => "`temp_c` is {celsius} in {rows} rows: was the sensor there?";
         }
         W1281 "axis angles are beyond the robot's limits, or in radians",
         cause: "The table is of another robot, an angle was mistyped or is in another unit, or limits_deg of the robot file are those of another arm.",

@@ -20,6 +20,8 @@ findings! {
         cure: "Expand xacro files (`xacro FILE > robot.urdf`). Name the six joints with --joints where the file has several chains." {
             NotXml { why: String } => "{why}";
             NoSixJoints { chains: usize, joints: String } => "{chains} chains of six movable joints, and one is needed", help: "movable joints: {joints}";
+            NoUrdf { root: String } => "its root is <{root}>, and that of a URDF is <robot>";
+            OtherCount { named: usize } => "--joints names {named} joints, and an arm has six";
             OtherJoint { joint: String, kind: String } => "joint `{joint}` is of type `{kind}`, and only turning joints are corrected";
             NotNumbers { attribute: String } => "`{attribute}` is not three numbers";
         }

@@ -6,7 +6,7 @@ use serde::Serialize;
 
 use super::identify::{Given, LENGTHS, Named, ROBOT, parse_point, read_workspace};
 use super::{Outcome, Output};
-use super::{bar_u, fine, length_sd, positive};
+use super::{bar_u, length_sd, positive, tolerance};
 use crate::base::{files, serialised};
 use crate::catalogue::{CliFinding, ConformityFinding, EstimationFinding};
 use crate::conformity::{self, CheckInput, InterimCheck, Rule};
@@ -42,7 +42,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "X,Y,Z", value_parser = parse_point, allow_hyphen_values = true)]
     tool: Option<[f64; 3]>,
     /// Tolerance of the position error over the workspace that 95 % of the poses must keep, mm.
-    #[arg(long, value_name = "MM", value_parser = |text: &str| fine(text, 20.0))]
+    #[arg(long, value_name = "MM", value_parser = tolerance)]
     tolerance: Option<f64>,
     /// Largest probability of a wrong decision: the guard band (JCGM 106).
     #[arg(long, value_name = "P", default_value_t = 0.05, value_parser = risk)]
@@ -55,7 +55,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "MM", value_parser = length_sd)]
     sigma: Option<f64>,
     /// Standard deviation with which the tool ball is mounted again, mm.
-    #[arg(long, value_name = "MM", default_value_t = Mounting::SEAT_REPEAT_MM, value_parser = positive)]
+    #[arg(long, value_name = "MM", default_value_t = Mounting::SEAT_REPEAT_MM, value_parser = length_sd)]
     tool_repeat: f64,
     /// The base balls are mounted as in the calibration: one that moved is named as a change [default: they were mounted
     /// anew].
@@ -104,7 +104,8 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     let start = LengthModel::new(given.robot.geometry.clone(), &given.centres);
     let readings: Vec<PreparedMeasurement> =
         given.observations.rows.iter().map(PreparedMeasurement::from).collect();
-    let workspace = args.workspace.as_deref().map(|path| out.table(path, read_workspace)).transpose()?;
+    let workspace =
+        args.workspace.as_deref().map(|path| read_workspace(path, &given.robot, out)).transpose()?;
     let workspace = Options { workspace, ..Options::default() };
     let noise = Noise::of(args, &given)?;
     out.about(&noise.finding.into_iter().collect::<Vec<_>>());

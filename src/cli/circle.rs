@@ -134,6 +134,9 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         let name = if at == 0 { "circle.svg".to_owned() } else { format!("circle-{}.svg", at + 1) };
         files::write(&args.out.join(name), report::svg::standalone(&test.svg()))?;
     }
+    // Those of an earlier evaluation of more circles.
+    let more = (tests.len() + 1..).map(|number| args.out.join(format!("circle-{number}.svg")));
+    more.take_while(|file| file.exists()).try_for_each(|file| files::remove(&file))?;
     let document = document(&tests, &provenance);
     files::write(&args.out.join("circle.json"), format!("{document:#}\n"))?;
     files::write(&args.out.join("circle.html"), report::circle::html(&tests, &provenance)?)?;

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 use serde_json::Value as Json;
 
-use super::{Outcome, Output, positive};
+use super::{Outcome, Output, length_sd, tolerance};
 use super::{artefact, robots};
 use crate::base::{files, serialised};
 use crate::catalogue::{CliFinding, ConformityFinding, Names};
@@ -35,13 +35,13 @@ pub(crate) struct Args {
     dates: Vec<String>,
     /// Tolerance, mm: of the change of position since the first result (95 % of the poses), or of the circular
     /// deviation. Forecasts when a significant trend reaches it.
-    #[arg(long, value_name = "MM", value_parser = positive)]
+    #[arg(long, value_name = "MM", value_parser = tolerance)]
     tolerance: Option<f64>,
     /// Robot with the axes and limits of the results [default: robot-identified.toml beside the first].
     #[arg(long, value_name = "NAME|FILE")]
     robot: Option<String>,
     /// Standard uncertainty by which a quantity of a circle repeats from run to run, mm [default: 0].
-    #[arg(long, value_name = "MM", value_parser = positive)]
+    #[arg(long, value_name = "MM", value_parser = length_sd)]
     repeat_u: Option<f64>,
 }
 

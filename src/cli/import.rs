@@ -23,6 +23,8 @@ const BLOCK: usize = 1 << 16;
 const LEAST: f64 = 0.9;
 /// And one longer than so many times it: an override of 1 % is the least.
 const MOST: f64 = 100.0;
+/// And from so many on it is said.
+const LONG: f64 = 1.5;
 
 /// Shown below the options.
 const LAYOUT: &str = "Without --mapping FILE has the columns t_s (s, or dates) and length_mm (between the ball centres, or \
@@ -94,6 +96,9 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     }
     if !(LEAST * planned_s..=MOST * planned_s).contains(&seconds) {
         out.finding(Diagnostic::file(&name, ImportFinding::Duration { seconds, planned_s }));
+    } else if seconds > LONG * planned_s {
+        let times = seconds / planned_s;
+        out.finding(Diagnostic::file(&name, ImportFinding::Longer { seconds, times }));
     }
     let doubts = counts.doubts(seconds, dwell_s);
     doubts.for_each(|doubt| out.finding(Diagnostic::file(&name, doubt)));

@@ -140,6 +140,11 @@ fn bar_u(text: &str) -> Result<f64, CliFinding> {
     fine(text, 0.5)
 }
 
+/// A tolerance of a position or of a circular deviation, mm.
+fn tolerance(text: &str) -> Result<f64, CliFinding> {
+    fine(text, 20.0)
+}
+
 /// The standard deviation of a length, mm.
 fn length_sd(text: &str) -> Result<f64, CliFinding> {
     fine(text, 1.0)

@@ -8,13 +8,14 @@ use check::PlannedCheck;
 use serde::Serialize;
 
 use super::check::risk;
-use super::{Outcome, Output, positive};
-use crate::base::files;
+use super::{Outcome, Output, tolerance};
+use crate::base::{clock, files};
 use crate::catalogue::{MeasurementFinding, PlanFinding, ProvenanceFinding};
 use crate::cli::protocols;
 use crate::cli::robots;
 use crate::diagnostic::Diagnostic;
 use crate::estimation::change::CheckPower;
+use crate::estimation::{check_measurements, doubts};
 use crate::measurement::{BaseBall, PreparedMeasurement};
 use crate::plan::prediction::Identifiability;
 use crate::plan::{Check, Job, Kind, Plan, PlanningPrior, Prediction, Stage, Taught};
@@ -60,7 +61,7 @@ pub(crate) struct Args {
     #[arg(long, requires = "check")]
     balls_kept: bool,
     /// Tolerance of the check, mm, as `dbbd check` takes it: one that it could not decide is reported now.
-    #[arg(long, value_name = "MM", requires = "check", value_parser = positive)]
+    #[arg(long, value_name = "MM", requires = "check", value_parser = tolerance)]
     tolerance: Option<f64>,
     /// Largest probability of a wrong decision of the check.
     #[arg(long, value_name = "P", requires = "check", default_value_t = 0.05, value_parser = risk)]
@@ -87,6 +88,7 @@ struct Summary<'a> {
 pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     let name = args.job.display().to_string();
     let job = Job::from_toml(&name, &files::read(&args.job)?)?;
+    job.identity().check_dates(clock::unix_ns()).map_err(|(_, why)| Diagnostic::file(&name, why))?;
     let made_from = job.traced(&args.job)?;
     let job = args.stage.map_or_else(|| job.clone(), |points| job.as_stage(points));
     // A definition in a file may be there only where the run is.
@@ -97,10 +99,12 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     let robot_name = args.robot.as_deref().unwrap_or(&job.robot);
     let RobotRead { robot, source } = serial_of(&job, robots::read(robot_name, out)?)?;
     job.check_against(robot.controller()).map_err(|why| Diagnostic::file(&name, why))?;
-    robot.asked_repeatability().into_iter().for_each(|finding| out.finding(finding));
     let check = args.check.then(|| PlannedCheck::new(args, &job, &robot, out)).transpose()?;
     let measured =
         if args.check { Measured::default() } else { Measured::find(args, robot_name, &source, out)? };
+    // Lengths measured before are looked through with the robot.
+    let asked = robot.asked_repeatability().filter(|_| measured.files.is_empty());
+    asked.into_iter().for_each(|finding| out.finding(finding));
     let provenance = Provenance::of([&made_from, &source].into_iter().chain(&measured.sources));
     let Known { job, robot, prior } = match &check {
         Some(check) => check.known(&job)?,
@@ -256,7 +260,8 @@ impl Known {
         for path in measured {
             let observations = super::identify::observations(path, &mut findings, out)?;
             let name = path.display().to_string();
-            observations.check(&name, observations.set_up(job.centres.len()))?;
+            check_measurements(&name, &observations, &robot, &job.balls())?;
+            findings.extend(doubts(&name, &observations, &robot, &job.balls()));
             let rows = observations.rows.len();
             if tables.contains(&observations) {
                 findings.push(Diagnostic::file(&name, MeasurementFinding::Repeated { repeated: rows, rows }));
@@ -278,6 +283,7 @@ impl Known {
         }
         job.check_against(robot.controller()).map_err(Diagnostic::new)?;
         let prior = PlanningPrior::after_lengths(&job, &robot, &lengths).map_err(Diagnostic::from)?;
+        prior.doubt(&job, &robot, &lengths).into_iter().for_each(|doubt| out.finding(doubt));
         let (job, robot) = prior.applied(&job, &robot);
         Ok(Self { job, robot, prior })
     }

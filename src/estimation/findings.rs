@@ -128,18 +128,26 @@ fn consistency(of: &Calibration<'_>) -> Option<EstimationFinding> {
     }
 }
 
+/// The model lacks most of what residuals beyond so many standard deviations of noise and repeatability show.
+const FAR: f64 = 5.0;
+
+/// That residuals are far above what a robot repeats, where the lengths have the standard deviation `sigma_mm` beside.
+pub fn beyond_repeatability(residual_rms_mm: f64, sigma_mm: f64, robot: &Robot) -> Option<EstimationFinding> {
+    let repeatability_mm = robot.repeatability_sd_mm()?;
+    (residual_rms_mm > FAR * repeatability_mm.hypot(sigma_mm))
+        .then_some(EstimationFinding::BeyondRepeatability { residual_rms_mm, repeatability_mm })
+}
+
 /// Residuals that are far above what the robot repeats, of the lengths used and of those that only check.
 fn against_repeatability(of: &Calibration<'_>) -> Option<EstimationFinding> {
-    /// The model lacks most of what the residuals show.
-    const FAR: f64 = 5.0;
-    let repeatability_mm = of.setting.robot.repeatability_sd_mm()?;
+    let robot = of.setting.robot;
     let given = of.lengths.weighted(Sigma::Given, &of.estimate.fit.out);
     let given_mm = if of.lengths.known { given.rms_sigma() } else { 0.0 };
-    let least_mm = repeatability_mm.hypot(given_mm);
     let residual_rms_mm = of.residual_mm.after.rms;
-    if residual_rms_mm > FAR * least_mm {
-        return Some(EstimationFinding::BeyondRepeatability { residual_rms_mm, repeatability_mm });
+    if let Some(far) = beyond_repeatability(residual_rms_mm, given_mm, robot) {
+        return Some(far);
     }
+    let least_mm = robot.repeatability_sd_mm()?.hypot(given_mm);
     // What was never used shows the errors of the parameters too.
     let held_out_mm = of.validation.as_ref()?.after.rms;
     (held_out_mm > FAR * least_mm.max(residual_rms_mm))

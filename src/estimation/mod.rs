@@ -55,6 +55,7 @@ pub mod wording;
 
 pub use calibration::{AngleSource, Calibration, Input};
 pub use distance::DistanceQuantities;
+pub use findings::beyond_repeatability;
 pub use inputs::{check_measurements, doubts};
 pub use joint_curve::{JointPoint, joint_curve};
 pub use joint_fit::{GroupEvidence, JointSummary};

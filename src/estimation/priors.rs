@@ -38,7 +38,7 @@ const IMPLAUSIBLE: f64 = 5.0;
 /// and beyond so many they are those of no robot.
 const IMPOSSIBLE: f64 = 20.0;
 /// No ball is so far from where it was given, and no bar so much longer or shorter, mm.
-const DISPLACED_BALL_MM: f64 = 1000.0;
+const DISPLACED_BALL_MM: f64 = 300.0;
 /// A tool ball is known from a drawing or from the controller.
 const DISPLACED_TOOL_MM: f64 = 20.0;
 const DISPLACED_BAR_MM: f64 = 50.0;

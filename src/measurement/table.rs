@@ -282,10 +282,20 @@ impl Measurements {
     pub fn warm(&self) -> Option<MeasurementFinding> {
         /// 50 degrees Fahrenheit and more are above, degrees Celsius.
         const WARMEST_C: f64 = 45.0;
+        /// Sensors that are missing or faulty show what is beyond, degrees Celsius.
+        const COLDEST_C: f64 = -30.0;
+        const HOTTEST_C: f64 = 80.0;
         let found = self.rows.iter().filter_map(|row| row.context.as_ref()?.temperature_c);
         let found: Vec<f64> = found.collect();
         let mean_c = found.iter().sum::<f64>() / found.len() as f64;
-        (mean_c > WARMEST_C).then_some(MeasurementFinding::WarmRoom { mean_c })
+        if mean_c > WARMEST_C {
+            return Some(MeasurementFinding::WarmRoom { mean_c });
+        }
+        let is_none = |celsius: f64| !(COLDEST_C..=HOTTEST_C).contains(&celsius);
+        let all_zero = found.iter().all(|celsius| *celsius == 0.0);
+        let celsius = found.iter().copied().find(|celsius| all_zero || is_none(*celsius))?;
+        let rows = found.iter().filter(|other| **other == celsius).count();
+        Some(MeasurementFinding::NoTemperature { rows, celsius })
     }
 
     /// The set-up that the rows are of, with so many base balls.

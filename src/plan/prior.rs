@@ -4,9 +4,9 @@ use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
 use super::{Job, Plan};
-use crate::catalogue::{JobFinding, PlanFinding};
+use crate::catalogue::{EstimationFinding, JobFinding, PlanFinding};
 use crate::estimation::expected::Expected;
-use crate::estimation::{Posterior, Priors, length_sd_mm};
+use crate::estimation::{Posterior, Priors, beyond_repeatability, length_sd_mm};
 use crate::measurement::{LengthModel, PreparedMeasurement};
 use crate::robot::inverse::nearest;
 use crate::robot::{AXES, BallId, ParamId, Pose, Robot, RobotPosterior};
@@ -91,6 +91,19 @@ impl PlanningPrior {
             *ball.ok_or(PlanFinding::NoFiniteRobot)? = true;
         }
         Ok(Self { posterior, lengths: readings.len(), located, ..before })
+    }
+
+    /// That the lengths fit the robot that was learnt from them far worse than it repeats.
+    pub fn doubt(
+        &self,
+        job: &Job,
+        robot: &Robot,
+        lengths: &[PreparedMeasurement],
+    ) -> Option<EstimationFinding> {
+        let model = self.posterior.model.prepare();
+        let squares = lengths.iter().map(|one| (one.length_mm - model.length(one)).powi(2));
+        let rms_mm = (squares.sum::<f64>() / lengths.len().max(1) as f64).sqrt();
+        beyond_repeatability(rms_mm, job.bar.sigma_um * 1e-3, robot.controller())
     }
 
     /// The job and the robot as they are now known: base balls and geometry moved to the likeliest.

@@ -4,11 +4,13 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use crate::base::date::{day_number, utc};
+use crate::base::date::{day_number, is_time, utc};
 use crate::base::parse::from_toml;
-use crate::catalogue::JobFinding::{self, NotACountry, NotADate, NotAText, OutOfRange};
+use crate::catalogue::JobFinding::{self, NotACountry, NotADate, NotAText, OutOfRange, TooEarly};
 use crate::diagnostic::Diagnostic;
 
+/// No measurement with a ball-bar and no certificate of one in use is older.
+const EARLIEST: &str = "1980-01-01";
 /// No text of an identity is longer, characters.
 const MOST_TEXT: usize = 200;
 /// No temperature of a cell is beyond, degrees Celsius.
@@ -112,7 +114,7 @@ pub type Wrong = (&'static str, JobFinding);
 /// It is empty, too long, or has control characters.
 pub fn check_text(key: &'static str, text: Option<&String>) -> Result<(), Wrong> {
     let Some(text) = text else { return Ok(()) };
-    let length = text.chars().count();
+    let length = text.trim().chars().count();
     if (1..=MOST_TEXT).contains(&length) && !text.chars().any(char::is_control) {
         return Ok(());
     }
@@ -121,8 +123,17 @@ pub fn check_text(key: &'static str, text: Option<&String>) -> Result<(), Wrong>
 
 /// A date, or date and time.
 fn check_date(key: &'static str, date: Option<&String>) -> Result<(), Wrong> {
-    let is_date = |text: &String| day_number(text.split('T').next().unwrap_or_default()).is_some();
+    let is_date = |text: &String| match text.split_once('T') {
+        Some((day, time)) => day_number(day).is_some() && is_time(time),
+        None => day_number(text).is_some(),
+    };
     match date {
+        Some(date)
+            if is_date(date)
+                && day_number(date.split('T').next().unwrap_or_default()) < day_number(EARLIEST) =>
+        {
+            Err((key, TooEarly { key: key.into(), date: date.clone() }))
+        }
         Some(date) if !is_date(date) => Err((key, NotADate { key: key.into(), date: date.clone() })),
         date => check_text(key, date),
     }
@@ -231,7 +242,7 @@ impl Identity {
         let mut known: Vec<&String> = Vec::new();
         for (ball, serial) in &self.balls {
             check_text("balls", Some(serial))?;
-            if ball.parse::<u32>().ok().is_none_or(|number| number == 0) {
+            if ball.parse::<u32>().ok().is_none_or(|number| number == 0 || number.to_string() != *ball) {
                 return Err(("balls", JobFinding::NotABall { key: ball.clone() }));
             }
             if known.contains(&serial) {
@@ -270,7 +281,13 @@ impl Identity {
             let date = self.bar.certified_on.clone().unwrap_or_default();
             return Err(("certified_on", JobFinding::CertifiedLater { date }));
         }
-        self.temperatures.iter().try_for_each(Temperature::check)
+        for (at, found) in self.temperatures.iter().enumerate() {
+            found.check()?;
+            if self.temperatures[..at].iter().any(|other| other.of == found.of) {
+                return Err(("temperature", JobFinding::TemperatureTwice { of: found.of.clone() }));
+            }
+        }
+        Ok(())
     }
 
     /// With what `other` states in place of what is stated here.

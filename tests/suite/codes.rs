@@ -52,6 +52,7 @@ fn provoked() -> Vec<&'static str> {
         crate::krl_reads_back::provoked(),
         crate::says_what_it_found::provoked(),
         crate::logged_axes_identify::provoked(),
+        crate::mistakes_are_named::provoked(),
         crate::mounting_faults::provoked(),
         crate::no_stage_is_a_dead_end::provoked(),
         crate::nothing_wrong_is_silent::provoked(),

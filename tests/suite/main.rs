@@ -71,6 +71,7 @@ mod kept_poses;
 mod krl_reads_back;
 mod krl_round_trips;
 mod logged_axes_identify;
+mod mistakes_are_named;
 mod mounting_faults;
 mod no_stage_is_a_dead_end;
 mod nothing_wrong_is_silent;

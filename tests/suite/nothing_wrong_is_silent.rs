@@ -11,13 +11,14 @@ use tempfile::{TempDir, tempdir};
 use crate::cell::{centres_csv, codes, dbbd, kr60, measure, stderr, three_planes, with_errors};
 
 /// The errors of the robot here, in rad and mm: some tenths of a millimetre at the ball.
-const ERRORS: [(&str, f64); 4] = [("alpha1", 0.001), ("theta2", 0.0008), ("a2", 0.3), ("d4", -0.2)];
-const JOB: &str = "robot = \"kr60ha\"\n[bar]\nlength_mm = 300.0\nstroke_mm = [-6.0, 6.0]\nlength_u_mm = 0.002\ntemperature_c = 20.0\n\
+pub(crate) const ERRORS: [(&str, f64); 4] =
+    [("alpha1", 0.001), ("theta2", 0.0008), ("a2", 0.3), ("d4", -0.2)];
+pub(crate) const JOB: &str = "robot = \"kr60ha\"\n[bar]\nlength_mm = 300.0\nstroke_mm = [-6.0, 6.0]\nlength_u_mm = 0.002\ntemperature_c = 20.0\n\
                    expansion_per_k = 12e-6\n[[centre]]\nid = 1\nxyz_mm = [1300.0, 0.0, 800.0]\n[[circle]]\nplane = \"XY\"\npoints = 3\n\
                    arc_deg = 10.0\norientation = \"fixed\"\ntilt_deg = 30.0\n[motion]\nfeed_mm_s = 40.0\nsettle_s = 0.2\ndwell_s = 0.4\n\
                    [[obstacle]]\nshape = \"box\"\nlow_mm = [0.0, 900.0, 0.0]\nhigh_mm = [400.0, 1500.0, 1000.0]\n";
 
-fn cell() -> (TempDir, Measurements) {
+pub(crate) fn cell() -> (TempDir, Measurements) {
     let dir = tempdir().unwrap();
     let circles = three_planes(1, [1300.0, 0.0, 800.0]);
     let mut data = measure(&with_errors(ERRORS), &circles, 20, 20.0);
@@ -37,7 +38,7 @@ fn ended(output: &Output) -> (Option<i32>, Vec<String>) {
     (output.status.code(), codes(output))
 }
 
-fn says(output: &Output, exit: i32, code: &str) {
+pub(crate) fn says(output: &Output, exit: i32, code: &str) {
     let (ended, said) = ended(output);
     assert!(
         ended == Some(exit) && said.iter().any(|one| one == code),
@@ -46,7 +47,7 @@ fn says(output: &Output, exit: i32, code: &str) {
     );
 }
 
-fn identify(dir: &Path, table: &str, more: &[&str]) -> Output {
+pub(crate) fn identify(dir: &Path, table: &str, more: &[&str]) -> Output {
     fs::write(dir.join("bad.csv"), table).unwrap();
     let given = ["identify", "bad.csv", "--centres", "C.csv", "--out", "out", "--folds", "0"];
     let robot = if more.contains(&"--robot") { &[][..] } else { &["--robot", "kr60ha"] };

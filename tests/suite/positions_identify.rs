@@ -140,6 +140,45 @@ fn positions_beside_lengths_lower_the_error() {
     assert!(both.1.warnings.iter().all(|warning| warning.code != "W1362"));
 }
 
+/// Two draw-wire sensors with zeros of their own, their wires hooked to three places of the tool in turn.
+#[test]
+fn wires_to_several_hooks() {
+    const HOOKS: [[f64; 3]; 2] = [[-90.0, 60.0, 180.0], [60.0, -80.0, 120.0]];
+    const ZERO_MM: [f64; 2] = [0.21, -0.15];
+    let (dir, truth) = (tempdir().unwrap(), truth());
+    let at = dir.path();
+    let mut random = Pcg64::seed_from_u64(8);
+    let arms = [truth.geometry.tool, HOOKS[0].into(), HOOKS[1].into()];
+    let arms = arms.map(|tool| Geometry { tool, ..truth.geometry.clone() });
+    let mut text = LENGTHS.trim_end().to_owned() + ",bar,target\n";
+    for (row, axes) in poses(120, 1).iter().enumerate() {
+        let (wire, hook) = (row % 2, row / 2 % 3);
+        let length = (ball(&arms[hook], axes) - Vector3::from(BALLS[wire])).norm() + ZERO_MM[wire];
+        let length = length + 0.02 * random.sample::<f64, _>(StandardNormal);
+        let cells = cells(axes);
+        writeln!(text, "{},{},{cells},{length},0.02,{},{}", row + 1, wire + 1, wire + 1, hook + 1).unwrap();
+    }
+    fs::write(at.join("l.csv"), text).unwrap();
+    fs::write(at.join("C.csv"), CENTRES).unwrap();
+    let plain = ["--model", "geometric", "--prior", "datasheet", "--bar-u", "0.5", "--folds", "0"];
+    let (code, result, said) = identify(at, &[&["l.csv", "--centres", "C.csv"][..], &plain].concat());
+    assert!(matches!(code, Some(0 | 3)), "{said}");
+    let result = result.unwrap();
+    assert_eq!((result.made_from.lengths, result.made_from.targets), (120, 3));
+    let value = |name: &str| result.parameters.iter().find(|p| p.name == name).unwrap();
+    let place =
+        |stem: &str| Vector3::from(["x", "y", "z"].map(|axis| value(&format!("{stem}_{axis}")).identified));
+    for (stem, hook) in ["target2", "target3"].into_iter().zip(HOOKS) {
+        let apart = (place(stem) - place("tool")).norm();
+        let off = apart - (Vector3::from(hook) - truth.geometry.tool).norm();
+        assert!(off.abs() < 0.3, "{stem} {off}");
+    }
+    let set =
+        |robot: &Robot| poses(100, 77).iter().map(|axes| ball(&robot.geometry, axes)).collect::<Vec<_>>();
+    let before = aligned_distances(&set(&truth), &set(&kr60())).into_iter().fold(0.0, f64::max);
+    assert!(error_mm(at, &truth) < 0.3 * before, "{} of {before}", error_mm(at, &truth));
+}
+
 #[test]
 fn a_wrong_coordinate_drops_its_position() {
     let (dir, truth) = (tempdir().unwrap(), truth());

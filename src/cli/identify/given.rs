@@ -30,6 +30,14 @@ pub(crate) struct Named<'a> {
     pub(crate) bar_u: Option<f64>,
 }
 
+impl Named<'_> {
+    /// An option that is of use with lengths alone.
+    fn of_lengths(&self) -> Option<&'static str> {
+        let centres = self.centres.map(|_| "--centres");
+        centres.or(self.bar_u.map(|_| "--bar-u"))
+    }
+}
+
 /// Robot, base balls and lengths.
 pub(crate) struct Given {
     pub(crate) robot: Robot,
@@ -74,6 +82,9 @@ impl Given {
         }
         if observations.rows.is_empty() {
             return Err(Diagnostic::file(&input, EstimationFinding::NoLength));
+        }
+        if is_tracked && let Some(option) = named.of_lengths() {
+            return Err(EstimationFinding::OfLengths { option }.into());
         }
         let run = joined.as_ref().map(|(run, _)| run.as_ref());
         let lengths = match run {

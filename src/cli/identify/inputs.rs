@@ -1,6 +1,6 @@
 //! The inputs of an identification: observations, points, priors, workspaces.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashSet};
 use std::path::Path;
 
 use crate::base::table::Table;
@@ -8,9 +8,9 @@ use crate::catalogue::{EstimationFinding, MeasurementFinding, RobotFinding};
 use crate::cli::Output;
 use crate::diagnostic::Diagnostic;
 use crate::measurement::positions::PLACE;
-use crate::measurement::{Distinct, Measurements};
+use crate::measurement::{self, Distinct, Measurements};
 use crate::robot::parameter::SetUp;
-use crate::robot::{AXES, ParamId};
+use crate::robot::{AXES, ParamId, Robot};
 
 pub(crate) fn parse_point(text: &str) -> Result<[f64; 3], EstimationFinding> {
     let numbers: Result<Vec<f64>, _> = text.split(',').map(|part| part.trim().parse::<f64>()).collect();
@@ -43,15 +43,24 @@ pub(super) fn read_prior(table: &mut Table<'_>, set_up: SetUp) -> Result<BTreeMa
     Ok(prior)
 }
 
-/// A table with the columns a1_deg..a6_deg, more may stand beside them.
-pub(crate) fn read_workspace(table: &mut Table<'_>) -> Result<Vec<[f64; AXES]>, Diagnostic> {
+/// A workspace of a robot: a table with the columns a1_deg..a6_deg, more may stand beside them.
+pub(crate) fn read_workspace(
+    path: &Path,
+    robot: &Robot,
+    out: &Output,
+) -> Result<Vec<[f64; AXES]>, Diagnostic> {
     /// Fewer are aligned away: the robot's error would not show.
     const LEAST: usize = 10;
-    let poses = Measurements::poses_from_table(table)?;
-    if poses.len() < LEAST {
-        let finding = EstimationFinding::SmallWorkspace { poses: poses.len(), least: LEAST };
-        return Err(Diagnostic::file(table.file(), finding));
+    let poses = out.table(path, Measurements::poses_from_table)?;
+    let name = path.display().to_string();
+    let different: HashSet<_> = poses.iter().map(|pose| pose.axes.degrees().map(f64::to_bits)).collect();
+    if different.len() < LEAST {
+        let finding = EstimationFinding::SmallWorkspace { poses: different.len(), least: LEAST };
+        return Err(Diagnostic::file(&name, finding));
     }
+    let angles = poses.iter().zip(1..).map(|(pose, number)| (number, pose.axes));
+    let beyond = measurement::beyond(angles, &robot.controller().limits_deg);
+    beyond.into_iter().for_each(|doubt| out.finding(Diagnostic::file(&name, doubt)));
     Ok(poses.iter().map(|pose| pose.axes.radians()).collect())
 }
 

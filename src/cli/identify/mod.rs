@@ -242,7 +242,11 @@ fn options(args: &Args, given: &mut Given, set_up: SetUp, out: &Output) -> Resul
             _ => ErrorModel::Geometric,
         },
         folds: args.folds,
-        workspace: args.workspace.as_deref().map(|path| out.table(path, read_workspace)).transpose()?,
+        workspace: args
+            .workspace
+            .as_deref()
+            .map(|path| read_workspace(path, &given.robot, out))
+            .transpose()?,
         bar_u_mm: given.bar_u_mm,
     };
     options.check(given.observations.rows.len())?;

@@ -40,7 +40,7 @@ const PARAMETER_COLUMNS: [&str; 14] = [
 ];
 
 /// Writes result.json, parameters.csv, covariance.csv, the robot for other programs, and as lengths.csv those of the
-/// observations that the result rests on; the provenance with these.
+/// observations that the result rests on; the provenance with these. Files of an earlier result that this one lacks go.
 pub(super) fn write_results(
     dir: &Path,
     found: &CalibrationResult,
@@ -54,10 +54,14 @@ pub(super) fn write_results(
     if found.made_from.lengths > 0 {
         files::write_pieces(&lengths, observations.csv_pieces(is_used))?;
         provenance.add(&Artefact::file(Role::Measurements, &lengths)?);
+    } else {
+        files::remove(&lengths)?;
     }
     if let Some(text) = observations.positions_csv(is_used) {
         files::write(&positions, text)?;
         provenance.add(&Artefact::file(Role::Measurements, &positions)?);
+    } else {
+        files::remove(&positions)?;
     }
     let recorded = Recorded { result: &file, budget, provenance: &provenance };
     files::write(&dir.join("result.json"), serialised::sealed_json(&recorded)?)?;
@@ -67,8 +71,10 @@ pub(super) fn write_results(
         parameters_csv(&file).map_err(|error| CliFinding::NoOutput { why: error.to_string() })?;
     files::write(&dir.join("parameters.csv"), parameters)?;
     files::write(&dir.join("covariance.csv"), covariance_csv(&found.posterior))?;
-    if found.joints.is_some() {
-        files::write(&dir.join("joint-errors.csv"), joint_errors_csv(&found.robot))?;
+    let joint_errors = dir.join("joint-errors.csv");
+    match found.joints {
+        Some(_) => files::write(&joint_errors, joint_errors_csv(&found.robot))?,
+        None => files::remove(&joint_errors)?,
     }
     hand_back(dir, found, &provenance)?;
     Ok(provenance)

@@ -122,7 +122,12 @@ impl Job {
         for (at, centre) in self.centres.iter().enumerate() {
             in_table(Table::nth("[[centre]]", at), check_text("serial", centre.serial.as_ref()))?;
         }
-        in_table(Table::new("[bar]"), self.bar.identity().check())
+        in_table(Table::new("[bar]"), self.bar.identity().check())?;
+        let balls = self.centres.len();
+        let other = identity.balls.keys().find(|key| key.parse().is_ok_and(|ball: usize| ball > balls));
+        let other = other
+            .map_or(Ok(()), |key| Err(("balls", JobFinding::SerialOfNoBall { key: key.clone(), balls })));
+        in_table(Table::new("[identity]"), other.and_then(|()| self.identity().check_all()))
     }
 
     fn check_optimise(&self) -> Result<(), Misplaced> {

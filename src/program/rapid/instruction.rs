@@ -88,13 +88,31 @@ impl Instruction<'_> {
             Some(expression) => {
                 let held = found(expression).and_then(|value| work_object(&value));
                 let (holder, base) = held.ok_or_else(|| elsewhere(WORK_OBJECT, Some(expression)))?;
-                if holder == Held::ByRobot {
-                    return Err(fixed(self.work_object));
+                match holder {
+                    Held::ByRobot => return Err(fixed(self.work_object)),
+                    Held::ByUnit => {
+                        let name = name(self.work_object);
+                        return Err(CompensationFinding::MovedWorkObject { name });
+                    }
+                    Held::Fixed => base,
                 }
-                base
             }
         };
         Ok(Frames { tool, base })
+    }
+
+    /// Of its points and frames those that the module sets while it runs; `line` of a name that is set.
+    pub(super) fn computed(&self, line: impl Fn(&str) -> Option<usize>) -> Option<CompensationFinding> {
+        let set = |expression: Option<&Expression>| match &expression?.kind {
+            value::Kind::Name(name) => Some((name.clone(), line(name)?)),
+            _ => None,
+        };
+        let point = set(self.through).or_else(|| set(Some(self.to)));
+        let point = point.map(|(name, line)| CompensationFinding::PointComputed { name, line });
+        let frame = |frame: &'static str, of: Option<&Expression>| {
+            set(of).map(|(_, line)| CompensationFinding::FrameComputed { frame, line })
+        };
+        point.or_else(|| frame(TOOL, self.tool)).or_else(|| frame(WORK_OBJECT, self.work_object))
     }
 
     /// mm/s and degrees/s.

@@ -43,6 +43,8 @@ fn pose(value: &Value) -> Option<Pose> {
 pub(super) enum Held {
     ByRobot,
     Fixed,
+    /// By a mechanical unit, of a work object.
+    ByUnit,
 }
 
 fn held(value: &Value) -> Option<Held> {
@@ -64,7 +66,10 @@ pub(super) fn tool(value: &Value) -> Option<(Held, Pose)> {
 /// The frame of a `wobjdata` in the robot's base: user frame and object frame; and who holds the workpiece.
 pub(super) fn work_object(value: &Value) -> Option<(Held, Pose)> {
     match value.list()? {
-        [hold, _, _, user, object] => Some((held(hold)?, pose(user)?.then(&pose(object)?))),
+        [hold, is_fixed, _, user, object] => {
+            let frame = pose(user)?.then(&pose(object)?);
+            Some((if is_fixed.of == Of::Bool(false) { Held::ByUnit } else { held(hold)? }, frame))
+        }
         _ => None,
     }
 }

@@ -1,5 +1,7 @@
 //! The points of a module, and new numbers for them.
 
+use std::collections::HashMap;
+
 use super::instruction::{Instruction, motion};
 use super::parser::{Module, parse};
 use super::program::declared;
@@ -8,8 +10,8 @@ use crate::diagnostic::Diagnostic;
 use crate::program::Motion;
 use crate::program::compensate::{Branch, Corrected, Corrector};
 use crate::program::rewrite::Moved;
-use crate::program::script::points::{Point, Points, Taught, numbers};
-use crate::program::script::statement::Statement;
+use crate::program::script::points::{Point, Points, Taught, Vocabulary, numbers};
+use crate::program::script::statement::{Kind, Statement};
 use crate::program::script::value::Value;
 use crate::program::text::{Edit, Text};
 use crate::robot::{Pose, Robot};
@@ -19,31 +21,54 @@ const DECIMALS_MM: usize = 3;
 const DECIMALS_DEG: usize = 5;
 const DECIMALS_TURN: usize = 8;
 
+const WORDS: Vocabulary = Vocabulary {
+    moving: &["MOVE", "TRIGG", "SEARCH", "ARC", "SPOT", "PAINT", "DISP"],
+    displacing: &["PDISPON", "PDISPSET", "EOFFSON", "EOFFSSET"],
+    setting: &[],
+};
+
 /// The points of a module; `config` is a module that holds tools and work objects.
 pub fn read(text: Text<'_>, config: Option<Text<'_>>) -> Result<Points, Diagnostic> {
     let module = parse(text, 0)?;
     let config = config.map(|config| parse(config, 1)).transpose()?;
     let mut points = Points::default();
-    for (routine, _) in &module.routines {
-        for statement in &routine.body {
-            take(statement, &module, config.as_ref(), &mut points, text)?;
-        }
+    let statements = || module.routines.iter().flat_map(|(routine, _)| &routine.body);
+    let set: HashMap<&str, usize> = statements().filter_map(|statement| set(statement, text)).collect();
+    for statement in statements() {
+        take(statement, &module, config.as_ref(), &set, &mut points, text)?;
     }
-    Ok(points)
+    Ok(points.completed())
+}
+
+/// The name that a statement gives another value, or a part of one, and its line.
+fn set<'s>(statement: &'s Statement, text: Text<'_>) -> Option<(&'s str, usize)> {
+    match &statement.kind {
+        Kind::Assign { name, .. } | Kind::Other(name) => Some((name, text.line(statement.span.start))),
+        _ => None,
+    }
 }
 
 fn take(
     statement: &Statement,
     module: &Module,
     config: Option<&Module>,
+    set: &HashMap<&str, usize>,
     points: &mut Points,
     text: Text<'_>,
 ) -> Result<(), Diagnostic> {
-    let Some(instruction) = motion(statement) else { return Ok(()) };
     let lookup = |name: &str| {
         let own = declared(module, name, 0);
         own.or_else(|| declared(config?, name, 1)).or_else(|| super::literal::predefined(name))
     };
+    let Some(instruction) = motion(statement) else {
+        let point = |expression: &_| Instruction::point(expression, 0, &lookup).map(|(value, _)| value);
+        points.other(text, statement, &WORDS, point);
+        return Ok(());
+    };
+    // What a routine declares itself is read as computed elsewhere.
+    if let Some(why) = instruction.computed(|name| lookup(name).and(set.get(name).copied())) {
+        return Err(text.wrong(&statement.span, why));
+    }
     for expression in [instruction.through, Some(instruction.to)].into_iter().flatten() {
         let taught = Instruction::point(expression, 0, &lookup).map(|(value, taught)| {
             let branch = match taught.configuration {

@@ -2,6 +2,7 @@
 
 use std::collections::HashMap;
 
+use super::statement::{Kind as StatementKind, Statement};
 use super::value::{Expression, Kind, Value};
 use crate::catalogue::CompensationFinding;
 use crate::diagnostic::Diagnostic;
@@ -31,6 +32,25 @@ pub struct Points {
     /// Motions that are not to a point of this file.
     pub left: Vec<Diagnostic>,
     found: HashMap<usize, usize>,
+    /// Points of calls that are no motions.
+    others: Vec<OtherUse>,
+}
+
+/// A point in a call that is no motion.
+#[derive(Clone, Debug)]
+struct OtherUse {
+    at: usize,
+    left: Diagnostic,
+}
+
+/// What instructions that are no motions mean for the points.
+pub(crate) struct Vocabulary {
+    /// Beginnings of the names of instructions that move.
+    pub(crate) moving: &'static [&'static str],
+    /// Instructions after which motions are displaced.
+    pub(crate) displacing: &'static [&'static str],
+    /// Beginnings of the names of instructions whose poses are no points.
+    pub(crate) setting: &'static [&'static str],
 }
 
 /// What an expression teaches.
@@ -64,6 +84,48 @@ impl Points {
             Target::Pose { .. } => Some(frames()?),
         };
         self.add(Point { value, used: motion.clone(), branch, target, frames }, file)
+    }
+
+    /// Takes a statement that is no motion: the points that it names, `point` of an expression, are left where no motion goes
+    /// to them.
+    pub(crate) fn other(
+        &mut self,
+        file: Text<'_>,
+        statement: &Statement,
+        words: &Vocabulary,
+        point: impl Fn(&Expression) -> Option<Value>,
+    ) {
+        let begins = |word: &str, with: &[&str]| with.iter().any(|start| word.starts_with(start));
+        let (word, arguments) = match &statement.kind {
+            StatementKind::Call { name, arguments } => (name, &arguments[..]),
+            StatementKind::Other(word) => (word, &[][..]),
+            _ => return,
+        };
+        if words.displacing.contains(&word.as_str()) {
+            let word = word.clone();
+            self.left.push(file.wrong(&statement.span, CompensationFinding::Displacing { word }));
+            return;
+        }
+        if matches!(statement.kind, StatementKind::Other(_)) && begins(word, words.moving) {
+            let word = word.clone();
+            self.left.push(file.wrong(&statement.span, CompensationFinding::NotRead { word }));
+        }
+        if begins(word, words.setting) {
+            return;
+        }
+        for expression in arguments.iter().filter_map(|argument| argument.value.as_ref()) {
+            let Some(value) = point(expression).filter(|value| value.file == 0) else { continue };
+            let name = value.name.clone().unwrap_or_else(|| "this point".into());
+            let finding = CompensationFinding::PointOfOtherCall { name, call: word.clone() };
+            self.others.push(OtherUse { at: value.span.start, left: file.wrong(&expression.span, finding) });
+        }
+    }
+
+    /// Leaves the points that only calls which are no motions name.
+    pub(crate) fn completed(mut self) -> Self {
+        let others = std::mem::take(&mut self.others).into_iter();
+        self.left.extend(others.filter(|other| !self.found.contains_key(&other.at)).map(|other| other.left));
+        self
     }
 
     /// Takes a point of the program's own file.

@@ -6,7 +6,7 @@ use crate::catalogue::CompensationFinding;
 use crate::diagnostic::Diagnostic;
 use crate::program::compensate::{Branch, Corrected, Corrector};
 use crate::program::rewrite::Moved;
-use crate::program::script::points::{Point, Points, Taught, numbers};
+use crate::program::script::points::{Point, Points, Taught, Vocabulary, numbers};
 use crate::program::script::statement::{Kind, Statement};
 use crate::program::script::value::{self, Names, Value};
 use crate::program::text::{Edit, Span, Text};
@@ -17,6 +17,18 @@ use crate::robot::{Pose, Robot};
 /// Fewest decimals: a tenth of a micrometre in metres, and of a radian what moves a point a metre away by less.
 const DECIMALS: usize = 7;
 
+/// The name under which a finding speaks of the TCP.
+const TOOL: &str = "the tool";
+/// TCPs that differ by less are one.
+const SAME_MM: f64 = 0.01;
+const SAME_RAD: f64 = 1e-4;
+
+const WORDS: Vocabulary = Vocabulary {
+    moving: &["mov", "servo", "speed"],
+    displacing: &["track_conveyor_linear", "track_conveyor_circular", "path_offset_enable", "force_mode"],
+    setting: &["set_", "get_"],
+};
+
 /// Goes through the text: the tool that is set and the variables so far.
 struct Walk<'a> {
     text: Text<'a>,
@@ -26,17 +38,26 @@ struct Walk<'a> {
     tool: Option<Option<Pose>>,
     names: Names,
     points: Points,
+    /// Of the blocks that are open, which are choices.
+    choices: Vec<bool>,
 }
 
 /// The points of a script; `tool` where it does not set one by `set_tcp`.
 pub fn read(text: Text<'_>, tool: Option<Pose>) -> Result<Points, Diagnostic> {
-    let mut walk = Walk { text, given: tool, tool: None, names: Names::new(), points: Points::default() };
+    let mut walk = Walk {
+        text,
+        given: tool,
+        tool: None,
+        names: Names::new(),
+        points: Points::default(),
+        choices: Vec::new(),
+    };
     let mut statements: Vec<Statement> = parse(text)?.into_iter().flat_map(|routine| routine.body).collect();
     statements.sort_by_key(|statement| statement.span.start);
     for statement in &statements {
         walk.take(statement)?;
     }
-    Ok(walk.points)
+    Ok(walk.points.completed())
 }
 
 impl Walk<'_> {
@@ -57,15 +78,33 @@ impl Walk<'_> {
                 let given = arguments.first().and_then(|argument| argument.value.as_ref());
                 let found =
                     given.and_then(|value| value::value(value, 0, &|name| self.names.get(name).cloned()));
-                self.tool = Some(found.and_then(|value| pose(&value)));
+                let found = found.and_then(|value| pose(&value));
+                if let (Some(given), Some(found)) = (self.given, found)
+                    && ((given.position - found.position).norm() > SAME_MM
+                        || given.angle_to(&found) > SAME_RAD)
+                {
+                    let differs = CompensationFinding::FrameDiffers { frame: TOOL, option: "--tool" };
+                    return Err(self.text.wrong(&statement.span, differs));
+                }
+                // Which of the branches of a choice runs is not known.
+                self.tool = Some(found.filter(|_| !self.choices.contains(&true)));
             }
+            Kind::Other(word) if ["if", "while", "thread"].contains(&word.as_str()) => {
+                self.choices.push(word == "if");
+            }
+            Kind::Other(word) if word == "end" => _ = self.choices.pop(),
             _ => self.motion(statement)?,
         }
         Ok(())
     }
 
     fn motion(&mut self, statement: &Statement) -> Result<(), Diagnostic> {
-        let Some(instruction) = motion(statement) else { return Ok(()) };
+        let Some(instruction) = motion(statement) else {
+            let found = |expression: &_| value::value(expression, 0, &|name| self.names.get(name).cloned());
+            let point = |expression: &_| found(expression).filter(|value| target(value).is_some());
+            self.points.other(self.text, statement, &WORDS, point);
+            return Ok(());
+        };
         for expression in instruction.points() {
             let found = value::value(expression, 0, &|name| self.names.get(name).cloned());
             let taught = found.and_then(|value| {
@@ -87,7 +126,7 @@ fn frames(
     text: Text<'_>,
     motion: &Span,
 ) -> Result<Frames, Diagnostic> {
-    let frame = "the tool";
+    let frame = TOOL;
     let tool = match (set, given) {
         (Some(None), _) => Err(CompensationFinding::FrameComputed { frame, line: text.line(motion.start) }),
         (Some(Some(tool)), _) | (None, Some(tool)) => Ok(tool),

@@ -12,14 +12,15 @@ use serde::{Deserialize, Serialize};
 use super::page::render;
 use crate::base::hash::sha256;
 use crate::catalogue::CertificateFinding::{
-    self, CheckOfAnother, Doubtful, NoBudget, NoCheck, NoResult, NotStated,
+    self, CheckOfAnother, CheckOfOtherResult, Doubtful, NoBudget, NoCheck, NoResult, NoSuchBall, NotStated,
+    OtherThanCarried, OtherThanUsed,
 };
 use crate::catalogue::Names;
 use crate::conformity::Budget;
 use crate::diagnostic::Diagnostic;
 use crate::estimation::ResultFile;
 use crate::estimation::result_file::WarningKind;
-use crate::provenance::{Identity, Provenance};
+use crate::provenance::{Artefact, Identity, Provenance, Role};
 use sections::Section;
 
 #[cfg(feature = "pdf")]
@@ -50,6 +51,8 @@ struct Check {
     upper_mm: f64,
     guard_band_mm: Option<f64>,
     specific_risk: Option<f64>,
+    #[serde(default)]
+    provenance: Provenance,
 }
 
 /// A result, and the decision of an interim check where there is one.
@@ -58,8 +61,32 @@ pub struct Certificate {
     budget: Budget,
     provenance: Provenance,
     check: Option<Check>,
+    /// What was stated since against what the result carries.
+    contradictions: Vec<CertificateFinding>,
     /// First digits of the SHA-256 of `result.json`.
     number: String,
+}
+
+/// What an identity states against that which a result carries.
+fn contradictions(carried: &Identity, stated: &Identity) -> Vec<CertificateFinding> {
+    /// Certificates of one bar differ by less, mm.
+    const OTHER_BAR_MM: f64 = 0.05;
+    fn day(identity: &Identity) -> Option<String> {
+        Some(identity.measured.as_ref()?.split('T').next()?.to_owned())
+    }
+    let differs = |key: &'static str, carried: Option<String>, stated: Option<String>| {
+        let (carried, stated) = carried.zip(stated).filter(|(carried, stated)| carried != stated)?;
+        Some(OtherThanCarried { key, carried, stated })
+    };
+    let length = carried.bar.length_mm.zip(stated.bar.length_mm);
+    let length = length.filter(|(used, stated)| (used - stated).abs() > OTHER_BAR_MM);
+    let found = [
+        differs("robot", carried.robot.clone(), stated.robot.clone()),
+        differs("serial", carried.bar.serial.clone(), stated.bar.serial.clone()),
+        differs("measured", day(carried), day(stated)),
+        length.map(|(used_mm, stated_mm)| OtherThanUsed { stated_mm, used_mm }),
+    ];
+    found.into_iter().flatten().collect()
 }
 
 #[derive(Serialize)]
@@ -83,23 +110,30 @@ impl Certificate {
             serde_json::from_str(text).map_err(|error| NoResult { why: error.to_string() })?;
         let ResultRead { result, budget, provenance } = read;
         let number = sha256(text).chars().take(16).collect();
-        Ok(Self { result, budget: budget.ok_or(NoBudget)?, provenance, check: None, number })
+        let budget = budget.ok_or(NoBudget)?;
+        Ok(Self { result, budget, provenance, check: None, contradictions: Vec::new(), number })
     }
 
     /// With the decision in the text of `check.json`.
     ///
     /// # Errors
-    /// It is no check, or that of another robot.
+    /// It is no check, or that of another robot or of another calibration.
     pub fn with_check(self, text: &str) -> Result<Self, CertificateFinding> {
         let check: Check = serde_json::from_str(text).map_err(|error| NoCheck { why: error.to_string() })?;
         if check.robot != self.result.robot {
             return Err(CheckOfAnother { robot: self.result.robot, checked: check.robot });
+        }
+        let is_measured = |source: &&Artefact| source.role == Role::Measurements;
+        let measured = self.provenance.from.iter().rev().find(is_measured);
+        if let Some(measured) = measured.filter(|measured| !check.provenance.has(measured)) {
+            return Err(CheckOfOtherResult { lengths: measured.to_string() });
         }
         Ok(Self { check: Some(check), ..self })
     }
 
     /// With what is stated now in place of what the result carries.
     pub fn with_identity(mut self, identity: &Identity) -> Self {
+        self.contradictions = contradictions(&self.provenance.identity, identity);
         self.provenance.identity.extend(identity);
         self
     }
@@ -138,7 +172,13 @@ impl Certificate {
         let lacking: Vec<&str> = lacks.iter().filter(|(_, lacks)| *lacks).map(|(name, _)| *name).collect();
         let empty = (!lacking.is_empty()).then(|| NotStated { what: Names::of(lacking) });
         let doubts = self.doubts() + usize::from(!self.result.converged);
-        empty.into_iter().chain((doubts > 0).then_some(Doubtful { warnings: doubts })).collect()
+        let balls = self.result.parameters.iter().filter(|found| found.name.ends_with("_x"));
+        let balls = balls.filter(|found| found.name.starts_with("centre")).count();
+        let other =
+            self.identity().balls.keys().find(|ball| ball.parse().is_ok_and(|ball: usize| ball > balls));
+        let other = other.map(|ball| NoSuchBall { ball: ball.clone(), balls });
+        let doubtful = (doubts > 0).then_some(Doubtful { warnings: doubts });
+        empty.into_iter().chain(self.contradictions.iter().cloned()).chain(other).chain(doubtful).collect()
     }
 
     /// `certificate.html`.

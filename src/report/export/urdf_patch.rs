@@ -12,7 +12,9 @@ use roxmltree::{Document, Node};
 use serde::Serialize;
 
 use super::urdf::origin_tag;
-use crate::catalogue::ReportFinding::{self, NoSixJoints, NotNumbers, NotXml, OtherJoint, OtherUrdf};
+use crate::catalogue::ReportFinding::{
+    self, NoSixJoints, NoUrdf, NotNumbers, NotXml, OtherCount, OtherJoint, OtherUrdf,
+};
 use crate::diagnostic::Diagnostic;
 use crate::robot::kinematics::DhRow;
 use crate::robot::pose::{rot_x, rot_y, rot_z};
@@ -246,6 +248,12 @@ impl<'a> Reader<'a> {
     /// The six joints of the arm: those that are named, or the first six of every chain.
     fn six(&self, names: &[String]) -> Result<Vec<UrdfJoint<'a>>, Diagnostic> {
         let root = self.document.root_element();
+        if !root.has_tag_name("robot") {
+            return Err(self.refused(root, NoUrdf { root: root.tag_name().name().into() }));
+        }
+        if !names.is_empty() && names.len() != AXES {
+            return Err(self.refused(root, OtherCount { named: names.len() }));
+        }
         let chains = self.joints().filter(|joint| movable(*joint)).map(|joint| self.path(joint));
         let mut chains: Vec<Vec<_>> = if names.is_empty() {
             let mut chains: Vec<Vec<_>> = chains

@@ -1,0 +1,254 @@
+//! Inputs that contradict each other or that a command does not use as it was meant: each is refused, or doubted with a code.
+
+use std::fs;
+use std::path::Path;
+use std::process::Output;
+
+use dbbd::robot::Robot;
+use dbbd::sim::truth;
+use tempfile::tempdir;
+
+use crate::cell::{codes, dbbd, measure, stderr, three_planes, with_errors};
+use crate::nothing_wrong_is_silent::{ERRORS, JOB, cell, identify, says};
+
+pub(crate) fn provoked() -> Vec<&'static str> {
+    vec!["E2002", "W2007", "I1113", "E1720", "E1361", "E0902", "W0905", "W1842", "E0680", "E1904"]
+}
+
+fn done(output: &Output) {
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(output));
+}
+
+const PRIOR: [&str; 2] = ["--prior", "datasheet"];
+
+#[test]
+fn a_certificate_states_one_calibration() {
+    let (dir, data) = cell();
+    let at = dir.path();
+    fs::write(
+        at.join("id.toml"),
+        "robot = \"KR-1\"\nmeasured = \"2026-03-02\"\n[bar]\nserial = \"B-1\"\nlength_mm = 300.0\n",
+    )
+    .unwrap();
+    done(&identify(at, &data.to_csv(), &[&PRIOR[..], &["--identity", "id.toml"]].concat()));
+    fs::rename(at.join("out"), at.join("first")).unwrap();
+    let mut other = data.clone();
+    other.rows.iter_mut().for_each(|row| row.length_mm += 1e-4);
+    done(&identify(at, &other.to_csv(), &PRIOR));
+    let again = measure(&with_errors(ERRORS), &three_planes(1, [1300.0, 0.0, 800.0]), 8, 20.0);
+    fs::write(at.join("again.csv"), again.to_csv()).unwrap();
+    let robot = "first/robot-identified.toml";
+    let check = |more: &[&str]| {
+        let given = ["check", "again.csv", "--robot", robot, "--centres", "C.csv", "--out", "check"];
+        dbbd(at, &[&given[..], more].concat())
+    };
+    assert!(check(&[]).status.code() != Some(1));
+    let certificate = |result: &str, more: &[&str]| {
+        dbbd(at, &[&["certificate", result, "--out", "certificate"][..], more].concat())
+    };
+    done(&certificate("first", &["--check", "check"]));
+    says(&certificate("out", &["--check", "check"]), 1, "E2002");
+    for stated in [
+        "robot = \"KR-2\"",
+        "measured = \"2025-03-02\"",
+        "[bar]\nserial = \"B-2\"",
+        "[bar]\nlength_mm = 250.0",
+        "balls = { 7 = \"S-7\" }",
+    ] {
+        fs::write(at.join("other.toml"), stated).unwrap();
+        says(&certificate("first", &["--identity", "other.toml"]), 3, "W2007");
+    }
+    fs::write(at.join("other.toml"), "operator = \"A. Example\"\nballs = { 1 = \"S-1\" }\n").unwrap();
+    done(&certificate("first", &["--identity", "other.toml"]));
+    // Micrometres, radians, one pose many times.
+    assert_eq!(check(&["--tool-repeat", "10"]).status.code(), Some(2));
+    for (option, value) in [("--tolerance", "300"), ("--repeat-u", "5")] {
+        let args = ["compare", "first", "out", "--out", "compared", option, value];
+        assert_eq!(dbbd(at, &args).status.code(), Some(2));
+    }
+    let dates = ["compare", "first", "out", "--out", "compared", "--dates", "2026-01-01,2399-01-01"];
+    says(&dbbd(at, &dates), 1, "E1904");
+    let header = "a1_deg,a2_deg,a3_deg,a4_deg,a5_deg,a6_deg\n";
+    let radians: String = (0..20).map(|at| format!("0.1,-1.2,1.{at:02},0.1,0.5,0.2\n")).collect();
+    fs::write(at.join("workspace.csv"), format!("{header}{radians}")).unwrap();
+    let output = check(&["--workspace", "workspace.csv"]);
+    assert!(codes(&output).contains(&"W1281".into()), "{}", stderr(&output));
+    fs::write(at.join("workspace.csv"), format!("{header}{}", "0,-60,90,0,60,0\n".repeat(40))).unwrap();
+    says(&check(&["--workspace", "workspace.csv"]), 1, "E1301");
+}
+
+#[test]
+fn files_of_an_earlier_result_go() {
+    let (dir, data) = cell();
+    let at = dir.path();
+    let is_there = |name: &str| at.join(name).exists();
+    done(&identify(at, &data.to_csv(), &PRIOR));
+    assert!(is_there("out/lengths.csv") && !is_there("out/positions.csv"));
+    // The tool ball by the identified robot: positions without noise.
+    done(&dbbd(at, &["predict", "obs.csv", "--robot", "out/robot-identified.toml", "--out", "pos.csv"]));
+    fs::write(at.join("out/joint-errors.csv"), "").unwrap();
+    let positions = |more: &[&str]| {
+        let given = ["identify", "pos.csv", "--robot", "kr60ha", "--out", "out", "--folds", "0"];
+        dbbd(at, &[&given[..], &PRIOR, &["--model", "geometric"], more].concat())
+    };
+    says(&positions(&["--centres", "C.csv"]), 1, "E1361");
+    says(&positions(&["--bar-u", "0.01"]), 1, "E1361");
+    assert!(is_there("out/lengths.csv"));
+    assert!(positions(&[]).status.code() != Some(1));
+    assert!(
+        is_there("out/positions.csv") && !is_there("out/lengths.csv") && !is_there("out/joint-errors.csv")
+    );
+    done(&identify(at, &data.to_csv(), &PRIOR));
+    assert!(is_there("out/lengths.csv") && !is_there("out/positions.csv"));
+
+    for (name, more) in [("a.csv", 0.0), ("b.csv", 0.01)] {
+        let rows = (0..72)
+            .map(|n| format!("1,ccw,{},{}\n", 5 * n, 300.0 + more + 0.05 * (0.17 * f64::from(n)).sin()));
+        fs::write(at.join(name), format!("run,direction,angle_deg,length_mm\n{}", rows.collect::<String>()))
+            .unwrap();
+    }
+    let circle =
+        |files: &[&str]| dbbd(at, &[&["circle", "--out", "q", "--monte-carlo", "0"][..], files].concat());
+    done(&circle(&["a.csv", "b.csv"]));
+    assert!(is_there("q/circle-2.svg"));
+    done(&circle(&["a.csv"]));
+    assert!(is_there("q/circle.svg") && !is_there("q/circle-2.svg"));
+}
+
+#[test]
+fn jobs_and_identities() {
+    let (dir, _) = cell();
+    let at = dir.path();
+    for (from, to) in [
+        ("[[centre]]", "certified_on = \"2399-01-01\"\n[[centre]]"),
+        ("[[centre]]", "certified_on = \"1926-01-01\"\n[[centre]]"),
+        ("[motion]", "[identity]\nmeasured = \"2399-01-01\"\n[motion]"),
+        ("[motion]", "[identity]\nballs = { 7 = \"S-7\" }\n[motion]"),
+    ] {
+        fs::write(at.join("bad.toml"), JOB.replacen(from, to, 1)).unwrap();
+        says(&dbbd(at, &["plan", "bad.toml", "--out", "plan"]), 1, "E0680");
+    }
+    fs::create_dir(at.join("plans")).unwrap();
+    for identity in [
+        "measured = \"1900-01-01\"",
+        "measured = \"2026-03-02T25:61:00Z\"",
+        "measured = \"2026-03-02Tmorning\"",
+        "operator = \"  \"",
+        "balls = { 01 = \"S-1\" }",
+        "[[identity.temperature]]\nof = \"air\"\ncelsius = 20\n[[identity.temperature]]\nof = \"air\"\ncelsius = 25",
+    ] {
+        fs::write(at.join("service.toml"), format!("plans = \"plans\"\n[identity]\n{identity}\n")).unwrap();
+        says(&dbbd(at, &["serve", "--check", "--config", "service.toml"]), 1, "E0680");
+    }
+    fs::write(
+        at.join("service.toml"),
+        "plans = \"plans\"\n[identity]\nmeasured = \"2026-03-02T10:59:00Z\"\n",
+    )
+    .unwrap();
+    done(&dbbd(at, &["serve", "--check", "--config", "service.toml"]));
+}
+
+#[test]
+fn lengths_measured_before_and_traces() {
+    let (dir, data) = cell();
+    let at = dir.path();
+    let plan = |table: &str| {
+        fs::write(at.join("measured.csv"), table).unwrap();
+        dbbd(at, &["plan", "job.toml", "--measured", "measured.csv", "--out", "plan"])
+    };
+    done(&plan(&data.to_csv()));
+    let mut shifted = data.clone();
+    let lengths: Vec<f64> = data.rows.iter().map(|row| row.length_mm).collect();
+    let count = lengths.len();
+    shifted.rows.iter_mut().enumerate().for_each(|(n, row)| row.length_mm = lengths[(n + 1) % count]);
+    says(&plan(&shifted.to_csv()), 3, "W1381");
+    let (header, rows) = data.to_csv().split_once('\n').map(|(a, b)| (a.to_owned(), b.to_owned())).unwrap();
+    let rows: String = rows.lines().map(|row| format!("{row},-127\n")).collect();
+    says(&identify(at, &format!("{header},temp_c\n{rows}"), &PRIOR), 3, "W1842");
+
+    let trace: String = (0..4800)
+        .map(|n| format!("{},{}\n", f64::from(n) / 20.0, 300.0 + 0.001 * f64::from(n % 7)))
+        .collect();
+    fs::write(at.join("trace.csv"), format!("t_s,length_mm\n{trace}")).unwrap();
+    says(&dbbd(at, &["import", "trace.csv", "--plan", "plan/plan.csv", "--out", "run"]), 0, "I1113");
+}
+
+const RAPID: &str = "MODULE Weld\nPERS tooldata tGun:=[TRUE,[[0,0,0],[1,0,0,0]],[3,[0,0,80],[1,0,0,0],0,0,0]];\n\
+    PERS wobjdata wFix:=[FALSE,TRUE,\"\",[[0,0,0],[1,0,0,0]],[[0,0,0],[1,0,0,0]]];\n\
+    CONST robtarget p10:=[[1200.0,0.0,850.0],[0.0,0.991444861,0.0,-0.130526192],[0,0,-2,0],[9E9,9E9,9E9,9E9,9E9,9E9]];\n\
+    CONST robtarget p20:=[[1190.0,0.0,850.0],[0.0,0.991444861,0.0,-0.130526192],[0,0,-2,0],[9E9,9E9,9E9,9E9,9E9,9E9]];\n\
+    PROC main()\nMoveJ p10,v100,fine,tGun\\WObj:=wFix;\nENDPROC\nENDMODULE\n";
+/// What is done before the end of the routine or to the module, the exit code, and the code.
+const OF_RAPID: &[(&str, &str, i32, &str)] = &[
+    ("ENDPROC", "TriggL p20,v100,t1,fine,tGun;\nENDPROC", 3, "W0905"),
+    ("ENDPROC", "MovL p20,v100,fine,tGun;\nENDPROC", 3, "W0905"),
+    ("ENDPROC", "MoveL *,v100,fine,tGun;\nENDPROC", 3, "W0905"),
+    ("MoveJ", "PDispSet d10;\nMoveJ", 3, "W0905"),
+    ("MoveJ", "p10.trans.x:=900;\nMoveJ", 1, "E0903"),
+    ("MoveJ", "tGun.tframe.trans.z:=100;\nMoveJ", 1, "E0901"),
+    ("MoveJ", "wFix:=wOther;\nMoveJ", 1, "E0901"),
+    ("[FALSE,TRUE,\"\"", "[FALSE,FALSE,\"STN1\"", 1, "E0901"),
+    ("MoveJ", "SearchL di1,p10,v100,tGun;\nMoveJ", 0, ""),
+];
+const URSCRIPT: &str = "def prog():\n  set_tcp(p[0.03,0.02,0.15,0,0,0])\n  movel(p[0.7,0.1,0.3,0,3.14159,0], a=1.2, v=0.25)\nend\n";
+const OF_URSCRIPT: &[(&str, &str, i32, &str)] = &[
+    ("end\n", "  movep(p[0.7,0.1,0.3,0,3.14159,0], a=1.2, v=0.25)\nend\n", 3, "W0905"),
+    ("end\n", "  servoj([0,-1.57,1.57,-1.57,-1.57,0])\nend\n", 3, "W0905"),
+    ("  movel", "  track_conveyor_linear(p[1,0,0,0,0,0],500)\n  movel", 3, "W0905"),
+    (
+        "  movel",
+        "  if get_standard_digital_in(1):\n    set_tcp(p[0,0,0.3,0,0,0])\n  end\n  movel",
+        1,
+        "E0901",
+    ),
+    ("p[0.03,0.02,0.15,0,0,0]", "p[0.03,0.02,0.25,0,0,0]", 1, "E0902"),
+    ("  movel", "  set_gravity([0,0,9.82])\n  movel", 0, ""),
+];
+
+fn corrected(
+    at: &Path,
+    robot: &str,
+    file: &str,
+    program: &str,
+    cases: &[(&str, &str, i32, &str)],
+    more: &[&str],
+) {
+    let nominal = Robot::by_name(robot).unwrap().unwrap();
+    let robot = Robot { nominal: Some(Box::new(nominal.clone())), ..truth::draw(&nominal, 1, 0.3) };
+    fs::write(at.join("id.toml"), robot.to_toml().unwrap()).unwrap();
+    let args = [&["compensate", file, "--robot", "id.toml", "--out", "new"][..], more].concat();
+    for (from, to, exit, code) in [("", "", 0, "")].iter().chain(cases) {
+        fs::write(at.join(file), program.replacen(from, to, 1)).unwrap();
+        let output = dbbd(at, &args);
+        if code.is_empty() {
+            assert_eq!(output.status.code(), Some(*exit), "{to}: {}", stderr(&output));
+        } else {
+            says(&output, *exit, code);
+        }
+    }
+}
+
+#[test]
+fn programs_that_are_not_corrected_as_a_whole() {
+    let dir = tempdir().unwrap();
+    corrected(dir.path(), "irb1600-10-145", "Weld.mod", RAPID, OF_RAPID, &[]);
+    let tool = ["--tool", "30,20,150,0,0,0"];
+    corrected(dir.path(), "ur10", "prog.script", URSCRIPT, OF_URSCRIPT, &tool);
+}
+
+#[test]
+fn urdfs_and_joints() {
+    let (dir, data) = cell();
+    let at = dir.path();
+    done(&identify(at, &data.to_csv(), &PRIOR));
+    let export = |urdf: &str, joints: &[&str]| {
+        fs::write(at.join("user.urdf"), urdf).unwrap();
+        let given = ["export", "out/robot-identified.toml", "--urdf-in", "user.urdf", "--out", "patched"];
+        dbbd(at, &[&given[..], joints].concat())
+    };
+    let urdf = fs::read_to_string(at.join("out/robot-identified.urdf")).unwrap();
+    done(&export(&urdf, &[]));
+    says(&export(&urdf, &["--joints", "joint_a1,joint_a2,joint_a3,joint_a4,joint_a5"]), 1, "E1720");
+    let sdf = urdf.replace("<robot ", "<sdf ").replace("</robot>", "</sdf>");
+    says(&export(&sdf, &[]), 1, "E1720");
+}
