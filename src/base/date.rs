@@ -10,6 +10,12 @@ pub fn day_number(date: &str) -> Option<f64> {
     is_date.then(|| days(month, day) as f64)
 }
 
+/// Whether a date is after the day of a time (nanoseconds since the Unix epoch) in every zone of time.
+pub fn is_after(date: &str, unix_ns: u64) -> bool {
+    let day = (unix_ns / 86_400_000_000_000) as f64;
+    day_number(date).is_some_and(|date| date > day + 1.0)
+}
+
 /// Whether a text is a time `hh:mm` or `hh:mm:ss`, of UTC with or without a `Z` at its end.
 pub fn is_time(text: &str) -> bool {
     let parts: Vec<&str> = text.strip_suffix('Z').unwrap_or(text).split(':').collect();

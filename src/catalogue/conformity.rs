@@ -34,6 +34,7 @@ findings! {
         cure: "Write --dates 2025-03-01,2025-06-01 for two results, oldest first." {
             DateCount { dates: usize, results: usize } => "{dates} dates are given for {results} results";
             NotADate { date: String } => "`{date}` is no date YYYY-MM-DD";
+            FutureDate { date: String } => "{date} is in the future, by the clock of this computer";
             NotAfter { date: String, before: String } => "{date} is not after {before}";
         }
         E1905 "the robot of a result is not known",

@@ -65,7 +65,7 @@ findings! {
         cause: "A text of [identity], [bar] or [[centre]] is empty, too long or has control characters, a date is none of the calendar or cannot be, a country is no code, or balls or temperatures are there twice.",
         cure: "Write texts in one line of at most 200 characters, and dates as \"2026-03-31\"." {
             NotAText { key: String, length: usize, most: usize } => "{key} must be a text of 1 to {most} characters in one line, it has {length}";
-            NotACountry { code: String } => "country = \"{code}\" must be two capital letters of ISO 3166-1, such as DE";
+            NotACountry { code: String } => "country = \"{code}\" must be two capital letters of ISO 3166-1, such as DE, or GB for the United Kingdom";
             CertifiedLater { date: String } => "certified_on = \"{date}\" is after the day of the measurement";
             InFuture { key: String, date: String } => "{key} = \"{date}\" is in the future, by the clock of this computer";
             NotABall { key: String } => "`{key}` is no number of a base ball: they count from 1";

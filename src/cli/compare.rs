@@ -7,7 +7,8 @@ use serde_json::Value as Json;
 
 use super::{Outcome, Output, length_sd, tolerance};
 use super::{artefact, robots};
-use crate::base::{files, serialised};
+use crate::base::date::is_after;
+use crate::base::{clock, files, serialised};
 use crate::catalogue::{CliFinding, ConformityFinding, Names};
 use crate::conformity::{
     CircleFile, Comparison, Input, LEVEL, ResultRead, Subject, Timeline, Tracked, compare_circles,
@@ -58,6 +59,9 @@ struct Document {
 }
 
 pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
+    if let Some(date) = args.dates.iter().find(|date| is_after(date, clock::unix_ns())) {
+        return Err(ConformityFinding::FutureDate { date: date.clone() }.into());
+    }
     let documents: Vec<Document> = args.inputs.iter().map(|path| read(path)).collect::<Result<_, _>>()?;
     different(&documents)?;
     let timeline = if args.dates.is_empty() {

@@ -4,11 +4,20 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use crate::base::date::{day_number, is_time, utc};
+use crate::base::date::{day_number, is_after, is_time};
 use crate::base::parse::from_toml;
 use crate::catalogue::JobFinding::{self, NotACountry, NotADate, NotAText, OutOfRange, TooEarly};
 use crate::diagnostic::Diagnostic;
 
+/// The country codes of ISO 3166-1, as the time zone database lists them (public domain).
+const COUNTRIES: &str = "AD AE AF AG AI AL AM AO AQ AR AS AT AU AW AX AZ BA BB BD BE BF BG BH BI BJ BL BM BN BO BQ BR BS BT \
+    BV BW BY BZ CA CC CD CF CG CH CI CK CL CM CN CO CR CU CV CW CX CY CZ DE DJ DK DM DO DZ EC EE EG EH \
+    ER ES ET FI FJ FK FM FO FR GA GB GD GE GF GG GH GI GL GM GN GP GQ GR GS GT GU GW GY HK HM HN HR HT \
+    HU ID IE IL IM IN IO IQ IR IS IT JE JM JO JP KE KG KH KI KM KN KP KR KW KY KZ LA LB LC LI LK LR LS \
+    LT LU LV LY MA MC MD ME MF MG MH MK ML MM MN MO MP MQ MR MS MT MU MV MW MX MY MZ NA NC NE NF NG NI \
+    NL NO NP NR NU NZ OM PA PE PF PG PH PK PL PM PN PR PS PT PW PY QA RE RO RS RU RW SA SB SC SD SE SG \
+    SH SI SJ SK SL SM SN SO SR SS ST SV SX SY SZ TC TD TF TG TH TJ TK TL TM TN TO TR TT TV TW TZ UA UG \
+    UM US UY UZ VA VC VE VG VI VN VU WF WS YE YT ZA ZM ZW";
 /// No measurement with a ball-bar and no certificate of one in use is older.
 const EARLIEST: &str = "1980-01-01";
 /// No text of an identity is longer, characters.
@@ -231,7 +240,7 @@ impl Identity {
         self.check_balls()?;
         check_date("measured", self.measured.as_ref())?;
         if let Some(code) = self.country.as_ref()
-            && !(code.len() == 2 && code.bytes().all(|byte| byte.is_ascii_uppercase()))
+            && !COUNTRIES.split(' ').any(|known| known == code)
         {
             return Err(("country", NotACountry { code: code.clone() }));
         }
@@ -258,11 +267,10 @@ impl Identity {
     /// # Errors
     /// The first that is.
     pub fn check_dates(&self, today: u64) -> Result<(), Wrong> {
-        let latest = day_number(utc(today).split('T').next().unwrap_or_default()).map(|day| day + 1.0);
         let dates = [("measured", &self.measured), ("certified_on", &self.bar.certified_on)];
         for (key, date) in dates {
             let Some(date) = date else { continue };
-            if day_number(date.split('T').next().unwrap_or_default()) > latest {
+            if is_after(date.split('T').next().unwrap_or_default(), today) {
                 return Err((key, JobFinding::InFuture { key: key.into(), date: date.clone() }));
             }
         }

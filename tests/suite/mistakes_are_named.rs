@@ -134,6 +134,7 @@ fn jobs_and_identities() {
         "measured = \"2026-03-02T25:61:00Z\"",
         "measured = \"2026-03-02Tmorning\"",
         "operator = \"  \"",
+        "country = \"UK\"",
         "balls = { 01 = \"S-1\" }",
         "[[identity.temperature]]\nof = \"air\"\ncelsius = 20\n[[identity.temperature]]\nof = \"air\"\ncelsius = 25",
     ] {
@@ -157,11 +158,11 @@ fn lengths_measured_before_and_traces() {
         dbbd(at, &["plan", "job.toml", "--measured", "measured.csv", "--out", "plan"])
     };
     done(&plan(&data.to_csv()));
-    let mut shifted = data.clone();
-    let lengths: Vec<f64> = data.rows.iter().map(|row| row.length_mm).collect();
-    let count = lengths.len();
-    shifted.rows.iter_mut().enumerate().for_each(|(n, row)| row.length_mm = lengths[(n + 1) % count]);
-    says(&plan(&shifted.to_csv()), 3, "W1381");
+    let mut sorted = data.clone();
+    let mut lengths: Vec<f64> = data.rows.iter().map(|row| row.length_mm).collect();
+    lengths.sort_by(f64::total_cmp);
+    sorted.rows.iter_mut().zip(lengths).for_each(|(row, length_mm)| row.length_mm = length_mm);
+    says(&plan(&sorted.to_csv()), 3, "W1381");
     let (header, rows) = data.to_csv().split_once('\n').map(|(a, b)| (a.to_owned(), b.to_owned())).unwrap();
     let rows: String = rows.lines().map(|row| format!("{row},-127\n")).collect();
     says(&identify(at, &format!("{header},temp_c\n{rows}"), &PRIOR), 3, "W1842");
@@ -197,7 +198,7 @@ const OF_URSCRIPT: &[(&str, &str, i32, &str)] = &[
     ("  movel", "  track_conveyor_linear(p[1,0,0,0,0,0],500)\n  movel", 3, "W0905"),
     (
         "  movel",
-        "  if get_standard_digital_in(1):\n    set_tcp(p[0,0,0.3,0,0,0])\n  end\n  movel",
+        "  if get_standard_digital_in(1):\n    set_tcp(p[0.03,0.02,0.15,0,0,0])\n  end\n  movel",
         1,
         "E0901",
     ),

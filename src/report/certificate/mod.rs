@@ -124,7 +124,8 @@ impl Certificate {
             return Err(CheckOfAnother { robot: self.result.robot, checked: check.robot });
         }
         let is_measured = |source: &&Artefact| source.role == Role::Measurements;
-        let measured = self.provenance.from.iter().rev().find(is_measured);
+        let known = !check.provenance.from.is_empty();
+        let measured = self.provenance.from.iter().rev().find(|source| known && is_measured(source));
         if let Some(measured) = measured.filter(|measured| !check.provenance.has(measured)) {
             return Err(CheckOfOtherResult { lengths: measured.to_string() });
         }
