@@ -24,6 +24,8 @@ struct Arm {
     name: &'static str,
     /// Place of the base ball, mm.
     centre: [f64; 3],
+    /// What is left of its mean 3-D error at most, mm: more for an arm of 2 m.
+    most_mm: f64,
     /// Axis angles of its production program, degrees.
     range_deg: [[f64; 2]; 6],
 }
@@ -31,19 +33,26 @@ struct Arm {
 const OFFSET_WRIST: &str = "offset wrist";
 const KUKA_DEG: [[f64; 2]; 6] =
     [[-40.0, 40.0], [-100.0, -50.0], [60.0, 120.0], [-60.0, 60.0], [20.0, 80.0], [-60.0, 60.0]];
-const KUKA: Arm =
-    Arm { language: Language::Krl, name: "kr16r2010-2", centre: [1300.0, 0.0, 800.0], range_deg: KUKA_DEG };
+const KUKA: Arm = Arm {
+    language: Language::Krl,
+    name: "kr16r2010-2",
+    centre: [1300.0, 0.0, 800.0],
+    most_mm: 0.1,
+    range_deg: KUKA_DEG,
+};
 const OFFSET: Arm = Arm { name: OFFSET_WRIST, centre: [1400.0, -300.0, 700.0], ..KUKA };
 const ABB: Arm = Arm {
     language: Language::Rapid,
     name: "irb1600-10-145",
     centre: [900.0, 0.0, 850.0],
+    most_mm: 0.05,
     range_deg: [[-40.0, 40.0], [-20.0, 40.0], [-20.0, 30.0], [-60.0, 60.0], [20.0, 80.0], [-60.0, 60.0]],
 };
 const UR: Arm = Arm {
     language: Language::Urscript,
     name: "ur10",
     centre: [700.0, 0.0, 300.0],
+    most_mm: 0.05,
     range_deg: [
         [-40.0, 40.0],
         [-110.0, -60.0],
@@ -278,7 +287,7 @@ fn chosen_poses_of_each_make() {
             eprintln!(
                 "{name}, robot {seed}: {lengths} of {dwells} dwells; {before:.3} mm before, {after:.4} mm after"
             );
-            assert!(lengths == dwells && after < 0.05, "{name}, robot {seed}");
+            assert!(lengths == dwells && after < arm.most_mm, "{name}, robot {seed}");
         }
     }
 }
