@@ -14,6 +14,12 @@ venv=$work/venv/bin
 PATH=$venv:$PATH maturin build --release --locked --quiet --out "$work/wheel"
 "$venv/pip" -q install --no-deps "$work"/wheel/*.whl
 "$venv/dbbd" --version
+# The types that the stubs state are those of the module.
+if "$venv/pip" -q install mypy >/dev/null 2>&1; then
+    (cd "$work" && "$venv/python" -m mypy.stubtest dbbd)
+else
+    echo "SKIPPED: the comparison of the stubs: mypy cannot be installed"
+fi
 # The Python of the documents, each document's blocks as one program in the repository.
 for page in ../README.md ../docs/how-to/python.md ../docs/how-to/crash-check.md; do
     awk '/^```python$/ { on = 1; next } /^```$/ { on = 0 } on' "$page" >"$work/page.py"

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import dbbd
+from conftest import ROOT
 
 ROBOTS = dbbd.Robot.built_in()
 
@@ -37,6 +38,64 @@ def test_poses_and_derivatives_are_pinocchios(name, tmp_path):
         jacobian = pin.getFrameJacobian(model, data, ball, pin.LOCAL_WORLD_ALIGNED)
         assert np.allclose(1e3 * jacobian[:3], jacobians[at, :3], atol=1e-9, rtol=0)
         assert np.allclose(jacobian[3:], jacobians[at, 3:], atol=1e-12, rtol=0)
+
+
+def offset_wrist(folder):
+    """A KR 60 HA whose axes 4 and 6 pass each other at 150 mm."""
+    joints = (ROOT / "robots" / "kr60ha.toml").read_text().split("[[joint]]")
+    joints[5] = joints[5].replace("d_mm = 0.0", "d_mm = 150.0", 1)
+    path = folder / "offset.toml"
+    path.write_text("[[joint]]".join(joints))
+    return dbbd.Robot.load(path)
+
+
+def numeric_ik(pin, model, frame, wanted, q):
+    """Axis angles by Newton steps with Pinocchio's logarithm and Jacobian; None where they do not converge."""
+    data = model.createData()
+    for _ in range(60):
+        pin.framesForwardKinematics(model, data, q)
+        off = data.oMf[frame].actInv(wanted)
+        error = pin.log6(off).vector
+        if np.linalg.norm(error) < 1e-12:
+            return q
+        jacobian = pin.Jlog6(off.inverse()) @ pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL)
+        step = np.linalg.lstsq(jacobian, error, rcond=1e-9)[0]
+        q = q + step * min(1.0, 0.5 / np.abs(step).max())
+    return None
+
+
+@pytest.mark.parametrize("kind", ["kr60ha", "ur10e", "offset wrist"])
+@pytest.mark.parametrize("drawn", [False, True])
+def test_axis_angles_are_pinocchios(kind, drawn, tmp_path):
+    """What Pinocchio finds from any start is one of the branches, for the nominal and for an identified robot."""
+    pin = pytest.importorskip("pinocchio")
+    nominal = offset_wrist(tmp_path) if kind == "offset wrist" else dbbd.Robot.load(kind)
+    robot = nominal.drawn(7) if drawn else nominal
+    robot.to_urdf(tmp_path / "robot.urdf")
+    model = pin.buildModelFromUrdf(str(tmp_path / "robot.urdf"))
+    frame, random = model.getFrameId("ball"), np.random.default_rng(5)
+    low, high = np.radians(nominal.limits_deg.T)
+    compared = 0
+    for _ in range(40):
+        q = random.uniform(low, high)
+        # Near a singularity the angles of one pose differ.
+        scaled = robot.jacobian_rad(q) * np.array([[1e-3]] * 3 + [[1.0]] * 3)
+        if np.linalg.svd(scaled, compute_uv=False)[-1] < 0.03:
+            continue
+        data = model.createData()
+        pin.framesForwardKinematics(model, data, q)
+        wanted = data.oMf[frame].copy()
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = wanted.rotation, 1e3 * wanted.translation
+        branches = robot.ik_rad(pose)
+        for start in [q + random.uniform(-0.3, 0.3, 6), random.uniform(low, high)]:
+            found = numeric_ik(pin, model, frame, wanted, start)
+            if found is None:
+                continue
+            apart = np.abs((branches - found + np.pi) % (2 * np.pi) - np.pi).max(axis=1)
+            assert apart.min() < 1e-6, (q, found, branches)
+            compared += 1
+    assert compared >= 30
 
 
 def test_axis_angles_lead_back_to_their_pose():

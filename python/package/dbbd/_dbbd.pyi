@@ -6,6 +6,19 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 __version__: str
+__all__ = [
+    "Capture",
+    "Check",
+    "Plan",
+    "Result",
+    "Robot",
+    "__version__",
+    "_main",
+    "check",
+    "identify",
+    "plan",
+    "simulate",
+]
 
 _Path = str | PathLike[str]
 _Float = NDArray[np.float64]
@@ -38,7 +51,7 @@ class Robot:
     def jacobian_rad(self, q: ArrayLike) -> _Float: ...
     def save(self, path: _Path) -> None: ...
     def to_urdf(self, path: _Path) -> None: ...
-    def patch_urdf(self, users_urdf: _Path, *, joints: Sequence[str] = ()) -> tuple[str, list[_Dict]]: ...
+    def patch_urdf(self, users_urdf: _Path, *, joints: Sequence[str] = ...) -> tuple[str, list[_Dict]]: ...
 
 @final
 class Capture:
@@ -132,8 +145,8 @@ def check(
     approach: ArrayLike | None = None,
     index: ArrayLike | None = None,
     tolerance_mm: float | None = None,
-    risk: float | None = 0.05,
-    tool_repeat_mm: float = 0.01,
+    risk: float | None = ...,  # 0.05
+    tool_repeat_mm: float = ...,  # 0.01
     ball_repeat_mm: float | None = None,
     bar_u_mm: float | None = None,
     workspace_deg: ArrayLike | None = None,
@@ -146,11 +159,11 @@ def simulate(
     robot: Robot,
     balls_mm: ArrayLike,
     bar_mm: float,
-    stroke_mm: Sequence[float] = (-1e9, 1e9),
+    stroke_mm: Sequence[float] = ...,  # any
     noise_um: float = 1.0,
     resolution_um: float = 0.1,
     repeatability_um: float = 0.0,
-    backlash_deg: Sequence[float] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+    backlash_deg: Sequence[float] = ...,  # none
     seed: int = 1,
 ) -> _Float: ...
 def _main(arguments: Sequence[str], launcher: Sequence[str]) -> int: ...
