@@ -92,7 +92,7 @@ fn phases(plan: &Plan, rng: &mut Pcg64, has: impl Fn(Trouble) -> bool) -> Vec<Ph
     }
     let off_deg = off_deg(&has);
     let speed = rng.random_range(0.5..1.0);
-    let mut here = rows[0].0.axes_deg;
+    let mut here = rows[0].0.axes_deg.map(|deg| deg - 2.0);
     let mut phases = vec![Phase { from: here, to: here, lasts_s: rng.random_range(1.0..20.0), pose: None }];
     let mut before = None;
     for pose in order {

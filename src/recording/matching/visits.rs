@@ -13,12 +13,12 @@ const AGAIN: f64 = 0.1;
 const PASSED: f64 = 1e-4;
 const PASSED_UNSEEN: f64 = 0.8;
 /// Probability that a rest at the place of a pose is no visit of it, and the same at the begin of a module.
-const OTHER: f64 = 1e-5;
-const HALT: f64 = 0.1;
+const OTHER: f64 = 1e-6;
+const HALT: f64 = 3e-3;
 /// Probability that a module begins again before a rest. Less than [`OTHER`]: a single rest at its begin proves nothing.
-const RESTARTED: f64 = 1e-7;
+const RESTARTED: f64 = 1e-8;
 /// Probability that the program goes on anywhere else.
-const ELSEWHERE: f64 = 1e-10;
+const ELSEWHERE: f64 = 1e-11;
 
 /// A rest as the model sees it.
 #[derive(Clone, Debug, PartialEq)]
