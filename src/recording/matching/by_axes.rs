@@ -118,7 +118,7 @@ pub(super) fn assign(poses: &Poses<'_>, published: &Published<'_>) -> Assigned {
         let near = |pose: &usize| apart_deg(&rest.axes_deg, &places[*pose]) <= reach[*pose];
         (0..places.len()).filter(near).collect()
     };
-    // A rest at no pose tells nothing of the order.
+    // A rest at no pose is no evidence of the order.
     let (mut rests, mut seen): (Vec<usize>, Vec<Seen>) = (Vec::new(), Vec::new());
     for (rest, interval) in published.rests.iter().enumerate() {
         let poses = at(interval);
