@@ -100,6 +100,10 @@ fn files_of_an_earlier_result_go() {
     );
     done(&identify(at, &data.to_csv(), &PRIOR));
     assert!(is_there("out/lengths.csv") && !is_there("out/positions.csv"));
+    // A table of the user's own that has the name of one of a result.
+    fs::write(at.join("out/positions.csv"), "measured with another instrument").unwrap();
+    done(&identify(at, &data.to_csv(), &PRIOR));
+    assert!(is_there("out/positions.csv"));
 
     for (name, more) in [("a.csv", 0.0), ("b.csv", 0.01)] {
         let rows = (0..72)

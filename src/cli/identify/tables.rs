@@ -3,6 +3,8 @@
 use std::fmt::Write;
 use std::path::Path;
 
+use serde::Deserialize;
+
 use super::Recorded;
 use crate::base::{files, serialised};
 use crate::catalogue::CliFinding;
@@ -51,17 +53,18 @@ pub(super) fn write_results(
     let file = ResultFile::from(found);
     let is_used = |place: usize| found.uses(place);
     let [lengths, positions] = [LENGTHS, POSITIONS].map(|file| dir.join(file));
+    let earlier = earlier(dir);
     if found.made_from.lengths > 0 {
         files::write_pieces(&lengths, observations.csv_pieces(is_used))?;
         provenance.add(&Artefact::file(Role::Measurements, &lengths)?);
     } else {
-        files::remove(&lengths)?;
+        remove_of(&earlier, &lengths)?;
     }
     if let Some(text) = observations.positions_csv(is_used) {
         files::write(&positions, text)?;
         provenance.add(&Artefact::file(Role::Measurements, &positions)?);
     } else {
-        files::remove(&positions)?;
+        remove_of(&earlier, &positions)?;
     }
     let recorded = Recorded { result: &file, budget, provenance: &provenance };
     files::write(&dir.join("result.json"), serialised::sealed_json(&recorded)?)?;
@@ -78,6 +81,24 @@ pub(super) fn write_results(
     }
     hand_back(dir, found, &provenance)?;
     Ok(provenance)
+}
+
+/// What the result that is in the directory was made from; empty where there is none that can be read.
+fn earlier(dir: &Path) -> Provenance {
+    #[derive(Default, Deserialize)]
+    struct Made {
+        provenance: Provenance,
+    }
+    let text = files::read_if_file(&dir.join("result.json")).and_then(Result::ok);
+    text.and_then(|text| serde_json::from_str::<Made>(&text).ok()).unwrap_or_default().provenance
+}
+
+/// Removes a table of that result; one of the same name that is the user's own stays.
+fn remove_of(earlier: &Provenance, table: &Path) -> Result<(), Diagnostic> {
+    if table.is_file() && earlier.has(&Artefact::file(Role::Measurements, table)?) {
+        files::remove(table)?;
+    }
+    Ok(())
 }
 
 fn parameters_csv(file: &ResultFile) -> Result<Vec<u8>, csv::Error> {
