@@ -8,8 +8,8 @@ use postgres::config::{Host, SslMode};
 
 use crate::base::files;
 use crate::catalogue::ArchiveFinding::{
-    NoAddress, NoRootCertificate, NotASecret, NotAnAddress, OtherScheme, OtherSslMode, SecretInAddress,
-    SecretOpen, SecretUnreadable,
+    NoAddress, NoPath, NoRootCertificate, NotASecret, NotAnAddress, OtherScheme, OtherSslMode,
+    SecretInAddress, SecretOpen, SecretUnreadable, SpoolInStore,
 };
 use crate::diagnostic::Diagnostic;
 
@@ -81,10 +81,27 @@ impl Addresses {
         let store = store.ok_or_else(|| missing(STORE, "DBBD_STORE"))?;
         Ok(Self { archive: database(archive, secrets)?, store: objects(store, secrets)? })
     }
+
+    /// That a spool is a directory of its own; paths count from `base`.
+    ///
+    /// # Errors
+    /// It is in the store.
+    pub fn check_spool(&self, base: &Path, spool: &Path) -> Result<(), Diagnostic> {
+        let StoreAddress::Directory(store) = &self.store else { return Ok(()) };
+        let place = |path: &Path| {
+            let path = base.join(path);
+            path.canonicalize().or_else(|_| std::path::absolute(&path)).unwrap_or(path)
+        };
+        if place(spool).starts_with(place(store)) { Err(SpoolInStore.into()) } else { Ok(()) }
+    }
 }
 
 fn database(text: &str, secrets: &Secrets) -> Result<DatabaseAddress, Diagnostic> {
     if let Some(path) = text.strip_prefix("sqlite:") {
+        // SQLite takes these for a database that nobody sees again.
+        if ["", ":memory:"].contains(&path) {
+            return Err(NoPath { option: ARCHIVE.into() }.into());
+        }
         return Ok(DatabaseAddress::Sqlite(path.into()));
     }
     if !text.starts_with("postgres://") && !text.starts_with("postgresql://") {
@@ -138,7 +155,11 @@ fn database(text: &str, secrets: &Secrets) -> Result<DatabaseAddress, Diagnostic
 
 fn objects(text: &str, secrets: &Secrets) -> Result<StoreAddress, Diagnostic> {
     if let Some(path) = text.strip_prefix("file:") {
-        return Ok(StoreAddress::Directory(path.trim_start_matches("//").into()));
+        let path = path.trim_start_matches("//");
+        if path.is_empty() {
+            return Err(NoPath { option: STORE.into() }.into());
+        }
+        return Ok(StoreAddress::Directory(path.into()));
     }
     let Some(rest) = text.strip_prefix("s3://") else {
         let schemes = "file:DIRECTORY, s3://BUCKET/PREFIX".into();

@@ -10,7 +10,9 @@ use serde_json::Value;
 use super::query::ArchivedRun;
 use crate::base::hash::sha256;
 use crate::base::{date, files, serialised};
-use crate::catalogue::ArchiveFinding::NothingToPush;
+use crate::catalogue::ArchiveFinding::{
+    NoRobot, NoSerial, NotACheck, NotRegistered, NotStored, NothingToPush,
+};
 use crate::diagnostic::Diagnostic;
 use crate::provenance::{Identity, Provenance, Role};
 use crate::recording::capture::{Event, Pass, Record};
@@ -20,6 +22,8 @@ use crate::recording::run;
 pub(super) const CAPTURE: &str = "run.dbbd";
 /// The decision of an interim check.
 const CHECK: &str = "check/check.json";
+/// What it can be.
+const DECISIONS: [&str; 3] = ["pass", "fail", "undecided"];
 
 /// A file of a run.
 pub(super) struct LocalFile {
@@ -34,6 +38,16 @@ pub(super) struct LocalFile {
 pub struct LocalRun {
     pub(super) record: ArchivedRun,
     pub(super) files: Vec<LocalFile>,
+    /// What is damaged in it, is not stored, or is not known of it.
+    doubts: Vec<Diagnostic>,
+}
+
+/// What is in the directory of a run.
+#[derive(Default)]
+struct Listed {
+    files: Vec<(String, PathBuf)>,
+    /// What the archive does not take.
+    left: Vec<PathBuf>,
 }
 
 /// A name of one or two parts that leads nowhere else.
@@ -55,8 +69,14 @@ impl LocalRun {
         if path.is_file() || path.join(CAPTURE).is_file() {
             return Ok(vec![path.to_owned()]);
         }
-        let entries = fs::read_dir(path).into_iter().flatten().flatten().map(|entry| entry.path());
-        let mut found: Vec<PathBuf> = entries.filter(|path| path.join(CAPTURE).is_file()).collect();
+        let mut found = Vec::new();
+        if path.is_dir() {
+            let unreadable = files::unreadable(path.display());
+            for entry in fs::read_dir(path).map_err(&unreadable)? {
+                found.push(entry.map_err(&unreadable)?.path());
+            }
+        }
+        found.retain(|path| path.join(CAPTURE).is_file());
         found.sort();
         if found.is_empty() {
             return Err(Diagnostic::file(&path.display().to_string(), NothingToPush));
@@ -69,12 +89,15 @@ impl LocalRun {
     /// # Errors
     /// What cannot be read, or is no capture.
     pub fn read(path: &Path) -> Result<Self, Diagnostic> {
-        let mut found = Vec::new();
+        let mut found = Listed::default();
         if path.is_dir() {
             list(path, "", &mut found)?;
         } else {
-            found.push((CAPTURE.to_owned(), path.to_owned()));
+            found.files.push((CAPTURE.to_owned(), path.to_owned()));
         }
+        let left = found.left.iter().map(|path| NotStored { file: path.display().to_string() }.into());
+        let mut doubts: Vec<Diagnostic> = left.collect();
+        let found = found.files;
         let capture = found.iter().find(|(name, _)| name == CAPTURE).map(|(_, path)| path.clone());
         let capture = capture.ok_or_else(|| Diagnostic::file(&path.display().to_string(), NothingToPush))?;
         let mut kept = Vec::new();
@@ -84,17 +107,17 @@ impl LocalRun {
         }
         // The capture last: where it is in the store, all that was made from it is.
         kept.sort_by_key(|file| (file.name == CAPTURE, file.name.clone()));
-        let record = record(&capture, &kept)?;
-        Ok(Self { record, files: kept })
+        let record = record(&capture, &kept, &mut doubts)?;
+        Ok(Self { record, files: kept, doubts })
     }
 
     /// What changes whenever a file of the run in `directory` does: a hash of names, lengths and times. Nothing is read.
     pub fn state(directory: &Path) -> Result<String, Diagnostic> {
-        let mut found = Vec::new();
+        let mut found = Listed::default();
         list(directory, "", &mut found)?;
-        found.sort();
+        found.files.sort();
         let mut text = String::new();
-        for (name, path) in found {
+        for (name, path) in found.files {
             let data = fs::metadata(&path).map_err(files::unreadable(path.display()))?;
             // A system without times of files has lengths.
             let at = data.modified().ok().and_then(|at| at.duration_since(UNIX_EPOCH).ok());
@@ -107,27 +130,44 @@ impl LocalRun {
     pub fn sha256(&self) -> &str {
         &self.record.sha256
     }
+
+    /// What is damaged in it, is not stored, or is not known of it.
+    pub fn doubts(&self) -> &[Diagnostic] {
+        &self.doubts
+    }
 }
 
 /// Plain files with sound names, one level deep: no link is followed.
-fn list(directory: &Path, prefix: &str, found: &mut Vec<(String, PathBuf)>) -> Result<(), Diagnostic> {
-    let entries = fs::read_dir(directory).map_err(files::unreadable(directory.display()))?;
-    for entry in entries.flatten() {
-        let Ok(kind) = entry.file_type() else { continue };
-        let name = format!("{prefix}{}", entry.file_name().to_string_lossy());
-        if kind.is_file() && is_sound(&name) && !name.ends_with(".part") {
-            found.push((name, entry.path()));
+fn list(directory: &Path, prefix: &str, found: &mut Listed) -> Result<(), Diagnostic> {
+    let unreadable = files::unreadable(directory.display());
+    for entry in fs::read_dir(directory).map_err(&unreadable)? {
+        let entry = entry.map_err(&unreadable)?;
+        let (kind, own) = (entry.file_type().map_err(&unreadable)?, entry.file_name());
+        let own = own.to_string_lossy();
+        // What others keep beside a run is none of its files, nor is what is being written.
+        if own.starts_with('.') || own.ends_with(".part") {
+            continue;
+        }
+        let name = format!("{prefix}{own}");
+        if kind.is_file() && is_sound(&name) {
+            found.files.push((name, entry.path()));
         } else if kind.is_dir() && prefix.is_empty() {
             list(&entry.path(), &format!("{name}/"), found)?;
+        } else {
+            found.left.push(entry.path());
         }
     }
     Ok(())
 }
 
-/// What the registry states of a run.
-fn record(capture: &Path, kept: &[LocalFile]) -> Result<ArchivedRun, Diagnostic> {
+/// What the registry states of a run, and what it cannot.
+fn record(
+    capture: &Path,
+    kept: &[LocalFile],
+    doubts: &mut Vec<Diagnostic>,
+) -> Result<ArchivedRun, Diagnostic> {
     let (mut attachments, mut started, mut version) = (BTreeMap::new(), None, None);
-    Pass::over(capture, |stamped| {
+    let pass = Pass::over(capture, |stamped| {
         match stamped.record {
             Record::Attachment { name, content } => {
                 attachments.insert(name, content);
@@ -140,6 +180,10 @@ fn record(capture: &Path, kept: &[LocalFile]) -> Result<ArchivedRun, Diagnostic>
         }
         Ok(())
     })?;
+    let file = capture.display().to_string();
+    doubts.extend(pass.doubts().into_iter().map(|doubt| Diagnostic::file(&file, doubt)));
+    let unread = run::unread(&file, &attachments, started);
+    doubts.extend(unread.map(|why| NotRegistered { why: why.to_string() }.into()));
     let (plan, provenance) = run::sources(&attachments, started, version)?;
     let own = kept.iter().find(|file| file.name == CAPTURE);
     let (sha256, bytes) = own.map_or_else(Default::default, |own| (own.sha256.clone(), own.bytes));
@@ -153,6 +197,11 @@ fn record(capture: &Path, kept: &[LocalFile]) -> Result<ArchivedRun, Diagnostic>
     });
     let Identity { robot, cell, operator, measured, bar, .. } = identity.clone();
     let measured = measured.or_else(|| started.map(date::utc)).unwrap_or_default();
+    if robot.is_none() {
+        let run = sha256.clone();
+        doubts
+            .push(kind.clone().map_or(NoRobot { run: run.clone() }, |robot| NoSerial { run, robot }).into());
+    }
     Ok(ArchivedRun {
         sha256,
         cell: cell.unwrap_or_default(),
@@ -165,16 +214,21 @@ fn record(capture: &Path, kept: &[LocalFile]) -> Result<ArchivedRun, Diagnostic>
         measured,
         plan: plan.map(|plan| plan.header.hash),
         bytes,
-        decision: decision(kept),
+        decision: decision(kept, doubts),
         provenance: serialised::json_line(&provenance)?,
     })
 }
 
 /// That of the check beside the capture.
-fn decision(kept: &[LocalFile]) -> Option<String> {
+fn decision(kept: &[LocalFile], doubts: &mut Vec<Diagnostic>) -> Option<String> {
     const MOST_BYTES: u64 = 64 << 20;
     let check = kept.iter().find(|file| file.name == CHECK)?;
-    let text = files::read_at_most(&check.path, MOST_BYTES).ok()?;
-    let json: Value = serde_json::from_str(&text).ok()?;
-    Some(json.get("decision")?.as_str()?.to_owned())
+    let text = files::read_at_most(&check.path, MOST_BYTES).ok();
+    let json = text.and_then(|text| serde_json::from_str::<Value>(&text).ok());
+    let decision = json.and_then(|json| json.get("decision").and_then(Value::as_str).map(str::to_owned));
+    let decision = decision.filter(|decision| DECISIONS.contains(&decision.as_str()));
+    if decision.is_none() {
+        doubts.push(Diagnostic::file(&check.path.display().to_string(), NotACheck));
+    }
+    decision
 }

@@ -27,7 +27,7 @@ pub use pages::{PlantOptions, PlantPages};
 pub use parquet::{ColumnKind, parquet};
 pub use plant::RunJob;
 pub use posterior::WrittenPosterior;
-pub use push::Pushed;
+pub use push::{Damage, Pushed};
 pub use query::{ArchivedFile, ArchivedRun, Selection};
 pub use spool::Spool;
 pub use store::Store;
@@ -56,6 +56,16 @@ impl Archive {
     pub fn open(addresses: &Addresses) -> Result<Self, Diagnostic> {
         let mut archive = Self::connect(addresses)?;
         schema::check(&mut archive.database)?;
+        Ok(archive)
+    }
+
+    /// The same, for what reads or writes objects: the store is that of an archive.
+    ///
+    /// # Errors
+    /// The store was not initialised.
+    pub fn open_whole(addresses: &Addresses) -> Result<Self, Diagnostic> {
+        let archive = Self::open(addresses)?;
+        archive.store.check_mark()?;
         Ok(archive)
     }
 

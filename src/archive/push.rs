@@ -10,18 +10,41 @@ use crate::catalogue::ArchiveFinding::ChangedMeanwhile;
 use crate::diagnostic::{Diagnostic, Finding as _};
 
 /// What became of a run.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Pushed {
     New,
     /// The archive held it; files that it lacked were added.
-    HeldAlready,
+    HeldAlready(Damage),
+}
+
+/// What the store had lost of a run.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Damage {
+    /// Objects that this push brought again.
+    pub restored: usize,
+    /// Files that are still missing.
+    pub lost: Vec<String>,
+}
+
+/// What became of a file.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Stored {
+    Now,
+    Before,
 }
 
 impl Archive {
     /// Stores a run. When this returns, all of its files were read back from the store and its row is written; a push that
     /// ends anywhere before leaves objects that the next one finds.
     pub fn push(&mut self, run: &LocalRun) -> Result<Pushed, Diagnostic> {
-        run.files.iter().try_for_each(|file| self.store_file(file))?;
+        let known = "SELECT sha256 FROM run_file WHERE run = $1";
+        let known = self.database.query(known, &[run.sha256().into()])?;
+        let known: Vec<String> = known.iter().map(|row| row.text(0)).collect::<Result<_, _>>()?;
+        let mut restored = 0;
+        for file in &run.files {
+            let stored = self.store_file(file)?;
+            restored += usize::from(stored == Stored::Now && known.contains(&file.sha256));
+        }
         let new = self.database.transaction(|database| {
             let new = run.record.insert(database)?;
             let sha256 = run.sha256();
@@ -43,21 +66,40 @@ impl Archive {
             }
             Ok(new)
         })?;
-        Ok(if new { Pushed::New } else { Pushed::HeldAlready })
+        if new {
+            return Ok(Pushed::New);
+        }
+        Ok(Pushed::HeldAlready(Damage { restored, lost: self.lost(run)? }))
+    }
+
+    /// The files of a run and of its results that the store lacks, and that are not pushed with it.
+    fn lost(&mut self, run: &LocalRun) -> Result<Vec<String>, Diagnostic> {
+        let sql = "SELECT name, sha256, bytes FROM run_file WHERE run = $1 \
+            UNION SELECT name, sha256, bytes FROM result_file WHERE run = $1 ORDER BY name";
+        let mut lost = Vec::new();
+        for row in self.database.query(sql, &[run.sha256().into()])? {
+            let sha256 = row.text(1)?;
+            let is_here = run.files.iter().any(|file| file.sha256 == sha256);
+            if !is_here && !self.store.holds(&sha256, row.count(2)?)? {
+                lost.push(row.text(0)?);
+            }
+        }
+        lost.dedup();
+        Ok(lost)
     }
 
     /// Stores a file unless it is there, and reads it back.
-    fn store_file(&self, file: &LocalFile) -> Result<(), Diagnostic> {
+    fn store_file(&self, file: &LocalFile) -> Result<Stored, Diagnostic> {
         let named = |wrong: Diagnostic| {
             let changed = wrong.code == ChangedMeanwhile.code();
             if changed { Diagnostic::file(&file.path.display().to_string(), ChangedMeanwhile) } else { wrong }
         };
         // What is there may be damaged: then it is stored again.
         if self.store.holds(&file.sha256, file.bytes)? && self.store.verify(&file.sha256).is_ok() {
-            return Ok(());
+            return Ok(Stored::Before);
         }
         let mut from = File::open(&file.path).map_err(files::unreadable(file.path.display()))?;
         self.store.put(&file.sha256, &mut from, file.bytes).map_err(named)?;
-        self.store.verify(&file.sha256)
+        self.store.verify(&file.sha256).map(|()| Stored::Now)
     }
 }

@@ -7,8 +7,10 @@ use serde::Serialize;
 use super::database::{Database, Row, Value};
 use super::local::is_sound;
 use super::{Archive, ColumnKind};
-use crate::base::files;
-use crate::catalogue::ArchiveFinding::{ManyRuns, NoRun, NotAName, NotDigits};
+use crate::base::{date, files};
+use crate::catalogue::ArchiveFinding::{
+    self, EndsBefore, InFuture, ManyRuns, NoRun, NoneOf, NoneSelected, NotAMoment, NotAName, NotDigits,
+};
 use crate::diagnostic::Diagnostic;
 
 /// Fewer digits of a SHA-256 are no name.
@@ -147,6 +149,38 @@ pub(super) fn like(text: &str) -> Value {
 }
 
 impl Selection {
+    /// That its dates are dates, and leave time between them; `today` in ns since the Unix epoch.
+    ///
+    /// # Errors
+    /// Names the option.
+    pub fn check(&self, today: u64) -> Result<(), Diagnostic> {
+        for (option, text) in [("--since", &self.since), ("--until", &self.until)] {
+            if let Some(text) = text.as_ref().filter(|text| !date::is_moment(text)) {
+                return Err(NotAMoment { option: option.into(), text: text.clone() }.into());
+            }
+        }
+        let Some(since) = &self.since else { return Ok(()) };
+        if date::is_after(since.split('T').next().unwrap_or(since), today) {
+            return Err(InFuture { text: since.clone() }.into());
+        }
+        match &self.until {
+            Some(until) if until <= since => {
+                Err(EndsBefore { since: since.clone(), until: until.clone() }.into())
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// The condition on the table `run` with the limit, and its values.
+    pub(super) fn limited(&self) -> (String, Vec<Value>) {
+        let (condition, mut values) = self.condition();
+        let Some(limit) = self.limit else { return (condition, values) };
+        values.push(limit.into());
+        let newest = "ORDER BY run.measured DESC, run.sha256 DESC";
+        let chosen = format!("SELECT run.sha256 FROM run WHERE {condition} {newest} LIMIT ${}", values.len());
+        (format!("run.sha256 IN ({chosen})"), values)
+    }
+
     /// The condition on the table `run`, and its values.
     pub(super) fn condition(&self) -> (String, Vec<Value>) {
         let mut values: Vec<Value> = Vec::new();
@@ -188,6 +222,25 @@ impl Archive {
         self.database.query(&sql, &values)?.iter().map(ArchivedRun::of_row).collect()
     }
 
+    /// Why a selection holds nothing: names that no run has, or that all of it together holds for none.
+    pub fn nothing_of(&mut self, selection: &Selection) -> Result<Vec<ArchiveFinding>, Diagnostic> {
+        let Selection { robot, kind, bar, cell, .. } = selection;
+        let mut findings = Vec::new();
+        for (column, name) in [("robot", robot), ("type", kind), ("bar", bar), ("cell", cell)] {
+            let Some(name) = name else { continue };
+            let sql = format!("SELECT 1 FROM run WHERE run.{column} = $1 LIMIT 1");
+            if self.database.query(&sql, &[name.into()])?.is_empty() {
+                findings.push(NoneOf { option: format!("--{column}"), name: name.clone() });
+            }
+        }
+        let is_choice = !selection.condition().1.is_empty();
+        if findings.is_empty() && is_choice {
+            let one = Selection { limit: Some(1), ..selection.clone() };
+            findings.extend(self.list(&one)?.is_empty().then_some(NoneSelected));
+        }
+        Ok(findings)
+    }
+
     /// The run whose SHA-256 begins with these digits.
     pub fn run(&mut self, digits: &str) -> Result<ArchivedRun, Diagnostic> {
         let digits = digits.to_ascii_lowercase();
@@ -223,13 +276,16 @@ impl Archive {
         self.store.fetch(sha256, path)
     }
 
-    /// Writes the files of a run into a directory, each as it was pushed.
+    /// Writes the files of a run into a directory, each as it was pushed; a file with another content is not replaced.
     pub fn fetch(&mut self, run: &ArchivedRun, directory: &Path) -> Result<Vec<ArchivedFile>, Diagnostic> {
         let found = self.files(run)?;
         for file in &found {
             if !is_sound(&file.name) {
                 return Err(NotAName { name: file.name.clone() }.into());
             }
+            files::is_same(&directory.join(&file.name), &file.sha256)?;
+        }
+        for file in &found {
             let path = directory.join(&file.name);
             files::directory(path.parent().unwrap_or(directory))?;
             self.store.fetch(&file.sha256, &path)?;

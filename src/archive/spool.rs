@@ -5,8 +5,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use super::local::LocalRun;
-use crate::base::files::{self, Exclusive};
-use crate::catalogue::FileFinding;
+use crate::base::files::{self, Exclusive, unwritable};
 use crate::diagnostic::Diagnostic;
 
 /// What is being written or removed ends with this, and is no run.
@@ -81,12 +80,6 @@ impl<'a> Spool<'a> {
     pub fn remove(&self, run: &Path) -> Result<(), Diagnostic> {
         let part = run.with_extension(PART);
         fs::rename(run, &part).and_then(|()| fs::remove_dir_all(&part)).map_err(unwritable(run))
-    }
-}
-
-fn unwritable(path: &Path) -> impl Fn(io::Error) -> Diagnostic {
-    move |error| {
-        Diagnostic::file(&path.display().to_string(), FileFinding::Unwritable { why: error.to_string() })
     }
 }
 

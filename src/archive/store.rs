@@ -19,7 +19,7 @@ use super::address::StoreAddress;
 use crate::base::files;
 use crate::base::hash::{Sha256, sha256};
 use crate::catalogue::ArchiveFinding::{
-    ChangedMeanwhile, Differs, Missing, NotAnAddress, NotReached, StoreRefused,
+    ChangedMeanwhile, Differs, Missing, NotAnAddress, NotReached, StoreNotInitialised, StoreRefused,
 };
 use crate::catalogue::{FileFinding, ServiceFinding};
 use crate::diagnostic::Diagnostic;
@@ -30,6 +30,8 @@ const PARTS_AT_A_TIME: usize = 4;
 /// How long a request that fails is tried again.
 const PATIENCE: Duration = Duration::from_secs(20);
 const TRIES: usize = 4;
+/// The object that a store gets when it is initialised.
+const MARK: &str = "dbbd archive\n";
 
 /// An object store.
 pub struct Store {
@@ -87,10 +89,15 @@ impl Store {
 
     /// That it can be written and read.
     pub(super) fn check(&self) -> Result<(), Diagnostic> {
-        let text = b"dbbd archive\n";
-        let name = sha256(text);
-        self.put(&name, &mut text.as_slice(), text.len() as u64)?;
+        let name = sha256(MARK);
+        self.put(&name, &mut MARK.as_bytes(), MARK.len() as u64)?;
         self.verify(&name)
+    }
+
+    /// That it was initialised: what a mistyped address names was not.
+    pub(super) fn check_mark(&self) -> Result<(), Diagnostic> {
+        let is_marked = self.holds(&sha256(MARK), MARK.len() as u64)?;
+        if is_marked { Ok(()) } else { Err(StoreNotInitialised.into()) }
     }
 
     /// Whether an object of this size is there.

@@ -11,8 +11,9 @@ use super::database::{Row, Value};
 use super::query::Selection;
 use super::{Archive, ColumnKind};
 use crate::base::hash::sha256;
-use crate::catalogue::ArchiveFinding::{GivenUp, NotASetting};
+use crate::catalogue::ArchiveFinding::{GivenUp, NotASetting, OtherValue};
 use crate::diagnostic::Diagnostic;
+use crate::robot::parameter::{self, SetUp};
 
 /// A job that lost its worker so often is not tried again.
 const MOST_ATTEMPTS: u64 = 5;
@@ -33,7 +34,7 @@ impl Settings {
     /// Options and their values, those that are given.
     ///
     /// # Errors
-    /// A value that is no list of names.
+    /// A value that is no list of names, or that `dbbd identify` would refuse for every run.
     pub fn new(options: &[(&str, Option<&str>)]) -> Result<Self, Diagnostic> {
         let mut given = Vec::new();
         for (option, value) in options {
@@ -43,6 +44,7 @@ impl Settings {
                 let (option, value) = ((*option).into(), (*value).into());
                 return Err(NotASetting { option, value }.into());
             }
+            check_value(option, value)?;
             given.push(format!("--{option}={value}"));
         }
         given.sort();
@@ -183,7 +185,7 @@ impl Archive {
         settings: &Settings,
         version: &str,
     ) -> Result<u64, Diagnostic> {
-        let (condition, mut values) = selection.condition();
+        let (condition, mut values) = selection.limited();
         let count = values.len();
         values.extend([settings.text().into(), version.into()]);
         let sql = format!(
@@ -193,7 +195,51 @@ impl Archive {
             count + 1,
             count + 2
         );
-        self.database.execute(&sql, &values)
+        Ok(self.database.execute(&sql, &values)? + self.ask_for_lost(&condition, &values)?)
+    }
+
+    /// Asks again for results of which the store lost a file. The last two values are settings and version.
+    fn ask_for_lost(&mut self, condition: &str, values: &[Value]) -> Result<u64, Diagnostic> {
+        let sql = format!(
+            "SELECT f.run, f.sha256, f.bytes FROM result_file f JOIN run ON run.sha256 = f.run \
+             WHERE {condition} AND f.settings = ${} AND f.version = ${} ORDER BY f.run",
+            values.len() - 1,
+            values.len()
+        );
+        let mut lost = Vec::new();
+        for row in self.database.query(&sql, values)? {
+            let run = row.text(0)?;
+            if !lost.contains(&run) && !self.store.holds(&row.text(1)?, row.count(2)?)? {
+                lost.push(run);
+            }
+        }
+        let mut asked = 0;
+        let wanted = values.get(values.len().saturating_sub(2)..).unwrap_or_default();
+        for run in lost {
+            let sql = "UPDATE job SET state = 'waiting', attempts = 0 \
+                WHERE settings = $1 AND version = $2 AND run = $3 AND state = 'done'";
+            let values = [wanted, &[(&run).into()]].concat();
+            asked += self.database.execute(sql, &values)?;
+        }
+        Ok(asked)
+    }
+
+    /// How many runs of a selection this version could not identify with these settings.
+    pub fn failed(
+        &mut self,
+        selection: &Selection,
+        settings: &Settings,
+        version: &str,
+    ) -> Result<u64, Diagnostic> {
+        let (condition, mut values) = selection.limited();
+        values.extend([settings.text().into(), version.into()]);
+        let sql = format!(
+            "SELECT count(*) FROM job JOIN run ON run.sha256 = job.run WHERE {condition} \
+             AND job.settings = ${} AND job.version = ${} AND job.state = 'failed'",
+            values.len() - 1,
+            values.len()
+        );
+        self.database.query(&sql, &values)?.first().map_or(Ok(0), |row| row.count(0))
     }
 
     /// The next job, which is this worker's until its lease ends.
@@ -321,7 +367,7 @@ impl Archive {
         selection: &Selection,
         settings: Option<&Settings>,
     ) -> Result<Vec<ArchivedResult>, Diagnostic> {
-        let (mut condition, mut values) = selection.condition();
+        let (mut condition, mut values) = selection.limited();
         if let Some(settings) = settings {
             values.push(settings.text().into());
             condition += &format!(" AND result.settings = ${}", values.len());
@@ -353,6 +399,24 @@ impl Archive {
         let rows = self.database.query(sql, &[run.into(), name.into()])?;
         rows.first().map(|row| row.text(0)).transpose()
     }
+}
+
+/// That a value of an option is one for some run: each run has its own balls and bars.
+fn check_value(option: &str, value: &str) -> Result<(), Diagnostic> {
+    let known: &[&str] = match option {
+        "prior" => &["none", "datasheet", "posterior"],
+        "model" => &["joints", "geometric"],
+        _ => {
+            const MOST: usize = 99;
+            let any = SetUp { balls: MOST, bars: MOST, targets: MOST, trackers: 1 };
+            return parameter::parse_list(value, &[], any).map(drop);
+        }
+    };
+    if known.contains(&value) {
+        return Ok(());
+    }
+    let (option, value, known) = (option.into(), value.into(), known.join(", "));
+    Err(OtherValue { option, value, known }.into())
 }
 
 fn lease(worker: &Worker) -> Value {

@@ -2,8 +2,13 @@
 
 /// Days of a date `YYYY-MM-DD` from a fixed one; `None` of what is no date.
 pub fn day_number(date: &str) -> Option<f64> {
-    let mut parts = date.splitn(3, '-').map(|part| part.parse::<u32>().ok().map(i64::from));
-    let (year, month, day) = (parts.next()??, parts.next()??, parts.next()??);
+    let number = |part: &str, digits: usize| {
+        let is_number = part.len() == digits && part.bytes().all(|byte| byte.is_ascii_digit());
+        is_number.then(|| part.parse::<i64>().ok()).flatten()
+    };
+    let mut parts = date.splitn(3, '-');
+    let (year, month, day) =
+        (number(parts.next()?, 4)?, number(parts.next()?, 2)?, number(parts.next()?, 2)?);
     let days = |month: i64, day: i64| days_since_1970(year, month, day);
     let is_month = (1..=9999).contains(&year) && (1..=12).contains(&month);
     let is_date = is_month && (1..=days(month + 1, 1) - days(month, 1)).contains(&day);
@@ -25,6 +30,12 @@ pub fn is_time(text: &str) -> bool {
             && part.parse::<u8>().is_ok_and(|n| n < most)
     };
     (2..=3).contains(&parts.len()) && parts.iter().zip([24, 60, 60]).all(below)
+}
+
+/// Whether a text is a date `YYYY-MM-DD`, or one with a time behind a `T`: such texts are in order as their moments are.
+pub fn is_moment(text: &str) -> bool {
+    let (date, time) = text.split_once('T').map_or((text, None), |(date, time)| (date, Some(time)));
+    day_number(date).is_some() && time.is_none_or(is_time)
 }
 
 /// Date and time `YYYY-MM-DDThh:mm:ssZ`, UTC, of nanoseconds since the Unix epoch.
@@ -62,7 +73,13 @@ mod tests {
             assert_eq!(utc(seconds * 1_000_000_000), text);
         }
         assert_eq!(day_number("2024-03-01").unwrap() - day_number("2024-02-28").unwrap(), 2.0);
-        assert_eq!(day_number("2100-02-29"), None);
+        assert!(
+            ["2100-02-29", "2024-3-1", "+024-03-01", "01.03.2024"]
+                .into_iter()
+                .all(|text| day_number(text).is_none())
+        );
+        assert!(["2024-03-01", "2024-03-01T10:00Z"].into_iter().all(is_moment));
+        assert!(!["2024-03-01T", "2024-03-01Tnoon", "2024-03-01 10:00"].into_iter().any(is_moment));
         assert!(["23:59", "00:00:59Z"].into_iter().all(is_time));
         assert!(!["24:00", "10:60", "10", "10:00:00+01:00", "+1:00", ""].into_iter().any(is_time));
     }

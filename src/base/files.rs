@@ -3,11 +3,11 @@
 use std::fmt::Display;
 use std::fs;
 use std::io::{self, Read, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use crate::base::hash::Sha256;
 use crate::catalogue::FileFinding::{
-    IsInput, NoDirectory, NotAFile, NotUtf8At, TooLarge, Unreadable, Unwritable,
+    IsInput, NoDirectory, NoResult, NotAFile, NotUtf8At, OtherContent, TooLarge, Unreadable, Unwritable,
 };
 use crate::diagnostic::Diagnostic;
 
@@ -69,37 +69,64 @@ pub fn write_pieces(
     path: &Path,
     pieces: impl IntoIterator<Item = impl AsRef<[u8]>>,
 ) -> Result<(), Diagnostic> {
-    let wrong = |error: io::Error| {
-        Diagnostic::file(&path.display().to_string(), Unwritable { why: error.to_string() })
-    };
-    let fill = |mut file: fs::File| pieces.into_iter().try_for_each(|piece| file.write_all(piece.as_ref()));
-    // A link stays one: what it points to is replaced. A device or a pipe takes the text as it is.
-    let target = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
-    if fs::metadata(&target).is_ok_and(|data| !data.is_file() && !data.is_dir()) {
-        return fs::OpenOptions::new().write(true).open(&target).and_then(fill).map_err(wrong);
-    }
-    let mut beside = target.as_os_str().to_owned();
-    // Another process may write the same file.
-    beside.push(format!(".{}.part", std::process::id()));
-    let write = || {
-        fill(fs::File::create(&beside)?)?;
-        fs::rename(&beside, &target)
-    };
-    write().map_err(|error| {
+    let Some(Beside { beside, target }) = write_beside(path, pieces)? else { return Ok(()) };
+    fs::rename(&beside, &target).map_err(|error| {
         // A part of a file is of no use.
         let _ = fs::remove_file(&beside);
-        wrong(error)
+        unwritable(path)(error)
     })
 }
 
-/// Removes a file of an earlier run that this one does not write; that there is none is no error.
-pub fn remove(path: &Path) -> Result<(), Diagnostic> {
-    match fs::remove_file(path) {
-        Err(error) if error.kind() != io::ErrorKind::NotFound => {
-            Err(Diagnostic::file(&path.display().to_string(), Unwritable { why: error.to_string() }))
+/// A file that was written beside the place that it is to have.
+#[derive(Debug)]
+pub(super) struct Beside {
+    pub(super) beside: PathBuf,
+    pub(super) target: PathBuf,
+}
+
+/// Writes a file whole beside its name; `None` where a device or a pipe took it.
+pub(super) fn write_beside(
+    path: &Path,
+    pieces: impl IntoIterator<Item = impl AsRef<[u8]>>,
+) -> Result<Option<Beside>, Diagnostic> {
+    let wrong = unwritable(path);
+    let fill = |mut file: fs::File| pieces.into_iter().try_for_each(|piece| file.write_all(piece.as_ref()));
+    // A link stays one: what it points to is replaced. A device or a pipe takes the text as it is.
+    let target = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
+    match fs::metadata(&target) {
+        Ok(data) if data.is_dir() => return Err(wrong(io::ErrorKind::IsADirectory.into())),
+        Ok(data) if !data.is_file() => {
+            return fs::OpenOptions::new()
+                .write(true)
+                .open(&target)
+                .and_then(fill)
+                .map(|()| None)
+                .map_err(wrong);
         }
-        _ => Ok(()),
+        _ => {}
     }
+    let beside = beside(&target, "part");
+    match fs::File::create(&beside).and_then(fill) {
+        Ok(()) => Ok(Some(Beside { beside, target })),
+        Err(error) => {
+            // A part of a file is of no use.
+            let _ = fs::remove_file(&beside);
+            Err(wrong(error))
+        }
+    }
+}
+
+/// A name beside that of a file, of this process alone: another may write the same file.
+pub(super) fn beside(path: &Path, ending: &str) -> PathBuf {
+    let mut beside = path.as_os_str().to_owned();
+    beside.push(format!(".{}.{ending}", std::process::id()));
+    beside.into()
+}
+
+/// What is wrong when a file could not be written.
+pub fn unwritable(path: &Path) -> impl Fn(io::Error) -> Diagnostic {
+    let name = path.display().to_string();
+    move |error| Diagnostic::file(&name, Unwritable { why: error.to_string() })
 }
 
 /// Who may do what with a file, as Unix has it; of no file, and elsewhere, nobody.
@@ -124,6 +151,32 @@ pub fn keeps<'a>(out: &Path, inputs: impl IntoIterator<Item = &'a Path>) -> Resu
         Some(input) => Err(Diagnostic::file(&input.display().to_string(), IsInput)),
         None => Ok(()),
     }
+}
+
+/// That what is at `out` is an earlier result of this kind, which begins with `head`, or nothing: it is replaced.
+///
+/// # Errors
+/// It is something else, or cannot be read.
+pub fn is_earlier(out: &Path, head: &[u8]) -> Result<(), Diagnostic> {
+    if !out.is_file() {
+        return Ok(());
+    }
+    let (name, mut begin) = (out.display().to_string(), Vec::new());
+    let file = fs::File::open(out).map_err(unreadable(&name))?;
+    file.take(head.len() as u64).read_to_end(&mut begin).map_err(unreadable(&name))?;
+    // An export that was cut off is one, too.
+    if head.starts_with(&begin) { Ok(()) } else { Err(Diagnostic::file(&name, NoResult)) }
+}
+
+/// That nothing is at `out`, or a file with this SHA-256.
+///
+/// # Errors
+/// It has another content, or cannot be read.
+pub fn is_same(out: &Path, content_sha256: &str) -> Result<(), Diagnostic> {
+    if out.symlink_metadata().is_err() || (out.is_file() && sha256(out)? == content_sha256) {
+        return Ok(());
+    }
+    Err(Diagnostic::file(&out.display().to_string(), OtherContent))
 }
 
 /// A directory that no other process of dbbd writes results to while this is held.

@@ -3,6 +3,7 @@
 pub mod clock;
 pub mod date;
 mod exact;
+mod file_set;
 pub mod files;
 pub mod hash;
 pub mod parse;
@@ -12,3 +13,5 @@ pub mod sync;
 pub mod table;
 pub mod text;
 pub mod units;
+
+pub use file_set::FileSet;

@@ -11,11 +11,13 @@ findings! {
             NotBuilt => "this program was built without the archive", help: "build it with `--features archive`";
         }
         E2402 "an address of the archive is not valid",
-        cause: "The archive is at `sqlite:FILE` or `postgres://USER@HOST/DATABASE`, its store at `file:DIRECTORY` or `s3://BUCKET/PREFIX`.",
+        cause: "The archive is at `sqlite:FILE` or `postgres://USER@HOST/DATABASE`, its store at `file:DIRECTORY` or `s3://BUCKET/PREFIX`. The spool is a directory of its own.",
         cure: "Give --archive and --store, or set DBBD_ARCHIVE and DBBD_STORE. docs/how-to/archive.md has examples." {
             NoAddress { option: String, variable: String } => "{option} is missing", help: "give it, or set {variable}";
             OtherScheme { option: String, schemes: String } => "{option}: is none of {schemes}";
             NotAnAddress { option: String, why: String } => "{option}: {why}";
+            NoPath { option: String } => "{option}: the path of a file or a directory is missing";
+            SpoolInStore => "--spool is the directory of the store, or in it", help: "give a directory of its own";
             OtherSslMode { mode: String } => "sslmode={mode}: is not supported", help: "verify-full, or disable on this computer and in a tunnel";
             NoRootCertificate => "an encrypted connection needs the certificate of its authority", help: "add sslrootcert=FILE to the address";
         }
@@ -49,6 +51,7 @@ findings! {
             NotInitialised => "there is no archive yet", help: "make it: `dbbd archive init`";
             Older { found: u64, needed: u64 } => "the archive has the form {found}, and this version needs {needed}", help: "bring it forward: `dbbd archive init`";
             Newer { found: u64, known: u64 } => "the archive has the form {found}, and this version knows {known}", help: "use a newer version of dbbd";
+            StoreNotInitialised => "the store was not initialised", help: "is --store mistyped? Else initialise it: `dbbd archive init`";
             OtherForm { step: u64 } => "step {step} of the archive's form was made by another program";
         }
         E2408 "an object is not what was stored",
@@ -72,8 +75,9 @@ findings! {
             ChangedMeanwhile => "changed while it was read", help: "push it when the run is over";
         }
         E2411 "a setting of a job is not valid",
-        cause: "A value holds other characters than those of lists of names, or the job was written by another program.",
+        cause: "A value holds other characters than those of lists of names, names no prior or model, or the job was written by another program.",
         cure: "Settings are those of `dbbd identify`: --prior, --estimate, --hold, --model." {
+            OtherValue { option: String, value: String, known: String } => "--{option}: `{value}` is none of {known}";
             NotASetting { option: String, value: String } => "--{option}: `{value}` is no list of names";
         }
         E2415 "there are no results to estimate a fleet from",
@@ -86,11 +90,23 @@ findings! {
         cure: "`dbbd archive get` and `dbbd identify` show what it does. `dbbd archive reprocess` asks for it again." {
             GivenUp { attempts: u64 } => "the worker was lost {attempts} times in the middle of it";
         }
+        W2427 "runs are left out of a fleet",
+        cause: "No worker has identified them with the usual settings, or their results have no date or no covariance.",
+        cure: "Let `dbbd archive worker` identify them; `dbbd archive show SHA256` says why one could not be." {
+            NotInFleet { left: usize, runs: usize } => "{left} of {runs} runs are left out";
+        }
         W2416 "a bar jumped, or a robot changed suddenly",
         cause: "A bar was dropped or its ends were exchanged; a robot crashed, or was repaired or mastered anew. Runs before and after disagree by more than drift and noise allow.",
         cure: "Have the bar certified again before its next run. Calibrate the robot anew, and check what it did in between." {
             BarJumped { bar: String, um: f64, sd_um: f64 } => "bar {bar} jumped by {um:+.1} um (standard deviation {sd_um:.1} um)";
             RobotChanged { robot: String, times: usize } => "robot {robot} changed suddenly, {times} times";
+        }
+        E2418 "a selection of runs has dates that cannot be",
+        cause: "A date is not written as YYYY-MM-DD, is in the future, or the selection ends before it begins.",
+        cure: "Dates are YYYY-MM-DD or YYYY-MM-DDThh:mm:ssZ, UTC: `--since 2026-01-01 --until 2026-02-01` is January." {
+            NotAMoment { option: String, text: String } => "{option}: `{text}` is no date", help: "YYYY-MM-DD";
+            InFuture { text: String } => "--since {text} is in the future";
+            EndsBefore { since: String, until: String } => "--until {until} is not after --since {since}";
         }
         E2430 "a page of the plant is asked for in a form that it has not",
         cause: "The address was typed, or a link is of another version: a field is unknown, or its value is none of those that it can have.",
@@ -112,10 +128,43 @@ findings! {
             Spooled { run: String, why: String } => "run {run} waits in the spool: {why}";
             SpoolWaits { runs: usize } => "{runs} runs wait in the spool";
         }
+        W2419 "the archive has no run of this name",
+        cause: "The name or serial number is mistyped, this role may not see its runs, or none was pushed.",
+        cure: "`dbbd archive list` shows the names; upper and lower case differ. `--search` finds parts of names." {
+            NoneOf { option: String, name: String } => "no run has {option} `{name}`";
+        }
+        I2420 "the selection holds no run",
+        cause: "All that is given must hold, and no run has all of it.",
+        cure: "Leave out one of the options to see which it is." {
+            NoneSelected => "the selection holds no run";
+        }
+        W2421 "a file of a run was not stored",
+        cause: "It has another name than letters, digits, `.`, `_` and `-`, is deeper than one directory, is a link, or cannot be read.",
+        cure: "Give the file another name, or put it into the directory of the run, and push again." {
+            NotStored { file: String } => "{file} was not stored";
+        }
+        W2422 "the archive does not know all of a run",
+        cause: "The plan, the identity or the check that belongs to it cannot be read, so that robot, bar or decision are missing in the lists.",
+        cure: "The files are stored as they are. The message says what is wrong in them; `dbbd info RUN` shows the capture." {
+            NotRegistered { why: String } => "not all of the run is registered: {why}";
+            NotACheck => "no decision in it is pass, fail or undecided";
+        }
+        W2423 "the store had lost objects of a run",
+        cause: "The store lost or changed them, or somebody deleted them.",
+        cure: "What was pushed now is whole again. Push what is missing from where it is, or restore the store from its backup; results are made again by `dbbd archive reprocess`. See why the store lost it." {
+            Restored { run: String, objects: usize } => "{objects} objects of run {run} were missing or damaged in the store, and are restored";
+            Lost { run: String, file: String } => "{file} of run {run} is not in the store";
+        }
         W2414 "runs could not be identified",
         cause: "A capture has no plan, too few of its poses have a length, or its worker ended again and again.",
         cure: "`dbbd archive show SHA256` has the reason of each; `dbbd archive get` and `dbbd identify` show it in full." {
             JobsFailed { jobs: u64 } => "{jobs} jobs failed";
+        }
+        I2426 "a run does not state its robot",
+        cause: "The job and the capture have no serial number of the robot.",
+        cure: "Give it in the table [identity] of the job, or with `dbbd acquire --identity`: robots of one type without serial numbers are one robot in the archive." {
+            NoSerial { run: String, robot: String } => "run {run} has no serial number of its robot: it is stored as one of `{robot}`";
+            NoRobot { run: String } => "run {run} states no robot";
         }
         I2413 "the archive holds the run already",
         cause: "The same capture was pushed before, from here or from another cell.",

@@ -68,11 +68,14 @@ findings! {
             OtherRadius { mean_mm: f64, radius_mm: f64 } => "the mean length is {mean_mm:.3} mm, and the nominal radius {radius_mm} mm";
             EqualLengths { length_mm: f64 } => "all lengths are {length_mm:.4} mm: are they measured ones?";
         }
-        W1482 "a trace of a circle has rows twice, too many turns, or temperatures of no bar",
-        cause: "A file was joined with itself, angle_deg is in another unit than degrees or counts on over the runs, or temp_c is in another unit than degrees Celsius.",
+        W1482 "rows, angles, times or temperatures of a circle cannot be",
+        cause: "A file was joined with itself, angle_deg is in another unit than degrees, counts points or counts on over the runs, rows of several runs have one number, or temp_c is in another unit than degrees Celsius or of several sensors.",
         cure: "Give each row once, each run its own number in the column `run`, angles in degrees and temperatures in degrees Celsius." {
             RowsTwice { run: String, rows: usize } => "run {run}: {rows} rows are there twice";
             ManyTurns { run: String, span_deg: f64 } => "run {run}: the angles span {span_deg:.0} degrees in one sense";
+            CountedPoints { run: String, points: usize } => "run {run}: the angles count the {points} points: degrees are needed";
+            TimesBack { run: String, t_s: f64 } => "run {run}: the times go back at t_s = {t_s}";
+            WarmedBar { span_k: f64 } => "`temp_c` spans {span_k:.1} K in one test";
             WarmBar { mean_c: f64 } => "the mean of `temp_c` is {mean_c:.1} degrees: is it in Fahrenheit?";
         }
         I1416 "reversal steps of joints are not separable",

@@ -15,6 +15,7 @@ findings! {
         cure: "`dbbd VERB --help` says what the option takes, with the unit." {
             NotPositive => "a positive number is needed";
             NotFine { most_mm: f64 } => "a positive number of at most {most_mm} mm is needed: is it in um?";
+            Outside { least: f64, most: f64, unit: &'static str } => "a number from {least} to {most} {unit} is needed";
             NotAnExpansion => "an expansion by 1 K is some 0.00001 of the length (steel 11.5e-6, carbon fibre 1e-6)";
             NotACertifiedTemperature { least: f64, most: f64 } => "lengths are certified at {least} to {most} degrees Celsius";
             NotSeconds => "a number of seconds, 0 or more, is needed";

@@ -105,6 +105,17 @@ findings! {
         cure: "Give the standard deviation that the lengths have, and measured lengths." {
             TooGood { chi_square: f64, freedom: usize } => "chi-square {chi_square:.2} of {freedom} degrees of freedom: the lengths agree far better than their standard deviation";
         }
+        W1922 "the result beside the robot file is of another calibration",
+        cause: "Files of several calibrations were put into one directory, so that result.json does not belong to robot-identified.toml. What the model of the calibration lacks is not known; it can then pass for a change.",
+        cure: "Put result.json and robot-identified.toml of one calibration beside each other, or give --sigma." {
+            OtherResultBeside { looked_for: String, sigma_mm: f64 } => "{looked_for} is of another calibration: a length counts with {sigma_mm:.4} mm, of bar and repeatability alone";
+        }
+        W1923 "circles that are compared are not alike",
+        cause: "Files were exchanged: one is an arc and the other a full circle, whose quantities differ by that alone, or both were made from the same lengths, so that nothing can have changed.",
+        cure: "Compare tests of the same circle that were measured one after the other." {
+            ArcAndCircle { file: String, span_deg: f64, first: String, first_deg: f64 } => "{file} covers {span_deg:.0} degrees, and {first} {first_deg:.0}";
+            SameLengths { file: String, first: String } => "{file} is made from the same lengths as {first}";
+        }
         I1920 "what the model of the calibration lacks is not known",
         cause: "The result.json of the calibration is not beside the robot file, so that the standard deviation of a length is that of bar and repeatability alone. What the model lacks can then pass for a change.",
         cure: "Keep result.json beside robot-identified.toml, or give --sigma." {

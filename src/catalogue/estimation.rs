@@ -41,11 +41,12 @@ findings! {
             NoLength => "no length matches a pose";
         }
         E1304 "a prior cannot be used",
-        cause: "A row of the table `name,unit,sd` names a parameter twice, or has another unit; or what the robot's earlier identification left unknown is not in its file.",
+        cause: "A row of the table `name,unit,sd` names a parameter twice, has another unit, or its sd is in another unit (degrees, micrometres); or what the robot's earlier identification left unknown is not in its file.",
         cure: "Correct the row; give the robot-identified.toml. The parameters.csv of an earlier identification of the same robot is such a table." {
             EmptyPrior => "the prior has no row with a standard deviation";
             OtherUnitThan { parameter: String, unit: String, given: String } => "`{parameter}` is in {unit}, not in `{given}`";
             ParameterTwice { parameter: String } => "`{parameter}` is there twice";
+            NoPriorOf { parameter: String, value: f64, unit: String } => "no robot leaves `{parameter}` uncertain by {value} {unit}: is it in another unit?";
             NoPosterior => "the robot's file has no [posterior] of its values", help: "robot-identified.toml has it; or --prior datasheet";
         }
         E1305 "an argument of the estimation cannot be read",

@@ -68,6 +68,12 @@ findings! {
         cure: "Give another name with --out." {
             IsInput => "is read by this command, and --out would overwrite it", help: "give another name with --out";
         }
+        E0181 "a file that is no result of this command is in the way",
+        cause: "The directory has a file of the name of a result, which this command did not write: it may be the only copy of something else.",
+        cure: "Give a new directory with --out, or move the file away." {
+            OtherContent => "is there with another content, and is not replaced";
+            NoResult => "is not what this command writes under this name, and is not replaced";
+        }
         I0121 "a table is read as it is written",
         cause: "The table has another delimiter, decimal or encoding than dbbd writes, and shows it without doubt.",
         cure: "Nothing to do, if the message names the right ones." {

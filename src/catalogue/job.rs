@@ -10,6 +10,8 @@ findings! {
         cure: "Correct the value. examples/demo.toml explains every key with its unit and its default." {
             NotPositive { key: String, value: f64, most: f64 } => "{key} = {value} must be a positive number, at most {most}";
             OutOfRange { key: String, value: f64, least: f64, most: f64 } => "{key} = {value} must be a number from {least} to {most}";
+            FrameInRadians { key: String, value: f64 } => "{key}: {value} seems to be in radians: A, B and C are in degrees";
+            FrameInMetres { key: String, size_mm: f64 } => "{key}: X, Y and Z are at most {size_mm} mm: they seem to be in metres";
             TinyObstacle { key: String, size_mm: f64 } => "{key}: the obstacle is {size_mm} mm large", help: "lengths are in mm: is it in metres?";
             NoDirection { key: String, x: f64, y: f64, z: f64 } => "{key} = [{x}, {y}, {z}] is no direction";
         }

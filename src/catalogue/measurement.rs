@@ -50,6 +50,12 @@ findings! {
         cure: "Fill the column, or leave it out and give --sigma." {
             SigmaMissing { without: usize, rows: usize } => "{without} of {rows} rows have no sigma_mm: none is used, and all lengths weigh alike";
         }
+        W1283 "all lengths of a table are equal",
+        cause: "The lengths are the commanded ones, the bar was frozen, or the column was filled with one value. No two measured lengths are equal to the last digit so often.",
+        cure: "Give the lengths that the bar measured." {
+            AllEqual { rows: usize, length_mm: f64 } => "all {rows} lengths are {length_mm} mm: are they measured ones?";
+            FrozenRows { rows: usize, index: u32, length_mm: f64 } => "{rows} rows one after the other, from index {index} on, have the length {length_mm} mm: was the bar frozen?";
+        }
         W1282 "lengths of single rows cannot be",
         cause: "The number of the ball, an angle or the length of a row was mistyped or is in another unit. One such row can spoil the whole result.",
         cure: "Correct or remove the row that is named." {

@@ -14,6 +14,7 @@ findings! {
             NotAHost => "no name of a host", help: "a name without scheme and port, as \"cell-3.local\"";
             ParametersWithoutProtocol => "`device.params` needs `device.protocol`";
             NotADirectory => "`data` and `plans` are directories, and this is none";
+            OneDirectory => "`data` and `plans` are one directory", help: "give runs and plans a directory each";
             NoPlans => "`plans` is no directory";
             NotAStroke => "the stroke is [lowest, highest] reading, mm";
             NotAProtocol { name: String, why: String } => "`{name}` is neither a built-in protocol nor a file: {why}", help: "`dbbd protocols` lists what is built in";

@@ -15,6 +15,8 @@ const MOST_APART: f64 = 0.01;
 const MOST_TURNED_DEG: f64 = 750.0;
 /// Nobody measures in a warmer room, degrees Celsius: 50 degrees Fahrenheit and more are.
 const WARMEST_C: f64 = 45.0;
+/// No bar warms by more in the minutes of a test, K.
+const MOST_WARMED_K: f64 = 8.0;
 /// Points from which neighbours are near.
 const LEAST_POINTS: usize = 12;
 
@@ -22,6 +24,8 @@ pub(super) fn of(traces: &[Trace], radius_mm: f64) -> Vec<Finding> {
     let mut found: Vec<Finding> = traces.iter().filter_map(spike).collect();
     found.extend(traces.iter().filter_map(rows_twice));
     found.extend(traces.iter().filter_map(many_turns));
+    found.extend(traces.iter().filter_map(counted));
+    found.extend(traces.iter().filter_map(times_back));
     found.extend(warm(traces));
     let lengths = || traces.iter().flat_map(|trace| &trace.points).map(|point| point.length_mm);
     let mean_mm = lengths().sum::<f64>() / lengths().count().max(1) as f64;
@@ -54,7 +58,25 @@ fn warm(traces: &[Trace]) -> Option<Finding> {
     let found = traces.iter().flat_map(|trace| &trace.points).filter_map(|point| point.temp_c);
     let found: Vec<f64> = found.collect();
     let mean_c = found.iter().sum::<f64>() / found.len() as f64;
-    (mean_c > WARMEST_C).then_some(Finding::WarmBar { mean_c })
+    let span_k = found.iter().fold(f64::MIN, |most, t| most.max(*t))
+        - found.iter().fold(f64::MAX, |least, t| least.min(*t));
+    let warmed = (span_k > MOST_WARMED_K).then_some(Finding::WarmedBar { span_k });
+    (mean_c > WARMEST_C).then_some(Finding::WarmBar { mean_c }).or(warmed)
+}
+
+/// Angles 1, 2, 3, ..: no circle is measured from 1 degree on.
+fn counted(trace: &Trace) -> Option<Finding> {
+    let points = trace.points.len();
+    let counts = trace.points.iter().zip(1..).all(|(point, number)| point.angle_deg == f64::from(number));
+    let is_turn = points % 360 < 2;
+    (counts && points >= LEAST_POINTS && !is_turn)
+        .then(|| Finding::CountedPoints { run: trace.run.clone(), points })
+}
+
+fn times_back(trace: &Trace) -> Option<Finding> {
+    let times: Vec<f64> = trace.points.iter().filter_map(|point| point.t_s).collect();
+    let back = times.windows(2).find(|pair| pair[1] < pair[0])?;
+    Some(Finding::TimesBack { run: trace.run.clone(), t_s: back[1] })
 }
 
 /// The point that is the farthest from the mean of its neighbours, if no circle has it.

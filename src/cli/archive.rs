@@ -2,7 +2,8 @@
 
 use std::path::PathBuf;
 
-use super::{Outcome, Output, positive};
+use super::{Outcome, Output, tolerance, within};
+use crate::catalogue::CliFinding;
 use crate::diagnostic::Diagnostic;
 
 #[cfg(feature = "archive")]
@@ -67,7 +68,7 @@ enum What {
         #[arg(long)]
         until_empty: bool,
         /// How long this worker may be silent before its job is another's, s [default: 30].
-        #[arg(long, value_name = "S", value_parser = positive)]
+        #[arg(long, value_name = "S", value_parser = lease)]
         lease: Option<f64>,
     },
     /// Identify a selection anew with this version and these settings, and compare the results with those before.
@@ -80,7 +81,7 @@ enum What {
         /// As for `dbbd identify`.
         #[arg(long, value_name = "LIST")]
         hold: Option<String>,
-        /// As for `dbbd identify`: none or datasheet.
+        /// As for `dbbd identify`: none, datasheet or posterior.
         #[arg(long, value_name = "PRIOR")]
         prior: Option<String>,
         /// As for `dbbd identify`: joints or geometric.
@@ -111,10 +112,10 @@ enum What {
         #[arg(long, value_name = "NAME")]
         host: Vec<String>,
         /// A robot is checked again after so many days.
-        #[arg(long, value_name = "DAYS", default_value = "180", value_parser = positive)]
+        #[arg(long, value_name = "DAYS", default_value = "180", value_parser = interval)]
         interval: f64,
         /// Mean position error that a robot must not reach; its drift is led on to it.
-        #[arg(long, value_name = "MM", value_parser = positive)]
+        #[arg(long, value_name = "MM", value_parser = tolerance)]
         limit: Option<f64>,
     },
     /// Write the tables runs and results of a selection.
@@ -152,7 +153,7 @@ struct Choice {
     /// Name of the cell.
     #[arg(long, value_name = "NAME")]
     cell: Option<String>,
-    /// Measured on or after this date, UTC.
+    /// Measured on or after this date (YYYY-MM-DD), UTC.
     #[arg(long, value_name = "DATE")]
     since: Option<String>,
     /// Measured before this date.
@@ -161,9 +162,19 @@ struct Choice {
     /// A text that robot, type, bar, cell or operator contain.
     #[arg(long, value_name = "TEXT")]
     search: Option<String>,
-    /// At most so many.
-    #[arg(long, value_name = "N")]
+    /// At most so many, the newest.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     limit: Option<u64>,
+}
+
+/// How long a worker may be silent, s.
+fn lease(text: &str) -> Result<f64, CliFinding> {
+    within(text, [1.0, 86_400.0], "s")
+}
+
+/// How often a robot is checked.
+fn interval(text: &str) -> Result<f64, CliFinding> {
+    within(text, [1.0, 3650.0], "days")
 }
 
 #[cfg(feature = "archive")]

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use serde::Serialize;
 
 use super::{Outcome, Output, acquire, positive, protocols};
-use crate::base::{files, serialised};
+use crate::base::{FileSet, files, serialised};
 use crate::catalogue::BarFinding;
 use crate::daemon::{Attempt, Lines, Search};
 use crate::device::port::PortAddress;
@@ -146,9 +146,11 @@ fn check(args: &Check, out: &Output) -> Result<Outcome, Diagnostic> {
     let found = BarCheck::of(&builder.build(), &definition)?;
     found.findings.iter().for_each(|finding| out.finding(finding.clone()));
     let provenance = Provenance::of([&Artefact::file(Role::Capture, &capture)?.into()]);
-    files::write(&args.out.join("bar.toml"), found.to_toml())?;
-    files::write(&args.out.join("bar.json"), serialised::json(&found)? + "\n")?;
-    files::write(&args.out.join("bar.html"), report::bar::html(&found, &provenance)?)?;
+    let mut set = FileSet::begin(&args.out)?;
+    set.write("bar.toml", found.to_toml())?;
+    set.write("bar.json", serialised::json(&found)? + "\n")?;
+    set.write("bar.html", report::bar::html(&found, &provenance)?)?;
+    set.finish()?;
     let um = |mm: f64| 1e3 * mm;
     out.result(format!(
         "sigma_um = {:.3}: one reading {:.3} um, resolution {:.3} um, {:.4} readings per second, drift {:+.3} um/min",

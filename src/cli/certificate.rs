@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use serde_json::json;
 
 use super::{Outcome, Output, artefact};
-use crate::base::{files, serialised};
+use crate::base::{FileSet, files, serialised};
 use crate::catalogue::CertificateFinding;
 use crate::diagnostic::Diagnostic;
 use crate::report::certificate::Certificate;
@@ -54,17 +54,18 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     out.about(&certificate.findings());
     let dcc = certificate.dcc()?;
     let pdf = certificate.pdf(&dcc)?;
-    let _writing = files::exclusive(&args.out)?;
-    files::write(&args.out.join("certificate.html"), certificate.html()?)?;
-    files::write(&args.out.join("dcc.xml"), dcc)?;
+    let mut set = FileSet::begin(&args.out)?;
+    set.write("certificate.html", certificate.html()?)?;
+    set.write("dcc.xml", dcc)?;
     let mut written = vec!["certificate.html", "dcc.xml"];
     match pdf {
         Some(pdf) => {
-            files::write(&args.out.join("certificate.pdf"), pdf)?;
+            set.write("certificate.pdf", pdf)?;
             written.push("certificate.pdf");
         }
         None => out.finding(CertificateFinding::NoPdf),
     }
+    set.finish()?;
     out.document(&json!({ "files": written }))?;
     out.result(format!(
         "{} in {}: a draft, not accredited, not signed",

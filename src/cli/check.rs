@@ -7,13 +7,13 @@ use serde::Serialize;
 use super::identify::{Given, LENGTHS, Named, ROBOT, parse_point, read_workspace};
 use super::{Outcome, Output};
 use super::{bar_u, length_sd, positive, tolerance};
-use crate::base::{files, serialised};
+use crate::base::{FileSet, files, serialised};
 use crate::catalogue::{CliFinding, ConformityFinding, EstimationFinding};
 use crate::conformity::{self, CheckInput, InterimCheck, Rule};
 use crate::diagnostic::Diagnostic;
 use crate::estimation::change::Hypothesis;
 use crate::estimation::expected::{BallMounting, Mounting};
-use crate::estimation::{DistanceQuantities, Options, Priors, ResultFile};
+use crate::estimation::{Beside, DistanceQuantities, Options, Priors, ResultFile};
 use crate::measurement::{LengthModel, PreparedMeasurement};
 use crate::provenance::Provenance;
 use crate::report::check;
@@ -170,11 +170,18 @@ pub(super) struct Noise {
 impl Noise {
     /// Of bar and repeatability, at least that of the result.json beside a robot file.
     pub(super) fn at_least(own: Option<f64>, file: &str, robot: &Robot) -> Result<Self, Diagnostic> {
-        let (path, result) = ResultFile::beside(Path::new(file), &robot.name, files::read_if_file)?;
-        let sigma_mm = conformity::sigma_mm(own, result.as_ref().map(|result| result.sigma_mm))?;
+        let (path, beside) = ResultFile::beside(Path::new(file), robot, files::read_if_file)?;
         let looked_for = path.display().to_string();
-        let finding = result.is_none().then_some(ConformityFinding::NoResultBeside { looked_for, sigma_mm });
-        Ok(Self { sigma_mm, finding })
+        if let Beside::Own(result) = &beside {
+            let sigma_mm = conformity::sigma_mm(own, Some(result.sigma_mm))?;
+            return Ok(Self { sigma_mm, finding: None });
+        }
+        let sigma_mm = conformity::sigma_mm(own, None)?;
+        let finding = match beside {
+            Beside::Another => ConformityFinding::OtherResultBeside { looked_for, sigma_mm },
+            _ => ConformityFinding::NoResultBeside { looked_for, sigma_mm },
+        };
+        Ok(Self { sigma_mm, finding: Some(finding) })
     }
 
     /// Noise, repeatability and, where the calibration's own result is beside the robot, what its model lacks.
@@ -213,15 +220,15 @@ struct Made<'a> {
 
 fn write(args: &Args, made: &Made<'_>, given: &Given) -> Result<(), Diagnostic> {
     let found = made.check;
-    let _writing = files::exclusive(&args.out)?;
-    files::write(&args.out.join("check.json"), serialised::sealed_json(made)?)?;
-    files::write(&args.out.join("check.html"), check::html(found, made.distance.as_ref(), made.provenance)?)?;
+    let mut set = FileSet::begin(&args.out)?;
+    set.write("check.json", serialised::sealed_json(made)?)?;
+    set.write("check.html", check::html(found, made.distance.as_ref(), made.provenance)?)?;
     if let Some(robot) = found.update().filter(|_| args.update) {
         let robot = Robot { provenance: given.provenance.clone(), ..robot.clone() };
-        files::write(&args.out.join(ROBOT), serialised::sealed_toml(&robot.to_toml()?))?;
-        files::write_pieces(&args.out.join(LENGTHS), given.observations.csv_pieces(|_| true))?;
+        set.write(ROBOT, serialised::sealed_toml(&robot.to_toml()?))?;
+        set.write_pieces(LENGTHS, given.observations.csv_pieces(|_| true))?;
     }
-    Ok(())
+    set.finish()
 }
 
 /// The check on the terminal.

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use serde_json::{Map, Value, json};
 
 use super::{Outcome, Output, bar_u, length_sd, positive};
-use crate::base::files;
+use crate::base::FileSet;
 use crate::catalogue::{CircularFinding, CliFinding, MatchingFinding, ProvenanceFinding};
 use crate::circular::{
     self, Diagnosis, Evaluation, Harmonics, Mover, NAMES, Quantity, Settings, Step, TERM_NAMES, TRACE_NAMES,
@@ -129,17 +129,18 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         tests.push(evaluate(circle, args)?);
     }
     out.done(90);
-    let _writing = files::exclusive(&args.out)?;
+    let mut set = FileSet::begin(&args.out)?;
     for (at, test) in tests.iter().enumerate() {
         let name = if at == 0 { "circle.svg".to_owned() } else { format!("circle-{}.svg", at + 1) };
-        files::write(&args.out.join(name), report::svg::standalone(&test.svg()))?;
+        set.write(&name, report::svg::standalone(&test.svg()))?;
     }
     // Those of an earlier evaluation of more circles.
-    let more = (tests.len() + 1..).map(|number| args.out.join(format!("circle-{number}.svg")));
-    more.take_while(|file| file.exists()).try_for_each(|file| files::remove(&file))?;
+    let more = (tests.len() + 1..).map(|number| format!("circle-{number}.svg"));
+    more.take_while(|file| args.out.join(file).exists()).for_each(|file| set.remove(&file));
     let document = document(&tests, &provenance);
-    files::write(&args.out.join("circle.json"), format!("{document:#}\n"))?;
-    files::write(&args.out.join("circle.html"), report::circle::html(&tests, &provenance)?)?;
+    set.write("circle.json", format!("{document:#}\n"))?;
+    set.write("circle.html", report::circle::html(&tests, &provenance)?)?;
+    set.finish()?;
     for CircleTest { source, evaluation, .. } in &tests {
         evaluation.notes.iter().for_each(|note| out.finding(Diagnostic::file(source, note.clone())));
     }

@@ -8,11 +8,11 @@ use serde_json::Value as Json;
 use super::{Outcome, Output, length_sd, tolerance};
 use super::{artefact, robots};
 use crate::base::date::is_after;
-use crate::base::{clock, files, serialised};
+use crate::base::{FileSet, clock, files, serialised};
 use crate::catalogue::{CliFinding, ConformityFinding, Names};
 use crate::conformity::{
     CircleFile, Comparison, Input, LEVEL, ResultRead, Subject, Timeline, Tracked, compare_circles,
-    compare_results, of_robot, same_robot,
+    compare_results, of_robot, same_robot, unlike_circles,
 };
 use crate::diagnostic::Diagnostic;
 use crate::provenance::{Artefact, Provenance, Role, Traced};
@@ -153,6 +153,7 @@ fn subject(
     if kinds[0] == Kind::Circle {
         let files = documents.iter().map(|document| CircleFile::from_json(&document.name, &document.json));
         let files: Vec<CircleFile> = files.collect::<Result<_, _>>()?;
+        out.about(&unlike_circles(&files));
         let circles = compare_circles(&files, timeline, args.tolerance, args.repeat_u.unwrap_or(0.0))?;
         return Ok(Subject::Circles { circles });
     }
@@ -195,12 +196,12 @@ fn traced(document: &Document, out: &Output) -> Result<Traced, Diagnostic> {
 
 fn write(args: &Args, made: &Made<'_>, timeline: &Timeline) -> Result<(), Diagnostic> {
     let Made { comparison, provenance } = made;
-    let _writing = files::exclusive(&args.out)?;
-    files::write(&args.out.join("compare.json"), serialised::json(made)? + "\n")?;
+    let mut set = FileSet::begin(&args.out)?;
+    set.write("compare.json", serialised::json(made)? + "\n")?;
     let table = csv(comparison).map_err(|error| CliFinding::NoOutput { why: error.to_string() })?;
-    files::write(&args.out.join("compare.csv"), table)?;
-    files::write(&args.out.join("compare.html"), compare::html(comparison, timeline, provenance)?)?;
-    Ok(())
+    set.write("compare.csv", table)?;
+    set.write("compare.html", compare::html(comparison, timeline, provenance)?)?;
+    set.finish()
 }
 
 /// A row a quantity: what it belongs to, its values and deviations in the order of time, change and trend.

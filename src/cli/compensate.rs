@@ -7,8 +7,8 @@ use serde_json::json;
 
 use super::robots;
 use super::{Outcome, Output};
-use crate::base::files;
 use crate::base::hash::sha256;
+use crate::base::{FileSet, files};
 use crate::catalogue::{
     CompensationFinding, EstimationFinding, FileFinding, ProgramFinding, ProvenanceFinding,
 };
@@ -142,10 +142,11 @@ impl Cell<'_> {
             .map_err(|refused| self.refused(&source, &refused))?;
         let made = Provenance::of(sources.iter().chain([identified]));
         let texts = [Some(&corrected.source), corrected.data.as_ref()].into_iter().flatten();
-        let _writing = files::exclusive(&args.out)?;
+        let mut set = FileSet::begin(&args.out)?;
         for (program, text) in both.iter().zip(texts) {
-            program.write(&args.out, &stamped(Language::Krl, text, &made)?)?;
+            program.write(&mut set, &stamped(Language::Krl, text, &made)?)?;
         }
+        set.finish()?;
         points.left.iter().for_each(|left| out.finding(left.clone()));
         report(out, args, &corrected.moved, points.left.len())?;
         Ok(Outcome::Done)
@@ -178,8 +179,9 @@ impl Cell<'_> {
         };
         let (corrected, moved) = corrected.map_err(|refused| self.refused(&source, &refused))?;
         let made = Provenance::of([&traced, identified]);
-        let _writing = files::exclusive(&args.out)?;
-        source.write(&args.out, &stamped(language, &corrected, &made)?)?;
+        let mut set = FileSet::begin(&args.out)?;
+        source.write(&mut set, &stamped(language, &corrected, &made)?)?;
+        set.finish()?;
         points.left.iter().for_each(|left| out.finding(left.clone()));
         report(out, args, &moved, points.left.len())?;
         Ok(Outcome::Done)
@@ -313,13 +315,12 @@ impl Program {
         Text { file: &self.name, text: &self.content }
     }
 
-    fn write(&self, directory: &Path, text: &str) -> Result<(), Diagnostic> {
-        let path = directory.join(&self.stem);
+    fn write(&self, set: &mut FileSet, text: &str) -> Result<(), Diagnostic> {
         if self.bytewise {
             let bytes: Vec<u8> = text.chars().filter_map(|c| u8::try_from(c).ok()).collect();
-            return files::write(&path, bytes);
+            return set.write(&self.stem, bytes);
         }
-        files::write(&path, text)
+        set.write(&self.stem, text)
     }
 }
 

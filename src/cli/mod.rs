@@ -130,6 +130,12 @@ fn positive(text: &str) -> Result<f64, CliFinding> {
     }
 }
 
+/// A number of the command line between two others.
+fn within(text: &str, [least, most]: [f64; 2], unit: &'static str) -> Result<f64, CliFinding> {
+    let inside = positive(text).ok().filter(|value| (least..=most).contains(value));
+    inside.ok_or(CliFinding::Outside { least, most, unit })
+}
+
 /// A length of the command line that is small by its nature, mm.
 fn fine(text: &str, most_mm: f64) -> Result<f64, CliFinding> {
     positive(text).ok().filter(|mm| *mm <= most_mm).ok_or(CliFinding::NotFine { most_mm })

@@ -9,7 +9,7 @@ use serde::Serialize;
 
 use super::check::risk;
 use super::{Outcome, Output, tolerance};
-use crate::base::{clock, files};
+use crate::base::{FileSet, clock, files};
 use crate::catalogue::{MeasurementFinding, PlanFinding, ProvenanceFinding};
 use crate::cli::protocols;
 use crate::cli::robots;
@@ -132,11 +132,12 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
 
 fn write(plan: &Plan, page: String, directory: &Path) -> Result<(), Diagnostic> {
     let (csv, json) = plan.to_files()?;
-    let _writing = files::exclusive(directory)?;
-    files::write(&directory.join("plan.csv"), csv)?;
-    files::write(&directory.join("plan.json"), json)?;
-    files::write(&directory.join("plan.html"), page)?;
-    files::write(&directory.join("centres.csv"), BaseBall::to_csv(&plan.header.job.balls()))
+    let mut set = FileSet::begin(directory)?;
+    set.write("plan.csv", csv)?;
+    set.write("plan.json", json)?;
+    set.write("plan.html", page)?;
+    set.write("centres.csv", BaseBall::to_csv(&plan.header.job.balls()))?;
+    set.finish()
 }
 
 /// The result on stdout.

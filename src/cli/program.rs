@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use serde_json::json;
 
 use super::{Outcome, Output, protocols};
-use crate::base::files;
+use crate::base::FileSet;
 use crate::catalogue::ProgramFinding;
 use crate::diagnostic::Diagnostic;
 use crate::plan::Plan;
@@ -79,14 +79,15 @@ pub(super) fn write(request: &Request<'_>, out: &Output) -> Result<Outcome, Diag
     };
     check_server(request, matches!(sync, program::Sync::Ekrl { .. }), out)?;
     let files = emit(&plan, language, sync, request.controller)?;
-    let _writing = files::exclusive(request.out)?;
+    let mut set = FileSet::begin(request.out)?;
     let mut written = Vec::new();
     for (name, text) in &files {
         let path = request.out.join(name);
-        files::write(&path, text)?;
+        set.write(name, text)?;
         out.detail(format!("wrote {}", path.display()));
         written.push(path.display().to_string());
     }
+    set.finish()?;
     let others = stale(request.out, &files);
     if !others.is_empty() {
         let directory = request.out.display().to_string();

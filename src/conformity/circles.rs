@@ -9,6 +9,7 @@ use crate::catalogue::ConformityFinding;
 use crate::circular::{NAMES, Sense};
 use crate::diagnostic::Diagnostic;
 use crate::math::straight_line::Reached;
+use crate::provenance::Provenance;
 
 /// The schema that is known.
 const SCHEMA: u32 = 1;
@@ -24,6 +25,8 @@ const DEVIATIONS: [&str; 2] = ["Gb", "G_lsc"];
 pub struct CircleFile {
     pub file: String,
     pub circles: Vec<CircleRead>,
+    /// SHA-256 of what it was made from.
+    made_from: Option<String>,
 }
 
 /// A circle of a circle.json.
@@ -35,6 +38,8 @@ pub struct CircleRead {
     /// By [`NAMES`], with half widths of 95 % intervals made standard deviations.
     quantities: Vec<Option<Value>>,
     pub traces: Vec<TraceRead>,
+    /// The angle that it covers, degrees; not in files of earlier versions.
+    span_deg: Option<f64>,
 }
 
 /// A trace of a circle.json.
@@ -80,7 +85,10 @@ impl CircleFile {
             Some(tests) => tests.iter().map(CircleRead::from_json).collect(),
             None => CircleRead::from_json(json).map(|circle| vec![circle]),
         };
-        Ok(Self { file: file.into(), circles: circles.map_err(wrong)? })
+        // The newest source comes last.
+        let made = json.get("provenance").and_then(|made| Provenance::deserialize(made).ok());
+        let made_from = made.and_then(|made| Some(made.from.last()?.sha256.clone()));
+        Ok(Self { file: file.into(), circles: circles.map_err(wrong)?, made_from })
     }
 }
 
@@ -91,21 +99,58 @@ impl CircleRead {
             circle: Option<u32>,
             radius_mm: f64,
             traces: Vec<TraceRead>,
+            arc: Option<Arc>,
+        }
+        #[derive(Deserialize)]
+        struct Arc {
+            span_deg: f64,
         }
         let incomplete = |error: serde_json::Error| ConformityFinding::Incomplete { why: error.to_string() };
-        let Fields { circle, radius_mm, traces } = Fields::deserialize(json).map_err(incomplete)?;
+        let Fields { circle, radius_mm, traces, arc } = Fields::deserialize(json).map_err(incomplete)?;
         let number = |name: &str| json.get(name).and_then(Json::as_f64);
         let quantity = |name: &&str| {
             let u95 = number(&format!("{name}_u95")).filter(|u95| *u95 > 0.0)?;
             Some(Value { value: number(name)?, sd: u95 / COVERAGE, freedom: None })
         };
-        Ok(Self { circle, radius_mm, quantities: NAMES.iter().map(quantity).collect(), traces })
+        Ok(Self {
+            circle,
+            radius_mm,
+            quantities: NAMES.iter().map(quantity).collect(),
+            traces,
+            span_deg: arc.map(|arc| arc.span_deg),
+        })
     }
 
     /// Whether two are tests of one circle.
     fn is_again(&self, other: &Self) -> bool {
         self.circle == other.circle && self.radius_mm == other.radius_mm
     }
+}
+
+/// Two arcs whose spans differ by more are not one circle measured again, degrees.
+const ALIKE_DEG: f64 = 20.0;
+
+/// What is not alike in tests that are compared.
+pub fn unlike(files: &[CircleFile]) -> Vec<ConformityFinding> {
+    let Some((first, others)) = files.split_first() else { return Vec::new() };
+    let mut findings = Vec::new();
+    for (at, file) in others.iter().enumerate() {
+        let same = |before: &&CircleFile| before.made_from.is_some() && before.made_from == file.made_from;
+        if let Some(same) = files.iter().take(at + 1).find(same) {
+            let (file, first) = (file.file.clone(), same.file.clone());
+            findings.push(ConformityFinding::SameLengths { file, first });
+        }
+        for circle in &file.circles {
+            let again = first.circles.iter().find(|first| first.is_again(circle));
+            let spans = circle.span_deg.zip(again.and_then(|again| again.span_deg));
+            if let Some((span_deg, first_deg)) = spans.filter(|(one, other)| (one - other).abs() > ALIKE_DEG)
+            {
+                let (file, first) = (file.file.clone(), first.file.clone());
+                findings.push(ConformityFinding::ArcAndCircle { file, span_deg, first, first_deg });
+            }
+        }
+    }
+    findings
 }
 
 /// Compares the circles that are in all files. `repeat_u_mm` is the standard uncertainty by which a quantity repeats from

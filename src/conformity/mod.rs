@@ -15,7 +15,9 @@ mod tracked;
 use serde::Serialize;
 
 pub use budget::{Basis, Budget, BudgetLine, COVERAGE_FACTOR, Source};
-pub use circles::{CircleCompared, CircleFile, CircleRead, TraceRead, compare_circles};
+pub use circles::{
+    CircleCompared, CircleFile, CircleRead, TraceRead, compare_circles, unlike as unlike_circles,
+};
 pub use decision::{Decision, Outcome, Rule, decide};
 pub use interim::{CheckInput, InterimCheck, LEAST_FREEDOM, PositionNow, own_sigma_mm, sigma_mm};
 pub use results::{

@@ -5,7 +5,7 @@ use crate::catalogue::MeasurementFinding::{self, OtherUnit};
 use crate::diagnostic::Diagnostic;
 use crate::math::robust::median;
 use crate::measurement::{BaseBall, Measurements, TargetId};
-use crate::robot::Robot;
+use crate::robot::{AXES, Robot};
 
 /// Every length must have its ball, positions must follow the robot, all in millimetres and degrees; `file` is where they
 /// are.
@@ -45,12 +45,30 @@ pub fn doubts(
         observations.beyond(&robot.controller().limits_deg),
         observations.warm(),
         far_rows(observations, robot, centres),
+        frozen(observations),
     ];
     let unknown = robot.asked_repeatability().map(Diagnostic::from);
     unknown
         .into_iter()
         .chain(doubts.into_iter().flatten().map(|doubt| Diagnostic::file(file, doubt)))
         .collect()
+}
+
+/// Lengths at different poses that are equal to the last digit, all or many one after the other.
+fn frozen(observations: &Measurements) -> Option<MeasurementFinding> {
+    /// Fewer are equal by chance, where a bar has few digits.
+    const LEAST: usize = 6;
+    let lengths = observations.rows.iter().filter(|row| row.datum.ball().is_some());
+    let lengths: Vec<_> = lengths.map(|row| (row.index, row.length_mm, row.axes.degrees())).collect();
+    let is_equal =
+        |one: &(u32, f64, [f64; AXES]), next: &(u32, f64, [f64; AXES])| one.1 == next.1 && one.2 != next.2;
+    let equal = lengths.chunk_by(is_equal).max_by_key(|equal| equal.len())?;
+    let (rows, &(index, length_mm, _)) = (equal.len(), equal.first()?);
+    match rows {
+        _ if rows < LEAST => None,
+        _ if rows == lengths.len() => Some(MeasurementFinding::AllEqual { rows, length_mm }),
+        _ => Some(MeasurementFinding::FrozenRows { rows, index, length_mm }),
+    }
 }
 
 /// Rows whose lengths are far from where robot and balls have them, while the others are near: single typing errors, which can

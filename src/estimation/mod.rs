@@ -72,6 +72,6 @@ pub use priors::{Group, Prior, Priors};
 pub use rank::{Analysis, Combination, analyse, order_of_choice};
 pub use residual_tests::senses;
 pub use result::CalibrationResult;
-pub use result_file::ResultFile;
+pub use result_file::{Beside, ResultFile};
 pub(crate) use selection::{is_place, without_open_places};
 pub use sigma::length_sd_mm;

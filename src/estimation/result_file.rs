@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
 
 use super::result::{
     BeforeAfter, CalibrationResult, Folds, FurtherMeasurement, JointEffect, MadeFrom, MonteCarlo, Outlier,
@@ -15,6 +16,7 @@ use super::{
 use crate::base::serialised::check_seal;
 use crate::catalogue::ConformityFinding;
 use crate::diagnostic::{Diagnostic, Severity};
+use crate::robot::Robot;
 
 /// The whole result; lengths in mm, angles in rad.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -67,21 +69,35 @@ impl ResultFile {
             .map_err(|error| Diagnostic::file(file, ConformityFinding::Incomplete { why: error.to_string() }))
     }
 
-    /// The path where the result of a robot file is looked for, and the result there if it is of that robot. `read` reads
-    /// a file where there is one.
+    /// The path where the result of a robot file is looked for, and what is there. `read` reads a file where there is one.
     ///
     /// # Errors
     /// It cannot be read; as [`Self::from_json`].
     pub fn beside(
         robot_file: &Path,
-        robot: &str,
+        robot: &Robot,
         read: impl FnOnce(&Path) -> Option<Result<String, Diagnostic>>,
-    ) -> Result<(PathBuf, Option<Self>), Diagnostic> {
+    ) -> Result<(PathBuf, Beside), Diagnostic> {
         let path = robot_file.with_file_name("result.json");
-        let text = read(&path).transpose()?;
-        let result = text.map(|text| Self::from_json(&path.display().to_string(), &text)).transpose()?;
-        Ok((path, result.filter(|result| result.robot == robot)))
+        let Some(text) = read(&path).transpose()? else { return Ok((path, Beside::Nothing)) };
+        let result = Self::from_json(&path.display().to_string(), &text)?;
+        let made: Option<Value> = serde_json::from_str(&text).ok();
+        let made = made.and_then(|made| made.get("provenance")?.get("from").cloned());
+        let known = &robot.provenance.from;
+        let is_other = !known.is_empty() && made.is_some_and(|made| made != json!(known));
+        let is_own = result.robot == robot.name && !is_other;
+        Ok((path, if is_own { Beside::Own(Box::new(result)) } else { Beside::Another }))
     }
+}
+
+/// What is beside a robot file.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Beside {
+    /// The result that the robot came with.
+    Own(Box<ResultFile>),
+    /// That of another robot or calibration.
+    Another,
+    Nothing,
 }
 
 /// What the evidence says of a group of errors.

@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::kinematics::{DhRow, Geometry, Mass};
+use super::pose::is_part_of_turn;
 use super::posterior::RobotPosterior;
 use super::uncertainty::RobotUncertainty;
 use super::{AXES, Joint, JointError, JointErrors, Ripple, Robot, Smooth, Tolerance};
@@ -198,20 +199,14 @@ impl JointTable {
 
     /// An angle that was given in radians: a part of a turn as an arm has it, a range of axis angles, a speed.
     fn radians(&self) -> Option<(&'static str, f64)> {
-        use std::f64::consts::{FRAC_PI_4, TAU};
-        /// Written with five digits.
-        const ROUNDED: f64 = 5e-5;
+        use std::f64::consts::TAU;
         /// No joint of an arm is slower, degrees/s.
         const LEAST_SPEED: f64 = 6.0;
-        let is_turn = |value: f64| {
-            let parts = (value / FRAC_PI_4).round();
-            (1.0..=8.0).contains(&parts.abs()) && (value - parts * FRAC_PI_4).abs() < ROUNDED
-        };
         let turns = [("alpha_deg", self.alpha_deg), ("theta_offset_deg", self.theta_offset_deg)];
         let [low, high] = self.limits_deg;
         let narrow = low.abs() < TAU + 0.1 && high.abs() < TAU + 0.1 && low < high;
         let slow = self.max_speed_deg_s > 0.0 && self.max_speed_deg_s < LEAST_SPEED;
-        let turn = turns.into_iter().find(|(_, value)| is_turn(*value));
+        let turn = turns.into_iter().find(|(_, value)| is_part_of_turn(*value));
         turn.or(narrow.then_some(("limits_deg", high)))
             .or(slow.then_some(("max_speed_deg_s", self.max_speed_deg_s)))
     }

@@ -74,6 +74,15 @@ impl Pose {
     }
 }
 
+/// Whether a number is an eighth of a turn in radians, or some: where degrees are wanted, radians were given.
+pub fn is_part_of_turn(value: f64) -> bool {
+    use std::f64::consts::FRAC_PI_4;
+    /// Written with five digits.
+    const ROUNDED: f64 = 5e-5;
+    let parts = (value / FRAC_PI_4).round();
+    (1.0..=8.0).contains(&parts.abs()) && (value - parts * FRAC_PI_4).abs() < ROUNDED
+}
+
 /// The axis of a rotation times its angle (rad, 0..=pi). Unlike the arc cosine of the trace this holds its
 /// digits near zero, and gives a number where rounding has pushed the trace above three.
 pub fn rotation_vector(rotation: &Matrix3<f64>) -> Vector3<f64> {

@@ -9,6 +9,8 @@ mod faults;
 #[cfg(feature = "archive")]
 mod figures;
 #[cfg(feature = "archive")]
+mod mistakes;
+#[cfg(feature = "archive")]
 mod on_one_machine;
 #[cfg(feature = "archive")]
 mod on_servers;
@@ -27,7 +29,8 @@ mod service_pushes;
 pub(crate) fn provoked() -> Vec<&'static str> {
     vec![
         "E2401", "E2402", "E2403", "E2404", "E2405", "E2406", "E2407", "E2408", "E2409", "E2410", "E2411",
-        "E2415", "E2417", "E2430", "E2431", "W2412", "I2413", "W2414",
+        "E2415", "E2417", "E2418", "W2419", "I2420", "W2421", "W2422", "W2423", "I2426", "W2427", "E0181",
+        "E2430", "E2431", "W2412", "I2413", "W2414",
     ]
 }
 

@@ -75,6 +75,7 @@ fn provoked() -> Vec<&'static str> {
         crate::service_runs::provoked(),
         crate::sync_joins::provoked(),
         crate::uncertainties_hold::provoked(),
+        crate::units_and_mixed_files::provoked(),
         crate::users_urdf_is_patched::provoked(),
         crate::sag_and_harmonics_by_evidence::provoked(),
     ]

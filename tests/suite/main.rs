@@ -115,6 +115,7 @@ mod sync_ways_agree;
 mod tables_as_people_have_them;
 mod the_prior_shares_what_is_told;
 mod uncertainties_hold;
+mod units_and_mixed_files;
 mod unplugged_and_back;
 mod users_urdf_is_patched;
 mod virtual_bar;

@@ -325,6 +325,34 @@ fn corrections_and_circles() {
 }
 
 #[test]
+fn a_set_of_files_is_the_new_one_or_the_earlier() {
+    let (dir, data) = cell();
+    let at = dir.path();
+    let identified =
+        |more: &[&str]| identify(at, &data.to_csv(), &[&["--prior", "datasheet"], more].concat());
+    assert_eq!(identified(&[]).status.code(), Some(0));
+    let files = || -> std::collections::BTreeMap<String, Vec<u8>> {
+        let paths = fs::read_dir(at.join("out")).unwrap().map(|entry| entry.unwrap().path());
+        let files = paths.filter(|path| path.is_file());
+        files.map(|path| (path.display().to_string(), fs::read(&path).unwrap())).collect()
+    };
+    for taken in ["covariance.csv", "report.html", "lengths.csv"] {
+        let before = fs::read(at.join("out").join(taken)).unwrap();
+        fs::remove_file(at.join("out").join(taken)).unwrap();
+        fs::create_dir(at.join("out").join(taken)).unwrap();
+        let earlier = files();
+        says(&identified(&["--sigma", "0.01"]), 1, "E0102");
+        assert!(files() == earlier, "{taken}");
+        fs::remove_dir(at.join("out").join(taken)).unwrap();
+        fs::write(at.join("out").join(taken), before).unwrap();
+    }
+    let earlier = files();
+    assert_ne!(identified(&["--sigma", "0.01"]).status.code(), Some(1));
+    let new = files();
+    assert!(earlier.keys().eq(new.keys()) && earlier != new);
+}
+
+#[test]
 fn dates_balls_and_directories() {
     let dir = tempdir().unwrap();
     let at = dir.path();
@@ -338,6 +366,7 @@ fn dates_balls_and_directories() {
         ("data = \"file\"\n", "E1501"),
         ("plans = \"file\"\n", "E1501"),
         ("plans = \"nowhere\"\n", "E1501"),
+        ("data = \"plans\"\nplans = \"plans\"\n", "E1501"),
         ("[alarm]\nshare = 0.0\n", "E1501"),
         ("[alarm]\nstroke_mm = [-5000.0, 5000.0]\n", "E1501"),
     ];

@@ -53,6 +53,9 @@ pub(super) fn run(
     }
     let posteriors: Vec<RunPosterior> = newest.into_values().collect();
     let used = posteriors.len();
+    if let left @ 1.. = runs.len() - used {
+        out.finding(ArchiveFinding::NotInFleet { left, runs: runs.len() });
+    }
     let found = fleet(&posteriors, &Assumptions::default()).filter(|_| used > 0);
     let found = found.ok_or(ArchiveFinding::NoFleet { results: used })?;
     files::directory(directory)?;

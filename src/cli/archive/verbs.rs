@@ -8,16 +8,19 @@ use serde_json::json;
 use super::work::{Until, compare, report_failures, work, worker};
 use super::{Args, Choice, TableFormat, What};
 use crate::archive::{
-    Addresses, Archive, ArchivedFile, ArchivedResult, ArchivedRun, LocalRun, PlantOptions, Pushed, RunJob,
-    Secrets, Selection, Settings, Spool, parquet,
+    Addresses, Archive, ArchivedFile, ArchivedResult, ArchivedRun, ColumnKind, Damage, LocalRun,
+    PlantOptions, Pushed, RunJob, Secrets, Selection, Settings, Spool, parquet,
 };
-use crate::base::{files, serialised};
+use crate::base::{clock, files, serialised};
 use crate::catalogue::{ArchiveFinding, CliFinding, ProvenanceFinding};
 use crate::cli::info::line;
 use crate::cli::{Outcome, Output};
 use crate::daemon::Door;
 use crate::diagnostic::Diagnostic;
 use crate::provenance::{Provenance, VERSION};
+
+/// What a file of Parquet begins with.
+const PARQUET: &str = "PAR1";
 
 pub(super) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     let environment = |name| std::env::var(name).ok();
@@ -31,9 +34,9 @@ pub(super) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         What::Show { run } => show(&mut Archive::open(&addresses)?, run, out),
         What::Worker { until_empty, lease } => {
             let until = if *until_empty { Until::Empty } else { Until::Stopped };
-            let mut archive = Archive::open(&addresses)?;
+            let mut archive = Archive::open_whole(&addresses)?;
             let [done, failed] = work(&mut archive, &worker(*lease), until, out)?;
-            report_failures(&mut archive, out)?;
+            report_failures(archive.queue()?.failed, out);
             out.document(&json!({ "done": done, "failed": failed }))?;
             out.result(format!("{done} runs identified, {failed} not"));
             Ok(Outcome::Done)
@@ -41,13 +44,19 @@ pub(super) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         What::Reprocess { choice, estimate, hold, prior, model, ask_only } => {
             let options = [("estimate", estimate), ("hold", hold), ("model", model), ("prior", prior)];
             let settings = Settings::new(&options.map(|(name, value)| (name, value.as_deref())))?;
-            reprocess(&mut Archive::open(&addresses)?, &choice.selection(), &settings, *ask_only, out)
+            let (mut archive, selection) = (Archive::open_whole(&addresses)?, choice.selection()?);
+            report_nothing(&mut archive, &selection, out)?;
+            reprocess(&mut archive, &selection, &settings, *ask_only, out)
         }
         What::Fleet { choice, out: directory } => {
-            super::fleet::run(&mut Archive::open(&addresses)?, &choice.selection(), directory, out)
+            let (mut archive, selection) = (Archive::open(&addresses)?, choice.selection()?);
+            report_nothing(&mut archive, &selection, out)?;
+            super::fleet::run(&mut archive, &selection, directory, out)
         }
         What::Export { choice, format, out: directory } => {
-            export(&mut Archive::open(&addresses)?, &choice.selection(), *format, directory, out)
+            let (mut archive, selection) = (Archive::open(&addresses)?, choice.selection()?);
+            report_nothing(&mut archive, &selection, out)?;
+            export(&mut archive, &selection, *format, directory, out)
         }
         What::Serve { listen, token_file, host, interval, limit } => {
             let door = Door::new(listen, token_file.as_deref(), host)?;
@@ -83,19 +92,20 @@ fn push(
     spool: Option<&Path>,
     out: &Output,
 ) -> Result<Outcome, Diagnostic> {
+    spool.map_or(Ok(()), |spool| addresses.check_spool(Path::new(""), spool))?;
     let found: Vec<Vec<PathBuf>> = runs.iter().map(|run| LocalRun::find(run)).collect::<Result<_, _>>()?;
     let (mut sent, spool) = (Sent::default(), spool.map(Spool::open).transpose()?);
-    let mut archive = Archive::open(addresses);
+    let mut archive = Archive::open_whole(addresses);
     if let (Ok(archive), Some(spool)) = (&mut archive, &spool) {
         for path in spool.waiting()? {
-            match LocalRun::read(&path).and_then(|run| send(archive, &run, &mut sent, out)) {
+            match read(&path, out).and_then(|run| send(archive, &run, &mut sent, out)) {
                 Ok(()) => spool.remove(&path)?,
                 Err(why) => out.finding(waits(&path.display().to_string(), &why)),
             }
         }
     }
     for path in found.concat() {
-        let run = LocalRun::read(&path)?;
+        let run = read(&path, out)?;
         let done = match &mut archive {
             Ok(archive) => send(archive, &run, &mut sent, out),
             Err(why) => Err(why.clone()),
@@ -124,12 +134,26 @@ fn waits(run: &str, why: &Diagnostic) -> ArchiveFinding {
     ArchiveFinding::Spooled { run: run.into(), why: why.to_string() }
 }
 
+/// Reads a run, and says what is damaged in it, is not stored, or is not known of it.
+fn read(path: &Path, out: &Output) -> Result<LocalRun, Diagnostic> {
+    let run = LocalRun::read(path)?;
+    run.doubts().iter().for_each(|doubt| out.finding(doubt.clone()));
+    Ok(run)
+}
+
 fn send(archive: &mut Archive, run: &LocalRun, sent: &mut Sent, out: &Output) -> Result<(), Diagnostic> {
     let name = run.sha256().to_owned();
     match archive.push(run)? {
         Pushed::New => sent.new.push(name),
-        Pushed::HeldAlready => {
-            out.finding(ArchiveFinding::HeldAlready { run: name.clone() });
+        Pushed::HeldAlready(Damage { restored, lost }) => {
+            let run = || name.clone();
+            out.finding(ArchiveFinding::HeldAlready { run: run() });
+            if restored > 0 {
+                out.finding(ArchiveFinding::Restored { run: run(), objects: restored });
+            }
+            for file in lost {
+                out.finding(ArchiveFinding::Lost { run: run(), file });
+            }
             sent.held.push(name);
         }
     }
@@ -137,8 +161,8 @@ fn send(archive: &mut Archive, run: &LocalRun, sent: &mut Sent, out: &Output) ->
 }
 
 impl Choice {
-    fn selection(&self) -> Selection {
-        Selection {
+    fn selection(&self) -> Result<Selection, Diagnostic> {
+        let selection = Selection {
             robot: self.robot.clone(),
             kind: self.kind.clone(),
             bar: self.bar.clone(),
@@ -148,12 +172,21 @@ impl Choice {
             search: self.search.clone(),
             after: None,
             limit: self.limit,
-        }
+        };
+        selection.check(clock::unix_ns()).map(|()| selection)
     }
 }
 
+/// Says why a selection holds nothing.
+fn report_nothing(archive: &mut Archive, selection: &Selection, out: &Output) -> Result<(), Diagnostic> {
+    archive.nothing_of(selection)?.into_iter().for_each(|finding| out.finding(finding));
+    Ok(())
+}
+
 fn list(archive: &mut Archive, choice: &Choice, out: &Output) -> Result<Outcome, Diagnostic> {
-    let runs = archive.list(&choice.selection())?;
+    let selection = choice.selection()?;
+    let runs = archive.list(&selection)?;
+    report_nothing(archive, &selection, out)?;
     out.list(&runs)?;
     for run in &runs {
         let ArchivedRun { sha256, measured, cell, robot, bar, .. } = run;
@@ -218,15 +251,25 @@ fn export(
     let (runs, mut results) = (archive.list(selection)?, archive.results(selection, None)?);
     results.iter_mut().for_each(|result| result.found.posterior = None);
     files::directory(directory)?;
-    match format {
-        TableFormat::Csv => {
-            files::write(&directory.join("runs.csv"), serialised::csv(&runs)?)?;
-            files::write(&directory.join("results.csv"), results_csv(&results)?)?;
-        }
-        TableFormat::Parquet => {
-            files::write(&directory.join("runs.parquet"), parquet(&ArchivedRun::TABLE, &runs)?)?;
-            files::write(&directory.join("results.parquet"), parquet(&ArchivedResult::TABLE, &results)?)?;
-        }
+    let tables = match format {
+        TableFormat::Csv => [
+            (
+                "runs.csv",
+                header(&ArchivedRun::TABLE),
+                (header(&ArchivedRun::TABLE) + &serialised::csv_rows(&runs)?).into(),
+            ),
+            ("results.csv", header(&ArchivedResult::TABLE), results_csv(&results)?.into()),
+        ],
+        TableFormat::Parquet => [
+            ("runs.parquet", PARQUET.into(), parquet(&ArchivedRun::TABLE, &runs)?),
+            ("results.parquet", PARQUET.into(), parquet(&ArchivedResult::TABLE, &results)?),
+        ],
+    };
+    for (name, head, _) in &tables {
+        files::is_earlier(&directory.join(name), head.as_bytes())?;
+    }
+    for (name, _, content) in tables {
+        files::write(&directory.join(name), content)?;
     }
     out.document(&json!({ "runs": runs.len(), "results": results.len() }))?;
     out.result(format!("{} runs and {} results in {}", runs.len(), results.len(), directory.display()));
@@ -254,8 +297,12 @@ fn results_csv(results: &[ArchivedResult]) -> Result<String, CliFinding> {
             numbers,
         )
     });
-    let header = ArchivedResult::TABLE.map(|(name, _)| name).join(",");
-    Ok(header + "\n" + &serialised::csv_rows(rows)?)
+    Ok(header(&ArchivedResult::TABLE) + &serialised::csv_rows(rows)?)
+}
+
+/// The first line of a table.
+fn header(table: &[(&str, ColumnKind)]) -> String {
+    table.iter().map(|(name, _)| *name).collect::<Vec<_>>().join(",") + "\n"
 }
 
 fn get(archive: &mut Archive, digits: &str, directory: &Path, out: &Output) -> Result<Outcome, Diagnostic> {

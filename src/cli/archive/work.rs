@@ -178,11 +178,10 @@ fn system(error: std::io::Error) -> ServiceFinding {
 }
 
 /// Says how many jobs failed.
-pub(super) fn report_failures(archive: &mut Archive, out: &Output) -> Result<(), Diagnostic> {
-    if let failed @ 1.. = archive.queue()?.failed {
-        out.finding(ArchiveFinding::JobsFailed { jobs: failed });
+pub(super) fn report_failures(jobs: u64, out: &Output) {
+    if jobs > 0 {
+        out.finding(ArchiveFinding::JobsFailed { jobs });
     }
-    Ok(())
 }
 
 /// What the files of a result state, and those that are kept.
@@ -277,6 +276,6 @@ pub(super) fn compare(
     out.result(format!(
         "{count} runs compared: predicted position error changes by {mean:+.4} mm on average, by {worst:+.4} mm at most"
     ));
-    report_failures(archive, out)?;
+    report_failures(archive.failed(selection, settings, version)?, out);
     Ok(Outcome::Done)
 }

@@ -42,6 +42,9 @@ pub(crate) struct Args {
     joints: Vec<String>,
 }
 
+/// What a file of MCAP begins with.
+const MCAP_MAGIC: &[u8] = b"\x89MCAP0\r\n";
+
 pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     files::directory(&args.out)?;
     if let Some(users) = &args.urdf_in {
@@ -51,6 +54,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     let pass = if args.mcap {
         let name = Path::new(args.run.file_name().unwrap_or_default()).with_extension("mcap");
         let path = args.out.join(name);
+        files::is_earlier(&path, MCAP_MAGIC)?;
         let unfinished = Unfinished::of(&path);
         let file = File::create(&unfinished.beside).map_err(|error| unwritten(&path, &error))?;
         let wrong = |error: Diagnostic| Diagnostic { file: path.display().to_string(), ..error };

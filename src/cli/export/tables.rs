@@ -5,6 +5,7 @@ use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 
 use super::{Unfinished, unwritten};
+use crate::base::files;
 use crate::cli::info;
 use crate::device::protocol::{Fault, FaultKind};
 use crate::diagnostic::Diagnostic;
@@ -136,6 +137,7 @@ impl Tables {
 impl Table {
     fn create(directory: &Path, name: &'static str, columns: &str) -> Result<Self, Diagnostic> {
         let file = Unfinished::of(&directory.join(name));
+        files::is_earlier(&file.path, columns.as_bytes())?;
         let made = File::create(&file.beside).map_err(|error| unwritten(&file.path, &error))?;
         let mut writer = csv::Writer::from_writer(BufWriter::new(made));
         writer.write_record(columns.split(',')).map_err(|error| unwritten(&file.path, &error))?;

@@ -10,7 +10,7 @@ use crate::diagnostic::Diagnostic;
 use crate::measurement::positions::PLACE;
 use crate::measurement::{self, Distinct, Measurements};
 use crate::robot::parameter::SetUp;
-use crate::robot::{AXES, ParamId, Robot};
+use crate::robot::{AXES, ParamId, Robot, Unit};
 
 pub(crate) fn parse_point(text: &str) -> Result<[f64; 3], EstimationFinding> {
     let numbers: Result<Vec<f64>, _> = text.split(',').map(|part| part.trim().parse::<f64>()).collect();
@@ -35,12 +35,24 @@ pub(super) fn read_prior(table: &mut Table<'_>, set_up: SetUp) -> Result<BTreeMa
             let wrong = EstimationFinding::OtherUnitThan { parameter, unit: id.unit().to_string(), given };
             return Err(row.wrong(unit, wrong));
         }
+        if !is_prior(id, value) {
+            let (parameter, unit) = (id.to_string(), id.unit().to_string());
+            return Err(row.wrong(sd, EstimationFinding::NoPriorOf { parameter, value, unit }));
+        }
         if prior.insert(id, value).is_some() {
             let parameter = id.to_string();
             return Err(row.wrong(name, EstimationFinding::ParameterTwice { parameter }));
         }
     }
     Ok(prior)
+}
+
+/// Whether a standard deviation is one of a robot's geometry: no maker is that bad.
+fn is_prior(id: ParamId, sd: f64) -> bool {
+    const MOST_MM: f64 = 50.0;
+    const MOST_RAD: f64 = 0.04;
+    let most = if id.unit() == Unit::Rad { MOST_RAD } else { MOST_MM };
+    !id.is_geometric() || sd <= most
 }
 
 /// A workspace of a robot: a table with the columns a1_deg..a6_deg, more may stand beside them.

@@ -20,7 +20,6 @@ use crate::estimation::{
 };
 use crate::measurement::{LengthModel, Measurements};
 use crate::provenance::{Artefact, Provenance, Role};
-use crate::report::calibration;
 use crate::robot::parameter::{self, SetUp};
 pub(crate) use inputs::observations;
 pub(crate) use tables::{LENGTHS, POSITIONS, ROBOT};
@@ -178,12 +177,9 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     }
     out.done(90);
     drop(busy);
-    let _writing = files::exclusive(&args.out)?;
     let budget = Budget::of(&found, &given.observations, given.bar_u_mm, &given.provenance.identity);
     let provenance =
         tables::write_results(&args.out, &found, &given.observations, given.provenance, &budget)?;
-    let page = calibration::html(&found, &given.observations, &provenance, &budget)?;
-    files::write(&args.out.join("report.html"), page)?;
     // Its findings are its warnings: it is written before they are reported.
     out.document(&Recorded { result: &ResultFile::from(&found), budget: &budget, provenance: &provenance })?;
     say::say(out, &found, &args.out);

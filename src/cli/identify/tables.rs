@@ -6,7 +6,7 @@ use std::path::Path;
 use serde::Deserialize;
 
 use super::Recorded;
-use crate::base::{files, serialised};
+use crate::base::{FileSet, files, serialised};
 use crate::catalogue::CliFinding;
 use crate::conformity::Budget;
 use crate::diagnostic::Diagnostic;
@@ -14,6 +14,7 @@ use crate::estimation::{CalibrationResult, JointPoint, Posterior, ResultFile, jo
 use crate::measurement::Measurements;
 use crate::program::{self, Language};
 use crate::provenance::{Artefact, Provenance, Role};
+use crate::report::calibration;
 use crate::report::export::{frames, mastering, urdf};
 use crate::robot::{Joint, Robot};
 
@@ -21,6 +22,8 @@ use crate::robot::{Joint, Robot};
 pub(crate) const LENGTHS: &str = "lengths.csv";
 /// The positions beside them.
 pub(crate) const POSITIONS: &str = "positions.csv";
+/// What each axis must be corrected by, where a result has it.
+const JOINT_ERRORS: &str = "joint-errors.csv";
 /// The identified robot beside them.
 pub(crate) const ROBOT: &str = "robot-identified.toml";
 
@@ -42,7 +45,8 @@ const PARAMETER_COLUMNS: [&str; 14] = [
 ];
 
 /// Writes result.json, parameters.csv, covariance.csv, the robot for other programs, and as lengths.csv those of the
-/// observations that the result rests on; the provenance with these. Files of an earlier result that this one lacks go.
+/// observations that the result rests on, and report.html; the provenance with these. Files of an earlier result that this
+/// one lacks go.
 pub(super) fn write_results(
     dir: &Path,
     found: &CalibrationResult,
@@ -52,35 +56,40 @@ pub(super) fn write_results(
 ) -> Result<Provenance, Diagnostic> {
     let file = ResultFile::from(found);
     let is_used = |place: usize| found.uses(place);
-    let [lengths, positions] = [LENGTHS, POSITIONS].map(|file| dir.join(file));
-    let earlier = earlier(dir);
+    let (mut set, earlier) = (FileSet::begin(dir)?, earlier(dir));
     if found.made_from.lengths > 0 {
-        files::write_pieces(&lengths, observations.csv_pieces(is_used))?;
-        provenance.add(&Artefact::file(Role::Measurements, &lengths)?);
+        let written = set.write_pieces(LENGTHS, observations.csv_pieces(is_used))?;
+        provenance.add(&table(LENGTHS, &written)?);
     } else {
-        remove_of(&earlier, &lengths)?;
+        remove_of(&earlier, &dir.join(LENGTHS), &mut set)?;
     }
     if let Some(text) = observations.positions_csv(is_used) {
-        files::write(&positions, text)?;
-        provenance.add(&Artefact::file(Role::Measurements, &positions)?);
+        let written = set.write_pieces(POSITIONS, [text])?;
+        provenance.add(&table(POSITIONS, &written)?);
     } else {
-        remove_of(&earlier, &positions)?;
+        remove_of(&earlier, &dir.join(POSITIONS), &mut set)?;
     }
     let recorded = Recorded { result: &file, budget, provenance: &provenance };
-    files::write(&dir.join("result.json"), serialised::sealed_json(&recorded)?)?;
+    set.write("result.json", serialised::sealed_json(&recorded)?)?;
     let robot = Robot { provenance: provenance.clone(), ..found.robot.clone() };
-    files::write(&dir.join(ROBOT), serialised::sealed_toml(&robot.to_toml()?))?;
+    set.write(ROBOT, serialised::sealed_toml(&robot.to_toml()?))?;
     let parameters =
         parameters_csv(&file).map_err(|error| CliFinding::NoOutput { why: error.to_string() })?;
-    files::write(&dir.join("parameters.csv"), parameters)?;
-    files::write(&dir.join("covariance.csv"), covariance_csv(&found.posterior))?;
-    let joint_errors = dir.join("joint-errors.csv");
+    set.write("parameters.csv", parameters)?;
+    set.write("covariance.csv", covariance_csv(&found.posterior))?;
     match found.joints {
-        Some(_) => files::write(&joint_errors, joint_errors_csv(&found.robot))?,
-        None => files::remove(&joint_errors)?,
+        Some(_) => set.write(JOINT_ERRORS, joint_errors_csv(&found.robot))?,
+        None => set.remove(JOINT_ERRORS),
     }
-    hand_back(dir, found, &provenance)?;
+    hand_back(&mut set, found, &provenance)?;
+    set.write("report.html", calibration::html(found, observations, &provenance, budget)?)?;
+    set.finish()?;
     Ok(provenance)
+}
+
+/// A table of this result, which is at `written` until the set is finished.
+fn table(name: &str, written: &Path) -> Result<Artefact, Diagnostic> {
+    Ok(Artefact { name: name.into(), ..Artefact::file(Role::Measurements, written)? })
 }
 
 /// What the result that is in the directory was made from; empty where there is none that can be read.
@@ -94,9 +103,12 @@ fn earlier(dir: &Path) -> Provenance {
 }
 
 /// Removes a table of that result; one of the same name that is the user's own stays.
-fn remove_of(earlier: &Provenance, table: &Path) -> Result<(), Diagnostic> {
-    if table.is_file() && earlier.has(&Artefact::file(Role::Measurements, table)?) {
-        files::remove(table)?;
+fn remove_of(earlier: &Provenance, table: &Path, set: &mut FileSet) -> Result<(), Diagnostic> {
+    if table.is_file() {
+        let artefact = Artefact::file(Role::Measurements, table)?;
+        if earlier.has(&artefact) {
+            set.remove(&artefact.name);
+        }
     }
     Ok(())
 }
@@ -157,16 +169,17 @@ fn joint_errors_csv(robot: &Robot) -> String {
 }
 
 /// What goes to other programs and to the controller: URDF, mastering offsets, KRL frames.
-fn hand_back(dir: &Path, found: &CalibrationResult, provenance: &Provenance) -> Result<(), Diagnostic> {
-    files::write(&dir.join("robot-identified.urdf"), urdf::urdf(&found.robot))?;
+fn hand_back(
+    set: &mut FileSet,
+    found: &CalibrationResult,
+    provenance: &Provenance,
+) -> Result<(), Diagnostic> {
+    set.write("robot-identified.urdf", urdf::urdf(&found.robot))?;
     let offsets = mastering::offsets(found);
-    files::write(&dir.join("mastering.csv"), mastering::csv(&offsets)?)?;
+    set.write("mastering.csv", mastering::csv(&offsets)?)?;
     let data = frames::data_list(&found.robot.name, &frames::frames(found), &offsets);
-    files::write(
-        &dir.join(format!("{}.dat", frames::MODULE)),
-        program::stamped(Language::Krl, &data, provenance)?,
-    )?;
-    Ok(())
+    let data = program::stamped(Language::Krl, &data, provenance)?;
+    set.write(&format!("{}.dat", frames::MODULE), data)
 }
 
 /// The ends of an interval as two cells, empty where there is none.

@@ -32,10 +32,12 @@ mod push {
 
     use crate::archive::{LocalRun, Secrets, Spool};
     use crate::base::{files, hash::sha256, program, sync::lock};
+    use crate::catalogue::ArchiveFinding;
     use crate::daemon::service::config::ToArchive;
     use crate::daemon::service::log::Level;
     use crate::daemon::service::state::{Run, Supervisor};
     use crate::daemon::service::{jobs, names, runs};
+    use crate::diagnostic::Finding as _;
     use crate::live::Archiving;
 
     /// In the directory of a run: which of its states was handed over. It is no file of the run.
@@ -45,8 +47,8 @@ mod push {
 
     /// What became of a push.
     enum Pushed {
-        /// The archive confirmed it.
-        Confirmed,
+        /// The archive confirmed it, and what is doubtful in it.
+        Confirmed(Option<String>),
         /// It is in the spool, and why.
         Waits(String),
         /// It is where it was, and why.
@@ -81,14 +83,20 @@ mod push {
         let spooled = || Spool::count(&archive.spool).map_or(1, |waiting| waiting as u64);
         let (before, mut handed_over) = (spooled(), 0);
         let mut sent = false;
-        for name in over(supervisor) {
+        let names = over(supervisor).unwrap_or_else(|error| {
+            (state.refused, state.reason) = (1, Some(error.to_string()));
+            Vec::new()
+        });
+        for name in names {
             let directory = supervisor.config.data.join(&name);
             let pushed = hand_over(archive, &directory);
             match pushed {
                 Ok(None) => {}
-                Ok(Some(Pushed::Confirmed)) => {
+                Ok(Some(Pushed::Confirmed(doubt))) => {
                     (sent, handed_over) = (true, handed_over + 1);
-                    supervisor.log.say(Level::Info, "archived", &[("run", &name)]);
+                    let level = if doubt.is_some() { Level::Warning } else { Level::Info };
+                    let doubt = doubt.unwrap_or_default();
+                    supervisor.log.say(level, "archived", &[("run", &name), ("doubt", &doubt)]);
                 }
                 // It is counted in the spool.
                 Ok(Some(Pushed::Waits(why))) => {
@@ -102,7 +110,7 @@ mod push {
         }
         if spooled() > 0 && !sent {
             state.reason = match push(archive, None) {
-                Ok(Pushed::Confirmed) => state.reason,
+                Ok(Pushed::Confirmed(_)) => state.reason,
                 Ok(Pushed::Waits(why) | Pushed::Failed(why)) => Some(why),
                 Err(error) => Some(error.to_string()),
             };
@@ -115,9 +123,13 @@ mod push {
 
     /// The names of the runs to which nothing is added now. They are listed first: a run that begins meanwhile is not
     /// among them.
-    fn over(supervisor: &Supervisor) -> Vec<String> {
-        let entries = fs::read_dir(&supervisor.config.data).into_iter().flatten().flatten();
-        let names = entries.filter_map(|entry| entry.file_name().into_string().ok());
+    fn over(supervisor: &Supervisor) -> io::Result<Vec<String>> {
+        let entries = match fs::read_dir(&supervisor.config.data) {
+            // Nothing was recorded yet.
+            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
+            entries => entries?.collect::<io::Result<Vec<_>>>()?,
+        };
+        let names = entries.into_iter().filter_map(|entry| entry.file_name().into_string().ok());
         let is_run = |name: &String| {
             let directory = supervisor.config.data.join(name);
             names::is_sound(name)
@@ -132,7 +144,7 @@ mod push {
         }
         names.retain(|name| !supervisor.jobs.concern(name));
         names.sort();
-        names
+        Ok(names)
     }
 
     /// Pushes the run in `directory`, unless this state of it was.
@@ -168,12 +180,18 @@ mod push {
             stderr.read_to_end(&mut said)?;
         }
         let said = String::from_utf8_lossy(&said);
-        let finding = |line: &&str| line.starts_with("error[") || line.starts_with("warning[");
-        let why = said.lines().find(finding).unwrap_or(said.trim()).to_owned();
-        Ok(match child.wait()?.code() {
-            Some(0) => Pushed::Confirmed,
-            Some(3) => Pushed::Waits(why),
-            _ => Pushed::Failed(why),
+        let first = |label: &str| said.lines().find(|line| line.starts_with(label)).map(str::to_owned);
+        let (waits, doubt) = (first(&format!("warning[{}]", waits())), first("warning["));
+        Ok(match (child.wait()?.code(), waits) {
+            (Some(0), _) => Pushed::Confirmed(None),
+            (Some(3), None) => Pushed::Confirmed(doubt),
+            (Some(3), Some(why)) => Pushed::Waits(why),
+            _ => Pushed::Failed(first("error[").or(doubt).unwrap_or_else(|| said.trim().to_owned())),
         })
+    }
+
+    /// The code of a run that waits in the spool.
+    fn waits() -> &'static str {
+        ArchiveFinding::SpoolWaits { runs: 0 }.code().0
     }
 }

@@ -13,8 +13,8 @@ use crate::base::parse::from_toml;
 use crate::base::{clock, files};
 use crate::catalogue::PortFinding;
 use crate::catalogue::ServiceFinding::{
-    self, NoPlans, NotADirectory, NotAHost, NotAProtocol, NotAStroke, NotAnAddress, OpenWithoutToken,
-    OutOfRange, ParametersWithoutProtocol, TokenTooShort, TokenUnreadable,
+    self, NoPlans, NotADirectory, NotAHost, NotAProtocol, NotAStroke, NotAnAddress, OneDirectory,
+    OpenWithoutToken, OutOfRange, ParametersWithoutProtocol, TokenTooShort, TokenUnreadable,
 };
 use crate::daemon::ALARM_SHARE;
 use crate::device::port::PortAddress;
@@ -229,6 +229,9 @@ impl Config {
         if let Some(path) = [&config.data, &config.plans].into_iter().find(|path| is_file(path)) {
             return Err(Diagnostic::file(&path.display().to_string(), NotADirectory));
         }
+        if files::same_place(&config.data, &config.plans) {
+            return Err(Diagnostic::file(&config.data.display().to_string(), OneDirectory));
+        }
         if !config.plans.is_dir() {
             return Err(Diagnostic::file(&config.plans.display().to_string(), NoPlans));
         }
@@ -290,12 +293,14 @@ fn to_archive(source: &Source, table: Spanned<ArchiveTable>) -> Result<ToArchive
 fn to_archive(source: &Source, table: Spanned<ArchiveTable>) -> Result<ToArchive, Diagnostic> {
     use crate::archive::{Addresses, Secrets};
     let ArchiveTable { database, store, spool, retry_s } = table.into_inner();
-    Addresses::read(Some(&database), Some(&store), &Secrets::of_environment())?;
+    let addresses = Addresses::read(Some(&database), Some(&store), &Secrets::of_environment())?;
+    let spool = spool.unwrap_or_else(|| "dbbd-spool".into());
+    addresses.check_spool(source.base, std::path::Path::new(&spool))?;
     Ok(ToArchive {
         database,
         store,
         base: source.base.into(),
-        spool: source.base.join(spool.as_deref().unwrap_or("dbbd-spool")),
+        spool: source.base.join(spool),
         retry_s: retry_s.map_or(Ok(RETRY_S), |retry_s| source.number(&retry_s, 0.01, 1e6))?,
     })
 }

@@ -10,6 +10,7 @@ use crate::measurement::{BallId, BaseBall};
 use crate::plan::module::MODULE_DWELLS;
 use crate::plan::timing::ACCELERATION_MM_S2;
 use crate::provenance::{CERTIFIED_C, MOST_LENGTH_U_MM, check_text};
+use crate::robot::pose::is_part_of_turn;
 
 /// Chosen poses of a plan: with more the run takes hours, in which everything drifts.
 const MOST_POINTS: u32 = 1000;
@@ -23,7 +24,7 @@ const LEAST_DWELL_S: f64 = 0.05;
 const EXPANSION_PER_K: [f64; 2] = [-2e-6, 2e-4];
 /// A shorter arc is one in radians, degrees.
 const LEAST_ARC_DEG: f64 = 7.0;
-/// A smaller box or cylinder is one in metres, mm.
+/// A smaller box, cylinder, height or place is one in metres, mm.
 const LEAST_OBSTACLE_MM: f64 = 3.0;
 /// Longest wait and dwell, s.
 const MOST_WAIT_S: f64 = 60.0;
@@ -155,8 +156,8 @@ impl Job {
         table.positive("turn_deg_s", motion.turn_deg_s)?;
         table.positive_to("settle_s", motion.settle_s, MOST_WAIT_S)?;
         table.within("dwell_s", motion.dwell_s, [LEAST_DWELL_S, MOST_WAIT_S])?;
-        table.finite("tool", motion.tool.iter().flatten())?;
-        table.finite("base", motion.base.iter().flatten())
+        table.frame("tool", motion.tool)?;
+        table.frame("base", motion.base)
     }
 
     fn check_outputs(&self) -> Result<(), Misplaced> {
@@ -274,11 +275,29 @@ fn check_obstacle(table: Table, obstacle: &ObstacleTable) -> Result<(), Misplace
             table.positive("radius_mm", radius_mm)?;
             table.large("to_mm", [along[0], along[1], along[2].hypot(2.0 * radius_mm)])
         }
-        ObstacleTable::Floor { z_mm } => table.within("z_mm", z_mm, [-MOST, MOST]),
+        ObstacleTable::Floor { z_mm } => {
+            table.within("z_mm", z_mm, [-MOST, MOST])?;
+            if z_mm == 0.0 { Ok(()) } else { table.large("z_mm", [z_mm, 0.0, 0.0]) }
+        }
     }
 }
 
 impl Table {
+    /// That a frame is in mm and degrees.
+    fn frame(self, key: &'static str, frame: Option<[f64; 6]>) -> Result<(), Misplaced> {
+        let Some(frame) = frame else { return Ok(()) };
+        self.finite(key, &frame)?;
+        let [x, y, z, angles @ ..] = frame;
+        if let Some(value) = angles.into_iter().find(|value| is_part_of_turn(*value)) {
+            return Err(self.wrong(key, JobFinding::FrameInRadians { key: key.into(), value }));
+        }
+        let size_mm = x.abs().max(y.abs()).max(z.abs());
+        if size_mm > 0.0 && size_mm < LEAST_OBSTACLE_MM {
+            return Err(self.wrong(key, JobFinding::FrameInMetres { key: key.into(), size_mm }));
+        }
+        Ok(())
+    }
+
     /// That an obstacle of this size, mm, is not one in metres.
     fn large(self, key: &'static str, size: [f64; 3]) -> Result<(), Misplaced> {
         match size.into_iter().map(f64::abs).fold(0.0, f64::max) {

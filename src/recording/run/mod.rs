@@ -10,7 +10,7 @@ use std::sync::Arc;
 
 pub use circles::{Circle, Circles, drives};
 pub use open::{is_capture, losses, open};
-pub use plan_files::{ATTACHED_IDENTITY, PlanFiles, attached_plan, identity, read_plan, sources};
+pub use plan_files::{ATTACHED_IDENTITY, PlanFiles, attached_plan, identity, read_plan, sources, unread};
 use temperature::Temperatures;
 
 use super::axes::AxisTrack;

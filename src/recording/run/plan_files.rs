@@ -78,6 +78,18 @@ pub fn identity(
     Ok(identity)
 }
 
+/// Why the plan or the identity that is attached to a capture cannot be read; `None` where both can, or there are none.
+pub fn unread(
+    run: &str,
+    attachments: &BTreeMap<String, Vec<u8>>,
+    started: Option<u64>,
+) -> Option<Diagnostic> {
+    let plan = attached_plan(run, attachments);
+    let known = plan.as_ref().ok().and_then(Option::as_ref);
+    let identity = identity(run, known, attachments, started).err();
+    plan.err().or(identity)
+}
+
 /// The plan of a capture and what the capture was made from, as far as its attachments can be read: what cannot is refused
 /// where the run is used.
 ///

@@ -244,10 +244,12 @@ impl Campaign {
         for run in 0..runs {
             let own = self.dir.path().join(format!("runs/run-{run}"));
             let sha256 = files::sha256(&own.join("run.dbbd")).unwrap();
-            let got = self.run("work", &["get", &sha256, "--out", "back"]);
+            let name = format!("back-{run}");
+            let got = self.run("work", &["get", &sha256, "--out", &name]);
             assert_eq!(got.status.code(), Some(0), "{}", stderr(&got));
+            let back = self.dir.path().join(name);
             for name in ["run.dbbd", "check/check.json"] {
-                let back = self.dir.path().join("back").join(name);
+                let back = back.join(name);
                 assert_eq!(fs::read(back).unwrap(), fs::read(own.join(name)).unwrap());
             }
         }

@@ -10,19 +10,19 @@ use tempfile::tempdir;
 use super::{archive, archive_with, plant};
 use crate::cell::codes;
 
-fn json(output: &std::process::Output) -> Value {
+pub(super) fn json(output: &std::process::Output) -> Value {
     serde_json::from_slice(&output.stdout).unwrap()
 }
 
 /// An archive with nothing in it and a directory of runs.
-fn plant_of(runs: u64) -> tempfile::TempDir {
+pub(super) fn plant_of(runs: u64) -> tempfile::TempDir {
     let dir = tempdir().unwrap();
     plant::directory(&dir.path().join("runs"), runs);
     assert_eq!(archive(dir.path(), &["init"]).status.code(), Some(0));
     dir
 }
 
-fn objects(dir: &Path) -> Vec<PathBuf> {
+pub(super) fn objects(dir: &Path) -> Vec<PathBuf> {
     let folders = fs::read_dir(dir.join("objects/objects")).unwrap().map(|entry| entry.unwrap().path());
     folders.flat_map(|path| fs::read_dir(path).unwrap().map(|entry| entry.unwrap().path())).collect()
 }
@@ -91,7 +91,11 @@ fn a_push_that_was_cut_is_taken_up_and_damage_is_found() {
         let got = archive(at, &["get", &run, "--out", "back"]);
         assert_eq!((got.status.code(), codes(&got)), (Some(1), vec!["E2408".to_owned()]));
         assert!(!at.join("back/run.dbbd").exists());
-        assert_eq!(archive(at, &["push", "runs"]).status.code(), Some(0));
+        let again = archive(at, &["push", "runs"]);
+        assert_eq!(
+            (again.status.code(), codes(&again)),
+            (Some(3), vec!["I2413".to_owned(), "W2423".to_owned()])
+        );
         assert_eq!(archive(at, &["get", &run, "--out", "back"]).status.code(), Some(0));
         fs::remove_dir_all(at.join("back")).unwrap();
     }

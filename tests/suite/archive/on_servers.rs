@@ -248,6 +248,8 @@ fn work_is_done_once_and_anew_with_other_settings() {
         assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
         serde_json::from_slice(&output.stdout).unwrap()
     };
+    let none = archive(at, &["fleet", "--out", "fleet"]);
+    assert_eq!((none.status.code(), codes(&none)), (Some(1), vec!["W2427".to_owned(), "E2415".to_owned()]));
     assert_eq!(counts(&["worker", "--until-empty", "--json"])["done"], 2);
     assert_eq!(counts(&["worker", "--until-empty", "--json"])["done"], 0);
     let fleet = counts(&["fleet", "--out", "fleet", "--json"]);

@@ -25,7 +25,7 @@ fn content(ask: &dyn Fn(&[&str]) -> std::process::Output, dir: &Path) -> Vec<Str
     for run in listed.iter().map(|run| run["sha256"].as_str().unwrap()) {
         all.push(text(&["show", run, "--json"]));
         // Every object is compared with its SHA-256.
-        text(&["get", run, "--out", "back"]);
+        text(&["get", run, "--out", run]);
     }
     text(&["export", "--out", "tables"]);
     all.extend(

@@ -1,0 +1,151 @@
+//! Values in another unit, and files that do not belong together: each is refused, or doubted with a code and exit code 3.
+
+use std::fs;
+use std::path::Path;
+
+use crate::cell::{codes, dbbd, stderr};
+use crate::nothing_wrong_is_silent::{JOB, cell, identify, says};
+
+pub(crate) fn provoked() -> Vec<&'static str> {
+    vec!["E0181", "W1283", "W1922", "W1923"]
+}
+
+#[test]
+fn priors_and_frozen_bars() {
+    let (dir, data) = cell();
+    let at = dir.path();
+    for sd in ["alpha1,rad,0.05", "a2,mm,500"] {
+        fs::write(at.join("prior.csv"), format!("name,unit,sd\n{sd}\n")).unwrap();
+        says(&identify(at, &data.to_csv(), &["--prior", "prior.csv"]), 1, "E1304");
+    }
+    fs::write(at.join("prior.csv"), "name,unit,sd\nalpha1,rad,0.0009\na2,mm,0.5\n").unwrap();
+    assert_ne!(identify(at, &data.to_csv(), &["--prior", "prior.csv"]).status.code(), Some(1));
+    let frozen = |rows: std::ops::Range<usize>| {
+        let mut table = data.clone();
+        let length_mm = table.rows[rows.start].length_mm;
+        table.rows[rows].iter_mut().for_each(|row| row.length_mm = length_mm);
+        table.to_csv()
+    };
+    says(&identify(at, &frozen(10..20), &["--prior", "datasheet"]), 3, "W1283");
+    fs::write(at.join("equal.csv"), frozen(0..data.rows.len())).unwrap();
+    says(&dbbd(at, &["plan", "job.toml", "--measured", "equal.csv", "--out", "plan"]), 3, "W1283");
+}
+
+#[test]
+fn frames_and_floors_of_a_job() {
+    let (dir, _) = cell();
+    let at = dir.path();
+    for motion in [
+        "base = [100.0, 0.0, 50.0, 1.5708, 0.0, 0.0]",
+        "tool = [30.0, 20.0, 10.0, 0.0, 0.7854, 0.0]",
+        "base = [1.2, 0.1, 0.5, 0.0, 0.0, 0.0]",
+    ] {
+        fs::write(at.join("bad.toml"), JOB.replace("[motion]\n", &format!("[motion]\n{motion}\n"))).unwrap();
+        says(&dbbd(at, &["plan", "bad.toml", "--out", "plan"]), 1, "E0601");
+    }
+    fs::write(at.join("bad.toml"), format!("{JOB}[[obstacle]]\nshape = \"floor\"\nz_mm = -0.4\n")).unwrap();
+    says(&dbbd(at, &["plan", "bad.toml", "--out", "plan"]), 1, "E0601");
+}
+
+/// A circle of 72 points; each line with its angle, length, time and temperature.
+fn circle(at: &Path, name: &str, line: &dyn Fn(u32) -> [f64; 4]) -> std::process::Output {
+    let rows = (0..72).map(|point| {
+        let [angle, length, t_s, temp_c] = line(point);
+        format!("1,ccw,{angle},{length},{t_s},{temp_c}\n")
+    });
+    let rows = rows.collect::<String>();
+    fs::write(at.join(name), format!("run,direction,angle_deg,length_mm,t_s,temp_c\n{rows}")).unwrap();
+    let out = name.trim_end_matches(".csv");
+    dbbd(at, &["circle", name, "--out", out, "--monte-carlo", "0", "--radius", "300"])
+}
+
+#[test]
+fn angles_times_and_temperatures_of_circles() {
+    let (dir, _) = cell();
+    let at = dir.path();
+    let sound = |point: u32| {
+        let point = f64::from(point);
+        [5.0 * point, 300.0 + 0.05 * (0.17 * point).sin(), point, 20.0 + 0.01 * point]
+    };
+    let changed = |column: usize, value: &dyn Fn(u32) -> f64, name: &str| {
+        let line = |point: u32| {
+            let mut line = sound(point);
+            line[column] = value(point);
+            line
+        };
+        circle(at, name, &line)
+    };
+    assert_eq!(circle(at, "first.csv", &sound).status.code(), Some(0));
+    says(&changed(0, &|point| f64::from(point + 1), "counted.csv"), 3, "W1482");
+    says(&changed(2, &|point| f64::from(point % 40), "back.csv"), 3, "W1482");
+    says(&changed(3, &|point| 20.0 + 0.3 * f64::from(point), "warmed.csv"), 3, "W1482");
+    // Evaluated twice, and an arc beside a circle.
+    assert_eq!(
+        dbbd(
+            at,
+            &[
+                "circle",
+                "first.csv",
+                "--out",
+                "again",
+                "--monte-carlo",
+                "0",
+                "--radius",
+                "300",
+                "--sigma",
+                "0.001"
+            ]
+        )
+        .status
+        .code(),
+        Some(0)
+    );
+    says(&dbbd(at, &["compare", "first", "again", "--out", "compared"]), 3, "W1923");
+    let arc = changed(0, &|point| 2.5 * f64::from(point), "arc.csv");
+    assert_eq!(arc.status.code(), Some(0), "{}", stderr(&arc));
+    says(&dbbd(at, &["compare", "first", "arc", "--out", "compared"]), 3, "W1923");
+}
+
+#[test]
+fn a_result_of_another_calibration_is_none_of_this_robot() {
+    let (dir, data) = cell();
+    let at = dir.path();
+    let given = ["--prior", "datasheet"];
+    assert_eq!(identify(at, &data.to_csv(), &given).status.code(), Some(0));
+    fs::rename(at.join("out"), at.join("first")).unwrap();
+    let mut half = data.clone();
+    half.rows.truncate(40);
+    assert_ne!(identify(at, &half.to_csv(), &given).status.code(), Some(1));
+    let check = || {
+        let robot = "first/robot-identified.toml";
+        dbbd(at, &["check", "obs.csv", "--robot", robot, "--centres", "C.csv", "--out", "checked"])
+    };
+    let sound = check();
+    assert!(!codes(&sound).contains(&"W1922".to_owned()), "{}", stderr(&sound));
+    fs::copy(at.join("out/result.json"), at.join("first/result.json")).unwrap();
+    says(&check(), 3, "W1922");
+}
+
+#[test]
+fn an_export_replaces_its_own_files_alone() {
+    let (dir, _) = cell();
+    let at = dir.path();
+    assert_eq!(dbbd(at, &["plan", "job.toml", "--out", "plan"]).status.code(), Some(0));
+    let rows =
+        (0..1200).map(|row| format!("{},{}\n", f64::from(row) / 20.0, 300.0 + 0.001 * f64::from(row % 7)));
+    fs::write(at.join("t.csv"), format!("t_s,length_mm\n{}", rows.collect::<String>())).unwrap();
+    assert_eq!(
+        dbbd(at, &["import", "t.csv", "--plan", "plan/plan.csv", "--out", "run"]).status.code(),
+        Some(0)
+    );
+    let export = |more: &[&str]| dbbd(at, &[&["export", "run", "--out", "tables"], more].concat());
+    for _ in 0..2 {
+        assert_eq!(export(&[]).status.code(), Some(0));
+        assert_eq!(export(&["--mcap"]).status.code(), Some(0));
+    }
+    for (file, more) in [("events.csv", &[][..]), ("run.mcap", &["--mcap"])] {
+        fs::write(at.join("tables").join(file), "mine").unwrap();
+        says(&export(more), 1, "E0181");
+        assert_eq!(fs::read(at.join("tables").join(file)).unwrap(), b"mine");
+    }
+}
