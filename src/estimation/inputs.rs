@@ -56,6 +56,7 @@ pub fn doubts(
 
 /// Lengths at different poses that are equal to the last digit, all or many one after the other.
 fn frozen(observations: &Measurements) -> Option<MeasurementFinding> {
+    const LONGEST_MM: f64 = 1e5;
     /// Fewer are equal by chance, where a bar has few digits.
     const LEAST: usize = 6;
     let lengths = observations.rows.iter().filter(|row| row.datum.ball().is_some());
@@ -65,7 +66,8 @@ fn frozen(observations: &Measurements) -> Option<MeasurementFinding> {
     let equal = lengths.chunk_by(is_equal).max_by_key(|equal| equal.len())?;
     let (rows, &(index, length_mm, _)) = (equal.len(), equal.first()?);
     match rows {
-        _ if rows < LEAST => None,
+        // What no bar is long is said elsewhere.
+        _ if rows < LEAST || length_mm.abs() > LONGEST_MM => None,
         _ if rows == lengths.len() => Some(MeasurementFinding::AllEqual { rows, length_mm }),
         _ => Some(MeasurementFinding::FrozenRows { rows, index, length_mm }),
     }
