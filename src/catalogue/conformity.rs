@@ -88,7 +88,7 @@ findings! {
         W1915 "conformity is undecided",
         cause: "The tolerance lies within the uncertainty of the position, so that neither pass nor fail has the risk allowed.",
         cure: "Measure more poses, identify what changed (--update), calibrate anew, or accept a larger --risk." {
-            Undecided { tolerance_mm: f64, position_error_mm: f64, risk: f64 } => "undecided: the position error is about {position_error_mm:.3} mm, and exceeds {tolerance_mm} mm with probability {risk:.2}";
+            Undecided { tolerance_mm: f64, position_error_mm: f64, risk: f64 } => "undecided: the median of the position error is {position_error_mm:.3} mm; it exceeds {tolerance_mm} mm with probability {risk:.2}";
         }
         W1916 "no single change explains the lengths",
         cause: "More than two parameters changed, the lengths are those of another robot or tool, or the bar slipped.",

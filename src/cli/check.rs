@@ -47,7 +47,7 @@ pub(crate) struct Args {
     /// Largest probability of a wrong decision: the guard band (JCGM 106).
     #[arg(long, value_name = "P", default_value_t = 0.05, value_parser = risk)]
     risk: f64,
-    /// Decide by the likeliest position error alone, without a guard band.
+    /// Decide by the median of the position error alone, without a guard band.
     #[arg(long, conflicts_with = "risk")]
     simple_acceptance: bool,
     /// Standard deviation of every length, mm [default: that of the data with the robot's repeatability, at least that of
@@ -245,8 +245,12 @@ fn lines(found: &InterimCheck) -> Vec<String> {
     }
     let position = &found.predicted_position_uncertainty_mm;
     lines.push(format!(
-        "position error over the workspace, 95 % of the poses: calibrated {:.3} mm, now {:.3} mm",
+        "position error over the workspace, 95 % of the poses of all likely robots: calibrated {:.3} mm, now {:.3} mm",
         position.calibrated.p95, position.now.p95
+    ));
+    lines.push(format!(
+        "position error that one of them keeps at 95 % of its poses: median {:.3} mm, upper limit {:.3} mm",
+        decision.position_error_mm, decision.upper_mm
     ));
     if let Some(updated) = position.updated {
         lines.push(format!("with what changed identified anew (--update): {:.3} mm", updated.p95));

@@ -297,7 +297,7 @@ fn lines(prediction: &Prediction) -> Vec<String> {
     let (now, then) = (prediction.now_mm, prediction.identified_mm);
     let mut lines = vec![
         format!(
-            "these lengths ({:.1} um each) identify {} of {} parameters or combinations: {} well, {} worse than 3 tolerances",
+            "without a prior these lengths ({:.1} um each) identify {} of {} parameters or combinations: {} well, {} worse than 3 tolerances",
             prediction.sigma_mm * 1e3,
             prediction.rank,
             prediction.of,

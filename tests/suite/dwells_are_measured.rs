@@ -2,8 +2,10 @@
 
 use dbbd::catalogue::MatchingFinding;
 use dbbd::diagnostic::Finding;
+use dbbd::plan::Kind;
 use dbbd::recording::matching::{Input, MatchOutcome, match_poses, still_dwells};
 use dbbd::recording::measure;
+use dbbd::robot::AXES;
 
 use crate::sync_runs::{BAR_MM, DWELL_S, SETTLE_S, WORLD, World, plan, right, run, stream};
 
@@ -87,6 +89,25 @@ fn invalid_readings_do_not_count_and_drift_is_seen() {
     assert_eq!(drift.readings, 4);
     // 30 um over the whole run, of which the reference readings span nearly all.
     assert!(drift.significant && (drift.change_mm - 0.028).abs() < 0.003, "{drift:?}");
+}
+
+/// Two readings of a pose have no standard deviation: the largest change of all such poses counts, not the last.
+#[test]
+fn the_largest_of_the_drifts_of_two_readings_is_reported() {
+    let mut plan = plan(9, 80, 40, true);
+    let second = plan.rows.iter_mut().filter(|row| row.circle == 2 && row.kind == Kind::Reference);
+    second.for_each(|row| row.axes_deg = [2.0; AXES]);
+    let mut run = run(&plan, 9, World { repeatability_mm: 0.0, strobe: true, ..WORLD });
+    let moved_s = run.starts_s[20];
+    for (at, (_, sample)) in run.samples.iter_mut().enumerate() {
+        let t_s = at as f64 / WORLD.rate_hz;
+        if (moved_s..moved_s + SETTLE_S + DWELL_S).contains(&t_s) {
+            sample.reading_mm += 0.05;
+        }
+    }
+    let drift = match_poses(&Input::new(&plan, &stream(&run.samples))).drift.unwrap();
+    assert_eq!((drift.readings, drift.sd_mm, drift.significant), (2, None, false));
+    assert!((drift.change_mm - 0.05).abs() < 0.003, "{drift:?}");
 }
 
 #[test]

@@ -1,4 +1,5 @@
-//! The commands of docs/tutorial/first-calibration.md and README.md run as written and print what the page shows.
+//! The commands of the tutorial, of the guides that go on from it, and of README.md run as written and print what the page
+//! shows.
 #![cfg(unix)]
 
 use std::fs;
@@ -7,25 +8,33 @@ use std::process::Command;
 
 use tempfile::tempdir;
 
-const DOCUMENT: &str = include_str!("../../docs/tutorial/first-calibration.md");
+const TUTORIAL: &str = include_str!("../../docs/tutorial/first-calibration.md");
+/// Pages whose commands run after the tutorial in its directory.
+const GUIDES: [&str; 4] = [
+    include_str!("../../docs/how-to/import-a-trace.md"),
+    include_str!("../../docs/how-to/further-measurement.md"),
+    include_str!("../../docs/how-to/crash-check.md"),
+    include_str!("../../docs/explanation/identification.md"),
+];
 const README: &str = include_str!("../../README.md");
 
 /// A block of commands, and the lines of output that the document shows below it.
-struct Step<'a> {
-    commands: &'a str,
-    output: Option<&'a str>,
+struct Step {
+    commands: String,
+    output: Option<String>,
 }
 
-/// The blocks ```sh, each with the block ```text that follows it before the next one.
-fn steps(document: &str) -> Vec<Step<'_>> {
+/// The blocks ```sh, each with the block ```text that follows it before the next one. Blocks of a list are indented.
+fn steps(document: &str) -> Vec<Step> {
+    let document: String = document.lines().flat_map(|line| [line.trim_start(), "\n"]).collect();
     let mut steps: Vec<Step> = Vec::new();
     for piece in document.split("\n```").collect::<Vec<_>>().chunks(2) {
         let [_, block] = piece else { continue };
         match block.split_once('\n') {
-            Some(("sh", commands)) => steps.push(Step { commands, output: None }),
+            Some(("sh", commands)) => steps.push(Step { commands: commands.into(), output: None }),
             Some(("text", lines)) => {
                 if let Some(last) = steps.last_mut().filter(|step| step.output.is_none()) {
-                    last.output = Some(lines);
+                    last.output = Some(lines.into());
                 }
             }
             _ => {}
@@ -78,9 +87,9 @@ fn run(steps: &[Step]) {
         let said = String::from_utf8_lossy(&run.stdout);
         assert!(run.status.success(), "{commands}: {}\n{said}", run.status);
         let mut lines = said.lines();
-        for shown in output.unwrap_or_default().lines().filter(|line| *line != "…") {
+        for shown in output.as_deref().unwrap_or_default().lines().filter(|line| *line != "…") {
             assert!(
-                lines.any(|line| is_as_shown(line.trim_end(), shown.trim_end())),
+                lines.any(|line| is_as_shown(line.trim(), shown)),
                 "{commands} does not say (here)\n{shown}\nbut\n{said}"
             );
         }
@@ -88,10 +97,14 @@ fn run(steps: &[Step]) {
 }
 
 #[test]
-fn every_command_of_the_document_runs_and_says_what_stands_there() {
-    let steps = steps(DOCUMENT);
-    assert!(steps.len() >= 8 && steps.iter().filter(|step| step.output.is_some()).count() >= 7);
-    run(&steps);
+fn every_command_of_the_tutorial_and_its_guides_runs_and_prints_what_they_show() {
+    let mut all = steps(TUTORIAL);
+    // Of a guide's own files, which are not there, the commands are in capitals.
+    let runs = |step: &Step| !step.commands.contains("YOUR-");
+    all.extend(GUIDES.into_iter().flat_map(steps).filter(runs));
+    let shown = all.iter().filter(|step| step.output.is_some()).count();
+    assert!(all.len() >= 27 && shown >= 22, "{shown} of {} steps", all.len());
+    run(&all);
 }
 
 /// Builds are .ci/run's, and a foreign trace is `imports_foreign_traces`'.

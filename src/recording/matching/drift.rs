@@ -20,7 +20,7 @@ pub struct Drift {
 const STUDENT: [f64; 10] = [12.71, 4.30, 3.18, 2.78, 2.57, 2.45, 2.36, 2.31, 2.26, 2.23];
 const NORMAL: f64 = 2.0;
 
-/// The greatest drift (in standard deviations, where known) of the poses that are read repeatedly.
+/// The greatest drift (in standard deviations; where none is known, in mm) of the poses that are read repeatedly.
 ///
 /// A change by less than the bar's standard deviation, mm, is of no interest.
 pub(super) fn of(rows: &[&PlanRow], outcomes: &[PoseOutcome], bar_sigma_mm: f64) -> Option<Drift> {
@@ -42,7 +42,10 @@ pub(super) fn of(rows: &[&PlanRow], outcomes: &[PoseOutcome], bar_sigma_mm: f64)
         significant: drift.significant && drift.change_mm.abs() > bar_sigma_mm,
         ..drift
     };
-    lines.map(worth).max_by(|a, b| weight(a).total_cmp(&weight(b)))
+    lines.map(worth).max_by(|a, b| {
+        let by_size = a.change_mm.abs().total_cmp(&b.change_mm.abs());
+        weight(a).total_cmp(&weight(b)).then(by_size)
+    })
 }
 
 /// By times, s, and readings, mm, in order of time.
