@@ -134,3 +134,69 @@ impl Chain {
         later.iter_mut().for_each(|weight| *weight += elsewhere + restarted);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn poses(modules: &[usize]) -> Vec<Commanded> {
+        modules.iter().map(|module| Commanded { move_s: 1.0, wait_s: 1.0, module: *module }).collect()
+    }
+
+    fn seen(places: &[&[usize]]) -> Vec<Seen> {
+        places.iter().map(|poses| Seen { poses: poses.to_vec(), after_loss: false }).collect()
+    }
+
+    /// The posteriors of each pose, each with the number of its rest.
+    fn posteriors(seen: &[Seen], modules: &[usize]) -> Vec<Vec<(usize, f64)>> {
+        let pairs = |of: &Vec<Visit>| of.iter().map(|visit| (visit.rest, visit.posterior)).collect();
+        visits(seen, &poses(modules)).iter().map(pairs).collect()
+    }
+
+    /// Before the rest each of the states is as likely: the pose comes next, or it was just visited. Weights of the rest: its
+    /// visit 1, a HALT before it 0.003; another rest there 0.1, no visit after it 1e-6.
+    #[test]
+    fn one_rest_at_one_pose() {
+        let found = posteriors(&seen(&[&[0]]), &[0]);
+        assert_eq!(found[0][0].0, 0);
+        assert!((found[0][0].1 - 1.1 / (1.1 + 0.003 + 1e-6)).abs() < 1e-12);
+        assert_eq!(posteriors(&seen(&[&[]]), &[0]), [vec![]]);
+    }
+
+    /// Two poses at one place, and two rests there. Without what is rare the rests are 0 and 1 from two states (1 and 0.1), 0
+    /// twice (0.1 and 0.01) or 1 twice (0.1 and 0.01): in 1.21 of 1.32 the first is of pose 0, and so the second of pose 1.
+    #[test]
+    fn the_order_tells_equal_places_apart() {
+        let found = posteriors(&seen(&[&[0, 1], &[0, 1]]), &[0, 0]);
+        let of = |pose: usize, rest: usize| found[pose].iter().find(|pair| pair.0 == rest).unwrap().1;
+        for (pose, rest, share) in
+            [(0, 0, 1.21 / 1.32), (1, 0, 0.11 / 1.32), (0, 1, 0.11 / 1.32), (1, 1, 1.21 / 1.32)]
+        {
+            assert!((of(pose, rest) - share).abs() < 5e-3, "pose {pose}, rest {rest}: {}", of(pose, rest));
+        }
+    }
+
+    /// Poses 0 and 2 are at one place, pose 1 at another, and two rests at the first place. They are of pose 0 (0.1 + 0.01, as
+    /// above), of pose 2 (0.11), or of 0 and 2 with pose 1 passed: 1.1 times 1e-4, or times 0.8 where packets are missing.
+    #[test]
+    fn a_pose_is_passed_where_packets_are_missing() {
+        for (after_loss, share) in [(false, 0.11 / 0.22), (true, (0.11 + 0.88) / 1.1)] {
+            let mut rests = seen(&[&[0, 2], &[0, 2]]);
+            rests[1].after_loss = after_loss;
+            let found = posteriors(&rests, &[0, 0, 0]);
+            let of = |pose: usize| found[pose].iter().find(|pair| pair.0 == 1).unwrap().1;
+            assert!((of(2) - share).abs() < 0.01 && (of(0) - (1.0 - share)).abs() < 0.01, "{after_loss}");
+        }
+    }
+
+    /// A module of four poses is run twice. That it was started again weighs 1e-8, that the first four rests were HALTs
+    /// 0.003^4 = 8.1e-11.
+    #[test]
+    fn a_module_begins_again() {
+        let found = posteriors(&seen(&[&[0], &[1], &[2], &[3], &[0], &[1], &[2], &[3]]), &[0; 4]);
+        for (pose, of_pose) in found.iter().enumerate() {
+            assert_eq!(of_pose.iter().map(|pair| pair.0).collect::<Vec<_>>(), [pose, pose + 4]);
+            assert!(of_pose.iter().all(|(_, share)| *share > 0.98), "{of_pose:?}");
+        }
+    }
+}
