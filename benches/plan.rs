@@ -18,7 +18,7 @@ fn benches(c: &mut Bench) {
     let belief = Posterior::prior(&robot, model, &Priors::datasheet(&robot, None));
     let sphere = Sphere {
         arm: &robot.geometry,
-        limits_deg: &robot.limits_deg,
+        controller: &robot,
         id: BallId::FIRST,
         ball,
         radius_mm: 300.0,

@@ -26,4 +26,7 @@
     ("gp25", include_str!("gp25.toml")),
     ("tx2-60", include_str!("tx2-60.toml")),
     ("tx2-90", include_str!("tx2-90.toml")),
+    ("m10id12", include_str!("m10id12.toml")),
+    ("m20id25", include_str!("m20id25.toml")),
+    ("crx10ia", include_str!("crx10ia.toml")),
 ]

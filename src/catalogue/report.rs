@@ -30,6 +30,11 @@ findings! {
         cure: "Use the URDF of this robot. Change the zero or the sense of a joint in the URDF to that of the controller." {
             OtherUrdf { joint: String, number: usize, off_mm: f64, off_deg: f64 } => "joint `{joint}` is {off_mm:.1} mm and {off_deg:.2} deg from axis {number} of the nominal robot";
         }
+        I1723 "a joint of a URDF turns with two axes",
+        cause: "The controller shows an axis that is coupled with another, as a FANUC shows axis 3 against the horizontal. A joint of a URDF has one variable, and no sum of two.",
+        cure: "Give the joint of the URDF the sum that is named, as with the maker's own URDF." {
+            CoupledInUrdf { joint: usize, sum: String } => "the variable of the URDF's joint {joint} is {sum}, not what the controller shows for axis {joint}";
+        }
         I1722 "a URDF cannot hold all that was identified",
         cause: "A URDF describes rigid links. Gear errors, compliance, backlash and smooth joint errors have no place in it.",
         cure: "Nothing to do, if the accuracy suffices; else compute positions with `dbbd predict`, which knows them." {

@@ -35,6 +35,8 @@ findings! {
             JointNumber { joint: usize, key: String, value: f64, most: f64 } => "joint {joint}: {key} = {value} must be a number from -{most} to {most}";
             JointSign { joint: usize, sign: i8 } => "joint {joint}: sign = {sign} must be 1 or -1";
             JointLimits { joint: usize, low_deg: f64, high_deg: f64 } => "joint {joint}: limits_deg = [{low_deg}, {high_deg}] must be [low, high], within 100000 degrees";
+            Coupling { joint: usize, axis: usize, factor: i8 } => "joint {joint}: coupling with axis = {axis} and factor = {factor}: axis must be 2 to {joint} - 1, factor 1 or -1";
+            NoCoupledAngle { joint: usize, axis: usize, axis_deg: f64 } => "joint {joint}: limits_deg and those of coupling leave axis {joint} no angle where axis {axis} is at its limit of {axis_deg} degrees";
             JointSpeed { joint: usize, value: f64 } => "joint {joint}: a speed or acceleration of {value} must be positive, and at most 100000";
             Tolerance { length_mm: f64, angle_deg: f64 } => "[tolerance]: length_mm = {length_mm} and angle_deg = {angle_deg} must be positive, at most 100 mm and 45 degrees";
             Posterior => "[posterior]: `values` and the rows of `root`, which are 1, 2, .. numbers long, must be as many as `parameters` of the robot, each there once";

@@ -48,7 +48,7 @@ pub(super) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     let edited = robots::edited(&robot);
     edited.into_iter().for_each(|doubt| out.finding(Diagnostic::file(&args.robot, doubt)));
     let angles = poses.iter().zip(1..).map(|(pose, number)| (number, pose.axes));
-    let beyond = measurement::beyond(angles, &robot.controller().limits_deg);
+    let beyond = measurement::beyond(angles, robot.controller());
     beyond
         .into_iter()
         .for_each(|doubt| out.finding(Diagnostic::file(&args.axes.display().to_string(), doubt)));

@@ -7,7 +7,7 @@ use crate::base::{files, serialised};
 use crate::catalogue::{EstimationFinding, ProvenanceFinding};
 use crate::diagnostic::Diagnostic;
 use crate::robot::Tolerance;
-use crate::robot::file::JointTable;
+use crate::robot::file::{CouplingTable, JointTable};
 use crate::robot::{Robot, RobotRead};
 
 /// List, show or check robots.
@@ -146,6 +146,12 @@ fn show(name: &str, out: &Output) -> Result<Outcome, Diagnostic> {
             format!("{low}..{high}"),
             row.max_speed_deg_s
         ));
+    }
+    for (joint, row) in (1..).zip(&shown.joints) {
+        let Some(CouplingTable { axis, factor, limits_deg }) = row.coupling else { continue };
+        let within = limits_deg.map_or_else(String::new, |[low, high]| format!(", from {low} to {high} deg"));
+        let sign = if factor < 0 { '-' } else { '+' };
+        out.result(format!("joint {joint} turns by A{joint} {sign} A{axis}{within}"));
     }
     let [x, y, z] = shown.tool_ball_mm;
     out.result(format!("tool ball in the flange: {x}, {y}, {z} mm"));

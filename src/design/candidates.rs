@@ -8,7 +8,7 @@ use rand_pcg::Pcg64;
 use crate::estimation::expected::Expected;
 use crate::estimation::{Posterior, Workspace};
 use crate::robot::inverse::{branches, status, turns_within};
-use crate::robot::{AXES, BallId, Geometry, Pose};
+use crate::robot::{AXES, BallId, Geometry, Pose, Robot};
 
 /// Poses drawn at most for each candidate wanted.
 const PATIENCE: u32 = 30;
@@ -47,7 +47,8 @@ impl Near {
 #[derive(Clone, Copy)]
 pub struct Sphere<'a> {
     pub arm: &'a Geometry,
-    pub limits_deg: &'a [[f64; 2]; AXES],
+    /// Whose limits hold.
+    pub controller: &'a Robot,
     pub id: BallId,
     pub ball: Vector3<f64>,
     pub radius_mm: f64,
@@ -70,7 +71,7 @@ impl Sphere<'_> {
             left -= 1;
             let pose = self.draw(&mut random, left.is_multiple_of(2));
             for axes in branches(self.arm, &pose).unwrap_or_default() {
-                let turned = turns_within(&axes, self.limits_deg)
+                let turned = turns_within(&axes, self.controller)
                     .into_iter()
                     .min_by(|a, b| largest(a).total_cmp(&largest(b)));
                 if let Some(axes) = turned.filter(|axes| allows(axes)) {

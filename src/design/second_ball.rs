@@ -87,7 +87,7 @@ impl OneBall<'_> {
         allows: impl Fn(&[f64; AXES]) -> bool,
     ) -> Vec<Candidate> {
         let Self { robot, radius_mm, .. } = *self;
-        Sphere { arm: &robot.geometry, limits_deg: &robot.limits_deg, id, ball, radius_mm, near: None }
+        Sphere { arm: &robot.geometry, controller: robot, id, ball, radius_mm, near: None }
             .candidates(CANDIDATES, self.seed, allows)
     }
 

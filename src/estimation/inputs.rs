@@ -42,7 +42,7 @@ pub fn doubts(
 ) -> Vec<Diagnostic> {
     let doubts = [
         observations.without_sigma(),
-        observations.beyond(&robot.controller().limits_deg),
+        observations.beyond(robot.controller()),
         observations.warm(),
         far_rows(observations, robot, centres),
         frozen(observations),

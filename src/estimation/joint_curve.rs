@@ -17,10 +17,10 @@ pub struct JointPoint {
     pub sd: f64,
 }
 
-/// The correction of a joint over its limits: first harmonic, smooth function, ripple and backlash. Its mean is shared
+/// The correction of a joint over the range of its own angle: first harmonic, smooth function, ripple and backlash. Its mean is shared
 /// with the joint's offset.
 pub fn joint_curve(robot: &Robot, joint: Joint) -> Vec<JointPoint> {
-    let [low, high] = robot.limits_deg[joint.index()];
+    let [low, high] = robot.joint_range_deg(joint);
     let angle_deg = |step: usize| low + (high - low) * step as f64 / (STEPS - 1) as f64;
     (0..STEPS).map(|step| point(robot, joint, angle_deg(step))).collect()
 }

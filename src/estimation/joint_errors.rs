@@ -106,7 +106,7 @@ struct Search<'a> {
     hypers: Hypers,
     ratio: f64,
     sigma_is_given: bool,
-    /// The angles of each axis: lowest and highest, rad.
+    /// The angles of each joint: lowest and highest, rad.
     ranges: [[f64; 2]; AXES],
     /// Whether a sense of approach is known.
     approached: bool,
@@ -133,7 +133,8 @@ impl<'a> Search<'a> {
         for (at, _) in used.sigmas().enumerate().filter(|(_, sigma)| *sigma != f64::INFINITY) {
             let reading = used.lengths().reading(at);
             approached |= !reading.approach.is_unknown();
-            for (range, angle) in ranges.iter_mut().zip(reading.axes) {
+            let angles = setting.start.geometry.coupling.joints(&reading.axes);
+            for (range, angle) in ranges.iter_mut().zip(angles) {
                 *range = [range[0].min(angle), range[1].max(angle)];
             }
         }

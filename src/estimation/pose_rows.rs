@@ -58,9 +58,10 @@ pub(super) struct PoseRows {
     pub(super) places: Vec<usize>,
     /// Unit vectors along the lengths.
     units: Vec<[f64; 3]>,
-    /// Axis angles (rad) with the sense of approach, and what the joints move, mm/rad.
-    pub(super) axes: Vec<[f64; AXES]>,
+    /// Axis angles (rad) with the sense of approach, the joints' own angles, and what these move, mm/rad.
+    axes: Vec<[f64; AXES]>,
     approaches: Vec<Approach>,
+    pub(super) joints: Vec<[f64; AXES]>,
     pub(super) levers: Vec<[f64; AXES]>,
     /// Rows of equal pose.
     pub(super) poses: Vec<Vec<usize>>,
@@ -84,14 +85,14 @@ impl PoseRows {
         lengths: &L,
         ids: &[ParamId],
     ) -> Self {
-        let errors = &model.geometry.joint_errors;
-        let (own, further) = (ids.len(), errors.count());
+        let geometry = &model.geometry;
+        let (own, further) = (ids.len(), geometry.joint_errors.count());
         let pieces = Rows { model, ids, further }.fold(lengths, Vec::new, |lines: &mut Vec<Line>, row| {
             if row.weight == 0.0 {
                 return;
             }
             let (reading, by) = (row.reading, row.derivatives);
-            by.joint_terms(errors, &reading.axes, reading.approach, &mut row.values[own..]);
+            by.joint_terms(geometry, &reading.axes, reading.approach, &mut row.values[own..]);
             lines.push(Line {
                 place: row.place,
                 values: row.values.to_vec(),
@@ -113,6 +114,7 @@ impl PoseRows {
             places: lines.iter().map(|line| line.place).collect(),
             units: lines.iter().map(|line| line.unit).collect(),
             axes: lines.iter().map(|line| line.axes).collect(),
+            joints: lines.iter().map(|line| geometry.coupling.joints(&line.axes)).collect(),
             approaches: lines.iter().map(|line| line.approach).collect(),
             levers: lines.iter().map(|line| line.levers).collect(),
             poses: poses.into_values().collect(),

@@ -131,7 +131,7 @@ impl BallMotion {
                 Some(joint) => levers[joint] = moved,
             });
             let mut column = own;
-            geometry.joint_errors.derivatives(axes, *approach, |place, value| {
+            geometry.error_derivatives(axes, *approach, |place, value| {
                 jacobian.fixed_view_mut::<3, 1>(3 * at, column).copy_from(&(levers[place] * value));
                 column += 1;
             });
@@ -153,7 +153,7 @@ pub(super) fn beside(
     let mut variance = [unknown.smooth_rad.powi(2); AXES];
     let terms = geometry.joint_errors.terms();
     let mut at = 0;
-    geometry.joint_errors.derivatives(axes, approach, |place, value| {
+    geometry.error_derivatives(axes, approach, |place, value| {
         if let TermKind::Smooth { frequency } = terms[at].kind {
             let density = spectral_density(unknown.smooth_rad, unknown.likeness_rad, frequency);
             variance[place] -= density * value * value;
@@ -161,8 +161,9 @@ pub(super) fn beside(
         at += 1;
     });
     let backlash = backlash_sd(geometry, unknown);
+    let senses = geometry.coupling.senses(approach).senses();
     std::array::from_fn(|place| {
-        let unapproached = unknown.backlash_is_known && approach.senses()[place] == 0;
+        let unapproached = unknown.backlash_is_known && senses[place] == 0;
         let backlash = if unapproached { backlash[place] } else { 0.0 };
         variance[place].max(0.0).sqrt().hypot(backlash)
     })

@@ -147,7 +147,7 @@ impl Posterior {
             row.datum = Datum::Ball(ball, BarId::FIRST);
             let (own, coefficients) = picked.as_mut_slice().split_at_mut(self.ids.len());
             self.selection.pick(&row, own);
-            row.joint_terms(&geometry.joint_errors, axes, Approach::default(), coefficients);
+            row.joint_terms(geometry, axes, Approach::default(), coefficients);
         }
         picked
     }

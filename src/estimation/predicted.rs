@@ -69,10 +69,12 @@ impl Workspace {
         let mut random = Pcg64::seed_from_u64(seed);
         (0..count)
             .map(|_| {
-                std::array::from_fn(|i| {
-                    let [low, high] = robot.limits_deg[i];
-                    random.random_range(low..high).to_radians()
-                })
+                let mut axes_deg = [0.0; AXES];
+                for i in 0..AXES {
+                    let [low, high] = robot.limits_at_deg(&axes_deg)[i];
+                    axes_deg[i] = random.random_range(low..high);
+                }
+                axes_deg.map(f64::to_radians)
             })
             .collect()
     }

@@ -1,8 +1,8 @@
 //! Do the residuals show what the model lacks at a joint: an error that returns with its angle, or reversal error?
 //!
 //! An error e of joint j moves a length by its derivative by theta_j times e. So the residuals are regressed on that
-//! derivative times cos A, sin A, cos 2A, sin 2A (a gear's error, sag) and times the sense in which the axis came to
-//! its pose (reversal error; of the sense only what those four do not explain counts), after all that the fitted parameters
+//! derivative times cos A, sin A, cos 2A, sin 2A (a gear's error, sag; A is the joint's own angle) and times the sense in
+//! which the joint came to its pose (reversal error; of the sense only what those four do not explain counts), after all that the fitted parameters
 //! explain has been taken out of both. Each of the twelve is judged by its F-test at 0.001 / 12 (Bonferroni), the
 //! strongest first; what it explains is taken out before the next is judged. Residuals beyond three robust
 //! deviations are brought in to there.
@@ -16,7 +16,7 @@ use super::solver::robust_scale;
 use crate::math::distributions::{ln_f_tail, normal_deviate};
 use crate::math::{Orthonormal, Triangle};
 use crate::measurement::{LengthModel, PreparedMeasurement};
-use crate::robot::{AXES, Approach, Joint, ParamId};
+use crate::robot::{AXES, Approach, Coupling, Joint, ParamId};
 
 /// Chance that a sound robot's residuals are accused of anything.
 const CHANCE: f64 = 1e-3;
@@ -35,7 +35,7 @@ pub fn senses(axes: impl IntoIterator<Item = [f64; AXES]>) -> impl Iterator<Item
 
 /// What the residuals of a fit of `kept` to `lengths` at `model` show beyond chance, the strongest first.
 pub(super) fn joint_effects(model: &LengthModel, lengths: &Weighted, kept: &[ParamId]) -> Vec<JointEffect> {
-    let Sample { readings, sigma, senses } = Sample::of(lengths);
+    let Sample { readings, sigma, senses } = Sample::of(lengths, &model.geometry.coupling);
     let prepared = model.prepare();
     let raw: Vec<f64> = readings.iter().map(|reading| reading.length_mm - prepared.length(reading)).collect();
     let scale = robust_scale(&raw);
@@ -49,9 +49,10 @@ pub(super) fn joint_effects(model: &LengthModel, lengths: &Weighted, kept: &[Par
         &(readings.as_slice(), sigma.as_slice()),
         || Triangle::new(unknowns),
         |triangle, row| {
+            let turned = model.geometry.coupling.sin_cos(&row.reading.sin_cos.0);
             for (axis, joint) in Joint::ALL.into_iter().enumerate() {
                 let lever = row.weight * row.derivatives.derivative(ParamId::Theta(joint));
-                let [s, c] = row.reading.sin_cos.0[axis];
+                let [s, c] = turned[axis];
                 let own = [c, s, c * c - s * s, 2.0 * s * c, f64::from(senses[row.place][axis])];
                 let at = kept.len() + axis * COLUMNS;
                 row.values[at..at + COLUMNS].copy_from_slice(&own.map(|value| value * lever));
@@ -70,7 +71,7 @@ pub(super) fn joint_effects(model: &LengthModel, lengths: &Weighted, kept: &[Par
     found
 }
 
-/// The lengths that are looked at, with the sense in which each axis came to its pose.
+/// The lengths that are looked at, with the sense in which each joint came to its pose.
 struct Sample {
     readings: Vec<PreparedMeasurement>,
     sigma: Vec<f64>,
@@ -78,10 +79,10 @@ struct Sample {
 }
 
 impl Sample {
-    fn of(lengths: &Weighted) -> Self {
+    fn of(lengths: &Weighted, coupling: &Coupling) -> Self {
         let all = lengths.lengths();
         let stride = all.len().div_ceil(MOST).max(1);
-        let senses = senses((0..all.len()).map(|at| all.axes(at)));
+        let senses = senses((0..all.len()).map(|at| coupling.joints(&all.axes(at))));
         let used = lengths.sigmas().zip(senses).enumerate().filter(|(_, (sigma, _))| *sigma != f64::INFINITY);
         let mut sample = Self { readings: Vec::new(), sigma: Vec::new(), senses: Vec::new() };
         for (at, (sigma, senses)) in used.step_by(stride) {

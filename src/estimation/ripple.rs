@@ -63,9 +63,9 @@ impl Beside<'_> {
         let mut best: Option<Candidate> = None;
         for order in ORDERS {
             let mut columns = DMatrix::zeros(system.lines.values.nrows(), 2 * AXES);
-            for (row, (axes, levers)) in system.lines.axes.iter().zip(&system.lines.levers).enumerate() {
+            for (row, (angles, levers)) in system.lines.joints.iter().zip(&system.lines.levers).enumerate() {
                 for joint in 0..AXES {
-                    let (sin, cos) = (f64::from(order) * axes[joint]).sin_cos();
+                    let (sin, cos) = (f64::from(order) * angles[joint]).sin_cos();
                     columns[(row, 2 * joint)] = levers[joint] * cos;
                     columns[(row, 2 * joint + 1)] = levers[joint] * sin;
                 }

@@ -13,7 +13,7 @@ use crate::catalogue::MeasurementFinding::{
 };
 use crate::diagnostic::Diagnostic;
 use crate::robot::parameter::SetUp;
-use crate::robot::{AXES, Approach, AxisAngles, BarId, Datum, TargetId};
+use crate::robot::{AXES, Approach, AxisAngles, BarId, Datum, Robot, TargetId};
 
 /// One length at one pose; a position is three of them, one for each plane of the tracker's frame.
 #[derive(Clone, Debug, PartialEq)]
@@ -273,9 +273,9 @@ impl Measurements {
         (0 < without && without < rows).then_some(MeasurementFinding::SigmaMissing { without, rows })
     }
 
-    /// That rows are at axis angles beyond a robot's limits, degrees.
-    pub fn beyond(&self, limits_deg: &[[f64; 2]; AXES]) -> Option<MeasurementFinding> {
-        beyond(self.rows.iter().map(|row| (row.index as usize, row.axes)), limits_deg)
+    /// That rows are at axis angles beyond a robot's limits.
+    pub fn beyond(&self, robot: &Robot) -> Option<MeasurementFinding> {
+        beyond(self.rows.iter().map(|row| (row.index as usize, row.axes)), robot)
     }
 
     /// That the temperatures of its rows are those of no room.
@@ -325,12 +325,9 @@ impl Measurements {
     }
 }
 
-/// The poses, each with its number, that no axis angles within the limits (degrees) give: those of another robot, or typing
+/// The poses, each with its number, that no axis angles within the robot's limits give: those of another robot, or typing
 /// errors.
-pub fn beyond(
-    poses: impl Iterator<Item = (usize, AxisAngles)>,
-    limits_deg: &[[f64; 2]; AXES],
-) -> Option<MeasurementFinding> {
+pub fn beyond(poses: impl Iterator<Item = (usize, AxisAngles)>, robot: &Robot) -> Option<MeasurementFinding> {
     /// Controllers let an axis come to its very limit, and a little beyond.
     const BEYOND_DEG: f64 = 1.0;
     let all: Vec<(usize, AxisAngles)> = poses.collect();
@@ -341,7 +338,7 @@ pub fn beyond(
             turned < low - BEYOND_DEG || turned > high + BEYOND_DEG
         };
         let axes_deg = axes.degrees();
-        let axis = axes_deg.iter().zip(limits_deg).position(out)?;
+        let axis = axes_deg.iter().zip(&robot.limits_at_deg(&axes_deg)).position(out)?;
         Some((number, axis + 1, axes_deg[axis]))
     });
     let beyond: Vec<_> = beyond.collect();

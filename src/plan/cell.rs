@@ -6,7 +6,7 @@ use super::PlanningPrior;
 use super::clearance::{IN_CUP_MM, Segment};
 use super::job::Job;
 use super::quantity::{Quantity, limit};
-use super::rig::{Rig, axis_margin_deg};
+use super::rig::Rig;
 use crate::design::{Candidate, Near, Sphere};
 use crate::estimation::Posterior;
 use crate::robot::inverse::{clearance, status};
@@ -67,7 +67,7 @@ impl<'a> Cell<'a> {
         mounted: Mounted,
         note: &mut impl FnMut(Quantity, f64) -> Option<()>,
     ) -> Option<StrokeMargin> {
-        note(Quantity::AxisMarginDeg, axis_margin_deg(self.rig.controller, axes))?;
+        note(Quantity::AxisMarginDeg, self.rig.controller.limit_margin_deg(axes))?;
         let table = self.job.ball(centre)?;
         let base = Vector3::from(table.xyz_mm);
         let ball = self.rig.arm.ball(axes);
@@ -117,7 +117,7 @@ impl<'a> Cell<'a> {
         let Some(table) = self.job.ball(centre) else { return Vec::new() };
         let sphere = Sphere {
             arm: self.rig.arm,
-            limits_deg: &self.rig.controller.limits_deg,
+            controller: self.rig.controller,
             id: BallId::numbered(centre),
             ball: Vector3::from(table.xyz_mm),
             radius_mm: self.job.bar.length_mm,

@@ -100,7 +100,7 @@ impl<'a> Drawer<'a> {
         let start = branches(rig.arm, &circle.pose(0.0, 0.0))
             .unwrap_or_default()
             .iter()
-            .flat_map(|axes| turns_within(axes, &rig.controller.limits_deg))
+            .flat_map(|axes| turns_within(axes, rig.controller))
             .min_by(|a, b| largest(a).total_cmp(&largest(b)))
             .ok_or(PlanFinding::FirstPointUnreachable { circle: circle.number })?;
         let cell = Cell::new(job, rig, prior, table.centre, &start);

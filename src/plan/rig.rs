@@ -30,14 +30,3 @@ impl<'a> Rig<'a> {
         })
     }
 }
-
-/// Least distance of an axis from its limits, degrees; negative outside.
-pub(crate) fn axis_margin_deg(robot: &Robot, axes: &[f64; AXES]) -> f64 {
-    (0..AXES)
-        .map(|i| {
-            let [low, high] = robot.limits_deg[i];
-            let deg = axes[i].to_degrees();
-            (deg - low).min(high - deg)
-        })
-        .fold(f64::INFINITY, f64::min)
-}

@@ -21,15 +21,18 @@ pub(crate) struct Branch {
 
 /// The nearest of a run to the limits.
 struct Extremes {
-    /// Lowest and highest angle of each axis, degrees.
-    range_deg: [[f64; 2]; AXES],
+    /// Lowest and highest angle of each axis, and of each joint, degrees.
+    axes_deg: [[f64; 2]; AXES],
+    joints_deg: [[f64; 2]; AXES],
     /// Least distance of the wrist from its singularity beyond the limit, degrees.
     wrist_deg: f64,
 }
 
 impl Extremes {
     fn note(&mut self, robot: &Robot, axes: &[f64; AXES], job: &Job) {
-        for ([low, high], angle) in self.range_deg.iter_mut().zip(axes) {
+        let joints = robot.geometry.coupling.joints(axes);
+        let ranges = self.axes_deg.iter_mut().zip(axes).chain(self.joints_deg.iter_mut().zip(&joints));
+        for ([low, high], angle) in ranges {
             (*low, *high) = (low.min(angle.to_degrees()), high.max(angle.to_degrees()));
         }
         if let Some(clear) = clearance(&robot.geometry, axes) {
@@ -39,11 +42,14 @@ impl Extremes {
 
     /// The least distance from any limit, each axis turned by so much, rad.
     fn margin_deg(&self, robot: &Robot, turn: [f64; AXES]) -> f64 {
-        let axes = (0..AXES).map(|i| {
-            let ([low, high], [lowest, highest]) = (robot.limits_deg[i], self.range_deg[i]);
-            (lowest + turn[i].to_degrees() - low).min(high - highest - turn[i].to_degrees())
-        });
-        axes.fold(self.wrist_deg, f64::min)
+        let margin = |[low, high]: [f64; 2], [lowest, highest]: [f64; 2], turn: f64| {
+            (lowest + turn.to_degrees() - low).min(high - highest - turn.to_degrees())
+        };
+        let axes = (0..AXES).map(|i| margin(robot.limits_deg[i], self.axes_deg[i], turn[i]));
+        let turned = robot.geometry.coupling.joints(&turn);
+        let coupled = (0..AXES).filter_map(|i| Some((i, robot.coupled_limits_deg[i]?)));
+        let joints = coupled.map(|(i, limits)| margin(limits, self.joints_deg[i], turned[i]));
+        axes.chain(joints).fold(self.wrist_deg, f64::min)
     }
 }
 
@@ -57,7 +63,7 @@ impl Rig<'_> {
             return Ok(vec![axes]);
         }
         let all = branches(self.arm, &first.pose)?;
-        let turns = |axes: &&[f64; AXES]| !turns_within(axes, &self.controller.limits_deg).is_empty();
+        let turns = |axes: &&[f64; AXES]| !turns_within(axes, self.controller).is_empty();
         let within: Vec<_> = all.iter().filter(turns).copied().collect();
         // Beyond all limits, the findings will say by how much.
         Ok(if within.is_empty() { all } else { within })
@@ -79,8 +85,8 @@ impl Rig<'_> {
         // Where the robot is before the auxiliary points of a pass: these are far away on its circle.
         let mut before_pass = None;
         let mut rows = Vec::with_capacity(steps.len());
-        let range_deg = [[f64::INFINITY, f64::NEG_INFINITY]; AXES];
-        let mut extremes = Extremes { range_deg, wrist_deg: f64::INFINITY };
+        let none = [[f64::INFINITY, f64::NEG_INFINITY]; AXES];
+        let mut extremes = Extremes { axes_deg: none, joints_deg: none, wrist_deg: f64::INFINITY };
         for ((index, step), next) in
             (first_index..).zip(steps).zip(steps.iter().skip(1).map(Some).chain([None]))
         {
@@ -116,7 +122,7 @@ impl Rig<'_> {
             });
         }
         let given = steps.first().is_some_and(|first| first.axes.is_some());
-        let within = turns_within(start, &self.controller.limits_deg);
+        let within = turns_within(start, self.controller);
         let starts = if given || within.is_empty() { vec![*start] } else { within };
         let margin_deg = |turned: &[f64; AXES]| {
             extremes.margin_deg(self.controller, std::array::from_fn(|i| turned[i] - start[i]))

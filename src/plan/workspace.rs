@@ -27,10 +27,7 @@ pub fn workspace(job: &Job, robot: &Robot, count: usize) -> Vec<[f64; AXES]> {
 pub fn in_box(robot: &Robot, low: [f64; 3], high: [f64; 3], count: usize) -> Vec<[f64; AXES]> {
     let mut random = Pcg64::seed_from_u64(SEED);
     let home = [0.0, -60.0, 90.0, 0.0, 60.0, 0.0].map(f64::to_radians);
-    let limits = &robot.controller().limits_deg;
-    let within = |axes: &[f64; AXES]| {
-        axes.iter().zip(limits).all(|(axis, [low, high])| (*low..=*high).contains(&axis.to_degrees()))
-    };
+    let controller = robot.controller();
     // A box far from the arm has few poses, or none.
     let mut found = Vec::with_capacity(count);
     for _ in 0..20 * count {
@@ -38,7 +35,7 @@ pub fn in_box(robot: &Robot, low: [f64; 3], high: [f64; 3], count: usize) -> Vec
         let mut turn = || random.random_range(-std::f64::consts::FRAC_PI_4..std::f64::consts::FRAC_PI_4);
         let rotation = rot_z(turn()) * rot_y(turn()) * rot_x(turn()) * rot_x(std::f64::consts::PI);
         if let Ok(axes) = nearest(&robot.geometry, &Pose { rotation, position }, &home)
-            && within(&axes)
+            && controller.is_within_limits(&axes)
         {
             found.push(axes);
         }

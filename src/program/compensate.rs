@@ -52,28 +52,26 @@ pub struct Corrected {
 }
 
 /// Goes through the targets as the robot would.
-pub struct Corrector<'a> {
+pub struct Corrector {
     /// The controller's robot, its tool point at the flange.
     nominal: Robot,
     /// The true robot, its tool point at the flange too.
     identified: Geometry,
-    limits_deg: &'a [[f64; 2]; AXES],
     limit_mm: f64,
     /// Nominal axis angles at the last target, rad, and how the axes came there.
     last: [f64; AXES],
     approach: Approach,
 }
 
-impl<'a> Corrector<'a> {
+impl Corrector {
     /// For `robot`, an identified one that carries its nominal robot; no tool point may move by more than `limit_mm`.
-    pub fn new(robot: &'a Robot, limit_mm: f64) -> Self {
+    pub fn new(robot: &Robot, limit_mm: f64) -> Self {
         let controller = robot.controller();
         let flange = |geometry: &Geometry, tool| Geometry { tool, ..geometry.clone() };
         let off = robot.geometry.tool - controller.geometry.tool;
         Self {
             nominal: Robot { geometry: flange(&controller.geometry, Vector3::zeros()), ..controller.clone() },
             identified: flange(&robot.geometry, off),
-            limits_deg: &controller.limits_deg,
             limit_mm,
             last: Language::of_robot(robot).home_deg().map(f64::to_radians),
             approach: Approach::default(),
@@ -154,8 +152,9 @@ impl<'a> Corrector<'a> {
         self.last = *start;
         let axes = inverse::numeric(&self.identified.approached(self.approach), flange, start)
             .map_err(|unsolved| CompensationFinding::IdentifiedDoesNotReach { why: unsolved.to_string() })?;
+        let limits_deg = self.nominal.limits_at_deg(&axes.map(f64::to_degrees));
         for (i, (to, from)) in axes.iter().zip(start).enumerate() {
-            let ([low_deg, high_deg], angle_deg, axis) = (self.limits_deg[i], to.to_degrees(), i + 1);
+            let ([low_deg, high_deg], angle_deg, axis) = (limits_deg[i], to.to_degrees(), i + 1);
             if !(low_deg..=high_deg).contains(&angle_deg) {
                 return Err(CompensationFinding::BeyondLimit { axis, angle_deg, low_deg, high_deg });
             }

@@ -27,7 +27,7 @@ pub(crate) fn points<P>(
     robot: &Robot,
     limit_mm: f64,
     points: &[P],
-    mut rewrite: impl FnMut(&mut Corrector<'_>, &P) -> Result<Moved, Diagnostic>,
+    mut rewrite: impl FnMut(&mut Corrector, &P) -> Result<Moved, Diagnostic>,
 ) -> Result<Vec<Moved>, Vec<Diagnostic>> {
     let mut corrector = Corrector::new(robot, limit_mm);
     let (mut moved, mut refused) = (Vec::with_capacity(points.len()), Vec::new());

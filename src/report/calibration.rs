@@ -267,7 +267,9 @@ fn joints(found: &CalibrationResult, sound: &[&ResidualPoint]) -> Vec<String> {
     let stride = sound.len().div_ceil(DRAWN_BY_AXIS).max(1);
     let draw = |joint: Joint| {
         let axis = joint.index();
-        let measured: Vec<f64> = sound.iter().step_by(stride).map(|point| point.axes_deg[axis]).collect();
+        let coupling = &found.robot.geometry.coupling;
+        let angle_deg = |point: &&ResidualPoint| coupling.joints(&point.axes_deg)[axis];
+        let measured: Vec<f64> = sound.iter().step_by(stride).map(angle_deg).collect();
         joint_error(axis, &joint_curve(&found.robot, joint), &measured)
     };
     Joint::ALL.into_iter().map(draw).collect()

@@ -12,9 +12,7 @@
 
 use nalgebra::Vector3;
 
-use super::{
-    AXES, Approach, BallId, BarId, Coordinate, Datum, Geometry, Joint, JointErrors, ParamId, TargetId,
-};
+use super::{AXES, Approach, BallId, BarId, Coordinate, Datum, Geometry, Joint, ParamId, TargetId};
 
 /// A length and its derivatives by every parameter (mm per mm, mm per rad, mm per rad/(N m)); the default is room
 /// for one.
@@ -66,10 +64,10 @@ impl LengthRow {
     }
 
     /// The derivative by each coefficient of the joints' errors, mm per unit, for a row at these axis angles (rad).
-    pub fn joint_terms(&self, errors: &JointErrors, axes: &[f64; AXES], approach: Approach, out: &mut [f64]) {
+    pub fn joint_terms(&self, geometry: &Geometry, axes: &[f64; AXES], approach: Approach, out: &mut [f64]) {
         let levers = &self.columns[column::THETA..column::THETA + AXES];
         let mut out = out.iter_mut();
-        errors.derivatives(axes, approach, |place, value| {
+        geometry.error_derivatives(axes, approach, |place, value| {
             if let Some(out) = out.next() {
                 *out = levers[place] * value;
             }
@@ -94,7 +92,7 @@ impl Geometry {
     }
 }
 
-/// Sine and cosine of each axis angle.
+/// Sine and cosine of each of the controller's axis angles.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct JointSinCos(pub [[f64; 2]; AXES]);
 
@@ -135,6 +133,7 @@ pub struct Chain<'a> {
     beta: [(f64, f64); AXES],
     /// Whether the joints are where the axes say: no compliance, no error of an angle.
     rigid: bool,
+    coupled: bool,
 }
 
 /// The walk inwards at some axis angles.
@@ -159,6 +158,7 @@ impl<'a> Chain<'a> {
             theta: std::array::from_fn(|i| rows[i].theta.sin_cos()),
             beta: std::array::from_fn(|i| rows[i].beta.sin_cos()),
             rigid,
+            coupled: !geometry.coupling.is_none(),
         }
     }
 
@@ -168,12 +168,19 @@ impl<'a> Chain<'a> {
         if !self.rigid {
             return self.geometry.joint_angles_approached(at.axes, at.approach).map(f64::sin_cos);
         }
+        let turned = self.turned(at);
         std::array::from_fn(|i| {
-            let [sin, cos] = at.sin_cos.0[i];
+            let [sin, cos] = turned[i];
             let sin = self.geometry.rows[i].sign * sin;
             let (sin_offset, cos_offset) = self.theta[i];
             (sin * cos_offset + cos * sin_offset, cos * cos_offset - sin * sin_offset)
         })
+    }
+
+    /// Sine and cosine of each joint's own angle.
+    #[inline]
+    fn turned(&self, at: &At<'_>) -> [[f64; 2]; AXES] {
+        if self.coupled { self.geometry.coupling.sin_cos(&at.sin_cos.0) } else { at.sin_cos.0 }
     }
 
     /// From the flange inwards: each row sin_cos and shifts one point.
@@ -275,9 +282,9 @@ impl<'a> Chain<'a> {
                 columns[column::COMPLIANCE + j] = columns[column::THETA + j] * torques[j];
             }
         }
-        for j in 0..AXES {
-            columns[column::GEAR_COS + j] = columns[column::THETA + j] * at.sin_cos.0[j][1];
-            columns[column::GEAR_SIN + j] = columns[column::THETA + j] * at.sin_cos.0[j][0];
+        for (j, [sin, cos]) in self.turned(at).into_iter().enumerate() {
+            columns[column::GEAR_COS + j] = columns[column::THETA + j] * cos;
+            columns[column::GEAR_SIN + j] = columns[column::THETA + j] * sin;
         }
     }
 

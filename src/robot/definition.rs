@@ -32,7 +32,10 @@ pub struct Robot {
     pub language: Option<String>,
     /// The table, the tool ball and the masses.
     pub geometry: Geometry,
+    /// Of the controller's axes.
     pub limits_deg: [[f64; 2]; AXES],
+    /// Of the own angle of each coupled joint, where it has limits.
+    pub coupled_limits_deg: [Option<[f64; 2]>; AXES],
     pub max_speed_deg_s: [f64; AXES],
     /// Where they are known.
     pub max_acceleration_deg_s2: [Option<f64>; AXES],

@@ -6,7 +6,7 @@ use super::kinematics::{DhRow, Geometry, Mass};
 use super::pose::is_part_of_turn;
 use super::posterior::RobotPosterior;
 use super::uncertainty::RobotUncertainty;
-use super::{AXES, Joint, JointError, JointErrors, Ripple, Robot, Smooth, Tolerance};
+use super::{AXES, CoupledAxis, Coupling, Joint, JointError, JointErrors, Ripple, Robot, Smooth, Tolerance};
 use crate::base::parse::from_toml;
 use crate::base::serialised;
 use crate::catalogue::{CliFinding, RobotFinding};
@@ -62,6 +62,8 @@ pub(crate) struct JointTable {
     pub(crate) max_speed_deg_s: f64,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     max_acceleration_deg_s2: Option<f64>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) coupling: Option<CouplingTable>,
     #[serde(default, skip_serializing_if = "is_zero")]
     compliance_rad_per_nm: f64,
     #[serde(default, skip_serializing_if = "is_zero")]
@@ -75,6 +77,23 @@ pub(crate) struct JointTable {
     smooth: Option<Smooth>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     ripple: Vec<Ripple>,
+}
+
+/// The joint turns by its own axis and by a second one.
+#[derive(Clone, Copy, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct CouplingTable {
+    /// The second axis, from 1.
+    pub(crate) axis: usize,
+    pub(crate) factor: i8,
+    /// Of the joint's own angle.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) limits_deg: Option<[f64; 2]>,
+}
+
+/// +1 or -1 as a file has it.
+fn sign_of(value: f64) -> i8 {
+    if value < 0.0 { -1 } else { 1 }
 }
 
 #[allow(clippy::trivially_copy_pass_by_ref)] // the signature that serde calls
@@ -186,10 +205,13 @@ impl JointTable {
         if let Some((key, value)) = self.radians() {
             return Err(RobotFinding::Radians { joint, key: key.into(), value });
         }
-        let [low_deg, high_deg] = self.limits_deg;
-        if !(low_deg >= -MOST_DEG && high_deg <= MOST_DEG && low_deg < high_deg) {
-            return Err(RobotFinding::JointLimits { joint, low_deg, high_deg });
+        let of_joint = self.coupling.and_then(|coupling| coupling.limits_deg);
+        for [low_deg, high_deg] in [Some(self.limits_deg), of_joint].into_iter().flatten() {
+            if !(low_deg >= -MOST_DEG && high_deg <= MOST_DEG && low_deg < high_deg) {
+                return Err(RobotFinding::JointLimits { joint, low_deg, high_deg });
+            }
         }
+        self.coupled(joint)?;
         let mut speeds = [Some(self.max_speed_deg_s), self.max_acceleration_deg_s2].into_iter().flatten();
         match speeds.find(|speed| !(*speed > 0.0 && *speed <= MOST_DEG)) {
             Some(value) => Err(RobotFinding::JointSpeed { joint, value }),
@@ -209,6 +231,14 @@ impl JointTable {
         let turn = turns.into_iter().find(|(_, value)| is_part_of_turn(*value));
         turn.or(narrow.then_some(("limits_deg", high)))
             .or(slow.then_some(("max_speed_deg_s", self.max_speed_deg_s)))
+    }
+
+    /// The second axis, which lies between axis 1 and the joint: the plane of the arm turns about axis 1 alone.
+    fn coupled(&self, joint: usize) -> Result<Option<CoupledAxis>, RobotFinding> {
+        let Some(CouplingTable { axis, factor, .. }) = self.coupling else { return Ok(None) };
+        let before = Joint::new(axis).filter(|_| (2..joint).contains(&axis) && factor.abs() == 1);
+        let second = before.ok_or(RobotFinding::Coupling { joint, axis, factor })?;
+        Ok(Some(CoupledAxis { axis: second, factor: f64::from(factor) }))
     }
 
     fn row(&self) -> DhRow {
@@ -231,16 +261,22 @@ impl JointTable {
         let (row, at) = (robot.geometry.row(joint), joint.index());
         let [gear_cos_rad, gear_sin_rad] = robot.geometry.gear[at];
         let error = robot.geometry.joint_errors.of(joint).cloned().unwrap_or_default();
+        let coupling = robot.geometry.coupling.of(joint).map(|by| CouplingTable {
+            axis: by.axis.number(),
+            factor: sign_of(by.factor),
+            limits_deg: robot.coupled_limits_deg[at],
+        });
         Self {
             alpha_deg: row.alpha.to_degrees(),
             a_mm: row.a,
             theta_offset_deg: row.theta.to_degrees(),
             d_mm: row.d,
-            sign: if row.sign < 0.0 { -1 } else { 1 },
+            sign: sign_of(row.sign),
             beta_deg: row.beta.to_degrees(),
             limits_deg: robot.limits_deg[at],
             max_speed_deg_s: robot.max_speed_deg_s[at],
             max_acceleration_deg_s2: robot.max_acceleration_deg_s2[at],
+            coupling,
             compliance_rad_per_nm: robot.geometry.compliance[at],
             gear_cos_rad,
             gear_sin_rad,
@@ -278,6 +314,25 @@ impl RobotFile {
         Ok(joints)
     }
 
+    /// The couplings of the joints; where an axis may be, so may the axis of a joint that is coupled with it.
+    fn coupling(joints: &[&JointTable; AXES]) -> Result<Coupling, Wrong> {
+        let mut coupling = [None; AXES];
+        for (at, joint) in joints.iter().enumerate() {
+            let wrong = |finding| (Some(at), finding);
+            coupling[at] = joint.coupled(at + 1).map_err(wrong)?;
+            let of_joint = joint.coupling.and_then(|coupling| coupling.limits_deg);
+            let (Some(by), Some([least, most])) = (coupling[at], of_joint) else { continue };
+            for axis_deg in joints[by.axis.index()].limits_deg {
+                let ([low, high], added) = (joint.limits_deg, by.factor * axis_deg);
+                if low.max(least - added) >= high.min(most - added) {
+                    let (joint, axis) = (at + 1, by.axis.number());
+                    return Err(wrong(RobotFinding::NoCoupledAngle { joint, axis, axis_deg }));
+                }
+            }
+        }
+        Ok(Coupling::new(coupling))
+    }
+
     /// The masses, the payload last.
     fn masses(&self) -> Result<Vec<Mass>, RobotFinding> {
         let masses = self.mass.iter().map(|mass| (mass.joint, mass.kg, mass.centre_mm));
@@ -298,6 +353,7 @@ impl RobotFile {
             return Err((None, RobotFinding::Convention { convention: self.convention }));
         }
         let joints = self.joints()?;
+        let coupling = Self::coupling(&joints)?;
         let Tolerance { length_mm, angle_deg } = self.tolerance;
         let [most_mm, most_deg] = [100.0, 45.0];
         if !(length_mm > 0.0 && length_mm <= most_mm && angle_deg > 0.0 && angle_deg <= most_deg) {
@@ -319,6 +375,7 @@ impl RobotFile {
         let mut robot = Robot {
             geometry: Geometry {
                 rows: joints.map(JointTable::row),
+                coupling,
                 tool: self.tool.ball_mm.into(),
                 masses,
                 compliance: joints.map(|joint| joint.compliance_rad_per_nm),
@@ -326,6 +383,7 @@ impl RobotFile {
                 joint_errors: JointErrors::new(joints.map(JointTable::error)),
             },
             limits_deg: joints.map(|joint| joint.limits_deg),
+            coupled_limits_deg: joints.map(|joint| joint.coupling.and_then(|coupling| coupling.limits_deg)),
             max_speed_deg_s: joints.map(|joint| joint.max_speed_deg_s),
             max_acceleration_deg_s2: joints.map(|joint| joint.max_acceleration_deg_s2),
             tolerance: self.tolerance,

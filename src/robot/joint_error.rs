@@ -1,6 +1,7 @@
 //! What a joint's own angle and the sense of its motion do to it: a smooth function, backlash, transmission ripple.
 //!
-//! The joint is where its axis says plus D(q, d), q the controller's axis angle and d the sense of the axis's last move:
+//! The joint is where its axis says plus D(q, d), q the joint's own angle (the controller's axis angle, of a coupled joint a sum
+//! of two) and d the sense of its last move:
 //! D = sum_m w_m phi_m(q) + u d + sum_n (c_n cos n q + s_n sin n q), rad, in the sense of the DH table. The phi_m are
 //! the eigenfunctions of the Laplacian on [c - L, c + L], by which a Gaussian process is written with few coefficients
 //! (Solin and Sarkka, Statistics and Computing 30, 2020). Outside that interval nothing is known of the smooth part, and
@@ -200,11 +201,11 @@ impl JointErrors {
     }
 
     /// The derivative of each joint's correction by each of its coefficients, in the order of [`JointErrors::terms`], to
-    /// `each` with the joint's place (from 0). `axes` in rad.
-    pub fn derivatives(&self, axes: &[f64; AXES], approach: Approach, mut each: impl FnMut(usize, f64)) {
+    /// `each` with the joint's place (from 0), at the joints' own angles (rad) and senses.
+    pub fn derivatives(&self, angles: &[f64; AXES], senses: Approach, mut each: impl FnMut(usize, f64)) {
         let joints = self.0.iter().flat_map(|joints| joints.iter()).enumerate();
         for (place, joint) in joints {
-            joint.derivatives(axes[place], approach.senses()[place], &mut |value| each(place, value));
+            joint.derivatives(angles[place], senses.senses()[place], &mut |value| each(place, value));
         }
     }
 

@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 
 use super::pose::{Pose, rot_x, rot_y, rot_z};
-use super::{AXES, Approach, Joint, JointErrors, ParamId};
+use super::{AXES, Approach, Coupling, Joint, JointErrors, ParamId};
 
 /// Standard gravity, m/s^2.
 const GRAVITY: f64 = 9.806_65;
@@ -40,6 +40,8 @@ pub struct Mass {
 pub struct Geometry {
     /// The table, base to flange.
     pub rows: [DhRow; AXES],
+    /// From the controller's axis angles to the joints' own.
+    pub coupling: Coupling,
     /// Tool ball in the flange frame, mm.
     pub tool: Vector3<f64>,
     /// Masses whose weight the joints carry.
@@ -83,15 +85,16 @@ impl Geometry {
     /// The same where the sense of approach is known.
     pub(super) fn joint_angles_approached(&self, axes: &[f64; AXES], approach: Approach) -> [f64; AXES] {
         let mut angles = [0.0; AXES];
+        let joints = self.coupling.joints(axes);
         for i in 0..AXES {
             let [cos_part, sin_part] = self.gear[i];
-            let (sin, cos) = axes[i].sin_cos();
-            angles[i] = self.rows[i].sign * axes[i] + self.rows[i].theta + cos_part * cos + sin_part * sin;
+            let (sin, cos) = joints[i].sin_cos();
+            angles[i] = self.rows[i].sign * joints[i] + self.rows[i].theta + cos_part * cos + sin_part * sin;
         }
         if !self.joint_errors.is_none() {
-            let senses = approach.senses();
+            let senses = self.coupling.senses(approach).senses();
             for i in 0..AXES {
-                angles[i] += self.joint_errors.correction(i, axes[i], senses[i]);
+                angles[i] += self.joint_errors.correction(i, joints[i], senses[i]);
             }
         }
         if self.compliance.iter().any(|c| *c != 0.0) {
@@ -101,6 +104,13 @@ impl Geometry {
             }
         }
         angles
+    }
+
+    /// The derivative of each joint's error by each of its coefficients at axis angles (rad), to `each` with the joint's
+    /// place (from 0), in the order of [`JointErrors::terms`].
+    pub fn error_derivatives(&self, axes: &[f64; AXES], approach: Approach, each: impl FnMut(usize, f64)) {
+        let (joints, senses) = (self.coupling.joints(axes), self.coupling.senses(approach));
+        self.joint_errors.derivatives(&joints, senses, each);
     }
 
     /// Whether its joints are rigid and turn as their angles say.
@@ -123,7 +133,7 @@ impl Geometry {
     pub fn approached(&self, approach: Approach) -> Self {
         let mut approached = self.clone();
         let errors = Joint::ALL.map(|joint| self.joint_errors.of(joint).map_or(0.0, |error| error.backlash));
-        for (i, sense) in approach.senses().into_iter().enumerate() {
+        for (i, sense) in self.coupling.senses(approach).senses().into_iter().enumerate() {
             approached.rows[i].theta += f64::from(sense) * errors[i];
         }
         approached
@@ -204,7 +214,9 @@ impl Geometry {
             let z: Vector3<f64> = frames[i].rotation.column(2) * self.rows[i].sign;
             columns[i] = (z.cross(&(ball - frames[i].position)), z);
         }
-        columns
+        let [shifts, turns] = [columns.map(|column| column.0), columns.map(|column| column.1)];
+        let [shifts, turns] = [shifts, turns].map(|by_joint| self.coupling.by_axis(by_joint));
+        std::array::from_fn(|i| (shifts[i], turns[i]))
     }
 
     /// The length between the tool ball and a base ball at `ball` (mm, robot base), plus `bar_offset`, mm.

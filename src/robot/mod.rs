@@ -2,21 +2,24 @@
 //!
 //! Craig's modified DH with Hayati's beta: row i of a robot is
 //! `Ry(beta) Rx(alpha) Tx(a) Rz(theta) Tz(d)`, with `theta = sign * A + theta_offset` and A the
-//! controller's axis angle. Lengths are mm, angles rad inside; files carry degrees.
+//! controller's axis angle, of a coupled joint the sum of two. Lengths are mm, angles rad inside; files carry degrees.
 
 pub mod chain;
+pub mod coupling;
 pub mod definition;
 pub mod file;
 pub mod ids;
 pub mod inverse;
 pub mod joint_error;
 pub mod kinematics;
+pub mod limits;
 pub mod parameter;
 pub mod pose;
 pub mod posterior;
 pub mod uncertainty;
 
 pub use chain::{At, Chain, JointSinCos, LengthRow, Plane};
+pub use coupling::{CoupledAxis, Coupling};
 pub use definition::{Robot, RobotRead, Tolerance};
 pub use ids::{Approach, AxisAngles, BallId, BarId, CircleId, Coordinate, Datum, Joint, TargetId};
 pub use joint_error::{JointError, JointErrors, JointTerm, Ripple, Smooth, TermKind};

@@ -304,18 +304,21 @@ impl World {
 
     /// The axes behind their play.
     fn true_axes(&mut self, moment: &Moment) -> [f64; AXES] {
-        let mut axes = self.measured(moment);
+        // Play is in the joints' drives.
+        let coupling = self.robot.coupling;
+        let commanded = coupling.joints(&moment.axes);
+        let mut joints = coupling.joints(&self.measured(moment));
         for i in 0..AXES {
-            let moved = self.last.map_or(0.0, |last| moment.axes[i] - last[i]);
+            let moved = self.last.map_or(0.0, |last| commanded[i] - last[i]);
             if moved.abs() > 1e-9 {
                 self.direction[i] = moved.signum();
             }
-            axes[i] -= 0.5 * self.direction[i] * self.setup.backlash_deg[i].to_radians();
+            joints[i] -= 0.5 * self.direction[i] * self.setup.backlash_deg[i].to_radians();
             let own = self.robot.joint_errors.at(i).map_or(0.0, |error| error.backlash);
-            axes[i] += self.direction[i] * self.robot.rows[i].sign * own;
+            joints[i] += self.direction[i] * self.robot.rows[i].sign * own;
         }
-        self.last = Some(moment.axes);
-        axes
+        self.last = Some(commanded);
+        coupling.axes(&joints)
     }
 
     fn normal(&mut self) -> f64 {

@@ -6,7 +6,8 @@
 writes fixtures/golden/robots.csv with numpy alone. Each robot is written down as its description has it: for
 every joint its place and turn (roll, pitch, yaw) in the frame before and the axis that it turns about, then
 the flange; no DH parameter occurs here. Sources: the ROS-Industrial descriptions of the KUKA, ABB, Yaskawa and
-Staubli robots, kroshu's ROS 2 descriptions of the newer KUKA robots, and the maker's ROS 2 description of the Universal Robots arms.
+Staubli robots, kroshu's ROS 2 descriptions of the newer KUKA robots, and the makers' ROS 2 descriptions of the Universal Robots and FANUC arms.
+A FANUC's description turns joint 3 by what its controller shows as J3 + J2.
 """
 import math
 from pathlib import Path
@@ -28,6 +29,7 @@ def arm(axes, *places, flange=(0, QUARTER, 0)):
 KUKA = (DOWN, Y, Y, BACK, Y, BACK)
 ABB = (Z, Y, Y, X, Y, X)
 YASKAWA = (Z, Y, (0, -1, 0), BACK, (0, -1, 0), BACK)
+FANUC = YASKAWA
 STAUBLI = (Z, Y, Y, Z, Y, Z)
 TURNED = (math.pi, -QUARTER, 0)
 
@@ -75,7 +77,13 @@ ROBOTS = {
     "gp25": arm(YASKAWA, (0, 0, 0), (150, 0, 0), (0, 0, 760), (0, 0, 200), (795, 0, 0), (100, 0, 0), flange=TURNED),
     "tx2-60": arm(STAUBLI, (0, 0, 0), (0, 0, 0), (0, 20, 290), (0, 0, 0), (0, 0, 310), (0, 0, 70), flange=STRAIGHT),
     "tx2-90": arm(STAUBLI, (0, 0, 0), (50, 0, 0), (0, 50, 425), (0, 0, 0), (0, 0, 425), (0, 0, 100), flange=STRAIGHT),
+    # The controllers' world frames lie in height of axis 2.
+    "m10id12": arm(FANUC, (0, 0, 0), (75, 0, 0), (0, 0, 640), (0, 0, 195), (700, 0, 0), (75, 0, 0), flange=TURNED),
+    "m20id25": arm(FANUC, (0, 0, 0), (75, 0, 0), (0, 0, 840), (0, 0, 215), (890, 0, 0), (90, 0, 0), flange=TURNED),
+    "crx10ia": arm(FANUC, (0, 0, 0), (0, 0, 0), (0, 0, 540), (0, 0, 0), (540, 0, 0), (160, -150, 0), flange=TURNED),
 }
+# Arms whose controller shows axis 3 against the horizontal.
+COUPLED = {"m10id12", "m20id25", "crx10ia"}
 
 
 def about(axis, angle):
@@ -101,7 +109,9 @@ def main():
     lines = ["robot,a1_deg,a2_deg,a3_deg,a4_deg,a5_deg,a6_deg,x_mm,y_mm,z_mm," + ",".join(f"r{i}{j}" for i in range(3) for j in range(3))]
     for name, robot in ROBOTS.items():
         for degrees in [np.zeros(6), *random.uniform(-170, 170, (6, 6)).round(3)]:
-            position, rotation = flange(robot, np.radians(degrees))
+            shown = np.radians(degrees)
+            joints = shown + (0, 0, shown[1], 0, 0, 0) if name in COUPLED else shown
+            position, rotation = flange(robot, joints)
             numbers = [*degrees, *position, *rotation.ravel()]
             lines.append(name + "," + ",".join(f"{number + 0.0:.12g}" for number in numbers))
     OUT.write_text("\n".join(lines) + "\n")

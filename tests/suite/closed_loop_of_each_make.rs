@@ -20,7 +20,7 @@ use crate::rapid_and_urscript::{job, named, run};
 /// An arm in its language.
 struct Arm {
     language: Language,
-    /// A built-in robot, or the one of [`offset_wrist`].
+    /// A built-in robot, or the one of [`offset_wrist`]; a FANUC in KRL, as no language of FANUC's is written.
     name: &'static str,
     /// Place of the base ball, mm.
     centre: [f64; 3],
@@ -41,6 +41,14 @@ const KUKA: Arm = Arm {
     range_deg: KUKA_DEG,
 };
 const OFFSET: Arm = Arm { name: OFFSET_WRIST, centre: [1400.0, -300.0, 700.0], ..KUKA };
+const FANUC: Arm = Arm {
+    name: "m10id12",
+    centre: [900.0, 0.0, 300.0],
+    most_mm: 0.05,
+    range_deg: [[-40.0, 40.0], [-20.0, 40.0], [-40.0, 20.0], [-60.0, 60.0], [-100.0, -40.0], [-60.0, 60.0]],
+    ..KUKA
+};
+const CRX: Arm = Arm { name: "crx10ia", centre: [650.0, -150.0, 200.0], ..FANUC };
 const ABB: Arm = Arm {
     language: Language::Rapid,
     name: "irb1600-10-145",
@@ -72,7 +80,8 @@ fn offset_wrist() -> Robot {
 
 impl Arm {
     fn robot(&self) -> Robot {
-        if self.name == OFFSET_WRIST { offset_wrist() } else { named(self.name) }
+        let language = Some(self.language.name().into());
+        if self.name == OFFSET_WRIST { offset_wrist() } else { Robot { language, ..named(self.name) } }
     }
 }
 
@@ -265,7 +274,7 @@ fn closed_loop(arm: &Arm, job: &str, seed: u64) -> ([usize; 2], [f64; 2]) {
 #[test]
 #[cfg(unix)]
 fn every_dwell_of_each_make_is_matched() {
-    for arm in [KUKA, OFFSET, ABB, UR] {
+    for arm in [KUKA, OFFSET, FANUC, CRX, ABB, UR] {
         let ([lengths, dwells], _) = closed_loop(&arm, &job(arm.name, arm.centre, 8), 1);
         assert_eq!((lengths, dwells > 0), (dwells, true), "{}", arm.name);
     }
@@ -276,7 +285,7 @@ fn every_dwell_of_each_make_is_matched() {
 #[cfg(unix)]
 #[ignore = "takes minutes"]
 fn chosen_poses_of_each_make() {
-    for arm in [KUKA, OFFSET, ABB, UR] {
+    for arm in [KUKA, OFFSET, FANUC, CRX, ABB, UR] {
         let [low, high] = [-250.0, 250.0].map(|side| arm.centre.map(|middle| middle + side));
         let text = job(arm.name, arm.centre, 8);
         let text = text.split("[[circle]]").next().unwrap_or_default();

@@ -40,6 +40,7 @@ fn provoked() -> Vec<&'static str> {
         crate::compensated_robot_arrives::provoked(),
         crate::continuous_circles::provoked(),
         crate::controller_executes_krl::provoked(),
+        crate::coupled_axes::provoked(),
         crate::ekrl_reports_the_dwells::provoked(),
         crate::definitions_are_checked::provoked(),
         crate::every_device_round_trips::provoked(),

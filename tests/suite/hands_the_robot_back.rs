@@ -23,7 +23,7 @@ fn numbers(xml: &str, attribute: &str) -> Vec<f64> {
 }
 
 /// The ball by the URDF's own definition (origin, then a turn about the axis), in mm.
-fn ball_of(urdf: &str, axes: &[f64; 6]) -> Vector3<f64> {
+pub(crate) fn ball_of(urdf: &str, axes: &[f64; 6]) -> Vector3<f64> {
     let mut frame = Pose::identity();
     let mut turning = axes.iter();
     for joint in urdf.split("<joint ").skip(1) {

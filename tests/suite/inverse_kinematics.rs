@@ -40,10 +40,12 @@ fn perturbed(seed: [f64; 6]) -> Robot {
 
 /// Axis angles at these shares of the robot's limits.
 fn at_shares(robot: &Robot, share: [f64; AXES]) -> [f64; AXES] {
-    std::array::from_fn(|i| {
-        let [low, high]: [f64; 2] = robot.limits_deg[i];
-        (low + share[i] * (high - low)).to_radians()
-    })
+    let mut axes_deg = [0.0; AXES];
+    for i in 0..AXES {
+        let [low, high] = robot.limits_at_deg(&axes_deg)[i];
+        axes_deg[i] = low + share[i] * (high - low);
+    }
+    rad(axes_deg)
 }
 
 /// Axis angles uniform within the limits of the robot.
@@ -51,14 +53,14 @@ fn within_limits() -> impl Strategy<Value = [f64; AXES]> {
     prop::array::uniform6(0.0..1.0f64).prop_map(|share| at_shares(&kr60ha(), share))
 }
 
-/// A built-in robot with axis angles uniform within its limits, a little off its singular positions.
+/// A built-in robot with a closed form, its axis angles uniform within its limits, a little off its singular positions.
 fn any_robot() -> impl Strategy<Value = (Robot, [f64; AXES])> {
     (0..Robot::built_in().len(), prop::array::uniform6(0.0..1.0f64)).prop_filter_map(
         "singular",
         |(at, share)| {
             let robot = Robot::by_name(Robot::built_in()[at].0).unwrap().unwrap();
             let axes = at_shares(&robot, share);
-            let clear = clearance(&robot.geometry, &axes).unwrap();
+            let clear = clearance(&robot.geometry, &axes)?;
             (clear.wrist > 1e-3 && clear.elbow > 1e-3 && clear.overhead > 1.0).then_some((robot, axes))
         },
     )
@@ -122,7 +124,7 @@ proptest! {
             let (mm, turn) = miss(&robot.geometry, branch, &ball);
             prop_assert!(mm < 1e-8 && turn < 1e-10, "{mm} mm, {turn}");
         }
-        let original = found.iter().flat_map(|branch| turns_within(branch, &robot.limits_deg))
+        let original = found.iter().flat_map(|branch| turns_within(branch, &robot))
             .map(|variant| apart(&variant, &axes)).fold(f64::MAX, f64::min);
         prop_assert!(original < 1e-6, "{original}");
         // S and T name it, but for the full turns of an axis that can turn more than one to a side.
@@ -244,8 +246,9 @@ fn census(geometry: &Geometry, poses: usize, starts: usize, seed: u64) -> Census
 }
 
 fn geometries() -> Vec<Geometry> {
-    let closed = ["kr60ha", "tx2-90l", "ur10"].map(|name| Robot::by_name(name).unwrap().unwrap().geometry);
-    closed.into_iter().chain(without_a_closed_form()).collect()
+    let built_in = ["kr60ha", "tx2-90l", "ur10", "m10id12", "m20id25", "crx10ia"];
+    let built_in = built_in.map(|name| Robot::by_name(name).unwrap().unwrap().geometry);
+    built_in.into_iter().chain(without_a_closed_form()).collect()
 }
 
 #[test]

@@ -3,32 +3,41 @@
 use dbbd::measurement::{Datum, LengthModel, PreparedMeasurement, Selection, TargetId, Tracker};
 use dbbd::robot::kinematics::Mass;
 use dbbd::robot::parameter::SetUp;
+use dbbd::robot::pose::rotation_vector;
 use dbbd::robot::{
-    Approach, BallId, Coordinate, Joint, JointError, JointErrors, Ripple, Smooth, Unit, parameter,
+    Approach, BallId, Coordinate, CoupledAxis, Coupling, Geometry, Joint, JointError, JointErrors, Ripple,
+    Robot, Smooth, Unit, parameter,
 };
 use nalgebra::Vector3;
 use proptest::prelude::*;
 
-use crate::cell::kr60;
+/// An arm without coupled axes, one whose joint 3 turns by A3 + A2, and one of which joint 5 turns by A5 - A3 as well.
+fn arms() -> [Geometry; 3] {
+    let named = |name: &str| Robot::by_name(name).unwrap().unwrap().geometry;
+    let by = |axis, factor| Some(CoupledAxis { axis, factor });
+    let coupling = Coupling::new([None, None, by(Joint::J2, 1.0), None, by(Joint::J3, -1.0), None]);
+    [named("kr60ha"), named("m10id12"), Geometry { coupling, ..named("crx10ia") }]
+}
 
 /// One base ball, two targets on the tool, a tracker.
-fn model(ball: Vector3<f64>) -> LengthModel {
+fn model(geometry: Geometry, ball: Vector3<f64>) -> LengthModel {
     let tracker = Tracker { origin: Vector3::new(3000.0, -500.0, 900.0), turn: Vector3::new(0.4, -0.3, 2.0) };
     let (targets, tracker) = (vec![Vector3::new(-80.0, 30.0, 150.0)], Some(tracker));
-    LengthModel { geometry: kr60().geometry, balls: vec![ball], bar_offsets: vec![], targets, tracker }
+    LengthModel { geometry, balls: vec![ball], bar_offsets: vec![], targets, tracker }
 }
 
 proptest! {
     #![proptest_config(ProptestConfig { cases: 100, rng_seed: proptest::test_runner::RngSeed::Fixed(1), ..ProptestConfig::default() })]
     #[test]
     fn row_matches_central_differences(
+        arm in 0..3usize,
         axes in proptest::array::uniform6(-3.0f64..3.0),
         errors in proptest::collection::vec(-0.01f64..0.01, 61),
         plane in 0..4usize,
         target in 0..2usize,
         centre in proptest::array::uniform3(-1500.0f64..1500.0),
     ) {
-        let mut model = model(Vector3::from(centre));
+        let mut model = model(arms()[arm].clone(), Vector3::from(centre));
         model.geometry.masses = vec![
             Mass { joint: Joint::J2, kg: 100.0, centre: Vector3::new(400.0, 0.0, 50.0) },
             Mass { joint: Joint::J6, kg: 60.0, centre: Vector3::new(10.0, 20.0, 150.0) },
@@ -61,14 +70,38 @@ proptest! {
     }
 }
 
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 100, rng_seed: proptest::test_runner::RngSeed::Fixed(1), ..ProptestConfig::default() })]
+    #[test]
+    fn the_axes_move_the_ball_by_the_jacobian(arm in 0..3usize, axes in proptest::array::uniform6(-3.0f64..3.0)) {
+        let geometry = &arms()[arm];
+        for (axis, (shift, turn)) in geometry.axis_jacobian(&axes).into_iter().enumerate() {
+            let at = |step: f64| {
+                let mut moved = axes;
+                moved[axis] += step;
+                geometry.ball(&moved)
+            };
+            let (up, down) = (at(1e-5), at(-1e-5));
+            let moved = (up.position - down.position) / 2e-5;
+            let turned = rotation_vector(&(up.rotation * down.rotation.transpose())) / 2e-5;
+            prop_assert!((moved - shift).norm() < 1e-5 && (turned - turn).norm() < 1e-8, "arm {arm}, axis {axis}");
+        }
+    }
+}
+
 #[test]
 fn rows_of_joint_errors_match_differences() {
+    arms().into_iter().for_each(joint_error_rows);
+}
+
+fn joint_error_rows(geometry: Geometry) {
     let empty = JointErrors::new(std::array::from_fn(|joint| JointError {
         smooth: Smooth::new(0.0, 3.5, 5),
         backlash: 0.0,
         ripple: vec![Ripple { order: 7 + joint as u32, ..Ripple::default() }],
     }));
-    let mut model = model(Vector3::new(1300.0, 0.0, 800.0));
+    let with_errors = Geometry { joint_errors: empty.clone(), ..geometry.clone() };
+    let mut model = model(geometry, Vector3::new(1300.0, 0.0, 800.0));
     let axes = [0.4, -1.2, 1.5, 0.7, -0.8, 0.3];
     let approach = Approach::new([1, -1, 1, 0, -1, 1]);
     let reading = PreparedMeasurement { approach, ..PreparedMeasurement::new(axes, BallId::FIRST, 0.0) };
@@ -79,7 +112,7 @@ fn rows_of_joint_errors_match_differences() {
     };
     let (_, row) = length(&start);
     let mut analytic = vec![f64::NAN; start.len()];
-    row.joint_terms(&empty, &axes, approach, &mut analytic);
+    row.joint_terms(&with_errors, &axes, approach, &mut analytic);
     for at in 0..start.len() {
         let moved = |step: f64| {
             let mut moved = start.clone();

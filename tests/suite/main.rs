@@ -39,6 +39,7 @@ mod compensated_program_is_accurate;
 mod compensated_robot_arrives;
 mod continuous_circles;
 mod controller_executes_krl;
+mod coupled_axes;
 mod decoder_accounts_for_every_byte;
 mod definitions_are_checked;
 mod device_time_on_the_hosts_clock;

@@ -25,10 +25,9 @@ fn datasheet(robot: &Robot) -> Posterior {
 }
 
 fn reachable(robot: &Robot, count: usize) -> Vec<Candidate> {
-    let (arm, limits_deg) = (&robot.geometry, &robot.limits_deg);
     let sphere = Sphere {
-        arm,
-        limits_deg,
+        arm: &robot.geometry,
+        controller: robot,
         id: BallId::FIRST,
         ball: Vector3::from(CENTRE),
         radius_mm: RADIUS,

@@ -57,7 +57,7 @@ fn krl_is_for_robots_that_read_it() {
         assert!(!at.join("krl").exists());
     }
     // Makers whose language is not written are refused in every language.
-    for name in ["tx2-60", "tx2-90", "tx2-90l", "gp12", "gp25"] {
+    for name in ["tx2-60", "tx2-90", "tx2-90l", "gp12", "gp25", "m10id12", "m20id25", "crx10ia"] {
         let robot = named(name);
         edit(at, |header| header["robot"] = json!(robot.to_toml().unwrap()));
         for language in

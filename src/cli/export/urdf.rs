@@ -8,10 +8,12 @@ use super::super::{Outcome, Output, robots};
 use super::Args;
 use crate::base::files;
 use crate::catalogue::FileFinding;
-use crate::catalogue::ReportFinding::NotInUrdf;
+use crate::catalogue::ReportFinding::{CoupledInUrdf, NotInUrdf};
 use crate::diagnostic::Diagnostic;
 use crate::estimation::Workspace;
+use crate::report::export::urdf::{CoupledJoint, coupled};
 use crate::report::export::urdf_patch::{LeftOut, PatchedUrdf, patch};
+use crate::robot::Robot;
 
 /// Poses of the workspace over which the left-out part is stated, and their seed.
 const WORKSPACE_POSES: usize = 2000;
@@ -40,6 +42,7 @@ pub(super) fn run(args: &Args, users: &Path, out: &Output) -> Result<Outcome, Di
         ));
     }
     out.result(format!("{}: written", to.display()));
+    said_of_coupled(&robot, out);
     let left_out =
         LeftOut::of(&robot.geometry, &Workspace::uniform(robot.controller(), WORKSPACE_POSES, SEED));
     if let Some(LeftOut { mean_mm, max_mm }) = left_out {
@@ -47,4 +50,11 @@ pub(super) fn run(args: &Args, users: &Path, out: &Output) -> Result<Outcome, Di
     }
     out.document(&Document { file: to.display().to_string(), patched: &patched, left_out })?;
     Ok(Outcome::Done)
+}
+
+/// Says which variables of a URDF are sums of axis angles.
+fn said_of_coupled(robot: &Robot, out: &Output) {
+    for CoupledJoint { number: joint, sum } in coupled(robot) {
+        out.finding(CoupledInUrdf { joint, sum });
+    }
 }

@@ -71,7 +71,7 @@ pub(crate) fn read_workspace(
         return Err(Diagnostic::file(&name, finding));
     }
     let angles = poses.iter().zip(1..).map(|(pose, number)| (number, pose.axes));
-    let beyond = measurement::beyond(angles, &robot.controller().limits_deg);
+    let beyond = measurement::beyond(angles, robot.controller());
     beyond.into_iter().for_each(|doubt| out.finding(Diagnostic::file(&name, doubt)));
     Ok(poses.iter().map(|pose| pose.axes.radians()).collect())
 }

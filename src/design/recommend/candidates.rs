@@ -6,7 +6,7 @@ use super::Trial;
 use crate::estimation::result::{CirclePlane, FurtherMeasurement};
 use crate::measurement::PreparedMeasurement;
 use crate::robot::pose::{rot_x, rot_y, rot_z};
-use crate::robot::{AXES, BallId, Geometry, Pose, inverse};
+use crate::robot::{AXES, BallId, Geometry, Pose, Robot, inverse};
 
 /// A length farther than this from what the model has for its pose is of another ball or bar, mm.
 const FOREIGN_MM: f64 = 50.0;
@@ -95,7 +95,7 @@ fn rotation(plane: CirclePlane) -> Matrix3<f64> {
 struct Cell<'a> {
     /// As the controller moves: the nominal robot with the tool as it is known.
     geometry: Geometry,
-    limits_deg: &'a [[f64; 2]; AXES],
+    controller: &'a Robot,
     /// The ball's place, its number from 0, and the median length to it, mm.
     ball: Vector3<f64>,
     home: BallId,
@@ -120,7 +120,7 @@ impl<'a> Cell<'a> {
         let controller = trial.robot.controller();
         Some(Self {
             geometry: Geometry { tool: trial.model.geometry.tool, ..controller.geometry.clone() },
-            limits_deg: &controller.limits_deg,
+            controller,
             ball: *trial.model.balls.get(home.index())?,
             home,
             radius: *lengths.get(lengths.len() / 2)?,
@@ -204,7 +204,7 @@ impl<'a> Cell<'a> {
                     let mut axes = reading.axes;
                     axes[0] += degrees.to_radians();
                     // The other axes stay.
-                    let [low, high] = self.limits_deg[0];
+                    let [low, high] = self.controller.limits_deg[0];
                     (low..=high)
                         .contains(&axes[0].to_degrees())
                         .then(|| PreparedMeasurement::new(axes, number, reading.length_mm))
@@ -216,13 +216,9 @@ impl<'a> Cell<'a> {
     }
 
     fn reach(&self, pose: &Pose, near: &[f64; AXES]) -> Option<[f64; AXES]> {
-        inverse::nearest(&self.geometry, pose, near).ok().filter(|axes| self.within(axes))
-    }
-
-    fn within(&self, axes: &[f64; AXES]) -> bool {
-        axes.iter()
-            .zip(self.limits_deg)
-            .all(|(axis, [low, high])| (*low..=*high).contains(&axis.to_degrees()))
+        inverse::nearest(&self.geometry, pose, near)
+            .ok()
+            .filter(|axes| self.controller.is_within_limits(axes))
     }
 }
 

@@ -54,7 +54,7 @@ pub fn compensate(
 
 /// Adds the edits of a point; its correction, and its turn bits before and after where they change.
 fn rewrite(
-    corrector: &mut Corrector<'_>,
+    corrector: &mut Corrector,
     point: &TaughtPoint,
     text: Text<'_>,
     edits: &mut Vec<Edit>,
@@ -92,7 +92,7 @@ fn turn(point: &TaughtPoint) -> Option<(i64, Span)> {
 }
 
 fn new_turn(
-    corrector: &Corrector<'_>,
+    corrector: &Corrector,
     corrected: &Corrected,
     [x, y, z, a, b, c]: [f64; 6],
     frames: &Frames,

@@ -99,7 +99,7 @@ pub fn compensate(
 }
 
 fn write(
-    corrector: &Corrector<'_>,
+    corrector: &Corrector,
     point: &Point,
     corrected: &Corrected,
     text: Text<'_>,

@@ -153,7 +153,7 @@ impl Points {
         file: Text<'_>,
         robot: &Robot,
         limit_mm: f64,
-        write: impl Fn(&Corrector<'_>, &Point, &Corrected, Text<'_>) -> Result<Vec<Edit>, CompensationFinding>,
+        write: impl Fn(&Corrector, &Point, &Corrected, Text<'_>) -> Result<Vec<Edit>, CompensationFinding>,
     ) -> Result<(String, Vec<Moved>), Vec<Diagnostic>> {
         let mut edits = Vec::new();
         let moved = rewrite::points(robot, limit_mm, &self.points, |corrector, point| {

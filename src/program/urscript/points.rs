@@ -150,7 +150,7 @@ pub fn compensate(
 }
 
 fn write(
-    _: &Corrector<'_>,
+    _: &Corrector,
     point: &Point,
     corrected: &Corrected,
     text: Text<'_>,

@@ -1,7 +1,7 @@
 //! The joints' zero errors as mastering offsets, in the controller's degrees and sense.
 //!
 //! A joint turns by theta = sign A + offset. Where the identified offset is larger than the nominal one by delta, the
-//! axis that shows A is at A + sign delta.
+//! axis that shows A is at A + sign delta. Of a coupled joint this is the offset of its own angle, which its drive turns.
 
 use serde::Serialize;
 
@@ -37,7 +37,10 @@ pub fn offsets(result: &CalibrationResult) -> Vec<AxisOffset> {
                 offset_deg: if identified { sign * found.correction.to_degrees() } else { 0.0 },
                 sd_deg: found.sd.filter(|_| identified).map(f64::to_degrees),
                 status: found.status(),
-                remark: remark(found),
+                remark: match result.robot.geometry.coupling.of(joint) {
+                    Some(by) => format!("{}; of the joint, at A{}{by}", remark(found), joint.number()),
+                    None => remark(found),
+                },
             })
         })
         .collect()

@@ -1,4 +1,5 @@
-//! The robot as a URDF: metres and radians, a joint variable is the controller's axis angle.
+//! The robot as a URDF: metres and radians, a joint variable is the controller's axis angle; of a coupled joint, for which a
+//! URDF has no form, it is the joint's own angle, a sum of two.
 //!
 //! Row i is `Ry(beta) Rx(alpha) Tx(a) Rz(theta) Tz(d)`. A URDF joint is a fixed origin followed by a turn about
 //! its axis, so joint i's origin is the shift d of the row before, then `Ry(beta) Rx(alpha) Tx(a) Rz(offset)`, and
@@ -12,7 +13,7 @@ use nalgebra::{Matrix3, Vector3};
 use crate::estimation::left_out_mm;
 use crate::robot::kinematics::Mass;
 use crate::robot::pose::{rot_x, rot_y, rot_z};
-use crate::robot::{AXES, Robot};
+use crate::robot::{AXES, Joint, Robot};
 
 /// The URDF of a robot: links `base_link`, `link_1` to `link_6`, `flange` and `ball`.
 pub fn urdf(robot: &Robot) -> String {
@@ -20,6 +21,9 @@ pub fn urdf(robot: &Robot) -> String {
     let _ =
         writeln!(text, "<!-- {}. Joint variables are the controller's axis angles.", comment(&robot.name));
     text.push_str("     Of inertias only masses are known (as points); efforts are not. -->\n");
+    for CoupledJoint { number, sum } in coupled(robot) {
+        let _ = writeln!(text, "<!-- The variable of joint {number} is {sum}. -->");
+    }
     if let Some(mm) = left_out_mm(robot) {
         let _ = writeln!(
             text,
@@ -32,7 +36,7 @@ pub fn urdf(robot: &Robot) -> String {
         let number = at + 1;
         let turned = rot_y(row.beta) * rot_x(row.alpha);
         let origin = Vector3::z() * before_mm + turned * Vector3::x() * row.a;
-        let [low, high] = robot.limits_deg[at].map(f64::to_radians);
+        let [low, high] = robot.joint_range_deg(Joint::ALL[at]).map(f64::to_radians);
         let _ = write!(
             text,
             "  <joint name=\"joint_a{number}\" type=\"revolute\">\n    <parent link=\"{}\"/>\n    <child link=\"link_{number}\"/>\n    {}\n    \
@@ -49,6 +53,22 @@ pub fn urdf(robot: &Robot) -> String {
     text.push_str(&fixed("ball", "flange", &robot.geometry.tool));
     text.push_str("</robot>\n");
     text
+}
+
+/// A joint whose variable is not the angle that the controller shows.
+pub struct CoupledJoint {
+    /// From 1.
+    pub number: usize,
+    /// Of axes, such as `A3 + A2`.
+    pub sum: String,
+}
+
+/// The coupled joints of a robot.
+pub fn coupled(robot: &Robot) -> impl Iterator<Item = CoupledJoint> {
+    Joint::ALL.into_iter().filter_map(|joint| {
+        let number = joint.number();
+        Some(CoupledJoint { number, sum: format!("A{number}{}", robot.geometry.coupling.of(joint)?) })
+    })
 }
 
 /// A link with the masses that move with it; its frame is `d_mm` before the frame of the row.

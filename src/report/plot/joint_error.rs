@@ -23,8 +23,8 @@ pub(crate) fn joint_error(axis: usize, curve: &[JointPoint], measured_deg: &[f64
     let top = 1.4 * largest * unit.factor;
     let labels = Labels {
         title: &format!("Axis {}", axis + 1),
-        description: "Error of the joint against the axis angle, with its 95 % band",
-        x: "axis angle (deg)",
+        description: "Error of the joint against its angle, with its 95 % band",
+        x: "angle of the joint (deg)",
         y: &format!("error ({})", unit.sign),
     };
     let (first, last) = (seen.first().map_or(0.0, |p| p.angle_deg), seen.last().map_or(1.0, |p| p.angle_deg));

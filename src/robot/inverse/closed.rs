@@ -12,7 +12,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::Unsolved;
 use crate::robot::pose::{Pose, rot_x, rot_z};
-use crate::robot::{AXES, DhRow, Geometry};
+use crate::robot::{AXES, Coupling, DhRow, Geometry};
 
 /// How far a twist may be from a right angle, rad, and axes that shall meet from meeting, mm, for the arm to
 /// count as near one with a closed form: far above any real robot's errors, far below a design.
@@ -34,6 +34,7 @@ enum Fourth {
 /// An arm that has a closed form exactly.
 pub(super) struct Arm {
     rows: [DhRow; AXES],
+    coupling: Coupling,
     tool: Vector3<f64>,
     fourth: Fourth,
     exact: bool,
@@ -76,7 +77,7 @@ impl Arm {
             exact &= offset.abs() < 1e-12;
             *offset = 0.0;
         }
-        Some(Self { rows, tool: geometry.tool, fourth, exact })
+        Some(Self { rows, coupling: geometry.coupling, tool: geometry.tool, fourth, exact })
     }
 
     /// Whether it is the arm that was given, to the last digit.
@@ -84,10 +85,9 @@ impl Arm {
         self.exact
     }
 
-    /// The forearm in frame 3, from joint 3 to the wrist centre or to axis 4, mm.
+    /// The forearm in frame 3, mm.
     fn forearm(&self) -> Vector3<f64> {
-        let DhRow { alpha, a, d, .. } = self.rows[3];
-        Vector3::new(a, -alpha.sin() * d, alpha.cos() * d)
+        forearm(&self.rows)
     }
 
     /// +1 when axis 3 points as axis 2 does, -1 when it points the other way.
@@ -95,31 +95,28 @@ impl Arm {
         self.rows[2].alpha.cos().signum()
     }
 
-    /// The angle between upper arm and forearm at an axis angle of joint 3, rad, in (-pi, pi]; 0 is
-    /// stretched, and it grows with the controller's axis angle.
-    pub(super) fn elbow(&self, a3: f64) -> f64 {
-        let forearm = self.forearm();
-        let row = &self.rows[2];
-        let joint = row.sign * a3 + row.theta + forearm.y.atan2(forearm.x);
-        super::wrapped(row.sign * joint + if row.a < 0.0 { PI } else { 0.0 })
+    /// As [`elbow`], at axis angles.
+    pub(super) fn elbow(&self, axes: &[f64; AXES]) -> f64 {
+        elbow(&self.rows, &self.coupling.joints(axes))
     }
 
-    /// The angle of joint 5 from a straight wrist, rad, in (-pi, pi], in the sense of the controller's axis angle; errors
+    /// The angle of joint 5 from a straight wrist at axis angles, rad, in (-pi, pi], in the sense of the controller's axis angle; errors
     /// of the joint's zero do not count.
-    pub(super) fn wrist(&self, a5: f64) -> f64 {
+    pub(super) fn wrist(&self, axes: &[f64; AXES]) -> f64 {
         let row = &self.rows[4];
-        super::wrapped(a5 + row.sign * quarters(row.theta) * FRAC_PI_2)
+        super::wrapped(self.coupling.joints(axes)[4] + row.sign * quarters(row.theta) * FRAC_PI_2)
     }
 
-    /// The joint angle at the axis angle of joint `i`, from 0.
-    fn joint(&self, i: usize, axes: &[f64; AXES]) -> f64 {
-        self.rows[i].sign * axes[i] + self.rows[i].theta
+    /// The angle of joint `i`, from 0, in the table's sense at the joints' own angles.
+    fn joint(&self, i: usize, joints: &[f64; AXES]) -> f64 {
+        self.rows[i].sign * joints[i] + self.rows[i].theta
     }
 
     /// The branches at `ball`; where the wrist is straight, the axis that may be chosen (4, or 6 of an arm with
     /// three parallel axes) is that of `near`. Angles in rad, not wrapped.
     pub(super) fn branches(&self, ball: &Pose, near: &[f64; AXES]) -> Result<Vec<[f64; AXES]>, Unsolved> {
         let rows = &self.rows;
+        let near = &self.coupling.joints(near);
         let flange = ball.position - ball.rotation * self.tool;
         let wrist = flange - ball.rotation.column(2) * rows[5].d;
         // Before joint 1: out of the base's tilt and shift.
@@ -146,7 +143,8 @@ impl Arm {
             };
             for [theta2, theta3, theta4, theta5, theta6] in others {
                 let thetas = [theta1, theta2, theta3, theta4, theta5, theta6];
-                found.push(std::array::from_fn(|i| rows[i].sign * (thetas[i] - rows[i].theta)));
+                let joints = std::array::from_fn(|i| rows[i].sign * (thetas[i] - rows[i].theta));
+                found.push(self.coupling.axes(&joints));
             }
         }
         if found.is_empty() { Err(Unsolved::OutOfReach) } else { Ok(found) }
@@ -241,6 +239,20 @@ impl Arm {
             }
         }]
     }
+}
+
+/// The forearm in frame 3, from joint 3 to the wrist centre or to axis 4, mm.
+fn forearm(rows: &[DhRow; AXES]) -> Vector3<f64> {
+    let DhRow { alpha, a, d, .. } = rows[3];
+    Vector3::new(a, -alpha.sin() * d, alpha.cos() * d)
+}
+
+/// The angle between upper arm and forearm at the joints' own angles, rad, in (-pi, pi]; 0 is stretched, and it grows with
+/// the controller's axis angle.
+pub(super) fn elbow(rows: &[DhRow; AXES], joints: &[f64; AXES]) -> f64 {
+    let (row, forearm) = (&rows[2], forearm(rows));
+    let joint = row.sign * joints[2] + row.theta + forearm.y.atan2(forearm.x);
+    super::wrapped(row.sign * joint + if row.a < 0.0 { PI } else { 0.0 })
 }
 
 /// How many right angles an angle is nearest to.

@@ -23,13 +23,17 @@ fn forward(geometry: &Geometry, axes: &[f64; AXES]) -> f64 {
 
 /// The status bits of the branch at axis angles in rad, which are KUKA's: bit 0 wrist centre behind axis 1 (x < 0 in
 /// axis 1's frame), bit 1 elbow (A3 at or above the angle at which the arm is stretched), bit 2 A5 < 0.
-/// Without a closed form bit 1 is A3 >= 0, and bit 2 a negative determinant of the Jacobian.
+/// Without a closed form the arm is stretched where the line of joint 4 goes on from the upper arm, and bit 2 is a negative
+/// determinant of the Jacobian.
 pub fn status(geometry: &Geometry, axes: &[f64; AXES]) -> u8 {
     let behind = forward(geometry, axes) < 0.0;
     let (elbow, wrist) = match closed::Arm::near(geometry) {
-        Some(arm) => (arm.elbow(axes[2]), arm.wrist(axes[4])),
+        Some(arm) => (arm.elbow(axes), arm.wrist(axes)),
         // Without a closed form: on which side of a singularity.
-        None => (axes[2], determinant(geometry, axes)),
+        None => {
+            let joints = geometry.coupling.joints(axes);
+            (closed::elbow(&geometry.rows, &joints), determinant(geometry, axes))
+        }
     };
     u8::from(behind) | u8::from(elbow >= 0.0) << 1 | u8::from(wrist < -ZERO_RAD) << 2
 }
@@ -58,8 +62,8 @@ pub fn clearance(geometry: &Geometry, axes: &[f64; AXES]) -> Option<Clearance> {
     // Distance of an angle from the nearest multiple of half a turn.
     let from_straight = |angle: f64| angle.sin().abs().asin();
     Some(Clearance {
-        wrist: from_straight(arm.wrist(axes[4])),
-        elbow: from_straight(arm.elbow(axes[2])),
+        wrist: from_straight(arm.wrist(axes)),
+        elbow: from_straight(arm.elbow(axes)),
         overhead: forward(geometry, axes).abs(),
     })
 }
@@ -69,13 +73,14 @@ pub fn turn(axes: &[f64; AXES]) -> u8 {
     axes.iter().enumerate().fold(0, |bits, (i, angle)| bits | u8::from(*angle < -ZERO_RAD) << i)
 }
 
-/// The same pose with every axis turned fully as often as the limits (degrees) allow; empty when an
+/// The same pose with every axis turned fully as often as the robot's limits allow; empty when an
 /// axis has no turn within them.
-pub fn turns_within(axes: &[f64; AXES], limits_deg: &[[f64; 2]; AXES]) -> Vec<[f64; AXES]> {
+pub fn turns_within(axes: &[f64; AXES], robot: &Robot) -> Vec<[f64; AXES]> {
     let mut variants = vec![*axes];
-    for (i, limits) in limits_deg.iter().enumerate() {
-        let [low, high] = limits.map(f64::to_radians);
-        let turned = |angle: f64| {
+    for i in 0..AXES {
+        let turned = |axes: &[f64; AXES]| {
+            let (angle, limits_deg) = (axes[i], robot.limits_at_deg(&axes.map(f64::to_degrees)));
+            let [low, high] = limits_deg[i].map(f64::to_radians);
             let first = ((low - ZERO_RAD - angle) / TAU).ceil();
             // Limits are a few turns at most: more would be a mistake in the file, not a robot.
             (0..8)
@@ -85,7 +90,7 @@ pub fn turns_within(axes: &[f64; AXES], limits_deg: &[[f64; 2]; AXES]) -> Vec<[f
         variants = variants
             .iter()
             .flat_map(|axes| {
-                turned(axes[i]).map(move |angle| {
+                turned(axes).map(move |angle| {
                     let mut variant = *axes;
                     variant[i] = angle;
                     variant
@@ -111,7 +116,7 @@ pub fn from_status_turn(
     branches(&robot.geometry, ball)?
         .iter()
         .filter(|axes| status(&robot.geometry, axes) == wanted_status)
-        .flat_map(|axes| turns_within(axes, &robot.limits_deg))
+        .flat_map(|axes| turns_within(axes, robot))
         .find(|axes| turn(axes) == wanted_turn)
         .ok_or(Unsolved::NoSuchConfiguration { status: wanted_status, turn: wanted_turn })
 }
@@ -140,7 +145,7 @@ pub fn from_quadrants(robot: &Robot, ball: &Pose, wanted: [i32; 4]) -> Result<[f
     };
     branches(&robot.geometry, ball)?
         .iter()
-        .flat_map(|axes| turns_within(axes, &robot.limits_deg))
+        .flat_map(|axes| turns_within(axes, robot))
         .find(|axes| {
             let (low, high) = (near(axes, -1.0), near(axes, 1.0));
             (0..4).all(|part| wanted[part] == low[part] || wanted[part] == high[part])

@@ -11,7 +11,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::iterate::{numeric, twin};
 use crate::robot::pose::{Pose, rot_x, rot_z};
-use crate::robot::{AXES, DhRow, Geometry};
+use crate::robot::{AXES, Coupling, DhRow, Geometry};
 
 /// How far twists 2 and 3 may be from a right angle and from none, rad, and axes 5 and 6 from meeting, mm.
 const NEAR_RAD: f64 = 0.3;
@@ -36,6 +36,7 @@ const SAME_RAD: f64 = 1e-6;
 /// An arm whose branches are zeros over joint 4.
 struct Offset {
     rows: [DhRow; AXES],
+    coupling: Coupling,
     /// Where axes 5 and 6 meet, and the direction of axis 5, in frame 4.
     wrist: Vector3<f64>,
     fifth: Vector3<f64>,
@@ -134,7 +135,8 @@ impl Offset {
         let fifth = Vector3::new(0.0, -sin, cos);
         let wrist = Vector3::x() * rows[4].a + fifth * rows[4].d;
         let (fold, twist) = (rows[2].alpha.cos().signum(), rows[1].alpha.sin().signum());
-        Some(Self { rows, wrist, fifth, fold, twist, fourth: rows[3].alpha.sin_cos(), touching })
+        let (coupling, fourth) = (geometry.coupling, rows[3].alpha.sin_cos());
+        Some(Self { rows, coupling, wrist, fifth, fold, twist, fourth, touching })
     }
 
     fn target(&self, geometry: &Geometry, ball: &Pose) -> Target {
@@ -211,7 +213,7 @@ impl Offset {
         let theta5 = (sense * left[(0, 2)]).atan2(-sense * left[(1, 2)]);
         let theta6 = (sense * left[(2, 0)]).atan2(sense * left[(2, 1)]);
         let thetas = [theta1, theta2, theta3, theta4, theta5, theta6];
-        std::array::from_fn(|i| rows[i].sign * (thetas[i] - rows[i].theta))
+        self.coupling.axes(&std::array::from_fn(|i| rows[i].sign * (thetas[i] - rows[i].theta)))
     }
 
     /// Axis angles at and near every zero.

@@ -18,12 +18,12 @@ pub(super) struct Arm {
 impl Arm {
     /// At the home of the controllers of a language, or as near to it as the robot's limits allow.
     pub(super) fn at_home(robot: &Robot, language: Language) -> Self {
-        let home = language.home_deg();
-        let axis = |i: usize| {
-            let [low, high] = robot.limits_deg[i];
-            home[i].clamp(low, high).to_radians()
-        };
-        Self { robot: robot.clone(), axes: std::array::from_fn(axis), motions: 0 }
+        let mut home = language.home_deg();
+        for i in 0..AXES {
+            let [low, high] = robot.limits_at_deg(&home)[i];
+            home[i] = home[i].clamp(low, high);
+        }
+        Self { robot: robot.clone(), axes: home.map(f64::to_radians), motions: 0 }
     }
 
     pub(super) fn begin(&mut self, path: Path, profile: Profile) -> Motion {
@@ -72,8 +72,10 @@ impl Arm {
 
     /// Refuses axis angles (rad) outside the robot's limits.
     pub(super) fn check_limits(&self, axes: &[f64; AXES]) -> Result<(), ProgramFinding> {
-        for (i, angle_deg) in axes.iter().map(|angle| angle.to_degrees()).enumerate() {
-            let [low_deg, high_deg] = self.robot.limits_deg[i];
+        let axes_deg = axes.map(f64::to_degrees);
+        let limits_deg = self.robot.limits_at_deg(&axes_deg);
+        for (i, angle_deg) in axes_deg.into_iter().enumerate() {
+            let [low_deg, high_deg] = limits_deg[i];
             if !(low_deg - 1e-9..=high_deg + 1e-9).contains(&angle_deg) {
                 return Err(ProgramFinding::AxisLimit { axis: i + 1, angle_deg, low_deg, high_deg });
             }
