@@ -7,7 +7,7 @@ use crate::base::{files, serialised};
 use crate::catalogue::{EstimationFinding, ProvenanceFinding};
 use crate::diagnostic::Diagnostic;
 use crate::robot::Tolerance;
-use crate::robot::file::{CouplingTable, JointTable};
+use crate::robot::joint_table::{CouplingTable, JointTable};
 use crate::robot::{Robot, RobotRead};
 
 /// List, show or check robots.

@@ -2,11 +2,11 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::kinematics::{DhRow, Geometry, Mass};
-use super::pose::is_part_of_turn;
+use super::joint_table::{JointTable, MOST_MM, coupling};
+use super::kinematics::{Geometry, Mass};
 use super::posterior::RobotPosterior;
 use super::uncertainty::RobotUncertainty;
-use super::{AXES, CoupledAxis, Coupling, Joint, JointError, JointErrors, Ripple, Robot, Smooth, Tolerance};
+use super::{AXES, Joint, JointErrors, Robot, Tolerance};
 use crate::base::parse::from_toml;
 use crate::base::serialised;
 use crate::catalogue::{CliFinding, RobotFinding};
@@ -46,59 +46,6 @@ struct RobotFile {
     nominal: Option<Box<RobotFile>>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     uncertainty: Option<RobotUncertainty>,
-}
-
-#[derive(Clone, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(crate) struct JointTable {
-    pub(crate) alpha_deg: f64,
-    pub(crate) a_mm: f64,
-    pub(crate) theta_offset_deg: f64,
-    pub(crate) d_mm: f64,
-    pub(crate) sign: i8,
-    #[serde(default)]
-    pub(crate) beta_deg: f64,
-    pub(crate) limits_deg: [f64; 2],
-    pub(crate) max_speed_deg_s: f64,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    max_acceleration_deg_s2: Option<f64>,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub(crate) coupling: Option<CouplingTable>,
-    #[serde(default, skip_serializing_if = "is_zero")]
-    compliance_rad_per_nm: f64,
-    #[serde(default, skip_serializing_if = "is_zero")]
-    gear_cos_rad: f64,
-    #[serde(default, skip_serializing_if = "is_zero")]
-    gear_sin_rad: f64,
-    /// Half of the reversal error.
-    #[serde(default, skip_serializing_if = "is_zero")]
-    backlash_rad: f64,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    smooth: Option<Smooth>,
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    ripple: Vec<Ripple>,
-}
-
-/// The joint turns by its own axis and by a second one.
-#[derive(Clone, Copy, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(crate) struct CouplingTable {
-    /// The second axis, from 1.
-    pub(crate) axis: usize,
-    pub(crate) factor: i8,
-    /// Of the joint's own angle.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub(crate) limits_deg: Option<[f64; 2]>,
-}
-
-/// +1 or -1 as a file has it.
-fn sign_of(value: f64) -> i8 {
-    if value < 0.0 { -1 } else { 1 }
-}
-
-#[allow(clippy::trivially_copy_pass_by_ref)] // the signature that serde calls
-fn is_zero(value: &f64) -> bool {
-    *value == 0.0
 }
 
 #[derive(Clone, Default, Serialize, Deserialize)]
@@ -150,12 +97,6 @@ fn line_of_table(text: &str, header: &str, at: usize) -> Option<usize> {
     text.lines().enumerate().filter(|(_, line)| line.trim() == header).nth(at).map(|(line, _)| line + 1)
 }
 
-/// No length of an arm is longer, mm: ten metres.
-const MOST_MM: f64 = 1e4;
-/// No angle, speed or acceleration is larger, degrees, degrees/s, degrees/s^2.
-const MOST_DEG: f64 = 1e5;
-/// The same in radians.
-const MOST_RAD: f64 = 2e3;
 /// No mass is larger, kg.
 const MOST_KG: f64 = 5e3;
 /// No robot repeats worse, mm.
@@ -168,124 +109,6 @@ fn are_lengths(mm: &[f64]) -> bool {
 
 /// What is wrong, and in which joint (from 0) where it is one.
 type Wrong = (Option<usize>, RobotFinding);
-
-impl JointTable {
-    /// What the types do not say: finite numbers, limits in order.
-    fn check(&self, joint: usize) -> Result<(), RobotFinding> {
-        let numbers = [
-            ("alpha_deg", self.alpha_deg, MOST_DEG),
-            ("a_mm", self.a_mm, MOST_MM),
-            ("theta_offset_deg", self.theta_offset_deg, MOST_DEG),
-            ("d_mm", self.d_mm, MOST_MM),
-            ("beta_deg", self.beta_deg, MOST_DEG),
-            ("compliance_rad_per_nm", self.compliance_rad_per_nm, 1.0),
-            ("gear_cos_rad", self.gear_cos_rad, 1.0),
-            ("gear_sin_rad", self.gear_sin_rad, 1.0),
-            ("backlash_rad", self.backlash_rad, 1.0),
-        ];
-        let smooth = self.smooth.iter().flat_map(|smooth| {
-            let Smooth { centre, half_width, coefficients } = smooth;
-            // The logarithm of a width that is none is no number.
-            let width = ("smooth.half_width_rad", half_width.ln() + half_width, MOST_RAD);
-            let coefficients = coefficients.iter().map(|value| ("smooth.coefficients", *value, 1.0));
-            coefficients.chain([("smooth.centre_rad", *centre, MOST_RAD), width])
-        });
-        let ripple = self
-            .ripple
-            .iter()
-            .flat_map(|ripple| [("ripple.cos_rad", ripple.cos, 1.0), ("ripple.sin_rad", ripple.sin, 1.0)]);
-        let mut numbers = numbers.into_iter().chain(smooth).chain(ripple);
-        let possible = |value: f64, most: f64| value.abs() <= most;
-        if let Some((key, value, most)) = numbers.find(|(_, value, most)| !possible(*value, *most)) {
-            return Err(RobotFinding::JointNumber { joint, key: key.into(), value, most });
-        }
-        if self.sign.abs() != 1 {
-            return Err(RobotFinding::JointSign { joint, sign: self.sign });
-        }
-        if let Some((key, value)) = self.radians() {
-            return Err(RobotFinding::Radians { joint, key: key.into(), value });
-        }
-        let of_joint = self.coupling.and_then(|coupling| coupling.limits_deg);
-        for [low_deg, high_deg] in [Some(self.limits_deg), of_joint].into_iter().flatten() {
-            if !(low_deg >= -MOST_DEG && high_deg <= MOST_DEG && low_deg < high_deg) {
-                return Err(RobotFinding::JointLimits { joint, low_deg, high_deg });
-            }
-        }
-        self.coupled(joint)?;
-        let mut speeds = [Some(self.max_speed_deg_s), self.max_acceleration_deg_s2].into_iter().flatten();
-        match speeds.find(|speed| !(*speed > 0.0 && *speed <= MOST_DEG)) {
-            Some(value) => Err(RobotFinding::JointSpeed { joint, value }),
-            None => Ok(()),
-        }
-    }
-
-    /// An angle that was given in radians: a part of a turn as an arm has it, a range of axis angles, a speed.
-    fn radians(&self) -> Option<(&'static str, f64)> {
-        use std::f64::consts::TAU;
-        /// No joint of an arm is slower, degrees/s.
-        const LEAST_SPEED: f64 = 6.0;
-        let turns = [("alpha_deg", self.alpha_deg), ("theta_offset_deg", self.theta_offset_deg)];
-        let [low, high] = self.limits_deg;
-        let narrow = low.abs() < TAU + 0.1 && high.abs() < TAU + 0.1 && low < high;
-        let slow = self.max_speed_deg_s > 0.0 && self.max_speed_deg_s < LEAST_SPEED;
-        let turn = turns.into_iter().find(|(_, value)| is_part_of_turn(*value));
-        turn.or(narrow.then_some(("limits_deg", high)))
-            .or(slow.then_some(("max_speed_deg_s", self.max_speed_deg_s)))
-    }
-
-    /// The second axis, which lies between axis 1 and the joint: the plane of the arm turns about axis 1 alone.
-    fn coupled(&self, joint: usize) -> Result<Option<CoupledAxis>, RobotFinding> {
-        let Some(CouplingTable { axis, factor, .. }) = self.coupling else { return Ok(None) };
-        let before = Joint::new(axis).filter(|_| (2..joint).contains(&axis) && factor.abs() == 1);
-        let second = before.ok_or(RobotFinding::Coupling { joint, axis, factor })?;
-        Ok(Some(CoupledAxis { axis: second, factor: f64::from(factor) }))
-    }
-
-    fn row(&self) -> DhRow {
-        DhRow {
-            alpha: self.alpha_deg.to_radians(),
-            a: self.a_mm,
-            theta: self.theta_offset_deg.to_radians(),
-            d: self.d_mm,
-            beta: self.beta_deg.to_radians(),
-            sign: f64::from(self.sign),
-        }
-    }
-
-    fn error(&self) -> JointError {
-        let (smooth, ripple) = (self.smooth.clone().unwrap_or_default(), self.ripple.clone());
-        JointError { smooth, backlash: self.backlash_rad, ripple }
-    }
-
-    fn of(robot: &Robot, joint: Joint) -> Self {
-        let (row, at) = (robot.geometry.row(joint), joint.index());
-        let [gear_cos_rad, gear_sin_rad] = robot.geometry.gear[at];
-        let error = robot.geometry.joint_errors.of(joint).cloned().unwrap_or_default();
-        let coupling = robot.geometry.coupling.of(joint).map(|by| CouplingTable {
-            axis: by.axis.number(),
-            factor: sign_of(by.factor),
-            limits_deg: robot.coupled_limits_deg[at],
-        });
-        Self {
-            alpha_deg: row.alpha.to_degrees(),
-            a_mm: row.a,
-            theta_offset_deg: row.theta.to_degrees(),
-            d_mm: row.d,
-            sign: sign_of(row.sign),
-            beta_deg: row.beta.to_degrees(),
-            limits_deg: robot.limits_deg[at],
-            max_speed_deg_s: robot.max_speed_deg_s[at],
-            max_acceleration_deg_s2: robot.max_acceleration_deg_s2[at],
-            coupling,
-            compliance_rad_per_nm: robot.geometry.compliance[at],
-            gear_cos_rad,
-            gear_sin_rad,
-            backlash_rad: error.backlash,
-            smooth: Some(error.smooth).filter(|smooth| !smooth.coefficients.is_empty()),
-            ripple: error.ripple,
-        }
-    }
-}
 
 impl RobotFile {
     /// What an arm with another number of axes would need.
@@ -314,25 +137,6 @@ impl RobotFile {
         Ok(joints)
     }
 
-    /// The couplings of the joints; where an axis may be, so may the axis of a joint that is coupled with it.
-    fn coupling(joints: &[&JointTable; AXES]) -> Result<Coupling, Wrong> {
-        let mut coupling = [None; AXES];
-        for (at, joint) in joints.iter().enumerate() {
-            let wrong = |finding| (Some(at), finding);
-            coupling[at] = joint.coupled(at + 1).map_err(wrong)?;
-            let of_joint = joint.coupling.and_then(|coupling| coupling.limits_deg);
-            let (Some(by), Some([least, most])) = (coupling[at], of_joint) else { continue };
-            for axis_deg in joints[by.axis.index()].limits_deg {
-                let ([low, high], added) = (joint.limits_deg, by.factor * axis_deg);
-                if low.max(least - added) >= high.min(most - added) {
-                    let (joint, axis) = (at + 1, by.axis.number());
-                    return Err(wrong(RobotFinding::NoCoupledAngle { joint, axis, axis_deg }));
-                }
-            }
-        }
-        Ok(Coupling::new(coupling))
-    }
-
     /// The masses, the payload last.
     fn masses(&self) -> Result<Vec<Mass>, RobotFinding> {
         let masses = self.mass.iter().map(|mass| (mass.joint, mass.kg, mass.centre_mm));
@@ -347,31 +151,37 @@ impl RobotFile {
         masses.chain(payload).map(checked).collect()
     }
 
+    /// What is beside joints and masses.
+    fn check(&self) -> Result<(), RobotFinding> {
+        let Tolerance { length_mm, angle_deg } = self.tolerance;
+        let [most_mm, most_deg] = [100.0, 45.0];
+        if !(length_mm > 0.0 && length_mm <= most_mm && angle_deg > 0.0 && angle_deg <= most_deg) {
+            return Err(RobotFinding::Tolerance { length_mm, angle_deg });
+        }
+        if self.name.trim().is_empty() {
+            return Err(RobotFinding::NoName);
+        }
+        if let Some(value) = self.repeatability_mm.filter(|mm| !(*mm > 0.0 && *mm <= MOST_REPEATABILITY_MM)) {
+            return Err(RobotFinding::Repeatability { value });
+        }
+        if !are_lengths(&self.tool.ball_mm) {
+            return Err(RobotFinding::ToolBall { ball_mm: self.tool.ball_mm });
+        }
+        if self.posterior.as_ref().is_some_and(|posterior| !posterior.is_sound()) {
+            return Err(RobotFinding::Posterior);
+        }
+        Ok(())
+    }
+
     /// The robot, when its numbers can be.
     fn into_robot(self) -> Result<Robot, Wrong> {
         if self.convention != "modified-dh" {
             return Err((None, RobotFinding::Convention { convention: self.convention }));
         }
         let joints = self.joints()?;
-        let coupling = Self::coupling(&joints)?;
-        let Tolerance { length_mm, angle_deg } = self.tolerance;
-        let [most_mm, most_deg] = [100.0, 45.0];
-        if !(length_mm > 0.0 && length_mm <= most_mm && angle_deg > 0.0 && angle_deg <= most_deg) {
-            return Err((None, RobotFinding::Tolerance { length_mm, angle_deg }));
-        }
-        if self.name.trim().is_empty() {
-            return Err((None, RobotFinding::NoName));
-        }
-        if let Some(value) = self.repeatability_mm.filter(|mm| !(*mm > 0.0 && *mm <= MOST_REPEATABILITY_MM)) {
-            return Err((None, RobotFinding::Repeatability { value }));
-        }
+        let coupling = coupling(&joints).map_err(|(at, finding)| (Some(at), finding))?;
+        self.check().map_err(|finding| (None, finding))?;
         let masses = self.masses().map_err(|finding| (None, finding))?;
-        if !are_lengths(&self.tool.ball_mm) {
-            return Err((None, RobotFinding::ToolBall { ball_mm: self.tool.ball_mm }));
-        }
-        if self.posterior.as_ref().is_some_and(|posterior| !posterior.is_sound()) {
-            return Err((None, RobotFinding::Posterior));
-        }
         let mut robot = Robot {
             geometry: Geometry {
                 rows: joints.map(JointTable::row),
@@ -383,7 +193,7 @@ impl RobotFile {
                 joint_errors: JointErrors::new(joints.map(JointTable::error)),
             },
             limits_deg: joints.map(|joint| joint.limits_deg),
-            coupled_limits_deg: joints.map(|joint| joint.coupling.and_then(|coupling| coupling.limits_deg)),
+            coupled_limits_deg: joints.map(JointTable::coupled_limits_deg),
             max_speed_deg_s: joints.map(|joint| joint.max_speed_deg_s),
             max_acceleration_deg_s2: joints.map(|joint| joint.max_acceleration_deg_s2),
             tolerance: self.tolerance,
@@ -446,6 +256,7 @@ impl RobotFile {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::robot::{JointError, Ripple, Smooth};
 
     #[test]
     fn a_robot_reads_back_and_a_wrong_number_has_its_line() {

@@ -11,6 +11,7 @@ pub mod file;
 pub mod ids;
 pub mod inverse;
 pub mod joint_error;
+pub mod joint_table;
 pub mod kinematics;
 pub mod limits;
 pub mod parameter;
