@@ -171,6 +171,9 @@ impl<'a> Table<'a> {
         if absent.is_empty() {
             return Ok(places);
         }
+        if self.columns.names.is_empty() {
+            return Err(Diagnostic::file(&self.columns.file, FileFinding::NoText));
+        }
         let (absent, header) = (absent.join(", "), self.columns.names.join(", "));
         let delimiter = self.columns.delimiter.clone();
         Err(self.columns.header(MissingColumns { absent, header, delimiter }))

@@ -56,9 +56,11 @@ findings! {
             PosesWithoutLength { lost: usize, poses: usize, percent: f64 } => "{lost} of {poses} poses ({percent:.1} %) have no length (`dbbd sync` gives the reasons)";
             CircleWithoutLength { circle: u32, poses: usize } => "circle {circle}: none of its {poses} poses has a length, so it is left out";
         }
-        E1481 "an option is of use with a capture only",
-        cause: "--plan and --axes belong to the poses of a recorded run; a CSV of a circle has none.",
-        cure: "Leave the option out, or give the capture." {
+        E1481 "an option is of use with a capture or with temperatures only",
+        cause: "--plan and --axes belong to the poses of a recorded run; a CSV of a circle has none. An expansion is of use with temperatures (the column temp_c), the temperature of the certificate with the expansion of the bar.",
+        cure: "Leave the option out, or give the capture, the temperatures or the expansion." {
+            NoTemperature { option: &'static str } => "{option} is of use with temperatures only, and there is no temp_c";
+            CertifiedAlone => "--certified is of use with --expansion only";
             NoCapture => "--plan and --axes are of use with a capture only";
         }
         W1480 "lengths are none of a circular test",
@@ -74,6 +76,11 @@ findings! {
             RowsTwice { run: String, rows: usize } => "run {run}: {rows} rows are there twice";
             ManyTurns { run: String, span_deg: f64 } => "run {run}: the angles span {span_deg:.0} degrees in one sense";
             CountedPoints { run: String, points: usize } => "run {run}: the angles count the {points} points: degrees are needed";
+            TurnsBack { run: String, direction: &'static str, steps: usize } => "run {run}, {direction}: {steps} steps are against the direction: are two senses in one run?";
+            UnequalSenses { run: String, ccw_deg: f64, cw_deg: f64 } => "run {run}: {ccw_deg:.0} degrees counter-clockwise and {cw_deg:.0} clockwise: quantities of both senses rest on the shorter arc";
+            LongTest { run: String, span_s: f64 } => "run {run}: the times span {span_s:.0} s: are they in ms?";
+            SigmaTooSmall { sigma_um: f64, scatter_um: f64 } => "--sigma is {sigma_um} um, and the lengths scatter by {scatter_um:.1} um";
+            SigmaTooLarge { sigma_um: f64, scatter_um: f64 } => "--sigma is {sigma_um} um, and the lengths scatter by {scatter_um:.1} um only";
             TimesBack { run: String, t_s: f64 } => "run {run}: the times go back at t_s = {t_s}";
             WarmedBar { span_k: f64 } => "`temp_c` spans {span_k:.1} K in one test";
             WarmBar { mean_c: f64 } => "the mean of `temp_c` is {mean_c:.1} degrees: is it in Fahrenheit?";

@@ -37,6 +37,16 @@ findings! {
             FutureDate { date: String } => "{date} is in the future, by the clock of this computer";
             NotAfter { date: String, before: String } => "{date} is not after {before}";
         }
+        W1924 "dates contradict the results",
+        cause: "--dates gives another day than the measurement of the result states.",
+        cure: "Correct --dates, or leave out the option where trends per result suffice." {
+            OtherDate { file: String, date: String, measured: String } => "{file} was measured on {measured}, and --dates gives {date}";
+        }
+        E1982 "an option has no effect here",
+        cause: "The option is of use with other inputs only: --robot with results, --repeat-u with circles, --risk with --tolerance.",
+        cure: "Leave the option out, or give what it is of use with." {
+            Unused { option: &'static str } => "{option} has no effect on these inputs";
+        }
         E1905 "the robot of a result is not known",
         cause: "The change of the position needs the robot's axes and limits, which robot-identified.toml beside result.json has.",
         cure: "Keep robot-identified.toml beside result.json, or give --robot." {

@@ -29,6 +29,7 @@ findings! {
         E0110 "a table lacks a column",
         cause: "The header does not name all columns that are needed, or names one twice.",
         cure: "Compare the header with the columns that the command's help lists; the order of columns is free." {
+            NoText => "is empty: a table begins with the names of its columns";
             MissingColumns { absent: String, header: String, delimiter: String } => "there is no column {absent}", help: "the header, cut at {delimiter}, has: {header}";
             ColumnTwice { column: String } => "the column `{column}` is there twice";
         }
@@ -72,6 +73,7 @@ findings! {
         cause: "The directory has a file of the name of a result, which this command did not write: it may be the only copy of something else.",
         cure: "Give a new directory with --out, or move the file away." {
             OtherContent => "is there with another content, and is not replaced";
+            OtherRobot { robot: String } => "is the result of the robot `{robot}`, and is not replaced by that of another";
             NoResult => "is not what this command writes under this name, and is not replaced";
         }
         I0121 "a table is read as it is written",

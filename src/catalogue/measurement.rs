@@ -45,10 +45,16 @@ findings! {
         cure: "Nothing: each is used once. Remove the copies from the table." {
             Repeated { repeated: usize, rows: usize } => "{repeated} of {rows} rows repeat other rows and are used once";
         }
-        W1280 "standard deviations of some lengths are missing",
-        cause: "The column sigma_mm is empty in some rows. Without a value for each, none is used: all lengths weigh alike.",
-        cure: "Fill the column, or leave it out and give --sigma." {
+        W1280 "standard deviations of some lengths are missing or of another size",
+        cause: "The column sigma_mm is empty in some rows: without a value for each, none is used, and all lengths weigh alike. Or a value was mistyped or is in another unit.",
+        cure: "Correct the column, or leave it out and give --sigma." {
+            OtherSigma { index: u32, sigma_mm: f64, usual_mm: f64 } => "index {index} has sigma_mm = {sigma_mm}, and usual are {usual_mm}";
             SigmaMissing { without: usize, rows: usize } => "{without} of {rows} rows have no sigma_mm: none is used, and all lengths weigh alike";
+        }
+        I1284 "axis angles have two decimals",
+        cause: "The angles were read from a pendant, or rounded. Where the robot stood is then known to 0.003 degrees only, which moves a point two metres away by 0.1 mm.",
+        cure: "Nothing, if these are the commanded angles. Else take the angles that the program logged (`dbbd sync --axes`, or from the controller)." {
+            TwoDecimals { rows: usize, length_mm: f64 } => "the axis angles of {rows} rows have two decimals: if they are rounded, a length is uncertain by some {length_mm:.2} mm";
         }
         W1283 "all lengths of a table are equal",
         cause: "The lengths are the commanded ones, the bar was frozen, or the column was filled with one value. No two measured lengths are equal to the last digit so often.",
@@ -59,6 +65,7 @@ findings! {
         W1282 "lengths of single rows cannot be",
         cause: "The number of the ball, an angle or the length of a row was mistyped or is in another unit. One such row can spoil the whole result.",
         cure: "Correct or remove the row that is named." {
+            FarFromAll { off_mm: f64 } => "the lengths are {off_mm:.0} mm from where robot and base balls have them: are the numbers of base balls exchanged, or is it another robot or tool?";
             FarLengths { rows: usize, index: u32, off_mm: f64 } => "{rows} rows are far from where robot and base balls have them, first index {index}: by {off_mm:.0} mm";
         }
         W1842 "the temperatures of a table are none of a room",

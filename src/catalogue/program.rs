@@ -54,6 +54,7 @@ findings! {
             SecondRoutine { name: String } => "a second routine {name}";
             NoModuleFile => "there is no such file";
             OtherModuleName { routine: String, file: String } => "DEF {routine} is in a file named {file}";
+            OtherPlansData { data: String, plan: String, data_plan: String } => "was written for plan {plan}, and {data} for plan {data_plan}", help: "copy both files of the module again from one directory";
             OtherDataName { data: String, module: String } => "DEFDAT {data} does not belong to {module}.src";
             NoSuchRoutine { name: String } => "{name} is called, and there is no {name}.src beside this file",
                 help: "define it in this file or put its module beside it";

@@ -43,6 +43,11 @@ findings! {
         cure: "Give the controller's own $config.dat." {
             NotConfig { begins: String } => "the file begins with `{begins}`, and $config.dat with DEFDAT $CONFIG";
         }
+        W1844 "an identity contradicts the job of the plan",
+        cause: "--identity states another robot, or a bar of another length, than the job of the plan that is measured: a file of another run.",
+        cure: "Give the identity of this run. With another bar, plan anew." {
+            OtherThanPlanned { key: &'static str, planned: String, stated: String } => "{key} is stated as {stated}, and the job has {planned}";
+        }
         E1806 "lengths are of another result",
         cause: "lengths.csv beside robot-identified.toml is not the one that was written with it.",
         cure: "Keep the files of a result together, or identify again." {

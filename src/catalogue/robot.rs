@@ -52,6 +52,11 @@ findings! {
         cure: "Convert the value to degrees." {
             Radians { joint: usize, key: String, value: f64 } => "joint {joint}: {key} = {value} seems to be in radians: degrees are needed";
         }
+        W0581 "a robot file has the name of a built-in robot and another table",
+        cause: "The table was copied and edited, or a value is in another unit or has another sign. Files of plans and results are compared by the robot's name.",
+        cure: "Correct the value that is named, or give the robot a name of its own." {
+            UnlikeBuiltIn { robot: String, joint: usize, key: &'static str, value: f64, built_in: f64 } => "joint {joint}: {key} is {value}, and the built-in `{robot}` has {built_in}";
+        }
         E0506 "a pose has no axis angles",
         cause: "The pose is beyond the arm, or only another branch or turn of the axes reaches it.",
         cure: "Move the pose nearer to the robot, or give it a status and turn that the arm can take there." {

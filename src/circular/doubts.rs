@@ -2,7 +2,7 @@
 
 use std::cmp::Ordering;
 
-use super::{Point, Trace};
+use super::{Point, Sense, Trace};
 use crate::catalogue::CircularFinding as Finding;
 use crate::math::robust::median;
 
@@ -20,12 +20,15 @@ const MOST_WARMED_K: f64 = 8.0;
 /// Points from which neighbours are near.
 const LEAST_POINTS: usize = 12;
 
-pub(super) fn of(traces: &[Trace], radius_mm: f64) -> Vec<Finding> {
+pub(super) fn of(traces: &[Trace], radius_mm: f64, sigma_mm: Option<f64>) -> Vec<Finding> {
     let mut found: Vec<Finding> = traces.iter().filter_map(spike).collect();
     found.extend(traces.iter().filter_map(rows_twice));
     found.extend(traces.iter().filter_map(many_turns));
     found.extend(traces.iter().filter_map(counted));
     found.extend(traces.iter().filter_map(times_back));
+    found.extend(traces.iter().filter_map(turns_back));
+    found.extend(unequal(traces));
+    found.extend(sigma_mm.and_then(|sigma_mm| other_sigma(traces, sigma_mm)));
     found.extend(warm(traces));
     let lengths = || traces.iter().flat_map(|trace| &trace.points).map(|point| point.length_mm);
     let mean_mm = lengths().sum::<f64>() / lengths().count().max(1) as f64;
@@ -73,8 +76,68 @@ fn counted(trace: &Trace) -> Option<Finding> {
         .then(|| Finding::CountedPoints { run: trace.run.clone(), points })
 }
 
+/// Steps of angle in the sense of a trace and against it.
+fn steps(trace: &Trace) -> [usize; 2] {
+    let sign = if trace.sense == Sense::CounterClockwise { 1.0 } else { -1.0 };
+    let step = |pair: &[Point]| sign * (pair[1].angle_deg - pair[0].angle_deg);
+    // Over the begin of the circle the step is large.
+    let steps: Vec<f64> = trace.points.windows(2).map(step).filter(|step| step.abs() < 180.0).collect();
+    [steps.iter().filter(|step| **step > 0.0).count(), steps.iter().filter(|step| **step < 0.0).count()]
+}
+
+/// Most steps against the sense are said elsewhere.
+fn turns_back(trace: &Trace) -> Option<Finding> {
+    /// Share of the steps: the ends of a motion may swing back.
+    const MOST_BACK: f64 = 0.1;
+    let [with, against] = steps(trace);
+    let is_mixed = against <= with && against as f64 > MOST_BACK * trace.points.len() as f64;
+    let (run, direction) = (trace.run.clone(), trace.sense.word());
+    is_mixed.then_some(Finding::TurnsBack { run, direction, steps: against })
+}
+
+/// The senses of a run that are not of one arc.
+fn unequal(traces: &[Trace]) -> Option<Finding> {
+    const MOST_APART_DEG: f64 = 30.0;
+    let span = |trace: &Trace| {
+        let angles = || trace.points.iter().map(|point| point.angle_deg);
+        (angles().fold(f64::MIN, f64::max) - angles().fold(f64::MAX, f64::min)).min(360.0)
+    };
+    traces.iter().filter(|trace| trace.sense == Sense::CounterClockwise).find_map(|ccw| {
+        let cw = traces.iter().find(|cw| cw.run == ccw.run && cw.sense != ccw.sense)?;
+        let (ccw_deg, cw_deg) = (span(ccw), span(cw));
+        let run = ccw.run.clone();
+        ((ccw_deg - cw_deg).abs() > MOST_APART_DEG).then_some(Finding::UnequalSenses { run, ccw_deg, cw_deg })
+    })
+}
+
+/// A standard deviation that was given and that the lengths contradict.
+fn other_sigma(traces: &[Trace], sigma_mm: f64) -> Option<Finding> {
+    /// Times the scatter, either way.
+    const FAR: f64 = 10.0;
+    /// A larger one is given for other reasons than the scatter, mm.
+    const LARGE_MM: f64 = 0.1;
+    let second = |near: &[Point]| near[0].length_mm - 2.0 * near[1].length_mm + near[2].length_mm;
+    let dense = traces.iter().filter(|trace| trace.points.len() >= 3 * LEAST_POINTS);
+    let mut off: Vec<f64> =
+        dense.flat_map(|trace| trace.points.windows(3).map(second)).map(f64::abs).collect();
+    // The median of a normal deviate is 0.6745 standard deviations; a second difference has sqrt(6) of one length.
+    let scatter_mm = median(&mut off)? / 0.6745 / 6.0_f64.sqrt();
+    let (sigma_um, scatter_um) = (1e3 * sigma_mm, 1e3 * scatter_mm);
+    if sigma_mm * FAR < scatter_mm {
+        return Some(Finding::SigmaTooSmall { sigma_um, scatter_um });
+    }
+    (sigma_mm > LARGE_MM && sigma_mm > FAR * scatter_mm)
+        .then_some(Finding::SigmaTooLarge { sigma_um, scatter_um })
+}
+
 fn times_back(trace: &Trace) -> Option<Finding> {
+    /// No circle takes longer, s.
+    const LONGEST_S: f64 = 6.0 * 3600.0;
     let times: Vec<f64> = trace.points.iter().filter_map(|point| point.t_s).collect();
+    let span_s = times.last()? - times.first()?;
+    if span_s > LONGEST_S {
+        return Some(Finding::LongTest { run: trace.run.clone(), span_s });
+    }
     let back = times.windows(2).find(|pair| pair[1] < pair[0])?;
     Some(Finding::TimesBack { run: trace.run.clone(), t_s: back[1] })
 }

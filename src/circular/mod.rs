@@ -212,7 +212,7 @@ pub fn circular(traces: &[Trace], settings: &Settings) -> Result<Evaluation, Fin
             .filter(|trace| !in_sense(trace))
             .map(|trace| Finding::AgainstDirection { run: trace.run.clone(), direction: trace.sense.word() }),
     );
-    notes.extend(doubts::of(traces, settings.radius_mm));
+    notes.extend(doubts::of(traces, settings.radius_mm, settings.sigma_mm));
     if corrected.is_none() {
         notes.push(Finding::AsMeasured);
     }

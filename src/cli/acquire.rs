@@ -169,6 +169,9 @@ pub(super) fn record(
     out: &Output,
 ) -> Result<Summary, Diagnostic> {
     let plan = args.plan.as_deref().map(PlanFiles::read).transpose()?;
+    if let Some(files) = &plan {
+        out.about(&files.plan.header.job.identity().contradicted_by(&identity));
+    }
     let planned = plan.as_ref().map(|files| files.plan.header.job.bar.protocol.as_str());
     let name = args.protocol.as_deref().or(planned).unwrap_or(DEFAULT_PROTOCOL);
     let definition = protocols::load_with(name, &args.params)?;

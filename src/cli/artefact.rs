@@ -7,7 +7,7 @@ use serde_json::Value;
 
 use super::Output;
 use super::info::line;
-use crate::base::{clock, files};
+use crate::base::{clock, files, serialised};
 use crate::catalogue::{FileFinding, ProvenanceFinding};
 use crate::diagnostic::Diagnostic;
 use crate::plan::Job;
@@ -27,7 +27,11 @@ pub(super) fn read(path: &Path, out: &Output) -> Result<Option<Traced>, Diagnost
     // A program may be in an old code page; what is read of it is ASCII.
     let text = String::from_utf8_lossy(&bytes);
     let first = text.lines().next().unwrap_or_default();
+    if serialised::is_sealed_toml(&text) == Some(false) {
+        out.finding(Diagnostic::file(&name, ProvenanceFinding::RobotEdited));
+    }
     if let Ok(Value::Object(json)) = serde_json::from_str(&text) {
+        serialised::check_seal(&text).map_err(|finding| Diagnostic::file(&name, finding))?;
         if ["job", "hash", "moves"].iter().all(|key| json.contains_key(*key)) {
             return plan(path);
         }

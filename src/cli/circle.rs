@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use serde_json::{Map, Value, json};
 
 use super::{Outcome, Output, bar_u, length_sd, positive};
-use crate::base::FileSet;
+use crate::base::{FileSet, serialised};
 use crate::catalogue::{CircularFinding, CliFinding, MatchingFinding, ProvenanceFinding};
 use crate::circular::{
     self, Diagnosis, Evaluation, Harmonics, Mover, NAMES, Quantity, Settings, Step, TERM_NAMES, TRACE_NAMES,
@@ -61,7 +61,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "PER_K", value_parser = expansion)]
     machine_expansion: Option<f64>,
     /// Draws of the Monte Carlo for the 95 % intervals; 0 for none.
-    #[arg(long, value_name = "N", default_value_t = 1000)]
+    #[arg(long, value_name = "N", default_value_t = 1000, value_parser = draws)]
     monte_carlo: usize,
 }
 
@@ -98,6 +98,27 @@ fn certified(text: &str) -> Result<f64, CliFinding> {
     }
 }
 
+/// Fewer give no interval of 95 %.
+fn draws(text: &str) -> Result<usize, CliFinding> {
+    const DRAWS: std::ops::RangeInclusive<usize> = 50..=1_000_000;
+    let outside =
+        CliFinding::Outside { least: *DRAWS.start() as f64, most: *DRAWS.end() as f64, unit: "draws, or 0" };
+    text.parse().ok().filter(|draws| *draws == 0 || DRAWS.contains(draws)).ok_or(outside)
+}
+
+/// That no option is about what a table does not have.
+fn unused(args: &Args, tables: &[Found]) -> Option<CircularFinding> {
+    let mut points = tables.iter().flat_map(|table| &table.traces).flat_map(|trace| &trace.points);
+    let is_warm = points.any(|point| point.temp_c.is_some());
+    let expansions = [("--expansion", args.expansion), ("--machine-expansion", args.machine_expansion)];
+    let given = expansions.into_iter().find(|(_, value)| value.is_some());
+    match (given, args.certified) {
+        (Some((option, _)), _) if !is_warm => Some(CircularFinding::NoTemperature { option }),
+        (None, Some(_)) => Some(CircularFinding::CertifiedAlone),
+        _ => None,
+    }
+}
+
 pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     let mut found = Vec::new();
     let mut sources = Vec::new();
@@ -105,6 +126,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     if !captures.contains(&true) && (args.plan.is_some() || !args.axes.is_empty()) {
         return Err(CircularFinding::NoCapture.into());
     }
+    let tables_alone = !captures.contains(&true);
     for (path, is_capture) in args.inputs.iter().zip(captures) {
         if is_capture {
             let captured = from_capture(path, args, out)?;
@@ -120,6 +142,9 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         if sources[..at].iter().any(|other| other.artefact.sha256 == source.artefact.sha256) {
             out.finding(ProvenanceFinding::GivenTwice { lengths: source.artefact.to_string() });
         }
+    }
+    if let Some(unused) = unused(args, &found).filter(|_| tables_alone) {
+        return Err(unused.into());
     }
     let provenance = Provenance::of(&sources);
     let mut tests = Vec::new();
@@ -138,7 +163,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     let more = (tests.len() + 1..).map(|number| format!("circle-{number}.svg"));
     more.take_while(|file| args.out.join(file).exists()).for_each(|file| set.remove(&file));
     let document = document(&tests, &provenance);
-    set.write("circle.json", format!("{document:#}\n"))?;
+    set.write("circle.json", serialised::sealed_json(&document)?)?;
     set.write("circle.html", report::circle::html(&tests, &provenance)?)?;
     set.finish()?;
     for CircleTest { source, evaluation, .. } in &tests {

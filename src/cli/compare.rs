@@ -7,9 +7,9 @@ use serde_json::Value as Json;
 
 use super::{Outcome, Output, length_sd, tolerance};
 use super::{artefact, robots};
-use crate::base::date::is_after;
+use crate::base::date::{day_number, is_after};
 use crate::base::{FileSet, clock, files, serialised};
-use crate::catalogue::{CliFinding, ConformityFinding, Names};
+use crate::catalogue::{CliFinding, ConformityFinding, Names, ProvenanceFinding};
 use crate::conformity::{
     CircleFile, Comparison, Input, LEVEL, ResultRead, Subject, Timeline, Tracked, compare_circles,
     compare_results, of_robot, same_robot, unlike_circles,
@@ -64,6 +64,8 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     }
     let documents: Vec<Document> = args.inputs.iter().map(|path| read(path)).collect::<Result<_, _>>()?;
     different(&documents)?;
+    of_one_robot(&documents)?;
+    out.about(&contradicting_dates(&args.dates, &documents));
     let timeline = if args.dates.is_empty() {
         Timeline::numbered(documents.len())
     } else {
@@ -123,6 +125,38 @@ fn different(documents: &[Document]) -> Result<(), Diagnostic> {
     Ok(())
 }
 
+/// What a result states of its measurement.
+fn stated<'a>(document: &'a Document, key: &str) -> Option<&'a str> {
+    document.json.get("provenance")?.get("identity")?.get(key)?.as_str()
+}
+
+/// That no two results are of robots with different serial numbers.
+fn of_one_robot(documents: &[Document]) -> Result<(), Diagnostic> {
+    let mut known = documents.iter().filter_map(|document| Some((document, stated(document, "robot")?)));
+    let Some((_, first)) = known.next() else { return Ok(()) };
+    let named = |serial: &str| format!("serial number {serial}");
+    match known.find(|(_, serial)| *serial != first) {
+        Some((document, serial)) => {
+            let (made_for, given) = (named(serial), named(first));
+            Err(ProvenanceFinding::OtherRobot { artefact: document.name.clone(), made_for, given }.into())
+        }
+        None => Ok(()),
+    }
+}
+
+/// Dates that are not those of the results' own measurements.
+fn contradicting_dates(dates: &[String], documents: &[Document]) -> Vec<ConformityFinding> {
+    /// A run over midnight, and zones of time.
+    const ALIKE_DAYS: f64 = 1.5;
+    let pairs = dates.iter().zip(documents).filter_map(|(date, document)| {
+        let measured = stated(document, "measured")?.split('T').next()?;
+        let apart = (day_number(date)? - day_number(measured)?).abs();
+        let (file, date, measured) = (document.name.clone(), date.clone(), measured.to_owned());
+        (apart > ALIKE_DAYS).then_some(ConformityFinding::OtherDate { file, date, measured })
+    });
+    pairs.collect()
+}
+
 /// The kind of a file by the keys that only it has.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Kind {
@@ -149,6 +183,13 @@ fn subject(
     if let Some(other) = kinds.iter().position(|kind| *kind != kinds[0]) {
         let finding = ConformityFinding::OtherKind { first: documents[0].name.clone() };
         return Err(Diagnostic::file(&documents[other].name, finding));
+    }
+    let unused = match kinds[0] {
+        Kind::Circle => args.robot.as_ref().map(|_| "--robot"),
+        Kind::Result => args.repeat_u.map(|_| "--repeat-u"),
+    };
+    if let Some(option) = unused {
+        return Err(ConformityFinding::Unused { option }.into());
     }
     if kinds[0] == Kind::Circle {
         let files = documents.iter().map(|document| CircleFile::from_json(&document.name, &document.json));
@@ -197,7 +238,7 @@ fn traced(document: &Document, out: &Output) -> Result<Traced, Diagnostic> {
 fn write(args: &Args, made: &Made<'_>, timeline: &Timeline) -> Result<(), Diagnostic> {
     let Made { comparison, provenance } = made;
     let mut set = FileSet::begin(&args.out)?;
-    set.write("compare.json", serialised::json(made)? + "\n")?;
+    set.write("compare.json", serialised::sealed_json(made)?)?;
     let table = csv(comparison).map_err(|error| CliFinding::NoOutput { why: error.to_string() })?;
     set.write("compare.csv", table)?;
     set.write("compare.html", compare::html(comparison, timeline, provenance)?)?;

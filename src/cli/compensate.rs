@@ -137,6 +137,7 @@ impl Cell<'_> {
         };
         let sources = both.iter().map(|program| program.traced()).collect::<Result<Vec<_>, _>>()?;
         sources.iter().try_for_each(|program| belongs(program, identified, out))?;
+        of_one_plan(&both, &sources)?;
         let points = krl::read(program, Given { tool: args.tool, base: args.base })?;
         let corrected = krl::compensate(program, &points, robot, args.limit)
             .map_err(|refused| self.refused(&source, &refused))?;
@@ -221,6 +222,22 @@ fn belongs(program: &Traced, identified: &Traced, out: &Output) -> Result<(), Di
         out.finding(ProvenanceFinding::RobotChanged { artefact, made_for, given });
     }
     Ok(())
+}
+
+/// That source and data of a module were written for one plan, where both name theirs.
+fn of_one_plan(files: &[&Program], sources: &[Traced]) -> Result<(), Diagnostic> {
+    let ([program, data], [of_program, of_data]) = (files, sources) else { return Ok(()) };
+    let plan = |traced: &Traced| {
+        let mut plans = traced.provenance.from.iter().rev();
+        plans.find(|artefact| artefact.role == Role::Plan).map(|plan| plan.name.clone())
+    };
+    match plan(of_program).zip(plan(of_data)).filter(|(plan, data_plan)| plan != data_plan) {
+        Some((plan, data_plan)) => {
+            let data = data.name.clone();
+            Err(Diagnostic::file(&program.name, ProgramFinding::OtherPlansData { data, plan, data_plan }))
+        }
+        None => Ok(()),
+    }
 }
 
 fn report(out: &Output, args: &Args, moved: &[Moved], left: usize) -> Result<(), Diagnostic> {

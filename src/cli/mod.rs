@@ -143,7 +143,8 @@ fn fine(text: &str, most_mm: f64) -> Result<f64, CliFinding> {
 
 /// The standard uncertainty of a bar's length, mm.
 fn bar_u(text: &str) -> Result<f64, CliFinding> {
-    fine(text, 0.5)
+    // No length of a bar is known better: 2e-6 is one in metres.
+    within(text, [5e-5, 0.5], "mm")
 }
 
 /// A tolerance of a position or of a circular deviation, mm.

@@ -43,6 +43,7 @@ struct Predicted {
 
 pub(super) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     files::keeps(&args.out, [args.axes.as_path(), Path::new(&args.robot)])?;
+    files::is_earlier(&args.out, (header().join(",") + "\n").as_bytes())?;
     let robot = robots::named(&args.robot, out)?;
     let poses = out.table(&args.axes, Measurements::poses_from_table)?;
     let edited = robots::edited(&robot);
@@ -68,12 +69,15 @@ pub(super) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     Ok(Outcome::Done)
 }
 
-fn csv(predicted: &[Predicted]) -> Result<Vec<u8>, Box<dyn Error>> {
-    let mut table = csv::Writer::from_writer(Vec::new());
+fn header() -> Vec<String> {
     let angles = (1..=6).map(|axis| format!("a{axis}_deg"));
     let places = ["x_mm", "y_mm", "z_mm", "sd_mm"];
-    let names = APPROACH.into_iter().chain(places).map(str::to_owned);
-    table.write_record(angles.chain(names))?;
+    angles.chain(APPROACH.into_iter().chain(places).map(str::to_owned)).collect()
+}
+
+fn csv(predicted: &[Predicted]) -> Result<Vec<u8>, Box<dyn Error>> {
+    let mut table = csv::Writer::from_writer(Vec::new());
+    table.write_record(header())?;
     for row in predicted {
         table.serialize((row.axes_deg, row.approach, row.ball_mm, row.sd_mm))?;
     }

@@ -48,7 +48,11 @@ pub(crate) fn read(name: &str, out: &Output) -> Result<RobotRead, Diagnostic> {
             out.finding(Diagnostic::file(name, ProvenanceFinding::RobotEdited));
         }
     };
-    Robot::named(name, |path| Some(files::if_there(path, ".toml")?.inspect(sealed)))
+    let read = Robot::named(name, |path| Some(files::if_there(path, ".toml")?.inspect(sealed)))?;
+    if let Some(finding) = read.robot.unlike_built_in() {
+        out.finding(Diagnostic::file(name, finding));
+    }
+    Ok(read)
 }
 
 /// As [`read`], the robot alone.

@@ -39,6 +39,7 @@ pub(crate) struct Args {
 
 pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     files::keeps(&args.out, args.axes.iter().chain(&args.plan).chain([&args.run]).map(PathBuf::as_path))?;
+    files::is_earlier(&args.out, b"index,centre,")?;
     let run = run::open(&args.run, args.plan.as_deref(), &args.axes, &mut |finding| out.finding(finding))?;
     out.done(40);
     let matching = run.matching(None);

@@ -29,7 +29,7 @@ const BADLY_EXPLAINED: f64 = 1e-3;
 /// centimetres.
 const MOST_ASTRAY_MM: f64 = 50.0;
 /// So improbably small an innovation is none of lengths with this standard deviation.
-const TOO_GOOD: f64 = 1e-9;
+const TOO_GOOD: f64 = 1e-4;
 
 /// What an interim check is of.
 #[derive(Clone, Copy)]

@@ -46,12 +46,47 @@ pub fn doubts(
         observations.warm(),
         far_rows(observations, robot, centres),
         frozen(observations),
+        other_sigma(observations),
+        two_decimals(observations, robot),
     ];
     let unknown = robot.asked_repeatability().map(Diagnostic::from);
     unknown
         .into_iter()
         .chain(doubts.into_iter().flatten().map(|doubt| Diagnostic::file(file, doubt)))
         .collect()
+}
+
+/// A standard deviation of a row that is far from the usual.
+fn other_sigma(observations: &Measurements) -> Option<MeasurementFinding> {
+    /// Times the usual, either way.
+    const FAR: f64 = 100.0;
+    let given = observations.rows.iter().filter_map(|row| Some((row.index, row.sigma_mm?)));
+    let given: Vec<(u32, f64)> = given.collect();
+    let usual_mm = median(&mut given.iter().map(|(_, sigma_mm)| *sigma_mm).collect::<Vec<_>>())?;
+    let is_far = |sigma_mm: f64| sigma_mm > FAR * usual_mm || sigma_mm * FAR < usual_mm;
+    let &(index, sigma_mm) = given.iter().find(|(_, sigma_mm)| is_far(*sigma_mm))?;
+    Some(MeasurementFinding::OtherSigma { index, sigma_mm, usual_mm })
+}
+
+/// Angles that all have two decimals, as a pendant shows them: chosen ones seldom use both.
+fn two_decimals(observations: &Measurements, robot: &Robot) -> Option<MeasurementFinding> {
+    /// Fewer angles have so many by chance.
+    const LEAST: usize = 60;
+    /// Half of the last digit, uniform, as a standard deviation, degrees.
+    const ROUNDING_DEG: f64 = 0.005 / 1.732;
+    let rows = &observations.rows;
+    let hundredths: Vec<f64> = rows
+        .iter()
+        .flat_map(|row| row.axes.degrees())
+        .filter(|deg| *deg != 0.0)
+        .map(|deg| 100.0 * deg)
+        .collect();
+    let is_whole = |value: f64| (value - value.round()).abs() < 1e-6;
+    let is_rounded = hundredths.len() >= LEAST && hundredths.iter().all(|value| is_whole(*value));
+    let both = hundredths.iter().filter(|value| !is_whole(**value / 10.0)).count();
+    let length_mm = ROUNDING_DEG.to_radians() * robot.reach_mm();
+    (is_rounded && 2 * both > hundredths.len())
+        .then_some(MeasurementFinding::TwoDecimals { rows: rows.len(), length_mm })
 }
 
 /// Lengths at different poses that are equal to the last digit, all or many one after the other.
@@ -78,6 +113,8 @@ fn frozen(observations: &Measurements) -> Option<MeasurementFinding> {
 fn far_rows(observations: &Measurements, robot: &Robot, centres: &[BaseBall]) -> Option<MeasurementFinding> {
     /// Balls may be given to centimetres, mm.
     const FAR_MM: f64 = 100.0;
+    /// No ball is given so badly, mm.
+    const FAR_FROM_ALL_MM: f64 = 250.0;
     /// Where more are far, robot or balls are others.
     const FEW: f64 = 0.2;
     let off = observations.rows.iter().filter(|row| row.target == TargetId::FIRST).filter_map(|row| {
@@ -90,6 +127,9 @@ fn far_rows(observations: &Measurements, robot: &Robot, centres: &[BaseBall]) ->
     });
     let off: Vec<(u32, f64)> = off.collect::<Option<_>>()?;
     let usual_mm = median(&mut off.iter().map(|(_, off_mm)| *off_mm).collect::<Vec<_>>())?;
+    if usual_mm > FAR_FROM_ALL_MM {
+        return Some(MeasurementFinding::FarFromAll { off_mm: usual_mm });
+    }
     let far: Vec<_> =
         off.iter().filter(|(_, off_mm)| *off_mm > usual_mm + FAR_MM || off_mm.is_nan()).collect();
     let &&(index, off_mm) = far.first()?;

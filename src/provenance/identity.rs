@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 use crate::base::date::{day_number, is_after, is_time};
 use crate::base::parse::from_toml;
 use crate::catalogue::JobFinding::{self, NotACountry, NotADate, NotAText, OutOfRange, TooEarly};
+use crate::catalogue::ProvenanceFinding;
 use crate::diagnostic::Diagnostic;
 
 /// The country codes of ISO 3166-1, as the time zone database lists them (public domain).
@@ -26,8 +27,8 @@ const MOST_TEXT: usize = 200;
 const TEMPERATURES_C: [f64; 2] = [-30.0, 60.0];
 /// Lengths of bars, mm.
 const BARS_MM: [f64; 2] = [10.0, 10_000.0];
-/// A bar that is known worse (k = 2) is no standard, mm.
-pub const MOST_LENGTH_U_MM: f64 = 0.5;
+/// A bar that is known worse (k = 2) is no standard, and none is known better: that is a number in metres, mm.
+pub const LENGTH_U_MM: [f64; 2] = [1e-4, 0.5];
 /// Where lengths are certified, degrees Celsius.
 pub const CERTIFIED_C: [f64; 2] = [0.0, 50.0];
 /// Expansion of what bars are made of, 1/K: from nothing (glass ceramics) to plastics.
@@ -164,7 +165,7 @@ impl Temperature {
         check_text("of", Some(&self.of))?;
         check_text("device", self.device.as_ref())?;
         within("celsius", Some(self.celsius), TEMPERATURES_C)?;
-        within("u_k", self.u_k, [0.0, 20.0])
+        within("u_k", self.u_k, [0.001, 20.0])
     }
 }
 
@@ -193,13 +194,31 @@ impl BarIdentity {
         self.texts().into_iter().try_for_each(|(key, text)| check_text(key, text.as_ref()))?;
         check_date("certified_on", self.certified_on.as_ref())?;
         within("length_mm", self.length_mm, BARS_MM)?;
-        within("length_u_mm", self.length_u_mm, [f64::MIN_POSITIVE, MOST_LENGTH_U_MM])?;
+        within("length_u_mm", self.length_u_mm, LENGTH_U_MM)?;
         within("temperature_c", self.temperature_c, CERTIFIED_C)?;
         within("expansion_per_k", self.expansion_per_k, EXPANSIONS_PER_K)
     }
 }
 
 impl Identity {
+    /// What another identity states that cannot be of a run of this one's job.
+    pub fn contradicted_by(&self, stated: &Self) -> Vec<ProvenanceFinding> {
+        /// Certificates of one bar differ by less, mm.
+        const OTHER_BAR_MM: f64 = 0.05;
+        let text = |mm: f64| format!("{mm} mm");
+        let robot =
+            self.robot.clone().zip(stated.robot.clone()).filter(|(planned, stated)| planned != stated);
+        let length = self.bar.length_mm.zip(stated.bar.length_mm);
+        let length = length.filter(|(planned, stated)| (planned - stated).abs() > OTHER_BAR_MM);
+        let length = length.map(|(planned, stated)| (text(planned), text(stated)));
+        let found = [("robot", robot), ("length_mm", length)];
+        let findings = found.into_iter().filter_map(|(key, both)| {
+            let (planned, stated) = both?;
+            Some(ProvenanceFinding::OtherThanPlanned { key, planned, stated })
+        });
+        findings.collect()
+    }
+
     /// Reads the file of an identity.
     ///
     /// # Errors

@@ -16,7 +16,7 @@ use crate::base::hash::sha256;
 use crate::base::serialised;
 use crate::catalogue::ProvenanceFinding;
 use crate::diagnostic::Diagnostic;
-pub use identity::{BarIdentity, CERTIFIED_C, Identity, MOST_LENGTH_U_MM, Temperature, Wrong, check_text};
+pub use identity::{BarIdentity, CERTIFIED_C, Identity, LENGTH_U_MM, Temperature, Wrong, check_text};
 
 /// dbbd's version, with the commit where it was built from a repository.
 pub const VERSION: &str = env!("DBBD_VERSION");

@@ -158,6 +158,31 @@ impl Robot {
         Ok(RobotRead { source: robot.traced(&text), robot })
     }
 
+    /// What a robot that is not identified has otherwise than the built-in one of its name.
+    pub fn unlike_built_in(&self) -> Option<RobotFinding> {
+        /// Tables of one robot are rounded, mm and degrees.
+        const ALIKE: f64 = 1.0;
+        if self.nominal.is_some() {
+            return None;
+        }
+        let all = BUILT_IN.iter().filter_map(|(name, text)| Self::from_toml(name, text).ok());
+        let built_in = all.into_iter().find(|robot| robot.name == self.name)?;
+        let rows = self.geometry.rows.iter().zip(&built_in.geometry.rows).zip(1..);
+        rows.into_iter().find_map(|((row, known), joint)| {
+            let deg = f64::to_degrees;
+            let values = [
+                ("alpha_deg", deg(row.alpha), deg(known.alpha)),
+                ("a_mm", row.a, known.a),
+                ("theta_offset_deg", deg(row.theta), deg(known.theta)),
+                ("d_mm", row.d, known.d),
+                ("sign", row.sign, known.sign),
+            ];
+            let (key, value, built_in) =
+                values.into_iter().find(|(_, value, known)| (value - known).abs() > ALIKE)?;
+            Some(RobotFinding::UnlikeBuiltIn { robot: self.name.clone(), joint, key, value, built_in })
+        })
+    }
+
     /// Gives it another tool ball (flange frame, mm), of which nothing is known from an earlier identification.
     pub fn set_tool(&mut self, tool_mm: [f64; 3]) {
         self.geometry.tool = tool_mm.into();

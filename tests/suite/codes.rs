@@ -44,6 +44,7 @@ fn provoked() -> Vec<&'static str> {
         crate::ekrl_reports_the_dwells::provoked(),
         crate::definitions_are_checked::provoked(),
         crate::every_device_round_trips::provoked(),
+        crate::files_of_two_runs::provoked(),
         crate::first_contact::provoked(),
         crate::imports_foreign_traces::provoked(),
         crate::infeasible_jobs_are_refused::provoked(),

@@ -50,6 +50,7 @@ mod emitted_programs_run;
 mod every_device_round_trips;
 mod every_fault_is_accounted_for;
 mod fault_matrix;
+mod files_of_two_runs;
 mod first_calibration;
 mod first_contact;
 mod fleet_is_estimated;

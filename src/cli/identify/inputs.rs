@@ -47,12 +47,13 @@ pub(super) fn read_prior(table: &mut Table<'_>, set_up: SetUp) -> Result<BTreeMa
     Ok(prior)
 }
 
-/// Whether a standard deviation is one of a robot's geometry: no maker is that bad.
+/// Whether a standard deviation is one of a robot's geometry: no maker is that bad, and none is known so well.
 fn is_prior(id: ParamId, sd: f64) -> bool {
     const MOST_MM: f64 = 50.0;
     const MOST_RAD: f64 = 0.04;
+    const LEAST: f64 = 1e-8;
     let most = if id.unit() == Unit::Rad { MOST_RAD } else { MOST_MM };
-    !id.is_geometric() || sd <= most
+    !id.is_geometric() || (LEAST..=most).contains(&sd)
 }
 
 /// A workspace of a robot: a table with the columns a1_deg..a6_deg, more may stand beside them.

@@ -146,9 +146,12 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         given.provenance.add(&Artefact::file(Role::Prior, Path::new(file))?);
     }
     if let Some(path) = &args.identity {
-        given.provenance.identity.extend(&artefact::identity(path)?);
+        let stated = artefact::identity(path)?;
+        out.about(&given.provenance.identity.contradicted_by(&stated));
+        given.provenance.identity.extend(&stated);
     }
     let set_up = given.observations.set_up(given.centres.len());
+    tables::is_of_robot(&args.out, &given.robot.name, given.provenance.identity.robot.as_deref())?;
     let options = options(args, &mut given, set_up, out)?;
     let validation = match &args.validate {
         Some(path) => {

@@ -7,7 +7,7 @@ use serde::Deserialize;
 
 use super::Recorded;
 use crate::base::{FileSet, files, serialised};
-use crate::catalogue::CliFinding;
+use crate::catalogue::{CliFinding, FileFinding};
 use crate::conformity::Budget;
 use crate::diagnostic::Diagnostic;
 use crate::estimation::{CalibrationResult, JointPoint, Posterior, ResultFile, joint_curve};
@@ -24,6 +24,7 @@ pub(crate) const LENGTHS: &str = "lengths.csv";
 pub(crate) const POSITIONS: &str = "positions.csv";
 /// What each axis must be corrected by, where a result has it.
 const JOINT_ERRORS: &str = "joint-errors.csv";
+const RESULT: &str = "result.json";
 /// The identified robot beside them.
 pub(crate) const ROBOT: &str = "robot-identified.toml";
 
@@ -56,7 +57,7 @@ pub(super) fn write_results(
 ) -> Result<Provenance, Diagnostic> {
     let file = ResultFile::from(found);
     let is_used = |place: usize| found.uses(place);
-    let (mut set, earlier) = (FileSet::begin(dir)?, earlier(dir));
+    let (mut set, earlier) = (FileSet::begin(dir)?, earlier(dir).provenance);
     if found.made_from.lengths > 0 {
         let written = set.write_pieces(LENGTHS, observations.csv_pieces(is_used))?;
         provenance.add(&table(LENGTHS, &written)?);
@@ -70,7 +71,7 @@ pub(super) fn write_results(
         remove_of(&earlier, &dir.join(POSITIONS), &mut set)?;
     }
     let recorded = Recorded { result: &file, budget, provenance: &provenance };
-    set.write("result.json", serialised::sealed_json(&recorded)?)?;
+    set.write(RESULT, serialised::sealed_json(&recorded)?)?;
     let robot = Robot { provenance: provenance.clone(), ..found.robot.clone() };
     set.write(ROBOT, serialised::sealed_toml(&robot.to_toml()?))?;
     let parameters =
@@ -92,14 +93,30 @@ fn table(name: &str, written: &Path) -> Result<Artefact, Diagnostic> {
     Ok(Artefact { name: name.into(), ..Artefact::file(Role::Measurements, written)? })
 }
 
-/// What the result that is in the directory was made from; empty where there is none that can be read.
-fn earlier(dir: &Path) -> Provenance {
-    #[derive(Default, Deserialize)]
-    struct Made {
-        provenance: Provenance,
-    }
-    let text = files::read_if_file(&dir.join("result.json")).and_then(Result::ok);
-    text.and_then(|text| serde_json::from_str::<Made>(&text).ok()).unwrap_or_default().provenance
+/// A result that is in the directory.
+#[derive(Default, Deserialize)]
+struct Earlier {
+    robot: String,
+    provenance: Provenance,
+}
+
+/// The result that is in the directory; empty where there is none that can be read.
+fn earlier(dir: &Path) -> Earlier {
+    let text = files::read_if_file(&dir.join(RESULT)).and_then(Result::ok);
+    text.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default()
+}
+
+/// That the result of another arm is not replaced, where the serial numbers or else the names show it.
+pub(super) fn is_of_robot(dir: &Path, name: &str, serial: Option<&str>) -> Result<(), Diagnostic> {
+    let Earlier { robot, provenance } = earlier(dir);
+    let known = provenance.identity.robot;
+    let other = match (known.as_deref(), serial) {
+        (Some(known), Some(serial)) if known != serial => known,
+        _ if !robot.is_empty() && robot != name => &robot,
+        _ => return Ok(()),
+    };
+    let finding = FileFinding::OtherRobot { robot: other.into() };
+    Err(Diagnostic::file(&dir.join(RESULT).display().to_string(), finding))
 }
 
 /// Removes a table of that result; one of the same name that is the user's own stays.

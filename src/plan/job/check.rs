@@ -9,7 +9,7 @@ use crate::measurement::table::MOST_BALLS;
 use crate::measurement::{BallId, BaseBall};
 use crate::plan::module::MODULE_DWELLS;
 use crate::plan::timing::ACCELERATION_MM_S2;
-use crate::provenance::{CERTIFIED_C, MOST_LENGTH_U_MM, check_text};
+use crate::provenance::{CERTIFIED_C, LENGTH_U_MM, check_text};
 use crate::robot::pose::is_part_of_turn;
 
 /// Chosen poses of a plan: with more the run takes hours, in which everything drifts.
@@ -26,6 +26,8 @@ const EXPANSION_PER_K: [f64; 2] = [-2e-6, 2e-4];
 const LEAST_ARC_DEG: f64 = 7.0;
 /// A smaller box, cylinder, height or place is one in metres, mm.
 const LEAST_OBSTACLE_MM: f64 = 3.0;
+/// Bars, tools and arms are thicker; a smaller radius is one in metres, mm.
+const LEAST_RADIUS_MM: f64 = 1.0;
 /// Longest wait and dwell, s.
 const MOST_WAIT_S: f64 = 60.0;
 /// Digital outputs that a controller has.
@@ -98,8 +100,8 @@ impl Job {
         if !(low_mm.abs() < length_mm && high_mm.abs() < length_mm && low_mm < high_mm) {
             return Err(table.wrong("stroke_mm", JobFinding::StrokeOrder { low_mm, high_mm, length_mm }));
         }
-        table.positive("radius_mm", bar.radius_mm)?;
-        bar.length_u_mm.map_or(Ok(()), |u| table.positive_to("length_u_mm", u, MOST_LENGTH_U_MM))?;
+        table.within("radius_mm", bar.radius_mm, [LEAST_RADIUS_MM, MOST])?;
+        bar.length_u_mm.map_or(Ok(()), |u| table.within("length_u_mm", u, LENGTH_U_MM))?;
         bar.temperature_c.map_or(Ok(()), |t| table.within("temperature_c", t, CERTIFIED_C))?;
         bar.expansion_per_k
             .map_or(Ok(()), |value| table.within("expansion_per_k", value, EXPANSION_PER_K))?;
@@ -146,8 +148,8 @@ impl Job {
     fn check_tool(&self) -> Result<(), Misplaced> {
         let (tool, table) = (&self.tool, Table::new("[tool]"));
         table.cup(tool.cup_axis, tool.cup_limit_deg)?;
-        table.positive("radius_mm", tool.radius_mm)?;
-        table.positive("arm_radius_mm", tool.arm_radius_mm)
+        table.within("radius_mm", tool.radius_mm, [LEAST_RADIUS_MM, MOST])?;
+        table.within("arm_radius_mm", tool.arm_radius_mm, [LEAST_RADIUS_MM, MOST])
     }
 
     fn check_motion(&self) -> Result<(), Misplaced> {

@@ -78,11 +78,25 @@ fn contradictions(carried: &Identity, stated: &Identity) -> Vec<CertificateFindi
         let (carried, stated) = carried.zip(stated).filter(|(carried, stated)| carried != stated)?;
         Some(OtherThanCarried { key, carried, stated })
     };
+    let text = |text: &Option<String>| text.clone();
+    let number = |number: Option<f64>| number.map(|number| number.to_string());
+    let (bar, other) = (&carried.bar, &stated.bar);
+    let balls = stated
+        .balls
+        .iter()
+        .find_map(|(ball, serial)| differs("balls", carried.balls.get(ball).cloned(), Some(serial.clone())));
     let length = carried.bar.length_mm.zip(stated.bar.length_mm);
     let length = length.filter(|(used, stated)| (used - stated).abs() > OTHER_BAR_MM);
     let found = [
         differs("robot", carried.robot.clone(), stated.robot.clone()),
-        differs("serial", carried.bar.serial.clone(), stated.bar.serial.clone()),
+        differs("serial", text(&bar.serial), text(&other.serial)),
+        differs("certificate", text(&bar.certificate), text(&other.certificate)),
+        differs("certified_on", text(&bar.certified_on), text(&other.certified_on)),
+        differs("certified_by", text(&bar.certified_by), text(&other.certified_by)),
+        differs("length_u_mm", number(bar.length_u_mm), number(other.length_u_mm)),
+        differs("temperature_c", number(bar.temperature_c), number(other.temperature_c)),
+        differs("expansion_per_k", number(bar.expansion_per_k), number(other.expansion_per_k)),
+        balls,
         differs("measured", day(carried), day(stated)),
         length.map(|(used_mm, stated_mm)| OtherThanUsed { stated_mm, used_mm }),
     ];

@@ -1,0 +1,180 @@
+//! Files of two runs, robots or plans that are used as if they were of one: each is refused, or doubted.
+
+use std::fs;
+
+use dbbd::robot::Robot;
+
+use crate::cell::{codes, dbbd, stderr};
+use crate::nothing_wrong_is_silent::{JOB, cell, identify, says};
+
+pub(crate) fn provoked() -> Vec<&'static str> {
+    vec!["W0581", "I1284", "W1844", "W1924", "E1982"]
+}
+
+const PRIOR: [&str; 2] = ["--prior", "datasheet"];
+
+#[test]
+fn modules_of_two_plans() {
+    let (dir, data) = cell();
+    let at = dir.path();
+    assert_eq!(identify(at, &data.to_csv(), &PRIOR).status.code(), Some(0));
+    fs::write(at.join("other.toml"), JOB.replace("points = 3", "points = 4")).unwrap();
+    for (job, krl) in [("job.toml", "krl"), ("other.toml", "krl2")] {
+        assert_eq!(dbbd(at, &["plan", job, "--out", "plan"]).status.code(), Some(0));
+        assert_ne!(dbbd(at, &["krl", "plan/plan.csv", "--out", krl]).status.code(), Some(1));
+    }
+    let correct = || {
+        let robot = "out/robot-identified.toml";
+        dbbd(at, &["compensate", "krl/DBB_C001.src", "--robot", robot, "--out", "new", "--limit", "50"])
+    };
+    assert_eq!(correct().status.code(), Some(0), "{}", stderr(&correct()));
+    fs::copy(at.join("krl2/DBB_C001.dat"), at.join("krl/DBB_C001.dat")).unwrap();
+    says(&correct(), 1, "E0806");
+}
+
+#[test]
+fn results_of_two_arms() {
+    let (dir, data) = cell();
+    let at = dir.path();
+    let run = |serial: &str, out: &str| {
+        fs::write(at.join("id.toml"), format!("robot = \"{serial}\"\nmeasured = \"2026-01-05\"\n[bar]\nlength_u_mm = 0.002\nserial = \"B-1\"\n")).unwrap();
+        let more = ["--identity", "id.toml", "--sigma", if serial == "R-1" { "0.002" } else { "0.003" }];
+        let output = identify(at, &data.to_csv(), &[&PRIOR[..], &more].concat());
+        if output.status.code() != Some(1) {
+            fs::rename(at.join("out"), at.join(out)).unwrap();
+        }
+        output
+    };
+    assert_eq!(run("R-1", "first").status.code(), Some(0));
+    assert_eq!(run("R-2", "second").status.code(), Some(0));
+    let compare = |more: &[&str]| dbbd(at, &[&["compare", "first", "second", "--out", "c"], more].concat());
+    says(&compare(&[]), 1, "E1802");
+    fs::rename(at.join("second"), at.join("out")).unwrap();
+    // The other arm's calibration is not replaced.
+    let before = fs::read(at.join("out/result.json")).unwrap();
+    says(&run("R-1", "third"), 1, "E0181");
+    assert_eq!(fs::read(at.join("out/result.json")).unwrap(), before);
+    fs::remove_dir_all(at.join("out")).unwrap();
+    assert_eq!(run("R-1", "again").status.code(), Some(0));
+    let same = ["compare", "first", "again", "--out", "c"];
+    says(&dbbd(at, &[&same[..], &["--repeat-u", "0.01"]].concat()), 1, "E1982");
+    fs::write(at.join("again/result.json"), {
+        let text = fs::read_to_string(at.join("again/result.json")).unwrap();
+        text.split(",\n  \"sha256\": ").next().unwrap().to_owned() + "\n}\n"
+    })
+    .unwrap();
+    says(&dbbd(at, &[&same[..], &["--dates", "2020-01-01,2021-01-01"]].concat()), 3, "W1924");
+    for (key, wrong) in [("length_u_mm", "length_u_mm = 0.2"), ("serial", "serial = \"B-2\"")] {
+        fs::write(at.join("wrong.toml"), format!("[bar]\n{wrong}\n")).unwrap();
+        let certificate = ["certificate", "first/result.json", "--identity", "wrong.toml", "--out", "cert"];
+        let output = dbbd(at, &certificate);
+        assert!(codes(&output).contains(&"W2007".to_owned()), "{key}: {}", stderr(&output));
+    }
+    // An edited file is not shown as a whole one.
+    let text = fs::read_to_string(at.join("first/result.json")).unwrap();
+    fs::write(at.join("first/result.json"), text.replacen("R-1", "R-9", 1)).unwrap();
+    says(&dbbd(at, &["info", "first/result.json"]), 1, "E1808");
+    let text = fs::read_to_string(at.join("first/robot-identified.toml")).unwrap();
+    fs::write(at.join("first/robot-identified.toml"), text.replacen("-135.0", "-115.0", 1)).unwrap();
+    says(&dbbd(at, &["info", "first/robot-identified.toml"]), 3, "W1840");
+}
+
+#[test]
+fn tables_in_the_way() {
+    let (dir, data) = cell();
+    let at = dir.path();
+    let poses = "a1_deg,a2_deg,a3_deg,a4_deg,a5_deg,a6_deg\n10,-60,90,0,60,0\n";
+    fs::write(at.join("poses.csv"), poses).unwrap();
+    let predict = |out: &str| dbbd(at, &["predict", "poses.csv", "--robot", "kr60ha", "--out", out]);
+    says(&predict("obs.csv"), 1, "E0181");
+    assert_eq!(fs::read_to_string(at.join("obs.csv")).unwrap(), data.to_csv());
+    for _ in 0..2 {
+        assert_ne!(predict("p.csv").status.code(), Some(1));
+    }
+    assert_eq!(dbbd(at, &["plan", "job.toml", "--out", "plan"]).status.code(), Some(0));
+    let rows =
+        (0..1200).map(|row| format!("{},{}\n", f64::from(row) / 20.0, 300.0 + 0.001 * f64::from(row % 7)));
+    fs::write(at.join("t.csv"), format!("t_s,length_mm\n{}", rows.collect::<String>())).unwrap();
+    dbbd(at, &["import", "t.csv", "--plan", "plan/plan.csv", "--out", "run"]);
+    says(&dbbd(at, &["sync", "run", "--out", "plan/plan.csv"]), 1, "E0181");
+    fs::write(at.join("id.toml"), "[bar]\nlength_mm = 500.0\n").unwrap();
+    let acquire =
+        ["acquire", "--port", "/dev/null/none", "--plan", "plan/plan.csv", "--out", "r2", "--gone", "0"];
+    let output = dbbd(at, &[&acquire[..], &["--identity", "id.toml"]].concat());
+    assert!(codes(&output).contains(&"W1844".to_owned()), "{}", stderr(&output));
+}
+
+#[test]
+fn rows_of_tables() {
+    let (dir, data) = cell();
+    let at = dir.path();
+    let mut rounded = data.clone();
+    for row in &mut rounded.rows {
+        let deg = row.axes.degrees().map(|deg| (deg * 100.0).round() / 100.0);
+        row.axes = dbbd::robot::AxisAngles::from_degrees(deg);
+    }
+    let output = identify(at, &rounded.to_csv(), &PRIOR);
+    assert!(codes(&output).contains(&"I1284".to_owned()), "{}", stderr(&output));
+    let mut sigma = data.clone();
+    sigma.rows[7].sigma_mm = Some(100.0);
+    says(&identify(at, &sigma.to_csv(), &PRIOR), 3, "W1280");
+    fs::write(at.join("C.csv"), "centre,x_mm,y_mm,z_mm\n1,900.0,700.0,1100.0\n").unwrap();
+    let far = identify(at, &data.to_csv(), &PRIOR);
+    assert!(codes(&far).contains(&"W1282".to_owned()), "{}", stderr(&far));
+    let signs = Robot::built_in_file("kr60ha").unwrap().replacen("sign = -1", "sign = 1", 1);
+    fs::write(at.join("bad.toml"), signs).unwrap();
+    says(&dbbd(at, &["robots", "check", "bad.toml"]), 3, "W0581");
+    fs::write(at.join("empty.csv"), "").unwrap();
+    says(
+        &dbbd(at, &["identify", "empty.csv", "--robot", "kr60ha", "--centres", "C.csv", "--out", "o"]),
+        1,
+        "E0110",
+    );
+    assert_eq!(identify(at, &data.to_csv(), &["--bar-u", "1e-6"]).status.code(), Some(2));
+    for (from, to) in [
+        ("length_u_mm = 0.002", "length_u_mm = 0.000002"),
+        ("stroke_mm", "radius_mm = 0.015\nstroke_mm"),
+        ("[motion]", "[tool]\narm_radius_mm = 0.15\n[motion]"),
+    ] {
+        fs::write(at.join("bad.toml"), JOB.replacen(from, to, 1)).unwrap();
+        says(&dbbd(at, &["plan", "bad.toml", "--out", "plan"]), 1, "E0601");
+    }
+}
+
+#[test]
+fn senses_and_options_of_circles() {
+    let (dir, _) = cell();
+    let at = dir.path();
+    let length =
+        |point: u32| 300.0 + 0.05 * (0.17 * f64::from(point)).sin() + 0.004 * f64::from(point * 7 % 5);
+    let both = |cw: u32, back: &str| {
+        let there = (0..72).map(|point| format!("1,ccw,{},{}\n", 5 * point, length(point)));
+        let again =
+            (0..cw).map(|point| format!("1,{back},{},{}\n", 355 - 5 * point, length(71 - point) + 0.01));
+        let rows: String = there.chain(again).collect();
+        fs::write(at.join("c.csv"), format!("run,direction,angle_deg,length_mm\n{rows}")).unwrap();
+    };
+    let circle = |more: &[&str]| {
+        dbbd(
+            at,
+            &[&["circle", "c.csv", "--out", "q", "--monte-carlo", "0", "--radius", "300"], more].concat(),
+        )
+    };
+    both(72, "cw");
+    let sound = circle(&[]);
+    assert_eq!(sound.status.code(), Some(0), "{}", stderr(&sound));
+    says(&circle(&["--sigma", "5e-7"]), 3, "W1482");
+    says(&circle(&["--sigma", "0.5"]), 3, "W1482");
+    for option in [["--certified", "22"], ["--expansion", "12e-6"], ["--machine-expansion", "12e-6"]] {
+        says(&circle(&option), 1, "E1481");
+    }
+    assert_eq!(circle(&["--monte-carlo", "1"]).status.code(), Some(2));
+    both(18, "cw");
+    says(&circle(&[]), 3, "W1482");
+    both(72, "ccw");
+    says(&circle(&[]), 3, "W1482");
+    let text = fs::read_to_string(at.join("q/circle.json")).unwrap();
+    fs::create_dir(at.join("edited")).unwrap();
+    fs::write(at.join("edited/circle.json"), text.replacen("\"G_lsc\": 0.", "\"G_lsc\": 0.9", 1)).unwrap();
+    says(&dbbd(at, &["compare", "q", "edited", "--out", "c"]), 1, "E1808");
+}
