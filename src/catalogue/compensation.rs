@@ -21,6 +21,11 @@ findings! {
             FixedTool { name: String } => "{name} moves the workpiece against a fixed tool (#TCP)",
                 help: "only a tool on the flange (#BASE) can be compensated";
         }
+        E0915 "a frame is in another unit",
+        cause: "X, Y and Z of a tool or a base are in metres where millimetres are needed, or the other way round.",
+        cure: "Give frames in mm (in URScript in m)." {
+            FrameInOtherUnit { frame: &'static str, size_mm: f64 } => "{frame} is {size_mm:.3} mm away: is it in another unit?";
+        }
         E0902 "--tool or --base contradicts the program",
         cause: "The program sets the frame to another value, or uses several frames that it does not define.",
         cure: "Leave the option away, correct it, or give --config $config.dat in its place." {

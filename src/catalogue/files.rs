@@ -65,9 +65,9 @@ findings! {
             ArrayLengthByComma { found: usize, expected: usize, meant: String } => "the array has {found} values, and {expected} are needed", help: "numbers have a decimal point, not a comma: is `{meant}` meant?";
         }
         E0180 "the result would take the place of an input",
-        cause: "--out names a file that the command reads, or a directory in which one has the name of a result.",
-        cure: "Give another name with --out." {
-            IsInput => "is read by this command, and --out would overwrite it", help: "give another name with --out";
+        cause: "--out (or --save) names a file that the command reads, or a directory in which one has the name of a result.",
+        cure: "Give another name." {
+            IsInput => "is read by this command, and its result would overwrite it", help: "give another name or directory for the result";
         }
         E0181 "a file that is no result of this command is in the way",
         cause: "The directory has a file of the name of a result, which this command did not write: it may be the only copy of something else.",

@@ -43,10 +43,11 @@ findings! {
             AllInvalid { readings: u64, low_mm: f64, high_mm: f64 } => "none of {readings} readings is valid: they are {low_mm:.3} to {high_mm:.3} mm as readings of the bar";
         }
         W1181 "a trace cannot show the dwells of its plan",
-        cause: "The readings come too slowly, share their times, or never change; or the trace has holes.",
-        cure: "Record at least five readings in a dwell, with their own times; check that the length is the bar's." {
+        cause: "The readings come too slowly, share their times, never change or are lengths in another unit; or the trace has holes.",
+        cure: "Record at least five readings in a dwell, with their own times; check that the length is the bar's, and give its unit in the mapping ([length] unit)." {
             TooSlow { period_s: f64, dwell_s: f64 } => "the readings come every {period_s:.3} s, and a dwell lasts {dwell_s} s";
             Constant { reading_mm: f64 } => "the length never changes: every reading is {reading_mm:.4} mm";
+            OtherUnit { low: f64, high: f64, unit: &'static str, bar_mm: f64 } => "the readings are {low} to {high} mm: are they lengths of the bar of {bar_mm} mm in {unit}?";
             Holes { holes: u64, longest_s: f64 } => "{holes} times no reading came for more than a second, the longest for {longest_s:.1} s";
             SameTimes { percent: f64 } => "{percent:.0} % of the readings have the time of the one before";
         }

@@ -51,9 +51,10 @@ findings! {
             OtherSigma { index: u32, sigma_mm: f64, usual_mm: f64 } => "index {index} has sigma_mm = {sigma_mm}, and usual are {usual_mm}";
             SigmaMissing { without: usize, rows: usize } => "{without} of {rows} rows have no sigma_mm: none is used, and all lengths weigh alike";
         }
-        I1284 "axis angles have two decimals",
-        cause: "The angles were read from a pendant, or rounded. Where the robot stood is then known to 0.003 degrees only, which moves a point two metres away by 0.1 mm.",
+        I1284 "the numbers of a table are rounded",
+        cause: "Lengths have one decimal, or angles two: they were read from a pendant, or rounded. Where the robot stood is then known to 0.003 degrees only, which moves a point two metres away by 0.1 mm.",
         cure: "Nothing, if these are the commanded angles. Else take the angles that the program logged (`dbbd sync --axes`, or from the controller)." {
+            OneDecimal { rows: usize } => "the lengths of {rows} rows have one decimal: they are uncertain by 0.03 mm";
             TwoDecimals { rows: usize, length_mm: f64 } => "the axis angles of {rows} rows have two decimals: if they are rounded, a length is uncertain by some {length_mm:.2} mm";
         }
         W1283 "all lengths of a table are equal",
@@ -78,6 +79,7 @@ findings! {
         cause: "The table is of another robot, an angle was mistyped or is in another unit, or limits_deg of the robot file are those of another arm.",
         cure: "Correct the row that is named, --robot, or limits_deg in the robot file." {
             Radians { rows: usize } => "all axis angles of {rows} rows are within 2 pi: are they in radians?";
+            RowsInRadians { rows: usize, index: usize } => "all axis angles of {rows} rows are within 2 pi, first row {index}: are they in radians?";
             BeyondLimits { rows: usize, index: usize, axis: usize, deg: f64 } => "{rows} rows are beyond the limits of the robot, first index {index}: axis {axis} at {deg} degrees";
         }
         E1205 "a sense of approach is none",

@@ -148,6 +148,11 @@ findings! {
             VectorHasMore { got: String } => "the test's bytes give {got} that is not expected";
             VectorDoesNotSurvive => "the sample of this test does not survive writing and reading", help: "a field is too short, or has too few decimals, for what the device sends";
         }
+        W0390 "a definition has no test vectors",
+        cause: "The file has no [[test]] with bytes of the device and the readings that they mean, so that nothing shows that they are read as the device means them.",
+        cure: "Add a [[test]] with bytes from the maker's manual, or with bytes that were recorded at a length that you know." {
+            NoTests => "has no [[test]]: nothing shows that it reads what the device sends";
+        }
         E0312 "a sample cannot be written in this protocol",
         cause: "The protocol has no room for a value of the sample: a reading beyond what its field can hold, or a value that is not there.",
         cure: "Simulate a bar within the range of its protocol, or another protocol." {

@@ -92,6 +92,11 @@ findings! {
         cure: "Lengths are corrected by these temperatures where the job gives expansion_per_k: leave that out, or correct [temperature] of the mapping." {
             NoTemperature { low_c: f64, high_c: f64 } => "the bar's temperature is {low_c:.1} to {high_c:.1} degrees Celsius";
         }
+        W0482 "the expansion of the bar is not given",
+        cause: "The bar was warmer or colder than its certificate holds for, by more than the certificate's uncertainty of the length, and the job has no expansion_per_k.",
+        cure: "Give expansion_per_k (steel 11.5e-6, carbon fibre 1e-6) and temperature_c in [bar] of the job." {
+            ExpansionNotGiven { mean_c: f64, longer_um: f64, u_um: f64 } => "the bar was at {mean_c:.1} degrees Celsius: of steel it was {longer_um:+.0} um longer than certified, and its length is certified to {u_um} um";
+        }
         W0414 "a telegram of the program is malformed",
         cause: "Something else than the program of this plan sends to the address of --ekrl, or the channel file is another version's.",
         cure: "Load the modules and the channel file (DbbEki.xml) that `dbbd krl --sync ekrl` wrote for this plan." {

@@ -38,6 +38,7 @@ findings! {
             Coupling { joint: usize, axis: usize, factor: i8 } => "joint {joint}: coupling with axis = {axis} and factor = {factor}: axis must be 2 to {joint} - 1, factor 1 or -1";
             NoCoupledAngle { joint: usize, axis: usize, axis_deg: f64 } => "joint {joint}: limits_deg and those of coupling leave axis {joint} no angle where axis {axis} is at its limit of {axis_deg} degrees";
             JointSpeed { joint: usize, value: f64 } => "joint {joint}: a speed or acceleration of {value} must be positive, and at most 100000";
+            TooSmall { key: &'static str, value: f64, least: f64 } => "{key} = {value} is smaller than that of any robot ({least}): is it in another unit?";
             Tolerance { length_mm: f64, angle_deg: f64 } => "[tolerance]: length_mm = {length_mm} and angle_deg = {angle_deg} must be positive, at most 100 mm and 45 degrees";
             Posterior => "[posterior]: `values` and the rows of `root`, which are 1, 2, .. numbers long, must be as many as `parameters` of the robot, each there once";
             Repeatability { value: f64 } => "repeatability_mm = {value} must be positive, at most 5 mm";

@@ -17,6 +17,7 @@ findings! {
             OneDirectory => "`data` and `plans` are one directory", help: "give runs and plans a directory each";
             NoPlans => "`plans` is no directory";
             NotAStroke => "the stroke is [lowest, highest] reading, mm";
+            NotReadings { low: f64, high: f64 } => "[{low}, {high}] are no readings: are they lengths of the bar?", help: "the stroke is [lowest, highest] reading, mm: length minus that of the bar";
             NotAProtocol { name: String, why: String } => "`{name}` is neither a built-in protocol nor a file: {why}", help: "`dbbd protocols` lists what is built in";
             TokenUnreadable { why: String } => "the token cannot be read: {why}";
             TokenOpen => "every user of this machine may read the token", help: "chmod 640 the file, or 600";

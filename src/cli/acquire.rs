@@ -87,8 +87,18 @@ pub(crate) struct Args {
     #[arg(long, value_name = "S", default_value = "10", value_parser = seconds)]
     gone: f64,
     /// How often the disk is made to hold what was written, s: what a loss of power costs at most.
-    #[arg(long, value_name = "S", default_value = "1", value_parser = seconds)]
+    #[arg(long, value_name = "S", default_value = "1", value_parser = sync_seconds)]
     sync_every: f64,
+}
+
+/// A loss of power is not to cost more than an hour.
+fn sync_seconds(text: &str) -> Result<f64, CliFinding> {
+    const MOST_S: f64 = 3600.0;
+    seconds(text).ok().filter(|s| *s <= MOST_S).ok_or(CliFinding::Outside {
+        least: 0.0,
+        most: MOST_S,
+        unit: "s",
+    })
 }
 
 fn seconds(text: &str) -> Result<f64, CliFinding> {

@@ -31,7 +31,6 @@ pub(super) fn read(path: &Path, out: &Output) -> Result<Option<Traced>, Diagnost
         out.finding(Diagnostic::file(&name, ProvenanceFinding::RobotEdited));
     }
     if let Ok(Value::Object(json)) = serde_json::from_str(&text) {
-        serialised::check_seal(&text).map_err(|finding| Diagnostic::file(&name, finding))?;
         if ["job", "hash", "moves"].iter().all(|key| json.contains_key(*key)) {
             return plan(path);
         }
@@ -41,6 +40,7 @@ pub(super) fn read(path: &Path, out: &Output) -> Result<Option<Traced>, Diagnost
             return read(&path.with_file_name(table), out);
         }
         if ["provenance", "parameters"].iter().any(|key| json.contains_key(*key)) {
+            serialised::check_seal(&text).map_err(|finding| Diagnostic::file(&name, finding))?;
             let damaged = |error: serde_json::Error| {
                 Diagnostic::file(&name, ProvenanceFinding::Damaged { why: error.to_string() })
             };

@@ -8,7 +8,7 @@ use super::{Outcome, Output};
 use crate::base::files;
 use crate::base::units::DeviceTicks;
 use crate::catalogue::CliFinding;
-use crate::catalogue::ProtocolFinding::UnknownProtocol;
+use crate::catalogue::ProtocolFinding::{self, UnknownProtocol};
 use crate::device::protocol::Definition;
 use crate::diagnostic::Diagnostic;
 use crate::measurement::sample::Sample;
@@ -57,6 +57,10 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         }
         Some(What::Check { file, params }) => {
             let definition = from_file(file, params)?;
+            let table: Option<toml::Table> = definition.text.parse().ok();
+            if table.is_some_and(|table| !table.contains_key("test")) {
+                out.finding(Diagnostic::file(&file.display().to_string(), ProtocolFinding::NoTests));
+            }
             out.document(&summary(&definition))?;
             out.result(format!("{}: `{}` is sound; its test vectors pass", file.display(), definition.id));
             Ok(Outcome::Done)

@@ -115,6 +115,12 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
             return Err(Diagnostic::new(wrong));
         }
     }
+    let own = args.program.parent().map(|own| if own.as_os_str().is_empty() { Path::new(".") } else { own });
+    if let (Some(directory), Some(own)) = (&args.save, own)
+        && files::same_place(directory, own)
+    {
+        return Err(Diagnostic::file(&args.program.display().to_string(), FileFinding::IsInput));
+    }
     let faults = faults(args)?;
     let definition = protocols::load_with(&args.protocol, &args.params)?;
     let mut cell = Cell::new(args, &faults, out)?;

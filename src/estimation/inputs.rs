@@ -33,6 +33,9 @@ pub fn check_measurements(
     }
 }
 
+/// What no bar is long is said elsewhere, mm.
+const LONGEST_MM: f64 = 1e5;
+
 /// What is doubtful in observations that [`check_measurements`] takes, and unknown of their robot; `file` is where they are.
 pub fn doubts(
     file: &str,
@@ -47,6 +50,7 @@ pub fn doubts(
         far_rows(observations, robot, centres),
         frozen(observations),
         other_sigma(observations),
+        one_decimal(observations),
         two_decimals(observations, robot),
     ];
     let unknown = robot.asked_repeatability().map(Diagnostic::from);
@@ -59,13 +63,24 @@ pub fn doubts(
 /// A standard deviation of a row that is far from the usual.
 fn other_sigma(observations: &Measurements) -> Option<MeasurementFinding> {
     /// Times the usual, either way.
-    const FAR: f64 = 100.0;
+    const FAR: f64 = 50.0;
     let given = observations.rows.iter().filter_map(|row| Some((row.index, row.sigma_mm?)));
     let given: Vec<(u32, f64)> = given.collect();
     let usual_mm = median(&mut given.iter().map(|(_, sigma_mm)| *sigma_mm).collect::<Vec<_>>())?;
     let is_far = |sigma_mm: f64| sigma_mm > FAR * usual_mm || sigma_mm * FAR < usual_mm;
     let &(index, sigma_mm) = given.iter().find(|(_, sigma_mm)| is_far(*sigma_mm))?;
     Some(MeasurementFinding::OtherSigma { index, sigma_mm, usual_mm })
+}
+
+/// Lengths that all have one decimal, and are not all equal.
+fn one_decimal(observations: &Measurements) -> Option<MeasurementFinding> {
+    const LEAST: usize = 10;
+    let rows = observations.rows.iter().filter(|row| row.datum.ball().is_some());
+    let tenths: Vec<f64> = rows.map(|row| 10.0 * row.length_mm).collect();
+    let is_rounded = tenths.iter().all(|value| (value - value.round()).abs() < 1e-6);
+    let differ = tenths.windows(2).any(|pair| pair[0] != pair[1]);
+    (tenths.len() >= LEAST && is_rounded && differ)
+        .then_some(MeasurementFinding::OneDecimal { rows: tenths.len() })
 }
 
 /// Angles that all have two decimals, as a pendant shows them: chosen ones seldom use both.
@@ -91,7 +106,6 @@ fn two_decimals(observations: &Measurements, robot: &Robot) -> Option<Measuremen
 
 /// Lengths at different poses that are equal to the last digit, all or many one after the other.
 fn frozen(observations: &Measurements) -> Option<MeasurementFinding> {
-    const LONGEST_MM: f64 = 1e5;
     /// Fewer are equal by chance, where a bar has few digits.
     const LEAST: usize = 6;
     let lengths = observations.rows.iter().filter(|row| row.datum.ball().is_some());
@@ -101,7 +115,6 @@ fn frozen(observations: &Measurements) -> Option<MeasurementFinding> {
     let equal = lengths.chunk_by(is_equal).max_by_key(|equal| equal.len())?;
     let (rows, &(index, length_mm, _)) = (equal.len(), equal.first()?);
     match rows {
-        // What no bar is long is said elsewhere.
         _ if rows < LEAST || length_mm.abs() > LONGEST_MM => None,
         _ if rows == lengths.len() => Some(MeasurementFinding::AllEqual { rows, length_mm }),
         _ => Some(MeasurementFinding::FrozenRows { rows, index, length_mm }),
@@ -127,7 +140,7 @@ fn far_rows(observations: &Measurements, robot: &Robot, centres: &[BaseBall]) ->
     });
     let off: Vec<(u32, f64)> = off.collect::<Option<_>>()?;
     let usual_mm = median(&mut off.iter().map(|(_, off_mm)| *off_mm).collect::<Vec<_>>())?;
-    if usual_mm > FAR_FROM_ALL_MM {
+    if (FAR_FROM_ALL_MM..LONGEST_MM).contains(&usual_mm) {
         return Some(MeasurementFinding::FarFromAll { off_mm: usual_mm });
     }
     let far: Vec<_> =

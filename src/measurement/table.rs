@@ -352,8 +352,26 @@ fn in_radians(poses: &[(usize, AxisAngles)]) -> Option<MeasurementFinding> {
     let angles = || poses.iter().flat_map(|(_, axes)| axes.degrees());
     let decimals = angles().filter(|angle| angle.fract() != 0.0).count();
     let small = angles().all(|angle| angle.abs() <= TAU);
-    (small && poses.len() >= LEAST_ROWS && 2 * decimals >= angles().count())
-        .then_some(MeasurementFinding::Radians { rows: poses.len() })
+    if small && poses.len() >= LEAST_ROWS && 2 * decimals >= angles().count() {
+        return Some(MeasurementFinding::Radians { rows: poses.len() });
+    }
+    single_in_radians(poses)
+}
+
+/// Single poses whose angles are all small numbers with decimals, among poses with others.
+fn single_in_radians(poses: &[(usize, AxisAngles)]) -> Option<MeasurementFinding> {
+    const LEAST_DECIMALS: usize = 4;
+    /// Where more poses are so, the arm is near to its zero.
+    const FEW: f64 = 0.2;
+    let is_small = |(_, axes): &&(usize, AxisAngles)| {
+        let deg = axes.degrees();
+        let decimals = deg.iter().filter(|deg| (*deg * 1e3).fract() != 0.0).count();
+        decimals >= LEAST_DECIMALS && deg.iter().all(|deg| deg.abs() <= TAU)
+    };
+    let found: Vec<_> = poses.iter().filter(is_small).collect();
+    let &&(index, _) = found.first()?;
+    ((found.len() as f64) < FEW * poses.len() as f64)
+        .then_some(MeasurementFinding::RowsInRadians { rows: found.len(), index })
 }
 
 /// A pose of a table, and how the axes came to it.

@@ -63,6 +63,19 @@ pub struct Corrector {
     approach: Approach,
 }
 
+/// A tool or a base that is so near to the flange or the robot's base, and not there, or so far, that it is in another
+/// unit.
+fn other_unit(frames: &Frames) -> Option<CompensationFinding> {
+    const NEAR_MM: f64 = 3.0;
+    const FAR_MM: f64 = 1e4;
+    let frames = [("the tool", &frames.tool), ("the base", &frames.base)];
+    frames.into_iter().find_map(|(frame, pose)| {
+        let size_mm = pose.position.norm();
+        let is_other = (size_mm > 0.0 && size_mm < NEAR_MM) || size_mm > FAR_MM;
+        is_other.then_some(CompensationFinding::FrameInOtherUnit { frame, size_mm })
+    })
+}
+
 impl Corrector {
     /// For `robot`, an identified one that carries its nominal robot; no tool point may move by more than `limit_mm`.
     pub fn new(robot: &Robot, limit_mm: f64) -> Self {
@@ -81,6 +94,9 @@ impl Corrector {
     pub fn correct(&mut self, commanded: Commanded<'_>) -> Result<Corrected, CompensationFinding> {
         let null = Frames { tool: Pose::identity(), base: Pose::identity() };
         let frames = commanded.frames.unwrap_or(&null);
+        if let Some(wrong) = other_unit(frames) {
+            return Err(wrong);
+        }
         let (flange, taught) = self.taught(commanded, frames)?;
         let axes = self.solve(&flange, &taught)?;
         let (before, after) = (frames.tool(&flange), frames.tool(&self.nominal.geometry.ball(&axes)));

@@ -92,6 +92,25 @@ impl Robot {
     }
 }
 
+impl RobotFile {
+    /// A value that is smaller than any robot has it, as it is in another unit.
+    fn too_small(&self) -> Option<RobotFinding> {
+        let ball_mm = self.tool.ball_mm.into_iter().map(f64::abs).fold(0.0, f64::max);
+        // An identified ball may be near to a flange at which the nominal one is.
+        let ball_mm = (ball_mm > 0.0 && self.nominal.is_none()).then_some(ball_mm);
+        let values = [
+            ("[tolerance] length_mm", Some(self.tolerance.length_mm), 1e-3),
+            ("[tolerance] angle_deg", Some(self.tolerance.angle_deg), 1e-3),
+            ("repeatability_mm", self.repeatability_mm, 5e-4),
+            ("[tool] ball_mm", ball_mm, 0.5),
+        ];
+        values.into_iter().find_map(|(key, value, least)| {
+            let value = value.filter(|value| *value < least)?;
+            Some(RobotFinding::TooSmall { key, value, least })
+        })
+    }
+}
+
 /// The line (from 1) of the `at`-th (from 0) table header in the text.
 fn line_of_table(text: &str, header: &str, at: usize) -> Option<usize> {
     text.lines().enumerate().filter(|(_, line)| line.trim() == header).nth(at).map(|(line, _)| line + 1)
@@ -158,6 +177,7 @@ impl RobotFile {
         if !(length_mm > 0.0 && length_mm <= most_mm && angle_deg > 0.0 && angle_deg <= most_deg) {
             return Err(RobotFinding::Tolerance { length_mm, angle_deg });
         }
+        self.too_small().map_or(Ok(()), Err)?;
         if self.name.trim().is_empty() {
             return Err(RobotFinding::NoName);
         }

@@ -216,10 +216,11 @@ fn the_verb_writes_json_page_and_picture() {
     ]);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let file = std::fs::read_to_string(path("out/circle.json")).unwrap();
-    let json: serde_json::Value = serde_json::from_str(&file).unwrap();
-    // The document on stdout has the findings besides.
+    let mut json: serde_json::Value = serde_json::from_str(&file).unwrap();
+    // The file has its hash; the document on stdout has the findings besides.
     let mut document: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
     document.as_object_mut().unwrap().remove("findings");
+    assert!(json.as_object_mut().unwrap().remove("sha256").is_some());
     assert_eq!(json, document);
     for key in ["G_lsc", "G_mzc", "Gb", "D", "F_max", "F_min", "H", "x", "y"] {
         let value = json[key].as_f64().unwrap();

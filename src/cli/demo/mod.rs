@@ -6,7 +6,7 @@ use std::path::PathBuf;
 
 use super::child::{LOOPBACK, Steps};
 use super::{Outcome, Output};
-use crate::base::files;
+use crate::base::{files, hash::sha256};
 use crate::diagnostic::Diagnostic;
 use crate::estimation::ResultFile;
 use crate::robot::Robot;
@@ -32,6 +32,8 @@ pub(crate) struct Args {
 pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     files::directory(&args.out)?;
     let dir = args.out.as_path();
+    // Its own, of an earlier demo, has this content.
+    files::is_same(&dir.join("job.toml"), &sha256(JOB))?;
     files::write(&dir.join("job.toml"), JOB)?;
     let steps = Steps::new(dir, out);
 

@@ -13,8 +13,8 @@ use crate::base::parse::from_toml;
 use crate::base::{clock, files};
 use crate::catalogue::PortFinding;
 use crate::catalogue::ServiceFinding::{
-    self, NoPlans, NotADirectory, NotAHost, NotAProtocol, NotAStroke, NotAnAddress, OneDirectory,
-    OpenWithoutToken, OutOfRange, ParametersWithoutProtocol, TokenTooShort, TokenUnreadable,
+    self, NoPlans, NotADirectory, NotAHost, NotAProtocol, NotAStroke, NotAnAddress, NotReadings,
+    OneDirectory, OpenWithoutToken, OutOfRange, ParametersWithoutProtocol, TokenTooShort, TokenUnreadable,
 };
 use crate::daemon::ALARM_SHARE;
 use crate::device::port::PortAddress;
@@ -33,6 +33,8 @@ const MOST_STROKE_MM: f64 = 500.0;
 /// How often what waits for the archive is tried again, s.
 #[cfg(feature = "archive")]
 const RETRY_S: f64 = 60.0;
+/// Who waits for a port for longer gave ms, s.
+const MOST_GONE_S: f64 = 14_400.0;
 
 /// Where a service listens, and who may ask.
 #[derive(Debug)]
@@ -257,21 +259,15 @@ impl Config {
             return Err(Diagnostic::file(&source.file, ParametersWithoutProtocol));
         }
         if let Some(gone_s) = &table.device.gone_s {
-            config.gone_s = source.number(gone_s, 0.0, 1e6)?;
+            config.gone_s = source.number(gone_s, 0.0, MOST_GONE_S)?;
         }
         if let Some(share) = &table.alarm.share {
             config.alarm_share = source.number(share, LEAST_SHARE, 1.0)?;
         }
         if let Some(stroke) = table.alarm.stroke_mm {
-            let [low, high] = *stroke.get_ref();
-            if !(low.is_finite() && high.is_finite() && low < high) {
-                return Err(source.wrong(stroke.span(), NotAStroke));
-            }
-            if let Some(value) = [low, high].into_iter().find(|end| end.abs() > MOST_STROKE_MM) {
-                let (least, most) = (-MOST_STROKE_MM, MOST_STROKE_MM);
-                return Err(source.wrong(stroke.span(), OutOfRange { value, least, most }));
-            }
-            config.stroke_mm = Some([low, high]);
+            let checked = check_stroke(*stroke.get_ref());
+            checked.map_err(|wrong| source.wrong(stroke.span(), wrong))?;
+            config.stroke_mm = Some(*stroke.get_ref());
         }
         if let Some(identity) = table.identity {
             let checked = identity.get_ref().check_all();
@@ -282,6 +278,17 @@ impl Config {
         config.archive = table.archive.map(|table| to_archive(source, table)).transpose()?;
         Ok(config)
     }
+}
+
+fn check_stroke([low, high]: [f64; 2]) -> Result<(), ServiceFinding> {
+    if !(low.is_finite() && high.is_finite() && low < high) {
+        return Err(NotAStroke);
+    }
+    if let Some(value) = [low, high].into_iter().find(|end| end.abs() > MOST_STROKE_MM) {
+        return Err(OutOfRange { value, least: -MOST_STROKE_MM, most: MOST_STROKE_MM });
+    }
+    // Readings are about zero: what is far from it are lengths.
+    if low.max(-high) > high - low { Err(NotReadings { low, high }) } else { Ok(()) }
 }
 
 #[cfg(not(feature = "archive"))]

@@ -16,7 +16,7 @@ pub(super) fn taught(value: &Value) -> Option<Taught> {
     match value.list()? {
         [axes, _] => Some(Taught { target: Target::Axes(axes.numbers()?), configuration: None }),
         [place, turn, configuration, _] => {
-            let pose = Pose::from_quaternion(place.numbers()?, turn.numbers()?)?;
+            let pose = Pose::from_quaternion(place.numbers()?, normed(turn)?)?;
             let quadrants: [f64; 4] = configuration.numbers()?;
             let target = Target::Pose {
                 xyz_mm: pose.position.into(),
@@ -30,10 +30,18 @@ pub(super) fn taught(value: &Value) -> Option<Taught> {
     }
 }
 
+/// A quaternion; `None` of one that no controller takes, as it is not normed.
+fn normed(turn: &Value) -> Option<[f64; 4]> {
+    const ROUNDED: f64 = 0.01;
+    let turn: [f64; 4] = turn.numbers()?;
+    let norm = turn.iter().map(|part| part * part).sum::<f64>().sqrt();
+    ((norm - 1.0).abs() < ROUNDED).then_some(turn)
+}
+
 /// `[[x,y,z],[q1,q2,q3,q4]]`
 fn pose(value: &Value) -> Option<Pose> {
     match value.list()? {
-        [place, turn] => Pose::from_quaternion(place.numbers()?, turn.numbers()?),
+        [place, turn] => Pose::from_quaternion(place.numbers()?, normed(turn)?),
         _ => None,
     }
 }

@@ -147,8 +147,12 @@ impl<'a> Trace<'a> {
         let dates = state.mapping.time.unit.is_none() && state.time == Some(TimeUnit::Iso);
         let readings = state.mapping.length.kind.is_none() && state.kind == Some(LengthKind::Reading);
         let bar_mm = state.bar.length_mm;
-        let found =
-            [dates.then_some(ImportFinding::Dates), readings.then_some(ImportFinding::Readings { bar_mm })];
+        let other = state.counts.range_mm.filter(|_| readings).and_then(|range| other_unit(range, bar_mm));
+        let found = [
+            dates.then_some(ImportFinding::Dates),
+            readings.then_some(ImportFinding::Readings { bar_mm }),
+            other,
+        ];
         let found = found.into_iter().flatten().map(|finding| Diagnostic::file(table.file(), finding));
         Ok((state.counts, table.findings().into_iter().chain(found).collect()))
     }
@@ -233,6 +237,17 @@ impl State<'_> {
         }
         Ok(reading_mm)
     }
+}
+
+/// Readings that are all lengths of the bar in another unit.
+fn other_unit([low, high]: [f64; 2], bar_mm: f64) -> Option<ImportFinding> {
+    /// Share of the bar's length by which it moves at most.
+    const STROKE: f64 = 0.1;
+    let is_bar = |value: f64| (value - bar_mm).abs() < STROKE * bar_mm;
+    let (_, unit) = [(1e3, "m"), (25.4, "inches")]
+        .into_iter()
+        .find(|(factor, _)| is_bar(factor * low) && is_bar(factor * high))?;
+    Some(ImportFinding::OtherUnit { low, high, unit, bar_mm })
 }
 
 fn flag(row: &Row<'_>, place: Option<usize>) -> Result<Option<bool>, Diagnostic> {
