@@ -11,7 +11,7 @@ use super::files::unreadable;
 use super::text::{Encoding, Lines};
 use crate::catalogue::FileFinding::{
     self, CellCount, ColumnTwice, MissingColumns, NoCell, NotANumber, NotFinite, NotPositive, NotWhole,
-    OpenQuote, OtherDecimal, Unreadable, WrittenAs,
+    OpenQuote, OtherCase, OtherDecimal, Unreadable, WrittenAs,
 };
 use crate::diagnostic::{Diagnostic, Finding};
 
@@ -184,7 +184,15 @@ impl<'a> Table<'a> {
         let mut places = self.columns.names.iter().enumerate().filter(|(_, column)| *column == name);
         match (places.next(), places.next()) {
             (_, Some(_)) => Err(self.columns.header(ColumnTwice { column: name.into() })),
-            (first, None) => Ok(first.map(|(at, _)| at)),
+            (Some((at, _)), None) => Ok(Some(at)),
+            (None, None) => {
+                match self.columns.names.iter().find(|column| column.eq_ignore_ascii_case(name)) {
+                    Some(column) => {
+                        Err(self.columns.header(OtherCase { column: column.clone(), name: name.into() }))
+                    }
+                    None => Ok(None),
+                }
+            }
         }
     }
 

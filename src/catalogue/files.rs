@@ -27,10 +27,11 @@ findings! {
             NotUtf8At { byte: usize } => "is not UTF-8 text (byte {byte})";
         }
         E0110 "a table lacks a column",
-        cause: "The header does not name all columns that are needed, or names one twice.",
+        cause: "The header does not name all columns that are needed, names one twice, or writes a name with other capital letters.",
         cure: "Compare the header with the columns that the command's help lists; the order of columns is free." {
             NoText => "is empty: a table begins with the names of its columns";
             MissingColumns { absent: String, header: String, delimiter: String } => "there is no column {absent}", help: "the header, cut at {delimiter}, has: {header}";
+            OtherCase { column: String, name: String } => "`{column}` is not the column `{name}`: capital and small letters differ";
             ColumnTwice { column: String } => "the column `{column}` is there twice";
         }
         E0111 "a cell of a table is not what its column needs",

@@ -1,6 +1,6 @@
 //! What artefacts were made from.
 
-use super::findings;
+use super::{Names, findings};
 
 findings! {
     /// Artefacts that do not belong together, or whose chain is not known.
@@ -42,6 +42,11 @@ findings! {
         cause: "Tools and bases of a KUKA controller are in $config.dat. Another file may have other values of the same names.",
         cure: "Give the controller's own $config.dat." {
             NotConfig { begins: String } => "the file begins with `{begins}`, and $config.dat with DEFDAT $CONFIG";
+        }
+        W1843 "a robot's calibration is doubtful",
+        cause: "The result with which robot-identified.toml was written has warnings. What a command makes with the file is as doubtful.",
+        cure: "`dbbd explain` explains each of the codes, report.html beside the file has their numbers. Resolve them and identify again." {
+            DoubtfulRobot { robot: String, doubts: Names } => "`{robot}` was identified with {doubts}";
         }
         W1844 "an identity contradicts the job of the plan",
         cause: "--identity states another robot, or a bar of another length, than the job of the plan that is measured: a file of another run.",

@@ -21,6 +21,8 @@ findings! {
             NotXml { why: String } => "{why}";
             NoSixJoints { chains: usize, joints: String } => "{chains} chains of six movable joints, and one is needed", help: "movable joints: {joints}";
             NoUrdf { root: String } => "its root is <{root}>, and that of a URDF is <robot>";
+            NoSuchJoint { joint: String, joints: String } => "there is no movable joint `{joint}`", help: "movable joints: {joints}";
+            OtherOrder { named: String } => "the joints {named} are no chain in this order", help: "name them from the base to the flange";
             OtherCount { named: usize } => "--joints names {named} joints, and an arm has six";
             OtherJoint { joint: String, kind: String } => "joint `{joint}` is of type `{kind}`, and only turning joints are corrected";
             NotNumbers { attribute: String } => "`{attribute}` is not three numbers";
@@ -34,6 +36,12 @@ findings! {
         cause: "The controller shows an axis that is coupled with another, as a FANUC shows axis 3 against the horizontal. A joint of a URDF has one variable, and no sum of two.",
         cure: "Give the joint of the URDF the sum that is named, as with the maker's own URDF." {
             CoupledInUrdf { joint: usize, sum: String } => "the variable of the URDF's joint {joint} is {sum}, not what the controller shows for axis {joint}";
+        }
+        E1724 "a robot is exported into a URDF, a capture into tables",
+        cause: "With --urdf-in the joints of a robot are written into your URDF, and the first argument is the robot's file. Without it the first argument is a capture.",
+        cure: "Give --urdf-in with a robot, and leave it out with a capture." {
+            RobotWithoutUrdf => "is a robot: it is exported into the URDF that --urdf-in names";
+            CaptureIntoUrdf => "is a capture: --urdf-in takes a robot, such as robot-identified.toml";
         }
         I1722 "a URDF cannot hold all that was identified",
         cause: "A URDF describes rigid links. Gear errors, compliance, backlash and smooth joint errors have no place in it.",

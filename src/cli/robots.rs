@@ -52,6 +52,7 @@ pub(crate) fn read(name: &str, out: &Output) -> Result<RobotRead, Diagnostic> {
     if let Some(finding) = read.robot.unlike_built_in() {
         out.finding(Diagnostic::file(name, finding));
     }
+    read.robot.doubtful().into_iter().for_each(|doubt| out.finding(Diagnostic::file(name, doubt)));
     Ok(read)
 }
 

@@ -1,5 +1,7 @@
 //! A calibration: the estimate, what it leaves unknown, how it is checked, and the one place that makes the result.
 
+use std::collections::BTreeSet;
+
 use super::estimate::{Estimate, estimate};
 use super::findings::findings;
 use super::joint_errors;
@@ -25,7 +27,7 @@ use super::{
     Combination, Correlation, DistanceQuantities, Observability, Options, Prior, factor, validation,
 };
 use crate::catalogue::EstimationFinding;
-use crate::diagnostic::Diagnostic;
+use crate::diagnostic::{Diagnostic, Finding, Severity};
 use crate::math::base_set;
 use crate::math::distributions::coverage_95;
 use crate::measurement::{LengthModel, Measurements};
@@ -212,8 +214,11 @@ impl<'a> Calibration<'a> {
         let joints = estimate.joints.as_ref().map(JointFit::summary);
         let nominal = setting.robot.nominal.clone().unwrap_or_else(|| Box::new(setting.robot.clone()));
         let geometry = estimate.fit.model.geometry.clone();
+        let codes = findings.iter().map(Finding::code).chain(inputs.iter().map(|finding| finding.code));
+        let doubts = codes.filter(|code| code.severity() == Severity::Warning).map(|code| code.to_string());
         CalibrationResult {
             robot: Robot {
+                doubts: BTreeSet::from_iter(doubts).into_iter().collect(),
                 posterior: self.prediction.posterior,
                 geometry,
                 nominal: Some(nominal),

@@ -8,7 +8,7 @@ use super::kinematics::Geometry;
 use super::posterior::RobotPosterior;
 use super::uncertainty::RobotUncertainty;
 use super::{AXES, Joint, ParamId};
-use crate::catalogue::RobotFinding;
+use crate::catalogue::{Names, ProvenanceFinding, RobotFinding};
 use crate::diagnostic::{Diagnostic, nearest};
 use crate::provenance::{Artefact, Identity, Provenance, Role, Traced};
 
@@ -54,6 +54,8 @@ pub struct Robot {
     pub payload: bool,
     /// What an identified robot was made from.
     pub provenance: Provenance,
+    /// The codes of the warnings of its identification.
+    pub doubts: Vec<String>,
 }
 
 /// One standard deviation of what the maker promises of each geometric parameter.
@@ -188,6 +190,13 @@ impl Robot {
         self.geometry.tool = tool_mm.into();
         self.posterior =
             self.posterior.take().and_then(|known| known.keeping(|id| !matches!(id, ParamId::Tool(_))));
+    }
+
+    /// That its identification had warnings.
+    pub fn doubtful(&self) -> Option<ProvenanceFinding> {
+        let doubts = Names::of(&self.doubts);
+        (!self.doubts.is_empty())
+            .then(|| ProvenanceFinding::DoubtfulRobot { robot: self.name.clone(), doubts })
     }
 
     /// The robot as its controller knows it: the nominal one, where this one was identified.

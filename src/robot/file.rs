@@ -29,6 +29,8 @@ struct RobotFile {
     source: Option<String>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     repeatability_mm: Option<f64>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    doubts: Vec<String>,
     joint: Vec<JointTable>,
     #[serde(default)]
     tool: ToolTable,
@@ -223,6 +225,7 @@ impl RobotFile {
             controller_serial: self.controller_serial,
             language: self.language,
             provenance: self.provenance,
+            doubts: self.doubts,
             payload: self.payload.is_some(),
             posterior: self.posterior,
             uncertainty: None,
@@ -260,6 +263,7 @@ impl RobotFile {
             convention: "modified-dh".into(),
             source: robot.source.clone(),
             repeatability_mm: robot.repeatability_mm,
+            doubts: robot.doubts.clone(),
             joint: robot.joint_tables(),
             tool: ToolTable { ball_mm: robot.geometry.tool.into() },
             tolerance: robot.tolerance,

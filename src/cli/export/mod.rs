@@ -11,10 +11,12 @@ use serde_json::{Map, json};
 
 use super::{Outcome, Output};
 use crate::base::files;
-use crate::catalogue::FileFinding;
+use crate::catalogue::{FileFinding, ReportFinding};
 use crate::diagnostic::Diagnostic;
 use crate::recording::capture::Pass;
+use crate::recording::run;
 use crate::report::export::mcap::{CHANNELS, McapFile};
+use crate::robot::Robot;
 use tables::{Tables, Written};
 
 /// Write a capture's samples, raw bytes, events, gaps and faults as CSV, or as MCAP; or a robot into your URDF.
@@ -46,6 +48,7 @@ pub(crate) struct Args {
 const MCAP_MAGIC: &[u8] = b"\x89MCAP0\r\n";
 
 pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
+    of_its_kind(args)?;
     files::directory(&args.out)?;
     if let Some(users) = &args.urdf_in {
         return urdf::run(args, users, out);
@@ -80,6 +83,20 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     pass.findings().into_iter().for_each(|damage| out.finding(Diagnostic::file(&name, damage)));
     out.document(&counts)?;
     Ok(Outcome::Done)
+}
+
+/// That a robot goes into a URDF, and a capture does not.
+fn of_its_kind(args: &Args) -> Result<(), Diagnostic> {
+    let name = args.run.to_string_lossy();
+    let is_capture = args.run.is_file() && run::is_capture(&args.run)?;
+    let finding = match &args.urdf_in {
+        Some(_) if is_capture => ReportFinding::CaptureIntoUrdf,
+        None if !is_capture && Robot::named(&name, files::read_if_file).is_ok() => {
+            ReportFinding::RobotWithoutUrdf
+        }
+        _ => return Ok(()),
+    };
+    Err(Diagnostic::file(&name, finding))
 }
 
 /// A file that is written beside its name until it is whole, and goes if it never is.

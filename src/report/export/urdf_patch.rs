@@ -13,7 +13,7 @@ use serde::Serialize;
 
 use super::urdf::origin_tag;
 use crate::catalogue::ReportFinding::{
-    self, NoSixJoints, NoUrdf, NotNumbers, NotXml, OtherCount, OtherJoint, OtherUrdf,
+    self, NoSixJoints, NoSuchJoint, NoUrdf, NotNumbers, NotXml, OtherCount, OtherJoint, OtherOrder, OtherUrdf,
 };
 use crate::diagnostic::Diagnostic;
 use crate::robot::kinematics::DhRow;
@@ -271,8 +271,7 @@ impl<'a> Reader<'a> {
             };
             chains.filter(named).collect()
         };
-        let found = self.joints().filter(|joint| movable(*joint)).map(name).collect::<Vec<_>>().join(", ");
-        let finding = NoSixJoints { chains: chains.len(), joints: found };
+        let finding = self.no_chain(names, chains.len());
         let chain = chains.pop().filter(|_| chains.is_empty()).ok_or_else(|| self.refused(root, finding))?;
         let mut six = Vec::new();
         let mut fixed_before = Pose::identity();
@@ -296,6 +295,17 @@ impl<'a> Reader<'a> {
             fixed_before = Pose::identity();
         }
         Ok(six)
+    }
+
+    /// Why there is not one chain.
+    fn no_chain(&self, names: &[String], chains: usize) -> ReportFinding {
+        let found: Vec<&str> = self.joints().filter(|joint| movable(*joint)).map(name).collect();
+        let joints = found.join(", ");
+        match names.iter().find(|name| !found.contains(&name.as_str())) {
+            Some(joint) => NoSuchJoint { joint: joint.clone(), joints },
+            None if names.is_empty() => NoSixJoints { chains, joints },
+            None => OtherOrder { named: names.join(", ") },
+        }
     }
 
     /// The origin of a joint, mm.
