@@ -361,13 +361,21 @@ impl<'a> Row<'a> {
 
     /// A whole number from `least`.
     pub fn whole(&self, at: usize, least: u32) -> Result<u32, Diagnostic> {
-        let value = self.text(at).parse().ok().filter(|value| *value >= least);
+        let value = self.whole_text(at).parse().ok().filter(|value| *value >= least);
         value.ok_or_else(|| self.no_whole(at, least))
     }
 
     /// A number from 1 of something that is counted.
     pub fn numbered<T: FromStr>(&self, at: usize) -> Result<T, Diagnostic> {
-        self.text(at).parse().map_err(|_| self.no_whole(at, 1))
+        self.whole_text(at).parse().map_err(|_| self.no_whole(at, 1))
+    }
+
+    /// The text of a whole number, which other programs write as `1.0`.
+    pub fn whole_text(&self, at: usize) -> &'a str {
+        match self.text(at).split_once(['.', ',']) {
+            Some((whole, zeros)) if !zeros.is_empty() && zeros.bytes().all(|byte| byte == b'0') => whole,
+            _ => self.text(at),
+        }
     }
 
     fn no_whole(&self, at: usize, least: u32) -> Diagnostic {

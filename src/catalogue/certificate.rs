@@ -34,10 +34,9 @@ findings! {
             Doubtful { warnings: usize } => "the result has {warnings} warnings, which the certificate lists";
         }
         W2007 "an identity contradicts the result",
-        cause: "--identity states another bar, robot or day than the result carries, or a base ball that the measurement has not. The certificate states what --identity states; the numbers are those of the measurement.",
+        cause: "--identity states another robot, controller, load, day, bar, certificate of the bar, ball or temperature than the result carries, or a base ball that the measurement has not. The certificate states what --identity states; the numbers are those of the measurement.",
         cure: "Correct the file of --identity, or identify again with the right job." {
-            OtherThanCarried { key: &'static str, carried: String, stated: String } => "{key} is stated as {stated}, and the result carries {carried}";
-            OtherThanUsed { stated_mm: f64, used_mm: f64 } => "the bar is stated to be {stated_mm} mm long, and the lengths were computed with {used_mm} mm";
+            OtherThanCarried { key: String, carried: String, stated: String } => "{key} is stated as {stated}, and the result carries {carried}";
             NoSuchBall { ball: String, balls: usize } => "a serial number is stated of base ball {ball}, and {balls} were measured";
         }
         E2006 "the PDF cannot be made",

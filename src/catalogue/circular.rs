@@ -59,7 +59,7 @@ findings! {
         E1481 "an option is of use with a capture or with temperatures only",
         cause: "--plan and --axes belong to the poses of a recorded run; a CSV of a circle has none. An expansion is of use with temperatures (the column temp_c), the temperature of the certificate with the expansion of the bar.",
         cure: "Leave the option out, or give the capture, the temperatures or the expansion." {
-            NoTemperature { option: &'static str } => "{option} is of use with temperatures only, and there is no temp_c";
+            NoTemperature { option: &'static str } => "{option} is of use with temperatures only, and no circle has one with each length";
             CertifiedAlone => "--certified is of use with --expansion only";
             NoCapture => "--plan and --axes are of use with a capture only";
         }
@@ -70,14 +70,14 @@ findings! {
             OtherRadius { mean_mm: f64, radius_mm: f64 } => "the mean length is {mean_mm:.3} mm, and the nominal radius {radius_mm} mm";
             EqualLengths { length_mm: f64 } => "all lengths are {length_mm:.4} mm: are they measured ones?";
         }
-        W1482 "rows, angles, times or temperatures of a circle cannot be",
-        cause: "A file was joined with itself, angle_deg is in another unit than degrees, counts points or counts on over the runs, rows of several runs have one number, or temp_c is in another unit than degrees Celsius or of several sensors.",
-        cure: "Give each row once, each run its own number in the column `run`, angles in degrees and temperatures in degrees Celsius." {
+        W1482 "rows, angles, times, temperatures or --sigma of a circle cannot be",
+        cause: "A file was joined with itself, angle_deg is in another unit than degrees, counts points or counts on over the runs, rows of several runs or senses have one number and direction, a pass was cut off, t_s is in ms, temp_c is in another unit than degrees Celsius or of several sensors, or --sigma is in another unit than mm.",
+        cure: "Give each row once, each run its own number in the column `run`, angles in degrees, times in s, temperatures in degrees Celsius and --sigma in mm; pass the whole circle in each sense." {
             RowsTwice { run: String, rows: usize } => "run {run}: {rows} rows are there twice";
             ManyTurns { run: String, span_deg: f64 } => "run {run}: the angles span {span_deg:.0} degrees in one sense";
             CountedPoints { run: String, points: usize } => "run {run}: the angles count the {points} points: degrees are needed";
             TurnsBack { run: String, direction: &'static str, steps: usize } => "run {run}, {direction}: {steps} steps are against the direction: are two senses in one run?";
-            UnequalSenses { run: String, ccw_deg: f64, cw_deg: f64 } => "run {run}: {ccw_deg:.0} degrees counter-clockwise and {cw_deg:.0} clockwise: quantities of both senses rest on the shorter arc";
+            UnequalSenses { ccw_deg: f64, cw_deg: f64 } => "{ccw_deg:.0} degrees are passed counter-clockwise and {cw_deg:.0} clockwise: what needs both senses, such as G(b) and H, is refused";
             LongTest { run: String, span_s: f64 } => "run {run}: the times span {span_s:.0} s: are they in ms?";
             SigmaTooSmall { sigma_um: f64, scatter_um: f64 } => "--sigma is {sigma_um} um, and the lengths scatter by {scatter_um:.1} um";
             SigmaTooLarge { sigma_um: f64, scatter_um: f64 } => "--sigma is {sigma_um} um, and the lengths scatter by {scatter_um:.1} um only";

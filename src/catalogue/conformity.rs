@@ -40,7 +40,7 @@ findings! {
         W1924 "dates contradict the results",
         cause: "--dates gives another day than the measurement of the result states.",
         cure: "Correct --dates, or leave out the option where trends per result suffice." {
-            OtherDate { file: String, date: String, measured: String } => "{file} was measured on {measured}, and --dates gives {date}";
+            OtherDate { date: String, measured: String } => "was measured on {measured}, and --dates gives {date}";
         }
         E1982 "an option has no effect here",
         cause: "The option is of use with other inputs only: --robot with results, --repeat-u with circles, --risk with --tolerance.",

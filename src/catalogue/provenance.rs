@@ -15,6 +15,7 @@ findings! {
         cause: "The serial numbers, or without them the names of the robots in two inputs differ.",
         cure: "Give the files of one robot. If it is the same one, give it the same `name` and `serial` in robot file and job." {
             OtherRobot { artefact: String, made_for: String, given: String } => "{artefact} was made for {made_for}, and {given} is given";
+            OtherSerial { serial: String, first: String, of_first: String } => "is of the robot with serial number {serial}, {first} of that with {of_first}";
             OtherJobSerial { job: String, robot: String } => "the job is for serial number {job}, and the robot file has {robot}";
         }
         W1803 "the robot file was changed since",
@@ -51,7 +52,7 @@ findings! {
         W1844 "an identity contradicts the job of the plan",
         cause: "--identity states another robot, or a bar of another length, than the job of the plan that is measured: a file of another run.",
         cure: "Give the identity of this run. With another bar, plan anew." {
-            OtherThanPlanned { key: &'static str, planned: String, stated: String } => "{key} is stated as {stated}, and the job has {planned}";
+            OtherThanPlanned { key: String, planned: String, stated: String } => "{key} is stated as {stated}, and the job has {planned}";
         }
         E1806 "lengths are of another result",
         cause: "lengths.csv beside robot-identified.toml is not the one that was written with it.",

@@ -2,7 +2,8 @@
 
 use std::cmp::Ordering;
 
-use super::{Point, Sense, Trace};
+use super::quantities::Rays;
+use super::{Arc, Point, Sense, Trace, noise};
 use crate::catalogue::CircularFinding as Finding;
 use crate::math::robust::median;
 
@@ -20,15 +21,13 @@ const MOST_WARMED_K: f64 = 8.0;
 /// Points from which neighbours are near.
 const LEAST_POINTS: usize = 12;
 
-pub(super) fn of(traces: &[Trace], radius_mm: f64, sigma_mm: Option<f64>) -> Vec<Finding> {
+pub(super) fn of(traces: &[Trace], radius_mm: f64) -> Vec<Finding> {
     let mut found: Vec<Finding> = traces.iter().filter_map(spike).collect();
     found.extend(traces.iter().filter_map(rows_twice));
     found.extend(traces.iter().filter_map(many_turns));
     found.extend(traces.iter().filter_map(counted));
     found.extend(traces.iter().filter_map(times_back));
     found.extend(traces.iter().filter_map(turns_back));
-    found.extend(unequal(traces));
-    found.extend(sigma_mm.and_then(|sigma_mm| other_sigma(traces, sigma_mm)));
     found.extend(warm(traces));
     let lengths = || traces.iter().flat_map(|trace| &trace.points).map(|point| point.length_mm);
     let mean_mm = lengths().sum::<f64>() / lengths().count().max(1) as f64;
@@ -85,49 +84,48 @@ fn steps(trace: &Trace) -> [usize; 2] {
     [steps.iter().filter(|step| **step > 0.0).count(), steps.iter().filter(|step| **step < 0.0).count()]
 }
 
-/// Most steps against the sense are said elsewhere.
+/// Steps that are all against the sense are said elsewhere.
 fn turns_back(trace: &Trace) -> Option<Finding> {
     /// Share of the steps: the ends of a motion may swing back.
     const MOST_BACK: f64 = 0.1;
     let [with, against] = steps(trace);
-    let is_mixed = against <= with && against as f64 > MOST_BACK * trace.points.len() as f64;
+    let is_mixed = with.min(against) as f64 > MOST_BACK * trace.points.len() as f64;
     let (run, direction) = (trace.run.clone(), trace.sense.word());
     is_mixed.then_some(Finding::TurnsBack { run, direction, steps: against })
 }
 
-/// The senses of a run that are not of one arc.
-fn unequal(traces: &[Trace]) -> Option<Finding> {
+/// The senses that do not pass one arc, `whole` being that of both.
+pub(super) fn unequal(traces: &[Trace], whole: &Arc) -> Option<Finding> {
     const MOST_APART_DEG: f64 = 30.0;
-    let span = |trace: &Trace| {
-        let angles = || trace.points.iter().map(|point| point.angle_deg);
-        (angles().fold(f64::MIN, f64::max) - angles().fold(f64::MAX, f64::min)).min(360.0)
+    /// Points of the senses may lie between each other.
+    const BETWEEN: f64 = 1.5;
+    let arc = |sense: Sense| {
+        let of = || traces.iter().filter(|trace| trace.sense == sense);
+        let points = of().map(|trace| trace.points.len()).max()?;
+        let least_deg = MOST_APART_DEG.max(BETWEEN * 360.0 / points as f64);
+        let own = super::arc(of(), whole.condition);
+        Some((own.span_deg, own.largest_gap_deg - whole.largest_gap_deg > least_deg))
     };
-    traces.iter().filter(|trace| trace.sense == Sense::CounterClockwise).find_map(|ccw| {
-        let cw = traces.iter().find(|cw| cw.run == ccw.run && cw.sense != ccw.sense)?;
-        let (ccw_deg, cw_deg) = (span(ccw), span(cw));
-        let run = ccw.run.clone();
-        ((ccw_deg - cw_deg).abs() > MOST_APART_DEG).then_some(Finding::UnequalSenses { run, ccw_deg, cw_deg })
-    })
+    let ((ccw_deg, ccw_lacks), (cw_deg, cw_lacks)) =
+        arc(Sense::CounterClockwise).zip(arc(Sense::Clockwise))?;
+    (ccw_lacks || cw_lacks).then_some(Finding::UnequalSenses { ccw_deg, cw_deg })
 }
 
 /// A standard deviation that was given and that the lengths contradict.
-fn other_sigma(traces: &[Trace], sigma_mm: f64) -> Option<Finding> {
-    /// Times the scatter, either way.
+pub(super) fn other_sigma(traces: &[Trace], rays: &Rays, sigma_mm: f64) -> Option<Finding> {
+    /// Times the scatter, either way: units differ by a thousand.
     const FAR: f64 = 10.0;
-    /// A larger one is given for other reasons than the scatter, mm.
-    const LARGE_MM: f64 = 0.1;
-    let second = |near: &[Point]| near[0].length_mm - 2.0 * near[1].length_mm + near[2].length_mm;
-    let dense = traces.iter().filter(|trace| trace.points.len() >= 3 * LEAST_POINTS);
-    let mut off: Vec<f64> =
-        dense.flat_map(|trace| trace.points.windows(3).map(second)).map(f64::abs).collect();
-    // The median of a normal deviate is 0.6745 standard deviations; a second difference has sqrt(6) of one length.
-    let scatter_mm = median(&mut off)? / 0.6745 / 6.0_f64.sqrt();
+    /// On a sparse circle the form is in the scatter.
+    const DENSE: usize = 36;
+    if traces.iter().any(|trace| trace.points.len() < DENSE) {
+        return None;
+    }
+    let scatter_mm = noise::without_form(traces, rays);
     let (sigma_um, scatter_um) = (1e3 * sigma_mm, 1e3 * scatter_mm);
     if sigma_mm * FAR < scatter_mm {
         return Some(Finding::SigmaTooSmall { sigma_um, scatter_um });
     }
-    (sigma_mm > LARGE_MM && sigma_mm > FAR * scatter_mm)
-        .then_some(Finding::SigmaTooLarge { sigma_um, scatter_um })
+    (sigma_mm > FAR * scatter_mm).then_some(Finding::SigmaTooLarge { sigma_um, scatter_um })
 }
 
 fn times_back(trace: &Trace) -> Option<Finding> {

@@ -192,7 +192,8 @@ pub fn circular(traces: &[Trace], settings: &Settings) -> Result<Evaluation, Fin
     let mut measured = rays(corrected.as_deref().unwrap_or(traces));
     let joint = fit(measured.all()).ok_or(Finding::NoCircle)?;
     let arc = arc(traces, joint.condition);
-    let allowed = Allowed::of(&arc);
+    let unequal = doubts::unequal(traces, &arc);
+    let allowed = Allowed { both: unequal.is_none(), ..Allowed::of(&arc) };
     measured.centre = if allowed.free_centre { joint.centre } else { [0.0; 2] };
     let values = evaluate(&measured, allowed).ok_or(Finding::NoCircle)?;
     let as_measured = corrected
@@ -212,7 +213,9 @@ pub fn circular(traces: &[Trace], settings: &Settings) -> Result<Evaluation, Fin
             .filter(|trace| !in_sense(trace))
             .map(|trace| Finding::AgainstDirection { run: trace.run.clone(), direction: trace.sense.word() }),
     );
-    notes.extend(doubts::of(traces, settings.radius_mm, settings.sigma_mm));
+    notes.extend(doubts::of(traces, settings.radius_mm));
+    notes.extend(unequal);
+    notes.extend(settings.sigma_mm.and_then(|sigma_mm| doubts::other_sigma(traces, &measured, sigma_mm)));
     if corrected.is_none() {
         notes.push(Finding::AsMeasured);
     }
@@ -229,7 +232,7 @@ pub fn circular(traces: &[Trace], settings: &Settings) -> Result<Evaluation, Fin
         as_measured,
         free_centre: arc.full,
         traces: results.collect(),
-        diagnosis: if arc.full && allowed.free_centre {
+        diagnosis: if arc.full && allowed.free_centre && allowed.both {
             harmonics::diagnose(traces, &measured, settings.radius_mm, &noise)
         } else {
             Diagnosis::default()
@@ -304,8 +307,8 @@ fn in_sense(trace: &Trace) -> bool {
     steps.sum::<i64>() >= 0
 }
 
-fn arc(traces: &[Trace], condition: f64) -> Arc {
-    let points = traces.iter().flat_map(|trace| &trace.points);
+fn arc<'a>(traces: impl IntoIterator<Item = &'a Trace>, condition: f64) -> Arc {
+    let points = traces.into_iter().flat_map(|trace| &trace.points);
     let mut angles: Vec<f64> = points.map(|point| point.angle_deg.rem_euclid(360.0)).collect();
     angles.sort_by(f64::total_cmp);
     angles.dedup_by(|b, a| (*b - *a) < 1e-6);

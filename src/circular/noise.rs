@@ -2,7 +2,7 @@
 
 use super::quantities::Rays;
 use super::{Sense, Trace};
-use crate::math::robust::SIGMA_OF_MAD;
+use crate::math::robust::{SIGMA_OF_MAD, median};
 
 /// Where the standard uncertainty of a single length comes from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
@@ -130,16 +130,25 @@ fn neighbours(traces: &[Trace], rays: &Rays) -> Scatter {
     /// Degrees of freedom for each second difference: the median has 0.37 of the efficiency of the variance, and the
     /// correlations of neighbours, -2/3 and 1/6, cost a factor 1 + 2 (4/9 + 1/36).
     const FREEDOM: f64 = 0.19;
-    let mut second: Vec<f64> = Vec::new();
+    let mut second = differences(traces, rays, [1.0, -2.0, 1.0]);
+    let freedom = FREEDOM * second.len() as f64;
+    Scatter { sigma_mm: SIGMA_OF_MAD * median(&mut second).unwrap_or(0.0), freedom }
+}
+
+/// Robust scatter of fourth differences, mm: less of the form is in them.
+pub(super) fn without_form(traces: &[Trace], rays: &Rays) -> f64 {
+    let mut fourth = differences(traces, rays, [1.0, -4.0, 6.0, -4.0, 1.0]);
+    SIGMA_OF_MAD * median(&mut fourth).unwrap_or(0.0)
+}
+
+/// Magnitudes of differences between neighbours, with the variance of a single length.
+fn differences<const N: usize>(traces: &[Trace], rays: &Rays, weights: [f64; N]) -> Vec<f64> {
+    let norm = weights.iter().map(|weight| weight * weight).sum::<f64>().sqrt();
+    let mut found: Vec<f64> = Vec::new();
     for (at, trace) in traces.iter().enumerate() {
         let values: Vec<f64> = by_angle(trace).into_iter().map(|point| rays.deviation(at, point)).collect();
-        second.extend(values.windows(3).map(|three| (three[0] - 2.0 * three[1] + three[2]).abs()));
+        let sum = |near: &[f64]| near.iter().zip(&weights).map(|(value, weight)| value * weight).sum::<f64>();
+        found.extend(values.windows(N).map(|near| sum(near).abs() / norm));
     }
-    let middle = second.len() / 2;
-    if second.is_empty() {
-        return Scatter { sigma_mm: 0.0, freedom: 0.0 };
-    }
-    let freedom = FREEDOM * second.len() as f64;
-    let (_, median, _) = second.select_nth_unstable_by(middle, f64::total_cmp);
-    Scatter { sigma_mm: SIGMA_OF_MAD * *median / 6f64.sqrt(), freedom }
+    found
 }

@@ -42,13 +42,15 @@ pub(super) struct Allowed {
     /// Whether a centre can be fitted.
     pub(super) free_centre: bool,
     /// Whether F may be about it: on a full circle only.
-    full: bool,
+    pub(super) full: bool,
+    /// Whether both senses pass one arc.
+    pub(super) both: bool,
 }
 
 impl Allowed {
     pub(super) fn of(arc: &Arc) -> Self {
         let free_centre = arc.condition <= MOST_CONDITION;
-        Self { free_centre, full: arc.full && free_centre }
+        Self { free_centre, full: arc.full && free_centre, both: true }
     }
 }
 
@@ -136,7 +138,7 @@ pub(super) fn evaluate(rays: &Rays, allowed: Allowed) -> Option<Quantities> {
     let most_of_all =
         |at: usize| if alone.iter().any(|values| values[at].is_nan()) { nothing } else { most(at) };
     let least = alone.iter().map(|values| values[4]).fold(f64::INFINITY, f64::min);
-    let both = joint.filter(|_| !rays.pairs.is_empty());
+    let both = joint.filter(|_| allowed.both && !rays.pairs.is_empty());
     let gb = both.map_or(nothing, |circle| {
         let ranges = rays.traces.iter().map(|trace| extremes(trace, circle.centre));
         let [low, high] = ranges.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], range| {

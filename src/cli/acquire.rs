@@ -180,7 +180,7 @@ pub(super) fn record(
 ) -> Result<Summary, Diagnostic> {
     let plan = args.plan.as_deref().map(PlanFiles::read).transpose()?;
     if let Some(files) = &plan {
-        out.about(&files.plan.header.job.identity().contradicted_by(&identity));
+        out.about(&artefact::other_run(&files.plan.header.job.identity(), &identity));
     }
     let planned = plan.as_ref().map(|files| files.plan.header.job.bar.protocol.as_str());
     let name = args.protocol.as_deref().or(planned).unwrap_or(DEFAULT_PROTOCOL);

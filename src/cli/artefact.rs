@@ -8,11 +8,12 @@ use serde_json::Value;
 use super::Output;
 use super::info::line;
 use crate::base::{clock, files, serialised};
-use crate::catalogue::{FileFinding, ProvenanceFinding};
+use crate::catalogue::FileFinding;
+use crate::catalogue::ProvenanceFinding::{self, OtherThanPlanned};
 use crate::diagnostic::Diagnostic;
 use crate::plan::Job;
 use crate::program::{self, Language};
-use crate::provenance::{Artefact, Identity, Provenance, Role, Traced};
+use crate::provenance::{Artefact, BarIdentity, Contradiction, Identity, Provenance, Role, Traced};
 use crate::recording::run;
 use crate::robot::Robot;
 
@@ -39,6 +40,8 @@ pub(super) fn read(path: &Path, out: &Output) -> Result<Option<Traced>, Diagnost
         {
             return read(&path.with_file_name(table), out);
         }
+        // A record beside a table has the hash of the table, a plan that of its content.
+        serialised::check_seal(&text).map_err(|finding| Diagnostic::file(&name, finding))?;
         if ["provenance", "parameters"].iter().any(|key| json.contains_key(*key)) {
             serialised::check_seal(&text).map_err(|finding| Diagnostic::file(&name, finding))?;
             let damaged = |error: serde_json::Error| {
@@ -91,6 +94,15 @@ pub(super) fn identity(path: &Path) -> Result<Identity, Diagnostic> {
     let identity = Identity::from_toml(&file, &files::read(path)?)?;
     identity.check_dates(clock::unix_ns()).map_err(|(_, finding)| Diagnostic::file(&file, finding))?;
     Ok(identity)
+}
+
+/// What is stated that cannot be of a run of a job: another robot or bar. The rest may be known better after the run.
+pub(super) fn other_run(job: &Identity, stated: &Identity) -> Vec<ProvenanceFinding> {
+    let other = job.contradictions(stated).into_iter();
+    let other = other.filter(|found| ["robot", BarIdentity::LENGTH].contains(&found.key.as_str()));
+    other
+        .map(|Contradiction { key, known, stated }| OtherThanPlanned { key, planned: known, stated })
+        .collect()
 }
 
 /// The artefact and its chain on the screen.

@@ -12,7 +12,7 @@ use crate::circular::{
     Temperature, Trace, TraceResult,
 };
 use crate::diagnostic::Diagnostic;
-use crate::provenance::{Artefact, CERTIFIED_C, Provenance, Role, Traced};
+use crate::provenance::{Artefact, CERTIFIED_C, Provenance, Role, Traced, one_robot};
 use crate::recording::run;
 use crate::report;
 use crate::report::circle::CircleTest;
@@ -106,15 +106,23 @@ fn draws(text: &str) -> Result<usize, CliFinding> {
     text.parse().ok().filter(|draws| *draws == 0 || DRAWS.contains(draws)).ok_or(outside)
 }
 
-/// That no option is about what a table does not have.
-fn unused(args: &Args, tables: &[Found]) -> Option<CircularFinding> {
-    let mut points = tables.iter().flat_map(|table| &table.traces).flat_map(|trace| &trace.points);
-    let is_warm = points.any(|point| point.temp_c.is_some());
-    let expansions = [("--expansion", args.expansion), ("--machine-expansion", args.machine_expansion)];
-    let given = expansions.into_iter().find(|(_, value)| value.is_some());
-    match (given, args.certified) {
-        (Some((option, _)), _) if !is_warm => Some(CircularFinding::NoTemperature { option }),
-        (None, Some(_)) => Some(CircularFinding::CertifiedAlone),
+/// An option about temperatures that no circle can use.
+fn unused(args: &Args, found: &[Found]) -> Option<CircularFinding> {
+    let is_warm = |circle: &&Found| {
+        circle.traces.iter().flat_map(|trace| &trace.points).all(|point| point.temp_c.is_some())
+    };
+    let known = |circle: &Found| in_force(args, circle.certificate.temperature).bar_per_k.is_some();
+    let warm: Vec<&Found> = found.iter().filter(is_warm).collect();
+    let given = [
+        ("--expansion", args.expansion),
+        ("--machine-expansion", args.machine_expansion),
+        ("--certified", args.certified),
+    ];
+    match given.into_iter().find(|(_, value)| value.is_some()) {
+        Some((option, _)) if warm.is_empty() => Some(CircularFinding::NoTemperature { option }),
+        _ if args.certified.is_some() && !warm.into_iter().any(known) => {
+            Some(CircularFinding::CertifiedAlone)
+        }
         _ => None,
     }
 }
@@ -126,7 +134,6 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     if !captures.contains(&true) && (args.plan.is_some() || !args.axes.is_empty()) {
         return Err(CircularFinding::NoCapture.into());
     }
-    let tables_alone = !captures.contains(&true);
     for (path, is_capture) in args.inputs.iter().zip(captures) {
         if is_capture {
             let captured = from_capture(path, args, out)?;
@@ -143,7 +150,8 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
             out.finding(ProvenanceFinding::GivenTwice { lengths: source.artefact.to_string() });
         }
     }
-    if let Some(unused) = unused(args, &found).filter(|_| tables_alone) {
+    one_robot(args.inputs.iter().map(|path| path.display().to_string()).zip(&sources))?;
+    if let Some(unused) = unused(args, &found) {
         return Err(unused.into());
     }
     let provenance = Provenance::of(&sources);

@@ -9,13 +9,13 @@ use super::{Outcome, Output, length_sd, tolerance};
 use super::{artefact, robots};
 use crate::base::date::{day_number, is_after};
 use crate::base::{FileSet, clock, files, serialised};
-use crate::catalogue::{CliFinding, ConformityFinding, Names, ProvenanceFinding};
+use crate::catalogue::{CliFinding, ConformityFinding, Names};
 use crate::conformity::{
     CircleFile, Comparison, Input, LEVEL, ResultRead, Subject, Timeline, Tracked, compare_circles,
     compare_results, of_robot, same_robot, unlike_circles,
 };
 use crate::diagnostic::Diagnostic;
-use crate::provenance::{Artefact, Provenance, Role, Traced};
+use crate::provenance::{Artefact, Identity, Provenance, Role, Traced, one_robot};
 use crate::report::compare;
 use crate::robot::Robot;
 
@@ -64,8 +64,12 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     }
     let documents: Vec<Document> = args.inputs.iter().map(|path| read(path)).collect::<Result<_, _>>()?;
     different(&documents)?;
-    of_one_robot(&documents)?;
-    out.about(&contradicting_dates(&args.dates, &documents));
+    let sources: Vec<Traced> = documents.iter().map(|one| traced(one, out)).collect::<Result<_, _>>()?;
+    one_robot(documents.iter().map(|one| one.name.clone()).zip(&sources))?;
+    for ((date, document), source) in args.dates.iter().zip(&documents).zip(&sources) {
+        let other = other_date(date, &source.provenance.identity);
+        other.into_iter().for_each(|doubt| out.finding(Diagnostic::file(&document.name, doubt)));
+    }
     let timeline = if args.dates.is_empty() {
         Timeline::numbered(documents.len())
     } else {
@@ -82,7 +86,6 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         tolerance_mm: args.tolerance,
         subject,
     };
-    let sources: Vec<Traced> = documents.iter().map(|one| traced(one, out)).collect::<Result<_, _>>()?;
     let made = Made { comparison: &comparison, provenance: Provenance::of(&sources) };
     write(args, &made, &timeline)?;
     if let Subject::Results(results) = &comparison.subject
@@ -125,36 +128,13 @@ fn different(documents: &[Document]) -> Result<(), Diagnostic> {
     Ok(())
 }
 
-/// What a result states of its measurement.
-fn stated<'a>(document: &'a Document, key: &str) -> Option<&'a str> {
-    document.json.get("provenance")?.get("identity")?.get(key)?.as_str()
-}
-
-/// That no two results are of robots with different serial numbers.
-fn of_one_robot(documents: &[Document]) -> Result<(), Diagnostic> {
-    let mut known = documents.iter().filter_map(|document| Some((document, stated(document, "robot")?)));
-    let Some((_, first)) = known.next() else { return Ok(()) };
-    let named = |serial: &str| format!("serial number {serial}");
-    match known.find(|(_, serial)| *serial != first) {
-        Some((document, serial)) => {
-            let (made_for, given) = (named(serial), named(first));
-            Err(ProvenanceFinding::OtherRobot { artefact: document.name.clone(), made_for, given }.into())
-        }
-        None => Ok(()),
-    }
-}
-
-/// Dates that are not those of the results' own measurements.
-fn contradicting_dates(dates: &[String], documents: &[Document]) -> Vec<ConformityFinding> {
+/// That a date is not that of the measurement.
+fn other_date(date: &str, identity: &Identity) -> Option<ConformityFinding> {
     /// A run over midnight, and zones of time.
     const ALIKE_DAYS: f64 = 1.5;
-    let pairs = dates.iter().zip(documents).filter_map(|(date, document)| {
-        let measured = stated(document, "measured")?.split('T').next()?;
-        let apart = (day_number(date)? - day_number(measured)?).abs();
-        let (file, date, measured) = (document.name.clone(), date.clone(), measured.to_owned());
-        (apart > ALIKE_DAYS).then_some(ConformityFinding::OtherDate { file, date, measured })
-    });
-    pairs.collect()
+    let measured = identity.day()?.to_owned();
+    let apart_days = (day_number(date)? - day_number(&measured)?).abs();
+    (apart_days > ALIKE_DAYS).then(|| ConformityFinding::OtherDate { date: date.into(), measured })
 }
 
 /// The kind of a file by the keys that only it has.

@@ -19,7 +19,7 @@ use crate::estimation::{check_measurements, doubts};
 use crate::measurement::{BaseBall, PreparedMeasurement};
 use crate::plan::prediction::Identifiability;
 use crate::plan::{Check, Job, Kind, Plan, PlanningPrior, Prediction, Stage, Taught};
-use crate::provenance::{Artefact, Provenance, Role, Traced};
+use crate::provenance::{Artefact, Provenance, Role, Traced, one_robot};
 use crate::report;
 use crate::robot::{Robot, RobotRead};
 
@@ -102,6 +102,8 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     let check = args.check.then(|| PlannedCheck::new(args, &job, &robot, out)).transpose()?;
     let measured =
         if args.check { Measured::default() } else { Measured::find(args, robot_name, &source, out)? };
+    let files = measured.files.iter().map(|path| path.display().to_string());
+    one_robot(files.zip(&measured.sources).chain([(robot_name.to_owned(), &source)]))?;
     // Lengths measured before are looked through with the robot.
     let asked = robot.asked_repeatability().filter(|_| measured.files.is_empty());
     asked.into_iter().for_each(|finding| out.finding(finding));

@@ -396,14 +396,13 @@ impl ApproachColumns {
     pub(super) fn read(&self, row: &Row<'_>) -> Result<Approach, Diagnostic> {
         let mut senses = [0; AXES];
         for (sense, at) in senses.iter_mut().zip(self.0) {
-            // Other programs write whole numbers as -1.0.
-            let read = |at: usize| match row.text(at).strip_suffix(".0").unwrap_or(row.text(at)) {
+            let read = |at: usize| match row.whole_text(at) {
                 "-1" => Ok(-1),
                 "0" | "-0" => Ok(0),
                 "1" | "+1" => Ok(1),
-                cell => {
-                    let column = row.column(at);
-                    Err(row.line(NotASense { column, cell: cell.into() }))
+                _ => {
+                    let (column, cell) = (row.column(at), row.text(at).into());
+                    Err(row.line(NotASense { column, cell }))
                 }
             };
             *sense = row.given(at, read)?.unwrap_or(0);

@@ -7,7 +7,6 @@ use serde::{Deserialize, Serialize};
 use crate::base::date::{day_number, is_after, is_time};
 use crate::base::parse::from_toml;
 use crate::catalogue::JobFinding::{self, NotACountry, NotADate, NotAText, OutOfRange, TooEarly};
-use crate::catalogue::ProvenanceFinding;
 use crate::diagnostic::Diagnostic;
 
 /// The country codes of ISO 3166-1, as the time zone database lists them (public domain).
@@ -174,7 +173,7 @@ impl BarIdentity {
         *self == Self::default()
     }
 
-    fn texts(&self) -> [(&'static str, &Option<String>); 4] {
+    pub(super) fn texts(&self) -> [(&'static str, &Option<String>); 4] {
         [
             ("serial", &self.serial),
             ("certificate", &self.certificate),
@@ -201,22 +200,9 @@ impl BarIdentity {
 }
 
 impl Identity {
-    /// What another identity states that cannot be of a run of this one's job.
-    pub fn contradicted_by(&self, stated: &Self) -> Vec<ProvenanceFinding> {
-        /// Certificates of one bar differ by less, mm.
-        const OTHER_BAR_MM: f64 = 0.05;
-        let text = |mm: f64| format!("{mm} mm");
-        let robot =
-            self.robot.clone().zip(stated.robot.clone()).filter(|(planned, stated)| planned != stated);
-        let length = self.bar.length_mm.zip(stated.bar.length_mm);
-        let length = length.filter(|(planned, stated)| (planned - stated).abs() > OTHER_BAR_MM);
-        let length = length.map(|(planned, stated)| (text(planned), text(stated)));
-        let found = [("robot", robot), ("length_mm", length)];
-        let findings = found.into_iter().filter_map(|(key, both)| {
-            let (planned, stated) = both?;
-            Some(ProvenanceFinding::OtherThanPlanned { key, planned, stated })
-        });
-        findings.collect()
+    /// The day of the measurement.
+    pub fn day(&self) -> Option<&str> {
+        self.measured.as_ref()?.split('T').next()
     }
 
     /// Reads the file of an identity.

@@ -4,6 +4,7 @@
 //! and a command compares the chains of its inputs before it computes. A chain has no date but that of a capture's own
 //! clock, and no path: the same inputs give the same bytes.
 
+mod contradiction;
 mod identity;
 
 use std::fmt;
@@ -16,6 +17,7 @@ use crate::base::hash::sha256;
 use crate::base::serialised;
 use crate::catalogue::ProvenanceFinding;
 use crate::diagnostic::Diagnostic;
+pub use contradiction::Contradiction;
 pub use identity::{BarIdentity, CERTIFIED_C, Identity, LENGTH_U_MM, Temperature, Wrong, check_text};
 
 /// dbbd's version, with the commit where it was built from a repository.
@@ -211,6 +213,27 @@ impl Traced {
                 newest: newer.artefact.to_string(),
             }
         })
+    }
+}
+
+/// That no two artefacts, each with the name that the user gave, are of robots with different serial numbers, as far as
+/// these are known.
+///
+/// # Errors
+/// The first that is not of the robot of the first.
+pub fn one_robot<'a>(all: impl IntoIterator<Item = (String, &'a Traced)>) -> Result<(), Diagnostic> {
+    let serial = |(name, one): (String, &'a Traced)| {
+        let stated = one.provenance.identity.robot.as_ref();
+        Some((name, stated.or_else(|| one.robot()?.serial.as_ref())?))
+    };
+    let mut known = all.into_iter().filter_map(serial);
+    let Some((first, of_first)) = known.next() else { return Ok(()) };
+    match known.find(|(_, serial)| *serial != of_first) {
+        Some((name, serial)) => {
+            let (serial, of_first) = (serial.clone(), of_first.clone());
+            Err(Diagnostic::file(&name, ProvenanceFinding::OtherSerial { serial, first, of_first }))
+        }
+        None => Ok(()),
     }
 }
 

@@ -41,6 +41,7 @@ fn provoked() -> Vec<&'static str> {
         crate::continuous_circles::provoked(),
         crate::controller_executes_krl::provoked(),
         crate::coupled_axes::provoked(),
+        crate::doubts_go_along::provoked(),
         crate::ekrl_reports_the_dwells::provoked(),
         crate::definitions_are_checked::provoked(),
         crate::every_device_round_trips::provoked(),

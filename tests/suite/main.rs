@@ -44,6 +44,7 @@ mod decoder_accounts_for_every_byte;
 mod definitions_are_checked;
 mod device_time_on_the_hosts_clock;
 mod docs_links;
+mod doubts_go_along;
 mod dwells_are_measured;
 mod ekrl_reports_the_dwells;
 mod emitted_programs_run;

@@ -27,7 +27,9 @@ fn a_certificate_states_one_calibration() {
     let at = dir.path();
     fs::write(
         at.join("id.toml"),
-        "robot = \"KR-1\"\nmeasured = \"2026-03-02\"\n[bar]\nserial = \"B-1\"\nlength_mm = 300.0\n",
+        "robot = \"KR-1\"\ncontroller = \"C-1\"\nmeasured = \"2026-03-02\"\nload_kg = 5.0\noperator = \"A. Example\"\n\
+         balls = { 1 = \"S-1\" }\n[bar]\nserial = \"B-1\"\ncertificate = \"K-1\"\ncertified_on = \"2026-03-01\"\nlength_mm = 300.0\n\
+         length_u_mm = 0.002\ntemperature_c = 20.0\nexpansion_per_k = 12e-6\n[[temperature]]\nof = \"bar\"\ncelsius = 20.12\nu_k = 0.4\n",
     )
     .unwrap();
     done(&identify(at, &data.to_csv(), &[&PRIOR[..], &["--identity", "id.toml"]].concat()));
@@ -51,14 +53,27 @@ fn a_certificate_states_one_calibration() {
     for stated in [
         "robot = \"KR-2\"",
         "measured = \"2025-03-02\"",
+        "controller = \"C-2\"",
+        "load_kg = 60.0",
+        "balls = { 1 = \"S-2\" }",
         "[bar]\nserial = \"B-2\"",
         "[bar]\nlength_mm = 250.0",
+        "[bar]\ncertificate = \"K-2\"",
+        "[bar]\ncertified_on = \"2001-03-01\"",
+        "[bar]\nlength_u_mm = 0.2",
+        "[bar]\ntemperature_c = 35.0",
+        "[bar]\nexpansion_per_k = 23e-6",
+        "[[temperature]]\nof = \"bar\"\ncelsius = 22.0",
+        "[[temperature]]\nof = \"bar\"\ncelsius = 20.1\nu_k = 0.1",
         "balls = { 7 = \"S-7\" }",
     ] {
         fs::write(at.join("other.toml"), stated).unwrap();
         says(&certificate("first", &["--identity", "other.toml"]), 3, "W2007");
     }
-    fs::write(at.join("other.toml"), "operator = \"A. Example\"\nballs = { 1 = \"S-1\" }\n").unwrap();
+    // Who states it, and a temperature as it is read off.
+    let same =
+        "operator = \"B. Other\"\nballs = { 1 = \"S-1\" }\n[[temperature]]\nof = \"bar\"\ncelsius = 20.1\n";
+    fs::write(at.join("other.toml"), same).unwrap();
     done(&certificate("first", &["--identity", "other.toml"]));
     // Micrometres, radians, one pose many times.
     assert_eq!(check(&["--tool-repeat", "10"]).status.code(), Some(2));

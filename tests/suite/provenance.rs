@@ -6,7 +6,7 @@ use std::process::Output;
 
 use dbbd::base::hash::sha256;
 use dbbd::program::{self, Language};
-use dbbd::provenance::{Artefact, Provenance, Role, VERSION};
+use dbbd::provenance::{Artefact, Identity, Provenance, Role, VERSION};
 use dbbd::recording::capture::{self, Record, Writer};
 use dbbd::robot::Robot;
 use dbbd::sim::truth;
@@ -285,6 +285,9 @@ fn a_table_of_lengths_has_the_chain_of_its_run() {
     let at = dir.path();
     let robot = Robot { serial: Some("KR-1".into()), ..kr60() };
     let text = robot.to_toml().unwrap();
+    fs::write(at.join("first.toml"), &text).unwrap();
+    fs::write(at.join("job.toml"), JOB.replace("robot.toml", "kr60ha")).unwrap();
+    fs::write(at.join("C.csv"), centres_csv(&[horizontal(1, CENTRE)])).unwrap();
     stored_run(at, "run.dbbd", &Provenance::of([&robot.traced(&text)]));
     step(at, &["sync", "run.dbbd", "--out", "obs.csv"]);
     let made = info(at, "obs.csv");
@@ -297,6 +300,21 @@ fn a_table_of_lengths_has_the_chain_of_its_run() {
         .unwrap();
     let other = dbbd(at, &["identify", "obs.csv", "--robot", "other.toml", "--out", "out"]);
     assert_eq!(said(&other, "E1802"), (Some(1), true), "{}", stderr(&other));
+    // What was stated of the measurement counts as the robot file does.
+    for serial in ["KR-1", "KR-2"] {
+        let stated = Identity { robot: Some(serial.into()), ..Identity::default() };
+        let chain = Provenance { identity: stated, ..Provenance::of([&kr60().traced("")]) };
+        stored_run(at, &format!("{serial}.dbbd"), &chain);
+        step(at, &["sync", &format!("{serial}.dbbd"), "--out", &format!("{serial}.csv")]);
+    }
+    for args in [
+        &["circle", "KR-1.dbbd", "KR-2.dbbd", "--out", "q"][..],
+        &["identify", "KR-2.csv", "--robot", "first.toml", "--centres", "C.csv", "--out", "out"],
+        &["plan", "job.toml", "--measured", "KR-1.csv", "--measured", "KR-2.csv", "--out", "plan"],
+    ] {
+        let other = dbbd(at, args);
+        assert_eq!(said(&other, "E1802"), (Some(1), true), "{args:?} {}", stderr(&other));
+    }
     let table = fs::read_to_string(at.join("obs.csv")).unwrap();
     let (shorter, _) = table.trim_end().rsplit_once('\n').unwrap();
     fs::write(at.join("obs.csv"), shorter).unwrap();

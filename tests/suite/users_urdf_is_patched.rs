@@ -171,6 +171,12 @@ fn what_is_no_urdf_of_this_robot_is_refused() {
     let names = "joint_1,joint_2,joint_3,joint_4,joint_5,joint_6";
     assert_eq!(patch(&both, &["--joints", names]).status.code(), Some(0));
     assert!(fs::read_to_string(dir.path().join("out/arm.urdf")).unwrap().ends_with(&(second + "\n</robot>")));
+    // Names that are not there, and a chain from the flange to the base.
+    for wrong in [names.replace("_6", "_7"), "joint_6,joint_5,joint_4,joint_3,joint_2,joint_1".into()] {
+        let output = patch(&good, &["--joints", &wrong]);
+        assert_eq!(codes(&output), ["E1720"]);
+        assert!(!stderr(&output).contains("0 chains"), "{wrong}");
+    }
     // The file itself is not written over.
     fs::write(dir.path().join("arm.urdf"), &good).unwrap();
     let output = dbbd(dir.path(), &["export", "robot.toml", "--urdf-in", "arm.urdf", "--out", "."]);

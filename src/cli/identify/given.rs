@@ -10,7 +10,7 @@ use crate::cli::robots;
 use crate::diagnostic::{Diagnostic, Finding, Severity};
 use crate::estimation::{AngleSource, CalibrationResult, Prior, check_measurements, doubts};
 use crate::measurement::{BaseBall, Measurements};
-use crate::provenance::{Artefact, Difference, Provenance, Role, Traced};
+use crate::provenance::{Artefact, Difference, Provenance, Role, Traced, one_robot};
 use crate::recording::matching::PoseMatching;
 use crate::recording::run::{self, Predicted, Run};
 use crate::robot::{AXES, BallId, BarId, Robot, RobotRead};
@@ -255,6 +255,7 @@ fn robot(
     {
         return Err(lengths.of_another_robot(planned, &given.artefact).into());
     }
+    one_robot([(lengths.artefact.name.clone(), lengths), (given.artefact.name.clone(), given)])?;
     if given.provenance.has(&lengths.artefact) {
         let (lengths, robot) = (lengths.artefact.to_string(), given.artefact.to_string());
         out.finding(ProvenanceFinding::UsedBefore { lengths, robot });

@@ -147,7 +147,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     }
     if let Some(path) = &args.identity {
         let stated = artefact::identity(path)?;
-        out.about(&given.provenance.identity.contradicted_by(&stated));
+        out.about(&artefact::other_run(&given.provenance.identity, &stated));
         given.provenance.identity.extend(&stated);
     }
     let set_up = given.observations.set_up(given.centres.len());

@@ -13,14 +13,14 @@ use super::page::render;
 use crate::base::hash::sha256;
 use crate::catalogue::CertificateFinding::{
     self, CheckOfAnother, CheckOfOtherResult, Doubtful, NoBudget, NoCheck, NoResult, NoSuchBall, NotStated,
-    OtherThanCarried, OtherThanUsed,
+    OtherThanCarried,
 };
 use crate::catalogue::Names;
 use crate::conformity::Budget;
 use crate::diagnostic::Diagnostic;
 use crate::estimation::ResultFile;
 use crate::estimation::result_file::WarningKind;
-use crate::provenance::{Artefact, Identity, Provenance, Role};
+use crate::provenance::{Artefact, Contradiction, Identity, Provenance, Role};
 use sections::Section;
 
 #[cfg(feature = "pdf")]
@@ -65,42 +65,6 @@ pub struct Certificate {
     contradictions: Vec<CertificateFinding>,
     /// First digits of the SHA-256 of `result.json`.
     number: String,
-}
-
-/// What an identity states against that which a result carries.
-fn contradictions(carried: &Identity, stated: &Identity) -> Vec<CertificateFinding> {
-    /// Certificates of one bar differ by less, mm.
-    const OTHER_BAR_MM: f64 = 0.05;
-    fn day(identity: &Identity) -> Option<String> {
-        Some(identity.measured.as_ref()?.split('T').next()?.to_owned())
-    }
-    let differs = |key: &'static str, carried: Option<String>, stated: Option<String>| {
-        let (carried, stated) = carried.zip(stated).filter(|(carried, stated)| carried != stated)?;
-        Some(OtherThanCarried { key, carried, stated })
-    };
-    let text = |text: &Option<String>| text.clone();
-    let number = |number: Option<f64>| number.map(|number| number.to_string());
-    let (bar, other) = (&carried.bar, &stated.bar);
-    let balls = stated
-        .balls
-        .iter()
-        .find_map(|(ball, serial)| differs("balls", carried.balls.get(ball).cloned(), Some(serial.clone())));
-    let length = carried.bar.length_mm.zip(stated.bar.length_mm);
-    let length = length.filter(|(used, stated)| (used - stated).abs() > OTHER_BAR_MM);
-    let found = [
-        differs("robot", carried.robot.clone(), stated.robot.clone()),
-        differs("serial", text(&bar.serial), text(&other.serial)),
-        differs("certificate", text(&bar.certificate), text(&other.certificate)),
-        differs("certified_on", text(&bar.certified_on), text(&other.certified_on)),
-        differs("certified_by", text(&bar.certified_by), text(&other.certified_by)),
-        differs("length_u_mm", number(bar.length_u_mm), number(other.length_u_mm)),
-        differs("temperature_c", number(bar.temperature_c), number(other.temperature_c)),
-        differs("expansion_per_k", number(bar.expansion_per_k), number(other.expansion_per_k)),
-        balls,
-        differs("measured", day(carried), day(stated)),
-        length.map(|(used_mm, stated_mm)| OtherThanUsed { stated_mm, used_mm }),
-    ];
-    found.into_iter().flatten().collect()
 }
 
 #[derive(Serialize)]
@@ -148,7 +112,10 @@ impl Certificate {
 
     /// With what is stated now in place of what the result carries.
     pub fn with_identity(mut self, identity: &Identity) -> Self {
-        self.contradictions = contradictions(&self.provenance.identity, identity);
+        let found = self.provenance.identity.contradictions(identity).into_iter();
+        self.contradictions = found
+            .map(|Contradiction { key, known, stated }| OtherThanCarried { key, carried: known, stated })
+            .collect();
         self.provenance.identity.extend(identity);
         self
     }
