@@ -65,7 +65,7 @@ findings! {
             Damaged { why: String } => "the record of what the file was made from is damaged: {why}";
         }
         E1808 "a result was changed after it was written",
-        cause: "The hash at the end of result.json or check.json is that of another text. What it states was not computed.",
+        cause: "The hash at the end of result.json, check.json, circle.json or compare.json is that of another text. What it states was not computed.",
         cure: "Take the file as dbbd wrote it, or compute it again." {
             Edited => "was changed since dbbd wrote it: its hash is of another text";
         }

@@ -115,6 +115,8 @@ pub(super) fn unequal(traces: &[Trace], whole: &Arc) -> Option<Finding> {
 pub(super) fn other_sigma(traces: &[Trace], rays: &Rays, sigma_mm: f64) -> Option<Finding> {
     /// Times the scatter, either way: units differ by a thousand.
     const FAR: f64 = 10.0;
+    /// Neighbours of a motion without stops scatter by less than its lengths, mm.
+    const LARGE_MM: f64 = 0.1;
     /// On a sparse circle the form is in the scatter.
     const DENSE: usize = 36;
     if traces.iter().any(|trace| trace.points.len() < DENSE) {
@@ -125,7 +127,8 @@ pub(super) fn other_sigma(traces: &[Trace], rays: &Rays, sigma_mm: f64) -> Optio
     if sigma_mm * FAR < scatter_mm {
         return Some(Finding::SigmaTooSmall { sigma_um, scatter_um });
     }
-    (sigma_mm > FAR * scatter_mm).then_some(Finding::SigmaTooLarge { sigma_um, scatter_um })
+    (sigma_mm > LARGE_MM && sigma_mm > FAR * scatter_mm)
+        .then_some(Finding::SigmaTooLarge { sigma_um, scatter_um })
 }
 
 fn times_back(trace: &Trace) -> Option<Finding> {

@@ -101,6 +101,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         return Err(EstimationFinding::LengthsOnly.into());
     }
     given.planned_for(&given.robot).map_err(Diagnostic::from)?;
+    given.robot.doubtful().into_iter().for_each(|doubt| out.finding(Diagnostic::file(&args.robot, doubt)));
     let start = LengthModel::new(given.robot.geometry.clone(), &given.centres);
     let readings: Vec<PreparedMeasurement> =
         given.observations.rows.iter().map(PreparedMeasurement::from).collect();

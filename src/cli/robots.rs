@@ -38,11 +38,18 @@ enum What {
     },
 }
 
-/// A robot by built-in name or by file.
+/// A robot by built-in name or by file, whose identification was without doubt or is doubted.
 ///
 /// # Errors
 /// An unknown name, or what is wrong in the file.
 pub(crate) fn read(name: &str, out: &Output) -> Result<RobotRead, Diagnostic> {
+    let read = from_file(name, out)?;
+    read.robot.doubtful().into_iter().for_each(|doubt| out.finding(Diagnostic::file(name, doubt)));
+    Ok(read)
+}
+
+/// As [`read`], for an identification anew.
+pub(crate) fn from_file(name: &str, out: &Output) -> Result<RobotRead, Diagnostic> {
     let sealed = |text: &String| {
         if serialised::is_sealed_toml(text) == Some(false) {
             out.finding(Diagnostic::file(name, ProvenanceFinding::RobotEdited));
@@ -52,7 +59,6 @@ pub(crate) fn read(name: &str, out: &Output) -> Result<RobotRead, Diagnostic> {
     if let Some(finding) = read.robot.unlike_built_in() {
         out.finding(Diagnostic::file(name, finding));
     }
-    read.robot.doubtful().into_iter().for_each(|doubt| out.finding(Diagnostic::file(name, doubt)));
     Ok(read)
 }
 

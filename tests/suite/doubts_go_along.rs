@@ -182,7 +182,7 @@ fn options_of_a_circle() {
     }
     // A form of some tenths of a millimetre is no noise of the lengths.
     assert_eq!(evaluated(at, &["--sigma", "0.0005"]).status.code(), Some(0));
-    for sigma in ["0.05", "5e-6"] {
+    for sigma in ["0.5", "5e-6"] {
         says(&evaluated(at, &["--sigma", sigma]), 3, "W1482");
     }
 }

@@ -5,7 +5,7 @@ use std::path::Path;
 use std::process::Output;
 
 use dbbd::estimation::result::{PriorSource, StartRobot};
-use dbbd::estimation::result_file::ResultFile;
+use dbbd::estimation::result_file::{ResultFile, WarningKind};
 use dbbd::measurement::{Measurements, PreparedMeasurement};
 use dbbd::plan::{Job, PlanningPrior};
 use dbbd::robot::Robot;
@@ -81,7 +81,9 @@ fn a_check_does_not_raise_the_predicted_error() {
         let second = result(dir.path(), "second");
         let second_mm = second.predicted_position_error_mm;
         let said = stderr(&output);
-        assert_eq!(output.status.code(), Some(0), "{said}");
+        // Nothing is doubtful of the second run but what it begins with: some poses of the first are beyond the limits.
+        let own = second.warnings.iter().all(|found| found.kind == WarningKind::Note);
+        assert!(output.status.code() == Some(3) && told(&output, "W1843") && own, "{said}");
         assert!(second_mm.identified.mean < 1.05 * first_mm, "{prior} {first_mm}: {second_mm:?} {said}");
         // What is known before is what the first run left.
         assert!((second_mm.nominal.mean / first_mm - 1.0).abs() < 0.1, "{prior} {first_mm}: {second_mm:?}");
@@ -93,7 +95,7 @@ fn a_check_does_not_raise_the_predicted_error() {
         let others = lengths(&[horizontal(1, CENTRE)], 16, 3).to_csv();
         fs::write(dir.path().join("check.csv"), others).unwrap();
         let third = check(dir.path(), "first/robot-identified.toml", &[]);
-        assert_eq!(third.status.code(), Some(0), "{}", stderr(&third));
+        assert!(third.status.code() == Some(3) && told(&third, "W1843"), "{}", stderr(&third));
     }
 }
 

@@ -240,7 +240,7 @@ fn robot(
     out: &Output,
 ) -> Result<RobotRead, Diagnostic> {
     let found = match (named, run) {
-        (Some(name), _) => robots::read(name, out)?,
+        (Some(name), _) => robots::from_file(name, out)?,
         (None, Some(run)) => {
             let (robot, text) = (run.robot()?, &run.plan.header.robot);
             // A plan that has no chain knows its robot all the same.

@@ -226,6 +226,9 @@ fn options(args: &Args, given: &mut Given, set_up: SetUp, out: &Output) -> Resul
         },
         Some(file) => Prior::Given(out.table(Path::new(file), |table| read_prior(table, set_up))?),
     };
+    // What was known before is doubtful; without it all is measured anew.
+    let doubtful = given.robot.doubtful().filter(|_| matches!(prior, Prior::Posterior));
+    doubtful.into_iter().for_each(|doubt| out.finding(doubt));
     let betas = given.robot.parallel_joints();
     let list = |text: &Option<String>| {
         text.as_deref().map(|text| parameter::parse_list(text, &betas, set_up)).transpose()
