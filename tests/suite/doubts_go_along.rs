@@ -12,7 +12,7 @@ use crate::cell::{codes, dbbd, stderr};
 use crate::nothing_wrong_is_silent::{JOB, cell, identify, says};
 
 pub(crate) fn provoked() -> Vec<&'static str> {
-    vec!["W1843", "E1723", "E0110", "E1481", "W1482"]
+    vec!["W1843", "E1724", "E0110", "E1481", "W1482"]
 }
 
 const PRIOR: [&str; 2] = ["--prior", "datasheet"];
@@ -74,9 +74,9 @@ fn what_is_exported_is_a_robot_or_a_capture() {
     fs::copy(RUN, at.join("run.dbbd")).unwrap();
     fs::write(at.join("robot.toml"), dbbd::robot::Robot::built_in_file("kr60ha").unwrap()).unwrap();
     for robot in ["robot.toml", "kr60ha"] {
-        says(&dbbd(at, &["export", robot, "--out", "e"]), 1, "E1723");
+        says(&dbbd(at, &["export", robot, "--out", "e"]), 1, "E1724");
     }
-    says(&dbbd(at, &["export", "run.dbbd", "--urdf-in", "arm.urdf", "--out", "e"]), 1, "E1723");
+    says(&dbbd(at, &["export", "run.dbbd", "--urdf-in", "arm.urdf", "--out", "e"]), 1, "E1724");
     assert!(!at.join("e").exists());
     // Of another kind.
     fs::write(at.join("job.toml"), JOB).unwrap();
