@@ -165,6 +165,11 @@ findings! {
         cure: "Compare the first and the last rows of poses and lengths; give the lengths to their own poses. `gain` is the natural logarithm of the likelihood ratio." {
             ShiftedRows { rows: isize, residual_mm: f64, shifted_mm: f64, gain: f64 } => "with each length moved by {rows} row(s) the residual falls from {residual_mm:.4} mm to {shifted_mm:.4} mm (likelihood ratio e^{gain:.0})";
         }
+        W1331 "a base ball was mounted anew amid the data",
+        cause: "From one row on the lengths to a ball are to another place: it was mounted again, knocked or moved in its cup, and the table does not say so. The lengths after that row then got a ball of their own.",
+        cure: "Give the later lengths a number of their own in the column `centre`, and a row of --centres. If nothing was moved, look for what else changed at that row: the bar, its zero, the tool ball. `gain` is the natural logarithm of the likelihood ratio." {
+            Remounted { ball: u32, index: u32, new: u32, moved_mm: f64, residual_mm: f64, apart_mm: f64, gain: f64 } => "from index {index} on ball {ball} is {moved_mm:.3} mm from where it was: these lengths are of ball {new} in the result; the residual falls from {residual_mm:.4} mm to {apart_mm:.4} mm (likelihood ratio e^{gain:.0})";
+        }
         W1332 "what an earlier identification knew is lost",
         cause: "The robot was identified before, and its file does not hold how well: it was written by an older version, or its values were changed since. These lengths alone then stand for all that is known, so that the predicted position error can rise.",
         cure: "Give the robot-identified.toml as it was written; or identify the earlier lengths together with these. `--prior none` begins anew without a word." {

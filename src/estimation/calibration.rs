@@ -67,7 +67,7 @@ impl<'a> Input<'a> {
         Ok(Start::of(self, &lengths, &asked)?.estimate.fit.model)
     }
 
-    fn setting(&self) -> Setting<'a> {
+    pub(super) fn setting(&self) -> Setting<'a> {
         Setting::new(self.robot, self.start, self.observations, self.options)
     }
 }
@@ -111,8 +111,8 @@ impl<'a> Start<'a> {
         if !joint_errors::carries(lengths, &estimate) {
             return Ok(None);
         }
-        let found = joint_errors::fit(&setting, lengths, &estimate);
-        Ok(found.map(|found| Self { estimate: estimate.with_joints(lengths, found), setting }))
+        let found = joint_errors::fit(&setting, lengths, estimate);
+        Ok(found.map(|estimate| Self { estimate, setting }))
     }
 }
 

@@ -38,6 +38,12 @@ impl Hypers {
         self.0[group as usize].exp()
     }
 
+    /// With the standard deviation that another has of a group.
+    pub(super) fn with_sd_of(mut self, group: Group, other: &Self) -> Self {
+        self.0[group as usize] = other.0[group as usize];
+        self
+    }
+
     /// Over which the smooth functions are alike, rad.
     pub(super) fn length_rad(&self) -> f64 {
         self.0[HyperPrior::LENGTH].exp()
@@ -135,8 +141,7 @@ impl Solved {
 
     /// A root of their covariance, C = root root'.
     pub(super) fn root(&self) -> Option<DMatrix<f64>> {
-        let inverse = self.inverse()?;
-        let mut root = inverse.transpose();
+        let mut root = self.inverse()?.transpose();
         for (mut row, scale) in root.row_iter_mut().zip(&self.roots) {
             row *= *scale;
         }
@@ -145,8 +150,17 @@ impl Solved {
 
     /// The inverse of the lower factor of B.
     fn inverse(&self) -> Option<DMatrix<f64>> {
-        let count = self.roots.len();
-        self.cholesky.l_dirty().solve_lower_triangular(&DMatrix::identity(count, count))
+        let (count, factor) = (self.roots.len(), self.cholesky.l_dirty());
+        let mut inverse = DMatrix::identity(count, count);
+        // Above its diagonal a column is zero.
+        for at in 0..count {
+            let left = count - at;
+            let mut column = inverse.view_mut((at, at), (left, 1));
+            if !factor.view((at, at), (left, left)).solve_lower_triangular_mut(&mut column) {
+                return None;
+            }
+        }
+        Some(inverse)
     }
 
     /// How much of each unknown the data determine, from 0 to 1.
@@ -173,8 +187,9 @@ pub(super) struct Found {
 /// Where the search is.
 struct Here {
     hypers: Hypers,
+    solved: Solved,
+    /// The logarithm of likelihood and hyper-priors.
     value: f64,
-    gradient: [f64; HYPERS],
 }
 
 impl Evidence<'_> {
@@ -207,9 +222,9 @@ impl Evidence<'_> {
     /// The likeliest variances, from `start`.
     pub(super) fn maximise(&self, start: Hypers) -> Option<Found> {
         let mut here = self.at(start)?;
+        let mut gradient = self.gradient(&here)?;
         let mut inverse = DMatrix::<f64>::identity(HYPERS, HYPERS) * FIRST_STEP;
         for _ in 0..MOST_STEPS {
-            let gradient = DVector::from_column_slice(&here.gradient);
             let mut step = &inverse * &gradient;
             let longest = step.amax();
             if longest > LONGEST_STEP {
@@ -219,12 +234,12 @@ impl Evidence<'_> {
             let Some(there) = self.better(&here, &step, promised) else { break };
             let gain = there.value - here.value;
             let moved = DVector::from_fn(HYPERS, |at, _| there.hypers.0[at] - here.hypers.0[at]);
-            let change = &gradient - DVector::from_column_slice(&there.gradient);
-            update(&mut inverse, &moved, &change);
             here = there;
             if gain < REST && promised < 10.0 * REST {
                 break;
             }
+            let before = std::mem::replace(&mut gradient, self.gradient(&here)?);
+            update(&mut inverse, &moved, &(before - &gradient));
         }
         Some(Found { hypers: here.hypers, value: here.value })
     }
@@ -248,22 +263,28 @@ impl Evidence<'_> {
         None
     }
 
-    /// The logarithm of likelihood and hyper-priors, with its gradient.
     fn at(&self, hypers: Hypers) -> Option<Here> {
         let solved = self.solve(&hypers)?;
-        let mut gradient = [0.0; HYPERS];
+        let mut value = solved.ln_likelihood;
+        for (at, prior) in HyperPrior::ALL.into_iter().enumerate() {
+            value -= 0.5 * prior.off(hypers.0[at]).powi(2);
+        }
+        Some(Here { hypers, solved, value })
+    }
+
+    fn gradient(&self, here: &Here) -> Option<DVector<f64>> {
+        let Here { hypers, solved, .. } = here;
+        let mut gradient = DVector::zeros(HYPERS);
         let inverse = solved.inverse()?;
         let mut trace = 0.0;
-        for ((variance, scaled), column) in
-            self.variances.iter().zip(&solved.scaled).zip(inverse.column_iter())
-        {
-            let left = column.norm_squared();
+        for (at, (variance, scaled)) in self.variances.iter().zip(&solved.scaled).enumerate() {
+            let left = inverse.view((at, at), (inverse.nrows() - at, 1)).norm_squared();
             trace += left;
             // By the logarithm of the variance.
             let slope = 0.5 * (scaled * scaled + left - 1.0);
             if let Some(group) = variance.group() {
                 gradient[group as usize] += 2.0 * slope;
-                gradient[HyperPrior::LENGTH] += slope * variance.value(&hypers).by_length;
+                gradient[HyperPrior::LENGTH] += slope * variance.value(hypers).by_length;
             }
         }
         let unknowns = solved.unknowns();
@@ -274,14 +295,12 @@ impl Evidence<'_> {
                 - trace
                 - self.normal.freedom;
         }
-        let mut value = solved.ln_likelihood;
         for (at, prior) in HyperPrior::ALL.into_iter().enumerate() {
-            let Some(ln_sd) = prior.ln_sd else { continue };
-            let off = (hypers.0[at] - prior.median.ln()) / ln_sd;
-            value -= 0.5 * off * off;
-            gradient[at] -= off / ln_sd;
+            if let Some(ln_sd) = prior.ln_sd {
+                gradient[at] -= prior.off(hypers.0[at]) / ln_sd;
+            }
         }
-        Some(Here { hypers, value, gradient })
+        Some(gradient)
     }
 }
 
@@ -336,6 +355,7 @@ mod tests {
         }
         let evidence = Evidence { normal: &normal, variances: &variances, sigma_is_given: false };
         let here = evidence.at(Hypers::start(0.03)).unwrap();
+        let gradient = evidence.gradient(&here).unwrap();
         for at in 0..HYPERS {
             let moved = |step: f64| {
                 let mut hypers = here.hypers;
@@ -344,11 +364,7 @@ mod tests {
             };
             let numeric = (moved(1e-5) - moved(-1e-5)) / 2e-5;
             let size = numeric.abs().max(1.0);
-            assert!(
-                (here.gradient[at] - numeric).abs() < 1e-4 * size,
-                "{at}: {} {numeric}",
-                here.gradient[at]
-            );
+            assert!((gradient[at] - numeric).abs() < 1e-4 * size, "{at}: {} {numeric}", gradient[at]);
         }
     }
 }

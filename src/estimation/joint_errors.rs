@@ -12,6 +12,7 @@ use super::evidence::{Evidence, Found, Hypers, Normal, Variance};
 use super::joint_fit::{GroupEvidence, JointFit};
 use super::joint_system::System;
 use super::lengths::{Lengths, Sigma, Weighted};
+use super::outliers::outliers;
 use super::pose_rows::{LengthNoise, PoseRows};
 use super::prior::PriorRows;
 use super::priors::Group;
@@ -26,12 +27,12 @@ const REDUNDANT: usize = 30;
 const ROUNDING_MM: f64 = 1e-6;
 /// Gain in the logarithm of the evidence over the geometry alone from which errors of joints are believed.
 const GAIN: f64 = 3.0;
+/// Rounds in which the set of outliers may change.
+const OUTLIER_ROUNDS: usize = 3;
 /// Linearisations.
 const ROUNDS: usize = 4;
 /// Shares of the length's own noise in that of the pose that are tried.
 const RATIOS: [f64; 4] = [0.1, 0.3, 1.0, 3.0];
-/// The interval of a smooth function is this many times that of the angles measured.
-const WIDER: f64 = 1.5;
 /// An axis that turns by less has no function of its angle, rad.
 const LEAST_RANGE: f64 = 0.05;
 /// Basis functions for each length of likeness in half the interval (Riutort-Mayol et al., Statistics and Computing 33,
@@ -53,8 +54,25 @@ pub(super) fn carries(lengths: &Lengths, estimate: &Estimate) -> bool {
         && rms_mm > ROUNDING_MM
 }
 
-/// The fit from `estimate`, whose geometry a prior binds; `None` without a gain, or when a number is not finite.
-pub(super) fn fit(setting: &Setting<'_>, lengths: &Lengths, estimate: &Estimate) -> Option<JointFit> {
+/// The fit from `estimate`, whose geometry a prior binds, with the lengths that it leaves out. `None` without a gain, or
+/// when a number is not finite.
+pub(super) fn fit(setting: &Setting<'_>, lengths: &Lengths, estimate: Estimate) -> Option<Estimate> {
+    let whole = lengths.weighted(Sigma::Given, &[]);
+    let mut found = from(setting, lengths, &estimate)?;
+    let mut estimate = estimate;
+    // Beside errors of the joints residuals are smaller: outliers show that the geometry alone hides.
+    for _ in 0..OUTLIER_ROUNDS {
+        let out = outliers(&whole, &found.model, found.effective_parameters as usize);
+        if out == estimate.fit.out {
+            break;
+        }
+        estimate.fit.out = out;
+        found = from(setting, lengths, &estimate)?;
+    }
+    Some(estimate.with_joints(lengths, found))
+}
+
+fn from(setting: &Setting<'_>, lengths: &Lengths, estimate: &Estimate) -> Option<JointFit> {
     let used = estimate.used(lengths);
     let mut search = Search::new(setting, estimate, &used)?;
     let mut found = None;
@@ -104,6 +122,8 @@ struct Search<'a> {
     mean: Vec<f64>,
     model: LengthModel,
     hypers: Hypers,
+    /// Those before ripples were looked for.
+    unsearched: Option<Hypers>,
     ratio: f64,
     sigma_is_given: bool,
     /// The angles of each joint: lowest and highest, rad.
@@ -146,6 +166,7 @@ impl<'a> Search<'a> {
             mean,
             model: estimate.fit.model.clone(),
             hypers: Hypers::start(used.rms_sigma()),
+            unsearched: None,
             ratio: RATIOS[0],
             sigma_is_given: used.lengths().vouched,
             ranges,
@@ -157,7 +178,7 @@ impl<'a> Search<'a> {
     fn errors(&self) -> JointErrors {
         let joint = |at: usize| {
             let [low, high] = self.ranges[at];
-            let half_width = WIDER * 0.5 * (high - low);
+            let half_width = Smooth::half_width_for([low, high]);
             let before = self.model.geometry.joint_errors.at(at).cloned().unwrap_or_default();
             if high - low < LEAST_RANGE {
                 return JointError::default();
@@ -195,6 +216,7 @@ impl<'a> Search<'a> {
     /// With the ripples that more than chance speaks for, one after the other.
     fn with_ripple(&mut self, used: &Weighted, start: (System, Found)) -> Option<(System, Found)> {
         let mut best = start;
+        self.unsearched = Some(self.hypers);
         for _ in 0..MOST_RIPPLES {
             let Some(candidate) = self.ripple(&best.0).filter(Candidate::is_believed) else { break };
             let mut wider = self.clone();
@@ -306,7 +328,9 @@ impl<'a> Search<'a> {
     fn fitted(self, system: &System, gain: f64) -> Option<JointFit> {
         let reduced = system.reduced(self.ratio)?;
         let variances = system.bound_variances();
-        let solved = self.evidence(&reduced.normal, &variances).solve(&self.hypers)?;
+        // A part of what a search among many ripples explains is chance: the uncertainty is that without it.
+        let cautious = self.unsearched.unwrap_or(self.hypers).with_sd_of(Group::Ripple, &self.hypers);
+        let solved = self.evidence(&reduced.normal, &variances).solve(&cautious)?;
         let determined = solved.determined()?;
         let own = self.ids.len();
         let sd = |k: usize| match system.variances[k] {
@@ -317,15 +341,16 @@ impl<'a> Search<'a> {
         let prior = PriorRows::independent(&sds, &self.mean);
         Some(JointFit {
             prior,
-            root: system.root(&reduced, &solved, self.hypers.sigma_mm())?,
+            root: system.root(&reduced, &solved, cautious.sigma_mm())?,
             groups: self.groups(system, &determined)?,
             effective_parameters: determined.iter().sum::<f64>() + system.free.len() as f64,
             noise: LengthNoise {
-                pose_mm: self.hypers.sigma_mm(),
-                length_mm: self.ratio * self.hypers.sigma_mm(),
+                pose_mm: cautious.sigma_mm(),
+                length_mm: self.ratio * cautious.sigma_mm(),
                 joints: None,
             },
             hypers: self.hypers,
+            cautious,
             gain,
             ids: self.ids,
             model: self.model,

@@ -24,6 +24,8 @@ pub(crate) struct JointFit {
     pub(super) effective_parameters: f64,
     pub(super) noise: LengthNoise<'static>,
     pub(super) hypers: Hypers,
+    /// Those that the uncertainty is of.
+    pub(super) cautious: Hypers,
     /// Gain in the logarithm of the evidence over the geometry alone.
     pub(super) gain: f64,
 }
@@ -66,8 +68,8 @@ impl JointFit {
             parameters: own.iter().map(|&k| self.ids[k]).collect(),
             root: self.root.select_rows(&rows),
             pose_mm: self.noise.pose_mm,
-            smooth_rad: self.hypers.sd(Group::Smooth),
-            likeness_rad: self.hypers.length_rad(),
+            smooth_rad: self.cautious.sd(Group::Smooth),
+            likeness_rad: self.cautious.length_rad(),
             backlash_is_known: self.groups.iter().any(|group| group.group == Group::Backlash),
         }
     }

@@ -30,8 +30,7 @@ pub(super) fn robust(
     let mut iterations = plain.iterations + reached.iterations;
     let mut out = Vec::new();
     for _ in 0..ROUNDS {
-        let residuals = whitened(whole, &reached.model);
-        let now = standing_out(whole, &reached.model, &residuals, limit, parameters);
+        let now = outliers(whole, &reached.model, parameters);
         let next = solve(&whole.without(&now), Loss::Squares, Some(&reached.model));
         iterations += next.iterations;
         reached = next;
@@ -42,6 +41,11 @@ pub(super) fn robust(
         }
     }
     Fit { model: reached.model, iterations, converged: reached.converged, out }
+}
+
+/// The places of the lengths that do not belong to the others beside a model that takes up so many `parameters`.
+pub(super) fn outliers(whole: &Weighted, model: &LengthModel, parameters: usize) -> Vec<usize> {
+    standing_out(whole, model, &whitened(whole, model), limit(whole.count()), parameters)
 }
 
 /// How many robust standard deviations a residual may have: one length in a hundred normal data

@@ -1,7 +1,7 @@
 //! The position uncertainty of the tool ball at poses, from all that is not known of a robot.
 //!
 //! At a pose: J C J' of parameters and joint errors, the six rigid motions of all poses taken out; at each joint what a
-//! smooth function has left beyond its basis (all of it where its angle was not measured) and, where the sense of approach
+//! smooth function has left beyond the angles measured (all of it far from them) and, where the sense of approach
 //! is not known, its backlash.
 
 use nalgebra::{DMatrix, Matrix3, Vector3};
@@ -150,23 +150,35 @@ pub(super) fn beside(
     axes: &[f64; AXES],
     approach: Approach,
 ) -> [f64; AXES] {
-    let mut variance = [unknown.smooth_rad.powi(2); AXES];
-    let terms = geometry.joint_errors.terms();
-    let mut at = 0;
-    geometry.error_derivatives(axes, approach, |place, value| {
-        if let TermKind::Smooth { frequency } = terms[at].kind {
-            let density = spectral_density(unknown.smooth_rad, unknown.likeness_rad, frequency);
-            variance[place] -= density * value * value;
-        }
-        at += 1;
-    });
+    let joints = geometry.coupling.joints(axes);
+    let here = smooth_variance(geometry, unknown, &joints);
+    let errors = &geometry.joint_errors;
+    let nearest = |place: usize| errors.at(place).map(|error| error.smooth.nearest_measured(joints[place]));
+    let nearest: [f64; AXES] = std::array::from_fn(|place| nearest(place).unwrap_or(joints[place]));
+    let measured = smooth_variance(geometry, unknown, &nearest);
     let backlash = backlash_sd(geometry, unknown);
     let senses = geometry.coupling.senses(approach).senses();
     std::array::from_fn(|place| {
         let unapproached = unknown.backlash_is_known && senses[place] == 0;
         let backlash = if unapproached { backlash[place] } else { 0.0 };
-        variance[place].max(0.0).sqrt().hypot(backlash)
+        // Among measured angles what the basis lacks is in the noise of the lengths already.
+        let held = if measured[place] > 0.0 { (here[place] / measured[place]).min(1.0) } else { 0.0 };
+        (unknown.smooth_rad * (1.0 - held).sqrt()).hypot(backlash)
     })
+}
+
+/// The variance that the basis of each joint's smooth function has at joint angles (rad) before any length, rad^2.
+fn smooth_variance(geometry: &Geometry, unknown: &RobotUncertainty, joints: &[f64; AXES]) -> [f64; AXES] {
+    let mut variance = [0.0; AXES];
+    let terms = geometry.joint_errors.terms();
+    let mut terms = terms.iter();
+    geometry.joint_errors.derivatives(joints, Approach::default(), |place, value| {
+        if let Some(TermKind::Smooth { frequency }) = terms.next().map(|term| term.kind) {
+            let density = spectral_density(unknown.smooth_rad, unknown.likeness_rad, frequency);
+            variance[place] += density * value * value;
+        }
+    });
+    variance
 }
 
 /// What an unknown sense of approach leaves of each joint's angle, rad.

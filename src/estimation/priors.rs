@@ -99,6 +99,11 @@ impl HyperPrior {
         Self { median: 0.15, ln_sd: Some(1.0), bounds: [0.03, 3.0] },
         Self { median: 0.03, ln_sd: None, bounds: [1e-9, 1e3] },
     ];
+
+    /// How far a logarithm is from the middle, in standard deviations; 0 where nothing is known.
+    pub(super) fn off(self, ln: f64) -> f64 {
+        self.ln_sd.map_or(0.0, |sd| (ln - self.median.ln()) / sd)
+    }
 }
 
 /// What the user lets an estimate know of the robot beforehand.

@@ -24,30 +24,35 @@ pub(super) fn shifted_rows(estimate: &Estimate, lengths: &Lengths) -> Option<Est
     let own = moved(estimate, lengths, 0);
     let here = &estimate.fit.model;
     let (residual_mm, squares) = (size_mm(&own, here, estimate), squares(&own, here));
-    let better =
-        SHIFTS.iter().filter_map(|&rows| {
-            let other = moved(estimate, lengths, rows);
-            let freedom = freedom(&other, estimate);
-            // One linear step is cheap, and shows for almost every shift that it is worse.
-            if freedom < FEWEST || linear_squares(&other, estimate) >= squares {
-                return None;
-            }
-            let problem = Problem {
-                lengths: other.weighted(Sigma::Given, &[]),
-                ids: &estimate.kept,
-                loss: Loss::Huber,
-                prior: estimate.prior.as_ref(),
-            };
-            let shifted_mm = size_mm(&other, &minimise(&problem, &estimate.before).model, estimate);
-            let gain = freedom * (residual_mm / shifted_mm).ln();
-            (gain > DECISIVE && residual_mm > SMALLER * shifted_mm)
-                .then_some(EstimationFinding::ShiftedRows { rows, residual_mm, shifted_mm, gain })
-        });
+    let better = SHIFTS.iter().filter_map(|&rows| {
+        let other = moved(estimate, lengths, rows);
+        let freedom = freedom(&other, estimate);
+        // One linear step is cheap, and shows for almost every shift that it is worse.
+        if freedom < FEWEST || linear_squares(&other, estimate) >= squares {
+            return None;
+        }
+        let problem = Problem {
+            lengths: other.weighted(Sigma::Given, &[]),
+            ids: &estimate.kept,
+            loss: Loss::Huber,
+            prior: estimate.prior.as_ref(),
+        };
+        let shifted_mm = size_mm(&other, &minimise(&problem, &estimate.before).model, estimate);
+        let gain = decisive(freedom, [residual_mm, shifted_mm], SMALLER)?;
+        Some(EstimationFinding::ShiftedRows { rows, residual_mm, shifted_mm, gain })
+    });
     let gain = |found: &EstimationFinding| match found {
         EstimationFinding::ShiftedRows { gain, .. } => *gain,
         _ => 0.0,
     };
     better.max_by(|a, b| gain(a).total_cmp(&gain(b)))
+}
+
+/// The gain of a standard deviation of the residuals, before and after, that is decisively lower and so many times
+/// `smaller`: natural logarithm of a likelihood ratio.
+pub(super) fn decisive(freedom: f64, [before, after]: [f64; 2], smaller: f64) -> Option<f64> {
+    let gain = freedom * (before / after).ln();
+    (freedom >= FEWEST && gain > DECISIVE && before > smaller * after).then_some(gain)
 }
 
 /// The poses with the lengths of other rows, of very many the first; those that would have none are left out.
@@ -75,7 +80,7 @@ fn freedom(lengths: &Lengths, estimate: &Estimate) -> f64 {
 }
 
 /// The residuals' standard deviation, whatever a few wild ones, mm.
-fn size_mm(lengths: &Lengths, model: &LengthModel, estimate: &Estimate) -> f64 {
+pub(super) fn size_mm(lengths: &Lengths, model: &LengthModel, estimate: &Estimate) -> f64 {
     let residuals = residuals(lengths, model);
     let most = CAP * robust_scale(&residuals);
     let squares: f64 = residuals.iter().map(|residual| residual.abs().min(most).powi(2)).sum();

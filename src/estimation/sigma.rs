@@ -13,6 +13,7 @@
 use super::fit::Fit;
 use super::lengths::{Lengths, Sigma, Weighted};
 use super::linear_system::LinearSystem;
+use super::selection::is_bar;
 use crate::math::distributions::ChiSquare;
 use crate::measurement::PreparedMeasurement;
 use crate::robot::{ParamId, Robot};
@@ -57,7 +58,11 @@ impl Noise {
         let beforehand = Self::beforehand(lengths).sigma;
         let used = lengths.weighted(beforehand, &fit.out);
         let freedom = used.count() as f64 - base.len() as f64;
-        let squares = |used: Weighted<'_>| LinearSystem::at(&fit.model, &used, base).residual_sum().max(0.0);
+        // Lengths of one size determine a bar and the robot's size only together: a robot without size would fit whatever
+        // its angles are.
+        let sized: Vec<ParamId> = base.iter().copied().filter(|id| !is_bar(id)).collect();
+        let squares =
+            |used: Weighted<'_>| LinearSystem::at(&fit.model, &used, &sized).residual_sum().max(0.0);
         if freedom <= 0.0 {
             return Self::beforehand(lengths);
         }

@@ -72,9 +72,23 @@ pub struct JointTerm {
 }
 
 impl Smooth {
+    /// The interval is this many times that of the angles measured.
+    const WIDER: f64 = 1.5;
+
     /// Zero, with `count` basis functions.
     pub fn new(centre: f64, half_width: f64, count: usize) -> Self {
         Self { centre, half_width, coefficients: vec![0.0; count] }
+    }
+
+    /// Half of the interval for angles measured in this one, rad.
+    pub fn half_width_for([low, high]: [f64; 2]) -> f64 {
+        Self::WIDER * 0.5 * (high - low)
+    }
+
+    /// The nearest angle to which measured ones reach, rad.
+    pub fn nearest_measured(&self, angle: f64) -> f64 {
+        let reach = self.half_width / Self::WIDER;
+        self.centre + (angle - self.centre).clamp(-reach, reach)
     }
 
     /// Whether both have the same basis functions.

@@ -29,6 +29,7 @@ fn provoked() -> Vec<&'static str> {
         crate::arrays_are_exact::provoked(),
         crate::axes_are_recorded::provoked(),
         crate::axes_show_the_poses::provoked(),
+        crate::ball_is_mounted_anew::provoked(),
         crate::bars_on_the_network::provoked(),
         crate::captures_are_joined::provoked(),
         crate::capture_is_taken_away::provoked(),

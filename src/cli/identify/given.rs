@@ -8,8 +8,8 @@ use crate::catalogue::{ConformityFinding, EstimationFinding, MatchingFinding, Pr
 use crate::cli::Output;
 use crate::cli::robots;
 use crate::diagnostic::{Diagnostic, Finding, Severity};
-use crate::estimation::{AngleSource, CalibrationResult, Prior, check_measurements, doubts};
-use crate::measurement::{BaseBall, Measurements};
+use crate::estimation::{AngleSource, CalibrationResult, Input, Options, Prior, check_measurements, doubts};
+use crate::measurement::{BaseBall, LengthModel, Measurements};
 use crate::provenance::{Artefact, Difference, Provenance, Role, Traced, one_robot};
 use crate::recording::matching::PoseMatching;
 use crate::recording::run::{self, Predicted, Run};
@@ -185,6 +185,16 @@ impl Given {
             Ok(table.holds(&self.observations))
         });
         known.sum()
+    }
+
+    /// The robot in the set-up as it was given.
+    pub(super) fn start(&self) -> LengthModel {
+        LengthModel::before(self.robot.geometry.clone(), &self.centres, &self.observations)
+    }
+
+    pub(super) fn input<'a>(&'a self, start: &'a LengthModel, options: &'a Options) -> Input<'a> {
+        let Self { robot, observations, axes, .. } = self;
+        Input { robot, observations, start, validation: None, options, axes: *axes }
     }
 
     /// Joins the capture anew with the lengths that the identified robot predicts; whether the pairs changed.

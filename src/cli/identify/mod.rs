@@ -13,12 +13,10 @@ use super::{Outcome, Output, artefact, bar_u, positive};
 use crate::base::files;
 use crate::catalogue::{EstimationFinding, ProvenanceFinding};
 use crate::conformity::Budget;
-use crate::design::calibrate;
+use crate::design::{Calibrated, calibrate_mountings};
 use crate::diagnostic::Diagnostic;
-use crate::estimation::{
-    CalibrationResult, ErrorModel, Input, Options, Prior, ResultFile, check_measurements,
-};
-use crate::measurement::{LengthModel, Measurements};
+use crate::estimation::{ErrorModel, Input, Options, Prior, ResultFile, check_measurements};
+use crate::measurement::Measurements;
 use crate::provenance::{Artefact, Provenance, Role};
 use crate::robot::parameter::{self, SetUp};
 pub(crate) use inputs::observations;
@@ -173,12 +171,14 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     out.done(60);
     // The lengths that the identified robot predicts are used in the alignment, until nothing changes.
     for _ in 0..ALIGNMENTS {
-        if !given.align_again(&found) {
+        if !given.align_again(&found.result) {
             break;
         }
         found = find(&given, validation.as_ref(), &options)?;
     }
     out.done(90);
+    let Calibrated { result: found, observations } = found;
+    given.observations = observations.unwrap_or(given.observations);
     drop(busy);
     let budget = Budget::of(&found, &given.observations, given.bar_u_mm, &given.provenance.identity);
     let provenance =
@@ -202,17 +202,10 @@ fn find(
     given: &Given,
     validation: Option<&Measurements>,
     options: &Options,
-) -> Result<CalibrationResult, Diagnostic> {
-    let start = LengthModel::before(given.robot.geometry.clone(), &given.centres, &given.observations);
-    let input = Input {
-        robot: &given.robot,
-        observations: &given.observations,
-        start: &start,
-        validation,
-        options,
-        axes: given.axes,
-    };
-    Ok(calibrate(&input, given.findings())?)
+) -> Result<Calibrated, Diagnostic> {
+    let start = given.start();
+    let input = Input { validation, ..given.input(&start, options) };
+    Ok(calibrate_mountings(&input, given.findings())?)
 }
 
 fn options(args: &Args, given: &mut Given, set_up: SetUp, out: &Output) -> Result<Options, Diagnostic> {

@@ -1,0 +1,117 @@
+//! A base ball that is somewhere else from one row on is found, and its lengths get a ball of their own. Campaign:
+//! docs/explanation/reliability.md.
+
+use std::fs;
+use std::path::Path;
+
+use dbbd::design::calibrate_mountings;
+use dbbd::estimation::{AngleSource, Input, Options, ResultFile};
+use dbbd::measurement::{BaseBall, LengthModel, Measurements};
+use dbbd::robot::{BallId, Robot};
+use nalgebra::Vector3;
+use tempfile::tempdir;
+
+use crate::cell::{codes, dbbd, kr60, stderr};
+use crate::identifies_real_robots::data;
+use crate::simulated_joint_errors::{BALLS, drawn, lengths};
+
+pub(crate) fn provoked() -> Vec<&'static str> {
+    vec!["W1331"]
+}
+
+/// The measurements with ball 2 moved by `by_mm` from a row on.
+fn stepped(truth: &Robot, mut data: Measurements, first: usize, by_mm: Vector3<f64>) -> Measurements {
+    let ball = Vector3::from(BALLS[1]);
+    for row in data.rows.iter_mut().skip(first).filter(|row| row.datum.ball() == Some(BallId::at(1))) {
+        let place = truth.geometry.approached(row.approach).ball(&row.axes.radians()).position;
+        row.length_mm += (place - ball - by_mm).norm() - (place - ball).norm();
+    }
+    data
+}
+
+fn identified(at: &Path, data: &Measurements, out: &str) -> (Option<i32>, Vec<String>, ResultFile) {
+    fs::write(at.join("obs.csv"), data.to_csv()).unwrap();
+    let mut text = String::from("centre,x_mm,y_mm,z_mm\n");
+    for (ball, [x, y, z]) in (1..).zip(BALLS) {
+        text += &format!("{ball},{},{},{}\n", x + 3.0, y - 2.0, z + 1.0);
+    }
+    fs::write(at.join("C.csv"), text).unwrap();
+    let output = dbbd(at, &["identify", "obs.csv", "--centres", "C.csv", "--robot", "kr60ha", "--out", out]);
+    assert!(output.status.code() != Some(1), "{}", stderr(&output));
+    let result = serde_json::from_slice(&fs::read(at.join(out).join("result.json")).unwrap()).unwrap();
+    (output.status.code(), codes(&output), result)
+}
+
+#[test]
+fn a_ball_that_moved_gets_a_number_of_its_own() {
+    let (dir, truth) = (tempdir().unwrap(), drawn(4));
+    let data = lengths(&truth, 70, 3, 1);
+    let (_, plain, before) = identified(dir.path(), &data, "plain");
+    assert!(!plain.contains(&"W1331".to_owned()), "{plain:?}");
+    let by_mm = Vector3::new(0.4, -0.3, 0.2);
+    let (exit, found, after) = identified(dir.path(), &stepped(&truth, data, 100, by_mm), "moved");
+    assert_eq!(exit, Some(3));
+    assert!(found.contains(&"W1331".to_owned()), "{found:?}");
+    let value = |result: &ResultFile, name: &str| {
+        result.parameters.iter().find(|parameter| parameter.name == name).unwrap().identified
+    };
+    for (axis, moved) in ["x", "y", "z"].into_iter().zip(by_mm.iter()) {
+        let [old, new] = ["centre2", "centre4"].map(|ball| value(&after, &format!("{ball}_{axis}")));
+        assert!((new - old - moved).abs() < 0.03, "{axis}: {old} {new}");
+    }
+    assert!(after.residual_mm.after.rms < 1.1 * before.residual_mm.after.rms);
+}
+
+/// What was found: the ball and the index from which on it is elsewhere.
+fn found(data: &Measurements, robot: &Robot, balls: &[Vector3<f64>]) -> Option<(u32, u32)> {
+    let ball = |(at, position): (usize, &Vector3<f64>)| BaseBall { id: BallId::at(at), position: *position };
+    let centres: Vec<BaseBall> = balls.iter().enumerate().map(ball).collect();
+    let start = LengthModel::before(robot.geometry.clone(), &centres, data);
+    let options = Options { folds: Some(0), ..Options::default() };
+    let axes = AngleSource::Given;
+    let input = Input { robot, observations: data, start: &start, validation: None, options: &options, axes };
+    let result = ResultFile::from(&calibrate_mountings(&input, Vec::new()).unwrap().result);
+    let found = result.warnings.iter().find(|warning| warning.code == "W1331")?;
+    let value = |name: &str| found.values[name].as_u64().unwrap() as u32;
+    Some((value("ball"), value("index")))
+}
+
+#[test]
+fn no_ball_of_a_real_robot_moved() {
+    let of = |x: f64, y: f64, z: f64| Vector3::new(x, y, z);
+    let kr60_balls = [of(270.0, -1490.0, 530.0), of(760.0, -1570.0, 1030.0), of(340.0, -1000.0, 1230.0)];
+    let mut arm = kr60();
+    arm.set_tool([0.0, 0.0, 104.0]);
+    for (file, balls) in
+        [("kr60/three_balls.csv", 3), ("kr60/three_balls_approach.csv", 3), ("kr60/one_ball.csv", 1)]
+    {
+        let Some(path) = data(file) else { return };
+        let table = Measurements::from_csv(file, &fs::read_to_string(path).unwrap()).unwrap();
+        assert_eq!(found(&table, &arm, &kr60_balls[..balls]), None, "{file}");
+    }
+}
+
+#[test]
+#[ignore = "500 identifications: see docs/explanation/reliability.md"]
+fn balls_of_a_hundred_robots_are_mounted_anew() {
+    let balls = BALLS.map(|ball| Vector3::from(ball) + Vector3::new(3.0, -2.0, 1.0));
+    for size_mm in [0.0, 0.1, 0.3, 1.0, 10.0] {
+        let [mut right, mut near, mut other] = [0, 0, 0];
+        for seed in 1..=100 {
+            let truth = drawn(seed);
+            let data = lengths(&truth, 70, 3, seed);
+            let (first, turn) = (40 + 7 * (seed as usize % 19), seed as f64);
+            let by_mm = Vector3::new(turn.cos(), turn.sin(), (3.0 * turn).sin()).normalize() * size_mm;
+            let data = stepped(&truth, data, first, by_mm);
+            match found(&data, &kr60(), &balls) {
+                Some((2, index)) if index.abs_diff(first as u32 + 1) <= 3 => right += 1,
+                Some((2, _)) => near += 1,
+                Some(_) => other += 1,
+                None => {}
+            }
+        }
+        eprintln!(
+            "step of {size_mm} mm: {right} found, {near} at another row, {other} of another ball, of 100"
+        );
+    }
+}
