@@ -163,7 +163,7 @@ impl<'a> Table<'a> {
         let mut places = [0; N];
         let mut absent = Vec::new();
         for (place, name) in places.iter_mut().zip(names) {
-            match self.optional(name)? {
+            match self.place(name)? {
                 Some(at) => *place = at,
                 None => absent.push(format!("`{name}`")),
             }
@@ -179,21 +179,26 @@ impl<'a> Table<'a> {
         Err(self.columns.header(MissingColumns { absent, header, delimiter }))
     }
 
-    /// The place of a column that may be there.
+    /// The place of a column that may be there. It has no other beside it that differs by capital letters alone: the first
+    /// to be left out would make it the other.
     pub fn optional(&self, name: &str) -> Result<Option<usize>, Diagnostic> {
+        self.other_case(name).map_or_else(|| self.place(name), Err)
+    }
+
+    fn place(&self, name: &str) -> Result<Option<usize>, Diagnostic> {
         let mut places = self.columns.names.iter().enumerate().filter(|(_, column)| *column == name);
         match (places.next(), places.next()) {
             (_, Some(_)) => Err(self.columns.header(ColumnTwice { column: name.into() })),
             (Some((at, _)), None) => Ok(Some(at)),
-            (None, None) => {
-                match self.columns.names.iter().find(|column| column.eq_ignore_ascii_case(name)) {
-                    Some(column) => {
-                        Err(self.columns.header(OtherCase { column: column.clone(), name: name.into() }))
-                    }
-                    None => Ok(None),
-                }
-            }
+            (None, None) => self.other_case(name).map_or(Ok(None), Err),
         }
+    }
+
+    /// That a column is named with other capital letters.
+    fn other_case(&self, name: &str) -> Option<Diagnostic> {
+        let mut names = self.columns.names.iter();
+        let column = names.find(|column| column.eq_ignore_ascii_case(name) && *column != name)?.clone();
+        Some(self.columns.header(OtherCase { column, name: name.into() }))
     }
 
     /// The next row, if there is one.

@@ -97,7 +97,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
             .map_err(|why| Diagnostic { file: name.clone(), ..why })?;
     }
     let robot_name = args.robot.as_deref().unwrap_or(&job.robot);
-    let RobotRead { robot, source } = serial_of(&job, robots::read(robot_name, out)?)?;
+    let RobotRead { robot, source } = serial_of(&job, robots::from_file(robot_name, out)?)?;
     job.check_against(robot.controller()).map_err(|why| Diagnostic::file(&name, why))?;
     let check = args.check.then(|| PlannedCheck::new(args, &job, &robot, out)).transpose()?;
     let measured =

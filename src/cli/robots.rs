@@ -48,7 +48,7 @@ pub(crate) fn read(name: &str, out: &Output) -> Result<RobotRead, Diagnostic> {
     Ok(read)
 }
 
-/// As [`read`], for an identification anew.
+/// As [`read`], for a further measurement: that is what a doubtful calibration needs.
 pub(crate) fn from_file(name: &str, out: &Output) -> Result<RobotRead, Diagnostic> {
     let sealed = |text: &String| {
         if serialised::is_sealed_toml(text) == Some(false) {
