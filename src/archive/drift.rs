@@ -180,7 +180,7 @@ mod tests {
         assert!(shown.significant);
         // 0.8 mm: 500 days after the mean day at the mean 0.301, 20 200.
         let passed = Checked { on: Some("2024-10-04T00:00:00Z"), failed: false };
-        let due = Due::of(&passed, 365.0, Some((&trend, 0.8)), 20_401.0).unwrap();
+        let due = Due::of(&passed, 365.0, Some((&trend, 0.8)), 20_301.0).unwrap();
         assert_eq!((due.by, due.overdue), (DueBy::Interval, false));
         let due = Due::of(&passed, 3650.0, Some((&trend, 0.8)), 21_000.0).unwrap();
         assert_eq!((due.by, due.overdue), (DueBy::Forecast, true));
