@@ -2,7 +2,7 @@
 
 use dbbd::conformity::{self, CheckInput, InterimCheck, Rule};
 use dbbd::estimation::expected::{BallMounting, Mounting};
-use dbbd::estimation::{Options, ResultFile};
+use dbbd::estimation::{Beside, Options, ResultFile};
 use dbbd::measurement::{LengthModel, PreparedMeasurement};
 use dbbd::robot::AXES;
 use pyo3::prelude::*;
@@ -51,8 +51,11 @@ impl PyCheck {
 /// Standard deviation of a length of the result beside a robot's file, mm.
 fn sigma_of_result(robot: &PyRobot) -> Result<Option<f64>, Failure> {
     let Some(file) = &robot.file else { return Ok(None) };
-    let (_, result) = ResultFile::beside(file, &robot.robot().name, dbbd::base::files::read_if_file)?;
-    Ok(result.map(|result| result.sigma_mm))
+    let (_, beside) = ResultFile::beside(file, robot.robot(), dbbd::base::files::read_if_file)?;
+    match beside {
+        Beside::Own(result) => Ok(Some(result.sigma_mm)),
+        Beside::Another | Beside::Nothing => Ok(None),
+    }
 }
 
 /// Checks whether a calibrated robot is still what it was, from lengths (mm) at axis angles (degrees) to base balls.
