@@ -16,7 +16,7 @@ use crate::catalogue::EstimationFinding;
 use crate::measurement::{LengthModel, Measurements};
 use crate::robot::{BallId, Coordinate, Datum, ParamId};
 
-/// How much smaller the residuals are then. Without a step no drawn or real robot's fall by more than 1.18 times.
+/// How much smaller the residuals are with it.
 const SMALLER: f64 = 1.25;
 /// Residuals count up to so many robust standard deviations.
 const FAR: f64 = 10.0;
