@@ -27,10 +27,9 @@ pub fn calibrate_mountings(
     loop {
         let here = apart.as_ref().map_or(*input, |apart| apart.instead_of(input));
         let Some(further) = remounted(&here) else { break };
-        let mut anew = calibrate(&further.instead_of(input), result.input_findings.clone())?;
+        let anew = calibrate(&further.instead_of(input), result.input_findings.clone())?;
         let Some(finding) = further.finding(&here, &result, &anew) else { break };
-        anew.input_findings.push(finding.into());
-        (result, apart) = (anew, Some(further));
+        (result, apart) = (anew.with_finding(finding.into()), Some(further));
     }
     Ok(Calibrated { result, observations: apart.map(|apart| apart.observations) })
 }

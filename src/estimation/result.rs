@@ -100,6 +100,16 @@ impl CalibrationResult {
         })
     }
 
+    /// With a finding of its inputs that it showed itself; a doubt goes along with the robot.
+    pub fn with_finding(mut self, finding: Diagnostic) -> Self {
+        if finding.code.severity() == Severity::Warning {
+            self.robot.doubts.push(finding.code.to_string());
+            self.robot.doubts.sort();
+        }
+        self.input_findings.push(finding);
+        self
+    }
+
     /// Whether the observation at this place of the table is used.
     pub fn uses(&self, place: usize) -> bool {
         let against = |outlier: &Outlier| match &outlier.places {

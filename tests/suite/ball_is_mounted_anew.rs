@@ -60,6 +60,9 @@ fn a_ball_that_moved_gets_a_number_of_its_own() {
         assert!((new - old - moved).abs() < 0.03, "{axis}: {old} {new}");
     }
     assert!(after.residual_mm.after.rms < 1.1 * before.residual_mm.after.rms);
+    // The doubt goes along with the robot.
+    let file = fs::read_to_string(dir.path().join("moved/robot-identified.toml")).unwrap();
+    assert!(Robot::from_toml("robot-identified.toml", &file).unwrap().doubts.contains(&"W1331".to_owned()));
 }
 
 /// What was found: the ball and the index from which on it is elsewhere.
