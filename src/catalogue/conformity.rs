@@ -37,7 +37,7 @@ findings! {
             FutureDate { date: String } => "{date} is in the future, by the clock of this computer";
             NotAfter { date: String, before: String } => "{date} is not after {before}";
         }
-        W1924 "dates contradict the results",
+        W1907 "dates contradict the results",
         cause: "--dates gives another day than the measurement of the result states.",
         cure: "Correct --dates, or leave out the option where trends per result suffice." {
             OtherDate { date: String, measured: String } => "was measured on {measured}, and --dates gives {date}";
@@ -120,7 +120,7 @@ findings! {
         cure: "Put result.json and robot-identified.toml of one calibration beside each other, or give --sigma." {
             OtherResultBeside { looked_for: String, sigma_mm: f64 } => "{looked_for} is of another calibration: a length counts with {sigma_mm:.4} mm, of bar and repeatability alone";
         }
-        W1923 "circles that are compared are not alike",
+        W1908 "circles that are compared are not alike",
         cause: "Files were exchanged: one is an arc and the other a full circle, whose quantities differ by that alone, or both were made from the same lengths, so that nothing can have changed.",
         cure: "Compare tests of the same circle that were measured one after the other." {
             ArcAndCircle { file: String, span_deg: f64, first: String, first_deg: f64 } => "{file} covers {span_deg:.0} degrees, and {first} {first_deg:.0}";

@@ -77,7 +77,7 @@ findings! {
             OtherRobot { robot: String } => "is the result of the robot `{robot}`, and is not replaced by that of another";
             NoResult => "is not what this command writes under this name, and is not replaced";
         }
-        I0121 "a table is read as it is written",
+        I0113 "a table is read as it is written",
         cause: "The table has another delimiter, decimal or encoding than dbbd writes, and shows it without doubt.",
         cure: "Nothing to do, if the message names the right ones." {
             WrittenAs { encoding: String, delimiter: String, decimal: char } => "is read as {encoding}, cells cut at {delimiter}, with the decimal `{decimal}`";

@@ -8,7 +8,7 @@ use crate::cell::{codes, dbbd, stderr};
 use crate::nothing_wrong_is_silent::{JOB, cell, identify, says};
 
 pub(crate) fn provoked() -> Vec<&'static str> {
-    vec!["W0581", "I1284", "W1844", "W1924", "E1982", "W0390", "W0482", "E0915"]
+    vec!["W0581", "I1284", "W1844", "W1907", "E1982", "W0390", "W0482", "E0915"]
 }
 
 const PRIOR: [&str; 2] = ["--prior", "datasheet"];
@@ -64,7 +64,7 @@ fn results_of_two_arms() {
         text.split(",\n  \"sha256\": ").next().unwrap().to_owned() + "\n}\n"
     })
     .unwrap();
-    says(&dbbd(at, &[&same[..], &["--dates", "2020-01-01,2021-01-01"]].concat()), 3, "W1924");
+    says(&dbbd(at, &[&same[..], &["--dates", "2020-01-01,2021-01-01"]].concat()), 3, "W1907");
     for (key, wrong) in [("length_u_mm", "length_u_mm = 0.2"), ("serial", "serial = \"B-2\"")] {
         fs::write(at.join("wrong.toml"), format!("[bar]\n{wrong}\n")).unwrap();
         let certificate = ["certificate", "first/result.json", "--identity", "wrong.toml", "--out", "cert"];

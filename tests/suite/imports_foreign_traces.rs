@@ -90,7 +90,7 @@ fn layouts_are_shown_by_the_file_or_by_a_mapping() {
         (
             "semicolons",
             csv("sep=;\r\nlength_mm;t_s\r\n", &|t, mm| format!("{};{};\r\n", comma(mm), comma(t))).into(),
-            &["I0121"],
+            &["I0113"],
         ),
         (
             "tabs, dates and readings",
@@ -98,7 +98,7 @@ fn layouts_are_shown_by_the_file_or_by_a_mapping() {
                 format!("21.11.2026 14:02:{}\t{}\n", comma(11.0 + t), comma(mm - 300.0))
             })
             .into(),
-            &["I0121", "I1112", "I1112"],
+            &["I0113", "I1112", "I1112"],
         ),
         (
             "windows-1252",
@@ -107,7 +107,7 @@ fn layouts_are_shown_by_the_file_or_by_a_mapping() {
                 .chars()
                 .map(|c| c as u8)
                 .collect(),
-            &["I0121"],
+            &["I0113"],
         ),
         (
             "utf-16",
@@ -115,7 +115,7 @@ fn layouts_are_shown_by_the_file_or_by_a_mapping() {
                 .encode_utf16()
                 .flat_map(u16::to_le_bytes)
                 .collect(),
-            &["I0121"],
+            &["I0113"],
         ),
     ];
     let mapped = [
@@ -201,7 +201,7 @@ const WRONG: &[(&str, &str, &str, &str)] = &[
 ];
 
 pub(crate) fn provoked() -> Vec<&'static str> {
-    WRONG.iter().map(|(_, _, code, _)| *code).chain(["W1110", "I1111", "I0121", "I1112"]).collect()
+    WRONG.iter().map(|(_, _, code, _)| *code).chain(["W1110", "I1111", "I0113", "I1112"]).collect()
 }
 
 #[test]
