@@ -1,5 +1,6 @@
 //! What every module may use: units, the clock, files, tables. Nothing of dbbd's own subject.
 
+mod cells;
 pub mod clock;
 pub mod date;
 mod exact;

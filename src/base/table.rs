@@ -7,6 +7,8 @@ use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::str::FromStr;
 
+pub use super::cells::Delimiter;
+use super::cells::{Cell, cut};
 use super::files::unreadable;
 use super::text::{Encoding, Lines};
 use crate::catalogue::FileFinding::{
@@ -14,42 +16,6 @@ use crate::catalogue::FileFinding::{
     OpenQuote, OtherCase, OtherDecimal, Unreadable, WrittenAs,
 };
 use crate::diagnostic::{Diagnostic, Finding};
-
-/// What separates the cells of a line.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Delimiter {
-    Character(char),
-    /// Any number of blanks.
-    Blanks,
-}
-
-impl Delimiter {
-    /// The one that a line outside of quotes shows; a line of one cell shows none.
-    fn shown(line: &str) -> Self {
-        let mut quoted = false;
-        let outside: String = line
-            .chars()
-            .filter(|&character| {
-                quoted ^= character == '"';
-                !quoted
-            })
-            .collect();
-        // A decimal comma is no delimiter beside a semicolon or a tab.
-        match ['\t', ';', ','].into_iter().find(|&character| outside.contains(character)) {
-            Some(character) => Self::Character(character),
-            None if outside.trim().contains(char::is_whitespace) => Self::Blanks,
-            None => Self::Character(','),
-        }
-    }
-
-    fn name(self) -> String {
-        match self {
-            Self::Character('\t') => "a tab".into(),
-            Self::Character(character) => format!("`{character}`"),
-            Self::Blanks => "blanks".into(),
-        }
-    }
-}
 
 /// How a table is laid out, as far as that is known before it is read.
 #[derive(Clone, Debug)]
@@ -69,13 +35,6 @@ impl Default for Layout {
     fn default() -> Self {
         Self { delimiter: None, decimal: None, skip_lines: 0, header: true, comment: None }
     }
-}
-
-/// A cell with the column of its line at which it begins, from 1, in characters.
-#[derive(Clone, Debug, PartialEq, Eq)]
-struct Cell {
-    text: String,
-    column: usize,
 }
 
 /// A table that is read a row at a time.
@@ -405,57 +364,6 @@ impl<'a> Row<'a> {
     }
 }
 
-/// Cuts a line into its cells, blanks about them left out; whether no quote is left open. A cell in double quotes may
-/// hold the delimiter, and a quote as two.
-fn cut(line: &str, delimiter: Delimiter, cells: &mut Vec<Cell>) -> bool {
-    cells.clear();
-    let mut open: Option<Cell> = None;
-    let mut quoted = false;
-    let mut characters = line.chars().enumerate().peekable();
-    while let Some((at, character)) = characters.next() {
-        let empty = || Cell { text: String::new(), column: at + 1 };
-        let ends = !quoted
-            && match delimiter {
-                Delimiter::Character(delimiter) => character == delimiter,
-                Delimiter::Blanks => character.is_whitespace(),
-            };
-        match &mut open {
-            _ if ends => match open.take() {
-                Some(cell) => cells.push(cell),
-                None if delimiter != Delimiter::Blanks => cells.push(empty()),
-                None => {}
-            },
-            Some(cell) if quoted && character == '"' => {
-                quoted = characters.next_if(|(_, next)| *next == '"').is_some();
-                if quoted {
-                    cell.text.push('"');
-                }
-            }
-            Some(cell) => cell.text.push(character),
-            None if character == '"' => {
-                quoted = true;
-                open = Some(empty());
-            }
-            None if character.is_whitespace() => {}
-            None => open.insert(empty()).text.push(character),
-        }
-    }
-    match open {
-        Some(cell) => cells.push(cell),
-        // What follows the last delimiter is a cell as well.
-        None if delimiter != Delimiter::Blanks => {
-            cells.push(Cell { text: String::new(), column: line.chars().count() + 1 });
-        }
-        None => {}
-    }
-    for cell in cells {
-        if cell.text.trim().len() < cell.text.len() {
-            cell.text = cell.text.trim().to_owned();
-        }
-    }
-    !quoted
-}
-
 /// What is wrong with a CSV text that is read into structures.
 pub fn wrong_csv(file: &str, error: &csv::Error) -> Diagnostic {
     let line = error.position().map_or(0, |position| position.line() as usize);
@@ -474,38 +382,4 @@ pub fn wrong_csv(file: &str, error: &csv::Error) -> Diagnostic {
         _ => FileFinding::NotCsv,
     };
     Diagnostic::line(file, line, finding)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn lines_are_cut() {
-        let texts = |line: &str, delimiter| -> Vec<(String, usize)> {
-            let mut cells = Vec::new();
-            assert!(cut(line, delimiter, &mut cells));
-            cells.into_iter().map(|cell| (cell.text, cell.column)).collect()
-        };
-        let cell = |text: &str, column| (text.to_owned(), column);
-        let by = Delimiter::Character;
-        assert_eq!(texts("a; b ;;c", by(';')), [cell("a", 1), cell("b", 4), cell("", 7), cell("c", 8)]);
-        assert_eq!(texts("\"0,5\",1,", by(',')), [cell("0,5", 1), cell("1", 7), cell("", 9)]);
-        assert_eq!(texts("\"a \"\"b\"\"\",5\"", by(',')), [cell("a \"b\"", 1), cell("5\"", 11)]);
-        assert_eq!(texts("  1.0\t 2 ", Delimiter::Blanks), [cell("1.0", 3), cell("2", 8)]);
-    }
-
-    #[test]
-    fn a_delimiter_is_shown_by_the_first_line() {
-        for (line, delimiter) in [
-            ("a;b", Delimiter::Character(';')),
-            ("0,5;1,5", Delimiter::Character(';')),
-            ("a,b\tc", Delimiter::Character('\t')),
-            ("\"a;b\",c", Delimiter::Character(',')),
-            ("a b", Delimiter::Blanks),
-            ("a", Delimiter::Character(',')),
-        ] {
-            assert_eq!(Delimiter::shown(line), delimiter, "{line}");
-        }
-    }
 }

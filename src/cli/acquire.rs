@@ -20,12 +20,11 @@ use crate::daemon::{
 use crate::device::axes::AxesAddress;
 use crate::device::port::{self, PortAddress};
 use crate::diagnostic::Diagnostic;
+use crate::plan::DEFAULT_PROTOCOL;
 use crate::provenance::Identity;
 use crate::recording::axes::PacketCounts;
 use crate::recording::run::{self, PlanFiles};
 
-/// The protocol without a word about it.
-pub(super) const DEFAULT_PROTOCOL: &str = "dbb-cobs-1";
 /// Pause between lines of progress where there is no terminal, s.
 const LINE_EVERY_S: f64 = 5.0;
 

@@ -11,6 +11,7 @@ use crate::daemon::{Attempt, Lines, Search};
 use crate::device::port::PortAddress;
 use crate::device::protocol::Definition;
 use crate::diagnostic::Diagnostic;
+use crate::plan::DEFAULT_PROTOCOL;
 use crate::provenance::{Artefact, Identity, Provenance, Role};
 use crate::recording::StreamBuilder;
 use crate::recording::bar_check::BarCheck;
@@ -60,7 +61,7 @@ struct Check {
     #[arg(long, value_name = "PORT")]
     port: PortAddress,
     /// Protocol of the bar: a built-in name or a TOML file; `dbbd bar identify` finds it.
-    #[arg(long, value_name = "NAME|FILE", default_value = acquire::DEFAULT_PROTOCOL)]
+    #[arg(long, value_name = "NAME|FILE", default_value = DEFAULT_PROTOCOL)]
     protocol: String,
     /// Set a parameter of the protocol, as range_mm=50; `dbbd protocols show NAME` lists them.
     #[arg(long = "param", value_name = "NAME=VALUE", value_parser = protocols::param)]

@@ -39,7 +39,7 @@ pub use crate::measurement::Kind;
 use crate::provenance::Provenance;
 pub use circle::REFERENCE_EVERY;
 pub use frames::Frames;
-pub use job::{Job, MotionTable, SIGMA_UM};
+pub use job::{DEFAULT_PROTOCOL, Job, MotionTable, SIGMA_UM};
 pub use module::MODULE_DWELLS;
 pub use pass::Pass;
 pub use places::CirclePlace;

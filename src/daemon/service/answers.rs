@@ -6,8 +6,9 @@ use std::sync::atomic::Ordering;
 use serde_json::Value;
 use tokio::sync::{broadcast, watch};
 
+use super::begin::Aim;
 use super::log::Level;
-use super::state::{Aim, Run, Supervisor};
+use super::state::{Run, Supervisor};
 use super::{catalogue, jobs, names, runs};
 use crate::base::sync::lock;
 use crate::catalogue::ServiceFinding::{

@@ -2,6 +2,7 @@
 
 mod answers;
 mod archiving;
+mod begin;
 mod catalogue;
 mod config;
 mod jobs;

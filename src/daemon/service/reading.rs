@@ -1,54 +1,20 @@
 //! The bar that is read without a run: connect, zero, and what the operator did before the run.
 
-use std::fs::File;
-use std::io::{self, Write};
-use std::path::Path;
 use std::sync::atomic::Ordering;
 
+use super::begin::Aim;
 use super::log::Level;
-use super::state::{Aim, Run, Running, Supervisor};
+use super::state::{Run, Running, Supervisor};
 use crate::base::clock;
 use crate::catalogue::ServiceFinding::{
     Ending, NoPortChosen, NoZeroCommand, NotRead, RunIsOn, RunIsStarting,
 };
 use crate::daemon::session;
 use crate::diagnostic::Diagnostic;
-use crate::recording::capture::{Disk, Event, Writer};
+use crate::recording::capture::Event;
 
 /// Notes that are kept until a run begins; the oldest go.
 const MOST_NOTES: usize = 100;
-
-/// Keeps nothing.
-struct Nowhere;
-
-impl Write for Nowhere {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        Ok(bytes.len())
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        Ok(())
-    }
-}
-
-impl Disk for Nowhere {
-    fn sync(&mut self) -> io::Result<()> {
-        Ok(())
-    }
-
-    fn cut(&mut self, _: u64) -> io::Result<()> {
-        Ok(())
-    }
-
-    fn copy(&mut self, _: u64, _: &mut File) -> io::Result<()> {
-        Ok(())
-    }
-}
-
-/// A capture that is not kept.
-pub(super) fn nowhere() -> Result<Writer, Diagnostic> {
-    Writer::on(Box::new(Nowhere), Path::new("live"))
-}
 
 impl Supervisor {
     /// Takes the place of the run, which is free or holds a reading; that ends.

@@ -1,37 +1,28 @@
 //! The state machine: no device, idle, running, failed.
 
-use std::fs;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex, MutexGuard};
 
-use serde_json::json;
 use tokio::sync::{broadcast, watch};
 
 use super::catalogue::Plans;
 use super::config::Config;
 use super::jobs::Jobs;
 use super::log::{Level, Log, Warnings};
-use super::trial_cell::{Bench, Cell, Program};
-use super::{catalogue, reading, runs};
+use super::trial_cell::{Bench, Cell};
 use crate::base::clock;
 use crate::base::sync::lock;
-use crate::catalogue::ServiceFinding::{self, DataUnwritable, NameTaken, NoPlan, ProtocolNotBuiltIn};
-use crate::daemon::live_state::{Feed, LiveState};
-use crate::daemon::{Acquisition, Options, Schedule};
-use crate::device::port::{self, PortAddress};
+use crate::catalogue::ServiceFinding;
+use crate::daemon::live_state::LiveState;
+use crate::daemon::{Acquisition, Schedule};
+use crate::device::port::PortAddress;
 use crate::device::protocol::Definition;
-use crate::diagnostic::{Diagnostic, Finding};
-use crate::live::{Archiving, Device, LastRun, Message, Mounting, RunStatus, StartRequest, State, Status};
-use crate::plan::SIGMA_UM;
+use crate::diagnostic::Diagnostic;
+use crate::live::{Archiving, Device, LastRun, Message, RunStatus, State, Status};
 use crate::recording::capture::Event;
-use crate::recording::mounting::{Expected, Rest};
-use crate::recording::run::PlanFiles;
-use crate::robot::Robot;
 
-/// The protocol without a word about it.
-const DEFAULT_PROTOCOL: &str = "dbb-cobs-1";
 /// Messages that a slow client may be behind before it loses some: about ten seconds.
 const BACKLOG: usize = 256;
 
@@ -59,7 +50,7 @@ pub(super) struct Inner {
     pub(super) run: Run,
     /// Why the last run failed.
     pub(super) failed: Option<Diagnostic>,
-    last: Option<LastRun>,
+    pub(super) last: Option<LastRun>,
     /// What the operator did since the last run began.
     pub(super) notes: Vec<Event>,
     /// Whether the process is about to end: no run may begin.
@@ -73,15 +64,6 @@ pub(super) enum Run {
     Starting,
     On(Box<Running>),
     Reading(Box<Running>),
-}
-
-/// What the bar is read for.
-pub(super) enum Aim {
-    Run(StartRequest),
-    /// To see it against the stroke of a plan.
-    Reading {
-        plan: Option<String>,
-    },
 }
 
 /// The line to a bar, not yet open.
@@ -100,12 +82,12 @@ pub(super) struct Running {
     /// Its name; empty of a reading.
     pub(super) name: String,
     pub(super) plan: Option<String>,
-    robot: Option<String>,
-    started_unix_ms: u64,
-    schedule: Schedule,
+    pub(super) robot: Option<String>,
+    pub(super) started_unix_ms: u64,
+    pub(super) schedule: Schedule,
     pub(super) acquisition: Acquisition,
     /// What others did to its capture.
-    interferences: Vec<Diagnostic>,
+    pub(super) interferences: Vec<Diagnostic>,
     pub(super) stop: Arc<AtomicBool>,
     pub(super) definition: Definition,
     /// The line, to open it again.
@@ -294,128 +276,6 @@ impl Supervisor {
         }
     }
 
-    /// The line to the bar at `port`; where that is simulated, its cell is made.
-    fn line(
-        &self,
-        aim: &Aim,
-        mut port: PortAddress,
-        protocol: Option<Definition>,
-    ) -> Result<Line, Diagnostic> {
-        let find = |name: &String| {
-            catalogue::plan_file(&self.config.plans, name).ok_or_else(|| NoPlan { plan: name.clone() })
-        };
-        let (plan, program) = match aim {
-            Aim::Run(request) => (&request.plan, Program::Runs),
-            Aim::Reading { plan } => (plan, Program::Waits),
-        };
-        let mut plan = plan.as_ref().map(find).transpose()?;
-        let cell = match &self.bench {
-            Some(bench) if port == PortAddress::Sim => Some(bench(plan.as_deref(), program)?),
-            _ => None,
-        };
-        if let Some(cell) = &cell {
-            (port, plan) = (cell.port().clone(), Some(cell.plan().into()));
-        }
-        if let Some(finding) = port::blur(&port) {
-            let fields: [(&str, &dyn std::fmt::Display); 2] = [("code", &finding.code()), ("text", &finding)];
-            self.log.say(Level::Warning, "times_are_blurred", &fields);
-        }
-        Ok(Line { port, protocol, plan, _cell: cell })
-    }
-
-    /// Opens the device and begins; the caller holds the place of the run.
-    pub(super) fn begin(
-        &self,
-        aim: Aim,
-        port: PortAddress,
-        protocol: Option<Definition>,
-    ) -> Result<Running, Diagnostic> {
-        let line = self.line(&aim, port, protocol)?;
-        self.open(aim, line)
-    }
-
-    /// The same on a line.
-    pub(super) fn open(&self, aim: Aim, line: Line) -> Result<Running, Diagnostic> {
-        let files = line.plan.as_deref().map(PlanFiles::read).transpose()?;
-        let definition = line.protocol.clone().map_or_else(|| protocol_of(files.as_ref()), Ok)?;
-        let schedule = match &files {
-            Some(files) => Schedule::of(&files.plan, self.config.alarm_share),
-            None => Schedule::bare(self.config.stroke_mm, self.config.alarm_share),
-        };
-        // The program of a run that was stopped goes on.
-        let rest = if self.inner().last.is_some() { Rest::UnderWay } else { Rest::Standing };
-        let expected = expected(&aim, files.as_ref(), rest).with_resolution(definition.resolution_mm());
-        let robot = files.as_ref().and_then(|files| {
-            Robot::from_toml("robot", &files.plan.header.robot).ok().map(|robot| robot.name)
-        });
-        let stop = Arc::new(AtomicBool::new(false));
-        let mut options = Options {
-            port: line.port.clone(),
-            definition: definition.clone(),
-            out: PathBuf::new(),
-            plan: None,
-            identity: self.config.identity.clone(),
-            duration_s: None,
-            gone_s: f64::INFINITY,
-            sync_s: f64::INFINITY,
-            feed: Some(Feed::new(self.live.clone(), schedule.clone(), expected)),
-        };
-        self.forget();
-        let (name, plan, acquisition) = match aim {
-            Aim::Reading { plan } => {
-                let acquisition = Acquisition::start_on(reading::nowhere()?, options, Arc::clone(&stop))?;
-                (String::new(), plan, acquisition)
-            }
-            Aim::Run(request) => {
-                let directory = self.reserve(&request.name)?;
-                let begin = json!({ "name": request.name, "plan": request.plan });
-                let _ = self.live.messages.send(Message::new("begin", &begin));
-                options.out = directory.join(runs::CAPTURE);
-                (options.plan, options.duration_s) = (files, request.duration_s);
-                (options.gone_s, options.sync_s) = (self.config.gone_s, 1.0);
-                let begun = Acquisition::start(options, Arc::clone(&stop));
-                let acquisition = begun.inspect_err(|_| {
-                    // Nothing was recorded: the name stays free. What else is in there stays.
-                    let _ = fs::remove_dir(&directory);
-                })?;
-                (request.name, request.plan, acquisition)
-            }
-        };
-        let started_unix_ms = clock::unix_ns() / 1_000_000;
-        Ok(Running {
-            name,
-            plan,
-            robot,
-            started_unix_ms,
-            schedule,
-            acquisition,
-            interferences: Vec::new(),
-            stop,
-            definition,
-            line,
-        })
-    }
-
-    /// What is shown is that of the run to come.
-    fn forget(&self) {
-        let LiveState { points, clock_ahead_ms, mounting, .. } = &self.live;
-        lock(points).clear();
-        *lock(clock_ahead_ms) = None;
-        *lock(mounting) = Mounting::default();
-    }
-
-    /// A directory for a run of that name.
-    fn reserve(&self, name: &str) -> Result<PathBuf, Diagnostic> {
-        let unwritable = |error: std::io::Error| DataUnwritable { why: error.to_string() };
-        fs::create_dir_all(&self.config.data).map_err(unwritable)?;
-        let directory = runs::directory(&self.config.data, name)?;
-        fs::create_dir(&directory).map_err(|error| match error.kind() {
-            std::io::ErrorKind::AlreadyExists => NameTaken { run: name.into() },
-            _ => unwritable(error),
-        })?;
-        Ok(directory)
-    }
-
     pub(super) fn running(&self) -> Option<String> {
         match &self.inner().run {
             Run::On(running) => Some(running.name.clone()),
@@ -437,22 +297,4 @@ impl Supervisor {
             clock::sleep(0.02);
         }
     }
-}
-
-/// What is expected of the bar's readings.
-fn expected(aim: &Aim, files: Option<&PlanFiles>, rest: Rest) -> Expected {
-    match (aim, files) {
-        (Aim::Run(_), Some(files)) => Expected::of(&files.plan, Rest::Program),
-        (Aim::Run(_), None) => Expected::unplanned(SIGMA_UM),
-        (Aim::Reading { .. }, files) => {
-            let sigma_um = files.map_or(SIGMA_UM, |files| files.plan.header.job.bar.sigma_um);
-            Expected { rest, ..Expected::standing(sigma_um) }
-        }
-    }
-}
-
-/// The protocol that the plan names, else the default; both built in.
-fn protocol_of(plan: Option<&PlanFiles>) -> Result<Definition, Diagnostic> {
-    let name = plan.map_or(DEFAULT_PROTOCOL, |files| &files.plan.header.job.bar.protocol);
-    Definition::by_name(name).ok_or_else(|| ProtocolNotBuiltIn { protocol: name.into() })?
 }

@@ -9,7 +9,8 @@ use super::encoder::Encoder;
 use super::engine::Engine;
 use super::field::STROBE;
 use super::layout::{self, Part};
-use super::table::{Line, Sim};
+use super::line::Line;
+use super::table::Sim;
 
 /// A device: its line, its commands, its clock, and how its bytes are read and written.
 #[derive(Clone, Debug)]

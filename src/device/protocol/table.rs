@@ -1,10 +1,12 @@
-//! The definition file: its tables and keys. What they mean is checked by the loader.
+//! The definition file: its tables and keys, but for the line. What they mean is checked by the loader.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
 
 use serde::{Deserialize, Deserializer};
 use toml::Spanned;
+
+use super::line::{Line, ms};
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -72,46 +74,8 @@ pub(super) enum Confidence {
     Guess,
 }
 
-#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Line {
-    /// Symbols per second.
-    pub baud: u32,
-    /// Further rates that the device may be set to; tried where it does not answer.
-    #[serde(default)]
-    pub baud_probe: Vec<u32>,
-    #[serde(default = "eight", rename = "bits")]
-    pub data_bits: u8,
-    #[serde(default)]
-    pub parity: Parity,
-    #[serde(default = "one", rename = "stop")]
-    pub stop_bits: u8,
-    #[serde(default)]
-    pub flow: Flow,
-    /// Level after opening; left alone when absent.
-    #[serde(default, deserialize_with = "level")]
-    pub dtr: Option<bool>,
-    /// Level after opening; left alone when absent.
-    #[serde(default, deserialize_with = "level")]
-    pub rts: Option<bool>,
-    /// How long the device needs after opening before it listens.
-    #[serde(default, rename = "settle_ms", deserialize_with = "ms")]
-    pub settle: Duration,
-    /// The eighth bit is no data: adapters that cannot do 7 bits pass the parity on in it.
-    #[serde(default)]
-    pub(super) strip_bit7: bool,
-}
-
-fn eight() -> u8 {
-    8
-}
-
 fn one() -> u8 {
     1
-}
-
-fn ms<'de, D: Deserializer<'de>>(value: D) -> Result<Duration, D::Error> {
-    u32::deserialize(value).map(|ms| Duration::from_millis(ms.into()))
 }
 
 fn us<'de, D: Deserializer<'de>>(value: D) -> Result<Duration, D::Error> {
@@ -120,41 +84,6 @@ fn us<'de, D: Deserializer<'de>>(value: D) -> Result<Duration, D::Error> {
 
 fn text<'de, D: Deserializer<'de>>(value: D) -> Result<Vec<u8>, D::Error> {
     String::deserialize(value).map(String::into_bytes)
-}
-
-/// Of a modem wire.
-fn level<'de, D: Deserializer<'de>>(value: D) -> Result<Option<bool>, D::Error> {
-    #[derive(Deserialize)]
-    #[serde(rename_all = "lowercase")]
-    enum Wire {
-        Keep,
-        On,
-        Off,
-    }
-    Ok(match Wire::deserialize(value)? {
-        Wire::Keep => None,
-        Wire::On => Some(true),
-        Wire::Off => Some(false),
-    })
-}
-
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Parity {
-    #[default]
-    None,
-    Even,
-    Odd,
-}
-
-/// By the characters XON and XOFF, or by the wires RTS and CTS.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Flow {
-    #[default]
-    None,
-    XonXoff,
-    RtsCts,
 }
 
 #[derive(Deserialize)]

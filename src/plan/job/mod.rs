@@ -155,8 +155,11 @@ fn default_sigma() -> f64 {
     SIGMA_UM
 }
 
+/// The protocol of a bar where nothing names one.
+pub const DEFAULT_PROTOCOL: &str = "dbb-cobs-1";
+
 fn default_protocol() -> String {
-    "dbb-cobs-1".into()
+    DEFAULT_PROTOCOL.into()
 }
 
 /// A base ball.

@@ -23,8 +23,9 @@ use crate::catalogue::ProtocolFinding::{
 use crate::device::protocol::check::Check;
 use crate::device::protocol::definition::{Definition, Mode, Step};
 use crate::device::protocol::engine::Engine;
+use crate::device::protocol::line::Line;
 use crate::device::protocol::table::{
-    CommandTable, Confidence, File, FramingTable, Latch, Line, ModeKind, ModeTable, StepTable, TestTable,
+    CommandTable, Confidence, File, FramingTable, Latch, ModeKind, ModeTable, StepTable, TestTable,
 };
 use crate::diagnostic::{Diagnostic, Finding};
 
