@@ -1,0 +1,177 @@
+//! A capture as MCAP, the log format that Foxglove, Python's `mcap` and the tools of ROS read.
+//!
+//! Channels `raw`, `samples`, `faults`, `events`, `gaps`, `axes`, each message a JSON object with `host_ns`, the
+//! capture's own time; a message's log time is that on the wall clock at which the run began. The
+//! capture's attachments are the file's. Chunks are not compressed and carry checksums.
+
+mod container;
+
+use std::io::{self, Write};
+
+use serde_json::{Map, Value, json};
+
+use container::{Attachment, Container};
+
+use crate::base::units::HostNs;
+use crate::catalogue::{FileFinding, ReportFinding};
+use crate::diagnostic::Diagnostic;
+use crate::recording::axes::AxesRecords;
+use crate::recording::capture::{Event, Record, Stamped};
+
+/// Names of the channels, in the order of their counts.
+pub const CHANNELS: [&str; 6] = ["raw", "samples", "faults", "events", "gaps", "axes"];
+
+/// A channel: its place among [`CHANNELS`].
+#[derive(Clone, Copy)]
+enum Channel {
+    Raw,
+    Samples,
+    Faults,
+    Events,
+    Gaps,
+    Axes,
+}
+
+/// An MCAP file that is being written.
+pub struct McapFile<W> {
+    file: Container<W>,
+    channels: [u16; CHANNELS.len()],
+    counts: [u32; CHANNELS.len()],
+    /// Host time and wall clock (ns since the Unix epoch) of the run's beginning.
+    began: Option<(HostNs, u64)>,
+    axes: AxesRecords,
+}
+
+impl<W: Write> McapFile<W> {
+    /// Begins a file.
+    ///
+    /// # Errors
+    /// When it cannot be written.
+    pub fn new(to: W) -> Result<Self, Diagnostic> {
+        let library = concat!("dbbd ", env!("CARGO_PKG_VERSION"));
+        let mut file = Container::new(to, library).map_err(unwritable)?;
+        let channels = CHANNELS.map(|name| file.add_channel(name, &format!("dbbd.{name}"), &schema(name)));
+        Ok(Self { file, channels, counts: [0; CHANNELS.len()], began: None, axes: AxesRecords::default() })
+    }
+
+    /// Appends a record of the capture.
+    ///
+    /// # Errors
+    /// When the file cannot be written, or a record that must hold JSON does not.
+    pub fn add(&mut self, stamped: &Stamped) -> Result<(), Diagnostic> {
+        let host = stamped.host;
+        let mut axes = Vec::new();
+        self.axes.add(host, &stamped.record, |place, _, sample| axes.push((place, sample)));
+        match &stamped.record {
+            Record::Attachment { name, content } => self.attach(host, name, content),
+            Record::Raw(bytes) => {
+                let hex: String = bytes.iter().map(|byte| format!("{byte:02x}")).collect();
+                self.message(Channel::Raw, host, json!({ "bytes_hex": hex }))
+            }
+            Record::Samples(samples) => samples.iter().try_for_each(|sample| {
+                let value = serde_json::to_value(sample).map_err(|error| not_json("samples", &error))?;
+                self.message(Channel::Samples, host, value)
+            }),
+            Record::Axes(_) => axes.into_iter().try_for_each(|(place, sample)| {
+                let value = json!({
+                    "ticks": sample.ticks, "place": place.word(), "measured_deg": sample.measured_deg,
+                    "commanded_deg": sample.commanded_deg,
+                });
+                self.message(Channel::Axes, host, value)
+            }),
+            Record::Fault(json) => {
+                let value = serde_json::from_slice(json).map_err(|error| not_json("fault", &error))?;
+                self.message(Channel::Faults, host, value)
+            }
+            Record::Event(event) => {
+                if let Event::Started { unix_ns, .. } = event {
+                    self.began = Some((host, *unix_ns));
+                }
+                let value = serde_json::to_value(event).map_err(|error| not_json("event", &error))?;
+                if matches!(event, Event::Gap { .. }) {
+                    self.message(Channel::Gaps, host, value.clone())?;
+                }
+                self.message(Channel::Events, host, value)
+            }
+        }
+    }
+
+    /// Ends the file; how many messages each of [`CHANNELS`] has.
+    ///
+    /// # Errors
+    /// When the file cannot be written.
+    pub fn finish(self) -> Result<[u32; CHANNELS.len()], Diagnostic> {
+        self.file.finish().map_err(unwritable)?;
+        Ok(self.counts)
+    }
+
+    fn attach(&mut self, host: HostNs, name: &str, content: &[u8]) -> Result<(), Diagnostic> {
+        let at_ns = self.wall_clock(host);
+        let media_type = match name.rsplit('.').next() {
+            Some("csv") => "text/csv",
+            Some("json") => "application/json",
+            Some("toml") => "application/toml",
+            _ => "application/octet-stream",
+        };
+        self.file.attach(&Attachment { at_ns, name, media_type, data: content }).map_err(unwritable)
+    }
+
+    fn wall_clock(&self, host: HostNs) -> u64 {
+        let (began, unix_ns) = self.began.unwrap_or_default();
+        unix_ns.saturating_add(host.0.saturating_sub(began.0))
+    }
+
+    fn message(&mut self, channel: Channel, host: HostNs, content: Value) -> Result<(), Diagnostic> {
+        let mut message = Map::from_iter([("host_ns".to_owned(), json!(host.0))]);
+        if let Value::Object(content) = content {
+            message.extend(content);
+        }
+        let at_ns = self.wall_clock(host);
+        let (id, count) = (self.channels[channel as usize], &mut self.counts[channel as usize]);
+        let sequence = *count;
+        *count = count.wrapping_add(1);
+        let message = Value::Object(message).to_string();
+        self.file.message(id, sequence, at_ns, message.as_bytes()).map_err(unwritable)
+    }
+}
+
+fn unwritable(error: io::Error) -> Diagnostic {
+    FileFinding::Unwritable { why: error.to_string() }.into()
+}
+
+fn not_json(record: &str, error: &serde_json::Error) -> Diagnostic {
+    ReportFinding::NotJson { record: record.into(), why: error.to_string() }.into()
+}
+
+/// The JSON Schema of a channel's messages.
+fn schema(channel: &str) -> Vec<u8> {
+    let fields: &[(&str, &str)] = match channel {
+        "raw" => &[("bytes_hex", "string")],
+        "samples" => &[
+            ("reading_mm", "number"),
+            ("sequence", "integer"),
+            ("ticks", "integer"),
+            ("trigger", "boolean"),
+            ("temperature_c", "number"),
+            ("valid", "boolean"),
+            ("status", "integer"),
+            ("offset", "integer"),
+        ],
+        "faults" => &[("offset", "integer"), ("bytes", "integer")],
+        "gaps" => &[("seconds", "number"), ("missing", "integer"), ("reason", "string")],
+        "axes" => &[
+            ("ticks", "integer"),
+            ("place", "string"),
+            ("measured_deg", "array"),
+            ("commanded_deg", "array"),
+        ],
+        _ => &[("event", "string")],
+    };
+    let host = [("host_ns", "integer")];
+    let properties: Map<String, Value> = host
+        .iter()
+        .chain(fields)
+        .map(|(name, kind)| ((*name).to_owned(), json!({ "type": [kind, "null"] })))
+        .collect();
+    json!({ "type": "object", "properties": properties }).to_string().into_bytes()
+}
