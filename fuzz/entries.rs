@@ -35,40 +35,19 @@ pub(crate) const ENTRIES: [(&str, Entry); 10] = [
     ("tables", tables),
 ];
 
-/// Framings that no built-in definition has: a length in the frame, and silence as the end.
-const LENGTH: &str = r#"
-schema = 1
-id = "length"
-confidence = "own"
-[line]
-baud = 57600
-[framing]
-kind = "length"
-sync = "aa 55"
-len_at = 2
-len_adds = 3
-max_len = 32
-[check]
-kind = "sum8"
-enc = "le"
-over_from = 2
-[[message]]
-name = "sample"
-fields = [
-  { kind = "skip", bytes = 3 },
-  { kind = "bits", bits = 4, role = "seq", modulo = 16 },
-  { kind = "bits", bits = 12 },
-  { kind = "float", bits = 64, endian = "be", role = "length", unit = "mm" },
-]
-[mode]
-kind = "stream"
-"#;
+/// A framing that no built-in definition has: a length in the frame.
+const LENGTH: &str = include_str!("length.toml");
+
+/// The same with silence as the end.
+pub(crate) fn ended_by_silence() -> String {
+    let length = "kind = \"length\"\nsync = \"aa 55\"\nlen_at = 2\nlen_adds = 3\n";
+    LENGTH.replace(length, "kind = \"gap\"\nidle_us = 2000\n")
+}
 
 fn definitions() -> &'static [Definition] {
     static ALL: OnceLock<Vec<Definition>> = OnceLock::new();
     ALL.get_or_init(|| {
-        let idle = LENGTH.replace("sync = \"aa 55\"\nlen_at = 2\nlen_adds = 3", "idle_us = 2000");
-        let silent = idle.replace("kind = \"length\"", "kind = \"gap\"");
+        let silent = ended_by_silence();
         let built_in = Definition::built_in().iter().map(|(_, text)| *text);
         let all = built_in.chain([LENGTH, silent.as_str()]);
         all.map(|text| Definition::from_toml("definition", text).expect("a definition that is good"))

@@ -188,14 +188,12 @@ impl Store {
 
     /// An object as a file, whole or not at all.
     pub(super) fn fetch(&self, name: &str, path: &Path) -> Result<(), Diagnostic> {
-        let unwritable = |error: std::io::Error| {
-            Diagnostic::file(&path.display().to_string(), FileFinding::Unwritable { why: error.to_string() })
-        };
+        let unwritable = files::unwritable(path);
         let mut beside = path.as_os_str().to_owned();
         beside.push(format!(".{}.part", std::process::id()));
-        let mut file = File::create(&beside).map_err(unwritable)?;
+        let mut file = File::create(&beside).map_err(&unwritable)?;
         let read = self.read(name, |piece| file.write_all(piece));
-        let done = read.and_then(|()| std::fs::rename(&beside, path).map_err(unwritable));
+        let done = read.and_then(|()| std::fs::rename(&beside, path).map_err(&unwritable));
         if done.is_err() {
             // A part of a file is of no use.
             let _ = std::fs::remove_file(&beside);

@@ -148,11 +148,14 @@ pub struct Queue {
     pub failed: u64,
 }
 
-const RESULT: &str = "result.run, run.robot, run.measured, result.settings, result.version, result.doubtful, \
-    result.lengths, result.sigma_mm, result.rms_before_mm, result.rms_after_mm, result.error_nominal_mm, \
-    result.error_identified_mm, result.posterior";
-
 impl ArchivedResult {
+    /// The columns that [`Self::of_row`] reads.
+    fn columns() -> String {
+        let of = |name: &str| if ["robot", "measured"].contains(&name) { "run" } else { "result" };
+        let names = Self::TABLE.iter().map(|(name, _)| *name).chain(["posterior"]);
+        names.map(|name| format!("{}.{name}", of(name))).collect::<Vec<_>>().join(", ")
+    }
+
     fn of_row(row: &Row) -> Result<Self, Diagnostic> {
         let found = Summary {
             doubtful: row.int(5)? != 0,
@@ -380,8 +383,9 @@ impl Archive {
         condition: &str,
         values: &[Value],
     ) -> Result<Vec<ArchivedResult>, Diagnostic> {
+        let columns = ArchivedResult::columns();
         let sql = format!(
-            "SELECT {RESULT} FROM result JOIN run ON run.sha256 = result.run WHERE {condition} \
+            "SELECT {columns} FROM result JOIN run ON run.sha256 = result.run WHERE {condition} \
              ORDER BY run.robot, run.measured, result.settings, result.made_at"
         );
         self.database.query(&sql, values)?.iter().map(ArchivedResult::of_row).collect()

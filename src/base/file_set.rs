@@ -76,12 +76,11 @@ impl FileSet {
             }
         }
         for Earlier { place, kept } in earlier {
-            if done.is_err() {
-                // What was not replaced yet has both names, and keeps them.
-                let _ = fs::rename(&kept, place);
+            // What cannot have its name again is kept under the other one.
+            if done.is_ok() || fs::rename(&kept, place).is_ok() {
+                // Gone already where it was renamed; what was not replaced yet has both names.
+                let _ = fs::remove_file(kept);
             }
-            // Gone already where it was renamed.
-            let _ = fs::remove_file(kept);
         }
         done
     }

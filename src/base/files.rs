@@ -16,6 +16,11 @@ pub fn unreadable(file: impl Display) -> impl Fn(io::Error) -> Diagnostic {
     move |error| Diagnostic::file(&file.to_string(), Unreadable { why: error.to_string() })
 }
 
+/// The directory that a file is in.
+pub fn directory_of(path: &Path) -> &Path {
+    path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."))
+}
+
 /// The text of a file.
 pub fn read(path: &Path) -> Result<String, Diagnostic> {
     let bytes = fs::read(path).map_err(unreadable(path.display()))?;

@@ -1,10 +1,16 @@
-//! The lines of a text whose encoding its own bytes show: UTF-8, UTF-16 behind a byte order mark, else Windows-1252.
+//! Texts. The lines of a file are read in the encoding that its own bytes show: UTF-8, UTF-16 behind a byte order mark, else
+//! Windows-1252.
 
 use std::io::BufRead;
 
 use super::files::unreadable;
 use crate::catalogue::FileFinding::NotText;
 use crate::diagnostic::Diagnostic;
+
+/// A decimal number without zeros that say nothing at its end.
+pub fn without_end_zeros(number: &str) -> &str {
+    if number.contains('.') { number.trim_end_matches('0').trim_end_matches('.') } else { number }
+}
 
 /// How characters are written as bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

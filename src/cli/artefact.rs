@@ -8,7 +8,6 @@ use serde_json::Value;
 use super::Output;
 use super::info::line;
 use crate::base::{clock, files, serialised};
-use crate::catalogue::FileFinding;
 use crate::catalogue::ProvenanceFinding::{self, OtherThanPlanned};
 use crate::diagnostic::Diagnostic;
 use crate::plan::Job;
@@ -23,8 +22,7 @@ use crate::robot::Robot;
 /// What is wrong in the file.
 pub(super) fn read(path: &Path, out: &Output) -> Result<Option<Traced>, Diagnostic> {
     let name = path.display().to_string();
-    let bytes = fs::read(path)
-        .map_err(|error| Diagnostic::file(&name, FileFinding::Unreadable { why: error.to_string() }))?;
+    let bytes = fs::read(path).map_err(files::unreadable(&name))?;
     // A program may be in an old code page; what is read of it is ASCII.
     let text = String::from_utf8_lossy(&bytes);
     let first = text.lines().next().unwrap_or_default();

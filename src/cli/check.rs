@@ -118,11 +118,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         sigma_mm: noise.sigma_mm,
         mounting: mounting(args, &given),
         tolerance_mm: args.tolerance,
-        rule: if args.simple_acceptance {
-            Rule::SimpleAcceptance
-        } else {
-            Rule::GuardBand { risk: args.risk }
-        },
+        rule: rule(args),
         workspace: &workspace.workspace_poses(&given.robot),
     };
     let found = input.check().map_err(|finding| Diagnostic::file(&args.robot, finding))?;
@@ -148,6 +144,10 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         conformity::Outcome::Undecided => Outcome::Doubt,
         conformity::Outcome::Fail => Outcome::Failed,
     })
+}
+
+fn rule(args: &Args) -> Rule {
+    if args.simple_acceptance { Rule::SimpleAcceptance } else { Rule::GuardBand { risk: args.risk } }
 }
 
 /// What mounting changes; a tool ball that the posterior does not hold is as uncertain as any.

@@ -5,8 +5,8 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 
 use super::Output;
-use crate::base::{clock, program};
-use crate::catalogue::{FileFinding, SimulationFinding};
+use crate::base::{clock, files, program};
+use crate::catalogue::SimulationFinding;
 use crate::device::port::PortAddress;
 use crate::diagnostic::Diagnostic;
 
@@ -39,10 +39,7 @@ impl<'a> Steps<'a> {
     pub(crate) fn remove(&self, name: &str) -> Result<(), Diagnostic> {
         let path = self.dir.join(name);
         if path.exists() {
-            std::fs::remove_file(&path).map_err(|error| {
-                let why = FileFinding::Unwritable { why: error.to_string() };
-                Diagnostic::file(&path.display().to_string(), why)
-            })?;
+            std::fs::remove_file(&path).map_err(files::unwritable(&path))?;
         }
         Ok(())
     }

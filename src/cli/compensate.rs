@@ -9,9 +9,7 @@ use super::robots;
 use super::{Outcome, Output};
 use crate::base::hash::sha256;
 use crate::base::{FileSet, files};
-use crate::catalogue::{
-    CompensationFinding, EstimationFinding, FileFinding, ProgramFinding, ProvenanceFinding,
-};
+use crate::catalogue::{CompensationFinding, EstimationFinding, ProgramFinding, ProvenanceFinding};
 use crate::diagnostic::Diagnostic;
 use crate::program::krl::{self, Files, Given};
 use crate::program::{Language, Moved, Text, provenance, rapid, stamped, urscript};
@@ -168,16 +166,12 @@ impl Cell<'_> {
         if unused {
             return Err(CompensationFinding::FrameUnused { language: language.name() }.into());
         }
-        let (text, limit_mm) = (source.text(), args.limit);
-        let (points, corrected) = if language == Language::Urscript {
-            let points = urscript::read(text, args.tool)?;
-            let corrected = urscript::compensate(text, &points, robot, limit_mm);
-            (points, corrected)
-        } else {
-            let points = rapid::read(text, config.as_ref().map(Program::text))?;
-            let corrected = rapid::compensate(text, &points, robot, limit_mm);
-            (points, corrected)
+        let text = source.text();
+        let points = match language {
+            Language::Urscript => urscript::read(text, args.tool)?,
+            _ => rapid::read(text, config.as_ref().map(Program::text))?,
         };
+        let corrected = points.compensate(text, robot, args.limit);
         let (corrected, moved) = corrected.map_err(|refused| self.refused(&source, &refused))?;
         let made = Provenance::of([&traced, identified]);
         let mut set = FileSet::begin(&args.out)?;
@@ -282,8 +276,7 @@ struct Program {
 impl Program {
     fn open(path: &Path) -> Result<Self, Diagnostic> {
         let name = path.display().to_string();
-        let bytes = fs::read(path)
-            .map_err(|error| Diagnostic::file(&name, FileFinding::Unreadable { why: error.to_string() }))?;
+        let bytes = fs::read(path).map_err(files::unreadable(&name))?;
         let sha256 = sha256(&bytes);
         let stem = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
         let (content, bytewise) = match String::from_utf8(bytes) {
@@ -345,8 +338,7 @@ impl Program {
 fn beside(path: &Path, extension: &str) -> Option<PathBuf> {
     let wanted = path.with_extension(extension);
     let wanted = wanted.file_name()?.to_str()?;
-    let directory = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    directory.read_dir().ok()?.find_map(|entry| {
+    files::directory_of(path).read_dir().ok()?.find_map(|entry| {
         let entry = entry.ok()?;
         entry.file_name().to_str()?.eq_ignore_ascii_case(wanted).then(|| entry.path())
     })

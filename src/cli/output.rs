@@ -13,6 +13,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 
 use super::{Common, Outcome};
+use crate::base::files;
 use crate::base::program::{PROGRESS, PROGRESS_VARIABLE};
 use crate::base::serialised;
 use crate::base::sync::lock;
@@ -165,10 +166,9 @@ impl Output {
     /// When it cannot be opened.
     pub(crate) fn source(&self, path: &Path) -> Result<(impl BufRead + use<>, Busy), Diagnostic> {
         let name = path.display().to_string();
-        let unreadable =
-            |error: io::Error| Diagnostic::file(&name, FileFinding::Unreadable { why: error.to_string() });
-        let file = File::open(path).map_err(unreadable)?;
-        let bytes = file.metadata().map_err(unreadable)?.len();
+        let unreadable = files::unreadable(&name);
+        let file = File::open(path).map_err(&unreadable)?;
+        let bytes = file.metadata().map_err(&unreadable)?.len();
         let busy = self.busy(&format!("reading {name}"), Some(bytes));
         Ok((BufReader::new(busy.line.wrap_read(file)), busy))
     }

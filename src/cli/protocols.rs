@@ -92,14 +92,11 @@ fn layout(definition: &Definition, out: &Output) {
         out.result(line.trim_end());
     }
     let sample = Sample {
-        reading_mm: definition.sim.at_mm + 0.125,
         sequence: Some(1),
         ticks: Some(DeviceTicks(1000)),
         trigger: Some(false),
         temperature_c: Some(20.0),
-        valid: true,
-        status: 0,
-        offset: 0,
+        ..Sample::of(definition.sim.at_mm + 0.125)
     };
     let mut frame = Vec::new();
     if definition.encoder().encode(&sample, &mut frame).is_ok() {

@@ -12,6 +12,7 @@ use crate::cli::robots;
 use crate::device::axes::AxesAddress;
 use crate::device::port::PortAddress;
 use crate::diagnostic::Diagnostic;
+use crate::plan::DEFAULT_PROTOCOL;
 use crate::program::{Language, Program, krl, rapid, urscript};
 use crate::sim::axes::{AxesLine, Publisher};
 use crate::sim::bar::{Options, Reading, Source, Terminal, serve_over};
@@ -61,7 +62,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "WORLD.toml")]
     world: Option<PathBuf>,
     /// The bar's protocol: a built-in name or a file.
-    #[arg(long, value_name = "NAME|FILE", default_value = "dbb-cobs-1")]
+    #[arg(long, value_name = "NAME|FILE", default_value = DEFAULT_PROTOCOL)]
     protocol: String,
     /// Set a parameter of the protocol, as range_mm=50; `dbbd protocols show NAME` lists them.
     #[arg(long = "param", value_name = "NAME=VALUE", value_parser = protocols::param)]
@@ -115,9 +116,8 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
             return Err(Diagnostic::new(wrong));
         }
     }
-    let own = args.program.parent().map(|own| if own.as_os_str().is_empty() { Path::new(".") } else { own });
-    if let (Some(directory), Some(own)) = (&args.save, own)
-        && files::same_place(directory, own)
+    if let Some(directory) = &args.save
+        && files::same_place(directory, files::directory_of(&args.program))
     {
         return Err(Diagnostic::file(&args.program.display().to_string(), FileFinding::IsInput));
     }
@@ -179,9 +179,12 @@ fn program(path: &Path) -> Result<Program, Diagnostic> {
         None | Some(Language::Krl) => {}
         Some(Language::Urscript) => return Ok(urscript::open(read(path)?)?.into()),
         Some(Language::Rapid) => {
-            let beside =
-                path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
-            let found = beside.read_dir().into_iter().flatten().flatten().map(|entry| entry.path());
+            let found = files::directory_of(path)
+                .read_dir()
+                .into_iter()
+                .flatten()
+                .flatten()
+                .map(|entry| entry.path());
             let is_other = |other: &PathBuf| {
                 let extension = other.extension().and_then(|extension| extension.to_str());
                 extension.and_then(Language::of_extension) == Some(Language::Rapid)
@@ -193,14 +196,11 @@ fn program(path: &Path) -> Result<Program, Diagnostic> {
             return Ok(rapid::open(read(path)?, others)?.into());
         }
     }
-    let directory = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let directory = files::directory_of(path);
     let stem = path.file_stem().and_then(|stem| stem.to_str()).unwrap_or_default();
     let names: Vec<String> = directory
         .read_dir()
-        .map_err(|error| {
-            let why = FileFinding::Unreadable { why: error.to_string() };
-            Diagnostic::file(&directory.display().to_string(), why)
-        })?
+        .map_err(files::unreadable(directory.display()))?
         .filter_map(|entry| entry.ok()?.file_name().into_string().ok())
         .collect();
     let program = krl::Program::open(stem, |wanted| {

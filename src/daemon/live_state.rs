@@ -101,23 +101,7 @@ impl Feed {
         let reading = sample.reading_mm;
         let now = Reading { t_s: host_s, reading_mm: reading, valid: sample.valid, dwells: counted.dwells };
         let alarm = self.mount.alarm(&self.schedule, now);
-        let (began, frame) = self.picture.get_or_insert((
-            host,
-            Frame {
-                frame: self.frames + 1,
-                t_s: 0.0,
-                unix_ms: 0.0,
-                span_ms: 0.0,
-                samples: 0,
-                min_mm: reading,
-                max_mm: reading,
-                last_mm: reading,
-                alarm: Alarm::None,
-                mounted: true,
-                strobe: None,
-                valid: true,
-            },
-        ));
+        let (began, frame) = self.picture.get_or_insert((host, begun(self.frames + 1, reading)));
         frame.samples += 1;
         frame.t_s = device_s.unwrap_or(host_s);
         frame.unix_ms = (host.0 as f64 + self.wall_ns) * 1e-6;
@@ -189,5 +173,23 @@ impl Feed {
     fn send(&self, event: &'static str, content: &impl serde::Serialize) {
         // Nobody may be looking.
         let _ = self.state.messages.send(Message::new(event, content));
+    }
+}
+
+/// The frame with this number, before its first sample, which reads so.
+fn begun(number: u64, reading_mm: f64) -> Frame {
+    Frame {
+        frame: number,
+        t_s: 0.0,
+        unix_ms: 0.0,
+        span_ms: 0.0,
+        samples: 0,
+        min_mm: reading_mm,
+        max_mm: reading_mm,
+        last_mm: reading_mm,
+        alarm: Alarm::None,
+        mounted: true,
+        strobe: None,
+        valid: true,
     }
 }

@@ -65,16 +65,7 @@ mod tests {
         let spans = pulses.iter().flat_map(|(low_s, high_s)| [(*low_s, false), (*high_s, true)]);
         for (seconds, strobe) in spans.chain([(quiet_s, false)]) {
             for _ in 0..(seconds * 100.0).round() as u32 {
-                let sample = Sample {
-                    reading_mm: 0.0,
-                    sequence: None,
-                    ticks: None,
-                    trigger: Some(strobe),
-                    temperature_c: None,
-                    valid: true,
-                    status: 0,
-                    offset: 0,
-                };
+                let sample = Sample { trigger: Some(strobe), ..Sample::of(0.0) };
                 end.push(end.now_s + 0.01, &sample);
             }
         }

@@ -6,6 +6,7 @@ use super::result::{
     CirclePlane, FurtherMeasurement, MadeFrom, ParameterResult, Reason, Recommendation, StartRobot,
 };
 use super::{Combination, Group, GroupEvidence, priors};
+use crate::base::text;
 use crate::robot::{BarId, ParamId, Unit};
 
 /// "140 lengths and 70 positions of 2 targets"; what there is none of is absent.
@@ -96,8 +97,7 @@ fn significant(value: f64) -> String {
         return format!("{value:.3e}");
     }
     let digits = (3 - value.log10().floor() as i32).clamp(0, 6) as usize;
-    let text = format!("{value:.digits$}");
-    if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
+    text::without_end_zeros(&format!("{value:.digits$}")).to_owned()
 }
 
 impl ParameterResult {

@@ -14,7 +14,7 @@ use super::path::{Path, between};
 use super::steps::room;
 use crate::design::Candidate;
 use crate::robot::inverse::{nearest, status};
-use crate::robot::{AXES, Pose};
+use crate::robot::{AXES, Pose, apart};
 
 /// Steps in which a way is tried, mm and degrees; the plan's own check is finer.
 const STEP_MM: f64 = 2.0;
@@ -154,11 +154,6 @@ pub(crate) fn order(poses: &mut [Candidate]) {
             return;
         }
     }
-}
-
-/// The greatest difference of an axis, rad.
-fn apart(a: &[f64; AXES], b: &[f64; AXES]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
 }
 
 fn arc_angle(u: &Vector3<f64>, v: &Vector3<f64>) -> f64 {

@@ -1,5 +1,7 @@
 //! Scales, ticks at 1-2-5 steps, and numbers as a reader wants them.
 
+use crate::base::text;
+
 /// A linear map from values to pixels.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Scale {
@@ -162,8 +164,7 @@ pub(crate) fn signed(value: f64, decimals: usize) -> String {
 
 /// A number without useless zeros at its end.
 pub(crate) fn plain(value: f64, decimals: usize) -> String {
-    let text = fixed(value, decimals);
-    if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
+    text::without_end_zeros(&fixed(value, decimals)).to_owned()
 }
 
 /// A number rounded to `figures` significant figures also before the point, as a magnification is.

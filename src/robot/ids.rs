@@ -151,6 +151,11 @@ impl fmt::Display for Coordinate {
     }
 }
 
+/// The greatest difference of an axis, in the unit of the angles.
+pub fn apart(a: &[f64; super::AXES], b: &[f64; super::AXES]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
+}
+
 /// The controller's axis angles, degrees as they were read.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(transparent)]

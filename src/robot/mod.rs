@@ -22,7 +22,7 @@ pub mod uncertainty;
 pub use chain::{At, Chain, JointSinCos, LengthRow, Plane};
 pub use coupling::{CoupledAxis, Coupling};
 pub use definition::{Robot, RobotRead, Tolerance};
-pub use ids::{Approach, AxisAngles, BallId, BarId, CircleId, Coordinate, Datum, Joint, TargetId};
+pub use ids::{Approach, AxisAngles, BallId, BarId, CircleId, Coordinate, Datum, Joint, TargetId, apart};
 pub use joint_error::{JointError, JointErrors, JointTerm, Ripple, Smooth, TermKind};
 pub use kinematics::{DhRow, Geometry, Mass};
 pub use parameter::{Group, ParamId, Unit};

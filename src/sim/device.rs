@@ -183,14 +183,12 @@ impl Device {
         let ticks = ticks.wrapping_sub(wrap_ticks as u64);
         let mask = u64::MAX >> (64 - self.wrap_bits.clamp(1, 64));
         Sample {
-            reading_mm: reading.reading_mm - zero_mm + self.at_mm + over_mm,
             sequence: u32::try_from(count % u64::from(self.modulo)).ok(),
             ticks: Some(DeviceTicks(self.first_ticks.wrapping_add(ticks) & mask)),
             trigger: Some(reading.strobe),
             temperature_c: Some(reading.temperature_c),
             valid: reading.valid && over_mm == 0.0,
-            status: 0,
-            offset: 0,
+            ..Sample::of(reading.reading_mm - zero_mm + self.at_mm + over_mm)
         }
     }
 }

@@ -2,7 +2,7 @@
 //! their laws stand in `fuzz/entries.rs`; what a fuzzer once found stays in `fuzz/corpus/` for ever.
 
 #[path = "../../fuzz/entries.rs"]
-mod entries;
+pub(crate) mod entries;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};

@@ -15,6 +15,7 @@ use rand_pcg::Pcg64;
 use tempfile::tempdir;
 
 use crate::cell::{codes, dbbd, kr60, stderr};
+use crate::process::Simulator;
 use crate::rapid_and_urscript::{job, named, run};
 
 /// An arm in its language.
@@ -181,8 +182,8 @@ fn a_corrected_program_arrives() {
         let (text, wanted) = production(&arm, &nominal, 20);
         let file = Text { file: "P", text: &text };
         let (corrected, moved) = match language {
-            Language::Rapid => rapid::compensate(file, &rapid::read(file, None).unwrap(), &found, 50.0),
-            _ => urscript::compensate(file, &urscript::read(file, None).unwrap(), &found, 50.0),
+            Language::Rapid => rapid::read(file, None).unwrap().compensate(file, &found, 50.0),
+            _ => urscript::read(file, None).unwrap().compensate(file, &found, 50.0),
         }
         .unwrap();
         assert_eq!(moved.len(), if language == Language::Rapid { 20 } else { 40 });
@@ -228,22 +229,12 @@ fn closed_loop(arm: &Arm, job: &str, seed: u64) -> ([usize; 2], [f64; 2]) {
         Language::Rapid => ("DBB_MAIN.mod", "P.mod"),
         Language::Urscript => ("DBB_MAIN.script", "P.script"),
     };
-    let mut simulator = std::process::Command::new(env!("CARGO_BIN_EXE_dbbd"))
-        .args(["simulate", "--program", &format!("program/{main}"), "--nominal", "nominal.toml"])
-        .args(["--robot", "truth.toml", "--world", "world.toml", "--seed", &seed.to_string()])
-        .args(["--speed", "0", "--link", "link", "--quiet"])
-        .current_dir(at)
-        .stdout(std::process::Stdio::null())
-        .spawn()
-        .unwrap();
-    for _ in 0..600 {
-        if at.join("link").exists() {
-            break;
-        }
-        std::thread::sleep(std::time::Duration::from_millis(20));
-    }
+    let program = ["--program", &format!("program/{main}"), "--nominal", "nominal.toml", "--speed", "0"];
+    let truth = ["--robot", "truth.toml", "--world", "world.toml", "--seed", &seed.to_string()];
+    let bar = ["--link", "link", "--quiet"];
+    let simulator = Simulator::start(at, &[&program[..], &truth, &bar].concat());
     step(at, "acquire --port link --plan plan/plan.csv --out run.dbbd --quiet");
-    assert!(simulator.wait().unwrap().success());
+    assert!(simulator.finished().status.success());
     step(at, "sync run.dbbd --out obs.csv --quiet");
     step(
         at,

@@ -13,6 +13,8 @@ use proptest::prelude::*;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
+use crate::any_bytes_are_taken::entries;
+
 fn all() -> impl Iterator<Item = Definition> {
     Definition::built_in().iter().map(|(name, _)| Definition::by_name(name).unwrap().unwrap())
 }
@@ -72,14 +74,11 @@ fn a_device_says_its_whole_range() {
     for definition in all() {
         let (at, step) = (definition.sim.at_mm, definition.resolution_mm());
         let mut sample = Sample {
-            reading_mm: at,
             sequence: definition.sequence_modulo.map(|_| 0),
             ticks: definition.clock.map(|_| DeviceTicks(0)),
             trigger: Some(false),
             temperature_c: Some(20.0),
-            valid: true,
-            status: 0,
-            offset: 0,
+            ..Sample::of(at)
         };
         let says = |steps: i64| {
             let mut bytes = Vec::new();
@@ -123,14 +122,11 @@ fn the_bars_stroke_can_be_said() {
     for definition in all() {
         for at in -10..=17 {
             let sample = Sample {
-                reading_mm: definition.sim.at_mm + f64::from(at) / 10.0,
                 sequence: Some(1),
                 ticks: Some(DeviceTicks(5)),
                 trigger: Some(false),
                 temperature_c: Some(20.0),
-                valid: true,
-                status: 0,
-                offset: 0,
+                ..Sample::of(definition.sim.at_mm + f64::from(at) / 10.0)
             };
             let said = one(&definition, &sample).unwrap_or_else(|| panic!("{}: {at}", definition.id));
             assert!(said.valid, "{}", definition.id);
@@ -214,48 +210,11 @@ fn acquire_reads_every_virtual_bar() {
 }
 
 /// A device that the binary was not built with, with framing and fields of its own.
-const OUTSIDE: &str = r#"
-schema = 1
-id = "outside"
-confidence = "own"
-[params]
-gain = { type = "float", min = 0.1, max = 10.0, default = 1.0 }
-[line]
-baud = 57600
-[framing]
-kind = "length"
-sync = "aa 55"
-len_at = 2
-len_adds = 3
-max_len = 32
-[check]
-kind = "sum8"
-enc = "le"
-over_from = 2
-[[message]]
-name = "sample"
-fields = [
-  { kind = "skip", bytes = 3 },
-  { kind = "bits", bits = 4, role = "seq", modulo = 16 },
-  { kind = "bits", bits = 12 },
-  { kind = "float", bits = 64, endian = "be", role = "length", unit = "mm", times = "${gain}" },
-]
-[mode]
-kind = "stream"
-"#;
+const OUTSIDE: &str = include_str!("../../fuzz/length.toml");
 
 /// A reading of 1 mm, with its number and nothing else.
 fn numbered(sequence: u32) -> Sample {
-    Sample {
-        reading_mm: 1.0,
-        sequence: Some(sequence),
-        ticks: None,
-        trigger: None,
-        temperature_c: None,
-        valid: true,
-        status: 0,
-        offset: 0,
-    }
+    Sample { sequence: Some(sequence), ..Sample::of(1.0) }
 }
 
 #[test]
@@ -356,10 +315,7 @@ fn what_does_not_fit_is_not_sent() {
 /// Records that end with silence.
 #[test]
 fn silence_ends_a_frame() {
-    let text = OUTSIDE.replace(
-        "kind = \"length\"\nsync = \"aa 55\"\nlen_at = 2\nlen_adds = 3\nmax_len = 32",
-        "kind = \"gap\"\nidle_us = 2000\nmax_len = 32",
-    );
+    let text = entries::ended_by_silence();
     let definition = Definition::from_toml("bar.toml", &text).unwrap();
     let (mut decoder, mut out) = (definition.decoder(), Vec::new());
     let mut frame = vec![0, 0, 0, 7, 0, 0x3f, 0xe0, 0, 0, 0, 0, 0, 0];

@@ -43,26 +43,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     steps.run(&["krl", "plan/plan.csv", "--out", "krl"])?;
     steps.say("3. A robot whose true parameters nobody knows executes them; the bar is read meanwhile");
     let truth = truth::Truth::draw(dir, args.seed)?;
-    steps.remove("run.dbbd")?;
-    let seed = args.seed.to_string();
-    let simulator = steps.start(&[
-        "simulate",
-        "--program",
-        "krl/DBB_MAIN.src",
-        "--robot",
-        "truth.toml",
-        "--world",
-        "world.toml",
-        "--speed",
-        "0",
-        "--seed",
-        &seed,
-        "--listen",
-        LOOPBACK,
-    ])?;
-    let port = simulator.port().to_string();
-    steps.run(&["acquire", "--port", &port, "--plan", "plan/plan.csv", "--out", "run.dbbd"])?;
-    simulator.finish()?;
+    measure(&steps, args.seed)?;
     steps.say("4. Match the lengths to the commanded poses");
     steps.run(&["sync", "run.dbbd", "--out", "observations.csv"])?;
     steps.say("5. Identify the robot");
@@ -91,4 +72,16 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     }
     out.result(format!("The report: {}", dir.join("result/report.html").display()));
     Ok(Outcome::Done)
+}
+
+/// Simulates the program and records its bar.
+fn measure(steps: &Steps<'_>, seed: u64) -> Result<(), Diagnostic> {
+    steps.remove("run.dbbd")?;
+    let simulate =
+        ["simulate", "--program", "krl/DBB_MAIN.src", "--robot", "truth.toml", "--world", "world.toml"];
+    let seeded = ["--speed", "0", "--seed", &seed.to_string(), "--listen", LOOPBACK];
+    let simulator = steps.start(&[&simulate[..], &seeded].concat())?;
+    let port = simulator.port().to_string();
+    steps.run(&["acquire", "--port", &port, "--plan", "plan/plan.csv", "--out", "run.dbbd"])?;
+    simulator.finish()
 }

@@ -11,5 +11,5 @@ mod points;
 mod program;
 
 pub use emit::emit;
-pub use points::{compensate, read};
+pub use points::read;
 pub use program::open;

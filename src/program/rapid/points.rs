@@ -9,12 +9,11 @@ use crate::catalogue::CompensationFinding;
 use crate::diagnostic::Diagnostic;
 use crate::program::Motion;
 use crate::program::compensate::{Branch, Corrected, Corrector};
-use crate::program::rewrite::Moved;
 use crate::program::script::points::{Point, Points, Taught, Vocabulary, numbers};
 use crate::program::script::statement::{Kind, Statement};
 use crate::program::script::value::Value;
 use crate::program::text::{Edit, Text};
-use crate::robot::{Pose, Robot};
+use crate::robot::Pose;
 
 /// Fewest decimals of a length, an axis angle and a part of a quaternion.
 const DECIMALS_MM: usize = 3;
@@ -31,7 +30,7 @@ const WORDS: Vocabulary = Vocabulary {
 pub fn read(text: Text<'_>, config: Option<Text<'_>>) -> Result<Points, Diagnostic> {
     let module = parse(text, 0)?;
     let config = config.map(|config| parse(config, 1)).transpose()?;
-    let mut points = Points::default();
+    let mut points = Points::new(write);
     let statements = || module.routines.iter().flat_map(|(routine, _)| &routine.body);
     let set: HashMap<&str, usize> = statements().filter_map(|statement| set(statement, text)).collect();
     for statement in statements() {
@@ -83,19 +82,6 @@ fn take(
         points.visit(text, &statement.span, expression, taught, frames)?;
     }
     Ok(())
-}
-
-/// The module with corrected points and what was moved.
-///
-/// # Errors
-/// Every point that cannot be corrected; not empty.
-pub fn compensate(
-    text: Text<'_>,
-    points: &Points,
-    robot: &Robot,
-    limit_mm: f64,
-) -> Result<(String, Vec<Moved>), Vec<Diagnostic>> {
-    points.corrected(text, robot, limit_mm, write)
 }
 
 fn write(

@@ -25,9 +25,15 @@ pub struct Point {
     pub(crate) frames: Option<Frames>,
 }
 
+/// The new text of a corrected point.
+pub(crate) type Write =
+    fn(&Corrector, &Point, &Corrected, Text<'_>) -> Result<Vec<Edit>, CompensationFinding>;
+
 /// The points of a program in the order in which its text goes there.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub struct Points {
+    /// As the language writes one.
+    write: Write,
     pub points: Vec<Point>,
     /// Motions that are not to a point of this file.
     pub left: Vec<Diagnostic>,
@@ -61,6 +67,10 @@ pub(crate) struct Taught {
 }
 
 impl Points {
+    pub(crate) fn new(write: Write) -> Self {
+        Self { write, points: Vec::new(), left: Vec::new(), found: HashMap::new(), others: Vec::new() }
+    }
+
     /// Takes the point of a motion, `frames` where it is a pose. One that is computed, or not written in this file (the
     /// file 0), is left.
     pub(crate) fn visit(
@@ -147,13 +157,15 @@ impl Points {
         Ok(())
     }
 
-    /// The program with corrected points, as [`rewrite::points`]; `write` gives the new text of one.
-    pub(crate) fn corrected(
+    /// The program with corrected points, none moved by more than `limit_mm`, and what was moved.
+    ///
+    /// # Errors
+    /// Every point that cannot be corrected; not empty.
+    pub fn compensate(
         &self,
         file: Text<'_>,
         robot: &Robot,
         limit_mm: f64,
-        write: impl Fn(&Corrector, &Point, &Corrected, Text<'_>) -> Result<Vec<Edit>, CompensationFinding>,
     ) -> Result<(String, Vec<Moved>), Vec<Diagnostic>> {
         let mut edits = Vec::new();
         let moved = rewrite::points(robot, limit_mm, &self.points, |corrector, point| {
@@ -161,7 +173,7 @@ impl Points {
             let frames = point.frames.as_ref();
             let commanded = Commanded { target: &point.target, frames, branch: point.branch };
             let corrected = corrector.correct(commanded).map_err(wrong)?;
-            edits.extend(write(corrector, point, &corrected, file).map_err(wrong)?);
+            edits.extend((self.write)(corrector, point, &corrected, file).map_err(wrong)?);
             let Corrected { shift_mm, turn_deg, .. } = corrected;
             let line = file.line(point.used.start);
             Ok(Moved { name: point.name(), line, shift_mm, turn_deg, turn_bits: None })

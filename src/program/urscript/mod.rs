@@ -10,5 +10,5 @@ mod points;
 mod program;
 
 pub use emit::emit;
-pub use points::{compensate, read};
+pub use points::read;
 pub use program::open;

@@ -18,9 +18,7 @@ enum Block {
 /// name.
 pub(super) fn parse(text: Text<'_>) -> Result<Vec<Routine>, Diagnostic> {
     let mut words = Words::new(text, Language::Urscript)?;
-    let named =
-        |name: String, parameters: Vec<String>| Routine { name, file: 0, parameters, body: Vec::new() };
-    let mut open = vec![Block::Routine(named(String::new(), Vec::new()))];
+    let mut open = vec![Block::Routine(routine(String::new(), Vec::new()))];
     let mut routines = Vec::new();
     while *words.peek() != Token::End {
         if *words.peek() == Token::LineEnd {
@@ -29,21 +27,7 @@ pub(super) fn parse(text: Text<'_>) -> Result<Vec<Routine>, Diagnostic> {
         }
         let place = words.place();
         if words.take_word("def") {
-            let name = words.name()?;
-            words.expect("(")?;
-            let mut parameters = Vec::new();
-            while !words.take(")") {
-                parameters.push(words.name()?);
-                while !matches!(words.peek(), Token::Sign("," | ")") | Token::LineEnd | Token::End) {
-                    words.next();
-                }
-                words.take(",");
-                if matches!(words.peek(), Token::LineEnd | Token::End) {
-                    return Err(words.expected("`)`"));
-                }
-            }
-            words.expect(":")?;
-            open.push(Block::Routine(named(name, parameters)));
+            open.push(Block::Routine(head(&mut words)?));
             continue;
         }
         if words.take_word("end") {
@@ -86,6 +70,29 @@ pub(super) fn parse(text: Text<'_>) -> Result<Vec<Routine>, Diagnostic> {
     let begins = text.text.lines().map(str::trim).find(|line| !line.is_empty()).unwrap_or("");
     let begins = begins.chars().take(40).collect();
     Err(text.wrong(&(0..0), CompensationFinding::NotUrscript { begins }))
+}
+
+fn routine(name: String, parameters: Vec<String>) -> Routine {
+    Routine { name, file: 0, parameters, body: Vec::new() }
+}
+
+/// The routine that a line behind `def` begins; what a parameter is unless given is passed over.
+fn head(words: &mut Words<'_>) -> Result<Routine, Diagnostic> {
+    let name = words.name()?;
+    words.expect("(")?;
+    let mut parameters = Vec::new();
+    while !words.take(")") {
+        parameters.push(words.name()?);
+        while !matches!(words.peek(), Token::Sign("," | ")") | Token::LineEnd | Token::End) {
+            words.next();
+        }
+        words.take(",");
+        if matches!(words.peek(), Token::LineEnd | Token::End) {
+            return Err(words.expected("`)`"));
+        }
+    }
+    words.expect(":")?;
+    Ok(routine(name, parameters))
 }
 
 fn is_call(statement: &Statement) -> bool {

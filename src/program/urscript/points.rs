@@ -5,14 +5,13 @@ use super::parser::parse;
 use crate::catalogue::CompensationFinding;
 use crate::diagnostic::Diagnostic;
 use crate::program::compensate::{Branch, Corrected, Corrector};
-use crate::program::rewrite::Moved;
 use crate::program::script::points::{Point, Points, Taught, Vocabulary, numbers};
 use crate::program::script::statement::{Kind, Statement};
 use crate::program::script::value::{self, Names, Value};
 use crate::program::text::{Edit, Span, Text};
 use crate::program::{Frames, Target};
+use crate::robot::Pose;
 use crate::robot::pose::rotation_vector;
-use crate::robot::{Pose, Robot};
 
 /// Fewest decimals: a tenth of a micrometre in metres, and of a radian what moves a point a metre away by less.
 const DECIMALS: usize = 7;
@@ -49,7 +48,7 @@ pub fn read(text: Text<'_>, tool: Option<Pose>) -> Result<Points, Diagnostic> {
         given: tool,
         tool: None,
         names: Names::new(),
-        points: Points::default(),
+        points: Points::new(write),
         choices: Vec::new(),
     };
     let mut statements: Vec<Statement> = parse(text)?.into_iter().flat_map(|routine| routine.body).collect();
@@ -134,19 +133,6 @@ fn frames(
     };
     let tool = tool.map_err(|why| text.wrong(motion, why))?;
     Ok(Frames { tool, base: Pose::identity() })
-}
-
-/// The script with corrected points and what was moved.
-///
-/// # Errors
-/// Every point that cannot be corrected; not empty.
-pub fn compensate(
-    text: Text<'_>,
-    points: &Points,
-    robot: &Robot,
-    limit_mm: f64,
-) -> Result<(String, Vec<Moved>), Vec<Diagnostic>> {
-    points.corrected(text, robot, limit_mm, write)
 }
 
 fn write(

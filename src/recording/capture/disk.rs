@@ -4,6 +4,8 @@ use std::fs::{self, File, Metadata, OpenOptions};
 use std::io::{self, ErrorKind, Read, Seek, SeekFrom, Write};
 use std::path::Path;
 
+use crate::base::files;
+
 /// A file that only grows, or its replacement in a test: a disk that stalls or is full.
 pub trait Disk: Write + Send {
     /// Has what was written put where a loss of power does not reach it.
@@ -86,8 +88,7 @@ pub(super) fn create(path: &Path) -> io::Result<File> {
     let file = options.open(path)?;
     if cfg!(unix) {
         // A new name outlasts a loss of power only when its directory is on the disk as well.
-        let directory = path.parent().filter(|parent| !parent.as_os_str().is_empty());
-        File::open(directory.unwrap_or(Path::new("."))).and_then(|file| file.sync_all())?;
+        File::open(files::directory_of(path)).and_then(|file| file.sync_all())?;
     }
     Ok(file)
 }

@@ -14,7 +14,7 @@ use crate::plan::Plan;
 use crate::recording::ClockMap;
 use crate::recording::axes::Rest;
 use crate::recording::dwell::{Dwell, measure};
-use crate::robot::AXES;
+use crate::robot::{AXES, apart};
 
 /// A rest is at a pose when it is nearer to it than this share of the way to the next other pose.
 const NEAR: f64 = 0.25;
@@ -91,15 +91,10 @@ fn on_ball(
     places.chunk_by(|a, b| a.1 == b.1).filter_map(stretch).collect()
 }
 
-/// The greatest distance of two poses in one axis, degrees.
-fn apart_deg(a: &[f64; AXES], b: &[f64; AXES]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
-}
-
 /// How near a rest must be to each pose, degrees.
 pub(super) fn reach_deg(poses: &[[f64; AXES]]) -> Vec<f64> {
     let nearest = |pose: &[f64; AXES]| {
-        let others = poses.iter().map(|other| apart_deg(pose, other)).filter(|deg| *deg > SAME_DEG);
+        let others = poses.iter().map(|other| apart(pose, other)).filter(|deg| *deg > SAME_DEG);
         others.fold(FAR_DEG / NEAR, f64::min)
     };
     poses.iter().map(|pose| NEAR * nearest(pose)).collect()
@@ -115,7 +110,7 @@ pub(super) fn assign(poses: &Poses<'_>, published: &Published<'_>) -> Assigned {
     let places: Vec<[f64; AXES]> = poses.rows.iter().map(|row| row.axes_deg).collect();
     let reach = reach_deg(&places);
     let at = |rest: &Rest| -> Vec<usize> {
-        let near = |pose: &usize| apart_deg(&rest.axes_deg, &places[*pose]) <= reach[*pose];
+        let near = |pose: &usize| apart(&rest.axes_deg, &places[*pose]) <= reach[*pose];
         (0..places.len()).filter(near).collect()
     };
     // A rest at no pose is no evidence of the order.
@@ -248,12 +243,12 @@ fn next_nearest(
     range: std::ops::Range<usize>,
 ) -> Option<usize> {
     let axes = &published.track.measured_deg;
-    let apart = |at: usize| axes.get(at).map(|axes| square_deg(axes, point));
-    let within = |at: &usize| axes.get(*at).is_some_and(|axes| apart_deg(axes, point) <= reach);
+    let away = |at: usize| axes.get(at).map(|axes| square_deg(axes, point));
+    let within = |at: &usize| axes.get(*at).is_some_and(|axes| apart(axes, point) <= reach);
     range.take_while(|at| *at < axes.len()).filter(within).find(|at| {
-        let here = apart(*at);
-        here.is_some_and(|here| apart(at + 1).is_none_or(|next| next > here))
-            && at.checked_sub(1).and_then(apart).is_none_or(|before| here.is_some_and(|here| before >= here))
+        let here = away(*at);
+        here.is_some_and(|here| away(at + 1).is_none_or(|next| next > here))
+            && at.checked_sub(1).and_then(away).is_none_or(|before| here.is_some_and(|here| before >= here))
     })
 }
 

@@ -13,7 +13,7 @@ mod search;
 use std::f64::consts::TAU;
 
 use super::pose::Pose;
-use super::{AXES, Geometry};
+use super::{AXES, Geometry, apart};
 
 pub use crate::catalogue::RobotFinding as Unsolved;
 pub use configuration::{
@@ -54,7 +54,7 @@ pub fn branches(geometry: &Geometry, ball: &Pose) -> Result<Vec<[f64; AXES]>, Un
 /// Out of reach, or no convergence.
 pub fn nearest(geometry: &Geometry, ball: &Pose, near: &[f64; AXES]) -> Result<[f64; AXES], Unsolved> {
     let Some(arm) = closed::Arm::near(geometry) else {
-        let followed = numeric(geometry, ball, near).ok().filter(|axes| distance(axes, near) < FOLLOWED);
+        let followed = numeric(geometry, ball, near).ok().filter(|axes| apart(axes, near) < FOLLOWED);
         return followed.map_or_else(|| nearest_of(&branches(geometry, ball)?, near), Ok);
     };
     let ideal = arm.branches(ball, near);
@@ -69,13 +69,8 @@ pub fn nearest(geometry: &Geometry, ball: &Pose, near: &[f64; AXES]) -> Result<[
 /// The branch that is nearest to `near`, turns included.
 fn nearest_of(branches: &[[f64; AXES]], near: &[f64; AXES]) -> Result<[f64; AXES], Unsolved> {
     let unwound = branches.iter().map(|axes| unwound(axes, near));
-    let nearest = unwound.min_by(|a, b| distance(a, near).total_cmp(&distance(b, near)));
+    let nearest = unwound.min_by(|a, b| apart(a, near).total_cmp(&apart(b, near)));
     nearest.ok_or(Unsolved::OutOfReach)
-}
-
-/// The greatest difference of an axis, rad.
-fn distance(a: &[f64; AXES], b: &[f64; AXES]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
 }
 
 /// The same pose with every axis within half a turn of `near`.
