@@ -14,14 +14,12 @@ fn stream(definition: &Definition) -> Vec<u8> {
     let (encoder, mut bytes) = (definition.encoder(), Vec::new());
     for frame in 0..FRAMES {
         let sample = Sample {
-            reading_mm: definition.sim.at_mm + f64::from(frame % 2000) / 1000.0 - 1.0,
             sequence: Some(frame % definition.sequence_modulo.unwrap_or(65536)),
             ticks: Some(DeviceTicks(u64::from(frame) * 1000)),
             trigger: Some(false),
             temperature_c: Some(20.0),
-            valid: true,
             status: 1,
-            offset: 0,
+            ..Sample::of(definition.sim.at_mm + f64::from(frame % 2000) / 1000.0 - 1.0)
         };
         encoder.encode(&sample, &mut bytes).unwrap();
     }

@@ -48,12 +48,7 @@ fn run() -> (Plan, Stream) {
         let sample = Sample {
             sequence: Some(k as u32),
             ticks: Some(DeviceTicks((k * 1000) % (1 << 32))),
-            reading_mm: from + share * (to - from) + random.random_range(-0.002..0.002),
-            trigger: None,
-            valid: true,
-            temperature_c: None,
-            status: 0,
-            offset: 0,
+            ..Sample::of(from + share * (to - from) + random.random_range(-0.002..0.002))
         };
         stream.push(HostNs(k * 1_000_000 + 2_000_000), &sample);
     }

@@ -5,7 +5,6 @@
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpListener, UdpSocket};
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
 use dbbd::base::units::{DeviceTicks, HostNs};
@@ -19,6 +18,7 @@ use rand_pcg::Pcg64;
 use serde_json::Value;
 
 use crate::cell::{codes, dbbd, stderr};
+use crate::process::{Simulator, spawn};
 
 /// What the simulated packets hold: axes that depend on the cycle.
 fn axes(cycle: u64) -> [f64; 6] {
@@ -180,28 +180,14 @@ fn a_restart_is_no_loss_and_a_stray_packet_no_restart() {
 }
 
 /// A robot that waits for its operator, as a child process that is ready.
-fn waiting(dir: &Path, more: &[&str]) -> Child {
+fn waiting(dir: &Path, more: &[&str]) -> Simulator {
     let job = "robot = \"kr60ha\"\n[bar]\nlength_mm = 300.0\nstroke_mm = [-6.0, 6.0]\n[[centre]]\nid = 1\nxyz_mm = [1300.0, 0.0, 800.0]\n\
                [[circle]]\nplane = \"XY\"\npoints = 3\narc_deg = 10.0\norientation = \"fixed\"\ntilt_deg = 30.0\n";
     std::fs::write(dir.join("job.toml"), job).unwrap();
     dbbd(dir, &["plan", "job.toml", "--out", "plan"]);
     assert!(dbbd(dir, &["krl", "plan/plan.csv", "--out", "krl"]).status.success());
-    let simulate = ["simulate", "--program", "krl/DBB_MAIN.src", "--link", "bar", "--halt", "600"];
-    let mut robot = spawn(dir, &[&simulate[..], more].concat());
-    let mut byte = [0; 1];
-    robot.stdout.as_mut().unwrap().read_exact(&mut byte).unwrap();
-    robot
-}
-
-fn spawn(dir: &Path, args: &[&str]) -> Child {
-    Command::new(env!("CARGO_BIN_EXE_dbbd"))
-        .args(args)
-        .current_dir(dir)
-        .stdin(Stdio::null())
-        .stdout(Stdio::piped())
-        .stderr(Stdio::piped())
-        .spawn()
-        .unwrap()
+    let fixed = ["--program", "krl/DBB_MAIN.src", "--link", "bar", "--halt", "600"];
+    Simulator::start(dir, &[&fixed[..], more].concat())
 }
 
 fn free_udp() -> SocketAddr {
@@ -243,7 +229,7 @@ pub(crate) fn provoked() -> Vec<&'static str> {
 #[test]
 fn rsi_is_listened_to_and_answered_only_when_asked() {
     let dir = tempfile::tempdir().unwrap();
-    let mut bar = waiting(dir.path(), &[]);
+    let _bar = waiting(dir.path(), &[]);
     let packet = |ticks: u64, late: u32| {
         let sample = AxesSample {
             ticks: DeviceTicks(ticks),
@@ -298,8 +284,6 @@ fn rsi_is_listened_to_and_answered_only_when_asked() {
 
     let (said, ..) = recorded(dir.path(), "", &[], "silent");
     assert!(said.iter().any(|code| code == "W2210"), "{said:?}");
-    bar.kill().unwrap();
-    bar.wait().unwrap();
 }
 
 #[test]
@@ -359,10 +343,8 @@ fn a_simulated_controller_is_recorded_matched_and_identified() {
     assert!(dbbd(dir.path(), &["krl", "plan/plan.csv", "--out", "krl"]).status.success());
     let at = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
     let address = format!("rtde://{at}");
-    let simulate = ["simulate", "--program", "krl/DBB_MAIN.src", "--world", "world.toml", "--link", "bar"];
-    let mut bar = spawn(dir.path(), &[&simulate[..], &["--halt", "0.5", "--axes", &address]].concat());
-    let mut byte = [0; 1];
-    bar.stdout.as_mut().unwrap().read_exact(&mut byte).unwrap();
+    let fixed = ["--program", "krl/DBB_MAIN.src", "--world", "world.toml", "--link", "bar", "--halt", "0.5"];
+    let _bar = Simulator::start(dir.path(), &[&fixed[..], &["--axes", &address]].concat());
     let axes = format!("{address}?hz=250");
     let acquire = ["acquire", "--port", "bar", "--plan", "plan/plan.csv", "--out", "run", "--duration", "60"];
     let recorded = dbbd(dir.path(), &[&acquire[..], &["--axes", &axes]].concat());
@@ -378,8 +360,6 @@ fn a_simulated_controller_is_recorded_matched_and_identified() {
     let result: Value = serde_json::from_slice(&found.stdout).unwrap();
     let says = |warning: &Value| warning["code"] == "I2221";
     assert!(result["warnings"].as_array().unwrap().iter().any(says), "{}", stderr(&found));
-    bar.kill().unwrap();
-    bar.wait().unwrap();
 }
 
 /// A client that shares nothing with dbbd reads what dbbd itself records.
@@ -391,7 +371,7 @@ fn ur_rtde_reads_the_simulated_controller() {
     // It knows no other port, so that the address is another.
     let host = format!("127.0.{}.{}", std::process::id() / 250 % 250, 1 + std::process::id() % 250);
     let address = format!("rtde://{host}:30004");
-    let mut robot = waiting(dir.path(), &["--axes", &address]);
+    let _robot = waiting(dir.path(), &["--axes", &address]);
     // The time of the simulated robot goes on while its bar is read.
     let mut reader = spawn(dir.path(), &["acquire", "--port", "bar", "--out", "first", "--duration", "60"]);
     // After 6 s it waits for its operator.
@@ -417,6 +397,4 @@ fn ur_rtde_reads_the_simulated_controller() {
             }
         }
     }
-    robot.kill().unwrap();
-    robot.wait().unwrap();
 }

@@ -21,14 +21,12 @@ struct Tally {
 fn sample(frame: u64) -> Sample {
     let mixed = frame.wrapping_mul(0x9e37_79b9_7f4a_7c15);
     Sample {
-        reading_mm: ((mixed >> 40) as f64 - 8e6) / 1e5,
         sequence: Some((frame % 65536) as u32),
         ticks: Some(DeviceTicks((frame * 1000) % (1 << 32))),
         trigger: Some(mixed & 1 == 1),
         temperature_c: Some(f64::from((mixed >> 8) as u16 % 5000) / 100.0),
-        valid: true,
         status: if mixed & 1 == 1 { 17 } else { 1 },
-        offset: 0,
+        ..Sample::of(((mixed >> 40) as f64 - 8e6) / 1e5)
     }
 }
 

@@ -9,8 +9,9 @@ use std::thread;
 
 use dbbd::base::clock;
 
-use crate::cell::codes;
-use crate::virtual_bar::{Run, acquire, dbbd, simulate, stderr};
+use crate::cell::{codes, stderr};
+use crate::process::dbbd;
+use crate::virtual_bar::{Run, acquire, simulate};
 
 const WRONG_ADDRESS: &str = "E0230";
 const AWAY: &str = "E0231";
@@ -96,13 +97,13 @@ fn the_simulator_serves_each_transport() {
     for transport in ["tcp", "rfc2217"] {
         let directory = tempfile::tempdir().unwrap();
         let bar = simulate(directory.path(), "1", &["--listen", &format!("{transport}://127.0.0.1:0")]);
-        assert!(bar.1.starts_with(transport), "{}", bar.1);
-        let port = bar.1.clone();
+        assert!(bar.port.starts_with(transport), "{}", bar.port);
+        let port = bar.port.clone();
         let at = directory.path().to_owned();
         let first = thread::spawn(move || acquire(&at, &port, "2", &[]));
         clock::sleep(1.0);
         // The line has one user.
-        let second = refusal(directory.path(), &bar.1);
+        let second = refusal(directory.path(), &bar.port);
         assert_eq!(second, (vec![BLURS.into(), CLOSES.into()], Some(1)));
         let run = first.join().unwrap();
         is_whole(&run, transport);
@@ -128,7 +129,7 @@ fn pyserials_server_is_understood() {
     let directory = tempfile::tempdir().unwrap();
     let bar = simulate(directory.path(), "1", &[]);
     let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/clients/rfc2217_server.py");
-    let mut child = Command::new("python3").args([script, &bar.1]).stdout(Stdio::piped()).spawn().unwrap();
+    let mut child = Command::new("python3").args([script, &bar.port]).stdout(Stdio::piped()).spawn().unwrap();
     let mut port = String::new();
     BufReader::new(child.stdout.take().unwrap()).read_line(&mut port).unwrap();
     let _server = Running(child);
@@ -150,7 +151,7 @@ fn ser2net_is_understood() {
         let port = free_port();
         let config = format!(
             "connection: &bar\n  accepter: {accepter},127.0.0.1,{port}\n  connector: serialdev,{},115200n81,local\n",
-            bar.1
+            bar.port
         );
         let file = directory.path().join("ser2net.yaml");
         std::fs::write(&file, config).unwrap();

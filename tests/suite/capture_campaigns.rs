@@ -15,7 +15,8 @@ use dbbd::device::protocol::Definition;
 use dbbd::measurement::sample::Sample;
 use dbbd::provenance::Identity;
 
-use crate::cell::codes;
+use crate::cell::{codes, stderr};
+use crate::process::{dbbd, run};
 use dbbd::recording::capture::{self, Capture, Disk, Event, Record, RunEnd, Stamped, Writer};
 use dbbd::sim::bar::{self, Reading, Terminal};
 use rand::{RngExt, SeedableRng};
@@ -51,20 +52,6 @@ fn stream(over: &Arc<AtomicBool>) -> String {
         )
     });
     name
-}
-
-fn dbbd(arguments: &[&str]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_dbbd"));
-    command.args(arguments).stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
-    command
-}
-
-fn run(arguments: &[&str]) -> Output {
-    dbbd(arguments).output().unwrap()
-}
-
-fn stderr(output: &Output) -> String {
-    String::from_utf8_lossy(&output.stderr).into_owned()
 }
 
 fn size(path: &Path) -> u64 {

@@ -9,8 +9,9 @@ use dbbd::base::clock;
 use dbbd::recording::capture::{self, Capture};
 use serde_json::Value;
 
-use crate::acquire_reads_the_bar::{dbbd, endless, play, run, signal, wait_for};
 use crate::cell::{codes, stderr};
+use crate::played_bar::{endless, play, wait_for};
+use crate::process::{dbbd, run, signal};
 
 const TAKEN_AWAY: &str = "W0415";
 

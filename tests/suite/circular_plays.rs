@@ -1,11 +1,10 @@
 //! What axes and joints lose as they reverse comes back from the circle.
 
-use std::process::Command;
-
 use dbbd::circular::Mover;
 
 use crate::cell;
 use crate::circular_cases::{CASES, exactly};
+use crate::process::Simulator;
 
 /// The plays of the two axes come back from the steps at their reversals; the form of order 7 and 11 and
 /// the harmonics are not mistaken for them.
@@ -53,28 +52,11 @@ fn a_joints_play_comes_back_from_a_capture() {
     };
     step(&["plan", "job.toml", "--out", "plan"]);
     step(&["krl", "plan/plan.csv", "--out", "krl"]);
-    let simulate = [
-        "simulate",
-        "--program",
-        "krl/DBB_MAIN.src",
-        "--robot",
-        "kr60ha",
-        "--world",
-        "world.toml",
-        "--speed",
-        "0",
-    ];
-    let mut bar = Command::new(env!("CARGO_BIN_EXE_dbbd"))
-        .args([&simulate[..], &["--link", "bar"]].concat())
-        .current_dir(dir.path())
-        .stdout(std::process::Stdio::piped())
-        .spawn()
-        .unwrap();
-    let mut name = String::new();
-    std::io::BufRead::read_line(&mut std::io::BufReader::new(bar.stdout.as_mut().unwrap()), &mut name)
-        .unwrap();
-    step(&["acquire", "--port", "bar", "--plan", "plan/plan.csv", "--out", "run.dbbd"]);
-    bar.wait().unwrap();
+    let program =
+        ["--program", "krl/DBB_MAIN.src", "--robot", "kr60ha", "--world", "world.toml", "--speed", "0"];
+    let simulator = Simulator::start(dir.path(), &program);
+    step(&["acquire", "--port", &simulator.port, "--plan", "plan/plan.csv", "--out", "run.dbbd"]);
+    simulator.finished();
     step(&["circle", "run.dbbd", "--out", "circle"]);
     let text = std::fs::read_to_string(dir.path().join("circle/circle.json")).unwrap();
     let found: serde_json::Value = serde_json::from_str(&text).unwrap();

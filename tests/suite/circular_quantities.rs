@@ -1,13 +1,13 @@
 //! The quantities of the circular test against an independent fit and linear programme, and the verb.
 
 use std::f64::consts::TAU;
-use std::process::{Command, Output};
 
 use dbbd::circular::{Sense, Settings, Temperature, Trace, circular, traces_from_csv};
 use dbbd::diagnostic::Finding;
 
 use crate::cell::codes;
 use crate::circular_cases::{CASES, Case, exactly, trace};
+use crate::process::run;
 
 /// mm, of `tests/independent/circular.py` with scipy 1.17.1 and numpy 2.4.6.
 const GOLDEN: &[(&str, &str, f64)] = &[
@@ -192,17 +192,13 @@ fn csv(case: &Case, noise_mm: f64) -> String {
     text
 }
 
-fn dbbd(args: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_dbbd")).args(args).output().unwrap()
-}
-
 #[test]
 fn the_verb_writes_json_page_and_picture() {
     let dir = tempfile::tempdir().unwrap();
     let path = |name: &str| dir.path().join(name).to_str().unwrap().to_owned();
     std::fs::write(path("a.csv"), csv(&CASES[0], 0.0003)).unwrap();
     std::fs::write(path("b.csv"), csv(&Case { phi: 90e-6, ..CASES[0] }, 0.0003)).unwrap();
-    let output = dbbd(&[
+    let output = run(&[
         "circle",
         &path("a.csv"),
         &path("b.csv"),
@@ -239,7 +235,7 @@ fn the_verb_writes_json_page_and_picture() {
     );
     let svg = std::fs::read_to_string(path("out/circle.svg")).unwrap();
     assert!(svg.starts_with("<svg xmlns=") && svg.ends_with("</svg>") && !svg.contains("NaN"));
-    let again = dbbd(&[
+    let again = run(&[
         "circle",
         &path("a.csv"),
         &path("b.csv"),
@@ -251,7 +247,7 @@ fn the_verb_writes_json_page_and_picture() {
         "0.0003",
     ]);
     assert!(again.status.success());
-    let assumed = dbbd(&["circle", &path("a.csv"), "--out", &path("3"), "--monte-carlo", "0"]);
+    let assumed = run(&["circle", &path("a.csv"), "--out", &path("3"), "--monte-carlo", "0"]);
     assert_eq!(codes(&assumed), ["I1413", "I1412"]);
     assert_eq!(file, std::fs::read_to_string(path("2/circle.json")).unwrap(), "the same bytes again");
 }

@@ -4,8 +4,6 @@
 
 use std::fs;
 use std::path::Path;
-use std::process::{Command, Stdio};
-use std::time::Duration;
 
 use dbbd::math::aligned_distances;
 use dbbd::program::krl::Program;
@@ -16,6 +14,7 @@ use tempfile::tempdir;
 
 use crate::cell::{RADIUS, dbbd, kr60, stderr};
 use crate::compensated_program_is_accurate::{BALLS, OFF_MM, job, production, sagging, taught};
+use crate::process::Simulator;
 
 /// Each coordinate of the tool ball is off by this much at each stop, so that a length is; the bar adds nothing to speak of.
 const WORLD: &str = "repeatability_um = 20.0\n[bar]\nstroke_mm = [-15.0, 15.0]\nnoise_um = 1.0\n";
@@ -74,22 +73,11 @@ fn loop_closed(dir: &Path, robot: &Robot, seed: u64) -> ([f64; 2], bool) {
         let _ = fs::remove_file(dir.join(left));
     }
     fs::write(dir.join("truth.toml"), robot.to_toml().unwrap()).unwrap();
-    let seed = seed.to_string();
-    let mut simulator = Command::new(env!("CARGO_BIN_EXE_dbbd"))
-        .args(["simulate", "--program", "krl/DBB_MAIN.src", "--robot", "truth.toml", "--world", "world.toml"])
-        .args(["--seed", &seed, "--speed", "0", "--link", "link", "--quiet"])
-        .current_dir(dir)
-        .stdout(Stdio::null())
-        .spawn()
-        .unwrap();
-    for _ in 0..600 {
-        if dir.join("link").exists() {
-            break;
-        }
-        std::thread::sleep(Duration::from_millis(20));
-    }
+    let truth = ["--robot", "truth.toml", "--world", "world.toml", "--seed", &seed.to_string()];
+    let program = ["--program", "krl/DBB_MAIN.src", "--speed", "0", "--link", "link", "--quiet"];
+    let simulator = Simulator::start(dir, &[&program[..], &truth].concat());
     step(dir, &["acquire", "--port", "link", "--plan", "plan/plan.csv", "--out", "run.dbbd", "--quiet"]);
-    assert!(simulator.wait().unwrap().success());
+    assert!(simulator.finished().status.success());
     step(dir, &["sync", "run.dbbd", "--out", "obs.csv", "--quiet"]);
     let identify = "identify obs.csv --robot kr60ha --centres plan/centres.csv --sigma 0.02 --hold bar --prior datasheet \
                     --folds 0 --out result --quiet";

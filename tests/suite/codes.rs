@@ -31,6 +31,7 @@ fn provoked() -> Vec<&'static str> {
         crate::axes_show_the_poses::provoked(),
         crate::ball_is_mounted_anew::provoked(),
         crate::bars_on_the_network::provoked(),
+        crate::bars_that_are_away::provoked(),
         crate::captures_are_joined::provoked(),
         crate::capture_is_taken_away::provoked(),
         crate::capture_survives_damage::provoked(),

@@ -128,16 +128,7 @@ fn strobed(plan: &Plan, left_out: usize) -> Stream {
     let mut t_ms = 0_u64;
     let mut run = |seconds: f64, strobe: bool| {
         for _ in 0..(seconds * 100.0) as u32 {
-            let sample = Sample {
-                reading_mm: 0.0,
-                sequence: None,
-                ticks: None,
-                trigger: Some(strobe),
-                temperature_c: None,
-                valid: true,
-                status: 0,
-                offset: 0,
-            };
+            let sample = Sample { trigger: Some(strobe), ..Sample::of(0.0) };
             stream.push(HostNs(t_ms * 1_000_000), &sample);
             t_ms += 10;
         }

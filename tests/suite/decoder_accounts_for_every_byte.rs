@@ -151,14 +151,12 @@ fn an_endless_frame_is_given_up() {
         assert_eq!(endless.len(), 2, "{name}");
         assert!(decoder.pending() < 4096);
         let sample = Sample {
-            reading_mm: 0.5,
             sequence: Some(1),
             ticks: Some(DeviceTicks(2)),
             trigger: Some(true),
             temperature_c: Some(20.0),
-            valid: true,
             status: 17,
-            offset: 0,
+            ..Sample::of(0.5)
         };
         bytes.extend(encode(&definition, &[sample, sample]));
         let (decoded, _) = decode(&definition, &bytes);

@@ -333,14 +333,12 @@ fn the_encoder_writes_the_published_vectors() {
     for (name, frame) in [("dbb-cobs-1", cobs), ("dbb-nmea-1", nmea)] {
         let definition = Definition::by_name(name).unwrap().unwrap();
         let sample = dbbd::measurement::sample::Sample {
-            reading_mm: -0.12345,
             sequence: Some(0x0102),
             ticks: Some(dbbd::base::units::DeviceTicks(1_000_000)),
             trigger: Some(false),
             temperature_c: Some(21.5),
-            valid: true,
             status: 1,
-            offset: 0,
+            ..dbbd::measurement::sample::Sample::of(-0.12345)
         };
         let mut bytes = Vec::new();
         definition.encoder().encode(&sample, &mut bytes).unwrap();

@@ -4,7 +4,7 @@
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
+use std::process::Child;
 use std::time::Duration;
 
 use dbbd::catalogue::RecordingFinding::{
@@ -17,6 +17,7 @@ use dbbd::recording::{Heard, LONGEST_TELEGRAM, Telegram, TelegramReader};
 use proptest::prelude::*;
 
 use crate::cell::{codes, dbbd, stderr};
+use crate::process::{Simulator, signal, spawn};
 
 /// As `krl --sync ekrl` and the controller's EKI write it (reference: the channel file, docs/reference/krl.md).
 fn written(telegram: &Telegram) -> String {
@@ -143,7 +144,7 @@ fn small_plan(dir: &Path) -> u32 {
 
 /// A simulated bar that nobody moves, and a run that listens.
 struct Listening {
-    simulator: Child,
+    _simulator: Simulator,
     acquire: Child,
     address: SocketAddr,
 }
@@ -155,36 +156,12 @@ fn free_port() -> SocketAddr {
 fn listen(dir: &Path) -> Listening {
     let output = dbbd(dir, &["krl", "plan/plan.csv", "--out", "krl"]);
     assert!(output.status.success(), "{}", stderr(&output));
-    let spawn = |args: &[&str]| {
-        Command::new(env!("CARGO_BIN_EXE_dbbd"))
-            .args(args)
-            .current_dir(dir)
-            .stdin(Stdio::null())
-            .stdout(Stdio::piped())
-            .stderr(Stdio::piped())
-            .spawn()
-            .unwrap()
-    };
-    let bar = dir.join("bar").display().to_string();
-    let mut simulator =
-        spawn(&["simulate", "--program", "krl/DBB_MAIN.src", "--link", &bar, "--halt", "600"]);
-    let mut byte = [0; 1];
-    simulator.stdout.as_mut().unwrap().read_exact(&mut byte).unwrap();
+    let simulator =
+        Simulator::start(dir, &["--program", "krl/DBB_MAIN.src", "--link", "bar", "--halt", "600"]);
     let address = free_port();
-    let acquire = spawn(&[
-        "acquire",
-        "--port",
-        &bar,
-        "--plan",
-        "plan/plan.csv",
-        "--ekrl",
-        &address.to_string(),
-        "--out",
-        "run",
-        "--duration",
-        "30",
-    ]);
-    Listening { simulator, acquire, address }
+    let fixed = ["acquire", "--port", "bar", "--plan", "plan/plan.csv", "--out", "run", "--duration", "30"];
+    let acquire = spawn(dir, &[&fixed[..], &["--ekrl", &address.to_string()]].concat());
+    Listening { _simulator: simulator, acquire, address }
 }
 
 fn connect(address: SocketAddr) -> TcpStream {
@@ -223,7 +200,7 @@ fn idle_connections_do_not_keep_the_controller_out() {
     let json = std::fs::read_to_string(dir.path().join("plan/plan.json")).unwrap();
     let json: serde_json::Value = serde_json::from_str(&json).unwrap();
     let run = u32::from_str_radix(&json["hash"].as_str().unwrap()[..4], 16).unwrap();
-    let Listening { mut simulator, mut acquire, address } = listen(dir.path());
+    let Listening { _simulator, mut acquire, address } = listen(dir.path());
     let good = |phase| written(&Telegram { run, ..telegram(index, phase) });
     let mut first = connect(address);
     assert_eq!(ask(&mut first, &[&good(1)]), format!("<Ack Id=\"{index}\"/>\n"));
@@ -233,10 +210,8 @@ fn idle_connections_do_not_keep_the_controller_out() {
     let mut second = connect(address);
     assert_eq!(ask(&mut second, &[&good(1)]), format!("<Ack Id=\"{index}\"/>\n"));
     drop(idle);
-    for child in [&mut acquire, &mut simulator] {
-        child.kill().unwrap();
-        child.wait().unwrap();
-    }
+    acquire.kill().unwrap();
+    acquire.wait().unwrap();
 }
 
 #[test]
@@ -246,7 +221,7 @@ fn a_rude_client_costs_nothing_but_its_own_telegrams() {
     let json = std::fs::read_to_string(dir.path().join("plan/plan.json")).unwrap();
     let json: serde_json::Value = serde_json::from_str(&json).unwrap();
     let run = u32::from_str_radix(&json["hash"].as_str().unwrap()[..4], 16).unwrap();
-    let Listening { mut simulator, acquire, address } = listen(dir.path());
+    let Listening { _simulator, acquire, address } = listen(dir.path());
     let good = |phase| written(&Telegram { run, ..telegram(index, phase) });
 
     // The run has the address once it can be connected to.
@@ -276,11 +251,8 @@ fn a_rude_client_costs_nothing_but_its_own_telegrams() {
     second.write_all(&[b"<Dbb ".to_vec(), vec![b'x'; 100_000]].concat()).unwrap();
     assert_eq!(ask(&mut second, &[&good(1)]), format!("<Ack Id=\"{index}\"/>\n"));
 
-    let interrupted = Command::new("kill").args(["-INT", &acquire.id().to_string()]).status().unwrap();
-    assert!(interrupted.success());
+    signal(&acquire, "INT");
     let output = acquire.wait_with_output().unwrap();
-    simulator.kill().unwrap();
-    simulator.wait().unwrap();
     let said = stderr(&output);
     assert_eq!(output.status.code(), Some(3), "{said}");
     assert!(said.contains("2 telegrams were refused"), "{said}");

@@ -13,7 +13,9 @@ use dbbd::sim::bar::Terminal;
 use serde_json::Value;
 use serialport::{SerialPort, TTYPort};
 
-use crate::virtual_bar::{RATE_HZ, Row, Run, acquire, dbbd, simulate, simulate_at, stderr};
+use crate::cell::stderr;
+use crate::process::dbbd;
+use crate::virtual_bar::{RATE_HZ, Row, Run, acquire, simulate, simulate_at};
 
 /// Bytes of a frame of `dbb-cobs-1`.
 const FRAME: u64 = 18;
@@ -24,7 +26,7 @@ fn truth() -> &'static [f64] {
     TRUTH.get_or_init(|| {
         let directory = tempfile::tempdir().unwrap();
         let bar = simulate(directory.path(), "0", &[]);
-        let run = acquire(directory.path(), &bar.1, "0.4", &[]);
+        let run = acquire(directory.path(), &bar.port, "0.4", &[]);
         assert_eq!(run.output.status.code(), Some(0), "{}", stderr(&run.output));
         // The end may cut through a frame.
         assert!(run.rows.len() > 3000 && run.faults.len() <= 1, "{:?}", run.faults);
@@ -67,7 +69,7 @@ fn with(protocol: &str, fault: &str) -> &'static Run {
                     let directory = tempfile::tempdir().unwrap();
                     let rest = ["--protocol", protocol, "--fault", fault];
                     let bar = simulate(directory.path(), "1", &rest);
-                    acquire(directory.path(), &bar.1, seconds, &["--protocol", protocol])
+                    acquire(directory.path(), &bar.port, seconds, &["--protocol", protocol])
                 })
             });
             let runs: Vec<_> = runs.collect();
@@ -157,7 +159,7 @@ fn chain(seconds: &str, drift_ppm: &str) -> ([f64; 3], Stream) {
     let directory = tempfile::tempdir().unwrap();
     let drift = format!("drift_ppm={drift_ppm}");
     let bar = simulate(directory.path(), "1", &["--fault", "batch_ms=16", "--fault", &drift]);
-    let run = acquire(directory.path(), &bar.1, seconds, &[]);
+    let run = acquire(directory.path(), &bar.port, seconds, &[]);
     assert_eq!(run.output.status.code(), Some(0), "{}", stderr(&run.output));
     assert_eq!((run.count("missing"), run.count("faults"), run.count("gaps")), (0, 0, 0));
     let (stream, times) = run.stream();
@@ -292,7 +294,7 @@ fn zero_is_set_before_the_run() {
         let directory = tempfile::tempdir().unwrap();
         let bar = simulate_at(1.0, directory.path(), "1", &["--protocol", "mitutoyo-idh"]);
         let rest = [&["--protocol", "mitutoyo-idh"], rest].concat();
-        let run = acquire(directory.path(), &bar.1, "1.5", &rest);
+        let run = acquire(directory.path(), &bar.port, "1.5", &rest);
         assert!(run.rows.len() > 3, "{}", stderr(&run.output));
         run.rows.iter().map(|row| row.sample.reading_mm).sum::<f64>() / run.rows.len() as f64
     };
@@ -301,7 +303,7 @@ fn zero_is_set_before_the_run() {
     assert!(mean(&["--zero"]).abs() < 0.6);
     let directory = tempfile::tempdir().unwrap();
     let bar = simulate(directory.path(), "1", &[]);
-    let mut command = dbbd(&["acquire", "--port", &bar.1, "--out", "run", "--zero"]);
+    let mut command = dbbd(&["acquire", "--port", &bar.port, "--out", "run", "--zero"]);
     let output = command.current_dir(directory.path()).output().unwrap();
     assert_eq!(output.status.code(), Some(1));
     assert!(stderr(&output).contains("no command for it"), "{}", stderr(&output));

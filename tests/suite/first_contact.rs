@@ -2,7 +2,7 @@
 //! it reads.
 
 use std::path::Path;
-use std::process::{Command, Output};
+use std::process::Output;
 use std::thread;
 
 use dbbd::base::units::DeviceTicks;
@@ -15,6 +15,7 @@ use rand_pcg::Pcg64;
 use serde_json::Value;
 
 use crate::cell::codes;
+use crate::process::run;
 
 const UNKNOWN: &str = "W2100";
 const SILENT: &str = "W2102";
@@ -44,14 +45,11 @@ fn two_seconds(definition: &Definition, seed: u64) -> Vec<u8> {
     for frame in 0..(2.0 * rate_hz) as u32 {
         let ticks = |tick_ns: u32| f64::from(begin) + f64::from(frame) / rate_hz * 1e9 / f64::from(tick_ns);
         let sample = Sample {
-            reading_mm: definition.sim.at_mm + 0.1 + dice.random_range(-0.002..0.002),
             sequence: definition.sequence_modulo.map(|modulo| (begin + frame) % modulo),
             ticks: definition.clock.map(|clock| DeviceTicks(ticks(clock.tick_ns) as u64)),
             trigger: Some(false),
             temperature_c: Some(21.5),
-            valid: true,
-            status: 0,
-            offset: 0,
+            ..Sample::of(definition.sim.at_mm + 0.1 + dice.random_range(-0.002..0.002))
         };
         definition.encoder().encode(&sample, &mut bytes).unwrap();
     }
@@ -112,10 +110,6 @@ fn a_stranger_is_unknown() {
     }
 }
 
-fn dbbd(args: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_dbbd")).args(args).output().unwrap()
-}
-
 fn json(output: &Output) -> Value {
     serde_json::from_slice(&output.stdout)
         .unwrap_or_else(|_| panic!("{}", String::from_utf8_lossy(&output.stderr)))
@@ -141,7 +135,7 @@ fn each_virtual_bar_is_named_over_its_line() {
         for definition in built_in() {
             scope.spawn(move || {
                 let port = served(&definition, 100.0, |t_s: f64| at_rest(0.01 * t_s.sin()));
-                let output = dbbd(&["bar", "identify", "--port", &port, "--json"]);
+                let output = run(&["bar", "identify", "--port", &port, "--json"]);
                 let said = json(&output);
                 assert_eq!(said["protocol"], *definition.id, "{said}");
                 assert_eq!(output.status.code(), Some(0));
@@ -165,7 +159,7 @@ fn who_says_nothing_known_is_reported() {
         }
     });
     for code in [UNKNOWN, SILENT] {
-        let output = dbbd(&["bar", "identify", "--port", &port, "--listen", "--json"]);
+        let output = run(&["bar", "identify", "--port", &port, "--listen", "--json"]);
         assert_eq!((codes(&output), output.status.code()), (vec![code.to_owned()], Some(3)));
         assert_eq!(json(&output)["protocol"], Value::Null);
     }
@@ -173,7 +167,7 @@ fn who_says_nothing_known_is_reported() {
 
 fn check(directory: &Path, port: &str, protocol: &str, seconds: &str) -> Output {
     let out = directory.join("check");
-    dbbd(&[
+    run(&[
         "bar",
         "check",
         "--port",

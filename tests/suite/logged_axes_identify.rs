@@ -3,9 +3,7 @@
 #![cfg(unix)]
 
 use std::fs;
-use std::io::{BufRead, BufReader};
 use std::path::Path;
-use std::process::{Command, Stdio};
 
 use dbbd::plan::Kind;
 use dbbd::program::krl::{absolute_accuracy, logged_axes, parse_data};
@@ -15,36 +13,19 @@ use tempfile::tempdir;
 
 use crate::cell::{codes, dbbd, kr60, stderr};
 use crate::compensated_program_is_accurate::chosen;
+use crate::process::Simulator;
 
 /// The program of a plan is simulated and its lengths recorded; the .dat files that it left are in `dat`.
 fn run(at: &Path, extra: &[&str]) {
-    let mut simulator = Command::new(env!("CARGO_BIN_EXE_dbbd"))
-        .args([
-            "simulate",
-            "--program",
-            "krl/DBB_MAIN.src",
-            "--robot",
-            "truth.toml",
-            "--speed",
-            "0",
-            "--halt",
-            "0.5",
-        ])
-        .args(["--world", "world.toml", "--save", "dat"])
-        .args(extra)
-        .current_dir(at)
-        .stdout(Stdio::piped())
-        .stderr(Stdio::null())
-        .spawn()
-        .unwrap();
-    let mut port = String::new();
-    BufReader::new(simulator.stdout.take().unwrap()).read_line(&mut port).unwrap();
+    let program = ["--program", "krl/DBB_MAIN.src", "--speed", "0", "--halt", "0.5", "--save", "dat"];
+    let truth = ["--robot", "truth.toml", "--world", "world.toml"];
+    let simulator = Simulator::start(at, &[&program[..], &truth, extra].concat());
     let recorded = dbbd(
         at,
-        &["acquire", "--port", port.trim(), "--plan", "plan.csv", "--out", "run.dbbd", "--gone", "2"],
+        &["acquire", "--port", &simulator.port, "--plan", "plan.csv", "--out", "run.dbbd", "--gone", "2"],
     );
     assert!(matches!(recorded.status.code(), Some(0 | 3)), "{}", stderr(&recorded));
-    assert!(simulator.wait().unwrap().success());
+    assert!(simulator.finished().status.success());
 }
 
 pub(crate) fn provoked() -> Vec<&'static str> {

@@ -2,14 +2,13 @@
 #![cfg(unix)]
 
 use std::fs;
-use std::io::{BufRead, BufReader};
 use std::path::Path;
-use std::process::{Command, Stdio};
 
 use dbbd::estimation::result_file::ResultFile;
 use tempfile::tempdir;
 
 use crate::cell::{dbbd, stderr};
+use crate::process::Simulator;
 
 /// The same three circles with few points, so that the test is short.
 fn short_job(dir: &Path) {
@@ -87,16 +86,10 @@ fn no_step_is_skipped() {
 
 /// Simulates in one process and acquires in another, over the pty that the first one names.
 fn measure(dir: &Path) {
-    let mut simulator = Command::new(env!("CARGO_BIN_EXE_dbbd"))
-        .args(["simulate", "--program", "krl/DBB_MAIN.src", "--robot", "kr60ha", "--speed", "0", "--quiet"])
-        .current_dir(dir)
-        .stdout(Stdio::piped())
-        .spawn()
-        .unwrap();
-    let mut port = String::new();
-    BufReader::new(simulator.stdout.take().unwrap()).read_line(&mut port).unwrap();
-    step(dir, &["acquire", "--port", port.trim(), "--plan", "plan/plan.csv", "--out", "run.dbbd"]);
-    assert!(simulator.wait().unwrap().success());
+    let program = ["--program", "krl/DBB_MAIN.src", "--robot", "kr60ha", "--speed", "0", "--quiet"];
+    let simulator = Simulator::start(dir, &program);
+    step(dir, &["acquire", "--port", &simulator.port, "--plan", "plan/plan.csv", "--out", "run.dbbd"]);
+    assert!(simulator.finished().status.success());
 }
 
 /// The capture carries robot, balls and plan: it alone gives what the single steps give.

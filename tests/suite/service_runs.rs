@@ -2,15 +2,15 @@
 #![cfg(unix)]
 
 use std::fs;
-use std::io::{BufRead, BufReader, Read, Write};
+use std::io::{BufRead, BufReader, Write};
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
 
 use dbbd::device::protocol::Definition;
 use dbbd::recording::capture::{self, Event};
 use dbbd::sim::bar::{self, Options, Reading, Terminal};
 
 use crate::cell;
+use crate::process::Simulator;
 use crate::service::Server;
 
 /// A bar that swings over its stroke of 1 mm, with a dwell of half a second in each second.
@@ -227,30 +227,6 @@ fn plan(dir: &Path) {
     }
 }
 
-struct Simulator(Child);
-
-impl Simulator {
-    fn start(dir: &Path) -> Self {
-        let mut child = Command::new(env!("CARGO_BIN_EXE_dbbd"))
-            .args(["simulate", "--program", "krl/DBB_MAIN.src", "--speed", "60", "--link", "bar"])
-            .current_dir(dir)
-            .stdout(Stdio::piped())
-            .stderr(Stdio::null())
-            .spawn()
-            .unwrap();
-        // Its first line names the terminal.
-        child.stdout.as_mut().unwrap().read_exact(&mut [0; 5]).unwrap();
-        Self(child)
-    }
-}
-
-impl Drop for Simulator {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
-
 #[test]
 fn a_killed_run_is_there_again_and_can_be_identified() {
     let dir = tempfile::tempdir().unwrap();
@@ -262,7 +238,8 @@ fn a_killed_run_is_there_again_and_can_be_identified() {
     }
     let old = fs::File::options().write(true).open(dir.path().join("again/plan.csv")).unwrap();
     old.set_modified(std::time::UNIX_EPOCH).unwrap();
-    let _simulator = Simulator::start(dir.path());
+    let program = ["--program", "krl/DBB_MAIN.src", "--speed", "60", "--link", "bar"];
+    let _simulator = Simulator::start(dir.path(), &program);
     let config = "[device]\nport = \"bar\"\n";
     let mut server = Server::start(dir.path(), config);
     let plans = server.get("/api/v1/plans").json();

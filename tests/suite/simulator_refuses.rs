@@ -1,15 +1,15 @@
 //! `dbbd simulate` and the commands that run it refuse what they cannot run, with a code.
 #![cfg(unix)]
 
-use std::io::{BufRead, BufReader, Write};
+use std::io::Write;
 use std::net::{Shutdown, TcpListener};
 use std::path::Path;
-use std::process::{Command, Stdio};
 
 use tempfile::tempdir;
 
 use crate::cell::{codes, dbbd, stderr};
 use crate::circle_plan::plan;
+use crate::process::Simulator;
 
 /// Options of `simulate`, and the code of what is wrong with them.
 const CASES: &[(&[&str], &str)] = &[
@@ -79,19 +79,11 @@ fn readings_that_are_doubtful_or_impossible_are_reported() {
     for (options, code) in READ {
         let dir = tempdir().unwrap();
         cell(dir.path());
-        let mut simulator = Command::new(env!("CARGO_BIN_EXE_dbbd"))
-            .args(["simulate", "--program", "T.src", "--speed", "0"])
-            .args(*options)
-            .current_dir(dir.path())
-            .stdout(Stdio::piped())
-            .stderr(Stdio::piped())
-            .spawn()
-            .unwrap();
-        let mut port = String::new();
-        BufReader::new(simulator.stdout.take().unwrap()).read_line(&mut port).unwrap();
-        let args = ["acquire", "--port", port.trim(), "--out", "run", "--duration", "2", "--gone", "1"];
+        let fixed = ["--program", "T.src", "--speed", "0"];
+        let simulator = Simulator::start(dir.path(), &[&fixed[..], options].concat());
+        let args = ["acquire", "--port", &simulator.port, "--out", "run", "--duration", "2", "--gone", "1"];
         dbbd(dir.path(), &args);
-        let output = simulator.wait_with_output().unwrap();
+        let output = simulator.finished();
         assert_eq!(codes(&output), [*code], "{}", stderr(&output));
     }
 }

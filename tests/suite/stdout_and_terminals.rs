@@ -2,13 +2,13 @@
 #![cfg(unix)]
 
 use std::fs::File;
-use std::process::{Command, Stdio};
 
 use dbbd::base::units::HostNs;
 use dbbd::recording::capture::{Event, Record, RunEnd, Writer};
 use serde_json::Value;
 
 use crate::cell::{codes, dbbd, stderr};
+use crate::process;
 
 const UNWRITABLE: &str = "E0102";
 
@@ -23,17 +23,11 @@ const PRINTS: [&[&str]; 7] = [
     &["--version"],
 ];
 
-fn command(args: &[&str]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_dbbd"));
-    command.args(args).stdin(Stdio::null()).stderr(Stdio::piped());
-    command
-}
-
 #[test]
 fn a_result_that_is_not_taken_is_a_failure() {
     for args in PRINTS {
         let full = File::options().write(true).open("/dev/full").unwrap();
-        let output = command(args).stdout(full).output().unwrap();
+        let output = process::dbbd(args).stdout(full).output().unwrap();
         assert_eq!(output.status.code(), Some(1), "{args:?}: {}", stderr(&output));
         // Help is printed by the parser of the command line.
         if !args[0].starts_with("--") {
@@ -47,7 +41,7 @@ fn a_reader_that_has_gone_ends_it_quietly() {
     for args in PRINTS {
         let (reader, writer) = std::io::pipe().unwrap();
         drop(reader);
-        let output = command(args).stdout(writer).output().unwrap();
+        let output = process::dbbd(args).stdout(writer).output().unwrap();
         assert_eq!((output.status.code(), stderr(&output)), (Some(0), String::new()), "{args:?}");
     }
 }

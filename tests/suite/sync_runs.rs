@@ -165,14 +165,11 @@ pub(crate) fn run(plan: &Plan, seed: u64, world: World) -> Run {
             HostNs((t_s * 1e9) as u64 + rng.random_range(500_000..4_000_000)),
             Sample {
                 // 10 nm is the resolution of the frame.
-                reading_mm: ((true_mm + world.noise_mm * coloured) * 1e5).round() / 1e5,
                 sequence: Some(number as u32 & 0xffff),
                 ticks: Some(DeviceTicks(ticks % world.ticks_wrap)),
                 trigger: world.strobe.then_some(strobe),
-                temperature_c: None,
-                valid: true,
                 status: 1,
-                offset: 0,
+                ..Sample::of(((true_mm + world.noise_mm * coloured) * 1e5).round() / 1e5)
             },
         ));
     }

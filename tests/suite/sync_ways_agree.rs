@@ -78,12 +78,9 @@ fn driven(plan: &Plan, sync: Sync, override_percent: f64, seed: u64, truth: &Rob
         let sample = Sample {
             sequence: Some(number as u32),
             ticks: Some(DeviceTicks((number as f64 / RATE_HZ * 1e6) as u64)),
-            reading_mm: measured.reading_mm,
             trigger: (sync == Sync::Output).then_some(moment.strobe),
             valid: measured.in_stroke,
-            temperature_c: None,
-            status: 0,
-            offset: 0,
+            ..Sample::of(measured.reading_mm)
         };
         stream.push(host, &sample);
     }

@@ -90,14 +90,12 @@ fn bar(link: &Path, length: Length, seed: u64, ready: &AtomicBool) -> Vec<Away> 
             heard.clear();
             if running {
                 let sample = Sample {
-                    reading_mm: f64::from(sequence % 1000) / 1000.0,
                     sequence: Some(sequence % 65536),
                     ticks: Some(DeviceTicks(clock::now().0 / 1000 % (1 << 32))),
                     trigger: Some(false),
                     temperature_c: Some(20.0),
-                    valid: true,
                     status: 1,
-                    offset: 0,
+                    ..Sample::of(f64::from(sequence % 1000) / 1000.0)
                 };
                 let mut frame = Vec::new();
                 encoder.encode(&sample, &mut frame).unwrap();
@@ -198,7 +196,7 @@ fn session(directory: &Path, wire: Wire, length: Length, seed: u64) -> Seen {
         }
         Wire::Network(scheme) => {
             let bar = simulate(&directory, "1", &["--listen", &format!("{scheme}://127.0.0.1:0")]);
-            let server = bar.1.rsplit_once(':').unwrap().1.parse().unwrap();
+            let server = bar.port.rsplit_once(':').unwrap().1.parse().unwrap();
             let own = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
             let cut = move || network(own, server, length, seed, &plugged);
             (format!("{scheme}://127.0.0.1:{own}"), std::thread::spawn(cut), Some(bar))

@@ -2,44 +2,29 @@
 #![cfg(unix)]
 
 use std::collections::BTreeMap;
-use std::io::{BufRead, BufReader};
 use std::path::Path;
-use std::process::{Child, Command, Output, Stdio};
+use std::process::Output;
 
 use dbbd::base::units::{DeviceTicks, HostNs};
 use dbbd::measurement::sample::Sample;
 use dbbd::robot::Robot;
 use serde_json::Value;
 
+use crate::cell::stderr;
+use crate::process::{Simulator, dbbd};
+
 /// Of the virtual bar.
 pub(crate) const RATE_HZ: f64 = 1000.0;
 /// Where the controller stands when it is switched on, so that nothing moves.
 const AXES_DEG: [f64; 6] = [0.0, -90.0, 90.0, 0.0, 0.0, 0.0];
 
-/// A virtual bar that is ended with the test.
-pub(crate) struct Bar(Child, pub(crate) String);
-
-impl Drop for Bar {
-    fn drop(&mut self) {
-        // It may have ended by itself.
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
-
-pub(crate) fn dbbd(args: &[&str]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_dbbd"));
-    command.args(args).stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
-    command
-}
-
 /// A robot that stands still: every reading is noise of its own, by which it is known.
-pub(crate) fn simulate(directory: &Path, speed: &str, rest: &[&str]) -> Bar {
+pub(crate) fn simulate(directory: &Path, speed: &str, rest: &[&str]) -> Simulator {
     simulate_at(0.0, directory, speed, rest)
 }
 
 /// The same at another mean reading, mm.
-pub(crate) fn simulate_at(reading_mm: f64, directory: &Path, speed: &str, rest: &[&str]) -> Bar {
+pub(crate) fn simulate_at(reading_mm: f64, directory: &Path, speed: &str, rest: &[&str]) -> Simulator {
     let axes = AXES_DEG.map(f64::to_radians);
     let ball = Robot::by_name("kr60ha").unwrap().unwrap().geometry.ball(&axes).position;
     let world = format!(
@@ -55,13 +40,8 @@ pub(crate) fn simulate_at(reading_mm: f64, directory: &Path, speed: &str, rest: 
     let target = format!("PTP {{A1 {a1:.1},A2 {a2:.1},A3 {a3:.1},A4 {a4:.1},A5 {a5:.1},A6 {a6:.1}}}");
     std::fs::write(directory.join("STILL.src"), format!("DEF STILL ( )\n{target}\nWAIT SEC 3000\nEND\n"))
         .unwrap();
-    let fixed = ["simulate", "--program", "STILL.src", "--robot", "kr60ha", "--world", "world.toml"];
-    let mut command = dbbd(&fixed);
-    command.args(["--speed", speed, "--quiet"]).args(rest).current_dir(directory).stderr(Stdio::inherit());
-    let mut child = command.spawn().unwrap();
-    let mut port = String::new();
-    BufReader::new(child.stdout.take().unwrap()).read_line(&mut port).unwrap();
-    Bar(child, port.trim().to_owned())
+    let fixed = ["--program", "STILL.src", "--robot", "kr60ha", "--world", "world.toml", "--quiet"];
+    Simulator::start(directory, &[&fixed[..], &["--speed", speed], rest].concat())
 }
 
 /// A row of samples.csv.
@@ -125,8 +105,4 @@ pub(crate) fn acquire(directory: &Path, port: &str, seconds: &str, rest: &[&str]
             .map(|row| (host(row), row["event"].clone(), serde_json::from_str(&row["detail_json"]).unwrap()))
             .collect(),
     }
-}
-
-pub(crate) fn stderr(output: &Output) -> String {
-    String::from_utf8_lossy(&output.stderr).into_owned()
 }

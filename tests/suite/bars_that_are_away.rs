@@ -1,0 +1,179 @@
+//! `dbbd acquire` where there is no port, no bar on it, or none any more.
+#![cfg(unix)]
+
+use std::path::Path;
+use std::sync::Arc;
+
+use dbbd::base::clock;
+use dbbd::daemon;
+use dbbd::device::protocol::Definition;
+use dbbd::provenance::Identity;
+use dbbd::recording::capture::Event;
+use dbbd::sim::bar::Terminal;
+
+use crate::cell::{codes, stderr};
+use crate::played_bar::{definition, endless, play, read, reading, wait_for};
+use crate::process::{dbbd, run, signal};
+
+const NO_PORT: &str = "E0201";
+const PORT_BUSY: &str = "E0203";
+const STOPPED_SENDING: &str = "W0225";
+const PORT_REFUSED: &str = "E0204";
+const PORT_GONE: &str = "E0206";
+const STAYED_AWAY: &str = "W0220";
+const OPEN_TO_ALL: &str = "I0211";
+
+/// What is asked of a bar that never sends a byte, the exit code, and the codes.
+const SILENT: &[(&[&str], i32, &[&str])] = &[
+    (&["--protocol", "microepsilon-ild1420"], 1, &["E0205"]),
+    (&["--duration", "0.3"], 3, &["W0221"]),
+    (&["--duration", "0.3", "--ekrl", "127.0.0.1:0"], 3, &["W0221", "W0224"]),
+];
+
+pub(crate) fn provoked() -> Vec<&'static str> {
+    let silent = SILENT.iter().flat_map(|(_, _, codes)| *codes).copied();
+    let others = [PORT_REFUSED, PORT_GONE, STAYED_AWAY, OPEN_TO_ALL, STOPPED_SENDING];
+    silent.chain(others).chain([NO_PORT, PORT_BUSY]).collect()
+}
+
+#[test]
+fn a_bar_that_falls_silent_is_a_doubt() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("run");
+    // After half a second it sends no more, and stays plugged in.
+    let (port, _bar) = play(1.0, |t_s: f64| {
+        if t_s > 0.5 {
+            clock::sleep(60.0);
+        }
+        Some(reading(t_s, false))
+    });
+    let acquire =
+        ["acquire", "--port", &port, "--out", path.to_str().unwrap(), "--duration", "4.5", "--json"];
+    let output = run(&acquire);
+    assert_eq!((output.status.code(), codes(&output)), (Some(3), vec![STOPPED_SENDING.to_owned()]));
+    let summary: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    let silent_s = summary["progress"]["silent_s"].as_f64().unwrap();
+    assert!((3.0..4.5).contains(&silent_s), "{silent_s} s");
+    assert!(read(&path).events().any(|event| matches!(event, Event::Gap { seconds: Some(_), .. })));
+}
+
+#[test]
+fn a_silent_bar_is_doubted() {
+    for (more, exit, expected) in SILENT {
+        let directory = tempfile::tempdir().unwrap();
+        let terminal = Terminal::new().unwrap();
+        let path = directory.path().join("run");
+        let port = terminal.address().to_string();
+        let given = ["acquire", "--port", &port, "--out", path.to_str().unwrap()];
+        let output = run(&[&given[..], more].concat());
+        assert_eq!(output.status.code(), Some(*exit), "{more:?}: {}", stderr(&output));
+        assert_eq!(codes(&output), *expected, "{more:?}");
+    }
+}
+
+/// In this process: a child would inherit the terminal's other side and keep it open.
+#[test]
+fn a_bar_that_goes_away_for_good_ends_the_run() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("run");
+    let terminal = Terminal::new().unwrap();
+    let options = daemon::Options {
+        port: terminal.address().clone(),
+        definition: definition(),
+        out: path.clone(),
+        plan: None,
+        identity: Identity::default(),
+        duration_s: None,
+        gone_s: 0.3,
+        feed: None,
+        sync_s: 1.0,
+    };
+    let acquisition = daemon::Acquisition::start(options, Arc::default()).unwrap();
+    drop(terminal);
+    let summary = acquisition.join().unwrap();
+    assert_eq!(summary.ending, daemon::Ending::Gone);
+    let capture = read(&path);
+    assert!(capture.ended());
+    assert!(
+        capture.events().any(|event| matches!(event, Event::Gap { reason, .. } if reason.contains("gone")))
+    );
+}
+
+/// In this process, as well: the line goes while the bar is asked.
+#[test]
+fn a_port_that_goes_while_a_command_is_sent() {
+    let (mut line, host) = serialport::TTYPort::pair().unwrap();
+    let name = serialport::SerialPort::name(&host).unwrap();
+    drop(host);
+    let pulled = std::thread::spawn(move || {
+        // Nobody has the line open at first.
+        let came =
+            |line: &mut serialport::TTYPort| std::io::Read::read(line, &mut [0; 1]).is_ok_and(|n| n > 0);
+        while !came(&mut line) {
+            clock::sleep(0.001);
+        }
+    });
+    let definition = Definition::by_name("microepsilon-ild1420").unwrap().unwrap();
+    let gone = daemon::zero(&name.parse().unwrap(), &definition).unwrap_err();
+    pulled.join().unwrap();
+    assert_eq!(dbbd::diagnostic::Finding::code(&gone).0, PORT_GONE, "{gone}");
+}
+
+/// The simulator holds the other side of the line alone.
+#[test]
+fn a_bar_that_is_unplugged_for_good_is_a_doubt() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = |name: &str| directory.path().join(name).to_str().unwrap().to_owned();
+    let program = "DEF P ( )\r\nPTP {A1 0,A2 -90,A3 90,A4 0,A5 0,A6 0}\r\nHALT\r\nEND\r\n";
+    std::fs::write(path("P.src"), program).unwrap();
+    std::fs::write(path("world.toml"), "[bar]\nlength_mm = 300.0\nstroke_mm = [-6.0, 6.0]\n[[centre]]\nid = 1\nxyz_mm = [1300.0, 0.0, 800.0]\n").unwrap();
+    let simulate = ["simulate", "--program", &path("P.src"), "--world", &path("world.toml"), "--halt", "600"];
+    let mut simulator = dbbd(&[&simulate[..], &["--link", &path("bar")]].concat()).spawn().unwrap();
+    let mut byte = [0; 1];
+    std::io::Read::read_exact(simulator.stdout.as_mut().unwrap(), &mut byte).unwrap();
+    let acquire = ["acquire", "--port", &path("bar"), "--gone", "0.3", "--out", &path("run")];
+    let child = dbbd(&acquire).spawn().unwrap();
+    wait_for(Path::new(&path("run")), 20_000);
+    simulator.kill().unwrap();
+    simulator.wait().unwrap();
+    // Its terminal may become another test's.
+    std::fs::remove_file(path("bar")).unwrap();
+    let output = child.wait_with_output().unwrap();
+    assert_eq!(output.status.code(), Some(3), "{}", stderr(&output));
+    assert!(codes(&output).contains(&STAYED_AWAY.to_owned()), "{}", stderr(&output));
+}
+
+#[test]
+fn a_file_is_no_port_and_an_open_address_is_named() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("run");
+    let out = path.to_str().unwrap();
+    let refused = run(&["acquire", "--port", "/dev/null", "--out", out]);
+    assert_eq!((refused.status.code(), codes(&refused)), (Some(1), vec![PORT_REFUSED.to_owned()]));
+    let open = run(&["acquire", "--port", "/dev/ttyNONE7", "--ekrl", "0.0.0.0:0", "--out", out]);
+    assert_eq!(codes(&open), [OPEN_TO_ALL, NO_PORT]);
+}
+
+#[test]
+fn a_missing_port_is_told_and_leaves_no_file() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("run");
+    let output = run(&["acquire", "--port", "/dev/ttyNONE7", "--out", path.to_str().unwrap()]);
+    assert_eq!(output.status.code(), Some(1));
+    assert_eq!(codes(&output), [NO_PORT]);
+    assert!(!path.exists());
+}
+
+#[test]
+fn an_occupied_port_is_told() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = |name: &str| directory.path().join(name).to_str().unwrap().to_owned();
+    let (port, _bar) = play(1.0, endless());
+    let mut first = dbbd(&["acquire", "--port", &port, "--out", &path("first")]).spawn().unwrap();
+    wait_for(Path::new(&path("first")), 20_000);
+    let second = run(&["acquire", "--port", &port, "--out", &path("second")]);
+    signal(&first, "INT");
+    first.wait().unwrap();
+    assert_eq!(second.status.code(), Some(1));
+    assert_eq!(codes(&second), [PORT_BUSY]);
+}
