@@ -13,6 +13,7 @@ use crate::diagnostic::Diagnostic;
 use crate::provenance::{Artefact, BarIdentity, Identity, Provenance, Role, Traced};
 use crate::robot::AXES;
 pub use obstacle::ObstacleTable;
+pub use values::{DEFAULT_PROTOCOL, SIGMA_UM};
 
 /// What is to be measured, with what, and within which limits.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -95,7 +96,7 @@ pub struct Bar {
     #[serde(default)]
     pub margin_mm: f64,
     /// Standard deviation of one length, um.
-    #[serde(default = "default_sigma")]
+    #[serde(default = "values::default_sigma")]
     pub sigma_um: f64,
     /// Expanded uncertainty (k = 2) of the length by its certificate, mm.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -107,7 +108,7 @@ pub struct Bar {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub expansion_per_k: Option<f64>,
     /// Radius of the bar's body, mm: what keeps clear of the obstacles.
-    #[serde(default = "default_radius")]
+    #[serde(default = "values::default_radius")]
     pub radius_mm: f64,
     /// Serial number of the bar.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -120,7 +121,7 @@ pub struct Bar {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub certified_by: Option<String>,
     /// Name or file of the protocol that the bar speaks.
-    #[serde(default = "default_protocol")]
+    #[serde(default = "values::default_protocol")]
     pub protocol: String,
 }
 
@@ -142,24 +143,6 @@ impl Bar {
             expansion_per_k: self.expansion_per_k,
         }
     }
-}
-
-fn default_radius() -> f64 {
-    15.0
-}
-
-/// Standard deviation of a length where the job gives none, micrometres.
-pub const SIGMA_UM: f64 = 2.0;
-
-fn default_sigma() -> f64 {
-    SIGMA_UM
-}
-
-/// The protocol of a bar where nothing names one.
-pub const DEFAULT_PROTOCOL: &str = "dbb-cobs-1";
-
-fn default_protocol() -> String {
-    DEFAULT_PROTOCOL.into()
 }
 
 /// A base ball.

@@ -1,6 +1,24 @@
-//! What a single value of a job may be, and its place in the file.
+//! What a single value of a job may be, what some are where the job gives none, and its place in the file.
 
 use crate::catalogue::JobFinding;
+
+pub(super) fn default_radius() -> f64 {
+    15.0
+}
+
+/// Standard deviation of a length where the job gives none, micrometres.
+pub const SIGMA_UM: f64 = 2.0;
+
+pub(super) fn default_sigma() -> f64 {
+    SIGMA_UM
+}
+
+/// The protocol of a bar where nothing names one.
+pub const DEFAULT_PROTOCOL: &str = "dbb-cobs-1";
+
+pub(super) fn default_protocol() -> String {
+    DEFAULT_PROTOCOL.into()
+}
 
 /// The place of a value: the table's header, which of them (from 0), the key.
 #[derive(Clone, Copy)]
