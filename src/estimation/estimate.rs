@@ -42,7 +42,7 @@ pub(crate) struct Estimate {
 impl Estimate {
     /// The same with the errors of the joints that `found` holds.
     pub(super) fn with_joints(self, lengths: &Lengths, found: JointFit) -> Self {
-        let sigma = if lengths.vouched { Sigma::Given } else { Sigma::All(found.noise.sigma_mm()) };
+        let sigma = if lengths.vouched { Sigma::Given } else { Sigma::All(found.sigma_mm) };
         let count = self.used(lengths).count() as f64;
         Self {
             kept: found.ids.clone(),

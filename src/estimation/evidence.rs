@@ -8,6 +8,7 @@
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
 use super::priors::{Group, HYPERS, HyperPrior};
+use crate::robot::Process;
 
 /// Steps after which the variances are taken as they are.
 const MOST_STEPS: usize = 60;
@@ -20,8 +21,7 @@ const FIRST_STEP: f64 = 0.05;
 /// A gain of this share of what the gradient promises suffices.
 const ARMIJO: f64 = 1e-4;
 
-/// Logarithms of what is estimated of the groups, in the order of [`Group`], of the length over which the smooth functions
-/// are alike, and of sigma.
+/// Logarithms of what is estimated, in the order of [`HyperPrior::ALL`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Hypers([f64; HYPERS]);
 
@@ -33,7 +33,7 @@ impl Hypers {
         start
     }
 
-    /// One standard deviation of a group, in its unit.
+    /// One standard deviation of a group, in its unit; of smooth functions that of the quick part.
     pub(super) fn sd(&self, group: Group) -> f64 {
         self.0[group as usize].exp()
     }
@@ -44,10 +44,15 @@ impl Hypers {
         self
     }
 
-    /// Over which the smooth functions are alike, rad.
-    pub(super) fn length_rad(&self) -> f64 {
-        self.0[HyperPrior::LENGTH].exp()
+    /// What the smooth functions are the sum of: a quick and a slow process.
+    pub(super) fn processes(&self) -> [Process; 2] {
+        Self::PROCESSES
+            .map(|[sd, length]| Process { sd_rad: self.0[sd].exp(), likeness_rad: self.0[length].exp() })
     }
+
+    /// The places of their standard deviations and lengths.
+    const PROCESSES: [[usize; 2]; 2] =
+        [[Group::Smooth as usize, HyperPrior::LENGTH], [HyperPrior::SLOW, HyperPrior::SLOW_LENGTH]];
 
     pub(super) fn sigma_mm(&self) -> f64 {
         self.0[HyperPrior::SIGMA].exp()
@@ -61,22 +66,35 @@ pub(super) enum Variance {
     Fixed(f64),
     /// That of its group times this.
     Of(Group, f64),
-    /// The spectral density of a Matern-5/2 process at this angular frequency (1/rad).
+    /// The spectral density of the smooth functions at this angular frequency (1/rad).
     Spectral(f64),
+    /// This standard deviation, which the noise gives to backlash.
+    ByNoise(f64),
 }
 
 impl Variance {
-    /// The variance, and its derivative's logarithm by that of the length.
-    fn value(self, hypers: &Hypers) -> Spectrum {
-        let plain = |sd: f64| Spectrum { variance: sd * sd, by_length: 0.0 };
+    fn value(self, hypers: &Hypers) -> f64 {
         match self {
-            Self::Fixed(sd) => plain(sd),
-            Self::Of(group, unit) => plain(unit * hypers.sd(group)),
+            Self::Fixed(sd) | Self::ByNoise(sd) => sd * sd,
+            Self::Of(group, unit) => (unit * hypers.sd(group)).powi(2),
             Self::Spectral(frequency) => {
-                let a2 = 5.0 / hypers.length_rad().powi(2);
-                Spectrum {
-                    variance: spectral_density(hypers.sd(Group::Smooth), hypers.length_rad(), frequency),
-                    by_length: 6.0 * a2 / (a2 + frequency * frequency) - 5.0,
+                hypers.processes().iter().map(|part| part.spectral_density(frequency)).sum()
+            }
+        }
+    }
+
+    /// The derivative of its logarithm by the logarithm of each hyper-parameter that it follows, to `each` with the place.
+    fn slopes(self, hypers: &Hypers, mut each: impl FnMut(usize, f64)) {
+        match self {
+            Self::Fixed(_) | Self::ByNoise(_) => {}
+            Self::Of(group, _) => each(group as usize, 2.0),
+            Self::Spectral(frequency) => {
+                let whole = self.value(hypers);
+                for ([sd, length], part) in Hypers::PROCESSES.into_iter().zip(hypers.processes()) {
+                    let share = part.spectral_density(frequency) / whole;
+                    let a2 = 5.0 / part.likeness_rad.powi(2);
+                    each(sd, 2.0 * share);
+                    each(length, share * (6.0 * a2 / (a2 + frequency * frequency) - 5.0));
                 }
             }
         }
@@ -84,29 +102,18 @@ impl Variance {
 
     /// One standard deviation.
     pub(super) fn sd(self, hypers: &Hypers) -> f64 {
-        self.value(hypers).variance.sqrt()
+        self.value(hypers).sqrt()
     }
 
-    /// The group whose variance it follows.
+    /// The group that it belongs to.
     pub(super) fn group(self) -> Option<Group> {
         match self {
             Self::Fixed(_) => None,
             Self::Of(group, _) => Some(group),
             Self::Spectral(_) => Some(Group::Smooth),
+            Self::ByNoise(_) => Some(Group::Backlash),
         }
     }
-}
-
-/// The spectral density of a Matern-5/2 process at an angular frequency (1/rad), rad^3: `sd` and `length` in rad.
-pub(super) fn spectral_density(sd: f64, length: f64, frequency: f64) -> f64 {
-    let a2 = 5.0 / (length * length);
-    sd * sd * (16.0 / 3.0) * a2.powf(2.5) / (a2 + frequency * frequency).powi(3)
-}
-
-#[derive(Clone, Copy)]
-struct Spectrum {
-    variance: f64,
-    by_length: f64,
 }
 
 /// Rows of unit noise, what is free taken out: their normal equations.
@@ -282,10 +289,7 @@ impl Evidence<'_> {
             trace += left;
             // By the logarithm of the variance.
             let slope = 0.5 * (scaled * scaled + left - 1.0);
-            if let Some(group) = variance.group() {
-                gradient[group as usize] += 2.0 * slope;
-                gradient[HyperPrior::LENGTH] += slope * variance.value(hypers).by_length;
-            }
+            variance.slopes(hypers, |place, by| gradient[place] += slope * by);
         }
         let unknowns = solved.unknowns();
         let residual = self.normal.squares - 2.0 * self.normal.rhs.dot(&unknowns)

@@ -1,6 +1,5 @@
 //! The error of a joint as a table: the correction of its angle over the axis, by either sense, with its uncertainty.
 
-use super::evidence::spectral_density;
 use crate::robot::{AXES, Approach, Joint, ParamId, Robot, TermKind};
 
 /// Angles of a table.
@@ -55,13 +54,12 @@ fn sd(robot: &Robot, joint: Joint, angle: f64) -> f64 {
         }
     }
     let errors = &robot.geometry.joint_errors;
-    let (terms, mut at, mut beside) = (errors.terms(), 0, unknown.smooth_rad.powi(2));
+    let (terms, mut at, mut beside) = (errors.terms(), 0, unknown.smooth_variance());
     errors.derivatives(&[angle; AXES], Approach::default(), |place, value| {
-        if place == joint.index() {
+        if place == joint.index() && terms[at].kind != TermKind::Backlash {
             row += unknown.root.row(unknown.parameters.len() + at) * value;
             if let TermKind::Smooth { frequency } = terms[at].kind {
-                beside -=
-                    spectral_density(unknown.smooth_rad, unknown.likeness_rad, frequency) * value * value;
+                beside -= unknown.spectral_density(frequency) * value * value;
             }
         }
         at += 1;

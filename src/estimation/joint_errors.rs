@@ -12,6 +12,7 @@ use super::evidence::{Evidence, Found, Hypers, Normal, Variance};
 use super::joint_fit::{GroupEvidence, JointFit};
 use super::joint_system::System;
 use super::lengths::{Lengths, Sigma, Weighted};
+use super::noise_shape::{BacklashNoise, NoiseShape, Scored};
 use super::outliers::outliers;
 use super::pose_rows::{LengthNoise, PoseRows};
 use super::prior::PriorRows;
@@ -19,7 +20,7 @@ use super::priors::Group;
 use super::ripple::{Beside, Candidate, ln_candidates};
 use super::setting::Setting;
 use crate::measurement::LengthModel;
-use crate::robot::{AXES, JointError, JointErrors, JointTerm, ParamId, Smooth, TermKind, parameter};
+use crate::robot::{AXES, JointError, JointErrors, JointTerm, ParamId, Smooth, TermKind, Visited, parameter};
 
 /// Lengths beyond the parameters of the geometry from which errors of joints are looked for.
 const REDUNDANT: usize = 30;
@@ -31,7 +32,9 @@ const GAIN: f64 = 3.0;
 const OUTLIER_ROUNDS: usize = 3;
 /// Linearisations.
 const ROUNDS: usize = 4;
-/// Shares of the length's own noise in that of the pose that are tried.
+/// Steps towards the likeliest backlash as noise in each.
+const SCORES: usize = 2;
+/// Shares of the length's own noise in that of the pose that are tried, until one is worse.
 const RATIOS: [f64; 4] = [0.1, 0.3, 1.0, 3.0];
 /// An axis that turns by less has no function of its angle, rad.
 const LEAST_RANGE: f64 = 0.05;
@@ -100,7 +103,7 @@ pub(super) fn refit(
     let mut search = Search::new(setting, estimate, &used)?;
     search.model = fit.model.clone();
     search.hypers = fit.hypers;
-    search.ratio = fit.noise.length_mm / fit.noise.pose_mm;
+    search.shape = fit.shape;
     for _ in 0..2 {
         let system = search.linearise(&used);
         search.solve(&system)?;
@@ -124,12 +127,11 @@ struct Search<'a> {
     hypers: Hypers,
     /// Those before ripples were looked for.
     unsearched: Option<Hypers>,
-    ratio: f64,
+    shape: NoiseShape,
     sigma_is_given: bool,
     /// The angles of each joint: lowest and highest, rad.
     ranges: [[f64; 2]; AXES],
-    /// Whether a sense of approach is known.
-    approached: bool,
+    visited: [Visited; AXES],
 }
 
 impl<'a> Search<'a> {
@@ -148,16 +150,20 @@ impl<'a> Search<'a> {
         };
         let weights: Vec<f64> = ids.iter().map(weight).collect();
         let mean: Vec<f64> = ids.iter().map(|id| setting.start.value(*id)).collect();
-        let mut ranges = [[f64::INFINITY, f64::NEG_INFINITY]; AXES];
+        let mut visited: [Vec<f64>; AXES] = Default::default();
         let mut approached = false;
         for (at, _) in used.sigmas().enumerate().filter(|(_, sigma)| *sigma != f64::INFINITY) {
             let reading = used.lengths().reading(at);
             approached |= !reading.approach.is_unknown();
             let angles = setting.start.geometry.coupling.joints(&reading.axes);
-            for (range, angle) in ranges.iter_mut().zip(angles) {
-                *range = [range[0].min(angle), range[1].max(angle)];
-            }
+            visited.iter_mut().zip(angles).for_each(|(own, angle)| own.push(angle));
         }
+        let ranges = [0, 1, 2, 3, 4, 5].map(|at: usize| range(&visited[at]));
+        let moved = ranges.map(|[low, high]| high - low >= LEAST_RANGE);
+        let backlash = match approached {
+            true => BacklashNoise::Known([0.0; AXES]),
+            false => BacklashNoise::sought(moved, used.rms_sigma()),
+        };
         Some(Self {
             setting,
             estimate,
@@ -167,15 +173,16 @@ impl<'a> Search<'a> {
             model: estimate.fit.model.clone(),
             hypers: Hypers::start(used.rms_sigma()),
             unsearched: None,
-            ratio: RATIOS[0],
+            shape: NoiseShape { ratio: RATIOS[0], backlash },
             sigma_is_given: used.lengths().vouched,
             ranges,
-            approached,
+            visited: visited.map(Visited::of),
         })
     }
 
     /// The functions that the length of likeness needs, with the coefficients that are known of them.
     fn errors(&self) -> JointErrors {
+        let [quick, _] = self.hypers.processes();
         let joint = |at: usize| {
             let [low, high] = self.ranges[at];
             let half_width = Smooth::half_width_for([low, high]);
@@ -183,32 +190,44 @@ impl<'a> Search<'a> {
             if high - low < LEAST_RANGE {
                 return JointError::default();
             }
-            let count = ((FUNCTIONS * half_width / self.hypers.length_rad()) as usize).clamp(FEWEST, MOST);
+            let count = ((FUNCTIONS * half_width / quick.likeness_rad) as usize).clamp(FEWEST, MOST);
             let mut smooth = Smooth::new(0.5 * (low + high), half_width, count);
             if smooth.is_alike(&before.smooth) {
                 let known = smooth.coefficients.iter_mut().zip(before.smooth.coefficients);
                 known.for_each(|(own, value)| *own = value);
             }
-            JointError { smooth, ..before }
+            JointError { smooth, visited: self.visited[at], ..before }
         };
         JointErrors::new(std::array::from_fn(joint))
     }
 
     /// Linearises, finds the variances and solves.
     fn round(&mut self, used: &Weighted, round: usize) -> Option<(System, Found)> {
+        if self.shape.backlash.is_known() {
+            let found =
+                |at: usize| self.model.geometry.joint_errors.at(at).map_or(0.0, |error| error.backlash);
+            let relative = std::array::from_fn(|at| found(at).abs() / self.hypers.sigma_mm());
+            self.shape.backlash = BacklashNoise::Known(relative);
+        }
         self.model.geometry.joint_errors = self.errors();
         let system = self.linearise(used);
-        let mut best = self.maximise(&system, self.ratio, self.hypers)?;
+        let mut best = self.maximise(&system, self.shape, self.hypers)?;
         if round == 1 && system.lines.poses.iter().any(|rows| rows.len() > 1) {
-            for ratio in RATIOS {
-                if let Some(found) = self.maximise(&system, ratio, best.hypers)
-                    && found.value > best.value
-                {
-                    (best, self.ratio) = (found, ratio);
+            for ratio in RATIOS.into_iter().skip(1) {
+                let shape = self.shape.with_ratio(ratio);
+                let found = self.maximise(&system, shape, best.hypers)?;
+                if found.value <= best.value {
+                    break;
                 }
+                (best, self.shape) = (found, shape);
             }
         }
         self.hypers = best.hypers;
+        if round + 1 < ROUNDS {
+            for _ in 0..SCORES {
+                self.score_backlash(&system)?;
+            }
+        }
         self.solve(&system)?;
         Some((system, best))
     }
@@ -232,13 +251,13 @@ impl<'a> Search<'a> {
 
     /// The ripple that most speaks for beside the fit at the model.
     fn ripple(&self, system: &System) -> Option<Candidate> {
-        let reduced = system.reduced(self.ratio)?;
+        let reduced = system.reduced(self.shape)?;
         let variances = system.bound_variances();
         let solved = self.evidence(&reduced.normal, &variances).solve(&self.hypers)?;
         let sigma_mm = self.hypers.sigma_mm();
         let beside = Beside {
             system,
-            ratio: self.ratio,
+            shape: self.shape,
             sigma_mm,
             root: &system.root(&reduced, &solved, sigma_mm)?,
             unknowns: &system.all(&reduced, &solved),
@@ -247,9 +266,32 @@ impl<'a> Search<'a> {
         beside.strongest()
     }
 
-    fn maximise(&self, system: &System, ratio: f64, start: Hypers) -> Option<Found> {
-        let reduced = system.reduced(ratio)?;
-        self.evidence(&reduced.normal, &system.bound_variances()).maximise(start)
+    fn maximise(&self, system: &System, shape: NoiseShape, start: Hypers) -> Option<Found> {
+        let reduced = system.reduced(shape)?;
+        let found = self.evidence(&reduced.normal, &system.bound_variances()).maximise(start)?;
+        Some(Found { value: found.value + shape.backlash.ln_prior(found.hypers.sigma_mm()), ..found })
+    }
+
+    /// Brings the backlash that acts as noise nearer to the likeliest.
+    fn score_backlash(&mut self, system: &System) -> Option<()> {
+        if self.shape.backlash.is_known() {
+            return Some(());
+        }
+        let reduced = system.reduced(self.shape)?;
+        let variances = system.bound_variances();
+        let solved = self.evidence(&reduced.normal, &variances).solve(&self.hypers)?;
+        let sigma_mm = self.hypers.sigma_mm();
+        let of_own = |place: Option<usize>| place.map(|place| self.ids.len() + place);
+        let scored = Scored {
+            system,
+            shape: self.shape,
+            sigma_mm,
+            unknowns: &system.all(&reduced, &solved),
+            root: &system.root(&reduced, &solved, sigma_mm)?,
+            coefficients: self.model.geometry.joint_errors.backlash_places().map(of_own),
+        };
+        self.shape = scored.step()?;
+        Some(())
     }
 
     fn evidence<'b>(&self, normal: &'b Normal, variances: &'b [Variance]) -> Evidence<'b> {
@@ -259,7 +301,10 @@ impl<'a> Search<'a> {
     /// Where the geometry alone could come to, by the logarithm of its evidence.
     fn geometry_alone(&self, system: &System) -> Option<f64> {
         let geometry = system.with_groups(&[]);
-        let found = RATIOS.into_iter().filter_map(|ratio| self.maximise(&geometry, ratio, self.hypers));
+        let found = RATIOS.into_iter().filter_map(|ratio| {
+            let shape = NoiseShape { ratio, backlash: BacklashNoise::Known([0.0; AXES]) };
+            self.maximise(&geometry, shape, self.hypers)
+        });
         found.map(|found| found.value).max_by(f64::total_cmp)
     }
 
@@ -297,9 +342,11 @@ impl<'a> Search<'a> {
             id @ ParamId::Compliance(_) => Variance::Of(Group::Compliance, self.setting.priors.sd(id)),
             _ => Variance::Of(Group::Harmonic, 1.0),
         });
+        let backlash = self.shape.backlash.sds().map(|sd| sd * self.hypers.sigma_mm());
         let term = |term: JointTerm| match term.kind {
             TermKind::Smooth { frequency } => Variance::Spectral(frequency),
-            TermKind::Backlash => Variance::Of(Group::Backlash, 1.0),
+            TermKind::Backlash if self.shape.backlash.is_known() => Variance::Of(Group::Backlash, 1.0),
+            TermKind::Backlash => Variance::ByNoise(backlash[term.joint.index()]),
             TermKind::Ripple { .. } => Variance::Of(Group::Ripple, 1.0),
         };
         own.chain(errors.terms().into_iter().map(term)).collect()
@@ -307,7 +354,7 @@ impl<'a> Search<'a> {
 
     /// Moves the model to the likeliest unknowns.
     fn solve(&mut self, system: &System) -> Option<()> {
-        let reduced = system.reduced(self.ratio)?;
+        let reduced = system.reduced(self.shape)?;
         let variances = system.bound_variances();
         let solved = self.evidence(&reduced.normal, &variances).solve(&self.hypers)?;
         let unknowns = system.all(&reduced, &solved);
@@ -326,7 +373,7 @@ impl<'a> Search<'a> {
     }
 
     fn fitted(self, system: &System, gain: f64) -> Option<JointFit> {
-        let reduced = system.reduced(self.ratio)?;
+        let reduced = system.reduced(self.shape)?;
         let variances = system.bound_variances();
         // A part of what a search among many ripples explains is chance: the uncertainty is that without it.
         let cautious = self.unsearched.unwrap_or(self.hypers).with_sd_of(Group::Ripple, &self.hypers);
@@ -344,13 +391,15 @@ impl<'a> Search<'a> {
             root: system.root(&reduced, &solved, cautious.sigma_mm())?,
             groups: self.groups(system, &determined)?,
             effective_parameters: determined.iter().sum::<f64>() + system.free.len() as f64,
+            sigma_mm: system.rms_sd(self.shape) * cautious.sigma_mm(),
             noise: LengthNoise {
                 pose_mm: cautious.sigma_mm(),
-                length_mm: self.ratio * cautious.sigma_mm(),
+                length_mm: self.shape.ratio * cautious.sigma_mm(),
                 joints: None,
             },
             hypers: self.hypers,
             cautious,
+            shape: self.shape,
             gain,
             ids: self.ids,
             model: self.model,
@@ -359,10 +408,8 @@ impl<'a> Search<'a> {
 
     /// What each group that can be estimated came to; what it explains is beyond the groups before it.
     fn groups(&self, system: &System, determined: &[f64]) -> Option<Vec<GroupEvidence>> {
-        let present = |group: &Group| {
-            system.variances.iter().any(|variance| variance.group() == Some(*group))
-                && (*group != Group::Backlash || self.approached)
-        };
+        let present =
+            |group: &Group| system.variances.iter().any(|variance| variance.group() == Some(*group));
         let present: Vec<Group> = Group::ALL.into_iter().filter(present).collect();
         let of_geometry = self.left(&system.with_groups(&[]))?;
         let mut before = of_geometry;
@@ -374,7 +421,7 @@ impl<'a> Search<'a> {
             let explained = (before - left).max(0.0);
             found.push(GroupEvidence {
                 group: *group,
-                sd: self.hypers.sd(*group),
+                sd: self.sd_of(*group),
                 effective_parameters: members.map(|(_, share)| share).sum(),
                 rms_mm: explained.sqrt(),
                 share: explained / of_geometry,
@@ -384,11 +431,32 @@ impl<'a> Search<'a> {
         Some(found)
     }
 
+    /// One standard deviation of the members of a group.
+    fn sd_of(&self, group: Group) -> f64 {
+        match (group, self.shape.backlash) {
+            (Group::Smooth, _) => {
+                let [quick, slow] = self.hypers.processes();
+                quick.sd_rad.hypot(slow.sd_rad)
+            }
+            (Group::Backlash, BacklashNoise::Sought(sds)) => {
+                let moved = sds.iter().filter(|sd| **sd > 0.0).count().max(1) as f64;
+                self.hypers.sigma_mm() * (sds.iter().map(|sd| sd * sd).sum::<f64>() / moved).sqrt()
+            }
+            _ => self.hypers.sd(group),
+        }
+    }
+
     /// Mean square of the residuals that a system leaves at these variances, mm^2.
     fn left(&self, system: &System) -> Option<f64> {
-        let reduced = system.reduced(self.ratio)?;
+        let reduced = system.reduced(self.shape)?;
         let variances = system.bound_variances();
         let solved = self.evidence(&reduced.normal, &variances).solve(&self.hypers)?;
         Some(system.mean_square(&system.all(&reduced, &solved)))
     }
+}
+
+/// Lowest and highest, rad.
+fn range(angles: &[f64]) -> [f64; 2] {
+    let start = [f64::INFINITY, f64::NEG_INFINITY];
+    angles.iter().fold(start, |[low, high], angle| [low.min(*angle), high.max(*angle)])
 }

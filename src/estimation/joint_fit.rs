@@ -3,11 +3,12 @@
 use nalgebra::DMatrix;
 
 use super::evidence::Hypers;
+use super::noise_shape::NoiseShape;
 use super::pose_rows::LengthNoise;
 use super::prior::PriorRows;
 use super::priors::Group;
 use crate::measurement::LengthModel;
-use crate::robot::{ParamId, RobotUncertainty};
+use crate::robot::{AXES, ParamId, Process, RobotUncertainty};
 
 /// A fit with errors of the joints.
 #[derive(Clone, Debug)]
@@ -22,10 +23,13 @@ pub(crate) struct JointFit {
     pub(super) groups: Vec<GroupEvidence>,
     /// How many parameters and coefficients the data determine.
     pub(super) effective_parameters: f64,
+    /// Of the lengths with all that moves them, mm.
+    pub(super) sigma_mm: f64,
     pub(super) noise: LengthNoise<'static>,
     pub(super) hypers: Hypers,
     /// Those that the uncertainty is of.
     pub(super) cautious: Hypers,
+    pub(super) shape: NoiseShape,
     /// Gain in the logarithm of the evidence over the geometry alone.
     pub(super) gain: f64,
 }
@@ -48,11 +52,13 @@ pub struct GroupEvidence {
 #[derive(Clone, Debug, PartialEq)]
 pub struct JointSummary {
     pub groups: Vec<GroupEvidence>,
-    /// Over which the smooth functions are alike, rad.
-    pub likeness_rad: f64,
+    /// What the smooth functions are the sum of: a quick and a slow process.
+    pub smooth: [Process; 2],
     /// Standard deviation of the pose in each direction, and of a length beside it, mm.
     pub pose_mm: f64,
     pub length_mm: f64,
+    /// Half of the reversal error of each joint as noise, one standard deviation, rad, where no sense of approach is known.
+    pub backlash_noise_rad: Option<[f64; AXES]>,
     /// Gain in the logarithm of the evidence over the geometry alone.
     pub gain: f64,
 }
@@ -68,18 +74,31 @@ impl JointFit {
             parameters: own.iter().map(|&k| self.ids[k]).collect(),
             root: self.root.select_rows(&rows),
             pose_mm: self.noise.pose_mm,
-            smooth_rad: self.cautious.sd(Group::Smooth),
-            likeness_rad: self.cautious.length_rad(),
-            backlash_is_known: self.groups.iter().any(|group| group.group == Group::Backlash),
+            smooth: self.cautious.processes().to_vec(),
+            unapproached_rad: self.unapproached_rad(),
         }
+    }
+
+    /// What an unknown sense of approach leaves of each joint's angle, rad.
+    fn unapproached_rad(&self) -> [f64; AXES] {
+        let errors = &self.model.geometry.joint_errors;
+        let mut found = self.shape.backlash.sds().map(|sd| sd * self.noise.pose_mm);
+        if self.shape.backlash.is_known() {
+            for (place, sd) in errors.backlash_places().into_iter().zip(&mut found) {
+                let row = place.map(|place| self.root.row(self.ids.len() + place).norm());
+                *sd = sd.hypot(row.unwrap_or(0.0));
+            }
+        }
+        found
     }
 
     pub(super) fn summary(&self) -> JointSummary {
         JointSummary {
             groups: self.groups.clone(),
-            likeness_rad: self.hypers.length_rad(),
+            smooth: self.hypers.processes(),
             pose_mm: self.noise.pose_mm,
             length_mm: self.noise.length_mm,
+            backlash_noise_rad: (!self.shape.backlash.is_known()).then(|| self.unapproached_rad()),
             gain: self.gain,
         }
     }

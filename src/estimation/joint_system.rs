@@ -3,6 +3,7 @@
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
 use super::evidence::{Normal, Solved, Variance};
+use super::noise_shape::NoiseShape;
 use super::pose_rows::PoseRows;
 use super::priors::Group;
 
@@ -40,13 +41,19 @@ impl System {
         Self { bound: self.bound.iter().copied().filter(is_kept).collect(), ..self.clone() }
     }
 
+    /// What these unknowns leave, mm.
+    pub(super) fn residual(&self, unknowns: &DVector<f64>) -> DMatrix<f64> {
+        let left = &self.right - &self.lines.values * unknowns;
+        DMatrix::from_column_slice(left.len(), 1, left.as_slice())
+    }
+
     /// Mean square of the residuals that these unknowns leave, mm^2.
     pub(super) fn mean_square(&self, unknowns: &DVector<f64>) -> f64 {
-        (&self.right - &self.lines.values * unknowns).norm_squared() / self.lines.values.nrows() as f64
+        self.residual(unknowns).norm_squared() / self.lines.values.nrows() as f64
     }
 
     /// The normal equations of rows of unit noise, what is free taken out.
-    pub(super) fn reduced(&self, ratio: f64) -> Option<Reduced> {
+    pub(super) fn reduced(&self, shape: NoiseShape) -> Option<Reduced> {
         let order: Vec<usize> = self.free.iter().chain(&self.bound).copied().collect();
         let count = order.len();
         let mut whole = DMatrix::zeros(self.lines.values.nrows(), count + 1);
@@ -54,7 +61,7 @@ impl System {
             whole.column_mut(to).copy_from(&self.lines.values.column(*from));
         }
         whole.column_mut(count).copy_from(&self.right);
-        let ln_whitening = self.whiten_all(&mut whole, ratio)?;
+        let ln_whitening = self.whiten_all(&mut whole, shape)?;
         let gram = whole.transpose() * &whole;
         let (f, b) = (self.free.len(), self.bound.len());
         let cross = gram.view((0, f), (f, b)).into_owned();
@@ -80,9 +87,13 @@ impl System {
     }
 
     /// Brings rows to unit noise of the pose; the logarithm of the determinant of their covariance.
-    pub(super) fn whiten_all(&self, whole: &mut DMatrix<f64>, ratio: f64) -> Option<f64> {
-        let own: Vec<f64> = self.weights.iter().map(|weight| ratio * weight).collect();
-        self.lines.whiten(whole, 1.0, &own)
+    pub(super) fn whiten_all(&self, whole: &mut DMatrix<f64>, shape: NoiseShape) -> Option<f64> {
+        self.lines.whiten(whole, &shape.of_rows(&self.lines, &self.weights))
+    }
+
+    /// Root of the mean variance of the lengths, in units of that of a pose.
+    pub(super) fn rms_sd(&self, shape: NoiseShape) -> f64 {
+        self.lines.rms_sd(&shape.of_rows(&self.lines, &self.weights))
     }
 
     /// All unknowns; of what is free the step.

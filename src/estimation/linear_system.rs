@@ -97,7 +97,7 @@ impl LinearSystem {
         let unknowns = lines.values.ncols();
         let mut whole = lines.values.clone().insert_column(unknowns, 0.0);
         whole.set_column(unknowns, &lines.residual);
-        lines.whiten(&mut whole, noise.pose_mm, &lines.own(&noise, model))?;
+        lines.whiten(&mut whole, &lines.noise(&noise, model))?;
         let mut triangle = Triangle::new(unknowns);
         for row in whole.row_iter() {
             let values: Vec<f64> = row.iter().copied().collect();

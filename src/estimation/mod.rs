@@ -27,6 +27,7 @@ mod left_out;
 mod lengths;
 pub mod linear_system;
 mod monte_carlo;
+mod noise_shape;
 mod observability;
 mod options;
 mod outliers;

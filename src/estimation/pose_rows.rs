@@ -1,7 +1,7 @@
 //! Rows of lengths by parameters and coefficients of the joints' errors, whitened pose by pose.
 //!
 //! The lengths of one pose share its repeatability: with U the unit vectors along them their covariance is
-//! s^2 U U' plus what each length has of its own. Coordinates of a position are lengths along the axes of the tracker.
+//! s^2 U U', plus what the joints do with it, plus what each length has of its own. Coordinates of a position are lengths along the axes of the tracker.
 
 use std::collections::BTreeMap;
 
@@ -21,6 +21,16 @@ pub struct LengthNoise<'a> {
     pub length_mm: f64,
     /// What is not known of the joints beside the coefficients of their errors: it adds to the noise.
     pub joints: Option<&'a RobotUncertainty>,
+}
+
+/// The noise of rows: a pose moves the lengths to all balls alike.
+pub(super) struct RowNoise {
+    /// Standard deviation of a pose in each direction.
+    pub(super) pose: f64,
+    /// Of each row beside it.
+    pub(super) own: Vec<f64>,
+    /// Of the joints' angles at each row, rad.
+    pub(super) joints: Vec<[f64; AXES]>,
 }
 
 impl From<f64> for LengthNoise<'_> {
@@ -46,6 +56,8 @@ impl<'a> LengthNoise<'a> {
 
 /// A length has some noise of its own: the share of the pose is at most this.
 const MOST_OF_POSE: f64 = 0.995;
+/// And of its variance beside the pose at least this share is its own.
+const LEAST_OWN: f64 = 0.01;
 
 /// Rows at a model.
 #[derive(Clone)]
@@ -61,6 +73,8 @@ pub(super) struct PoseRows {
     /// Axis angles (rad) with the sense of approach, the joints' own angles, and what these move, mm/rad.
     axes: Vec<[f64; AXES]>,
     approaches: Vec<Approach>,
+    /// The senses in which the joints came.
+    pub(super) senses: Vec<[i8; AXES]>,
     pub(super) joints: Vec<[f64; AXES]>,
     pub(super) levers: Vec<[f64; AXES]>,
     /// Rows of equal pose.
@@ -115,39 +129,64 @@ impl PoseRows {
             units: lines.iter().map(|line| line.unit).collect(),
             axes: lines.iter().map(|line| line.axes).collect(),
             joints: lines.iter().map(|line| geometry.coupling.joints(&line.axes)).collect(),
+            senses: lines.iter().map(|line| geometry.coupling.senses(line.approach).senses()).collect(),
             approaches: lines.iter().map(|line| line.approach).collect(),
             levers: lines.iter().map(|line| line.levers).collect(),
             poses: poses.into_values().collect(),
         }
     }
 
-    /// Standard deviations of what each length has of its own, mm.
-    pub(super) fn own(&self, noise: &LengthNoise<'_>, model: &LengthModel) -> Vec<f64> {
-        let of = |row: usize| {
-            let unknown = noise.joints.map_or([0.0; AXES], |unknown| {
-                beside(&model.geometry, unknown, &self.axes[row], self.approaches[row])
-            });
-            let moved = self.levers[row].iter().zip(unknown).map(|(lever, sd)| (lever * sd).powi(2));
-            (noise.length_mm.powi(2) + moved.sum::<f64>()).sqrt()
+    /// The noise of the rows of a robot at `model`. Backlash of unknown sense is a part of what lengths scatter, as far as
+    /// they do.
+    pub(super) fn noise(&self, noise: &LengthNoise<'_>, model: &LengthModel) -> RowNoise {
+        let backlash = noise.joints.map_or([0.0; AXES], |unknown| unknown.unapproached_rad);
+        let own = |row: usize| {
+            let moves = (0..AXES).filter(|joint| self.senses[row][*joint] == 0);
+            let moved: f64 = moves.map(|joint| (self.levers[row][joint] * backlash[joint]).powi(2)).sum();
+            (noise.length_mm.powi(2) - moved).max(LEAST_OWN * noise.length_mm.powi(2)).sqrt()
         };
-        (0..self.values.nrows()).map(of).collect()
+        let unknown = |row: usize| {
+            noise.joints.map_or([0.0; AXES], |unknown| {
+                beside(&model.geometry, unknown, &self.axes[row], self.approaches[row])
+            })
+        };
+        let rows = self.values.nrows();
+        RowNoise {
+            pose: noise.pose_mm,
+            own: (0..rows).map(own).collect(),
+            joints: (0..rows).map(unknown).collect(),
+        }
     }
 
-    /// Brings rows to unit noise, where a pose repeats to `pose` in each direction and each length has `own` beside it; the
-    /// logarithm of the determinant of their covariance. `None` where it has no inverse.
-    pub(super) fn whiten(&self, whole: &mut DMatrix<f64>, pose: f64, own: &[f64]) -> Option<f64> {
+    /// Root of the mean variance of the rows.
+    pub(super) fn rms_sd(&self, noise: &RowNoise) -> f64 {
+        let of = |row: usize| {
+            let joints = noise.joints[row].iter().zip(self.levers[row]);
+            let joints: f64 = joints.map(|(sd, lever)| (sd * lever).powi(2)).sum();
+            noise.pose.powi(2) + noise.own[row].powi(2) + joints
+        };
+        let rows = self.levers.len();
+        ((0..rows).map(of).sum::<f64>() / rows as f64).sqrt()
+    }
+
+    /// Brings rows to unit noise; the logarithm of the determinant of their covariance. `None` where it has no inverse.
+    pub(super) fn whiten(&self, whole: &mut DMatrix<f64>, noise: &RowNoise) -> Option<f64> {
         let mut ln_determinant = 0.0;
         for rows in &self.poses {
-            ln_determinant += self.whiten_pose(whole, rows, pose, own)?;
+            ln_determinant += self.whiten_pose(whole, rows, noise)?;
         }
         Some(ln_determinant)
     }
 
-    fn whiten_pose(&self, whole: &mut DMatrix<f64>, rows: &[usize], pose: f64, own: &[f64]) -> Option<f64> {
+    fn whiten_pose(&self, whole: &mut DMatrix<f64>, rows: &[usize], noise: &RowNoise) -> Option<f64> {
         let covariance = DMatrix::from_fn(rows.len(), rows.len(), |i, j| {
             let [u, v] = [rows[i], rows[j]].map(|row| self.units[row]);
-            let shared = (u[0] * v[0] + u[1] * v[1] + u[2] * v[2]) * (pose * pose);
-            let own = if i == j { own[rows[i]].powi(2) } else { 0.0 };
+            let mut shared = (u[0] * v[0] + u[1] * v[1] + u[2] * v[2]) * (noise.pose * noise.pose);
+            let [u, v] = [rows[i], rows[j]].map(|row| self.levers[row]);
+            for (joint, sd) in noise.joints[rows[i]].iter().enumerate() {
+                shared += u[joint] * v[joint] * sd * sd;
+            }
+            let own = if i == j { noise.own[rows[i]].powi(2) } else { 0.0 };
             shared + own
         });
         let factor = Cholesky::new(covariance)?.l();

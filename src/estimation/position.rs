@@ -9,7 +9,6 @@ use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
 
-use super::evidence::spectral_density;
 use super::predicted::{Workspace, take_out_rigid_motion};
 use crate::measurement::{ApproachedPose, LengthModel};
 use crate::robot::{
@@ -156,14 +155,12 @@ pub(super) fn beside(
     let nearest = |place: usize| errors.at(place).map(|error| error.smooth.nearest_measured(joints[place]));
     let nearest: [f64; AXES] = std::array::from_fn(|place| nearest(place).unwrap_or(joints[place]));
     let measured = smooth_variance(geometry, unknown, &nearest);
-    let backlash = backlash_sd(geometry, unknown);
     let senses = geometry.coupling.senses(approach).senses();
     std::array::from_fn(|place| {
-        let unapproached = unknown.backlash_is_known && senses[place] == 0;
-        let backlash = if unapproached { backlash[place] } else { 0.0 };
+        let backlash = if senses[place] == 0 { unknown.unapproached_rad[place] } else { 0.0 };
         // Among measured angles what the basis lacks is in the noise of the lengths already.
         let held = if measured[place] > 0.0 { (here[place] / measured[place]).min(1.0) } else { 0.0 };
-        (unknown.smooth_rad * (1.0 - held).sqrt()).hypot(backlash)
+        (unknown.smooth_variance() * (1.0 - held)).sqrt().hypot(backlash)
     })
 }
 
@@ -174,24 +171,10 @@ fn smooth_variance(geometry: &Geometry, unknown: &RobotUncertainty, joints: &[f6
     let mut terms = terms.iter();
     geometry.joint_errors.derivatives(joints, Approach::default(), |place, value| {
         if let Some(TermKind::Smooth { frequency }) = terms.next().map(|term| term.kind) {
-            let density = spectral_density(unknown.smooth_rad, unknown.likeness_rad, frequency);
-            variance[place] += density * value * value;
+            variance[place] += unknown.spectral_density(frequency) * value * value;
         }
     });
     variance
-}
-
-/// What an unknown sense of approach leaves of each joint's angle, rad.
-fn backlash_sd(geometry: &Geometry, unknown: &RobotUncertainty) -> [f64; AXES] {
-    let mut found = [0.0; AXES];
-    let rows = unknown.root.row_iter().skip(unknown.parameters.len());
-    for (term, row) in geometry.joint_errors.terms().iter().zip(rows) {
-        if term.kind == TermKind::Backlash {
-            let backlash = geometry.joint_errors.of(term.joint).map_or(0.0, |error| error.backlash);
-            found[term.joint.index()] = backlash.hypot(row.norm());
-        }
-    }
-    found
 }
 
 /// Columns of a root that a robot's file holds.

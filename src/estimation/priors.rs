@@ -53,7 +53,7 @@ pub(super) struct HyperPrior {
 }
 
 /// How many there are.
-pub(super) const HYPERS: usize = 7;
+pub(super) const HYPERS: usize = 9;
 
 /// Groups of unknowns that share a variance.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -85,10 +85,13 @@ impl Group {
 }
 
 impl HyperPrior {
-    /// Places of what is no group: the length over which a smooth function is alike, rad, and sigma, mm.
+    /// Places of what is no group: the angle over which a smooth function is alike, rad; sigma, mm; of the slow part of a
+    /// smooth function the standard deviation, rad, and the angle over which it is alike, rad.
     pub(super) const LENGTH: usize = 5;
     pub(super) const SIGMA: usize = 6;
-    /// Those of the groups in their order, of the length, of sigma. Industrial joints: a turn's eccentricity of half a
+    pub(super) const SLOW: usize = 7;
+    pub(super) const SLOW_LENGTH: usize = 8;
+    /// Those of the groups in their order, then of the others. Industrial joints: a turn's eccentricity of half a
     /// milliradian, the rest a tenth of it and less.
     pub(super) const ALL: [Self; HYPERS] = [
         Self { median: 5e-4, ln_sd: Some(1.0), bounds: [1e-8, 1e-1] },
@@ -98,6 +101,8 @@ impl HyperPrior {
         Self { median: 1.0, ln_sd: Some(1.0), bounds: [1e-4, 1e4] },
         Self { median: 0.15, ln_sd: Some(1.0), bounds: [0.03, 3.0] },
         Self { median: 0.03, ln_sd: None, bounds: [1e-9, 1e3] },
+        Self { median: 1e-4, ln_sd: Some(1.0), bounds: [1e-8, 1e-1] },
+        Self { median: 0.5, ln_sd: Some(1.0), bounds: [0.3, 5.0] },
     ];
 
     /// How far a logarithm is from the middle, in standard deviations; 0 where nothing is known.

@@ -16,7 +16,7 @@ use super::{
 use crate::base::serialised::check_seal;
 use crate::catalogue::ConformityFinding;
 use crate::diagnostic::{Diagnostic, Severity};
-use crate::robot::Robot;
+use crate::robot::{AXES, Process, Robot};
 
 /// The whole result; lengths in mm, angles in rad.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -227,16 +227,25 @@ pub struct JointErrors {
     /// Standard deviation of the pose in each direction, and of a length beside it.
     pub pose_sigma_mm: f64,
     pub length_sigma_mm: f64,
-    /// Over which the smooth functions are alike.
-    pub likeness_rad: f64,
+    /// What the smooth functions are the sum of: a quick and a slow process.
+    pub smooth: [Process; 2],
+    /// Half of the reversal error of each joint as noise, where no sense of approach is known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub backlash_noise_rad: Option<[f64; AXES]>,
     /// Gain in the logarithm of the evidence over the geometry alone.
     pub log_evidence_gain: f64,
 }
 
 impl From<&JointSummary> for JointErrors {
     fn from(joints: &JointSummary) -> Self {
-        let &JointSummary { likeness_rad, pose_mm, length_mm, gain, .. } = joints;
-        Self { pose_sigma_mm: pose_mm, length_sigma_mm: length_mm, likeness_rad, log_evidence_gain: gain }
+        let &JointSummary { smooth, pose_mm, length_mm, backlash_noise_rad, gain, .. } = joints;
+        Self {
+            pose_sigma_mm: pose_mm,
+            length_sigma_mm: length_mm,
+            smooth,
+            backlash_noise_rad,
+            log_evidence_gain: gain,
+        }
     }
 }
 

@@ -7,6 +7,7 @@
 use nalgebra::{DMatrix, DVector, Matrix2, Vector2};
 
 use super::joint_system::System;
+use super::noise_shape::NoiseShape;
 use crate::robot::{AXES, Joint};
 
 /// Cycles a turn that are tried.
@@ -37,7 +38,7 @@ pub(super) fn ln_candidates() -> f64 {
 /// A fit beside which candidates are judged.
 pub(super) struct Beside<'a> {
     pub(super) system: &'a System,
-    pub(super) ratio: f64,
+    pub(super) shape: NoiseShape,
     pub(super) sigma_mm: f64,
     /// A root of the covariance of all unknowns.
     pub(super) root: &'a DMatrix<f64>,
@@ -49,15 +50,11 @@ pub(super) struct Beside<'a> {
 impl Beside<'_> {
     /// The candidate that most speaks for.
     pub(super) fn strongest(&self) -> Option<Candidate> {
-        let Self { system, ratio, sigma_mm, .. } = *self;
+        let Self { system, shape, sigma_mm, .. } = *self;
         let mut rows = system.lines.values.clone();
-        system.whiten_all(&mut rows, ratio)?;
-        let mut residual = DMatrix::from_column_slice(
-            system.right.len(),
-            1,
-            (&system.right - &system.lines.values * self.unknowns).as_slice(),
-        );
-        system.whiten_all(&mut residual, ratio)?;
+        system.whiten_all(&mut rows, shape)?;
+        let mut residual = system.residual(self.unknowns);
+        system.whiten_all(&mut residual, shape)?;
         // Rows of the posterior, over sigma^2.
         let known = (rows * self.root).transpose() / (sigma_mm * sigma_mm);
         let mut best: Option<Candidate> = None;
@@ -70,7 +67,7 @@ impl Beside<'_> {
                     columns[(row, 2 * joint + 1)] = levers[joint] * sin;
                 }
             }
-            system.whiten_all(&mut columns, ratio)?;
+            system.whiten_all(&mut columns, shape)?;
             let gram = columns.transpose() * &columns / (sigma_mm * sigma_mm);
             let taken = &known * &columns;
             let gradients = columns.transpose() * &residual / (sigma_mm * sigma_mm);

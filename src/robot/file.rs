@@ -280,7 +280,7 @@ impl RobotFile {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::robot::{JointError, Ripple, Smooth};
+    use crate::robot::{JointError, Ripple, Smooth, Visited};
 
     #[test]
     fn a_robot_reads_back_and_a_wrong_number_has_its_line() {
@@ -298,6 +298,7 @@ mod tests {
     fn errors_of_the_joints_read_back() {
         let mut robot = Robot::by_name("kr60ha").unwrap().unwrap();
         let error = JointError {
+            visited: Visited { middle: 0.2, scale: 0.4 },
             smooth: Smooth { centre: 0.25, half_width: 3.0, coefficients: vec![1e-4, -2e-5] },
             backlash: 7.2e-5,
             ripple: vec![Ripple { order: 40, cos: 1e-5, sin: -2e-5 }],

@@ -2,7 +2,8 @@
 //!
 //! The joint is where its axis says plus D(q, d), q the joint's own angle (the controller's axis angle, of a coupled joint a sum
 //! of two) and d the sense of its last move:
-//! D = sum_m w_m phi_m(q) + u d + sum_n (c_n cos n q + s_n sin n q), rad, in the sense of the DH table. The phi_m are
+//! D = sum_m w_m phi_m(q) + u d + sum_n (c_n cos n q + s_n sin n q), rad, in the sense of the DH table. Where d is not known,
+//! what is expected of it counts: an axis comes to its highest angles from below. The phi_m are
 //! the eigenfunctions of the Laplacian on [c - L, c + L], by which a Gaussian process is written with few coefficients
 //! (Solin and Sarkka, Statistics and Computing 30, 2020). Outside that interval nothing is known of the smooth part, and
 //! it is zero. The first harmonic of an angle is the geometry's (`gear`).
@@ -18,7 +19,21 @@ pub struct JointError {
     pub smooth: Smooth,
     /// Half of the reversal error, rad: the joint is this much further when its axis came by rising angles.
     pub backlash: f64,
+    /// Where the axis comes from when its sense is not known.
+    pub visited: Visited,
     pub ripple: Vec<Ripple>,
+}
+
+/// The angles of a joint at the poses of a program: a logistic distribution. A scale of 0 says nothing of them.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Visited {
+    /// Median, rad.
+    #[serde(rename = "middle_rad")]
+    pub middle: f64,
+    /// Scale, rad.
+    #[serde(rename = "scale_rad")]
+    pub scale: f64,
 }
 
 /// A smooth function of an axis angle: zero without coefficients.
@@ -69,6 +84,23 @@ pub enum TermKind {
 pub struct JointTerm {
     pub joint: Joint,
     pub kind: TermKind,
+}
+
+impl Visited {
+    /// By the middle two thirds of angles, rad.
+    pub fn of(mut angles: Vec<f64>) -> Self {
+        /// F(x) = 5/6 at x = scale ln 5.
+        const SIXTH: f64 = 1.0 / 6.0;
+        angles.sort_by(f64::total_cmp);
+        let at = |share: f64| angles.get((share * angles.len() as f64) as usize).copied().unwrap_or(0.0);
+        let width = at(1.0 - SIXTH) - at(SIXTH);
+        Self { middle: at(0.5), scale: width / (2.0 * 5f64.ln()) }
+    }
+
+    /// The mean sense of an axis that comes to an angle (rad) from another such pose: F - (1 - F).
+    fn expected_sense(self, angle: f64) -> f64 {
+        if self.scale > 0.0 { (0.5 * (angle - self.middle) / self.scale).tanh() } else { 0.0 }
+    }
 }
 
 impl Smooth {
@@ -133,7 +165,12 @@ impl Smooth {
 impl JointError {
     /// The correction of the joint at an axis angle (rad) to which the axis came in this sense (-1, 0 not known, 1), rad.
     pub fn correction(&self, angle: f64, sense: i8) -> f64 {
-        self.of_angle(angle) + f64::from(sense) * self.backlash
+        self.of_angle(angle) + self.sense(angle, sense) * self.backlash
+    }
+
+    /// The sense, or what is expected of one that is not known (0).
+    fn sense(&self, angle: f64, sense: i8) -> f64 {
+        if sense == 0 { self.visited.expected_sense(angle) } else { f64::from(sense) }
     }
 
     /// The part that the angle alone determines, rad.
@@ -153,7 +190,7 @@ impl JointError {
     /// The derivative of the correction by each coefficient.
     fn derivatives(&self, angle: f64, sense: i8, each: &mut impl FnMut(f64)) {
         self.smooth.basis(angle, &mut *each);
-        each(f64::from(sense));
+        each(self.sense(angle, sense));
         for ripple in &self.ripple {
             let (sin, cos) = (f64::from(ripple.order) * angle).sin_cos();
             each(cos);
@@ -214,6 +251,13 @@ impl JointErrors {
         Joint::ALL.into_iter().flat_map(of).collect()
     }
 
+    /// Where the coefficient of each joint's backlash is among them.
+    pub fn backlash_places(&self) -> [Option<usize>; AXES] {
+        let terms = self.terms();
+        let is_of = |joint: Joint, term: &JointTerm| term.joint == joint && term.kind == TermKind::Backlash;
+        Joint::ALL.map(|joint| terms.iter().position(|term| is_of(joint, term)))
+    }
+
     /// The derivative of each joint's correction by each of its coefficients, in the order of [`JointErrors::terms`], to
     /// `each` with the joint's place (from 0), at the joints' own angles (rad) and senses.
     pub fn derivatives(&self, angles: &[f64; AXES], senses: Approach, mut each: impl FnMut(usize, f64)) {
@@ -221,6 +265,11 @@ impl JointErrors {
         for (place, joint) in joints {
             joint.derivatives(angles[place], senses.senses()[place], &mut |value| each(place, value));
         }
+    }
+
+    /// Takes the backlash out of the joint at this place (from 0), rad.
+    pub(super) fn take_backlash(&mut self, place: usize) -> f64 {
+        self.0.as_mut().map_or(0.0, |joints| std::mem::take(&mut joints[place].backlash))
     }
 
     /// Adds a ripple to a joint, still zero.
@@ -249,10 +298,22 @@ impl JointErrors {
 mod tests {
     use super::*;
 
+    #[test]
+    fn an_axis_is_expected_to_come_to_its_highest_angles_from_below() {
+        let angles: Vec<f64> =
+            (0..600).map(|at| f64::from(at) / 599.0).map(|p| (p / (1.0 - p)).ln()).collect();
+        let visited = Visited::of(angles.into_iter().map(|angle| 2.0 + 0.3 * angle).collect());
+        assert!((visited.middle - 2.0).abs() < 0.01 && (visited.scale - 0.3).abs() < 0.01, "{visited:?}");
+        // Five of six poses are below: five come from below for one that comes from above.
+        assert!((visited.expected_sense(2.0 + 0.3 * 5f64.ln()) - 2.0 / 3.0).abs() < 0.02);
+        assert_eq!(Visited::of(Vec::new()).expected_sense(1.0), 0.0);
+    }
+
     fn errors() -> JointErrors {
         JointErrors::new(std::array::from_fn(|joint| JointError {
             smooth: Smooth::new(0.1 * joint as f64, 2.0, 4 + joint),
             backlash: 0.0,
+            visited: Visited { middle: 0.1, scale: 0.2 },
             ripple: vec![Ripple { order: 13, cos: 0.0, sin: 0.0 }; joint % 2],
         }))
     }

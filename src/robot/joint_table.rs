@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::kinematics::DhRow;
 use super::pose::is_part_of_turn;
-use super::{AXES, CoupledAxis, Coupling, Joint, JointError, Ripple, Robot, Smooth};
+use super::{AXES, CoupledAxis, Coupling, Joint, JointError, Ripple, Robot, Smooth, Visited};
 use crate::catalogue::RobotFinding;
 
 /// No length of an arm is longer, mm: ten metres.
@@ -40,6 +40,8 @@ pub(crate) struct JointTable {
     #[serde(default, skip_serializing_if = "is_zero")]
     backlash_rad: f64,
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    visited: Option<Visited>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     smooth: Option<Smooth>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     ripple: Vec<Ripple>,
@@ -55,6 +57,11 @@ pub(crate) struct CouplingTable {
     /// Of the joint's own angle.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) limits_deg: Option<[f64; 2]>,
+}
+
+/// The same width, or no number where it is none.
+fn if_positive(width: f64) -> f64 {
+    if width > 0.0 { width } else { f64::NAN }
 }
 
 /// +1 or -1 as a file has it.
@@ -83,16 +90,19 @@ impl JointTable {
         ];
         let smooth = self.smooth.iter().flat_map(|smooth| {
             let Smooth { centre, half_width, coefficients } = smooth;
-            // The logarithm of a width that is none is no number.
-            let width = ("smooth.half_width_rad", half_width.ln() + half_width, MOST_RAD);
+            let width = ("smooth.half_width_rad", if_positive(*half_width), MOST_RAD);
             let coefficients = coefficients.iter().map(|value| ("smooth.coefficients", *value, 1.0));
             coefficients.chain([("smooth.centre_rad", *centre, MOST_RAD), width])
+        });
+        let visited = self.visited.iter().flat_map(|visited| {
+            let Visited { middle, scale } = *visited;
+            [("visited.middle_rad", middle, MOST_RAD), ("visited.scale_rad", if_positive(scale), MOST_RAD)]
         });
         let ripple = self
             .ripple
             .iter()
             .flat_map(|ripple| [("ripple.cos_rad", ripple.cos, 1.0), ("ripple.sin_rad", ripple.sin, 1.0)]);
-        let mut numbers = numbers.into_iter().chain(smooth).chain(ripple);
+        let mut numbers = numbers.into_iter().chain(smooth).chain(visited).chain(ripple);
         let possible = |value: f64, most: f64| value.abs() <= most;
         if let Some((key, value, most)) = numbers.find(|(_, value, most)| !possible(*value, *most)) {
             return Err(RobotFinding::JointNumber { joint, key: key.into(), value, most });
@@ -155,8 +165,12 @@ impl JointTable {
     }
 
     pub(super) fn error(&self) -> JointError {
-        let (smooth, ripple) = (self.smooth.clone().unwrap_or_default(), self.ripple.clone());
-        JointError { smooth, backlash: self.backlash_rad, ripple }
+        JointError {
+            smooth: self.smooth.clone().unwrap_or_default(),
+            backlash: self.backlash_rad,
+            visited: self.visited.unwrap_or_default(),
+            ripple: self.ripple.clone(),
+        }
     }
 
     pub(super) fn of(robot: &Robot, joint: Joint) -> Self {
@@ -183,6 +197,7 @@ impl JointTable {
             gear_cos_rad,
             gear_sin_rad,
             backlash_rad: error.backlash,
+            visited: Some(error.visited).filter(|visited| *visited != Visited::default()),
             smooth: Some(error.smooth).filter(|smooth| !smooth.coefficients.is_empty()),
             ripple: error.ripple,
         }

@@ -129,12 +129,13 @@ impl Geometry {
         }
     }
 
-    /// The same robot as it is at poses approached so: its backlash goes into the joint offsets.
+    /// The same robot as it is at poses approached so: where the sense is known, its backlash goes into the joint offsets.
     pub fn approached(&self, approach: Approach) -> Self {
         let mut approached = self.clone();
-        let errors = Joint::ALL.map(|joint| self.joint_errors.of(joint).map_or(0.0, |error| error.backlash));
         for (i, sense) in self.coupling.senses(approach).senses().into_iter().enumerate() {
-            approached.rows[i].theta += f64::from(sense) * errors[i];
+            if sense != 0 {
+                approached.rows[i].theta += f64::from(sense) * approached.joint_errors.take_backlash(i);
+            }
         }
         approached
     }

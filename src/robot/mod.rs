@@ -23,12 +23,12 @@ pub use chain::{At, Chain, JointSinCos, LengthRow, Plane};
 pub use coupling::{CoupledAxis, Coupling};
 pub use definition::{Robot, RobotRead, Tolerance};
 pub use ids::{Approach, AxisAngles, BallId, BarId, CircleId, Coordinate, Datum, Joint, TargetId, apart};
-pub use joint_error::{JointError, JointErrors, JointTerm, Ripple, Smooth, TermKind};
+pub use joint_error::{JointError, JointErrors, JointTerm, Ripple, Smooth, TermKind, Visited};
 pub use kinematics::{DhRow, Geometry, Mass};
 pub use parameter::{Group, ParamId, Unit};
 pub use pose::Pose;
 pub use posterior::RobotPosterior;
-pub use uncertainty::RobotUncertainty;
+pub use uncertainty::{Process, RobotUncertainty};
 
 /// Axes of the robots that are modelled.
 pub const AXES: usize = 6;

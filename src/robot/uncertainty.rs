@@ -3,22 +3,29 @@
 use nalgebra::DMatrix;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-use super::{ParamId, Robot};
+use super::{AXES, ParamId, Robot};
 
 /// Digits of the root that a file holds.
 const DIGITS: usize = 4;
+
+/// A Gaussian process of an angle with Matern-5/2 covariance: its standard deviation, and the angle over which it is alike.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Process {
+    pub sd_rad: f64,
+    pub likeness_rad: f64,
+}
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RobotUncertainty {
     /// Standard deviation with which a pose repeats in each direction, mm.
     pub pose_mm: f64,
-    /// Before any length: standard deviation of a smooth function of a joint's angle, and the angle over which it is
-    /// alike, rad. It holds where the angles were not measured.
-    pub smooth_rad: f64,
-    pub likeness_rad: f64,
-    /// Whether the sense of approach was known: else backlash is a part of `pose_mm`.
-    pub backlash_is_known: bool,
+    /// What a smooth function of a joint's angle is the sum of, before any length. It holds where the angles were not
+    /// measured.
+    pub smooth: Vec<Process>,
+    /// What an unknown sense of approach leaves of each joint's angle, rad.
+    pub unapproached_rad: [f64; AXES],
     /// Parameters of the robot and its tool ball, and coordinates of the base balls.
     pub parameters: Vec<ParamId>,
     /// A root of the covariance, C = root root': a row each parameter, then a row each coefficient of the joints' errors
@@ -57,9 +64,8 @@ impl RobotUncertainty {
             parameters,
             root,
             pose_mm: robot.repeatability_sd_mm().unwrap_or(0.0),
-            smooth_rad: 0.0,
-            likeness_rad: 1.0,
-            backlash_is_known: true,
+            smooth: Vec::new(),
+            unapproached_rad: [0.0; AXES],
         }
     }
 
@@ -67,8 +73,26 @@ impl RobotUncertainty {
     pub(super) fn fits(&self, robot: &Robot) -> bool {
         self.root.nrows() == self.parameters.len() + robot.geometry.joint_errors.count()
             && self.root.iter().all(|value| value.is_finite())
-            && [self.pose_mm, self.smooth_rad, self.likeness_rad].iter().all(|value| value.is_finite())
-            && self.likeness_rad > 0.0
+            && self.pose_mm.is_finite()
+            && self.smooth.iter().all(|part| part.sd_rad.is_finite() && part.likeness_rad > 0.0)
+    }
+
+    /// The variance of a smooth function, rad^2.
+    pub fn smooth_variance(&self) -> f64 {
+        self.smooth.iter().map(|part| part.sd_rad.powi(2)).sum()
+    }
+
+    /// Its spectral density at an angular frequency (1/rad), rad^3.
+    pub fn spectral_density(&self, frequency: f64) -> f64 {
+        self.smooth.iter().map(|part| part.spectral_density(frequency)).sum()
+    }
+}
+
+impl Process {
+    /// The spectral density at an angular frequency (1/rad), rad^3.
+    pub fn spectral_density(&self, frequency: f64) -> f64 {
+        let a2 = 5.0 / self.likeness_rad.powi(2);
+        self.sd_rad.powi(2) * (16.0 / 3.0) * a2.powf(2.5) / (a2 + frequency * frequency).powi(3)
     }
 }
 

@@ -6,7 +6,7 @@ use dbbd::robot::parameter::SetUp;
 use dbbd::robot::pose::rotation_vector;
 use dbbd::robot::{
     Approach, BallId, Coordinate, CoupledAxis, Coupling, Geometry, Joint, JointError, JointErrors, Ripple,
-    Robot, Smooth, Unit, parameter,
+    Robot, Smooth, Unit, Visited, parameter,
 };
 use nalgebra::Vector3;
 use proptest::prelude::*;
@@ -98,6 +98,7 @@ fn joint_error_rows(geometry: Geometry) {
     let empty = JointErrors::new(std::array::from_fn(|joint| JointError {
         smooth: Smooth::new(0.0, 3.5, 5),
         backlash: 0.0,
+        visited: Visited { middle: 0.2, scale: 0.5 },
         ripple: vec![Ripple { order: 7 + joint as u32, ..Ripple::default() }],
     }));
     let with_errors = Geometry { joint_errors: empty.clone(), ..geometry.clone() };

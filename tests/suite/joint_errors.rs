@@ -81,6 +81,18 @@ fn identify(dir: &Path, data: &Measurements, more: &[&str]) -> serde_json::Value
 }
 
 #[test]
+fn backlash_of_unknown_sense_is_noise_of_its_joint() {
+    let dir = tempdir().unwrap();
+    let mut data = lengths(&with_joint_errors(3), 70, 1);
+    data.rows.iter_mut().for_each(|row| row.approach = Approach::default());
+    let result = identify(dir.path(), &data, &[]);
+    let noise: Vec<f64> =
+        serde_json::from_value(result["joint_errors"]["backlash_noise_rad"].clone()).unwrap();
+    assert!((noise[0] / BACKLASH - 1.0).abs() < 0.3, "{noise:?}");
+    assert!(noise[1..].iter().all(|sd| *sd < 0.5 * BACKLASH), "{noise:?}");
+}
+
+#[test]
 fn errors_of_joints_are_found_and_predicted() {
     let truth = with_joint_errors(3);
     let dir = tempdir().unwrap();

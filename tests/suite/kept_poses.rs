@@ -109,7 +109,7 @@ impl Robot60 {
         fs::write(at.join("axes.csv"), table(first, Case { balls: 3, ..case }).to_csv()).unwrap();
         let output =
             dbbd(at, &["predict", "axes.csv", "--robot", "o/robot-identified.toml", "--out", "p.csv"]);
-        assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+        assert!(matches!(output.status.code(), Some(0 | 3)), "{}", stderr(&output));
         let mut reader = csv::Reader::from_path(at.join("p.csv")).unwrap();
         let (mut measured, mut predicted, mut sds) = (Vec::new(), Vec::new(), Vec::new());
         for (row, pose) in reader.deserialize().zip(kept) {
@@ -279,7 +279,12 @@ fn beyond_the_angles_measured() {
             (case.name, found.mean(), found.ratio())
         });
         eprintln!("outer 40 % of axis {}: {figures:.3?}", axis + 1);
-        // Without the sense of approach backlash passes for a function of the angle, and that is continued wrongly.
-        assert!(figures[2].1 < 1.1 * figures[0].1);
+        for (name, mean, ratio) in &figures[1..] {
+            assert!(
+                *mean < 1.1 * figures[0].1 && *ratio > 0.7,
+                "axis {}, {name}: {mean:.3} ({ratio:.2})",
+                axis + 1
+            );
+        }
     }
 }

@@ -139,7 +139,7 @@ fn harmonics_are_found() {
 #[test]
 fn both_are_found() {
     let errors = [SAG.as_slice(), &GEAR].concat();
-    let (result, ..) = run(&lengths(&truth(3, &errors), 3, 27), &[]);
+    let (result, ..) = run(&lengths(&truth(3, &errors), 3, 33), &[]);
     assert!(determined(&result, "compliance") > 1.0 && determined(&result, "harmonic") > 2.0);
     found(&result, &errors);
 }
