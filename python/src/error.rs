@@ -46,6 +46,17 @@ impl From<Failure> for PyErr {
     }
 }
 
+/// A doubt as a `dbbd.DbbdWarning`.
+///
+/// # Errors
+/// Warnings are errors to the caller.
+pub(crate) fn warn(py: Python<'_>, finding: &Diagnostic) -> PyResult<()> {
+    let class = py.import("dbbd._error")?.getattr("DbbdWarning")?;
+    let warning = class.call1((finding.code.0, finding.to_string()))?;
+    py.import("warnings")?.call_method1("warn", (warning,))?;
+    Ok(())
+}
+
 /// A value as Python's dictionaries, lists and numbers, which are the bits of ours.
 pub(crate) fn to_python(py: Python<'_>, value: &impl Serialize) -> PyResult<Py<PyAny>> {
     let text = serde_json::to_string(value).map_err(|error| PyRuntimeError::new_err(error.to_string()))?;

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use dbbd::base::serialised;
 use dbbd::catalogue::RobotFinding;
 use dbbd::conformity::Budget;
-use dbbd::design::{Calibrated, calibrate_mountings};
+use dbbd::design::{Calibrated, calibrate_run};
 use dbbd::diagnostic::Diagnostic;
 use dbbd::estimation::{
     AngleSource, CalibrationResult, ErrorModel, Input, Options, Positions, Prior, ResultFile,
@@ -303,7 +303,7 @@ pub(crate) fn identify<'py>(
             axes: AngleSource::Given,
         };
         let Calibrated { result: found, observations } =
-            calibrate_mountings(&input, findings).map_err(failed)?;
+            calibrate_run(&input, findings).map_err(failed)?;
         let lengths = observations.as_ref().unwrap_or(&lengths);
         let budget = Budget::of(&found, lengths, bar_u_mm, &robot.provenance.identity);
         Ok(PyResult_ { found, budget })

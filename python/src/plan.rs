@@ -113,7 +113,7 @@ pub(crate) fn plan(py: Python<'_>, job: PathBuf, robot: Option<&PyRobot>) -> Res
         let name = job.display().to_string();
         let read = Job::from_toml(&name, &files::read(&job)?)?;
         let own;
-        let RobotRead { robot, source } = match robot {
+        let RobotRead { robot, source, .. } = match robot {
             Some(robot) => &robot.read,
             None => {
                 own = Robot::named(&read.robot, |path: &Path| files::if_there(path, ".toml"))?;

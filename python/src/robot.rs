@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use dbbd::base::files;
+use dbbd::diagnostic::Diagnostic;
 use dbbd::math::map_pieces;
 use dbbd::report::export::{urdf, urdf_patch};
 use dbbd::robot::inverse::{branches, nearest};
@@ -12,7 +13,7 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
 use crate::arrays::{Floats, Numbers, Rows, array, matrix, poses};
-use crate::error::{Failure, Outcome, failed, to_python};
+use crate::error::{Failure, Outcome, failed, to_python, warn};
 
 /// The unit of the axis angles of a call.
 #[derive(Clone, Copy)]
@@ -53,7 +54,7 @@ impl PyRobot {
     /// Of a robot that is in no file.
     pub(crate) fn of(robot: Robot) -> Outcome<Self> {
         let source = robot.traced(&robot.to_toml().map_err(failed)?);
-        Ok(Self { read: RobotRead { robot, source }, file: None })
+        Ok(Self { read: RobotRead { robot, source, findings: Vec::new() }, file: None })
     }
 
     fn fk<'py>(&self, py: Python<'py>, q: &Numbers<'py>, frame: &str, unit: Angle) -> PyResult<Floats<'py>> {
@@ -132,11 +133,14 @@ fn pieces<T: Sync, const W: usize>(items: &[T], work: impl Fn(&T) -> [f64; W] + 
 
 #[pymethods]
 impl PyRobot {
-    /// A robot by built-in name (`built_in` lists them) or by its TOML file, such as robot-identified.toml.
+    /// A robot by built-in name (`built_in` lists them) or by its TOML file, such as robot-identified.toml. What is doubtful in
+    /// the file, or was in its identification, is a DbbdWarning.
     #[staticmethod]
-    fn load(name_or_path: PathBuf) -> Result<Self, Failure> {
+    fn load(py: Python<'_>, name_or_path: PathBuf) -> Result<Self, Failure> {
         let name = name_or_path.to_string_lossy();
         let read = Robot::named(&name, |path| files::if_there(path, ".toml"))?;
+        let doubt = read.robot.doubtful().map(|doubt| Diagnostic::file(&name, doubt));
+        read.findings.iter().chain(&doubt).try_for_each(|finding| warn(py, finding))?;
         let file = Robot::built_in_file(&name).is_none().then_some(name_or_path.clone());
         Ok(Self { read, file })
     }

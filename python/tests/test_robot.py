@@ -188,3 +188,17 @@ def test_other_threads_run_during_a_computation(paper):
     thread.join()
     # With the lock held the thread would count only while Python itself runs.
     assert during > 10_000 * seconds
+
+
+def test_doubts_of_a_robot_are_warnings(tmp_path):
+    text = (ROOT / "robots" / "kr60ha.toml").read_text()
+    doubtful = tmp_path / "doubtful.toml"
+    doubtful.write_text('doubts = ["W1333"]\n' + text)
+    with pytest.warns(dbbd.DbbdWarning, match="W1333") as said:
+        dbbd.Robot.load(doubtful)
+    assert said[0].message.code == "W1843"
+    other = tmp_path / "other.toml"
+    other.write_text(text.replace("sign = -1", "sign = 1", 1))
+    with pytest.warns(dbbd.DbbdWarning) as said:
+        dbbd.Robot.load(other)
+    assert said[0].message.code == "W0581"

@@ -176,6 +176,14 @@ findings! {
             PosteriorLost => "the robot was identified before, but its file has no [posterior]: what these lengths do not determine is fixed as if it were exact or known by the tolerance alone";
             PosteriorOfOtherValues => "[posterior] is of other values than the robot's: they were changed since, and it is not used";
         }
+        W1333 "what is measured from changed amid the data",
+        cause: "Beside all that was estimated, the residuals show a step at one row, or a drift over the rows, of the zero of a bar or of the frame of the tracker: the bar was reset, knocked or became warm, its counter lost a count, the tracker moved; or a column of the table was sorted. It was taken out, as if all were measured from where the first row is.",
+        cure: "Check the zero of the bar before and after a run, and let bar and robot become warm first. Measure anew what must be certain: the first zero may be the wrong one." {
+            ZeroStep { bar: u32, index: u32, by_mm: f64, sd_mm: f64 } => "from index {index} on the lengths of bar {bar} are {by_mm:.4} mm (standard uncertainty {sd_mm:.4} mm) too long beside those before: this was taken out";
+            ZeroDrift { bar: u32, by_mm: f64, sd_mm: f64 } => "the lengths of bar {bar} drift by {by_mm:.4} mm (standard uncertainty {sd_mm:.4} mm) from the first row to the last: this was taken out";
+            TrackerStep { index: u32, size_mm: f64, sd_mm: f64 } => "from index {index} on the tracker's frame is {size_mm:.4} mm (standard uncertainty {sd_mm:.4} mm) from where it was: this was taken out";
+            TrackerDrift { size_mm: f64, sd_mm: f64 } => "the tracker's frame drifts by {size_mm:.4} mm (standard uncertainty {sd_mm:.4} mm) from the first row to the last: this was taken out";
+        }
         W1334 "lengths that identified the robot are used again",
         cause: "Most of these lengths are in the lengths.csv beside the robot's file, so its [posterior] holds them already. Counted twice, they would promise an accuracy that they do not have.",
         cure: "Nothing: [posterior] is not used. To identify anew, give the nominal robot; to go on, give only new lengths." {

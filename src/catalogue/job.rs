@@ -16,10 +16,11 @@ findings! {
             NoDirection { key: String, x: f64, y: f64, z: f64 } => "{key} = [{x}, {y}, {z}] is no direction";
         }
         E0602 "two values of the job contradict each other",
-        cause: "The lower end of a range is above the upper one, or the margin leaves nothing of the stroke.",
-        cure: "Give the lower end first: stroke_mm = [low, high], boxes by their lowest and their highest corner." {
+        cause: "The lower end of a range is above the upper one, the margin leaves nothing of the stroke, or two balls are inside of each other.",
+        cure: "Give the lower end first: stroke_mm = [low, high], boxes by their lowest and their highest corner. Give each ball its own place." {
             StrokeOrder { low_mm: f64, high_mm: f64, length_mm: f64 } => "stroke_mm = [{low_mm}, {high_mm}] must be [low, high], both less than the bar's length of {length_mm} mm";
             NoStrokeLeft { margin_mm: f64, stroke_mm: f64 } => "margin_mm = {margin_mm} must be at least 0 and leave some of the stroke of {stroke_mm} mm";
+            BallsAtOnePlace { ball: u32, other: u32 } => "base balls {other} and {ball} are at one place";
             CornersSwapped { key: String } => "{key}: the lowest corner must be below the highest one in X, Y and Z";
         }
         E0603 "a table or a key of the job is missing or one too many",
@@ -62,6 +63,12 @@ findings! {
         cure: "List names or the groups geometric, tool, centres and bar, as `identify --estimate` takes them." {
             Parameters { list: String, why: String } => "[optimise] parameters = \"{list}\": {why}";
             ParametersWithoutPrior { list: String } => "[optimise] parameters = \"{list}\": only geometric, tool, centres and bar can be listed";
+        }
+        I0681 "a part of the job has no effect",
+        cause: "A base ball has no circle around it, so that it is not measured; or a floor is lower than the robot reaches, so that it guards nothing.",
+        cure: "Give the ball a circle or leave it out. Check the sign and the unit of z_mm: it is the height of the floor in the robot base, mm." {
+            BallWithoutCircle { ball: u32 } => "base ball {ball} has no circle: it is not measured";
+            FloorBelow { z_mm: f64, lowest_mm: f64 } => "the floor at {z_mm} mm is below all that the robot reaches ({lowest_mm:.0} mm)";
         }
         E0680 "a text or a date of an identity cannot be used",
         cause: "A text of [identity], [bar] or [[centre]] is empty, too long or has control characters, a date is none of the calendar or cannot be, a country is no code, or balls or temperatures are there twice.",

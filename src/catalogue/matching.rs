@@ -45,6 +45,16 @@ findings! {
         cure: "The other readings of these dwells are used. Check the bar's stroke and its seat, and measure again where much is missing." {
             InvalidInDwells { invalid: usize, samples: usize, percent: f64, dwells: usize } => "in {dwells} dwells {invalid} of {samples} readings ({percent:.2} %) are not valid";
         }
+        W1008 "the bar froze in a part of the run",
+        cause: "Its reading stays equal to the last digit while the robot moves from pose to pose, and elsewhere it does not: the device, its line or the software that recorded it repeats an old reading.",
+        cure: "Leave out the poses of that time, or measure again. Look at the trace: a live reading changes by its noise, even at rest." {
+            Frozen { from_s: f64, to_s: f64, poses: usize, reading_mm: f64 } => "from {from_s:.1} s to {to_s:.1} s, where {poses} poses are due, every reading is {reading_mm:.4} mm";
+        }
+        W1009 "the readings have another sign or scale than the bar",
+        cause: "At the sync markers, short moves out and back, the reading does not change as commanded: it falls where the bar grows, or by more or less. The decoding of the bar, its unit or its parameters are wrong.",
+        cure: "Move the robot out by a known distance and watch the reading (`dbbd acquire`). Correct --protocol and --param, or [length] of the mapping, and measure or import again." {
+            MarkerScale { markers: usize, commanded_mm: f64, measured_mm: f64 } => "behind {markers} dwells the sync markers change the length by {commanded_mm:+.3} mm, and the reading by {measured_mm:+.3} mm";
+        }
         W1080 "the controller's reports of its dwells are not used",
         cause: "The bar's clock does not keep the host's pace, as on a simulator that runs faster than real time, or the channel broke, so that no dwell has the report of its begin and of its end.",
         cure: "Poses are matched by the strobe or by still intervals instead. Simulate with --speed 1; on a real cell check the channel and the bar's clock (`dbbd info`)." {

@@ -117,6 +117,11 @@ findings! {
         cure: "Give only lengths that were measured to the base balls of this job." {
             NoFiniteRobot => "the lengths measured before give no finite robot";
         }
+        W0722 "lengths measured before are not of the job's bar",
+        cause: "They are beyond the stroke of the bar that the job has: of another bar, with a wrong length added, or in another unit. The plan is laid where they have the robot.",
+        cure: "Give lengths of this bar, or its true length. If they are of another bar whose length is certain, check the plan on the simulator before it is driven." {
+            OtherBarMeasured { beyond: usize, lengths: usize, least_mm: f64, most_mm: f64 } => "{beyond} of {lengths} lengths are not {least_mm:.1} to {most_mm:.1} mm";
+        }
         E0730 "plan.csv and plan.json do not belong together",
         cause: "One of them was edited, copied from elsewhere, or is of another version.",
         cure: "Plan again: `dbbd plan` writes both. Change the job, never the plan." {

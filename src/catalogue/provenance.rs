@@ -50,9 +50,20 @@ findings! {
             DoubtfulRobot { robot: String, doubts: Names } => "`{robot}` was identified with {doubts}";
         }
         W1844 "an identity contradicts the job of the plan",
-        cause: "--identity states another robot, or a bar of another length, than the job of the plan that is measured: a file of another run.",
+        cause: "--identity states another robot, a bar of another length or further base balls than the job of the plan that is measured: a file of another run.",
         cure: "Give the identity of this run. With another bar, plan anew." {
             OtherThanPlanned { key: String, planned: String, stated: String } => "{key} is stated as {stated}, and the job has {planned}";
+            SerialOfNoBall { ball: String, balls: usize } => "a serial number is stated of base ball {ball}, and there are {balls}";
+        }
+        W1845 "measurements of one result have different set-ups",
+        cause: "The files beside two tables state different serial numbers of the bar or of a base ball: they were measured with other equipment, whose length or place differs.",
+        cure: "Give tables of one set-up. Number another ball or bar anew in the columns `centre` and `bar`; correct the identity if it is the same one." {
+            OtherSetUp { key: String, known: String, stated: String } => "{key} is stated as {stated}, and that of the lengths is {known}";
+        }
+        I1846 "the certificate of the bar is old",
+        cause: "The bar was certified more than two years before the measurement. Wear of its seats and ageing change its length by more than the certificate states.",
+        cure: "Have the bar certified anew, or compare it with another one." {
+            OldCertificate { date: String, years: f64 } => "the bar was certified on {date}, {years:.1} years before the measurement";
         }
         E1806 "lengths are of another result",
         cause: "lengths.csv beside robot-identified.toml is not the one that was written with it.",

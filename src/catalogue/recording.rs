@@ -88,14 +88,15 @@ findings! {
             NoAxesLogged { data: String } => "{data} holds no axis angles of a run: the commanded ones are used";
         }
         W0481 "the temperatures of a run are none of a bar",
-        cause: "The sensor of the bar failed or is not connected, or the column of an imported trace is in another unit.",
+        cause: "The sensor of the bar failed, is loose or is not connected, or the column of an imported trace is in another unit.",
         cure: "Lengths are corrected by these temperatures where the job gives expansion_per_k: leave that out, or correct [temperature] of the mapping." {
             NoTemperature { low_c: f64, high_c: f64 } => "the bar's temperature is {low_c:.1} to {high_c:.1} degrees Celsius";
+            TemperatureJumps { low_c: f64, high_c: f64 } => "the bar's temperature goes from {low_c:.1} to {high_c:.1} degrees Celsius in one run: is its sensor loose?";
         }
         W0482 "the expansion of the bar is not given",
-        cause: "The bar was warmer or colder than its certificate holds for, by more than the certificate's uncertainty of the length, and the job has no expansion_per_k.",
+        cause: "The bar was warmer or colder than its certificate holds for, by more than the certificate's uncertainty of the length (without one by more than 20 um), and neither the job nor the record beside the table has expansion_per_k.",
         cure: "Give expansion_per_k (steel 11.5e-6, carbon fibre 1e-6) and temperature_c in [bar] of the job." {
-            ExpansionNotGiven { mean_c: f64, longer_um: f64, u_um: f64 } => "the bar was at {mean_c:.1} degrees Celsius: of steel it was {longer_um:+.0} um longer than certified, and its length is certified to {u_um} um";
+            ExpansionNotGiven { mean_c: f64, longer_um: f64, u_um: f64 } => "the bar was at {mean_c:.1} degrees Celsius: of steel it was {longer_um:+.0} um longer than certified, and its length is known to {u_um} um";
         }
         W0414 "a telegram of the program is malformed",
         cause: "Something else than the program of this plan sends to the address of --ekrl, or the channel file is another version's.",

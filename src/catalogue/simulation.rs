@@ -10,6 +10,7 @@ findings! {
         cure: "`dbbd simulate --help` has the range of each option." {
             OptionOutOfRange { option: String, value: f64, low: f64, high: f64 } => "{option} {value} must be {low} to {high}";
             FaultNotANumber { name: String, value: String } => "--fault {name}={value}: not a number";
+            AxesWithoutPace => "--axes needs a pace: packets have the time of the host, and with --speed 0 the bar has none", help: "--speed 1";
             UnknownFault { name: String, known: String } => "there is no fault `{name}`", help: "there are: {known}";
         }
         E1602 "the simulated world does not fit the program",
@@ -46,6 +47,16 @@ findings! {
         cause: "The true robot is farther off than the plan allowed for; a real bar would have left its cup.",
         cure: "Plan in stages, with less risk, or with a bar of more stroke." {
             OutOfStroke { readings: u64 } => "{readings} readings at dwells were out of the bar's stroke";
+        }
+        W1611 "the program reports to no server",
+        cause: "--ekrl names a server for telegrams, and the program opens no channel: it was written with another --sync.",
+        cure: "Write the program with `krl --sync ekrl --server ADDR:PORT`, or leave --ekrl out." {
+            NoTelegram { server: String } => "the program sent no telegram to {server}";
+        }
+        W1610 "the simulation was stopped by a signal",
+        cause: "SIGTERM, SIGINT or another signal came before the program had ended, and nothing is saved.",
+        cure: "Run it again, if the end of the program is needed." {
+            Stopped { dwells: u32 } => "stopped by a signal after {dwells} dwells: nothing is saved";
         }
         E1608 "a command that was started for this one failed",
         cause: "A step of `dbbd demo` or of `--port sim` is a command of its own, and it ended with an error; its own message is above.",

@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use indicatif::ProgressBar;
 
-use super::{Outcome, Output, artefact, output, protocols};
+use super::{Outcome, Output, artefact, output, positive, protocols};
 use crate::base::clock;
 use crate::base::units::HostNs;
 use crate::catalogue::{AxesFinding, CliFinding, PortFinding, ProtocolFinding};
@@ -80,7 +80,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "RUN")]
     out: PathBuf,
     /// End after this many seconds of host time.
-    #[arg(long, value_name = "S", value_parser = seconds)]
+    #[arg(long, value_name = "S", value_parser = positive)]
     duration: Option<f64>,
     /// End when the port has been away for this many seconds (exit code 3; the run is kept).
     #[arg(long, value_name = "S", default_value = "10", value_parser = seconds)]
@@ -133,7 +133,10 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         let cell = simulated::Cell::start(args.plan.as_deref(), speed, address, out)?;
         let args = Args { port: cell.port().clone(), plan: Some(cell.plan().into()), ..args.clone() };
         let summary = record(&args, identity, lines, out)?;
-        cell.finish()?;
+        // Of a run that was ended before, the simulator would wait for a reader.
+        if matches!(summary.ending, Ending::Mark) {
+            cell.finish()?;
+        }
         out.document(&summary)?;
         return Ok(Outcome::Done);
     }
@@ -179,7 +182,8 @@ pub(super) fn record(
 ) -> Result<Summary, Diagnostic> {
     let plan = args.plan.as_deref().map(PlanFiles::read).transpose()?;
     if let Some(files) = &plan {
-        out.about(&artefact::other_run(&files.plan.header.job.identity(), &identity));
+        let job = &files.plan.header.job;
+        out.about(&artefact::other_run(&job.identity(), job.centres.len(), &identity));
     }
     let planned = plan.as_ref().map(|files| files.plan.header.job.bar.protocol.as_str());
     let name = args.protocol.as_deref().or(planned).unwrap_or(DEFAULT_PROTOCOL);

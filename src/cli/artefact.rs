@@ -8,7 +8,7 @@ use serde_json::Value;
 use super::Output;
 use super::info::line;
 use crate::base::{clock, files, serialised};
-use crate::catalogue::ProvenanceFinding::{self, OtherThanPlanned};
+use crate::catalogue::ProvenanceFinding::{self, OtherThanPlanned, SerialOfNoBall};
 use crate::diagnostic::Diagnostic;
 use crate::plan::Job;
 use crate::program::{self, Language};
@@ -94,13 +94,16 @@ pub(super) fn identity(path: &Path) -> Result<Identity, Diagnostic> {
     Ok(identity)
 }
 
-/// What is stated that cannot be of a run of a job: another robot or bar. The rest may be known better after the run.
-pub(super) fn other_run(job: &Identity, stated: &Identity) -> Vec<ProvenanceFinding> {
+/// What is stated that cannot be of a run of a job with so many base balls: another robot or bar, a ball that it has not. The rest
+/// may be known better after the run.
+pub(super) fn other_run(job: &Identity, balls: usize, stated: &Identity) -> Vec<ProvenanceFinding> {
     let other = job.contradictions(stated).into_iter();
     let other = other.filter(|found| ["robot", BarIdentity::LENGTH].contains(&found.key.as_str()));
-    other
-        .map(|Contradiction { key, known, stated }| OtherThanPlanned { key, planned: known, stated })
-        .collect()
+    let other =
+        other.map(|Contradiction { key, known, stated }| OtherThanPlanned { key, planned: known, stated });
+    let is_further = |ball: &&String| ball.parse::<usize>().is_ok_and(|number| number > balls);
+    let further = stated.balls.keys().filter(is_further);
+    other.chain(further.map(|ball| SerialOfNoBall { ball: ball.clone(), balls })).collect()
 }
 
 /// The artefact and its chain on the screen.

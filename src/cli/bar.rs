@@ -1,9 +1,11 @@
 //! `dbbd bar`: first contact with a bar.
 
 use std::path::PathBuf;
+use std::thread;
 
 use serde::Serialize;
 
+use super::child::LOOPBACK;
 use super::{Outcome, Output, acquire, positive, protocols};
 use crate::base::{FileSet, files, serialised};
 use crate::catalogue::BarFinding;
@@ -17,6 +19,11 @@ use crate::recording::StreamBuilder;
 use crate::recording::bar_check::BarCheck;
 use crate::recording::capture::{Pass, Record};
 use crate::report;
+use crate::sim::{self, bar::Terminal};
+
+/// Of the simulated bar: readings per second, and the seed of its noise.
+const RATE_HZ: f64 = 1000.0;
+const SEED: u64 = 1;
 
 /// Find out which bar is at a port, and how well it reads.
 #[derive(clap::Args)]
@@ -90,13 +97,27 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     }
 }
 
+/// The bar at a port; `sim` is one at rest between two balls, which is served while this program runs.
+fn bar_at(port: &PortAddress) -> Result<PortAddress, Diagnostic> {
+    if *port != PortAddress::Sim {
+        return Ok(port.clone());
+    }
+    let definition = protocols::load_with(acquire::DEFAULT_PROTOCOL, &[])?;
+    let terminal = Terminal::listen(&LOOPBACK.parse()?)?;
+    let address = terminal.address().clone();
+    let options = sim::bar::Options { rate_hz: RATE_HZ, speed: 1.0, first_ticks: 0 };
+    // Nobody waits for its end: it goes with the program.
+    thread::spawn(move || sim::bar::serve(terminal, &definition, options, sim::bar::at_rest(SEED)));
+    Ok(address)
+}
+
 fn identify(args: &Identify, out: &Output) -> Result<Outcome, Diagnostic> {
     let definitions: Vec<Definition> = Definition::built_in()
         .iter()
         .filter_map(|(name, _)| Definition::by_name(name))
         .collect::<Result<_, _>>()?;
-    let search =
-        Search { port: &args.port, definitions: &definitions, span_s: args.duration, asks: !args.listen };
+    let port = bar_at(&args.port)?;
+    let search = Search { port: &port, definitions: &definitions, span_s: args.duration, asks: !args.listen };
     let attempts = search.attempts(|attempt| out.progress(progress(attempt)))?;
     let last = attempts.iter().max_by_key(|attempt| (attempt.found().is_some(), attempt.bytes));
     let protocol = last.and_then(Attempt::found).map(|evidence| evidence.protocol.as_str());
@@ -131,9 +152,9 @@ fn progress(attempt: &Attempt) -> String {
 fn check(args: &Check, out: &Output) -> Result<Outcome, Diagnostic> {
     files::directory(&args.out)?;
     let capture = args.out.join("bar.dbbd");
-    let Check { port, protocol, params, duration, .. } = args;
-    let run =
-        acquire::Args::timed(port.clone(), protocol.clone(), params.clone(), capture.clone(), *duration);
+    let Check { protocol, params, duration, .. } = args;
+    let port = bar_at(&args.port)?;
+    let run = acquire::Args::timed(port, protocol.clone(), params.clone(), capture.clone(), *duration);
     acquire::record(&run, Identity::default(), Lines::default(), out)?;
     let definition = protocols::load_with(protocol, params)?;
     let mut builder =

@@ -45,10 +45,10 @@ pub(crate) struct Args {
     #[arg(long, value_name = "MM", value_parser = tolerance)]
     tolerance: Option<f64>,
     /// Largest probability of a wrong decision: the guard band (JCGM 106).
-    #[arg(long, value_name = "P", default_value_t = 0.05, value_parser = risk)]
+    #[arg(long, value_name = "P", default_value_t = 0.05, value_parser = risk, requires = "tolerance")]
     risk: f64,
     /// Decide by the median of the position error alone, without a guard band.
-    #[arg(long, conflicts_with = "risk")]
+    #[arg(long, conflicts_with = "risk", requires = "tolerance")]
     simple_acceptance: bool,
     /// Standard deviation of every length, mm [default: that of the data with the robot's repeatability, at least that of
     /// the result.json beside the robot].

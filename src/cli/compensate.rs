@@ -67,7 +67,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     if !(args.limit.is_finite() && args.limit > 0.0) {
         return Err(Diagnostic::new(CompensationFinding::BadLimit { limit_mm: args.limit }));
     }
-    let RobotRead { robot, source: identified } = robots::read(&args.robot, out)?;
+    let RobotRead { robot, source: identified, .. } = robots::read(&args.robot, out)?;
     if robot.nominal.is_none() {
         return Err(Diagnostic::file(&args.robot, CompensationFinding::NotIdentified));
     }

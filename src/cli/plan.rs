@@ -16,7 +16,7 @@ use crate::cli::robots;
 use crate::diagnostic::Diagnostic;
 use crate::estimation::change::CheckPower;
 use crate::estimation::{check_measurements, doubts};
-use crate::measurement::{BaseBall, PreparedMeasurement};
+use crate::measurement::{BaseBall, Measurements, PreparedMeasurement};
 use crate::plan::prediction::Identifiability;
 use crate::plan::{Check, Job, Kind, Plan, PlanningPrior, Prediction, Stage, Taught};
 use crate::provenance::{Artefact, Provenance, Role, Traced, one_robot};
@@ -97,8 +97,10 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
             .map_err(|why| Diagnostic { file: name.clone(), ..why })?;
     }
     let robot_name = args.robot.as_deref().unwrap_or(&job.robot);
-    let RobotRead { robot, source } = serial_of(&job, robots::from_file(robot_name, out)?)?;
+    let RobotRead { robot, source, .. } = serial_of(&job, robots::from_file(robot_name, out)?)?;
     job.check_against(robot.controller()).map_err(|why| Diagnostic::file(&name, why))?;
+    let idle = job.without_effect(&robot).into_iter();
+    idle.for_each(|finding| out.finding(Diagnostic::file(&name, finding)));
     let check = args.check.then(|| PlannedCheck::new(args, &job, &robot, out)).transpose()?;
     let measured =
         if args.check { Measured::default() } else { Measured::find(args, robot_name, &source, out)? };
@@ -110,7 +112,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     let provenance = Provenance::of([&made_from, &source].into_iter().chain(&measured.sources));
     let Known { job, robot, prior } = match &check {
         Some(check) => check.known(&job)?,
-        None => Known::after(job, robot, &measured.files, out)?,
+        None => Known::after(job, robot, &measured.files, &args.measured, out)?,
     };
     let mut plan = Plan::build_with(&job, &robot, &prior).map_err(|refusal| {
         refusal.shown().for_each(|finding| out.finding(finding.clone()));
@@ -185,7 +187,7 @@ fn report(plan: &Plan, robot: &Robot, out: &Output) -> Result<(), Diagnostic> {
 
 /// The robot with the serial number that the job gives.
 fn serial_of(job: &Job, found: RobotRead) -> Result<RobotRead, Diagnostic> {
-    let RobotRead { mut robot, mut source } = found;
+    let RobotRead { mut robot, mut source, findings } = found;
     if let (Some(of_job), Some(of_robot)) = (&job.serial, &robot.serial)
         && of_job != of_robot
     {
@@ -197,7 +199,7 @@ fn serial_of(job: &Job, found: RobotRead) -> Result<RobotRead, Diagnostic> {
         robot.nominal.iter_mut().for_each(|nominal| nominal.serial = Some(serial.clone()));
         source.artefact.serial = Some(serial.clone());
     }
-    Ok(RobotRead { robot, source })
+    Ok(RobotRead { robot, source, findings })
 }
 
 /// Tables of lengths measured before, each once.
@@ -245,6 +247,16 @@ impl Measured {
     }
 }
 
+/// That most lengths of a table are beyond the stroke of the job's bar.
+fn other_bar(job: &Job, table: &Measurements) -> Option<PlanFinding> {
+    let [least_mm, most_mm] = job.bar.stroke_mm.map(|mm| job.bar.length_mm + mm);
+    let lengths: Vec<f64> =
+        table.rows.iter().filter(|row| row.datum.bar().is_some()).map(|row| row.length_mm).collect();
+    let beyond = lengths.iter().filter(|mm| !(least_mm..=most_mm).contains(*mm)).count();
+    let lengths = lengths.len();
+    (2 * beyond > lengths).then_some(PlanFinding::OtherBarMeasured { beyond, lengths, least_mm, most_mm })
+}
+
 /// Job, robot and what is known of it.
 struct Known {
     job: Job,
@@ -253,18 +265,25 @@ struct Known {
 }
 
 impl Known {
-    /// After the lengths measured before, if there are any.
-    fn after(job: Job, robot: Robot, measured: &[PathBuf], out: &Output) -> Result<Self, Diagnostic> {
+    /// After the lengths measured before, if there are any; those that are `named` are of the job's bar.
+    fn after(
+        job: Job,
+        robot: Robot,
+        measured: &[PathBuf],
+        named: &[PathBuf],
+        out: &Output,
+    ) -> Result<Self, Diagnostic> {
         if measured.is_empty() {
             let prior = PlanningPrior::datasheet(&job, &robot);
             return Ok(Self { job, robot, prior });
         }
-        let (mut tables, mut findings) = (Vec::new(), Vec::new());
+        let (mut tables, mut findings, mut other_bars) = (Vec::new(), Vec::new(), Vec::new());
         for path in measured {
             let observations = super::identify::observations(path, &mut findings, out)?;
             let name = path.display().to_string();
             check_measurements(&name, &observations, &robot, &job.balls())?;
             findings.extend(doubts(&name, &observations, &robot, &job.balls()));
+            other_bars.extend(other_bar(&job, &observations).filter(|_| named.contains(path)));
             let rows = observations.rows.len();
             if tables.contains(&observations) {
                 findings.push(Diagnostic::file(&name, MeasurementFinding::Repeated { repeated: rows, rows }));
@@ -286,6 +305,7 @@ impl Known {
         }
         job.check_against(robot.controller()).map_err(Diagnostic::new)?;
         let prior = PlanningPrior::after_lengths(&job, &robot, &lengths).map_err(Diagnostic::from)?;
+        out.about(&other_bars);
         prior.doubt(&job, &robot, &lengths).into_iter().for_each(|doubt| out.finding(doubt));
         let (job, robot) = prior.applied(&job, &robot);
         Ok(Self { job, robot, prior })

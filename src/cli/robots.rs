@@ -3,8 +3,8 @@
 use serde::Serialize;
 
 use super::{Outcome, Output};
-use crate::base::{files, serialised};
-use crate::catalogue::{EstimationFinding, ProvenanceFinding};
+use crate::base::files;
+use crate::catalogue::EstimationFinding;
 use crate::diagnostic::Diagnostic;
 use crate::robot::Tolerance;
 use crate::robot::joint_table::{CouplingTable, JointTable};
@@ -50,15 +50,8 @@ pub(crate) fn read(name: &str, out: &Output) -> Result<RobotRead, Diagnostic> {
 
 /// As [`read`], for a further measurement: that is what a doubtful calibration needs.
 pub(crate) fn from_file(name: &str, out: &Output) -> Result<RobotRead, Diagnostic> {
-    let sealed = |text: &String| {
-        if serialised::is_sealed_toml(text) == Some(false) {
-            out.finding(Diagnostic::file(name, ProvenanceFinding::RobotEdited));
-        }
-    };
-    let read = Robot::named(name, |path| Some(files::if_there(path, ".toml")?.inspect(sealed)))?;
-    if let Some(finding) = read.robot.unlike_built_in() {
-        out.finding(Diagnostic::file(name, finding));
-    }
+    let mut read = Robot::named(name, |path| files::if_there(path, ".toml"))?;
+    std::mem::take(&mut read.findings).into_iter().for_each(|finding| out.finding(finding));
     Ok(read)
 }
 

@@ -2,6 +2,8 @@
 
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use serde_json::json;
 
@@ -9,6 +11,7 @@ use super::{Outcome, Output, protocols};
 use crate::base::files;
 use crate::catalogue::{FileFinding, SimulationFinding};
 use crate::cli::robots;
+use crate::daemon::stop_on_signal;
 use crate::device::axes::AxesAddress;
 use crate::device::port::PortAddress;
 use crate::diagnostic::Diagnostic;
@@ -116,6 +119,9 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
             return Err(Diagnostic::new(wrong));
         }
     }
+    if args.axes.is_some() && args.speed == 0.0 {
+        return Err(SimulationFinding::AxesWithoutPace.into());
+    }
     if let Some(directory) = &args.save
         && files::same_place(directory, files::directory_of(&args.program))
     {
@@ -124,6 +130,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     let faults = faults(args)?;
     let definition = protocols::load_with(&args.protocol, &args.params)?;
     let mut cell = Cell::new(args, &faults, out)?;
+    cell.stop = stop_on_signal()?;
     let options = Options { rate_hz: cell.world.setup().bar.rate_hz, speed: args.speed, first_ticks: 0 };
     let terminal = terminal(args)?;
     let port = terminal.address().to_string();
@@ -134,6 +141,10 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     if let Some(failure) = cell.failure {
         return Err(failure);
     }
+    if cell.stop.load(Ordering::Relaxed) {
+        out.finding(SimulationFinding::Stopped { dwells: cell.controller.dwells() });
+        return Ok(Outcome::Done);
+    }
     if let Some(directory) = &args.save {
         files::directory(directory)?;
         for (path, text) in cell.controller.saved() {
@@ -142,6 +153,9 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         }
     }
     out.progress(format!("{} dwells, {frames} frames, {:.1} s", cell.controller.dwells(), cell.t_s));
+    if let Some(server) = args.ekrl.filter(|_| !cell.reported_to_server) {
+        out.finding(SimulationFinding::NoTelegram { server: server.to_string() });
+    }
     if cell.strayed > 0 {
         out.finding(SimulationFinding::OutOfStroke { readings: cell.strayed });
     }
@@ -225,6 +239,7 @@ struct Cell<'a> {
     /// The EthernetKRL server, and the line to it while the program holds the channel open.
     server: Option<SocketAddr>,
     ekrl: Option<Client>,
+    reported_to_server: bool,
     axes: Option<Axes>,
     out: &'a Output,
     halt_s: f64,
@@ -236,6 +251,8 @@ struct Cell<'a> {
     /// Readings at a strobe that were out of the stroke.
     strayed: u64,
     failure: Option<Diagnostic>,
+    /// Raised by a signal.
+    stop: Arc<AtomicBool>,
 }
 
 impl Source for &mut Cell<'_> {
@@ -273,6 +290,10 @@ impl Source for &mut Cell<'_> {
     fn over(&self) -> bool {
         self.done_at_s.is_some()
     }
+
+    fn is_stopped(&self) -> bool {
+        self.stop.load(Ordering::Relaxed)
+    }
 }
 
 impl<'a> Cell<'a> {
@@ -306,6 +327,7 @@ impl<'a> Cell<'a> {
             world: World::new(robot.geometry, setup, args.seed),
             server: args.ekrl,
             ekrl: None,
+            reported_to_server: false,
             axes: axes.transpose()?,
             out,
             halt_s: args.halt,
@@ -315,6 +337,7 @@ impl<'a> Cell<'a> {
             reported: 0,
             strayed: 0,
             failure: None,
+            stop: Arc::default(),
         })
     }
 
@@ -346,6 +369,7 @@ impl<'a> Cell<'a> {
             None => self.ekrl.insert(Client::connect(server)?),
         };
         while let Some(telegram) = self.controller.telegram() {
+            self.reported_to_server = true;
             self.controller.answer(client.exchange(&telegram)?);
         }
         Ok(())

@@ -23,6 +23,7 @@ use super::result::{
 use super::selection::is_place;
 use super::setting::Setting;
 use super::uncertainty::{Uncertainty, leaks, uncertainty};
+use super::zero_change::{ZeroChange, zero_change};
 use super::{
     Combination, Correlation, DistanceQuantities, Observability, Options, Prior, factor, validation,
 };
@@ -126,6 +127,7 @@ pub struct Calibration<'a> {
     pub(super) residual_mm: BeforeAfter,
     pub(super) parameters: Vec<ParameterResult>,
     pub(super) joint_effects: Vec<JointEffect>,
+    zero_change: Option<ZeroChange>,
     pub(super) monte_carlo: Option<MonteCarlo>,
     pub(super) axes: AngleSource,
     observations: &'a Measurements,
@@ -172,6 +174,7 @@ impl<'a> Calibration<'a> {
         let validation =
             input.validation.map(|set| on_both(set).ok_or(EstimationFinding::NotFinite)).transpose()?;
         let mut prediction = Prediction::of(&setting, &estimate, &used)?;
+        let parameters_used = uncertainty.effective_parameters;
         let joints = estimate.joints.as_ref().map(|fit| JointPrediction::of(&setting, fit, &lengths));
         let unknown = match joints {
             Some(JointPrediction { summary, map, unknown }) => {
@@ -182,6 +185,7 @@ impl<'a> Calibration<'a> {
         };
         Ok(Self {
             prediction,
+            zero_change: zero_change(input.observations, &estimate, &lengths, parameters_used),
             unknown,
             rank: rank(&estimate, &lengths)?,
             joint_effects: if estimate.fit.converged {
@@ -246,6 +250,7 @@ impl<'a> Calibration<'a> {
             correlations,
             recommendations,
             joint_effects: self.joint_effects,
+            zero_change: self.zero_change,
             outliers,
             findings,
             input_findings: inputs,

@@ -23,21 +23,29 @@ const FAR: f64 = 10.0;
 /// Fewer lengths determine no place of their own beside the robot.
 const FEWEST: usize = 8;
 
-/// A set-up in which the later lengths to a ball have a ball of their own.
-pub struct Remounted {
+/// Measurements and set-up in which something that changed amid the data is taken into account.
+#[derive(Clone)]
+pub struct ChangedSetUp {
     pub observations: Measurements,
     pub start: LengthModel,
+}
+
+impl ChangedSetUp {
+    /// The same calibration of this set-up.
+    pub fn instead_of<'a>(&'a self, input: &Input<'a>) -> Input<'a> {
+        Input { observations: &self.observations, start: &self.start, ..*input }
+    }
+}
+
+/// A set-up in which the later lengths to a ball have a ball of their own.
+pub struct Remounted {
+    pub set_up: ChangedSetUp,
     ball: BallId,
     /// Of the first of these lengths.
     index: u32,
 }
 
 impl Remounted {
-    /// The same calibration of this set-up.
-    pub fn instead_of<'a>(&'a self, input: &Input<'a>) -> Input<'a> {
-        Input { observations: &self.observations, start: &self.start, ..*input }
-    }
-
     /// What is said of it where it explains all lengths decisively better; results of `input` and of this set-up.
     pub fn finding(
         &self,
@@ -48,7 +56,7 @@ impl Remounted {
         let of = |result: &CalibrationResult, set: &Measurements| -> Vec<f64> {
             result.residuals(&set.rows).map(|pair| pair.after).collect()
         };
-        let after = of(with, &self.observations);
+        let after = of(with, &self.set_up.observations);
         // What the one left out as outliers counts, but a single wild length decides nothing.
         let most = FAR * robust_scale(&after);
         let size = |residuals: Vec<f64>| {
@@ -101,7 +109,8 @@ pub fn remounted(input: &Input<'_>) -> Option<Remounted> {
     decisive(lengths.len() as f64 - ids.len() as f64, [before, after], SMALLER)?;
     let mut start = input.start.clone();
     start.balls.push(apart.balls[new.index()]);
-    Some(Remounted { index: observations.rows[step.first].index, observations, start, ball: step.ball })
+    let index = observations.rows[step.first].index;
+    Some(Remounted { set_up: ChangedSetUp { observations, start }, index, ball: step.ball })
 }
 
 fn fitted(lengths: &Lengths, ids: &[ParamId], start: &LengthModel) -> LengthModel {

@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use super::joint_fit::JointSummary;
 use super::priors::Prior;
+use super::zero_change::ZeroChange;
 use super::{
     Combination, Correlation, DistanceQuantities, ErrorSummary, Observability, PositionParts, Posterior,
 };
@@ -62,6 +63,8 @@ pub struct CalibrationResult {
     pub recommendations: Vec<Recommendation>,
     /// What the residuals show at single joints beyond chance, strongest first.
     pub joint_effects: Vec<JointEffect>,
+    /// The change of a bar's zero, or of the tracker's frame, amid the data that the residuals show most.
+    pub zero_change: Option<ZeroChange>,
     pub outliers: Vec<Outlier>,
     pub findings: Vec<EstimationFinding>,
     /// What was found in the inputs before, as in a run.

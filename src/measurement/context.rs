@@ -40,6 +40,8 @@ pub struct Context {
     pub temperature_c: Option<f64>,
     /// The controller's axis angles at which the tool ball was where the base ball is, degrees.
     pub taught_deg: Option<Box<[f64; AXES]>>,
+    /// What the zero of the bar had changed by, and was taken out of the length, mm.
+    pub zero_mm: Option<f64>,
     /// Cells that the fields do not hold, by the place of their column: those of a user's own columns, and those that
     /// are written otherwise than here.
     pub texts: Vec<(usize, Box<str>)>,
@@ -56,12 +58,13 @@ pub enum Column {
     AngleDeg,
     TemperatureC,
     TaughtDeg,
+    ZeroMm,
     /// A user's own, by its name.
     Other(String),
 }
 
 impl Column {
-    const NAMED: [(Self, &'static str); 8] = [
+    const NAMED: [(Self, &'static str); 9] = [
         (Self::Kind, "kind"),
         (Self::TimeS, "t_s"),
         (Self::Samples, "samples"),
@@ -70,6 +73,7 @@ impl Column {
         (Self::AngleDeg, "angle_deg"),
         (Self::TemperatureC, "temp_c"),
         (Self::TaughtDeg, "taught_deg"),
+        (Self::ZeroMm, "zero_mm"),
     ];
 
     pub fn of(name: &str) -> Self {
@@ -106,6 +110,7 @@ impl Context {
                 Column::AngleDeg => context.angle_deg = cell.parse().ok(),
                 Column::TemperatureC => context.temperature_c = cell.parse().ok(),
                 Column::TaughtDeg => context.taught_deg = angles(cell).map(Box::new),
+                Column::ZeroMm => context.zero_mm = cell.parse().ok(),
                 Column::Other(_) => {}
             }
             if context.field(column) != cell {
@@ -136,6 +141,7 @@ impl Context {
             Column::TaughtDeg => {
                 self.taught_deg.as_ref().map(|axes| axes.map(|deg| deg.to_string()).join(" "))
             }
+            Column::ZeroMm => self.zero_mm.map(|mm| mm.to_string()),
             Column::Other(_) => None,
         };
         text.unwrap_or_default()

@@ -1,6 +1,7 @@
 //! Rows that are in a table more than once.
 
 use std::cmp::Ordering;
+use std::collections::BTreeMap;
 
 use super::{Measurement, Measurements};
 use crate::catalogue::MeasurementFinding;
@@ -55,13 +56,25 @@ impl Measurements {
 }
 
 impl Measurements {
-    /// How many rows of the other table are in this one, whatever their index.
+    /// How many rows of the other table are in this one, whatever their index: as they were measured, before a change of the bar's
+    /// zero was taken out, and as a spreadsheet may have rounded them.
     pub fn holds(&self, other: &Self) -> usize {
-        let mut places: Vec<usize> = (0..self.rows.len()).collect();
-        places.sort_unstable_by(|&a, &b| by_content(&self.rows[a], &self.rows[b]));
-        let held =
-            |row: &&Measurement| places.binary_search_by(|&at| by_content(&self.rows[at], row)).is_ok();
-        other.rows.iter().filter(held).count()
+        /// A length at the same pose is measured again to this by chance only, mm.
+        const ROUNDED_MM: f64 = 1e-3;
+        let key = |row: &Measurement| {
+            (row.datum, row.target, row.axes.degrees().map(|deg| (1e3 * deg).round() as i64))
+        };
+        let measured = |row: &Measurement| {
+            let zero_mm = row.context.as_ref().and_then(|context| context.zero_mm);
+            row.length_mm + zero_mm.unwrap_or(0.0)
+        };
+        let mut known: BTreeMap<_, Vec<f64>> = BTreeMap::new();
+        self.rows.iter().for_each(|row| known.entry(key(row)).or_default().push(measured(row)));
+        let is_held = |row: &&Measurement| {
+            let lengths = known.get(&key(row)).into_iter().flatten();
+            lengths.into_iter().any(|length| (length - measured(row)).abs() < ROUNDED_MM)
+        };
+        other.rows.iter().filter(is_held).count()
     }
 }
 

@@ -278,6 +278,13 @@ impl Measurements {
         beyond(self.rows.iter().map(|row| (row.index as usize, row.axes)), robot)
     }
 
+    /// Mean temperature of the rows that have one, degrees Celsius.
+    pub fn mean_temperature_c(&self) -> Option<f64> {
+        let found = self.rows.iter().filter_map(|row| row.context.as_ref()?.temperature_c);
+        let (sum, count) = found.fold((0.0, 0), |(sum, count), celsius| (sum + celsius, count + 1));
+        (count > 0).then(|| sum / f64::from(count))
+    }
+
     /// That the temperatures of its rows are those of no room.
     pub fn warm(&self) -> Option<MeasurementFinding> {
         /// 50 degrees Fahrenheit and more are above, degrees Celsius.
@@ -287,7 +294,7 @@ impl Measurements {
         const HOTTEST_C: f64 = 80.0;
         let found = self.rows.iter().filter_map(|row| row.context.as_ref()?.temperature_c);
         let found: Vec<f64> = found.collect();
-        let mean_c = found.iter().sum::<f64>() / found.len() as f64;
+        let mean_c = self.mean_temperature_c()?;
         if mean_c > WARMEST_C {
             return Some(MeasurementFinding::WarmRoom { mean_c });
         }

@@ -41,9 +41,14 @@ impl Fact {
 impl BarIdentity {
     /// The key of its length in an identity.
     pub const LENGTH: &str = "bar.length_mm";
+    /// And of its serial number.
+    pub const SERIAL: &str = "bar.serial";
 }
 
 impl Identity {
+    /// How the keys of the balls' serial numbers begin.
+    pub const BALLS: &str = "balls.";
+
     /// What another identity states of the same measurement otherwise. People and places may be stated anew.
     pub fn contradictions(&self, stated: &Self) -> Vec<Contradiction> {
         let facts = stated.facts_measured();
@@ -72,8 +77,9 @@ impl Identity {
         ];
         let own = own.map(|(key, fact)| (key.to_owned(), fact));
         let bar = bar.texts().map(|(key, value)| (format!("bar.{key}"), text(value)));
-        let balls =
-            balls.iter().map(|(ball, serial)| (format!("balls.{ball}"), Some(Fact::Text(serial.clone()))));
+        let balls = balls
+            .iter()
+            .map(|(ball, serial)| (format!("{}{ball}", Self::BALLS), Some(Fact::Text(serial.clone()))));
         let warm = temperatures.iter().flat_map(|found| {
             let key = |name: &str| format!("{name} of {}", found.of);
             [(key("celsius"), number(Some(found.celsius), OTHER_K)), (key("u_k"), number(found.u_k, 0.0))]

@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 use crate::base::date::{day_number, is_after, is_time};
 use crate::base::parse::from_toml;
 use crate::catalogue::JobFinding::{self, NotACountry, NotADate, NotAText, OutOfRange, TooEarly};
+use crate::catalogue::{ProvenanceFinding, RecordingFinding};
 use crate::diagnostic::Diagnostic;
 
 /// The country codes of ISO 3166-1, as the time zone database lists them (public domain).
@@ -187,6 +188,22 @@ impl BarIdentity {
         self.length_u_mm.map(|u| 0.5 * u)
     }
 
+    /// That a bar of this length, read at a mean temperature, was longer or shorter than its certificate leaves uncertain, where
+    /// its expansion is not known.
+    pub fn uncorrected(&self, length_mm: f64, mean_c: f64) -> Option<RecordingFinding> {
+        /// Of steel, of which most bars are, 1/K, and the temperature of certificates.
+        const STEEL_PER_K: f64 = 11.5e-6;
+        const CERTIFIED_C: f64 = 20.0;
+        /// Of a length without a certificate, k = 2, mm.
+        const UNKNOWN_U_MM: f64 = 0.02;
+        let longer_mm = length_mm * STEEL_PER_K * (mean_c - self.temperature_c.unwrap_or(CERTIFIED_C));
+        let u_mm = self.length_u_mm.unwrap_or(UNKNOWN_U_MM);
+        (self.expansion_per_k.is_none() && longer_mm.abs() > u_mm).then(|| {
+            let (longer_um, u_um) = (1e3 * longer_mm, 1e3 * u_mm);
+            RecordingFinding::ExpansionNotGiven { mean_c, longer_um, u_um }
+        })
+    }
+
     /// # Errors
     /// A text or a date that is none, or a number out of its range.
     pub fn check(&self) -> Result<(), Wrong> {
@@ -280,6 +297,16 @@ impl Identity {
             }
         }
         Ok(())
+    }
+
+    /// That the bar was certified long before the measurement, of which `today` is the latest day.
+    pub fn old_certificate(&self, today: &str) -> Option<ProvenanceFinding> {
+        /// Laboratories certify such standards anew after one or two years.
+        const YEARS: f64 = 2.0;
+        let certified = self.bar.certified_on.as_ref()?;
+        let day = |date: &str| day_number(date.split('T').next()?);
+        let years = (day(self.measured.as_deref().unwrap_or(today))? - day(certified)?) / 365.25;
+        (years > YEARS).then(|| ProvenanceFinding::OldCertificate { date: certified.clone(), years })
     }
 
     /// # Errors

@@ -8,6 +8,7 @@ use super::kinematics::Geometry;
 use super::posterior::RobotPosterior;
 use super::uncertainty::RobotUncertainty;
 use super::{AXES, Joint, ParamId};
+use crate::base::serialised;
 use crate::catalogue::{Names, ProvenanceFinding, RobotFinding};
 use crate::diagnostic::{Diagnostic, nearest};
 use crate::provenance::{Artefact, Identity, Provenance, Role, Traced};
@@ -19,6 +20,8 @@ const BUILT_IN: &[(&str, &str)] = include!("../../robots/built-in.rs");
 pub struct RobotRead {
     pub robot: Robot,
     pub source: Traced,
+    /// What is doubtful in the file.
+    pub findings: Vec<Diagnostic>,
 }
 
 #[derive(Clone, Debug, PartialEq)]
@@ -157,7 +160,11 @@ impl Robot {
             None => file(Path::new(name)).ok_or_else(|| Self::unknown(name))??,
         };
         let robot = Self::from_toml(name, &text)?;
-        Ok(RobotRead { source: robot.traced(&text), robot })
+        let edited = serialised::is_sealed_toml(&text) == Some(false);
+        let edited = edited.then(|| Diagnostic::file(name, ProvenanceFinding::RobotEdited));
+        let unlike = robot.unlike_built_in().map(|finding| Diagnostic::file(name, finding));
+        let findings = edited.into_iter().chain(unlike).collect();
+        Ok(RobotRead { source: robot.traced(&text), robot, findings })
     }
 
     /// What a robot that is not identified has otherwise than the built-in one of its name.

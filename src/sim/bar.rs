@@ -9,6 +9,10 @@
 use std::io::ErrorKind;
 use std::time::Duration;
 
+use rand::{RngExt, SeedableRng};
+use rand_distr::StandardNormal;
+use rand_pcg::Pcg64;
+
 use super::device::{Command, Device, Sends};
 pub use super::device::{Reading, Source};
 use super::fault::{BadLine, Faults};
@@ -37,6 +41,18 @@ pub struct Options {
     pub speed: f64,
     /// The device clock's ticks at the first start.
     pub first_ticks: u64,
+}
+
+/// A bar between two balls that do not move: 1 um of noise, in steps of 0.1 um.
+pub fn at_rest(seed: u64) -> impl Source {
+    const NOISE_MM: f64 = 1e-3;
+    const STEP_MM: f64 = 1e-4;
+    let mut random = Pcg64::seed_from_u64(seed);
+    move |_| {
+        let noise: f64 = random.sample(StandardNormal);
+        let reading_mm = (NOISE_MM * noise / STEP_MM).round() * STEP_MM;
+        Some(Reading { reading_mm, strobe: false, valid: true, temperature_c: 20.0 })
+    }
 }
 
 /// Streams until the source ends and the host has gone or said stop. The number of frames sent.
@@ -111,6 +127,9 @@ impl<S: Source> Bar<S> {
         let mut batch = Vec::new();
         loop {
             self.listen()?;
+            if self.source.is_stopped() {
+                return Ok(self.sent);
+            }
             if !self.running && self.first_start.is_some() && self.source.over() {
                 return Ok(self.sent);
             }

@@ -30,6 +30,11 @@ pub trait Source {
         false
     }
 
+    /// Whether it is to end at once.
+    fn is_stopped(&self) -> bool {
+        false
+    }
+
     /// Spoils a frame on its way, to try what a bad line does.
     fn spoil(&mut self, _frame: &mut Vec<u8>) {}
 }

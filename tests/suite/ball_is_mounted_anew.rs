@@ -4,7 +4,7 @@
 use std::fs;
 use std::path::Path;
 
-use dbbd::design::calibrate_mountings;
+use dbbd::design::calibrate_run;
 use dbbd::estimation::{AngleSource, Input, Options, ResultFile};
 use dbbd::measurement::{BaseBall, LengthModel, Measurements};
 use dbbd::robot::{BallId, Robot};
@@ -29,7 +29,11 @@ fn stepped(truth: &Robot, mut data: Measurements, first: usize, by_mm: Vector3<f
     data
 }
 
-fn identified(at: &Path, data: &Measurements, out: &str) -> (Option<i32>, Vec<String>, ResultFile) {
+pub(crate) fn identified(
+    at: &Path,
+    data: &Measurements,
+    out: &str,
+) -> (Option<i32>, Vec<String>, ResultFile) {
     fs::write(at.join("obs.csv"), data.to_csv()).unwrap();
     let mut text = String::from("centre,x_mm,y_mm,z_mm\n");
     for (ball, [x, y, z]) in (1..).zip(BALLS) {
@@ -73,7 +77,7 @@ fn found(data: &Measurements, robot: &Robot, balls: &[Vector3<f64>]) -> Option<(
     let options = Options { folds: Some(0), ..Options::default() };
     let axes = AngleSource::Given;
     let input = Input { robot, observations: data, start: &start, validation: None, options: &options, axes };
-    let result = ResultFile::from(&calibrate_mountings(&input, Vec::new()).unwrap().result);
+    let result = ResultFile::from(&calibrate_run(&input, Vec::new()).unwrap().result);
     let found = result.warnings.iter().find(|warning| warning.code == "W1331")?;
     let value = |name: &str| found.values[name].as_u64().unwrap() as u32;
     Some((value("ball"), value("index")))

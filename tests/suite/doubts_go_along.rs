@@ -52,12 +52,12 @@ fn a_doubtful_robot_is_doubtful_everywhere() {
     lengths.sort_by(f64::total_cmp);
     sorted.rows.iter_mut().zip(lengths).for_each(|(row, length_mm)| row.length_mm = length_mm);
     let poor = identify(at, &sorted.to_csv(), &PRIOR);
-    says(&poor, 3, "W1381");
+    says(&poor, 3, "W1333");
     let file: toml::Table = fs::read_to_string(at.join(robot)).unwrap().parse().unwrap();
     let doubts: Vec<&str> =
         file["doubts"].as_array().unwrap().iter().map(|code| code.as_str().unwrap()).collect();
     let said = codes(&poor);
-    assert!(doubts.contains(&"W1381") && doubts.iter().all(|code| said.contains(&(*code).to_owned())));
+    assert!(doubts.contains(&"W1333") && doubts.iter().all(|code| said.contains(&(*code).to_owned())));
     let result: Value =
         serde_json::from_str(&fs::read_to_string(at.join("out/result.json")).unwrap()).unwrap();
     let of_result = result["warnings"].as_array().unwrap().iter().filter(|found| found["kind"] == "doubt");

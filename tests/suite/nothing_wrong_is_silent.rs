@@ -88,9 +88,9 @@ fn tables_of_lengths() {
         lengths.sort_by(f64::total_cmp);
         table.rows.iter_mut().zip(lengths).for_each(|(row, length_mm)| row.length_mm = length_mm);
     });
-    says(&identified(&sorted, &prior), 3, "W1381");
+    says(&identified(&sorted, &prior), 3, "W1333");
     let two_bars = changed(&|table| table.rows.iter_mut().skip(30).for_each(|row| row.length_mm += 0.4));
-    says(&identified(&two_bars, &prior), 3, "W1381");
+    says(&identified(&two_bars, &prior), 3, "W1333");
     let commanded = changed(&|table| table.rows.iter_mut().for_each(|row| row.length_mm = 300.0));
     says(&identified(&commanded, &prior), 3, "W1327");
     let other = measure(

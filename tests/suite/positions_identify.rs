@@ -90,6 +90,19 @@ fn error_mm(at: &Path, truth: &Robot) -> f64 {
     aligned_distances(&set(truth), &set(&found)).into_iter().fold(0.0, f64::max)
 }
 
+/// Positions by a tracker that moved by so much amid them.
+pub(crate) fn moved_tracker(by_mm: f64) -> String {
+    let text = positions(&truth(), &poses(70, 4), 1, 0.02);
+    let row = |(at, line): (usize, &str)| {
+        let mut cells: Vec<String> = line.split(',').map(str::to_owned).collect();
+        if at > 30 {
+            cells[7] = (cells[7].parse::<f64>().unwrap() + by_mm).to_string();
+        }
+        cells.join(",") + "\n"
+    };
+    text.lines().enumerate().map(row).collect()
+}
+
 fn truth() -> Robot {
     truth::draw(&kr60(), 3, 0.5)
 }

@@ -124,10 +124,10 @@ fn identified(data: &Measurements, balls: usize, model: ErrorModel) -> Calibrati
 }
 
 /// What was found of one robot at poses that it was not measured at.
-struct Judged {
+pub(crate) struct Judged {
     /// Mean 3-D errors, true and predicted, mm.
-    mean: f64,
-    predicted: f64,
+    pub(crate) mean: f64,
+    pub(crate) predicted: f64,
     /// Share of the poses whose 95 % region holds the truth.
     covered: f64,
 }
@@ -146,6 +146,11 @@ fn judged(truth: &Robot, found: &Robot, senses: Senses, seed: u64) -> Judged {
         judged.predicted += expected_size(&covariance.symmetric_eigenvalues()) / KEPT as f64;
     }
     judged
+}
+
+/// The error of a robot that was found, at other poses.
+pub(crate) fn mean_error(truth: &Robot, found: &Robot, seed: u64) -> Judged {
+    judged(truth, found, Senses::Known, seed)
 }
 
 /// The mean length of a normal vector with these variances, by 400 draws.

@@ -12,3 +12,16 @@ class DbbdError(Exception):
 
     def __reduce__(self):
         return (type(self), (self.code, str(self)))
+
+
+class DbbdWarning(UserWarning):
+    """What a command would have reported as a doubt (exit code 3), such as that a robot's identification was doubtful."""
+
+    code: str
+
+    def __init__(self, code: str, text: str) -> None:
+        super().__init__(text)
+        self.code = code
+
+    def __reduce__(self):
+        return (type(self), (self.code, str(self)))

@@ -4,13 +4,17 @@ use std::path::Path;
 
 use super::inputs::measurements;
 use super::{LENGTHS, POSITIONS};
-use crate::catalogue::{ConformityFinding, EstimationFinding, MatchingFinding, ProvenanceFinding};
+use crate::catalogue::{
+    ConformityFinding, EstimationFinding, MatchingFinding, ProvenanceFinding, RecordingFinding,
+};
 use crate::cli::Output;
 use crate::cli::robots;
 use crate::diagnostic::{Diagnostic, Finding, Severity};
 use crate::estimation::{AngleSource, CalibrationResult, Input, Options, Prior, check_measurements, doubts};
 use crate::measurement::{BaseBall, LengthModel, Measurements};
-use crate::provenance::{Artefact, Difference, Provenance, Role, Traced, one_robot};
+use crate::provenance::{
+    Artefact, BarIdentity, Contradiction, Difference, Identity, Provenance, Role, Traced, one_robot,
+};
 use crate::recording::matching::PoseMatching;
 use crate::recording::run::{self, Predicted, Run};
 use crate::robot::{AXES, BallId, BarId, Robot, RobotRead};
@@ -48,6 +52,8 @@ pub(crate) struct Given {
     /// Standard uncertainty of the bar's length, mm, where it has a certificate.
     pub(crate) bar_u_mm: Option<f64>,
     pub(crate) provenance: Provenance,
+    /// The table or the capture of the lengths.
+    lengths: Traced,
     /// Of the inputs as they were read.
     pub(crate) findings: Vec<Diagnostic>,
     /// Of a run as it was matched last: lost parts, poses dropped as ambiguous, another robot.
@@ -108,11 +114,11 @@ impl Given {
             (None, None) if is_tracked => Vec::new(),
             (None, None) => return Err(EstimationFinding::NoBalls.into()),
         };
-        let RobotRead { robot, source } = robot;
+        let RobotRead { robot, source, .. } = robot;
         check_measurements(&input, &observations, &robot, &centres)?;
         findings.extend(doubts(&input, &observations, &robot, &centres));
         let positions = named.positions.map(|path| {
-            sources.push(Artefact::file(Role::Measurements, path)?.into());
+            sources.push(beside(path, &lengths, &mut findings)?);
             positions(path, &robot, &mut findings, out)
         });
         let positions = positions.transpose()?;
@@ -126,6 +132,8 @@ impl Given {
             _ => AngleSource::Given,
         };
         let provenance = Provenance::of([&source].into_iter().chain(&sources).chain([&lengths]));
+        let warm = warm_bar(&observations, &provenance.identity.bar).filter(|_| joined.is_none());
+        findings.extend(warm.map(|finding| Diagnostic::file(&input, finding)));
         let bar_u_mm = named.bar_u.or(provenance.identity.bar.u_mm());
         Ok(Self {
             robot,
@@ -134,11 +142,27 @@ impl Given {
             positions,
             bar_u_mm,
             provenance,
+            lengths,
             findings,
             of_run,
             axes,
             joined,
         })
+    }
+
+    /// Measurements that only check: in the same set-up, of the same robot.
+    ///
+    /// # Errors
+    /// They cannot be read, or are of another robot.
+    pub(super) fn validation(&mut self, path: &Path, out: &Output) -> Result<Measurements, Diagnostic> {
+        let (name, set) = (path.display().to_string(), measurements(path, &mut self.findings, out)?);
+        check_measurements(&name, &set, &self.robot, &self.centres)?;
+        set.check(&name, self.observations.set_up(self.centres.len()))?;
+        let Traced { artefact, .. } = beside(path, &self.lengths, &mut self.findings)?;
+        if self.provenance.has(&artefact) {
+            out.finding(ProvenanceFinding::GivenTwice { lengths: artefact.to_string() });
+        }
+        Ok(set)
     }
 
     /// That the plan of a run is for `robot`.
@@ -222,6 +246,33 @@ impl Given {
     }
 }
 
+/// That the bar of a table was warm or cold, and nothing shows that its lengths are referred to its certificate.
+fn warm_bar(observations: &Measurements, bar: &BarIdentity) -> Option<RecordingFinding> {
+    let lengths = observations.rows.iter().filter(|row| row.datum.bar().is_some());
+    let longest_mm = lengths.map(|row| row.length_mm).reduce(f64::max)?;
+    // No room is so warm or cold, which is doubted elsewhere.
+    let mean_c = observations.mean_temperature_c().filter(|_| observations.warm().is_none())?;
+    bar.uncorrected(bar.length_mm.unwrap_or(longest_mm), mean_c)
+}
+
+/// A further table of measurements, which must be of the robot of `lengths`; that bar or balls are others is a finding.
+///
+/// # Errors
+/// It cannot be read, or is of another robot.
+fn beside(path: &Path, lengths: &Traced, findings: &mut Vec<Diagnostic>) -> Result<Traced, Diagnostic> {
+    let name = path.display().to_string();
+    let (table, changed) = Traced::table(Role::Measurements, path)?;
+    findings.extend(changed);
+    one_robot([(lengths.artefact.name.clone(), lengths), (name.clone(), &table)])?;
+    let others = lengths.provenance.identity.contradictions(&table.provenance.identity).into_iter();
+    let of_set_up = |key: &str| key == BarIdentity::SERIAL || key.starts_with(Identity::BALLS);
+    let others = others.filter(|other| of_set_up(&other.key));
+    findings.extend(others.map(|Contradiction { key, known, stated }| {
+        Diagnostic::file(&name, ProvenanceFinding::OtherSetUp { key, known, stated })
+    }));
+    Ok(table)
+}
+
 /// Positions beside lengths, with what is doubtful in them.
 fn positions(
     path: &Path,
@@ -255,7 +306,8 @@ fn robot(
             let (robot, text) = (run.robot()?, &run.plan.header.robot);
             // A plan that has no chain knows its robot all the same.
             let recorded = lengths.robot().map(|robot| Traced::from(robot.clone()));
-            return Ok(RobotRead { source: recorded.unwrap_or_else(|| robot.traced(text)), robot });
+            let source = recorded.unwrap_or_else(|| robot.traced(text));
+            return Ok(RobotRead { source, robot, findings: Vec::new() });
         }
         (None, None) => return Err(EstimationFinding::NoRobot.into()),
     };

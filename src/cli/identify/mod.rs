@@ -10,12 +10,12 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 
 use super::{Outcome, Output, artefact, bar_u, positive};
-use crate::base::files;
-use crate::catalogue::{EstimationFinding, ProvenanceFinding};
+use crate::base::{clock, date, files};
+use crate::catalogue::EstimationFinding;
 use crate::conformity::Budget;
-use crate::design::{Calibrated, calibrate_mountings};
+use crate::design::{Calibrated, calibrate_run};
 use crate::diagnostic::Diagnostic;
-use crate::estimation::{ErrorModel, Input, Options, Prior, ResultFile, check_measurements};
+use crate::estimation::{ErrorModel, Input, Options, Prior, ResultFile};
 use crate::measurement::Measurements;
 use crate::provenance::{Artefact, Provenance, Role};
 use crate::robot::parameter::{self, SetUp};
@@ -145,26 +145,15 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     }
     if let Some(path) = &args.identity {
         let stated = artefact::identity(path)?;
-        out.about(&artefact::other_run(&given.provenance.identity, &stated));
+        out.about(&artefact::other_run(&given.provenance.identity, given.centres.len(), &stated));
         given.provenance.identity.extend(&stated);
     }
     let set_up = given.observations.set_up(given.centres.len());
+    let today = date::utc(clock::unix_ns());
+    given.provenance.identity.old_certificate(&today).into_iter().for_each(|finding| out.finding(finding));
     tables::is_of_robot(&args.out, &given.robot.name, given.provenance.identity.robot.as_deref())?;
     let options = options(args, &mut given, set_up, out)?;
-    let validation = match &args.validate {
-        Some(path) => {
-            let name = path.display().to_string();
-            let set = inputs::measurements(path, &mut given.findings, out)?;
-            check_measurements(&name, &set, &given.robot, &given.centres)?;
-            set.check(&name, set_up)?;
-            let artefact = Artefact::file(Role::Measurements, path)?;
-            if given.provenance.has(&artefact) {
-                out.finding(ProvenanceFinding::GivenTwice { lengths: artefact.to_string() });
-            }
-            Some(set)
-        }
-        None => None,
-    };
+    let validation = args.validate.as_deref().map(|path| given.validation(path, out)).transpose()?;
     let busy = out.busy(&format!("identifying from {} measurements", given.observations.count()), None);
     out.done(20);
     let mut found = find(&given, validation.as_ref(), &options)?;
@@ -205,7 +194,7 @@ fn find(
 ) -> Result<Calibrated, Diagnostic> {
     let start = given.start();
     let input = Input { validation, ..given.input(&start, options) };
-    Ok(calibrate_mountings(&input, given.findings())?)
+    Ok(calibrate_run(&input, given.findings())?)
 }
 
 fn options(args: &Args, given: &mut Given, set_up: SetUp, out: &Output) -> Result<Options, Diagnostic> {

@@ -197,6 +197,14 @@ impl Job {
             table.within("id", f64::from(centre.id), [1.0, MOST_BALLS as f64])?;
             centre.xyz_mm.iter().try_for_each(|mm| table.within("xyz_mm", *mm, [-MOST, MOST]))?;
             table.finite("taught_deg", centre.taught_deg.iter().flatten())?;
+            let is_at = |other: &&CentreTable| {
+                let off = |axis: usize| (other.xyz_mm[axis] - centre.xyz_mm[axis]).powi(2);
+                (0..3).map(off).sum::<f64>().sqrt() < LEAST_RADIUS_MM
+            };
+            if let Some(other) = self.centres[..at].iter().find(is_at) {
+                let finding = JobFinding::BallsAtOnePlace { ball: centre.id, other: other.id };
+                return Err(table.wrong("xyz_mm", finding));
+            }
             table.cup(centre.cup_axis, centre.cup_limit_deg)?;
         }
         Ok(())

@@ -1,6 +1,7 @@
 //! The job file: bar, base balls, circles, motion, limits.
 
 mod check;
+mod doubts;
 mod obstacle;
 mod values;
 

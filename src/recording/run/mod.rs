@@ -127,21 +127,9 @@ impl Run {
                 Some(RecordingFinding::TemperatureCorrected { mean_c, correction_um, length_mm })
             }
             (Some(_), None) => Some(RecordingFinding::TemperatureUnknown),
-            (None, Some(mean_c)) => self.uncorrected(mean_c),
+            (None, Some(mean_c)) => self.plan.header.job.identity().bar.uncorrected(length_mm, mean_c),
             (None, None) => None,
         }
-    }
-
-    /// That the bar's expansion, which the job does not give, is more than the certificate leaves uncertain.
-    fn uncorrected(&self, mean_c: f64) -> Option<RecordingFinding> {
-        /// Of steel, of which most bars are, 1/K, and the temperature of certificates.
-        const STEEL_PER_K: f64 = 11.5e-6;
-        const CERTIFIED_C: f64 = 20.0;
-        let bar = &self.plan.header.job.bar;
-        let longer_mm = bar.length_mm * STEEL_PER_K * (mean_c - bar.temperature_c.unwrap_or(CERTIFIED_C));
-        let u_mm = bar.length_u_mm.filter(|_| bar.expansion_per_k.is_none())?;
-        let (longer_um, u_um) = (1e3 * longer_mm, 1e3 * u_mm);
-        (longer_mm.abs() > u_mm).then_some(RecordingFinding::ExpansionNotGiven { mean_c, longer_um, u_um })
     }
 
     /// The capture at `path` as an artefact of its plan.

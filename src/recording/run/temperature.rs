@@ -51,8 +51,14 @@ impl Temperatures {
     /// That no bar had them while people worked beside it.
     pub(super) fn doubt(&self) -> Option<RecordingFinding> {
         const ROOM_C: [f64; 2] = [-10.0, 60.0];
+        /// Steel changes by less in a run, K.
+        const MOST_CHANGE_K: f64 = 6.0;
         let [low_c, high_c] = self.range_c?;
-        (low_c < ROOM_C[0] || high_c > ROOM_C[1]).then_some(RecordingFinding::NoTemperature { low_c, high_c })
+        // A sensor that is not there reads exactly 0.
+        if low_c < ROOM_C[0] || high_c > ROOM_C[1] || low_c == 0.0 && high_c == 0.0 {
+            return Some(RecordingFinding::NoTemperature { low_c, high_c });
+        }
+        (high_c - low_c > MOST_CHANGE_K).then_some(RecordingFinding::TemperatureJumps { low_c, high_c })
     }
 
     /// The mean over the run.

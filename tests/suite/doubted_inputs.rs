@@ -1,0 +1,211 @@
+//! Inputs that are sound one by one and wrong together, in part, or for this use: each is refused, or said.
+#![cfg(unix)]
+
+use std::fs;
+use std::io::{BufRead, BufReader};
+use std::path::Path;
+use std::process::{Child, Command, Output, Stdio};
+
+use dbbd::base::clock;
+use dbbd::measurement::{Column, Context, Measurements};
+use dbbd::provenance::Provenance;
+use tempfile::tempdir;
+
+use crate::cell::{codes, dbbd, stderr};
+use crate::nothing_wrong_is_silent::{JOB, cell, identify, says};
+
+pub(crate) fn provoked() -> Vec<&'static str> {
+    vec!["W1008", "W1009", "W1845", "I1846", "I0681", "W1610", "W1611", "W0722"]
+}
+
+fn step(dir: &Path, args: &[&str]) -> Output {
+    let output = dbbd(dir, args);
+    assert!(matches!(output.status.code(), Some(0 | 3)), "dbbd {}: {}", args.join(" "), stderr(&output));
+    output
+}
+
+fn short_plan(dir: &Path) {
+    let job = include_str!("../../examples/demo.toml").replace("points = 80", "points = 12");
+    fs::write(dir.join("job.toml"), job).unwrap();
+    step(dir, &["plan", "job.toml", "--out", "plan"]);
+}
+
+/// The layout of dbbd's own export, with what shows the dwells or without.
+fn mapping(strobe: &str) -> String {
+    format!(
+        "[time]\ncolumn = \"ticks\"\nunit = \"us\"\n[length]\ncolumn = \"reading_mm\"\nkind = \"reading\"\n{strobe}"
+    )
+}
+
+/// A table of samples with what becomes of each reading, by its row.
+fn of_readings(text: &str, mut of: impl FnMut(usize, f64) -> f64) -> String {
+    let mut lines = text.lines();
+    let header = lines.next().unwrap();
+    let column = header.split(',').position(|name| name == "reading_mm").unwrap();
+    let rows = lines.enumerate().map(|(at, line)| {
+        let mut cells: Vec<String> = line.split(',').map(str::to_owned).collect();
+        cells[column] = of(at, cells[column].parse().unwrap()).to_string();
+        cells.join(",") + "\n"
+    });
+    format!("{header}\n{}", rows.collect::<String>())
+}
+
+/// The reading at a third of so many rows stays until their half.
+fn holding(count: usize) -> impl FnMut(usize, f64) -> f64 {
+    let mut held = None;
+    move |at, mm| if (count / 3..count / 2).contains(&at) { *held.get_or_insert(mm) } else { mm }
+}
+
+#[test]
+fn traces_that_freeze_or_have_another_scale() {
+    let dir = tempdir().unwrap();
+    let at = dir.path();
+    short_plan(at);
+    step(at, &["acquire", "--port", "sim", "--plan", "plan/plan.csv", "--out", "run.dbbd"]);
+    step(at, &["export", "run.dbbd", "--out", "csv"]);
+    let samples = fs::read_to_string(at.join("csv/samples.csv")).unwrap();
+    fs::write(at.join("sound.csv"), &samples).unwrap();
+    fs::write(at.join("frozen.csv"), of_readings(&samples, holding(samples.lines().count()))).unwrap();
+    fs::write(at.join("inverted.csv"), of_readings(&samples, |_, mm| -mm)).unwrap();
+    fs::write(at.join("scaled.csv"), of_readings(&samples, |_, mm| 2.0 * mm)).unwrap();
+    fs::write(at.join("strobe.toml"), mapping("[strobe]\ncolumn = \"trigger\"\n")).unwrap();
+    fs::write(at.join("still.toml"), mapping("")).unwrap();
+    for (name, how, doubt) in [
+        ("sound", "still", None),
+        ("sound", "strobe", None),
+        ("frozen", "strobe", Some("W1008")),
+        ("inverted", "strobe", Some("W1009")),
+        ("scaled", "strobe", Some("W1009")),
+    ] {
+        let [table, mapping, run] =
+            [format!("{name}.csv"), format!("{how}.toml"), format!("{name}-{how}.dbbd")];
+        step(at, &["import", &table, "--plan", "plan/plan.csv", "--mapping", &mapping, "--out", &run]);
+        let output = step(at, &["sync", &run, "--out", "o.csv"]);
+        let mut said = codes(&output);
+        said.retain(|code| ["W1008", "W1009"].contains(&code.as_str()));
+        assert_eq!(said.first().map(String::as_str), doubt, "{name} {how}: {}", stderr(&output));
+    }
+}
+
+#[test]
+fn tables_of_two_robots_or_bars() {
+    let (dir, data) = cell();
+    let at = dir.path();
+    let text = data.to_csv();
+    fs::write(at.join("other.csv"), &text).unwrap();
+    fs::write(at.join("positions.csv"), "a1_deg,a2_deg,a3_deg,a4_deg,a5_deg,a6_deg,x_mm,y_mm,z_mm\n")
+        .unwrap();
+    let record = |table: &str, robot: &str, bar: &str| {
+        let mut provenance = Provenance::default();
+        provenance.identity.robot = Some(robot.into());
+        provenance.identity.bar.serial = Some(bar.into());
+        let text = fs::read_to_string(at.join(table)).unwrap_or_else(|_| text.clone());
+        provenance.write_beside(&at.join(table), &text).unwrap();
+    };
+    record("bad.csv", "R-1", "B-1");
+    let validated = |robot: &str, bar: &str| {
+        record("other.csv", robot, bar);
+        identify(at, &text, &["--prior", "datasheet", "--validate", "other.csv"])
+    };
+    says(&validated("R-2", "B-1"), 1, "E1802");
+    says(&validated("R-1", "B-2"), 3, "W1845");
+    assert!(!codes(&validated("R-1", "B-1")).contains(&"W1845".to_owned()));
+    record("positions.csv", "R-2", "B-1");
+    says(&identify(at, &text, &["--positions", "positions.csv"]), 1, "E1802");
+}
+
+#[test]
+fn facts_of_the_bar() {
+    let (dir, data) = cell();
+    let at = dir.path();
+    let warm = |celsius: f64| -> Measurements {
+        let mut warm = data.clone();
+        let context = std::sync::Arc::new(Context { temperature_c: Some(celsius), ..Context::default() });
+        warm.columns.push(Column::TemperatureC);
+        warm.rows.iter_mut().for_each(|row| row.context = Some(context.clone()));
+        warm
+    };
+    let prior = ["--prior", "datasheet"];
+    says(&identify(at, &warm(42.0).to_csv(), &prior), 3, "W0482");
+    assert_eq!(identify(at, &warm(21.0).to_csv(), &prior).status.code(), Some(0));
+    let id = "measured = \"2026-01-05\"\n[bar]\ncertified_on = \"2019-03-01\"\n";
+    for (text, is_old) in [(id.to_owned(), true), (id.replace("2019", "2025"), false)] {
+        fs::write(at.join("id.toml"), text).unwrap();
+        let output = identify(at, &data.to_csv(), &[&prior[..], &["--identity", "id.toml"]].concat());
+        assert_eq!(codes(&output).contains(&"I1846".to_owned()), is_old, "{}", stderr(&output));
+    }
+    // The job has one ball, and no floor is out of reach.
+    assert_eq!(dbbd(at, &["plan", "job.toml", "--out", "plan"]).status.code(), Some(0));
+    fs::write(at.join("balls.toml"), "[balls]\n9 = \"K-9\"\n").unwrap();
+    let acquire =
+        ["acquire", "--port", "/dev/null/none", "--plan", "plan/plan.csv", "--out", "r", "--gone", "0"];
+    let output = dbbd(at, &[&acquire[..], &["--identity", "balls.toml"]].concat());
+    assert!(codes(&output).contains(&"W1844".to_owned()), "{}", stderr(&output));
+    let mut long = data.clone();
+    long.rows.iter_mut().for_each(|row| row.length_mm += 50.0);
+    for (table, is_other) in [(&data, false), (&long, true)] {
+        fs::write(at.join("measured.csv"), table.to_csv()).unwrap();
+        let output = dbbd(at, &["plan", "job.toml", "--measured", "measured.csv", "--out", "plan3"]);
+        assert_eq!(codes(&output).contains(&"W0722".to_owned()), is_other, "{}", stderr(&output));
+    }
+    for (from, to) in [
+        ("[[circle]]", "[[centre]]\nid = 2\nxyz_mm = [900.0, 700.0, 900.0]\n[[circle]]"),
+        ("[[obstacle]]", "[[obstacle]]\nshape = \"floor\"\nz_mm = -8000.0\n[[obstacle]]"),
+    ] {
+        fs::write(at.join("job.toml"), JOB.replacen(from, to, 1)).unwrap();
+        says(&dbbd(at, &["plan", "job.toml", "--out", "plan2"]), 0, "I0681");
+    }
+}
+
+/// A simulator of the programs in `krl`, and the address of its bar.
+fn simulator(dir: &Path, more: &[&str]) -> (Child, String) {
+    let mut child = Command::new(env!("CARGO_BIN_EXE_dbbd"))
+        .args(["simulate", "--program", "krl/DBB_MAIN.src"])
+        .args(more)
+        .current_dir(dir)
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut port = String::new();
+    BufReader::new(child.stdout.take().unwrap()).read_line(&mut port).unwrap();
+    (child, port.trim().to_owned())
+}
+
+#[test]
+fn simulations() {
+    let dir = tempdir().unwrap();
+    let at = dir.path();
+    short_plan(at);
+    step(at, &["krl", "plan/plan.csv", "--out", "krl"]);
+    let axes = ["--axes", "rsi://127.0.0.1:49152", "--speed", "0"];
+    says(&dbbd(at, &[&["simulate", "--program", "krl/DBB_MAIN.src"], &axes[..]].concat()), 1, "E1601");
+    // What a signal ends leaves no link behind.
+    let (child, _) = simulator(at, &["--link", "bar"]);
+    assert!(fs::symlink_metadata(at.join("bar")).is_ok());
+    Command::new("kill").args(["-TERM", &child.id().to_string()]).status().unwrap();
+    says(&child.wait_with_output().unwrap(), 3, "W1610");
+    assert!(fs::symlink_metadata(at.join("bar")).is_err());
+    // A program that strobes has no use for a server.
+    let (child, port) =
+        simulator(at, &["--listen", "tcp://127.0.0.1:0", "--speed", "0", "--ekrl", "127.0.0.1:9"]);
+    step(at, &["acquire", "--port", &port, "--plan", "plan/plan.csv", "--out", "run.dbbd"]);
+    says(&child.wait_with_output().unwrap(), 3, "W1611");
+}
+
+#[test]
+fn a_simulated_bar_is_where_any_is() {
+    let dir = tempdir().unwrap();
+    let at = dir.path();
+    let output = dbbd(at, &["bar", "identify", "--port", "sim", "--duration", "0.5"]);
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    assert!(String::from_utf8_lossy(&output.stdout).contains("dbb-cobs-1"));
+    let output = dbbd(at, &["bar", "check", "--port", "sim", "--duration", "6", "--out", "bar"]);
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    // A run that its time ends does not wait for the program.
+    let begun = clock::now();
+    let output = dbbd(at, &["acquire", "--port", "sim", "--duration", "0.2", "--out", "run"]);
+    assert!(matches!(output.status.code(), Some(0 | 3)), "{}", stderr(&output));
+    let took_s = clock::now().seconds_since(begun);
+    assert!(took_s < 9.0, "{took_s}");
+}
