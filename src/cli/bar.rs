@@ -102,7 +102,7 @@ fn bar_at(port: &PortAddress) -> Result<PortAddress, Diagnostic> {
     if *port != PortAddress::Sim {
         return Ok(port.clone());
     }
-    let definition = protocols::load_with(acquire::DEFAULT_PROTOCOL, &[])?;
+    let definition = protocols::load_with(DEFAULT_PROTOCOL, &[])?;
     let terminal = Terminal::listen(&LOOPBACK.parse()?)?;
     let address = terminal.address().clone();
     let options = sim::bar::Options { rate_hz: RATE_HZ, speed: 1.0, first_ticks: 0 };

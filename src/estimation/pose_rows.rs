@@ -33,6 +33,22 @@ pub(super) struct RowNoise {
     pub(super) joints: Vec<[f64; AXES]>,
 }
 
+impl RowNoise {
+    /// Of independent rows with these standard deviations.
+    pub(super) fn independent(own: Vec<f64>) -> Self {
+        Self { pose: 0.0, joints: vec![[0.0; AXES]; own.len()], own }
+    }
+
+    /// So many times as large.
+    pub(super) fn times(self, factor: f64) -> Self {
+        Self {
+            pose: factor * self.pose,
+            own: self.own.into_iter().map(|sd| factor * sd).collect(),
+            joints: self.joints.into_iter().map(|joints| joints.map(|sd| factor * sd)).collect(),
+        }
+    }
+}
+
 impl From<f64> for LengthNoise<'_> {
     /// Of independent lengths with this standard deviation, mm.
     fn from(sigma_mm: f64) -> Self {

@@ -11,7 +11,7 @@ use nalgebra::{Cholesky, DMatrix, DVector};
 
 use super::estimate::Estimate;
 use super::lengths::{Lengths, Sigma};
-use super::pose_rows::PoseRows;
+use super::pose_rows::{PoseRows, RowNoise};
 use super::posterior::inverse_root;
 use crate::catalogue::EstimationFinding;
 use crate::math::distributions::ln_f_tail;
@@ -170,9 +170,7 @@ struct Beside {
     lines: PoseRows,
     /// Places of its rows among all measurements.
     places: Vec<usize>,
-    /// Standard deviation of a pose in each direction, and of each row beside it, mm.
-    pose_mm: f64,
-    own_mm: Vec<f64>,
+    noise: RowNoise,
     /// Of unit noise.
     residual: DVector<f64>,
     /// A root of the rows' covariance by what the estimate leaves unknown.
@@ -203,16 +201,17 @@ impl Beside {
             return None;
         }
         let given = lines.places.iter().map(|place| lengths.given(*place));
-        let (pose_mm, own_mm): (f64, Vec<f64>) = match &estimate.joints {
+        let noise = match &estimate.joints {
             Some(fit) => {
                 let mean = used.by(Sigma::Given).rms_sigma();
-                (fit.noise.pose_mm, given.map(|given| fit.noise.length_mm * given / mean).collect())
+                let weights: Vec<f64> = given.map(|given| given / mean).collect();
+                fit.shape.of_rows(&lines, &weights).times(fit.noise.pose_mm)
             }
-            None => (0.0, given.map(|given| estimate.noise.sigma.of(given)).collect()),
+            None => RowNoise::independent(given.map(|given| estimate.noise.sigma.of(given)).collect()),
         };
         let mut whole = lines.values.clone().insert_column(lines.values.ncols(), 0.0);
         whole.set_column(lines.values.ncols(), &lines.residual);
-        lines.whiten(&mut whole, pose_mm, &own_mm)?;
+        lines.whiten(&mut whole, &noise)?;
         let values = whole.columns(0, lines.values.ncols()).into_owned();
         let root = match (&estimate.joints, &estimate.prior) {
             (Some(fit), _) => fit.root.clone(),
@@ -231,7 +230,7 @@ impl Beside {
         if explained > settled {
             return None;
         }
-        Some(Self { lines, places, pose_mm, own_mm, residual, unknown, freedom })
+        Some(Self { lines, places, noise, residual, unknown, freedom })
     }
 
     /// A drift of each reference, and its steps.
@@ -255,7 +254,7 @@ impl Beside {
 
     /// `None` of columns that are a combination of the parameters'.
     fn test(&self, mut columns: DMatrix<f64>) -> Option<Tested> {
-        self.lines.whiten(&mut columns, self.pose_mm, &self.own_mm)?;
+        self.lines.whiten(&mut columns, &self.noise)?;
         let shares = self.unknown.tr_mul(&columns);
         let whole = columns.tr_mul(&columns);
         let gram = &whole - shares.tr_mul(&shares);
