@@ -17,6 +17,7 @@ findings! {
             NoCheck { why: String } => "is no check: {why}";
             CheckOfAnother { robot: String, checked: String } => "is of `{checked}`, the result is of `{robot}`";
             CheckOfOtherResult { lengths: String } => "is the check of another calibration: the result was identified from {lengths}, and what was checked was not";
+            CheckOfOtherFile { robot: String } => "is the check of another calibration: {robot} of the result was not checked";
         }
         I2003 "this build writes no PDF",
         cause: "dbbd was built without the feature `pdf`.",

@@ -43,6 +43,7 @@ findings! {
         I1412 "lengths are not referred to 20 degrees Celsius",
         cause: "Temperatures or the expansion of bar and machine were not given.",
         cure: "Record temperatures, and give the expansion in the job or with --expansion and --machine-expansion." {
+            BarAsMeasured => "the circle is referred to 20 degrees by the machine's expansion alone: the bar counts as not expanding";
             AsMeasured => "lengths are as measured: no temperatures with an expansion were given";
         }
         I1413 "the nominal radius is assumed",
@@ -64,10 +65,16 @@ findings! {
             NoCapture => "--plan and --axes are of use with a capture only";
         }
         W1480 "lengths are none of a circular test",
-        cause: "A length is mistyped or the bar slipped at it, the lengths are the nominal ones, or --radius is that of another circle.",
+        cause: "A length is mistyped or the bar slipped at it, the lengths are the nominal ones, rounded or frozen, between the senses a ball moved or the zero changed, or --radius is that of another circle.",
         cure: "Correct or leave out the row that is named; give the lengths that the bar measured, and the programmed radius." {
             Spike { run: String, angle_deg: f64, off_mm: f64 } => "run {run}: at {angle_deg:.1} degrees the length is {off_mm:+.3} mm from those beside it";
             OtherRadius { mean_mm: f64, radius_mm: f64 } => "the mean length is {mean_mm:.3} mm, and the nominal radius {radius_mm} mm";
+            RoundedLengths { step_um: f64 } => "the lengths are rounded to {step_um:.0} um: the intervals do not hold that";
+            EqualRun { run: String, points: usize, angle_deg: f64, length_mm: f64 } => "run {run}: from {angle_deg:.1} degrees on {points} lengths are {length_mm:.4} mm: was the bar frozen?";
+            RadiiApart { apart_um: f64 } => "the mean lengths of the two senses differ by {apart_um:+.1} um: did the zero change between them?";
+            CentresApart { apart_um: f64 } => "the centres of the two senses differ by {apart_um:.1} um, and nothing else does: did a ball move between them?";
+            LargeDeviation { g_mm: f64, radius_mm: f64 } => "the circular deviation is {g_mm:.3} mm at a radius of {radius_mm} mm: are the deviations in another unit?";
+            RadiusOfPlan { radius_mm: f64, planned_mm: f64 } => "--radius is {radius_mm} mm, and the plan that was driven has {planned_mm} mm";
             EqualLengths { length_mm: f64 } => "all lengths are {length_mm:.4} mm: are they measured ones?";
         }
         W1482 "rows, angles, times, temperatures or --sigma of a circle cannot be",

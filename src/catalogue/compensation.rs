@@ -93,6 +93,7 @@ findings! {
             BadLimit { limit_mm: f64 } => "--limit {limit_mm} must be above 0";
             FrameUnused { language: &'static str } => "a program in {language} does not take these frames",
                 help: "in RAPID a module with tools and work objects is given by --config, in URScript the TCP by --tool";
+            FrameInRadians => "six numbers in mm and degrees are needed: an angle seems to be in radians";
             NotAFrame => "six numbers in mm and degrees are needed, as 0,0,150,0,0,0";
         }
         I0911 "an axis passes zero",

@@ -38,8 +38,9 @@ findings! {
             NotAfter { date: String, before: String } => "{date} is not after {before}";
         }
         W1907 "dates contradict the results",
-        cause: "--dates gives another day than the measurement of the result states.",
-        cure: "Correct --dates, or leave out the option where trends per result suffice." {
+        cause: "--dates gives another day than the measurement of the result states, or a result was measured before the one that is given before it, by the computer's clock.",
+        cure: "Correct --dates, or leave out the option where trends per result suffice. Give the results oldest first; check the clock of the computer." {
+            MeasuredBefore { measured: String, before: String } => "was measured on {measured}, and the result before it on {before}";
             OtherDate { date: String, measured: String } => "was measured on {measured}, and --dates gives {date}";
         }
         E1982 "an option has no effect here",
@@ -80,7 +81,7 @@ findings! {
             NotFinite => "a number is not finite";
         }
         E1923 "a base ball is not where the calibration had it",
-        cause: "--balls-kept says that the base balls are mounted as in the calibration. The robot file does not have their places (they were fixed in the calibration, or an earlier version wrote the file), or the place given is more than 50 mm from the calibration's.",
+        cause: "--balls-kept says that the base balls are mounted as in the calibration. The robot file does not have their places (they were fixed in the calibration, or an earlier version wrote the file), or the place given is more than 50 mm, in a plan more than the stroke, from the calibration's.",
         cure: "Leave --balls-kept out: the base balls then count as mounted anew. To have their places in the file, identify anew from the lengths of the calibration." {
             BallUnknown { ball: u32 } => "the [posterior] of the robot file has no place of base ball {ball}";
             BallElsewhere { ball: u32, away_mm: f64 } => "base ball {ball} is given {away_mm:.0} mm from where the calibration had it";
@@ -101,7 +102,7 @@ findings! {
             Undecided { tolerance_mm: f64, position_error_mm: f64, risk: f64 } => "undecided: the median of the position error is {position_error_mm:.3} mm; it exceeds {tolerance_mm} mm with probability {risk:.2}";
         }
         W1916 "no single change explains the lengths",
-        cause: "More than two parameters changed, the lengths are those of another robot or tool, or the bar slipped.",
+        cause: "More than two parameters changed, the lengths are those of another robot or tool, the bar slipped, or single lengths are wrong. --update then writes no robot file.",
         cure: "Repeat the check. If it stays, calibrate anew." {
             NotExplained { p: f64 } => "something changed (p {p:.1e}), but no change of one or two parameters explains the lengths";
         }

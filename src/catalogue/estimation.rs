@@ -52,6 +52,7 @@ findings! {
         E1305 "an argument of the estimation cannot be read",
         cause: "The text is not what the option takes.",
         cure: "Write what the message asks for; `dbbd identify --help` has an example of each." {
+            PointInMetres => "three numbers in mm are needed: these seem to be in metres";
             NotAPoint => "three numbers in mm are needed, as 30,20,10";
         }
         W1310 "the solver did not converge",
@@ -68,6 +69,8 @@ findings! {
         cause: "A part of the set-up that is fixed is elsewhere, or the robot is another one. A ball or bar that comes out far from where it was given is hardly observable in these poses, or was given wrongly.",
         cure: "Let the fixed part be estimated, or measure it again; check --robot. Turn the tool more, or fix a value that you trust." {
             ImplausibleWithFixed { fixed: Names, parameters: Names, times: f64 } => "with {fixed} fixed, the corrections of {parameters} are more than {times:.0} times the robot's tolerance";
+            PlaceContradicted { fixed: Names, held_mm: f64, free_mm: f64 } => "with {fixed} fixed the lengths fit to {held_mm:.3} mm, and with these estimated to {free_mm:.3} mm: they are elsewhere";
+            BarContradicted { off_mm: f64, sd_mm: f64 } => "by the robot's tolerance the lengths are those of a bar that is {off_mm:+.3} +- {sd_mm:.3} mm longer than stated: is its length right?";
             Implausible { parameters: Names, times: f64 } => "the corrections of {parameters} are more than {times:.0} times the robot's tolerance: no robot is so far off";
             Displaced { parameters: Names } => "{parameters} came out far from where they were given";
         }
@@ -144,6 +147,11 @@ findings! {
         cure: "Use `dbbd predict` and `dbbd compensate`, or the table joint-errors.csv. `--model geometric` identifies the robot that lengths and angles alone describe best." {
             BeyondTable { left_out_mm: f64 } => "robot-identified.toml holds errors of the joints: a program that reads only lengths and angles leaves out {left_out_mm:.3} mm in the mean over the workspace";
         }
+        I1341 "a bar without a certificate is fixed",
+        cause: "--hold fixes the offset of a bar whose uncertainty neither the job (length_u_mm) nor --bar-u states. Its length then counts as exact, in the standard deviations and in the predicted error too.",
+        cure: "State the uncertainty of its length, or let the offset be estimated." {
+            UncertifiedHeld => "the bar has no certificate, and its offset is fixed: its length counts as exact";
+        }
         I1340 "the tolerance in the robot file is too small for this robot",
         cause: "The corrections are larger than [tolerance] lets expect. No prior was named, so the standard deviations of the prior were widened to what the lengths show.",
         cure: "Correct [tolerance] in the robot file." {
@@ -155,9 +163,9 @@ findings! {
             AbsoluteAccuracyMode { residual_rms_mm: f64, expected_mm: f64 } => "the lengths agree with the nominal robot to {residual_rms_mm:.3} mm; its tolerance lets {expected_mm:.2} mm expect";
         }
         W1328 "the run is doubtful",
-        cause: "A part of the run is damaged, or its poses were planned for another robot.",
+        cause: "A part of the run is damaged, the bar was mounted badly (W0280 to W0284), or its poses were planned for another robot.",
         cure: "`dbbd info` names the damages. Give the robot of the plan, or plan for this one." {
-            PartOfRunLost => "a part of the run was lost";
+            PartOfRunLost => "a part of the run was lost or is not as it should be";
             PlannedForAnother { planned: String, given: String } => "the poses are of a plan for {planned}, --robot names {given}";
         }
         W1330 "the lengths seem to belong to other rows",

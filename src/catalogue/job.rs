@@ -16,11 +16,11 @@ findings! {
             NoDirection { key: String, x: f64, y: f64, z: f64 } => "{key} = [{x}, {y}, {z}] is no direction";
         }
         E0602 "two values of the job contradict each other",
-        cause: "The lower end of a range is above the upper one, the margin leaves nothing of the stroke, or two balls are inside of each other.",
-        cure: "Give the lower end first: stroke_mm = [low, high], boxes by their lowest and their highest corner. Give each ball its own place." {
+        cause: "The lower end of a range is above the upper one, the margin leaves nothing of the stroke, or two base balls are at one place.",
+        cure: "Give the lower end first: stroke_mm = [low, high], boxes by their lowest and their highest corner." {
             StrokeOrder { low_mm: f64, high_mm: f64, length_mm: f64 } => "stroke_mm = [{low_mm}, {high_mm}] must be [low, high], both less than the bar's length of {length_mm} mm";
             NoStrokeLeft { margin_mm: f64, stroke_mm: f64 } => "margin_mm = {margin_mm} must be at least 0 and leave some of the stroke of {stroke_mm} mm";
-            BallsAtOnePlace { ball: u32, other: u32 } => "base balls {other} and {ball} are at one place";
+            BallsAtOnePlace { one: u32, other: u32 } => "base balls {one} and {other} are at one place: balls are at least 10 mm apart";
             CornersSwapped { key: String } => "{key}: the lowest corner must be below the highest one in X, Y and Z";
         }
         E0603 "a table or a key of the job is missing or one too many",

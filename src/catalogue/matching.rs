@@ -14,6 +14,16 @@ findings! {
             OtherDuration { seconds: f64, planned_s: f64 } => "the capture lasts {seconds:.1} s and the program at least {planned_s:.0} s: nothing is written", help: "does it cover the run, and is the unit of its times right?";
             NoCircle => "no dwell of the capture can be matched to a pose on a circle";
         }
+        E1082 "the reading runs against the motion",
+        cause: "Where the program lengthens the way to the ball by its sync markers, the reading falls: two wires of the sensor are exchanged, or the sign is that of another device. The calibration would come out with the sign of every error turned.",
+        cure: "Correct the wiring, or the sign in the protocol or in the mapping of the import, and measure again." {
+            ReadingInverted { waves: usize, scale: f64 } => "at {waves} sync marks the reading changes by {scale:.2} times what the robot moved: its sign is turned";
+        }
+        W1081 "the reading is not to scale",
+        cause: "The sync markers have a commanded height, and the reading has another: the sensor's scale, its decoding (2x, 4x) or its unit is another than the protocol or the mapping says. A robot whose play is more than twice its repeatability goes less than commanded, too.",
+        cure: "Check the scale with a gauge block or a known move of the robot (`dbbd bar check`), correct protocol or mapping, and measure again." {
+            ReadingScaled { waves: usize, scale: f64, sd: f64 } => "at {waves} sync marks the reading changes by {scale:.3} +- {sd:.3} times what the robot moved";
+        }
         W1002 "poses were dropped as ambiguous",
         cause: "The program was stopped or started again, the override changed on the way, or the program is not this plan's.",
         cure: "The poses that remain are right with more than 99 %. Where many are dropped, write the program with `krl --sync output` or `ekrl`." {
@@ -49,11 +59,6 @@ findings! {
         cause: "Its reading stays equal to the last digit while the robot moves from pose to pose, and elsewhere it does not: the device, its line or the software that recorded it repeats an old reading.",
         cure: "Leave out the poses of that time, or measure again. Look at the trace: a live reading changes by its noise, even at rest." {
             Frozen { from_s: f64, to_s: f64, poses: usize, reading_mm: f64 } => "from {from_s:.1} s to {to_s:.1} s, where {poses} poses are due, every reading is {reading_mm:.4} mm";
-        }
-        W1009 "the readings have another sign or scale than the bar",
-        cause: "At the sync markers, short moves out and back, the reading does not change as commanded: it falls where the bar grows, or by more or less. The decoding of the bar, its unit or its parameters are wrong.",
-        cure: "Move the robot out by a known distance and watch the reading (`dbbd acquire`). Correct --protocol and --param, or [length] of the mapping, and measure or import again." {
-            MarkerScale { markers: usize, commanded_mm: f64, measured_mm: f64 } => "behind {markers} dwells the sync markers change the length by {commanded_mm:+.3} mm, and the reading by {measured_mm:+.3} mm";
         }
         W1080 "the controller's reports of its dwells are not used",
         cause: "The bar's clock does not keep the host's pace, as on a simulator that runs faster than real time, or the channel broke, so that no dwell has the report of its begin and of its end.",

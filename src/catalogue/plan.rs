@@ -116,11 +116,7 @@ findings! {
         cause: "They belong to other base balls, or they are of another robot or another bar.",
         cure: "Give only lengths that were measured to the base balls of this job." {
             NoFiniteRobot => "the lengths measured before give no finite robot";
-        }
-        W0722 "lengths measured before are not of the job's bar",
-        cause: "They are beyond the stroke of the bar that the job has: of another bar, with a wrong length added, or in another unit. The plan is laid where they have the robot.",
-        cure: "Give lengths of this bar, or its true length. If they are of another bar whose length is certain, check the plan on the simulator before it is driven." {
-            OtherBarMeasured { beyond: usize, lengths: usize, least_mm: f64, most_mm: f64 } => "{beyond} of {lengths} lengths are not {least_mm:.1} to {most_mm:.1} mm";
+            OtherBar { off_mm: f64, sd_mm: f64, low_mm: f64, high_mm: f64 } => "the lengths measured before are those of a bar that is {off_mm:+.2} +- {sd_mm:.2} mm longer than the job's, whose stroke is {low_mm} to {high_mm} mm", help: "is length_mm of the job that of this bar, and were the lengths computed with it?";
         }
         E0730 "plan.csv and plan.json do not belong together",
         cause: "One of them was edited, copied from elsewhere, or is of another version.",

@@ -153,6 +153,11 @@ findings! {
         cure: "Add a [[test]] with bytes from the maker's manual, or with bytes that were recorded at a length that you know." {
             NoTests => "has no [[test]]: nothing shows that it reads what the device sends";
         }
+        W0391 "a definition has the id of a built-in one",
+        cause: "The file was copied from a built-in definition and changed. Captures and jobs name a definition by its id, and the built-in one would be taken for it.",
+        cure: "Give the definition an id of its own." {
+            IdOfBuiltIn { id: String } => "has the id `{id}` of a built-in definition, and is another one";
+        }
         E0312 "a sample cannot be written in this protocol",
         cause: "The protocol has no room for a value of the sample: a reading beyond what its field can hold, or a value that is not there.",
         cure: "Simulate a bar within the range of its protocol, or another protocol." {

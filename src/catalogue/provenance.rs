@@ -29,9 +29,10 @@ findings! {
             Outdated { artefact: String, used: String, newest: String } => "{artefact} was made on {used}; {newest} is newer";
         }
         W1805 "lengths are used twice",
-        cause: "The same lengths are given twice, or the robot given was identified from them. What they show then counts twice.",
+        cause: "The same lengths are given twice, or the robot given was identified from them, or two results that are compared rest on them. What they show then counts twice.",
         cure: "Give each file once, and check a robot with lengths that it was not identified from." {
             UsedBefore { lengths: String, robot: String } => "{robot} was identified from {lengths}";
+            SameLengths { lengths: String, first: String } => "is made from {lengths}, as {first} is: what differs is no change of the robot";
             GivenTwice { lengths: String } => "{lengths} is given twice";
         }
         W1840 "a robot file was changed after it was written",
@@ -50,7 +51,7 @@ findings! {
             DoubtfulRobot { robot: String, doubts: Names } => "`{robot}` was identified with {doubts}";
         }
         W1844 "an identity contradicts the job of the plan",
-        cause: "--identity states another robot, a bar of another length or further base balls than the job of the plan that is measured: a file of another run.",
+        cause: "--identity states another robot, bar, certificate or temperature of the bar, or further base balls, than the job of the plan that is measured, or than the capture: a file of another run. The lengths were computed with what the job and the bar's sensor say.",
         cure: "Give the identity of this run. With another bar, plan anew." {
             OtherThanPlanned { key: String, planned: String, stated: String } => "{key} is stated as {stated}, and the job has {planned}";
             SerialOfNoBall { ball: String, balls: usize } => "a serial number is stated of base ball {ball}, and there are {balls}";

@@ -90,8 +90,8 @@ findings! {
         W0481 "the temperatures of a run are none of a bar",
         cause: "The sensor of the bar failed, is loose or is not connected, or the column of an imported trace is in another unit.",
         cure: "Lengths are corrected by these temperatures where the job gives expansion_per_k: leave that out, or correct [temperature] of the mapping." {
+            TemperatureJumps { step_k: f64 } => "the bar's temperature changes by {step_k:.1} K from one reading to the next: is its sensor loose?";
             NoTemperature { low_c: f64, high_c: f64 } => "the bar's temperature is {low_c:.1} to {high_c:.1} degrees Celsius";
-            TemperatureJumps { low_c: f64, high_c: f64 } => "the bar's temperature goes from {low_c:.1} to {high_c:.1} degrees Celsius in one run: is its sensor loose?";
         }
         W0482 "the expansion of the bar is not given",
         cause: "The bar was warmer or colder than its certificate holds for, by more than the certificate's uncertainty of the length (without one by more than 20 um), and neither the job nor the record beside the table has expansion_per_k.",
@@ -114,6 +114,11 @@ findings! {
         cure: "Evaluate the new file. Where another program cut the old one, keep both: the new one lacks what was recorded before, and `dbbd info` says how much. Keep other programs away from captures that are being written." {
             TakenAway { new: String, bytes: u64 } => "the capture was removed, renamed or replaced: recording goes on in {new}, with the {bytes} bytes that were written before";
             Resized { new: String, bytes: u64, found: u64 } => "another program changed the capture: it has {found} bytes, and {bytes} were written; recording goes on in {new}";
+        }
+        W0416 "the date of a run cannot be right",
+        cause: "The clock of the computer that recorded it, or of this one, is wrong: the run is dated before 1980, in the future, or before the certificate of its bar.",
+        cure: "Set the clock. State the day of the measurement with --identity (key `measured`)." {
+            UnlikelyDate { why: String } => "by the clock of the computer that recorded the run: {why}";
         }
         I0420 "the controller was in its absolute-accuracy mode",
         cause: "The controller corrects its motions by a model of its own ($ABS_ACCUR), so its axes are not at the commanded angles.",

@@ -3,7 +3,7 @@
 use std::cmp::Ordering;
 
 use super::quantities::Rays;
-use super::{Arc, Point, Sense, Trace, noise};
+use super::{Arc, Point, Sense, Trace, fit, noise};
 use crate::catalogue::CircularFinding as Finding;
 use crate::math::robust::median;
 
@@ -29,6 +29,7 @@ pub(super) fn of(traces: &[Trace], radius_mm: f64) -> Vec<Finding> {
     found.extend(traces.iter().filter_map(times_back));
     found.extend(traces.iter().filter_map(turns_back));
     found.extend(warm(traces));
+    found.extend(rounded(traces).or_else(|| equal_run(traces)));
     let lengths = || traces.iter().flat_map(|trace| &trace.points).map(|point| point.length_mm);
     let mean_mm = lengths().sum::<f64>() / lengths().count().max(1) as f64;
     if (mean_mm - radius_mm).abs() > MOST_APART * radius_mm {
@@ -40,6 +41,89 @@ pub(super) fn of(traces: &[Trace], radius_mm: f64) -> Vec<Finding> {
         found.push(Finding::EqualLengths { length_mm: mean_mm });
     }
     found
+}
+
+/// Lengths that all have so few decimals that the intervals, which rest on the noise, are too narrow.
+fn rounded(traces: &[Trace]) -> Option<Finding> {
+    const STEP_MM: f64 = 0.01;
+    let steps: Vec<f64> =
+        traces.iter().flat_map(|trace| &trace.points).map(|point| point.length_mm / STEP_MM).collect();
+    let is_whole = |step: &f64| (step - step.round()).abs() < 1e-6;
+    let differ = steps.windows(2).any(|pair| pair[0] != pair[1]);
+    (steps.len() >= LEAST_POINTS && differ && steps.iter().all(is_whole))
+        .then_some(Finding::RoundedLengths { step_um: 1e3 * STEP_MM })
+}
+
+/// Equal lengths one after the other, more than the share of equal neighbours elsewhere lets expect by chance.
+fn equal_run(traces: &[Trace]) -> Option<Finding> {
+    const CHANCE: f64 = 1e-6;
+    let runs = traces.iter().flat_map(|trace| {
+        let equal = |one: &Point, next: &Point| one.length_mm == next.length_mm;
+        trace.points.chunk_by(equal).map(move |run| (trace, run))
+    });
+    let longest = runs.max_by_key(|(_, run)| run.len());
+    let (trace, run) = longest.filter(|(_, run)| run.len() > 2)?;
+    let pairs = || traces.iter().flat_map(|trace| trace.points.windows(2));
+    let equal = pairs().filter(|pair| pair[0].length_mm == pair[1].length_mm).count();
+    let (own, all) = (run.len() - 1, pairs().count());
+    // By the rule of succession.
+    let share = (equal - own + 1) as f64 / (all - own + 2) as f64;
+    let chance = all as f64 * share.powi(i32::try_from(own).unwrap_or(i32::MAX));
+    let (angle_deg, length_mm) = run.first().map(|point| (point.angle_deg, point.length_mm))?;
+    (chance < CHANCE && own + 1 < traces.iter().map(|trace| trace.points.len()).sum::<usize>())
+        .then(|| Finding::EqualRun { run: trace.run.clone(), points: own + 1, angle_deg, length_mm })
+}
+
+/// Two senses about other centres, or of other radii, while they are alike otherwise: between them the ball moved or the
+/// zero changed. What reverses makes steps.
+pub(super) fn apart(traces: &[Trace], rays: &Rays) -> Option<Finding> {
+    /// A steel bar that warms by 3 K, share of its length.
+    const WARMED: f64 = 3.0 * 11.5e-6;
+    /// Deviate that is no chance.
+    const DEVIATE: f64 = 5.0;
+    /// Size of the rest over that of the change of centre; of a square wave, which play makes, 0.48.
+    const SMOOTH: f64 = 0.25;
+    // Joints turn otherwise in either sense: their play shifts mean and centre alike.
+    if traces.iter().flat_map(|trace| &trace.points).any(|point| point.drives.is_some()) {
+        return None;
+    }
+    let of = |sense: Sense| {
+        let at = traces.iter().position(|trace| trace.sense == sense)?;
+        fit(rays.traces[at].iter().copied()).map(|circle| (at, circle))
+    };
+    let ((ccw, there), (cw, back)) = of(Sense::CounterClockwise).zip(of(Sense::Clockwise))?;
+    let radius_mm = traces[ccw].points.first()?.length_mm;
+    let least_mm = WARMED * radius_mm;
+    let scatter_mm = noise::without_form(traces, rays);
+    let count = traces[ccw].points.len().min(traces[cw].points.len()) as f64;
+    let sd_mm = scatter_mm * (2.0 / count).sqrt();
+    let radii_mm = back.offset_mm - there.offset_mm;
+    if radii_mm.abs() > least_mm.max(DEVIATE * sd_mm) {
+        return Some(Finding::RadiiApart { apart_um: 1e3 * radii_mm });
+    }
+    let centres_mm = (back.centre[0] - there.centre[0]).hypot(back.centre[1] - there.centre[1]);
+    let rest_mm = rest_between(rays, [(ccw, there.centre), (cw, back.centre)])?;
+    let is_smooth = rest_mm < SMOOTH * centres_mm / 2.0_f64.sqrt();
+    (is_smooth && centres_mm > least_mm.max(DEVIATE * 2.0_f64.sqrt() * sd_mm))
+        .then_some(Finding::CentresApart { apart_um: 1e3 * centres_mm })
+}
+
+/// Root mean square of the difference of two traces at facing points, each about its own centre, mm.
+fn rest_between(rays: &Rays, [(ccw, there), (cw, back)]: [(usize, [f64; 2]); 2]) -> Option<f64> {
+    let facing = rays.facing(ccw, cw)?;
+    let squares: Vec<f64> = facing
+        .map(|(one, [left, right], weight)| {
+            let near = |at: usize| rays.traces[cw][at].deviation(back);
+            let other = (1.0 - weight) * near(left) + weight * near(right);
+            (rays.traces[ccw][one].deviation(there) - other).powi(2)
+        })
+        .collect();
+    (!squares.is_empty()).then(|| (squares.iter().sum::<f64>() / squares.len() as f64).sqrt())
+}
+
+/// A form that no machine has.
+pub(super) fn too_large(g_mm: f64, radius_mm: f64) -> Option<Finding> {
+    (g_mm > MOST_APART * radius_mm).then_some(Finding::LargeDeviation { g_mm, radius_mm })
 }
 
 fn rows_twice(trace: &Trace) -> Option<Finding> {

@@ -214,6 +214,11 @@ pub fn circular(traces: &[Trace], settings: &Settings) -> Result<Evaluation, Fin
             .map(|trace| Finding::AgainstDirection { run: trace.run.clone(), direction: trace.sense.word() }),
     );
     notes.extend(doubts::of(traces, settings.radius_mm));
+    let g_mm = quantities.first().and_then(|quantity| quantity.value);
+    notes.extend(g_mm.and_then(|g_mm| doubts::too_large(g_mm, settings.radius_mm)));
+    if arc.full && unequal.is_none() {
+        notes.extend(doubts::apart(traces, &measured));
+    }
     notes.extend(unequal);
     notes.extend(settings.sigma_mm.and_then(|sigma_mm| doubts::other_sigma(traces, &measured, sigma_mm)));
     if corrected.is_none() {

@@ -80,6 +80,16 @@ impl Rays {
         Self { traces: traces.iter().map(rays).collect(), pairs, centre: [0.0; 2] }
     }
 
+    /// The facing points of two traces: one, those on either side of it, and the weight of the second.
+    pub(super) fn facing(
+        &self,
+        ccw: usize,
+        cw: usize,
+    ) -> Option<impl Iterator<Item = (usize, [usize; 2], f64)> + '_> {
+        let pair = self.pairs.iter().find(|pair| (pair.ccw, pair.cw) == (ccw, cw))?;
+        Some(pair.points.iter().copied())
+    }
+
     pub(super) fn all(&self) -> impl Iterator<Item = Ray> + Clone {
         self.traces.iter().flatten().copied()
     }

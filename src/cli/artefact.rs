@@ -12,7 +12,7 @@ use crate::catalogue::ProvenanceFinding::{self, OtherThanPlanned, SerialOfNoBall
 use crate::diagnostic::Diagnostic;
 use crate::plan::Job;
 use crate::program::{self, Language};
-use crate::provenance::{Artefact, BarIdentity, Contradiction, Identity, Provenance, Role, Traced};
+use crate::provenance::{Artefact, Contradiction, Identity, Provenance, Role, Traced};
 use crate::recording::run;
 use crate::robot::Robot;
 
@@ -53,6 +53,11 @@ pub(super) fn read(path: &Path, out: &Output) -> Result<Option<Traced>, Diagnost
             };
             return with(role, path, recorded.map_err(damaged)?.unwrap_or_default());
         }
+    } else if path.extension().is_some_and(|extension| extension == "json")
+        && let Err(error) = serde_json::from_str::<Value>(&text)
+    {
+        let why = error.to_string();
+        return Err(Diagnostic::file(&name, ProvenanceFinding::Damaged { why }));
     } else if let Ok(table) = toml::from_str::<toml::Table>(&text) {
         if table.contains_key("joint") {
             let text = files::read(path)?;
@@ -94,11 +99,12 @@ pub(super) fn identity(path: &Path) -> Result<Identity, Diagnostic> {
     Ok(identity)
 }
 
-/// What is stated that cannot be of a run of a job with so many base balls: another robot or bar, a ball that it has not. The rest
-/// may be known better after the run.
+/// What is stated that cannot be of a run of a job with so many base balls: another robot, bar, certificate or temperature of the
+/// bar, by which the lengths were computed, or a ball that it has not. The rest may be known better after the run.
 pub(super) fn other_run(job: &Identity, balls: usize, stated: &Identity) -> Vec<ProvenanceFinding> {
     let other = job.contradictions(stated).into_iter();
-    let other = other.filter(|found| ["robot", BarIdentity::LENGTH].contains(&found.key.as_str()));
+    let is_fixed = |key: &str| key == "robot" || key.starts_with("bar.") || key == "celsius of bar";
+    let other = other.filter(|found| is_fixed(&found.key));
     let other =
         other.map(|Contradiction { key, known, stated }| OtherThanPlanned { key, planned: known, stated });
     let is_further = |ball: &&String| ball.parse::<usize>().is_ok_and(|number| number > balls);

@@ -4,10 +4,12 @@ use std::path::{Path, PathBuf};
 
 use serde_json::json;
 
+use super::identify::ROBOT;
 use super::{Outcome, Output, artefact};
 use crate::base::{FileSet, files, serialised};
 use crate::catalogue::CertificateFinding;
 use crate::diagnostic::Diagnostic;
+use crate::provenance::{Artefact, Role};
 use crate::report::certificate::Certificate;
 
 /// Write the draft of a calibration certificate.
@@ -42,11 +44,14 @@ fn read(path: &Path, name: &str) -> Result<(String, String), Diagnostic> {
 }
 
 pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
-    let (file, text) = read(&args.result, "result.json")?;
-    let mut certificate = Certificate::read(&text).map_err(|why| Diagnostic::file(&file, why))?;
+    let (certificate_of, text) = read(&args.result, "result.json")?;
+    let mut certificate = Certificate::read(&text).map_err(|why| Diagnostic::file(&certificate_of, why))?;
     if let Some(path) = &args.check {
         let (file, text) = read(path, "check.json")?;
-        certificate = certificate.with_check(&text).map_err(|why| Diagnostic::file(&file, why))?;
+        let robot = Path::new(&certificate_of).with_file_name(ROBOT);
+        let robot = robot.is_file().then(|| Artefact::file(Role::IdentifiedRobot, &robot)).transpose()?;
+        certificate =
+            certificate.with_check(&text, robot.as_ref()).map_err(|why| Diagnostic::file(&file, why))?;
     }
     if let Some(path) = &args.identity {
         certificate = certificate.with_identity(&artefact::identity(path)?);

@@ -203,7 +203,7 @@ fn findings(args: &Args, found: &InterimCheck) -> Vec<ConformityFinding> {
         let position_error_mm = decision.position_error_mm;
         findings.push(ConformityFinding::Undecided { tolerance_mm, position_error_mm, risk });
     }
-    if args.update && found.update().is_none() {
+    if args.update && found.update().is_none() && found.is_explained() {
         findings.push(ConformityFinding::NothingToUpdate);
     }
     findings
@@ -239,7 +239,9 @@ fn lines(found: &InterimCheck) -> Vec<String> {
         "{}: {} lengths, sigma {:.4} mm; innovation chi-square {:.1} of {} degrees of freedom, p {:.1e}",
         found.robot, found.lengths, found.sigma_mm, test.chi_square, test.freedom, test.p
     )];
-    if test.changed {
+    if test.changed && !found.is_explained() {
+        lines.push("changed, and nothing alone explains it; what is likeliest is in check.json".into());
+    } else if test.changed {
         lines.extend(found.changes.iter().take(MOST_CHANGES).map(change));
     } else {
         lines.push(format!("nothing changed (probability {:.3})", found.unchanged_probability));

@@ -195,6 +195,9 @@ fn evaluate(found: Found, args: &Args) -> Result<CircleTest, Diagnostic> {
     let mut evaluation =
         circular::circular(&traces, &settings).map_err(|finding| Diagnostic::file(&source, finding))?;
     evaluation.notes.splice(0..0, notes);
+    if settings.temperature.machine_per_k.is_some() && settings.temperature.bar_per_k.is_none() {
+        evaluation.notes.push(CircularFinding::BarAsMeasured);
+    }
     Ok(CircleTest { source, circle, evaluation })
 }
 
@@ -210,14 +213,25 @@ fn in_force(args: &Args, certificate: Option<Temperature>) -> Temperature {
 
 fn from_csv(name: &str, traces: Vec<Trace>, radius: Option<f64>) -> Found {
     let mut notes = Vec::new();
+    let lengths = || traces.iter().flat_map(|trace| &trace.points).map(|point| point.length_mm);
+    let mean: f64 = lengths().sum::<f64>() / lengths().count().max(1) as f64;
+    notes.extend(radius.and_then(|radius_mm| other_radius(radius_mm, mean)));
     let radius_mm = radius.unwrap_or_else(|| {
-        let lengths = || traces.iter().flat_map(|trace| &trace.points).map(|point| point.length_mm);
-        let mean: f64 = lengths().sum::<f64>() / lengths().count().max(1) as f64;
         notes.push(CircularFinding::RadiusAssumed { radius_mm: mean.round() });
         mean.round()
     });
     let certificate = Certificate::default();
     Found { source: name.to_owned(), circle: None, radius_mm, traces, notes, certificate }
+}
+
+/// That the mean length is that of a whole millimetre, which programs have, rather than that of --radius.
+fn other_radius(radius_mm: f64, mean_mm: f64) -> Option<CircularFinding> {
+    /// Times nearer.
+    const NEARER: f64 = 5.0;
+    const LEAST_MM: f64 = 0.1;
+    let off_mm = (mean_mm - radius_mm).abs();
+    let is_other = off_mm > LEAST_MM && off_mm > NEARER * (mean_mm - mean_mm.round()).abs();
+    (is_other && radius_mm != mean_mm.round()).then_some(CircularFinding::OtherRadius { mean_mm, radius_mm })
 }
 
 /// The circles of a capture, and the capture.
@@ -246,18 +260,24 @@ fn from_capture(path: &Path, args: &Args, out: &Output) -> Result<Captured, Diag
         source: format!("{}, circle {}", path.display(), circle.number),
         circle: Some(circle.number),
         radius_mm: args.radius.unwrap_or(circle.radius_mm),
-        notes: match circle.lost {
-            0 => Vec::new(),
-            lost => {
-                let poses = lost + circle.measured();
-                let percent = 100.0 * lost as f64 / poses as f64;
-                vec![CircularFinding::PosesWithoutLength { lost, poses, percent }]
-            }
-        },
+        notes: notes(&circle, args.radius),
         traces: circle.traces,
         certificate,
     });
     Ok(Captured { circles: circles.collect(), source: run.traced(path)? })
+}
+
+/// What of a circle of a capture is lost, and that --radius is not the plan's.
+fn notes(circle: &run::Circle, radius: Option<f64>) -> Vec<CircularFinding> {
+    /// Plans are printed to so much, mm.
+    const PRINTED_MM: f64 = 0.01;
+    let planned_mm = circle.radius_mm;
+    let other = radius.filter(|radius_mm| (radius_mm - planned_mm).abs() > PRINTED_MM);
+    let other = other.map(|radius_mm| CircularFinding::RadiusOfPlan { radius_mm, planned_mm });
+    let (lost, poses) = (circle.lost, circle.lost + circle.measured());
+    let percent = 100.0 * lost as f64 / poses.max(1) as f64;
+    let without = (lost > 0).then_some(CircularFinding::PosesWithoutLength { lost, poses, percent });
+    without.into_iter().chain(other).collect()
 }
 
 fn show(test: &CircleTest, out: &Output) {

@@ -9,7 +9,7 @@ use super::{Outcome, Output, length_sd, tolerance};
 use super::{artefact, robots};
 use crate::base::date::{day_number, is_after};
 use crate::base::{FileSet, clock, files, serialised};
-use crate::catalogue::{CliFinding, ConformityFinding, Names};
+use crate::catalogue::{CliFinding, ConformityFinding, Names, ProvenanceFinding};
 use crate::conformity::{
     CircleFile, Comparison, Input, LEVEL, ResultRead, Subject, Timeline, Tracked, compare_circles,
     compare_results, of_robot, same_robot, unlike_circles,
@@ -94,6 +94,9 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         let parameters = Names::of(results.not_compared.iter().map(|parameter| parameter.name));
         out.finding(ConformityFinding::DifferentlyEstimated { parameters });
     }
+    if let Subject::Results(_) = &comparison.subject {
+        of_results(&documents, &sources).into_iter().for_each(|doubt| out.finding(doubt));
+    }
     out.document(&made)?;
     lines(&comparison).into_iter().for_each(|line| out.result(line));
     out.result(format!("results in {}", args.out.display()));
@@ -135,6 +138,48 @@ fn other_date(date: &str, identity: &Identity) -> Option<ConformityFinding> {
     let measured = identity.day()?.to_owned();
     let apart_days = (day_number(date)? - day_number(&measured)?).abs();
     (apart_days > ALIKE_DAYS).then(|| ConformityFinding::OtherDate { date: date.into(), measured })
+}
+
+/// What makes the difference of results doubtful: one that is doubtful itself, the same lengths in two, or an earlier one
+/// behind a later one.
+fn of_results(documents: &[Document], sources: &[Traced]) -> Vec<Diagnostic> {
+    let mut found = Vec::new();
+    for (at, (document, source)) in documents.iter().zip(sources).enumerate() {
+        let mut doubt =
+            |finding: Diagnostic| found.push(Diagnostic { file: document.name.clone(), ..finding });
+        let doubts = doubts(&document.json);
+        if !doubts.is_empty() {
+            let (robot, doubts) = (document.name.clone(), Names::of(doubts));
+            doubt(ProvenanceFinding::DoubtfulRobot { robot, doubts }.into());
+        }
+        let own = &source.provenance;
+        for (first, before) in documents.iter().zip(sources).take(at) {
+            let known: Vec<&Artefact> = before.provenance.measured().collect();
+            let same = own.measured().find(|one| known.iter().any(|other| other.sha256 == one.sha256));
+            if let Some(lengths) = same.map(ToString::to_string) {
+                doubt(ProvenanceFinding::SameLengths { lengths, first: first.name.clone() }.into());
+            }
+        }
+        let day = |source: &Traced| source.provenance.identity.day().map(str::to_owned);
+        if let Some((before, now)) =
+            at.checked_sub(1).and_then(|before| day(&sources[before])).zip(day(source))
+            && day_number(&now) < day_number(&before)
+        {
+            doubt(ConformityFinding::MeasuredBefore { measured: now, before }.into());
+        }
+    }
+    found
+}
+
+/// The codes of the doubts that a result has.
+fn doubts(result: &Json) -> Vec<String> {
+    let warnings = result.get("warnings").and_then(Json::as_array).into_iter().flatten();
+    let doubtful = warnings.filter(|warning| warning.get("kind").and_then(Json::as_str) == Some("doubt"));
+    let code = |warning: &Json| warning.get("code").and_then(Json::as_str).map(str::to_owned);
+    let mut codes: Vec<String> = doubtful.filter_map(code).collect();
+    codes.sort();
+    codes.dedup();
+    codes
 }
 
 /// The kind of a file by the keys that only it has.

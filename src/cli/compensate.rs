@@ -14,6 +14,7 @@ use crate::diagnostic::Diagnostic;
 use crate::program::krl::{self, Files, Given};
 use crate::program::{Language, Moved, Text, provenance, rapid, stamped, urscript};
 use crate::provenance::{Artefact, Provenance, Role, Traced};
+use crate::robot::pose::is_part_of_turn;
 use crate::robot::{Pose, Robot, RobotRead};
 
 /// Correct the points of a program for an identified robot.
@@ -56,6 +57,9 @@ pub(crate) struct Args {
 fn parse_frame(text: &str) -> Result<Pose, CompensationFinding> {
     let numbers: Vec<f64> = text.split(',').map(|part| part.trim().parse().unwrap_or(f64::NAN)).collect();
     match numbers[..] {
+        [_, _, _, a, b, c] if [a, b, c].into_iter().any(is_part_of_turn) => {
+            Err(CompensationFinding::FrameInRadians)
+        }
         [x, y, z, a, b, c] if numbers.iter().all(|number| number.is_finite()) => {
             Ok(Pose::from_kuka([x, y, z], [a, b, c]))
         }

@@ -16,7 +16,7 @@ use crate::cli::robots;
 use crate::diagnostic::Diagnostic;
 use crate::estimation::change::CheckPower;
 use crate::estimation::{check_measurements, doubts};
-use crate::measurement::{BaseBall, Measurements, PreparedMeasurement};
+use crate::measurement::{BaseBall, PreparedMeasurement};
 use crate::plan::prediction::Identifiability;
 use crate::plan::{Check, Job, Kind, Plan, PlanningPrior, Prediction, Stage, Taught};
 use crate::provenance::{Artefact, Provenance, Role, Traced, one_robot};
@@ -64,7 +64,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "MM", requires = "check", value_parser = tolerance)]
     tolerance: Option<f64>,
     /// Largest probability of a wrong decision of the check.
-    #[arg(long, value_name = "P", requires = "check", default_value_t = 0.05, value_parser = risk)]
+    #[arg(long, value_name = "P", requires = "tolerance", default_value_t = 0.05, value_parser = risk)]
     risk: f64,
 }
 
@@ -112,7 +112,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     let provenance = Provenance::of([&made_from, &source].into_iter().chain(&measured.sources));
     let Known { job, robot, prior } = match &check {
         Some(check) => check.known(&job)?,
-        None => Known::after(job, robot, &measured.files, &args.measured, out)?,
+        None => Known::after(job, robot, &measured.files, out)?,
     };
     let mut plan = Plan::build_with(&job, &robot, &prior).map_err(|refusal| {
         refusal.shown().for_each(|finding| out.finding(finding.clone()));
@@ -247,16 +247,6 @@ impl Measured {
     }
 }
 
-/// That most lengths of a table are beyond the stroke of the job's bar.
-fn other_bar(job: &Job, table: &Measurements) -> Option<PlanFinding> {
-    let [least_mm, most_mm] = job.bar.stroke_mm.map(|mm| job.bar.length_mm + mm);
-    let lengths: Vec<f64> =
-        table.rows.iter().filter(|row| row.datum.bar().is_some()).map(|row| row.length_mm).collect();
-    let beyond = lengths.iter().filter(|mm| !(least_mm..=most_mm).contains(*mm)).count();
-    let lengths = lengths.len();
-    (2 * beyond > lengths).then_some(PlanFinding::OtherBarMeasured { beyond, lengths, least_mm, most_mm })
-}
-
 /// Job, robot and what is known of it.
 struct Known {
     job: Job,
@@ -265,25 +255,18 @@ struct Known {
 }
 
 impl Known {
-    /// After the lengths measured before, if there are any; those that are `named` are of the job's bar.
-    fn after(
-        job: Job,
-        robot: Robot,
-        measured: &[PathBuf],
-        named: &[PathBuf],
-        out: &Output,
-    ) -> Result<Self, Diagnostic> {
+    /// After the lengths measured before, if there are any.
+    fn after(job: Job, robot: Robot, measured: &[PathBuf], out: &Output) -> Result<Self, Diagnostic> {
         if measured.is_empty() {
             let prior = PlanningPrior::datasheet(&job, &robot);
             return Ok(Self { job, robot, prior });
         }
-        let (mut tables, mut findings, mut other_bars) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut tables, mut findings) = (Vec::new(), Vec::new());
         for path in measured {
             let observations = super::identify::observations(path, &mut findings, out)?;
             let name = path.display().to_string();
             check_measurements(&name, &observations, &robot, &job.balls())?;
             findings.extend(doubts(&name, &observations, &robot, &job.balls()));
-            other_bars.extend(other_bar(&job, &observations).filter(|_| named.contains(path)));
             let rows = observations.rows.len();
             if tables.contains(&observations) {
                 findings.push(Diagnostic::file(&name, MeasurementFinding::Repeated { repeated: rows, rows }));
@@ -305,8 +288,7 @@ impl Known {
         }
         job.check_against(robot.controller()).map_err(Diagnostic::new)?;
         let prior = PlanningPrior::after_lengths(&job, &robot, &lengths).map_err(Diagnostic::from)?;
-        out.about(&other_bars);
-        prior.doubt(&job, &robot, &lengths).into_iter().for_each(|doubt| out.finding(doubt));
+        prior.doubts(&job, &robot, &lengths).into_iter().for_each(|doubt| out.finding(doubt));
         let (job, robot) = prior.applied(&job, &robot);
         Ok(Self { job, robot, prior })
     }

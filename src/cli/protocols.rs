@@ -61,6 +61,16 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
             if table.is_some_and(|table| !table.contains_key("test")) {
                 out.finding(Diagnostic::file(&file.display().to_string(), ProtocolFinding::NoTests));
             }
+            let of_built_in = Definition::built_in().iter().find(|(id, _)| *id == definition.id);
+            if of_built_in
+                .is_some_and(|(_, text)| text.parse().ok() != definition.text.parse::<toml::Table>().ok())
+            {
+                let id = definition.id.clone();
+                out.finding(Diagnostic::file(
+                    &file.display().to_string(),
+                    ProtocolFinding::IdOfBuiltIn { id },
+                ));
+            }
             out.document(&summary(&definition))?;
             out.result(format!("{}: `{}` is sound; its test vectors pass", file.display(), definition.id));
             Ok(Outcome::Done)

@@ -8,6 +8,7 @@ use serde_json::json;
 
 use super::acquire::simulated;
 use super::{Outcome, Output};
+use crate::catalogue::FileFinding;
 use crate::daemon::{self, Bench, Config, Level, Log, Program};
 use crate::device::port::PortAddress;
 use crate::diagnostic::Diagnostic;
@@ -36,6 +37,7 @@ pub(crate) struct Args {
 pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     let config = args.config.as_deref().map(Config::read).transpose()?.unwrap_or_default();
     let (address, data) = (config.door.address, config.data.display().to_string());
+    can_be_made(&config.data)?;
     if args.check {
         out.document(&json!({
             "address": address.to_string(), "data": data, "plans": config.plans.display().to_string(),
@@ -47,6 +49,17 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     }
     daemon::serve(config, Arc::new(Lines { out: out.clone() }), bench(out.clone()))?;
     Ok(Outcome::Done)
+}
+
+/// That files can be written in a directory, or in the one in which it would be made.
+fn can_be_made(directory: &Path) -> Result<(), Diagnostic> {
+    let named = |path: &&Path| !path.as_os_str().is_empty();
+    let there = directory.ancestors().filter(named).find(|path| path.exists()).unwrap_or(Path::new("."));
+    let unwritable = |error: std::io::Error| {
+        let why = FileFinding::Unwritable { why: error.to_string() };
+        Diagnostic::file(&directory.display().to_string(), why)
+    };
+    tempfile::tempfile_in(there).map(drop).map_err(unwritable)
 }
 
 /// What the port `sim` reads: a simulated cell at the speed of life.

@@ -9,7 +9,7 @@ use serde_json::json;
 
 use super::{Outcome, Output, protocols};
 use crate::base::files;
-use crate::catalogue::{FileFinding, SimulationFinding};
+use crate::catalogue::{CompensationFinding, FileFinding, SimulationFinding};
 use crate::cli::robots;
 use crate::daemon::stop_on_signal;
 use crate::device::axes::AxesAddress;
@@ -190,6 +190,10 @@ fn program(path: &Path) -> Result<Program, Diagnostic> {
     let extension = path.extension().and_then(|extension| extension.to_str()).unwrap_or_default();
     let read = |path: &Path| Ok::<_, Diagnostic>((path.display().to_string(), files::read(path)?));
     match Language::of_extension(extension) {
+        None if !extension.is_empty() => {
+            let file = path.display().to_string();
+            return Err(Diagnostic::file(&file.clone(), CompensationFinding::NoLanguage { file }));
+        }
         None | Some(Language::Krl) => {}
         Some(Language::Urscript) => return Ok(urscript::open(read(path)?)?.into()),
         Some(Language::Rapid) => {

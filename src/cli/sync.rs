@@ -42,7 +42,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     files::is_earlier(&args.out, b"index,centre,")?;
     let run = run::open(&args.run, args.plan.as_deref(), &args.axes, &mut |finding| out.finding(finding))?;
     out.done(40);
-    let matching = run.matching(None);
+    let matching = run.matching(None)?;
     out.done(90);
     out.about(&matching.findings);
     out.document(&document(&matching, &run.stream))?;

@@ -294,9 +294,16 @@ impl CheckInput<'_> {
 }
 
 impl InterimCheck {
-    /// The robot with what changed identified anew; `None` where nothing changed.
+    /// The robot with what changed identified anew; `None` where nothing changed, or nothing explains the lengths.
     pub fn update(&self) -> Option<&Robot> {
-        self.update.as_ref()
+        self.update.as_ref().filter(|_| self.is_explained())
+    }
+
+    /// Whether a change of few parameters explains the lengths.
+    pub fn is_explained(&self) -> bool {
+        let is_unexplained =
+            |finding: &ConformityFinding| matches!(finding, ConformityFinding::NotExplained { .. });
+        !self.findings.iter().any(is_unexplained)
     }
 }
 

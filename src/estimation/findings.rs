@@ -2,6 +2,7 @@
 
 use super::calibration::{AngleSource, Calibration};
 use super::contradiction::kinds_disagree;
+use super::held::contradicted;
 use super::left_out::left_out_mm;
 use super::lengths::Sigma;
 use super::linear_system::factor;
@@ -35,6 +36,7 @@ pub(super) fn findings(of: &Calibration<'_>) -> Vec<EstimationFinding> {
     found.extend(beyond_prior(of));
     found.extend(implausible(&of.parameters, &of.setting.priors, &of.setting.options.hold));
     found.extend(displaced(&of.parameters));
+    found.extend(contradicted(of));
     found.extend(shifted_rows(&of.estimate, &of.lengths));
     found.extend(kinds_disagree(&of.estimate, &of.lengths));
     found.extend(outliers(fit.out.len(), of.lengths.len()));

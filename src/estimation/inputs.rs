@@ -128,7 +128,7 @@ fn far_rows(observations: &Measurements, robot: &Robot, centres: &[BaseBall]) ->
     const FAR_MM: f64 = 100.0;
     /// No ball is given so badly, mm.
     const FAR_FROM_ALL_MM: f64 = 250.0;
-    /// Where more are far, robot or balls are others.
+    /// Where more are a little far, robot or balls are others.
     const FEW: f64 = 0.2;
     let off = observations.rows.iter().filter(|row| row.target == TargetId::FIRST).filter_map(|row| {
         let centre = centres.get(row.datum.ball()?.index()).map(|ball| &ball.position);
@@ -146,9 +146,6 @@ fn far_rows(observations: &Measurements, robot: &Robot, centres: &[BaseBall]) ->
     let far: Vec<_> =
         off.iter().filter(|(_, off_mm)| *off_mm > usual_mm + FAR_MM || off_mm.is_nan()).collect();
     let &&(index, off_mm) = far.first()?;
-    ((far.len() as f64) < FEW * off.len() as f64).then_some(MeasurementFinding::FarLengths {
-        rows: far.len(),
-        index,
-        off_mm,
-    })
+    ((far.len() as f64) < FEW * off.len() as f64 || off_mm > FAR_FROM_ALL_MM)
+        .then_some(MeasurementFinding::FarLengths { rows: far.len(), index, off_mm })
 }

@@ -233,6 +233,11 @@ impl Priors {
         self.robot_or_bar(id).or_else(|| undetermined.contains(&id).then_some(UNCERTIFIED_BAR_MM))
     }
 
+    /// Standard uncertainty of the length of a bar with this certificate, or with none, mm.
+    pub fn certified_bar_mm(u_mm: Option<f64>) -> f64 {
+        u_mm.unwrap_or(UNCERTIFIED_BAR_MM)
+    }
+
     fn robot_or_bar(&self, id: ParamId) -> Option<f64> {
         let given = self.given.get(&id).copied();
         let posterior = || self.posterior.as_ref()?.sd(id);
@@ -258,7 +263,7 @@ impl Priors {
     /// One standard deviation of the true error of what may be fixed, whatever the user's prior; `None` of balls.
     fn tolerance(&self, id: ParamId) -> Option<f64> {
         match id {
-            ParamId::BarOffset(_) => Some(self.bar_u_mm.unwrap_or(UNCERTIFIED_BAR_MM)),
+            ParamId::BarOffset(_) => Some(Self::certified_bar_mm(self.bar_u_mm)),
             _ => self.geometric(id).or_else(|| self.optional(id)),
         }
     }

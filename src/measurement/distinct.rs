@@ -1,7 +1,6 @@
 //! Rows that are in a table more than once.
 
 use std::cmp::Ordering;
-use std::collections::BTreeMap;
 
 use super::{Measurement, Measurements};
 use crate::catalogue::MeasurementFinding;
@@ -56,26 +55,36 @@ impl Measurements {
 }
 
 impl Measurements {
-    /// How many rows of the other table are in this one, whatever their index: as they were measured, before a change of the bar's
-    /// zero was taken out, and as a spreadsheet may have rounded them.
+    /// How many rows of the other table are in this one, whatever their index: as they were measured, before a change of the
+    /// bar's zero was taken out, also where one of the two was rounded. A pose that was driven again has the same length to so
+    /// many digits once in some fifty times.
     pub fn holds(&self, other: &Self) -> usize {
-        /// A length at the same pose is measured again to this by chance only, mm.
-        const ROUNDED_MM: f64 = 1e-3;
-        let key = |row: &Measurement| {
-            (row.datum, row.target, row.axes.degrees().map(|deg| (1e3 * deg).round() as i64))
+        let mut known: Vec<(f64, &Measurement)> =
+            self.rows.iter().map(|row| (measured_mm(row), row)).collect();
+        known.sort_unstable_by(|(a, _), (b, _)| a.total_cmp(b));
+        let held = |row: &&Measurement| {
+            let length_mm = measured_mm(row);
+            let first = known.partition_point(|(known_mm, _)| *known_mm < length_mm - ROUNDED_MM);
+            let near = known[first..].iter().take_while(|(known_mm, _)| *known_mm <= length_mm + ROUNDED_MM);
+            near.into_iter().any(|(_, known)| is_rounded(known, row))
         };
-        let measured = |row: &Measurement| {
-            let zero_mm = row.context.as_ref().and_then(|context| context.zero_mm);
-            row.length_mm + zero_mm.unwrap_or(0.0)
-        };
-        let mut known: BTreeMap<_, Vec<f64>> = BTreeMap::new();
-        self.rows.iter().for_each(|row| known.entry(key(row)).or_default().push(measured(row)));
-        let is_held = |row: &&Measurement| {
-            let lengths = known.get(&key(row)).into_iter().flatten();
-            lengths.into_iter().any(|length| (length - measured(row)).abs() < ROUNDED_MM)
-        };
-        other.rows.iter().filter(is_held).count()
+        other.rows.iter().filter(held).count()
     }
+}
+
+/// A length with what was taken out of it as a change of the zero, mm.
+fn measured_mm(row: &Measurement) -> f64 {
+    row.length_mm + row.context.as_ref().and_then(|context| context.zero_mm).unwrap_or(0.0)
+}
+
+/// Half of the last digit of three decimals, mm, and of two, degrees, and a trifle for the binary numbers.
+const ROUNDED_MM: f64 = 0.000_501;
+const ROUNDED_DEG: f64 = 0.005_001;
+
+/// Whether two rows of nearly one length are of one pose.
+fn is_rounded(a: &Measurement, b: &Measurement) -> bool {
+    let mut axes = a.axes.degrees().into_iter().zip(b.axes.degrees());
+    (a.datum, a.target) == (b.datum, b.target) && axes.all(|(a, b)| (a - b).abs() <= ROUNDED_DEG)
 }
 
 /// By the index; the rows of a position, and those of several targets at one pose, may share theirs.

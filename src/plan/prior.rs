@@ -6,10 +6,10 @@ use serde::{Deserialize, Serialize};
 use super::{Job, Plan};
 use crate::catalogue::{EstimationFinding, JobFinding, PlanFinding};
 use crate::estimation::expected::Expected;
-use crate::estimation::{Posterior, Priors, beyond_repeatability, length_sd_mm};
+use crate::estimation::{Posterior, Priors, beyond_repeatability, largest_plausible, length_sd_mm};
 use crate::measurement::{LengthModel, PreparedMeasurement};
 use crate::robot::inverse::nearest;
-use crate::robot::{AXES, BallId, ParamId, Pose, Robot, RobotPosterior};
+use crate::robot::{AXES, BallId, BarId, ParamId, Pose, Robot, RobotPosterior};
 
 /// A taught ball may be off by this much from where its axis angles say, mm: more is a mistake in one of the two.
 const TAUGHT_MM: f64 = 1.0;
@@ -75,7 +75,8 @@ impl PlanningPrior {
     /// After lengths: the likeliest robot (with the given one as its nominal) and base balls, and their covariance.
     ///
     /// # Errors
-    /// When a number is not finite, or a length is to a ball that the job does not have.
+    /// When a number is not finite, a length is to a ball that the job does not have, or the lengths are those of a bar
+    /// that is longer or shorter than the job's by more than its stroke.
     pub fn after_lengths(
         job: &Job,
         robot: &Robot,
@@ -85,6 +86,13 @@ impl PlanningPrior {
         let before = Self::datasheet(job, nominal);
         let posterior = before.posterior.learn(readings, length_sigma_mm(job, nominal));
         let posterior = posterior.ok_or(PlanFinding::NoFiniteRobot)?;
+        let bar = BarOff::by_lengths(job, nominal, readings).filter(|bar| bar.is_contradicted(job));
+        let [low_mm, high_mm] = job.bar.stroke_mm;
+        if let Some(BarOff { off_mm, sd_mm }) = bar
+            && !(low_mm..=high_mm).contains(&off_mm)
+        {
+            return Err(PlanFinding::OtherBar { off_mm, sd_mm, low_mm, high_mm });
+        }
         let mut located = before.located;
         for reading in readings {
             let ball = reading.datum.ball().and_then(|ball| located.get_mut(ball.index()));
@@ -93,17 +101,21 @@ impl PlanningPrior {
         Ok(Self { posterior, lengths: readings.len(), located, ..before })
     }
 
-    /// That the lengths fit the robot that was learnt from them far worse than it repeats.
-    pub fn doubt(
+    /// That the lengths fit the robot that was learnt from them far worse than it repeats, or another bar far better.
+    pub fn doubts(
         &self,
         job: &Job,
         robot: &Robot,
         lengths: &[PreparedMeasurement],
-    ) -> Option<EstimationFinding> {
+    ) -> Vec<EstimationFinding> {
         let model = self.posterior.model.prepare();
         let squares = lengths.iter().map(|one| (one.length_mm - model.length(one)).powi(2));
         let rms_mm = (squares.sum::<f64>() / lengths.len().max(1) as f64).sqrt();
-        beyond_repeatability(rms_mm, job.bar.sigma_um * 1e-3, robot.controller())
+        let worse = beyond_repeatability(rms_mm, job.bar.sigma_um * 1e-3, robot.controller());
+        let bar = BarOff::by_lengths(job, robot.controller(), lengths);
+        let bar = bar.filter(|bar| bar.is_contradicted(job));
+        let other = bar.map(|BarOff { off_mm, sd_mm }| EstimationFinding::BarContradicted { off_mm, sd_mm });
+        worse.into_iter().chain(other).collect()
     }
 
     /// The job and the robot as they are now known: base balls and geometry moved to the likeliest.
@@ -164,6 +176,31 @@ impl PlanningPrior {
             *located = true;
         }
         Some(taught)
+    }
+}
+
+/// By how much longer a bar the lengths would be those of a robot within its tolerance.
+struct BarOff {
+    off_mm: f64,
+    sd_mm: f64,
+}
+
+impl BarOff {
+    /// By a bar of which nothing is known.
+    fn by_lengths(job: &Job, robot: &Robot, readings: &[PreparedMeasurement]) -> Option<Self> {
+        const UNKNOWN_MM: f64 = 1e3;
+        let model = LengthModel::new(robot.geometry.clone(), &job.balls());
+        let prior = Posterior::prior(robot, model, &Priors::datasheet(robot, Some(UNKNOWN_MM)));
+        let before = PlanningPrior::with_taught(job, robot, prior).posterior;
+        let found = before.learn(readings, length_sigma_mm(job, robot))?;
+        let sd_mm = found.sd(ParamId::BarOffset(BarId::FIRST))?;
+        Some(Self { off_mm: found.model.bar_offset(BarId::FIRST), sd_mm })
+    }
+
+    /// Whether it is beyond what certificate and tolerance leave open.
+    fn is_contradicted(&self, job: &Job) -> bool {
+        let u_mm = Priors::certified_bar_mm(job.bar.u_mm());
+        self.off_mm.abs() > largest_plausible(true) * self.sd_mm.hypot(u_mm)
     }
 }
 

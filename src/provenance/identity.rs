@@ -31,8 +31,10 @@ const BARS_MM: [f64; 2] = [10.0, 10_000.0];
 pub const LENGTH_U_MM: [f64; 2] = [1e-4, 0.5];
 /// Where lengths are certified, degrees Celsius.
 pub const CERTIFIED_C: [f64; 2] = [0.0, 50.0];
-/// Expansion of what bars are made of, 1/K: from nothing (glass ceramics) to plastics.
-const EXPANSIONS_PER_K: [f64; 2] = [0.0, 2e-4];
+/// Expansion of what bars are made of, 1/K: from nothing (glass ceramics) to zinc.
+const EXPANSIONS_PER_K: [f64; 2] = [0.0, 5e-5];
+/// No robot carries more, kg.
+const MOST_LOAD_KG: f64 = 2500.0;
 
 /// Serial numbers, people, places and circumstances of a measurement, as far as they are stated: a table `[identity]` of
 /// a job or of the service's configuration, or a file of its own.
@@ -266,7 +268,7 @@ impl Identity {
         {
             return Err(("country", NotACountry { code: code.clone() }));
         }
-        within("load_kg", self.load_kg, [0.0, 1e4])
+        within("load_kg", self.load_kg, [0.0, MOST_LOAD_KG])
     }
 
     fn check_balls(&self) -> Result<(), Wrong> {

@@ -280,6 +280,13 @@ impl Provenance {
         self.from.iter().any(|source| source.sha256 == artefact.sha256)
     }
 
+    /// What was measured for it: captures and tables, without those of an earlier calibration that it goes on from.
+    pub fn measured(&self) -> impl Iterator<Item = &Artefact> {
+        let earlier = self.from.iter().rposition(|source| source.role == Role::IdentifiedRobot);
+        let own = self.from.iter().skip(earlier.map_or(0, |at| at + 1));
+        own.filter(|source| [Role::Measurements, Role::Capture].contains(&source.role))
+    }
+
     /// The measured artefact by which the commanded poses were corrected, if they were.
     pub fn corrected_by(&self) -> Option<&Artefact> {
         let measured = [Role::IdentifiedRobot, Role::Measurements, Role::Capture];

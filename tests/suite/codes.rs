@@ -85,6 +85,7 @@ fn provoked() -> Vec<&'static str> {
         crate::uncertainties_hold::provoked(),
         crate::units_and_mixed_files::provoked(),
         crate::users_urdf_is_patched::provoked(),
+        crate::what_contradicts_is_named::provoked(),
         crate::sag_and_harmonics_by_evidence::provoked(),
     ]
     .concat()

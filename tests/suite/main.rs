@@ -129,4 +129,5 @@ mod units_and_mixed_files;
 mod unplugged_and_back;
 mod users_urdf_is_patched;
 mod virtual_bar;
+mod what_contradicts_is_named;
 mod zero_changes;

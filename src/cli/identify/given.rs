@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::inputs::measurements;
+use super::inputs::{self, measurements};
 use super::{LENGTHS, POSITIONS};
 use crate::catalogue::{
     ConformityFinding, EstimationFinding, MatchingFinding, ProvenanceFinding, RecordingFinding,
@@ -72,7 +72,7 @@ impl Given {
         let input = named.input.display().to_string();
         let joined = if run::is_capture(named.input)? {
             let run = run::open(named.input, None, &[], &mut |finding| out.finding(finding))?;
-            let matching = run.matching(None);
+            let matching = run.matching(None)?;
             Some((Box::new(run), matching))
         } else {
             None
@@ -232,7 +232,9 @@ impl Given {
             None => f64::NAN,
         };
         let sigma_mm = (3.0 * found.sigma.mm).max(LEAST_SIGMA_MM);
-        let matching = run.matching(Some(Predicted { length_mm: &length, sigma_mm }));
+        let Ok(matching) = run.matching(Some(Predicted { length_mm: &length, sigma_mm })) else {
+            return false;
+        };
         if matching.same_pairs(before) || matching.observations.rows.is_empty() {
             return false;
         }
@@ -280,7 +282,7 @@ fn positions(
     findings: &mut Vec<Diagnostic>,
     out: &Output,
 ) -> Result<Measurements, Diagnostic> {
-    let (name, set) = (path.display().to_string(), measurements(path, findings, out)?);
+    let (name, set) = (path.display().to_string(), inputs::positions(path, findings, out)?);
     check_measurements(&name, &set, robot, &[])?;
     findings.extend(
         doubts(&name, &set, robot, &[]).into_iter().filter(|doubt| doubt.code.severity() != Severity::Info),

@@ -12,9 +12,15 @@ use crate::measurement::{self, Distinct, Measurements};
 use crate::robot::parameter::SetUp;
 use crate::robot::{AXES, ParamId, Robot, Unit};
 
+/// A tool ball is no nearer to the flange's centre, mm: nearer it is one in metres.
+const LEAST_TOOL_MM: f64 = 3.0;
+
 pub(crate) fn parse_point(text: &str) -> Result<[f64; 3], EstimationFinding> {
     let numbers: Result<Vec<f64>, _> = text.split(',').map(|part| part.trim().parse::<f64>()).collect();
     match numbers.as_deref() {
+        Ok(&[x, y, z]) if (f64::MIN_POSITIVE..LEAST_TOOL_MM).contains(&x.abs().max(y.abs()).max(z.abs())) => {
+            Err(EstimationFinding::PointInMetres)
+        }
         Ok(&[x, y, z]) if [x, y, z].iter().all(|v| v.is_finite()) => Ok([x, y, z]),
         _ => Err(EstimationFinding::NotAPoint),
     }
@@ -100,6 +106,18 @@ pub(crate) fn measurements(
         })?,
     );
     distinct(&name, table, found)
+}
+
+/// The positions of a table.
+///
+/// # Errors
+/// As [`observations`].
+pub(crate) fn positions(
+    path: &Path,
+    found: &mut Vec<Diagnostic>,
+    out: &Output,
+) -> Result<Measurements, Diagnostic> {
+    distinct(&path.display().to_string(), out.table(path, Measurements::positions_from_table)?, found)
 }
 
 fn lengths(table: &mut Table<'_>) -> Result<Measurements, Diagnostic> {

@@ -156,7 +156,9 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     let validation = args.validate.as_deref().map(|path| given.validation(path, out)).transpose()?;
     let busy = out.busy(&format!("identifying from {} measurements", given.observations.count()), None);
     out.done(20);
-    let mut found = find(&given, validation.as_ref(), &options)?;
+    // What was found in the inputs may be why nothing can be computed.
+    let inputs = || given.findings().into_iter().for_each(|finding| out.finding(finding));
+    let mut found = find(&given, validation.as_ref(), &options).inspect_err(|_| inputs())?;
     out.done(60);
     // The lengths that the identified robot predicts are used in the alignment, until nothing changes.
     for _ in 0..ALIGNMENTS {

@@ -12,7 +12,7 @@ use crate::estimation::result::MapPoint;
 use crate::estimation::{Options, length_sd_mm};
 use crate::measurement::{LengthModel, PreparedMeasurement};
 use crate::plan::{Job, Kind, Plan, PlanRow, PlanningPrior};
-use crate::robot::{AXES, Robot, Unit};
+use crate::robot::{AXES, BallId, Robot, Unit};
 
 /// The check that is planned, but for its poses.
 pub(super) struct PlannedCheck<'a> {
@@ -65,9 +65,27 @@ impl<'a> PlannedCheck<'a> {
 
     /// Job, robot and what is known of it.
     pub(super) fn known(&self, job: &Job) -> Result<Known, Diagnostic> {
+        self.kept_in_reach(job)?;
         let expected = self.input(&[]).expected().map_err(|finding| Diagnostic::file(self.file, finding))?;
         let prior = PlanningPrior::of_check(job, &self.robot, expected);
         Ok(Known { job: job.as_check(self.poses), robot: self.robot.clone(), prior })
+    }
+
+    /// That base balls which stayed are where the job has them, to what the stroke leaves: the poses are about these places.
+    fn kept_in_reach(&self, job: &Job) -> Result<(), Diagnostic> {
+        let known = self.robot.posterior.as_ref();
+        let [low_mm, high_mm] = job.bar.stroke_mm;
+        let stays = matches!(self.mounting.balls, BallMounting::Kept(_));
+        for (at, place) in self.start.balls.iter().enumerate().filter(|_| stays) {
+            let ball = BallId::at(at);
+            let Some(kept) = known.and_then(|known| known.ball(ball)) else { continue };
+            let away_mm = (place - kept).norm();
+            if away_mm > 0.5 * (high_mm - low_mm) {
+                let elsewhere = ConformityFinding::BallElsewhere { ball: ball.number(), away_mm };
+                return Err(Diagnostic::file(self.file, elsewhere));
+            }
+        }
+        Ok(())
     }
 
     /// What the check will find, into the header; no map of the error that is left.

@@ -20,8 +20,10 @@ const MOST_CANDIDATES: u32 = 100_000;
 const FEED_MM_S: [f64; 2] = [0.5, 250.0];
 /// In a shorter dwell no bar sends enough readings, s.
 const LEAST_DWELL_S: f64 = 0.05;
-/// From carbon fibre to plastics, 1/K.
-const EXPANSION_PER_K: [f64; 2] = [-2e-6, 2e-4];
+/// From carbon fibre to zinc, 1/K.
+const EXPANSION_PER_K: [f64; 2] = [-2e-6, 5e-5];
+/// Base balls are larger: nearer places are one, mm.
+const LEAST_APART_MM: f64 = 10.0;
 /// A shorter arc is one in radians, degrees.
 const LEAST_ARC_DEG: f64 = 7.0;
 /// A smaller box, cylinder, height or place is one in metres, mm.
@@ -196,15 +198,15 @@ impl Job {
             }
             table.within("id", f64::from(centre.id), [1.0, MOST_BALLS as f64])?;
             centre.xyz_mm.iter().try_for_each(|mm| table.within("xyz_mm", *mm, [-MOST, MOST]))?;
-            table.finite("taught_deg", centre.taught_deg.iter().flatten())?;
-            let is_at = |other: &&CentreTable| {
-                let off = |axis: usize| (other.xyz_mm[axis] - centre.xyz_mm[axis]).powi(2);
-                (0..3).map(off).sum::<f64>().sqrt() < LEAST_RADIUS_MM
+            let from_mm = |other: &CentreTable| {
+                let steps = centre.xyz_mm.iter().zip(other.xyz_mm);
+                steps.map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
             };
-            if let Some(other) = self.centres[..at].iter().find(is_at) {
-                let finding = JobFinding::BallsAtOnePlace { ball: centre.id, other: other.id };
+            if let Some(other) = self.centres[..at].iter().find(|other| from_mm(other) < LEAST_APART_MM) {
+                let finding = JobFinding::BallsAtOnePlace { one: other.id, other: centre.id };
                 return Err(table.wrong("xyz_mm", finding));
             }
+            table.finite("taught_deg", centre.taught_deg.iter().flatten())?;
             table.cup(centre.cup_axis, centre.cup_limit_deg)?;
         }
         Ok(())

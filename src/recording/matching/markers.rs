@@ -1,88 +1,207 @@
-//! Sync markers: short moves out and back, whose change of the length is commanded. The robot's errors hardly change over them, so
-//! they show the sign and the scale of the readings.
+//! Whether the reading follows the sync markers. Their height is commanded, so they show sign and scale of the bar, which
+//! the lengths at the poses do not: a robot that is as much worse explains these as well.
 
+use super::PoseMatching;
 use super::outcome::PoseOutcome;
 use super::program::AFTER_S;
-use crate::catalogue::MatchingFinding;
-use crate::math::robust::median;
-use crate::plan::{Motion, Plan, PlanRow};
-use crate::recording::dwell::DwellReading;
+use crate::catalogue::MatchingFinding as Finding;
+use crate::math::straight_line::Regression;
+use crate::plan::{Kind, Motion, Plan};
 use crate::recording::stream::Stream;
 
-/// Shorter ones are not judged, mm.
-const LEAST_MM: f64 = 0.1;
-/// Fewer show no scale.
-const FEWEST: usize = 2;
-/// What a slow bar, a peak in its noise and the robot's errors leave of measured over commanded,
-const SOUND: f64 = 0.05;
-/// and four standard deviations of what the robot does not repeat, of one marker.
-const UNREPEATED: f64 = 0.28;
-/// Where the ratios differ by more, something else moves the bar.
-const ALIKE: f64 = 0.25;
-/// Of the farthest readings the first so many may be noise.
-const SPIKES: usize = 3;
-/// Longest period of samples that follow a marker, s.
-const SLOWEST_S: f64 = 0.05;
+/// A marker is the only line of less, mm.
+const LONGEST_MM: f64 = 1.0;
+/// What a marker is searched by, either way, s at full override, and the step.
+const SEARCH_S: f64 = 1.0;
+const STEP_S: f64 = 0.01;
+/// A controller rests so long between two exact stops, s.
+const PAUSES_S: [f64; 4] = [0.0, 0.05, 0.1, 0.2];
+/// Share of the reading's variance that a marker explains where it is seen.
+const SEEN: f64 = 0.9;
+/// Samples of a wave below which it is not judged.
+const LEAST_SAMPLES: usize = 12;
+/// Waves from which sign and scale are judged, and the deviation that is no chance, in standard deviations.
+const LEAST_WAVES: usize = 3;
+const SURE: f64 = 5.0;
+/// What a robot may go less than commanded by its play, and more, in its repeatabilities.
+const LESS: f64 = 2.0;
+const MORE: f64 = 1.0;
+/// Repeatability of a robot that states none, mm.
+const REPEATABILITY_MM: f64 = 0.1;
 
-/// That the reading changes otherwise than commanded at the markers behind the last dwells of the modules.
-pub(super) fn scale(
-    plan: &Plan,
-    stream: &Stream,
-    outcomes: &[PoseOutcome],
-    override_factor: f64,
-) -> Option<MatchingFinding> {
-    if !(stream.period_s() > 0.0 && stream.period_s() < SLOWEST_S) {
-        return None;
+/// The reading over the commanded length, of all waves that are seen.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Markers {
+    pub scale: f64,
+    /// Standard deviation of the scale.
+    pub sd: f64,
+    /// Mean commanded height, mm, by its size.
+    pub height_mm: f64,
+    pub waves: usize,
+}
+
+/// The markers of a module's begin or end: corners of the length over the time at full override.
+struct Wave {
+    /// When it begins by the dwell beside it, s of the stream.
+    begins_s: f64,
+    /// Durations of its moves, s.
+    moves_s: Vec<f64>,
+    /// The length at its corners less that before, mm.
+    corners_mm: Vec<f64>,
+}
+
+/// How well the reading follows a wave.
+#[derive(Clone, Copy)]
+struct Fit {
+    share: f64,
+    scale: f64,
+}
+
+impl Markers {
+    /// Of a run that was matched; `None` where too few markers are seen.
+    pub fn seen(plan: &Plan, stream: &Stream, matching: &PoseMatching) -> Option<Self> {
+        let stretch = matching.override_factor.unwrap_or(1.0).recip();
+        let waves = waves(plan, matching, stretch);
+        let seen: Vec<(f64, f64)> = waves
+            .iter()
+            .filter_map(|wave| Some((wave.fit(stream, stretch)?.scale, wave.height_mm())))
+            .collect();
+        if seen.len() < LEAST_WAVES {
+            return None;
+        }
+        let count = seen.len() as f64;
+        let scale = seen.iter().map(|(scale, _)| scale).sum::<f64>() / count;
+        let squares: f64 = seen.iter().map(|(one, _)| (one - scale).powi(2)).sum();
+        let height_mm = seen.iter().map(|(_, height_mm)| height_mm).sum::<f64>() / count;
+        Some(Self { scale, sd: (squares / (count - 1.0) / count).sqrt(), height_mm, waves: seen.len() })
     }
-    let behind = |pose: &PoseOutcome| {
-        let (at, dwell) = ((pose.index as usize).checked_sub(1)?, pose.reading()?);
-        let Markers { out_mm, rows } = markers(plan, at)?;
-        let moves = plan.header.moves.get(at + 1..at + 1 + rows)?;
-        let takes_s = AFTER_S + moves.iter().map(|time| time.duration_s).sum::<f64>() / override_factor;
-        Some((out_mm, farthest(stream, dwell, takes_s)?))
-    };
-    let found: Vec<(f64, f64)> = outcomes.iter().filter_map(behind).collect();
-    let mut ratios: Vec<f64> = found.iter().map(|(out_mm, measured_mm)| measured_mm / out_mm).collect();
-    if ratios.len() < FEWEST {
-        return None;
+
+    /// What is wrong with sign or scale, beyond chance and beyond what the robot may go otherwise than commanded.
+    pub fn finding(&self, repeatability_mm: Option<f64>) -> Option<Finding> {
+        let &Self { scale, sd, height_mm, waves } = self;
+        let off = scale - 1.0;
+        let allowed = if off < 0.0 { LESS } else { MORE } * repeatability_mm.unwrap_or(REPEATABILITY_MM);
+        if off.abs() * height_mm < allowed || off.abs() < SURE * sd {
+            return None;
+        }
+        Some(if scale < -SURE * sd {
+            Finding::ReadingInverted { waves, scale }
+        } else {
+            Finding::ReadingScaled { waves, scale, sd }
+        })
     }
-    let ratio = median(&mut ratios)?;
-    let apart = median(&mut ratios.iter().map(|one| (one - ratio).abs()).collect::<Vec<_>>())?;
-    let is_sound = (ratio - 1.0).abs() < SOUND + UNREPEATED / (ratios.len() as f64).sqrt();
-    let commanded_mm = found[0].0;
-    (!is_sound && apart < ALIKE * ratio.abs().max(ALIKE)).then_some(MatchingFinding::MarkerScale {
-        markers: found.len(),
-        commanded_mm,
-        measured_mm: ratio * commanded_mm,
-    })
 }
 
-/// Markers behind a row.
-struct Markers {
-    /// By how much the length grows, mm.
-    out_mm: f64,
-    rows: usize,
-}
-
-/// The moves out and back behind the row at a place.
-fn markers(plan: &Plan, at: usize) -> Option<Markers> {
-    let (row, next) = (plan.rows.get(at)?, plan.rows.get(at + 1)?);
-    let out_mm = next.length_mm - row.length_mm;
-    let is_marker = |next: &&PlanRow| {
-        let off_mm = (next.length_mm - row.length_mm) / out_mm;
-        next.motion == Motion::Lin
-            && next.dwell_s == 0.0
-            && (off_mm.abs() < 0.1 || (off_mm - 1.0).abs() < 0.1)
+/// The waves of a plan that have a dwell beside them.
+fn waves(plan: &Plan, matching: &PoseMatching, stretch: f64) -> Vec<Wave> {
+    let rows = &plan.rows;
+    let is_marker = |at: usize| {
+        let (Some(row), Some(before)) = (rows.get(at), at.checked_sub(1).and_then(|before| rows.get(before)))
+        else {
+            return false;
+        };
+        let steps = row.xyz_mm.iter().zip(before.xyz_mm);
+        let step_mm = steps.map(|(to, from)| (to - from).powi(2)).sum::<f64>().sqrt();
+        row.kind == Kind::Transit && row.motion == Motion::Lin && step_mm > 0.0 && step_mm < LONGEST_MM
     };
-    let rows = plan.rows[at + 1..].iter().take_while(is_marker).count();
-    (out_mm.abs() >= LEAST_MM && rows >= 2).then_some(Markers { out_mm, rows })
+    let places: Vec<usize> = (0..rows.len()).filter(|at| is_marker(*at)).collect();
+    let groups = places.chunk_by(|one, next| one + 1 == *next);
+    let duration_s = |at: usize| plan.header.moves.get(at).map_or(0.0, |time| time.duration_s);
+    let between_s = |from: usize, to: usize| stretch * (from..to).map(duration_s).sum::<f64>();
+    let wave = |group: &[usize]| {
+        let (first, end) = (*group.first()?, group.last()? + 1);
+        let moves_s: Vec<f64> = (first..end).map(duration_s).collect();
+        let base_mm = rows[first - 1].length_mm;
+        let corners_mm = (first - 1..end).map(|at| rows[at].length_mm - base_mm).collect();
+        let stops = |at: &usize| rows[*at].kind != Kind::Transit && !rows[*at].is_passed();
+        // A move of the operator's choice is not timed.
+        let timed = |at: &usize| rows[*at].motion != Motion::Ptp;
+        let after = (end..rows.len()).take_while(timed).find(stops);
+        let before = || (0..first).rev().take_while(timed).find(stops);
+        let begins_s = match after.and_then(|at| reading(matching, rows[at].index)) {
+            Some(dwell) => {
+                let settle_s = plan.header.job.motion.settle_s;
+                dwell.0 - settle_s - between_s(first, after? + 1)
+            }
+            None => {
+                let at = before()?;
+                reading(matching, rows[at].index)?.1 + AFTER_S + between_s(at + 1, first)
+            }
+        };
+        Some(Wave { begins_s, moves_s, corners_mm })
+    };
+    groups.filter_map(wave).collect()
 }
 
-/// The reading farthest from that of a dwell in so many seconds after it, from there, mm.
-fn farthest(stream: &Stream, dwell: &DwellReading, takes_s: f64) -> Option<f64> {
-    let range = stream.at(dwell.to_s)..stream.at(dwell.to_s + takes_s);
-    let valid = range.filter(|&at| stream.valid(at));
-    let mut off: Vec<f64> = valid.map(|at| stream.reading_mm[at] - dwell.reading_mm).collect();
-    off.sort_by(|a, b| b.abs().total_cmp(&a.abs()));
-    off.get(SPIKES).copied()
+/// From when to when a pose was read, s of the stream.
+fn reading(matching: &PoseMatching, index: u32) -> Option<(f64, f64)> {
+    let at = matching.outcomes.binary_search_by_key(&index, |pose| pose.index).ok()?;
+    matching.outcomes.get(at).and_then(PoseOutcome::reading).map(|reading| (reading.from_s, reading.to_s))
+}
+
+impl Wave {
+    fn height_mm(&self) -> f64 {
+        self.corners_mm.iter().fold(0.0, |most, corner| corner.abs().max(most))
+    }
+
+    /// The best fit near where it should be; `None` where it is not seen.
+    fn fit(&self, stream: &Stream, stretch: f64) -> Option<Fit> {
+        let steps = (SEARCH_S * stretch / STEP_S) as i32;
+        let fits = PAUSES_S.iter().flat_map(|&pause_s| {
+            let shape = self.shape(stretch, pause_s);
+            (-steps..=steps)
+                .filter_map(move |step| shape.fit(stream, self.begins_s + f64::from(step) * STEP_S))
+        });
+        fits.max_by(|a, b| a.share.total_cmp(&b.share)).filter(|fit| fit.share > SEEN)
+    }
+
+    fn shape(&self, stretch: f64, pause_s: f64) -> Shape {
+        let mut knots = vec![[0.0, 0.0]];
+        let mut t_s = 0.0;
+        for (move_s, corner_mm) in self.moves_s.iter().zip(self.corners_mm.iter().skip(1)) {
+            t_s += stretch * move_s;
+            knots.push([t_s, *corner_mm]);
+            t_s += pause_s;
+            knots.push([t_s, *corner_mm]);
+        }
+        Shape { knots }
+    }
+}
+
+/// A length over time, s and mm.
+struct Shape {
+    knots: Vec<[f64; 2]>,
+}
+
+impl Shape {
+    fn at(&self, t_s: f64) -> f64 {
+        let next = self.knots.partition_point(|knot| knot[0] <= t_s);
+        let knot = |at: usize| self.knots.get(at).or(self.knots.last()).copied().unwrap_or_default();
+        let [[from_s, from_mm], [to_s, to_mm]] = [knot(next.saturating_sub(1)), knot(next)];
+        let share = if to_s > from_s { (t_s - from_s) / (to_s - from_s) } else { 0.0 };
+        from_mm + share * (to_mm - from_mm)
+    }
+
+    /// The readings from `begins_s` on by this shape, beside a level and a slope.
+    fn fit(&self, stream: &Stream, begins_s: f64) -> Option<Fit> {
+        let ends_s = begins_s + self.knots.last()?[0];
+        let valid: Vec<usize> =
+            (stream.at(begins_s)..stream.at(ends_s)).filter(|at| stream.valid(*at)).collect();
+        if valid.len() < LEAST_SAMPLES {
+            return None;
+        }
+        let times = || valid.iter().map(|at| stream.t_s[*at] - begins_s);
+        let read = bent(times().zip(valid.iter().map(|at| stream.reading_mm[*at])))?;
+        let wanted = bent(times().map(|t_s| (t_s, self.at(t_s))))?;
+        let product = |one: &[f64], other: &[f64]| one.iter().zip(other).map(|(a, b)| a * b).sum::<f64>();
+        let (both, own, all) = (product(&wanted, &read), product(&wanted, &wanted), product(&read, &read));
+        (own > 0.0 && all > 0.0).then(|| Fit { share: both * both / (own * all), scale: both / own })
+    }
+}
+
+/// What values over times leave of their straight line.
+fn bent(values: impl Iterator<Item = (f64, f64)>) -> Option<Vec<f64>> {
+    let points: Vec<[f64; 2]> = values.map(|(x, y)| [x, y]).collect();
+    let Regression { centre: [middle, level], slope, .. } = Regression::through(&points)?;
+    Some(points.iter().map(|[x, y]| y - level - slope * (x - middle)).collect())
 }

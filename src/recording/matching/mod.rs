@@ -39,6 +39,7 @@ use crate::robot::{AXES, Approach, Datum, TargetId};
 pub use alignment::{Alignment, DwellEvidence, Expected, Pairing, align};
 pub use drift::Drift;
 pub use lag::BarLag;
+pub use markers::Markers;
 pub use outcome::{MatchOutcome, PoseOutcome, nothing_matched};
 pub use passes::Lag;
 pub use program::Commanded;
@@ -173,15 +174,13 @@ pub fn match_poses(input: &Input<'_>) -> PoseMatching {
     let mut outcomes = outcomes(input, &poses, &paired);
     let drift = drift::of(&poses.rows, &outcomes, input.bar_sigma_mm);
     let frozen = frozen::frozen(input.stream, &outcomes);
-    let pace = paired.override_factor.unwrap_or(1.0);
-    let scale = markers::scale(input.plan, input.stream, &outcomes, pace);
     let spurious = spurious(&paired, &passes);
     let observations = Rows::of(input, &axes_deg).collect(&outcomes, &passes);
     outcomes.extend(passes.points.into_iter().map(|point| point.pose));
     outcomes.sort_by_key(|pose| pose.index);
     let one_way = |circle| Finding::OneWayCircle { circle, lag_sd_ms: 1000.0 * passes::LAG_SD_S };
     let mut findings = std::mem::take(&mut paired.findings);
-    findings.extend(frozen.into_iter().chain(scale));
+    findings.extend(frozen);
     findings.extend(passes.one_way.into_iter().map(one_way));
     findings.extend(reports::unused(input.reports, input.stream).filter(|_| report.is_none()));
     let mut matching = PoseMatching {

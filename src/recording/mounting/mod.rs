@@ -8,6 +8,9 @@
 mod monitor;
 mod still;
 
+use std::collections::BTreeMap;
+
+use super::stream::Stream;
 use crate::catalogue::PortFinding;
 use crate::plan::Plan;
 use crate::plan::timing::MARKER_MM_S;
@@ -119,6 +122,23 @@ impl Expected {
     pub fn with_resolution(self, resolution_mm: f64) -> Self {
         Self { noise_mm: self.noise_mm.max(resolution_mm), ..self }
     }
+}
+
+/// What is named of a recorded run with a bar of this stroke (mm), of each fault the largest.
+pub fn worst(expected: Expected, stream: &Stream, [low_mm, high_mm]: [f64; 2]) -> Vec<PortFinding> {
+    let mut monitor = MountingMonitor::new(expected);
+    let mut worst: BTreeMap<MountingFault, Named> = BTreeMap::new();
+    for at in 0..stream.len() {
+        let reading_mm = stream.reading_mm[at];
+        let mounted = stream.valid(at) && (low_mm..=high_mm).contains(&reading_mm);
+        let read = MountedReading { t_s: stream.t_s[at], reading_mm, mounted, strobe: stream.strobe(at) };
+        let Some(named) = monitor.push(read) else { continue };
+        let known = worst.entry(named.fault).or_insert(named);
+        if named.size.abs() > known.size.abs() {
+            *known = named;
+        }
+    }
+    worst.values().map(Named::finding).collect()
 }
 
 impl Named {

@@ -32,7 +32,7 @@ pub struct Circles {
 impl Run {
     /// The lengths of the run as read: the circular test corrects them itself, and gives both.
     pub fn circles(&self) -> Result<Circles, Diagnostic> {
-        let matching = self.matching_as_read(None);
+        let matching = self.matching_as_read(None)?;
         let robot = self.robot()?;
         let reading = |pose: &PoseOutcome| Some((pose.index, pose.reading()?.middle_s()));
         let times: BTreeMap<u32, f64> = matching.outcomes.iter().filter_map(reading).collect();

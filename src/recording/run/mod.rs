@@ -14,10 +14,13 @@ pub use plan_files::{ATTACHED_IDENTITY, PlanFiles, attached_plan, identity, read
 use temperature::Temperatures;
 
 use super::axes::AxisTrack;
-use super::matching::{self, Expected, Input, MeasuredAxes, PoseMatching, PoseOutcome, PublishedAxes};
+use super::matching::{
+    self, Expected, Input, Markers, MeasuredAxes, PoseMatching, PoseOutcome, PublishedAxes,
+};
+use super::mounting;
 use super::reports::Report;
 use super::stream::Stream;
-use crate::catalogue::RecordingFinding;
+use crate::catalogue::{MatchingFinding, PortFinding, RecordingFinding};
 use crate::circular::Temperature;
 use crate::diagnostic::Diagnostic;
 use crate::measurement::{BallId, BaseBall, Column};
@@ -59,7 +62,10 @@ impl Run {
     /// at.
     ///
     /// To match, identify and match again until [`PoseMatching::same_pairs`] shows that nothing changed.
-    pub fn matching(&self, predicted: Option<Predicted<'_>>) -> PoseMatching {
+    ///
+    /// # Errors
+    /// The reading runs against the motion.
+    pub fn matching(&self, predicted: Option<Predicted<'_>>) -> Result<PoseMatching, Diagnostic> {
         let certificate = self.certificate();
         let warm = certificate.zip(self.temperatures.mean());
         let factor = warm.map_or(1.0, |(certificate, mean_c)| certificate.referred_mm(1.0, mean_c));
@@ -67,9 +73,9 @@ impl Run {
         let mut matching = match predicted {
             Some(Predicted { length_mm, sigma_mm }) => {
                 let as_read = |ball: BallId, axes_deg: &[f64; AXES]| length_mm(ball, axes_deg) / factor;
-                self.matching_as_read(Some(Predicted { length_mm: &as_read, sigma_mm }))
+                self.matching_as_read(Some(Predicted { length_mm: &as_read, sigma_mm }))?
             }
-            None => self.matching_as_read(None),
+            None => self.matching_as_read(None)?,
         };
         let readings = matching.outcomes.iter().filter_map(PoseOutcome::reading);
         let temperatures: Vec<_> = readings.map(|reading| self.temperature_at(reading.middle_s())).collect();
@@ -83,18 +89,21 @@ impl Run {
                 Arc::make_mut(row.context.get_or_insert_default()).temperature_c = temp_c;
             }
         }
-        matching
+        Ok(matching)
     }
 
     /// The measurements without a correction for temperature.
-    pub fn matching_as_read(&self, predicted: Option<Predicted<'_>>) -> PoseMatching {
+    ///
+    /// # Errors
+    /// The reading runs against the motion.
+    pub fn matching_as_read(&self, predicted: Option<Predicted<'_>>) -> Result<PoseMatching, Diagnostic> {
         let axes_deg = (!self.axes_deg.is_empty()).then_some(&self.axes_deg);
         let lengths =
             predicted.map(|predicted| matching::expected_lengths(&self.plan, axes_deg, predicted.length_mm));
         let expected = lengths.as_deref().zip(predicted);
         let robot = self.robot().ok();
         let published = self.track.as_ref().zip(robot.as_ref());
-        matching::match_poses(&Input {
+        let mut matching = matching::match_poses(&Input {
             reports: &self.reports,
             expected: expected
                 .map(|(length_mm, predicted)| Expected { length_mm, sigma_mm: predicted.sigma_mm }),
@@ -103,7 +112,16 @@ impl Run {
             published: published
                 .map(|(track, robot)| PublishedAxes { track, geometry: &robot.controller().geometry }),
             ..Input::new(&self.plan, &self.stream)
-        })
+        });
+        let repeatability_mm = robot.as_ref().and_then(|robot| robot.controller().repeatability_mm);
+        let markers = Markers::seen(&self.plan, &self.stream, &matching);
+        match markers.and_then(|markers| markers.finding(repeatability_mm)) {
+            Some(inverted @ MatchingFinding::ReadingInverted { .. }) => Err(inverted.into()),
+            scaled => {
+                matching.findings.extend(scaled);
+                Ok(matching)
+            }
+        }
     }
 
     /// How the bar's certificate refers a length; `None` where it gives no expansion.
@@ -116,6 +134,12 @@ impl Run {
     /// The bar's temperature at a time of the run, degrees Celsius.
     pub fn temperature_at(&self, t_s: f64) -> Option<f64> {
         self.temperatures.at(self.stream.at(t_s))
+    }
+
+    /// What the readings at rest show of the mounting, of each kind the largest: in motion the play of a joint makes jumps.
+    pub fn mounting(&self) -> Vec<PortFinding> {
+        let expected = mounting::Expected::unplanned(self.plan.header.job.bar.sigma_um);
+        mounting::worst(expected, &self.stream, self.plan.header.job.bar.stroke_mm)
     }
 
     /// What was done about temperature.

@@ -8,12 +8,13 @@ use serde_json::Value;
 use super::Run;
 use super::plan_files::{attached_plan, attached_text, identity, read_plan};
 use super::temperature::Temperatures;
-use crate::base::files;
+use crate::base::{clock, files};
 use crate::catalogue::RecordingFinding;
 use crate::device::protocol::Definition;
 use crate::diagnostic::{Diagnostic, Severity};
 use crate::plan::Plan;
 use crate::program::krl;
+use crate::provenance::Identity;
 use crate::recording::axes::AxisTrackBuilder;
 use crate::recording::capture::{self, Event, Pass, Record, Stamped};
 use crate::recording::matching::MeasuredAxes;
@@ -40,12 +41,12 @@ pub fn open(
     report: &mut dyn FnMut(Diagnostic),
 ) -> Result<Run, Diagnostic> {
     let name = path.display().to_string();
-    let mut report = |finding: RecordingFinding| report(Diagnostic::file(&name, finding));
+    let mut report = |finding: Diagnostic| report(Diagnostic { file: name.clone(), ..finding });
     let mut gathered = Gathered::default();
     let pass = Pass::over(path, |stamped| gathered.add(stamped, &name))?;
     let lacks = pass.doubts();
     let mut doubtful = !lacks.is_empty();
-    lacks.into_iter().for_each(&mut report);
+    lacks.into_iter().map(Diagnostic::from).for_each(&mut report);
     let Gathered { attachments, stream, temperatures, reports, axes: track, started } = gathered;
     let track = track.build();
     let plan = match plan {
@@ -59,29 +60,44 @@ pub fn open(
     for path in axes {
         let logged = LoggedAxes::read(path, &plan)?;
         if logged.absolute_accuracy {
-            report(RecordingFinding::AbsoluteAccuracy);
+            report(RecordingFinding::AbsoluteAccuracy.into());
         }
         if logged.axes_deg.is_empty() {
             doubtful = true;
-            report(RecordingFinding::NoAxesLogged { data: path.display().to_string() });
+            report(RecordingFinding::NoAxesLogged { data: path.display().to_string() }.into());
         }
         axes_deg.extend(logged.axes_deg);
     }
     let other = other_plan(attachments.get("plan.json"), &plan);
     for doubt in incomplete_axes(&plan, &axes_deg).into_iter().chain(other) {
         doubtful = true;
-        report(doubt);
+        report(doubt.into());
     }
     let identity = identity(&name, Some(&plan), &attachments, started)?;
-    let run = Run { plan, stream, temperatures, reports, track, doubtful, axes_deg, identity };
-    run.temperatures.doubt().into_iter().chain(run.temperature_finding()).for_each(&mut report);
+    if let Some(doubt) = unlikely_date(&identity) {
+        report(doubt.into());
+    }
+    let mut run = Run { plan, stream, temperatures, reports, track, doubtful, axes_deg, identity };
+    let of_temperature = run.temperatures.doubt().into_iter().chain(run.temperature_finding());
+    of_temperature.map(Diagnostic::from).for_each(&mut report);
+    for doubt in run.mounting() {
+        run.doubtful = true;
+        report(doubt.into());
+    }
     Ok(run)
+}
+
+/// That the date of a run, which is that of a computer's clock, cannot be.
+fn unlikely_date(identity: &Identity) -> Option<RecordingFinding> {
+    let wrong = identity.check_all().and_then(|()| identity.check_dates(clock::unix_ns()));
+    wrong.err().map(|(_, why)| RecordingFinding::UnlikelyDate { why: why.to_string() })
 }
 
 /// What is lost between the capture at `path` and the lengths of its plan's poses.
 pub fn losses(path: &Path) -> Result<Vec<Diagnostic>, Diagnostic> {
     let run = open(path, None, &[], &mut |_| {})?;
-    let found = run.matching(None).findings.into_iter().map(Diagnostic::from);
+    let mounting = run.mounting().into_iter().map(Diagnostic::from);
+    let found = mounting.chain(run.matching(None)?.findings.into_iter().map(Diagnostic::from));
     Ok(found.filter(|finding| finding.code.severity() == Severity::Warning).collect())
 }
 

@@ -21,6 +21,9 @@ pub(super) struct Temperatures {
     samples: usize,
     /// Lowest and highest.
     range_c: Option<[f64; 2]>,
+    last_c: Option<f64>,
+    /// The largest change from one temperature to the next, K.
+    step_k: f64,
 }
 
 impl Temperatures {
@@ -31,6 +34,8 @@ impl Temperatures {
         if let Some(temperature_c) = temperature_c.filter(|c| c.is_finite()) {
             let [low, high] = self.range_c.unwrap_or([temperature_c; 2]);
             self.range_c = Some([low.min(temperature_c), high.max(temperature_c)]);
+            let last_c = self.last_c.replace(temperature_c).unwrap_or(temperature_c);
+            self.step_k = self.step_k.max((temperature_c - last_c).abs());
             self.blocks.resize(self.blocks.len().max(block + 1), Block::default());
             let block = &mut self.blocks[block];
             block.sum_c += temperature_c;
@@ -51,14 +56,16 @@ impl Temperatures {
     /// That no bar had them while people worked beside it.
     pub(super) fn doubt(&self) -> Option<RecordingFinding> {
         const ROOM_C: [f64; 2] = [-10.0, 60.0];
-        /// Steel changes by less in a run, K.
-        const MOST_CHANGE_K: f64 = 6.0;
+        /// No bar changes so much from one reading to the next, K.
+        const MOST_STEP_K: f64 = 3.0;
         let [low_c, high_c] = self.range_c?;
-        // A sensor that is not there reads exactly 0.
-        if low_c < ROOM_C[0] || high_c > ROOM_C[1] || low_c == 0.0 && high_c == 0.0 {
-            return Some(RecordingFinding::NoTemperature { low_c, high_c });
+        if self.step_k > MOST_STEP_K {
+            return Some(RecordingFinding::TemperatureJumps { step_k: self.step_k });
         }
-        (high_c - low_c > MOST_CHANGE_K).then_some(RecordingFinding::TemperatureJumps { low_c, high_c })
+        // What a sensor shows that is not there.
+        let is_zero = low_c == 0.0 && high_c == 0.0;
+        (is_zero || low_c < ROOM_C[0] || high_c > ROOM_C[1])
+            .then_some(RecordingFinding::NoTemperature { low_c, high_c })
     }
 
     /// The mean over the run.

@@ -12,8 +12,8 @@ use serde::{Deserialize, Serialize};
 use super::page::render;
 use crate::base::hash::sha256;
 use crate::catalogue::CertificateFinding::{
-    self, CheckOfAnother, CheckOfOtherResult, Doubtful, NoBudget, NoCheck, NoResult, NoSuchBall, NotStated,
-    OtherThanCarried,
+    self, CheckOfAnother, CheckOfOtherFile, CheckOfOtherResult, Doubtful, NoBudget, NoCheck, NoResult,
+    NoSuchBall, NotStated, OtherThanCarried,
 };
 use crate::catalogue::Names;
 use crate::conformity::Budget;
@@ -92,11 +92,11 @@ impl Certificate {
         Ok(Self { result, budget, provenance, check: None, contradictions: Vec::new(), number })
     }
 
-    /// With the decision in the text of `check.json`.
+    /// With the decision in the text of `check.json`; `robot` is the file that was written with the result.
     ///
     /// # Errors
     /// It is no check, or that of another robot or of another calibration.
-    pub fn with_check(self, text: &str) -> Result<Self, CertificateFinding> {
+    pub fn with_check(self, text: &str, robot: Option<&Artefact>) -> Result<Self, CertificateFinding> {
         let check: Check = serde_json::from_str(text).map_err(|error| NoCheck { why: error.to_string() })?;
         if check.robot != self.result.robot {
             return Err(CheckOfAnother { robot: self.result.robot, checked: check.robot });
@@ -106,6 +106,9 @@ impl Certificate {
         let measured = self.provenance.from.iter().rev().find(|source| known && is_measured(source));
         if let Some(measured) = measured.filter(|measured| !check.provenance.has(measured)) {
             return Err(CheckOfOtherResult { lengths: measured.to_string() });
+        }
+        if let Some(robot) = robot.filter(|robot| known && !check.provenance.has(robot)) {
+            return Err(CheckOfOtherFile { robot: robot.to_string() });
         }
         Ok(Self { check: Some(check), ..self })
     }
