@@ -20,6 +20,7 @@ use super::matching::{
 use super::mounting;
 use super::reports::Report;
 use super::stream::Stream;
+use super::strobe_decoder::has_strobe;
 use crate::catalogue::{MatchingFinding, PortFinding, RecordingFinding};
 use crate::circular::Temperature;
 use crate::diagnostic::Diagnostic;
@@ -136,8 +137,12 @@ impl Run {
         self.temperatures.at(self.stream.at(t_s))
     }
 
-    /// What the readings at rest show of the mounting, of each kind the largest: in motion the play of a joint makes jumps.
+    /// What the readings at rest, which the strobe shows, say of the mounting, of each kind the largest: in motion the play
+    /// of a joint makes jumps.
     pub fn mounting(&self) -> Vec<PortFinding> {
+        if !has_strobe(&self.stream) {
+            return Vec::new();
+        }
         let expected = mounting::Expected::unplanned(self.plan.header.job.bar.sigma_um);
         mounting::worst(expected, &self.stream, self.plan.header.job.bar.stroke_mm)
     }
