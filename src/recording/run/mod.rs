@@ -137,10 +137,10 @@ impl Run {
         self.temperatures.at(self.stream.at(t_s))
     }
 
-    /// What the readings at rest, which the strobe shows, say of the mounting, of each kind the largest: in motion the play
-    /// of a joint makes jumps.
+    /// What the readings at rest, which the strobe alone shows, say of the mounting, of each kind the largest: in motion the
+    /// play of a joint makes jumps.
     pub fn mounting(&self) -> Vec<PortFinding> {
-        if !has_strobe(&self.stream) {
+        if !(self.reports.is_empty() && has_strobe(&self.stream)) {
             return Vec::new();
         }
         let expected = mounting::Expected::unplanned(self.plan.header.job.bar.sigma_um);
