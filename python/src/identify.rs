@@ -302,8 +302,7 @@ pub(crate) fn identify<'py>(
             options: &options,
             axes: AngleSource::Given,
         };
-        let Calibrated { result: found, observations } =
-            calibrate_run(&input, findings).map_err(failed)?;
+        let Calibrated { result: found, observations } = calibrate_run(&input, findings).map_err(failed)?;
         let lengths = observations.as_ref().unwrap_or(&lengths);
         let budget = Budget::of(&found, lengths, bar_u_mm, &robot.provenance.identity);
         Ok(PyResult_ { found, budget })
