@@ -136,7 +136,7 @@ impl PyCapture {
         let (matching, balls, found) = py.detach(|| {
             let mut found = Vec::new();
             let run = run::open(&self.path, None, &[], &mut |finding| found.push(finding))?;
-            let matching = run.matching(None);
+            let matching = run.matching(None)?;
             found.extend(matching.findings.iter().cloned().map(Diagnostic::from));
             Ok::<_, Diagnostic>((matching, run.centres(), found))
         })?;
