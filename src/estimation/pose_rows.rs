@@ -1,7 +1,8 @@
 //! Rows of lengths by parameters and coefficients of the joints' errors, whitened pose by pose.
 //!
 //! The lengths of one pose share its repeatability: with U the unit vectors along them their covariance is
-//! s^2 U U', plus what the joints do with it, plus what each length has of its own. Coordinates of a position are lengths along the axes of the tracker.
+//! s^2 U U', plus what joints that are off their angles do to them, plus what each length has of its own. Coordinates of a
+//! position are lengths along the axes of the tracker.
 
 use std::collections::BTreeMap;
 
@@ -23,7 +24,7 @@ pub struct LengthNoise<'a> {
     pub joints: Option<&'a RobotUncertainty>,
 }
 
-/// The noise of rows: a pose moves the lengths to all balls alike.
+/// The noise of rows; what a pose and its joints are off moves the lengths to all balls.
 pub(super) struct RowNoise {
     /// Standard deviation of a pose in each direction.
     pub(super) pose: f64,
@@ -152,8 +153,8 @@ impl PoseRows {
         }
     }
 
-    /// The noise of the rows of a robot at `model`. Backlash of unknown sense is a part of what lengths scatter, as far as
-    /// they do.
+    /// The noise of the rows of a robot at `model`. The scatter of lengths contains backlash of unknown sense: it is taken out
+    /// of what each length has of its own.
     pub(super) fn noise(&self, noise: &LengthNoise<'_>, model: &LengthModel) -> RowNoise {
         let backlash = noise.joints.map_or([0.0; AXES], |unknown| unknown.unapproached_rad);
         let own = |row: usize| {
