@@ -1,4 +1,4 @@
-//! How well a bar at rest reads: noise, resolution, rate, drift, and the standard deviation of a length at a dwell.
+//! The noise of a bar at rest: noise, resolution, rate, drift, and the standard deviation of a length at a dwell.
 
 use serde::Serialize;
 
@@ -8,42 +8,42 @@ use crate::device::protocol::Definition;
 use crate::math::robust::{SIGMA_OF_MAD, median, slope};
 use crate::math::straight_line::{Sighting, StraightLine};
 
-/// Readings are averaged over so long, as at a dwell, s.
+/// Readings are averaged over this time, as at a dwell, s.
 const MEAN_S: f64 = 1.0;
-/// Averages below which nothing is said.
+/// Least number of averages.
 const LEAST_MEANS: usize = 5;
-/// An average this many robust deviations off the line is no noise.
+/// An average is an outlier beyond this number of robust standard deviations.
 const JUMP: f64 = 8.0;
-/// Of a bar whose readings are all equal and have no resolution, mm.
+/// Least standard deviation of an average, mm.
 const LEAST_SD_MM: f64 = 1e-9;
-/// A slope is a drift from so many of its deviations on.
+/// A slope is a drift from this number of standard deviations on.
 const SIGNIFICANT: f64 = 3.0;
-/// The rate may differ from the nominal one by this share.
+/// Largest relative difference from the nominal rate.
 const RATE_SHARE: f64 = 0.1;
 
-/// What a bar at rest showed. Lengths in mm, times in s.
+/// Result for a bar at rest. Lengths in mm, times in s.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct BarCheck {
     pub protocol: String,
     pub samples: usize,
-    /// Readings that the bar does not vouch for; they are left out.
+    /// Number of invalid readings, which do not count.
     pub invalid: usize,
     pub span_s: f64,
-    /// Readings per second, valid or not.
+    /// All readings per second, valid or not.
     pub rate_hz: f64,
     pub nominal_hz: Option<f64>,
     pub mean_mm: f64,
-    /// Smallest difference between two readings; that of the protocol where all are equal.
+    /// Smallest difference of two readings; the resolution of the protocol if all are equal.
     pub resolution_mm: f64,
-    /// Standard deviation of one reading, by the mean square of successive differences (von Neumann 1941), which a drift
-    /// does not touch; at least that of the rounding, resolution / sqrt(12).
+    /// Standard deviation of one reading by the mean square of successive differences (von Neumann 1941), which a
+    /// drift does not change; at least that of rounding, resolution / sqrt(12).
     pub noise_mm: f64,
-    /// Of the straight line through the means of one second, per minute.
+    /// Slope of the straight line through the means of one second, per minute.
     pub drift_mm_min: f64,
     pub drift_sd_mm_min: f64,
-    /// Standard deviation of the means of one second about that line: what averaging does not take away.
+    /// Standard deviation of the means of one second about that line: noise that averaging does not remove.
     pub wander_mm: f64,
-    /// Of a length at a dwell: wander and rounding together.
+    /// Standard deviation of a length at a dwell: wander and rounding together.
     pub sigma_mm: f64,
     pub findings: Vec<BarFinding>,
     /// Time, value and standard deviation of each mean.
@@ -57,8 +57,6 @@ pub struct BarCheck {
 }
 
 impl BarCheck {
-    /// # Errors
-    /// Where there are too few readings to say anything.
     pub fn of(stream: &Stream, definition: &Definition) -> Result<Self, BarFinding> {
         let valid: Vec<usize> = (0..stream.len()).filter(|at| stream.valid(*at)).collect();
         let t_s: Vec<f64> = valid.iter().map(|at| stream.t_s[*at]).collect();
@@ -102,7 +100,6 @@ impl BarCheck {
         Ok(check)
     }
 
-    /// What the user must see.
     fn judged(&self) -> Vec<BarFinding> {
         let jump = self.jump();
         let drift_um = 1e3 * self.drift_mm_min;
@@ -121,7 +118,7 @@ impl BarCheck {
         .collect()
     }
 
-    /// The mean that is farthest off a line that a few of them do not move, where it is no noise: its time and distance.
+    /// The mean that is farthest from a robust line, if it is an outlier: time and distance.
     fn jump(&self) -> Option<(f64, f64)> {
         let points: Vec<(f64, f64)> = self.means.iter().map(|&[t_s, mm, _]| (t_s, mm)).collect();
         let slope = slope(&points, &mut Vec::new());
@@ -135,7 +132,7 @@ impl BarCheck {
         (worst.1.abs() > JUMP * scale_mm.max(floor_mm)).then_some(worst)
     }
 
-    /// The job's section for this bar.
+    /// The section of the job for this bar.
     pub fn to_toml(&self) -> String {
         let Self { protocol, samples, span_s, rate_hz, .. } = self;
         let um =
@@ -151,7 +148,7 @@ impl BarCheck {
     }
 }
 
-/// The smallest step between readings, where it is that of the device and not of the arithmetic.
+/// The smallest step between readings, apart from rounding of the arithmetic.
 fn resolution_mm(reading_mm: &[f64], of_protocol_mm: f64) -> f64 {
     let mut sorted = reading_mm.to_vec();
     sorted.sort_by(f64::total_cmp);
@@ -161,13 +158,13 @@ fn resolution_mm(reading_mm: &[f64], of_protocol_mm: f64) -> f64 {
     if smallest.is_finite() { smallest } else { of_protocol_mm }
 }
 
-/// Means over whole intervals, each at the mean of its times, with the deviation that white noise leaves.
+/// Means over whole intervals, each at the mean of its times, with its standard deviation by white noise.
 fn means(t_s: &[f64], reading_mm: &[f64], noise_mm: f64) -> Vec<[f64; 3]> {
     let first = t_s.first().copied().unwrap_or(0.0);
     let interval = |t_s: f64| ((t_s - first) / MEAN_S).floor() as u64;
     let rows: Vec<(f64, f64)> = t_s.iter().copied().zip(reading_mm.iter().copied()).collect();
     let mut chunks: Vec<&[(f64, f64)]> = rows.chunk_by(|a, b| interval(a.0) == interval(b.0)).collect();
-    // The last one is cut short.
+    // The last interval is incomplete.
     chunks.pop();
     let mean = |chunk: &[(f64, f64)]| {
         let count = chunk.len() as f64;

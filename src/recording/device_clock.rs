@@ -1,33 +1,33 @@
-//! A device's counter on the host's clock.
+//! The clock of a device mapped to that of the host: offset and skew.
 //!
-//! A stamp of the host is late by the delay of the line: at least by its least delay, often by much
-//! more. So all points (device time, host time) lie above the true line, and the line that touches
-//! them from below, the lower convex hull of a window, has the true drift and the least delay as its
-//! only bias (Zhang, Liu and Xia, INFOCOM 2002). A line by least squares is biased by the mean delay.
-//! What stays unknown one way is the least delay itself.
+//! Host stamps are late by the delay of the line, which has a minimum and a long tail. All points (device time,
+//! host time) therefore lie above the true line. The lower convex hull of a window gives the true skew and is biased
+//! by the least delay alone (Zhang, Liu and Xia, INFOCOM 2002); least squares are biased by the mean delay. Stamps
+//! of one direction cannot show the least delay itself.
 //!
-//! A counter that breaks shifts the least delay for good; a stall of the line does not.
+//! A break of the counter shifts the least delay permanently, a stall of the line does not.
 
 use std::ops::Range;
 
-use super::lower_hull::{self, MOST_DRIFT, Point, Segment};
 use crate::base::units::{DeviceTicks, HostNs};
 use crate::device::protocol::Clock;
 
-/// Length of a window, s: long against the spread of delays, short against the change of drift.
+/// A larger skew is not that of a quartz.
+const MOST_DRIFT: f64 = 1e-3;
+/// Length of a window, s: long against the spread of delays, short against changes of the skew.
 const WINDOW_S: f64 = 150.0;
-/// A lasting shift of the least delay by less than this is not distinguished from delays, s.
+/// Smallest lasting shift of the least delay that counts as a break, s.
 const LEAST_BREAK_S: f64 = 0.1;
-/// How far before and behind a step its least delays are looked for, s.
+/// The least delay is compared over this time before and after a step, s.
 const NEAR_S: f64 = 10.0;
 /// A counter that does not run at the host's pace breaks where it steps by more than this, s.
 const LONGEST_STEP_S: f64 = 2.0;
 
-/// The device's counter, as the protocol defines it.
+/// Counter of a device, as its protocol defines it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DeviceClock {
     pub seconds_per_tick: f64,
-    /// Number of ticks after which the counter begins again at 0, if it does.
+    /// Ticks after which the counter wraps to 0.
     pub wrap: Option<u64>,
 }
 
@@ -37,15 +37,15 @@ impl From<Clock> for DeviceClock {
     }
 }
 
-/// When a sample came, by both clocks.
+/// Arrival of a sample by both clocks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Stamp {
     pub host: HostNs,
-    /// The counter as sent.
+    /// Value of the counter as sent.
     pub ticks: DeviceTicks,
 }
 
-/// Device time while samples come: seconds since the first, unwrapped. Where the counter breaks it goes on with the host.
+/// Device time of a live stream: seconds since the first sample, unwrapped. Across a break it advances with the host.
 #[derive(Clone, Debug)]
 pub struct DeviceTime {
     clock: DeviceClock,
@@ -58,7 +58,6 @@ impl DeviceTime {
         Self { clock, last: None, seconds: 0.0 }
     }
 
-    /// The time of the next sample, s.
     pub fn seconds(&mut self, stamp: Stamp) -> f64 {
         if let Some(last) = self.last.replace(stamp) {
             let step = self.clock.step(last, stamp);
@@ -68,35 +67,33 @@ impl DeviceTime {
     }
 }
 
-/// A place where the counter and the host's clock do not go together.
+/// A sample at which the counter does not agree with the host's clock.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Break {
-    /// Index of the first sample behind it.
+    /// Index of the first sample after it.
     pub at: usize,
-    /// Whether the counter went back, as after a restart of the device; else it jumped ahead.
+    /// Whether the counter stepped back (a restart of the device); else it jumped ahead.
     pub reset: bool,
-    /// How far the counter went, s, as sent.
+    /// Step of the counter as sent, s.
     pub jump_s: f64,
-    /// How long that took by the host, s.
+    /// Time that passed on the host, s.
     pub host_s: f64,
 }
 
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ClockMap {
-    /// The first stamp.
+    /// Host time of the first sample.
     pub begin: HostNs,
-    /// Windows in order; empty where the counter does not run at the host's pace (a simulation faster
-    /// than real time), so that the two cannot be laid on each other.
+    /// Windows in order; empty if the counter does not run at the host's pace (a simulation faster than real time).
     pub segments: Vec<Segment>,
     pub breaks: Vec<Break>,
-    /// How often the counter began again from 0 as it should.
+    /// Number of regular wraps of the counter.
     pub wraps: u64,
-    /// Device time of each sample since the first, s, unwrapped; it goes on with the host over breaks.
+    /// Unwrapped device time of each sample since the first, s; it advances with the host across breaks.
     pub device_s: Vec<f64>,
 }
 
 impl ClockMap {
-    /// From the stamps of samples in order and the counter as sent.
     pub fn new(stamps: &[Stamp], clock: DeviceClock) -> Self {
         let Some(first) = stamps.first() else { return Self::default() };
         let mut map = Self { begin: first.host, device_s: vec![0.0], ..Self::default() };
@@ -126,15 +123,14 @@ impl ClockMap {
         map
     }
 
-    /// Host time of a device time, s since the first stamp; `None` when the two do not go together.
+    /// Host time of a device time, s since the first stamp; `None` without segments.
     pub fn host_s(&self, device_s: f64) -> Option<f64> {
         let before = self.segments.partition_point(|segment| segment.from_s <= device_s);
         let segment = self.segments.get(before.saturating_sub(1))?;
         Some(segment.host_s + (device_s - segment.from_s) * (1.0 + segment.drift))
     }
 
-    /// Drift over the whole run, host seconds per device second less 1: the mean of the windows'; `None`
-    /// when the two do not go together.
+    /// Mean skew over the run, host seconds per device second less 1; `None` without segments.
     pub fn drift(&self) -> Option<f64> {
         let weigh = |of: fn(&Segment) -> f64| -> f64 {
             self.segments.iter().map(|segment| of(segment) * (segment.to_s - segment.from_s)).sum()
@@ -143,12 +139,12 @@ impl ClockMap {
         (whole_s > 0.0).then(|| weigh(|segment| segment.drift) / whole_s)
     }
 
-    /// How far a time may be off at most beyond the line's least delay, s; `None` as for [`Self::drift`].
+    /// Largest bound on the offset error beyond the least delay, s; `None` without segments.
     pub fn bound_s(&self) -> Option<f64> {
         self.segments.iter().map(|segment| segment.bound_s).max_by(f64::total_cmp)
     }
 
-    /// The windows of a stretch without a break.
+    /// Fits the windows of a stretch without a break.
     fn lines(&mut self, stamps: &[Stamp], stretch: Range<usize>) {
         let (Some(device), Some(stamps)) = (self.device_s.get(stretch.clone()), stamps.get(stretch)) else {
             return;
@@ -161,39 +157,38 @@ impl ClockMap {
         let width = (end - start) / count;
         for window in 0..count as usize {
             let (from, to) = (start + window as f64 * width, start + (window + 1) as f64 * width);
-            // Half a window beyond both ends: the hull is weakest at its own.
+            // Half a window beyond both ends, where the hull is weakest.
             let low = points.partition_point(|point| point.device_s < from - width / 2.0);
             let high = points.partition_point(|point| point.device_s <= to + width / 2.0);
-            self.segments.extend(points.get(low..high).and_then(|near| lower_hull::segment(near, from, to)));
+            self.segments.extend(points.get(low..high).and_then(|near| segment(near, from, to)));
         }
     }
 }
 
-/// From one sample to the next.
+/// Difference of consecutive samples.
 #[derive(Clone, Copy)]
 struct Step {
-    /// By the counter, unwrapped, s.
+    /// By the unwrapped counter, s.
     device_s: f64,
-    /// By the host's stamps, s.
+    /// By the stamps of the host, s.
     host_s: f64,
-    /// How often the counter began again on the way.
+    /// Number of wraps.
     turns: u64,
 }
 
 impl Step {
-    /// Whether the counter went further than a host that reads late can explain.
+    /// Whether late reads by the host cannot explain the step.
     fn is_gross(&self) -> bool {
         self.device_s < 0.0 || self.device_s > LONGEST_STEP_S + 2.0 * self.host_s.max(0.0)
     }
 }
 
 impl DeviceClock {
-    /// Whether the counter went further than a host that reads late can explain, or back.
     pub(super) fn is_gross(self, from: Stamp, to: Stamp) -> bool {
         self.step(from, to).is_gross()
     }
 
-    /// The one unwrapping of the counter.
+    /// Unwraps the counter.
     fn step(self, from: Stamp, to: Stamp) -> Step {
         let host_s = to.host.seconds_since(from.host);
         let (from, to) = (from.ticks.0, to.ticks.0);
@@ -201,7 +196,7 @@ impl DeviceClock {
         let (ticks, turns) = match self.wrap.map(|wrap| wrap as f64) {
             Some(wrap) => {
                 let least = ticks.rem_euclid(wrap);
-                // Only the host knows of whole turns that went by while nothing came.
+                // Only the host shows whole turns during which nothing came.
                 let unseen = ((host_s / self.seconds_per_tick - least) / wrap).round().max(0.0);
                 (least + wrap * unseen, unseen as u64 + u64::from(to < from))
             }
@@ -211,14 +206,14 @@ impl DeviceClock {
     }
 }
 
-/// Whether the counter runs at the host's pace, leaving its breaks aside.
+/// Whether the counter runs at the host's pace, apart from breaks.
 fn paced(steps: &[Step]) -> bool {
     let whole = |of: fn(&Step) -> f64| -> f64 { steps.iter().filter(|step| !step.is_gross()).map(of).sum() };
     let (device_s, host_s) = (whole(|step| step.device_s), whole(|step| step.host_s));
     device_s > 0.0 && (0.8..1.25).contains(&(host_s / device_s))
 }
 
-/// How late each sample's stamp is against the first one's, by the counter as it is.
+/// Delay of each stamp relative to the first, s, by the counter as sent.
 fn lateness(steps: &[Step]) -> Vec<f64> {
     let mut late_s = vec![0.0];
     let mut sum = 0.0;
@@ -229,7 +224,7 @@ fn lateness(steps: &[Step]) -> Vec<f64> {
     late_s
 }
 
-/// Whether the least delay is another one from sample `at` on; `first` begins the stretch before.
+/// Whether the least delay changes at sample `at`; `first` begins the stretch before.
 fn shifts(late_s: &[f64], steps: &[Step], first: usize, at: usize) -> bool {
     if (late_s[at] - late_s[at - 1]).abs() < LEAST_BREAK_S {
         return false;
@@ -248,6 +243,79 @@ fn shifts(late_s: &[f64], steps: &[Step], first: usize, at: usize) -> bool {
     let before_s = least(&mut (first..at).rev());
     let behind_s = least(&mut (at..late_s.len()));
     (behind_s - before_s).abs() > LEAST_BREAK_S + MOST_DRIFT * 2.0 * NEAR_S
+}
+
+/// Arrival of a sample by both clocks, s.
+#[derive(Clone, Copy)]
+struct Point {
+    device_s: f64,
+    host_s: f64,
+}
+
+/// Host time as a linear function of device time within a window.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Segment {
+    /// Device time of its start, s.
+    pub from_s: f64,
+    /// Device time of its end, s.
+    pub to_s: f64,
+    /// Host time at `from_s`, s since the first stamp.
+    pub host_s: f64,
+    /// Clock skew: host seconds per device second, less 1.
+    pub drift: f64,
+    /// Median delay of the stamps over the line, s.
+    pub median_late_s: f64,
+    /// Bound on the offset error beyond the least delay, s: the line could not move further without a stamp before
+    /// its event.
+    pub bound_s: f64,
+}
+
+/// The line under `points` (in order) for the window from `from_s` to `to_s`; points beyond the window support its
+/// ends. `None` without a point.
+fn segment(points: &[Point], from_s: f64, to_s: f64) -> Option<Segment> {
+    let base = points.first().copied()?;
+    let slope = slope_under(points, 0.5 * (from_s + to_s));
+    let late = |point: &Point| (point.host_s - base.host_s) - (point.device_s - base.device_s) * slope;
+    let least = points.iter().map(late).fold(f64::INFINITY, f64::min);
+    let mut above: Vec<f64> = points.iter().map(|point| late(point) - least).collect();
+    // The line rests on stamps in both outer thirds: the gap to the nearest ones bounds its error.
+    let third = (to_s - from_s) / 3.0;
+    let nearest = |low: f64, high: f64| {
+        let part = points.iter().zip(&above).filter(|(point, _)| (low..=high).contains(&point.device_s));
+        part.map(|(_, above)| *above).fold(f64::INFINITY, f64::min)
+    };
+    let ends = [nearest(f64::NEG_INFINITY, from_s + third), nearest(to_s - third, f64::INFINITY)];
+    let bound_s = ends.into_iter().filter(|late| late.is_finite()).fold(0.0, f64::max);
+    let middle = above.len() / 2;
+    let (_, median_late_s, _) = above.select_nth_unstable_by(middle, f64::total_cmp);
+    Some(Segment {
+        from_s,
+        to_s,
+        host_s: base.host_s + least + (from_s - base.device_s) * slope,
+        drift: slope - 1.0,
+        median_late_s: *median_late_s,
+        bound_s,
+    })
+}
+
+/// Slope of the edge of the lower convex hull at `middle_s`; 1 where the points show no plausible skew.
+fn slope_under(points: &[Point], middle_s: f64) -> f64 {
+    let mut hull: Vec<Point> = Vec::new();
+    for point in points {
+        while let [.., a, b] = hull[..] {
+            let turns_left = (b.device_s - a.device_s) * (point.host_s - a.host_s)
+                > (b.host_s - a.host_s) * (point.device_s - a.device_s);
+            if turns_left {
+                break;
+            }
+            hull.pop();
+        }
+        hull.push(*point);
+    }
+    let edges = || hull.windows(2).filter(|edge| edge[1].device_s > edge[0].device_s);
+    let edge = edges().find(|edge| edge[1].device_s >= middle_s).or(edges().next_back());
+    let slope = edge.map(|edge| (edge[1].host_s - edge[0].host_s) / (edge[1].device_s - edge[0].device_s));
+    slope.filter(|slope| (slope - 1.0).abs() <= MOST_DRIFT).unwrap_or(1.0)
 }
 
 #[cfg(test)]

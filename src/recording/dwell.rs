@@ -3,21 +3,21 @@
 use super::stream::Stream;
 use crate::math::robust;
 
-/// A dwell as it was detected, times in s of the stream.
+/// A detected dwell; times in s of the stream.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Dwell {
     pub start_s: f64,
     pub end_s: f64,
-    /// Standard deviation of the begin.
+    /// Standard deviation of the start.
     pub start_sd_s: f64,
-    /// From when on the reading counts.
+    /// The reading counts from here.
     pub settled_s: f64,
-    /// Until when it may count at most.
+    /// The reading counts until here at most.
     pub until_s: f64,
 }
 
 impl Dwell {
-    /// The reading counts from the begin to the end.
+    /// A dwell whose reading counts from start to end.
     pub fn whole(start_s: f64, end_s: f64, start_sd_s: f64) -> Self {
         Self { start_s, end_s, start_sd_s, settled_s: start_s, until_s: end_s }
     }
@@ -27,7 +27,7 @@ impl Dwell {
     }
 }
 
-/// What the bar read in a dwell, or as the robot passed a point.
+/// The reading of the bar in a dwell, or as the robot passed a point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DwellReading {
     /// First time that counts, s of the stream.
@@ -36,16 +36,16 @@ pub struct DwellReading {
     pub to_s: f64,
     /// Mean without the outer tenths, mm.
     pub reading_mm: f64,
-    /// Standard uncertainty of the mean, mm: `s / sqrt(N (1 - r) / (1 + r))` with r the correlation of
-    /// neighbouring samples. It does not hold the robot's repeatability, which no single dwell shows.
+    /// Standard uncertainty of the mean, mm: `s / sqrt(N (1 - r) / (1 + r))` with r the correlation of neighbouring
+    /// samples. It does not contain the robot's repeatability, which a single dwell does not show.
     pub u_mm: f64,
     /// Number of valid samples.
     pub samples: usize,
-    /// Number of samples that the device did not vouch for; they do not count.
+    /// Number of samples that the device marked as invalid; they do not count.
     pub invalid: usize,
-    /// Number of gaps in the sequence numbers within.
+    /// Number of gaps in the sequence numbers.
     pub gaps: usize,
-    /// Change of the reading over the dwell, mm, if it is more than noise.
+    /// Change of the reading over the dwell, mm, if it is significant.
     pub creep_mm: Option<f64>,
 }
 
@@ -55,22 +55,22 @@ impl DwellReading {
     }
 }
 
-/// A uniform reading without any noise is known to this step, mm.
+/// Resolution assumed for a constant reading, mm.
 const LEAST_STEP_MM: f64 = 1e-4;
 /// The least uncertainty of a reading, mm: that of a uniform distribution over the step.
 pub(super) fn least_u_mm() -> f64 {
     LEAST_STEP_MM / 12f64.sqrt()
 }
-/// Fewer samples make no dwell.
+/// Least number of samples of a dwell.
 const LEAST_SAMPLES: usize = 3;
-/// A change must be that many standard deviations to be creep.
+/// A change is creep from this number of standard deviations on.
 const CREEP: f64 = 4.0;
 
-/// How residuals scatter in time.
+/// Scatter of residuals in time.
 pub(super) struct Scatter {
     /// Sum of their squares.
     pub(super) squares: f64,
-    /// Of neighbours, from 0 to 0.99.
+    /// Correlation of neighbours, 0 to 0.99.
     pub(super) correlation: f64,
 }
 
@@ -87,7 +87,7 @@ impl Scatter {
     }
 }
 
-/// The reading between two times; `None` when there are too few valid samples or the clock broke within.
+/// The reading between two times; `None` with too few valid samples, or if the clock broke between.
 pub fn measure(stream: &Stream, from_s: f64, to_s: f64) -> Option<DwellReading> {
     let range = stream.at(from_s)..stream.at(to_s);
     if range.len() < LEAST_SAMPLES || stream.broken_between(stream.t_s[range.start], to_s) {
@@ -110,7 +110,7 @@ pub fn measure(stream: &Stream, from_s: f64, to_s: f64) -> Option<DwellReading> 
     let Scatter { squares, correlation } =
         Scatter::of(valid.iter().map(|&at| stream.reading_mm[at] - reading_mm));
     let effective = (count * (1.0 - correlation) / (1.0 + correlation)).max(1.0);
-    // A reading that stays on one step of the scale is known to that step, however often it is read.
+    // A reading that stays on one step of the scale is known to that step, however many samples there are.
     let step_mm = readings.windows(2).map(|pair| pair[1] - pair[0]).filter(|step| *step > 0.0);
     let step_mm = step_mm.fold(f64::INFINITY, f64::min);
     let deviation = (squares / (count - 1.0)).sqrt();
@@ -120,7 +120,7 @@ pub fn measure(stream: &Stream, from_s: f64, to_s: f64) -> Option<DwellReading> 
         if step_mm.is_finite() { step_mm / 12f64.sqrt() } else { least_u_mm() }
     };
     let slope = if tt > 0.0 { ty / tt } else { 0.0 };
-    // Of the same effective number of samples, spread over the same time.
+    // The slope of as many independent samples, spread over the same time.
     let slope_sd = if tt > 0.0 { deviation * (count / effective / tt).sqrt() } else { f64::INFINITY };
     let creeps = slope.abs() > CREEP * slope_sd && effective > 5.0;
     let last_s = stream.t_s[range.end - 1];

@@ -1,4 +1,4 @@
-//! The controller's own reports of its dwells.
+//! The controller's reports of its dwells.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -9,21 +9,21 @@ use crate::base::units::HostNs;
 use crate::catalogue::MatchingFinding;
 use crate::robot::AXES;
 
-/// The controller reports that a dwell begins or ends.
+/// The controller's report that a dwell begins or ends.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Report {
-    /// When it reached the host.
+    /// Arrival at the host.
     pub host: HostNs,
-    /// The plan's index.
+    /// Index of the pose in the plan.
     pub index: u32,
-    /// 1 at the begin, 2 at the end.
+    /// 1 at the start of the dwell, 2 at its end.
     pub phase: u8,
-    /// Axis angles that the controller measured then, degrees.
+    /// Axis angles measured at that moment, degrees.
     pub axes_deg: [f64; AXES],
 }
 
-/// The measured axis angles of each reported dwell, degrees, by the plan's index: the mean of its begin and
-/// its end, of the last time that it was driven.
+/// Measured axis angles of each reported dwell, degrees, by index: the mean of start and end. Of a pose that was
+/// driven twice the last.
 pub fn reported_axes(reports: &[Report]) -> BTreeMap<u32, [f64; AXES]> {
     let mut axes: BTreeMap<u32, [f64; AXES]> = BTreeMap::new();
     let mut begin: Option<&Report> = None;
@@ -38,10 +38,10 @@ pub fn reported_axes(reports: &[Report]) -> BTreeMap<u32, [f64; AXES]> {
     axes
 }
 
-/// Reports reach the host late, but before this, s.
+/// Largest delay of a report, s.
 const LATE_S: f64 = 0.05;
 
-/// Why the reports give no dwell, where there are some.
+/// Why the reports give no dwell, if there are some.
 pub(super) fn unused(reports: &[Report], stream: &Stream) -> Option<MatchingFinding> {
     let first = reports.first()?;
     if spans(reports, stream).is_some() {
@@ -54,8 +54,8 @@ pub(super) fn unused(reports: &[Report], stream: &Stream) -> Option<MatchingFind
     })
 }
 
-/// From the report of its begin to that of its end, by index, s of the stream; the last one of an index that was
-/// driven twice. `None` when there are no reports or the device's clock cannot be set against the host's.
+/// Intervals between the reports of start and end, by index, s of the stream; of a pose that was driven twice the
+/// last. `None` without any, or if the device clock cannot be compared with the host's.
 pub(super) fn spans(reports: &[Report], stream: &Stream) -> Option<BTreeMap<u32, Range<f64>>> {
     let mut spans = BTreeMap::new();
     let mut open: Option<(u32, f64)> = None;
@@ -73,7 +73,7 @@ pub(super) fn spans(reports: &[Report], stream: &Stream) -> Option<BTreeMap<u32,
     (!spans.is_empty()).then_some(spans)
 }
 
-/// The reported dwells, each as long as the robot surely stood.
+/// The reported dwells, shortened by the delay of a report: the robot surely stood that long.
 pub(super) fn reported_dwells(reports: &[Report], stream: &Stream) -> Option<BTreeMap<u32, Dwell>> {
     let dwell = |span: Range<f64>| Dwell::whole(span.start, span.end - LATE_S, LATE_S);
     Some(spans(reports, stream)?.into_iter().map(|(index, span)| (index, dwell(span))).collect())

@@ -1,43 +1,44 @@
-//! The controller's strobe as it comes: dwells, and the pulses that mark begin and end of a module.
+//! Decodes the strobe of the controller into dwells and the marks at the start and end of a module, live and
+//! recorded.
 //!
-//! One decoder for a run that goes on and for a recorded one. A high strobe of less than 0.3 s is a pulse of a mark, a
-//! longer one is a dwell. Three pulses begin a module, two end it; five are the end of one and the begin of the next.
+//! A high strobe of less than 0.3 s is a pulse of a mark, a longer one is a dwell. Three pulses start a module, two
+//! end it; five are the end of one module and the start of the next.
 
 use super::dwell::Dwell;
 use super::stream::Stream;
 
 /// A strobe shorter than this is a pulse of a mark, s.
 const PULSE_S: f64 = 0.3;
-/// A mark is complete when the strobe has been low for so long, s.
+/// A mark is complete after the strobe was low for this time, s.
 const QUIET_S: f64 = 1.0;
-/// A strobe that falls for less than this did not fall: no program lowers it so shortly, s.
+/// A shorter fall of the strobe is a bounce: no program lowers it for less, s.
 const BOUNCE_S: f64 = 0.1;
 
-/// A dwell from the strobe's rise to its fall.
+/// A dwell from the rise to the fall of the strobe.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StrobedDwell {
     pub dwell: Dwell,
-    /// Number of the module by the marks, from 0.
+    /// Index of the module by the marks, from 0.
     pub module: usize,
 }
 
-/// What the strobe shows; each is reported when nothing can change it any more.
+/// Reported as soon as later samples cannot change it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum StrobeEvent {
     Dwell(StrobedDwell),
-    /// An end mark after at least one dwell, and a second of quiet.
+    /// An end mark after at least one dwell, and a second of low strobe.
     ModuleEnd,
 }
 
-/// Takes the strobe sample by sample.
+/// Decodes the strobe sample by sample.
 #[derive(Clone, Debug, Default)]
 pub struct StrobeDecoder {
     level: Level,
-    /// Begin and last high sample of the strobe that is high or was high last, s.
+    /// Start and last high sample of the present or latest pulse, s.
     start_s: f64,
     end_s: f64,
     previous_s: f64,
-    /// Pulses in a row.
+    /// Consecutive pulses.
     pulses: u32,
     since_dwell: Marks,
     module: usize,
@@ -49,20 +50,20 @@ enum Level {
     #[default]
     Low,
     High,
-    /// Low for so short a time that it may be a bounce.
+    /// Low, but for so short a time that it may be a bounce.
     Fell,
 }
 
 /// The marks since the last dwell.
 #[derive(Clone, Copy, Debug, Default)]
 struct Marks {
-    /// A mark of which a pulse was lost still divides modules: either kind is between two of them.
+    /// Any mark divides modules, even if one of its pulses was lost.
     any_pulse: bool,
     module_end: bool,
 }
 
 impl StrobeDecoder {
-    /// The strobe at a time, s; times do not go back. `None` for a sample that does not carry it.
+    /// The strobe at `t_s`, which must not decrease; `None` for a sample without it.
     pub fn push(&mut self, t_s: f64, strobe: Option<bool>) -> Option<StrobeEvent> {
         let mut event = None;
         if self.level == Level::Fell {
@@ -74,7 +75,7 @@ impl StrobeDecoder {
         }
         match (self.level, strobe) {
             (Level::Low, Some(true)) => (self.level, self.start_s) = (Level::High, t_s),
-            // The last sample that was high ends it: the strobe may have fallen in a gap.
+            // The last high sample ends the pulse: the strobe may have fallen in a gap.
             (Level::High, Some(false)) => (self.level, self.end_s) = (Level::Fell, self.previous_s),
             (Level::Low, Some(false)) if self.pulses > 0 && t_s - self.end_s >= QUIET_S => {
                 event = self.mark();
@@ -85,7 +86,7 @@ impl StrobeDecoder {
         event
     }
 
-    /// Ends the stream: a strobe that is still high ends with it.
+    /// Ends the stream; a strobe that is still high ends with it.
     pub fn finish(&mut self) -> Option<StrobeEvent> {
         if self.level == Level::High {
             self.end_s = self.previous_s;
@@ -93,12 +94,11 @@ impl StrobeDecoder {
         if self.level == Level::Low { None } else { self.fall() }
     }
 
-    /// The last sample at which the strobe was high, s.
     pub fn last_high_s(&self) -> f64 {
         if self.level == Level::High { self.previous_s } else { self.end_s }
     }
 
-    /// Since when the strobe is high, bounces left out, s.
+    /// Start of the present pulse, s, regardless of bounces; `None` if the strobe is low.
     pub fn high_since_s(&self) -> Option<f64> {
         (self.level != Level::Low).then_some(self.start_s)
     }
@@ -128,7 +128,7 @@ impl StrobeDecoder {
     }
 }
 
-/// Whether the stream carries the strobe and it was ever high.
+/// Whether the stream has a strobe that was high at least once.
 pub fn has_strobe(stream: &Stream) -> bool {
     (0..stream.len()).any(|at| stream.strobe(at) == Some(true))
 }

@@ -1,22 +1,23 @@
 //! The telegrams of a program that reports its dwells over EthernetKRL.
 //!
-//! `<Dbb><Pt Run="..." Id="..." Ph="..."/><Ax A1="..." .. A6="..."/></Dbb>`, with no length before it and no
-//! end behind it. TCP cuts where it likes, so bytes are taken one at a time: however they are cut, the
-//! same telegrams come out. What is no telegram is counted and passed over.
+//! `<Dbb><Pt Run="..." Id="..." Ph="..."/><Ax A1="..." .. A6="..."/></Dbb>`, without a length before it or a
+//! terminator behind it. TCP may split the stream anywhere, so bytes are processed one at a time: the telegrams do
+//! not depend on the splits. Bytes outside of telegrams are counted and skipped.
 
 use std::collections::BTreeMap;
 
 use crate::catalogue::RecordingFinding as Finding;
+use crate::device::axes::{MOST_DEG, rsi};
 use crate::robot::AXES;
 
-/// What the controller sends at the begin and at the end of a dwell.
+/// Sent by the controller at the start and at the end of a dwell.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Telegram {
     /// Number of the plan that the program was made from ([`crate::program::krl::run_number`]).
     pub run: u32,
-    /// The plan's index.
+    /// Index of the pose in the plan.
     pub index: u32,
-    /// 1: the robot is at rest; 2: the dwell is over.
+    /// 1 at the start of the dwell, 2 at its end.
     pub phase: u8,
     /// Measured axis angles, degrees.
     pub axes_deg: [f64; AXES],
@@ -25,11 +26,11 @@ pub struct Telegram {
 #[derive(Clone, Debug, PartialEq)]
 pub enum Heard {
     Telegram(Telegram),
-    /// `<Dbb>..</Dbb>` that is no telegram, and why.
+    /// A complete element `<Dbb>..</Dbb>` that is no telegram.
     Malformed(Finding),
 }
 
-/// Takes telegrams out of a stream of bytes.
+/// Extracts telegrams from a stream of bytes.
 #[derive(Clone, Debug, Default)]
 pub struct TelegramReader {
     /// Begins as a telegram does.
@@ -37,24 +38,21 @@ pub struct TelegramReader {
     skipped: u64,
 }
 
-/// No telegram is longer: what goes on without an end is thrown away, and memory stays bounded.
+/// Longest telegram; longer ones are dropped, so that memory stays bounded.
 pub const LONGEST_TELEGRAM: usize = 4096;
 const BEGIN: &[u8] = b"<Dbb";
-/// No axis turns further, degrees.
-const MOST_DEG: f64 = 3600.0;
 
 impl TelegramReader {
-    /// Takes bytes as they came.
     pub fn push(&mut self, bytes: &[u8]) -> Vec<Heard> {
         bytes.iter().filter_map(|byte| self.byte(*byte)).collect()
     }
 
-    /// Bytes of a telegram that has not ended.
+    /// Number of bytes of an unfinished telegram.
     pub fn pending(&self) -> usize {
         self.pending.len()
     }
 
-    /// Bytes that belong to no telegram; space between telegrams does not count.
+    /// Number of bytes outside of telegrams; white space does not count.
     pub fn skipped(&self) -> u64 {
         self.skipped
     }
@@ -77,7 +75,7 @@ impl TelegramReader {
             let begins = BEGIN.starts_with(&self.pending[tag..]) || starts(&self.pending[tag..]);
             self.keep(if begins { len - tag } else { 0 });
         } else if len > BEGIN.len() && starts(&self.pending[len - BEGIN.len() - 1..]) {
-            // The one before was cut off.
+            // The telegram before was cut off.
             self.keep(BEGIN.len() + 1);
         } else if byte == b'>' && ends(&self.pending) {
             let bytes = std::mem::take(&mut self.pending);
@@ -91,7 +89,7 @@ impl TelegramReader {
         None
     }
 
-    /// Throws away what is pending but its last bytes.
+    /// Drops all pending bytes but the last ones.
     fn keep(&mut self, last: usize) {
         let dropped = self.pending.len().saturating_sub(last);
         self.pending.drain(..dropped);
@@ -99,17 +97,17 @@ impl TelegramReader {
     }
 }
 
-/// Whether these are the name of a telegram and the byte after it.
+/// Whether the bytes are the name of a telegram and a byte that ends it.
 fn starts(bytes: &[u8]) -> bool {
     matches!(bytes, [name @ .., after] if name == BEGIN && after_name(*after))
 }
 
-/// Whether the name of an element ends before this byte.
+/// Whether this byte ends the name of an element.
 fn after_name(byte: u8) -> bool {
     byte.is_ascii_whitespace() || matches!(byte, b'>' | b'/')
 }
 
-/// Whether the last tag of `bytes` closes the telegram.
+/// Whether the last tag closes the telegram.
 fn ends(bytes: &[u8]) -> bool {
     let Some(at) = bytes.iter().rposition(|byte| *byte == b'<') else { return false };
     let tag = bytes[at..].trim_ascii_end();
@@ -117,7 +115,7 @@ fn ends(bytes: &[u8]) -> bool {
     name.is_some_and(|name| name == b"</Dbb") || at == 0 && tag.ends_with(b"/>")
 }
 
-/// The attributes of a telegram by element and name.
+/// Values of the attributes by element and name.
 struct Values<'a>(BTreeMap<(&'a str, &'a str), &'a str>);
 
 impl<'a> Values<'a> {
@@ -162,7 +160,7 @@ impl<'a> Values<'a> {
 fn read(text: &str) -> Result<Telegram, Finding> {
     let values = Values::of(text)?;
     let mut axes_deg = [0.0; AXES];
-    for (axis, name) in axes_deg.iter_mut().zip(["A1", "A2", "A3", "A4", "A5", "A6"]) {
+    for (axis, name) in axes_deg.iter_mut().zip(rsi::AXIS_NAMES) {
         *axis = values.angle_deg(name)?;
     }
     let phase = match values.whole("Ph")? {

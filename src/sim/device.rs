@@ -174,7 +174,8 @@ impl Device {
             return Ok(frame);
         }
         // The device's word for none where the bar is out of its stroke.
-        let doubted = !sample.valid && !self.encoder.doubts() && self.encoder.refuse(&sample, &mut frame);
+        let doubted =
+            !sample.valid && !self.encoder.has_validity() && self.encoder.refuse(&sample, &mut frame);
         if !doubted {
             self.encoder.encode(&sample, &mut frame)?;
         }

@@ -1,4 +1,4 @@
-//! The address of a controller's axes as the user writes it.
+//! Addresses of controllers that publish their axes.
 
 use std::fmt;
 use std::net::SocketAddr;
@@ -8,25 +8,24 @@ use super::{AxesProtocol, rtde};
 use crate::catalogue::AxesFinding;
 use crate::device::port::NetworkAddress;
 
-/// Where the axes come from.
 #[derive(Clone, Debug, PartialEq)]
 pub enum AxesAddress {
     /// `rsi://ADDR:PORT[?answer=zero]`: listen here for the controller's datagrams.
     Rsi { listen: SocketAddr, answer: Answer },
-    /// `rtde://HOST[:30004][?hz=RATE]`: ask the controller there.
+    /// `rtde://HOST[:30004][?hz=RATE]`: connect to the controller.
     Rtde { server: NetworkAddress, rate_hz: f64 },
 }
 
-/// What is sent back to a controller.
+/// Answers to an RSI controller.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Answer {
-    /// Nothing, as `ONLYSEND` TRUE wants it.
+    /// None, for `ONLYSEND` TRUE.
     Nothing,
     /// A correction of zero to each datagram.
     Zero,
 }
 
-/// Packages a second that every controller can send.
+/// Packages per second that every controller can send.
 const RATE_HZ: f64 = 125.0;
 
 impl AxesAddress {

@@ -1,7 +1,7 @@
 //! The measured axes that a controller publishes every cycle: KUKA RSI (UDP, XML) and UR RTDE (TCP, binary).
 //!
-//! Decoding is pure and never fails: a packet that is not understood is a fault with its reason, and every byte belongs
-//! to a packet, to a fault, or is pending.
+//! Decoding is pure and never fails: an invalid packet is a fault with its reason, and every byte belongs to a
+//! packet, to a fault, or is pending.
 
 mod address;
 pub mod rsi;
@@ -14,81 +14,77 @@ use serde::{Deserialize, Serialize};
 use crate::base::units::DeviceTicks;
 use crate::robot::AXES;
 
-/// The protocol over which axes come.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum AxesProtocol {
-    /// KUKA Robot Sensor Interface: one UDP datagram each cycle of 4 or 12 ms.
+    /// KUKA Robot Sensor Interface: a UDP datagram per cycle of 4 or 12 ms.
     Rsi,
-    /// Universal Robots Real-Time Data Exchange: packages in a TCP stream, up to 500 a second.
+    /// Universal Robots Real-Time Data Exchange: packages in a TCP stream, up to 500 per second.
     Rtde,
 }
 
-/// The axes of one cycle of the controller.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AxesSample {
-    /// The controller's own clock; the tick is [`AxesProtocol::tick_ns`].
+    /// Clock of the controller; its tick is [`AxesProtocol::tick_ns`].
     pub ticks: DeviceTicks,
-    /// As the encoders have them, degrees.
+    /// By the encoders, degrees.
     pub measured_deg: [f64; AXES],
-    /// As the controller commands them, degrees, where it sends them.
+    /// Commanded by the controller, degrees, if it sends them.
     pub commanded_deg: Option<[f64; AXES]>,
-    /// How many answers came late by the controller's count (RSI `Delay`).
+    /// Number of late answers as counted by the controller (RSI `Delay`).
     pub late: Option<u32>,
 }
 
-/// What was heard.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Heard {
     Sample(AxesSample),
-    /// A package of the protocol that holds no axes, by its type.
+    /// A package without axes.
     Control(Control),
     Fault(AxesFault),
 }
 
-/// What RTDE says besides data.
+/// Packages of RTDE besides data.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Control {
-    /// Whether the controller speaks the version that was asked for.
+    /// Whether the controller supports the requested version.
     Version { accepted: bool },
-    /// The recipe of the data that it will send; false where it does not have what was asked for.
+    /// Whether it has the requested variables.
     Recipe { accepted: bool },
-    /// Whether it begins to send.
+    /// Whether it starts sending.
     Started { accepted: bool },
-    /// Anything else, by its type.
+    /// Any other package, by its type.
     Other(u8),
 }
 
-/// Why a packet is not understood.
+/// Why a packet is invalid.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum AxesFault {
-    /// It is longer than any packet of the protocol.
+    /// Longer than any packet of the protocol.
     TooLong,
-    /// It is no XML text, or another root than `Rob`.
+    /// Not XML, or another root than `Rob`.
     NotXml,
     /// An element or attribute is missing.
     Incomplete,
-    /// A value is no number, or none that an axis or a clock can have.
+    /// A value is not a number, or impossible for an axis or a clock.
     NotANumber,
-    /// The length of a package is less than its head.
+    /// A package is shorter than its head.
     Framing,
-    /// Data of a recipe that was not agreed on, or of another length.
+    /// Data of another recipe or length.
     OtherRecipe,
 }
 
-/// A packet, and how many bytes it took.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Packet {
     pub heard: Heard,
     pub bytes: u64,
 }
 
-/// No axis turns further, degrees.
-const MOST_DEG: f64 = 3600.0;
+/// Limit of axis angles, degrees.
+pub(crate) const MOST_DEG: f64 = 3600.0;
 
 impl AxesProtocol {
-    /// How long a tick of the controller's clock is, ns: IPOC counts milliseconds; RTDE's seconds are taken in microseconds.
+    /// Tick of the controller's clock, ns: IPOC counts milliseconds; seconds of RTDE are converted to microseconds.
     pub const fn tick_ns(self) -> u32 {
         match self {
             Self::Rsi => 1_000_000,
@@ -104,7 +100,7 @@ impl AxesProtocol {
     }
 }
 
-/// Takes packets out of what came: a datagram at a time, or a stream however it is cut.
+/// Extracts packets from datagrams, or from a stream however it is split.
 #[derive(Clone, Debug)]
 pub enum AxesDecoder {
     Rsi,
@@ -112,7 +108,6 @@ pub enum AxesDecoder {
 }
 
 impl AxesDecoder {
-    /// Of a new connection.
     pub fn new(protocol: AxesProtocol) -> Self {
         match protocol {
             AxesProtocol::Rsi => Self::Rsi,
@@ -120,7 +115,7 @@ impl AxesDecoder {
         }
     }
 
-    /// Takes a datagram, or the next bytes of the stream.
+    /// Decodes a datagram, or the next bytes of the stream.
     pub fn push(&mut self, bytes: &[u8], mut out: impl FnMut(Packet)) {
         match self {
             Self::Rsi => {
@@ -131,7 +126,7 @@ impl AxesDecoder {
         }
     }
 
-    /// Bytes of a package that has not ended.
+    /// Number of bytes of an incomplete package.
     pub fn pending(&self) -> u64 {
         match self {
             Self::Rsi => 0,
@@ -140,7 +135,6 @@ impl AxesDecoder {
     }
 }
 
-/// Angles that an axis can have.
 fn possible(angles_deg: &[f64; AXES]) -> bool {
     angles_deg.iter().all(|deg| deg.abs() <= MOST_DEG)
 }

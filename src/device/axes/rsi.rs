@@ -1,7 +1,7 @@
-//! KUKA RSI: what the controller sends each cycle, and the answer that asks for no correction.
+//! KUKA RSI: the datagram of each cycle, and the answer without a correction.
 //!
-//! `<Rob Type="KUKA"><AIPos A1=".." .. A6=".."/><ASPos ../><Delay D="0"/><IPOC>123</IPOC></Rob>`, one UDP datagram a cycle,
-//! with the elements that the Ethernet configuration names, in any order. `AIPos` are the measured axes, `ASPos` the
+//! `<Rob Type="KUKA"><AIPos A1=".." .. A6=".."/><ASPos ../><Delay D="0"/><IPOC>123</IPOC></Rob>`, one UDP datagram per cycle,
+//! with the elements of the Ethernet configuration in any order. `AIPos` are the measured axes, `ASPos` the
 //! commanded ones, degrees; `IPOC` is the time stamp in ms, which an answer repeats.
 
 use roxmltree::{Document, Node};
@@ -10,14 +10,10 @@ use super::{AxesFault, AxesSample, possible};
 use crate::base::units::DeviceTicks;
 use crate::robot::AXES;
 
-/// No datagram of 64 channels is longer.
+/// Longest datagram: 64 channels need less.
 pub const LONGEST: usize = 16 << 10;
-const NAMES: [&str; AXES] = ["A1", "A2", "A3", "A4", "A5", "A6"];
+pub(crate) const AXIS_NAMES: [&str; AXES] = ["A1", "A2", "A3", "A4", "A5", "A6"];
 
-/// Reads a datagram.
-///
-/// # Errors
-/// Why it holds no measured axes with their time.
 pub fn read(bytes: &[u8]) -> Result<AxesSample, AxesFault> {
     if bytes.len() > LONGEST {
         return Err(AxesFault::TooLong);
@@ -39,18 +35,18 @@ pub fn read(bytes: &[u8]) -> Result<AxesSample, AxesFault> {
 
 fn angles(node: Node<'_, '_>) -> Result<[f64; AXES], AxesFault> {
     let mut angles_deg = [0.0; AXES];
-    for (angle, name) in angles_deg.iter_mut().zip(NAMES) {
+    for (angle, name) in angles_deg.iter_mut().zip(AXIS_NAMES) {
         let text = node.attribute(name).ok_or(AxesFault::Incomplete)?;
         *angle = text.trim().parse().map_err(|_| AxesFault::NotANumber)?;
     }
     if possible(&angles_deg) { Ok(angles_deg) } else { Err(AxesFault::NotANumber) }
 }
 
-/// As a controller writes it, with the digits that it sends.
+/// A datagram as a controller writes it, with its digits.
 pub fn write(sample: &AxesSample) -> String {
     let element = |name: &str, axes: &[f64; AXES]| {
         let values: String =
-            NAMES.iter().zip(axes).map(|(axis, deg)| format!(" {axis}=\"{deg:.4}\"")).collect();
+            AXIS_NAMES.iter().zip(axes).map(|(axis, deg)| format!(" {axis}=\"{deg:.4}\"")).collect();
         format!("<{name}{values}/>")
     };
     let measured = element("AIPos", &sample.measured_deg);
@@ -60,8 +56,8 @@ pub fn write(sample: &AxesSample) -> String {
     format!("<Rob Type=\"KUKA\">{measured}{commanded}<Delay D=\"{late}\"/><IPOC>{ipoc}</IPOC></Rob>")
 }
 
-/// The answer that corrects nothing: `SENTYPE` of the Ethernet configuration is `ImFree`.
+/// The answer without a correction: `SENTYPE` of the Ethernet configuration is `ImFree`.
 pub fn zero_answer(ticks: DeviceTicks) -> String {
-    let zeros: String = NAMES.iter().map(|axis| format!(" {axis}=\"0.0000\"")).collect();
+    let zeros: String = AXIS_NAMES.iter().map(|axis| format!(" {axis}=\"0.0000\"")).collect();
     format!("<Sen Type=\"ImFree\"><AK{zeros}/><IPOC>{}</IPOC></Sen>", ticks.0)
 }

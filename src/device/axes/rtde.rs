@@ -1,19 +1,17 @@
 //! UR RTDE, version 2: packages of `u16 size` (head included), `u8 type` and content, all big-endian.
 //!
-//! A client asks for the version (`V`), then for a recipe (`O`: a rate and names of variables; the answer has the recipe's
-//! number and the variables' types), then for the start (`S`); data come as packages `U` (recipe's number, values).
+//! A client requests the version (`V`), then a recipe (`O`: a rate and names of variables; the answer has the
+//! number of the recipe and the types of the variables), then the start (`S`). Data are packages `U` (number of
+//! the recipe, values).
 
 use super::{AxesFault, AxesSample, Control, Heard, Packet, possible};
 use crate::base::units::DeviceTicks;
 use crate::robot::AXES;
 
-/// The TCP port of a controller.
 pub const PORT: u16 = 30004;
-/// The version of the protocol.
 pub const VERSION: u16 = 2;
-/// The variables that are asked for: seconds of the controller, measured and commanded axes in rad.
+/// The requested variables: seconds of the controller, measured and commanded axes in rad.
 pub const VARIABLES: &str = "timestamp,actual_q,target_q";
-/// Their types.
 pub const TYPES: &str = "DOUBLE,VECTOR6D,VECTOR6D";
 
 pub const ASK_VERSION: u8 = b'V';
@@ -23,13 +21,12 @@ pub const START: u8 = b'S';
 pub const PAUSE: u8 = b'P';
 pub const DATA: u8 = b'U';
 
-/// Size and type.
+/// Length of size and type.
 const HEAD: usize = 3;
 const WORD: usize = 8;
-/// Content of a data package: the recipe's number and the values.
+/// Content of a data package: number of the recipe, and values.
 const DATA_LEN: usize = 1 + WORD * (1 + 2 * AXES);
 
-/// A package of a type.
 pub fn package(kind: u8, content: &[u8]) -> Vec<u8> {
     let size = u16::try_from(HEAD + content.len()).unwrap_or(u16::MAX);
     let mut bytes = size.to_be_bytes().to_vec();
@@ -38,15 +35,14 @@ pub fn package(kind: u8, content: &[u8]) -> Vec<u8> {
     bytes
 }
 
-/// A package at the begin of some bytes.
 pub struct Package<'a> {
     pub kind: u8,
     pub content: &'a [u8],
-    /// Its bytes with the head.
+    /// Length with the head.
     pub bytes: usize,
 }
 
-/// The package at the begin of bytes; `None` where it has not ended. An error where its size cannot be.
+/// The package at the start of `bytes`; `None` if it is incomplete, an error if its size is impossible.
 pub fn next_package(bytes: &[u8]) -> Result<Option<Package<'_>>, AxesFault> {
     let Some(&[high, low, kind]) = bytes.get(..HEAD) else { return Ok(None) };
     let size = usize::from(u16::from_be_bytes([high, low]));
@@ -56,13 +52,13 @@ pub fn next_package(bytes: &[u8]) -> Result<Option<Package<'_>>, AxesFault> {
     Ok(bytes.get(HEAD..size).map(|content| Package { kind, content, bytes: size }))
 }
 
-/// What a client sends, in order; each is sent when the one before was accepted.
+/// The requests of a client; each is sent after the one before was accepted.
 pub fn requests(rate_hz: f64) -> [Vec<u8>; 3] {
     let recipe = [&rate_hz.to_be_bytes()[..], VARIABLES.as_bytes()].concat();
     [package(ASK_VERSION, &VERSION.to_be_bytes()), package(SET_UP_OUTPUTS, &recipe), package(START, &[])]
 }
 
-/// The data package of a sample; commanded axes that are not known are the measured ones.
+/// The data package of a sample; unknown commanded axes are replaced by the measured ones.
 pub fn data(recipe: u8, sample: &AxesSample) -> Vec<u8> {
     let seconds = sample.ticks.0 as f64 * 1e-6;
     let commanded_deg = sample.commanded_deg.unwrap_or(sample.measured_deg);
@@ -72,12 +68,12 @@ pub fn data(recipe: u8, sample: &AxesSample) -> Vec<u8> {
     package(DATA, &content)
 }
 
-/// Takes packages out of a stream.
+/// Extracts packages from a stream.
 #[derive(Clone, Debug, Default)]
 pub struct Decoder {
-    /// Begins as a package does.
+    /// Starts like a package.
     pending: Vec<u8>,
-    /// The number of the recipe that was agreed on.
+    /// Number of the accepted recipe.
     recipe: Option<u8>,
 }
 
@@ -86,7 +82,7 @@ impl Decoder {
         self.pending.len() as u64
     }
 
-    /// A size that cannot be is passed over a byte at a time.
+    /// After an impossible size one byte is skipped.
     pub(super) fn push(&mut self, bytes: &[u8], mut out: impl FnMut(Packet)) {
         self.pending.extend_from_slice(bytes);
         let mut at = 0;
@@ -128,7 +124,7 @@ fn data_of(recipe: Option<u8>, content: &[u8]) -> Result<AxesSample, AxesFault> 
     let seconds = word(0);
     let degrees = |from: usize| std::array::from_fn(|axis| word(from + axis).to_degrees());
     let (measured_deg, commanded_deg) = (degrees(1), degrees(1 + AXES));
-    // Half of the ticks that a float holds exactly.
+    // Half of the ticks that a float represents exactly.
     let clock = (0.0..4e9).contains(&seconds);
     if !clock || !possible(&measured_deg) || !possible(&commanded_deg) {
         return Err(AxesFault::NotANumber);

@@ -1,4 +1,4 @@
-//! The adapter behind a port: the name that stays with it, and how long it holds bytes back.
+//! The adapter behind a port: its permanent name, and its latency timer.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 use super::PortAddress;
 use crate::catalogue::PortFinding::{self, AdapterHoldsBack, NetworkBlurs};
 
-/// The address by which the device is found again when it comes back under another number: by-id, else
-/// by-path, else the address itself (a link of the user's own is followed afresh each time).
+/// The address by which the device is found again if it returns under another number: by-id, else by-path, else the
+/// address itself (a user's own link is resolved each time).
 pub fn identity(address: &PortAddress) -> PortAddress {
     let Some(path) = address.device().filter(|path| !path.starts_with("/dev/serial")) else {
         return address.clone();
@@ -23,18 +23,17 @@ pub fn identity(address: &PortAddress) -> PortAddress {
     address.clone()
 }
 
-/// The latency timer of the adapter behind a device, where the system shows it.
+/// The latency timer of the adapter behind a device, on systems that show it.
 pub(super) fn timer(device: &Path) -> Option<PathBuf> {
     let target = fs::canonicalize(device).ok()?;
     Some(Path::new("/sys/bus/usb-serial/devices").join(target.file_name()?).join("latency_timer"))
 }
 
-/// How long that adapter holds bytes back, ms.
 pub(super) fn latency_ms(device: &Path) -> Option<u32> {
     fs::read_to_string(timer(device)?).ok()?.trim().parse().ok()
 }
 
-/// What blurs the stamps of a line. The timer of a USB adapter is set to 1 ms before, where that is permitted.
+/// The finding about inaccurate time stamps of a line. The timer of a USB adapter is set to 1 ms first, if permitted.
 pub fn blur(address: &PortAddress) -> Option<PortFinding> {
     let device = address.device();
     let Some(device) = device else {
@@ -42,7 +41,7 @@ pub fn blur(address: &PortAddress) -> Option<PortFinding> {
             .then(|| NetworkBlurs { port: address.to_string() });
     };
     if latency_ms(&device)? > 1 {
-        // Not permitted to most: what is read back counts.
+        // Most users are not permitted: the value that is read back counts.
         let _ = fs::write(timer(&device)?, "1");
     }
     let name = fs::canonicalize(&device).ok()?.file_name()?.to_string_lossy().into_owned();

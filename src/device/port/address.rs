@@ -1,4 +1,4 @@
-//! The address of a port as the user writes it.
+//! Addresses of ports.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -6,14 +6,14 @@ use std::str::FromStr;
 
 use crate::catalogue::PortFinding::{self, AddressHost, AddressNumber, AddressScheme, NoAddress};
 
-/// Where a bar is.
+/// Location of a bar.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum PortAddress {
     /// A serial port of this computer: a device, `COM3`, or `by-id/..` and `by-path/..` under `/dev/serial`.
     Serial(String),
-    /// A serial server that passes the bytes on.
+    /// A serial server that passes bytes on.
     Tcp(NetworkAddress),
-    /// A serial server whose line is set through the network (RFC 2217).
+    /// A serial server whose line is set over the network (RFC 2217).
     Rfc2217(NetworkAddress),
     /// A simulated cell.
     Sim,
@@ -27,20 +27,19 @@ pub struct NetworkAddress {
 }
 
 impl PortAddress {
-    /// The device of a serial port.
     pub fn device(&self) -> Option<PathBuf> {
         let Self::Serial(name) = self else { return None };
         let stays = name.starts_with("by-id/") || name.starts_with("by-path/");
         Some(if stays { Path::new("/dev/serial").join(name) } else { PathBuf::from(name) })
     }
 
-    /// Whether what is gone from this address may come back to it. The number of a pseudo-terminal that ended is given
-    /// to the next one, which is another's.
+    /// Whether a device that disappeared may return at this address. The number of a closed pseudo-terminal is
+    /// reused by another program.
     pub fn may_return(&self) -> bool {
         !self.device().is_some_and(|device| device.starts_with("/dev/pts"))
     }
 
-    /// Whether a serial port is plugged in; whether a server is there shows when it is opened.
+    /// Whether a serial port is plugged in. A server is checked when it is opened.
     pub fn is_present(&self) -> bool {
         match self.device() {
             None => true,
@@ -73,7 +72,7 @@ impl FromStr for PortAddress {
 impl FromStr for NetworkAddress {
     type Err = PortFinding;
 
-    /// `HOST:PORT`, a number of IPv6 in brackets.
+    /// `HOST:PORT`, an IPv6 number in brackets.
     fn from_str(text: &str) -> Result<Self, PortFinding> {
         let missing = || AddressNumber { address: text.into() };
         let (host, port) = text.trim_end_matches('/').rsplit_once(':').ok_or_else(missing)?;

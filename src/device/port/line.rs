@@ -1,26 +1,24 @@
-//! What every line can do, whatever carries it.
+//! The interface of all lines.
 
 use std::time::Duration;
 use std::{fmt, io};
 
 use serde::{Deserialize, Serialize};
 
-/// A connected line. What its transport lacks (modem wires, a rate) it takes and does nothing.
+/// A connected line. Settings that its transport lacks (modem lines, a rate) are ignored.
 pub(super) trait Line: Send {
-    /// `TimedOut` when nothing came in time; 0 bytes when the line has ended.
+    /// `TimedOut` if nothing was received in time; 0 bytes if the line was closed.
     fn read(&mut self, room: &mut [u8]) -> io::Result<usize>;
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize>;
-    /// How long a read waits.
+    /// Timeout of a read.
     fn set_timeout(&mut self, timeout: Duration) -> io::Result<()>;
     /// In symbols per second.
     fn set_baud(&mut self, baud: u32) -> io::Result<()>;
     fn set_dtr(&mut self, level: bool) -> io::Result<()>;
-    /// A second handle of the same line.
     fn handle(&self) -> io::Result<Box<dyn Line>>;
     fn stamps(&self) -> Stamps;
 }
 
-/// What carries the bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Transport {
@@ -43,17 +41,17 @@ impl fmt::Display for Transport {
 }
 
 impl Transport {
-    /// Whether the other side waits until its bytes are taken; a device on a tty does not.
+    /// Whether the sender waits until its bytes are read; a device on a tty does not.
     pub fn waits(self) -> bool {
         self != Self::Tty
     }
 }
 
-/// What the host's time stamps of a line are worth.
+/// Accuracy of the host's time stamps of a line.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Stamps {
     pub transport: Transport,
-    /// How long bytes are held back before they are stamped, ms, as far as it is known: the timer of a USB adapter, or the
-    /// round trip of the network when the line was opened. A serial server adds its own.
+    /// Delay of bytes before they are stamped, ms, if known: the latency timer of a USB adapter, or the round trip
+    /// of the network at opening. A serial server adds its own delay.
     pub held_ms: Option<f64>,
 }

@@ -1,4 +1,4 @@
-//! What is plugged in.
+//! Lists the serial ports.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -9,31 +9,22 @@ use serialport::SerialPortType;
 
 use crate::catalogue::PortFinding::{self, NoPortList};
 
-/// A serial port of this machine.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Found {
-    /// Its name.
     pub port: String,
-    /// A name that stays with the device wherever it is plugged in, where there is one.
+    /// Permanent name of the device, if it has one.
     pub by_id: Option<String>,
-    /// What it is, as far as it is known.
     pub description: String,
-    /// Numbers of maker and product on USB.
+    /// Vendor and product number.
     pub usb_id: Option<(u16, u16)>,
-    /// The maker's name, where it is on USB.
     pub vendor: Option<String>,
-    /// The product's name, likewise.
     pub product: Option<String>,
-    /// Its serial number, likewise.
     pub serial_number: Option<String>,
-    /// How long the adapter holds bytes back, ms, where it says so: more than 1 blurs the host's stamps.
+    /// Latency timer of the adapter, ms, if known: more than 1 makes time stamps inaccurate.
     pub latency_ms: Option<u32>,
 }
 
-/// The ports, sorted by name; on Linux only those with a device behind them.
-///
-/// # Errors
-/// When the system has no list of them.
+/// The ports, sorted by name; on Linux only those with a device.
 pub fn list() -> Result<Vec<Found>, PortFinding> {
     let links = links();
     let ports = serialport::available_ports().map_err(|error| NoPortList { why: error.to_string() })?;

@@ -1,6 +1,4 @@
-//! The line to the bar and nothing else: opening, writing, and a thread that reads and stamps.
-//!
-//! `address` is what the user writes; `tty` and `network` are the lines that it may mean, `line` what they have in common.
+//! The line to the bar: opening, writing, and a thread that reads and stamps.
 
 mod adapter;
 mod address;
@@ -26,13 +24,12 @@ pub use line::{Stamps, Transport};
 pub use list::{Found, list};
 pub use reader::{Arrival, Reader};
 
-/// How long a read waits before it looks whether it is to end. On Windows a write to a serial port waits for the read: a
-/// request must not be late.
+/// Timeout of a read, after which the thread checks whether to stop. On Windows a write to a serial port waits for
+/// the read, and a request must not be late.
 const PATIENCE: Duration = Duration::from_millis(if cfg!(windows) { 5 } else { 50 });
-/// How long a write may take.
+/// Timeout of a write.
 const WRITE_PATIENCE: Duration = Duration::from_secs(2);
 
-/// Settings of the line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Settings {
     pub baud: u32,
@@ -40,13 +37,13 @@ pub struct Settings {
     pub parity: Parity,
     pub stop_bits: StopBits,
     pub flow: FlowControl,
-    /// Level of DTR after opening; left alone when absent.
+    /// Level of DTR after opening; unchanged if absent.
     pub dtr: Option<bool>,
-    /// Level of RTS after opening; left alone when absent.
+    /// Level of RTS after opening; unchanged if absent.
     pub rts: Option<bool>,
 }
 
-/// An open line, for this process alone.
+/// An open line.
 pub struct Port {
     line: Box<dyn Line>,
     name: String,
@@ -54,9 +51,6 @@ pub struct Port {
 
 impl Port {
     /// Opens a line exclusively.
-    ///
-    /// # Errors
-    /// When it is missing, denied, in use, or refuses the settings.
     pub fn open(address: &PortAddress, settings: &Settings) -> Result<Self, PortFinding> {
         let name = address.to_string();
         let line: Box<dyn Line> = match address {
@@ -70,15 +64,11 @@ impl Port {
         Ok(Self { line, name })
     }
 
-    /// What carries the bytes, and what their stamps are worth.
     pub fn stamps(&self) -> Stamps {
         self.line.stamps()
     }
 
-    /// Sends all of `bytes`.
-    ///
-    /// # Errors
-    /// When the port is gone or takes nothing for two seconds.
+    /// Sends all bytes, or fails after two seconds.
     pub fn send(&mut self, bytes: &[u8]) -> Result<(), PortFinding> {
         let began = clock::now();
         let mut rest = bytes;
@@ -100,19 +90,13 @@ impl Port {
         Ok(())
     }
 
-    /// Reads and throws away until nothing has come for `quiet`; the bytes thrown away. Gives up after
-    /// a second beyond that: a device that does not stop must not hold the run up.
-    ///
-    /// # Errors
-    /// When the port is gone.
+    /// Discards input until the line is quiet for `quiet`, and returns it. Gives up a second later: a device that
+    /// does not stop must not block the run.
     pub fn drain(&mut self, quiet: Duration) -> Result<Vec<u8>, PortFinding> {
         self.read_until(quiet, 1.0 + quiet.as_secs_f64(), |_| false)
     }
 
-    /// Reads until `answer` has come or the time is up; the bytes that came.
-    ///
-    /// # Errors
-    /// When the port is gone.
+    /// Reads until `answer` was received or the time is up, and returns all bytes.
     pub fn listen(&mut self, timeout: Duration, answer: &[u8]) -> Result<Vec<u8>, PortFinding> {
         self.read_until(timeout, timeout.as_secs_f64(), |bytes| {
             bytes.windows(answer.len().max(1)).any(|part| part == answer)
@@ -141,18 +125,12 @@ impl Port {
         Ok(came)
     }
 
-    /// Changes the rate, symbols per second; a line without one takes the bytes at any.
-    ///
-    /// # Errors
-    /// When the port is gone or cannot do it.
+    /// Changes the rate, symbols per second; a line without a rate ignores it.
     pub fn set_baud(&mut self, baud: u32) -> Result<(), PortFinding> {
         self.line.set_baud(baud).map_err(|error| self.refused(&error))
     }
 
-    /// Lowers DTR for so long, where the line has that wire.
-    ///
-    /// # Errors
-    /// When the port is gone.
+    /// Lowers DTR for a time, if the line has DTR.
     pub fn pulse_dtr(&mut self, low: Duration) -> Result<(), PortFinding> {
         self.line.set_dtr(false).map_err(|error| self.gone(&error))?;
         clock::sleep(low.as_secs_f64());
@@ -160,9 +138,6 @@ impl Port {
     }
 
     /// A second handle of the same line, for the reading thread.
-    ///
-    /// # Errors
-    /// When the system has no handle left.
     pub fn handle(&self) -> Result<Self, PortFinding> {
         let line = self.line.handle().map_err(|error| self.refused(&error))?;
         Ok(Self { line, name: self.name.clone() })

@@ -1,4 +1,4 @@
-//! Lines through the network: raw TCP to a serial server, and RFC 2217, which sets the server's line too.
+//! Lines over the network: raw TCP to a serial server, and RFC 2217, which also sets the server's line.
 
 use std::collections::VecDeque;
 use std::io::{self, ErrorKind, Read, Write};
@@ -17,15 +17,15 @@ use crate::base::clock;
 use crate::base::sync::lock;
 use crate::catalogue::PortFinding::{self, NotRfc2217, ServerAway, ServerCloses, SettingRefused};
 
-/// How long a server may take to accept, for each of its addresses.
+/// Timeout of a connection, for each address of a server.
 const CONNECT: Duration = Duration::from_secs(1);
-/// A server whose line is taken by another accepts and closes within this.
+/// A server whose line is in use accepts a connection and closes it within this time.
 const TURNED_AWAY_S: f64 = 0.15;
-/// Its last words are no longer than this; a bar sends more.
+/// Longest message before it closes; a bar sends more.
 const LAST_WORDS: usize = 256;
-/// How long a server may take to answer a command.
+/// Timeout of the answer to a command.
 const ANSWER_S: f64 = 2.0;
-/// Silence after which the server is asked whether it is there, how often, and how many times.
+/// Keepalive: silence before a probe, interval and number of probes.
 const PROBE: Duration = Duration::from_secs(1);
 const PROBES: u32 = 3;
 
@@ -35,17 +35,14 @@ pub(super) struct Network {
     stamps: Stamps,
 }
 
-/// What the handles of a line have in common.
 struct Shared {
     /// None for raw TCP.
     telnet: Option<Telnet>,
-    /// Bytes that came while something else was waited for.
+    /// Bytes received while waiting for something else.
     early: VecDeque<u8>,
 }
 
 impl Network {
-    /// # Errors
-    /// When the server cannot be reached or closes at once.
     pub(super) fn tcp(address: &NetworkAddress) -> Result<Self, PortFinding> {
         let mut line = Self::connect(address, Transport::Tcp)?;
         let name = PortAddress::Tcp(address.clone()).to_string();
@@ -60,8 +57,6 @@ impl Network {
         Ok(line)
     }
 
-    /// # Errors
-    /// When the server cannot be reached, knows no RFC 2217, or refuses a setting.
     pub(super) fn rfc2217(address: &NetworkAddress, settings: &Settings) -> Result<Self, PortFinding> {
         let mut line = Self::connect(address, Transport::Rfc2217)?;
         let port = PortAddress::Rfc2217(address.clone()).to_string();
@@ -119,7 +114,7 @@ impl Network {
         lock(&self.shared)
     }
 
-    /// Takes what has come into `early`; an error when the connection has ended.
+    /// Receives into `early`; an error if the connection was closed.
     fn pump(&mut self) -> io::Result<()> {
         let mut room = [0; 1024];
         match self.receive(&mut room) {
@@ -133,10 +128,10 @@ impl Network {
         }
     }
 
-    /// Reads from the network and takes the data out of what came.
+    /// Reads from the network and extracts the data.
     fn receive(&mut self, room: &mut [u8]) -> io::Result<usize> {
         let count = self.stream.read(room).map_err(|error| match error.kind() {
-            // The word of Unix for a read that timed out.
+            // Unix reports a read timeout so.
             ErrorKind::WouldBlock => ErrorKind::TimedOut.into(),
             _ => error,
         })?;
@@ -149,7 +144,7 @@ impl Network {
         if received.data.is_empty() { Err(ErrorKind::Interrupted.into()) } else { Ok(received.data.len()) }
     }
 
-    /// Waits until telnet has what is asked for; none when it is not there in time.
+    /// Waits for an answer of telnet; `None` if it is late.
     fn wait<T>(&mut self, ask: impl Fn(&mut Telnet) -> Option<T>) -> io::Result<Option<T>> {
         let began = clock::now();
         loop {
@@ -167,20 +162,20 @@ impl Network {
         self.wait(|telnet| telnet.answer(code))
     }
 
-    /// Sets a wire or the flow control; not every server answers.
+    /// Sets a modem line or the flow control; not every server answers.
     fn control(&mut self, value: u8) -> io::Result<()> {
         self.stream.write_all(&Telnet::command(telnet::SET_CONTROL, &[value]))
     }
 }
 
-/// No byte waits for more to go with it, and a server that is gone is noticed.
+/// No delay for small packets; detection of a lost server.
 fn prepare(stream: &TcpStream) -> io::Result<()> {
     stream.set_nodelay(true)?;
     stream.set_read_timeout(Some(PATIENCE))?;
     stream.set_write_timeout(Some(WRITE_PATIENCE))?;
     let socket = SockRef::from(stream);
     let asking = TcpKeepalive::new().with_time(PROBE).with_interval(PROBE);
-    // Some systems fix how many times they ask.
+    // Some systems have a fixed number of probes.
     let times = socket.set_tcp_keepalive(&asking.clone().with_retries(PROBES));
     times.or_else(|_| socket.set_tcp_keepalive(&asking))?;
     #[cfg(target_os = "linux")]
@@ -188,7 +183,7 @@ fn prepare(stream: &TcpStream) -> io::Result<()> {
     Ok(())
 }
 
-/// The settings that a server must confirm, in the numbers of RFC 2217.
+/// The settings that a server must confirm, with their numbers in RFC 2217.
 fn line_settings(settings: &Settings) -> [(&'static str, u8, Vec<u8>); 4] {
     let bits = match settings.data_bits {
         DataBits::Five => 5,
@@ -213,7 +208,7 @@ fn line_settings(settings: &Settings) -> [(&'static str, u8, Vec<u8>); 4] {
     ]
 }
 
-/// Flow control and modem wires.
+/// Flow control and modem lines.
 fn control_settings(settings: &Settings) -> impl Iterator<Item = u8> {
     let flow = match settings.flow {
         FlowControl::None => 1,

@@ -1,4 +1,4 @@
-//! The thread that reads: each read is stamped at once and handed on through a bounded channel.
+//! The reading thread: each read is stamped at once and passed on through a bounded channel.
 
 use std::io::ErrorKind;
 use std::sync::Arc;
@@ -14,28 +14,23 @@ use crate::catalogue::PortFinding::{self, PortRefused};
 /// Reads that may wait for the recorder before bytes are lost.
 const ROOM: usize = 4096;
 
-/// What the reading thread reports.
+/// A report of the reading thread.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Arrival {
     /// Bytes of one read, and when it returned.
     Bytes(HostNs, Vec<u8>),
-    /// So many bytes had to be thrown away since, for the recorder was too slow.
+    /// Number of bytes dropped since, because the recorder was too slow.
     Lost(HostNs, u64),
     /// The port is gone, and why; the thread has ended.
     Gone(HostNs, String),
 }
 
-/// The reading thread.
 pub struct Reader {
     stop: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
 }
 
 impl Reader {
-    /// Starts to read.
-    ///
-    /// # Errors
-    /// When the system gives no thread.
     pub fn start(port: Port) -> Result<(Self, Receiver<Arrival>), PortFinding> {
         let (sender, receiver) = sync_channel(ROOM);
         let stop = Arc::new(AtomicBool::new(false));
@@ -48,7 +43,7 @@ impl Reader {
         Ok((Self { stop, thread: Some(thread) }, receiver))
     }
 
-    /// Ends the thread, at the latest when its read has waited long enough.
+    /// Ends the thread, at the latest after the timeout of its read.
     pub fn stop(&mut self) {
         self.stop.store(true, Ordering::Relaxed);
     }
@@ -58,7 +53,7 @@ impl Drop for Reader {
     fn drop(&mut self) {
         self.stop();
         if let Some(thread) = self.thread.take() {
-            // A panic there is already on stderr.
+            // A panic of the thread was already reported on stderr.
             let _ = thread.join();
         }
     }
@@ -83,28 +78,28 @@ fn read(mut port: Port, mut outbox: Outbox, stop: &AtomicBool) {
             Err(error) if matches!(error.kind(), ErrorKind::TimedOut | ErrorKind::Interrupted) => continue,
             Err(error) => error.to_string(),
         };
-        // Nobody listens any more when this fails.
+        // Fails if the receiver was dropped.
         let _ = outbox.sender.send(Arrival::Gone(host, gone));
         return;
     }
 }
 
-/// Nobody takes arrivals any more.
+/// The receiver was dropped.
 struct Closed;
 
-/// The way to the recorder, and what had to be thrown away on it.
+/// The channel to the recorder, and the bytes dropped on it.
 struct Outbox {
     sender: SyncSender<Arrival>,
     lost: Option<(HostNs, u64)>,
 }
 
 impl Outbox {
-    /// Hands bytes on; waits while there is no room: the other side waits too.
+    /// Sends bytes and waits for room: the other side waits too.
     fn wait(&mut self, host: HostNs, bytes: Vec<u8>) -> Result<(), Closed> {
         self.sender.send(Arrival::Bytes(host, bytes)).map_err(|_| Closed)
     }
 
-    /// Hands bytes on if there is room; a device does not wait, so they are counted as lost if not.
+    /// Sends bytes if there is room; else they are counted as lost, because the device does not wait.
     fn offer(&mut self, host: HostNs, bytes: Vec<u8>) -> Result<(), Closed> {
         if let Some((since, lost)) = self.lost {
             match self.sender.try_send(Arrival::Lost(since, lost)) {

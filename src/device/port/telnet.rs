@@ -1,11 +1,11 @@
-//! Telnet with the COM port control option (RFC 854, 855, 856, 858, 2217): bytes in, data and answers out.
+//! Telnet with the COM port control option (RFC 854, 855, 856, 858, 2217), without I/O.
 
 const IAC: u8 = 255;
 const DONT: u8 = 254;
 const DO: u8 = 253;
 const WONT: u8 = 252;
 const WILL: u8 = 251;
-/// Begin and end of a subnegotiation.
+/// Start and end of a subnegotiation.
 const SB: u8 = 250;
 const SE: u8 = 240;
 
@@ -14,10 +14,10 @@ const SUPPRESS_GO_AHEAD: u8 = 3;
 const COM_PORT: u8 = 44;
 const SUPPORTED: [u8; 3] = [BINARY, SUPPRESS_GO_AHEAD, COM_PORT];
 
-/// Longest subnegotiation that is kept, bytes; those of RFC 2217 have at most 6, but for signatures.
+/// Longest subnegotiation that is kept, bytes; those of RFC 2217 have at most 6, except signatures.
 const LONGEST: usize = 256;
 
-/// Commands of the client; the server's answers are these and 100 more.
+/// Commands of the client; the server's answers are these plus 100.
 pub(crate) const SET_BAUD: u8 = 1;
 pub(crate) const SET_DATA_BITS: u8 = 2;
 pub(crate) const SET_PARITY: u8 = 3;
@@ -27,7 +27,6 @@ const SUSPEND: u8 = 8;
 const RESUME: u8 = 9;
 const ANSWER: u8 = 100;
 
-/// Which end of the connection this is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Side {
     Client,
@@ -37,9 +36,9 @@ pub(crate) enum Side {
 #[derive(Clone, Copy, Debug)]
 enum Place {
     Data,
-    /// Behind an IAC.
+    /// After an IAC.
     Command,
-    /// Behind one of the four verbs, which is kept.
+    /// After one of the four verbs, which is stored.
     Option(u8),
 }
 
@@ -48,27 +47,27 @@ enum Place {
 pub(crate) struct Telnet {
     side: Side,
     place: Place,
-    /// The subnegotiation that is being received.
+    /// The subnegotiation being received.
     inside: Option<Vec<u8>>,
-    /// The verbs WILL and DO that this side sent, with their options.
+    /// WILL and DO sent by this side, with their options.
     sent: Vec<(u8, u8)>,
-    /// Whether the other side takes or refuses the COM port option.
+    /// Whether the other side accepts the COM port option; `None` before it answered.
     com_port: Option<bool>,
-    /// Answers to commands that were not asked for yet.
+    /// Answers that were not fetched yet.
     answers: Vec<(u8, Vec<u8>)>,
     suspended: bool,
 }
 
-/// What came of bytes.
+/// Result of received bytes.
 #[derive(Debug, Default)]
 pub(crate) struct Received {
     pub(crate) data: Vec<u8>,
-    /// What is to be sent back.
+    /// Bytes to be sent back.
     pub(crate) reply: Vec<u8>,
 }
 
 impl Telnet {
-    /// With what this side sends first.
+    /// With the greeting of this side.
     pub(crate) fn new(side: Side) -> (Self, Vec<u8>) {
         let com_port = if side == Side::Client { WILL } else { DO };
         let sent = vec![
@@ -91,27 +90,27 @@ impl Telnet {
         (telnet, greeting)
     }
 
-    /// Data as they are sent.
+    /// Data with each IAC doubled.
     pub(crate) fn escaped(data: &[u8]) -> Vec<u8> {
         data.iter().flat_map(|&byte| std::iter::repeat_n(byte, if byte == IAC { 2 } else { 1 })).collect()
     }
 
-    /// A command or an answer of RFC 2217 as it is sent.
+    /// A command or an answer of RFC 2217 as sent.
     pub(crate) fn command(code: u8, value: &[u8]) -> Vec<u8> {
         [&[IAC, SB, COM_PORT, code], &Self::escaped(value)[..], &[IAC, SE]].concat()
     }
 
-    /// Whether the other side takes or refuses to have its line set; none while it has not said.
+    /// Whether the other side accepts the COM port option; `None` before it answered.
     pub(crate) fn com_port(&self) -> Option<bool> {
         self.com_port
     }
 
-    /// Whether the other side has no room at present.
+    /// Whether the other side suspended the data.
     pub(crate) fn is_suspended(&self) -> bool {
         self.suspended
     }
 
-    /// The latest answer to a command, once.
+    /// Removes and returns the latest answer to a command.
     pub(crate) fn answer(&mut self, code: u8) -> Option<Vec<u8>> {
         let place = self.answers.iter().rposition(|(answered, _)| *answered == code)?;
         let (_, value) = self.answers.swap_remove(place);
@@ -152,7 +151,7 @@ impl Telnet {
         }
     }
 
-    /// Answers a verb about an option, unless it answers one of this side's.
+    /// Answers a verb about an option, unless it is itself an answer.
     fn negotiate(&mut self, verb: u8, option: u8, received: &mut Received) {
         let (mine, yes) = match verb {
             DO | DONT => (WILL, verb == DO),
@@ -184,7 +183,7 @@ impl Telnet {
             (Side::Client, code) if code == ANSWER + SUSPEND => self.suspended = true,
             (Side::Client, code) if code == ANSWER + RESUME => self.suspended = false,
             (Side::Client, SET_BAUD..=SET_CONTROL) => {}
-            // Only commands are waited for: notes on the state of the line come for ever.
+            // Only answers to commands are stored: notifications of the state of the line never end.
             (Side::Client, code @ ANSWER..=200) if (SET_BAUD..=SET_CONTROL).contains(&(code - ANSWER)) => {
                 self.answers.push((code - ANSWER, value.to_vec()));
             }
@@ -201,7 +200,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// Both ends, each fed with what the other says until neither has anything to say.
+    /// Lets both ends talk until neither answers.
     fn settled(client: &mut Telnet, server: &mut Telnet, mut to_server: Vec<u8>, mut to_client: Vec<u8>) {
         for _ in 0..10 {
             let (from_server, from_client) =

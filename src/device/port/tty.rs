@@ -105,7 +105,7 @@ mod tests {
     use super::*;
     use crate::diagnostic::Finding;
 
-    /// Root may open every port, so that no test through the binary is refused one.
+    /// Root may open every port, so no test of the binary is refused one.
     #[test]
     fn a_refusal_says_who_refuses() {
         let said = |kind, text: &str| refusal("p", &serialport::Error::new(kind, text)).code().0;

@@ -1,4 +1,4 @@
-//! The value that guards a frame: XOR, sum, or a CRC by name or by parameters.
+//! The check of a frame: XOR, sum, or a CRC by name or by parameters.
 //!
 //! CRCs follow the Rocksoft model: width, polynomial, initial value, reflection of input and output,
 //! final XOR; the check value is the CRC over the nine characters "123456789".
@@ -8,18 +8,24 @@ use std::sync::Mutex;
 
 use crc::{Algorithm, Table};
 
-use super::table::CheckEncoding;
+use super::source::Source;
+use super::table::{CheckEncoding, CheckKind, CheckTable};
 use crate::base::sync::lock;
+use crate::catalogue::ProtocolFinding::{
+    AfterCharacter, CrcDiffers, CrcWidth, EncodingMissing, NameAndParameters, OptionalWithoutAfter,
+    ParametersMissing, ParametersWithoutCrc, UnknownCrc,
+};
+use crate::diagnostic::Diagnostic;
 
 #[derive(Clone, Debug)]
 pub(super) struct Check {
     pub(super) sum: Sum,
     pub(super) encoding: CheckEncoding,
-    /// The character between content and check.
+    /// Character between content and check.
     pub(super) after: Option<u8>,
-    /// Whether a frame without that character is taken unchecked.
+    /// Whether a frame without that character is accepted unchecked.
     pub(super) optional: bool,
-    /// So many bytes at the beginning are not covered.
+    /// Number of bytes at the start that are not covered.
     pub(super) from: usize,
 }
 
@@ -34,10 +40,9 @@ pub(super) enum Sum {
 #[derive(Clone)]
 pub(super) struct Crc(crc::Crc<u32, Table<1>>);
 
-/// A CRC of the catalogue: name and parameters.
 macro_rules! catalogue {
     ($($name:literal => $constant:ident),* $(,)?) => {
-        /// The parameters of the catalogue's CRCs that a definition may name.
+        /// Parameters of a CRC that a definition may name.
         pub(super) fn named(name: &str) -> Option<Algorithm<u32>> {
             match name {
                 $($name => {
@@ -69,7 +74,7 @@ catalogue! {
 
 impl Crc {
     pub(super) fn new(parameters: Algorithm<u32>) -> Self {
-        // A table borrows its parameters for as long as the program runs: each set of them is kept once.
+        // A table borrows its parameters for the life of the program: each set is leaked once.
         static KEPT: Mutex<Vec<&Algorithm<u32>>> = Mutex::new(Vec::new());
         let mut kept = lock(&KEPT);
         let known = kept.iter().copied().find(|known| **known == parameters);
@@ -81,7 +86,7 @@ impl Crc {
         Self(crc::Crc::<u32, Table<1>>::new(algorithm))
     }
 
-    /// Whether the parameters give the check value that is stated with them; else the one that they give.
+    /// Compares the stated check value with the one that the parameters give; `Err` with the latter.
     pub(super) fn verify(&self) -> Result<(), u32> {
         let check = self.0.checksum(b"123456789");
         if check == self.0.algorithm.check { Ok(()) } else { Err(check) }
@@ -108,6 +113,57 @@ impl fmt::Display for Check {
 }
 
 impl Check {
+    /// Checks `[check]` and compiles it; `None` for kind `none`.
+    pub(super) fn new(source: &Source, t: &CheckTable) -> Result<Option<Self>, Diagnostic> {
+        let wrong = |finding| source.table("check", finding);
+        let after = match t.after.as_deref().map(str::as_bytes) {
+            None => None,
+            Some([after]) => Some(*after),
+            Some(_) => return Err(source.key("check", "after", AfterCharacter)),
+        };
+        let crc = match (&t.name, t.width, t.poly, t.init, t.refin, t.refout, t.xorout, t.check) {
+            (None, None, None, None, None, None, None, None) => None,
+            _ if t.kind != CheckKind::Crc => return Err(wrong(ParametersWithoutCrc)),
+            (Some(name), None, None, None, None, None, None, None) => Some(named(name).ok_or_else(|| {
+                let finding = UnknownCrc { name: name.clone(), known: NAMES.join(", ") };
+                source.key("check", "name", finding).nearest(name, NAMES.iter().copied())
+            })?),
+            (Some(_), ..) => return Err(wrong(NameAndParameters)),
+            (
+                None,
+                Some(width),
+                Some(poly),
+                Some(init),
+                Some(refin),
+                Some(refout),
+                Some(xorout),
+                Some(check),
+            ) => {
+                if !matches!(width, 8 | 16 | 24 | 32) {
+                    return Err(wrong(CrcWidth));
+                }
+                let xorout = xorout & (u32::MAX >> (32 - width));
+                Some(Algorithm { width, poly, init, refin, refout, xorout, check, residue: 0 })
+            }
+            _ => return Err(wrong(ParametersMissing)),
+        };
+        if t.optional && after.is_none() {
+            return Err(wrong(OptionalWithoutAfter));
+        }
+        let sum = match t.kind {
+            CheckKind::None => return Ok(None),
+            CheckKind::Xor8 => Sum::Xor8,
+            CheckKind::Sum8 => Sum::Sum8,
+            CheckKind::Crc => {
+                let crc = Crc::new(crc.ok_or_else(|| wrong(ParametersMissing))?);
+                crc.verify().map_err(|check| source.key("check", "check", CrcDiffers { check }))?;
+                Sum::Crc(Box::new(crc))
+            }
+        };
+        let encoding = t.enc.ok_or_else(|| wrong(EncodingMissing))?;
+        Ok(Some(Self { sum, encoding, after, optional: t.optional, from: t.over_from }))
+    }
+
     fn bits(&self) -> u8 {
         match &self.sum {
             Sum::Xor8 | Sum::Sum8 => 8,
@@ -115,17 +171,17 @@ impl Check {
         }
     }
 
-    /// The share of frames of noise that pass.
+    /// Share of random frames that pass.
     pub(super) fn undetected(&self) -> f64 {
         if self.optional { 1.0 } else { 0.5f64.powi(self.bits().into()) }
     }
 
-    /// Length of the check as sent, with the character before it.
+    /// Length as sent, with the character before it.
     pub(super) fn len(&self) -> usize {
         self.digits() + usize::from(self.after.is_some())
     }
 
-    /// The content without its check; none when the check is wrong or missing.
+    /// The content without its check; `None` if the check is wrong or missing.
     pub(super) fn strip<'a>(&self, body: &'a [u8]) -> Option<&'a [u8]> {
         if let (Some(after), true) = (self.after, self.optional)
             && !body.contains(&after)
@@ -156,7 +212,7 @@ impl Check {
         if self.encoding == CheckEncoding::Hex { 2 * bytes } else { bytes }
     }
 
-    /// The value that was sent; hexadecimal digits are read in either case.
+    /// The value as sent; hexadecimal digits of either case.
     fn sent(&self, sent: &[u8]) -> Option<u32> {
         let digit = |byte: &u8| char::from(*byte).to_digit(16);
         let byte = |value: u32, byte: &u8| value << 8 | u32::from(*byte);
@@ -181,17 +237,17 @@ impl Check {
 mod tests {
     use super::*;
 
-    /// In 32 bits of room, whatever the width: the catalogue's own check values.
+    /// Computed with 32 bits for any width, against the check values of the catalogue.
     #[test]
-    fn every_named_crc_gives_its_check_value() {
+    fn named_crcs_give_their_check_values() {
         for name in NAMES {
             assert_eq!(Crc::new(named(name).unwrap()).verify(), Ok(()), "{name}");
         }
     }
 
-    /// A width that no integer has.
+    /// No integer has this width.
     #[test]
-    fn a_crc_of_24_bits_gives_its_check_value() {
+    fn crc_of_24_bits_gives_its_check_value() {
         assert_eq!(Crc::new(crc::CRC_24_OPENPGP).verify(), Ok(()));
     }
 }

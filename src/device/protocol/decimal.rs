@@ -1,23 +1,22 @@
-//! Decimal numbers as devices write them: signs, blanks, widths.
+//! Decimal numbers as text: signs, blanks, widths.
 
 use super::table::{Fill, Sign};
 
-/// How a decimal number is written.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Decimal {
     pub(super) decimals: usize,
-    /// Characters with sign and point, when reading and writing.
+    /// Number of characters with sign and point, for reading and writing.
     pub(super) width: Option<usize>,
-    /// Characters that are filled when writing.
+    /// Least number of characters for writing.
     pub(super) pad_to: usize,
     pub(super) fill: Fill,
     pub(super) sign: Sign,
-    /// Whether blanks may stand before the sign and the digits.
+    /// Whether blanks may precede the sign and the digits.
     pub(super) blanks: bool,
 }
 
 impl Decimal {
-    /// Reads a number at the start of `rest`: the number and what follows.
+    /// The number at the start of `rest`, and the bytes after it.
     pub(super) fn read<'a>(&self, rest: &'a [u8]) -> Option<(f64, &'a [u8])> {
         let blanks = |bytes: &[u8]| bytes.iter().take_while(|byte| **byte == b' ').count();
         let (field, tail) = match self.width {
@@ -45,7 +44,7 @@ impl Decimal {
         Some((if negative { -value } else { value }, tail))
     }
 
-    /// Writes a number; none when it does not fit.
+    /// Appends a number; `None` if it does not fit.
     pub(super) fn write(&self, value: f64, body: &mut Vec<u8>) -> Option<()> {
         if !value.is_finite() {
             return None;

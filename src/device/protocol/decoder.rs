@@ -1,27 +1,25 @@
-//! Bytes in, samples and faults out. Every byte is in exactly one of them or still pending:
-//! bytes pushed = bytes of samples + bytes of faults + [`Decoder::pending`], however they were cut.
+//! Decodes a stream into samples and faults. Every byte belongs to exactly one of them or is pending:
+//! bytes pushed = bytes of samples + bytes of faults + [`Decoder::pending`], however the stream was split.
 
 use std::sync::Arc;
 
 use super::engine::{Engine, Meaning};
 use super::fault::{Fault, FaultKind};
-use super::framing::{Cut, Framing};
+use super::framing::{Cut, Framing, LONGEST_END};
 use crate::measurement::sample::Sample;
 
-/// A frame that never ends is given up in pieces of this many bytes.
+/// A frame without end is reported in pieces of this many bytes.
 const GIVE_UP: u64 = 4096;
 
-/// What a run of bytes became.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Decoded {
     /// A sample, and the length of its frame in bytes.
     Sample(Sample, u64),
-    /// Bytes that are no sample.
     Fault(Fault),
 }
 
 impl Decoded {
-    /// How many bytes of the stream it covers.
+    /// Number of bytes of the stream.
     pub fn bytes(&self) -> u64 {
         match self {
             Decoded::Sample(_, bytes) => *bytes,
@@ -30,49 +28,49 @@ impl Decoded {
     }
 }
 
-/// Decodes a stream piece by piece.
+/// Decodes a stream incrementally.
 #[derive(Clone, Debug)]
 pub struct Decoder {
     engine: Arc<Engine>,
-    /// The frame that is not complete.
+    /// The incomplete frame.
     frame: Vec<u8>,
-    /// Offset in the stream of what is pending.
+    /// Offset of the pending bytes in the stream.
     offset: u64,
-    /// Bytes of an endless frame thrown away so far; 0 outside one.
+    /// Bytes of an overlong frame discarded so far; 0 outside of one.
     discarded: u64,
-    /// Bytes before what is pending that begin no frame, and why.
+    /// Bytes before the pending ones that start no frame, and why.
     junk: Option<(FaultKind, u64)>,
-    /// Where a frame is unpacked.
-    room: Vec<u8>,
+    /// For unpacking frames.
+    buffer: Vec<u8>,
 }
 
 impl Decoder {
     pub(super) fn new(engine: Arc<Engine>) -> Self {
-        Self { engine, frame: Vec::new(), offset: 0, discarded: 0, junk: None, room: Vec::new() }
+        Self { engine, frame: Vec::new(), offset: 0, discarded: 0, junk: None, buffer: Vec::new() }
     }
 
-    /// Bytes that belong to a frame that is not complete.
+    /// Number of bytes of the incomplete frame.
     pub fn pending(&self) -> u64 {
         self.frame.len() as u64 + self.discarded + self.junk.as_ref().map_or(0, |(_, bytes)| *bytes)
     }
 
-    /// Decodes the next bytes; what they complete is appended to `out`.
+    /// Decodes the next bytes; samples and faults are appended to `out`.
     pub fn push(&mut self, bytes: &[u8], out: &mut Vec<Decoded>) {
         let engine = Arc::clone(&self.engine);
         let mut rest = bytes;
         while let Some((&byte, tail)) = rest.split_first() {
-            // A frame that came whole is decoded where it is.
+            // A frame that was received whole is decoded in place.
             let fresh = self.frame.is_empty() && self.discarded == 0 && engine.mask == 0xff;
-            if fresh && let Some(len) = engine.framing.whole(rest) {
+            if fresh && let Some(len) = engine.framing.terminated_len(rest) {
                 let (frame, after) = rest.split_at(len);
                 self.decode(&engine, frame, out);
                 rest = after;
                 continue;
             }
             self.frame.push(byte & engine.mask);
-            if engine.framing.slides() {
+            if engine.framing.is_cut_from_start() {
                 self.slide(&engine, out);
-            } else if engine.framing.complete(&self.frame) {
+            } else if engine.framing.is_complete(&self.frame) {
                 self.close(out);
             } else if self.discarded > 0 || self.frame.len() >= engine.framing.max_len() {
                 self.overflow(out);
@@ -81,14 +79,14 @@ impl Decoder {
         }
     }
 
-    /// Nothing came for as long as ends a frame, where silence does.
+    /// The line was silent for the time that terminates a frame.
     pub fn silence(&mut self, out: &mut Vec<Decoded>) {
         if matches!(self.engine.framing, Framing::Idle { .. }) && self.pending() > 0 {
             self.close(out);
         }
     }
 
-    /// The stream was interrupted: what is pending will not be completed.
+    /// The stream was interrupted: the pending bytes become a fault.
     pub fn interrupt(&mut self, out: &mut Vec<Decoded>) {
         self.silence(out);
         if let Some((kind, bytes)) = self.junk.take() {
@@ -104,7 +102,7 @@ impl Decoder {
         self.discarded = 0;
     }
 
-    /// Takes whole frames from the front of what is pending.
+    /// Takes complete frames from the start of the pending bytes.
     fn slide(&mut self, engine: &Engine, out: &mut Vec<Decoded>) {
         while !self.frame.is_empty() {
             let prefix = engine.ignored.iter().find(|prefix| self.frame.starts_with(prefix));
@@ -127,7 +125,7 @@ impl Decoder {
             };
             let mut wrong = None;
             let fits = lens.iter().take_while(|len| **len <= self.frame.len()).find_map(|len| {
-                match engine.meaning(&self.frame[..*len], &mut self.room) {
+                match engine.meaning(&self.frame[..*len], &mut self.buffer) {
                     Ok(meaning) => Some((*len, meaning)),
                     Err(kind) => {
                         wrong = Some(kind);
@@ -143,7 +141,7 @@ impl Decoder {
         }
     }
 
-    /// The first byte pending begins no frame.
+    /// Drops the first pending byte, which starts no frame.
     fn skip(&mut self, why: FaultKind, out: &mut Vec<Decoded>) {
         self.frame.remove(0);
         let (kind, bytes) = self.junk.take().unwrap_or((why, 0));
@@ -162,7 +160,6 @@ impl Decoder {
         self.frame.drain(..len.min(self.frame.len()));
     }
 
-    /// A frame is complete.
     fn close(&mut self, out: &mut Vec<Decoded>) {
         if self.discarded > 0 {
             self.fault(FaultKind::TooLong, self.pending(), out);
@@ -175,7 +172,7 @@ impl Decoder {
         self.discarded = 0;
     }
 
-    /// A frame is too long: all up to its end is thrown away, save what its end may still need.
+    /// Discards an overlong frame, except the last bytes, which may belong to its terminator.
     fn overflow(&mut self, out: &mut Vec<Decoded>) {
         let kept = self.frame.len().min(LONGEST_END);
         self.discarded += (self.frame.len() - kept) as u64;
@@ -183,7 +180,7 @@ impl Decoder {
         if self.discarded >= GIVE_UP {
             let given_up = self.discarded;
             self.fault(FaultKind::TooLong, given_up, out);
-            // Still inside the endless frame: the next byte stays marked as discarded.
+            // Still within the overlong frame: the next byte counts as discarded.
             self.discarded = 0;
             if !self.frame.is_empty() {
                 self.discarded = 1;
@@ -193,16 +190,16 @@ impl Decoder {
     }
 
     fn decode(&mut self, engine: &Engine, frame: &[u8], out: &mut Vec<Decoded>) {
-        let kind = match engine.meaning(frame, &mut self.room) {
+        let kind = match engine.meaning(frame, &mut self.buffer) {
             Ok(meaning) => return self.accept(meaning, frame.len() as u64, out),
             Err(kind) => kind,
         };
-        // A good frame may follow a bad start within the same end.
+        // An intact frame may follow a damaged start before the same terminator.
         let checked = engine.check.is_some();
         for start in 1..frame.len() {
             let rest = &frame[start..];
-            if engine.framing.may_begin(rest, checked)
-                && let Ok(Meaning::Sample(sample)) = engine.meaning(rest, &mut self.room)
+            if engine.framing.may_start(rest, checked)
+                && let Ok(Meaning::Sample(sample)) = engine.meaning(rest, &mut self.buffer)
             {
                 self.fault(kind, start as u64, out);
                 return self.accept(Meaning::Sample(sample), rest.len() as u64, out);
@@ -227,6 +224,3 @@ impl Decoder {
         self.offset += bytes;
     }
 }
-
-/// Longest end of a frame, bytes; the loader holds the ends to it.
-pub(super) const LONGEST_END: usize = 4;

@@ -1,14 +1,13 @@
-//! Samples in, bytes out: the other half of a definition, for a virtual device.
+//! Encodes samples, for a virtual device.
 
 use std::sync::Arc;
 
 use super::check::Check;
-use super::engine::{Engine, Message};
+use super::engine::Engine;
 use super::field::Field;
 use crate::catalogue::ProtocolFinding::{self, FieldDoesNotFit, FrameTooLong};
 use crate::measurement::sample::Sample;
 
-/// Writes samples as the device would.
 #[derive(Clone, Debug)]
 pub struct Encoder {
     engine: Arc<Engine>,
@@ -19,32 +18,29 @@ impl Encoder {
         Self { engine }
     }
 
-    /// Appends the sample's frame to `out`. The flags `trigger` and `valid` follow the sample's
-    /// fields of that name, the other status bits its status.
+    /// Appends the sample's frame to `out`. The flags `trigger` and `valid` follow the fields of that name, the
+    /// other status bits the status.
     ///
     /// # Errors
-    /// When the sample lacks a value that the protocol sends or a value does not fit; `out` is then
-    /// left as it was.
+    /// A value that the protocol sends is missing or does not fit; `out` is unchanged.
     pub fn encode(&self, sample: &Sample, out: &mut Vec<u8>) -> Result<(), ProtocolFinding> {
         let frame = self.message(|field, body| field.write(sample, body))?;
         out.extend(frame);
         Ok(())
     }
 
-    /// The frame of the first message, its fields written by `write`.
+    /// The frame of the first message.
     fn message(
         &self,
         write: impl Fn(&Field, &mut Vec<u8>) -> Option<()>,
     ) -> Result<Vec<u8>, ProtocolFinding> {
         let mut body = Vec::new();
-        for message in self.engine.messages.iter().take(1) {
-            for field in &message.fields {
-                write(field, &mut body).ok_or(FieldDoesNotFit { field: field.name() })?;
-            }
-            for matched in &message.matches {
-                if let Some(byte) = body.get_mut(matched.at) {
-                    *byte = matched.eq;
-                }
+        for field in self.engine.written_fields() {
+            write(field, &mut body).ok_or(FieldDoesNotFit { field: field.name() })?;
+        }
+        for matched in self.engine.messages.first().into_iter().flat_map(|message| &message.matches) {
+            if let Some(byte) = body.get_mut(matched.at) {
+                *byte = matched.eq;
             }
         }
         let frame = self.frame(body, true);
@@ -54,26 +50,19 @@ impl Encoder {
         Ok(frame)
     }
 
-    /// Whether a frame can say that its reading is not to be trusted.
-    pub fn doubts(&self) -> bool {
-        self.engine.messages.iter().take(1).any(Message::doubts)
+    /// Whether a frame can mark its reading as invalid.
+    pub fn has_validity(&self) -> bool {
+        self.engine.written_fields().iter().any(Field::has_validity)
     }
 
-    /// Appends the device's word for having no reading, or the value in the place of `sample`'s reading
-    /// that represents it; false where it has neither.
+    /// Appends the device's message that it has no reading, or a frame of `sample` with the value for no reading;
+    /// `false` if the protocol has neither.
     pub fn refuse(&self, sample: &Sample, out: &mut Vec<u8>) -> bool {
         if let Some(reject) = self.engine.rejects.first() {
             out.extend(self.frame(reject.body(), reject.checked));
             return true;
         }
-        if !self
-            .engine
-            .messages
-            .iter()
-            .take(1)
-            .flat_map(|message| &message.fields)
-            .any(|field| field.sentinel().is_some())
-        {
+        if self.engine.written_fields().iter().all(|field| field.sentinel().is_none()) {
             return false;
         }
         let frame = self.message(|field, body| match field.sentinel() {

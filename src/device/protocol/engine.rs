@@ -1,4 +1,4 @@
-//! A compiled definition: what both the decoder and the encoder follow.
+//! The compiled form of frames that decoder and encoder share.
 
 use super::check::Check;
 use super::definition::Clock;
@@ -12,12 +12,12 @@ use crate::measurement::sample::Sample;
 pub(super) struct Engine {
     pub(super) framing: Framing,
     pub(super) check: Option<Check>,
-    /// Tried in order; the first is the one that the encoder writes.
+    /// Tried in order; the encoder writes the first.
     pub(super) messages: Vec<Message>,
     pub(super) rejects: Vec<Reject>,
-    /// Beginnings of records to pass over.
+    /// Prefixes of records to skip.
     pub(super) ignored: Vec<Vec<u8>>,
-    /// The bits of a byte that are data.
+    /// Data bits of a byte.
     pub(super) mask: u8,
 }
 
@@ -25,19 +25,19 @@ pub(super) struct Engine {
 pub(super) struct Message {
     pub(super) matches: Vec<Match>,
     pub(super) fields: Vec<Field>,
-    /// Length of the content in bytes, where it is fixed.
+    /// Length of the content in bytes, if it is fixed.
     pub(super) len: Option<usize>,
 }
 
-/// The device's word for having no reading.
+/// A message of the device that it has no reading.
 #[derive(Clone, Debug)]
 pub(super) struct Reject {
     pub(super) text: Vec<u8>,
-    /// Whether the text is all, not just the beginning.
+    /// Whether the text is the whole content, not a prefix.
     pub(super) whole: bool,
-    /// Whether the frame's check guards it.
+    /// Whether it is followed by the check of the frame.
     pub(super) checked: bool,
-    /// How the code that follows is written, where one does.
+    /// Format of the code after the text, if there is one.
     pub(super) code: Option<Code>,
     pub(super) words: Vec<(u32, String)>,
 }
@@ -49,16 +49,16 @@ pub(super) enum Meaning {
 }
 
 impl Engine {
-    /// What a complete frame means, or what kind of fault it is; it is unpacked into `room`.
-    pub(super) fn meaning(&self, frame: &[u8], room: &mut Vec<u8>) -> Result<Meaning, FaultKind> {
-        if self.framing.empty(frame) {
+    /// The meaning of a complete frame, or the kind of its fault; `buffer` is for unpacking.
+    pub(super) fn meaning(&self, frame: &[u8], buffer: &mut Vec<u8>) -> Result<Meaning, FaultKind> {
+        if self.framing.is_empty(frame) {
             return Ok(Meaning::Ignored);
         }
-        // Banners and echoes come without the wrapping of a reading.
+        // Banners and echoes have no wrapping.
         if self.ignored.iter().any(|prefix| frame.starts_with(prefix)) {
             return Ok(Meaning::Ignored);
         }
-        let body = self.framing.unwrap(frame, room).ok_or(FaultKind::Framing)?;
+        let body = self.framing.unwrap(frame, buffer).ok_or(FaultKind::Framing)?;
         let word = |checked: bool, content: &[u8]| {
             let mut rejects = self.rejects.iter().filter(|reject| reject.checked == checked);
             rejects.find_map(|reject| reject.word(content))
@@ -76,14 +76,18 @@ impl Engine {
         self.messages.iter().find_map(|message| message.read(content)).ok_or(FaultKind::Content)
     }
 
+    /// The fields of the message that the encoder writes.
+    pub(super) fn written_fields(&self) -> &[Field] {
+        self.messages.first().map_or(&[], |message| &message.fields)
+    }
+
     fn fields(&self) -> impl Iterator<Item = &Field> {
         self.messages.iter().flat_map(|message| &message.fields)
     }
 
-    /// The step between two readings that the first message can tell apart, mm; 0 for a float.
+    /// Resolution of the reading in the first message, mm; 0 for a float.
     pub(super) fn resolution_mm(&self) -> f64 {
-        let fields = self.messages.first().into_iter().flat_map(|message| &message.fields);
-        let mut step = fields.filter_map(|field| match &field.role {
+        let mut step = self.written_fields().iter().filter_map(|field| match &field.role {
             Some(Role::Length(scale, _)) => Some((field.form.step() * scale.slope()).abs()),
             _ => None,
         });
@@ -104,7 +108,7 @@ impl Engine {
         })
     }
 
-    /// The names of the flags that are set, lowest bit first.
+    /// Names of the flags set in a status, lowest bit first.
     pub(super) fn flags(&self, status: u32) -> Vec<&str> {
         let names = self.fields().filter_map(|field| match &field.role {
             Some(Role::Status(flags) | Role::StatusWord(_, flags)) => Some(&flags.names),
@@ -136,11 +140,6 @@ impl Message {
         }
         Some(refused.map_or(Meaning::Sample(sample), Meaning::Reject))
     }
-
-    /// Whether the message can say that its reading is not to be trusted.
-    pub(super) fn doubts(&self) -> bool {
-        self.fields.iter().any(Field::doubts)
-    }
 }
 
 impl Reject {
@@ -149,12 +148,12 @@ impl Reject {
         if self.whole && !tail.is_empty() {
             return None;
         }
-        let said = || match std::str::from_utf8(body) {
+        let text = || match std::str::from_utf8(body) {
             Ok(text) if !text.chars().any(char::is_control) => text.to_owned(),
             _ => body.iter().map(|byte| format!("{byte:02x}")).collect::<Vec<_>>().join(" "),
         };
         let code = match self.code {
-            None => return Some(said()),
+            None => return Some(text()),
             Some(Code::Byte) => u32::from(*tail.first().filter(|_| tail.len() == 1)?),
             Some(code) => {
                 let base = if code == Code::Hex { 16 } else { 10 };
@@ -162,10 +161,10 @@ impl Reject {
             }
         };
         let known = self.words.iter().find(|(known, _)| *known == code);
-        Some(known.map_or_else(said, |(_, word)| word.clone()))
+        Some(known.map_or_else(text, |(_, word)| word.clone()))
     }
 
-    /// The content of a frame that says this, with the lowest code.
+    /// The content of such a frame, with the lowest code.
     pub(super) fn body(&self) -> Vec<u8> {
         let mut body = self.text.clone();
         let code = self.words.first().map_or(1, |(code, _)| *code);

@@ -1,4 +1,4 @@
-//! How well a definition explains bytes, against chance: which device sends them.
+//! Identifies a device: how well each definition explains its bytes, compared with chance.
 
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -8,28 +8,26 @@ use super::decoder::Decoded;
 use super::definition::Definition;
 use super::fault::{Fault, FaultKind};
 
-/// Bytes that are looked at; more say nothing new.
+/// Number of bytes that are used.
 const MOST_BYTES: usize = 8192;
-/// How often the bytes are shuffled to see what chance gives.
+/// Number of shuffles of the bytes, which show the rate of chance samples.
 const SHUFFLES: usize = 4;
-/// A definition that names its device explains at least this share of the bytes, with so many readings, and is this much
-/// likelier than chance, bits.
+/// A definition identifies the device if it explains this share of the bytes, gives this number of samples, and
+/// has this evidence against chance, bits.
 const LEAST_EXPLAINED: f64 = 0.8;
 const LEAST_SAMPLES: u64 = 3;
 const LEAST_BITS: f64 = 20.0;
 
-/// What a definition makes of bytes.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Evidence {
     pub protocol: String,
-    /// Readings.
     pub samples: u64,
-    /// Times that the device would have said that it has no reading.
+    /// Messages that there is no reading.
     pub refusals: u64,
-    /// The share of the bytes that are in readings, refusals and what the device may say beside them.
+    /// Share of the bytes in samples, refusals and ignored records.
     pub explained: f64,
-    /// How improbable it is, as 2^-bits, that so many of the places at which a reading may begin begin one, by what the same
-    /// bytes in random order give: the strength of grammar and check.
+    /// 2^-bits is the probability of this number of samples by chance, at the rate that the same bytes give in
+    /// random order: the strength of grammar and check.
     pub bits: f64,
 }
 
@@ -60,7 +58,6 @@ impl Count {
 }
 
 impl Evidence {
-    /// Of one definition.
     pub fn of(definition: &Definition, bytes: &[u8]) -> Self {
         let bytes = &bytes[..bytes.len().min(MOST_BYTES)];
         let count = Count::of(definition, bytes);
@@ -74,12 +71,12 @@ impl Evidence {
             let Count { samples, explained, .. } = Count::of(definition, &shuffled);
             (chance.samples, chance.explained) = (chance.samples + samples, chance.explained + explained);
         }
-        // Each byte that is not explained is a place at which no reading begins. Half a reading more keeps chance above 0.
+        // Each unexplained byte is a position without a sample. Half a sample more keeps the rate of chance above 0.
         let places = |count: &Count, times: usize| {
             (times * bytes.len()) as f64 - count.explained as f64 + count.samples as f64
         };
         let share = (chance.samples as f64 + 0.5) / (places(&chance, SHUFFLES) + 1.0);
-        // A definition without a reading explains nothing, whatever it passes over.
+        // A definition without a sample explains nothing, whatever it ignores.
         let explained = if count.samples == 0 { 0.0 } else { count.explained as f64 / bytes.len() as f64 };
         Self {
             protocol: definition.id.clone(),
@@ -90,7 +87,7 @@ impl Evidence {
         }
     }
 
-    /// Of every definition, the best first.
+    /// The evidence of each definition, the best first.
     pub fn ranked(definitions: &[Definition], bytes: &[u8]) -> Vec<Self> {
         let mut ranked: Vec<_> = definitions.iter().map(|definition| Self::of(definition, bytes)).collect();
         ranked.sort_by(|a, b| b.weight().total_cmp(&a.weight()));
@@ -101,13 +98,13 @@ impl Evidence {
         self.bits * self.explained
     }
 
-    /// Whether it is enough to name the device.
+    /// Whether it identifies the device.
     pub fn is_enough(&self) -> bool {
         self.explained >= LEAST_EXPLAINED && self.samples >= LEAST_SAMPLES && self.bits >= LEAST_BITS
     }
 }
 
-/// Chernoff's bound of a binomial tail: at most -log2 P(at least n of m), each with probability `share`.
+/// Chernoff bound of a binomial tail: at most -log2 P(at least n of m), each with probability `share`.
 fn improbable_bits(n: f64, m: f64, share: f64) -> f64 {
     let part = |is: f64, by_chance: f64| if is > 0.0 { is * (is / by_chance).log2() } else { 0.0 };
     if n <= m * share { 0.0 } else { m * (part(n / m, share) + part(1.0 - n / m, 1.0 - share)) }
@@ -119,7 +116,7 @@ mod tests {
 
     /// P(at least 3 of 4) at 1/2 is 5/16, P(4 of 4) at 1/4 is 2^-8.
     #[test]
-    fn the_bound_holds() {
+    fn chernoff_bound_holds() {
         let bound = 2f64.powf(-improbable_bits(3.0, 4.0, 0.5));
         assert!(bound > 5.0 / 16.0 && bound < 2.0 * 5.0 / 16.0, "{bound}");
         assert!((improbable_bits(4.0, 4.0, 0.25) - 8.0).abs() < 1e-12);

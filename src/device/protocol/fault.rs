@@ -1,4 +1,4 @@
-//! What a decoder gives besides samples: faults, which account for every other byte.
+//! Faults of the decoder: they account for every byte outside of samples.
 
 use serde::{Deserialize, Serialize};
 
@@ -6,10 +6,10 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Fault {
     pub kind: FaultKind,
-    /// Byte offset of the first byte in the stream.
+    /// Offset of the first byte in the stream.
     pub offset: u64,
     pub bytes: u64,
-    /// How many faults of this kind it is, one directly after the other.
+    /// Number of adjacent faults of this kind.
     #[serde(default = "one", skip_serializing_if = "is_one")]
     pub count: u64,
 }
@@ -23,7 +23,7 @@ fn is_one(count: &u64) -> bool {
 }
 
 impl Fault {
-    /// Takes the next fault in, if it is of the same kind and begins where this one ends; else gives it back.
+    /// Merges the next fault if it is adjacent and of the same kind, else returns it.
     pub fn join(&mut self, next: Fault) -> Option<Fault> {
         if next.kind != self.kind || next.offset != self.offset + self.bytes {
             return Some(next);
@@ -46,8 +46,8 @@ pub enum FaultKind {
     TooLong,
     /// A frame with an intact check whose content has no meaning here.
     Content,
-    /// The device said that it has no reading, with its own word for it.
+    /// The device reported that it has no reading, in its own words.
     Reject(String),
-    /// Echo, banner or another record that the definition says to pass over.
+    /// An echo, a banner or another record that the definition ignores.
     Ignored,
 }

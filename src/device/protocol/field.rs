@@ -1,4 +1,4 @@
-//! Fields: how a value is written in a frame, and what it says of the sample.
+//! Fields of a frame: the form of a value, and its role in the sample.
 
 use super::decimal::Decimal;
 use super::definition::Clock;
@@ -12,58 +12,56 @@ pub(super) struct Field {
     pub(super) role: Option<Role>,
 }
 
-/// How a value is written.
 #[derive(Clone, Debug)]
 pub(super) enum Form {
-    /// Bytes without meaning; written as zeros.
+    /// Bytes without meaning, written as zeros.
     Skip(usize),
     /// An integer of 1 to 4 bytes.
     Integer { bytes: usize, signed: bool, endian: Endian },
     /// An IEEE 754 number of 4 or 8 bytes.
     Float { bytes: usize, endian: Endian },
-    /// Some bits of a group of bytes; the last of a group goes past it.
+    /// Bits of a group of bytes; the last field of a group consumes it.
     Bits { bits: u32, shift: u32, group: usize, endian: Endian, signed: bool, last: bool },
     /// Fixed text.
     Literal { text: Vec<u8>, any_case: bool },
     /// A decimal number.
     Decimal(Decimal),
-    /// So many hexadecimal digits, in two's complement where signed.
+    /// Hexadecimal digits, in two's complement if signed.
     Hex { digits: usize, signed: bool },
-    /// One of some words; its value is the place in the list.
+    /// One of a list of words; its value is the index.
     Word { words: Vec<Vec<u8>>, default: Option<usize> },
-    /// Text up to a separator, which may be absent at the end.
+    /// Text up to a separator, which may be missing at the end.
     Column { sep: u8 },
 }
 
-/// What a value means.
 #[derive(Clone, Debug)]
 pub(super) enum Role {
     Length(Scale, Limits),
-    /// It counts from 0 to this less one.
+    /// Wraps to 0 at `modulo`.
     Sequence {
         modulo: u32,
     },
     Ticks(Clock),
     Temperature(Scale),
     Status(Flags),
-    /// Status words; the flag of each.
+    /// Status by words; the flag of each word.
     StatusWord(Vec<u32>, Flags),
-    /// Millimetres in the unit that each word names; none where the word says that the reading is bad.
+    /// Millimetres per unit of each word; `None` for a word that means an invalid reading.
     Unit(Vec<Option<f64>>),
-    /// A figure of merit: the reading is good while it is within these.
+    /// A figure of merit; the reading is valid within these limits.
     Quality(f64, f64),
 }
 
-/// The flag of a status that carries the controller's strobe.
+/// Name of the status flag that carries the strobe of the controller.
 pub(super) const STROBE: &str = "trigger";
 
-/// The names of status bits, lowest first, and the masks of those that the decoder knows; 0 where there is none.
+/// Names of the status bits, lowest first, and masks of the flags that the decoder uses; 0 if missing.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Flags {
     pub(super) names: Vec<(u32, String)>,
     trigger: u32,
     valid: u32,
-    /// Over, under, overspeed: the reading is bad.
+    /// Over, under, overspeed: an invalid reading.
     refused: u32,
 }
 
@@ -75,15 +73,15 @@ impl Flags {
         Self { trigger: mask(STROBE), valid: mask("valid"), refused, names }
     }
 
-    /// What the sample's status says of it.
+    /// Sets strobe and validity of a sample by its status.
     #[inline]
-    fn judge(&self, sample: &mut Sample) {
+    fn apply(&self, sample: &mut Sample) {
         let status = sample.status;
         sample.trigger = (self.trigger != 0).then_some(status & self.trigger != 0);
         sample.valid &= (self.valid == 0 || status & self.valid != 0) && status & self.refused == 0;
     }
 
-    /// The status of a sample, with the flags that its fields say.
+    /// The status of a sample, with the flags of its strobe and validity.
     fn status(&self, sample: &Sample) -> u32 {
         let set = |status: u32, mask: u32, wanted: bool| if wanted { status | mask } else { status & !mask };
         let status = sample.trigger.map_or(sample.status, |on| set(sample.status, self.trigger, on));
@@ -91,7 +89,6 @@ impl Flags {
     }
 }
 
-/// A value as it was read.
 #[derive(Clone, Copy)]
 enum Value {
     Whole(i64),
@@ -117,28 +114,28 @@ impl Value {
     }
 }
 
-/// Which raw values are no readings.
+/// Raw values that are no readings.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Limits {
-    /// Outside these the device does not vouch for the reading.
+    /// Readings outside of these are invalid.
     pub(super) valid: Option<(f64, f64)>,
-    /// Above this they are error codes.
+    /// Values above this are error codes.
     pub(super) error_above: Option<f64>,
-    /// Values that stand for a word.
+    /// Values that mean an error, with its name.
     pub(super) sentinels: Vec<(f64, String)>,
 }
 
 impl Limits {
-    /// The device's word, where the value is none.
+    /// The error that a value means.
     #[inline]
-    fn word(&self, raw: f64) -> Option<String> {
+    fn error(&self, raw: f64) -> Option<String> {
         let sentinel = self.sentinels.iter().find(|(value, _)| *value == raw);
-        let error = || self.error_above.is_some_and(|limit| raw > limit).then(|| format!("error {raw}"));
-        sentinel.map(|(_, word)| word.clone()).or_else(error)
+        let code = || self.error_above.is_some_and(|limit| raw > limit).then(|| format!("error {raw}"));
+        sentinel.map(|(_, word)| word.clone()).or_else(code)
     }
 
     #[inline]
-    fn vouched(&self, raw: f64) -> bool {
+    fn is_valid(&self, raw: f64) -> bool {
         self.valid.is_none_or(|(low, high)| (low..=high).contains(&raw))
     }
 }
@@ -146,9 +143,9 @@ impl Limits {
 /// A sample that is being read.
 pub(super) struct Reading {
     pub(super) sample: Sample,
-    /// Millimetres in the unit that the frame names.
+    /// Millimetres per unit of the frame.
     pub(super) unit_mm: f64,
-    /// The device's word for having none.
+    /// The device's message that it has no reading.
     pub(super) refused: Option<String>,
 }
 
@@ -158,7 +155,7 @@ pub(super) struct Scale {
     pub(super) numerator: f64,
     pub(super) denominator: f64,
     pub(super) offset: f64,
-    /// Millimetres in the unit, negative when the sense is inverted; 1 for a temperature.
+    /// Millimetres per unit, negative for an inverted sense; 1 for a temperature.
     pub(super) unit: f64,
 }
 
@@ -168,7 +165,7 @@ impl Scale {
         (raw * self.numerator / self.denominator + self.offset) * self.unit
     }
 
-    /// Quantity of a raw step of 1.
+    /// Quantity per raw step of 1.
     pub(super) fn slope(&self) -> f64 {
         self.numerator / self.denominator * self.unit
     }
@@ -179,7 +176,7 @@ impl Scale {
 }
 
 impl Form {
-    /// Length in bytes; none when it depends on the value.
+    /// Length in bytes; `None` if it depends on the value.
     pub(super) fn len(&self) -> Option<usize> {
         match self {
             Form::Skip(bytes) | Form::Integer { bytes, .. } | Form::Float { bytes, .. } => Some(*bytes),
@@ -195,7 +192,7 @@ impl Form {
         }
     }
 
-    /// The step between two values that can be written, where they stand at even steps.
+    /// Step between adjacent values; 0 for a float.
     pub(super) fn step(&self) -> f64 {
         match self {
             Form::Decimal(decimal) => 1.0 / 10f64.powi(decimal.decimals as i32),
@@ -204,7 +201,7 @@ impl Form {
         }
     }
 
-    /// Reads the value at the start of `rest`: the value (0 where there is none) and what follows.
+    /// The value at the start of `rest` (0 if there is none), and the bytes after it.
     #[inline]
     fn read<'a>(&self, rest: &'a [u8]) -> Option<(Value, &'a [u8])> {
         const NONE: Value = Value::Whole(0);
@@ -254,7 +251,7 @@ impl Form {
         }
     }
 
-    /// Writes a value; none when the form cannot hold it.
+    /// Appends a value; `None` if it does not fit.
     pub(super) fn write(&self, value: f64, body: &mut Vec<u8>) -> Option<()> {
         match self {
             Form::Skip(bytes) => body.extend(std::iter::repeat_n(0, *bytes)),
@@ -309,14 +306,14 @@ fn integer(field: &[u8], endian: Endian) -> u64 {
     }
 }
 
-/// Of up to 32 bits.
+/// For up to 32 bits.
 #[inline]
 fn signed_value(value: u64, bits: u32, signed: bool) -> Value {
     let negative = signed && value >> (bits - 1) != 0;
     Value::Whole(value as i64 - if negative { 1 << bits } else { 0 })
 }
 
-/// The bits of a value, if so many can hold it.
+/// The bits of a value; `None` if it does not fit.
 fn unsigned(value: f64, bits: u32, signed: bool) -> Option<u64> {
     let whole = whole(value.round())?;
     let half = 1i64 << (bits - 1);
@@ -332,13 +329,13 @@ fn bytes_of(value: u64, bytes: usize, endian: Endian, body: &mut Vec<u8>) {
     }
 }
 
-/// The integer that a float holds exactly.
+/// The value of a float that is an exact integer.
 fn whole(value: f64) -> Option<i64> {
     (value.fract() == 0.0 && value.abs() < 9e15).then_some(value as i64)
 }
 
 impl Field {
-    /// Reads the field into the sample; what follows, or none when the bytes do not fit.
+    /// Reads the field into the sample. Returns the bytes after it; `None` if they do not match.
     #[inline]
     pub(super) fn read<'a>(&self, rest: &'a [u8], reading: &mut Reading) -> Option<&'a [u8]> {
         let (value, tail) = self.form.read(rest)?;
@@ -348,20 +345,20 @@ impl Field {
             Some(Role::Length(scale, limits)) => {
                 let raw = value.real();
                 sample.reading_mm = scale.quantity(raw);
-                sample.valid &= limits.vouched(raw);
-                reading.refused = limits.word(raw);
+                sample.valid &= limits.is_valid(raw);
+                reading.refused = limits.error(raw);
             }
             Some(Role::Temperature(scale)) => sample.temperature_c = Some(scale.quantity(value.real())),
             Some(Role::Sequence { .. }) => sample.sequence = Some(value.count()?),
             Some(Role::Ticks(_)) => sample.ticks = Some(DeviceTicks(value.count()?)),
             Some(Role::Status(flags)) => {
                 sample.status = value.count()?;
-                flags.judge(sample);
+                flags.apply(sample);
             }
             Some(Role::StatusWord(bits, flags)) => {
                 let bit = bits.get(value.count::<usize>()?);
                 sample.status = bit.map_or(0, |bit| 1 << bit);
-                flags.judge(sample);
+                flags.apply(sample);
             }
             Some(Role::Unit(units)) => match units.get(value.count::<usize>()?)? {
                 Some(mm) => reading.unit_mm = *mm,
@@ -372,7 +369,7 @@ impl Field {
         Some(tail)
     }
 
-    /// Writes the sample's value; none when there is none or the field cannot hold it.
+    /// Appends the sample's value; `None` if it is missing or does not fit.
     pub(super) fn write(&self, sample: &Sample, body: &mut Vec<u8>) -> Option<()> {
         let value = match &self.role {
             None => match &self.form {
@@ -382,7 +379,7 @@ impl Field {
             Some(Role::Length(scale, limits)) => {
                 let raw = scale.raw(sample.reading_mm);
                 let raw = if self.form.step() == 1.0 { raw.round() } else { raw };
-                if limits.word(raw).is_some() || sample.valid && !limits.vouched(raw) {
+                if limits.error(raw).is_some() || sample.valid && !limits.is_valid(raw) {
                     return None;
                 }
                 raw
@@ -412,7 +409,7 @@ impl Field {
         self.form.write(value, body)
     }
 
-    /// The value that means no reading, where there is one.
+    /// The value that means no reading, if there is one.
     pub(super) fn sentinel(&self) -> Option<f64> {
         match &self.role {
             Some(Role::Length(_, limits)) => limits.sentinels.first().map(|(value, _)| *value),
@@ -420,8 +417,8 @@ impl Field {
         }
     }
 
-    /// Whether the field can say that a reading is not to be trusted.
-    pub(super) fn doubts(&self) -> bool {
+    /// Whether the field can mark a reading as invalid.
+    pub(super) fn has_validity(&self) -> bool {
         match &self.role {
             Some(Role::Status(flags)) => flags.valid != 0,
             Some(Role::Unit(units)) => units.contains(&None),

@@ -1,4 +1,4 @@
-//! A frame's layout in words, for people.
+//! The layout of a frame in words.
 
 use super::engine::Engine;
 use super::field::{Field, Form, Role, Scale};
@@ -8,19 +8,19 @@ use super::table::Endian;
 /// A field of a frame's content.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Part {
-    /// Place of its first byte in the content, where that is fixed.
+    /// Position of its first byte in the content, if it is fixed.
     pub at: Option<usize>,
-    /// Bytes, where that is fixed.
+    /// Length in bytes, if it is fixed.
     pub bytes: Option<usize>,
     pub written: String,
     pub says: String,
 }
 
-/// The content of a frame of the first message, field by field, with its check.
+/// The fields of the first message, with the check.
 pub(super) fn parts(engine: &Engine) -> Vec<Part> {
     let mut parts = Vec::new();
     let mut at = Some(0);
-    for field in engine.messages.iter().take(1).flat_map(|message| &message.fields) {
+    for field in engine.written_fields() {
         let bytes = field.form.len();
         parts.push(Part { at, bytes, written: written(&field.form), says: says(field) });
         at = at.zip(bytes).map(|(at, bytes)| at + bytes);
@@ -32,7 +32,6 @@ pub(super) fn parts(engine: &Engine) -> Vec<Part> {
     parts
 }
 
-/// What is around the content.
 pub(super) fn frame(framing: &Framing) -> String {
     let hex = |bytes: &[u8]| bytes.iter().map(|byte| format!("{byte:02x}")).collect::<Vec<_>>().join(" ");
     match framing {

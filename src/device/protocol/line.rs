@@ -1,4 +1,4 @@
-//! `[line]` of a definition: how the serial line is set.
+//! `[line]` of a definition: settings of the serial line.
 
 use std::time::Duration;
 
@@ -9,7 +9,7 @@ use serde::{Deserialize, Deserializer};
 pub struct Line {
     /// Symbols per second.
     pub baud: u32,
-    /// Further rates that the device may be set to; tried where it does not answer.
+    /// Further rates that are tried if the device does not answer.
     #[serde(default)]
     pub baud_probe: Vec<u32>,
     #[serde(default = "eight", rename = "bits")]
@@ -20,16 +20,16 @@ pub struct Line {
     pub stop_bits: u8,
     #[serde(default)]
     pub flow: Flow,
-    /// Level after opening; left alone when absent.
+    /// Level after opening; unchanged if absent.
     #[serde(default, deserialize_with = "level")]
     pub dtr: Option<bool>,
-    /// Level after opening; left alone when absent.
+    /// Level after opening; unchanged if absent.
     #[serde(default, deserialize_with = "level")]
     pub rts: Option<bool>,
-    /// How long the device needs after opening before it listens.
+    /// Time after opening until the device listens.
     #[serde(default, rename = "settle_ms", deserialize_with = "ms")]
     pub settle: Duration,
-    /// The eighth bit is no data: adapters that cannot do 7 bits pass the parity on in it.
+    /// The eighth bit is parity, from adapters without 7-bit mode.
     #[serde(default)]
     pub(super) strip_bit7: bool,
 }
@@ -42,24 +42,23 @@ fn one() -> u8 {
     1
 }
 
-/// A time in whole milliseconds.
 pub(super) fn ms<'de, D: Deserializer<'de>>(value: D) -> Result<Duration, D::Error> {
     u32::deserialize(value).map(|ms| Duration::from_millis(ms.into()))
 }
 
-/// Of a modem wire.
+/// Level of a modem line.
 fn level<'de, D: Deserializer<'de>>(value: D) -> Result<Option<bool>, D::Error> {
     #[derive(Deserialize)]
     #[serde(rename_all = "lowercase")]
-    enum Wire {
+    enum Level {
         Keep,
         On,
         Off,
     }
-    Ok(match Wire::deserialize(value)? {
-        Wire::Keep => None,
-        Wire::On => Some(true),
-        Wire::Off => Some(false),
+    Ok(match Level::deserialize(value)? {
+        Level::Keep => None,
+        Level::On => Some(true),
+        Level::Off => Some(false),
     })
 }
 

@@ -1,11 +1,10 @@
-//! Definitions of devices, compiled into decoders and encoders. No I/O: bytes in, samples AND typed
-//! faults out. Decoders never fail: a fault is data.
+//! Definitions of devices, compiled into decoders and encoders without I/O. A decoder turns bytes into samples and
+//! typed faults, and never fails.
 //!
-//! A definition is a TOML file (`table`), checked and compiled once (`load`) into an engine:
-//! `framing` cuts the stream, `check` guards a frame, `field` reads and writes its content. A new
-//! kind of device is a file; a new kind of framing, check or field is a match arm here.
+//! A definition is a TOML file: `table` is its form, `source` its text with parameters. `load` checks it and
+//! compiles it into an `engine`: `framing` cuts the stream, `check` verifies a frame, `field` reads and writes its
+//! content. A new device is a new file; a new kind of framing, check or field is a match arm.
 
-mod built_in;
 mod check;
 mod decimal;
 mod decoder;
@@ -19,6 +18,7 @@ mod framing;
 mod layout;
 mod line;
 mod load;
+mod source;
 mod table;
 mod tagged;
 

@@ -1,4 +1,4 @@
-//! The definition file: its tables and keys, but for the line. What they mean is checked by the loader.
+//! The tables and keys of a definition file, except `[line]`. The loader checks them.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -20,7 +20,7 @@ pub(super) struct File {
     pub(super) confidence: Confidence,
     #[serde(default)]
     pub(super) tested_on: Vec<String>,
-    /// Values that the user sets; they are put into the text before it is read.
+    /// Substituted before the text is parsed.
     #[serde(default, rename = "params")]
     pub(super) _params: BTreeMap<String, ParamTable>,
     pub(super) line: Line,
@@ -40,11 +40,11 @@ pub(super) struct File {
     pub(super) cmd: CommandTable,
     #[serde(default)]
     pub(super) sim: Sim,
-    #[serde(default, rename = "test")]
-    pub(super) _test: Vec<Spanned<TestTable>>,
+    #[serde(default)]
+    pub(super) test: Vec<Spanned<TestTable>>,
 }
 
-/// A value that the user sets.
+/// A parameter that the user sets.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct ParamTable {
@@ -64,7 +64,7 @@ pub(super) enum ParamKind {
     Enum,
 }
 
-/// How well the definition is known: from the maker's documents, from recorded bytes, our own device, a guess.
+/// Origin of the definition: the maker's documents, recorded bytes, our own device, a guess.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub(super) enum Confidence {
@@ -72,6 +72,17 @@ pub(super) enum Confidence {
     Captured,
     Own,
     Guess,
+}
+
+/// Bytes of pairs of hexadecimal digits; white space is ignored.
+pub(super) fn hex_bytes(hex: &str) -> Option<Vec<u8>> {
+    let digits: Option<Vec<u8>> = hex
+        .chars()
+        .filter(|c| !c.is_whitespace())
+        .map(|c| c.to_digit(16).and_then(|digit| u8::try_from(digit).ok()))
+        .collect();
+    let digits = digits.filter(|digits| digits.len().is_multiple_of(2))?;
+    Some(digits.chunks_exact(2).map(|pair| 16 * pair[0] + pair[1]).collect())
 }
 
 fn one() -> u8 {
@@ -97,9 +108,9 @@ pub(super) enum FramingTable {
     },
     /// Lines of text.
     Line { start: Option<String>, end: Vec<String>, max_len: usize },
-    /// Records that end with certain bytes.
+    /// Records with a terminator.
     Delim { end: String, max_len: usize },
-    /// Records of one length, which may begin with certain bytes.
+    /// Records of one length, which may start with synchronising bytes.
     Fixed {
         #[serde(default)]
         sync: String,
@@ -118,14 +129,14 @@ pub(super) enum FramingTable {
         len_adds: usize,
         max_len: usize,
     },
-    /// Bytes whose high bits give their place in the record.
+    /// Bytes whose high bits are their position in the record.
     Tagged {
         data_bits: u32,
         #[serde(default)]
         order: Order,
         tags: Vec<String>,
     },
-    /// Replies that are known by their length alone, or that end with silence.
+    /// Replies identified by their length alone, or terminated by silence.
     Gap { len: Option<Vec<usize>>, idle_us: Option<u32>, max_len: Option<usize> },
 }
 
@@ -138,7 +149,6 @@ pub(super) enum Order {
     HighFirst,
 }
 
-/// Order of the bytes of a number.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub(super) enum Endian {
@@ -153,7 +163,7 @@ pub(super) struct CheckTable {
     pub(super) kind: CheckKind,
     pub(super) enc: Option<CheckEncoding>,
     pub(super) after: Option<String>,
-    /// So many bytes at the beginning are not covered.
+    /// Number of bytes at the start that are not covered.
     #[serde(default)]
     pub(super) over_from: usize,
     #[serde(default)]
@@ -177,7 +187,7 @@ pub(super) enum CheckKind {
     Crc,
 }
 
-/// How the check value is sent: lowest byte first, highest byte first, or as hexadecimal digits.
+/// Lowest byte first, highest byte first, or hexadecimal digits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub(super) enum CheckEncoding {
@@ -203,7 +213,7 @@ pub(super) struct Match {
     pub(super) eq: u8,
 }
 
-/// One field; which further keys it may have depends on its kind and role.
+/// The further keys depend on kind and role.
 #[derive(Clone, Deserialize)]
 pub(super) struct FieldTable {
     pub(super) kind: FieldKind,
@@ -228,11 +238,11 @@ pub(super) enum FieldKind {
     Hex,
     /// Of 4 or 8 bytes.
     Float,
-    /// Some bits of a group of bytes, from the lowest.
+    /// Bits of a group of bytes, from the lowest.
     Bits,
     /// One of some words.
     Map,
-    /// A column of separated values whose content is passed over, with its separator.
+    /// A column of separated values that is skipped, with its separator.
     Column,
 }
 
@@ -248,7 +258,7 @@ pub(super) enum RoleName {
     Quality,
 }
 
-/// What is between sign and digits where a number is short.
+/// Filling of a short number, between sign and digits.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub(super) enum Fill {
@@ -257,7 +267,7 @@ pub(super) enum Fill {
     Blank,
 }
 
-/// The sign of a number that is not negative: none, a plus, a blank.
+/// Sign of a number that is not negative: none, plus, blank.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub(super) enum Sign {
@@ -275,35 +285,35 @@ pub(super) enum Unit {
     Millimetre,
     #[serde(rename = "inch")]
     Inch,
-    /// Counts of a scale; `per` says how many make a millimetre.
+    /// Counts of a scale, of which `per` make a millimetre.
     #[serde(rename = "count")]
     Count,
-    /// What the field with role `unit` says.
+    /// As in the field with role `unit`.
     #[serde(rename = "device")]
     Device,
     #[serde(rename = "C")]
     Celsius,
 }
 
-/// `[[reject]]`: the device's words for having no reading.
+/// A message of the device that it has no reading.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct RejectTable {
     pub(super) prefix: Option<String>,
     pub(super) eq: Option<String>,
     pub(super) hex: Option<String>,
-    /// The frame's check guards it, as it does a reading.
+    /// It is followed by the check of the frame.
     #[serde(default)]
     pub(super) checked: bool,
     pub(super) code: Option<Code>,
     #[serde(default)]
     pub(super) map: BTreeMap<String, String>,
-    /// There is one action so far; it is named so that files stay readable.
+    /// The only action; it makes files readable.
     #[serde(default, rename = "action")]
     pub(super) _action: Action,
 }
 
-/// How the code after a reject's prefix is written; a byte is its own code.
+/// Format of the code after the prefix of a reject; a byte is its own code.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub(super) enum Code {
@@ -343,7 +353,7 @@ pub(super) enum ModeKind {
     /// The device, by itself.
     #[default]
     Stream,
-    /// The host: every reading is asked for.
+    /// The host requests every reading.
     Poll,
     /// The device, when a key is pressed.
     Push,
@@ -360,7 +370,7 @@ pub(super) struct TimingTable {
     pub(super) nominal_hz: Option<f64>,
 }
 
-/// What fixes the moment of a reading: the request for it, its first byte, or the device's own clock.
+/// What determines the time of a reading: the request, its first byte, or the device's clock.
 #[derive(Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub(super) enum Latch {
@@ -380,21 +390,21 @@ pub(super) struct CommandTable {
     pub(super) stop: Vec<Spanned<StepTable>>,
 }
 
-/// What a virtual device does beside its protocol.
+/// Further behaviour of a virtual device.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Sim {
-    /// What the device says at a reading of 0 of the bar, mm.
+    /// Value that the device sends at a reading of 0 of the bar, mm.
     #[serde(default)]
     pub at_mm: f64,
     #[serde(default, rename = "reply_delay_ms", deserialize_with = "ms")]
     pub reply_delay: Duration,
-    /// What the device says when it is switched on.
+    /// Bytes that the device sends when it is switched on.
     #[serde(default, deserialize_with = "text")]
     pub banner: Vec<u8>,
 }
 
-/// One step of a command; one key of send, hex, wait_ms, drain_ms and dtr_pulse_ms.
+/// A step of a command: exactly one of send, hex, wait_ms, drain_ms and dtr_pulse_ms.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct StepTable {
@@ -403,7 +413,7 @@ pub(super) struct StepTable {
     pub(super) wait_ms: Option<u32>,
     pub(super) drain_ms: Option<u32>,
     pub(super) dtr_pulse_ms: Option<u32>,
-    /// Appends the frame's check to what is sent.
+    /// Appends the check of a frame to the bytes.
     #[serde(default)]
     pub(super) check: bool,
     pub(super) expect: Option<String>,
@@ -418,7 +428,7 @@ pub(super) struct TestTable {
     pub(super) expect: Vec<Spanned<Expectation>>,
 }
 
-/// What a test's bytes give: a sample, a reject, or bytes that are passed over.
+/// Expected result of test bytes: a sample, a reject, or skipped bytes.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Expectation {

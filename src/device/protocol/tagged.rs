@@ -1,7 +1,7 @@
-//! Records whose bytes carry data in their low bits and their place in the high ones.
+//! Records whose bytes hold data in their low bits and their position in the high bits.
 //!
-//! A tag is written from the highest bit: `0` and `1` must stand there; a letter is a value that is
-//! the same in every byte of a record, and follows the data in the content, one byte a letter.
+//! A tag is written from the highest bit: `0` and `1` are fixed; a letter is a value that is equal in every byte of a
+//! record. It follows the data in the content, one byte per letter.
 
 use super::table::Order;
 use crate::catalogue::ProtocolFinding::{
@@ -12,13 +12,13 @@ use crate::catalogue::ProtocolFinding::{
 pub(super) struct Tagged {
     data_bits: u32,
     order: Order,
-    /// Mask and value, byte by byte.
+    /// Mask and value for each byte.
     tags: Vec<(u8, u8)>,
-    /// Masks of the letters, in the order in which they stand.
+    /// Masks of the letters, in order.
     letters: Vec<u8>,
 }
 
-/// One tag: the bits that must be there, and the masks of its letters.
+/// Fixed bits and masks of the letters.
 #[derive(Default)]
 struct Tag {
     mask: u8,
@@ -79,12 +79,12 @@ impl Tagged {
         (self.tags.len() * self.data_bits as usize).div_ceil(8)
     }
 
-    /// Bytes of its content: the data as an integer, lowest byte first, then the letters.
+    /// Length of the content: the data as an integer, lowest byte first, then the letters.
     pub(super) fn body_len(&self) -> usize {
         self.data_len() + self.letters.len()
     }
 
-    /// Whether these may be the first bytes of a record.
+    /// Whether a record may start with these bytes.
     pub(super) fn fits(&self, pending: &[u8]) -> bool {
         let first = pending.first().copied().unwrap_or(0);
         pending.iter().zip(&self.tags).all(|(byte, (mask, value))| {
@@ -109,7 +109,7 @@ impl Tagged {
         Some(())
     }
 
-    /// The record of a content; bits that have no room are lost.
+    /// The record of a content; excess bits are dropped.
     pub(super) fn wrap(&self, body: &[u8]) -> Vec<u8> {
         let (data, letters) = body.split_at(self.data_len().min(body.len()));
         let mut value = data.iter().rev().fold(0u128, |value, byte| (value << 8) | u128::from(*byte));

@@ -1,38 +1,36 @@
-//! How the measured axes follow the commanded ones.
+//! How the measured axes follow the commanded axes.
 
 use serde::Serialize;
 
-use super::rest::Rest;
-use super::track::AxisTrack;
+use super::track::{AxisTrack, Rest};
 use crate::robot::AXES;
 
-/// An axis moves above this speed, degrees/s.
+/// An axis counts as moving above this speed, degrees/s.
 const MOVES_DEG_S: f64 = 0.1;
-/// An axis has settled within this of where it comes to rest, degrees.
+/// An axis has settled within this distance of its rest position, degrees.
 pub const SETTLED_DEG: f64 = 0.005;
-/// Settling is looked for this far before and after the command stops, s.
+/// Settling is searched this long before a rest, s.
 const SETTLING_S: f64 = 2.0;
 
-/// The following of one axis.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Following {
-    /// The axis, from 1.
+    /// Number of the axis, from 1.
     pub axis: usize,
-    /// How much later the measured axis is where it was commanded to be, by its motion, s.
+    /// Delay of the measured behind the commanded axis in motion, s.
     pub lag_s: f64,
-    /// Commanded less measured angle in motion, root of the mean square, degrees.
+    /// RMS of commanded less measured angle in motion, degrees.
     pub moving_rms_deg: f64,
-    /// The greatest in motion, degrees.
+    /// Largest of these, degrees.
     pub moving_max_deg: f64,
-    /// The greatest mean over a rest, degrees.
+    /// Largest mean over a rest, degrees.
     pub rest_max_deg: f64,
-    /// From the end of the command until the axis stays within [`SETTLED_DEG`] of where it rests, mean, s; `None` where no
+    /// Mean time from the end of the command until the axis stays within [`SETTLED_DEG`], s; `None` if no
     /// rest shows it.
     pub settling_s: Option<f64>,
 }
 
 impl AxisTrack {
-    /// The following of each axis; `None` where the commanded axes are not known.
+    /// `None` if the commanded axes are unknown.
     pub fn following(&self, rests: &[Rest]) -> Option<[Following; AXES]> {
         (!self.commanded_deg.is_empty()).then(|| std::array::from_fn(|axis| self.follow(axis, rests)))
     }
@@ -43,7 +41,7 @@ impl AxisTrack {
         for at in 1..self.len().saturating_sub(1) {
             let span_s = self.t_s[at + 1] - self.t_s[at - 1];
             let speed = (self.commanded_deg[at + 1][axis] - self.commanded_deg[at - 1][axis]) / span_s;
-            // A step of the clock by a loss gives a mean speed, which is none of a moment.
+            // Across lost packets the difference is a mean speed.
             if span_s > 3.0 * self.period_of_cycle_s() || speed.abs() < MOVES_DEG_S {
                 continue;
             }
@@ -69,12 +67,11 @@ impl AxisTrack {
         }
     }
 
-    /// The controller's cycle, s.
     fn period_of_cycle_s(&self) -> f64 {
         self.counts.cycle_us as f64 * 1e-6
     }
 
-    /// How long the axis moves on after its command stopped before a rest, s; `None` where it did not move.
+    /// How long the axis moves on after its command stopped before a rest, s; `None` if it did not move.
     fn settling_s(&self, axis: usize, rest: &Rest) -> Option<f64> {
         let (first, last) = (self.at(rest.start_s - SETTLING_S), rest.samples.end.min(self.len()));
         let (commanded, measured) = (&self.commanded_deg, &self.measured_deg);

@@ -1,14 +1,12 @@
-//! The axes that a controller published during a run: what came, in which order, and the track that it gives.
+//! The axes that a controller published during a run: order and losses of packets, and the track of the axes.
 
 mod following;
 mod order;
 mod receiver;
-mod rest;
 mod track;
 
 pub use following::{Following, SETTLED_DEG};
 pub use order::{PacketOrder, Place};
 pub use receiver::{AxesReceiver, AxesRecords, PacketCounts};
-pub(crate) use rest::LOSS_S;
-pub use rest::Rest;
-pub use track::{AxisTrack, AxisTrackBuilder};
+pub(crate) use track::LOSS_S;
+pub use track::{AxisTrack, AxisTrackBuilder, Rest};

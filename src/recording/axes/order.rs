@@ -1,7 +1,7 @@
-//! The order of packets by the controller's clock: which came late or twice, and how many never came.
+//! The order of packets by the controller's clock: late, doubled and lost packets.
 //!
-//! A controller sends one packet a cycle. Its cycle is the commonest step of its clock, so nobody need state it: losses
-//! make steps of several cycles, each of them rarer.
+//! A controller sends one packet per cycle. The cycle is the most frequent step of its clock: losses make steps of
+//! several cycles, which are rarer.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::ops::Range;
@@ -9,23 +9,23 @@ use std::ops::Range;
 use crate::base::units::HostNs;
 use crate::recording::{DeviceClock, Stamp};
 
-/// A packet is no later than this; what is further back is of a clock that began again, s.
+/// A packet is no later than this, s; an older one belongs to a clock that restarted.
 const LATEST_S: f64 = 1.0;
-/// Steps that are distinguished; more kinds of them have no common cycle.
+/// Number of different steps that are counted.
 const MOST_STEPS: usize = 4096;
 
-/// Where a packet belongs.
+/// The place of a packet in the order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Place {
-    /// After all that came.
+    /// After all others.
     Next,
-    /// Before some that came: it was overtaken.
+    /// Before some that came earlier.
     Late,
-    /// Its time was there before.
+    /// A packet of this time came before.
     Doubled,
-    /// Far before all that came, or far ahead: of no use unless the next one goes on from it.
+    /// Far before or far ahead of all others: used only if the next packet follows it.
     Stray,
-    /// The clock began again with the stray packet before.
+    /// The clock restarted with the stray packet before.
     Restart,
 }
 
@@ -41,16 +41,16 @@ impl Place {
     }
 }
 
-/// Puts packets in order.
+/// Puts packets in the order of the controller's clock.
 #[derive(Clone, Debug)]
 pub struct PacketOrder {
     clock: DeviceClock,
-    /// The first and the last time since the clock began, ticks, and when the last came.
+    /// First and last time since the clock started, ticks, and the arrival of the last.
     span: Option<(u64, Stamp)>,
-    /// Times that are missing, in order, no older than [`LATEST_S`].
+    /// Missing times, in order, no older than [`LATEST_S`].
     gaps: VecDeque<Range<u64>>,
     stray: Option<Stamp>,
-    /// How often each step of the clock was taken, ticks.
+    /// How often the clock made each step, in ticks.
     steps: BTreeMap<u64, u64>,
     late: u64,
 }
@@ -61,13 +61,13 @@ impl PacketOrder {
         Self { clock, span: None, gaps, stray: None, steps, late: 0 }
     }
 
-    /// The controller's cycle, ticks, once two packets came.
+    /// The controller's cycle, ticks; `None` before two packets.
     pub fn cycle(&self) -> Option<u64> {
-        // Of steps that are as common the least: a loss makes longer ones.
+        // The shortest of equally frequent steps.
         self.steps.iter().rev().max_by_key(|(_, count)| **count).map(|(step, _)| *step)
     }
 
-    /// Packets that did not come so far.
+    /// Number of lost packets so far.
     pub fn lost(&self) -> u64 {
         let Some(cycle) = self.cycle() else { return 0 };
         let missing = |step: u64| ((step + cycle / 2) / cycle).saturating_sub(1);
@@ -75,7 +75,6 @@ impl PacketOrder {
         missing.saturating_sub(self.late)
     }
 
-    /// Places the next packet.
     pub fn place(&mut self, stamp: Stamp) -> Place {
         let Some((first, last)) = self.span else {
             self.span = Some((stamp.ticks.0, stamp));
@@ -103,7 +102,6 @@ impl PacketOrder {
         }
     }
 
-    /// A packet after all others.
     fn advance(&mut self, latest: u64, stamp: Stamp, reach: u64) {
         let now = stamp.ticks.0;
         self.step(now - latest);
@@ -121,7 +119,7 @@ impl PacketOrder {
     /// A packet at or before the last.
     fn earlier(&mut self, first: u64, now: u64) -> Place {
         if now < first {
-            // The first that came was not the first that was sent.
+            // The first packet received was not the first one sent.
             self.step(first - now);
             self.gaps.push_front(now + 1..first);
             if let Some((first, _)) = &mut self.span {
@@ -146,7 +144,7 @@ impl PacketOrder {
         }
     }
 
-    /// When the last packet in order came.
+    /// Arrival of the last packet in order.
     pub fn last(&self) -> Option<HostNs> {
         self.span.map(|(_, last)| last.host)
     }

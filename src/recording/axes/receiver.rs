@@ -1,4 +1,4 @@
-//! Counts what comes from a controller, and hands on what is a sample at its time.
+//! Counts the packets of a controller and passes their samples on.
 
 use std::collections::BTreeMap;
 
@@ -10,45 +10,45 @@ use crate::device::axes::{AxesDecoder, AxesFault, AxesProtocol, AxesSample, Hear
 use crate::recording::capture::{Event, Record};
 use crate::recording::{DeviceClock, Stamp};
 
-/// What came. Each packet is counted once: packets = used + late + doubled + stray + control + malformed, and each byte
-/// belongs to one of them or is pending.
+/// Each packet is counted once: packets = used + late + doubled + stray + control + malformed. Each byte belongs to a
+/// packet or is pending.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct PacketCounts {
     pub bytes: u64,
     pub packets: u64,
-    /// Packets with axes that came in order, the first after a restart among them.
+    /// Packets in order, with the first after a restart.
     pub used: u64,
-    /// Packets that were overtaken by later ones; they are used as well.
+    /// Packets that were overtaken; they are used as well.
     pub late: u64,
-    /// Packets whose time was there before.
+    /// Packets of a time that came before.
     pub doubled: u64,
     /// Packets of a time far from all others; the first after a restart of the clock is one.
     pub stray: u64,
-    /// Packages without axes.
+    /// Packets without axes.
     pub control: u64,
     pub malformed: u64,
     /// Bytes of malformed packets.
     pub malformed_bytes: u64,
-    /// Bytes of a package that has not ended.
+    /// Bytes of an unfinished packet.
     pub pending: u64,
-    /// Packets that did not come by the controller's clock.
+    /// Packets that are missing by the controller's clock.
     pub lost: u64,
-    /// How often the controller's clock began again.
+    /// Restarts of the controller's clock.
     pub restarts: u64,
-    /// Answers that the controller counted as late, where it counts them.
+    /// Answers that the controller counted as late, if it counts them.
     pub late_answers: u32,
-    /// The controller's cycle, us; 0 while it is not known.
+    /// The controller's cycle, us; 0 if unknown.
     pub cycle_us: u64,
 }
 
-/// The axes among the records of a capture.
+/// The packets with axes among the records of a capture.
 #[derive(Clone, Debug, Default)]
 pub struct AxesRecords {
     receiver: Option<AxesReceiver>,
 }
 
 impl AxesRecords {
-    /// Takes the next record, whatever it is, and gives the samples in it.
+    /// Takes the next record of any kind; calls `each` with the samples in it.
     pub fn add(&mut self, host: HostNs, record: &Record, each: impl FnMut(Place, Stamp, AxesSample)) {
         match (record, &mut self.receiver) {
             (Record::Event(Event::AxesOpened { protocol, .. }), Some(receiver))
@@ -64,13 +64,13 @@ impl AxesRecords {
         }
     }
 
-    /// The receiver, once a controller was listened to.
+    /// `None` before a controller was connected.
     pub fn receiver(&self) -> Option<&AxesReceiver> {
         self.receiver.as_ref()
     }
 }
 
-/// Takes what comes from one controller.
+/// Receives the packets of one controller.
 #[derive(Clone, Debug)]
 pub struct AxesReceiver {
     protocol: AxesProtocol,
@@ -95,7 +95,7 @@ impl AxesReceiver {
         self.protocol
     }
 
-    /// The connection was made anew: what is pending will not be completed.
+    /// After a new connection pending bytes will not be completed.
     pub fn reconnected(&mut self) {
         let pending = self.decoder.pending();
         if pending > 0 {
@@ -104,7 +104,7 @@ impl AxesReceiver {
         self.decoder = AxesDecoder::new(self.protocol);
     }
 
-    /// Takes a datagram, or the next bytes of the stream, that came at `host`.
+    /// Takes a datagram, or the next bytes of a stream, received at `host`.
     pub fn push(&mut self, host: HostNs, bytes: &[u8], mut each: impl FnMut(Place, Stamp, AxesSample)) {
         self.counts.bytes += bytes.len() as u64;
         let mut decoder = std::mem::replace(&mut self.decoder, AxesDecoder::Rsi);
@@ -146,7 +146,6 @@ impl AxesReceiver {
         *self.faults.entry(fault).or_default() += 1;
     }
 
-    /// The counts so far.
     pub fn counts(&self) -> PacketCounts {
         let tick_us = f64::from(self.protocol.tick_ns()) * 1e-3;
         PacketCounts {
@@ -157,13 +156,13 @@ impl AxesReceiver {
         }
     }
 
-    /// The malformed packets by their fault.
+    /// Number of malformed packets by fault.
     pub fn faults(&self) -> &BTreeMap<AxesFault, u64> {
         &self.faults
     }
 }
 
-/// The controller's clock; whether it wraps is not known, so that a wrap is a restart.
+/// The controller's clock. Its wrap is unknown, so a wrap counts as a restart.
 pub(super) fn clock(protocol: AxesProtocol) -> DeviceClock {
     DeviceClock { seconds_per_tick: f64::from(protocol.tick_ns()) * 1e-9, wrap: None }
 }

@@ -1,4 +1,4 @@
-//! The bytes of a capture: one place for both directions.
+//! The byte format of a capture, encoded and decoded in one place.
 
 use std::ops::RangeInclusive;
 
@@ -8,19 +8,19 @@ use super::record::{Record, Stamped};
 use super::sample;
 use crate::base::units::HostNs;
 
-/// CRC-32C under its catalogue name.
+/// CRC-32C is called CRC-32/ISCSI in the catalogue.
 const CRC_32C: Crc<u32, Table<16>> = Crc::<u32, Table<16>>::new(&CRC_32_ISCSI);
 const VERSION: u32 = 4;
-/// The versions that are read; in version 2 records have no numbers, before version 4 there are no axes.
+/// The versions that can be read: no record numbers in version 2, no axes before version 4.
 pub(super) const READ: RangeInclusive<u32> = 2..=VERSION;
 pub(super) const HEADER_LEN: usize = 16;
 pub(super) const FILE_MAGIC: [u8; 8] = *b"DBBDCAP\n";
-/// Begins each record; no valid UTF-8, so text attachments cannot contain it.
+/// Begins each record. It is not valid UTF-8, so that no text attachment contains it.
 pub(super) const MAGIC: [u8; 4] = [0xdb, 0xbd, 0x5a, 0xa5];
 /// Magic, kind, length, host time.
 pub(super) const HEAD_LEN: usize = 4 + 1 + 4 + 8;
 pub(super) const TAIL_LEN: usize = 4;
-/// Longest payload: a length beyond it is damage.
+/// Longest payload; a greater length is treated as damage.
 pub(super) const LONGEST: usize = 64 << 20;
 
 const ATTACHMENT: u8 = 1;
@@ -29,7 +29,7 @@ const FAULT: u8 = 4;
 const EVENT: u8 = 5;
 const SAMPLES: u8 = 6;
 const AXES: u8 = 7;
-/// Set in the kind of a record whose payload begins with its number.
+/// Bit of the kind byte: the payload begins with the record number.
 const NUMBERED: u8 = 0x80;
 
 pub(super) fn kind_name(kind: u8) -> &'static str {
@@ -51,7 +51,7 @@ pub(super) fn header() -> Vec<u8> {
     bytes
 }
 
-/// The version that a header names, if it is one.
+/// The version in a file header; `None` if its checksum is wrong.
 pub(super) fn version(bytes: &[u8]) -> Option<u32> {
     let header = bytes.get(..HEADER_LEN)?;
     let (content, sum) = header.split_at(HEADER_LEN - TAIL_LEN);
@@ -59,7 +59,7 @@ pub(super) fn version(bytes: &[u8]) -> Option<u32> {
     intact.then(|| u32_at(content, FILE_MAGIC.len())).flatten()
 }
 
-/// The bytes of the record of this number.
+/// Encodes a record with its number.
 pub(super) fn encode(number: u32, host: HostNs, record: &Record) -> Result<Vec<u8>, serde_json::Error> {
     let mut bytes = MAGIC.to_vec();
     bytes.resize(HEAD_LEN, 0);
@@ -102,23 +102,22 @@ pub(super) fn encode(number: u32, host: HostNs, record: &Record) -> Result<Vec<u
     Ok(bytes)
 }
 
-/// What is at the start of some bytes.
+/// What is at the start of a buffer.
 pub(super) enum Found {
-    /// A record of this many bytes, and its number if it has one.
-    Whole(Stamped, usize, Option<u32>),
-    /// A record of this kind and length whose sum is right and whose content is not understood.
-    Strange(u8, usize),
-    /// The head of a record of this kind and length, whose sum is wrong.
-    Broken(u8),
-    /// The head of a record of this kind and length, which ends before it does.
-    Short(u8, usize),
-    /// Less than a head.
-    Stub,
+    /// A complete record, its length in bytes, and its number if it has one.
+    Complete(Stamped, usize, Option<u32>),
+    /// Kind and length of a record whose checksum is right but whose content is not understood.
+    Unknown(u8, usize),
+    /// Kind of a record whose checksum is wrong.
+    BadChecksum(u8),
+    /// Kind and length of a record that ends beyond the buffer.
+    Truncated(u8, usize),
+    /// Fewer bytes than the head of a record.
+    ShortHead,
     Nothing,
 }
 
-/// How many bytes must be at hand to judge what is at the start of `bytes`, which hold a head or end
-/// before one.
+/// Number of bytes that [`decode`] needs to judge a record at the start of `bytes`.
 pub(super) fn needed(bytes: &[u8]) -> usize {
     let len = u32_at(bytes, 5).and_then(|len| usize::try_from(len).ok());
     match len.filter(|len| bytes.starts_with(&MAGIC) && *len <= LONGEST) {
@@ -127,13 +126,13 @@ pub(super) fn needed(bytes: &[u8]) -> usize {
     }
 }
 
-/// Looks at the start of `bytes`, of which [`needed`] are at hand or all that there are.
+/// Decodes the record at the start of `bytes`, which must hold [`needed`] bytes or all that are left.
 pub(super) fn decode(bytes: &[u8]) -> Found {
     if !bytes.starts_with(&MAGIC[..bytes.len().min(MAGIC.len())]) {
         return Found::Nothing;
     }
     let (Some(&kind), Some(len), Some(host)) = (bytes.get(4), u32_at(bytes, 5), u64_at(bytes, 9)) else {
-        return Found::Stub;
+        return Found::ShortHead;
     };
     let len = usize::try_from(len).unwrap_or(usize::MAX);
     if len > LONGEST {
@@ -142,20 +141,20 @@ pub(super) fn decode(bytes: &[u8]) -> Found {
     let total = HEAD_LEN + len + TAIL_LEN;
     let Some((content, sum)) = bytes.get(4..total).and_then(|all| all.split_at_checked(total - 4 - TAIL_LEN))
     else {
-        return Found::Short(kind, total);
+        return Found::Truncated(kind, total);
     };
     if CRC_32C.checksum(content).to_le_bytes() != sum {
-        return Found::Broken(kind);
+        return Found::BadChecksum(kind);
     }
     let payload = content.get(HEAD_LEN - MAGIC.len()..).unwrap_or_default();
     let (number, payload) = match payload.split_first_chunk() {
         _ if kind & NUMBERED == 0 => (None, payload),
         Some((number, rest)) => (Some(u32::from_le_bytes(*number)), rest),
-        None => return Found::Strange(kind, total),
+        None => return Found::Unknown(kind, total),
     };
     match parse(kind & !NUMBERED, payload) {
-        Some(record) => Found::Whole(Stamped { host: HostNs(host), record }, total, number),
-        None => Found::Strange(kind, total),
+        Some(record) => Found::Complete(Stamped { host: HostNs(host), record }, total, number),
+        None => Found::Unknown(kind, total),
     }
 }
 

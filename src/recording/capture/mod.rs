@@ -13,30 +13,26 @@
 //! | n - 4 | payload |
 //! | 4 | CRC-32C over kind to payload |
 //!
-//! A record that is missing shows in the numbers. In version 2 nothing is added to the kind, and there are no
-//! numbers. Each record is written by one `write_all`, so a kill loses at most the record being written; the
-//! reader goes on after every damage and names it.
+//! Missing records show as gaps in the numbers. Version 2 adds nothing to the kind and has no numbers.
+//! Each record is written by one `write_all`: a killed process loses at most the record being written. The
+//! reader continues after damage and reports it.
 //!
 //! `docs/reference/capture.md` describes it byte by byte.
 
-mod disk;
 mod format;
 mod pass;
 mod reader;
 pub mod record;
 mod sample;
-mod whole;
 mod writer;
 
-pub use disk::{Disk, Interference};
-pub use pass::Pass;
+pub use pass::{Capture, Pass, read};
 pub use reader::{Damage, Part, Reader};
 pub use record::{Event, Record, RunEnd, Stamped};
-pub use whole::{Capture, read};
-pub use writer::Writer;
+pub use writer::{Disk, Interference, Writer};
 
-/// Whether bytes from the beginning of a file are those of a capture, damaged or not: its header, or the begin of a
-/// record, which no text holds.
+/// Whether the first bytes of a file are those of a capture, damaged or not: they hold a file header, or the start of
+/// a record, which no text contains.
 pub fn is_capture(bytes: &[u8]) -> bool {
     bytes.starts_with(&format::FILE_MAGIC)
         || bytes.windows(format::MAGIC.len()).any(|some| some == format::MAGIC)

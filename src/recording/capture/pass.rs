@@ -1,4 +1,4 @@
-//! One pass over the records of a capture on disk.
+//! Reads a whole capture: in one pass over a file, or from memory.
 
 use std::fs::File;
 use std::path::Path;
@@ -6,27 +6,27 @@ use std::path::Path;
 use super::reader::{Damage, Part, Reader};
 use super::record::{Event, Record, RunEnd, Stamped};
 use crate::base::files;
+use crate::base::units::HostNs;
 use crate::catalogue::RecordingFinding;
 use crate::diagnostic::Diagnostic;
+use crate::measurement::sample::Sample;
 
-/// Damages that are reported one by one.
+/// Number of damages that are reported individually.
 const REPORTED: usize = 20;
 
-/// What a pass found besides the records.
+/// Summary of one pass over the records of a capture on disk.
 pub struct Pass {
-    /// The format's version; none when the header is damaged.
+    /// Format version; `None` if the file header is damaged.
     pub version: Option<u32>,
-    /// What could not be read.
     pub damages: Vec<Damage>,
     pub records: u64,
-    /// Number of samples in them.
     pub samples: u64,
-    /// The record of the run's end; none when it was cut off.
+    /// `None` if the run was cut off.
     pub end: Option<RunEnd>,
 }
 
 impl Pass {
-    /// Gives each whole record of the capture at `path` to `each`; damages are no error.
+    /// Calls `each` with every intact record of the capture at `path`. Damage is counted, not an error.
     pub fn over(
         path: &Path,
         mut each: impl FnMut(Stamped) -> Result<(), Diagnostic>,
@@ -66,7 +66,7 @@ impl Pass {
         }
     }
 
-    /// What the file lacks: the damages, those at the end of many as their number, samples, the end.
+    /// Damages (the first ones, then their number), a wrong number of samples, a missing end.
     pub fn findings(&self) -> Vec<RecordingFinding> {
         let mut findings: Vec<RecordingFinding> =
             self.damages.iter().take(REPORTED).map(|damage| damage.finding.clone()).collect();
@@ -81,15 +81,70 @@ impl Pass {
         findings
     }
 
-    /// What the file lacks, and what did not reach it.
+    /// [`Self::findings`], and samples that were lost before they reached the file.
     pub fn doubts(&self) -> Vec<RecordingFinding> {
         let samples = self.end.as_ref().map_or(0, |end| end.lost);
         let lost = (samples > 0).then_some(RecordingFinding::SamplesLost { samples });
         self.findings().into_iter().chain(lost).collect()
     }
 
-    /// Bytes that could not be read.
+    /// Number of unreadable bytes.
     pub fn lost_bytes(&self) -> u64 {
         self.damages.iter().map(|damage| damage.bytes).sum()
     }
+}
+
+/// A whole capture in memory, and the damages between its records.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Capture {
+    pub version: Option<u32>,
+    pub records: Vec<Stamped>,
+    pub damages: Vec<Damage>,
+}
+
+impl Capture {
+    pub fn events(&self) -> impl Iterator<Item = &Event> {
+        self.records.iter().filter_map(|stamped| match &stamped.record {
+            Record::Event(event) => Some(event),
+            _ => None,
+        })
+    }
+
+    pub fn samples(&self) -> impl Iterator<Item = (HostNs, &Sample)> {
+        self.records.iter().flat_map(|stamped| {
+            let samples = match &stamped.record {
+                Record::Samples(samples) => &samples[..],
+                _ => &[],
+            };
+            samples.iter().map(|sample| (stamped.host, sample))
+        })
+    }
+
+    /// The last attachment of that name.
+    pub fn attachment(&self, wanted: &str) -> Option<&[u8]> {
+        self.records.iter().rev().find_map(|stamped| match &stamped.record {
+            Record::Attachment { name, content } if name == wanted => Some(&content[..]),
+            _ => None,
+        })
+    }
+
+    /// Whether the run ended properly; one that was cut off has no such record.
+    pub fn ended(&self) -> bool {
+        self.events().any(|event| matches!(event, Event::Ended(_)))
+    }
+}
+
+/// Reads a capture from memory. It never fails: damage is skipped and listed.
+pub fn read(bytes: &[u8]) -> Capture {
+    let mut capture = Capture::default();
+    // Reading from memory does not fail.
+    let Ok(reader) = Reader::new(bytes) else { return capture };
+    capture.version = reader.version();
+    for part in reader.flatten() {
+        match part {
+            Part::Record(stamped) => capture.records.push(stamped),
+            Part::Damage(damage) => capture.damages.push(damage),
+        }
+    }
+    capture
 }

@@ -1,4 +1,4 @@
-//! Reads a capture in one pass, past every damage, with no more of it in memory than its longest record.
+//! Reads a capture in one pass and past every damage, with at most its longest record in memory.
 
 use std::io::{self, Read};
 
@@ -6,23 +6,22 @@ use super::format::{self, Found, HEAD_LEN, HEADER_LEN, MAGIC};
 use super::record::Stamped;
 use crate::catalogue::RecordingFinding;
 
-/// What is read from the source at least, when it is read.
+/// Least number of bytes read from the source at once.
 const CHUNK: usize = 1 << 18;
-/// A record of so many bytes is always looked at.
+/// A candidate for a record of at most this length is always checked.
 const SHORT: usize = 1 << 10;
-/// Bytes that may be looked at in vain beyond [`IN_VAIN_SHARE`].
-const IN_VAIN: u64 = format::LONGEST as u64;
-/// Bytes that may be looked at in vain for each byte of the file.
-const IN_VAIN_SHARE: u64 = 4;
+/// Bytes that may be checked for records in vain: a fixed number, and more for each byte of the file. The limit
+/// bounds the time for a file of forged record heads.
+const WASTE: u64 = format::LONGEST as u64;
+const WASTE_PER_BYTE: u64 = 4;
 
 #[derive(Clone, Debug, PartialEq)]
 pub enum Part {
     Record(Stamped),
-    /// Bytes that are none.
     Damage(Damage),
 }
 
-/// Bytes of a capture that are no whole record.
+/// A range of bytes that is no complete record.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Damage {
     pub offset: u64,
@@ -30,32 +29,32 @@ pub struct Damage {
     pub finding: RecordingFinding,
 }
 
-/// The parts of a capture in order; together they are all of its bytes after the header. No bytes make it
-/// fail, only their source can, and the time that it takes grows with their number alone.
+/// The parts of a capture in order; together they cover every byte after the file header. Only the source can
+/// fail, never the content. The time is linear in the number of bytes.
 #[derive(Debug)]
 pub struct Reader<R> {
     source: R,
-    /// What was read and not yet given, from `at`.
+    /// Bytes that were read; those from `at` on are not delivered yet.
     buffer: Vec<u8>,
     at: usize,
-    /// Offset in the file of what is next.
+    /// File offset of the next byte.
     offset: u64,
     ended: bool,
     version: Option<u32>,
-    /// Whether the file begins without its header, which is not said yet.
+    /// The file has no valid header, and this is not reported yet.
     headless: bool,
-    /// The number of the next record, where it is known: a damage explains what is missing.
+    /// Number expected for the next record; `None` after damage, which explains the gap.
     number: Option<u32>,
-    /// Bytes that were looked at and were no whole record.
-    in_vain: u64,
+    /// Bytes that were checked as candidates and were no record.
+    wasted_bytes: u64,
 }
 
-/// Where a record is by its number.
+/// Position of a record by its number.
 enum Place {
     Next,
-    /// So many records before it are missing.
+    /// This many records before it are missing.
     Ahead(u32),
-    /// It was read already.
+    /// It was read before.
     Behind,
 }
 
@@ -70,7 +69,7 @@ impl<R: Read> Reader<R> {
             version: None,
             headless: true,
             number: None,
-            in_vain: 0,
+            wasted_bytes: 0,
         };
         reader.fill(HEADER_LEN)?;
         reader.version = format::version(reader.rest());
@@ -81,12 +80,12 @@ impl<R: Read> Reader<R> {
         Ok(reader)
     }
 
-    /// The format's version by the file's header; none when the header is damaged.
+    /// Format version; `None` if the file header is damaged.
     pub fn version(&self) -> Option<u32> {
         self.version
     }
 
-    /// The format, if it is another than this version reads.
+    /// A finding if this version of dbbd cannot read the format.
     pub fn other_format(&self) -> Option<RecordingFinding> {
         let other = self.version.filter(|format| !format::READ.contains(format));
         other.map(|format| RecordingFinding::OtherFormat { format, supported: *format::READ.end() })
@@ -101,31 +100,30 @@ impl<R: Read> Reader<R> {
         self.offset += bytes as u64;
     }
 
-    /// Has so many bytes at hand, or all that there are.
+    /// Makes `bytes` bytes available, or all that are left.
     fn fill(&mut self, bytes: usize) -> io::Result<()> {
         if self.ended || self.rest().len() >= bytes {
             return Ok(());
         }
         self.buffer.drain(..self.at);
         self.at = 0;
-        // In proportion to what is at hand, which is moved each time.
+        // In proportion to the buffer, because the buffer is moved each time.
         let more = (bytes - self.buffer.len()).max(CHUNK).max(self.buffer.len() / 4) as u64;
         let got = self.source.by_ref().take(more).read_to_end(&mut self.buffer)?;
         self.ended = (got as u64) < more;
         Ok(())
     }
 
-    /// What is at the next byte.
-    fn look(&mut self) -> io::Result<Found> {
+    fn decode_next(&mut self) -> io::Result<Found> {
         self.fill(HEAD_LEN)?;
         let needed = format::needed(self.rest());
-        if needed > SHORT && self.in_vain > IN_VAIN + IN_VAIN_SHARE * self.offset {
+        if needed > SHORT && self.wasted_bytes > WASTE + WASTE_PER_BYTE * self.offset {
             return Ok(Found::Nothing);
         }
         self.fill(needed)?;
         let found = format::decode(self.rest());
-        if !matches!(found, Found::Whole(..)) {
-            self.in_vain += needed.min(self.rest().len()) as u64;
+        if !matches!(found, Found::Complete(..)) {
+            self.wasted_bytes += needed.min(self.rest().len()) as u64;
         }
         Ok(found)
     }
@@ -138,10 +136,10 @@ impl<R: Read> Reader<R> {
         }
     }
 
-    /// Passes over records that were read already.
+    /// Skips records that were read before.
     fn repeated(&mut self) -> io::Result<Damage> {
         let (offset, mut records) = (self.offset, 0);
-        while let Found::Whole(_, len, number) = self.look()?
+        while let Found::Complete(_, len, number) = self.decode_next()?
             && matches!(self.place(number), Place::Behind)
         {
             self.advance(len);
@@ -151,7 +149,7 @@ impl<R: Read> Reader<R> {
         Ok(Damage { offset, bytes, finding: RecordingFinding::RecordsRepeated { offset, bytes, records } })
     }
 
-    /// The whole record at the next byte, or what its number says of those before it.
+    /// Delivers the record at the next byte, after what its number says about those before it.
     fn record(&mut self, stamped: Stamped, len: usize, number: Option<u32>) -> io::Result<Part> {
         let offset = self.offset;
         let damage = |finding| Ok(Part::Damage(Damage { offset, bytes: 0, finding }));
@@ -171,16 +169,16 @@ impl<R: Read> Reader<R> {
         Ok(Part::Record(stamped))
     }
 
-    /// Passes over a damage, to the next whole record or to the end.
+    /// Skips damage up to the next complete record or the end.
     fn pass(&mut self, found: &Found) -> io::Result<Damage> {
         let offset = self.offset;
         (self.headless, self.number) = (false, None);
-        // What is understood to its end is passed over whole.
-        if let Found::Strange(_, len) = found {
+        // A record with a right checksum is skipped as a whole.
+        if let Found::Unknown(_, len) = found {
             self.advance(*len);
         } else {
             self.advance(1);
-            while !self.seek()? && !matches!(self.look()?, Found::Whole(..) | Found::Strange(..)) {
+            while !self.seek()? && !matches!(self.decode_next()?, Found::Complete(..) | Found::Unknown(..)) {
                 self.advance(1);
             }
         }
@@ -188,7 +186,7 @@ impl<R: Read> Reader<R> {
         Ok(Damage { offset, bytes, finding: damage(offset, bytes, self.rest().is_empty(), found) })
     }
 
-    /// Goes on to the next magic; whether there is none.
+    /// Advances to the next magic; `true` if there is none.
     fn seek(&mut self) -> io::Result<bool> {
         loop {
             self.fill(MAGIC.len())?;
@@ -196,7 +194,7 @@ impl<R: Read> Reader<R> {
                 self.advance(next);
                 return Ok(false);
             }
-            // The begin of a magic may be at hand.
+            // The buffer may end with the first bytes of a magic.
             let kept = if self.ended { 0 } else { MAGIC.len() - 1 };
             self.advance(self.rest().len().saturating_sub(kept));
             if self.ended {
@@ -210,31 +208,31 @@ impl<R: Read> Iterator for Reader<R> {
     type Item = io::Result<Part>;
 
     fn next(&mut self) -> Option<Self::Item> {
-        let found = match self.look() {
+        let found = match self.decode_next() {
             Ok(found) => found,
             Err(error) => return Some(Err(error)),
         };
         if self.rest().is_empty() {
             return None;
         }
-        if let Found::Whole(stamped, len, number) = found {
+        if let Found::Complete(stamped, len, number) = found {
             return Some(self.record(stamped, len, number));
         }
         Some(self.pass(&found).map(Part::Damage))
     }
 }
 
-/// What is wrong with bytes that are no whole record.
+/// The finding for bytes that are no complete record.
 fn damage(offset: u64, bytes: u64, to_the_end: bool, found: &Found) -> RecordingFinding {
     let record = format::kind_name;
     match *found {
-        Found::Strange(kind, _) => RecordingFinding::StrangeRecord { offset, bytes, kind },
-        Found::Broken(kind) => RecordingFinding::WrongChecksum { offset, bytes, record: record(kind) },
-        Found::Short(kind, record_bytes) if to_the_end => {
+        Found::Unknown(kind, _) => RecordingFinding::StrangeRecord { offset, bytes, kind },
+        Found::BadChecksum(kind) => RecordingFinding::WrongChecksum { offset, bytes, record: record(kind) },
+        Found::Truncated(kind, record_bytes) if to_the_end => {
             RecordingFinding::TornRecord { offset, bytes, record: record(kind), record_bytes }
         }
-        Found::Stub if to_the_end => RecordingFinding::TornHead { offset, bytes },
-        Found::Short(kind, _) => RecordingFinding::WrongLength { offset, bytes, record: record(kind) },
+        Found::ShortHead if to_the_end => RecordingFinding::TornHead { offset, bytes },
+        Found::Truncated(kind, _) => RecordingFinding::WrongLength { offset, bytes, record: record(kind) },
         _ if offset == 0 => RecordingFinding::DamagedHeader { offset, bytes },
         _ => RecordingFinding::NoRecord { offset, bytes },
     }

@@ -1,7 +1,7 @@
-//! Samples as a capture keeps them: packed, so that a kilohertz for an hour stays small.
+//! Packed samples of a capture: an hour at 1 kHz stays small.
 //!
-//! A record of samples holds one or more, each as below; what "before" means begins anew with each
-//! record (numbers at 0, no temperature), so that a lost record costs nobody else.
+//! A record holds one or more samples, each as below. "Before" starts anew with each record (numbers at 0, no
+//! temperature), so that a lost record does not affect the next.
 //!
 //! | bytes | what |
 //! |---|---|
@@ -25,7 +25,7 @@ const TEMPERATURE: u8 = 32;
 const TEMPERATURE_NEW: u8 = 64;
 const STATUS_NEW: u8 = 128;
 
-/// What precedes a sample in its record.
+/// The sample before in the same record.
 #[derive(Default)]
 struct Before {
     sequence: u64,
@@ -35,12 +35,12 @@ struct Before {
     status: u32,
 }
 
-pub(super) fn pack(samples: &[Sample], to: &mut Vec<u8>) {
+pub(super) fn pack(samples: &[Sample], out: &mut Vec<u8>) {
     let mut before = Before::default();
     for sample in samples {
-        let at = to.len();
-        to.push(u8::from(sample.valid) * VALID);
-        to.extend(sample.reading_mm.to_le_bytes());
+        let at = out.len();
+        out.push(u8::from(sample.valid) * VALID);
+        out.extend(sample.reading_mm.to_le_bytes());
         let mut flags = match sample.trigger {
             Some(true) => TRIGGER | HIGH,
             Some(false) => TRIGGER,
@@ -48,50 +48,50 @@ pub(super) fn pack(samples: &[Sample], to: &mut Vec<u8>) {
         };
         if let Some(sequence) = sample.sequence {
             flags |= SEQUENCE;
-            step(to, &mut before.sequence, u64::from(sequence));
+            write_delta(out, &mut before.sequence, u64::from(sequence));
         }
         if let Some(ticks) = sample.ticks {
             flags |= TICKS;
-            step(to, &mut before.ticks, ticks.0);
+            write_delta(out, &mut before.ticks, ticks.0);
         }
         if let Some(bits) = sample.temperature_c.map(f64::to_bits) {
             flags |= TEMPERATURE;
             if before.temperature.replace(bits) != Some(bits) {
                 flags |= TEMPERATURE_NEW;
-                to.extend(bits.to_le_bytes());
+                out.extend(bits.to_le_bytes());
             }
         }
         if before.status != sample.status {
             flags |= STATUS_NEW;
             before.status = sample.status;
-            number(to, u64::from(sample.status));
+            write_leb128(out, u64::from(sample.status));
         }
-        step(to, &mut before.offset, sample.offset);
-        to[at] |= flags;
+        write_delta(out, &mut before.offset, sample.offset);
+        out[at] |= flags;
     }
 }
 
-/// The samples of a payload; `None` when it is not understood to its last byte.
+/// The samples of a payload; `None` if it is not understood to its last byte.
 pub(super) fn unpack(mut bytes: &[u8]) -> Option<Vec<Sample>> {
     let mut before = Before::default();
     let mut samples = Vec::new();
-    let from = &mut bytes;
-    while let Some((&flags, rest)) = from.split_first() {
-        *from = rest;
+    let input = &mut bytes;
+    while let Some((&flags, rest)) = input.split_first() {
+        *input = rest;
         let has = |flag: u8| flags & flag != 0;
-        let reading_mm = f64::from_bits(word(from)?);
+        let reading_mm = f64::from_bits(read_u64(input)?);
         let sequence = if has(SEQUENCE) {
-            Some(u32::try_from(stepped(from, &mut before.sequence)?).ok()?)
+            Some(u32::try_from(read_delta(input, &mut before.sequence)?).ok()?)
         } else {
             None
         };
-        let ticks = if has(TICKS) { Some(stepped(from, &mut before.ticks)?) } else { None };
+        let ticks = if has(TICKS) { Some(read_delta(input, &mut before.ticks)?) } else { None };
         if has(TEMPERATURE_NEW) {
-            before.temperature = Some(word(from)?);
+            before.temperature = Some(read_u64(input)?);
         }
         let temperature_c = if has(TEMPERATURE) { Some(f64::from_bits(before.temperature?)) } else { None };
         if has(STATUS_NEW) {
-            before.status = u32::try_from(numbered(from)?).ok()?;
+            before.status = u32::try_from(read_leb128(input)?).ok()?;
         }
         samples.push(Sample {
             reading_mm,
@@ -101,40 +101,40 @@ pub(super) fn unpack(mut bytes: &[u8]) -> Option<Vec<Sample>> {
             temperature_c,
             valid: has(VALID),
             status: before.status,
-            offset: stepped(from, &mut before.offset)?,
+            offset: read_delta(input, &mut before.offset)?,
         });
     }
     Some(samples)
 }
 
-/// Appends `now` as its difference to `before`, which it becomes.
-fn step(to: &mut Vec<u8>, before: &mut u64, now: u64) {
+/// Appends the difference of `now` and `before`, then stores `now` in `before`.
+fn write_delta(out: &mut Vec<u8>, before: &mut u64, now: u64) {
     let difference = now.wrapping_sub(*before).cast_signed();
     *before = now;
-    number(to, ((difference << 1) ^ (difference >> 63)).cast_unsigned());
+    write_leb128(out, ((difference << 1) ^ (difference >> 63)).cast_unsigned());
 }
 
-fn stepped(from: &mut &[u8], before: &mut u64) -> Option<u64> {
-    let zigzag = numbered(from)?;
+fn read_delta(input: &mut &[u8], before: &mut u64) -> Option<u64> {
+    let zigzag = read_leb128(input)?;
     let difference = (zigzag >> 1).cast_signed() ^ -((zigzag & 1).cast_signed());
     *before = before.wrapping_add_signed(difference);
     Some(*before)
 }
 
-/// Appends seven bits a byte, the lowest first; the top bit says that more follow.
-fn number(to: &mut Vec<u8>, mut value: u64) {
+/// Appends in LEB128: seven bits per byte, the lowest first; the top bit marks that more follow.
+fn write_leb128(out: &mut Vec<u8>, mut value: u64) {
     while value >= 0x80 {
-        to.push((value & 0x7f) as u8 | 0x80);
+        out.push((value & 0x7f) as u8 | 0x80);
         value >>= 7;
     }
-    to.push(value as u8);
+    out.push(value as u8);
 }
 
-fn numbered(from: &mut &[u8]) -> Option<u64> {
+fn read_leb128(input: &mut &[u8]) -> Option<u64> {
     let mut value = 0;
     for shift in (0..64).step_by(7) {
-        let (&byte, rest) = from.split_first()?;
-        *from = rest;
+        let (&byte, rest) = input.split_first()?;
+        *input = rest;
         let bits = u64::from(byte & 0x7f);
         // The tenth byte has room for one bit.
         if bits.checked_shl(shift)? >> shift != bits {
@@ -148,8 +148,8 @@ fn numbered(from: &mut &[u8]) -> Option<u64> {
     None
 }
 
-fn word(from: &mut &[u8]) -> Option<u64> {
-    let (bytes, rest) = from.split_first_chunk::<8>()?;
-    *from = rest;
+fn read_u64(input: &mut &[u8]) -> Option<u64> {
+    let (bytes, rest) = input.split_first_chunk::<8>()?;
+    *input = rest;
     Some(u64::from_le_bytes(*bytes))
 }

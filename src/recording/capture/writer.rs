@@ -1,17 +1,16 @@
-//! Writes a capture, record by record.
+//! Writes a capture, record by record, to a disk that may fail.
 
-use std::fs::{self, File};
-use std::io::{self, Write};
+use std::fs::{self, File, Metadata, OpenOptions};
+use std::io::{self, ErrorKind, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
-use super::disk::{self, Disk, Interference};
 use super::format;
 use super::record::{Event, Record, RunEnd};
+use crate::base::files;
 use crate::base::units::HostNs;
 use crate::catalogue::RecordingFinding;
 use crate::diagnostic::Diagnostic;
 
-/// A capture that is being written.
 pub struct Writer {
     disk: Box<dyn Disk>,
     path: PathBuf,
@@ -19,29 +18,28 @@ pub struct Writer {
     samples: u64,
     /// The number of the next record, modulo 2^32.
     number: u32,
-    /// The bytes before the first raw record: the header, and the files without which nothing else is understood.
+    /// The file up to the first raw record: header and attachments, without which the rest cannot be read.
     opening: Vec<u8>,
     opened: bool,
 }
 
 impl Writer {
-    /// Makes a new capture.
     pub fn create(path: &Path) -> Result<Self, Diagnostic> {
         let wrong = |error: io::Error| {
             let finding = match error.kind() {
-                io::ErrorKind::AlreadyExists => RecordingFinding::CaptureExists,
+                ErrorKind::AlreadyExists => RecordingFinding::CaptureExists,
                 _ => RecordingFinding::CaptureNotMade { why: error.to_string() },
             };
             Diagnostic::file(&path.display().to_string(), finding)
         };
-        let file = disk::create(path).map_err(wrong)?;
+        let file = create(path).map_err(wrong)?;
         Self::on(Box::new(file), path).inspect_err(|_| {
-            // Nothing is in it yet.
+            // The file is still empty.
             let _ = fs::remove_file(path);
         })
     }
 
-    /// Begins a capture on an empty disk; `path` names it in messages.
+    /// Starts a capture on an empty disk; `path` names it in messages.
     pub fn on(disk: Box<dyn Disk>, path: &Path) -> Result<Self, Diagnostic> {
         let mut writer = Self {
             disk,
@@ -56,7 +54,7 @@ impl Writer {
         Ok(writer)
     }
 
-    /// Appends a record, whole; a capture whose disk refuses it ends with the record before.
+    /// Appends a whole record. If the disk refuses it, the capture ends with the record before.
     pub fn write(&mut self, host: HostNs, record: &Record) -> Result<(), Diagnostic> {
         let bytes = format::encode(self.number, host, record)
             .map_err(|error| self.wrong(RecordingFinding::EventNotWritten { why: error.to_string() }))?;
@@ -75,7 +73,7 @@ impl Writer {
         Ok(())
     }
 
-    /// Appends the record of the run's proper end.
+    /// Appends the record that marks a proper end.
     pub fn finish(&mut self, host: HostNs, reason: &str, lost: u64) -> Result<(), Diagnostic> {
         let samples = self.samples;
         self.write(host, &Record::Event(Event::Ended(RunEnd { reason: reason.into(), samples, lost })))?;
@@ -86,8 +84,8 @@ impl Writer {
         &self.path
     }
 
-    /// Looks whether the capture is where it was, as it was written. Where others took it away, recording goes on in a
-    /// new file: with all that was written, or, where that is gone, with what makes the rest readable.
+    /// Checks that the file is still in place and unchanged. If not, recording continues in a new file with a copy
+    /// of all that was written, or with the opening records where that is gone.
     pub fn look_after(&mut self) -> Result<Option<Diagnostic>, Diagnostic> {
         let Some(interference) = self.disk.interference(&self.path, self.bytes) else { return Ok(None) };
         let elsewhere = std::env::temp_dir().join(self.path.file_name().unwrap_or_default());
@@ -104,7 +102,7 @@ impl Writer {
             _ => self.disk.copy(bytes, &mut file),
         };
         kept.map_err(|error| {
-            // What is in it is no capture.
+            // An incomplete copy is no capture.
             let _ = fs::remove_file(&path);
             self.refusal(&error)
         })?;
@@ -117,12 +115,11 @@ impl Writer {
         Ok(Some(finding))
     }
 
-    /// Samples written so far.
     pub fn samples(&self) -> u64 {
         self.samples
     }
 
-    /// Has the system put on the disk what was written: for a loss of power, not for a kill.
+    /// Syncs to disk against power failure; a killed process loses nothing that was written.
     pub fn sync(&mut self) -> Result<(), Diagnostic> {
         self.disk.sync().map_err(|error| self.refusal(&error))
     }
@@ -134,7 +131,7 @@ impl Writer {
                 Ok(())
             }
             Err(error) => {
-                // The part that was written goes; where that fails too, the reader names a torn tail.
+                // Cut off the partial record. If that fails too, the reader reports a torn tail.
                 let _ = self.disk.cut(self.bytes);
                 Err(self.refusal(&error))
             }
@@ -144,10 +141,10 @@ impl Writer {
     fn refusal(&self, error: &io::Error) -> Diagnostic {
         let (why, samples, bytes) = (error.to_string(), self.samples, self.bytes);
         self.wrong(match error.kind() {
-            io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {
+            ErrorKind::StorageFull | ErrorKind::QuotaExceeded => {
                 RecordingFinding::DiskFull { why, samples, bytes }
             }
-            io::ErrorKind::FileTooLarge => RecordingFinding::FileTooLarge { why, samples, bytes },
+            ErrorKind::FileTooLarge => RecordingFinding::FileTooLarge { why, samples, bytes },
             _ => RecordingFinding::DiskFailed { why, samples, bytes },
         })
     }
@@ -157,17 +154,17 @@ impl Writer {
     }
 }
 
-/// A file at the path, or beside it with a number behind its name: the first that is free. Its directory is made again.
+/// Creates the file at `wanted`, or beside it at the first free name with a number. A missing directory is created.
 fn free_file(wanted: &Path) -> io::Result<(File, PathBuf)> {
-    /// So many captures are never taken away from one run.
+    /// Limit of the search.
     const MOST: u32 = 10_000;
     if let Some(directory) = wanted.parent() {
         fs::create_dir_all(directory)?;
     }
     let mut path = wanted.to_owned();
     for number in 2..MOST {
-        match disk::create(&path) {
-            Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {}
+        match create(&path) {
+            Err(error) if error.kind() == ErrorKind::AlreadyExists => {}
             made => return made.map(|file| (file, path)),
         }
         let mut name = wanted.file_stem().unwrap_or_default().to_owned();
@@ -178,5 +175,92 @@ fn free_file(wanted: &Path) -> io::Result<(File, PathBuf)> {
             path.as_mut_os_string().push(extension);
         }
     }
-    Err(io::ErrorKind::AlreadyExists.into())
+    Err(ErrorKind::AlreadyExists.into())
+}
+
+/// An append-only file. Tests replace it with a disk that stalls or is full.
+pub trait Disk: Write + Send {
+    /// Flushes to stable storage, so that the data survive a power failure.
+    fn sync(&mut self) -> io::Result<()>;
+
+    /// Truncates to `bytes`.
+    fn cut(&mut self, bytes: u64) -> io::Result<()>;
+
+    /// What another process did to the file at `path`, to which `bytes` were written; `None` if it is unchanged.
+    fn interference(&self, _path: &Path, _bytes: u64) -> Option<Interference> {
+        None
+    }
+
+    /// Copies what was written, even if no path leads to it any more.
+    fn copy(&mut self, _bytes: u64, _to: &mut File) -> io::Result<()> {
+        Err(ErrorKind::Unsupported.into())
+    }
+}
+
+/// What another process did to a file that is being written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Interference {
+    /// Removed, renamed or replaced: the path no longer leads to it.
+    Moved,
+    /// Its size in bytes, which is not the number of bytes written.
+    Resized(u64),
+}
+
+/// A file opened in append mode continues at its new end after a cut.
+impl Disk for File {
+    fn sync(&mut self) -> io::Result<()> {
+        self.sync_data()
+    }
+
+    fn cut(&mut self, bytes: u64) -> io::Result<()> {
+        self.set_len(bytes)
+    }
+
+    fn interference(&self, path: &Path, bytes: u64) -> Option<Interference> {
+        let Ok(own) = self.metadata() else { return Some(Interference::Moved) };
+        if own.len() != bytes {
+            return Some(Interference::Resized(own.len()));
+        }
+        let moved = match fs::metadata(path) {
+            Ok(there) => identity(&there) != identity(&own),
+            // Without permission to search the directory, the file may still be there.
+            Err(error) => matches!(error.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory),
+        };
+        moved.then_some(Interference::Moved)
+    }
+
+    fn copy(&mut self, bytes: u64, to: &mut File) -> io::Result<()> {
+        self.seek(SeekFrom::Start(0))?;
+        match io::copy(&mut self.take(bytes), to)? {
+            copied if copied == bytes => Ok(()),
+            _ => Err(ErrorKind::UnexpectedEof.into()),
+        }
+    }
+}
+
+/// Tells a file from another one at the same path.
+#[cfg(unix)]
+fn identity(file: &Metadata) -> [u64; 2] {
+    use std::os::unix::fs::MetadataExt;
+    [file.dev(), file.ino()]
+}
+
+/// The standard library has no file number here.
+#[cfg(not(unix))]
+fn identity(file: &Metadata) -> Option<std::time::SystemTime> {
+    file.created().ok()
+}
+
+/// Creates a file in append mode that other users of this machine cannot read.
+fn create(path: &Path) -> io::Result<File> {
+    let mut options = OpenOptions::new();
+    options.read(true).append(true).create_new(true);
+    #[cfg(unix)]
+    std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o640);
+    let file = options.open(path)?;
+    if cfg!(unix) {
+        // A new name survives a power failure only if its directory is synced too.
+        File::open(files::directory_of(path)).and_then(|file| file.sync_all())?;
+    }
+    Ok(file)
 }

@@ -1,9 +1,9 @@
-//! Dates with times, as instruments write them.
+//! Dates with times as instruments write them.
 
 use crate::base::date::days_since_1970;
 
-/// Nanoseconds since 1970 of `2026-11-21T14:02:11.123Z` or `21.11.2026 14:02:11,123`; a blank for the T, `,` for the
-/// point, an offset such as `+01:00`, or no zone are taken.
+/// Nanoseconds since 1970 of `2026-11-21T14:02:11.123Z` or `21.11.2026 14:02:11,123`. Accepts a blank for the T,
+/// `,` for the point, an offset such as `+01:00`, and no zone.
 pub(super) fn unix_ns(text: &str) -> Option<i128> {
     let (date, rest) = text.split_once(['T', ' '])?;
     let rest = rest.trim_start();

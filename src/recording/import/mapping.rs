@@ -1,4 +1,4 @@
-//! How a trace is laid out: a small TOML file.
+//! The layout of a trace, described by a small TOML file.
 
 use std::num::NonZeroUsize;
 
@@ -9,7 +9,7 @@ use crate::base::table::{Delimiter, Layout};
 use crate::catalogue::ImportFinding;
 use crate::diagnostic::Diagnostic;
 
-/// The layout of a trace; without any key it has the columns `t_s` and `length_mm`.
+/// Without any key the trace has the columns `t_s` and `length_mm`.
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Mapping {
@@ -21,19 +21,19 @@ pub struct Mapping {
     pub(super) temperature: Option<Plain>,
 }
 
-/// Lines and cells; what is absent is as the trace shows it.
+/// Lines and cells; what is absent is detected.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub(super) struct File {
-    /// Between cells: one character, or `space` for any number of blanks.
+    /// One character between cells, or `space` for any number of blanks.
     delimiter: Option<String>,
     /// The decimal point, `.` or `,`.
     decimal: Option<char>,
-    /// Lines before the header, or before the first row where there is none.
+    /// Lines before the header, or before the first row without one.
     skip_lines: usize,
     /// Whether a line names the columns.
     pub(super) header: bool,
-    /// Lines that begin with it are passed over.
+    /// Lines with this prefix are skipped.
     comment: Option<String>,
 }
 
@@ -47,9 +47,9 @@ impl Default for File {
 #[serde(deny_unknown_fields, default)]
 pub(super) struct Time {
     pub(super) column: Column,
-    /// When absent: seconds, or dates where the first row has one.
+    /// Without it: seconds, or dates if the first row has one.
     pub(super) unit: Option<TimeUnit>,
-    /// Readings a second, in place of a column.
+    /// Readings per second, instead of a column.
     pub(super) rate_hz: Option<f64>,
 }
 
@@ -71,7 +71,7 @@ pub(super) enum TimeUnit {
 }
 
 impl TimeUnit {
-    /// Nanoseconds in one; those of `Iso` are read by itself.
+    /// Nanoseconds per unit; dates are parsed instead.
     pub(super) fn ns(self) -> f64 {
         match self {
             Self::S | Self::Iso => 1e9,
@@ -87,7 +87,7 @@ impl TimeUnit {
 pub(super) struct Length {
     pub(super) column: Column,
     pub(super) unit: LengthUnit,
-    /// When absent: as the first row shows by the length of the bar.
+    /// Without it: detected from the first row and the length of the bar.
     pub(super) kind: Option<LengthKind>,
 }
 
@@ -122,18 +122,17 @@ impl LengthUnit {
 pub(super) enum LengthKind {
     /// Between the ball centres.
     Distance,
-    /// Of the bar, positive when it is longer.
+    /// Deviation from the length of the bar, positive when it is longer.
     Reading,
 }
 
-/// A column without a unit.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Plain {
     pub(super) column: Column,
 }
 
-/// A column by its name or its number from 1.
+/// A column by name, or by number from 1.
 #[derive(Clone, Debug, Deserialize, PartialEq)]
 #[serde(untagged, expecting = "a column's name, or its number from 1")]
 pub(super) enum Column {
@@ -169,7 +168,6 @@ impl Mapping {
         Ok(mapping)
     }
 
-    /// How the trace is cut.
     pub fn layout(&self) -> Layout {
         let File { delimiter, decimal, skip_lines, header, comment } = self.file.clone();
         let delimiter = delimiter.and_then(|delimiter| match delimiter.as_str() {

@@ -1,4 +1,4 @@
-//! Traces that other software recorded, as samples: text, one reading a line, laid out as a small file describes.
+//! Traces recorded by other software, imported as samples: text with one reading per line.
 
 mod date;
 mod mapping;

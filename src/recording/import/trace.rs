@@ -1,4 +1,4 @@
-//! The rows of a trace become samples.
+//! Converts the rows of a trace to samples.
 
 use super::date;
 use super::mapping::{Column, LengthKind, Mapping, Plain, TimeUnit};
@@ -8,31 +8,31 @@ use crate::catalogue::ImportFinding;
 use crate::diagnostic::Diagnostic;
 use crate::measurement::sample::Sample;
 
-/// A length further from the bar's than this share of it is no length of this bar.
+/// A value further from the bar's length than this share of it is no length of this bar.
 const FAR_OFF: f64 = 0.2;
 
-/// The bar that read the trace.
+/// The bar that recorded the trace.
 #[derive(Clone, Copy, Debug)]
 pub struct Bar {
-    /// Between its ball centres at reading zero.
+    /// Distance of the ball centres at reading zero.
     pub length_mm: f64,
     pub stroke_mm: [f64; 2],
 }
 
-/// Reads the rows of a trace one after the other.
+/// Reads a trace row by row.
 pub struct Trace<'a> {
     table: Table<'a>,
     state: State<'a>,
 }
 
-/// What the rows before tell of the next.
+/// State after the rows so far.
 struct State<'a> {
     mapping: &'a Mapping,
     bar: Bar,
     places: Option<Places>,
     time: Option<TimeUnit>,
     kind: Option<LengthKind>,
-    /// Time of the first row, ns, and of the last.
+    /// Time of the first row, ns.
     first_ns: Option<i128>,
     last: HostNs,
     counts: Counts,
@@ -40,23 +40,22 @@ struct State<'a> {
 
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Counts {
-    /// Readings.
+    /// Number of readings.
     pub samples: u64,
-    /// Those beyond the stroke, or marked as not valid.
+    /// Readings beyond the stroke, or marked as invalid.
     pub invalid: u64,
-    /// Lowest and highest, mm.
+    /// Lowest and highest reading, mm.
     pub range_mm: Option<[f64; 2]>,
-    /// How often no reading came for more than a second, and the longest of these times, s.
+    /// Number of gaps of more than a second, and the longest, s.
     pub holes: u64,
     pub longest_s: f64,
     /// Readings with the time of the one before.
     pub same_times: u64,
-    /// Wall clock of the first row, ns since 1970, where the trace gives it.
+    /// Wall clock of the first row, ns since 1970, if the trace has dates.
     pub unix_ns: u64,
 }
 
 impl Counts {
-    /// A reading that came so long after the one before.
     fn add(&mut self, reading_mm: f64, after_s: f64) {
         const HOLE_S: f64 = 1.0;
         let [low, high] = self.range_mm.unwrap_or([reading_mm; 2]);
@@ -66,7 +65,7 @@ impl Counts {
         self.longest_s = self.longest_s.max(after_s);
     }
 
-    /// Why the dwells of a plan cannot be found in readings over `seconds`.
+    /// Why the dwells of a plan may not be found in the readings of `seconds`.
     pub fn doubts(&self, seconds: f64, dwell_s: f64) -> impl Iterator<Item = ImportFinding> {
         const LEAST_IN_DWELL: f64 = 5.0;
         const MOST_SAME: f64 = 0.5;
@@ -86,11 +85,11 @@ impl Counts {
     }
 }
 
-/// A row with the text since the row before, in UTF-8.
+/// A row, with the text since the row before.
 #[derive(Debug)]
 pub struct Read {
     pub text: String,
-    /// None behind the last row.
+    /// `None` after the last row.
     pub sample: Option<(HostNs, Sample)>,
 }
 
@@ -124,7 +123,7 @@ impl<'a> Trace<'a> {
             Some(places) => places,
             None => {
                 let places = self.find();
-                // A file without anything lacks its rows, not a column.
+                // An empty file lacks rows, not a column.
                 if places.is_err() && self.table.names().is_empty() && self.table.row()?.is_none() {
                     return Err(Diagnostic::file(self.table.file(), ImportFinding::Empty));
                 }
@@ -138,7 +137,7 @@ impl<'a> Trace<'a> {
         Ok(Read { text: self.table.take_text(), sample })
     }
 
-    /// Ends the trace, with what was found out about it.
+    /// Ends the trace: counts, and findings about it.
     pub fn finish(self) -> Result<(Counts, Vec<Diagnostic>), Diagnostic> {
         let Self { table, state, .. } = self;
         if state.counts.samples == 0 {
@@ -157,7 +156,7 @@ impl<'a> Trace<'a> {
         Ok((state.counts, table.findings().into_iter().chain(found).collect()))
     }
 
-    /// The places of the columns, by the header where there is one.
+    /// Positions of the columns, by the header if there is one.
     fn find(&self) -> Result<Places, Diagnostic> {
         let Mapping { file, time, length, strobe, valid, temperature } = self.state.mapping;
         let place = |column: &Column| match column {
@@ -239,9 +238,9 @@ impl State<'_> {
     }
 }
 
-/// Readings that are all lengths of the bar in another unit.
+/// Whether readings are lengths of the bar in another unit.
 fn other_unit([low, high]: [f64; 2], bar_mm: f64) -> Option<ImportFinding> {
-    /// Share of the bar's length by which it moves at most.
+    /// Largest stroke as a share of the bar's length.
     const STROKE: f64 = 0.1;
     let is_bar = |value: f64| (value - bar_mm).abs() < STROKE * bar_mm;
     let (_, unit) = [(1e3, "m"), (25.4, "inches")]

@@ -1,29 +1,29 @@
-//! Which dwell belongs to which commanded pose.
+//! Aligns detected dwells with commanded poses.
 //!
-//! A hidden Markov model over (pose, dwell): from one matched pair to the next, with poses that left no dwell and
-//! dwells that no pose commanded between them. The evidence are the INTERVALS between the begins of dwells, since
-//! absolute times drift apart with every pause. The forward and backward sums give each pair's probability; a pair is
-//! kept when it is nearly certain. The best path is not enough: it exists also where nothing can be identified.
+//! A hidden Markov model over (pose, dwell): from one matched pair to the next, with missed poses and spurious
+//! dwells between them. Its evidence is the INTERVALS between the starts of dwells, because absolute times drift
+//! apart with every pause. Forward and backward sums give the posterior of each pair, and a pair is kept if it is
+//! nearly certain. The best (Viterbi) path does not suffice: it exists even if nothing can be identified.
 
 use super::program::{Commanded, Pace};
 use super::trellis::{Answer, BEAM, LEAST_OVERRIDE, MOST_OVERRIDE, SEARCH_SLACK, Trellis};
 
-/// What is known of a detected dwell.
+/// Evidence of a detected dwell.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DwellEvidence {
-    /// Its begin, s of the stream.
+    /// Start, s of the stream.
     pub start_s: f64,
-    /// Standard deviation of the begin, s.
+    /// Standard deviation of the start, s.
     pub start_sd_s: f64,
-    /// How long the length did not change, s, where that is the duration of the dwell.
+    /// Duration, s, if it is known.
     pub duration_s: Option<f64>,
-    /// Its reading plus the bar's length, mm.
+    /// Reading plus length of the bar, mm.
     pub length_mm: f64,
     /// Whether the clock broke since the dwell before.
     pub after_break: bool,
 }
 
-/// Lengths that a model expects, for each pose.
+/// Lengths that a model predicts for each pose.
 #[derive(Clone, Copy, Debug)]
 pub struct Expected<'a> {
     pub length_mm: &'a [f64],
@@ -31,8 +31,7 @@ pub struct Expected<'a> {
     pub sigma_mm: f64,
 }
 
-/// The dwell of a pose, by its number from 0, and the probability of the answer; where more than one answer is possible,
-/// the likeliest dwell.
+/// The dwell of a pose (index from 0) and its posterior; of an ambiguous pose the most probable dwell.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Pairing {
     Dwell { dwell: usize, posterior: f64 },
@@ -44,22 +43,22 @@ pub enum Pairing {
 pub struct Alignment {
     /// One for each pose.
     pub pairings: Vec<Pairing>,
-    /// The override that the moves were driven with, 0..1.
+    /// Speed override of the moves, 0..1.
     pub override_factor: f64,
 }
 
-/// Pairs less certain are dropped.
+/// Least posterior of a pair that is kept.
 pub(super) const KEEP: f64 = 0.99;
-/// A pose is reported to have no dwell from this probability on.
+/// Least posterior for reporting that a pose has no dwell.
 pub(super) const NONE: f64 = 0.9;
-/// Hypotheses so much worse than the best are not followed up while only the override is sought.
+/// Beam while only the override is searched.
 const SEARCH_BEAM: f64 = 10.0;
-/// The override is sought in the middle of a long run: more dwells do not determine it better.
+/// The override is searched in the middle of a long run: more dwells do not determine it better.
 const SEARCH_DWELLS: usize = 160;
-/// The override's grid, as a ratio of steps.
+/// Ratio of neighbours on the grid of overrides.
 const STEP: f64 = 1.1;
 
-/// Aligns the detected dwells with the commanded poses, both in order of time.
+/// Aligns dwells with poses, both in order of time.
 pub fn align(poses: &[Commanded], dwells: &[DwellEvidence], expected: Option<Expected<'_>>) -> Alignment {
     let nothing =
         Alignment { pairings: vec![Pairing::None { posterior: 1.0 }; poses.len()], override_factor: 1.0 };
@@ -83,7 +82,7 @@ pub fn align(poses: &[Commanded], dwells: &[DwellEvidence], expected: Option<Exp
     Alignment { pairings, override_factor: (1.0 / likeliest.stretch).min(1.0) }
 }
 
-/// Every local maximum of the evidence over the override that explains the run about as well as the best.
+/// Local maxima of the evidence over the override that are nearly as good as the best.
 fn likely_stretches(
     poses: &[Commanded],
     dwells: &[DwellEvidence],

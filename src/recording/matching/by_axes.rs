@@ -1,54 +1,54 @@
-//! Poses by the axes that the controller published: where the robot rested, and which pose of the plan is there.
+//! Matches poses by the axes that the controller published: where the robot rested, and which pose of the plan is
+//! there.
 //!
-//! No strobe, time code or sync marker is needed: the places of the rests and their order show which pose each is at.
+//! Neither strobe nor time code nor sync marker is needed: the positions of the rests and their order identify
+//! the poses.
 
 use super::alignment::{KEEP, NONE};
 use super::lag::{self, OnBall};
 use super::program::{Commanded, Poses};
 use super::published::Published;
 use super::visits::{self, Seen, Visit};
-use super::{
-    AxesReport, DwellSource, Input, Paired, Pairing, PublishedAxes, Shown, outcomes, passes, reading,
-};
+use super::{AxesReport, Detection, DwellSource, Input, Pairing, PublishedAxes, outcomes, passes, reading};
 use crate::plan::Plan;
 use crate::recording::ClockMap;
 use crate::recording::axes::Rest;
 use crate::recording::dwell::{Dwell, measure};
 use crate::robot::{AXES, apart};
 
-/// A rest is at a pose when it is nearer to it than this share of the way to the next other pose.
+/// A rest is at a pose if its distance is less than this share of the distance to the next other pose.
 const NEAR: f64 = 0.25;
-/// No controller corrects by more, and no follows worse at rest, degrees.
+/// Largest distance of a rest from its pose, degrees: limit of corrections and of following errors at rest.
 const FAR_DEG: f64 = 1.0;
-/// Poses nearer to each other than this are one place, degrees.
+/// Poses closer than this have one position, degrees.
 const SAME_DEG: f64 = 0.01;
-/// Kept free at the end of a rest, s.
+/// Kept clear of the end of a rest, s.
 const GUARD_S: f64 = 0.03;
-/// A rest that is longer than its program waits by more than this holds something else too, s.
+/// A rest that exceeds the wait of its program by more than this contains something else, s.
 const LONGER_S: f64 = 1.0;
-/// Rests of one pose whose durations are off the program's by as much are alike, s.
+/// Rests of one pose are alike if the errors of their durations differ by less than this, s.
 const ALIKE_S: f64 = 0.15;
-/// Readings at both ends of a long rest that differ by less are of one mounted bar, mm.
+/// Readings at both ends of a long rest that differ by less belong to one mounting of the bar, mm.
 const SAME_MM: f64 = 0.003;
 
-/// By the axes that the controller published; `None` where there are none, or where they cannot be laid on the bar's time.
-pub(super) fn shown(input: &Input<'_>, poses: &Poses<'_>) -> Option<Shown> {
+/// `None` without published axes, or if they cannot be put on the time axis of the bar.
+pub(super) fn detect(input: &Input<'_>, poses: &Poses<'_>) -> Option<Detection> {
     let PublishedAxes { track, geometry } = input.published?;
     let mut published = Published::of(track, input.stream)?;
-    let assigned = assign(poses, &published);
+    let rests = assign(poses, &published);
     let times_s = pass_times(input, &published);
-    let on_ball = on_ball(input.plan, poses, &assigned, &times_s, &published);
+    let on_ball = on_ball(input.plan, poses, &published, &rests, &times_s);
     published.lag = lag::determine(&published, input.stream, geometry, &on_ball);
-    let paired = assigned.paired(input, poses, &published);
+    let (dwells, pairings) = pairings(input, poses, &published, &rests);
     let passes = passes::read_published(input, &published, &times_s);
-    let mut axes_deg = input.axes_deg.cloned().unwrap_or_default();
     let mut measured = passes.axes_deg.clone();
-    for pose in outcomes(input, poses, &paired) {
+    let mut detection = Detection { passes, ..Detection::new(DwellSource::Axes, dwells, pairings) };
+    for pose in outcomes(input, poses, &detection) {
         let Some(reading) = pose.reading() else { continue };
         measured.extend(published.at_rest_deg(reading.from_s, reading.to_s).map(|deg| (pose.index, deg)));
     }
     let clock = track.clock();
-    let report = AxesReport {
+    detection.report = Some(AxesReport {
         protocol: track.protocol.name(),
         packets: track.counts,
         drift: clock.and_then(ClockMap::drift),
@@ -57,29 +57,34 @@ pub(super) fn shown(input: &Input<'_>, poses: &Poses<'_>) -> Option<Shown> {
         following: track.following(&published.rests),
         rests: published.rests.len(),
         measured: measured.len(),
-        pairs: passes.pairs,
-        effective_pairs: passes.effective_pairs,
-    };
-    axes_deg.extend(measured);
-    Some(Shown { paired, passes, axes_deg, report: Some(report) })
+        pairs: detection.passes.pairs,
+        effective_pairs: detection.passes.effective_pairs,
+    });
+    detection.axes_deg = input.axes_deg.cloned().unwrap_or_default();
+    detection.axes_deg.extend(measured);
+    Some(detection)
 }
 
-/// When the bar is on which ball, by the poses and passes that were found.
+/// When the bar is on which ball, by the rests and passes.
 fn on_ball(
     plan: &Plan,
     poses: &Poses<'_>,
-    assigned: &Assigned,
-    times_s: &[Option<Vec<f64>>],
     published: &Published<'_>,
+    rests: &[Vec<Visit>],
+    times_s: &[Option<Vec<f64>>],
 ) -> Vec<OnBall> {
-    /// Markers lie so far before the first and behind the last pose at most, s.
+    /// Markers are within this time before the first and after the last pose, s.
     const AROUND_S: f64 = 10.0;
     let row = |index: u32| plan.rows.get((index as usize).checked_sub(1)?);
     let passed = plan.header.passes.iter().zip(times_s).filter_map(|(pass, times_s)| {
         let centre = row(pass.end)?.centre;
         Some(times_s.as_ref()?.iter().map(move |t_s| (*t_s, centre)))
     });
-    let rested = assigned.places(published).map(|(t_s, pose)| (t_s, poses.rows[pose].centre));
+    let rested = rests.iter().zip(&poses.rows).flat_map(|(visits, row)| {
+        let certain = visits.iter().filter(|visit| visit.posterior > KEEP);
+        let rests = certain.filter_map(|visit| published.rests.get(visit.rest));
+        rests.map(|rest| (0.5 * (rest.start_s + rest.end_s), row.centre))
+    });
     let mut places: Vec<(f64, u32)> = rested.chain(passed.flatten()).collect();
     places.sort_by(|a, b| a.0.total_cmp(&b.0));
     let balls = &plan.header.job.centres;
@@ -91,8 +96,8 @@ fn on_ball(
     places.chunk_by(|a, b| a.1 == b.1).filter_map(stretch).collect()
 }
 
-/// How near a rest must be to each pose, degrees.
-pub(super) fn reach_deg(poses: &[[f64; AXES]]) -> Vec<f64> {
+/// Radius of each pose within which a rest is at it, degrees.
+fn reach_deg(poses: &[[f64; AXES]]) -> Vec<f64> {
     let nearest = |pose: &[f64; AXES]| {
         let others = poses.iter().map(|other| apart(pose, other)).filter(|deg| *deg > SAME_DEG);
         others.fold(FAR_DEG / NEAR, f64::min)
@@ -101,19 +106,14 @@ pub(super) fn reach_deg(poses: &[[f64; AXES]]) -> Vec<f64> {
 }
 
 /// The rests of each pose, the best first.
-pub(super) struct Assigned {
-    rests: Vec<Vec<Visit>>,
-}
-
-/// Which rests are at which pose.
-pub(super) fn assign(poses: &Poses<'_>, published: &Published<'_>) -> Assigned {
+fn assign(poses: &Poses<'_>, published: &Published<'_>) -> Vec<Vec<Visit>> {
     let places: Vec<[f64; AXES]> = poses.rows.iter().map(|row| row.axes_deg).collect();
     let reach = reach_deg(&places);
     let at = |rest: &Rest| -> Vec<usize> {
         let near = |pose: &usize| apart(&rest.axes_deg, &places[*pose]) <= reach[*pose];
         (0..places.len()).filter(near).collect()
     };
-    // A rest at no pose is no evidence of the order.
+    // A rest at no pose says nothing about the order.
     let (mut rests, mut seen): (Vec<usize>, Vec<Seen>) = (Vec::new(), Vec::new());
     for (rest, interval) in published.rests.iter().enumerate() {
         let poses = at(interval);
@@ -134,11 +134,11 @@ pub(super) fn assign(poses: &Poses<'_>, published: &Published<'_>) -> Assigned {
         visits
     };
     let visits = visits::visits(&seen, &poses.commanded);
-    Assigned { rests: visits.into_iter().zip(&poses.commanded).map(of_pose).collect() }
+    visits.into_iter().zip(&poses.commanded).map(of_pose).collect()
 }
 
-/// Those of a pose that are certain, else the likeliest. Of the rests of one visit that whose duration is the program's, by
-/// `off_s`, of rests alike the last; and so of the visits.
+/// The visits of a pose that are certain, else the most probable one, best first. Of the rests of one visit the
+/// one whose duration fits the program (by `off_s`), of equal ones the last; and so for the visits.
 fn by_preference(visits: Vec<Visit>, off_s: impl Fn(&Visit) -> f64) -> Vec<Visit> {
     let least_s = |visits: &[Visit]| visits.iter().map(&off_s).fold(f64::INFINITY, f64::min);
     let mut certain = visits.clone();
@@ -158,45 +158,36 @@ fn by_preference(visits: Vec<Visit>, off_s: impl Fn(&Visit) -> f64) -> Vec<Visit
     chosen
 }
 
-impl Assigned {
-    /// The middles of the rests, s of the track, each with the position of its pose.
-    pub(super) fn places<'b>(
-        &'b self,
-        published: &'b Published<'_>,
-    ) -> impl Iterator<Item = (f64, usize)> + 'b {
-        let middle = |rest: usize| published.rests.get(rest).map(|rest| 0.5 * (rest.start_s + rest.end_s));
-        let certain = |visits: &'b [Visit]| visits.iter().filter(|visit| visit.posterior > KEEP);
-        self.rests.iter().enumerate().flat_map(move |(pose, visits)| {
-            certain(visits).filter_map(move |visit| Some((middle(visit.rest)?, pose)))
-        })
+/// The dwells of the poses, in the time of the bar, and which pose has which.
+fn pairings(
+    input: &Input<'_>,
+    poses: &Poses<'_>,
+    published: &Published<'_>,
+    rests: &[Vec<Visit>],
+) -> (Vec<Dwell>, Vec<Pairing>) {
+    let mut dwells = Vec::new();
+    let mut pairings = Vec::new();
+    for ((visits, pose), row) in rests.iter().zip(&poses.commanded).zip(&poses.rows) {
+        let dwell = |visit: &Visit| dwell(input, published, &published.rests[visit.rest], pose.wait_s);
+        let is_read = |visit: &&Visit| dwell(visit).is_ok_and(|dwell| reading(input, &dwell, row).is_some());
+        let Some(visit) = visits.iter().find(is_read).or(visits.first()) else {
+            pairings.push(Pairing::None { posterior: 1.0 });
+            continue;
+        };
+        let (number, dwell) = (dwells.len(), dwell(visit));
+        let posterior = if dwell.is_ok() { visit.posterior } else { 0.5 * visit.posterior };
+        pairings.push(if posterior > KEEP {
+            Pairing::Dwell { dwell: number, posterior }
+        } else {
+            Pairing::Ambiguous { dwell: number, posterior }
+        });
+        dwells.push(dwell.unwrap_or_else(|whole| whole));
     }
-
-    /// The dwells of the poses, in the bar's time.
-    pub(super) fn paired(&self, input: &Input<'_>, poses: &Poses<'_>, published: &Published<'_>) -> Paired {
-        let mut dwells: Vec<Dwell> = Vec::new();
-        let mut pairings = Vec::new();
-        for ((visits, pose), row) in self.rests.iter().zip(&poses.commanded).zip(&poses.rows) {
-            let dwell = |visit: &Visit| dwell(input, published, &published.rests[visit.rest], pose.wait_s);
-            let read = |visit: &&Visit| dwell(visit).is_ok_and(|dwell| reading(input, &dwell, row).is_some());
-            let Some(visit) = visits.iter().find(read).or(visits.first()) else {
-                pairings.push(Pairing::None { posterior: 1.0 });
-                continue;
-            };
-            let (number, dwell) = (dwells.len(), dwell(visit));
-            let posterior = if dwell.is_ok() { visit.posterior } else { 0.5 * visit.posterior };
-            pairings.push(if posterior > KEEP {
-                Pairing::Dwell { dwell: number, posterior }
-            } else {
-                Pairing::Ambiguous { dwell: number, posterior }
-            });
-            dwells.push(dwell.unwrap_or_else(|whole| whole));
-        }
-        Paired { source: DwellSource::Axes, dwells, pairings, override_factor: None, findings: Vec::new() }
-    }
+    (dwells, pairings)
 }
 
-/// When the axes went by the points of each pass, one after the other, s of the track; `None` where they did not.
-pub(super) fn pass_times(input: &Input<'_>, published: &Published<'_>) -> Vec<Option<Vec<f64>>> {
+/// Times at which the axes passed the points of each pass, s of the track; `None` for a pass that was not driven.
+fn pass_times(input: &Input<'_>, published: &Published<'_>) -> Vec<Option<Vec<f64>>> {
     let mut from = 0;
     let mut times = Vec::new();
     for pass in &input.plan.header.passes {
@@ -212,7 +203,7 @@ pub(super) fn pass_times(input: &Input<'_>, published: &Published<'_>) -> Vec<Op
     times
 }
 
-/// The first time after a sample at which the axes go by all points in order.
+/// The first times after a sample at which the axes pass all points in order.
 fn went_by(published: &Published<'_>, points: &[[f64; AXES]], from: usize) -> Option<Vec<f64>> {
     let reach = reach_deg(points);
     let (first, reach_first) = (points.first()?, *reach.first()?);
@@ -221,7 +212,7 @@ fn went_by(published: &Published<'_>, points: &[[f64; AXES]], from: usize) -> Op
         let mut times = vec![time_at(published, first, start)];
         let (mut here, mut last) = (start, start);
         for (point, reach) in points.iter().zip(&reach).skip(1) {
-            // As long as some of the steps before, and a while for the first.
+            // A few times the step before; more for the first step.
             let patience = (20 * (here - last)).clamp(500, 5000);
             let Some(next) = next_nearest(published, point, *reach, here + 1..here + patience) else { break };
             times.push(time_at(published, point, next));
@@ -235,7 +226,7 @@ fn went_by(published: &Published<'_>, points: &[[f64; AXES]], from: usize) -> Op
     None
 }
 
-/// The first sample of a range at which the axes are nearest to a point, within reach.
+/// The first sample of a range at which the axes are closest to a point, within reach.
 fn next_nearest(
     published: &Published<'_>,
     point: &[f64; AXES],
@@ -256,7 +247,7 @@ fn square_deg(a: &[f64; AXES], b: &[f64; AXES]) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum()
 }
 
-/// When the axes are nearest to a point, by their motion about the nearest sample.
+/// Time at which the axes are closest to a point, by their speed at the closest sample.
 fn time_at(published: &Published<'_>, point: &[f64; AXES], at: usize) -> f64 {
     let (track, before, after) =
         (published.track, at.saturating_sub(1), (at + 1).min(published.track.len() - 1));
@@ -270,7 +261,7 @@ fn time_at(published: &Published<'_>, point: &[f64; AXES], at: usize) -> f64 {
     track.t_s[at] + if square > 0.0 { (along / square).clamp(-span_s, span_s) } else { 0.0 }
 }
 
-/// When a rest was read; the whole rest as an error where the bar was not the same at both of its ends.
+/// The dwell of a rest; `Err` with the whole rest if the reading differs between its ends.
 fn dwell(input: &Input<'_>, published: &Published<'_>, rest: &Rest, wait_s: f64) -> Result<Dwell, Dwell> {
     let motion = &input.plan.header.job.motion;
     let [start_s, end_s] = [rest.start_s, rest.end_s].map(|t_s| published.bar_s(t_s));
@@ -284,7 +275,7 @@ fn dwell(input: &Input<'_>, published: &Published<'_>, rest: &Rest, wait_s: f64)
     if end_s - start_s < wait_s + LONGER_S {
         return Ok(whole);
     }
-    // A HALT before the dwell, or a pause after it: the bar may have been handled.
+    // A HALT before the dwell or a pause after it: the bar may have been handled.
     let last_s = whole.until_s - motion.dwell_s;
     let first = measure(input.stream, whole.settled_s, whole.settled_s + motion.dwell_s);
     let last = measure(input.stream, last_s, whole.until_s);

@@ -1,4 +1,4 @@
-//! Whether the length at the repeated reference pose drifted over the run.
+//! Drift of the length at the repeated reference pose.
 
 use super::outcome::PoseOutcome;
 use crate::math::straight_line::Regression;
@@ -9,20 +9,18 @@ use crate::plan::{Kind, PlanRow};
 pub struct Drift {
     /// From the first reading to the last, mm.
     pub change_mm: f64,
-    /// Its standard deviation from the readings' scatter about the line, mm; `None` of two readings.
+    /// Standard deviation from the scatter of the readings about the line, mm; `None` for two readings.
     pub sd_mm: Option<f64>,
     pub readings: usize,
-    /// Whether the change is beyond chance (95 %) and beyond the bar's standard deviation.
+    /// Whether the change is significant (95 %) and exceeds the bar's standard deviation.
     pub significant: bool,
 }
 
-/// Student's t, two-sided 95 %, for 1, 2, .. degrees of freedom; then the normal distribution's.
+/// Student's t, two-sided 95 %, for 1, 2, .. degrees of freedom; then that of the normal distribution.
 const STUDENT: [f64; 10] = [12.71, 4.30, 3.18, 2.78, 2.57, 2.45, 2.36, 2.31, 2.26, 2.23];
 const NORMAL: f64 = 2.0;
 
-/// The greatest drift (in standard deviations; where none is known, in mm) of the poses that are read repeatedly.
-///
-/// A change by less than the bar's standard deviation, mm, is of no interest.
+/// The largest drift (in standard deviations, or in mm if none has one) of the repeated poses.
 pub(super) fn of(rows: &[&PlanRow], outcomes: &[PoseOutcome], bar_sigma_mm: f64) -> Option<Drift> {
     let mut groups: Vec<(&PlanRow, Vec<[f64; 2]>)> = Vec::new();
     for (row, pose) in rows.iter().zip(outcomes).filter(|(row, _)| row.kind == Kind::Reference) {
@@ -48,7 +46,7 @@ pub(super) fn of(rows: &[&PlanRow], outcomes: &[PoseOutcome], bar_sigma_mm: f64)
     })
 }
 
-/// By times, s, and readings, mm, in order of time.
+/// Points are times, s, and readings, mm, in order of time.
 fn line(points: &[[f64; 2]]) -> Option<Drift> {
     let readings = points.len();
     let span_s = points.last()?[0] - points.first()?[0];

@@ -1,30 +1,30 @@
-//! What the duration of a still interval says about it.
+//! The likelihood of the duration of a still interval.
 //!
-//! A commanded dwell lasts as long as the program waits, unless it is torn in two, runs together with
-//! the next ones, or the operator pauses in it. A pause leaves a still interval as long as itself. All that is
-//! weighed against a spurious one, as a fast robot leaves some between its moves.
+//! A commanded dwell lasts as long as the program waits, unless it is split in two, merges with the next ones, or the
+//! operator pauses in it. A pause leaves a still interval of its own duration. All these are weighed against a
+//! spurious interval, which a fast robot leaves between moves.
 
-/// Density of spurious dwells, 1/s.
+/// Rate of spurious dwells, 1/s.
 pub(super) const SPURIOUS: f64 = 0.02;
 /// Probability that a commanded dwell is not detected.
 pub(super) const MISSED: f64 = 0.08;
 
-/// Standard deviation of a dwell's duration where its cause is known, s.
+/// Standard deviation of the duration of a dwell of known cause, s.
 const SIGMA_S: f64 = 0.2;
-/// Share of the dwells that last as the program waits, are torn in two, and run together with the next.
+/// Shares of dwells that last as the program waits, that are split in two, and that merge with the next.
 const TRUE_TO_PLAN: f64 = 0.85;
 const TORN: f64 = 0.03;
 const MERGED: f64 = 0.03;
-/// Most poses that one dwell runs over.
+/// Most poses that one dwell merges with.
 const MOST_MERGED: usize = 4;
-/// What tears a dwell in two is no longer, s.
+/// Longest gap in a split dwell, s.
 const TEAR_S: f64 = 0.5;
 /// Probability that a pause shows as a still interval.
 const PAUSE_SEEN: f64 = 0.9;
-/// No evidence for a pause counts for more than this.
+/// Limit of the evidence for a pause.
 const MOST_EVIDENCE: f64 = 1e3;
 
-/// A still interval: its begin, its duration, and the density of that if it is spurious.
+/// A still interval: start, duration, and the density of this duration if it is spurious.
 #[derive(Clone, Copy)]
 pub(super) struct Span {
     pub(super) start_s: f64,
@@ -37,13 +37,12 @@ impl Span {
         Self { start_s, lasts_s, spurious: spurious(lasts_s) }
     }
 
-    /// Ratio of densities: that this is a dwell of `wait_s`, and that it is spurious.
+    /// Likelihood ratio of a dwell of `wait_s` to a spurious interval.
     pub(super) fn dwell(&self, wait_s: f64) -> f64 {
         duration(self.lasts_s, wait_s) / self.spurious
     }
 
-    /// Ratio of densities: that this and the `next` are one dwell of `wait_s`, torn, and that it is a dwell
-    /// and the next is spurious.
+    /// Likelihood ratio of one split dwell of `wait_s` (this and `next`) to a dwell followed by a spurious interval.
     pub(super) fn torn(&self, next: &Self, wait_s: f64) -> f64 {
         let gap_s = next.start_s - self.start_s - self.lasts_s;
         if self.lasts_s > wait_s || gap_s > TEAR_S {
@@ -54,8 +53,8 @@ impl Span {
         if torn > 0.0 { torn / (SPURIOUS * next.spurious * duration(self.lasts_s, wait_s)) } else { 0.0 }
     }
 
-    /// Ratio of probabilities: that this dwell of `wait_s` ran together with some of the next poses, and that
-    /// it did not and those were missed. `spans_s` are the times from its begin to each of their ends.
+    /// Likelihood ratio of a dwell of `wait_s` that merged with some of the next poses to one after which they
+    /// were missed. `spans_s` are the times from its start to the end of each of them.
     pub(super) fn merged(&self, wait_s: f64, spans_s: impl Iterator<Item = f64>) -> f64 {
         if self.lasts_s < wait_s + SIGMA_S {
             return 0.0;
@@ -71,8 +70,8 @@ impl Span {
         merged / duration(self.lasts_s, wait_s)
     }
 
-    /// Ratio of probabilities: that the program paused for `pause_s` after the begin of this dwell of `wait_s`
-    /// and that left its trace here or in a span `between`, and that it paused and nothing need show it.
+    /// Likelihood ratio of a pause of `pause_s` after the start of this dwell of `wait_s` that left a trace here
+    /// or in a span `between`, to a pause without a trace.
     pub(super) fn paused(&self, wait_s: f64, pause_s: f64, move_s: f64, between: &[Self]) -> f64 {
         let trace = |span: &Self| normal(span.lasts_s - pause_s) / span.spurious;
         let between = between.iter().map(trace).sum::<f64>() / (SPURIOUS * move_s.max(1.0));
@@ -82,7 +81,7 @@ impl Span {
     }
 }
 
-/// Density of a spurious interval's duration, 1/s: about as long as a move, or very long.
+/// Density of the duration of a spurious interval, 1/s: about that of a move, or very long.
 fn spurious(lasts_s: f64) -> f64 {
     const LEAST_S: f64 = 0.5;
     const MEAN_S: f64 = 1.2;
@@ -92,7 +91,7 @@ fn spurious(lasts_s: f64) -> f64 {
     short + LONG / LONG_S * (-lasts_s / LONG_S).exp().max(1e-6)
 }
 
-/// Density of a commanded dwell's duration, 1/s, whatever else may have changed it.
+/// Density of the duration of a commanded dwell, 1/s, with all other causes.
 fn duration(lasts_s: f64, wait_s: f64) -> f64 {
     const LONGER_S: f64 = 10.0;
     let longer_s = lasts_s - wait_s;
@@ -104,7 +103,7 @@ fn duration(lasts_s: f64, wait_s: f64) -> f64 {
     TRUE_TO_PLAN * normal(longer_s) + (1.0 - TRUE_TO_PLAN) * other
 }
 
-/// Density of a duration's deviation from what was expected, 1/s.
+/// Density of the deviation of a duration, 1/s.
 fn normal(deviation_s: f64) -> f64 {
     let standard = deviation_s / SIGMA_S;
     if standard.abs() > 6.0 {

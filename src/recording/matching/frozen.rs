@@ -1,4 +1,4 @@
-//! A bar that froze: for a while its reading stays equal to the last digit, although the robot moves.
+//! A frozen bar: its reading stays equal to the last digit although the robot moves.
 
 use std::ops::Range;
 
@@ -8,17 +8,17 @@ use crate::math::robust::median;
 use crate::recording::dwell::DwellReading;
 use crate::recording::stream::Stream;
 
-/// Fewer dwells show neither that the reading changes at rest nor that it does from one to the next.
+/// Least number of dwells that show whether the reading changes at rest, and between dwells.
 const LEAST_DWELLS: usize = 5;
-/// Share of the other dwells, or of the moves between them, within which the reading changes where the bar does not freeze.
+/// Share of other dwells, or of moves between them, within which the reading changes if the bar does not freeze.
 const ALIVE: f64 = 0.95;
-/// Readings that change at rest stay equal for less than so many dwells by chance,
+/// Longest constant reading of a bar whose reading changes at rest, in dwells,
 const DWELLS: f64 = 5.0;
-/// and coarse ones at fewer poses.
+/// and of a coarse bar, in poses.
 const POSES: usize = 3;
 
-/// The longest interval without any change that holds the motion between two poses, unless the scale of the bar is so coarse that
-/// such intervals are usual.
+/// The longest interval of constant reading that holds the motion between two poses, unless the scale of the bar
+/// is so coarse that such intervals are usual.
 pub(super) fn frozen(stream: &Stream, outcomes: &[PoseOutcome]) -> Option<MatchingFinding> {
     let longest = longest(stream)?;
     let (from_s, to_s) = (stream.t_s[longest.start], stream.t_s[longest.end - 1]);
@@ -26,7 +26,7 @@ pub(super) fn frozen(stream: &Stream, outcomes: &[PoseOutcome]) -> Option<Matchi
         pose.reading().is_some_and(|reading| reading.to_s > from_s && reading.from_s < to_s)
     };
     let read = outcomes.iter().filter(is_within).count();
-    // Poses without a reading are those between their neighbours with one; before the first and after the last the bar is off.
+    // Poses without a reading count between neighbours with one; before the first and after the last the bar is off.
     let before =
         outcomes.iter().rposition(|pose| pose.reading().is_some_and(|reading| reading.to_s <= from_s));
     let after = outcomes.iter().position(|pose| pose.reading().is_some_and(|reading| reading.from_s >= to_s));
@@ -55,7 +55,7 @@ pub(super) fn frozen(stream: &Stream, outcomes: &[PoseOutcome]) -> Option<Matchi
     })
 }
 
-/// The valid samples without change that last longest.
+/// The longest run of equal valid samples.
 fn longest(stream: &Stream) -> Option<Range<usize>> {
     let count = stream.reading_mm.len();
     let equal = |at: usize| stream.valid(at) && stream.reading_mm[at] == stream.reading_mm[at - 1];

@@ -1,8 +1,7 @@
-//! Dwells that were too faint to be detected, but whose time is known.
+//! Dwells that are too faint to be detected, but whose time is known.
 //!
-//! Where a move hardly changes the length, two dwells look like one. If the time between the certain
-//! dwells on either side is just what the program takes, it did not pause in between, and then the times of the poses
-//! between are known.
+//! If a move hardly changes the length, two dwells look like one. If the time between the certain dwells on both
+//! sides is what the program takes, it did not pause, and the times of the poses between them are known.
 
 use super::alignment::{Alignment, KEEP, Pairing};
 use super::program::{AFTER_S, Elapsed, Interval, Pace, Poses, Program};
@@ -10,15 +9,14 @@ use super::trellis::{SLACK, interval_variance_s2};
 use crate::recording::dwell::{Dwell, measure};
 use crate::recording::stream::Stream;
 
-/// The interval between the certain dwells must be commanded up to this, s; their begins to this each, s.
+/// Largest residual of the interval between the certain dwells, and largest standard deviation of their starts, s.
 const AGREES_S: f64 = 0.25;
 const BEGIN_KNOWN_S: f64 = 0.15;
-/// Kept free at the end of a dwell whose begin is known no better, s.
+/// Kept clear of the end of a dwell whose start is known no better, s.
 const MARGIN_S: f64 = 0.15;
-/// At most so many poses in one row: a short look back, not dead reckoning.
+/// Most inferred poses in a row: no dead reckoning.
 const MOST: usize = 4;
 
-/// A pose with its dwell.
 #[derive(Clone, Copy)]
 struct Certain {
     pose: usize,
@@ -33,8 +31,7 @@ struct Bridge {
     posterior: f64,
 }
 
-/// Pairs poses without a dwell with the time at which the program must have been there, where the reading then was
-/// still.
+/// Pairs poses without a dwell with the time at which the program was there, if the reading was still then.
 pub(super) fn infer(
     poses: &Poses<'_>,
     dwells: &mut Vec<Dwell>,
@@ -63,7 +60,7 @@ pub(super) fn infer(
             if matches!(alignment.pairings[pose], Pairing::Dwell { .. }) {
                 continue;
             }
-            // What is left over is shared out in proportion to the moves.
+            // The residual is distributed in proportion to the moves.
             let move_s = program.interval(from.pose, pose, Elapsed::default()).move_s;
             let whole_s = bridge.interval.move_s;
             let share = if whole_s > 0.0 { move_s / whole_s } else { 0.0 };
@@ -93,8 +90,8 @@ fn bridge(program: &Program, pace: Pace, [from, to]: [Certain; 2], stream: &Stre
     };
     let interval = program.interval(from.pose, to.pose, elapsed);
     let residual_s = interval.residual_s(pace);
-    // Both neighbours are theirs, and the program did not pause between them. A begin that was detected
-    // wrongly does not make the pose another one, so long as the interval agrees.
+    // Both neighbours belong to their poses, and the program did not pause between them. An error of a detected
+    // start does not make it another pose if the interval agrees.
     let posterior = from.posterior * to.posterior * interval.unpaused(pace);
     let off = interval.by_hand || interval.passed > MOST || residual_s.abs() > AGREES_S;
     (!off && posterior > KEEP).then_some(Bridge { interval, residual_s, posterior })

@@ -1,9 +1,9 @@
-//! How much later the bar's reading comes than the published axes that belong to it.
+//! The lag of the bar's reading behind the published axes.
 //!
-//! In a window of half a second L(t) is the length that the nominal robot has at the measured axes, d(t) its derivative,
-//! r(t) the reading at t + lag less L(t). A lag that is left shows as r = .. + lag d. What the errors of robot and
-//! base ball do within a window is a constant, a trend and a scale of L: these are removed first. The lag is the weighted median
-//! over all windows, so that windows without the bar on its balls do not count.
+//! In a window of half a second, L(t) is the length of the nominal robot at the measured axes, d(t) its
+//! derivative, and r(t) the reading at t + lag less L(t). A remaining lag shows as r = .. + lag d. Errors of the
+//! robot and of the base ball change slowly: a constant, a trend and a scale of L are removed from both first. The
+//! lag is the weighted median over all windows, so that windows without the bar on its balls do not count.
 
 use nalgebra::Vector3;
 use serde::Serialize;
@@ -13,7 +13,7 @@ use crate::math::robust;
 use crate::recording::stream::Stream;
 use crate::robot::Geometry;
 
-/// The lag of the bar's line behind the controller's.
+/// Lag of the bar's line behind the controller's.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct BarLag {
     pub lag_s: f64,
@@ -22,7 +22,7 @@ pub struct BarLag {
     pub windows: usize,
 }
 
-/// When the bar is on a ball, in the track's time.
+/// When the bar is on a ball, in the time of the track.
 #[derive(Clone, Debug)]
 pub(super) struct OnBall {
     pub(super) from_s: f64,
@@ -31,23 +31,22 @@ pub(super) struct OnBall {
 }
 
 const WINDOW_S: f64 = 0.5;
-/// Less change of d within a window shows no lag, mm/s (root of the mean square).
+/// Least RMS change of d within a window, mm/s.
 const LEAST_MM_S: f64 = 0.05;
 const LEAST_WINDOWS: usize = 5;
-/// No line is later, s.
+/// Largest lag, s.
 const MOST_S: f64 = 0.5;
-/// A lag known no better is none: the lengths are not those of these axes, s.
+/// A lag with a larger standard deviation is rejected: these lengths do not belong to these axes, s.
 const WORST_SD_S: f64 = 0.005;
 const ROUNDS: usize = 6;
 
-/// A window: times, lengths and their derivatives.
 struct Window {
     t_s: Vec<f64>,
     length_mm: Vec<f64>,
     slope_mm_s: Vec<f64>,
 }
 
-/// `None` where no motion shows it.
+/// `None` if no motion shows it.
 pub(super) fn determine(
     published: &Published<'_>,
     stream: &Stream,
@@ -79,7 +78,6 @@ pub(super) fn determine(
     found.filter(|lag| lag.sd_s < WORST_SD_S)
 }
 
-/// What a window shows.
 struct Shown {
     lag_s: f64,
     weight: f64,
@@ -96,7 +94,7 @@ fn median(shown: &mut [Shown]) -> f64 {
     middle.map_or(0.0, |one| one.lag_s)
 }
 
-/// The windows of motion while the bar is on a ball; times are the bar's.
+/// The windows of motion while the bar is on a ball, in the time of the bar.
 fn windows(published: &Published<'_>, geometry: &Geometry, on: &OnBall) -> Vec<Window> {
     let track = published.track;
     let all = track.at(on.from_s)..track.at(on.to_s);
@@ -125,7 +123,7 @@ fn windows(published: &Published<'_>, geometry: &Geometry, on: &OnBall) -> Vec<W
 }
 
 impl Window {
-    /// The lag that is left, by this window.
+    /// The remaining lag by this window.
     fn lag(&self, stream: &Stream, lag_s: f64) -> Option<Shown> {
         let mut left = Vec::with_capacity(self.t_s.len());
         for (t_s, length) in self.t_s.iter().zip(&self.length_mm) {
@@ -138,7 +136,7 @@ impl Window {
             let mut part = part;
             removed.iter().for_each(|other| remove(&mut part, other));
             let rest = norm(&part);
-            // What is left of a part by rounding is none.
+            // A part that is zero within rounding is skipped.
             if rest > 1e-7 * whole {
                 part.iter_mut().for_each(|value| *value /= rest);
                 remove(&mut slopes, &part);
@@ -149,7 +147,7 @@ impl Window {
         let weight = slopes.iter().map(|slope| slope * slope).sum::<f64>();
         let products: f64 = slopes.iter().zip(&left).map(|(slope, left)| slope * left).sum();
         let shows = (weight / slopes.len() as f64).sqrt() > LEAST_MM_S;
-        // Later readings are those of earlier axes.
+        // Later readings belong to earlier axes.
         shows.then_some(Shown { lag_s: -products / weight, weight })
     }
 }
@@ -158,15 +156,15 @@ fn norm(values: &[f64]) -> f64 {
     values.iter().map(|value| value * value).sum::<f64>().sqrt()
 }
 
-/// Removes the part along a unit vector.
+/// Removes the component along a unit vector.
 fn remove(from: &mut [f64], unit: &[f64]) {
     let share: f64 = from.iter().zip(unit).map(|(a, b)| a * b).sum();
     from.iter_mut().zip(unit).for_each(|(value, unit)| *value -= share * unit);
 }
 
-/// The reading at a time between two valid samples.
+/// The reading interpolated between two valid samples.
 fn reading(stream: &Stream, t_s: f64) -> Option<f64> {
-    /// Samples further apart have a gap between them, s.
+    /// Samples further apart than this have a gap between them, s.
     const APART_S: f64 = 0.05;
     let after = stream.at(t_s);
     let before = after.checked_sub(1)?;

@@ -1,5 +1,5 @@
-//! Whether the reading follows the sync markers. Their height is commanded, so they show sign and scale of the bar, which
-//! the lengths at the poses do not: a robot that is as much worse explains these as well.
+//! Checks that the reading follows the sync markers. Their height is commanded, so they show sign and scale of the
+//! bar. The lengths at the poses do not: a worse robot would explain them as well.
 
 use super::PoseMatching;
 use super::outcome::PoseOutcome;
@@ -9,44 +9,43 @@ use crate::math::straight_line::Regression;
 use crate::plan::{Kind, Motion, Plan};
 use crate::recording::stream::Stream;
 
-/// A marker is the only line of less, mm.
+/// A linear move shorter than this is a marker, mm.
 const LONGEST_MM: f64 = 1.0;
-/// What a marker is searched by, either way, s at full override, and the step.
+/// Range and step of the search for a wave, s at full override.
 const SEARCH_S: f64 = 1.0;
 const STEP_S: f64 = 0.01;
-/// A controller rests so long between two exact stops, s.
+/// Pauses of a controller between two exact stops, s.
 const PAUSES_S: [f64; 4] = [0.0, 0.05, 0.1, 0.2];
-/// Share of the reading's variance that a marker explains where it is seen.
+/// Share of the variance of the reading that a wave must explain.
 const SEEN: f64 = 0.9;
-/// Samples of a wave below which it is not judged.
+/// Least number of samples of a wave.
 const LEAST_SAMPLES: usize = 12;
-/// Waves from which sign and scale are judged, and the deviation that is no chance, in standard deviations.
+/// Least number of waves for a judgement, and the least significant deviation, in standard deviations.
 const LEAST_WAVES: usize = 3;
 const SURE: f64 = 5.0;
-/// What a robot may go less than commanded by its play, and more, in its repeatabilities.
+/// Allowed error of a marker, in repeatabilities of the robot: too short (by backlash), and too long.
 const LESS: f64 = 2.0;
 const MORE: f64 = 1.0;
 /// Repeatability of a robot that states none, mm.
 const REPEATABILITY_MM: f64 = 0.1;
 
-/// The reading over the commanded length, of all waves that are seen.
+/// Ratio of the reading to the commanded length over all detected waves.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Markers {
     pub scale: f64,
     /// Standard deviation of the scale.
     pub sd: f64,
-    /// Mean commanded height, mm, by its size.
+    /// Mean absolute height as commanded, mm.
     pub height_mm: f64,
     pub waves: usize,
 }
 
-/// The markers of a module's begin or end: corners of the length over the time at full override.
+/// The markers at the start or end of a module: the length over time at full override.
 struct Wave {
-    /// When it begins by the dwell beside it, s of the stream.
+    /// Start by the dwell beside it, s of the stream.
     begins_s: f64,
-    /// Durations of its moves, s.
     moves_s: Vec<f64>,
-    /// The length at its corners less that before, mm.
+    /// Length at its corners less the length before, mm.
     corners_mm: Vec<f64>,
 }
 
@@ -58,7 +57,7 @@ struct Fit {
 }
 
 impl Markers {
-    /// Of a run that was matched; `None` where too few markers are seen.
+    /// `None` if too few markers are detected in a matched run.
     pub fn seen(plan: &Plan, stream: &Stream, matching: &PoseMatching) -> Option<Self> {
         let stretch = matching.override_factor.unwrap_or(1.0).recip();
         let waves = waves(plan, matching, stretch);
@@ -76,7 +75,7 @@ impl Markers {
         Some(Self { scale, sd: (squares / (count - 1.0) / count).sqrt(), height_mm, waves: seen.len() })
     }
 
-    /// What is wrong with sign or scale, beyond chance and beyond what the robot may go otherwise than commanded.
+    /// A wrong sign or scale, beyond chance and beyond the error of the robot.
     pub fn finding(&self, repeatability_mm: Option<f64>) -> Option<Finding> {
         let &Self { scale, sd, height_mm, waves } = self;
         let off = scale - 1.0;
@@ -92,7 +91,7 @@ impl Markers {
     }
 }
 
-/// The waves of a plan that have a dwell beside them.
+/// The waves of a plan next to which a dwell was matched.
 fn waves(plan: &Plan, matching: &PoseMatching, stretch: f64) -> Vec<Wave> {
     let rows = &plan.rows;
     let is_marker = |at: usize| {
@@ -114,7 +113,7 @@ fn waves(plan: &Plan, matching: &PoseMatching, stretch: f64) -> Vec<Wave> {
         let base_mm = rows[first - 1].length_mm;
         let corners_mm = (first - 1..end).map(|at| rows[at].length_mm - base_mm).collect();
         let stops = |at: &usize| rows[*at].kind != Kind::Transit && !rows[*at].is_passed();
-        // A move of the operator's choice is not timed.
+        // The duration of a PTP move is not planned.
         let timed = |at: &usize| rows[*at].motion != Motion::Ptp;
         let after = (end..rows.len()).take_while(timed).find(stops);
         let before = || (0..first).rev().take_while(timed).find(stops);
@@ -133,7 +132,7 @@ fn waves(plan: &Plan, matching: &PoseMatching, stretch: f64) -> Vec<Wave> {
     groups.filter_map(wave).collect()
 }
 
-/// From when to when a pose was read, s of the stream.
+/// Interval in which a pose was read, s of the stream.
 fn reading(matching: &PoseMatching, index: u32) -> Option<(f64, f64)> {
     let at = matching.outcomes.binary_search_by_key(&index, |pose| pose.index).ok()?;
     matching.outcomes.get(at).and_then(PoseOutcome::reading).map(|reading| (reading.from_s, reading.to_s))
@@ -144,7 +143,7 @@ impl Wave {
         self.corners_mm.iter().fold(0.0, |most, corner| corner.abs().max(most))
     }
 
-    /// The best fit near where it should be; `None` where it is not seen.
+    /// The best fit near the expected time; `None` if the wave is not seen.
     fn fit(&self, stream: &Stream, stretch: f64) -> Option<Fit> {
         let steps = (SEARCH_S * stretch / STEP_S) as i32;
         let fits = PAUSES_S.iter().flat_map(|&pause_s| {
@@ -182,7 +181,7 @@ impl Shape {
         from_mm + share * (to_mm - from_mm)
     }
 
-    /// The readings from `begins_s` on by this shape, beside a level and a slope.
+    /// Fits scale, level and slope to the readings from `begins_s` on.
     fn fit(&self, stream: &Stream, begins_s: f64) -> Option<Fit> {
         let ends_s = begins_s + self.knots.last()?[0];
         let valid: Vec<usize> =
@@ -199,7 +198,7 @@ impl Shape {
     }
 }
 
-/// What values over times leave of their straight line.
+/// The values less their straight line over time.
 fn bent(values: impl Iterator<Item = (f64, f64)>) -> Option<Vec<f64>> {
     let points: Vec<[f64; 2]> = values.map(|(x, y)| [x, y]).collect();
     let Regression { centre: [middle, level], slope, .. } = Regression::through(&points)?;

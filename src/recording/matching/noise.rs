@@ -1,40 +1,40 @@
-//! The bar's noise when nothing moves, from which the thresholds of stillness follow.
+//! Noise of the bar at rest, from which the thresholds of stillness follow.
 //!
-//! It is taken from an interval in which the robot is surely at rest: at the first HALT, where the bar is mounted and the
-//! program waits. A run that does not begin so (a foreign trace) has it from the quietest of its still intervals. What
-//! is measured is the slope itself, so that correlated noise and slow wander are in it as they are; the white part,
-//! which neighbouring blocks show far better, is its least value. A bar that stays on a step of its scale is treated
-//! by that step.
+//! It is taken from an interval in which the robot is surely at rest: the first HALT, at which the bar is mounted
+//! and the program waits. A run without such a start (an imported trace) takes it from the quietest of its still
+//! intervals. The measure is the slope itself, so that correlated noise and slow wander count as they are; its
+//! lower limit is the white part, which adjacent blocks show much better. For a bar that stays on a step of its
+//! scale, the step is the noise.
 
 use super::windows::Windows;
 use crate::math::robust;
 use crate::recording::dwell::Dwell;
 use crate::recording::stream::Stream;
 
-/// No bar is trusted to show a change below this within a window, mm.
+/// Smallest change of the reading within a window that counts, mm.
 const LEAST_CHANGE_MM: f64 = 0.0002;
-/// A dwell at the start lasts that long, s.
+/// Least duration of the dwell at the start, s.
 const START_S: f64 = 2.0;
-/// A dwell's ends are not used: there the motion rounds off, s.
+/// The ends of a dwell are not used, s: there the motion is rounded off.
 const INSET_S: f64 = 0.1;
-/// The lower quartile of the slopes' rms in dwells of a second or two is this share of the true one.
+/// Ratio of the lower quartile of the slopes' RMS to the true one, in dwells of a second or two.
 const QUARTILE: f64 = 0.75;
-/// The start may be this many times as noisy as the quiet quarter: beyond that the bar was still being handled.
+/// Limit for the noise at the start, as a multiple of the quiet quarter: with more the bar was still being handled.
 const UNQUIET: f64 = 2.0;
 
-/// Noise of one width of windows at rest.
+/// Noise at rest for windows of one width.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Quiet {
     /// Standard deviation of a window's slope, mm/s.
     pub(super) slope_sigma: f64,
-    /// Usual scatter of the block means about the window's line, mm.
+    /// Median scatter of the block means about the line of a window, mm.
     pub(super) scatter_sigma: f64,
-    /// Slope that cannot be distinguished from none, mm/s.
+    /// Slope that cannot be distinguished from zero, mm/s.
     pub(super) slope_floor: f64,
 }
 
 impl Quiet {
-    /// By the bulk of the whole run, in which slow moves count as well: a first look.
+    /// First pass: by the bulk of the whole run, which contains slow moves.
     pub(super) fn of_bulk(windows: &Windows, rests: f64, least_mm: f64) -> Self {
         let finite = windows.slopes.iter().filter(|slope| slope.is_finite());
         let slope_sigma = robust::bulk_scale(&mut finite.map(|slope| slope.abs()).collect::<Vec<_>>());
@@ -50,7 +50,7 @@ impl Quiet {
         Self { slope_sigma, scatter_sigma, slope_floor }
     }
 
-    /// By the dwells of a first look; `None` when no window lies within any.
+    /// By the dwells of the first pass; `None` if no window lies within any.
     pub(super) fn at_rest(windows: &Windows, looked: &[Dwell], least_mm: f64) -> Option<Self> {
         let mut rms: Vec<f64> = Vec::new();
         let mut scatters: Vec<f64> = Vec::new();
@@ -78,7 +78,7 @@ impl Quiet {
     }
 }
 
-/// Rms of the slopes and median of the scatters of the windows that lie within a dwell.
+/// RMS of the slopes and median of the scatters of the windows within a dwell.
 fn within(windows: &Windows, dwell: &Dwell) -> Option<[f64; 2]> {
     let inset_s = INSET_S + 0.5 * windows.window_s;
     let at = |t_s: f64| windows.blocks.partition_point(|block| block.t_s < t_s);
@@ -90,7 +90,7 @@ fn within(windows: &Windows, dwell: &Dwell) -> Option<[f64; 2]> {
     Some([mean_square.sqrt(), robust::median(&mut scatters)?])
 }
 
-/// Standard deviation of a block's mean by the differences of neighbours within a dwell, mm.
+/// Standard deviation of a block mean by differences of neighbours within a dwell, mm.
 fn block_noise(windows: &Windows, dwell: &Dwell) -> f64 {
     let inside = |t_s: f64| t_s >= dwell.start_s + INSET_S && t_s <= dwell.end_s - INSET_S;
     let inside = windows.blocks.iter().filter(|block| inside(block.t_s));
@@ -99,8 +99,8 @@ fn block_noise(windows: &Windows, dwell: &Dwell) -> f64 {
     robust::SIGMA_OF_MAD * robust::median(&mut steps).unwrap_or(0.0) / 2f64.sqrt()
 }
 
-/// What change of the reading may be none, mm: half a step of the bar's scale where the noise does not carry the reading
-/// over the steps, so that no mean is better.
+/// Change of the reading that may be zero, mm: half a step of the scale if the noise does not carry the reading
+/// across steps, so that averaging does not help.
 pub(super) fn least_change_mm(stream: &Stream) -> f64 {
     const ENOUGH: usize = 100_000;
     let stride = (stream.len() / ENOUGH).max(1);
@@ -108,7 +108,7 @@ pub(super) fn least_change_mm(stream: &Stream) -> f64 {
     let changes = pairs.map(|at| (stream.reading_mm[at] - stream.reading_mm[at - 1]).abs());
     let changes: Vec<f64> = changes.collect();
     let mut steps: Vec<f64> = changes.iter().copied().filter(|change| *change > 0.0).collect();
-    // In fast moves the reading passes over several steps at once.
+    // In fast moves the reading skips steps.
     let quarter = steps.len() / 4;
     if 2 * steps.len() >= changes.len() || steps.is_empty() {
         return LEAST_CHANGE_MM;

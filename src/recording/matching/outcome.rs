@@ -1,4 +1,4 @@
-//! The match outcome of each commanded pose, and what the user should know of a run.
+//! The match outcome of each commanded pose, and the findings about a run.
 
 use super::alignment::Pairing;
 use super::program::{Pace, Poses};
@@ -8,7 +8,6 @@ use crate::plan::Plan;
 use crate::recording::dwell::{Dwell, DwellReading};
 use crate::recording::stream::Stream;
 
-/// A commanded dwell and its outcome.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PoseOutcome {
     /// The plan's index.
@@ -18,11 +17,11 @@ pub struct PoseOutcome {
 
 #[derive(Clone, Debug, PartialEq)]
 pub enum MatchOutcome {
-    /// It has a length; `posterior` is the probability that the dwell is this pose's.
+    /// `posterior` is the probability that the dwell belongs to this pose.
     Matched { reading: DwellReading, posterior: f64 },
-    /// It has no length.
+    /// Without a length.
     Missing { reason: Finding },
-    /// Dropped, since it is not certain which dwell is its.
+    /// Dropped, because it is not certain which dwell belongs to it.
     Ambiguous { reason: Finding },
 }
 
@@ -35,10 +34,10 @@ impl PoseOutcome {
     }
 }
 
-/// When poses should have begun, by their matched neighbours.
+/// Expected starts of poses, from their matched neighbours.
 pub(super) struct ExpectedTimes<'a> {
     poses: &'a Poses<'a>,
-    /// Begin of the matched dwell of each pose, s.
+    /// Start of the matched dwell of each pose, s.
     starts: Vec<Option<f64>>,
     pace: Pace,
 }
@@ -61,7 +60,7 @@ impl<'a> ExpectedTimes<'a> {
         }
     }
 
-    /// When pose `at` should have begun; `None` when no pose of its module was matched.
+    /// Expected start of pose `at`; `None` if no pose of its module was matched.
     fn expected_s(&self, at: usize) -> Option<f64> {
         let Poses { commanded, program, .. } = self.poses;
         let near =
@@ -102,7 +101,7 @@ impl<'a> ExpectedTimes<'a> {
     }
 }
 
-/// Why a dwell that was detected gave no reading.
+/// Why a detected dwell has no reading.
 pub(super) fn unread(stream: &Stream, dwell: &Dwell) -> Finding {
     let &Dwell { start_s: at_s, end_s, .. } = dwell;
     let range = stream.at(at_s)..stream.at(end_s);
@@ -116,11 +115,11 @@ pub(super) fn unread(stream: &Stream, dwell: &Dwell) -> Finding {
     }
 }
 
-/// Why no dwell is a pose's, as far as the stream shows it.
+/// Why no pose was matched, as far as the stream shows it.
 pub fn nothing_matched(plan: &Plan, stream: &Stream) -> Finding {
-    /// No bar is still to less while a robot moves it, mm.
+    /// Least range of the reading while a robot moves the bar, mm.
     const STILL_MM: f64 = 0.005;
-    /// No run takes so many times as long as its program.
+    /// Longest run as a multiple of the duration of its program.
     const LONGEST: f64 = 50.0;
     let valid = (0..stream.len()).filter(|at| stream.valid(*at)).map(|at| stream.reading_mm[at]);
     let [low, high] = valid.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], reading| {
@@ -142,7 +141,6 @@ fn percent(part: usize, all: usize) -> f64 {
     100.0 * part as f64 / all as f64
 }
 
-/// What the user should know about a run.
 pub(super) fn findings(matching: &PoseMatching, stream: &Stream) -> Vec<Finding> {
     let mut findings = Vec::new();
     let poses = matching.outcomes.len();
@@ -188,12 +186,12 @@ pub(super) fn findings(matching: &PoseMatching, stream: &Stream) -> Vec<Finding>
     findings
 }
 
-/// Whether the measured axis angles are not the commanded ones: everywhere by a little in an absolute-accuracy mode, at
-/// single poses or by far where something is wrong.
+/// Whether the measured axes differ from the commanded ones: everywhere by a little in absolute-accuracy mode, at
+/// single poses or by far if something is wrong.
 pub(super) fn axes_apart(matching: &PoseMatching, plan: &Plan) -> Option<Finding> {
-    /// No controller in position is further off, degrees.
+    /// Largest deviation of a controller in position, degrees.
     const IN_POSITION_DEG: f64 = 0.05;
-    /// No robot is corrected by more at most of its poses, degrees.
+    /// Largest correction in absolute-accuracy mode at most poses, degrees.
     const CORRECTED_DEG: f64 = 3.0;
     let apart_deg = matching.observations.rows.iter().filter_map(|row| {
         let commanded = plan.rows.get((row.index as usize).checked_sub(1)?)?;

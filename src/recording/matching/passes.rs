@@ -1,9 +1,9 @@
-//! Lengths at the points of a pass without stops: the commanded path against time.
+//! Lengths at the points of a pass without stops, by the commanded path over time.
 //!
-//! Strobe or reports show when the motion began and ended; how long it took against the plan gives the override. What
-//! is read comes later than what is commanded, by the lag of the drives and the delays of output and line. At a
-//! constant speed these are one number, and a pass each way determines it: the length at an angle is then read early
-//! on the one and late on the other.
+//! Strobe or reports show when the motion started and ended; its duration against the plan gives the override. The
+//! reading is late by the lag of the drives and the delays of output and line. At constant speed these are one
+//! number, which a pass in each direction determines: the length at an angle is read too early on one and too late
+//! on the other.
 
 use std::ops::Range;
 
@@ -17,15 +17,14 @@ use crate::plan::{Pass, Plan};
 use crate::recording::dwell::Dwell;
 use crate::recording::{reports, strobe_decoder};
 
-/// The lag that a pair of passes over one circle shows.
+/// The lag that the passes over one circle in both directions show.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Lag {
     pub circle: u32,
-    /// How much later the reading comes than the commanded motion, s.
+    /// Delay of the reading behind the commanded motion, s.
     pub lag_s: f64,
-    /// Its standard deviation, s.
     pub sd_s: f64,
-    /// Counter-clockwise less clockwise length, mm: what backlash and friction leave.
+    /// Counter-clockwise less clockwise length, mm: the effect of backlash and friction.
     pub hysteresis_mm: f64,
 }
 
@@ -33,13 +32,13 @@ pub struct Lag {
 pub(super) struct Passes {
     pub(super) points: Vec<PassPoint>,
     pub(super) lags: Vec<Lag>,
-    /// Circles whose lag no pair of passes determines.
+    /// Circles whose lag is not determined by passes in both directions.
     pub(super) one_way: Vec<u32>,
-    /// When the robot was on a pass, s.
+    /// Intervals of the passes, s.
     spans_s: Vec<Range<f64>>,
-    /// The measured axes at the points, degrees, by the plan's index.
+    /// Measured axes at the points, degrees, by the plan's index.
     pub(super) axes_deg: MeasuredAxes,
-    /// Pairs of axes and length in motion, and how many independent ones they are worth.
+    /// Number of pairs of axes and length in motion, and of independent ones.
     pub(super) pairs: usize,
     pub(super) effective_pairs: f64,
 }
@@ -47,25 +46,25 @@ pub(super) struct Passes {
 #[derive(Clone, Debug)]
 pub(super) struct PassPoint {
     pub(super) pose: PoseOutcome,
-    /// How much the point's length is uncertain by the lag, mm.
+    /// Uncertainty of the length by the lag, mm.
     pub(super) timing_mm: f64,
 }
 
-/// Before a pair determines it the lag is known to be about 0, with this standard deviation, s.
+/// Prior standard deviation of the lag about 0, s.
 pub(super) const LAG_SD_S: f64 = 0.05;
-/// A motion lasts as planned over the override: no longer than this many times, no shorter.
+/// Range of the duration of a motion, as a multiple of the planned one.
 const STRETCHES: Range<f64> = 0.97..10.0;
-/// Angles that are the same one, degrees.
+/// Largest difference of equal angles, degrees.
 const SAME_DEG: f64 = 0.01;
 
-/// A pass that was found.
 struct Found<'a> {
     pass: &'a Pass,
-    /// When each of its points was passed, s: by the command, or by the measured axes in the bar's time without lag.
+    /// When each of its points was passed, s: by the command, or by the measured axes in the time of the bar
+    /// without lag.
     times_s: Vec<f64>,
 }
 
-/// What was read at a point of a pass, by the plan's index.
+/// The reading at a point of a pass, by the plan's index.
 struct PointReading {
     index: u32,
     passing: Option<Passing>,
@@ -95,7 +94,7 @@ pub(super) fn read(input: &Input<'_>) -> Passes {
     passes
 }
 
-/// The passes by the published axes, of which `times_s` has when each point was passed, s of the track.
+/// The passes by the published axes; `times_s` are the times of the points of each pass, s of the track.
 pub(super) fn read_published(
     input: &Input<'_>,
     published: &Published<'_>,
@@ -121,7 +120,7 @@ pub(super) fn read_published(
 
 impl Passes {
     /// Whether a dwell lies on a pass.
-    pub(super) fn holds(&self, dwell: &Dwell) -> bool {
+    pub(super) fn contains(&self, dwell: &Dwell) -> bool {
         let middle_s = 0.5 * (dwell.start_s + dwell.end_s);
         self.spans_s.iter().any(|span| span.contains(&middle_s))
     }
@@ -136,7 +135,7 @@ impl Passes {
         self.points.push(PassPoint { pose: PoseOutcome { index, outcome }, timing_mm });
     }
 
-    /// A point of a pass, which the axes passed at a time of their track.
+    /// Adds a point of a pass by the published axes, passed at a time of their track.
     fn published(&mut self, published: &Published<'_>, point: PointReading, track_s: f64) {
         let PointReading { index, passing, half_s } = point;
         match passing.zip(published.passing_deg(track_s, half_s)) {
@@ -151,17 +150,17 @@ impl Passes {
         }
     }
 
-    /// The passes over one circle, of which any number was found.
+    /// Adds the passes over one circle, however many were found.
     fn circle(&mut self, input: &Input<'_>, circle: u32, found: &[Found<'_>]) {
         let read = |lag_s: f64| -> Vec<Vec<PointReading>> {
             found.iter().map(|one| one.points(input, lag_s)).collect()
         };
         let (mut lag_s, mut sd_s) = (0.0, LAG_SD_S);
         let mut points = read(lag_s);
-        // Each round looks where the one before says; the fit is linear in what is left.
+        // Each round reads at the lag of the one before; the fit is linear in the remaining lag.
         for round in 0..3 {
             let Some(left) = remaining_lag(input.plan, found, &points) else { break };
-            // What is known of lags at all counts as one observation more.
+            // The prior counts as one more observation.
             let [prior, measured] = [LAG_SD_S, left.sd_s].map(|sd| 1.0 / (sd * sd));
             lag_s = measured * (lag_s + left.lag_s) / (measured + prior);
             sd_s = 1.0 / (measured + prior).sqrt();
@@ -186,7 +185,7 @@ impl Passes {
 }
 
 impl Found<'_> {
-    /// What was read at each point, `lag_s` after its time.
+    /// The reading at each point, `lag_s` after its time.
     fn points(&self, input: &Input<'_>, lag_s: f64) -> Vec<PointReading> {
         let times_s = &self.times_s;
         let half_s = |at: usize| {
@@ -203,8 +202,8 @@ impl Found<'_> {
     }
 }
 
-/// The lag that is left, its standard deviation, and the hysteresis: least squares of the differences between the two
-/// senses at the same angles. `None` without a pass each way, or where no length changes.
+/// The remaining lag, its standard deviation, and the hysteresis: least squares of the differences of both
+/// directions at the same angles. `None` without both directions, or if no length changes.
 fn remaining_lag(plan: &Plan, found: &[Found<'_>], points: &[Vec<PointReading>]) -> Option<Lag> {
     let pairs = sense_pairs(plan, found, points).filter(|pairs| pairs.len() >= 4)?;
     let Regression { centre: [slope_mm_s, reading_mm], slope: lag_s, slope_sd } =
@@ -212,8 +211,8 @@ fn remaining_lag(plan: &Plan, found: &[Found<'_>], points: &[Vec<PointReading>])
     Some(Lag { circle: 0, lag_s, sd_s: slope_sd.max(1e-6), hysteresis_mm: lag_s * slope_mm_s - reading_mm })
 }
 
-/// At each angle that was passed in both senses: counter-clockwise less clockwise slope (mm/s), and clockwise less
-/// counter-clockwise reading (mm).
+/// At each angle passed in both directions: slope counter-clockwise less clockwise (mm/s), and reading clockwise less
+/// counter-clockwise (mm).
 fn sense_pairs(plan: &Plan, found: &[Found<'_>], points: &[Vec<PointReading>]) -> Option<Vec<[f64; 2]>> {
     let places = plan.circle_places();
     let sense = |clockwise: bool| {
@@ -236,7 +235,7 @@ fn sense_pairs(plan: &Plan, found: &[Found<'_>], points: &[Vec<PointReading>]) -
     Some(counter.iter().filter_map(pair).collect())
 }
 
-/// When each pass began and ended, s of the stream, or why that is not known.
+/// When each pass started and ended, s of the stream, or why this is unknown.
 fn spans(input: &Input<'_>) -> Vec<Result<Range<f64>, Finding>> {
     let passes = &input.plan.header.passes;
     if let Some(reported) = reports::spans(input.reports, input.stream) {

@@ -1,20 +1,19 @@
-//! The length at a moment of a motion: all samples around it, by a parabola.
+//! The length at a moment of a motion, by a parabola through the samples around it.
 
 use crate::recording::dwell::{DwellReading, Scatter, least_u_mm};
 use crate::recording::stream::Stream;
 
-/// What was read as the robot passed a point.
+/// The reading as the robot passed a point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Passing {
-    /// `u_mm` is that of the parabola's value at the point, with the effective number of samples as for a dwell.
+    /// `u_mm` is that of the parabola at the point, with the effective number of samples as for a dwell.
     pub(super) reading: DwellReading,
-    /// Change of the reading there, mm/s.
     pub(super) slope_mm_s: f64,
-    /// How many independent samples the reading is worth.
+    /// Effective number of samples.
     pub(super) effective: f64,
 }
 
-/// y = a + b x + c x^2 by least squares.
+/// Least-squares fit of y = a + b x + c x^2.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Parabola {
     coefficients: nalgebra::Vector3<f64>,
@@ -22,7 +21,6 @@ pub(super) struct Parabola {
 }
 
 impl Parabola {
-    /// At x = 0.
     pub(super) fn value(&self) -> f64 {
         self.coefficients[0]
     }
@@ -32,7 +30,7 @@ impl Parabola {
     }
 }
 
-/// The parabola through points with |x| <= 1; `None` where they are too few, or all on one side.
+/// Fits points with |x| <= 1; `None` if they are too few, or all on one side.
 pub(super) fn parabola(points: impl Iterator<Item = (f64, f64)> + Clone) -> Option<Parabola> {
     let (first, last) = points
         .clone()
@@ -59,12 +57,12 @@ pub(super) fn parabola(points: impl Iterator<Item = (f64, f64)> + Clone) -> Opti
     Some(Parabola { coefficients, inverse })
 }
 
-/// Fewer samples determine no parabola.
+/// Least number of samples.
 const LEAST_SAMPLES: usize = 6;
-/// A side of the point on which less than this share of the window was read is too little.
+/// Least share of the window on each side of the point.
 const LEAST_SHARE: f64 = 0.5;
 
-/// The reading at `at_s` by the samples no more than `half_s` away.
+/// The reading at `at_s` by the samples within `half_s`.
 pub(super) fn passing(stream: &Stream, at_s: f64, half_s: f64) -> Option<Passing> {
     let range = stream.at(at_s - half_s)..stream.at(at_s + half_s);
     let valid: Vec<(f64, f64)> = range

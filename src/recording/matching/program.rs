@@ -1,16 +1,16 @@
-//! What the plan commands, as the alignment sees it: dwells with the moves before them, and how likely a time between
-//! two of them is.
+//! The program as the alignment sees it: dwells with the moves before them, and the probability of a time between two
+//! of them.
 
 use crate::plan::{Kind, MODULE_DWELLS, Plan, PlanRow};
 
-/// A dwell that the program commands.
+/// A commanded dwell.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Commanded {
-    /// Time of all moves since the dwell before, at full override, s.
+    /// Duration of all moves since the dwell before, at full override, s.
     pub move_s: f64,
-    /// Time that the robot rests here, s.
+    /// Duration of the rest at this pose, s.
     pub wait_s: f64,
-    /// The program module that holds it; each is started by hand.
+    /// Index of the program module; each is started by hand.
     pub module: usize,
 }
 
@@ -21,7 +21,7 @@ pub(super) struct Poses<'a> {
     pub(super) program: Program,
 }
 
-/// The program waits that long after a dwell, s.
+/// The program waits this long after a dwell, s.
 pub(super) const AFTER_S: f64 = 0.1;
 
 /// Whether the robot stops at a row to be measured.
@@ -36,7 +36,7 @@ impl<'a> Poses<'a> {
         let (mut move_s, mut module, mut dwells, mut circle) = (0.0, 0, 0, 0);
         for (at, row) in plan.rows.iter().enumerate() {
             move_s += plan.header.moves.get(at).map_or(0.0, |time| time.duration_s);
-            // Rows of no circle (the start, the way over) belong to the module that runs.
+            // Rows of no circle (the start, the transit) belong to the running module.
             let next_circle = row.circle != 0 && circle != 0 && row.circle != circle;
             if row.circle != 0 {
                 circle = row.circle;
@@ -58,61 +58,60 @@ impl<'a> Poses<'a> {
     }
 }
 
-/// The commanded dwells as sums, so that any interval is a difference.
+/// The commanded dwells as cumulative sums, so that any interval is a difference.
 pub(super) struct Program {
     moves_s: Vec<f64>,
     waits_s: Vec<f64>,
     modules: Vec<usize>,
 }
 
-/// How fast the moves are driven.
 #[derive(Clone, Copy)]
 pub(super) struct Pace {
-    /// How many times as long as planned a move takes: 1 / override.
+    /// Ratio of the duration of a move to the planned one: 1 / override.
     pub(super) stretch: f64,
-    /// Standard deviation of a move's duration about that, as a share of it.
+    /// Standard deviation of a duration about that, as a share of it.
     pub(super) slack: f64,
 }
 
-/// The time between the begins of two detected dwells.
+/// Time between the starts of two detected dwells.
 #[derive(Clone, Copy, Default)]
 pub(super) struct Elapsed {
     pub(super) seen_s: f64,
-    /// Variance by the detection of both begins, s2.
+    /// Variance by the detection of both starts, s2.
     pub(super) variance_s2: f64,
-    /// Whether the clock broke within, so that `seen_s` means nothing.
+    /// Whether the clock broke within, so that `seen_s` is meaningless.
     pub(super) clock_broke: bool,
 }
 
-/// An interval between the begins of two dwells: what was commanded, and what was seen.
+/// An interval between the starts of two dwells, commanded and observed.
 #[derive(Clone, Copy)]
 pub(super) struct Interval {
     /// Moves at full override, s.
     pub(super) move_s: f64,
     pub(super) wait_s: f64,
-    /// Poses that the interval passes over.
+    /// Number of poses skipped.
     pub(super) passed: usize,
     /// Whether a module ends within.
     pub(super) by_hand: bool,
     pub(super) elapsed: Elapsed,
 }
 
-/// Share of the intervals in which the operator pauses, and the pauses' mean, s: nobody pauses for a blink.
+/// Share of the intervals in which the operator pauses, and the mean of the pauses, s.
 const PAUSES: f64 = 0.01;
 const PAUSE_S: f64 = 30.0;
-/// Share of the begins that were detected badly, and how badly, s.
+/// Share of the starts that were detected badly, and their error, s.
 const BAD: f64 = 0.02;
 const BAD_S: f64 = 0.5;
 /// Mean time until the operator starts the next module, s.
 const BY_HAND_S: f64 = 90.0;
-/// Flat density of an interval over a broken clock, 1/s.
+/// Flat density of an interval across a broken clock, 1/s.
 pub(super) const BROKEN: f64 = 1.0 / 120.0;
 
-/// No interval's log density is greater: the peak of a normal distribution of the least
-/// sigma (two begins known to 20 ms), and a bit.
+/// Upper bound of the log density of an interval: slightly above the peak of a normal distribution of the least sigma
+/// (two starts known to 20 ms).
 pub(super) const MOST_LOG_DENSITY: f64 = 3.0;
 
-/// Densities of an interval, 1/s: that the program ran through, and that it paused.
+/// Densities of an interval, 1/s: without and with a pause.
 #[derive(Clone, Copy)]
 pub(super) struct Densities {
     pub(super) running: f64,
@@ -135,26 +134,26 @@ impl Program {
         }
     }
 
-    /// How long the robot rests at a pose, s.
+    /// Duration of the rest at a pose, s.
     pub(super) fn wait_s(&self, pose: usize) -> f64 {
         self.waits_s[pose] - pose.checked_sub(1).map_or(0.0, |before| self.waits_s[before])
     }
 
-    /// Time from the begin of one pose's dwell to the end of another's, s.
+    /// Time from the start of one pose's dwell to the end of another's, s.
     pub(super) fn span_s(&self, from: usize, to: usize, pace: Pace) -> f64 {
         self.waits_s[to] - self.waits_s[from]
             + self.wait_s(from)
             + pace.stretch * (self.moves_s[to] - self.moves_s[from])
     }
 
-    /// Time from the begin of one pose's dwell to the begin of another's, s.
+    /// Time from the start of one pose's dwell to the start of another's, s.
     pub(super) fn takes_s(&self, from: usize, to: usize, pace: Pace) -> f64 {
-        // The residual of an interval "seen" as 0 is minus what was commanded.
+        // The residual of an interval observed as 0 is minus the commanded time.
         -self.interval(from, to, Elapsed::default()).residual_s(pace)
     }
 
     pub(super) fn interval(&self, from: usize, to: usize, elapsed: Elapsed) -> Interval {
-        // A wait lies before the moves that follow it: those of `from` up to the one before `to`.
+        // A wait precedes the moves that follow it: those of `from` up to the one before `to`.
         let wait = |at: usize| if at == 0 { 0.0 } else { self.waits_s[at - 1] };
         Interval {
             move_s: self.moves_s[to] - self.moves_s[from],
@@ -167,7 +166,7 @@ impl Program {
 }
 
 impl Interval {
-    /// Seen less commanded, s.
+    /// Observed less commanded, s.
     pub(super) fn residual_s(&self, pace: Pace) -> f64 {
         self.elapsed.seen_s - self.wait_s - pace.stretch * self.move_s
     }
@@ -178,7 +177,7 @@ impl Interval {
         (self.elapsed.variance_s2 + (pace.slack * pace.stretch * self.move_s).powi(2) / steps).sqrt()
     }
 
-    /// Probability that the program ran through without a pause.
+    /// Probability that the program did not pause.
     pub(super) fn unpaused(&self, pace: Pace) -> f64 {
         let Densities { running, paused } = self.densities(pace);
         if self.elapsed.clock_broke || running <= 0.0 { 0.0 } else { running / (running + paused) }

@@ -1,4 +1,4 @@
-//! The published axes of a run beside the bar's samples, both on the bar's time.
+//! The published axes of a run together with the samples of the bar, on the time axis of the bar.
 
 use std::ops::Range;
 
@@ -9,43 +9,40 @@ use crate::recording::axes::{AxisTrack, Following, PacketCounts, Rest};
 use crate::recording::stream::Stream;
 use crate::robot::{AXES, Geometry};
 
-/// Where no motion shows the lag it is taken to be 0 with this standard deviation, s.
+/// Standard deviation of a lag of 0 that is assumed if no motion shows it, s.
 const LAG_SD_S: f64 = 0.02;
-/// Losses of packets up to this are interpolated, s.
+/// Longest loss of packets that is interpolated, s.
 const BRIDGED_S: f64 = 0.02;
 
-/// The axes of a run and the robot that the controller takes itself for.
+/// The axes of a run, and the robot as its controller models it.
 #[derive(Clone, Copy, Debug)]
 pub struct PublishedAxes<'a> {
     pub track: &'a AxisTrack,
     pub geometry: &'a Geometry,
 }
 
-/// What the published axes of a run showed.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AxesReport {
     pub protocol: &'static str,
     pub packets: PacketCounts,
-    /// Drift of the controller's clock to the host's, host seconds per controller second less 1.
+    /// Skew of the controller's clock against the host's, host seconds per controller second less 1.
     pub drift: Option<f64>,
-    /// How far a time of it may be off beyond the line's least delay, s.
+    /// Bound on the error of its times beyond the least delay of the line, s.
     pub bound_s: Option<f64>,
-    /// How much later the bar's reading comes than the axes that belong to it; `None` where no motion shows it.
+    /// Lag of the bar's reading behind the axes; `None` if no motion shows it.
     pub lag: Option<BarLag>,
-    /// `None` where the controller does not send the commanded axes.
+    /// `None` if the controller does not send the commanded axes.
     pub following: Option<[Following; AXES]>,
-    /// Intervals at rest.
+    /// Number of intervals at rest.
     pub rests: usize,
-    /// Measurements whose axes are measured ones.
+    /// Number of measurements with measured axes.
     pub measured: usize,
-    /// Pairs of axes and length in motion that the measurements on passes are made of, and how many independent pairs they
-    /// are worth.
+    /// Number of pairs of axes and length in motion behind the measurements on passes, and of independent ones.
     pub pairs: usize,
     pub effective_pairs: f64,
 }
 
 impl AxesReport {
-    /// That lengths are at measured axes.
     pub(super) fn finding(&self) -> Finding {
         let Self { measured, protocol, .. } = *self;
         match self.lag {
@@ -57,23 +54,22 @@ impl AxesReport {
     }
 }
 
-/// The axes as the matching uses them.
 pub(super) struct Published<'a> {
     pub(super) track: &'a AxisTrack,
-    /// What is added to the track's time for that of the bar's stream, s.
+    /// Offset from the time of the track to that of the bar's stream, s.
     shift_s: f64,
     pub(super) rests: Vec<Rest>,
     pub(super) lag: Option<BarLag>,
 }
 
 impl<'a> Published<'a> {
-    /// `None` without a packet, and where one of the clocks does not keep the host's pace.
+    /// `None` without a packet, or if one of the clocks does not run at the host's pace.
     pub(super) fn of(track: &'a AxisTrack, stream: &Stream) -> Option<Self> {
         let shift_s = if track.is_empty() { None } else { track.shift_to(stream) }?;
         Some(Self { track, shift_s, rests: track.rests(), lag: None })
     }
 
-    /// When the bar reads what belongs to a time of the track, s.
+    /// Time at which the bar reads the length at a time of the track, s.
     pub(super) fn bar_s(&self, t_s: f64) -> f64 {
         self.bar_without_lag_s(t_s) + self.lag.map_or(0.0, |lag| lag.lag_s)
     }
@@ -82,7 +78,7 @@ impl<'a> Published<'a> {
         t_s + self.shift_s
     }
 
-    /// The track's time of a reading, s.
+    /// Time of the track of a reading, s.
     fn track_s(&self, bar_s: f64) -> f64 {
         bar_s - self.bar_s(0.0)
     }
@@ -91,18 +87,18 @@ impl<'a> Published<'a> {
         self.lag.map_or(LAG_SD_S, |lag| lag.sd_s)
     }
 
-    /// Whether no packets are missing for long between two times of the track.
+    /// Whether the loss of packets between two times of the track is short.
     pub(super) fn is_whole(&self, from_s: f64, to_s: f64) -> bool {
         let range = self.track.at(from_s)..(self.track.at(to_s) + 1).min(self.track.len());
         self.track.is_whole(range, crate::recording::axes::LOSS_S)
     }
 
-    /// Whether what is missing among samples can be interpolated.
+    /// Whether lost packets among the samples can be interpolated.
     pub(super) fn bridged(&self, samples: Range<usize>) -> bool {
         self.track.is_whole(samples, BRIDGED_S)
     }
 
-    /// The mean measured axes while the bar was read, degrees; `None` where packets are missing.
+    /// Mean measured axes of an interval of the bar's time, degrees; `None` if packets are missing.
     pub(super) fn at_rest_deg(&self, from_s: f64, to_s: f64) -> Option<[f64; AXES]> {
         let samples = self.track.at(self.track_s(from_s))..self.track.at(self.track_s(to_s));
         let sound =
@@ -110,8 +106,8 @@ impl<'a> Published<'a> {
         sound.then(|| self.track.mean_deg(&samples, &self.track.measured_deg))
     }
 
-    /// The measured axes at a moment of a motion, by a parabola through the samples no more than `half_s` away, degrees, and
-    /// how many these are; `None` where packets are missing.
+    /// Measured axes at a moment of a motion, degrees, by a parabola through the samples within `half_s`, and the
+    /// number of these; `None` if packets are missing.
     pub(super) fn passing_deg(&self, t_s: f64, half_s: f64) -> Option<([f64; AXES], usize)> {
         let samples = self.track.at(t_s - half_s)..self.track.at(t_s + half_s);
         if !self.bridged(samples.clone()) {

@@ -1,9 +1,9 @@
-//! Dwells by stillness: intervals of the stream without slope.
+//! Detects dwells by stillness: intervals of the stream without slope.
 //!
-//! On a circle the bar's length hardly changes, and what changes it is only the robot's error, some
-//! 10 um a move. So the gate uses slopes of block means over two windows, a short one for fast moves and a long one
-//! for faint ones, with thresholds from the bar's noise at rest. A first look, with thresholds from the bulk of the
-//! run, finds where it rested.
+//! On a circle the length of the bar changes only by the error of the robot, some 10 um per move. The detector
+//! therefore uses slopes of block means over two windows, a short one for fast moves and a long one for faint
+//! ones, with thresholds from the noise of the bar at rest. A first pass, with thresholds from the bulk of the
+//! run, finds the rests.
 
 use std::ops::RangeInclusive;
 
@@ -13,17 +13,17 @@ use crate::math::robust;
 use crate::recording::dwell::Dwell;
 use crate::recording::stream::Stream;
 
-/// The short and the long window. The shortest dwell that is looked for is half of a commanded one, so that the long
-/// window fits into a whole dwell.
+/// The short and the long window. The shortest dwell to be detected is half of a commanded one, so the long window
+/// fits into a whole dwell.
 const SHORT: Width = Width { count: 12, block_s: 0.02, share: 0.6 };
 const LONG: Width = Width { count: 10, block_s: 0.06, share: 1.2 };
-/// Slope beyond which the robot moves, and below which it is surely at rest, in standard deviations.
+/// Least slope of a move, and largest slope at rest, in standard deviations.
 const MOVES: f64 = 4.0;
 const RESTS: f64 = 2.5;
-/// Standard deviation of a begin that is clearly seen, s: acceleration rounds it off. And of one that is not.
+/// Standard deviation of a sharp start, s, which acceleration rounds off, and of a start that cannot be seen.
 const LEAST_BEGIN_SD_S: f64 = 0.04;
 const UNSEEN_BEGIN_S: f64 = 0.4;
-/// No move of a plan is shorter, s: two dwells nearer than this at one level are one.
+/// Shortest move of a plan, s: dwells closer than this at one level are one.
 const LEAST_MOVE_S: f64 = 0.3;
 
 pub fn still_dwells(stream: &Stream, least_s: f64) -> Vec<Dwell> {
@@ -63,7 +63,7 @@ fn look(fine: &Scale<'_>, coarse: &Scale<'_>, least_s: f64) -> Vec<Dwell> {
         .collect()
 }
 
-/// The runs of blocks that are quiet by both windows.
+/// Runs of blocks that are quiet in both windows.
 fn quiet_runs(fine: &Scale<'_>, coarse: &Scale<'_>) -> Vec<RangeInclusive<usize>> {
     let (blocks, around) = (&fine.windows.blocks, &coarse.windows.blocks);
     let mut runs = Vec::new();
@@ -97,26 +97,25 @@ enum Edge {
     End,
 }
 
-/// A time and its standard deviation, s.
 struct ChangePoint {
     t_s: f64,
     sd_s: f64,
 }
 
-/// A line with a level behind it: sum of squares about both, and the line's slope.
+/// Fit of a line followed by a level: sum of squares, and slope of the line.
 struct Broken {
     squares: f64,
     slope: f64,
 }
 
-/// Windows with the thresholds for them.
+/// Windows with their thresholds.
 struct Scale<'a> {
     windows: &'a Windows,
     quiet: Quiet,
 }
 
 impl Scale<'_> {
-    /// Neither slope nor scatter of a robot that moves.
+    /// Whether neither slope nor scatter shows a move.
     fn quiet(&self, at: usize) -> bool {
         let Windows { slopes, scatters, .. } = self.windows;
         let (Some(slope), Some(scatter)) = (slopes.get(at), scatters.get(at)) else { return false };
@@ -124,7 +123,7 @@ impl Scale<'_> {
         slope.abs() <= MOVES * slope_sigma + slope_floor && *scatter <= 4.0 * scatter_sigma
     }
 
-    /// Whether a quiet run is still for the most part: a slow move is quiet but slopes all along.
+    /// Whether a quiet run is still for the most part: a slow move is quiet but slopes throughout.
     fn rests(&self, run: &RangeInclusive<usize>) -> bool {
         let limit = RESTS * self.quiet.slope_sigma + self.quiet.slope_floor;
         let slopes = &self.windows.slopes[run.clone()];
@@ -132,10 +131,8 @@ impl Scale<'_> {
         10 * low >= 7 * slopes.len()
     }
 
-    /// Where the run begins or ends: the change point between a level and a slope adjoining, fitted to the blocks on
-    /// both sides.
-    ///
-    /// The level's tolerance alone would be left late by a slow move.
+    /// The start or end of the run: the change point between a level and an adjacent slope, fitted to the blocks
+    /// on both sides. With the tolerance of the level alone, a slow move would be detected late.
     fn change_point(&self, run: &Run, reach: usize, at: Edge) -> ChangePoint {
         let Run { from, to, .. } = *run;
         let inside = reach.min(to - from);
@@ -144,7 +141,7 @@ impl Scale<'_> {
             Edge::End => (to, -1.0, to - inside..=(to + reach).min(self.windows.blocks.len() - 1)),
         };
         let Block { t_s: edge_s, epoch, .. } = self.windows.blocks[edge];
-        // Time counts from the edge into the run; what a gap or a broken clock divides stays out.
+        // Time counts from the edge into the run. Blocks across a gap or a broken clock are excluded.
         let points: Vec<(f64, f64)> = self.windows.blocks[blocks]
             .iter()
             .filter(|block| block.epoch == epoch)
@@ -161,7 +158,7 @@ impl Scale<'_> {
         ChangePoint { t_s: edge_s + sign * x, sd_s }
     }
 
-    /// The run with its ends where the level is left: the windows blur them by half their width.
+    /// Moves the ends of the run to where the level is left: the windows blur them by half their width.
     fn edges(&self, run: &RangeInclusive<usize>, reach: usize) -> Run {
         const NEAR: usize = 15;
         let (from, to) = (*run.start(), *run.end());
@@ -191,14 +188,14 @@ impl Scale<'_> {
         Run { from: first, to: last, level_mm: self.level_mm(first..=last) }
     }
 
-    /// Median of the blocks' means, mm.
+    /// Median of the block means, mm.
     fn level_mm(&self, run: RangeInclusive<usize>) -> f64 {
         let mut values: Vec<f64> = self.windows.blocks[run].iter().map(|block| block.mean_mm).collect();
         robust::median(&mut values).unwrap_or(0.0)
     }
 }
 
-/// A line up to `change` and a level from there.
+/// Fits a line up to `change` and a level from there.
 fn fit_change(points: &[(f64, f64)], change: f64) -> Broken {
     let count = points.len() as f64;
     let (mut x, mut y, mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0, 0.0, 0.0);
@@ -219,7 +216,7 @@ fn fit_change(points: &[(f64, f64)], change: f64) -> Broken {
     }
 }
 
-/// Runs that a blip or a gap in the data tore apart, as one; runs that touch are cut in the middle.
+/// Joins runs that a blip or a gap in the data split; runs that overlap are cut in the middle.
 fn joined(runs: Vec<Run>, fine: &Scale<'_>) -> Vec<Run> {
     let mut whole: Vec<Run> = Vec::new();
     for mut run in runs {
@@ -252,7 +249,7 @@ mod tests {
     use crate::measurement::sample::Sample;
     use crate::recording::stream::StreamBuilder;
 
-    /// Levels (mm, s) with a ramp of `move_s` between them, at 100 Hz, with a noise that is not random.
+    /// Levels (mm, s) joined by ramps of `move_s`, at 100 Hz, with deterministic noise.
     fn stream(levels: &[(f64, f64)], move_s: f64) -> Stream {
         let mut builder = StreamBuilder::new(None);
         let mut count = 0_u32;

@@ -6,90 +6,90 @@ use super::alignment::{DwellEvidence, Expected};
 use super::duration::{MISSED, SPURIOUS, Span};
 use super::program::{BROKEN, Commanded, Densities, Elapsed, Interval, MOST_LOG_DENSITY, Pace, Program};
 
-/// Probability that an outage of the bar begins at a pose, and that it goes on for another. It is rated
-/// low, since a pause of the operator must not pass for an outage.
+/// Probability that an outage of the bar starts at a pose, and that it continues at the next. It is low, because a
+/// pause of the operator must not pass for an outage.
 const OUTAGE: f64 = 1e-6;
 const OUTAGE_GOES_ON: f64 = 0.8;
-/// Most spurious dwells in one row.
+/// Most spurious dwells in a row.
 const SPURIOUS_RUN: usize = 8;
-/// The same between two modules, where the operator handles the bar, and how many poses may be lost there.
+/// The same between two modules, where the operator handles the bar, and the most poses missed there.
 const SPURIOUS_BY_HAND: usize = 60;
 const LOST_BY_HAND: usize = 4;
-/// Most poses without a dwell in one row where the time does not limit them.
+/// Most missed poses in a row where time does not limit them.
 const MISSED_RUN: usize = 60;
-/// An interval may be shorter than commanded by no more, s.
+/// An interval may be shorter than commanded by this, s.
 const EARLY_S: f64 = 1.5;
-/// Hypotheses so much worse than the best (in natural logarithms) are not followed up.
+/// States worse than the best by more than this (natural logarithm) are pruned.
 pub(super) const BEAM: f64 = 45.0;
-/// The override's least and greatest value.
+/// Range of the override.
 pub(super) const LEAST_OVERRIDE: f64 = 0.27;
 pub(super) const MOST_OVERRIDE: f64 = 1.03;
-/// How far a move's duration may be from the plan's, as a share.
+/// Standard deviation of the duration of a move, as a share of it.
 pub(super) const SLACK: f64 = 0.01;
-/// The same while the override is sought: the step of the search's grid is in it.
+/// The same during the search; it contains the step of the grid.
 pub(super) const SEARCH_SLACK: f64 = 0.03;
-/// No begin is known better, s: the controller's own waits and outputs jitter.
+/// Least standard deviation of a start, s: waits and outputs of the controller jitter.
 const LEAST_START_SD_S: f64 = 0.02;
 
-/// Variance of the time between two begins with these standard deviations, s2.
+/// Variance of the time between two starts with these standard deviations, s2.
 pub(super) fn interval_variance_s2(start_sd_s: [f64; 2]) -> f64 {
     start_sd_s.iter().map(|sd_s| sd_s.max(LEAST_START_SD_S).powi(2)).sum()
 }
 
-/// The dwell is the pose's.
+/// The dwell belongs to the pose.
 #[derive(Clone, Copy)]
 struct State {
     dwell: usize,
     pose: usize,
 }
 
-/// What follows a state, as far as it depends on the state alone.
+/// Terms of a transition that depend on its origin only.
 struct Departure {
     from: State,
     pace: Pace,
     next_module: usize,
-    /// Ratio of probabilities that the next dwell is the rest of this one, and that this one ran into the next poses.
+    /// Odds that the next dwell is the rest of this one, and that this one ran into the next poses.
     torn: f64,
     merged: f64,
 }
 
-/// One override's answer: probabilities of the states, by pose, then dwell.
+/// Posterior of the states at one override, by pose, then dwell.
 pub(super) struct Answer {
     pub(super) stretch: f64,
     pub(super) evidence: f64,
     pub(super) posterior: Vec<f64>,
 }
 
-/// Logarithms of the forward sums, by dwell, then pose, and of the whole.
+/// Logarithms of the forward sums, by dwell, then pose, and of the total.
 struct Forward {
     sums: Vec<f64>,
     best: Vec<f64>,
     evidence: f64,
 }
 
-/// The same backward, and the override that the states ask for.
+/// Logarithms of the backward sums, and the override that fits the states best.
 struct Backward {
     sums: Vec<f64>,
     stretch: f64,
 }
 
-/// Poses and dwells, and what does not depend on the override.
+/// Everything that does not depend on the override.
 pub(super) struct Trellis<'a> {
     program: Program,
     poses: usize,
     dwells: &'a [DwellEvidence],
-    /// The dwells with their durations, where these are known.
+    /// Durations of the dwells, if all are known.
     spans: Option<Vec<Span>>,
     /// Number of clock breaks up to each dwell.
     epochs: Vec<usize>,
-    /// Log weight of a state by the dwell's duration and length, by dwell, then pose.
+    /// Log weight of each state by duration and length of the dwell, by dwell, then pose.
     emissions: Vec<f64>,
     most_emission: f64,
-    /// The program may begin at any time of the run, and any poses at either end may be lost.
+    /// The program may start at any time of the run, and any number of poses may be missing at both ends.
     log_prior: f64,
-    /// Log weight of passing over 0, 1, .. poses.
+    /// Log weight of skipping 0, 1, .. poses.
     passed: Vec<f64>,
-    /// For each pose, the first pose of the next module (or the number of poses).
+    /// For each pose the first pose of the next module, or the number of poses.
     next_modules: Vec<usize>,
 }
 
@@ -146,8 +146,8 @@ impl<'a> Trellis<'a> {
         Departure { from, pace, next_module, torn, merged }
     }
 
-    /// Calls `visit(state, log weight, interval)` for every state that may follow the given one, unless
-    /// `worth(dwell, most log weight)` says that it cannot matter.
+    /// Calls `visit(state, log weight, interval)` for every possible successor, unless `worth(dwell, upper bound
+    /// of the log weight)` prunes it.
     fn successors(
         &self,
         from: State,
@@ -197,7 +197,7 @@ impl<'a> Trellis<'a> {
     /// Density of the transition, 1/s.
     fn density(&self, departure: &Departure, to: State, interval: &Interval) -> f64 {
         let &Departure { from, pace, torn, merged, .. } = departure;
-        // By the duration of the first: the rest of it comes next, or poses that it ran over.
+        // By the duration of the first: the rest of it comes next, or poses that it ran into.
         let lasting = 1.0
             + if to.dwell > from.dwell + 1 { torn } else { 0.0 }
             + if interval.passed > 0 { merged } else { 0.0 };
@@ -208,21 +208,21 @@ impl<'a> Trellis<'a> {
         running * lasting + paused * self.pause_evidence(departure, to.dwell, interval).unwrap_or(lasting)
     }
 
-    /// That the next dwell is the rest of this one, against that it is spurious.
+    /// Odds that the next dwell is the rest of this one against that it is spurious.
     fn torn(&self, State { dwell, pose }: State) -> f64 {
         let Some(spans) = &self.spans else { return 0.0 };
         let (Some(here), Some(next)) = (spans.get(dwell), spans.get(dwell + 1)) else { return 0.0 };
         here.torn(next, self.program.wait_s(pose))
     }
 
-    /// That this dwell ran together with the next poses, against that they were missed.
+    /// Odds that this dwell ran into the next poses against that they were missed.
     fn merged(&self, State { dwell, pose }: State, next_module: usize, pace: Pace) -> f64 {
         let Some(here) = self.spans.as_ref().and_then(|spans| spans.get(dwell)) else { return 0.0 };
         let ends_s = (pose + 1..next_module).map(|last| self.program.span_s(pose, last, pace));
         here.merged(self.program.wait_s(pose), ends_s)
     }
 
-    /// How much a dwell of its length supports a pause that fills the interval; `None` where durations say nothing.
+    /// Evidence for a pause that fills the interval, from the durations; `None` if they are unknown.
     fn pause_evidence(&self, departure: &Departure, next_dwell: usize, interval: &Interval) -> Option<f64> {
         let &Departure { from, pace, .. } = departure;
         let spans = self.spans.as_ref().filter(|_| !interval.by_hand)?;
@@ -239,7 +239,7 @@ impl<'a> Trellis<'a> {
         (self.dwells.len() - 1 - state.dwell) as f64 * SPURIOUS.ln() + self.torn(state).ln_1p()
     }
 
-    /// Log of the probability of all dwells at this pace.
+    /// Logarithm of the probability of all dwells at this pace.
     pub(super) fn evidence(&self, pace: Pace, beam: f64) -> f64 {
         self.forward(pace, beam).evidence
     }
@@ -250,7 +250,7 @@ impl<'a> Trellis<'a> {
         let mut sums: Vec<f64> = states.map(|state| self.first(state)).collect();
         let most = |row: &[f64]| row.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         let mut best: Vec<f64> = sums.chunks(self.poses).map(most).collect();
-        // That no dwell at all is the program's is possible as well.
+        // The hypothesis that no dwell belongs to the program.
         let mut evidence = self.dwells.len() as f64 * SPURIOUS.ln();
         for dwell in 0..self.dwells.len() {
             let best = Cell::from_mut(&mut best[..]).as_slice_of_cells();
@@ -272,8 +272,7 @@ impl<'a> Trellis<'a> {
         Forward { sums, best, evidence }
     }
 
-    /// Beside the sums, least squares of what the intervals took over what was commanded, weighted with
-    /// their probability.
+    /// Also fits the override: least squares of observed over commanded move times, weighted with the posteriors.
     fn backward(&self, forward: &Forward, pace: Pace) -> Backward {
         let mut sums = vec![f64::NEG_INFINITY; forward.sums.len()];
         let (mut products, mut squares) = (0.0, 0.0);
@@ -310,10 +309,10 @@ impl<'a> Trellis<'a> {
         Backward { sums, stretch }
     }
 
-    /// Refines the override near `stretch` and gives the probabilities there.
+    /// Refines the override from `stretch` and gives the posterior there.
     pub(super) fn answer(&self, stretch: f64) -> Answer {
         const ROUNDS: usize = 5;
-        // The search's grid may be several narrow standard deviations off: nothing would then draw the override nearer.
+        // The grid may be several narrow standard deviations off, where nothing would pull the override closer.
         let mut pace = Pace { stretch, slack: SEARCH_SLACK };
         let mut round = 1;
         loop {
@@ -334,7 +333,7 @@ impl<'a> Trellis<'a> {
     }
 }
 
-/// Log weights of the states by the dwells' durations and lengths, by dwell, then pose.
+/// Log weights of the states by duration and length of the dwells, by dwell, then pose.
 fn emissions(
     poses: &[Commanded],
     dwells: &[DwellEvidence],
@@ -356,7 +355,7 @@ fn emissions(
     weights
 }
 
-/// Log of the ratio of a state's length density to that of a dwell somewhere in the bar's stroke.
+/// Log ratio of the density of a length at its pose to that of a length anywhere in the stroke.
 fn length_weight(difference_mm: f64, sigma_mm: f64) -> f64 {
     const STROKE_MM: f64 = 2.0;
     const BAD: f64 = 0.02;
@@ -381,7 +380,7 @@ mod tests {
         moves.into_iter().map(|move_s| Commanded { move_s, wait_s: 1.0, module: 0 }).collect()
     }
 
-    /// The dwells of a program driven as planned, without those of `lost`.
+    /// The dwells of a program driven as planned, without the missed ones.
     fn dwells(lost: &[usize]) -> Vec<DwellEvidence> {
         let mut start_s = 5.0;
         let mut dwells = Vec::new();
@@ -415,7 +414,7 @@ mod tests {
         let trellis = Trellis::new(&poses, &dwells, None);
         let evidence = |stretch: f64| trellis.evidence(Pace { stretch, slack: SLACK }, BEAM);
         assert!(evidence(1.0) > evidence(1.2) && evidence(1.0) > evidence(1.5));
-        // From anywhere between two steps of the search's grid.
+        // From values between two steps of the grid.
         for stretch in [0.953, 1.03, 1.049] {
             assert!((trellis.answer(stretch).stretch - 1.0).abs() < 0.001);
         }

@@ -1,45 +1,45 @@
 //! Which pose of the plan the robot was at in each of its rests.
 //!
-//! A hidden Markov model over the rests in order of time; its state is the pose that comes next. A program goes on from pose
-//! to pose. It can rest twice at one pose, leave a pose without a rest (mostly where packets are missing), begin a module
-//! again, or rest where no pose was commanded, as at the HALT of a module's begin. The forward and backward sums give the
-//! probability of each pair.
+//! A hidden Markov model over the rests in order of time; its state is the next pose. A program proceeds from pose
+//! to pose. It can rest twice at one pose, leave a pose without a rest (mostly where packets are missing), restart
+//! a module, or rest where no pose is commanded, as at the HALT at the start of a module. Forward and backward
+//! sums give the posterior of each pair.
 
 use super::program::Commanded;
 
 /// Probability of another rest at the same pose: a HALT, a push by hand, missing packets.
 const AGAIN: f64 = 0.1;
-/// Probability that a pose left no rest, and the same where packets are missing.
+/// Probability that a pose left no rest, and the same if packets are missing.
 const PASSED: f64 = 1e-4;
 const PASSED_UNSEEN: f64 = 0.8;
-/// Probability that a rest at the place of a pose is no visit of it, and the same at the begin of a module.
+/// Probability that a rest at the position of a pose is no visit of it, and the same at the start of a module.
 const OTHER: f64 = 1e-6;
 const HALT: f64 = 3e-3;
-/// Probability that a module begins again before a rest. Less than [`OTHER`]: a single rest at its begin proves nothing.
+/// Probability that a module restarts before a rest. Less than [`OTHER`]: a single rest at its start proves nothing.
 const RESTARTED: f64 = 1e-8;
-/// Probability that the program goes on anywhere else.
+/// Probability that the program continues anywhere else.
 const ELSEWHERE: f64 = 1e-11;
 
 /// A rest as the model sees it.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Seen {
-    /// The poses whose place it is.
+    /// The poses at this position.
     pub(super) poses: Vec<usize>,
     /// Whether packets are missing since the rest before.
     pub(super) after_loss: bool,
 }
 
-/// A rest and the probability that it is the pose's.
+/// A rest and the probability that it belongs to the pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Visit {
     pub(super) rest: usize,
     pub(super) posterior: f64,
 }
 
-/// The rests at the place of each pose, in order of time.
+/// The rests at the position of each pose, in order of time.
 pub(super) fn visits(seen: &[Seen], poses: &[Commanded]) -> Vec<Vec<Visit>> {
     let chain = Chain::new(poses);
-    // Whatever came before the first rest and after the last left no trace.
+    // Nothing is known of the time before the first rest and after the last.
     let mut next = vec![1.0; chain.other.len()];
     let mut before = Vec::with_capacity(seen.len());
     for (at, rest) in seen.iter().enumerate() {
@@ -72,9 +72,9 @@ fn normalise(weights: &mut [f64]) {
     weights.iter_mut().for_each(|weight| *weight /= total);
 }
 
-/// Weights of what can happen at a rest and between two of them.
+/// Weights of the events at a rest and between two rests.
 struct Chain {
-    /// That a rest is no visit, by the pose that comes next; after the last pose none does.
+    /// Weight of a rest that is no visit, by the next pose; after the last pose there is none.
     other: Vec<f64>,
     /// The first pose of each module.
     begins: Vec<usize>,
@@ -89,7 +89,7 @@ impl Chain {
         Self { other, begins }
     }
 
-    /// Weights of the next pose after a rest, of those before it.
+    /// Forward step over a rest: weights of the next pose.
     fn after(&self, rest: &Seen, before: &[f64]) -> Vec<f64> {
         let mut after: Vec<f64> =
             before.iter().zip(&self.other).map(|(weight, other)| other * weight).collect();
@@ -99,7 +99,7 @@ impl Chain {
         after
     }
 
-    /// The same backwards.
+    /// Backward step over a rest.
     fn since(&self, rest: &Seen, later: &[f64]) -> Vec<f64> {
         let mut since: Vec<f64> =
             later.iter().zip(&self.other).map(|(weight, other)| other * weight).collect();
@@ -124,7 +124,7 @@ impl Chain {
         }
     }
 
-    /// The same backwards.
+    /// Backward step between two rests.
     fn go_back(&self, later: &mut [f64], after_loss: bool) {
         for at in (1..later.len()).rev() {
             later[at - 1] += Self::passed(after_loss) * later[at];
@@ -147,14 +147,14 @@ mod tests {
         places.iter().map(|poses| Seen { poses: poses.to_vec(), after_loss: false }).collect()
     }
 
-    /// The posteriors of each pose, each with the number of its rest.
+    /// Posteriors of each pose with the index of the rest.
     fn posteriors(seen: &[Seen], modules: &[usize]) -> Vec<Vec<(usize, f64)>> {
         let pairs = |of: &Vec<Visit>| of.iter().map(|visit| (visit.rest, visit.posterior)).collect();
         visits(seen, &poses(modules)).iter().map(pairs).collect()
     }
 
-    /// Before the rest each of the states is as likely: the pose comes next, or it was just visited. Weights of the rest: its
-    /// visit 1, a HALT before it 0.003; another rest there 0.1, no visit after it 1e-6.
+    /// Before the rest each of the states is as likely: the pose comes next, or it was just visited. Weights of
+    /// the rest: its visit 1, a HALT before it 0.003; another rest there 0.1, no visit after it 1e-6.
     #[test]
     fn one_rest_at_one_pose() {
         let found = posteriors(&seen(&[&[0]]), &[0]);
@@ -163,8 +163,9 @@ mod tests {
         assert_eq!(posteriors(&seen(&[&[]]), &[0]), [vec![]]);
     }
 
-    /// Two poses at one place, and two rests there. Without what is rare the rests are 0 and 1 from two states (1 and 0.1), 0
-    /// twice (0.1 and 0.01) or 1 twice (0.1 and 0.01): in 1.21 of 1.32 the first is of pose 0, and so the second of pose 1.
+    /// Two poses at one place, and two rests there. Without what is rare the rests are 0 and 1 from two states (1
+    /// and 0.1), 0 twice (0.1 and 0.01) or 1 twice (0.1 and 0.01): in 1.21 of 1.32 the first is of pose 0, and so
+    /// the second of pose 1.
     #[test]
     fn the_order_tells_equal_places_apart() {
         let found = posteriors(&seen(&[&[0, 1], &[0, 1]]), &[0, 0]);
@@ -176,8 +177,9 @@ mod tests {
         }
     }
 
-    /// Poses 0 and 2 are at one place, pose 1 at another, and two rests at the first place. They are of pose 0 (0.1 + 0.01, as
-    /// above), of pose 2 (0.11), or of 0 and 2 with pose 1 passed: 1.1 times 1e-4, or times 0.8 where packets are missing.
+    /// Poses 0 and 2 are at one place, pose 1 at another, and two rests at the first place. They are of pose 0
+    /// (0.1 + 0.01, as above), of pose 2 (0.11), or of 0 and 2 with pose 1 passed: 1.1 times 1e-4, or times 0.8
+    /// where packets are missing.
     #[test]
     fn a_pose_is_passed_where_packets_are_missing() {
         for (after_loss, share) in [(false, 0.11 / 0.22), (true, (0.11 + 0.88) / 1.1)] {
@@ -189,8 +191,8 @@ mod tests {
         }
     }
 
-    /// A module of four poses is run twice. That it was started again weighs 1e-8, that the first four rests were HALTs
-    /// 0.003^4 = 8.1e-11.
+    /// A module of four poses is run twice. That it was started again weighs 1e-8, that the first four rests were
+    /// HALTs 0.003^4 = 8.1e-11.
     #[test]
     fn a_module_begins_again() {
         let found = posteriors(&seen(&[&[0], &[1], &[2], &[3], &[0], &[1], &[2], &[3]]), &[0; 4]);

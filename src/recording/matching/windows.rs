@@ -1,9 +1,9 @@
-//! The stream in blocks of one width, with slope and scatter of the block means around each.
+//! The stream in blocks of equal width, with slope and scatter of the block means around each.
 
 use crate::math::robust;
 use crate::recording::stream::Stream;
 
-/// The mean reading of a short time.
+/// Mean reading of a short interval.
 pub(super) struct Block {
     pub(super) t_s: f64,
     pub(super) mean_mm: f64,
@@ -11,30 +11,29 @@ pub(super) struct Block {
     pub(super) epoch: usize,
 }
 
-/// How wide windows are: at most so many blocks of so many seconds.
+/// Width of windows: at most `count` blocks of `block_s` seconds.
 #[derive(Clone, Copy)]
 pub(super) struct Width {
     pub(super) count: usize,
     pub(super) block_s: f64,
-    /// How long a window may be, as a share of the shortest dwell that is looked for.
+    /// Longest window as a share of the shortest dwell to be detected.
     pub(super) share: f64,
 }
 
-/// Blocks, and the windows of several of them about each.
+/// Blocks, and the windows of several blocks around each.
 pub(super) struct Windows {
     pub(super) blocks: Vec<Block>,
     pub(super) block_s: f64,
-    /// Number of blocks in a window.
     pub(super) count: usize,
     pub(super) window_s: f64,
-    /// Slope around each block, mm/s; infinite where the window is not whole.
+    /// Slope around each block, mm/s; infinite if the window is incomplete.
     pub(super) slopes: Vec<f64>,
-    /// Scatter of the block means about the window's line, mm.
+    /// Scatter of the block means about the line of the window, mm.
     pub(super) scatters: Vec<f64>,
 }
 
 impl Windows {
-    /// Windows for dwells of at least `least_s`, of four blocks at least.
+    /// Windows for dwells of at least `least_s`; at least four blocks each.
     pub(super) fn of(stream: &Stream, width: Width, least_s: f64) -> Self {
         let block_s = width.block_s.max(1.001 * stream.period_s());
         let count = width.count.min((width.share * least_s / block_s) as usize).max(4);
@@ -63,14 +62,14 @@ impl Windows {
         Self { blocks, block_s, count, window_s, slopes, scatters }
     }
 
-    /// Standard deviation of a window's slope by independent blocks of this standard deviation (mm), mm/s.
+    /// Standard deviation of a window's slope, mm/s, for independent blocks of standard deviation `block_mm`.
     pub(super) fn white_slope(&self, block_mm: f64) -> f64 {
         let count = self.count as f64;
         block_mm / (self.block_s * (count * (count * count - 1.0) / 12.0).sqrt())
     }
 }
 
-/// Trimmed means of the valid readings in blocks of `block_s`; a block without a valid reading is left out.
+/// Trimmed means of the valid readings in blocks of `block_s`; blocks without one are left out.
 fn blocks(stream: &Stream, block_s: f64) -> Vec<Block> {
     let mut blocks = Vec::new();
     let mut values: Vec<f64> = Vec::new();
@@ -88,7 +87,7 @@ fn blocks(stream: &Stream, block_s: f64) -> Vec<Block> {
             close(&mut values, begin_s, epoch);
             epoch += usize::from(broke);
             begin_s = if broke { t_s } else { (t_s / block_s).floor() * block_s };
-            // Rounding must not open the block before the one that was closed.
+            // Rounding must not open the block before the closed one again.
             begin_s = begin_s.max(t_s - block_s);
         }
         if stream.valid(at) {

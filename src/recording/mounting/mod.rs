@@ -1,9 +1,9 @@
-//! What is wrong with a mounted bar, from its readings alone and while it happens.
+//! Faults of the mounting of a bar, from its readings alone and as they happen.
 //!
-//! Readings are averaged over 5 ms. A jump is the mismatch of two straight lines, one through the 40 ms before and one
-//! through the 40 ms after a place. While the robot rests, the scatter of means over 50 ms about a straight line, its
-//! slope and its roughness show everything slower. Thresholds follow from the noise of a reading, the rate and the speed of
-//! the reading that the plan allows: `docs/explanation/mounting.md`.
+//! Readings are averaged over 5 ms. A jump is the mismatch of two straight lines, through the 40 ms before and
+//! after a moment. While the robot rests, the scatter of means over 50 ms about a straight line, its slope and its
+//! roughness show everything slower. Thresholds follow from the noise of a reading, the rate, and the speed of the
+//! reading that the plan allows: `docs/explanation/mounting.md`.
 
 mod monitor;
 mod still;
@@ -16,7 +16,6 @@ use crate::plan::Plan;
 use crate::plan::timing::MARKER_MM_S;
 pub use monitor::MountingMonitor;
 
-/// What is wrong with the mounting.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum MountingFault {
     NotSeated,
@@ -26,13 +25,13 @@ pub enum MountingFault {
     Moved,
 }
 
-/// A fault that was named.
+/// A detected fault.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Named {
     pub fault: MountingFault,
-    /// When, s.
+    /// Time, s.
     pub t_s: f64,
-    /// Its size: a height, mm; of a creep its rate, mm/s.
+    /// Height, mm; of a creep its rate, mm/s.
     pub size: f64,
 }
 
@@ -41,35 +40,34 @@ pub struct Named {
 pub enum Rest {
     /// No program runs, until a strobe shows one.
     Standing,
-    /// The program begins: until the first strobe after the bar was mounted, and while the strobe is high. Unknown
-    /// without a strobe.
+    /// A program starts: at rest from the mounting of the bar to the first strobe, and while the strobe is high.
+    /// Unknown without a strobe.
     Program,
-    /// A program may run already: while the strobe is high, until the bar is taken off.
+    /// A program may be running: at rest while the strobe is high, until the bar is taken off.
     UnderWay,
 }
 
-/// What is expected of a bar that is mounted well.
+/// Expectation for a well-mounted bar.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Expected {
     /// Standard deviation of a reading, mm.
     pub noise_mm: f64,
-    /// Greatest speed of the reading while the robot moves, at which it may stop at once, mm/s.
+    /// Largest speed of the reading while the robot moves, mm/s; it may stop at once.
     pub speed_mm_s: f64,
     pub rest: Rest,
 }
 
-/// A reading at a time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MountedReading {
     /// Time, s.
     pub t_s: f64,
     pub reading_mm: f64,
-    /// Whether it is valid and of a bar between its balls.
+    /// Whether it is valid and within the stroke.
     pub mounted: bool,
     pub strobe: Option<bool>,
 }
 
-/// How the bar is, for the operator.
+/// State of the mounting, for the operator.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum MountingState {
     /// Not between its balls.
@@ -77,15 +75,14 @@ pub enum MountingState {
     Off,
     /// It moves more than a mounted bar does: hands are on it.
     Handled,
-    /// It rests, and is watched for less than a second.
+    /// At rest, for less than a second.
     Settling,
     Stable,
-    /// The robot moves, or may.
+    /// The robot moves, or may move.
     Moving,
 }
 
 impl MountingState {
-    /// As it is written in JSON.
     pub fn name(self) -> &'static str {
         match self {
             MountingState::Off => "off",
@@ -98,18 +95,18 @@ impl MountingState {
 }
 
 impl Expected {
-    /// Of a bar that is read without a run.
+    /// For a bar that is read without a run.
     pub fn standing(sigma_um: f64) -> Self {
         Self { noise_mm: 1e-3 * sigma_um, speed_mm_s: f64::INFINITY, rest: Rest::Standing }
     }
 
-    /// While the robot may move as nobody knows: a jump is seen at rest only.
+    /// For unknown motion of the robot: jumps are detected at rest only.
     pub fn unplanned(sigma_um: f64) -> Self {
         Self { noise_mm: 1e-3 * sigma_um, speed_mm_s: f64::INFINITY, rest: Rest::Program }
     }
 
-    /// While the robot follows a plan. The reading changes with the feed across a bar whose ball is at most half a stroke
-    /// off its place, and with the sync markers.
+    /// For a robot that follows a plan. The reading changes with the feed across a bar whose ball is off by at
+    /// most half a stroke, and with the sync markers.
     pub fn of(plan: &Plan, rest: Rest) -> Self {
         let job = &plan.header.job;
         let [low_mm, high_mm] = job.bar.stroke_mm;
@@ -118,13 +115,13 @@ impl Expected {
         Self { noise_mm: 1e-3 * job.bar.sigma_um, speed_mm_s, rest }
     }
 
-    /// The same with a bar that shows no smaller steps.
+    /// With the resolution of the bar as the least noise.
     pub fn with_resolution(self, resolution_mm: f64) -> Self {
         Self { noise_mm: self.noise_mm.max(resolution_mm), ..self }
     }
 }
 
-/// What is named of a recorded run with a bar of this stroke (mm), of each fault the largest.
+/// The faults of a recorded run with a bar of this stroke (mm), of each kind the largest.
 pub fn worst(expected: Expected, stream: &Stream, [low_mm, high_mm]: [f64; 2]) -> Vec<PortFinding> {
     let mut monitor = MountingMonitor::new(expected);
     let mut worst: BTreeMap<MountingFault, Named> = BTreeMap::new();
@@ -142,7 +139,6 @@ pub fn worst(expected: Expected, stream: &Stream, [low_mm, high_mm]: [f64; 2]) -
 }
 
 impl Named {
-    /// As the catalogue has it.
     pub fn finding(&self) -> PortFinding {
         let size_um = 1e3 * self.size;
         match self.fault {

@@ -1,51 +1,49 @@
-//! Follows the readings of one bar.
+//! Monitors the readings of one bar.
 
 use std::collections::VecDeque;
 
-use super::still::{Still, regression};
+use super::still::{DEVIATE, Still, regression};
 use super::{Expected, MountedReading, MountingFault, MountingState, Named, Rest};
 use crate::math::robust;
 
-/// Readings are averaged over so long, s.
+/// Readings are averaged over this time, s.
 const GRAIN_S: f64 = 0.005;
-/// The lines on either side of a jump are so long, s.
+/// Length of the lines on both sides of a jump, s.
 const SIDE_S: f64 = 0.04;
-/// Grains on either side of a jump, at least and at most.
+/// Least and largest number of grains on each side of a jump.
 const SIDE_GRAINS: [usize; 2] = [3, 8];
-/// A jump is over within so long, s.
+/// Longest duration of a jump, s.
 const JUMP_S: f64 = 0.01;
-/// A sudden change of speed looks like a jump of this share of the way in the time of a side: the greatest mismatch of two
-/// lines through a bend, by computation.
+/// A sudden change of speed looks like a jump of this share of the distance travelled in the time of a side: the
+/// largest mismatch of two lines through a bend, computed.
 const BEND: f64 = 0.25;
-/// A robot that moves, or has just stopped, shakes the bar by so much, mm: 1 mm/s, stopped at once, at 12 Hz.
+/// Vibration of a bar on a robot that moves or has just stopped, mm: 1 mm/s, stopped at once, at 12 Hz.
 const VIBRATION_MM: f64 = 0.013;
-/// Means of so long are compared while the robot rests, s.
+/// Length of the means that are compared while the robot rests, s.
 const BLOCK_S: f64 = 0.05;
-/// So many blocks are compared, at least and at most. The least fits into a dwell of half a second.
+/// Least and largest number of blocks compared. The least fits into a dwell of half a second.
 const BLOCKS: [usize; 2] = [8, 24];
-/// Hands hold a bar still to so much, mm, for less than so long, s.
+/// Hands hold a bar still within this, mm, for less than this time, s.
 const HANDS_MM: f64 = 0.3;
 const HANDS_S: f64 = 0.4;
-/// A normal deviate beyond which a change is no chance: a probability of 1e-9, both sides.
-pub(super) const DEVIATE: f64 = 6.1;
-/// Changes below so many standard deviations of a reading do not matter.
+/// Changes below this number of standard deviations of a reading do not matter.
 const MATTERS: f64 = 2.0;
-/// Roughness (half the mean squared step over the variance of the block means) above which the bar rocks: white noise has
-/// 1, a slow pull of one second 0.05.
+/// Roughness (half the mean squared step over the variance of the block means) of a rocking bar: white noise has 1, a
+/// slow pull of one second 0.05.
 const ROUGH: f64 = 0.25;
-/// Comparisons until a pull has begun.
+/// Comparisons until a pull has started.
 const BEGIN: u32 = 6;
-/// A magnet that slips returns within so long, s, and then is quiet for so long.
+/// A slipping magnet returns within this time, s, and is quiet for this time after.
 const RETURN_S: f64 = 1.0;
 const QUIET_S: f64 = 0.4;
-/// So many jumps within so long, s, are a bar that rocks.
+/// A rocking bar jumps this often within this time, s.
 const ROCKING: usize = 3;
 const ROCKING_S: f64 = 1.5;
-/// The same fault is named again after so long, s.
+/// A fault is reported again after this time, s.
 const AGAIN_S: f64 = 10.0;
-/// A bar that is off for so long was taken off, s: no reading that is invalid for a moment.
+/// A bar that is off for longer was taken off, s; a shorter time is an invalid reading.
 const TAKEN_OFF_S: f64 = 2.0;
-/// A longer gap between samples ends what was compared, s and in samples.
+/// A longer gap between samples restarts the comparison, s and in samples.
 const GAP_S: f64 = 0.25;
 const GAP_SAMPLES: f64 = 3.0;
 
@@ -63,7 +61,7 @@ struct Jump {
     height_mm: f64,
 }
 
-/// The sum of a grain that is not complete.
+/// Sum of an incomplete grain.
 #[derive(Clone, Copy, Debug)]
 struct Partial {
     since_s: f64,
@@ -72,31 +70,30 @@ struct Partial {
     rests: bool,
 }
 
-/// Watches the readings of one bar.
 #[derive(Clone, Debug)]
 pub struct MountingMonitor {
     expected: Expected,
     partial: Option<Partial>,
     last_s: Option<f64>,
-    /// The newest grains, the oldest first.
+    /// Latest grains, the oldest first.
     grains: VecDeque<Grain>,
     since_block: usize,
-    /// Since when the bar is held by its magnets alone, s.
+    /// Since when only magnets hold the bar, s.
     settled_s: Option<f64>,
     strobe_seen: bool,
     /// Since when the bar is off, s.
     off_s: Option<f64>,
-    /// What is before is not compared, s.
+    /// Grains before this time are not compared, s.
     compare_from_s: f64,
-    /// The largest mismatch of the jump that is passing.
+    /// Largest mismatch of the jump in progress.
     passing: Option<Jump>,
     jumps: Vec<Jump>,
-    /// When each fault was named last.
+    /// The latest report of each fault.
     named: Vec<Named>,
     /// Standard deviation of a grain, mm.
     noise_mm: f64,
     still: Option<Still>,
-    /// Comparisons in a row that found scatter.
+    /// Consecutive comparisons with scatter.
     scattered: u32,
 }
 
@@ -121,7 +118,7 @@ impl MountingMonitor {
         }
     }
 
-    /// Takes a reading; times do not go back. What is named with it.
+    /// Takes a reading; times must not decrease. Returns a fault that it completes.
     pub fn push(&mut self, now: MountedReading) -> Option<Named> {
         let gap_s = self.last_s.replace(now.t_s).map_or(0.0, |last| now.t_s - last);
         if !now.mounted || gap_s > GAP_S.max(GAP_SAMPLES * self.grain_s()) || gap_s < 0.0 {
@@ -152,7 +149,7 @@ impl MountingMonitor {
         self.grain(Grain { t_s, mean_mm: sum_mm / f64::from(readings), readings, rests })
     }
 
-    /// Compares nothing with what was before. A bar that was off for long was taken off, and its robot rests.
+    /// Discards all grains. A bar that was off for long was taken off, and its robot rests.
     fn interrupt(&mut self, now: MountedReading) {
         let off_s = (!now.mounted).then(|| self.off_s.unwrap_or(now.t_s));
         let taken_off = off_s.is_some_and(|since_s| now.t_s - since_s >= TAKEN_OFF_S);
@@ -165,7 +162,6 @@ impl MountingMonitor {
         *self = Self { named, off_s, strobe_seen, last_s: Some(now.t_s), ..Self::new(expected) };
     }
 
-    /// How the bar is.
     pub fn state(&self) -> MountingState {
         match (self.grains.back(), self.settled_s) {
             (None, _) => MountingState::Off,
@@ -181,7 +177,7 @@ impl MountingMonitor {
         self.still.map(|still| [still.scatter_mm, still.slope_mm_s])
     }
 
-    /// Time between grains, s; that of a bar of 200 readings a second before there are any.
+    /// Time between grains, s; that of 200 readings per second before there are any.
     fn grain_s(&self) -> f64 {
         let span = self.grains.back().zip(self.grains.front()).map(|(last, first)| last.t_s - first.t_s);
         let steps = self.grains.len().saturating_sub(1);
@@ -207,9 +203,9 @@ impl MountingMonitor {
         self.judge_rest(in_block, dt)
     }
 
-    /// Finds out whether hands are off the bar, or on it again.
+    /// Detects whether hands are on the bar.
     fn settle(&mut self, dt: f64) {
-        // Once the program runs, the robot moves the reading and no hand.
+        // Once the program runs, the robot moves the reading, not hands.
         let moves = self.strobe_seen || self.grains.back().is_some_and(|grain| !grain.rests);
         if self.settled_s.is_some() && moves {
             return;
@@ -232,7 +228,7 @@ impl MountingMonitor {
         }
     }
 
-    /// Standard deviation of a grain, mm: what is expected, or up to three times as much where the bar is noisier.
+    /// Standard deviation of a grain, mm: as expected, or up to three times as much for a noisier bar.
     fn noise_mm(&self) -> f64 {
         let readings = self.grains.back().map_or(1, |grain| grain.readings.max(1));
         let expected = self.expected.noise_mm / f64::from(readings).sqrt();
@@ -243,7 +239,7 @@ impl MountingMonitor {
         measured.clamp(expected, 3.0 * expected)
     }
 
-    /// Follows a jump as it passes the middle of the newest grains.
+    /// Follows a jump as it passes the middle of the latest grains.
     fn jump(&mut self, dt: f64, settled_s: f64) {
         let side = ((SIDE_S / dt).round() as usize).clamp(SIDE_GRAINS[0], SIDE_GRAINS[1]);
         let gap = ((JUMP_S / dt).round() as usize).max(1);
@@ -270,7 +266,7 @@ impl MountingMonitor {
         let n = side as f64;
         let leverage = 1.0 / n + reach * reach * 12.0 / (n * (n * n - 1.0));
         let noise_mm = self.noise_mm;
-        // The pulses of a sync mark come while the robot still shakes.
+        // The pulses of a sync mark come while the robot still vibrates.
         let rests = !self.strobe_seen && newest.iter().all(|grain| grain.rests);
         let moved_mm = if rests { 0.0 } else { self.expected.speed_mm_s * BEND * n * dt };
         let threshold_mm = (DEVIATE * noise_mm * (2.0 * leverage).sqrt()).max(2.0 * MATTERS * noise_mm)
@@ -283,7 +279,7 @@ impl MountingMonitor {
         }
     }
 
-    /// Names what the jumps so far mean.
+    /// The fault that the jumps so far show.
     fn judge_jumps(&mut self, now_s: f64) -> Option<Named> {
         let last = self.jumps.last()?;
         self.compare_from_s = self.compare_from_s.max(last.t_s + 2.0 * SIDE_S);
@@ -307,7 +303,7 @@ impl MountingMonitor {
         self.name(Named { fault, t_s: now_s, size: height_mm })
     }
 
-    /// Names what a bar at rest does.
+    /// The fault that a bar at rest shows.
     fn judge_rest(&mut self, in_block: usize, dt: f64) -> Option<Named> {
         let comparable = |grain: &&Grain| grain.rests && grain.t_s >= self.compare_from_s;
         let mut means: Vec<f64> =
@@ -328,7 +324,7 @@ impl MountingMonitor {
         let curved_mm = still.scatter_mm * 8.0_f64.sqrt();
         let drift_mm = (still.slope_mm_s * still.span_s).abs();
         self.scattered = if still.is_scattered() { self.scattered + 1 } else { 0 };
-        // The begin of a pull is as rough as rocking.
+        // The start of a pull is as rough as rocking.
         if !self.strobe_seen && (1..BEGIN).contains(&self.scattered) {
             return None;
         }
@@ -337,7 +333,7 @@ impl MountingMonitor {
                 .then_some(Named { fault: MountingFault::NotSeated, t_s, size: 2.0 * still.scatter_mm })
                 .and_then(|named| self.name(named));
         }
-        // The begin of a pull looks like a creep; a dwell is too short to see more of it.
+        // The start of a pull looks like a creep; a dwell is too short to show more.
         let whole = still.blocks == BLOCKS[1];
         let crept = self.named.iter().any(|named| named.fault == MountingFault::Creep);
         if !whole && !self.strobe_seen {
@@ -355,7 +351,7 @@ impl MountingMonitor {
         self.name(Named { fault, t_s, size })
     }
 
-    /// Names a fault that was not named a moment ago.
+    /// Reports a fault unless it was reported a moment ago.
     fn name(&mut self, named: Named) -> Option<Named> {
         self.compare_from_s = named.t_s;
         let before = self.named.iter_mut().find(|before| before.fault == named.fault);

@@ -1,4 +1,4 @@
-//! The circles of a run, as the circular test takes them.
+//! The circles of a run, as input of the circular test.
 
 use std::collections::BTreeMap;
 
@@ -10,19 +10,19 @@ use crate::plan::{Kind, Plan, PlanRow};
 use crate::recording::matching::PoseOutcome;
 use crate::robot::{AXES, Robot};
 
-/// A circle of the plan with what was measured on it.
+/// A circle of the plan with its measurements.
 #[derive(Clone, Debug)]
 pub struct Circle {
-    /// Its number in the plan, from 1.
+    /// Number in the plan, from 1.
     pub number: u32,
     pub radius_mm: f64,
-    /// The lengths (mm, as read) by the sense of the motion.
+    /// Lengths (mm, as read) by direction.
     pub traces: Vec<Trace>,
-    /// Poses that have no length.
+    /// Number of poses without a length.
     pub lost: usize,
 }
 
-/// The circles of a run, and what its matching found.
+/// The circles of a run, and the findings of its matching.
 pub struct Circles {
     /// In the plan's order.
     pub circles: Vec<Circle>,
@@ -30,7 +30,7 @@ pub struct Circles {
 }
 
 impl Run {
-    /// The lengths of the run as read: the circular test corrects them itself, and gives both.
+    /// The lengths as read: the circular test corrects them itself and reports both.
     pub fn circles(&self) -> Result<Circles, Diagnostic> {
         let matching = self.matching_as_read(None)?;
         let robot = self.robot()?;
@@ -51,7 +51,7 @@ impl Run {
             };
             let point = Point {
                 angle_deg: place.angle_deg,
-                // The pose as printed is off the circle by up to a micrometre; that is no error of the robot.
+                // The printed pose is off the circle by up to a micrometre, which is no error of the robot.
                 length_mm: observation.length_mm - (row.length_mm - place.radius_mm),
                 sigma_mm: observation.sigma_mm,
                 t_s: None,
@@ -76,7 +76,7 @@ impl Circle {
         Self { number, radius_mm, traces: Vec::new(), lost: 0 }
     }
 
-    /// Poses that have a length.
+    /// Number of poses with a length.
     pub fn measured(&self) -> usize {
         self.traces.iter().map(|trace| trace.points.len()).sum()
     }
@@ -89,11 +89,11 @@ impl Circle {
     }
 }
 
-/// What the joints do to the length at a pose, and in which sense each came there.
+/// The effect of each joint on the length at a pose, and the direction from which it arrived.
 pub fn drives(plan: &Plan, robot: &Robot, row: &PlanRow) -> Option<[Drive; AXES]> {
     /// Half of the step of the derivative, rad.
     const STEP: f64 = 1e-5;
-    /// A joint that moves less does not move, degrees.
+    /// Least motion of a joint, degrees.
     const STILL_DEG: f64 = 1e-3;
     let ball = plan.header.job.centres.iter().find(|ball| ball.id == row.centre)?;
     let at = (row.index as usize).checked_sub(1)?;
@@ -114,7 +114,7 @@ pub fn drives(plan: &Plan, robot: &Robot, row: &PlanRow) -> Option<[Drive; AXES]
         };
         let came = before.map_or(0, |before| sense(before[joint], row.axes_deg[joint]));
         let goes = after.map_or(0, |after| sense(row.axes_deg[joint], after[joint]));
-        // Next to where it turns the joint may have turned on the way already.
+        // Near a reversal the joint may have reversed already.
         Drive { lever_mm, sense: if came == goes { came } else { 0 } }
     }))
 }

@@ -1,4 +1,4 @@
-//! A recorded run: a capture with its plan, read once, and what becomes of the two: lengths at poses, circles.
+//! A recorded run: a capture with its plan, read once, and its results: lengths at poses, circles.
 
 mod circles;
 mod open;
@@ -29,40 +29,38 @@ use crate::plan::Plan;
 use crate::provenance::{self, Artefact, Identity, Provenance, Role, Traced};
 use crate::robot::{AXES, Robot};
 
-/// What a capture gives to be matched.
+/// The content of a capture to be matched.
 pub struct Run {
-    /// The plan: the one attached, unless another one was named. Its header holds the job with
-    /// the base balls, and the robot.
+    /// The attached plan, unless another one was named. Its header holds the job with the base balls, and the robot.
     pub plan: Plan,
-    /// The samples on one clock.
     pub stream: Stream,
-    /// The bar's temperature, where it was sent.
+    /// Temperature of the bar, if it was sent.
     temperatures: Temperatures,
     pub reports: Vec<Report>,
-    /// The axes that the controller published, where they were recorded.
+    /// The axes that the controller published, if they were recorded.
     pub track: Option<AxisTrack>,
-    /// Whether something of the run was lost (a damage, a cut end, samples), or it may not be that of the plan.
+    /// Whether data of the run were lost, or it may belong to another plan.
     pub doubtful: bool,
-    /// As the program sent them over EthernetKRL; those of a `.dat` take precedence.
+    /// From EthernetKRL; angles of a `.dat` take precedence.
     pub axes_deg: MeasuredAxes,
-    /// Whose it is, and when it was recorded.
+    /// Owner of the run, and when it was recorded.
     identity: Identity,
 }
 
-/// A model of the lengths: evidence for the matching as the times are.
+/// A model of the lengths: evidence for the matching, like the times.
 #[derive(Clone, Copy)]
 pub struct Predicted<'a> {
-    /// Of the base ball and the axis angles in degrees, mm.
+    /// Length in mm by base ball and axis angles in degrees.
     pub length_mm: &'a dyn Fn(BallId, &[f64; AXES]) -> f64,
     /// Standard deviation, mm.
     pub sigma_mm: f64,
 }
 
 impl Run {
-    /// The measurements, with their lengths referred by the bar's certificate to the temperature that they were read
-    /// at.
+    /// The measurements, their lengths corrected by the bar's certificate for the temperature at which they
+    /// were read.
     ///
-    /// To match, identify and match again until [`PoseMatching::same_pairs`] shows that nothing changed.
+    /// To use predicted lengths: match, identify, and match again until [`PoseMatching::same_pairs`] shows no change.
     ///
     /// # Errors
     /// The reading runs against the motion.
@@ -70,7 +68,7 @@ impl Run {
         let certificate = self.certificate();
         let warm = certificate.zip(self.temperatures.mean());
         let factor = warm.map_or(1.0, |(certificate, mean_c)| certificate.referred_mm(1.0, mean_c));
-        // Readings are aligned as they were read.
+        // The alignment compares lengths as read.
         let mut matching = match predicted {
             Some(Predicted { length_mm, sigma_mm }) => {
                 let as_read = |ball: BallId, axes_deg: &[f64; AXES]| length_mm(ball, axes_deg) / factor;
@@ -125,20 +123,20 @@ impl Run {
         }
     }
 
-    /// How the bar's certificate refers a length; `None` where it gives no expansion.
+    /// The certificate's correction of a length; `None` if it gives no expansion.
     pub fn certificate(&self) -> Option<Temperature> {
         let bar = &self.plan.header.job.bar;
         let certified_c = bar.temperature_c.unwrap_or(Temperature::default().certified_c);
         Some(Temperature { bar_per_k: Some(bar.expansion_per_k?), certified_c, machine_per_k: None })
     }
 
-    /// The bar's temperature at a time of the run, degrees Celsius.
+    /// Temperature of the bar at a time of the stream, degrees Celsius.
     pub fn temperature_at(&self, t_s: f64) -> Option<f64> {
         self.temperatures.at(self.stream.at(t_s))
     }
 
-    /// What the readings at rest, which the strobe alone shows, say of the mounting, of each kind the largest: in motion the
-    /// play of a joint makes jumps.
+    /// Findings of the mounting monitor, of each kind the largest. Only readings at rest count, which needs a
+    /// strobe: in motion, backlash of a joint makes jumps.
     pub fn mounting(&self) -> Vec<PortFinding> {
         if !(self.reports.is_empty() && has_strobe(&self.stream)) {
             return Vec::new();
@@ -147,7 +145,7 @@ impl Run {
         mounting::worst(expected, &self.stream, self.plan.header.job.bar.stroke_mm)
     }
 
-    /// What was done about temperature.
+    /// The finding about the correction for temperature.
     fn temperature_finding(&self) -> Option<RecordingFinding> {
         let length_mm = self.plan.header.job.bar.length_mm;
         match (self.certificate(), self.temperatures.mean()) {

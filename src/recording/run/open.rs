@@ -1,4 +1,4 @@
-//! Reading a run.
+//! Opens a run.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -24,7 +24,7 @@ use crate::recording::stream::StreamBuilder;
 /// Whether the file at `path` is a capture, whatever its name.
 pub fn is_capture(path: &Path) -> Result<bool, Diagnostic> {
     use std::io::Read as _;
-    /// A record begins within so many bytes, also where the header and the first records are damaged.
+    /// A record starts within this many bytes, even if the header and the first records are damaged.
     const GLIMPSE: u64 = 1 << 16;
     let mut first = Vec::new();
     let read = std::fs::File::open(path).and_then(|file| file.take(GLIMPSE).read_to_end(&mut first));
@@ -32,8 +32,8 @@ pub fn is_capture(path: &Path) -> Result<bool, Diagnostic> {
     Ok(capture::is_capture(&first))
 }
 
-/// Reads the capture at `path`, and the axis angles logged into the `.dat` files `axes`; reports the capture's damages
-/// and what else is to be known.
+/// Reads the capture at `path` and the axis angles logged in the `.dat` files `axes`. Damages and other findings
+/// go to `report`.
 pub fn open(
     path: &Path,
     plan: Option<&Path>,
@@ -87,13 +87,13 @@ pub fn open(
     Ok(run)
 }
 
-/// That the date of a run, which is that of a computer's clock, cannot be.
+/// A finding if the date of a run, by the clock of a computer, cannot be right.
 fn unlikely_date(identity: &Identity) -> Option<RecordingFinding> {
     let wrong = identity.check_all().and_then(|()| identity.check_dates(clock::unix_ns()));
     wrong.err().map(|(_, why)| RecordingFinding::UnlikelyDate { why: why.to_string() })
 }
 
-/// What is lost between the capture at `path` and the lengths of its plan's poses.
+/// Findings about lengths that were lost between the capture at `path` and the poses of its plan.
 pub fn losses(path: &Path) -> Result<Vec<Diagnostic>, Diagnostic> {
     let run = open(path, None, &[], &mut |_| {})?;
     let mounting = run.mounting().into_iter().map(Diagnostic::from);
@@ -101,7 +101,7 @@ pub fn losses(path: &Path) -> Result<Vec<Diagnostic>, Diagnostic> {
     Ok(found.filter(|finding| finding.code.severity() == Severity::Warning).collect())
 }
 
-/// What a program logged into its `.dat`.
+/// The log of a program in its `.dat`.
 struct LoggedAxes {
     axes_deg: MeasuredAxes,
     absolute_accuracy: bool,
@@ -120,10 +120,10 @@ impl LoggedAxes {
     }
 }
 
-/// Axes that are this far from the commanded ones do not follow the nominal robot, degrees.
+/// Axes further from the commanded ones than this do not follow the nominal robot, degrees.
 const APART_DEG: f64 = 0.005;
 
-/// Whether the known axis angles are not the commanded ones, while those of other poses are not known.
+/// A finding if known axis angles differ from the commanded ones, while those of other poses are unknown.
 fn incomplete_axes(plan: &Plan, axes_deg: &MeasuredAxes) -> Option<RecordingFinding> {
     let (mut worst_deg, mut poses) = (0.0_f64, 0);
     for row in plan.rows.iter().filter(|row| row.dwell_s > 0.0) {
@@ -138,7 +138,7 @@ fn incomplete_axes(plan: &Plan, axes_deg: &MeasuredAxes) -> Option<RecordingFind
     (worst_deg > APART_DEG && poses > 0).then_some(RecordingFinding::AxesIncomplete { worst_deg, poses })
 }
 
-/// Whether the capture was recorded with another plan than the one named.
+/// A finding if the capture was recorded with another plan than the one named.
 fn other_plan(attached: Option<&Vec<u8>>, plan: &Plan) -> Option<RecordingFinding> {
     let header = serde_json::from_slice::<Value>(attached?).unwrap_or_default();
     let recorded = header.get("hash").and_then(Value::as_str).unwrap_or("that cannot be read");
@@ -146,7 +146,7 @@ fn other_plan(attached: Option<&Vec<u8>>, plan: &Plan) -> Option<RecordingFindin
     (recorded != named).then(|| RecordingFinding::OtherPlan { recorded: recorded.into(), named })
 }
 
-/// What one pass over a capture collects.
+/// Collected in one pass over a capture.
 #[derive(Default)]
 struct Gathered {
     attachments: BTreeMap<String, Vec<u8>>,
@@ -154,7 +154,7 @@ struct Gathered {
     temperatures: Temperatures,
     reports: Vec<Report>,
     axes: AxisTrackBuilder,
-    /// By the capture's own clock, ns since the Unix epoch.
+    /// By the clock of the recording computer, ns since the Unix epoch.
     started: Option<u64>,
 }
 
@@ -166,7 +166,7 @@ impl Gathered {
                 self.attachments.insert(name, content);
             }
             Record::Samples(samples) => {
-                // A capture's files come before its samples.
+                // The attachments of a capture precede its samples.
                 let stream = match &mut self.stream {
                     Some(stream) => stream,
                     none => none.insert(stream(&self.attachments, run)?),
@@ -186,7 +186,7 @@ impl Gathered {
     }
 }
 
-/// A stream with the clock and the sequence numbers of the protocol in force, where it has them.
+/// A stream with clock and sequence numbers of the attached protocol, if it has them.
 fn stream(attachments: &BTreeMap<String, Vec<u8>>, run: &str) -> Result<StreamBuilder, Diagnostic> {
     let Some(text) = attached_text(run, attachments, "protocol.toml")? else {
         return Ok(StreamBuilder::new(None));

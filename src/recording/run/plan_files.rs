@@ -1,4 +1,4 @@
-//! The one loader of a plan: from its two files, or from the attachments of a capture.
+//! Loads a plan from its two files, or from the attachments of a capture.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -9,17 +9,16 @@ use crate::diagnostic::Diagnostic;
 use crate::plan::Plan;
 use crate::provenance::{Identity, Provenance};
 
-/// The names of a plan's files among the attachments of a capture.
+/// Names of a plan's files among the attachments of a capture.
 const ATTACHED_CSV: &str = "plan.csv";
 const ATTACHED_JSON: &str = "plan.json";
 const ATTACHED_ROBOT: &str = "robot.toml";
-/// What was stated of the run when it began.
+/// The identity stated at the start of a run.
 pub const ATTACHED_IDENTITY: &str = "identity.toml";
 
 /// Longer than the files of any plan: 1000 poses take a few hundred kB.
 const MOST_BYTES: u64 = 8 << 20;
 
-/// A plan with the texts that it was read from.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PlanFiles {
     pub plan: Plan,
@@ -28,7 +27,7 @@ pub struct PlanFiles {
 }
 
 impl PlanFiles {
-    /// The plan whose rows are in the CSV at `csv`, with the .json beside it.
+    /// The plan whose rows are in `csv`, with the .json beside it.
     pub fn read(csv: &Path) -> Result<Self, Diagnostic> {
         let json = csv.with_extension("json");
         let (csv_name, json_name) = (csv.display().to_string(), json.display().to_string());
@@ -40,18 +39,17 @@ impl PlanFiles {
         Ok(Self { plan, csv, json })
     }
 
-    /// The files that a capture of a run of the plan carries, by their names.
+    /// The files that a capture of a run of the plan contains, by name.
     pub fn attachments(self) -> [(&'static str, String); 3] {
         [(ATTACHED_CSV, self.csv), (ATTACHED_JSON, self.json), (ATTACHED_ROBOT, self.plan.header.robot)]
     }
 }
 
-/// As [`PlanFiles::read`], without the texts.
 pub fn read_plan(csv: &Path) -> Result<Plan, Diagnostic> {
     PlanFiles::read(csv).map(|files| files.plan)
 }
 
-/// The plan among the attachments of the capture `run`; `None` if there is none.
+/// The plan among the attachments of the capture `run`, if there is one.
 pub fn attached_plan(run: &str, attachments: &BTreeMap<String, Vec<u8>>) -> Result<Option<Plan>, Diagnostic> {
     let text = |name: &str| attached_text(run, attachments, name);
     let (Some(csv), Some(json)) = (text(ATTACHED_CSV)?, text(ATTACHED_JSON)?) else { return Ok(None) };
@@ -59,11 +57,8 @@ pub fn attached_plan(run: &str, attachments: &BTreeMap<String, Vec<u8>>) -> Resu
     Plan::from_files(&name(ATTACHED_CSV), csv, &name(ATTACHED_JSON), json).map(Some)
 }
 
-/// Whose the run is as a whole: what its plan states, with what was stated when it began, at `started` by the capture's own
-/// clock (ns since the Unix epoch).
-///
-/// # Errors
-/// What is wrong in the attachment.
+/// The identity of a run: that of its plan, with what was stated at its start. `started` is the clock of the
+/// recording computer, ns since the Unix epoch.
 pub fn identity(
     run: &str,
     plan: Option<&Plan>,
@@ -78,7 +73,7 @@ pub fn identity(
     Ok(identity)
 }
 
-/// Why the plan or the identity that is attached to a capture cannot be read; `None` where both can, or there are none.
+/// Why the attached plan or identity of a capture cannot be read.
 pub fn unread(
     run: &str,
     attachments: &BTreeMap<String, Vec<u8>>,
@@ -90,11 +85,8 @@ pub fn unread(
     plan.err().or(identity)
 }
 
-/// The plan of a capture and what the capture was made from, as far as its attachments can be read: what cannot is refused
+/// The plan of a capture and its provenance, as far as its attachments can be read. Unreadable ones are refused
 /// where the run is used.
-///
-/// # Errors
-/// As [`Plan::traced`].
 pub fn sources(
     attachments: &BTreeMap<String, Vec<u8>>,
     started: Option<u64>,
@@ -107,7 +99,7 @@ pub fn sources(
     Ok((plan, Provenance { dbbd, identity, ..made }))
 }
 
-/// The text of an attachment, if it is there.
+/// The text of an attachment, if there is one.
 pub(super) fn attached_text<'a>(
     run: &str,
     attachments: &'a BTreeMap<String, Vec<u8>>,

@@ -1,20 +1,19 @@
-//! The bar's temperature over a run.
+//! Temperature of the bar during a run.
 
 use crate::catalogue::RecordingFinding;
 
-/// Samples whose temperatures are kept as their mean.
+/// Number of samples whose temperatures are averaged.
 const BLOCK: usize = 256;
-/// A temperature counts for so many blocks before and after it was read.
+/// A temperature applies to this many blocks before and after it.
 const NEAR: usize = 200;
 
-/// Sum and count of the temperatures of a block.
 #[derive(Clone, Copy, Debug, Default)]
 struct Block {
     sum_c: f64,
     count: u32,
 }
 
-/// Temperatures by the place of the sample in its run, in degrees Celsius.
+/// Temperatures by the index of the sample, degrees Celsius.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Temperatures {
     blocks: Vec<Block>,
@@ -22,12 +21,12 @@ pub(super) struct Temperatures {
     /// Lowest and highest.
     range_c: Option<[f64; 2]>,
     last_c: Option<f64>,
-    /// The largest change from one temperature to the next, K.
+    /// Largest change between consecutive temperatures, K.
     step_k: f64,
 }
 
 impl Temperatures {
-    /// The next sample came, with its temperature if it has one.
+    /// Takes the temperature of the next sample.
     pub(super) fn push(&mut self, temperature_c: Option<f64>) {
         let block = self.samples / BLOCK;
         self.samples += 1;
@@ -43,7 +42,7 @@ impl Temperatures {
         }
     }
 
-    /// The temperature at a sample: the mean of its block, or of the nearest one that has any.
+    /// Mean of the block of a sample, or of the nearest block with a temperature.
     pub(super) fn at(&self, sample: usize) -> Option<f64> {
         let block = sample / BLOCK;
         let mean = |at: usize| {
@@ -53,22 +52,21 @@ impl Temperatures {
         (0..=NEAR).find_map(|off| block.checked_sub(off).and_then(mean).or_else(|| mean(block + off)))
     }
 
-    /// That no bar had them while people worked beside it.
+    /// A finding if no bar can have these temperatures in a workshop.
     pub(super) fn doubt(&self) -> Option<RecordingFinding> {
         const ROOM_C: [f64; 2] = [-10.0, 60.0];
-        /// No bar changes so much from one reading to the next, K.
+        /// Largest change of a bar between consecutive readings, K.
         const MOST_STEP_K: f64 = 3.0;
         let [low_c, high_c] = self.range_c?;
         if self.step_k > MOST_STEP_K {
             return Some(RecordingFinding::TemperatureJumps { step_k: self.step_k });
         }
-        // What a sensor shows that is not there.
+        // A missing sensor reads 0.
         let is_zero = low_c == 0.0 && high_c == 0.0;
         (is_zero || low_c < ROOM_C[0] || high_c > ROOM_C[1])
             .then_some(RecordingFinding::NoTemperature { low_c, high_c })
     }
 
-    /// The mean over the run.
     pub(super) fn mean(&self) -> Option<f64> {
         let sum_c: f64 = self.blocks.iter().fold(0.0, |sum, block| sum + block.sum_c);
         let count: f64 = self.blocks.iter().map(|block| f64::from(block.count)).sum();

@@ -1,6 +1,6 @@
-//! Fields: which keys go with which kind and role.
+//! Compiles a field and checks the keys of its kind and role.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use serde::de::DeserializeOwned;
 
@@ -20,7 +20,7 @@ use crate::device::protocol::table::{Endian, FieldKind, FieldTable, Fill, RoleNa
 
 type Words = BTreeMap<String, String>;
 
-/// The keys of a field that are not used yet.
+/// The keys of a field that are not consumed yet.
 struct Keys(toml::Table);
 
 impl Keys {
@@ -36,20 +36,17 @@ impl Keys {
 
 pub(super) fn compile(table: &FieldTable) -> Result<Field, ProtocolFinding> {
     let mut keys = Keys(table.keys.clone());
-    let words = match table.kind {
-        FieldKind::Map => keys.take_or_default("map")?,
-        _ => Words::new(),
-    };
-    let form = form(table.kind, &mut keys, &words)?;
-    let role = table.role.map(|role| compile_role(role, &mut keys, &form, &words)).transpose()?;
+    let (form, meanings) = form(table.kind, &mut keys)?;
+    let role = table.role.map(|role| compile_role(role, &mut keys, &form, &meanings)).transpose()?;
     match keys.0.into_iter().next() {
         Some((key, _)) => Err(KeyWithoutMeaning { key }),
         None => Ok(Field { form, role }),
     }
 }
 
-fn form(kind: FieldKind, keys: &mut Keys, words: &Words) -> Result<Form, ProtocolFinding> {
-    Ok(match kind {
+/// The form of a field, and the meanings of its words if it is a map.
+fn form(kind: FieldKind, keys: &mut Keys) -> Result<(Form, Vec<String>), ProtocolFinding> {
+    let form = match kind {
         FieldKind::Skip => match keys.take("bytes")? {
             Some(bytes @ 1..=LONGEST_FRAME) => Form::Skip(bytes),
             _ => return Err(SkipBytes),
@@ -89,12 +86,13 @@ fn form(kind: FieldKind, keys: &mut Keys, words: &Words) -> Result<Form, Protoco
             Some(digits @ 1..=8) => Form::Hex { digits, signed: keys.take_or_default("signed")? },
             _ => return Err(HexDigits),
         },
-        FieldKind::Map => map(keys, words)?,
+        FieldKind::Map => return map(keys),
         FieldKind::Column => match keys.take_or_default::<String>("sep")?.as_bytes() {
             [sep] => Form::Column { sep: *sep },
             _ => return Err(ColumnSeparator),
         },
-    })
+    };
+    Ok((form, Vec::new()))
 }
 
 fn decimal(keys: &mut Keys) -> Result<Form, ProtocolFinding> {
@@ -115,23 +113,24 @@ fn decimal(keys: &mut Keys) -> Result<Form, ProtocolFinding> {
     Ok(Form::Decimal(decimal))
 }
 
-fn map(keys: &mut Keys, map: &Words) -> Result<Form, ProtocolFinding> {
-    let mut words: Vec<&String> = map.keys().collect();
-    // A word that begins another must not be taken for it.
-    words.sort_by_key(|word| (std::cmp::Reverse(word.len()), (*word).clone()));
+fn map(keys: &mut Keys) -> Result<(Form, Vec<String>), ProtocolFinding> {
+    let mut map: Vec<(String, String)> = keys.take_or_default::<Words>("map")?.into_iter().collect();
+    // A word that is the start of another must be tried after it.
+    map.sort_by_key(|(word, _)| std::cmp::Reverse(word.len()));
+    let (words, meanings): (Vec<String>, Vec<String>) = map.into_iter().unzip();
     let (optional, default): (bool, Option<String>) =
         (keys.take_or_default("optional")?, keys.take("default")?);
-    let at = default.as_ref().and_then(|default| words.iter().position(|word| *word == default));
-    if words.is_empty() || words.iter().any(|word| word.is_empty()) {
+    let at = default.as_ref().and_then(|default| words.iter().position(|word| word == default));
+    if words.is_empty() || words.iter().any(String::is_empty) {
         return Err(MapWords);
     }
     if at.is_none() != optional || default.is_some() && at.is_none() {
         return Err(MapDefault);
     }
-    Ok(Form::Word { words: words.iter().map(|word| word.as_bytes().to_vec()).collect(), default: at })
+    Ok((Form::Word { words: words.into_iter().map(String::into_bytes).collect(), default: at }, meanings))
 }
 
-/// Gives bits that follow each other in a message their places; a group is 1 to 4 whole bytes.
+/// Assigns adjacent bit fields of a message to groups of 1 to 4 whole bytes.
 pub(super) fn group_bits(fields: &mut [Field]) -> Result<(), ProtocolFinding> {
     let is_bits = |field: &Field| matches!(field.form, Form::Bits { .. });
     for run in fields.chunk_by_mut(|a, b| is_bits(a) && is_bits(b)) {
@@ -154,12 +153,11 @@ pub(super) fn group_bits(fields: &mut [Field]) -> Result<(), ProtocolFinding> {
     Ok(())
 }
 
-/// Takes the keys of the field's role.
 fn compile_role(
     role: RoleName,
     keys: &mut Keys,
     form: &Form,
-    words: &Words,
+    meanings: &[String],
 ) -> Result<Role, ProtocolFinding> {
     let bits = match form {
         Form::Skip(_) | Form::Literal { .. } | Form::Column { .. } => return Err(RoleWithoutValue),
@@ -167,7 +165,7 @@ fn compile_role(
         Form::Bits { bits, .. } => *bits,
         Form::Hex { digits, .. } => 4 * *digits as u32,
         Form::Decimal(_) | Form::Float { .. } => 32,
-        Form::Word { words: listed, .. } => return worded(role, listed, words),
+        Form::Word { .. } => return role_of_words(role, meanings),
     };
     Ok(match role {
         RoleName::Length => Role::Length(scale(keys, Quantity::Length)?, limits(keys)?),
@@ -201,31 +199,26 @@ fn compile_role(
     })
 }
 
-/// The role of a field whose values are words.
-fn worded(role: RoleName, listed: &[Vec<u8>], map: &Words) -> Result<Role, ProtocolFinding> {
-    let meaning =
-        |word: &Vec<u8>| map.iter().find(|(key, _)| key.as_bytes() == &word[..]).map(|(_, says)| says);
+fn role_of_words(role: RoleName, meanings: &[String]) -> Result<Role, ProtocolFinding> {
     match role {
         RoleName::Unit => {
-            let units = listed.iter().map(|word| match meaning(word).map(String::as_str) {
-                Some("mm") => Ok(Some(1.0)),
-                Some("um") => Ok(Some(1e-3)),
-                Some("inch") => Ok(Some(25.4)),
-                Some("fault") => Ok(None),
+            let units = meanings.iter().map(|meaning| match meaning.as_str() {
+                "mm" => Ok(Some(1.0)),
+                "um" => Ok(Some(1e-3)),
+                "inch" => Ok(Some(25.4)),
+                "fault" => Ok(None),
                 _ => Err(UnitWords),
             });
             let units: Vec<Option<f64>> = units.collect::<Result<_, _>>()?;
             if units.contains(&Some(1.0)) { Ok(Role::Unit(units)) } else { Err(UnitWithoutMm) }
         }
         RoleName::Status => {
-            let mut names: Vec<&String> = map.values().collect();
-            names.sort();
-            names.dedup();
+            let names: BTreeSet<&String> = meanings.iter().collect();
             if names.len() > 32 {
                 return Err(TooManyWords);
             }
-            let bit = |name: &String| names.iter().position(|known| *known == name).unwrap_or(0) as u32;
-            let bits = listed.iter().filter_map(|word| meaning(word).map(bit)).collect();
+            let bit = |name| names.iter().position(|known| *known == name).unwrap_or(0) as u32;
+            let bits = meanings.iter().map(bit).collect();
             let names = (0..).zip(names.iter().map(|name| (*name).clone())).collect();
             Ok(Role::StatusWord(bits, Flags::new(names)))
         }
@@ -274,7 +267,7 @@ fn scale(keys: &mut Keys, quantity: Quantity) -> Result<Scale, ProtocolFinding> 
     }
     let sense = if keys.take_or_default("invert")? { -1.0 } else { 1.0 };
     let (numerator, denominator) = (f64::from(numerator), f64::from(denominator));
-    // Without an offset a single division keeps decimal values exact.
+    // Without an offset, a single division keeps decimal values exact.
     Ok(if offset == 0.0 {
         Scale { numerator: numerator * times, denominator: denominator * per, offset, unit: unit * sense }
     } else {

@@ -1,10 +1,10 @@
-//! Messages and the device's words for having no reading: whether their parts fit the frame.
+//! Compiles messages and rejects, and checks that their fields fit the frame.
 
 use std::ops::Range;
 
 use toml::Spanned;
 
-use super::{Source, field, vectors};
+use super::field;
 use crate::catalogue::ProtocolFinding::{
     self, FramingByte, MatchedByte, NoFixedLength, OtherLength, RejectCode, RejectNumber, RejectText,
     RoleCount, TooLong,
@@ -12,15 +12,16 @@ use crate::catalogue::ProtocolFinding::{
 use crate::device::protocol::engine::{Message, Reject};
 use crate::device::protocol::field::{Field, Form};
 use crate::device::protocol::framing::Framing;
-use crate::device::protocol::table::{Code, MessageTable, RejectTable};
+use crate::device::protocol::source::Source;
+use crate::device::protocol::table::{Code, MessageTable, RejectTable, hex_bytes};
 use crate::diagnostic::Diagnostic;
 
-/// Checks a message and compiles it; `guard` is the length of the check behind it.
+/// Compiles a message; `check_len` is the length of the check after it.
 pub(super) fn compile(
-    source: Source,
+    source: &Source,
     table: &Spanned<MessageTable>,
     framing: &Framing,
-    guard: usize,
+    check_len: usize,
 ) -> Result<Message, Diagnostic> {
     let MessageTable { name, r#match: matches, fields } = table.get_ref();
     let wrong = |finding: ProtocolFinding| source.wrong(table.span(), finding);
@@ -36,10 +37,10 @@ pub(super) fn compile(
         }
     }
     let len = fields.iter().map(|field| field.form.len()).sum::<Option<usize>>();
-    fits(name, len, framing, guard).map_err(wrong)?;
+    fits(name, len, framing, check_len).map_err(wrong)?;
     let skipped = skipped(&fields);
     let free = |byte: usize| skipped.iter().any(|skipped| skipped.contains(&byte));
-    if let Some(byte) = framing.own().find(|byte| !free(*byte)) {
+    if let Some(byte) = framing.reserved().find(|byte| !free(*byte)) {
         return Err(wrong(FramingByte { message: name.clone(), byte }));
     }
     if let Some(matched) = matches.iter().find(|matched| !free(matched.get_ref().at)) {
@@ -48,10 +49,10 @@ pub(super) fn compile(
     Ok(Message { matches: matches.iter().map(|matched| *matched.get_ref()).collect(), fields, len })
 }
 
-/// Whether a content of this length fits into the frame.
-fn fits(name: &str, len: Option<usize>, framing: &Framing, guard: usize) -> Result<(), ProtocolFinding> {
-    let (room, exact) = framing.room();
-    let (room, message) = (room.saturating_sub(guard), name.to_owned());
+/// Whether content of this length fits into the frame.
+fn fits(name: &str, len: Option<usize>, framing: &Framing, check_len: usize) -> Result<(), ProtocolFinding> {
+    let (room, exact) = framing.content_len();
+    let (room, message) = (room.saturating_sub(check_len), name.to_owned());
     match len {
         Some(bytes) if bytes > room => Err(TooLong { message, bytes, room }),
         Some(bytes) if exact && bytes != room => Err(OtherLength { message, bytes, room }),
@@ -73,12 +74,11 @@ fn skipped(fields: &[Field]) -> Vec<Range<usize>> {
     skipped
 }
 
-/// Checks a `[[reject]]` and compiles it.
 pub(super) fn reject(table: &RejectTable) -> Result<Reject, ProtocolFinding> {
     let (text, whole) = match (&table.prefix, &table.eq, &table.hex) {
         (Some(prefix), None, None) => (prefix.clone().into_bytes(), false),
         (None, Some(eq), None) => (eq.clone().into_bytes(), true),
-        (None, None, Some(hex)) => (vectors::bytes(hex).unwrap_or_default(), false),
+        (None, None, Some(hex)) => (hex_bytes(hex).unwrap_or_default(), false),
         _ => return Err(RejectText),
     };
     if text.is_empty() {

@@ -1,20 +1,14 @@
-//! Checks a definition file and compiles it; every refusal names its line.
+//! Checks a definition file and compiles it; every error names its line.
 
-mod check;
 mod field;
-mod framing;
 mod message;
-mod params;
 mod vectors;
 
-use std::ops::Range;
 use std::sync::Arc;
 use std::time::Duration;
 
 use toml::Spanned;
 
-use self::params::Resolved;
-use crate::base::parse::from_toml_text;
 use crate::catalogue::ProtocolFinding::{
     self, BaudZero, DataBits, EmptyId, EmptyIgnore, IdentAnswer, LatchDevice, LatchRequest, NoMessage,
     NominalRate, PollCommandMissing, PollKeysMissing, PollKeysWithoutPoll, PollRate, ProbeIdent, ProbeZero,
@@ -23,31 +17,76 @@ use crate::catalogue::ProtocolFinding::{
 use crate::device::protocol::check::Check;
 use crate::device::protocol::definition::{Definition, Mode, Step};
 use crate::device::protocol::engine::Engine;
+use crate::device::protocol::framing::Framing;
 use crate::device::protocol::line::Line;
+use crate::device::protocol::source::Source;
 use crate::device::protocol::table::{
-    CommandTable, Confidence, File, FramingTable, Latch, ModeKind, ModeTable, StepTable, TestTable,
+    Confidence, File, FramingTable, Latch, ModeKind, ModeTable, StepTable, hex_bytes,
 };
-use crate::diagnostic::{Diagnostic, Finding};
+use crate::diagnostic::Diagnostic;
 
-/// Reads, checks and compiles a definition.
-pub(super) fn load(file: &str, text: &str, params: &[(String, String)]) -> Result<Definition, Diagnostic> {
-    let resolved = params::resolve(file, text, params)?;
-    let source = Source { file, text, resolved: &resolved };
-    let table: File =
-        from_toml_text(&resolved.text).map_err(|(span, finding)| source.wrong(span, finding))?;
+/// The definitions that come with dbbd: name and file.
+const BUILT_IN: &[(&str, &str)] = include!("../../../../protocols/built-in.rs");
+
+impl Definition {
+    pub fn built_in() -> &'static [(&'static str, &'static str)] {
+        BUILT_IN
+    }
+
+    /// A built-in definition with the defaults of its parameters.
+    pub fn by_name(name: &str) -> Option<Result<Self, Diagnostic>> {
+        Self::by_name_with(name, &[])
+    }
+
+    /// A built-in definition with some parameters chosen.
+    pub fn by_name_with(name: &str, params: &[(String, String)]) -> Option<Result<Self, Diagnostic>> {
+        let (_, text) = BUILT_IN.iter().find(|(built_in, _)| *built_in == name)?;
+        Some(Self::from_toml_with(name, text, params))
+    }
+
+    /// Reads, checks and compiles a definition, and runs its test vectors.
+    pub fn from_toml(file: &str, text: &str) -> Result<Self, Diagnostic> {
+        Self::from_toml_with(file, text, &[])
+    }
+
+    /// The same with some parameters chosen; the test vectors run with the defaults.
+    pub fn from_toml_with(file: &str, text: &str, params: &[(String, String)]) -> Result<Self, Diagnostic> {
+        let defaults = load(file, text, &[]);
+        let chosen =
+            if params.is_empty() { defaults } else { defaults.and_then(|_| load(file, text, params)) };
+        chosen.map_err(|wrong| match wrong.help {
+            Some(_) => wrong,
+            None => wrong.help(
+                "docs/reference/protocols.md has every key; `dbbd protocols show dbb-cobs-1` prints a complete definition",
+            ),
+        })
+    }
+}
+
+fn load(file: &str, text: &str, params: &[(String, String)]) -> Result<Definition, Diagnostic> {
+    let source = Source::new(file, text, params)?;
+    let table: File = source.parse()?;
     if table.schema != 1 {
         return Err(source.key("", "schema", UnknownSchema { schema: table.schema }));
     }
     if table.id.is_empty() {
         return Err(source.key("", "id", EmptyId));
     }
-    let engine = engine(source, &table)?;
-    let (clock, sequence_modulo) = (engine.clock(), engine.sequence_modulo());
-    check_timing(source, &table, clock.is_some())?;
-    check_line(source, &table.line)?;
-    let mode = mode(source, &table)?;
-    let [ident, zero, init, poll, start, stop] = commands(source, &table, engine.check.as_ref())?;
-    Ok(Definition {
+    let engine = engine(&source, &table)?;
+    let clock = engine.clock();
+    check_timing(&source, &table, clock.is_some())?;
+    check_line(&source, &table.line)?;
+    let mode = mode(&source, &table)?;
+    let steps = |steps: &[Spanned<StepTable>]| -> Result<Vec<Step>, Diagnostic> {
+        let compiled = steps.iter().map(|step| {
+            compile_step(step.get_ref(), engine.check.as_ref())
+                .map_err(|finding| source.wrong(step.span(), finding))
+        });
+        compiled.collect()
+    };
+    let ident = steps(&table.cmd.ident)?;
+    check_ident(&source, &table, &ident)?;
+    let definition = Definition {
         id: table.id,
         title: table.title,
         source: table.source,
@@ -60,7 +99,7 @@ pub(super) fn load(file: &str, text: &str, params: &[(String, String)]) -> Resul
         tested_on: table.tested_on,
         line: table.line,
         clock,
-        sequence_modulo,
+        sequence_modulo: engine.sequence_modulo(),
         stall: table.mode.stall_ms.map(|ms| Duration::from_millis(ms.into())),
         sync_frames: table.mode.sync_frames.unwrap_or(1),
         nominal_hz: table.timing.nominal_hz,
@@ -74,39 +113,29 @@ pub(super) fn load(file: &str, text: &str, params: &[(String, String)]) -> Resul
         },
         sim: table.sim,
         ident,
-        zero,
-        init,
-        poll,
-        start,
-        stop,
+        zero: steps(&table.cmd.zero)?,
+        init: steps(&table.cmd.init)?,
+        poll: steps(&table.cmd.poll)?,
+        start: steps(&table.cmd.start)?,
+        stop: steps(&table.cmd.stop)?,
+        text: source.with_chosen_defaults.clone(),
+        params: source.params.clone().into_iter().collect(),
         engine: Arc::new(engine),
-        text: resolved.kept,
-        params: resolved.values,
-    })
-}
-
-/// Runs the file's own tests, which hold for its default parameters.
-pub(super) fn test(file: &str, text: &str, definition: &Definition) -> Result<(), Diagnostic> {
-    #[derive(serde::Deserialize)]
-    struct Tests {
-        #[serde(default)]
-        test: Vec<Spanned<TestTable>>,
+    };
+    if params.is_empty() {
+        table.test.iter().try_for_each(|test| vectors::run(&source, &definition, test))?;
     }
-    let resolved = params::resolve(file, text, &[])?;
-    let source = Source { file, text, resolved: &resolved };
-    let tests: Tests =
-        from_toml_text(&resolved.text).map_err(|(span, finding)| source.wrong(span, finding))?;
-    tests.test.iter().try_for_each(|test| vectors::run(source, definition, test))
+    Ok(definition)
 }
 
-fn engine(source: Source, table: &File) -> Result<Engine, Diagnostic> {
-    let framing = framing::compile(&table.framing).map_err(|finding| source.table("framing", finding))?;
-    let check = table.check.as_ref().map(|check| check::compile_check(source, check)).transpose()?.flatten();
+fn engine(source: &Source, table: &File) -> Result<Engine, Diagnostic> {
+    let framing = Framing::new(&table.framing).map_err(|finding| source.table("framing", finding))?;
+    let check = table.check.as_ref().map(|check| Check::new(source, check)).transpose()?.flatten();
     if table.message.is_empty() {
         return Err(source.table("framing", NoMessage));
     }
-    let guard = check.as_ref().map_or(0, Check::len);
-    let messages = table.message.iter().map(|table| message::compile(source, table, &framing, guard));
+    let check_len = check.as_ref().map_or(0, Check::len);
+    let messages = table.message.iter().map(|table| message::compile(source, table, &framing, check_len));
     let messages = messages.collect::<Result<_, _>>()?;
     let rejects = table
         .reject
@@ -124,7 +153,7 @@ fn engine(source: Source, table: &File) -> Result<Engine, Diagnostic> {
     Ok(Engine { framing, check, messages, rejects, ignored, mask })
 }
 
-fn check_timing(source: Source, table: &File, has_clock: bool) -> Result<(), Diagnostic> {
+fn check_timing(source: &Source, table: &File, has_clock: bool) -> Result<(), Diagnostic> {
     match table.timing.latch {
         Some(Latch::Device) if !has_clock => return Err(source.key("timing", "latch", LatchDevice)),
         Some(Latch::Request) if table.mode.kind != ModeKind::Poll => {
@@ -138,7 +167,7 @@ fn check_timing(source: Source, table: &File, has_clock: bool) -> Result<(), Dia
     }
 }
 
-fn mode(source: Source, table: &File) -> Result<Mode, Diagnostic> {
+fn mode(source: &Source, table: &File) -> Result<Mode, Diagnostic> {
     let ModeTable { kind, poll_hz, reply_timeout_ms, .. } = table.mode;
     let wrong = match (kind, poll_hz, reply_timeout_ms) {
         (ModeKind::Stream, None, None) => return Ok(Mode::Stream),
@@ -158,7 +187,7 @@ fn mode(source: Source, table: &File) -> Result<Mode, Diagnostic> {
     Err(source.table("mode", wrong))
 }
 
-fn check_line(source: Source, line: &Line) -> Result<(), Diagnostic> {
+fn check_line(source: &Source, line: &Line) -> Result<(), Diagnostic> {
     let wrong = match line {
         Line { baud: 0, .. } => BaudZero,
         Line { baud_probe, .. } if baud_probe.contains(&0) => ProbeZero,
@@ -169,103 +198,42 @@ fn check_line(source: Source, line: &Line) -> Result<(), Diagnostic> {
     Err(source.table("line", wrong))
 }
 
-/// The commands ident, zero, init, poll, start and stop.
-fn commands(source: Source, table: &File, check: Option<&Check>) -> Result<[Vec<Step>; 6], Diagnostic> {
-    let steps = |steps: &[Spanned<StepTable>]| -> Result<Vec<Step>, Diagnostic> {
-        let compiled = steps.iter().map(|step| {
-            compile_step(step.get_ref(), check).map_err(|finding| source.wrong(step.span(), finding))
-        });
-        compiled.collect()
-    };
-    let CommandTable { ident, zero, init, poll, start, stop } = &table.cmd;
-    let commands = [steps(ident)?, steps(zero)?, steps(init)?, steps(poll)?, steps(start)?, steps(stop)?];
-    let answers = commands[0].iter().any(|step| matches!(step, Step::Ask { .. }));
-    if let Some(step) = ident.first().filter(|_| !answers) {
-        return Err(source.wrong(step.span(), IdentAnswer));
+/// Probing rates needs an answer of the device.
+fn check_ident(source: &Source, table: &File, ident: &[Step]) -> Result<(), Diagnostic> {
+    let answers = ident.iter().any(|step| matches!(step, Step::Ask { .. }));
+    match table.cmd.ident.first() {
+        Some(step) if !answers => Err(source.wrong(step.span(), IdentAnswer)),
+        None if !table.line.baud_probe.is_empty() => Err(source.key("line", "baud_probe", ProbeIdent)),
+        _ => Ok(()),
     }
-    if ident.is_empty() && !table.line.baud_probe.is_empty() {
-        return Err(source.key("line", "baud_probe", ProbeIdent));
-    }
-    Ok(commands)
 }
 
-/// Checks a step of a command and compiles it.
-fn compile_step(step: &StepTable, check: Option<&Check>) -> Result<Step, ProtocolFinding> {
+fn compile_step(table: &StepTable, check: Option<&Check>) -> Result<Step, ProtocolFinding> {
     let duration = |ms: u32| Duration::from_millis(ms.into());
-    let mut bytes = match step {
-        StepTable {
-            send: Some(text), hex: None, wait_ms: None, drain_ms: None, dtr_pulse_ms: None, ..
-        } => text.clone().into_bytes(),
-        StepTable {
-            send: None, hex: Some(hex), wait_ms: None, drain_ms: None, dtr_pulse_ms: None, ..
-        } => vectors::bytes(hex).ok_or(StepHex)?,
-        StepTable { send: None, hex: None, wait_ms, drain_ms, dtr_pulse_ms, .. } => {
-            let action = match (wait_ms, drain_ms, dtr_pulse_ms) {
-                (Some(ms), None, None) => Step::Wait(duration(*ms)),
-                (None, Some(ms), None) => Step::Drain(duration(*ms)),
-                (None, None, Some(ms)) => Step::DtrPulse(duration(*ms)),
-                _ => return Err(StepActions),
-            };
-            return match (step.check || step.expect.is_some(), step.timeout_ms, step.retries) {
-                (true, ..) => Err(StepSendsNothing),
-                (false, None, None) => Ok(action),
-                _ => Err(StepExpect),
-            };
-        }
+    let StepTable { send, hex, wait_ms, drain_ms, dtr_pulse_ms, expect, timeout_ms, retries, .. } = table;
+    let mut step = match (send, hex, *wait_ms, *drain_ms, *dtr_pulse_ms) {
+        (Some(text), None, None, None, None) => Step::Send(text.clone().into_bytes()),
+        (None, Some(hex), None, None, None) => Step::Send(hex_bytes(hex).ok_or(StepHex)?),
+        (None, None, Some(ms), None, None) => Step::Wait(duration(ms)),
+        (None, None, None, Some(ms), None) => Step::Drain(duration(ms)),
+        (None, None, None, None, Some(ms)) => Step::DtrPulse(duration(ms)),
         _ => return Err(StepActions),
     };
-    if bytes.is_empty() && (step.check || step.expect.is_some()) {
+    let sends = matches!(&step, Step::Send(bytes) if !bytes.is_empty());
+    if !sends && (table.check || expect.is_some()) {
         return Err(StepSendsNothing);
     }
-    if step.check {
-        check.ok_or(StepCheck)?.append(&mut bytes);
+    if let Step::Send(bytes) = &mut step
+        && table.check
+    {
+        check.ok_or(StepCheck)?.append(bytes);
     }
-    match (&step.expect, step.timeout_ms, step.retries) {
-        (Some(expect), Some(timeout @ 1..), retries) if !expect.is_empty() => Ok(Step::Ask {
-            send: bytes,
-            expect: expect.clone().into_bytes(),
-            timeout: duration(timeout),
-            retries: retries.unwrap_or(0),
-        }),
-        (None, None, None) => Ok(Step::Send(bytes)),
+    match (step, expect.as_deref(), *timeout_ms, *retries) {
+        (Step::Send(send), Some(expect), Some(timeout @ 1..), retries) if !expect.is_empty() => {
+            let (expect, timeout) = (expect.as_bytes().to_vec(), duration(timeout));
+            Ok(Step::Ask { send, expect, timeout, retries: retries.unwrap_or(0) })
+        }
+        (step, None, None, None) => Ok(step),
         _ => Err(StepExpect),
-    }
-}
-
-/// Where messages point to.
-#[derive(Clone, Copy)]
-struct Source<'a> {
-    file: &'a str,
-    text: &'a str,
-    resolved: &'a Resolved,
-}
-
-impl Source<'_> {
-    /// What is wrong at a place of the file.
-    fn wrong(&self, span: Range<usize>, finding: impl Finding) -> Diagnostic {
-        Diagnostic::span(self.file, self.text, self.resolved.original(span), finding)
-    }
-
-    /// What is wrong with a table, at its head.
-    fn table(&self, table: &str, finding: impl Finding) -> Diagnostic {
-        let start = self.resolved.text.find(&format!("[{table}]")).unwrap_or(0);
-        self.wrong(start..start, finding)
-    }
-
-    /// What is wrong with the value of a key, at its first place behind the head of its table (empty: that of the file).
-    fn key(&self, table: &str, key: &str, finding: impl Finding) -> Diagnostic {
-        let text = &self.resolved.text;
-        let head = if table.is_empty() { Some(0) } else { text.find(&format!("[{table}]")) };
-        let head = head.unwrap_or(0);
-        let behind = text.get(head..).unwrap_or_default();
-        let value = behind.match_indices(key).find_map(|(at, _)| {
-            let (before, after) = (&behind[..at], &behind[at + key.len()..]);
-            let value =
-                after.trim_start_matches([' ', '\t']).strip_prefix('=')?.trim_start_matches([' ', '\t']);
-            let whole = !before.ends_with(|c: char| c.is_alphanumeric() || c == '_');
-            whole.then(|| behind.len() - value.len())
-        });
-        let start = head + value.unwrap_or(0);
-        self.wrong(start..start, finding)
     }
 }

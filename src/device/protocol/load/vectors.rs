@@ -1,38 +1,27 @@
-//! A definition's own tests: bytes and what they must give. A definition that fails one is refused.
+//! The test vectors of a definition: bytes and what they must decode to.
 
 use toml::Spanned;
 
-use super::Source;
 use crate::catalogue::ProtocolFinding::{VectorDiffers, VectorDoesNotSurvive, VectorHasMore, VectorHex};
 use crate::device::protocol::decoder::Decoded;
 use crate::device::protocol::definition::Definition;
 use crate::device::protocol::fault::{Fault, FaultKind};
-use crate::device::protocol::table::{Expectation, TestTable};
+use crate::device::protocol::source::Source;
+use crate::device::protocol::table::{Expectation, TestTable, hex_bytes};
 use crate::diagnostic::Diagnostic;
 use crate::measurement::sample::Sample;
 
-/// Bytes of pairs of hexadecimal digits; white space between them is free.
-pub(super) fn bytes(hex: &str) -> Option<Vec<u8>> {
-    let digits: Option<Vec<u8>> = hex
-        .chars()
-        .filter(|c| !c.is_whitespace())
-        .map(|c| c.to_digit(16).and_then(|digit| u8::try_from(digit).ok()))
-        .collect();
-    let digits = digits.filter(|digits| digits.len().is_multiple_of(2))?;
-    Some(digits.chunks_exact(2).map(|pair| 16 * pair[0] + pair[1]).collect())
-}
-
 pub(super) fn run(
-    source: Source,
+    source: &Source,
     definition: &Definition,
     test: &Spanned<TestTable>,
 ) -> Result<(), Diagnostic> {
     let TestTable { rx, expect } = test.get_ref();
-    let bytes = bytes(rx.get_ref()).ok_or_else(|| source.wrong(rx.span(), VectorHex))?;
+    let bytes = hex_bytes(rx.get_ref()).ok_or_else(|| source.wrong(rx.span(), VectorHex))?;
     let mut out = Vec::new();
     let mut decoder = definition.decoder();
     decoder.push(&bytes, &mut out);
-    // What does not end within the test's bytes is not to come.
+    // No more bytes follow.
     decoder.interrupt(&mut out);
     for (at, expectation) in expect.iter().enumerate() {
         let got = out.get(at).map_or("nothing".into(), |decoded| describe(definition, decoded));
@@ -55,7 +44,7 @@ pub(super) fn run(
     Ok(())
 }
 
-/// Whether the sample can be written and read; what was sent in another unit is rounded once.
+/// Whether the sample survives encoding and decoding; a reading in another unit is rounded once.
 fn survives(definition: &Definition, sample: &Sample) -> bool {
     let Some(again) = round_trip(definition, sample) else { return false };
     let same = Sample { reading_mm: sample.reading_mm, ..again } == *sample;
@@ -63,7 +52,7 @@ fn survives(definition: &Definition, sample: &Sample) -> bool {
     same && near && round_trip(definition, &again) == Some(again)
 }
 
-/// The sample encoded and decoded again, at its own offset.
+/// The sample, encoded and decoded, with its own offset.
 fn round_trip(definition: &Definition, sample: &Sample) -> Option<Sample> {
     let mut bytes = Vec::new();
     definition.encoder().encode(sample, &mut bytes).ok()?;
@@ -83,34 +72,30 @@ fn meets(definition: &Definition, decoded: &Decoded, expected: &Expectation) -> 
         || expected.length_mm.is_some()
         || expected.temp_c.is_some()
         || expected.flags.is_some();
-    match (decoded, expected) {
-        (Decoded::Sample(sample, _), Expectation { reject: None, resync: None, ignored: None, .. }) => {
+    let of_fault = (expected.reject.as_ref(), expected.resync, expected.ignored);
+    match decoded {
+        Decoded::Sample(sample, _) => {
             let tolerance = expected.tol.unwrap_or(0.0);
             let device_us = || {
                 let tick_ns = definition.clock.map_or(0, |clock| u64::from(clock.tick_ns));
                 sample.ticks.and_then(|ticks| ticks.0.checked_mul(tick_ns)).map(|ns| ns / 1000)
             };
             of_sample
+                && of_fault == (None, None, None)
                 && expected.seq.is_none_or(|seq| sample.sequence == Some(seq))
                 && expected.t_dev_us.is_none_or(|us| device_us() == Some(us))
                 && expected.length_mm.is_none_or(|mm| (sample.reading_mm - mm).abs() <= tolerance)
                 && expected.temp_c.is_none_or(|c| sample.temperature_c == Some(c))
                 && expected.flags.as_ref().is_none_or(|flags| definition.flags(sample.status) == *flags)
         }
-        (Decoded::Fault(_), _) if of_sample => false,
-        (
-            Decoded::Fault(Fault { kind: FaultKind::Reject(word), .. }),
-            Expectation { reject: Some(expected), resync: None, ignored: None, .. },
-        ) => word == expected,
-        (
-            Decoded::Fault(Fault { kind: FaultKind::Ignored, bytes, .. }),
-            Expectation { reject: None, resync: None, ignored: Some(expected), .. },
-        ) => bytes == expected,
-        (
-            Decoded::Fault(Fault { kind, bytes, .. }),
-            Expectation { reject: None, resync: Some(expected), ignored: None, .. },
-        ) => !matches!(kind, FaultKind::Reject(_) | FaultKind::Ignored) && bytes == expected,
-        _ => false,
+        Decoded::Fault(Fault { kind, bytes, .. }) => {
+            let fault = match kind {
+                FaultKind::Reject(word) => (Some(word), None, None),
+                FaultKind::Ignored => (None, None, Some(*bytes)),
+                _ => (None, Some(*bytes), None),
+            };
+            !of_sample && of_fault == fault
+        }
     }
 }
 
