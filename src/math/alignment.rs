@@ -1,25 +1,25 @@
-//! The rigid motion that best brings one set of positions onto another, and what it leaves.
+//! The rigid motion that best fits one set of points to another.
 
 use nalgebra::{DMatrix, Matrix3, Quaternion, Rotation3, UnitQuaternion, Vector3};
 
 use super::svd;
 
-/// A rigid motion of positions onto others.
+/// The rigid motion `to = rotation * from + shift`.
 #[derive(Clone, Copy, Debug)]
 pub struct Alignment {
     pub rotation: Rotation3<f64>,
-    /// Of the turned positions, in their unit.
+    /// In the unit of the points.
     pub shift: Vector3<f64>,
-    /// The factor on the positions about their centre that would make the squares least.
+    /// The scale factor about the centroid that least squares would add to the motion. The motion does not contain it.
     pub scale: f64,
-    /// Root mean square of what motion and factor leave, as a share of the extent of the positions moved onto.
+    /// RMS residual of motion and scale, relative to the RMS distance of the target points from their centroid.
     pub misfit: f64,
 }
 
 impl Alignment {
-    /// The motion of `from` onto `to` (pairwise) that makes the squares of the distances least: Horn, "Closed-form solution of
-    /// absolute orientation using unit quaternions", J. Opt. Soc. Am. A 4, 1987. `None` where a number is not finite or a set
-    /// is one point.
+    /// The least-squares motion of `from` to `to`, which correspond pairwise: Horn, "Closed-form solution of absolute
+    /// orientation using unit quaternions", J. Opt. Soc. Am. A 4, 1987. `None` if a number is not finite or all points of
+    /// a set coincide.
     pub fn of(from: &[Vector3<f64>], to: &[Vector3<f64>]) -> Option<Self> {
         let count = from.len().min(to.len()) as f64;
         let mean = |points: &[Vector3<f64>]| points.iter().sum::<Vector3<f64>>() / count;
@@ -48,26 +48,26 @@ impl Alignment {
     }
 }
 
-/// Horn's quaternion of the sum of products `s`: the eigenvector of a symmetric matrix with the largest eigenvalue.
+/// Horn's quaternion for the sum of outer products `s`: the eigenvector of a symmetric 4 x 4 matrix with the largest
+/// eigenvalue.
 fn rotation(s: &Matrix3<f64>) -> Option<UnitQuaternion<f64>> {
     let (trace, axial) = (s.trace(), [s.m23 - s.m32, s.m31 - s.m13, s.m12 - s.m21]);
     let symmetric = s + s.transpose() - Matrix3::identity() * trace;
-    // Raised by more than any eigenvalue is negative, so that singular values are in their order.
-    let raised = 3.0 * s.norm();
+    // With this shift all eigenvalues are positive, so that they are the singular values.
+    let shift = 3.0 * s.norm();
     let matrix = DMatrix::from_fn(4, 4, |i, j| {
         let own = match (i, j) {
             (0, 0) => trace,
             (0, k) | (k, 0) => axial[k - 1],
             _ => symmetric[(i - 1, j - 1)],
         };
-        if i == j { own + raised } else { own }
+        if i == j { own + shift } else { own }
     });
     let largest = svd(&matrix)?.v.column(0).into_owned();
     Some(UnitQuaternion::from_quaternion(Quaternion::new(largest[0], largest[1], largest[2], largest[3])))
 }
 
-/// Distances between `measured` and `model` (mm, pairwise) after the rigid motion of `model` that makes their squares least;
-/// not numbers where one of them is none.
+/// Pairwise distances between `measured` and the best rigid motion of `model`, in their unit; NaN if a coordinate is NaN.
 pub fn aligned_distances(measured: &[Vector3<f64>], model: &[Vector3<f64>]) -> Vec<f64> {
     let pairs = measured.iter().zip(model);
     match Alignment::of(model, measured) {
@@ -85,7 +85,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_moved_copy_has_no_distance() {
+    fn a_rigidly_moved_copy_aligns_exactly() {
         let points: Vec<Vector3<f64>> =
             (0..20).map(|i| Vector3::new(f64::from(i % 4), f64::from(i % 7), f64::from(i)) * 100.0).collect();
         for turn in [Vector3::new(0.02, -0.03, 0.05), Vector3::new(2.0, -1.5, 1.0), Vector3::zeros()] {

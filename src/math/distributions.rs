@@ -1,14 +1,13 @@
-//! Tails of the F and Student's t distribution by the regularised incomplete beta function, of chi-square and the normal
-//! distribution by the regularised incomplete gamma function.
-//!
-//! Each is one continued fraction; a crate of distributions would bring far more than it.
+//! Upper tails and quantiles. F and Student's t use the regularised incomplete beta function, chi-square and the normal
+//! distribution the regularised incomplete gamma function. Both are short continued fractions, so no further crate is
+//! needed.
 
-/// Probability that an F of `upper` and `lower` degrees of freedom exceeds `f`.
+/// Probability that F with `upper` and `lower` degrees of freedom exceeds `f`.
 pub fn f_tail(f: f64, upper: f64, lower: f64) -> f64 {
     if f <= 0.0 { 1.0 } else { beta(lower / (lower + upper * f), 0.5 * lower, 0.5 * upper) }
 }
 
-/// Natural logarithm of [`f_tail`], also where the probability itself is smaller than any number.
+/// Natural logarithm of [`f_tail`]; it is finite also where the probability underflows.
 pub fn ln_f_tail(f: f64, upper: f64, lower: f64) -> f64 {
     if f <= 0.0 {
         return 0.0;
@@ -21,21 +20,20 @@ pub fn ln_f_tail(f: f64, upper: f64, lower: f64) -> f64 {
     }
 }
 
-/// The normal deviate that is exceeded on either side with a probability of natural logarithm `ln_p`; for deviates from
-/// 1 upwards.
+/// The standard normal deviate whose two-sided tail probability has the natural logarithm `ln_p`; at least 1.
 pub fn normal_deviate(ln_p: f64) -> f64 {
-    // Mills' ratio as Laplace's continued fraction (DLMF 7.9.3), from its end.
+    // Mills' ratio by Laplace's continued fraction (DLMF 7.9.3), evaluated from its end.
     let mills = |z: f64| (1..=MILLS_TERMS).rev().fold(z, |rest, k| z + f64::from(k) / rest).recip();
     let ln_tail = |z: f64| 0.5 * (2.0 / std::f64::consts::PI).ln() - 0.5 * z * z + mills(z).ln();
     let mut z = (-2.0 * ln_p).max(1.0).sqrt();
     for _ in 0..NEWTON_STEPS {
-        // The derivative of the logarithm is minus the inverse of Mills' ratio.
+        // Newton's method: the derivative of ln_tail is -1 / mills.
         z = (z + (ln_tail(z) - ln_p) * mills(z)).max(1.0);
     }
     z
 }
 
-/// Probability that a deviate is larger than `deviate` in magnitude: Student's t with `freedom`, else normal.
+/// Two-sided tail probability of `deviate`: Student's t with `freedom` degrees of freedom, normal without.
 pub fn two_sided_tail(deviate: f64, freedom: Option<f64>) -> f64 {
     match freedom {
         Some(freedom) => f_tail(deviate * deviate, 1.0, freedom),
@@ -43,7 +41,7 @@ pub fn two_sided_tail(deviate: f64, freedom: Option<f64>) -> f64 {
     }
 }
 
-/// Probability that chi-square of `freedom` degrees exceeds `x`: Q(freedom / 2, x / 2) (DLMF 8.2.4).
+/// Probability that chi-square with `freedom` degrees of freedom exceeds `x`: Q(freedom / 2, x / 2) (DLMF 8.2.4).
 pub fn chi_square_tail(x: f64, freedom: f64) -> f64 {
     let (a, x) = (0.5 * freedom, 0.5 * x);
     if x.is_nan() || x <= 0.0 {
@@ -53,7 +51,7 @@ pub fn chi_square_tail(x: f64, freedom: f64) -> f64 {
     if x < a + 1.0 { 1.0 - front * gamma_series(x, a) } else { front / gamma_fraction(x, a) }
 }
 
-/// The chi-square of `freedom` degrees that is exceeded with probability `p`.
+/// The quantile of chi-square that is exceeded with probability `p`.
 pub fn chi_square_exceeded(p: f64, freedom: f64) -> f64 {
     crossing(freedom + 10.0, |x| chi_square_tail(x, freedom) > p)
 }
@@ -64,7 +62,7 @@ pub fn noncentral_tail(x: f64, freedom: f64, noncentrality: f64) -> f64 {
     if half <= 0.0 {
         return chi_square_tail(x, freedom);
     }
-    // The terms within ten standard deviations of the Poisson distribution have all of the sum that counts.
+    // Terms more than ten standard deviations from the mean of the Poisson distribution are negligible.
     let (low, high) = ((half - 10.0 * half.sqrt()).max(0.0).floor(), half + 10.0 * half.sqrt() + 30.0);
     let mut sum = 0.0;
     let mut term = low;
@@ -76,12 +74,12 @@ pub fn noncentral_tail(x: f64, freedom: f64, noncentrality: f64) -> f64 {
     sum.min(1.0)
 }
 
-/// The noncentrality with which a noncentral chi-square exceeds `x` with probability `power`.
+/// The noncentrality with which noncentral chi-square exceeds `x` with probability `power`.
 pub fn noncentrality(x: f64, freedom: f64, power: f64) -> f64 {
     crossing(x + 10.0, |lambda| noncentral_tail(x, freedom, lambda) < power)
 }
 
-/// Where `is_below`, true at 0, turns false; sought up to `high` and as far beyond it as needed.
+/// The argument at which `is_below`, true at 0, becomes false, by bisection; `high` is a first guess of an upper bound.
 fn crossing(mut high: f64, is_below: impl Fn(f64) -> bool) -> f64 {
     let most = 1e6 * high;
     while high < most && is_below(high) {
@@ -95,7 +93,7 @@ fn crossing(mut high: f64, is_below: impl Fn(f64) -> bool) -> f64 {
     high
 }
 
-/// The series of DLMF 8.7.1 over its front x^a e^-x / gamma(a), for x < a + 1.
+/// The series of DLMF 8.7.1 without its factor x^a e^-x / gamma(a), for x < a + 1.
 fn gamma_series(x: f64, a: f64) -> f64 {
     let (mut term, mut sum, mut n) = (1.0 / a, 1.0 / a, a);
     for _ in 0..1000 {
@@ -109,14 +107,14 @@ fn gamma_series(x: f64, a: f64) -> f64 {
     sum
 }
 
-/// The inverse of the continued fraction of DLMF 8.9.2 over the same front, for x >= a + 1.
+/// The reciprocal of the continued fraction of DLMF 8.9.2 without the same factor, for x >= a + 1.
 fn gamma_fraction(x: f64, a: f64) -> f64 {
     let first = x + 1.0 - a;
     continued(first, |n| [-n * (n - a), first + 2.0 * n])
 }
 
-/// The continued fraction b0 + a1 / (b1 + a2 / (b2 + ..)) of the terms [an, bn] by n, by Lentz's algorithm (Thompson and
-/// Barnett, J. Comput. Phys. 64, 1986).
+/// The continued fraction b0 + a1 / (b1 + a2 / (b2 + ..)) by Lentz's algorithm (Thompson and Barnett, J. Comput. Phys. 64,
+/// 1986); `term(n)` is [an, bn].
 fn continued(first: f64, term: impl Fn(f64) -> [f64; 2]) -> f64 {
     const TINY: f64 = 1e-300;
     let away = |value: f64| if value.abs() < TINY { TINY } else { value };
@@ -136,7 +134,7 @@ fn continued(first: f64, term: impl Fn(f64) -> [f64; 2]) -> f64 {
 const MILLS_TERMS: u32 = 100;
 const NEWTON_STEPS: usize = 20;
 
-/// How chi-square compares with what chance allows once in a thousand.
+/// The result of a two-sided chi-square test, each side at 0.001.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ChiSquare {
     Less,
@@ -145,7 +143,7 @@ pub enum ChiSquare {
 }
 
 impl ChiSquare {
-    /// Of chi-square over its degrees of freedom (Wilson and Hilferty's normal approximation, PNAS 17, 1931).
+    /// `ratio` is chi-square over its degrees of freedom (normal approximation of Wilson and Hilferty, PNAS 17, 1931).
     pub fn of(ratio: f64, freedom: f64) -> Self {
         let spread = (2.0 / (9.0 * freedom)).sqrt();
         let bound = |z: f64| (1.0 - spread * spread + z * spread).powi(3);
@@ -159,8 +157,8 @@ impl ChiSquare {
     }
 }
 
-/// Half width of a 95 % interval in standard deviations: Student's t where the deviation was estimated with
-/// `freedom` degrees of freedom, else the normal distribution's.
+/// Coverage factor of a 95 % interval: Student's t if the standard deviation was estimated with `freedom` degrees of
+/// freedom, else normal.
 pub fn coverage_95(freedom: Option<f64>) -> f64 {
     const NORMAL: f64 = 1.959_963_984_540_054;
     let Some(freedom) = freedom else { return NORMAL };
@@ -176,14 +174,14 @@ fn beta(x: f64, a: f64, b: f64) -> f64 {
     if x >= 1.0 {
         return 1.0;
     }
-    // The fraction converges fast below the mean; above it the complement does.
+    // The continued fraction converges fast below the mean of the distribution; above it, that of the complement does.
     if x > (a + 1.0) / (a + b + 2.0) {
         return 1.0 - beta(1.0 - x, b, a);
     }
     ln_front(x, a, b).exp() / fraction(x, a, b)
 }
 
-/// Logarithm of the factor before the continued fraction.
+/// Logarithm of the factor in front of the continued fraction.
 fn ln_front(x: f64, a: f64, b: f64) -> f64 {
     a * x.ln() + b * (-x).ln_1p() + ln_gamma(a + b) - ln_gamma(a) - ln_gamma(b) - a.ln()
 }
@@ -239,7 +237,7 @@ mod tests {
     }
 
     #[test]
-    fn logarithm_of_the_tail_goes_on_where_the_tail_is_zero() {
+    fn logarithm_of_the_tail_is_finite_where_the_tail_underflows() {
         for (f, upper, lower) in [(0.5, 12.0, 60.0), (3.2, 12.0, 200.0), (60.0, 4.0, 1000.0)] {
             let (tail, ln) = (f_tail(f, upper, lower), ln_f_tail(f, upper, lower));
             assert!((ln - tail.ln()).abs() < 1e-10 * ln.abs().max(1.0));

@@ -2,14 +2,14 @@
 
 use nalgebra::{DMatrix, DVector, DVectorViewMut};
 
-/// Orthonormal directions by modified Gram-Schmidt, done twice, which is as good as Householder's reflections.
+/// Orthonormal vectors by modified Gram-Schmidt with reorthogonalisation, which is as accurate as Householder reflections.
 #[derive(Clone, Debug, Default)]
 pub struct Orthonormal {
     directions: Vec<DVector<f64>>,
 }
 
 impl Orthonormal {
-    /// Takes in what is new of a column; whether more than `threshold` of its norm is.
+    /// Adds the part of a column that is orthogonal to the basis, if its norm exceeds `threshold`. Returns whether it did.
     pub fn push(&mut self, mut column: DVector<f64>, threshold: f64) -> bool {
         self.remove_from(column.as_view_mut());
         self.remove_from(column.as_view_mut());
@@ -21,7 +21,7 @@ impl Orthonormal {
         new
     }
 
-    /// Takes the share along the directions out of a column.
+    /// Subtracts the projection onto the basis from a column.
     pub fn remove_from(&self, mut column: DVectorViewMut<'_, f64>) {
         for direction in &self.directions {
             let share = direction.dot(&column);
@@ -29,10 +29,7 @@ impl Orthonormal {
         }
     }
 
-    pub fn directions(&self) -> &[DVector<f64>] {
-        &self.directions
-    }
-
+    /// The basis vectors from number `first` on, as columns.
     pub fn columns_from(&self, first: usize) -> DMatrix<f64> {
         DMatrix::from_columns(self.directions.get(first..).unwrap_or(&[]))
     }
@@ -43,7 +40,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_depends_is_not_taken_in() {
+    fn dependent_vectors_are_rejected() {
         let column = |values: &[f64]| DVector::from_row_slice(values);
         let mut basis = Orthonormal::default();
         assert!(basis.push(column(&[1.0, 1.0, 0.0]), 1e-9));

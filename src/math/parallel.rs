@@ -1,37 +1,32 @@
-//! The only place that splits work over cores.
+//! Distributes work over processor cores.
 
 use std::num::NonZero;
 use std::panic::resume_unwind;
 use std::thread;
 
-/// Items that one piece of work takes: pieces are the same on any number of cores, and so are results.
+/// Items of one piece of work. The pieces, and so the results, do not depend on the number of cores.
 const PIECE: usize = 4096;
 
-/// Applies `work` to each piece of `items` (with the index of its first item), on all cores when
-/// there is more than one piece; the results come in order.
+/// Applies `work` to the index of the first item of each piece and to the piece, on all cores. The results are in order.
 pub fn map_pieces<T: Sync, R: Send>(items: &[T], work: impl Fn(usize, &[T]) -> R + Sync) -> Vec<R> {
     in_pieces(items, PIECE, work)
 }
 
-/// Applies `work` to each of `items` that take long, on all cores; the results come in order.
+/// Applies `work` to each item, on all cores: for items that take long. The results are in order.
 pub fn map_items<T: Sync, R: Send>(items: &[T], work: impl Fn(&T) -> R + Sync) -> Vec<R> {
-    in_pieces(items, 1, |_, piece| piece.iter().map(&work).collect::<Vec<R>>())
-        .into_iter()
-        .flatten()
-        .collect()
+    in_pieces(items, 1, |_, piece| work(&piece[0]))
 }
 
 fn in_pieces<T: Sync, R: Send>(items: &[T], size: usize, work: impl Fn(usize, &[T]) -> R + Sync) -> Vec<R> {
     let pieces: Vec<(usize, &[T])> =
         items.chunks(size).enumerate().map(|(n, piece)| (n * size, piece)).collect();
-    let in_turn = || pieces.iter().map(|(first, piece)| work(*first, piece)).collect();
-    // To ask for the number of cores costs more than a small piece of work.
-    if pieces.len() < 2 {
-        return in_turn();
-    }
-    let cores = thread::available_parallelism().map_or(1, NonZero::get).min(pieces.len());
-    if cores < 2 {
-        return in_turn();
+    // Asking for the number of cores costs more than a small piece of work.
+    let cores = match pieces.len() {
+        0 | 1 => 1,
+        count => thread::available_parallelism().map_or(1, NonZero::get).min(count),
+    };
+    if cores == 1 {
+        return pieces.iter().map(|(first, piece)| work(*first, piece)).collect();
     }
     let (pieces, work) = (&pieces, &work);
     let mut done: Vec<(usize, R)> = thread::scope(|scope| {
@@ -43,7 +38,7 @@ fn in_pieces<T: Sync, R: Send>(items: &[T], size: usize, work: impl Fn(usize, &[
                 })
             })
             .collect();
-        // What panicked there goes on here: a result without its pieces would be a wrong one.
+        // A panic of a worker continues here: a result without its piece would be wrong.
         let joined = |worker: thread::ScopedJoinHandle<'_, _>| {
             worker.join().unwrap_or_else(|panic| resume_unwind(panic))
         };

@@ -1,15 +1,15 @@
-//! Order statistics that one bad value does not move.
+//! Robust estimates of location, scale and slope.
 
 /// Ratio of a normal distribution's standard deviation to its median absolute deviation.
 pub const SIGMA_OF_MAD: f64 = 1.482_602_218_505_602;
 
-/// The (upper) median; reorders `values`. `None` of nothing.
+/// The (upper) median; reorders `values`. `None` if there are none.
 pub fn median(values: &mut [f64]) -> Option<f64> {
     let middle = values.len() / 2;
     (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
 }
 
-/// Mean of what is left after a tenth is cut at either end; reorders `values`. `None` of nothing.
+/// The mean without the smallest and the largest tenth; reorders `values`. `None` if there are none.
 pub fn trimmed_mean(values: &mut [f64]) -> Option<f64> {
     values.sort_unstable_by(f64::total_cmp);
     let cut = values.len() / 10;
@@ -17,7 +17,7 @@ pub fn trimmed_mean(values: &mut [f64]) -> Option<f64> {
     (!kept.is_empty()).then(|| kept.iter().sum::<f64>() / kept.len() as f64)
 }
 
-/// Median of the slopes of all pairs of points (Theil and Sen).
+/// The Theil-Sen slope of points `(x, y)`: the median of the slopes of all pairs.
 pub fn slope(points: &[(f64, f64)], scratch: &mut Vec<f64>) -> f64 {
     scratch.clear();
     for (at, (x1, y1)) in points.iter().enumerate() {
@@ -27,12 +27,11 @@ pub fn slope(points: &[(f64, f64)], scratch: &mut Vec<f64>) -> f64 {
     median(scratch).unwrap_or(0.0)
 }
 
-/// Scale (one standard deviation of a normal distribution) of the bulk of the magnitudes, when an
-/// unknown part of them belongs to something larger: the median of those within 1.5 scales,
-/// repeated until it no longer changes. Sorts `magnitudes`.
+/// Standard deviation of the normal part of some magnitudes, of which an unknown fraction is larger: the median of those
+/// within 1.5 standard deviations, iterated until it no longer changes. Sorts `magnitudes`.
 pub fn bulk_scale(magnitudes: &mut [f64]) -> f64 {
-    /// Median of a normal distribution's magnitude, cut at 1.5 standard deviations.
     const CUT: f64 = 1.5;
+    /// Median magnitude of a standard normal distribution truncated at `CUT`.
     const MEDIAN_WITHIN_CUT: f64 = 0.5726;
     magnitudes.sort_unstable_by(f64::total_cmp);
     let mut within = magnitudes.len();

@@ -1,6 +1,6 @@
-//! Straight lines through values, with their standard deviations or alike.
+//! Straight lines by weighted and by unweighted least squares.
 
-/// A value at a place, with its standard deviation.
+/// A value with its standard deviation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sighting {
     pub x: f64,
@@ -8,7 +8,8 @@ pub struct Sighting {
     pub sd: f64,
 }
 
-/// y = level + slope (x - centre). About the weighted centre the errors of level and slope are independent.
+/// y = level + slope (x - centre). `centre` is the weighted mean of x, so that the errors of level and slope are
+/// uncorrelated.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct StraightLine {
     pub centre: f64,
@@ -18,25 +19,26 @@ pub struct StraightLine {
     pub slope_sd: f64,
 }
 
-/// When a line reaches a level, with the ends of an interval; `None` of an end that is never reached.
+/// The x at which a line reaches a level, with its interval.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Reached {
     pub at: f64,
     pub earliest: f64,
+    /// `None` if the interval is unbounded.
     pub latest: Option<f64>,
 }
 
-/// The line of least squares through points that weigh alike.
+/// The least-squares line through points of equal weight; its uncertainty comes from the residuals.
 #[derive(Clone, Copy, Debug)]
 pub struct Regression {
-    /// Means of x and y, through which the line goes.
+    /// Means of x and y; the line passes through them.
     pub centre: [f64; 2],
     pub slope: f64,
     pub slope_sd: f64,
 }
 
 impl Regression {
-    /// `None` where all x are one. Two points leave the deviation of the slope open: not a number.
+    /// `None` if all x are equal. With two points `slope_sd` is NaN.
     pub fn through(points: &[[f64; 2]]) -> Option<Self> {
         let count = points.len() as f64;
         let [x, y] = [0, 1].map(|axis| points.iter().map(|point| point[axis]).sum::<f64>() / count);
@@ -49,8 +51,8 @@ impl Regression {
 }
 
 impl StraightLine {
-    /// By weighted least squares; `None` where all places are one. Values that scatter about the line by more than their
-    /// standard deviations widen both deviations by their Birge ratio.
+    /// By weighted least squares; `None` if all x are equal. Where the residuals exceed the standard deviations, both
+    /// uncertainties are multiplied by the Birge ratio.
     pub fn through(sightings: &[Sighting]) -> Option<Self> {
         let weight = |sighting: &Sighting| sighting.sd.powi(-2);
         let sum = |of: &dyn Fn(&Sighting) -> f64| -> f64 {
@@ -73,8 +75,8 @@ impl StraightLine {
         self.level + self.slope * (x - self.centre)
     }
 
-    /// Where the line reaches `level`, after `now`; `None` where it does not lead there. The ends are those of Fieller's
-    /// interval with the coverage factor `k`.
+    /// The x at or after `now` at which the line reaches `level`; `None` if it never does. The interval is Fieller's with
+    /// the coverage factor `k`.
     pub fn reaches(&self, level: f64, now: f64, k: f64) -> Option<Reached> {
         let at = self.centre + (level - self.level) / self.slope;
         if !(at.is_finite() && at >= now) {
@@ -88,7 +90,7 @@ impl StraightLine {
         let root = (b * b - 4.0 * a * c).max(0.0).sqrt();
         let mut ends = [-b - root, -b + root].map(|end| self.centre + end / (2.0 * a));
         ends.sort_by(f64::total_cmp);
-        // A slope that may be zero has no latest end; what the interval then excludes lies before its one end.
+        // If the slope may be zero, the interval is unbounded above.
         let (earliest, latest) = if a > 0.0 {
             (ends[0], Some(ends[1]))
         } else {
@@ -123,7 +125,7 @@ mod tests {
     }
 
     #[test]
-    fn scatter_beyond_the_deviations_widens_them_and_a_flat_line_has_no_latest_end() {
+    fn scatter_is_scaled_by_the_birge_ratio_and_a_flat_line_has_no_latest_end() {
         let line = StraightLine::through(&sightings(&[0.0, 1.0, 0.0, 1.0], 0.1)).unwrap();
         assert!(line.slope_sd > 0.1 / 5f64.sqrt() * 4.0);
         assert_eq!(line.reaches(5.0, 3.0, 1.96).unwrap().latest, None);

@@ -3,17 +3,16 @@
 
 use nalgebra::{DMatrix, DVector};
 
-/// Singular values in falling order, with the right singular vectors as columns.
 #[derive(Clone, Debug)]
 pub struct Svd {
-    /// Singular values, falling.
+    /// Singular values, largest first.
     pub values: DVector<f64>,
     /// Right singular vectors: column k belongs to value k.
     pub v: DMatrix<f64>,
 }
 
-/// Decomposes a matrix; of a tall one give its triangular factor, which has the same values.
-/// `None` when an element is not finite.
+/// Decomposes a matrix; `None` if an element is not finite. For a tall matrix pass its triangular factor, which has the
+/// same singular values and right singular vectors.
 pub fn svd(matrix: &DMatrix<f64>) -> Option<Svd> {
     if matrix.iter().any(|x| !x.is_finite()) {
         return None;
@@ -21,7 +20,7 @@ pub fn svd(matrix: &DMatrix<f64>) -> Option<Svd> {
     let n = matrix.ncols();
     let mut a = matrix.clone();
     let mut v = DMatrix::identity(n, n);
-    // A dozen sweeps suffice in practice; the cap only bounds the time.
+    // A dozen sweeps suffice in practice.
     for _ in 0..60 {
         let mut rotated = false;
         for p in 0..n {
@@ -42,7 +41,7 @@ pub fn svd(matrix: &DMatrix<f64>) -> Option<Svd> {
     })
 }
 
-/// Turns columns p and q so that they are orthogonal; whether they were not.
+/// Rotates columns p and q until they are orthogonal. Returns false if they already were.
 fn orthogonalise(a: &mut DMatrix<f64>, v: &mut DMatrix<f64>, p: usize, q: usize) -> bool {
     let (x, y) = (a.column(p), a.column(q));
     let (xx, yy, xy) = (x.norm_squared(), y.norm_squared(), x.dot(&y));
@@ -68,7 +67,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn product_of_known_factors_is_found_again() {
+    fn known_singular_values_are_found() {
         // 4 x 3 with singular values 3, 2, 1e-9: U from a Hadamard matrix, V from a rotation.
         let u = DMatrix::from_row_slice(4, 3, &[1., 1., 1., 1., -1., 1., 1., 1., -1., 1., -1., -1.]) * 0.5;
         let (s, c) = 0.7f64.sin_cos();
@@ -82,7 +81,7 @@ mod tests {
     }
 
     #[test]
-    fn not_finite_is_refused() {
+    fn a_matrix_with_nan_has_no_svd() {
         assert!(svd(&DMatrix::from_element(2, 2, f64::NAN)).is_none());
     }
 }

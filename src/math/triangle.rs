@@ -1,28 +1,32 @@
-//! Least squares over streamed rows: a block of rows at a time is folded into one triangular factor
-//! by Householder reflections, so that memory does not grow with the number of rows.
+//! Least squares over streamed rows. Householder reflections fold one block of rows at a time into a triangular factor, so
+//! that memory does not grow with the number of rows.
 
 use nalgebra::{DMatrix, DVector};
 
-/// Rows folded at once: enough to run along columns, few enough to stay in the cache.
+/// Rows of a block: enough for long inner loops, few enough for the cache.
 const BLOCK: usize = 64;
 
-/// The triangular factor of all rows `[row | rhs]` so far.
+/// A linear least-squares problem: the triangular factor of all rows `[row | rhs]` so far.
 #[derive(Clone, Debug)]
 pub struct Triangle {
-    /// Unknowns.
+    /// Number of unknowns.
     n: usize,
-    /// Upper triangle of order n + 1, by columns; its last column is the right-hand side.
+    /// Upper triangle of order n + 1, column-major; its last column is the right-hand side.
     r: Vec<f64>,
-    /// Rows that wait, by columns.
+    /// Rows that are not folded yet, column-major.
     block: Vec<f64>,
     waiting: usize,
 }
 
 impl Triangle {
-    /// For `columns` unknowns, no row yet.
-    pub fn new(columns: usize) -> Self {
-        let width = columns + 1;
-        Self { n: columns, r: vec![0.0; width * width], block: vec![0.0; BLOCK * width], waiting: 0 }
+    /// Without any row.
+    pub fn new(unknowns: usize) -> Self {
+        let width = unknowns + 1;
+        Self { n: unknowns, r: vec![0.0; width * width], block: vec![0.0; BLOCK * width], waiting: 0 }
+    }
+
+    pub fn unknowns(&self) -> usize {
+        self.n
     }
 
     /// Adds the equation `row . x = rhs`.
@@ -48,25 +52,20 @@ impl Triangle {
         self.push(&row, rhs);
     }
 
-    /// All rows of several triangles over the same `columns` unknowns.
-    pub fn merged(triangles: Vec<Triangle>, columns: usize) -> Triangle {
+    /// All rows of several triangles of `unknowns` unknowns.
+    pub fn merged(triangles: Vec<Triangle>, unknowns: usize) -> Triangle {
+        let width = unknowns + 1;
         let mut triangles = triangles.into_iter();
-        let mut whole = triangles.next().unwrap_or_else(|| Triangle::new(columns));
+        let mut whole = triangles.next().unwrap_or_else(|| Triangle::new(unknowns));
         for mut other in triangles {
-            whole.merge(&mut other);
+            other.fold();
+            for i in 0..width {
+                let row: Vec<f64> =
+                    (0..unknowns).map(|j| if j >= i { other.r[j * width + i] } else { 0.0 }).collect();
+                whole.push(&row, other.r[unknowns * width + i]);
+            }
         }
         whole
-    }
-
-    /// Adds the rows of another triangle over the same unknowns.
-    fn merge(&mut self, other: &mut Triangle) {
-        other.fold();
-        let width = self.n + 1;
-        for i in 0..width {
-            let row: Vec<f64> =
-                (0..self.n).map(|j| if j >= i { other.r[j * width + i] } else { 0.0 }).collect();
-            self.push(&row, other.r[self.n * width + i]);
-        }
     }
 
     /// Folds the waiting rows into the triangle.
@@ -100,28 +99,28 @@ impl Triangle {
         self.waiting = 0;
     }
 
-    /// The factor R of the rows, n x n upper triangular: R^T R is their Gram matrix.
+    /// The factor R, n x n upper triangular: R'R is the Gram matrix of the rows.
     pub fn factor(&mut self) -> DMatrix<f64> {
         self.fold();
         let width = self.n + 1;
         DMatrix::from_fn(self.n, self.n, |i, j| if j >= i { self.r[j * width + i] } else { 0.0 })
     }
 
-    /// The right-hand side in the coordinates of the factor: `R x = rhs` is the solution.
+    /// The right-hand side that belongs to the factor: the solution x has `R x = rhs`.
     pub fn rhs(&mut self) -> DVector<f64> {
         self.fold();
         let width = self.n + 1;
         DVector::from_fn(self.n, |i, _| self.r[self.n * width + i])
     }
 
-    /// Sum of squares that no choice of the unknowns removes.
+    /// The sum of squared residuals of the solution.
     pub fn residual_sum(&mut self) -> f64 {
         self.fold();
         let corner = self.r[self.n * (self.n + 1) + self.n];
         corner * corner
     }
 
-    /// The unknowns by back substitution; `None` when a pivot is zero or not finite.
+    /// The solution by back substitution; `None` if a pivot is zero or not finite.
     pub fn solve(&mut self) -> Option<DVector<f64>> {
         self.fold();
         let width = self.n + 1;
@@ -138,10 +137,19 @@ impl Triangle {
         }
         Some(x)
     }
+
+    /// The solution with the further rows `sqrt(damping) * scale[k] * x[k] = 0` (Levenberg and Marquardt); `None` as in
+    /// [`Self::solve`].
+    pub fn solve_damped(&self, scale: &DVector<f64>, damping: f64) -> Option<DVector<f64>> {
+        let mut damped = self.clone();
+        for (unknown, scale) in scale.iter().enumerate() {
+            damped.push_single(unknown, damping.sqrt() * scale, 0.0);
+        }
+        damped.solve()
+    }
 }
 
-/// Sum of the products, in eight partial sums that the processor can keep apart: one alone would wait
-/// for each addition.
+/// Dot product in eight partial sums, so that the processor need not wait for each addition.
 fn dot(a: &[f64], b: &[f64]) -> f64 {
     let (a, b) = (a.chunks_exact(8), b.chunks_exact(8));
     let rest: f64 = a.remainder().iter().zip(b.remainder()).map(|(x, y)| x * y).sum();
@@ -158,9 +166,9 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
 mod tests {
     use super::*;
 
-    /// Rows of a line through points: the textbook's normal equations give the same answer.
+    /// A straight line through points.
     #[test]
-    fn streamed_rows_solve_as_normal_equations() {
+    fn streamed_rows_agree_with_the_normal_equations() {
         let points: Vec<(f64, f64)> = (0..200).map(|i| (f64::from(i) * 0.1, f64::from(i % 7))).collect();
         let mut triangle = Triangle::new(2);
         for (x, y) in &points {

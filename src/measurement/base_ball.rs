@@ -1,4 +1,4 @@
-//! Where the base balls are: their CSV.
+//! The base balls and their CSV.
 
 use nalgebra::Vector3;
 
@@ -11,12 +11,12 @@ use crate::robot::BallId;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BaseBall {
     pub id: BallId,
-    /// Its centre in the robot base, mm.
+    /// Centre in the robot base, mm.
     pub position: Vector3<f64>,
 }
 
 impl BaseBall {
-    /// Reads the CSV `centre,x_mm,y_mm,z_mm`: the balls in order of their numbers, which run from 1.
+    /// Reads the CSV `centre,x_mm,y_mm,z_mm`. The balls are numbered from 1 without gaps; they are returned in that order.
     pub fn from_csv(file: &str, text: &str) -> Result<Vec<Self>, Diagnostic> {
         Self::from_table(&mut Table::of(file, text)?)
     }

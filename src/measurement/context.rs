@@ -1,4 +1,4 @@
-//! What is known of a measurement beside its length: the further columns of a table.
+//! The circumstances of a measurement: the further columns of a table.
 
 use std::fmt::Write;
 
@@ -6,13 +6,13 @@ use serde::{Deserialize, Serialize};
 
 use crate::robot::{AXES, CircleId};
 
-/// What a pose is for.
+/// The purpose of a pose.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Kind {
-    /// A dwell whose length identifies the robot.
+    /// A dwell whose length is used for identification.
     Measure,
-    /// A dwell at the repeated reference pose, which shows drift.
+    /// A dwell at the repeated reference pose, for drift.
     Reference,
     /// No dwell: an approach, a sync marker, or the auxiliary point of the next pose.
     Transit,
@@ -23,13 +23,13 @@ impl Kind {
         [(Self::Measure, "measure"), (Self::Reference, "reference"), (Self::Transit, "transit")];
 }
 
-/// The circumstances of a measurement, as far as they are known.
+/// What is known besides pose and length.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Context {
     pub kind: Option<Kind>,
-    /// The middle of the dwell, s of the run.
+    /// Middle of the dwell, s since the start of the run.
     pub time_s: Option<f64>,
-    /// Samples of the mean.
+    /// Number of averaged samples.
     pub samples: Option<usize>,
     /// Whether the reading drifted within the dwell.
     pub creep: Option<bool>,
@@ -38,12 +38,12 @@ pub struct Context {
     pub angle_deg: Option<f64>,
     /// Of the bar.
     pub temperature_c: Option<f64>,
-    /// The controller's axis angles at which the tool ball was where the base ball is, degrees.
+    /// The controller's axis angles at which the tool ball touched the place of the base ball, degrees.
     pub taught_deg: Option<Box<[f64; AXES]>>,
-    /// What the zero of the bar had changed by, and was taken out of the length, mm.
+    /// The change of the bar's zero that was subtracted from the length, mm.
     pub zero_mm: Option<f64>,
-    /// Cells that the fields do not hold, by the place of their column: those of a user's own columns, and those that
-    /// are written otherwise than here.
+    /// Cells by their column's number that the fields do not reproduce: the user's own columns, and other spellings of a
+    /// value.
     pub texts: Vec<(usize, Box<str>)>,
 }
 
@@ -59,7 +59,7 @@ pub enum Column {
     TemperatureC,
     TaughtDeg,
     ZeroMm,
-    /// A user's own, by its name.
+    /// A column of the user.
     Other(String),
 }
 
@@ -90,7 +90,7 @@ impl Column {
 }
 
 impl Context {
-    /// From the cells of a row, one for each column.
+    /// Parses the cells of a row, one per column.
     pub(super) fn read(columns: &[Column], cells: impl Iterator<Item = String>) -> Self {
         let mut context = Self::default();
         for (at, (column, cell)) in columns.iter().zip(cells).enumerate() {
@@ -120,7 +120,7 @@ impl Context {
         context
     }
 
-    /// The cell of a column at its place in the table: as it was read, else as its field is written.
+    /// The cell of column number `at`, spelled as it was read.
     pub fn cell(&self, at: usize, column: &Column) -> String {
         match self.texts.iter().find(|(place, _)| *place == at) {
             Some((_, text)) => text.to_string(),
@@ -128,7 +128,7 @@ impl Context {
         }
     }
 
-    /// A field as it is written; empty where it is not known.
+    /// A field as it is written; empty if it is not known.
     fn field(&self, column: &Column) -> String {
         let text = match column {
             Column::Kind => self.kind.map(|kind| Kind::WORDS[kind as usize].1.to_owned()),
@@ -147,7 +147,7 @@ impl Context {
         text.unwrap_or_default()
     }
 
-    /// The cells of all columns as a CSV has them, each after a comma.
+    /// Appends the cells of all columns, each after a comma.
     pub(super) fn append(&self, columns: &[Column], text: &mut String) {
         for (at, column) in columns.iter().enumerate() {
             // Writing to a string does not fail.
@@ -156,13 +156,13 @@ impl Context {
     }
 }
 
-/// Six angles with blanks between them.
+/// Six angles separated by blanks.
 fn angles(cell: &str) -> Option<[f64; AXES]> {
     let angles: Option<Vec<f64>> = cell.split(' ').map(|angle| angle.parse().ok()).collect();
     angles?.try_into().ok()
 }
 
-/// A cell as CSV, in quotes where it needs them.
+/// A CSV cell, quoted if necessary.
 pub(super) fn quoted(cell: &str) -> String {
     if cell.contains(['"', ',', ';', '\t', '\n', '\r']) {
         format!("\"{}\"", cell.replace('"', "\"\""))
@@ -176,7 +176,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn cells_come_back_as_they_were_and_known_ones_typed() {
+    fn cells_keep_their_spelling_and_known_columns_are_parsed() {
         let columns = ["kind", "note", "t_s", "circle", "samples"].map(Column::of);
         let rows = [
             ["measure", "1, 2", "0.5000", "3", "12"],

@@ -1,24 +1,23 @@
-//! Rows that are in a table more than once.
+//! Repeated rows of a table.
 
 use std::cmp::Ordering;
 
 use super::{Measurement, Measurements};
 use crate::catalogue::MeasurementFinding;
 
-/// A table without its repeated rows.
 #[derive(Clone, Debug)]
 pub struct Distinct {
     pub measurements: Measurements,
-    /// Measurements that were left out.
+    /// Number of measurements that were removed as repeated.
     pub repeated: usize,
 }
 
 impl Measurements {
-    /// Each row once: of equal rows the first. Rows that differ only in their index are equal where half of the table is
-    /// there twice; fewer can be a pose that was repeated, whose length came out the same.
+    /// Keeps the first of equal rows. Rows that differ only in their index count as equal only if that concerns half of the
+    /// table: a few can be a pose that was measured again with the same length.
     ///
     /// # Errors
-    /// Different rows with one index.
+    /// Different rows with the same index.
     pub fn distinct(mut self) -> Result<Distinct, MeasurementFinding> {
         let rows = &self.rows;
         let mut repeated = Vec::new();
@@ -40,10 +39,10 @@ impl Measurements {
         }
         repeated.sort_unstable();
         repeated.dedup();
-        // Of a position all coordinates repeat or none.
+        // The three rows of a position are repeated only together.
         let is_repeated = |at: usize| repeated.binary_search(&at).is_ok();
-        let whole = |at: &usize| rows[*at].datum.rows(*at).all(is_repeated);
-        let repeated: Vec<usize> = repeated.iter().copied().filter(whole).collect();
+        let all_repeated = |at: &usize| rows[*at].datum.rows(*at).all(is_repeated);
+        let repeated: Vec<usize> = repeated.iter().copied().filter(all_repeated).collect();
         let count = repeated.iter().filter(|at| rows[**at].datum.is_first()).count();
         let mut place = 0;
         self.rows.retain(|_| {
@@ -52,48 +51,45 @@ impl Measurements {
         });
         Ok(Distinct { measurements: self, repeated: count })
     }
-}
 
-impl Measurements {
-    /// How many rows of the other table are in this one, whatever their index: as they were measured, before a change of the
-    /// bar's zero was taken out, also where one of the two was rounded. A pose that was driven again has the same length to so
-    /// many digits once in some fifty times.
+    /// How many rows of `other` are in this table too. The index, a subtracted change of the bar's zero and rounding of one of
+    /// the two tables do not matter. A pose that was measured again agrees by chance about once in fifty times.
     pub fn holds(&self, other: &Self) -> usize {
         let mut known: Vec<(f64, &Measurement)> =
             self.rows.iter().map(|row| (measured_mm(row), row)).collect();
         known.sort_unstable_by(|(a, _), (b, _)| a.total_cmp(b));
-        let held = |row: &&Measurement| {
+        let is_held = |row: &&Measurement| {
             let length_mm = measured_mm(row);
             let first = known.partition_point(|(known_mm, _)| *known_mm < length_mm - ROUNDED_MM);
-            let near = known[first..].iter().take_while(|(known_mm, _)| *known_mm <= length_mm + ROUNDED_MM);
-            near.into_iter().any(|(_, known)| is_rounded(known, row))
+            let mut near =
+                known[first..].iter().take_while(|(known_mm, _)| *known_mm <= length_mm + ROUNDED_MM);
+            near.any(|(_, known)| is_same_pose(known, row))
         };
-        other.rows.iter().filter(held).count()
+        other.rows.iter().filter(is_held).count()
     }
 }
 
-/// A length with what was taken out of it as a change of the zero, mm.
+/// The length as measured, with the change of the zero that was subtracted, mm.
 fn measured_mm(row: &Measurement) -> f64 {
     row.length_mm + row.context.as_ref().and_then(|context| context.zero_mm).unwrap_or(0.0)
 }
 
-/// Half of the last digit of three decimals, mm, and of two, degrees, and a trifle for the binary numbers.
+/// Half of the third decimal (mm) and of the second (degrees), with a margin for binary rounding.
 const ROUNDED_MM: f64 = 0.000_501;
 const ROUNDED_DEG: f64 = 0.005_001;
 
-/// Whether two rows of nearly one length are of one pose.
-fn is_rounded(a: &Measurement, b: &Measurement) -> bool {
+fn is_same_pose(a: &Measurement, b: &Measurement) -> bool {
     let mut axes = a.axes.degrees().into_iter().zip(b.axes.degrees());
     (a.datum, a.target) == (b.datum, b.target) && axes.all(|(a, b)| (a - b).abs() <= ROUNDED_DEG)
 }
 
-/// By the index; the rows of a position, and those of several targets at one pose, may share theirs.
+/// Compares indices. The rows of a position, and of several targets at one pose, may share an index.
 fn by_index(a: &Measurement, b: &Measurement) -> Ordering {
     let place = |row: &Measurement| row.datum.is_plane().then_some((row.datum, row.target));
     a.index.cmp(&b.index).then_with(|| place(a).cmp(&place(b)))
 }
 
-/// By what was measured, whatever its index.
+/// Compares everything but the index.
 fn by_content(a: &Measurement, b: &Measurement) -> Ordering {
     let sigma = |row: &Measurement| row.sigma_mm.unwrap_or(0.0);
     let axes = a.axes.degrees().into_iter().zip(b.axes.degrees());
@@ -101,12 +97,10 @@ fn by_content(a: &Measurement, b: &Measurement) -> Ordering {
         .total_cmp(&b.length_mm)
         .then_with(|| (a.datum, a.target).cmp(&(b.datum, b.target)))
         .then_with(|| sigma(a).total_cmp(&sigma(b)))
-        .then_with(|| {
-            axes.map(|(a, b)| a.total_cmp(&b)).find(|order| order.is_ne()).unwrap_or(Ordering::Equal)
-        })
+        .then_with(|| axes.fold(Ordering::Equal, |order, (a, b)| order.then_with(|| a.total_cmp(&b))))
 }
 
-/// The places of rows that are equal by an order, each with the row before it that it equals.
+/// Pairs of places whose rows are equal by `order`; the second is the later row.
 fn equal_neighbours(
     rows: &[Measurement],
     order: impl Fn(&Measurement, &Measurement) -> Ordering,

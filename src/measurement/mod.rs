@@ -1,4 +1,4 @@
-//! What is measured: samples of the bar, lengths and positions at poses, base balls, and the model that predicts them.
+//! Samples of the bar, measured lengths and positions with their tables, base balls, and the measurement model.
 
 pub mod base_ball;
 pub mod context;

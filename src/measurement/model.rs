@@ -1,4 +1,5 @@
-//! The whole measurement: robot, targets, base balls, bars and tracker, as one function of the parameters.
+//! The measurement model: the length or coordinate that a measurement gives, as a function of all parameters of robot,
+//! targets, base balls, bars and tracker.
 
 use nalgebra::Vector3;
 
@@ -8,24 +9,23 @@ use crate::robot::{
     TargetId,
 };
 
-/// The place of what is not there.
+/// The position of a ball, target or tracker that the model does not have.
 const NOWHERE: Vector3<f64> = Vector3::new(f64::NAN, f64::NAN, f64::NAN);
 
-/// Everything that a length depends on.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LengthModel {
     /// The robot and its tool ball.
     pub geometry: Geometry,
     /// Base balls in the robot base, mm, by [`BallId::index`].
     pub balls: Vec<Vector3<f64>>,
-    /// Length offset of each bar, mm, by [`BarId::index`]; one that is not there is exact.
+    /// Length offset of each bar, mm, by [`BarId::index`]; 0 for a bar beyond the end.
     pub bar_offsets: Vec<f64>,
-    /// Further targets on the tool in the flange frame, mm, from the second.
+    /// Targets on the tool from the second on (the first is the tool ball), in the flange frame, mm.
     pub targets: Vec<Vector3<f64>>,
-    /// Where positions were measured.
     pub tracker: Option<Tracker>,
 }
 
+/// A measurement in the form in which the model evaluates it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PreparedMeasurement {
     /// The controller's axis angles, rad.
@@ -34,12 +34,12 @@ pub struct PreparedMeasurement {
     pub approach: Approach,
     pub datum: Datum,
     pub target: TargetId,
-    /// Distance between the ball centres, or from a plane.
+    /// Distance between the ball centres, or from a plane of the tracker's frame.
     pub length_mm: f64,
 }
 
 impl PreparedMeasurement {
-    /// Of the tool ball at axis angles (rad), with the first bar.
+    /// A length to the tool ball with the first bar; axis angles in rad.
     pub fn new(axes: [f64; AXES], ball: BallId, length_mm: f64) -> Self {
         let sin_cos = JointSinCos::of(&axes);
         let (datum, target) = (Datum::Ball(ball, BarId::FIRST), TargetId::FIRST);
@@ -54,7 +54,7 @@ impl From<&Measurement> for PreparedMeasurement {
     }
 }
 
-/// A model prepared for many measurements.
+/// A model with what can be computed once for many measurements.
 #[derive(Clone, Debug)]
 pub struct PreparedModel<'a> {
     model: &'a LengthModel,
@@ -63,7 +63,13 @@ pub struct PreparedModel<'a> {
 }
 
 impl PreparedModel<'_> {
-    /// The length that the model predicts, mm; not a number from or to what it does not have.
+    /// Measured minus predicted, mm; NaN as [`Self::length`].
+    #[inline]
+    pub fn residual(&self, measurement: &PreparedMeasurement) -> f64 {
+        measurement.length_mm - self.length(measurement)
+    }
+
+    /// The predicted length or coordinate, mm; NaN if the model lacks its ball, target or tracker.
     #[inline]
     pub fn length(&self, measurement: &PreparedMeasurement) -> f64 {
         let target = self.chain.ball(&self.at(measurement));
@@ -81,14 +87,14 @@ impl PreparedModel<'_> {
         At { axes, sin_cos, approach: *approach, target: self.model.target(*target) }
     }
 
-    /// The length and its derivatives; not a number from or to what the model does not have.
+    /// The length and its derivatives; NaN as [`Self::length`].
     pub fn row(&self, measurement: &PreparedMeasurement) -> LengthRow {
         let mut row = LengthRow::default();
         self.row_into(measurement, &mut row);
         row
     }
 
-    /// The same, into a row that is new or was filled by this model before: what a solver asks for a million times.
+    /// As [`Self::row`], into a row that is new or was filled by this model before.
     #[inline]
     pub fn row_into(&self, measurement: &PreparedMeasurement, row: &mut LengthRow) {
         let at = self.at(measurement);
@@ -105,11 +111,11 @@ impl PreparedModel<'_> {
 /// The columns of some parameters within a [`LengthRow`].
 #[derive(Clone, Debug)]
 pub struct Selection {
-    /// Place in the row, and the rows for which the column is not zero.
+    /// Column of the row, and the measurements whose derivative is not zero.
     columns: Vec<(usize, Rows)>,
 }
 
-/// The rows that a parameter changes.
+/// The measurements that depend on a parameter.
 #[derive(Clone, Copy, Debug)]
 enum Rows {
     All,
@@ -120,7 +126,6 @@ enum Rows {
 }
 
 impl Selection {
-    /// For these parameters, in this order.
     pub fn new(ids: &[ParamId]) -> Self {
         let column = |id: &ParamId| {
             let rows = match id {
@@ -136,7 +141,7 @@ impl Selection {
         Self { columns: ids.iter().map(column).collect() }
     }
 
-    /// Writes the chosen derivatives of a row.
+    /// Copies the selected derivatives of a row to `out`, in the order of the parameters.
     #[inline]
     pub fn pick(&self, row: &LengthRow, out: &mut [f64]) {
         for ((place, rows), value) in self.columns.iter().zip(out) {
@@ -153,24 +158,24 @@ impl Selection {
 }
 
 impl LengthModel {
-    /// With the base balls in the order of their numbers, bars exact, no target but the tool ball, no tracker.
+    /// With the base balls in the order of their numbers, exact bars, no target but the tool ball, no tracker.
     pub fn new(geometry: Geometry, balls: &[BaseBall]) -> Self {
         let balls = balls.iter().map(|ball| ball.position).collect();
         Self { geometry, balls, bar_offsets: vec![], targets: vec![], tracker: None }
     }
 
-    /// Before any fit, bars exact: the tracker's frame where the tool ball of this geometry best follows the positions, and
-    /// further targets where they then are on the tool in the mean, else at the tool ball.
+    /// The start of a fit, with exact bars. The tracker's frame is that of [`Tracker::located`]. A further target is at the
+    /// mean of its positions in the flange frame, or at the tool ball if it has none.
     pub fn before(geometry: Geometry, balls: &[BaseBall], observations: &Measurements) -> Self {
         let positions: Vec<Position> = observations.positions().collect();
         let tracker = Tracker::located(&geometry, &positions);
         let on_tool = |target: TargetId| {
             let of_target = positions.iter().filter(|position| position.target == target);
-            let on_tool = of_target.zip(tracker.iter().cycle()).map(|(position, tracker)| {
+            let in_flange = of_target.zip(tracker.iter().cycle()).map(|(position, tracker)| {
                 let flange = geometry.flange(&position.axes);
                 flange.rotation.transpose() * (tracker.in_base(&position.place) - flange.position)
             });
-            let places: Vec<Vector3<f64>> = on_tool.collect();
+            let places: Vec<Vector3<f64>> = in_flange.collect();
             match places.len() {
                 0 => geometry.tool,
                 count => places.iter().sum::<Vector3<f64>>() / count as f64,
@@ -186,13 +191,11 @@ impl LengthModel {
         PreparedModel { model: self, chain: Chain::new(&self.geometry), planes }
     }
 
-    /// Where a ball is, mm; not a number of one that is not there.
     #[inline]
     fn ball(&self, ball: BallId) -> Vector3<f64> {
         self.balls.get(ball.index()).copied().unwrap_or(NOWHERE)
     }
 
-    /// Where a target is in the flange frame, mm; not a number of one that is not there.
     #[inline]
     fn target(&self, target: TargetId) -> &Vector3<f64> {
         match target {
@@ -206,7 +209,7 @@ impl LengthModel {
         self.bar_offsets.get(bar.index()).copied().unwrap_or(0.0)
     }
 
-    /// The value of a parameter in its unit; not a number of what is not there.
+    /// The value of a parameter in its unit; NaN if the model does not have it.
     pub fn value(&self, id: ParamId) -> f64 {
         match id {
             ParamId::Ball(ball, coordinate) => self.ball(ball)[coordinate.index()],
@@ -220,7 +223,7 @@ impl LengthModel {
         }
     }
 
-    /// Adds `step` to a parameter; what is not there stays so.
+    /// Adds `step` to a parameter, if the model has it.
     pub fn shift(&mut self, id: ParamId, step: f64) {
         let value = match id {
             ParamId::Ball(ball, coordinate) => {

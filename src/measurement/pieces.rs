@@ -1,12 +1,13 @@
-//! Many measurements as a computation goes over them: piece by piece, as often as it likes.
+//! Iteration over many measurements, piece by piece.
 
 use super::PreparedMeasurement;
 use crate::math::map_pieces;
 
-/// Measurements that come in pieces, so that no more of them need be prepared at a time.
+/// Measurements that can be prepared one piece at a time, to save memory.
 pub trait MeasurementPieces: Sync {
-    /// Applies `work` to the place of the first of each piece, to the piece, and to the standard deviations (mm) that
-    /// weigh its measurements, in order; these are absent where all weigh alike, and infinite for a measurement that is left out.
+    /// Applies `work` to the index of the first measurement of each piece, to the piece, and to its standard deviations
+    /// (mm). The slice of standard deviations is empty if all are 1, an excluded measurement has an infinite one. The results are
+    /// in order.
     fn in_pieces<R: Send>(&self, work: impl Fn(usize, &[PreparedMeasurement], &[f64]) -> R + Sync) -> Vec<R>;
 }
 

@@ -1,22 +1,21 @@
-//! Places of targets in the frame of a tracker: the positions CSV. A position is three rows, one for each coordinate.
+//! Positions of targets in the frame of a tracker, and their CSV. A position is three rows, one for each coordinate.
 
 use std::fmt::Write;
 use std::ops::Range;
 
 use nalgebra::Vector3;
 
-use super::table::{APPROACH, ApproachColumns, Approaching, TARGET, angles};
+use super::table::{APPROACH, AXIS_COLUMNS, ApproachColumns, TARGET, angles};
 use super::{Measurement, Measurements};
 use crate::base::table::Table;
 use crate::catalogue::MeasurementFinding::NoMeasurement;
 use crate::diagnostic::Diagnostic;
 use crate::robot::{AXES, Coordinate, Datum, TargetId};
 
-const AXIS_COLUMNS: [&str; AXES] = ["a1_deg", "a2_deg", "a3_deg", "a4_deg", "a5_deg", "a6_deg"];
-/// The columns that make a table one of positions.
+/// The columns by which a table of positions is recognised.
 pub const PLACE: [&str; 3] = ["x_mm", "y_mm", "z_mm"];
 
-/// Where a tracker saw a target.
+/// A position of a target measured by a tracker.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Position {
     /// The controller's axis angles, rad.
@@ -27,7 +26,7 @@ pub struct Position {
 }
 
 impl Datum {
-    /// The rows of the measurement of which the row at this place is one.
+    /// The range of rows of the measurement that row number `at` belongs to.
     pub fn rows(self, at: usize) -> Range<usize> {
         match self {
             Self::Ball(..) => at..at + 1,
@@ -35,14 +34,14 @@ impl Datum {
         }
     }
 
-    /// Whether its row is the first of a measurement.
+    /// Whether this row is the first of its measurement.
     pub fn is_first(self) -> bool {
         !matches!(self, Self::Plane(Coordinate::Y | Coordinate::Z))
     }
 }
 
 impl Measurement {
-    /// The rows of a position whose circumstances are those of this row.
+    /// The three rows of a position, otherwise as this row.
     pub fn at_place(&self, place: [f64; 3]) -> [Self; 3] {
         Coordinate::ALL.map(|coordinate| {
             let (datum, length_mm) = (Datum::Plane(coordinate), place[coordinate.index()]);
@@ -52,8 +51,8 @@ impl Measurement {
 }
 
 impl Measurements {
-    /// Reads the CSV `a1_deg,..,a6_deg,x_mm,y_mm,z_mm[,index][,target][,sigma_mm][,approach1,..,approach6]`; columns in any
-    /// order. An absent target is the tool ball, an absent index the number of the row; `sigma_mm` is of each coordinate.
+    /// Reads the CSV `a1_deg,..,a6_deg,x_mm,y_mm,z_mm[,index][,target][,sigma_mm][,approach1,..,approach6]`, columns in any
+    /// order. The default target is the tool ball, the default index the row number; `sigma_mm` applies to each coordinate.
     pub fn positions_from_table(table: &mut Table<'_>) -> Result<Self, Diagnostic> {
         let (axes, place) = (table.required(AXIS_COLUMNS)?, table.required(PLACE)?);
         let (index, target) = (table.optional("index")?, table.optional(TARGET)?);
@@ -90,26 +89,24 @@ impl Measurements {
         })
     }
 
-    /// The rows of each position, with the place of the first.
+    /// The three rows of each position, with the index of the first.
     fn triples(&self) -> impl Iterator<Item = (usize, &[Measurement])> {
         let firsts = self.rows.iter().enumerate().filter(|(_, row)| row.datum == Datum::Plane(Coordinate::X));
         firsts.filter_map(|(at, row)| Some((at, self.rows.get(row.datum.rows(at))?)))
     }
 
-    /// The CSV of the positions that `keep` wants by the place of their first row; `None` where there are none. Every number
-    /// reads back bit for bit.
+    /// The CSV of the positions for which `keep` accepts the index of their first row; `None` if the table has no positions.
+    /// Every number reads back bit for bit.
     pub fn positions_csv(&self, keep: impl Fn(usize) -> bool) -> Option<String> {
-        let of_tracker = || self.triples().map(|(_, rows)| &rows[0]);
-        of_tracker().next()?;
-        let targets = of_tracker().any(|row| row.target != TargetId::FIRST);
-        let sigmas = of_tracker().any(|row| row.sigma_mm.is_some());
-        let approach = Approaching::of(of_tracker());
+        let firsts = || self.triples().map(|(_, rows)| &rows[0]);
+        firsts().next()?;
+        let targets = firsts().any(|row| row.target != TargetId::FIRST);
+        let sigmas = firsts().any(|row| row.sigma_mm.is_some());
+        let approach = firsts().any(|row| !row.approach.is_unknown());
         let mut text = format!("index,{},{}", AXIS_COLUMNS.join(","), PLACE.join(","));
-        let further = [(targets, TARGET), (sigmas, "sigma_mm")].into_iter().filter(|(is_there, _)| *is_there);
+        let further = [(targets, TARGET), (sigmas, "sigma_mm")].into_iter();
+        let further = further.chain(APPROACH.map(|name| (approach, name))).filter(|(is_there, _)| *is_there);
         further.for_each(|(_, name)| text.extend([",", name]));
-        if approach.is_known {
-            text.extend(APPROACH.into_iter().flat_map(|name| [",", name]));
-        }
         text.push('\n');
         for (_, rows) in self.triples().filter(|(at, _)| keep(*at)) {
             let first = &rows[0];
@@ -126,7 +123,9 @@ impl Measurements {
                 text.push(',');
                 text.extend(first.sigma_mm.map(|sigma| sigma.to_string()));
             }
-            approach.append(first, &mut text);
+            if approach {
+                first.append_approach(&mut text);
+            }
             text.push('\n');
         }
         Some(text)

@@ -1,4 +1,4 @@
-//! The frame of a tracker: where it is in the robot base, and its planes.
+//! The frame of a tracker in the robot base, and its coordinate planes.
 
 use nalgebra::{Matrix3, Rotation3, Vector3};
 
@@ -6,18 +6,17 @@ use super::Position;
 use crate::math::Alignment;
 use crate::robot::{Geometry, Plane};
 
-/// A tracker's frame in the robot base.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Tracker {
-    /// mm.
+    /// In the robot base, mm.
     pub origin: Vector3<f64>,
     /// Rotation vector, rad.
     pub turn: Vector3<f64>,
 }
 
 impl Tracker {
-    /// Where this geometry best follows the positions, by those of the first target that has any, as if it were the tool ball;
-    /// `None` without positions.
+    /// The frame in which the positions of the lowest target best fit the tool ball of `geometry`; `None` without positions.
+    /// If these positions coincide, the frame is that of the robot base.
     pub fn located(geometry: &Geometry, positions: &[Position]) -> Option<Self> {
         let first = positions.iter().map(|position| position.target).min()?;
         let leading = || positions.iter().filter(|position| position.target == first);
@@ -41,14 +40,14 @@ impl Tracker {
         })
     }
 
-    /// A place in the tracker's frame, in the robot base, mm.
+    /// Transforms a point of the tracker's frame to the robot base, mm.
     pub fn in_base(&self, place: &Vector3<f64>) -> Vector3<f64> {
         Rotation3::new(self.turn) * place + self.origin
     }
 }
 
-/// By how much a change of a rotation vector turns a body (Chirikjian, Stochastic Models, Information Theory, and Lie Groups
-/// 2, 10.86: the left Jacobian of SO(3)).
+/// The left Jacobian of SO(3), from the rate of a rotation vector to the angular velocity (Chirikjian, Stochastic Models,
+/// Information Theory, and Lie Groups 2, 10.86).
 fn left_jacobian(turn: &Vector3<f64>) -> Matrix3<f64> {
     let (angle, cross) = (turn.norm(), turn.cross_matrix());
     if angle < 1e-4 {
@@ -65,7 +64,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_normal_turns_as_its_differences() {
+    fn derivative_of_a_normal_matches_differences() {
         for turn in [Vector3::new(0.3, -2.0, 1.1), Vector3::new(1e-6, 0.0, 2e-6), Vector3::new(0.0, 3.1, 0.1)]
         {
             let at = |turn| Tracker { origin: Vector3::zeros(), turn }.planes();
