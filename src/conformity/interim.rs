@@ -126,7 +126,7 @@ impl CheckInput<'_> {
             Some(likeliest) => Some(self.updated(&expected, likeliest).ok_or(ConformityFinding::NotFinite)?),
             None => None,
         };
-        let of_workspace = |errors: &DMatrix<f64>| position.workspace.summary(&position.moved(errors));
+        let of_workspace = |errors: &DMatrix<f64>| ErrorSummary::of(&position.moved(errors));
         let least_mm = self.least_tolerance(&expected, &position).ok_or(ConformityFinding::NotFinite)?;
         let undecidable = self.tolerance_mm.is_some_and(|tolerance| tolerance < least_mm);
         let position_errors_mm = position.sizes(&now);
@@ -205,7 +205,7 @@ impl CheckInput<'_> {
 
     /// The smallest tolerance with which lengths that agree with the calibrated robot pass.
     fn least_tolerance(&self, expected: &Expected, position: &Position) -> Option<f64> {
-        let best = expected.after(self.readings, self.noise())?;
+        let best = expected.posterior.after(self.readings, self.noise())?;
         let best = decide(&position.sizes(&position.of(&best, 1.0)), None, self.rule, false);
         Some(if self.rule == Rule::SimpleAcceptance { best.position_error_mm } else { best.upper_mm })
     }
@@ -244,7 +244,7 @@ impl CheckInput<'_> {
     /// What this hypothesis leaves, of the parameters that the calibration determined.
     fn updated(&self, expected: &Expected, hypothesis: &Hypothesis) -> Option<Posterior> {
         let parameters = [hypothesis.parameters.as_slice(), &hypothesis.alike].concat();
-        expected.changed(&parameters).learn(self.readings, self.noise())
+        expected.changed(&parameters).posterior.learn(self.readings, self.noise())
     }
 
     fn robot_of(&self, found: &Posterior, known: &Posterior) -> Option<Robot> {
@@ -364,7 +364,8 @@ impl Position {
             if hypothesis.probability * (DRAWS as f64) < 0.5 {
                 continue;
             }
-            let posterior = expected.changed(&hypothesis.parameters).learn(of.readings, of.noise())?;
+            let posterior =
+                expected.changed(&hypothesis.parameters).posterior.learn(of.readings, of.noise())?;
             let mean = values(&posterior, ids, &posterior.model) - values(&posterior, ids, &self.start);
             let drawn = self.of(&posterior, hypothesis.probability);
             columns.extend(drawn.column_iter().map(|column| column + &mean));
@@ -380,7 +381,7 @@ impl Position {
     fn sizes(&self, errors: &DMatrix<f64>) -> Vec<f64> {
         let moved = self.moved(errors);
         let mut sizes: Vec<f64> = (0..moved.ncols())
-            .map(|draw| self.workspace.summary(&moved.columns(draw, 1).into_owned()).p95)
+            .map(|draw| ErrorSummary::of(&moved.columns(draw, 1).into_owned()).p95)
             .collect();
         sizes.sort_by(f64::total_cmp);
         sizes

@@ -225,7 +225,7 @@ impl Position {
         let reached =
             |(drift, tolerance): (StraightLine, f64)| drift.reaches(tolerance, timeline.last(), COVERAGE);
         PositionChange {
-            whole: self.workspace.summary(&moved),
+            whole: ErrorSummary::of(&moved),
             significant: self.summary(&changed),
             map: self.workspace.map(&moved),
             reaches_tolerance: drift.zip(tolerance_mm).and_then(reached),
@@ -238,7 +238,7 @@ impl Position {
         let of =
             |id: &ParamId| changes.iter().find(|(name, _)| name == id).map_or(0.0, |(_, change)| *change);
         let column = DMatrix::from_iterator(ids.len(), 1, ids.iter().map(of));
-        self.workspace.summary(&self.workspace.displacements(&column))
+        ErrorSummary::of(&self.workspace.displacements(&column))
     }
 
     /// The significant trends together, as a line from the first result; its deviation from those of the slopes, which

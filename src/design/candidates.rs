@@ -1,6 +1,6 @@
-//! Poses that can be reached under all limits, many of them, for the choice of a few.
+//! Candidate poses on a sphere about a base ball, within all limits.
 
-use nalgebra::{DMatrix, Matrix3, Quaternion, Rotation3, UnitQuaternion, Vector3};
+use nalgebra::{DMatrix, DVector, Matrix3, Quaternion, Rotation3, UnitQuaternion, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
@@ -10,54 +10,53 @@ use crate::estimation::{Posterior, Workspace};
 use crate::robot::inverse::{branches, status, turns_within};
 use crate::robot::{AXES, BallId, Geometry, Pose, Robot};
 
-/// Poses drawn at most for each candidate wanted.
+/// Drawn poses per candidate after which the search ends.
 const PATIENCE: u32 = 30;
 
-/// A pose that may be measured.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Candidate {
     pub ball: BallId,
-    /// The controller's axis angles, rad, full turns included.
+    /// The controller's axis angles, rad, including full turns.
     pub axes: [f64; AXES],
-    /// The tool ball.
+    /// Of the tool ball.
     pub pose: Pose,
 }
 
-/// Orientations of the tool near one.
+/// Restricts the orientations of the tool.
 #[derive(Clone, Copy, Debug)]
 pub struct Near {
     pub orientation: Matrix3<f64>,
-    /// How far half of the poses are turned from it at most, rad, all angles alike; at 0 all poses have it.
+    /// Half of the poses are rotated from it by a uniform angle up to this, rad. If it is 0, all poses have the orientation.
     pub angle_rad: f64,
 }
 
 impl Near {
-    /// Half of the poses as much as 40 degrees from it.
+    /// Half of the poses within 40 degrees.
     pub fn about(orientation: Matrix3<f64>) -> Self {
         Self { orientation, angle_rad: 0.7 }
     }
 
-    /// That orientation alone.
     pub fn exactly(orientation: Matrix3<f64>) -> Self {
         Self { orientation, angle_rad: 0.0 }
     }
 }
 
-/// The sphere about a base ball on which the tool ball is, and the arm that takes it there.
+/// The sphere about a base ball on which the tool ball is, and the arm that moves it there.
 #[derive(Clone, Copy)]
 pub struct Sphere<'a> {
     pub arm: &'a Geometry,
-    /// Whose limits hold.
+    /// The robot with the axis limits.
     pub controller: &'a Robot,
     pub id: BallId,
     pub ball: Vector3<f64>,
     pub radius_mm: f64,
-    /// Near which orientation of the tool; all alike where there is none.
+    /// By default all orientations are equally probable.
     pub near: Option<&'a Near>,
 }
 
 impl Sphere<'_> {
-    /// Poses in all directions that `allows` lets pass, all in the one branch of the arm that has most.
+    /// Poses in random directions that `allows` accepts, in random order. All are in one configuration of the arm: that with
+    /// most poses.
     pub fn candidates(
         &self,
         count: usize,
@@ -82,14 +81,13 @@ impl Sphere<'_> {
         }
         let mut most = by_branch.into_iter().max_by_key(Vec::len).unwrap_or_default();
         most.truncate(count);
-        // In no order, so that a part of them is as good a sample as all.
         for i in (1..most.len()).rev() {
             most.swap(i, random.random_range(0..=i));
         }
         most
     }
 
-    /// A pose in any direction; near the orientation given, if there is one and this is of that half.
+    /// A pose in a random direction. `half` says whether it belongs to the half that [`Near::angle_rad`] restricts.
     fn draw(&self, random: &mut Pcg64, half: bool) -> Pose {
         let mut normal = || -> f64 { StandardNormal.sample(random) };
         let direction = Vector3::new(normal(), normal(), normal()).normalize();
@@ -107,31 +105,33 @@ impl Sphere<'_> {
     }
 }
 
-/// The greatest axis angle, rad.
+/// The largest axis angle in magnitude, rad.
 pub(crate) fn largest(axes: &[f64; AXES]) -> f64 {
     axes.iter().map(|angle| angle.abs()).fold(0.0, f64::max)
 }
 
-/// The design rows of candidates as an exchange takes them: a column each, in the coordinates of the prior, over sigma.
+/// The whitened design rows of candidates for an [`super::Exchange`]: a column each, in the coordinates of the posterior's
+/// root.
 pub fn design_rows(posterior: &Posterior, candidates: &[Candidate], sigma_mm: f64) -> DMatrix<f64> {
-    let mut rows = DMatrix::zeros(posterior.root().ncols(), candidates.len());
-    for (mut column, candidate) in rows.column_iter_mut().zip(candidates) {
-        let row = posterior.design_row(&candidate.axes, candidate.ball);
-        column.copy_from(&(row / sigma_mm));
-    }
-    rows
+    let row = |candidate: &Candidate| posterior.design_row(&candidate.axes, candidate.ball) / sigma_mm;
+    columns(posterior.root().ncols(), candidates.iter().map(row))
 }
 
-/// The effects of changes of the usual size as an exchange takes them: a column a candidate, over sigma.
+/// The whitened effects of typical changes for an [`super::Exchange`]: a column a candidate.
 pub fn change_rows(expected: &Expected, candidates: &[Candidate], sigma_mm: f64) -> DMatrix<f64> {
-    let columns: Vec<_> = candidates
-        .iter()
-        .map(|candidate| expected.effects(&candidate.axes, candidate.ball) / sigma_mm)
-        .collect();
-    DMatrix::from_columns(&columns)
+    let effects =
+        candidates.iter().map(|candidate| expected.effects(&candidate.axes, candidate.ball) / sigma_mm);
+    DMatrix::from_columns(&effects.collect::<Vec<_>>())
 }
 
-/// The Jacobian of the tool ball over a workspace, in the coordinates of the prior, three rows a pose.
+/// A matrix of columns with so many rows; without columns it is empty.
+pub(super) fn columns(rows: usize, columns: impl ExactSizeIterator<Item = DVector<f64>>) -> DMatrix<f64> {
+    let mut matrix = DMatrix::zeros(rows, columns.len());
+    matrix.column_iter_mut().zip(columns).for_each(|(mut column, values)| column.copy_from(&values));
+    matrix
+}
+
+/// The Jacobian of the tool ball over a workspace, three rows a pose, in the coordinates of the posterior's root.
 pub fn workspace_rows(posterior: &Posterior, poses: &[[f64; AXES]]) -> DMatrix<f64> {
     Workspace::new(&posterior.model.geometry, poses, posterior.ids()).jacobian() * posterior.root()
 }

@@ -1,49 +1,49 @@
-//! The choice of N poses among many candidates: D-optimal, then I-optimal or to see changes, by exchange.
+//! The choice of N poses among many candidates by exchange: D-optimal, then I-optimal or for the detection of changes.
 //!
-//! A candidate is the row a of its length in the coordinates of a posterior, over sigma, so that the
-//! information before any length is I and C = (I + sum a a')^-1. D-optimal makes det C least, I-optimal the
-//! trace of C W, with W the mean square of what each parameter moves over a workspace. Taking a pose in
-//! or out changes C by q v v', v = C a, and with it what every candidate would gain: for
-//! d = a' C a by q (a'v)^2, for e = a' C W C a by 2 q (a'v)(a'u) + q^2 s (a'v)^2, u = C W v, s = v' W v (Fedorov,
-//! "Theory of Optimal Experiments", 1972). One pass over the candidates a change, nothing allocated.
+//! A candidate is its whitened design row a in the coordinates of a posterior's root, so that the prior information is I and
+//! C = (I + sum a a')^-1. D-optimal designs minimise det C, I-optimal designs trace(C W), where W is the mean of J'J over the
+//! Jacobians J of a workspace. Adding or removing a pose changes C by q v v', v = C a. It changes d = a' C a of each candidate
+//! by q (a'v)^2, and e = a' C W C a by 2 q (a'v)(a'u) + q^2 s (a'v)^2, with u = C W v and s = v' W v (Fedorov, "Theory of
+//! Optimal Experiments", 1972). An exchange takes one pass over the candidates and allocates nothing.
 //!
-//! A change that moves the lengths of the candidates by g, over sigma, is seen through what the unknowns cannot imitate:
-//! h = g - a' C (sum of a g over the chosen), with the noncentrality s = sum of h^2 / (1 + d) over the poses as they come
-//! in. A pose in or out changes h by q (a'v) h_pose, and s by -q h_pose^2. The product of the 1 + s of all changes is
-//! made greatest: of their powers none is bought with another's.
+//! A change with the whitened effects g on the lengths is detected by the part that the unknowns cannot compensate:
+//! h = g - a' C (sum of a g over the chosen). Its noncentrality is s = sum of h^2 / (1 + d) over the poses as they are added.
+//! Adding or removing a pose changes h by q (a'v) h_pose, and s by -q h_pose^2. The product of (1 + s) over all changes is
+//! maximised, so that no change gains power at the expense of another.
 
 use std::ops::Range;
 
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
-/// What is made least.
+/// The objective of the choice.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Criterion {
-    /// The volume of what is left unknown of the parameters.
+    /// Determinant of the covariance of the parameters.
     D,
-    /// The mean square of the 3-D error over a workspace.
+    /// Mean square of the position error over a workspace.
     #[default]
     I,
-    /// What is not seen of changes of a calibrated robot.
+    /// Detection of changes of a calibrated robot.
     #[serde(rename = "change")]
     Change,
 }
 
-/// Passes over the chosen poses before the choice is final.
+/// Most passes over the chosen poses.
 const PASSES: usize = 12;
-/// Least share by which an exchange must better its criterion.
+/// Least relative improvement of the criterion by an exchange.
 const WORTH: f64 = 1e-4;
-/// A pass that exchanges less than this share of the poses is the last.
+/// A pass that exchanges less than one in so many poses is the last.
 const SETTLED: usize = 25;
 
-/// Candidates with what each would gain.
+/// The state of the exchange; the symbols are those of the module's description.
 #[derive(Clone)]
 pub struct Exchange<'a> {
-    /// A column a candidate.
+    /// a of each candidate, a column each.
     rows: &'a DMatrix<f64>,
-    /// The workspace's W in the same coordinates.
+    /// W.
     weight: DMatrix<f64>,
+    /// C.
     covariance: DMatrix<f64>,
     d: Vec<f64>,
     e: Vec<f64>,
@@ -52,21 +52,21 @@ pub struct Exchange<'a> {
     v: DVector<f64>,
     wv: DVector<f64>,
     u: DVector<f64>,
-    /// Effects of the changes on the candidates, a column a candidate, over sigma,
+    /// g, a row a change and a column a candidate.
     effects: DMatrix<f64>,
-    /// what the unknowns do not imitate of them,
-    seen: DMatrix<f64>,
-    /// and the noncentrality of each change.
+    /// h, likewise.
+    detectable: DMatrix<f64>,
+    /// s of each change.
     noncentrality: DVector<f64>,
 }
 
 impl<'a> Exchange<'a> {
-    /// For `candidates` (a column each, in the coordinates of the posterior, over sigma); `moves` is the workspace's
-    /// Jacobian in the same coordinates, three rows a pose.
-    pub fn new(candidates: &'a DMatrix<f64>, moves: &DMatrix<f64>) -> Self {
+    /// `candidates` has a column for each, `jacobian` is that of the tool ball over the workspace, three rows a pose; both in
+    /// the coordinates of the posterior's root.
+    pub fn new(candidates: &'a DMatrix<f64>, jacobian: &DMatrix<f64>) -> Self {
         let n = candidates.nrows();
-        let poses = (moves.nrows() / 3).max(1) as f64;
-        let weight = moves.tr_mul(moves) / poses;
+        let poses = (jacobian.nrows() / 3).max(1) as f64;
+        let weight = jacobian.tr_mul(jacobian) / poses;
         let d = candidates.column_iter().map(|a| a.norm_squared()).collect();
         let e = candidates.column_iter().map(|a| (&weight * a).dot(&a)).collect();
         Self {
@@ -81,18 +81,18 @@ impl<'a> Exchange<'a> {
             u: DVector::zeros(n),
             weight,
             effects: DMatrix::zeros(0, candidates.ncols()),
-            seen: DMatrix::zeros(0, candidates.ncols()),
+            detectable: DMatrix::zeros(0, candidates.ncols()),
             noncentrality: DVector::zeros(0),
         }
     }
 
-    /// For [`Criterion::Change`]: `effects` has a row a change and a column a candidate, over sigma.
+    /// For [`Criterion::Change`]: `effects` has a row a change and a column a candidate, whitened.
     pub fn for_changes(candidates: &'a DMatrix<f64>, effects: DMatrix<f64>) -> Self {
         let none = Self::new(candidates, &DMatrix::zeros(0, candidates.nrows()));
-        Self { seen: effects.clone(), noncentrality: DVector::zeros(effects.nrows()), effects, ..none }
+        Self { detectable: effects.clone(), noncentrality: DVector::zeros(effects.nrows()), effects, ..none }
     }
 
-    /// Chooses `count` candidates: D-optimal ones, which are then bettered where the criterion is another one.
+    /// Chooses `count` candidates: a D-optimal design, which is then improved for another criterion.
     pub fn choose(&mut self, count: usize, criterion: Criterion) -> &[usize] {
         self.extend(count, Criterion::D);
         self.improve(Criterion::D);
@@ -102,32 +102,23 @@ impl<'a> Exchange<'a> {
         &self.chosen
     }
 
-    /// Takes in the best candidates one by one until `count` are chosen, or none is left.
+    /// Adds the best candidate until `count` are chosen, or none is left.
     pub fn extend(&mut self, count: usize, criterion: Criterion) {
         self.chosen.reserve(count);
         while self.chosen.len() < count {
-            let Some((best, _)) = self.best(criterion) else { return };
+            let Some((best, _)) = self.best(0..self.taken.len(), criterion) else { return };
             self.change(best, true, criterion);
             self.chosen.push(best);
         }
     }
 
-    /// Exchanges chosen poses for better ones until none is worth it.
+    /// Exchanges chosen poses for better ones until the gain is small.
     pub fn improve(&mut self, criterion: Criterion) {
         self.renew(criterion);
         for _ in 0..PASSES {
             let mut exchanged = 0;
             for place in 0..self.chosen.len() {
-                let old = self.chosen[place];
-                self.change(old, false, criterion);
-                let keep = self.gain(old, criterion);
-                let new = match self.best(criterion) {
-                    Some((best, gain)) if best != old && gain > keep * (1.0 + WORTH) => best,
-                    _ => old,
-                };
-                self.change(new, true, criterion);
-                self.chosen[place] = new;
-                exchanged += usize::from(new != old);
+                exchanged += usize::from(self.exchange(place, 0..self.taken.len(), criterion));
             }
             if exchanged * SETTLED < self.chosen.len().max(1) {
                 return;
@@ -135,7 +126,21 @@ impl<'a> Exchange<'a> {
         }
     }
 
-    /// What the D-optimal passes left behind.
+    /// Exchanges one chosen pose for the best candidate `among` some, if that is better. Returns whether it was exchanged.
+    fn exchange(&mut self, place: usize, among: Range<usize>, criterion: Criterion) -> bool {
+        let old = self.chosen[place];
+        self.change(old, false, criterion);
+        let keep = self.gain(old, criterion);
+        let new = match self.best(among, criterion) {
+            Some((best, gain)) if gain > keep * (1.0 + WORTH) => best,
+            _ => old,
+        };
+        self.change(new, true, criterion);
+        self.chosen[place] = new;
+        new != old
+    }
+
+    /// Computes the quantities of a criterion that the D-optimal exchange does not update.
     fn renew(&mut self, criterion: Criterion) {
         match criterion {
             Criterion::D => {}
@@ -150,36 +155,28 @@ impl<'a> Exchange<'a> {
                 let (rows, effects) =
                     (self.rows.select_columns(&self.chosen), self.effects.select_columns(&self.chosen));
                 let crossed = rows * effects.transpose();
-                let imitated = &self.covariance * &crossed;
-                self.seen = &self.effects - imitated.tr_mul(self.rows);
+                let compensation = &self.covariance * &crossed;
+                self.detectable = &self.effects - compensation.tr_mul(self.rows);
                 for (change, noncentrality) in self.noncentrality.iter_mut().enumerate() {
-                    let lost = crossed.column(change).dot(&imitated.column(change));
+                    let lost = crossed.column(change).dot(&compensation.column(change));
                     *noncentrality = (effects.row(change).norm_squared() - lost).max(0.0);
                 }
             }
         }
     }
 
-    /// Takes one candidate of each group, then exchanges each for a better one of its own group until none is worth it.
+    /// Chooses the best candidate of each group, then exchanges within the groups until the gain is small.
     pub fn one_of_each(&mut self, groups: &[Range<usize>], criterion: Criterion) {
-        for group in groups.iter().filter(|group| !group.is_empty()) {
-            let first = self.best_of(group.clone(), criterion).map_or(group.start, |(best, _)| best);
+        let groups: Vec<&Range<usize>> = groups.iter().filter(|group| !group.is_empty()).collect();
+        for &group in &groups {
+            let first = self.best(group.clone(), criterion).map_or(group.start, |(best, _)| best);
             self.change(first, true, criterion);
             self.chosen.push(first);
         }
         for _ in 0..PASSES {
             let mut exchanged = false;
-            for (place, group) in groups.iter().filter(|group| !group.is_empty()).enumerate() {
-                let old = self.chosen[place];
-                self.change(old, false, criterion);
-                let keep = self.gain(old, criterion);
-                let new = match self.best_of(group.clone(), criterion) {
-                    Some((best, gain)) if gain > keep * (1.0 + WORTH) => best,
-                    _ => old,
-                };
-                self.change(new, true, criterion);
-                self.chosen[place] = new;
-                exchanged |= new != old;
+            for (place, &group) in groups.iter().enumerate() {
+                exchanged |= self.exchange(place, group.clone(), criterion);
             }
             if !exchanged {
                 return;
@@ -187,39 +184,35 @@ impl<'a> Exchange<'a> {
         }
     }
 
-    /// The chosen candidates.
     pub fn chosen(&self) -> &[usize] {
         &self.chosen
     }
 
-    /// Root mean square of the 3-D error over the workspace with what is chosen, mm.
+    /// Root mean square of the position error over the workspace with the chosen poses, mm.
     pub fn rms_error_mm(&self) -> f64 {
         self.covariance.dot(&self.weight).sqrt()
     }
 
-    /// What taking a candidate in would better.
+    /// The improvement of the criterion by adding a candidate.
     fn gain(&self, at: usize, criterion: Criterion) -> f64 {
         match criterion {
             Criterion::D => self.d[at],
             Criterion::I => self.e[at] / (1.0 + self.d[at]),
             Criterion::Change => {
-                let seen = self.seen.column(at);
-                let share = |(h, s): (&f64, &f64)| 1.0 + h * h / ((1.0 + self.d[at]) * (1.0 + s));
-                seen.iter().zip(&self.noncentrality).map(share).product()
+                let h = self.detectable.column(at);
+                let factor = |(h, s): (&f64, &f64)| 1.0 + h * h / ((1.0 + self.d[at]) * (1.0 + s));
+                h.iter().zip(&self.noncentrality).map(factor).product()
             }
         }
     }
 
-    fn best(&self, criterion: Criterion) -> Option<(usize, f64)> {
-        self.best_of(0..self.taken.len(), criterion)
-    }
-
-    fn best_of(&self, among: Range<usize>, criterion: Criterion) -> Option<(usize, f64)> {
+    /// The best candidate that is not taken, with its gain.
+    fn best(&self, among: Range<usize>, criterion: Criterion) -> Option<(usize, f64)> {
         let free = among.filter(|&at| !self.taken[at]);
         free.map(|at| (at, self.gain(at, criterion))).max_by(|a, b| a.1.total_cmp(&b.1))
     }
 
-    /// Takes a candidate in or out.
+    /// Adds or removes a candidate.
     fn change(&mut self, at: usize, enters: bool, criterion: Criterion) {
         let a = self.rows.column(at);
         self.v.gemv(1.0, &self.covariance, &a, 0.0);
@@ -248,11 +241,11 @@ impl<'a> Exchange<'a> {
                 }
             }
             Criterion::Change => {
-                let of_pose = self.seen.column(at).into_owned();
-                for ((a, d), mut seen) in rows.zip(&mut self.d).zip(self.seen.column_iter_mut()) {
+                let of_pose = self.detectable.column(at).into_owned();
+                for ((a, d), mut h) in rows.zip(&mut self.d).zip(self.detectable.column_iter_mut()) {
                     let av = dot(a, v);
                     *d += q * av * av;
-                    seen.axpy(q * av, &of_pose, 1.0);
+                    h.axpy(q * av, &of_pose, 1.0);
                 }
                 of_pose.iter().zip(&mut self.noncentrality).for_each(|(h, s)| *s -= q * h * h);
             }
@@ -261,7 +254,7 @@ impl<'a> Exchange<'a> {
     }
 }
 
-/// Four sums side by side, which the processor adds at once.
+/// Dot product in four partial sums, for vector instructions.
 fn dot(a: &[f64], b: &[f64]) -> f64 {
     let (a4, a_rest) = a.as_chunks::<4>();
     let (b4, b_rest) = b.as_chunks::<4>();

@@ -1,5 +1,5 @@
-//! Which poses to measure: candidates, their exchange, recommendations for a plan and for a result, and the calibration
-//! with them.
+//! Design of measurements: candidate poses, their exchange, recommendations for a plan and for a result, and the calibration
+//! with recommendations.
 
 mod calibrate;
 pub mod candidates;

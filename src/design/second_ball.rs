@@ -1,4 +1,4 @@
-//! Where a second base ball would help, found by trying: the best poses are chosen anew with each place.
+//! The best place of a second base ball: for each place the best poses are chosen.
 
 use nalgebra::{Rotation3, Vector3};
 
@@ -6,10 +6,9 @@ use super::{Candidate, Criterion, Exchange, Sphere, design_rows, workspace_rows}
 use crate::estimation::Posterior;
 use crate::robot::{AXES, BallId, Robot};
 
-/// Poses that are tried about each ball.
+/// Candidate poses about each ball.
 const CANDIDATES: usize = 300;
-/// Places that are tried: how far out (mm), up (mm) and about axis 1 (degrees) from the ball that there is. The first is
-/// the same place turned.
+/// Places relative to the first ball: radially (mm), upwards (mm) and about axis 1 (degrees). The first is only rotated.
 const PLACES: [([f64; 3], &str); 6] = [
     ([0.0, 0.0, 60.0], "turned about axis 1 alone"),
     ([-350.0, 0.0, 60.0], "nearer to axis 1"),
@@ -19,35 +18,35 @@ const PLACES: [([f64; 3], &str); 6] = [
     ([-350.0, 400.0, 60.0], "nearer and higher"),
 ];
 
-/// What is measured about the one ball that there is.
+/// A plan with one base ball.
 pub struct OneBall<'a> {
     pub robot: &'a Robot,
     pub ball: Vector3<f64>,
     pub radius_mm: f64,
-    /// Lengths of the plan, each of standard deviation `sigma_mm`.
+    /// Number of lengths, each of standard deviation `sigma_mm`.
     pub lengths: usize,
     pub sigma_mm: f64,
-    /// Axis vectors (rad) over which the 3-D error counts.
+    /// Axis vectors (rad) over which the position error is predicted.
     pub workspace: &'a [[f64; AXES]],
     pub seed: u64,
 }
 
-/// The best place of those that were tried.
+/// The best place of a second ball.
 pub struct SecondBall {
     pub place: &'static str,
     pub ball: Vector3<f64>,
-    /// Root mean square of the 3-D error that the best poses about the one ball leave, mm.
+    /// Root mean square of the position error with the best poses about the first ball, mm.
     pub alone_mm: f64,
-    /// The share of it that as many poses about both balls leave.
+    /// The error with as many poses about both balls, as a fraction of it.
     pub share: f64,
-    /// The same of a ball that is only turned about axis 1.
+    /// The same for a ball that is only rotated about axis 1.
     pub turned_share: f64,
-    /// How many places were tried.
+    /// Number of places that were compared.
     pub places: usize,
 }
 
 impl OneBall<'_> {
-    /// Tries a second ball; `prior` has the prior of both at their places. `None` where nothing can be chosen.
+    /// `prior` returns the prior with balls at two places. `None` if no place has enough poses.
     pub fn second(
         &self,
         prior: impl Fn([Vector3<f64>; 2]) -> Posterior,
@@ -55,15 +54,12 @@ impl OneBall<'_> {
     ) -> Option<SecondBall> {
         let pool = self.reached(BallId::at(0), self.ball, &allows);
         let alone_mm = self.left_mm(&prior([self.ball; 2]), &pool)?;
-        let tried: Vec<(f64, Vector3<f64>, &'static str)> = PLACES
-            .iter()
-            .filter_map(|(shift, place)| {
-                let ball = self.moved(*shift);
-                let mut both = pool.clone();
-                both.extend(self.reached(BallId::at(1), ball, &allows));
-                Some((self.left_mm(&prior([self.ball, ball]), &both)? / alone_mm, ball, *place))
-            })
-            .collect();
+        let tried = PLACES.iter().filter_map(|(shift, place)| {
+            let ball = self.moved(*shift);
+            let both = [pool.clone(), self.reached(BallId::at(1), ball, &allows)].concat();
+            Some((self.left_mm(&prior([self.ball, ball]), &both)? / alone_mm, ball, *place))
+        });
+        let tried: Vec<(f64, Vector3<f64>, &str)> = tried.collect();
         let turned_share = tried.first().map_or(1.0, |(share, ..)| *share);
         let (share, ball, place) = tried.into_iter().min_by(|a, b| a.0.total_cmp(&b.0))?;
         Some(SecondBall { place, ball, alone_mm, share, turned_share, places: PLACES.len() })
@@ -79,7 +75,7 @@ impl OneBall<'_> {
         Rotation3::from_axis_angle(&Vector3::z_axis(), turn_deg.to_radians()) * place
     }
 
-    /// Poses about a ball; what is in the way there is not known.
+    /// Candidate poses about a ball. Obstacles at a new place are not known.
     fn reached(
         &self,
         id: BallId,
@@ -91,7 +87,7 @@ impl OneBall<'_> {
             .candidates(CANDIDATES, self.seed, allows)
     }
 
-    /// Root mean square 3-D error that the best of the poses leave, mm.
+    /// Root mean square of the position error with the best of the poses, mm.
     fn left_mm(&self, prior: &Posterior, pool: &[Candidate]) -> Option<f64> {
         if pool.len() < self.lengths {
             return None;

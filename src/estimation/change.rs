@@ -1,10 +1,10 @@
-//! What changed since a robot was calibrated: the innovation of a few lengths against the posterior of the calibration.
+//! Changes of a robot since its calibration: the innovation of a few lengths against the posterior of the calibration.
 //!
-//! Under the hypothesis that nothing changed, the lengths differ from the identified robot's by the errors that its
-//! posterior allows, by what mounting changes (base balls free or kept, tool ball and bar by their repeat mounting) and by noise.
-//! In the coordinates w of the posterior's root that is a least-squares problem with unit normal w; its least sum of
-//! squares, the innovation, is chi-square. A change of some parameters adds columns to it. Triangularised in the order
-//! w, balls, candidates, the factor's last block has all that the lengths say of changes.
+//! If nothing changed, the lengths differ from those of the identified robot by errors within its posterior, by the changes of
+//! mounting (base balls free or kept, tool ball and bar by the repeatability of their mounting) and by noise. In the
+//! coordinates w of the posterior's root this is a least-squares problem with unit normal w. Its minimum, the innovation, is
+//! chi-square distributed. A change of parameters adds columns. Triangularised in the order w, balls, changes, the last block
+//! of the factor contains all information about changes.
 
 use nalgebra::{DMatrix, DVector};
 use rand::SeedableRng;
@@ -14,43 +14,47 @@ use serde::Serialize;
 
 use super::expected::{Expected, typical};
 use super::pose_rows::LengthNoise;
+use super::posterior::Learnt;
 use crate::math::Triangle;
 use crate::math::distributions::{chi_square_exceeded, chi_square_tail, noncentral_tail, noncentrality};
 use crate::measurement::PreparedMeasurement;
-use crate::robot::{BallId, ParamId, Unit};
+use crate::robot::{ParamId, Unit};
 
 /// Probability that a change is reported although nothing changed.
 pub const FALSE_ALARM: f64 = 0.01;
-/// Probability with which the smallest change that is stated is found.
+/// Probability of finding the smallest detectable change.
 pub const POWER: f64 = 0.95;
-/// Probabilities of the hypotheses before the lengths: nothing changed, one thing, two. Half of the one is a joint offset.
+/// Prior probabilities of no change, one change and two changes. Half of the probability of one is for joint offsets.
 const NOTHING: f64 = 0.5;
 const ONE: f64 = 0.45;
 const TWO: f64 = 0.05;
 const OFFSET_SHARE: f64 = 0.5;
 /// Changes whose effects on the lengths have at least this cosine are not separable.
 const ALIKE: f64 = 0.995;
-/// Draws for the distribution of the test without a change, and their seed.
+/// Hypotheses with a lower probability are not listed.
+const LEAST_PROBABLE: f64 = 1e-3;
+/// Changes beyond so many typical ones are not considered.
+const LARGEST: f64 = 10.0;
+/// Draws for the distribution of the test statistic without a change, and their seed.
 const DRAWS: usize = 10_000;
 const SEED: u64 = 1;
 
-/// What lengths say of changes.
 #[derive(Clone, Debug)]
 pub struct Innovation {
     changeable: Vec<ParamId>,
     candidates: Vec<Candidate>,
-    /// Effect of each changeable parameter, a column each, in units of the noise,
+    /// Effect of each changeable parameter, a column each, in units of the noise.
     effects: DMatrix<f64>,
-    /// and the innovation in the same coordinates,
-    seen: DVector<f64>,
-    /// with the sum of squares beyond these.
+    /// The innovation in the same coordinates.
+    innovation: DVector<f64>,
+    /// The sum of squares beyond it.
     rest: f64,
     freedom: usize,
-    /// The statistic of the test where nothing changed, drawn and in order.
+    /// The test statistic without a change, drawn and sorted.
     null: Vec<f64>,
 }
 
-/// A change that is thinkable: a parameter, or the coordinates of the tool ball or of a base ball.
+/// A possible change: of a parameter, or of all coordinates of the tool ball or of a base ball.
 #[derive(Clone, Debug, PartialEq)]
 struct Candidate {
     parameters: Vec<ParamId>,
@@ -58,31 +62,30 @@ struct Candidate {
     columns: Vec<usize>,
 }
 
-/// A hypothesis of what changed, and how much.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Hypothesis {
-    /// None where nothing changed.
+    /// The changed parameters.
     pub parameters: Vec<ParamId>,
     /// By least squares, in the order of the parameters, mm or rad.
     pub change: Vec<f64>,
     pub sd: Vec<f64>,
-    /// Ends of the 95 % interval of each.
     pub interval95: Vec<[f64; 2]>,
     pub probability: f64,
-    /// Single parameters and base balls whose change would do the same to these lengths.
+    /// Single parameters and base balls whose change would have the same effect on these lengths.
     pub alike: Vec<ParamId>,
-    /// Probability of an innovation as large as what the hypothesis leaves of it.
+    /// Tail probability of the part of the innovation that the hypothesis does not explain.
     pub p_rest: f64,
 }
 
-/// The test whether anything changed.
+/// The test for any change.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct ChangeTest {
-    /// The innovation, chi-square of `freedom` degrees where nothing changed, and the chance that it is as large.
+    /// The innovation: chi-square with `freedom` degrees of freedom if nothing changed.
     pub chi_square: f64,
     pub freedom: usize,
     pub p_chi_square: f64,
-    /// The chance of an innovation that speaks as clearly, as a whole or for any single change. The test goes by it.
+    /// The p-value of the test statistic, by which the test decides. The statistic is the least of the tail probabilities of
+    /// the whole innovation and of its part along each single change.
     pub p: f64,
     pub false_alarm: f64,
     pub changed: bool,
@@ -93,12 +96,12 @@ pub struct ChangeTest {
 pub struct Detectable {
     pub name: ParamId,
     pub unit: Unit,
-    /// mm or rad; `None` where no change of ten times the usual is found.
+    /// mm or rad; `None` if it is larger than ten typical changes.
     pub smallest: Option<f64>,
 }
 
-/// What a check by planned poses will find. `least_tolerance_mm`: the smallest tolerance of the position error of 95 % of
-/// the poses with which lengths that agree with the calibrated robot pass.
+/// The power of a check at planned poses. `least_tolerance_mm` is the smallest tolerance (position error of 95 % of the
+/// poses) that a robot passes whose lengths agree with the calibration.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct CheckPower {
     pub lengths: usize,
@@ -110,83 +113,71 @@ pub struct CheckPower {
     pub least_tolerance_mm: f64,
 }
 
-/// Changes beyond so many typical ones are not looked for.
-const LARGEST: f64 = 10.0;
-
 impl Innovation {
-    /// `None` when a number is not finite, or no length is left over.
+    /// `None` if a number is not finite, or there are no more lengths than free coordinates.
     pub fn of(expected: &Expected, readings: &[PreparedMeasurement], noise: LengthNoise<'_>) -> Option<Self> {
-        let learnt = expected.posterior().learnt(readings, noise)?;
-        Self::at(expected, readings, noise, &learnt)
+        Self::at(expected, readings, noise, &expected.posterior.learnt(readings, noise)?)
     }
 
-    /// Of lengths as the model predicts them: the effects alone.
+    /// For planned lengths: without an innovation.
     pub fn foreseen(
         expected: &Expected,
         readings: &[PreparedMeasurement],
         noise: LengthNoise<'_>,
     ) -> Option<Self> {
-        let nothing = DVector::zeros(expected.posterior().root().ncols());
-        let model = expected.posterior().clone();
-        Self::at(expected, readings, noise, &super::posterior::Learnt { found: model, w: nothing })
+        let posterior = expected.posterior.clone();
+        let w = DVector::zeros(posterior.root().ncols());
+        Self::at(expected, readings, noise, &Learnt { posterior, w })
     }
 
     fn at(
         expected: &Expected,
         readings: &[PreparedMeasurement],
         noise: LengthNoise<'_>,
-        learnt: &super::posterior::Learnt,
+        learnt: &Learnt,
     ) -> Option<Self> {
-        let freedom = readings.len().checked_sub(expected.free().len()).filter(|freedom| *freedom > 0)?;
-        let root = expected.posterior().root();
-        let ids = expected.posterior().ids();
+        let Expected { posterior, free, .. } = expected;
+        let freedom = readings.len().checked_sub(free.len()).filter(|freedom| *freedom > 0)?;
         let changeable: Vec<usize> = expected.changeable().collect();
-        let mut system = expected.posterior().system(&learnt.found.model, readings, noise)?;
+        let mut system = posterior.system(&learnt.posterior.model, readings, noise)?;
         let (factor, rhs) = (system.factor(), system.rhs());
-        let known = &factor * root;
+        let known = &factor * posterior.root();
         let right = rhs + &known * &learnt.w;
-        let unknowns = root.ncols();
-        let mut triangle = Triangle::new(unknowns + changeable.len());
-        (0..unknowns)
-            .filter(|at| !expected.free().contains(at))
-            .for_each(|at| triangle.push_single(at, 1.0, 0.0));
+        let (unknowns, size) = (known.ncols(), changeable.len());
+        let mut triangle = Triangle::new(unknowns + size);
+        for at in (0..unknowns).filter(|at| !free.contains(at)) {
+            triangle.push_single(at, 1.0, 0.0);
+        }
         for row in 0..factor.nrows() {
             let mut values: Vec<f64> = known.row(row).iter().copied().collect();
             values.extend(changeable.iter().map(|column| factor[(row, *column)]));
             triangle.push(&values, right[row]);
         }
         let rest = system.residual_sum() + triangle.residual_sum();
-        let size = changeable.len();
         let effects = triangle.factor().view((unknowns, unknowns), (size, size)).into_owned();
-        let seen = triangle.rhs().rows(unknowns, size).into_owned();
-        let finite = effects.iter().chain(seen.iter()).chain([&rest]).all(|x| x.is_finite());
-        let changeable: Vec<ParamId> = changeable.into_iter().map(|at| ids[at]).collect();
-        if !finite {
+        let innovation = triangle.rhs().rows(unknowns, size).into_owned();
+        if !effects.iter().chain(innovation.iter()).chain([&rest]).all(|x| x.is_finite()) {
             return None;
         }
+        let changeable: Vec<ParamId> = changeable.into_iter().map(|at| posterior.ids()[at]).collect();
         let candidates = candidates(&changeable, &effects);
-        let mut innovation = Self { changeable, candidates, effects, seen, rest, freedom, null: Vec::new() };
-        innovation.null = innovation.drawn();
-        Some(innovation)
+        let mut found = Self { changeable, candidates, effects, innovation, rest, freedom, null: Vec::new() };
+        found.null = found.drawn();
+        Some(found)
     }
 
-    /// Rows of the effects that have content: the dimensions in which changes can be seen.
+    /// Number of rows in which changes are visible.
     fn rank(&self) -> usize {
         let rows = 0..self.effects.nrows();
-        let content = |row: usize| self.effects.row(row).norm() > 0.0 || self.seen[row] != 0.0;
-        rows.filter(|row| content(*row)).count().min(self.freedom)
+        let has_content = |row: usize| self.effects.row(row).norm() > 0.0 || self.innovation[row] != 0.0;
+        rows.filter(|row| has_content(*row)).count().min(self.freedom)
     }
 
-    fn chi_square(&self) -> f64 {
-        self.seen.norm_squared() + self.rest
-    }
-
-    /// Whether anything changed.
     pub fn test(&self) -> ChangeTest {
-        let chi_square = self.chi_square();
+        let chi_square = self.innovation.norm_squared() + self.rest;
         let null = &self.null;
-        let seen = DMatrix::from_columns(std::slice::from_ref(&self.seen));
-        let statistic = self.statistic(&self.projections(&seen), 0, chi_square);
+        let innovation = DMatrix::from_columns(std::slice::from_ref(&self.innovation));
+        let statistic = self.statistic(&self.projections(&innovation), 0, chi_square);
         let smaller = null.partition_point(|least| *least <= statistic);
         let p = (smaller + 1) as f64 / (null.len() + 1) as f64;
         ChangeTest {
@@ -199,21 +190,20 @@ impl Innovation {
         }
     }
 
-    /// The smallest of the chances of the whole innovation and of each candidate's part of it.
+    /// The least of the tail probabilities of the whole innovation and of its part along each candidate.
     fn statistic(&self, parts: &[DVector<f64>], draw: usize, chi_square: f64) -> f64 {
-        let mut least = chi_square_tail(chi_square, self.freedom as f64);
         let mut largest = [0.0; 3];
         for (candidate, parts) in self.candidates.iter().zip(parts) {
             let of_freedom = &mut largest[candidate.columns.len().clamp(1, 3) - 1];
             *of_freedom = parts[draw].max(*of_freedom);
         }
-        for (freedom, part) in (1..).zip(largest).filter(|(_, part)| *part > 0.0) {
-            least = chi_square_tail(part, f64::from(freedom)).min(least);
-        }
-        least
+        let visible = (1..).zip(largest).filter(|(_, part)| *part > 0.0);
+        visible.fold(chi_square_tail(chi_square, self.freedom as f64), |least, (freedom, part)| {
+            chi_square_tail(part, f64::from(freedom)).min(least)
+        })
     }
 
-    /// For each candidate its part of the innovations, a column each.
+    /// The squared part along each candidate of each innovation (a column).
     fn projections(&self, innovations: &DMatrix<f64>) -> Vec<DVector<f64>> {
         let part = |candidate: &Candidate| {
             let basis = orthonormal(&self.effects.select_columns(&candidate.columns));
@@ -226,7 +216,7 @@ impl Innovation {
         self.candidates.iter().map(part).collect()
     }
 
-    /// The statistic where nothing changed, drawn and in order.
+    /// The test statistic without a change, drawn and sorted.
     fn drawn(&self) -> Vec<f64> {
         let mut random = Pcg64::seed_from_u64(SEED);
         let rank = self.rank();
@@ -249,7 +239,7 @@ impl Innovation {
         null
     }
 
-    /// The smallest change of each parameter that the test finds with the stated power.
+    /// The smallest change of each parameter that the test finds with the probability [`POWER`].
     pub fn detectable(&self) -> Vec<Detectable> {
         let needed =
             [1.0, 2.0, 3.0].map(|freedom| noncentrality(self.exceeded(freedom), freedom, POWER).sqrt());
@@ -263,8 +253,8 @@ impl Innovation {
         self.changeable.iter().enumerate().map(smallest).collect()
     }
 
-    /// Probability with which the test along a change of these parameters finds it (mm, rad); `None` of one that is not
-    /// looked for. The whole test finds it at least as often.
+    /// The probability with which the test along a change of these parameters (mm, rad) finds it, a lower bound of the power of
+    /// the whole test; `None` if they are not tested.
     pub fn power(&self, change: &[(ParamId, f64)]) -> Option<f64> {
         let column = |id: &ParamId| self.changeable.iter().position(|other| other == id);
         let columns: Vec<usize> = change.iter().map(|(id, _)| column(id)).collect::<Option<_>>()?;
@@ -278,13 +268,13 @@ impl Innovation {
         Some(noncentral_tail(self.exceeded(freedom), freedom, effect))
     }
 
-    /// The chi-square of a part of the innovation beyond which a change is reported.
+    /// The limit of a part of the innovation with `freedom` degrees of freedom.
     fn exceeded(&self, freedom: f64) -> f64 {
         let level = self.null[((FALSE_ALARM * DRAWS as f64) as usize).min(self.null.len() - 1)];
         chi_square_exceeded(level, freedom)
     }
 
-    /// The hypotheses by their probability, likeliest first: nothing, one change, two.
+    /// Hypotheses of no, one and two changes, most probable first.
     pub fn hypotheses(&self) -> Vec<Hypothesis> {
         let offsets = |candidate: &&Candidate| matches!(candidate.parameters[..], [ParamId::Theta(_)]);
         let count = self.candidates.iter().filter(offsets).count();
@@ -315,24 +305,19 @@ impl Innovation {
             .collect()
     }
 
-    /// Logarithm of the likelihood ratio of a change of the usual size to none: of y ~ N(0, I + U S^2 U').
+    /// Logarithm of the Bayes factor of typical changes against none: y ~ N(0, I + U S^2 U') against N(0, I).
     fn evidence(&self, columns: &[usize]) -> f64 {
         let mut scaled = self.effects.select_columns(columns);
         for (mut column, at) in scaled.column_iter_mut().zip(columns) {
-            column *= self.typical(*at);
+            column *= typical(self.changeable[*at]);
         }
-        let along = scaled.tr_mul(&self.seen);
+        let along = scaled.tr_mul(&self.innovation);
         let inner = DMatrix::identity(columns.len(), columns.len()) + scaled.tr_mul(&scaled);
         let Some(root) = inner.cholesky() else { return f64::NEG_INFINITY };
         0.5 * along.dot(&root.solve(&along)) - root.l().diagonal().iter().map(|x| x.ln()).sum::<f64>()
     }
 
-    fn typical(&self, column: usize) -> f64 {
-        let of_column = |candidate: &&Candidate| candidate.columns.contains(&column);
-        self.candidates.iter().find(of_column).map_or(0.0, |candidate| typical(candidate.parameters[0]))
-    }
-
-    /// Of the angle between a column of the effects and the space of others.
+    /// Cosine of the angle between a column of the effects and the space of others.
     fn cosine(&self, column: usize, others: &[usize]) -> f64 {
         let effect = self.effects.column(column);
         orthonormal(&self.effects.select_columns(others)).tr_mul(&effect).norm() / effect.norm()
@@ -344,9 +329,9 @@ impl Innovation {
         let effects = self.effects.select_columns(&columns);
         let inverse = effects.tr_mul(&effects).try_inverse();
         let inverse = inverse.unwrap_or_else(|| DMatrix::zeros(columns.len(), columns.len()));
-        let change = &inverse * effects.tr_mul(&self.seen);
+        let change = &inverse * effects.tr_mul(&self.innovation);
         let sd: Vec<f64> = inverse.diagonal().iter().map(|variance| variance.sqrt()).collect();
-        let left = (&self.seen - &effects * &change).norm_squared() + self.rest;
+        let left = (&self.innovation - &effects * &change).norm_squared() + self.rest;
         let freedom = self.freedom.saturating_sub(columns.len());
         let alike = |other: &&Candidate| {
             columns.len() == 1
@@ -366,37 +351,25 @@ impl Innovation {
     }
 }
 
-/// Hypotheses below this probability are not listed.
-const LEAST_PROBABLE: f64 = 1e-3;
-
-/// The ball that a coordinate is of; `None` of other parameters.
-fn ball_of(id: ParamId) -> Option<ChangedBall> {
-    match id {
-        ParamId::Tool(_) => Some(ChangedBall::Tool),
-        ParamId::Ball(ball, _) => Some(ChangedBall::Base(ball)),
-        _ => None,
+/// Whether two parameters are coordinates of the same ball.
+fn are_of_one_ball(one: ParamId, other: ParamId) -> bool {
+    match (one, other) {
+        (ParamId::Tool(_), ParamId::Tool(_)) => true,
+        (ParamId::Ball(one, _), ParamId::Ball(other, _)) => one == other,
+        _ => false,
     }
 }
 
-/// A ball that changes its place as a whole.
-#[derive(Clone, Copy, PartialEq)]
-enum ChangedBall {
-    Tool,
-    Base(BallId),
-}
-
-/// Single parameters, and balls as a whole, of which a change of the usual size can be seen in the lengths.
+/// Single parameters, and balls as a whole, whose typical change is visible in the lengths.
 fn candidates(changeable: &[ParamId], effects: &DMatrix<f64>) -> Vec<Candidate> {
-    let visible = |column: &usize| effects.column(*column).norm() * typical(changeable[*column]) > 1.0;
+    let is_visible = |column: &usize| effects.column(*column).norm() * typical(changeable[*column]) > 1.0;
     let mut found: Vec<Candidate> = Vec::new();
-    for column in (0..changeable.len()).filter(visible) {
+    for column in (0..changeable.len()).filter(is_visible) {
         let id = changeable[column];
-        let ball = ball_of(id);
-        let same = |candidate: &&mut Candidate| ball.is_some() && ball_of(candidate.parameters[0]) == ball;
-        match found.iter_mut().find(same) {
-            Some(whole) => {
-                whole.parameters.push(id);
-                whole.columns.push(column);
+        match found.iter_mut().find(|candidate| are_of_one_ball(candidate.parameters[0], id)) {
+            Some(ball) => {
+                ball.parameters.push(id);
+                ball.columns.push(column);
             }
             None => found.push(Candidate { parameters: vec![id], columns: vec![column] }),
         }

@@ -1,4 +1,4 @@
-//! Quantities of ISO 9283:1998 (7.3, 7.6) that the lengths of repeated poses give, along the bar.
+//! Quantities of ISO 9283:1998 (7.3, 7.6) along the bar, from lengths at repeated poses.
 
 use std::borrow::Cow;
 
@@ -8,26 +8,25 @@ use crate::math::distributions::{chi_square_exceeded, coverage_95};
 use crate::math::straight_line::Regression;
 use crate::measurement::{LengthModel, Measurement, PreparedMeasurement};
 
-/// Degrees of freedom that each half of a run needs for a change of repeatability.
+/// Least degrees of freedom of each half of a run for the drift of repeatability.
 const LEAST_FREEDOM: usize = 4;
 
-/// Distance accuracy, distance repeatability and their drift, of poses that were visited more than once.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct DistanceQuantities {
-    /// Poses that were visited more than once, and lengths at them.
+    /// Poses that were measured more than once, and the number of their lengths.
     pub poses: usize,
     pub lengths: usize,
-    /// Mean length minus that of the model, of the pose where it is largest.
+    /// Mean measured minus predicted length, for the pose where it is largest.
     pub accuracy: Quantity,
     /// Three standard deviations, pooled over the poses.
     pub repeatability: Quantity,
-    /// Of the length at one pose with time; `None` where times are not known.
+    /// Of the length at one pose with time; `None` if times are not known.
     pub drift: Option<Quantity>,
-    /// Repeatability of the second half of the run minus that of the first; `None` of too few visits.
+    /// Repeatability of the second half of the run minus that of the first; `None` with too few lengths.
     pub repeatability_drift: Option<Quantity>,
 }
 
-/// A value with its 95 % interval, and what of the standard it meets and lacks.
+/// A value with its 95 % interval, and how it relates to the standard.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Quantity {
     pub value: f64,
@@ -48,7 +47,7 @@ struct Visit {
 }
 
 impl DistanceQuantities {
-    /// `None` where no pose was visited more than once. The model has the base balls of the lengths.
+    /// `None` if no pose was measured more than once. `model` has the base balls of the lengths.
     pub fn of(rows: &[Measurement], model: &LengthModel) -> Option<Self> {
         let visits = visits(rows, model);
         let pooled = Pooled::of(&visits)?;
@@ -70,20 +69,19 @@ fn visits(rows: &[Measurement], model: &LengthModel) -> Vec<Visit> {
     let mut places: Vec<usize> = (0..rows.len()).filter(|at| !rows[*at].datum.is_plane()).collect();
     places.sort_by_key(|at| key(&rows[*at]));
     let repeated = places.chunk_by(|a, b| key(&rows[*a]) == key(&rows[*b])).filter(|group| group.len() > 1);
-    let visit = |(pose, row): (usize, &Measurement)| Visit {
-        pose,
-        deviation_mm: row.length_mm - model.length(&PreparedMeasurement::from(row)),
-        time_h: row
-            .context
-            .as_ref()
-            .and_then(|context| context.time_s)
-            .map(|time_s| (time_s * 1e6).round() / 3.6e9),
+    let visit = |pose: usize, row: &Measurement| {
+        let deviation_mm = model.residual(&PreparedMeasurement::from(row));
+        let time_s = row.context.as_ref().and_then(|context| context.time_s);
+        Visit { pose, deviation_mm, time_h: time_s.map(|time_s| (time_s * 1e6).round() / 3.6e9) }
     };
-    let each = repeated.enumerate().flat_map(|(pose, group)| group.iter().map(move |at| (pose, &rows[*at])));
-    each.map(visit).collect()
+    let mut visits = Vec::new();
+    for (pose, group) in repeated.enumerate() {
+        visits.extend(group.iter().map(|at| visit(pose, &rows[*at])));
+    }
+    visits
 }
 
-/// Means of each pose and the deviation about them.
+/// The mean of each pose and the pooled standard deviation.
 struct Pooled {
     /// Mean deviation and number of visits of each pose.
     means: Vec<(f64, usize)>,
@@ -92,7 +90,7 @@ struct Pooled {
 }
 
 impl Pooled {
-    /// `None` where no pose has two visits.
+    /// `None` if no pose has two visits.
     fn of(visits: &[Visit]) -> Option<Self> {
         let poses = visits.iter().map(|visit| visit.pose + 1).max()?;
         let mean = |pose: usize| {
@@ -136,7 +134,7 @@ impl Pooled {
         }
     }
 
-    /// By a common slope of the deviations from the mean of each pose.
+    /// A common slope of the deviations from the mean of each pose.
     fn drift(&self, visits: &[Visit]) -> Option<Quantity> {
         let times: Vec<f64> = visits.iter().map(|visit| visit.time_h).collect::<Option<_>>()?;
         let mean_time = |pose: usize| {
@@ -151,7 +149,7 @@ impl Pooled {
             .collect();
         let freedom = self.freedom.checked_sub(1).filter(|freedom| *freedom > 0)? as f64;
         let Regression { slope, slope_sd, .. } = Regression::through(&points)?;
-        // The mean of each pose was taken from the same lengths.
+        // The means of the poses are estimated from the same lengths.
         let sd = slope_sd * ((points.len() as f64 - 2.0) / freedom).sqrt();
         let half = coverage_95(Some(freedom)) * sd;
         Some(Quantity {
@@ -164,7 +162,7 @@ impl Pooled {
     }
 }
 
-/// Between the halves of a run; its interval by the normal approximation of the deviation of a standard deviation.
+/// The interval uses the normal approximation of the distribution of a standard deviation.
 fn repeatability_drift(visits: &[Visit]) -> Option<Quantity> {
     let mut times: Vec<f64> = visits.iter().map(|visit| visit.time_h).collect::<Option<_>>()?;
     times.sort_by(f64::total_cmp);
@@ -195,9 +193,9 @@ mod tests {
     use crate::measurement::{AxisAngles, BallId, BarId, BaseBall, Context, Datum, TargetId};
     use crate::robot::{Approach, Robot};
 
-    /// Three poses in turn, four times: deviations by hand. Tables: t(0.975; 9), chi-square(0.025 and 0.975; 9).
+    /// Three poses in turn, four times. From tables: t(0.975; 9), chi-square(0.025 and 0.975; 9).
     #[test]
-    fn quantities_are_those_of_their_formulas() {
+    fn quantities_of_known_deviations() {
         let robot = Robot::by_name("kr60ha").unwrap().unwrap();
         let ball = BaseBall { id: BallId::FIRST, position: Vector3::new(1200.0, 0.0, 600.0) };
         let model = LengthModel::new(robot.geometry, &[ball]);

@@ -1,12 +1,12 @@
-//! From lengths to parameters: what is identifiable, what is poorly observable, the fit, and the lengths' sigma.
+//! The estimate: choice of parameters, fit, and noise of the lengths, iterated until they agree.
 
-use super::fit::{self, Fit, Unknowns};
+use super::fit::{self, Fit};
 use super::joint_fit::JointFit;
 use super::lengths::{Lengths, Sigma, Weighted};
+use super::options::Setting;
 use super::prior::{self, PriorRows};
 use super::priors::Prior;
 use super::selection::{Choice, is_bar, is_place, most_implausible, open_places, without_open_places};
-use super::setting::Setting;
 use super::sigma::Noise;
 use super::{Analysis, analyse};
 use crate::catalogue::EstimationFinding;
@@ -14,55 +14,54 @@ use crate::math::distributions::ChiSquare;
 use crate::measurement::LengthModel;
 use crate::robot::ParamId;
 
-/// Rounds of fitting and judging after which the last fit is taken.
+/// Rounds after which the last fit is accepted.
 const ROUNDS: usize = 8;
-/// Standard deviations that are equal to this share weigh alike.
+/// Standard deviations that differ by less than this fraction count as equal.
 const SAME_WEIGHT: f64 = 0.02;
 
-/// An estimate, and how it came about.
 #[derive(Clone, Debug)]
 pub(crate) struct Estimate {
     /// The nominal robot with the free part of the set-up fitted.
     pub(crate) before: LengthModel,
     pub(crate) analysis: Analysis,
-    /// Parameters that were estimated, in canonical order.
+    /// The estimated parameters, in canonical order.
     pub(crate) kept: Vec<ParamId>,
-    /// Those of them that are independent for the lengths alone; a prior shares a combination among more.
+    /// Those of them that are independent by the lengths alone.
     pub(crate) base: Vec<ParamId>,
     /// Fixed because they are poorly observable, weakest first.
     pub(crate) poorly_observable: Vec<ParamId>,
     pub(super) prior: Option<PriorRows>,
     pub(super) fit: Fit,
-    /// By what the fit weighted the lengths.
+    /// The weights of the fit.
     pub(super) noise: Noise,
-    /// Errors of the joints, where the evidence speaks for them.
+    /// Errors of the joints, if the evidence supports them.
     pub(super) joints: Option<JointFit>,
 }
 
 impl Estimate {
-    /// The same with the errors of the joints that `found` holds.
-    pub(super) fn with_joints(self, lengths: &Lengths, found: JointFit) -> Self {
-        let sigma = if lengths.vouched { Sigma::Given } else { Sigma::All(found.sigma_mm) };
-        let count = self.used(lengths).count() as f64;
+    pub(super) fn with_joints(self, lengths: &Lengths, joints: JointFit) -> Self {
+        let noise = if lengths.vouched {
+            Noise::GIVEN
+        } else {
+            let freedom = self.used(lengths).count() as f64 - joints.effective_parameters;
+            Noise { sigma: Sigma::All(joints.sigma_mm), freedom: Some(freedom.max(1.0)) }
+        };
         Self {
-            kept: found.ids.clone(),
-            prior: Some(found.prior.clone()),
-            fit: Fit { model: found.model.clone(), ..self.fit },
-            noise: Noise {
-                sigma,
-                freedom: (!lengths.vouched).then_some((count - found.effective_parameters).max(1.0)),
-            },
-            joints: Some(found),
+            kept: joints.ids.clone(),
+            prior: Some(joints.prior.clone()),
+            fit: Fit { model: joints.model.clone(), ..self.fit },
+            noise,
+            joints: Some(joints),
             ..self
         }
     }
 
-    /// One standard deviation of a parameter before the lengths; `None` of what is free or not estimated.
+    /// The prior standard deviation of a parameter; `None` if it is free or not estimated.
     pub(super) fn prior_sd(&self, id: ParamId) -> Option<f64> {
         self.prior.as_ref()?.sd(self.kept.iter().position(|kept| *kept == id)?)
     }
 
-    /// How many times as large the corrections are as the prior allows, where that is beyond chance.
+    /// The ratio of the corrections to the prior standard deviations (RMS), if it is significantly above 1.
     pub(super) fn beyond_prior(&self) -> Option<f64> {
         let prior = self.prior.as_ref()?;
         let count = prior.count() as f64;
@@ -70,16 +69,16 @@ impl Estimate {
         (count > 0.0 && ChiSquare::of(ratio, count) == ChiSquare::Greater).then(|| ratio.sqrt())
     }
 
-    /// The lengths that the fit used, as it weighed them.
+    /// The lengths with the weights of the fit, without outliers.
     pub(crate) fn used<'a>(&'a self, lengths: &'a Lengths) -> Weighted<'a> {
-        lengths.weighted(self.noise.sigma, &self.fit.out)
+        lengths.weighted(self.noise.sigma, &self.fit.outliers)
     }
 }
 
-/// Estimates what the data determine of `asked`, from the nominal robot and a rough set-up.
+/// Estimates those of the parameters `asked` that the data determine, from the nominal robot and a rough set-up.
 ///
 /// # Errors
-/// Numbers that are not finite, nothing to estimate.
+/// A number is not finite, or there is nothing to estimate.
 pub(super) fn estimate(
     setting: &Setting<'_>,
     lengths: &Lengths,
@@ -99,25 +98,25 @@ pub(super) fn estimate(
     Err(EstimationFinding::NotFinite)
 }
 
-/// An estimate on its way.
+/// The state of the iteration.
 pub(super) struct Search<'a> {
     pub(super) setting: &'a Setting<'a>,
     pub(super) lengths: &'a Lengths<'a>,
     pub(super) analysis: Analysis,
     pub(super) base: Vec<ParamId>,
-    /// Places of balls that the poses leave open.
+    /// Places of the set-up that the poses leave open.
     pub(super) open: Vec<ParamId>,
-    /// These and what came out implausible.
+    /// These, and parameters whose corrections were implausible.
     pub(super) implausible: Vec<ParamId>,
     pub(super) set_up: Fit,
     pub(super) noise: Noise,
-    /// What is fitted of the set-up.
+    /// The parameters that are free in a fit of the set-up.
     free: Vec<ParamId>,
     start: LengthModel,
     iterations: usize,
 }
 
-/// A fit with what it was of.
+/// A fit with its parameters and weights.
 struct Reached {
     choice: Choice,
     fit: Fit,
@@ -125,7 +124,7 @@ struct Reached {
 }
 
 impl<'a> Search<'a> {
-    /// The set-up fitted to the nominal robot, and the base set there.
+    /// Fits the set-up to the nominal robot and finds the base set there.
     fn new(
         setting: &'a Setting<'a>,
         lengths: &'a Lengths<'a>,
@@ -137,7 +136,7 @@ impl<'a> Search<'a> {
             free = without_open_places(priors, setting.start, &lengths.plain(), asked)
                 .ok_or(EstimationFinding::NotFinite)?;
         }
-        // What an earlier run determined is not given up to a fit of the set-up alone.
+        // A fit of the set-up alone must not change what an earlier identification determined.
         free.retain(|id| !priors.is_of_posterior(*id));
         let set_up = fit::set_up(lengths, &free, setting.start);
         let mut open = Vec::new();
@@ -145,16 +144,12 @@ impl<'a> Search<'a> {
             let judged: Vec<ParamId> = asked.iter().copied().filter(|id| !open.contains(id)).collect();
             let analysis =
                 analyse(&set_up.model, &lengths.plain(), &judged).ok_or(EstimationFinding::NotFinite)?;
-            let places: Vec<ParamId> = analysis
-                .kept()
-                .into_iter()
-                .filter(|id| is_place(id) && !priors.is_of_posterior(*id))
-                .collect();
-            let more = if follows_list {
-                vec![]
-            } else {
-                open_places(priors, &set_up.model, &lengths.plain(), places)
-            };
+            if follows_list {
+                break analysis;
+            }
+            let mut places = analysis.kept();
+            places.retain(|id| is_place(id) && !priors.is_of_posterior(*id));
+            let more = open_places(priors, &set_up.model, &lengths.plain(), places);
             if more.is_empty() {
                 break analysis;
             }
@@ -179,20 +174,19 @@ impl<'a> Search<'a> {
         })
     }
 
-    /// Fits what was chosen, then the standard deviation of the lengths.
+    /// Fits the chosen parameters, then updates the noise of the lengths.
     fn fit(&mut self, choice: Choice) -> Reached {
-        self.free_of_bars(&choice);
-        // A parameter fixed now may have moved in the round before.
+        self.refit_set_up_without_bars(&choice);
+        // A parameter that is fixed now may have changed in the round before.
         for id in self.base.iter().filter(|id| !choice.kept.contains(id)) {
             self.start.shift(*id, self.set_up.model.value(*id) - self.start.value(*id));
         }
         let prior = self.prior(&choice);
-        let unknowns = Unknowns { free: &choice.kept, determined: choice.base.len(), prior: prior.as_ref() };
-        let fit = fit::all(self.lengths, self.noise.sigma, &unknowns, &self.start);
+        let fit = fit::all(self.lengths, self.noise.sigma, &choice, prior.as_ref(), &self.start);
         self.iterations += fit.iterations;
         let noise = self.noise;
         self.noise = match prior {
-            // Residuals that the prior has widened say nothing about the lengths.
+            // The prior increases the residuals, so they do not measure the noise.
             Some(_) => Noise::of_linear_fit(self.lengths, &fit, &self.base),
             None => Noise::of_fit(self.lengths, &fit, choice.kept.len()),
         };
@@ -206,16 +200,11 @@ impl<'a> Search<'a> {
         Reached { choice, fit, noise }
     }
 
-    /// Without the offset of a bar the balls are elsewhere: the set-up is fitted anew.
-    fn free_of_bars(&mut self, choice: &Choice) {
+    /// If the fit of the set-up changed the offset of a bar that is not determined, the balls are wrong by it too.
+    fn refit_set_up_without_bars(&mut self, choice: &Choice) {
         let given = self.setting.start;
-        let bars: Vec<ParamId> = choice
-            .poorly_observable
-            .iter()
-            .chain(&choice.undetermined_bars)
-            .copied()
-            .filter(is_bar)
-            .collect();
+        let mut bars = [choice.poorly_observable.as_slice(), &choice.undetermined_bars].concat();
+        bars.retain(is_bar);
         if bars.iter().any(|id| self.set_up.model.value(*id) != given.value(*id)) {
             self.free.retain(|id| !bars.contains(id));
             self.set_up = fit::set_up(self.lengths, &self.free, given);
@@ -227,8 +216,7 @@ impl<'a> Search<'a> {
         prior::rows(self.setting, &choice.undetermined_bars, &choice.kept)
     }
 
-    /// Whether a fit with the sigmas found since would be the same: equal to 2 %, or, where no prior is weighed
-    /// against them, all changed alike.
+    /// Whether a fit with the new weights would be the same: without a prior a common factor on all weights does not matter.
     fn weighs_as(&self, old: Noise) -> bool {
         let lengths = self.lengths;
         let mut changes = (0..lengths.len())

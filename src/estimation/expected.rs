@@ -1,14 +1,12 @@
-//! What is expected of a robot in a new set-up: the posterior of its calibration, and what mounting changes.
+//! A calibrated robot in a new set-up: the posterior of its calibration, and the changes that mounting makes.
 
 use nalgebra::{DMatrix, DVector};
 
-use super::pose_rows::LengthNoise;
 use super::posterior::Posterior;
 use super::priors::Priors;
-use crate::measurement::PreparedMeasurement;
 use crate::robot::{AXES, BallId, BarId, Coordinate, ParamId, Robot, Unit};
 
-/// What mounting may have changed since the calibration: standard deviations, mm.
+/// Possible changes by mounting since the calibration, as standard deviations.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Mounting {
     /// Of each coordinate of the tool ball.
@@ -18,43 +16,43 @@ pub struct Mounting {
     pub bar_mm: f64,
 }
 
-/// Where the base balls may be.
+/// The positions of the base balls.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum BallMounting {
-    /// Mounted anew, anywhere.
+    /// Remounted anywhere.
     Anywhere,
-    /// About the places given, with this standard deviation of each coordinate, mm.
+    /// At the given places, with this standard deviation of each coordinate, mm.
     About(f64),
-    /// Where the calibration had them, with this standard deviation of each coordinate, mm: one that moved is a change.
+    /// As in the calibration, with this standard deviation of each coordinate, mm: a ball that moved is a change.
     Kept(f64),
 }
 
 impl Mounting {
-    /// Standard deviation with which a ball is mounted again in its seat, mm.
+    /// Repeatability of mounting a ball in its seat, as a standard deviation, mm.
     pub const SEAT_REPEAT_MM: f64 = 0.01;
 
-    /// The tool ball in its seat again, base balls anywhere, a bar with this standard uncertainty of its length, mm.
+    /// Tool ball remounted in its seat, base balls anywhere, a bar with this standard uncertainty of its length, mm.
     pub fn again(robot: &Robot, bar_u_mm: Option<f64>) -> Self {
         let bar_mm = Priors::datasheet(robot, bar_u_mm).sd(ParamId::BarOffset(BarId::FIRST));
         Self { tool_mm: Self::SEAT_REPEAT_MM, balls: BallMounting::Anywhere, bar_mm }
     }
 }
 
-/// A robot in a new set-up, before its check: what its calibration left unknown, and what mounting changes.
+/// A robot in a new set-up before its check.
 #[derive(Clone, Debug)]
 pub struct Expected {
-    posterior: Posterior,
-    /// The columns of the root that nothing binds.
-    free: Vec<usize>,
+    pub posterior: Posterior,
+    /// The columns of the root that belong to free coordinates of balls.
+    pub(super) free: Vec<usize>,
     balls: BallMounting,
 }
 
-/// Free coordinates of a base ball are taken from so far, mm.
+/// Standard deviation that stands for a free coordinate of a base ball, mm.
 pub(crate) const FREE_BALL_MM: f64 = 1000.0;
 
 impl Expected {
-    /// Of the calibrated robot `known` (its parameters and tool ball, and base balls that stayed) about its model, whose
-    /// balls and bars are those of the check.
+    /// `known` is the posterior of the calibration (parameters, tool ball, and base balls that were kept). Its model has the
+    /// balls and bars of the check.
     pub fn new(known: &Posterior, bars: usize, mounting: Mounting) -> Self {
         let mut ids = known.ids().to_vec();
         let mut added: Vec<(ParamId, f64)> =
@@ -70,7 +68,7 @@ impl Expected {
             added.extend(Coordinate::ALL.map(|axis| (ParamId::Ball(ball, axis), ball_mm)));
         }
         ids.extend(added.iter().map(|(id, _)| *id).filter(|id| !known.ids().contains(id)));
-        // Parameters of the calibration, those of the set-up, coefficients of the joints' errors.
+        // Rows: parameters of the calibration, of the set-up, coefficients of the joint errors.
         let (own, columns) = (known.ids().len(), known.root().ncols());
         let mut root = DMatrix::zeros(ids.len() + known.coefficients(), columns + added.len());
         root.view_mut((0, 0), (own, columns)).copy_from(&known.root().rows(0, own));
@@ -86,8 +84,8 @@ impl Expected {
         Self { posterior, free: free.collect(), balls: mounting.balls }
     }
 
-    /// The parameters whose change is looked for, by their places among those of the posterior: not base balls that are
-    /// mounted anew, nor what no check determines.
+    /// Indices of the parameters of the posterior that are tested for changes: not remounted base balls, and not optional
+    /// parameters, which no check determines.
     pub(super) fn changeable(&self) -> impl Iterator<Item = usize> {
         let kept = matches!(self.balls, BallMounting::Kept(_));
         let is_changeable =
@@ -96,15 +94,14 @@ impl Expected {
         ids.filter(move |(_, id)| is_changeable(id)).map(|(at, _)| at)
     }
 
-    /// What a change of the usual size does to the length from a base ball at `axes` (rad): an element each parameter
-    /// whose change is looked for, mm.
+    /// The effects of typical changes on the length from a base ball at `axes` (rad), mm: an element for each tested parameter.
     pub fn effects(&self, axes: &[f64; AXES], ball: BallId) -> DVector<f64> {
         let derivative = self.posterior.derivative(axes, ball);
         let effect = |at: usize| derivative[at] * typical(self.posterior.ids()[at]);
         DVector::from_iterator(self.changeable().count(), self.changeable().map(effect))
     }
 
-    /// The same where these parameters may have changed.
+    /// With possible changes of these parameters.
     pub fn changed(&self, parameters: &[ParamId]) -> Self {
         let ids = self.posterior.ids();
         let mut columns = DMatrix::zeros(self.posterior.root().nrows(), parameters.len());
@@ -115,31 +112,13 @@ impl Expected {
         }
         Self { posterior: self.posterior.clone().widened(&columns), ..self.clone() }
     }
-
-    pub(super) fn free(&self) -> &[usize] {
-        &self.free
-    }
-
-    /// After the lengths: the likeliest model and its covariance. `None` when a number is not finite.
-    pub fn learn(&self, readings: &[PreparedMeasurement], noise: LengthNoise<'_>) -> Option<Posterior> {
-        self.posterior.learn(readings, noise)
-    }
-
-    /// After lengths at these poses that agree with the model. `None` when a number is not finite.
-    pub fn after(&self, readings: &[PreparedMeasurement], noise: LengthNoise<'_>) -> Option<Posterior> {
-        self.posterior.after(readings, noise)
-    }
-
-    pub fn posterior(&self) -> &Posterior {
-        &self.posterior
-    }
 }
 
-/// One standard deviation of a change, before it is measured: a slipped coupling, a bent link.
+/// Prior standard deviations of a change, as by a slipped coupling or a bent link.
 const CHANGED_ANGLE: f64 = 0.05 * std::f64::consts::PI / 180.0;
 const CHANGED_LENGTH_MM: f64 = 0.5;
 
-/// One standard deviation of a change, mm or rad.
+/// The prior standard deviation of a change, mm or rad.
 pub(super) fn typical(id: ParamId) -> f64 {
     if id.unit() == Unit::Mm { CHANGED_LENGTH_MM } else { CHANGED_ANGLE }
 }

@@ -1,28 +1,29 @@
-//! What is doubted or worth knowing of a result.
+//! Findings about a calibration.
 
 use super::calibration::{AngleSource, Calibration};
-use super::contradiction::kinds_disagree;
-use super::held::contradicted;
-use super::left_out::left_out_mm;
+use super::contradiction::{contradicted, kinds_disagree};
 use super::lengths::Sigma;
 use super::linear_system::factor;
-use super::priors::{Priors, largest_displacement_mm, largest_plausible};
+use super::priors::{largest_displacement_mm, largest_plausible};
 use super::result::{JointEffect, JointError, MonteCarlo, ParameterResult, Status};
 use super::shifted_rows::shifted_rows;
+use super::workspace::left_out_mm;
 use crate::catalogue::{EstimationFinding, Names};
 use crate::math::distributions::ChiSquare;
 use crate::measurement::LengthModel;
 use crate::robot::{ParamId, Robot, parameter};
 
-/// Above this share of outliers the lengths that are left are doubtful too.
-const OUTLIER_SHARE: f64 = 0.1;
-/// A robot drawn from its tolerance is off by less than this share of what is expected in no run of a thousand.
+/// With a larger fraction of outliers the remaining lengths are doubtful too.
+const OUTLIER_FRACTION: f64 = 0.1;
+/// A robot drawn from its tolerance deviates by less than this fraction of the expectation in fewer than one run of a
+/// thousand.
 const CLOSEST_TO_NOMINAL: f64 = 0.04;
-
-/// Lengths from which an agreement with the nominal robot is no chance.
+/// With fewer lengths an agreement with the nominal robot may be chance.
 const LEAST_LENGTHS: usize = 20;
+/// Residuals beyond so many standard deviations of noise and repeatability are mainly errors that the model lacks.
+const FAR: f64 = 5.0;
 
-/// The findings of a calibration, the gravest first.
+/// The findings of a calibration, most severe first.
 pub(super) fn findings(of: &Calibration<'_>) -> Vec<EstimationFinding> {
     let fit = &of.estimate.fit;
     let mut found = Vec::new();
@@ -34,12 +35,12 @@ pub(super) fn findings(of: &Calibration<'_>) -> Vec<EstimationFinding> {
         found.push(EstimationFinding::FitsWorseThanNominal { residual_rms_mm, predicted_max_mm });
     }
     found.extend(beyond_prior(of));
-    found.extend(implausible(&of.parameters, &of.setting.priors, &of.setting.options.hold));
+    found.extend(implausible(of));
     found.extend(displaced(&of.parameters));
     found.extend(contradicted(of));
     found.extend(shifted_rows(&of.estimate, &of.lengths));
     found.extend(kinds_disagree(&of.estimate, &of.lengths));
-    found.extend(outliers(fit.out.len(), of.lengths.len()));
+    found.extend(outliers(fit.outliers.len(), of.lengths.len()));
     found.extend(consistency(of));
     found.extend(against_repeatability(of));
     found.extend(joints(&of.joint_effects));
@@ -47,9 +48,7 @@ pub(super) fn findings(of: &Calibration<'_>) -> Vec<EstimationFinding> {
     found.extend(poorly_observable(&of.parameters));
     let identified = Robot { geometry: fit.model.geometry.clone(), ..of.setting.robot.clone() };
     found.extend(left_out_mm(&identified).map(|left_out_mm| EstimationFinding::BeyondTable { left_out_mm }));
-    if let Some(drawn) = &of.monte_carlo {
-        found.extend(monte_carlo(drawn));
-    }
+    found.extend(of.monte_carlo.iter().flat_map(monte_carlo));
     found.extend(absolute_accuracy_mode(of));
     found
 }
@@ -59,7 +58,7 @@ fn beyond_prior(of: &Calibration<'_>) -> Option<EstimationFinding> {
     let scale = of.setting.priors.scale();
     let widened = scale != 1.0;
     let times = if widened { scale } else { of.estimate.beyond_prior()? };
-    // A tolerance that nobody named has given way: doubted is what no robot has.
+    // A default tolerance was widened to fit the lengths, so only impossible corrections are doubted.
     Some(match times > largest_plausible(!widened) {
         true => EstimationFinding::FarBeyondPrior { times },
         false if widened => EstimationFinding::PriorWidened { times },
@@ -67,19 +66,16 @@ fn beyond_prior(of: &Calibration<'_>) -> Option<EstimationFinding> {
     })
 }
 
-/// Corrections that no robot needs. They make up for a part of the set-up that the user fixed, or it is another robot.
-fn implausible(
-    parameters: &[ParameterResult],
-    priors: &Priors,
-    fixed: &[ParamId],
-) -> Option<EstimationFinding> {
-    let fixed: Vec<&ParamId> = fixed.iter().filter(|id| id.is_setup()).collect();
+/// Implausible corrections: they compensate a fixed part of the set-up, or it is another robot.
+fn implausible(of: &Calibration<'_>) -> Option<EstimationFinding> {
+    let fixed: Vec<&ParamId> = of.setting.options.hold.iter().filter(|id| id.is_setup()).collect();
     let times = largest_plausible(!fixed.is_empty());
-    let excessive = |found: &&ParameterResult| {
-        let excess = priors.excess(found.id, found.correction, found.sd.unwrap_or(0.0));
+    let is_excessive = |parameter: &&ParameterResult| {
+        let sd = parameter.sd.unwrap_or(0.0);
+        let excess = of.setting.priors.excess(parameter.id, parameter.correction, sd);
         excess.is_some_and(|excess| excess > times)
     };
-    let parameters = names(parameters.iter().filter(excessive))?;
+    let parameters = names(of.parameters.iter().filter(is_excessive))?;
     Some(if fixed.is_empty() {
         EstimationFinding::Implausible { parameters, times }
     } else {
@@ -87,7 +83,7 @@ fn implausible(
     })
 }
 
-/// Balls and bars that came out far from where they were given.
+/// Balls and bars with implausibly large corrections.
 fn displaced(parameters: &[ParameterResult]) -> Option<EstimationFinding> {
     let is_displaced = |found: &&ParameterResult| {
         largest_displacement_mm(found.id).is_some_and(|most| (found.identified - found.start).abs() > most)
@@ -96,17 +92,17 @@ fn displaced(parameters: &[ParameterResult]) -> Option<EstimationFinding> {
 }
 
 fn outliers(outliers: usize, lengths: usize) -> Option<EstimationFinding> {
-    if outliers as f64 > OUTLIER_SHARE * lengths as f64 {
+    if outliers as f64 > OUTLIER_FRACTION * lengths as f64 {
         Some(EstimationFinding::ManyOutliers { outliers, lengths })
     } else {
         (outliers > 0).then_some(EstimationFinding::Outliers { outliers })
     }
 }
 
-/// Compares the residuals with the sigmas that were given.
+/// Compares the residuals with the given standard deviations.
 fn consistency(of: &Calibration<'_>) -> Option<EstimationFinding> {
     let (estimate, lengths) = (&of.estimate, &of.lengths);
-    let used = lengths.weighted(Sigma::Given, &estimate.fit.out);
+    let used = lengths.weighted(Sigma::Given, &estimate.fit.outliers);
     let parameters = of.uncertainty.effective_parameters;
     let freedom = used.count() as f64 - parameters;
     if freedom < 1.0 {
@@ -116,7 +112,7 @@ fn consistency(of: &Calibration<'_>) -> Option<EstimationFinding> {
         return None;
     }
     let prepared = estimate.fit.model.prepare();
-    let chi = used.sum(|reading, sigma| ((reading.length_mm - prepared.length(reading)) / sigma).powi(2));
+    let chi = used.sum(|reading, sigma| (prepared.residual(reading) / sigma).powi(2));
     let ratio = chi / freedom;
     let times = ratio.sqrt();
     match ChiSquare::of(ratio, freedom) {
@@ -130,58 +126,54 @@ fn consistency(of: &Calibration<'_>) -> Option<EstimationFinding> {
     }
 }
 
-/// The model lacks most of what residuals beyond so many standard deviations of noise and repeatability show.
-const FAR: f64 = 5.0;
-
-/// That residuals are far above what a robot repeats, where the lengths have the standard deviation `sigma_mm` beside.
+/// A finding if the residuals are far above the repeatability of the robot and the standard deviation `sigma_mm` of the
+/// lengths.
 pub fn beyond_repeatability(residual_rms_mm: f64, sigma_mm: f64, robot: &Robot) -> Option<EstimationFinding> {
     let repeatability_mm = robot.repeatability_sd_mm()?;
     (residual_rms_mm > FAR * repeatability_mm.hypot(sigma_mm))
         .then_some(EstimationFinding::BeyondRepeatability { residual_rms_mm, repeatability_mm })
 }
 
-/// Residuals that are far above what the robot repeats, of the lengths used and of those that only check.
+/// Compares the residuals of the used lengths, and of separate validation lengths, with the repeatability.
 fn against_repeatability(of: &Calibration<'_>) -> Option<EstimationFinding> {
     let robot = of.setting.robot;
-    let given = of.lengths.weighted(Sigma::Given, &of.estimate.fit.out);
+    let given = of.lengths.weighted(Sigma::Given, &of.estimate.fit.outliers);
     let given_mm = if of.lengths.known { given.rms_sigma() } else { 0.0 };
     let residual_rms_mm = of.residual_mm.after.rms;
     if let Some(far) = beyond_repeatability(residual_rms_mm, given_mm, robot) {
         return Some(far);
     }
     let least_mm = robot.repeatability_sd_mm()?.hypot(given_mm);
-    // What was never used shows the errors of the parameters too.
     let held_out_mm = of.validation.as_ref()?.after.rms;
     (held_out_mm > FAR * least_mm.max(residual_rms_mm))
         .then_some(EstimationFinding::HeldOutDiffers { held_out_mm, residual_rms_mm })
 }
 
-/// What the residuals show at the joints, a finding for each kind of error.
-fn joints(effects: &[JointEffect]) -> impl Iterator<Item = EstimationFinding> {
-    let of_kind = |error: JointError| {
-        let effects: Vec<&JointEffect> = effects.iter().filter(|effect| effect.error == error).collect();
-        (!effects.is_empty()).then_some(effects)
-    };
+/// One finding for each kind of joint error.
+fn joints(effects: &[JointEffect]) -> Vec<EstimationFinding> {
+    let (angle, reversal): (Vec<&JointEffect>, Vec<&JointEffect>) =
+        effects.iter().partition(|effect| effect.error == JointError::Angle);
     let axes = |effects: &[&JointEffect]| Names::of(effects.iter().map(|effect| effect.axis));
-    let angle = of_kind(JointError::Angle).map(|effects| EstimationFinding::AngleError {
-        axes: axes(&effects),
-        rms_um: effects.iter().map(|effect| effect.rms_mm * 1e3).collect(),
-    });
-    let reversal = of_kind(JointError::Reversal).map(|effects| EstimationFinding::ReversalError {
-        axes: axes(&effects),
-        mrad: effects.iter().map(|effect| effect.play_rad.unwrap_or(0.0) * 1e3).collect(),
-    });
-    angle.into_iter().chain(reversal)
+    let mut found = Vec::new();
+    if !angle.is_empty() {
+        let rms_um = angle.iter().map(|effect| effect.rms_mm * 1e3).collect();
+        found.push(EstimationFinding::AngleError { axes: axes(&angle), rms_um });
+    }
+    if !reversal.is_empty() {
+        let mrad = reversal.iter().map(|effect| effect.play_rad.unwrap_or(0.0) * 1e3).collect();
+        found.push(EstimationFinding::ReversalError { axes: axes(&reversal), mrad });
+    }
+    found
 }
 
-/// Whether the lengths determine the position and not only themselves.
+/// Whether the lengths determine the position of the robot, and not only the residuals.
 fn position(of: &Calibration<'_>) -> Option<EstimationFinding> {
     if of.prediction.is_determined() {
         return None;
     }
     let residual_rms_mm = of.residual_mm.after.rms;
     let (identified_mm, nominal_mm) = (of.prediction.pair.identified.mean, of.prediction.maker.mean);
-    // Who gives a list of parameters knows that the others are fixed; but no one wants a robot that is worse than before.
+    // With a list the user knows that the other parameters are fixed; but the robot must not become worse.
     Some(if of.setting.options.follows_list() && identified_mm < nominal_mm {
         EstimationFinding::ListImprovesLittle { residual_rms_mm, identified_mm, nominal_mm }
     } else {
@@ -203,17 +195,17 @@ fn monte_carlo(drawn: &MonteCarlo) -> impl Iterator<Item = EstimationFinding> {
     failed.into_iter().chain(disagree)
 }
 
-/// `None` of no parameter.
+/// `None` without parameters.
 fn names<'a>(parameters: impl Iterator<Item = &'a ParameterResult>) -> Option<Names> {
     let names = Names::of(parameters.map(|parameter| parameter.id));
     (!names.0.is_empty()).then_some(names)
 }
 
-/// Whether lengths at commanded axis angles agree with the nominal robot better than its tolerance lets any robot do.
+/// Whether the lengths agree with the nominal robot better than its tolerance allows: the controller corrected its axis angles.
 fn absolute_accuracy_mode(of: &Calibration<'_>) -> Option<EstimationFinding> {
     let robot = of.setting.robot;
-    // Planned on a robot that was identified before: then they should agree. Few lengths agree by chance.
     let few = of.axes == AngleSource::Given && of.lengths.len() < LEAST_LENGTHS;
+    // A robot that was identified before should agree.
     if robot.nominal.is_some() || few {
         return None;
     }

@@ -1,85 +1,77 @@
-//! The stages of a fit: set-up first, then the joint offsets, then all; without outliers.
+//! The stages of a fit: set-up first, then joint offsets, then all parameters, with rejection of outliers.
 
 use super::lengths::{Lengths, Sigma, Weighted};
-use super::outliers::{ABSURD, robust, standing_out};
 use super::prior::PriorRows;
-use super::selection::is_place;
-use super::solver::{Loss, Problem, Solution, minimise};
-use crate::measurement::LengthModel;
+use super::selection::{Choice, is_bar, is_place};
+use super::solver::{Loss, Problem, ROUNDING, Solution, minimise, robust_scale, whitened};
+use crate::math::robust::SIGMA_OF_MAD;
+use crate::measurement::{LengthModel, MeasurementPieces};
 use crate::robot::ParamId;
 
-/// A fit and what it was weighted by.
+/// Robust standard deviations beyond which a residual is no error of a nominal robot.
+const ABSURD: f64 = 20.0;
+/// Rounds in which the set of outliers may change.
+const ROUNDS: usize = 10;
+
 #[derive(Clone, Debug)]
 pub(super) struct Fit {
     pub(super) model: LengthModel,
     pub(super) iterations: usize,
     pub(super) converged: bool,
-    /// The places of the lengths that it did not use, in order.
-    pub(super) out: Vec<usize>,
+    /// Indices of the lengths that were not used, ascending.
+    pub(super) outliers: Vec<usize>,
 }
 
-/// Only the part of the set-up that is free, with the robot as it is.
+/// Fits those of the `free` parameters that belong to the set-up; the robot stays as it is.
 pub(super) fn set_up(lengths: &Lengths, free: &[ParamId], start: &LengthModel) -> Fit {
     let ids: Vec<ParamId> = free.iter().copied().filter(|id| id.is_setup()).collect();
     if ids.is_empty() {
-        return Fit { model: start.clone(), iterations: 0, converged: true, out: vec![] };
+        return Fit { model: start.clone(), iterations: 0, converged: true, outliers: vec![] };
     }
-    // The bar's offset trades against the balls' places far from the solution, so it comes second.
-    let places: Vec<ParamId> =
-        ids.iter().copied().filter(|id| !matches!(id, ParamId::BarOffset(_))).collect();
+    // Far from the solution the offset of a bar compensates errors of the balls, so it is fitted second.
+    let places: Vec<ParamId> = ids.iter().copied().filter(|id| !is_bar(id)).collect();
     let from = |lengths: &Weighted, loss: Loss, start: &LengthModel| {
         stages(lengths, &[&places, &ids], loss, None, start)
     };
-    let whole = lengths.weighted(Sigma::Given, &[]);
-    let plain = from(&whole, Loss::Squares, start);
-    robust(&whole, ids.len(), plain, |lengths, loss, reached| from(lengths, loss, reached.unwrap_or(start)))
+    let all = lengths.weighted(Sigma::Given, &[]);
+    let plain = from(&all, Loss::Squares, start);
+    robust(&all, ids.len(), plain, |lengths, loss, reached| from(lengths, loss, reached.unwrap_or(start)))
 }
 
-/// What is fitted to lengths.
-pub(super) struct Unknowns<'a> {
-    pub(super) free: &'a [ParamId],
-    /// How many of them the lengths determine by themselves.
-    pub(super) determined: usize,
-    pub(super) prior: Option<&'a PriorRows>,
-}
-
-/// All unknowns from `start`, whose set-up has been fitted.
-pub(super) fn all(lengths: &Lengths, sigma: Sigma, unknowns: &Unknowns<'_>, start: &LengthModel) -> Fit {
-    let Unknowns { free, determined, prior } = *unknowns;
-    let offsets: Vec<ParamId> =
-        free.iter().copied().filter(|id| matches!(id, ParamId::Theta(_)) || is_place(id)).collect();
-    // With a prior the robot is near its nominal, and offsets that the data do not hold could run away.
-    let joints_first = prior.is_none() && offsets.iter().any(|id| matches!(id, ParamId::Theta(_)));
-    let both: [&[ParamId]; 2] = [&offsets, free];
-    let lists = if joints_first { &both[..] } else { &both[1..] };
+/// Fits the chosen parameters from `start`, whose set-up has been fitted.
+pub(super) fn all(
+    lengths: &Lengths,
+    sigma: Sigma,
+    choice: &Choice,
+    prior: Option<&PriorRows>,
+    start: &LengthModel,
+) -> Fit {
+    let kept = choice.kept.as_slice();
+    let is_offset = |id: &ParamId| matches!(id, ParamId::Theta(_));
+    let offsets: Vec<ParamId> = kept.iter().copied().filter(|id| is_offset(id) || is_place(id)).collect();
+    // With a prior the robot is near its nominal geometry, and offsets that the data do not determine could diverge.
+    let both: [&[ParamId]; 2] = [&offsets, kept];
+    let lists = if prior.is_none() && offsets.iter().any(is_offset) { &both[..] } else { &both[1..] };
     let from =
         |lengths: &Weighted, loss: Loss, start: &LengthModel| stages(lengths, lists, loss, prior, start);
-    let whole = lengths.weighted(sigma, &[]);
-    let mut plain = from(&whole, Loss::Squares, start);
-    // What is absurd beside the nominal robot's own errors would pull the start away: first without it.
-    let absurd = standing_out(&whole, start, &plain.first, ABSURD, 0);
+    let all = lengths.weighted(sigma, &[]);
+    let mut plain = from(&all, Loss::Squares, start);
+    // Residuals far beyond the errors of a nominal robot would distort the start: fit without them first.
+    let absurd = exceeding(&all, start, &plain.first, ABSURD, 0);
     let near =
         (!absurd.is_empty()).then(|| from(&lengths.weighted(sigma, &absurd), Loss::Huber, start).model);
     if let Some(near) = &near {
-        plain = from(&whole, Loss::Squares, near);
+        plain = from(&all, Loss::Squares, near);
     }
     let start = near.as_ref().unwrap_or(start);
-    robust(&whole, determined, plain, |lengths, loss, reached| match reached {
+    robust(&all, choice.base.len(), plain, |lengths, loss, reached| match reached {
         None => from(lengths, loss, start),
-        Some(reached) => stages(lengths, &[free], loss, prior, reached),
+        Some(reached) => stages(lengths, &[kept], loss, prior, reached),
     })
 }
 
-/// An even sample of a large set, which leads it near its minimum.
-fn sample(lengths: &Weighted) -> Option<Lengths<'static>> {
-    lengths.lengths().are_many().then(|| {
-        let some = lengths.some(|reading, sigma| (*reading, sigma)).into_iter();
-        let (readings, sigma) = some.filter(|(_, sigma)| sigma.is_finite()).unzip();
-        Lengths::few(readings, sigma)
-    })
-}
-
-/// Minimises over each list in turn; the prior belongs to the last. A large set takes part in the last only.
+/// Minimises over each list in turn, with the prior on the last. Only the last minimisation uses all lengths of a large
+/// set; an even sample of them leads it near the minimum.
 fn stages(
     lengths: &Weighted,
     lists: &[&[ParamId]],
@@ -95,7 +87,10 @@ fn stages(
         let first = first.get_or_insert(solution.first).clone();
         Solution { iterations, first, ..solution }
     };
-    let sample = sample(lengths);
+    let sample = lengths.lengths().are_many().then(|| {
+        let (readings, sigma) = lengths.used_sample().into_iter().unzip();
+        Lengths::few(readings, sigma)
+    });
     let few = sample.as_ref().map_or(*lengths, |sample| sample.weighted(Sigma::Given, &[]));
     let (last, before) = lists.split_last().map_or((&[][..], &[][..]), |(last, before)| (*last, before));
     for ids in before {
@@ -105,4 +100,109 @@ fn stages(
         step(few, last, prior);
     }
     step(*lengths, last, prior)
+}
+
+/// The least-squares fit `plain` if it has no conspicuous residual. Otherwise a fit with Huber's loss, then least-squares
+/// fits without the outliers until their set no longer changes. `parameters` is the number of fitted parameters.
+fn robust(
+    lengths: &Weighted,
+    parameters: usize,
+    plain: Solution,
+    solve: impl Fn(&Weighted, Loss, Option<&LengthModel>) -> Solution,
+) -> Fit {
+    let limit = limit(lengths.count());
+    // In a least-squares fit of few lengths a far outlier spreads over all residuals, so the limit is lower.
+    let suspect = if lengths.lengths().are_many() { limit } else { 0.85 * limit };
+    if exceeding(lengths, &plain.model, &plain.residuals, suspect, parameters).is_empty() {
+        let Solution { model, iterations, converged, .. } = plain;
+        return Fit { model, iterations, converged, outliers: vec![] };
+    }
+    let mut reached = solve(lengths, Loss::Huber, None);
+    let mut iterations = plain.iterations + reached.iterations;
+    let mut rejected = Vec::new();
+    for _ in 0..ROUNDS {
+        let now = outliers(lengths, &reached.model, parameters);
+        reached = solve(&lengths.without(&now), Loss::Squares, Some(&reached.model));
+        iterations += reached.iterations;
+        let settled = now == rejected || now.is_empty();
+        rejected = now;
+        if settled {
+            break;
+        }
+    }
+    Fit { model: reached.model, iterations, converged: reached.converged, outliers: rejected }
+}
+
+/// Indices of the outliers among `lengths` for a model with so many fitted `parameters`.
+pub(super) fn outliers(lengths: &Weighted, model: &LengthModel, parameters: usize) -> Vec<usize> {
+    exceeding(lengths, model, &whitened(lengths, model), limit(lengths.count()), parameters)
+}
+
+/// The limit of a residual in robust standard deviations. One set of normal data in a hundred has a residual beyond it
+/// (twice Mills' bound on the normal tail, solved for 0.01 / n).
+fn limit(readings: usize) -> f64 {
+    let n = readings.max(10) as f64;
+    let mut limit: f64 = 4.0;
+    for _ in 0..20 {
+        limit = (2.0 * (100.0 * n * (2.0 / std::f64::consts::PI).sqrt() / limit).ln()).sqrt();
+    }
+    limit.max(4.5)
+}
+
+/// Indices of the measurements whose residuals exceed `limit` robust standard deviations. `residuals` are whitened, of all
+/// lengths or of an even sample; the scale is estimated from them.
+fn exceeding(
+    lengths: &Weighted,
+    model: &LengthModel,
+    residuals: &[f64],
+    limit: f64,
+    parameters: usize,
+) -> Vec<usize> {
+    let rows = exceeding_rows(lengths, model, residuals, limit, parameters);
+    let datum = |at: usize| lengths.lengths().reading(at).datum;
+    // The three rows of a position are rejected together.
+    let mut whole: Vec<usize> = rows.into_iter().flat_map(|at| datum(at).rows(at)).collect();
+    whole.sort_unstable();
+    whole.dedup();
+    whole
+}
+
+/// The same for single rows. Lengths and coordinates come from different instruments whose stated uncertainties may be wrong
+/// by different factors, so each kind has its own scale.
+fn exceeding_rows(
+    lengths: &Weighted,
+    model: &LengthModel,
+    residuals: &[f64],
+    limit: f64,
+    parameters: usize,
+) -> Vec<usize> {
+    let stride = lengths.lengths().stride();
+    let is_plane = |at: usize| lengths.lengths().reading(at).datum.is_plane();
+    let (planes, others): (Vec<usize>, Vec<usize>) =
+        (0..residuals.len()).partition(|sampled| is_plane(sampled * stride));
+    let largest = |kind: &[usize]| {
+        let mut sizes: Vec<f64> = kind.iter().map(|sampled| residuals[*sampled].abs()).collect();
+        // A fit makes as many residuals vanish as it has parameters. These say nothing about the scale: with few data the
+        // others would all exceed it.
+        let share = parameters * kind.len() / residuals.len().max(1);
+        let vanished = (share / stride).min(sizes.len().saturating_sub(1));
+        if vanished > 0 {
+            sizes.select_nth_unstable_by(vanished, f64::total_cmp);
+        }
+        limit * robust_scale(&sizes[vanished..]).max(ROUNDING * SIGMA_OF_MAD)
+    };
+    let [of_plane, of_other] = [largest(&planes), largest(&others)];
+    let largest = |is_plane: bool| if is_plane { of_plane } else { of_other };
+    if stride == 1 {
+        return (0..residuals.len()).filter(|&at| residuals[at].abs() > largest(is_plane(at))).collect();
+    }
+    let prepared = model.prepare();
+    let pieces = lengths.in_pieces(|first, readings, sigma| {
+        let exceeds = |at: &usize| {
+            let reading = &readings[*at];
+            (prepared.residual(reading) / sigma[*at]).abs() > largest(reading.datum.is_plane())
+        };
+        (0..readings.len()).filter(exceeds).map(|at| first + at).collect::<Vec<usize>>()
+    });
+    pieces.concat()
 }

@@ -9,16 +9,16 @@ use nalgebra::DVector;
 
 use super::estimate::Estimate;
 use super::evidence::{Evidence, Found, Hypers, Normal, Variance};
+use super::fit::outliers;
 use super::joint_fit::{GroupEvidence, JointFit};
 use super::joint_system::System;
 use super::lengths::{Lengths, Sigma, Weighted};
 use super::noise_shape::{BacklashNoise, NoiseShape, Scored};
-use super::outliers::outliers;
+use super::options::Setting;
 use super::pose_rows::{LengthNoise, PoseRows};
 use super::prior::PriorRows;
 use super::priors::Group;
 use super::ripple::{Beside, Candidate, ln_candidates};
-use super::setting::Setting;
 use crate::measurement::LengthModel;
 use crate::robot::{AXES, JointError, JointErrors, JointTerm, ParamId, Smooth, TermKind, Visited, parameter};
 
@@ -66,10 +66,10 @@ pub(super) fn fit(setting: &Setting<'_>, lengths: &Lengths, estimate: Estimate) 
     // Beside errors of the joints residuals are smaller: outliers show that the geometry alone hides.
     for _ in 0..OUTLIER_ROUNDS {
         let out = outliers(&whole, &found.model, found.effective_parameters as usize);
-        if out == estimate.fit.out {
+        if out == estimate.fit.outliers {
             break;
         }
-        estimate.fit.out = out;
+        estimate.fit.outliers = out;
         found = from(setting, lengths, &estimate)?;
     }
     Some(estimate.with_joints(lengths, found))

@@ -1,6 +1,7 @@
 //! A fit with errors of the joints, and what a result says of it.
 
 use nalgebra::DMatrix;
+use serde::{Deserialize, Serialize};
 
 use super::evidence::Hypers;
 use super::noise_shape::NoiseShape;
@@ -48,18 +49,25 @@ pub struct GroupEvidence {
     pub share: f64,
 }
 
-/// What a result says of the errors of the joints.
-#[derive(Clone, Debug, PartialEq)]
+/// The errors of the joints in a result; this is `joint_errors` of `result.json`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct JointSummary {
+    /// In `result.json` they are `groups`.
+    #[serde(skip)]
     pub groups: Vec<GroupEvidence>,
-    /// What the smooth functions are the sum of: a quick and a slow process.
-    pub smooth: [Process; 2],
-    /// Standard deviation of the pose in each direction, and of a length beside it, mm.
+    /// Standard deviation of the pose in each direction, mm.
+    #[serde(rename = "pose_sigma_mm")]
     pub pose_mm: f64,
+    /// Standard deviation of a length besides that of the pose, mm.
+    #[serde(rename = "length_sigma_mm")]
     pub length_mm: f64,
-    /// Half of the reversal error of each joint as noise, one standard deviation, rad, where no sense of approach is known.
+    /// The smooth functions are the sum of a fast and a slow process.
+    pub smooth: [Process; 2],
+    /// Half of the reversal error of each joint as noise, one standard deviation, rad, if no sense of approach is known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub backlash_noise_rad: Option<[f64; AXES]>,
     /// Gain in the logarithm of the evidence over the geometry alone.
+    #[serde(rename = "log_evidence_gain")]
     pub gain: f64,
 }
 

@@ -3,9 +3,9 @@
 use super::ErrorSummary;
 use super::joint_fit::JointFit;
 use super::lengths::Lengths;
+use super::options::Setting;
 use super::position::{Positions, compressed};
 use super::result::MapPoint;
-use super::setting::Setting;
 use crate::measurement::{ApproachedPose, PreparedMeasurement};
 use crate::robot::{AXES, Approach, AxisAngles, RobotUncertainty};
 

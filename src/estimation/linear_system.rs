@@ -1,10 +1,10 @@
-//! The linear system of lengths at a model: the only code that forms their rows.
+//! The linearised least-squares problem of lengths at a model. Only this module forms design rows.
 //!
-//! A row is the derivative of a length by the parameters, beside it what is measured minus what the model predicts, both
-//! over the length's standard deviation. Rows are formed piece by piece on all cores and folded into one triangle, so
-//! that memory does not grow with their number.
+//! A design row has the derivatives of a length by the parameters; its right-hand side is measured minus predicted. Both
+//! are divided by the standard deviation of the length. Rows are formed piece by piece on all cores and folded into a
+//! triangle, so that memory does not grow with their number.
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::DMatrix;
 
 use super::pose_rows::{LengthNoise, PoseRows};
 use super::prior::PriorRows;
@@ -12,22 +12,21 @@ use crate::math::Triangle;
 use crate::measurement::{LengthModel, MeasurementPieces, PreparedMeasurement, Selection};
 use crate::robot::{LengthRow, ParamId};
 
-/// One row.
 pub(super) struct WhitenedRow<'a> {
-    /// Its place among all lengths.
+    /// Index among all lengths.
     pub(super) place: usize,
     pub(super) reading: &'a PreparedMeasurement,
-    /// 1 / standard deviation; 0 for a length that is left out.
+    /// 1 / standard deviation; 0 for an excluded length.
     pub(super) weight: f64,
     /// By all parameters of the model, mm per unit.
     pub(super) derivatives: &'a LengthRow,
-    /// By the parameters chosen, in standard deviations; behind them room for the further columns.
+    /// By the selected parameters, in standard deviations, followed by the further columns.
     pub(super) values: &'a mut [f64],
     /// Measured minus predicted, in standard deviations.
     pub(super) residual: f64,
 }
 
-/// The rows of some parameters at a model, with room for `further` columns behind them.
+/// The rows of some parameters at a model, with room for `further` columns after them.
 pub(super) struct Rows<'a> {
     pub(super) model: &'a LengthModel,
     pub(super) ids: &'a [ParamId],
@@ -35,7 +34,7 @@ pub(super) struct Rows<'a> {
 }
 
 impl Rows<'_> {
-    /// Gives each row of a piece to `each` beside what `start` makes for the piece; what became of the pieces, in order.
+    /// Accumulates the rows of each piece in a value that `start` makes. Returns the values of the pieces, in order.
     pub(super) fn fold<L: MeasurementPieces + ?Sized, T: Send>(
         &self,
         lengths: &L,
@@ -45,7 +44,7 @@ impl Rows<'_> {
         let selection = Selection::new(self.ids);
         let prepared = self.model.prepare();
         lengths.in_pieces(|first, readings, sigma| {
-            let mut made = start();
+            let mut accumulated = start();
             let mut values = vec![0.0; self.ids.len() + self.further];
             let mut derivatives = LengthRow::default();
             for (at, reading) in readings.iter().enumerate() {
@@ -54,106 +53,26 @@ impl Rows<'_> {
                 selection.pick(&derivatives, &mut values);
                 values[..self.ids.len()].iter_mut().for_each(|value| *value *= weight);
                 let residual = (reading.length_mm - derivatives.length) * weight;
-                let (place, derivatives) = (first + at, &derivatives);
-                each(
-                    &mut made,
-                    WhitenedRow { place, reading, weight, derivatives, values: &mut values, residual },
-                );
+                let (place, derivatives, values) = (first + at, &derivatives, &mut values);
+                each(&mut accumulated, WhitenedRow { place, reading, weight, derivatives, values, residual });
             }
-            made
+            accumulated
         })
     }
 }
 
-/// All rows, folded.
-#[derive(Clone, Debug)]
-pub struct LinearSystem {
-    unknowns: usize,
-    triangle: Triangle,
-}
-
-impl LinearSystem {
-    /// Of `lengths` by `ids` at `model`.
-    pub fn at<L: MeasurementPieces + ?Sized>(model: &LengthModel, lengths: &L, ids: &[ParamId]) -> Self {
-        let rows = Rows { model, ids, further: 0 };
-        let triangles = rows.fold(
-            lengths,
-            || Triangle::new(ids.len()),
-            |triangle, row| triangle.push(row.values, row.residual),
-        );
-        Self::of(triangles, ids.len())
-    }
-
-    /// Of lengths by `ids`, then by the coefficients of the joints' errors, whitened pose by pose. `None` where the noise has
-    /// no inverse.
-    pub(super) fn by_pose(
-        model: &LengthModel,
-        readings: &[PreparedMeasurement],
-        noise: LengthNoise<'_>,
-        ids: &[ParamId],
-    ) -> Option<Self> {
-        let unit = vec![1.0; readings.len()];
-        let lines = PoseRows::at(model, &(readings, unit.as_slice()), ids);
-        let unknowns = lines.values.ncols();
-        let mut whole = lines.values.clone().insert_column(unknowns, 0.0);
-        whole.set_column(unknowns, &lines.residual);
-        lines.whiten(&mut whole, &lines.noise(&noise, model))?;
-        let mut triangle = Triangle::new(unknowns);
-        for row in whole.row_iter() {
-            let values: Vec<f64> = row.iter().copied().collect();
-            triangle.push(&values[..unknowns], values[unknowns]);
-        }
-        Some(Self { unknowns, triangle })
-    }
-
-    /// Of the triangles of pieces.
-    pub(super) fn of(triangles: Vec<Triangle>, unknowns: usize) -> Self {
-        Self { unknowns, triangle: Triangle::merged(triangles, unknowns) }
-    }
-
-    /// Adds the prior's equations about `model`, where the rows were formed; the sum of their squares.
-    pub(super) fn add_prior(&mut self, prior: &PriorRows, model: &LengthModel, ids: &[ParamId]) -> f64 {
-        let wrong = prior.deviates(model, ids);
-        let mut values = vec![0.0; self.unknowns];
-        for (row, wrong) in prior.matrix().row_iter().zip(&wrong) {
-            values.iter_mut().zip(row.iter()).for_each(|(value, own)| *value = *own);
-            let mut nonzero = (0..values.len()).filter(|k| values[*k] != 0.0);
-            match (nonzero.next(), nonzero.next()) {
-                (Some(single), None) => self.triangle.push_single(single, values[single], -wrong),
-                _ => self.triangle.push(&values, -wrong),
-            }
-        }
-        wrong.norm_squared()
-    }
-
-    pub fn unknowns(&self) -> usize {
-        self.unknowns
-    }
-
-    /// The triangular factor of the rows: it has their Gram matrix.
-    pub fn factor(&mut self) -> DMatrix<f64> {
-        self.triangle.factor()
-    }
-
-    /// The residuals in the coordinates of the factor.
-    pub fn rhs(&mut self) -> DVector<f64> {
-        self.triangle.rhs()
-    }
-
-    /// The sum of squares that no step of the parameters removes.
-    pub fn residual_sum(&mut self) -> f64 {
-        self.triangle.residual_sum()
-    }
-
-    /// The step that makes the sum of squares least, damped by `damping` times the squares of `scale`; `None` where it is
-    /// not determined.
-    pub(super) fn damped_step(&self, scale: &DVector<f64>, damping: f64) -> Option<DVector<f64>> {
-        let mut damped = self.triangle.clone();
-        for (unknown, scale) in scale.iter().enumerate() {
-            damped.push_single(unknown, damping.sqrt() * scale, 0.0);
-        }
-        damped.solve()
-    }
+/// The rows of `lengths` by `ids` at `model`: each solution is a step of the parameters.
+pub fn linear_system<L: MeasurementPieces + ?Sized>(
+    model: &LengthModel,
+    lengths: &L,
+    ids: &[ParamId],
+) -> Triangle {
+    let triangles = Rows { model, ids, further: 0 }.fold(
+        lengths,
+        || Triangle::new(ids.len()),
+        |triangle, row| triangle.push(row.values, row.residual),
+    );
+    Triangle::merged(triangles, ids.len())
 }
 
 /// The triangular factor of the rows of `lengths` by `ids` at `model`.
@@ -162,7 +81,46 @@ pub fn factor<L: MeasurementPieces + ?Sized>(
     lengths: &L,
     ids: &[ParamId],
 ) -> DMatrix<f64> {
-    LinearSystem::at(model, lengths, ids).factor()
+    linear_system(model, lengths, ids).factor()
+}
+
+/// As [`linear_system`], by `ids` and then by the coefficients of the joint errors, with noise that the lengths of a pose
+/// share. `None` if the covariance of the noise is singular.
+pub(super) fn linear_system_by_pose(
+    model: &LengthModel,
+    readings: &[PreparedMeasurement],
+    noise: LengthNoise<'_>,
+    ids: &[ParamId],
+) -> Option<Triangle> {
+    let unit = vec![1.0; readings.len()];
+    let lines = PoseRows::at(model, &(readings, unit.as_slice()), ids);
+    let unknowns = lines.values.ncols();
+    let mut rows = lines.values.clone().insert_column(unknowns, 0.0);
+    rows.set_column(unknowns, &lines.residual);
+    lines.whiten(&mut rows, &lines.noise(&noise, model))?;
+    let mut triangle = Triangle::new(unknowns);
+    for row in rows.row_iter() {
+        let values: Vec<f64> = row.iter().copied().collect();
+        triangle.push(&values[..unknowns], values[unknowns]);
+    }
+    Some(triangle)
+}
+
+/// Adds the rows of the prior to a system of `ids` and perhaps more parameters at `model`. Returns the sum of squares of
+/// their right-hand sides.
+pub(super) fn add_prior(
+    system: &mut Triangle,
+    prior: &PriorRows,
+    model: &LengthModel,
+    ids: &[ParamId],
+) -> f64 {
+    let deviates = prior.deviates(model, ids);
+    let mut values = vec![0.0; system.unknowns()];
+    for (row, deviate) in prior.matrix().row_iter().zip(&deviates) {
+        values.iter_mut().zip(row.iter()).for_each(|(value, own)| *value = *own);
+        system.push(&values, -deviate);
+    }
+    deviates.norm_squared()
 }
 
 #[cfg(test)]
@@ -170,7 +128,7 @@ mod tests {
     use super::*;
     use crate::measurement::BaseBall;
     use crate::robot::{BallId, Joint, Robot};
-    use nalgebra::Vector3;
+    use nalgebra::{DVector, Vector3};
 
     fn model() -> LengthModel {
         let geometry = Robot::by_name("kr60ha").unwrap().unwrap().geometry;
@@ -186,11 +144,11 @@ mod tests {
     }
 
     #[test]
-    fn a_row_is_the_derivative_and_the_residual_over_sigma() {
+    fn rows_are_derivatives_over_sigma() {
         let (model, readings) = (model(), readings(40));
         let ids = [ParamId::Theta(Joint::J2), ParamId::A(Joint::J2)];
         let sigma = vec![0.5; readings.len()];
-        let mut system = LinearSystem::at(&model, &(readings.as_slice(), sigma.as_slice()), &ids);
+        let mut system = linear_system(&model, &(readings.as_slice(), sigma.as_slice()), &ids);
         let step = 1e-4;
         let mut gram = DMatrix::<f64>::zeros(2, 2);
         for reading in &readings {
@@ -206,14 +164,14 @@ mod tests {
     }
 
     #[test]
-    fn a_length_left_out_counts_for_nothing() {
+    fn an_excluded_length_has_no_effect() {
         let (model, mut readings) = (model(), readings(40));
         let ids = [ParamId::Theta(Joint::J2), ParamId::A(Joint::J2)];
         let all = vec![1.0; readings.len()];
-        let expected = LinearSystem::at(&model, &(readings.as_slice(), all.as_slice()), &ids).residual_sum();
+        let expected = linear_system(&model, &(readings.as_slice(), all.as_slice()), &ids).residual_sum();
         readings.push(PreparedMeasurement { length_mm: 9000.0, ..readings[3] });
         let sigma = [all.as_slice(), &[f64::INFINITY]].concat();
-        let found = LinearSystem::at(&model, &(readings.as_slice(), sigma.as_slice()), &ids).residual_sum();
+        let found = linear_system(&model, &(readings.as_slice(), sigma.as_slice()), &ids).residual_sum();
         assert!((found / expected - 1.0).abs() < 1e-12);
     }
 }

@@ -1,53 +1,51 @@
-//! What the user asked of an identification.
+//! The options of an identification, and the setting of an estimate.
 
 use std::borrow::Cow;
 
 use super::Workspace;
 use super::priors::{Prior, Priors};
 use crate::catalogue::EstimationFinding;
+use crate::measurement::{LengthModel, Measurements};
+use crate::robot::parameter::{self, SetUp};
 use crate::robot::{AXES, ParamId, Robot};
 
-/// What a robot's error consists of.
+/// Which errors of a robot are modelled.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ErrorModel {
-    /// The geometry by its prior, and errors of the joints as the evidence speaks for them.
+    /// The geometry with its prior, and errors of the joints if the evidence supports them.
     #[default]
     Joints,
-    /// Its geometry.
+    /// The geometry alone.
     Geometric,
 }
 
-/// What to estimate, and from what.
 #[derive(Clone, Debug, Default)]
 pub struct Options {
-    /// The parameters to estimate; all that are identifiable when absent.
+    /// The parameters to estimate; by default all identifiable ones.
     pub estimate: Option<Vec<ParamId>>,
     pub model: ErrorModel,
     /// Parameters to fix at their start values.
     pub hold: Vec<ParamId>,
-    /// Standard deviation of every length, mm; that of the data's `sigma_mm` and residuals when absent.
+    /// Standard deviation of every length, mm; by default from the data's `sigma_mm` and the residuals.
     pub sigma_mm: Option<f64>,
-    /// What is known of the robot beforehand.
     pub prior: Prior,
     /// Standard uncertainty of each bar's length by its certificate, mm.
     pub bar_u_mm: Option<f64>,
-    /// Number of cross-validation folds; `None` chooses 5 when there are enough lengths.
+    /// Number of cross-validation folds; by default 5 if there are enough lengths.
     pub folds: Option<usize>,
-    /// Trials of a Monte Carlo of the uncertainties (GUM supplement 1); none when absent.
+    /// Trials of a Monte Carlo of the uncertainties (GUM Supplement 1); by default none.
     pub monte_carlo: Option<usize>,
-    /// Axis vectors (rad) over which the 3-D error is predicted; uniform within the limits when absent.
+    /// Axis vectors (rad) over which the position error is predicted; by default uniform within the axis limits.
     pub workspace: Option<Vec<[f64; AXES]>>,
 }
 
-/// Poses over which the error is predicted when the user gives none, and their seed.
+/// Poses and seed of the default workspace.
 const WORKSPACE_POSES: usize = 2000;
 const WORKSPACE_SEED: u64 = 1;
 
 impl Options {
-    /// That they can be followed with so many lengths.
-    ///
     /// # Errors
-    /// What no identification can follow, though each value alone is possible.
+    /// Too few lengths for the folds, or a prior without parameters.
     pub fn check(&self, lengths: usize) -> Result<(), EstimationFinding> {
         if let Some(folds) = self.folds.filter(|folds| *folds == 1 || *folds > lengths) {
             return Err(EstimationFinding::NoFolds { folds, lengths });
@@ -58,7 +56,7 @@ impl Options {
         }
     }
 
-    /// The axis angles (rad) over which a 3-D error is predicted.
+    /// The axis vectors (rad) over which the position error is predicted.
     pub fn workspace_poses(&self, robot: &Robot) -> Cow<'_, [[f64; AXES]]> {
         match &self.workspace {
             Some(poses) => Cow::Borrowed(poses),
@@ -66,24 +64,69 @@ impl Options {
         }
     }
 
-    /// Whether the user's list is followed as it is: there is one, and no prior that could carry
-    /// what the data do not.
+    /// Whether all identifiable parameters of the user's list are estimated, even if they are poorly observable.
     pub fn follows_list(&self) -> bool {
         self.estimate.is_some() && self.prior == Prior::None
     }
 
-    /// Whether errors of the joints are looked for: what the user lists is complete, and a Monte Carlo draws the lengths
-    /// of the geometry alone.
+    /// Whether errors of the joints are considered. They are not in a list of parameters, a Monte Carlo draws only the
+    /// geometry, and the prior of a posterior has correlations of the geometry only.
     pub(super) fn seeks_joint_errors(&self) -> bool {
         self.model == ErrorModel::Joints
             && self.estimate.is_none()
-            // A prior with correlations is that of the geometry.
             && self.prior != Prior::Posterior
             && self.monte_carlo.is_none()
     }
+}
 
-    /// What is known of the robot and the bar before any length.
-    pub fn priors(&self, robot: &Robot) -> Priors {
-        Priors::of(robot, self.bar_u_mm, &self.prior)
+/// The robot with its priors, the start of the fit, and the options.
+#[derive(Clone)]
+pub(crate) struct Setting<'a> {
+    pub(crate) robot: &'a Robot,
+    /// The robot's geometry in the set-up as it was given.
+    pub(crate) start: &'a LengthModel,
+    pub(crate) set_up: SetUp,
+    pub(crate) options: Cow<'a, Options>,
+    pub(crate) priors: Priors,
+}
+
+impl<'a> Setting<'a> {
+    pub(super) fn new(
+        robot: &'a Robot,
+        start: &'a LengthModel,
+        observations: &Measurements,
+        options: &'a Options,
+    ) -> Self {
+        let set_up = observations.set_up(start.balls.len());
+        let priors = Priors::of(robot, options.bar_u_mm, &options.prior);
+        Self { robot, start, set_up, options: Cow::Borrowed(options), priors }
+    }
+
+    /// With a prior on the geometry: that of the user, else the robot's tolerance.
+    pub(super) fn bound(mut self) -> Self {
+        if self.options.prior == Prior::None {
+            self.options.to_mut().prior = Prior::Datasheet;
+        }
+        self
+    }
+
+    /// The parameters asked for, in canonical order; by default all but the optional ones.
+    pub(super) fn asked(&self) -> Vec<ParamId> {
+        let mut ids = match &self.options.estimate {
+            Some(list) => list.clone(),
+            None => parameter::all(&self.robot.parallel_joints(), self.set_up),
+        };
+        ids.retain(|id| !self.options.hold.contains(id));
+        ids.sort();
+        ids
+    }
+
+    /// Every parameter of the model and those of `more`, in canonical order.
+    pub(super) fn all_and(&self, set_up: SetUp, more: &[ParamId]) -> Vec<ParamId> {
+        let mut ids = parameter::all(&self.robot.parallel_joints(), set_up);
+        ids.extend(more);
+        ids.sort();
+        ids.dedup();
+        ids
     }
 }

@@ -9,7 +9,7 @@ use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
 
-use super::predicted::{Workspace, take_out_rigid_motion};
+use super::workspace::{Workspace, take_out_rigid_motion};
 use crate::measurement::{ApproachedPose, LengthModel};
 use crate::robot::{
     AXES, Approach, At, Chain, Geometry, Joint, JointSinCos, ParamId, Robot, RobotUncertainty, TermKind,

@@ -1,69 +1,62 @@
-//! The prior as equations beside the lengths: every parameter of the robot about its nominal value by its tolerance, a bar
-//! that the lengths do not determine by its certificate; of a robot that was identified before, what this left unknown.
+//! The prior as rows of the least-squares problem: each parameter of the robot about its nominal value with its tolerance, a
+//! bar that the lengths do not determine with its certificate, or the posterior of an earlier identification.
 //!
-//! With them nothing need be fixed because it is poorly observable. A correction of which only a sum is identifiable is
-//! shared among the members in proportion to their variances, which is the likeliest robot. The set-up has no tolerance
-//! and stays free: what depends on it alone learns nothing, and stays at its start.
+//! With a prior no parameter has to be fixed as poorly observable. If only a sum of parameters is identifiable, its correction
+//! is distributed in proportion to their variances, which is the most probable robot. The set-up has no prior and is free:
+//! a parameter that depends on the set-up alone stays at its start.
 
 use nalgebra::{DMatrix, DVector};
 
 use super::Analysis;
+use super::options::Setting;
 use super::priors::{Prior, Priors};
-use super::setting::Setting;
 use crate::measurement::LengthModel;
 use crate::robot::ParamId;
 
-/// Equations `rows * (p - mean) = 0` of unit variance about the parameters estimated.
+/// Equations `rows * (p - mean) = 0` of unit variance for the estimated parameters p.
 #[derive(Clone, Debug)]
 pub(super) struct PriorRows {
-    /// The places of the parameters that are bound.
+    /// Indices of the bound parameters; the others are free.
     bound: Vec<usize>,
-    /// The root of their covariance.
+    /// Root of the covariance of the bound parameters.
     root: DMatrix<f64>,
-    /// Its inverse, with a column for each parameter estimated.
+    /// Its inverse, with a column for each estimated parameter.
     rows: DMatrix<f64>,
     mean: DVector<f64>,
 }
 
 impl PriorRows {
-    /// Of independent parameters with these standard deviations about `mean`; `None` of what is free.
+    /// Independent parameters with these standard deviations; `None` for a free parameter.
     pub(super) fn independent(sds: &[Option<f64>], mean: &[f64]) -> Self {
         let bound: Vec<usize> = (0..sds.len()).filter(|&k| sds[k].is_some()).collect();
-        let of: Vec<f64> = sds.iter().copied().flatten().collect();
-        Self {
-            root: DMatrix::from_diagonal(&DVector::from_column_slice(&of)),
-            rows: DMatrix::from_fn(
-                bound.len(),
-                sds.len(),
-                |i, k| if bound[i] == k { of[i].recip() } else { 0.0 },
-            ),
-            mean: DVector::from_column_slice(mean),
-            bound,
-        }
+        let sd = DVector::from_iterator(bound.len(), sds.iter().copied().flatten());
+        let mut rows = DMatrix::zeros(bound.len(), sds.len());
+        bound.iter().enumerate().for_each(|(row, k)| rows[(row, *k)] = sd[row].recip());
+        Self { root: DMatrix::from_diagonal(&sd), rows, mean: DVector::from_column_slice(mean), bound }
     }
 
-    /// How many parameters are bound.
+    /// The number of bound parameters.
     pub(super) fn count(&self) -> usize {
         self.bound.len()
     }
 
-    /// Standard deviation of a parameter by its place; `None` of what is free.
+    /// Standard deviation of the parameter with this index; `None` if it is free.
     pub(super) fn sd(&self, place: usize) -> Option<f64> {
         let at = self.bound.iter().position(|bound| *bound == place)?;
         Some(self.root.row(at).norm())
     }
 
-    /// The equations' coefficients, a row each.
+    /// The coefficients, a row an equation.
     pub(super) fn matrix(&self) -> &DMatrix<f64> {
         &self.rows
     }
 
-    /// What the values of `ids` in a model leave of the equations: deviates of unit variance.
+    /// The residuals of the equations at a model, whose values of `ids` are p: deviates of unit variance.
     pub(super) fn deviates(&self, model: &LengthModel, ids: &[ParamId]) -> DVector<f64> {
         &self.rows * (values(model, ids) - &self.mean)
     }
 
-    /// The same about a draw around a model.
+    /// The prior about a mean drawn from it, centred on a model.
     pub(super) fn drawn(
         &self,
         model: &LengthModel,
@@ -81,7 +74,7 @@ fn values(model: &LengthModel, ids: &[ParamId]) -> DVector<f64> {
     DVector::from_fn(ids.len(), |k, _| model.value(ids[k]))
 }
 
-/// Prior rows for the parameters `kept`, about the values at the start; `None` without a prior.
+/// The prior of the parameters `kept` about their values at the start; `None` without a prior.
 pub(super) fn rows(
     setting: &Setting<'_>,
     undetermined_bars: &[ParamId],
@@ -100,8 +93,8 @@ pub(super) fn rows(
     Some(PriorRows { bound, root, rows, mean: values(setting.start, kept) })
 }
 
-/// The parameters that the lengths do not determine by themselves and that share, by the prior, what they determine of a
-/// sum, or whose errors an earlier identification left correlated with those of others.
+/// The parameters that are estimated because of the prior although they are not in the base set: members of identifiable
+/// combinations, and parameters of an earlier identification, whose errors are correlated with those of others.
 pub(super) fn sharing(priors: &Priors, undetermined_bars: &[ParamId], analysis: &Analysis) -> Vec<ParamId> {
     let bound = |id: ParamId| priors.bound(id, undetermined_bars).is_some();
     let mut sharing: Vec<ParamId> = analysis

@@ -1,13 +1,13 @@
-//! What is known before any length: the only source of a prior standard deviation, of a limit of weakness and of a
-//! limit of plausibility, for estimation, design and plan alike.
+//! Prior standard deviations, and the limits of poor observability and of plausibility. Estimation, design and plan have no
+//! other source of them.
 //!
-//! | parameter | one standard deviation | why |
+//! | parameter | prior standard deviation | reason |
 //! |---|---|---|
-//! | geometric | the robot's tolerance | the maker's word |
-//! | gear error | the tolerance of an angle | a joint's zero is no better than that |
-//! | compliance | the tolerance of an angle under the greatest torque | it then gives way by as much |
-//! | bar | its certificate, else 0.05 mm | a bar is no part of the robot, so no tolerance of a robot says it |
-//! | tool ball, base ball | 0.1 mm, 10 mm | measured, taught or set by eye; free in an estimate |
+//! | geometric | the robot's tolerance | stated by the manufacturer |
+//! | gear error | the tolerance of an angle | the zero of a joint is no better |
+//! | compliance | the tolerance of an angle over the greatest torque | the deflection is then as large as the tolerance |
+//! | bar | its certificate, else 0.05 mm | the bar is not part of the robot |
+//! | tool ball, base ball | 0.1 mm, 10 mm | measured, taught or estimated by eye; free in an estimate |
 
 use std::collections::BTreeMap;
 
@@ -18,41 +18,41 @@ use crate::robot::{AXES, ParamId, Robot, RobotPosterior, Unit};
 
 const TOOL_BALL_MM: f64 = 0.1;
 const BASE_BALL_MM: f64 = 10.0;
-/// A tracker and targets are set up anywhere.
+/// A tracker and targets may be set up anywhere.
 const TARGET_MM: f64 = 100.0;
 const TRACKER_MM: f64 = 1000.0;
 const TRACKER_RAD: f64 = 1.0;
 const UNCERTIFIED_BAR_MM: f64 = 0.05;
-/// Compliance of a robot of which no mass is known, rad/(N m): one degree-minute at 300 N m. Nothing moves with it.
+/// Compliance of a robot without known masses, rad/(N m): one arc minute at 300 N m. It has no effect on any length.
 const COMPLIANCE: f64 = 1e-6;
 
-/// A parameter counts as identified if its standard deviation is at most this many of those before.
+/// A parameter counts as identified if its standard deviation is at most so many tolerances.
 pub const WEAK: f64 = 3.0;
-/// A coordinate of the tool ball or of a base ball that poses leave open by more than this is better known from a ruler, mm.
+/// A coordinate of the set-up with a larger standard deviation is better measured with a ruler.
 const OPEN_TOOL_BALL_MM: f64 = 50.0;
 const OPEN_BASE_BALL_MM: f64 = 500.0;
 const OPEN_TURN_RAD: f64 = 0.1;
-/// Corrections beyond so many standard deviations (of prior and data together) are doubted if the set-up is fixed, which
-/// they may make up for,
+/// Corrections beyond so many standard deviations (of prior and data together) are doubted if a part of the set-up is
+/// fixed, which they may compensate,
 const IMPLAUSIBLE: f64 = 5.0;
-/// and beyond so many they are those of no robot.
+/// and beyond so many in any case.
 const IMPOSSIBLE: f64 = 20.0;
-/// No ball is so far from where it was given, and no bar so much longer or shorter, mm.
+/// Larger corrections of base balls, of the tool ball (which is known from a drawing or from the controller) and of bars are
+/// doubted.
 const DISPLACED_BALL_MM: f64 = 300.0;
-/// A tool ball is known from a drawing or from the controller.
 const DISPLACED_TOOL_MM: f64 = 20.0;
 const DISPLACED_BAR_MM: f64 = 50.0;
 
-/// What is known of a variance before any length: its root is log-normal about `median`.
+/// The prior of a hyperparameter: log-normal about `median`.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct HyperPrior {
     pub(super) median: f64,
-    /// Standard deviation of the logarithm; `None` where nothing is known.
+    /// Standard deviation of the logarithm; `None` for a flat prior.
     pub(super) ln_sd: Option<f64>,
     pub(super) bounds: [f64; 2],
 }
 
-/// How many there are.
+/// The number of hyperparameters.
 pub(super) const HYPERS: usize = 9;
 
 /// Groups of unknowns that share a variance.
@@ -85,14 +85,14 @@ impl Group {
 }
 
 impl HyperPrior {
-    /// Places of what is no group: the angle over which a smooth function is alike, rad; sigma, mm; of the slow part of a
-    /// smooth function the standard deviation, rad, and the angle over which it is alike, rad.
+    /// Indices of the hyperparameters that are not the standard deviation of a group: the length scale of the smooth function,
+    /// rad; the noise, mm; standard deviation and length scale of the slow part of the smooth function, rad.
     pub(super) const LENGTH: usize = 5;
     pub(super) const SIGMA: usize = 6;
     pub(super) const SLOW: usize = 7;
     pub(super) const SLOW_LENGTH: usize = 8;
-    /// Those of the groups in their order, then of the others. Industrial joints: a turn's eccentricity of half a
-    /// milliradian, the rest a tenth of it and less.
+    /// Those of the groups in their order, then the others. Typical of industrial joints: an eccentricity of half a
+    /// milliradian, the other errors a fifth of it and less.
     pub(super) const ALL: [Self; HYPERS] = [
         Self { median: 5e-4, ln_sd: Some(1.0), bounds: [1e-8, 1e-1] },
         Self { median: 1e-4, ln_sd: Some(1.0), bounds: [1e-8, 1e-1] },
@@ -105,13 +105,13 @@ impl HyperPrior {
         Self { median: 0.5, ln_sd: Some(1.0), bounds: [0.3, 5.0] },
     ];
 
-    /// How far a logarithm is from the middle, in standard deviations; 0 where nothing is known.
+    /// The normal deviate of a logarithm; 0 for a flat prior.
     pub(super) fn off(self, ln: f64) -> f64 {
         self.ln_sd.map_or(0.0, |sd| (ln - self.median.ln()) / sd)
     }
 }
 
-/// What the user lets an estimate know of the robot beforehand.
+/// The prior on the robot that the user chose.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum Prior {
     #[default]
@@ -120,13 +120,13 @@ pub enum Prior {
     Datasheet,
     /// Standard deviations of some parameters; the datasheet's of the rest.
     Given(BTreeMap<ParamId, f64>),
-    /// What the identification of the robot before left unknown; the datasheet's of the rest.
+    /// The posterior of an earlier identification; the datasheet's of the rest.
     Posterior,
 }
 
 impl Prior {
-    /// The prior where the user names none, for so many lengths: a robot that was identified before is known as that left
-    /// it; `known` counts the lengths from which it was. Where its file does not hold it, that is lost.
+    /// The default prior for so many lengths: the posterior in the robot's file if there is one. `known` counts those of the
+    /// lengths that are in it already. The finding says why a posterior is not used.
     ///
     /// # Errors
     /// Those of `known`.
@@ -150,7 +150,7 @@ impl Prior {
     }
 }
 
-/// Prior standard deviations and limits of one robot, bar and choice of the user.
+/// Prior standard deviations and limits for one robot, bar and choice of the user.
 #[derive(Clone, Debug)]
 pub struct Priors {
     length_mm: f64,
@@ -164,7 +164,7 @@ pub struct Priors {
 }
 
 impl Priors {
-    /// The robot's tolerance and the standard uncertainty of the bar's length by its certificate, mm.
+    /// From the robot's tolerance and the standard uncertainty of the bar's length by its certificate, mm.
     pub fn datasheet(robot: &Robot, bar_u_mm: Option<f64>) -> Self {
         Self {
             length_mm: robot.tolerance.length_mm,
@@ -177,30 +177,29 @@ impl Priors {
         }
     }
 
-    /// The same as the user's `prior` changes it.
+    /// As [`Self::datasheet`], with the `prior` of the user.
     pub fn of(robot: &Robot, bar_u_mm: Option<f64>, prior: &Prior) -> Self {
         let given = if let Prior::Given(given) = prior { given.clone() } else { BTreeMap::new() };
         let posterior = robot.posterior.clone().filter(|_| *prior == Prior::Posterior);
         Self { given, posterior, ..Self::datasheet(robot, bar_u_mm) }
     }
 
-    /// The same with all of the robot's standard deviations so many times as large.
-    pub(super) fn widened(self, times: f64) -> Self {
-        Self { scale: self.scale * times, ..self }
+    /// With all standard deviations of the robot multiplied.
+    pub(super) fn widened(self, factor: f64) -> Self {
+        Self { scale: self.scale * factor, ..self }
     }
 
-    /// How many times as large they are.
     pub(super) fn scale(&self) -> f64 {
         self.scale
     }
 
-    /// Whether an earlier identification left the errors of this parameter correlated with those of others.
+    /// Whether the posterior of an earlier identification contains the parameter.
     pub(super) fn is_of_posterior(&self, id: ParamId) -> bool {
         self.posterior.as_ref().is_some_and(|posterior| posterior.ids().contains(&id))
     }
 
-    /// The root of the covariance of `ids` before any length, square and lower triangular: standard deviations `sd`, and
-    /// among the parameters of an earlier identification what this left.
+    /// The root of the prior covariance of `ids`, square and lower triangular: standard deviations `sd`, and the block of the
+    /// posterior of an earlier identification.
     pub fn root(&self, ids: &[ParamId], sd: &[f64]) -> DMatrix<f64> {
         let mut root = DMatrix::from_diagonal(&DVector::from_column_slice(sd));
         let Some(posterior) = &self.posterior else { return root };
@@ -214,7 +213,7 @@ impl Priors {
         root
     }
 
-    /// One standard deviation before any length, mm, rad or rad/(N m).
+    /// The prior standard deviation, mm, rad or rad/(N m).
     pub fn sd(&self, id: ParamId) -> f64 {
         self.robot_or_bar(id).unwrap_or(match id {
             ParamId::Tool(_) => TOOL_BALL_MM,
@@ -227,13 +226,13 @@ impl Priors {
         })
     }
 
-    /// One standard deviation of a parameter that a prior binds; `None` of what stays free: balls, and a bar without
-    /// certificate unless it is among the `undetermined` ones. The offset of a bar that nobody calibrated may be anything.
+    /// The standard deviation of a parameter that the prior binds; `None` for free parameters: balls, and a bar without
+    /// certificate unless it is among the `undetermined` ones.
     pub fn bound(&self, id: ParamId, undetermined: &[ParamId]) -> Option<f64> {
         self.robot_or_bar(id).or_else(|| undetermined.contains(&id).then_some(UNCERTIFIED_BAR_MM))
     }
 
-    /// Standard uncertainty of the length of a bar with this certificate, or with none, mm.
+    /// Standard uncertainty of the length of a bar with or without a certificate, mm.
     pub fn certified_bar_mm(u_mm: Option<f64>) -> f64 {
         u_mm.unwrap_or(UNCERTIFIED_BAR_MM)
     }
@@ -246,7 +245,7 @@ impl Priors {
         by_prior.map(|sd| self.scale * sd).or_else(bar)
     }
 
-    /// The maker's tolerance of a geometric parameter, whatever the user's prior.
+    /// The manufacturer's tolerance of a geometric parameter, independent of the user's prior.
     pub fn geometric(&self, id: ParamId) -> Option<f64> {
         id.is_geometric().then(|| if id.unit() == Unit::Mm { self.length_mm } else { self.angle_rad })
     }
@@ -260,7 +259,7 @@ impl Priors {
         }
     }
 
-    /// One standard deviation of the true error of what may be fixed, whatever the user's prior; `None` of balls.
+    /// The tolerance of a parameter, independent of the user's prior; `None` for balls.
     fn tolerance(&self, id: ParamId) -> Option<f64> {
         match id {
             ParamId::BarOffset(_) => Some(Self::certified_bar_mm(self.bar_u_mm)),
@@ -268,34 +267,33 @@ impl Priors {
         }
     }
 
-    /// The largest standard deviation with which a parameter counts as identified; `None` of balls, which have no limit.
-    pub fn weak_limit(&self, id: ParamId) -> Option<f64> {
-        self.tolerance(id).map(|sd| WEAK * sd)
+    /// The largest standard deviation with which a parameter counts as identified; infinite for balls.
+    pub fn weak_limit(&self, id: ParamId) -> f64 {
+        self.tolerance(id).map_or(f64::INFINITY, |sd| WEAK * sd)
     }
 
-    /// One standard deviation of a parameter that is fixed although unknown. Optional ones count as none, as where they
-    /// are not estimated.
+    /// The standard deviation of the error of a fixed parameter; 0 for optional ones.
     pub fn fixed_sd(&self, id: ParamId) -> f64 {
         self.tolerance(id).filter(|_| !id.is_optional()).unwrap_or(0.0)
     }
 
-    /// To what the nominal robot fits lengths, mm.
-    pub fn nominal_fit_mm(&self) -> f64 {
+    /// The manufacturer's tolerance of a length, mm.
+    pub fn length_tolerance_mm(&self) -> f64 {
         self.length_mm
     }
 
-    /// A geometric correction in standard deviations of tolerance and data together; `None` of other parameters.
+    /// A geometric correction in standard deviations of tolerance and data together; `None` for other parameters.
     pub fn excess(&self, id: ParamId, correction: f64, sd: f64) -> Option<f64> {
         self.geometric(id).map(|tolerance| correction.abs() / tolerance.hypot(sd))
     }
 }
 
-/// Beyond so many prior standard deviations corrections are doubted: fewer where a part of the set-up is fixed.
+/// Corrections beyond so many prior standard deviations are doubted.
 pub fn largest_plausible(set_up_is_fixed: bool) -> f64 {
     if set_up_is_fixed { IMPLAUSIBLE } else { IMPOSSIBLE }
 }
 
-/// How far poses may leave a parameter of the set-up's places open, mm or rad.
+/// The largest standard deviation with which a place of the set-up is estimated, mm or rad.
 pub fn open_limit(id: ParamId) -> f64 {
     match id {
         ParamId::Tool(_) | ParamId::Target(..) => OPEN_TOOL_BALL_MM,
@@ -304,7 +302,7 @@ pub fn open_limit(id: ParamId) -> f64 {
     }
 }
 
-/// The largest distance of the set-up from where it was given, mm; `None` of the robot's own parameters.
+/// The largest plausible correction of the set-up, mm; `None` for parameters of the robot.
 pub fn largest_displacement_mm(id: ParamId) -> Option<f64> {
     match id {
         ParamId::Tool(_) => Some(DISPLACED_TOOL_MM),
@@ -325,11 +323,11 @@ mod tests {
     }
 
     #[test]
-    fn a_bar_is_known_by_its_certificate_or_as_any_bar() {
+    fn a_bar_has_its_certificate_or_the_default() {
         let bar = ParamId::BarOffset(BarId::FIRST);
         for (u, sd) in [(None, UNCERTIFIED_BAR_MM), (Some(0.002), 0.002)] {
             let priors = priors(u, Prior::None);
-            for found in [priors.sd(bar), priors.weak_limit(bar).unwrap() / WEAK, priors.fixed_sd(bar)] {
+            for found in [priors.sd(bar), priors.weak_limit(bar) / WEAK, priors.fixed_sd(bar)] {
                 assert!((found - sd).abs() < 1e-15, "{found}");
             }
             assert_eq!(priors.bound(bar, &[]), u);
@@ -338,16 +336,16 @@ mod tests {
     }
 
     #[test]
-    fn a_wider_prior_leaves_the_limits() {
+    fn a_wider_prior_does_not_change_the_limits() {
         let given = Prior::Given(BTreeMap::from([(ParamId::A(Joint::J3), 0.1)]));
         let priors = priors(None, given).widened(2.0);
         assert_eq!([priors.sd(ParamId::A(Joint::J3)), priors.sd(ParamId::A(Joint::J2))], [0.2, 1.0]);
-        assert_eq!(priors.weak_limit(ParamId::A(Joint::J3)), Some(1.5));
-        assert_eq!(priors.weak_limit(ParamId::Tool(Coordinate::X)), None);
+        assert_eq!(priors.weak_limit(ParamId::A(Joint::J3)), 1.5);
+        assert_eq!(priors.weak_limit(ParamId::Tool(Coordinate::X)), f64::INFINITY);
     }
 
     #[test]
-    fn compliance_goes_by_the_greatest_torque() {
+    fn prior_of_compliance_follows_from_the_greatest_torque() {
         let mut robot = Robot::by_name("kr60ha").unwrap().unwrap();
         let id = ParamId::Compliance(Joint::J2);
         assert_eq!(Priors::datasheet(&robot, None).bound(id, &[]), None);

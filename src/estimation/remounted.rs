@@ -1,7 +1,7 @@
-//! Whether a base ball was mounted anew amid the data: from one row on its lengths are to another place.
+//! Whether a base ball was remounted during the measurement: from one row on, its lengths are to another place.
 //!
-//! Each row is tried as the first of a second place. What three coordinates more would take from the squares of the
-//! residuals is linear algebra: their columns without what the other unknowns explain. The best is fitted.
+//! Each row is tried as the first with a second place. The reduction of the sum of squares by three further coordinates follows
+//! from their columns, projected orthogonally to the other unknowns. The best row is then fitted.
 
 use nalgebra::{Cholesky, DMatrix, DVector};
 
@@ -16,14 +16,14 @@ use crate::catalogue::EstimationFinding;
 use crate::measurement::{LengthModel, Measurements};
 use crate::robot::{BallId, Coordinate, Datum, ParamId};
 
-/// How much smaller the residuals are with it.
+/// The required ratio of the residuals without and with it.
 const SMALLER: f64 = 1.25;
-/// Residuals count up to so many robust standard deviations.
+/// Residuals are truncated at so many robust standard deviations.
 const FAR: f64 = 10.0;
-/// Fewer lengths determine no place of their own beside the robot.
+/// Fewer lengths before or after the row do not determine a place.
 const FEWEST: usize = 8;
 
-/// Measurements and set-up in which something that changed amid the data is taken into account.
+/// Measurements and start of a fit, corrected for something that changed during the measurement.
 #[derive(Clone)]
 pub struct ChangedSetUp {
     pub observations: Measurements,
@@ -31,13 +31,13 @@ pub struct ChangedSetUp {
 }
 
 impl ChangedSetUp {
-    /// The same calibration of this set-up.
+    /// The input of a calibration with this set-up.
     pub fn instead_of<'a>(&'a self, input: &Input<'a>) -> Input<'a> {
         Input { observations: &self.observations, start: &self.start, ..*input }
     }
 }
 
-/// A set-up in which the later lengths to a ball have a ball of their own.
+/// A set-up in which the later lengths to a ball belong to a ball of their own.
 pub struct Remounted {
     pub set_up: ChangedSetUp,
     ball: BallId,
@@ -46,24 +46,25 @@ pub struct Remounted {
 }
 
 impl Remounted {
-    /// What is said of it where it explains all lengths decisively better; results of `input` and of this set-up.
+    /// The finding if this set-up explains all lengths decisively better: `without` is the result of `input`, `with` the result
+    /// of this set-up.
     pub fn finding(
         &self,
         input: &Input<'_>,
         without: &CalibrationResult,
         with: &CalibrationResult,
     ) -> Option<EstimationFinding> {
-        let of = |result: &CalibrationResult, set: &Measurements| -> Vec<f64> {
+        let residuals = |result: &CalibrationResult, set: &Measurements| -> Vec<f64> {
             result.residuals(&set.rows).map(|pair| pair.after).collect()
         };
-        let after = of(with, &self.set_up.observations);
-        // What the one left out as outliers counts, but a single wild length decides nothing.
+        let after = residuals(with, &self.set_up.observations);
+        // Outliers of either result count, but truncated, so that a single one does not decide.
         let most = FAR * robust_scale(&after);
         let size = |residuals: Vec<f64>| {
             let squares: f64 = residuals.iter().map(|residual| residual.abs().min(most).powi(2)).sum();
             (squares / residuals.len() as f64).sqrt()
         };
-        let [residual_mm, apart_mm] = [of(without, input.observations), after].map(size);
+        let [residual_mm, apart_mm] = [residuals(without, input.observations), after].map(size);
         let freedom = with.lengths as f64 - with.posterior.ids().len() as f64;
         let gain = decisive(freedom, [residual_mm, apart_mm], SMALLER)?;
         let balls = &with.posterior.model.balls;
@@ -73,23 +74,24 @@ impl Remounted {
     }
 }
 
-/// A place among the rows from which on the lengths to a ball are to another place.
+/// The first row with a second place of a ball.
 struct Step {
     ball: BallId,
     first: usize,
+    /// Reduction of the sum of squares, mm^2.
     gain: f64,
 }
 
-/// The set-up with the ball apart that was most evidently mounted anew, beside the geometry alone.
+/// The set-up with the most probable remounting, with a fit of the geometry alone.
 pub fn remounted(input: &Input<'_>) -> Option<Remounted> {
     let lengths = Lengths::of(&input.observations.rows, input.options, input.robot);
-    // A list of parameters says what the lengths are to show.
+    // With a list of parameters the user has decided what the lengths determine.
     if lengths.are_many() || input.options.estimate.is_some() {
         return None;
     }
     let setting = input.setting().bound();
     let estimate = estimate(&setting, &lengths, &setting.asked()).ok()?;
-    // Without its length a bar would fit a robot of any size.
+    // With a free bar offset a robot of any size would fit.
     let own: Vec<ParamId> = estimate.base.iter().copied().filter(|id| !is_bar(id)).collect();
     let whole = fitted(&lengths, &own, &estimate.fit.model);
     let step = strongest(&whole, &own, &lengths)?;
@@ -120,7 +122,7 @@ fn fitted(lengths: &Lengths, ids: &[ParamId], start: &LengthModel) -> LengthMode
     minimise(&Problem { lengths, ids: &ids, loss: Loss::Huber, prior: None }, start).model
 }
 
-/// The step that takes most from the squares of the residuals of a fit of these parameters.
+/// The step that reduces the sum of squares of a fit of `ids` most.
 fn strongest(model: &LengthModel, ids: &[ParamId], lengths: &Lengths) -> Option<Step> {
     let rows = PoseRows::at(model, &lengths.weighted(Sigma::All(1.0), &[]), ids);
     let own = rows.values.columns(0, ids.len()).into_owned();
@@ -129,7 +131,7 @@ fn strongest(model: &LengthModel, ids: &[ParamId], lengths: &Lengths) -> Option<
     let steps = (0..model.balls.len()).flat_map(|ball| {
         let ball = BallId::at(ball);
         let of_ball = Coordinate::ALL.map(|axis| ids.iter().position(|id| *id == ParamId::Ball(ball, axis)));
-        // A ball that the user fixed may be anywhere in the residuals.
+        // An error of a ball that the user fixed is in the residuals.
         let [Some(x), Some(y), Some(z)] = of_ball else { return Vec::new() };
         let place = own.select_columns(&[x, y, z]);
         let is_of = |at: &usize| lengths.reading(*at).datum.ball() == Some(ball);
@@ -138,15 +140,15 @@ fn strongest(model: &LengthModel, ids: &[ParamId], lengths: &Lengths) -> Option<
         let step = |&first: &usize| {
             let mut further = place.clone();
             further.rows_mut(0, first).fill(0.0);
-            Some(Step { ball, first, gain: taken(further, &explained, &left)? })
+            Some(Step { ball, first, gain: reduction(further, &explained, &left)? })
         };
         inner.unwrap_or_default().iter().filter_map(step).collect()
     });
     steps.max_by(|a, b| a.gain.total_cmp(&b.gain))
 }
 
-/// What further columns take from the squares of the residuals that are left, mm^2.
-fn taken(further: DMatrix<f64>, explained: &DMatrix<f64>, left: &DVector<f64>) -> Option<f64> {
+/// The reduction of the squares of the residuals `left` by further columns, mm^2.
+fn reduction(further: DMatrix<f64>, explained: &DMatrix<f64>, left: &DVector<f64>) -> Option<f64> {
     let apart = &further - explained * explained.tr_mul(&further);
     let right = apart.tr_mul(left);
     let factor = Cholesky::new(apart.tr_mul(&apart))?;

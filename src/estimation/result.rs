@@ -1,7 +1,5 @@
-//! What a calibration found. [`super::Calibration::result`] makes it, complete; nobody fills a field later, and every
-//! file, page and line is a function of it.
+//! The result of a calibration. [`super::Calibration::result`] makes it; every file, page and message is a function of it.
 
-use std::cmp::Ordering;
 use std::ops::Range;
 
 use nalgebra::Vector3;
@@ -21,53 +19,48 @@ use crate::robot::{BallId, ParamId, Robot};
 /// Lengths in mm, angles in rad.
 #[derive(Clone, Debug)]
 pub struct CalibrationResult {
-    /// The identified robot, tool ball included, with the nominal one inside.
+    /// The identified robot, with its tool ball; it contains the nominal robot.
     pub robot: Robot,
-    /// The robot at the start with the part of the set-up fitted that the user did not fix.
+    /// The robot at the start, with the free part of the set-up fitted.
     pub before: LengthModel,
-    /// Which robot that is.
     pub start: StartRobot,
-    /// The identified robot, set-up and bar, and the covariance of the parameters estimated.
+    /// The identified robot, set-up and bar with the covariance of the estimated parameters.
     pub posterior: Posterior,
-    /// Measurements used; a position counts once.
+    /// Number of used measurements; a position counts once.
     pub lengths: usize,
     pub made_from: MadeFrom,
     pub rank: RankSummary,
-    /// Of the identified parameters at the solution, their columns in units of their prior standard deviations; `None`
-    /// where nothing was identified.
+    /// Of the identified parameters at the solution, in units of their prior standard deviations.
     pub observability: Option<Observability>,
     pub solver: SolverSummary,
     pub sigma: SigmaSummary,
     pub prior: Option<PriorUsed>,
-    /// Errors of the joints, where the evidence speaks for them.
+    /// Errors of the joints, if the evidence supports them.
     pub joints: Option<JointSummary>,
     pub monte_carlo: Option<MonteCarlo>,
     pub residual_mm: BeforeAfter,
     pub folds: Option<Folds>,
     /// Residuals of separate lengths.
     pub validation: Option<BeforeAfter>,
-    /// Where poses were visited more than once.
+    /// If poses were measured more than once.
     pub distance: Option<DistanceQuantities>,
     pub predicted: PredictedPair,
-    /// What the bar and the noise contribute to it.
     pub position_parts: PositionParts,
     /// Position uncertainty of the identified robot over the workspace.
     pub map: Vec<MapPoint>,
     /// Every parameter of the model.
     pub parameters: Vec<ParameterResult>,
-    /// Linearly dependent parameters: the combinations that are identifiable.
     pub combinations: Vec<Combination>,
-    /// Pairs of estimated parameters with |r| > 0.9, strongest first, at most ten.
     pub correlations: Vec<Correlation>,
     /// Further measurements that would help, best first.
     pub recommendations: Vec<Recommendation>,
-    /// What the residuals show at single joints beyond chance, strongest first.
+    /// Significant errors of single joints in the residuals, strongest first.
     pub joint_effects: Vec<JointEffect>,
-    /// The change of a bar's zero, or of the tracker's frame, amid the data that the residuals show most.
+    /// The most significant change of a bar's zero or of the tracker's frame.
     pub zero_change: Option<ZeroChange>,
     pub outliers: Vec<Outlier>,
     pub findings: Vec<EstimationFinding>,
-    /// What was found in the inputs before, as in a run.
+    /// Findings about the inputs.
     pub input_findings: Vec<Diagnostic>,
 }
 
@@ -77,12 +70,11 @@ impl CalibrationResult {
         self.findings.iter().cloned().map(Diagnostic::from).chain(self.input_findings.iter().cloned())
     }
 
-    /// Whether a finding throws doubt on the result.
+    /// Whether a finding is more severe than an information.
     pub fn is_doubtful(&self) -> bool {
         self.diagnostics().any(|finding| finding.code.severity() != Severity::Info)
     }
 
-    /// The parameter `id`, if the model has it.
     pub fn parameter(&self, id: ParamId) -> Option<&ParameterResult> {
         self.parameters.iter().find(|parameter| parameter.id == id)
     }
@@ -98,12 +90,12 @@ impl CalibrationResult {
     ) -> impl Iterator<Item = ResidualPair> {
         let (before, after) = (self.before.prepare(), self.posterior.model.prepare());
         rows.into_iter().map(PreparedMeasurement::from).map(move |reading| ResidualPair {
-            before: reading.length_mm - before.length(&reading),
-            after: reading.length_mm - after.length(&reading),
+            before: before.residual(&reading),
+            after: after.residual(&reading),
         })
     }
 
-    /// With a finding of its inputs that it showed itself; a doubt goes along with the robot.
+    /// Adds a finding about the inputs. A warning is also stored with the robot.
     pub fn with_finding(mut self, finding: Diagnostic) -> Self {
         if finding.code.severity() == Severity::Warning {
             self.robot.doubts.push(finding.code.to_string());
@@ -113,30 +105,27 @@ impl CalibrationResult {
         self
     }
 
-    /// Whether the observation at this place of the table is used.
+    /// Whether row number `place` of the observations is used.
     pub fn uses(&self, place: usize) -> bool {
-        let against = |outlier: &Outlier| match &outlier.places {
-            places if places.contains(&place) => Ordering::Equal,
-            places => places.start.cmp(&place),
-        };
-        self.outliers.binary_search_by(against).is_err()
+        let next = self.outliers.partition_point(|outlier| outlier.places.end <= place);
+        self.outliers.get(next).is_none_or(|outlier| !outlier.places.contains(&place))
     }
 }
 
-/// The residuals of one observation, mm: with the nominal robot in the fitted set-up, and with the identified robot.
+/// The residuals of one observation, mm: with the robot at the start in the fitted set-up, and with the identified robot.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ResidualPair {
     pub before: f64,
     pub after: f64,
 }
 
-/// The robot that "before" is about.
+/// The robot at the start of the fit.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum StartRobot {
     #[default]
     Nominal,
-    /// As an earlier run identified it.
+    /// As identified by an earlier run.
     Identified,
 }
 
@@ -145,7 +134,7 @@ pub enum StartRobot {
 pub struct RankSummary {
     pub nominal: usize,
     pub at_solution: usize,
-    /// Of the unit-norm columns of the base set.
+    /// Condition number of the base set, columns scaled to unit norm.
     pub condition: f64,
 }
 
@@ -155,33 +144,33 @@ pub struct SolverSummary {
     pub converged: bool,
 }
 
-/// The standard deviation of a length that the uncertainties go by.
+/// The standard deviation of a length.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SigmaSummary {
     pub mm: f64,
     pub source: SigmaSource,
-    /// Degrees of freedom of an estimated one.
+    /// Degrees of freedom, if it was estimated.
     pub freedom: Option<f64>,
-    /// Half width of a 95 % interval in standard deviations: Student's where sigma was estimated, normal where it was
-    /// given; `None` where nothing is known of the lengths.
+    /// Coverage factor of a 95 % interval: Student's t if sigma was estimated, normal if it was given, `None` if it is
+    /// unknown.
     pub coverage_factor: Option<f64>,
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SigmaSource {
-    /// By the user, or the data's `sigma_mm`.
+    /// From the user, or `sigma_mm` of the data.
     Given,
     /// From the residuals.
     Estimated,
-    /// Nothing is given, and no length is left over to estimate it.
+    /// Not given, and there are too few lengths to estimate it.
     #[default]
     Assumed,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct BeforeAfter {
-    /// Nominal robot.
+    /// Robot at the start.
     pub before: Residual,
     /// Identified robot.
     pub after: Residual,
@@ -202,14 +191,14 @@ pub struct Folds {
     pub rms: f64,
 }
 
-/// Predicted position uncertainty over the workspace: of the nominal robot by its tolerance, and of the identified one.
+/// Predicted position uncertainty over the workspace, of the nominal robot by its tolerance and of the identified one.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PredictedPair {
     pub nominal: ErrorSummary,
     pub identified: ErrorSummary,
 }
 
-/// Where the ball is (robot base, mm) and the root mean square of its predicted position error there, mm.
+/// A position of the tool ball (robot base, mm) and its predicted position error (root mean square, mm).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MapPoint {
     pub position: Vector3<f64>,
@@ -219,7 +208,7 @@ pub struct MapPoint {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PriorUsed {
     pub source: PriorSource,
-    /// Factor on its standard deviations: above 1 where the tolerance of the robot's file is too small for the lengths.
+    /// Factor on its standard deviations: above 1 if the default tolerance was widened to fit the lengths.
     pub scale: f64,
 }
 
@@ -240,17 +229,16 @@ impl PriorUsed {
 pub enum PriorSource {
     Datasheet,
     File,
-    /// What an earlier identification left.
+    /// That of an earlier identification.
     Posterior,
 }
 
-/// A Monte Carlo of the uncertainties.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct MonteCarlo {
     pub trials: usize,
     /// Trials whose fit converged.
     pub used: usize,
-    /// Parameters whose interval differs from the linear one by more than chance.
+    /// Parameters whose interval differs significantly from the linearised one.
     pub disagree: Vec<ParamId>,
 }
 
@@ -259,11 +247,11 @@ pub struct ParameterResult {
     pub id: ParamId,
     pub start: f64,
     pub nominal: f64,
-    /// Value found, or the one at which it was fixed.
+    /// Estimated, or the value at which it was fixed.
     pub identified: f64,
     /// Identified minus nominal.
     pub correction: f64,
-    /// Standard deviation; `None` of what was not estimated.
+    /// Standard deviation; `None` if it was not estimated.
     pub sd: Option<f64>,
     pub interval95: Option<[f64; 2]>,
     pub monte_carlo: Option<ParameterDraws>,
@@ -276,12 +264,12 @@ impl ParameterResult {
     }
 }
 
-/// The status of a parameter. The words in `result.json` are those of its first schema.
+/// The status of a parameter; the names in `result.json` are those of schema 1.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Status {
     Identified,
-    /// Another member of its combination carries it.
+    /// Linearly dependent; another member of its combination is estimated.
     Dependent,
     #[serde(rename = "held")]
     Fixed,
@@ -295,20 +283,20 @@ pub enum Status {
 #[derive(Clone, Debug, PartialEq)]
 pub enum Reason {
     Identified,
-    /// It represents a combination, which the prior shares out among its members or not.
+    /// As a member of a combination; `shared` if the prior distributes it among several members.
     IdentifiedFor {
         combination: Combination,
         shared: bool,
     },
-    /// The lengths determine only this combination of it; the prior shares it out.
+    /// The lengths determine only the combination; the prior distributes it.
     PriorShares {
         combination: Option<Combination>,
     },
-    /// The lengths alone leave this standard deviation.
+    /// By the prior: the lengths alone give only this standard deviation.
     PriorCarries {
         data_sd: f64,
     },
-    /// Its group's variance is set by the evidence; the share of it that the lengths determine.
+    /// With a variance of its group by the evidence; the fraction of it that the lengths determine.
     ByEvidence {
         determined: f64,
     },
@@ -318,11 +306,11 @@ pub enum Reason {
     FixedAsAsked,
     NotAsked,
     ChangesNoLength,
-    /// Poses leave a place open by more than this.
+    /// A place whose standard deviation would exceed the limit.
     Open {
         limit: f64,
     },
-    /// Its standard deviation would be larger than this.
+    /// Its standard deviation would exceed the limit.
     PoorlyObservable {
         limit: f64,
     },
@@ -348,36 +336,35 @@ pub struct ParameterDraws {
     pub interval95: [f64; 2],
 }
 
-/// A further measurement that was tried on the model.
+/// A further measurement with its simulated effect.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Recommendation {
     pub measure: FurtherMeasurement,
-    /// Lengths to be measured.
+    /// Number of lengths to measure.
     pub poses: usize,
-    /// Predicted mean position error of the result as it is, mm.
+    /// Predicted mean position error of the result, mm.
     pub before_mm: f64,
-    /// The same with it and a prior (that of the result, else the datasheet's), mm.
+    /// The same with the measurement and a prior (that of the result, else the datasheet's), mm.
     pub after_mm: f64,
-    /// Whether the result itself has no prior.
+    /// Whether the result has no prior.
     pub needs_prior: bool,
-    /// Whether it lowers the error by more than 3 % of what the prior alone leaves.
+    /// Whether it lowers the error with the prior alone by more than 3 %.
     pub adds: bool,
     /// Parameters that it would identify and that are not identified now.
     pub identifies: Vec<ParamId>,
 }
 
-/// What could be measured.
 #[derive(Clone, Debug, PartialEq)]
 pub enum FurtherMeasurement {
-    /// Nothing: the same lengths with the tolerance of the robot's file as prior.
+    /// The same lengths with the tolerance of the robot's file as prior.
     Prior,
     /// Circles in other planes about the same ball.
     Circle { planes: Vec<CirclePlane> },
-    /// The same places with the wrist turned more.
+    /// The same positions with other wrist orientations.
     Wrist { degrees: f64 },
     /// A further ball (robot base, mm).
     Ball { at_mm: [f64; 3] },
-    /// The same poses and ball, turned about axis 1.
+    /// The same poses and ball, rotated about axis 1.
     TurnedBall { at_mm: [f64; 3] },
     /// Another length of the bar on the same ball.
     Bar { length_mm: f64 },
@@ -388,22 +375,22 @@ pub enum CirclePlane {
     Xy,
     Xz,
     Yz,
-    /// XY tilted by so many degrees.
+    /// XY tilted, degrees.
     TiltedAboutX(f64),
     TiltedAboutY(f64),
 }
 
-/// An error of a joint that the residuals show and the model lacks.
+/// An error of a joint that the model lacks, found in the residuals.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct JointEffect {
     /// From 1.
     pub axis: usize,
     pub error: JointError,
-    /// What it does to the lengths beyond what the fit has taken up, root mean square, mm.
+    /// Its effect on the lengths that the fit does not compensate, root mean square, mm.
     pub rms_mm: f64,
-    /// The whole reversal error, rad.
+    /// The reversal error, rad.
     pub play_rad: Option<f64>,
-    /// The chance of such residuals on a sound joint, before the number of tests counts.
+    /// The p-value of the single test.
     pub chance: f64,
     /// The same as a normal deviate.
     pub z: f64,
@@ -412,43 +399,43 @@ pub struct JointEffect {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum JointError {
-    /// It returns with the axis angle: transmission error, or sag.
+    /// A function of the joint angle: transmission error, or sag.
     Angle,
-    /// It goes with the sense of the motion: backlash, or lag.
+    /// Depends on the sense of motion: backlash, or lag.
     Reversal,
 }
 
 /// A measurement that is not used.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Outlier {
-    /// The places of its rows among the observations.
+    /// Its row numbers in the observations.
     #[serde(skip)]
     pub places: Range<usize>,
-    /// The observation's index.
+    /// Its index column.
     pub index: u32,
-    /// None of a position.
+    /// `None` for a position.
     #[serde(rename = "centre")]
     pub ball: Option<BallId>,
-    /// Of a position the distance.
+    /// For a position the 3-D distance.
     pub residual_mm: f64,
 }
 
-/// What a result was made from: the measurements used, by their kind.
+/// The number of used measurements by their kind.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct MadeFrom {
     pub lengths: usize,
     pub positions: usize,
-    /// On the tool, the tool ball among them.
+    /// Targets on the tool, including the tool ball.
     pub targets: usize,
 }
 
 impl MadeFrom {
     pub(super) fn of(observations: &Measurements, outliers: &[Outlier]) -> Self {
         let positions = observations.positions().count();
-        let out = outliers.iter().filter(|outlier| outlier.ball.is_none()).count();
+        let rejected_positions = outliers.iter().filter(|outlier| outlier.ball.is_none()).count();
         Self {
-            lengths: observations.count() - positions - (outliers.len() - out),
-            positions: positions - out,
+            lengths: observations.count() - positions - (outliers.len() - rejected_positions),
+            positions: positions - rejected_positions,
             targets: observations.targets(),
         }
     }

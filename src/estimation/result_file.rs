@@ -1,4 +1,4 @@
-//! `result.json`, schema 1: the form in which a result is written and read back. Here names become strings.
+//! `result.json`, schema 1: the form in which a result is written and read. Names are strings here.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -16,14 +16,14 @@ use super::{
 use crate::base::serialised::check_seal;
 use crate::catalogue::ConformityFinding;
 use crate::diagnostic::{Diagnostic, Severity};
-use crate::robot::{AXES, Process, Robot};
+use crate::robot::Robot;
 
-/// The whole result; lengths in mm, angles in rad.
+/// Lengths in mm, angles in rad.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ResultFile {
     pub schema: u32,
     pub robot: String,
-    /// The robot that `before` and `nominal` are about.
+    /// The robot to which `before` refers.
     #[serde(default)]
     pub start: StartRobot,
     pub observations: usize,
@@ -41,7 +41,7 @@ pub struct ResultFile {
     pub coverage_factor: Option<f64>,
     pub prior: Option<PriorUsed>,
     pub groups: Vec<ErrorGroup>,
-    pub joint_errors: Option<JointErrors>,
+    pub joint_errors: Option<JointSummary>,
     pub monte_carlo: Option<MonteCarlo>,
     pub residual_mm: BeforeAfter,
     pub folds: Option<Folds>,
@@ -59,20 +59,18 @@ pub struct ResultFile {
 }
 
 impl ResultFile {
-    /// Of the text of `file`.
-    ///
     /// # Errors
-    /// It is no result, or was edited.
+    /// The text is not that of a result, or it was edited.
     pub fn from_json(file: &str, text: &str) -> Result<Self, Diagnostic> {
         check_seal(text).map_err(|finding| Diagnostic::file(file, finding))?;
         serde_json::from_str(text)
             .map_err(|error| Diagnostic::file(file, ConformityFinding::Incomplete { why: error.to_string() }))
     }
 
-    /// The path where the result of a robot file is looked for, and what is there. `read` reads a file where there is one.
+    /// The result file beside a robot file, and its path. `read` returns the text of a file if it exists.
     ///
     /// # Errors
-    /// It cannot be read; as [`Self::from_json`].
+    /// As [`Self::from_json`], and those of `read`.
     pub fn beside(
         robot_file: &Path,
         robot: &Robot,
@@ -90,31 +88,27 @@ impl ResultFile {
     }
 }
 
-/// What is beside a robot file.
+/// The result file beside a robot file.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Beside {
-    /// The result that the robot came with.
+    /// Of the same calibration.
     Own(Box<ResultFile>),
-    /// That of another robot or calibration.
+    /// Of another robot or calibration.
     Another,
     Nothing,
 }
 
-/// What the evidence says of a group of errors.
+/// A [`GroupEvidence`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ErrorGroup {
     pub name: String,
-    /// One standard deviation of its members, rad; of compliance in prior standard deviations.
     pub sd: f64,
-    /// How many of its members the data determine.
     pub effective_parameters: f64,
-    /// What it explains of the lengths, root mean square, and its share of the squares that the geometry alone leaves.
     pub rms_mm: f64,
     pub share: f64,
     pub text: String,
 }
 
-/// One parameter.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ParameterResult {
     pub name: String,
@@ -130,7 +124,7 @@ pub struct ParameterResult {
     pub reason: String,
 }
 
-/// A further measurement that was tried on the model.
+/// A [`Recommendation`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Advice {
     pub kind: Kind,
@@ -143,7 +137,7 @@ pub struct Advice {
     pub tells: Vec<String>,
 }
 
-/// A direction of which only a combination is determined.
+/// A [`Combination`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Dependent {
     pub combination: BTreeMap<String, f64>,
@@ -151,15 +145,16 @@ pub struct Dependent {
     pub text: String,
 }
 
-/// Whether a warning is to be known, or throws doubt on the result (exit code 3).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum WarningKind {
+    /// An information.
     Note,
+    /// A warning (exit code 3).
     Doubt,
 }
 
-/// What the user must see.
+/// A finding.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Warning {
     pub kind: WarningKind,
@@ -171,7 +166,6 @@ pub struct Warning {
     pub values: serde_json::Value,
 }
 
-/// The kinds of further measurement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Kind {
@@ -203,7 +197,7 @@ impl From<&CalibrationResult> for ResultFile {
             coverage_factor: result.sigma.coverage_factor,
             prior: result.prior,
             groups: result.joints.iter().flat_map(|joints| &joints.groups).map(ErrorGroup::from).collect(),
-            joint_errors: result.joints.as_ref().map(JointErrors::from),
+            joint_errors: result.joints.clone(),
             monte_carlo: result.monte_carlo.clone(),
             residual_mm: result.residual_mm,
             folds: result.folds,
@@ -217,34 +211,6 @@ impl From<&CalibrationResult> for ResultFile {
             joints: result.joint_effects.clone(),
             outliers: result.outliers.clone(),
             warnings: result.diagnostics().map(Warning::from).collect(),
-        }
-    }
-}
-
-/// Errors of the joints by the evidence.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct JointErrors {
-    /// Standard deviation of the pose in each direction, and of a length beside it.
-    pub pose_sigma_mm: f64,
-    pub length_sigma_mm: f64,
-    /// What the smooth functions are the sum of: a quick and a slow process.
-    pub smooth: [Process; 2],
-    /// Half of the reversal error of each joint as noise, where no sense of approach is known.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub backlash_noise_rad: Option<[f64; AXES]>,
-    /// Gain in the logarithm of the evidence over the geometry alone.
-    pub log_evidence_gain: f64,
-}
-
-impl From<&JointSummary> for JointErrors {
-    fn from(joints: &JointSummary) -> Self {
-        let &JointSummary { smooth, pose_mm, length_mm, backlash_noise_rad, gain, .. } = joints;
-        Self {
-            pose_sigma_mm: pose_mm,
-            length_sigma_mm: length_mm,
-            smooth,
-            backlash_noise_rad,
-            log_evidence_gain: gain,
         }
     }
 }
@@ -283,9 +249,9 @@ impl From<&result::ParameterResult> for ParameterResult {
 
 impl From<&Combination> for Dependent {
     fn from(combination: &Combination) -> Self {
-        let member = |(id, share): &(crate::robot::ParamId, f64)| (id.to_string(), *share);
+        let members = combination.members.iter().map(|(id, share)| (id.to_string(), *share));
         Self {
-            combination: combination.members.iter().map(member).collect(),
+            combination: members.collect(),
             kept: combination.kept.to_string(),
             text: combination.to_string(),
         }

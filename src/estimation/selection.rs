@@ -1,5 +1,5 @@
-//! Which parameters are estimated: what the data determine well enough, what a prior binds, and which places of the balls
-//! poses leave open.
+//! The choice of the estimated parameters: those that the data determine well enough or a prior binds, without the places
+//! that the poses leave open.
 
 use super::estimate::Search;
 use super::lengths::{Sigma, Weighted};
@@ -11,13 +11,13 @@ use crate::math::base_set;
 use crate::measurement::LengthModel;
 use crate::robot::ParamId;
 
-/// Which parameters an estimate is of.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Choice {
+    /// The parameters to estimate.
     pub(super) kept: Vec<ParamId>,
-    /// Those of them that are independent for the lengths alone.
+    /// Those of them that are independent by the lengths alone.
     pub(super) base: Vec<ParamId>,
-    /// Fixed, weakest first.
+    /// Fixed parameters, weakest first.
     pub(super) poorly_observable: Vec<ParamId>,
     /// Bars whose offset the lengths do not determine, so that a prior binds it.
     pub(super) undetermined_bars: Vec<ParamId>,
@@ -28,55 +28,48 @@ impl Choice {
         let Search { setting, base, set_up, implausible, .. } = search;
         let lengths = search.lengths.weighted(search.noise.sigma, &[]);
         match setting.options.prior {
-            Prior::None if setting.options.follows_list() => Self::all(base),
+            Prior::None if setting.options.follows_list() => Self::all(base.clone()),
             Prior::None => {
-                let left = without(base, implausible);
-                let poor = poorly_observable(&setting.priors, &set_up.model, &lengths, &left);
-                let poor = [implausible.as_slice(), poor.as_slice()].concat();
-                Self { poorly_observable: poor.clone(), ..Self::all(&without(base, &poor)) }
+                let plausible = without(base, implausible);
+                let poor = poorly_observable(&setting.priors, &set_up.model, &lengths, &plausible);
+                let kept = Self::all(without(&plausible, &poor));
+                Self { poorly_observable: [implausible.as_slice(), &poor].concat(), ..kept }
             }
             Prior::Datasheet | Prior::Given(_) | Prior::Posterior => Self::bound(search, &lengths),
         }
     }
 
-    /// The whole base set, as the user's list is followed.
-    fn all(base: &[ParamId]) -> Self {
-        Self {
-            kept: base.to_vec(),
-            base: base.to_vec(),
-            poorly_observable: vec![],
-            undetermined_bars: vec![],
-        }
+    fn all(base: Vec<ParamId>) -> Self {
+        Self { kept: base.clone(), base, poorly_observable: vec![], undetermined_bars: vec![] }
     }
 
-    /// All that a prior binds or the lengths determine.
+    /// Everything that a prior binds or the lengths determine.
     fn bound(search: &Search<'_>, lengths: &Weighted) -> Self {
         let Search { setting, base, analysis, set_up, .. } = search;
         let mut undetermined_bars = weak_bars(&setting.priors, base, &set_up.model, lengths);
         undetermined_bars.extend(analysis.dependent().into_iter().filter(is_bar));
         let sharing = prior::sharing(&setting.priors, &undetermined_bars, analysis);
-        let mut kept = [base.as_slice(), sharing.as_slice()].concat();
+        let mut kept = [base.as_slice(), &sharing].concat();
         kept.sort();
-        Self { kept, poorly_observable: search.open.clone(), undetermined_bars, ..Self::all(base) }
+        Self { kept, poorly_observable: search.open.clone(), undetermined_bars, base: base.clone() }
     }
 }
 
-fn without(ids: &[ParamId], out: &[ParamId]) -> Vec<ParamId> {
-    ids.iter().copied().filter(|id| !out.contains(id)).collect()
+fn without(ids: &[ParamId], excluded: &[ParamId]) -> Vec<ParamId> {
+    ids.iter().copied().filter(|id| !excluded.contains(id)).collect()
 }
 
 pub(super) fn is_bar(id: &ParamId) -> bool {
     matches!(id, ParamId::BarOffset(_))
 }
 
-/// Whether a parameter says where a target, a base ball or the tracker is.
+/// Whether a parameter belongs to the position of a target, of a base ball or of the tracker.
 pub(crate) fn is_place(id: &ParamId) -> bool {
     id.is_setup() && !is_bar(id)
 }
 
-/// The parameters of `ids` that these lengths determine too weakly, weakest first: each is fixed before the next is
-/// judged. Fixing one lowers the noise of the others, but its own error, of the size of its tolerance, then leaks into
-/// them, and counts.
+/// The parameters of `ids` that the lengths determine worse than their limit, weakest first. They are fixed one by one: fixing
+/// a parameter lowers the noise of the others, but its own error, of the size of its tolerance, leaks into them.
 fn poorly_observable(
     priors: &Priors,
     model: &LengthModel,
@@ -87,24 +80,27 @@ fn poorly_observable(
     let (optional, mut kept): (Vec<usize>, Vec<usize>) =
         (0..ids.len()).partition(|&at| ids[at].is_optional());
     let mut weak: Vec<usize> = Vec::new();
-    let mut fix = |kept: &mut Vec<usize>, judged: fn(ParamId) -> bool, fixed: fn(ParamId) -> bool| loop {
+    // Fixes the weakest of the `fixable` parameters as long as a `judged` one exceeds its limit.
+    let mut fix = |kept: &mut Vec<usize>, judged: fn(ParamId) -> bool, fixable: fn(ParamId) -> bool| loop {
         let sd = Partition { ids, data: &data, kept, fixed: &weak }.sd(priors);
+        let limited = (0..kept.len()).filter(|&k| priors.weak_limit(ids[kept[k]]).is_finite());
         let ratios: Vec<(usize, f64)> =
-            (0..kept.len()).filter_map(|k| Some((k, sd[k] / priors.weak_limit(ids[kept[k]])?))).collect();
-        let enough = ratios.iter().all(|(k, ratio)| *ratio <= 1.0 || !judged(ids[kept[*k]]));
+            limited.map(|k| (k, sd[k] / priors.weak_limit(ids[kept[k]]))).collect();
+        let exceeds =
+            ratios.iter().any(|(k, ratio)| judged(ids[kept[*k]]) && (*ratio > 1.0 || ratio.is_nan()));
         let weakest =
-            ratios.iter().filter(|(k, _)| fixed(ids[kept[*k]])).max_by(|(_, a), (_, b)| a.total_cmp(b));
+            ratios.iter().filter(|(k, _)| fixable(ids[kept[*k]])).max_by(|(_, a), (_, b)| a.total_cmp(b));
         match weakest {
-            Some((k, _)) if !enough => weak.push(kept.remove(*k)),
+            Some((k, _)) if exceeds => weak.push(kept.remove(*k)),
             _ => break,
         }
     };
-    // Bars go first: on circles of one radius their offset is a scale of the robot by another name,
-    // and a robot's length that were fixed in its stead would bend all the others.
+    // Bars are fixed first: on circles of one radius their offset is equivalent to a scale of the robot, and a length of the
+    // robot that were fixed instead would distort all others.
     let bar = |id: ParamId| is_bar(&id);
     fix(&mut kept, bar, bar);
     fix(&mut kept, |_| true, |_| true);
-    // What is optional must not cost a parameter that the data determine without it.
+    // An optional parameter is fixed before a parameter that the data determine without it.
     if !optional.is_empty() {
         kept.extend(optional);
         fix(&mut kept, |_| true, ParamId::is_optional);
@@ -112,20 +108,19 @@ fn poorly_observable(
     weak.into_iter().map(|at| ids[at]).collect()
 }
 
-/// The bars for whose offset the lengths alone are too weak. A prior on the robot must not decide it: on
-/// circles of one radius it would turn the maker's tolerance into a length of the bar.
+/// The bars whose offset the lengths alone do not determine. The prior of the robot must not do it: on circles of one radius
+/// the robot's tolerance would determine the length of the bar.
 fn weak_bars(priors: &Priors, base: &[ParamId], model: &LengthModel, lengths: &Weighted) -> Vec<ParamId> {
-    let bars = (0..base.len()).filter(|&at| is_bar(&base[at]));
-    if bars.clone().next().is_none() {
+    if !base.iter().any(is_bar) {
         return vec![];
     }
     let sd = data_sd(model, lengths, base);
-    let limit = |id| priors.weak_limit(id).unwrap_or(f64::INFINITY);
-    bars.filter(|&bar| sd.as_ref().is_none_or(|sd| sd[bar] > limit(base[bar]))).map(|bar| base[bar]).collect()
+    let is_weak = |at: usize| sd.as_ref().is_none_or(|sd| sd[at] > priors.weak_limit(base[at]));
+    (0..base.len()).filter(|&at| is_bar(&base[at]) && is_weak(at)).map(|at| base[at]).collect()
 }
 
-/// The parameter whose correction is least plausible, if one is: the data determine it worse than its tolerance, and it is
-/// further off than tolerance and data allow together. It carries what the model lacks, or what is fixed.
+/// The parameter whose correction is least plausible, if any: the data determine it worse than its tolerance does, and the
+/// correction is larger than tolerance and data allow. It compensates errors that the model lacks, or fixed parameters.
 pub(super) fn most_implausible(
     search: &Search<'_>,
     fitted: &LengthModel,
@@ -144,9 +139,9 @@ pub(super) fn most_implausible(
         .map(|(id, _)| id)
 }
 
-/// What is asked for without those places of tool, base balls and tracker that the lengths leave open, or determine only with
-/// others, even of the nominal robot, as where the tool never turns: fitted alone they would run off together. The
-/// balls go before the tool, which is known better beforehand.
+/// The parameters asked for, without the places of tool, base balls and tracker that the lengths do not determine even for
+/// the nominal robot (as if the tool never turns): in a fit of the set-up they would diverge together. Base balls are
+/// preferred to the tool, whose prior is better.
 pub(crate) fn without_open_places(
     priors: &Priors,
     start: &LengthModel,
@@ -164,24 +159,23 @@ pub(crate) fn without_open_places(
     Some(asked.iter().copied().filter(free).collect())
 }
 
-/// Which of these places lengths at the nominal robot leave open, worst first.
+/// Which of these places the lengths leave open for the nominal robot, worst first.
 pub(super) fn open_places(
     priors: &Priors,
     model: &LengthModel,
     lengths: &Weighted,
     mut places: Vec<ParamId>,
 ) -> Vec<ParamId> {
-    // The nominal robot fits no better than this.
-    let lengths = lengths.by(Sigma::All(priors.nominal_fit_mm()));
+    // The nominal robot fits no better than its tolerance.
+    let lengths = lengths.by(Sigma::All(priors.length_tolerance_mm()));
     let mut open = Vec::new();
     while !places.is_empty() {
         let Some(sd) = data_sd(model, &lengths, &places) else { break };
         let ratio = |k: &usize| sd[*k] / open_limit(places[*k]);
-        let Some(worst) = (0..places.len()).max_by(|a, b| ratio(a).total_cmp(&ratio(b))) else { break };
-        if ratio(&worst) <= 1.0 {
-            break;
+        match (0..places.len()).max_by(|a, b| ratio(a).total_cmp(&ratio(b))) {
+            Some(worst) if ratio(&worst) > 1.0 => open.push(places.remove(worst)),
+            _ => break,
         }
-        open.push(places.remove(worst));
     }
     open
 }

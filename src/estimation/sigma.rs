@@ -1,18 +1,18 @@
-//! The noise of the lengths: one model for a plan and for an estimate.
+//! The noise of the lengths: one model for plans and estimates.
 //!
-//! The variance of a length is s^2 + t^2: s its own standard deviation (the bar's), t a further one (the robot's
-//! repeatability, what the model lacks). Beforehand t is r, the repeatability in the robot file, worth [`PRIOR_FREEDOM`]
-//! lengths. After the fit with n lengths and p parameters t^2 solves
+//! The variance of a length is s^2 + t^2, where s is its own standard deviation (of the bar) and t a further one (the
+//! repeatability of the robot, errors that the model lacks). The prior of t is r, the repeatability in the robot file, with
+//! the weight of nu0 = [`PRIOR_FREEDOM`] lengths. After a fit of p parameters to n lengths with the residuals v, t^2 solves
 //!
-//!   sum v^2 / (s^2 + t^2) + nu0 r^2 / t^2 = (n - p) + nu0,
+//!   sum v^2 / (s^2 + t^2) + nu0 r^2 / t^2 = (n - p) + nu0.
 //!
-//! v the residuals: Paule and Mandel's equation (J. Res. NBS 87, 1982) with the prior as nu0 residuals of size r, so that few
-//! lengths that agree by chance do not pretend to more than the robot repeats. The prior is dropped where the residuals are
-//! smaller than it allows once in a thousand; without it s is kept as long as chance explains the residuals.
+//! This is the equation of Paule and Mandel (J. Res. NBS 87, 1982) with the prior as nu0 residuals of size r, so that few
+//! lengths that agree by chance do not give a t far below the repeatability. The prior is dropped where the residuals are too
+//! small for it (at 0.001). Without the prior, t is 0 as long as chance explains the residuals.
 
 use super::fit::Fit;
 use super::lengths::{Lengths, Sigma, Weighted};
-use super::linear_system::LinearSystem;
+use super::linear_system::linear_system;
 use super::selection::is_bar;
 use crate::math::distributions::ChiSquare;
 use crate::measurement::PreparedMeasurement;
@@ -20,28 +20,26 @@ use crate::robot::{ParamId, Robot};
 
 /// Degrees of freedom of the repeatability in a robot file: it is known to a factor of about 1.4.
 const PRIOR_FREEDOM: f64 = 4.0;
-/// Lengths are not better than this, mm: it keeps exact data from a division by zero.
+/// Least standard deviation of a length, mm, so that exact data cause no division by zero.
 const FLOOR_MM: f64 = 1e-9;
 
-/// Standard deviation of a length before any residual, mm: the bar's, and the robot's repeatability where it is known.
+/// The a priori standard deviation of a length, mm: of the bar, and of the robot's repeatability if it is known.
 pub fn length_sd_mm(bar_mm: f64, robot: &Robot) -> f64 {
     bar_mm.hypot(robot.repeatability_sd_mm().unwrap_or(0.0))
 }
 
-/// By what lengths are weighted.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Noise {
     pub(super) sigma: Sigma,
-    /// Degrees of freedom of what residuals gave; none where they gave nothing.
+    /// Degrees of freedom, if the residuals were used.
     pub(super) freedom: Option<f64>,
 }
 
 impl Noise {
-    /// As the lengths' own standard deviations are given.
     pub(super) const GIVEN: Self = Self { sigma: Sigma::Given, freedom: None };
 
-    /// Before any residual.
-    fn beforehand(lengths: &Lengths) -> Self {
+    /// A priori: without the residuals.
+    fn prior(lengths: &Lengths) -> Self {
         let sigma = match lengths.repeatability_mm {
             Some(mm) if lengths.known => Sigma::And(mm * mm),
             Some(mm) => Sigma::All(mm),
@@ -50,21 +48,20 @@ impl Noise {
         Self { sigma, freedom: None }
     }
 
-    /// Before the fit, or where a prior widens its residuals: what a linear fit of the base set leaves.
+    /// From the residuals of a linearised fit of the base set: before the fit, or if a prior increases its residuals.
     pub(super) fn of_linear_fit(lengths: &Lengths, fit: &Fit, base: &[ParamId]) -> Self {
         if lengths.vouched {
             return Self::GIVEN;
         }
-        let beforehand = Self::beforehand(lengths).sigma;
-        let used = lengths.weighted(beforehand, &fit.out);
+        let prior = Self::prior(lengths);
+        let used = lengths.weighted(prior.sigma, &fit.outliers);
         let freedom = used.count() as f64 - base.len() as f64;
-        // Lengths of one size determine a bar and the robot's size only together: a robot without size would fit whatever
-        // its angles are.
+        // Equal lengths determine the bar and the scale of the robot only together. With a free bar a robot of size zero
+        // would fit them with any angles.
         let sized: Vec<ParamId> = base.iter().copied().filter(|id| !is_bar(id)).collect();
-        let squares =
-            |used: Weighted<'_>| LinearSystem::at(&fit.model, &used, &sized).residual_sum().max(0.0);
+        let squares = |used: Weighted<'_>| linear_system(&fit.model, &used, &sized).residual_sum().max(0.0);
         if freedom <= 0.0 {
-            return Self::beforehand(lengths);
+            return prior;
         }
         if let Some(mm) = lengths.repeatability_mm {
             let sum = squares(used);
@@ -84,27 +81,27 @@ impl Noise {
         }
     }
 
-    /// After the fit of so many parameters.
+    /// From the residuals of a fit of so many parameters.
     pub(super) fn of_fit(lengths: &Lengths, fit: &Fit, parameters: usize) -> Self {
         if lengths.vouched {
             return Self::GIVEN;
         }
-        let used = lengths.weighted(Sigma::Given, &fit.out);
+        let prior = Self::prior(lengths);
+        let used = lengths.weighted(Sigma::Given, &fit.outliers);
         let freedom = used.count() as f64 - parameters as f64;
         if freedom <= 0.0 {
-            return Self::beforehand(lengths);
+            return prior;
         }
         let prepared = fit.model.prepare();
         let square = |reading: &PreparedMeasurement| {
-            let residual = reading.length_mm - prepared.length(reading);
+            let residual = prepared.residual(reading);
             residual * residual
         };
         let chi = |sigma: Sigma| {
             let sum = used.by(sigma).sum(|reading, sigma| square(reading) / (sigma * sigma));
             ChiSquare::of(sum / freedom, freedom)
         };
-        let beforehand = Self::beforehand(lengths).sigma;
-        let prior = lengths.repeatability_mm.filter(|_| chi(beforehand) != ChiSquare::Less);
+        let prior = lengths.repeatability_mm.filter(|_| chi(prior.sigma) != ChiSquare::Less);
         let prior_freedom = prior.map_or(0.0, |_| PRIOR_FREEDOM);
         let of_prior = prior.map_or(0.0, |mm| PRIOR_FREEDOM * mm * mm);
         if !lengths.known {
@@ -115,8 +112,11 @@ impl Noise {
         if prior.is_none() && chi(Sigma::Given) != ChiSquare::Greater {
             return Self::GIVEN;
         }
-        // How large it is, an even sample of many shows to one part in a hundred.
-        let mut squares = used.some(|reading, sigma| (square(reading), sigma * sigma));
+        // An even sample of many lengths determines it to one part in a hundred.
+        let sample = used.used_sample().into_iter();
+        let mut squares: Vec<(f64, f64)> =
+            sample.map(|(reading, sigma)| (square(&reading), sigma * sigma)).collect();
+        // The square of a very large sigma overflows.
         squares.retain(|(_, s2)| s2.is_finite());
         let wanted = freedom * (squares.len() as f64 / used.count() as f64) + prior_freedom;
         let (mut low, mut high) = (0.0, squares.iter().map(|(r2, _)| r2).sum::<f64>() + of_prior);
@@ -128,7 +128,7 @@ impl Noise {
         Self::further(lengths, high, freedom + prior_freedom)
     }
 
-    /// With a further variance, mm^2, which is all of it where the lengths' own is not known.
+    /// With a further variance, mm^2; it is the whole variance if none is given for the lengths.
     fn further(lengths: &Lengths, square: f64, freedom: f64) -> Self {
         let sigma = match lengths.known {
             true => Sigma::And(square),

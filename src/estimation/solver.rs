@@ -1,57 +1,51 @@
-//! Levenberg-Marquardt on the lengths, with column scaling, a robust loss by reweighting, and prior rows.
+//! Levenberg-Marquardt with column scaling, a robust loss by reweighting, and prior rows.
 //!
-//! Damping follows Nielsen ("Damping parameter in Marquardt's method", IMM-REP-1999-05): it grows
-//! faster with each refusal and shrinks by the gain ratio. It starts so small that the first steps are
-//! Gauss-Newton's.
+//! Damping follows Nielsen ("Damping parameter in Marquardt's method", IMM-REP-1999-05): it grows faster with each rejected
+//! step and shrinks by the gain ratio. It starts so small that the first steps are Gauss-Newton steps.
 
 use nalgebra::DVector;
 
 use super::lengths::Weighted;
-use super::linear_system::{LinearSystem, Rows};
+use super::linear_system::{Rows, add_prior};
 use super::prior::PriorRows;
 use crate::math::{Triangle, robust};
 use crate::measurement::LengthModel;
 use crate::robot::ParamId;
 
-/// What is to be fitted.
 pub(super) struct Problem<'a> {
     pub(super) lengths: Weighted<'a>,
-    /// Parameters to fit.
+    /// The parameters to fit.
     pub(super) ids: &'a [ParamId],
     pub(super) loss: Loss,
     pub(super) prior: Option<&'a PriorRows>,
 }
 
-/// How large residuals count.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Loss {
-    /// By their square.
     Squares,
-    /// Linearly beyond 1.345 robust standard deviations (Huber).
+    /// Huber's loss: linear beyond 1.345 robust standard deviations.
     Huber,
 }
 
-/// Where the solver came to rest.
 #[derive(Clone, Debug)]
 pub(super) struct Solution {
     pub(super) model: LengthModel,
     pub(super) iterations: usize,
     pub(super) converged: bool,
-    /// Residuals, measured minus predicted, in sigmas (an even sample of many lengths), where they were last taken: at
-    /// the model, or at one whose lengths are the same to rounding.
+    /// Whitened residuals at the model, or at one whose lengths differ by rounding; an even sample of many lengths.
     pub(super) residuals: Vec<f64>,
     /// The same at the start.
     pub(super) first: Vec<f64>,
 }
 
 const HUBER: f64 = 1.345;
-/// A residual scale below this (in sigmas or mm) is rounding, not noise.
+/// A residual scale below this (in standard deviations or mm) is rounding, not noise.
 pub(super) const ROUNDING: f64 = 1e-9;
 const MAX_STEPS: usize = 100;
-/// A step that changes the lengths by less than this (rms, mm) is none.
+/// A step that changes the lengths by less than this (RMS, mm) ends the iteration.
 const REST_MM: f64 = 1e-10;
 
-/// Minimises the weighted residuals over `problem.ids`, from `start`.
+/// Minimises the loss over `problem.ids`, from `start`.
 pub(super) fn minimise(problem: &Problem, start: &LengthModel) -> Solution {
     if problem.ids.is_empty() {
         let residuals = whitened(&problem.lengths, start);
@@ -75,15 +69,15 @@ pub(super) fn minimise(problem: &Problem, start: &LengthModel) -> Solution {
     Solution { model, iterations: steps, converged, residuals: here.residuals, first }
 }
 
-/// What a step came to.
+/// The outcome of a step.
 enum Progress {
     Lower,
     AtRest,
-    /// No step lowers the cost, or there were too many.
+    /// No step lowers the cost, or there were too many steps.
     Stuck,
 }
 
-/// Where the solver is.
+/// The state of the iteration.
 struct Descent<'a> {
     problem: &'a Problem<'a>,
     model: LengthModel,
@@ -93,7 +87,7 @@ struct Descent<'a> {
     scale: DVector<f64>,
     damping: f64,
     growth: f64,
-    /// A change of the whitened lengths below this is none.
+    /// [`REST_MM`] as a norm of whitened lengths.
     rest: f64,
     steps: usize,
 }
@@ -114,7 +108,7 @@ impl<'a> Descent<'a> {
         }
     }
 
-    /// Linearises anew and refuses steps until one lowers the cost.
+    /// Linearises and increases the damping until a step lowers the cost.
     fn step(&mut self) -> Progress {
         let threshold = match self.problem.loss {
             Loss::Squares => f64::INFINITY,
@@ -124,7 +118,7 @@ impl<'a> Descent<'a> {
             self.here = Equations::at(self.problem, &self.model, threshold);
         }
         let cost = self.here.cost;
-        // Exact lengths: what is left is rounding, and would only push along what they do not determine.
+        // With exact lengths only rounding is left, which would drive parameters that are hardly determined.
         if cost.sqrt() <= 0.1 * self.rest {
             return Progress::AtRest;
         }
@@ -135,11 +129,11 @@ impl<'a> Descent<'a> {
         }
         while self.steps < MAX_STEPS {
             self.steps += 1;
-            if let Some(step) = self.here.system.damped_step(&self.scale, self.damping) {
+            if let Some(step) = self.here.system.solve_damped(&self.scale, self.damping) {
                 let change = &factor * &step;
                 let predicted = 2.0 * rhs.dot(&change) - change.norm_squared();
-                let candidate = moved(&self.model, self.problem.ids, &step);
-                // The reduction left is below the rounding of the cost, or moves no length: this is the minimum.
+                let candidate = self.model.shifted(self.problem.ids, &step);
+                // At the minimum no length changes, or the predicted reduction is below the rounding of the cost.
                 if change.norm() <= self.rest || predicted <= 1e-14 * cost {
                     self.model = candidate;
                     return Progress::AtRest;
@@ -166,18 +160,18 @@ impl<'a> Descent<'a> {
     }
 }
 
-/// The equations of a step at a model.
+/// The linearised problem at a model.
 struct Equations {
-    /// Weighted rows, the prior's among them.
-    system: LinearSystem,
-    /// Residuals, measured minus predicted, in sigmas; an even sample of many.
+    /// Whitened rows, including those of the prior.
+    system: Triangle,
+    /// Whitened residuals; an even sample of many lengths.
     residuals: Vec<f64>,
-    /// What is to be made least.
+    /// The loss, including that of the prior.
     cost: f64,
 }
 
 impl Equations {
-    /// At `model`, on all cores where there are many lengths; the loss turns linear at `threshold`.
+    /// Residuals beyond `threshold` count linearly.
     fn at(problem: &Problem, model: &LengthModel, threshold: f64) -> Self {
         let stride = problem.lengths.lengths().stride();
         let rows = Rows { model, ids: problem.ids, further: 0 };
@@ -189,7 +183,7 @@ impl Equations {
             }
             triangle.push(row.values, row.residual * weight);
             *cost += huber_loss(row.residual, threshold);
-            // A division is worth avoiding here.
+            // This inner loop avoids the division if it can.
             if stride == 1 || row.place.is_multiple_of(stride) {
                 residuals.push(row.residual);
             }
@@ -200,27 +194,27 @@ impl Equations {
             residuals.extend(of_piece);
             cost += its_cost;
         }
-        let mut system = LinearSystem::of(triangles, problem.ids.len());
+        let mut system = Triangle::merged(triangles, problem.ids.len());
         if let Some(prior) = problem.prior {
-            cost += system.add_prior(prior, model, problem.ids);
+            cost += add_prior(&mut system, prior, model, problem.ids);
         }
         Self { system, residuals, cost }
     }
 }
 
-/// Residuals, measured minus predicted, in sigmas; an even sample of many.
+/// Residuals over their standard deviations; an even sample of many lengths.
 pub(super) fn whitened(lengths: &Weighted, model: &LengthModel) -> Vec<f64> {
     let prepared = model.prepare();
-    lengths.some(|reading, sigma| (reading.length_mm - prepared.length(reading)) / sigma)
+    lengths.sample(|reading, sigma| prepared.residual(reading) / sigma)
 }
 
-/// Median of the magnitudes as a standard deviation.
+/// The median magnitude, scaled to the standard deviation of a normal distribution.
 pub(super) fn robust_scale(residuals: &[f64]) -> f64 {
     let mut sizes: Vec<f64> = residuals.iter().map(|r| r.abs()).collect();
     robust::median(&mut sizes).unwrap_or(0.0) * robust::SIGMA_OF_MAD
 }
 
-/// Root of Huber's weight.
+/// The root of Huber's weight: the factor on row and residual.
 fn huber_weight(residual: f64, threshold: f64) -> f64 {
     if residual.abs() <= threshold { 1.0 } else { (threshold / residual.abs()).sqrt() }
 }
@@ -228,12 +222,4 @@ fn huber_weight(residual: f64, threshold: f64) -> f64 {
 fn huber_loss(residual: f64, threshold: f64) -> f64 {
     let size = residual.abs();
     if size <= threshold { residual * residual } else { threshold * (2.0 * size - threshold) }
-}
-
-fn moved(model: &LengthModel, ids: &[ParamId], step: &DVector<f64>) -> LengthModel {
-    let mut model = model.clone();
-    for (id, step) in ids.iter().zip(step) {
-        model.shift(*id, *step);
-    }
-    model
 }

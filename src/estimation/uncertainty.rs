@@ -1,60 +1,77 @@
-//! What an estimate leaves unknown: its posterior, the standard deviations by the data alone, and what errors of fixed
-//! parameters add.
+//! The uncertainty of an estimate: its posterior, the standard deviations by the data alone, and the effect of errors of
+//! fixed parameters.
 
 use nalgebra::DMatrix;
 
+use super::estimate::Estimate;
+use super::joint_fit::JointFit;
 use super::lengths::Weighted;
 use super::linear_system::factor;
+use super::options::Setting;
 use super::posterior::{Posterior, inverse_root};
-use super::prior::PriorRows;
 use super::priors::Priors;
+use crate::math::stacked;
 use crate::measurement::LengthModel;
 use crate::robot::ParamId;
 
-/// What an estimate leaves unknown.
 #[derive(Clone, Debug)]
 pub(super) struct Uncertainty {
-    /// With the prior, where there is one.
+    /// Of the estimated parameters, with the prior if there is one.
     pub(super) posterior: Posterior,
-    /// From the data alone, infinite for what they do not determine; the same without a prior.
+    /// Standard deviations by the data alone; infinite for parameters that they do not determine.
     pub(super) data_sd: Vec<f64>,
-    /// The effective number of parameters that the data determine: the trace of their part of the estimate.
+    /// The effective number of parameters that the data determine: the trace of the resolution matrix.
     pub(super) effective_parameters: f64,
 }
 
-/// The standard deviations of `ids` by the data alone; `None` when they are not determined.
-pub(super) fn data_sd(model: &LengthModel, lengths: &Weighted, ids: &[ParamId]) -> Option<Vec<f64>> {
-    Some(inverse_root(&factor(model, lengths, ids))?.row_iter().map(|row| row.norm()).collect())
+impl Uncertainty {
+    /// `None` if the estimate is not determined.
+    pub(super) fn of(setting: &Setting<'_>, estimate: &Estimate, used: &Weighted) -> Option<Self> {
+        let Estimate { kept, base, poorly_observable, .. } = estimate;
+        let model = &estimate.fit.model;
+        let data = factor(model, used, kept);
+        let Some(prior) = &estimate.prior else {
+            let root = inverse_root(&data)?;
+            let data_sd = row_norms(&root);
+            let mut posterior = Posterior::with_root(model.clone(), kept, root);
+            if !poorly_observable.is_empty() {
+                // No prior binds these; their errors leak into the estimate.
+                let ids = [kept.as_slice(), poorly_observable].concat();
+                let data = factor(model, used, &ids);
+                let (kept, fixed): (Vec<usize>, Vec<usize>) = (0..ids.len()).partition(|at| *at < kept.len());
+                let noise = inverse_root(&data.select_columns(&kept))?;
+                let partition = Partition { ids: &ids, data: &data, kept: &kept, fixed: &fixed };
+                posterior = posterior.widened(&partition.leaks(&setting.priors, &noise));
+            }
+            return Some(Self { data_sd, posterior, effective_parameters: kept.len() as f64 });
+        };
+        let root = inverse_root(&stacked(&data, prior.matrix()))?;
+        let mut data_sd = vec![f64::INFINITY; kept.len()];
+        let determined: Vec<usize> = (0..kept.len()).filter(|&k| base.contains(&kept[k])).collect();
+        if let Some(inverse) = inverse_root(&data.select_columns(&determined)) {
+            determined.iter().zip(row_norms(&inverse)).for_each(|(k, sd)| data_sd[*k] = sd);
+        }
+        let (root, effective_parameters) = match &estimate.joints {
+            Some(JointFit { root, effective_parameters, .. }) => {
+                (root.rows(0, kept.len()).into_owned(), *effective_parameters)
+            }
+            None => {
+                let effective_parameters = (data * &root).norm_squared();
+                (root, effective_parameters)
+            }
+        };
+        let posterior = Posterior::with_root(model.clone(), kept, root);
+        Some(Self { posterior, data_sd, effective_parameters })
+    }
 }
 
-/// The uncertainty of `ids` at a model, of which the data alone determine at most `base`; `None` when they are not
-/// determined.
-pub(super) fn uncertainty(
-    model: &LengthModel,
-    lengths: &Weighted,
-    ids: &[ParamId],
-    base: &[ParamId],
-    prior: Option<&PriorRows>,
-) -> Option<Uncertainty> {
-    let data = factor(model, lengths, ids);
-    let norms = |inverse: &DMatrix<f64>| inverse.row_iter().map(|row| row.norm()).collect::<Vec<f64>>();
-    let posterior = |root| Posterior::with_root(model.clone(), ids, root);
-    let Some(prior) = prior else {
-        let root = inverse_root(&data)?;
-        let effective_parameters = ids.len() as f64;
-        return Some(Uncertainty { data_sd: norms(&root), posterior: posterior(root), effective_parameters });
-    };
-    let mut stacked = DMatrix::zeros(data.nrows() + prior.count(), ids.len());
-    stacked.rows_mut(0, data.nrows()).copy_from(&data);
-    stacked.rows_mut(data.nrows(), prior.count()).copy_from(prior.matrix());
-    let both = inverse_root(&stacked)?;
-    let mut data_sd = vec![f64::INFINITY; ids.len()];
-    let determined: Vec<usize> = (0..ids.len()).filter(|&k| base.contains(&ids[k])).collect();
-    if let Some(inverse) = inverse_root(&data.select_columns(&determined)) {
-        determined.iter().zip(norms(&inverse)).for_each(|(k, sd)| data_sd[*k] = sd);
-    }
-    let effective_parameters = (data * &both).norm_squared();
-    Some(Uncertainty { posterior: posterior(both), data_sd, effective_parameters })
+fn row_norms(matrix: &DMatrix<f64>) -> Vec<f64> {
+    matrix.row_iter().map(|row| row.norm()).collect()
+}
+
+/// The standard deviations of `ids` by the data alone; `None` if they are not determined.
+pub(super) fn data_sd(model: &LengthModel, lengths: &Weighted, ids: &[ParamId]) -> Option<Vec<f64>> {
+    inverse_root(&factor(model, lengths, ids)).map(|root| row_norms(&root))
 }
 
 /// A whitened Jacobian of which some columns are estimated and others fixed.
@@ -66,7 +83,7 @@ pub(super) struct Partition<'a> {
 }
 
 impl Partition<'_> {
-    /// One standard deviation of each kept parameter: noise, and the tolerances of those fixed.
+    /// The standard deviation of each kept parameter by the noise and by the tolerances of the fixed ones.
     pub(super) fn sd(&self, priors: &Priors) -> Vec<f64> {
         let Some(noise) = inverse_root(&self.data.select_columns(self.kept)) else {
             return vec![f64::INFINITY; self.kept.len()];
@@ -76,8 +93,8 @@ impl Partition<'_> {
         (0..self.kept.len()).map(|k| variance(k).sqrt()).collect()
     }
 
-    /// What one tolerance of each fixed parameter does to the kept ones, kept by fixed: least squares answers to an error
-    /// e of the fixed column h with (K'K)^-1 K'h e.
+    /// The effect of one standard deviation of each fixed parameter on the kept ones, kept by fixed. Least squares responds
+    /// to an error e of the fixed column h with (K'K)^-1 K'h e. `noise` is a root of (K'K)^-1.
     fn leaks(&self, priors: &Priors, noise: &DMatrix<f64>) -> DMatrix<f64> {
         let kept = self.data.select_columns(self.kept);
         let mut leaks = noise * noise.transpose() * kept.transpose() * self.data.select_columns(self.fixed);
@@ -86,19 +103,4 @@ impl Partition<'_> {
         }
         leaks
     }
-}
-
-/// What one tolerance of each `fixed` parameter, which is poorly observable, does to the `kept` ones, a column each.
-pub(super) fn leaks(
-    priors: &Priors,
-    model: &LengthModel,
-    lengths: &Weighted,
-    kept: &[ParamId],
-    fixed: &[ParamId],
-) -> Option<DMatrix<f64>> {
-    let ids = [kept, fixed].concat();
-    let data = factor(model, lengths, &ids);
-    let (kept, fixed): (Vec<usize>, Vec<usize>) = (0..ids.len()).partition(|at| *at < kept.len());
-    let noise = inverse_root(&data.select_columns(&kept))?;
-    Some(Partition { ids: &ids, data: &data, kept: &kept, fixed: &fixed }.leaks(priors, &noise))
 }

@@ -1,4 +1,4 @@
-//! Combinations, reasons, groups and recommendations as sentences.
+//! Texts of combinations, reasons, groups and recommendations.
 
 use std::fmt;
 
@@ -9,7 +9,7 @@ use super::{Combination, Group, GroupEvidence, priors};
 use crate::base::text;
 use crate::robot::{BarId, ParamId, Unit};
 
-/// "140 lengths and 70 positions of 2 targets"; what there is none of is absent.
+/// As "140 lengths and 70 positions of 2 targets".
 impl fmt::Display for MadeFrom {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { lengths, positions, targets } = *self;
@@ -44,14 +44,13 @@ impl fmt::Display for Combination {
     }
 }
 
-/// Terms of a sum beyond which only their number is said.
+/// A sum of more terms is not written out,
 const MOST_TERMS: usize = 6;
-/// A term below this share of the largest is rounding beside it.
+/// nor one with a term below this fraction of the largest.
 const LEAST_TERM: f64 = 1e-3;
 
 impl Combination {
-    /// The sum, each parameter in mm or mrad (urad/(N m)); of many terms, or terms of very different sizes, their number and
-    /// the largest.
+    /// Writes the sum with each parameter in mm or mrad (urad/(N m)); or the number of terms and the largest one.
     fn write_sum(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let terms: Vec<(ParamId, f64)> = self.scaled().collect();
         let size = |(_, share): &&(ParamId, f64)| share.abs();
@@ -77,7 +76,7 @@ impl Combination {
     }
 }
 
-/// Combinations for a terminal: the short ones, and a count of the longer ones.
+/// Combinations for a terminal: the short ones, and the number of the longer ones.
 pub fn in_short<'a>(combinations: impl IntoIterator<Item = &'a Combination>) -> Vec<String> {
     let (short, long): (Vec<_>, Vec<_>) =
         combinations.into_iter().partition(|combination| combination.members.len() <= MOST_TERMS);
@@ -91,7 +90,7 @@ pub fn in_short<'a>(combinations: impl IntoIterator<Item = &'a Combination>) -> 
     lines
 }
 
-/// Four significant digits, without an exponent where it reads well.
+/// Four significant digits, without an exponent if possible.
 fn significant(value: f64) -> String {
     if !(1e-3..1e5).contains(&value) {
         return format!("{value:.3e}");
@@ -101,10 +100,10 @@ fn significant(value: f64) -> String {
 }
 
 impl ParameterResult {
-    /// Why it has its status; empty where it is identified by itself.
+    /// The reason of its status; empty if it is identified by itself.
     pub fn reason_text(&self) -> String {
         let text = |combination: &Option<Combination>| {
-            combination.as_ref().map_or_else(String::new, ToString::to_string)
+            combination.iter().map(ToString::to_string).collect::<String>()
         };
         match &self.reason {
             Reason::Identified => String::new(),
@@ -138,7 +137,7 @@ impl ParameterResult {
     }
 }
 
-/// A value for people: mm, mrad or urad/(N m).
+/// A value in mm, mrad or urad/(N m).
 fn with_unit(value: f64, id: ParamId) -> String {
     match id.unit() {
         _ if value.is_infinite() => "nothing known".into(),
@@ -194,7 +193,7 @@ impl fmt::Display for CirclePlane {
 }
 
 impl Recommendation {
-    /// What is to be measured.
+    /// The measurement, without its effect.
     pub fn what(&self) -> String {
         let poses = self.poses;
         let place = |[x, y, z]: [f64; 3]| format!("({x:.0}, {y:.0}, {z:.0}) mm");
@@ -226,7 +225,6 @@ impl Recommendation {
     }
 }
 
-/// With its figures.
 impl fmt::Display for Recommendation {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { before_mm, after_mm, identifies, .. } = self;
@@ -255,7 +253,7 @@ mod tests {
     use crate::robot::Joint;
 
     #[test]
-    fn a_sum_has_readable_numbers_or_is_a_count() {
+    fn long_and_badly_scaled_sums_are_counted() {
         let of = |kept, others: &[(ParamId, f64)]| {
             let members = [&[(kept, 1.0)], others].concat();
             Combination { kept, members }.to_string()

@@ -1,9 +1,8 @@
-//! Whether the zero of a bar, or the frame of the tracker, stepped or drifted amid the data.
+//! Whether the zero of a bar, or the frame of the tracker, stepped or drifted during the measurement.
 //!
-//! Rows are in the order of the measurement. A step from one row on, or a drift over all, is a further column beside all that was
-//! estimated: what it takes from the squares of the residuals is linear algebra. Each is judged by its F-test at
-//! 0.001 over the number of those that are tried (Bonferroni). What the model lacks is alike in neighbouring
-//! rows, so the variance is the long-run one where that is larger (Newey and West, Econometrica 55, 1987).
+//! The rows are in the order of measurement. A step at a row, or a drift over all rows, is a further column besides the
+//! estimated parameters. Each has an F-test at 0.001 over the number of tests (Bonferroni). Model errors are correlated
+//! between neighbouring rows, so the long-run variance is used if it is larger (Newey and West, Econometrica 55, 1987).
 
 use std::sync::Arc;
 
@@ -15,25 +14,27 @@ use super::pose_rows::{PoseRows, RowNoise};
 use super::posterior::inverse_root;
 use crate::catalogue::EstimationFinding;
 use crate::math::distributions::ln_f_tail;
+use crate::math::stacked;
 use crate::measurement::{Column, Measurement, Measurements};
 use crate::robot::{BarId, Coordinate, Datum};
 
-/// Chance that sound measurements are accused.
-const CHANCE: f64 = 1e-3;
-/// Fewer measurements before or after a step show none.
+/// Probability of any finding in sound measurements.
+const LEVEL: f64 = 1e-3;
+/// Least number of measurements before and after a step.
 const FEWEST: usize = 8;
-/// Places of steps that are tried, evenly spread.
+/// At most so many places of a step are tested, evenly spread.
 const MOST: usize = 256;
 /// Degrees of freedom below which nothing is decided.
 const LEAST_FREEDOM: f64 = 10.0;
 /// Residuals below this are rounding, mm.
 const ROUNDING_MM: f64 = 1e-6;
-/// At a fit of least squares the parameters explain no more of the residuals than their priors hold back, in squares for each.
-const HELD_BACK: f64 = 4.0;
-/// Share of the squares of a column beside the parameters below which it is one of their combinations.
+/// In a converged fit the projection of the residuals onto the parameters is balanced by the priors. Its square, in units of
+/// the noise, is below this for each parameter.
+const BALANCED: f64 = 4.0;
+/// A column with a smaller fraction of its squares orthogonal to the parameters depends on them.
 const DEPENDENT: f64 = 1e-6;
 
-/// What lengths and coordinates are measured from.
+/// The reference of a length or coordinate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Reference {
     Bar(BarId),
@@ -42,7 +43,7 @@ pub enum Reference {
 }
 
 impl Reference {
-    /// How many numbers it has.
+    /// The number of components that can change.
     fn size(self) -> usize {
         match self {
             Self::Bar(_) => 1,
@@ -50,8 +51,8 @@ impl Reference {
         }
     }
 
-    /// Which of its numbers a measurement is from.
-    fn number_of(self, datum: Datum) -> Option<usize> {
+    /// The component that a measurement refers to.
+    fn component(self, datum: Datum) -> Option<usize> {
         match (self, datum) {
             (Self::Bar(own), Datum::Ball(_, bar)) => (own == bar).then_some(0),
             (Self::Tracker, Datum::Plane(coordinate)) => Some(coordinate.index()),
@@ -60,34 +61,33 @@ impl Reference {
     }
 }
 
-/// How it changed over the measurements.
+/// How a reference changed over the rows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Course {
-    /// From the row at this place on.
+    /// At once, before row number `first`.
     Step { first: usize },
-    /// In proportion to the time, or to the number of the row where no times are known.
+    /// In proportion to the time, or to the row number if times are not known.
     Drift,
 }
 
-/// A change amid the data.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ZeroChange {
     pub of: Reference,
     pub course: Course,
-    /// By which lengths or coordinates at the end are too large, mm.
+    /// The change from the first to the last row, mm: by so much the last lengths or coordinates are too large.
     pub by_mm: Vec<f64>,
     /// Standard uncertainty of the size, mm.
     pub sd_mm: f64,
 }
 
 impl ZeroChange {
-    /// The measurements without it: as from their beginning.
+    /// The measurements with the change subtracted.
     pub fn taken_out(&self, observations: &Measurements) -> Measurements {
-        let lapse = lapse(&observations.rows);
+        let elapsed = elapsed(&observations.rows);
         let mut observations = observations.clone();
         for (place, row) in observations.rows.iter_mut().enumerate() {
-            let Some(number) = self.of.number_of(row.datum) else { continue };
-            let by_mm = self.by_mm[number] * self.course.share(place, &lapse);
+            let Some(component) = self.of.component(row.datum) else { continue };
+            let by_mm = self.by_mm[component] * self.course.fraction(place, &elapsed);
             if by_mm != 0.0 {
                 row.length_mm -= by_mm;
                 let zero_mm = &mut Arc::make_mut(row.context.get_or_insert_default()).zero_mm;
@@ -100,7 +100,7 @@ impl ZeroChange {
         observations
     }
 
-    /// What is said of it; `observations` are those that it was found in.
+    /// `observations` are those in which the change was found.
     pub fn finding(&self, observations: &Measurements) -> EstimationFinding {
         let (sd_mm, size_mm) = (self.sd_mm, self.by_mm.iter().map(|by| by * by).sum::<f64>().sqrt());
         let index = |first: usize| observations.rows[first].index;
@@ -121,26 +121,26 @@ impl ZeroChange {
 }
 
 impl Course {
-    /// The share of the change that the row at a place has.
-    fn share(self, place: usize, lapse: &[f64]) -> f64 {
+    /// The fraction of the change that row number `place` has.
+    fn fraction(self, place: usize, elapsed: &[f64]) -> f64 {
         match self {
             Self::Step { first } => f64::from(u8::from(place >= first)),
-            Self::Drift => lapse[place],
+            Self::Drift => elapsed[place],
         }
     }
 }
 
-/// From 0 at the first row to 1 at the last.
-fn lapse(rows: &[Measurement]) -> Vec<f64> {
+/// Time or row number, scaled to 0 at the first row and 1 at the last.
+fn elapsed(rows: &[Measurement]) -> Vec<f64> {
     let times: Option<Vec<f64>> = rows.iter().map(|row| row.context.as_ref()?.time_s).collect();
     let times = times.filter(|times| times.is_sorted() && times.first() < times.last());
-    let course = times.unwrap_or_else(|| (0..rows.len()).map(|place| place as f64).collect());
-    let (first, last) = (course.first().copied().unwrap_or(0.0), course.last().copied().unwrap_or(1.0));
+    let times = times.unwrap_or_else(|| (0..rows.len()).map(|place| place as f64).collect());
+    let (first, last) = (times.first().copied().unwrap_or(0.0), times.last().copied().unwrap_or(1.0));
     let whole = if last > first { last - first } else { 1.0 };
-    course.into_iter().map(|now| (now - first) / whole).collect()
+    times.into_iter().map(|now| (now - first) / whole).collect()
 }
 
-/// The change that the residuals show most beyond chance, beside an estimate of so many `parameters`.
+/// The most significant change, besides an estimate of so many `parameters`.
 pub(super) fn zero_change(
     observations: &Measurements,
     estimate: &Estimate,
@@ -148,44 +148,41 @@ pub(super) fn zero_change(
     parameters: f64,
 ) -> Option<ZeroChange> {
     let rows = &observations.rows;
-    let beside = Beside::of(estimate, lengths, parameters)?;
-    let lapse = lapse(rows);
-    let candidates = beside.candidates(rows);
-    let limit = (CHANCE / candidates.len() as f64).ln();
+    let regression = Regression::of(estimate, lengths, parameters)?;
+    let elapsed = elapsed(rows);
+    let candidates = regression.candidates(rows);
+    let limit = (LEVEL / candidates.len() as f64).ln();
+    let places = &regression.lines.places;
     let tested = candidates.into_iter().filter_map(|(of, course)| {
-        let columns = DMatrix::from_fn(beside.places.len(), of.size(), |row, column| {
-            let place = beside.places[row];
-            let is_own = of.number_of(rows[place].datum) == Some(column);
-            if is_own { course.share(place, &lapse) } else { 0.0 }
+        let columns = DMatrix::from_fn(places.len(), of.size(), |row, column| {
+            let is_own = of.component(rows[places[row]].datum) == Some(column);
+            if is_own { course.fraction(places[row], &elapsed) } else { 0.0 }
         });
-        let Tested { by, sd, ln_chance } = beside.test(columns)?;
+        let Tested { by, sd, ln_chance } = regression.test(columns)?;
         Some((ln_chance, ZeroChange { of, course, by_mm: by.as_slice().to_vec(), sd_mm: sd }))
     });
-    let (ln_chance, found) = tested.min_by(|(a, _), (b, _)| a.total_cmp(b))?;
-    (ln_chance < limit).then_some(found)
+    let (ln_chance, change) = tested.min_by(|(a, _), (b, _)| a.total_cmp(b))?;
+    (ln_chance < limit).then_some(change)
 }
 
-/// An estimate, beside which further columns are tested.
-struct Beside {
+/// The whitened regression of an estimate, to which further columns are added.
+struct Regression {
     lines: PoseRows,
-    /// Places of its rows among all measurements.
-    places: Vec<usize>,
     noise: RowNoise,
-    /// Of unit noise.
     residual: DVector<f64>,
-    /// A root of the rows' covariance by what the estimate leaves unknown.
+    /// Rows times the root of the posterior covariance.
     unknown: DMatrix<f64>,
     freedom: f64,
 }
 
-/// A change with its F-test.
+/// Coefficients of further columns with their F-test.
 struct Tested {
     by: DVector<f64>,
     sd: f64,
     ln_chance: f64,
 }
 
-impl Beside {
+impl Regression {
     fn of(estimate: &Estimate, lengths: &Lengths, parameters: f64) -> Option<Self> {
         let used = estimate.used(lengths).by(Sigma::All(1.0));
         let freedom = used.count() as f64 - parameters;
@@ -215,44 +212,37 @@ impl Beside {
         let values = whole.columns(0, lines.values.ncols()).into_owned();
         let root = match (&estimate.joints, &estimate.prior) {
             (Some(fit), _) => fit.root.clone(),
-            (None, Some(prior)) => {
-                let mut stacked = values.clone().resize_vertically(values.nrows() + prior.count(), 0.0);
-                stacked.rows_mut(values.nrows(), prior.count()).copy_from(prior.matrix());
-                inverse_root(&stacked)?
-            }
+            (None, Some(prior)) => inverse_root(&stacked(&values, prior.matrix()))?,
             (None, None) => inverse_root(&values)?,
         };
         let residual = whole.column(lines.values.ncols()).into_owned();
-        let (places, unknown) = (lines.places.clone(), values * root);
-        // Else the fit is none of these rows, as where it did not settle among outliers.
+        let unknown = values * root;
+        // Otherwise the fit did not converge for these rows, as if its set of outliers had not settled.
         let explained = unknown.tr_mul(&residual).norm_squared();
-        let settled = HELD_BACK * unknown.ncols() as f64 * residual.norm_squared() / freedom;
-        if explained > settled {
-            return None;
-        }
-        Some(Self { lines, places, noise, residual, unknown, freedom })
+        let balanced = BALANCED * unknown.ncols() as f64 * residual.norm_squared() / freedom;
+        (explained <= balanced).then_some(Self { lines, noise, residual, unknown, freedom })
     }
 
-    /// A drift of each reference, and its steps.
+    /// The drift and the steps of each reference.
     fn candidates(&self, rows: &[Measurement]) -> Vec<(Reference, Course)> {
-        let mut bars: Vec<BarId> = self.places.iter().filter_map(|at| rows[*at].datum.bar()).collect();
+        let places = &self.lines.places;
+        let mut bars: Vec<BarId> = places.iter().filter_map(|at| rows[*at].datum.bar()).collect();
         bars.sort_unstable();
         bars.dedup();
-        let references = bars.into_iter().map(Reference::Bar).chain([Reference::Tracker]);
-        let of_reference = |of: Reference| {
-            let first = |at: &&usize| of.number_of(rows[**at].datum) == Some(0);
-            let own: Vec<usize> = self.places.iter().filter(first).copied().collect();
+        let mut candidates = Vec::new();
+        for of in bars.into_iter().map(Reference::Bar).chain([Reference::Tracker]) {
+            let is_first = |at: &&usize| of.component(rows[**at].datum) == Some(0);
+            let own: Vec<usize> = places.iter().filter(is_first).copied().collect();
             let inner = own.len().checked_sub(FEWEST).and_then(|last| own.get(FEWEST..last));
             let inner = inner.unwrap_or_default();
+            candidates.extend((!inner.is_empty()).then_some((of, Course::Drift)));
             let steps = inner.iter().step_by(inner.len().div_ceil(MOST).max(1));
-            let drift = (!inner.is_empty()).then_some((of, Course::Drift));
-            let steps = steps.map(move |&first| (of, Course::Step { first }));
-            drift.into_iter().chain(steps).collect::<Vec<_>>()
-        };
-        references.flat_map(of_reference).collect()
+            candidates.extend(steps.map(|&first| (of, Course::Step { first })));
+        }
+        candidates
     }
 
-    /// `None` of columns that are a combination of the parameters'.
+    /// `None` if a column depends on the parameters.
     fn test(&self, mut columns: DMatrix<f64>) -> Option<Tested> {
         self.lines.whiten(&mut columns, &self.noise)?;
         let shares = self.unknown.tr_mul(&columns);
@@ -279,11 +269,11 @@ impl Beside {
     }
 }
 
-/// How many times as large the variance of a sum is as if its terms were independent; at least 1.
+/// The ratio of the long-run variance of a sum to that with independent terms; at least 1.
 fn long_run(terms: &[f64]) -> f64 {
     let lags = (terms.len() as f64).cbrt() as usize;
     let product = |lag: usize| terms.iter().zip(&terms[lag..]).map(|(a, b)| a * b).sum::<f64>();
-    let alike = |lag: usize| 2.0 * (1.0 - lag as f64 / (lags + 1) as f64) * product(lag);
+    let covariance = |lag: usize| 2.0 * (1.0 - lag as f64 / (lags + 1) as f64) * product(lag);
     let squares = product(0);
-    if squares > 0.0 { (1.0 + (1..=lags).map(alike).sum::<f64>() / squares).max(1.0) } else { 1.0 }
+    if squares > 0.0 { (1.0 + (1..=lags).map(covariance).sum::<f64>() / squares).max(1.0) } else { 1.0 }
 }

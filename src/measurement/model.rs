@@ -4,6 +4,7 @@
 use nalgebra::Vector3;
 
 use super::{BaseBall, Measurement, Measurements, Position, Tracker};
+use crate::math::map_pieces;
 use crate::robot::{
     AXES, Approach, At, BallId, BarId, Chain, Datum, Geometry, JointSinCos, LengthRow, ParamId, Plane,
     TargetId,
@@ -51,6 +52,29 @@ impl From<&Measurement> for PreparedMeasurement {
     fn from(measurement: &Measurement) -> Self {
         let &Measurement { datum, target, length_mm, approach, .. } = measurement;
         Self { datum, target, approach, ..Self::new(measurement.axes.radians(), BallId::FIRST, length_mm) }
+    }
+}
+
+/// Measurements that can be prepared one piece at a time, to save memory.
+pub trait MeasurementPieces: Sync {
+    /// Applies `work` to the index of the first measurement of each piece, to the piece, and to its standard deviations
+    /// (mm). The slice of standard deviations is empty if all are 1, an excluded measurement has an infinite one. The results are
+    /// in order.
+    fn in_pieces<R: Send>(&self, work: impl Fn(usize, &[PreparedMeasurement], &[f64]) -> R + Sync) -> Vec<R>;
+}
+
+impl MeasurementPieces for [PreparedMeasurement] {
+    fn in_pieces<R: Send>(&self, work: impl Fn(usize, &[PreparedMeasurement], &[f64]) -> R + Sync) -> Vec<R> {
+        (self, &[][..]).in_pieces(work)
+    }
+}
+
+impl MeasurementPieces for (&[PreparedMeasurement], &[f64]) {
+    fn in_pieces<R: Send>(&self, work: impl Fn(usize, &[PreparedMeasurement], &[f64]) -> R + Sync) -> Vec<R> {
+        let (measurements, sigma) = *self;
+        map_pieces(measurements, |first, piece| {
+            work(first, piece, sigma.get(first..first + piece.len()).unwrap_or(&[]))
+        })
     }
 }
 
@@ -221,6 +245,13 @@ impl LengthModel {
             }
             _ => self.geometry.value(id).unwrap_or(f64::NAN),
         }
+    }
+
+    /// The model with `steps` added to the parameters `ids`.
+    pub fn shifted<'a>(&self, ids: &[ParamId], steps: impl IntoIterator<Item = &'a f64>) -> Self {
+        let mut shifted = self.clone();
+        ids.iter().zip(steps).for_each(|(id, step)| shifted.shift(*id, *step));
+        shifted
     }
 
     /// Adds `step` to a parameter, if the model has it.

@@ -14,7 +14,7 @@ use crate::diagnostic::Diagnostic;
 use crate::estimation::priors::WEAK;
 use crate::estimation::result::MapPoint;
 use crate::estimation::wording;
-use crate::estimation::{ErrorSummary, Foreseen, Observability, Outlook, outlook};
+use crate::estimation::{DesignPrediction, ErrorSummary, Observability, ParameterPrediction, predict_design};
 use crate::measurement::PreparedMeasurement;
 use crate::robot::inverse::clearance;
 use crate::robot::{AXES, BallId, Robot};
@@ -111,7 +111,9 @@ impl Plan {
         let readings: Vec<PreparedMeasurement> = dwells.map(PlanRow::reading).collect();
         let poses = workspace(&self.header.job, robot, POSES);
         let sigma_mm = length_sigma_mm(&self.header.job, robot);
-        let Some(seen) = outlook(&prior.posterior, &readings, sigma_mm, &poses) else { return Vec::new() };
+        let Some(seen) = predict_design(&prior.posterior, &readings, sigma_mm, &poses) else {
+            return Vec::new();
+        };
         let few = poses.get(..FEW_POSES).unwrap_or(&poses);
         let against = by_count(&prior.posterior, &readings, sigma_mm, few);
         let regions = regions(&self.header.job, &seen.map);
@@ -187,8 +189,8 @@ impl Plan {
     }
 }
 
-fn predicted(seen: &Outlook, known: &Foreseen) -> PredictedParameter {
-    let &Foreseen { id, before, after, alone } = known;
+fn predicted(seen: &DesignPrediction, known: &ParameterPrediction) -> PredictedParameter {
+    let &ParameterPrediction { id, before, after, alone } = known;
     let limit = if id.is_geometric() { WEAK * before } else { f64::INFINITY };
     let identifiability = match alone {
         Some(alone) if alone <= limit => Identifiability::Identified,

@@ -56,7 +56,7 @@ impl PlanningPrior {
 
     /// Before its check: what the calibration left unknown and what mounting changes, the balls that were taught.
     pub fn of_check(job: &Job, robot: &Robot, expected: Expected) -> Self {
-        let known = Self::with_taught(job, robot, expected.posterior().clone());
+        let known = Self::with_taught(job, robot, expected.posterior.clone());
         Self { calibrated: Some(expected), ..known }
     }
 

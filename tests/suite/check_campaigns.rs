@@ -4,7 +4,7 @@ use dbbd::conformity::{CheckInput, InterimCheck, Outcome, Rule, decide};
 use dbbd::diagnostic::Finding;
 use dbbd::estimation::change::Innovation;
 use dbbd::estimation::expected::{BallMounting, Mounting};
-use dbbd::estimation::{Options, Posterior, Workspace};
+use dbbd::estimation::{ErrorSummary, Options, Posterior, Workspace};
 use dbbd::measurement::{BaseBall, LengthModel, Measurements, PreparedMeasurement};
 use dbbd::robot::{BallId, Coordinate, ParamId, Robot};
 use nalgebra::{DMatrix, DVector, Vector3};
@@ -107,7 +107,7 @@ impl Bench {
         let workspace = Workspace::new(&self.robot.geometry, &self.workspace, ids);
         let wrong = |id: &ParamId| truth.value(*id) - file.geometry.value(*id).unwrap();
         let column = DMatrix::from_iterator(ids.len(), 1, ids.iter().map(wrong));
-        let found = workspace.summary(&workspace.displacements(&column));
+        let found = ErrorSummary::of(&workspace.displacements(&column));
         [found.mean, found.p95]
     }
 }

@@ -5,7 +5,7 @@ use dbbd::diagnostic::Finding as _;
 use dbbd::estimation::fleet::{Assumptions, Fleet, RunPosterior, fleet};
 use dbbd::estimation::posterior::Posterior;
 use dbbd::estimation::priors::Priors;
-use dbbd::estimation::{AngleSource, ErrorModel, Input, Options, Prior, Workspace};
+use dbbd::estimation::{AngleSource, ErrorModel, ErrorSummary, Input, Options, Prior, Workspace};
 use dbbd::math::aligned_distances;
 use dbbd::measurement::{BaseBall, LengthModel, Measurement, Measurements, PreparedMeasurement};
 use dbbd::robot::{Approach, AxisAngles, BallId, Geometry, ParamId, Robot, parameter};
@@ -293,7 +293,7 @@ fn bound_mm(world: &mut World, known: f64, count: usize) -> f64 {
     let drawn = DMatrix::from_fn(ids.len(), 100, |_, _| StandardNormal.sample(&mut world.rng));
     let mut mean_mm = || {
         let after = prior.after(&world.lengths(&geometry, count, 0.0), NOISE_MM).unwrap();
-        workspace.summary(&workspace.displacements(&(after.root() * &drawn))).mean
+        ErrorSummary::of(&workspace.displacements(&(after.root() * &drawn))).mean
     };
     (0..DRAWS).map(|_| mean_mm()).sum::<f64>() / DRAWS as f64
 }

@@ -1,7 +1,7 @@
 //! Chosen poses tell more than circles: the figures of the reference, on the KR 60 HA and one ball.
 
 use dbbd::design::{Candidate, Criterion, Exchange, Sphere, design_rows, workspace_rows};
-use dbbd::estimation::{Posterior, Priors, Workspace, factor, outlook};
+use dbbd::estimation::{Posterior, Priors, Workspace, factor, predict_design};
 use dbbd::measurement::{BaseBall, LengthModel, PreparedMeasurement};
 use dbbd::plan::Kind;
 use dbbd::plan::workspace::in_box;
@@ -69,7 +69,7 @@ fn thirteen(robot: &Robot, readings: &[PreparedMeasurement]) -> [f64; 2] {
 
 /// Predicted mean 3-D error in the cube, before and after, mm.
 fn in_cube(robot: &Robot, readings: &[PreparedMeasurement], poses: &[[f64; 6]]) -> [f64; 2] {
-    outlook(&datasheet(robot), readings, SIGMA_MM, poses).unwrap().error_mm.map(|error| error.mean)
+    predict_design(&datasheet(robot), readings, SIGMA_MM, poses).unwrap().error_mm.map(|error| error.mean)
 }
 
 struct Figures {

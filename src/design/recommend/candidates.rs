@@ -1,4 +1,4 @@
-//! Measurements that could be made: each of poses that the robot reaches within its axis limits.
+//! Candidates of further measurements, each with poses that the robot reaches within its axis limits.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -8,30 +8,29 @@ use crate::measurement::PreparedMeasurement;
 use crate::robot::pose::{rot_x, rot_y, rot_z};
 use crate::robot::{AXES, BallId, Geometry, Pose, Robot, inverse};
 
-/// A length farther than this from what the model has for its pose is of another ball or bar, mm.
+/// A length with a larger residual belongs to another ball or bar, mm.
 const FOREIGN_MM: f64 = 50.0;
 /// Poses of a candidate.
-pub(super) const POSES: usize = 20;
-/// Places tried on each circle.
+const POSES: usize = 20;
+/// Poses tried on each circle.
 const PLACES: usize = 30;
-/// How far the wrist turns along a circle, and where it is to turn more, degrees.
+/// Rotation of the wrist along a circle, and in the candidate with more rotation, degrees.
 const TURN_DEG: f64 = 25.0;
 const MORE_DEG: f64 = 45.0;
-/// Tilt of a circle that is neither level nor upright, degrees.
+/// Tilt of an inclined circle, degrees.
 const TILT_DEG: f64 = 30.0;
-/// Where a further ball may stand against the first: distance from axis 1 and height, mm; turn about axis 1, degrees.
+/// Places of a further ball relative to the first: distance from axis 1 and height, mm; rotation about axis 1, degrees.
 const OUTWARD_MM: [f64; 2] = [-400.0, 300.0];
 const UPWARD_MM: [f64; 2] = [-500.0, 500.0];
 const ASIDE_DEG: [f64; 2] = [-35.0, 35.0];
-/// A ball is at least so high above the floor, mm, and places are rounded to what one can hit.
+/// Least height of a ball, and rounding of its place, mm.
 const LOWEST_MM: f64 = 100.0;
 const ROUND_MM: f64 = 50.0;
-/// Turns about axis 1 of the same ball and poses, degrees.
+/// Rotations about axis 1 of the same ball and poses, degrees.
 const ABOUT_AXIS_1_DEG: [f64; 4] = [60.0, -60.0, 30.0, -30.0];
-/// Other lengths of the bar, against the first.
+/// Other lengths of the bar relative to the first.
 const BARS: [f64; 2] = [0.6, 1.6];
 
-/// Poses that could be measured.
 pub(super) struct Candidate {
     pub(super) measure: FurtherMeasurement,
     /// A further ball, mm.
@@ -39,7 +38,7 @@ pub(super) struct Candidate {
     pub(super) poses: Vec<PreparedMeasurement>,
 }
 
-/// All candidates; one of a kind that the robot does not reach is absent.
+/// All candidates that the robot reaches.
 pub(super) fn all(trial: &Trial<'_>) -> Vec<Candidate> {
     let mut all = vec![Candidate { measure: FurtherMeasurement::Prior, ball: None, poses: Vec::new() }];
     let Some(cell) = Cell::of(trial) else { return all };
@@ -79,7 +78,7 @@ const PLANES: [CirclePlane; 5] = [
     CirclePlane::TiltedAboutY(TILT_DEG),
 ];
 
-/// The plane as a rotation of XY.
+/// The rotation from XY to the plane.
 fn rotation(plane: CirclePlane) -> Matrix3<f64> {
     let quarter = std::f64::consts::FRAC_PI_2;
     match plane {
@@ -91,12 +90,12 @@ fn rotation(plane: CirclePlane) -> Matrix3<f64> {
     }
 }
 
-/// Where the candidates are: about the ball that was measured most.
+/// The cell with the ball to which most lengths were measured.
 struct Cell<'a> {
-    /// As the controller moves: the nominal robot with the tool as it is known.
+    /// The geometry by which the controller moves, with the fitted tool.
     geometry: Geometry,
     controller: &'a Robot,
-    /// The ball's place, its number from 0, and the median length to it, mm.
+    /// The ball's place and the median length to it, mm.
     ball: Vector3<f64>,
     home: BallId,
     radius: f64,
@@ -105,14 +104,12 @@ struct Cell<'a> {
 }
 
 impl<'a> Cell<'a> {
-    /// `None` where no measured pose belongs to a ball: nothing is known of what the robot reaches with the bar.
+    /// `None` without a length to a ball.
     fn of(trial: &Trial<'a>) -> Option<Self> {
         let prepared = trial.model.prepare();
-        let near = |reading: &&PreparedMeasurement| {
-            (reading.length_mm - prepared.length(reading)).abs() < FOREIGN_MM
-        };
+        let is_near = |reading: &&PreparedMeasurement| prepared.residual(reading).abs() < FOREIGN_MM;
         let of_ball = |ball: BallId| {
-            trial.readings.iter().filter(near).filter(move |reading| reading.datum.ball() == Some(ball))
+            trial.readings.iter().filter(is_near).filter(move |reading| reading.datum.ball() == Some(ball))
         };
         let home = (0..trial.model.balls.len()).map(BallId::at).max_by_key(|ball| of_ball(*ball).count())?;
         let mut lengths: Vec<f64> = of_ball(home).map(|reading| reading.length_mm).collect();
@@ -128,8 +125,8 @@ impl<'a> Cell<'a> {
         })
     }
 
-    /// Poses on circles about a ball in the orientation of a measured pose, or with the tool down, the wrist turning
-    /// along the way; `None` where fewer than enough are reached.
+    /// Poses on circles about a ball with a rotating wrist, in the orientation of a measured pose or else with the tool
+    /// pointing down; `None` if too few are reached.
     fn about(
         &self,
         ball: Vector3<f64>,
@@ -158,13 +155,13 @@ impl<'a> Cell<'a> {
         })
     }
 
-    /// The measured places again, the wrist turned more.
+    /// The measured positions with more rotation of the wrist.
     fn wrist(&self) -> Option<Vec<PreparedMeasurement>> {
         let count = self.measured.len() as f64;
         let turned = |(at, reading): (usize, &PreparedMeasurement)| {
             let ball = self.geometry.ball(&reading.axes);
             let t = std::f64::consts::TAU * at as f64 / count;
-            // Where one turn is out of reach, a smaller or the opposite one may do.
+            // If a rotation is out of reach, the opposite or a smaller one may not be.
             let axes = [1.0, -1.0, 0.5, -0.5].into_iter().find_map(|share| {
                 let rotation = turn(t + 0.3, share * MORE_DEG) * ball.rotation;
                 self.reach(&Pose { rotation, ..ball }, &reading.axes)
@@ -175,7 +172,7 @@ impl<'a> Cell<'a> {
         (poses.len() >= POSES / 2).then_some(poses)
     }
 
-    /// Where a further ball could stand.
+    /// Places for a further ball.
     fn places(&self) -> Vec<Vector3<f64>> {
         let (distance, angle) = (self.ball.x.hypot(self.ball.y), self.ball.y.atan2(self.ball.x));
         let mut places = Vec::new();
@@ -194,24 +191,19 @@ impl<'a> Cell<'a> {
         places
     }
 
-    /// The measured poses and their ball, turned about axis 1 as far as its limits let them; the new ball is `number`.
+    /// The measured poses and their ball (now `number`), rotated about axis 1 as far as its limits allow.
     fn turned(&self, number: BallId) -> Option<(Vector3<f64>, Vec<PreparedMeasurement>)> {
+        let [low, high] = self.controller.limits_deg[0];
+        let sense = self.geometry.rows.first()?.sign;
         ABOUT_AXIS_1_DEG.into_iter().find_map(|degrees| {
-            let poses: Option<Vec<PreparedMeasurement>> = self
-                .measured
-                .iter()
-                .map(|reading| {
-                    let mut axes = reading.axes;
-                    axes[0] += degrees.to_radians();
-                    // The other axes stay.
-                    let [low, high] = self.controller.limits_deg[0];
-                    (low..=high)
-                        .contains(&axes[0].to_degrees())
-                        .then(|| PreparedMeasurement::new(axes, number, reading.length_mm))
-                })
-                .collect();
-            let sense = self.geometry.rows.first()?.sign;
-            Some((rot_z(sense * degrees.to_radians()) * self.ball, poses?))
+            let turned = |reading: &PreparedMeasurement| {
+                let mut axes = reading.axes;
+                axes[0] += degrees.to_radians();
+                let is_within = (low..=high).contains(&axes[0].to_degrees());
+                is_within.then(|| PreparedMeasurement::new(axes, number, reading.length_mm))
+            };
+            let poses = self.measured.iter().map(turned).collect::<Option<Vec<_>>>()?;
+            Some((rot_z(sense * degrees.to_radians()) * self.ball, poses))
         })
     }
 
@@ -222,7 +214,7 @@ impl<'a> Cell<'a> {
     }
 }
 
-/// The wrist's turn at the circle angle `t`: three frequencies, so that no two of its axes turn alike.
+/// The rotation of the wrist at the circle angle `t`, with a frequency of its own about each axis.
 fn turn(t: f64, amplitude_deg: f64) -> Matrix3<f64> {
     let amplitude = amplitude_deg.to_radians();
     rot_z(amplitude * (2.0 * t).sin())
@@ -230,7 +222,7 @@ fn turn(t: f64, amplitude_deg: f64) -> Matrix3<f64> {
         * rot_x(amplitude * (5.0 * t).sin())
 }
 
-/// At most `count` of the readings, evenly.
+/// At most `count` of the readings, evenly spaced.
 fn evenly(readings: &[PreparedMeasurement], count: usize) -> Vec<PreparedMeasurement> {
     let take = count.min(readings.len());
     (0..take).filter_map(|at| readings.get(at * readings.len() / take).copied()).collect()

@@ -1,25 +1,24 @@
-//! The bars: each with an offset, a drift and jumps.
+//! The offset, drift and jumps of each bar.
 
 use nalgebra::{DMatrix, DVector};
 
 use super::{Assumptions, BarHistory, EPOCH_DAYS, Estimate, Jump, Knot, YEAR_DAYS};
 
-/// Standard deviation of a bar's drift before any run, mm a year.
+/// Prior standard deviations of a bar's drift, mm a year, and of a jump, mm.
 const DRIFT_MM: f64 = 0.05;
-/// And of a jump, mm.
 const JUMP_MM: f64 = 1.0;
 
-/// An unknown of a bar.
+/// An unknown of a bar, given by its number.
 #[derive(Clone, Copy, PartialEq)]
 pub(super) enum Column {
     Offset(usize),
     Drift(usize),
-    /// Of a bar, from an epoch on.
+    /// From an epoch on.
     Jump(usize, i64),
 }
 
 impl Column {
-    /// What a unit of it adds to a bar's offset, mm; `first` is the plant's first epoch.
+    /// Its coefficient in the offset of a bar at an epoch; `first` is the plant's first epoch.
     fn value(self, (bar, epoch): Knot, first: i64) -> f64 {
         match self {
             Self::Offset(own) => f64::from(u8::from(own == bar)),
@@ -29,7 +28,6 @@ impl Column {
         }
     }
 
-    /// Standard deviation before any run.
     pub(super) fn prior_sd(self, assumed: &Assumptions) -> f64 {
         match self {
             Self::Offset(_) => assumed.bar_u_mm,
@@ -38,13 +36,13 @@ impl Column {
         }
     }
 
-    /// The bars' offsets at `knots` by the columns.
+    /// The design matrix of the offsets at `knots`.
     pub(super) fn design(columns: &[Self], knots: &[Knot]) -> DMatrix<f64> {
         let first = knots.iter().map(|(_, epoch)| *epoch).min().unwrap_or(0);
         DMatrix::from_fn(knots.len(), columns.len(), |at, column| columns[column].value(knots[at], first))
     }
 
-    /// A jump at each knot of a bar but its first.
+    /// A jump at each epoch of a bar but its first.
     pub(super) fn jumps(knots: &[Knot]) -> Vec<Self> {
         let first_of = |bar: usize| knots.iter().filter(|knot| knot.0 == bar).map(|knot| knot.1).min();
         let later = knots.iter().filter(|(bar, epoch)| first_of(*bar) != Some(*epoch));
@@ -52,7 +50,7 @@ impl Column {
     }
 }
 
-/// The bars by the values of the columns and their covariance.
+/// The histories of the bars from the values of the columns and their covariance.
 pub(super) fn histories(
     bars: &[String],
     knots: &[Knot],
@@ -69,26 +67,27 @@ pub(super) fn histories(
     let unit = |wanted: Column| {
         along(DVector::from_fn(columns.len(), |at, _| f64::from(u8::from(columns[at] == wanted))))
     };
-    let history = |(bar, name): (usize, &String)| BarHistory {
-        bar: name.clone(),
-        offset_mm: unit(Column::Offset(bar)),
-        drift_mm_a_year: unit(Column::Drift(bar)),
-        jumps: columns
-            .iter()
-            .filter_map(|column| match *column {
-                Column::Jump(own, from) if own == bar => {
-                    let before =
-                        knots.iter().filter(|knot| knot.0 == bar && knot.1 < from).map(|knot| knot.1).max();
-                    Some(Jump {
-                        after_day: before.unwrap_or(from) as f64 * EPOCH_DAYS,
-                        before_day: (from + 1) as f64 * EPOCH_DAYS,
-                        change_mm: unit(*column),
-                    })
-                }
-                _ => None,
-            })
-            .collect(),
-        offset_now_mm: along(DVector::from_fn(columns.len(), |at, _| columns[at].value((bar, last), first))),
+    let jump = |bar: usize, from: i64| {
+        let before = knots.iter().filter(|knot| knot.0 == bar && knot.1 < from).map(|knot| knot.1).max();
+        Jump {
+            after_day: before.unwrap_or(from) as f64 * EPOCH_DAYS,
+            before_day: (from + 1) as f64 * EPOCH_DAYS,
+            change_mm: unit(Column::Jump(bar, from)),
+        }
+    };
+    let history = |(bar, name): (usize, &String)| {
+        let own_jump = |column: &Column| match *column {
+            Column::Jump(own, from) if own == bar => Some(jump(bar, from)),
+            _ => None,
+        };
+        let now = |at: usize, _| columns[at].value((bar, last), first);
+        BarHistory {
+            bar: name.clone(),
+            offset_mm: unit(Column::Offset(bar)),
+            drift_mm_a_year: unit(Column::Drift(bar)),
+            jumps: columns.iter().filter_map(own_jump).collect(),
+            offset_now_mm: along(DVector::from_fn(columns.len(), now)),
+        }
     };
     bars.iter().enumerate().map(history).collect()
 }

@@ -1,21 +1,20 @@
-//! The runs of a robot folded, the newest first, into one Gaussian: a Kalman filter. A robot drifts as a random walk, and a
-//! run that contradicts the later ones is a crash.
+//! The runs of a robot combined into one Gaussian by an information filter, newest first. A robot drifts as a random walk. If
+//! a run contradicts the later ones, the robot changed suddenly between them, as by a collision.
 
 use nalgebra::{DMatrix, DVector};
 
-use super::kind::Kind;
-use super::run::information;
+use super::kind::{Kind, information};
 use super::{Assumptions, EPOCH_DAYS, Knot, RunPosterior, YEAR_DAYS, inverse};
 use crate::math::distributions::chi_square_exceeded;
 
-/// Before any run, a bar's offset at a time may be anything, mm; this much is taken away again.
+/// Standard deviation of a bar's offset at the start of the filter, mm. Its information is subtracted at the end.
 const OPEN_MM: f64 = 10.0;
-/// The same for a robot, in standard deviations of its prior.
+/// The same for a robot, in units of its prior.
 const OPEN: f64 = 30.0;
-/// A run contradicts others when chance does it with this probability.
+/// Significance level of a contradiction.
 const CRASH: f64 = 1e-6;
 
-/// The runs of a robot, folded: information on the robot at its first run (scaled by its prior) and on the bars.
+/// The information of a robot's runs on the robot at its first run (in units of its prior) and on the bars at the knots.
 pub(super) struct Folded {
     pub(super) robot: String,
     pub(super) kind: usize,
@@ -25,7 +24,7 @@ pub(super) struct Folded {
     pub(super) crashes: Vec<f64>,
 }
 
-/// The state of a robot, the newest run first: itself and the knots that its runs touched.
+/// The state of the filter: the robot, then the bars' offsets at the knots so far.
 struct Filter {
     knots: Vec<Knot>,
     mean: DVector<f64>,
@@ -41,7 +40,7 @@ impl Filter {
         }
     }
 
-    /// The place of a knot, which begins as unknown.
+    /// The index of a knot, which is added if it is new.
     fn place(&mut self, knot: Knot, count: usize) -> usize {
         if let Some(at) = self.knots.iter().position(|known| *known == knot) {
             return count + at;
@@ -54,26 +53,28 @@ impl Filter {
         size
     }
 
-    /// The robot may be another by this variance, in every direction.
+    /// Adds a variance to all parameters of the robot.
     fn widen(&mut self, count: usize, variance: f64) {
         (0..count).for_each(|at| self.covariance[(at, at)] += variance);
     }
 
-    /// How far a run is from what is known: chi square and its degrees of freedom.
+    /// Chi-square of a run against the state, and its degrees of freedom.
     fn contradiction(&self, places: &[usize], data: &DMatrix<f64>, rhs: &DVector<f64>) -> Option<(f64, f64)> {
         let own = self.covariance.select_rows(places).select_columns(places);
         let root = own.cholesky()?.l();
         let expected = DVector::from_fn(places.len(), |i, _| self.mean[places[i]]);
         let eigen = (root.transpose() * data * &root).symmetric_eigen();
         let right = eigen.eigenvectors.tr_mul(&(root.transpose() * (rhs - data * expected)));
-        let seen = eigen.eigenvalues.iter().zip(right.iter()).filter(|(value, _)| **value > 1e-3);
-        let (square, freedom) = seen.fold((0.0, 0.0), |(square, freedom), (value, right)| {
-            (square + right * right / (value * (1.0 + value)), freedom + 1.0)
-        });
+        let determined = eigen.eigenvalues.iter().zip(right.iter()).filter(|(value, _)| **value > 1e-3);
+        let (mut square, mut freedom) = (0.0, 0.0);
+        for (value, right) in determined {
+            square += right * right / (value * (1.0 + value));
+            freedom += 1.0;
+        }
         Some((square, freedom))
     }
 
-    /// Adds information on the parameters at `places`.
+    /// Adds information on the unknowns at `places`.
     fn update(&mut self, places: &[usize], data: &DMatrix<f64>, rhs: &DVector<f64>) -> Option<()> {
         let before = inverse(&self.covariance)?;
         let (mut after, mut right) = (before.clone(), &before * &self.mean);
@@ -87,7 +88,7 @@ impl Filter {
     }
 }
 
-/// Folds the runs of a robot; they are in the order of time. The number of runs that cannot be used.
+/// Combines the runs of a robot, which are in the order of time. The second value is the number of unusable runs.
 pub(super) fn fold(
     runs: &[&RunPosterior],
     kinds: &[Kind],
@@ -121,7 +122,7 @@ pub(super) fn fold(
         filter.update(&places, &data, &rhs)?;
     }
     crashes.reverse();
-    // What was assumed at the begin is taken away again.
+    // Subtract the information of the start.
     let mut information = inverse(&filter.covariance)?;
     let rhs = &information * &filter.mean;
     for place in 0..information.nrows() {

@@ -1,17 +1,16 @@
-//! What the runs of a plant say together: each robot at its first run, each bar with its drift and its jumps, each type of
-//! robot with the mean and the covariance of its robots.
+//! The runs of a plant as one estimate: each robot at its first run, each bar with its drift and its jumps, each type of robot
+//! with the mean and the covariance of its robots.
 //!
-//! A run enters as what its lengths alone say (`run`). The runs of a robot are folded into one Gaussian of the robot at its
-//! first run and of the bars' offsets at the times of its runs (`fold`). Then the robots leave by their Schur complement: the
-//! means of the types and the bars remain, one system, because a longer bar and larger robots of a type look alike
-//! (`plant`, `bars`). The covariances of the types follow by empirical Bayes (`kind`). Memory grows with robots and bars,
-//! not with runs.
+//! A run contributes the information of its lengths without its prior (`kind`). The runs of a robot are combined into one
+//! Gaussian of the robot at its first run and of the bars' offsets at the times of its runs (`fold`). The robots are then
+//! eliminated by Schur complements, which leaves one system of the means of the types and the bars: a longer bar and larger
+//! robots of a type have similar effects (`plant`, `bars`). The covariances of the types follow by empirical Bayes (`kind`).
+//! Memory grows with the number of robots and bars, not of runs.
 
 mod bars;
 mod fold;
 mod kind;
 mod plant;
-mod run;
 
 use std::collections::BTreeMap;
 
@@ -23,38 +22,37 @@ use self::plant::Plant;
 use crate::catalogue::ArchiveFinding;
 use crate::robot::{ParamId, Robot, RobotPosterior};
 
-/// Offsets of a bar within so many days are one.
+/// The offset of a bar is constant within so many days.
 const EPOCH_DAYS: f64 = 10.0;
 const YEAR_DAYS: f64 = 365.25;
-/// Iterations at most, and the relative change of the types' covariances that ends them.
+/// Most iterations, and the relative change of the types' covariances that ends them.
 const ITERATIONS: usize = 200;
 const SETTLED: f64 = 1e-3;
-/// Searches for jumps, each with the types settled beside the jumps before.
+/// Searches for jumps; between them the covariances of the types are iterated again.
 const SEARCHES: usize = 4;
 
-/// What an identification found of a robot and its bar, and what it knew beforehand.
+/// The posterior and prior of an identification.
 #[derive(Clone, Debug)]
 pub struct RunPosterior {
     pub robot: String,
     /// The robot's type.
     pub kind: String,
     pub bar: String,
-    /// Days from any fixed one.
+    /// Days since any fixed one.
     pub day: f64,
     pub ids: Vec<ParamId>,
     /// Corrections of the nominal values, mm or rad.
     pub corrections: DVector<f64>,
     pub covariance: DMatrix<f64>,
-    /// Standard deviations of the prior about the nominal values; `None` of what was free.
+    /// Prior standard deviations about the nominal values; `None` for free parameters.
     pub prior: Vec<Option<f64>>,
 }
 
-/// What is assumed of a plant.
 #[derive(Clone, Copy, Debug)]
 pub struct Assumptions {
-    /// Standard deviation of a robot's drift in a year, in those of its prior.
+    /// Standard deviation of a robot's drift in a year, in units of its prior.
     pub drift: f64,
-    /// Of a bar's length by its certificate, mm.
+    /// Standard uncertainty of a bar's length by its certificate, mm.
     pub bar_u_mm: f64,
 }
 
@@ -72,7 +70,7 @@ pub struct Estimate {
 }
 
 impl Estimate {
-    /// Whether it is within the interval of 95 %.
+    /// Whether the 95 % interval contains the value.
     pub fn covers(&self, truth: f64) -> bool {
         (self.value - truth).abs() <= 1.959_964 * self.sd
     }
@@ -90,10 +88,10 @@ pub struct BarHistory {
     pub offset_now_mm: Estimate,
 }
 
-/// A bar's sudden change, such as that of a bar that was dropped.
+/// A sudden change of a bar, as after a fall.
 #[derive(Clone, Debug, serde::Serialize)]
 pub struct Jump {
-    /// It came after this day and before the next one in which the bar was used.
+    /// It happened between these days.
     pub after_day: f64,
     pub before_day: f64,
     pub change_mm: Estimate,
@@ -106,24 +104,24 @@ pub struct FleetRobot {
     pub kind: String,
     pub corrections: DVector<f64>,
     pub covariance: DMatrix<f64>,
-    /// Days of runs that the one before contradicts.
+    /// Days of runs that contradict the run before: a collision, or another change.
     pub crashes: Vec<f64>,
 }
 
-/// The robots of a type: what a new one is before any length.
+/// The prior of a new robot of a type.
 #[derive(Clone, Debug)]
 pub struct FleetType {
     pub kind: String,
     pub ids: Vec<ParamId>,
     pub mean: DVector<f64>,
-    /// Of a new robot about `mean`, with the uncertainty of the mean.
+    /// Of a new robot about `mean`, including the uncertainty of the mean.
     pub covariance: DMatrix<f64>,
     pub robots: usize,
 }
 
 impl FleetType {
-    /// A new robot of the type, for `dbbd identify --robot`: the likeliest values, and what is not known of them as its
-    /// posterior. `None` where a parameter is none of `nominal`'s.
+    /// A new robot of the type, for `dbbd identify --robot`, with the prior of the type as its posterior. `None` if `nominal`
+    /// lacks a parameter.
     pub fn robot(&self, nominal: &Robot) -> Option<Robot> {
         let mut robot = nominal.clone();
         for (id, correction) in self.ids.iter().zip(self.mean.iter()) {
@@ -136,44 +134,42 @@ impl FleetType {
     }
 }
 
-/// The plant.
 #[derive(Clone, Debug, Default)]
 pub struct Fleet {
     pub bars: Vec<BarHistory>,
     pub robots: Vec<FleetRobot>,
     pub types: Vec<FleetType>,
-    /// Runs whose posterior has no inverse.
+    /// Number of runs whose posterior is singular.
     pub unusable: usize,
 }
 
 impl Fleet {
     /// Bars that jumped, and robots that changed suddenly.
     pub fn findings(&self) -> Vec<ArchiveFinding> {
-        let jumps = self.bars.iter().flat_map(|bar| bar.jumps.iter().map(move |jump| (bar, jump.change_mm)));
-        let jumped = jumps.map(|(bar, change_mm)| {
-            let [um, sd_um] = [change_mm.value, change_mm.sd].map(|mm| 1e3 * mm);
-            ArchiveFinding::BarJumped { bar: bar.bar.clone(), um, sd_um }
-        });
-        let crashed = self.robots.iter().filter(|robot| !robot.crashes.is_empty());
-        let changed = crashed.map(|robot| ArchiveFinding::RobotChanged {
-            robot: robot.robot.clone(),
-            times: robot.crashes.len(),
-        });
-        jumped.chain(changed).collect()
+        let mut findings = Vec::new();
+        for bar in &self.bars {
+            findings.extend(bar.jumps.iter().map(|Jump { change_mm, .. }| {
+                let [um, sd_um] = [change_mm.value, change_mm.sd].map(|mm| 1e3 * mm);
+                ArchiveFinding::BarJumped { bar: bar.bar.clone(), um, sd_um }
+            }));
+        }
+        for robot in self.robots.iter().filter(|robot| !robot.crashes.is_empty()) {
+            let (robot, times) = (robot.robot.clone(), robot.crashes.len());
+            findings.push(ArchiveFinding::RobotChanged { robot, times });
+        }
+        findings
     }
 }
 
-/// A bar within a span of time.
+/// The number of a bar, and of an epoch.
 type Knot = (usize, i64);
 
-/// The inverse of a symmetric positive definite matrix, `None` where it is not.
+/// The inverse of a symmetric positive definite matrix; `None` if it is not positive definite.
 fn inverse(matrix: &DMatrix<f64>) -> Option<DMatrix<f64>> {
     Some(matrix.clone().cholesky()?.inverse())
 }
 
-/// The plant from its runs, in any order.
-///
-/// `None` where a system has no solution: a number is not finite.
+/// Estimates a plant from its runs, in any order. `None` if a number is not finite.
 pub fn fleet(runs: &[RunPosterior], assumed: &Assumptions) -> Option<Fleet> {
     let mut by_robot: BTreeMap<&str, Vec<&RunPosterior>> = BTreeMap::new();
     runs.iter().for_each(|run| by_robot.entry(&run.robot).or_default().push(run));

@@ -1,8 +1,8 @@
-//! The means of the types and the bars together, once the robots have left by their Schur complement.
+//! The means of the types and the bars, after elimination of the robots by Schur complements.
 //!
-//! A robot x of a type with the mean m and the covariance S is normal about m; its folded runs say
-//! exp(-x'Ax/2 - x'Bk - k'Ck/2 + x'a + k'c) of it and of the bars k at its knots. With D = (A + S^-1)^-1, integrated over x,
-//! the information on (m, k) is [S^-1 - S^-1 D S^-1, S^-1 D B; B'D S^-1, C - B'D B], and the robot given these is normal about
+//! A robot x of a type with the mean m and the covariance S is normal about m. The likelihood of its runs is
+//! exp(-x'Ax/2 - x'Bk - k'Ck/2 + x'a + k'c) with the bars k at its knots. With D = (A + S^-1)^-1, integration over x gives the
+//! information [S^-1 - S^-1 D S^-1, S^-1 D B; B'D S^-1, C - B'D B] on (m, k). Given these, the robot is normal about
 //! D (a + S^-1 m - B k) with the covariance D.
 
 use nalgebra::{DMatrix, DVector};
@@ -11,10 +11,10 @@ use super::bars::{Column, histories};
 use super::{Assumptions, Fleet, FleetRobot, Folded, ITERATIONS, Kind, Knot, SETTLED, inverse};
 use crate::math::distributions::chi_square_exceeded;
 
-/// A bar jumped when chance does it with this probability.
+/// Significance level of a jump.
 const JUMP: f64 = 1e-4;
 
-/// The plant while it is estimated.
+/// The state of the estimation.
 pub(super) struct Plant {
     robots: Vec<Folded>,
     kinds: Vec<Kind>,
@@ -22,7 +22,7 @@ pub(super) struct Plant {
     assumed: Assumptions,
     knots: Vec<Knot>,
     columns: Vec<Column>,
-    /// Where the mean of each type begins among the unknowns; behind the last one come the columns of the bars.
+    /// Index of the mean of each type among the unknowns, then that of the first column of the bars.
     begins: Vec<usize>,
 }
 
@@ -32,13 +32,13 @@ struct Information {
     rhs: DVector<f64>,
 }
 
-/// The means, then the bars' columns.
+/// The posterior of the means, then of the bars' columns.
 struct Solved {
     values: DVector<f64>,
     covariance: DMatrix<f64>,
 }
 
-/// A robot once means and bars are known as they are.
+/// The posterior of a robot.
 pub(super) struct Moments {
     mean: DVector<f64>,
     covariance: DMatrix<f64>,
@@ -68,7 +68,7 @@ impl Plant {
         self.begins[self.kinds.len()]
     }
 
-    /// Iterates until the covariances of the types rest.
+    /// Iterates until the covariances of the types converge.
     pub(super) fn settle(&mut self) -> Option<()> {
         for _ in 0..ITERATIONS {
             let solved = self.solve(&self.information()?)?;
@@ -85,7 +85,7 @@ impl Plant {
         Some(())
     }
 
-    /// Where a robot's unknowns are in the information: the mean of its type, its knots.
+    /// The indices of a robot's unknowns in the information: the mean of its type, its knots.
     fn places(&self, robot: &Folded) -> Vec<usize> {
         let knots = robot.knots.iter().filter_map(|knot| self.knots.binary_search(knot).ok());
         let knots = knots.map(|at| self.means() + at);
@@ -117,7 +117,7 @@ impl Plant {
         Some(Information { matrix, rhs })
     }
 
-    /// Means and columns, from the information and what is known beforehand.
+    /// Means and columns, from the information and their priors.
     fn solve(&self, information: &Information) -> Option<Solved> {
         let (means, knots, columns) = (self.means(), self.knots.len(), self.columns.len());
         let design = Column::design(&self.columns, &self.knots);
@@ -139,7 +139,6 @@ impl Plant {
         Some(Solved { values: &covariance * rhs, covariance })
     }
 
-    /// The robots given means and bars.
     fn moments(&self, solved: &Solved) -> Option<Vec<Moments>> {
         let design = Column::design(&self.columns, &self.knots);
         self.robots.iter().map(|robot| self.moments_of(robot, solved, &design)).collect()
@@ -151,7 +150,7 @@ impl Plant {
         let given = Given::new(robot, kind)?;
         let knots: Vec<usize> =
             self.places(robot).split_off(count).iter().map(|at| at - self.means()).collect();
-        // The robot's mean by the unknowns of the plant: those that matter to it.
+        // The derivative of the robot's mean by the unknowns of the plant.
         let through = &given.covariance * &given.coupling;
         let mut by_unknown = DMatrix::zeros(count, solved.values.len());
         by_unknown.columns_mut(self.begins[robot.kind], count).copy_from(&through.columns(0, count));
@@ -168,7 +167,7 @@ impl Plant {
         Some(Moments { mean, covariance, about_mean })
     }
 
-    /// Adds the jumps that are far beyond chance. Whether there was one.
+    /// Adds the significant jumps. Returns whether there was one.
     pub(super) fn finds_jumps(&mut self) -> Option<bool> {
         let (information, means) = (self.information()?, self.means());
         let candidates = Column::jumps(&self.knots);
@@ -234,10 +233,10 @@ impl Plant {
     }
 }
 
-/// A robot given the mean of its type and the bars: `covariance * (a + coupling * [m; k])`.
+/// A robot given the mean of its type and the bars is normal about `covariance * (a + coupling * [m; k])`.
 struct Given {
     covariance: DMatrix<f64>,
-    /// The information of the type.
+    /// S^-1.
     prior: DMatrix<f64>,
     /// [S^-1, -B].
     coupling: DMatrix<f64>,

@@ -1,0 +1,97 @@
+//! The table of all parameters of a result.
+
+use super::Combination;
+use super::estimate::Estimate;
+use super::monte_carlo::Draws;
+use super::options::Setting;
+use super::priors::open_limit;
+use super::result::{ParameterResult, Reason};
+use super::selection::is_place;
+use super::uncertainty::Uncertainty;
+use crate::robot::ParamId;
+
+pub(super) struct ParameterTable<'a> {
+    pub(super) setting: &'a Setting<'a>,
+    pub(super) estimate: &'a Estimate,
+    pub(super) uncertainty: &'a Uncertainty,
+    pub(super) coverage_factor: Option<f64>,
+    pub(super) draws: Option<&'a Draws>,
+    pub(super) combinations: Vec<Combination>,
+}
+
+impl ParameterTable<'_> {
+    pub(super) fn parameters(&self) -> Vec<ParameterResult> {
+        let Setting { robot, start, set_up, .. } = *self.setting;
+        let mut nominal = start.clone();
+        if let Some(before) = &robot.nominal {
+            nominal.geometry = before.geometry.clone();
+        }
+        let more = [self.estimate.analysis.ids.as_slice(), &self.estimate.kept].concat();
+        let ids = self.setting.all_and(set_up, &more);
+        ids.into_iter().map(|id| self.parameter(id, start.value(id), nominal.value(id))).collect()
+    }
+
+    fn parameter(&self, id: ParamId, start: f64, nominal: f64) -> ParameterResult {
+        let identified = self.estimate.fit.model.value(id);
+        let sd = self.uncertainty.posterior.sd(id);
+        let interval = |(factor, sd): (f64, f64)| [identified - factor * sd, identified + factor * sd];
+        ParameterResult {
+            id,
+            start,
+            nominal,
+            identified,
+            correction: identified - nominal,
+            sd,
+            interval95: self.coverage_factor.zip(sd).map(interval),
+            monte_carlo: self.draws.and_then(|draws| draws.parameter(id)),
+            reason: self.reason(id),
+        }
+    }
+
+    fn reason(&self, id: ParamId) -> Reason {
+        let Setting { options, priors, .. } = self.setting;
+        let Estimate { kept, analysis, poorly_observable, .. } = self.estimate;
+        if let Some(k) = kept.iter().position(|kept| *kept == id) {
+            self.reason_of_estimated(id, k)
+        } else if options.hold.contains(&id) {
+            Reason::FixedAsAsked
+        } else if poorly_observable.contains(&id) {
+            match is_place(&id) {
+                true => Reason::Open { limit: open_limit(id) },
+                false => Reason::PoorlyObservable { limit: priors.weak_limit(id) },
+            }
+        } else if !analysis.ids.contains(&id) {
+            Reason::NotAsked
+        } else if analysis.zero().contains(&id) {
+            Reason::ChangesNoLength
+        } else {
+            Reason::Dependent { combination: self.combination(id) }
+        }
+    }
+
+    fn reason_of_estimated(&self, id: ParamId, k: usize) -> Reason {
+        let Estimate { kept, base, prior, .. } = self.estimate;
+        if id.is_optional() && self.estimate.joints.is_some() {
+            let before = self.estimate.prior_sd(id).unwrap_or(f64::INFINITY);
+            let after = self.uncertainty.posterior.sd(id).unwrap_or(before);
+            return Reason::ByEvidence { determined: 1.0 - (after / before).powi(2) };
+        }
+        if !base.contains(&id) {
+            return Reason::PriorShares { combination: self.combination(id) };
+        }
+        let data_sd = self.uncertainty.data_sd[k];
+        if prior.is_some() && data_sd > self.setting.priors.weak_limit(id) {
+            return Reason::PriorCarries { data_sd };
+        }
+        let Some(combination) = self.combinations.iter().find(|combination| combination.kept == id) else {
+            return Reason::Identified;
+        };
+        let shared = combination.members.iter().any(|(member, _)| *member != id && kept.contains(member));
+        Reason::IdentifiedFor { combination: combination.clone(), shared }
+    }
+
+    /// The first combination with this member.
+    fn combination(&self, id: ParamId) -> Option<Combination> {
+        self.combinations.iter().find(|combination| combination.contains(id)).cloned()
+    }
+}
