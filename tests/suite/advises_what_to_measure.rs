@@ -1,4 +1,4 @@
-//! Advice found by trying: what is proposed does what was said, and a ball turned about axis 1 does not.
+//! Recommendations have the predicted effect, and a ball rotated about axis 1 has none.
 
 use dbbd::estimation::result_file::Kind;
 use dbbd::estimation::{CalibrationResult, Options, Prior, ResultFile};
@@ -43,7 +43,7 @@ fn find(circles: &[Circle], data: &Measurements) -> CalibrationResult {
 }
 
 #[test]
-fn a_ball_elsewhere_helps_and_one_turned_about_axis_1_does_not() {
+fn a_further_ball_helps_and_a_rotation_about_axis_1_does_not() {
     let circles = three_planes(1, CENTRE);
     let found = find(&circles, &noisy(&circles, 27, 0.02));
     let advice = &ResultFile::from(&found).advice;
@@ -59,7 +59,7 @@ fn a_ball_elsewhere_helps_and_one_turned_about_axis_1_does_not() {
     let ball = of(Kind::Ball);
     assert!(ball.after_mm < 0.7 * ball.before_mm, "{}", ball.text);
 
-    // The ball that is advised, measured as it was tried: three circles, 20 poses.
+    // The recommended ball, measured as it was simulated: three circles, 20 poses.
     let further = three_planes(2, ball.ball_mm.unwrap());
     let all = [circles, further].concat();
     let mut data = noisy(&all[..3], 27, 0.02);
@@ -69,10 +69,10 @@ fn a_ball_elsewhere_helps_and_one_turned_about_axis_1_does_not() {
     assert!((0.67..1.5).contains(&(mean / ball.after_mm)), "{mean} for {}", ball.text);
 }
 
-/// A horizontal circle has alpha1, d2 and d3 in one direction; any other plane tells alpha1 from d2 + d3, which is
-/// all that lengths can tell (the reference's rank table).
+/// On a horizontal circle alpha1, d2 and d3 are dependent. Any other plane separates alpha1 from d2 + d3; lengths cannot
+/// separate more (the reference's rank table).
 #[test]
-fn another_plane_separates_what_a_horizontal_circle_confounds() {
+fn another_plane_separates_the_parameters_of_a_horizontal_circle() {
     let circles = [horizontal(1, CENTRE)];
     let list = dbbd::robot::parameter::parse_list("alpha1-5,a1-5,d2-6", &[], 1).unwrap();
     let options = |prior| Options {
@@ -95,21 +95,21 @@ fn another_plane_separates_what_a_horizontal_circle_confounds() {
 }
 
 #[test]
-fn nothing_is_advised_where_lengths_tell_all_they_can() {
+fn no_recommendation_if_all_parameters_are_identified() {
     let circles = [three_planes(1, CENTRE), three_planes(2, [1100.0, 400.0, 600.0])].concat();
     let data = noisy(&circles, 27, 0.001);
     let hold = dbbd::robot::parameter::parse_list("bar", &[], 2).unwrap();
     let options = Options { sigma_mm: Some(0.001), hold, folds: Some(0), ..Options::default() };
     let found = calibrated(&kr60(), &data, &balls(&circles), &options).unwrap();
-    // d2 + d3 and where the base stands remain: no lengths tell them.
+    // Only d2 + d3 and the place of the base are left, which no lengths determine.
     assert!(!found.combinations.is_empty());
     assert!(found.recommendations.is_empty(), "{:?}", found.recommendations);
 }
 
-/// Poses that never turn the tool leave it and the ball open: followed blindly, as a list is, they are fitted metres
-/// away. What is advised rests on what is known of them, is better than what there is, and lies where the arm gets.
+/// Poses that never rotate the tool do not determine tool and ball: with a list they are fitted metres away. Recommendations
+/// use their prior, improve the result, and are within reach.
 #[test]
-fn poses_that_tell_little_lead_to_no_absurd_advice() {
+fn uninformative_poses_give_no_absurd_recommendation() {
     let circles = [horizontal(1, CENTRE)];
     let data = turned(&circles, 36, 0.02, 0.0);
     let all = dbbd::robot::parameter::parse_list("all", &kr60().parallel_joints(), 1).unwrap();
@@ -128,7 +128,7 @@ fn poses_that_tell_little_lead_to_no_absurd_advice() {
         assert!(ball.adds, "{}", ball.text);
         further.push(ball.after_mm);
     }
-    // The same measurement, whatever was asked of what there is.
+    // The same measurement, independent of the options.
     let [least, most] = [f64::min, f64::max].map(|pick| further.iter().copied().reduce(pick).unwrap());
     assert!(most < 1.3 * least, "{further:?}");
 }

@@ -1,4 +1,4 @@
-//! A base ball that is somewhere else from one row on is found, and its lengths get a ball of their own. Campaign:
+//! A base ball that was remounted during the measurement is found, and its later lengths get a ball of their own. Campaign:
 //! docs/explanation/reliability.md.
 
 use std::fs;
@@ -47,7 +47,7 @@ pub(crate) fn identified(
 }
 
 #[test]
-fn a_ball_that_moved_gets_a_number_of_its_own() {
+fn a_remounted_ball_gets_a_number_of_its_own() {
     let (dir, truth) = (tempdir().unwrap(), drawn(4));
     let data = lengths(&truth, 70, 3, 1);
     let (_, plain, before) = identified(dir.path(), &data, "plain");
@@ -64,12 +64,12 @@ fn a_ball_that_moved_gets_a_number_of_its_own() {
         assert!((new - old - moved).abs() < 0.03, "{axis}: {old} {new}");
     }
     assert!(after.residual_mm.after.rms < 1.1 * before.residual_mm.after.rms);
-    // The doubt goes along with the robot.
+    // The robot file has the doubt.
     let file = fs::read_to_string(dir.path().join("moved/robot-identified.toml")).unwrap();
     assert!(Robot::from_toml("robot-identified.toml", &file).unwrap().doubts.contains(&"W1331".to_owned()));
 }
 
-/// What was found: the ball and the index from which on it is elsewhere.
+/// The ball that was found, and the index of its first length at the new place.
 fn found(data: &Measurements, robot: &Robot, balls: &[Vector3<f64>]) -> Option<(u32, u32)> {
     let ball = |(at, position): (usize, &Vector3<f64>)| BaseBall { id: BallId::at(at), position: *position };
     let centres: Vec<BaseBall> = balls.iter().enumerate().map(ball).collect();
@@ -84,7 +84,7 @@ fn found(data: &Measurements, robot: &Robot, balls: &[Vector3<f64>]) -> Option<(
 }
 
 #[test]
-fn no_ball_of_a_real_robot_moved() {
+fn no_remounted_ball_is_found_on_a_real_robot() {
     let of = |x: f64, y: f64, z: f64| Vector3::new(x, y, z);
     let kr60_balls = [of(270.0, -1490.0, 530.0), of(760.0, -1570.0, 1030.0), of(340.0, -1000.0, 1230.0)];
     let mut arm = kr60();
@@ -100,7 +100,7 @@ fn no_ball_of_a_real_robot_moved() {
 
 #[test]
 #[ignore = "500 identifications: see docs/explanation/reliability.md"]
-fn balls_of_a_hundred_robots_are_mounted_anew() {
+fn remounted_balls_of_a_hundred_robots() {
     let balls = BALLS.map(|ball| Vector3::from(ball) + Vector3::new(3.0, -2.0, 1.0));
     for size_mm in [0.0, 0.1, 0.3, 1.0, 10.0] {
         let [mut right, mut near, mut other] = [0, 0, 0];

@@ -1,5 +1,5 @@
-//! A bar's offset looks like a uniform scale of the robot while all lengths are equal. A second length of the
-//! same bar tells them apart; a second bar with an offset of its own does not, unless one of them is calibrated.
+//! With equal lengths a bar's offset is equivalent to a uniform scale of the robot. A second length of the same bar separates
+//! them; a second bar with an offset of its own does not, unless one of them is calibrated.
 
 use dbbd::robot::{BallId, BarId};
 use std::fs;
@@ -78,7 +78,7 @@ fn a_second_length_of_one_bar_raises_the_rank() {
 }
 
 #[test]
-fn two_bars_leave_the_scale_open_until_one_is_calibrated() {
+fn two_bars_do_not_determine_the_scale_until_one_is_calibrated() {
     let free = identify(&two_lengths(2, 0.0), &["--estimate", "all"]);
     assert_eq!((free.rank, parameter(&free, "bar_offset2").status), (25, Status::Dependent));
     assert!(text(
@@ -87,7 +87,7 @@ fn two_bars_leave_the_scale_open_until_one_is_calibrated() {
     ));
     assert!(text(&free, "calibrate one of the bars, or set one to a second length"));
 
-    // Bar 1 is calibrated: its offset is taken out of its lengths, and it is held.
+    // Bar 1 is calibrated: its offset is subtracted from its lengths, and it is fixed.
     let mut known = two_lengths(2, 0.002);
     known
         .rows
@@ -103,7 +103,7 @@ fn two_bars_leave_the_scale_open_until_one_is_calibrated() {
     assert!(!text(&held, "uniform scale"));
 }
 
-/// What a certificate of 1 um says of a bar, the lengths do not tell better; each bar has its own offset.
+/// The lengths do not improve a certificate of 1 um; each bar has its own offset.
 #[test]
 fn a_certificate_binds_the_offset_of_each_bar() {
     let mut data = two_lengths(2, 0.01);
@@ -120,7 +120,7 @@ fn a_certificate_binds_the_offset_of_each_bar() {
     assert_ne!(parameter(&bound, "bar_offset").identified, parameter(&bound, "bar_offset2").identified);
     assert!(predicted(&bound) < 0.9 * predicted(&free), "{} {}", predicted(&bound), predicted(&free));
 
-    // Without a prior it says how well the lengths must tell an offset for it to be estimated.
+    // Without a prior the certificate sets the limit for the offset to be estimated.
     let one = two_lengths(1, 0.05);
     for (u, status) in [("0.0001", Status::PoorlyObservable), ("0.1", Status::Identified)] {
         let found = identify(&one, &["--sigma", "0.05", "--bar-u", u]);

@@ -1,4 +1,4 @@
-//! `dbbd check`: a robot that changed is found and the change named; one that did not passes at the stated rate.
+//! `dbbd check`: a changed robot is found and the change identified; an unchanged one passes at the stated rate.
 
 use std::fs;
 use std::path::Path;
@@ -191,7 +191,7 @@ fn read(dir: &Path, file: &str) -> Value {
 
 /// The check that is planned finds what it says, and is what `check` says of its lengths.
 #[test]
-fn a_check_is_planned_for_the_changes_it_finds() {
+fn a_check_is_planned_for_detectable_changes() {
     let dir = cell();
     let at = dir.path();
     let plan = |more: &[&str]| {
@@ -249,7 +249,7 @@ fn a_check_is_planned_for_the_changes_it_finds() {
 
 /// check.json and compare.json have their sources, and `info` shows them.
 #[test]
-fn a_check_and_a_comparison_know_their_sources() {
+fn a_check_and_a_comparison_record_their_sources() {
     let dir = cell();
     let at = dir.path();
     let circles = three_planes(1, CENTRE);

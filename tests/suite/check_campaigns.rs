@@ -1,4 +1,4 @@
-//! Simulated robots that are checked: rates of false alarms, detection, right names, repair and wrong decisions.
+//! Simulated checks: rates of false alarms, detection, right hypotheses, repair and wrong decisions.
 
 use dbbd::conformity::{CheckInput, InterimCheck, Outcome, Rule, decide};
 use dbbd::diagnostic::Finding;
@@ -250,7 +250,7 @@ fn false_alarms_and_detection_are_as_stated() {
 
 #[test]
 #[ignore = "a campaign"]
-fn with_kept_balls_false_alarms_and_detection_are_as_stated() {
+fn false_alarms_and_detection_with_kept_balls_are_as_stated() {
     as_stated(KEPT);
 }
 
@@ -268,7 +268,7 @@ fn as_stated(mounting: Mounting) {
 
 /// A base ball that moved by three tenths of a millimetre is named, where it should have stayed; else it is no change.
 #[test]
-fn a_moved_ball_is_named_where_it_should_have_stayed() {
+fn a_moved_ball_is_found_if_it_was_kept() {
     let ids = Coordinate::ALL.map(|axis| ParamId::Ball(BallId::FIRST, axis));
     let change: Vec<(ParamId, f64)> = ids.into_iter().zip([0.2, 0.15, -0.2]).collect();
     for (mounting, seen) in [(KEPT, true), (MOUNTING, false)] {

@@ -1,4 +1,4 @@
-//! Inputs that are sound one by one and wrong together, in part, or for this use: each is refused, or said.
+//! Inputs that are valid one by one but wrong together, in part, or for their use are refused or reported.
 #![cfg(unix)]
 
 use std::fs;

@@ -1,5 +1,5 @@
-//! Runs of many robots and bars say together what none says alone: the bar that was dropped, and what a new robot of a
-//! known type is.
+//! Runs of many robots and bars together determine what none determines alone: the bar that was dropped, and the prior of a new
+//! robot of a known type.
 
 use dbbd::diagnostic::Finding as _;
 use dbbd::estimation::fleet::{Assumptions, Fleet, RunPosterior, fleet};
@@ -342,7 +342,7 @@ fn new_robots(world: &mut World, found: &Fleet, count: usize) -> [f64; 3] {
 }
 
 #[test]
-fn the_dropped_bar_is_named_and_a_known_type_needs_fewer_poses() {
+fn a_dropped_bar_is_found_and_a_known_type_needs_fewer_poses() {
     let mut world = World::new(7, 1, 3);
     let (_, runs) = world.plant(6, 8, 6);
     let found = fleet(&runs, &ASSUMED).unwrap();

@@ -1,5 +1,5 @@
-//! Real robots: lengths that a laser tracker and a draw-wire gave. The data carry no licence and are
-//! not part of the project: without them beside the checkout these tests say so and pass.
+//! Real robots, measured by a laser tracker and a draw-wire sensor. The data have no licence and are not part of the project:
+//! without them beside the checkout these tests report that and pass.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -32,7 +32,7 @@ fn identify(dir: &Path, data: &Path, args: &[&str]) -> (ResultFile, String) {
 const TAPED: &str = "centre,x_mm,y_mm,z_mm\n1,300,-1530,500\n2,720,-1600,1080\n3,390,-960,1190\n";
 
 #[test]
-fn three_balls_lower_the_residual_and_stay_plausible() {
+fn three_balls_give_small_residuals_and_plausible_corrections() {
     let Some(data) = data("kr60/three_balls.csv") else { return };
     let dir = tempdir().unwrap();
     fs::write(dir.path().join("C.csv"), TAPED).unwrap();
@@ -53,7 +53,7 @@ fn three_balls_lower_the_residual_and_stay_plausible() {
 }
 
 #[test]
-fn one_ball_is_said_not_to_pin_the_position() {
+fn one_ball_does_not_determine_the_position() {
     let Some(data) = data("kr60/one_ball.csv") else { return };
     let dir = tempdir().unwrap();
     fs::write(dir.path().join("C.csv"), "centre,x_mm,y_mm,z_mm\n1,270,-1490,530\n").unwrap();
@@ -105,7 +105,7 @@ fn draw_wire_lengths_of_clustered_poses() {
 
 /// A third of the poses is the check of a calibration by the others: it passes, and finds a joint whose angles are off.
 #[test]
-fn a_check_of_the_real_robot_passes_and_names_a_joint_that_moved() {
+fn a_check_of_the_real_robot_passes_and_finds_a_moved_joint() {
     let Some(data) = data("kr60/three_balls.csv") else { return };
     let dir = tempdir().unwrap();
     let at = dir.path();

@@ -1,4 +1,4 @@
-//! The paper's experiment, and what its circle can and cannot tell (Jeon et al., Table 2 and section 4).
+//! The experiment of Jeon et al. (Table 2, section 4), and which parameters its circle identifies.
 
 use std::fs;
 
@@ -12,7 +12,7 @@ use crate::cell::{
     with_errors,
 };
 
-/// The paper's 13, and the 15 before d2 and d3 were left out.
+/// The paper's 13 parameters, and the 15 with d2 and d3.
 const THIRTEEN: &str = "alpha1-5,a1-5,d4-6";
 const FIFTEEN: &str = "alpha1-5,a1-5,d2-6";
 
@@ -30,13 +30,13 @@ fn identify_robot(truth: &Robot, circles: &[Circle], amplitude_deg: f64, extra: 
     args.extend(["--folds", "0"]);
     args.extend(extra);
     let output = dbbd(dir.path(), &args);
-    // 3 is a doubt, which the horizontal circle deserves.
+    // Exit code 3 is a warning, as for the horizontal circle.
     assert!(matches!(output.status.code(), Some(0 | 3)), "{}", stderr(&output));
     serde_json::from_str(&fs::read_to_string(dir.path().join("out/result.json")).unwrap()).unwrap()
 }
 
 #[test]
-fn thirteen_of_thirteen_to_1e_9_from_the_nominal() {
+fn thirteen_parameters_are_identified_to_1e_9() {
     let result = identify(&[horizontal(1, CENTRE)], &["--estimate", THIRTEEN]);
     assert_eq!(result.rank, 13);
     assert!(result.converged && result.iterations <= 8, "{} steps", result.iterations);
@@ -48,10 +48,10 @@ fn thirteen_of_thirteen_to_1e_9_from_the_nominal() {
 }
 
 #[test]
-fn horizontal_circle_names_the_direction_it_cannot_resolve() {
+fn a_horizontal_circle_reports_its_unidentifiable_direction() {
     let result = identify(&[horizontal(1, CENTRE)], &["--estimate", FIFTEEN]);
     assert_eq!(result.rank, 13);
-    // (alpha1, d2) = (-1/15 rad, 1 mm) changes nothing, so alpha1 + d2/15 + d3/15 is what can be told:
+    // (alpha1, d2) = (-1/15 rad, 1 mm) changes no length, so only alpha1 + d2/15 + d3/15 is identifiable:
     // 15 mm is the height of the centre below axis 2, 815 - 800.
     let group = result.dependent.iter().find(|group| group.kept == "alpha1").unwrap();
     for member in ["d2", "d3"] {
@@ -61,7 +61,7 @@ fn horizontal_circle_names_the_direction_it_cannot_resolve() {
 }
 
 #[test]
-fn tilted_circle_leaves_only_d2_and_d3_together() {
+fn a_tilted_circle_leaves_only_d2_and_d3_dependent() {
     let result = identify(&[tilted(30.0)], &["--estimate", FIFTEEN]);
     assert_eq!(result.rank, 14);
     assert_eq!(result.dependent.len(), 1);
@@ -74,7 +74,7 @@ fn tilted_circle_leaves_only_d2_and_d3_together() {
 
 /// Ranks found by an independent prototype: columns scaled to unit norm at the nominal geometry,
 /// singular values below 1e-8 of the largest dropped. The robot is the nominal one: where the
-/// set-up has to be fitted to another, the lengths are no longer equal and tell a trace of the bar.
+/// set-up has to be fitted to another robot, the lengths differ and contain some information about the bar.
 #[test]
 fn ranks_of_the_plans() {
     let rank =
@@ -93,7 +93,7 @@ fn ranks_of_the_plans() {
 
 /// With a fixed orientation the wrist hardly moves: 7 of 15.
 #[test]
-fn fixed_orientation_tells_little() {
+fn a_fixed_orientation_identifies_few_parameters() {
     let result =
         identify_robot(&with_errors(DESIGNED), &[horizontal(1, CENTRE)], 0.0, &["--estimate", FIFTEEN]);
     assert_eq!(result.rank, 7);

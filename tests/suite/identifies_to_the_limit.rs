@@ -1,6 +1,6 @@
-//! As well as the data allow: scatter at the Cramer-Rao bound, intervals that cover, far starts that
-//! come home, spoiled rows that are named. The suite runs a seeded slice; the full campaigns are
-//! ignored tests, their commands and figures in docs/explanation/accuracy.md.
+//! Statistical efficiency: scatter at the Cramer-Rao bound, coverage of intervals, convergence from distant starts, detection
+//! of outliers. The suite runs a seeded sample; the full campaigns are ignored tests, with their commands and figures in
+//! docs/explanation/accuracy.md.
 
 use dbbd::estimation::result::Status;
 use dbbd::estimation::{CalibrationResult, Options, Prior};
@@ -32,7 +32,7 @@ fn find(robot: &Robot, data: &Measurements, centres: &[BaseBall], options: &Opti
 }
 
 /// The paper's 13 from three planes with 1 um of noise: for each parameter the scatter over the
-/// standard deviation that the result gives (which is the bound), and the share of 95 % intervals that cover.
+/// standard deviation that the result gives (which is the bound), and the fraction of 95 % intervals that cover.
 fn scatter_and_coverage(seeds: u64) -> Vec<(String, f64, f64)> {
     let circles = three_planes(1, CENTRE);
     let exact = measure(&with_errors(DESIGNED), &circles, 27, 25.0);
@@ -60,7 +60,7 @@ fn scatter_and_coverage(seeds: u64) -> Vec<(String, f64, f64)> {
 }
 
 #[test]
-fn scatter_is_that_of_the_bound() {
+fn scatter_reaches_the_cramer_rao_bound() {
     for (name, scatter, covered) in scatter_and_coverage(100) {
         // Four standard errors of 100 draws: 1 / sqrt(200) of a scatter, sqrt(0.95 * 0.05 / 100) of a share.
         assert!((scatter - 1.0).abs() < 0.29, "{name}: scatter {scatter}");
@@ -70,7 +70,7 @@ fn scatter_is_that_of_the_bound() {
 
 #[test]
 #[ignore = "2000 seeds: see docs/explanation/accuracy.md"]
-fn scatter_is_that_of_the_bound_in_2000_seeds() {
+fn scatter_reaches_the_cramer_rao_bound_in_2000_seeds() {
     for (name, scatter, covered) in scatter_and_coverage(2000) {
         eprintln!("{name}: scatter / bound {scatter:.3}, 95 % intervals cover {:.2} %", covered * 100.0);
         assert!((scatter - 1.0).abs() < 0.05 && (0.935..=0.965).contains(&covered));
@@ -78,7 +78,7 @@ fn scatter_is_that_of_the_bound_in_2000_seeds() {
 }
 
 /// Starts off by up to `angle` rad on every joint offset and `length` mm on every length, ball and
-/// tool; the share that reaches the right minimum, and how many wrong ones said nothing.
+/// tool; the fraction that reaches the right minimum, and the number of wrong ones without a finding.
 fn far_starts(circles: &[Circle], points: usize, starts: u64, angle: f64, length: f64) -> (f64, u32) {
     let truth = with_errors(DESIGNED);
     let data = measure(&truth, circles, points, 25.0);
@@ -128,13 +128,13 @@ fn three_balls() -> Vec<Circle> {
 }
 
 #[test]
-fn far_starts_come_home() {
+fn distant_starts_converge() {
     assert_eq!(far_starts(&three_planes(1, CENTRE), 27, 12, 0.2, 50.0), (1.0, 0));
 }
 
 #[test]
 #[ignore = "4000 fits: see docs/explanation/accuracy.md"]
-fn far_starts_come_home_in_1000() {
+fn distant_starts_converge_in_1000() {
     for (name, circles, points) in
         [("one ball", three_planes(1, CENTRE).to_vec(), 27), ("three balls", three_balls(), 9)]
     {
@@ -153,9 +153,9 @@ fn far_starts_come_home_in_1000() {
 }
 
 /// 21 lengths whose given sigma is that of the bar, 2 um, while the robot repeats to 14 um: as many parameters take
-/// up most residuals, and the rest must not seem to stand out beside these.
+/// make most residuals vanish, and the others must not be outliers relative to these.
 #[test]
-fn few_clean_lengths_are_no_outliers() {
+fn few_clean_lengths_have_no_outliers() {
     let circles = three_planes(1, CENTRE);
     let truth = with_errors([("a1", 0.4), ("alpha2", 6e-4), ("d4", -0.5), ("theta3", 9e-4), ("a3", -0.3)]);
     let mut named = 0;
@@ -175,10 +175,10 @@ fn few_clean_lengths_are_no_outliers() {
     assert!(named <= 1, "{named}");
 }
 
-/// So many lengths that they are made ready a piece at a time, and that an even sample tells their scale. The bar's
-/// sigma is a fifth of their noise, which is shown.
+/// So many lengths that they are prepared piece by piece, and that an even sample gives their scale. The bar's sigma is a fifth
+/// of their noise.
 #[test]
-fn many_lengths_tell_what_few_do() {
+fn many_lengths_agree_with_few() {
     let circles = three_planes(1, CENTRE);
     let mut random = Pcg64::seed_from_u64(1);
     let mut data = measure(&with_errors(DESIGNED), &circles, 50, 25.0);
@@ -207,7 +207,7 @@ fn many_lengths_tell_what_few_do() {
 }
 
 #[test]
-fn spoiled_rows_are_named_and_change_nothing() {
+fn outliers_are_reported_and_have_no_effect() {
     let circles = three_planes(1, CENTRE);
     for seed in 0..5 {
         let mut random = Pcg64::seed_from_u64(seed);
@@ -237,9 +237,9 @@ fn spoiled_rows_are_named_and_change_nothing() {
     }
 }
 
-/// Three lengths for each parameter are enough to hold some out, unless something else was asked for.
+/// By default cross-validation needs three lengths for each parameter.
 #[test]
-fn lengths_are_held_out_where_there_are_enough() {
+fn cross_validation_needs_enough_lengths() {
     let circles = three_planes(1, CENTRE);
     let asked: Vec<ParamId> = DESIGNED.iter().map(|(name, _)| name.parse().unwrap()).collect();
     let enough = 3 * asked.len();

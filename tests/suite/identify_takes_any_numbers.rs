@@ -1,5 +1,4 @@
-//! Data that tell nothing, or cannot be: a message that says so, or an answer that is right; never a crash, and
-//! never a silent wrong number.
+//! Uninformative and impossible data give a finding or a right answer: never a crash, and never a silent wrong number.
 
 use std::fs;
 
@@ -42,7 +41,7 @@ fn sound(points: usize) -> Measurements {
     measure(&with_errors(DESIGNED), &three_planes(1, CENTRE), points, 25.0)
 }
 
-/// With and without a prior: an answer without doubt is near the truth, else the run says what is wrong.
+/// With and without a prior: an answer without a doubt is near the truth, otherwise there is a finding.
 fn said_or_right(data: &Measurements, words: &str) {
     for args in [&[][..], &["--prior", "datasheet"][..]] {
         let run = identify(&data.to_csv(), args);
@@ -90,7 +89,7 @@ fn lengths_of_any_size() {
     }
 }
 
-/// One length of the thirty is absurd: it is set aside and named, and the rest is as without it.
+/// One absurd length of thirty is reported as an outlier, and the result is as without it.
 #[test]
 fn one_absurd_length_is_an_outlier() {
     let args = ["--estimate", "alpha1-5,a1-5,d4-6"];
@@ -144,7 +143,7 @@ fn sigmas_of_any_size() {
     }
 }
 
-/// Turns of an axis change nothing but the last digits, until nothing is left of an angle.
+/// Full turns of an axis change only the last digits, until the angle has none left.
 #[test]
 fn angles_of_any_size() {
     for (turns, within) in [(1.0, 1e-6), (1e3, 1e-4)] {
@@ -165,10 +164,10 @@ fn angles_of_any_size() {
     }
 }
 
-/// The tool never turns, and start axes are off by half a microdegree: tool and base ball move the lengths alike.
-/// What cannot be told stays where it was, and the result says which and why.
+/// The tool never rotates, and the start axes are off by half a microdegree: tool and base ball have the same effect on the
+/// lengths. Unidentifiable parameters stay at their start, and the result reports them with the reason.
 #[test]
-fn a_tool_that_never_turns_stays_where_it_was() {
+fn a_tool_that_never_rotates_stays_at_its_start() {
     let mut data = measure(&with_errors(DESIGNED), &[horizontal(1, CENTRE)], 80, 0.0);
     for (at, row) in data.rows.iter_mut().enumerate() {
         for (axis, angle) in row.axes.degrees_mut().iter_mut().enumerate() {

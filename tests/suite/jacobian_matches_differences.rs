@@ -1,4 +1,4 @@
-//! The analytic row of a length agrees with central differences of the length, for every parameter.
+//! The analytic design row of a length agrees with central differences, for every parameter.
 
 use dbbd::measurement::{Datum, LengthModel, PreparedMeasurement, Selection, TargetId, Tracker};
 use dbbd::robot::kinematics::Mass;

@@ -1,4 +1,4 @@
-//! Chosen poses tell more than circles: the figures of the reference, on the KR 60 HA and one ball.
+//! Chosen poses give more information than circles: the figures of the reference, on the KR 60 HA and one ball.
 
 use dbbd::design::{Candidate, Criterion, Exchange, Sphere, design_rows, workspace_rows};
 use dbbd::estimation::{Posterior, Priors, Workspace, factor, predict_design};
@@ -175,9 +175,9 @@ fn eighty_of_twenty_thousand() {
     campaign(20_000, 2000);
 }
 
-/// Taking poses in and out again leaves nothing behind: the exchange's error is that of its poses.
+/// The error that the exchange updates is that of its final poses.
 #[test]
-fn the_exchange_counts_rightly() {
+fn the_exchange_updates_agree_with_recomputation() {
     let robot = cell::kr60();
     let belief = datasheet(&robot);
     let pool = reachable(&robot, 300);
@@ -193,9 +193,9 @@ fn the_exchange_counts_rightly() {
     assert!((exchange.rms_error_mm() / rms - 1.0).abs() < 1e-6, "{} {rms}", exchange.rms_error_mm());
 }
 
-/// A belief after lengths of a robot drawn from it: truth and likeliest agree within the covariance.
+/// A prior updated by lengths of a robot drawn from it: truth and most probable model agree within the covariance.
 #[test]
-fn lengths_are_learned_within_their_covariance() {
+fn the_update_is_within_its_covariance() {
     let robot = cell::kr60();
     let truth = dbbd::sim::truth::draw(&robot, 5, 1.0);
     let belief = datasheet(&robot);

@@ -1,4 +1,4 @@
-//! Positions of a tracker identify a robot, alone and beside lengths; what contradicts is found.
+//! Positions of a tracker identify a robot, alone and with lengths; contradictions are found.
 
 use std::fmt::Write;
 use std::fs;
@@ -90,7 +90,7 @@ fn error_mm(at: &Path, truth: &Robot) -> f64 {
     aligned_distances(&set(truth), &set(&found)).into_iter().fold(0.0, f64::max)
 }
 
-/// Positions by a tracker that moved by so much amid them.
+/// Positions by a tracker that moved during the measurement.
 pub(crate) fn moved_tracker(by_mm: f64) -> String {
     let text = positions(&truth(), &poses(70, 4), 1, 0.02);
     let row = |(at, line): (usize, &str)| {
@@ -108,7 +108,7 @@ fn truth() -> Robot {
 }
 
 #[test]
-fn exact_positions_give_the_robot_and_the_targets() {
+fn exact_positions_identify_robot_and_targets() {
     let (dir, truth) = (tempdir().unwrap(), truth());
     let at = dir.path();
     fs::write(at.join("p.csv"), positions(&truth, &poses(60, 1), 2, 0.0)).unwrap();
@@ -118,19 +118,19 @@ fn exact_positions_give_the_robot_and_the_targets() {
     let made_from = result.made_from;
     assert_eq!((made_from.lengths, made_from.positions, made_from.targets), (0, 120, 2));
     assert!(error_mm(at, &truth) < 1e-4, "{}", error_mm(at, &truth));
-    // The second target lies against the first as it does on the true tool.
+    // The second target has its true place relative to the first.
     let value = |name: &str| result.parameters.iter().find(|p| p.name == name).unwrap().identified;
     let place = |stem: &str| Vector3::from(["x", "y", "z"].map(|axis| value(&format!("{stem}_{axis}"))));
     let apart = (place("target2") - place("tool")).norm();
     assert!((apart - (Vector3::from(FURTHER) - truth.geometry.tool).norm()).abs() < 1e-4);
-    // What was used is written as it was read.
+    // The used positions are written as they were read.
     let written = fs::read_to_string(at.join("o/positions.csv")).unwrap();
     assert_eq!(written.lines().count(), 121);
     assert!(!at.join("o/lengths.csv").exists());
 }
 
 #[test]
-fn positions_beside_lengths_lower_the_error() {
+fn positions_with_lengths_lower_the_error() {
     let (dir, truth) = (tempdir().unwrap(), truth());
     let at = dir.path();
     fs::write(at.join("l.csv"), lengths(&truth, &poses(40, 1), 0.01)).unwrap();
@@ -149,7 +149,7 @@ fn positions_beside_lengths_lower_the_error() {
     });
     assert_eq!((both.1.made_from.lengths, both.1.made_from.positions), (40, 40));
     assert!(both.0 < alone.0 && both.0 < 1.2 * tracked.0, "{} {} {}", alone.0, tracked.0, both.0);
-    // With weights by their own noise both are explained by one robot.
+    // Weighted by their own noise, both fit one robot.
     assert!(both.1.warnings.iter().all(|warning| warning.code != "W1362"));
 }
 
@@ -193,7 +193,7 @@ fn wires_to_several_hooks() {
 }
 
 #[test]
-fn a_wrong_coordinate_drops_its_position() {
+fn a_wrong_coordinate_rejects_its_position() {
     let (dir, truth) = (tempdir().unwrap(), truth());
     let at = dir.path();
     let text = positions(&truth, &poses(50, 1), 1, 0.02);
@@ -209,7 +209,7 @@ fn a_wrong_coordinate_drops_its_position() {
     assert!((result.outliers[0].residual_mm - 5.0).abs() < 0.5);
 }
 
-/// Each with the table that is written as p.csv, the arguments and the code.
+/// The table p.csv, the arguments and the code of each case.
 fn cases() -> Vec<(&'static str, String, Vec<&'static str>)> {
     let (truth, poses) = (truth(), poses(30, 1));
     let sound = positions(&truth, &poses, 1, 0.02);

@@ -1,4 +1,4 @@
-//! A gear's error and play show in the residuals at the right axis; a sound robot is not accused.
+//! Transmission error and backlash are found in the residuals at the right axis; a robot without them has no finding.
 
 use dbbd::estimation::result::{JointEffect, JointError};
 use dbbd::estimation::{ErrorModel, Options, senses};
@@ -17,7 +17,7 @@ const SIGMA_MM: f64 = 0.01;
 fn lengths(truth: &Robot, seed: u64, play_rad: [f64; 6]) -> Measurements {
     let mut random = Pcg64::seed_from_u64(seed);
     let mut data = crate::cell::measure(truth, &crate::cell::three_planes(1, CENTRE), 40, 25.0);
-    // The circles in a random order: an axis comes from either side.
+    // The circles are in random order, so that an axis comes from either side.
     for i in (1..data.rows.len()).rev() {
         data.rows.swap(i, random.random_range(0..=i));
     }
@@ -31,7 +31,7 @@ fn lengths(truth: &Robot, seed: u64, play_rad: [f64; 6]) -> Measurements {
     data
 }
 
-/// What the lengths of the designed robot would be, without noise or play.
+/// The lengths of the designed robot without noise and backlash.
 fn lengths_without_noise(data: &Measurements) -> Vec<f64> {
     let truth = with_errors(DESIGNED).geometry;
     data.rows.iter().map(|row| truth.length(&row.axes.radians(), &Vector3::from(CENTRE), 0.0)).collect()
@@ -50,7 +50,7 @@ fn effects(data: &Measurements) -> Vec<JointEffect> {
 }
 
 #[test]
-fn play_is_found_at_its_axis_and_to_its_size() {
+fn backlash_is_found_at_its_axis_with_its_size() {
     let play = 0.2e-3;
     for axis in [1, 3] {
         let mut plays = [0.0; 6];
@@ -73,11 +73,11 @@ fn play_is_found_at_its_axis_and_to_its_size() {
 }
 
 #[test]
-fn a_gears_error_is_found_as_one_that_returns_with_the_angle() {
+fn transmission_error_is_found_as_a_function_of_the_angle() {
     let mut truth = with_errors(DESIGNED);
     truth.geometry.gear[2] = [0.0, 0.4e-3];
     let mut data = lengths(&truth, 5, [0.0; 6]);
-    // Twice a turn as well, which the model's own gear parameters lack.
+    // With a second harmonic, which the gear parameters of the model lack.
     let sound = with_errors(DESIGNED);
     for row in &mut data.rows {
         let mut axes = row.axes.radians();
@@ -92,9 +92,9 @@ fn a_gears_error_is_found_as_one_that_returns_with_the_angle() {
     assert!(found.iter().all(|effect| effect.error == JointError::Angle), "no play is invented: {found:?}");
 }
 
-/// By Bonferroni one sound data set in a thousand would be accused; a hundred have none here.
+/// By Bonferroni one sound data set in a thousand would have a finding; none of a hundred has one here.
 #[test]
-fn a_sound_robot_is_not_accused() {
+fn a_sound_robot_has_no_finding() {
     let sound = with_errors(DESIGNED);
     for seed in 0..25 {
         let found = effects(&lengths(&sound, seed, [0.0; 6]));
@@ -104,7 +104,7 @@ fn a_sound_robot_is_not_accused() {
 
 #[test]
 #[ignore = "1000 seeds: see docs/explanation/accuracy.md"]
-fn a_sound_robot_is_hardly_ever_accused() {
+fn sound_robots_seldom_have_findings() {
     let sound = with_errors(DESIGNED);
     let accused: Vec<u64> =
         (0..1000).filter(|seed| !effects(&lengths(&sound, *seed, [0.0; 6])).is_empty()).collect();

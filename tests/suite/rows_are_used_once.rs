@@ -1,4 +1,4 @@
-//! Rows that are shifted, repeated or numbered twice are found where a table is read.
+//! Shifted, repeated and doubly numbered rows of a table are found.
 
 use std::fs;
 use std::process::Output;
@@ -40,7 +40,7 @@ fn result(dir: &TempDir) -> ResultFile {
     serde_json::from_str(&fs::read_to_string(dir.path().join("out/result.json")).unwrap()).unwrap()
 }
 
-/// The lengths of `data` moved by a row, as after a lost cell.
+/// `data` with the lengths shifted by a row, as after a lost cell.
 fn moved(mut data: Measurements) -> Measurements {
     for at in 1..data.rows.len() {
         data.rows[at - 1].length_mm = data.rows[at].length_mm;
@@ -50,7 +50,7 @@ fn moved(mut data: Measurements) -> Measurements {
 }
 
 #[test]
-fn lengths_moved_by_a_row_are_doubted() {
+fn lengths_shifted_by_a_row_are_doubted() {
     let (dir, output) = identify(&moved(lengths(27)));
     assert_eq!(output.status.code(), Some(3));
     let found = result(&dir);
@@ -58,7 +58,7 @@ fn lengths_moved_by_a_row_are_doubted() {
     assert_eq!(moved.values["rows"], -1);
     assert!(moved.values["gain"].as_f64().unwrap() > 20.0);
     assert!(moved.values["shifted_mm"].as_f64() < Some(0.1), "{}", moved.values);
-    // In their own rows they are not, nor with a wild length among them.
+    // Unshifted lengths are not doubted, nor with one outlier.
     for wild in [0.0, 5.0] {
         let mut data = lengths(27);
         data.rows[11].length_mm += wild;
@@ -67,7 +67,7 @@ fn lengths_moved_by_a_row_are_doubted() {
 }
 
 #[test]
-fn rows_that_repeat_are_used_once() {
+fn repeated_rows_are_used_once() {
     let data = lengths(20);
     let (once, _) = identify(&data);
     let mut twice = data.clone();
@@ -80,7 +80,7 @@ fn rows_that_repeat_are_used_once() {
         assert!(codes(&output).iter().any(|code| code == "W1209"));
         assert_eq!(result(&dir).parameters, result(&once).parameters);
     }
-    // A pose that was measured again is another row.
+    // A pose that was measured again is not a repeated row.
     let mut again = data.clone();
     again.rows.push(data.rows[3].clone());
     again.rows.last_mut().unwrap().index = 1000;
@@ -90,7 +90,7 @@ fn rows_that_repeat_are_used_once() {
 }
 
 #[test]
-fn different_rows_with_one_index_are_refused() {
+fn different_rows_with_the_same_index_are_refused() {
     let mut data = lengths(9);
     data.rows[5].index = data.rows[2].index;
     let (_, output) = identify(&data);

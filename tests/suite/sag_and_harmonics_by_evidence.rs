@@ -1,5 +1,5 @@
-//! Compliance and first harmonics are found by the evidence, to the right values, and nothing is found where there is
-//! nothing. The campaign is an ignored test; its command and figures are in docs/explanation/accuracy.md.
+//! Compliance and first harmonics are found by the evidence with the right values, and not on a robot without them. The
+//! campaign is an ignored test; its command and figures are in docs/explanation/accuracy.md.
 
 use std::fs;
 
@@ -75,7 +75,7 @@ fn lengths(truth: &Robot, seed: u64, points: usize) -> Measurements {
     data
 }
 
-/// Runs the binary; its result, what it said, and its report.
+/// Runs the binary; its result, output and report.
 fn run(data: &Measurements, extra: &[&str]) -> (ResultFile, String, String) {
     let dir = tempdir().unwrap();
     let at = |name: &str| dir.path().join(name);
@@ -93,7 +93,7 @@ fn run(data: &Measurements, extra: &[&str]) -> (ResultFile, String, String) {
     (result, said, fs::read_to_string(at("out/report.html")).unwrap())
 }
 
-/// What the lengths determine of a group; 0 where it is not part of the model.
+/// The number of parameters of a group that the lengths determine; 0 if the model does not have it.
 fn determined(result: &ResultFile, name: &str) -> f64 {
     result.groups.iter().find(|group| group.name == name).map_or(0.0, |group| group.effective_parameters)
 }
@@ -144,9 +144,9 @@ fn both_are_found() {
     found(&result, &errors);
 }
 
-/// What is fixed, listed or asked of the geometry alone has no errors of the joints; nor have exact lengths.
+/// With fixed places, a list or the geometric model there are no errors of the joints; nor with exact lengths.
 #[test]
-fn the_geometry_alone_is_taken_as_asked() {
+fn the_geometric_model_has_no_joint_errors() {
     let data = lengths(&truth(4, &SAG), 4, 27);
     let (result, ..) = run(&data, &["--hold", "compliance"]);
     assert!(result.parameters.iter().all(|p| !p.name.starts_with("compliance")));
@@ -159,9 +159,9 @@ fn the_geometry_alone_is_taken_as_asked() {
     assert!(result.groups.is_empty(), "{:?}", result.groups);
 }
 
-/// A robot beyond its tolerance: the prior that nobody named is widened, and the result is still right.
+/// A robot beyond its tolerance: the default prior is widened, and the result is still right.
 #[test]
-fn the_tolerance_gives_way_where_nobody_named_it() {
+fn the_default_tolerance_is_widened() {
     let far: Vec<(&str, f64)> =
         [("a2", 8.0), ("a3", -9.0), ("alpha3", 0.01), ("d4", 7.0), ("theta3", 0.012)].to_vec();
     let errors = [far.as_slice(), &GEAR].concat();
@@ -180,25 +180,25 @@ fn identified(data: &Measurements) -> ResultFile {
     ResultFile::from(&calibrated(&robot(), data, &centres, &options).unwrap())
 }
 
-/// In how many of the seeds errors of the joints are found although the robot has none.
+/// The number of seeds with errors of the joints although the robot has none.
 fn found_for_nothing(seeds: std::ops::Range<u64>) -> usize {
     seeds.filter(|seed| !identified(&lengths(&truth(*seed, &[]), *seed, 9)).groups.is_empty()).count()
 }
 
 #[test]
-fn nothing_is_found_for_nothing() {
+fn a_geometric_robot_has_no_joint_errors() {
     assert_eq!(found_for_nothing(0..2), 0);
 }
 
 #[test]
 #[ignore = "200 seeds: see docs/explanation/accuracy.md"]
-fn nothing_is_found_for_nothing_in_200_seeds() {
+fn a_geometric_robot_has_no_joint_errors_in_200_seeds() {
     let found = found_for_nothing(0..200);
     eprintln!("of 200 robots without errors of the joints: found {found} times");
     assert!(found <= 2);
 }
 
-/// How often the group that is there is found, and the 95 % intervals of its members cover the truth.
+/// How often the group of the true errors is found, and the 95 % intervals of its members cover the truth.
 fn found_in(seeds: u64, errors: &[(&str, f64)], group: &str) -> [f64; 2] {
     let (mut right, mut covered) = (0, 0);
     for seed in 0..seeds {
@@ -217,7 +217,7 @@ fn found_in(seeds: u64, errors: &[(&str, f64)], group: &str) -> [f64; 2] {
 
 #[test]
 #[ignore = "200 identifications: see docs/explanation/accuracy.md"]
-fn what_is_there_is_found_in_100_seeds() {
+fn joint_errors_are_found_in_100_seeds() {
     for (name, errors, group) in [("sag", &SAG[..], "compliance"), ("first harmonics", &GEAR, "harmonic")] {
         let [right, covered] = found_in(100, errors, group);
         eprintln!("{name}: found in {:.1} %, intervals cover {:.1} %", right * 100.0, covered * 100.0);

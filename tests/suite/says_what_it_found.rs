@@ -1,4 +1,4 @@
-//! What an identification reports of difficult data, by codes.
+//! The findings of an identification of difficult data, by codes.
 
 use std::fs;
 use std::sync::Arc;
@@ -17,7 +17,7 @@ use crate::cell::{
     CENTRE, Circle, DESIGNED, centres_csv, codes, dbbd, horizontal, kr60, measure, three_planes, with_errors,
 };
 
-/// One run: what is measured, what is asked, and what comes out.
+/// One run: measurements, arguments, and output.
 struct Scene {
     robot: String,
     circles: Vec<Circle>,
@@ -59,7 +59,7 @@ impl Scene {
     }
 }
 
-/// The codes that the scenes provoke together.
+/// The codes that all scenes provoke.
 pub(crate) fn provoked() -> Vec<&'static str> {
     vec![
         "E1301", "E1304", "W1311", "W1312", "W1313", "I1314", "W1315", "W1316", "I1317", "I1318", "W1319",
@@ -74,11 +74,11 @@ fn scenes() -> Vec<Scene> {
     let planes = three_planes(1, CENTRE);
     let thirteen = ["--estimate", "alpha1-5,a1-5,d4-6", "--folds", "0"];
     let mut scenes = vec![
-        // What a horizontal circle confounds; predicted worse than the nominal robot.
+        // Dependent parameters of a horizontal circle; predicted worse than the nominal robot.
         Scene::new(&truth, &flat, 80, 0.0, &["--estimate", "alpha1-5,a1-5,d2-6"]),
         Scene::new(&truth, &flat, 80, 0.002, &["--sigma", "0.002"]),
         Scene::new(&truth, &flat, 80, 0.01, &["--prior", "datasheet"]),
-        // Too weak; the user's own holding; a check file.
+        // Poorly observable; fixed by the user; a validation file.
         Scene::new(&truth, &planes, 27, 0.02, &["--hold", "theta2", "--validate", "obs.csv"]),
         // Sigma given too small, too large, and too small in the file.
         Scene::new(&truth, &planes, 27, 0.05, &["--sigma", "0.005"]),
@@ -87,13 +87,13 @@ fn scenes() -> Vec<Scene> {
         // More outliers than one in ten; as many parameters as lengths.
         Scene::new(&truth, &planes, 27, 0.005, &["--prior", "datasheet"]).spoilt(8, 10.0),
         Scene::new(&truth, &flat, 13, 0.0, &thirteen),
-        // Nothing moved by what is asked for; only the ball's place, which is fitted before as well.
+        // No length changes by the parameters asked for; only the ball's place, which is fitted before as well.
         Scene::new(&truth, &planes, 27, 0.0, &["--estimate", "theta6", "--tool", "0,0,100"]),
         Scene::new(&truth, &planes, 27, 0.01, &["--estimate", "centres", "--folds", "0"]),
-        // A tool ball on axis 6, held there; one held where it is not.
+        // A tool ball on axis 6, fixed there; one fixed at a wrong place.
         Scene::new(&truth, &planes, 27, 0.01, &["--tool", "0,0,100", "--hold", "tool", "--folds", "0"]),
         Scene::new(&truth, &planes, 27, 0.01, &["--tool", "30,20,60", "--hold", "tool", "--folds", "0"]),
-        // Arguments and priors that cannot be.
+        // Impossible arguments and priors.
         Scene::new(&truth, &flat, 20, 0.0, &["--tool", "30,20"]),
         Scene::new(&truth, &flat, 20, 0.0, &["--sigma", "-1"]),
         Scene::new(&truth, &flat, 20, 0.0, &["--prior", "headless.csv"]),
@@ -101,20 +101,20 @@ fn scenes() -> Vec<Scene> {
         Scene::new(&truth, &flat, 20, 0.0, &["--prior", "negative.csv"]),
         // A plan in place of measured lengths.
         Scene::new(&truth, &flat, 20, 0.0, &["--validate", "plan.csv"]),
-        // One parameter, which noise tells little of.
+        // One parameter, hardly determined because of noise.
         Scene::new(&truth, &flat, 80, 10.0, &["--estimate", "alpha5", "--folds", "0"]),
         Scene::new(&truth, &flat, 80, 10.0, &["--estimate", "a2", "--folds", "0"]),
-        // A length that is none.
+        // A length that is not a number.
         Scene::new(&truth, &flat, 80, 0.0, &thirteen).spoilt(1, 1e200),
     ];
-    // Corrections somewhat and far beyond what the robot file promises.
+    // Corrections slightly and far beyond the tolerance of the robot file.
     for (length_mm, angle_deg) in [(0.2, 0.02), (0.1, 0.01)] {
         let args = ["--prior", "datasheet", "--model", "geometric", "--folds", "0"];
         let mut tight = Scene::new(&truth, &flat, 80, 0.0, &args);
         tight.robot = Robot { tolerance: Tolerance { length_mm, angle_deg }, ..kr60() }.to_toml().unwrap();
         scenes.push(tight);
     }
-    // Lengths that have nothing to do with their poses.
+    // Lengths that are unrelated to their poses.
     let mut drawn = Scene::new(&truth, &flat, 80, 0.0, &["--estimate", "all", "--folds", "0"]);
     let mut random = Pcg64::seed_from_u64(2);
     drawn.data.rows.iter_mut().for_each(|row| row.length_mm *= random.random_range(0.2..1.8));
@@ -144,20 +144,20 @@ fn scenes() -> Vec<Scene> {
     let mut given = Scene::new(&truth, &planes, 27, 0.05, &[]);
     given.data.rows.iter_mut().for_each(|row| row.sigma_mm = Some(0.005));
     scenes.push(given);
-    // One length more than directions: it alone cannot show that sigma is too small.
+    // One degree of freedom does not show that sigma is too small.
     let mut few = Scene::new(&truth, &planes, 9, 0.05, &["--prior", "datasheet"]);
     few.data.rows.truncate(25);
     few.data.rows.iter_mut().for_each(|row| row.sigma_mm = Some(0.015));
     scenes.push(few);
-    // Balls and lengths that have nothing to do with each other.
+    // Balls and lengths that do not belong together.
     let mut lost = Scene::new(&truth, &flat, 80, 0.0, &thirteen);
     lost.circles = vec![horizontal(1, [0.0, 9000.0, 0.0])];
     scenes.push(lost);
-    // A ball that stands elsewhere than was said.
+    // A ball at another place than given.
     let mut astray = Scene::new(&truth, &planes, 27, 0.01, &["--estimate", "centres", "--folds", "0"]);
     astray.circles = vec![horizontal(1, [2500.0, 0.0, 800.0])];
     scenes.push(astray);
-    // An arm that may hardly move from where it measured, so that no other pose can be tried.
+    // An arm with limits so narrow that no other pose is possible.
     let mut narrow = Scene::new(&truth, &flat, 80, 0.02, &["--prior", "datasheet"]);
     let mut robot = kr60();
     for axis in 0..6 {
@@ -169,7 +169,7 @@ fn scenes() -> Vec<Scene> {
     }
     narrow.robot = robot.to_toml().unwrap();
     scenes.push(narrow);
-    // Play at axis 3, and a gear's error at axis 2.
+    // Backlash at axis 3, and transmission error at axis 2.
     let mut random = Pcg64::seed_from_u64(3);
     let mut worn = Scene::new(&truth, &planes, 60, 0.005, &["--hold", "bar_offset"]);
     for at in (1..worn.data.rows.len()).rev() {
@@ -185,15 +185,15 @@ fn scenes() -> Vec<Scene> {
         last = axes;
     }
     scenes.push(worn);
-    // A robot far worse than its file says.
+    // A robot far beyond its tolerance.
     let worse = with_errors([("a1", 6.0), ("a2", 5.0), ("a3", -4.0), ("d4", 4.0), ("theta3", 0.02)]);
     scenes.push(Scene::new(&worse, &planes, 27, 0.01, &["--prior", "datasheet"]));
-    // Noise as large as a fifth of the bar, and ten bars large: lengths bend, and draws do not come to rest.
+    // Noise of a fifth of the bar, and of ten bars: the model is nonlinear, and draws do not converge.
     for sigma in ["60", "100", "3000"] {
         let args = ["--estimate", "centres,tool", "--sigma", sigma, "--monte-carlo", "1000", "--folds", "0"];
         scenes.push(Scene::new(&truth, &planes, 5, 0.01, &args));
     }
-    // A tool that never turns, start angles off by next to nothing; the same with a list that is followed.
+    // A tool that never rotates, with tiny errors of the start angles; the same with a list of parameters.
     for args in [&[][..], &["--estimate", "tool,centres"][..]] {
         let mut still = Scene::new(&truth, &flat, 80, 0.0, args);
         still.data = measure(&truth, &flat, 80, 0.0);
@@ -222,9 +222,9 @@ fn every_code_is_reported_in_a_scene() {
     assert!(silent.is_empty(), "no scene reports {silent:?}, they report {found:?}");
 }
 
-/// A tool ball fixed 50 mm from where it is fits as well as the right one, by an arm that no maker delivers.
+/// With a tool ball fixed 50 mm off, the lengths fit as well, but with implausible corrections.
 #[test]
-fn what_is_fixed_wrongly_is_doubted() {
+fn wrong_fixed_values_are_doubted() {
     let truth = with_errors([("a1", 0.4), ("alpha2", 6e-4), ("d4", -0.5), ("theta3", 9e-4)]);
     let doubted = |args: &[&'static str]| {
         let scene = Scene::new(&truth, &three_planes(1, CENTRE), 27, 0.01, args);
@@ -236,9 +236,10 @@ fn what_is_fixed_wrongly_is_doubted() {
     }
 }
 
-/// Who gives a list knows that the others are fixed; a result predicted worse than the nominal robot is a doubt all the same.
+/// With a list the user knows that the other parameters are fixed; a result that is predicted worse than the nominal robot is
+/// still doubted.
 #[test]
-fn a_list_that_makes_it_worse_is_doubted() {
+fn a_list_that_worsens_the_robot_is_doubted() {
     let truth = with_errors(DESIGNED);
     let codes = |list: &'static str| {
         let args = ["--estimate", list, "--folds", "0"];

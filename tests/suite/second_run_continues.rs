@@ -1,4 +1,4 @@
-//! A second run of a robot that was identified begins with what the first one left unknown.
+//! A second run of an identified robot starts from the posterior of the first.
 
 use std::fs;
 use std::path::Path;
@@ -81,15 +81,15 @@ fn a_check_does_not_raise_the_predicted_error() {
         let second = result(dir.path(), "second");
         let second_mm = second.predicted_position_error_mm;
         let said = stderr(&output);
-        // Nothing is doubtful of the second run but what it begins with: some poses of the first are beyond the limits.
+        // The only doubt comes from the first run: some of its poses are beyond the limits.
         let own = second.warnings.iter().all(|found| found.kind == WarningKind::Note);
         assert!(output.status.code() == Some(3) && told(&output, "W1843") && own, "{said}");
         assert!(second_mm.identified.mean < 1.05 * first_mm, "{prior} {first_mm}: {second_mm:?} {said}");
-        // What is known before is what the first run left.
+        // The prior is the posterior of the first run.
         assert!((second_mm.nominal.mean / first_mm - 1.0).abs() < 0.1, "{prior} {first_mm}: {second_mm:?}");
         assert_eq!(second.prior.unwrap().source, PriorSource::Posterior);
         assert_eq!([first.start, second.start], [StartRobot::Nominal, StartRobot::Identified]);
-        // The same lengths again are no news, others are.
+        // The same lengths again add no information, others do.
         let again = check(dir.path(), "second/robot-identified.toml", &[]);
         assert!(again.status.code() == Some(3) && told(&again, "W1334"), "{}", stderr(&again));
         let others = lengths(&[horizontal(1, CENTRE)], 16, 3).to_csv();
@@ -100,7 +100,7 @@ fn a_check_does_not_raise_the_predicted_error() {
 }
 
 #[test]
-fn what_is_lost_is_told() {
+fn a_lost_posterior_is_reported() {
     let (dir, _) = cell("none");
     let path = dir.path().join("first/robot-identified.toml");
     let text = fs::read_to_string(&path).unwrap();
@@ -117,15 +117,15 @@ fn what_is_lost_is_told() {
         let refused = check(dir.path(), file, &["--prior", "posterior"]);
         assert_eq!((refused.status.code(), codes(&refused)), (Some(1), vec!["E1304".to_owned()]));
     }
-    // Who asks for it begins anew.
+    // With an option the run starts from the datasheet.
     assert!(!told(&check(dir.path(), "old.toml", &["--prior", "none"]), "W1332"));
     let torn = text.replacen("root = [[", "root = [[1.0, 2.0], [", 1);
     assert_eq!(Robot::from_toml("robot.toml", &torn).unwrap_err().code.0, "E0505");
 }
 
-/// What a plan knows of an identified robot goes with the plan, so that its run needs no other file to continue.
+/// The plan contains the posterior of an identified robot, so that its run needs no other file.
 #[test]
-fn a_plan_carries_what_is_known() {
+fn a_plan_starts_from_the_posterior() {
     let text = fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/examples/first/check.toml")).unwrap();
     let job = Job::from_toml("check.toml", &text).unwrap();
     let data = lengths(&[horizontal(1, CENTRE)], 30, 5);
@@ -140,9 +140,9 @@ fn a_plan_carries_what_is_known() {
     }
 }
 
-/// Another tool ball is another set-up: the robot stays known, the ball is determined anew.
+/// Another tool ball is another set-up: the posterior of the robot applies, the ball is estimated again.
 #[test]
-fn another_tool_ball_is_determined_anew() {
+fn another_tool_ball_is_estimated_again() {
     let (dir, _) = cell("datasheet");
     let output = check(dir.path(), "first/robot-identified.toml", &["--tool", "30.5,19.5,10.5"]);
     assert!(!told(&output, "W1332") && !told(&output, "W1322"), "{}", stderr(&output));

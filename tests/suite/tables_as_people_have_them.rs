@@ -1,4 +1,4 @@
-//! A table of measurements in the delimiter, decimal and encoding of its program identifies as the plain one does.
+//! A table of measurements in the delimiter, decimal separator and encoding of any program gives the same result.
 
 use std::fs;
 use std::path::Path;
@@ -15,7 +15,7 @@ fn identify(dir: &Path, table: &[u8]) -> Output {
 }
 
 #[test]
-fn the_same_lengths_identify_the_same() {
+fn dialects_of_a_table_give_the_same_result() {
     let dir = tempdir().unwrap();
     let example = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/paper");
     let plain = fs::read_to_string(example.join("observations.csv")).unwrap();

@@ -1,5 +1,5 @@
-//! With a prior every parameter of the robot is estimated: what the lengths tell of a sum is shared among its members
-//! by their variances, and the error that is predicted is the one that comes out.
+//! With a prior all parameters of the robot are estimated: an identifiable combination is distributed among its members by
+//! their variances, and the predicted error is right.
 
 use std::collections::BTreeMap;
 
@@ -20,7 +20,7 @@ fn normal(random: &mut Pcg64) -> f64 {
     StandardNormal.sample(random)
 }
 
-/// Lengths of `truth` with this noise, by a bar that is longer by `bar_mm` than said, identified with `prior`.
+/// Lengths of `truth` with this noise, by a bar that is longer by `bar_mm` than given, identified with `prior`.
 fn find(
     truth: &Robot,
     circles: &[Circle],
@@ -59,11 +59,11 @@ fn parameter<'a>(found: &'a CalibrationResult, name: &str) -> &'a ParameterResul
     found.parameter(name.parse().unwrap()).unwrap()
 }
 
-/// Only d2 + d3 can be told, for axes 2 and 3 are parallel: their columns are equal, so at the likeliest robot
-/// d2 / s2^2 = d3 / s3^2. Of w = d2 - (s2 / s3)^2 d3, which is independent of the sum beforehand, nothing is learned:
+/// Only d2 + d3 is identifiable, for axes 2 and 3 are parallel: their columns are equal, so that the most probable robot has
+/// d2 / s2^2 = d3 / s3^2. The lengths have no information on w = d2 - (s2 / s3)^2 d3, which is independent of the sum a priori:
 /// its variance stays s2^2 + (s2 / s3)^4 s3^2.
 #[test]
-fn a_sum_is_shared_by_the_variances() {
+fn a_combination_is_distributed_by_the_variances() {
     let truth = with_errors([("d2", 0.6), ("d3", 0.2)]);
     for [s2, s3] in [[0.5, 0.5], [0.5, 0.25]] {
         let given = BTreeMap::from([(ParamId::D(Joint::J2), s2), (ParamId::D(Joint::J3), s3)]);
@@ -90,16 +90,16 @@ fn a_sum_is_shared_by_the_variances() {
     }
 }
 
-/// Without a prior the same lengths leave d3 where it is.
+/// Without a prior the same lengths do not change d3.
 #[test]
-fn without_a_prior_one_member_carries_the_sum() {
+fn without_a_prior_one_member_has_the_combination() {
     let truth = with_errors([("d2", 0.6), ("d3", 0.2)]);
     let found = find(&truth, &three_planes(1, CENTRE), 27, 0.001, 0.0, Prior::None, 1);
     assert_eq!(parameter(&found, "d3").status(), Status::Dependent);
     assert_eq!(parameter(&found, "d3").correction, 0.0);
 }
 
-/// A bar without certificate is taken for known to this, one standard deviation in mm.
+/// Prior standard deviation of a bar without certificate, mm.
 const BAR_MM: f64 = 0.05;
 
 /// Mean 3-D error over the workspace of robots and bars drawn by their tolerance: true, and as predicted, mm.
@@ -136,7 +136,7 @@ fn two_balls() -> Vec<Circle> {
 
 /// 8 robots have a standard error of some 10 %.
 #[test]
-fn the_error_that_is_predicted_comes_out() {
+fn the_predicted_error_is_right() {
     let [truth, predicted] = true_and_predicted(&two_balls(), 20, 0.02, 8);
     assert!((0.7..1.4).contains(&(predicted / truth)), "{predicted} predicted, {truth} true");
 }

@@ -1,5 +1,5 @@
-//! Intervals with the right degrees of freedom, Monte Carlo beside them, the prior's strength, and what happens
-//! at the edges: no spread, no lengths, only outliers, absurd sigmas.
+//! Intervals with the right degrees of freedom, Monte Carlo, the effect of the prior, and edge cases: no scatter, no lengths,
+//! only outliers, absurd standard deviations.
 
 use std::fs;
 use std::path::Path;
@@ -44,7 +44,7 @@ fn cell(data: &Measurements) -> TempDir {
 
 const BASE: [&str; 8] = ["identify", "obs.csv", "--robot", "kr60ha", "--centres", "C.csv", "--out", "out"];
 
-/// Exit code, result and what was said.
+/// Exit code, result and output.
 fn run(dir: &Path, extra: &[&str]) -> (i32, Option<ResultFile>, String) {
     let output = dbbd(dir, &[&BASE[..], extra].concat());
     let text = fs::read_to_string(dir.join("out/result.json")).ok();
@@ -66,7 +66,7 @@ fn half_widths(result: &ResultFile) -> Vec<f64> {
 
 /// 81 lengths, 13 parameters: Student's t with 68 degrees of freedom has its 97.5 % point at 1.9955 (tables).
 #[test]
-fn intervals_are_students_where_sigma_is_estimated() {
+fn intervals_with_estimated_sigma_use_students_t() {
     let dir = cell(&lengths(27, 0.01));
     let (estimated, said) = identify(dir.path(), &THIRTEEN);
     assert_eq!((estimated.sigma_source, estimated.sigma_freedom), (SigmaSource::Estimated, Some(68.0)));
@@ -87,7 +87,7 @@ fn intervals_are_students_where_sigma_is_estimated() {
     let table = fs::read_to_string(dir.path().join("out/parameters.csv")).unwrap();
     assert!(table.lines().next().unwrap().ends_with(",reason,low95,high95,mc_sd,mc_low95,mc_high95"));
 
-    // Residuals that speak for sigma_mm leave it as given.
+    // Residuals that agree with sigma_mm do not change it.
     let mut sure = lengths(27, 0.01);
     sure.rows.iter_mut().for_each(|row| row.sigma_mm = Some(0.01));
     let (sure, _) = identify(cell(&sure).path(), &THIRTEEN);
@@ -95,7 +95,7 @@ fn intervals_are_students_where_sigma_is_estimated() {
 }
 
 #[test]
-fn monte_carlo_agrees_where_lengths_are_linear() {
+fn monte_carlo_agrees_in_the_linear_range() {
     let dir = cell(&lengths(27, 0.01));
     let (result, said) =
         identify(dir.path(), &[&THIRTEEN[..], &["--sigma", "0.01", "--monte-carlo", "1000"]].concat());
@@ -114,10 +114,10 @@ fn monte_carlo_agrees_where_lengths_are_linear() {
     assert!(alpha1.rsplit(',').take(5).all(|cell| cell.parse::<f64>().is_ok()), "{alpha1}");
 }
 
-/// What the linear figures hold besides noise is drawn too: sigma's own uncertainty, weak parameters that are
-/// held, the prior.
+/// The sources of the linearised uncertainty besides noise are drawn too: the uncertainty of sigma, errors of fixed poorly
+/// observable parameters, the prior.
 #[test]
-fn monte_carlo_draws_all_that_the_linear_figures_count() {
+fn monte_carlo_draws_all_linearised_sources() {
     let dir = cell(&lengths(14, 0.01));
     for extra in [vec![], vec!["--prior", "datasheet"]] {
         let (result, said) =
@@ -133,7 +133,7 @@ fn monte_carlo_draws_all_that_the_linear_figures_count() {
 
 /// A sigma as large as a fifth of the bar: the ball lies on a sphere, not on its tangent.
 #[test]
-fn monte_carlo_says_where_lengths_bend() {
+fn monte_carlo_reports_nonlinearity() {
     let dir = cell(&lengths(5, 0.01));
     let options = ["--estimate", "centres,tool", "--sigma", "60", "--monte-carlo", "1000", "--folds", "0"];
     let (result, said) = identify(dir.path(), &options);
@@ -144,7 +144,7 @@ fn monte_carlo_says_where_lengths_bend() {
     let report = fs::read_to_string(dir.path().join("out/report.html")).unwrap();
     assert!(report.contains("differ from the linear ones"));
 
-    // Ten bars of noise: many draws have no minimum near.
+    // With noise of ten bar lengths many draws have no minimum nearby.
     let options = ["--estimate", "centres,tool", "--sigma", "3000", "--monte-carlo", "300", "--folds", "0"];
     let (code, result, said) = run(dir.path(), &options);
     let drawn = result.unwrap().monte_carlo.unwrap();
@@ -190,7 +190,7 @@ fn prior_files_are_checked() {
 }
 
 #[test]
-fn lengths_without_sense_are_doubted() {
+fn meaningless_lengths_are_doubted() {
     let mut random = Pcg64::seed_from_u64(3);
     let mut data = lengths(20, 0.01);
     data.rows.iter_mut().for_each(|row| row.length_mm = random.random_range(50.0..900.0));
@@ -202,9 +202,9 @@ fn lengths_without_sense_are_doubted() {
     }
 }
 
-/// A sigma far too small is a doubt, one far too large leaves everything as it was; neither is a crash.
+/// A sigma that is far too small is doubted, one that is far too large changes nothing; neither crashes.
 #[test]
-fn absurd_sigmas_are_said() {
+fn absurd_sigmas_are_reported() {
     let dir = cell(&lengths(27, 0.01));
     let (code, _, said) = run(dir.path(), &["--sigma", "1e-12", "--folds", "0"]);
     assert_eq!(code, 3, "{said}");
@@ -224,10 +224,10 @@ fn absurd_sigmas_are_said() {
     assert!(matches!(code, 1 | 3), "{said}");
 }
 
-/// Two lengths more than parameters, with the noise of a good bar: the robot repeats no better than before, as a plan
-/// expects it to.
+/// Two lengths more than parameters, with the noise of a good bar: the repeatability in the robot file still applies, as in a
+/// plan.
 #[test]
-fn few_lengths_do_not_make_the_robot_repeat() {
+fn few_lengths_do_not_lower_the_repeatability() {
     let mut few = lengths(27, 0.0015);
     few.rows.iter_mut().for_each(|row| row.sigma_mm = Some(0.0015));
     few.rows.truncate(15);
@@ -235,16 +235,16 @@ fn few_lengths_do_not_make_the_robot_repeat() {
     let planned_mm = 0.0015f64.hypot(0.05 / 3.616);
     assert!((0.6 * planned_mm..1.2 * planned_mm).contains(&result.sigma_mm), "{said}");
     assert_eq!(result.sigma_freedom, Some(6.0), "{said}");
-    // 68 lengths more show what the bar alone does.
+    // 68 more lengths show that the noise is that of the bar alone.
     let mut many = lengths(27, 0.0015);
     many.rows.iter_mut().for_each(|row| row.sigma_mm = Some(0.0015));
     let (result, said) = identify(cell(&many).path(), &THIRTEEN);
     assert_eq!((result.sigma_mm, result.sigma_source), (0.0015, SigmaSource::Given), "{said}");
 }
 
-/// Of a robot whose file does not say how it repeats, that is asked.
+/// A robot file without repeatability gives a finding.
 #[test]
-fn the_repeatability_is_asked_for() {
+fn a_missing_repeatability_is_reported() {
     let dir = cell(&lengths(20, 0.01));
     let toml = kr60().to_toml().unwrap();
     let silent: String = toml
@@ -261,7 +261,7 @@ fn the_repeatability_is_asked_for() {
     assert_eq!(Robot::from_toml("robot.toml", &impossible).unwrap_err().code.0, "E0505");
 }
 
-/// As many lengths as parameters: an answer, but no interval, since nothing tells sigma.
+/// As many lengths as parameters: an answer, but no interval, since sigma is unknown.
 #[test]
 fn no_interval_without_a_sigma() {
     let mut few = lengths(27, 0.0);

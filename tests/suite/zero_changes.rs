@@ -1,4 +1,4 @@
-//! A zero of the bar, or a tracker, that steps or drifts amid the data is found, and taken out. Campaign:
+//! A step or drift of the bar's zero or of the tracker during the measurement is found and subtracted. Campaign:
 //! docs/explanation/reliability.md.
 
 use std::fs;
@@ -64,7 +64,7 @@ fn changes(result: &ResultFile) -> Vec<&Warning> {
 }
 
 #[test]
-fn a_zero_that_changes_is_taken_out() {
+fn a_change_of_zero_is_subtracted() {
     let (dir, truth) = (tempdir().unwrap(), drawn(3));
     let at = dir.path();
     let data = lengths(&truth, 70, 3, 1);
@@ -81,7 +81,7 @@ fn a_zero_that_changes_is_taken_out() {
             assert!((value("index") - 85.0).abs() < 6.0, "{}", found.values);
         }
         assert!(after.residual_mm.after.rms < 1.1 * before.residual_mm.after.rms);
-        // The doubt goes along with the robot, and what was taken out with its lengths.
+        // The robot file has the doubt, and the lengths have the subtracted change.
         let file = fs::read_to_string(at.join("changed/robot-identified.toml")).unwrap();
         assert!(Robot::from_toml("r", &file).unwrap().doubts.contains(&"W1333".to_owned()));
         assert!(fs::read_to_string(at.join("changed/lengths.csv")).unwrap().contains("zero_mm"));
@@ -93,7 +93,7 @@ fn a_zero_that_changes_is_taken_out() {
 }
 
 #[test]
-fn a_tracker_that_moves_is_taken_out() {
+fn a_motion_of_the_tracker_is_subtracted() {
     let dir = tempdir().unwrap();
     for (by_mm, is_found) in [(0.0, false), (0.2, true)] {
         fs::write(dir.path().join("p.csv"), moved_tracker(by_mm)).unwrap();
@@ -114,7 +114,7 @@ fn found(data: &Measurements, robot: &Robot, balls: &[Vector3<f64>]) -> (Robot, 
 }
 
 #[test]
-fn no_zero_of_a_real_robot_changed() {
+fn no_change_of_zero_is_found_on_a_real_robot() {
     let of = |x: f64, y: f64, z: f64| Vector3::new(x, y, z);
     let kr60_balls = [of(270.0, -1490.0, 530.0), of(760.0, -1570.0, 1030.0), of(340.0, -1000.0, 1230.0)];
     let mut arm = kr60();
@@ -138,7 +138,7 @@ struct Table {
     order: Order,
 }
 
-/// Figures of robots whose zero changes by so much.
+/// Figures for a size of the change.
 fn campaign(table: Table, course: Course, by_um: u32) {
     let Table { robots, poses, balls, order } = table;
     let places: Vec<Vector3<f64>> =
@@ -170,7 +170,7 @@ fn campaign(table: Table, course: Course, by_um: u32) {
     );
 }
 
-/// All sizes of a table.
+/// The figures for all sizes.
 fn campaigns(table: Table) {
     campaign(table, Course::Step, 0);
     for course in [Course::Step, Course::Drift] {
