@@ -42,7 +42,9 @@ const SEED: u64 = 1;
 #[derive(Clone, Debug)]
 pub struct Innovation {
     changeable: Vec<ParamId>,
-    candidates: Vec<Candidate>,
+    /// Possible changes, by their columns of the effects: of one parameter, or of all coordinates of the tool ball or of a base
+    /// ball.
+    candidates: Vec<Vec<usize>>,
     /// Effect of each changeable parameter, a column each, in units of the noise.
     effects: DMatrix<f64>,
     /// The innovation in the same coordinates.
@@ -52,14 +54,6 @@ pub struct Innovation {
     freedom: usize,
     /// The test statistic without a change, drawn and sorted.
     null: Vec<f64>,
-}
-
-/// A possible change: of a parameter, or of all coordinates of the tool ball or of a base ball.
-#[derive(Clone, Debug, PartialEq)]
-struct Candidate {
-    parameters: Vec<ParamId>,
-    /// Columns of the effects.
-    columns: Vec<usize>,
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -194,7 +188,7 @@ impl Innovation {
     fn statistic(&self, parts: &[DVector<f64>], draw: usize, chi_square: f64) -> f64 {
         let mut largest = [0.0; 3];
         for (candidate, parts) in self.candidates.iter().zip(parts) {
-            let of_freedom = &mut largest[candidate.columns.len().clamp(1, 3) - 1];
+            let of_freedom = &mut largest[candidate.len().clamp(1, 3) - 1];
             *of_freedom = parts[draw].max(*of_freedom);
         }
         let visible = (1..).zip(largest).filter(|(_, part)| *part > 0.0);
@@ -205,8 +199,8 @@ impl Innovation {
 
     /// The squared part along each candidate of each innovation (a column).
     fn projections(&self, innovations: &DMatrix<f64>) -> Vec<DVector<f64>> {
-        let part = |candidate: &Candidate| {
-            let basis = orthonormal(&self.effects.select_columns(&candidate.columns));
+        let part = |candidate: &Vec<usize>| {
+            let basis = orthonormal(&self.effects.select_columns(candidate));
             let along = basis.tr_mul(innovations);
             DVector::from_iterator(
                 innovations.ncols(),
@@ -244,9 +238,9 @@ impl Innovation {
         let needed =
             [1.0, 2.0, 3.0].map(|freedom| noncentrality(self.exceeded(freedom), freedom, POWER).sqrt());
         let smallest = |(column, name): (usize, &ParamId)| {
-            let candidate = self.candidates.iter().find(|candidate| candidate.columns.contains(&column));
+            let candidate = self.candidates.iter().find(|candidate| candidate.contains(&column));
             let smallest =
-                candidate.map(|found| needed[found.columns.len() - 1] / self.effects.column(column).norm());
+                candidate.map(|found| needed[found.len() - 1] / self.effects.column(column).norm());
             let smallest = smallest.filter(|found| *found <= LARGEST * typical(*name));
             Detectable { name: *name, unit: name.unit(), smallest }
         };
@@ -258,13 +252,11 @@ impl Innovation {
     pub fn power(&self, change: &[(ParamId, f64)]) -> Option<f64> {
         let column = |id: &ParamId| self.changeable.iter().position(|other| other == id);
         let columns: Vec<usize> = change.iter().map(|(id, _)| column(id)).collect::<Option<_>>()?;
-        let candidate = self
-            .candidates
-            .iter()
-            .find(|found| columns.iter().all(|column| found.columns.contains(column)))?;
+        let has_all = |candidate: &&Vec<usize>| columns.iter().all(|column| candidate.contains(column));
+        let candidate = self.candidates.iter().find(has_all)?;
         let sizes = DVector::from_iterator(change.len(), change.iter().map(|(_, size)| *size));
         let effect = (self.effects.select_columns(&columns) * sizes).norm_squared();
-        let freedom = candidate.columns.len() as f64;
+        let freedom = candidate.len() as f64;
         Some(noncentral_tail(self.exceeded(freedom), freedom, effect))
     }
 
@@ -276,32 +268,35 @@ impl Innovation {
 
     /// Hypotheses of no, one and two changes, most probable first.
     pub fn hypotheses(&self) -> Vec<Hypothesis> {
-        let offsets = |candidate: &&Candidate| matches!(candidate.parameters[..], [ParamId::Theta(_)]);
-        let count = self.candidates.iter().filter(offsets).count();
+        let is_offset = |candidate: &&Vec<usize>| matches!(self.changeable[candidate[0]], ParamId::Theta(_));
+        let count = self.candidates.iter().filter(is_offset).count();
         let others = self.candidates.len() - count;
-        let share = |candidate: &Candidate| match (offsets(&candidate), count > 0 && others > 0) {
+        let share = |candidate: &Vec<usize>| match (is_offset(&candidate), count > 0 && others > 0) {
             (true, true) => OFFSET_SHARE / count as f64,
             (false, true) => (1.0 - OFFSET_SHARE) / others as f64,
             _ => 1.0 / self.candidates.len() as f64,
         };
+        // The changed columns with the logarithm of their unnormalised posterior probability.
         let mut weighted: Vec<(Vec<usize>, f64)> = vec![(vec![], NOTHING.ln())];
         for (at, one) in self.candidates.iter().enumerate() {
-            weighted.push((vec![at], (ONE * share(one)).ln() + self.evidence(&one.columns)));
-            for (second, two) in self.candidates.iter().enumerate().skip(at + 1) {
-                let columns = [one.columns.as_slice(), &two.columns].concat();
-                if columns.len() == 2 && self.cosine(columns[0], &columns[1..]) < ALIKE {
+            weighted.push((one.clone(), (ONE * share(one)).ln() + self.evidence(one)));
+            for two in &self.candidates[at + 1..] {
+                let columns = [one.as_slice(), two].concat();
+                if columns.len() == 2 && self.cosine(columns[0], two) < ALIKE {
                     let prior = 2.0 * TWO * share(one) * share(two);
-                    weighted.push((vec![at, second], prior.ln() + self.evidence(&columns)));
+                    let weight = prior.ln() + self.evidence(&columns);
+                    weighted.push((columns, weight));
                 }
             }
         }
         let largest = weighted.iter().map(|(_, weight)| *weight).fold(f64::NEG_INFINITY, f64::max);
         let sum: f64 = weighted.iter().map(|(_, weight)| (weight - largest).exp()).sum();
         weighted.sort_by(|a, b| b.1.total_cmp(&a.1));
-        let probable = weighted.into_iter().map(|(of, weight)| (of, (weight - largest).exp() / sum));
+        let probable =
+            weighted.into_iter().map(|(columns, weight)| (columns, (weight - largest).exp() / sum));
         probable
             .take_while(|(_, probability)| *probability > LEAST_PROBABLE)
-            .map(|(of, probability)| self.hypothesis(&of, probability))
+            .map(|(columns, probability)| self.hypothesis(&columns, probability))
             .collect()
     }
 
@@ -323,29 +318,29 @@ impl Innovation {
         orthonormal(&self.effects.select_columns(others)).tr_mul(&effect).norm() / effect.norm()
     }
 
-    fn hypothesis(&self, of: &[usize], probability: f64) -> Hypothesis {
-        let chosen: Vec<&Candidate> = of.iter().map(|at| &self.candidates[*at]).collect();
-        let columns: Vec<usize> = chosen.iter().flat_map(|candidate| candidate.columns.clone()).collect();
-        let effects = self.effects.select_columns(&columns);
+    fn hypothesis(&self, columns: &[usize], probability: f64) -> Hypothesis {
+        let parameters =
+            |columns: &[usize]| columns.iter().map(|at| self.changeable[*at]).collect::<Vec<_>>();
+        let effects = self.effects.select_columns(columns);
         let inverse = effects.tr_mul(&effects).try_inverse();
         let inverse = inverse.unwrap_or_else(|| DMatrix::zeros(columns.len(), columns.len()));
         let change = &inverse * effects.tr_mul(&self.innovation);
         let sd: Vec<f64> = inverse.diagonal().iter().map(|variance| variance.sqrt()).collect();
         let left = (&self.innovation - &effects * &change).norm_squared() + self.rest;
         let freedom = self.freedom.saturating_sub(columns.len());
-        let alike = |other: &&Candidate| {
+        let is_alike = |other: &&Vec<usize>| {
             columns.len() == 1
-                && (other.columns.len() == 1 || matches!(other.parameters[0], ParamId::Ball(..)))
-                && other.columns != columns
-                && self.cosine(columns[0], &other.columns) >= ALIKE
+                && (other.len() == 1 || matches!(self.changeable[other[0]], ParamId::Ball(..)))
+                && other.as_slice() != columns
+                && self.cosine(columns[0], other) >= ALIKE
         };
         Hypothesis {
-            parameters: chosen.iter().flat_map(|candidate| candidate.parameters.clone()).collect(),
+            parameters: parameters(columns),
             interval95: change.iter().zip(&sd).map(|(x, sd)| [x - 1.96 * sd, x + 1.96 * sd]).collect(),
             change: change.iter().copied().collect(),
             sd,
             probability,
-            alike: self.candidates.iter().filter(alike).flat_map(|other| other.parameters.clone()).collect(),
+            alike: self.candidates.iter().filter(is_alike).flat_map(|other| parameters(other)).collect(),
             p_rest: if freedom > 0 { chi_square_tail(left, freedom as f64) } else { 1.0 },
         }
     }
@@ -361,20 +356,18 @@ fn are_of_one_ball(one: ParamId, other: ParamId) -> bool {
 }
 
 /// Single parameters, and balls as a whole, whose typical change is visible in the lengths.
-fn candidates(changeable: &[ParamId], effects: &DMatrix<f64>) -> Vec<Candidate> {
+fn candidates(changeable: &[ParamId], effects: &DMatrix<f64>) -> Vec<Vec<usize>> {
     let is_visible = |column: &usize| effects.column(*column).norm() * typical(changeable[*column]) > 1.0;
-    let mut found: Vec<Candidate> = Vec::new();
+    let mut candidates: Vec<Vec<usize>> = Vec::new();
     for column in (0..changeable.len()).filter(is_visible) {
-        let id = changeable[column];
-        match found.iter_mut().find(|candidate| are_of_one_ball(candidate.parameters[0], id)) {
-            Some(ball) => {
-                ball.parameters.push(id);
-                ball.columns.push(column);
-            }
-            None => found.push(Candidate { parameters: vec![id], columns: vec![column] }),
+        let is_same_ball =
+            |other: &&mut Vec<usize>| are_of_one_ball(changeable[other[0]], changeable[column]);
+        match candidates.iter_mut().find(is_same_ball) {
+            Some(ball) => ball.push(column),
+            None => candidates.push(vec![column]),
         }
     }
-    found
+    candidates
 }
 
 /// An orthonormal basis of the columns.
