@@ -21,7 +21,7 @@ findings! {
             OtherSslMode { mode: String } => "sslmode={mode}: is not supported", help: "verify-full, or disable on this computer and in a tunnel";
             NoRootCertificate => "an encrypted connection needs the certificate of its authority", help: "add sslrootcert=FILE to the address";
         }
-        E2403 "a secret is where others can read it",
+        E2403 "others can read a secret",
         cause: "A password is in an address, where it shows in the list of processes and in logs, or in a file that others may read.",
         cure: "Put the password into a file with mode 600 and its path into DBBD_ARCHIVE_PASSWORD_FILE, or into the variable PGPASSWORD; keys of the store into AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY or a file named by DBBD_STORE_SECRET_FILE." {
             SecretInAddress { option: String } => "{option}: an address must not have a password in it";
@@ -45,14 +45,14 @@ findings! {
         cure: "The message is the store's own. A cell needs to read and write objects, a viewer and a worker to read them." {
             StoreRefused { object: String, why: String } => "{object}: the store refuses: {why}";
         }
-        E2407 "the archive has another form",
-        cause: "Nothing was initialised there yet, or it was by another version of dbbd.",
-        cure: "`dbbd archive init` makes a new archive, and brings an older one forward; a newer one needs a newer dbbd." {
+        E2407 "the archive has another schema version",
+        cause: "Nothing was initialised there yet, or another version of dbbd did it.",
+        cure: "`dbbd archive init` creates an archive or migrates an older one; a newer one needs a newer dbbd." {
             NotInitialised => "there is no archive yet", help: "make it: `dbbd archive init`";
-            Older { found: u64, needed: u64 } => "the archive has the form {found}, and this version needs {needed}", help: "bring it forward: `dbbd archive init`";
-            Newer { found: u64, known: u64 } => "the archive has the form {found}, and this version knows {known}", help: "use a newer version of dbbd";
+            Older { found: u64, needed: u64 } => "the archive has schema {found}; this version needs {needed}", help: "migrate it: `dbbd archive init`";
+            Newer { found: u64, known: u64 } => "the archive has schema {found}; this version knows {known}", help: "use a newer version of dbbd";
             StoreNotInitialised => "the store was not initialised", help: "is --store mistyped? Else initialise it: `dbbd archive init`";
-            OtherForm { step: u64 } => "step {step} of the archive's form was made by another program";
+            OtherForm { step: u64 } => "migration {step} of the archive was made by another program";
         }
         E2408 "an object is not what was stored",
         cause: "The store lost or changed an object, or another program wrote there.",
@@ -65,11 +65,11 @@ findings! {
         cause: "The digits are mistyped, this role may not see the run, or it was never pushed.",
         cure: "`dbbd archive list` shows the runs that this role may see. At least 6 digits of the SHA-256 are needed, as many as make it unique." {
             NoRun { digits: String } => "there is no run {digits}";
-            ManyRuns { digits: String, runs: usize } => "{digits} is the begin of {runs} runs", help: "give more digits";
-            NotDigits { digits: String } => "`{digits}` is not the begin of a SHA-256", help: "6 to 64 hexadecimal digits";
+            ManyRuns { digits: String, runs: usize } => "{digits} is the beginning of {runs} runs", help: "give more digits";
+            NotDigits { digits: String } => "`{digits}` is not the beginning of a SHA-256", help: "6 to 64 hexadecimal digits";
         }
         E2410 "there is nothing to push",
-        cause: "The path is no capture, no directory with a run.dbbd, and no directory of such directories.",
+        cause: "The path is neither a capture, a directory with a run.dbbd, nor a directory of such directories.",
         cure: "Name a capture, the directory of a run, or the data directory of `dbbd serve`." {
             NothingToPush => "there is no run here";
             ChangedMeanwhile => "changed while it was read", help: "push it when the run is over";
@@ -78,17 +78,17 @@ findings! {
         cause: "A value holds other characters than those of lists of names, names no prior or model, or the job was written by another program.",
         cure: "Settings are those of `dbbd identify`: --prior, --estimate, --hold, --model." {
             OtherValue { option: String, value: String, known: String } => "--{option}: `{value}` is none of {known}";
-            NotASetting { option: String, value: String } => "--{option}: `{value}` is no list of names";
+            NotASetting { option: String, value: String } => "--{option}: `{value}` is not a list of names";
         }
         E2415 "there are no results to estimate a fleet from",
         cause: "No run of the selection was identified with the usual settings, none has a date, or a number in them is not finite.",
         cure: "Let `dbbd archive worker` identify the runs first." {
             NoFleet { results: usize } => "{results} results do not make a fleet";
         }
-        E2417 "a job was given up",
-        cause: "Its worker was killed in the middle of it again and again: memory ran out, or the identification ends the process.",
+        E2417 "a job was abandoned",
+        cause: "Its worker was killed repeatedly during the job: memory ran out, or the identification ends the process.",
         cure: "`dbbd archive get` and `dbbd identify` show what it does. `dbbd archive reprocess` asks for it again." {
-            GivenUp { attempts: u64 } => "the worker was lost {attempts} times in the middle of it";
+            GivenUp { attempts: u64 } => "the worker was lost {attempts} times during the job";
         }
         W2427 "runs are left out of a fleet",
         cause: "No worker has identified them with the usual settings, or their results have no date or no covariance.",
@@ -96,24 +96,24 @@ findings! {
             NotInFleet { left: usize, runs: usize } => "{left} of {runs} runs are left out";
         }
         W2416 "a bar jumped, or a robot changed suddenly",
-        cause: "A bar was dropped or its ends were exchanged; a robot crashed, or was repaired or mastered anew. Runs before and after disagree by more than drift and noise allow.",
-        cure: "Have the bar certified again before its next run. Calibrate the robot anew, and check what it did in between." {
+        cause: "A bar was dropped or its ends were exchanged; a robot crashed, or was repaired or mastered again. Runs before and after disagree by more than drift and noise allow.",
+        cure: "Have the bar certified again before its next run. Calibrate the robot again, and check what it did in between." {
             BarJumped { bar: String, um: f64, sd_um: f64 } => "bar {bar} jumped by {um:+.1} um (standard deviation {sd_um:.1} um)";
             RobotChanged { robot: String, times: usize } => "robot {robot} changed suddenly, {times} times";
         }
-        E2418 "a selection of runs has dates that cannot be",
+        E2418 "a selection of runs has invalid dates",
         cause: "A date is not written as YYYY-MM-DD, is in the future, or the selection ends before it begins.",
         cure: "Dates are YYYY-MM-DD or YYYY-MM-DDThh:mm:ssZ, UTC: `--since 2026-01-01 --until 2026-02-01` is January." {
-            NotAMoment { option: String, text: String } => "{option}: `{text}` is no date", help: "YYYY-MM-DD";
+            NotAMoment { option: String, text: String } => "{option}: `{text}` is not a date", help: "YYYY-MM-DD";
             InFuture { text: String } => "--since {text} is in the future";
             EndsBefore { since: String, until: String } => "--until {until} is not after --since {since}";
         }
-        E2430 "a page of the plant is asked for in a form that it has not",
+        E2430 "a request to a page of the plant is not valid",
         cause: "The address was typed, or a link is of another version: a field is unknown, or its value is none of those that it can have.",
         cure: "Begin at the first page, /. A robot is at /robot?name=SERIAL, a bar at /bar?name=SERIAL, a run at /runs/SHA256." {
-            NotAQuestion { why: String } => "the question cannot be read: {why}";
+            NotAQuestion { why: String } => "the request cannot be read: {why}";
             NotACursor { text: String } => "after={text}: must be a date, a space and a SHA-256";
-            NotADate { text: String } => "`{text}` is no date", help: "YYYY-MM-DD";
+            NotADate { text: String } => "`{text}` is not a date", help: "YYYY-MM-DD";
         }
         E2431 "the archive has no such robot, bar or report",
         cause: "The name is mistyped, this role may not see its runs, or no worker has identified the run yet.",
@@ -134,7 +134,7 @@ findings! {
             NoneOf { option: String, name: String } => "no run has {option} `{name}`";
         }
         I2420 "the selection holds no run",
-        cause: "All that is given must hold, and no run has all of it.",
+        cause: "No run satisfies all of the given conditions.",
         cure: "Leave out one of the options to see which it is." {
             NoneSelected => "the selection holds no run";
         }
@@ -143,7 +143,7 @@ findings! {
         cure: "Give the file another name, or put it into the directory of the run, and push again." {
             NotStored { file: String } => "{file} was not stored";
         }
-        W2422 "the archive does not know all of a run",
+        W2422 "a part of a run is not registered in the archive",
         cause: "The plan, the identity or the check that belongs to it cannot be read, so that robot, bar or decision are missing in the lists.",
         cure: "The files are stored as they are. The message says what is wrong in them; `dbbd info RUN` shows the capture." {
             NotRegistered { why: String } => "not all of the run is registered: {why}";
@@ -151,12 +151,12 @@ findings! {
         }
         W2423 "the store had lost objects of a run",
         cause: "The store lost or changed them, or somebody deleted them.",
-        cure: "What was pushed now is whole again. Push what is missing from where it is, or restore the store from its backup; results are made again by `dbbd archive reprocess`. See why the store lost it." {
+        cure: "What was pushed now is complete again. Push what is missing from where it is, or restore the store from its backup; `dbbd archive reprocess` computes results again. See why the store lost it." {
             Restored { run: String, objects: usize } => "{objects} objects of run {run} were missing or damaged in the store, and are restored";
             Lost { run: String, file: String } => "{file} of run {run} is not in the store";
         }
         W2414 "runs could not be identified",
-        cause: "A capture has no plan, too few of its poses have a length, or its worker ended again and again.",
+        cause: "A capture has no plan, too few of its poses have a length, or its worker ended repeatedly.",
         cure: "`dbbd archive show SHA256` has the reason of each; `dbbd archive get` and `dbbd identify` show it in full." {
             JobsFailed { jobs: u64 } => "{jobs} jobs failed";
         }

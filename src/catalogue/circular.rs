@@ -43,7 +43,7 @@ findings! {
         I1412 "lengths are not referred to 20 degrees Celsius",
         cause: "Temperatures or the expansion of bar and machine were not given.",
         cure: "Record temperatures, and give the expansion in the job or with --expansion and --machine-expansion." {
-            BarAsMeasured => "the circle is referred to 20 degrees by the machine's expansion alone: the bar counts as not expanding";
+            BarAsMeasured => "the circle is referred to 20 degrees by the expansion of the machine only: the bar is taken as not expanding";
             AsMeasured => "lengths are as measured: no temperatures with an expansion were given";
         }
         I1413 "the nominal radius is assumed",
@@ -57,30 +57,30 @@ findings! {
             PosesWithoutLength { lost: usize, poses: usize, percent: f64 } => "{lost} of {poses} poses ({percent:.1} %) have no length (`dbbd sync` gives the reasons)";
             CircleWithoutLength { circle: u32, poses: usize } => "circle {circle}: none of its {poses} poses has a length, so it is left out";
         }
-        E1481 "an option is of use with a capture or with temperatures only",
-        cause: "--plan and --axes belong to the poses of a recorded run; a CSV of a circle has none. An expansion is of use with temperatures (the column temp_c), the temperature of the certificate with the expansion of the bar.",
+        E1481 "an option applies only to captures or to circles with temperatures",
+        cause: "--plan and --axes belong to the poses of a recorded run; a CSV of a circle has none. An expansion needs temperatures (the column temp_c); the temperature of the certificate needs the expansion of the bar.",
         cure: "Leave the option out, or give the capture, the temperatures or the expansion." {
-            NoTemperature { option: &'static str } => "{option} is of use with temperatures only, and no circle has one with each length";
-            CertifiedAlone => "--certified is of use with --expansion only";
-            NoCapture => "--plan and --axes are of use with a capture only";
+            NoTemperature { option: &'static str } => "{option} needs temperatures, but no circle has a temperature for each length";
+            CertifiedAlone => "--certified needs --expansion";
+            NoCapture => "--plan and --axes apply only to a capture";
         }
-        W1480 "lengths are none of a circular test",
-        cause: "A length is mistyped or the bar slipped at it, the lengths are the nominal ones, rounded or frozen, between the senses a ball moved or the zero changed, or --radius is that of another circle.",
+        W1480 "lengths are not those of a circular test",
+        cause: "A length is mistyped or the bar slipped at it, the lengths are the nominal ones, rounded or frozen, a ball moved or the zero changed between the two directions, or --radius is that of another circle.",
         cure: "Correct or leave out the row that is named; give the lengths that the bar measured, and the programmed radius." {
             Spike { run: String, angle_deg: f64, off_mm: f64 } => "run {run}: at {angle_deg:.1} degrees the length is {off_mm:+.3} mm from those beside it";
             OtherRadius { mean_mm: f64, radius_mm: f64 } => "the mean length is {mean_mm:.3} mm, and the nominal radius {radius_mm} mm";
-            RoundedLengths { step_um: f64 } => "the lengths are rounded to {step_um:.0} um: the intervals do not hold that";
+            RoundedLengths { step_um: f64 } => "the lengths are rounded to {step_um:.0} um, which the intervals do not include";
             EqualRun { run: String, points: usize, angle_deg: f64, length_mm: f64 } => "run {run}: from {angle_deg:.1} degrees on {points} lengths are {length_mm:.4} mm: was the bar frozen?";
-            RadiiApart { apart_um: f64 } => "the mean lengths of the two senses differ by {apart_um:+.1} um: did the zero change between them?";
-            CentresApart { apart_um: f64 } => "the centres of the two senses differ by {apart_um:.1} um, and nothing else does: did a ball move between them?";
+            RadiiApart { apart_um: f64 } => "the mean lengths of the two directions differ by {apart_um:+.1} um: did the zero change between them?";
+            CentresApart { apart_um: f64 } => "only the centres of the two directions differ, by {apart_um:.1} um: did a ball move between them?";
             LargeDeviation { g_mm: f64, radius_mm: f64 } => "the circular deviation is {g_mm:.3} mm at a radius of {radius_mm} mm: are the deviations in another unit?";
             RadiusOfPlan { radius_mm: f64, planned_mm: f64 } => "--radius is {radius_mm} mm, and the plan that was driven has {planned_mm} mm";
-            EqualLengths { length_mm: f64 } => "all lengths are {length_mm:.4} mm: are they measured ones?";
+            EqualLengths { length_mm: f64 } => "all lengths are {length_mm:.4} mm: were they measured?";
         }
-        W1482 "rows, angles, times, temperatures or --sigma of a circle cannot be",
+        W1482 "rows, angles, times, temperatures or --sigma of a circle are impossible",
         cause: "A file was joined with itself, angle_deg is in another unit than degrees, counts points or counts on over the runs, rows of several runs or senses have one number and direction, a pass was cut off, t_s is in ms, temp_c is in another unit than degrees Celsius or of several sensors, or --sigma is in another unit than mm.",
         cure: "Give each row once, each run its own number in the column `run`, angles in degrees, times in s, temperatures in degrees Celsius and --sigma in mm; pass the whole circle in each sense." {
-            RowsTwice { run: String, rows: usize } => "run {run}: {rows} rows are there twice";
+            RowsTwice { run: String, rows: usize } => "run {run}: {rows} rows are duplicates";
             ManyTurns { run: String, span_deg: f64 } => "run {run}: the angles span {span_deg:.0} degrees in one sense";
             CountedPoints { run: String, points: usize } => "run {run}: the angles count the {points} points: degrees are needed";
             TurnsBack { run: String, direction: &'static str, steps: usize } => "run {run}, {direction}: {steps} steps are against the direction: are two senses in one run?";
@@ -93,9 +93,9 @@ findings! {
             WarmBar { mean_c: f64 } => "the mean of `temp_c` is {mean_c:.1} degrees: is it in Fahrenheit?";
         }
         I1416 "reversal steps of joints are not separable",
-        cause: "A joint's reversal is separated from the form of the circle by the poses that were measured in both senses. The circle was driven in one sense, the senses have too few poses in common, or their joints move alike.",
+        cause: "The reversal of a joint is separated from the shape of the circle by poses that were measured in both directions. The circle was driven in one direction, the directions have too few poses in common, or their joints move alike.",
         cure: "Plan the circle with `direction = \"both\"`, and with enough points." {
-            StepsNotSeparable { joints: usize } => "{joints} joints reverse along the circle; their steps are not separable from its form";
+            StepsNotSeparable { joints: usize } => "{joints} joints reverse along the circle; their steps cannot be separated from its shape";
         }
     }
 }

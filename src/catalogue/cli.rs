@@ -22,8 +22,8 @@ findings! {
             NotNameAndValue => "must be NAME=VALUE";
             NotARisk => "a probability between 0 and 0.5 is needed";
         }
-        E0009 "dbbd contradicts itself",
-        cause: "A step inside of dbbd failed that cannot fail with sound data: a fault of dbbd itself, or a computer without memory or threads left.",
+        E0009 "dbbd failed internally",
+        cause: "A step inside dbbd failed that cannot fail with valid data: a fault of dbbd itself, or a computer without memory or threads left.",
         cure: "Repeat the command. If it fails again, report it with the command, its input files and the output of `dbbd --version`." {
             NotWritten { form: &'static str, why: String } => "cannot be written as {form}: {why}";
             NotJson { why: String } => "a result of its own cannot be read as JSON: {why}";

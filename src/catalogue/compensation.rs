@@ -16,7 +16,7 @@ findings! {
             FrameInRoutine { frame: &'static str, routine: String } => "the routine {routine} sets {frame}";
             FrameElsewhere { frame: &'static str, name: String } => "{frame} is {name}, which is in no file given",
                 help: "give --config $config.dat, or --tool and --base X,Y,Z,A,B,C";
-            FramesInLoop => "this motion has other frames when the loop is repeated", help: "set $TOOL and $BASE at the start of the loop";
+            FramesInLoop => "this motion has different frames when the loop repeats", help: "set $TOOL and $BASE at the start of the loop";
             MovedWorkObject { name: String } => "{name} is moved by a mechanical unit";
             FixedTool { name: String } => "{name} moves the workpiece against a fixed tool (#TCP)",
                 help: "only a tool on the flange (#BASE) can be compensated";
@@ -28,9 +28,9 @@ findings! {
         }
         E0902 "--tool or --base contradicts the program",
         cause: "The program sets the frame to another value, or uses several frames that it does not define.",
-        cure: "Leave the option away, correct it, or give --config $config.dat in its place." {
+        cure: "Leave the option out, correct it, or give --config $config.dat in its place." {
             FrameDiffers { frame: &'static str, option: &'static str } => "the program sets {frame} itself, and not to the value of {option}";
-            TwoFrames { option: &'static str, first: String, second: String } => "{option} would be two frames: {first}; and elsewhere: {second}";
+            TwoFrames { option: &'static str, first: String, second: String } => "{option} would stand for two frames: {first}, and elsewhere {second}";
         }
         E0903 "a point has no fixed value",
         cause: "The point is computed while the program runs, or a component of it is missing.",
@@ -49,10 +49,10 @@ findings! {
         cause: "It is relative and starts from a corrected point, its point is declared in a file that is not rewritten, another instruction or a routine of the user's own moves there, or an instruction displaces it.",
         cure: "Check that the place does not matter, or teach the point in the program's own .dat." {
             RelativeMotion => "a relative motion stays as it is: it starts from a corrected point";
-            PointInStatement { name: String } => "{name} stays as it is: this statement is no motion of KRL that is known";
-            PointOfOtherCall { name: String, call: String } => "{name} stays as it is: {call} is no motion that is corrected";
-            NotRead { word: String } => "a motion by {word} stays as it is: its point is not written there";
-            Displacing { word: String } => "{word} displaces the motions after it: their points are corrected as they are without it";
+            PointInStatement { name: String } => "{name} stays as it is: this statement is not a known KRL motion";
+            PointOfOtherCall { name: String, call: String } => "{name} stays as it is: {call} is not a motion that is corrected";
+            NotRead { word: String } => "a motion by {word} stays as it is: its point is not in the statement";
+            Displacing { word: String } => "{word} displaces the motions after it: their points are corrected without the displacement";
             PointElsewhere { name: String } => "{name} stays as it is: it has no value in the program's files";
         }
         E0906 "a robot does not reach a point",
@@ -72,7 +72,7 @@ findings! {
         }
         E0908 "a correction is larger than --limit",
         cause: "The program is of another robot or cell than the identified one, or the identification is wrong.",
-        cure: "Check that program, frames and robot file belong together; raise --limit only if the robot is known to be so far off." {
+        cure: "Check that program, frames and robot file belong together; raise --limit only if you know that the robot is off by that much." {
             TooFar { shift_mm: f64, limit_mm: f64 } => "it would move by {shift_mm:.3} mm, allowed are {limit_mm:.3}";
         }
         E0909 "the robot file is not of an identified robot",
@@ -88,7 +88,7 @@ findings! {
         E0910 "the arguments of compensate do not fit",
         cause: "The program named is a .dat file, the results would replace the program, or the limit is not a length.",
         cure: "Name the .src, another directory for --out, and a --limit above 0." {
-            DataNamed => "the file holds the points of a program, and no motion", help: "name the .src; the .dat beside it is corrected with it";
+            DataNamed => "the file contains the points of a program but no motion", help: "name the .src; the .dat beside it is corrected with it";
             WouldOverwrite { directory: String } => "--out {directory} would overwrite the program itself";
             BadLimit { limit_mm: f64 } => "--limit {limit_mm} must be above 0";
             FrameUnused { language: &'static str } => "a program in {language} does not take these frames",
@@ -98,7 +98,7 @@ findings! {
         }
         I0911 "an axis passes zero",
         cause: "The correction moves an axis to the other side of zero, so that the point needs another turn bit.",
-        cure: "Nothing is to be done: the bit is corrected." {
+        cure: "Nothing to do: the bit is corrected." {
             TurnChanged { name: String, line: usize, taught: u8, corrected: u8 } => "line {line}: {name}: T {taught} became T {corrected}";
         }
         E0912 "a program is not corrected",
@@ -109,10 +109,10 @@ findings! {
         E0913 "a file is not a program in its language",
         cause: "The file has no routine (DEF NAME ( ) .. END of KRL, MODULE .. ENDMODULE of RAPID, def name(): .. end of URScript): it is a program in another language than its extension says, or a table.",
         cure: "Name the .src of a KUKA program, the .mod of an ABB or the .script of a Universal Robots program. Programs in other languages are not corrected." {
-            NotRapid { begins: String } => "is no module in RAPID: it begins with `{begins}`";
-            NotUrscript { begins: String } => "is no program in URScript: it begins with `{begins}`";
+            NotRapid { begins: String } => "is not a module in RAPID: it begins with `{begins}`";
+            NotUrscript { begins: String } => "is not a program in URScript: it begins with `{begins}`";
             NoLanguage { file: String } => "{file} is in no language that is known by its extension", help: ".src is KRL, .mod RAPID, .script URScript";
-            NotKrl { begins: String } => "is no program in KRL: it begins with `{begins}`";
+            NotKrl { begins: String } => "is not a program in KRL: it begins with `{begins}`";
         }
         W0914 "no point was corrected",
         cause: "The program has no motion to a point in its own .src or .dat.",

@@ -44,7 +44,7 @@ findings! {
             NotPositive { column: String, cell: String } => "column `{column}`: `{cell}`: must be positive";
             NotWhole { column: String, cell: String, least: u32 } => "column `{column}`: `{cell}`: must be a whole number from {least}";
         }
-        E0112 "a row of a table is not as its header",
+        E0112 "a row of a table does not match its header",
         cause: "A row has more or fewer cells than the header, or a quote is not closed. Decimal commas in a table whose cells are separated by commas give too many cells.",
         cure: "Open the line in a text editor. Cells are separated by semicolons, tabs or commas; numbers with a decimal comma need one of the first two, or quotes." {
             CellCount { cells: usize, columns: usize, delimiter: String } => "the row, cut at {delimiter}, has {cells} cells, and the header {columns}";
@@ -70,15 +70,15 @@ findings! {
         cure: "Give another name." {
             IsInput => "is read by this command, and its result would overwrite it", help: "give another name or directory for the result";
         }
-        E0181 "a file that is no result of this command is in the way",
+        E0181 "a file that this command did not write is in the way",
         cause: "The directory has a file of the name of a result, which this command did not write: it may be the only copy of something else.",
         cure: "Give a new directory with --out, or move the file away." {
-            OtherContent => "is there with another content, and is not replaced";
+            OtherContent => "exists with other content and is not replaced";
             OtherRobot { robot: String } => "is the result of the robot `{robot}`, and is not replaced by that of another";
             NoResult => "is not what this command writes under this name, and is not replaced";
         }
-        I0113 "a table is read as it is written",
-        cause: "The table has another delimiter, decimal or encoding than dbbd writes, and shows it without doubt.",
+        I0113 "the format of a table was detected",
+        cause: "The table has another delimiter, decimal sign or encoding than dbbd writes. It was detected without doubt.",
         cure: "Nothing to do, if the message names the right ones." {
             WrittenAs { encoding: String, delimiter: String, decimal: char } => "is read as {encoding}, cells cut at {delimiter}, with the decimal `{decimal}`";
         }

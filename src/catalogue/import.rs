@@ -5,8 +5,8 @@ use super::findings;
 findings! {
     /// A trace or its mapping that cannot be read.
     ImportFinding {
-        E1101 "a mapping has a value that cannot be",
-        cause: "A key of the mapping holds a value that no layout has.",
+        E1101 "a mapping has an invalid value",
+        cause: "A key of the mapping has a value that is not possible.",
         cure: "examples/mapping.toml explains every key." {
             Delimiter => "must be one character, or \"space\"";
             Decimal => "must be \".\" or \",\"";
@@ -48,10 +48,10 @@ findings! {
             TooSlow { period_s: f64, dwell_s: f64 } => "the readings come every {period_s:.3} s, and a dwell lasts {dwell_s} s";
             Constant { reading_mm: f64 } => "the length never changes: every reading is {reading_mm:.4} mm";
             OtherUnit { low: f64, high: f64, unit: &'static str, bar_mm: f64 } => "the readings are {low} to {high} mm: are they lengths of the bar of {bar_mm} mm in {unit}?";
-            Holes { holes: u64, longest_s: f64 } => "{holes} times no reading came for more than a second, the longest for {longest_s:.1} s";
-            SameTimes { percent: f64 } => "{percent:.0} % of the readings have the time of the one before";
+            Holes { holes: u64, longest_s: f64 } => "{holes} gaps of more than a second without a reading, the longest {longest_s:.1} s";
+            SameTimes { percent: f64 } => "{percent:.0} % of the readings have the same time as the one before";
         }
-        W1110 "a trace does not last as its plan",
+        W1110 "a trace and its plan have different durations",
         cause: "The trace is of another run, its times are in another unit, or it was cut off.",
         cure: "Check [time] unit in the mapping, and that the plan is the one that was driven." {
             Duration { seconds: f64, planned_s: f64 } => "the trace lasts {seconds:.1} s and the plan {planned_s:.0} s: it is of another run, its times are in another unit, or it was cut off";
@@ -66,8 +66,8 @@ findings! {
         cure: "Nothing to do: they are kept and not used." {
             NotValid { readings: u64 } => "{readings} readings are beyond the bar's stroke or marked as not valid";
         }
-        I1112 "times or lengths of a trace are read as they show themselves",
-        cause: "The mapping, or its absence, leaves open what they are, and the first row shows it without doubt.",
+        I1112 "the format of times or lengths of a trace was detected",
+        cause: "The mapping does not state it (or there is no mapping); the first row shows it without doubt.",
         cure: "Nothing to do, if the message is right. Else give [time] unit or [length] kind in a mapping." {
             Dates => "the times are read as dates";
             Readings { bar_mm: f64 } => "the lengths are read as readings of the bar of {bar_mm} mm";

@@ -13,7 +13,7 @@ findings! {
             FrameInRadians { key: String, value: f64 } => "{key}: {value} seems to be in radians: A, B and C are in degrees";
             FrameInMetres { key: String, size_mm: f64 } => "{key}: X, Y and Z are at most {size_mm} mm: they seem to be in metres";
             TinyObstacle { key: String, size_mm: f64 } => "{key}: the obstacle is {size_mm} mm large", help: "lengths are in mm: is it in metres?";
-            NoDirection { key: String, x: f64, y: f64, z: f64 } => "{key} = [{x}, {y}, {z}] is no direction";
+            NoDirection { key: String, x: f64, y: f64, z: f64 } => "{key} = [{x}, {y}, {z}] is not a direction";
         }
         E0602 "two values of the job contradict each other",
         cause: "The lower end of a range is above the upper one, the margin leaves nothing of the stroke, or two base balls are at one place.",
@@ -25,7 +25,7 @@ findings! {
         }
         E0603 "a table or a key of the job is missing or one too many",
         cause: "Two keys exclude each other, or one needs another one beside it.",
-        cure: "A circle has `plane` or `normal`. `cup_axis` and `cup_limit_deg` stand together. The tool ball (`[tool] ball_mm`) and all else of the arm are in the robot file. Only the orientations seed, random and optimal have `amplitude_deg`." {
+        cure: "A circle has `plane` or `normal`. `cup_axis` and `cup_limit_deg` need each other. The tool ball (`[tool] ball_mm`) and all else of the arm are in the robot file. Only the orientations seed, random and optimal have `amplitude_deg`." {
             MissingTable { table: String } => "there is no {table} table: a job needs at least one";
             PlaneAndNormal { circle: usize } => "circle {circle}: has both `plane` and `normal`";
             NoPlane { circle: usize } => "circle {circle}: has neither `plane` nor `normal`";
@@ -47,7 +47,7 @@ findings! {
             OvershootShort { circle: usize, overshoot_deg: f64, needed_deg: f64, feed_mm_s: f64 } => "circle {circle}: overshoot_deg = {overshoot_deg} is too short: the robot needs {needed_deg:.1} degrees to reach {feed_mm_s} mm/s";
         }
         E0606 "the digital outputs of the job are wrong",
-        cause: "A controller has the outputs 1 to 4096. The index has eight neighbours, and the strobe is none of them.",
+        cause: "A controller has the outputs 1 to 4096. The index has eight neighbours, and the strobe must not be one of them.",
         cure: "Correct `outputs` in [motion], for example { strobe = 1, index = [9, 16] }." {
             Outputs { strobe: u32, first: u32, last: u32 } => "outputs: strobe = {strobe}, index = [{first}, {last}]: outputs are 1 to 4096, the index has eight";
             StrobeInIndex { strobe: u32 } => "outputs: the strobe {strobe} is one of the index";
@@ -65,24 +65,24 @@ findings! {
             ParametersWithoutPrior { list: String } => "[optimise] parameters = \"{list}\": only geometric, tool, centres and bar can be listed";
         }
         I0681 "a part of the job has no effect",
-        cause: "A base ball has no circle around it, so that it is not measured; or a floor is lower than the robot reaches, so that it guards nothing.",
+        cause: "A base ball has no circle around it, so that it is not measured; or a floor is lower than the robot reaches, so that it has no effect.",
         cure: "Give the ball a circle or leave it out. Check the sign and the unit of z_mm: it is the height of the floor in the robot base, mm." {
             BallWithoutCircle { ball: u32 } => "base ball {ball} has no circle: it is not measured";
-            FloorBelow { z_mm: f64, lowest_mm: f64 } => "the floor at {z_mm} mm is below all that the robot reaches ({lowest_mm:.0} mm)";
+            FloorBelow { z_mm: f64, lowest_mm: f64 } => "the floor at {z_mm} mm is below the reach of the robot ({lowest_mm:.0} mm)";
         }
         E0680 "a text or a date of an identity cannot be used",
-        cause: "A text of [identity], [bar] or [[centre]] is empty, too long or has control characters, a date is none of the calendar or cannot be, a country is no code, or balls or temperatures are there twice.",
+        cause: "A text of [identity], [bar] or [[centre]] is empty, too long or has control characters, a date does not exist or is impossible, a country is not an ISO code, or balls or temperatures are given twice.",
         cure: "Write texts in one line of at most 200 characters, and dates as \"2026-03-31\"." {
             NotAText { key: String, length: usize, most: usize } => "{key} must be a text of 1 to {most} characters in one line, it has {length}";
             NotACountry { code: String } => "country = \"{code}\" must be two capital letters of ISO 3166-1, such as DE, or GB for the United Kingdom";
             CertifiedLater { date: String } => "certified_on = \"{date}\" is after the day of the measurement";
             InFuture { key: String, date: String } => "{key} = \"{date}\" is in the future, by the clock of this computer";
-            NotABall { key: String } => "`{key}` is no number of a base ball: they count from 1";
+            NotABall { key: String } => "`{key}` is not a number of a base ball: they count from 1";
             SerialOfNoBall { key: String, balls: usize } => "a serial number of base ball {key}: the job has {balls}";
             TemperatureTwice { of: String } => "two temperatures are of {of}";
             TooEarly { key: String, date: String } => "{key} = \"{date}\" is before 1980";
             SerialTwice { serial: String } => "two base balls have the serial number {serial}";
-            NotADate { key: String, date: String } => "{key} = \"{date}\" is no date YYYY-MM-DD";
+            NotADate { key: String, date: String } => "{key} = \"{date}\" is not a date YYYY-MM-DD";
         }
     }
 }

@@ -9,25 +9,25 @@ findings! {
         cause: "The capture is of another plan, the program did not run, or the bar sent no usable length while it ran.",
         cure: "Look at the reasons at each pose, and check that the plan is the one that was driven." {
             NothingMatched => "no dwell of the capture can be matched to a pose of the plan: nothing is written";
-            NothingValid => "the bar vouches for no reading of the capture: nothing is written", help: "is the unit right, and was the bar within its stroke?";
+            NothingValid => "the bar marks every reading of the capture as invalid: nothing is written", help: "is the unit right, and was the bar within its stroke?";
             NothingMoves { reading_mm: f64 } => "the length never changes (a reading of {reading_mm:.3} mm): nothing is written", help: "was the bar mounted, and did the program run?";
             OtherDuration { seconds: f64, planned_s: f64 } => "the capture lasts {seconds:.1} s and the program at least {planned_s:.0} s: nothing is written", help: "does it cover the run, and is the unit of its times right?";
             NoCircle => "no dwell of the capture can be matched to a pose on a circle";
         }
         E1082 "the reading runs against the motion",
-        cause: "Where the program lengthens the way to the ball by its sync markers, the reading falls: two wires of the sensor are exchanged, or the sign is that of another device. The calibration would come out with the sign of every error turned.",
+        cause: "Where the program lengthens the way to the ball by its sync markers, the reading falls: two wires of the sensor are swapped, or the sign in the definition is wrong. Every identified error would have the wrong sign.",
         cure: "Correct the wiring, or the sign in the protocol or in the mapping of the import, and measure again." {
-            ReadingInverted { waves: usize, scale: f64 } => "at {waves} sync marks the reading changes by {scale:.2} times what the robot moved: its sign is turned";
+            ReadingInverted { waves: usize, scale: f64 } => "at {waves} sync marks the reading changes by {scale:.2} times the motion of the robot: its sign is inverted";
         }
         W1081 "the reading is not to scale",
-        cause: "The sync markers have a commanded height, and the reading has another: the sensor's scale, its decoding (2x, 4x) or its unit is another than the protocol or the mapping says. A robot whose play is more than twice its repeatability goes less than commanded, too.",
+        cause: "The sync markers have a commanded height, and the reading has another: the sensor's scale, its decoding (2x, 4x) or its unit is another than the protocol or the mapping says. A robot whose backlash exceeds twice its repeatability also moves less than commanded.",
         cure: "Check the scale with a gauge block or a known move of the robot (`dbbd bar check`), correct protocol or mapping, and measure again." {
-            ReadingScaled { waves: usize, scale: f64, sd: f64 } => "at {waves} sync marks the reading changes by {scale:.3} +- {sd:.3} times what the robot moved";
+            ReadingScaled { waves: usize, scale: f64, sd: f64 } => "at {waves} sync marks the reading changes by {scale:.3} +- {sd:.3} times the motion of the robot";
         }
         W1002 "poses were dropped as ambiguous",
         cause: "The program was stopped or started again, the override changed on the way, or the program is not this plan's.",
         cure: "The poses that remain are right with more than 99 %. Where many are dropped, write the program with `krl --sync output` or `ekrl`." {
-            AmbiguousPoses { poses: usize, percent: f64 } => "{poses} poses ({percent:.1} %) were dropped: more than one dwell may be theirs";
+            AmbiguousPoses { poses: usize, percent: f64 } => "{poses} poses ({percent:.1} %) were dropped: more than one dwell may belong to them";
         }
         W1003 "poses have no length",
         cause: "The capture does not cover the run, the bar sent no usable length, or the plan is not the one that was driven.",
@@ -51,7 +51,7 @@ findings! {
             AxesMoved { poses: usize, worst_deg: f64 } => "at {poses} poses the measured axis angles are up to {worst_deg:.2} degrees from the commanded ones, at the others they agree: was the robot stopped or moved by hand?";
         }
         W1007 "readings within dwells are not valid",
-        cause: "The bar did not vouch for readings while the robot stood: it was outside of its stroke, or its line or its supply failed.",
+        cause: "The bar marked readings as invalid while the robot stood still: it was outside of its stroke, or its line or its supply failed.",
         cure: "The other readings of these dwells are used. Check the bar's stroke and its seat, and measure again where much is missing." {
             InvalidInDwells { invalid: usize, samples: usize, percent: f64, dwells: usize } => "in {dwells} dwells {invalid} of {samples} readings ({percent:.2} %) are not valid";
         }
@@ -61,15 +61,15 @@ findings! {
             Frozen { from_s: f64, to_s: f64, poses: usize, reading_mm: f64 } => "from {from_s:.1} s to {to_s:.1} s, where {poses} poses are due, every reading is {reading_mm:.4} mm";
         }
         W1080 "the controller's reports of its dwells are not used",
-        cause: "The bar's clock does not keep the host's pace, as on a simulator that runs faster than real time, or the channel broke, so that no dwell has the report of its begin and of its end.",
+        cause: "The bar's clock does not keep the host's pace, as on a simulator that runs faster than real time, or the channel broke, so that no dwell has both a begin and an end report.",
         cure: "Poses are matched by the strobe or by still intervals instead. Simulate with --speed 1; on a real cell check the channel and the bar's clock (`dbbd info`)." {
-            ReportsOffPace { reports: usize } => "the bar's clock does not keep the host's pace: {reports} reports of the controller cannot be laid on it, and are not used";
-            ReportsUnpaired { reports: usize } => "{reports} reports of the controller came, but no dwell has that of its begin and of its end: they are not used";
+            ReportsOffPace { reports: usize } => "the bar's clock does not keep the host's pace: {reports} reports of the controller cannot be placed on its time axis and are not used";
+            ReportsUnpaired { reports: usize } => "{reports} reports of the controller came, but no dwell has both a begin and an end report: they are not used";
         }
         W2220 "the published axes are not used",
         cause: "The clock of the bar or of the controller does not keep the host's pace, as on a simulator that runs faster than real time.",
         cure: "Poses are matched by the strobe or by still intervals, and lengths are taken at the commanded axes. Simulate with --speed 1; on a real cell check both clocks (`dbbd info`)." {
-            AxesUnused { packets: usize } => "{packets} axes of the controller cannot be laid on the bar's time, and are not used";
+            AxesUnused { packets: usize } => "{packets} axes of the controller cannot be placed on the time axis of the bar and are not used";
         }
         I2221 "lengths are taken at measured axes",
         cause: "The controller published its axes, and they were recorded (`acquire --axes`).",
@@ -97,7 +97,7 @@ findings! {
         I1013 "the lag of a continuous circle is not known",
         cause: "The circle was not passed in both directions, so that its lag cannot be estimated.",
         cure: "Plan the circle with direction = \"both\"." {
-            OneWayCircle { circle: u32, lag_sd_ms: f64 } => "circle {circle} was not passed both ways: the reading is taken to come 0 +- {lag_sd_ms:.0} ms after the command";
+            OneWayCircle { circle: u32, lag_sd_ms: f64 } => "circle {circle} was not passed both ways: its lag is taken as 0 +- {lag_sd_ms:.0} ms";
         }
         I1020 "the capture does not cover a pose",
         cause: "The recording began after the program or ended before it.",
@@ -120,10 +120,10 @@ findings! {
             TooShort { at_s: f64 } => "the dwell at {at_s:.1} s was too short or held too few readings";
             PassedTooFast => "the bar sent too little while the robot passed";
         }
-        I1023 "a dwell may be that of several poses",
+        I1023 "a dwell may belong to several poses",
         cause: "The times between the dwells fit more than one pose.",
         cure: "Write the program with `krl --sync output` or `ekrl`, which names each dwell." {
-            AmbiguousDwell { start_s: f64, percent: f64 } => "the dwell at {start_s:.1} s is this pose with {percent:.0} % only";
+            AmbiguousDwell { start_s: f64, percent: f64 } => "the dwell at {start_s:.1} s belongs to this pose with a probability of {percent:.0} % only";
         }
         I1024 "a pass without stops has no lengths",
         cause: "When the robot passed is not known: neither a strobe nor a report of the controller shows it, or they do not fit the plan.",
@@ -131,9 +131,9 @@ findings! {
             PassNotReported => "the controller did not report it";
             PassWithoutSignal => "neither a strobe nor a report shows when the robot passed: write the program with `krl --sync output` or `ekrl`";
             PassStrobes { strobes: usize, commanded: usize } => "{strobes} strobes were detected, and {commanded} are commanded";
-            PassNotSeen => "the published axes do not go by its points one after the other";
+            PassNotSeen => "the published axes do not pass its points in order";
             PassWithoutEnd => "the plan has no row where it ends";
-            PassDuration { seconds: f64, planned_s: f64 } => "the pass lasted {seconds:.1} s, which no override makes of {planned_s:.1} s";
+            PassDuration { seconds: f64, planned_s: f64 } => "the pass lasted {seconds:.1} s, which no override explains ({planned_s:.1} s planned)";
             PassClockBroke => "the bar's clock broke during the pass";
         }
     }

@@ -60,21 +60,21 @@ findings! {
         }
         I0711 "some poses were left out",
         cause: "They are out of reach, or no path to them keeps the limits.",
-        cure: "Nothing need be done if the prediction suffices. Else move the base ball, or allow more `candidates`." {
+        cure: "Nothing to do if the prediction suffices. Else move the base ball, or allow more `candidates`." {
             FewCandidates { ball: u32, found: usize, wanted: usize } => "base ball {ball}: {found} of {wanted} candidates can be reached within the limits";
             NothingChosen { ball: u32 } => "base ball {ball}: no pose about it was worth choosing";
             PosesLeftOut { ball: u32, left_out: usize, chosen: usize } => "base ball {ball}: {left_out} of {chosen} chosen poses were left out: no path to them keeps the limits";
             ReferencesLeftOut { ball: u32, left_out: usize } => "base ball {ball}: {left_out} visits of the reference pose were left out";
         }
-        I0712 "poses are barred because the robot is not known well enough",
+        I0712 "poses are excluded because the robot is not known well enough",
         cause: "As the robot is known now, their length might leave the stroke.",
         cure: "Measure this plan, identify, and plan again with --robot robot-identified.toml, until no stage is needed." {
-            Barred { barred: usize, reachable: usize } => "{barred} of {reachable} poses that can be reached are barred: their length might leave the stroke";
-            FirstStage { barred: usize, reachable: usize } => "this is the first stage: {barred} of {reachable} poses that can be reached are still barred, because their length might leave the stroke", help: "measure these poses, identify, and plan again with --robot robot-identified.toml";
-            FurtherStage { lengths: usize, barred: usize, reachable: usize } => "this is a further stage, after {lengths} lengths: {barred} of {reachable} poses that can be reached are still barred, because their length might leave the stroke", help: "measure these poses, identify, and plan again with --robot robot-identified.toml";
+            Barred { barred: usize, reachable: usize } => "{barred} of {reachable} poses that can be reached are excluded: their length might leave the stroke";
+            FirstStage { barred: usize, reachable: usize } => "this is the first stage: {barred} of {reachable} poses that can be reached are still excluded, because their length might leave the stroke", help: "measure these poses, identify, and plan again with --robot robot-identified.toml";
+            FurtherStage { lengths: usize, barred: usize, reachable: usize } => "this is a further stage, after {lengths} lengths: {barred} of {reachable} poses that can be reached are still excluded, because their length might leave the stroke", help: "measure these poses, identify, and plan again with --robot robot-identified.toml";
         }
-        I0713 "what would make a refused plan possible",
-        cause: "The planner tried other orientations of the tool on a coarse grid, at the points of the circle alone.",
+        I0713 "changes that would make a refused plan possible",
+        cause: "The planner tried other orientations of the tool on a coarse grid, at the points of the circle only.",
         cure: "Write the values into the job and plan again." {
             OrientationPasses { circle: u32, tilt_deg: f64, spin_deg: f64 } => "circle {circle}: tilt_deg = {tilt_deg}, spin_deg = {spin_deg} keep the axis limits, the wrist and the configuration at its points";
             NoOrientationPasses { circle: u32 } => "circle {circle}: no tilt_deg and spin_deg of a coarse grid would pass: make amplitude_deg smaller, or move the base ball";
@@ -84,9 +84,9 @@ findings! {
             StageFirst { points: u32 } => "the robot is not known well enough for these circles and this stroke: `dbbd plan JOB --stage {points}` chooses poses whose length is safe as it is known now", help: "measure them, identify, and plan again with --robot robot-identified.toml";
         }
         I0714 "how many lengths are enough",
-        cause: "The error that is left over the workspace is predicted for parts of the plan, the most informative lengths first, and for the plan measured twice.",
+        cause: "The remaining error over the workspace is predicted for parts of the plan (the most informative lengths first) and for the plan measured twice.",
         cure: "Measure fewer lengths where fewer are enough. Where more do not help, choose other poses, another base ball or a better known bar." {
-            Enough { lengths: usize, error_mm: f64, repeatability_mm: f64, planned: usize, planned_error_mm: f64, doubled: usize, doubled_error_mm: f64 } => "{lengths} lengths are enough: they leave {error_mm:.3} mm of 3-D error, less than the robot's repeatability of {repeatability_mm} mm; {planned} leave {planned_error_mm:.3} mm, {doubled} leave {doubled_error_mm:.3} mm";
+            Enough { lengths: usize, error_mm: f64, repeatability_mm: f64, planned: usize, planned_error_mm: f64, doubled: usize, doubled_error_mm: f64 } => "{lengths} lengths are enough: the remaining 3-D error is {error_mm:.3} mm, less than the robot's repeatability of {repeatability_mm} mm; {planned} leave {planned_error_mm:.3} mm, {doubled} leave {doubled_error_mm:.3} mm";
             OthersNeeded { planned: usize, planned_error_mm: f64, doubled_error_mm: f64 } => "{planned} lengths leave {planned_error_mm:.3} mm, twice as many {doubled_error_mm:.3} mm: only other poses, another base ball or a better known bar (length_u_mm) would help";
             MoreHelp { planned: usize, planned_error_mm: f64, doubled_error_mm: f64 } => "{planned} lengths leave {planned_error_mm:.3} mm; twice as many would leave {doubled_error_mm:.3} mm";
         }
@@ -97,22 +97,22 @@ findings! {
             ValidEverywhere { least_mm: f64, most_mm: f64 } => "the result is valid over the whole workspace, with {least_mm:.3} to {most_mm:.3} mm left";
         }
         I0716 "whether a second base ball would help",
-        cause: "The best poses were chosen anew about this ball and with a second one at several places.",
+        cause: "The best poses were chosen again about this ball and with a second one at several places.",
         cure: "Where a place helps, put a second ball near it and add its [[centre]] table." {
             SecondBall { place: &'static str, x_mm: f64, y_mm: f64, z_mm: f64, percent: f64, alone_mm: f64, turned_percent: f64 } => "a second base ball {place}, near ({x_mm:.0}, {y_mm:.0}, {z_mm:.0}) mm, would leave {percent:.0} % of the 3-D error of as many poses chosen freely about this one ({alone_mm:.3} mm); one turned about axis 1 alone leaves {turned_percent:.0} % of the error";
             NoSecondBall { places: usize, percent: f64, alone_mm: f64, turned_percent: f64 } => "no second base ball of {places} places tried would leave less than {percent:.0} % of the 3-D error of as many poses chosen freely about this one ({alone_mm:.3} mm); one turned about axis 1 alone leaves {turned_percent:.0} % of the error";
         }
-        I0717 "a base ball is to be taught anew",
-        cause: "From where `taught_deg` says that it was taught, no pose is safe enough; from elsewhere one is.",
+        I0717 "teach a base ball again",
+        cause: "No pose is safe enough from where `taught_deg` says that the ball was taught; from another place there is one.",
         cure: "Put the ball where the tool ball is at the axis angles that the plan prints, and write these into `taught_deg`." {
-            TeachAnew { ball: u32 } => "base ball {ball}: no run is safe from where it was taught, and this plan has it taught anew";
+            TeachAnew { ball: u32 } => "base ball {ball}: no run is safe from where it was taught: the plan gives a new place to teach it";
         }
-        W0720 "what the identification left unknown is not known",
+        W0720 "the covariance of the identification is not known",
         cause: "The robot file was identified, but the lengths.csv that `identify` wrote beside it is not there.",
         cure: "Keep the two files together, or give the lengths with --measured. Until then the risk is that of the maker's tolerance about the identified robot." {
             NoLengths { file: String } => "{file} is not there: the stroke risk is that of the maker's tolerance about the identified robot";
         }
-        E0721 "lengths measured before give no robot",
+        E0721 "earlier lengths do not determine a robot",
         cause: "They belong to other base balls, or they are of another robot or another bar.",
         cure: "Give only lengths that were measured to the base balls of this job." {
             NoFiniteRobot => "the lengths measured before give no finite robot";
@@ -121,7 +121,7 @@ findings! {
         E0730 "plan.csv and plan.json do not belong together",
         cause: "One of them was edited, copied from elsewhere, or is of another version.",
         cure: "Plan again: `dbbd plan` writes both. Change the job, never the plan." {
-            NoHeader { json: String } => "has no {json} beside it: it is no plan, or half of one", help: "name the plan.csv that `dbbd plan` wrote, with its plan.json in the same directory";
+            NoHeader { json: String } => "has no {json} beside it: it is not a plan, or half of one", help: "name the plan.csv that `dbbd plan` wrote, with its plan.json in the same directory";
             OtherHash { other: String, hash: String, found: String } => "is not what was written together with {other}, or one of the two was changed since: hash {hash}, not {found}", help: "plan again: `dbbd plan` writes both";
             Moves { rows: usize, moves: usize } => "`moves` has {moves} entries: it must have one for each of {rows} rows, in order";
             PassCount { passes: usize, found: usize } => "`passes` has {passes} entries, the rows have {found} passes";
@@ -129,7 +129,7 @@ findings! {
             PassNumbers { entry: usize } => "`passes`: entry {entry} has a number that cannot be";
             NoSuchBall { ball: u32, balls: usize } => "centre = {ball}: the job has {balls} base balls";
         }
-        E0731 "a file is no plan",
+        E0731 "a file is not a plan",
         cause: "It is another file, it was edited, or it is of another version.",
         cure: "Plan again: `dbbd plan` writes plan.csv and plan.json. Change the job, never the plan." {
             NotHeader { why: String } => "{why}";
@@ -143,8 +143,8 @@ findings! {
             ArcRows => "an arc is two `circ` rows: its auxiliary point in transit, then its end";
             PassPattern => "a pass without stops is two auxiliary `circ` rows in transit, the points (dwell_s = 0), and its end in transit";
         }
-        E0740 "poses that see changes are planned without a calibration",
-        cause: "`criterion = \"change\"` chooses poses against the posterior of a calibrated robot.",
+        E0740 "a check is planned without a calibration",
+        cause: "`criterion = \"change\"` chooses poses that detect changes of a calibrated robot.",
         cure: "Plan the check with `dbbd plan --check JOB --robot robot-identified.toml`." {
             NotCalibrated => "the criterion `change` needs a calibrated robot", help: "give --check and --robot robot-identified.toml";
         }

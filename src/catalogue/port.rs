@@ -6,7 +6,7 @@ findings! {
     /// A port that cannot be used, or a run whose data are not complete.
     PortFinding {
         E0201 "there is no such port",
-        cause: "The bar is not plugged in, or its port has another name since it was plugged in anew.",
+        cause: "The bar is not plugged in, or its port has another name since it was plugged in again.",
         cure: "Plug the bar in; `dbbd ports` lists what is there. The name `by-id/..` stays the same." {
             NoPort { port: String } => "no port `{port}`", help: "plug the bar in; `dbbd ports` lists what is there";
         }
@@ -41,21 +41,21 @@ findings! {
             PortGone { port: String, why: String } => "port `{port}` is gone: {why}";
         }
         E0207 "the address for the program's telegrams cannot be used",
-        cause: "Another program has the address (another dbbd?), or it is none of this computer's.",
+        cause: "Another program has the address (another dbbd?), or it does not belong to this computer.",
         cure: "Choose another port number, or the address of this computer in the controller's network." {
-            NotListening { address: String, why: String } => "--ekrl {address}: cannot listen there: {why}", help: "another program may have the port (another dbbd?), or the address is none of this computer's";
+            NotListening { address: String, why: String } => "--ekrl {address}: cannot listen there: {why}", help: "another program may have the port (another dbbd?), or the address does not belong to this computer";
         }
-        I0210 "the adapter holds bytes back",
-        cause: "Adapters of this kind gather bytes before they hand them on; the host's times are blurred by that.",
+        I0210 "the adapter delays bytes",
+        cause: "Adapters of this kind collect bytes before they pass them on; the times of the host are less accurate.",
         cure: "Install the packaged udev rule `packaging/99-dbbd.rules`, and plug the adapter in again." {
-            AdapterHoldsBack { device: String, hold_ms: u32 } => "{device} holds bytes back for up to {hold_ms} ms, which blurs times", help: "as root: echo 1 > /sys/bus/usb-serial/devices/{device}/latency_timer, or for all adapters this udev rule:\n  ACTION==\"add\", SUBSYSTEM==\"usb-serial\", DRIVER==\"ftdi_sio\", ATTR{{latency_timer}}=\"1\"";
+            AdapterHoldsBack { device: String, hold_ms: u32 } => "{device} delays bytes for up to {hold_ms} ms, which makes times inaccurate", help: "as root: echo 1 > /sys/bus/usb-serial/devices/{device}/latency_timer, or for all adapters this udev rule:\n  ACTION==\"add\", SUBSYSTEM==\"usb-serial\", DRIVER==\"ftdi_sio\", ATTR{{latency_timer}}=\"1\"";
         }
-        I0211 "telegrams can come from others",
+        I0211 "others can send telegrams",
         cause: "The address of --ekrl can be reached from the network, and telegrams are not signed.",
         cure: "Use a network of the cell's own." {
             OpenToNetwork { address: String } => "{address} can be reached from the network, where anyone can send telegrams: use a network of the cell's own";
         }
-        I0212 "no port is there",
+        I0212 "there is no serial port",
         cause: "No serial device is plugged in, or its driver is not loaded.",
         cure: "Plug the bar in; on Linux `dmesg` shows what the system found." {
             NoPorts => "no serial port is plugged in";
@@ -88,17 +88,17 @@ findings! {
         cure: "Set the bar and the protocol's [line] to what the server can do." {
             SettingRefused { port: String, setting: &'static str, asked: u32, got: String } => "{port}: {setting} {asked} was asked for, the server has {got}";
         }
-        I0240 "the network blurs times",
-        cause: "Bytes are stamped when they reach this computer; network and serial server hold them back for a time that varies.",
-        cure: "Nothing is to be done for dwells. For a motion without stops use a bar with a clock of its own, or a serial port of this computer." {
-            NetworkBlurs { port: String } => "{port}: the host's times are those of the arrival over the network; a bar with a clock of its own does not mind";
+        I0240 "the network makes times inaccurate",
+        cause: "Bytes are stamped when they reach this computer; network and serial server delay them by a varying time.",
+        cure: "Nothing to do for dwells. For a motion without stops use a bar with a clock of its own, or a serial port of this computer." {
+            NetworkBlurs { port: String } => "{port}: the host's times are those of the arrival over the network; a bar with its own clock is not affected";
         }
         W0220 "the port stayed away",
         cause: "The bar was unplugged or switched off during the run, and did not come back within --gone.",
         cure: "What came before is kept. Plug the bar in, check its cable and supply, and repeat the run or identify with what is there." {
             StayedAway { port: String, gone_s: f64 } => "{port} stayed away for {gone_s} s; what came before is kept";
         }
-        W0221 "nothing was received, or nothing that was understood",
+        W0221 "nothing was received, or nothing could be decoded",
         cause: "The bar is off or asleep, or the protocol or its baud rate is another.",
         cure: "`dbbd protocols show NAME` shows the bytes to compare with; `dbbd export RUN` writes the raw bytes." {
             NothingReceived => "nothing was received: is the bar switched on, and is this its port?";
@@ -112,7 +112,7 @@ findings! {
         }
         W0223 "samples are missing",
         cause: "The line lost bytes, the bar's buffer overflowed, or the computer was too slow.",
-        cure: "`dbbd sync` names the poses that are touched; a few samples outside of dwells do no harm. Try another cable or USB port, keep the cable from the drives' cables, and close other programs." {
+        cure: "`dbbd sync` names the affected poses; a few samples outside of dwells do no harm. Try another cable or USB port, keep the cable from the drives' cables, and close other programs." {
             SamplesMissing { missing: u64, lost_bytes: u64, gaps: u64 } => "{missing} samples are missing and {lost_bytes} bytes were lost, in {gaps} gaps";
             Unanswered { requests: u64 } => "{requests} requests were not answered in time";
         }
@@ -124,17 +124,17 @@ findings! {
         }
         W0225 "the bar was silent",
         cause: "Its cable, its supply or its adapter failed, or it fell asleep.",
-        cure: "`dbbd export` shows each silence among the gaps, `dbbd sync` names the poses that are touched. Check cable and supply, and measure again where poses are missing." {
+        cure: "`dbbd export` shows each silence among the gaps, `dbbd sync` names the affected poses. Check cable and supply, and measure again where poses are missing." {
             FellSilent { silent_s: f64, gaps: u64 } => "the bar was silent for {silent_s:.1} s in all ({gaps} gaps)";
         }
         W0280 "the bar is not seated",
         cause: "A ball lies on the rim of its cup or on a chip, so that the bar rocks at rest.",
-        cure: "Take the bar off, wipe balls and cups, and mount it again until the page says *stable*." {
+        cure: "Take the bar off, wipe balls and cups, and mount it again until the page shows *stable*." {
             NotSeated { rocks_um: f64 } => "the bar is not seated: it rocks by {rocks_um:.0} micrometres";
         }
         W0281 "a ball creeps after mounting",
         cause: "A magnet still pulls its ball in, a screw or glue gives way, or the bar is warm from the hand.",
-        cure: "Wait until the page says *stable*; if it does not stop, tighten the cups and mount the bar again." {
+        cure: "Wait until the page shows *stable*; if it does not stop, tighten the cups and mount the bar again." {
             BallCreeps { rate_um_s: f64 } => "a ball creeps by {rate_um_s:.1} micrometres a second";
         }
         W0282 "a magnet slipped",

@@ -5,7 +5,7 @@ use super::findings;
 findings! {
     /// A program that cannot be read, executed or written.
     ProgramFinding {
-        E0801 "a word of a program is not KRL",
+        E0801 "a word of a program is not valid KRL",
         cause: "The file is not plain ASCII outside of comments, or a number, a text or a name has a form that controllers refuse.",
         cure: "Correct the word at the place named. Numbers have a decimal point; save the file as plain ASCII." {
             ByteOrderMark => "the file begins with a byte order mark", help: "save it as plain ASCII: controllers do not read it";
@@ -110,7 +110,7 @@ findings! {
             NoAxisAngles { why: String } => "{why}";
             NoConfiguration { value: i64 } => "S or T is {value}";
             OtherConfiguration { programmed: String, reached: String } =>
-                "the motion ends in the configuration {reached}, not in {programmed}", help: "compute the confdata anew, or switch ConfL\\Off";
+                "the motion ends in the configuration {reached}, not in {programmed}", help: "compute the confdata again, or switch ConfL\\Off";
             StraightArc => "the three points of the arc are on a line", help: "move the auxiliary point, or write LIN";
         }
         E0814 "a motion lacks its start or its speed",
@@ -120,14 +120,14 @@ findings! {
             NoSpeed { variable: String } => "{variable} must be above zero";
             TooFast { m_per_s: f64 } => "$VEL.CP={m_per_s} is faster than the robot", help: "$VEL.CP is in m/s, not mm/s";
         }
-        E0815 "the flow of a program has no end",
+        E0815 "a program does not end",
         cause: "A loop takes no time or never ends, or EXIT is outside of a LOOP.",
         cure: "Put a WAIT or a motion into the loop, and give FOR a step other than 0." {
             NeverWaits => "the program loops without ever taking time";
             ExitOutsideLoop => "EXIT is outside of a LOOP";
             ZeroStep => "a STEP of 0 never ends";
         }
-        E0816 "an input, an output or a setting cannot be set so",
+        E0816 "an input, an output or a setting cannot be set to this value",
         cause: "The number of the input or output, the time of a pulse or a percentage is out of range, or the variable can only be read.",
         cure: "Outputs are $OUT[1] to $OUT[4096]; a pulse lasts 0.012 to 3 s; percentages are 1 to 100." {
             NoOutput => "this is not an output";
@@ -153,9 +153,9 @@ findings! {
             NoAnswer => "no answer has come", help: "wait for its flag first";
             NoSuchAnswer { path: String } => "the answer has no {path}";
         }
-        E0820 "a row of the plan cannot be written as a program",
+        E0820 "a row of the plan cannot be written to a program",
         cause: "plan.csv was changed by hand, and a number is out of what a controller accepts or rows are in an order that has no motion.",
-        cure: "Make the plan anew with `dbbd plan`." {
+        cure: "Make the plan again with `dbbd plan`." {
             RowNumber { row: u32, value: f64 } => "row {row}: {value} is not a length or an angle that a controller accepts";
             RowConfiguration { row: u32, status: u8, turn: u8 } => "row {row}: status {status} and turn {turn} are out of range";
             RowDwell { row: u32, dwell_s: f64 } => "row {row}: a dwell of {dwell_s} s";
@@ -183,14 +183,14 @@ findings! {
         E0880 "the address of --server cannot be used",
         cause: "Only a program that reports over EthernetKRL connects to it, and a controller needs its port.",
         cure: "Give --sync ekrl with --server ADDR:PORT as in `dbbd acquire --ekrl`, or leave --server out." {
-            ServerUnused => "--server is of use with --sync ekrl only";
+            ServerUnused => "--server applies only with --sync ekrl";
             ServerAddress { server: String } => "no controller connects to {server}", help: "give the address of this computer in the controller's network";
             ServerPort => "--server needs a port other than 0: the one of `dbbd acquire --ekrl`";
         }
         I0881 "the address of --server is the controller itself",
         cause: "127.x.x.x is the computer on which the program runs: on a robot that is its controller.",
-        cure: "Give the address of this computer in the controller's network; for `dbbd simulate` nothing need be done." {
-            ServerLoopback { server: String } => "{server} is the controller itself, as long as it is no simulated one";
+        cure: "Give the address of this computer in the controller's network; for `dbbd simulate` nothing needs to be done." {
+            ServerLoopback { server: String } => "{server} is the controller itself, unless it is a simulated one";
         }
         W0882 "modules of another plan are in the directory",
         cause: "The program was written into a directory that holds modules of an earlier plan.",
@@ -202,14 +202,14 @@ findings! {
         cure: "Rename the module or the routine." {
             ModuleNamedAsRoutine { name: String } => "the module and a routine in it are both named {name}";
         }
-        E0883 "a plan needs what a language does not have",
+        E0883 "a plan needs a feature that a language does not have",
         cause: "Circles without stops are one motion further round than an arc of RAPID or URScript goes, and EthernetKRL is KUKA's.",
         cure: "Plan dwells in place of continuous circles, or use --sync output or marker; or write KRL." {
             NoPasses { language: &'static str } => "circles without stops are not written in {language}";
             NoTelegrams { language: &'static str } => "--sync ekrl is of KUKA controllers, not in {language}";
             NoController { language: &'static str } => "--controller is the generation of a KUKA controller, not used in {language}";
         }
-        E0823 "the chosen marks of the dwells are not possible",
+        E0823 "the chosen way to mark dwells is not possible",
         cause: "The outputs in the job overlap or are not eight in a row, the controller is too old for EthernetKRL, or the bar's protocol does not carry the strobe.",
         cure: "Correct [motion.outputs] in the job, or choose another --sync." {
             OutputsOverlap => "outputs: the index needs eight outputs in a row, and the strobe another";
@@ -218,7 +218,7 @@ findings! {
             NoServer => "--sync ekrl needs --server ADDR:PORT";
             NoStrobe { protocol: String } => "--sync output: the bar's protocol {protocol} does not carry the strobe", help: "use --sync marker or --sync ekrl";
             PassWithoutStrobe { protocol: String } => "circles without stops need a strobe, which the bar's protocol {protocol} does not carry", help: "use --sync ekrl";
-            ProtocolNotHere { protocol: String } => "the bar's protocol {protocol} is not here, so it is not known whether it carries the strobe", help: "name --sync, or go to where the definition is";
+            ProtocolNotHere { protocol: String } => "the bar's protocol {protocol} is not here, so it is not known whether it carries a strobe", help: "name --sync, or go to where the definition is";
         }
         E0824 "a robot is programmed in another language",
         cause: "The robot file names another language than the one that is written or read, or another maker in the robot's name.",
@@ -232,13 +232,13 @@ findings! {
         }
         I0826 "dwells are marked by sync markers",
         cause: "The bar's protocol does not carry the strobe, and --sync is not given.",
-        cure: "Nothing is to be done. With EthernetKRL (--sync ekrl) no dwell is lost." {
+        cure: "Nothing to do. With EthernetKRL (--sync ekrl) no dwell is lost." {
             MarkerChosen { protocol: String } => "the bar's protocol {protocol} does not carry the strobe: dwells are marked by sync markers";
         }
         I0827 "the language of a robot is not known",
         cause: "The robot file has no `language`, and the robot's name begins with no known maker.",
         cure: "Add language = \"krl\", \"rapid\" or \"urscript\" to the robot file." {
-            LanguageNotKnown { robot: String, wanted: &'static str } => "nothing says that {robot} is programmed in {wanted}";
+            LanguageNotKnown { robot: String, wanted: &'static str } => "it is not known whether {robot} is programmed in {wanted}";
         }
     }
 }

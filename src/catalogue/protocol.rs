@@ -138,7 +138,7 @@ findings! {
             ParameterRange { name: String, value: String, least: f64, most: f64 } => "parameter `{name}` = `{value}`: must be {least} to {most}";
             ParameterWord { name: String, value: String, known: String } => "parameter `{name}` = `{value}`: must be one of: {known}";
             BraceOpen => "the brace of a parameter is not closed";
-            ParameterFormat { format: String, value: String } => "`{format}` is no format for `{value}`";
+            ParameterFormat { format: String, value: String } => "`{format}` is not a format for `{value}`";
         }
         E0311 "a test vector of the definition fails",
         cause: "The bytes of a [[test]] do not give what it expects: a key of the definition or the test is wrong.",

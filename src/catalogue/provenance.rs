@@ -24,20 +24,20 @@ findings! {
             RobotChanged { artefact: String, made_for: String, given: String } => "{artefact} was made with {made_for}, and {given} is given: the robot file was changed";
         }
         W1804 "an input is older than the newest calibration",
-        cause: "It was made on an identified robot that was identified anew since.",
+        cause: "It was made on an identified robot that was identified again since.",
         cure: "Plan again with the newest robot-identified.toml." {
             Outdated { artefact: String, used: String, newest: String } => "{artefact} was made on {used}; {newest} is newer";
         }
         W1805 "lengths are used twice",
-        cause: "The same lengths are given twice, or the robot given was identified from them, or two results that are compared rest on them. What they show then counts twice.",
+        cause: "The same lengths are given twice, or the robot given was identified from them, or two results that are compared rest on them. Their information is then counted twice.",
         cure: "Give each file once, and check a robot with lengths that it was not identified from." {
             UsedBefore { lengths: String, robot: String } => "{robot} was identified from {lengths}";
-            SameLengths { lengths: String, first: String } => "is made from {lengths}, as {first} is: what differs is no change of the robot";
+            SameLengths { lengths: String, first: String } => "is made from {lengths}, as {first} is: a difference is not a change of the robot";
             GivenTwice { lengths: String } => "{lengths} is given twice";
         }
         W1840 "a robot file was changed after it was written",
-        cause: "The hash in the last line of robot-identified.toml is that of another text. What it states was not identified.",
-        cure: "Take the file as dbbd wrote it. If the change is meant, remove the last line, and what it changes is answered for by you." {
+        cause: "The hash in the last line of robot-identified.toml is that of another text. Its values are then not those that were identified.",
+        cure: "Take the file as dbbd wrote it. If the change is meant, remove the last line, and you are then responsible for the values." {
             RobotEdited => "was changed since dbbd wrote it: its hash is of another text";
         }
         W1841 "the file of --config is not $config.dat",
@@ -45,25 +45,25 @@ findings! {
         cure: "Give the controller's own $config.dat." {
             NotConfig { begins: String } => "the file begins with `{begins}`, and $config.dat with DEFDAT $CONFIG";
         }
-        W1843 "a robot's calibration is doubtful",
-        cause: "The result with which robot-identified.toml was written has warnings. What a command makes with the file is as doubtful.",
+        W1843 "the calibration of a robot has warnings",
+        cause: "The result with which robot-identified.toml was written has warnings. They apply to everything that is computed with the file.",
         cure: "`dbbd explain` explains each of the codes, report.html beside the file has their numbers. Resolve them and identify again." {
             DoubtfulRobot { robot: String, doubts: Names } => "`{robot}` was identified with {doubts}";
         }
         W1844 "an identity contradicts the job of the plan",
         cause: "--identity states another robot, bar, certificate or temperature of the bar, or further base balls, than the job of the plan that is measured, or than the capture: a file of another run. The lengths were computed with what the job and the bar's sensor say.",
-        cure: "Give the identity of this run. With another bar, plan anew." {
-            OtherThanPlanned { key: String, planned: String, stated: String } => "{key} is stated as {stated}, and the job has {planned}";
+        cure: "Give the identity of this run. With another bar, plan again." {
+            OtherThanPlanned { key: String, planned: String, stated: String } => "{key} is stated as {stated}; the job has {planned}";
             SerialOfNoBall { ball: String, balls: usize } => "a serial number is stated of base ball {ball}, and there are {balls}";
         }
         W1845 "measurements of one result have different set-ups",
         cause: "The files beside two tables state different serial numbers of the bar or of a base ball: they were measured with other equipment, whose length or place differs.",
-        cure: "Give tables of one set-up. Number another ball or bar anew in the columns `centre` and `bar`; correct the identity if it is the same one." {
-            OtherSetUp { key: String, known: String, stated: String } => "{key} is stated as {stated}, and that of the lengths is {known}";
+        cure: "Give tables of one set-up. Number another ball or bar again in the columns `centre` and `bar`; correct the identity if it is the same one." {
+            OtherSetUp { key: String, known: String, stated: String } => "{key} is stated as {stated}; that of the lengths is {known}";
         }
         I1846 "the certificate of the bar is old",
         cause: "The bar was certified more than two years before the measurement. Wear of its seats and ageing change its length by more than the certificate states.",
-        cure: "Have the bar certified anew, or compare it with another one." {
+        cure: "Have the bar certified again, or compare it with another one." {
             OldCertificate { date: String, years: f64 } => "the bar was certified on {date}, {years:.1} years before the measurement";
         }
         E1806 "lengths are of another result",
@@ -77,13 +77,13 @@ findings! {
             Damaged { why: String } => "the record of what the file was made from is damaged: {why}";
         }
         E1808 "a result was changed after it was written",
-        cause: "The hash at the end of result.json, check.json, circle.json or compare.json is that of another text. What it states was not computed.",
+        cause: "The hash at the end of result.json, check.json, circle.json or compare.json is that of another text. Its values are then not those that were computed.",
         cure: "Take the file as dbbd wrote it, or compute it again." {
             Edited => "was changed since dbbd wrote it: its hash is of another text";
         }
         W1809 "a table was changed after it was written",
-        cause: "The file beside the table states what another content of it was made from. Whether that is true of this one is not known.",
-        cure: "Take the table as dbbd wrote it. Give a changed table another name: then nothing is said of its origin." {
+        cause: "The file beside the table states what another content of it was made from. It is not known whether that applies to the present content.",
+        cure: "Take the table as dbbd wrote it. Give a changed table another name: then its origin is not stated." {
             TableChanged { record: String } => "was changed since {record} was written; its robot, bar and date may be others";
         }
     }

@@ -5,7 +5,7 @@ use super::findings;
 findings! {
     /// A capture that cannot be written or read, or a recorded run that is not whole.
     RecordingFinding {
-        E0401 "a capture exists already",
+        E0401 "the capture exists already",
         cause: "A capture is never overwritten.",
         cure: "Give another name with --out, or move the old capture." {
             CaptureExists => "the capture exists already", help: "choose another name with --out";
@@ -15,7 +15,7 @@ findings! {
         cure: "Make the directory, or check its rights." {
             CaptureNotMade { why: String } => "the capture cannot be made: {why}";
         }
-        E0403 "a capture cannot be written on",
+        E0403 "writing a capture failed",
         cause: "The disk is full or fails, or a limit of the file's size is reached. Every whole record is kept.",
         cure: "Make room on the file system, check it, or raise the limit (`ulimit -f`), and begin a new run." {
             DiskFull { why: String, samples: u64, bytes: u64 } => "the capture ends here: {why} ({samples} samples, {bytes} bytes are kept)", help: "make room on its file system and begin a new run";
@@ -87,7 +87,7 @@ findings! {
         cure: "Fetch the .dat from the controller after the run. Without it the commanded axis angles are used." {
             NoAxesLogged { data: String } => "{data} holds no axis angles of a run: the commanded ones are used";
         }
-        W0481 "the temperatures of a run are none of a bar",
+        W0481 "the temperatures of a run are not those of a bar",
         cause: "The sensor of the bar failed, is loose or is not connected, or the column of an imported trace is in another unit.",
         cure: "Lengths are corrected by these temperatures where the job gives expansion_per_k: leave that out, or correct [temperature] of the mapping." {
             TemperatureJumps { step_k: f64 } => "the bar's temperature changes by {step_k:.1} K from one reading to the next: is its sensor loose?";
@@ -109,7 +109,7 @@ findings! {
             TelegramNotAngle { name: String, value: String } => "Ax/@{name} of the telegram is `{value}`, not an angle in degrees";
             TelegramPhase { phase: u32 } => "Pt/@Ph of the telegram is {phase}, not 1 or 2";
         }
-        W0415 "the capture was taken away while it was recorded",
+        W0415 "the capture was removed or changed while it was recorded",
         cause: "Another program or person removed, renamed, replaced or changed the file, or removed its directory.",
         cure: "Evaluate the new file. Where another program cut the old one, keep both: the new one lacks what was recorded before, and `dbbd info` says how much. Keep other programs away from captures that are being written." {
             TakenAway { new: String, bytes: u64 } => "the capture was removed, renamed or replaced: recording goes on in {new}, with the {bytes} bytes that were written before";

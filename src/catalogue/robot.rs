@@ -6,7 +6,7 @@ findings! {
     /// A robot or a parameter that cannot be used.
     RobotFinding {
         E0501 "a word is not a parameter",
-        cause: "A list of parameters holds a word that is no parameter, group or range, or a range whose numbers are no parameters.",
+        cause: "A list of parameters holds a word that is not a parameter, group or range, or a range whose numbers are no parameters.",
         cure: "The parameters are alpha0..5, a0..5, theta1..6, d1..6, beta1..5, tool_x/_y/_z, target<k>_x/_y/_z of further targets, centre<k>_x/_y/_z, bar_offset (bar_offset2, .. of further bars), tracker_x/_y/_z, tracker_rx/_ry/_rz, compliance2..5, gear1..6_cos/_sin; the groups geometric, tool, targets, centres, bar, tracker, all, compliance, gear; a range is written alpha1-5." {
             UnknownParameter { word: String } => "`{word}` is not a parameter", help: "names such as alpha1 or centre1_x; ranges such as alpha1-5; groups: geometric, tool, targets, centres, bar, tracker, all, compliance, gear";
         }
@@ -49,7 +49,7 @@ findings! {
             Uncertainty => "[uncertainty] does not fit the robot: a row of `root` for each of `parameters` and each coefficient of the joints, all of one length";
         }
         E0580 "an angle of a robot file seems to be in radians",
-        cause: "alpha_deg or theta_offset_deg is a part of pi, limits_deg span less than a turn of radians, or a joint would be slower than any.",
+        cause: "alpha_deg or theta_offset_deg is a part of pi, limits_deg span less than a turn of radians, or a joint would be slower than that of any robot.",
         cure: "Convert the value to degrees." {
             Radians { joint: usize, key: String, value: f64 } => "joint {joint}: {key} = {value} seems to be in radians: degrees are needed";
         }
@@ -62,14 +62,14 @@ findings! {
         cause: "The pose is beyond the arm, or only another branch or turn of the axes reaches it.",
         cure: "Move the pose nearer to the robot, or give it a status and turn that the arm can take there." {
             OutOfReach => "the pose is out of reach";
-            NotConverged { distance_mm: f64 } => "no axis angles found: {distance_mm:.3} mm away after the last step";
+            NotConverged { distance_mm: f64 } => "no axis angles found: still {distance_mm:.3} mm away after the last iteration";
             NoSuchQuadrants { wanted: String } => "no axis angles within the limits have the configuration {wanted}";
             NoSuchConfiguration { status: u8, turn: u8 } => "no axis angles within the limits have S {status}, T {turn}";
         }
         I0510 "the repeatability of a robot is not known",
         cause: "The robot file has no `repeatability_mm`, so the noise of a length is taken for that of the bar alone until many lengths show more.",
         cure: "Add `repeatability_mm` to the robot file: RP by ISO 9283 from the maker's data sheet." {
-            NoRepeatability { robot: String } => "{robot}: its file has no repeatability_mm, and a length is not better than the robot repeats";
+            NoRepeatability { robot: String } => "{robot}: its file has no repeatability_mm, and no length is better than the repeatability of the robot";
         }
     }
 }

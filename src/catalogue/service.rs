@@ -15,7 +15,7 @@ findings! {
             ParametersWithoutProtocol => "`device.params` needs `device.protocol`";
             NotADirectory => "`data` and `plans` are directories, and this is none";
             OneDirectory => "`data` and `plans` are one directory", help: "give runs and plans a directory each";
-            NoPlans => "`plans` is no directory";
+            NoPlans => "`plans` is not a directory";
             NotAStroke => "the stroke is [lowest, highest] reading, mm";
             NotReadings { low: f64, high: f64 } => "[{low}, {high}] are no readings: are they lengths of the bar?", help: "the stroke is [lowest, highest] reading, mm: length minus that of the bar";
             NotAProtocol { name: String, why: String } => "`{name}` is neither a built-in protocol nor a file: {why}", help: "`dbbd protocols` lists what is built in";
@@ -42,7 +42,7 @@ findings! {
             NoResultKind { kind: String } => "`{kind}`: results are of sync, identify or circle";
             NothingHere => "there is nothing here";
         }
-        E1504 "not in the present state",
+        E1504 "not possible in the present state",
         cause: "One run at a time is recorded, a run needs a port, and a run's name is used once.",
         cure: "Stop the run that is on, choose a port, or give another name." {
             RunIsOn => "a run is on: stop it first";

@@ -29,7 +29,7 @@ findings! {
             Stroke { low_mm: f64, high_mm: f64 } => "[bar] stroke_mm = [{low_mm}, {high_mm}] must be [low, high]";
         }
         E1604 "the line of the virtual bar fails",
-        cause: "The system has no pseudo-terminal left, the address of --listen is taken or none of this computer's, or the link cannot be made because a file that is no link has its name.",
+        cause: "The system has no pseudo-terminal left, the address of --listen is taken or none of this computer's, or the link cannot be made because a file that is not a link has its name.",
         cure: "Close programs that hold terminals; choose another --link or --listen." {
             Terminal { why: String } => "the virtual bar's line: {why}";
             NotToListenOn { address: String } => "--listen {address}: not an address of the network", help: "tcp://ADDR:PORT or rfc2217://ADDR:PORT";
