@@ -13,9 +13,7 @@ use std::time::Duration;
 use crate::base::clock;
 use crate::base::units::HostNs;
 use crate::catalogue::AxesFinding::{self, ControllerAway, NotListening, Refused};
-use crate::device::axes::{
-    Answer, AxesAddress, AxesDecoder, AxesProtocol, Control, Heard, Packet, rsi, rtde,
-};
+use crate::device::axes::{Answer, AxesAddress, AxesDecoder, AxesProtocol, PacketContent, rsi, rtde};
 use crate::device::port::NetworkAddress;
 use crate::recording::capture::Event;
 
@@ -224,13 +222,8 @@ impl Line {
             let bytes = room.get(..count).unwrap_or_default();
             self.send(clock::now(), AxesArrival::Bytes(bytes.to_vec()));
             let mut answer = None;
-            decoder.push(bytes, |Packet { heard, .. }| {
-                if let Heard::Control(
-                    Control::Version { accepted }
-                    | Control::Recipe { accepted }
-                    | Control::Started { accepted },
-                ) = heard
-                {
+            decoder.push(bytes, |packet| {
+                if let PacketContent::Answer { accepted } = packet.content {
                     answer = Some(accepted);
                 }
             });

@@ -16,7 +16,7 @@ use crate::base::clock;
 use crate::base::sync::lock;
 use crate::base::units::HostNs;
 use crate::catalogue::PortFinding::{self, NotListening};
-use crate::recording::{Heard, Telegram, TelegramReader};
+use crate::recording::{Telegram, TelegramReader, TelegramResult};
 
 /// Connections at a time: the controller's, and some that it left behind. A further one takes the place of that which
 /// has sent no telegram for the longest.
@@ -213,14 +213,14 @@ impl Channel {
     }
 
     /// Hands a telegram over and waits until it is recorded; `None` when the run is over.
-    fn answer(&self, heard: Heard) -> Option<u32> {
+    fn answer(&self, heard: TelegramResult) -> Option<u32> {
         match heard {
-            Heard::Telegram(telegram) => {
+            TelegramResult::Telegram(telegram) => {
                 let (sender, answer) = sync_channel(1);
                 self.send(ChannelEvent::Telegram(telegram, sender));
                 answer.recv().ok()
             }
-            Heard::Malformed(why) => {
+            TelegramResult::Malformed(why) => {
                 self.send(ChannelEvent::Remark(format!("EthernetKRL: a telegram is not understood: {why}")));
                 Some(0)
             }

@@ -7,8 +7,8 @@ use serde::Serialize;
 use super::session;
 use crate::base::clock;
 use crate::catalogue::PortFinding::{self, BarSilent};
-use crate::device::port::{Port, PortAddress, Transport};
-use crate::device::protocol::{Definition, Evidence, Line, Mode};
+use crate::device::port::{LineSettings, Port, PortAddress, Transport};
+use crate::device::protocol::{Definition, Evidence, Mode};
 
 /// A board that restarts when its line is opened sends after this at the latest, s.
 const WAKE_S: f64 = 2.5;
@@ -81,11 +81,11 @@ impl Search<'_> {
     }
 
     /// The settings of the line that the definitions have, each once.
-    fn lines(&self) -> Vec<Line> {
-        let mut lines: Vec<Line> = Vec::new();
+    fn lines(&self) -> Vec<LineSettings> {
+        let mut lines: Vec<LineSettings> = Vec::new();
         for Definition { line, .. } in self.definitions {
             for baud in std::iter::once(line.baud).chain(line.baud_probe.iter().copied()) {
-                let same = |other: &Line| {
+                let same = |other: &LineSettings| {
                     (other.baud, other.data_bits, other.parity, other.stop_bits)
                         == (baud, line.data_bits, line.parity, line.stop_bits)
                 };
@@ -101,8 +101,8 @@ impl Search<'_> {
 
     /// Listens until something has come, and on if it may be a bar; how long the first byte took, s, and whether the line
     /// has a rate.
-    fn listen(&self, line: &Line, patience_s: f64) -> Result<(Attempt, f64, bool), PortFinding> {
-        let mut port = Port::open(self.port, &session::settings(line))?;
+    fn listen(&self, line: &LineSettings, patience_s: f64) -> Result<(Attempt, f64, bool), PortFinding> {
+        let mut port = Port::open(self.port, line)?;
         let has_rate = matches!(port.stamps().transport, Transport::Tty | Transport::Rfc2217);
         let began = clock::now();
         let mut bytes = Vec::new();

@@ -2,34 +2,11 @@
 
 use std::time::Duration;
 
-use serialport::{DataBits, FlowControl, StopBits};
-
 use crate::base::clock;
 use crate::base::units::HostNs;
 use crate::catalogue::PortFinding::{self, BarSilent};
-use crate::device::port::{Port, PortAddress, Settings};
-use crate::device::protocol::{Definition, Flow, Line, Parity, Step};
-
-/// The line's settings in the words of the port.
-pub(super) fn settings(line: &Line) -> Settings {
-    Settings {
-        baud: line.baud,
-        data_bits: if line.data_bits == 7 { DataBits::Seven } else { DataBits::Eight },
-        parity: match line.parity {
-            Parity::None => serialport::Parity::None,
-            Parity::Even => serialport::Parity::Even,
-            Parity::Odd => serialport::Parity::Odd,
-        },
-        stop_bits: if line.stop_bits == 2 { StopBits::Two } else { StopBits::One },
-        flow: match line.flow {
-            Flow::None => FlowControl::None,
-            Flow::XonXoff => FlowControl::Software,
-            Flow::RtsCts => FlowControl::Hardware,
-        },
-        dtr: line.dtr,
-        rts: line.rts,
-    }
-}
+use crate::device::port::{Port, PortAddress};
+use crate::device::protocol::{Definition, Step};
 
 /// A bar that has been opened and started.
 pub(super) struct Opened {
@@ -67,7 +44,7 @@ pub fn zero(address: &PortAddress, definition: &Definition) -> Result<(), PortFi
 
 /// Opens the line and silences the bar; how many bytes of an earlier stream were thrown away.
 fn silence(address: &PortAddress, definition: &Definition) -> Result<(Port, u64), PortFinding> {
-    let mut port = Port::open(address, &settings(&definition.line))?;
+    let mut port = Port::open(address, &definition.line)?;
     clock::sleep(definition.line.settle.as_secs_f64());
     let mut stale = find(&mut port, address, definition)?;
     stale += perform(&mut port, &definition.stop)?.thrown();

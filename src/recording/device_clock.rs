@@ -323,7 +323,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_counter_is_unwrapped_and_goes_on_with_the_host_over_a_restart() {
+    fn counter_is_unwrapped_and_follows_the_host_across_a_restart() {
         let mut time = DeviceTime::new(Clock { tick_ns: 1000, wrap_bits: 32 }.into());
         let mut at = |host_s: f64, ticks: u64| {
             time.seconds(Stamp { host: HostNs((host_s * 1e9) as u64), ticks: DeviceTicks(ticks) })

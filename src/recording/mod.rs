@@ -20,6 +20,6 @@ pub use dwell::{Dwell, DwellReading, measure};
 pub use reports::{Report, reported_axes};
 pub use stream::{SequenceStep, Stream, StreamBuilder, Timeline, sequence_step};
 pub use strobe_decoder::{StrobeDecoder, StrobeEvent, StrobedDwell, strobed_dwells};
-pub use telegram::{Heard, LONGEST_TELEGRAM, Telegram, TelegramReader};
+pub use telegram::{LONGEST_TELEGRAM, Telegram, TelegramReader, TelegramResult};
 
 pub use crate::program::krl::run_number;

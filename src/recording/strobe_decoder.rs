@@ -188,7 +188,7 @@ mod tests {
     }
 
     #[test]
-    fn marks_divide_modules_and_end_them_after_a_second_of_quiet() {
+    fn marks_divide_modules_and_end_them_after_a_second() {
         let mut player = Player::new();
         for module in 1..=2 {
             player.play(&START, 1.5);
@@ -203,7 +203,7 @@ mod tests {
     }
 
     #[test]
-    fn modules_may_follow_each_other_at_once() {
+    fn modules_may_follow_each_other_immediately() {
         let mut player = Player::new();
         player.play(&[(2.0, 1.0)], 1.5);
         player.play(&[END.as_slice(), &START].concat(), 1.5);
@@ -213,7 +213,7 @@ mod tests {
     }
 
     #[test]
-    fn begin_marks_and_marks_before_a_dwell_end_nothing() {
+    fn start_marks_and_marks_before_a_dwell_end_no_module() {
         let mut player = Player::new();
         player.play(&END, 30.0);
         player.play(&START, 30.0);
@@ -223,7 +223,7 @@ mod tests {
     }
 
     #[test]
-    fn a_bounce_does_not_divide_a_dwell() {
+    fn bounce_does_not_split_a_dwell() {
         let mut player = Player::new();
         player.play(&[(1.0, 0.5), (0.05, 0.5)], 1.0);
         assert_eq!(player.dwells.len(), 1);

@@ -24,7 +24,7 @@ pub struct Telegram {
 }
 
 #[derive(Clone, Debug, PartialEq)]
-pub enum Heard {
+pub enum TelegramResult {
     Telegram(Telegram),
     /// A complete element `<Dbb>..</Dbb>` that is no telegram.
     Malformed(Finding),
@@ -43,7 +43,7 @@ pub const LONGEST_TELEGRAM: usize = 4096;
 const BEGIN: &[u8] = b"<Dbb";
 
 impl TelegramReader {
-    pub fn push(&mut self, bytes: &[u8]) -> Vec<Heard> {
+    pub fn push(&mut self, bytes: &[u8]) -> Vec<TelegramResult> {
         bytes.iter().filter_map(|byte| self.byte(*byte)).collect()
     }
 
@@ -57,7 +57,7 @@ impl TelegramReader {
         self.skipped
     }
 
-    fn byte(&mut self, byte: u8) -> Option<Heard> {
+    fn byte(&mut self, byte: u8) -> Option<TelegramResult> {
         if self.pending.is_empty() && byte != b'<' {
             self.skipped += u64::from(!byte.is_ascii_whitespace());
             return None;
@@ -81,8 +81,8 @@ impl TelegramReader {
             let bytes = std::mem::take(&mut self.pending);
             return Some(
                 match std::str::from_utf8(&bytes).map_err(|_| Finding::TelegramNotUtf8).and_then(read) {
-                    Ok(telegram) => Heard::Telegram(telegram),
-                    Err(why) => Heard::Malformed(why),
+                    Ok(telegram) => TelegramResult::Telegram(telegram),
+                    Err(why) => TelegramResult::Malformed(why),
                 },
             );
         }

@@ -121,7 +121,7 @@ fn accounted(protocol: AxesProtocol, seed: u64, cycles: u64) -> Accounted {
 }
 
 #[test]
-fn every_packet_over_a_bad_line_is_accounted_for() {
+fn each_packet_of_a_bad_line_is_counted() {
     for seed in [0, 5, 85, 170, 255] {
         for protocol in [AxesProtocol::Rsi, AxesProtocol::Rtde] {
             accounted(protocol, seed, 4000);
@@ -150,7 +150,7 @@ fn campaign_of_ten_million_packets() {
 
 /// A clock that begins again, one packet from elsewhere, and bytes that are no package.
 #[test]
-fn a_restart_is_no_loss_and_a_stray_packet_no_restart() {
+fn restarts_and_stray_packets_are_distinguished() {
     let packet = |ticks: u64| {
         let sample =
             AxesSample { ticks: DeviceTicks(ticks), measured_deg: [1.0; 6], commanded_deg: None, late: None };
@@ -227,7 +227,7 @@ pub(crate) fn provoked() -> Vec<&'static str> {
 }
 
 #[test]
-fn rsi_is_listened_to_and_answered_only_when_asked() {
+fn rsi_is_answered_only_on_request() {
     let dir = tempfile::tempdir().unwrap();
     let _bar = waiting(dir.path(), &[]);
     let packet = |ticks: u64, late: u32| {
@@ -332,7 +332,7 @@ fn an_address_of_no_use_is_named() {
 /// The whole chain at the pace of the clock: a simulated controller drives and publishes its axes, the poses are matched by
 /// them, and the lengths are taken where they were.
 #[test]
-fn a_simulated_controller_is_recorded_matched_and_identified() {
+fn simulated_controller_is_recorded_matched_and_identified() {
     let dir = tempfile::tempdir().unwrap();
     let job = "robot = \"kr60ha\"\n[bar]\nlength_mm = 300.0\nstroke_mm = [-6.0, 6.0]\n[[centre]]\nid = 1\nxyz_mm = [1300.0, 0.0, 800.0]\n\
                [[circle]]\nplane = \"XY\"\npoints = 3\narc_deg = 10.0\norientation = \"fixed\"\ntilt_deg = 30.0\n[motion]\n\

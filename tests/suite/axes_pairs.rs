@@ -253,7 +253,7 @@ fn total(seeds: Range<u64>, distinct: bool, trouble: Trouble) -> Score {
 }
 
 #[test]
-fn no_trouble_gives_a_wrong_pair() {
+fn disturbances_give_no_wrong_pair() {
     for trouble in TROUBLES {
         let score = total(1..2, false, trouble);
         assert_eq!(score.wrong, 0, "{trouble:?}: {score:?}");

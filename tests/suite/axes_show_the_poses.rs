@@ -168,7 +168,7 @@ fn check(report: &AxesReport) {
 }
 
 #[test]
-fn dwells_need_no_strobe_and_no_code() {
+fn dwells_are_detected_without_strobe_and_time_code() {
     let plan = plan(&PLANES[..1], 8, "");
     let faults = Faults { axes_drop: 0.002, axes_swap: 0.01, axes_double: 0.01, ..Faults::default() };
     let run = driven(&plan, Sync::Marker, &faults, 3);
@@ -191,7 +191,7 @@ fn dwells_need_no_strobe_and_no_code() {
 }
 
 #[test]
-fn passes_are_read_where_the_axes_were() {
+fn passes_are_read_at_the_measured_axes() {
     let plan = plan(&PLANES[..1], 13, ARC);
     let run = driven(&plan, Sync::Marker, &Faults::default(), 4);
     let matching = run.by_axes(&plan);
@@ -216,7 +216,7 @@ fn passes_are_read_where_the_axes_were() {
 
 /// A bar whose clock runs faster than the host's: the axes cannot be laid on it.
 #[test]
-fn axes_of_another_pace_are_not_used() {
+fn axes_with_an_inconsistent_clock_are_not_used() {
     let plan = plan(&PLANES[..1], 4, "");
     let run = driven(&plan, Sync::Marker, &Faults::default(), 5);
     let mut fast = StreamBuilder::new(Some(DeviceClock { seconds_per_tick: 1e-6, wrap: None }));

@@ -95,7 +95,7 @@ fn holds(frames: u64, seed: u64) {
 }
 
 #[test]
-fn a_bad_line_makes_nothing_up() {
+fn bad_line_invents_no_length() {
     holds(20_000, 1);
 }
 

@@ -66,7 +66,7 @@ fn text(result: &ResultFile, part: &str) -> bool {
 const SCALE: &str = "bar_offset is a uniform scale by another name; calibrate the bar or add a second length";
 
 #[test]
-fn a_second_length_of_one_bar_raises_the_rank() {
+fn second_length_of_a_bar_raises_the_rank() {
     let one = identify(&measure(&kr60(), &circles(300.0), 54, 25.0), &["--estimate", "all"]);
     assert_eq!((one.rank, parameter(&one, "bar_offset").status), (24, Status::Dependent));
     assert!(text(&one, SCALE), "{:?}", one.dependent);
@@ -105,7 +105,7 @@ fn two_bars_do_not_determine_the_scale_until_one_is_calibrated() {
 
 /// The lengths do not improve a certificate of 1 um; each bar has its own offset.
 #[test]
-fn a_certificate_binds_the_offset_of_each_bar() {
+fn certificate_fixes_the_offset_of_each_bar() {
     let mut data = two_lengths(2, 0.01);
     data.rows.iter_mut().for_each(|row| row.length_mm -= [0.05, -0.03][row.datum.bar().unwrap().index()]);
     let with = |extra: &[&str]| identify(&data, &[&["--sigma", "0.01"], extra].concat());
@@ -131,7 +131,7 @@ fn a_certificate_binds_the_offset_of_each_bar() {
 }
 
 #[test]
-fn bars_are_columns_of_their_own() {
+fn bars_have_their_own_columns() {
     let data = two_lengths(2, 0.002);
     let csv = data.to_csv();
     assert!(csv.lines().next().unwrap().ends_with(",length_mm,sigma_mm,bar"));

@@ -55,7 +55,7 @@ fn refusal(directory: &Path, port: &str) -> (Vec<String>, Option<i32>) {
 }
 
 #[test]
-fn a_server_that_cannot_be_used_is_named() {
+fn unusable_server_is_reported() {
     let directory = tempfile::tempdir().unwrap();
     let at = directory.path();
     assert_eq!(refusal(at, "tcp://127.0.0.1"), (vec![WRONG_ADDRESS.into()], Some(2)));
@@ -122,7 +122,7 @@ fn installed(program: &str, args: &[&str]) -> bool {
 }
 
 #[test]
-fn pyserials_server_is_understood() {
+fn pyserial_server_works() {
     if !installed("python3", &["-c", "import serial.rfc2217"]) {
         return;
     }
@@ -141,7 +141,7 @@ fn pyserials_server_is_understood() {
 }
 
 #[test]
-fn ser2net_is_understood() {
+fn ser2net_server_works() {
     if !installed("ser2net", &["-v"]) {
         return;
     }

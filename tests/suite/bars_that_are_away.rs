@@ -37,7 +37,7 @@ pub(crate) fn provoked() -> Vec<&'static str> {
 }
 
 #[test]
-fn a_bar_that_falls_silent_is_a_doubt() {
+fn bar_that_falls_silent_is_reported() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("run");
     // After half a second it sends no more, and stays plugged in.
@@ -58,7 +58,7 @@ fn a_bar_that_falls_silent_is_a_doubt() {
 }
 
 #[test]
-fn a_silent_bar_is_doubted() {
+fn silent_bar_is_reported() {
     for (more, exit, expected) in SILENT {
         let directory = tempfile::tempdir().unwrap();
         let terminal = Terminal::new().unwrap();
@@ -73,7 +73,7 @@ fn a_silent_bar_is_doubted() {
 
 /// In this process: a child would inherit the terminal's other side and keep it open.
 #[test]
-fn a_bar_that_goes_away_for_good_ends_the_run() {
+fn bar_that_disappears_ends_the_run() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("run");
     let terminal = Terminal::new().unwrap();
@@ -101,7 +101,7 @@ fn a_bar_that_goes_away_for_good_ends_the_run() {
 
 /// In this process, as well: the line goes while the bar is asked.
 #[test]
-fn a_port_that_goes_while_a_command_is_sent() {
+fn port_that_disappears_during_a_command() {
     let (mut line, host) = serialport::TTYPort::pair().unwrap();
     let name = serialport::SerialPort::name(&host).unwrap();
     drop(host);
@@ -121,7 +121,7 @@ fn a_port_that_goes_while_a_command_is_sent() {
 
 /// The simulator holds the other side of the line alone.
 #[test]
-fn a_bar_that_is_unplugged_for_good_is_a_doubt() {
+fn bar_that_stays_unplugged_is_reported() {
     let directory = tempfile::tempdir().unwrap();
     let path = |name: &str| directory.path().join(name).to_str().unwrap().to_owned();
     let program = "DEF P ( )\r\nPTP {A1 0,A2 -90,A3 90,A4 0,A5 0,A6 0}\r\nHALT\r\nEND\r\n";
@@ -144,7 +144,7 @@ fn a_bar_that_is_unplugged_for_good_is_a_doubt() {
 }
 
 #[test]
-fn a_file_is_no_port_and_an_open_address_is_named() {
+fn file_is_no_port_and_address_errors_are_reported() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("run");
     let out = path.to_str().unwrap();
@@ -155,7 +155,7 @@ fn a_file_is_no_port_and_an_open_address_is_named() {
 }
 
 #[test]
-fn a_missing_port_is_told_and_leaves_no_file() {
+fn missing_port_is_reported_and_leaves_no_file() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("run");
     let output = run(&["acquire", "--port", "/dev/ttyNONE7", "--out", path.to_str().unwrap()]);
@@ -165,7 +165,7 @@ fn a_missing_port_is_told_and_leaves_no_file() {
 }
 
 #[test]
-fn an_occupied_port_is_told() {
+fn occupied_port_is_reported() {
     let directory = tempfile::tempdir().unwrap();
     let path = |name: &str| directory.path().join(name).to_str().unwrap().to_owned();
     let (port, _bar) = play(1.0, endless());

@@ -131,7 +131,7 @@ fn kills(count: u64) {
 }
 
 #[test]
-fn killed_at_a_moment_it_keeps_what_was_written() {
+fn killed_writer_keeps_all_written_records() {
     kills(4);
 }
 
@@ -223,7 +223,7 @@ fn cuts_and_flips(last: usize, random: usize, flips: usize) {
 }
 
 #[test]
-fn cut_and_flipped_it_loses_only_what_was_hit() {
+fn damage_loses_only_damaged_records() {
     cuts_and_flips(300, 30, 100);
 }
 
@@ -262,7 +262,7 @@ fn ended_by_the_disk(output: &Output, path: &Path, remedy: &str) {
 
 #[cfg(unix)]
 #[test]
-fn a_file_that_may_not_grow_ends_the_run_and_keeps_it() {
+fn file_size_limit_ends_the_run() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("run");
     // Blocks of 512 or 1024 bytes, by the shell.
@@ -288,7 +288,7 @@ fn a_full_disk_ends_the_run_and_keeps_it() {
 }
 
 #[test]
-fn a_place_that_takes_no_file_is_told() {
+fn unwritable_location_is_reported() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("missing").join("run");
     let output = acquire_in_shell("", &path);
@@ -383,7 +383,7 @@ fn stalled(port: String, stall_s: f64) -> (Capture, Progress) {
 
 /// A pseudo terminal waits for its reader: a disk that stalls delays, and nothing is lost.
 #[test]
-fn a_stalled_disk_behind_a_pseudo_terminal_loses_nothing() {
+fn stalled_disk_loses_nothing_on_a_pseudo_terminal() {
     let over = Arc::default();
     let (capture, progress) = stalled(stream(&over), 0.5);
     over.store(true, Ordering::Relaxed);

@@ -75,7 +75,7 @@ fn is_whole(path: &Path) {
 }
 
 #[test]
-fn a_capture_that_is_removed_comes_back_whole() {
+fn removed_capture_is_rewritten() {
     let recording = Recording::begin();
     fs::remove_file(recording.path("runs/run.dbbd")).unwrap();
     let (_, new, _dir) = recording.end("runs/run.dbbd");
@@ -83,7 +83,7 @@ fn a_capture_that_is_removed_comes_back_whole() {
 }
 
 #[test]
-fn a_capture_that_is_renamed_is_gone_on_with() {
+fn renamed_capture_continues_in_a_new_file() {
     let recording = Recording::begin();
     fs::rename(recording.path("runs/run.dbbd"), recording.path("runs/old.dbbd")).unwrap();
     let (_, new, dir) = recording.end("runs/run.dbbd");
@@ -93,7 +93,7 @@ fn a_capture_that_is_renamed_is_gone_on_with() {
 }
 
 #[test]
-fn a_capture_that_is_replaced_does_not_overwrite() {
+fn replaced_capture_is_not_overwritten() {
     let recording = Recording::begin();
     fs::write(recording.path("other"), "mine").unwrap();
     fs::rename(recording.path("other"), recording.path("runs/run.dbbd")).unwrap();
@@ -103,7 +103,7 @@ fn a_capture_that_is_replaced_does_not_overwrite() {
 }
 
 #[test]
-fn the_directory_of_a_capture_is_made_again() {
+fn missing_directory_is_recreated() {
     let recording = Recording::begin();
     fs::remove_dir_all(recording.path("runs")).unwrap();
     let (_, new, _dir) = recording.end("runs/run.dbbd");
@@ -112,7 +112,7 @@ fn the_directory_of_a_capture_is_made_again() {
 
 /// What was cut off is lost: the new file says how much.
 #[test]
-fn a_capture_that_is_cut_goes_on_beside_and_is_damaged() {
+fn truncated_capture_continues_in_a_new_file() {
     for left in [0, 20_000] {
         let recording = Recording::begin();
         let cut = fs::OpenOptions::new().write(true).open(recording.path("runs/run.dbbd")).unwrap();
@@ -131,7 +131,7 @@ fn a_capture_that_is_cut_goes_on_beside_and_is_damaged() {
 }
 
 #[test]
-fn others_of_the_machine_may_not_read_a_capture() {
+fn other_users_cannot_read_a_capture() {
     use std::os::unix::fs::PermissionsExt;
     let dir = tempfile::tempdir().unwrap();
     capture::Writer::create(&dir.path().join("run")).unwrap();

@@ -64,7 +64,7 @@ fn is_doubted(dir: &Path, run: &str, bytes: &[u8]) {
 }
 
 #[test]
-fn records_that_are_missing_or_there_twice_are_noticed() {
+fn missing_and_repeated_records_are_reported() {
     let dir = tempfile::tempdir().unwrap();
     let (bytes, ends) = run(dir.path());
     let middle = ends.len() / 2;
@@ -85,7 +85,7 @@ fn records_that_are_missing_or_there_twice_are_noticed() {
 
 /// Records of a capture of version 2 have no numbers; its end has the count of its samples.
 #[test]
-fn an_old_capture_is_compared_with_its_own_count() {
+fn old_capture_is_compared_with_its_own_count() {
     let dir = tempfile::tempdir().unwrap();
     let bytes = std::fs::read(stored()).unwrap();
     let ends = ends(&bytes);
@@ -95,7 +95,7 @@ fn an_old_capture_is_compared_with_its_own_count() {
 }
 
 #[test]
-fn a_bit_flipped_in_the_header_costs_the_header_alone() {
+fn flipped_header_bit_loses_only_the_header() {
     let dir = tempfile::tempdir().unwrap();
     let (mut bytes, _) = run(dir.path());
     let records = capture::read(&bytes).records.len();
@@ -112,7 +112,7 @@ fn a_bit_flipped_in_the_header_costs_the_header_alone() {
 
 /// Heads of records that claim to be long, as many as there is room for: none is one.
 #[test]
-fn heads_without_records_are_passed_over_in_time() {
+fn forged_record_heads_are_skipped_in_linear_time() {
     let dir = tempfile::tempdir().unwrap();
     let (bytes, ends) = run(dir.path());
     let (before, after) = bytes.split_at(ends[ends.len() - 3]);

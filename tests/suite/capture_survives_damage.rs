@@ -63,7 +63,7 @@ fn written() -> (Vec<u8>, Vec<usize>) {
 
 /// A stored run over a line that flipped bits; see fixtures/README.md.
 #[test]
-fn a_stored_capture_goes_the_whole_way() {
+fn stored_capture_is_evaluated() {
     let capture = capture::read(include_bytes!("../../fixtures/captures/run.dbbd"));
     assert_eq!((capture.version, capture.damages.len(), capture.ended()), (Some(2), 0, true));
     let samples: Vec<&Sample> = capture.samples().map(|(_, sample)| sample).collect();
@@ -99,7 +99,7 @@ pub(crate) fn provoked() -> Vec<&'static str> {
 }
 
 #[test]
-fn a_file_that_is_not_whole_has_a_code() {
+fn incomplete_file_has_a_code() {
     let dir = tempfile::tempdir().unwrap();
     let (bytes, ends) = write(&dir.path().join("run"));
     for (code, exit, what) in DAMAGED {
@@ -130,7 +130,7 @@ fn a_file_that_is_not_whole_has_a_code() {
 }
 
 #[test]
-fn what_was_written_is_read() {
+fn written_records_are_read_back() {
     let (bytes, _) = written();
     let capture = capture::read(&bytes);
     assert_eq!(capture.records, records());
@@ -140,7 +140,7 @@ fn what_was_written_is_read() {
 }
 
 #[test]
-fn a_capture_is_never_overwritten() {
+fn capture_is_never_overwritten() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("run");
     let (bytes, _) = write(&path);
@@ -149,7 +149,7 @@ fn a_capture_is_never_overwritten() {
 }
 
 #[test]
-fn cut_at_every_byte_it_is_a_prefix_and_the_tail_is_named() {
+fn truncation_at_any_byte_keeps_a_prefix() {
     let (bytes, ends) = written();
     for cut in 0..=bytes.len() {
         let capture = capture::read(&bytes[..cut]);
@@ -168,7 +168,7 @@ fn cut_at_every_byte_it_is_a_prefix_and_the_tail_is_named() {
 }
 
 #[test]
-fn every_flipped_bit_costs_one_record_and_is_named() {
+fn each_flipped_bit_loses_one_record() {
     let (bytes, ends) = written();
     for bit in 0..8 * bytes.len() {
         let mut bytes = bytes.clone();
@@ -225,7 +225,7 @@ impl Disk for Failing {
 }
 
 #[test]
-fn a_disk_that_fails_at_any_byte_keeps_every_whole_record() {
+fn failing_disk_keeps_every_whole_record() {
     let (bytes, ends) = written();
     for room in 0..bytes.len() {
         for cuts in [true, false] {
@@ -250,7 +250,7 @@ fn a_disk_that_fails_at_any_byte_keeps_every_whole_record() {
 
 /// The reader of a file sees the same as that of bytes, however the bytes come.
 #[test]
-fn a_source_that_gives_a_byte_at_a_time_is_read_the_same() {
+fn single_byte_reads_give_the_same_records() {
     struct Drips<'a>(&'a [u8]);
     impl io::Read for Drips<'_> {
         fn read(&mut self, to: &mut [u8]) -> io::Result<usize> {

@@ -47,7 +47,7 @@ pub(crate) fn provoked() -> Vec<&'static str> {
 }
 
 #[test]
-fn a_capture_becomes_observations() {
+fn capture_becomes_observations() {
     let plan = plan(10, 12, 12, true);
     let mut run = run(&plan, 10, World { strobe: true, rate_hz: 250.0, ..WORLD });
     let (output, observations) = through_the_binary(&plan, &run, true);
@@ -108,7 +108,7 @@ fn circle_plan() -> Plan {
 
 /// What is lost of a run has its code and its share in every command that reads it.
 #[test]
-fn what_is_lost_of_a_run_ends_with_3_everywhere() {
+fn losses_of_a_run_give_exit_code_3() {
     let plan = circle_plan();
     let whole = run(&plan, 8, World { strobe: true, ..WORLD });
     let dir = tempfile::tempdir().unwrap();
@@ -146,7 +146,7 @@ fn what_is_lost_of_a_run_ends_with_3_everywhere() {
 }
 
 #[test]
-fn a_capture_becomes_a_circular_test() {
+fn capture_becomes_a_circular_test() {
     let plan = circle_plan();
     let places: Vec<_> = plan
         .rows

@@ -32,7 +32,7 @@ const ARC: &str = "plane = \"XZ\"\npoints = 61\norientation = \"fixed\"\ntilt_de
 
 /// Where the simulated controller stands along the pass at each commanded time is where the plan says.
 #[test]
-fn the_controller_goes_where_the_passes_say() {
+fn controller_follows_the_passes() {
     for circle in [BOTH, ARC] {
         let plan = Plan::build(&job(circle), &kr60()).unwrap();
         assert_eq!(plan.header.passes.len(), if circle == BOTH { 2 } else { 1 });
@@ -95,7 +95,7 @@ fn the_controller_goes_where_the_passes_say() {
 
 /// The points of a pass lie on its path, at the shares that their times say, and the times add up.
 #[test]
-fn points_lie_where_their_times_say() {
+fn points_lie_at_their_times() {
     for circle in [BOTH, ARC] {
         let plan = Plan::build(&job(circle), &kr60()).unwrap();
         let (csv, json) = plan.to_files().unwrap();
@@ -151,7 +151,7 @@ pub(crate) fn provoked() -> Vec<&'static str> {
 }
 
 #[test]
-fn a_pass_whose_time_or_lag_is_not_known_has_a_code() {
+fn pass_of_unknown_time_or_lag_has_a_code() {
     let plan = Plan::build(&job(ARC), &kr60()).unwrap();
     let matching = match_poses(&Input::new(&plan, &strobed(&plan, 0)));
     assert!(matching.findings.iter().any(|finding| finding.code().0 == "I1013"), "{:?}", matching.findings);
@@ -164,7 +164,7 @@ fn a_pass_whose_time_or_lag_is_not_known_has_a_code() {
 }
 
 #[test]
-fn what_cannot_be_driven_in_one_motion_is_refused() {
+fn impossible_continuous_motion_is_refused() {
     for (circle, line, code) in [
         ("plane = \"XY\"\npoints = 72", 8, "E0605"),
         ("plane = \"XY\"\npoints = 5\norientation = \"fixed\"", 11, "E0601"),

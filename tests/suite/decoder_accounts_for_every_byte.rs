@@ -95,7 +95,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 200, ..ProptestConfig::default() })]
 
     #[test]
-    fn what_was_encoded_is_decoded(samples in samples()) {
+    fn encoded_samples_are_decoded(samples in samples()) {
         for name in ["dbb-cobs-1", "dbb-nmea-1"] {
             let definition = definition(name);
             let (decoded, mut decoder) = decode(&definition, &encode(&definition, &samples));
@@ -109,7 +109,7 @@ proptest! {
     }
 
     #[test]
-    fn a_bad_line_loses_frames_but_no_account(samples in samples(), harms in harms(), cuts in prop::collection::vec(1usize..40, 1..20)) {
+    fn damaged_streams_are_fully_accounted_for(samples in samples(), harms in harms(), cuts in prop::collection::vec(1usize..40, 1..20)) {
         for name in ["dbb-cobs-1", "dbb-nmea-1", "dbb-csv-1"] {
             let definition = definition(name);
             let mut bytes = encode(&definition, &samples);
@@ -134,7 +134,7 @@ proptest! {
     }
 
     #[test]
-    fn noise_is_all_faults(bytes in prop::collection::vec(any::<u8>(), 0..9000)) {
+    fn noise_yields_only_faults(bytes in prop::collection::vec(any::<u8>(), 0..9000)) {
         for (name, _) in Definition::built_in() {
             decode(&definition(name), &bytes);
         }
@@ -143,7 +143,7 @@ proptest! {
 
 /// A frame that never ends is given up in bounded pieces, and the next good frame is read.
 #[test]
-fn an_endless_frame_is_given_up() {
+fn overlong_frames_become_faults() {
     for name in ["dbb-cobs-1", "dbb-nmea-1"] {
         let definition = definition(name);
         let mut bytes = vec![b'x'; 10_000];
@@ -166,7 +166,7 @@ fn an_endless_frame_is_given_up() {
 
 /// Every single flipped bit of a frame is found: CRC-16 finds all single-bit errors.
 #[test]
-fn no_flipped_bit_passes_for_a_sample() {
+fn flipped_bits_yield_no_sample() {
     let definition = definition("dbb-cobs-1");
     let frame = [7, 1, 2, 1, 0x40, 0x42, 0x0f, 0x0a, 0xc7, 0xcf, 0xff, 0xff, 0x66, 8, 1, 0x84, 0x9e, 0];
     for bit in 0..8 * frame.len() {
@@ -178,7 +178,7 @@ fn no_flipped_bit_passes_for_a_sample() {
 }
 
 #[test]
-fn an_interruption_accounts_for_what_was_pending() {
+fn interruption_turns_pending_bytes_into_faults() {
     let definition = definition("dbb-cobs-1");
     let (mut out, mut decoder) = decode(&definition, &[7, 1, 2]);
     decoder.interrupt(&mut out);

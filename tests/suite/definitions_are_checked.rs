@@ -15,7 +15,7 @@ fn built_in_definitions_pass_their_own_vectors() {
 
 /// The sketch that the frame was specified with.
 #[test]
-fn the_reference_sketch_is_accepted() {
+fn reference_definition_is_accepted() {
     let Ok(text) = std::fs::read_to_string("../shared/reference/protocol-samples/dbb-cobs-1.toml") else {
         eprintln!("skipped: ../shared is not there");
         return;
@@ -36,7 +36,7 @@ fn line_of(needle: &str) -> usize {
 }
 
 #[test]
-fn every_refusal_names_its_line() {
+fn errors_name_their_line() {
     let length = "role = \"length\"";
     let cases = [
         ("stall_ms = 50", "stal_ms = 50", "stall_ms = 50", "E0120"),
@@ -205,7 +205,7 @@ pub(crate) fn provoked() -> Vec<&'static str> {
 }
 
 #[test]
-fn every_refusal_names_file_line_column_and_what_to_do() {
+fn errors_name_file_line_column_and_remedy() {
     let mut wrong = Vec::new();
     for (name, old, new, place, code) in REFUSED {
         let text = SHIPPED.iter().find(|(file, _)| file == name).unwrap().1;
@@ -237,7 +237,7 @@ fn every_refusal_names_file_line_column_and_what_to_do() {
 
 /// The program's own words: exit code 1, and the message on stderr alone.
 #[test]
-fn the_binary_refuses_a_definition_with_its_place() {
+fn binary_reports_the_position_of_an_error() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("bar.toml");
     std::fs::write(&path, COBS.replace("stall_ms = 50", "stal_ms = 50")).unwrap();
@@ -253,7 +253,7 @@ fn the_binary_refuses_a_definition_with_its_place() {
 
 /// What is not known of a definition stands in the list.
 #[test]
-fn the_list_tells_how_well_each_is_known() {
+fn list_shows_the_confidence_of_each_definition() {
     let output =
         std::process::Command::new(env!("CARGO_BIN_EXE_dbbd")).args(["protocols", "list"]).output().unwrap();
     let said = String::from_utf8_lossy(&output.stdout).into_owned();
@@ -273,7 +273,7 @@ fn the_list_tells_how_well_each_is_known() {
 
 /// What stands above a definition that is shown is what it says of its frame.
 #[test]
-fn a_shown_definition_has_its_layout() {
+fn protocols_show_prints_the_frame_layout() {
     for (name, layout) in [
         (
             "dbb-cobs-1",
@@ -326,7 +326,7 @@ fn crc_parameters_are_verified_by_their_check_value() {
 
 /// The frames of reference section 3, byte for byte.
 #[test]
-fn the_encoder_writes_the_published_vectors() {
+fn encoder_writes_the_published_vectors() {
     let nmea = b"$DBB,258,1000000,-0.12345,21.50,01*4D\r\n".to_vec();
     let cobs =
         [7, 1, 2, 1, 0x40, 0x42, 0x0f, 0x0a, 0xc7, 0xcf, 0xff, 0xff, 0x66, 8, 1, 0x84, 0x9e, 0].to_vec();

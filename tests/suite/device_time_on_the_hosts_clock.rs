@@ -49,7 +49,7 @@ fn spread(errors: &[f64]) -> (f64, f64) {
 }
 
 #[test]
-fn the_hull_keeps_the_least_delay_alone() {
+fn hull_is_biased_by_the_least_delay_only() {
     for seed in 0..10 {
         let Run { stamps, truth } = run(600.0, 100.0, seed);
         let map = ClockMap::new(&stamps, CLOCK);
@@ -102,7 +102,7 @@ fn resets_and_jumps_are_breaks_and_wraps_are_not() {
 
 /// A jump is told from a stall: only the jump shifts the least delay for good.
 #[test]
-fn a_jump_is_a_break_and_a_stall_is_not() {
+fn jump_is_a_break_and_stall_is_not() {
     for (jump_s, stall_s, expected) in
         [(0.4, 0.0, 1), (-0.4, 0.0, 1), (0.0, 3.0, 0), (0.0, 0.0, 0), (2.0, 1.0, 1)]
     {
@@ -125,7 +125,7 @@ fn a_jump_is_a_break_and_a_stall_is_not() {
 
 /// A counter faster than the host's clock is no clock of the host's; its own breaks are found still.
 #[test]
-fn a_run_faster_than_real_time_is_on_device_time_alone() {
+fn run_faster_than_real_time_uses_device_time_only() {
     let stamp = |at: u64| Stamp { host: HostNs(at * 1000), ticks: DeviceTicks(at * 1000) };
     let mut stamps: Vec<Stamp> = (0..10_000).map(stamp).collect();
     // The host may be held up for a while in such a run.

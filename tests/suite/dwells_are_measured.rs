@@ -41,7 +41,7 @@ fn still_dwells_carry_value_and_uncertainty() {
 /// A reading that stays on one step of a coarse scale, or hardly leaves it, is known to that step: its standard
 /// uncertainty is the step over the root of 12 (GUM 4.3.7), and not the little scatter over the root of the count.
 #[test]
-fn a_coarse_scale_is_known_to_its_step() {
+fn coarse_scale_limits_the_uncertainty() {
     const STEP_MM: f64 = 0.01;
     let plan = plan(14, 30, 30, true);
     let mut run = run(&plan, 14, World { strobe: true, ..WORLD });
@@ -63,7 +63,7 @@ fn a_coarse_scale_is_known_to_its_step() {
 }
 
 #[test]
-fn invalid_readings_do_not_count_and_drift_is_seen() {
+fn invalid_readings_are_excluded_and_drift_is_detected() {
     let plan = plan(9, 61, 61, true);
     let mut run = run(&plan, 9, World { repeatability_mm: 0.0, strobe: true, ..WORLD });
     let (from_s, dead_s) = (run.starts_s[30], run.starts_s[33]);
@@ -93,7 +93,7 @@ fn invalid_readings_do_not_count_and_drift_is_seen() {
 
 /// Two readings of a pose have no standard deviation: the largest change of all such poses counts, not the last.
 #[test]
-fn the_largest_of_the_drifts_of_two_readings_is_reported() {
+fn largest_drift_is_reported() {
     let mut plan = plan(9, 80, 40, true);
     let second = plan.rows.iter_mut().filter(|row| row.circle == 2 && row.kind == Kind::Reference);
     second.for_each(|row| row.axes_deg = [2.0; AXES]);
@@ -111,7 +111,7 @@ fn the_largest_of_the_drifts_of_two_readings_is_reported() {
 }
 
 #[test]
-fn creep_within_a_dwell_is_flagged_where_it_is_and_nowhere_else() {
+fn creep_is_flagged_in_its_dwell_only() {
     let plan = plan(12, 30, 30, true);
     let mut run = run(&plan, 12, World { strobe: true, ..WORLD });
     let creeping = [4, 11, 25];
@@ -138,7 +138,7 @@ fn creep_within_a_dwell_is_flagged_where_it_is_and_nowhere_else() {
 }
 
 #[test]
-fn an_outage_within_a_dwell_costs_it_only_where_little_is_left() {
+fn outage_within_a_dwell_rejects_it_only_if_little_is_left() {
     for strobe in [true, false] {
         let plan = plan(13, 40, 40, true);
         let mut run = run(&plan, 13, World { strobe, repeatability_mm: 0.05, ..WORLD });

@@ -13,7 +13,7 @@ use dbbd::catalogue::RecordingFinding::{
 use dbbd::diagnostic::Finding;
 use dbbd::measurement::Measurements;
 use dbbd::recording::capture::{Event, Record};
-use dbbd::recording::{Heard, LONGEST_TELEGRAM, Telegram, TelegramReader};
+use dbbd::recording::{LONGEST_TELEGRAM, Telegram, TelegramReader, TelegramResult};
 use proptest::prelude::*;
 
 use crate::cell::{codes, dbbd, stderr};
@@ -33,10 +33,10 @@ fn telegram(index: u32, phase: u8) -> Telegram {
     Telegram { run: 4660, index, phase, axes_deg: [1.5, -90.25, 90.125, 0.0, -0.5, f64::from(index)] }
 }
 
-fn telegrams(heard: &[Heard]) -> Vec<Telegram> {
-    let of = |heard: &Heard| match heard {
-        Heard::Telegram(telegram) => Some(*telegram),
-        Heard::Malformed(_) => None,
+fn telegrams(heard: &[TelegramResult]) -> Vec<Telegram> {
+    let of = |heard: &TelegramResult| match heard {
+        TelegramResult::Telegram(telegram) => Some(*telegram),
+        TelegramResult::Malformed(_) => None,
     };
     heard.iter().filter_map(of).collect()
 }
@@ -65,7 +65,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 60, rng_seed: proptest::test_runner::RngSeed::Fixed(5), ..ProptestConfig::default() })]
 
     #[test]
-    fn telegrams_come_out_however_they_are_cut(
+    fn telegrams_do_not_depend_on_splits(
         parts in proptest::collection::vec((between(), 1u32..500, 1u8..=2), 0..12),
         cuts in proptest::collection::vec(1usize..200, 1..40),
     ) {
@@ -90,7 +90,7 @@ proptest! {
     }
 
     #[test]
-    fn nothing_that_a_client_sends_breaks_the_reader(bytes in proptest::collection::vec(any::<u8>(), 0..3000)) {
+    fn any_bytes_of_a_client_are_accepted(bytes in proptest::collection::vec(any::<u8>(), 0..3000)) {
         let mut reader = TelegramReader::default();
         prop_assert!(telegrams(&reader.push(&bytes)).is_empty());
         prop_assert!(reader.skipped() + reader.pending() as u64 <= bytes.len() as u64);
@@ -105,12 +105,12 @@ pub(crate) fn provoked() -> Vec<&'static str> {
 }
 
 #[test]
-fn other_ways_to_write_a_telegram_and_what_is_wrong_with_one() {
+fn telegram_variants_and_errors() {
     let read = |text: &str| TelegramReader::default().push(text.as_bytes());
     let axes = "A1='1' A2='2' A3='3' A4='4' A5='5' A6='-1.5E-3'";
     let other = format!("<Dbb >\n <Ax {axes} />\n <Pt Ph = '2' Id='3' Run='9' />\n</Dbb >");
     let expected = Telegram { run: 9, index: 3, phase: 2, axes_deg: [1.0, 2.0, 3.0, 4.0, 5.0, -0.0015] };
-    assert_eq!(read(&other), [Heard::Telegram(expected)]);
+    assert_eq!(read(&other), [TelegramResult::Telegram(expected)]);
     let good = "<Dbb><Pt Run=\"1\" Id=\"2\" Ph=\"1\"/><Ax A1=\"0\" A2=\"0\" A3=\"0\" A4=\"0\" A5=\"0\" A6=\"0\"/></Dbb>";
     assert_eq!(telegrams(&read(good)).len(), 1);
     for (from, to, why) in [
@@ -123,7 +123,7 @@ fn other_ways_to_write_a_telegram_and_what_is_wrong_with_one() {
         (" A6=\"0\"", "", TelegramLacks { element: "Ax".into(), name: "A6".into() }),
     ] {
         match &read(&good.replace(from, to))[..] {
-            [Heard::Malformed(said)] => assert_eq!((said, said.code().0), (&why, "W0414")),
+            [TelegramResult::Malformed(said)] => assert_eq!((said, said.code().0), (&why, "W0414")),
             other => panic!("{to}: {other:?}"),
         }
     }
@@ -194,7 +194,7 @@ fn ask(stream: &mut TcpStream, parts: &[&str]) -> String {
 }
 
 #[test]
-fn idle_connections_do_not_keep_the_controller_out() {
+fn idle_connections_do_not_block_the_controller() {
     let dir = tempfile::tempdir().unwrap();
     let index = small_plan(dir.path());
     let json = std::fs::read_to_string(dir.path().join("plan/plan.json")).unwrap();
@@ -215,7 +215,7 @@ fn idle_connections_do_not_keep_the_controller_out() {
 }
 
 #[test]
-fn a_rude_client_costs_nothing_but_its_own_telegrams() {
+fn misbehaving_client_loses_only_its_own_telegrams() {
     let dir = tempfile::tempdir().unwrap();
     let index = small_plan(dir.path());
     let json = std::fs::read_to_string(dir.path().join("plan/plan.json")).unwrap();

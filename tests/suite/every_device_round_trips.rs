@@ -40,7 +40,7 @@ proptest! {
 
     /// The first writing rounds to what the device can say; from then on nothing changes.
     #[test]
-    fn what_a_device_can_say_is_read_as_it_was_said(
+    fn samples_round_trip(
         reading_mm in prop_oneof![-2.0..2.0, -60.0..60.0, -900.0..900.0f64],
         (sequence, ticks, status, valid) in (any::<u32>(), any::<u32>(), 0u32..64, any::<bool>()),
         temperature in -3000i16..9000,
@@ -69,7 +69,7 @@ proptest! {
 
 /// All that a device can say: readings over its whole range, or each single one where they are few.
 #[test]
-fn a_device_says_its_whole_range() {
+fn whole_range_of_a_device_round_trips() {
     let mut dice = Pcg64::seed_from_u64(11);
     for definition in all() {
         let (at, step) = (definition.sim.at_mm, definition.resolution_mm());
@@ -118,7 +118,7 @@ fn a_device_says_its_whole_range() {
 
 /// Every device can say its whole range around the bar's zero.
 #[test]
-fn the_bars_stroke_can_be_said() {
+fn bar_stroke_fits_the_protocol() {
     for definition in all() {
         for at in -10..=17 {
             let sample = Sample {
@@ -218,7 +218,7 @@ fn numbered(sequence: u32) -> Sample {
 }
 
 #[test]
-fn a_device_from_a_file_outside_the_binary_is_read() {
+fn definition_from_a_file_is_acquired() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("outside.toml");
     std::fs::write(&path, OUTSIDE).unwrap();
@@ -285,7 +285,7 @@ fn parameters_are_checked() {
 
 /// A bar out of its stroke says so by a flag, or by a value that stands for no reading.
 #[test]
-fn out_of_the_stroke_no_length_passes_for_one() {
+fn readings_beyond_the_stroke_are_invalid() {
     for protocol in ["dbb-cobs-1", "microepsilon-ild1420"] {
         let definition = Definition::by_name(protocol).unwrap().unwrap();
         let out = |_| Reading { reading_mm: 0.5, strobe: false, valid: false, temperature_c: 20.0 };
@@ -301,7 +301,7 @@ fn out_of_the_stroke_no_length_passes_for_one() {
 
 /// A field takes what its bits hold, and not one more.
 #[test]
-fn what_does_not_fit_is_not_sent() {
+fn values_that_do_not_fit_are_rejected() {
     let text = OUTSIDE.replace(
         "{ kind = \"bits\", bits = 4, role = \"seq\", modulo = 16 },\n  { kind = \"bits\", bits = 12 },",
         "{ kind = \"uint\", bits = 8, role = \"seq\", modulo = 256 },\n  { kind = \"skip\", bytes = 1 },",

@@ -254,7 +254,7 @@ type Told<'a> = &'a dyn Fn(&Run) -> bool;
 
 /// What `replay` plays from recordings, from the bars that made them: each fault is told by its own counts.
 #[test]
-fn each_fault_is_told_by_its_own_counts() {
+fn each_fault_has_its_own_count() {
     let silent = |run: &Run| {
         let words = stderr(&run.output).contains("not answered in time");
         run.count("unanswered") > 0 && words && run.output.status.code() == Some(3)
@@ -312,7 +312,7 @@ fn zero_is_set_before_the_run() {
 /// A device that is set to another rate is found by asking, and what it sends at once behind its answer
 /// to the start command is not lost. A pseudo terminal shows both sides the rate that was set.
 #[test]
-fn a_rate_is_found_and_the_first_readings_are_kept() {
+fn baud_rate_is_probed_and_first_samples_are_kept() {
     const READINGS: usize = 100;
     let (mut line, host) = TTYPort::pair().unwrap();
     let port = host.name().unwrap();
@@ -352,7 +352,7 @@ fn a_rate_is_found_and_the_first_readings_are_kept() {
 }
 
 #[test]
-fn a_bar_that_does_not_answer_is_told() {
+fn bar_without_an_answer_is_reported() {
     let terminal = Terminal::new().unwrap();
     let port = terminal.address().to_string();
     let mut command = dbbd(&["acquire", "--port", &port, "--protocol", "microepsilon-ild1420"]);

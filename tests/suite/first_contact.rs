@@ -61,7 +61,7 @@ fn named(ranked: &[Evidence]) -> Option<&str> {
 }
 
 #[test]
-fn two_seconds_of_bytes_name_the_definition_and_no_other() {
+fn two_seconds_of_bytes_identify_the_definition() {
     let definitions = built_in();
     for definition in &definitions {
         for seed in 0..2 {
@@ -102,7 +102,7 @@ fn strangers() -> Vec<(&'static str, Vec<u8>)> {
 }
 
 #[test]
-fn a_stranger_is_unknown() {
+fn unknown_device_is_not_identified() {
     let definitions = built_in();
     for (name, bytes) in strangers() {
         let ranked = Evidence::ranked(&definitions, &bytes);
@@ -130,7 +130,7 @@ fn at_rest(reading_mm: f64) -> Option<Reading> {
 }
 
 #[test]
-fn each_virtual_bar_is_named_over_its_line() {
+fn each_virtual_bar_is_identified_over_its_line() {
     thread::scope(|scope| {
         for definition in built_in() {
             scope.spawn(move || {
@@ -145,7 +145,7 @@ fn each_virtual_bar_is_named_over_its_line() {
 }
 
 #[test]
-fn who_says_nothing_known_is_reported() {
+fn unidentified_bytes_are_reported() {
     let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
     let port = format!("tcp://{}", listener.local_addr().unwrap());
     thread::spawn(move || {
@@ -192,7 +192,7 @@ fn noisy(also: impl Fn(f64) -> f64 + Send + 'static) -> impl Source + Send + 'st
 /// White noise s at n readings a second leaves s / sqrt(n) in a mean of one second; the limits are four standard
 /// deviations of the estimates from 8 s: 1 / sqrt(2 n) of a standard deviation from n values.
 #[test]
-fn a_check_measures_noise_resolution_and_rate() {
+fn bar_check_measures_noise_resolution_and_rate() {
     let directory = tempfile::tempdir().unwrap();
     let definition = Definition::by_name("dbb-cobs-1").unwrap().unwrap();
     let port = served(&definition, 1000.0, noisy(|_| 0.0));
@@ -216,7 +216,7 @@ fn a_check_measures_noise_resolution_and_rate() {
 }
 
 #[test]
-fn a_check_says_what_is_wrong_with_the_bar() {
+fn bar_check_reports_faults_of_the_bar() {
     let cobs = Definition::by_name("dbb-cobs-1").unwrap().unwrap();
     let cases: Vec<(&str, String, Vec<&str>)> = vec![
         (

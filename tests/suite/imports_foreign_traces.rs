@@ -27,7 +27,7 @@ const OWN: &str = "[time]\ncolumn = \"ticks\"\nunit = \"us\"\n[length]\ncolumn =
     [strobe]\ncolumn = \"trigger\"\n[valid]\ncolumn = \"valid\"\n[temperature]\ncolumn = \"temperature_c\"\n";
 
 #[test]
-fn an_exported_run_comes_back_and_identifies_the_same() {
+fn exported_run_is_imported_with_the_same_result() {
     let dir = tempdir().unwrap();
     let at = dir.path();
     short_plan(at);
@@ -73,7 +73,7 @@ fn an_exported_run_comes_back_and_identifies_the_same() {
 }
 
 #[test]
-fn layouts_are_shown_by_the_file_or_by_a_mapping() {
+fn layouts_are_detected_or_given_by_a_mapping() {
     let dir = tempdir().unwrap();
     let at = dir.path();
     short_plan(at);
@@ -205,7 +205,7 @@ pub(crate) fn provoked() -> Vec<&'static str> {
 }
 
 #[test]
-fn what_is_wrong_has_a_code_and_a_place() {
+fn import_errors_have_a_code_and_a_position() {
     let dir = tempdir().unwrap();
     let at = dir.path();
     short_plan(at);

@@ -8,7 +8,9 @@ use std::f64::consts::TAU;
 use dbbd::diagnostic::Finding;
 use dbbd::plan::{Job, Plan};
 use dbbd::program::krl::{Controller as Dialect, Options, Program, Sync, emit};
-use dbbd::recording::mounting::{Expected, MountedReading, MountingFault, MountingMonitor, Named, Rest};
+use dbbd::recording::mounting::{
+    DetectedFault, Expected, MountedReading, MountingFault, MountingMonitor, Rest,
+};
 use dbbd::sim::loose::{Loose, Looseness};
 use dbbd::sim::world::Setup;
 use dbbd::sim::{Controller, Moment, World, truth};
@@ -118,7 +120,7 @@ fn monitor(plan: &Plan) -> MountingMonitor {
 }
 
 /// What is named, and how long after the fault began; the first name counts.
-fn first_named(plan: &Plan, mut cell: Cell, until_s: f64) -> Option<(Named, f64)> {
+fn first_named(plan: &Plan, mut cell: Cell, until_s: f64) -> Option<(DetectedFault, f64)> {
     let mut monitor = monitor(plan);
     loop {
         let Now { reading, done } = cell.next();
@@ -179,7 +181,7 @@ fn named_in_time(fault: MountingFault, seeds: std::ops::Range<u64>) -> (usize, f
 }
 
 /// Everything that is named in so many hours of normal running.
-fn false_alarms(hours: f64) -> Vec<Named> {
+fn false_alarms(hours: f64) -> Vec<DetectedFault> {
     let (plan, program) = prepared();
     let (mut passed_s, mut seed, mut named) = (0.0, 1000, Vec::new());
     while passed_s < hours * 3600.0 {
@@ -203,7 +205,7 @@ fn false_alarms(hours: f64) -> Vec<Named> {
 }
 
 #[test]
-fn mounting_faults_are_named_and_normal_running_is_not() {
+fn mounting_faults_are_detected_without_false_alarms() {
     for fault in FAULTS {
         let (in_time, _) = named_in_time(fault, 0..4);
         assert_eq!(in_time, 4, "{fault:?}");
@@ -223,14 +225,14 @@ fn mounting_campaign() {
 
 /// A step that stays, to what no simulated fault leads.
 #[test]
-fn a_ball_that_moved_is_named() {
+fn moved_ball_is_detected() {
     let mut monitor = MountingMonitor::new(Expected::standing(2.0));
     let readings = (0..1600).map(|at| {
         let t_s = f64::from(at) / RATE_HZ;
         let reading_mm = if t_s < 4.0 { 0.0 } else { 0.2 };
         MountedReading { t_s, reading_mm, mounted: true, strobe: None }
     });
-    let named: Vec<Named> = readings.filter_map(|reading| monitor.push(reading)).collect();
+    let named: Vec<DetectedFault> = readings.filter_map(|reading| monitor.push(reading)).collect();
     assert_eq!(named.len(), 1, "{named:?}");
     assert_eq!(named[0].fault, MountingFault::Moved);
     assert!((named[0].size - 0.2).abs() < 0.01, "{named:?}");

@@ -44,7 +44,7 @@ fn recordings_read_back() {
 
 /// Each recording in another way; as it came where it is blessed.
 #[test]
-fn every_recording_gives_what_stands_beside_it() {
+fn recordings_give_their_reference_results() {
     let bless = std::env::var_os("DBBD_BLESS").is_some();
     let mut changed = String::new();
     let cuts = [Cuts::Bytes, Cuts::Whole, Cuts::Recorded, Cuts::Seeded(1)];
@@ -68,7 +68,7 @@ fn every_recording_gives_what_stands_beside_it() {
 
 /// Pulled out somewhere and back under another name, a bar loses what was on its way and nothing else.
 #[test]
-fn unplugged_anywhere_it_goes_on() {
+fn replay_continues_after_unplugging() {
     let clean = |recording: &Recording| recording.name == recording.protocol();
     come_back(&all().into_iter().filter(clean).collect::<Vec<_>>(), 0..1);
 }

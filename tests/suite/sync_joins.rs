@@ -61,7 +61,7 @@ pub(crate) fn provoked() -> Vec<&'static str> {
 }
 
 #[test]
-fn what_is_not_as_it_should_be_has_a_code() {
+fn findings_of_a_run_have_codes() {
     for (code, strobe, spoil) in SPOILED {
         let plan = plan(4, 61, 61, code != "W1002");
         let mut run = run(&plan, 4, World { strobe, repeatability_mm: 0.0, ..WORLD });
@@ -90,7 +90,7 @@ fn what_is_not_as_it_should_be_has_a_code() {
 
 /// Reports that cannot be used are said to be lost; the strobe takes their place.
 #[test]
-fn reports_that_give_no_dwell_have_a_code() {
+fn unusable_reports_have_a_code() {
     let plan = plan(5, 30, 30, true);
     let mut run = run(&plan, 5, World { strobe: true, ..WORLD });
     let dwells = plan.rows.iter().filter(|row| row.kind != Kind::Transit);
@@ -124,7 +124,7 @@ fn reports_that_give_no_dwell_have_a_code() {
 }
 
 #[test]
-fn a_run_without_strobe_is_joined_by_its_intervals() {
+fn run_without_strobe_is_matched_by_intervals() {
     let mut all = 0;
     for seed in 0..4 {
         let plan = plan(seed, 60, 30, true);
@@ -149,7 +149,7 @@ fn a_run_without_strobe_is_joined_by_its_intervals() {
 
 /// Long moves determine the override so well that the step of the search's grid is many standard deviations.
 #[test]
-fn any_override_is_found_where_moves_are_long() {
+fn override_is_estimated_if_moves_are_long() {
     let mut plan = plan(6, 30, 30, true);
     plan.header.moves.iter_mut().for_each(|time| time.duration_s *= 4.0);
     for percent in [29_u32, 41, 50, 55, 73, 97] {
@@ -163,7 +163,7 @@ fn any_override_is_found_where_moves_are_long() {
 }
 
 #[test]
-fn a_noisy_bar_loses_poses_but_pairs_none_wrongly() {
+fn noisy_bar_loses_poses_without_wrong_pairs() {
     for (seed, correlation, noise_mm, rate_hz) in [(0, 0.8, 0.002, 1000.0), (1, 0.0, 0.005, 250.0)] {
         let plan = plan(20 + seed, 60, 60, true);
         let run = run(&plan, seed, World { correlation, noise_mm, rate_hz, ..WORLD });
@@ -175,7 +175,7 @@ fn a_noisy_bar_loses_poses_but_pairs_none_wrongly() {
 }
 
 #[test]
-fn strobes_count_even_where_all_moves_are_equal() {
+fn strobes_pair_poses_with_equal_moves() {
     let plan = plan(3, 50, 25, false);
     let world = World { strobe: true, ..WORLD };
     let run = run(&plan, 3, world);
@@ -185,7 +185,7 @@ fn strobes_count_even_where_all_moves_are_equal() {
 }
 
 #[test]
-fn a_lost_strobe_shifts_no_pose() {
+fn lost_strobe_shifts_no_pose() {
     let plan = plan(4, 50, 25, true);
     let mut run = run(&plan, 4, World { strobe: true, ..WORLD });
     let lost = run.starts_s[12];
@@ -212,7 +212,7 @@ fn a_lost_strobe_shifts_no_pose() {
 }
 
 #[test]
-fn a_strobe_that_bounces_or_comes_twice_costs_nothing_else() {
+fn bouncing_and_doubled_strobes_lose_no_other_pose() {
     for (bounce, extra) in [(true, false), (false, true)] {
         let plan = plan(4, 50, 25, true);
         let mut run = run(&plan, 4, World { strobe: true, ..WORLD });
@@ -241,7 +241,7 @@ fn a_strobe_that_bounces_or_comes_twice_costs_nothing_else() {
 }
 
 #[test]
-fn a_wrapped_counter_changes_nothing() {
+fn wrapped_counter_changes_nothing() {
     let plan = plan(5, 20, 20, true);
     let plain = run(&plan, 5, WORLD);
     let wrapped = run(&plan, 5, World { ticks_begin: (1 << 32) - 30_000_000, ..WORLD });
@@ -252,7 +252,7 @@ fn a_wrapped_counter_changes_nothing() {
 }
 
 #[test]
-fn a_restarted_counter_costs_at_most_the_dwell_it_falls_into() {
+fn restarted_counter_loses_at_most_one_dwell() {
     let plan = plan(6, 40, 40, true);
     let mut run = run(&plan, 6, WORLD);
     let at_s = run.starts_s[20] + 0.9;
@@ -269,7 +269,7 @@ fn a_restarted_counter_costs_at_most_the_dwell_it_falls_into() {
 }
 
 #[test]
-fn the_controllers_reports_name_the_poses() {
+fn reports_identify_the_poses() {
     let plan = plan(8, 30, 30, false);
     let run = run(&plan, 8, WORLD);
     let rows = plan.rows.iter().filter(|row| row.kind != Kind::Transit);

@@ -166,7 +166,7 @@ impl Score {
 }
 
 #[test]
-fn distinct_moves_pair_all_but_a_few_and_none_wrongly() {
+fn distinct_moves_pair_most_poses_and_none_wrongly() {
     let score = score(0..60, true, STUDY);
     eprintln!("distinct moves: {score:?}, {:.2} % dropped", 100.0 * score.dropped());
     assert_eq!(score.wrong, 0, "{score:?}");
@@ -175,7 +175,7 @@ fn distinct_moves_pair_all_but_a_few_and_none_wrongly() {
 }
 
 #[test]
-fn equal_moves_are_dropped_rather_than_paired_wrongly() {
+fn equal_moves_are_dropped_not_paired_wrongly() {
     let score = score(0..8, false, STUDY);
     eprintln!("equal moves: {score:?}, {:.2} % dropped", 100.0 * score.dropped());
     assert_eq!(score.wrong, 0, "{score:?}");
@@ -194,7 +194,7 @@ fn modules_and_a_model_with_errors_pair_none_wrongly() {
 }
 
 #[test]
-fn torn_and_merged_dwells_and_stretches_of_lost_poses_pair_none_wrongly() {
+fn split_merged_and_missing_dwells_pair_none_wrongly() {
     // In run 7516 two stretches while the first poses were lost lie as far apart as two of those poses, and a third
     // passes for a pause.
     let score = score_runs((7512..7520).map(|seed| (seed, run(seed, true, drawn(seed)))), false);

@@ -184,7 +184,7 @@ fn marker_strobe_telegrams_and_passes_give_the_same_robot() {
 
 /// Plan, program, simulated cell, capture, lengths, identification and circular test of passes without stops.
 #[test]
-fn passes_go_through_the_whole_chain() {
+fn passes_are_evaluated_end_to_end() {
     let dir = tempfile::tempdir().unwrap();
     let job = "robot = \"kr60ha\"\n[bar]\nlength_mm = 300.0\nstroke_mm = [-6.0, 6.0]\n[[centre]]\nid = 1\n\
                xyz_mm = [1300.0, 0.0, 800.0]\n[[circle]]\nplane = \"XY\"\norientation = \"fixed\"\ntilt_deg = 25.0\n\

@@ -308,7 +308,7 @@ fn campaign(wire: Wire, sessions: u64, length: Length) {
 /// In a process of its own: a child of another test would inherit the terminals' other sides and keep
 /// them open.
 #[test]
-fn a_bar_comes_and_goes() {
+fn bar_is_unplugged_and_returns() {
     let output = Command::new(std::env::current_exe().unwrap())
         .args(["--exact", "unplugged_and_back::a_few_sessions", "--ignored", "--nocapture"])
         .output()
@@ -318,13 +318,13 @@ fn a_bar_comes_and_goes() {
 }
 
 #[test]
-#[ignore = "runs in a process of its own, started by a_bar_comes_and_goes"]
+#[ignore = "runs in a process of its own, started by bar_is_unplugged_and_returns"]
 fn a_few_sessions() {
     campaign(Wire::Pty, 16, Length { lasting_s: 5.0, longest_s: 1.6 });
 }
 
 #[test]
-fn a_network_comes_and_goes() {
+fn network_fails_and_returns() {
     campaign(Wire::Network("tcp"), 2, Length { lasting_s: 5.0, longest_s: 1.6 });
     campaign(Wire::Network("rfc2217"), 2, Length { lasting_s: 5.0, longest_s: 1.6 });
 }

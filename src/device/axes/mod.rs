@@ -36,24 +36,15 @@ pub struct AxesSample {
 }
 
 #[derive(Clone, Debug, PartialEq)]
-pub enum Heard {
+pub enum PacketContent {
     Sample(AxesSample),
+    /// The answer to a request of RTDE.
+    Answer {
+        accepted: bool,
+    },
     /// A package without axes.
-    Control(Control),
+    Other,
     Fault(AxesFault),
-}
-
-/// Packages of RTDE besides data.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Control {
-    /// Whether the controller supports the requested version.
-    Version { accepted: bool },
-    /// Whether it has the requested variables.
-    Recipe { accepted: bool },
-    /// Whether it starts sending.
-    Started { accepted: bool },
-    /// Any other package, by its type.
-    Other(u8),
 }
 
 /// Why a packet is invalid.
@@ -76,7 +67,7 @@ pub enum AxesFault {
 
 #[derive(Clone, Debug, PartialEq)]
 pub struct Packet {
-    pub heard: Heard,
+    pub content: PacketContent,
     pub bytes: u64,
 }
 
@@ -119,8 +110,8 @@ impl AxesDecoder {
     pub fn push(&mut self, bytes: &[u8], mut out: impl FnMut(Packet)) {
         match self {
             Self::Rsi => {
-                let heard = rsi::read(bytes).map_or_else(Heard::Fault, Heard::Sample);
-                out(Packet { heard, bytes: bytes.len() as u64 });
+                let content = rsi::read(bytes).map_or_else(PacketContent::Fault, PacketContent::Sample);
+                out(Packet { content, bytes: bytes.len() as u64 });
             }
             Self::Rtde(decoder) => decoder.push(bytes, out),
         }

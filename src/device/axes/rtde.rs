@@ -4,7 +4,7 @@
 //! number of the recipe and the types of the variables), then the start (`S`). Data are packages `U` (number of
 //! the recipe, values).
 
-use super::{AxesFault, AxesSample, Control, Heard, Packet, possible};
+use super::{AxesFault, AxesSample, Packet, PacketContent, possible};
 use crate::base::units::DeviceTicks;
 use crate::robot::AXES;
 
@@ -87,30 +87,29 @@ impl Decoder {
         self.pending.extend_from_slice(bytes);
         let mut at = 0;
         loop {
-            let (heard, bytes) = match next_package(&self.pending[at..]) {
+            let (content, bytes) = match next_package(&self.pending[at..]) {
                 Ok(None) => break,
-                Ok(Some(package)) => (heard(&mut self.recipe, package.kind, package.content), package.bytes),
-                Err(fault) => (Heard::Fault(fault), 1),
+                Ok(Some(package)) => (read(&mut self.recipe, package.kind, package.content), package.bytes),
+                Err(fault) => (PacketContent::Fault(fault), 1),
             };
-            out(Packet { heard, bytes: bytes as u64 });
+            out(Packet { content, bytes: bytes as u64 });
             at += bytes;
         }
         self.pending.drain(..at);
     }
 }
 
-fn heard(recipe: &mut Option<u8>, kind: u8, content: &[u8]) -> Heard {
+fn read(recipe: &mut Option<u8>, kind: u8, content: &[u8]) -> PacketContent {
     let accepted = content == [1];
     match kind {
-        DATA => data_of(*recipe, content).map_or_else(Heard::Fault, Heard::Sample),
-        ASK_VERSION => Heard::Control(Control::Version { accepted }),
-        START => Heard::Control(Control::Started { accepted }),
+        DATA => data_of(*recipe, content).map_or_else(PacketContent::Fault, PacketContent::Sample),
+        ASK_VERSION | START => PacketContent::Answer { accepted },
         SET_UP_OUTPUTS => {
             *recipe =
                 content.split_first().filter(|(_, types)| *types == TYPES.as_bytes()).map(|(id, _)| *id);
-            Heard::Control(Control::Recipe { accepted: recipe.is_some() })
+            PacketContent::Answer { accepted: recipe.is_some() }
         }
-        other => Heard::Control(Control::Other(other)),
+        _ => PacketContent::Other,
     }
 }
 

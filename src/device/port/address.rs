@@ -111,7 +111,7 @@ mod tests {
     use crate::diagnostic::Finding;
 
     #[test]
-    fn an_address_reads_back_as_it_is_written() {
+    fn addresses_round_trip() {
         for text in
             ["/dev/ttyUSB0", "COM3", "by-id/usb-x", "sim", "tcp://10.0.0.7:4001", "rfc2217://[::1]:2217"]
         {
@@ -123,14 +123,14 @@ mod tests {
     }
 
     #[test]
-    fn the_number_of_a_pseudo_terminal_is_not_waited_for() {
+    fn pseudo_terminal_does_not_return() {
         let may_return = |text: &str| text.parse::<PortAddress>().unwrap().may_return();
         assert!(!may_return("/dev/pts/4"));
         assert!(["bar", "/dev/ttyUSB0", "COM3", "tcp://10.0.0.7:4001"].into_iter().all(may_return));
     }
 
     #[test]
-    fn a_wrong_address_is_refused() {
+    fn invalid_addresses_are_refused() {
         for text in
             ["", "http://a:1", "tcp://a", "tcp://:1", "tcp://a:65536", "tcp://::1:5", "tcp://a b:1", "tcp://"]
         {

@@ -10,7 +10,7 @@ use serialport::SerialPortType;
 use crate::catalogue::PortFinding::{self, NoPortList};
 
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct Found {
+pub struct PortInfo {
     pub port: String,
     /// Permanent name of the device, if it has one.
     pub by_id: Option<String>,
@@ -25,10 +25,10 @@ pub struct Found {
 }
 
 /// The ports, sorted by name; on Linux only those with a device.
-pub fn list() -> Result<Vec<Found>, PortFinding> {
+pub fn list() -> Result<Vec<PortInfo>, PortFinding> {
     let links = links();
     let ports = serialport::available_ports().map_err(|error| NoPortList { why: error.to_string() })?;
-    let mut found: Vec<Found> = ports
+    let mut found: Vec<PortInfo> = ports
         .into_iter()
         .map(|info| {
             let device = Path::new(&info.port_name);
@@ -36,7 +36,7 @@ pub fn list() -> Result<Vec<Found>, PortFinding> {
                 SerialPortType::UsbPort(usb) => Some(usb),
                 _ => None,
             };
-            Found {
+            PortInfo {
                 usb_id: usb.map(|usb| (usb.vid, usb.pid)),
                 vendor: usb.and_then(|usb| usb.manufacturer.clone()),
                 product: usb.and_then(|usb| usb.product.clone()),

@@ -6,13 +6,12 @@ mod line;
 mod list;
 mod network;
 mod reader;
+mod settings;
 pub(crate) mod telnet;
 mod tty;
 
 use std::io::ErrorKind;
 use std::time::Duration;
-
-use serialport::{DataBits, FlowControl, Parity, StopBits};
 
 use crate::base::clock;
 use crate::catalogue::PortFinding::{self, NoPort, PortGone, PortRefused};
@@ -21,27 +20,16 @@ use line::Line;
 pub use adapter::{blur, identity};
 pub use address::{NetworkAddress, PortAddress};
 pub use line::{Stamps, Transport};
-pub use list::{Found, list};
+pub use list::{PortInfo, list};
 pub use reader::{Arrival, Reader};
+pub(in crate::device) use settings::ms;
+pub use settings::{Flow, LineSettings, Parity};
 
 /// Timeout of a read, after which the thread checks whether to stop. On Windows a write to a serial port waits for
 /// the read, and a request must not be late.
 const PATIENCE: Duration = Duration::from_millis(if cfg!(windows) { 5 } else { 50 });
 /// Timeout of a write.
 const WRITE_PATIENCE: Duration = Duration::from_secs(2);
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Settings {
-    pub baud: u32,
-    pub data_bits: DataBits,
-    pub parity: Parity,
-    pub stop_bits: StopBits,
-    pub flow: FlowControl,
-    /// Level of DTR after opening; unchanged if absent.
-    pub dtr: Option<bool>,
-    /// Level of RTS after opening; unchanged if absent.
-    pub rts: Option<bool>,
-}
 
 /// An open line.
 pub struct Port {
@@ -51,7 +39,7 @@ pub struct Port {
 
 impl Port {
     /// Opens a line exclusively.
-    pub fn open(address: &PortAddress, settings: &Settings) -> Result<Self, PortFinding> {
+    pub fn open(address: &PortAddress, settings: &LineSettings) -> Result<Self, PortFinding> {
         let name = address.to_string();
         let line: Box<dyn Line> = match address {
             PortAddress::Tcp(server) => Box::new(network::Network::tcp(server)?),

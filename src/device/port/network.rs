@@ -6,13 +6,13 @@ use std::net::{TcpStream, ToSocketAddrs};
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
 
-use serialport::{DataBits, FlowControl, Parity, StopBits};
 use socket2::{SockRef, TcpKeepalive};
 
 use super::address::NetworkAddress;
 use super::line::{Line, Stamps, Transport};
+use super::settings::{Flow, LineSettings, Parity};
 use super::telnet::{self, Side, Telnet};
-use super::{PATIENCE, PortAddress, Settings, WRITE_PATIENCE};
+use super::{PATIENCE, PortAddress, WRITE_PATIENCE};
 use crate::base::clock;
 use crate::base::sync::lock;
 use crate::catalogue::PortFinding::{self, NotRfc2217, ServerAway, ServerCloses, SettingRefused};
@@ -57,7 +57,7 @@ impl Network {
         Ok(line)
     }
 
-    pub(super) fn rfc2217(address: &NetworkAddress, settings: &Settings) -> Result<Self, PortFinding> {
+    pub(super) fn rfc2217(address: &NetworkAddress, settings: &LineSettings) -> Result<Self, PortFinding> {
         let mut line = Self::connect(address, Transport::Rfc2217)?;
         let port = PortAddress::Rfc2217(address.clone()).to_string();
         let closes = |_| ServerCloses { port: port.clone(), said: String::new() };
@@ -155,17 +155,6 @@ impl Network {
             self.pump()?;
         }
     }
-
-    /// Sends a command of RFC 2217 and waits for its answer.
-    fn command(&mut self, code: u8, value: &[u8]) -> io::Result<Option<Vec<u8>>> {
-        self.stream.write_all(&Telnet::command(code, value))?;
-        self.wait(|telnet| telnet.answer(code))
-    }
-
-    /// Sets a modem line or the flow control; not every server answers.
-    fn control(&mut self, value: u8) -> io::Result<()> {
-        self.stream.write_all(&Telnet::command(telnet::SET_CONTROL, &[value]))
-    }
 }
 
 /// No delay for small packets; detection of a lost server.
@@ -184,36 +173,26 @@ fn prepare(stream: &TcpStream) -> io::Result<()> {
 }
 
 /// The settings that a server must confirm, with their numbers in RFC 2217.
-fn line_settings(settings: &Settings) -> [(&'static str, u8, Vec<u8>); 4] {
-    let bits = match settings.data_bits {
-        DataBits::Five => 5,
-        DataBits::Six => 6,
-        DataBits::Seven => 7,
-        DataBits::Eight => 8,
-    };
+fn line_settings(settings: &LineSettings) -> [(&'static str, u8, Vec<u8>); 4] {
     let parity = match settings.parity {
         Parity::None => 1,
         Parity::Odd => 2,
         Parity::Even => 3,
     };
-    let stop = match settings.stop_bits {
-        StopBits::One => 1,
-        StopBits::Two => 2,
-    };
     [
         ("baud rate", telnet::SET_BAUD, settings.baud.to_be_bytes().to_vec()),
-        ("data bits", telnet::SET_DATA_BITS, vec![bits]),
+        ("data bits", telnet::SET_DATA_BITS, vec![settings.data_bits]),
         ("parity (1 none, 2 odd, 3 even)", telnet::SET_PARITY, vec![parity]),
-        ("stop bits", telnet::SET_STOP_BITS, vec![stop]),
+        ("stop bits", telnet::SET_STOP_BITS, vec![settings.stop_bits]),
     ]
 }
 
 /// Flow control and modem lines.
-fn control_settings(settings: &Settings) -> impl Iterator<Item = u8> {
+fn control_settings(settings: &LineSettings) -> impl Iterator<Item = u8> {
     let flow = match settings.flow {
-        FlowControl::None => 1,
-        FlowControl::Software => 2,
-        FlowControl::Hardware => 3,
+        Flow::None => 1,
+        Flow::XonXoff => 2,
+        Flow::RtsCts => 3,
     };
     let rts = settings.rts.map(|level| if level { 11 } else { 12 });
     [Some(flow), settings.dtr.map(dtr), rts].into_iter().flatten()
@@ -254,7 +233,8 @@ impl Line for Network {
             return Ok(());
         }
         let asked = baud.to_be_bytes();
-        match self.command(telnet::SET_BAUD, &asked)? {
+        self.stream.write_all(&Telnet::command(telnet::SET_BAUD, &asked))?;
+        match self.wait(|telnet| telnet.answer(telnet::SET_BAUD))? {
             Some(set) if set == asked => Ok(()),
             Some(set) => Err(io::Error::other(format!("the server set {} baud", number(&set)))),
             None => Err(io::Error::other("the server does not answer")),
@@ -263,7 +243,8 @@ impl Line for Network {
 
     fn set_dtr(&mut self, level: bool) -> io::Result<()> {
         match self.stamps.transport {
-            Transport::Rfc2217 => self.control(dtr(level)),
+            // Not every server answers.
+            Transport::Rfc2217 => self.stream.write_all(&Telnet::command(telnet::SET_CONTROL, &[dtr(level)])),
             _ => Ok(()),
         }
     }

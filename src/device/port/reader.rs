@@ -127,7 +127,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_full_channel_is_a_counted_loss() {
+    fn full_channel_counts_lost_bytes() {
         let (sender, receiver) = sync_channel(2);
         let mut outbox = Outbox { sender, lost: None };
         for at in 0..4 {

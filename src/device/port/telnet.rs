@@ -214,7 +214,7 @@ mod tests {
     }
 
     #[test]
-    fn two_ends_agree_and_a_command_is_answered() {
+    fn both_ends_negotiate_and_answer_a_command() {
         let (mut client, hello) = Telnet::new(Side::Client);
         let (mut server, welcome) = Telnet::new(Side::Server);
         settled(&mut client, &mut server, hello, welcome);
@@ -229,7 +229,7 @@ mod tests {
     }
 
     #[test]
-    fn a_server_without_the_option_is_noticed() {
+    fn server_without_the_option_is_detected() {
         let (mut client, _) = Telnet::new(Side::Client);
         let received = client.receive(&[IAC, DONT, COM_PORT, IAC, WILL, 1]);
         assert_eq!(client.com_port(), Some(false));
@@ -239,7 +239,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn data_pass_however_they_are_cut(data: Vec<u8>, cut in 1usize..9) {
+        fn data_do_not_depend_on_splits(data: Vec<u8>, cut in 1usize..9) {
             let (mut client, _) = Telnet::new(Side::Client);
             let mut came = Vec::new();
             for part in Telnet::escaped(&data).chunks(cut) {

@@ -4,10 +4,11 @@ use std::io::{self, ErrorKind};
 use std::path::Path;
 use std::time::Duration;
 
-use serialport::SerialPort;
+use serialport::{DataBits, FlowControl, SerialPort, StopBits};
 
 use super::line::{Line, Stamps, Transport};
-use super::{PATIENCE, Settings, adapter};
+use super::settings::{Flow, LineSettings, Parity};
+use super::{PATIENCE, adapter};
 use crate::catalogue::PortFinding::{self, NoPort, PortBusy, PortDenied, PortRefused};
 
 pub(super) struct Tty {
@@ -17,7 +18,7 @@ pub(super) struct Tty {
 
 impl Tty {
     /// Opens a device for this process alone; `name` is the user's word for it.
-    pub(super) fn open(name: &str, path: &Path, settings: &Settings) -> Result<Self, PortFinding> {
+    pub(super) fn open(name: &str, path: &Path, settings: &LineSettings) -> Result<Self, PortFinding> {
         if cfg!(unix) && !path.exists() {
             return Err(NoPort { port: name.into() });
         }
@@ -26,10 +27,18 @@ impl Tty {
         let transport = if target.starts_with("/dev/pts") { Transport::Pty } else { Transport::Tty };
         let wires = transport == Transport::Tty;
         let mut builder = serialport::new(path.to_string_lossy(), settings.baud)
-            .data_bits(settings.data_bits)
-            .parity(settings.parity)
-            .stop_bits(settings.stop_bits)
-            .flow_control(settings.flow)
+            .data_bits(if settings.data_bits == 7 { DataBits::Seven } else { DataBits::Eight })
+            .parity(match settings.parity {
+                Parity::None => serialport::Parity::None,
+                Parity::Even => serialport::Parity::Even,
+                Parity::Odd => serialport::Parity::Odd,
+            })
+            .stop_bits(if settings.stop_bits == 2 { StopBits::Two } else { StopBits::One })
+            .flow_control(match settings.flow {
+                Flow::None => FlowControl::None,
+                Flow::XonXoff => FlowControl::Software,
+                Flow::RtsCts => FlowControl::Hardware,
+            })
             .timeout(PATIENCE);
         if let Some(dtr) = settings.dtr.filter(|_| wires) {
             builder = builder.dtr_on_open(dtr);
@@ -107,7 +116,7 @@ mod tests {
 
     /// Root may open every port, so no test of the binary is refused one.
     #[test]
-    fn a_refusal_says_who_refuses() {
+    fn refusals_name_their_cause() {
         let said = |kind, text: &str| refusal("p", &serialport::Error::new(kind, text)).code().0;
         let denied = said(serialport::ErrorKind::Io(ErrorKind::PermissionDenied), "Permission denied");
         assert_eq!(denied, if cfg!(windows) { "E0203" } else { "E0202" });

@@ -9,8 +9,8 @@ use super::encoder::Encoder;
 use super::engine::Engine;
 use super::field::STROBE;
 use super::layout::{self, Part};
-use super::line::Line;
 use super::table::Sim;
+use crate::device::port::LineSettings;
 
 #[derive(Clone, Debug)]
 pub struct Definition {
@@ -26,7 +26,7 @@ pub struct Definition {
     pub text: String,
     /// Names and values of the parameters in force.
     pub params: Vec<(String, String)>,
-    pub line: Line,
+    pub line: LineSettings,
     pub clock: Option<Clock>,
     /// Sequence numbers wrap to 0 at this value.
     pub sequence_modulo: Option<u32>,

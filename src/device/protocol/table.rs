@@ -6,7 +6,7 @@ use std::time::Duration;
 use serde::{Deserialize, Deserializer};
 use toml::Spanned;
 
-use super::line::{Line, ms};
+use crate::device::port::{LineSettings, ms};
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -23,7 +23,7 @@ pub(super) struct File {
     /// Substituted before the text is parsed.
     #[serde(default, rename = "params")]
     pub(super) _params: BTreeMap<String, ParamTable>,
-    pub(super) line: Line,
+    pub(super) line: LineSettings,
     pub(super) framing: FramingTable,
     pub(super) check: Option<CheckTable>,
     #[serde(default)]

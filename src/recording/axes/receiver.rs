@@ -6,7 +6,7 @@ use serde::Serialize;
 
 use super::order::{PacketOrder, Place};
 use crate::base::units::HostNs;
-use crate::device::axes::{AxesDecoder, AxesFault, AxesProtocol, AxesSample, Heard};
+use crate::device::axes::{AxesDecoder, AxesFault, AxesProtocol, AxesSample, PacketContent};
 use crate::recording::capture::{Event, Record};
 use crate::recording::{DeviceClock, Stamp};
 
@@ -108,8 +108,8 @@ impl AxesReceiver {
     pub fn push(&mut self, host: HostNs, bytes: &[u8], mut each: impl FnMut(Place, Stamp, AxesSample)) {
         self.counts.bytes += bytes.len() as u64;
         let mut decoder = std::mem::replace(&mut self.decoder, AxesDecoder::Rsi);
-        decoder.push(bytes, |packet| match packet.heard {
-            Heard::Sample(sample) => {
+        decoder.push(bytes, |packet| match packet.content {
+            PacketContent::Sample(sample) => {
                 self.counts.packets += 1;
                 let stamp = Stamp { host, ticks: sample.ticks };
                 let place = self.order.place(stamp);
@@ -117,11 +117,11 @@ impl AxesReceiver {
                 self.counts.late_answers = sample.late.unwrap_or(self.counts.late_answers);
                 each(place, stamp, sample);
             }
-            Heard::Control(_) => {
+            PacketContent::Answer { .. } | PacketContent::Other => {
                 self.counts.packets += 1;
                 self.counts.control += 1;
             }
-            Heard::Fault(fault) => self.fault(fault, packet.bytes),
+            PacketContent::Fault(fault) => self.fault(fault, packet.bytes),
         });
         self.decoder = decoder;
     }

@@ -47,7 +47,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn dates_are_those_of_the_calendar() {
+    fn dates_are_parsed() {
         // `date -u -d @N`: 951782400 is 2000-02-29, 1795270371 is 2026-11-21 14:12:51.
         assert_eq!(unix_ns("2000-02-29T00:00:00Z"), Some(951_782_400_000_000_000));
         assert_eq!(unix_ns("2026-11-21 15:12:51,25+01:00"), Some(1_795_270_371_250_000_000));

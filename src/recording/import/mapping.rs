@@ -16,9 +16,9 @@ pub struct Mapping {
     pub(super) file: File,
     pub(super) time: Time,
     pub(super) length: Length,
-    pub(super) strobe: Option<Plain>,
-    pub(super) valid: Option<Plain>,
-    pub(super) temperature: Option<Plain>,
+    pub(super) strobe: Option<ColumnKey>,
+    pub(super) valid: Option<ColumnKey>,
+    pub(super) temperature: Option<ColumnKey>,
 }
 
 /// Lines and cells; what is absent is detected.
@@ -128,7 +128,7 @@ pub(super) enum LengthKind {
 
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct Plain {
+pub(super) struct ColumnKey {
     pub(super) column: Column,
 }
 

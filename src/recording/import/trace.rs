@@ -1,7 +1,7 @@
 //! Converts the rows of a trace to samples.
 
 use super::date;
-use super::mapping::{Column, LengthKind, Mapping, Plain, TimeUnit};
+use super::mapping::{Column, ColumnKey, LengthKind, Mapping, TimeUnit};
 use crate::base::table::{Row, Table};
 use crate::base::units::HostNs;
 use crate::catalogue::ImportFinding;
@@ -166,7 +166,7 @@ impl<'a> Trace<'a> {
                 Err(Diagnostic::file(self.table.file(), ImportFinding::NoHeader { column: name.clone() }))
             }
         };
-        let optional = |plain: &Option<Plain>| plain.as_ref().map(|plain| place(&plain.column)).transpose();
+        let optional = |key: &Option<ColumnKey>| key.as_ref().map(|key| place(&key.column)).transpose();
         Ok(Places {
             time: if time.rate_hz.is_some() { None } else { Some(place(&time.column)?) },
             length: place(&length.column)?,

@@ -48,9 +48,9 @@ pub struct Alignment {
 }
 
 /// Least posterior of a pair that is kept.
-pub(super) const KEEP: f64 = 0.99;
+pub(super) const LEAST_PAIR_POSTERIOR: f64 = 0.99;
 /// Least posterior for reporting that a pose has no dwell.
-pub(super) const NONE: f64 = 0.9;
+pub(super) const LEAST_NONE_POSTERIOR: f64 = 0.9;
 /// Beam while only the override is searched.
 const SEARCH_BEAM: f64 = 10.0;
 /// The override is searched in the middle of a long run: more dwells do not determine it better.
@@ -112,9 +112,9 @@ fn pairing(row: &[f64]) -> Pairing {
         .enumerate()
         .fold((0, 0.0), |best, next| if next.1 > best.1 { next } else { best });
     let none = (1.0 - row.iter().sum::<f64>()).clamp(0.0, 1.0);
-    if posterior > KEEP {
+    if posterior > LEAST_PAIR_POSTERIOR {
         Pairing::Dwell { dwell, posterior }
-    } else if none > NONE {
+    } else if none > LEAST_NONE_POSTERIOR {
         Pairing::None { posterior: none }
     } else {
         Pairing::Ambiguous { dwell, posterior }

@@ -4,11 +4,11 @@
 //! Neither strobe nor time code nor sync marker is needed: the positions of the rests and their order identify
 //! the poses.
 
-use super::alignment::{KEEP, NONE};
+use super::alignment::{LEAST_NONE_POSTERIOR, LEAST_PAIR_POSTERIOR};
 use super::lag::{self, OnBall};
 use super::program::{Commanded, Poses};
 use super::published::Published;
-use super::visits::{self, Seen, Visit};
+use super::visits::{self, RestEvidence, Visit};
 use super::{AxesReport, Detection, DwellSource, Input, Pairing, PublishedAxes, outcomes, passes, reading};
 use crate::plan::Plan;
 use crate::recording::ClockMap;
@@ -81,7 +81,7 @@ fn on_ball(
         Some(times_s.as_ref()?.iter().map(move |t_s| (*t_s, centre)))
     });
     let rested = rests.iter().zip(&poses.rows).flat_map(|(visits, row)| {
-        let certain = visits.iter().filter(|visit| visit.posterior > KEEP);
+        let certain = visits.iter().filter(|visit| visit.posterior > LEAST_PAIR_POSTERIOR);
         let rests = certain.filter_map(|visit| published.rests.get(visit.rest));
         rests.map(|rest| (0.5 * (rest.start_s + rest.end_s), row.centre))
     });
@@ -114,7 +114,7 @@ fn assign(poses: &Poses<'_>, published: &Published<'_>) -> Vec<Vec<Visit>> {
         (0..places.len()).filter(near).collect()
     };
     // A rest at no pose says nothing about the order.
-    let (mut rests, mut seen): (Vec<usize>, Vec<Seen>) = (Vec::new(), Vec::new());
+    let (mut rests, mut seen): (Vec<usize>, Vec<RestEvidence>) = (Vec::new(), Vec::new());
     for (rest, interval) in published.rests.iter().enumerate() {
         let poses = at(interval);
         if poses.is_empty() {
@@ -123,7 +123,7 @@ fn assign(poses: &Poses<'_>, published: &Published<'_>) -> Vec<Vec<Visit>> {
         let before = rests.last().map(|before| published.rests[*before].end_s);
         let after_loss = before.is_some_and(|end_s| !published.is_whole(end_s, interval.start_s));
         rests.push(rest);
-        seen.push(Seen { poses, after_loss });
+        seen.push(RestEvidence { poses, after_loss });
     }
     let of_pose = |(visits, pose): (Vec<Visit>, &Commanded)| {
         let mut visits = by_preference(visits, |visit| {
@@ -142,10 +142,10 @@ fn assign(poses: &Poses<'_>, published: &Published<'_>) -> Vec<Vec<Visit>> {
 fn by_preference(visits: Vec<Visit>, off_s: impl Fn(&Visit) -> f64) -> Vec<Visit> {
     let least_s = |visits: &[Visit]| visits.iter().map(&off_s).fold(f64::INFINITY, f64::min);
     let mut certain = visits.clone();
-    certain.retain(|visit| visit.posterior > KEEP);
+    certain.retain(|visit| visit.posterior > LEAST_PAIR_POSTERIOR);
     if certain.is_empty() {
         let likeliest = visits.into_iter().max_by(|a, b| a.posterior.total_cmp(&b.posterior));
-        return likeliest.into_iter().filter(|visit| visit.posterior > 1.0 - NONE).collect();
+        return likeliest.into_iter().filter(|visit| visit.posterior > 1.0 - LEAST_NONE_POSTERIOR).collect();
     }
     let of_visit = |rests: &[Visit]| {
         let least_s = least_s(rests);
@@ -176,7 +176,7 @@ fn pairings(
         };
         let (number, dwell) = (dwells.len(), dwell(visit));
         let posterior = if dwell.is_ok() { visit.posterior } else { 0.5 * visit.posterior };
-        pairings.push(if posterior > KEEP {
+        pairings.push(if posterior > LEAST_PAIR_POSTERIOR {
             Pairing::Dwell { dwell: number, posterior }
         } else {
             Pairing::Ambiguous { dwell: number, posterior }
@@ -194,7 +194,7 @@ fn pass_times(input: &Input<'_>, published: &Published<'_>) -> Vec<Option<Vec<f6
         let [first, last] = pass.points.map(|index| (index as usize).saturating_sub(1));
         let rows = input.plan.rows.get(first..=last).unwrap_or_default();
         let points: Vec<[f64; AXES]> = rows.iter().map(|row| row.axes_deg).collect();
-        let found = went_by(published, &points, from);
+        let found = times_past(published, &points, from);
         if let Some(last_s) = found.as_ref().and_then(|times| times.last()) {
             from = published.track.at(*last_s);
         }
@@ -204,7 +204,7 @@ fn pass_times(input: &Input<'_>, published: &Published<'_>) -> Vec<Option<Vec<f6
 }
 
 /// The first times after a sample at which the axes pass all points in order.
-fn went_by(published: &Published<'_>, points: &[[f64; AXES]], from: usize) -> Option<Vec<f64>> {
+fn times_past(published: &Published<'_>, points: &[[f64; AXES]], from: usize) -> Option<Vec<f64>> {
     let reach = reach_deg(points);
     let (first, reach_first) = (points.first()?, *reach.first()?);
     let mut at = from;
@@ -234,7 +234,7 @@ fn next_nearest(
     range: std::ops::Range<usize>,
 ) -> Option<usize> {
     let axes = &published.track.measured_deg;
-    let away = |at: usize| axes.get(at).map(|axes| square_deg(axes, point));
+    let away = |at: usize| axes.get(at).map(|axes| squared_distance(axes, point));
     let within = |at: &usize| axes.get(*at).is_some_and(|axes| apart(axes, point) <= reach);
     range.take_while(|at| *at < axes.len()).filter(within).find(|at| {
         let here = away(*at);
@@ -243,7 +243,7 @@ fn next_nearest(
     })
 }
 
-fn square_deg(a: &[f64; AXES], b: &[f64; AXES]) -> f64 {
+fn squared_distance(a: &[f64; AXES], b: &[f64; AXES]) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum()
 }
 

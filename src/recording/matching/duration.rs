@@ -13,12 +13,12 @@ pub(super) const MISSED: f64 = 0.08;
 const SIGMA_S: f64 = 0.2;
 /// Shares of dwells that last as the program waits, that are split in two, and that merge with the next.
 const TRUE_TO_PLAN: f64 = 0.85;
-const TORN: f64 = 0.03;
+const SPLIT: f64 = 0.03;
 const MERGED: f64 = 0.03;
 /// Most poses that one dwell merges with.
 const MOST_MERGED: usize = 4;
 /// Longest gap in a split dwell, s.
-const TEAR_S: f64 = 0.5;
+const SPLIT_GAP_S: f64 = 0.5;
 /// Probability that a pause shows as a still interval.
 const PAUSE_SEEN: f64 = 0.9;
 /// Limit of the evidence for a pause.
@@ -26,13 +26,13 @@ const MOST_EVIDENCE: f64 = 1e3;
 
 /// A still interval: start, duration, and the density of this duration if it is spurious.
 #[derive(Clone, Copy)]
-pub(super) struct Span {
+pub(super) struct StillInterval {
     pub(super) start_s: f64,
     lasts_s: f64,
     spurious: f64,
 }
 
-impl Span {
+impl StillInterval {
     pub(super) fn new(start_s: f64, lasts_s: f64) -> Self {
         Self { start_s, lasts_s, spurious: spurious(lasts_s) }
     }
@@ -43,14 +43,14 @@ impl Span {
     }
 
     /// Likelihood ratio of one split dwell of `wait_s` (this and `next`) to a dwell followed by a spurious interval.
-    pub(super) fn torn(&self, next: &Self, wait_s: f64) -> f64 {
+    pub(super) fn split(&self, next: &Self, wait_s: f64) -> f64 {
         let gap_s = next.start_s - self.start_s - self.lasts_s;
-        if self.lasts_s > wait_s || gap_s > TEAR_S {
+        if self.lasts_s > wait_s || gap_s > SPLIT_GAP_S {
             return 0.0;
         }
         let whole_s = next.start_s + next.lasts_s - self.start_s;
-        let torn = TORN / (wait_s * TEAR_S) * normal(whole_s - wait_s);
-        if torn > 0.0 { torn / (SPURIOUS * next.spurious * duration(self.lasts_s, wait_s)) } else { 0.0 }
+        let split = SPLIT / (wait_s * SPLIT_GAP_S) * normal(whole_s - wait_s);
+        if split > 0.0 { split / (SPURIOUS * next.spurious * duration(self.lasts_s, wait_s)) } else { 0.0 }
     }
 
     /// Likelihood ratio of a dwell of `wait_s` that merged with some of the next poses to one after which they

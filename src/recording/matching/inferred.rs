@@ -3,7 +3,7 @@
 //! If a move hardly changes the length, two dwells look like one. If the time between the certain dwells on both
 //! sides is what the program takes, it did not pause, and the times of the poses between them are known.
 
-use super::alignment::{Alignment, KEEP, Pairing};
+use super::alignment::{Alignment, LEAST_PAIR_POSTERIOR, Pairing};
 use super::program::{AFTER_S, Elapsed, Interval, Pace, Poses, Program};
 use super::trellis::{SLACK, interval_variance_s2};
 use crate::recording::dwell::{Dwell, measure};
@@ -94,5 +94,5 @@ fn bridge(program: &Program, pace: Pace, [from, to]: [Certain; 2], stream: &Stre
     // start does not make it another pose if the interval agrees.
     let posterior = from.posterior * to.posterior * interval.unpaused(pace);
     let off = interval.by_hand || interval.passed > MOST || residual_s.abs() > AGREES_S;
-    (!off && posterior > KEEP).then_some(Bridge { interval, residual_s, posterior })
+    (!off && posterior > LEAST_PAIR_POSTERIOR).then_some(Bridge { interval, residual_s, posterior })
 }

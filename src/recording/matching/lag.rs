@@ -57,20 +57,21 @@ pub(super) fn determine(
     let mut lag_s = 0.0;
     let mut found = None;
     for _ in 0..ROUNDS {
-        let mut shown: Vec<Shown> = windows.iter().filter_map(|window| window.lag(stream, lag_s)).collect();
-        if shown.len() < LEAST_WINDOWS {
+        let mut lags: Vec<WindowLag> =
+            windows.iter().filter_map(|window| window.lag(stream, lag_s)).collect();
+        if lags.len() < LEAST_WINDOWS {
             return None;
         }
-        let left_s = median(&mut shown);
+        let left_s = median(&mut lags);
         lag_s += left_s;
         if lag_s.abs() > MOST_S {
             return None;
         }
-        let mut off: Vec<f64> = shown.iter().map(|one| (one.lag_s - left_s).abs()).collect();
+        let mut off: Vec<f64> = lags.iter().map(|one| (one.lag_s - left_s).abs()).collect();
         let spread = robust::SIGMA_OF_MAD * robust::median(&mut off)?;
         // The median of normal values scatters by sqrt(pi / 2) more than their mean.
-        let sd_s = (1.2533 * spread / (shown.len() as f64).sqrt()).max(1e-5);
-        found = Some(BarLag { lag_s, sd_s, windows: shown.len() });
+        let sd_s = (1.2533 * spread / (lags.len() as f64).sqrt()).max(1e-5);
+        found = Some(BarLag { lag_s, sd_s, windows: lags.len() });
         if left_s.abs() < 1e-5 {
             break;
         }
@@ -78,16 +79,16 @@ pub(super) fn determine(
     found.filter(|lag| lag.sd_s < WORST_SD_S)
 }
 
-struct Shown {
+struct WindowLag {
     lag_s: f64,
     weight: f64,
 }
 
-fn median(shown: &mut [Shown]) -> f64 {
-    shown.sort_by(|a, b| a.lag_s.total_cmp(&b.lag_s));
-    let half = 0.5 * shown.iter().map(|one| one.weight).sum::<f64>();
+fn median(lags: &mut [WindowLag]) -> f64 {
+    lags.sort_by(|a, b| a.lag_s.total_cmp(&b.lag_s));
+    let half = 0.5 * lags.iter().map(|one| one.weight).sum::<f64>();
     let mut sum = 0.0;
-    let middle = shown.iter().find(|one| {
+    let middle = lags.iter().find(|one| {
         sum += one.weight;
         sum >= half
     });
@@ -124,7 +125,7 @@ fn windows(published: &Published<'_>, geometry: &Geometry, on: &OnBall) -> Vec<W
 
 impl Window {
     /// The remaining lag by this window.
-    fn lag(&self, stream: &Stream, lag_s: f64) -> Option<Shown> {
+    fn lag(&self, stream: &Stream, lag_s: f64) -> Option<WindowLag> {
         let mut left = Vec::with_capacity(self.t_s.len());
         for (t_s, length) in self.t_s.iter().zip(&self.length_mm) {
             left.push(reading(stream, t_s + lag_s)? - length);
@@ -148,7 +149,7 @@ impl Window {
         let products: f64 = slopes.iter().zip(&left).map(|(slope, left)| slope * left).sum();
         let shows = (weight / slopes.len() as f64).sqrt() > LEAST_MM_S;
         // Later readings belong to earlier axes.
-        shows.then_some(Shown { lag_s: -products / weight, weight })
+        shows.then_some(WindowLag { lag_s: -products / weight, weight })
     }
 }
 

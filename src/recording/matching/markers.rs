@@ -147,14 +147,15 @@ impl Wave {
     fn fit(&self, stream: &Stream, stretch: f64) -> Option<Fit> {
         let steps = (SEARCH_S * stretch / STEP_S) as i32;
         let fits = PAUSES_S.iter().flat_map(|&pause_s| {
-            let shape = self.shape(stretch, pause_s);
+            let knots = self.knots(stretch, pause_s);
             (-steps..=steps)
-                .filter_map(move |step| shape.fit(stream, self.begins_s + f64::from(step) * STEP_S))
+                .filter_map(move |step| fit(&knots, stream, self.begins_s + f64::from(step) * STEP_S))
         });
         fits.max_by(|a, b| a.share.total_cmp(&b.share)).filter(|fit| fit.share > SEEN)
     }
 
-    fn shape(&self, stretch: f64, pause_s: f64) -> Shape {
+    /// Times from the start (s) and lengths (mm) of the corners.
+    fn knots(&self, stretch: f64, pause_s: f64) -> Vec<[f64; 2]> {
         let mut knots = vec![[0.0, 0.0]];
         let mut t_s = 0.0;
         for (move_s, corner_mm) in self.moves_s.iter().zip(self.corners_mm.iter().skip(1)) {
@@ -163,43 +164,37 @@ impl Wave {
             t_s += pause_s;
             knots.push([t_s, *corner_mm]);
         }
-        Shape { knots }
+        knots
     }
 }
 
-/// A length over time, s and mm.
-struct Shape {
-    knots: Vec<[f64; 2]>,
+/// Linear interpolation between knots.
+fn interpolate(knots: &[[f64; 2]], t_s: f64) -> f64 {
+    let next = knots.partition_point(|knot| knot[0] <= t_s);
+    let knot = |at: usize| knots.get(at).or(knots.last()).copied().unwrap_or_default();
+    let [[from_s, from_mm], [to_s, to_mm]] = [knot(next.saturating_sub(1)), knot(next)];
+    let share = if to_s > from_s { (t_s - from_s) / (to_s - from_s) } else { 0.0 };
+    from_mm + share * (to_mm - from_mm)
 }
 
-impl Shape {
-    fn at(&self, t_s: f64) -> f64 {
-        let next = self.knots.partition_point(|knot| knot[0] <= t_s);
-        let knot = |at: usize| self.knots.get(at).or(self.knots.last()).copied().unwrap_or_default();
-        let [[from_s, from_mm], [to_s, to_mm]] = [knot(next.saturating_sub(1)), knot(next)];
-        let share = if to_s > from_s { (t_s - from_s) / (to_s - from_s) } else { 0.0 };
-        from_mm + share * (to_mm - from_mm)
+/// Fits scale, level and slope of the knots to the readings from `begins_s` on.
+fn fit(knots: &[[f64; 2]], stream: &Stream, begins_s: f64) -> Option<Fit> {
+    let ends_s = begins_s + knots.last()?[0];
+    let valid: Vec<usize> = (stream.at(begins_s)..stream.at(ends_s)).filter(|at| stream.valid(*at)).collect();
+    if valid.len() < LEAST_SAMPLES {
+        return None;
     }
-
-    /// Fits scale, level and slope to the readings from `begins_s` on.
-    fn fit(&self, stream: &Stream, begins_s: f64) -> Option<Fit> {
-        let ends_s = begins_s + self.knots.last()?[0];
-        let valid: Vec<usize> =
-            (stream.at(begins_s)..stream.at(ends_s)).filter(|at| stream.valid(*at)).collect();
-        if valid.len() < LEAST_SAMPLES {
-            return None;
-        }
-        let times = || valid.iter().map(|at| stream.t_s[*at] - begins_s);
-        let read = bent(times().zip(valid.iter().map(|at| stream.reading_mm[*at])))?;
-        let wanted = bent(times().map(|t_s| (t_s, self.at(t_s))))?;
-        let product = |one: &[f64], other: &[f64]| one.iter().zip(other).map(|(a, b)| a * b).sum::<f64>();
-        let (both, own, all) = (product(&wanted, &read), product(&wanted, &wanted), product(&read, &read));
-        (own > 0.0 && all > 0.0).then(|| Fit { share: both * both / (own * all), scale: both / own })
-    }
+    let times = || valid.iter().map(|at| stream.t_s[*at] - begins_s);
+    let read = detrended(times().zip(valid.iter().map(|at| stream.reading_mm[*at])))?;
+    let commanded = detrended(times().map(|t_s| (t_s, interpolate(knots, t_s))))?;
+    let product = |one: &[f64], other: &[f64]| one.iter().zip(other).map(|(a, b)| a * b).sum::<f64>();
+    let (both, own, all) =
+        (product(&commanded, &read), product(&commanded, &commanded), product(&read, &read));
+    (own > 0.0 && all > 0.0).then(|| Fit { share: both * both / (own * all), scale: both / own })
 }
 
 /// The values less their straight line over time.
-fn bent(values: impl Iterator<Item = (f64, f64)>) -> Option<Vec<f64>> {
+fn detrended(values: impl Iterator<Item = (f64, f64)>) -> Option<Vec<f64>> {
     let points: Vec<[f64; 2]> = values.map(|(x, y)| [x, y]).collect();
     let Regression { centre: [middle, level], slope, .. } = Regression::through(&points)?;
     Some(points.iter().map(|[x, y]| y - level - slope * (x - middle)).collect())

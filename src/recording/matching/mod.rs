@@ -235,7 +235,7 @@ fn outcomes(input: &Input<'_>, poses: &Poses<'_>, detection: &Detection) -> Vec<
     let outcome = |at: usize, pairing: &Pairing, row: &PlanRow| match *pairing {
         Pairing::Dwell { dwell, posterior } => match reading(input, &dwells[dwell], row) {
             Some(reading) => MatchOutcome::Matched { reading, posterior },
-            None => MatchOutcome::Missing { reason: outcome::unread(input.stream, &dwells[dwell]) },
+            None => MatchOutcome::Missing { reason: outcome::why_unread(input.stream, &dwells[dwell]) },
         },
         Pairing::None { .. } => MatchOutcome::Missing { reason: expected.reason(at, input.stream, *source) },
         Pairing::Ambiguous { dwell, posterior } => {

@@ -24,7 +24,7 @@ const UNQUIET: f64 = 2.0;
 
 /// Noise at rest for windows of one width.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Quiet {
+pub(super) struct RestNoise {
     /// Standard deviation of a window's slope, mm/s.
     pub(super) slope_sigma: f64,
     /// Median scatter of the block means about the line of a window, mm.
@@ -33,7 +33,7 @@ pub(super) struct Quiet {
     pub(super) slope_floor: f64,
 }
 
-impl Quiet {
+impl RestNoise {
     /// First pass: by the bulk of the whole run, which contains slow moves.
     pub(super) fn of_bulk(windows: &Windows, rests: f64, least_mm: f64) -> Self {
         let finite = windows.slopes.iter().filter(|slope| slope.is_finite());
@@ -51,12 +51,12 @@ impl Quiet {
     }
 
     /// By the dwells of the first pass; `None` if no window lies within any.
-    pub(super) fn at_rest(windows: &Windows, looked: &[Dwell], least_mm: f64) -> Option<Self> {
+    pub(super) fn at_rest(windows: &Windows, first_pass: &[Dwell], least_mm: f64) -> Option<Self> {
         let mut rms: Vec<f64> = Vec::new();
         let mut scatters: Vec<f64> = Vec::new();
         let mut start = None;
         let mut before_start = true;
-        for dwell in looked {
+        for dwell in first_pass {
             let at_start = before_start && dwell.duration_s() >= START_S;
             before_start &= !at_start;
             let Some([slope, scatter]) = within(windows, dwell) else { continue };

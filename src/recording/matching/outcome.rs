@@ -102,7 +102,7 @@ impl<'a> ExpectedTimes<'a> {
 }
 
 /// Why a detected dwell has no reading.
-pub(super) fn unread(stream: &Stream, dwell: &Dwell) -> Finding {
+pub(super) fn why_unread(stream: &Stream, dwell: &Dwell) -> Finding {
     let &Dwell { start_s: at_s, end_s, .. } = dwell;
     let range = stream.at(at_s)..stream.at(end_s);
     let invalid = range.clone().filter(|&at| !stream.valid(at)).count();

@@ -57,7 +57,7 @@ const STRETCHES: Range<f64> = 0.97..10.0;
 /// Largest difference of equal angles, degrees.
 const SAME_DEG: f64 = 0.01;
 
-struct Found<'a> {
+struct DrivenPass<'a> {
     pass: &'a Pass,
     /// When each of its points was passed, s: by the command, or by the measured axes in the time of the bar
     /// without lag.
@@ -110,7 +110,7 @@ pub(super) fn read_published(
         if let [first, .., last] = times_s[..] {
             passes.spans_s.push(first..last);
         }
-        let found = Found { pass, times_s };
+        let found = DrivenPass { pass, times_s };
         for (point, track_s) in found.points(input, 0.0).into_iter().zip(track_s) {
             passes.published(published, point, *track_s);
         }
@@ -151,7 +151,7 @@ impl Passes {
     }
 
     /// Adds the passes over one circle, however many were found.
-    fn circle(&mut self, input: &Input<'_>, circle: u32, found: &[Found<'_>]) {
+    fn circle(&mut self, input: &Input<'_>, circle: u32, found: &[DrivenPass<'_>]) {
         let read = |lag_s: f64| -> Vec<Vec<PointReading>> {
             found.iter().map(|one| one.points(input, lag_s)).collect()
         };
@@ -184,7 +184,7 @@ impl Passes {
     }
 }
 
-impl Found<'_> {
+impl DrivenPass<'_> {
     /// The reading at each point, `lag_s` after its time.
     fn points(&self, input: &Input<'_>, lag_s: f64) -> Vec<PointReading> {
         let times_s = &self.times_s;
@@ -204,7 +204,7 @@ impl Found<'_> {
 
 /// The remaining lag, its standard deviation, and the hysteresis: least squares of the differences of both
 /// directions at the same angles. `None` without both directions, or if no length changes.
-fn remaining_lag(plan: &Plan, found: &[Found<'_>], points: &[Vec<PointReading>]) -> Option<Lag> {
+fn remaining_lag(plan: &Plan, found: &[DrivenPass<'_>], points: &[Vec<PointReading>]) -> Option<Lag> {
     let pairs = sense_pairs(plan, found, points).filter(|pairs| pairs.len() >= 4)?;
     let Regression { centre: [slope_mm_s, reading_mm], slope: lag_s, slope_sd } =
         Regression::through(&pairs)?;
@@ -213,7 +213,7 @@ fn remaining_lag(plan: &Plan, found: &[Found<'_>], points: &[Vec<PointReading>])
 
 /// At each angle passed in both directions: slope counter-clockwise less clockwise (mm/s), and reading clockwise less
 /// counter-clockwise (mm).
-fn sense_pairs(plan: &Plan, found: &[Found<'_>], points: &[Vec<PointReading>]) -> Option<Vec<[f64; 2]>> {
+fn sense_pairs(plan: &Plan, found: &[DrivenPass<'_>], points: &[Vec<PointReading>]) -> Option<Vec<[f64; 2]>> {
     let places = plan.circle_places();
     let sense = |clockwise: bool| {
         let at = found.iter().position(|one| one.pass.clockwise == clockwise)?;
@@ -265,7 +265,7 @@ fn spans(input: &Input<'_>) -> Vec<Result<Range<f64>, Finding>> {
     passes.iter().map(of).collect()
 }
 
-fn check<'a>(input: &Input<'_>, pass: &'a Pass, span: &Range<f64>) -> Result<Found<'a>, Finding> {
+fn check<'a>(input: &Input<'_>, pass: &'a Pass, span: &Range<f64>) -> Result<DrivenPass<'a>, Finding> {
     let seconds = span.end - span.start;
     let stretch = seconds / pass.duration_s;
     if !STRETCHES.contains(&stretch) {
@@ -280,5 +280,5 @@ fn check<'a>(input: &Input<'_>, pass: &'a Pass, span: &Range<f64>) -> Result<Fou
         t_s += stretch * time.map_or(0.0, |time| time.duration_s);
         t_s
     };
-    Ok(Found { pass, times_s: (pass.points[0]..=pass.points[1]).map(time).collect() })
+    Ok(DrivenPass { pass, times_s: (pass.points[0]..=pass.points[1]).map(time).collect() })
 }

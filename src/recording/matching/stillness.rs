@@ -7,7 +7,7 @@
 
 use std::ops::RangeInclusive;
 
-use super::noise::{self, Quiet};
+use super::noise::{self, RestNoise};
 use super::windows::{Block, Width, Windows};
 use crate::math::robust;
 use crate::recording::dwell::Dwell;
@@ -30,20 +30,20 @@ pub fn still_dwells(stream: &Stream, least_s: f64) -> Vec<Dwell> {
     let short = Windows::of(stream, SHORT, least_s);
     let long = Windows::of(stream, LONG, least_s);
     let least_mm = noise::least_change_mm(stream);
-    let bulk = |windows| Scale { windows, quiet: Quiet::of_bulk(windows, RESTS, least_mm) };
-    let looked = look(&bulk(&short), &bulk(&long), least_s);
+    let bulk = |windows| Scale { windows, quiet: RestNoise::of_bulk(windows, RESTS, least_mm) };
+    let first_pass = detect(&bulk(&short), &bulk(&long), least_s);
     let at_rest = |windows| {
-        let quiet = Quiet::at_rest(windows, &looked, least_mm)?;
+        let quiet = RestNoise::at_rest(windows, &first_pass, least_mm)?;
         Some(Scale { windows, quiet })
     };
     match at_rest(&short).zip(at_rest(&long)) {
-        Some((fine, coarse)) => look(&fine, &coarse, least_s),
-        None => looked,
+        Some((fine, coarse)) => detect(&fine, &coarse, least_s),
+        None => first_pass,
     }
 }
 
 /// The dwells by these thresholds.
-fn look(fine: &Scale<'_>, coarse: &Scale<'_>, least_s: f64) -> Vec<Dwell> {
+fn detect(fine: &Scale<'_>, coarse: &Scale<'_>, least_s: f64) -> Vec<Dwell> {
     let block_s = fine.windows.block_s;
     let reach = (0.5 * coarse.windows.window_s / block_s).ceil() as usize + 2;
     let settled: Vec<Run> = quiet_runs(fine, coarse)
@@ -103,7 +103,7 @@ struct ChangePoint {
 }
 
 /// Fit of a line followed by a level: sum of squares, and slope of the line.
-struct Broken {
+struct LineAndLevel {
     squares: f64,
     slope: f64,
 }
@@ -111,7 +111,7 @@ struct Broken {
 /// Windows with their thresholds.
 struct Scale<'a> {
     windows: &'a Windows,
-    quiet: Quiet,
+    quiet: RestNoise,
 }
 
 impl Scale<'_> {
@@ -119,7 +119,7 @@ impl Scale<'_> {
     fn quiet(&self, at: usize) -> bool {
         let Windows { slopes, scatters, .. } = self.windows;
         let (Some(slope), Some(scatter)) = (slopes.get(at), scatters.get(at)) else { return false };
-        let Quiet { slope_sigma, scatter_sigma, slope_floor } = self.quiet;
+        let RestNoise { slope_sigma, scatter_sigma, slope_floor } = self.quiet;
         slope.abs() <= MOVES * slope_sigma + slope_floor && *scatter <= 4.0 * scatter_sigma
     }
 
@@ -149,8 +149,8 @@ impl Scale<'_> {
             .filter(|(x, _)| x.abs() <= (reach + 1) as f64 * self.windows.block_s)
             .collect();
         let fits = points.iter().map(|&(x, _)| (x, fit_change(&points, x)));
-        let none = (0.0, Broken { squares: f64::INFINITY, slope: 0.0 });
-        let (x, Broken { slope, .. }) =
+        let none = (0.0, LineAndLevel { squares: f64::INFINITY, slope: 0.0 });
+        let (x, LineAndLevel { slope, .. }) =
             fits.fold(none, |best, next| if next.1.squares < best.1.squares { next } else { best });
         let sd_s = (1.5 * self.quiet.scatter_sigma / slope.abs().max(1e-9))
             .min(UNSEEN_BEGIN_S)
@@ -196,7 +196,7 @@ impl Scale<'_> {
 }
 
 /// Fits a line up to `change` and a level from there.
-fn fit_change(points: &[(f64, f64)], change: f64) -> Broken {
+fn fit_change(points: &[(f64, f64)], change: f64) -> LineAndLevel {
     let count = points.len() as f64;
     let (mut x, mut y, mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0, 0.0, 0.0);
     let origin = points.first().map_or(0.0, |point| point.1);
@@ -210,9 +210,9 @@ fn fit_change(points: &[(f64, f64)], change: f64) -> Broken {
     }
     let (sxx, sxy, syy) = (xx - x * x / count, xy - x * y / count, yy - y * y / count);
     if sxx > 0.0 {
-        Broken { squares: syy - sxy * sxy / sxx, slope: sxy / sxx }
+        LineAndLevel { squares: syy - sxy * sxy / sxx, slope: sxy / sxx }
     } else {
-        Broken { squares: syy, slope: 0.0 }
+        LineAndLevel { squares: syy, slope: 0.0 }
     }
 }
 
@@ -281,7 +281,7 @@ mod tests {
     }
 
     #[test]
-    fn a_slow_move_is_no_dwell_and_a_short_one_is_left_out() {
+    fn slow_moves_and_short_rests_are_no_dwells() {
         let dwells = still_dwells(&stream(&[(0.0, 3.0), (0.5, 0.2), (0.0, 3.0)], 4.0), 0.5);
         assert_eq!(dwells.len(), 2, "{dwells:?}");
     }

@@ -3,7 +3,7 @@
 use std::cell::Cell;
 
 use super::alignment::{DwellEvidence, Expected};
-use super::duration::{MISSED, SPURIOUS, Span};
+use super::duration::{MISSED, SPURIOUS, StillInterval};
 use super::program::{BROKEN, Commanded, Densities, Elapsed, Interval, MOST_LOG_DENSITY, Pace, Program};
 
 /// Probability that an outage of the bar starts at a pose, and that it continues at the next. It is low, because a
@@ -49,7 +49,7 @@ struct Departure {
     pace: Pace,
     next_module: usize,
     /// Odds that the next dwell is the rest of this one, and that this one ran into the next poses.
-    torn: f64,
+    split: f64,
     merged: f64,
 }
 
@@ -79,7 +79,7 @@ pub(super) struct Trellis<'a> {
     poses: usize,
     dwells: &'a [DwellEvidence],
     /// Durations of the dwells, if all are known.
-    spans: Option<Vec<Span>>,
+    spans: Option<Vec<StillInterval>>,
     /// Number of clock breaks up to each dwell.
     epochs: Vec<usize>,
     /// Log weight of each state by duration and length of the dwell, by dwell, then pose.
@@ -108,8 +108,8 @@ impl<'a> Trellis<'a> {
             .collect();
         let begin_s = |dwell: Option<&DwellEvidence>| dwell.map_or(0.0, |dwell| dwell.start_s);
         let span_s = begin_s(dwells.last()) - begin_s(dwells.first());
-        let span = |dwell: &DwellEvidence| Some(Span::new(dwell.start_s, dwell.duration_s?));
-        let spans: Option<Vec<Span>> = dwells.iter().map(span).collect();
+        let span = |dwell: &DwellEvidence| Some(StillInterval::new(dwell.start_s, dwell.duration_s?));
+        let spans: Option<Vec<StillInterval>> = dwells.iter().map(span).collect();
         let emissions = emissions(poses, dwells, spans.as_deref(), expected);
         let passed = (0..=MISSED_RUN as i32)
             .map(|poses| MISSED.powi(poses).max(OUTAGE * OUTAGE_GOES_ON.powi(poses)).ln())
@@ -142,8 +142,8 @@ impl<'a> Trellis<'a> {
 
     fn departure(&self, from: State, pace: Pace) -> Departure {
         let next_module = self.next_modules[from.pose];
-        let (torn, merged) = (self.torn(from), self.merged(from, next_module, pace));
-        Departure { from, pace, next_module, torn, merged }
+        let (split, merged) = (self.split(from), self.merged(from, next_module, pace));
+        Departure { from, pace, next_module, split, merged }
     }
 
     /// Calls `visit(state, log weight, interval)` for every possible successor, unless `worth(dwell, upper bound
@@ -159,7 +159,8 @@ impl<'a> Trellis<'a> {
         let next_module = departure.next_module;
         let by_hand = next_module < self.poses && from.pose + LOST_BY_HAND >= next_module - 1;
         let most = 1 + if by_hand { SPURIOUS_BY_HAND } else { SPURIOUS_RUN };
-        let most_log = MOST_LOG_DENSITY + self.most_emission + (1.0 + departure.torn + departure.merged).ln();
+        let most_log =
+            MOST_LOG_DENSITY + self.most_emission + (1.0 + departure.split + departure.merged).ln();
         for dwell in from.dwell + 1..self.dwells.len().min(from.dwell + 1 + most) {
             let elapsed = self.elapsed(from.dwell, dwell);
             let between = dwell - from.dwell - 1;
@@ -196,10 +197,10 @@ impl<'a> Trellis<'a> {
 
     /// Density of the transition, 1/s.
     fn density(&self, departure: &Departure, to: State, interval: &Interval) -> f64 {
-        let &Departure { from, pace, torn, merged, .. } = departure;
+        let &Departure { from, pace, split, merged, .. } = departure;
         // By the duration of the first: the rest of it comes next, or poses that it ran into.
         let lasting = 1.0
-            + if to.dwell > from.dwell + 1 { torn } else { 0.0 }
+            + if to.dwell > from.dwell + 1 { split } else { 0.0 }
             + if interval.passed > 0 { merged } else { 0.0 };
         if interval.elapsed.clock_broke {
             return BROKEN * lasting;
@@ -209,10 +210,10 @@ impl<'a> Trellis<'a> {
     }
 
     /// Odds that the next dwell is the rest of this one against that it is spurious.
-    fn torn(&self, State { dwell, pose }: State) -> f64 {
+    fn split(&self, State { dwell, pose }: State) -> f64 {
         let Some(spans) = &self.spans else { return 0.0 };
         let (Some(here), Some(next)) = (spans.get(dwell), spans.get(dwell + 1)) else { return 0.0 };
-        here.torn(next, self.program.wait_s(pose))
+        here.split(next, self.program.wait_s(pose))
     }
 
     /// Odds that this dwell ran into the next poses against that they were missed.
@@ -236,7 +237,7 @@ impl<'a> Trellis<'a> {
     }
 
     fn last(&self, state: State) -> f64 {
-        (self.dwells.len() - 1 - state.dwell) as f64 * SPURIOUS.ln() + self.torn(state).ln_1p()
+        (self.dwells.len() - 1 - state.dwell) as f64 * SPURIOUS.ln() + self.split(state).ln_1p()
     }
 
     /// Logarithm of the probability of all dwells at this pace.
@@ -337,7 +338,7 @@ impl<'a> Trellis<'a> {
 fn emissions(
     poses: &[Commanded],
     dwells: &[DwellEvidence],
-    spans: Option<&[Span]>,
+    spans: Option<&[StillInterval]>,
     expected: Option<Expected<'_>>,
 ) -> Vec<f64> {
     let expected = expected.filter(|expected| expected.length_mm.len() == poses.len());
@@ -396,7 +397,7 @@ mod tests {
     }
 
     #[test]
-    fn the_posterior_of_each_dwell_sums_to_at_most_one() {
+    fn posterior_of_each_dwell_sums_to_at_most_one() {
         let (poses, dwells) = (poses(), dwells(&[2]));
         let answer = Trellis::new(&poses, &dwells, None).answer(1.0);
         for dwell in 0..dwells.len() {
@@ -409,7 +410,7 @@ mod tests {
     }
 
     #[test]
-    fn the_evidence_is_greatest_at_the_override_that_was_driven() {
+    fn evidence_is_largest_at_the_driven_override() {
         let (poses, dwells) = (poses(), dwells(&[]));
         let trellis = Trellis::new(&poses, &dwells, None);
         let evidence = |stretch: f64| trellis.evidence(Pace { stretch, slack: SLACK }, BEAM);
@@ -421,7 +422,7 @@ mod tests {
     }
 
     #[test]
-    fn sums_of_logarithms_are_those_of_the_numbers() {
+    fn log_sum_equals_the_log_of_the_sum() {
         assert!((log_sum(2f64.ln(), 3f64.ln()) - 5f64.ln()).abs() < 1e-15);
         assert_eq!(log_sum(f64::NEG_INFINITY, 1.0), 1.0);
     }

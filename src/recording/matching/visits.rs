@@ -22,7 +22,7 @@ const ELSEWHERE: f64 = 1e-11;
 
 /// A rest as the model sees it.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Seen {
+pub(super) struct RestEvidence {
     /// The poses at this position.
     pub(super) poses: Vec<usize>,
     /// Whether packets are missing since the rest before.
@@ -37,7 +37,7 @@ pub(super) struct Visit {
 }
 
 /// The rests at the position of each pose, in order of time.
-pub(super) fn visits(seen: &[Seen], poses: &[Commanded]) -> Vec<Vec<Visit>> {
+pub(super) fn visits(seen: &[RestEvidence], poses: &[Commanded]) -> Vec<Vec<Visit>> {
     let chain = Chain::new(poses);
     // Nothing is known of the time before the first rest and after the last.
     let mut next = vec![1.0; chain.other.len()];
@@ -90,7 +90,7 @@ impl Chain {
     }
 
     /// Forward step over a rest: weights of the next pose.
-    fn after(&self, rest: &Seen, before: &[f64]) -> Vec<f64> {
+    fn after(&self, rest: &RestEvidence, before: &[f64]) -> Vec<f64> {
         let mut after: Vec<f64> =
             before.iter().zip(&self.other).map(|(weight, other)| other * weight).collect();
         for pose in &rest.poses {
@@ -100,7 +100,7 @@ impl Chain {
     }
 
     /// Backward step over a rest.
-    fn since(&self, rest: &Seen, later: &[f64]) -> Vec<f64> {
+    fn since(&self, rest: &RestEvidence, later: &[f64]) -> Vec<f64> {
         let mut since: Vec<f64> =
             later.iter().zip(&self.other).map(|(weight, other)| other * weight).collect();
         for pose in &rest.poses {
@@ -143,12 +143,12 @@ mod tests {
         modules.iter().map(|module| Commanded { move_s: 1.0, wait_s: 1.0, module: *module }).collect()
     }
 
-    fn seen(places: &[&[usize]]) -> Vec<Seen> {
-        places.iter().map(|poses| Seen { poses: poses.to_vec(), after_loss: false }).collect()
+    fn seen(places: &[&[usize]]) -> Vec<RestEvidence> {
+        places.iter().map(|poses| RestEvidence { poses: poses.to_vec(), after_loss: false }).collect()
     }
 
     /// Posteriors of each pose with the index of the rest.
-    fn posteriors(seen: &[Seen], modules: &[usize]) -> Vec<Vec<(usize, f64)>> {
+    fn posteriors(seen: &[RestEvidence], modules: &[usize]) -> Vec<Vec<(usize, f64)>> {
         let pairs = |of: &Vec<Visit>| of.iter().map(|visit| (visit.rest, visit.posterior)).collect();
         visits(seen, &poses(modules)).iter().map(pairs).collect()
     }
@@ -156,7 +156,7 @@ mod tests {
     /// Before the rest each of the states is as likely: the pose comes next, or it was just visited. Weights of
     /// the rest: its visit 1, a HALT before it 0.003; another rest there 0.1, no visit after it 1e-6.
     #[test]
-    fn one_rest_at_one_pose() {
+    fn posterior_of_one_rest_at_one_pose() {
         let found = posteriors(&seen(&[&[0]]), &[0]);
         assert_eq!(found[0][0].0, 0);
         assert!((found[0][0].1 - 1.1 / (1.1 + 0.003 + 1e-6)).abs() < 1e-12);
@@ -167,7 +167,7 @@ mod tests {
     /// and 0.1), 0 twice (0.1 and 0.01) or 1 twice (0.1 and 0.01): in 1.21 of 1.32 the first is of pose 0, and so
     /// the second of pose 1.
     #[test]
-    fn the_order_tells_equal_places_apart() {
+    fn order_distinguishes_equal_positions() {
         let found = posteriors(&seen(&[&[0, 1], &[0, 1]]), &[0, 0]);
         let of = |pose: usize, rest: usize| found[pose].iter().find(|pair| pair.0 == rest).unwrap().1;
         for (pose, rest, share) in
@@ -181,7 +181,7 @@ mod tests {
     /// (0.1 + 0.01, as above), of pose 2 (0.11), or of 0 and 2 with pose 1 passed: 1.1 times 1e-4, or times 0.8
     /// where packets are missing.
     #[test]
-    fn a_pose_is_passed_where_packets_are_missing() {
+    fn pose_is_skipped_where_packets_are_missing() {
         for (after_loss, share) in [(false, 0.11 / 0.22), (true, (0.11 + 0.88) / 1.1)] {
             let mut rests = seen(&[&[0, 2], &[0, 2]]);
             rests[1].after_loss = after_loss;
@@ -194,7 +194,7 @@ mod tests {
     /// A module of four poses is run twice. That it was started again weighs 1e-8, that the first four rests were
     /// HALTs 0.003^4 = 8.1e-11.
     #[test]
-    fn a_module_begins_again() {
+    fn module_is_restarted() {
         let found = posteriors(&seen(&[&[0], &[1], &[2], &[3], &[0], &[1], &[2], &[3]]), &[0; 4]);
         for (pose, of_pose) in found.iter().enumerate() {
             assert_eq!(of_pose.iter().map(|pair| pair.0).collect::<Vec<_>>(), [pose, pose + 4]);

@@ -27,7 +27,7 @@ pub enum MountingFault {
 
 /// A detected fault.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Named {
+pub struct DetectedFault {
     pub fault: MountingFault,
     /// Time, s.
     pub t_s: f64,
@@ -124,7 +124,7 @@ impl Expected {
 /// The faults of a recorded run with a bar of this stroke (mm), of each kind the largest.
 pub fn worst(expected: Expected, stream: &Stream, [low_mm, high_mm]: [f64; 2]) -> Vec<PortFinding> {
     let mut monitor = MountingMonitor::new(expected);
-    let mut worst: BTreeMap<MountingFault, Named> = BTreeMap::new();
+    let mut worst: BTreeMap<MountingFault, DetectedFault> = BTreeMap::new();
     for at in 0..stream.len() {
         let reading_mm = stream.reading_mm[at];
         let mounted = stream.valid(at) && (low_mm..=high_mm).contains(&reading_mm);
@@ -135,10 +135,10 @@ pub fn worst(expected: Expected, stream: &Stream, [low_mm, high_mm]: [f64; 2]) -
             *known = named;
         }
     }
-    worst.values().map(Named::finding).collect()
+    worst.values().map(DetectedFault::finding).collect()
 }
 
-impl Named {
+impl DetectedFault {
     pub fn finding(&self) -> PortFinding {
         let size_um = 1e3 * self.size;
         match self.fault {

@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 
 use super::still::{DEVIATE, Still, regression};
-use super::{Expected, MountedReading, MountingFault, MountingState, Named, Rest};
+use super::{DetectedFault, Expected, MountedReading, MountingFault, MountingState, Rest};
 use crate::math::robust;
 
 /// Readings are averaged over this time, s.
@@ -89,7 +89,7 @@ pub struct MountingMonitor {
     passing: Option<Jump>,
     jumps: Vec<Jump>,
     /// The latest report of each fault.
-    named: Vec<Named>,
+    named: Vec<DetectedFault>,
     /// Standard deviation of a grain, mm.
     noise_mm: f64,
     still: Option<Still>,
@@ -119,7 +119,7 @@ impl MountingMonitor {
     }
 
     /// Takes a reading; times must not decrease. Returns a fault that it completes.
-    pub fn push(&mut self, now: MountedReading) -> Option<Named> {
+    pub fn push(&mut self, now: MountedReading) -> Option<DetectedFault> {
         let gap_s = self.last_s.replace(now.t_s).map_or(0.0, |last| now.t_s - last);
         if !now.mounted || gap_s > GAP_S.max(GAP_SAMPLES * self.grain_s()) || gap_s < 0.0 {
             self.interrupt(now);
@@ -184,7 +184,7 @@ impl MountingMonitor {
         span.filter(|_| steps > 0).map_or(GRAIN_S, |span| span / steps as f64)
     }
 
-    fn grain(&mut self, grain: Grain) -> Option<Named> {
+    fn grain(&mut self, grain: Grain) -> Option<DetectedFault> {
         self.grains.push_back(grain);
         let dt = self.grain_s();
         let in_block = ((BLOCK_S / dt).round() as usize).max(1);
@@ -194,13 +194,13 @@ impl MountingMonitor {
         let settled_s = self.settled_s?;
         self.jump(dt, settled_s);
         self.since_block += 1;
-        let jumped = self.judge_jumps(grain.t_s);
+        let jumped = self.fault_of_jumps(grain.t_s);
         if jumped.is_some() || self.since_block < in_block {
             return jumped;
         }
         self.since_block = 0;
         self.noise_mm = self.noise_mm();
-        self.judge_rest(in_block, dt)
+        self.fault_at_rest(in_block, dt)
     }
 
     /// Detects whether hands are on the bar.
@@ -280,7 +280,7 @@ impl MountingMonitor {
     }
 
     /// The fault that the jumps so far show.
-    fn judge_jumps(&mut self, now_s: f64) -> Option<Named> {
+    fn fault_of_jumps(&mut self, now_s: f64) -> Option<DetectedFault> {
         let last = self.jumps.last()?;
         self.compare_from_s = self.compare_from_s.max(last.t_s + 2.0 * SIDE_S);
         self.still = None;
@@ -300,11 +300,11 @@ impl MountingMonitor {
             return None;
         }
         self.jumps.clear();
-        self.name(Named { fault, t_s: now_s, size: height_mm })
+        self.name(DetectedFault { fault, t_s: now_s, size: height_mm })
     }
 
     /// The fault that a bar at rest shows.
-    fn judge_rest(&mut self, in_block: usize, dt: f64) -> Option<Named> {
+    fn fault_at_rest(&mut self, in_block: usize, dt: f64) -> Option<DetectedFault> {
         let comparable = |grain: &&Grain| grain.rests && grain.t_s >= self.compare_from_s;
         let mut means: Vec<f64> =
             self.grains.iter().rev().take_while(comparable).map(|g| g.mean_mm).collect();
@@ -330,7 +330,11 @@ impl MountingMonitor {
         }
         if still.is_scattered() && still.roughness > ROUGH {
             return (curved_mm > matters_mm)
-                .then_some(Named { fault: MountingFault::NotSeated, t_s, size: 2.0 * still.scatter_mm })
+                .then_some(DetectedFault {
+                    fault: MountingFault::NotSeated,
+                    t_s,
+                    size: 2.0 * still.scatter_mm,
+                })
                 .and_then(|named| self.name(named));
         }
         // The start of a pull looks like a creep; a dwell is too short to show more.
@@ -348,11 +352,11 @@ impl MountingMonitor {
         } else {
             (MountingFault::CablePull, drift_mm)
         };
-        self.name(Named { fault, t_s, size })
+        self.name(DetectedFault { fault, t_s, size })
     }
 
     /// Reports a fault unless it was reported a moment ago.
-    fn name(&mut self, named: Named) -> Option<Named> {
+    fn name(&mut self, named: DetectedFault) -> Option<DetectedFault> {
         self.compare_from_s = named.t_s;
         let before = self.named.iter_mut().find(|before| before.fault == named.fault);
         match before {

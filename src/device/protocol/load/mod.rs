@@ -14,11 +14,11 @@ use crate::catalogue::ProtocolFinding::{
     NominalRate, PollCommandMissing, PollKeysMissing, PollKeysWithoutPoll, PollRate, ProbeIdent, ProbeZero,
     StepActions, StepCheck, StepExpect, StepHex, StepSendsNothing, StopBits, UnknownSchema,
 };
+use crate::device::port::LineSettings;
 use crate::device::protocol::check::Check;
 use crate::device::protocol::definition::{Definition, Mode, Step};
 use crate::device::protocol::engine::Engine;
 use crate::device::protocol::framing::Framing;
-use crate::device::protocol::line::Line;
 use crate::device::protocol::source::Source;
 use crate::device::protocol::table::{
     Confidence, File, FramingTable, Latch, ModeKind, ModeTable, StepTable, hex_bytes,
@@ -187,12 +187,12 @@ fn mode(source: &Source, table: &File) -> Result<Mode, Diagnostic> {
     Err(source.table("mode", wrong))
 }
 
-fn check_line(source: &Source, line: &Line) -> Result<(), Diagnostic> {
+fn check_line(source: &Source, line: &LineSettings) -> Result<(), Diagnostic> {
     let wrong = match line {
-        Line { baud: 0, .. } => BaudZero,
-        Line { baud_probe, .. } if baud_probe.contains(&0) => ProbeZero,
-        Line { data_bits, .. } if !matches!(data_bits, 7 | 8) => DataBits,
-        Line { stop_bits, .. } if !matches!(stop_bits, 1 | 2) => StopBits,
+        LineSettings { baud: 0, .. } => BaudZero,
+        LineSettings { baud_probe, .. } if baud_probe.contains(&0) => ProbeZero,
+        LineSettings { data_bits, .. } if !matches!(data_bits, 7 | 8) => DataBits,
+        LineSettings { stop_bits, .. } if !matches!(stop_bits, 1 | 2) => StopBits,
         _ => return Ok(()),
     };
     Err(source.table("line", wrong))

@@ -1,4 +1,4 @@
-//! `[line]` of a definition: settings of the serial line.
+//! Settings of a serial line: `[line]` of a definition.
 
 use std::time::Duration;
 
@@ -6,7 +6,7 @@ use serde::{Deserialize, Deserializer};
 
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Line {
+pub struct LineSettings {
     /// Symbols per second.
     pub baud: u32,
     /// Further rates that are tried if the device does not answer.
@@ -31,7 +31,7 @@ pub struct Line {
     pub settle: Duration,
     /// The eighth bit is parity, from adapters without 7-bit mode.
     #[serde(default)]
-    pub(super) strip_bit7: bool,
+    pub(in crate::device) strip_bit7: bool,
 }
 
 fn eight() -> u8 {
@@ -42,7 +42,7 @@ fn one() -> u8 {
     1
 }
 
-pub(super) fn ms<'de, D: Deserializer<'de>>(value: D) -> Result<Duration, D::Error> {
+pub(in crate::device) fn ms<'de, D: Deserializer<'de>>(value: D) -> Result<Duration, D::Error> {
     u32::deserialize(value).map(|ms| Duration::from_millis(ms.into()))
 }
 
