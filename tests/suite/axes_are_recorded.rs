@@ -1,5 +1,6 @@
-//! The axes that a controller publishes are recorded as they come: every packet and byte is accounted for, and nothing is
-//! sent to an RSI controller unless it is asked for.
+//! The axes published by a controller are recorded: every packet and byte is accounted for, and an RSI controller
+//! gets an
+//! answer only on request.
 #![cfg(unix)]
 
 use std::io::{Read, Write};
@@ -20,12 +21,12 @@ use serde_json::Value;
 use crate::cell::{codes, dbbd, stderr};
 use crate::process::{Simulator, spawn};
 
-/// What the simulated packets hold: axes that depend on the cycle.
+/// Axes of the simulated packets, which depend on the cycle.
 fn axes(cycle: u64) -> [f64; 6] {
     std::array::from_fn(|axis| 1e-6 * cycle as f64 + axis as f64 * 0.1)
 }
 
-/// Faults of the line, mostly rare.
+/// Faults of the line.
 fn faults(seed: u64) -> Faults {
     let share = |of: u64| [0.0, 1e-4, 1e-3, 1e-2][(seed / of % 4) as usize];
     Faults {
@@ -38,14 +39,15 @@ fn faults(seed: u64) -> Faults {
     }
 }
 
-/// What was counted of a line, and how far the drift of the controller's clock was off.
+/// Counts of a line, and the error of the drift of the controller's clock.
 struct Accounted {
     counts: PacketCounts,
     drift_off: f64,
 }
 
-/// Sends `cycles` packets over a bad line and compares every count with what was done. The controller's clock drifts; the
-/// packets come up to 1.5 ms late.
+/// Sends `cycles` packets over a bad line and compares every count with the faults. The controller's clock
+/// drifts; the
+/// packets are up to 1.5 ms late.
 fn accounted(protocol: AxesProtocol, seed: u64, cycles: u64) -> Accounted {
     let cycle_s = if protocol == AxesProtocol::Rsi { 0.004 } else { 0.002 };
     let faults = faults(seed);
@@ -80,7 +82,7 @@ fn accounted(protocol: AxesProtocol, seed: u64, cycles: u64) -> Accounted {
             track.add(host, &Record::Axes(packet));
         }
     };
-    // The line is sound for a cycle at each end: what is lost there leaves no trace.
+    // The line is good for a cycle at each end: losses there would leave no trace.
     let drifts = Faults { axes_drift_ppm: faults.axes_drift_ppm, ..Faults::default() };
     let sound = Publisher::new(protocol, &drifts, seed, 4_208_163_634);
     let (mut first, mut final_one) = (sound.clone(), sound);
@@ -96,7 +98,7 @@ fn accounted(protocol: AxesProtocol, seed: u64, cycles: u64) -> Accounted {
     take(&mut final_one, end_s);
     let (counts, sent) = (receiver.counts(), publisher.sent);
     let intact = sent.cycles - sent.dropped - sent.spoiled;
-    // One that was to be overtaken by a packet that never came is still under way.
+    // A packet that would be overtaken by one that never arrives is still pending.
     let under_way = (intact + 2) - heard;
     assert!(under_way <= 1, "{protocol:?} {seed}: {under_way}");
     assert_eq!(
@@ -115,7 +117,7 @@ fn accounted(protocol: AxesProtocol, seed: u64, cycles: u64) -> Accounted {
     assert_eq!(track.counts, counts);
     let clock = track.clock().unwrap();
     let drift_off = (clock.drift().unwrap() - (host_cycle_s / cycle_s - 1.0)).abs();
-    // No packet is later than the jitter, so the line lies within it at both ends.
+    // No packet is later than the jitter, so the line is within it at both ends.
     assert!(drift_off < 0.0015 / end_s, "{protocol:?} {seed}: {drift_off:e} in {end_s} s");
     Accounted { counts, drift_off }
 }
@@ -148,7 +150,7 @@ fn campaign_of_ten_million_packets() {
     }
 }
 
-/// A clock that begins again, one packet from elsewhere, and bytes that are no package.
+/// A clock that restarts, a stray packet, and bytes that are no packet.
 #[test]
 fn restarts_and_stray_packets_are_distinguished() {
     let packet = |ticks: u64| {
@@ -194,7 +196,7 @@ fn free_udp() -> SocketAddr {
     UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap()
 }
 
-/// Records for 3 s while `packets` are sent every 4 ms; what the run said, the axes of `info`, and the answers.
+/// Records for 3 s while `packets` are sent every 4 ms; returns the output, the axes of `info`, and the answers.
 fn recorded(dir: &Path, query: &str, packets: &[Vec<u8>], run: &str) -> (Vec<String>, Value, Vec<String>) {
     let at = free_udp();
     let address = format!("rsi://{at}{query}");
@@ -262,7 +264,7 @@ fn rsi_is_answered_only_on_request() {
     let mcap: Value = serde_json::from_slice(&mcap.stdout).unwrap();
     assert_eq!(mcap["axes"], 100);
 
-    // Every fourth is missing, one is no text, the clock begins again, and answers come late.
+    // Every fourth is missing, one is no text, the clock restarts, and answers are late.
     let mut bad: Vec<Vec<u8>> = (0..100).filter(|n| n % 4 != 1).map(|n| packet(4000 + 4 * n, 2)).collect();
     bad.insert(10, vec![0xff, 0xfe]);
     bad.insert(20, b"<Rob><AIPos A1=\"1\"/><IPOC>12</IPOC></Rob>".to_vec());
@@ -274,7 +276,7 @@ fn rsi_is_answered_only_on_request() {
     assert_eq!(["lost", "malformed", "stray", "restarts"].map(|name| count(&axes, name)), [25, 2, 1, 1]);
     assert_eq!(axes["faults"]["not_xml"], 1);
     assert_eq!(axes["faults"]["incomplete"], 1);
-    // Each packet that has a time is answered once, with that.
+    // Each packet with a time is answered once, with this time.
     assert_eq!(answers.len(), 95, "{answers:?}");
     for (answer, n) in answers.iter().zip((0..100).filter(|n| n % 4 != 1)) {
         let zeros: String = (1..=6).map(|axis| format!(" A{axis}=\"0.0000\"")).collect();
@@ -309,7 +311,7 @@ fn an_address_of_no_use_is_named() {
     let gone = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
     let (code, said) = acquire(&format!("rtde://{gone}"));
     assert!(code == Some(1) && said.contains("E2203"), "{said}");
-    // A controller that lacks a variable.
+    // A controller without a variable.
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let address = listener.local_addr().unwrap();
     let controller = std::thread::spawn(move || {
@@ -329,8 +331,9 @@ fn an_address_of_no_use_is_named() {
     controller.join().unwrap();
 }
 
-/// The whole chain at the pace of the clock: a simulated controller drives and publishes its axes, the poses are matched by
-/// them, and the lengths are taken where they were.
+/// The whole chain in real time: a simulated controller drives and publishes its axes, the poses are matched by
+/// them, and
+/// the lengths are taken at the measured axes.
 #[test]
 fn simulated_controller_is_recorded_matched_and_identified() {
     let dir = tempfile::tempdir().unwrap();
@@ -362,17 +365,17 @@ fn simulated_controller_is_recorded_matched_and_identified() {
     assert!(result["warnings"].as_array().unwrap().iter().any(says), "{}", stderr(&found));
 }
 
-/// A client that shares nothing with dbbd reads what dbbd itself records.
+/// A client that shares no code with dbbd reads what dbbd records.
 #[test]
 #[cfg(target_os = "linux")]
 fn ur_rtde_reads_the_simulated_controller() {
     use crate::cell::client;
     let dir = tempfile::tempdir().unwrap();
-    // It knows no other port, so that the address is another.
+    // It supports the standard port only, so the address is another.
     let host = format!("127.0.{}.{}", std::process::id() / 250 % 250, 1 + std::process::id() % 250);
     let address = format!("rtde://{host}:30004");
     let _robot = waiting(dir.path(), &["--axes", &address]);
-    // The time of the simulated robot goes on while its bar is read.
+    // The time of the simulated robot continues while its bar is read.
     let mut reader = spawn(dir.path(), &["acquire", "--port", "bar", "--out", "first", "--duration", "60"]);
     // After 6 s it waits for its operator.
     let said = client("axes.py", ["ur-rtde", &host, "9"].map(std::ffi::OsStr::new).into_iter());

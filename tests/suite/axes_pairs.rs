@@ -1,5 +1,6 @@
-//! Poses are paired with rests of the published axes, or with none: never with others. Runs are drawn with every kind of
-//! trouble, also with moves that all last as long; the length of a pose shows whether its pair is right.
+//! Poses are paired with their rests of the published axes, or with none. Runs are drawn with every kind of
+//! disturbance,
+//! also with moves of equal duration; the length at a pose shows whether its pair is right.
 
 use std::ops::Range;
 
@@ -24,19 +25,19 @@ const CYCLE_S: f64 = 0.02;
 const BAR_HZ: f64 = 100.0;
 const CENTRE: [f64; 3] = [1300.0, 0.0, 800.0];
 
-/// What goes wrong in a run.
+/// Disturbances of a run.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Trouble {
     Nothing,
     /// Packets are lost for 1 to 15 s, several times.
     Outages,
-    /// The bar sends nothing for 1 to 15 s, several times.
+    /// The bar is silent for 1 to 15 s, several times.
     SilentBar,
-    /// The robot stops in the middle of moves, and longer than commanded at poses.
+    /// The robot stops within moves, and longer than commanded at poses.
     Pauses,
-    /// The recording begins late.
+    /// The recording starts late.
     BeganLate,
-    /// A module is stopped and started again.
+    /// A module is stopped and restarted.
     RunAgain,
     /// Encoders with noise of 0.3 mdeg, poses off by up to 0.05 degrees, losses of single packets.
     Noise,
@@ -55,7 +56,7 @@ const TROUBLES: [Trouble; 8] = [
     Trouble::All,
 ];
 
-/// The places of the plan's dwells: neighbours are a degree apart, the reference pose returns.
+/// The poses of the plan's dwells: neighbours are a degree apart, the reference pose is repeated.
 fn placed(seed: u64, distinct: bool) -> Plan {
     let mut plan = plan(seed, POSES, MODULE, distinct);
     let mut pose = 0;
@@ -67,16 +68,16 @@ fn placed(seed: u64, distinct: bool) -> Plan {
     plan
 }
 
-/// A straight motion, or none, for a while.
+/// A straight motion or a rest.
 struct Phase {
     from: [f64; 6],
     to: [f64; 6],
     lasts_s: f64,
-    /// The dwell row that is visited.
+    /// The dwell row at this pose.
     pose: Option<usize>,
 }
 
-/// How far the robot stops from a pose in one axis at most, degrees.
+/// Largest deviation of one axis from a pose, degrees.
 fn off_deg(has: impl Fn(Trouble) -> bool) -> f64 {
     if has(Trouble::Noise) { 0.05 } else { 0.0 }
 }
@@ -99,7 +100,7 @@ fn phases(plan: &Plan, rng: &mut Pcg64, has: impl Fn(Trouble) -> bool) -> Vec<Ph
         let (row, time) = rows[pose];
         let to = row.axes_deg.map(|deg| deg + rng.random_range(-1.0..=1.0) * off_deg);
         if pose % MODULE as usize == 0 || before.is_some_and(|before| pose < before) {
-            // HALT at the start of the module, and knocks.
+            // HALT at the start of the module, and sync markers.
             phases.push(Phase { from: here, to, lasts_s: 5.0, pose: None });
             phases.push(Phase { from: to, to, lasts_s: rng.random_range(2.0..30.0), pose: None });
             for _ in 0..3 {
@@ -129,7 +130,7 @@ fn phases(plan: &Plan, rng: &mut Pcg64, has: impl Fn(Trouble) -> bool) -> Vec<Ph
     phases
 }
 
-/// Stretches of 1 to 15 s.
+/// Intervals of 1 to 15 s.
 fn outages(rng: &mut Pcg64, end_s: f64) -> Vec<Range<f64>> {
     let outage = |rng: &mut Pcg64| {
         let from_s = rng.random_range(0.0..end_s);
@@ -145,7 +146,7 @@ struct Score {
     wrong: usize,
 }
 
-/// Where the robot rested at a time of the run, if that was for a pose: the program's wait, or the HALT before it.
+/// The pose at which the robot rested at a time, during the program's wait or the HALT before it.
 fn place_of(phases: &[Phase], pose: usize, t_s: f64) -> Option<[f64; 6]> {
     let mut until_s = 0.0;
     let at = phases.iter().position(|phase| {
@@ -157,7 +158,7 @@ fn place_of(phases: &[Phase], pose: usize, t_s: f64) -> Option<[f64; 6]> {
     (next == pose && from == to).then_some(to)
 }
 
-/// A run with trouble, matched by its axes.
+/// A disturbed run, matched by its axes.
 fn score(seed: u64, distinct: bool, trouble: Trouble) -> Score {
     let mut rng = Pcg64::seed_from_u64(seed);
     let has = |one: Trouble| trouble == one || trouble == Trouble::All;

@@ -1,5 +1,6 @@
-//! The axes that a controller publishes show where the robot was: dwells and passes are matched by them without strobe, code
-//! or marker, and lengths are taken where the axes were.
+//! The published axes of a controller show where the robot was: dwells and passes are matched by them without
+//! strobe, time
+//! code or marker, and lengths are taken at the measured axes.
 
 use dbbd::base::units::{DeviceTicks, HostNs};
 use dbbd::device::axes::AxesProtocol;
@@ -25,16 +26,16 @@ use rand_pcg::Pcg64;
 use crate::cell::{CENTRE, kr60, with_errors};
 use crate::sync_ways_agree::{CENTRE_ERRORS, ERRORS, calibration};
 
-/// Samples of the bar a second, and the controller's cycle.
+/// Samples of the bar per second, and the controller's cycle.
 const BAR_HZ: f64 = 250.0;
 const CYCLE_S: f64 = 0.004;
-/// How late bar and controller reach the host at least, s.
+/// Least delay of bar and controller, s.
 const BAR_LATE_S: f64 = 0.011;
 const AXES_LATE_S: f64 = 0.002;
-/// Time constants with which the axes follow, ms: the axes of a heavy arm differ.
+/// Time constants of the axes, ms: those of a heavy arm differ.
 const FOLLOWING_MS: [f64; 6] = [24.0, 30.0, 27.0, 15.0, 18.0, 12.0];
 
-/// Circles about one ball, of dwells or of passes both ways.
+/// Circles about one ball, with dwells or with passes in both directions.
 fn plan(circles: &[[f64; 3]], points: usize, mode: &str) -> Plan {
     let circle = |normal: &[f64; 3]| {
         format!(
@@ -50,7 +51,7 @@ fn plan(circles: &[[f64; 3]], points: usize, mode: &str) -> Plan {
 }
 
 const PLANES: [[f64; 3]; 3] = [[0.0, 0.0, 1.0], [0.6, 0.0, 0.8], [0.0, -0.6, 0.8]];
-/// A sixth of a circle, both ways.
+/// A sixth of a circle, in both directions.
 const ARC: &str = "direction = \"both\"\nmode = \"continuous\"\narc_deg = 60.0\novershoot_deg = 10.0";
 const BOTH: &str = "direction = \"both\"\nmode = \"continuous\"";
 
@@ -85,7 +86,7 @@ fn driven(plan: &Plan, sync: Sync, faults: &Faults, seed: u64) -> Driven {
     let host = |t_s: f64, late_s: f64| HostNs(((t_s + late_s) * 1e9) as u64);
     let (mut halted, mut t_s) = (0, 0.0);
     for number in 0_u64.. {
-        // Bar and controller take turns: the bar samples half a cycle later.
+        // Bar and controller alternate: the bar samples half a cycle later.
         let moment = controller.step(number as f64 * CYCLE_S - t_s).unwrap();
         publisher.cycle(moment.t_s, &world.measured(&moment), &moment.axes);
         while let Some(packet) = publisher.arrived(moment.t_s) {
@@ -133,8 +134,8 @@ fn identified(matching: &PoseMatching) -> Robot {
     Robot { geometry: calibration(matching).posterior.model.geometry, ..kr60() }
 }
 
-/// Mean and greatest distance of the tool ball by two robots after one rigid alignment, mm: 300 poses of the circles'
-/// surroundings.
+/// Mean and largest distance of the tool ball of two robots after a rigid alignment, mm: 300 poses around the
+/// circles.
 fn error_mm(found: &Robot) -> [f64; 2] {
     let truth = with_errors(ERRORS);
     let mut random = Pcg64::seed_from_u64(1);
@@ -153,7 +154,7 @@ pub(crate) fn provoked() -> Vec<&'static str> {
     vec!["I2221", "W2220"]
 }
 
-/// What the axes showed is what the simulated world does.
+/// The results from the axes agree with the simulation.
 fn check(report: &AxesReport) {
     let lag = report.lag.unwrap();
     let true_s = BAR_LATE_S - AXES_LATE_S;
@@ -210,11 +211,11 @@ fn passes_are_read_at_the_measured_axes() {
         .map(|row| (row.length_mm - truth.geometry.length(&row.axes.radians(), &centre, 0.0)).abs());
     let worst = off.fold(0.0, f64::max);
     assert!(worst < 0.003, "{worst}");
-    // Without the axes a program with markers alone shows no pass.
+    // Without the axes, a program with markers only shows no pass.
     assert_eq!(matched(&run.by_command(&plan)), 0);
 }
 
-/// A bar whose clock runs faster than the host's: the axes cannot be laid on it.
+/// A bar whose clock runs faster than the host's: the axes cannot be mapped to it.
 #[test]
 fn axes_with_an_inconsistent_clock_are_not_used() {
     let plan = plan(&PLANES[..1], 4, "");

@@ -1,23 +1,23 @@
-//! A bad line loses frames and never makes lengths up: the campaign over `dbb-cobs-1`.
+//! A bad line loses frames and never invents lengths: the campaign over `dbb-cobs-1`.
 
 use dbbd::base::units::DeviceTicks;
 use dbbd::device::protocol::{Decoded, Definition};
 use dbbd::measurement::sample::Sample;
 use dbbd::sim::fault::{BadLine, Faults};
 
-/// What a campaign saw.
+/// Result of a campaign.
 #[derive(Debug, Default, PartialEq)]
 struct Tally {
     frames: u64,
     bytes: u64,
-    /// Frames that came out untouched, behind an untouched delimiter.
+    /// Frames that were decoded undamaged, after an undamaged delimiter.
     intact: u64,
     recovered: u64,
     /// Samples that were not sent.
     made_up: u64,
 }
 
-/// The content of a frame tells its number: what was not sent so is made up.
+/// The content of a frame identifies its number, so an invented frame is detected.
 fn sample(frame: u64) -> Sample {
     let mixed = frame.wrapping_mul(0x9e37_79b9_7f4a_7c15);
     Sample {
@@ -54,7 +54,7 @@ fn campaign(frames: u64, faults: Faults, seed: u64) -> Tally {
         for decoded in out.drain(..) {
             accounted += decoded.bytes();
             if let Decoded::Sample(got, _) = decoded {
-                // The frame it is, or one before that a delimiter held back.
+                // This frame, or one before it that a damaged delimiter held back.
                 let sent = (next..=frame).rev().find(|sent| sample(*sent) == Sample { offset: 0, ..got });
                 match sent {
                     Some(sent) => {

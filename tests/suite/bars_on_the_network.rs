@@ -24,7 +24,7 @@ pub(crate) fn provoked() -> Vec<&'static str> {
     vec![WRONG_ADDRESS, AWAY, CLOSES, NOT_RFC2217, SETTING, BLURS]
 }
 
-/// The program is ended with the test.
+/// The program ends with the test.
 struct Running(Child);
 
 impl Drop for Running {
@@ -38,7 +38,7 @@ fn free_port() -> u16 {
     TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
 }
 
-/// A server that does this with its clients; its port.
+/// A server that does this with its clients; returns its port.
 fn server(with: impl Fn(TcpStream) + Send + 'static) -> u16 {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let port = listener.local_addr().unwrap().port();
@@ -69,7 +69,7 @@ fn unusable_server_is_reported() {
         let _ = client.read_to_end(&mut Vec::new());
     });
     assert_eq!(refusal(at, &format!("rfc2217://127.0.0.1:{raw}")), with_note(NOT_RFC2217));
-    // IAC DO COM-PORT-OPTION; whatever is asked for, it stays at 9600 baud.
+    // IAC DO COM-PORT-OPTION; the rate stays at 9600 baud whatever is requested.
     let fixed = server(|mut client| {
         client.write_all(&[255, 253, 44, 255, 250, 44, 101, 0, 0, 0x25, 0x80, 255, 240]).unwrap();
         let _ = client.read_to_end(&mut Vec::new());
@@ -77,7 +77,7 @@ fn unusable_server_is_reported() {
     assert_eq!(refusal(at, &format!("rfc2217://127.0.0.1:{fixed}")), with_note(SETTING));
 }
 
-/// Readings without a loss, and every byte in one of them or in a fault.
+/// Readings without a loss, and every byte in a sample or a fault.
 fn is_whole(run: &Run, transport: &str) {
     assert_eq!(run.output.status.code(), Some(0), "{}", stderr(&run.output));
     assert!(run.rows.len() > 200, "{} samples", run.rows.len());
@@ -111,7 +111,7 @@ fn the_simulator_serves_each_transport() {
     }
 }
 
-/// Whether a program is there; says loudly when not.
+/// Whether a program is installed; reports it if not.
 fn installed(program: &str, args: &[&str]) -> bool {
     let runs = Command::new(program).args(args).stdout(Stdio::null()).stderr(Stdio::null()).status();
     let there = runs.is_ok_and(|status| status.success());

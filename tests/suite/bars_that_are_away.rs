@@ -1,4 +1,4 @@
-//! `dbbd acquire` where there is no port, no bar on it, or none any more.
+//! `dbbd acquire` without a port, without a bar, or after the bar disappeared.
 #![cfg(unix)]
 
 use std::path::Path;
@@ -23,7 +23,7 @@ const PORT_GONE: &str = "E0206";
 const STAYED_AWAY: &str = "W0220";
 const OPEN_TO_ALL: &str = "I0211";
 
-/// What is asked of a bar that never sends a byte, the exit code, and the codes.
+/// Arguments for a bar that never sends a byte, the exit code, and the codes.
 const SILENT: &[(&[&str], i32, &[&str])] = &[
     (&["--protocol", "microepsilon-ild1420"], 1, &["E0205"]),
     (&["--duration", "0.3"], 3, &["W0221"]),
@@ -40,7 +40,7 @@ pub(crate) fn provoked() -> Vec<&'static str> {
 fn bar_that_falls_silent_is_reported() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("run");
-    // After half a second it sends no more, and stays plugged in.
+    // After half a second it stops sending but stays plugged in.
     let (port, _bar) = play(1.0, |t_s: f64| {
         if t_s > 0.5 {
             clock::sleep(60.0);
@@ -71,7 +71,7 @@ fn silent_bar_is_reported() {
     }
 }
 
-/// In this process: a child would inherit the terminal's other side and keep it open.
+/// In this process: a child would inherit the other side of the terminal and keep it open.
 #[test]
 fn bar_that_disappears_ends_the_run() {
     let directory = tempfile::tempdir().unwrap();
@@ -99,7 +99,7 @@ fn bar_that_disappears_ends_the_run() {
     );
 }
 
-/// In this process, as well: the line goes while the bar is asked.
+/// In this process too: the line disappears while the bar is queried.
 #[test]
 fn port_that_disappears_during_a_command() {
     let (mut line, host) = serialport::TTYPort::pair().unwrap();
@@ -119,7 +119,7 @@ fn port_that_disappears_during_a_command() {
     assert_eq!(dbbd::diagnostic::Finding::code(&gone).0, PORT_GONE, "{gone}");
 }
 
-/// The simulator holds the other side of the line alone.
+/// The simulator holds the other side of the line exclusively.
 #[test]
 fn bar_that_stays_unplugged_is_reported() {
     let directory = tempfile::tempdir().unwrap();

@@ -1,5 +1,6 @@
-//! Kills, cuts, flipped bits and failing disks: short slices here, the campaigns by `-- --ignored`
-//! (their commands and figures stand in docs/reference/capture.md).
+//! Kills, truncation, flipped bits and failing disks: short samples here, the campaigns with `-- --ignored`
+//! (commands and
+//! figures: docs/reference/capture.md).
 #![cfg(unix)]
 
 use std::io::{self, Write};
@@ -24,7 +25,7 @@ use rand_pcg::Pcg64;
 
 const PERIOD: u64 = 20_001;
 
-/// Readings on the 10 nm grid of the protocol, each told by its number.
+/// Readings on the 10 nm grid of the protocol, each identified by its number.
 fn reading_mm(frame: u64) -> f64 {
     ((frame % PERIOD) as f64 - 10_000.0) / 1e5
 }
@@ -33,7 +34,7 @@ fn definition() -> Definition {
     Definition::by_name("dbb-cobs-1").unwrap().unwrap()
 }
 
-/// A bar that streams until `over`, as fast as it is read: the name of its port.
+/// A bar that streams until `over`, as fast as it is read; returns the name of its port.
 fn stream(over: &Arc<AtomicBool>) -> String {
     let terminal = Terminal::new().unwrap();
     let name = terminal.address().to_string();
@@ -58,7 +59,7 @@ fn size(path: &Path) -> u64 {
     std::fs::metadata(path).map_or(0, |data| data.len())
 }
 
-/// The samples are those that the bar sent, one after the other from the first: none is invented.
+/// The samples are those that the bar sent, in order from the first.
 fn is_prefix_of_what_was_sent(capture: &Capture) -> usize {
     let mut frame = 0;
     for (_, sample) in capture.samples() {
@@ -69,8 +70,9 @@ fn is_prefix_of_what_was_sent(capture: &Capture) -> usize {
     frame as usize
 }
 
-/// Kills the acquisition at random moments. What stood in the file before the kill is read afterwards,
-/// with every sample of it, and `recover` gives exactly the whole records.
+/// Kills the acquisition at random moments. Every sample in the file before the kill is read afterwards, and
+/// `recover`
+/// gives exactly the whole records.
 fn kills(count: u64) {
     let mut random = Pcg64::seed_from_u64(1);
     let (mut torn, mut samples) = (0, 0);
@@ -104,7 +106,7 @@ fn kills(count: u64) {
             }
             more => panic!("{more:?}"),
         };
-        // The record that was being written may be torn; all before it is whole.
+        // The last record may be torn; all before it are whole.
         let before = capture::read(&bytes[..before as usize]);
         assert!(capture.records.starts_with(&before.records));
         samples += is_prefix_of_what_was_sent(&capture);
@@ -161,7 +163,7 @@ fn long() -> &'static (Vec<u8>, Vec<usize>, Vec<Stamped>) {
         let mut frame = 0_u64;
         while frame < 4000 {
             let count = random.random_range(1..9);
-            // The bytes are any, those of a record's begin among them.
+            // Random bytes, with the start of a record among them.
             let mut raw: Vec<u8> = (0..18 * count).map(|_| random.random::<u8>()).collect();
             if frame.is_multiple_of(7) {
                 raw[..4].copy_from_slice(&[0xdb, 0xbd, 0x5a, 0xa5]);
@@ -185,7 +187,7 @@ fn long() -> &'static (Vec<u8>, Vec<usize>, Vec<Stamped>) {
     })
 }
 
-/// Cut there, every record before is whole, nothing else is, and the tail is named.
+/// After truncation every record before is whole, nothing else is, and the tail is reported.
 fn cut(at: usize) {
     let (bytes, ends, records) = long();
     let capture = capture::read(&bytes[..at]);
@@ -199,7 +201,7 @@ fn cut(at: usize) {
     }
 }
 
-/// A flipped bit costs its record alone, and is named by that record's place.
+/// A flipped bit loses its record only, and the position of the record is reported.
 fn flip(bit: usize) {
     let (bytes, ends, records) = long();
     let mut bytes = bytes.clone();
@@ -233,7 +235,7 @@ fn cut_at_every_byte_of_64_kib_and_2000_places_it_is_a_prefix() {
     cuts_and_flips(65_536, 2000, 20_000);
 }
 
-/// Acquires until it ends by itself; its output.
+/// Acquires until the program ends; returns its output.
 fn acquire_in_shell(before: &str, path: &Path) -> Output {
     let over = Arc::default();
     let port = stream(&over);
@@ -247,7 +249,7 @@ fn acquire_in_shell(before: &str, path: &Path) -> Output {
     output
 }
 
-/// The run failed, said why, and its file holds whole records alone.
+/// The run failed with a reason, and its file contains whole records only.
 fn ended_by_the_disk(output: &Output, path: &Path, remedy: &str) {
     let said = stderr(output);
     assert_eq!(output.status.code(), Some(1), "{said}");
@@ -270,7 +272,7 @@ fn file_size_limit_ends_the_run() {
     ended_by_the_disk(&output, &path, "ulimit -f");
 }
 
-/// As root, where a small file system can be mounted.
+/// Run as root, which can mount a small file system.
 #[cfg(target_os = "linux")]
 #[test]
 #[ignore = "needs root: mounts a file system of 256 kB"]
@@ -280,7 +282,7 @@ fn a_full_disk_ends_the_run_and_keeps_it() {
     let path = mount.0.path().join("run");
     let output = acquire_in_shell("", &path);
     ended_by_the_disk(&output, &path, "make room");
-    // Not even the header of another one fits; no empty file is left behind.
+    // Not even the header of another capture fits; no empty file is left.
     std::fs::write(mount.0.path().join("rest"), vec![0; 1 << 20]).unwrap_err();
     let output = acquire_in_shell("", &mount.0.path().join("second"));
     assert_eq!(output.status.code(), Some(1), "{}", stderr(&output));
@@ -296,14 +298,14 @@ fn unwritable_location_is_reported() {
     let said = stderr(&output);
     assert_eq!(codes(&output), ["E0402"], "{said}");
     if cfg!(target_os = "linux") {
-        // Nobody may make a file there, not even root.
+        // Not even root can create a file there.
         let output = acquire_in_shell("", Path::new("/sys/dbbd-run"));
         assert_eq!(output.status.code(), Some(1));
         assert_eq!(codes(&output), ["E0402"], "{}", stderr(&output));
     }
 }
 
-/// Something mounted on a directory of its own.
+/// A mount on a temporary directory.
 struct Mount(tempfile::TempDir);
 
 impl Mount {
@@ -320,7 +322,7 @@ impl Drop for Mount {
     }
 }
 
-/// A disk that takes nothing while it is stalled.
+/// A disk that blocks while it is stalled.
 struct Stalling {
     taken: Arc<Mutex<Vec<u8>>>,
     stalled: Arc<AtomicBool>,
@@ -351,7 +353,7 @@ impl Disk for Stalling {
     }
 }
 
-/// Records from `port` for a second, stalls the disk for `stall_s`, and ends; the run's capture and counts.
+/// Records from `port` for a second, stalls the disk for `stall_s`, and ends; returns capture and counts.
 fn stalled(port: String, stall_s: f64) -> (Capture, Progress) {
     let (taken, stalled, stop) = (Arc::default(), Arc::default(), Arc::default());
     let disk = Stalling { taken: Arc::clone(&taken), stalled: Arc::clone(&stalled) };
@@ -381,7 +383,7 @@ fn stalled(port: String, stall_s: f64) -> (Capture, Progress) {
     (capture, summary.progress)
 }
 
-/// A pseudo terminal waits for its reader: a disk that stalls delays, and nothing is lost.
+/// A pseudo-terminal waits for its reader: a stalled disk delays, and nothing is lost.
 #[test]
 fn stalled_disk_loses_nothing_on_a_pseudo_terminal() {
     let over = Arc::default();
@@ -391,7 +393,7 @@ fn stalled_disk_loses_nothing_on_a_pseudo_terminal() {
     assert!(is_prefix_of_what_was_sent(&capture) > 100);
 }
 
-/// A device does not wait. A terminal under another path than that of pseudo terminals stands in for it.
+/// A device does not wait. A terminal outside of the path of pseudo-terminals simulates one.
 #[cfg(target_os = "linux")]
 #[test]
 #[ignore = "needs root: mounts /dev/pts at a second place"]
@@ -404,7 +406,7 @@ fn what_a_stalled_disk_loses_of_a_device_is_counted_and_named() {
     let port = mount.0.path().join(Path::new(&pty).file_name().unwrap());
     let (capture, progress) = stalled(port.display().to_string(), 8.0);
     over.store(true, Ordering::Relaxed);
-    // How many frames that were the sequence numbers cannot tell: they went round more than once.
+    // The sequence numbers wrapped more than once, so they do not show the number of frames.
     assert!(progress.lost_bytes > 0 && progress.gaps > 0, "{progress:?}");
     let lost: u64 = capture
         .events()

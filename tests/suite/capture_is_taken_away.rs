@@ -1,4 +1,4 @@
-//! A capture that is taken away while it is recorded: noticed within a second, and recording goes on.
+//! A capture that is removed while it is recorded: detected within a second, and recording continues.
 #![cfg(unix)]
 
 use std::fs;
@@ -40,7 +40,7 @@ impl Recording {
         self.dir.path().join(name)
     }
 
-    /// Waits until there is a file at the path and stops.
+    /// Waits until the file exists, and stops.
     fn end(self, new: &str) -> (Output, PathBuf, tempfile::TempDir) {
         let new = self.path(new);
         let begun = clock::now();
@@ -64,7 +64,7 @@ fn read(path: &Path) -> Capture {
     capture::read(&fs::read(path).unwrap())
 }
 
-/// All that the bar sent, in order, with what makes it readable.
+/// Checks that all sent samples are there in order, with the attachments.
 fn is_whole(path: &Path) {
     let capture = read(path);
     assert!(capture.ended() && capture.damages.is_empty(), "{:?}", capture.damages);
@@ -110,7 +110,7 @@ fn missing_directory_is_recreated() {
     is_whole(&new);
 }
 
-/// What was cut off is lost: the new file says how much.
+/// The truncated part is lost, and the new file reports how much.
 #[test]
 fn truncated_capture_continues_in_a_new_file() {
     for left in [0, 20_000] {

@@ -1,4 +1,4 @@
-//! A minute at 1 kHz goes through every verb; `cargo bench --bench hour` measures an hour.
+//! A minute at 1 kHz through every command; `cargo bench --bench hour` measures an hour.
 
 #[path = "../../benches/hour/verbs.rs"]
 mod verbs;

@@ -1,4 +1,4 @@
-//! Records that are taken out of a capture, put in twice or changed are noticed by every command that reads it.
+//! Missing, repeated and changed records of a capture are reported by every command that reads it.
 
 use std::path::{Path, PathBuf};
 use std::process::Output;
@@ -35,7 +35,7 @@ fn run(dir: &Path) -> (Vec<u8>, Vec<usize>) {
     (bytes, ends)
 }
 
-/// By the page docs/reference/capture.md.
+/// As in docs/reference/capture.md.
 fn ends(bytes: &[u8]) -> Vec<usize> {
     let mut ends = vec![16];
     while let Some(end) = ends.last().copied().filter(|end| *end < bytes.len()) {
@@ -78,12 +78,12 @@ fn missing_and_repeated_records_are_reported() {
     let missing = &info["findings"][0]["values"]["records"];
     assert_eq!(missing.as_u64(), Some(ends.len() as u64 / 20), "{info:#}");
     assert_eq!(info["damages"][0]["offset"].as_u64(), Some(ends[middle] as u64));
-    // A record that is there twice is read once.
+    // A repeated record is read once.
     let twice = capture::read(&std::fs::read(dir.path().join("twice")).unwrap());
     assert_eq!(twice.records, capture::read(&bytes).records);
 }
 
-/// Records of a capture of version 2 have no numbers; its end has the count of its samples.
+/// Captures of version 2 have no record numbers; their end has the number of samples.
 #[test]
 fn old_capture_is_compared_with_its_own_count() {
     let dir = tempfile::tempdir().unwrap();
@@ -110,7 +110,7 @@ fn flipped_header_bit_loses_only_the_header() {
     }
 }
 
-/// Heads of records that claim to be long, as many as there is room for: none is one.
+/// As many heads of long records as there is room for, none of which is a record.
 #[test]
 fn forged_record_heads_are_skipped_in_linear_time() {
     let dir = tempfile::tempdir().unwrap();
@@ -123,7 +123,7 @@ fn forged_record_heads_are_skipped_in_linear_time() {
     let info = dbbd(dir.path(), &["info", "hostile", "--json"]);
     let took_s = clock::now().seconds_since(begun);
     assert_eq!(info.status.code(), Some(3), "{}", stderr(&info));
-    // Looking at each to its end takes minutes.
+    // Checking each to its end would take minutes.
     assert!(took_s < 15.0, "{took_s} s");
     assert_eq!(capture::read(&hostile).records, capture::read(&bytes).records);
 }
@@ -142,7 +142,7 @@ fn gaps_of_any_size_are_counted() {
     assert_eq!((info["gaps"].as_u64(), info["missing"].as_u64()), (Some(2), Some(u64::MAX)));
 }
 
-/// Identifications into one directory at the same time: the files that are left are of one of them.
+/// Concurrent identifications into one directory: the remaining files belong to one of them.
 #[test]
 fn sets_of_results_are_not_mixed() {
     use std::process::{Command, Stdio};

@@ -1,4 +1,4 @@
-//! A capture is read up to and past each damage, and each damage is named.
+//! A capture is read past each damage, and each damage is reported.
 
 use std::io::{self, ErrorKind, Write};
 use std::path::Path;
@@ -14,7 +14,7 @@ use proptest::prelude::*;
 
 use crate::cell::{codes, dbbd};
 
-/// Sum of `reading_mm` in the CSV that the version that recorded the fixture exported, um.
+/// Sum of `reading_mm` in the CSV exported by the version that recorded the fixture, um.
 const STORED_SUM_UM: f64 = 852667.9;
 
 const PLAIN: Sample = Sample {
@@ -77,7 +77,7 @@ fn stored_capture_is_evaluated() {
         .args(["sync", run, "--out", out.to_str().unwrap()])
         .output()
         .unwrap();
-    // It lacks five samples: a doubt.
+    // It lacks five samples, which gives a warning.
     assert_eq!(synced.status.code(), Some(3), "{}", String::from_utf8_lossy(&synced.stderr));
     let was = include_str!("../../fixtures/captures/run.csv");
     let (now, was) = (
@@ -90,7 +90,7 @@ fn stored_capture_is_evaluated() {
     }
 }
 
-/// Files that `info` refuses or doubts, and the codes of that.
+/// Files that `info` refuses or warns about, with the codes.
 const DAMAGED: [(&str, i32, &str); 4] =
     [("E0405", 1, "none"), ("E0406", 1, "format"), ("W0410", 3, "flipped"), ("W0411", 3, "cut")];
 
@@ -190,7 +190,7 @@ fn each_flipped_bit_loses_one_record() {
     }
 }
 
-/// A disk that takes so many bytes in so many writes, and then refuses.
+/// A disk that takes a number of bytes in a number of writes, and then fails.
 struct Failing {
     taken: Arc<Mutex<Vec<u8>>>,
     room: usize,
@@ -248,7 +248,7 @@ fn failing_disk_keeps_every_whole_record() {
     }
 }
 
-/// The reader of a file sees the same as that of bytes, however the bytes come.
+/// Reading from a file gives the same as from memory, however the bytes are split.
 #[test]
 fn single_byte_reads_give_the_same_records() {
     struct Drips<'a>(&'a [u8]);

@@ -1,4 +1,4 @@
-//! A capture becomes observations and a circular test, through the program.
+//! The program turns a capture into observations and a circular test.
 
 use std::process::{Command, Output};
 
@@ -30,7 +30,7 @@ fn write_capture(path: &std::path::Path, plan: &Plan, run: &Run, finish: bool) {
     }
 }
 
-/// Writes the run as a capture and lets the program join it: what it said, and the observations.
+/// Writes the run as a capture and matches it with the program; returns its output and the observations.
 fn through_the_binary(plan: &Plan, run: &Run, finish: bool) -> (Output, Option<Measurements>) {
     let dir = tempfile::tempdir().unwrap();
     let (capture, csv) = (dir.path().join("run"), dir.path().join("obs.csv"));
@@ -41,7 +41,7 @@ fn through_the_binary(plan: &Plan, run: &Run, finish: bool) -> (Output, Option<M
     (output, observations.map(|text| Measurements::from_csv("obs.csv", &text).unwrap()))
 }
 
-/// Runs without what a matching needs.
+/// Runs that cannot be matched.
 pub(crate) fn provoked() -> Vec<&'static str> {
     vec!["E0407", "W0411", "E1001", "W1003", "W1007", "W1415"]
 }
@@ -56,7 +56,7 @@ fn capture_becomes_observations() {
     assert!(said.contains("12 of 12 poses"), "{said}");
     let observations = observations.unwrap();
     assert_eq!(observations.rows.len(), 12);
-    // The job says nothing of the bar, so its usual 2 um (`sigma_um`) are the least.
+    // The job states no noise of the bar, so the default of 2 um (`sigma_um`) is the least.
     assert!(observations.rows.iter().all(|row| row.sigma_mm.unwrap() >= 0.002));
     let kinds: Vec<_> =
         observations.rows.iter().map(|row| row.context.as_ref().unwrap().kind.unwrap()).collect();
@@ -72,7 +72,7 @@ fn capture_becomes_observations() {
     assert_eq!((output.status.code(), codes(&output)), (Some(1), vec!["E0407".to_owned()]));
     assert!(observations.is_none());
 
-    // A bar that nobody moves.
+    // A bar that does not move.
     let still =
         (0..20_000_u32).map(|at| (HostNs(u64::from(at) * 4_000_000), Sample { valid: false, ..first }));
     run.samples = still.collect();
@@ -81,7 +81,7 @@ fn capture_becomes_observations() {
     assert!(observations.is_none() && codes(&output).contains(&"E1001".to_owned()), "{:?}", codes(&output));
 }
 
-/// A circle both ways, with stops.
+/// A circle in both directions, with stops.
 fn circle_plan() -> Plan {
     let job = r#"
         robot = "kr60ha"
@@ -106,13 +106,13 @@ fn circle_plan() -> Plan {
     Plan::build(&job, &Robot::by_name("kr60ha").unwrap().unwrap()).unwrap()
 }
 
-/// What is lost of a run has its code and its share in every command that reads it.
+/// The loss in a run has its code and its share in every command that reads it.
 #[test]
 fn losses_of_a_run_give_exit_code_3() {
     let plan = circle_plan();
     let whole = run(&plan, 8, World { strobe: true, ..WORLD });
     let dir = tempfile::tempdir().unwrap();
-    // From when to when the bar does not vouch for its readings, s since the begin of the tenth dwell.
+    // Interval of invalid readings, s since the start of the tenth dwell.
     let spoils = [("sound", 0.0..0.0, ""), ("some", 0.8..0.9, "W1007"), ("all", 0.0..2.0, "W1003")];
     for (name, spoiled, code) in spoils {
         let mut run = Run { samples: whole.samples.clone(), readings_mm: Vec::new(), starts_s: Vec::new() };
@@ -197,7 +197,7 @@ fn capture_becomes_a_circular_test() {
     let output = crate::cell::dbbd(dir.path(), &["circle", "half", "--out", "h", "--monte-carlo", "0"]);
     assert!(codes(&output).contains(&"E1401".to_owned()), "{:?}", codes(&output));
     let reversals = json["joint_reversals"].as_array().unwrap();
-    // On a full circle axis 1 swings out and back once: it reverses at both sides, in either sense.
+    // On a full circle axis 1 swings out and back once: it reverses at both sides, in either direction.
     let first: Vec<f64> = reversals
         .iter()
         .filter(|mark| mark["joint"] == 1)

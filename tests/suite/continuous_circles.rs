@@ -1,4 +1,4 @@
-//! A continuous circle is planned, written, driven and told as one motion for each pass.
+//! A continuous circle is planned, emitted, driven and reported as one motion per pass.
 
 use dbbd::base::units::HostNs;
 use dbbd::diagnostic::Finding;
@@ -30,7 +30,7 @@ const BOTH: &str =
 const ARC: &str = "plane = \"XZ\"\npoints = 61\norientation = \"fixed\"\ntilt_deg = 20.0\ndirection = \"cw\"\nstart_deg = 170.0\n\
      arc_deg = 150.0\novershoot_deg = 10.0";
 
-/// Where the simulated controller stands along the pass at each commanded time is where the plan says.
+/// The simulated controller is at the planned position along the pass at each commanded time.
 #[test]
 fn controller_follows_the_passes() {
     for circle in [BOTH, ARC] {
@@ -64,7 +64,7 @@ fn controller_follows_the_passes() {
                     (true, Some(begun_s)) if moment.t_s - begun_s > 0.25 => {
                         let pass = &plan.header.passes[done];
                         let path = plan.pass_path(pass).unwrap();
-                        // The strobe rose within the step before it was seen.
+                        // The strobe rose within the step before.
                         let off = [-0.01, -0.005, 0.0, 0.005]
                             .map(|early| {
                                 path.pose(pass.share(moment.t_s - begun_s - early)).unwrap().position
@@ -93,7 +93,7 @@ fn controller_follows_the_passes() {
     }
 }
 
-/// The points of a pass lie on its path, at the shares that their times say, and the times add up.
+/// The points of a pass lie on its path at the shares given by their times, and the times add up.
 #[test]
 fn points_lie_at_their_times() {
     for circle in [BOTH, ARC] {
@@ -110,7 +110,7 @@ fn points_lie_at_their_times() {
                 let share = pass.share(t_s);
                 assert!((pass.time_s(share) - t_s).abs() < 1e-9);
                 let off = (path.pose(share).unwrap().position - nalgebra::Vector3::from(row.xyz_mm)).norm();
-                // Three printed points tell the circle, each to half a micrometre in each coordinate.
+                // Three printed points determine the circle, each to half a micrometre per coordinate.
                 assert!(off < 0.004, "row {index}: {off} mm");
             }
             t_s += plan.header.moves[pass.end as usize - 1].duration_s;
@@ -174,7 +174,7 @@ fn impossible_continuous_motion_is_refused() {
         let wrong = Job::from_toml("job.toml", &text(circle)).unwrap_err();
         assert_eq!((wrong.line, wrong.code.0), (line, code), "{wrong}");
     }
-    // A plan whose rows and passes do not fit.
+    // A plan whose rows and passes contradict.
     let plan = Plan::build(&job(ARC), &kr60()).unwrap();
     let (csv, json) = plan.to_files().unwrap();
     let read = |json: &str| Plan::from_files("plan.csv", &csv, "plan.json", json).unwrap_err().to_string();

@@ -1,4 +1,4 @@
-//! Whatever comes over the line: bytes = bytes of samples + bytes of faults + bytes pending.
+//! For any input: bytes = bytes of samples + bytes of faults + pending bytes.
 
 use dbbd::base::units::DeviceTicks;
 use dbbd::device::protocol::{Decoded, Decoder, Definition};
@@ -9,7 +9,7 @@ fn definition(name: &str) -> Definition {
     Definition::by_name(name).unwrap().unwrap()
 }
 
-/// Samples as `dbb-cobs-1` and `dbb-nmea-1` can say them: 10 nm and 0.01 C steps.
+/// Samples that `dbb-cobs-1` and `dbb-nmea-1` can represent: steps of 10 nm and 0.01 C.
 fn samples() -> impl Strategy<Value = Vec<Sample>> {
     let one = (any::<u16>(), any::<u32>(), -2_000_000i32..2_000_000, any::<i16>(), 0u32..64).prop_map(
         |(sequence, ticks, length, temperature, status)| Sample {
@@ -19,7 +19,7 @@ fn samples() -> impl Strategy<Value = Vec<Sample>> {
             trigger: Some(status & 16 != 0),
             temperature_c: Some(f64::from(temperature) / 100.0),
             valid: status & 0b1111 == 1,
-            // A flag that says valid beside one that says not so is not what a bar sends.
+            // A bar does not send contradicting flags.
             status: if status & 0b1110 != 0 { status & !1 } else { status },
             offset: 0,
         },
@@ -36,7 +36,7 @@ fn encode(definition: &Definition, samples: &[Sample]) -> Vec<u8> {
     bytes
 }
 
-/// Decodes at once, and checks the account and the offsets.
+/// Decodes the whole stream, and checks the account and the offsets.
 fn decode(definition: &Definition, bytes: &[u8]) -> (Vec<Decoded>, Decoder) {
     let (mut decoder, mut out) = (definition.decoder(), Vec::new());
     decoder.push(bytes, &mut out);
@@ -63,7 +63,7 @@ fn only_samples(decoded: &[Decoded]) -> Vec<Sample> {
     samples.collect()
 }
 
-/// What a bad line does to some byte.
+/// Damage of a byte.
 #[derive(Clone, Copy, Debug)]
 enum Harm {
     Flip(u8),
@@ -101,7 +101,7 @@ proptest! {
             let (decoded, mut decoder) = decode(&definition, &encode(&definition, &samples));
             prop_assert_eq!(decoder.pending(), 0);
             prop_assert_eq!(only_samples(&decoded), samples.clone());
-            // Nothing is pending: an interruption costs nothing, and is no fault of the line.
+            // Nothing is pending, so an interruption is no fault.
             let mut cut_off = Vec::new();
             decoder.interrupt(&mut cut_off);
             prop_assert_eq!(cut_off, vec![]);
@@ -115,10 +115,10 @@ proptest! {
             let mut bytes = encode(&definition, &samples);
             harm(&mut bytes, &harms);
             let (whole, _) = decode(&definition, &bytes);
-            // Each harm spoils at most two frames.
+            // Each damage spoils at most two frames.
             let decoded = only_samples(&whole).len();
             prop_assert!(decoded + 2 * harms.len() >= samples.len(), "{}: {} of {}", name, decoded, samples.len());
-            // The same bytes in other pieces give the same.
+            // Other splits of the same bytes give the same result.
             let (mut decoder, mut pieces) = (definition.decoder(), Vec::new());
             let mut rest = &bytes[..];
             for cut in cuts.iter().cycle() {
@@ -141,7 +141,7 @@ proptest! {
     }
 }
 
-/// A frame that never ends is given up in bounded pieces, and the next good frame is read.
+/// A frame without end is reported in bounded pieces, and the next frame is decoded.
 #[test]
 fn overlong_frames_become_faults() {
     for name in ["dbb-cobs-1", "dbb-nmea-1"] {
@@ -164,7 +164,7 @@ fn overlong_frames_become_faults() {
     }
 }
 
-/// Every single flipped bit of a frame is found: CRC-16 finds all single-bit errors.
+/// A CRC-16 detects every single flipped bit.
 #[test]
 fn flipped_bits_yield_no_sample() {
     let definition = definition("dbb-cobs-1");

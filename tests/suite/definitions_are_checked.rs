@@ -1,4 +1,4 @@
-//! A definition that contradicts itself is refused with the line where it does.
+//! Definitions are checked: an error names its line.
 
 use dbbd::device::protocol::Definition;
 use dbbd::diagnostic::Diagnostic;
@@ -13,7 +13,7 @@ fn built_in_definitions_pass_their_own_vectors() {
     }
 }
 
-/// The sketch that the frame was specified with.
+/// The definition that accompanies the specification of the frame.
 #[test]
 fn reference_definition_is_accepted() {
     let Ok(text) = std::fs::read_to_string("../shared/reference/protocol-samples/dbb-cobs-1.toml") else {
@@ -23,7 +23,7 @@ fn reference_definition_is_accepted() {
     Definition::from_toml("dbb-cobs-1.toml", &text).unwrap();
 }
 
-/// Puts `new` in the place of `old` and gives the refusal.
+/// The error after replacing `old` with `new`.
 fn refusal(old: &str, new: &str) -> Diagnostic {
     assert_eq!(COBS.matches(old).count(), 1, "{old}");
     let text = COBS.replace(old, new);
@@ -88,10 +88,10 @@ const SHIPPED: [(&str, &str); 7] = [
     ("delim", include_str!("../../protocols/touchdro.toml")),
 ];
 
-/// A refusal: the file, what is put in the place of what, where it must point, and its code.
+/// File, text to be replaced, its replacement, text at the reported position, and code.
 type Case = (&'static str, &'static str, &'static str, &'static str, &'static str);
 
-/// One for each message of the loader that the shipped files can be bent to.
+/// One case for each error of the loader.
 const REFUSED: &[Case] = &[
     // the file as a whole
     ("cobs", "id = \"dbb-cobs-1\"", "id = \"\"", "id =", "E0302"),
@@ -235,7 +235,7 @@ fn errors_name_file_line_column_and_remedy() {
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
-/// The program's own words: exit code 1, and the message on stderr alone.
+/// The binary gives exit code 1 and a message on stderr only.
 #[test]
 fn binary_reports_the_position_of_an_error() {
     let directory = tempfile::tempdir().unwrap();
@@ -251,7 +251,7 @@ fn binary_reports_the_position_of_an_error() {
     assert!(said.contains(&format!("error[E0120]: {}:{line}:1:", path.display())), "{said}");
 }
 
-/// What is not known of a definition stands in the list.
+/// The list shows the confidence of each definition.
 #[test]
 fn list_shows_the_confidence_of_each_definition() {
     let output =
@@ -263,7 +263,7 @@ fn list_shows_the_confidence_of_each_definition() {
         let definition = Definition::from_toml(name, text).unwrap();
         assert!(line.contains(definition.confidence) && line.contains("not tried on hardware"), "{line}");
         assert_eq!(line.contains("no check"), definition.undetected() == 1.0, "{line}");
-        // The file itself says it too.
+        // The file states it too.
         assert!(definition.confidence == "own" || text.contains("not tried on hardware"), "{name}");
         let without =
             text.contains("# No check") || text.contains("optional = true") || definition.confidence == "own";
@@ -271,7 +271,7 @@ fn list_shows_the_confidence_of_each_definition() {
     }
 }
 
-/// What stands above a definition that is shown is what it says of its frame.
+/// `protocols show` prints the layout of the frame above the definition.
 #[test]
 fn protocols_show_prints_the_frame_layout() {
     for (name, layout) in [
@@ -313,7 +313,7 @@ fn crc_parameters_are_verified_by_their_check_value() {
             "width = 16\npoly = 0x8005\ninit = 0xffff\nrefin = true\nrefout = true\nxorout = 0\ncheck = {check}"
         );
         let text = COBS.replace("name = \"CRC-16/IBM-3740\"", &crc);
-        // The shipped vectors hold for the other CRC.
+        // The shipped vectors hold for another CRC.
         let (head, _) = text.split_once("[[test]]").unwrap();
         Definition::from_toml("bar.toml", head)
     };

@@ -1,6 +1,7 @@
-//! The map from a device's counter to the host's clock on a simulated adapter: 50 ppm of drift, 16 ms
-//! batches, stalls. The figures are those of the method's simulation in the reference: least delay
-//! 0.5 ms, exponential jitter of 0.3 ms, stalls of 50 ms in 0.1 % of the samples.
+//! The map from a device's counter to the host's clock on a simulated adapter: 50 ppm of drift, 16 ms batches,
+//! stalls. The
+//! figures are those of the method's simulation in the reference: least delay 0.5 ms, exponential jitter of 0.3 ms,
+//! stalls of 50 ms in 0.1 % of the samples.
 
 use dbbd::base::units::{DeviceTicks, HostNs};
 use dbbd::recording::{ClockMap, DeviceClock, Stamp};
@@ -31,7 +32,7 @@ fn run(seconds: f64, hz: f64, seed: u64) -> Run {
         if count.is_multiple_of(997) {
             ready += exponential(50e-3);
         }
-        // The adapter hands over what it has every 16 ms, in the host's time; order is kept.
+        // The adapter delivers its bytes every 16 ms of the host's time, in order.
         let handed = ((ready - 1e-3) / 0.016).ceil() * 0.016 + 1e-3;
         let handed = if handed - ready > 0.0159 { ready } else { handed };
         last = last.max(handed);
@@ -63,7 +64,7 @@ fn hull_is_biased_by_the_least_delay_only() {
             .collect();
         let arrival: Vec<f64> =
             stamps.iter().zip(&truth).map(|(stamp, t)| stamp.host.0 as f64 * 1e-9 - t).collect();
-        // A line by least squares through the same points.
+        // A least-squares line through the same points.
         let n = truth.len() as f64;
         let host: Vec<f64> = stamps.iter().map(|stamp| stamp.host.0 as f64 * 1e-9).collect();
         let (mt, mh) = (map.device_s.iter().sum::<f64>() / n, host.iter().sum::<f64>() / n);
@@ -100,7 +101,7 @@ fn resets_and_jumps_are_breaks_and_wraps_are_not() {
     assert!(ClockMap::new(&stamps[..2000], CLOCK).host_s(0.0).is_some());
 }
 
-/// A jump is told from a stall: only the jump shifts the least delay for good.
+/// A jump is distinguished from a stall: only the jump shifts the least delay permanently.
 #[test]
 fn jump_is_a_break_and_stall_is_not() {
     for (jump_s, stall_s, expected) in
@@ -123,12 +124,12 @@ fn jump_is_a_break_and_stall_is_not() {
     }
 }
 
-/// A counter faster than the host's clock is no clock of the host's; its own breaks are found still.
+/// A counter faster than the host's clock is not mapped to it; its own breaks are still detected.
 #[test]
 fn run_faster_than_real_time_uses_device_time_only() {
     let stamp = |at: u64| Stamp { host: HostNs(at * 1000), ticks: DeviceTicks(at * 1000) };
     let mut stamps: Vec<Stamp> = (0..10_000).map(stamp).collect();
-    // The host may be held up for a while in such a run.
+    // The host may be delayed in such a run.
     stamps.iter_mut().skip(7000).for_each(|stamp| stamp.host.0 += 700_000_000);
     let map = ClockMap::new(&stamps, CLOCK);
     assert_eq!((map.breaks.len(), map.host_s(1.0), map.drift()), (0, None, None));

@@ -1,4 +1,4 @@
-//! A dwell: its value and uncertainty, creep, drift, and what is left of it where samples are missing.
+//! Dwells: value and uncertainty, creep, drift, and missing samples.
 
 use dbbd::catalogue::MatchingFinding;
 use dbbd::diagnostic::Finding;
@@ -38,8 +38,9 @@ fn still_dwells_carry_value_and_uncertainty() {
     }
 }
 
-/// A reading that stays on one step of a coarse scale, or hardly leaves it, is known to that step: its standard
-/// uncertainty is the step over the root of 12 (GUM 4.3.7), and not the little scatter over the root of the count.
+/// A reading that stays on a step of a coarse scale, or hardly leaves it, is known to that step: its standard
+/// uncertainty is
+/// the step over the root of 12 (GUM 4.3.7), not the small scatter over the root of the count.
 #[test]
 fn coarse_scale_limits_the_uncertainty() {
     const STEP_MM: f64 = 0.01;
@@ -57,7 +58,7 @@ fn coarse_scale_limits_the_uncertainty() {
         on_the_step += usize::from((dwell.u_mm / step - 1.0).abs() < 1e-3);
         least = least.min(dwell.u_mm);
     }
-    // Where it flickers between two steps the scatter averages out.
+    // If it flickers between two steps, the scatter averages out.
     eprintln!("{on_the_step} of {} on the step, {least} mm at least", matching.outcomes.len());
     assert!(on_the_step > 0);
 }
@@ -155,7 +156,7 @@ fn outage_within_a_dwell_rejects_it_only_if_little_is_left() {
         if let Some(dwell) = matching.outcomes[9].reading() {
             let read_s = dwell.samples as f64 / 500.0;
             let whole = dwell.gaps == 1 && (0.5..0.8).contains(&read_s);
-            // By stillness alone the part before the outage may be all that is seen.
+            // By stillness alone only the part before the outage may be detected.
             let part = !strobe && dwell.gaps == 0 && (0.3..0.5).contains(&read_s);
             assert!(whole || part, "{dwell:?}");
         } else {

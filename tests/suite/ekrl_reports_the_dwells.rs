@@ -1,5 +1,6 @@
-//! A program tells its dwells over EthernetKRL: however TCP cuts the telegrams, and whatever else a client
-//! sends or fails to send, what is told is recorded once, answered, and used.
+//! A program reports its dwells over EthernetKRL: however TCP splits the telegrams, and whatever else a client
+//! sends or
+//! omits, each report is recorded once, answered, and used.
 
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
@@ -19,7 +20,7 @@ use proptest::prelude::*;
 use crate::cell::{codes, dbbd, stderr};
 use crate::process::{Simulator, signal, spawn};
 
-/// As `krl --sync ekrl` and the controller's EKI write it (reference: the channel file, docs/reference/krl.md).
+/// As written by `krl --sync ekrl` and the controller's EKI (reference: the channel file, docs/reference/krl.md).
 fn written(telegram: &Telegram) -> String {
     let [a1, a2, a3, a4, a5, a6] = telegram.axes_deg;
     format!(
@@ -41,8 +42,8 @@ fn telegrams(heard: &[TelegramResult]) -> Vec<Telegram> {
     heard.iter().filter_map(of).collect()
 }
 
-/// What may stand between two telegrams: nothing, space, garbage, a telegram that breaks off, one that is
-/// no telegram, one without an end.
+/// Content between two telegrams: nothing, space, garbage, an interrupted telegram, an invalid one, one without
+/// an end.
 fn between() -> impl Strategy<Value = Vec<u8>> {
     let cut = (1usize..60).prop_map(|len| written(&telegram(7, 1)).into_bytes()[..len].to_vec());
     prop_oneof![
@@ -94,7 +95,7 @@ proptest! {
         let mut reader = TelegramReader::default();
         prop_assert!(telegrams(&reader.push(&bytes)).is_empty());
         prop_assert!(reader.skipped() + reader.pending() as u64 <= bytes.len() as u64);
-        // And what comes after it is heard.
+        // The telegram after it is read.
         let after = written(&telegram(1, 2));
         prop_assert_eq!(telegrams(&reader.push(after.as_bytes())), vec![telegram(1, 2)]);
     }
@@ -142,7 +143,7 @@ fn small_plan(dir: &Path) -> u32 {
     dwells.find_map(|row| row.split(',').next()?.parse().ok()).unwrap()
 }
 
-/// A simulated bar that nobody moves, and a run that listens.
+/// A simulated bar that does not move, and a run that listens.
 struct Listening {
     _simulator: Simulator,
     acquire: Child,
@@ -204,7 +205,7 @@ fn idle_connections_do_not_block_the_controller() {
     let good = |phase| written(&Telegram { run, ..telegram(index, phase) });
     let mut first = connect(address);
     assert_eq!(ask(&mut first, &[&good(1)]), format!("<Ack Id=\"{index}\"/>\n"));
-    // More than there are places for; they stay open and say nothing.
+    // More than the limit; they stay open and send nothing.
     let idle: Vec<TcpStream> = (0..12).map(|_| connect(address)).collect();
     assert_eq!(ask(&mut first, &[&good(2)]), format!("<Ack Id=\"{index}\"/>\n"));
     let mut second = connect(address);
@@ -234,18 +235,18 @@ fn misbehaving_client_loses_only_its_own_telegrams() {
     let whole = good(1);
     let (head, tail) = whole.split_at(17);
     assert_eq!(ask(&mut first, &["rubbish ", head, tail]), format!("<Ack Id=\"{index}\"/>\n"));
-    // Of another plan; of a row that is no dwell; not readable: the program is to halt.
+    // Of another plan; of a row without a dwell; unreadable: the program must halt.
     let foreign = written(&Telegram { run: run ^ 1, ..telegram(index, 1) });
     assert_eq!(ask(&mut first, &[&foreign]), "<Ack Id=\"0\"/>\n");
     let nowhere = written(&Telegram { run, ..telegram(999, 1) });
     assert_eq!(ask(&mut first, &[&nowhere]), "<Ack Id=\"0\"/>\n");
     assert_eq!(ask(&mut first, &["<Dbb><Pt/></Dbb>"]), "<Ack Id=\"0\"/>\n");
-    // Gone in the middle of a telegram, and back, as the controller after it was switched off.
+    // Disconnected within a telegram, and back, like a controller after power-off.
     first.write_all(&good(2).as_bytes()[..40]).unwrap();
     drop(first);
     let mut second = connect(address);
     assert_eq!(ask(&mut second, &[&good(2)]), format!("<Ack Id=\"{index}\"/>\n"));
-    // Two telegrams in one write, and one that never ends.
+    // Two telegrams in one write, and one without an end.
     second.write_all((good(1) + &good(2)).as_bytes()).unwrap();
     assert_eq!(ask(&mut second, &[]) + &ask(&mut second, &[]), format!("<Ack Id=\"{index}\"/>\n").repeat(2));
     second.write_all(&[b"<Dbb ".to_vec(), vec![b'x'; 100_000]].concat()).unwrap();
@@ -300,8 +301,9 @@ fn an_address_of_no_use_is_named() {
     }
 }
 
-/// The whole chain at the pace of the clock: plan, program, simulated controller as the client, acquisition as
-/// the server, dwells by the reports, measured axes in the observations.
+/// The whole chain in real time: plan, program, simulated controller as the client, acquisition as the server,
+/// dwells by
+/// reports, measured axes in the observations.
 #[test]
 fn plan_program_controller_and_capture_agree() {
     let dir = tempfile::tempdir().unwrap();

@@ -1,5 +1,5 @@
-//! Every shipped definition: what is encoded is decoded, and `acquire` on its virtual bar through a
-//! real pseudo terminal gives the lengths that were simulated.
+//! Every shipped definition: encoded samples are decoded, and `acquire` on its virtual bar through a pseudo-terminal
+//! gives the simulated lengths.
 
 use std::process::{Command, Stdio};
 
@@ -38,7 +38,7 @@ fn one(definition: &Definition, sample: &Sample) -> Option<Sample> {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 300, ..ProptestConfig::default() })]
 
-    /// The first writing rounds to what the device can say; from then on nothing changes.
+    /// The first encoding rounds to the resolution of the device; after that nothing changes.
     #[test]
     fn samples_round_trip(
         reading_mm in prop_oneof![-2.0..2.0, -60.0..60.0, -900.0..900.0f64],
@@ -52,7 +52,7 @@ proptest! {
                 ticks: definition.clock.map(|_| DeviceTicks(ticks.into())),
                 trigger: Some(status & 16 != 0),
                 temperature_c: Some(f64::from(temperature) / 100.0),
-                // A flag that says valid beside one that says not so is not what a bar sends.
+                // A bar does not send contradicting flags.
                 valid: valid && status & 0b1110 == 0,
                 status,
                 offset: 0,
@@ -67,7 +67,7 @@ proptest! {
     }
 }
 
-/// All that a device can say: readings over its whole range, or each single one where they are few.
+/// The readings that a device can represent: over its whole range, or all of them if they are few.
 #[test]
 fn whole_range_of_a_device_round_trips() {
     let mut dice = Pcg64::seed_from_u64(11);
@@ -85,7 +85,7 @@ fn whole_range_of_a_device_round_trips() {
             let reading_mm = at + steps as f64 * step;
             definition.encoder().encode(&Sample { reading_mm, ..sample }, &mut bytes).is_ok()
         };
-        // The furthest step that can be said on either side.
+        // The last representable step on each side.
         let furthest = |sense: i64| {
             let (mut can, mut cannot) = (0i64, 1i64 << 40);
             while cannot - can > 1 {
@@ -110,13 +110,13 @@ fn whole_range_of_a_device_round_trips() {
             let off = (said.reading_mm - sample.reading_mm).abs();
             assert!(off <= 0.5001 * step, "{}: {} for {}", definition.id, said.reading_mm, sample.reading_mm);
             assert_eq!((said.sequence, said.ticks, said.valid), (sample.sequence, sample.ticks, true));
-            // What has been said once is said again bit for bit.
+            // A decoded sample is encoded bit for bit.
             assert_eq!(one(&definition, &said), Some(said), "{}", definition.id);
         }
     }
 }
 
-/// Every device can say its whole range around the bar's zero.
+/// Every device can represent its range around the bar's zero.
 #[test]
 fn bar_stroke_fits_the_protocol() {
     for definition in all() {
@@ -144,12 +144,12 @@ pub(crate) fn provoked() -> Vec<&'static str> {
 
 const RATE_HZ: f64 = 100.0;
 
-/// Lengths on a ramp, so that each sample is known by its place.
+/// Lengths on a ramp, so that each sample is identified by its value.
 fn ramp_mm(t_s: f64, rate_hz: f64) -> f64 {
     -0.9 + 0.01 * ((t_s * rate_hz).round() % 180.0)
 }
 
-/// What `acquire` records of a virtual bar that reads so at a time, and what it said.
+/// The capture, exit code and output of `acquire` on a virtual bar with these readings.
 fn acquired(
     definition: &Definition,
     protocol: &str,
@@ -178,14 +178,14 @@ fn simulated_is_acquired(definition: &Definition, protocol: &str, params: &[&str
     let reading =
         |t_s| Reading { reading_mm: ramp_mm(t_s, RATE_HZ), strobe: false, valid: true, temperature_c: 20.0 };
     let (capture, code, said) = acquired(definition, protocol, params, reading);
-    // On a busy machine a reply may come too late: that is told, and no length is wrong for it.
+    // On a busy machine a reply may be late: that is reported, and gives no wrong length.
     let late = code == Some(3) && said.contains(UNANSWERED);
     assert!(code == Some(0) || late, "{protocol}: {said}");
     let samples: Vec<Sample> = capture.samples().map(|(_, sample)| *sample).collect();
     assert!(samples.len() >= 3, "{protocol}: {} samples", samples.len());
     for pair in samples.windows(2) {
         assert!(pair[0].valid, "{protocol}");
-        // Each reading is one of the ramp's; the next one is further on it.
+        // Each reading is on the ramp, after the one before.
         let place = |sample: &Sample| {
             let steps = (sample.reading_mm - definition.sim.at_mm + 0.9) / 0.01;
             assert!(
@@ -209,7 +209,7 @@ fn acquire_reads_every_virtual_bar() {
     });
 }
 
-/// A device that the binary was not built with, with framing and fields of its own.
+/// A device that is not built in, with other framing and fields.
 const OUTSIDE: &str = include_str!("../../fuzz/length.toml");
 
 /// A reading of 1 mm, with its number and nothing else.
@@ -252,7 +252,7 @@ fn definition_from_a_file_is_acquired() {
     let capture = capture::read(&std::fs::read(&run).unwrap());
     let readings: Vec<f64> = capture.samples().map(|(_, sample)| sample.reading_mm).collect();
     assert!(readings.len() > 10 && readings.iter().all(|mm| *mm == 0.25), "{readings:?}");
-    // The capture alone tells the parameter in force.
+    // The capture contains the parameter in force.
     let kept = String::from_utf8(capture.attachment("protocol.toml").unwrap().to_vec()).unwrap();
     assert!(kept.contains("default = 2.0"), "{kept}");
 }
@@ -283,7 +283,7 @@ fn parameters_are_checked() {
     assert!(wrong.help.is_some_and(|help| help.contains("gain")));
 }
 
-/// A bar out of its stroke says so by a flag, or by a value that stands for no reading.
+/// Beyond its stroke a bar sets a flag, or sends the value for no reading.
 #[test]
 fn readings_beyond_the_stroke_are_invalid() {
     for protocol in ["dbb-cobs-1", "microepsilon-ild1420"] {
@@ -299,7 +299,7 @@ fn readings_beyond_the_stroke_are_invalid() {
     }
 }
 
-/// A field takes what its bits hold, and not one more.
+/// A field takes the values of its bits and no others.
 #[test]
 fn values_that_do_not_fit_are_rejected() {
     let text = OUTSIDE.replace(
@@ -312,7 +312,7 @@ fn values_that_do_not_fit_are_rejected() {
     assert_eq!(encoded(256).unwrap_err().code().0, NOT_SENT);
 }
 
-/// Records that end with silence.
+/// Records terminated by silence.
 #[test]
 fn silence_ends_a_frame() {
     let text = entries::ended_by_silence();

@@ -1,5 +1,6 @@
-//! Every kind of `simulate --fault`, through the two programs and a pseudo terminal between them: what
-//! is recorded was sent, and what went wrong is told. Recordings of most of them are played in `replay`.
+//! Every kind of `simulate --fault`, between two programs on a pseudo-terminal: recorded samples were sent, and
+//! faults
+//! are reported. Recordings of most of them are played in `replay`.
 #![cfg(unix)]
 
 use std::collections::BTreeSet;
@@ -17,10 +18,10 @@ use crate::cell::stderr;
 use crate::process::dbbd;
 use crate::virtual_bar::{RATE_HZ, Row, Run, acquire, simulate, simulate_at};
 
-/// Bytes of a frame of `dbb-cobs-1`.
+/// Length of a frame of `dbb-cobs-1`.
 const FRAME: u64 = 18;
 
-/// What the bar says frame by frame over a good line.
+/// Frames that the bar sends over a good line.
 fn truth() -> &'static [f64] {
     static TRUTH: OnceLock<Vec<f64>> = OnceLock::new();
     TRUTH.get_or_init(|| {
@@ -28,18 +29,18 @@ fn truth() -> &'static [f64] {
         let bar = simulate(directory.path(), "0", &[]);
         let run = acquire(directory.path(), &bar.port, "0.4", &[]);
         assert_eq!(run.output.status.code(), Some(0), "{}", stderr(&run.output));
-        // The end may cut through a frame.
+        // The end may split a frame.
         assert!(run.rows.len() > 3000 && run.faults.len() <= 1, "{:?}", run.faults);
         assert!((0..).zip(&run.rows).all(|(frame, row)| row.frame == frame));
         let readings: Vec<f64> = run.rows.iter().map(|row| row.sample.reading_mm).collect();
-        // They differ: a reading in the wrong place is seen.
+        // They differ, so that a misplaced reading is detected.
         let different: BTreeSet<u64> = readings.iter().map(|mm| mm.to_bits()).collect();
         assert!(different.len() > 1000);
         readings
     })
 }
 
-/// Protocol, fault, and for how long.
+/// Protocol, fault, and duration.
 const KINDS: &[(&str, &str, &str)] = &[
     ("dbb-cobs-1", "drop=0.002", "1.2"),
     ("dbb-cobs-1", "flip=0.002", "1.2"),
@@ -58,7 +59,7 @@ const KINDS: &[(&str, &str, &str)] = &[
     ("microepsilon-ild1420", "refuse=0.1", "1.2"),
 ];
 
-/// A run with a fault; all of them are made beside each other, since most of their time is waiting.
+/// A run with a fault. The runs are concurrent, since most of their time is waiting.
 fn with(protocol: &str, fault: &str) -> &'static Run {
     static RUNS: OnceLock<Vec<Run>> = OnceLock::new();
     let runs = RUNS.get_or_init(|| {
@@ -85,7 +86,7 @@ impl Run {
         self.summary["progress"][what].as_u64().unwrap()
     }
 
-    /// Every sample is the frame that it says it is, and every byte is in a sample or in a fault.
+    /// Every sample equals its frame, and every byte belongs to a sample or a fault.
     fn holds(&self) {
         let truth = truth();
         assert!(self.rows.len() > 200, "{} samples: {}", self.rows.len(), stderr(&self.output));
@@ -100,7 +101,7 @@ impl Run {
         assert_eq!(self.bytes, self.rows.len() as u64 * FRAME + in_faults);
     }
 
-    /// Frames that lie between the first and the last sample and have none, by their device time.
+    /// Frames between the first and the last sample without a sample, by their device time.
     fn absent(&self) -> u64 {
         let ends = self.rows.first().zip(self.rows.last());
         ends.map_or(0, |(first, last)| last.frame - first.frame + 1 - self.rows.len() as u64)
@@ -114,7 +115,7 @@ impl Run {
         self.events.iter().filter(|(_, event, _)| event == name).map(|(_, _, detail)| detail).collect()
     }
 
-    /// The stream as it is joined, and the frames' own times, s.
+    /// The evaluated stream, and the true times of the frames, s.
     fn stream(&self) -> (Stream, Vec<f64>) {
         let clock = DeviceClock { seconds_per_tick: 1e-6, wrap: Some(1 << 32) };
         let mut stream = StreamBuilder::new(Some(clock));
@@ -132,7 +133,7 @@ impl Run {
     }
 }
 
-/// Damage to bytes: lost frames are counted one by one, and nothing is made up.
+/// Damaged bytes: each lost frame is counted, and no sample is invented.
 fn damage(fault: &str) {
     let run = with("dbb-cobs-1", fault);
     run.holds();
@@ -153,8 +154,9 @@ fn spread(errors: &[f64]) -> f64 {
     (errors.iter().map(|error| (error - mean).powi(2)).sum::<f64>() / errors.len() as f64).sqrt()
 }
 
-/// Standard deviations of a run's times against the frames' own, s: by arrival, by a line of least squares
-/// through arrivals and device times, and as they are joined; and the stream.
+/// Standard deviations of a run's times from the true ones, s: by arrival, by a least-squares line through
+/// arrivals and
+/// device times, and as evaluated; and the stream.
 fn chain(seconds: &str, drift_ppm: &str) -> ([f64; 3], Stream) {
     let directory = tempfile::tempdir().unwrap();
     let drift = format!("drift_ppm={drift_ppm}");
@@ -165,7 +167,7 @@ fn chain(seconds: &str, drift_ppm: &str) -> ([f64; 3], Stream) {
     let (stream, times) = run.stream();
     let off = |t_s: &[f64]| spread(&t_s.iter().zip(&times).map(|(t, truth)| t - truth).collect::<Vec<_>>());
     let arrival: Vec<f64> = run.rows.iter().map(|row| row.host.seconds_since(run.rows[0].host)).collect();
-    // Device time is the frames' own but for a constant factor, which the line takes up.
+    // Device time is the true time but for a constant factor, which the line contains.
     let n = times.len() as f64;
     let (mean_t, mean_a) = (times.iter().sum::<f64>() / n, arrival.iter().sum::<f64>() / n);
     let slope = times.iter().zip(&arrival).map(|(t, a)| (t - mean_t) * (a - mean_a)).sum::<f64>()
@@ -184,11 +186,11 @@ fn chain(seconds: &str, drift_ppm: &str) -> ([f64; 3], Stream) {
     (spreads, stream)
 }
 
-/// What 16 ms of batching and a fast quartz do to the times is undone when the run is joined.
+/// The evaluation removes batches of 16 ms and the skew of a fast quartz.
 #[test]
 fn batches_and_drift() {
     let ([arrived, _, joined], stream) = chain("4", "500");
-    // A batch of 16 ms has a spread of 16 / sqrt(12) = 4.6 ms.
+    // Batches of 16 ms have a standard deviation of 16 / sqrt(12) = 4.6 ms.
     assert!(arrived > 3e-3 && joined < 0.25 * arrived, "{arrived} {joined}");
     let drift = stream.clock().unwrap().drift().unwrap();
     assert!((drift + 500e-6).abs() < 300e-6, "{drift}");
@@ -242,17 +244,17 @@ fn unplugged_and_back_under_another_name() {
     let seconds = gaps[0]["seconds"].as_f64().unwrap();
     assert!((0.6..3.8).contains(&seconds), "{seconds}");
     assert_eq!(run.events("opened").len(), 2);
-    // Device time went on meanwhile: what is absent is the gap, and nothing else.
+    // Device time continued: the gap is exactly what is missing.
     let holes: Vec<u64> =
         run.rows.windows(2).map(|pair| pair[1].frame - pair[0].frame).filter(|step| *step > 1).collect();
     assert!(matches!(holes[..], [hole] if hole > 500), "{holes:?}");
     drop(bar);
 }
 
-/// Whether a run says what went wrong.
+/// Whether a run reported the fault.
 type Told<'a> = &'a dyn Fn(&Run) -> bool;
 
-/// What `replay` plays from recordings, from the bars that made them: each fault is told by its own counts.
+/// The faults that `replay` plays from recordings, with the bars that made them: each is reported by its own counts.
 #[test]
 fn each_fault_has_its_own_count() {
     let silent = |run: &Run| {
@@ -287,7 +289,7 @@ fn each_fault_has_its_own_count() {
     }
 }
 
-/// The bar is set to zero before the run, where its protocol has a command for it.
+/// The bar is set to zero before the run, if its protocol has a command for it.
 #[test]
 fn zero_is_set_before_the_run() {
     let mean = |rest: &[&str]| {
@@ -298,7 +300,7 @@ fn zero_is_set_before_the_run() {
         assert!(run.rows.len() > 3, "{}", stderr(&run.output));
         run.rows.iter().map(|row| row.sample.reading_mm).sum::<f64>() / run.rows.len() as f64
     };
-    // The reading that became zero has a noise of 0.1 mm.
+    // The noise of the reading that became zero is 0.1 mm.
     assert!((mean(&[]) - 1.0).abs() < 0.3);
     assert!(mean(&["--zero"]).abs() < 0.6);
     let directory = tempfile::tempdir().unwrap();
@@ -309,8 +311,9 @@ fn zero_is_set_before_the_run() {
     assert!(stderr(&output).contains("no command for it"), "{}", stderr(&output));
 }
 
-/// A device that is set to another rate is found by asking, and what it sends at once behind its answer
-/// to the start command is not lost. A pseudo terminal shows both sides the rate that was set.
+/// The rate of a device is probed, and samples directly after its answer to the start command are kept. A pseudo-
+/// terminal
+/// shows both sides the rate that was set.
 #[test]
 fn baud_rate_is_probed_and_first_samples_are_kept() {
     const READINGS: usize = 100;
@@ -334,7 +337,7 @@ fn baud_rate_is_probed_and_first_samples_are_kept() {
                 }
                 let mut answer = b"->".to_vec();
                 if command == b"OUTPUT RS422\n" && !sent {
-                    // Half range, as the maker's vector has it.
+                    // Half of the range, as in the maker's vector.
                     answer.extend([0x3d, 0x7f, 0x87].repeat(READINGS));
                     sent = true;
                 }

@@ -1,7 +1,7 @@
-//! Every recording over every fault, with the recorded times for a clock: what came in is stored or counted
-//! as lost, unwrapped counters rise, and a capture that was cut off is the beginning of the whole one.
+//! Every recording with every fault, replayed with its recorded times: received bytes are stored or counted as lost,
+//! unwrapped counters increase, and an interrupted capture is a prefix of the complete one.
 //!
-//! The pseudo terminal's own faults (unplugged, back under another name) are in `replay`.
+//! Faults of the pseudo-terminal (unplugged, back under another name) are in `replay`.
 
 use std::io::{self, ErrorKind, Write};
 use std::path::Path;
@@ -20,23 +20,23 @@ use rand_pcg::Pcg64;
 
 use crate::recordings::{Recording, all};
 
-/// What goes wrong.
+/// Faults.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Harm {
     Nothing,
     Flipped,
     Dropped,
     Doubled,
-    /// Bytes at a wrong rate: a stretch of the stream is noise.
+    /// Bytes at a wrong rate: a part of the stream is noise.
     Garbage,
-    /// Bytes do not reach the recorder.
+    /// Bytes that do not reach the recorder.
     TooSlow,
-    /// Nothing comes for a while.
+    /// Silence.
     Stall,
-    /// The host's clock goes ahead by an hour, as behind a suspended machine, or back.
+    /// The host's clock jumps forward by an hour, as after a suspend, or back.
     Ahead,
     Back,
-    /// Counters begin again from 0 as they should, or because the device was switched off and on.
+    /// Counters wrap, or restart because the device was switched off and on.
     Wrap,
     Reset,
     DiskFull,
@@ -61,7 +61,7 @@ const HARMS: [Harm; 14] = [
     Harm::Killed,
 ];
 
-/// A disk in memory that refuses from some byte or some sync on, and remembers where each write ended.
+/// A disk in memory that fails from some byte or sync on, and remembers the end of each write.
 #[derive(Clone, Default)]
 struct Memory {
     taken: Arc<Mutex<Vec<u8>>>,
@@ -105,7 +105,7 @@ impl Disk for Memory {
     }
 }
 
-/// What the recorder is given.
+/// Input of the recorder.
 #[derive(Clone, Debug)]
 enum Given {
     Bytes(HostNs, Vec<u8>),
@@ -116,7 +116,7 @@ fn host(t_s: f64) -> HostNs {
     HostNs((t_s * 1e9) as u64)
 }
 
-/// Puts it through the recorder of a run.
+/// Feeds it to the recorder of a run.
 fn recorded(definition: &Definition, given: &[Given], disk: &Memory) -> Result<Progress, Diagnostic> {
     let begin = host(0.0);
     let writer = Writer::on(Box::new(disk.clone()), Path::new("run"))?;
@@ -136,7 +136,7 @@ fn recorded(definition: &Definition, given: &[Given], disk: &Memory) -> Result<P
     recorder.finish(last, "the time was up")
 }
 
-/// A recording and what goes wrong with it.
+/// A recording with a fault.
 struct Case {
     recording: Recording,
     definition: Definition,
@@ -146,7 +146,7 @@ struct Case {
 }
 
 impl Case {
-    /// None where it cannot happen: a device without counters has none that wrap.
+    /// `None` if the fault is impossible: a device without counters cannot wrap.
     fn new(recording: &Recording, harm: Harm, seed: u64) -> Option<Self> {
         let definition = recording.definition();
         let mut dice = Pcg64::seed_from_u64(seed);
@@ -212,7 +212,8 @@ impl Case {
         progress.samples
     }
 
-    /// Bytes in = bytes in samples and faults and counted as lost; samples in = stored and counted as lost.
+    /// Bytes received = bytes in samples and faults + bytes counted as lost; samples received = stored +
+    /// counted as lost.
     fn accounts(&self, name: &str, capture: &Capture, progress: &Progress) {
         let (mut decoder, mut decoded) = (self.definition.decoder(), Vec::new());
         let mut came = 0;
@@ -240,7 +241,7 @@ impl Case {
             }
         }
         let stored: Vec<Sample> = capture.samples().map(|(_, sample)| *sample).collect();
-        // A damaged frame without a check may say what equals nothing.
+        // A damaged frame without a check may be a NaN, which equals nothing.
         assert_eq!(format!("{stored:?}"), format!("{samples:?}"), "{name}");
         assert_eq!(progress.samples, stored.len() as u64, "{name}");
         let counted_anew = matches!(self.harm, Harm::Wrap | Harm::Reset);
@@ -274,7 +275,7 @@ impl Case {
             .collect();
         assert_eq!(progress.gaps, gaps.len() as u64, "{name}");
         assert_eq!(gaps.iter().flatten().sum::<u64>(), progress.missing, "{name}");
-        // Where a check guards the numbers, they tell every frame that is absent between the first and the last.
+        // If a check protects the numbers, they show every missing frame between the first and the last.
         if let (Some(modulo), true) = (self.definition.sequence_modulo, self.definition.undetected() < 1e-4)
             && let (Some(first), Some(last)) = (stored.first(), stored.last())
             && self.harm != Harm::Reset
@@ -289,7 +290,7 @@ impl Case {
         assert!(silent || !waits, "{name}: a silence that was not told");
     }
 
-    /// The device's time never goes back; it rises with each sample where no byte was harmed.
+    /// Device time never decreases; it increases with each sample if no byte was damaged.
     fn counts_rise(&self, name: &str, capture: &Capture) {
         let Some(clock) = self.definition.clock else { return };
         let mut time = DeviceTime::new(clock.into());
@@ -321,7 +322,7 @@ impl Case {
         }
     }
 
-    /// The run ends, says what is kept, and its file is the beginning of the one that nothing went wrong with.
+    /// The run ends, reports what is kept, and its file is a prefix of that of the undisturbed run.
     fn ends_as_a_prefix(&self, name: &str, whole: &Capture, disk: Memory) {
         let failed = recorded(&self.definition, &self.given, &disk);
         let Err(failed) = failed else {
@@ -340,7 +341,7 @@ impl Case {
     }
 }
 
-/// The same readings with other counters: they wrap in the middle, or begin again there.
+/// The same readings with other counters: they wrap in the middle, or restart there.
 fn counted_anew(
     definition: &Definition,
     pieces: &[(f64, Vec<u8>)],
@@ -357,13 +358,14 @@ fn counted_anew(
             Decoded::Fault(_) => None,
         }));
     }
-    // Away from the ends, where a restart is soon made up for.
+    // Away from the ends, where a restart is hardly visible.
     let (count, quarter) = (samples.len(), samples.len() / 4);
     let middle = quarter + (middle * count / pieces.len()) / 2;
     let mask = u64::MAX >> (64 - clock.wrap_bits);
     let (ticks, sequence) = (samples[middle].1.ticks?.0, samples[middle].1.sequence);
-    // A counter that begins again shortly before it would wrap has wrapped, for all that can be told, and one that
-    // has just begun goes back by less than is told.
+    // A counter that restarts shortly before its wrap has wrapped, as far as can be seen, and one that just
+    // started steps
+    // back by too little.
     if harm == Harm::Reset && (ticks > mask / 2 || ticks as f64 * f64::from(clock.tick_ns) < 0.5e9) {
         return None;
     }

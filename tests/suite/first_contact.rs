@@ -1,5 +1,6 @@
-//! First contact with a bar: `bar identify` names its protocol, or says that it does not know; `bar check` measures how well
-//! it reads.
+//! First contact with a bar: `bar identify` identifies its protocol or reports that it is unknown; `bar check`
+//! measures its
+//! noise.
 
 use std::path::Path;
 use std::process::Output;
@@ -33,7 +34,7 @@ fn built_in() -> Vec<Definition> {
     Definition::built_in().iter().map(|(name, _)| Definition::by_name(name).unwrap().unwrap()).collect()
 }
 
-/// What a device sends in two seconds about one length; the line was opened within a frame.
+/// Bytes of a device in two seconds at about one length; the line was opened within a frame.
 fn two_seconds(definition: &Definition, seed: u64) -> Vec<u8> {
     let mut dice = Pcg64::seed_from_u64(seed);
     let rate_hz = match definition.mode {
@@ -66,7 +67,7 @@ fn two_seconds_of_bytes_identify_the_definition() {
     for definition in &definitions {
         for seed in 0..2 {
             let mut bytes = two_seconds(definition, seed);
-            // One byte of a line is damaged.
+            // One byte is damaged.
             let middle = bytes.len() / 2;
             bytes[middle] ^= 0x11;
             let ranked = Evidence::ranked(&definitions, &bytes);
@@ -82,7 +83,7 @@ const GPS: &str = "$GPGGA,123519.00,4807.0380,N,01131.0000,E,1,08,0.9,545.4,M,46
 const MODEM: &str = "\r\nRING\r\n\r\nNO CARRIER\r\nAT\r\r\nOK\r\nAT+CSQ\r\r\n+CSQ: 15,99\r\n\r\nOK\r\nAT+CREG?\r\r\n\
                      +CREG: 0,1\r\n\r\nOK\r\n\r\nERROR\r\nNO DIALTONE\r\n";
 
-/// What is no bar: noise of each density, a receiver of satellites, a modem, a line that is stuck.
+/// Other sources: noise of each density, a satellite receiver, a modem, a stuck line.
 fn strangers() -> Vec<(&'static str, Vec<u8>)> {
     let noise = |seed: u64, least: u8| -> Vec<u8> {
         let mut dice = Pcg64::seed_from_u64(seed);

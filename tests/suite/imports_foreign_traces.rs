@@ -1,5 +1,4 @@
-//! A trace that other software recorded goes the same way as a capture, and what is wrong in it is named
-//! by line and column.
+//! A trace recorded by other software is evaluated like a capture, and its errors are reported by line and column.
 #![cfg(unix)]
 
 use std::fs;
@@ -48,7 +47,7 @@ fn exported_run_is_imported_with_the_same_result() {
         let near = (one.identified - other.identified).abs() < 1e-9 * (1.0 + one.identified.abs());
         assert!(near, "{}: {} {}", one.name, one.identified, other.identified);
     }
-    // The same readings, and the text they come from.
+    // The same readings, and their text.
     let read = |name: &str| capture::read(&fs::read(at.join(name)).unwrap());
     let (run, again) = (read("run.dbbd"), read("again.dbbd"));
     let readings = |capture: &capture::Capture| -> Vec<f64> {
@@ -84,7 +83,7 @@ fn layouts_are_detected_or_given_by_a_mapping() {
     let csv = |header: &str, row: &dyn Fn(f64, f64) -> String| -> String {
         rows.iter().fold(header.to_owned(), |text, &(t_s, mm)| text + &row(t_s, mm))
     };
-    // Without a mapping, in the ways of spreadsheets and instruments.
+    // Without a mapping, in formats of spreadsheets and instruments.
     let shown: [(&str, Vec<u8>, &[&str]); 5] = [
         ("plain", csv("t_s,length_mm,note\n", &|t, mm| format!("{t},{mm},x\n")).into(), &[]),
         (
@@ -152,7 +151,7 @@ fn layouts_are_detected_or_given_by_a_mapping() {
             at,
             &["import", "trace.csv", "--plan", "plan/plan.csv", "--mapping", "map.toml", "--out", name],
         );
-        // Less than a second of a plan of many: taken, and doubted.
+        // Less than a second of a long plan: accepted with a warning.
         assert_eq!(output.status.code(), Some(3), "{name}: {}", stderr(&output));
         assert_eq!(codes(&output), told.iter().chain(&["W1110"]).copied().collect::<Vec<_>>(), "{name}");
         let capture = capture::read(&fs::read(at.join(name)).unwrap());
@@ -165,7 +164,7 @@ fn layouts_are_detected_or_given_by_a_mapping() {
     }
 }
 
-/// A trace, its mapping, the code, and where.
+/// A trace, its mapping, the code, and the position.
 const WRONG: &[(&str, &str, &str, &str)] = &[
     ("t_s,length_mm\n0,300\n0.1,x\n", "", "E0111", "trace.csv:3:5:"),
     ("t_s,length_mm\n0,NaN\n", "", "E0111", "trace.csv:2:3:"),
@@ -189,7 +188,7 @@ const WRONG: &[(&str, &str, &str, &str)] = &[
         "trace.csv:2:2:",
     ),
     ("t_s,length_mm\n12:30,300\n", "[time]\nunit = \"iso\"\n", "E1103", "trace.csv:2:1:"),
-    // What the first row shows holds for all.
+    // The format of the first row holds for all.
     ("t_s,length_mm\n0,300.5\n1,0.5\n", "", "E1105", "trace.csv:3:3:"),
     ("t_s,length_mm\n0,0.5\n1,300.5\n", "", "E1105", "trace.csv:3:3:"),
     ("t_s;length_mm\n0;300,5\n1;300.5\n", "", "E0111", "trace.csv:3:3:"),
@@ -224,7 +223,7 @@ fn import_errors_have_a_code_and_a_position() {
     }
     let output = dbbd(at, &["import", "none.csv", "--plan", "plan/plan.csv", "--out", "out.dbbd"]);
     assert_eq!(codes(&output), ["E0101"]);
-    // Beyond the stroke: taken, and not valid.
+    // Beyond the stroke: accepted as invalid.
     let output = import("t_s,length_mm\n0,300\n1,330\n", "");
     assert_eq!(codes(&output), ["I1111", "W1110", "W1181"]);
 }

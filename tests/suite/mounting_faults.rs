@@ -1,4 +1,4 @@
-//! A bar that is mounted badly is named while it happens, and one that is mounted well is not.
+//! A badly mounted bar is detected while it is recorded, and a well-mounted one gives no alarm.
 //!
 //! The simulated controller runs the program of a plan; hands, vibration and warming are added to the true lengths.
 
@@ -20,9 +20,9 @@ use rand_pcg::Pcg64;
 use crate::cell::kr60;
 
 const RATE_HZ: f64 = 200.0;
-/// A fault is named within so long, s.
+/// Limit for the detection of a fault, s.
 const WITHIN_S: f64 = 2.0;
-/// Hands are on the bar for so long after the robot halts, s.
+/// Hands are on the bar for this time after the robot halts, s.
 const HANDS_S: f64 = 3.0;
 
 const JOB: &str = "robot = \"kr60ha\"\n[bar]\nlength_mm = 300.0\nstroke_mm = [-5.0, 5.0]\nmargin_mm = 0.5\nsigma_um = 2.0\n\
@@ -45,7 +45,7 @@ struct Cell {
     hands_mm: f64,
 }
 
-/// What the bar reads at a moment.
+/// The reading of the bar at a moment.
 struct Now {
     reading: MountedReading,
     done: bool,
@@ -91,11 +91,11 @@ impl Cell {
         let handled = self.halted_s.is_none_or(|since_s| t_s - since_s < HANDS_S);
         let mounted = within && !handled;
         let mut extra_mm = self.loose.offset_mm(t_s, mounted, moment.strobe);
-        // The drives shake the bar while the robot moves, and for a moment after.
+        // The drives shake the bar while the robot moves, and briefly after.
         let rested_s = t_s - self.rests_s;
         let shaken_um = if rests { 10.0 * (-rested_s / 0.1).exp() } else { 3.0 };
         extra_mm += 1e-3 * shaken_um * (TAU * 12.0 * if rests { rested_s } else { t_s }).sin();
-        // The bar warms by 1 micrometre in a minute.
+        // The bar warms by 1 micrometre per minute.
         extra_mm += t_s / 60e3;
         if handled {
             let wobble = (TAU * 1.3 * t_s).sin() + 0.5 * (TAU * 3.1 * t_s).sin();
@@ -119,7 +119,7 @@ fn monitor(plan: &Plan) -> MountingMonitor {
     MountingMonitor::new(Expected::of(plan, Rest::Program))
 }
 
-/// What is named, and how long after the fault began; the first name counts.
+/// The first detected fault, and its delay.
 fn first_named(plan: &Plan, mut cell: Cell, until_s: f64) -> Option<(DetectedFault, f64)> {
     let mut monitor = monitor(plan);
     loop {
@@ -133,7 +133,7 @@ fn first_named(plan: &Plan, mut cell: Cell, until_s: f64) -> Option<(DetectedFau
     }
 }
 
-/// A fault of a size drawn between two, micrometres, and how long the program waits at HALT, s.
+/// A fault with a random size between two limits, micrometres, and how long the program waits at HALT, s.
 fn looseness(fault: MountingFault, seed: u64) -> (Looseness, f64) {
     let mut dice = Pcg64::seed_from_u64(seed ^ 0xfa);
     let mut size = |low: f64, high: f64| {
@@ -146,7 +146,7 @@ fn looseness(fault: MountingFault, seed: u64) -> (Looseness, f64) {
         MountingFault::NotSeated => (Looseness { unseated_um: size(20.0, 100.0).abs(), ..none }, waits),
         MountingFault::Creep => (Looseness { creep_um: size(120.0, 500.0), ..none }, waits),
         MountingFault::Slip => (Looseness { slip_um: size(60.0, 300.0), ..none }, waits),
-        // Every second one before the program begins, the others at a dwell.
+        // Every second one before the program starts, the others at a dwell.
         _ => (
             Looseness { cable_um: size(30.0, 150.0), ..none },
             if seed.is_multiple_of(2) { 40.0 } else { waits },
@@ -157,7 +157,7 @@ fn looseness(fault: MountingFault, seed: u64) -> (Looseness, f64) {
 const FAULTS: [MountingFault; 4] =
     [MountingFault::NotSeated, MountingFault::Creep, MountingFault::Slip, MountingFault::CablePull];
 
-/// How many of so many faults were named in time, and the slowest of these, s.
+/// Number of faults detected in time, and the slowest of these, s.
 fn named_in_time(fault: MountingFault, seeds: std::ops::Range<u64>) -> (usize, f64) {
     let (plan, program) = prepared();
     let (mut in_time, mut slowest_s) = (0, 0.0_f64);
@@ -180,7 +180,7 @@ fn named_in_time(fault: MountingFault, seeds: std::ops::Range<u64>) -> (usize, f
     (in_time, slowest_s)
 }
 
-/// Everything that is named in so many hours of normal running.
+/// All faults reported in a number of hours of normal running.
 fn false_alarms(hours: f64) -> Vec<DetectedFault> {
     let (plan, program) = prepared();
     let (mut passed_s, mut seed, mut named) = (0.0, 1000, Vec::new());
@@ -223,7 +223,7 @@ fn mounting_campaign() {
     assert!(false_alarms(30.0).len() < 3);
 }
 
-/// A step that stays, to what no simulated fault leads.
+/// A step that stays, which no simulated fault causes.
 #[test]
 fn moved_ball_is_detected() {
     let mut monitor = MountingMonitor::new(Expected::standing(2.0));

@@ -1,4 +1,4 @@
-//! A virtual bar in this process, on a pseudo-terminal that `dbbd acquire` reads, and the capture that comes of it.
+//! A virtual bar in this process, on a pseudo-terminal that `dbbd acquire` reads, and the resulting capture.
 #![cfg(unix)]
 
 use std::path::Path;
@@ -16,7 +16,7 @@ pub(crate) fn definition() -> Definition {
     Definition::by_name("dbb-cobs-1").unwrap().unwrap()
 }
 
-/// Readings on the 10 nm grid of the protocol, one a millisecond.
+/// Readings on the 10 nm grid of the protocol, one per millisecond.
 pub(crate) fn reading_mm(frame: u64) -> f64 {
     (f64::from(u32::try_from(frame % 20_001).unwrap()) - 10_000.0) / 1e5
 }
@@ -26,7 +26,7 @@ pub(crate) fn reading(t_s: f64, strobe: bool) -> Reading {
     Reading { reading_mm: reading_mm(frame), strobe, valid: true, temperature_c: 20.0 }
 }
 
-/// Plays a source on a new terminal: its name, and the thread that gives the number of frames sent.
+/// Plays a source on a new terminal; returns its name, and the thread that gives the number of frames sent.
 pub(crate) fn play(speed: f64, source: impl Source + Send + 'static) -> (String, JoinHandle<u64>) {
     let terminal = Terminal::new().unwrap();
     let name = terminal.address().to_string();
@@ -39,7 +39,7 @@ pub(crate) fn endless() -> impl Source {
     |t: f64| (t < 1e6).then(|| reading(t, false))
 }
 
-/// Waits until the capture holds so many bytes.
+/// Waits until the capture holds this number of bytes.
 pub(crate) fn wait_for(path: &Path, bytes: u64) {
     for _ in 0..500 {
         if std::fs::metadata(path).is_ok_and(|data| data.len() >= bytes) {

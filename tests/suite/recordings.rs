@@ -1,25 +1,25 @@
-//! Recordings of what went over a line, both ways: `fixtures/captures/*.rec`, text that a person can read.
+//! Recordings of both directions of a line: `fixtures/captures/*.rec`, readable text.
 
 use std::path::PathBuf;
 
 use dbbd::device::protocol::{Decoded, Definition, Step};
 use dbbd::measurement::sample::Sample;
 
-/// What happened on the line.
+/// An event on the line.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum What {
     /// The host sent these bytes.
     Host(Vec<u8>),
     /// The bar sent these bytes.
     Bar(Vec<u8>),
-    /// The bar was pulled out.
+    /// The bar was unplugged.
     Unplugged,
 }
 
 /// A line of a recording.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Line {
-    /// Time since its beginning, s.
+    /// Time since the start of the recording, s.
     pub(crate) t_s: f64,
     pub(crate) what: What,
 }
@@ -27,11 +27,11 @@ pub(crate) struct Line {
 /// A recording.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Recording {
-    /// The file's name without its ending: the protocol, and behind a `+` what went wrong.
+    /// Name of the file without its extension: the protocol, and the fault after a `+`.
     pub(crate) name: String,
-    /// What it is and how it was made, line by line.
+    /// Description and origin, line by line.
     pub(crate) header: Vec<String>,
-    /// How many of the bar's bytes are its stream; those before them answer the host's commands.
+    /// Number of bytes of the bar's stream; those before answer the host's commands.
     pub(crate) stream: usize,
     pub(crate) lines: Vec<Line>,
 }
@@ -81,8 +81,9 @@ impl Recording {
         pieces
     }
 
-    /// The samples of the stream, with no offsets; none where something of it is no sample, so that repaired
-    /// by chance it would give others.
+    /// The samples of the stream without offsets; `None` if a part of it is no sample, since a repair by
+    /// chance would give
+    /// others.
     pub(crate) fn samples(&self) -> Option<Vec<Sample>> {
         let (mut decoder, mut decoded) = (self.definition().decoder(), Vec::new());
         self.pieces().iter().for_each(|(_, bytes)| decoder.push(bytes, &mut decoded));
@@ -94,7 +95,7 @@ impl Recording {
         decoded.iter().map(sample).collect()
     }
 
-    /// How many lines there are before the stream begins or is asked for: commands and their answers.
+    /// Number of lines before the stream starts or is requested: commands and their answers.
     pub(crate) fn opening(&self) -> usize {
         let polls = self.definition().poll;
         let asks = |line: &Line| {
@@ -112,7 +113,7 @@ impl Recording {
         self.lines.iter().position(asks).unwrap_or(begins)
     }
 
-    /// The number of a line that is none is the error.
+    /// The error is the number of an invalid line.
     pub(crate) fn parse(name: &str, text: &str) -> Result<Self, usize> {
         let mut recording = Self { name: name.into(), ..Self::default() };
         for (line, number) in text.lines().zip(1usize..) {
@@ -138,7 +139,7 @@ impl Recording {
     }
 }
 
-/// Text in quotation marks where it is text, else hexadecimal digits.
+/// Text in quotation marks, or hexadecimal digits.
 fn show(bytes: &[u8]) -> String {
     let plain = |byte: &u8| matches!(byte, b' '..=b'~' | b'\r' | b'\n') && !matches!(byte, b'"' | b'\\');
     if bytes.iter().all(plain) {

@@ -1,7 +1,8 @@
-//! Every recorded line is played through a pseudo terminal into the program, in pieces cut anew, and gives
-//! the frames, faults, gaps and counts that stand beside it.
+//! Every recorded line is played through a pseudo-terminal, split differently each time, and gives the frames,
+//! faults,
+//! gaps and counts of its reference file.
 //!
-//! `DBBD_BLESS=1 cargo test replay` writes what is given now and shows the difference.
+//! `DBBD_BLESS=1 cargo test replay` writes the reference files and shows the differences.
 #![cfg(unix)]
 
 mod player;
@@ -20,7 +21,7 @@ use serde_json::Value;
 use crate::recordings::{Recording, all, directory};
 use player::{Cuts, PATIENCE_S};
 
-/// How many lines are played at a time.
+/// Number of lines that are played concurrently.
 const BESIDE_EACH_OTHER: usize = 16;
 
 #[test]
@@ -42,7 +43,7 @@ fn recordings_read_back() {
     }
 }
 
-/// Each recording in another way; as it came where it is blessed.
+/// Each recording is split differently; unchanged when the references are written.
 #[test]
 fn recordings_give_their_reference_results() {
     let bless = std::env::var_os("DBBD_BLESS").is_some();
@@ -66,7 +67,7 @@ fn recordings_give_their_reference_results() {
     );
 }
 
-/// Pulled out somewhere and back under another name, a bar loses what was on its way and nothing else.
+/// A bar that is unplugged and returns under another name loses only the bytes on the line.
 #[test]
 fn replay_continues_after_unplugging() {
     let clean = |recording: &Recording| recording.name == recording.protocol();
@@ -87,9 +88,9 @@ fn come_back(recordings: &[Recording], seeds: std::ops::Range<u64>) {
             let (name, golden) = (&recording.name, golden(&recording));
             let gone = |text: &str| text.lines().filter(|line| line.ends_with(": the port was gone")).count();
             assert_eq!(gone(&now), gone(&golden) + 1, "{name}, seed {seed}:\n{now}");
-            // The run goes on in the same file: each sample is one of the recording's, in their order.
+            // The run continues in the same file: each sample is one of the recording's, in order.
             let samples = |text: &str| -> Vec<String> {
-                // But for the offset: what was on its way is lost.
+                // Apart from the offset: bytes on the line are lost.
                 let lines = text.lines().filter_map(|line| line.split_once(" sample "));
                 lines.map(|(_, sample)| sample.to_owned()).collect()
             };
@@ -119,7 +120,7 @@ fn many_ways_of_cutting_change_nothing() {
     eprintln!("{count} replays");
 }
 
-/// Most of their time is waiting: some run beside each other.
+/// Several run concurrently, since most of their time is waiting.
 fn replay_all(recordings: &[Recording], cuts: impl Fn(usize) -> Vec<Cuts>) -> Vec<(Recording, Cuts, String)> {
     let jobs = recordings.iter().enumerate().flat_map(|(at, recording)| {
         cuts(at).into_iter().map(move |cuts| (recording, cuts)).collect::<Vec<_>>()
@@ -130,7 +131,7 @@ fn replay_all(recordings: &[Recording], cuts: impl Fn(usize) -> Vec<Cuts>) -> Ve
         for _ in 0..BESIDE_EACH_OTHER {
             scope.spawn(|| {
                 loop {
-                    // The lock is held for no longer than this line.
+                    // The lock is held for this line only.
                     let Some((recording, cuts)) = jobs.lock().unwrap().next() else { break };
                     let now = patiently(recording, cuts);
                     done.lock().unwrap().push((recording.clone(), cuts, now));
@@ -141,13 +142,14 @@ fn replay_all(recordings: &[Recording], cuts: impl Fn(usize) -> Vec<Cuts>) -> Ve
     done.into_inner().unwrap()
 }
 
-/// What stands beside a recording; nothing before it is blessed.
+/// The reference of a recording; empty before it was written.
 fn golden(recording: &Recording) -> String {
     std::fs::read_to_string(directory().join(format!("{}.golden", recording.name))).unwrap_or_default()
 }
 
-/// On a busy machine an answer may come too late, which is told: a request counts as unanswered, or what answers
-/// a command is taken for the stream. Then once more.
+/// On a busy machine an answer may be late, which is reported: a request counts as unanswered, or the answer to a
+/// command
+/// as part of the stream. Then the recording is played again.
 fn patiently(recording: &Recording, cuts: Cuts) -> String {
     let count = |text: &str, name: &str| -> Option<u64> {
         text.split_once(&format!("{name} "))?.1.split(',').next()?.parse().ok()
@@ -159,14 +161,14 @@ fn patiently(recording: &Recording, cuts: Cuts) -> String {
         tries += 1;
         let in_time = count(&now, "bytes") == Some(recording.stream as u64);
         let expected = in_time && count(&now, "unanswered") <= Some(unanswered);
-        // Unplugged, a request may well go unanswered.
+        // Unplugged, a request may remain unanswered.
         if expected || tries == 5 || matches!(cuts, Cuts::Unplugged(_)) {
             return now;
         }
     }
 }
 
-/// What the program made of it.
+/// Result of the program.
 fn replay(recording: &Recording, cuts: Cuts) -> String {
     let temporary = tempfile::tempdir().unwrap();
     let path = |name: &str| temporary.path().join(name).to_str().unwrap().to_owned();
@@ -196,7 +198,7 @@ fn replay(recording: &Recording, cuts: Cuts) -> String {
     told(&capture, &summary["progress"], output.status.code())
 }
 
-/// How many bytes stand in the capture.
+/// Number of bytes in the capture.
 fn received(run: &str) -> usize {
     let capture = capture::read(&std::fs::read(run).unwrap_or_default());
     let raw = capture.records.iter().map(|stamped| match &stamped.record {
@@ -206,7 +208,7 @@ fn received(run: &str) -> usize {
     raw.sum()
 }
 
-/// What a capture holds but for its times, and the run's counts.
+/// The content of a capture without its times, and the counts of the run.
 fn told(capture: &Capture, progress: &Value, code: Option<i32>) -> String {
     let counts = [
         "bytes",
@@ -247,7 +249,7 @@ fn told(capture: &Capture, progress: &Value, code: Option<i32>) -> String {
             }
             Record::Event(Event::Gap { missing, reason, .. }) => {
                 let missing = missing.map_or("some".into(), |missing| missing.to_string());
-                // What the system says about it is of the system.
+                // The message of the system depends on the system.
                 let reason = reason.split(':').next().unwrap();
                 writeln!(text, "gap of {missing} samples: {reason}").unwrap();
             }
@@ -257,7 +259,7 @@ fn told(capture: &Capture, progress: &Value, code: Option<i32>) -> String {
     text
 }
 
-/// The lines that are not in both, from the first that differs.
+/// The lines that are in one text only, from the first difference.
 fn difference(was: &str, now: &str) -> String {
     let (was, now): (Vec<&str>, Vec<&str>) = (was.lines().collect(), now.lines().collect());
     let same = was.iter().zip(&now).take_while(|(was, now)| was == now).count();

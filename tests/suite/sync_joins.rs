@@ -1,5 +1,5 @@
-//! A stream of lengths and a plan become observations: through stillness, strobe or reports, over
-//! wrapped and restarted clocks.
+//! A stream of lengths and a plan become observations by stillness, strobe or reports, with wrapped and restarted
+//! clocks.
 
 use dbbd::base::units::{DeviceTicks, HostNs};
 use dbbd::catalogue::MatchingFinding;
@@ -15,7 +15,7 @@ fn codes(matching: &PoseMatching) -> Vec<&'static str> {
     matching.findings.iter().map(|finding| finding.code().0).collect()
 }
 
-/// What becomes of a run that is not as it should be, by the code of its finding or of the reason at its poses.
+/// Findings about a disturbed run, by code.
 type Spoil = fn(&mut Run);
 const SPOILED: [(&str, bool, Spoil); 9] = [
     ("W1002", false, |run| {
@@ -46,7 +46,7 @@ fn seconds(sample: &Sample) -> f64 {
     sample.ticks.unwrap().0 as f64 * 1e-6
 }
 
-/// Loses the strobe of a dwell.
+/// Removes the strobe of a dwell.
 fn lower(run: &mut Run, dwell: usize) {
     let lost = run.starts_s[dwell];
     for (_, sample) in &mut run.samples {
@@ -77,7 +77,7 @@ fn findings_of_a_run_have_codes() {
             assert!(all.contains(&"I1023"), "{all:?}");
         }
     }
-    // Axis angles that are everywhere a little off the commanded ones, and one that is far off.
+    // Axis angles that are slightly off the commanded ones everywhere, and one that is far off.
     let plan = plan(8, 30, 30, true);
     let run = run(&plan, 8, World { strobe: true, ..WORLD });
     let stream = stream(&run.samples);
@@ -88,7 +88,7 @@ fn findings_of_a_run_have_codes() {
     }
 }
 
-/// Reports that cannot be used are said to be lost; the strobe takes their place.
+/// Unusable reports are reported, and the strobe replaces them.
 #[test]
 fn unusable_reports_have_a_code() {
     let plan = plan(5, 30, 30, true);
@@ -113,7 +113,7 @@ fn unusable_reports_have_a_code() {
     assert_eq!((whole.source, codes(&whole)), (DwellSource::Reports, vec![]));
     let begins: Vec<Report> = reports.iter().filter(|report| report.phase == 1).copied().collect();
     let unpaired = matched(&run, &begins);
-    // A simulation ten times faster than real time: stamps of the host mean nothing to the bar's clock.
+    // A simulation ten times faster than real time: host stamps say nothing about the bar's clock.
     run.samples.iter_mut().for_each(|(host, _)| host.0 /= 10);
     let fast: Vec<Report> =
         reports.iter().map(|report| Report { host: HostNs(report.host.0 / 10), ..*report }).collect();
@@ -147,7 +147,7 @@ fn run_without_strobe_is_matched_by_intervals() {
     assert!(all >= 228, "{all} of 240 poses have a length");
 }
 
-/// Long moves determine the override so well that the step of the search's grid is many standard deviations.
+/// Long moves determine the override so well that a step of the search grid is many standard deviations.
 #[test]
 fn override_is_estimated_if_moves_are_long() {
     let mut plan = plan(6, 30, 30, true);
@@ -222,7 +222,7 @@ fn bouncing_and_doubled_strobes_lose_no_other_pose() {
             if bounce && (bounced_s..bounced_s + 0.05).contains(&t_s) {
                 sample.trigger = Some(false);
             }
-            // A strobe while the robot moves: nobody commanded it.
+            // A strobe while the robot moves, which is not commanded.
             if extra && (before_s..before_s + 0.4).contains(&t_s) {
                 sample.trigger = Some(true);
             }
@@ -287,7 +287,7 @@ fn reports_identify_the_poses() {
     assert_eq!(right(&plan, &run, &matching), 30);
     assert_eq!(matching.findings, []);
 
-    // The measured angles are used: the mean of begin and end. Angles of elsewhere are a doubt.
+    // The measured angles are used: the mean of start and end. Angles of another pose give a warning.
     let mut elsewhere = reports.clone();
     elsewhere[8].axes_deg[2] += 0.02;
     elsewhere[20].axes_deg[5] += 0.4;

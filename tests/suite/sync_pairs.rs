@@ -1,4 +1,4 @@
-//! A dwell is paired with the pose that commanded it or with none: never with another one.
+//! A dwell is paired with the pose that commanded it or with none, never with another one.
 //!
 //! The bounds are those of the alignment study that the design rests on: 80 dwells of 2 s, 10 % missed,
 //! 10 % spurious, override 0.5..1, a 30 s pause; with distinct move times 0 wrong and 0.8 % dropped,
@@ -13,14 +13,14 @@ const POSES: usize = 80;
 const WAIT_S: f64 = 1.6;
 const STILL_S: f64 = 0.8;
 
-/// What goes wrong in a run.
+/// Disturbances of a run.
 #[derive(Clone, Copy)]
 struct Trouble {
     missed: f64,
     spurious: f64,
     lost_first: usize,
     split: f64,
-    /// Share of the dwells that run together with the next one.
+    /// Share of the dwells that merge with the next one.
     merged: f64,
     pauses: usize,
 }
@@ -28,7 +28,7 @@ struct Trouble {
 const STUDY: Trouble =
     Trouble { missed: 0.1, spurious: 0.1, lost_first: 6, split: 0.03, merged: 0.0, pauses: 1 };
 
-/// As many of everything as a run may have, drawn anew for each run.
+/// Disturbances of a difficult run, drawn anew for each run.
 fn drawn(seed: u64) -> Trouble {
     let mut rng = Pcg64::seed_from_u64(seed ^ 0x5eed);
     let mut share = |most: f64| rng.random_range(0.0..=most);
@@ -36,17 +36,17 @@ fn drawn(seed: u64) -> Trouble {
     Trouble { missed, spurious, split, merged, lost_first: 6, pauses: (share(3.0)) as usize }
 }
 
-/// Commanded dwells, the begins that were seen, which pose each is, and the override.
+/// Commanded dwells, the detected starts, the true pose of each, and the override.
 struct Run {
     poses: Vec<Commanded>,
     seen: Vec<DwellEvidence>,
     truth: Vec<Option<usize>>,
     override_factor: f64,
-    /// What a model with start errors expects, mm.
+    /// Lengths that a model predicts, mm.
     expected_mm: Vec<f64>,
 }
 
-/// A model's start error is uniform within this, mm.
+/// Range of the uniform error of the model, mm.
 const START_ERROR_MM: f64 = 1.0;
 
 fn run(seed: u64, distinct: bool, trouble: Trouble) -> Run {
@@ -64,7 +64,7 @@ fn run_of(seed: u64, count: usize, per_module: usize, distinct: bool, trouble: T
     let pauses: Vec<usize> = (0..trouble.pauses).map(|_| rng.random_range(0..count)).collect();
     let lost = if trouble.lost_first == 0 { 0 } else { rng.random_range(0..=trouble.lost_first) };
     let noise = Normal::new(0.0, 0.05).unwrap();
-    // Begin, how long the stretch was still, and whose it is.
+    // Start, duration of stillness, and true pose.
     let mut events: Vec<(f64, f64, Option<usize>)> = Vec::new();
     let mut t = 20.0;
     if lost == 0 {
@@ -73,7 +73,7 @@ fn run_of(seed: u64, count: usize, per_module: usize, distinct: bool, trouble: T
     let mut merging = false;
     for (pose, commanded) in poses.iter().enumerate() {
         if pose > 0 && pose % per_module == 0 {
-            // The operator comes, handles the bar, and starts the next module.
+            // The operator handles the bar and starts the next module.
             let by_hand_s = rng.random_range(10.0..120.0);
             events.push((t + 2.0, by_hand_s - 3.0, None));
             t += by_hand_s;
@@ -83,7 +83,7 @@ fn run_of(seed: u64, count: usize, per_module: usize, distinct: bool, trouble: T
             events.push((t + 0.5 * move_s, 30.0, None)); // it stands still in the middle of the move
             t += 30.0;
         } else if move_s > STILL_S + 0.2 && rng.random_bool(trouble.spurious * 1.2) {
-            // A stretch that passes for still lasts at least so long, and the robot moves on after it.
+            // A spurious still interval has a least duration, and the robot moves on after it.
             let still_s = rng.random_range(STILL_S..move_s - 0.1);
             events.push((t + rng.random_range(0.0..move_s - still_s), still_s, None));
         }
@@ -136,7 +136,7 @@ fn score(seeds: std::ops::Range<u64>, distinct: bool, trouble: Trouble) -> Score
     score_runs(seeds.map(|seed| (seed, run(seed, distinct, trouble))), false)
 }
 
-/// With `model` its lengths speak as well.
+/// With `model` the predicted lengths count too.
 fn score_runs(runs: impl Iterator<Item = (u64, Run)>, model: bool) -> Score {
     let mut score = Score::default();
     for (seed, run) in runs {
@@ -195,8 +195,9 @@ fn modules_and_a_model_with_errors_pair_none_wrongly() {
 
 #[test]
 fn split_merged_and_missing_dwells_pair_none_wrongly() {
-    // In run 7516 two stretches while the first poses were lost lie as far apart as two of those poses, and a third
-    // passes for a pause.
+    // In run 7516 two still intervals, while the first poses were missed, are as far apart as two of those
+    // poses, and a third
+    // looks like a pause.
     let score = score_runs((7512..7520).map(|seed| (seed, run(seed, true, drawn(seed)))), false);
     eprintln!("drawn trouble: {score:?}, {:.2} % dropped", 100.0 * score.dropped());
     assert_eq!(score.wrong, 0, "{score:?}");

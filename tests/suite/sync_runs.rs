@@ -14,7 +14,7 @@ pub(crate) const BAR_MM: f64 = 300.0;
 pub(crate) const SETTLE_S: f64 = 0.5;
 pub(crate) const DWELL_S: f64 = 1.0;
 
-/// A plan of `poses` dwells in modules of `module` each: three knocks, the dwells, two knocks.
+/// A plan of `poses` dwells in modules of `module` each: three sync markers, the dwells, two sync markers.
 pub(crate) fn plan(seed: u64, poses: u32, module: u32, distinct: bool) -> Plan {
     let mut rng = Pcg64::seed_from_u64(seed);
     let (mut rows, mut moves) = (Vec::new(), Vec::new());
@@ -56,7 +56,7 @@ pub(crate) fn plan(seed: u64, poses: u32, module: u32, distinct: bool) -> Plan {
         "circle": [{ "centre": 1, "plane": "XY", "points": 20 }],
         "motion": { "settle_s": SETTLE_S, "dwell_s": DWELL_S },
     });
-    // Read, not built: a header holds more than what matters here.
+    // Parsed, not constructed: a header holds more than is needed here.
     let header = serde_json::json!({
         "schema": 1, "hash": "", "job": job, "robot": "", "moves": moves, "checks": [],
     });
@@ -64,7 +64,7 @@ pub(crate) fn plan(seed: u64, poses: u32, module: u32, distinct: bool) -> Plan {
     Plan { rows, header }
 }
 
-/// How a run is made.
+/// Properties of a run.
 #[derive(Clone, Copy)]
 pub(crate) struct World {
     pub(crate) rate_hz: f64,
@@ -72,7 +72,7 @@ pub(crate) struct World {
     /// Correlation of neighbouring samples' noise.
     pub(crate) correlation: f64,
     pub(crate) override_factor: f64,
-    /// How much the true length swings over the poses, mm.
+    /// Range of the true length over the poses, mm.
     pub(crate) swing_mm: f64,
     pub(crate) repeatability_mm: f64,
     pub(crate) strobe: bool,
@@ -94,14 +94,14 @@ pub(crate) const WORLD: World = World {
 
 pub(crate) const CLOCK: DeviceClock = DeviceClock { seconds_per_tick: 1e-6, wrap: Some(1 << 32) };
 
-/// Samples with their host stamps, the true reading of each dwell row, and its begin.
+/// Samples with host stamps, the true reading of each dwell row, and its start.
 pub(crate) struct Run {
     pub(crate) samples: Vec<(HostNs, Sample)>,
     pub(crate) readings_mm: Vec<f64>,
     pub(crate) starts_s: Vec<f64>,
 }
 
-/// What the robot does for a while: from, to (mm), how long, and the strobe.
+/// A phase of the motion: from, to (mm), duration, and strobe.
 type Phase = (f64, f64, f64, bool);
 
 pub(crate) fn run(plan: &Plan, seed: u64, world: World) -> Run {
@@ -196,7 +196,7 @@ pub(crate) fn stream(samples: &[(HostNs, Sample)]) -> Stream {
     stream.build()
 }
 
-/// Number of the plan's dwells that have a length; every one of them must be the right one.
+/// Number of dwells of the plan with a length; each must be the right one.
 pub(crate) fn right(plan: &Plan, run: &Run, matching: &PoseMatching) -> usize {
     let dwells: Vec<&PlanRow> = plan.rows.iter().filter(|row| row.kind != Kind::Transit).collect();
     for row in &matching.observations.rows {

@@ -1,5 +1,6 @@
-//! The ways to join lengths to poses lead to the same robot: knocks alone, strobe, EthernetKRL, and passes
-//! without stops, each with the program that the plan gives for it, on the same simulated robot.
+//! All methods of matching lengths to poses give the same robot: sync markers, strobe, EthernetKRL, and passes
+//! without
+//! stops, each with its program from the plan, on the same simulated robot.
 
 use dbbd::base::units::{DeviceTicks, HostNs};
 use dbbd::estimation::{CalibrationResult, Options, result::Status};
@@ -8,7 +9,7 @@ use dbbd::measurement::sample::Sample;
 use dbbd::plan::{Job, Plan};
 use dbbd::program::krl::{self, Program, Sync, emit};
 use dbbd::recording::matching::{DwellSource, Input, PoseMatching, PoseOutcome, match_poses};
-use dbbd::recording::{DeviceClock, Heard, Report, StreamBuilder, TelegramReader, reported_axes};
+use dbbd::recording::{DeviceClock, Report, StreamBuilder, TelegramReader, TelegramResult, reported_axes};
 use dbbd::robot::{BallId, Robot};
 use dbbd::sim::world::Setup;
 use dbbd::sim::{Controller, World};
@@ -16,7 +17,7 @@ use dbbd::sim::{Controller, World};
 use crate::cell::{CENTRE, calibrated, dbbd, kr60, stderr, with_errors};
 
 const RATE_HZ: f64 = 250.0;
-/// How late the bar's samples and the controller's telegrams reach the host, ns.
+/// Delays of the bar's samples and the controller's telegrams, ns.
 const LATE_NS: u64 = 8_000_000;
 
 fn plan(continuous: bool) -> Plan {
@@ -38,14 +39,14 @@ fn plan(continuous: bool) -> Plan {
     Plan::build(&Job::from_toml("job.toml", &job).unwrap(), &kr60()).unwrap()
 }
 
-/// What a run of the program gives: the joined lengths.
+/// Result of a run of the program: the matched lengths.
 fn driven(plan: &Plan, sync: Sync, override_percent: f64, seed: u64, truth: &Robot) -> PoseMatching {
     let files = emit(plan, krl::Options { sync, controller: krl::Controller::Krc4 }).unwrap();
     let program = Program::open("DBB_MAIN", |wanted| {
         Ok(files.iter().find(|(name, _)| name.eq_ignore_ascii_case(wanted)).cloned())
     })
     .unwrap();
-    // No repeatability error: a pass is one motion, and what is common to all its points shows in no residual.
+    // No repeatability error: a pass is one motion, so an error common to its points shows in no residual.
     let [x, y, z]: [f64; 3] = std::array::from_fn(|axis| CENTRE[axis] + CENTRE_ERRORS[axis]);
     let world = format!("[[centre]]\nid = 1\nxyz_mm = [{x:?}, {y:?}, {z:?}]\n[bar]\nnoise_um = 2.0\n");
     let setup = Setup::new(&program, Some(("world.toml", &world))).unwrap();
@@ -60,13 +61,13 @@ fn driven(plan: &Plan, sync: Sync, override_percent: f64, seed: u64, truth: &Rob
         let host = HostNs((number as f64 / RATE_HZ * 1e9) as u64 + LATE_NS);
         while let Some(telegram) = controller.telegram() {
             for heard in reader.push(telegram.as_bytes()) {
-                let Heard::Telegram(told) = heard else { panic!("{heard:?}") };
+                let TelegramResult::Telegram(told) = heard else { panic!("{heard:?}") };
                 let (index, phase, axes_deg) = (told.index, told.phase, told.axes_deg);
                 reports.push(Report { host, index, phase, axes_deg });
                 controller.answer(i64::from(index));
             }
         }
-        // The bar is mounted at a HALT, which lasts some seconds.
+        // The bar is mounted at a HALT of some seconds.
         halted += u32::from(moment.halted);
         if moment.halted && halted % 1000 == 0 {
             controller.go_on();

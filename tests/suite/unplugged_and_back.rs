@@ -1,7 +1,8 @@
-//! The bar is pulled out at random moments and comes back under another name, or the network to it is cut: the run goes on
-//! soon, each gap is recorded once, with its length, and every byte is in a sample or in a fault.
+//! The bar is unplugged at random moments and returns under another name, or its network is cut: the run
+//! continues soon,
+//! each gap is recorded once with its length, and every byte is in a sample or a fault.
 //!
-//! The sessions run in real time and beside each other, each an acquisition on a line of its own.
+//! The sessions run concurrently in real time, each with a line of its own.
 #![cfg(unix)]
 
 use std::io::{ErrorKind, Read, Write};
@@ -27,12 +28,12 @@ use serialport::{SerialPort, TTYPort};
 
 use crate::virtual_bar::simulate;
 
-/// The run must go on so soon after the port's return, s.
+/// Limit for continuing the run after the port returned, s.
 const BACK_S: f64 = 3.0;
-/// And know so soon that the port is gone, s.
+/// Limit for detecting that the port is gone, s.
 const NOTICED_S: f64 = 1.0;
 
-/// When the port was away, s of host time.
+/// Intervals without the port, s of host time.
 #[derive(Clone, Copy)]
 struct Away {
     from_s: f64,
@@ -43,15 +44,16 @@ fn seconds(host: HostNs) -> f64 {
     host.seconds_since(HostNs(0))
 }
 
-/// How long sessions last, and how long a bar stays plugged in at most, s.
+/// Duration of a session, and longest time that a bar stays plugged in, s.
 #[derive(Clone, Copy)]
 struct Length {
     lasting_s: f64,
     longest_s: f64,
 }
 
-/// A bar that is plugged in from 0.2 s to the longest and away from 0.05 s to 5/8 of it, over and over;
-/// when it was away.
+/// A bar that is repeatedly plugged in for 0.2 s to the longest time and away for 0.05 s to 5/8 of it; returns
+/// when it was
+/// away.
 fn bar(link: &Path, length: Length, seed: u64, ready: &AtomicBool) -> Vec<Away> {
     let mut dice = Pcg64::seed_from_u64(seed);
     let encoder = Definition::by_name("dbb-cobs-1").unwrap().unwrap().encoder();
@@ -68,7 +70,7 @@ fn bar(link: &Path, length: Length, seed: u64, ready: &AtomicBool) -> Vec<Away> 
         if let Some(from_s) = left_s {
             away.push(Away { from_s, to_s: seconds(plugged) });
         }
-        // The first time the host is to find it.
+        // The first time the host must find it.
         let stays_s = if left_s.is_none() { 1.0 } else { dice.random_range(0.2..length.longest_s) };
         ready.store(true, Ordering::Relaxed);
         let (mut running, mut heard) = (false, Vec::new());
@@ -76,7 +78,7 @@ fn bar(link: &Path, length: Length, seed: u64, ready: &AtomicBool) -> Vec<Away> 
             let mut buffer = [0; 64];
             match line.read(&mut buffer) {
                 Ok(count) => heard.extend_from_slice(&buffer[..count]),
-                // Nobody has opened it: reading fails at once.
+                // Not opened yet: reading fails at once.
                 Err(error) if error.kind() != std::io::ErrorKind::TimedOut => clock::sleep(0.02),
                 Err(_) => {}
             }
@@ -99,7 +101,7 @@ fn bar(link: &Path, length: Length, seed: u64, ready: &AtomicBool) -> Vec<Away> 
                 };
                 let mut frame = Vec::new();
                 encoder.encode(&sample, &mut frame).unwrap();
-                // What nobody takes is lost, as on a line.
+                // Unread bytes are lost, as on a line.
                 let _ = line.write_all(&frame);
                 sequence += 1;
             }
@@ -112,7 +114,7 @@ fn bar(link: &Path, length: Length, seed: u64, ready: &AtomicBool) -> Vec<Away> 
     away
 }
 
-/// What carries the bytes of a session.
+/// Transport of a session.
 #[derive(Clone, Copy, PartialEq)]
 enum Wire {
     /// A pseudo-terminal under a link.
@@ -121,8 +123,9 @@ enum Wire {
     Network(&'static str),
 }
 
-/// Passes bytes on between a host and a serial server, until the network is cut; both are as long as a bar is plugged in
-/// and away. When it was cut.
+/// Passes bytes between a host and a serial server until the network is cut, at the same intervals as a bar.
+/// Returns the
+/// times of the cuts.
 fn network(own: u16, server: u16, length: Length, seed: u64, ready: &AtomicBool) -> Vec<Away> {
     let mut dice = Pcg64::seed_from_u64(seed);
     let begin = clock::now();
@@ -133,7 +136,7 @@ fn network(own: u16, server: u16, length: Length, seed: u64, ready: &AtomicBool)
         listener.set_nonblocking(true).unwrap();
         let whole = clock::now();
         away.extend(left_s.map(|from_s| Away { from_s, to_s: seconds(whole) }));
-        // The first time the host is to find it.
+        // The first time the host must find it.
         let stays_s = if left_s.is_none() { 1.0 } else { dice.random_range(0.2..length.longest_s) };
         ready.store(true, Ordering::Relaxed);
         let mut ends: Option<[TcpStream; 2]> = None;
@@ -160,7 +163,7 @@ fn network(own: u16, server: u16, length: Length, seed: u64, ready: &AtomicBool)
     away
 }
 
-/// Passes on what has come; whether both ends are there.
+/// Passes received bytes on; `false` if an end disappeared.
 fn pass(from: &mut TcpStream, to: &mut TcpStream) -> bool {
     let mut room = [0; 4096];
     match from.read(&mut room) {
@@ -170,15 +173,15 @@ fn pass(from: &mut TcpStream, to: &mut TcpStream) -> bool {
     }
 }
 
-/// What a session saw, s.
+/// Results of a session, s.
 #[derive(Debug, Default)]
 struct Seen {
     unplugged: usize,
     gaps: usize,
     samples: u64,
-    /// From the port's return to the run's.
+    /// From the return of the port to that of the run.
     back_s: Vec<f64>,
-    /// From the port's leaving to its being noticed.
+    /// From the disappearance of the port to its detection.
     noticed_s: Vec<f64>,
 }
 
@@ -239,7 +242,7 @@ fn session(directory: &Path, wire: Wire, length: Length, seed: u64) -> Seen {
     let mut seen = Seen { unplugged: away.len(), gaps: gaps.len(), samples, ..Seen::default() };
     let mut told = 0;
     for gap in &gaps {
-        // A bar that leaves again before the run has gone on makes one gap.
+        // A bar that disappears again before the run continued makes one gap.
         let within: Vec<&Away> =
             away.iter().filter(|away| away.from_s <= gap.to_s && away.to_s >= gap.from_s).collect();
         let (Some(first), Some(last)) = (within.first(), within.last()) else {
@@ -254,7 +257,8 @@ fn session(directory: &Path, wire: Wire, length: Length, seed: u64) -> Seen {
     seen
 }
 
-/// Bytes received = bytes in samples + in faults; at the end nothing is pending. A frame of the protocol has 18.
+/// Bytes received = bytes in samples + in faults; nothing is pending at the end. A frame of the protocol has 18
+/// bytes.
 fn accounts_for_every_byte(capture: &capture::Capture) {
     let (mut received, mut explained) = (0, 0);
     for stamped in &capture.records {
@@ -271,7 +275,7 @@ fn accounts_for_every_byte(capture: &capture::Capture) {
     assert_eq!(received, explained);
 }
 
-/// Sessions beside each other; prints what they saw.
+/// Concurrent sessions; prints their results.
 fn campaign(wire: Wire, sessions: u64, length: Length) {
     let directory = tempfile::tempdir().unwrap();
     let at = directory.path();
@@ -305,8 +309,8 @@ fn campaign(wire: Wire, sessions: u64, length: Length) {
     assert!(at(&noticed, 0.0) >= 0.0 && at(&noticed, 1.0) <= NOTICED_S);
 }
 
-/// In a process of its own: a child of another test would inherit the terminals' other sides and keep
-/// them open.
+/// In a process of its own: a child of another test would inherit the other sides of the terminals and keep them
+/// open.
 #[test]
 fn bar_is_unplugged_and_returns() {
     let output = Command::new(std::env::current_exe().unwrap())

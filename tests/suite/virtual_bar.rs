@@ -1,4 +1,4 @@
-//! A virtual bar over a line, and what `acquire` made of it: the two programs and a pseudo terminal between them.
+//! A virtual bar on a line, and the result of `acquire`: two programs with a pseudo-terminal between them.
 #![cfg(unix)]
 
 use std::collections::BTreeMap;
@@ -15,10 +15,10 @@ use crate::process::{Simulator, dbbd};
 
 /// Of the virtual bar.
 pub(crate) const RATE_HZ: f64 = 1000.0;
-/// Where the controller stands when it is switched on, so that nothing moves.
+/// Position of the controller at power-on, so that nothing moves.
 const AXES_DEG: [f64; 6] = [0.0, -90.0, 90.0, 0.0, 0.0, 0.0];
 
-/// A robot that stands still: every reading is noise of its own, by which it is known.
+/// A robot at rest: every reading has its own noise, by which it is identified.
 pub(crate) fn simulate(directory: &Path, speed: &str, rest: &[&str]) -> Simulator {
     simulate_at(0.0, directory, speed, rest)
 }
@@ -51,7 +51,7 @@ pub(crate) struct Row {
     pub(crate) sample: Sample,
 }
 
-/// What a run left behind.
+/// Files of a run.
 pub(crate) struct Run {
     pub(crate) output: Output,
     pub(crate) summary: Value,
