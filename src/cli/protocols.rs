@@ -96,8 +96,8 @@ fn layout(definition: &Definition, out: &Output) {
             "# {:>4}  {:>5}  {:40}  {}",
             number(part.at),
             number(part.bytes),
-            part.written,
-            part.says
+            part.encoding,
+            part.meaning
         );
         out.result(line.trim_end());
     }

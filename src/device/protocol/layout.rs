@@ -12,8 +12,8 @@ pub struct Part {
     pub at: Option<usize>,
     /// Length in bytes, if it is fixed.
     pub bytes: Option<usize>,
-    pub written: String,
-    pub says: String,
+    pub encoding: String,
+    pub meaning: String,
 }
 
 /// The fields of the first message, with the check.
@@ -22,12 +22,12 @@ pub(super) fn parts(engine: &Engine) -> Vec<Part> {
     let mut at = Some(0);
     for field in engine.written_fields() {
         let bytes = field.form.len();
-        parts.push(Part { at, bytes, written: written(&field.form), says: says(field) });
+        parts.push(Part { at, bytes, encoding: encoding(&field.form), meaning: meaning(field) });
         at = at.zip(bytes).map(|(at, bytes)| at + bytes);
     }
     if let Some(check) = &engine.check {
-        let (written, says) = (check.to_string(), "check".to_owned());
-        parts.push(Part { at, bytes: Some(check.len()), written, says });
+        let (encoding, meaning) = (check.to_string(), "check".to_owned());
+        parts.push(Part { at, bytes: Some(check.len()), encoding, meaning });
     }
     parts
 }
@@ -57,7 +57,7 @@ pub(super) fn frame(framing: &Framing) -> String {
     }
 }
 
-fn written(form: &Form) -> String {
+fn encoding(form: &Form) -> String {
     let order = |bytes: usize, endian: Endian| match (bytes, endian) {
         (1, _) => "",
         (_, Endian::Be) => ", highest byte first",
@@ -83,7 +83,7 @@ fn written(form: &Form) -> String {
     }
 }
 
-fn says(field: &Field) -> String {
+fn meaning(field: &Field) -> String {
     let flags = |flags: &[(u32, String)]| {
         let flags: Vec<String> = flags.iter().map(|(bit, name)| format!("{bit} {name}")).collect();
         flags.join(", ")

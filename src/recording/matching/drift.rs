@@ -21,7 +21,7 @@ const STUDENT: [f64; 10] = [12.71, 4.30, 3.18, 2.78, 2.57, 2.45, 2.36, 2.31, 2.2
 const NORMAL: f64 = 2.0;
 
 /// The largest drift (in standard deviations, or in mm if none has one) of the repeated poses.
-pub(super) fn of(rows: &[&PlanRow], outcomes: &[PoseOutcome], bar_sigma_mm: f64) -> Option<Drift> {
+pub(super) fn largest(rows: &[&PlanRow], outcomes: &[PoseOutcome], bar_sigma_mm: f64) -> Option<Drift> {
     let mut groups: Vec<(&PlanRow, Vec<[f64; 2]>)> = Vec::new();
     for (row, pose) in rows.iter().zip(outcomes).filter(|(row, _)| row.kind == Kind::Reference) {
         let Some(reading) = pose.reading() else { continue };

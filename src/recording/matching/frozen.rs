@@ -19,7 +19,7 @@ const POSES: usize = 3;
 
 /// The longest interval of constant reading that holds the motion between two poses, unless the scale of the bar
 /// is so coarse that such intervals are usual.
-pub(super) fn frozen(stream: &Stream, outcomes: &[PoseOutcome]) -> Option<MatchingFinding> {
+pub(super) fn detect(stream: &Stream, outcomes: &[PoseOutcome]) -> Option<MatchingFinding> {
     let longest = longest(stream)?;
     let (from_s, to_s) = (stream.t_s[longest.start], stream.t_s[longest.end - 1]);
     let is_within = |pose: &&PoseOutcome| {

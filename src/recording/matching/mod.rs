@@ -181,8 +181,8 @@ pub fn match_poses(input: &Input<'_>) -> PoseMatching {
     let poses = Poses::of(input.plan);
     let detection = by_axes::detect(input, &poses).unwrap_or_else(|| detect(input, &poses));
     let mut outcomes = outcomes(input, &poses, &detection);
-    let drift = drift::of(&poses.rows, &outcomes, input.bar_sigma_mm);
-    let frozen = frozen::frozen(input.stream, &outcomes);
+    let drift = drift::largest(&poses.rows, &outcomes, input.bar_sigma_mm);
+    let frozen = frozen::detect(input.stream, &outcomes);
     let spurious = spurious(&detection);
     let Detection { source, override_factor, passes, axes_deg, report, mut findings, .. } = detection;
     let observations = measurements(input, &axes_deg, &outcomes, &passes.points);
@@ -208,8 +208,8 @@ pub fn match_poses(input: &Input<'_>) -> PoseMatching {
     };
     let more = outcome::findings(&matching, input.stream);
     matching.findings.extend(more);
-    let apart = outcome::axes_apart(&matching, input.plan);
-    matching.findings.extend(apart);
+    let deviation = outcome::axes_deviation(&matching, input.plan);
+    matching.findings.extend(deviation);
     matching
 }
 

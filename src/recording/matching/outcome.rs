@@ -188,7 +188,7 @@ pub(super) fn findings(matching: &PoseMatching, stream: &Stream) -> Vec<Finding>
 
 /// Whether the measured axes differ from the commanded ones: everywhere by a little in absolute-accuracy mode, at
 /// single poses or by far if something is wrong.
-pub(super) fn axes_apart(matching: &PoseMatching, plan: &Plan) -> Option<Finding> {
+pub(super) fn axes_deviation(matching: &PoseMatching, plan: &Plan) -> Option<Finding> {
     /// Largest deviation of a controller in position, degrees.
     const IN_POSITION_DEG: f64 = 0.05;
     /// Largest correction in absolute-accuracy mode at most poses, degrees.

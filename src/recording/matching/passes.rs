@@ -86,10 +86,10 @@ pub(super) fn read(input: &Input<'_>) -> Passes {
                     passes.spans_s.push(span);
                     found.push(one);
                 }
-                Err(reason) => passes.lose(pass, &reason),
+                Err(reason) => passes.add_missing(pass, &reason),
             }
         }
-        passes.circle(input, circle, &found);
+        passes.add_circle(input, circle, &found);
     }
     passes
 }
@@ -103,7 +103,7 @@ pub(super) fn read_published(
     let mut passes = Passes::default();
     for (pass, times_s) in input.plan.header.passes.iter().zip(times_s) {
         let Some(track_s) = times_s else {
-            passes.lose(pass, &Finding::PassNotSeen);
+            passes.add_missing(pass, &Finding::PassNotSeen);
             continue;
         };
         let times_s: Vec<f64> = track_s.iter().map(|t_s| published.bar_s(*t_s)).collect();
@@ -112,7 +112,7 @@ pub(super) fn read_published(
         }
         let found = DrivenPass { pass, times_s };
         for (point, track_s) in found.points(input, 0.0).into_iter().zip(track_s) {
-            passes.published(published, point, *track_s);
+            passes.add_published(published, point, *track_s);
         }
     }
     passes
@@ -125,7 +125,7 @@ impl Passes {
         self.spans_s.iter().any(|span| span.contains(&middle_s))
     }
 
-    fn lose(&mut self, pass: &Pass, reason: &Finding) {
+    fn add_missing(&mut self, pass: &Pass, reason: &Finding) {
         for index in pass.points[0]..=pass.points[1] {
             self.push(index, MatchOutcome::Missing { reason: reason.clone() }, 0.0);
         }
@@ -136,7 +136,7 @@ impl Passes {
     }
 
     /// Adds a point of a pass by the published axes, passed at a time of their track.
-    fn published(&mut self, published: &Published<'_>, point: PointReading, track_s: f64) {
+    fn add_published(&mut self, published: &Published<'_>, point: PointReading, track_s: f64) {
         let PointReading { index, passing, half_s } = point;
         match passing.zip(published.passing_deg(track_s, half_s)) {
             Some((Passing { reading, slope_mm_s, effective }, (axes_deg, pairs))) => {
@@ -151,7 +151,7 @@ impl Passes {
     }
 
     /// Adds the passes over one circle, however many were found.
-    fn circle(&mut self, input: &Input<'_>, circle: u32, found: &[DrivenPass<'_>]) {
+    fn add_circle(&mut self, input: &Input<'_>, circle: u32, found: &[DrivenPass<'_>]) {
         let read = |lag_s: f64| -> Vec<Vec<PointReading>> {
             found.iter().map(|one| one.points(input, lag_s)).collect()
         };

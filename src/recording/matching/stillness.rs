@@ -48,8 +48,8 @@ fn detect(fine: &Scale<'_>, coarse: &Scale<'_>, least_s: f64) -> Vec<Dwell> {
     let reach = (0.5 * coarse.windows.window_s / block_s).ceil() as usize + 2;
     let settled: Vec<Run> = quiet_runs(fine, coarse)
         .into_iter()
-        .filter(|run| fine.rests(run))
-        .map(|run| fine.edges(&run, reach))
+        .filter(|run| fine.is_still(run))
+        .map(|run| fine.extend_to_level(&run, reach))
         .collect();
     let half = 0.5 * block_s;
     joined(settled, fine)
@@ -73,7 +73,7 @@ fn quiet_runs(fine: &Scale<'_>, coarse: &Scale<'_>) -> Vec<RangeInclusive<usize>
         while over + 1 < around.len() && around[over].t_s < block.t_s {
             over += 1;
         }
-        if fine.quiet(at) && coarse.quiet(over) {
+        if fine.is_quiet(at) && coarse.is_quiet(over) {
             open.get_or_insert(at);
         } else if let Some(from) = open.take() {
             runs.push(from..=at - 1);
@@ -116,7 +116,7 @@ struct Scale<'a> {
 
 impl Scale<'_> {
     /// Whether neither slope nor scatter shows a move.
-    fn quiet(&self, at: usize) -> bool {
+    fn is_quiet(&self, at: usize) -> bool {
         let Windows { slopes, scatters, .. } = self.windows;
         let (Some(slope), Some(scatter)) = (slopes.get(at), scatters.get(at)) else { return false };
         let RestNoise { slope_sigma, scatter_sigma, slope_floor } = self.quiet;
@@ -124,7 +124,7 @@ impl Scale<'_> {
     }
 
     /// Whether a quiet run is still for the most part: a slow move is quiet but slopes throughout.
-    fn rests(&self, run: &RangeInclusive<usize>) -> bool {
+    fn is_still(&self, run: &RangeInclusive<usize>) -> bool {
         let limit = RESTS * self.quiet.slope_sigma + self.quiet.slope_floor;
         let slopes = &self.windows.slopes[run.clone()];
         let low = slopes.iter().filter(|slope| slope.abs() <= limit).count();
@@ -159,7 +159,7 @@ impl Scale<'_> {
     }
 
     /// Moves the ends of the run to where the level is left: the windows blur them by half their width.
-    fn edges(&self, run: &RangeInclusive<usize>, reach: usize) -> Run {
+    fn extend_to_level(&self, run: &RangeInclusive<usize>, reach: usize) -> Run {
         const NEAR: usize = 15;
         let (from, to) = (*run.start(), *run.end());
         let tolerance = 4.0 * self.quiet.scatter_sigma;

@@ -44,23 +44,23 @@ pub(super) fn visits(seen: &[RestEvidence], poses: &[Commanded]) -> Vec<Vec<Visi
     let mut before = Vec::with_capacity(seen.len());
     for (at, rest) in seen.iter().enumerate() {
         if at > 0 {
-            chain.go_on(&mut next, rest.after_loss);
+            chain.forward_between_rests(&mut next, rest.after_loss);
         }
         before.push(next.clone());
-        next = chain.after(rest, &next);
+        next = chain.forward_over_rest(rest, &next);
         normalise(&mut next);
     }
     let mut visits = vec![Vec::new(); poses.len()];
     let mut later = vec![1.0; chain.other.len()];
     for (at, (rest, before)) in seen.iter().zip(&before).enumerate().rev() {
-        let since = chain.since(rest, &later);
+        let since = chain.backward_over_rest(rest, &later);
         let total: f64 = before.iter().zip(&since).map(|(before, since)| before * since).sum();
         for pose in &rest.poses {
             let posterior = (before[*pose] + AGAIN * before[pose + 1]) * later[pose + 1] / total;
             visits[*pose].push(Visit { rest: at, posterior });
         }
         later = since;
-        chain.go_back(&mut later, rest.after_loss);
+        chain.backward_between_rests(&mut later, rest.after_loss);
         normalise(&mut later);
     }
     visits.iter_mut().for_each(|visits| visits.reverse());
@@ -90,7 +90,7 @@ impl Chain {
     }
 
     /// Forward step over a rest: weights of the next pose.
-    fn after(&self, rest: &RestEvidence, before: &[f64]) -> Vec<f64> {
+    fn forward_over_rest(&self, rest: &RestEvidence, before: &[f64]) -> Vec<f64> {
         let mut after: Vec<f64> =
             before.iter().zip(&self.other).map(|(weight, other)| other * weight).collect();
         for pose in &rest.poses {
@@ -100,7 +100,7 @@ impl Chain {
     }
 
     /// Backward step over a rest.
-    fn since(&self, rest: &RestEvidence, later: &[f64]) -> Vec<f64> {
+    fn backward_over_rest(&self, rest: &RestEvidence, later: &[f64]) -> Vec<f64> {
         let mut since: Vec<f64> =
             later.iter().zip(&self.other).map(|(weight, other)| other * weight).collect();
         for pose in &rest.poses {
@@ -114,7 +114,7 @@ impl Chain {
         if after_loss { PASSED_UNSEEN } else { PASSED }
     }
 
-    fn go_on(&self, next: &mut [f64], after_loss: bool) {
+    fn forward_between_rests(&self, next: &mut [f64], after_loss: bool) {
         let total: f64 = next.iter().sum();
         let elsewhere = ELSEWHERE / next.len() as f64 * total;
         next.iter_mut().for_each(|weight| *weight += elsewhere);
@@ -125,7 +125,7 @@ impl Chain {
     }
 
     /// Backward step between two rests.
-    fn go_back(&self, later: &mut [f64], after_loss: bool) {
+    fn backward_between_rests(&self, later: &mut [f64], after_loss: bool) {
         for at in (1..later.len()).rev() {
             later[at - 1] += Self::passed(after_loss) * later[at];
         }
