@@ -58,15 +58,16 @@ pub fn open(
     let stream = stream.ok_or_else(|| Diagnostic::file(&name, RecordingFinding::NoSample))?;
     let mut axes_deg = reported_axes(&reports);
     for path in axes {
-        let logged = LoggedAxes::read(path, &plan)?;
-        if logged.absolute_accuracy {
+        let data = read_data(path, &plan)?;
+        let logged = krl::logged_axes(&data)?;
+        if krl::absolute_accuracy(&data) == Some(true) {
             report(RecordingFinding::AbsoluteAccuracy.into());
         }
-        if logged.axes_deg.is_empty() {
+        if logged.is_empty() {
             doubtful = true;
             report(RecordingFinding::NoAxesLogged { data: path.display().to_string() }.into());
         }
-        axes_deg.extend(logged.axes_deg);
+        axes_deg.extend(logged);
     }
     let other = other_plan(attachments.get("plan.json"), &plan);
     for doubt in incomplete_axes(&plan, &axes_deg).into_iter().chain(other) {
@@ -101,22 +102,16 @@ pub fn losses(path: &Path) -> Result<Vec<Diagnostic>, Diagnostic> {
     Ok(found.filter(|finding| finding.code.severity() == Severity::Warning).collect())
 }
 
-/// The log of a program in its `.dat`.
-struct LoggedAxes {
-    axes_deg: MeasuredAxes,
-    absolute_accuracy: bool,
-}
-
-impl LoggedAxes {
-    fn read(path: &Path, plan: &Plan) -> Result<Self, Diagnostic> {
-        let name = path.display().to_string();
-        let data = krl::parse_data(&name, &files::read(path)?)?;
-        if let Some(hash) = krl::plan_hash(&data).filter(|hash| *hash != plan.header.hash) {
+/// The `.dat` of a program of the plan.
+fn read_data(path: &Path, plan: &Plan) -> Result<krl::syntax::Data, Diagnostic> {
+    let name = path.display().to_string();
+    let data = krl::parse_data(&name, &files::read(path)?)?;
+    match krl::plan_hash(&data) {
+        Some(hash) if hash != plan.header.hash => {
             let run = plan.header.hash.clone();
-            return Err(Diagnostic::file(&name, RecordingFinding::OtherPlansData { plan: hash, run }));
+            Err(Diagnostic::file(&name, RecordingFinding::OtherPlansData { plan: hash, run }))
         }
-        let absolute_accuracy = krl::absolute_accuracy(&data) == Some(true);
-        Ok(Self { axes_deg: krl::logged_axes(&data)?, absolute_accuracy })
+        _ => Ok(data),
     }
 }
 
