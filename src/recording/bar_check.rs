@@ -1,4 +1,4 @@
-//! The noise of a bar at rest: noise, resolution, rate, drift, and the standard deviation of a length at a dwell.
+//! Check of a bar at rest: noise, resolution, rate, drift, and the standard deviation of a length at a dwell.
 
 use serde::Serialize;
 
@@ -21,7 +21,7 @@ const SIGNIFICANT: f64 = 3.0;
 /// Largest relative difference from the nominal rate.
 const RATE_SHARE: f64 = 0.1;
 
-/// Result for a bar at rest. Lengths in mm, times in s.
+/// Lengths in mm, times in s.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct BarCheck {
     pub protocol: String,

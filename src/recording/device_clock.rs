@@ -12,7 +12,7 @@ use std::ops::Range;
 use crate::base::units::{DeviceTicks, HostNs};
 use crate::device::protocol::Clock;
 
-/// A larger skew is not that of a quartz.
+/// Largest plausible skew of a quartz clock.
 const MOST_DRIFT: f64 = 1e-3;
 /// Length of a window, s: long against the spread of delays, short against changes of the skew.
 const WINDOW_S: f64 = 150.0;

@@ -19,7 +19,7 @@ const MOST_STEPS: usize = 4096;
 pub enum Place {
     /// After all others.
     Next,
-    /// Before some that came earlier.
+    /// Before packets that were received already: it was overtaken.
     Late,
     /// A packet of this time came before.
     Doubled,
