@@ -1,4 +1,4 @@
-//! Sets `DBBD_VERSION`: the version of the package, with the commit where this directory is the top of a git work tree.
+//! Sets `DBBD_VERSION`: the version of the package, and the commit if this directory is the top of a git work tree.
 
 use std::path::Path;
 use std::process::Command;
@@ -12,15 +12,15 @@ fn main() {
     }
 }
 
-/// The commit, `-dirty` where sources were changed since; a tarball has none, nor has one inside of another repository.
+/// The commit, with `-dirty` if sources were changed since. `None` for a tarball, also inside another repository.
 fn commit() -> Option<String> {
     let here = Path::new(env!("CARGO_MANIFEST_DIR")).canonicalize().ok()?;
     let top = Path::new(&git(&["rev-parse", "--show-toplevel"])?).canonicalize().ok()?;
     if top != here {
         return None;
     }
-    for moves in ["HEAD", "logs/HEAD"] {
-        let file = git(&["rev-parse", "--git-path", moves])?;
+    for changing in ["HEAD", "logs/HEAD"] {
+        let file = git(&["rev-parse", "--git-path", changing])?;
         if Path::new(&file).exists() {
             println!("cargo:rerun-if-changed={file}");
         }

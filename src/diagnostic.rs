@@ -1,7 +1,6 @@
-//! What a user reads when something is wrong or doubtful: a stable code, the place, the sentence, what to do, and the
-//! numbers behind it.
+//! Errors, warnings and information as a user reads them: stable code, place in a file, sentence, help, values.
 //!
-//! The sentences are in [`crate::catalogue`]; this module knows none.
+//! The sentences are in [`crate::catalogue`].
 
 use std::fmt;
 use std::ops::Range;
@@ -9,24 +8,23 @@ use std::ops::Range;
 use serde::{Serialize, Serializer};
 use serde_json::Value;
 
-/// The stable name of a finding: `E0123` an error, `W0123` a warning, `I0123` an information.
+/// The stable name of a finding: `E0123` for an error, `W0123` for a warning, `I0123` for information.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Code(pub &'static str);
 
-/// How much a finding matters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Severity {
-    /// Worth knowing; the exit code stays 0.
+    /// The exit code stays 0.
     Info,
     /// A loss or a doubt: exit code 3.
     Warning,
-    /// Nothing was done: exit code 1.
+    /// The command was refused or failed: exit code 1.
     Error,
 }
 
 impl Code {
-    /// As the first letter says.
+    /// The severity that the first letter stands for.
     pub fn severity(self) -> Severity {
         match self.0.as_bytes().first() {
             Some(b'I') => Severity::Info,
@@ -48,44 +46,41 @@ impl Serialize for Code {
     }
 }
 
-/// One sentence of the catalogue with its numbers. [`crate::catalogue`] defines all of them.
+/// A sentence of the catalogue with its values. [`crate::catalogue`] defines all of them.
 pub trait Finding: fmt::Display {
-    /// Its stable code.
     fn code(&self) -> Code;
 
-    /// Its numbers and names by their field names; null if it has none.
+    /// The values by their field names; null if there are none.
     fn values(&self) -> Value {
         Value::Null
     }
 
-    /// What to do, where one line suffices.
+    /// What to do, if one line can say it.
     fn help(&self) -> Option<String> {
         None
     }
 }
 
-/// A finding with the place in the user's file that it is about. Every error that a user reads is one.
+/// A finding with its place in the user's file. It is the error type of everything that a user reads.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Diagnostic {
     pub code: Code,
-    /// The file as the user named it; empty if the finding is about no file.
+    /// The file as the user named it; empty if the finding concerns no file.
     pub file: String,
-    /// Line from 1; 0 if the finding is about the whole file.
+    /// Line from 1; 0 if the finding concerns the whole file.
     pub line: usize,
     /// Column from 1, in characters; 0 if unknown.
     pub column: usize,
-    /// What is wrong.
     pub message: String,
-    /// What to do about it.
     pub help: Option<Box<str>>,
-    /// The text of the line, to point into.
+    /// The text of the line, printed with a caret under the column.
     pub excerpt: Option<Box<str>>,
-    /// The numbers of the finding.
+    /// The values of the finding by name.
     pub values: Box<Value>,
 }
 
 impl Diagnostic {
-    /// About no file.
+    /// A finding that concerns no file.
     pub fn new(finding: impl Finding) -> Self {
         Self {
             code: finding.code(),
@@ -99,17 +94,17 @@ impl Diagnostic {
         }
     }
 
-    /// About the whole file.
-    pub fn file(file: &str, finding: impl Finding) -> Self {
-        Self { file: file.into(), ..Self::new(finding) }
+    /// A finding that concerns a whole file.
+    pub fn file(file: impl fmt::Display, finding: impl Finding) -> Self {
+        Self { file: file.to_string(), ..Self::new(finding) }
     }
 
-    /// About a line (from 1), column unknown.
+    /// A finding in a line (from 1); the column is unknown.
     pub fn line(file: &str, line: usize, finding: impl Finding) -> Self {
         Self { line, ..Self::file(file, finding) }
     }
 
-    /// About a position (line and column from 1) in `text`, whose line is shown.
+    /// A finding at a position (line and column from 1) of `text`; the line is printed.
     pub fn position(file: &str, text: &str, line: usize, column: usize, finding: impl Finding) -> Self {
         let wrong = Self::line(file, line, finding);
         match line.checked_sub(1).and_then(|at| text.lines().nth(at)) {
@@ -118,7 +113,7 @@ impl Diagnostic {
         }
     }
 
-    /// About a byte range of `text`.
+    /// A finding at the start of a byte range of `text`.
     pub fn span(file: &str, text: &str, span: Range<usize>, finding: impl Finding) -> Self {
         let before = text.get(..span.start).unwrap_or(text);
         let line = before.matches('\n').count() + 1;
@@ -126,7 +121,7 @@ impl Diagnostic {
         Self::position(file, text, line, column, finding)
     }
 
-    /// At a column (from 1) of the line, whose text is shown.
+    /// Adds the column (from 1) and the text of the line.
     #[must_use]
     pub fn in_line(mut self, text: &str, column: usize) -> Self {
         self.column = column;
@@ -134,14 +129,14 @@ impl Diagnostic {
         self
     }
 
-    /// With a further line on what to do.
+    /// Adds what to do, in one line.
     #[must_use]
     pub fn help(mut self, help: impl AsRef<str>) -> Self {
         self.help = Some(help.as_ref().into());
         self
     }
 
-    /// With the member of `known` that a mistyped `word` most likely means, if one is near.
+    /// Suggests the member of `known` that a mistyped `word` most likely means, if one is near.
     #[must_use]
     pub fn nearest<'a>(self, word: &str, known: impl IntoIterator<Item = &'a str>) -> Self {
         match nearest(word, known) {
@@ -165,7 +160,7 @@ impl fmt::Display for Diagnostic {
         }
         write!(out, "{}", self.message)?;
         if let Some(excerpt) = &self.excerpt {
-            // Tabs are kept before the caret so that it stays under its column.
+            // Tabs are copied, so that the caret is under its column.
             let before = self.column.saturating_sub(1);
             let indent: String =
                 excerpt.chars().take(before).map(|c| if c == '\t' { '\t' } else { ' ' }).collect();
@@ -189,29 +184,33 @@ impl Serialize for Diagnostic {
             text: &'a str,
             #[serde(skip_serializing_if = "str::is_empty")]
             file: &'a str,
-            #[serde(skip_serializing_if = "is_zero")]
-            line: usize,
-            #[serde(skip_serializing_if = "is_zero")]
-            column: usize,
+            #[serde(skip_serializing_if = "Option::is_none")]
+            line: Option<usize>,
+            #[serde(skip_serializing_if = "Option::is_none")]
+            column: Option<usize>,
             #[serde(skip_serializing_if = "Option::is_none")]
             help: Option<&'a str>,
             #[serde(skip_serializing_if = "Value::is_null")]
             values: &'a Value,
         }
-        let &Self { code, line, column, .. } = self;
-        let severity = code.severity();
-        let (text, file, help) = (self.message.as_str(), self.file.as_str(), self.help.as_deref());
-        Fields { code, severity, text, file, line, column, help, values: &self.values }.serialize(serializer)
+        let known = |number: usize| (number > 0).then_some(number);
+        let fields = Fields {
+            code: self.code,
+            severity: self.code.severity(),
+            text: &self.message,
+            file: &self.file,
+            line: known(self.line),
+            column: known(self.column),
+            help: self.help.as_deref(),
+            values: &self.values,
+        };
+        fields.serialize(serializer)
     }
-}
-
-fn is_zero(number: &usize) -> bool {
-    *number == 0
 }
 
 /// The member of `known` that a mistyped `word` most likely means, if one is near.
 pub fn nearest<'a>(word: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
-    // Another case is nearer than any other letter; two letters that are swapped are one mistake.
+    // Upper and lower case count as equal; two swapped letters count as one mistake.
     let distance = |candidate: &str| {
         let (word, lower) = (word.to_lowercase(), candidate.to_lowercase());
         strsim::damerau_levenshtein(&word, &lower)

@@ -1,9 +1,9 @@
 //! Calibrates an industrial robot with a telescoping double ball-bar.
 //!
-//! The modules are listed in the order in which data flows; a module imports only modules above it
-//! (ARCHITECTURE.md has the table, `tests/suite/floor_plan.rs` holds the code to it).
+//! The modules are listed in the order of the data flow. A module imports only modules above it: ARCHITECTURE.md has the
+//! table, and `tests/suite/floor_plan.rs` checks it.
 
-// A blank line between two keeps this order.
+// The blank lines keep rustfmt from sorting the modules.
 pub mod diagnostic;
 
 pub mod catalogue;

@@ -1,4 +1,4 @@
-//! Parses the command line, runs one verb, turns its outcome into the exit code.
+//! The program `dbbd`. The command line is in `dbbd::cli`.
 
 use std::process::ExitCode;
 

@@ -1,16 +1,15 @@
-//! A line of a table, cut into its cells.
+//! Splits a line of a table into cells. The `csv` crate does not report the column of a cell, which messages point to.
 
-/// What separates the cells of a line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Delimiter {
     Character(char),
-    /// Any number of blanks.
+    /// One or more blanks.
     Blanks,
 }
 
 impl Delimiter {
-    /// The one that a line outside of quotes shows; a line of one cell shows none.
-    pub(super) fn shown(line: &str) -> Self {
+    /// Guesses the delimiter from a line, without its quoted cells; a comma if there is only one cell.
+    pub(super) fn guess(line: &str) -> Self {
         let mut quoted = false;
         let outside: String = line
             .chars()
@@ -19,7 +18,7 @@ impl Delimiter {
                 !quoted
             })
             .collect();
-        // A decimal comma is no delimiter beside a semicolon or a tab.
+        // Beside a tab or a semicolon, a comma is a decimal comma.
         match ['\t', ';', ','].into_iter().find(|&character| outside.contains(character)) {
             Some(character) => Self::Character(character),
             None if outside.trim().contains(char::is_whitespace) => Self::Blanks,
@@ -36,16 +35,16 @@ impl Delimiter {
     }
 }
 
-/// A cell with the column of its line at which it begins, from 1, in characters.
+/// A cell, and the column of the line where it begins (from 1, in characters).
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Cell {
     pub(super) text: String,
     pub(super) column: usize,
 }
 
-/// Cuts a line into its cells, blanks about them left out; whether no quote is left open. A cell in double quotes may
-/// hold the delimiter, and a quote as two.
-pub(super) fn cut(line: &str, delimiter: Delimiter, cells: &mut Vec<Cell>) -> bool {
+/// Splits a line into trimmed cells. A cell in double quotes may hold delimiters, and quotes that are doubled. Returns
+/// false if a quote is still open at the end of the line.
+pub(super) fn split(line: &str, delimiter: Delimiter, cells: &mut Vec<Cell>) -> bool {
     cells.clear();
     let mut open: Option<Cell> = None;
     let mut quoted = false;
@@ -80,7 +79,7 @@ pub(super) fn cut(line: &str, delimiter: Delimiter, cells: &mut Vec<Cell>) -> bo
     }
     match open {
         Some(cell) => cells.push(cell),
-        // What follows the last delimiter is a cell as well.
+        // A line that ends with a delimiter has one more, empty cell.
         None if delimiter != Delimiter::Blanks => {
             cells.push(Cell { text: String::new(), column: line.chars().count() + 1 });
         }
@@ -99,10 +98,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn lines_are_cut() {
+    fn lines_are_split() {
         let texts = |line: &str, delimiter| -> Vec<(String, usize)> {
             let mut cells = Vec::new();
-            assert!(cut(line, delimiter, &mut cells));
+            assert!(split(line, delimiter, &mut cells));
             cells.into_iter().map(|cell| (cell.text, cell.column)).collect()
         };
         let cell = |text: &str, column| (text.to_owned(), column);
@@ -114,7 +113,7 @@ mod tests {
     }
 
     #[test]
-    fn a_delimiter_is_shown_by_the_first_line() {
+    fn delimiter_is_guessed_from_a_line() {
         for (line, delimiter) in [
             ("a;b", Delimiter::Character(';')),
             ("0,5;1,5", Delimiter::Character(';')),
@@ -123,7 +122,7 @@ mod tests {
             ("a b", Delimiter::Blanks),
             ("a", Delimiter::Character(',')),
         ] {
-            assert_eq!(Delimiter::shown(line), delimiter, "{line}");
+            assert_eq!(Delimiter::guess(line), delimiter, "{line}");
         }
     }
 }

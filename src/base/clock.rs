@@ -5,7 +5,7 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use crate::base::units::HostNs;
 
-/// Now, on the monotonic clock, counted from the first call in this process.
+/// The time of the monotonic clock since the first call in this process.
 #[allow(clippy::disallowed_methods)] // this is the one place
 pub fn now() -> HostNs {
     static START: OnceLock<Instant> = OnceLock::new();
@@ -13,7 +13,7 @@ pub fn now() -> HostNs {
     HostNs(u64::try_from(start.elapsed().as_nanos()).unwrap_or(u64::MAX))
 }
 
-/// Nanoseconds since the Unix epoch by the wall clock; 0 if the clock is before it.
+/// The time of the wall clock in nanoseconds since the Unix epoch; 0 if the clock is set before it.
 #[allow(clippy::disallowed_methods)] // this is the one place
 pub fn unix_ns() -> u64 {
     SystemTime::now()
@@ -21,7 +21,7 @@ pub fn unix_ns() -> u64 {
         .map_or(0, |since| u64::try_from(since.as_nanos()).unwrap_or(u64::MAX))
 }
 
-/// Lets at least `seconds` pass; none when not positive.
+/// Sleeps for at least `seconds`; not at all if the number is not positive.
 pub fn sleep(seconds: f64) {
     if seconds > 0.0 {
         std::thread::sleep(Duration::from_secs_f64(seconds.min(1e9)));

@@ -1,6 +1,6 @@
 //! Dates of the Gregorian calendar.
 
-/// Days of a date `YYYY-MM-DD` from a fixed one; `None` of what is no date.
+/// Days from 1970-01-01 to a date `YYYY-MM-DD`; `None` if the text is not a date.
 pub fn day_number(date: &str) -> Option<f64> {
     let number = |part: &str, digits: usize| {
         let is_number = part.len() == digits && part.bytes().all(|byte| byte.is_ascii_digit());
@@ -15,14 +15,14 @@ pub fn day_number(date: &str) -> Option<f64> {
     is_date.then(|| days(month, day) as f64)
 }
 
-/// Whether a date is after the day of a time (nanoseconds since the Unix epoch) in every zone of time.
+/// Whether a date is later than a time (nanoseconds since the Unix epoch) in every time zone.
 pub fn is_after(date: &str, unix_ns: u64) -> bool {
     let day = (unix_ns / 86_400_000_000_000) as f64;
     day_number(date).is_some_and(|date| date > day + 1.0)
 }
 
-/// Whether a text is a time `hh:mm` or `hh:mm:ss`, of UTC with or without a `Z` at its end.
-pub fn is_time(text: &str) -> bool {
+/// Whether a text is a time `hh:mm` or `hh:mm:ss`, with or without a `Z` at the end.
+fn is_time(text: &str) -> bool {
     let parts: Vec<&str> = text.strip_suffix('Z').unwrap_or(text).split(':').collect();
     let below = |(part, most): (&&str, u8)| {
         part.len() == 2
@@ -32,26 +32,26 @@ pub fn is_time(text: &str) -> bool {
     (2..=3).contains(&parts.len()) && parts.iter().zip([24, 60, 60]).all(below)
 }
 
-/// Whether a text is a date `YYYY-MM-DD`, or one with a time behind a `T`: such texts are in order as their moments are.
+/// Whether a text is a date `YYYY-MM-DD`, optionally with `T` and a time. Such texts sort in the order of time.
 pub fn is_moment(text: &str) -> bool {
     let (date, time) = text.split_once('T').map_or((text, None), |(date, time)| (date, Some(time)));
     day_number(date).is_some() && time.is_none_or(is_time)
 }
 
-/// Date and time `YYYY-MM-DDThh:mm:ssZ`, UTC, of nanoseconds since the Unix epoch.
+/// UTC date and time `YYYY-MM-DDThh:mm:ssZ` of nanoseconds since the Unix epoch.
 pub fn utc(unix_ns: u64) -> String {
     let seconds = (unix_ns / 1_000_000_000) as i64;
     let (days, time) = (seconds / 86_400, seconds % 86_400);
-    let begun = |year: i64, month: i64| days_since_1970(year, month, 1) <= days;
-    let year = (1970..).take_while(|year| begun(*year, 1)).last().unwrap_or(1970);
-    let month = (1..=12).take_while(|month| begun(year, *month)).last().unwrap_or(1);
+    let has_begun = |year: i64, month: i64| days_since_1970(year, month, 1) <= days;
+    let year = (1970..).take_while(|year| has_begun(*year, 1)).last().unwrap_or(1970);
+    let month = (1..=12).take_while(|month| has_begun(year, *month)).last().unwrap_or(1);
     let day = days - days_since_1970(year, month, 1) + 1;
     let [hour, minute, second] = [time / 3600, time / 60 % 60, time % 60];
     format!("{year:04}-{month:02}-{day:02}T{hour:02}:{minute:02}:{second:02}Z")
 }
 
-/// Days from 1970-01-01 to a date of the Gregorian calendar, counted in years that begin in March; month 13 is the next
-/// January.
+/// Days from 1970-01-01 to a date of the Gregorian calendar; month 13 is the next January. The years of the computation
+/// begin in March, so that a leap day is the last day of its year.
 pub fn days_since_1970(year: i64, month: i64, day: i64) -> i64 {
     let (year, month) = if month > 2 { (year, month - 3) } else { (year - 1, month + 9) };
     365 * year + year / 4 - year / 100 + year / 400 + (153 * month + 2) / 5 + day - 1 - 719_468
@@ -62,7 +62,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn times_are_those_of_the_calendar() {
+    fn dates_and_times_match_gnu_date() {
         // `date -u -d @SECONDS` of GNU coreutils.
         for (seconds, text) in [
             (0, "1970-01-01T00:00:00Z"),

@@ -1,15 +1,15 @@
-//! A serde deserializer that takes a fixed-length array only from as many values. That of the `toml` crate ends at the
-//! last value that the type asks for and ignores the rest.
+//! A serde deserializer that refuses an array with more values than a fixed-length array type has. The `toml` crate ignores
+//! the values in excess.
 
 use std::fmt;
 
 use serde::de::{DeserializeSeed, Deserializer, EnumAccess, Error, MapAccess, SeqAccess, Visitor};
 use serde::forward_to_deserialize_any;
 
-/// A deserializer, and everything inside it that deserializes in turn.
+/// Wraps a deserializer and, with it, each access and seed that it hands out.
 pub(super) struct Exact<T>(pub(super) T);
 
-/// A visitor, with the number of values if it asked for a fixed number.
+/// Wraps a visitor; `values` is the length of the array that it asked for, if that is fixed.
 struct Inside<V> {
     visitor: V,
     values: Option<usize>,
@@ -68,7 +68,7 @@ impl<'de, D: Deserializer<'de>> Deserializer<'de> for Exact<D> {
     }
 }
 
-/// Scalars go to the visitor as they are; TOML has no null.
+/// Passes scalars on to the visitor. TOML has no null.
 macro_rules! forward {
     ($($method:ident: $type:ty),+) => {
         $(fn $method<E: Error>(self, value: $type) -> Result<V::Value, E> {

@@ -1,7 +1,7 @@
-//! Files in and out, with the path in every message.
+//! Reads and writes whole files. Every message names the path.
 
 use std::fmt::Display;
-use std::fs;
+use std::fs::{self, File};
 use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
 
@@ -11,50 +11,65 @@ use crate::catalogue::FileFinding::{
 };
 use crate::diagnostic::Diagnostic;
 
-/// What is wrong when a file could not be read.
 pub fn unreadable(file: impl Display) -> impl Fn(io::Error) -> Diagnostic {
-    move |error| Diagnostic::file(&file.to_string(), Unreadable { why: error.to_string() })
+    move |error| Diagnostic::file(&file, Unreadable { why: error.to_string() })
 }
 
-/// The directory that a file is in.
+pub fn unwritable(path: &Path) -> impl Fn(io::Error) -> Diagnostic + use<> {
+    let name = path.display().to_string();
+    move |error| Diagnostic::file(&name, Unwritable { why: error.to_string() })
+}
+
+/// The directory that contains a file.
 pub fn directory_of(path: &Path) -> &Path {
     path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
-/// The text of a file.
+/// Creates a directory for results.
+pub fn directory(path: &Path) -> Result<(), Diagnostic> {
+    fs::create_dir_all(path)
+        .map_err(|error| Diagnostic::file(path.display(), NoDirectory { why: error.to_string() }))
+}
+
+/// Whether two paths are one existing file.
+pub fn same_place(a: &Path, b: &Path) -> bool {
+    matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
+}
+
+/// Reads a UTF-8 text.
 pub fn read(path: &Path) -> Result<String, Diagnostic> {
     let bytes = fs::read(path).map_err(unreadable(path.display()))?;
     String::from_utf8(bytes).map_err(|error| {
         let byte = error.utf8_error().valid_up_to();
-        Diagnostic::file(&path.display().to_string(), NotUtf8At { byte })
+        Diagnostic::file(path.display(), NotUtf8At { byte })
     })
 }
 
-/// The text of a file, if there is one of this name or the name ends like that of one.
+/// Reads a file if it exists. A path with this ending is meant to be a file: if it does not exist, that is an error.
 pub fn if_there(path: &Path, ending: &str) -> Option<Result<String, Diagnostic>> {
     (path.exists() || path.to_string_lossy().ends_with(ending)).then(|| read(path))
 }
 
-/// The text of a file, if there is one.
+/// Reads a file if it exists.
 pub fn read_if_file(path: &Path) -> Option<Result<String, Diagnostic>> {
     path.is_file().then(|| read(path))
 }
 
-/// The text of a file of at most `most` bytes; what is no file (a pipe, a device) is not opened.
+/// Reads a file of at most `most` bytes. A pipe or a device is refused without opening it.
 pub fn read_at_most(path: &Path, most: u64) -> Result<String, Diagnostic> {
     match fs::metadata(path) {
-        Ok(data) if !data.is_file() => Err(Diagnostic::file(&path.display().to_string(), NotAFile)),
+        Ok(data) if !data.is_file() => Err(Diagnostic::file(path.display(), NotAFile)),
         Ok(data) if data.len() > most => {
-            Err(Diagnostic::file(&path.display().to_string(), TooLarge { bytes: data.len(), most }))
+            Err(Diagnostic::file(path.display(), TooLarge { bytes: data.len(), most }))
         }
         _ => read(path),
     }
 }
 
-/// The SHA-256 of a file, which is never whole in memory.
+/// The SHA-256 of a file of any size.
 pub fn sha256(path: &Path) -> Result<String, Diagnostic> {
     let wrong = unreadable(path.display());
-    let mut file = fs::File::open(path).map_err(&wrong)?;
+    let mut file = File::open(path).map_err(&wrong)?;
     let (mut hash, mut piece) = (Sha256::default(), vec![0; 1 << 16]);
     loop {
         match file.read(&mut piece).map_err(&wrong)? {
@@ -64,77 +79,73 @@ pub fn sha256(path: &Path) -> Result<String, Diagnostic> {
     }
 }
 
-/// Writes a file whole or not at all: beside it first, then renamed.
-pub fn write(path: &Path, content: impl AsRef<[u8]>) -> Result<(), Diagnostic> {
-    write_pieces(path, [content])
-}
-
-/// The same in pieces, of which one at a time is in memory.
-pub fn write_pieces(
-    path: &Path,
-    pieces: impl IntoIterator<Item = impl AsRef<[u8]>>,
-) -> Result<(), Diagnostic> {
-    let Some(Beside { beside, target }) = write_beside(path, pieces)? else { return Ok(()) };
-    fs::rename(&beside, &target).map_err(|error| {
-        // A part of a file is of no use.
-        let _ = fs::remove_file(&beside);
-        unwritable(path)(error)
-    })
-}
-
-/// A file that was written beside the place that it is to have.
+/// A file that is written under a temporary name and renamed when it is complete. If it is dropped before, nothing of it
+/// remains.
 #[derive(Debug)]
-pub(super) struct Beside {
-    pub(super) beside: PathBuf,
+#[must_use = "the file gets its name when it is finished"]
+pub struct Unfinished {
+    /// The temporary name.
+    pub(super) part: PathBuf,
+    /// The final name, behind a symbolic link if `path` is one.
     pub(super) target: PathBuf,
+    path: PathBuf,
 }
 
-/// Writes a file whole beside its name; `None` where a device or a pipe took it.
-pub(super) fn write_beside(
+impl Unfinished {
+    pub fn create(path: &Path) -> Result<(Self, File), Diagnostic> {
+        let target = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
+        let part = beside(&target, "part");
+        let file = File::create(&part).map_err(unwritable(path))?;
+        Ok((Self { part, target, path: path.into() }, file))
+    }
+
+    /// Renames the file, which must be closed.
+    pub fn finish(self) -> Result<(), Diagnostic> {
+        fs::rename(&self.part, &self.target).map_err(unwritable(&self.path))
+    }
+}
+
+impl Drop for Unfinished {
+    fn drop(&mut self) {
+        // After `finish` there is no such file.
+        let _ = fs::remove_file(&self.part);
+    }
+}
+
+/// Writes a file completely or not at all.
+pub fn write(path: &Path, content: impl AsRef<[u8]>) -> Result<(), Diagnostic> {
+    write_unfinished(path, [content])?.map_or(Ok(()), Unfinished::finish)
+}
+
+/// Writes a file in pieces under its temporary name. `None`: `path` is a device or a pipe, which took the pieces.
+pub(super) fn write_unfinished(
     path: &Path,
     pieces: impl IntoIterator<Item = impl AsRef<[u8]>>,
-) -> Result<Option<Beside>, Diagnostic> {
+) -> Result<Option<Unfinished>, Diagnostic> {
     let wrong = unwritable(path);
-    let fill = |mut file: fs::File| pieces.into_iter().try_for_each(|piece| file.write_all(piece.as_ref()));
-    // A link stays one: what it points to is replaced. A device or a pipe takes the text as it is.
-    let target = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
-    match fs::metadata(&target) {
-        Ok(data) if data.is_dir() => return Err(wrong(io::ErrorKind::IsADirectory.into())),
+    let fill = |mut file: File| pieces.into_iter().try_for_each(|piece| file.write_all(piece.as_ref()));
+    match fs::metadata(path) {
+        Ok(data) if data.is_dir() => Err(wrong(io::ErrorKind::IsADirectory.into())),
         Ok(data) if !data.is_file() => {
-            return fs::OpenOptions::new()
-                .write(true)
-                .open(&target)
-                .and_then(fill)
-                .map(|()| None)
-                .map_err(wrong);
+            let filled = fs::OpenOptions::new().write(true).open(path).and_then(fill);
+            filled.map(|()| None).map_err(wrong)
         }
-        _ => {}
-    }
-    let beside = beside(&target, "part");
-    match fs::File::create(&beside).and_then(fill) {
-        Ok(()) => Ok(Some(Beside { beside, target })),
-        Err(error) => {
-            // A part of a file is of no use.
-            let _ = fs::remove_file(&beside);
-            Err(wrong(error))
+        _ => {
+            let (unfinished, file) = Unfinished::create(path)?;
+            fill(file).map_err(wrong)?;
+            Ok(Some(unfinished))
         }
     }
 }
 
-/// A name beside that of a file, of this process alone: another may write the same file.
+/// A name in the same directory that no other process uses.
 pub(super) fn beside(path: &Path, ending: &str) -> PathBuf {
     let mut beside = path.as_os_str().to_owned();
     beside.push(format!(".{}.{ending}", std::process::id()));
     beside.into()
 }
 
-/// What is wrong when a file could not be written.
-pub fn unwritable(path: &Path) -> impl Fn(io::Error) -> Diagnostic {
-    let name = path.display().to_string();
-    move |error| Diagnostic::file(&name, Unwritable { why: error.to_string() })
-}
-
-/// Who may do what with a file, as Unix has it; of no file, and elsewhere, nobody.
+/// The permission bits of a file; 0 if it does not exist, and on systems other than Unix.
 #[cfg(unix)]
 pub fn mode(path: &Path) -> u32 {
     use std::os::unix::fs::PermissionsExt;
@@ -146,75 +157,67 @@ pub fn mode(_: &Path) -> u32 {
     0
 }
 
-/// That a result does not take the place of a file that the command reads.
-///
-/// # Errors
-/// Names the file.
+/// Refuses to write a result over a file that the command reads.
 pub fn keeps<'a>(out: &Path, inputs: impl IntoIterator<Item = &'a Path>) -> Result<(), Diagnostic> {
-    let Ok(out) = fs::canonicalize(out) else { return Ok(()) };
-    match inputs.into_iter().find(|input| fs::canonicalize(input).is_ok_and(|input| input == out)) {
-        Some(input) => Err(Diagnostic::file(&input.display().to_string(), IsInput)),
+    match inputs.into_iter().find(|input| same_place(out, input)) {
+        Some(input) => Err(Diagnostic::file(input.display(), IsInput)),
         None => Ok(()),
     }
 }
 
-/// That what is at `out` is an earlier result of this kind, which begins with `head`, or nothing: it is replaced.
-///
-/// # Errors
-/// It is something else, or cannot be read.
+/// Refuses to replace a file that is not an earlier result of the same kind, which begins with `head`.
 pub fn is_earlier(out: &Path, head: &[u8]) -> Result<(), Diagnostic> {
     if !out.is_file() {
         return Ok(());
     }
-    let (name, mut begin) = (out.display().to_string(), Vec::new());
-    let file = fs::File::open(out).map_err(unreadable(&name))?;
-    file.take(head.len() as u64).read_to_end(&mut begin).map_err(unreadable(&name))?;
-    // An export that was cut off is one, too.
-    if head.starts_with(&begin) { Ok(()) } else { Err(Diagnostic::file(&name, NoResult)) }
+    let mut begin = Vec::new();
+    let wrong = unreadable(out.display());
+    File::open(out).and_then(|file| file.take(head.len() as u64).read_to_end(&mut begin)).map_err(wrong)?;
+    // An earlier export may have been cut off.
+    if head.starts_with(&begin) { Ok(()) } else { Err(Diagnostic::file(out.display(), NoResult)) }
 }
 
-/// That nothing is at `out`, or a file with this SHA-256.
-///
-/// # Errors
-/// It has another content, or cannot be read.
+/// Refuses to replace a file with another content than that of this SHA-256.
 pub fn is_same(out: &Path, content_sha256: &str) -> Result<(), Diagnostic> {
     if out.symlink_metadata().is_err() || (out.is_file() && sha256(out)? == content_sha256) {
         return Ok(());
     }
-    Err(Diagnostic::file(&out.display().to_string(), OtherContent))
+    Err(Diagnostic::file(out.display(), OtherContent))
 }
 
-/// A directory that no other process of dbbd writes results to while this is held.
-#[must_use = "the directory is shared again when this is dropped"]
+/// A lock on a directory: while it is held, no other dbbd process writes a set of results there.
+#[must_use = "dropping it releases the directory"]
 #[derive(Debug)]
 pub struct Exclusive {
-    _lock: Option<fs::File>,
+    _lock: Option<File>,
 }
 
-/// Makes the directory that a set of files goes to, and waits until others have written theirs: no set is mixed.
+/// Creates a directory and waits for its lock, so that two sets of results are never mixed.
 pub fn exclusive(path: &Path) -> Result<Exclusive, Diagnostic> {
     directory(path)?;
     Ok(Exclusive { _lock: lock(path) })
 }
 
-/// Where directories cannot be opened or locked, sets are written as they come.
+/// `None` on a file system where directories cannot be locked: sets are then written unprotected.
 #[cfg(not(windows))]
-fn lock(directory: &Path) -> Option<fs::File> {
-    fs::File::open(directory).ok().filter(|directory| directory.lock().is_ok())
+fn lock(directory: &Path) -> Option<File> {
+    File::open(directory).ok().filter(|directory| directory.lock().is_ok())
 }
 
-/// A directory cannot be locked there: a file in it is, which goes with its handle.
+/// Windows does not lock directories: a file in it is opened exclusively and deleted with its handle.
 #[cfg(windows)]
-fn lock(directory: &Path) -> Option<fs::File> {
+fn lock(directory: &Path) -> Option<File> {
     use std::os::windows::fs::OpenOptionsExt;
     const DELETE_ON_CLOSE: u32 = 0x0400_0000;
     const SHARING_VIOLATION: i32 = 32;
     const ACCESS_DENIED: i32 = 5;
+    /// 20 ms apart. Without a limit this would wait forever in a directory that is not writable.
+    const TRIES: usize = 1500;
     let mut options = fs::OpenOptions::new();
     options.write(true).create(true).truncate(true).share_mode(0).custom_flags(DELETE_ON_CLOSE);
-    for _ in 0..LOCK_TRIES {
+    for _ in 0..TRIES {
         match options.open(directory.join(".dbbd-lock")) {
-            // Another has it, or it is just being deleted.
+            // Another process has it open, or it is being deleted.
             Err(error) if matches!(error.raw_os_error(), Some(SHARING_VIOLATION | ACCESS_DENIED)) => {
                 super::clock::sleep(0.02);
             }
@@ -222,21 +225,4 @@ fn lock(directory: &Path) -> Option<fs::File> {
         }
     }
     None
-}
-
-/// How often a file that another process holds is tried for, 20 ms apart: a directory that cannot be written to is denied
-/// for ever.
-#[cfg(windows)]
-const LOCK_TRIES: usize = 1500;
-
-/// Makes the directory that results go to.
-pub fn directory(path: &Path) -> Result<(), Diagnostic> {
-    fs::create_dir_all(path).map_err(|error| {
-        Diagnostic::file(&path.display().to_string(), NoDirectory { why: error.to_string() })
-    })
-}
-
-/// Whether two paths are one existing file.
-pub fn same_place(a: &Path, b: &Path) -> bool {
-    matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
 }

@@ -1,8 +1,8 @@
-//! SHA-256 of texts and files.
+//! SHA-256.
 
 use hmac_sha256::Hash;
 
-/// The hash of what comes in pieces.
+/// The hash of content that arrives in pieces.
 #[derive(Default)]
 pub struct Sha256(Hash);
 
@@ -11,13 +11,13 @@ impl Sha256 {
         self.0.update(piece);
     }
 
-    /// In hexadecimal digits.
+    /// The hash in hexadecimal digits.
     pub fn finish(self) -> String {
         self.0.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
     }
 }
 
-/// The hash of a text in Base64, as policies of web pages name a script.
+/// The hash in Base64, as a Content-Security-Policy names a script.
 pub fn sha256_base64(content: impl AsRef<[u8]>) -> String {
     const DIGITS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
     let hash = Hash::hash(content.as_ref());
@@ -31,7 +31,7 @@ pub fn sha256_base64(content: impl AsRef<[u8]>) -> String {
     hash.chunks(3).flat_map(group).collect()
 }
 
-/// The hash of a text or of bytes, in hexadecimal digits.
+/// The hash in hexadecimal digits.
 pub fn sha256(content: impl AsRef<[u8]>) -> String {
     let mut hash = Sha256::default();
     hash.update(content);
@@ -43,7 +43,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_script_is_named_as_openssl_names_it() {
+    fn base64_matches_openssl() {
         // printf 'abc' | openssl dgst -sha256 -binary | base64
         assert_eq!(sha256_base64("abc"), "ungWv48Bz+pBQUDeXa4iI7ADYaOWF3qctBD/YfIAFa0=");
     }

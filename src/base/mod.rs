@@ -1,4 +1,4 @@
-//! What every module may use: units, the clock, files, tables. Nothing of dbbd's own subject.
+//! What every module may use: units, the clock, files, tables. Nothing about robots or bars.
 
 mod cells;
 pub mod clock;

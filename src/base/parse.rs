@@ -1,4 +1,4 @@
-//! TOML texts: the only reader, and what is wrong with one that it refuses.
+//! Reads TOML texts, and explains why one is refused.
 
 use std::ops::Range;
 
@@ -11,12 +11,12 @@ use crate::catalogue::FileFinding::{
 };
 use crate::diagnostic::Diagnostic;
 
-/// What a TOML file holds; a fixed-length array only if it has as many values.
+/// Deserialises a TOML file.
 pub fn from_toml<'de, T: Deserialize<'de>>(file: &str, text: &'de str) -> Result<T, Diagnostic> {
     deserialize(text).map_err(|error| wrong_toml(file, text, &error))
 }
 
-/// The same of a text that is no file as it is.
+/// Deserialises a TOML text that is part of a file. The error has its byte range in the text.
 pub fn from_toml_text<'de, T: Deserialize<'de>>(text: &'de str) -> Result<T, (Range<usize>, FileFinding)> {
     deserialize(text).map_err(|error| {
         let span = error.span().unwrap_or_default();
@@ -28,7 +28,6 @@ fn deserialize<'de, T: Deserialize<'de>>(text: &'de str) -> Result<T, toml::de::
     T::deserialize(Exact(toml::de::Deserializer::parse(text)?))
 }
 
-/// What a value of a TOML text holds.
 pub fn from_toml_value<T: DeserializeOwned>(value: toml::Value) -> Result<T, FileFinding> {
     let text = value.to_string();
     T::deserialize(Exact(value)).map_err(|error| not_toml(&text, 0..text.len(), &error))
@@ -52,7 +51,7 @@ fn wrong_toml(file: &str, text: &str, error: &toml::de::Error) -> Diagnostic {
     }
 }
 
-/// What is wrong at a place of a TOML text.
+/// Translates an error of the `toml` crate at a byte range of a text.
 fn not_toml(text: &str, span: Range<usize>, error: &toml::de::Error) -> FileFinding {
     let (before, after) = text.split_at_checked(span.start).unwrap_or_default();
     let place = text.get(span).unwrap_or("");
@@ -75,7 +74,7 @@ fn not_toml(text: &str, span: Range<usize>, error: &toml::de::Error) -> FileFind
     }
 }
 
-/// What is needed, in the words of the file instead of those of Rust.
+/// The expected type in the terms of the file instead of Rust's.
 fn plain(expected: &str) -> &str {
     match expected.trim() {
         "f64" => "a number",
@@ -92,13 +91,13 @@ fn plain(expected: &str) -> &str {
     }
 }
 
-/// The number of values found and expected, from the message of a wrong length.
+/// The number of values found and expected, from a message about a wrong length.
 fn lengths(message: &str) -> Option<(usize, usize)> {
     let (found, expected) = message.strip_prefix("invalid length ")?.split_once(", expected ")?;
     Some((found.parse().ok()?, expected.strip_suffix(" values")?.parse().ok()?))
 }
 
-/// The array as it would be with decimal points, if decimal commas explain that it has more than `expected` values.
+/// The array with decimal points, if decimal commas explain why it has more than `expected` values.
 fn without_commas(array: &str, expected: usize) -> Option<String> {
     let values = array.trim().strip_prefix('[')?.strip_suffix(']')?;
     let values: Vec<&str> = values.split(',').map(str::trim).filter(|value| !value.is_empty()).collect();

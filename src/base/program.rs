@@ -1,4 +1,4 @@
-//! This program as a child process.
+//! Starts this program as a child process.
 
 use std::ffi::OsString;
 use std::io;
@@ -6,7 +6,7 @@ use std::process::{Command, Stdio, exit};
 use std::sync::OnceLock;
 use std::thread;
 
-/// What a child process is to know of the environment; the rest is no business of a command of ours.
+/// The environment variables that a child process inherits.
 const INHERITED: [&str; 11] = [
     "PATH",
     "HOME",
@@ -21,26 +21,25 @@ const INHERITED: [&str; 11] = [
     "TMP",
 ];
 
-/// The variable that makes a command of ours report how much of it is done, a line each: this word and the per cent.
+/// If this variable is set, a command reports its progress in lines that begin with [`PROGRESS`].
 pub const PROGRESS_VARIABLE: &str = "DBBD_PROGRESS";
 pub const PROGRESS: &str = "done, per cent:";
 
-/// The option that ends a command of ours with its standard input.
+/// The option that makes a command end when its standard input closes.
 pub const UNTIL_STDIN_CLOSES: &str = "--until-stdin-closes";
 
-/// How this program is started where it is no file of its own.
+/// The command line that starts this program if it is not an executable file, as in the Python package.
 static LAUNCHER: OnceLock<Vec<OsString>> = OnceLock::new();
 
-/// Children are started with this command line (program and first arguments) from now on; the first call counts.
+/// Sets the command line (program and first arguments) that starts child processes. Only the first call counts.
 pub fn launch_by(command: Vec<OsString>) {
     LAUNCHER.get_or_init(|| command);
 }
 
-/// A command that runs this very program, also where its file was replaced since this process began. It ends with its
-/// standard input, whose other end closes with this process, however that ends; keep it until the child has ended. Of
-/// the environment it has only what it needs.
+/// A command that runs this program. The child ends when its standard input closes, which happens when this process ends
+/// for any reason; keep the pipe until the child has ended.
 pub fn own() -> io::Result<Command> {
-    // The child still runs this program when it follows the link.
+    // The link still names this program after its file was replaced.
     #[cfg(target_os = "linux")]
     let program = "/proc/self/exe";
     #[cfg(not(target_os = "linux"))]
@@ -58,7 +57,7 @@ pub fn own() -> io::Result<Command> {
     Ok(command)
 }
 
-/// Ends this process when its standard input ends: whoever started it is gone.
+/// Ends this process when its standard input closes: its parent has ended.
 pub fn end_with_stdin() -> io::Result<()> {
     let watch = || {
         let _ = io::copy(&mut io::stdin(), &mut io::sink());

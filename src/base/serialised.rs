@@ -1,96 +1,82 @@
-//! Values as texts. A value that its form cannot hold is an error, never an empty text.
+//! Values as JSON, TOML and CSV texts. A value that the format cannot hold is an error, never an empty text.
+
+use std::fmt::Display;
 
 use serde::Serialize;
 
 use super::hash::sha256;
 use crate::catalogue::{CliFinding, ProvenanceFinding};
 
-fn unfit(form: &'static str) -> impl Fn(&dyn std::fmt::Display) -> CliFinding {
+/// Separates an object from its hash, in the last line of a sealed JSON text.
+const JSON_SEAL: &str = ",\n  \"sha256\": \"";
+/// Begins the last line of a sealed TOML text.
+const TOML_SEAL: &str = "# SHA-256 of the lines above: ";
+
+fn not_written<E: Display>(form: &'static str) -> impl Fn(E) -> CliFinding {
     move |why| CliFinding::NotWritten { form, why: why.to_string() }
 }
 
 /// Indented JSON.
-///
-/// # Errors
-/// What JSON cannot hold.
 pub fn json(value: &impl Serialize) -> Result<String, CliFinding> {
-    serde_json::to_string_pretty(value).map_err(|error| unfit("JSON")(&error))
+    serde_json::to_string_pretty(value).map_err(not_written("JSON"))
 }
 
-/// Indented JSON of an object, a line at its end, whose last key has the SHA-256 of the text without it.
-///
-/// # Errors
-/// As [`json`].
+/// JSON in one line.
+pub fn json_line(value: &impl Serialize) -> Result<String, CliFinding> {
+    serde_json::to_string(value).map_err(not_written("JSON"))
+}
+
+/// Indented JSON of an object, ending in a newline. Its last key, `sha256`, has the hash of the text without it.
 pub fn sealed_json(value: &impl Serialize) -> Result<String, CliFinding> {
     let text = json(value)?;
     let open = text.strip_suffix("\n}").unwrap_or(&text);
-    Ok(format!("{open}{SEAL}{}\"\n}}\n", sha256(&text)))
+    Ok(format!("{open}{JSON_SEAL}{}\"\n}}\n", sha256(&text)))
 }
 
-const SEAL: &str = ",\n  \"sha256\": \"";
-
-/// That nobody changed a text since [`sealed_json`] made it; one without a hash is as good as any.
-///
-/// # Errors
-/// Its hash is of another text.
+/// Refuses a text that was edited after [`sealed_json`] wrote it. A text without a hash is accepted.
 pub fn check_seal(text: &str) -> Result<(), ProvenanceFinding> {
-    let Some((open, end)) = text.rsplit_once(SEAL) else { return Ok(()) };
-    let sha256_is = sha256(format!("{open}\n}}"));
-    if end.trim_end() == format!("{sha256_is}\"\n}}") { Ok(()) } else { Err(ProvenanceFinding::Edited) }
+    let Some((open, end)) = text.rsplit_once(JSON_SEAL) else { return Ok(()) };
+    let actual = sha256(format!("{open}\n}}"));
+    if end.trim_end() == format!("{actual}\"\n}}") { Ok(()) } else { Err(ProvenanceFinding::Edited) }
 }
 
-/// A TOML text with a last line, a comment, that has the SHA-256 of what is above.
+pub fn toml(value: &impl Serialize) -> Result<String, CliFinding> {
+    toml::to_string(value).map_err(not_written("TOML"))
+}
+
+/// Appends a comment line with the SHA-256 of the text above it.
 pub fn sealed_toml(text: &str) -> String {
     format!("{text}{TOML_SEAL}{}\n", sha256(text))
 }
 
-const TOML_SEAL: &str = "# SHA-256 of the lines above: ";
-
-/// Whether a text is as [`sealed_toml`] made it; `None` of one without a hash.
+/// Whether a text is as [`sealed_toml`] wrote it; `None` if it has no hash.
 pub fn is_sealed_toml(text: &str) -> Option<bool> {
     let (above, end) = text.rsplit_once(TOML_SEAL)?;
     Some(sha256(above) == end.trim_end())
 }
 
-/// JSON in one line.
-///
-/// # Errors
-/// As [`json`].
-pub fn json_line(value: &impl Serialize) -> Result<String, CliFinding> {
-    serde_json::to_string(value).map_err(|error| unfit("JSON")(&error))
-}
-
-/// A TOML file.
-///
-/// # Errors
-/// What TOML cannot hold.
-pub fn toml(value: &impl Serialize) -> Result<String, CliFinding> {
-    toml::to_string(value).map_err(|error| unfit("TOML")(&error))
-}
-
-/// A table whose columns are the fields of its rows.
-///
-/// # Errors
-/// What a cell cannot hold.
+/// A CSV table whose columns are the fields of its rows.
 pub fn csv(rows: impl IntoIterator<Item = impl Serialize>) -> Result<String, CliFinding> {
-    lines(csv::Writer::from_writer(Vec::new()), rows)
+    csv_rows(csv::Writer::from_writer(Vec::new()), rows)
 }
 
-/// The same without its header.
-///
-/// # Errors
-/// As [`csv()`].
-pub fn csv_rows(rows: impl IntoIterator<Item = impl Serialize>) -> Result<String, CliFinding> {
-    lines(csv::WriterBuilder::new().has_headers(false).from_writer(Vec::new()), rows)
+/// A CSV table with these column names; each row is a tuple or a list of cells.
+pub fn csv_table(
+    columns: impl IntoIterator<Item = impl AsRef<[u8]>>,
+    rows: impl IntoIterator<Item = impl Serialize>,
+) -> Result<String, CliFinding> {
+    let mut writer = csv::WriterBuilder::new().has_headers(false).from_writer(Vec::new());
+    writer.write_record(columns).map_err(not_written("CSV"))?;
+    csv_rows(writer, rows)
 }
 
-fn lines(
+fn csv_rows(
     mut writer: csv::Writer<Vec<u8>>,
     rows: impl IntoIterator<Item = impl Serialize>,
 ) -> Result<String, CliFinding> {
     for row in rows {
-        writer.serialize(row).map_err(|error| unfit("CSV")(&error))?;
+        writer.serialize(row).map_err(not_written("CSV"))?;
     }
-    let bytes = writer.into_inner().map_err(|error| unfit("CSV")(&error))?;
-    String::from_utf8(bytes).map_err(|error| unfit("CSV")(&error))
+    let bytes = writer.into_inner().map_err(not_written("CSV"))?;
+    String::from_utf8(bytes).map_err(not_written("CSV"))
 }

@@ -1,15 +1,12 @@
-//! A table that a user wrote: delimiter, decimal and encoding as the file shows them, columns in any order, and each
-//! wrong cell by its line and column.
+//! Reads a table that a user or another program wrote. Delimiter, decimal mark and encoding are detected, columns may be in
+//! any order, and an error names the line and column of the cell.
 
 use std::cell;
-use std::fs::File;
-use std::io::{BufRead, BufReader};
-use std::path::Path;
+use std::io::BufRead;
 use std::str::FromStr;
 
 pub use super::cells::Delimiter;
-use super::cells::{Cell, cut};
-use super::files::unreadable;
+use super::cells::{Cell, split};
 use super::text::{Encoding, Lines};
 use crate::catalogue::FileFinding::{
     self, CellCount, ColumnTwice, MissingColumns, NoCell, NotANumber, NotFinite, NotPositive, NotWhole,
@@ -17,17 +14,17 @@ use crate::catalogue::FileFinding::{
 };
 use crate::diagnostic::{Diagnostic, Finding};
 
-/// How a table is laid out, as far as that is known before it is read.
+/// What is known of a table before it is read. `None` is detected.
 #[derive(Clone, Debug)]
 pub struct Layout {
     pub delimiter: Option<Delimiter>,
     /// `.` or `,`.
     pub decimal: Option<char>,
-    /// Lines before the header, or before the first row where there is none.
+    /// The number of lines to skip before the header, or before the first row if there is no header.
     pub skip_lines: usize,
-    /// Whether a line names the columns.
+    /// Whether the first line names the columns.
     pub header: bool,
-    /// Lines that begin with it are passed over.
+    /// Lines that begin with this text are skipped.
     pub comment: Option<String>,
 }
 
@@ -37,52 +34,48 @@ impl Default for Layout {
     }
 }
 
-/// A table that is read a row at a time.
+/// A table that is read row by row.
 pub struct Table<'a> {
     lines: Lines<Box<dyn BufRead + 'a>>,
     layout: Layout,
     delimiter: Option<Delimiter>,
     columns: Columns,
-    /// The last row, or the header, with its text.
+    /// The last row, or the header.
     record: Record,
-    /// The text since it was taken.
+    /// The text that was read since the last [`Self::take_text`].
     read: String,
-    /// Bytes of all text.
+    /// The length of all text so far, in bytes of UTF-8.
     bytes: u64,
 }
 
-/// The columns, and what their cells have in common.
+/// The column names, and the properties that all cells share.
 struct Columns {
     file: String,
     names: Vec<String>,
-    /// Of the header; 0 without one.
+    /// The line of the header; 0 without a header.
     line: usize,
-    /// As the table shows it.
+    /// The decimal mark, once a number has shown it.
     decimal: cell::Cell<Option<char>>,
     delimiter: String,
 }
 
 #[derive(Default)]
 struct Record {
-    /// Where it begins: line, and bytes of the text before.
+    /// The line where it begins.
     line: usize,
+    /// The length of the text before it, in bytes of UTF-8.
     offset: u64,
     text: String,
     cells: Vec<Cell>,
 }
 
 impl<'a> Table<'a> {
-    pub fn open(path: &Path) -> Result<Table<'static>, Diagnostic> {
-        let file = File::open(path).map_err(unreadable(path.display()))?;
-        Table::new(&path.display().to_string(), BufReader::new(file), Layout::default())
-    }
-
-    /// A text in memory.
+    /// Reads a text in memory.
     pub fn of(file: &str, text: &'a (impl AsRef<[u8]> + ?Sized)) -> Result<Self, Diagnostic> {
         Self::new(file, text.as_ref(), Layout::default())
     }
 
-    /// What a source holds; `file` is the name that the user knows.
+    /// Reads `source`; messages call it `file`.
     pub fn new(file: &str, source: impl BufRead + 'a, layout: Layout) -> Result<Self, Diagnostic> {
         let columns = Columns {
             file: file.into(),
@@ -100,7 +93,7 @@ impl<'a> Table<'a> {
             read: String::new(),
             bytes: 0,
         };
-        if table.layout.header && table.record()? {
+        if table.layout.header && table.read_record()? {
             let cells = std::mem::take(&mut table.record.cells);
             table.columns.names = cells.into_iter().map(|cell| cell.text).collect();
             table.columns.line = table.record.line;
@@ -117,7 +110,7 @@ impl<'a> Table<'a> {
         &self.columns.names
     }
 
-    /// The places of columns that must be there.
+    /// The places of columns that must exist.
     pub fn required<const N: usize>(&self, names: [&str; N]) -> Result<[usize; N], Diagnostic> {
         let mut places = [0; N];
         let mut absent = Vec::new();
@@ -138,8 +131,8 @@ impl<'a> Table<'a> {
         Err(self.columns.header(MissingColumns { absent, header, delimiter }))
     }
 
-    /// The place of a column that may be there. It has no other beside it that differs by capital letters alone: the first
-    /// to be left out would make it the other.
+    /// The place of a column that may be missing. A column whose name differs only in upper and lower case is an error: it
+    /// would be ignored.
     pub fn optional(&self, name: &str) -> Result<Option<usize>, Diagnostic> {
         self.other_case(name).map_or_else(|| self.place(name), Err)
     }
@@ -153,23 +146,23 @@ impl<'a> Table<'a> {
         }
     }
 
-    /// That a column is named with other capital letters.
+    /// The error that a column has this name in other upper and lower case.
     fn other_case(&self, name: &str) -> Option<Diagnostic> {
         let mut names = self.columns.names.iter();
         let column = names.find(|column| column.eq_ignore_ascii_case(name) && *column != name)?.clone();
         Some(self.columns.header(OtherCase { column, name: name.into() }))
     }
 
-    /// The next row, if there is one.
+    /// The next row; `None` at the end.
     pub fn row(&mut self) -> Result<Option<Row<'_>>, Diagnostic> {
-        if !self.record()? {
+        if !self.read_record()? {
             return Ok(None);
         }
         let row = Row { columns: &self.columns, record: &self.record };
         let (cells, columns) = (self.record.cells.len(), self.columns.names.len());
         if columns > 0 && cells != columns && self.delimiter != Some(Delimiter::Blanks) {
             let further = self.record.cells.iter().skip(columns);
-            // Many programs end each line with a delimiter.
+            // Many programs end each line with a delimiter: empty cells in excess are accepted.
             if cells < columns || further.clone().any(|cell| !cell.text.is_empty()) {
                 let delimiter = self.columns.delimiter.clone();
                 let at = further.map(|cell| cell.column).next();
@@ -180,12 +173,12 @@ impl<'a> Table<'a> {
         Ok(Some(row))
     }
 
-    /// The text that was read since it was asked for, in UTF-8.
+    /// The text that was read since the last call, in UTF-8.
     pub fn take_text(&mut self) -> String {
         std::mem::take(&mut self.read)
     }
 
-    /// How the table that was read is written, unless it is the usual way or was known before.
+    /// Reports a detected format, if it is not UTF-8 with commas and decimal points.
     pub fn findings(&self) -> Option<Diagnostic> {
         let delimiter = self.delimiter.filter(|_| self.layout.delimiter.is_none());
         let decimal = self.columns.decimal.get().filter(|_| self.layout.decimal.is_none()).unwrap_or('.');
@@ -198,8 +191,8 @@ impl<'a> Table<'a> {
         (!usual).then(|| Diagnostic::file(self.file(), WrittenAs { encoding, delimiter, decimal }))
     }
 
-    /// Reads the next line that is none to be passed over, with those after it that a quoted cell goes on in.
-    fn record(&mut self) -> Result<bool, Diagnostic> {
+    /// Reads the next line that is not to be skipped, and the lines into which a quoted cell of it extends.
+    fn read_record(&mut self) -> Result<bool, Diagnostic> {
         let mut line = String::new();
         loop {
             line.clear();
@@ -214,7 +207,7 @@ impl<'a> Table<'a> {
             if self.lines.number() <= self.layout.skip_lines || text.trim().is_empty() || comment {
                 continue;
             }
-            // A line before the header that spreadsheets write and read.
+            // Spreadsheets write and read this line before the header.
             let given = text.strip_prefix("sep=").filter(|_| self.delimiter.is_none());
             if let Some(delimiter) = given.and_then(|given| given.chars().next()) {
                 self.delimiter = Some(Delimiter::Character(delimiter));
@@ -224,11 +217,11 @@ impl<'a> Table<'a> {
             break;
         }
         self.record.line = self.lines.number();
-        let delimiter = *self.delimiter.get_or_insert_with(|| Delimiter::shown(&self.record.text));
+        let delimiter = *self.delimiter.get_or_insert_with(|| Delimiter::guess(&self.record.text));
         if self.columns.delimiter.is_empty() {
             self.columns.delimiter = delimiter.name();
         }
-        while !cut(&self.record.text, delimiter, &mut self.record.cells) {
+        while !split(&self.record.text, delimiter, &mut self.record.cells) {
             line.clear();
             if !self.lines.next(&mut line)? {
                 return Err(Diagnostic::line(self.file(), self.record.line, OpenQuote));
@@ -248,7 +241,7 @@ impl Columns {
     }
 }
 
-/// A row, with what is needed to say where a cell is.
+/// A row. Its errors name the line and the column.
 #[derive(Clone, Copy)]
 pub struct Row<'a> {
     columns: &'a Columns,
@@ -260,12 +253,12 @@ impl<'a> Row<'a> {
         self.record.cells.get(at).map_or("", |cell| &cell.text)
     }
 
-    /// Bytes of the text before the row, in UTF-8.
+    /// The length of the text before the row, in bytes of UTF-8.
     pub fn offset(&self) -> u64 {
         self.record.offset
     }
 
-    /// Whether the row has the cell.
+    /// Refuses a row that is too short to have this cell.
     pub fn has(&self, at: usize) -> Result<(), Diagnostic> {
         match self.record.cells.get(at) {
             Some(_) => Ok(()),
@@ -273,7 +266,7 @@ impl<'a> Row<'a> {
         }
     }
 
-    /// The text of a cell; a number with a decimal comma, where the table has them, with a point.
+    /// The text of a cell; a number with a decimal comma is written with a point.
     pub fn plain(&self, at: usize) -> String {
         let comma = self.columns.decimal.get() == Some(',') && self.parsed(at).is_ok();
         if comma { self.text(at).replace(',', ".") } else { self.text(at).to_owned() }
@@ -283,7 +276,7 @@ impl<'a> Row<'a> {
     pub fn number(&self, at: usize) -> Result<f64, Diagnostic> {
         self.has(at)?;
         let value = self.parsed(at).map_err(|finding| self.wrong(at, finding))?;
-        // The first mark is that of the table.
+        // The first decimal mark is that of the whole table.
         if self.columns.decimal.get().is_none() {
             self.columns.decimal.set(self.text(at).chars().find(|mark| matches!(mark, '.' | ',')));
         }
@@ -307,14 +300,14 @@ impl<'a> Row<'a> {
         }
     }
 
-    /// A length or a standard deviation.
+    /// A positive number.
     pub fn positive(&self, at: usize) -> Result<f64, Diagnostic> {
         let value = self.number(at)?;
         let wrong = || self.wrong(at, NotPositive { column: self.column(at), cell: self.text(at).into() });
         if value > 0.0 { Ok(value) } else { Err(wrong()) }
     }
 
-    /// A number by `read`, of a column that may be absent and a cell that may be empty.
+    /// Reads a cell with `read`; `None` if the table has no such column or the cell is empty.
     pub fn given<T>(
         &self,
         at: Option<usize>,
@@ -323,18 +316,18 @@ impl<'a> Row<'a> {
         at.filter(|&at| !self.text(at).is_empty()).map(read).transpose()
     }
 
-    /// A whole number from `least`.
+    /// A whole number of at least `least`.
     pub fn whole(&self, at: usize, least: u32) -> Result<u32, Diagnostic> {
         let value = self.whole_text(at).parse().ok().filter(|value| *value >= least);
         value.ok_or_else(|| self.no_whole(at, least))
     }
 
-    /// A number from 1 of something that is counted.
+    /// A number of a type that counts from 1.
     pub fn numbered<T: FromStr>(&self, at: usize) -> Result<T, Diagnostic> {
         self.whole_text(at).parse().map_err(|_| self.no_whole(at, 1))
     }
 
-    /// The text of a whole number, which other programs write as `1.0`.
+    /// The text of a whole number. Other programs write it as `1.0`.
     pub fn whole_text(&self, at: usize) -> &'a str {
         match self.text(at).split_once(['.', ',']) {
             Some((whole, zeros)) if !zeros.is_empty() && zeros.bytes().all(|byte| byte == b'0') => whole,
@@ -358,13 +351,13 @@ impl<'a> Row<'a> {
         self.line(why).in_line(&self.record.text, column)
     }
 
-    /// The name of a column, else its number.
+    /// The name of a column, or its number if it has no name.
     pub fn column(&self, at: usize) -> String {
         self.columns.names.get(at).cloned().unwrap_or_else(|| (at + 1).to_string())
     }
 }
 
-/// What is wrong with a CSV text that is read into structures.
+/// Translates an error of the `csv` crate.
 pub fn wrong_csv(file: &str, error: &csv::Error) -> Diagnostic {
     let line = error.position().map_or(0, |position| position.line() as usize);
     let finding = match error.kind() {

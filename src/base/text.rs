@@ -1,4 +1,4 @@
-//! Texts. The lines of a file are read in the encoding that its own bytes show: UTF-8, UTF-16 behind a byte order mark, else
+//! Reads text files line by line in the encoding that their bytes suggest: UTF-16 with a byte order mark, UTF-8, else
 //! Windows-1252.
 
 use std::io::BufRead;
@@ -7,12 +7,11 @@ use super::files::unreadable;
 use crate::catalogue::FileFinding::NotText;
 use crate::diagnostic::Diagnostic;
 
-/// A decimal number without zeros that say nothing at its end.
+/// A decimal number without trailing zeros.
 pub fn without_end_zeros(number: &str) -> &str {
     if number.contains('.') { number.trim_end_matches('0').trim_end_matches('.') } else { number }
 }
 
-/// How characters are written as bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Encoding {
     Utf8,
@@ -31,13 +30,12 @@ impl Encoding {
     }
 }
 
-/// Reads one line after the other.
 pub struct Lines<R> {
     file: String,
     source: R,
-    /// Of the text so far; a text in ASCII is UTF-8 until another byte comes.
+    /// The encoding of the text so far. ASCII counts as UTF-8 until another byte appears.
     encoding: Encoding,
-    /// Lines read.
+    /// The number of lines read.
     number: usize,
     bytes: Vec<u8>,
 }
@@ -56,7 +54,8 @@ impl<R: BufRead> Lines<R> {
         self.number
     }
 
-    /// Appends the next line with its end and, if it is the first, its byte order mark; whether there was one.
+    /// Appends the next line to `text`, with its line end and, in the first line, the byte order mark. Returns false at the
+    /// end of the file.
     pub fn next(&mut self, text: &mut String) -> Result<bool, Diagnostic> {
         if self.number == 0 {
             let first = self.source.fill_buf().map_err(unreadable(&self.file))?;
@@ -83,10 +82,10 @@ impl<R: BufRead> Lines<R> {
         Ok(true)
     }
 
-    /// The bytes of a line of UTF-16: to the unit that ends it.
+    /// Reads the bytes of a line of UTF-16, up to and including the two-byte line end.
     fn read_units(&mut self) -> std::io::Result<()> {
         loop {
-            // The low byte of a unit is the first or the second.
+            // The byte 0x0a may also be one half of another character.
             if self.source.read_until(b'\n', &mut self.bytes)? == 0 {
                 return Ok(());
             }
@@ -103,7 +102,7 @@ impl<R: BufRead> Lines<R> {
         }
     }
 
-    /// Appends the characters of the bytes; none if they are no text.
+    /// Appends the decoded bytes to `text`; `None` if they are not text.
     fn decode(&mut self, text: &mut String) -> Option<()> {
         let unit: fn([u8; 2]) -> u16 = match self.encoding {
             Encoding::Utf16Le => u16::from_le_bytes,
@@ -135,7 +134,7 @@ impl<R: BufRead> Lines<R> {
     }
 }
 
-/// The characters from 0x80 to 0x9f (unicode.org, VENDORS/MICSFT/WINDOWS/CP1252.TXT); a blank where there is none.
+/// The characters from 0x80 to 0x9f (unicode.org, VENDORS/MICSFT/WINDOWS/CP1252.TXT); a blank marks an unused code.
 const CP1252: &str = "€ ‚ƒ„…†‡ˆ‰Š‹Œ Ž  ‘’“”•–—˜™š›œ žŸ";
 
 fn windows_1252(byte: u8) -> Option<char> {
@@ -159,8 +158,8 @@ mod tests {
     }
 
     #[test]
-    fn an_encoding_is_shown_by_its_bytes() {
-        // U+010A and U+0A00 hold the byte of a line's end.
+    fn encoding_is_detected() {
+        // U+010A and U+0A00 contain the byte 0x0a.
         let text = "\u{feff}a \u{10a}\u{a00}\r\nµ \u{1f600}\nend";
         let expected: Vec<&str> = text.split_inclusive('\n').collect();
         let le: Vec<u8> = text.encode_utf16().flat_map(u16::to_le_bytes).collect();

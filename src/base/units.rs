@@ -1,7 +1,6 @@
-//! Newtypes for the quantities that are easily confused at the edges.
+//! Types for the two times that are easily confused: the counter of a device and the clock of the host.
 //!
-//! Lengths and angles carry their unit in their name (`length_mm`, `a1_deg`, `_rad`); what has a
-//! type of its own here is time, where a device's counter and the host's clock meet.
+//! Lengths and angles have their unit in their name (`length_mm`, `a1_deg`, `_rad`).
 
 use serde::{Deserialize, Serialize};
 
@@ -11,13 +10,13 @@ use serde::{Deserialize, Serialize};
 pub struct HostNs(pub u64);
 
 impl HostNs {
-    /// Seconds from `earlier` to `self`; negative when `self` came first.
+    /// Seconds from `earlier` to `self`; negative if `self` came first.
     pub fn seconds_since(self, earlier: HostNs) -> f64 {
         (self.0 as i128 - earlier.0 as i128) as f64 * 1e-9
     }
 }
 
-/// Ticks of a device's own counter, as sent (not unwrapped); the tick's length is the protocol's.
+/// Ticks of a device's counter as sent, not unwrapped. The protocol defines the length of a tick.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct DeviceTicks(pub u64);

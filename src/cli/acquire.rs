@@ -1,4 +1,4 @@
-//! `dbbd acquire`: the bar's lengths into a capture.
+//! `dbbd acquire`.
 
 pub(super) mod simulated;
 mod view;
@@ -9,10 +9,9 @@ use std::time::Duration;
 
 use indicatif::ProgressBar;
 
-use super::{Outcome, Output, artefact, output, positive, protocols};
+use super::{Outcome, Output, artefact, output, protocols, value};
 use crate::base::clock;
-use crate::base::units::HostNs;
-use crate::catalogue::{AxesFinding, CliFinding, PortFinding, ProtocolFinding};
+use crate::catalogue::{AxesFinding, PortFinding, ProtocolFinding};
 use crate::daemon::{
     ALARM_SHARE, Acquisition, AxesSource, Ending, Lines, MountDetector, Options, Progress, Schedule, Server,
     Summary, stop_on_signal, zero,
@@ -25,86 +24,69 @@ use crate::provenance::Identity;
 use crate::recording::axes::PacketCounts;
 use crate::recording::run::{self, PlanFiles};
 
-/// Pause between lines of progress where there is no terminal, s.
+/// The interval between lines of progress if stderr is not a terminal, s.
 const LINE_EVERY_S: f64 = 5.0;
 
-/// When a run ends; shown below the options.
-const ENDS: &str = "The run ends at the program's end mark (two short strobe pulses after a dwell: with --plan the \
-last circle's, without a plan after 20 s of device time with no strobe; with --ekrl and --plan: when the program has \
+/// Printed below the options.
+const ENDS: &str = "The run ends at the end mark of the program (two short strobe pulses after a dwell: with --plan after \
+the last circle, without a plan after 20 s of device time without a strobe; with --ekrl and --plan, when the program has \
 reported its last dwell and closed the channel), after --duration, on a signal (SIGINT, SIGTERM, SIGHUP, SIGQUIT, \
-SIGUSR1, SIGUSR2; after `nohup` not on SIGHUP), \
-or when the port stays away for --gone. Bytes are written before they are decoded: a kill loses at most the \
-record being written, a loss of power what came since the last --sync-every. A disk that is full or fails ends \
-the run: every whole record is kept (exit code 1). Exit code 3: samples, poses or time are missing, nothing was \
-understood, or the capture was taken away and recording went on in a new file.";
+SIGUSR1, SIGUSR2; after `nohup` not on SIGHUP), or when the port stays away for --gone. Bytes are written before they are \
+decoded: if the process is killed, at most the record being written is lost; if the power fails, what arrived since the \
+last --sync-every. If the disk is full or fails, the run ends and every complete record is kept (exit code 1). Exit code \
+3: samples, poses or time are missing, nothing was decoded, or the capture was taken away and recording continued in a \
+new file.";
 
-/// Read the bar into a capture.
+/// Record the bar into a capture.
 ///
-/// The capture holds the raw bytes, the samples, every gap and fault, the plan and the protocol in force, and
-/// survives a kill. More: docs/reference/capture.md.
+/// The capture contains the raw bytes, the samples, every gap and fault, the plan and the protocol, and is readable even
+/// after the process is killed. More: docs/reference/capture.md.
 #[derive(clap::Args, Clone)]
 #[command(after_help = ENDS)]
 pub(crate) struct Args {
-    /// Where the bar is: a serial port (/dev/ttyUSB0, COM3, by-id/NAME or by-path/NAME, see `dbbd ports`), a raw serial
-    /// server as tcp://HOST:PORT, one whose line is set from here as rfc2217://HOST:PORT, or `sim`: a simulated cell that
-    /// runs the plan, or without one the demo's.
+    /// Address of the bar: a serial port (/dev/ttyUSB0, COM3, by-id/NAME or by-path/NAME, see `dbbd ports`), a raw serial
+    /// server as tcp://HOST:PORT, a serial server with remote control of the line as rfc2217://HOST:PORT, or `sim`: a
+    /// simulated cell that runs the plan, or without a plan that of the demo.
     #[arg(long, value_name = "PORT")]
     port: PortAddress,
     /// Protocol of the bar: a built-in name or a TOML file [default: the plan's, else dbb-cobs-1].
     #[arg(long, value_name = "NAME|FILE")]
     protocol: Option<String>,
-    /// Set a parameter of the protocol, as range_mm=50; `dbbd protocols show NAME` lists them.
-    #[arg(long = "param", value_name = "NAME=VALUE", value_parser = protocols::param)]
+    /// Set a parameter of the protocol, for example range_mm=50; `dbbd protocols show NAME` lists the parameters.
+    #[arg(long = "param", value_name = "NAME=VALUE", value_parser = value::name_value)]
     params: Vec<(String, String)>,
-    /// Plan that the robot executes; it and the plan.json beside it go into the capture.
+    /// Plan that the robot executes; it and the plan.json beside it are copied into the capture.
     #[arg(long, value_name = "PLAN.csv")]
     plan: Option<PathBuf>,
-    /// Serial numbers, operator, laboratory, temperatures of this run, in place of those of the plan's job: a TOML file
-    /// with the keys of its table [identity].
+    /// Serial numbers, operator, laboratory and temperatures of this run, in place of those of the plan's job: a TOML file
+    /// with the keys of the table [identity].
     #[arg(long, value_name = "FILE")]
     identity: Option<PathBuf>,
-    /// Set the bar's present reading to zero before the run, where its protocol has a command for it.
+    /// Set the bar's present reading to zero before the run; its protocol must have a command for it.
     #[arg(long)]
     zero: bool,
-    /// Listen here for a program written with `krl --sync ekrl --server ADDR:PORT`: it reports the begin and the end
-    /// of each dwell with the axis angles it measured, over EthernetKRL (TCP). Addresses other than 127.0.0.1
-    /// can be reached by others in that network.
+    /// Listen on this address for a program written with `krl --sync ekrl --server ADDR:PORT`. It reports begin and end
+    /// of each dwell with the measured axis angles over EthernetKRL (TCP). Addresses other than 127.0.0.1 are open to
+    /// others in that network.
     #[arg(long, value_name = "ADDR:PORT")]
     ekrl: Option<SocketAddr>,
-    /// The controller's measured and commanded axes, recorded beside the bar's samples: rsi://ADDR:PORT listens here for
-    /// KUKA RSI (UDP) and sends nothing, with ?answer=zero it answers each packet with a correction of zero, for a
-    /// controller whose configuration waits for answers; rtde://HOST[:30004][?hz=125] asks a UR controller over RTDE (TCP).
+    /// Record the controller's measured and commanded axes beside the bar's samples. rsi://ADDR:PORT listens on this address
+    /// for KUKA RSI (UDP) and sends nothing; with ?answer=zero it answers each packet with a correction of zero, for a
+    /// controller that is configured to wait for answers. rtde://HOST[:30004][?hz=125] asks a UR controller over RTDE (TCP).
     #[arg(long, value_name = "ADDRESS")]
     axes: Option<AxesAddress>,
     /// Capture to write; an existing file is not overwritten.
     #[arg(long, value_name = "RUN")]
     out: PathBuf,
     /// End after this many seconds of host time.
-    #[arg(long, value_name = "S", value_parser = positive)]
+    #[arg(long, value_name = "S", value_parser = value::positive)]
     duration: Option<f64>,
     /// End when the port has been away for this many seconds (exit code 3; the run is kept).
-    #[arg(long, value_name = "S", default_value = "10", value_parser = seconds)]
+    #[arg(long, value_name = "S", default_value = "10", value_parser = value::seconds)]
     gone: f64,
-    /// How often the disk is made to hold what was written, s: what a loss of power costs at most.
-    #[arg(long, value_name = "S", default_value = "1", value_parser = sync_seconds)]
+    /// Interval at which the data is flushed to the disk, s, 0 to 3600. A loss of power loses at most this much.
+    #[arg(long, value_name = "S", default_value = "1", value_parser = value::sync_seconds)]
     sync_every: f64,
-}
-
-/// A loss of power is not to cost more than an hour.
-fn sync_seconds(text: &str) -> Result<f64, CliFinding> {
-    const MOST_S: f64 = 3600.0;
-    seconds(text).ok().filter(|s| *s <= MOST_S).ok_or(CliFinding::Outside {
-        least: 0.0,
-        most: MOST_S,
-        unit: "s",
-    })
-}
-
-fn seconds(text: &str) -> Result<f64, CliFinding> {
-    match text.parse::<f64>() {
-        Ok(value) if value.is_finite() && value >= 0.0 => Ok(value),
-        _ => Err(CliFinding::NotSeconds),
-    }
 }
 
 pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
@@ -118,22 +100,18 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         }
     }
     let axes = args.axes.as_ref().map(AxesSource::open).transpose()?;
-    if let Some(axes) = &axes {
-        out.progress(format!(
-            "axes over {} at {}",
-            args.axes.as_ref().map_or("", |at| at.protocol().name()),
-            axes.address()
-        ));
+    if let (Some(axes), Some(address)) = (&axes, &args.axes) {
+        out.progress(format!("axes over {} at {}", address.protocol().name(), axes.address()));
     }
     let lines = Lines { ekrl: server, axes };
     if args.port == PortAddress::Sim {
         let address = lines.ekrl.as_ref().map(Server::address);
-        // A telegram has the host's time, so the simulation must keep to it.
+        // Telegrams are stamped with the host's time: the simulation must run in real time.
         let speed = if address.is_some() { "1" } else { "0" };
-        let cell = simulated::Cell::start(args.plan.as_deref(), speed, address, out)?;
+        let cell = simulated::Cell::start(args.plan.as_deref(), speed, simulated::HALT_S, address, out)?;
         let args = Args { port: cell.port().clone(), plan: Some(cell.plan().into()), ..args.clone() };
         let summary = record(&args, identity, lines, out)?;
-        // Of a run that was ended before, the simulator would wait for a reader.
+        // If the run ended earlier, the simulator still waits for a reader.
         if matches!(summary.ending, Ending::Mark) {
             cell.finish()?;
         }
@@ -145,7 +123,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
 }
 
 impl Args {
-    /// A bar read for so many seconds, without a plan.
+    /// The arguments to record for so many seconds without a plan.
     pub(super) fn timed(
         port: PortAddress,
         protocol: String,
@@ -170,10 +148,10 @@ impl Args {
     }
 }
 
-/// What the capture says after `--zero`.
+/// The remark in the capture after `--zero`.
 const ZEROED: &str = "the bar's reading was set to zero before the run";
 
-/// Records until the run is over, and reports what it gave and what is to be doubted.
+/// Records until the run is over, and reports its result and its doubts.
 pub(super) fn record(
     args: &Args,
     identity: Identity,
@@ -183,7 +161,7 @@ pub(super) fn record(
     let plan = args.plan.as_deref().map(PlanFiles::read).transpose()?;
     if let Some(files) = &plan {
         let job = &files.plan.header.job;
-        out.about(&artefact::other_run(&job.identity(), job.centres.len(), &identity));
+        out.findings(artefact::other_run(&job.identity(), job.centres.len(), &identity));
     }
     let planned = plan.as_ref().map(|files| files.plan.header.job.bar.protocol.as_str());
     let name = args.protocol.as_deref().or(planned).unwrap_or(DEFAULT_PROTOCOL);
@@ -191,9 +169,7 @@ pub(super) fn record(
     let schedule =
         plan.as_ref().map_or_else(Schedule::default, |files| Schedule::of(&files.plan, ALARM_SHARE));
     out.detail(format!("protocol {}: {}", definition.id, definition.title));
-    if let Some(finding) = port::blur(&args.port) {
-        out.finding(finding);
-    }
+    out.findings(port::blur(&args.port));
     if args.zero {
         if definition.zero.is_empty() {
             return Err(ProtocolFinding::NoZeroCommand { id: definition.id }.into());
@@ -218,39 +194,36 @@ pub(super) fn record(
         acquisition.mark(ZEROED.into());
     }
     out.progress(format!("reading {} into {}", args.port, args.out.display()));
-    show(&acquisition, &schedule, out)?;
-    acquisition.findings().into_iter().for_each(|finding| out.finding(finding));
+    show(&acquisition, &schedule, out);
+    out.findings(acquisition.findings());
     let summary = acquisition.join()?;
     conclude(&summary, args, out)?;
     Ok(summary)
 }
 
-/// Shows how the run goes until it is over.
-fn show(acquisition: &Acquisition, schedule: &Schedule, out: &Output) -> Result<(), Diagnostic> {
+/// Shows the progress of the run until it is over.
+fn show(acquisition: &Acquisition, schedule: &Schedule, out: &Output) {
     let line = out.decorated().then(ProgressBar::new_spinner);
     if let Some(line) = &line {
         line.set_style(output::style("{spinner} {msg}"));
         line.enable_steady_tick(Duration::from_millis(200));
     }
-    let mut said: Option<HostNs> = None;
+    let mut last_line = clock::now();
     let mut mount = MountDetector::default();
     while !acquisition.is_over() {
         clock::sleep(0.05);
-        acquisition.findings().into_iter().for_each(|finding| out.finding(finding));
+        out.findings(acquisition.findings());
         let progress = acquisition.progress();
         if let Some(line) = &line {
             line.set_message(view::lines(&progress, schedule, &mut mount));
-        } else if said.is_none_or(|at| clock::now().seconds_since(at) >= LINE_EVERY_S) {
-            if said.is_some() {
-                out.progress(status(&progress));
-            }
-            said = Some(clock::now());
+        } else if clock::now().seconds_since(last_line) >= LINE_EVERY_S {
+            last_line = clock::now();
+            out.progress(status(&progress));
         }
     }
     if let Some(line) = line {
         line.finish_and_clear();
     }
-    Ok(())
 }
 
 fn status(progress: &Progress) -> String {
@@ -268,9 +241,9 @@ fn status(progress: &Progress) -> String {
     )
 }
 
-/// What was lost or spoiled so far; nothing where there is nothing.
+/// What was lost or damaged so far, and the packets with axes.
 fn losses(progress: &Progress) -> String {
-    let counts = [
+    let losses = output::nonzero([
         (progress.gaps, "gaps"),
         (progress.missing, "samples missing"),
         (progress.faults, "faults"),
@@ -278,10 +251,9 @@ fn losses(progress: &Progress) -> String {
         (progress.lost_bytes, "bytes lost"),
         (progress.telegrams, "telegrams"),
         (progress.refused, "telegrams refused"),
-    ];
-    let found = counts.into_iter().filter(|(count, _)| *count > 0);
+    ]);
     let axes = progress.axes.map(|counts| format!("; axes: {}", output::packets(&counts)));
-    found.map(|(count, what)| format!(", {count} {what}")).chain(axes).collect()
+    losses + &axes.unwrap_or_default()
 }
 
 fn conclude(summary: &Summary, args: &Args, out: &Output) -> Result<(), Diagnostic> {
@@ -295,10 +267,10 @@ fn conclude(summary: &Summary, args: &Args, out: &Output) -> Result<(), Diagnost
         progress.elapsed_s,
         ending.reason()
     ));
-    doubts(summary, args).into_iter().for_each(|finding| out.finding(finding));
-    axes_doubts(summary, args).into_iter().for_each(|finding| out.finding(finding));
+    out.findings(doubts(summary, args));
+    out.findings(axes_doubts(summary, args));
     if args.plan.is_some() && progress.samples > 0 {
-        run::losses(capture)?.into_iter().for_each(|loss| out.finding(loss));
+        out.findings(run::losses(capture)?);
     }
     Ok(())
 }
@@ -327,7 +299,6 @@ fn doubts(summary: &Summary, args: &Args) -> Vec<PortFinding> {
     doubts.into_iter().filter_map(|(found, finding)| found.then_some(finding)).collect()
 }
 
-/// What is to be doubted of the controller's axes.
 fn axes_doubts(summary: &Summary, args: &Args) -> Vec<AxesFinding> {
     let Some(address) = args.axes.as_ref().map(ToString::to_string) else { return Vec::new() };
     let counts = summary.progress.axes.unwrap_or_default();

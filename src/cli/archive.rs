@@ -2,23 +2,20 @@
 
 use std::path::PathBuf;
 
-use super::{Outcome, Output, tolerance, within};
-use crate::catalogue::CliFinding;
+use super::{Outcome, Output, value};
 use crate::diagnostic::Diagnostic;
 
 #[cfg(feature = "archive")]
 mod fleet;
 #[cfg(feature = "archive")]
-mod serve;
-#[cfg(feature = "archive")]
 mod verbs;
 #[cfg(feature = "archive")]
 mod work;
 
-/// Keep the runs of many cells in one archive.
+/// Store the runs of many cells in one archive.
 ///
-/// A database (SQLite or PostgreSQL) has who measured what and when, a store (a directory or S3) the files, each under its
-/// SHA-256. Passwords are in files or in the environment, never in an address. More: docs/how-to/archive.md.
+/// A database (SQLite or PostgreSQL) records who measured what and when; a store (a directory or S3) contains the files, each
+/// under its SHA-256. Passwords are in files or in the environment, never in an address. More: docs/how-to/archive.md.
 #[derive(clap::Args)]
 pub(crate) struct Args {
     /// The database: `sqlite:FILE` or `postgres://USER@HOST/DATABASE[?sslmode=verify-full&sslrootcert=FILE]`
@@ -34,26 +31,26 @@ pub(crate) struct Args {
 
 #[derive(clap::Subcommand)]
 enum What {
-    /// Make a new archive, or bring an older one to the form of this version.
+    /// Create an archive, or migrate an older one to this version.
     Init,
-    /// Store runs: captures, directories of runs, or a directory of these. A run that is held already is stored once.
+    /// Store runs: captures, directories of runs, or a directory of these. A run that is in the archive is not stored again.
     Push {
-        /// What to store; with --spool it may be missing.
+        /// The runs; may be missing with --spool.
         #[arg(value_name = "RUN", required_unless_present = "spool")]
         runs: Vec<PathBuf>,
-        /// Where runs wait while the archive cannot be reached; what waits there is sent first.
+        /// Directory where runs wait while the archive cannot be reached. Those that wait are sent first.
         #[arg(long, value_name = "DIR")]
         spool: Option<PathBuf>,
     },
     /// List runs, the newest first.
     List(#[command(flatten)] Choice),
-    /// Show a run: what it is, its files and results.
+    /// Show a run, its files and its results.
     Show {
         /// The first digits of the SHA-256 of its capture.
         #[arg(value_name = "SHA256")]
         run: String,
     },
-    /// Write the files of a run into a directory, each as it was stored.
+    /// Write the files of a run into a directory, as they were stored.
     Get {
         /// The first digits of the SHA-256 of its capture.
         #[arg(value_name = "SHA256")]
@@ -62,16 +59,16 @@ enum What {
         #[arg(long, value_name = "DIR")]
         out: PathBuf,
     },
-    /// Identify runs that wait for it; any number of workers share the work.
+    /// Identify the runs that wait for it. Any number of workers share the work.
     Worker {
         /// End when no job is left.
         #[arg(long)]
         until_empty: bool,
-        /// How long this worker may be silent before its job is another's, s [default: 30].
-        #[arg(long, value_name = "S", value_parser = lease)]
+        /// How long this worker may be silent before another one takes its job, s, 1 to 86400 [default: 30].
+        #[arg(long, value_name = "S", value_parser = value::lease)]
         lease: Option<f64>,
     },
-    /// Identify a selection anew with this version and these settings, and compare the results with those before.
+    /// Identify a selection of runs again with this version and these settings, and compare the results with the earlier ones.
     Reprocess {
         #[command(flatten)]
         choice: Choice,
@@ -87,64 +84,64 @@ enum What {
         /// As for `dbbd identify`: joints or geometric.
         #[arg(long, value_name = "MODEL")]
         model: Option<String>,
-        /// Leave the work to the workers that run, and compare nothing.
+        /// Leave the work to the running workers, and do not compare.
         #[arg(long)]
         ask_only: bool,
     },
-    /// Estimate robots, bars and types of robots from all results together: fleet.json with each bar's offset, drift and
-    /// jumps, and for each type a robot file that is the prior of a new robot (`dbbd identify --robot FILE`).
+    /// Estimate robots, bars and robot types from all results together. Writes fleet.json with the offset, drift and jumps of
+    /// each bar, and for each type a robot file that serves as the prior of a new robot (`dbbd identify --robot FILE`).
     Fleet {
         #[command(flatten)]
         choice: Choice,
-        /// The directory.
+        /// Directory for the files.
         #[arg(long, value_name = "DIR")]
         out: PathBuf,
     },
-    /// Serve the page of the plant: robots with check, decision, due date and drift, bars, runs with their reports.
+    /// Serve the page of the plant: robots with their latest check, decision, due date and drift; bars; runs with reports.
     Serve {
-        /// Where to listen; other computers may ask only with --token-file.
+        /// Address to listen on. Requests from other computers need --token-file.
         #[arg(long, value_name = "ADDR:PORT", default_value = "127.0.0.1:8231")]
         listen: String,
-        /// A file with the token that whoever asks must know.
+        /// A file with the token that a client must present.
         #[arg(long, value_name = "FILE")]
         token_file: Option<PathBuf>,
-        /// A name under which the page is reached, beside its address; may be given several times.
+        /// A host name of the page in addition to its address; may be given several times.
         #[arg(long, value_name = "NAME")]
         host: Vec<String>,
-        /// A robot is checked again after so many days.
-        #[arg(long, value_name = "DAYS", default_value = "180", value_parser = interval)]
+        /// The interval between the checks of a robot, days, 1 to 3650.
+        #[arg(long, value_name = "DAYS", default_value = "180", value_parser = value::interval)]
         interval: f64,
-        /// Mean position error that a robot must not reach; its drift is led on to it.
-        #[arg(long, value_name = "MM", value_parser = tolerance)]
+        /// Limit of a robot's mean position error, mm. Its drift is extrapolated to it.
+        #[arg(long, value_name = "MM", value_parser = value::tolerance)]
         limit: Option<f64>,
     },
-    /// Write the tables runs and results of a selection.
+    /// Write the tables of runs and results of a selection.
     Export {
         #[command(flatten)]
         choice: Choice,
-        /// The form of the tables: runs.csv and results.csv, or runs.parquet and results.parquet.
+        /// The format: runs.csv and results.csv, or runs.parquet and results.parquet.
         #[arg(long, value_enum, default_value = "csv")]
         format: TableFormat,
-        /// The directory.
+        /// Directory for the tables.
         #[arg(long, value_name = "DIR")]
         out: PathBuf,
     },
 }
 
-/// The form of an exported table.
+/// The format of an exported table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 enum TableFormat {
     Csv,
     Parquet,
 }
 
-/// Which runs; all that is given must hold.
+/// A selection of runs, which meet all conditions that are given.
 #[derive(clap::Args)]
 struct Choice {
     /// Serial number of the robot.
     #[arg(long, value_name = "SERIAL")]
     robot: Option<String>,
-    /// Name of its type.
+    /// Name of the robot type.
     #[arg(long = "type", value_name = "NAME")]
     kind: Option<String>,
     /// Serial number of the bar.
@@ -156,25 +153,15 @@ struct Choice {
     /// Measured on or after this date (YYYY-MM-DD), UTC.
     #[arg(long, value_name = "DATE")]
     since: Option<String>,
-    /// Measured before this date.
+    /// Measured before this date (YYYY-MM-DD), UTC.
     #[arg(long, value_name = "DATE")]
     until: Option<String>,
-    /// A text that robot, type, bar, cell or operator contain.
+    /// A text in the name of robot, type, bar, cell or operator.
     #[arg(long, value_name = "TEXT")]
     search: Option<String>,
-    /// At most so many, the newest.
+    /// At most this many runs, the newest.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     limit: Option<u64>,
-}
-
-/// How long a worker may be silent, s.
-fn lease(text: &str) -> Result<f64, CliFinding> {
-    within(text, [1.0, 86_400.0], "s")
-}
-
-/// How often a robot is checked.
-fn interval(text: &str) -> Result<f64, CliFinding> {
-    within(text, [1.0, 3650.0], "days")
 }
 
 #[cfg(feature = "archive")]

@@ -1,12 +1,11 @@
-//! Any artefact that dbbd writes or reads, by what is in the file.
+//! Recognises the artefacts that dbbd reads and writes by their content.
 
 use std::fs;
 use std::path::Path;
 
-use serde_json::Value;
+use serde_json::{Map, Value};
 
 use super::Output;
-use super::info::line;
 use crate::base::{clock, files, serialised};
 use crate::catalogue::ProvenanceFinding::{self, OtherThanPlanned, SerialOfNoBall};
 use crate::diagnostic::Diagnostic;
@@ -16,67 +15,76 @@ use crate::provenance::{Artefact, Contradiction, Identity, Provenance, Role, Tra
 use crate::recording::run;
 use crate::robot::Robot;
 
-/// An artefact with its chain; `None` of a file of another kind. A capture is read elsewhere.
-///
-/// # Errors
-/// What is wrong in the file.
+/// An artefact with its chain; `None` if the file is of another kind. Captures are not recognised here.
 pub(super) fn read(path: &Path, out: &Output) -> Result<Option<Traced>, Diagnostic> {
     let name = path.display().to_string();
     let bytes = fs::read(path).map_err(files::unreadable(&name))?;
-    // A program may be in an old code page; what is read of it is ASCII.
+    // A program may be in an old code page. What is read of it here is ASCII.
     let text = String::from_utf8_lossy(&bytes);
-    let first = text.lines().next().unwrap_or_default();
+    let first_line = text.lines().next().unwrap_or_default();
     if serialised::is_sealed_toml(&text) == Some(false) {
         out.finding(Diagnostic::file(&name, ProvenanceFinding::RobotEdited));
     }
-    if let Ok(Value::Object(json)) = serde_json::from_str(&text) {
-        if ["job", "hash", "moves"].iter().all(|key| json.contains_key(*key)) {
-            return plan(path);
+    match serde_json::from_str(&text) {
+        Ok(Value::Object(json)) => return of_json(path, &text, &json, out),
+        Err(error) if path.extension().is_some_and(|extension| extension == "json") => {
+            return Err(damaged(path, &error));
         }
-        if let Some(table) = json.get("table").and_then(Value::as_str)
-            && json.contains_key("provenance")
-        {
-            return read(&path.with_file_name(table), out);
-        }
-        // A record beside a table has the hash of the table, a plan that of its content.
-        serialised::check_seal(&text).map_err(|finding| Diagnostic::file(&name, finding))?;
-        if ["provenance", "parameters"].iter().any(|key| json.contains_key(*key)) {
-            serialised::check_seal(&text).map_err(|finding| Diagnostic::file(&name, finding))?;
-            let damaged = |error: serde_json::Error| {
-                Diagnostic::file(&name, ProvenanceFinding::Damaged { why: error.to_string() })
-            };
-            let recorded = json.get("provenance").cloned().map(serde_json::from_value).transpose();
-            let role = match json {
-                json if json.contains_key("decision") => Role::Check,
-                json if json.contains_key("inputs") => Role::Comparison,
-                _ => Role::Result,
-            };
-            return with(role, path, recorded.map_err(damaged)?.unwrap_or_default());
-        }
-    } else if path.extension().is_some_and(|extension| extension == "json")
-        && let Err(error) = serde_json::from_str::<Value>(&text)
-    {
-        let why = error.to_string();
-        return Err(Diagnostic::file(&name, ProvenanceFinding::Damaged { why }));
-    } else if let Ok(table) = toml::from_str::<toml::Table>(&text) {
+        _ => {}
+    }
+    if let Ok(table) = toml::from_str::<toml::Table>(&text) {
         if table.contains_key("joint") {
             let text = files::read(path)?;
             return Ok(Some(Robot::from_toml(&name, &text)?.traced(&text)));
         }
         if table.contains_key("bar") && table.contains_key("robot") {
-            let job = Job::from_toml(&name, &text)?;
-            return job.traced(path).map(Some);
+            return Job::from_toml(&name, &text)?.traced(path).map(Some);
         }
-    } else if first.starts_with("index,circle,centre,kind,move") {
+    } else if first_line.starts_with("index,circle,centre,kind,move") {
         return plan(path);
-    } else if first.split(',').any(|column| column == "length_mm") {
+    } else if first_line.split(',').any(|column| column == "length_mm") {
         let (table, changed) = Traced::table(Role::Measurements, path)?;
-        changed.into_iter().for_each(|finding| out.finding(finding));
+        out.findings(changed);
         return Ok(Some(table));
     } else if Language::of_text(&text).is_some() {
         return with(Role::Program, path, program::provenance(&name, &text)?);
     }
     Ok(None)
+}
+
+fn of_json(
+    path: &Path,
+    text: &str,
+    json: &Map<String, Value>,
+    out: &Output,
+) -> Result<Option<Traced>, Diagnostic> {
+    let has = |key: &str| json.contains_key(key);
+    if has("job") && has("hash") && has("moves") {
+        return plan(path);
+    }
+    if let Some(table) = json.get("table").and_then(Value::as_str)
+        && has("provenance")
+    {
+        return read(&path.with_file_name(table), out);
+    }
+    // The files above have a `sha256` of their own kind.
+    serialised::check_seal(text).map_err(|finding| Diagnostic::file(path.display(), finding))?;
+    if !has("provenance") && !has("parameters") {
+        return Ok(None);
+    }
+    let role = if has("decision") {
+        Role::Check
+    } else if has("inputs") {
+        Role::Comparison
+    } else {
+        Role::Result
+    };
+    let recorded = json.get("provenance").cloned().map(serde_json::from_value).transpose();
+    with(role, path, recorded.map_err(|error| damaged(path, &error))?.unwrap_or_default())
+}
+
+fn damaged(path: &Path, error: &serde_json::Error) -> Diagnostic {
+    Diagnostic::file(path.display(), ProvenanceFinding::Damaged { why: error.to_string() })
 }
 
 fn with(role: Role, path: &Path, provenance: Provenance) -> Result<Option<Traced>, Diagnostic> {
@@ -88,10 +96,7 @@ fn plan(path: &Path) -> Result<Option<Traced>, Diagnostic> {
     Ok(Some(run::read_plan(&path.with_extension("csv"))?.traced()?))
 }
 
-/// What a file states of a measurement.
-///
-/// # Errors
-/// What is wrong in the file.
+/// Reads the identity of a measurement from a TOML file.
 pub(super) fn identity(path: &Path) -> Result<Identity, Diagnostic> {
     let file = path.display().to_string();
     let identity = Identity::from_toml(&file, &files::read(path)?)?;
@@ -99,12 +104,12 @@ pub(super) fn identity(path: &Path) -> Result<Identity, Diagnostic> {
     Ok(identity)
 }
 
-/// What is stated that cannot be of a run of a job with so many base balls: another robot, bar, certificate or temperature of the
-/// bar, by which the lengths were computed, or a ball that it has not. The rest may be known better after the run.
+/// What `stated` says that cannot be true of a run of this job with so many base balls: another robot, bar, certificate or
+/// bar temperature than the lengths were computed with, or the serial number of a further ball. Other facts may be
+/// known better after the run.
 pub(super) fn other_run(job: &Identity, balls: usize, stated: &Identity) -> Vec<ProvenanceFinding> {
-    let other = job.contradictions(stated).into_iter();
     let is_fixed = |key: &str| key == "robot" || key.starts_with("bar.") || key == "celsius of bar";
-    let other = other.filter(|found| is_fixed(&found.key));
+    let other = job.contradictions(stated).into_iter().filter(|other| is_fixed(&other.key));
     let other =
         other.map(|Contradiction { key, known, stated }| OtherThanPlanned { key, planned: known, stated });
     let is_further = |ball: &&String| ball.parse::<usize>().is_ok_and(|number| number > balls);
@@ -112,29 +117,29 @@ pub(super) fn other_run(job: &Identity, balls: usize, stated: &Identity) -> Vec<
     other.chain(further.map(|ball| SerialOfNoBall { ball: ball.clone(), balls })).collect()
 }
 
-/// The artefact and its chain on the screen.
+/// Prints an artefact and its chain.
 pub(super) fn show(traced: &Traced, out: &Output) {
     let Traced { artefact, provenance } = traced;
-    line(out, &artefact.role.to_string(), &artefact.name);
-    line(out, "SHA-256", &artefact.sha256);
+    out.field(&artefact.role.to_string(), &artefact.name);
+    out.field("SHA-256", &artefact.sha256);
     if let Some(serial) = &artefact.serial {
-        line(out, "serial number", serial);
+        out.field("serial number", serial);
     }
-    chain(provenance, out);
+    show_chain(provenance, out);
 }
 
-/// What an artefact was made from, the newest first.
-pub(super) fn chain(provenance: &Provenance, out: &Output) {
+/// Prints the identity and the sources of an artefact, the last source first.
+pub(super) fn show_chain(provenance: &Provenance, out: &Output) {
     for (name, value) in provenance.identity.facts() {
-        line(out, &name, &value);
+        out.field(&name, value);
     }
     if provenance.from.is_empty() {
-        return line(out, "made from", "not recorded");
+        return out.field("made from", "not recorded");
     }
     if !provenance.dbbd.is_empty() {
-        line(out, "made by", &format!("dbbd {}", provenance.dbbd));
+        out.field("made by", format!("dbbd {}", provenance.dbbd));
     }
     for (at, source) in provenance.from.iter().rev().enumerate() {
-        line(out, if at == 0 { "made from" } else { "" }, &format!("{:17}{source}", source.role));
+        out.field(if at == 0 { "made from" } else { "" }, format!("{:17}{source}", source.role));
     }
 }

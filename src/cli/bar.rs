@@ -1,4 +1,4 @@
-//! `dbbd bar`: first contact with a bar.
+//! `dbbd bar`.
 
 use std::path::PathBuf;
 use std::thread;
@@ -6,7 +6,7 @@ use std::thread;
 use serde::Serialize;
 
 use super::child::LOOPBACK;
-use super::{Outcome, Output, acquire, positive, protocols};
+use super::{Outcome, Output, acquire, protocols, value};
 use crate::base::{FileSet, files, serialised};
 use crate::catalogue::BarFinding;
 use crate::daemon::{Attempt, Lines, Search};
@@ -21,11 +21,12 @@ use crate::recording::capture::{Pass, Record};
 use crate::report;
 use crate::sim::{self, bar::Terminal};
 
-/// Of the simulated bar: readings per second, and the seed of its noise.
+/// Readings per second of the simulated bar.
 const RATE_HZ: f64 = 1000.0;
+/// The seed of its noise.
 const SEED: u64 = 1;
 
-/// Find out which bar is at a port, and how well it reads.
+/// Identify the protocol of a bar, or measure its noise.
 #[derive(clap::Args)]
 pub(crate) struct Args {
     #[command(subcommand)]
@@ -38,54 +39,54 @@ enum What {
     Check(Check),
 }
 
-/// Find out which protocol a bar speaks.
+/// Identify the protocol of a bar.
 ///
-/// Listens at the rates of the built-in definitions; a bar that says nothing by itself is then asked in the words of each
-/// (the commands of `dbbd protocols show`: stop, init, start, poll). The definitions are ranked by the share of the bytes
-/// that they explain and by how improbable so many readings are in the same bytes in random order. Exit code 3: unknown,
-/// or nothing heard.
+/// Listens at the baud rates of the built-in definitions. If the bar sends nothing by itself, asks it with the commands of
+/// each definition (stop, init, start, poll of `dbbd protocols show`). Ranks the definitions by the share of the bytes that
+/// they explain, and by how improbable as many readings are in the same bytes in random order. Exit code 3: the protocol is
+/// unknown, or no bytes arrived.
 #[derive(clap::Args)]
 struct Identify {
-    /// Where the bar is, as for `dbbd acquire`.
+    /// Address of the bar, as for `dbbd acquire`.
     #[arg(long, value_name = "PORT")]
     port: PortAddress,
-    /// How long bytes are gathered, s.
-    #[arg(long, value_name = "S", default_value_t = 2.0, value_parser = positive)]
+    /// How long to collect bytes in each attempt, s.
+    #[arg(long, value_name = "S", default_value_t = 2.0, value_parser = value::positive)]
     duration: f64,
     /// Only listen: send nothing to the device.
     #[arg(long)]
     listen: bool,
 }
 
-/// Measure how well a bar at rest reads.
+/// Measure the noise of a bar at rest.
 ///
-/// The bar sits between two balls that do not move. Gives noise, resolution, rate and drift, and the standard deviation of a
-/// length at a dwell: `bar.toml` has it as the section [bar] of a job, `bar.html` the pictures, `bar.json` the numbers,
-/// `bar.dbbd` the capture. Exit code 3 when the bar was not at rest, drifts, or lost readings.
+/// Mount the bar between two balls that do not move. Measures noise, resolution, rate and drift, and the standard deviation
+/// of a length at a dwell. Writes `bar.toml` (the section [bar] of a job), `bar.html` (plots), `bar.json` (numbers) and
+/// `bar.dbbd` (the capture). Exit code 3: the bar was not at rest, drifts, or lost readings.
 #[derive(clap::Args)]
 struct Check {
-    /// Where the bar is, as for `dbbd acquire`.
+    /// Address of the bar, as for `dbbd acquire`.
     #[arg(long, value_name = "PORT")]
     port: PortAddress,
     /// Protocol of the bar: a built-in name or a TOML file; `dbbd bar identify` finds it.
     #[arg(long, value_name = "NAME|FILE", default_value = DEFAULT_PROTOCOL)]
     protocol: String,
-    /// Set a parameter of the protocol, as range_mm=50; `dbbd protocols show NAME` lists them.
-    #[arg(long = "param", value_name = "NAME=VALUE", value_parser = protocols::param)]
+    /// Set a parameter of the protocol, for example range_mm=50; `dbbd protocols show NAME` lists the parameters.
+    #[arg(long = "param", value_name = "NAME=VALUE", value_parser = value::name_value)]
     params: Vec<(String, String)>,
-    /// How long the bar is read, s.
-    #[arg(long, value_name = "S", default_value_t = 60.0, value_parser = positive)]
+    /// How long to record, s.
+    #[arg(long, value_name = "S", default_value_t = 60.0, value_parser = value::positive)]
     duration: f64,
-    /// Directory for bar.toml, bar.html, bar.json and the capture bar.dbbd, which must not be there yet.
+    /// Directory for bar.toml, bar.html, bar.json and the capture bar.dbbd, which must not exist yet.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
 }
 
-/// What `identify --json` gives.
+/// The JSON document of `bar identify`.
 #[derive(Serialize)]
 struct Identified<'a> {
     port: String,
-    /// The protocol, where the bytes name it.
+    /// The protocol, if the bytes identify it.
     protocol: Option<&'a str>,
     attempts: &'a [Attempt],
 }
@@ -97,7 +98,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     }
 }
 
-/// The bar at a port; `sim` is one at rest between two balls, which is served while this program runs.
+/// The address of the bar. For `sim`, starts a virtual bar at rest between two balls.
 fn bar_at(port: &PortAddress) -> Result<PortAddress, Diagnostic> {
     if *port != PortAddress::Sim {
         return Ok(port.clone());
@@ -106,7 +107,7 @@ fn bar_at(port: &PortAddress) -> Result<PortAddress, Diagnostic> {
     let terminal = Terminal::listen(&LOOPBACK.parse()?)?;
     let address = terminal.address().clone();
     let options = sim::bar::Options { rate_hz: RATE_HZ, speed: 1.0, first_ticks: 0 };
-    // Nobody waits for its end: it goes with the program.
+    // The thread ends with the process.
     thread::spawn(move || sim::bar::serve(terminal, &definition, options, sim::bar::at_rest(SEED)));
     Ok(address)
 }
@@ -165,24 +166,24 @@ fn check(args: &Check, out: &Output) -> Result<Outcome, Diagnostic> {
         }
         Ok(())
     })?;
-    let found = BarCheck::of(&builder.build(), &definition)?;
-    found.findings.iter().for_each(|finding| out.finding(finding.clone()));
+    let check = BarCheck::of(&builder.build(), &definition)?;
+    out.findings(check.findings.iter().cloned());
     let provenance = Provenance::of([&Artefact::file(Role::Capture, &capture)?.into()]);
     let mut set = FileSet::begin(&args.out)?;
-    set.write("bar.toml", found.to_toml())?;
-    set.write("bar.json", serialised::json(&found)? + "\n")?;
-    set.write("bar.html", report::bar::html(&found, &provenance)?)?;
+    set.write("bar.toml", check.to_toml())?;
+    set.write("bar.json", serialised::json(&check)? + "\n")?;
+    set.write("bar.html", report::bar::html(&check, &provenance)?)?;
     set.finish()?;
     let um = |mm: f64| 1e3 * mm;
     out.result(format!(
         "sigma_um = {:.3}: one reading {:.3} um, resolution {:.3} um, {:.4} readings per second, drift {:+.3} um/min",
-        um(found.sigma_mm),
-        um(found.noise_mm),
-        um(found.resolution_mm),
-        found.rate_hz,
-        um(found.drift_mm_min),
+        um(check.sigma_mm),
+        um(check.noise_mm),
+        um(check.resolution_mm),
+        check.rate_hz,
+        um(check.drift_mm_min),
     ));
     out.result(args.out.join("bar.html").display().to_string());
-    out.document(&found)?;
+    out.document(&check)?;
     Ok(Outcome::Done)
 }

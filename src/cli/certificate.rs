@@ -14,10 +14,10 @@ use crate::report::certificate::Certificate;
 
 /// Write the draft of a calibration certificate.
 ///
-/// certificate.html is for print on A4, dcc.xml a Digital Calibration Certificate (DCC 3.3.0), certificate.pdf a PDF/A-3 with
-/// dcc.xml in it (builds with the feature `pdf`). They state object, traceability of the bar, conditions, results, uncertainty
-/// budget, the decision of a check with its rule, and what was not determined. The draft is not accredited and not
-/// signed. More: docs/reference/certificate.md.
+/// Writes certificate.html for print on A4, dcc.xml, a Digital Calibration Certificate (DCC 3.3.0), and certificate.pdf, a
+/// PDF/A-3 that contains dcc.xml (only in builds with the feature `pdf`). They state the object, traceability of the bar,
+/// conditions, results, uncertainty budget, the decision of a check with its rule, and what was not determined. The draft is
+/// not accredited and not signed. More: docs/reference/certificate.md.
 #[derive(clap::Args)]
 pub(crate) struct Args {
     /// result.json of `dbbd identify`, or its directory.
@@ -26,16 +26,16 @@ pub(crate) struct Args {
     /// Directory for certificate.html, dcc.xml and certificate.pdf.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// check.json of `dbbd check`, or its directory: its decision with its rule.
+    /// check.json of `dbbd check`, or its directory: adds its decision and decision rule.
     #[arg(long, value_name = "CHECK.json")]
     check: Option<PathBuf>,
-    /// Serial numbers, laboratory, customer, operator, date, .. in place of those that the result carries: a TOML file with
-    /// the keys of a job's table [identity].
+    /// Serial numbers, laboratory, customer, operator, date and so on, in place of those in the result: a TOML file with the
+    /// keys of a job's table [identity].
     #[arg(long, value_name = "FILE")]
     identity: Option<PathBuf>,
 }
 
-/// A file, or that of this name in a directory: its name and text.
+/// The name and the text of a file, which may be named by its directory.
 fn read(path: &Path, name: &str) -> Result<(String, String), Diagnostic> {
     let path = if path.is_dir() { path.join(name) } else { path.to_owned() };
     let (name, text) = (path.display().to_string(), files::read(&path)?);
@@ -56,7 +56,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     if let Some(path) = &args.identity {
         certificate = certificate.with_identity(&artefact::identity(path)?);
     }
-    out.about(&certificate.findings());
+    out.findings(certificate.findings());
     let dcc = certificate.dcc()?;
     let pdf = certificate.pdf(&dcc)?;
     let mut set = FileSet::begin(&args.out)?;

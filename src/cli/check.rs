@@ -4,11 +4,10 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use super::identify::{Given, LENGTHS, Named, ROBOT, parse_point, read_workspace};
-use super::{Outcome, Output};
-use super::{bar_u, length_sd, positive, tolerance};
+use super::identify::{Given, LENGTHS, Named, ROBOT, read_workspace};
+use super::{Outcome, Output, value};
 use crate::base::{FileSet, files, serialised};
-use crate::catalogue::{CliFinding, ConformityFinding, EstimationFinding};
+use crate::catalogue::{ConformityFinding, EstimationFinding};
 use crate::conformity::{self, CheckInput, InterimCheck, Rule};
 use crate::diagnostic::Diagnostic;
 use crate::estimation::change::Hypothesis;
@@ -16,17 +15,17 @@ use crate::estimation::expected::{BallMounting, Mounting};
 use crate::estimation::{Beside, DistanceQuantities, Options, Priors, ResultFile};
 use crate::measurement::{LengthModel, PreparedMeasurement};
 use crate::provenance::Provenance;
-use crate::report::check;
+use crate::report;
 use crate::robot::{Coordinate, ParamId, Robot, Unit};
 
-/// Check whether a calibrated robot is still what it was.
+/// Check whether a calibrated robot has changed.
 ///
-/// Fits only what mounting changes and tests the rest against the posterior of the calibration, noise and repeatability;
-/// names what most likely changed, and decides about a tolerance. Exit code 0 pass, 3 undecided, 4 fail (without
+/// Fits only what mounting changes, and tests the remaining residuals against the posterior of the calibration, noise and
+/// repeatability. Names the most likely change, and decides on a tolerance. Exit code 0: pass; 3: undecided; 4: fail (without
 /// --tolerance: changed). More: docs/explanation/check.md.
 #[derive(clap::Args)]
 pub(crate) struct Args {
-    /// Measurements CSV, or a capture, as for `dbbd identify`; 12 to 24 poses to a ball suffice.
+    /// Measurements CSV, or a capture, as for `dbbd identify`; 12 to 24 poses per ball suffice.
     #[arg(value_name = "RUN|CSV")]
     input: PathBuf,
     /// The robot-identified.toml of the calibration, with its table [posterior].
@@ -35,53 +34,45 @@ pub(crate) struct Args {
     /// Directory for check.json and check.html.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// Base balls: CSV centre,x_mm,y_mm,z_mm in the robot base, to centimetres [default: a capture's plan].
+    /// Base balls: CSV centre,x_mm,y_mm,z_mm in the robot base, to centimetres [default: those of a capture's plan].
     #[arg(long, value_name = "C.csv")]
     centres: Option<PathBuf>,
-    /// Tool ball in the flange frame, mm, where it is another one than that of the calibration.
-    #[arg(long, value_name = "X,Y,Z", value_parser = parse_point, allow_hyphen_values = true)]
+    /// Tool ball in the flange frame, mm, if it is not the one of the calibration.
+    #[arg(long, value_name = "X,Y,Z", value_parser = value::tool_ball, allow_hyphen_values = true)]
     tool: Option<[f64; 3]>,
-    /// Tolerance of the position error over the workspace that 95 % of the poses must keep, mm.
-    #[arg(long, value_name = "MM", value_parser = tolerance)]
+    /// Tolerance, mm, of the position error of 95 % of the poses of the workspace.
+    #[arg(long, value_name = "MM", value_parser = value::tolerance)]
     tolerance: Option<f64>,
-    /// Largest probability of a wrong decision: the guard band (JCGM 106).
-    #[arg(long, value_name = "P", default_value_t = 0.05, value_parser = risk, requires = "tolerance")]
+    /// Largest probability of a wrong decision, which sets the guard band (JCGM 106).
+    #[arg(long, value_name = "P", default_value_t = 0.05, value_parser = value::risk, requires = "tolerance")]
     risk: f64,
     /// Decide by the median of the position error alone, without a guard band.
     #[arg(long, conflicts_with = "risk", requires = "tolerance")]
     simple_acceptance: bool,
-    /// Standard deviation of every length, mm [default: that of the data with the robot's repeatability, at least that of
-    /// the result.json beside the robot].
-    #[arg(long, value_name = "MM", value_parser = length_sd)]
+    /// Standard deviation of every length, mm [default: that of the data combined with the robot's repeatability, at least
+    /// that in the result.json beside the robot].
+    #[arg(long, value_name = "MM", value_parser = value::length_sd)]
     sigma: Option<f64>,
-    /// Standard deviation with which the tool ball is mounted again, mm.
-    #[arg(long, value_name = "MM", default_value_t = Mounting::SEAT_REPEAT_MM, value_parser = length_sd)]
+    /// Standard deviation of the place of the tool ball when it is mounted again, mm.
+    #[arg(long, value_name = "MM", default_value_t = Mounting::SEAT_REPEAT_MM, value_parser = value::length_sd)]
     tool_repeat: f64,
-    /// The base balls are mounted as in the calibration: one that moved is named as a change [default: they were mounted
-    /// anew].
+    /// The base balls are still mounted as in the calibration: a ball that moved is reported as a change [default: they were
+    /// mounted again].
     #[arg(long)]
     balls_kept: bool,
-    /// Standard deviation of the base balls about --centres, mm [default: they may be anywhere]; with --balls-kept about
-    /// where the calibration had them [default: 0.01].
-    #[arg(long, value_name = "MM", value_parser = positive)]
+    /// Standard deviation of the base balls about --centres, mm [default: unlimited]; with --balls-kept, about their places
+    /// in the calibration [default: 0.01].
+    #[arg(long, value_name = "MM", value_parser = value::positive)]
     ball_repeat: Option<f64>,
-    /// Standard uncertainty (k = 1) of the bar's length, mm [default: half of a capture's job's length_u_mm, else 0.05].
-    #[arg(long, value_name = "MM", value_parser = bar_u)]
+    /// Standard uncertainty (k = 1) of the bar's length, mm [default: half of length_u_mm in a capture's job, else 0.05].
+    #[arg(long, value_name = "MM", value_parser = value::bar_u)]
     bar_u: Option<f64>,
-    /// CSV a1_deg..a6_deg: the poses over which the position error is taken [default: 2000 within the axis limits].
+    /// Poses, CSV a1_deg..a6_deg, over which the position error is taken [default: 2000 within the axis limits].
     #[arg(long, value_name = "FILE.csv")]
     workspace: Option<PathBuf>,
-    /// Identify what changed, with the posterior as prior, and write robot-identified.toml with it, and its lengths.csv,
-    /// into --out.
+    /// Identify what changed, with the posterior as prior, and write robot-identified.toml and lengths.csv to --out.
     #[arg(long)]
     update: bool,
-}
-
-pub(super) fn risk(text: &str) -> Result<f64, CliFinding> {
-    match text.parse::<f64>() {
-        Ok(risk) if risk > 0.0 && risk < 0.5 => Ok(risk),
-        _ => Err(CliFinding::NotARisk),
-    }
 }
 
 pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
@@ -100,8 +91,8 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     if given.observations.set_up(0).trackers > 0 {
         return Err(EstimationFinding::LengthsOnly.into());
     }
-    given.planned_for(&given.robot).map_err(Diagnostic::from)?;
-    given.robot.doubtful().into_iter().for_each(|doubt| out.finding(Diagnostic::file(&args.robot, doubt)));
+    given.check_planned_robot()?;
+    out.findings_in(&args.robot, given.robot.doubtful());
     let start = LengthModel::new(given.robot.geometry.clone(), &given.centres);
     let readings: Vec<PreparedMeasurement> =
         given.observations.rows.iter().map(PreparedMeasurement::from).collect();
@@ -109,7 +100,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         args.workspace.as_deref().map(|path| read_workspace(path, &given.robot, out)).transpose()?;
     let workspace = Options { workspace, ..Options::default() };
     let noise = Noise::of(args, &given)?;
-    out.about(&noise.finding.into_iter().collect::<Vec<_>>());
+    out.findings(noise.finding);
     let input = CheckInput {
         robot: &given.robot,
         start: &start,
@@ -121,25 +112,23 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         rule: rule(args),
         workspace: &workspace.workspace_poses(&given.robot),
     };
-    let found = input.check().map_err(|finding| Diagnostic::file(&args.robot, finding))?;
+    let check = input.check().map_err(|finding| Diagnostic::file(&args.robot, finding))?;
     let (known, lengths) = (given.known_lengths(Some(&args.robot), out)?, readings.len());
     if 2 * known > lengths {
         out.finding(ConformityFinding::LengthsOfCalibration { known, lengths });
     }
-    given.findings().into_iter().for_each(|finding| out.finding(finding));
-    findings(args, &found).into_iter().for_each(|finding| out.finding(finding));
-    let set_up = input.set_up();
-    let found = Made {
-        check: &found,
-        distance: set_up.and_then(|model| DistanceQuantities::of(&given.observations.rows, &model)),
+    out.findings(given.findings());
+    out.findings(findings(args, &check));
+    let written = Written {
+        check: &check,
+        distance: input.set_up().and_then(|model| DistanceQuantities::of(&given.observations.rows, &model)),
         provenance: &given.provenance,
     };
-    write(args, &found, &given)?;
-    out.document(&found)?;
-    let found = found.check;
-    lines(found).into_iter().for_each(|line| out.result(line));
+    write(args, &written, &given)?;
+    out.document(&written)?;
+    lines(&check).into_iter().for_each(|line| out.result(line));
     out.result(format!("results in {}", args.out.display()));
-    Ok(match found.decision.decision {
+    Ok(match check.decision.decision {
         conformity::Outcome::Pass => Outcome::Done,
         conformity::Outcome::Undecided => Outcome::Doubt,
         conformity::Outcome::Fail => Outcome::Failed,
@@ -150,10 +139,10 @@ fn rule(args: &Args) -> Rule {
     if args.simple_acceptance { Rule::SimpleAcceptance } else { Rule::GuardBand { risk: args.risk } }
 }
 
-/// What mounting changes; a tool ball that the posterior does not hold is as uncertain as any.
+/// What mounting changes. The posterior does not hold another tool ball: its place has the datasheet's prior.
 fn mounting(args: &Args, given: &Given) -> Mounting {
-    let another = || Priors::datasheet(&given.robot, given.bar_u_mm).sd(ParamId::Tool(Coordinate::X));
-    let tool_mm = if args.tool.is_some() { another() } else { args.tool_repeat };
+    let datasheet = || Priors::datasheet(&given.robot, given.bar_u_mm).sd(ParamId::Tool(Coordinate::X));
+    let tool_mm = if args.tool.is_some() { datasheet() } else { args.tool_repeat };
     let balls = match args.ball_repeat {
         repeat if args.balls_kept => BallMounting::Kept(repeat.unwrap_or(Mounting::SEAT_REPEAT_MM)),
         Some(repeat) => BallMounting::About(repeat),
@@ -162,14 +151,14 @@ fn mounting(args: &Args, given: &Given) -> Mounting {
     Mounting { tool_mm, balls, ..Mounting::again(&given.robot, given.bar_u_mm) }
 }
 
-/// The standard deviation of a length, mm, and that a part of it is not known.
+/// The standard deviation of a length, mm, and a finding if a part of it is unknown.
 pub(super) struct Noise {
     pub(super) sigma_mm: f64,
     pub(super) finding: Option<ConformityFinding>,
 }
 
 impl Noise {
-    /// Of bar and repeatability, at least that of the result.json beside a robot file.
+    /// The standard deviation of bar and repeatability, at least that in the result.json beside a robot file.
     pub(super) fn at_least(own: Option<f64>, file: &str, robot: &Robot) -> Result<Self, Diagnostic> {
         let (path, beside) = ResultFile::beside(Path::new(file), robot, files::read_if_file)?;
         let looked_for = path.display().to_string();
@@ -185,7 +174,7 @@ impl Noise {
         Ok(Self { sigma_mm, finding: Some(finding) })
     }
 
-    /// Noise, repeatability and, where the calibration's own result is beside the robot, what its model lacks.
+    /// The standard deviation that is given, else that of the data.
     fn of(args: &Args, given: &Given) -> Result<Self, Diagnostic> {
         if let Some(sigma_mm) = args.sigma {
             return Ok(Self { sigma_mm, finding: None });
@@ -194,16 +183,16 @@ impl Noise {
     }
 }
 
-fn findings(args: &Args, found: &InterimCheck) -> Vec<ConformityFinding> {
-    let mut findings = found.findings.clone();
-    let decision = &found.decision;
+fn findings(args: &Args, check: &InterimCheck) -> Vec<ConformityFinding> {
+    let mut findings = check.findings.clone();
+    let decision = &check.decision;
     if let (conformity::Outcome::Undecided, Some(tolerance_mm), Some(risk)) =
         (decision.decision, decision.tolerance_mm, decision.specific_risk)
     {
         let position_error_mm = decision.position_error_mm;
         findings.push(ConformityFinding::Undecided { tolerance_mm, position_error_mm, risk });
     }
-    if args.update && found.update().is_none() && found.is_explained() {
+    if args.update && check.update().is_none() && check.is_explained() {
         findings.push(ConformityFinding::NothingToUpdate);
     }
     findings
@@ -211,7 +200,7 @@ fn findings(args: &Args, found: &InterimCheck) -> Vec<ConformityFinding> {
 
 /// `check.json`.
 #[derive(Serialize)]
-struct Made<'a> {
+struct Written<'a> {
     #[serde(flatten)]
     check: &'a InterimCheck,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -219,12 +208,12 @@ struct Made<'a> {
     provenance: &'a Provenance,
 }
 
-fn write(args: &Args, made: &Made<'_>, given: &Given) -> Result<(), Diagnostic> {
-    let found = made.check;
+fn write(args: &Args, written: &Written<'_>, given: &Given) -> Result<(), Diagnostic> {
+    let &Written { check, ref distance, provenance } = written;
     let mut set = FileSet::begin(&args.out)?;
-    set.write("check.json", serialised::sealed_json(made)?)?;
-    set.write("check.html", check::html(found, made.distance.as_ref(), made.provenance)?)?;
-    if let Some(robot) = found.update().filter(|_| args.update) {
+    set.write("check.json", serialised::sealed_json(written)?)?;
+    set.write("check.html", report::check::html(check, distance.as_ref(), provenance)?)?;
+    if let Some(robot) = check.update().filter(|_| args.update) {
         let robot = Robot { provenance: given.provenance.clone(), ..robot.clone() };
         set.write(ROBOT, serialised::sealed_toml(&robot.to_toml()?))?;
         set.write_pieces(LENGTHS, given.observations.csv_pieces(|_| true))?;
@@ -233,20 +222,22 @@ fn write(args: &Args, made: &Made<'_>, given: &Given) -> Result<(), Diagnostic> 
 }
 
 /// The check on the terminal.
-fn lines(found: &InterimCheck) -> Vec<String> {
-    let (test, decision) = (&found.test, &found.decision);
+fn lines(check: &InterimCheck) -> Vec<String> {
+    /// More hypotheses are in check.json.
+    const MOST_CHANGES: usize = 3;
+    let (test, decision) = (&check.test, &check.decision);
     let mut lines = vec![format!(
         "{}: {} lengths, sigma {:.4} mm; innovation chi-square {:.1} of {} degrees of freedom, p {:.1e}",
-        found.robot, found.lengths, found.sigma_mm, test.chi_square, test.freedom, test.p
+        check.robot, check.lengths, check.sigma_mm, test.chi_square, test.freedom, test.p
     )];
-    if test.changed && !found.is_explained() {
+    if test.changed && !check.is_explained() {
         lines.push("changed, and nothing alone explains it; what is likeliest is in check.json".into());
     } else if test.changed {
-        lines.extend(found.changes.iter().take(MOST_CHANGES).map(change));
+        lines.extend(check.changes.iter().take(MOST_CHANGES).map(change));
     } else {
-        lines.push(format!("nothing changed (probability {:.3})", found.unchanged_probability));
+        lines.push(format!("nothing changed (probability {:.3})", check.unchanged_probability));
     }
-    let position = &found.predicted_position_uncertainty_mm;
+    let position = &check.predicted_position_uncertainty_mm;
     lines.push(format!(
         "position error over the workspace, 95 % of the poses of all likely robots: calibrated {:.3} mm, now {:.3} mm",
         position.calibrated.p95, position.now.p95
@@ -271,9 +262,6 @@ fn lines(found: &InterimCheck) -> Vec<String> {
     });
     lines
 }
-
-/// Hypotheses that are said here; all are in check.json.
-const MOST_CHANGES: usize = 3;
 
 fn change(hypothesis: &Hypothesis) -> String {
     let parts = hypothesis.parameters.iter().zip(&hypothesis.change).zip(&hypothesis.sd);

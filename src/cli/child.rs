@@ -1,4 +1,4 @@
-//! Other verbs as child processes of this same program, in a directory of their own.
+//! Runs other commands of this program as child processes in a directory.
 
 use std::io::{BufRead, BufReader};
 use std::path::Path;
@@ -10,7 +10,7 @@ use crate::catalogue::SimulationFinding;
 use crate::device::port::PortAddress;
 use crate::diagnostic::Diagnostic;
 
-/// Where a simulator of our own listens: a port number that the system chooses, for this computer alone.
+/// The address on which a simulator of our own listens: only on this computer, on a free port.
 pub(crate) const LOOPBACK: &str = "tcp://127.0.0.1:0";
 
 /// Runs commands in a directory.
@@ -19,7 +19,7 @@ pub(crate) struct Steps<'a> {
     out: &'a Output,
 }
 
-/// A simulator that runs beside the next step.
+/// A running `dbbd simulate`.
 pub(crate) struct Simulator {
     child: Child,
     port: PortAddress,
@@ -30,12 +30,12 @@ impl<'a> Steps<'a> {
         Self { dir, out }
     }
 
-    /// A heading.
+    /// Prints a heading.
     pub(crate) fn say(&self, text: &str) {
         self.out.progress(format!("\n{text}"));
     }
 
-    /// Removes a file of an earlier run, if there is one.
+    /// Removes a file, if it exists.
     pub(crate) fn remove(&self, name: &str) -> Result<(), Diagnostic> {
         let path = self.dir.join(name);
         if path.exists() {
@@ -46,7 +46,7 @@ impl<'a> Steps<'a> {
 
     fn command(&self, args: &[&str]) -> Result<Command, Diagnostic> {
         self.out.progress(format!("$ dbbd {}", args.join(" ")));
-        let mut command = program::own().map_err(|error| failed(args, error))?;
+        let mut command = program::own().map_err(|error| not_started(args, error))?;
         command.args(args).current_dir(self.dir);
         if self.out.is_quiet() {
             command.arg("--quiet");
@@ -54,30 +54,27 @@ impl<'a> Steps<'a> {
         Ok(command)
     }
 
-    /// Runs a command to its end; what it prints on stdout goes to our stderr, which holds the progress.
+    /// Runs a command to its end. Its stdout is printed on stderr, as progress.
     pub(crate) fn run(&self, args: &[&str]) -> Result<(), Diagnostic> {
-        let failed = |error| failed(args, error);
+        let failed = |error| not_started(args, error);
         let mut child = self.command(args)?.stdout(Stdio::piped()).spawn().map_err(failed)?;
-        let _kept = child.stdin.take();
+        let _stdin = child.stdin.take();
         if let Some(stdout) = child.stdout.take() {
             for line in BufReader::new(stdout).lines() {
                 self.out.progress(line.map_err(failed)?);
             }
         }
         let status = child.wait().map_err(failed)?;
-        // 3 is done with a doubt, which the command has reported.
-        match status.code() {
-            Some(0 | 3) => Ok(()),
-            _ => {
-                let (step, status) = (args.join(" "), status.to_string());
-                Err(SimulationFinding::StepFailed { step, status }.into())
-            }
+        // A command that ends with 3 has reported its doubt.
+        if matches!(status.code(), Some(0 | 3)) {
+            return Ok(());
         }
+        Err(SimulationFinding::StepFailed { step: args.join(" "), status: status.to_string() }.into())
     }
 
-    /// Starts the simulator and waits for the address of its bar, the first line on stdout.
+    /// Starts a simulator, and waits for its first line on stdout, the address of its bar.
     pub(crate) fn start(&self, args: &[&str]) -> Result<Simulator, Diagnostic> {
-        let failed = |error| failed(args, error);
+        let failed = |error| not_started(args, error);
         let mut command = self.command(args)?;
         let mut child = command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().map_err(failed)?;
         let mut port = String::new();
@@ -92,21 +89,20 @@ impl<'a> Steps<'a> {
     }
 }
 
-/// A command that the system does not run.
-fn failed(args: &[&str], error: std::io::Error) -> Diagnostic {
+fn not_started(args: &[&str], error: std::io::Error) -> Diagnostic {
     SimulationFinding::StepNotStarted { step: args.join(" "), why: error.to_string() }.into()
 }
 
 impl Simulator {
-    /// Where the virtual bar is.
+    /// The address of the virtual bar.
     pub(crate) fn port(&self) -> &PortAddress {
         &self.port
     }
 
-    /// Waits for its end, which comes when nobody reads the bar any more.
+    /// Waits until the simulator ends, which it does when its reader is gone.
     pub(crate) fn finish(mut self) -> Result<(), Diagnostic> {
         for _ in 0..100 {
-            let status = self.child.try_wait().map_err(|error| failed(&["simulate"], error))?;
+            let status = self.child.try_wait().map_err(|error| not_started(&["simulate"], error))?;
             match status.and_then(|status| status.code()) {
                 Some(0 | 3) => return Ok(()),
                 Some(exit_code) => return Err(SimulationFinding::SimulatorFailed { exit_code }.into()),
@@ -119,7 +115,7 @@ impl Simulator {
 
 impl Drop for Simulator {
     fn drop(&mut self) {
-        // When the step beside it failed, nobody reads the bar any more; after a normal end this does nothing.
+        // A simulator without a reader would wait for one. After a normal end this does nothing.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }

@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 use serde_json::Value as Json;
 
-use super::{Outcome, Output, length_sd, tolerance};
-use super::{artefact, robots};
+use super::identify::ROBOT;
+use super::{Outcome, Output, artefact, robots, value};
 use crate::base::date::{day_number, is_after};
 use crate::base::{FileSet, clock, files, serialised};
 use crate::catalogue::{CliFinding, ConformityFinding, Names, ProvenanceFinding};
@@ -15,42 +15,43 @@ use crate::conformity::{
     compare_results, of_robot, same_robot, unlike_circles,
 };
 use crate::diagnostic::Diagnostic;
+use crate::math::straight_line::Reached;
 use crate::provenance::{Artefact, Identity, Provenance, Role, Traced, one_robot};
 use crate::report::compare;
 use crate::robot::Robot;
 
-/// Compare calibrations of a robot, or circular tests, in the order of time.
+/// Compare calibrations of a robot, or circular tests, over time.
 ///
-/// Parameters or quantities with their change, its uncertainty and significance (Holm over all of them), the change of
-/// position over the workspace as a map, circles overlaid, and a trend with the time at which a tolerance is reached.
+/// Shows the change of each parameter or quantity with its uncertainty and significance (Holm correction over all of them),
+/// a map of the change of position over the workspace, overlaid circles, and a trend with the time at which a tolerance is
+/// reached.
 #[derive(clap::Args)]
 pub(crate) struct Args {
-    /// result.json of `dbbd identify` or circle.json of `dbbd circle`, or their directories, oldest first.
+    /// result.json of `dbbd identify` or circle.json of `dbbd circle`, or their directories, the oldest first.
     #[arg(required = true, num_args = 2.., value_name = "RESULT|CIRCLE")]
     inputs: Vec<PathBuf>,
     /// Directory for compare.json, compare.csv and compare.html.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// The date YYYY-MM-DD of each result: trends are then per day, else per result.
+    /// The date YYYY-MM-DD of each result. Trends are then per day, else per result.
     #[arg(long, value_name = "DATE,..", value_delimiter = ',')]
     dates: Vec<String>,
-    /// Tolerance, mm: of the change of position since the first result (95 % of the poses), or of the circular
-    /// deviation. Forecasts when a significant trend reaches it.
-    #[arg(long, value_name = "MM", value_parser = tolerance)]
+    /// Tolerance, mm, of the change of position since the first result (95 % of the poses), or of the circular deviation.
+    /// A significant trend is extrapolated to it.
+    #[arg(long, value_name = "MM", value_parser = value::tolerance)]
     tolerance: Option<f64>,
     /// Robot with the axes and limits of the results [default: robot-identified.toml beside the first].
     #[arg(long, value_name = "NAME|FILE")]
     robot: Option<String>,
-    /// Standard uncertainty by which a quantity of a circle repeats from run to run, mm [default: 0].
-    #[arg(long, value_name = "MM", value_parser = length_sd)]
+    /// Standard uncertainty of the repeatability of a circle's quantities from run to run, mm [default: 0].
+    #[arg(long, value_name = "MM", value_parser = value::length_sd)]
     repeat_u: Option<f64>,
 }
 
-/// The files that a directory is looked through for.
+/// The files that are looked for in a directory.
 const KNOWN: [&str; 2] = ["result.json", "circle.json"];
-const ROBOT: &str = "robot-identified.toml";
 
-/// A file before its kind is known.
+/// A file whose kind is not known yet.
 struct Document {
     path: PathBuf,
     name: String,
@@ -63,12 +64,11 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         return Err(ConformityFinding::FutureDate { date: date.clone() }.into());
     }
     let documents: Vec<Document> = args.inputs.iter().map(|path| read(path)).collect::<Result<_, _>>()?;
-    different(&documents)?;
+    check_different(&documents)?;
     let sources: Vec<Traced> = documents.iter().map(|one| traced(one, out)).collect::<Result<_, _>>()?;
     one_robot(documents.iter().map(|one| one.name.clone()).zip(&sources))?;
     for ((date, document), source) in args.dates.iter().zip(&documents).zip(&sources) {
-        let other = other_date(date, &source.provenance.identity);
-        other.into_iter().for_each(|doubt| out.finding(Diagnostic::file(&document.name, doubt)));
+        out.findings_in(&document.name, other_date(date, &source.provenance.identity));
     }
     let timeline = if args.dates.is_empty() {
         Timeline::numbered(documents.len())
@@ -86,18 +86,16 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         tolerance_mm: args.tolerance,
         subject,
     };
-    let made = Made { comparison: &comparison, provenance: Provenance::of(&sources) };
-    write(args, &made, &timeline)?;
-    if let Subject::Results(results) = &comparison.subject
-        && !results.not_compared.is_empty()
-    {
-        let parameters = Names::of(results.not_compared.iter().map(|parameter| parameter.name));
-        out.finding(ConformityFinding::DifferentlyEstimated { parameters });
+    let written = Written { comparison: &comparison, provenance: Provenance::of(&sources) };
+    write(args, &written, &timeline)?;
+    if let Subject::Results(results) = &comparison.subject {
+        if !results.not_compared.is_empty() {
+            let parameters = Names::of(results.not_compared.iter().map(|parameter| parameter.name));
+            out.finding(ConformityFinding::DifferentlyEstimated { parameters });
+        }
+        out.findings(doubts_of_results(&documents, &sources));
     }
-    if let Subject::Results(_) = &comparison.subject {
-        of_results(&documents, &sources).into_iter().for_each(|doubt| out.finding(doubt));
-    }
-    out.document(&made)?;
+    out.document(&written)?;
     lines(&comparison).into_iter().for_each(|line| out.result(line));
     out.result(format!("results in {}", args.out.display()));
     Ok(Outcome::Done)
@@ -106,9 +104,8 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
 fn read(path: &Path) -> Result<Document, Diagnostic> {
     let mut path = path.to_path_buf();
     if path.is_dir() {
-        let found = KNOWN.iter().map(|name| path.join(name)).find(|file| file.exists());
-        let name = path.display().to_string();
-        path = found.ok_or_else(|| Diagnostic::file(&name, ConformityFinding::NoFileInDirectory))?;
+        let known = KNOWN.iter().map(|name| path.join(name)).find(|file| file.exists());
+        path = known.ok_or_else(|| Diagnostic::file(path.display(), ConformityFinding::NoFileInDirectory))?;
     }
     let name = path.display().to_string();
     let text = files::read(&path)?;
@@ -120,8 +117,8 @@ fn read(path: &Path) -> Result<Document, Diagnostic> {
     Ok(Document { path, name, text, json })
 }
 
-/// That no result is given twice.
-fn different(documents: &[Document]) -> Result<(), Diagnostic> {
+/// Refuses a result that is given twice.
+fn check_different(documents: &[Document]) -> Result<(), Diagnostic> {
     for (at, document) in documents.iter().enumerate() {
         if let Some(first) = documents[..at].iter().find(|first| first.text == document.text) {
             let finding = ConformityFinding::Twice { first: first.name.clone() };
@@ -131,22 +128,22 @@ fn different(documents: &[Document]) -> Result<(), Diagnostic> {
     Ok(())
 }
 
-/// That a date is not that of the measurement.
+/// A finding if a date is not that of the measurement.
 fn other_date(date: &str, identity: &Identity) -> Option<ConformityFinding> {
-    /// A run over midnight, and zones of time.
-    const ALIKE_DAYS: f64 = 1.5;
+    /// A run may last over midnight, and time zones differ.
+    const TOLERANCE_DAYS: f64 = 1.5;
     let measured = identity.day()?.to_owned();
     let apart_days = (day_number(date)? - day_number(&measured)?).abs();
-    (apart_days > ALIKE_DAYS).then(|| ConformityFinding::OtherDate { date: date.into(), measured })
+    (apart_days > TOLERANCE_DAYS).then(|| ConformityFinding::OtherDate { date: date.into(), measured })
 }
 
-/// What makes the difference of results doubtful: one that is doubtful itself, the same lengths in two, or an earlier one
-/// behind a later one.
-fn of_results(documents: &[Document], sources: &[Traced]) -> Vec<Diagnostic> {
-    let mut found = Vec::new();
+/// Why the difference of results may be doubtful: a result is doubtful itself, two rest on the same lengths, or they are not
+/// in the order of time.
+fn doubts_of_results(documents: &[Document], sources: &[Traced]) -> Vec<Diagnostic> {
+    let mut findings = Vec::new();
     for (at, (document, source)) in documents.iter().zip(sources).enumerate() {
         let mut doubt =
-            |finding: Diagnostic| found.push(Diagnostic { file: document.name.clone(), ..finding });
+            |finding: Diagnostic| findings.push(Diagnostic { file: document.name.clone(), ..finding });
         let doubts = doubts(&document.json);
         if !doubts.is_empty() {
             let (robot, doubts) = (document.name.clone(), Names::of(doubts));
@@ -168,10 +165,10 @@ fn of_results(documents: &[Document], sources: &[Traced]) -> Vec<Diagnostic> {
             doubt(ConformityFinding::MeasuredBefore { measured: now, before }.into());
         }
     }
-    found
+    findings
 }
 
-/// The codes of the doubts that a result has.
+/// The codes of the doubts in a result.json.
 fn doubts(result: &Json) -> Vec<String> {
     let warnings = result.get("warnings").and_then(Json::as_array).into_iter().flatten();
     let doubtful = warnings.filter(|warning| warning.get("kind").and_then(Json::as_str) == Some("doubt"));
@@ -182,13 +179,13 @@ fn doubts(result: &Json) -> Vec<String> {
     codes
 }
 
-/// The kind of a file by the keys that only it has.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Kind {
     Result,
     Circle,
 }
 
+/// The kind of a file, by keys that no other kind has.
 fn kind(document: &Document) -> Result<Kind, Diagnostic> {
     let has = |key| document.json.get(key).is_some();
     match (has("parameters") && has("residual_mm"), has("radius_mm") && has("traces")) {
@@ -219,7 +216,7 @@ fn subject(
     if kinds[0] == Kind::Circle {
         let files = documents.iter().map(|document| CircleFile::from_json(&document.name, &document.json));
         let files: Vec<CircleFile> = files.collect::<Result<_, _>>()?;
-        out.about(&unlike_circles(&files));
+        out.findings(unlike_circles(&files));
         let circles = compare_circles(&files, timeline, args.tolerance, args.repeat_u.unwrap_or(0.0))?;
         return Ok(Subject::Circles { circles });
     }
@@ -246,13 +243,13 @@ fn robot(args: &Args, first: &Document, out: &Output) -> Result<Robot, Diagnosti
 
 /// `compare.json`.
 #[derive(Serialize)]
-struct Made<'a> {
+struct Written<'a> {
     #[serde(flatten)]
     comparison: &'a Comparison,
     provenance: Provenance,
 }
 
-/// A result with what it was made from.
+/// A result with its chain.
 fn traced(document: &Document, out: &Output) -> Result<Traced, Diagnostic> {
     match artefact::read(&document.path, out)? {
         Some(traced) => Ok(traced),
@@ -260,40 +257,29 @@ fn traced(document: &Document, out: &Output) -> Result<Traced, Diagnostic> {
     }
 }
 
-fn write(args: &Args, made: &Made<'_>, timeline: &Timeline) -> Result<(), Diagnostic> {
-    let Made { comparison, provenance } = made;
+fn write(args: &Args, written: &Written<'_>, timeline: &Timeline) -> Result<(), Diagnostic> {
+    let Written { comparison, provenance } = written;
     let mut set = FileSet::begin(&args.out)?;
-    set.write("compare.json", serialised::sealed_json(made)?)?;
-    let table = csv(comparison).map_err(|error| CliFinding::NoOutput { why: error.to_string() })?;
-    set.write("compare.csv", table)?;
+    set.write("compare.json", serialised::sealed_json(written)?)?;
+    set.write("compare.csv", csv(comparison)?)?;
     set.write("compare.html", compare::html(comparison, timeline, provenance)?)?;
     set.finish()
 }
 
-/// A row a quantity: what it belongs to, its values and deviations in the order of time, change and trend.
-fn csv(comparison: &Comparison) -> Result<Vec<u8>, ::csv::Error> {
-    let mut table = ::csv::Writer::from_writer(Vec::new());
-    let mut header: Vec<String> = ["family", "name", "unit"].map(str::to_owned).into();
-    header.extend((1..=comparison.inputs.len()).flat_map(|at| [format!("value_{at}"), format!("sd_{at}")]));
-    header.extend(
-        ["change", "change_sd", "p", "p_holm", "significant", "slope", "slope_sd"].map(str::to_owned),
-    );
-    table.write_record(&header)?;
-    for (family, rows) in families(comparison) {
-        for row in rows {
-            let mut record = vec![family.clone()];
-            record.extend(row);
-            table.write_record(&record)?;
-        }
-    }
-    table.into_inner().map_err(|error| error.into_error().into())
+/// One row per quantity: family and name, value and deviation of each input, change and trend.
+fn csv(comparison: &Comparison) -> Result<String, CliFinding> {
+    let owned = |names: &[&str]| names.iter().map(|name| (*name).to_owned()).collect::<Vec<_>>();
+    let mut columns = owned(&["family", "name", "unit"]);
+    columns.extend((1..=comparison.inputs.len()).flat_map(|at| [format!("value_{at}"), format!("sd_{at}")]));
+    columns.extend(owned(&["change", "change_sd", "p", "p_holm", "significant", "slope", "slope_sd"]));
+    serialised::csv_table(columns, rows(comparison))
 }
 
-/// The families that are tested together, with the cells of their rows.
-fn families(comparison: &Comparison) -> Vec<(String, Vec<Vec<String>>)> {
-    fn cells<N: std::fmt::Display>(tracked: &[Tracked<N>]) -> Vec<Vec<String>> {
+/// The rows of the table. The quantities of a family are tested together.
+fn rows(comparison: &Comparison) -> Vec<Vec<String>> {
+    fn rows<N: std::fmt::Display>(family: &str, tracked: &[Tracked<N>]) -> Vec<Vec<String>> {
         let row = |tracked: &Tracked<N>| {
-            let mut row = vec![tracked.name.to_string(), tracked.unit.to_owned()];
+            let mut row = vec![family.to_owned(), tracked.name.to_string(), tracked.unit.to_owned()];
             row.extend(
                 tracked.values.iter().flat_map(|value| [value.value, value.sd].map(|x| x.to_string())),
             );
@@ -310,11 +296,11 @@ fn families(comparison: &Comparison) -> Vec<(String, Vec<Vec<String>>)> {
     }
     match &comparison.subject {
         Subject::Results(results) => {
-            vec![("robot".into(), cells(&results.parameters)), ("set-up".into(), cells(&results.set_up))]
+            [rows("robot", &results.parameters), rows("set-up", &results.set_up)].concat()
         }
         Subject::Circles { circles } => {
             let name = |circle: Option<u32>| circle.map_or("circle".into(), |at| format!("circle {at}"));
-            circles.iter().map(|circle| (name(circle.circle), cells(&circle.quantities))).collect()
+            circles.iter().flat_map(|circle| rows(&name(circle.circle), &circle.quantities)).collect()
         }
     }
 }
@@ -323,10 +309,9 @@ fn families(comparison: &Comparison) -> Vec<(String, Vec<Vec<String>>)> {
 fn lines(comparison: &Comparison) -> Vec<String> {
     let word = comparison.time_unit.word();
     let mut lines = Vec::new();
-    let reached = |when: &Option<crate::math::straight_line::Reached>| {
-        when.map(|when| {
-            let latest = when.latest.map_or("never".into(), |latest| format!("{latest:.1}"));
-            let (at, earliest) = (when.at, when.earliest);
+    let reached = |reached: Option<Reached>| {
+        reached.map(|Reached { at, earliest, latest, .. }| {
+            let latest = latest.map_or("never".into(), |latest| format!("{latest:.1}"));
             format!("tolerance reached {at:.1} {word}s after the first (95 %: {earliest:.1} to {latest})")
         })
     };
@@ -342,14 +327,14 @@ fn lines(comparison: &Comparison) -> Vec<String> {
             if let Some(drift) = position.drift {
                 lines.push(format!("drift {:.2e} mm per {word} (95 % of the poses)", drift.slope));
             }
-            lines.extend(reached(&position.reaches_tolerance));
+            lines.extend(reached(position.reaches_tolerance));
         }
         Subject::Circles { circles } => {
             for circle in circles {
                 let number = circle.circle.map_or(String::new(), |number| format!(" {number}"));
                 lines.push(format!("circle{number}, radius {} mm", circle.radius_mm));
                 lines.extend(significant(&circle.quantities));
-                lines.extend(reached(&circle.reaches_tolerance));
+                lines.extend(reached(circle.reaches_tolerance));
             }
         }
     }

@@ -1,4 +1,4 @@
-//! `dbbd completions`: completions for a shell, on stdout.
+//! `dbbd completions`.
 
 use clap::CommandFactory;
 use clap_complete::Shell;
@@ -6,9 +6,9 @@ use clap_complete::Shell;
 use super::{Cli, Outcome, Output};
 use crate::diagnostic::Diagnostic;
 
-/// Print shell completions.
+/// Print the completion script of a shell on stdout.
 ///
-/// For example `sudo sh -c "dbbd completions bash > /etc/bash_completion.d/dbbd"`.
+/// To install it for bash: `sudo sh -c "dbbd completions bash > /etc/bash_completion.d/dbbd"`.
 #[derive(clap::Args)]
 pub(crate) struct Args {
     /// The shell.

@@ -1,4 +1,4 @@
-//! `dbbd explain`: cause and cure of a code.
+//! `dbbd explain`.
 
 use serde::Serialize;
 
@@ -8,12 +8,12 @@ use crate::diagnostic::Diagnostic;
 
 /// Explain a code that dbbd printed, such as E0101: its cause and its cure.
 ///
-/// Every error, warning and note has a stable code. Without a code all of them are listed.
+/// Every error, warning and note has a stable code. Without a code, lists all of them.
 #[derive(clap::Args)]
 pub(crate) struct Args {
     /// The code.
     code: Option<String>,
-    /// Print all of them as the page docs/troubleshooting.md.
+    /// Print all codes as the page docs/troubleshooting.md.
     #[arg(long, conflicts_with = "code", hide = true)]
     page: bool,
 }

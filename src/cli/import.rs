@@ -1,4 +1,4 @@
-//! `dbbd import`: a trace that other software recorded becomes a capture.
+//! `dbbd import`.
 
 use std::path::PathBuf;
 
@@ -16,35 +16,36 @@ use crate::recording::capture::{Event, Record, Writer};
 use crate::recording::import::{Bar, Counts, Mapping, Read, Trace};
 use crate::recording::run::PlanFiles;
 
-/// Lines are kept in records of about this many bytes.
+/// The size of a record with lines of the trace, bytes.
 const BLOCK: usize = 1 << 16;
 
-/// A trace shorter than this share of the plan's time is doubted: no override drives a program faster.
+/// A trace shorter than this share of the plan's duration is doubtful: no override exceeds 100 %.
 const LEAST: f64 = 0.9;
-/// And one longer than so many times it: an override of 1 % is the least.
+/// A trace longer than this multiple of it is doubtful: the lowest override is 1 %.
 const MOST: f64 = 100.0;
-/// And from so many on it is said.
+/// A trace longer than this multiple of it is reported.
 const LONG: f64 = 1.5;
 
-/// Shown below the options.
-const LAYOUT: &str = "Without --mapping FILE has the columns t_s (s, or dates) and length_mm (between the ball centres, or \
-the bar's reading), others are left out. Delimiter, decimal and encoding are as the file shows them. A mapping describes other layouts: [file] delimiter decimal skip_lines header comment; [time] column \
-unit = s|ms|us|ns|iso, or rate_hz; [length] column unit = mm|um|m|inch kind = distance|reading; [strobe], [valid], \
-[temperature] column. A column is a name, or a number from 1. examples/mapping.toml explains each.";
+/// Printed below the options.
+const LAYOUT: &str = "Without --mapping, FILE has the columns t_s (s, or dates) and length_mm (between the ball centres, or \
+the bar's reading); other columns are ignored. Delimiter, decimal mark and encoding are detected. A mapping describes other \
+layouts: [file] delimiter decimal skip_lines header comment; [time] column unit = s|ms|us|ns|iso, or rate_hz; [length] \
+column unit = mm|um|m|inch kind = distance|reading; [strobe], [valid], [temperature] column. A column is a name, or a \
+number from 1. examples/mapping.toml explains each key.";
 
-/// Make a capture of a trace that other software recorded.
+/// Convert a trace that other software recorded into a capture.
 ///
-/// The way to dbbd from a closed instrument: time and length as text, recorded while the plan's program ran. A
-/// small mapping file describes its layout.
+/// Use it for an instrument that dbbd cannot read: time and length as text, recorded while the program of the plan ran. A
+/// small mapping file describes the layout of the text.
 #[derive(clap::Args)]
 #[command(after_help = LAYOUT)]
 pub(crate) struct Args {
-    /// The trace: text, one reading a line.
+    /// The trace: text with one reading per line.
     file: PathBuf,
-    /// Plan that the robot executed; it and the plan.json beside it go into the capture.
+    /// Plan that the robot executed; it and the plan.json beside it are copied into the capture.
     #[arg(long, value_name = "PLAN.csv")]
     plan: PathBuf,
-    /// How the trace is laid out [default: a CSV t_s,length_mm].
+    /// Layout of the trace [default: a CSV t_s,length_mm].
     #[arg(long, value_name = "MAP.toml")]
     mapping: Option<PathBuf>,
     /// Capture to write; an existing file is not overwritten.
@@ -60,15 +61,13 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     let files = PlanFiles::read(&args.plan)?;
     let bar = &files.plan.header.job.bar;
     let bar = Bar { length_mm: bar.length_mm, stroke_mm: bar.stroke_mm };
-    // Read once to its end before anything is written: a line that is wrong leaves no capture behind.
+    // A first pass checks every line, so that a wrong one leaves no capture behind.
     let (counts, findings) = rows(args, &mapping, bar, out, |_| Ok(()))?;
-    findings.into_iter().for_each(|finding| out.finding(finding));
+    out.findings(findings);
     let Counts { samples, invalid, unix_ns, .. } = counts;
     if let Some([low_mm, high_mm]) = counts.range_mm.filter(|_| invalid == samples) {
-        return Err(Diagnostic::file(
-            &name,
-            ImportFinding::AllInvalid { readings: samples, low_mm, high_mm },
-        ));
+        let invalid = ImportFinding::AllInvalid { readings: samples, low_mm, high_mm };
+        return Err(Diagnostic::file(&name, invalid));
     }
     let mut writer = Writer::create(&args.out)?;
     let begin = HostNs(0);
@@ -100,14 +99,13 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         let times = seconds / planned_s;
         out.finding(Diagnostic::file(&name, ImportFinding::Longer { seconds, times }));
     }
-    let doubts = counts.doubts(seconds, dwell_s);
-    doubts.for_each(|doubt| out.finding(Diagnostic::file(&name, doubt)));
+    out.findings_in(&name, counts.doubts(seconds, dwell_s));
     out.document(&json!({ "samples": samples, "invalid": invalid, "seconds": seconds }))?;
     out.result(format!("{}: {samples} samples over {seconds:.1} s", args.out.display()));
     Ok(Outcome::Done)
 }
 
-/// Gives each row with its text to `each`.
+/// Calls `each` with every row and its text.
 fn rows(
     args: &Args,
     mapping: &Mapping,
@@ -128,7 +126,7 @@ fn rows(
     }
 }
 
-/// Lines that are not written yet, with their samples.
+/// Lines and samples that are not written yet.
 #[derive(Default)]
 struct Block {
     text: Vec<u8>,
@@ -136,7 +134,7 @@ struct Block {
 }
 
 impl Block {
-    /// Writes the text and then its samples; without one the text is of the time `otherwise`.
+    /// Writes the text and then its samples. A text without a sample is stamped with `otherwise`.
     fn write(&mut self, writer: &mut Writer, otherwise: HostNs) -> Result<(), Diagnostic> {
         let host = self.samples.first().map_or(otherwise, |(host, _)| *host);
         writer.write(host, &Record::Raw(std::mem::take(&mut self.text)))?;

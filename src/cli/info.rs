@@ -18,23 +18,23 @@ use crate::recording::axes::{AxesRecords, PacketCounts};
 use crate::recording::capture::{Event, Pass, Record, Stamped};
 use crate::recording::run;
 
-/// Show what a file is and what it was made from; a capture on one screen.
+/// Show what a file is and what it was made from.
 ///
-/// The chain of sources goes back to job and robot file: names, serial numbers, SHA-256. Of a capture also what it
-/// carries, its samples, gaps and faults, the range of its readings, how it ended, and every damage of the file. With
-/// a plan in it, also what share of the poses and of their readings is lost.
+/// Prints the chain of sources back to job and robot file, with names, serial numbers and SHA-256. For a capture, prints also
+/// its contents, samples, gaps and faults, the range of its readings, how it ended, and every damage of the file; if it
+/// contains a plan, also the share of poses and of their readings that is lost.
 #[derive(clap::Args)]
 pub(crate) struct Args {
     /// A capture, robot file, job, plan.csv or plan.json, KRL program or result.
     file: PathBuf,
 }
 
-/// What `--json` gives.
+/// The JSON document.
 #[derive(Default, Serialize)]
 struct Info {
     format: Option<u32>,
     protocol: Option<String>,
-    /// What carried the bytes, and what their times are worth.
+    /// The transport of the bytes, and how exact their times are.
     stamps: Option<Stamps>,
     started_unix_ns: Option<u64>,
     dbbd: Option<String>,
@@ -50,7 +50,7 @@ struct Info {
     missing: u64,
     lost: u64,
     controller_events: u64,
-    /// The packets of a controller that published its axes.
+    /// The packets of a controller that publishes its axes.
     axes: Option<AxesInfo>,
     remarks: Vec<String>,
     attachments: BTreeMap<String, usize>,
@@ -77,21 +77,21 @@ struct DamageInfo {
 
 pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     let path = args.file.as_path();
-    // A capture whose head is damaged is none of the other artefacts.
+    // A capture with a damaged head is not recognised as one, and neither as another artefact.
     if let Some(traced) = if run::is_capture(path)? { None } else { artefact::read(path, out)? } {
         out.document(&traced)?;
         artefact::show(&traced, out);
         return Ok(Outcome::Done);
     }
-    let mut gathered = Gathered::default();
+    let mut collected = Collected::default();
     let pass = Pass::over(path, |stamped| {
-        gathered.add(stamped);
+        collected.add(stamped);
         Ok(())
     })?;
-    let mut info = gathered.finish(&pass)?;
+    let mut info = collected.finish(&pass)?;
     info.sha256 = files::sha256(path)?;
     let name = path.display().to_string();
-    pass.doubts().into_iter().for_each(|doubt| out.finding(Diagnostic::file(&name, doubt)));
+    out.findings_in(&name, pass.doubts());
     let planned = ["plan.csv", "plan.json"].iter().all(|file| info.attachments.contains_key(*file));
     let mut outcome = Outcome::Done;
     let losses = match info.samples {
@@ -100,8 +100,8 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         _ => Ok(Vec::new()),
     };
     match losses {
-        Ok(losses) => losses.into_iter().for_each(|loss| out.finding(loss)),
-        // What is in the capture is shown also where its plan cannot be used.
+        Ok(losses) => out.findings(losses),
+        // The contents of the capture are shown even if its plan cannot be used.
         Err(unusable) => {
             out.finding(unusable);
             outcome = Outcome::Doubt;
@@ -112,16 +112,16 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     Ok(outcome)
 }
 
-/// What one pass collects.
+/// What one pass over the capture collects.
 #[derive(Default)]
-struct Gathered {
+struct Collected {
     info: Info,
     span: Option<(HostNs, HostNs)>,
     attachments: BTreeMap<String, Vec<u8>>,
     axes: AxesRecords,
 }
 
-impl Gathered {
+impl Collected {
     fn add(&mut self, stamped: Stamped) {
         self.axes.add(stamped.host, &stamped.record, |_, _, _| {});
         let info = &mut self.info;
@@ -144,7 +144,8 @@ impl Gathered {
             }
             Record::Fault(json) => {
                 let fault = serde_json::from_slice::<Fault>(&json);
-                let (name, count) = fault.map_or(("unreadable", 1), |fault| (word(&fault.kind), fault.count));
+                let (name, count) =
+                    fault.map_or(("unreadable", 1), |fault| (fault_word(&fault.kind), fault.count));
                 let faults = info.faults.entry(name.to_owned()).or_default();
                 *faults = faults.saturating_add(count);
             }
@@ -201,8 +202,7 @@ impl Gathered {
     }
 }
 
-/// A line fault's kind.
-pub(crate) fn word(kind: &FaultKind) -> &'static str {
+pub(crate) fn fault_word(kind: &FaultKind) -> &'static str {
     match kind {
         FaultKind::Framing => "framing",
         FaultKind::Check => "check",
@@ -213,50 +213,43 @@ pub(crate) fn word(kind: &FaultKind) -> &'static str {
     }
 }
 
-/// So many remarks fit on the screen.
-const MOST_REMARKS: usize = 5;
-
-/// A line of the screen.
-pub(super) fn line(out: &Output, name: &str, value: &str) {
-    // A name or a remark with lines of its own does not add any.
-    out.result(format!("{name:16} {}", value.replace('\n', "\\n")));
-}
-
 fn show(path: &Path, info: &Info, out: &Output) {
-    let line = |name: &str, value: String| line(out, name, &value);
-    line("capture", path.display().to_string());
-    line("protocol", info.protocol.clone().unwrap_or_else(|| "unknown".into()));
+    const MOST_REMARKS: usize = 5;
+    let list = |names: Vec<String>| if names.is_empty() { "none".into() } else { names.join(", ") };
+    out.field("capture", path.display());
+    out.field("protocol", info.protocol.as_deref().unwrap_or("unknown"));
     if let Some(Stamps { transport, held_ms }) = info.stamps {
         let held = held_ms.map_or(String::new(), |ms| format!(", bytes held back for {ms:.1} ms or more"));
-        line("line", format!("{transport}{held}"));
+        out.field("line", format!("{transport}{held}"));
     }
-    line("ended", info.ended.clone().unwrap_or_else(|| "cut off".into()));
-    line("duration", format!("{:.1} s of host time", info.duration_s));
+    out.field("ended", info.ended.as_deref().unwrap_or("cut off"));
+    out.field("duration", format!("{:.1} s of host time", info.duration_s));
     let invalid = if info.invalid > 0 { format!(", {} not valid", info.invalid) } else { String::new() };
-    line("samples", format!("{}{invalid}", info.samples));
+    out.field("samples", format!("{}{invalid}", info.samples));
     if let Some([low, high]) = info.reading_mm {
-        line("readings", format!("{low:.4} .. {high:.4} mm"));
+        out.field("readings", format!("{low:.4} .. {high:.4} mm"));
     }
-    line("raw bytes", info.raw_bytes.to_string());
-    let faults: Vec<String> = info.faults.iter().map(|(kind, count)| format!("{count} {kind}")).collect();
-    line("faults", if faults.is_empty() { "none".into() } else { faults.join(", ") });
-    line("gaps", format!("{}, {} samples missing", info.gaps, info.missing));
+    out.field("raw bytes", info.raw_bytes);
+    out.field("faults", list(info.faults.iter().map(|(kind, count)| format!("{count} {kind}")).collect()));
+    out.field("gaps", format!("{}, {} samples missing", info.gaps, info.missing));
     if info.controller_events > 0 {
-        line("controller", format!("{} events", info.controller_events));
+        out.field("controller", format!("{} events", info.controller_events));
     }
     if let Some(AxesInfo { protocol, counts, .. }) = &info.axes {
-        line("axes", format!("{}, {}", protocol.name(), output::packets(counts)));
+        out.field("axes", format!("{}, {}", protocol.name(), output::packets(counts)));
     }
     for remark in info.remarks.iter().take(MOST_REMARKS) {
-        line("remark", remark.clone());
+        out.field("remark", remark);
     }
     if let Some(more @ 1..) = info.remarks.len().checked_sub(MOST_REMARKS) {
-        line("", format!("and {more} more: `dbbd export` writes all to events.csv"));
+        out.field("", format!("and {more} more: `dbbd export` writes all to events.csv"));
     }
-    let files: Vec<String> =
-        info.attachments.iter().map(|(name, len)| format!("{name} ({len} bytes)")).collect();
-    line("files", if files.is_empty() { "none".into() } else { files.join(", ") });
-    line("SHA-256", info.sha256.clone());
-    artefact::chain(&info.provenance, out);
-    line("damages", if info.damages.is_empty() { "none".into() } else { info.damages.len().to_string() });
+    let files = info.attachments.iter().map(|(name, len)| format!("{name} ({len} bytes)"));
+    out.field("files", list(files.collect()));
+    out.field("SHA-256", &info.sha256);
+    artefact::show_chain(&info.provenance, out);
+    out.field(
+        "damages",
+        if info.damages.is_empty() { "none".into() } else { info.damages.len().to_string() },
+    );
 }

@@ -1,4 +1,4 @@
-//! `dbbd krl`.
+//! `dbbd krl`, the short form of `dbbd program --language krl`.
 
 use std::net::SocketAddrV4;
 use std::path::PathBuf;
@@ -11,8 +11,8 @@ use crate::program::krl::Controller;
 
 /// Write the KRL programs of a plan.
 ///
-/// One module for each circle under DBB_MAIN, for KR C2, KR C4 or KR C5, as .src and .dat. The program moves,
-/// waits, and marks each dwell; it never runs by itself. More: docs/reference/krl.md.
+/// Writes one module (.src and .dat) for each circle, and DBB_MAIN, which calls them, for KR C2, KR C4 or KR C5. The program
+/// moves, waits and marks each dwell. It never starts by itself. More: docs/reference/krl.md.
 #[derive(clap::Args)]
 pub(crate) struct Args {
     /// The plan; its .json is read beside it.
@@ -21,23 +21,25 @@ pub(crate) struct Args {
     /// Directory for the modules: DBB_MAIN, which calls DBB_C001 and so on, one for each circle.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// How dwells are marked. `output`: a strobe and an index on digital outputs; `marker`: by the
-    /// plan's sync markers in the length alone, no output is set.
-    /// `ekrl`: by telegrams over EthernetKRL (KR C4 and later) to `dbbd acquire --ekrl`
-    /// [default: output where the bar's protocol carries the strobe, else marker].
+    /// How the program marks dwells. `output`: by a strobe and an index on digital outputs. `marker`: by the plan's sync
+    /// markers in the length alone; no output is set. `ekrl`: by telegrams over EthernetKRL (KR C4 and later) to `dbbd
+    /// acquire --ekrl` [default: output if the bar's protocol carries the strobe, else marker].
     #[arg(long, value_enum)]
     sync: Option<Sync>,
-    /// For `ekrl`: where dbbd listens, as the controller's network sees it (IPv4).
+    /// For `ekrl`: the address where dbbd listens, as seen from the controller's network (IPv4).
     #[arg(long, value_name = "ADDR:PORT", required_if_eq("sync", "ekrl"))]
     server: Option<SocketAddrV4>,
-    /// The controller that the program is for; `simulated` is that of `dbbd simulate`, which moves robots of any make.
+    /// The controller that runs the program; `simulated` is that of `dbbd simulate`, which moves robots of any make.
     #[arg(long, value_enum, default_value_t = Controller::Krc4)]
     controller: Controller,
 }
 
 pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     let Args { plan, out: directory, sync, server, controller } = args;
-    let (sync, server, controller) = (*sync, *server, Some(*controller));
-    let language = Some(Language::Krl);
-    program::write(&program::Request { plan, out: directory, sync, server, language, controller }, out)
+    let (language, controller) = (Some(Language::Krl), Some(*controller));
+    let (plan, directory) = (plan.clone(), directory.clone());
+    program::run(
+        &program::Args { plan, language, out: directory, sync: *sync, server: *server, controller },
+        out,
+    )
 }

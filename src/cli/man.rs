@@ -1,4 +1,4 @@
-//! `dbbd man`: the manual page, on stdout.
+//! `dbbd man`.
 
 use std::io;
 
@@ -8,7 +8,7 @@ use super::{Cli, Outcome, Output};
 use crate::catalogue::CliFinding;
 use crate::diagnostic::Diagnostic;
 
-/// Print the manual page, with every verb.
+/// Print the manual page of all commands on stdout.
 ///
 /// To read it: `dbbd man | man -l -`.
 #[derive(clap::Args)]
@@ -23,11 +23,9 @@ pub(crate) fn run(_args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     Ok(Outcome::Done)
 }
 
-/// A command's page, and after it those of the commands below it.
+/// Writes the page of a command, and then those of its subcommands.
 fn render(command: &Command, page: &mut Vec<u8>) -> io::Result<()> {
     clap_mangen::Man::new(command.clone()).render(page)?;
-    command
-        .get_subcommands()
-        .filter(|below| below.get_name() != "help")
-        .try_for_each(|below| render(below, page))
+    let mut subcommands = command.get_subcommands().filter(|command| command.get_name() != "help");
+    subcommands.try_for_each(|command| render(command, page))
 }

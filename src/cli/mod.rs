@@ -1,4 +1,4 @@
-//! The command line: one file per verb. The only place that prints.
+//! The command line: one file per command. The only module that prints.
 
 mod acquire;
 mod archive;
@@ -30,6 +30,7 @@ mod robots;
 mod serve;
 mod simulate;
 mod sync;
+mod value;
 
 use std::ffi::OsString;
 use std::process::ExitCode;
@@ -37,17 +38,17 @@ use std::process::ExitCode;
 use clap::{Args, CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
 
 use crate::base;
-use crate::catalogue::{CliFinding, ServiceFinding};
+use crate::catalogue::ServiceFinding;
 use crate::diagnostic::Diagnostic;
 pub(crate) use output::Output;
 
-/// Heading of the options that every verb takes.
+/// The heading of the options that every command takes.
 const EVERYWHERE: &str = "Options of every command";
 
-/// Shown below the list of commands.
+/// Printed below the list of commands.
 const EXITS: &str = "Exit codes: 0 done; 1 failed or refused, with the reason on stderr; 2 wrong usage; 3 done, with a \
-loss or a doubt that you must see; 4 of `check`: failed or changed. Results go to stdout, all else to stderr; NO_COLOR is honoured. `dbbd explain \
-CODE` explains the code of a message.";
+loss or a doubt that you must see; 4 `check` only: the robot fails or has changed. Results go to stdout, everything else to \
+stderr. NO_COLOR is honoured. `dbbd explain CODE` explains the code of a message.";
 
 /// Calibrates an industrial robot with a telescoping double ball-bar.
 #[derive(Parser)]
@@ -59,27 +60,27 @@ struct Cli {
     verb: Verb,
 }
 
-/// Options of every verb.
+/// The options of every command.
 #[derive(Args, Clone, Copy, Debug)]
 pub(crate) struct Common {
-    /// Say more on stderr.
+    /// Print more on stderr.
     #[arg(short, long, global = true, help_heading = EVERYWHERE)]
     verbose: bool,
-    /// Say nothing but errors on stderr.
+    /// Print only warnings and errors on stderr.
     #[arg(long, global = true, conflicts_with = "verbose", help_heading = EVERYWHERE)]
     quiet: bool,
     /// Print the result as one JSON document on stdout, and nothing else there.
     #[arg(long, global = true, help_heading = EVERYWHERE)]
     json: bool,
-    /// Exit with 1 instead of 3 when there is a loss or a doubt.
+    /// Exit with 1 instead of 3 if there is a loss or a doubt.
     #[arg(long, global = true, help_heading = EVERYWHERE)]
     strict: bool,
-    /// End when the standard input does: whoever started this command is gone.
+    /// End when the standard input closes, because the parent process has ended.
     #[arg(long, global = true, hide = true)]
     until_stdin_closes: bool,
 }
 
-/// The verbs; the text of each is that of its `Args`, and the README's section "Commands" too.
+/// The commands. The doc comment of each `Args` is the help text, and the text of README.md and docs/reference/commands.md.
 #[derive(Subcommand)]
 enum Verb {
     Plan(plan::Args),
@@ -111,53 +112,18 @@ enum Verb {
     Man(man::Args),
 }
 
-/// How a verb that did not fail ended.
+/// The outcome of a command that did not fail.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Outcome {
-    /// Done: exit code 0.
+    /// Exit code 0.
     Done,
-    /// Done, with a loss or a doubt that the user must see: exit code 3.
+    /// A loss or a doubt that the user must see: exit code 3.
     Doubt,
-    /// Done, and what was checked fails: exit code 4.
+    /// The robot that was checked fails or has changed: exit code 4.
     Failed,
 }
 
-/// A positive number of the command line.
-fn positive(text: &str) -> Result<f64, CliFinding> {
-    match text.parse::<f64>() {
-        Ok(value) if value.is_finite() && value > 0.0 => Ok(value),
-        _ => Err(CliFinding::NotPositive),
-    }
-}
-
-/// A number of the command line between two others.
-fn within(text: &str, [least, most]: [f64; 2], unit: &'static str) -> Result<f64, CliFinding> {
-    let inside = positive(text).ok().filter(|value| (least..=most).contains(value));
-    inside.ok_or(CliFinding::Outside { least, most, unit })
-}
-
-/// A length of the command line that is small by its nature, mm.
-fn fine(text: &str, most_mm: f64) -> Result<f64, CliFinding> {
-    positive(text).ok().filter(|mm| *mm <= most_mm).ok_or(CliFinding::NotFine { most_mm })
-}
-
-/// The standard uncertainty of a bar's length, mm.
-fn bar_u(text: &str) -> Result<f64, CliFinding> {
-    // No length of a bar is known better: 2e-6 is one in metres.
-    within(text, [5e-5, 0.5], "mm")
-}
-
-/// A tolerance of a position or of a circular deviation, mm.
-fn tolerance(text: &str) -> Result<f64, CliFinding> {
-    fine(text, 20.0)
-}
-
-/// The standard deviation of a length, mm.
-fn length_sd(text: &str) -> Result<f64, CliFinding> {
-    fine(text, 1.0)
-}
-
-/// The command line; a negative number is the value of its option, which says what it takes.
+/// The command line. A negative number after an option is its value, so that the value's parser reports its range.
 fn command() -> clap::Command {
     let negative = |arg: clap::Arg| {
         let valued = arg.get_action().takes_values() && !arg.is_positional();
@@ -171,7 +137,7 @@ pub fn main() -> ExitCode {
     main_with(std::env::args_os())
 }
 
-/// Runs the program; the first of the arguments is its name.
+/// Runs the program. The first argument is its name.
 pub fn main_with(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
     crate::daemon::abort_on_panic();
     let parsed =

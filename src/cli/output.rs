@@ -1,12 +1,13 @@
-//! What goes to stdout (results) and stderr (progress, warnings, errors), and the exit code.
+//! Prints results on stdout, and progress, warnings and errors on stderr. Determines the exit code.
 
 use std::borrow::Cow;
 use std::error::Error;
+use std::fmt::Display;
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, IsTerminal, Write};
 use std::path::Path;
 use std::process::ExitCode;
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock};
+use std::sync::{Arc, Mutex, OnceLock};
 use std::time::Duration;
 
 use indicatif::{ProgressBar, ProgressStyle};
@@ -20,21 +21,22 @@ use crate::base::sync::lock;
 use crate::base::table::{Layout, Table};
 use crate::catalogue::{CliFinding, CompensationFinding, EstimationFinding, FileFinding, PortFinding};
 use crate::diagnostic::{Code, Diagnostic, Finding, Severity};
+use crate::estimation::Observability;
 use crate::recording::axes::PacketCounts;
 
-/// How often a line on the terminal moves.
+/// The period of the progress indicator.
 const TICK: Duration = Duration::from_millis(100);
 
-/// Where a verb reports; its copies share the findings.
+/// The output of a command. Clones share the reported findings.
 #[derive(Clone)]
 pub(crate) struct Output {
     common: Common,
-    findings: Arc<Mutex<Vec<Diagnostic>>>,
-    /// Why stdout does not take the result.
-    refused: Arc<OnceLock<String>>,
+    reported: Arc<Mutex<Vec<Diagnostic>>>,
+    /// The first error of writing to stdout.
+    stdout_error: Arc<OnceLock<String>>,
 }
 
-/// A result with what was found on the way to it.
+/// A result with the findings that were reported before it.
 #[derive(Serialize)]
 struct Document<'a, T> {
     #[serde(flatten)]
@@ -43,7 +45,7 @@ struct Document<'a, T> {
     findings: &'a [Diagnostic],
 }
 
-/// A line on the terminal that moves; it is cleared when this is dropped.
+/// A progress indicator on the terminal. It is cleared when it is dropped.
 pub(crate) struct Busy {
     line: ProgressBar,
 }
@@ -56,23 +58,28 @@ impl Drop for Busy {
 
 impl Output {
     pub(super) fn new(common: Common) -> Self {
-        Self { common, findings: Arc::default(), refused: Arc::default() }
+        Self { common, reported: Arc::default(), stdout_error: Arc::default() }
     }
 
-    /// A line of the result for people, on stdout; not said under `--json`.
+    /// Prints a line of the result on stdout, unless `--json` is given.
     pub(crate) fn result(&self, line: impl AsRef<str>) {
         if !self.common.json {
             self.print(&plain(line.as_ref()));
         }
     }
 
-    /// A text for another program on stdout, as it is.
+    /// Prints a named value of the result on stdout, in one line.
+    pub(crate) fn field(&self, name: &str, value: impl Display) {
+        self.result(format!("{name:16} {}", value.to_string().replace('\n', "\\n")));
+    }
+
+    /// Prints bytes on stdout as they are.
     pub(crate) fn text(&self, text: &[u8]) {
         let mut stdout = io::stdout();
         match stdout.write_all(text).and_then(|()| stdout.flush()) {
-            // A reader that has gone (`dbbd info RUN | head`) is no reason to fail.
+            // `dbbd info RUN | head` closes the pipe: that is not an error.
             Err(error) if error.kind() != io::ErrorKind::BrokenPipe => {
-                self.refused.get_or_init(|| error.to_string());
+                self.stdout_error.get_or_init(|| error.to_string());
             }
             _ => {}
         }
@@ -82,19 +89,12 @@ impl Output {
         self.text(format!("{text}\n").as_bytes());
     }
 
-    /// The result, a struct or a map, as JSON on stdout, under `--json` only. The findings that were reported before
-    /// are its `findings`.
-    ///
-    /// # Errors
-    /// When it cannot be written as JSON.
+    /// With `--json`, prints a struct or a map as JSON on stdout, with the findings reported so far as `findings`.
     pub(crate) fn document(&self, result: &impl Serialize) -> Result<(), Diagnostic> {
-        self.json(&Document { result, findings: &self.findings() })
+        self.json(&Document { result, findings: &lock(&self.reported) })
     }
 
-    /// A result that is a list, as JSON on stdout, under `--json` only.
-    ///
-    /// # Errors
-    /// When it cannot be written as JSON.
+    /// With `--json`, prints a list as JSON on stdout.
     pub(crate) fn list(&self, list: &[impl Serialize]) -> Result<(), Diagnostic> {
         self.json(&list)
     }
@@ -106,47 +106,44 @@ impl Output {
         Ok(())
     }
 
-    fn findings(&self) -> MutexGuard<'_, Vec<Diagnostic>> {
-        lock(&self.findings)
-    }
-
-    /// What goes on, on stderr; not said under `--quiet`.
+    /// Prints a line on stderr, unless `--quiet` is given.
     pub(crate) fn progress(&self, line: impl AsRef<str>) {
         if !self.common.quiet {
             write_line(&mut io::stderr(), line.as_ref());
         }
     }
 
-    /// What only `-v` wants to know, on stderr.
+    /// Prints a line on stderr with `--verbose`.
     pub(crate) fn detail(&self, line: impl AsRef<str>) {
         if self.common.verbose {
             write_line(&mut io::stderr(), line.as_ref());
         }
     }
 
-    /// A finding on stderr; an information is not reported under `--quiet`. A warning makes the exit code 3.
+    /// Reports a finding on stderr; information not with `--quiet`. A warning makes the exit code 3.
     pub(crate) fn finding(&self, finding: impl Into<Diagnostic>) {
         let finding = finding.into();
         if finding.code.severity() > Severity::Info || !self.common.quiet {
             write_line(&mut io::stderr(), &labelled(&finding));
         }
-        self.findings().push(finding);
+        lock(&self.reported).push(finding);
     }
 
-    /// Findings about a result.
-    pub(crate) fn about<F: Finding + Clone>(&self, findings: &[F]) {
-        findings.iter().for_each(|finding| self.finding(Diagnostic::new(finding.clone())));
+    pub(crate) fn findings<F: Into<Diagnostic>>(&self, findings: impl IntoIterator<Item = F>) {
+        findings.into_iter().for_each(|finding| self.finding(finding));
     }
 
-    /// A line on stderr, as it is; also under `--quiet`.
+    /// Reports findings that concern a file.
+    pub(crate) fn findings_in<F: Finding>(&self, file: impl Display, findings: impl IntoIterator<Item = F>) {
+        findings.into_iter().for_each(|finding| self.finding(Diagnostic::file(&file, finding)));
+    }
+
+    /// Prints a line on stderr even with `--quiet`.
     pub(crate) fn always(&self, line: impl AsRef<str>) {
         write_line(&mut io::stderr(), line.as_ref());
     }
 
-    /// Reads a table of the user's, says how far it is, and once how it is written where that is not the usual way.
-    ///
-    /// # Errors
-    /// When it cannot be opened, and what `read` refuses.
+    /// Reads a table of the user with a progress indicator, and reports its format if it is unusual.
     pub(crate) fn table<T>(
         &self,
         path: &Path,
@@ -154,16 +151,13 @@ impl Output {
     ) -> Result<T, Diagnostic> {
         let (source, busy) = self.source(path)?;
         let mut table = Table::new(&path.display().to_string(), source, Layout::default())?;
-        let found = read(&mut table)?;
+        let content = read(&mut table)?;
         drop(busy);
-        table.findings().into_iter().for_each(|finding| self.finding(finding));
-        Ok(found)
+        self.findings(table.findings());
+        Ok(content)
     }
 
-    /// A file to read, and the line on the terminal that says how far it is read.
-    ///
-    /// # Errors
-    /// When it cannot be opened.
+    /// Opens a file, and shows on the terminal how much of it is read.
     pub(crate) fn source(&self, path: &Path) -> Result<(impl BufRead + use<>, Busy), Diagnostic> {
         let name = path.display().to_string();
         let unreadable = files::unreadable(&name);
@@ -173,14 +167,14 @@ impl Output {
         Ok((BufReader::new(busy.line.wrap_read(file)), busy))
     }
 
-    /// How much of the command is done, per cent, by its steps; for the service that started it.
+    /// Reports the progress of the command in per cent to the service, if that started it.
     pub(crate) fn done(&self, percent: u8) {
         if std::env::var_os(PROGRESS_VARIABLE).is_some() {
             write_line(&mut io::stderr(), &format!("{PROGRESS} {percent}"));
         }
     }
 
-    /// A line on the terminal that moves until it is dropped, with the share of `of` where that is known.
+    /// Shows a progress indicator on the terminal, with the share of `of` that is done if `of` is given.
     pub(crate) fn busy(&self, what: &str, of: Option<u64>) -> Busy {
         let line = if self.decorated() { ProgressBar::no_length() } else { ProgressBar::hidden() };
         let template = match of {
@@ -196,38 +190,37 @@ impl Output {
         Busy { line }
     }
 
-    /// Whether nothing but errors is wanted on stderr.
     pub(crate) fn is_quiet(&self) -> bool {
         self.common.quiet
     }
 
-    /// Whether stderr is a terminal on which bars and colour are wanted.
+    /// Whether stderr is a terminal that may show progress indicators and colour.
     pub(crate) fn decorated(&self) -> bool {
         !self.common.quiet && io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none()
     }
 }
 
-/// How a line on the terminal looks.
 pub(crate) fn style(template: &str) -> ProgressStyle {
     ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_spinner())
 }
 
-/// One write a line: what a child and its parent say on one stderr stays in lines. Who closed it does not listen.
+/// Writes a line with one system call, so that the lines of child and parent on one stderr do not mix. Ignores that the
+/// reader may be gone.
 fn write_line(to: &mut impl Write, line: &str) {
     let _ = to.write_all(format!("{}\n", plain(line)).as_bytes());
 }
 
-/// A text without what would steer a terminal: files and devices speak here as well. The escapes are those of JSON.
+/// Escapes control characters as JSON does: text from files and devices must not control the terminal.
 fn plain(text: &str) -> Cow<'_, str> {
-    let steers = |c: char| c.is_control() && c != '\n' && c != '\t';
-    if !text.contains(steers) {
+    let is_control = |c: char| c.is_control() && c != '\n' && c != '\t';
+    if !text.contains(is_control) {
         return text.into();
     }
-    let shown = |c: char| if steers(c) { format!("\\u{:04x}", u32::from(c)) } else { c.into() };
-    text.chars().map(shown).collect::<String>().into()
+    let escaped = |c: char| if is_control(c) { format!("\\u{:04x}", u32::from(c)) } else { c.into() };
+    text.chars().map(escaped).collect::<String>().into()
 }
 
-/// A finding as a line, such as `warning[W0123]: FILE:LINE: ..`.
+/// A finding as a line `warning[W0123]: FILE:LINE: ..`.
 fn labelled(finding: &Diagnostic) -> String {
     let label = match finding.code.severity() {
         Severity::Info => "note",
@@ -237,14 +230,13 @@ fn labelled(finding: &Diagnostic) -> String {
     format!("{label}[{}]: {finding}", finding.code)
 }
 
-/// Reports what is wrong with the command line, with the code of a value that is refused; the exit code.
+/// Reports a wrong command line, with the code of the finding if a value was refused. Returns the exit code.
 pub(super) fn wrong_usage(usage: &clap::Error) -> ExitCode {
     match usage.source().and_then(code) {
         Some(code) => {
             let text = usage.render().to_string().replacen("error:", &format!("error[{code}]:"), 1);
             write_line(&mut io::stderr(), text.trim_end());
         }
-        // A reader that has gone is no reason to fail.
         None if usage.print().is_err_and(|error| error.kind() != io::ErrorKind::BrokenPipe) => {
             return ExitCode::FAILURE;
         }
@@ -253,7 +245,7 @@ pub(super) fn wrong_usage(usage: &clap::Error) -> ExitCode {
     ExitCode::from(u8::try_from(usage.exit_code()).unwrap_or(2))
 }
 
-/// The code of what a parser of a value says.
+/// The code of the finding with which a parser of `value.rs` refused a value.
 fn code(why: &(dyn Error + 'static)) -> Option<Code> {
     fn of<F: Finding + Error + 'static>(why: &(dyn Error + 'static)) -> Option<Code> {
         why.downcast_ref::<F>().map(Finding::code)
@@ -264,14 +256,16 @@ fn code(why: &(dyn Error + 'static)) -> Option<Code> {
         .or_else(|| of::<PortFinding>(why))
 }
 
-/// Reports the error, if there is one; the exit code. A warning that was reported is a doubt, whatever the verb.
-pub(super) fn finish(out: &Output, ended: Result<Outcome, Diagnostic>) -> ExitCode {
-    let ended = match out.refused.get() {
-        Some(why) => ended.and(Err(Diagnostic::file("stdout", FileFinding::Unwritable { why: why.clone() }))),
-        None => ended,
+/// Reports the error, if there is one, and returns the exit code. A command that reported a warning ends with a doubt.
+pub(super) fn finish(out: &Output, result: Result<Outcome, Diagnostic>) -> ExitCode {
+    let result = match out.stdout_error.get() {
+        Some(why) => {
+            result.and(Err(Diagnostic::file("stdout", FileFinding::Unwritable { why: why.clone() })))
+        }
+        None => result,
     };
-    let warned = out.findings().iter().any(|finding| finding.code.severity() == Severity::Warning);
-    match ended {
+    let warned = lock(&out.reported).iter().any(|finding| finding.code.severity() == Severity::Warning);
+    match result {
         Ok(Outcome::Done) if !warned => ExitCode::SUCCESS,
         Ok(Outcome::Failed) => ExitCode::from(4),
         Ok(_) => ExitCode::from(if out.common.strict { 1 } else { 3 }),
@@ -286,7 +280,7 @@ pub(super) fn finish(out: &Output, ended: Result<Outcome, Diagnostic>) -> ExitCo
     }
 }
 
-/// The packets of a controller's axes on one line; what there is none of is left out.
+/// The counts of axis packets in one line, without those that are 0.
 pub(super) fn packets(counts: &PacketCounts) -> String {
     let rate = match counts.cycle_us {
         0 => String::new(),
@@ -301,7 +295,16 @@ pub(super) fn packets(counts: &PacketCounts) -> String {
         (counts.restarts, "restarts of the clock"),
         (u64::from(counts.late_answers), "answers late"),
     ];
-    let others = others.into_iter().filter(|(count, _)| *count > 0);
-    let others: String = others.map(|(count, what)| format!(", {count} {what}")).collect();
-    format!("{} packets{rate}{others}", counts.packets)
+    format!("{} packets{rate}{}", counts.packets, nonzero(others))
+}
+
+pub(super) fn observability(index: &Observability) -> String {
+    let Observability { o1, o2, o3, o4, o5 } = index;
+    format!("observability O1 {o1:.3e}, O2 {o2:.3e}, O3 {o3:.3e}, O4 {o4:.3e}, O5 {o5:.3e}")
+}
+
+/// Counts with their names, such as `, 3 gaps, 1 faults`, without those that are 0.
+pub(super) fn nonzero<const N: usize>(counts: [(u64, &str); N]) -> String {
+    let nonzero = counts.into_iter().filter(|(count, _)| *count > 0);
+    nonzero.map(|(count, what)| format!(", {count} {what}")).collect()
 }

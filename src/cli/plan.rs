@@ -1,4 +1,4 @@
-//! `dbbd plan`: poses from a job, checked before anything moves.
+//! `dbbd plan`.
 
 mod check;
 
@@ -7,12 +7,10 @@ use std::path::{Path, PathBuf};
 use check::PlannedCheck;
 use serde::Serialize;
 
-use super::check::risk;
-use super::{Outcome, Output, tolerance};
+use super::identify::{LENGTHS, lengths, measurements};
+use super::{Outcome, Output, output, protocols, robots, value};
 use crate::base::{FileSet, clock, files};
 use crate::catalogue::{MeasurementFinding, PlanFinding, ProvenanceFinding};
-use crate::cli::protocols;
-use crate::cli::robots;
 use crate::diagnostic::Diagnostic;
 use crate::estimation::change::CheckPower;
 use crate::estimation::{check_measurements, doubts};
@@ -25,50 +23,50 @@ use crate::robot::{Robot, RobotRead};
 
 /// Plan the poses of a calibration from a job, and check them.
 ///
-/// Circles in any plane about a base ball, with dwells or without stops and both ways, or poses chosen by optimal
-/// design. Every pose and the path between is checked: reach, axis limits, singularities, stroke, cup, obstacles,
-/// and the risk that a robot within its tolerance leaves the stroke. What is unsafe is refused with the row, the
-/// quantity and the limit. Where only the risk is too great, a few safe poses are chosen, to be measured first.
-/// plan.html shows the poses and what they will tell. More: docs/explanation/planning.md.
+/// Plans circles in any plane about a base ball, with dwells or in continuous motion in both directions, or poses chosen by
+/// optimal design. Checks every pose and the path between them: reach, axis limits, singularities, stroke, cup, obstacles, and
+/// the risk that a robot within its tolerance leaves the stroke. Refuses an unsafe plan with the row, the quantity and the
+/// limit. If only the risk is too great, plans a few safe poses to be measured first. plan.html shows the poses and what they
+/// identify. More: docs/explanation/planning.md.
 #[derive(clap::Args)]
 pub(crate) struct Args {
     /// The job: bar, base balls, circles, motion, limits (examples/*.toml explain every key).
     job: PathBuf,
-    /// Directory for plan.csv, plan.json, plan.html and centres.csv (the base balls, as `identify` takes them).
+    /// Directory for plan.csv, plan.json, plan.html and centres.csv (the base balls, for `identify --centres`).
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// Robot by built-in name or file, in place of the job's. With a robot-identified.toml the plan is made on what is
-    /// known since: the lengths.csv beside it counts as --measured; the controller is commanded its nominal poses.
+    /// Robot by built-in name or file, in place of the job's. With a robot-identified.toml the plan uses the identified robot:
+    /// the lengths.csv beside it counts as --measured; the commanded poses are those of the nominal robot.
     #[arg(long, value_name = "NAME|FILE")]
     robot: Option<String>,
-    /// Measurements CSV of lengths measured before to the same base balls (may be repeated): the plan is made on the
-    /// robot that is likeliest by them and by its tolerance, and its risks and predictions go by what they left unknown.
+    /// Measurements CSV of lengths measured before to the same base balls (may be repeated). The plan uses the robot that is
+    /// most likely given these lengths and its tolerance; risks and predictions use its posterior.
     #[arg(long, value_name = "OBS.csv")]
     measured: Vec<PathBuf>,
-    /// Choose this many poses about the job's base balls in place of its circles, all of them safe as the robot is known
-    /// now: a stage before a plan that is refused for its risk of leaving the stroke.
+    /// Plan this many safe poses about the job's base balls in place of its circles, 6 to 242: a stage to be measured before
+    /// a plan that is refused for its risk of leaving the stroke.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(6..=242))]
     stage: Option<u32>,
-    /// Plan a short check of a calibrated robot: --robot is its robot-identified.toml. The poses about the job's base
-    /// balls, in place of its circles, are those that see most of a change of any parameter; plan.json and plan.html have
-    /// the smallest changes that are found with 95 % probability at 1 % of false alarms.
+    /// Plan a short check of a calibrated robot; --robot is its robot-identified.toml. In place of the job's circles, chooses
+    /// the poses about its base balls that are most sensitive to a change of any parameter. plan.json and plan.html state
+    /// the smallest changes that are detected with 95 % probability at 1 % false alarms.
     #[arg(long, requires = "robot", conflicts_with_all = ["stage", "measured"])]
     check: bool,
-    /// Poses of the check.
+    /// Number of poses of the check, 12 to 24.
     #[arg(long, value_name = "N", requires = "check", default_value_t = 18, value_parser = clap::value_parser!(u32).range(12..=24))]
     poses: u32,
-    /// The base balls of the check are mounted as in the calibration: it sees whether one moved.
+    /// The base balls of the check are still mounted as in the calibration: the check detects whether one moved.
     #[arg(long, requires = "check")]
     balls_kept: bool,
-    /// Tolerance of the check, mm, as `dbbd check` takes it: one that it could not decide is reported now.
-    #[arg(long, value_name = "MM", requires = "check", value_parser = tolerance)]
+    /// Tolerance of the check, mm, as for `dbbd check`: reports now if the check cannot decide on it.
+    #[arg(long, value_name = "MM", requires = "check", value_parser = value::tolerance)]
     tolerance: Option<f64>,
     /// Largest probability of a wrong decision of the check.
-    #[arg(long, value_name = "P", requires = "tolerance", default_value_t = 0.05, value_parser = risk)]
+    #[arg(long, value_name = "P", requires = "tolerance", default_value_t = 0.05, value_parser = value::risk)]
     risk: f64,
 }
 
-/// What `--json` prints.
+/// The JSON document.
 #[derive(Serialize)]
 struct Summary<'a> {
     robot: &'a str,
@@ -91,31 +89,29 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     job.identity().check_dates(clock::unix_ns()).map_err(|(_, why)| Diagnostic::file(&name, why))?;
     let made_from = job.traced(&args.job)?;
     let job = args.stage.map_or_else(|| job.clone(), |points| job.as_stage(points));
-    // A definition in a file may be there only where the run is.
+    // The file of a definition may exist only on the computer that records.
     if !job.bar.protocol.ends_with(".toml") {
         protocols::load_with(&job.bar.protocol, &[])
             .map_err(|why| Diagnostic { file: name.clone(), ..why })?;
     }
     let robot_name = args.robot.as_deref().unwrap_or(&job.robot);
-    let RobotRead { robot, source, .. } = serial_of(&job, robots::from_file(robot_name, out)?)?;
+    let RobotRead { robot, source, .. } = with_serial(&job, robots::read_for_measurement(robot_name, out)?)?;
     job.check_against(robot.controller()).map_err(|why| Diagnostic::file(&name, why))?;
-    let idle = job.without_effect(&robot).into_iter();
-    idle.for_each(|finding| out.finding(Diagnostic::file(&name, finding)));
+    out.findings_in(&name, job.without_effect(&robot));
     let check = args.check.then(|| PlannedCheck::new(args, &job, &robot, out)).transpose()?;
     let measured =
         if args.check { Measured::default() } else { Measured::find(args, robot_name, &source, out)? };
     let files = measured.files.iter().map(|path| path.display().to_string());
     one_robot(files.zip(&measured.sources).chain([(robot_name.to_owned(), &source)]))?;
-    // Lengths measured before are looked through with the robot.
-    let asked = robot.asked_repeatability().filter(|_| measured.files.is_empty());
-    asked.into_iter().for_each(|finding| out.finding(finding));
+    // With lengths measured before, their own findings report this.
+    out.findings(robot.asked_repeatability().filter(|_| measured.files.is_empty()));
     let provenance = Provenance::of([&made_from, &source].into_iter().chain(&measured.sources));
     let Known { job, robot, prior } = match &check {
         Some(check) => check.known(&job)?,
         None => Known::after(job, robot, &measured.files, out)?,
     };
     let mut plan = Plan::build_with(&job, &robot, &prior).map_err(|refusal| {
-        refusal.shown().for_each(|finding| out.finding(finding.clone()));
+        out.findings(refusal.shown().cloned());
         Diagnostic { file: name.clone(), ..refusal.into() }
     })?;
     plan.header.provenance = provenance;
@@ -124,11 +120,9 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         None => plan.predict(&robot, &prior),
     };
     write(&plan, report::plan::html(&plan, &robot, &map)?, &args.out)?;
-    for note in &plan.header.notes {
-        out.finding(note.clone());
-    }
-    let recommendations = plan.header.predictions.iter().flat_map(|found| &found.recommendations);
-    recommendations.for_each(|finding| out.finding(finding.clone()));
+    out.findings(plan.header.notes.iter().cloned());
+    let predictions = plan.header.predictions.iter();
+    out.findings(predictions.flat_map(|prediction| prediction.recommendations.iter().cloned()));
     report(&plan, &robot, out)?;
     out.progress(format!("wrote plan.csv, plan.json, plan.html and centres.csv to {}", args.out.display()));
     Ok(Outcome::Done)
@@ -144,7 +138,6 @@ fn write(plan: &Plan, page: String, directory: &Path) -> Result<(), Diagnostic> 
     set.finish()
 }
 
-/// The result on stdout.
 fn report(plan: &Plan, robot: &Robot, out: &Output) -> Result<(), Diagnostic> {
     let count = |kind: Kind| plan.rows.iter().filter(|row| row.kind == kind).count();
     let summary = Summary {
@@ -185,9 +178,9 @@ fn report(plan: &Plan, robot: &Robot, out: &Output) -> Result<(), Diagnostic> {
     Ok(())
 }
 
-/// The robot with the serial number that the job gives.
-fn serial_of(job: &Job, found: RobotRead) -> Result<RobotRead, Diagnostic> {
-    let RobotRead { mut robot, mut source, findings } = found;
+/// The robot with the serial number of the job. Refuses a robot with another one.
+fn with_serial(job: &Job, read: RobotRead) -> Result<RobotRead, Diagnostic> {
+    let RobotRead { mut robot, mut source, findings } = read;
     if let (Some(of_job), Some(of_robot)) = (&job.serial, &robot.serial)
         && of_job != of_robot
     {
@@ -210,17 +203,17 @@ struct Measured {
 }
 
 impl Measured {
-    /// Those of the command line, and the lengths.csv beside an identified robot, which is that of its result.
+    /// The tables of the command line, and the lengths.csv beside an identified robot. Refuses one of another result.
     fn find(args: &Args, robot_name: &str, robot: &Traced, out: &Output) -> Result<Self, Diagnostic> {
-        let mut found = Self::default();
-        args.measured.iter().try_for_each(|path| found.add(path, out))?;
+        let mut measured = Self::default();
+        args.measured.iter().try_for_each(|path| measured.add(path, out))?;
         if robot.artefact.role != Role::IdentifiedRobot {
-            return Ok(found);
+            return Ok(measured);
         }
-        let path = Path::new(robot_name).with_file_name(super::identify::LENGTHS);
+        let path = Path::new(robot_name).with_file_name(LENGTHS);
         if !path.is_file() {
             out.finding(PlanFinding::NoLengths { file: path.display().to_string() });
-            return Ok(found);
+            return Ok(measured);
         }
         let lengths = Artefact::file(Role::Measurements, &path)?;
         let of_result = |source: &&Artefact| source.role == Role::Measurements && source.name == lengths.name;
@@ -230,13 +223,13 @@ impl Measured {
             let (lengths, expected) = (lengths.to_string(), expected.to_string());
             return Err(ProvenanceFinding::OtherLengths { lengths, expected }.into());
         }
-        found.add(&path, out)?;
-        Ok(found)
+        measured.add(&path, out)?;
+        Ok(measured)
     }
 
     fn add(&mut self, path: &Path, out: &Output) -> Result<(), Diagnostic> {
         let (lengths, changed) = Traced::table(Role::Measurements, path)?;
-        changed.into_iter().for_each(|finding| out.finding(finding));
+        out.findings(changed);
         if self.sources.iter().any(|source| source.artefact.sha256 == lengths.artefact.sha256) {
             out.finding(ProvenanceFinding::GivenTwice { lengths: lengths.artefact.to_string() });
             return Ok(());
@@ -247,7 +240,7 @@ impl Measured {
     }
 }
 
-/// Job, robot and what is known of it.
+/// Job and robot after the earlier measurements, with what is known of them.
 struct Known {
     job: Job,
     robot: Robot,
@@ -255,7 +248,6 @@ struct Known {
 }
 
 impl Known {
-    /// After the lengths measured before, if there are any.
     fn after(job: Job, robot: Robot, measured: &[PathBuf], out: &Output) -> Result<Self, Diagnostic> {
         if measured.is_empty() {
             let prior = PlanningPrior::datasheet(&job, &robot);
@@ -263,7 +255,7 @@ impl Known {
         }
         let (mut tables, mut findings) = (Vec::new(), Vec::new());
         for path in measured {
-            let observations = super::identify::observations(path, &mut findings, out)?;
+            let observations = measurements(path, lengths, &mut findings, out)?;
             let name = path.display().to_string();
             check_measurements(&name, &observations, &robot, &job.balls())?;
             findings.extend(doubts(&name, &observations, &robot, &job.balls()));
@@ -274,10 +266,10 @@ impl Known {
                 tables.push(observations);
             }
         }
-        findings.into_iter().for_each(|finding| out.finding(finding));
+        out.findings(findings);
         let rows = || tables.iter().flat_map(|table| &table.rows);
         let lengths: Vec<PreparedMeasurement> = rows().map(PreparedMeasurement::from).collect();
-        // What the job does not say of a ball that was taught for an earlier stage comes with its lengths.
+        // If the job does not say where a ball was taught for an earlier stage, its lengths do.
         let mut job = job;
         for row in rows() {
             let taught_deg = row.context.as_ref().and_then(|context| context.taught_deg.as_deref());
@@ -288,13 +280,13 @@ impl Known {
         }
         job.check_against(robot.controller()).map_err(Diagnostic::new)?;
         let prior = PlanningPrior::after_lengths(&job, &robot, &lengths).map_err(Diagnostic::from)?;
-        prior.doubts(&job, &robot, &lengths).into_iter().for_each(|doubt| out.finding(doubt));
+        out.findings(prior.doubts(&job, &robot, &lengths));
         let (job, robot) = prior.applied(&job, &robot);
         Ok(Self { job, robot, prior })
     }
 }
 
-/// A prediction in a few lines.
+/// A prediction on the terminal.
 fn lines(prediction: &Prediction) -> Vec<String> {
     let count =
         |of: Identifiability| prediction.parameters.iter().filter(|p| p.identifiability == of).count();
@@ -313,12 +305,12 @@ fn lines(prediction: &Prediction) -> Vec<String> {
             now.mean, then.mean, now.p95, then.p95
         ),
     ];
-    if let Some(index) = &prediction.observability {
-        lines.push(format!(
-            "observability O1 {:.3e}, O2 {:.3e}, O3 {:.3e}, O4 {:.3e}, O5 {:.3e}; condition {:.0}",
-            index.o1, index.o2, index.o3, index.o4, index.o5, prediction.condition
-        ));
-    }
+    lines.extend(
+        prediction
+            .observability
+            .as_ref()
+            .map(|index| format!("{}; condition {:.0}", output::observability(index), prediction.condition)),
+    );
     lines.extend(prediction.dependent_in_short.iter().map(|text| format!("  {text}")));
     lines
 }

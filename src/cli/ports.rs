@@ -7,7 +7,7 @@ use crate::diagnostic::Diagnostic;
 
 /// List the serial ports.
 ///
-/// With the names by-id/.. and by-path/.. that stay when the device is plugged in anew.
+/// Prints the names by-id/.. and by-path/.. too, which remain when the device is plugged in again.
 #[derive(clap::Args)]
 pub(crate) struct Args {
     #[command(subcommand)]
@@ -24,12 +24,12 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     match args.what {
         None | Some(What::List) => {}
     }
-    let found = port::list()?;
-    out.list(&found)?;
-    if found.is_empty() {
+    let ports = port::list()?;
+    out.list(&ports)?;
+    if ports.is_empty() {
         out.finding(PortFinding::NoPorts);
     }
-    for port in found {
+    for port in ports {
         let by_id = port.by_id.map_or(String::new(), |name| format!("  {name}"));
         out.result(format!("{}  {}{by_id}", port.port, port.description));
         if let Some(hold_ms @ 2..) = port.latency_ms {

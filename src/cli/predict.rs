@@ -1,38 +1,34 @@
-//! `dbbd predict`: where the tool ball is at axis angles.
+//! `dbbd predict`.
 
-use std::error::Error;
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
 use super::{Outcome, Output, robots};
-use crate::base::files;
-use crate::catalogue::CliFinding;
+use crate::base::{files, serialised};
 use crate::diagnostic::Diagnostic;
 use crate::estimation::Positions;
 use crate::measurement::{self, APPROACH, Measurements};
-use crate::robot::Robot;
 
-/// Predict where the tool ball is at axis angles, with its uncertainty, by any robot file.
+/// Predict the position of the tool ball at axis angles, with its uncertainty.
 ///
-/// With it an identified robot can be compared with a tracker. Backlash counts where the sense of approach is given;
-/// where it is not known its variance is added. Where a joint's angle was not measured, so is that of its smooth error.
+/// Use it to compare an identified robot with a tracker. Backlash is applied if the sense of approach is given; if it is
+/// unknown, its variance is added. So is the variance of a joint's smooth error at angles that were not measured.
 #[derive(clap::Args)]
 pub(crate) struct Args {
-    /// Poses: CSV a1_deg,..,a6_deg[,approach1,..,approach6], the controller's axis angles and the sense of each axis's
-    /// last move (1 by rising angles, -1 by falling ones, 0 or absent: not known).
+    /// Poses: CSV a1_deg,..,a6_deg[,approach1,..,approach6] with the controller's axis angles, and the direction of the last
+    /// move of each axis (1: rising angle, -1: falling angle, 0 or absent: unknown).
     axes: PathBuf,
     /// Robot: a built-in name or a TOML file, such as robot-identified.toml.
     #[arg(long, value_name = "NAME|FILE")]
     robot: String,
-    /// Table to write: the columns of the poses, and the tool ball in the robot base x_mm,y_mm,z_mm with sd_mm. That is
-    /// the 3-D standard deviation (root of the mean square distance), with the repeatability of a pose, after the best
-    /// rigid alignment over the poses (with fewer than 10, over the workspace too).
+    /// Table to write: the columns of the poses, the position of the tool ball in the robot base x_mm,y_mm,z_mm, and sd_mm,
+    /// its 3-D standard deviation (root of the mean square distance). This includes the repeatability of a pose, and is
+    /// taken after the best rigid alignment over the poses (of fewer than 10, over the workspace too).
     #[arg(long, value_name = "P.csv")]
     out: PathBuf,
 }
 
-/// A pose with its ball.
 #[derive(Serialize)]
 struct Predicted {
     axes_deg: [f64; 6],
@@ -43,16 +39,12 @@ struct Predicted {
 
 pub(super) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     files::keeps(&args.out, [args.axes.as_path(), Path::new(&args.robot)])?;
-    files::is_earlier(&args.out, (header().join(",") + "\n").as_bytes())?;
+    files::is_earlier(&args.out, (columns().join(",") + "\n").as_bytes())?;
     let robot = robots::named(&args.robot, out)?;
     let poses = out.table(&args.axes, Measurements::poses_from_table)?;
-    let edited = robots::edited(&robot);
-    edited.into_iter().for_each(|doubt| out.finding(Diagnostic::file(&args.robot, doubt)));
+    out.findings_in(&args.robot, robots::edited(&robot));
     let angles = poses.iter().zip(1..).map(|(pose, number)| (number, pose.axes));
-    let beyond = measurement::beyond(angles, robot.controller());
-    beyond
-        .into_iter()
-        .for_each(|doubt| out.finding(Diagnostic::file(&args.axes.display().to_string(), doubt)));
+    out.findings_in(args.axes.display(), measurement::beyond(angles, robot.controller()));
     let positions = Positions::of(&robot, &poses);
     let predicted: Vec<Predicted> = (0..poses.len())
         .map(|at| Predicted {
@@ -62,29 +54,9 @@ pub(super) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
             sd_mm: positions.sd_mm(at),
         })
         .collect();
-    let table = csv(&predicted).map_err(|error| CliFinding::NoOutput { why: error.to_string() })?;
-    files::write(&args.out, table)?;
+    let rows = predicted.iter().map(|row| (row.axes_deg, row.approach, row.ball_mm, row.sd_mm));
+    files::write(&args.out, serialised::csv_table(columns(), rows)?)?;
     out.document(&predicted)?;
-    say(out, &robot, &predicted, args);
-    Ok(Outcome::Done)
-}
-
-fn header() -> Vec<String> {
-    let angles = (1..=6).map(|axis| format!("a{axis}_deg"));
-    let places = ["x_mm", "y_mm", "z_mm", "sd_mm"];
-    angles.chain(APPROACH.into_iter().chain(places).map(str::to_owned)).collect()
-}
-
-fn csv(predicted: &[Predicted]) -> Result<Vec<u8>, Box<dyn Error>> {
-    let mut table = csv::Writer::from_writer(Vec::new());
-    table.write_record(header())?;
-    for row in predicted {
-        table.serialize((row.axes_deg, row.approach, row.ball_mm, row.sd_mm))?;
-    }
-    Ok(table.into_inner()?)
-}
-
-fn say(out: &Output, robot: &Robot, predicted: &[Predicted], args: &Args) {
     let mean = predicted.iter().map(|row| row.sd_mm).sum::<f64>() / predicted.len() as f64;
     let largest = predicted.iter().map(|row| row.sd_mm).fold(0.0, f64::max);
     out.result(format!(
@@ -93,4 +65,11 @@ fn say(out: &Output, robot: &Robot, predicted: &[Predicted], args: &Args) {
         predicted.len(),
         args.out.display()
     ));
+    Ok(Outcome::Done)
+}
+
+fn columns() -> Vec<String> {
+    let angles = (1..=6).map(|axis| format!("a{axis}_deg"));
+    let places = ["x_mm", "y_mm", "z_mm", "sd_mm"];
+    angles.chain(APPROACH.into_iter().chain(places).map(str::to_owned)).collect()
 }

@@ -1,4 +1,4 @@
-//! `dbbd program`, of which `dbbd krl` is the short form for KRL.
+//! `dbbd program`.
 
 use std::net::SocketAddrV4;
 use std::path::{Path, PathBuf};
@@ -7,7 +7,7 @@ use serde_json::json;
 
 use super::{Outcome, Output, protocols};
 use crate::base::FileSet;
-use crate::catalogue::ProgramFinding;
+use crate::catalogue::{CompensationFinding, ProgramFinding};
 use crate::diagnostic::Diagnostic;
 use crate::plan::Plan;
 use crate::program::krl::{self, Controller, Options};
@@ -15,33 +15,33 @@ use crate::program::{self, Language, Written, rapid, urscript};
 use crate::recording::run;
 use crate::robot::Robot;
 
-/// Write the programs of a plan in the language of a robot's controller.
+/// Write the programs of a plan in the language of the robot's controller.
 ///
-/// KRL (KUKA) as `dbbd krl` writes it, RAPID (ABB) as .mod with a .pgf, or URScript (Universal Robots) as .script. The
-/// program moves, waits, and marks each dwell; it never runs by itself. None has run on a real controller. More:
-/// docs/reference/krl.md, docs/reference/rapid.md and docs/reference/urscript.md.
+/// Writes KRL (KUKA) as `dbbd krl` does, RAPID (ABB) as .mod with a .pgf, or URScript (Universal Robots) as .script. The
+/// program moves, waits and marks each dwell. It never starts by itself. None of these programs has run on a real
+/// controller. More: docs/reference/krl.md, docs/reference/rapid.md and docs/reference/urscript.md.
 #[derive(clap::Args)]
 pub(crate) struct Args {
     /// The plan; its .json is read beside it.
     #[arg(value_name = "PLAN.csv")]
-    plan: PathBuf,
+    pub(super) plan: PathBuf,
     /// The language [default: that of the plan's robot].
     #[arg(long, value_enum)]
-    language: Option<Language>,
-    /// Directory for the program: DBB_MAIN, and with it DBB_C001 and so on, one for each circle.
+    pub(super) language: Option<Language>,
+    /// Directory for the program: DBB_MAIN, and DBB_C001 and so on, one for each circle.
     #[arg(long, value_name = "DIR")]
-    out: PathBuf,
-    /// How dwells are marked. `output`: a strobe and an index on digital outputs; `marker`: by the
-    /// plan's sync markers in the length alone, no output is set; `ekrl`: of KRL only, see `dbbd krl --help`
-    /// [default: output where the bar's protocol carries the strobe, else marker].
+    pub(super) out: PathBuf,
+    /// How the program marks dwells. `output`: by a strobe and an index on digital outputs. `marker`: by the plan's sync
+    /// markers in the length alone; no output is set. `ekrl`: in KRL only, see `dbbd krl --help` [default: output if the
+    /// bar's protocol carries the strobe, else marker].
     #[arg(long, value_enum)]
-    sync: Option<Sync>,
-    /// For `ekrl`: where dbbd listens, as the controller's network sees it (IPv4).
+    pub(super) sync: Option<Sync>,
+    /// For `ekrl`: the address where dbbd listens, as seen from the controller's network (IPv4).
     #[arg(long, value_name = "ADDR:PORT", required_if_eq("sync", "ekrl"))]
-    server: Option<SocketAddrV4>,
-    /// The KUKA controller that a KRL program is for [default: krc4].
+    pub(super) server: Option<SocketAddrV4>,
+    /// The KUKA controller that runs a KRL program [default: krc4].
     #[arg(long, value_enum)]
-    controller: Option<Controller>,
+    pub(super) controller: Option<Controller>,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
@@ -51,79 +51,65 @@ pub(super) enum Sync {
     Ekrl,
 }
 
-/// What is to be written.
-pub(super) struct Request<'a> {
-    pub(super) plan: &'a Path,
-    pub(super) out: &'a Path,
-    pub(super) sync: Option<Sync>,
-    pub(super) server: Option<SocketAddrV4>,
-    pub(super) language: Option<Language>,
-    pub(super) controller: Option<Controller>,
-}
-
 pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
-    let Args { plan, language, out: directory, sync, server, controller } = args;
-    let (language, sync, server, controller) = (*language, *sync, *server, *controller);
-    write(&Request { plan, out: directory, sync, server, language, controller }, out)
-}
-
-pub(super) fn write(request: &Request<'_>, out: &Output) -> Result<Outcome, Diagnostic> {
-    let plan = run::read_plan(request.plan)?;
+    let plan = run::read_plan(&args.plan)?;
     let robot = Robot::from_toml("the plan's robot", &plan.header.robot)?;
-    let language = request.language.unwrap_or_else(|| Language::of_robot(&robot));
-    check_language(&robot, language, request.controller, out)?;
-    let sync = match chosen(request.sync, &plan, out)? {
+    let language = args.language.unwrap_or_else(|| Language::of_robot(&robot));
+    check_language(args, &robot, language, out)?;
+    let sync = match sync(args.sync, &plan, out)? {
         Sync::Marker => program::Sync::Marker,
         Sync::Output => program::Sync::Output,
-        Sync::Ekrl => program::Sync::Ekrl { server: request.server.ok_or(ProgramFinding::NoServer)? },
+        Sync::Ekrl => program::Sync::Ekrl { server: args.server.ok_or(ProgramFinding::NoServer)? },
     };
-    check_server(request, matches!(sync, program::Sync::Ekrl { .. }), out)?;
-    let files = emit(&plan, language, sync, request.controller)?;
-    let mut set = FileSet::begin(request.out)?;
+    if let Some(server) = args.server {
+        let is_used = matches!(sync, program::Sync::Ekrl { .. });
+        check_server(server, is_used, args.controller == Some(Controller::Simulated), out)?;
+    }
+    let files = match language {
+        Language::Krl => {
+            let controller = args.controller.unwrap_or(Controller::Krc4);
+            krl::emit(&plan, Options { sync, controller })?
+        }
+        Language::Rapid => rapid::emit(&plan, sync)?,
+        Language::Urscript => urscript::emit(&plan, sync)?,
+    };
+    let mut set = FileSet::begin(&args.out)?;
     let mut written = Vec::new();
     for (name, text) in &files {
-        let path = request.out.join(name);
+        let path = args.out.join(name);
         set.write(name, text)?;
         out.detail(format!("wrote {}", path.display()));
         written.push(path.display().to_string());
     }
     set.finish()?;
-    let others = stale(request.out, &files);
+    let others = stale(args, &files);
     if !others.is_empty() {
-        let directory = request.out.display().to_string();
-        out.finding(Diagnostic::file(
-            &directory,
-            ProgramFinding::StaleModules { modules: others.join(", ") },
-        ));
+        let stale = ProgramFinding::StaleModules { modules: others.join(", ") };
+        out.finding(Diagnostic::file(args.out.display(), stale));
     }
     out.document(&json!({ "plan": plan.header.hash, "files": written }))?;
-    out.result(format!("{} files in {}; start DBB_MAIN", written.len(), request.out.display()));
+    out.result(format!("{} files in {}; start DBB_MAIN", written.len(), args.out.display()));
     out.progress("not proven on a real controller: run it first in T1, slowly, without the bar");
     Ok(Outcome::Done)
 }
 
-fn emit(
-    plan: &Plan,
-    language: Language,
-    sync: program::Sync,
-    controller: Option<Controller>,
-) -> Result<Written, Diagnostic> {
-    if let (Language::Rapid | Language::Urscript, Some(_)) = (language, controller) {
-        return Err(ProgramFinding::NoController { language: language.name() }.into());
-    }
-    match language {
-        Language::Krl => {
-            krl::emit(plan, Options { sync, controller: controller.unwrap_or(Controller::Krc4) })
-        }
-        Language::Rapid => rapid::emit(plan, sync),
-        Language::Urscript => urscript::emit(plan, sync),
-    }
+/// The language of a program file by its extension; KRL if it has none.
+pub(super) fn language(program: &Path) -> Result<Language, Diagnostic> {
+    let extension = program.extension().and_then(|extension| extension.to_str()).unwrap_or("src");
+    Language::of_extension(extension).ok_or_else(|| {
+        let file = program.display().to_string();
+        Diagnostic::file(program.display(), CompensationFinding::NoLanguage { file })
+    })
 }
 
-/// The address must be used, and one that a controller can connect to.
-fn check_server(request: &Request<'_>, used: bool, out: &Output) -> Result<(), ProgramFinding> {
-    let Some(server) = request.server else { return Ok(()) };
-    if !used {
+/// Refuses an address that is not used, or to which a controller cannot connect.
+fn check_server(
+    server: SocketAddrV4,
+    is_used: bool,
+    is_simulated: bool,
+    out: &Output,
+) -> Result<(), ProgramFinding> {
+    if !is_used {
         return Err(ProgramFinding::ServerUnused);
     }
     if server.port() == 0 {
@@ -133,36 +119,31 @@ fn check_server(request: &Request<'_>, used: bool, out: &Output) -> Result<(), P
     if ip.is_unspecified() || ip.is_multicast() || ip.is_broadcast() {
         return Err(ProgramFinding::ServerAddress { server: server.to_string() });
     }
-    if server.ip().is_loopback() && request.controller != Some(Controller::Simulated) {
+    if ip.is_loopback() && !is_simulated {
         out.finding(ProgramFinding::ServerLoopback { server: server.to_string() });
     }
     Ok(())
 }
 
-/// Modules of another plan in the directory, which would be loaded with these.
-fn stale(directory: &Path, written: &Written) -> Vec<String> {
+/// The modules of another plan in the directory. The controller would load them with the new ones.
+fn stale(args: &Args, written: &Written) -> Vec<String> {
     let is_module = |name: &String| {
         let (stem, extension) = name.rsplit_once('.').unwrap_or((name, ""));
         stem.to_ascii_uppercase().starts_with("DBB_C") && Language::of_extension(extension).is_some()
     };
     let is_written = |name: &String| written.iter().any(|(module, _)| module.eq_ignore_ascii_case(name));
-    let found = directory.read_dir().into_iter().flatten().flatten();
-    let names = found.filter_map(|entry| entry.file_name().into_string().ok());
+    let entries = args.out.read_dir().into_iter().flatten().flatten();
+    let names = entries.filter_map(|entry| entry.file_name().into_string().ok());
     let mut stale: Vec<String> = names.filter(|name| is_module(name) && !is_written(name)).collect();
     stale.sort();
     stale
 }
 
-/// The plan's robot must be one that is programmed in the language.
-fn check_language(
-    robot: &Robot,
-    language: Language,
-    controller: Option<Controller>,
-    out: &Output,
-) -> Result<(), Diagnostic> {
+/// Refuses a language that the plan's robot is not programmed in, and --controller where it has no effect.
+fn check_language(args: &Args, robot: &Robot, language: Language, out: &Output) -> Result<(), Diagnostic> {
     let (name, wanted) = (robot.name.clone(), language.name());
     match robot.controller_language() {
-        _ if controller == Some(Controller::Simulated) => {}
+        _ if args.controller == Some(Controller::Simulated) => {}
         Some(known) if known == wanted => {}
         Some(known) => {
             let language = known.to_owned();
@@ -170,12 +151,16 @@ fn check_language(
         }
         None => out.finding(ProgramFinding::LanguageNotKnown { robot: name, wanted }),
     }
+    if language != Language::Krl && args.controller.is_some() {
+        return Err(ProgramFinding::NoController { language: wanted }.into());
+    }
     Ok(())
 }
-/// The way that the plan's bar can read.
-fn chosen(asked: Option<Sync>, plan: &Plan, out: &Output) -> Result<Sync, Diagnostic> {
+
+/// How the program marks dwells: as asked for, else as the plan's bar can read it.
+fn sync(asked: Option<Sync>, plan: &Plan, out: &Output) -> Result<Sync, Diagnostic> {
     let (protocol, passes) = (plan.header.job.bar.protocol.clone(), !plan.header.passes.is_empty());
-    // A definition in a file may be there only where the run is.
+    // The file of a definition may exist only on the computer that records.
     let strobe = protocols::load_with(&protocol, &[]).ok().map(|definition| definition.has_strobe());
     match (asked, strobe) {
         (None, None) => Err(ProgramFinding::ProtocolNotHere { protocol }.into()),

@@ -4,10 +4,9 @@ use std::path::{Path, PathBuf};
 
 use serde_json::json;
 
-use super::{Outcome, Output};
+use super::{Outcome, Output, value};
 use crate::base::files;
 use crate::base::units::DeviceTicks;
-use crate::catalogue::CliFinding;
 use crate::catalogue::ProtocolFinding::{self, UnknownProtocol};
 use crate::device::protocol::Definition;
 use crate::diagnostic::Diagnostic;
@@ -15,7 +14,7 @@ use crate::measurement::sample::Sample;
 
 /// List, show or check protocol definitions.
 ///
-/// A definition is a TOML file that describes how a bar's bytes become lengths; a new device needs no code. More:
+/// A definition is a TOML file that describes how the bytes of a bar become lengths. A new device needs no code. More:
 /// docs/reference/protocols.md, docs/how-to/build-a-bar.md.
 #[derive(clap::Args)]
 pub(crate) struct Args {
@@ -27,12 +26,12 @@ pub(crate) struct Args {
 enum What {
     /// List the built-in definitions (the default).
     List,
-    /// Print a definition, its frame's layout and an example above it as remarks: a start for one's own.
+    /// Print a definition, with the layout of its frame and an example as comments: a template for a new one.
     Show {
         /// A built-in name or a file.
         name: String,
         /// Set a parameter of the definition.
-        #[arg(long = "param", value_name = "NAME=VALUE", value_parser = param)]
+        #[arg(long = "param", value_name = "NAME=VALUE", value_parser = value::name_value)]
         params: Vec<(String, String)>,
     },
     /// Check a definition file and run its test vectors.
@@ -40,7 +39,7 @@ enum What {
         /// The TOML file.
         file: PathBuf,
         /// Set a parameter of the definition.
-        #[arg(long = "param", value_name = "NAME=VALUE", value_parser = param)]
+        #[arg(long = "param", value_name = "NAME=VALUE", value_parser = value::name_value)]
         params: Vec<(String, String)>,
     },
 }
@@ -55,38 +54,27 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
             out.result(definition.text.trim_end());
             Ok(Outcome::Done)
         }
-        Some(What::Check { file, params }) => {
-            let definition = from_file(file, params)?;
-            let table: Option<toml::Table> = definition.text.parse().ok();
-            if table.is_some_and(|table| !table.contains_key("test")) {
-                out.finding(Diagnostic::file(&file.display().to_string(), ProtocolFinding::NoTests));
-            }
-            let of_built_in = Definition::built_in().iter().find(|(id, _)| *id == definition.id);
-            if of_built_in
-                .is_some_and(|(_, text)| text.parse().ok() != definition.text.parse::<toml::Table>().ok())
-            {
-                let id = definition.id.clone();
-                out.finding(Diagnostic::file(
-                    &file.display().to_string(),
-                    ProtocolFinding::IdOfBuiltIn { id },
-                ));
-            }
-            out.document(&summary(&definition))?;
-            out.result(format!("{}: `{}` is sound; its test vectors pass", file.display(), definition.id));
-            Ok(Outcome::Done)
-        }
+        Some(What::Check { file, params }) => check(file, params, out),
     }
 }
 
-/// Parses NAME=VALUE.
-pub(crate) fn param(text: &str) -> Result<(String, String), CliFinding> {
-    match text.split_once('=') {
-        Some((name, value)) if !name.is_empty() => Ok((name.to_owned(), value.to_owned())),
-        _ => Err(CliFinding::NotNameAndValue),
+fn check(file: &Path, params: &[(String, String)], out: &Output) -> Result<Outcome, Diagnostic> {
+    let definition = from_file(file, params)?;
+    let table: Option<toml::Table> = definition.text.parse().ok();
+    if table.as_ref().is_some_and(|table| !table.contains_key("test")) {
+        out.finding(Diagnostic::file(file.display(), ProtocolFinding::NoTests));
     }
+    let same_id = Definition::built_in().iter().find(|(id, _)| *id == definition.id);
+    if same_id.is_some_and(|(_, text)| text.parse().ok() != table) {
+        let id = definition.id.clone();
+        out.finding(Diagnostic::file(file.display(), ProtocolFinding::IdOfBuiltIn { id }));
+    }
+    out.document(&summary(&definition))?;
+    out.result(format!("{}: `{}` is sound; its test vectors pass", file.display(), definition.id));
+    Ok(Outcome::Done)
 }
 
-/// The frame as a table and as bytes, in remarks, so that what is printed is a definition still.
+/// Prints the frame as a table and as bytes, in comments: the output is a definition file.
 fn layout(definition: &Definition, out: &Output) {
     out.result(format!("# frame: {}", definition.framing()));
     out.result(format!("# {:>4}  {:>5}  {:40}  says", "byte", "bytes", "written"));
@@ -116,7 +104,7 @@ fn layout(definition: &Definition, out: &Output) {
     out.result(format!("# {}", undetected(definition)));
 }
 
-/// What a definition's check is worth.
+/// How well the check of a definition detects damaged frames.
 fn undetected(definition: &Definition) -> String {
     let share = definition.undetected();
     if share < 1.0 {
@@ -127,9 +115,6 @@ fn undetected(definition: &Definition) -> String {
 }
 
 /// A definition by built-in name or by file.
-///
-/// # Errors
-/// An unknown name, or what is wrong in the file.
 pub(crate) fn load_with(name: &str, params: &[(String, String)]) -> Result<Definition, Diagnostic> {
     if let Some(built_in) = Definition::by_name_with(name, params) {
         return built_in;
@@ -138,17 +123,13 @@ pub(crate) fn load_with(name: &str, params: &[(String, String)]) -> Result<Defin
     if path.exists() || name.ends_with(".toml") {
         return from_file(path, params);
     }
-    Err(unknown(name))
+    let known: Vec<&str> = Definition::built_in().iter().map(|(name, _)| *name).collect();
+    let unknown = UnknownProtocol { name: name.into(), built_in: known.join(", ") };
+    Err(Diagnostic::new(unknown).nearest(name, known))
 }
 
 fn from_file(path: &Path, params: &[(String, String)]) -> Result<Definition, Diagnostic> {
     Definition::from_toml_with(&path.display().to_string(), &files::read(path)?, params)
-}
-
-fn unknown(name: &str) -> Diagnostic {
-    let known: Vec<&str> = Definition::built_in().iter().map(|(name, _)| *name).collect();
-    let (name, built_in) = (name.to_owned(), known.join(", "));
-    Diagnostic::new(UnknownProtocol { name: name.clone(), built_in }).nearest(&name, known)
 }
 
 fn summary(definition: &Definition) -> serde_json::Value {

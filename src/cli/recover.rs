@@ -8,24 +8,23 @@ use super::{Outcome, Output};
 use crate::diagnostic::Diagnostic;
 use crate::recording::capture::{Pass, Writer};
 
-/// Restore every whole record of a damaged capture.
+/// Copy every undamaged record of a damaged capture into a new capture.
 ///
-/// The damaged one is not changed. A capture that was merely cut off needs no repair: every verb reads it up to and
-/// past a damage, and says so.
+/// A capture that was only cut off needs no repair: every command reads it up to and past a damage, and reports the damage.
 #[derive(clap::Args)]
 #[command(
-    after_help = "Exit codes: 0 nothing was lost; 3 something was, and what is said; 1 no whole record is left."
+    after_help = "Exit codes: 0 nothing was lost; 3 something was lost, and is reported; 1 no undamaged record is left."
 )]
 pub(crate) struct Args {
     /// The damaged capture; it is not changed.
     run: PathBuf,
-    /// The capture to write, with every whole record of the other.
+    /// Capture to write; an existing file is not overwritten.
     #[arg(long, value_name = "RUN2")]
     out: PathBuf,
 }
 
 pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
-    // Nothing is made where there is nothing to write.
+    // The file is created with the first record, so that nothing is left if there is none.
     let mut writer = None;
     let pass = Pass::over(&args.run, |stamped| {
         let writer = match &mut writer {
@@ -37,8 +36,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     if let Some(writer) = &mut writer {
         writer.sync()?;
     }
-    let name = args.run.display().to_string();
-    pass.findings().into_iter().for_each(|doubt| out.finding(Diagnostic::file(&name, doubt)));
+    out.findings_in(args.run.display(), pass.findings());
     let (records, samples, ended) = (pass.records, pass.samples, pass.end.is_some());
     let (lost_bytes, damages) = (pass.lost_bytes(), pass.damages.len());
     out.document(&json!({

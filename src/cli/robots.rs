@@ -12,8 +12,8 @@ use crate::robot::{Robot, RobotRead};
 
 /// List, show or check robots.
 ///
-/// A robot is a TOML file: modified-DH table, limits, speeds, tolerance. The built-in ones are in `robots/` of the
-/// source.
+/// A robot is a TOML file with its modified-DH table, axis limits, speeds and tolerance. The built-in ones are in `robots/` of
+/// the source.
 #[derive(clap::Args)]
 pub(crate) struct Args {
     #[command(subcommand)]
@@ -22,7 +22,7 @@ pub(crate) struct Args {
 
 #[derive(clap::Subcommand)]
 enum What {
-    /// List the robots that are built in (also without a word).
+    /// List the built-in robots (the default).
     List,
     /// Show a robot's table, limits and speeds: mm, degrees, degrees/s.
     Show {
@@ -30,7 +30,7 @@ enum What {
         #[arg(value_name = "NAME|FILE")]
         name: String,
     },
-    /// Check a robot file; a mistake is reported with its line.
+    /// Check a robot file, and report a mistake with its line.
     Check {
         /// Built-in name or robot file.
         #[arg(value_name = "NAME|FILE")]
@@ -38,29 +38,25 @@ enum What {
     },
 }
 
-/// A robot by built-in name or by file, whose identification was without doubt or is doubted.
-///
-/// # Errors
-/// An unknown name, or what is wrong in the file.
+/// Reads a robot by built-in name or file, and reports a doubtful identification.
 pub(crate) fn read(name: &str, out: &Output) -> Result<RobotRead, Diagnostic> {
-    let read = from_file(name, out)?;
-    read.robot.doubtful().into_iter().for_each(|doubt| out.finding(Diagnostic::file(name, doubt)));
+    let read = read_for_measurement(name, out)?;
+    out.findings_in(name, read.robot.doubtful());
     Ok(read)
 }
 
-/// As [`read`], for a further measurement: that is what a doubtful calibration needs.
-pub(crate) fn from_file(name: &str, out: &Output) -> Result<RobotRead, Diagnostic> {
+/// As [`read`], but a doubtful identification is not reported: a further measurement is its cure.
+pub(crate) fn read_for_measurement(name: &str, out: &Output) -> Result<RobotRead, Diagnostic> {
     let mut read = Robot::named(name, |path| files::if_there(path, ".toml"))?;
-    std::mem::take(&mut read.findings).into_iter().for_each(|finding| out.finding(finding));
+    out.findings(std::mem::take(&mut read.findings));
     Ok(read)
 }
 
-/// As [`read`], the robot alone.
+/// As [`read`], without the provenance.
 pub(crate) fn named(name: &str, out: &Output) -> Result<Robot, Diagnostic> {
-    read(name, out).map(|found| found.robot)
+    read(name, out).map(|read| read.robot)
 }
 
-/// A built-in robot, or one that was checked, in short.
 #[derive(Serialize)]
 struct Entry<'a> {
     id: &'a str,
@@ -68,7 +64,7 @@ struct Entry<'a> {
     reach_mm: f64,
 }
 
-/// What an identified robot's file does not hold of what is known of it, as after an edit by hand.
+/// A finding if the file of an identified robot lacks its posterior, or has values that the posterior does not belong to.
 pub(crate) fn edited(robot: &Robot) -> Option<EstimationFinding> {
     match &robot.posterior {
         Some(known) => (!known.is_of(&robot.geometry)).then_some(EstimationFinding::PosteriorOfOtherValues),
@@ -76,9 +72,9 @@ pub(crate) fn edited(robot: &Robot) -> Option<EstimationFinding> {
     }
 }
 
-/// A robot as `--json` shows it.
+/// The JSON document of `robots show`.
 #[derive(Serialize)]
-struct Shown<'a> {
+struct Document<'a> {
     #[serde(flatten)]
     entry: Entry<'a>,
     joints: Vec<JointTable>,
@@ -95,7 +91,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         Some(What::Show { name }) => show(name, out),
         Some(What::Check { name }) => {
             let robot = named(name, out)?;
-            edited(&robot).into_iter().for_each(|doubt| out.finding(Diagnostic::file(name, doubt)));
+            out.findings_in(name, edited(&robot));
             out.document(&Entry { id: name, name: &robot.name, reach_mm: robot.reach_mm() })?;
             out.result(format!("{name}: {}, reach {:.1} mm: no mistake found", robot.name, robot.reach_mm()));
             Ok(Outcome::Done)
@@ -121,7 +117,7 @@ fn list(out: &Output) -> Result<Outcome, Diagnostic> {
 
 fn show(name: &str, out: &Output) -> Result<Outcome, Diagnostic> {
     let robot = named(name, out)?;
-    let shown = Shown {
+    let shown = Document {
         entry: Entry { id: name, name: &robot.name, reach_mm: robot.reach_mm() },
         joints: robot.joint_tables(),
         tool_ball_mm: robot.geometry.tool.into(),

@@ -1,4 +1,4 @@
-//! `dbbd serve`: the service with its page and its API.
+//! `dbbd serve`.
 
 use std::fmt::Display;
 use std::path::{Path, PathBuf};
@@ -8,25 +8,26 @@ use serde_json::json;
 
 use super::acquire::simulated;
 use super::{Outcome, Output};
-use crate::catalogue::FileFinding;
+use crate::base::files;
 use crate::daemon::{self, Bench, Config, Level, Log, Program};
 use crate::device::port::PortAddress;
 use crate::diagnostic::Diagnostic;
 
-/// Shown below the options.
-const MORE: &str = "Without a configuration it listens on 127.0.0.1:8230, keeps runs in ./dbbd-runs and looks for \
-plans in ./NAME/plan.csv; the port is then chosen on the page. docs/reference/service.md explains every key, docs/reference/security.md who \
-may ask what. SIGINT and SIGTERM end a run as it should. dbbd never starts or moves the robot, and its alarm is not a \
-safety function.";
+/// Printed below the options.
+const MORE: &str = "Without a configuration the service listens on 127.0.0.1:8230, stores runs in ./dbbd-runs and looks for \
+plans in ./NAME/plan.csv; the port of the bar is then chosen on the page. docs/reference/service.md explains every key, \
+docs/reference/security.md the access rights. SIGINT and SIGTERM end a run properly. dbbd never starts or moves the robot, \
+and its alarm is not a safety function.";
 
 /// Serve the live page and the HTTP API for one bar.
 ///
-/// Length against stroke, polar plot, start, stop, evaluation and report in a browser. dbbd never starts or moves
-/// the robot, and its alarm is not a safety function. More: docs/reference/service.md, docs/reference/security.md.
+/// The page shows the length against the stroke and a polar plot, starts and stops runs, evaluates them and shows their
+/// reports. dbbd never starts or moves the robot, and its alarm is not a safety function. More: docs/reference/service.md,
+/// docs/reference/security.md.
 #[derive(clap::Args)]
 #[command(after_help = MORE)]
 pub(crate) struct Args {
-    /// Configuration: a TOML file; relative paths in it count from its directory.
+    /// Configuration: a TOML file. Relative paths in it start from its directory.
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
     /// Only check the configuration.
@@ -37,7 +38,7 @@ pub(crate) struct Args {
 pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     let config = args.config.as_deref().map(Config::read).transpose()?.unwrap_or_default();
     let (address, data) = (config.door.address, config.data.display().to_string());
-    can_be_made(&config.data)?;
+    check_writable(&config.data)?;
     if args.check {
         out.document(&json!({
             "address": address.to_string(), "data": data, "plans": config.plans.display().to_string(),
@@ -51,31 +52,24 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     Ok(Outcome::Done)
 }
 
-/// That files can be written in a directory, or in the one in which it would be made.
-fn can_be_made(directory: &Path) -> Result<(), Diagnostic> {
-    let named = |path: &&Path| !path.as_os_str().is_empty();
-    let there = directory.ancestors().filter(named).find(|path| path.exists()).unwrap_or(Path::new("."));
-    let unwritable = |error: std::io::Error| {
-        let why = FileFinding::Unwritable { why: error.to_string() };
-        Diagnostic::file(&directory.display().to_string(), why)
-    };
-    tempfile::tempfile_in(there).map(drop).map_err(unwritable)
+/// Checks that files can be written in a directory, or in its nearest ancestor that exists.
+fn check_writable(directory: &Path) -> Result<(), Diagnostic> {
+    let is_named = |path: &&Path| !path.as_os_str().is_empty();
+    let existing = directory.ancestors().filter(is_named).find(|path| path.exists());
+    let file = tempfile::tempfile_in(existing.unwrap_or(Path::new(".")));
+    file.map(drop).map_err(files::unwritable(directory))
 }
 
-/// What the port `sim` reads: a simulated cell at the speed of life.
+/// Starts the simulated cell of the port `sim`, in real time.
 fn bench(out: Output) -> Option<Bench> {
-    let make = move |plan: Option<&Path>, program: Program| -> Result<Box<dyn daemon::Cell>, Diagnostic> {
-        Ok(Box::new(simulated::Cell::start_at(plan, "1", halt(program), None, &out)?))
+    let start = move |plan: Option<&Path>, program: Program| -> Result<Box<dyn daemon::Cell>, Diagnostic> {
+        let halt_s = match program {
+            Program::Runs => simulated::HALT_S,
+            Program::Waits => "86400",
+        };
+        Ok(Box::new(simulated::Cell::start(plan, "1", halt_s, None, &out)?))
     };
-    Some(Box::new(make))
-}
-
-/// How long the program waits at its HALT, s.
-fn halt(program: Program) -> &'static str {
-    match program {
-        Program::Runs => "2",
-        Program::Waits => "86400",
-    }
+    Some(Box::new(start))
 }
 
 impl daemon::Cell for simulated::Cell {
@@ -88,10 +82,10 @@ impl daemon::Cell for simulated::Cell {
     }
 }
 
-/// Characters of a value in the log; what a client sends may be longer.
+/// The longest value in the log, in characters. A client may send a longer one.
 const LONGEST_VALUE: usize = 300;
 
-/// The log: a line an event on stderr, `level=.. event=.. key=value`.
+/// The log: each event is a line `level=.. event=.. key=value` on stderr.
 pub(super) struct Lines {
     pub(super) out: Output,
 }
@@ -111,7 +105,7 @@ impl Log for Lines {
             }
             let bare =
                 !value.is_empty() && value.chars().all(|c| c.is_ascii_graphic() && !"\"=\\".contains(c));
-            // Quoted as a string literal: no value can break the line.
+            // Quoted as a string literal, so that no value can break the line.
             line.push_str(&if bare { format!(" {name}={value}") } else { format!(" {name}={value:?}") });
         }
         match level {

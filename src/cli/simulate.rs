@@ -7,10 +7,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use serde_json::json;
 
-use super::{Outcome, Output, protocols};
+use super::{Outcome, Output, program, protocols, robots, value};
 use crate::base::files;
-use crate::catalogue::{CompensationFinding, FileFinding, SimulationFinding};
-use crate::cli::robots;
+use crate::catalogue::{FileFinding, SimulationFinding};
 use crate::daemon::stop_on_signal;
 use crate::device::axes::AxesAddress;
 use crate::device::port::PortAddress;
@@ -26,18 +25,19 @@ use crate::sim::link::Link;
 use crate::sim::world::Setup;
 use crate::sim::{Controller, Moment, World, truth};
 
-/// How long the bar streams after the program's end, s: the end mark is to be seen whole.
+/// How long the bar streams after the end of the program, s, so that the end mark is complete.
 const AFTER_END_S: f64 = 3.0;
 
-/// The controller's clock when the simulation begins, ticks.
+/// The clock of the controller at the start, ticks, as if it had run for some days.
 const FIRST_TICKS: u64 = 300_000_000;
 
 /// Execute a robot program on a simulated robot with a virtual ball-bar.
 ///
-/// The program is the robot's only source of motion. The true robot differs from the controller's; the bar streams the
-/// true lengths on a pseudo-terminal or, with --listen, through the network; what `acquire --port` takes for it is printed
-/// on stdout. The program goes on from its HALT once a reader has started the bar. KRL, RAPID and URScript are known by
-/// the extension of the file; of the last two what `dbbd program` writes is executed. Exit code 3 when a reading at a dwell was out of the stroke.
+/// The program is the only source of the robot's motion. The true robot differs from that of the controller. The bar sends
+/// the true lengths through a pseudo-terminal, or with --listen through the network; its address for `acquire --port` is
+/// printed on stdout. The program continues from its HALT when a reader has started the bar. The extension of the file
+/// selects KRL, RAPID or URScript; in the last two, programs that `dbbd program` writes are executed. Exit code 3: a reading
+/// at a dwell was outside the stroke.
 #[derive(clap::Args)]
 pub(crate) struct Args {
     /// The program: .src of KRL, with its .dat and the modules that it calls beside it; .mod of RAPID, likewise; or
@@ -47,65 +47,63 @@ pub(crate) struct Args {
     /// The controller's robot: a built-in name or a file.
     #[arg(long, value_name = "NAME|FILE", default_value = "kr60ha")]
     nominal: String,
-    /// The true robot [default: drawn from the nominal one's tolerance by the seed].
+    /// The true robot [default: drawn from the tolerance of the nominal robot with the seed].
     #[arg(long, value_name = "TRUTH.toml")]
     robot: Option<String>,
-    /// The robot with which the controller computes, where it corrects by an accuracy model of its own
-    /// ($ABS_ACCUR TRUE): its axes go elsewhere than the nominal robot's [default: it does not].
+    /// The robot with which a controller in absolute-accuracy mode ($ABS_ACCUR TRUE) computes its axis angles [default: no
+    /// absolute-accuracy mode].
     #[arg(long, value_name = "NAME|FILE")]
     accuracy: Option<String>,
-    /// Directory for the program's .dat files as the controller leaves them: with the axes that were logged.
+    /// Directory for the program's .dat files as the controller leaves them, with the logged axes.
     #[arg(long, value_name = "DIR")]
     save: Option<PathBuf>,
-    /// True ball centres and bar [default: those in the program's .dat]. Keys: repeatability_um
-    /// (sd per coordinate, default 0), backlash_deg (six, default 0), following_ms (six time constants with which the axes
-    /// follow their commands, default 0), [[centre]] id, and xyz_mm or taught_deg
-    /// (axis angles at which the true tool ball stood there), [bar]
-    /// length_mm stroke_mm noise_um (1) resolution_um (0.1) rate_hz (200) temperature_c (20).
+    /// True ball centres and bar [default: those in the program's .dat]. Keys: repeatability_um (standard deviation per
+    /// coordinate, default 0), backlash_deg (six, default 0), following_ms (six time constants with which the axes follow
+    /// their commands, default 0), [[centre]] id, and xyz_mm or taught_deg (axis angles at which the true tool ball was
+    /// there), [bar] length_mm stroke_mm noise_um (1) resolution_um (0.1) rate_hz (200) temperature_c (20).
     #[arg(long, value_name = "WORLD.toml")]
     world: Option<PathBuf>,
     /// The bar's protocol: a built-in name or a file.
     #[arg(long, value_name = "NAME|FILE", default_value = DEFAULT_PROTOCOL)]
     protocol: String,
-    /// Set a parameter of the protocol, as range_mm=50; `dbbd protocols show NAME` lists them.
-    #[arg(long = "param", value_name = "NAME=VALUE", value_parser = protocols::param)]
+    /// Set a parameter of the protocol, for example range_mm=50; `dbbd protocols show NAME` lists the parameters.
+    #[arg(long = "param", value_name = "NAME=VALUE", value_parser = value::name_value)]
     params: Vec<(String, String)>,
-    /// Serve the bar as a serial server does, on tcp://ADDR:PORT or, with a line that can be set, on rfc2217://ADDR:PORT; of
-    /// port number 0 the system chooses one [default: a pseudo-terminal; on Windows tcp://127.0.0.1:0].
+    /// Serve the bar like a serial server, on tcp://ADDR:PORT or, with remote control of the line, on rfc2217://ADDR:PORT.
+    /// Port number 0 selects a free one [default: a pseudo-terminal; on Windows tcp://127.0.0.1:0].
     #[arg(long, value_name = "ADDRESS")]
     listen: Option<PortAddress>,
-    /// A symlink to the pseudo-terminal, removed at the end.
+    /// A symbolic link to the pseudo-terminal, removed at the end.
     #[cfg(unix)]
     #[arg(long, value_name = "PATH", conflicts_with = "listen")]
     link: Option<PathBuf>,
     /// The EthernetKRL server to which a program written with `krl --sync ekrl` reports its dwells.
     #[arg(long, value_name = "ADDR:PORT")]
     ekrl: Option<SocketAddr>,
-    /// The controller publishes its axes: rsi://ADDR:PORT sends KUKA RSI there every 4 ms (UDP), rtde://ADDR:PORT serves UR
-    /// RTDE (TCP). How the axes follow their commands is following_ms of the world; with --speed 1.
+    /// Publish the controller's axes: rsi://ADDR:PORT sends KUKA RSI to this address every 4 ms (UDP), rtde://ADDR:PORT serves
+    /// UR RTDE (TCP). Needs a --speed other than 0, usually 1; following_ms of the world is the lag of the axes.
     #[arg(long, value_name = "ADDRESS")]
     axes: Option<AxesAddress>,
-    /// A fault of the line or the bar; may be given several times. Per byte, as probabilities: drop,
-    /// flip, double, insert. Per frame: silence, refuse (the bar's word for no reading), skip (a
-    /// sequence number). batch_ms holds bytes back; stale sends so many bytes of an earlier stream at
-    /// opening; banner=1, echo=1; wrap_ticks before the counter wraps; drift_ppm of the bar's clock;
-    /// unplug_s, away_s: unplugged once, back under another name (--link follows); over_mm beyond the stroke.
-    /// Of the mounting, micrometres: unseated_um (the bar rocks), creep_um (after mounting), slip_um (a magnet, for a
-    /// moment every 10 to 20 s), cable_um (the cable swings at rest).
-    /// Of the packets with axes, as probabilities: axes_drop, axes_double, axes_swap, axes_spoil; axes_drift_ppm of the
-    /// controller's clock, axes_delay_ms.
-    #[arg(long = "fault", value_name = "NAME=VALUE", value_parser = protocols::param)]
+    /// Simulate a fault; may be given several times. Probabilities per byte: drop, flip, double, insert. Probabilities per
+    /// frame: silence, refuse (the bar reports that it has no reading), skip (a sequence number). Others: batch_ms (bytes
+    /// are held back), stale (number of bytes of an earlier stream at opening), banner=1, echo=1, wrap_ticks (until the
+    /// counter wraps), drift_ppm (of the bar's clock), unplug_s, away_s (unplugged once, and back under another name; --link
+    /// follows), over_mm (beyond the stroke). Of the mounting, micrometres: unseated_um (the bar rocks), creep_um (after
+    /// mounting), slip_um (of a magnet, for a moment every 10 to 20 s), cable_um (the cable swings at rest). Of the packets
+    /// with axes, probabilities: axes_drop, axes_double, axes_swap, axes_spoil; axes_drift_ppm (of the controller's clock),
+    /// axes_delay_ms.
+    #[arg(long = "fault", value_name = "NAME=VALUE", value_parser = value::name_value)]
     faults: Vec<(String, String)>,
-    /// Seed of all that is random.
+    /// Seed of all random numbers.
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
     /// Seconds of device time per second; 0: as fast as the reader takes the bytes.
     #[arg(long, value_name = "X", default_value_t = 1.0)]
     speed: f64,
-    /// How long the program waits at each HALT once the bar has been started, s of device time.
+    /// How long the program waits at each HALT after the bar was started, s of device time, 0 to 86400.
     #[arg(long, value_name = "S", default_value_t = 2.0)]
     halt: f64,
-    /// The override of the controller's speed, percent.
+    /// The speed override of the controller, percent, 1 to 100.
     #[arg(long = "override", value_name = "PERCENT", default_value_t = 100.0)]
     override_percent: f64,
 }
@@ -115,8 +113,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     for (option, value, low, high) in ranges {
         if !(low..=high).contains(&value) {
             let option = option.to_owned();
-            let wrong = SimulationFinding::OptionOutOfRange { option, value, low, high };
-            return Err(Diagnostic::new(wrong));
+            return Err(SimulationFinding::OptionOutOfRange { option, value, low, high }.into());
         }
     }
     if args.axes.is_some() && args.speed == 0.0 {
@@ -125,7 +122,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     if let Some(directory) = &args.save
         && files::same_place(directory, files::directory_of(&args.program))
     {
-        return Err(Diagnostic::file(&args.program.display().to_string(), FileFinding::IsInput));
+        return Err(Diagnostic::file(args.program.display(), FileFinding::IsInput));
     }
     let faults = faults(args)?;
     let definition = protocols::load_with(&args.protocol, &args.params)?;
@@ -162,7 +159,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     Ok(Outcome::Done)
 }
 
-/// Where the host finds the bar.
+/// Opens the terminal through which the bar is read.
 fn terminal(args: &Args) -> Result<Terminal, Diagnostic> {
     let terminal = args.listen.as_ref().map_or_else(Terminal::new, Terminal::listen)?;
     #[cfg(unix)]
@@ -185,47 +182,38 @@ fn faults(args: &Args) -> Result<Faults, Diagnostic> {
     Ok(faults)
 }
 
-/// The program in a file, with the modules beside it; names are found in any case.
-fn program(path: &Path) -> Result<Program, Diagnostic> {
-    let extension = path.extension().and_then(|extension| extension.to_str()).unwrap_or_default();
+/// Reads a program with the modules beside it.
+fn open(path: &Path) -> Result<Program, Diagnostic> {
+    let language = program::language(path)?;
+    let directory = files::directory_of(path);
     let read = |path: &Path| Ok::<_, Diagnostic>((path.display().to_string(), files::read(path)?));
-    match Language::of_extension(extension) {
-        None if !extension.is_empty() => {
-            let file = path.display().to_string();
-            return Err(Diagnostic::file(&file.clone(), CompensationFinding::NoLanguage { file }));
-        }
-        None | Some(Language::Krl) => {}
-        Some(Language::Urscript) => return Ok(urscript::open(read(path)?)?.into()),
-        Some(Language::Rapid) => {
-            let found = files::directory_of(path)
-                .read_dir()
-                .into_iter()
-                .flatten()
-                .flatten()
-                .map(|entry| entry.path());
+    let entries = || directory.read_dir().map_err(files::unreadable(directory.display()));
+    match language {
+        Language::Urscript => Ok(urscript::open(read(path)?)?.into()),
+        Language::Rapid => {
             let is_other = |other: &PathBuf| {
                 let extension = other.extension().and_then(|extension| extension.to_str());
                 extension.and_then(Language::of_extension) == Some(Language::Rapid)
                     && other.file_name() != path.file_name()
             };
-            let mut others: Vec<PathBuf> = found.filter(is_other).collect();
+            let program = read(path)?;
+            let mut others: Vec<PathBuf> =
+                entries()?.flatten().map(|entry| entry.path()).filter(is_other).collect();
             others.sort();
             let others = others.iter().map(|other| read(other)).collect::<Result<_, _>>()?;
-            return Ok(rapid::open(read(path)?, others)?.into());
+            Ok(rapid::open(program, others)?.into())
+        }
+        Language::Krl => {
+            let stem = path.file_stem().and_then(|stem| stem.to_str()).unwrap_or_default();
+            let names = entries()?.filter_map(|entry| entry.ok()?.file_name().into_string().ok());
+            let names: Vec<String> = names.collect();
+            let program = krl::Program::open(stem, |wanted| {
+                let name = names.iter().find(|name| name.eq_ignore_ascii_case(wanted));
+                name.map(|name| read(&directory.join(name))).transpose()
+            })?;
+            Ok(program.into())
         }
     }
-    let directory = files::directory_of(path);
-    let stem = path.file_stem().and_then(|stem| stem.to_str()).unwrap_or_default();
-    let names: Vec<String> = directory
-        .read_dir()
-        .map_err(files::unreadable(directory.display()))?
-        .filter_map(|entry| entry.ok()?.file_name().into_string().ok())
-        .collect();
-    let program = krl::Program::open(stem, |wanted| {
-        let Some(name) = names.iter().find(|name| name.eq_ignore_ascii_case(wanted)) else { return Ok(None) };
-        read(&directory.join(name)).map(Some)
-    })?;
-    Ok(program.into())
 }
 
 /// The axes that the controller publishes.
@@ -240,8 +228,9 @@ struct Axes {
 struct Cell<'a> {
     controller: Controller,
     world: World,
-    /// The EthernetKRL server, and the line to it while the program holds the channel open.
+    /// The EthernetKRL server.
     server: Option<SocketAddr>,
+    /// The connection to it while the program has the channel open.
     ekrl: Option<Client>,
     reported_to_server: bool,
     axes: Option<Axes>,
@@ -250,12 +239,12 @@ struct Cell<'a> {
     t_s: f64,
     halted_at_s: Option<f64>,
     done_at_s: Option<f64>,
-    /// Dwells that were reported.
+    /// The number of dwells at the last line of progress.
     reported: u32,
-    /// Readings at a strobe that were out of the stroke.
+    /// Readings at a strobe that were outside the stroke.
     strayed: u64,
     failure: Option<Diagnostic>,
-    /// Raised by a signal.
+    /// Set by a signal.
     stop: Arc<AtomicBool>,
 }
 
@@ -307,7 +296,7 @@ impl<'a> Cell<'a> {
             Some(name) => robots::named(name, out)?,
             None => truth::draw(&nominal, args.seed, 1.0),
         };
-        let program = program(&args.program)?;
+        let program = open(&args.program)?;
         let world_text = args.world.as_deref().map(files::read).transpose()?;
         let world_name = args.world.as_ref().map(|path| path.display().to_string());
         let setup = Setup::new(&program, world_name.as_deref().zip(world_text.as_deref()))?;
@@ -322,7 +311,6 @@ impl<'a> Cell<'a> {
         }
         let axes = args.axes.as_ref().map(|address| -> Result<Axes, Diagnostic> {
             let line = AxesLine::open(address)?;
-            // As a controller that has run for some days.
             let publisher = Publisher::new(line.protocol(), faults, args.seed, FIRST_TICKS);
             Ok(Axes { line, publisher, next_s: 0.0 })
         });
@@ -345,7 +333,7 @@ impl<'a> Cell<'a> {
         })
     }
 
-    /// Goes on to each cycle up to a time, s, and publishes the axes.
+    /// Steps the controller through the publishing cycles up to a time, s, and publishes the axes in each.
     fn publish(&mut self, until_s: f64) -> Result<(), Diagnostic> {
         let Some(axes) = &mut self.axes else { return Ok(()) };
         while axes.next_s <= until_s {
@@ -361,7 +349,7 @@ impl<'a> Cell<'a> {
         Ok(())
     }
 
-    /// Carries the controller's telegrams to the server and the answers back; device time stops.
+    /// Sends the controller's telegrams to the server and hands over the answers. Device time stands still meanwhile.
     fn exchange(&mut self) -> Result<(), Diagnostic> {
         let Some(server) = self.server else { return Ok(()) };
         if !self.controller.ekrl_open() {
@@ -379,7 +367,7 @@ impl<'a> Cell<'a> {
         Ok(())
     }
 
-    /// Reports each HALT, the end, and every tenth dwell.
+    /// Prints each HALT, the end, and every tenth dwell.
     fn report(&mut self, moment: &Moment) {
         let dwells = self.controller.dwells();
         let (file, line) = self.controller.position();

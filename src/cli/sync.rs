@@ -14,25 +14,25 @@ use crate::recording::axes::Following;
 use crate::recording::matching::{
     self, AxesReport, BarLag, DwellSource, Lag, MatchOutcome, PoseMatching, PoseOutcome,
 };
-use crate::recording::run::{self, Run};
+use crate::recording::run;
 
 /// Match the lengths of a capture to the commanded poses.
 ///
-/// Lays the bar's clock on the host's, finds the dwells (or the passes of a program without stops) and matches them
-/// to the plan. A pair is kept above 99 % of probability, else dropped and named with the reason. More:
+/// Synchronises the bar's clock with that of the host, detects the dwells (or the passes of a program without stops), and
+/// matches them to the plan. A pair is kept if its probability exceeds 99 %, else dropped and listed with the reason. More:
 /// docs/explanation/pose-matching.md.
 #[derive(clap::Args)]
 pub(crate) struct Args {
     /// The capture.
     run: PathBuf,
-    /// The plan that was driven, with its .json beside it [default: the one in the capture].
+    /// The plan that the robot executed, with its .json beside it [default: the one in the capture].
     #[arg(long, value_name = "PLAN.csv")]
     plan: Option<PathBuf>,
-    /// The .dat of a module as fetched from the controller after the run: the axis angles that the program
-    /// logged replace the commanded ones, as those do that it sent over EthernetKRL. Once for each module.
+    /// The .dat of a module, fetched from the controller after the run: the axis angles that the program logged replace the
+    /// commanded ones, as do those that it sent over EthernetKRL. Give it once for each module.
     #[arg(long, value_name = "FILE.dat")]
     axes: Vec<PathBuf>,
-    /// Where the observations go: lengths in mm, axis angles in degrees.
+    /// Table of measurements to write: lengths in mm, axis angles in degrees.
     #[arg(long, value_name = "OBS.csv")]
     out: PathBuf,
 }
@@ -44,28 +44,23 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     out.done(40);
     let matching = run.matching(None)?;
     out.done(90);
-    out.about(&matching.findings);
+    out.findings(matching.findings.iter().cloned());
     out.document(&document(&matching, &run.stream))?;
     show(&matching, out);
     out.result(format!("times: {}", times(&run.stream)));
     if matching.observations.rows.is_empty() {
-        let name = args.run.display().to_string();
-        return Err(Diagnostic::file(&name, matching::nothing_matched(&run.plan, &run.stream)));
+        let finding = matching::nothing_matched(&run.plan, &run.stream);
+        return Err(Diagnostic::file(args.run.display(), finding));
+    }
+    let mut provenance = Provenance::of([&run.traced(&args.run)?]);
+    for path in &args.axes {
+        provenance.add(&Artefact::file(Role::Program, path)?);
     }
     let table = matching.observations.to_csv();
-    made_from(args, &run)?.write_beside(&args.out, &table)?;
+    provenance.write_beside(&args.out, &table)?;
     files::write(&args.out, table)?;
     out.result(format!("{}: {} observations", args.out.display(), matching.observations.rows.len()));
     Ok(Outcome::Done)
-}
-
-/// The capture, and the logs of the controller.
-fn made_from(args: &Args, run: &Run) -> Result<Provenance, Diagnostic> {
-    let mut made = Provenance::of([&run.traced(&args.run)?]);
-    for path in &args.axes {
-        made.add(&Artefact::file(Role::Program, path)?);
-    }
-    Ok(made)
 }
 
 fn source_word(source: DwellSource) -> &'static str {
@@ -77,7 +72,7 @@ fn source_word(source: DwellSource) -> &'static str {
     }
 }
 
-/// The clock of the times, and how good they are.
+/// The clock of the times, and its accuracy.
 fn times(stream: &Stream) -> String {
     let Some(clock) = stream.clock() else { return "the host's stamps at arrival or request".into() };
     let wraps = if clock.wraps > 0 { format!("; it wrapped {} times", clock.wraps) } else { String::new() };
@@ -124,7 +119,6 @@ fn show(matching: &PoseMatching, out: &Output) {
     }
 }
 
-/// What the published axes showed.
 fn show_axes(axes: &AxesReport, out: &Output) {
     out.result(format!("axes over {}: {}", axes.protocol, output::packets(&axes.packets)));
     if let Some(BarLag { lag_s, sd_s, windows }) = axes.lag {

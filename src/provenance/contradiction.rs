@@ -1,13 +1,12 @@
-//! What two identities state of one measurement, and what of it differs.
+//! Facts of one measurement that two identities state differently.
 
-use super::identity::{BarIdentity, Identity};
+use super::identity::{BarIdentity, Identity, Temperature};
 
-/// Certificates of one bar differ by less, mm.
+/// Certificates of the same bar differ by less than this, mm.
 const OTHER_BAR_MM: f64 = 0.05;
-/// Sensors of one temperature differ by less, K.
+/// Two readings of the same temperature differ by less than this, K.
 const OTHER_K: f64 = 0.1;
 
-/// A fact of a measurement that two identities state differently.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Contradiction {
     pub key: String,
@@ -15,23 +14,22 @@ pub struct Contradiction {
     pub stated: String,
 }
 
-/// A value of an identity.
 enum Fact {
     Text(String),
-    /// `alike` is the largest difference of two numbers that are one.
+    /// Two values that differ by at most `tolerance` count as equal.
     Number {
         value: f64,
-        alike: f64,
+        tolerance: f64,
     },
 }
 
 impl Fact {
-    /// Both values, where they are not one.
-    fn unlike(&self, other: &Self) -> Option<(String, String)> {
+    /// Both values as texts, if they differ.
+    fn difference(&self, other: &Self) -> Option<(String, String)> {
         match (self, other) {
             (Self::Text(one), Self::Text(other)) => (one != other).then(|| (one.clone(), other.clone())),
-            (Self::Number { value, alike }, Self::Number { value: other, .. }) => {
-                ((value - other).abs() > *alike).then(|| (value.to_string(), other.to_string()))
+            (Self::Number { value, tolerance }, Self::Number { value: other, .. }) => {
+                ((value - other).abs() > *tolerance).then(|| (value.to_string(), other.to_string()))
             }
             _ => None,
         }
@@ -39,32 +37,32 @@ impl Fact {
 }
 
 impl BarIdentity {
-    /// The key of its length in an identity.
+    /// The key of the bar's length in an identity.
     pub const LENGTH: &str = "bar.length_mm";
-    /// And of its serial number.
+    /// The key of its serial number.
     pub const SERIAL: &str = "bar.serial";
 }
 
 impl Identity {
-    /// How the keys of the balls' serial numbers begin.
+    /// The prefix of the keys of the balls' serial numbers.
     pub const BALLS: &str = "balls.";
 
-    /// What another identity states of the same measurement otherwise. People and places may be stated anew.
+    /// The facts of the measurement that `stated` contradicts. People and places may be stated anew.
     pub fn contradictions(&self, stated: &Self) -> Vec<Contradiction> {
         let facts = stated.facts_measured();
         let differs = |(key, known): (String, Fact)| {
             let (_, stated) = facts.iter().find(|(other, _)| *other == key)?;
-            let (known, stated) = known.unlike(stated)?;
+            let (known, stated) = known.difference(stated)?;
             Some(Contradiction { key, known, stated })
         };
         self.facts_measured().into_iter().filter_map(differs).collect()
     }
 
-    /// What was measured, and with what, by its key.
+    /// What was measured, and with which equipment, by key.
     fn facts_measured(&self) -> Vec<(String, Fact)> {
         let Self { robot, controller, load_kg, bar, balls, temperatures, .. } = self;
         let text = |text: &Option<String>| text.clone().map(Fact::Text);
-        let number = |value: Option<f64>, alike: f64| value.map(|value| Fact::Number { value, alike });
+        let number = |value: Option<f64>, tolerance| value.map(|value| Fact::Number { value, tolerance });
         let own = [
             ("robot", text(robot)),
             ("controller", text(controller)),
@@ -80,11 +78,11 @@ impl Identity {
         let balls = balls
             .iter()
             .map(|(ball, serial)| (format!("{}{ball}", Self::BALLS), Some(Fact::Text(serial.clone()))));
-        let warm = temperatures.iter().flat_map(|found| {
-            let key = |name: &str| format!("{name} of {}", found.of);
-            [(key("celsius"), number(Some(found.celsius), OTHER_K)), (key("u_k"), number(found.u_k, 0.0))]
+        let temperatures = temperatures.iter().flat_map(|Temperature { of, celsius, u_k, .. }| {
+            [("celsius", Some(*celsius), OTHER_K), ("u_k", *u_k, 0.0)]
+                .map(|(name, value, tolerance)| (format!("{name} of {of}"), number(value, tolerance)))
         });
-        let all = own.into_iter().chain(bar).chain(balls).chain(warm);
+        let all = own.into_iter().chain(bar).chain(balls).chain(temperatures);
         all.filter_map(|(key, fact)| Some((key, fact?))).collect()
     }
 }

@@ -1,10 +1,10 @@
-//! Who measured what, where and under which circumstances.
+//! Who measured what, where and under which conditions.
 
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use crate::base::date::{day_number, is_after, is_time};
+use crate::base::date::{day_number, is_after, is_moment};
 use crate::base::parse::from_toml;
 use crate::catalogue::JobFinding::{self, NotACountry, NotADate, NotAText, OutOfRange, TooEarly};
 use crate::catalogue::{ProvenanceFinding, RecordingFinding};
@@ -19,25 +19,25 @@ const COUNTRIES: &str = "AD AE AF AG AI AL AM AO AQ AR AS AT AU AW AX AZ BA BB B
     NL NO NP NR NU NZ OM PA PE PF PG PH PK PL PM PN PR PS PT PW PY QA RE RO RS RU RW SA SB SC SD SE SG \
     SH SI SJ SK SL SM SN SO SR SS ST SV SX SY SZ TC TD TF TG TH TJ TK TL TM TN TO TR TT TV TW TZ UA UG \
     UM US UY UZ VA VC VE VG VI VN VU WF WS YE YT ZA ZM ZW";
-/// No measurement with a ball-bar and no certificate of one in use is older.
+/// No measurement with a ball-bar, and no certificate of a bar in use, is older.
 const EARLIEST: &str = "1980-01-01";
-/// No text of an identity is longer, characters.
+/// The longest text, characters.
 const MOST_TEXT: usize = 200;
-/// No temperature of a cell is beyond, degrees Celsius.
+/// The range of temperatures in a cell, degrees Celsius.
 const TEMPERATURES_C: [f64; 2] = [-30.0, 60.0];
-/// Lengths of bars, mm.
+/// The range of bar lengths, mm.
 const BARS_MM: [f64; 2] = [10.0, 10_000.0];
-/// A bar that is known worse (k = 2) is no standard, and none is known better: that is a number in metres, mm.
+/// The range of the expanded uncertainty (k = 2) of a bar's length, mm. A smaller number is one in metres.
 pub const LENGTH_U_MM: [f64; 2] = [1e-4, 0.5];
-/// Where lengths are certified, degrees Celsius.
+/// The range of temperatures at which lengths are certified, degrees Celsius.
 pub const CERTIFIED_C: [f64; 2] = [0.0, 50.0];
-/// Expansion of what bars are made of, 1/K: from nothing (glass ceramics) to zinc.
+/// The range of the thermal expansion of bars, 1/K: from glass ceramics to zinc.
 const EXPANSIONS_PER_K: [f64; 2] = [0.0, 5e-5];
-/// No robot carries more, kg.
+/// The largest load of a robot, kg.
 const MOST_LOAD_KG: f64 = 2500.0;
 
-/// Serial numbers, people, places and circumstances of a measurement, as far as they are stated: a table `[identity]` of
-/// a job or of the service's configuration, or a file of its own.
+/// Serial numbers, people, places and conditions of a measurement, as far as they are stated: the table `[identity]` of a
+/// job or of the service's configuration, or a separate file.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Identity {
@@ -51,14 +51,14 @@ pub struct Identity {
     pub cell: Option<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub laboratory: Option<String>,
-    /// Its country by ISO 3166-1, two capital letters.
+    /// The country of the laboratory by ISO 3166-1, two capital letters.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub country: Option<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub operator: Option<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub customer: Option<String>,
-    /// Date, or date and time in UTC: a capture's is that of its own clock.
+    /// Date, or date and time in UTC; of a capture by the clock of the recording computer.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub measured: Option<String>,
     /// Mass at the flange, kg.
@@ -66,7 +66,7 @@ pub struct Identity {
     pub load_kg: Option<f64>,
     #[serde(skip_serializing_if = "BarIdentity::is_empty")]
     pub bar: BarIdentity,
-    /// Serial numbers of the base balls, by their numbers.
+    /// Serial numbers of the base balls by ball number.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub balls: BTreeMap<String, String>,
     #[serde(rename = "temperature", skip_serializing_if = "Vec::is_empty")]
@@ -105,25 +105,22 @@ pub struct BarIdentity {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Temperature {
-    /// Of what: `air`, `bar`, `robot`, ..
+    /// What has the temperature: `air`, `bar`, `robot`, ..
     pub of: String,
     /// Mean, degrees Celsius.
     pub celsius: f64,
     /// Expanded uncertainty (k = 2), K.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub u_k: Option<f64>,
-    /// What measured it.
+    /// The thermometer.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub device: Option<String>,
 }
 
-/// What is wrong with a value, and under which key.
+/// A key, and what is wrong with its value.
 pub type Wrong = (&'static str, JobFinding);
 
-/// A text in one line.
-///
-/// # Errors
-/// It is empty, too long, or has control characters.
+/// Refuses a text that is empty, longer than [`MOST_TEXT`], or has control characters.
 pub fn check_text(key: &'static str, text: Option<&String>) -> Result<(), Wrong> {
     let Some(text) = text else { return Ok(()) };
     let length = text.trim().chars().count();
@@ -133,21 +130,19 @@ pub fn check_text(key: &'static str, text: Option<&String>) -> Result<(), Wrong>
     Err((key, NotAText { key: key.into(), length, most: MOST_TEXT }))
 }
 
-/// A date, or date and time.
+/// The day number of a date with or without a time.
+fn day(moment: &str) -> Option<f64> {
+    day_number(moment.split('T').next()?)
+}
+
+/// Refuses a text that is not a date, or date and time, since [`EARLIEST`].
 fn check_date(key: &'static str, date: Option<&String>) -> Result<(), Wrong> {
-    let is_date = |text: &String| match text.split_once('T') {
-        Some((day, time)) => day_number(day).is_some() && is_time(time),
-        None => day_number(text).is_some(),
-    };
     match date {
-        Some(date)
-            if is_date(date)
-                && day_number(date.split('T').next().unwrap_or_default()) < day_number(EARLIEST) =>
-        {
+        Some(date) if !is_moment(date) => Err((key, NotADate { key: key.into(), date: date.clone() })),
+        Some(date) if day(date) < day_number(EARLIEST) => {
             Err((key, TooEarly { key: key.into(), date: date.clone() }))
         }
-        Some(date) if !is_date(date) => Err((key, NotADate { key: key.into(), date: date.clone() })),
-        date => check_text(key, date),
+        _ => Ok(()),
     }
 }
 
@@ -161,8 +156,6 @@ fn within(key: &'static str, value: Option<f64>, [least, most]: [f64; 2]) -> Res
 }
 
 impl Temperature {
-    /// # Errors
-    /// A text that is none, or a number out of its range.
     pub fn check(&self) -> Result<(), Wrong> {
         check_text("of", Some(&self.of))?;
         check_text("device", self.device.as_ref())?;
@@ -190,13 +183,14 @@ impl BarIdentity {
         self.length_u_mm.map(|u| 0.5 * u)
     }
 
-    /// That a bar of this length, read at a mean temperature, was longer or shorter than its certificate leaves uncertain, where
-    /// its expansion is not known.
+    /// A finding if the expansion of the bar is not given and, for steel, the change of length from the certificate's
+    /// temperature to `mean_c` exceeds the uncertainty of the certificate.
     pub fn uncorrected(&self, length_mm: f64, mean_c: f64) -> Option<RecordingFinding> {
-        /// Of steel, of which most bars are, 1/K, and the temperature of certificates.
+        /// Most bars are of steel.
         const STEEL_PER_K: f64 = 11.5e-6;
+        /// The usual temperature of certificates.
         const CERTIFIED_C: f64 = 20.0;
-        /// Of a length without a certificate, k = 2, mm.
+        /// The uncertainty (k = 2) of a length without a certificate, mm.
         const UNKNOWN_U_MM: f64 = 0.02;
         let longer_mm = length_mm * STEEL_PER_K * (mean_c - self.temperature_c.unwrap_or(CERTIFIED_C));
         let u_mm = self.length_u_mm.unwrap_or(UNKNOWN_U_MM);
@@ -206,8 +200,6 @@ impl BarIdentity {
         })
     }
 
-    /// # Errors
-    /// A text or a date that is none, or a number out of its range.
     pub fn check(&self) -> Result<(), Wrong> {
         self.texts().into_iter().try_for_each(|(key, text)| check_text(key, text.as_ref()))?;
         check_date("certified_on", self.certified_on.as_ref())?;
@@ -224,10 +216,7 @@ impl Identity {
         self.measured.as_ref()?.split('T').next()
     }
 
-    /// Reads the file of an identity.
-    ///
-    /// # Errors
-    /// Names the line of an unknown key, or what is wrong with a value.
+    /// Reads an identity from a file of its own.
     pub fn from_toml(file: &str, text: &str) -> Result<Self, Diagnostic> {
         let identity: Self = from_toml(file, text)?;
         identity.check_all().map_err(|(_, finding)| Diagnostic::file(file, finding))?;
@@ -238,7 +227,7 @@ impl Identity {
         *self == Self::default()
     }
 
-    /// That of the robot alone, which stays with it from one measurement to the next.
+    /// The serial numbers of robot and controller, which remain the same in later measurements.
     pub fn of_robot(&self) -> Self {
         Self { robot: self.robot.clone(), controller: self.controller.clone(), ..Self::default() }
     }
@@ -255,10 +244,7 @@ impl Identity {
         ]
     }
 
-    /// Its own keys, without bar and temperatures.
-    ///
-    /// # Errors
-    /// A text or a date that is none, or a load out of its range.
+    /// Checks everything except bar and temperatures, which a job has in tables of their own.
     pub fn check(&self) -> Result<(), Wrong> {
         self.texts().into_iter().try_for_each(|(key, text)| check_text(key, text.as_ref()))?;
         self.check_balls()?;
@@ -286,10 +272,7 @@ impl Identity {
         Ok(())
     }
 
-    /// That no date is after `today`, nanoseconds since the Unix epoch; a day is left to the zones of time.
-    ///
-    /// # Errors
-    /// The first that is.
+    /// Refuses dates after `today` (nanoseconds since the Unix epoch), with a day of tolerance for time zones.
     pub fn check_dates(&self, today: u64) -> Result<(), Wrong> {
         let dates = [("measured", &self.measured), ("certified_on", &self.bar.certified_on)];
         for (key, date) in dates {
@@ -301,27 +284,23 @@ impl Identity {
         Ok(())
     }
 
-    /// That the bar was certified long before the measurement, of which `today` is the latest day.
+    /// A finding if the certificate of the bar was old at the time of the measurement, or is today if that is not known.
     pub fn old_certificate(&self, today: &str) -> Option<ProvenanceFinding> {
-        /// Laboratories certify such standards anew after one or two years.
+        /// Length standards are certified again after one or two years.
         const YEARS: f64 = 2.0;
         let certified = self.bar.certified_on.as_ref()?;
-        let day = |date: &str| day_number(date.split('T').next()?);
         let years = (day(self.measured.as_deref().unwrap_or(today))? - day(certified)?) / 365.25;
         (years > YEARS).then(|| ProvenanceFinding::OldCertificate { date: certified.clone(), years })
     }
 
-    /// # Errors
-    /// The first value that cannot be.
+    /// Checks all values, and those that depend on each other.
     pub fn check_all(&self) -> Result<(), Wrong> {
         self.check()?;
         self.bar.check()?;
-        let day = |date: &Option<String>| day_number(date.as_ref()?.split('T').next()?);
-        if let (Some(certified), Some(measured)) = (day(&self.bar.certified_on), day(&self.measured))
-            && certified > measured
+        if let (Some(certified), Some(measured)) = (&self.bar.certified_on, &self.measured)
+            && day(certified) > day(measured)
         {
-            let date = self.bar.certified_on.clone().unwrap_or_default();
-            return Err(("certified_on", JobFinding::CertifiedLater { date }));
+            return Err(("certified_on", JobFinding::CertifiedLater { date: certified.clone() }));
         }
         for (at, found) in self.temperatures.iter().enumerate() {
             found.check()?;
@@ -332,7 +311,7 @@ impl Identity {
         Ok(())
     }
 
-    /// With what `other` states in place of what is stated here.
+    /// Replaces what `other` states.
     pub fn extend(&mut self, other: &Self) {
         fn take<T: Clone>(mine: &mut Option<T>, theirs: &Option<T>) {
             if theirs.is_some() {
@@ -362,7 +341,7 @@ impl Identity {
         self.temperatures.extend(other.temperatures.iter().cloned());
     }
 
-    /// What is stated, as name and value for a reader.
+    /// Everything that is stated, as names and values to print.
     pub fn facts(&self) -> Vec<(String, String)> {
         let names = [
             "serial number of the robot",

@@ -1,8 +1,8 @@
-//! What an artefact was made from: the chain from job and robot file to a corrected program.
+//! Records what an artefact was made from: the chain from job and robot file to a corrected program.
 //!
-//! An artefact is known by the SHA-256 of its file. It carries those that it was made from and whose measurement it is,
-//! and a command compares the chains of its inputs before it computes. A chain has no date but that of a capture's own
-//! clock, and no path: the same inputs give the same bytes.
+//! An artefact is identified by the SHA-256 of its file. It records its sources and the identity of its measurement, and a
+//! command compares the chains of its inputs before it computes. A chain has no path and no date except that of a
+//! capture, so that the same inputs give the same bytes.
 
 mod contradiction;
 mod identity;
@@ -23,7 +23,6 @@ pub use identity::{BarIdentity, CERTIFIED_C, Identity, LENGTH_U_MM, Temperature,
 /// dbbd's version, with the commit where it was built from a repository.
 pub const VERSION: &str = env!("DBBD_VERSION");
 
-/// What an artefact is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Role {
@@ -61,29 +60,25 @@ impl fmt::Display for Role {
     }
 }
 
-/// A file that something was made from.
+/// A file, identified by its content.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Artefact {
     pub role: Role,
-    /// A robot's name, a plan's hash, else the file's name without its directory.
+    /// The name of a robot, the hash of a plan, else the name of the file without its directory.
     pub name: String,
-    /// Of the robot; of a job that of its bar.
+    /// The serial number of the robot; of the bar, if this is a job.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub serial: Option<String>,
-    /// Of the file's content, in hexadecimal digits.
+    /// Of the content of the file, in hexadecimal digits.
     pub sha256: String,
 }
 
 impl Artefact {
-    /// One whose content is in memory.
+    /// An artefact whose content is in memory.
     pub fn new(role: Role, name: impl Into<String>, content: impl AsRef<[u8]>) -> Self {
         Self { role, name: name.into(), serial: None, sha256: sha256(content) }
     }
 
-    /// The file at `path`.
-    ///
-    /// # Errors
-    /// When it cannot be read.
     pub fn file(role: Role, path: &Path) -> Result<Self, Diagnostic> {
         let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
         Ok(Self { role, name, serial: None, sha256: files::sha256(path)? })
@@ -94,8 +89,7 @@ impl Artefact {
         self.sha256.get(..12).unwrap_or(&self.sha256)
     }
 
-    /// Whether the robot in this artefact is another one than `other`: by their serial numbers where both are known, else
-    /// by their names.
+    /// By what two robots differ: by serial number if both are known, else by name. `None`: they are the same robot.
     pub fn differs(&self, other: &Self) -> Option<Difference> {
         match (&self.serial, &other.serial) {
             (Some(this), Some(other)) => (this != other).then_some(Difference::Serial),
@@ -113,23 +107,21 @@ impl fmt::Display for Artefact {
     }
 }
 
-/// By what two robots are not the same.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Difference {
     Serial,
     Name,
 }
 
-/// What an artefact was made from, and by which version. Empty where that was not recorded.
+/// What an artefact was made from, and by which version; empty if that was not recorded.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Provenance {
     /// The version of dbbd that made it.
     #[serde(default)]
     pub dbbd: String,
-    /// Each artefact once, before what was made from it.
+    /// Each source once, before the artefacts that were made from it.
     #[serde(default)]
     pub from: Vec<Artefact>,
-    /// Who measured what, where and when.
     #[serde(default, skip_serializing_if = "Identity::is_empty")]
     pub identity: Identity,
 }
@@ -142,32 +134,29 @@ pub struct Traced {
     pub provenance: Provenance,
 }
 
-/// What the file beside a table says of it: a table has no place for its chain.
+/// The file beside a CSV table with the chain of the table, which has no place for it.
 #[derive(Serialize, Deserialize)]
 struct TableRecord {
     table: String,
-    /// Of the table, in hexadecimal digits.
+    /// Of the table.
     sha256: String,
     provenance: Provenance,
 }
 
 impl From<Artefact> for Traced {
-    /// One that is not known to be made from others.
+    /// An artefact without known sources.
     fn from(artefact: Artefact) -> Self {
         Self { artefact, provenance: Provenance::default() }
     }
 }
 
 impl Traced {
-    /// The file that records what the table at `path` was made from.
+    /// The path of the file that records the chain of a table.
     pub fn record_of(table: &Path) -> PathBuf {
         table.with_extension("provenance.json")
     }
 
-    /// A table, with its chain where the file beside it has it, and that it was changed since.
-    ///
-    /// # Errors
-    /// A file that cannot be read, or a record that is damaged.
+    /// A table with the chain that the file beside it records, and a finding if the table was changed since then.
     pub fn table(role: Role, path: &Path) -> Result<(Self, Option<Diagnostic>), Diagnostic> {
         let artefact = Artefact::file(role, path)?;
         let beside = Self::record_of(path);
@@ -175,34 +164,33 @@ impl Traced {
             return Ok((artefact.into(), None));
         };
         let TableRecord { sha256, provenance, .. } = serde_json::from_str(&text).map_err(|error| {
-            let why = error.to_string();
-            Diagnostic::file(&beside.display().to_string(), ProvenanceFinding::Damaged { why })
+            Diagnostic::file(beside.display(), ProvenanceFinding::Damaged { why: error.to_string() })
         })?;
         let changed = (sha256 != artefact.sha256).then(|| {
             let record = beside.display().to_string();
-            Diagnostic::file(&path.display().to_string(), ProvenanceFinding::TableChanged { record })
+            Diagnostic::file(path.display(), ProvenanceFinding::TableChanged { record })
         });
         Ok((Self { artefact, provenance }, changed))
     }
 
-    /// What it was made from, and itself.
+    /// The sources, and the artefact itself as the last.
     pub fn chain(&self) -> impl DoubleEndedIterator<Item = &Artefact> {
         self.provenance.from.iter().chain([&self.artefact])
     }
 
-    /// The newest robot in its chain.
+    /// The last robot in the chain.
     pub fn robot(&self) -> Option<&Artefact> {
         let robots = [Role::Robot, Role::IdentifiedRobot];
         self.chain().rev().find(|artefact| robots.contains(&artefact.role))
     }
 
-    /// That it was made for one robot, and another one is given.
+    /// The error that this artefact was made for one robot and another one is given.
     pub fn of_another_robot(&self, made_for: &Artefact, given: &Artefact) -> ProvenanceFinding {
         let [artefact, made_for, given] = [&self.artefact, made_for, given].map(ToString::to_string);
         ProvenanceFinding::OtherRobot { artefact, made_for, given }
     }
 
-    /// That an identified robot was made from the calibration on which this one rests: a newer one is there.
+    /// A finding if this artefact rests on a calibrated robot from which `newer` was made.
     pub fn outdated_by(&self, newer: &Traced) -> Option<ProvenanceFinding> {
         let used = self.robot().filter(|robot| robot.role == Role::IdentifiedRobot)?;
         (newer.artefact.sha256 != used.sha256 && newer.provenance.has(used)).then(|| {
@@ -216,11 +204,8 @@ impl Traced {
     }
 }
 
-/// That no two artefacts, each with the name that the user gave, are of robots with different serial numbers, as far as
-/// these are known.
-///
-/// # Errors
-/// The first that is not of the robot of the first.
+/// Refuses artefacts of robots with different serial numbers, as far as these are known. Each artefact has the name that
+/// the user gave.
 pub fn one_robot<'a>(all: impl IntoIterator<Item = (String, &'a Traced)>) -> Result<(), Diagnostic> {
     let serial = |(name, one): (String, &'a Traced)| {
         let stated = one.provenance.identity.robot.as_ref();
@@ -238,14 +223,14 @@ pub fn one_robot<'a>(all: impl IntoIterator<Item = (String, &'a Traced)>) -> Res
 }
 
 impl Provenance {
-    /// Of what this version makes from `inputs`.
+    /// The provenance of what this version makes from `inputs`.
     pub fn of<'a>(inputs: impl IntoIterator<Item = &'a Traced>) -> Self {
         let mut made = Self { dbbd: VERSION.into(), ..Self::default() };
         for input in inputs {
             input.chain().for_each(|source| made.add(source));
             let stated = &input.provenance.identity;
             match input.artefact.role {
-                // Of its calibration the robot carries nothing into the next measurement but itself.
+                // The conditions of an earlier calibration are not those of the next measurement.
                 Role::Robot | Role::IdentifiedRobot => made.identity.extend(&stated.of_robot()),
                 _ => made.identity.extend(stated),
             }
@@ -253,41 +238,36 @@ impl Provenance {
         made
     }
 
-    /// Records beside the table at `path`, which is `content`, what it was made from.
-    ///
-    /// # Errors
-    /// The file cannot be written.
+    /// Writes this chain into the file beside the table at `path`, whose text is `content`.
     pub fn write_beside(&self, path: &Path, content: &str) -> Result<(), Diagnostic> {
         let table = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
         let record = TableRecord { table, sha256: sha256(content), provenance: self.clone() };
         files::write(&Traced::record_of(path), serialised::json(&record)?)
     }
 
-    /// One more source.
+    /// Adds a source, unless it is in the chain.
     pub fn add(&mut self, source: &Artefact) {
         if !self.has(source) {
             self.from.push(source.clone());
         }
     }
 
-    /// Whether nothing was recorded.
     pub fn is_empty(&self) -> bool {
         self.from.is_empty() && self.identity.is_empty()
     }
 
-    /// Whether the artefact is in the chain.
     pub fn has(&self, artefact: &Artefact) -> bool {
         self.from.iter().any(|source| source.sha256 == artefact.sha256)
     }
 
-    /// What was measured for it: captures and tables, without those of an earlier calibration that it goes on from.
+    /// The captures and tables of this measurement, without those of an earlier calibration on which it builds.
     pub fn measured(&self) -> impl Iterator<Item = &Artefact> {
         let earlier = self.from.iter().rposition(|source| source.role == Role::IdentifiedRobot);
         let own = self.from.iter().skip(earlier.map_or(0, |at| at + 1));
         own.filter(|source| [Role::Measurements, Role::Capture].contains(&source.role))
     }
 
-    /// The measured artefact by which the commanded poses were corrected, if they were.
+    /// The measured artefact with which a program was corrected, if it was.
     pub fn corrected_by(&self) -> Option<&Artefact> {
         let measured = [Role::IdentifiedRobot, Role::Measurements, Role::Capture];
         self.from.iter().rev().find(|source| measured.contains(&source.role))

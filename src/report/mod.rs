@@ -9,6 +9,7 @@ pub mod calibration;
 pub mod certificate;
 pub mod check;
 pub mod circle;
+pub mod circle_json;
 pub mod compare;
 pub mod export;
 mod page;

@@ -32,7 +32,7 @@ fn reversal_steps_are_fitted() {
 
 /// A simulated robot with play in a joint: the play comes back from a capture.
 #[test]
-fn a_joints_play_comes_back_from_a_capture() {
+fn joint_backlash_is_recovered_from_a_capture() {
     let dir = tempfile::tempdir().unwrap();
     let job = include_str!("../../examples/demo.toml");
     let (head, rest) = job.split_once("[[circle]]").unwrap();

@@ -47,7 +47,7 @@ const GOLDEN: &[(&str, &str, f64)] = &[
 ];
 
 #[test]
-fn quantities_are_those_of_an_independent_fit_and_linear_programme() {
+fn quantities_match_an_independent_computation() {
     let mut worst = 0.0_f64;
     let mut compared = 0;
     for case in CASES {
@@ -71,7 +71,7 @@ fn quantities_are_those_of_an_independent_fit_and_linear_programme() {
 }
 
 #[test]
-fn an_exact_circle_has_no_deviation_however_far_its_centre() {
+fn exact_circle_has_no_deviation() {
     // Linear removal of the centre would leave e^2 / (2 R) = 3.3 um.
     let case = CASES[0];
     let length = |angle: f64| {
@@ -90,7 +90,7 @@ fn an_exact_circle_has_no_deviation_however_far_its_centre() {
 }
 
 #[test]
-fn squareness_mismatch_and_hysteresis_come_back() {
+fn squareness_mismatch_and_hysteresis_are_recovered() {
     // First order in the errors; the second order of 1e-4 is 1e-8 of the radius.
     let case = Case { backlash: [0.0; 2], centre: [0.0; 2], ..CASES[0] };
     let found = exactly(&case.traces(), case.radius);
@@ -105,7 +105,7 @@ fn squareness_mismatch_and_hysteresis_come_back() {
 }
 
 #[test]
-fn short_arcs_are_refused_a_centre() {
+fn short_arcs_have_no_free_centre() {
     for (span, told) in [(360.0, true), (180.0, true), (90.0, true), (60.0, false), (20.0, false)] {
         let case = Case { span, points: 60, ..CASES[1] };
         let found = exactly(&case.traces(), case.radius);
@@ -124,7 +124,7 @@ fn short_arcs_are_refused_a_centre() {
 }
 
 #[test]
-fn warm_lengths_are_referred_to_twenty_degrees() {
+fn lengths_are_referred_to_twenty_degrees() {
     let case = Case { both: false, ..CASES[0] };
     let mut traces = case.traces();
     let cold = exactly(&traces, case.radius);
@@ -149,7 +149,7 @@ pub(crate) fn provoked() -> Vec<&'static str> {
 }
 
 #[test]
-fn bad_csv_is_named_by_line_and_column() {
+fn csv_errors_have_line_and_column() {
     let head = "run,direction,angle_deg,length_mm\n";
     for (text, says) in [
         ("run,angle_deg,length_mm\n1,0,150\n".to_owned(), "E0110"),
@@ -193,7 +193,7 @@ fn csv(case: &Case, noise_mm: f64) -> String {
 }
 
 #[test]
-fn the_verb_writes_json_page_and_picture() {
+fn command_writes_json_html_and_svg() {
     let dir = tempfile::tempdir().unwrap();
     let path = |name: &str| dir.path().join(name).to_str().unwrap().to_owned();
     std::fs::write(path("a.csv"), csv(&CASES[0], 0.0003)).unwrap();

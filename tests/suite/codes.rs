@@ -20,7 +20,7 @@ const NOT_HERE: &[(&str, &str)] = &[
     ("I1380", "no input leads to it"),
 ];
 
-/// The codes that tests provoke: each module gives those of the table of cases that it runs.
+/// The codes that tests provoke, as each module exports them from its tables of cases.
 fn provoked() -> Vec<&'static str> {
     [
         crate::acquire_reads_the_bar::provoked(),
@@ -91,13 +91,13 @@ fn provoked() -> Vec<&'static str> {
     .concat()
 }
 
-/// The code for a code that there is not.
+/// The code of an unknown code.
 const UNKNOWN: &str = "E0001";
-/// The code for a value that a text cannot hold.
+/// The code of a value that a text cannot hold.
 const UNWRITTEN: &str = "E0009";
 
 #[test]
-fn what_a_text_cannot_hold_is_an_error_and_no_empty_text() {
+fn unserialisable_value_is_an_error() {
     let map = BTreeMap::from([([1, 2], 3)]);
     let texts = [
         serialised::json(&map),
@@ -119,7 +119,7 @@ fn every_code_is_provoked_by_a_test() {
     assert!(silent.is_empty(), "no test provokes {silent:?}");
 }
 
-/// `DBBD_BLESS=1 cargo test troubleshooting_page` writes the page anew.
+/// `DBBD_BLESS=1 cargo test troubleshooting_page` writes the page.
 #[test]
 fn troubleshooting_page_is_the_catalogue() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/troubleshooting.md");

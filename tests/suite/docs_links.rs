@@ -1,4 +1,4 @@
-//! Links and paths in the documents lead somewhere, every page is in docs/SUMMARY.md, and mdBook renders the pages.
+//! Links and paths in the documents resolve, every page is in docs/SUMMARY.md, and mdBook renders the pages.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -22,7 +22,7 @@ const DOCUMENTS: [&str; 8] = [
     "protocols/README.md",
 ];
 
-/// Directories of the repository: a path in a document that begins with one of them must exist.
+/// Directories of the repository. A path in a document that begins with one of them must exist.
 const ROOTS: [&str; 13] = [
     "src",
     "tests",
@@ -69,7 +69,7 @@ fn pages() -> Vec<PathBuf> {
     files("docs", &["md"])
 }
 
-/// The text with fenced code left out.
+/// The text without fenced code.
 fn prose(text: &str) -> String {
     let mut inside = false;
     let mut kept = String::new();
@@ -84,7 +84,7 @@ fn prose(text: &str) -> String {
     kept
 }
 
-/// The targets of the links and images of a Markdown text; code is left out.
+/// The targets of the links and images of a Markdown text, without code.
 fn links(text: &str) -> Vec<String> {
     let prose = prose(text);
     let without_code: String = prose.split('`').step_by(2).collect::<Vec<_>>().join("code");
@@ -136,7 +136,7 @@ fn every_link_and_anchor_resolves() {
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
-/// The book holds docs/ alone: a link to a file elsewhere would lead nowhere in it.
+/// The book contains only docs/: a link to a file elsewhere would be broken in it.
 #[test]
 fn pages_link_only_to_pages() {
     let docs = root().join("docs").canonicalize().unwrap();
@@ -208,7 +208,7 @@ fn sources_in_the_architecture_exist() {
     assert!(wrong.is_empty(), "ARCHITECTURE.md names {wrong:?}");
 }
 
-/// The last column of the table of modules is that of the floor plan; `DBBD_BLESS=1` writes it anew.
+/// The last column of the table of modules is that of the floor plan. `DBBD_BLESS=1` writes it.
 #[test]
 fn architecture_has_the_floor_plan() {
     let path = root().join("ARCHITECTURE.md");

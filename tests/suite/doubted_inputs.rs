@@ -30,14 +30,14 @@ fn short_plan(dir: &Path) {
     step(dir, &["plan", "job.toml", "--out", "plan"]);
 }
 
-/// The layout of dbbd's own export, with what shows the dwells or without.
+/// The layout of dbbd's own export, with or without the strobe.
 fn mapping(strobe: &str) -> String {
     format!(
         "[time]\ncolumn = \"ticks\"\nunit = \"us\"\n[length]\ncolumn = \"reading_mm\"\nkind = \"reading\"\n{strobe}"
     )
 }
 
-/// A table of samples with what becomes of each reading, by its row.
+/// A table of samples with each reading changed by a function of its row.
 fn of_readings(text: &str, mut of: impl FnMut(usize, f64) -> f64) -> String {
     let mut lines = text.lines();
     let header = lines.next().unwrap();
@@ -50,14 +50,14 @@ fn of_readings(text: &str, mut of: impl FnMut(usize, f64) -> f64) -> String {
     format!("{header}\n{}", rows.collect::<String>())
 }
 
-/// The reading at a third of so many rows stays until their half.
+/// The reading at a third of the rows is repeated until half of them.
 fn holding(count: usize) -> impl FnMut(usize, f64) -> f64 {
     let mut held = None;
     move |at, mm| if (count / 3..count / 2).contains(&at) { *held.get_or_insert(mm) } else { mm }
 }
 
 #[test]
-fn traces_that_freeze() {
+fn frozen_traces() {
     let dir = tempdir().unwrap();
     let at = dir.path();
     short_plan(at);
@@ -128,7 +128,7 @@ fn facts_of_the_bar() {
         let output = identify(at, &data.to_csv(), &[&prior[..], &["--identity", "id.toml"]].concat());
         assert_eq!(codes(&output).contains(&"I1846".to_owned()), is_old, "{}", stderr(&output));
     }
-    // The job has one ball, and no floor is out of reach.
+    // The job has one ball, and no floor within reach.
     assert_eq!(dbbd(at, &["plan", "job.toml", "--out", "plan"]).status.code(), Some(0));
     fs::write(at.join("balls.toml"), "[balls]\n9 = \"K-9\"\n").unwrap();
     let acquire =
@@ -167,13 +167,13 @@ fn simulations() {
     step(at, &["krl", "plan/plan.csv", "--out", "krl"]);
     let axes = ["--axes", "rsi://127.0.0.1:49152", "--speed", "0"];
     says(&dbbd(at, &[&["simulate", "--program", "krl/DBB_MAIN.src"], &axes[..]].concat()), 1, "E1601");
-    // What a signal ends leaves no link behind.
+    // After a signal, no link is left.
     let (child, _) = simulator(at, &["--link", "bar"]);
     assert!(fs::symlink_metadata(at.join("bar")).is_ok());
     Command::new("kill").args(["-TERM", &child.id().to_string()]).status().unwrap();
     says(&child.wait_with_output().unwrap(), 3, "W1610");
     assert!(fs::symlink_metadata(at.join("bar")).is_err());
-    // A program that strobes has no use for a server.
+    // A program with a strobe does not use a server.
     let (child, port) =
         simulator(at, &["--listen", "tcp://127.0.0.1:0", "--speed", "0", "--ekrl", "127.0.0.1:9"]);
     step(at, &["acquire", "--port", &port, "--plan", "plan/plan.csv", "--out", "run.dbbd"]);
@@ -181,7 +181,7 @@ fn simulations() {
 }
 
 #[test]
-fn a_simulated_bar_is_where_any_is() {
+fn simulated_bars() {
     let dir = tempdir().unwrap();
     let at = dir.path();
     let output = dbbd(at, &["bar", "identify", "--port", "sim", "--duration", "0.5"]);
@@ -189,7 +189,7 @@ fn a_simulated_bar_is_where_any_is() {
     assert!(String::from_utf8_lossy(&output.stdout).contains("dbb-cobs-1"));
     let output = dbbd(at, &["bar", "check", "--port", "sim", "--duration", "6", "--out", "bar"]);
     assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
-    // A run that its time ends does not wait for the program.
+    // A run that ends by --duration does not wait for the program.
     let begun = clock::now();
     let output = dbbd(at, &["acquire", "--port", "sim", "--duration", "0.2", "--out", "run"]);
     assert!(matches!(output.status.code(), Some(0 | 3)), "{}", stderr(&output));

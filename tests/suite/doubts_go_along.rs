@@ -1,5 +1,5 @@
-//! The doubts of a calibration go along with its robot file, and what is asked of a circle, a table or a file that does not
-//! have it is said.
+//! The doubts of a calibration are reported wherever its robot file is used; requests that a circle, a table or a file cannot
+//! meet are reported.
 
 use std::fs;
 use std::path::Path;
@@ -19,7 +19,7 @@ const PRIOR: [&str; 2] = ["--prior", "datasheet"];
 const RUN: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/fixtures/captures/run.dbbd");
 
 #[test]
-fn a_doubtful_robot_is_doubtful_everywhere() {
+fn doubtful_robot_is_reported_by_every_command() {
     let (dir, data) = cell();
     let at = dir.path();
     fs::write(at.join("again.csv"), data.to_csv().replacen("\n1,", "\n101,", 1)).unwrap();
@@ -46,7 +46,7 @@ fn a_doubtful_robot_is_doubtful_everywhere() {
     assert_eq!(identify(at, &data.to_csv(), &PRIOR).status.code(), Some(0));
     fs::copy(at.join("out/robot-identified.urdf"), at.join("arm.urdf")).unwrap();
     assert_eq!(doubted(), [false; 5]);
-    // The sorted lengths of the same poses fit no robot.
+    // Sorted lengths at the same poses fit no robot.
     let mut sorted = data.clone();
     let mut lengths: Vec<f64> = data.rows.iter().map(|row| row.length_mm).collect();
     lengths.sort_by(f64::total_cmp);
@@ -64,13 +64,13 @@ fn a_doubtful_robot_is_doubtful_everywhere() {
     assert!(of_result.into_iter().all(|found| doubts.contains(&found["code"].as_str().unwrap())));
     assert_eq!(doubted(), [true; 5]);
     assert_eq!(dbbd(at, &["robots", "check", robot]).status.code(), Some(3));
-    // More lengths are what it needs.
+    // More lengths are the cure.
     let plan = dbbd(at, &["plan", "job.toml", "--robot", robot, "--out", "second"]);
     assert!(!codes(&plan).contains(&"W1843".to_owned()), "{}", stderr(&plan));
 }
 
 #[test]
-fn what_is_exported_is_a_robot_or_a_capture() {
+fn export_takes_a_robot_or_a_capture() {
     let dir = tempdir().unwrap();
     let at = dir.path();
     fs::copy(RUN, at.join("run.dbbd")).unwrap();
@@ -80,23 +80,23 @@ fn what_is_exported_is_a_robot_or_a_capture() {
     }
     says(&dbbd(at, &["export", "run.dbbd", "--urdf-in", "arm.urdf", "--out", "e"]), 1, "E1724");
     assert!(!at.join("e").exists());
-    // Of another kind.
+    // Inputs of another kind.
     fs::write(at.join("job.toml"), JOB).unwrap();
     says(&dbbd(at, &["export", "job.toml", "--out", "e"]), 1, "E0405");
 }
 
 #[test]
-fn names_of_columns_and_whole_numbers() {
+fn column_names_and_whole_numbers() {
     let (dir, data) = cell();
     let at = dir.path();
     let table = data.to_csv();
     let (header, rows) = table.split_once('\n').unwrap();
-    // A column that may be absent is not passed over for its capital letters.
+    // An optional column in other upper and lower case is not ignored.
     for (from, to) in [("sigma_mm", "Sigma_mm"), ("length_mm", "LENGTH_MM")] {
         let other = format!("{}\n{rows}", header.replacen(from, to, 1));
         says(&identify(at, &other, &PRIOR), 1, "E0110");
     }
-    // Whole numbers as a program writes them that reads a column with an empty cell.
+    // Whole numbers as written by programs that read a column with an empty cell as floats.
     let senses = ["1.0", "-1.0", "0.0", "", "1", "0"];
     let lines = rows.lines().map(|row| {
         let (index, rest) = row.split_once(',').unwrap();
@@ -111,7 +111,7 @@ fn names_of_columns_and_whole_numbers() {
     }
 }
 
-/// The angles of both senses, with a column of temperatures where `temp_c` gives one.
+/// The angles of both directions, with a column of temperatures if `temp_c` gives one.
 fn circle(at: &Path, ccw: &[f64], cw: &[f64], temp_c: &dyn Fn(usize) -> Option<f64>) {
     let form = |deg: f64| 0.3 * (2.0 * deg.to_radians()).cos() + 0.1 * (3.0 * deg.to_radians()).sin();
     let noise = |place: usize| 0.001 * (((place as f64 * 12.9898).sin() * 43758.5453).fract());
@@ -129,7 +129,7 @@ fn evaluated(at: &Path, more: &[&str]) -> Output {
 }
 
 #[test]
-fn senses_of_a_circle() {
+fn directions_of_a_circle() {
     let dir = tempdir().unwrap();
     let at = dir.path();
     let there: Vec<f64> = (0..72).map(|point| f64::from(5 * point)).collect();
@@ -147,18 +147,18 @@ fn senses_of_a_circle() {
     let sound = evaluated(at, &[]);
     assert_eq!(sound.status.code(), Some(0), "{}", stderr(&sound));
     refused(false);
-    // Cut off after a quarter of the second sense, which passes the begin of the circle on its way.
+    // Cut off after a quarter of the second direction, which passes its start.
     let cut: Vec<f64> = (0..18).map(|point| (40.0 - 5.0 * f64::from(point)).rem_euclid(360.0)).collect();
     circle(at, &there, &cut, &|_| None);
     says(&evaluated(at, &[]), 3, "W1482");
     refused(true);
-    // The few points of a sense may lie between those of the other.
+    // The few points of one direction may lie between those of the other.
     let few = |from: f64| -> Vec<f64> { (0..6).map(|point| from + 60.0 * f64::from(point)).collect() };
     let between: Vec<f64> = few(30.0).into_iter().rev().collect();
     circle(at, &few(0.0), &between, &|_| None);
     assert_eq!(evaluated(at, &[]).status.code(), Some(0));
     refused(false);
-    // Two senses under either name.
+    // Both directions under one name.
     for wrong in [[&there[..], &back[..40]].concat(), [&there[..40], &back[..]].concat()] {
         circle(at, &wrong, &[], &|_| None);
         says(&evaluated(at, &[]), 3, "W1482");
@@ -177,12 +177,12 @@ fn options_of_a_circle() {
         assert_eq!(evaluated(at, options).status.code(), Some(0));
     }
     says(&evaluated(at, &["--certified", "22"]), 1, "E1481");
-    // A single length without a temperature keeps all from being corrected.
+    // A single length without a temperature prevents the correction.
     circle(at, &there, &[], &|place| (place != 9).then_some(24.0));
     for options in warm {
         says(&evaluated(at, options), 1, "E1481");
     }
-    // A form of some tenths of a millimetre is no noise of the lengths.
+    // A form deviation of some tenths of a millimetre is not noise of the lengths.
     assert_eq!(evaluated(at, &["--sigma", "0.0005"]).status.code(), Some(0));
     for sigma in ["0.5", "5e-6"] {
         says(&evaluated(at, &["--sigma", sigma]), 3, "W1482");

@@ -1,4 +1,4 @@
-//! Files of two runs, robots or plans that are used as if they were of one: each is refused, or doubted.
+//! Files of two runs, robots or plans that are used together are refused or reported.
 
 use std::fs;
 
@@ -33,7 +33,7 @@ fn modules_of_two_plans() {
 }
 
 #[test]
-fn results_of_two_arms() {
+fn results_of_two_robots() {
     let (dir, data) = cell();
     let at = dir.path();
     let run = |serial: &str, out: &str| {
@@ -51,7 +51,7 @@ fn results_of_two_arms() {
     let compare = |more: &[&str]| dbbd(at, &[&["compare", "first", "second", "--out", "c"], more].concat());
     says(&compare(&[]), 1, "E1802");
     fs::rename(at.join("second"), at.join("out")).unwrap();
-    // The other arm's calibration is not replaced.
+    // The calibration of the other robot is not replaced.
     let before = fs::read(at.join("out/result.json")).unwrap();
     says(&run("R-1", "third"), 1, "E0181");
     assert_eq!(fs::read(at.join("out/result.json")).unwrap(), before);
@@ -71,7 +71,7 @@ fn results_of_two_arms() {
         let output = dbbd(at, &certificate);
         assert!(codes(&output).contains(&"W2007".to_owned()), "{key}: {}", stderr(&output));
     }
-    // An edited file is not shown as a whole one.
+    // An edited file is not shown as valid.
     let text = fs::read_to_string(at.join("first/result.json")).unwrap();
     fs::write(at.join("first/result.json"), text.replacen("R-1", "R-9", 1)).unwrap();
     says(&dbbd(at, &["info", "first/result.json"]), 1, "E1808");
@@ -81,7 +81,7 @@ fn results_of_two_arms() {
 }
 
 #[test]
-fn tables_in_the_way() {
+fn existing_files_that_are_no_results() {
     let (dir, data) = cell();
     let at = dir.path();
     let poses = "a1_deg,a2_deg,a3_deg,a4_deg,a5_deg,a6_deg\n10,-60,90,0,60,0\n";
@@ -143,7 +143,7 @@ fn rows_of_tables() {
 }
 
 #[test]
-fn senses_and_options_of_circles() {
+fn directions_and_options_of_circles() {
     let (dir, _) = cell();
     let at = dir.path();
     let length =
@@ -196,7 +196,7 @@ fn traces_definitions_and_the_service() {
     };
     says(&import(1000.0, 20.0), 3, "W1181");
     says(&import(25.4, 20.0), 1, "W1181");
-    // Warmer than the certificate's temperature, and the job does not say by how much a bar grows.
+    // Warmer than the certificate's temperature, and the job does not give the expansion of the bar.
     fs::write(at.join("job.toml"), JOB.replace("expansion_per_k = 12e-6\n", "")).unwrap();
     assert_eq!(dbbd(at, &["plan", "job.toml", "--out", "plan"]).status.code(), Some(0));
     assert_eq!(import(1.0, 35.0).status.code(), Some(0));

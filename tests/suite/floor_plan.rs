@@ -1,4 +1,4 @@
-//! Data flows one way: a room imports only the rooms that the table of ARCHITECTURE.md allows it.
+//! A module imports only the modules that the table of ARCHITECTURE.md allows.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 /// What every module may use.
 const BASE: [&str; 4] = ["diagnostic", "catalogue", "base", "math"];
 
-/// Each module and what it may import besides these.
+/// Each module, and what it may import besides these.
 pub(crate) const TABLE: &[(&str, &[&str])] = &[
     ("diagnostic", &[]),
     ("catalogue", &["diagnostic"]),
@@ -65,7 +65,7 @@ const PURE: &[&str] = &[
     "report",
 ];
 
-/// The files of a room.
+/// The files of a module.
 pub(crate) fn sources(room: &str) -> Vec<PathBuf> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
     let single = root.join(format!("{room}.rs"));
@@ -84,7 +84,7 @@ pub(crate) fn sources(room: &str) -> Vec<PathBuf> {
     found
 }
 
-/// Rooms named by `crate::room` in a source, comments left out.
+/// The modules that a source names as `crate::module`, without comments.
 fn imports(text: &str) -> Vec<String> {
     text.lines()
         .map(|line| line.split("//").next().unwrap_or(""))
@@ -96,7 +96,7 @@ fn imports(text: &str) -> Vec<String> {
 }
 
 #[test]
-fn rooms_import_only_what_the_table_allows() {
+fn modules_import_only_what_the_table_allows() {
     let mut wrong = Vec::new();
     for (room, allowed) in TABLE {
         for path in sources(room) {
@@ -112,7 +112,7 @@ fn rooms_import_only_what_the_table_allows() {
 }
 
 #[test]
-fn every_room_stands_in_the_table() {
+fn every_module_is_in_the_table() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
     for entry in fs::read_dir(root).unwrap().flatten() {
         let name = entry.path().file_stem().unwrap().to_string_lossy().into_owned();
@@ -123,7 +123,7 @@ fn every_room_stands_in_the_table() {
 }
 
 #[test]
-fn the_web_framework_stays_in_its_room() {
+fn web_framework_is_used_in_live_only() {
     for (room, _) in TABLE.iter().filter(|(room, _)| *room != "live") {
         for path in sources(room).into_iter().chain(sources("cli")) {
             let text = fs::read_to_string(&path).unwrap();
@@ -135,7 +135,7 @@ fn the_web_framework_stays_in_its_room() {
 }
 
 #[test]
-fn pure_rooms_touch_nothing_outside() {
+fn pure_modules_do_no_input_or_output() {
     let forbidden = [
         "std::fs",
         "crate::base::files",
@@ -148,7 +148,7 @@ fn pure_rooms_touch_nothing_outside() {
         "eprintln!",
         "SystemTime",
     ];
-    // What writes a file of another tool writes to the stream that it is given.
+    // A writer of a foreign file format writes to the stream that it is given.
     let writes = |path: &PathBuf| path.components().any(|part| part.as_os_str() == "export");
     for room in PURE {
         for path in sources(room).into_iter().filter(|path| !writes(path)) {
@@ -163,7 +163,7 @@ fn pure_rooms_touch_nothing_outside() {
 }
 
 #[test]
-fn vendors_live_in_definitions_not_in_the_engine() {
+fn protocol_engine_names_no_vendor() {
     let vendors = [
         "sylvac",
         "heidenhain",
@@ -183,9 +183,9 @@ fn vendors_live_in_definitions_not_in_the_engine() {
     }
 }
 
-/// nalgebra's own decomposition loses digits on clustered values and never returns on a NaN.
+/// nalgebra's own decomposition loses digits on clustered values and does not return on a NaN.
 #[test]
-fn singular_values_come_from_math_alone() {
+fn singular_values_are_computed_in_math_only() {
     for (room, _) in TABLE.iter().filter(|(room, _)| *room != "math") {
         for path in sources(room) {
             assert!(

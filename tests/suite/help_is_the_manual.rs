@@ -1,5 +1,5 @@
-//! The text of a command is written once, above its `Args`: `--help`, the manual page, docs/reference/commands.md and the list in
-//! the README repeat it. `DBBD_BLESS=1 cargo test help_is_the_manual` writes the two documents anew.
+//! The text of a command is written once, above its `Args`. `--help`, the manual page, docs/reference/commands.md and the list
+//! in the README repeat it. `DBBD_BLESS=1 cargo test help_is_the_manual` writes the two documents.
 
 use std::fs;
 use std::path::Path;
@@ -15,7 +15,7 @@ fn said(args: &[&str]) -> String {
     String::from_utf8(output.stdout).unwrap()
 }
 
-/// The verbs in the order of `dbbd --help`.
+/// The commands in the order of `dbbd --help`.
 fn verbs() -> Vec<String> {
     let help = said(&["--help"]);
     let list = help.split("Commands:\n").nth(1).unwrap().split("\n\n").next().unwrap();
@@ -26,7 +26,7 @@ fn verbs() -> Vec<String> {
         .collect()
 }
 
-/// The help of a command before its "Usage:", a paragraph an entry, and the usage.
+/// The help of a command before its "Usage:", one paragraph per entry, and the usage.
 fn paragraphs_and_usage(verb: &str) -> (Vec<String>, String) {
     let help = said(&[verb, "--help"]);
     let (text, rest) = help.split_once("\nUsage: ").unwrap();
@@ -48,7 +48,7 @@ fn with_links(paragraph: &str) -> String {
     paragraph.split(' ').map(link).collect::<Vec<_>>().join(" ")
 }
 
-/// Compares the generated part of a document, or writes it anew.
+/// Compares the generated part of a document, or writes it.
 fn assert_generated(document: &str, wanted: &str) {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(document);
     let text = fs::read_to_string(&path).unwrap();
@@ -86,9 +86,9 @@ fn reference_has_the_text_of_every_command() {
     assert_generated("docs/reference/commands.md", &format!("\n{sections}"));
 }
 
-/// Roff escapes and line breaks aside, the manual page has each verb's text and each of its options.
+/// Compares the manual page, without roff escapes and line breaks, with the text of each command and its options.
 #[test]
-fn manual_page_has_every_verb_and_option() {
+fn manual_page_has_every_command_and_option() {
     let page = said(&["man"]).replace("\\-", "-").replace("\\fB", "").replace("\\fR", "").replace("\\fI", "");
     let page = page.replace("\\'", "'").replace("\\*(Aq", "'").replace("\\&", "");
     let page = page.split_whitespace().collect::<Vec<_>>().join(" ");
@@ -106,7 +106,7 @@ fn manual_page_has_every_verb_and_option() {
 }
 
 #[test]
-fn completions_know_every_verb() {
+fn completions_have_every_command() {
     for shell in ["bash", "zsh", "fish", "elvish", "powershell"] {
         let script = said(&["completions", shell]);
         for verb in verbs() {

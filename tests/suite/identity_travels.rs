@@ -1,4 +1,4 @@
-//! Who measured what, where and when goes with the measurement, from the job to the result.
+//! The identity of a measurement (who, what, where, when) is carried from the job to the result.
 
 use std::fs;
 use std::path::Path;
@@ -12,7 +12,7 @@ pub(crate) fn provoked() -> Vec<&'static str> {
     WRONG.iter().map(|case| case.2).collect()
 }
 
-/// One short circle, with all that can be stated.
+/// One short circle with a complete identity.
 pub(crate) const JOB: &str = r#"robot = "robot.toml"
 [bar]
 length_mm = 300.0
@@ -45,7 +45,7 @@ u_k = 0.2
 device = "T-3"
 "#;
 
-/// The robot file with serial numbers of arm and controller.
+/// The robot file with serial numbers of robot and controller.
 pub(crate) fn robot() -> String {
     let mut robot = kr60();
     (robot.serial, robot.controller_serial) = (Some("KR-1".into()), Some("C-1".into()));
@@ -58,7 +58,7 @@ fn info(dir: &Path, file: &str) -> Value {
 }
 
 #[test]
-fn from_the_job_through_a_capture_to_the_result() {
+fn identity_is_in_capture_and_result() {
     let dir = tempdir().unwrap();
     let at = dir.path();
     fs::write(at.join("robot.toml"), robot()).unwrap();
@@ -101,7 +101,7 @@ fn from_the_job_through_a_capture_to_the_result() {
             assert_eq!(found.pointer(key).and_then(Value::as_str), Some(value), "{file}: {key} in {found}");
         }
         assert_eq!(found["load_kg"], 12.5);
-        // The date is that of the capture's own clock: the year is this century's, the form that of ISO 8601.
+        // The date is that of the capture's clock, in the form of ISO 8601.
         let date = found["measured"].as_str().unwrap();
         assert!(date.starts_with("20") && date.ends_with('Z') && date.len() == 20, "{date}");
     }
@@ -109,14 +109,14 @@ fn from_the_job_through_a_capture_to_the_result() {
     let first = fs::read(at.join("result/result.json")).unwrap();
     dbbd(at, &["identify", "run.dbbd", "--estimate", "a1-3,bar", "--folds", "0", "--out", "result"]);
     assert_eq!(fs::read(at.join("result/result.json")).unwrap(), first);
-    // A new measurement with the identified robot has its serial numbers and nothing else of the old one.
+    // A new measurement with the identified robot has its serial numbers, and nothing else of the old one.
     dbbd(at, &["plan", "job.toml", "--robot", "result/robot-identified.toml", "--out", "next"]);
     let next = info(at, "next/plan.json");
     assert_eq!((&next["robot"], &next["measured"]), (&"KR-1".into(), &Value::Null));
     assert_eq!(next["operator"], "Operator of the job");
 }
 
-/// What is replaced in the job, the code and the line.
+/// A replacement in the job, the code and the line.
 const WRONG: &[(&str, &str, &str, usize)] = &[
     ("certified_on = \"2026-03-01\"", "certified_on = \"2026-02-29\"", "E0680", 11),
     ("serial = \"S-21\"", "serial = \"\"", "E0680", 16),
@@ -126,7 +126,7 @@ const WRONG: &[(&str, &str, &str, usize)] = &[
 ];
 
 #[test]
-fn what_cannot_be_is_refused_with_its_line() {
+fn implausible_identity_is_refused_with_its_line() {
     let dir = tempdir().unwrap();
     let at = dir.path();
     fs::write(at.join("robot.toml"), robot()).unwrap();

@@ -1,4 +1,4 @@
-//! Inputs that contradict each other or that a command does not use as it was meant: each is refused, or doubted with a code.
+//! Inputs that contradict each other, and options that have no effect, are refused or reported as doubtful.
 
 use std::fs;
 use std::path::Path;
@@ -22,7 +22,7 @@ fn done(output: &Output) {
 const PRIOR: [&str; 2] = ["--prior", "datasheet"];
 
 #[test]
-fn a_certificate_states_one_calibration() {
+fn certificates_of_two_calibrations() {
     let (dir, data) = cell();
     let at = dir.path();
     fs::write(
@@ -70,7 +70,7 @@ fn a_certificate_states_one_calibration() {
         fs::write(at.join("other.toml"), stated).unwrap();
         says(&certificate("first", &["--identity", "other.toml"]), 3, "W2007");
     }
-    // Who states it, and a temperature as it is read off.
+    // Another operator, and a rounded temperature.
     let same =
         "operator = \"B. Other\"\nballs = { 1 = \"S-1\" }\n[[temperature]]\nof = \"bar\"\ncelsius = 20.1\n";
     fs::write(at.join("other.toml"), same).unwrap();
@@ -93,13 +93,13 @@ fn a_certificate_states_one_calibration() {
 }
 
 #[test]
-fn files_of_an_earlier_result_go() {
+fn files_of_an_earlier_result_are_removed() {
     let (dir, data) = cell();
     let at = dir.path();
     let is_there = |name: &str| at.join(name).exists();
     done(&identify(at, &data.to_csv(), &PRIOR));
     assert!(is_there("out/lengths.csv") && !is_there("out/positions.csv"));
-    // The tool ball by the identified robot: positions without noise.
+    // The tool ball of the identified robot: positions without noise.
     done(&dbbd(at, &["predict", "obs.csv", "--robot", "out/robot-identified.toml", "--out", "pos.csv"]));
     fs::write(at.join("out/joint-errors.csv"), "").unwrap();
     let positions = |more: &[&str]| {
@@ -115,7 +115,7 @@ fn files_of_an_earlier_result_go() {
     );
     done(&identify(at, &data.to_csv(), &PRIOR));
     assert!(is_there("out/lengths.csv") && !is_there("out/positions.csv"));
-    // A table of the user's own that has the name of one of a result.
+    // A table of the user with the name of a table of the result.
     fs::write(at.join("out/positions.csv"), "measured with another instrument").unwrap();
     done(&identify(at, &data.to_csv(), &PRIOR));
     assert!(is_there("out/positions.csv"));
@@ -198,7 +198,7 @@ const RAPID: &str = "MODULE Weld\nPERS tooldata tGun:=[TRUE,[[0,0,0],[1,0,0,0]],
     CONST robtarget p10:=[[1200.0,0.0,850.0],[0.0,0.991444861,0.0,-0.130526192],[0,0,-2,0],[9E9,9E9,9E9,9E9,9E9,9E9]];\n\
     CONST robtarget p20:=[[1190.0,0.0,850.0],[0.0,0.991444861,0.0,-0.130526192],[0,0,-2,0],[9E9,9E9,9E9,9E9,9E9,9E9]];\n\
     PROC main()\nMoveJ p10,v100,fine,tGun\\WObj:=wFix;\nENDPROC\nENDMODULE\n";
-/// What is done before the end of the routine or to the module, the exit code, and the code.
+/// A statement after the end of the routine or in the module, the exit code, and the code.
 const OF_RAPID: &[(&str, &str, i32, &str)] = &[
     ("ENDPROC", "TriggL p20,v100,t1,fine,tGun;\nENDPROC", 3, "W0905"),
     ("ENDPROC", "MovL p20,v100,fine,tGun;\nENDPROC", 3, "W0905"),
@@ -249,7 +249,7 @@ fn corrected(
 }
 
 #[test]
-fn programs_that_are_not_corrected_as_a_whole() {
+fn programs_that_cannot_be_corrected() {
     let dir = tempdir().unwrap();
     corrected(dir.path(), "irb1600-10-145", "Weld.mod", RAPID, OF_RAPID, &[]);
     let tool = ["--tool", "30,20,150,0,0,0"];

@@ -1,4 +1,4 @@
-//! Mistakes of the kind that people make, through the binary: each is refused, or doubted with a code and exit code 3.
+//! Mistakes that users make, through the binary: each is refused, or reported as doubtful with exit code 3.
 
 use std::fs;
 use std::path::Path;
@@ -10,7 +10,7 @@ use tempfile::{TempDir, tempdir};
 
 use crate::cell::{centres_csv, codes, dbbd, kr60, measure, stderr, three_planes, with_errors};
 
-/// The errors of the robot here, in rad and mm: some tenths of a millimetre at the ball.
+/// The errors of the robot in rad and mm: some tenths of a millimetre at the ball.
 pub(crate) const ERRORS: [(&str, f64); 4] =
     [("alpha1", 0.001), ("theta2", 0.0008), ("a2", 0.3), ("d4", -0.2)];
 pub(crate) const JOB: &str = "robot = \"kr60ha\"\n[bar]\nlength_mm = 300.0\nstroke_mm = [-6.0, 6.0]\nlength_u_mm = 0.002\ntemperature_c = 20.0\n\
@@ -23,7 +23,7 @@ pub(crate) fn cell() -> (TempDir, Measurements) {
     let circles = three_planes(1, [1300.0, 0.0, 800.0]);
     let mut data = measure(&with_errors(ERRORS), &circles, 20, 20.0);
     for (at, row) in data.rows.iter_mut().enumerate() {
-        // The robot's repeatability, some hundredths of a millimetre, without chance.
+        // The repeatability of the robot, some hundredths of a millimetre, without random numbers.
         row.length_mm += 0.015 * (7.7 * at as f64).sin();
         row.sigma_mm = Some(0.002);
     }
@@ -140,7 +140,7 @@ fn tables_of_lengths() {
     says(&dbbd(dir.path(), &once), 1, "E1301");
 }
 
-/// Values of a job that another unit explains, or that no plan can use.
+/// Values of a job that are in another unit, or that no plan can use.
 const JOBS: &[(&str, &str, &str)] = &[
     ("length_u_mm = 0.002", "length_u_mm = 2.0", "E0601"),
     ("temperature_c = 20.0", "temperature_c = 68.0", "E0601"),
@@ -185,7 +185,7 @@ fn plans_programs_and_traces() {
     let at = dir.path();
     let planned = dbbd(at, &["plan", "job.toml", "--out", "plan"]);
     assert_eq!(planned.status.code(), Some(0), "{}", stderr(&planned));
-    // The same poses for another bar: the two files are of different plans.
+    // The same poses for another bar: the two files belong to different plans.
     fs::write(at.join("other.toml"), JOB.replace("[-6.0, 6.0]", "[-5.0, 5.0]")).unwrap();
     let other = dbbd(at, &["plan", "other.toml", "--out", "mixed"]);
     assert_eq!(other.status.code(), Some(0), "{}", stderr(&other));
@@ -212,7 +212,7 @@ fn plans_programs_and_traces() {
     fs::write(at.join("krl/DBB_C002.src"), "").unwrap();
     says(&krl(&[]), 3, "W0882");
 
-    // 20 readings a second over the plan's time and more; what is wrong with them.
+    // 20 readings per second over more than the plan's duration, with errors.
     let import = |name: &str, seconds: u32, reading: &dyn Fn(u32) -> f64, keep: &dyn Fn(u32) -> bool| {
         let rows = (0..20 * seconds).filter(|at| keep(*at));
         let rows = rows.map(|at| format!("{},{}\n", f64::from(at) / 20.0, reading(at)));
@@ -227,7 +227,7 @@ fn plans_programs_and_traces() {
     says(&import("slow.csv", 60, &still, &|at| at % 40 == 0), 3, "W1181");
     says(&import("hole.csv", 60, &still, &|at| !(200..300).contains(&at)), 3, "W1181");
     says(&import("short.csv", 5, &still, &|_| true), 3, "W1110");
-    // A temperature in Kelvin.
+    // A temperature in kelvin.
     let rows: String =
         (0..1200).map(|at| format!("{},{},293.1\n", f64::from(at) / 20.0, still(at))).collect();
     fs::write(at.join("kelvin.csv"), format!("t_s,length_mm,temp\n{rows}")).unwrap();
@@ -238,7 +238,7 @@ fn plans_programs_and_traces() {
     says(&dbbd(at, &["sync", "run", "--out", "o.csv"]), 1, "W0481");
     import("good.csv", 60, &still, &|_| true);
     says(&dbbd(at, &["sync", "run", "--axes", "krl/DBB_C001.dat", "--out", "o.csv"]), 1, "W0480");
-    // A result does not take the place of the capture.
+    // A result does not replace the capture.
     let capture = fs::read(at.join("run")).unwrap();
     says(&dbbd(at, &["sync", "run", "--out", "run"]), 1, "E0180");
     assert_eq!(fs::read(at.join("run")).unwrap(), capture);
@@ -262,7 +262,7 @@ fn corrections_and_circles() {
     says(&compensate(&program.replace("END\n", ""), points, robot), 1, "E0980");
     says(&compensate(program, &points.replace("ENDDAT\n", ""), robot), 1, "E0980");
     says(&compensate(program, &points.replace("DEFDAT P", "DEFDAT Q"), robot), 1, "E0806");
-    // Edited by hand: what is unknown of it is that of other values.
+    // Edited by hand: the posterior belongs to other values.
     let text = fs::read_to_string(at.join(robot)).unwrap();
     let line = text.lines().find(|line| line.starts_with("a_mm = 85")).unwrap();
     fs::write(at.join("edited.toml"), text.replacen(line, "a_mm = 851.5", 1)).unwrap();
@@ -325,7 +325,7 @@ fn corrections_and_circles() {
 }
 
 #[test]
-fn a_set_of_files_is_the_new_one_or_the_earlier() {
+fn file_sets_are_replaced_together() {
     let (dir, data) = cell();
     let at = dir.path();
     let identified =

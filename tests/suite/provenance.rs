@@ -1,4 +1,4 @@
-//! Every artefact carries what it was made from, and inputs that do not belong together are refused or doubted.
+//! Every artefact records its sources. Inputs that do not belong together are refused or reported as doubtful.
 
 use std::fs;
 use std::path::Path;
@@ -32,12 +32,12 @@ fn step(dir: &Path, args: &[&str]) -> Output {
     output
 }
 
-/// The exit code of a run, and whether it said the code.
+/// The exit code of a run, and whether it printed the code.
 fn said(output: &Output, code: &str) -> (Option<i32>, bool) {
     (output.status.code(), codes(output).iter().any(|said| said == code))
 }
 
-/// A cell with a plan, its program, lengths of a robot with errors, and an identified robot with lengths of its own.
+/// A plan, its program, lengths of a robot with errors, and an identified robot with its lengths.
 fn cell() -> TempDir {
     let dir = tempdir().unwrap();
     let at = dir.path();
@@ -56,7 +56,7 @@ fn cell() -> TempDir {
     dir
 }
 
-/// The identified robot, as from robot.toml and the lengths beside it.
+/// The identified robot, from robot.toml and the lengths beside it.
 fn write_identified(at: &Path, nominal: Robot) {
     let source = |role, file: &str| Artefact::file(role, &at.join(file)).unwrap();
     let robot = Artefact { name: nominal.name.clone(), ..source(Role::Robot, "robot.toml") };
@@ -77,7 +77,7 @@ fn compensate<'a>(program: &'a str, robot: &'a str, out: &'a str) -> [&'a str; 6
     ["compensate", program, "--robot", robot, "--out", out]
 }
 
-/// What `dbbd info` says of a file.
+/// The output of `dbbd info` for a file.
 fn info(dir: &Path, file: &str) -> Value {
     serde_json::from_slice(&step(dir, &["info", file, "--json"]).stdout).unwrap()
 }
@@ -87,7 +87,7 @@ fn hash_of(dir: &Path, file: &str) -> String {
 }
 
 #[test]
-fn the_chain_goes_from_a_corrected_program_back_to_the_job() {
+fn chain_leads_from_corrected_program_to_job() {
     let dir = cell();
     let at = dir.path();
     step(at, &identify("robot.toml", "result"));
@@ -120,7 +120,7 @@ fn the_chain_goes_from_a_corrected_program_back_to_the_job() {
         assert!(chain.contains(&is("program", "krl/DBB_C001.src")), "{chain:?}");
         assert_eq!(chain.last(), Some(&identified));
     }
-    // What has no sources is known by itself.
+    // An artefact without sources has only itself.
     assert_eq!(info(at, "job.toml")["serial"], "B-1");
     assert_eq!(info(at, "robot.toml")["serial"], "KR-1");
     assert_eq!(info(at, "result/robot-identified.toml")["serial"], "KR-1");
@@ -134,7 +134,7 @@ fn the_chain_goes_from_a_corrected_program_back_to_the_job() {
 }
 
 #[test]
-fn a_program_is_corrected_once() {
+fn program_is_not_corrected_twice() {
     let dir = cell();
     let at = dir.path();
     let identified = "result/robot-identified.toml";
@@ -142,13 +142,13 @@ fn a_program_is_corrected_once() {
     assert_eq!(once.status.code(), Some(0), "{}", stderr(&once));
     let twice = dbbd(at, &compensate("corrected/DBB_C001.src", identified, "twice"));
     assert_eq!(said(&twice, "E1801"), (Some(1), true), "{}", stderr(&twice));
-    // Its points alone were corrected.
+    // Only the points changed.
     fs::create_dir(at.join("mixed")).unwrap();
     fs::copy(at.join("krl/DBB_C001.src"), at.join("mixed/DBB_C001.src")).unwrap();
     fs::copy(at.join("corrected/DBB_C001.dat"), at.join("mixed/DBB_C001.dat")).unwrap();
     let mixed = dbbd(at, &compensate("mixed/DBB_C001.src", identified, "twice"));
     assert_eq!(said(&mixed, "E1801"), (Some(1), true), "{}", stderr(&mixed));
-    // A plan on the identified robot, and one on the lengths, command its corrected poses.
+    // A plan for the identified robot, and a plan with its lengths, command the corrected poses.
     for (out, option, file) in [("p1", "--robot", identified), ("p2", "--measured", "obs.csv")] {
         step(at, &["plan", "job.toml", option, file, "--out", out]);
         step(at, &["krl", &format!("{out}/plan.csv"), "--out", &format!("{out}/krl")]);
@@ -156,7 +156,7 @@ fn a_program_is_corrected_once() {
         assert_eq!(said(&planned, "E1801"), (Some(1), true), "{}", stderr(&planned));
     }
     assert!(!at.join("twice").exists());
-    // A program that is not of dbbd is known as corrected too.
+    // A program of another origin is known as corrected too.
     fs::write(
         at.join("P.src"),
         "DEF P ( )\r\n$TOOL=$NULLFRAME\r\n$BASE=$NULLFRAME\r\nPTP {A1 5.0,A2 -80.0,A3 100.0,A4 3.0,A5 60.0,A6 4.0}\r\nEND\r\n",
@@ -168,7 +168,7 @@ fn a_program_is_corrected_once() {
 }
 
 #[test]
-fn another_robots_files_are_refused() {
+fn files_of_another_robot_are_refused() {
     let dir = cell();
     let at = dir.path();
     let read = |name: &str| {
@@ -196,7 +196,7 @@ fn another_robots_files_are_refused() {
 }
 
 #[test]
-fn lengths_count_once_and_belong_to_their_result() {
+fn lengths_are_used_once_with_their_result() {
     let dir = cell();
     let at = dir.path();
     step(at, &identify("robot.toml", "first"));
@@ -211,7 +211,7 @@ fn lengths_count_once_and_belong_to_their_result() {
     step(at, &["plan", "job.toml", "--measured", "obs.csv", "--out", "once"]);
     let [once, twice] = ["once", "twice"].map(|out| fs::read(at.join(out).join("plan.json")).unwrap());
     assert_eq!(once, twice);
-    // Another result's lengths beside the robot.
+    // The lengths of another result beside the robot.
     let lengths = fs::read_to_string(at.join("result/lengths.csv")).unwrap();
     let fewer: Vec<&str> = lengths.lines().take(20).collect();
     fs::write(at.join("result/lengths.csv"), fewer.join("\n")).unwrap();
@@ -238,7 +238,7 @@ fn stored_run(dir: &Path, name: &str, chain: &Provenance) {
 }
 
 #[test]
-fn a_run_of_another_robot_or_older_than_the_calibration_is_seen() {
+fn outdated_and_foreign_runs_are_reported() {
     let dir = tempdir().unwrap();
     let at = dir.path();
     let robot = |serial: &str, from: Vec<Artefact>| Robot {
@@ -280,7 +280,7 @@ fn a_run_of_another_robot_or_older_than_the_calibration_is_seen() {
 }
 
 #[test]
-fn a_table_of_lengths_has_the_chain_of_its_run() {
+fn table_of_lengths_has_the_chain_of_its_run() {
     let dir = tempdir().unwrap();
     let at = dir.path();
     let robot = Robot { serial: Some("KR-1".into()), ..kr60() };
@@ -300,7 +300,7 @@ fn a_table_of_lengths_has_the_chain_of_its_run() {
         .unwrap();
     let other = dbbd(at, &["identify", "obs.csv", "--robot", "other.toml", "--out", "out"]);
     assert_eq!(said(&other, "E1802"), (Some(1), true), "{}", stderr(&other));
-    // What was stated of the measurement counts as the robot file does.
+    // The identity of the measurement has the same effect as the robot file.
     for serial in ["KR-1", "KR-2"] {
         let stated = Identity { robot: Some(serial.into()), ..Identity::default() };
         let chain = Provenance { identity: stated, ..Provenance::of([&kr60().traced("")]) };
@@ -325,7 +325,7 @@ fn a_table_of_lengths_has_the_chain_of_its_run() {
 }
 
 #[test]
-fn the_header_of_a_program_holds_any_name() {
+fn program_header_escapes_names() {
     let chain = Provenance::of([&Artefact::new(Role::Robot, "Käfer \"7\"; €\n𝄞", "x").into()]);
     let program = program::stamped(Language::Krl, "&ACCESS RVP\r\nDEF P ( )\r\nEND\r\n", &chain).unwrap();
     assert!(program.is_ascii() && program.starts_with("&ACCESS RVP\r\nDEF P ( )\r\n; made by"), "{program}");
@@ -335,7 +335,7 @@ fn the_header_of_a_program_holds_any_name() {
 
 /// A record that is damaged could hide a second correction.
 #[test]
-fn a_damaged_record_is_refused() {
+fn damaged_record_is_refused() {
     let dir = cell();
     let at = dir.path();
     let program = at.join("krl/DBB_C001.src");

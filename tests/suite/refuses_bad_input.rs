@@ -21,9 +21,9 @@ fn identify_file(dir: &Path, name: &str, more: &[&str]) -> Output {
     dbbd(dir, &[&["identify", name, "--centres", "C.csv", "--out", "out"], more].concat())
 }
 
-/// The file is read a row at a time, and names the row.
+/// The file is read row by row, and the error names the row.
 #[test]
-fn observations_that_are_no_text() {
+fn binary_observations() {
     let dir = tempdir().unwrap();
     let refused = |row: &[u8], code: &str, place: &str| {
         let bytes = [HEADER.as_bytes(), ROW.as_bytes(), row].concat();
@@ -40,7 +40,7 @@ fn observations_that_are_no_text() {
 
 /// Lengths between 298 and 302 mm at poses about the ball, by the nominal robot; then the same table in other units.
 #[test]
-fn tables_in_other_units_and_plans() {
+fn plans_and_tables_in_other_units() {
     let example = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/paper");
     let text = fs::read_to_string(example.join("observations.csv")).unwrap();
     let mut rows = csv::Reader::from_reader(text.as_bytes());
@@ -74,7 +74,7 @@ fn tables_in_other_units_and_plans() {
     ] {
         let table = table(&|name| if name.ends_with(column) { factor } else { 1.0 });
         refused(&table, &["bad.csv"], unit);
-        // What only checks is held to the same.
+        // Validation data is checked in the same way.
         refused(&table, &["obs.csv", "--validate", "bad.csv"], unit);
     }
     let planned =
@@ -93,7 +93,7 @@ const TABLES: &[(&str, &str, usize)] = &[
     ("1,1,0,-60,90,0,60,0,300,0\n", "E0111", 2),
     ("1,0,0,-60,90,0,60,0,300,0.01\n", "E0111", 2),
     ("1,1,0,-60,90,0,60\n", "E0112", 2),
-    // Decimal commas, thousands, two decimals, a quote that is not closed.
+    // Decimal commas, thousands separators, two decimal marks, an open quote.
     ("1,1,0,0,-60,0,90,0,0,0,60,0,0,0,300,1,0,01\n", "E0112", 2),
     ("1,1,0,-60,90,0,60,0,\"1.300,1\",0.01\n", "E0111", 2),
     ("1,1,0,-60,90,0,60,0,300.1,0.01\n2,1,0,-60,90,0,60,0,\"300,1\",0.01\n", "E0111", 3),
@@ -103,7 +103,7 @@ const TABLES: &[(&str, &str, usize)] = &[
     ("", "E1201", 0),
 ];
 
-/// Arguments with a sound table that are refused.
+/// Arguments that are refused with a valid table.
 const ARGUMENTS: &[(&[&str], &str)] = &[
     (&["--robot", "kr60"], "E0503"),
     (&["--robot", "nowhere.toml"], "E0101"),
@@ -112,7 +112,7 @@ const ARGUMENTS: &[(&[&str], &str)] = &[
     (&["--robot", "kr60ha", "--prior", "nowhere.csv"], "E0101"),
 ];
 
-/// Robot files that are refused: what of a sound one is written otherwise.
+/// Robot files that are refused: replacements in a valid one.
 const ROBOTS: &[(&str, &str, &str)] = &[
     ("a_mm = 350.0", "a_mn = 350.0", "E0120"),
     ("[[joint]]", "[[joints]]", "E0120"),
@@ -168,7 +168,7 @@ fn observations() {
 }
 
 #[test]
-fn robots_lists_and_numbers() {
+fn robots_parameter_lists_and_numbers() {
     let good = format!("{HEADER}{ROW}");
     for (arguments, code) in ARGUMENTS {
         refused(&good, arguments, code, "");
@@ -176,11 +176,11 @@ fn robots_lists_and_numbers() {
     let nameless = identify(tempdir().unwrap().path(), &good, &[]);
     assert_eq!((nameless.status.code(), codes(&nameless)), (Some(1), vec!["E1302".to_owned()]));
     let dir = tempdir().unwrap();
-    // Nor is one pose, twenty times: there is nothing to hold out.
+    // Twenty times the same pose cannot be held out.
     let same: String = (0..20).map(|i| ROW.replacen("1", &(i + 1).to_string(), 1)).collect();
     let output = identify(dir.path(), &format!("{HEADER}{same}"), &["--robot", "kr60ha"]);
     assert_eq!(output.status.code(), Some(3), "{}", stderr(&output));
-    // One length is no mistake in the file: the answer comes with its doubt.
+    // One length is not an error of the file: the result has a doubt.
     let output = identify(dir.path(), &good, &["--robot", "kr60ha", "--estimate", "geometric"]);
     let said = stderr(&output);
     assert_eq!(output.status.code(), Some(3), "{said}");
@@ -194,7 +194,7 @@ fn robot_files() {
     let dir = tempdir().unwrap();
     let text = include_str!("../../robots/kr60ha.toml");
     let cut = (text[..text.len() / 2].to_owned(), &"E0120");
-    // SCARA, a palletiser without axis 6, an arm of seven axes.
+    // SCARA, a palletiser without axis 6, an arm with seven axes.
     let (head, joints) = text.split_at(text.find("[[joint]]").unwrap());
     let (joints, tail) = joints.split_at(joints.find("# The tool ball").unwrap());
     let joints: Vec<&str> = joints.split_inclusive("\n\n").collect();
@@ -234,7 +234,7 @@ fn captures_ports_and_programs() {
     let huge: String = (0..20).map(|at| format!("{at},1,0,-60,{at},0,60,0,1e300,0.01\n")).collect();
     fs::write(at.join("huge.csv"), format!("{HEADER}{huge}")).unwrap();
     fs::write(at.join("demo.toml"), include_str!("../../examples/demo.toml")).unwrap();
-    // Command, code, and what the message names.
+    // Command, code, and a word of the message.
     let cases: &[(&[&str], &str, &str)] = &[
         (&["plan", "job.toml", "--out", "p"], "E0301", "did you mean `dbb-cobs-1`"),
         (&["plan", "demo.toml", "--out", "p", "--measured", "huge.csv"], "E0721", ""),
@@ -268,9 +268,9 @@ fn captures_ports_and_programs() {
     assert!(!at.join("r.dbbd").exists(), "nothing was measured, so there is no capture");
 }
 
-/// Nothing of the robot is asked for: no index, no correlation, and no panic.
+/// Estimates no parameter of the robot: no observability index, no correlation, and no panic.
 #[test]
-fn the_bar_alone() {
+fn bar_checks() {
     let dir = tempdir().unwrap();
     let truth = with_errors(DESIGNED);
     let text = measure(&truth, &[horizontal(1, CENTRE)], 40, 25.0).to_csv();
@@ -282,9 +282,9 @@ fn the_bar_alone() {
     }
 }
 
-/// Another robot than the one that was measured fits as well, with links that no robot of its kind has.
+/// The lengths of one robot fit another one, with implausible links.
 #[test]
-fn another_robot_is_doubted() {
+fn runs_of_another_robot() {
     let dir = tempdir().unwrap();
     let text = measure(&with_errors(DESIGNED), &three_planes(1, CENTRE), 27, 25.0).to_csv();
     let output = identify(dir.path(), &text, &["--robot", "kr16-2"]);

@@ -1,4 +1,4 @@
-//! The demo does the whole job on files: every step reads what the one before wrote, and fails without it.
+//! The demo runs the whole job on files. Each step reads the files of the previous one, and fails without them.
 #![cfg(unix)]
 
 use std::fs;
@@ -23,14 +23,14 @@ fn step(dir: &Path, args: &[&str]) {
 }
 
 #[test]
-fn the_demo_ends_with_the_truth_beside_the_result() {
+fn demo_compares_result_and_truth() {
     let dir = tempdir().unwrap();
     let output = dbbd(dir.path(), &["demo", "--json"]);
     assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
     let comparison: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
     let mean = |key: &str| comparison[key][0].as_f64().unwrap();
     assert!(mean("identified_error_mm") < 0.5 * mean("nominal_error_mm"), "{comparison}");
-    // Each identified parameter lies within what its standard deviation makes plausible.
+    // Each identified parameter is within a plausible multiple of its standard deviation.
     for row in comparison["parameters"].as_array().unwrap() {
         let [truth, found, sd] =
             ["true_correction", "correction", "sd"].map(|key| row[key].as_f64().unwrap());
@@ -45,9 +45,9 @@ fn the_demo_ends_with_the_truth_beside_the_result() {
     assert!(page.contains("<svg") && page.contains("Circle 1"));
 }
 
-/// Each single command needs the file of the step before.
+/// Each command needs the file of the previous step.
 #[test]
-fn no_step_is_skipped() {
+fn missing_inputs_are_refused() {
     let dir = tempdir().unwrap();
     let at = dir.path();
     short_job(at);
@@ -84,7 +84,7 @@ fn no_step_is_skipped() {
     }
 }
 
-/// Simulates in one process and acquires in another, over the pty that the first one names.
+/// Simulates in one process and acquires in another, over the pseudo-terminal that the first one prints.
 fn measure(dir: &Path) {
     let program = ["--program", "krl/DBB_MAIN.src", "--robot", "kr60ha", "--speed", "0", "--quiet"];
     let simulator = Simulator::start(dir, &program);
@@ -92,9 +92,9 @@ fn measure(dir: &Path) {
     assert!(simulator.finished().status.success());
 }
 
-/// The capture carries robot, balls and plan: it alone gives what the single steps give.
+/// The capture contains robot, balls and plan: alone it gives the same result as the single steps.
 #[test]
-fn a_capture_alone_suffices() {
+fn capture_alone_suffices() {
     let dir = tempdir().unwrap();
     let at = dir.path();
     short_job(at);
@@ -120,16 +120,16 @@ fn a_capture_alone_suffices() {
     let read = |name: &str| fs::read_to_string(at.join(name).join("result.json")).unwrap();
     let result: ResultFile = serde_json::from_str(&read("at-once")).unwrap();
     assert!(result.observations > 36, "{} observations", result.observations);
-    // The same but for what they were made from.
+    // Equal except for the provenance.
     let by_steps: ResultFile = serde_json::from_str(&read("by-steps")).unwrap();
     assert_eq!(result, by_steps);
-    // Lengths agree with a robot that was identified before: no accuracy model of the controller is suspected for it.
+    // Lengths that agree with an identified robot raise no suspicion of an accuracy model in the controller.
     let known =
         dbbd(at, &["identify", "run.dbbd", "--robot", "at-once/robot-identified.toml", "--out", "again"]);
     assert!(!stderr(&known).contains("accuracy model"), "{}", stderr(&known));
     let again: ResultFile = serde_json::from_str(&read("again")).unwrap();
     assert!(again.residual_mm.before.rms < 0.03, "{}", again.residual_mm.before.rms);
-    // Poses of one robot say nothing of another; the doubt stands in the result, too.
+    // Poses of one robot are no data of another; the result has this doubt too.
     let other = dbbd(at, &["identify", "run.dbbd", "--robot", "kr16-2", "--out", "other"]);
     let doubt = "the poses are of a plan for KUKA KR 60 HA, --robot names KUKA KR 16-2";
     assert!(other.status.code() == Some(3) && stderr(&other).contains(doubt), "{}", stderr(&other));

@@ -73,7 +73,7 @@ fn told(output: &Output, code: &str) -> bool {
 }
 
 #[test]
-fn a_check_does_not_raise_the_predicted_error() {
+fn repeated_measurement_does_not_raise_the_predicted_error() {
     for prior in ["none", "datasheet"] {
         let (dir, first) = cell(prior);
         let first_mm = first.predicted_position_error_mm.identified.mean;

@@ -1,4 +1,4 @@
-//! What is written to stdout arrives or is said not to, and nothing that was read steers a terminal.
+//! A failure to write to stdout is an error, and control characters never reach the terminal.
 #![cfg(unix)]
 
 use std::fs::File;
@@ -24,12 +24,12 @@ const PRINTS: [&[&str]; 7] = [
 ];
 
 #[test]
-fn a_result_that_is_not_taken_is_a_failure() {
+fn full_stdout_is_an_error() {
     for args in PRINTS {
         let full = File::options().write(true).open("/dev/full").unwrap();
         let output = process::dbbd(args).stdout(full).output().unwrap();
         assert_eq!(output.status.code(), Some(1), "{args:?}: {}", stderr(&output));
-        // Help is printed by the parser of the command line.
+        // The parser of the command line prints the help.
         if !args[0].starts_with("--") {
             assert_eq!(codes(&output), [UNWRITABLE], "{args:?}");
         }
@@ -37,7 +37,7 @@ fn a_result_that_is_not_taken_is_a_failure() {
 }
 
 #[test]
-fn a_reader_that_has_gone_ends_it_quietly() {
+fn closed_pipe_is_not_an_error() {
     for args in PRINTS {
         let (reader, writer) = std::io::pipe().unwrap();
         drop(reader);
@@ -47,7 +47,7 @@ fn a_reader_that_has_gone_ends_it_quietly() {
 }
 
 #[test]
-fn nothing_in_a_capture_steers_the_terminal() {
+fn control_characters_are_escaped() {
     const HOSTILE: &str = "\u{1b}]0;title\u{7}\u{9b}2J\r\ndamages      none";
     let dir = tempfile::tempdir().unwrap();
     let mut writer = Writer::create(&dir.path().join("run")).unwrap();

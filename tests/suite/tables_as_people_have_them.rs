@@ -62,10 +62,10 @@ fn dialects_of_a_table_give_the_same_result() {
     assert_eq!(result(&identify(dir.path(), plain.as_bytes())), expected);
 }
 
-/// A table of many rows shows at once on a terminal that it is being read.
+/// A terminal shows at once that a large table is being read.
 #[cfg(target_os = "linux")]
 #[test]
-fn many_rows_show_progress() {
+fn large_tables_show_progress() {
     use std::io::Read;
     use std::process::{Command, Stdio};
     use std::time::Duration;

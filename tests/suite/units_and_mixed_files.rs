@@ -32,7 +32,7 @@ fn priors_and_frozen_bars() {
 }
 
 #[test]
-fn frames_and_floors_of_a_job() {
+fn base_frames_and_floors_of_jobs() {
     let (dir, _) = cell();
     let at = dir.path();
     for motion in [
@@ -47,7 +47,7 @@ fn frames_and_floors_of_a_job() {
     says(&dbbd(at, &["plan", "bad.toml", "--out", "plan"]), 1, "E0601");
 }
 
-/// A circle of 72 points; each line with its angle, length, time and temperature.
+/// A circle of 72 points. Each line has angle, length, time and temperature.
 fn circle(at: &Path, name: &str, line: &dyn Fn(u32) -> [f64; 4]) -> std::process::Output {
     let rows = (0..72).map(|point| {
         let [angle, length, t_s, temp_c] = line(point);
@@ -107,7 +107,7 @@ fn angles_times_and_temperatures_of_circles() {
 }
 
 #[test]
-fn a_result_of_another_calibration_is_none_of_this_robot() {
+fn results_of_another_calibration() {
     let (dir, data) = cell();
     let at = dir.path();
     let given = ["--prior", "datasheet"];
@@ -127,7 +127,7 @@ fn a_result_of_another_calibration_is_none_of_this_robot() {
 }
 
 #[test]
-fn an_export_replaces_its_own_files_alone() {
+fn exports_replace_only_exports() {
     let (dir, _) = cell();
     let at = dir.path();
     assert_eq!(dbbd(at, &["plan", "job.toml", "--out", "plan"]).status.code(), Some(0));

@@ -23,7 +23,7 @@ const JOB: &str = "robot = \"kr60ha\"\n[bar]\nlength_mm = 300.0\nstroke_mm = [-6
 const MAPPING: &str = "[time]\ncolumn = \"ticks\"\nunit = \"us\"\n[length]\ncolumn = \"reading_mm\"\nkind = \"reading\"\n\
     [strobe]\ncolumn = \"trigger\"\n[valid]\ncolumn = \"valid\"\n[temperature]\ncolumn = \"temperature_c\"\n";
 
-/// The samples of a simulated run, whose columns may be changed.
+/// The samples of a simulated run; columns can be changed.
 struct Recorded {
     dir: TempDir,
     rows: Vec<Vec<String>>,
@@ -48,7 +48,7 @@ impl Recorded {
         Self { dir, rows }
     }
 
-    /// `sync` of the run with another value in a column, by the row's number and value.
+    /// Runs `sync` with a column changed by a function of row number and value.
     fn with(&self, column: &str, value: impl Fn(usize, &str) -> String) -> Output {
         let (dir, place) = (tempdir().unwrap(), self.rows[0].iter().position(|name| name == column).unwrap());
         let changed = self.rows.iter().enumerate().map(|(at, row)| {
@@ -74,7 +74,7 @@ fn times(factor: f64) -> impl Fn(usize, &str) -> String {
 }
 
 #[test]
-fn sign_scale_and_temperatures_of_a_run() {
+fn sign_scale_and_temperature_of_a_run() {
     let run = Recorded::new();
     let sound = run.with("reading_mm", times(1.0));
     assert_eq!(sound.status.code(), Some(0), "{}", stderr(&sound));
@@ -88,7 +88,7 @@ fn sign_scale_and_temperatures_of_a_run() {
 }
 
 #[test]
-fn a_bar_that_is_not_seated_is_named_afterwards() {
+fn unseated_bars() {
     let dir = tempdir().unwrap();
     let at = dir.path();
     fs::write(at.join("job.toml"), JOB).unwrap();
@@ -154,7 +154,7 @@ fn results_of_the_same_lengths() {
     spoiled.rows.iter_mut().skip(30).for_each(|row| row.length_mm += 0.4);
     run(&spoiled.to_csv(), "spoiled", &[]);
     says(&dbbd(at, &["compare", "first", "spoiled", "--out", "c"]), 3, "W1843");
-    // Saved by a spreadsheet: three decimals, and other numbers of the rows.
+    // Saved by a spreadsheet: three decimals, and renumbered rows.
     let mut rounded = data.clone();
     for row in &mut rounded.rows {
         (row.index, row.length_mm) = (row.index + 100, (1e3 * row.length_mm).round() / 1e3);
@@ -163,7 +163,7 @@ fn results_of_the_same_lengths() {
     says(&used, 3, "W1334");
 }
 
-/// Two senses of 72 points about the same centre; what is added to a length by sense (1, -1) and angle.
+/// 72 points in both directions about the same centre; `length_mm` is added to a length, by direction (1, -1) and angle.
 fn circle(at: &Path, more: &[&str], length_mm: &dyn Fn(f64, f64) -> f64) -> Output {
     let rows = [("1,ccw", 1.0), ("2,cw", -1.0)].into_iter().flat_map(|(run, sense)| {
         (0..72).map(move |point| {
@@ -179,7 +179,7 @@ fn circle(at: &Path, more: &[&str], length_mm: &dyn Fn(f64, f64) -> f64) -> Outp
 }
 
 #[test]
-fn circles_that_cannot_be() {
+fn impossible_circles() {
     let dir = tempdir().unwrap();
     let at = dir.path();
     let play = |sense: f64, deg: f64| 0.02 * sense * deg.to_radians().sin().signum();
@@ -233,7 +233,7 @@ fn jobs_definitions_and_options() {
 }
 
 #[test]
-fn a_run_of_a_clock_that_is_wrong() {
+fn runs_with_a_wrong_clock() {
     let run = Recorded::new();
     let at = run.dir.path();
     let ticks = run.rows[0].iter().position(|name| name == "ticks").unwrap();

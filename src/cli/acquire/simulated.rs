@@ -1,4 +1,4 @@
-//! `--port sim`: a simulated cell as a child process, its programs in a directory that goes with it.
+//! `--port sim`: a simulated cell as a child process, with its programs in a temporary directory.
 
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::{Path, PathBuf};
@@ -16,6 +16,9 @@ use crate::recording::run::read_plan;
 use crate::robot::Robot;
 use crate::sim::truth;
 
+/// How long a program waits at its HALT, s.
+pub(crate) const HALT_S: &str = "2";
+
 /// A simulator that runs a plan.
 pub(crate) struct Cell {
     simulator: Simulator,
@@ -23,20 +26,18 @@ pub(crate) struct Cell {
     directory: TempDir,
 }
 
-/// A directory of this user's own that nobody could have made before; it goes with its value.
+/// A new directory that only this user can read. It is deleted with its value.
 fn private_directory() -> Result<TempDir, Diagnostic> {
     let mut builder = tempfile::Builder::new();
     builder.prefix("dbbd-sim-");
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o700));
-    let made = builder.tempdir();
-    made.map_err(|error| {
-        let why = FileFinding::NoDirectory { why: error.to_string() };
-        Diagnostic::file(&std::env::temp_dir().display().to_string(), why)
+    builder.tempdir().map_err(|error| {
+        Diagnostic::file(std::env::temp_dir().display(), FileFinding::NoDirectory { why: error.to_string() })
     })
 }
 
-/// A world whose robot and bar repeat as the plan counts on, and whose base balls stand where it has them taught.
+/// A world with the repeatability and the noise that the plan assumes, and with the base balls where they were taught.
 fn world(plan: &Plan, robot: &Robot) -> String {
     let table = |Taught { centre, axes_deg }: Taught| {
         format!("[[centre]]\nid = {centre}\ntaught_deg = {axes_deg:?}\n")
@@ -46,25 +47,9 @@ fn world(plan: &Plan, robot: &Robot) -> String {
 }
 
 impl Cell {
-    /// Starts the simulator on `plan`, or on the demo's; `speed` is device time in host time, 0 for as
-    /// fast as the bytes are taken. Its program reports its dwells to `server`, if there is one.
-    ///
-    /// # Errors
-    /// When a step on the way to its programs fails.
+    /// Starts the simulator with `plan`, or with that of the demo. `speed` is device time per host time; 0: as fast as the
+    /// bytes are read. The program waits `halt_s` at each HALT, and reports its dwells to `server`, if given.
     pub(crate) fn start(
-        plan: Option<&Path>,
-        speed: &str,
-        server: Option<SocketAddr>,
-        out: &Output,
-    ) -> Result<Self, Diagnostic> {
-        Self::start_at(plan, speed, "2", server, out)
-    }
-
-    /// The same with a program that waits at each HALT for so many seconds.
-    ///
-    /// # Errors
-    /// As [`Self::start`].
-    pub(crate) fn start_at(
         plan: Option<&Path>,
         speed: &str,
         halt_s: &str,
@@ -75,10 +60,7 @@ impl Cell {
         let inside = directory.path();
         let steps = Steps::new(inside, out);
         let plan = match plan {
-            Some(plan) => std::path::absolute(plan).map_err(|error| {
-                let why = error.to_string();
-                Diagnostic::file(&plan.display().to_string(), FileFinding::Unreadable { why })
-            })?,
+            Some(plan) => std::path::absolute(plan).map_err(files::unreadable(plan.display()))?,
             None => {
                 files::write(&inside.join("job.toml"), demo::JOB)?;
                 steps.run(&["plan", "job.toml", "--out", "plan"])?;
@@ -86,11 +68,11 @@ impl Cell {
             }
         };
         let plan_name = plan.display().to_string();
-        let read = read_plan(&plan)?;
-        // The controller's, where the plan was made on an identified one.
-        let robot = Robot::from_toml("the plan's robot", &read.header.robot)?;
+        let content = read_plan(&plan)?;
+        let robot = Robot::from_toml("the plan's robot", &content.header.robot)?;
+        // The controller computes with the nominal robot, even if the plan was made for an identified one.
         files::write(&inside.join("robot.toml"), robot.controller().to_toml()?)?;
-        files::write(&inside.join("world.toml"), world(&read, &robot))?;
+        files::write(&inside.join("world.toml"), world(&content, &robot))?;
         let mut emit = vec!["krl", plan_name.as_str(), "--out", "krl", "--controller", "simulated"];
         let mut simulate = vec!["simulate", "--program", "krl/DBB_MAIN.src", "--nominal", "robot.toml"];
         simulate.extend(["--world", "world.toml", "--speed", speed, "--halt", halt_s]);
@@ -108,20 +90,16 @@ impl Cell {
         Ok(Self { simulator, plan, directory })
     }
 
-    /// Where the virtual bar is.
+    /// The address of the virtual bar.
     pub(crate) fn port(&self) -> &PortAddress {
         self.simulator.port()
     }
 
-    /// The plan that it runs.
     pub(crate) fn plan(&self) -> &Path {
         &self.plan
     }
 
-    /// Waits for its end.
-    ///
-    /// # Errors
-    /// When it failed.
+    /// Waits for the end of the simulator.
     pub(crate) fn finish(self) -> Result<(), Diagnostic> {
         let Self { simulator, plan: _, directory: _directory } = self;
         simulator.finish()

@@ -1,4 +1,4 @@
-//! How a run looks on a terminal: length against stroke, poses, gaps.
+//! The progress of a run on a terminal: length against stroke, poses, losses.
 
 use crate::daemon::{MountDetector, Progress, Reading, Schedule};
 use crate::live::Alarm;
@@ -6,7 +6,7 @@ use crate::live::Alarm;
 /// Width of the gauge in characters.
 const WIDTH: usize = 41;
 
-/// The reading against the stroke, and below it poses, rate and losses; `mount` was given what was shown before.
+/// The reading against the stroke, and below it poses, rate and losses. `mount` must have seen all earlier readings.
 pub(super) fn lines(progress: &Progress, schedule: &Schedule, mount: &mut MountDetector) -> String {
     let Some(reading_mm) = progress.reading_mm.filter(|_| !progress.gone) else {
         return super::status(progress);
@@ -25,7 +25,7 @@ pub(super) fn lines(progress: &Progress, schedule: &Schedule, mount: &mut MountD
     }
     let Some([low, high]) = schedule.stroke_mm else { return format!("{shown}\n{below}") };
     let share = (reading_mm - low) / (high - low);
-    // A share beyond the stroke is shown at its end.
+    // A reading beyond the stroke is shown at its end.
     let at = (share * (WIDTH - 1) as f64).round().clamp(0.0, (WIDTH - 1) as f64) as usize;
     let gauge: String = (0..WIDTH)
         .map(|cell| {
@@ -52,7 +52,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_gauge_follows_the_reading() {
+    fn gauge_shows_the_reading() {
         let schedule = Schedule::bare(Some([-1.0, 1.0]), 0.9);
         let mut mount = MountDetector::default();
         let mut elapsed_s = 0.0;

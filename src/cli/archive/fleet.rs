@@ -1,4 +1,4 @@
-//! What the results of a plant say together.
+//! `dbbd archive fleet`.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -14,7 +14,7 @@ use crate::diagnostic::Diagnostic;
 use crate::estimation::fleet::{Assumptions, RunPosterior, fleet};
 use crate::robot::Robot;
 
-/// A result as the fleet takes it; `None` of one without a posterior or a date.
+/// A result as the estimation of the fleet takes it; `None` if it has no posterior or no date.
 fn of_result(result: &ArchivedResult, kind: &str, bar: &str) -> Option<RunPosterior> {
     let written = WrittenPosterior::read(result.found.posterior.as_ref()?)?;
     let size = written.parameters.len();
@@ -31,7 +31,7 @@ fn of_result(result: &ArchivedResult, kind: &str, bar: &str) -> Option<RunPoster
     })
 }
 
-/// Writes fleet.json, and a robot file for a new robot of each type.
+/// Writes fleet.json, and a robot file for each type.
 pub(super) fn run(
     archive: &mut Archive,
     selection: &Selection,
@@ -56,11 +56,11 @@ pub(super) fn run(
     if let left @ 1.. = runs.len() - used {
         out.finding(ArchiveFinding::NotInFleet { left, runs: runs.len() });
     }
-    let found = fleet(&posteriors, &Assumptions::default()).filter(|_| used > 0);
-    let found = found.ok_or(ArchiveFinding::NoFleet { results: used })?;
+    let estimated = fleet(&posteriors, &Assumptions::default()).filter(|_| used > 0);
+    let fleet = estimated.ok_or(ArchiveFinding::NoFleet { results: used })?;
     files::directory(directory)?;
     let mut written = Vec::new();
-    for kind in &found.types {
+    for kind in &fleet.types {
         let Some(run) = example.get(kind.kind.as_str()) else { continue };
         let Some(text) = archive.result_file(run, "robot-identified.toml")? else { continue };
         let identified = Robot::from_toml("robot-identified.toml", &String::from_utf8_lossy(&text))?;
@@ -70,16 +70,16 @@ pub(super) fn run(
         files::write(&directory.join(&name), robot.to_toml()?)?;
         written.push(name);
     }
-    let crashes: Vec<_> = found.robots.iter().filter(|robot| !robot.crashes.is_empty()).collect();
-    found.findings().into_iter().for_each(|finding| out.finding(finding));
+    out.findings(fleet.findings());
+    let crashed = fleet.robots.iter().filter(|robot| !robot.crashes.is_empty());
     let crashes: Vec<_> =
-        crashes.iter().map(|robot| json!({ "robot": robot.robot, "days": robot.crashes })).collect();
+        crashed.map(|robot| json!({ "robot": robot.robot, "days": robot.crashes })).collect();
     let document = json!({
-        "results": used, "unusable": found.unusable, "robots": found.robots.len(), "bars": found.bars,
+        "results": used, "unusable": fleet.unusable, "robots": fleet.robots.len(), "bars": fleet.bars,
         "changed": crashes, "types": written,
     });
     files::write(&directory.join("fleet.json"), serialised::json(&document)? + "\n")?;
     out.document(&document)?;
-    out.result(format!("{used} results, {} robots, {} bars", found.robots.len(), found.bars.len()));
+    out.result(format!("{used} results, {} robots, {} bars", fleet.robots.len(), fleet.bars.len()));
     Ok(Outcome::Done)
 }

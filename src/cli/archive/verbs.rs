@@ -1,6 +1,7 @@
-//! The verbs of the archive.
+//! The commands of `dbbd archive`.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use serde::Serialize;
 use serde_json::json;
@@ -9,17 +10,17 @@ use super::work::{Until, compare, report_failures, work, worker};
 use super::{Args, Choice, TableFormat, What};
 use crate::archive::{
     Addresses, Archive, ArchivedFile, ArchivedResult, ArchivedRun, ColumnKind, Damage, LocalRun,
-    PlantOptions, Pushed, RunJob, Secrets, Selection, Settings, Spool, parquet,
+    PlantOptions, PlantPages, Pushed, RunJob, Secrets, Selection, Settings, Spool, parquet,
 };
 use crate::base::{clock, files, serialised};
 use crate::catalogue::{ArchiveFinding, CliFinding, ProvenanceFinding};
-use crate::cli::info::line;
-use crate::cli::{Outcome, Output};
-use crate::daemon::Door;
+use crate::cli::serve::Lines;
+use crate::cli::{Outcome, Output, artefact};
+use crate::daemon::{Door, serve_plant};
 use crate::diagnostic::Diagnostic;
 use crate::provenance::{Provenance, VERSION};
 
-/// What a file of Parquet begins with.
+/// The first bytes of a Parquet file.
 const PARQUET: &str = "PAR1";
 
 pub(super) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
@@ -60,12 +61,10 @@ pub(super) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         }
         What::Serve { listen, token_file, host, interval, limit } => {
             let door = Door::new(listen, token_file.as_deref(), host)?;
-            super::serve::run(
-                addresses,
-                door,
-                PlantOptions { interval_days: *interval, limit_mm: *limit },
-                out,
-            )
+            let options = PlantOptions { interval_days: *interval, limit_mm: *limit };
+            let pages = PlantPages::open(addresses, options)?;
+            serve_plant(door, Arc::new(Lines { out: out.clone() }), Arc::new(pages))?;
+            Ok(Outcome::Done)
         }
         What::Get { run, out: directory } => get(&mut Archive::open(&addresses)?, run, directory, out),
     }
@@ -78,7 +77,7 @@ fn init(addresses: &Addresses, out: &Output) -> Result<Outcome, Diagnostic> {
     Ok(Outcome::Done)
 }
 
-/// Runs that were sent and runs that wait.
+/// The JSON document of `archive push`: hashes of runs.
 #[derive(Default, Serialize)]
 struct Sent {
     new: Vec<String>,
@@ -93,7 +92,7 @@ fn push(
     out: &Output,
 ) -> Result<Outcome, Diagnostic> {
     spool.map_or(Ok(()), |spool| addresses.check_spool(Path::new(""), spool))?;
-    let found: Vec<Vec<PathBuf>> = runs.iter().map(|run| LocalRun::find(run)).collect::<Result<_, _>>()?;
+    let paths: Vec<Vec<PathBuf>> = runs.iter().map(|run| LocalRun::find(run)).collect::<Result<_, _>>()?;
     let (mut sent, spool) = (Sent::default(), spool.map(Spool::open).transpose()?);
     let mut archive = Archive::open_whole(addresses);
     if let (Ok(archive), Some(spool)) = (&mut archive, &spool) {
@@ -104,7 +103,7 @@ fn push(
             }
         }
     }
-    for path in found.concat() {
+    for path in paths.concat() {
         let run = read(&path, out)?;
         let done = match &mut archive {
             Ok(archive) => send(archive, &run, &mut sent, out),
@@ -120,7 +119,7 @@ fn push(
             (Err(why), None) => return Err(why),
         }
     }
-    if let (Err(why), Some(spool), true) = (&archive, &spool, found.is_empty()) {
+    if let (Err(why), Some(spool), true) = (&archive, &spool, paths.is_empty()) {
         out.finding(ArchiveFinding::SpoolWaits { runs: spool.waiting()?.len() });
         out.finding(waits("", why));
     }
@@ -134,10 +133,10 @@ fn waits(run: &str, why: &Diagnostic) -> ArchiveFinding {
     ArchiveFinding::Spooled { run: run.into(), why: why.to_string() }
 }
 
-/// Reads a run, and says what is damaged in it, is not stored, or is not known of it.
+/// Reads a run, and reports what is damaged, missing or unknown in it.
 fn read(path: &Path, out: &Output) -> Result<LocalRun, Diagnostic> {
     let run = LocalRun::read(path)?;
-    run.doubts().iter().for_each(|doubt| out.finding(doubt.clone()));
+    out.findings(run.doubts().iter().cloned());
     Ok(run)
 }
 
@@ -177,9 +176,9 @@ impl Choice {
     }
 }
 
-/// Says why a selection holds nothing.
+/// Reports why a selection is empty.
 fn report_nothing(archive: &mut Archive, selection: &Selection, out: &Output) -> Result<(), Diagnostic> {
-    archive.nothing_of(selection)?.into_iter().for_each(|finding| out.finding(finding));
+    out.findings(archive.nothing_of(selection)?);
     Ok(())
 }
 
@@ -196,8 +195,9 @@ fn list(archive: &mut Archive, choice: &Choice, out: &Output) -> Result<Outcome,
     Ok(Outcome::Done)
 }
 
+/// The JSON document of `archive show` and `archive get`.
 #[derive(Serialize)]
-struct Shown<'a> {
+struct RunDocument<'a> {
     #[serde(flatten)]
     run: &'a ArchivedRun,
     files: &'a [ArchivedFile],
@@ -210,16 +210,16 @@ fn show(archive: &mut Archive, digits: &str, out: &Output) -> Result<Outcome, Di
     let (files, jobs) = (archive.files(&run)?, archive.jobs(std::slice::from_ref(&run))?);
     let provenance: Provenance = serde_json::from_str(&run.provenance)
         .map_err(|error| ProvenanceFinding::Damaged { why: error.to_string() })?;
-    out.document(&Shown { run: &run, files: &files, jobs: &jobs, provenance: provenance.clone() })?;
-    line(out, "run", &run.sha256);
-    line(out, "robot", &format!("{} ({})", run.robot, run.kind));
-    crate::cli::artefact::chain(&provenance, out);
+    out.document(&RunDocument { run: &run, files: &files, jobs: &jobs, provenance: provenance.clone() })?;
+    out.field("run", &run.sha256);
+    out.field("robot", format!("{} ({})", run.robot, run.kind));
+    artefact::show_chain(&provenance, out);
     for file in &files {
-        line(out, "file", &format!("{:32} {} bytes", file.name, file.bytes));
+        out.field("file", format!("{:32} {} bytes", file.name, file.bytes));
     }
     for RunJob { settings, state, code, message, .. } in &jobs {
         let why = [code.as_deref(), message.as_deref()].map(Option::unwrap_or_default).join(" ");
-        line(out, "job", format!("{settings} {state} {why}").trim_end());
+        out.field("job", format!("{settings} {state} {why}").trim_end());
     }
     Ok(Outcome::Done)
 }
@@ -238,7 +238,7 @@ fn reprocess(
         return Ok(Outcome::Done);
     }
     work(archive, &worker(None), Until::Empty, out)?;
-    compare(archive, selection, settings, VERSION, out)
+    compare(archive, selection, settings, out)
 }
 
 fn export(
@@ -252,14 +252,16 @@ fn export(
     results.iter_mut().for_each(|result| result.found.posterior = None);
     files::directory(directory)?;
     let tables = match format {
-        TableFormat::Csv => [
-            (
-                "runs.csv",
-                header(&ArchivedRun::TABLE),
-                (header(&ArchivedRun::TABLE) + &serialised::csv_rows(&runs)?).into(),
-            ),
-            ("results.csv", header(&ArchivedResult::TABLE), results_csv(&results)?.into()),
-        ],
+        TableFormat::Csv => {
+            let [run_columns, result_columns] =
+                [columns(&ArchivedRun::TABLE), columns(&ArchivedResult::TABLE)];
+            let run_table = serialised::csv_table(&run_columns, &runs)?;
+            let result_table = results_csv(&result_columns, &results)?;
+            [
+                ("runs.csv", run_columns.join(",") + "\n", run_table.into()),
+                ("results.csv", result_columns.join(",") + "\n", result_table.into()),
+            ]
+        }
         TableFormat::Parquet => [
             ("runs.parquet", PARQUET.into(), parquet(&ArchivedRun::TABLE, &runs)?),
             ("results.parquet", PARQUET.into(), parquet(&ArchivedResult::TABLE, &results)?),
@@ -276,15 +278,15 @@ fn export(
     Ok(Outcome::Done)
 }
 
-fn results_csv(results: &[ArchivedResult]) -> Result<String, CliFinding> {
+fn results_csv(columns: &[&str], results: &[ArchivedResult]) -> Result<String, CliFinding> {
     let rows = results.iter().map(|one| {
-        let found = &one.found;
+        let summary = &one.found;
         let numbers = [
-            found.sigma_mm,
-            found.rms_before_mm,
-            found.rms_after_mm,
-            found.error_nominal_mm,
-            found.error_identified_mm,
+            summary.sigma_mm,
+            summary.rms_before_mm,
+            summary.rms_after_mm,
+            summary.error_nominal_mm,
+            summary.error_identified_mm,
         ];
         (
             &one.run,
@@ -292,23 +294,22 @@ fn results_csv(results: &[ArchivedResult]) -> Result<String, CliFinding> {
             &one.measured,
             &one.settings,
             &one.version,
-            found.doubtful,
-            found.lengths,
+            summary.doubtful,
+            summary.lengths,
             numbers,
         )
     });
-    Ok(header(&ArchivedResult::TABLE) + &serialised::csv_rows(rows)?)
+    serialised::csv_table(columns, rows)
 }
 
-/// The first line of a table.
-fn header(table: &[(&str, ColumnKind)]) -> String {
-    table.iter().map(|(name, _)| *name).collect::<Vec<_>>().join(",") + "\n"
+fn columns<'a>(table: &[(&'a str, ColumnKind)]) -> Vec<&'a str> {
+    table.iter().map(|(name, _)| *name).collect()
 }
 
 fn get(archive: &mut Archive, digits: &str, directory: &Path, out: &Output) -> Result<Outcome, Diagnostic> {
     let run = archive.run(digits)?;
     let files = archive.fetch(&run, directory)?;
-    out.document(&Shown { run: &run, files: &files, jobs: &[], provenance: Provenance::default() })?;
+    out.document(&RunDocument { run: &run, files: &files, jobs: &[], provenance: Provenance::default() })?;
     out.result(format!("{} files in {}", files.len(), directory.display()));
     Ok(Outcome::Done)
 }

@@ -1,4 +1,4 @@
-//! Workers: each job is `dbbd identify` as a child process, as the service's are.
+//! Workers of the archive. Each job is `dbbd identify` as a child process.
 
 use std::fs;
 use std::path::Path;
@@ -7,7 +7,9 @@ use std::time::Duration;
 
 use serde_json::json;
 
-use crate::archive::{Archive, Job, Settings, Summary, Worker, is_away};
+use crate::archive::{
+    Archive, ArchivedResult, Job, Selection, Settings, Summary, Worker, WrittenPosterior, is_away,
+};
 use crate::base::{clock, files, program};
 use crate::catalogue::{ArchiveFinding, ServiceFinding};
 use crate::cli::{Outcome, Output};
@@ -18,19 +20,20 @@ use crate::provenance::VERSION;
 use crate::recording::run;
 use crate::robot::Robot;
 
-/// How long a worker may be silent.
+/// How long a worker may be silent before another one takes its job.
 const LEASE: Duration = Duration::from_secs(30);
-/// How often it looks for work and at its child, s.
+/// The interval at which a worker looks for a job, s.
 const PAUSE_S: f64 = 1.0;
+/// The interval at which it looks whether its child has ended, s.
 const LOOK_S: f64 = 0.02;
 /// How long it waits for an archive that cannot be reached, s.
 const PATIENCE_S: f64 = 60.0;
-/// What of a result is kept.
+/// The files of a result that are stored.
 const KEPT: [&str; 4] = ["result.json", "report.html", "robot-identified.toml", "lengths.csv"];
 
-/// Where an identification writes why it failed.
-const SAID: &str = "said";
-/// The code of an object that is not what was stored.
+/// The file with the stderr of an identification.
+const STDERR: &str = "stderr";
+/// The code of a stored object whose content has changed.
 const DAMAGED: &str = "E2408";
 
 /// Files by name.
@@ -53,7 +56,7 @@ pub(super) fn worker(lease_s: Option<f64>) -> Worker {
     }
 }
 
-/// Works until nothing is left or for ever; how many jobs were done and how many failed.
+/// Works on jobs. Returns how many were done and how many failed.
 pub(super) fn work(
     archive: &mut Archive,
     worker: &Worker,
@@ -64,7 +67,7 @@ pub(super) fn work(
     loop {
         let Some(job) = patiently(archive, out, |archive| archive.claim(worker))? else {
             let open = patiently(archive, out, Archive::queue)?;
-            // A job of another worker may come back.
+            // The job of another worker may become free again.
             if until == Until::Empty && open.waiting + open.running == 0 {
                 return Ok(counts);
             }
@@ -76,7 +79,7 @@ pub(super) fn work(
     }
 }
 
-/// Does something with the archive, again and again while that cannot be reached, for a while.
+/// Repeats an access to the archive for up to [`PATIENCE_S`] while it cannot be reached.
 fn patiently<T>(
     archive: &mut Archive,
     out: &Output,
@@ -91,35 +94,35 @@ fn patiently<T>(
             done => return done,
         }
         clock::sleep(PAUSE_S);
-        // Where this fails, so does the next attempt.
+        // If this fails, so does the next attempt.
         let _ = archive.reconnect();
     }
 }
 
-/// Does a job; whether there is a result.
+/// Does a job. Returns whether there is a result.
 fn one(archive: &mut Archive, job: &Job, worker: &Worker, out: &Output) -> Result<bool, Diagnostic> {
     let directory = tempfile::tempdir().map_err(system)?;
     let capture = directory.path().join("run.dbbd");
     match patiently(archive, out, |archive| archive.fetch_object(&job.run, &capture)) {
-        // Other runs are whole.
+        // Other runs may be undamaged.
         Err(why) if why.code.0 == DAMAGED => return failed(archive, job, why.code.0, &why.to_string(), out),
         fetched => fetched?,
     }
     let status = identify(archive, job, worker, directory.path())?;
     match status.code() {
         Some(code @ (0 | 3)) => {
-            let (found, contents) = read(&directory.path().join("result"), code == 3)?;
-            patiently(archive, out, |archive| archive.finish(job, worker, &found, &contents))?;
+            let (summary, contents) = read(&directory.path().join("result"), code == 3)?;
+            patiently(archive, out, |archive| archive.finish(job, worker, &summary, &contents))?;
             Ok(true)
         }
         code => {
-            let said = fs::read(directory.path().join(SAID)).unwrap_or_default();
-            let text = String::from_utf8_lossy(&said);
+            let stderr = fs::read(directory.path().join(STDERR)).unwrap_or_default();
+            let text = String::from_utf8_lossy(&stderr);
             let error = text.lines().find_map(|line| line.strip_prefix("error[")?.split_once("]: "));
             match (error, code) {
                 (Some((code, message)), _) => failed(archive, job, code, message, out),
                 (None, Some(_)) => failed(archive, job, "E2411", text.trim(), out),
-                // Ended by the system or by another worker: it stays claimed until the lease ends.
+                // Killed: the job stays claimed until the lease ends.
                 (None, None) => Ok(false),
             }
         }
@@ -137,7 +140,7 @@ fn failed(
     Ok(false)
 }
 
-/// Identifies the capture in `directory`, and keeps the job meanwhile.
+/// Identifies the capture in `directory`, and renews the lease meanwhile.
 fn identify(
     archive: &mut Archive,
     job: &Job,
@@ -146,7 +149,7 @@ fn identify(
 ) -> Result<ExitStatus, Diagnostic> {
     let mut command = program::own().map_err(system)?;
     command.args(["identify", "run.dbbd", "--out=result", "--quiet"]).args(job.settings.arguments());
-    let log = fs::File::create(directory.join(SAID)).map_err(system)?;
+    let log = fs::File::create(directory.join(STDERR)).map_err(system)?;
     command.current_dir(directory).stdout(Stdio::null()).stderr(log);
     let mut child = command.spawn().map_err(system)?;
     let third_s = worker.lease.as_secs_f64() / 3.0;
@@ -160,11 +163,11 @@ fn identify(
             match archive.keep(job, worker) {
                 Ok(true) => {}
                 Ok(false) => {
-                    // Another worker has it, or it has just ended.
+                    // Another worker has the job.
                     let _ = child.kill();
                 }
                 Err(_) => {
-                    // The next time it is asked again; what is found counts also when the lease has ended.
+                    // The result counts even if the lease ends before the next attempt.
                     let _ = archive.reconnect();
                 }
             }
@@ -177,14 +180,13 @@ fn system(error: std::io::Error) -> ServiceFinding {
     ServiceFinding::NoSystem { why: error.to_string() }
 }
 
-/// Says how many jobs failed.
 pub(super) fn report_failures(jobs: u64, out: &Output) {
     if jobs > 0 {
         out.finding(ArchiveFinding::JobsFailed { jobs });
     }
 }
 
-/// What the files of a result state, and those that are kept.
+/// The summary of a result, and the files that are stored.
 fn read(result: &Path, doubtful: bool) -> Result<(Summary, Contents), Diagnostic> {
     let mut contents = Vec::new();
     for name in KEPT {
@@ -194,7 +196,9 @@ fn read(result: &Path, doubtful: bool) -> Result<(Summary, Contents), Diagnostic
         }
     }
     let file = ResultFile::from_json("result.json", &files::read(&result.join("result.json"))?)?;
-    let found = Summary {
+    let covariance = files::read(&result.join("covariance.csv"))?;
+    let posterior = WrittenPosterior::of(&file, &covariance, &priors(result)?);
+    let summary = Summary {
         doubtful,
         lengths: file.observations as u64,
         sigma_mm: Some(file.sigma_mm),
@@ -202,12 +206,12 @@ fn read(result: &Path, doubtful: bool) -> Result<(Summary, Contents), Diagnostic
         rms_after_mm: Some(file.residual_mm.after.rms),
         error_nominal_mm: Some(file.predicted_position_error_mm.nominal.mean),
         error_identified_mm: Some(file.predicted_position_error_mm.identified.mean),
-        posterior: posterior(&file, &files::read(&result.join("covariance.csv"))?, &priors(result)?),
+        posterior: posterior.map(|posterior| posterior.write()),
     };
-    Ok((found, contents))
+    Ok((summary, contents))
 }
 
-/// What the identification of a run knew beforehand: the robot's tolerance, and the certificate of the bar in the job.
+/// The datasheet priors of a run: the robot's tolerance, and the certificate of the bar in the job.
 fn priors(result: &Path) -> Result<Priors, Diagnostic> {
     let robot =
         Robot::from_toml("robot-identified.toml", &files::read(&result.join("robot-identified.toml"))?)?;
@@ -216,53 +220,19 @@ fn priors(result: &Path) -> Result<Priors, Diagnostic> {
     Ok(Priors::datasheet(&robot, run.plan.header.job.bar.u_mm()))
 }
 
-/// Corrections and covariance in one text: what the fleet is estimated from.
-fn posterior(result: &ResultFile, covariance: &str, priors: &Priors) -> Option<String> {
-    let mut lines = covariance.lines().map(|line| line.split(','));
-    let names: Vec<&str> = lines.next()?.skip(1).collect();
-    let rows: Vec<Vec<f64>> = lines
-        .map(|cells| cells.skip(1).map(str::parse).collect::<Result<_, _>>().ok())
-        .collect::<Option<_>>()?;
-    let correction = |name: &str| Some(result.parameters.iter().find(|one| one.name == name)?.correction);
-    // Of the covariance the rows of robot and bar; balls and tool are other ones in every run.
-    let kept: Vec<usize> = (0..names.len())
-        .filter(|&at| {
-            names[at]
-                .parse::<crate::robot::ParamId>()
-                .is_ok_and(|id| id.is_geometric() || matches!(id, crate::robot::ParamId::BarOffset(_)))
-        })
-        .collect();
-    let corrections: Vec<f64> = kept.iter().map(|&at| correction(names[at])).collect::<Option<_>>()?;
-    let triangle: Option<Vec<Vec<f64>>> = kept
-        .iter()
-        .enumerate()
-        .map(|(row, &at)| kept[..=row].iter().map(|&to| rows.get(at)?.get(to).copied()).collect())
-        .collect();
-    let names: Vec<&str> = kept.iter().map(|&at| names[at]).collect();
-    let prior: Vec<Option<f64>> =
-        names.iter().map(|name| name.parse().ok().and_then(|id| priors.bound(id, &[]))).collect();
-    let found = json!({
-        "parameters": names, "corrections": corrections, "covariance": triangle?, "prior": prior,
-    });
-    Some(found.to_string())
-}
-
-/// What changed from the results of one version and its settings to those of another, robot by robot.
+/// Compares the results of this version and these settings with the earlier results of the same runs.
 pub(super) fn compare(
     archive: &mut Archive,
-    selection: &crate::archive::Selection,
+    selection: &Selection,
     settings: &Settings,
-    version: &str,
     out: &Output,
 ) -> Result<Outcome, Diagnostic> {
     let results = archive.results(selection, None)?;
-    let is_new = |result: &crate::archive::ArchivedResult| {
-        result.settings == settings.text() && result.version == version
-    };
+    let is_new = |result: &ArchivedResult| result.settings == settings.text() && result.version == VERSION;
     let (mut compared, mut changes) = (Vec::new(), Vec::new());
     for new in results.iter().filter(|result| is_new(result)) {
         let old = results.iter().rfind(|old| old.run == new.run && !is_new(old));
-        let error = |result: &crate::archive::ArchivedResult| result.found.error_identified_mm;
+        let error = |result: &ArchivedResult| result.found.error_identified_mm;
         let Some((was, is)) = old.and_then(|old| Some((error(old)?, error(new)?))) else { continue };
         changes.push(is - was);
         compared.push(json!({ "run": new.run, "robot": new.robot, "measured": new.measured,
@@ -276,6 +246,6 @@ pub(super) fn compare(
     out.result(format!(
         "{count} runs compared: predicted position error changes by {mean:+.4} mm on average, by {worst:+.4} mm at most"
     ));
-    report_failures(archive.failed(selection, settings, version)?, out);
+    report_failures(archive.failed(selection, settings, VERSION)?, out);
     Ok(Outcome::Done)
 }

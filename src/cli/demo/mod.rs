@@ -1,4 +1,4 @@
-//! `dbbd demo`: the whole job with no hardware, by the commands that a user would type.
+//! `dbbd demo`: runs the commands that a user would type.
 
 mod truth;
 
@@ -11,17 +11,17 @@ use crate::diagnostic::Diagnostic;
 use crate::estimation::ResultFile;
 use crate::robot::Robot;
 
-/// The job that the demo runs: shipped as `examples/demo.toml`.
+/// The job of the demo, shipped as `examples/demo.toml`.
 pub(crate) const JOB: &str = include_str!("../../../examples/demo.toml");
 
-/// Run the whole job with no hardware.
+/// Run a whole calibration without hardware.
 ///
-/// A plan, its KRL programs, a simulated robot that executes them with a virtual ball-bar on a TCP port of this computer, the capture,
-/// the matching and the identification, each by its own command on files; at the end the true beside the identified
-/// parameters.
+/// Plans poses, writes KRL programs, executes them on a simulated robot with a virtual ball-bar on a TCP port of this
+/// computer, records a capture, matches the poses and identifies the robot, each with its own command on files. At the end,
+/// compares the identified with the true parameters.
 #[derive(clap::Args)]
 pub(crate) struct Args {
-    /// Directory for all files; those of an earlier demo there are replaced.
+    /// Directory for all files. Those of an earlier demo are replaced.
     #[arg(long, value_name = "DIR", default_value = "demo-out")]
     out: PathBuf,
     /// Seed of the true robot, its repeatability and the bar's noise.
@@ -32,7 +32,7 @@ pub(crate) struct Args {
 pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     files::directory(&args.out)?;
     let dir = args.out.as_path();
-    // Its own, of an earlier demo, has this content.
+    // Replace only the job of an earlier demo.
     files::is_same(&dir.join("job.toml"), &sha256(JOB))?;
     files::write(&dir.join("job.toml"), JOB)?;
     let steps = Steps::new(dir, out);
@@ -47,19 +47,8 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     steps.say("4. Match the lengths to the commanded poses");
     steps.run(&["sync", "run.dbbd", "--out", "observations.csv"])?;
     steps.say("5. Identify the robot");
-    let identify = [
-        "identify",
-        "observations.csv",
-        "--robot",
-        "kr60ha",
-        "--centres",
-        "plan/centres.csv",
-        "--out",
-        "result",
-        "--prior",
-        "datasheet",
-    ];
-    steps.run(&identify)?;
+    let inputs = ["identify", "observations.csv", "--robot", "kr60ha", "--centres", "plan/centres.csv"];
+    steps.run(&[&inputs[..], &["--out", "result", "--prior", "datasheet"]].concat())?;
 
     let path = dir.join("result/result.json");
     let result = ResultFile::from_json(&path.display().to_string(), &files::read(&path)?)?;
@@ -74,7 +63,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     Ok(Outcome::Done)
 }
 
-/// Simulates the program and records its bar.
+/// Simulates the program and records the bar.
 fn measure(steps: &Steps<'_>, seed: u64) -> Result<(), Diagnostic> {
     steps.remove("run.dbbd")?;
     let simulate =

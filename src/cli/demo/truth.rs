@@ -1,4 +1,4 @@
-//! The demo's true robot, and how near the identification came to it.
+//! The true robot of the demo, and its comparison with the identified one.
 
 use std::path::Path;
 
@@ -20,19 +20,19 @@ use crate::plan::Job;
 use crate::robot::{Geometry, ParamId, Robot};
 use crate::sim::truth;
 
-/// How far off the ball may stand from where it was taped, mm, one standard deviation.
+/// The standard deviation of the true places of the base balls about the plan's, mm.
 const CENTRE_MM: f64 = 0.5;
-/// Poses over which the 3-D error is taken, and their seed: those of the prediction.
+/// The number of poses over which the 3-D error is taken, as in the prediction.
 const POSES: usize = 2000;
+/// The seed of these poses.
 const SEED: u64 = 1;
 
-/// What is true in the demo's cell.
+/// The true robot and base balls.
 pub(super) struct Truth {
     robot: Robot,
     centres: Vec<BaseBall>,
 }
 
-/// True against identified.
 #[derive(Debug, Serialize)]
 pub(super) struct Comparison {
     parameters: Vec<Compared>,
@@ -48,15 +48,14 @@ pub(super) struct Comparison {
 struct Compared {
     name: String,
     unit: String,
-    /// True deviation from nominal of what the parameter represents: it and what it carries for those
-    /// that depend on it.
+    /// True deviation from nominal of the parameter and of those that depend on it linearly.
     true_correction: f64,
     correction: f64,
     sd: f64,
 }
 
 impl Truth {
-    /// Draws the true robot and the true places of the balls, and writes `truth.toml` and `world.toml`.
+    /// Draws the true robot and the true places of the balls. Writes `truth.toml` and `world.toml`.
     pub(super) fn draw(dir: &Path, seed: u64) -> Result<Self, Diagnostic> {
         let nominal = Robot::named("kr60ha", |_| None)?.robot;
         let robot = truth::draw(&nominal, seed, 1.0);
@@ -78,7 +77,6 @@ impl Truth {
         Ok(Self { robot, centres })
     }
 
-    /// Sets the result beside the truth.
     pub(super) fn compare(&self, result: &ResultFile, identified: &Robot) -> Result<Comparison, Diagnostic> {
         let nominal = identified.nominal.as_deref().unwrap_or(identified);
         let model = LengthModel::new(self.robot.geometry.clone(), &self.centres);
@@ -129,7 +127,7 @@ fn compared(parameter: &ParameterResult, result: &ResultFile, truth: &LengthMode
 }
 
 impl Comparison {
-    /// For people.
+    /// The comparison on the terminal.
     pub(super) fn lines(&self) -> Vec<String> {
         let mut lines = vec![
             String::new(),

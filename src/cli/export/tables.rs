@@ -4,8 +4,8 @@ use std::fs::File;
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 
-use super::{Unfinished, unwritten};
-use crate::base::files;
+use crate::base::files::{self, Unfinished};
+use crate::catalogue::FileFinding;
 use crate::cli::info;
 use crate::device::protocol::{Fault, FaultKind};
 use crate::diagnostic::Diagnostic;
@@ -20,7 +20,7 @@ pub(super) struct Tables {
     events: Table,
     gaps: Table,
     faults: Table,
-    /// Made when there are axes.
+    /// Created with the first record of axes.
     axes: Option<Table>,
     received: AxesRecords,
     directory: PathBuf,
@@ -28,6 +28,7 @@ pub(super) struct Tables {
 
 struct Table {
     name: &'static str,
+    path: PathBuf,
     file: Unfinished,
     writer: csv::Writer<BufWriter<File>>,
     rows: u64,
@@ -36,14 +37,14 @@ struct Table {
 const AXES_COLUMNS: &str = "host_ns,ticks,place,a1_deg,a2_deg,a3_deg,a4_deg,a5_deg,a6_deg,commanded1_deg,commanded2_deg,\
 commanded3_deg,commanded4_deg,commanded5_deg,commanded6_deg";
 
-/// A table that is whole.
+/// A finished table.
 pub(super) struct Written {
     pub(super) name: &'static str,
     pub(super) path: PathBuf,
     pub(super) rows: u64,
 }
 
-/// A float as the shortest text that reads back bit for bit; empty when there is none.
+/// The text of a value; empty for `None`. A float is written as the shortest text that reads back bit for bit.
 fn cell<T: ToString>(value: Option<T>) -> String {
     value.map_or(String::new(), |value| value.to_string())
 }
@@ -66,7 +67,6 @@ impl Tables {
         })
     }
 
-    /// Ends the tables.
     pub(super) fn finish(self) -> Result<Vec<Written>, Diagnostic> {
         let Self { samples, raw, events, gaps, faults, axes, .. } = self;
         [samples, raw, events, gaps, faults].into_iter().chain(axes).map(Table::finish).collect()
@@ -100,7 +100,7 @@ impl Tables {
                     FaultKind::Reject(word) => word.clone(),
                     _ => String::new(),
                 };
-                let kind = info::word(&fault.kind).to_owned();
+                let kind = info::fault_word(&fault.kind).to_owned();
                 let numbers = [fault.offset, fault.bytes, fault.count].map(|number| number.to_string());
                 let [offset, bytes, count] = numbers;
                 self.faults.row([host, kind, word, offset, bytes, count])
@@ -136,12 +136,12 @@ impl Tables {
 
 impl Table {
     fn create(directory: &Path, name: &'static str, columns: &str) -> Result<Self, Diagnostic> {
-        let file = Unfinished::of(&directory.join(name));
-        files::is_earlier(&file.path, columns.as_bytes())?;
-        let made = File::create(&file.beside).map_err(|error| unwritten(&file.path, &error))?;
-        let mut writer = csv::Writer::from_writer(BufWriter::new(made));
-        writer.write_record(columns.split(',')).map_err(|error| unwritten(&file.path, &error))?;
-        Ok(Self { name, file, writer, rows: 0 })
+        let path = directory.join(name);
+        files::is_earlier(&path, columns.as_bytes())?;
+        let (file, content) = Unfinished::create(&path)?;
+        let mut writer = csv::Writer::from_writer(BufWriter::new(content));
+        writer.write_record(columns.split(',')).map_err(|error| unwritten(&path, &error))?;
+        Ok(Self { name, path, file, writer, rows: 0 })
     }
 
     fn row(&mut self, cells: impl IntoIterator<Item = String>) -> Result<(), Diagnostic> {
@@ -150,12 +150,18 @@ impl Table {
     }
 
     fn wrong(&self, error: &dyn std::error::Error) -> Diagnostic {
-        unwritten(&self.file.path, error)
+        unwritten(&self.path, error)
     }
 
     fn finish(mut self) -> Result<Written, Diagnostic> {
-        self.writer.flush().map_err(|error| unwritten(&self.file.path, &error))?;
+        self.writer.flush().map_err(|error| unwritten(&self.path, &error))?;
+        // Closes the file.
+        drop(self.writer);
         self.file.finish()?;
-        Ok(Written { name: self.name, path: self.file.path.clone(), rows: self.rows })
+        Ok(Written { name: self.name, path: self.path, rows: self.rows })
     }
+}
+
+fn unwritten(path: &Path, error: &dyn std::error::Error) -> Diagnostic {
+    Diagnostic::file(path.display(), FileFinding::Unwritable { why: error.to_string() })
 }

@@ -1,4 +1,4 @@
-//! `dbbd export --urdf-in`: a user's URDF with the identified joints.
+//! `dbbd export --urdf-in`.
 
 use std::path::Path;
 
@@ -13,10 +13,10 @@ use crate::diagnostic::Diagnostic;
 use crate::estimation::Workspace;
 use crate::report::export::urdf::{CoupledJoint, coupled};
 use crate::report::export::urdf_patch::{LeftOut, PatchedUrdf, patch};
-use crate::robot::Robot;
 
-/// Poses of the workspace over which the left-out part is stated, and their seed.
+/// The number of poses over which the error of a URDF without the joint errors is taken.
 const WORKSPACE_POSES: usize = 2000;
+/// The seed of these poses.
 const SEED: u64 = 1;
 
 #[derive(Serialize)]
@@ -27,13 +27,13 @@ struct Document<'a> {
     left_out: Option<LeftOut>,
 }
 
-pub(super) fn run(args: &Args, users: &Path, out: &Output) -> Result<Outcome, Diagnostic> {
+pub(super) fn run(args: &Args, urdf: &Path, out: &Output) -> Result<Outcome, Diagnostic> {
     let robot = robots::named(&args.run.to_string_lossy(), out)?;
-    let to = args.out.join(users.file_name().unwrap_or_default());
-    if files::same_place(&to, users) {
-        return Err(Diagnostic::file(&to.display().to_string(), FileFinding::IsRead));
+    let to = args.out.join(urdf.file_name().unwrap_or_default());
+    if files::same_place(&to, urdf) {
+        return Err(Diagnostic::file(to.display(), FileFinding::IsRead));
     }
-    let patched = patch(&users.display().to_string(), &files::read(users)?, &robot, &args.joints)?;
+    let patched = patch(&urdf.display().to_string(), &files::read(urdf)?, &robot, &args.joints)?;
     files::write(&to, &patched.text)?;
     for joint in &patched.joints {
         out.result(format!(
@@ -42,19 +42,12 @@ pub(super) fn run(args: &Args, users: &Path, out: &Output) -> Result<Outcome, Di
         ));
     }
     out.result(format!("{}: written", to.display()));
-    said_of_coupled(&robot, out);
-    let left_out =
-        LeftOut::of(&robot.geometry, &Workspace::uniform(robot.controller(), WORKSPACE_POSES, SEED));
-    if let Some(LeftOut { mean_mm, max_mm }) = left_out {
-        out.finding(NotInUrdf { mean_mm, max_mm });
-    }
+    out.findings(
+        coupled(&robot).into_iter().map(|CoupledJoint { number: joint, sum }| CoupledInUrdf { joint, sum }),
+    );
+    let workspace = Workspace::uniform(robot.controller(), WORKSPACE_POSES, SEED);
+    let left_out = LeftOut::of(&robot.geometry, &workspace);
+    out.findings(left_out.as_ref().map(|&LeftOut { mean_mm, max_mm }| NotInUrdf { mean_mm, max_mm }));
     out.document(&Document { file: to.display().to_string(), patched: &patched, left_out })?;
     Ok(Outcome::Done)
-}
-
-/// Says which variables of a URDF are sums of axis angles.
-fn said_of_coupled(robot: &Robot, out: &Output) {
-    for CoupledJoint { number: joint, sum } in coupled(robot) {
-        out.finding(CoupledInUrdf { joint, sum });
-    }
 }

@@ -1,8 +1,8 @@
-//! What an identification starts from: an observations CSV with its robot and balls, or a capture.
+//! The inputs of an identification or a check: measurements from tables or a capture, the robot, and the base balls.
 
 use std::path::Path;
 
-use super::inputs::{self, measurements};
+use super::inputs::{lengths_or_positions, measurements};
 use super::{LENGTHS, POSITIONS};
 use crate::catalogue::{
     ConformityFinding, EstimationFinding, MatchingFinding, ProvenanceFinding, RecordingFinding,
@@ -10,8 +10,8 @@ use crate::catalogue::{
 use crate::cli::Output;
 use crate::cli::robots;
 use crate::diagnostic::{Diagnostic, Finding, Severity};
-use crate::estimation::{AngleSource, CalibrationResult, Input, Options, Prior, check_measurements, doubts};
-use crate::measurement::{BaseBall, LengthModel, Measurements};
+use crate::estimation::{AngleSource, CalibrationResult, Prior, check_measurements, doubts};
+use crate::measurement::{BaseBall, Measurements};
 use crate::provenance::{
     Artefact, BarIdentity, Contradiction, Difference, Identity, Provenance, Role, Traced, one_robot,
 };
@@ -19,10 +19,10 @@ use crate::recording::matching::PoseMatching;
 use crate::recording::run::{self, Predicted, Run};
 use crate::robot::{AXES, BallId, BarId, Robot, RobotRead};
 
-/// Least standard deviation with which a predicted length speaks in the alignment, mm.
+/// The least standard deviation of a predicted length in the pose matching, mm.
 const LEAST_SIGMA_MM: f64 = 0.02;
 
-/// What the command line names of lengths, robot and set-up.
+/// The inputs as the command line names them.
 #[derive(Clone, Copy)]
 pub(crate) struct Named<'a> {
     pub(crate) input: &'a Path,
@@ -34,53 +34,39 @@ pub(crate) struct Named<'a> {
     pub(crate) bar_u: Option<f64>,
 }
 
-impl Named<'_> {
-    /// An option that is of use with lengths alone.
-    fn of_lengths(&self) -> Option<&'static str> {
-        let centres = self.centres.map(|_| "--centres");
-        centres.or(self.bar_u.map(|_| "--bar-u"))
-    }
+/// A capture, and its latest pose matching.
+struct MatchedRun {
+    run: Box<Run>,
+    matching: PoseMatching,
 }
 
-/// Robot, base balls and lengths.
+/// The inputs as they were read.
 pub(crate) struct Given {
     pub(crate) robot: Robot,
     pub(crate) centres: Vec<BaseBall>,
     pub(crate) observations: Measurements,
-    /// Those of the positions' own table.
+    /// The positions from a table of their own, which are among the observations too.
     positions: Option<Measurements>,
-    /// Standard uncertainty of the bar's length, mm, where it has a certificate.
+    /// Standard uncertainty of the bar's length, mm, if known.
     pub(crate) bar_u_mm: Option<f64>,
     pub(crate) provenance: Provenance,
-    /// The table or the capture of the lengths.
+    /// The table or the capture with the lengths.
     lengths: Traced,
-    /// Of the inputs as they were read.
-    pub(crate) findings: Vec<Diagnostic>,
-    /// Of a run as it was matched last: lost parts, poses dropped as ambiguous, another robot.
-    of_run: Vec<Diagnostic>,
+    findings: Vec<Diagnostic>,
+    /// Findings about the capture and its latest pose matching.
+    run_findings: Vec<Diagnostic>,
     pub(crate) axes: AngleSource,
-    /// The capture that the lengths come from, and how it was matched last.
-    joined: Option<(Box<Run>, PoseMatching)>,
+    matched: Option<MatchedRun>,
 }
 
 impl Given {
-    /// Reads what the command line names.
-    ///
-    /// # Errors
-    /// What is missing or wrong, with its file and line.
     pub(crate) fn read(named: Named<'_>, out: &Output) -> Result<Self, Diagnostic> {
         let input = named.input.display().to_string();
-        let joined = if run::is_capture(named.input)? {
-            let run = run::open(named.input, None, &[], &mut |finding| out.finding(finding))?;
-            let matching = run.matching(None)?;
-            Some((Box::new(run), matching))
-        } else {
-            None
-        };
         let mut findings = Vec::new();
-        let observations = match &joined {
-            Some((_, matching)) => matching.observations.clone(),
-            None => measurements(named.input, &mut findings, out)?,
+        let matched = MatchedRun::read(named.input, out)?;
+        let observations = match &matched {
+            Some(matched) => matched.matching.observations.clone(),
+            None => measurements(named.input, lengths_or_positions, &mut findings, out)?,
         };
         let is_tracked = observations.set_up(0).trackers > 0;
         if is_tracked && named.positions.is_some() {
@@ -89,10 +75,11 @@ impl Given {
         if observations.rows.is_empty() {
             return Err(Diagnostic::file(&input, EstimationFinding::NoLength));
         }
-        if is_tracked && let Some(option) = named.of_lengths() {
+        let of_lengths = named.centres.map(|_| "--centres").or(named.bar_u.map(|_| "--bar-u"));
+        if is_tracked && let Some(option) = of_lengths {
             return Err(EstimationFinding::OfLengths { option }.into());
         }
-        let run = joined.as_ref().map(|(run, _)| run.as_ref());
+        let run = matched.as_ref().map(|matched| matched.run.as_ref());
         let lengths = match run {
             Some(run) => run.traced(named.input)?,
             None => {
@@ -101,10 +88,11 @@ impl Given {
                 lengths
             }
         };
-        let (mut robot, mut sources) = (robot(named.robot, run, &lengths, out)?, Vec::new());
+        let RobotRead { mut robot, source, .. } = read_robot(named.robot, run, &lengths, out)?;
         if let Some(tool) = named.tool {
-            robot.robot.set_tool(tool);
+            robot.set_tool(tool);
         }
+        let mut sources = Vec::new();
         let centres = match (named.centres, run) {
             (Some(path), _) => {
                 sources.push(Artefact::file(Role::BaseBalls, path)?.into());
@@ -114,206 +102,217 @@ impl Given {
             (None, None) if is_tracked => Vec::new(),
             (None, None) => return Err(EstimationFinding::NoBalls.into()),
         };
-        let RobotRead { robot, source, .. } = robot;
         check_measurements(&input, &observations, &robot, &centres)?;
         findings.extend(doubts(&input, &observations, &robot, &centres));
-        let positions = named.positions.map(|path| {
-            sources.push(beside(path, &lengths, &mut findings)?);
-            positions(path, &robot, &mut findings, out)
-        });
-        let positions = positions.transpose()?;
-        let observations = joined_with(observations, positions.as_ref())?;
-        let of_run = joined.as_ref().map_or_else(Vec::new, |(run, matching)| of_run(run, matching, &robot));
-        let measured = |(run, matching): &(Box<Run>, PoseMatching)| {
-            !run.axes_deg.is_empty() || matching.axes.as_ref().is_some_and(|axes| axes.measured > 0)
-        };
-        let axes = match &joined {
-            Some(joined) if !measured(joined) => AngleSource::Commanded,
-            _ => AngleSource::Given,
-        };
+        let mut positions = None;
+        if let Some(path) = named.positions {
+            sources.push(read_further(path, &lengths, &mut findings)?);
+            positions = Some(read_positions(path, &robot, &mut findings, out)?);
+        }
+        let observations = with_positions(observations, positions.as_ref())?;
         let provenance = Provenance::of([&source].into_iter().chain(&sources).chain([&lengths]));
-        let warm = warm_bar(&observations, &provenance.identity.bar).filter(|_| joined.is_none());
-        findings.extend(warm.map(|finding| Diagnostic::file(&input, finding)));
-        let bar_u_mm = named.bar_u.or(provenance.identity.bar.u_mm());
+        let bar = &provenance.identity.bar;
+        let uncorrected = uncorrected_bar(&observations, bar).filter(|_| matched.is_none());
+        findings.extend(uncorrected.map(|finding| Diagnostic::file(&input, finding)));
         Ok(Self {
+            bar_u_mm: named.bar_u.or(bar.u_mm()),
+            run_findings: matched.as_ref().map_or_else(Vec::new, |matched| matched.findings(&robot)),
+            axes: matched.as_ref().map_or(AngleSource::Given, MatchedRun::axes),
             robot,
             centres,
             observations,
             positions,
-            bar_u_mm,
             provenance,
             lengths,
             findings,
-            of_run,
-            axes,
-            joined,
+            matched,
         })
     }
 
-    /// Measurements that only check: in the same set-up, of the same robot.
-    ///
-    /// # Errors
-    /// They cannot be read, or are of another robot.
+    /// Reads measurements that only check the result. They must be of the same robot in the same set-up.
     pub(super) fn validation(&mut self, path: &Path, out: &Output) -> Result<Measurements, Diagnostic> {
-        let (name, set) = (path.display().to_string(), measurements(path, &mut self.findings, out)?);
+        let name = path.display().to_string();
+        let set = measurements(path, lengths_or_positions, &mut self.findings, out)?;
         check_measurements(&name, &set, &self.robot, &self.centres)?;
         set.check(&name, self.observations.set_up(self.centres.len()))?;
-        let Traced { artefact, .. } = beside(path, &self.lengths, &mut self.findings)?;
+        let Traced { artefact, .. } = read_further(path, &self.lengths, &mut self.findings)?;
         if self.provenance.has(&artefact) {
             out.finding(ProvenanceFinding::GivenTwice { lengths: artefact.to_string() });
         }
         Ok(set)
     }
 
-    /// That the plan of a run is for `robot`.
-    ///
-    /// # Errors
-    /// The run is of a plan for another one.
-    pub(crate) fn planned_for(&self, robot: &Robot) -> Result<(), ConformityFinding> {
-        let planned = self.joined.as_ref().and_then(|(run, _)| run.robot().ok());
-        match planned.filter(|planned| planned.name != robot.name) {
-            Some(planned) => {
-                Err(ConformityFinding::PlanOfAnother { planned: planned.name, given: robot.name.clone() })
-            }
-            None => Ok(()),
-        }
+    /// Refuses a run whose plan is for another robot.
+    pub(crate) fn check_planned_robot(&self) -> Result<(), ConformityFinding> {
+        let planned = self.matched.as_ref().and_then(|matched| matched.other_robot(&self.robot));
+        let given = || self.robot.name.clone();
+        planned.map_or(Ok(()), |planned| Err(ConformityFinding::PlanOfAnother { planned, given: given() }))
     }
 
-    /// What was found in the inputs.
     pub(crate) fn findings(&self) -> Vec<Diagnostic> {
-        [self.findings.as_slice(), self.of_run.as_slice()].concat()
+        [self.findings.as_slice(), self.run_findings.as_slice()].concat()
     }
 
-    /// The prior where the user names none: a robot that was identified before is known as that left it. Where its file
-    /// does not hold it, that is lost.
-    ///
-    /// # Errors
-    /// The lengths beside the robot's file cannot be read.
-    pub(super) fn continued(&mut self, robot_file: Option<&str>, out: &Output) -> Result<Prior, Diagnostic> {
+    /// The prior if the user names none: the posterior of the robot's earlier identification. Reports that the robot file
+    /// has lost it.
+    pub(super) fn default_prior(
+        &mut self,
+        robot_file: Option<&str>,
+        out: &Output,
+    ) -> Result<Prior, Diagnostic> {
         let known = || self.known_lengths(robot_file, out);
         let (prior, lost) = Prior::continued(&self.robot, self.observations.rows.len(), known)?;
         self.findings.extend(lost.map(Diagnostic::from));
         Ok(prior)
     }
 
-    /// How many of the lengths are among those beside the robot's file, from which it was identified.
-    ///
-    /// # Errors
-    /// These cannot be read.
+    /// How many of the observations are among those beside the robot file, from which the robot was identified.
     pub(crate) fn known_lengths(&self, robot_file: Option<&str>, out: &Output) -> Result<usize, Diagnostic> {
-        let beside = [LENGTHS, POSITIONS]
-            .into_iter()
-            .filter_map(|file| Some(Path::new(robot_file?).with_file_name(file)));
-        let known = beside.filter(|path| path.is_file()).map(|path| {
-            let table = measurements(&path, &mut Vec::new(), out)?;
+        let Some(robot_file) = robot_file else { return Ok(0) };
+        let tables = [LENGTHS, POSITIONS].map(|name| Path::new(robot_file).with_file_name(name));
+        let known = tables.iter().filter(|path| path.is_file()).map(|path| {
+            let table = measurements(path, lengths_or_positions, &mut Vec::new(), out)?;
             Ok(table.holds(&self.observations))
         });
         known.sum()
     }
 
-    /// The robot in the set-up as it was given.
-    pub(super) fn start(&self) -> LengthModel {
-        LengthModel::before(self.robot.geometry.clone(), &self.centres, &self.observations)
-    }
-
-    pub(super) fn input<'a>(&'a self, start: &'a LengthModel, options: &'a Options) -> Input<'a> {
-        let Self { robot, observations, axes, .. } = self;
-        Input { robot, observations, start, validation: None, options, axes: *axes }
-    }
-
-    /// Joins the capture anew with the lengths that the identified robot predicts; whether the pairs changed.
-    pub(super) fn align_again(&mut self, found: &CalibrationResult) -> bool {
-        let Some((run, before)) = &mut self.joined else { return false };
-        let model = &found.posterior.model;
+    /// Matches the capture again with the lengths that the identified robot predicts. Returns whether the pairs changed.
+    pub(super) fn match_again(&mut self, result: &CalibrationResult) -> bool {
+        let Some(MatchedRun { run, matching: before }) = &mut self.matched else { return false };
+        let model = &result.posterior.model;
         let length = |ball: BallId, axes_deg: &[f64; AXES]| match model.balls.get(ball.index()) {
             Some(centre) => {
                 model.geometry.length(&axes_deg.map(f64::to_radians), centre, model.bar_offset(BarId::FIRST))
             }
             None => f64::NAN,
         };
-        let sigma_mm = (3.0 * found.sigma.mm).max(LEAST_SIGMA_MM);
+        let sigma_mm = (3.0 * result.sigma.mm).max(LEAST_SIGMA_MM);
         let Ok(matching) = run.matching(Some(Predicted { length_mm: &length, sigma_mm })) else {
             return false;
         };
         if matching.same_pairs(before) || matching.observations.rows.is_empty() {
             return false;
         }
-        let Ok(observations) = joined_with(matching.observations.clone(), self.positions.as_ref()) else {
+        let Ok(observations) = with_positions(matching.observations.clone(), self.positions.as_ref()) else {
             return false;
         };
         self.observations = observations;
-        self.of_run = of_run(run, &matching, &self.robot);
         *before = matching;
+        self.run_findings = self.matched.iter().flat_map(|matched| matched.findings(&self.robot)).collect();
         true
     }
 }
 
-/// That the bar of a table was warm or cold, and nothing shows that its lengths are referred to its certificate.
-fn warm_bar(observations: &Measurements, bar: &BarIdentity) -> Option<RecordingFinding> {
+impl MatchedRun {
+    /// Reads and matches a capture; `None` if the file is not a capture.
+    fn read(path: &Path, out: &Output) -> Result<Option<Self>, Diagnostic> {
+        if !run::is_capture(path)? {
+            return Ok(None);
+        }
+        let run = run::open(path, None, &[], &mut |finding| out.finding(finding))?;
+        let matching = run.matching(None)?;
+        Ok(Some(Self { run: Box::new(run), matching }))
+    }
+
+    /// Whether the axis angles were measured by the controller.
+    fn axes(&self) -> AngleSource {
+        let published = self.matching.axes.as_ref().is_some_and(|axes| axes.measured > 0);
+        if published || !self.run.axes_deg.is_empty() { AngleSource::Given } else { AngleSource::Commanded }
+    }
+
+    /// The name of the robot of the plan, if it is not `robot`.
+    fn other_robot(&self, robot: &Robot) -> Option<String> {
+        self.run.robot().ok().map(|planned| planned.name).filter(|name| *name != robot.name)
+    }
+
+    fn findings(&self, robot: &Robot) -> Vec<Diagnostic> {
+        let lost = self.run.doubtful.then(|| EstimationFinding::PartOfRunLost.into());
+        let is_reported = |finding: &&MatchingFinding| {
+            let is_of_axes = matches!(
+                finding,
+                MatchingFinding::AxesMeasured { .. } | MatchingFinding::AxesMeasuredLagUnknown { .. }
+            );
+            is_of_axes || finding.code().severity() == Severity::Warning
+        };
+        let of_matching = self.matching.findings.iter().filter(is_reported).cloned().map(Diagnostic::from);
+        let given = || robot.name.clone();
+        let other = self
+            .other_robot(robot)
+            .map(|planned| EstimationFinding::PlannedForAnother { planned, given: given() }.into());
+        lost.into_iter().chain(of_matching).chain(other).collect()
+    }
+}
+
+/// A finding if the bar of a table was warm or cold and nothing says that its lengths are referred to its certificate.
+fn uncorrected_bar(observations: &Measurements, bar: &BarIdentity) -> Option<RecordingFinding> {
     let lengths = observations.rows.iter().filter(|row| row.datum.bar().is_some());
     let longest_mm = lengths.map(|row| row.length_mm).reduce(f64::max)?;
-    // No room is so warm or cold, which is doubted elsewhere.
+    // An implausible temperature has a finding of its own.
     let mean_c = observations.mean_temperature_c().filter(|_| observations.warm().is_none())?;
     bar.uncorrected(bar.length_mm.unwrap_or(longest_mm), mean_c)
 }
 
-/// A further table of measurements, which must be of the robot of `lengths`; that bar or balls are others is a finding.
-///
-/// # Errors
-/// It cannot be read, or is of another robot.
-fn beside(path: &Path, lengths: &Traced, findings: &mut Vec<Diagnostic>) -> Result<Traced, Diagnostic> {
+/// Reads the chain of a further table of measurements. Refuses another robot than that of `lengths`; another bar or ball
+/// is a finding.
+fn read_further(path: &Path, lengths: &Traced, findings: &mut Vec<Diagnostic>) -> Result<Traced, Diagnostic> {
     let name = path.display().to_string();
     let (table, changed) = Traced::table(Role::Measurements, path)?;
     findings.extend(changed);
     one_robot([(lengths.artefact.name.clone(), lengths), (name.clone(), &table)])?;
     let others = lengths.provenance.identity.contradictions(&table.provenance.identity).into_iter();
-    let of_set_up = |key: &str| key == BarIdentity::SERIAL || key.starts_with(Identity::BALLS);
-    let others = others.filter(|other| of_set_up(&other.key));
+    let is_set_up = |key: &str| key == BarIdentity::SERIAL || key.starts_with(Identity::BALLS);
+    let others = others.filter(|other| is_set_up(&other.key));
     findings.extend(others.map(|Contradiction { key, known, stated }| {
         Diagnostic::file(&name, ProvenanceFinding::OtherSetUp { key, known, stated })
     }));
     Ok(table)
 }
 
-/// Positions beside lengths, with what is doubtful in them.
-fn positions(
+/// Reads positions that are given beside lengths.
+fn read_positions(
     path: &Path,
     robot: &Robot,
     findings: &mut Vec<Diagnostic>,
     out: &Output,
 ) -> Result<Measurements, Diagnostic> {
-    let (name, set) = (path.display().to_string(), inputs::positions(path, findings, out)?);
-    check_measurements(&name, &set, robot, &[])?;
-    findings.extend(
-        doubts(&name, &set, robot, &[]).into_iter().filter(|doubt| doubt.code.severity() != Severity::Info),
-    );
-    Ok(set)
+    let name = path.display().to_string();
+    let positions = measurements(path, Measurements::positions_from_table, findings, out)?;
+    check_measurements(&name, &positions, robot, &[])?;
+    let doubts = doubts(&name, &positions, robot, &[]).into_iter();
+    findings.extend(doubts.filter(|doubt| doubt.code.severity() != Severity::Info));
+    Ok(positions)
 }
 
-/// Lengths with the positions of a further table.
-fn joined_with(lengths: Measurements, positions: Option<&Measurements>) -> Result<Measurements, Diagnostic> {
-    Ok(positions.map_or(Ok(lengths.clone()), |positions| lengths.and(positions))?)
+fn with_positions(
+    lengths: Measurements,
+    positions: Option<&Measurements>,
+) -> Result<Measurements, Diagnostic> {
+    match positions {
+        Some(positions) => Ok(lengths.and(positions)?),
+        None => Ok(lengths),
+    }
 }
 
-/// The robot of the command line, else that of the run's plan; it must be that of the lengths.
-fn robot(
+/// The robot of the command line, else that of the run's plan. Refuses another robot than that of the lengths.
+fn read_robot(
     named: Option<&str>,
     run: Option<&Run>,
     lengths: &Traced,
     out: &Output,
 ) -> Result<RobotRead, Diagnostic> {
-    let found = match (named, run) {
-        (Some(name), _) => robots::from_file(name, out)?,
+    let read = match (named, run) {
+        (Some(name), _) => robots::read_for_measurement(name, out)?,
         (None, Some(run)) => {
-            let (robot, text) = (run.robot()?, &run.plan.header.robot);
-            // A plan that has no chain knows its robot all the same.
+            let robot = run.robot()?;
+            // A plan without a chain still has its robot.
             let recorded = lengths.robot().map(|robot| Traced::from(robot.clone()));
-            let source = recorded.unwrap_or_else(|| robot.traced(text));
+            let source = recorded.unwrap_or_else(|| robot.traced(&run.plan.header.robot));
             return Ok(RobotRead { source, robot, findings: Vec::new() });
         }
         (None, None) => return Err(EstimationFinding::NoRobot.into()),
     };
-    let given = &found.source;
+    let given = &read.source;
     if let Some(planned) = lengths.robot()
         && planned.differs(&given.artefact) == Some(Difference::Serial)
     {
@@ -324,26 +323,7 @@ fn robot(
         let (lengths, robot) = (lengths.artefact.to_string(), given.artefact.to_string());
         out.finding(ProvenanceFinding::UsedBefore { lengths, robot });
     } else {
-        lengths.outdated_by(given).into_iter().for_each(|finding| out.finding(finding));
+        out.findings(lengths.outdated_by(given));
     }
-    Ok(found)
-}
-
-/// Parts of the run that were lost, poses that were dropped, and another robot than the plan's.
-fn of_run(run: &Run, matching: &PoseMatching, robot: &Robot) -> Vec<Diagnostic> {
-    let torn = run.doubtful.then(|| EstimationFinding::PartOfRunLost.into());
-    let is_axes = |finding: &MatchingFinding| {
-        matches!(
-            finding,
-            MatchingFinding::AxesMeasured { .. } | MatchingFinding::AxesMeasuredLagUnknown { .. }
-        )
-    };
-    let warnings = matching
-        .findings
-        .iter()
-        .filter(|finding| finding.code().severity() == Severity::Warning || is_axes(finding));
-    let planned = run.robot().ok().map(|planned| planned.name).filter(|name| *name != robot.name);
-    let other = planned
-        .map(|planned| EstimationFinding::PlannedForAnother { planned, given: robot.name.clone() }.into());
-    torn.into_iter().chain(warnings.cloned().map(Diagnostic::from)).chain(other).collect()
+    Ok(read)
 }

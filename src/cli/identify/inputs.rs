@@ -1,4 +1,4 @@
-//! The inputs of an identification: observations, points, priors, workspaces.
+//! The tables that an identification reads: measurements, priors, workspaces.
 
 use std::collections::{BTreeMap, HashSet};
 use std::path::Path;
@@ -12,21 +12,7 @@ use crate::measurement::{self, Distinct, Measurements};
 use crate::robot::parameter::SetUp;
 use crate::robot::{AXES, ParamId, Robot, Unit};
 
-/// A tool ball is no nearer to the flange's centre, mm: nearer it is one in metres.
-const LEAST_TOOL_MM: f64 = 3.0;
-
-pub(crate) fn parse_point(text: &str) -> Result<[f64; 3], EstimationFinding> {
-    let numbers: Result<Vec<f64>, _> = text.split(',').map(|part| part.trim().parse::<f64>()).collect();
-    match numbers.as_deref() {
-        Ok(&[x, y, z]) if (f64::MIN_POSITIVE..LEAST_TOOL_MM).contains(&x.abs().max(y.abs()).max(z.abs())) => {
-            Err(EstimationFinding::PointInMetres)
-        }
-        Ok(&[x, y, z]) if [x, y, z].iter().all(|v| v.is_finite()) => Ok([x, y, z]),
-        _ => Err(EstimationFinding::NotAPoint),
-    }
-}
-
-/// A table `name,unit,sd`; a parameters.csv of an earlier identification is one.
+/// Reads a prior from a table name,unit,sd, such as the parameters.csv of an earlier identification.
 pub(super) fn read_prior(table: &mut Table<'_>, set_up: SetUp) -> Result<BTreeMap<ParamId, f64>, Diagnostic> {
     let [name, unit, sd] = table.required(["name", "unit", "sd"])?;
     let mut prior = BTreeMap::new();
@@ -53,7 +39,7 @@ pub(super) fn read_prior(table: &mut Table<'_>, set_up: SetUp) -> Result<BTreeMa
     Ok(prior)
 }
 
-/// Whether a standard deviation is one of a robot's geometry: no maker is that bad, and none is known so well.
+/// Whether a prior standard deviation is plausible for the geometry of a robot.
 fn is_prior(id: ParamId, sd: f64) -> bool {
     const MOST_MM: f64 = 50.0;
     const MOST_RAD: f64 = 0.04;
@@ -62,97 +48,63 @@ fn is_prior(id: ParamId, sd: f64) -> bool {
     !id.is_geometric() || (LEAST..=most).contains(&sd)
 }
 
-/// A workspace of a robot: a table with the columns a1_deg..a6_deg, more may stand beside them.
+/// Reads the poses of a workspace from a table with the columns a1_deg..a6_deg.
 pub(crate) fn read_workspace(
     path: &Path,
     robot: &Robot,
     out: &Output,
 ) -> Result<Vec<[f64; AXES]>, Diagnostic> {
-    /// Fewer are aligned away: the robot's error would not show.
+    /// With fewer poses, the rigid alignment would absorb the robot's error.
     const LEAST: usize = 10;
     let poses = out.table(path, Measurements::poses_from_table)?;
-    let name = path.display().to_string();
     let different: HashSet<_> = poses.iter().map(|pose| pose.axes.degrees().map(f64::to_bits)).collect();
     if different.len() < LEAST {
         let finding = EstimationFinding::SmallWorkspace { poses: different.len(), least: LEAST };
-        return Err(Diagnostic::file(&name, finding));
+        return Err(Diagnostic::file(path.display(), finding));
     }
     let angles = poses.iter().zip(1..).map(|(pose, number)| (number, pose.axes));
-    let beyond = measurement::beyond(angles, robot.controller());
-    beyond.into_iter().for_each(|doubt| out.finding(Diagnostic::file(&name, doubt)));
+    out.findings_in(path.display(), measurement::beyond(angles, robot.controller()));
     Ok(poses.iter().map(|pose| pose.axes.radians()).collect())
 }
 
-/// Columns that a `plan.csv` has and no table of measured lengths.
-const PLAN: [&str; 2] = ["move", "dwell_s"];
-
-/// The lengths or the positions of a table, whichever it has.
-///
-/// # Errors
-/// As [`observations`].
+/// Reads a table of measurements with `read`. Reports rows that are there twice, and uses them once.
 pub(crate) fn measurements(
     path: &Path,
-    found: &mut Vec<Diagnostic>,
+    read: impl FnOnce(&mut Table<'_>) -> Result<Measurements, Diagnostic>,
+    findings: &mut Vec<Diagnostic>,
     out: &Output,
 ) -> Result<Measurements, Diagnostic> {
-    let (name, table) = (
-        path.display().to_string(),
-        out.table(path, |table| {
-            let has = |wanted: &str| table.names().iter().any(|name| name == wanted);
-            if PLACE.into_iter().all(has) && !has("length_mm") && !PLAN.into_iter().all(has) {
-                return Measurements::positions_from_table(table);
-            }
-            lengths(table)
-        })?,
-    );
-    distinct(&name, table, found)
+    let table = out.table(path, read)?;
+    let rows = table.count();
+    let Distinct { measurements, repeated } =
+        table.distinct().map_err(|finding| Diagnostic::file(path.display(), finding))?;
+    if repeated > 0 {
+        findings.push(Diagnostic::file(path.display(), MeasurementFinding::Repeated { repeated, rows }));
+    }
+    Ok(measurements)
 }
 
-/// The positions of a table.
-///
-/// # Errors
-/// As [`observations`].
-pub(crate) fn positions(
-    path: &Path,
-    found: &mut Vec<Diagnostic>,
-    out: &Output,
-) -> Result<Measurements, Diagnostic> {
-    distinct(&path.display().to_string(), out.table(path, Measurements::positions_from_table)?, found)
+/// Whether a table is a `plan.csv`: no table of measured lengths has these columns.
+fn is_plan(table: &Table<'_>) -> bool {
+    ["move", "dwell_s"].into_iter().all(|column| has(table, column))
 }
 
-fn lengths(table: &mut Table<'_>) -> Result<Measurements, Diagnostic> {
-    if PLAN.iter().all(|wanted| table.names().iter().any(|name| name == wanted)) {
+fn has(table: &Table<'_>, column: &str) -> bool {
+    table.names().iter().any(|name| name == column)
+}
+
+/// Reads the lengths of a table.
+pub(crate) fn lengths(table: &mut Table<'_>) -> Result<Measurements, Diagnostic> {
+    if is_plan(table) {
         return Err(Diagnostic::file(table.file(), MeasurementFinding::IsPlan));
     }
     Measurements::from_table(table)
 }
 
-/// Each row once, with a finding where one was there twice.
-fn distinct(
-    name: &str,
-    table: Measurements,
-    found: &mut Vec<Diagnostic>,
-) -> Result<Measurements, Diagnostic> {
-    let rows = table.count();
-    let Distinct { measurements, repeated } =
-        table.distinct().map_err(|finding| Diagnostic::file(name, finding))?;
-    if repeated > 0 {
-        found.push(Diagnostic::file(name, MeasurementFinding::Repeated { repeated, rows }));
+/// Reads the lengths or the positions of a table, whichever it has.
+pub(super) fn lengths_or_positions(table: &mut Table<'_>) -> Result<Measurements, Diagnostic> {
+    if PLACE.into_iter().all(|column| has(table, column)) && !has(table, "length_mm") && !is_plan(table) {
+        return Measurements::positions_from_table(table);
     }
-    Ok(measurements)
-}
-
-/// The lengths of a table, which is never whole in memory.
-///
-/// Rows that are there twice are used once, with a finding.
-///
-/// # Errors
-/// Names the path and why it could not be read, or the line and what is wrong there.
-pub(crate) fn observations(
-    path: &Path,
-    found: &mut Vec<Diagnostic>,
-    out: &Output,
-) -> Result<Measurements, Diagnostic> {
-    let table = out.table(path, lengths)?;
-    distinct(&path.display().to_string(), table, found)
+    lengths(table)
 }

@@ -1,15 +1,14 @@
-//! A result on the terminal.
+//! Prints a result on the terminal.
 
 use std::path::Path;
 
-use crate::cli::Output;
+use crate::cli::{Output, output};
 use crate::estimation::result::{CalibrationResult, SigmaSource, Status};
-use crate::estimation::{Combination, Observability, is_place, wording};
+use crate::estimation::{Combination, is_place, wording};
 
-/// Further measurements that are named here; all are in the report.
+/// The largest number of recommendations. More are in the report.
 const RECOMMENDATIONS: usize = 2;
 
-/// The result in lines, findings to stderr.
 pub(super) fn say(out: &Output, result: &CalibrationResult, dir: &Path) {
     for lines in [fit(result), choices(result), position(result), parameters(result)] {
         lines.into_iter().for_each(|line| out.result(line));
@@ -17,7 +16,7 @@ pub(super) fn say(out: &Output, result: &CalibrationResult, dir: &Path) {
     for recommendation in result.recommendations.iter().filter(|one| one.adds).take(RECOMMENDATIONS) {
         out.result(format!("next: {recommendation}"));
     }
-    result.diagnostics().for_each(|finding| out.finding(finding));
+    out.findings(result.diagnostics());
     out.result(format!("results in {}", dir.display()));
 }
 
@@ -53,7 +52,7 @@ fn fit(result: &CalibrationResult) -> Vec<String> {
     lines
 }
 
-/// What was left to the data: errors of the joints, Monte Carlo.
+/// Errors of the joints, Monte Carlo.
 fn choices(result: &CalibrationResult) -> Vec<String> {
     let mut lines = Vec::new();
     if let Some(joints) = &result.joints {
@@ -79,10 +78,7 @@ fn choices(result: &CalibrationResult) -> Vec<String> {
 }
 
 fn position(result: &CalibrationResult) -> Vec<String> {
-    let mut lines = Vec::new();
-    if let Some(Observability { o1, o2, o3, o4, o5 }) = result.observability {
-        lines.push(format!("observability O1 {o1:.3e}, O2 {o2:.3e}, O3 {o3:.3e}, O4 {o4:.3e}, O5 {o5:.3e}"));
-    }
+    let mut lines: Vec<String> = result.observability.iter().map(output::observability).collect();
     let predicted = &result.predicted;
     lines.push(format!(
         "predicted position error over the workspace: mean {} -> {}, 95 % {} -> {}",
@@ -110,11 +106,11 @@ fn parameters(result: &CalibrationResult) -> Vec<String> {
         result.combinations.iter().partition(|combination| is_place(&combination.kept));
     lines.extend(wording::in_short(own).into_iter().map(|line| format!("  {line}")));
     let members = places.iter().flat_map(|combination| combination.members.iter().map(|(id, _)| *id));
-    let mut carried: Vec<String> = members.filter(|id| !is_place(id)).map(|id| id.to_string()).collect();
-    carried.sort_unstable();
-    carried.dedup();
-    if !carried.is_empty() {
-        lines.push(format!("  carried by the places of the balls: {}", carried.join(", ")));
+    let mut absorbed: Vec<String> = members.filter(|id| !is_place(id)).map(|id| id.to_string()).collect();
+    absorbed.sort_unstable();
+    absorbed.dedup();
+    if !absorbed.is_empty() {
+        lines.push(format!("  carried by the places of the balls: {}", absorbed.join(", ")));
     }
     if let Some((worst, others)) = result.correlations.split_first() {
         let [one, other] = worst.pair;
@@ -132,7 +128,7 @@ fn source(source: SigmaSource) -> &'static str {
     }
 }
 
-/// A length for people.
+/// A length to print.
 fn mm(value: f64) -> String {
     if value.abs() < 5e-4 && value != 0.0 { format!("{value:.1e} mm") } else { format!("{value:.4} mm") }
 }

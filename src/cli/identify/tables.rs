@@ -1,6 +1,5 @@
-//! The files of a result beside its report.
+//! Writes the files of a result.
 
-use std::fmt::Write;
 use std::path::Path;
 
 use serde::Deserialize;
@@ -18,97 +17,80 @@ use crate::report::calibration;
 use crate::report::export::{frames, mastering, urdf};
 use crate::robot::{Joint, Robot};
 
-/// The lengths that an identification rests on, beside its robot-identified.toml.
+/// The lengths that the result rests on.
 pub(crate) const LENGTHS: &str = "lengths.csv";
-/// The positions beside them.
+/// The positions that the result rests on.
 pub(crate) const POSITIONS: &str = "positions.csv";
-/// What each axis must be corrected by, where a result has it.
+/// The correction of each axis, if the result has errors of the joints.
 const JOINT_ERRORS: &str = "joint-errors.csv";
 const RESULT: &str = "result.json";
-/// The identified robot beside them.
+/// The identified robot.
 pub(crate) const ROBOT: &str = "robot-identified.toml";
 
-const PARAMETER_COLUMNS: [&str; 14] = [
-    "name",
-    "unit",
-    "start",
-    "nominal",
-    "identified",
-    "correction",
-    "sd",
-    "status",
-    "reason",
-    "low95",
-    "high95",
-    "mc_sd",
-    "mc_low95",
-    "mc_high95",
-];
+const PARAMETER_COLUMNS: &str =
+    "name,unit,start,nominal,identified,correction,sd,status,reason,low95,high95,mc_sd,mc_low95,mc_high95";
 
-/// Writes result.json, parameters.csv, covariance.csv, the robot for other programs, and as lengths.csv those of the
-/// observations that the result rests on, and report.html; the provenance with these. Files of an earlier result that this
-/// one lacks go.
+/// Writes all files of a result, and removes those of an earlier result that this one lacks. Returns the provenance with the
+/// tables of the measurements.
 pub(super) fn write_results(
     dir: &Path,
-    found: &CalibrationResult,
+    result: &CalibrationResult,
     observations: &Measurements,
     mut provenance: Provenance,
     budget: &Budget,
 ) -> Result<Provenance, Diagnostic> {
-    let file = ResultFile::from(found);
-    let is_used = |place: usize| found.uses(place);
-    let (mut set, earlier) = (FileSet::begin(dir)?, earlier(dir).provenance);
-    if found.made_from.lengths > 0 {
-        let written = set.write_pieces(LENGTHS, observations.csv_pieces(is_used))?;
-        provenance.add(&table(LENGTHS, &written)?);
-    } else {
-        remove_of(&earlier, &dir.join(LENGTHS), &mut set)?;
-    }
-    if let Some(text) = observations.positions_csv(is_used) {
-        let written = set.write_pieces(POSITIONS, [text])?;
-        provenance.add(&table(POSITIONS, &written)?);
-    } else {
-        remove_of(&earlier, &dir.join(POSITIONS), &mut set)?;
+    let file = ResultFile::from(result);
+    let is_used = |place: usize| result.uses(place);
+    let (mut set, earlier) = (FileSet::begin(dir)?, Earlier::read(dir).provenance);
+    let lengths =
+        (result.made_from.lengths > 0).then(|| set.write_pieces(LENGTHS, observations.csv_pieces(is_used)));
+    let positions = observations.positions_csv(is_used).map(|text| set.write_pieces(POSITIONS, [text]));
+    for (name, written) in [(LENGTHS, lengths.transpose()?), (POSITIONS, positions.transpose()?)] {
+        let table = written.clone().unwrap_or_else(|| dir.join(name));
+        if table.is_file() {
+            let table = Artefact { name: name.into(), ..Artefact::file(Role::Measurements, &table)? };
+            match written {
+                Some(_) => provenance.add(&table),
+                // A table of the user with this name is kept.
+                None if earlier.has(&table) => set.remove(name),
+                None => {}
+            }
+        }
     }
     let recorded = Recorded { result: &file, budget, provenance: &provenance };
     set.write(RESULT, serialised::sealed_json(&recorded)?)?;
-    let robot = Robot { provenance: provenance.clone(), ..found.robot.clone() };
+    let robot = Robot { provenance: provenance.clone(), ..result.robot.clone() };
     set.write(ROBOT, serialised::sealed_toml(&robot.to_toml()?))?;
-    let parameters =
-        parameters_csv(&file).map_err(|error| CliFinding::NoOutput { why: error.to_string() })?;
-    set.write("parameters.csv", parameters)?;
-    set.write("covariance.csv", covariance_csv(&found.posterior))?;
-    match found.joints {
-        Some(_) => set.write(JOINT_ERRORS, joint_errors_csv(&found.robot))?,
+    set.write("parameters.csv", parameters_csv(&file)?)?;
+    set.write("covariance.csv", covariance_csv(&result.posterior))?;
+    match result.joints {
+        Some(_) => set.write(JOINT_ERRORS, joint_errors_csv(&result.robot))?,
         None => set.remove(JOINT_ERRORS),
     }
-    hand_back(&mut set, found, &provenance)?;
-    set.write("report.html", calibration::html(found, observations, &provenance, budget)?)?;
+    write_for_controller(&mut set, result, &provenance)?;
+    set.write("report.html", calibration::html(result, observations, &provenance, budget)?)?;
     set.finish()?;
     Ok(provenance)
 }
 
-/// A table of this result, which is at `written` until the set is finished.
-fn table(name: &str, written: &Path) -> Result<Artefact, Diagnostic> {
-    Ok(Artefact { name: name.into(), ..Artefact::file(Role::Measurements, written)? })
-}
-
-/// A result that is in the directory.
+/// The earlier result in the directory.
 #[derive(Default, Deserialize)]
 struct Earlier {
     robot: String,
     provenance: Provenance,
 }
 
-/// The result that is in the directory; empty where there is none that can be read.
-fn earlier(dir: &Path) -> Earlier {
-    let text = files::read_if_file(&dir.join(RESULT)).and_then(Result::ok);
-    text.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default()
+impl Earlier {
+    /// Empty if there is no readable result.
+    fn read(dir: &Path) -> Self {
+        let text = files::read_if_file(&dir.join(RESULT)).and_then(Result::ok);
+        text.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default()
+    }
 }
 
-/// That the result of another arm is not replaced, where the serial numbers or else the names show it.
-pub(super) fn is_of_robot(dir: &Path, name: &str, serial: Option<&str>) -> Result<(), Diagnostic> {
-    let Earlier { robot, provenance } = earlier(dir);
+/// Refuses to replace the result of another robot, by the serial numbers if both are known, else by the names.
+pub(super) fn check_robot(dir: &Path, name: &str, serial: Option<&str>) -> Result<(), Diagnostic> {
+    let Earlier { robot, provenance } = Earlier::read(dir);
     let known = provenance.identity.robot;
     let other = match (known.as_deref(), serial) {
         (Some(known), Some(serial)) if known != serial => known,
@@ -116,25 +98,14 @@ pub(super) fn is_of_robot(dir: &Path, name: &str, serial: Option<&str>) -> Resul
         _ => return Ok(()),
     };
     let finding = FileFinding::OtherRobot { robot: other.into() };
-    Err(Diagnostic::file(&dir.join(RESULT).display().to_string(), finding))
+    Err(Diagnostic::file(dir.join(RESULT).display(), finding))
 }
 
-/// Removes a table of that result; one of the same name that is the user's own stays.
-fn remove_of(earlier: &Provenance, table: &Path, set: &mut FileSet) -> Result<(), Diagnostic> {
-    if table.is_file() {
-        let artefact = Artefact::file(Role::Measurements, table)?;
-        if earlier.has(&artefact) {
-            set.remove(&artefact.name);
-        }
-    }
-    Ok(())
-}
-
-fn parameters_csv(file: &ResultFile) -> Result<Vec<u8>, csv::Error> {
-    let mut table = csv::Writer::from_writer(Vec::new());
-    table.write_record(PARAMETER_COLUMNS)?;
-    for parameter in &file.parameters {
-        table.serialize((
+fn parameters_csv(file: &ResultFile) -> Result<String, CliFinding> {
+    // Two cells, empty if there is no interval.
+    let ends = |interval: Option<[f64; 2]>| interval.map_or([None; 2], |ends| ends.map(Some));
+    let rows = file.parameters.iter().map(|parameter| {
+        (
             &parameter.name,
             &parameter.unit,
             parameter.start,
@@ -147,59 +118,44 @@ fn parameters_csv(file: &ResultFile) -> Result<Vec<u8>, csv::Error> {
             ends(parameter.interval95),
             parameter.monte_carlo.map(|drawn| drawn.sd),
             ends(parameter.monte_carlo.map(|drawn| drawn.interval95)),
-        ))?;
-    }
-    table.into_inner().map_err(|error| error.into_error().into())
+        )
+    });
+    serialised::csv_table(PARAMETER_COLUMNS.split(','), rows)
 }
 
-/// In the units of the parameters.
+/// The covariance matrix in the units of the parameters.
 fn covariance_csv(posterior: &Posterior) -> String {
-    let mut text = String::from("name");
-    // Writing to a string does not fail.
-    for id in posterior.ids() {
-        let _ = write!(text, ",{id}");
-    }
-    text.push('\n');
+    let names: String = posterior.ids().iter().map(|id| format!(",{id}")).collect();
     let covariance = posterior.covariance();
-    for (row, id) in covariance.row_iter().zip(posterior.ids()) {
-        let _ = write!(text, "{id}");
-        for value in row.iter() {
-            let _ = write!(text, ",{value:e}");
-        }
-        text.push('\n');
-    }
-    text
+    let rows = covariance.row_iter().zip(posterior.ids()).map(|(row, id)| {
+        let values: String = row.iter().map(|value| format!(",{value:e}")).collect();
+        format!("{id}{values}\n")
+    });
+    [format!("name{names}\n")].into_iter().chain(rows).collect()
 }
 
-/// What each axis must be corrected by, in its own sense, by either sense of approach.
+/// The correction of each axis in its own sense, by the sense of approach.
 fn joint_errors_csv(robot: &Robot) -> String {
-    let mut text = String::from("axis,angle_deg,rising_deg,falling_deg,sd_deg\n");
-    for joint in Joint::ALL {
-        for point in joint_curve(robot, joint) {
-            let JointPoint { angle_deg, rising, falling, sd } = point;
-            let [rising, falling, sd] = [rising, falling, sd].map(f64::to_degrees);
-            // Writing to a string does not fail.
-            let _ = writeln!(text, "{},{angle_deg:.3},{rising:.6},{falling:.6},{sd:.6}", joint.number());
-        }
-    }
-    text
+    let row = |joint: Joint, JointPoint { angle_deg, rising, falling, sd }: JointPoint| {
+        let [rising, falling, sd] = [rising, falling, sd].map(f64::to_degrees);
+        format!("{},{angle_deg:.3},{rising:.6},{falling:.6},{sd:.6}\n", joint.number())
+    };
+    let rows = Joint::ALL
+        .into_iter()
+        .flat_map(|joint| joint_curve(robot, joint).into_iter().map(move |point| row(joint, point)));
+    ["axis,angle_deg,rising_deg,falling_deg,sd_deg\n".to_owned()].into_iter().chain(rows).collect()
 }
 
-/// What goes to other programs and to the controller: URDF, mastering offsets, KRL frames.
-fn hand_back(
+/// Writes the files for other programs and for the controller: URDF, mastering offsets, KRL frames.
+fn write_for_controller(
     set: &mut FileSet,
-    found: &CalibrationResult,
+    result: &CalibrationResult,
     provenance: &Provenance,
 ) -> Result<(), Diagnostic> {
-    set.write("robot-identified.urdf", urdf::urdf(&found.robot))?;
-    let offsets = mastering::offsets(found);
+    set.write("robot-identified.urdf", urdf::urdf(&result.robot))?;
+    let offsets = mastering::offsets(result);
     set.write("mastering.csv", mastering::csv(&offsets)?)?;
-    let data = frames::data_list(&found.robot.name, &frames::frames(found), &offsets);
+    let data = frames::data_list(&result.robot.name, &frames::frames(result), &offsets);
     let data = program::stamped(Language::Krl, &data, provenance)?;
     set.write(&format!("{}.dat", frames::MODULE), data)
-}
-
-/// The ends of an interval as two cells, empty where there is none.
-fn ends(interval: Option<[f64; 2]>) -> [Option<f64>; 2] {
-    interval.map_or([None; 2], |ends| ends.map(Some))
 }

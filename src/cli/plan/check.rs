@@ -1,4 +1,4 @@
-//! `dbbd plan --check`: a short programme that sees changes of a calibrated robot.
+//! `dbbd plan --check`: the poses of a short check of a calibrated robot.
 
 use super::{Args, Known};
 use crate::catalogue::ConformityFinding;
@@ -14,7 +14,7 @@ use crate::measurement::{LengthModel, PreparedMeasurement};
 use crate::plan::{Job, Kind, Plan, PlanRow, PlanningPrior};
 use crate::robot::{AXES, BallId, Robot, Unit};
 
-/// The check that is planned, but for its poses.
+/// The check that is planned, without its poses.
 pub(super) struct PlannedCheck<'a> {
     file: &'a str,
     poses: u32,
@@ -31,7 +31,7 @@ impl<'a> PlannedCheck<'a> {
     pub(super) fn new(args: &'a Args, job: &Job, robot: &Robot, out: &Output) -> Result<Self, Diagnostic> {
         let file = args.robot.as_deref().unwrap_or_default();
         let noise = Noise::at_least(Some(length_sd_mm(job.bar.sigma_um * 1e-3, robot)), file, robot)?;
-        out.about(&noise.finding.into_iter().collect::<Vec<_>>());
+        out.findings(noise.finding);
         let mut mounting = Mounting::again(robot, job.bar.u_mm());
         if args.balls_kept {
             mounting.balls = BallMounting::Kept(Mounting::SEAT_REPEAT_MM);
@@ -63,16 +63,16 @@ impl<'a> PlannedCheck<'a> {
         }
     }
 
-    /// Job, robot and what is known of it.
     pub(super) fn known(&self, job: &Job) -> Result<Known, Diagnostic> {
-        self.kept_in_reach(job)?;
+        self.check_kept_balls(job)?;
         let expected = self.input(&[]).expected().map_err(|finding| Diagnostic::file(self.file, finding))?;
         let prior = PlanningPrior::of_check(job, &self.robot, expected);
         Ok(Known { job: job.as_check(self.poses), robot: self.robot.clone(), prior })
     }
 
-    /// That base balls which stayed are where the job has them, to what the stroke leaves: the poses are about these places.
-    fn kept_in_reach(&self, job: &Job) -> Result<(), Diagnostic> {
+    /// Refuses kept base balls that are farther from their places in the job, about which the poses are, than the stroke
+    /// allows.
+    fn check_kept_balls(&self, job: &Job) -> Result<(), Diagnostic> {
         let known = self.robot.posterior.as_ref();
         let [low_mm, high_mm] = job.bar.stroke_mm;
         let stays = matches!(self.mounting.balls, BallMounting::Kept(_));
@@ -88,7 +88,7 @@ impl<'a> PlannedCheck<'a> {
         Ok(())
     }
 
-    /// What the check will find, into the header; no map of the error that is left.
+    /// Writes what the check can detect into the header. A check has no map of the remaining error.
     pub(super) fn predict(&self, plan: &mut Plan, out: &Output) -> Result<Vec<MapPoint>, Diagnostic> {
         let dwells = plan.rows.iter().filter(|row| row.kind != Kind::Transit);
         let readings: Vec<PreparedMeasurement> = dwells.map(PlanRow::reading).collect();
@@ -102,19 +102,19 @@ impl<'a> PlannedCheck<'a> {
     }
 }
 
-/// What a check will find, in a few lines.
+/// What a check can detect, on the terminal.
 pub(super) fn lines(power: &CheckPower) -> Vec<String> {
     let smallest = |angles: bool| {
-        let found = power.detectable.iter().filter(|found| (found.unit == Unit::Rad) == angles);
-        let found = found.filter_map(|found| {
-            let size = found.smallest?;
+        let of_unit = power.detectable.iter().filter(|change| (change.unit == Unit::Rad) == angles);
+        let smallest = of_unit.filter_map(|change| {
+            let size = change.smallest?;
             Some(if angles {
-                format!("{} {:.4} deg", found.name, size.to_degrees())
+                format!("{} {:.4} deg", change.name, size.to_degrees())
             } else {
-                format!("{} {size:.3} mm", found.name)
+                format!("{} {size:.3} mm", change.name)
             })
         });
-        found.collect::<Vec<String>>().join(", ")
+        smallest.collect::<Vec<String>>().join(", ")
     };
     vec![
         format!(
