@@ -231,7 +231,9 @@ fn lines(check: &InterimCheck) -> Vec<String> {
         check.robot, check.lengths, check.sigma_mm, test.chi_square, test.freedom, test.p
     )];
     if test.changed && !check.is_explained() {
-        lines.push("changed, and nothing alone explains it; what is likeliest is in check.json".into());
+        lines.push(
+            "changed, but no single hypothesis explains it; the most likely ones are in check.json".into(),
+        );
     } else if test.changed {
         lines.extend(check.changes.iter().take(MOST_CHANGES).map(change));
     } else {

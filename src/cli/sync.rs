@@ -100,7 +100,7 @@ fn show(matching: &PoseMatching, out: &Output) {
         }
     }
     if !matching.spurious.is_empty() {
-        out.result(format!("{} dwells belong to no pose", matching.spurious.len()));
+        out.result(format!("{} detected dwells match no pose", matching.spurious.len()));
     }
     for Lag { circle, lag_s, sd_s, hysteresis_mm } in &matching.lags {
         let [lag_ms, sd_ms] = [lag_s, sd_s].map(|s| 1000.0 * s);

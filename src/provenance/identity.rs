@@ -120,7 +120,7 @@ pub struct Temperature {
 /// A key, and what is wrong with its value.
 pub type Wrong = (&'static str, JobFinding);
 
-/// Refuses a text that is empty, longer than [`MOST_TEXT`], or has control characters.
+/// Refuses a text that is empty, longer than 200 characters, or has control characters.
 pub fn check_text(key: &'static str, text: Option<&String>) -> Result<(), Wrong> {
     let Some(text) = text else { return Ok(()) };
     let length = text.trim().chars().count();
@@ -135,7 +135,7 @@ fn day(moment: &str) -> Option<f64> {
     day_number(moment.split('T').next()?)
 }
 
-/// Refuses a text that is not a date, or date and time, since [`EARLIEST`].
+/// Refuses a text that is not a date, or date and time, since 1980.
 fn check_date(key: &'static str, date: Option<&String>) -> Result<(), Wrong> {
     match date {
         Some(date) if !is_moment(date) => Err((key, NotADate { key: key.into(), date: date.clone() })),

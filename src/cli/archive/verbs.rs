@@ -45,18 +45,18 @@ pub(super) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         What::Reprocess { choice, estimate, hold, prior, model, ask_only } => {
             let options = [("estimate", estimate), ("hold", hold), ("model", model), ("prior", prior)];
             let settings = Settings::new(&options.map(|(name, value)| (name, value.as_deref())))?;
-            let (mut archive, selection) = (Archive::open_whole(&addresses)?, choice.selection()?);
-            report_nothing(&mut archive, &selection, out)?;
+            let mut archive = Archive::open_whole(&addresses)?;
+            let selection = choice.select(&mut archive, out)?;
             reprocess(&mut archive, &selection, &settings, *ask_only, out)
         }
         What::Fleet { choice, out: directory } => {
-            let (mut archive, selection) = (Archive::open(&addresses)?, choice.selection()?);
-            report_nothing(&mut archive, &selection, out)?;
+            let mut archive = Archive::open(&addresses)?;
+            let selection = choice.select(&mut archive, out)?;
             super::fleet::run(&mut archive, &selection, directory, out)
         }
         What::Export { choice, format, out: directory } => {
-            let (mut archive, selection) = (Archive::open(&addresses)?, choice.selection()?);
-            report_nothing(&mut archive, &selection, out)?;
+            let mut archive = Archive::open(&addresses)?;
+            let selection = choice.select(&mut archive, out)?;
             export(&mut archive, &selection, *format, directory, out)
         }
         What::Serve { listen, token_file, host, interval, limit } => {
@@ -160,7 +160,8 @@ fn send(archive: &mut Archive, run: &LocalRun, sent: &mut Sent, out: &Output) ->
 }
 
 impl Choice {
-    fn selection(&self) -> Result<Selection, Diagnostic> {
+    /// The selection. Reports why it is empty.
+    fn select(&self, archive: &mut Archive, out: &Output) -> Result<Selection, Diagnostic> {
         let selection = Selection {
             robot: self.robot.clone(),
             kind: self.kind.clone(),
@@ -172,20 +173,15 @@ impl Choice {
             after: None,
             limit: self.limit,
         };
-        selection.check(clock::unix_ns()).map(|()| selection)
+        selection.check(clock::unix_ns())?;
+        out.findings(archive.nothing_of(&selection)?);
+        Ok(selection)
     }
 }
 
-/// Reports why a selection is empty.
-fn report_nothing(archive: &mut Archive, selection: &Selection, out: &Output) -> Result<(), Diagnostic> {
-    out.findings(archive.nothing_of(selection)?);
-    Ok(())
-}
-
 fn list(archive: &mut Archive, choice: &Choice, out: &Output) -> Result<Outcome, Diagnostic> {
-    let selection = choice.selection()?;
+    let selection = choice.select(archive, out)?;
     let runs = archive.list(&selection)?;
-    report_nothing(archive, &selection, out)?;
     out.list(&runs)?;
     for run in &runs {
         let ArchivedRun { sha256, measured, cell, robot, bar, .. } = run;

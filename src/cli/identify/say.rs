@@ -88,7 +88,7 @@ fn position(result: &CalibrationResult) -> Vec<String> {
         mm(predicted.identified.p95)
     ));
     if result.count(Status::Fixed) > 0 {
-        lines.push("  what is fixed counts as exact in it".into());
+        lines.push("  fixed parameters count as exact in it".into());
     }
     lines
 }
@@ -110,7 +110,7 @@ fn parameters(result: &CalibrationResult) -> Vec<String> {
     absorbed.sort_unstable();
     absorbed.dedup();
     if !absorbed.is_empty() {
-        lines.push(format!("  carried by the places of the balls: {}", absorbed.join(", ")));
+        lines.push(format!("  linearly dependent on the places of the balls: {}", absorbed.join(", ")));
     }
     if let Some((worst, others)) = result.correlations.split_first() {
         let [one, other] = worst.pair;
