@@ -37,7 +37,7 @@ last --sync-every. If the disk is full or fails, the run ends and every complete
 3: samples, poses or time are missing, nothing was decoded, or the capture was taken away and recording continued in a \
 new file.";
 
-/// Record the bar into a capture.
+/// Record the readings of a bar in a capture.
 ///
 /// The capture contains the raw bytes, the samples, every gap and fault, the plan and the protocol, and is readable even
 /// after the process is killed. More: docs/reference/capture.md.
