@@ -87,7 +87,7 @@ fn benches(c: &mut Criterion) {
                 parse_data(data_name, data).expect("reads");
                 let data = Some(Text { file: data_name, text: data });
                 let files = Files { source: Text { file: name, text: source }, data, config: None };
-                points += read(files, Given::default()).expect("points").legs.len();
+                points += read(files, Given::default()).expect("points").motions.len();
             }
             points
         });

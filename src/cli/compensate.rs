@@ -138,7 +138,7 @@ impl Cell<'_> {
         let corrected = krl::compensate(program, &points, robot, args.limit)
             .map_err(|refused| self.refused(&source, &refused))?;
         let texts = [(source, corrected.source)].into_iter().chain(data.zip(corrected.data)).collect();
-        Ok(Corrected { texts, sources, moved: corrected.moved, left: points.left })
+        Ok(Corrected { texts, sources, moved: corrected.moved, left: points.not_corrected })
     }
 
     /// A program in a language whose points are in one file.
@@ -163,7 +163,7 @@ impl Cell<'_> {
         };
         let corrected = points.compensate(text, robot, args.limit);
         let (corrected, moved) = corrected.map_err(|refused| self.refused(&source, &refused))?;
-        Ok(Corrected { texts: vec![(source, corrected)], sources: vec![traced], moved, left: points.left })
+        Ok(Corrected { texts: vec![(source, corrected)], sources: vec![traced], moved, left: points.not_corrected })
     }
 
     /// Refuses an output directory where a file of the program would be overwritten.

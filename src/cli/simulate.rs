@@ -17,11 +17,11 @@ use crate::diagnostic::Diagnostic;
 use crate::plan::DEFAULT_PROTOCOL;
 use crate::program::{Language, Program, krl, rapid, urscript};
 use crate::sim::axes::{AxesLine, Publisher};
+#[cfg(unix)]
+use crate::sim::bar::Link;
 use crate::sim::bar::{Options, Reading, Source, Terminal, serve_over};
 use crate::sim::ekrl::Client;
 use crate::sim::fault::{BadLine, Faults};
-#[cfg(unix)]
-use crate::sim::link::Link;
 use crate::sim::world::Setup;
 use crate::sim::{Controller, Moment, World, truth};
 
@@ -165,7 +165,7 @@ fn terminal(args: &Args) -> Result<Terminal, Diagnostic> {
     #[cfg(unix)]
     if let Some(path) = &args.link {
         let link = Link::new(path, &terminal.address().to_string())?;
-        return Ok(terminal.followed_by(link));
+        return Ok(terminal.with_link(link));
     }
     Ok(terminal)
 }
@@ -299,12 +299,12 @@ impl<'a> Cell<'a> {
         let program = open(&args.program)?;
         let world_text = args.world.as_deref().map(files::read).transpose()?;
         let world_name = args.world.as_ref().map(|path| path.display().to_string());
-        let setup = Setup::new(&program, world_name.as_deref().zip(world_text.as_deref()))?;
+        let setup = Setup::new(&program.setups(), world_name.as_deref().zip(world_text.as_deref()))?;
         let accuracy = args.accuracy.as_deref().map(|name| robots::named(name, out)).transpose()?;
         let mut controller =
             Controller::new(program, accuracy.as_ref().unwrap_or(&nominal), args.override_percent)?;
         if accuracy.is_some() {
-            controller.correct_by_itself();
+            controller.set_absolute_accuracy();
         }
         if args.ekrl.is_some() {
             controller.link_ekrl();

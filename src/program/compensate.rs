@@ -1,35 +1,37 @@
-//! Corrects the targets of a program so that the identified robot, driven by a controller that knows the nominal one,
-//! comes where the nominal robot would.
+//! Correction of the targets of a program: with the corrected targets, the identified robot under a controller that knows the
+//! nominal robot moves to where the nominal robot would move with the original ones.
 //!
-//! For each target: the flange's nominal pose P; the axis angles q at which the identified robot's flange is at P; the
-//! command is the nominal flange's pose at q. Both robots are taken in their own base frame.
+//! For each target: P is the nominal pose of the flange; q are the axis angles at which the flange of the identified robot is
+//! at P; the corrected target is the nominal pose of the flange at q. Each robot is taken in its own base frame.
 //!
-//! A longer last link and a ball that is further out have the same lengths. The identified flange is therefore taken to
-//! be where the ball is at its nominal place on it; the tools of the program stay what they are.
+//! A longer last link and a ball further out have the same effect on the lengths. The identified flange is therefore defined
+//! by the ball at its nominal place on it, and the tools of the program stay what they are.
 
 use nalgebra::Vector3;
 
 use super::{Frames, Language, Target};
 use crate::catalogue::CompensationFinding;
+use crate::diagnostic::Diagnostic;
 use crate::robot::inverse::{self, Unsolved};
 use crate::robot::{AXES, Approach, Geometry, Pose, Robot};
 
-/// An axis that a correction turns further, degrees, is near a singularity.
+/// Largest change of an axis by a correction, degrees: a larger one shows that a singularity is near.
 const LARGEST_TURN_DEG: f64 = 5.0;
-/// The digits of a pose move an axis by less than this, degrees.
+/// Rounding a pose to its digits moves an axis by less than this, degrees.
 const ROUNDED_DEG: f64 = 0.005;
 
-/// How the controller chooses among the axis angles of a pose.
+/// How the controller selects the solution branch of a pose.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Branch {
-    /// As the target's status and turn say.
+    /// By the status and turn of the target.
     ByStatusAndTurn,
     /// By ABB's configuration: see [`inverse::quadrants`].
     ByQuadrants([i32; 4]),
+    /// The branch nearest to the position before.
     Nearest,
 }
 
-/// A target and what its axis angles depend on.
+/// A target with what its axis angles depend on.
 #[derive(Clone, Copy, Debug)]
 pub struct Commanded<'a> {
     pub target: &'a Target,
@@ -42,29 +44,28 @@ pub struct Commanded<'a> {
 pub struct Corrected {
     /// A1 to A6, or X, Y, Z, A, B, C.
     pub numbers: [f64; 6],
-    /// How far the commanded tool point moved (of an axis position: the flange).
+    /// Shift of the commanded tool point; for axis angles, of the flange.
     pub shift_mm: f64,
-    /// How far the commanded orientation turned.
+    /// Rotation of the commanded orientation.
     pub turn_deg: f64,
-    /// The nominal robot's axis angles at the taught target, and the identified robot's there, rad.
+    /// The axis angles of the nominal and of the identified robot at the taught target, rad.
     taught: [f64; AXES],
     axes: [f64; AXES],
 }
 
-/// Goes through the targets as the robot would.
+/// Corrects targets one after the other, in the order in which the robot moves to them.
 pub struct Corrector {
-    /// The controller's robot, its tool point at the flange.
+    /// The robot as the controller knows it, with the tool point at the flange.
     nominal: Robot,
-    /// The true robot, its tool point at the flange too.
+    /// The true robot, with the tool point at the flange as well.
     identified: Geometry,
     limit_mm: f64,
-    /// Nominal axis angles at the last target, rad, and how the axes came there.
+    /// The nominal axis angles at the last target, rad, and the sense in which each axis approached it.
     last: [f64; AXES],
     approach: Approach,
 }
 
-/// A tool or a base that is so near to the flange or the robot's base, and not there, or so far, that it is in another
-/// unit.
+/// A tool or base that is so small, without being zero, or so large that it is probably in another unit.
 fn other_unit(frames: &Frames) -> Option<CompensationFinding> {
     const NEAR_MM: f64 = 3.0;
     const FAR_MM: f64 = 1e4;
@@ -77,7 +78,7 @@ fn other_unit(frames: &Frames) -> Option<CompensationFinding> {
 }
 
 impl Corrector {
-    /// For `robot`, an identified one that carries its nominal robot; no tool point may move by more than `limit_mm`.
+    /// For `robot`, an identified robot with its nominal one; no tool point may move by more than `limit_mm`.
     pub fn new(robot: &Robot, limit_mm: f64) -> Self {
         let controller = robot.controller();
         let flange = |geometry: &Geometry, tool| Geometry { tool, ..geometry.clone() };
@@ -92,8 +93,8 @@ impl Corrector {
     }
 
     pub fn correct(&mut self, commanded: Commanded<'_>) -> Result<Corrected, CompensationFinding> {
-        let null = Frames { tool: Pose::identity(), base: Pose::identity() };
-        let frames = commanded.frames.unwrap_or(&null);
+        let no_frames = Frames { tool: Pose::identity(), base: Pose::identity() };
+        let frames = commanded.frames.unwrap_or(&no_frames);
         if let Some(wrong) = other_unit(frames) {
             return Err(wrong);
         }
@@ -102,10 +103,7 @@ impl Corrector {
         let (before, after) = (frames.tool(&flange), frames.tool(&self.nominal.geometry.ball(&axes)));
         let numbers = match commanded.target {
             Target::Axes(_) => axes.map(f64::to_degrees),
-            Target::Pose { .. } => {
-                let ([x, y, z], [a, b, c]) = (<[f64; 3]>::from(after.position), after.abc_deg());
-                [x, y, z, a, b, c]
-            }
+            Target::Pose { .. } => after.xyzabc(),
         };
         let shift_mm = (after.position - before.position).norm();
         if shift_mm > self.limit_mm {
@@ -114,7 +112,7 @@ impl Corrector {
         Ok(Corrected { numbers, shift_mm, turn_deg: after.angle_to(&before).to_degrees(), taught, axes })
     }
 
-    /// The nominal flange's pose at a target, and the nominal axis angles there.
+    /// The nominal pose of the flange at a target, and the nominal axis angles there.
     fn taught(
         &self,
         commanded: Commanded<'_>,
@@ -147,22 +145,22 @@ impl Corrector {
         }
     }
 
-    /// The nominal robot's axis angles by status and turn. The digits of a pose may put an axis that was taught at zero
-    /// on its other side: its bit then counts for nothing.
+    /// The nominal axis angles by status and turn. If rounding the pose to its digits moves an axis that was taught at zero
+    /// to the other side of zero, its turn bit is ignored.
     fn branch(&self, flange: &Pose, status: u8, turn: u8) -> Result<[f64; AXES], Unsolved> {
         let as_written = inverse::from_status_turn(&self.nominal, flange, status, turn);
         if !matches!(as_written, Err(Unsolved::NoSuchConfiguration { .. })) {
             return as_written;
         }
-        let mut others = (1..1_u8 << AXES).filter_map(|flipped| {
+        let mut ignoring = (1..1_u8 << AXES).filter_map(|flipped| {
             let axes = inverse::from_status_turn(&self.nominal, flange, status, turn ^ flipped).ok()?;
             let at_zero = |axis: usize| axes[axis].to_degrees().abs() < ROUNDED_DEG;
             (0..AXES).all(|axis| (flipped >> axis) & 1 == 0 || at_zero(axis)).then_some(axes)
         });
-        others.next().map_or(as_written, Ok)
+        ignoring.next().map_or(as_written, Ok)
     }
 
-    /// The identified robot's axis angles at a pose of its flange, in the branch of `start`.
+    /// The axis angles of the identified robot at a pose of its flange, in the branch of `start`.
     fn solve(&mut self, flange: &Pose, start: &[f64; AXES]) -> Result<[f64; AXES], CompensationFinding> {
         self.approach = self.approach.after(&self.last, start);
         self.last = *start;
@@ -182,42 +180,78 @@ impl Corrector {
         Ok(axes)
     }
 
-    /// KUKA's turn bits of a corrected target, as its printed pose has them. An axis that the correction carries through
-    /// zero has another one than was taught: with the old bit a controller would look for the same pose a full turn away.
+    /// KUKA's turn bits of a corrected target at its printed pose. If the correction moves an axis through zero, its bit
+    /// changes: with the old bit a controller would move the axis a full turn away.
     pub fn turn(
         &self,
         corrected: &Corrected,
         printed: &Pose,
         frames: &Frames,
     ) -> Result<u8, CompensationFinding> {
-        Ok(inverse::turn(&self.there(corrected, printed, frames)?))
+        Ok(inverse::turn(&self.printed_axes(corrected, printed, frames)?))
     }
 
-    /// ABB's configuration of a corrected target, likewise.
+    /// ABB's configuration of a corrected target at its printed pose.
     pub fn quadrants(
         &self,
         corrected: &Corrected,
         printed: &Pose,
         frames: &Frames,
     ) -> Result<[i32; 4], CompensationFinding> {
-        let there = self.there(corrected, printed, frames)?;
-        Ok(inverse::quadrants(&self.nominal.geometry, &there))
+        let axes = self.printed_axes(corrected, printed, frames)?;
+        Ok(inverse::quadrants(&self.nominal.geometry, &axes))
     }
 
-    /// The nominal robot's axis angles at a corrected pose as it is printed, in the branch in which it was taught.
-    fn there(
+    /// The nominal axis angles at a corrected pose as it is printed, in the branch in which it was taught.
+    fn printed_axes(
         &self,
         corrected: &Corrected,
         printed: &Pose,
         frames: &Frames,
     ) -> Result<[f64; AXES], CompensationFinding> {
         let geometry = &self.nominal.geometry;
-        let there = inverse::nearest(geometry, &frames.flange(printed), &corrected.axes)
+        let axes = inverse::nearest(geometry, &frames.flange(printed), &corrected.axes)
             .map_err(|unsolved| CompensationFinding::NominalDoesNotReach { why: unsolved.to_string() })?;
-        let [taught, corrected] = [&corrected.taught, &there].map(|axes| inverse::status(geometry, axes));
+        let [taught, corrected] = [&corrected.taught, &axes].map(|axes| inverse::status(geometry, axes));
         if taught != corrected {
             return Err(CompensationFinding::OtherStatus { taught, corrected });
         }
-        Ok(there)
+        Ok(axes)
     }
+}
+
+/// A point that was corrected.
+#[derive(Clone, Debug, serde::Serialize)]
+pub struct Moved {
+    /// `inline` if it has no name.
+    pub name: String,
+    /// The first line that moves there; in KRL, of the `.src`.
+    pub line: usize,
+    /// As in [`Corrected`].
+    pub shift_mm: f64,
+    /// As in [`Corrected`].
+    pub turn_deg: f64,
+    /// KUKA's turn bits before and after, if an axis moved through zero.
+    pub turn_bits: Option<[u8; 2]>,
+}
+
+/// Corrects all points for `robot`, in the order of their first use; `rewrite` writes the new numbers of one.
+///
+/// # Errors
+/// One finding for each point that cannot be corrected.
+pub(super) fn correct_points<P>(
+    robot: &Robot,
+    limit_mm: f64,
+    points: &[P],
+    mut rewrite: impl FnMut(&mut Corrector, &P) -> Result<Moved, Diagnostic>,
+) -> Result<Vec<Moved>, Vec<Diagnostic>> {
+    let mut corrector = Corrector::new(robot, limit_mm);
+    let (mut moved, mut refused) = (Vec::with_capacity(points.len()), Vec::new());
+    for point in points {
+        match rewrite(&mut corrector, point) {
+            Ok(point) => moved.push(point),
+            Err(why) => refused.push(why),
+        }
+    }
+    if refused.is_empty() { Ok(moved) } else { Err(refused) }
 }

@@ -1,5 +1,4 @@
-//! What the emitters of all languages share: the facts of a plan and of its modules for the templates, and what is
-//! refused because no controller accepts it.
+//! What the emitters of all languages share: the variables of the templates, and the checks for what no controller accepts.
 
 use std::net::SocketAddrV4;
 
@@ -16,19 +15,19 @@ use crate::plan::{Kind, MODULE_DWELLS, Motion, Plan, PlanRow};
 use crate::provenance::Provenance;
 use crate::robot::{Joint, Mass, Robot};
 
-/// Files of a program: names and texts, the first of them where it begins.
+/// The files of a program, names and texts; the program begins in the first.
 pub type Written = Vec<(String, String)>;
 
 /// How the dwells are marked.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Sync {
-    /// By the plan's own sync markers in the length alone; the program sets no output.
+    /// By the sync markers of the plan alone; the program sets no output.
     Marker,
     /// By a strobe and an index on digital outputs as well.
     Output,
-    /// By telegrams over EthernetKRL (KUKA's KR C4 and later, an option package): dbbd is the server.
+    /// By telegrams over EthernetKRL (an option of KUKA's KR C4 and later); dbbd is the server.
     Ekrl {
-        /// As the controller's line network sees it.
+        /// The address of the server in the network of the controller.
         server: SocketAddrV4,
     },
 }
@@ -48,14 +47,14 @@ pub(super) fn name(number: usize) -> String {
     format!("DBB_C{number:03}")
 }
 
-/// What every file may say of the plan.
-pub(super) fn plan_text(plan: &Plan, language: Language, sync: Sync) -> Result<Value, Diagnostic> {
+/// The variables of a plan for the templates.
+pub(super) fn plan_variables(plan: &Plan, language: Language, sync: Sync) -> Result<Value, Diagnostic> {
     let job = &plan.header.job;
     let robot = Robot::from_toml("the plan's robot", &plan.header.robot)?;
     Ok(context! {
-        hash => character_text(&plan.header.hash, 32),
-        robot => character_text(&robot.name, 64),
-        // What the program was made from.
+        hash => printable(&plan.header.hash, 32),
+        robot => printable(&robot.name, 64),
+        // Comments with the provenance.
         made => Value::from_iter(header::lines(language, &Provenance::of([&plan.traced()?]))?),
         sync => sync.name(),
         outputs => Serde(&job.motion.outputs),
@@ -64,23 +63,23 @@ pub(super) fn plan_text(plan: &Plan, language: Language, sync: Sync) -> Result<V
     })
 }
 
-/// The one mass on the flange, where the robot file has it.
+/// The mass on the flange, if the robot file has exactly one.
 pub(super) fn payload(robot: &Robot) -> Option<&Mass> {
-    let mut carried = robot.geometry.masses.iter().filter(|mass| mass.joint == Joint::J6);
-    carried.next().filter(|_| carried.next().is_none())
+    let mut masses = robot.geometry.masses.iter().filter(|mass| mass.joint == Joint::J6);
+    masses.next().filter(|_| masses.next().is_none())
 }
 
-/// Which modules a master calls, and which of them keep the bar.
-pub(super) fn called(modules: &[Module<'_>]) -> Value {
-    let called = modules.iter().zip(1..).map(|(module, number)| {
+/// The modules that a main module calls, each with whether the bar stays mounted before it.
+pub(super) fn module_calls(modules: &[Module<'_>]) -> Value {
+    let calls = modules.iter().zip(1..).map(|(module, number)| {
         let stays = module.bar == Bar::Stays;
         context! { name => name(number), stays => stays }
     });
-    called.collect()
+    calls.collect()
 }
 
-/// What a file may say of its module; a module that no controller accepts is refused.
-pub(super) fn module_text(plan: &Plan, module: &Module<'_>) -> Result<Value, Diagnostic> {
+/// The variables of a module for the templates. A module that no controller accepts is refused.
+pub(super) fn module_variables(plan: &Plan, module: &Module<'_>) -> Result<Value, Diagnostic> {
     let (circle, dwells) = (module.circle, module.counted().count());
     if dwells > MODULE_DWELLS as usize {
         return Err(ProgramFinding::TooManyDwells { circle, dwells, most: MODULE_DWELLS }.into());
@@ -90,15 +89,15 @@ pub(super) fn module_text(plan: &Plan, module: &Module<'_>) -> Result<Value, Dia
     let Some(table) = plan.header.job.centres.iter().find(|table| table.id == ball) else {
         return Err(ProgramFinding::NoBall { ball }.into());
     };
-    module.rows.iter().try_for_each(check)?;
+    module.rows.iter().try_for_each(check_row)?;
     Ok(context! {
         circle => circle,
         ball => ball,
         stays => module.bar == Bar::Stays,
-        centre => unturned(table.xyz_mm),
+        centre => without_rotation(table.xyz_mm),
         start_deg => Serde(module.start.row.axes_deg),
         start_percent => module.start.time.axis_percent,
-        steps => steps.iter().map(step_text).collect::<Value>(),
+        steps => steps.iter().map(step_variables).collect::<Value>(),
         end_mark => module.end_mark(),
         rows => module.counted().map(|timed| timed.row.index).collect::<Value>(),
         stops => module.rows.iter().any(|timed| timed.row.kind != Kind::Transit),
@@ -106,14 +105,13 @@ pub(super) fn module_text(plan: &Plan, module: &Module<'_>) -> Result<Value, Dia
     })
 }
 
-/// X, Y, Z and the angles of a pose that is not turned.
-pub(super) fn unturned([x, y, z]: [f64; 3]) -> Value {
+/// X, Y, Z, A, B, C of a position without rotation.
+pub(super) fn without_rotation([x, y, z]: [f64; 3]) -> Value {
     Serde([x, y, z, 0.0, 0.0, 0.0]).into()
 }
 
-/// That a plan has nothing that only KRL can hold: a pass goes round further than one arc of other controllers does, and
-/// the telegrams are KUKA's.
-pub(super) fn only_stops(plan: &Plan, language: Language, sync: Sync) -> Result<(), ProgramFinding> {
+/// Refuses what only KRL supports: passes, because an arc of other controllers is shorter than a full circle, and EthernetKRL.
+pub(super) fn refuse_krl_only(plan: &Plan, language: Language, sync: Sync) -> Result<(), ProgramFinding> {
     let language = language.name();
     match sync {
         _ if !plan.header.passes.is_empty() => Err(ProgramFinding::NoPasses { language }),
@@ -127,17 +125,17 @@ pub(super) struct Templates(Environment<'static>);
 
 impl Templates {
     pub(super) fn new(templates: &[(&'static str, &'static str)]) -> Result<Self, Diagnostic> {
-        engine(templates).map(Self).map_err(|error| no_text("a program", &error))
+        environment(templates).map(Self).map_err(|error| not_rendered("a program", &error))
     }
 
-    /// The text of a file; lines end with CR LF.
-    pub(super) fn fill(&self, template: &str, context: &Value) -> Result<String, Diagnostic> {
+    /// Renders a file; its lines end with CR LF.
+    pub(super) fn render(&self, template: &str, context: &Value) -> Result<String, Diagnostic> {
         let text = self.0.get_template(template).and_then(|template| template.render(context));
-        text.map(|text| text.replace('\n', "\r\n")).map_err(|error| no_text(template, &error))
+        text.map(|text| text.replace('\n', "\r\n")).map_err(|error| not_rendered(template, &error))
     }
 }
 
-fn step_text(step: &Step<'_>) -> Value {
+fn step_variables(step: &Step<'_>) -> Value {
     match *step {
         Step::Pass { row, pass, number } => context! { row => row, pass => Serde(pass), number => number },
         Step::Move { row, timed: Timed { row: pose, time, .. }, through, dwell } => context! {
@@ -155,34 +153,34 @@ fn step_text(step: &Step<'_>) -> Value {
     }
 }
 
-fn engine(templates: &[(&'static str, &'static str)]) -> Result<Environment<'static>, minijinja::Error> {
-    let mut engine = Environment::new();
-    engine.set_undefined_behavior(UndefinedBehavior::Strict);
+fn environment(templates: &[(&'static str, &'static str)]) -> Result<Environment<'static>, minijinja::Error> {
+    let mut environment = Environment::new();
+    environment.set_undefined_behavior(UndefinedBehavior::Strict);
     let syntax =
         SyntaxConfig::builder().trim_blocks(true).lstrip_blocks(true).keep_trailing_newline(true).build()?;
-    engine.set_syntax(syntax);
-    engine.add_filter("mm", |value: f64| fixed(value, 3));
-    engine.add_filter("deg", |value: f64| fixed(value, 4));
-    engine.add_filter("speed", |value: f64| fixed(value, 6));
-    engine.add_filter("seconds", |value: f64| fixed(value, 3));
-    // Of unit quaternions, and of metres and radians.
-    engine.add_filter("fine", |value: f64| fixed(value, 9));
-    engine.add_filter("axis", |value: f64| fixed(value, 6));
-    // The controller rounds; never more than asked.
-    engine.add_filter("percent", |value: f64| fixed(value.floor(), 0));
+    environment.set_syntax(syntax);
+    environment.add_filter("mm", |value: f64| fixed(value, 3));
+    environment.add_filter("deg", |value: f64| fixed(value, 4));
+    environment.add_filter("speed", |value: f64| fixed(value, 6));
+    environment.add_filter("seconds", |value: f64| fixed(value, 3));
+    // Components of quaternions; metres and radians.
+    environment.add_filter("fine", |value: f64| fixed(value, 9));
+    environment.add_filter("axis", |value: f64| fixed(value, 6));
+    // Rounded down, because the controller would round up.
+    environment.add_filter("percent", |value: f64| fixed(value.floor(), 0));
     for &(name, text) in templates {
-        engine.add_template(name, text)?;
+        environment.add_template(name, text)?;
     }
-    Ok(engine)
+    Ok(environment)
 }
 
-fn no_text(file: &str, error: &minijinja::Error) -> Diagnostic {
+fn not_rendered(file: &str, error: &minijinja::Error) -> Diagnostic {
     let why = error.detail().map_or_else(|| error.to_string(), str::to_owned);
     ReportFinding::NoPage { page: file.into(), why }.into()
 }
 
-/// What a program can hold: finite numbers, status and turn bits, speeds above zero.
-fn check(timed: &Timed<'_>) -> Result<(), ProgramFinding> {
+/// Refuses numbers, status and turn bits, dwells and speeds that no program can have.
+fn check_row(timed: &Timed<'_>) -> Result<(), ProgramFinding> {
     let Timed { row: PlanRow { index: row, status, turn, dwell_s, motion, .. }, time, .. } = *timed;
     let (&row, &status, &turn, &dwell_s) = (row, status, turn, dwell_s);
     if time.index != row {
@@ -211,8 +209,8 @@ fn check(timed: &Timed<'_>) -> Result<(), ProgramFinding> {
     }
 }
 
-/// A text for a string or a comment: printable ASCII without quotes, at most `length` characters.
-fn character_text(text: &str, length: usize) -> String {
+/// A text for a string or comment: printable ASCII without quotes and semicolons, at most `length` characters.
+fn printable(text: &str, length: usize) -> String {
     let plain = |c: char| if c == ' ' || (c.is_ascii_graphic() && c != '"' && c != ';') { c } else { '_' };
     text.chars().map(plain).take(length).collect()
 }

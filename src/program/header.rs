@@ -1,4 +1,4 @@
-//! What a program was made from, as comments after its first line.
+//! The provenance of a program, as comments after its first line.
 
 use super::Language;
 use crate::base::serialised;
@@ -6,7 +6,7 @@ use crate::catalogue::{CliFinding, ProvenanceFinding};
 use crate::diagnostic::Diagnostic;
 use crate::provenance::{Artefact, Provenance};
 
-/// How the comments go on after the sign of a comment.
+/// What the comments begin with, after the comment sign.
 const BY: &str = " made by dbbd ";
 const FROM: &str = " made from ";
 
@@ -21,12 +21,12 @@ pub(super) fn lines(language: Language, provenance: &Provenance) -> Result<Vec<S
     [Ok(by)].into_iter().chain(provenance.from.iter().map(source)).collect()
 }
 
-/// What follows the sign of a comment that begins a line, in any language.
+/// The comment of a line that begins with the comment sign of any language.
 fn comment(line: &str) -> Option<&str> {
     line.strip_prefix(Language::ALL.map(Language::comment))
 }
 
-/// As JSON escapes what is not ASCII.
+/// A character as ASCII, with the escapes of JSON.
 fn escaped(character: char) -> String {
     let mut units = [0; 2];
     match character {
@@ -35,31 +35,28 @@ fn escaped(character: char) -> String {
     }
 }
 
-/// What the comments of a program say; nothing where there are none.
+/// The provenance in the comments of a program; empty if there are none.
 ///
 /// # Errors
-/// A comment that is damaged: what is not read could not be compared.
+/// A damaged comment, because its source could not be compared.
 pub fn provenance(file: &str, text: &str) -> Result<Provenance, Diagnostic> {
-    let mut found = Provenance::default();
+    let mut provenance = Provenance::default();
     for (line, number) in text.lines().zip(1..) {
         let Some(comment) = comment(line) else { continue };
         if let Some(version) = comment.strip_prefix(BY) {
-            found.dbbd = version.trim().to_owned();
+            provenance.dbbd = version.trim().to_owned();
         } else if let Some(json) = comment.strip_prefix(FROM) {
             let damaged = |error: serde_json::Error| {
                 Diagnostic::line(file, number, ProvenanceFinding::Damaged { why: error.to_string() })
             };
-            found.add(&serde_json::from_str(json).map_err(damaged)?);
+            provenance.add(&serde_json::from_str(json).map_err(damaged)?);
         }
     }
-    Ok(found)
+    Ok(provenance)
 }
 
-/// The program with these comments in place of those that it has: after the line that begins its first routine, list or
-/// module.
-///
-/// # Errors
-/// None is known: see [`serialised`].
+/// The program with the comments of `provenance` after the line that begins its first routine, data list or module, and
+/// without those that it had.
 pub fn stamped(language: Language, text: &str, provenance: &Provenance) -> Result<String, CliFinding> {
     let mut comments = lines(language, provenance)?;
     let mut stamped = String::with_capacity(text.len() + 256 * comments.len());

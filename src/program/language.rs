@@ -1,11 +1,11 @@
-//! The languages of robot controllers: how their files are recognised.
+//! The languages of robot controllers, and how their files are recognised.
 
 use crate::robot::{AXES, Robot};
 
-/// A language in which programs are written, read and corrected.
+/// A language of robot programs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Language {
-    // No doc comments: the help would list them. KUKA.
+    // Not doc comments, which the help would list. KUKA.
     Krl,
     // ABB.
     Rapid,
@@ -25,12 +25,11 @@ impl Language {
         }
     }
 
-    /// The language with this name.
     pub fn named(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|language| language.name() == name)
     }
 
-    /// Of the files that hold programs, in small letters.
+    /// The extensions of program files, in lower case.
     fn extensions(self) -> &'static [&'static str] {
         match self {
             Self::Krl => &["src", "dat"],
@@ -41,17 +40,18 @@ impl Language {
 
     /// The language of a file with this extension.
     pub fn of_extension(extension: &str) -> Option<Self> {
-        let known = |language: &Self| language.extensions().iter().any(|e| e.eq_ignore_ascii_case(extension));
-        Self::ALL.into_iter().find(known)
+        let has_extension =
+            |language: &Self| language.extensions().iter().any(|e| e.eq_ignore_ascii_case(extension));
+        Self::ALL.into_iter().find(has_extension)
     }
 
-    /// The language of a program's text, by the line that begins its first routine or module.
+    /// The language of a text, by the line that begins its first routine or module.
     pub fn of_text(text: &str) -> Option<Self> {
-        let first = |line: &str| Self::ALL.into_iter().find(|language| language.begins(line));
-        text.split_inclusive('\n').find_map(first)
+        let begun_by = |line: &str| Self::ALL.into_iter().find(|language| language.begins(line));
+        text.split_inclusive('\n').find_map(begun_by)
     }
 
-    /// What begins a comment.
+    /// The sign that begins a comment.
     pub fn comment(self) -> char {
         match self {
             Self::Krl => ';',
@@ -66,11 +66,11 @@ impl Language {
         let first = words.next().unwrap_or("");
         let ends = line.ends_with('\n');
         match self {
-            // `def` of URScript ends with a colon.
+            // The line `def` of URScript ends with a colon.
             Self::Krl => {
-                let capital = |word: &str| word.to_ascii_uppercase();
-                let word = if capital(first) == "GLOBAL" { words.next().unwrap_or("") } else { first };
-                ends && ["DEF", "DEFFCT", "DEFDAT"].contains(&capital(word).as_str())
+                let upper = |word: &str| word.to_ascii_uppercase();
+                let word = if upper(first) == "GLOBAL" { words.next().unwrap_or("") } else { first };
+                ends && ["DEF", "DEFFCT", "DEFDAT"].contains(&upper(word).as_str())
                     && !line.trim_end().ends_with(':')
             }
             Self::Rapid => ends && first.eq_ignore_ascii_case("MODULE"),
@@ -78,7 +78,7 @@ impl Language {
         }
     }
 
-    /// Where a robot with such a controller is before a program: its home, degrees.
+    /// The home position of the robots with this language, degrees.
     pub(crate) fn home_deg(self) -> [f64; AXES] {
         match self {
             Self::Krl => [0.0, -90.0, 90.0, 0.0, 0.0, 0.0],
@@ -87,7 +87,7 @@ impl Language {
         }
     }
 
-    /// The language of a robot's controller; KRL where that is not known, as its simulated controller moves any robot.
+    /// The language of a robot's controller; KRL if it is unknown, because the simulated KRL controller moves any robot.
     pub fn of_robot(robot: &Robot) -> Self {
         robot.controller_language().and_then(Self::named).unwrap_or(Self::Krl)
     }

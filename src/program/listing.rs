@@ -1,11 +1,11 @@
-//! A program as a list of what it does, whatever the controller's language: what the simulated controller executes of
-//! the languages whose programs here have no variables that change. (KRL has an interpreter of its own.)
+//! A program as the list of its actions, independent of the language: what the simulated controller executes of RAPID and
+//! URScript, whose supported programs have neither variables that change nor conditions. KRL has an interpreter.
 
 use super::text::{Span, Text};
 use super::{Frames, Language, Motion, Target, krl};
 use crate::diagnostic::{Diagnostic, Finding};
 
-/// The ball and the bar that a module of dbbd names (in KRL, its `.dat`).
+/// The base ball and the bar that are named in a module of dbbd (in KRL, in its `.dat`).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Setup {
     /// Number of the base ball, from 1.
@@ -18,13 +18,7 @@ pub struct Setup {
     pub stroke_mm: [f64; 2],
 }
 
-/// A program with what its modules name.
-pub trait Equipped {
-    /// The set-up of each module that has one.
-    fn setups(&self) -> Vec<Setup>;
-}
-
-/// A program that the simulated controller executes.
+/// A program for the simulated controller.
 #[derive(Clone, Debug)]
 pub enum Program {
     Krl(krl::Program),
@@ -43,8 +37,9 @@ impl From<Listing> for Program {
     }
 }
 
-impl Equipped for Program {
-    fn setups(&self) -> Vec<Setup> {
+impl Program {
+    /// The set-up of each module that has one.
+    pub fn setups(&self) -> Vec<Setup> {
         match self {
             Self::Krl(program) => program.setups(),
             Self::Listed(listing) => listing.setups.clone(),
@@ -52,13 +47,7 @@ impl Equipped for Program {
     }
 }
 
-impl Equipped for Listing {
-    fn setups(&self) -> Vec<Setup> {
-        self.setups.clone()
-    }
-}
-
-/// What a program does, in order.
+/// The actions of a program, in order.
 #[derive(Clone, Debug)]
 pub struct Listing {
     pub language: Language,
@@ -69,7 +58,7 @@ pub struct Listing {
 }
 
 impl Listing {
-    /// The text of a file, by its number.
+    /// The text of a file, by its index.
     pub fn text(&self, file: usize) -> Text<'_> {
         self.files.get(file).map_or(Text { file: "", text: "" }, |(file, text)| Text { file, text })
     }
@@ -80,31 +69,31 @@ impl Listing {
     }
 }
 
-/// One thing that a program does, and the statement that says so.
+/// An action and the statement that causes it.
 #[derive(Clone, Debug)]
 pub struct Action {
-    /// Number of the file in [`Listing::files`].
+    /// Index in [`Listing::files`].
     pub file: usize,
     pub span: Span,
-    pub does: Does,
+    pub kind: ActionKind,
 }
 
 #[derive(Clone, Debug)]
-pub enum Does {
+pub enum ActionKind {
     /// From here on the bar is on this base ball.
-    Ball(u32),
+    SelectBall(u32),
     Move(Box<Move>),
     /// Seconds.
     Wait(f64),
-    Standstill(Standstill),
-    Strobe(bool),
-    /// The strobe goes high for so long, s, while the program goes on.
-    Pulse(f64),
-    /// Until the operator goes on.
+    WaitForStandstill(Standstill),
+    SetStrobe(bool),
+    /// The strobe is high for this time, s, while the program continues.
+    PulseStrobe(f64),
+    /// Waits for the operator.
     Halt,
 }
 
-/// What a program waits for after a motion: its end is that of the command, not of the arm.
+/// What a program waits for after a motion, which ends for the program when the command is at its end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Standstill {
     /// The arm is within a band about the commanded position.
@@ -116,22 +105,22 @@ pub enum Standstill {
 #[derive(Clone, Debug)]
 pub struct Move {
     pub motion: Motion,
-    /// The auxiliary point of an arc, mm, in the base frame.
+    /// The auxiliary point of an arc in the base frame.
     pub through_mm: Option<[f64; 3]>,
     pub to: Target,
-    /// The axis configuration that is to be taken (of a PTP) or checked (of a line or an arc).
+    /// ABB's configuration: of a PTP the one to reach, of a line or an arc the one that is checked at its end.
     pub configuration: Option<[i32; 4]>,
     pub frames: Frames,
     pub pace: Pace,
 }
 
-/// How fast a motion is.
+/// The programmed speed of a motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Pace {
-    /// The whole motion in so long, s.
+    /// Duration of the whole motion, s.
     Duration(f64),
-    /// Speed and acceleration of the tool point, mm/s and mm/s^2, and of the orientation, degrees/s, where it is limited.
+    /// Speed and acceleration of the tool point; speed of the orientation, if it is limited.
     Tool { mm_s: f64, mm_s2: f64, deg_s: Option<f64> },
-    /// Speed and acceleration of the fastest axis, degrees/s and degrees/s^2.
+    /// Speed and acceleration of the fastest axis.
     Axis { deg_s: f64, deg_s2: f64 },
 }

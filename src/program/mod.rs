@@ -1,26 +1,27 @@
-//! Programs for robot controllers: emitted from a plan, parsed, rewritten.
+//! Programs for robot controllers: emitted from a plan, parsed, corrected.
 //!
-//! What a program does is here; how a controller's language writes it is in the language's module.
+//! What a program does is defined here, independent of the language; how a language writes it is in the language's module.
 
 pub mod compensate;
 mod emission;
 mod header;
 pub mod krl;
 mod language;
+mod lexer;
 pub mod listing;
 pub mod rapid;
-mod rewrite;
 mod script;
 pub mod sequence;
 mod target;
 mod text;
+mod tokens;
 pub mod urscript;
 
 pub use crate::plan::Motion;
+pub use compensate::Moved;
 pub use emission::{Sync, Written};
 pub use header::{provenance, stamped};
 pub use language::Language;
-pub use listing::{Equipped, Listing, Program, Setup};
-pub use rewrite::Moved;
+pub use listing::{Listing, Program, Setup};
 pub use target::{Frames, Target};
 pub use text::{Span, Text};

@@ -1,5 +1,4 @@
-//! What the program of a plan does, whatever the controller's language: a module for each circle, and its motions in
-//! order.
+//! The sequence of a plan's program, independent of the language: a module for each circle with its motions in order.
 
 use crate::catalogue::ProgramFinding;
 use crate::diagnostic::Diagnostic;
@@ -11,17 +10,17 @@ use crate::robot::AXES;
 pub struct Timed<'a> {
     pub row: &'a PlanRow,
     pub time: &'a MoveTime,
-    /// The pass that ends here.
+    /// The pass (a continuous circle) that ends here.
     pub pass: Option<&'a Pass>,
 }
 
 impl Timed<'_> {
-    /// Whether the row has a number of its own in its module: a dwell, or the end of a pass.
+    /// Whether the row is numbered in its module: a dwell, or the end of a pass.
     pub fn is_counted(&self) -> bool {
         self.row.kind != Kind::Transit || self.pass.is_some()
     }
 
-    /// Whether it is a point through which an arc or a pass goes.
+    /// Whether it is an auxiliary point of an arc or a pass.
     pub fn is_auxiliary(&self) -> bool {
         self.row.is_auxiliary() && self.pass.is_none()
     }
@@ -31,7 +30,7 @@ impl Timed<'_> {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Bar {
     ToBeMounted,
-    /// It stays on its ball from the module before: the robot is at the start already.
+    /// It stays on its ball: the robot is at the start already.
     Stays,
 }
 
@@ -40,29 +39,29 @@ pub struct Module<'a> {
     pub circle: u32,
     /// Number of the base ball.
     pub ball: u32,
-    /// Where the robot drives before the bar is mounted.
+    /// Where the bar is mounted.
     pub start: Timed<'a>,
     pub bar: Bar,
     pub rows: Vec<Timed<'a>>,
 }
 
-/// What a module does; rows are counted from 1.
+/// A step of a module; rows are numbered from 1.
 #[derive(Clone, Copy, Debug)]
 pub enum Step<'a> {
     Move {
         row: usize,
         timed: Timed<'a>,
-        /// The auxiliary row of an arc.
+        /// The row of the auxiliary point of an arc.
         through: Option<usize>,
         /// The number of the dwell that follows.
         dwell: Option<usize>,
     },
-    /// One motion round a circle without stops, through the two rows before `row`; numbered with the dwells.
+    /// A continuous circle through the two rows before `row`; numbered with the dwells.
     Pass { row: usize, pass: &'a Pass, number: usize },
 }
 
 impl Step<'_> {
-    /// Number from 1 of the row at which it ends.
+    /// The row at which it ends.
     pub fn row(&self) -> usize {
         match *self {
             Self::Move { row, .. } | Self::Pass { row, .. } => row,
@@ -70,7 +69,7 @@ impl Step<'_> {
     }
 }
 
-/// The modules of a plan. Rows of no circle lead to the circle after them; at the end of the plan they follow the last.
+/// The modules of a plan. Rows without a circle belong to the circle after them; at the end of the plan, to the last one.
 pub fn modules(plan: &Plan) -> Result<Vec<Module<'_>>, Diagnostic> {
     let (rows, moves) = (plan.rows.len(), plan.header.moves.len());
     if rows != moves {
@@ -114,8 +113,9 @@ fn groups(plan: &Plan) -> Result<Vec<(u32, Vec<Timed<'_>>)>, Diagnostic> {
 impl<'a> Module<'a> {
     fn new(circle: u32, mut rows: Vec<Timed<'a>>, before: Option<&Module<'a>>) -> Result<Self, Diagnostic> {
         let before = before.and_then(|module| module.rows.last().copied());
-        let leads = |timed: &&Timed<'a>| timed.row.motion == Motion::Ptp && timed.row.kind == Kind::Transit;
-        let leading = rows.iter().take_while(leads).count();
+        let is_approach =
+            |timed: &&Timed<'a>| timed.row.motion == Motion::Ptp && timed.row.kind == Kind::Transit;
+        let leading = rows.iter().take_while(is_approach).count();
         let Some(first) = rows.first().copied() else { return Err(ProgramFinding::NoRows.into()) };
         let mut bar = Bar::ToBeMounted;
         let start = match (leading.checked_sub(1).and_then(|at| rows.get(at)), before) {
@@ -130,7 +130,7 @@ impl<'a> Module<'a> {
         if before.is_some_and(|before| before.row.centre == first.row.centre && same_place(before, start)) {
             bar = Bar::Stays;
         }
-        // The last of the leading transits is the start itself; those before it stay as via points.
+        // The last of the leading transits is the start; those before it remain as via points.
         if leading > 0 {
             rows.remove(leading - 1);
         }
@@ -166,7 +166,7 @@ impl<'a> Module<'a> {
         Ok(steps)
     }
 
-    /// Number from 1 of the auxiliary row of the arc at `at` (from 0).
+    /// The row of the auxiliary point (from 1) of the arc at the index `at`.
     fn auxiliary(&self, at: usize) -> Result<usize, Diagnostic> {
         let before = at.checked_sub(1).and_then(|before| self.rows.get(before));
         match (before, self.rows.get(at)) {
@@ -175,13 +175,13 @@ impl<'a> Module<'a> {
         }
     }
 
-    /// Rows that have a number of their own.
+    /// The rows that are numbered.
     pub fn counted(&self) -> impl Iterator<Item = &Timed<'a>> {
         self.rows.iter().filter(|timed| timed.is_counted())
     }
 
-    /// The row (from 1) that ends the end mark: the last line of less than a millimetre; what may follow it is the way
-    /// to the next circle. Without a mark the last row.
+    /// The row (from 1) at which the end marker ends: the last line shorter than a millimetre. Rows after it lead to the next
+    /// circle. Without a marker, the last row.
     pub fn end_mark(&self) -> usize {
         let is_mark = |pair: &[Timed<'_>]| match pair {
             [from, to] => {
@@ -195,7 +195,7 @@ impl<'a> Module<'a> {
     }
 }
 
-/// Whether the robot has the same axis angles at two rows.
+/// Whether the axis angles of two rows are the same.
 fn same_place(a: Timed<'_>, b: Timed<'_>) -> bool {
     (0..AXES).all(|axis| (a.row.axes_deg[axis] - b.row.axes_deg[axis]).abs() < 1e-3)
 }

@@ -1,8 +1,8 @@
-//! Where a program sends the robot.
+//! The targets of motions and the frames in which they are given.
 
 use crate::robot::{AXES, Pose};
 
-/// A commanded position, to the digits that are written.
+/// A commanded position as it is written.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Target {
     /// Axis angles, degrees.
@@ -12,14 +12,19 @@ pub enum Target {
         xyz_mm: [f64; 3],
         /// KUKA's A, B, C.
         abc_deg: [f64; 3],
-        /// KUKA's status bits, where they are given.
+        /// KUKA's status bits.
         status: Option<i64>,
-        /// KUKA's turn bits, where they are given.
+        /// KUKA's turn bits.
         turn: Option<i64>,
     },
 }
 
 impl Target {
+    /// A pose without status and turn.
+    pub(super) fn pose(pose: &Pose) -> Self {
+        Self::Pose { xyz_mm: pose.position.into(), abc_deg: pose.abc_deg(), status: None, turn: None }
+    }
+
     /// A1 to A6, or X, Y, Z, A, B, C.
     pub fn numbers(&self) -> [f64; 6] {
         match *self {
@@ -29,22 +34,22 @@ impl Target {
     }
 }
 
-/// The frames under which a pose is commanded.
+/// The frames in which a pose is commanded.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Frames {
     /// In the flange frame.
     pub tool: Pose,
-    /// In the robot's base.
+    /// In the robot base.
     pub base: Pose,
 }
 
 impl Frames {
-    /// The pose of the flange in the robot's base for one of the tool in the base frame.
+    /// The pose of the flange in the robot base at a pose of the tool in the base frame.
     pub fn flange(&self, tool: &Pose) -> Pose {
         self.base.then(tool).then(&self.tool.inverse())
     }
 
-    /// The opposite of [`Frames::flange`].
+    /// The pose of the tool in the base frame at a pose of the flange in the robot base.
     pub fn tool(&self, flange: &Pose) -> Pose {
         self.base.inverse().then(flange).then(&self.tool)
     }

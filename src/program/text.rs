@@ -1,13 +1,13 @@
-//! The text of a program file, places in it, and new text for some of them.
+//! The text of a program file and its edits.
 
 use std::ops::Range;
 
 use crate::diagnostic::{Diagnostic, Finding};
 
-/// A range of bytes of the file's text.
+/// A range of bytes of a text.
 pub type Span = Range<usize>;
 
-/// A file as the user named it, and its text.
+/// A file, as the user named it, with its text.
 #[derive(Clone, Copy, Debug)]
 pub struct Text<'a> {
     pub file: &'a str,
@@ -19,30 +19,36 @@ impl Text<'_> {
         Diagnostic::span(self.file, self.text, span.clone(), finding)
     }
 
+    /// The first characters that are not blank.
+    pub(crate) fn beginning(&self) -> String {
+        let first = self.text.lines().map(str::trim).find(|line| !line.is_empty()).unwrap_or("");
+        first.chars().take(40).collect()
+    }
+
     /// The line (from 1) of a byte.
     pub(crate) fn line(&self, at: usize) -> usize {
         self.text.as_bytes().get(..at).unwrap_or_default().iter().filter(|byte| **byte == b'\n').count() + 1
     }
 }
 
-/// New text for some bytes.
+/// A span with the text that replaces it.
 pub(crate) type Edit = (Span, String);
 
-/// The text with the edits, which do not overlap.
+/// Applies edits, which do not overlap.
 pub(crate) fn rewritten(text: &str, mut edits: Vec<Edit>) -> String {
     edits.sort_by_key(|(span, _)| span.start);
-    let mut out = String::with_capacity(text.len() + 4 * edits.len());
+    let mut edited = String::with_capacity(text.len() + 4 * edits.len());
     let mut at = 0;
     for (span, new) in edits {
-        out.push_str(text.get(at..span.start).unwrap_or(""));
-        out.push_str(&new);
+        edited.push_str(text.get(at..span.start).unwrap_or(""));
+        edited.push_str(&new);
         at = span.end;
     }
-    out.push_str(text.get(at..).unwrap_or(""));
-    out
+    edited.push_str(text.get(at..).unwrap_or(""));
+    edited
 }
 
-/// A number with at least the decimals of another and `fewest` of them.
+/// A number with as many decimals as another one was written with, but at least `fewest`.
 pub(crate) fn number_like(written: &str, value: f64, fewest: usize) -> String {
     let decimals = written
         .split_once('.')
@@ -50,7 +56,7 @@ pub(crate) fn number_like(written: &str, value: f64, fewest: usize) -> String {
     fixed(value, decimals.clamp(fewest, 9))
 }
 
-/// A number with so many decimals, without a minus before zero.
+/// A number with a fixed number of decimals; zero has no sign.
 pub(crate) fn fixed(value: f64, decimals: usize) -> String {
     let text = format!("{value:.decimals$}");
     match text.strip_prefix('-') {
@@ -64,7 +70,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_zero_has_no_sign_and_no_number_an_exponent() {
+    fn numbers_have_neither_a_negative_zero_nor_an_exponent() {
         assert_eq!(fixed(-0.0, 3), "0.000");
         assert_eq!(fixed(-0.000_4, 3), "0.000");
         assert_eq!(fixed(-0.000_6, 3), "-0.001");

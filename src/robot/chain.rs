@@ -1,21 +1,19 @@
-//! The forward pass that the solver asks for a million times: one walk inwards along the chain gives
-//! the ball, one walk outwards the derivatives of the length by every parameter.
+//! Length and design row of a pose: the inner loop of the solver. A pass from the flange to the base gives the ball, a pass from
+//! the base to the flange the derivatives of the length with respect to all parameters.
 //!
-//! A coordinate in the frame of a tracker is a length too: the distance of a target from a plane of that frame.
+//! A coordinate in the frame of a tracker is a length as well: the distance of a target from a plane of that frame.
 //!
-//! With u the unit vector along the length to the tool ball p, every geometric parameter moves p
-//! by a unit screw, so its column is the reciprocal product of that screw with the line of the bar:
-//! `w . (p x u)` for a turn about the axis w through the origin, `w . u` for a shift along w. The screw
-//! of a row lies on an axis of the row's own frame: p is carried inwards and u outwards into that frame,
-//! where the product is one component. No matrix is formed, and no sine is taken: those of the
-//! table are taken once for a model, those of the axis angles once for a reading.
+//! Let u be the unit vector along the length to the tool ball p. Every geometric parameter moves p by a unit screw, so the
+//! derivative is the reciprocal product of that screw with the line of the bar: `w . (p x u)` for a rotation about the axis w
+//! through the origin, `w . u` for a translation along w. The screw of a row lies on an axis of the row's frame. If p is
+//! transformed inwards and u outwards into that frame, the product is one component of each. No matrix is formed. Sines and
+//! cosines are computed once per model for the table, and once per measurement for the axis angles.
 
 use nalgebra::Vector3;
 
 use super::{AXES, Approach, BallId, BarId, Coordinate, Datum, Geometry, Joint, ParamId, TargetId};
 
-/// A length and its derivatives by every parameter (mm per mm, mm per rad, mm per rad/(N m)); the default is room
-/// for one.
+/// A length and its derivatives with respect to all parameters (mm per mm, mm per rad, mm per rad/(N m)); the default is zero.
 #[derive(Clone, Debug)]
 pub struct LengthRow {
     /// Distance between the ball centres plus the bar offset, or from a plane, mm.
@@ -27,7 +25,7 @@ pub struct LengthRow {
 
 type Columns = [f64; ParamId::COLUMNS];
 
-/// The first column of a family of parameters.
+/// The first column of each family of parameters.
 mod column {
     use super::{BallId, BarId, Coordinate, Joint, ParamId};
 
@@ -53,23 +51,23 @@ impl Default for LengthRow {
 }
 
 impl LengthRow {
-    /// The derivative by a parameter; by a target, a ball or a bar that of the row's own.
+    /// The derivative with respect to a parameter. For a target, ball or bar: that of this row.
     pub fn derivative(&self, id: ParamId) -> f64 {
         self.columns[id.column()]
     }
 
-    /// The unit vector along the length, away from what it is measured from, in the robot base.
+    /// The unit vector along the length, from the base ball or plane to the target, in the robot base.
     pub fn unit(&self) -> Vector3<f64> {
         -Vector3::from_fn(|axis, _| self.columns[column::BALL + axis])
     }
 
-    /// The derivative by each coefficient of the joints' errors, mm per unit, for a row at these axis angles (rad).
+    /// The derivatives with respect to the coefficients of the joint errors, mm per unit, for a row at these axis angles (rad).
     pub fn joint_terms(&self, geometry: &Geometry, axes: &[f64; AXES], approach: Approach, out: &mut [f64]) {
-        let levers = &self.columns[column::THETA..column::THETA + AXES];
+        let by_joint = &self.columns[column::THETA..column::THETA + AXES];
         let mut out = out.iter_mut();
-        geometry.error_derivatives(axes, approach, |place, value| {
+        geometry.error_derivatives(axes, approach, |joint, value| {
             if let Some(out) = out.next() {
-                *out = levers[place] * value;
+                *out = by_joint[joint] * value;
             }
         });
     }
@@ -81,8 +79,7 @@ impl LengthRow {
 }
 
 impl Geometry {
-    /// The length and its derivative by every parameter. Where the balls coincide the length has no
-    /// derivative, and the columns are zero.
+    /// The length and its derivatives with respect to all parameters: see [`Chain::row`].
     pub fn length_row(&self, axes: &[f64; AXES], ball: &Vector3<f64>, bar_offset: f64) -> LengthRow {
         let mut row = LengthRow::default();
         let sin_cos = JointSinCos::of(axes);
@@ -92,63 +89,63 @@ impl Geometry {
     }
 }
 
-/// Sine and cosine of each of the controller's axis angles.
+/// Sine and cosine of each axis angle of the controller.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct JointSinCos(pub [[f64; 2]; AXES]);
 
 impl JointSinCos {
-    /// Of the controller's axis angles, rad.
+    /// Of axis angles in rad.
     pub fn of(axes: &[f64; AXES]) -> Self {
         Self(axes.map(|angle| angle.sin_cos().into()))
     }
 }
 
-/// Where the axes are, and how they came there.
+/// The axes at a measurement.
 #[derive(Clone, Copy, Debug)]
 pub struct At<'a> {
-    /// The controller's axis angles, rad.
+    /// Axis angles of the controller, rad.
     pub axes: &'a [f64; AXES],
     pub sin_cos: &'a JointSinCos,
     pub approach: Approach,
-    /// What is at the end of the arm, the tool ball or another target, in the flange frame, mm.
+    /// The tool ball or another target, in the flange frame, mm.
     pub target: &'a Vector3<f64>,
 }
 
 /// A plane of the tracker's frame, in the robot base.
 #[derive(Clone, Copy, Debug)]
 pub struct Plane {
-    /// The frame's origin, mm.
+    /// The origin of the frame, mm.
     pub origin: Vector3<f64>,
     pub normal: Vector3<f64>,
-    /// The normal's derivatives by the frame's rotation vector.
+    /// The derivatives of the normal with respect to the rotation vector of the frame.
     pub normal_by_turn: [Vector3<f64>; 3],
 }
 
-/// A geometry with the sines and cosines of its table.
+/// A geometry with the sines and cosines of its DH table.
 #[derive(Clone, Debug)]
 pub struct Chain<'a> {
     geometry: &'a Geometry,
     alpha: [(f64, f64); AXES],
     theta: [(f64, f64); AXES],
     beta: [(f64, f64); AXES],
-    /// Whether the joints are where the axes say: no compliance, no error of an angle.
-    rigid: bool,
-    coupled: bool,
+    /// Whether the joint angles are those of the axes: no compliance, no joint errors.
+    is_rigid: bool,
+    is_coupled: bool,
 }
 
-/// The walk inwards at some axis angles.
+/// The pass from the flange to the base.
 struct InwardPass {
-    /// Sine and cosine of each joint angle in the table's sense.
+    /// Sine and cosine of each joint angle in the sense of the table.
     joints: [(f64, f64); AXES],
-    /// The tool ball in the frame of each row after its twist, before its shift along x.
+    /// The target in the frame of each row after its twist, before its translation along x.
     points: [Vector3<f64>; AXES],
-    /// The tool ball in the robot base.
+    /// The target in the robot base.
     ball: Vector3<f64>,
 }
 
 impl<'a> Chain<'a> {
     pub fn new(geometry: &'a Geometry) -> Self {
-        let rigid = geometry.compliance.iter().all(|c| *c == 0.0)
+        let is_rigid = geometry.compliance.iter().all(|c| *c == 0.0)
             && geometry.gear.iter().flatten().all(|g| *g == 0.0)
             && geometry.joint_errors.is_none();
         let rows = &geometry.rows;
@@ -157,33 +154,33 @@ impl<'a> Chain<'a> {
             alpha: std::array::from_fn(|i| rows[i].alpha.sin_cos()),
             theta: std::array::from_fn(|i| rows[i].theta.sin_cos()),
             beta: std::array::from_fn(|i| rows[i].beta.sin_cos()),
-            rigid,
-            coupled: !geometry.coupling.is_none(),
+            is_rigid,
+            is_coupled: !geometry.coupling.is_none(),
         }
     }
 
-    /// Sine and cosine of each joint angle in the table's sense.
+    /// Sine and cosine of each joint angle in the sense of the table.
     #[inline]
     fn joints(&self, at: &At<'_>) -> [(f64, f64); AXES] {
-        if !self.rigid {
+        if !self.is_rigid {
             return self.geometry.joint_angles_approached(at.axes, at.approach).map(f64::sin_cos);
         }
-        let turned = self.turned(at);
+        let own_angles = self.own_angles(at);
         std::array::from_fn(|i| {
-            let [sin, cos] = turned[i];
+            let [sin, cos] = own_angles[i];
             let sin = self.geometry.rows[i].sign * sin;
             let (sin_offset, cos_offset) = self.theta[i];
             (sin * cos_offset + cos * sin_offset, cos * cos_offset - sin * sin_offset)
         })
     }
 
-    /// Sine and cosine of each joint's own angle.
+    /// Sine and cosine of the own angle of each joint.
     #[inline]
-    fn turned(&self, at: &At<'_>) -> [[f64; 2]; AXES] {
-        if self.coupled { self.geometry.coupling.sin_cos(&at.sin_cos.0) } else { at.sin_cos.0 }
+    fn own_angles(&self, at: &At<'_>) -> [[f64; 2]; AXES] {
+        if self.is_coupled { self.geometry.coupling.sin_cos(&at.sin_cos.0) } else { at.sin_cos.0 }
     }
 
-    /// From the flange inwards: each row sin_cos and shifts one point.
+    /// From the flange to the base: each row rotates and translates one point.
     #[inline]
     fn inward(&self, at: &At<'_>) -> InwardPass {
         let joints = self.joints(at);
@@ -204,8 +201,8 @@ impl<'a> Chain<'a> {
         InwardPass { joints, points, ball: point }
     }
 
-    /// From the base outwards: the derivatives of the ball's place along the unit vector `u` (robot
-    /// base) by the parameters of the robot and its tool.
+    /// From the base to the flange: the derivatives of the target's position along the unit vector `u` (robot base) with respect
+    /// to the parameters of the robot and its tool.
     #[inline]
     fn derivatives(&self, inward: &InwardPass, mut u: Vector3<f64>, columns: &mut Columns) {
         for i in 0..AXES {
@@ -232,9 +229,8 @@ impl<'a> Chain<'a> {
         self.inward(at).ball
     }
 
-    /// The length from a base ball at `ball` plus `bar_offset` (mm), and its derivatives, into `row`, which is new
-    /// or was filled for this robot before. Where the balls coincide the length has no derivative, and the columns
-    /// are zero.
+    /// Writes the distance from a base ball at `ball` plus `bar_offset` (mm) and its derivatives to `row`, which is new or was
+    /// written for this robot. If the balls coincide, the length has no derivative, and the columns are zero.
     #[inline]
     pub fn row(&self, at: &At<'_>, ball: &Vector3<f64>, bar_offset: f64, row: &mut LengthRow) {
         let inward = self.inward(at);
@@ -250,7 +246,7 @@ impl<'a> Chain<'a> {
         }
     }
 
-    /// The distance from a plane and its derivatives, into a row as for [`Self::row`].
+    /// Writes the distance from a plane and its derivatives to a row, as [`Self::row`] does.
     pub fn plane_row(&self, at: &At<'_>, plane: &Plane, row: &mut LengthRow) {
         let inward = self.inward(at);
         let from = inward.ball - plane.origin;
@@ -262,8 +258,8 @@ impl<'a> Chain<'a> {
         }
     }
 
-    /// The derivatives of a length along the unit vector `u` by the parameters of robot and target and by the place that
-    /// it is measured from.
+    /// The derivatives of a length along the unit vector `u` with respect to the parameters of the robot, the target, and the
+    /// base ball or plane.
     #[inline]
     fn along(&self, u: Vector3<f64>, at: &At<'_>, inward: &InwardPass, columns: &mut Columns) {
         self.derivatives(inward, u, columns);
@@ -273,7 +269,7 @@ impl<'a> Chain<'a> {
         self.non_geometric(at, columns);
     }
 
-    /// Compliance and gear error turn the joints: their columns are shares of theta's.
+    /// Compliance and transmission errors rotate the joints: their columns are multiples of those of theta.
     #[inline]
     fn non_geometric(&self, at: &At<'_>, columns: &mut Columns) {
         if !self.geometry.masses.is_empty() {
@@ -282,13 +278,14 @@ impl<'a> Chain<'a> {
                 columns[column::COMPLIANCE + j] = columns[column::THETA + j] * torques[j];
             }
         }
-        for (j, [sin, cos]) in self.turned(at).into_iter().enumerate() {
+        for (j, [sin, cos]) in self.own_angles(at).into_iter().enumerate() {
             columns[column::GEAR_COS + j] = columns[column::THETA + j] * cos;
             columns[column::GEAR_SIN + j] = columns[column::THETA + j] * sin;
         }
     }
 
-    /// How each of the parameters moves the tool ball, mm per mm or per rad; those of the rest of the set-up do not.
+    /// Calls `each` with the index of a parameter and the derivative of the tool ball's position with respect to it, mm per mm
+    /// or rad; it is zero for parameters of the rest of the set-up. Returns the position of the tool ball.
     pub fn ball_jacobian(
         &self,
         axes: &[f64; AXES],
@@ -306,8 +303,8 @@ impl<'a> Chain<'a> {
             columns
         });
         for (at, id) in ids.iter().enumerate() {
-            let share = if id.moves_tool_ball() { 1.0 } else { 0.0 };
-            each(at, Vector3::from_fn(|axis, _| share * along[axis][id.column()]));
+            let factor = if id.moves_tool_ball() { 1.0 } else { 0.0 };
+            each(at, Vector3::from_fn(|axis, _| factor * along[axis][id.column()]));
         }
         inward.ball
     }

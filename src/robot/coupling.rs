@@ -1,6 +1,6 @@
 //! Joints that turn with a second axis of the controller.
 //!
-//! A FANUC shows axis 3 against the horizontal: its joint 3 turns by A3 + A2. What a drive in the joint turns is that sum,
+//! A FANUC displays axis 3 relative to the horizontal: its joint 3 turns by A3 + A2. The drive in the joint turns by that sum,
 //! so the errors of a coupled joint are functions of it.
 
 use std::fmt;
@@ -10,20 +10,20 @@ use super::{AXES, Approach, Joint};
 /// The second axis of a joint.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CoupledAxis {
-    /// Nearer to the base than the joint.
+    /// It is nearer to the base than the joint.
     pub axis: Joint,
-    /// +1 or -1: a full turn of the axis is one of the joint.
+    /// +1 or -1.
     pub factor: f64,
 }
 
 impl fmt::Display for CoupledAxis {
-    /// As the second term of a sum.
+    /// The second term of the sum: ` + A2`.
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(out, " {} A{}", if self.factor < 0.0 { '-' } else { '+' }, self.axis.number())
     }
 }
 
-/// From the controller's axis angles A to the joints' own: A_i + factor A_axis for a coupled joint, A_i for any other.
+/// Converts axis angles A of the controller to the own angles of the joints: A_i + factor A_axis for a coupled joint, else A_i.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Coupling([Option<CoupledAxis>; AXES]);
 
@@ -41,18 +41,18 @@ impl Coupling {
         self.0[joint.index()]
     }
 
-    /// The coupled joints by their place, from 0, with the place of the second axis and its factor.
+    /// Index of each coupled joint, index of its second axis, factor.
     fn pairs(&self) -> impl Iterator<Item = (usize, usize, f64)> {
         let places = self.0.iter().enumerate();
         places.filter_map(|(place, coupled)| coupled.map(|by| (place, by.axis.index(), by.factor)))
     }
 
-    /// What the second axis adds to the angle of a joint (by its place, from 0) at axis angles.
-    pub fn added(&self, place: usize, axes: &[f64; AXES]) -> f64 {
-        self.0[place].map_or(0.0, |by| by.factor * axes[by.axis.index()])
+    /// What the second axis adds to the angle of a joint (by its index) at axis angles.
+    pub fn added(&self, joint: usize, axes: &[f64; AXES]) -> f64 {
+        self.0[joint].map_or(0.0, |by| by.factor * axes[by.axis.index()])
     }
 
-    /// The joints' own angles at axis angles, both in one unit, in the senses of the axes.
+    /// The own angles of the joints at axis angles, in the same unit and with the senses of the axes.
     pub fn joints(&self, axes: &[f64; AXES]) -> [f64; AXES] {
         let mut joints = *axes;
         for (place, ..) in self.pairs() {
@@ -61,17 +61,17 @@ impl Coupling {
         joints
     }
 
-    /// The axis angles at which the joints have these angles.
+    /// The axis angles at own angles of the joints: the inverse of [`Self::joints`].
     pub fn axes(&self, joints: &[f64; AXES]) -> [f64; AXES] {
         let mut axes = *joints;
-        // The second axis comes before the joint, so that it is an axis angle already.
+        // The second axis is nearer to the base: its angle is an axis angle already.
         for (place, ..) in self.pairs() {
             axes[place] -= self.added(place, &axes);
         }
         axes
     }
 
-    /// Derivatives by the joints' angles as those by the axis angles.
+    /// Derivatives with respect to the axis angles from those with respect to the joints' angles.
     pub(super) fn by_axis<T: Copy + std::ops::AddAssign + std::ops::Mul<f64, Output = T>>(
         &self,
         by_joint: [T; AXES],
@@ -83,7 +83,7 @@ impl Coupling {
         by_axis
     }
 
-    /// Sine and cosine of the joints' angles from those of the axis angles.
+    /// Sine and cosine of the joints' angles, from those of the axis angles.
     #[inline]
     pub fn sin_cos(&self, axes: &[[f64; 2]; AXES]) -> [[f64; 2]; AXES] {
         let mut joints = *axes;
@@ -95,8 +95,7 @@ impl Coupling {
         joints
     }
 
-    /// The senses in which the joints came, where those of the axes say it: that of a sum is not known where the axes
-    /// moved against each other.
+    /// The senses in which the joints approached a pose. That of a sum is unknown if its axes moved in opposite senses.
     pub fn senses(&self, approach: Approach) -> Approach {
         let senses = approach.senses();
         let mut joints = senses;
@@ -120,7 +119,7 @@ mod tests {
     }
 
     #[test]
-    fn axes_and_joints_are_sums_and_differences() {
+    fn joints_are_sums_of_axes() {
         let axes = [10.0, 40.0, -60.0, 5.0, 30.0, 70.0];
         let joints = [10.0, 40.0, -20.0, 5.0, 30.0, 40.0];
         assert_eq!(coupling().joints(&axes), joints);
@@ -134,7 +133,7 @@ mod tests {
     }
 
     #[test]
-    fn axes_against_each_other_leave_the_sense_of_their_sum_open() {
+    fn sense_of_a_sum_is_unknown_if_its_axes_move_in_opposite_senses() {
         let of = |senses| coupling().senses(Approach::new(senses)).senses();
         assert_eq!(of([1, 1, 1, 1, 1, 1]), [1, 1, 1, 1, 1, 0]);
         assert_eq!(of([1, -1, 1, 0, -1, 1]), [1, -1, 0, 0, -1, 1]);

@@ -1,4 +1,4 @@
-//! A robot: geometry, limits, speeds, tolerance, and what an identification left unknown.
+//! A robot: geometry, limits, speeds, tolerance, and the posterior of its identification.
 
 use std::path::Path;
 
@@ -16,11 +16,11 @@ use crate::provenance::{Artefact, Identity, Provenance, Role, Traced};
 /// The robots that come with dbbd: name and file.
 const BUILT_IN: &[(&str, &str)] = include!("../../robots/built-in.rs");
 
-/// A robot with the file that it was read from.
+/// A robot with its file.
 pub struct RobotRead {
     pub robot: Robot,
     pub source: Traced,
-    /// What is doubtful in the file.
+    /// Doubts about the file.
     pub findings: Vec<Diagnostic>,
 }
 
@@ -35,50 +35,48 @@ pub struct Robot {
     pub language: Option<String>,
     /// The table, the tool ball and the masses.
     pub geometry: Geometry,
-    /// Of the controller's axes.
+    /// Limits of the axes of the controller.
     pub limits_deg: [[f64; 2]; AXES],
-    /// Of the own angle of each coupled joint, where it has limits.
+    /// Limits of the own angle of each coupled joint.
     pub coupled_limits_deg: [Option<[f64; 2]>; AXES],
     pub max_speed_deg_s: [f64; AXES],
-    /// Where they are known.
     pub max_acceleration_deg_s2: [Option<f64>; AXES],
     pub tolerance: Tolerance,
-    /// Of a pose by ISO 9283, where it is known.
+    /// Pose repeatability by ISO 9283.
     pub repeatability_mm: Option<f64>,
-    /// The nominal robot that an identified one came from.
+    /// The nominal robot of an identified one.
     pub nominal: Option<Box<Robot>>,
-    /// What its identification left unknown.
+    /// The posterior of its identification.
     pub posterior: Option<RobotPosterior>,
-    /// The same with the errors of its joints, for a prediction of the position.
+    /// The posterior with the errors of the joints, for the position uncertainty.
     pub uncertainty: Option<Box<RobotUncertainty>>,
-    /// Where the file's numbers come from.
+    /// The source of the numbers in the file.
     pub source: Option<String>,
     /// Whether the last of the masses is the payload.
     pub payload: bool,
-    /// What an identified robot was made from.
     pub provenance: Provenance,
-    /// The codes of the warnings of its identification.
+    /// Codes of the warnings of its identification.
     pub doubts: Vec<String>,
 }
 
-/// One standard deviation of what the maker promises of each geometric parameter.
+/// The maker's tolerance of each geometric parameter, as one standard deviation.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Tolerance {
-    /// Of the lengths a and d, mm.
+    /// Of a and d.
     pub length_mm: f64,
-    /// Of the angles alpha, theta and beta, degrees.
+    /// Of alpha, theta and beta.
     pub angle_deg: f64,
 }
 
 impl Default for Tolerance {
-    /// An industrial robot without an accuracy option: a millimetre of position error.
+    /// For an industrial robot without an accuracy option, which has a position error of about a millimetre.
     fn default() -> Self {
         Self { length_mm: 1.0, angle_deg: 0.1 }
     }
 }
 
-/// The languages of makers' controllers, by the first word of a robot's name.
+/// The languages of the makers, by the first word of a robot's name.
 const LANGUAGES: [(&str, &str); 9] = [
     ("KUKA", "krl"),
     ("ABB", "rapid"),
@@ -91,8 +89,8 @@ const LANGUAGES: [(&str, &str); 9] = [
     ("Motoman", "inform"),
 ];
 
-/// ISO 9283 repeatability is the mean distance plus three standard deviations; for an isotropic
-/// normal error of deviation s that is (1.596 + 3 * 0.673) s.
+/// Repeatability by ISO 9283 is the mean distance plus three standard deviations of the distance. For an isotropic normal
+/// error with the standard deviation s of each coordinate that is (1.596 + 3 * 0.673) s.
 const REPEATABILITY: f64 = 3.616;
 
 impl Robot {
@@ -104,12 +102,12 @@ impl Robot {
         BUILT_IN.iter().find(|(built_in, _)| *built_in == name).map(|(_, text)| *text)
     }
 
-    /// A built-in robot by its name, if there is one.
+    /// A built-in robot by its name.
     pub fn by_name(name: &str) -> Option<Result<Self, Diagnostic>> {
         Self::built_in_file(name).map(|text| Self::from_toml(name, text))
     }
 
-    /// The robot as an artefact, `text` being its file.
+    /// The robot as an artefact with the text of its file.
     pub fn traced(&self, text: &str) -> Traced {
         let role = if self.nominal.is_some() { Role::IdentifiedRobot } else { Role::Robot };
         let artefact = Artefact { serial: self.serial.clone(), ..Artefact::new(role, &self.name, text) };
@@ -119,7 +117,7 @@ impl Robot {
         Traced { artefact, provenance }
     }
 
-    /// The language of its controller's programs: the file's, else that of the maker in its name.
+    /// The language of its controller: that of the file, else that of the maker in its name.
     pub fn controller_language(&self) -> Option<&str> {
         let maker = self.name.split([' ', '-', '_']).next().unwrap_or("");
         let by_name =
@@ -127,7 +125,7 @@ impl Robot {
         self.language.as_deref().or_else(by_name)
     }
 
-    /// That a name is neither built in nor a file.
+    /// The finding for a name that is neither a built-in robot nor a file.
     pub fn unknown(name: &str) -> Diagnostic {
         let known = || BUILT_IN.iter().map(|(built_in, _)| *built_in);
         let meant =
@@ -136,21 +134,18 @@ impl Robot {
         Diagnostic::new(RobotFinding::NoSuchRobot { name: name.into(), meant, built_in })
     }
 
-    /// Standard deviation of each coordinate of a pose that is repeated, mm, where the repeatability is known.
+    /// Standard deviation of each coordinate of a repeated pose, mm, if the repeatability is known.
     pub fn repeatability_sd_mm(&self) -> Option<f64> {
         self.repeatability_mm.map(|mm| mm / REPEATABILITY)
     }
 
-    /// That its file should say how it repeats.
+    /// The finding if the repeatability is unknown.
     pub fn asked_repeatability(&self) -> Option<RobotFinding> {
         let robot = self.name.clone();
         self.repeatability_mm.is_none().then_some(RobotFinding::NoRepeatability { robot })
     }
 
-    /// A robot by built-in name or by file, whose text `file` reads where there is one of this name.
-    ///
-    /// # Errors
-    /// An unknown name, or what is wrong in the file.
+    /// A robot by the name of a built-in one or of a file; `file` reads a file, if it exists.
     pub fn named(
         name: &str,
         file: impl FnOnce(&Path) -> Option<Result<String, Diagnostic>>,
@@ -167,9 +162,9 @@ impl Robot {
         Ok(RobotRead { source: robot.traced(&text), robot, findings })
     }
 
-    /// What a robot that is not identified has otherwise than the built-in one of its name.
+    /// The finding if a nominal robot differs from the built-in robot with its name.
     pub fn unlike_built_in(&self) -> Option<RobotFinding> {
-        /// Tables of one robot are rounded, mm and degrees.
+        /// Rounding of published tables, mm and degrees.
         const ALIKE: f64 = 1.0;
         if self.nominal.is_some() {
             return None;
@@ -192,41 +187,73 @@ impl Robot {
         })
     }
 
-    /// Gives it another tool ball (flange frame, mm), of which nothing is known from an earlier identification.
+    /// Replaces the tool ball (flange frame, mm); what an earlier identification determined of the old one is dropped.
     pub fn set_tool(&mut self, tool_mm: [f64; 3]) {
         self.geometry.tool = tool_mm.into();
         self.posterior =
             self.posterior.take().and_then(|known| known.keeping(|id| !matches!(id, ParamId::Tool(_))));
     }
 
-    /// That its identification had warnings.
+    /// The finding if its identification had warnings.
     pub fn doubtful(&self) -> Option<ProvenanceFinding> {
         let doubts = Names::of(&self.doubts);
         (!self.doubts.is_empty())
             .then(|| ProvenanceFinding::DoubtfulRobot { robot: self.name.clone(), doubts })
     }
 
-    /// The robot as its controller knows it: the nominal one, where this one was identified.
+    /// The robot as its controller knows it: of an identified robot, the nominal one.
     pub fn controller(&self) -> &Robot {
         self.nominal.as_deref().unwrap_or(self)
     }
 
-    /// The joints whose axis is nominally parallel to the one before, where Hayati's beta is needed.
+    /// The joints whose axis is nominally parallel to the one before, which need Hayati's beta.
     pub fn parallel_joints(&self) -> Vec<Joint> {
         let after_first = Joint::ALL.into_iter().skip(1);
         after_first.filter(|joint| self.geometry.row(*joint).alpha.sin().abs() < 0.1).collect()
     }
 
-    /// The axis accelerations to plan with, degrees/s^2: the file's, else full speed in 0.4 s.
+    /// The axis accelerations for planning, degrees/s^2: those of the file, else full speed in 0.4 s.
     pub fn acceleration_deg_s2(&self) -> [f64; AXES] {
         std::array::from_fn(|i| self.max_acceleration_deg_s2[i].unwrap_or(self.max_speed_deg_s[i] / 0.4))
     }
 
-    /// The greatest distance of the wrist's far joint from the shoulder, a bound on the reach, mm:
-    /// all lengths after joint 1 but the flange's stretched out.
+    /// An upper bound of the distance from the shoulder to the wrist, mm: the links between them, stretched.
     pub fn reach_mm(&self) -> f64 {
         let rows = &self.geometry.rows;
         let upper: f64 = (1..3).map(|i| rows[i].a.abs()).sum();
         upper + rows[3].a.hypot(rows[3].d)
+    }
+
+    /// The limits of each axis at axis angles, all in degrees. The axis of a coupled joint has the limits that those of the
+    /// joint leave at the angle of the second axis.
+    pub fn limits_at_deg(&self, axes_deg: &[f64; AXES]) -> [[f64; 2]; AXES] {
+        std::array::from_fn(|place| {
+            let [low, high] = self.limits_deg[place];
+            let Some([least, most]) = self.coupled_limits_deg[place] else { return [low, high] };
+            let added = self.geometry.coupling.added(place, axes_deg);
+            [low.max(least - added), high.min(most - added)]
+        })
+    }
+
+    /// Smallest distance of the axes (rad) from their limits, degrees; negative outside.
+    pub fn limit_margin_deg(&self, axes: &[f64; AXES]) -> f64 {
+        let axes_deg = axes.map(f64::to_degrees);
+        let limits = self.limits_at_deg(&axes_deg).into_iter().zip(axes_deg);
+        limits.map(|([low, high], deg)| (deg - low).min(high - deg)).fold(f64::INFINITY, f64::min)
+    }
+
+    /// Whether all axes (rad) are within their limits.
+    pub fn is_within_limits(&self, axes: &[f64; AXES]) -> bool {
+        self.limit_margin_deg(axes) >= 0.0
+    }
+
+    /// The range of the own angle of a joint, degrees.
+    pub fn joint_range_deg(&self, joint: Joint) -> [f64; 2] {
+        let place = joint.index();
+        let [low, high] = self.limits_deg[place];
+        let Some(by) = self.geometry.coupling.of(joint) else { return [low, high] };
+        let added = self.limits_deg[by.axis.index()].map(|deg| by.factor * deg);
+        let [least, most] = [added[0].min(added[1]), added[0].max(added[1])];
+        self.coupled_limits_deg[place].unwrap_or([low + least, high + most])
     }
 }

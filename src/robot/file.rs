@@ -1,4 +1,4 @@
-//! The robot file: a robot as TOML holds it.
+//! The robot file (TOML).
 
 use serde::{Deserialize, Serialize};
 
@@ -13,21 +13,16 @@ use crate::catalogue::{CliFinding, RobotFinding};
 use crate::diagnostic::Diagnostic;
 use crate::provenance::Provenance;
 
-/// The file: what TOML holds, in degrees and with keys that may be absent.
+/// The keys of the file; angles in degrees.
 #[derive(Clone, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct RobotFile {
     name: String,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     serial: Option<String>,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     controller_serial: Option<String>,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     language: Option<String>,
     convention: String,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     source: Option<String>,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     repeatability_mm: Option<f64>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     doubts: Vec<String>,
@@ -38,15 +33,11 @@ struct RobotFile {
     tolerance: Tolerance,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     mass: Vec<MassTable>,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     payload: Option<PayloadTable>,
     #[serde(default, skip_serializing_if = "Provenance::is_empty")]
     provenance: Provenance,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     posterior: Option<RobotPosterior>,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     nominal: Option<Box<RobotFile>>,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     uncertainty: Option<RobotUncertainty>,
 }
 
@@ -80,25 +71,22 @@ impl Robot {
         })
     }
 
-    /// Writes the robot file; numbers in full precision.
-    ///
-    /// # Errors
-    /// None is known: see [`serialised`].
+    /// The robot file, with numbers in full precision.
     pub fn to_toml(&self) -> Result<String, CliFinding> {
         serialised::toml(&RobotFile::from_robot(self))
     }
 
-    /// The joints as the file has them.
+    /// The `[[joint]]` tables of the file.
     pub(crate) fn joint_tables(&self) -> Vec<JointTable> {
         Joint::ALL.into_iter().map(|joint| JointTable::of(self, joint)).collect()
     }
 }
 
 impl RobotFile {
-    /// A value that is smaller than any robot has it, as it is in another unit.
+    /// A value that is too small for any robot: it is in another unit.
     fn too_small(&self) -> Option<RobotFinding> {
         let ball_mm = self.tool.ball_mm.into_iter().map(f64::abs).fold(0.0, f64::max);
-        // An identified ball may be near to a flange at which the nominal one is.
+        // If the nominal ball is at the flange, the identified one may be very near to it.
         let ball_mm = (ball_mm > 0.0 && self.nominal.is_none()).then_some(ball_mm);
         let values = [
             ("[tolerance] length_mm", Some(self.tolerance.length_mm), 1e-3),
@@ -118,21 +106,21 @@ fn line_of_table(text: &str, header: &str, at: usize) -> Option<usize> {
     text.lines().enumerate().filter(|(_, line)| line.trim() == header).nth(at).map(|(line, _)| line + 1)
 }
 
-/// No mass is larger, kg.
+/// Largest mass, kg.
 const MOST_KG: f64 = 5e3;
-/// No robot repeats worse, mm.
+/// Largest repeatability, mm.
 const MOST_REPEATABILITY_MM: f64 = 5.0;
 
-/// Whether all lengths can be those of an arm.
+/// Whether all lengths are possible for an arm.
 fn are_lengths(mm: &[f64]) -> bool {
     mm.iter().all(|mm| mm.abs() <= MOST_MM)
 }
 
-/// What is wrong, and in which joint (from 0) where it is one.
+/// A finding, with the index of the joint that it is about.
 type Wrong = (Option<usize>, RobotFinding);
 
 impl RobotFile {
-    /// What an arm with another number of axes would need.
+    /// The finding for an arm that does not have six axes.
     fn not_six(&self, joints: usize) -> RobotFinding {
         let needed = match joints {
             4 => {
@@ -172,7 +160,7 @@ impl RobotFile {
         masses.chain(payload).map(checked).collect()
     }
 
-    /// What is beside joints and masses.
+    /// Checks everything but joints and masses.
     fn check(&self) -> Result<(), RobotFinding> {
         let Tolerance { length_mm, angle_deg } = self.tolerance;
         let [most_mm, most_deg] = [100.0, 45.0];
@@ -195,7 +183,7 @@ impl RobotFile {
         Ok(())
     }
 
-    /// The robot, when its numbers can be.
+    /// The robot, if all numbers are possible.
     fn into_robot(self) -> Result<Robot, Wrong> {
         if self.convention != "modified-dh" {
             return Err((None, RobotFinding::Convention { convention: self.convention }));
@@ -229,7 +217,7 @@ impl RobotFile {
             payload: self.payload.is_some(),
             posterior: self.posterior,
             uncertainty: None,
-            // A joint of the nominal robot has no line: the text holds those of both.
+            // The line of a joint of the nominal robot is not known: the text has the joints of both robots.
             nominal: match self.nominal {
                 Some(nominal) => {
                     Some(Box::new(nominal.into_robot().map_err(|(_, finding)| (None, finding))?))
@@ -283,7 +271,7 @@ mod tests {
     use crate::robot::{JointError, Ripple, Smooth, Visited};
 
     #[test]
-    fn a_robot_reads_back_and_a_wrong_number_has_its_line() {
+    fn robots_read_back_and_errors_have_their_line() {
         for (name, text) in Robot::built_in() {
             let robot = Robot::from_toml(name, text).unwrap();
             assert_eq!(Robot::from_toml(name, &robot.to_toml().unwrap()).unwrap(), robot);
@@ -295,7 +283,7 @@ mod tests {
     }
 
     #[test]
-    fn errors_of_the_joints_read_back() {
+    fn joint_errors_read_back() {
         let mut robot = Robot::by_name("kr60ha").unwrap().unwrap();
         let error = JointError {
             visited: Visited { middle: 0.2, scale: 0.4 },

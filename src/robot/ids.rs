@@ -1,4 +1,4 @@
-//! Numbers of things that a user counts from 1, and the place of each in a list.
+//! Typed indices, which users count from 1, and small types for the axes.
 
 use std::fmt;
 use std::num::{NonZeroU32, ParseIntError};
@@ -16,27 +16,27 @@ macro_rules! numbered {
         impl $name {
             pub const FIRST: Self = Self(NonZeroU32::MIN);
 
-            /// By its number as written, from 1; `None` of 0.
+            /// From the number as it is written, from 1; `None` for 0.
             pub fn new(number: u32) -> Option<Self> {
                 NonZeroU32::new(number).map(Self)
             }
 
-            /// The same of a number that was checked when it was read: 0 is the first.
+            /// As [`Self::new`], for a number that was checked when it was read; 0 is taken for 1.
             pub fn numbered(number: u32) -> Self {
                 Self::new(number).unwrap_or(Self::FIRST)
             }
 
-            /// By its place in a list, from 0.
+            /// From the index in a list.
             pub fn at(index: usize) -> Self {
                 Self(NonZeroU32::MIN.saturating_add(u32::try_from(index).unwrap_or(u32::MAX)))
             }
 
-            /// As written, from 1.
+            /// The number as it is written, from 1.
             pub fn number(self) -> u32 {
                 self.0.get()
             }
 
-            /// The place in a list, from 0.
+            /// The index in a list.
             pub fn index(self) -> usize {
                 self.0.get() as usize - 1
             }
@@ -61,7 +61,7 @@ macro_rules! numbered {
 numbered! {
     /// A base ball.
     BallId
-    /// A length of the bar.
+    /// A bar, or a length of it.
     BarId
     /// A target on the tool; the first is the tool ball.
     TargetId
@@ -74,7 +74,7 @@ numbered! {
 pub enum Datum {
     /// A base ball, by a bar.
     Ball(BallId, BarId),
-    /// The plane of the tracker's frame on which this coordinate is zero: the length is the coordinate.
+    /// A plane of the tracker's frame: the length is this coordinate of the target.
     Plane(Coordinate),
 }
 
@@ -113,17 +113,16 @@ impl Joint {
     /// From base to flange.
     pub const ALL: [Self; super::AXES] = [Self::J1, Self::J2, Self::J3, Self::J4, Self::J5, Self::J6];
 
-    /// By its number, from 1.
+    /// From its number, from 1.
     pub fn new(number: usize) -> Option<Self> {
         Self::ALL.into_iter().find(|joint| joint.number() == number)
     }
 
-    /// From 1.
+    /// The number, from 1.
     pub fn number(self) -> usize {
         self.index() + 1
     }
 
-    /// From 0.
     pub fn index(self) -> usize {
         self as usize
     }
@@ -139,7 +138,6 @@ pub enum Coordinate {
 impl Coordinate {
     pub const ALL: [Self; 3] = [Self::X, Self::Y, Self::Z];
 
-    /// The place in a vector.
     pub fn index(self) -> usize {
         self as usize
     }
@@ -151,12 +149,12 @@ impl fmt::Display for Coordinate {
     }
 }
 
-/// The greatest difference of an axis, in the unit of the angles.
+/// The largest difference of an axis, in the unit of the angles.
 pub fn apart(a: &[f64; super::AXES], b: &[f64; super::AXES]) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
 }
 
-/// The controller's axis angles, degrees as they were read.
+/// Axis angles of the controller, degrees as they were read.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct AxisAngles([f64; super::AXES]);
@@ -179,7 +177,7 @@ impl AxisAngles {
     }
 }
 
-/// The sense of each axis's last move before a pose: -1, 1, or 0 where it is not known.
+/// The sense of the last move of each axis before a pose: -1, 1, or 0 if it is unknown.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct Approach([i8; super::AXES]);
@@ -198,7 +196,7 @@ impl Approach {
         *self == Self::default()
     }
 
-    /// At each of these poses in turn, rad.
+    /// The approach of each pose (rad) of a sequence.
     pub fn along(axes: impl IntoIterator<Item = [f64; super::AXES]>) -> impl Iterator<Item = Self> {
         let (mut approach, mut last) = (Self::default(), None);
         axes.into_iter().map(move |axes| {
@@ -210,7 +208,7 @@ impl Approach {
         })
     }
 
-    /// After a move between two poses (rad): an axis that does not move keeps its sense.
+    /// The approach after a move between two poses (rad); an axis that does not move keeps its sense.
     pub fn after(self, from: &[f64; super::AXES], to: &[f64; super::AXES]) -> Self {
         Self(std::array::from_fn(|axis| match to[axis] - from[axis] {
             moved if moved > REST_RAD => 1,
@@ -220,7 +218,7 @@ impl Approach {
     }
 }
 
-/// An axis that turns by less does not move, rad.
+/// Smallest move of an axis, rad.
 const REST_RAD: f64 = 1e-9;
 
 #[cfg(test)]
@@ -228,7 +226,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn numbers_are_written_from_one_and_nought_is_refused() {
+    fn numbers_start_at_one() {
         let ball = BallId::at(2);
         assert_eq!((ball.number(), ball.index(), ball.to_string()), (3, 2, "3".to_owned()));
         assert_eq!(serde_json::to_string(&ball).ok().as_deref(), Some("3"));

@@ -1,4 +1,4 @@
-//! A `[[joint]]` table of a robot file.
+//! The `[[joint]]` tables of a robot file.
 
 use serde::{Deserialize, Serialize};
 
@@ -7,11 +7,11 @@ use super::pose::is_part_of_turn;
 use super::{AXES, CoupledAxis, Coupling, Joint, JointError, Ripple, Robot, Smooth, Visited};
 use crate::catalogue::RobotFinding;
 
-/// No length of an arm is longer, mm: ten metres.
+/// Largest length, mm.
 pub(super) const MOST_MM: f64 = 1e4;
-/// No angle, speed or acceleration is larger, degrees, degrees/s, degrees/s^2.
+/// Largest angle, speed and acceleration, degrees, degrees/s, degrees/s^2.
 const MOST_DEG: f64 = 1e5;
-/// The same in radians.
+/// Largest angle, rad.
 const MOST_RAD: f64 = 2e3;
 
 #[derive(Clone, Serialize, Deserialize)]
@@ -47,35 +47,35 @@ pub(crate) struct JointTable {
     ripple: Vec<Ripple>,
 }
 
-/// The joint turns by its own axis and by a second one.
+/// A joint that turns by its own axis and a second one.
 #[derive(Clone, Copy, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct CouplingTable {
     /// The second axis, from 1.
     pub(crate) axis: usize,
     pub(crate) factor: i8,
-    /// Of the joint's own angle.
+    /// Limits of the joint's own angle.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) limits_deg: Option<[f64; 2]>,
 }
 
-/// The same width, or no number where it is none.
+/// A width; NaN, which no check accepts, if it is not positive.
 fn if_positive(width: f64) -> f64 {
     if width > 0.0 { width } else { f64::NAN }
 }
 
-/// +1 or -1 as a file has it.
+/// +1 or -1 for the file.
 fn sign_of(value: f64) -> i8 {
     if value < 0.0 { -1 } else { 1 }
 }
 
-#[allow(clippy::trivially_copy_pass_by_ref)] // the signature that serde calls
+#[allow(clippy::trivially_copy_pass_by_ref)] // serde calls it so
 fn is_zero(value: &f64) -> bool {
     *value == 0.0
 }
 
 impl JointTable {
-    /// What the types do not say: finite numbers, limits in order.
+    /// Checks what the types do not ensure: possible numbers, limits in order.
     pub(super) fn check(&self, joint: usize) -> Result<(), RobotFinding> {
         let numbers = [
             ("alpha_deg", self.alpha_deg, MOST_DEG),
@@ -103,8 +103,8 @@ impl JointTable {
             .iter()
             .flat_map(|ripple| [("ripple.cos_rad", ripple.cos, 1.0), ("ripple.sin_rad", ripple.sin, 1.0)]);
         let mut numbers = numbers.into_iter().chain(smooth).chain(visited).chain(ripple);
-        let possible = |value: f64, most: f64| value.abs() <= most;
-        if let Some((key, value, most)) = numbers.find(|(_, value, most)| !possible(*value, *most)) {
+        let is_impossible = |(_, value, most): &(&str, f64, f64)| !(value.abs() <= *most);
+        if let Some((key, value, most)) = numbers.find(is_impossible) {
             return Err(RobotFinding::JointNumber { joint, key: key.into(), value, most });
         }
         if self.sign.abs() != 1 {
@@ -126,10 +126,10 @@ impl JointTable {
         }
     }
 
-    /// An angle that was given in radians: a part of a turn as an arm has it, a range of axis angles, a speed.
+    /// A value that was probably given in radians: a fraction of a turn, a small range of axis angles, a low speed.
     fn radians(&self) -> Option<(&'static str, f64)> {
         use std::f64::consts::TAU;
-        /// No joint of an arm is slower, degrees/s.
+        /// Lowest maximum speed of a joint, degrees/s.
         const LEAST_SPEED: f64 = 6.0;
         let turns = [("alpha_deg", self.alpha_deg), ("theta_offset_deg", self.theta_offset_deg)];
         let [low, high] = self.limits_deg;
@@ -140,12 +140,12 @@ impl JointTable {
             .or(slow.then_some(("max_speed_deg_s", self.max_speed_deg_s)))
     }
 
-    /// The second axis, which lies between axis 1 and the joint: the plane of the arm turns about axis 1 alone.
+    /// The second axis. It must be between axis 1 and the joint, because only axis 1 turns the plane of the arm.
     fn coupled(&self, joint: usize) -> Result<Option<CoupledAxis>, RobotFinding> {
         let Some(CouplingTable { axis, factor, .. }) = self.coupling else { return Ok(None) };
-        let before = Joint::new(axis).filter(|_| (2..joint).contains(&axis) && factor.abs() == 1);
-        let second = before.ok_or(RobotFinding::Coupling { joint, axis, factor })?;
-        Ok(Some(CoupledAxis { axis: second, factor: f64::from(factor) }))
+        let second = Joint::new(axis).filter(|_| (2..joint).contains(&axis) && factor.abs() == 1);
+        let axis = second.ok_or(RobotFinding::Coupling { joint, axis, factor })?;
+        Ok(Some(CoupledAxis { axis, factor: f64::from(factor) }))
     }
 
     /// Limits of the joint's own angle.
@@ -204,8 +204,8 @@ impl JointTable {
     }
 }
 
-/// The couplings of the joints; wherever the second axis may be, the joint's own axis has an angle. Else what is wrong, with
-/// the place of the joint, from 0.
+/// The couplings of the joints. At every angle of the second axis the axis of the joint must have a possible angle. An error
+/// carries the index of the joint.
 pub(super) fn coupling(joints: &[&JointTable; AXES]) -> Result<Coupling, (usize, RobotFinding)> {
     let mut coupling = [None; AXES];
     for (at, table) in joints.iter().enumerate() {

@@ -1,4 +1,4 @@
-//! The robot as numbers, its forward model, and the parameters by name.
+//! The geometry of a robot and its forward kinematics.
 
 use nalgebra::Vector3;
 
@@ -28,33 +28,33 @@ pub struct DhRow {
 /// A mass that loads the joints.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Mass {
-    /// The joint with whose frame it moves; the last for the payload.
+    /// The joint whose frame it moves with; for the payload the last one.
     pub joint: Joint,
     pub kg: f64,
     /// Centre of mass in that joint's frame, mm.
     pub centre: Vector3<f64>,
 }
 
-/// The numbers that place the tool ball for given axis angles.
+/// The parameters of the forward kinematics.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Geometry {
-    /// The table, base to flange.
+    /// The DH table, base to flange.
     pub rows: [DhRow; AXES],
-    /// From the controller's axis angles to the joints' own.
+    /// Converts axis angles of the controller to joint angles.
     pub coupling: Coupling,
     /// Tool ball in the flange frame, mm.
     pub tool: Vector3<f64>,
-    /// Masses whose weight the joints carry.
+    /// Masses that load the joints.
     pub masses: Vec<Mass>,
     /// Compliance of each joint, rad/(N m).
     pub compliance: [f64; AXES],
-    /// Error of each joint, once per turn of its axis: cosine and sine part, rad.
+    /// First harmonic of the transmission error of each joint: cosine and sine, rad.
     pub gear: [[f64; 2]; AXES],
-    /// What else the angle and the sense of its motion do to each joint.
+    /// Further errors of each joint as functions of its angle and the sense of its motion.
     pub joint_errors: JointErrors,
 }
 
-/// Where a geometry has a parameter, by reference.
+/// A reference to a parameter in a geometry.
 macro_rules! place {
     ($geometry:ident, $id:ident $(, $mutable:tt)?) => {
         match $id {
@@ -77,12 +77,12 @@ macro_rules! place {
 }
 
 impl Geometry {
-    /// The joint angles (rad, in the table's sense) at the controller's axis angles (rad), whatever the sense of approach.
+    /// The joint angles (rad, in the sense of the table) at axis angles (rad), for an unknown sense of approach.
     pub(super) fn joint_angles(&self, axes: &[f64; AXES]) -> [f64; AXES] {
         self.joint_angles_approached(axes, Approach::default())
     }
 
-    /// The same where the sense of approach is known.
+    /// As [`Self::joint_angles`], for a known sense of approach.
     pub(super) fn joint_angles_approached(&self, axes: &[f64; AXES], approach: Approach) -> [f64; AXES] {
         let mut angles = [0.0; AXES];
         let joints = self.coupling.joints(axes);
@@ -106,20 +106,20 @@ impl Geometry {
         angles
     }
 
-    /// The derivative of each joint's error by each of its coefficients at axis angles (rad), to `each` with the joint's
-    /// place (from 0), in the order of [`JointErrors::terms`].
+    /// Calls `each` with the index of a joint and the derivative of its error with respect to a coefficient, at axis angles
+    /// (rad), in the order of [`JointErrors::terms`].
     pub fn error_derivatives(&self, axes: &[f64; AXES], approach: Approach, each: impl FnMut(usize, f64)) {
         let (joints, senses) = (self.coupling.joints(axes), self.coupling.senses(approach));
         self.joint_errors.derivatives(&joints, senses, each);
     }
 
-    /// Whether its joints are rigid and turn as their angles say.
+    /// Whether the joints are rigid and have no errors.
     pub fn is_rigid(&self) -> bool {
         let bends = self.compliance.iter().any(|c| *c != 0.0) && !self.masses.is_empty();
         !bends && self.gear.iter().flatten().all(|part| *part == 0.0) && self.joint_errors.is_none()
     }
 
-    /// The same robot with rigid joints that turn as their angles say.
+    /// The same robot with rigid joints that have no errors.
     pub fn rigid(&self) -> Self {
         Self {
             compliance: [0.0; AXES],
@@ -129,7 +129,7 @@ impl Geometry {
         }
     }
 
-    /// The same robot as it is at poses approached so: where the sense is known, its backlash goes into the joint offsets.
+    /// The same robot at poses with this approach: if the sense of a joint is known, its backlash is part of the joint offset.
     pub fn approached(&self, approach: Approach) -> Self {
         let mut approached = self.clone();
         for (i, sense) in self.coupling.senses(approach).senses().into_iter().enumerate() {
@@ -140,7 +140,7 @@ impl Geometry {
         approached
     }
 
-    /// Frame after each row, for joint angles in the table's sense.
+    /// The frame after each row at joint angles in the sense of the table.
     pub(super) fn frames(&self, angles: &[f64; AXES]) -> [Pose; AXES] {
         let mut frames = [Pose::identity(); AXES];
         let mut frame = Pose::identity();
@@ -157,7 +157,7 @@ impl Geometry {
         frames
     }
 
-    /// Gravity torque about each joint, N m, at joint angles in the table's sense. The base is upright.
+    /// Gravity torque about each joint, N m, at joint angles in the sense of the table. The base is upright.
     pub(super) fn torques(&self, angles: &[f64; AXES]) -> [f64; AXES] {
         let mut torques = [0.0; AXES];
         if self.masses.is_empty() {
@@ -176,7 +176,7 @@ impl Geometry {
         torques
     }
 
-    /// A bound on the gravity torque about each joint over all poses, N m: every mass at full stretch.
+    /// An upper bound of the gravity torque about each joint in any pose, N m: every mass at full stretch.
     pub fn greatest_torques(&self) -> [f64; AXES] {
         let mut torques = [0.0; AXES];
         for mass in &self.masses {
@@ -189,24 +189,24 @@ impl Geometry {
         torques
     }
 
-    /// The flange (frame 6) in the robot base at the controller's axis angles, rad.
+    /// The flange (frame 6) in the robot base at axis angles (rad).
     pub fn flange(&self, axes: &[f64; AXES]) -> Pose {
         self.frames(&self.joint_angles(axes))[AXES - 1]
     }
 
-    /// The tool ball, with the flange's orientation, in the robot base at the axis angles, rad.
+    /// The tool ball in the robot base, with the orientation of the flange, at axis angles (rad).
     pub fn ball(&self, axes: &[f64; AXES]) -> Pose {
         let flange = self.flange(axes);
         Pose { rotation: flange.rotation, position: flange.position + flange.rotation * self.tool }
     }
 
-    /// Origins and z axes of the joints, then the flange: the robot as a line to draw, mm.
+    /// The origins of the frames, mm: the robot as a polyline.
     pub fn skeleton(&self, axes: &[f64; AXES]) -> [Vector3<f64>; AXES] {
         self.frames(&self.joint_angles(axes)).map(|frame| frame.position)
     }
 
-    /// The Jacobian of the tool ball in the base frame: six columns of (dp, turn) per rad of each
-    /// *controller* axis, mm/rad and rad/rad.
+    /// The Jacobian of the tool ball in the robot base: for each axis of the *controller* the translation and rotation, mm/rad
+    /// and rad/rad.
     pub fn axis_jacobian(&self, axes: &[f64; AXES]) -> [(Vector3<f64>, Vector3<f64>); AXES] {
         let frames = self.frames(&self.joint_angles(axes));
         let ball = frames[AXES - 1].position + frames[AXES - 1].rotation * self.tool;
@@ -220,17 +220,17 @@ impl Geometry {
         std::array::from_fn(|i| (shifts[i], turns[i]))
     }
 
-    /// The length between the tool ball and a base ball at `ball` (mm, robot base), plus `bar_offset`, mm.
+    /// The distance of the tool ball from a base ball at `ball` (mm, robot base) plus `bar_offset`, mm.
     pub fn length(&self, axes: &[f64; AXES], ball: &Vector3<f64>, bar_offset: f64) -> f64 {
         (self.ball(axes).position - ball).norm() + bar_offset
     }
 
-    /// The value of a parameter of the robot or its tool; `None` for those of the base balls and the bar.
+    /// The value of a parameter of the robot or its tool; `None` for one of the rest of the set-up.
     pub fn value(&self, id: ParamId) -> Option<f64> {
         place!(self, id).copied()
     }
 
-    /// Mutable access as [`Geometry::value`].
+    /// Mutable access to the value of [`Geometry::value`].
     pub fn value_mut(&mut self, id: ParamId) -> Option<&mut f64> {
         place!(self, id, mut)
     }

@@ -1,8 +1,8 @@
-//! Robot and bar as functions: poses, the length between the balls, and its derivatives.
+//! The kinematic model: poses, the length between the balls, and its derivatives.
 //!
 //! Craig's modified DH with Hayati's beta: row i of a robot is
-//! `Ry(beta) Rx(alpha) Tx(a) Rz(theta) Tz(d)`, with `theta = sign * A + theta_offset` and A the
-//! controller's axis angle, of a coupled joint the sum of two. Lengths are mm, angles rad inside; files carry degrees.
+//! `Ry(beta) Rx(alpha) Tx(a) Rz(theta) Tz(d)` with `theta = sign * A + theta_offset`. A is the axis angle of the controller; of a
+//! coupled joint it is the sum of two. Lengths are in mm, angles in rad; files have degrees.
 
 pub mod chain;
 pub mod coupling;
@@ -13,7 +13,6 @@ pub mod inverse;
 pub mod joint_error;
 pub mod joint_table;
 pub mod kinematics;
-pub mod limits;
 pub mod parameter;
 pub mod pose;
 pub mod posterior;
@@ -30,5 +29,5 @@ pub use pose::Pose;
 pub use posterior::RobotPosterior;
 pub use uncertainty::{Process, RobotUncertainty};
 
-/// Axes of the robots that are modelled.
+/// Number of axes of a robot.
 pub const AXES: usize = 6;

@@ -1,5 +1,4 @@
-//! The parameters of the measurement model: their order, the table of what is the same for a family of them, and the
-//! LIST of the command line.
+//! The parameters of the measurement model: names, units, groups, columns, and the LIST of the command line.
 
 use std::fmt;
 use std::str::FromStr;
@@ -10,7 +9,7 @@ use super::{BallId, BarId, Coordinate, Joint, TargetId};
 use crate::catalogue::RobotFinding;
 use crate::diagnostic::Diagnostic;
 
-/// One parameter of the measurement model, in canonical order; those of the DH table by the joint of their row.
+/// A parameter of the measurement model; the order is the canonical one. Those of the DH table have the joint of their row.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum ParamId {
     /// Twist of the frame before the joint: `alpha0` of joint 1.
@@ -25,7 +24,7 @@ pub enum ParamId {
     Beta(Joint),
     /// Tool ball in the flange frame.
     Tool(Coordinate),
-    /// A further target on the tool, from the second, in the flange frame.
+    /// A further target on the tool (from the second one) in the flange frame.
     Target(TargetId, Coordinate),
     /// Base ball in the robot base.
     Ball(BallId, Coordinate),
@@ -35,9 +34,9 @@ pub enum ParamId {
     /// Rotation vector of the tracker's frame in the robot base.
     TrackerTurn(Coordinate),
     Compliance(Joint),
-    /// Cosine part of the transmission error's first harmonic.
+    /// Cosine of the first harmonic of the transmission error.
     GearCos(Joint),
-    /// Sine part of the same.
+    /// Sine of the first harmonic of the transmission error.
     GearSin(Joint),
 }
 
@@ -68,7 +67,7 @@ impl fmt::Display for Unit {
     }
 }
 
-/// What a parameter belongs to: the groups that a LIST may name.
+/// The groups of parameters that a LIST may name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Group {
     Geometric,
@@ -93,7 +92,7 @@ impl Group {
         Self::Gear,
     ];
 
-    /// As a LIST names it.
+    /// The name in a LIST.
     pub fn name(self) -> &'static str {
         match self {
             Self::Geometric => "geometric",
@@ -107,22 +106,22 @@ impl Group {
         }
     }
 
-    /// Whether it belongs to the set-up (targets, base balls, bar, tracker) and not to the robot.
+    /// Whether it belongs to the set-up (tool, base balls, bar, tracker) and not to the robot.
     pub fn is_setup(self) -> bool {
         matches!(self, Self::Tool | Self::Targets | Self::Balls | Self::Bar | Self::Tracker)
     }
 
-    /// Whether it is estimated only where the data carry it.
+    /// Whether it is estimated only if the data support it.
     pub fn is_optional(self) -> bool {
         matches!(self, Self::Compliance | Self::Gear)
     }
 }
 
-/// What is the same for a family of parameters.
+/// What the parameters of a family have in common.
 struct Family {
     unit: Unit,
     group: Group,
-    /// The first of its columns in a [`super::LengthRow`].
+    /// First column in a [`super::LengthRow`].
     column: usize,
 }
 
@@ -150,11 +149,11 @@ impl ParamId {
         Family { unit, group, column }
     }
 
-    /// Columns of a [`super::LengthRow`].
+    /// Number of columns of a [`super::LengthRow`].
     pub(super) const COLUMNS: usize = Self::TrackerTurn(Coordinate::Z).column() + 1;
 
-    /// Where the derivative by it is in a [`super::LengthRow`]. The columns of targets, of base balls or the
-    /// tracker's origin, and of bars are those of the row's own: the derivatives by others are zero.
+    /// The column of the derivative with respect to it in a [`super::LengthRow`]. A row has one target, one base ball or
+    /// tracker, and one bar: all targets share their columns, and so on; derivatives with respect to others are zero.
     pub const fn column(self) -> usize {
         let place = match self {
             Self::Tool(coordinate)
@@ -183,7 +182,7 @@ impl ParamId {
         self.family().group
     }
 
-    /// Whether it is one of the robot's own geometric parameters (the 24 and the betas).
+    /// Whether it is a geometric parameter of the robot: one of the 24 of the DH table, or a beta.
     pub fn is_geometric(self) -> bool {
         self.group() == Group::Geometric
     }
@@ -196,7 +195,7 @@ impl ParamId {
         self.group().is_optional()
     }
 
-    /// Whether the place of the tool ball in the robot base depends on it.
+    /// Whether the position of the tool ball in the robot base depends on it.
     pub fn moves_tool_ball(self) -> bool {
         !self.is_setup() || self.group() == Group::Tool
     }
@@ -208,7 +207,7 @@ impl ParamId {
             .flat_map(|family: fn(Joint) -> Self| Joint::ALL.map(family))
     }
 
-    /// All that have a name whatever the set-up and the robot.
+    /// All parameters whose name does not depend on the set-up.
     fn named() -> impl Iterator<Item = Self> {
         Self::denavit_hartenberg()
             .chain(Joint::ALL.into_iter().skip(1).map(Self::Beta))
@@ -262,7 +261,7 @@ impl FromStr for ParamId {
                 bar.and_then(BarId::new).map(Self::BarOffset)
             })
         };
-        // `centre01_x` or `bar_offset1` would parse but are not names.
+        // `centre01_x` and `bar_offset1` would parse but are not names.
         let named = numbered.into_iter().chain(Self::named()).find(|id| id.to_string() == word);
         named.ok_or_else(|| RobotFinding::UnknownParameter { word: word.into() })
     }
@@ -280,7 +279,7 @@ impl<'de> Deserialize<'de> for ParamId {
     }
 }
 
-/// How many base balls there are, bars of different length, targets on the tool (the tool ball among them) and trackers.
+/// Number of base balls, bars of different length, targets on the tool (with the tool ball) and trackers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SetUp {
     pub balls: usize,
@@ -291,6 +290,7 @@ pub struct SetUp {
 }
 
 impl SetUp {
+    /// Refuses a parameter that the set-up does not have.
     pub fn check(self, id: ParamId) -> Result<(), RobotFinding> {
         let name = id.to_string();
         match id {
@@ -311,32 +311,32 @@ impl SetUp {
     }
 }
 
-/// Base balls measured with one bar.
+/// Base balls that are measured with one bar.
 impl From<usize> for SetUp {
     fn from(balls: usize) -> Self {
         Self { balls, bars: 1, targets: 1, trackers: 0 }
     }
 }
 
-/// The members of the optional groups, compliance and gear.
+/// The parameters of the optional groups, compliance and gear.
 pub fn optional() -> impl Iterator<Item = ParamId> {
     let inner = Joint::ALL.into_iter().skip(1).take(4);
     let gear = Joint::ALL.into_iter().flat_map(|joint| [ParamId::GearCos(joint), ParamId::GearSin(joint)]);
     inner.map(ParamId::Compliance).chain(gear)
 }
 
-/// The members of the optional group `compliance`.
+/// The parameters of the group `compliance`.
 pub fn compliance() -> impl Iterator<Item = ParamId> {
     optional().filter(|id| id.group() == Group::Compliance)
 }
 
-/// The members of the optional group `gear`.
+/// The parameters of the group `gear`.
 pub fn gear() -> impl Iterator<Item = ParamId> {
     optional().filter(|id| id.group() == Group::Gear)
 }
 
-/// The parameters that a LIST may name, in canonical order, for a robot in its set-up: the 24, the beta of each joint
-/// whose axis is nominally `parallel` to the one before, tool, targets, balls, bars, tracker. The optional groups are not among them.
+/// The parameters of `all` in a LIST, in canonical order: the 24 of the DH table, the beta of each joint whose axis is nominally
+/// `parallel` to the one before, tool, targets, balls, bars, tracker. The optional groups are not among them.
 pub fn all(parallel: &[Joint], set_up: impl Into<SetUp>) -> Vec<ParamId> {
     let SetUp { balls, bars, targets, trackers } = set_up.into();
     let of_target = |target| Coordinate::ALL.map(|coordinate| ParamId::Target(target, coordinate));
@@ -354,7 +354,7 @@ pub fn all(parallel: &[Joint], set_up: impl Into<SetUp>) -> Vec<ParamId> {
         .collect()
 }
 
-/// Reads a LIST: names, ranges (`alpha1-5`) and groups, comma-separated; sorted, each once.
+/// Parses a LIST: names, ranges (`alpha1-5`) and groups, separated by commas. The result is sorted and has no duplicates.
 pub fn parse_list(
     list: &str,
     parallel: &[Joint],
@@ -381,7 +381,7 @@ pub fn parse_list(
     Ok(chosen)
 }
 
-/// `alpha1-5`: the stem once, two numbers.
+/// The parameters of a range such as `alpha1-5`.
 fn range(word: &str, first: &str, last: &str) -> Result<Vec<ParamId>, RobotFinding> {
     let unknown = || RobotFinding::UnknownParameter { word: word.into() };
     let stem = first.trim_end_matches(|c: char| c.is_ascii_digit());
@@ -398,7 +398,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_name_reads_back_and_a_column_is_its_own() {
+    fn names_read_back_and_columns_are_unique() {
         let mut columns = std::collections::BTreeSet::new();
         let second = BarId::at(1);
         let set_up = [
@@ -410,10 +410,10 @@ mod tests {
             let json = serde_json::to_string(&id).unwrap();
             assert_eq!(json, format!("\"{id}\""));
             assert_eq!(serde_json::from_str::<ParamId>(&json).unwrap(), id);
-            // Rows from the tracker have its origin where others have their ball.
-            let is_own =
+            // The tracker shares the columns of the balls, and targets share those of the tool ball.
+            let is_unique =
                 matches!(id, ParamId::Tracker(_) | ParamId::Target(..)) || columns.insert(id.column());
-            assert!(id.column() < ParamId::COLUMNS && is_own, "{id}");
+            assert!(id.column() < ParamId::COLUMNS && is_unique, "{id}");
         }
         for word in [
             "centre01_x",

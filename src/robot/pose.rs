@@ -1,28 +1,39 @@
-//! A rigid pose, and KUKA's A, B, C.
+//! Rigid poses and their representations: KUKA's A, B, C, quaternions, rotation vectors.
 
 use nalgebra::{Matrix3, Quaternion, Rotation3, UnitQuaternion, Vector3};
 
-/// A frame: `rotation` maps its coordinates to the reference frame's, `position` is its origin there, mm.
+/// The pose of a frame in a reference frame: `rotation` maps coordinates of the frame to those of the reference frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pose {
     pub rotation: Matrix3<f64>,
-    /// Origin, mm.
+    /// The origin of the frame, mm.
     pub position: Vector3<f64>,
 }
 
 impl Pose {
-    /// The reference frame itself.
+    /// The pose of the reference frame itself.
     pub fn identity() -> Self {
         Self { rotation: Matrix3::identity(), position: Vector3::zeros() }
     }
 
-    /// From KUKA's frame: X, Y, Z in mm and A, B, C in degrees, R = Rz(A) Ry(B) Rx(C).
+    /// From a frame of KUKA: X, Y, Z in mm and A, B, C in degrees, R = Rz(A) Ry(B) Rx(C).
     pub fn from_kuka(xyz_mm: [f64; 3], abc_deg: [f64; 3]) -> Self {
         let [a, b, c] = abc_deg.map(f64::to_radians);
         Self { rotation: rot_z(a) * rot_y(b) * rot_x(c), position: Vector3::from(xyz_mm) }
     }
 
-    /// KUKA's A, B, C in degrees; at |B| = 90, where only a combination is defined, C is 0.
+    /// From X, Y, Z, A, B, C: see [`Pose::from_kuka`].
+    pub fn from_xyzabc([x, y, z, a, b, c]: [f64; 6]) -> Self {
+        Self::from_kuka([x, y, z], [a, b, c])
+    }
+
+    /// X, Y, Z in mm and KUKA's A, B, C in degrees.
+    pub fn xyzabc(&self) -> [f64; 6] {
+        let ([x, y, z], [a, b, c]) = (self.position.into(), self.abc_deg());
+        [x, y, z, a, b, c]
+    }
+
+    /// KUKA's A, B, C in degrees; at |B| = 90, where only a combination of A and C is defined, C is 0.
     pub fn abc_deg(&self) -> [f64; 3] {
         let r = &self.rotation;
         let cos_b = r[(0, 0)].hypot(r[(1, 0)]);
@@ -35,13 +46,13 @@ impl Pose {
         [a, b, c].map(f64::to_degrees)
     }
 
-    /// From a position in mm and a quaternion, real part first, of any length but zero.
+    /// From a position in mm and a quaternion, real part first, which need not be normalised; `None` if it is zero.
     pub fn from_quaternion(xyz_mm: [f64; 3], [w, x, y, z]: [f64; 4]) -> Option<Self> {
         let turn = UnitQuaternion::try_new(Quaternion::new(w, x, y, z), 1e-6)?;
         Some(Self { rotation: *turn.to_rotation_matrix().matrix(), position: Vector3::from(xyz_mm) })
     }
 
-    /// Its orientation as a unit quaternion, real part first and not negative.
+    /// The orientation as a unit quaternion, real part first and not negative.
     pub fn quaternion(&self) -> [f64; 4] {
         let turn = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(self.rotation));
         let sign = if turn.w < 0.0 { -1.0 } else { 1.0 };
@@ -54,7 +65,7 @@ impl Pose {
         Self { rotation, position: Vector3::from(xyz_mm) }
     }
 
-    /// This pose followed by `next`, which is given in this one's frame.
+    /// The pose in the reference frame of `next`, which is given in this frame.
     pub fn then(&self, next: &Pose) -> Pose {
         Pose {
             rotation: self.rotation * next.rotation,
@@ -62,7 +73,7 @@ impl Pose {
         }
     }
 
-    /// The pose that undoes this one.
+    /// The pose of the reference frame in this frame.
     pub fn inverse(&self) -> Pose {
         let transposed = self.rotation.transpose();
         Pose { rotation: transposed, position: -(transposed * self.position) }
@@ -74,17 +85,18 @@ impl Pose {
     }
 }
 
-/// Whether a number is an eighth of a turn in radians, or some: where degrees are wanted, radians were given.
+/// Whether a number is a multiple of an eighth of a turn in radians: where degrees are expected, it was probably given in
+/// radians.
 pub fn is_part_of_turn(value: f64) -> bool {
     use std::f64::consts::FRAC_PI_4;
-    /// Written with five digits.
+    /// Of a number with five significant digits.
     const ROUNDED: f64 = 5e-5;
     let parts = (value / FRAC_PI_4).round();
     (1.0..=8.0).contains(&parts.abs()) && (value - parts * FRAC_PI_4).abs() < ROUNDED
 }
 
-/// The axis of a rotation times its angle (rad, 0..=pi). Unlike the arc cosine of the trace this holds its
-/// digits near zero, and gives a number where rounding has pushed the trace above three.
+/// The axis of a rotation times its angle (rad, 0..=pi). Unlike the arc cosine of the trace it keeps its accuracy near
+/// zero, and it is finite if rounding has made the trace greater than three.
 pub fn rotation_vector(rotation: &Matrix3<f64>) -> Vector3<f64> {
     let turn = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(*rotation));
     let (axis, cosine) = (turn.imag(), turn.w);

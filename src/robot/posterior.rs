@@ -1,34 +1,34 @@
-//! What an identification left unknown of a robot, in the robot's own file.
+//! The posterior of an identification, as the file of the identified robot has it.
 
 use nalgebra::{DMatrix, Vector3};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use super::{BallId, Coordinate, Geometry, ParamId};
 
-/// The errors that the values of a robot file may still have: their covariance is root root', mm and rad. Behind the robot's
-/// parameters are the base balls, where the identification had them.
+/// The values and covariance (root root', mm and rad) of the parameters of a robot. The coordinates of the base balls follow
+/// those of the robot, if the identification estimated them.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RobotPosterior {
     #[serde(rename = "parameters")]
     ids: Vec<ParamId>,
     values: Vec<f64>,
-    /// Square, lower triangular, a row a parameter. The file has the triangle, row by row.
+    /// Square and lower triangular, one row per parameter. The file has the triangle, row by row.
     #[serde(serialize_with = "write_root", deserialize_with = "read_root")]
     root: DMatrix<f64>,
 }
 
-/// A value of the file that is off by more than this, mm or rad, was changed since.
+/// A value of the robot file that differs by more, mm or rad, was changed after the identification.
 const SAME: f64 = 1e-9;
 
 impl RobotPosterior {
-    /// Of these parameters of `geometry`, with any root of the covariance, a row a parameter; `None` where a parameter is
-    /// none of the robot's or the covariance has no inverse.
+    /// The posterior of parameters of `geometry` with any root of the covariance (one row per parameter); `None` if a parameter
+    /// is not one of the robot, or the covariance is singular.
     pub fn new(ids: &[ParamId], geometry: &Geometry, root: &DMatrix<f64>) -> Option<Self> {
         Self::with_balls(ids, geometry, &[], root)
     }
 
-    /// The same, of these base balls too: their coordinates are behind the robot's parameters.
+    /// As [`Self::new`], with base balls, whose coordinates follow the parameters of the robot.
     pub fn with_balls(
         ids: &[ParamId],
         geometry: &Geometry,
@@ -41,29 +41,37 @@ impl RobotPosterior {
         };
         let values = ids.iter().map(value).collect::<Option<Vec<f64>>>()?;
         let root = triangular(root);
-        let sound = root.is_square() && root.iter().all(|x| x.is_finite());
-        (sound && root.diagonal().iter().all(|x| *x != 0.0)).then(|| Self { ids: ids.to_vec(), values, root })
+        let is_finite = root.is_square() && root.iter().all(|x| x.is_finite());
+        (is_finite && root.diagonal().iter().all(|x| *x != 0.0)).then(|| Self {
+            ids: ids.to_vec(),
+            values,
+            root,
+        })
     }
 
-    /// The robot's parameters.
+    /// The parameters of the robot.
     pub fn ids(&self) -> &[ParamId] {
         let own = self.ids.iter().position(|id| is_ball(*id)).unwrap_or(self.ids.len());
         &self.ids[..own]
     }
 
-    /// The robot's parameters, then the coordinates of the base balls.
+    /// The parameters of the robot, then the coordinates of the base balls.
     pub fn all_ids(&self) -> &[ParamId] {
         &self.ids
     }
 
-    /// Where the identification had a base ball, mm in the robot base; `None` of one that it did not determine.
+    /// The base ball in the robot base, mm; `None` if it was not estimated.
     pub fn ball(&self, ball: BallId) -> Option<Vector3<f64>> {
-        let of = |axis| self.ids.iter().position(|id| *id == ParamId::Ball(ball, axis));
-        let [x, y, z] = Coordinate::ALL.map(|axis| of(axis).map(|at| self.values[at]));
+        let value = |axis| Some(self.values[self.position(ParamId::Ball(ball, axis))?]);
+        let [x, y, z] = Coordinate::ALL.map(value);
         Some(Vector3::new(x?, y?, z?))
     }
 
-    /// Whether it is about the values of this geometry.
+    fn position(&self, id: ParamId) -> Option<usize> {
+        self.ids.iter().position(|own| *own == id)
+    }
+
+    /// Whether it has the values of this geometry.
     pub fn is_of(&self, geometry: &Geometry) -> bool {
         let same = |(id, value): (&ParamId, &f64)| {
             geometry.value(*id).is_some_and(|here| (here - value).abs() <= SAME)
@@ -71,25 +79,25 @@ impl RobotPosterior {
         self.ids().iter().zip(&self.values).all(same)
     }
 
-    /// Standard deviation of a parameter, mm or rad; `None` of one that it does not hold.
+    /// Standard deviation of a parameter, mm or rad.
     pub fn sd(&self, id: ParamId) -> Option<f64> {
-        self.ids.iter().position(|own| *own == id).map(|at| self.root.row(at).norm())
+        self.position(id).map(|at| self.root.row(at).norm())
     }
 
-    /// The root of the covariance of some of its parameters, square and lower triangular in their order.
+    /// The root of the covariance of some parameters, in their order; square and lower triangular.
     pub fn root_of(&self, ids: &[ParamId]) -> DMatrix<f64> {
-        let places = ids.iter().filter_map(|id| self.ids.iter().position(|own| own == id));
-        triangular(&self.root.select_rows(&places.collect::<Vec<_>>()))
+        let rows: Vec<usize> = ids.iter().filter_map(|id| self.position(*id)).collect();
+        triangular(&self.root.select_rows(&rows))
     }
 
-    /// Only the parameters and coordinates that `keep` wants; `None` where none is left.
+    /// The posterior of the parameters for which `keep` is true; `None` if there are none.
     pub fn keeping(&self, keep: impl Fn(ParamId) -> bool) -> Option<Self> {
         let kept = self.ids.iter().zip(&self.values).filter(|(id, _)| keep(**id));
         let (ids, values): (Vec<ParamId>, Vec<f64>) = kept.map(|(id, value)| (*id, *value)).unzip();
         (!ids.is_empty()).then(|| Self { root: self.root_of(&ids), ids, values })
     }
 
-    /// Whether its lists belong together, and its numbers can be.
+    /// Whether its parts are consistent and its numbers possible.
     pub(super) fn is_sound(&self) -> bool {
         let Self { ids, values, root } = self;
         !ids.is_empty()
@@ -113,10 +121,10 @@ fn write_root<S: Serializer>(root: &DMatrix<f64>, to: S) -> Result<S::Ok, S::Err
 
 fn read_root<'de, D: Deserializer<'de>>(from: D) -> Result<DMatrix<f64>, D::Error> {
     let rows: Vec<Vec<f64>> = Vec::deserialize(from)?;
-    // What is no triangle is refused with the numbers that cannot be.
-    let triangle = rows.iter().enumerate().all(|(at, row)| row.len() == at + 1);
+    // A root that is not triangular becomes NaN, which `is_sound` refuses.
+    let is_triangular = rows.iter().enumerate().all(|(at, row)| row.len() == at + 1);
     let element = |row: usize, column: usize| rows[row].get(column).copied().unwrap_or(0.0);
-    let of = |row, column| if triangle { element(row, column) } else { f64::NAN };
+    let of = |row, column| if is_triangular { element(row, column) } else { f64::NAN };
     Ok(DMatrix::from_fn(rows.len(), rows.len(), of))
 }
 
@@ -131,7 +139,7 @@ mod tests {
     use crate::robot::{Joint, Robot};
 
     #[test]
-    fn a_posterior_reads_back_and_knows_its_values() {
+    fn posteriors_read_back_and_compare_their_values() {
         let mut robot = Robot::by_name("kr60ha").unwrap().unwrap();
         let ids = [ParamId::A(Joint::J2), ParamId::Theta(Joint::J3), ParamId::D(Joint::J4)];
         let root = DMatrix::from_fn(3, 5, |i, j| ((5 * i + j) as f64).sin() * 1e-3);
@@ -147,7 +155,10 @@ mod tests {
         assert_eq!(read, robot);
         assert!(read.posterior.as_ref().unwrap().is_of(&read.geometry));
         robot.geometry.tool.x += 1.0;
-        assert!(robot.posterior.as_ref().unwrap().is_of(&robot.geometry), "it is not about the tool");
+        assert!(
+            robot.posterior.as_ref().unwrap().is_of(&robot.geometry),
+            "the tool is not one of its parameters"
+        );
         *robot.geometry.value_mut(ids[0]).unwrap() += 1e-6;
         assert!(!robot.posterior.unwrap().is_of(&robot.geometry));
     }

@@ -1,4 +1,4 @@
-//! The controller's side of its axes: the packets of each cycle, over a bad line.
+//! The controller's end of published axes (RSI, RTDE): one packet per cycle, over a faulty line.
 
 use std::collections::VecDeque;
 use std::io::{self, ErrorKind, Read, Write};
@@ -18,18 +18,18 @@ use crate::device::axes::{AxesAddress, AxesProtocol, AxesSample, rsi};
 use crate::diagnostic::Diagnostic;
 use crate::robot::AXES;
 
-/// The number of the recipe that the simulated controller gives.
+/// The RTDE recipe of the simulated controller.
 pub const RECIPE: u8 = 1;
 
-/// What became of the packets.
+/// Counts of the packets.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Sent {
-    /// Cycles that passed.
+    /// Cycles of the controller.
     pub cycles: u64,
     pub dropped: u64,
     /// Packets that were sent twice.
     pub doubled: u64,
-    /// Packets that were overtaken.
+    /// Packets that the next one overtook.
     pub swapped: u64,
     pub spoiled: u64,
     pub bytes: u64,
@@ -40,29 +40,29 @@ pub struct Sent {
 pub struct Publisher {
     protocol: AxesProtocol,
     faults: Faults,
-    dice: Pcg64,
-    /// The controller's clock at the first cycle, ticks.
+    random: Pcg64,
+    /// The clock of the controller at the first cycle, ticks.
     first_ticks: u64,
     overtaken: Option<Vec<u8>>,
-    /// Packets on their way, each with the time at which it is there, s.
-    under_way: VecDeque<(f64, Vec<u8>)>,
+    /// Packets on the line, each with its time of arrival, s.
+    on_line: VecDeque<(f64, Vec<u8>)>,
     pub sent: Sent,
 }
 
 impl Publisher {
     pub fn new(protocol: AxesProtocol, faults: &Faults, seed: u64, first_ticks: u64) -> Self {
-        // A stream of its own, so that the bar's faults stay what they are.
-        let dice = Pcg64::seed_from_u64(seed ^ 0x6178_6573);
-        let (overtaken, under_way) = (None, VecDeque::new());
-        Self { protocol, faults: *faults, dice, first_ticks, overtaken, under_way, sent: Sent::default() }
+        // A random stream of its own, which leaves that of the bar's line unchanged.
+        let random = Pcg64::seed_from_u64(seed ^ 0x6178_6573);
+        let (faults, on_line) = (*faults, VecDeque::new());
+        Self { protocol, faults, random, first_ticks, overtaken: None, on_line, sent: Sent::default() }
     }
 
-    /// Seconds of the controller's clock in a second of the robot.
+    /// Seconds of the controller's clock per second of the robot.
     pub fn pace(&self) -> f64 {
         1.0 + self.faults.axes_drift_ppm * 1e-6
     }
 
-    /// A cycle at a time of the robot, s, with the axes in rad.
+    /// Sends the packet of a cycle at a time of the robot, s, with the axes in rad.
     pub fn cycle(&mut self, t_s: f64, measured: &[f64; AXES], commanded: &[f64; AXES]) {
         let clock_ns = t_s * self.pace() * 1e9;
         let ticks = (clock_ns / f64::from(self.protocol.tick_ns())).round() as u64;
@@ -73,80 +73,79 @@ impl Publisher {
             late: Some(0),
         };
         self.sent.cycles += 1;
-        let spoiled = self.happens(self.faults.axes_spoil);
+        let is_spoiled = self.happens(self.faults.axes_spoil);
         let packet = match self.protocol {
             AxesProtocol::Rsi => {
                 let mut packet = rsi::write(&sample).into_bytes();
-                if spoiled {
-                    let kept = self.dice.random_range(1..packet.len());
+                if is_spoiled {
+                    let kept = self.random.random_range(1..packet.len());
                     packet.truncate(kept);
                 }
                 packet
             }
-            AxesProtocol::Rtde => rtde::data(if spoiled { RECIPE + 1 } else { RECIPE }, &sample),
+            AxesProtocol::Rtde => rtde::data(if is_spoiled { RECIPE + 1 } else { RECIPE }, &sample),
         };
-        self.sent.spoiled += u64::from(spoiled);
-        self.carry(t_s + self.faults.axes_delay_ms * 1e-3, packet, spoiled);
+        self.sent.spoiled += u64::from(is_spoiled);
+        self.carry(t_s + self.faults.axes_delay_ms * 1e-3, packet, is_spoiled);
     }
 
     fn happens(&mut self, probability: f64) -> bool {
-        probability > 0.0 && self.dice.random::<f64>() < probability
+        probability > 0.0 && self.random.random::<f64>() < probability
     }
 
-    /// A packet over the line.
-    fn carry(&mut self, at_s: f64, packet: Vec<u8>, spoiled: bool) {
-        // One fault a packet, so that each can be accounted for.
+    /// Puts a packet on the line. It has at most one fault, so that each fault can be accounted for.
+    fn carry(&mut self, at_s: f64, packet: Vec<u8>, is_spoiled: bool) {
         let faults = self.faults;
-        if !spoiled && self.happens(faults.axes_drop) {
+        if !is_spoiled && self.happens(faults.axes_drop) {
             self.sent.dropped += 1;
             return;
         }
-        if !spoiled && self.overtaken.is_none() && self.happens(faults.axes_swap) {
+        if !is_spoiled && self.overtaken.is_none() && self.happens(faults.axes_swap) {
             self.sent.swapped += 1;
             self.overtaken = Some(packet);
             return;
         }
-        if !spoiled && self.happens(faults.axes_double) {
+        if !is_spoiled && self.happens(faults.axes_double) {
             self.sent.doubled += 1;
-            self.go(at_s, packet.clone());
+            self.push(at_s, packet.clone());
         }
-        self.go(at_s, packet);
-        if !spoiled && let Some(overtaken) = self.overtaken.take() {
-            self.go(at_s, overtaken);
+        self.push(at_s, packet);
+        if !is_spoiled && let Some(overtaken) = self.overtaken.take() {
+            self.push(at_s, overtaken);
         }
     }
 
-    fn go(&mut self, at_s: f64, packet: Vec<u8>) {
+    fn push(&mut self, at_s: f64, packet: Vec<u8>) {
         self.sent.bytes += packet.len() as u64;
-        self.under_way.push_back((at_s, packet));
+        self.on_line.push_back((at_s, packet));
     }
 
-    /// The next packet that is there at a time, s.
+    /// The next packet that has arrived by a time, s.
     pub fn arrived(&mut self, t_s: f64) -> Option<Vec<u8>> {
-        self.under_way.pop_front_if(|(at_s, _)| *at_s <= t_s).map(|(_, packet)| packet)
+        self.on_line.pop_front_if(|(at_s, _)| *at_s <= t_s).map(|(_, packet)| packet)
     }
 }
 
-/// RSI's cycle, s.
+/// Cycle of RSI, s.
 const RSI_CYCLE_S: f64 = 0.004;
-/// How often requests are looked for, s.
-const SERVED_EVERY_S: f64 = 0.002;
-/// RTDE's shortest cycle, s.
+/// Interval at which requests of RTDE are read, s.
+const POLL_S: f64 = 0.002;
+/// Shortest cycle of RTDE, s.
 const RTDE_CYCLE_S: f64 = 0.002;
 
-/// The controller's line to whoever reads its axes.
+/// The line from the controller to the reader of its axes.
 pub enum AxesLine {
     Rsi {
         socket: UdpSocket,
         to: SocketAddr,
     },
-    /// A thread serves whoever asks, also while the time of the robot is stopped.
+    /// A thread answers requests, also while the time of the robot is stopped.
     Rtde {
         client: Arc<Mutex<Option<Client>>>,
     },
 }
 
-/// Who asked for axes.
+/// The reader that is connected to RTDE.
 pub struct Client {
     stream: TcpStream,
     received: Vec<u8>,
@@ -156,9 +155,6 @@ pub struct Client {
 
 impl AxesLine {
     /// Sends to `rsi://ADDR:PORT`, or serves at `rtde://ADDR:PORT`.
-    ///
-    /// # Errors
-    /// When there is no socket for that.
     pub fn open(address: &AxesAddress) -> Result<Self, Diagnostic> {
         let failed = |error: io::Error| {
             let (address, why) = (address.to_string(), error.to_string());
@@ -179,7 +175,7 @@ impl AxesLine {
                 let serve = move || {
                     while Arc::strong_count(&shared) > 1 {
                         serve(&listener, &shared);
-                        clock::sleep(SERVED_EVERY_S);
+                        clock::sleep(POLL_S);
                     }
                 };
                 std::thread::Builder::new().name("rtde".into()).spawn(serve).map_err(failed)?;
@@ -205,14 +201,15 @@ impl AxesLine {
         }
     }
 
-    /// Sends a packet to whoever wants it; one that nobody takes is lost.
+    /// Sends a packet; without a reader it is lost.
     pub fn send(&mut self, packet: &[u8]) {
         match self {
             Self::Rsi { socket, to } => _ = socket.send_to(packet, *to),
             Self::Rtde { client } => {
                 let mut client = lock(client);
-                let gone = |client: &mut Client| client.started && client.stream.write_all(packet).is_err();
-                if client.as_mut().is_some_and(gone) {
+                let is_gone =
+                    |client: &mut Client| client.started && client.stream.write_all(packet).is_err();
+                if client.as_mut().is_some_and(is_gone) {
                     *client = None;
                 }
             }
@@ -220,7 +217,7 @@ impl AxesLine {
     }
 }
 
-/// Lets a client in and answers its requests.
+/// Accepts a client and answers its requests.
 fn serve(listener: &TcpListener, client: &Mutex<Option<Client>>) {
     let mut client = lock(client);
     if let Ok((stream, _)) = listener.accept()
@@ -234,12 +231,12 @@ fn serve(listener: &TcpListener, client: &Mutex<Option<Client>>) {
 }
 
 impl Client {
-    /// An error where the client is gone or sends what is no request.
+    /// Fails if the client is gone or sends something that is not a request.
     fn serve(&mut self) -> io::Result<()> {
-        let mut room = [0; 2048];
-        match self.stream.read(&mut room) {
+        let mut buffer = [0; 2048];
+        match self.stream.read(&mut buffer) {
             Ok(0) => return Err(ErrorKind::UnexpectedEof.into()),
-            Ok(count) => self.received.extend_from_slice(room.get(..count).unwrap_or_default()),
+            Ok(count) => self.received.extend_from_slice(buffer.get(..count).unwrap_or_default()),
             Err(error) if error.kind() == ErrorKind::WouldBlock => {}
             Err(error) => return Err(error),
         }
@@ -266,7 +263,7 @@ impl Client {
                 let cycles = (1.0 / f64::from_be_bytes(*rate) / RTDE_CYCLE_S).round();
                 self.cycle_s = RTDE_CYCLE_S * if cycles.is_finite() { cycles.clamp(1.0, 500.0) } else { 1.0 };
                 let names = String::from_utf8_lossy(names);
-                // ur_rtde ends its list with a comma.
+                // The client ur_rtde ends its list with a comma.
                 let types = if names.trim_end_matches(',') == rtde::VARIABLES {
                     rtde::TYPES.to_owned()
                 } else {

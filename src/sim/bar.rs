@@ -1,10 +1,9 @@
-//! The virtual double ball-bar: frames on its terminal, as a real one would send them.
+//! The virtual double ball-bar: sends frames like a real one.
 //!
-//! The bar is silent until the host has opened the terminal and sent the protocol's start
-//! command (or, without one, anything has opened it). From then on device time runs: frame k is the
-//! reading at k / rate. The stop command and a host that goes away silence it; the next start goes
-//! on. At the end it waits until the host has gone or said stop, for a pseudo-terminal throws away
-//! what was not read when this side closes.
+//! The bar is silent until the host has opened the terminal and sent the start command of the protocol, if it has one. From
+//! then on device time runs: frame k is the reading at k / rate. The bar is silent after the stop command and while the host
+//! is away; the next start continues. At the end it waits until the host has sent the stop command or gone away, because a
+//! pseudo-terminal discards what was not read when this end is closed.
 
 use std::io::ErrorKind;
 use std::time::Duration;
@@ -16,6 +15,8 @@ use rand_pcg::Pcg64;
 use super::device::{Command, Device, Sends};
 pub use super::device::{Reading, Source};
 use super::fault::{BadLine, Faults};
+#[cfg(unix)]
+pub use super::terminal::Link;
 use super::terminal::PATIENCE;
 pub use super::terminal::Terminal;
 use crate::base::clock;
@@ -24,26 +25,25 @@ use crate::catalogue::SimulationFinding;
 use crate::device::protocol::Definition;
 use crate::diagnostic::Diagnostic;
 
-/// How long the bar waits at its end for a host that neither reads on nor closes, s.
+/// How long the bar waits at the end for a host that neither reads nor closes, s.
 const LINGER_S: f64 = 10.0;
-/// Bytes that are handed over at once at most where they are held back.
+/// Most bytes that are held back.
 const LONGEST_BATCH: usize = 1 << 20;
-/// Bytes that are written at once when time does not matter.
+/// Most bytes that are written at once.
 const BATCH: usize = 512;
 
-/// How the bar runs.
+/// Timing of the bar.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Options {
     /// Frames per second of device time.
     pub rate_hz: f64,
-    /// Device seconds per second of host time; 0: as fast as the host takes the bytes, and time
-    /// stops while nobody listens.
+    /// Device seconds per second of host time; 0: as fast as the host reads, and time stops while no host is there.
     pub speed: f64,
-    /// The device clock's ticks at the first start.
+    /// Ticks of the device clock at the first start.
     pub first_ticks: u64,
 }
 
-/// A bar between two balls that do not move: 1 um of noise, in steps of 0.1 um.
+/// A bar between two fixed balls: noise of 1 um, resolution of 0.1 um.
 pub fn at_rest(seed: u64) -> impl Source {
     const NOISE_MM: f64 = 1e-3;
     const STEP_MM: f64 = 1e-4;
@@ -55,7 +55,7 @@ pub fn at_rest(seed: u64) -> impl Source {
     }
 }
 
-/// Streams until the source ends and the host has gone or said stop. The number of frames sent.
+/// Streams until the source ends and the host has sent the stop command or gone away. Returns the number of frames.
 pub fn serve(
     terminal: Terminal,
     definition: &Definition,
@@ -65,7 +65,7 @@ pub fn serve(
     serve_over(BadLine::new(Faults::default(), 0), terminal, definition, options, source)
 }
 
-/// As [`serve`], over a bad line.
+/// As [`serve`], over a faulty line.
 pub fn serve_over(
     bad: BadLine,
     terminal: Terminal,
@@ -84,11 +84,11 @@ pub fn serve_over(
     let bar = Bar {
         device: Device::new(definition, options.first_ticks, bad.faults()),
         line: terminal,
-        asked: 0,
+        requests: 0,
         running: false,
         stale: bad.faults().stale as usize,
         skipped: 0,
-        batched: None,
+        last_batch: None,
         unplugged: false,
         bad,
         options,
@@ -104,19 +104,19 @@ struct Bar<S> {
     device: Device,
     line: Terminal,
     /// Requests that are not answered yet.
-    asked: u32,
+    requests: u32,
     running: bool,
-    /// Bytes of an earlier stream that are still to be sent.
+    /// Number of bytes of an earlier stream that are still to be sent.
     stale: usize,
     /// Sequence numbers that were left out.
     skipped: u64,
-    /// When the last batch was handed over.
-    batched: Option<HostNs>,
+    /// When the last batch was delivered.
+    last_batch: Option<HostNs>,
     unplugged: bool,
     bad: BadLine,
     options: Options,
     source: S,
-    /// Frames of device time that have passed.
+    /// Device time in frames, sent or not.
     frames: u64,
     sent: u64,
     first_start: Option<HostNs>,
@@ -140,10 +140,10 @@ impl<S: Source> Bar<S> {
             let hold_s = self.bad.faults().batch_ms / 1e3;
             if hold_s > 0.0 {
                 let now = clock::now();
-                if self.batched.is_some_and(|last| now.seconds_since(last) < hold_s) {
+                if self.last_batch.is_some_and(|last| now.seconds_since(last) < hold_s) {
                     continue;
                 }
-                self.batched = Some(now);
+                self.last_batch = Some(now);
             }
             batch.clear();
             let more = self.measure(&mut batch)?;
@@ -155,9 +155,9 @@ impl<S: Source> Bar<S> {
         }
     }
 
-    /// Takes what the host sends; waits a millisecond, or longer while there is none.
+    /// Handles what the host sends; waits a millisecond for it, or longer while there is no host.
     fn listen(&mut self) -> Result<(), Diagnostic> {
-        // Without pacing there is no time to wait for a word that is not there.
+        // Without pacing the bar streams without waiting for the host.
         if self.running && self.options.speed == 0.0 {
             self.line.set_timeout(Duration::ZERO)?;
         }
@@ -177,7 +177,7 @@ impl<S: Source> Bar<S> {
                     let noise = self.bad.noise(std::mem::take(&mut self.stale));
                     self.line.write_all(&noise)?;
                 }
-                // A host is there: a protocol without a start command has been started by that.
+                // A host is there: that starts a protocol without a start command.
                 ErrorKind::TimedOut if self.device.sends == Sends::AtOnce => self.begin(),
                 ErrorKind::TimedOut | ErrorKind::Interrupted => {}
                 _ => {
@@ -203,7 +203,7 @@ impl<S: Source> Bar<S> {
             Some(Command::Start) => self.begin(),
             Some(Command::Poll) => {
                 self.begin();
-                self.asked += 1;
+                self.requests += 1;
             }
             Some(Command::Zero) | None => {}
         }
@@ -215,23 +215,23 @@ impl<S: Source> Bar<S> {
         self.first_start.get_or_insert_with(clock::now);
     }
 
-    /// Measures what is due. Whether there is more to come.
+    /// Adds the frames that are due to a batch; `false` at the end of the source.
     fn measure(&mut self, batch: &mut Vec<u8>) -> Result<bool, Diagnostic> {
-        let room = if self.batched.is_some() { LONGEST_BATCH } else { BATCH };
-        let polled = self.device.sends == Sends::WhenAsked;
-        while batch.len() < room && self.due() {
+        let most = if self.last_batch.is_some() { LONGEST_BATCH } else { BATCH };
+        let is_polled = self.device.sends == Sends::OnRequest;
+        while batch.len() < most && self.is_due() {
             let t_s = self.frames as f64 / self.options.rate_hz;
             let Some(mut reading) = self.source.reading(t_s) else { return Ok(false) };
-            reading.reading_mm += self.bad.loose.offset_mm(t_s, reading.valid, reading.strobe);
-            if self.running && (!polled || self.asked > 0) {
+            reading.reading_mm += self.bad.mounting.offset_mm(t_s, reading.valid, reading.strobe);
+            if self.running && (!is_polled || self.requests > 0) {
                 let skip = self.bad.faults().skip;
                 self.skipped += u64::from(self.bad.happens(skip));
                 let count = self.frames + self.skipped;
                 let mut frame = self.device.frame(t_s, &reading, count, &mut self.bad)?;
                 self.source.spoil(&mut frame);
                 self.bad.carry(&mut frame);
-                if polled {
-                    self.asked -= 1;
+                if is_polled {
+                    self.requests -= 1;
                     clock::sleep(self.device.reply_delay_s);
                 }
                 batch.extend(std::mem::take(&mut self.device.banner));
@@ -243,7 +243,7 @@ impl<S: Source> Bar<S> {
         Ok(true)
     }
 
-    /// Pulls the plug once, when it is time.
+    /// Unplugs the bar once, when it is time.
     fn unplug(&mut self) -> Result<(), Diagnostic> {
         let Faults { unplug_s, away_s, .. } = *self.bad.faults();
         let t_s = self.frames as f64 / self.options.rate_hz;
@@ -256,18 +256,18 @@ impl<S: Source> Bar<S> {
         self.line.unplug(away_s)
     }
 
-    fn due(&self) -> bool {
+    /// Whether the next frame is due.
+    fn is_due(&self) -> bool {
         let speed = self.options.speed;
         let passed = self.first_start.map_or(0.0, |start| clock::now().seconds_since(start));
-        if speed == 0.0 && self.device.sends == Sends::WhenAsked {
-            // Time goes on with the requests.
-            return self.asked > 0;
+        if speed == 0.0 && self.device.sends == Sends::OnRequest {
+            // Time advances with the requests.
+            return self.requests > 0;
         }
         speed == 0.0 || self.frames as f64 / self.options.rate_hz <= passed * speed
     }
 
-    /// Writes as the host takes the bytes; what a host that went away did not take is lost, as on
-    /// a real line.
+    /// Writes as fast as the host reads. What a host does not read before it goes away is lost, as on a real line.
     fn write(&mut self, bytes: &[u8]) -> Result<(), Diagnostic> {
         let mut rest = bytes;
         while !rest.is_empty() && self.running {

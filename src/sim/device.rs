@@ -1,4 +1,4 @@
-//! The electronics of the virtual bar: what its protocol's definition says of the device, and what it measures.
+//! The electronics of the virtual bar, as the definition of its protocol describes them.
 
 use super::fault::{BadLine, Faults};
 use crate::base::units::DeviceTicks;
@@ -6,36 +6,36 @@ use crate::catalogue::ProtocolFinding;
 use crate::device::protocol::{Definition, Encoder, Mode, Step};
 use crate::measurement::sample::Sample;
 
-/// What the bar measures at one moment.
+/// A reading before it is sent.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Reading {
     /// Reading, mm; longer is positive.
     pub reading_mm: f64,
-    /// Whether the controller's strobe is high.
+    /// Whether the strobe of the controller is high.
     pub strobe: bool,
-    /// Whether the reading can be trusted (inside the stroke, not too fast).
+    /// Whether the reading is inside the stroke and the bar not too fast.
     pub valid: bool,
     /// Temperature of the bar, degrees Celsius.
     pub temperature_c: f64,
 }
 
-/// What the bar is mounted on. A closure `FnMut(f64) -> Option<Reading>` is one too.
+/// The source of the readings; any closure `FnMut(f64) -> Option<Reading>` is one.
 pub trait Source {
-    /// The reading at a device time, s since the first start; times only go forward. None ends it.
+    /// The reading at a device time, s since the first start, which never decreases. `None` ends the stream.
     fn reading(&mut self, t_s: f64) -> Option<Reading>;
 
-    /// Whether the robot's program has ended: readings may go on, and the bar ends when the host
-    /// says stop or goes away. Until then it waits for the host to come again.
+    /// Whether the program of the robot has ended: the bar then ends when the host sends the stop command or goes away. Before
+    /// that it waits for the host to come back.
     fn over(&self) -> bool {
         false
     }
 
-    /// Whether it is to end at once.
+    /// Whether the bar must end at once.
     fn is_stopped(&self) -> bool {
         false
     }
 
-    /// Spoils a frame on its way, to try what a bad line does.
+    /// Damages a frame on the line.
     fn spoil(&mut self, _frame: &mut Vec<u8>) {}
 }
 
@@ -45,7 +45,7 @@ impl<F: FnMut(f64) -> Option<Reading>> Source for F {
     }
 }
 
-/// Longest command that is recognised, bytes.
+/// Longest command, bytes.
 const LONGEST_COMMAND: usize = 256;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -56,13 +56,13 @@ pub(super) enum Command {
     Zero,
 }
 
-/// Whether readings are sent by themselves or asked for.
+/// When readings are sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Sends {
-    /// As soon as a host is there.
+    /// As soon as there is a host.
     AtOnce,
     AfterStart,
-    WhenAsked,
+    OnRequest,
 }
 
 pub(super) struct Device {
@@ -70,31 +70,31 @@ pub(super) struct Device {
     tick_ns: u32,
     wrap_bits: u32,
     modulo: u32,
-    /// Of several commands that end alike the first is meant.
+    /// If several commands end with the same bytes, the first one applies.
     commands: [(Command, Vec<u8>); 4],
-    /// What is answered to which bytes.
+    /// Requests with their answers.
     answers: Vec<(Vec<u8>, Vec<u8>)>,
-    /// The last bytes from the host, in which a command may be.
+    /// The last bytes from the host, which may be part of a command.
     received: Vec<u8>,
     pub(super) sends: Sends,
     pub(super) reply_delay_s: f64,
-    /// What is sent once at the beginning.
+    /// Sent once, at the beginning.
     pub(super) banner: Vec<u8>,
     at_mm: f64,
-    /// The reading that counts as zero, mm; none when the next one is to.
+    /// The reading that is zero, mm; `None`: the next one.
     zero_mm: Option<f64>,
     first_ticks: u64,
 }
 
 impl Device {
     pub(super) fn new(definition: &Definition, first_ticks: u64, faults: &Faults) -> Self {
-        // A command of several sends is known by its last one.
+        // A command that consists of several messages is recognised by the last one.
         let command = |steps: &[Step]| -> Vec<u8> {
-            let sent = steps.iter().rev().find_map(|step| match step {
+            let last = steps.iter().rev().find_map(|step| match step {
                 Step::Send(bytes) | Step::Ask { send: bytes, .. } => Some(bytes.clone()),
                 _ => None,
             });
-            sent.unwrap_or_default()
+            last.unwrap_or_default()
         };
         let Definition { ident, zero, init, start, stop, poll, sim, .. } = definition;
         let asked = [ident, zero, init, start, stop].into_iter().flatten();
@@ -109,7 +109,7 @@ impl Device {
             (Command::Zero, command(zero)),
         ];
         let sends = match definition.mode {
-            Mode::Poll { .. } => Sends::WhenAsked,
+            Mode::Poll { .. } => Sends::OnRequest,
             _ if command(start).is_empty() => Sends::AtOnce,
             _ => Sends::AfterStart,
         };
@@ -134,7 +134,7 @@ impl Device {
         }
     }
 
-    /// Takes a byte of the host: the commands that end with it, and the answer.
+    /// Receives a byte of the host. Returns the commands that end with it, and the answer.
     pub(super) fn receive(&mut self, byte: u8) -> (Vec<Command>, Option<&[u8]>) {
         self.received.push(byte);
         let received = &self.received;
@@ -153,12 +153,12 @@ impl Device {
         (commands, answer)
     }
 
-    /// The host has gone.
+    /// After the host has gone away.
     pub(super) fn forget(&mut self) {
         self.received.clear();
     }
 
-    /// The frame of a reading at a device time, s, over a bad line; `count` frames were numbered before it.
+    /// The frame of a reading at a device time, s; `count` frames were numbered before it. Empty if the bar sends none.
     pub(super) fn frame(
         &mut self,
         t_s: f64,
@@ -173,10 +173,10 @@ impl Device {
         if refused || bad.happens(silence) {
             return Ok(frame);
         }
-        // The device's word for none where the bar is out of its stroke.
-        let doubted =
+        // Outside of the stroke the device sends its word for "no reading", unless its frames have a flag for that.
+        let is_refused =
             !sample.valid && !self.encoder.has_validity() && self.encoder.refuse(&sample, &mut frame);
-        if !doubted {
+        if !is_refused {
             self.encoder.encode(&sample, &mut frame)?;
         }
         Ok(frame)

@@ -1,4 +1,4 @@
-//! The controller's end of EthernetKRL: a TCP client that sends telegrams and reads their answers.
+//! The controller's end of EthernetKRL: a TCP client that sends telegrams and reads the answers.
 
 use std::fmt::Display;
 use std::io::{Read, Write};
@@ -8,31 +8,31 @@ use std::time::Duration;
 use crate::catalogue::SimulationFinding;
 use crate::diagnostic::Diagnostic;
 
-/// How long an answer may take; a controller would wait for ever.
-const PATIENCE: Duration = Duration::from_secs(10);
-/// An answer is short; more without its end is none.
+/// Longest wait for an answer; a controller would wait for ever.
+const TIMEOUT: Duration = Duration::from_secs(10);
+/// Most bytes of an answer.
 const LONGEST: usize = 4096;
 
 #[derive(Debug)]
 pub struct Client {
     stream: TcpStream,
-    read: Vec<u8>,
+    received: Vec<u8>,
 }
 
 impl Client {
     pub fn connect(server: SocketAddr) -> Result<Self, Diagnostic> {
         let connect = || {
-            let stream = TcpStream::connect_timeout(&server, PATIENCE)?;
-            stream.set_read_timeout(Some(PATIENCE))?;
+            let stream = TcpStream::connect_timeout(&server, TIMEOUT)?;
+            stream.set_read_timeout(Some(TIMEOUT))?;
             stream.set_nodelay(true)?;
-            Ok(Self { stream, read: Vec::new() })
+            Ok(Self { stream, received: Vec::new() })
         };
         connect().map_err(|error: std::io::Error| {
             SimulationFinding::NotConnected { server: server.to_string(), why: error.to_string() }.into()
         })
     }
 
-    /// Sends a telegram and waits for `<Ack Id=".."/>`: its number.
+    /// Sends a telegram and waits for `<Ack Id=".."/>`. Returns the number.
     pub fn exchange(&mut self, telegram: &str) -> Result<i64, Diagnostic> {
         let broken = |error: &dyn Display| SimulationFinding::NotExchanged {
             telegram: telegram.into(),
@@ -40,16 +40,16 @@ impl Client {
         };
         self.stream.write_all(telegram.as_bytes()).map_err(|error| broken(&error))?;
         loop {
-            if let Some(end) = self.read.iter().position(|byte| *byte == b'>') {
-                let answer: Vec<u8> = self.read.drain(..=end).collect();
+            if let Some(end) = self.received.iter().position(|byte| *byte == b'>') {
+                let answer: Vec<u8> = self.received.drain(..=end).collect();
                 let answer = String::from_utf8_lossy(&answer).trim().to_owned();
                 return acknowledged(&answer)
                     .ok_or_else(|| SimulationFinding::NotAcknowledged { answer }.into());
             }
             let mut bytes = [0; 512];
             let count = self.stream.read(&mut bytes).map_err(|error| broken(&error))?;
-            self.read.extend_from_slice(bytes.get(..count).unwrap_or_default());
-            if count == 0 || self.read.len() > LONGEST {
+            self.received.extend_from_slice(bytes.get(..count).unwrap_or_default());
+            if count == 0 || self.received.len() > LONGEST {
                 return Err(SimulationFinding::NotAnswered.into());
             }
         }

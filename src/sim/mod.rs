@@ -1,4 +1,4 @@
-//! Standing in for hardware: a controller that executes KRL, the true robot, a virtual ball-bar.
+//! Simulated hardware: a controller that executes programs, the true robot, a virtual ball-bar.
 
 pub mod axes;
 pub mod bar;
@@ -6,9 +6,7 @@ pub mod controller;
 mod device;
 pub mod ekrl;
 pub mod fault;
-#[cfg(unix)]
-pub mod link;
-pub mod loose;
+pub mod mounting;
 mod terminal;
 pub mod truth;
 pub mod world;
@@ -23,13 +21,13 @@ use crate::robot::AXES;
 pub struct Moment {
     /// Device time since the start, s.
     pub t_s: f64,
-    /// Axis angles that the controller commands, rad.
+    /// Commanded axis angles, rad.
     pub axes: [f64; AXES],
     /// Number of the base ball on which the bar sits, from 1.
     pub centre: u32,
     /// Whether the strobe output is high.
     pub strobe: bool,
-    /// How many motions have begun: a new one draws a new repeatability error.
+    /// Number of motions that have begun; each one draws a new repeatability error.
     pub motions: u32,
     /// Whether the program waits at HALT.
     pub halted: bool,

@@ -1,25 +1,28 @@
-//! The bar's side of its line: a pseudo-terminal, or a TCP port as a serial server has one for each of its lines.
+//! The bar's end of its line: a pseudo-terminal, or a TCP port like that of a serial server.
 
 use std::fmt::Display;
 use std::io::{self, ErrorKind, Read, Write};
 use std::net::{TcpListener, TcpStream, ToSocketAddrs};
 use std::time::Duration;
+#[cfg(unix)]
+use std::{
+    fs,
+    path::{Path, PathBuf},
+};
 
 #[cfg(unix)]
 use serialport::{SerialPort, TTYPort};
 
-#[cfg(unix)]
-use super::link::Link;
 use crate::base::clock;
 use crate::catalogue::SimulationFinding;
 use crate::device::port::telnet::{Side, Telnet};
 use crate::device::port::{NetworkAddress, PortAddress};
 use crate::diagnostic::Diagnostic;
 
-/// How long a read waits where nobody says otherwise.
+/// Default timeout of a read.
 pub(super) const PATIENCE: Duration = Duration::from_millis(1);
 
-/// A line for a virtual bar, which one host at a time may open.
+/// The line of a virtual bar; one host at a time may open it.
 pub struct Terminal {
     wire: Wire,
     address: PortAddress,
@@ -40,35 +43,26 @@ fn failed(why: impl Display) -> SimulationFinding {
 
 impl Terminal {
     /// A pseudo-terminal.
-    ///
-    /// # Errors
-    /// When the system has none left.
     #[cfg(unix)]
     pub fn new() -> Result<Self, Diagnostic> {
         let (mut line, host) = TTYPort::pair().map_err(failed)?;
         line.set_timeout(PATIENCE).map_err(failed)?;
-        // Only while no handle of the host's side is open here can its coming and going be seen.
+        // The host's end is closed here: while it is open, nobody could see the host come and go.
         let address = PortAddress::Serial(host.name().unwrap_or_default());
         Ok(Self { wire: Wire::Pty { line, link: None }, address })
     }
 
-    /// Where there is no pseudo-terminal: a TCP port of this computer.
-    ///
-    /// # Errors
-    /// When the system has none left.
+    /// A TCP port of this computer, on systems without pseudo-terminals.
     #[cfg(not(unix))]
     pub fn new() -> Result<Self, Diagnostic> {
         Self::listen(&PortAddress::Tcp(NetworkAddress { host: "127.0.0.1".into(), port: 0 }))
     }
 
-    /// A TCP port, for `tcp://` or `rfc2217://`; of number 0 the system chooses one.
-    ///
-    /// # Errors
-    /// When the address is no such one, or is taken.
+    /// A TCP port, for `tcp://` or `rfc2217://`; for port 0 the system chooses one.
     pub fn listen(address: &PortAddress) -> Result<Self, Diagnostic> {
-        let (network, speaks) = match address {
-            PortAddress::Tcp(network) => (network, Speaks::Bytes),
-            PortAddress::Rfc2217(network) => (network, Speaks::Telnet),
+        let (network, transport) = match address {
+            PortAddress::Tcp(network) => (network, Transport::Bytes),
+            PortAddress::Rfc2217(network) => (network, Transport::Telnet),
             PortAddress::Serial(_) | PortAddress::Sim => {
                 return Err(SimulationFinding::NotToListenOn { address: address.to_string() }.into());
             }
@@ -76,27 +70,27 @@ impl Terminal {
         let NetworkAddress { host, port } = network;
         let mut addresses = (host.as_str(), *port).to_socket_addrs().map_err(failed)?;
         let listener =
-            addresses.next().map_or_else(|| Err(ErrorKind::NotFound.into()), bound).map_err(failed)?;
+            addresses.next().map_or_else(|| Err(ErrorKind::NotFound.into()), listener).map_err(failed)?;
         let port = listener.local_addr().map_err(failed)?.port();
         let network = NetworkAddress { host: host.clone(), port };
-        let address = match speaks {
-            Speaks::Bytes => PortAddress::Tcp(network),
-            Speaks::Telnet => PortAddress::Rfc2217(network),
+        let address = match transport {
+            Transport::Bytes => PortAddress::Tcp(network),
+            Transport::Telnet => PortAddress::Rfc2217(network),
         };
-        let server = Server { listener, speaks, client: None, timeout: PATIENCE };
+        let server = Server { listener, transport, client: None, timeout: PATIENCE };
         Ok(Self { wire: Wire::Network(server), address })
     }
 
-    /// What the host opens.
+    /// The address for the host.
     pub fn address(&self) -> &PortAddress {
         &self.address
     }
 
-    /// A symlink that follows the pseudo-terminal; a TCP port keeps its address.
+    /// Adds a symlink that follows the pseudo-terminal when it gets another name; a TCP port keeps its address.
     #[cfg(unix)]
-    pub fn followed_by(mut self, link: Link) -> Self {
-        if let Wire::Pty { link: followed, .. } = &mut self.wire {
-            *followed = Some(link);
+    pub fn with_link(mut self, new: Link) -> Self {
+        if let Wire::Pty { link, .. } = &mut self.wire {
+            *link = Some(new);
         }
         self
     }
@@ -110,16 +104,16 @@ impl Terminal {
         Ok(())
     }
 
-    /// `TimedOut` when the host is there and says nothing; another error when there is no host.
-    pub(super) fn read(&mut self, room: &mut [u8]) -> io::Result<usize> {
+    /// Fails with `TimedOut` if the host sends nothing, with another error if there is no host.
+    pub(super) fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         match &mut self.wire {
             #[cfg(unix)]
-            Wire::Pty { line, .. } => line.read(room),
-            Wire::Network(server) => server.read(room),
+            Wire::Pty { line, .. } => line.read(buffer),
+            Wire::Network(server) => server.read(buffer),
         }
     }
 
-    /// `TimedOut` when the host takes nothing at present.
+    /// Fails with `TimedOut` if the host reads nothing at present.
     pub(super) fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         match &mut self.wire {
             #[cfg(unix)]
@@ -128,7 +122,7 @@ impl Terminal {
         }
     }
 
-    /// Writes all, unless the host goes away.
+    /// Writes all bytes, unless the host goes away.
     pub(super) fn write_all(&mut self, bytes: &[u8]) -> Result<(), Diagnostic> {
         let server = match &mut self.wire {
             #[cfg(unix)]
@@ -144,13 +138,13 @@ impl Terminal {
         Ok(())
     }
 
-    /// Pulls the plug for so long; a pseudo-terminal comes back under another name.
+    /// Unplugs the bar for `away_s`; a pseudo-terminal comes back under another name.
     pub(super) fn unplug(&mut self, away_s: f64) -> Result<(), Diagnostic> {
         match &mut self.wire {
             #[cfg(unix)]
             Wire::Pty { link, .. } => {
                 let path = link.take().map(|link| link.path().to_owned());
-                // The new terminal is made first: the system would give the old name again.
+                // The new terminal is opened before the old one is closed: else the system would reuse its name.
                 let new = Self::new()?;
                 let name = new.address.to_string();
                 *self = new;
@@ -162,33 +156,71 @@ impl Terminal {
             Wire::Network(server) => {
                 let address = server.listener.local_addr().map_err(failed)?;
                 server.client = None;
-                // A listener cannot be closed in its place: one that nobody knows takes it.
-                server.listener = bound((address.ip(), 0).into()).map_err(failed)?;
+                // A listener on an unknown port replaces the old one, which is closed by that.
+                server.listener = listener((address.ip(), 0).into()).map_err(failed)?;
                 clock::sleep(away_s);
-                server.listener = bound(address).map_err(failed)?;
+                server.listener = listener(address).map_err(failed)?;
             }
         }
         Ok(())
     }
 }
 
-fn bound(address: std::net::SocketAddr) -> io::Result<TcpListener> {
+/// A symlink that gives a pseudo-terminal a name of the user's choice. It is removed when this is dropped.
+#[cfg(unix)]
+#[derive(Debug)]
+pub struct Link {
+    path: PathBuf,
+    target: PathBuf,
+}
+
+#[cfg(unix)]
+impl Link {
+    /// Creates the link. An existing symlink is replaced; any other file is an error.
+    pub fn new(path: &Path, target: &str) -> Result<Self, Diagnostic> {
+        let wrong = |error: std::io::Error| {
+            let finding = SimulationFinding::NoLink { why: error.to_string() };
+            Diagnostic::file(&path.display().to_string(), finding)
+        };
+        if fs::symlink_metadata(path).is_ok_and(|data| data.file_type().is_symlink()) {
+            fs::remove_file(path).map_err(wrong)?;
+        }
+        std::os::unix::fs::symlink(target, path).map_err(wrong)?;
+        Ok(Self { path: path.into(), target: target.into() })
+    }
+
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+}
+
+#[cfg(unix)]
+impl Drop for Link {
+    fn drop(&mut self) {
+        // Another simulator may have replaced it.
+        if fs::read_link(&self.path).is_ok_and(|target| target == self.target) {
+            let _ = fs::remove_file(&self.path);
+        }
+    }
+}
+
+fn listener(address: std::net::SocketAddr) -> io::Result<TcpListener> {
     let listener = TcpListener::bind(address)?;
     listener.set_nonblocking(true)?;
     Ok(listener)
 }
 
 #[derive(Clone, Copy, PartialEq, Eq)]
-enum Speaks {
+enum Transport {
     Bytes,
     /// Telnet with RFC 2217.
     Telnet,
 }
 
-/// One line of a serial server.
+/// A TCP port with at most one client.
 struct Server {
     listener: TcpListener,
-    speaks: Speaks,
+    transport: Transport,
     client: Option<Client>,
     timeout: Duration,
 }
@@ -196,17 +228,17 @@ struct Server {
 struct Client {
     stream: TcpStream,
     telnet: Option<Telnet>,
-    /// Bytes that the network has not taken yet.
+    /// Bytes that the network has not accepted yet.
     unsent: Vec<u8>,
 }
 
 impl Client {
-    fn new(stream: TcpStream, speaks: Speaks) -> io::Result<Self> {
+    fn new(stream: TcpStream, transport: Transport) -> io::Result<Self> {
         stream.set_nodelay(true)?;
         stream.set_nonblocking(true)?;
-        let (telnet, unsent) = match speaks {
-            Speaks::Bytes => (None, Vec::new()),
-            Speaks::Telnet => {
+        let (telnet, unsent) = match transport {
+            Transport::Bytes => (None, Vec::new()),
+            Transport::Telnet => {
                 let (telnet, greeting) = Telnet::new(Side::Server);
                 (Some(telnet), greeting)
             }
@@ -214,14 +246,14 @@ impl Client {
         Ok(Self { stream, telnet, unsent })
     }
 
-    fn read(&mut self, room: &mut [u8]) -> io::Result<usize> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         self.flush()?;
-        let count = self.stream.read(room)?;
+        let count = self.stream.read(buffer)?;
         let Some(telnet) = self.telnet.as_mut().filter(|_| count > 0) else { return Ok(count) };
-        let received = telnet.receive(&room[..count]);
+        let received = telnet.receive(&buffer[..count]);
         self.unsent.extend(received.reply);
         self.flush()?;
-        room[..received.data.len()].copy_from_slice(&received.data);
+        buffer[..received.data.len()].copy_from_slice(&received.data);
         if received.data.is_empty() { Err(ErrorKind::WouldBlock.into()) } else { Ok(received.data.len()) }
     }
 
@@ -245,7 +277,7 @@ impl Client {
         Ok(bytes.len())
     }
 
-    /// Sends what the network takes.
+    /// Sends as much as the network accepts.
     fn flush(&mut self) -> io::Result<()> {
         while !self.unsent.is_empty() {
             match self.stream.write(&self.unsent) {
@@ -259,20 +291,20 @@ impl Client {
 }
 
 impl Server {
-    /// Lets the next host in; one that comes while another is there is turned away.
+    /// Accepts waiting hosts. A host is turned away while another one is connected.
     fn accept(&mut self) {
         while let Ok((stream, _)) = self.listener.accept() {
-            // Who opens the line again may be faster than the news that it was closed.
+            // A host that opens the line again may be faster than the notice that it was closed.
             if self.client.as_ref().is_none_or(Client::is_gone) {
-                self.client = Client::new(stream, self.speaks).ok();
+                self.client = Client::new(stream, self.transport).ok();
             }
         }
     }
 
-    fn read(&mut self, room: &mut [u8]) -> io::Result<usize> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         self.accept();
         let timeout_s = self.timeout.as_secs_f64();
-        self.with_client(timeout_s, |client| match client.read(room) {
+        self.with_client(timeout_s, |client| match client.read(buffer) {
             Ok(0) => Err(ErrorKind::UnexpectedEof.into()),
             read => read,
         })
@@ -282,7 +314,7 @@ impl Server {
         self.with_client(PATIENCE.as_secs_f64(), |client| client.write(bytes))
     }
 
-    /// A client that fails is gone; one that has or takes nothing is waited for.
+    /// Drops a client that fails; waits if the client sends or reads nothing.
     fn with_client(
         &mut self,
         wait_s: f64,

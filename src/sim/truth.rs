@@ -1,4 +1,4 @@
-//! A true robot drawn from what the maker of the nominal one promises.
+//! A true robot, drawn at random within the tolerances of the nominal one.
 
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
@@ -6,19 +6,17 @@ use rand_pcg::Pcg64;
 
 use crate::robot::{Joint, Robot};
 
-/// The noise of a cell whose robot repeats as its file says and whose lengths have the standard deviation `sigma_um`, in
-/// micrometres: the first keys of a WORLD.toml.
+/// The first keys of a WORLD.toml: a robot with the repeatability of its file, and a bar with the noise `sigma_um`.
 pub fn noise(robot: &Robot, sigma_um: f64) -> String {
     let repeatability_um = 1e3 * robot.repeatability_sd_mm().unwrap_or(0.0);
     format!("repeatability_um = {repeatability_um:.3}\n\n[bar]\nnoise_um = {sigma_um:?}\n")
 }
 
-/// A robot whose parameters differ from the nominal ones by normal errors of `scale` times the nominal
-/// robot's tolerance: all a, alpha, theta and d, and the beta of each joint that is nominally parallel
-/// to the one before, whose own d is held (only the sum of such two is anything). The same seed
-/// gives the same robot.
+/// A robot whose parameters have normal errors with `scale` times the tolerance of the nominal robot as standard deviation:
+/// all a, alpha, theta and d. A joint that is nominally parallel to the one before has an error of beta in place of d, because
+/// only the sum of the two d has an effect. The same seed gives the same robot.
 pub fn draw(nominal: &Robot, seed: u64, scale: f64) -> Robot {
-    // A stream of its own: the world's noise is drawn from the plain seed.
+    // A random stream of its own: the noise of the world is drawn with the plain seed.
     let mut random = Pcg64::seed_from_u64(seed ^ 0x7472_7574_6800_0000);
     let mut error = |sd: f64| {
         let normal: f64 = StandardNormal.sample(&mut random);

@@ -1,4 +1,4 @@
-//! The world around the simulated controller: the true robot, the true balls, the bar.
+//! The world around the simulated controller: the true robot, base balls and bar.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -12,25 +12,25 @@ use super::Moment;
 use crate::base::parse::from_toml;
 use crate::catalogue::SimulationFinding;
 use crate::diagnostic::Diagnostic;
-use crate::program::Equipped;
+use crate::program;
 use crate::robot::{AXES, Geometry};
 
-/// The repeatability error of a motion replaces that of the one before within so long, s: no robot jumps.
+/// Time in which the repeatability error of a motion replaces that of the one before, s: no robot jumps.
 const REPLACED_S: f64 = 0.2;
 
-/// What is true: WORLD.toml over what the program's `.dat` files say.
+/// The true set-up: from WORLD.toml, and for keys that it does not have from the modules of the program.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Setup {
     /// True centre of each base ball in the robot base, mm, by its number.
     pub centres_mm: BTreeMap<u32, [f64; 3]>,
-    /// Axis angles, degrees, at which the true tool ball stood where a base ball then was fixed; that is its centre.
+    /// For a base ball that was taught: the axis angles, degrees, at which the true tool ball is at its centre.
     pub taught_deg: BTreeMap<u32, [f64; AXES]>,
     pub bar: Bar,
     /// Standard deviation of each coordinate of the tool ball, drawn anew for each motion, micrometres.
     pub repeatability_um: f64,
-    /// Play of each axis, degrees: the true axis lags half of it behind the direction of its last move.
+    /// Backlash of each axis, degrees: the true axis is behind by half of it, against the sense of its last move.
     pub backlash_deg: [f64; AXES],
-    /// Time constant with which each axis follows its command, ms: in motion it is behind by its speed times this.
+    /// Following error of each axis as a time constant, ms: in motion the axis is behind by its speed times this.
     pub following_ms: [f64; AXES],
 }
 
@@ -53,21 +53,14 @@ pub struct Bar {
 
 /// WORLD.toml; every key is optional.
 #[derive(Default, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(default, deny_unknown_fields)]
 struct WorldFile {
-    /// `[[centre]]`: true centres of base balls, or how they were taught; those not given are where the program has them.
-    #[serde(default)]
+    /// True centres of base balls, or how they were taught; the other balls are where the program has them.
     centre: Vec<CentreTable>,
-    #[serde(default)]
     bar: BarTable,
-    /// As [`Setup::repeatability_um`]; default 0.
-    #[serde(default)]
+    /// As in [`Setup`], like the following.
     repeatability_um: f64,
-    /// As [`Setup::backlash_deg`]; default 0 for all.
-    #[serde(default)]
     backlash_deg: [f64; AXES],
-    /// As [`Setup::following_ms`]; default 0 for all.
-    #[serde(default)]
     following_ms: [f64; AXES],
 }
 
@@ -75,41 +68,44 @@ struct WorldFile {
 #[serde(deny_unknown_fields)]
 struct CentreTable {
     id: u32,
-    /// The true centre, mm; or else
+    /// The true centre, mm, or
     xyz_mm: Option<[f64; 3]>,
-    /// the controller's axis angles, degrees, at which the true tool ball was put on it.
+    /// as in [`Setup::taught_deg`].
     taught_deg: Option<[f64; AXES]>,
 }
 
-#[derive(Default, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[derive(Deserialize)]
+#[serde(default, deny_unknown_fields)]
 struct BarTable {
-    /// Default: the program's.
+    /// Default: that of the program.
     length_mm: Option<f64>,
-    /// Default: the program's.
+    /// Default: that of the program.
     stroke_mm: Option<[f64; 2]>,
-    /// Default 1.
-    noise_um: Option<f64>,
-    /// Default 0.1.
-    resolution_um: Option<f64>,
-    /// Default 200.
-    rate_hz: Option<f64>,
-    /// Default 20.
-    temperature_c: Option<f64>,
+    noise_um: f64,
+    resolution_um: f64,
+    rate_hz: f64,
+    temperature_c: f64,
+}
+
+impl Default for BarTable {
+    fn default() -> Self {
+        let (length_mm, stroke_mm) = (None, None);
+        Self { length_mm, stroke_mm, noise_um: 1.0, resolution_um: 0.1, rate_hz: 200.0, temperature_c: 20.0 }
+    }
 }
 
 impl Setup {
-    /// What `world` (a file's name and its text) says, and for the rest what the program's `.dat` files say.
-    pub fn new(program: &impl Equipped, world: Option<(&str, &str)>) -> Result<Self, Diagnostic> {
+    /// The set-up of `world` (name and text of a file), and for keys that it does not have that of the program's modules.
+    pub fn new(program: &[program::Setup], world: Option<(&str, &str)>) -> Result<Self, Diagnostic> {
         let (name, text) = world.unwrap_or(("WORLD.toml", ""));
         let file: WorldFile = from_toml(name, text)?;
-        Self::of(&program.setups(), file).map_err(|finding| Diagnostic::file(name, finding))
+        Self::of(program, file).map_err(|finding| Diagnostic::file(name, finding))
     }
 
-    fn of(setups: &[crate::program::Setup], file: WorldFile) -> Result<Self, SimulationFinding> {
+    fn of(setups: &[program::Setup], file: WorldFile) -> Result<Self, SimulationFinding> {
         let mut centres_mm: BTreeMap<u32, [f64; 3]> =
             setups.iter().map(|setup| (setup.ball, setup.centre_mm)).collect();
-        // A program that names no ball is about the first.
+        // A program without set-ups uses the first ball.
         let balls: BTreeSet<u32> =
             if setups.is_empty() { [1].into() } else { centres_mm.keys().copied().collect() };
         let mut given = BTreeSet::new();
@@ -138,10 +134,10 @@ impl Setup {
             bar: Bar {
                 length_mm: length_mm.ok_or_else(|| missing("length_mm"))?,
                 stroke_mm: stroke_mm.ok_or_else(|| missing("stroke_mm"))?,
-                noise_um: file.bar.noise_um.unwrap_or(1.0),
-                resolution_um: file.bar.resolution_um.unwrap_or(0.1),
-                rate_hz: file.bar.rate_hz.unwrap_or(200.0),
-                temperature_c: file.bar.temperature_c.unwrap_or(20.0),
+                noise_um: file.bar.noise_um,
+                resolution_um: file.bar.resolution_um,
+                rate_hz: file.bar.rate_hz,
+                temperature_c: file.bar.temperature_c,
             },
             repeatability_um: file.repeatability_um,
             backlash_deg: file.backlash_deg,
@@ -151,8 +147,7 @@ impl Setup {
         Ok(setup)
     }
 
-    /// # Errors
-    /// A number that cannot be.
+    /// Refuses impossible numbers.
     pub fn check(&self) -> Result<(), SimulationFinding> {
         let Bar { length_mm, stroke_mm: [low_mm, high_mm], noise_um, resolution_um, rate_hz, temperature_c } =
             self.bar;
@@ -165,14 +160,14 @@ impl Setup {
             ("[bar] rate_hz", rate_hz, (0.1..=100_000.0).contains(&rate_hz)),
             ("[bar] temperature_c", temperature_c, temperature_c.is_finite()),
         ];
-        let play = self.backlash_deg.iter().map(|play| ("backlash_deg", *play, zero_or_more(*play)));
-        let play = play.chain(self.following_ms.iter().map(|ms| ("following_ms", *ms, zero_or_more(*ms))));
+        let backlash = self.backlash_deg.iter().map(|deg| ("backlash_deg", *deg, zero_or_more(*deg)));
+        let following = self.following_ms.iter().map(|ms| ("following_ms", *ms, zero_or_more(*ms)));
         let centres = self.centres_mm.values().flatten();
         let centres = centres.map(|value| ("[[centre]] xyz_mm", *value, value.is_finite()));
         let taught = self.taught_deg.values().flatten();
         let taught = taught.map(|value| ("[[centre]] taught_deg", *value, value.is_finite()));
-        let mut all = scalars.into_iter().chain(play).chain(centres).chain(taught);
-        if let Some((key, value, _)) = all.find(|(_, _, good)| !good) {
+        let mut all = scalars.into_iter().chain(backlash).chain(following).chain(centres).chain(taught);
+        if let Some((key, value, _)) = all.find(|(_, _, is_possible)| !is_possible) {
             return Err(SimulationFinding::WorldNumber { key, value });
         }
         if !(low_mm < high_mm && low_mm.is_finite() && high_mm.is_finite()) {
@@ -185,7 +180,7 @@ impl Setup {
 /// A reading of the true bar.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Measured {
-    /// Reading, mm; longer is positive. Out of the stroke, where a real bar would leave its cup, it is the stroke's end.
+    /// Reading, mm; longer is positive. Outside of the stroke, where a real bar would leave its cup, the end of the stroke.
     pub reading_mm: f64,
     pub in_stroke: bool,
 }
@@ -198,25 +193,25 @@ pub struct World {
     random: Pcg64,
     /// The motion for which `offset` was drawn.
     motion: Option<u32>,
-    /// Repeatability error of the tool ball in the motion before and in this one, mm, and since when, s.
+    /// Repeatability error of the tool ball in the motion before and in this one, mm, which began at `since_s`.
     offsets: [Vector3<f64>; 2],
     since_s: f64,
-    /// Last commanded axis angles, and which way each moved last.
+    /// Last commanded joint angles, rad, and the sense of each joint's last move.
     last: Option<[f64; AXES]>,
     direction: [f64; AXES],
-    follower: Option<Follower>,
+    last_measured: Option<MeasuredAxes>,
 }
 
-/// Where the axes are that follow their commands, and the commands at that time.
+/// The measured axes and their commands at a time.
 #[derive(Clone, Copy, Debug)]
-struct Follower {
+struct MeasuredAxes {
     t_s: f64,
     commanded: [f64; AXES],
     axes: [f64; AXES],
 }
 
 impl World {
-    /// The true `robot` (its tool is the true tool ball) in a set-up; `seed` draws noise and repeatability.
+    /// The true `robot` (its tool is the true tool ball) in a set-up; `seed` is that of noise and repeatability.
     pub fn new(robot: Geometry, mut setup: Setup, seed: u64) -> Self {
         for (ball, axes_deg) in &setup.taught_deg {
             let centre = robot.ball(&axes_deg.map(f64::to_radians)).position;
@@ -231,26 +226,26 @@ impl World {
             since_s: 0.0,
             last: None,
             direction: [0.0; AXES],
-            follower: None,
+            last_measured: None,
         }
     }
 
-    /// The axes as the encoders measure them, rad; moments come in order.
+    /// The measured axes, rad. Moments must be in order of time.
     pub fn measured(&mut self, moment: &Moment) -> [f64; AXES] {
         let Moment { t_s, axes: commanded, .. } = *moment;
-        let before = self.follower.unwrap_or(Follower { t_s, commanded, axes: commanded });
+        let before = self.last_measured.unwrap_or(MeasuredAxes { t_s, commanded, axes: commanded });
         let dt_s = t_s - before.t_s;
         let axes = std::array::from_fn(|i| {
             let lag_s = self.setup.following_ms[i] * 1e-3;
             if lag_s <= 0.0 || dt_s <= 0.0 {
                 return if lag_s <= 0.0 { commanded[i] } else { before.axes[i] };
             }
-            // A first-order lag under a command that goes straight from the one before to this.
+            // The response of a first-order lag to a ramp from the command before to this one.
             let behind = (commanded[i] - before.commanded[i]) / dt_s * lag_s;
-            let decays = (-dt_s / lag_s).exp();
-            commanded[i] - behind + (before.axes[i] - before.commanded[i] + behind) * decays
+            let decay = (-dt_s / lag_s).exp();
+            commanded[i] - behind + (before.axes[i] - before.commanded[i] + behind) * decay
         });
-        self.follower = Some(Follower { t_s, commanded, axes });
+        self.last_measured = Some(MeasuredAxes { t_s, commanded, axes });
         axes
     }
 
@@ -258,8 +253,7 @@ impl World {
         &self.setup
     }
 
-    /// What the bar reads at rest at poses (axis angles, rad), each with the number of its base ball; each is reached by a
-    /// motion of its own.
+    /// The readings at rest at poses (axis angles, rad, and number of the base ball), each after a motion of its own.
     pub fn readings(&mut self, poses: impl IntoIterator<Item = ([f64; AXES], u32)>) -> Vec<Measured> {
         let at_rest = |(motions, (axes, centre)): (u32, ([f64; AXES], u32))| {
             let t_s = 2.0 * REPLACED_S * f64::from(motions);
@@ -270,7 +264,7 @@ impl World {
         (1..).zip(poses).map(at_rest).collect()
     }
 
-    /// What the bar reads at a moment; moments come in order.
+    /// The reading at a moment. Moments must be in order of time.
     pub fn reading(&mut self, moment: &Moment) -> Measured {
         if self.motion != Some(moment.motions) {
             self.motion = Some(moment.motions);
@@ -281,7 +275,7 @@ impl World {
         let axes = self.true_axes(moment);
         let ball = self.robot.ball(&axes).position + self.offset(moment.t_s);
         let centre = self.setup.centres_mm.get(&moment.centre).copied().map(Vector3::from);
-        // A ball whose place is not known is out of the bar's reach.
+        // A ball without a known centre is out of the reach of the bar.
         let distance = centre.map_or(f64::INFINITY, |centre| (ball - centre).norm());
         let bar = self.setup.bar;
         let reading_mm = distance - bar.length_mm;
@@ -296,15 +290,15 @@ impl World {
         Measured { reading_mm, in_stroke: true }
     }
 
-    /// Repeatability error at a time, mm.
+    /// The repeatability error at a time, mm.
     fn offset(&self, t_s: f64) -> Vector3<f64> {
         let share = ((t_s - self.since_s) / REPLACED_S).clamp(0.0, 1.0);
         self.offsets[0].lerp(&self.offsets[1], share * share * (3.0 - 2.0 * share))
     }
 
-    /// The axes behind their play.
+    /// The axes with their backlash, rad.
     fn true_axes(&mut self, moment: &Moment) -> [f64; AXES] {
-        // Play is in the joints' drives.
+        // Backlash is in the drives of the joints, not of the axes.
         let coupling = self.robot.coupling;
         let commanded = coupling.joints(&moment.axes);
         let mut joints = coupling.joints(&self.measured(moment));

@@ -74,7 +74,7 @@ fn driven(plan: &Plan, sync: Sync, faults: &Faults, seed: u64) -> Driven {
     let world = format!(
         "following_ms = {FOLLOWING_MS:?}\n[[centre]]\nid = 1\nxyz_mm = {centre:?}\n[bar]\nnoise_um = 2.0\n"
     );
-    let setup = Setup::new(&program, Some(("world.toml", &world))).unwrap();
+    let setup = Setup::new(&program.setups(), Some(("world.toml", &world))).unwrap();
     let mut world = World::new(with_errors(ERRORS).geometry, setup, seed);
     let mut controller = Controller::new(program, &kr60(), 100.0).unwrap();
     let mut publisher = Publisher::new(AxesProtocol::Rsi, faults, seed, 4_000_000);

@@ -84,7 +84,7 @@ fn every_form_of_point_is_found_with_its_frames() {
     let program = read(files(&source, &data, Some(&config)), Given::default()).unwrap();
     let names: Vec<_> = program.points.iter().map(|point| point.name.as_str()).collect();
     assert_eq!(names, ["XP1", "XP2", "XP3", "XP4", "XP5", "XSP[1]", "XSP[2]", "inline", "XVIA"]);
-    assert_eq!(program.left.iter().map(|left| left.code.0).collect::<Vec<_>>(), ["W0905"]);
+    assert_eq!(program.not_corrected.iter().map(|finding| finding.code.0).collect::<Vec<_>>(), ["W0905"]);
     // Axis angles from which the fixture was computed, with another program.
     let taught = [[12.0, -70.0, 95.0, 15.0, 50.0, -20.0], [20.0, -75.0, 104.0, 30.0, 45.0, -40.0]];
     let reached = reached(&program, &kr60());
@@ -281,7 +281,7 @@ fn a_file_that_only_dbbd_wrote_is_compensated_too() {
     let (source, data) = (find("DBB_C001.src"), find("DBB_C001.dat"));
     let given = files(&source, &data, None);
     let program = read(given, Given::default()).unwrap();
-    assert!(program.left.is_empty() && program.points.len() > 6);
+    assert!(program.not_corrected.is_empty() && program.points.len() > 6);
     let robot = identified(2);
     compensate(given, &program, &robot, 20.0).unwrap();
 }

@@ -63,7 +63,8 @@ fn every_strobe_is_at_its_pose() {
     let plan = plan(2, 8);
     let files = emit(&plan, Options { sync: Sync::Output, controller: Kind::Krc4 }).unwrap();
     let program = krl_reads_back::program(&files);
-    let setup = Setup::new(&program, Some(("W", "[bar]\nnoise_um = 0.0\nresolution_um = 0.0"))).unwrap();
+    let setup =
+        Setup::new(&program.setups(), Some(("W", "[bar]\nnoise_um = 0.0\nresolution_um = 0.0"))).unwrap();
     let robot = robot();
     let moments = run(Controller::new(program, &robot, 100.0).unwrap()).unwrap();
     let rows: Vec<_> = plan.rows.iter().filter(|row| row.kind != RowKind::Transit).collect();
@@ -243,14 +244,14 @@ fn the_world_is_what_its_file_says() {
     let files = emit(&plan(1, 3), Options { sync: Sync::Output, controller: Kind::Krc4 }).unwrap();
     let program = krl_reads_back::program(&files);
     for (text, code) in WORLDS {
-        let wrong = Setup::new(&program, Some(("W.toml", text))).unwrap_err();
+        let wrong = Setup::new(&program.setups(), Some(("W.toml", text))).unwrap_err();
         assert_eq!((wrong.code.0, wrong.file.as_str()), (*code, "W.toml"), "{text}");
     }
     let bare = self::program("DEF T ( )\nEND\n", "").unwrap();
-    assert_eq!(Setup::new(&bare, None).unwrap_err().code.0, "E1602");
+    assert_eq!(Setup::new(&bare.setups(), None).unwrap_err().code.0, "E1602");
     let text = "repeatability_um = 20.0\n[bar]\nlength_mm = 299.5\nresolution_um = 10.0\nnoise_um = 0.0\n\
                 [[centre]]\nid = 1\nxyz_mm = [1300.0, 0.0, 800.0]";
-    let setup = Setup::new(&program, Some(("W.toml", text))).unwrap();
+    let setup = Setup::new(&program.setups(), Some(("W.toml", text))).unwrap();
     let robot = robot();
     let still = |motions: u32| Moment {
         // Each motion's error has replaced the one before.

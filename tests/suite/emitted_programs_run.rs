@@ -77,7 +77,7 @@ fn run(seed: u64, text: &str, step_s: f64) -> Ending {
         Ok(files.iter().find(|(name, _)| name.eq_ignore_ascii_case(wanted)).cloned())
     })
     .unwrap();
-    let mut setup = Setup::new(&program, None).unwrap();
+    let mut setup = Setup::new(&program.setups(), None).unwrap();
     setup.taught_deg = plan.header.taught.iter().map(|ball| (ball.centre, ball.axes_deg)).collect();
     let mut world = World::new(truth::draw(&nominal, seed, 1.0).geometry, setup, seed);
     let mut controller = Controller::new(program, &nominal, 100.0).unwrap();

@@ -35,13 +35,13 @@ pub(crate) fn motions(module: &Module) -> Vec<(Motion, Option<Target>, Target, O
     let data = module.data.as_ref().map(|data| Text { file: &data.file, text: &data.text });
     let source = Text { file: &module.source.file, text: &module.source.text };
     let program = read(Files { source, data, config: None }, Given::default()).unwrap();
-    assert!(program.left.is_empty());
+    assert!(program.not_corrected.is_empty());
     let target = |points: &[usize]| match points {
         [] => None,
         [at] => Some(program.points[*at].target.clone()),
         more => panic!("{more:?}"),
     };
-    let legs = program.legs.iter();
+    let legs = program.motions.iter();
     legs.map(|leg| (leg.motion, target(&leg.through), target(&leg.to).unwrap(), leg.sweep_deg)).collect()
 }
 
@@ -332,9 +332,9 @@ fn dwells_are_reported_over_ethernet_krl() {
         channel.contains(&format!("<PORT>{}</PORT>", to.port())) && channel.contains("Tag=\"Dbb/Ax/@A6\"")
     );
     let mut client = dbbd::sim::ekrl::Client::connect(address).unwrap();
-    let mut controller =
-        dbbd::sim::Controller::new(program(&files), &crate::circle_plan::robot(), 100.0).unwrap();
-    let mut unlinked = controller.clone();
+    let controller =
+        || dbbd::sim::Controller::new(program(&files), &crate::circle_plan::robot(), 100.0).unwrap();
+    let (mut controller, mut unlinked) = (controller(), controller());
     controller.link_ekrl();
     loop {
         let moment = controller.step(0.1).unwrap();

@@ -11,7 +11,8 @@ use dbbd::program::krl::{Controller as Dialect, Options, Program, Sync, emit};
 use dbbd::recording::mounting::{
     DetectedFault, Expected, MountedReading, MountingFault, MountingMonitor, Rest,
 };
-use dbbd::sim::loose::{Loose, Looseness};
+use dbbd::sim::fault::Faults;
+use dbbd::sim::mounting::Mounting;
 use dbbd::sim::world::Setup;
 use dbbd::sim::{Controller, Moment, World, truth};
 use rand::{RngExt, SeedableRng};
@@ -35,7 +36,7 @@ const JOB: &str = "robot = \"kr60ha\"\n[bar]\nlength_mm = 300.0\nstroke_mm = [-5
 struct Cell {
     controller: Controller,
     world: World,
-    loose: Loose,
+    mounting: Mounting,
     dice: Pcg64,
     halt_s: f64,
     halted_s: Option<f64>,
@@ -52,10 +53,10 @@ struct Now {
 }
 
 impl Cell {
-    fn new(plan: &Plan, program: &Program, seed: u64, halt_s: f64, looseness: Looseness) -> Self {
+    fn new(plan: &Plan, program: &Program, seed: u64, halt_s: f64, faults: Faults) -> Self {
         let nominal = kr60();
         let mut dice = Pcg64::seed_from_u64(seed);
-        let mut setup = Setup::new(program, None).unwrap();
+        let mut setup = Setup::new(&program.setups(), None).unwrap();
         setup.taught_deg = plan.header.taught.iter().map(|ball| (ball.centre, ball.axes_deg)).collect();
         setup.bar.noise_um = dice.random_range(0.5..2.0);
         setup.repeatability_um = 20.0;
@@ -63,7 +64,7 @@ impl Cell {
         Self {
             controller: Controller::new(program.clone(), &nominal, 100.0).unwrap(),
             world: World::new(truth::draw(&nominal, seed, 1.0).geometry, setup, seed),
-            loose: Loose::new(looseness, seed),
+            mounting: Mounting::new(faults, seed),
             hands_mm: dice.random_range(0.5..2.0),
             dice,
             halt_s,
@@ -90,8 +91,8 @@ impl Cell {
         let within = measured.in_stroke;
         let handled = self.halted_s.is_none_or(|since_s| t_s - since_s < HANDS_S);
         let mounted = within && !handled;
-        let mut extra_mm = self.loose.offset_mm(t_s, mounted, moment.strobe);
-        // The drives shake the bar while the robot moves, and briefly after.
+        let mut extra_mm = self.mounting.offset_mm(t_s, mounted, moment.strobe);
+        // The drives shake the bar while the robot moves, and for a moment after.
         let rested_s = t_s - self.rests_s;
         let shaken_um = if rests { 10.0 * (-rested_s / 0.1).exp() } else { 3.0 };
         extra_mm += 1e-3 * shaken_um * (TAU * 12.0 * if rests { rested_s } else { t_s }).sin();
@@ -125,7 +126,7 @@ fn first_named(plan: &Plan, mut cell: Cell, until_s: f64) -> Option<(DetectedFau
     loop {
         let Now { reading, done } = cell.next();
         if let Some(named) = monitor.push(reading) {
-            return Some((named, named.t_s - cell.loose.onset_s()?));
+            return Some((named, named.t_s - cell.mounting.onset_s()?));
         }
         if done || reading.t_s > until_s {
             return None;
@@ -133,22 +134,22 @@ fn first_named(plan: &Plan, mut cell: Cell, until_s: f64) -> Option<(DetectedFau
     }
 }
 
-/// A fault with a random size between two limits, micrometres, and how long the program waits at HALT, s.
-fn looseness(fault: MountingFault, seed: u64) -> (Looseness, f64) {
+/// A fault of a size drawn between two, micrometres, and how long the program waits at HALT, s.
+fn faults(fault: MountingFault, seed: u64) -> (Faults, f64) {
     let mut dice = Pcg64::seed_from_u64(seed ^ 0xfa);
     let mut size = |low: f64, high: f64| {
         let um: f64 = dice.random_range(low..high);
         if dice.random_range(0..2) == 0 { um } else { -um }
     };
-    let none = Looseness::default();
+    let none = Faults::default();
     let waits = HANDS_S + 5.0;
     match fault {
-        MountingFault::NotSeated => (Looseness { unseated_um: size(20.0, 100.0).abs(), ..none }, waits),
-        MountingFault::Creep => (Looseness { creep_um: size(120.0, 500.0), ..none }, waits),
-        MountingFault::Slip => (Looseness { slip_um: size(60.0, 300.0), ..none }, waits),
-        // Every second one before the program starts, the others at a dwell.
+        MountingFault::NotSeated => (Faults { unseated_um: size(20.0, 100.0).abs(), ..none }, waits),
+        MountingFault::Creep => (Faults { creep_um: size(120.0, 500.0), ..none }, waits),
+        MountingFault::Slip => (Faults { slip_um: size(60.0, 300.0), ..none }, waits),
+        // Every second one before the program begins, the others at a dwell.
         _ => (
-            Looseness { cable_um: size(30.0, 150.0), ..none },
+            Faults { cable_um: size(30.0, 150.0), ..none },
             if seed.is_multiple_of(2) { 40.0 } else { waits },
         ),
     }
@@ -163,15 +164,15 @@ fn named_in_time(fault: MountingFault, seeds: std::ops::Range<u64>) -> (usize, f
     let (mut in_time, mut slowest_s) = (0, 0.0_f64);
     let mut others: BTreeMap<String, u32> = BTreeMap::new();
     for seed in seeds {
-        let (looseness, halt_s) = looseness(fault, seed);
-        let cell = Cell::new(&plan, &program, seed, halt_s, looseness);
+        let (faults, halt_s) = faults(fault, seed);
+        let cell = Cell::new(&plan, &program, seed, halt_s, faults);
         match first_named(&plan, cell, 90.0) {
             Some((named, after_s)) if named.fault == fault && after_s <= WITHIN_S => {
                 in_time += 1;
                 slowest_s = slowest_s.max(after_s);
             }
             other => {
-                eprintln!("seed {seed}, {looseness:?}: {other:?}");
+                eprintln!("seed {seed}, {faults:?}: {other:?}");
                 *others.entry(format!("{:?}", other.map(|(named, _)| named.fault))).or_default() += 1;
             }
         }
@@ -185,7 +186,7 @@ fn false_alarms(hours: f64) -> Vec<DetectedFault> {
     let (plan, program) = prepared();
     let (mut passed_s, mut seed, mut named) = (0.0, 1000, Vec::new());
     while passed_s < hours * 3600.0 {
-        let mut cell = Cell::new(&plan, &program, seed, HANDS_S + 5.0, Looseness::default());
+        let mut cell = Cell::new(&plan, &program, seed, HANDS_S + 5.0, Faults::default());
         let mut monitor = monitor(&plan);
         loop {
             let Now { reading, done } = cell.next();

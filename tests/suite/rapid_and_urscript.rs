@@ -5,7 +5,7 @@ use std::fs;
 use std::path::Path;
 
 use dbbd::plan::{Job, Kind as RowKind, Motion, Plan, PlanRow};
-use dbbd::program::listing::{Does, Standstill};
+use dbbd::program::listing::{ActionKind, Standstill};
 use dbbd::program::{Frames, Language, Listing, Program, Sync, Target, Text, rapid, urscript};
 use dbbd::robot::{Geometry, Pose, Robot};
 
@@ -107,8 +107,8 @@ fn commanded(target: &Target, frames: &Frames, robot: &Robot) -> Pose {
 fn points_read_back_to_a_micrometre() {
     for (language, robot, plan) in plans() {
         let listing = listing(&plan, language, Sync::Output);
-        let moves = listing.actions.iter().filter_map(|action| match &action.does {
-            Does::Move(motion) => Some(motion),
+        let moves = listing.actions.iter().filter_map(|action| match &action.kind {
+            ActionKind::Move(motion) => Some(motion),
             _ => None,
         });
         // The first motion is to the start, and auxiliary points are no motions of their own.
@@ -328,12 +328,15 @@ fn any_program_text_is_taken() {
 fn dwells_wait_for_standstill() {
     for (language, _, plan) in plans() {
         let listing = listing(&plan, language, Sync::Output);
-        let does: Vec<&Does> = listing.actions.iter().map(|action| &action.does).collect();
-        let dwell = |at: usize| matches!(does.get(at + 1), Some(Does::Wait(seconds)) if *seconds > 0.5);
-        let rises = (0..does.len()).filter(|at| matches!(does[*at], Does::Strobe(true)) && dwell(*at));
+        let actions: Vec<&ActionKind> = listing.actions.iter().map(|action| &action.kind).collect();
+        let dwell =
+            |at: usize| matches!(actions.get(at + 1), Some(ActionKind::Wait(seconds)) if *seconds > 0.5);
+        let rises =
+            (0..actions.len()).filter(|at| matches!(actions[*at], ActionKind::SetStrobe(true)) && dwell(*at));
         let mut seen = 0;
         for at in rises {
-            assert!(matches!(does[at - 1], Does::Standstill(Standstill::ZeroSpeed)), "{language:?}");
+            let is_still = matches!(actions[at - 1], ActionKind::WaitForStandstill(Standstill::ZeroSpeed));
+            assert!(is_still, "{language:?}");
             seen += 1;
         }
         let dwells = plan.rows.iter().filter(|row| row.kind != RowKind::Transit).count();

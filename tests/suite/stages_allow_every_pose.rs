@@ -37,7 +37,7 @@ pub(crate) fn execute(plan: &Plan, cell: &Cell, seed: u64) -> (f64, Vec<Prepared
     })
     .unwrap();
     let world = cell.world.replace("[bar]", "[bar]\nstroke_mm = [-50.0, 50.0]");
-    let setup = Setup::new(&program, Some(("world.toml", &world))).unwrap();
+    let setup = Setup::new(&program.setups(), Some(("world.toml", &world))).unwrap();
     let mut world = World::new(cell.true_robot.geometry.clone(), setup, seed);
     let mut controller = Controller::new(program, &cell.nominal, 100.0).unwrap();
     let rows: Vec<_> = plan.rows.iter().filter(|row| row.kind != Kind::Transit).collect();

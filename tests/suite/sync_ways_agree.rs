@@ -49,7 +49,7 @@ fn driven(plan: &Plan, sync: Sync, override_percent: f64, seed: u64, truth: &Rob
     // No repeatability error: a pass is one motion, so an error common to its points shows in no residual.
     let [x, y, z]: [f64; 3] = std::array::from_fn(|axis| CENTRE[axis] + CENTRE_ERRORS[axis]);
     let world = format!("[[centre]]\nid = 1\nxyz_mm = [{x:?}, {y:?}, {z:?}]\n[bar]\nnoise_um = 2.0\n");
-    let setup = Setup::new(&program, Some(("world.toml", &world))).unwrap();
+    let setup = Setup::new(&program.setups(), Some(("world.toml", &world))).unwrap();
     let mut world = World::new(truth.geometry.clone(), setup, seed);
     let mut controller = Controller::new(program, &kr60(), override_percent).unwrap();
     controller.link_ekrl();

@@ -21,7 +21,7 @@ use dbbd::device::protocol::Definition;
 use dbbd::measurement::sample::Sample;
 use dbbd::provenance::Identity;
 use dbbd::recording::capture::{self, Event, Record};
-use dbbd::sim::link::Link;
+use dbbd::sim::bar::Link;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use serialport::{SerialPort, TTYPort};

@@ -1,16 +1,16 @@
-//! What the `.dat` files hold before a program runs, and what dbbd wrote into them.
+//! The constants in `.dat` files, and what dbbd and its programs write there.
 
 use std::collections::{BTreeMap, HashMap};
 
 use super::evaluate::{Fault, constant_target};
-use super::syntax::{Data, DataItem, DeclarationKind, Expression, Part, Place};
+use super::syntax::{Data, DataItem, Expression, Part, Place};
 use super::value::Value;
 use crate::catalogue::ProgramFinding;
 use crate::diagnostic::Diagnostic;
 use crate::program::{Setup, Target};
 use crate::robot::AXES;
 
-/// The file of a value.
+/// The file that holds a value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Origin {
     Source,
@@ -19,28 +19,27 @@ pub enum Origin {
     Config,
 }
 
-/// A variable, or an element of an array.
+/// The name of a variable, with the index of an element of an array.
 pub(super) type Key<'a> = (&'a str, Option<i64>);
 
-/// A value that is written.
+/// A constant as it is written.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Constant<'a> {
     pub(super) value: &'a Expression,
     pub(super) origin: Origin,
 }
 
-/// Values by name and index.
+/// Constants by name and index.
 #[derive(Default)]
 pub(super) struct Constants<'a>(HashMap<&'a str, BTreeMap<Option<i64>, Constant<'a>>>);
 
 impl<'a> Constants<'a> {
-    /// Those of a file; a name that has a value already gets the new one.
+    /// Adds the constants of a file; they replace those of the same name.
     pub(super) fn add(&mut self, items: &'a [DataItem], origin: Origin) {
         for item in items {
             match item {
                 DataItem::Declaration(declaration) => {
-                    let DeclarationKind::Variables { names, .. } = &declaration.kind else { continue };
-                    for declared in names {
+                    for declared in declaration.variables() {
                         if let Some(value) = &declared.value {
                             self.insert((declared.name.as_str(), None), Constant { value, origin });
                         }
@@ -63,12 +62,12 @@ impl<'a> Constants<'a> {
         self.0.get(name)?.get(&index).copied()
     }
 
-    /// The elements of an array that have a value, in order.
+    /// The indices of the elements that have a value, in order.
     pub(super) fn elements(&self, name: &str) -> impl Iterator<Item = i64> {
         self.0.get(name).into_iter().flat_map(|values| values.keys().copied().flatten())
     }
 
-    /// Whether a name is that of a point, or of an array of points, in the program's own files.
+    /// Whether a name is that of a point or an array of points in the program's own files.
     pub(super) fn has_point(&self, name: &str) -> bool {
         let mut values = self.0.get(name).into_iter().flat_map(BTreeMap::values);
         values.any(|constant| constant.origin != Origin::Config && constant_target(constant.value).is_ok())
@@ -79,7 +78,7 @@ impl<'a> Constants<'a> {
     }
 }
 
-/// The variable or element that a place names, where its index is a number.
+/// The key of a place whose index, if it has one, is a number.
 pub(super) fn key(place: &Place) -> Option<Key<'_>> {
     match place.parts.as_slice() {
         [] => Some((place.name.as_str(), None)),
@@ -96,22 +95,19 @@ impl Data {
     }
 }
 
-/// The axis angles (degrees) that the program logged into its `.dat`, by row of the plan.
+/// The axis angles (degrees) that the program has logged in its `.dat`, by row of the plan.
 pub fn logged_axes(data: &Data) -> Result<BTreeMap<u32, [f64; AXES]>, Diagnostic> {
     let constants = data.constants();
-    let declared = |wanted: &str| {
-        data.items.iter().any(|item| match item {
-            DataItem::Declaration(declaration) => match &declaration.kind {
-                DeclarationKind::Variables { names, .. } => names.iter().any(|name| name.name == wanted),
-                _ => false,
-            },
-            DataItem::Value { .. } => false,
+    let is_declared = |name: &str| {
+        data.items.iter().any(|item| {
+            matches!(item, DataItem::Declaration(declaration)
+                if declaration.variables().iter().any(|declared| declared.name == name))
         })
     };
-    if !(declared("DBBROW") && declared("XQ")) {
+    if !(is_declared("DBBROW") && is_declared("XQ")) {
         return Err(Diagnostic::file(&data.file, ProgramFinding::NoLoggedAxes));
     }
-    let mut found = BTreeMap::new();
+    let mut axes_by_row = BTreeMap::new();
     for element in constants.elements("XQ") {
         let Some(logged) = constants.get(("XQ", Some(element))) else { continue };
         let wrong = |fault: Fault| data.as_text().wrong(&fault.span, fault.finding);
@@ -120,16 +116,16 @@ pub fn logged_axes(data: &Data) -> Result<BTreeMap<u32, [f64; AXES]>, Diagnostic
             return Err(wrong(Fault::new(&logged.value.span, ProgramFinding::NoRowOfPlan { element })));
         };
         match constant_target(logged.value).map_err(wrong)? {
-            Target::Axes(axes_deg) => _ = found.insert(row, axes_deg),
+            Target::Axes(axes_deg) => _ = axes_by_row.insert(row, axes_deg),
             Target::Pose { .. } => {
                 return Err(wrong(Fault::new(&logged.value.span, ProgramFinding::NotAxisAngles)));
             }
         }
     }
-    Ok(found)
+    Ok(axes_by_row)
 }
 
-/// The hash of the plan that a `.dat` of dbbd names.
+/// The hash of the plan in a `.dat` of dbbd.
 pub fn plan_hash(data: &Data) -> Option<String> {
     data.items.iter().find_map(|item| match item {
         DataItem::Value { target, value } if target.name == "DBBPLAN" => match value.constant() {
@@ -140,12 +136,12 @@ pub fn plan_hash(data: &Data) -> Option<String> {
     })
 }
 
-/// `$ABS_ACCUR` when the program ran: whether the controller was in its absolute-accuracy mode, where the `.dat` has it.
+/// `$ABS_ACCUR` as the program logged it in its `.dat`: whether the controller was in its absolute-accuracy mode.
 pub fn absolute_accuracy(data: &Data) -> Option<bool> {
     data.constants().value("DBBABS")?.bool().ok()
 }
 
-/// The set-up that dbbd wrote into a `.dat`; `None` where it is not there, whole.
+/// The set-up that dbbd wrote into a `.dat`; `None` if it is missing or incomplete.
 pub fn read_setup(data: &Data) -> Option<Setup> {
     let constants = data.constants();
     let number = |name: &str| constants.value(name)?.number().ok();

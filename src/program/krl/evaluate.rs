@@ -1,4 +1,4 @@
-//! What an expression gives: for the controller that executes a program, and for the reader of its constants.
+//! Evaluation of expressions: by the simulated controller, and of the constants in `.dat` files.
 
 use std::collections::BTreeMap;
 
@@ -10,7 +10,7 @@ use crate::program::Target;
 pub(crate) const AXIS_NAMES: [&str; 6] = ["A1", "A2", "A3", "A4", "A5", "A6"];
 pub(crate) const POSE_NAMES: [&str; 6] = ["X", "Y", "Z", "A", "B", "C"];
 
-/// What is wrong with a statement or a part of one.
+/// A finding with its bytes in the file.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Fault {
     pub(crate) span: Span,
@@ -23,7 +23,7 @@ impl Fault {
     }
 }
 
-/// Names the place of a finding.
+/// Adds the bytes to a finding.
 pub(crate) trait At<T> {
     fn at(self, span: &Span) -> Result<T, Fault>;
 }
@@ -34,17 +34,17 @@ impl<T> At<T> for Result<T, ProgramFinding> {
     }
 }
 
-/// What the names in an expression mean.
+/// The meaning of the names in an expression.
 pub(crate) trait Scope {
     fn read(&mut self, place: &Place) -> Result<Value, Fault>;
 
     fn call(&mut self, name: &str, arguments: &[Expression], span: &Span) -> Result<Value, Fault>;
 }
 
-/// No name has a value: what is written in a `.dat` file or taught in a program is a constant.
-pub(crate) struct Constants;
+/// No name has a value: values in a `.dat` file and taught points are constants.
+struct NoVariables;
 
-impl Scope for Constants {
+impl Scope for NoVariables {
     fn read(&mut self, place: &Place) -> Result<Value, Fault> {
         Err(Fault::new(&place.span, ProgramFinding::NotConstant { name: place.name.clone() }))
     }
@@ -64,20 +64,20 @@ impl Expression {
             ExpressionKind::Text(text) => Value::Text(text.clone()),
             ExpressionKind::Place(place) => scope.read(place)?,
             ExpressionKind::Aggregate(fields) => {
-                let mut given = BTreeMap::new();
+                let mut components = BTreeMap::new();
                 for field in fields {
-                    given.insert(field.name.clone(), field.value.value(scope)?);
+                    components.insert(field.name.clone(), field.value.value(scope)?);
                 }
-                Value::Struct(given)
+                Value::Struct(components)
             }
             ExpressionKind::Call { name, arguments } => scope.call(name, arguments, &self.span)?,
             ExpressionKind::Unary(operator, operand) => {
                 let value = operand.value(scope)?;
-                signed(*operator, &value).at(&self.span)?
+                unary(*operator, &value).at(&self.span)?
             }
             ExpressionKind::Binary(operator, left, right) => {
                 let (left, right) = (left.value(scope)?, right.value(scope)?);
-                operate(*operator, &left, &right).at(&self.span)?
+                binary(*operator, &left, &right).at(&self.span)?
             }
         })
     }
@@ -94,12 +94,12 @@ impl Expression {
         self.value(scope)?.bool().at(&self.span)
     }
 
-    /// Its value if it has one that no name changes.
+    /// The value of an expression without variables.
     pub(crate) fn constant(&self) -> Result<Value, Fault> {
-        self.value(&mut Constants)
+        self.value(&mut NoVariables)
     }
 
-    /// The index of an element, where it is a constant.
+    /// The value of a constant INT, such as the index of an element.
     pub(crate) fn index(&self) -> Option<i64> {
         match self.constant() {
             Ok(Value::Int(index)) => Some(index),
@@ -108,7 +108,7 @@ impl Expression {
     }
 }
 
-/// A position as it is written: components may be missing.
+/// A commanded position; components that are not written stay what they are.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Position {
     /// A1 to A6, degrees.
@@ -127,11 +127,11 @@ impl Position {
             return Err(ProgramFinding::NoPosition);
         }
         let six = |names: [&str; 6]| -> Result<[Option<f64>; 6], ProgramFinding> {
-            let mut found = [None; 6];
-            for (component, name) in found.iter_mut().zip(names) {
+            let mut components = [None; 6];
+            for (component, name) in components.iter_mut().zip(names) {
                 *component = value.field(name).map(Value::number).transpose()?;
             }
-            Ok(found)
+            Ok(components)
         };
         let axes = six(AXIS_NAMES)?;
         if axes.iter().any(Option::is_some) {
@@ -141,6 +141,7 @@ impl Position {
         Ok(Self::Pose { components: six(POSE_NAMES)?, status: bits("S")?, turn: bits("T")? })
     }
 
+    /// The target, where all components are written.
     pub(crate) fn complete(self) -> Result<Target, ProgramFinding> {
         let (names, components) = match self {
             Self::Axes(components) => (AXIS_NAMES, components),
@@ -160,18 +161,18 @@ impl Position {
     }
 }
 
-/// What a constant expression commands.
+/// The target of a constant expression.
 pub(crate) fn constant_target(expression: &Expression) -> Result<Target, Fault> {
     Position::of(&expression.constant()?).and_then(Position::complete).at(&expression.span)
 }
 
-/// An INT of the controller has 32 bits with sign; what has more is no result.
+/// An INT has 32 bits with sign; an operation that needs more has no result.
 fn in_32_bits(value: Option<i64>) -> Result<Value, ProgramFinding> {
     let fits = value.filter(|value| i32::try_from(*value).is_ok());
     fits.map(Value::Int).ok_or(ProgramFinding::NoResult)
 }
 
-fn signed(operator: Unary, value: &Value) -> Result<Value, ProgramFinding> {
+fn unary(operator: Unary, value: &Value) -> Result<Value, ProgramFinding> {
     Ok(match (operator, value) {
         (Unary::Minus, Value::Int(value)) => in_32_bits(value.checked_neg())?,
         (Unary::Minus, value) => Value::Real(-value.number()?),
@@ -179,7 +180,7 @@ fn signed(operator: Unary, value: &Value) -> Result<Value, ProgramFinding> {
     })
 }
 
-fn operate(operator: Binary, left: &Value, right: &Value) -> Result<Value, ProgramFinding> {
+fn binary(operator: Binary, left: &Value, right: &Value) -> Result<Value, ProgramFinding> {
     match operator {
         Binary::Add | Binary::Subtract | Binary::Multiply | Binary::Divide => {
             arithmetic(operator, left, right)

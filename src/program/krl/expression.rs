@@ -1,15 +1,15 @@
-//! Reads expressions and places: precedence climbing.
+//! Parser of expressions (by precedence climbing) and places.
 
-use super::lexer::Token;
 use super::parser::Parser;
 use super::syntax::*;
 use crate::catalogue::ProgramFinding;
 use crate::diagnostic::Diagnostic;
+use crate::program::lexer::Token;
 
-/// Of one structure: more than any of the controller's has.
+/// Most components of an aggregate: more than any structure of the controller has.
 const FIELDS: usize = 100;
 
-/// The operator that a word is, and how tightly it binds.
+/// The binary operator that a token is, and its precedence.
 fn binary(token: &Token) -> Option<(Binary, u8)> {
     Some(match token {
         Token::Name(name) if name == "OR" => (Binary::Or, 1),
@@ -33,12 +33,14 @@ impl Parser<'_> {
         self.nested(|parser| parser.operation(1))
     }
 
-    /// An expression of operators that bind at least as tightly as `floor`.
-    fn operation(&mut self, floor: u8) -> Result<Expression, Diagnostic> {
+    /// An expression of operators with at least the precedence `least`.
+    fn operation(&mut self, least: u8) -> Result<Expression, Diagnostic> {
         let mut left = self.operand()?;
-        while let Some((operator, binds)) = binary(self.peek()).filter(|(_, binds)| *binds >= floor) {
+        while let Some((operator, precedence)) = binary(self.tokens.peek())
+            && precedence >= least
+        {
             self.operator()?;
-            let right = self.operation(binds + 1)?;
+            let right = self.operation(precedence + 1)?;
             let span = left.span.start..right.span.end;
             left =
                 Expression { span, kind: ExpressionKind::Binary(operator, Box::new(left), Box::new(right)) };
@@ -47,14 +49,14 @@ impl Parser<'_> {
     }
 
     fn operand(&mut self) -> Result<Expression, Diagnostic> {
-        let start = self.span().start;
-        let kind = match self.peek().clone() {
-            Token::Int(value) => self.literal(ExpressionKind::Int(value)),
-            Token::Real(value) => self.literal(ExpressionKind::Real(value)),
-            Token::Text(text) => self.literal(ExpressionKind::Text(text)),
-            Token::Enum(name) => self.literal(ExpressionKind::Enum(name)),
+        let start = self.tokens.position();
+        let kind = match self.tokens.peek().clone() {
+            Token::Int(value) => self.token_as(ExpressionKind::Int(value)),
+            Token::Real(value) => self.token_as(ExpressionKind::Real(value)),
+            Token::Text(text) => self.token_as(ExpressionKind::Text(text)),
+            Token::Enum(name) => self.token_as(ExpressionKind::Enum(name)),
             Token::Name(name) if name == "TRUE" || name == "FALSE" => {
-                self.literal(ExpressionKind::Bool(name == "TRUE"))
+                self.token_as(ExpressionKind::Bool(name == "TRUE"))
             }
             Token::Name(name) if name == "NOT" => self.unary(Unary::Not)?,
             Token::Sign("-") => self.unary(Unary::Minus)?,
@@ -63,38 +65,34 @@ impl Parser<'_> {
                 return self.nested(Self::operand);
             }
             Token::Sign("(") => {
-                self.advance();
-                let inside = self.expression()?;
-                self.sign(")")?;
-                inside.kind
+                self.tokens.advance();
+                let inner = self.expression()?;
+                self.tokens.expect(")")?;
+                inner.kind
             }
             Token::Sign("{") => self.aggregate()?,
             Token::Name(_) => {
                 let place = self.place()?;
-                if matches!(self.peek(), Token::Sign("(")) {
-                    if place.name.starts_with("EKI_") && place.parts.is_empty() {
-                        let kind = ExpressionKind::Call { name: place.name, arguments: self.arguments()? };
-                        return Ok(Expression { span: start..self.end(), kind });
+                match self.tokens.peek() {
+                    Token::Sign("(") if place.name.starts_with("EKI_") && place.parts.is_empty() => {
+                        ExpressionKind::Call { name: place.name, arguments: self.arguments()? }
                     }
-                    let what = format!("the function {}", place.name);
-                    return Err(self.unsupported(place.span, what, "compute the value beforehand"));
+                    Token::Sign("(") => {
+                        let what = format!("the function {}", place.name);
+                        return Err(self.unsupported(place.span, what, "compute the value beforehand"));
+                    }
+                    _ => ExpressionKind::Place(place),
                 }
-                ExpressionKind::Place(place)
             }
-            _ => return Err(self.unexpected("a value")),
+            _ => return Err(self.tokens.expected("a value")),
         };
-        Ok(Expression { span: start..self.end(), kind })
-    }
-
-    fn literal(&mut self, kind: ExpressionKind) -> ExpressionKind {
-        self.advance();
-        kind
+        Ok(Expression { span: self.tokens.since(start), kind })
     }
 
     fn unary(&mut self, operator: Unary) -> Result<ExpressionKind, Diagnostic> {
         self.operator()?;
         let operand = self.nested(Self::operand)?;
-        // A signed literal is one number, so that its bytes can be replaced as one.
+        // A number and its sign are one literal, so that their bytes can be replaced as one.
         Ok(match (operator, operand.kind) {
             (Unary::Minus, ExpressionKind::Real(value)) => ExpressionKind::Real(-value),
             (Unary::Minus, ExpressionKind::Int(value)) => ExpressionKind::Int(-value),
@@ -102,38 +100,38 @@ impl Parser<'_> {
         })
     }
 
-    /// `{X 1.0,Y 2.0}` with or without a type before a colon.
+    /// `{X 1.0,Y 2.0}` or `{E6POS: X 1.0,Y 2.0}`
     fn aggregate(&mut self) -> Result<ExpressionKind, Diagnostic> {
-        self.sign("{")?;
+        self.tokens.expect("{")?;
         let mut fields: Vec<Field> = Vec::new();
         loop {
             let (mut name, mut span) = self.name()?;
-            if fields.is_empty() && self.accept_sign(":") {
+            if fields.is_empty() && self.tokens.accept(":") {
                 (name, span) = self.name()?;
             }
-            if self.accept_sign("[") {
-                self.sign("]")?; // a text, as in POINT2[] "P1"
+            if self.tokens.accept("[") {
+                self.tokens.expect("]")?; // a text: `POINT2[] "P1"`
             }
             if fields.iter().any(|field| field.name == name) {
-                return Err(self.wrong(span, ProgramFinding::GivenTwice { name }));
+                return Err(self.tokens.wrong(span, ProgramFinding::GivenTwice { name }));
             }
             if fields.len() >= FIELDS {
-                return Err(self.wrong(span, ProgramFinding::TooManyFields { most: FIELDS }));
+                return Err(self.tokens.wrong(span, ProgramFinding::TooManyFields { most: FIELDS }));
             }
             let value = self.expression()?;
             fields.push(Field { name, value });
-            if !self.accept_sign(",") {
+            if !self.tokens.accept(",") {
                 break;
             }
         }
-        self.sign("}")?;
+        self.tokens.expect("}")?;
         Ok(ExpressionKind::Aggregate(fields))
     }
 
     /// `A=B`
     pub(super) fn assignment(&mut self) -> Result<(Place, Expression), Diagnostic> {
         let target = self.place()?;
-        self.sign("=")?;
+        self.tokens.expect("=")?;
         Ok((target, self.expression()?))
     }
 
@@ -141,18 +139,18 @@ impl Parser<'_> {
         let (name, span) = self.name()?;
         let mut parts = Vec::new();
         loop {
-            if self.accept_sign("[") {
-                if self.accept_sign("]") {
+            if self.tokens.accept("[") {
+                if self.tokens.accept("]") {
                     parts.push(Part::Whole);
                     continue;
                 }
                 parts.push(Part::Element(Box::new(self.expression()?)));
                 self.one_dimension()?;
-                self.sign("]")?;
-            } else if self.accept_sign(".") {
-                parts.push(Part::Member(self.name()?.0));
+                self.tokens.expect("]")?;
+            } else if self.tokens.accept(".") {
+                parts.push(Part::Component(self.name()?.0));
             } else {
-                return Ok(Place { name, parts, span: span.start..self.end() });
+                return Ok(Place { name, parts, span: span.start..self.tokens.end() });
             }
         }
     }

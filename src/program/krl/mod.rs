@@ -1,13 +1,13 @@
-//! KRL, the language of KUKA's controllers: programs written from a plan, read, rewritten.
+//! KRL, the language of KUKA's controllers.
 //!
-//! A controller accepts more than is read here: the reader of whole programs knows the statements that the writer uses
-//! and those of plain point programs, and refuses anything else with its place. [`read`] looks for motions only.
+//! There are two readers. [`parse_source`] parses whole programs for the simulated controller; it supports the statements
+//! that dbbd emits and those of plain point programs, and refuses any other. [`read`] finds the motions of any program, to
+//! correct their points.
 
 mod data;
 pub mod emit;
 pub(crate) mod evaluate;
 mod expression;
-mod lexer;
 mod parser;
 mod points;
 pub mod program;
@@ -19,7 +19,7 @@ pub(crate) mod value;
 pub use data::{Origin, absolute_accuracy, logged_axes, plan_hash, read_setup};
 pub use emit::{Controller, Options, Sync, emit, run_number};
 pub use parser::{parse_data, parse_source};
-pub use points::{Files, Given, Leg, PointProgram, TaughtPoint, read};
+pub use points::{Files, Given, PointProgram, ProgramMotion, TaughtPoint, read};
 pub use program::{Module, Program};
 pub use rewrite::{Compensated, compensate};
 pub use syntax::Text;

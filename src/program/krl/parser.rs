@@ -1,23 +1,25 @@
-//! Reads `.src` and `.dat` files: recursive descent over lines. What it does not know it refuses, with the statement
-//! and its place.
+//! Parser of `.src` and `.dat` files: recursive descent, statement by statement. A statement that is not supported is an
+//! error with its place.
 
-use super::lexer::{Token, line_tokens, tokens};
 use super::syntax::*;
 use super::value::Type;
 use crate::catalogue::ProgramFinding;
 use crate::diagnostic::Diagnostic;
+use crate::program::Language;
+use crate::program::lexer::Token;
+use crate::program::tokens::Tokens;
 
 pub fn parse_source(file: &str, text: &str) -> Result<Source, Diagnostic> {
-    let mut parser = Parser::new(Text { file, text })?;
+    let mut parser = Parser::new(Tokens::new(Text { file, text }, Language::Krl)?);
     let mut routines: Vec<Routine> = Vec::new();
-    parser.skip_lines();
-    while *parser.peek() != Token::End {
+    while !parser.is_at_end() {
         let routine = parser.routine()?;
         if routines.iter().any(|other| other.name == routine.name) {
-            return Err(parser.wrong(routine.span, ProgramFinding::SecondRoutine { name: routine.name }));
+            return Err(parser
+                .tokens
+                .wrong(routine.span, ProgramFinding::SecondRoutine { name: routine.name }));
         }
         routines.push(routine);
-        parser.skip_lines();
     }
     if routines.is_empty() {
         return Err(Diagnostic::file(file, ProgramFinding::NoRoutine));
@@ -26,211 +28,150 @@ pub fn parse_source(file: &str, text: &str) -> Result<Source, Diagnostic> {
 }
 
 pub fn parse_data(file: &str, text: &str) -> Result<Data, Diagnostic> {
-    let mut parser = Parser::new(Text { file, text })?;
-    parser.skip_lines();
-    parser.keyword("DEFDAT")?;
+    let mut parser = Parser::new(Tokens::new(Text { file, text }, Language::Krl)?);
+    parser.skip_empty_lines();
+    parser.tokens.expect_name("DEFDAT")?;
     let (name, _) = parser.name()?;
-    parser.accept_name("PUBLIC");
+    parser.tokens.accept_name("PUBLIC");
     parser.line_end()?;
     let mut items = Vec::new();
-    loop {
-        parser.skip_lines();
-        if parser.accept_name("ENDDAT") {
-            break;
-        }
-        if *parser.peek() == Token::End {
-            return Err(parser.unexpected("ENDDAT"));
-        }
+    while !parser.is_at_end() && !parser.tokens.is_name("ENDDAT") {
         items.push(parser.data_item()?);
     }
+    parser.tokens.expect_name("ENDDAT")?;
     parser.line_end()?;
-    parser.skip_lines();
-    if *parser.peek() != Token::End {
-        return Err(parser.unexpected("nothing after ENDDAT"));
+    if !parser.is_at_end() {
+        return Err(parser.tokens.expected("nothing after ENDDAT"));
     }
     Ok(Data { file: file.into(), text: text.into(), name, items })
 }
 
-/// The words of a text, and the place of the reader in them.
+/// The tokens of a text, and what is counted to keep a damaged or hostile file from exhausting the stack or the memory.
 pub(super) struct Parser<'a> {
-    pub(super) file: Text<'a>,
-    tokens: Vec<(Token, Span)>,
-    at: usize,
-    /// Blocks and expressions that are open around the place.
+    pub(super) tokens: Tokens<'a>,
+    /// Blocks and expressions that are open.
     depth: usize,
-    /// Of the line so far.
+    /// Operators of the line so far.
     operators: usize,
-    /// Numbers in the arrays that were declared so far.
-    numbers: usize,
+    /// Values in the arrays that were declared so far.
+    array_values: usize,
 }
 
-/// Deeper nesting than any program needs: the reader recurses.
+/// Most blocks and expressions inside each other: the parser is recursive.
 const DEPTH: usize = 60;
-/// Of one line: a chain of them is a tree that is as deep.
+/// Most operators of a line: a chain of operators is a tree of the same depth.
 const OPERATORS: usize = 200;
-/// In all arrays of a file; an E6POS has 14.
-const NUMBERS: usize = 200_000;
+/// Most values in all arrays of a file; an E6POS has 14.
+const ARRAY_VALUES: usize = 200_000;
 
 impl<'a> Parser<'a> {
-    fn new(file: Text<'a>) -> Result<Self, Diagnostic> {
-        Ok(Self { file, tokens: tokens(file)?, at: 0, depth: 0, operators: 0, numbers: 0 })
+    pub(super) fn new(tokens: Tokens<'a>) -> Self {
+        Self { tokens, depth: 0, operators: 0, array_values: 0 }
     }
 
-    /// A reader of one line, at the bytes `line` of the text.
-    pub(super) fn line(file: Text<'a>, line: &Span) -> Result<Self, Diagnostic> {
-        let file = Text { text: file.text.get(..line.end).unwrap_or(file.text), ..file };
-        Ok(Self { file, tokens: line_tokens(file, line.start)?, at: 0, depth: 0, operators: 0, numbers: 0 })
-    }
-
-    pub(super) fn wrong(&self, span: Span, finding: ProgramFinding) -> Diagnostic {
-        self.file.wrong(&span, finding)
-    }
-
-    /// Reads something that may hold others of its kind.
+    /// Parses something that may contain others of its kind.
     pub(super) fn nested<T>(
         &mut self,
-        read: impl FnOnce(&mut Self) -> Result<T, Diagnostic>,
+        parse: impl FnOnce(&mut Self) -> Result<T, Diagnostic>,
     ) -> Result<T, Diagnostic> {
         self.depth += 1;
         if self.depth > DEPTH {
-            return Err(self.wrong(self.span(), ProgramFinding::NestedTooDeeply { most: DEPTH }));
+            let span = self.tokens.span();
+            return Err(self.tokens.wrong(span, ProgramFinding::NestedTooDeeply { most: DEPTH }));
         }
-        let found = read(self)?;
+        let parsed = parse(self)?;
         self.depth -= 1;
-        Ok(found)
+        Ok(parsed)
     }
 
-    /// Counts an operator.
+    /// Reads an operator.
     pub(super) fn operator(&mut self) -> Result<(), Diagnostic> {
         self.operators += 1;
         if self.operators > OPERATORS {
-            return Err(self.wrong(self.span(), ProgramFinding::TooManyOperators { most: OPERATORS }));
+            let span = self.tokens.span();
+            return Err(self.tokens.wrong(span, ProgramFinding::TooManyOperators { most: OPERATORS }));
         }
-        self.advance();
+        self.tokens.advance();
         Ok(())
     }
 
-    /// The word `ahead` places on; the last word is repeated after the end.
-    pub(super) fn ahead(&self, ahead: usize) -> &Token {
-        self.tokens.get(self.at + ahead).or(self.tokens.last()).map_or(&Token::End, |(token, _)| token)
-    }
-
-    pub(super) fn peek(&self) -> &Token {
-        self.ahead(0)
-    }
-
-    pub(super) fn span(&self) -> Span {
-        self.tokens.get(self.at).map_or(self.file.text.len()..self.file.text.len(), |(_, span)| span.clone())
-    }
-
-    /// The end of the word read last.
-    pub(super) fn end(&self) -> usize {
-        self.at.checked_sub(1).and_then(|at| self.tokens.get(at)).map_or(0, |(_, span)| span.end)
-    }
-
-    pub(super) fn advance(&mut self) {
-        self.at += 1;
-    }
-
-    pub(super) fn unexpected(&self, wanted: &str) -> Diagnostic {
-        let found = match self.peek() {
-            Token::LineEnd => "the end of the line".into(),
-            Token::End => "the end of the file".into(),
-            _ => format!("`{}`", self.file.text.get(self.span()).unwrap_or("")),
-        };
-        self.wrong(self.span(), ProgramFinding::Expected { expected: wanted.into(), found })
+    /// Reads the next token, which stands for `parsed`.
+    pub(super) fn token_as<T>(&mut self, parsed: T) -> T {
+        self.tokens.advance();
+        parsed
     }
 
     pub(super) fn unsupported(&self, span: Span, what: impl Into<String>, instead: &str) -> Diagnostic {
-        self.wrong(span, ProgramFinding::Unsupported { what: what.into(), instead: instead.into() })
-    }
-
-    pub(super) fn accept_sign(&mut self, sign: &str) -> bool {
-        let found = matches!(self.peek(), Token::Sign(s) if *s == sign);
-        if found {
-            self.advance();
-        }
-        found
-    }
-
-    pub(super) fn sign(&mut self, sign: &str) -> Result<(), Diagnostic> {
-        if self.accept_sign(sign) { Ok(()) } else { Err(self.unexpected(&format!("`{sign}`"))) }
-    }
-
-    pub(super) fn is_name(&self, name: &str) -> bool {
-        matches!(self.peek(), Token::Name(n) if n == name)
-    }
-
-    pub(super) fn accept_name(&mut self, name: &str) -> bool {
-        let found = self.is_name(name);
-        if found {
-            self.advance();
-        }
-        found
-    }
-
-    pub(super) fn keyword(&mut self, name: &str) -> Result<(), Diagnostic> {
-        if self.accept_name(name) { Ok(()) } else { Err(self.unexpected(name)) }
+        self.tokens.wrong(span, ProgramFinding::Unsupported { what: what.into(), instead: instead.into() })
     }
 
     pub(super) fn name(&mut self) -> Result<(String, Span), Diagnostic> {
-        let Token::Name(name) = self.peek() else { return Err(self.unexpected("a name")) };
-        let found = (name.clone(), self.span());
+        let (name, span) = self.tokens.name()?;
         if name.len() > 24 {
-            return Err(self.wrong(found.1, ProgramFinding::LongName { name: found.0 }));
+            return Err(self.tokens.wrong(span, ProgramFinding::LongName { name }));
         }
-        self.advance();
-        Ok(found)
+        Ok((name, span))
     }
 
     pub(super) fn line_end(&mut self) -> Result<(), Diagnostic> {
         self.operators = 0;
-        match self.peek() {
-            Token::LineEnd => self.advance(),
+        match self.tokens.peek() {
+            Token::LineEnd => self.tokens.advance(),
             Token::End => {}
-            _ => return Err(self.unexpected("the end of the line")),
+            _ => return Err(self.tokens.expected("the end of the line")),
         }
         Ok(())
     }
 
-    pub(super) fn skip_lines(&mut self) {
-        while *self.peek() == Token::LineEnd {
-            self.advance();
+    pub(super) fn skip_empty_lines(&mut self) {
+        while *self.tokens.peek() == Token::LineEnd {
+            self.tokens.advance();
         }
+    }
+
+    /// Whether nothing but empty lines follows; they are skipped.
+    pub(super) fn is_at_end(&mut self) -> bool {
+        self.skip_empty_lines();
+        *self.tokens.peek() == Token::End
     }
 
     /// `DEF NAME (A :IN,B :IN)` to `END`.
     fn routine(&mut self) -> Result<Routine, Diagnostic> {
-        self.accept_name("GLOBAL");
-        if !self.is_name("DEF") {
-            return Err(self.statement_unknown("DEF NAME ( )"));
+        self.tokens.accept_name("GLOBAL");
+        if !self.tokens.accept_name("DEF") {
+            return Err(self.unknown_statement("DEF NAME ( )"));
         }
-        self.advance();
         let (name, span) = self.name()?;
-        self.sign("(")?;
-        let mut parameters = Vec::new();
-        while !self.accept_sign(")") {
-            if !parameters.is_empty() {
-                self.sign(",")?;
-            }
-            parameters.push(self.name()?.0);
-            self.sign(":")?;
-            if !self.accept_name("IN") {
-                let instead = "only parameters by value (:IN) are supported";
-                return Err(self.unsupported(self.span(), "a parameter by reference", instead));
-            }
-        }
+        let parameters = self.parameters()?;
         self.line_end()?;
         let mut declarations = Vec::new();
-        self.skip_lines();
+        self.skip_empty_lines();
         while let Some(declaration) = self.declaration()? {
             declarations.push(declaration);
-            self.skip_lines();
+            self.skip_empty_lines();
         }
         let body = self.block(&["END"])?;
-        self.keyword("END")?;
+        self.tokens.expect_name("END")?;
         self.line_end()?;
         Ok(Routine { name, span, parameters, declarations, body })
+    }
+
+    /// `(A :IN,B :IN)`
+    fn parameters(&mut self) -> Result<Vec<String>, Diagnostic> {
+        self.tokens.expect("(")?;
+        let mut parameters = Vec::new();
+        while !self.tokens.accept(")") {
+            if !parameters.is_empty() {
+                self.tokens.expect(",")?;
+            }
+            parameters.push(self.name()?.0);
+            self.tokens.expect(":")?;
+            if !self.tokens.accept_name("IN") {
+                let instead = "only parameters by value (:IN) are supported";
+                return Err(self.unsupported(self.tokens.span(), "a parameter by reference", instead));
+            }
+        }
+        Ok(parameters)
     }
 
     /// A line of a `.dat` file.
@@ -245,77 +186,75 @@ impl<'a> Parser<'a> {
 
     /// The declaration on this line, if it is one.
     pub(super) fn declaration(&mut self) -> Result<Option<Declaration>, Diagnostic> {
-        let start = self.span().start;
-        let before = self.at;
-        let mut declares = false;
-        while ["DECL", "GLOBAL", "CONST"].iter().any(|word| self.is_name(word)) {
-            declares |= self.is_name("DECL");
-            self.advance();
+        let start = self.tokens.position();
+        let mut has_decl = false;
+        while ["DECL", "GLOBAL", "CONST"].iter().any(|word| self.tokens.is_name(word)) {
+            has_decl |= self.tokens.is_name("DECL");
+            self.tokens.advance();
         }
-        let kind = if self.accept_name("EXT") {
+        let kind = if self.tokens.accept_name("EXT") {
             let (name, _) = self.name()?;
-            while !matches!(self.peek(), Token::LineEnd | Token::End) {
-                self.advance();
+            while !self.tokens.is_line_end() {
+                self.tokens.advance();
             }
-            DeclarationKind::External { name }
-        } else if self.accept_name("SIGNAL") {
+            Declaration::External { name }
+        } else if self.tokens.accept_name("SIGNAL") {
             let (name, _) = self.name()?;
             let first = self.place()?;
-            let last = if self.accept_name("TO") { Some(self.place()?) } else { None };
-            DeclarationKind::Signal { name, first, last }
-        } else if self.declares_variables(declares) {
+            let last = if self.tokens.accept_name("TO") { Some(self.place()?) } else { None };
+            Declaration::Signal { name, first, last }
+        } else if self.is_variable_declaration(has_decl) {
             let (type_name, _) = self.name()?;
-            let each = Type::named(&type_name).map_or(1, Type::numbers);
-            let mut names = vec![self.declared(each)?];
-            while self.accept_sign(",") {
-                names.push(self.declared(each)?);
+            let values = Type::named(&type_name).map_or(1, Type::values);
+            let mut variables = vec![self.declared(values)?];
+            while self.tokens.accept(",") {
+                variables.push(self.declared(values)?);
             }
-            DeclarationKind::Variables { type_name, names }
-        } else if declares {
-            return Err(self.unexpected("a type and a name"));
+            Declaration::Variables { type_name, variables }
+        } else if has_decl {
+            return Err(self.tokens.expected("a type and a name"));
         } else {
-            self.at = before;
+            self.tokens.go_to(start);
             return Ok(None);
         };
-        let span = start..self.end();
         self.line_end()?;
-        Ok(Some(Declaration { span, kind }))
+        Ok(Some(kind))
     }
 
     /// Whether a type and a name follow.
-    fn declares_variables(&self, declares: bool) -> bool {
-        matches!(self.peek(), Token::Name(name) if declares || type_of_declaration(name))
-            && matches!(self.ahead(1), Token::Name(_))
+    fn is_variable_declaration(&self, has_decl: bool) -> bool {
+        matches!(self.tokens.peek(), Token::Name(name) if has_decl || declares_without_decl(name))
+            && matches!(self.tokens.ahead(1), Token::Name(_))
     }
 
-    /// A name with the number of its elements, which are of so many numbers `each`.
-    fn declared(&mut self, each: usize) -> Result<Declared, Diagnostic> {
+    /// The name of a variable with its number of elements, each of so many `values`.
+    fn declared(&mut self, values: usize) -> Result<Declared, Diagnostic> {
         let (name, span) = self.name()?;
         let mut elements = None;
-        if self.accept_sign("[") {
-            let Token::Int(count) = *self.peek() else { return Err(self.unexpected("a number of elements")) };
-            elements = usize::try_from(count).ok().filter(|count| (1..=NUMBERS).contains(count));
-            self.numbers += elements.unwrap_or(0) * each;
-            if elements.is_none() || self.numbers > NUMBERS {
-                let finding = ProgramFinding::ArraySize { elements: count, most: NUMBERS };
-                return Err(self.wrong(self.span(), finding));
+        if self.tokens.accept("[") {
+            let Token::Int(count) = *self.tokens.peek() else {
+                return Err(self.tokens.expected("a number of elements"));
+            };
+            elements = usize::try_from(count).ok().filter(|count| (1..=ARRAY_VALUES).contains(count));
+            self.array_values += elements.unwrap_or(0) * values;
+            if elements.is_none() || self.array_values > ARRAY_VALUES {
+                let finding = ProgramFinding::ArraySize { elements: count, most: ARRAY_VALUES };
+                return Err(self.tokens.wrong(self.tokens.span(), finding));
             }
-            self.advance();
+            self.tokens.advance();
             self.one_dimension()?;
-            self.sign("]")?;
+            self.tokens.expect("]")?;
         }
-        let value = if self.accept_sign("=") { Some(self.expression()?) } else { None };
+        let value = if self.tokens.accept("=") { Some(self.expression()?) } else { None };
         Ok(Declared { name, elements, value, span })
     }
 
     /// Refuses a second index.
     pub(super) fn one_dimension(&self) -> Result<(), Diagnostic> {
-        match self.peek() {
-            Token::Sign(",") => {
-                let what = "an array of more than one dimension";
-                Err(self.unsupported(self.span(), what, "use arrays of one dimension"))
-            }
-            _ => Ok(()),
+        if !matches!(self.tokens.peek(), Token::Sign(",")) {
+            return Ok(());
         }
+        let what = "an array of more than one dimension";
+        Err(self.unsupported(self.tokens.span(), what, "use arrays of one dimension"))
     }
 }

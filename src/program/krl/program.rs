@@ -1,13 +1,13 @@
-//! A program: a module and all that it calls, each a `.src` with its `.dat`.
+//! A whole program: a module and the modules that it calls, each a `.src` with its `.dat`.
 
 use super::data::read_setup;
 use super::parser::{parse_data, parse_source};
 use super::syntax::{Block, Data, Routine, Source, Span, StatementKind};
 use crate::catalogue::ProgramFinding;
 use crate::diagnostic::Diagnostic;
-use crate::program::{Equipped, Setup};
+use crate::program::Setup;
 
-/// Routines of the controller itself that a program may call.
+/// Routines of the controller that a program may call.
 pub const BUILT_IN: &[&str] = &["BAS", "IR_STOPM"];
 
 #[derive(Clone, Debug)]
@@ -18,14 +18,14 @@ pub struct Module {
     pub data: Option<Data>,
 }
 
-/// A module and all that it calls; the first is where execution begins.
+/// A module and the modules that it calls; execution begins in the first.
 #[derive(Clone, Debug)]
 pub struct Program {
-    /// In the order in which they are first called.
+    /// In the order of their first call.
     pub modules: Vec<Module>,
 }
 
-/// A module that is to be read, and what is wrong where it is called if there is none.
+/// A module to read, and the finding if it does not exist, at its first call.
 #[derive(Clone)]
 struct Wanted {
     name: String,
@@ -33,8 +33,8 @@ struct Wanted {
 }
 
 impl Program {
-    /// Reads the module `name` and every module that is called from it. `file` gives the name and the text of `NAME.src`
-    /// or `NAME.dat` (case does not matter), or `None` where there is no such file.
+    /// Reads the module `name` and all modules that are called from it. `file` returns name and text of `NAME.src` or
+    /// `NAME.dat`, whose case it ignores, or `None` if there is no such file.
     pub fn open(
         name: &str,
         mut file: impl FnMut(&str) -> Result<Option<(String, String)>, Diagnostic>,
@@ -66,25 +66,24 @@ impl Program {
         Ok(Self { modules })
     }
 
-    /// The routine that `name` means inside `module`: a local one, else another module's first.
+    /// The routine `name` as seen in `module`, with its module: a local one, else the first of another module.
     pub fn routine(&self, module: usize, name: &str) -> Option<(usize, &Routine)> {
-        let local = |at: usize| self.modules.get(at).map(|module| &module.source.routines);
-        if let Some(routine) = local(module)?.iter().find(|routine| routine.name == name) {
+        let routines = |at: usize| self.modules.get(at).map(|module| &module.source.routines);
+        if let Some(routine) = routines(module)?.iter().find(|routine| routine.name == name) {
             return Some((module, routine));
         }
         let at = self.modules.iter().position(|module| module.name == name)?;
-        Some((at, local(at)?.first()?))
+        Some((at, routines(at)?.first()?))
     }
-}
 
-impl Equipped for Program {
-    fn setups(&self) -> Vec<Setup> {
+    /// The set-up of each module that has one.
+    pub fn setups(&self) -> Vec<Setup> {
         self.modules.iter().filter_map(|module| read_setup(module.data.as_ref()?)).collect()
     }
 }
 
 impl Module {
-    /// Refuses names that differ from the file's.
+    /// Refuses a routine or data list with another name than the file.
     fn check_names(&self) -> Result<(), Diagnostic> {
         let file = &self.name;
         if let Some(first) = self.source.routines.first().filter(|first| first.name != *file) {
@@ -100,29 +99,28 @@ impl Module {
         }
     }
 
-    /// The calls of routines that are neither in this module nor the controller's own.
+    /// The calls of routines that are neither in this module nor built in.
     fn calls_elsewhere(&self) -> Vec<(Span, &str)> {
-        let mut found: Vec<(Span, &str)> =
-            self.source.routines.iter().flat_map(|routine| calls(&routine.body)).collect();
-        found.retain(|(_, called)| {
-            !BUILT_IN.contains(called) && !self.source.routines.iter().any(|other| other.name == *called)
-        });
-        found
+        let routines = &self.source.routines;
+        let calls = routines.iter().flat_map(|routine| calls(&routine.body));
+        let is_elsewhere =
+            |called: &str| !BUILT_IN.contains(&called) && !routines.iter().any(|other| other.name == called);
+        calls.filter(|(_, called)| is_elsewhere(called)).collect()
     }
 }
 
-/// Every call in a block and in those inside it.
+/// The calls in a block and in the blocks inside it, in the order of the text.
 fn calls(block: &Block) -> Vec<(Span, &str)> {
-    let mut found = Vec::new();
-    let mut open = vec![block];
-    while let Some(block) = open.pop() {
+    let mut calls = Vec::new();
+    let mut blocks = vec![block];
+    while let Some(block) = blocks.pop() {
         for statement in block.iter() {
             if let StatementKind::Call { name, .. } = &statement.kind {
-                found.push((statement.span.clone(), name.as_str()));
+                calls.push((statement.span.clone(), name.as_str()));
             }
-            open.extend(statement.kind.blocks());
+            blocks.extend(statement.kind.blocks());
         }
     }
-    found.sort_by_key(|(span, _)| span.start);
-    found
+    calls.sort_by_key(|(span, _)| span.start);
+    calls
 }

@@ -1,13 +1,13 @@
-//! Reads statements and their blocks.
+//! Parser of statements and blocks.
 
-use super::lexer::Token;
 use super::parser::Parser;
 use super::syntax::*;
 use crate::catalogue::ProgramFinding;
 use crate::diagnostic::{Diagnostic, nearest};
 use crate::plan::Motion;
+use crate::program::lexer::Token;
 
-/// Statements and what closes their blocks, for suggestions.
+/// The words that begin a line, for suggestions.
 #[rustfmt::skip]
 const KEYWORDS: &[&str] = &[
     "PTP", "LIN", "CIRC", "SPTP", "SLIN", "SCIRC", "WAIT", "PULSE", "HALT", "RETURN", "EXIT", "FOR", "ENDFOR", "IF",
@@ -16,7 +16,7 @@ const KEYWORDS: &[&str] = &[
 
 const CLOSING: &[&str] = &["END", "ENDFOR", "ELSE", "ENDIF", "ENDWHILE", "ENDLOOP", "DEF"];
 
-/// Statements of KRL that are known to exist and not supported, each with what to do.
+/// Statements of KRL that are not supported, each with what to write in its place.
 const UNSUPPORTED: &[(&str, &str)] = &[
     ("SPLINE", "write LIN or CIRC for each point"),
     ("TRIGGER", "set the output after an exact stop"),
@@ -30,7 +30,7 @@ const UNSUPPORTED: &[(&str, &str)] = &[
     ("ENUM", "use INT"),
 ];
 
-/// The motion that a word begins; spline motions go to the same points as the plain ones.
+/// The motion that a keyword begins. Spline motions go to the same points as the others.
 pub(super) fn motion_of(word: &str) -> Option<Motion> {
     match word {
         "PTP" | "SPTP" => Some(Motion::Ptp),
@@ -41,14 +41,14 @@ pub(super) fn motion_of(word: &str) -> Option<Motion> {
 }
 
 impl Parser<'_> {
-    /// Statements up to (not including) one of the `closing` words.
+    /// Statements up to one of the `closing` words, which is not read.
     pub(super) fn block(&mut self, closing: &[&str]) -> Result<Block, Diagnostic> {
         let mut statements = Vec::new();
         self.nested(|parser| {
             while parser.in_block(closing)? {
-                let at = parser.span();
+                let at = parser.tokens.span();
                 if parser.declaration()?.is_some() {
-                    return Err(parser.wrong(at, ProgramFinding::LateDeclaration));
+                    return Err(parser.tokens.wrong(at, ProgramFinding::LateDeclaration));
                 }
                 statements.push(parser.statement()?);
             }
@@ -57,62 +57,65 @@ impl Parser<'_> {
         Ok(statements.into())
     }
 
-    /// Whether the block goes on.
+    /// Whether another statement of the block follows.
     fn in_block(&mut self, closing: &[&str]) -> Result<bool, Diagnostic> {
-        self.skip_lines();
-        if *self.peek() == Token::End {
-            return Err(self.unexpected(closing.first().copied().unwrap_or("END")));
+        self.skip_empty_lines();
+        if *self.tokens.peek() == Token::End {
+            return Err(self.tokens.expected(closing.first().copied().unwrap_or("END")));
         }
-        if closing.iter().any(|word| self.is_name(word)) {
+        if closing.iter().any(|word| self.tokens.is_name(word)) {
             return Ok(false);
         }
-        if CLOSING.iter().any(|word| self.is_name(word)) {
-            return Err(self.unexpected(&closing.join(" or ")));
+        if CLOSING.iter().any(|word| self.tokens.is_name(word)) {
+            return Err(self.tokens.expected(&closing.join(" or ")));
         }
         Ok(true)
     }
 
-    /// The rest of a block statement's first line, then its block and the word that closes it.
+    /// After the head of a statement with one block: the end of its line, the block and the word that closes it.
     fn body(&mut self, closing: &str) -> Result<Block, Diagnostic> {
         self.line_end()?;
         let body = self.block(&[closing])?;
-        self.keyword(closing)?;
+        self.tokens.expect_name(closing)?;
         Ok(body)
     }
 
     fn statement(&mut self) -> Result<Statement, Diagnostic> {
-        let start = self.span().start;
-        let Token::Name(word) = self.peek().clone() else { return Err(self.unexpected("a statement")) };
-        let line = self.file.text.get(start..).and_then(|rest| rest.lines().next()).unwrap_or("");
+        let start = self.tokens.span().start;
+        let Token::Name(word) = self.tokens.peek().clone() else {
+            return Err(self.tokens.expected("a statement"));
+        };
+        let line = self.tokens.file.text.get(start..).and_then(|rest| rest.lines().next()).unwrap_or("");
         let line = line.split(';').next().unwrap_or("").trim_end();
         let span = start..start + line.len();
-        let kind = match self.ahead(1) {
+        let kind = match self.tokens.ahead(1) {
             Token::Sign("=" | "[" | ".") => {
                 let (target, value) = self.assignment()?;
                 StatementKind::Assign { target, value }
             }
-            _ => self.statement_of(&word)?,
+            _ => self.keyword_statement(&word)?,
         };
         self.line_end()?;
         Ok(Statement { span, kind })
     }
 
-    fn statement_of(&mut self, word: &str) -> Result<StatementKind, Diagnostic> {
+    /// A statement that begins with a keyword or is a call.
+    fn keyword_statement(&mut self, word: &str) -> Result<StatementKind, Diagnostic> {
         Ok(match word {
             "WAIT" => self.wait()?,
             "PULSE" => self.pulse()?,
-            "HALT" => self.lone(StatementKind::Halt),
-            "RETURN" => self.lone(StatementKind::Return),
-            "EXIT" => self.lone(StatementKind::Exit),
-            "FOR" => self.counted()?,
-            "IF" => self.choice()?,
+            "HALT" => self.token_as(StatementKind::Halt),
+            "RETURN" => self.token_as(StatementKind::Return),
+            "EXIT" => self.token_as(StatementKind::Exit),
+            "FOR" => self.for_loop()?,
+            "IF" => self.if_statement()?,
             "WHILE" => {
-                self.advance();
+                self.tokens.advance();
                 let condition = self.expression()?;
                 StatementKind::While { condition, body: self.body("ENDWHILE")? }
             }
             "LOOP" => {
-                self.advance();
+                self.tokens.advance();
                 StatementKind::Loop(self.body("ENDLOOP")?)
             }
             "GLOBAL" | "INTERRUPT" => self.interrupt()?,
@@ -122,117 +125,113 @@ impl Parser<'_> {
                 motion.approximate = self.approximate()?;
                 StatementKind::Move(motion)
             }
-            _ if matches!(self.ahead(1), Token::Sign("(")) => {
+            _ if matches!(self.tokens.ahead(1), Token::Sign("(")) => {
                 let (name, _) = self.name()?;
                 StatementKind::Call { name, arguments: self.arguments()? }
             }
-            _ => return Err(self.statement_unknown("a statement")),
+            _ => return Err(self.unknown_statement("a statement")),
         })
     }
 
-    /// What to say of a line that begins with a word that has no meaning there.
-    pub(super) fn statement_unknown(&self, wanted: &str) -> Diagnostic {
-        let Token::Name(word) = self.peek() else { return self.unexpected(wanted) };
+    /// That a line begins with a word which begins no statement.
+    pub(super) fn unknown_statement(&self, wanted: &str) -> Diagnostic {
+        let Token::Name(word) = self.tokens.peek() else { return self.tokens.expected(wanted) };
         if let Some((_, instead)) = UNSUPPORTED.iter().find(|(name, _)| name == word) {
-            return self.unsupported(self.span(), word.as_str(), instead);
+            return self.unsupported(self.tokens.span(), word.as_str(), instead);
         }
-        let found = self.wrong(self.span(), ProgramFinding::NoStatement { word: word.clone() });
+        let wrong = self.tokens.wrong(self.tokens.span(), ProgramFinding::NoStatement { word: word.clone() });
         match nearest(word, KEYWORDS.iter().copied()).filter(|near| near != word) {
-            Some(near) => found.help(format!("did you mean {near}?")),
-            None => found,
+            Some(near) => wrong.help(format!("did you mean {near}?")),
+            None => wrong,
         }
     }
 
-    /// A motion and its points, without what may follow these.
+    /// A motion and its points, without the options that may follow.
     pub(super) fn motion(&mut self) -> Result<Move, Diagnostic> {
-        let found = match self.peek() {
+        let motion = match self.tokens.peek() {
             Token::Name(word) => motion_of(word),
             _ => None,
         };
-        let Some(motion) = found else { return Err(self.unexpected("a motion")) };
-        self.advance();
+        let Some(motion) = motion else { return Err(self.tokens.expected("a motion")) };
+        self.tokens.advance();
         let mut to = self.expression()?;
         let mut through = None;
         if motion == Motion::Circ {
-            self.sign(",")?;
+            self.tokens.expect(",")?;
             through = Some(std::mem::replace(&mut to, self.expression()?));
         }
         Ok(Move { motion, through, to, angle: None, approximate: None })
     }
 
-    /// `,CA angle` behind the points of an arc.
+    /// `,CA angle` after the points of an arc.
     pub(super) fn angle(&mut self) -> Result<Option<Expression>, Diagnostic> {
-        if !matches!((self.peek(), self.ahead(1)), (Token::Sign(","), Token::Name(word)) if word == "CA") {
+        if !matches!((self.tokens.peek(), self.tokens.ahead(1)), (Token::Sign(","), Token::Name(word)) if word == "CA")
+        {
             return Ok(None);
         }
-        self.advance();
-        self.advance();
+        self.tokens.advance();
+        self.tokens.advance();
         self.expression().map(Some)
     }
 
     fn wait(&mut self) -> Result<StatementKind, Diagnostic> {
-        self.advance();
-        if self.accept_name("SEC") {
+        self.tokens.advance();
+        if self.tokens.accept_name("SEC") {
             Ok(StatementKind::WaitSeconds(self.expression()?))
-        } else if self.accept_name("FOR") {
+        } else if self.tokens.accept_name("FOR") {
             Ok(StatementKind::WaitFor(self.expression()?))
         } else {
-            Err(self.unexpected("SEC or FOR"))
+            Err(self.tokens.expected("SEC or FOR"))
         }
     }
 
     fn pulse(&mut self) -> Result<StatementKind, Diagnostic> {
-        self.advance();
-        self.sign("(")?;
+        self.tokens.advance();
+        self.tokens.expect("(")?;
         let output = self.place()?;
-        self.sign(",")?;
+        self.tokens.expect(",")?;
         let level = self.expression()?;
-        self.sign(",")?;
+        self.tokens.expect(",")?;
         let seconds = self.expression()?;
-        self.sign(")")?;
+        self.tokens.expect(")")?;
         Ok(StatementKind::Pulse { output, level, seconds })
-    }
-
-    fn lone(&mut self, kind: StatementKind) -> StatementKind {
-        self.advance();
-        kind
     }
 
     /// `C_PTP`, `C_DIS` .. at the end of a motion.
     fn approximate(&mut self) -> Result<Option<String>, Diagnostic> {
-        let mut found: Option<String> = None;
-        while let Token::Name(word) = self.peek().clone() {
+        let mut words: Option<String> = None;
+        while let Token::Name(word) = self.tokens.peek().clone() {
             if !matches!(word.as_str(), "C_PTP" | "C_DIS" | "C_ORI" | "C_VEL" | "C_SPL") {
-                return Err(self.unexpected("C_PTP, C_DIS, C_ORI, C_VEL, C_SPL or the end of the line"));
+                return Err(self.tokens.expected("C_PTP, C_DIS, C_ORI, C_VEL, C_SPL or the end of the line"));
             }
-            self.advance();
-            found = Some(found.map_or(word.clone(), |before| format!("{before} {word}")));
+            self.tokens.advance();
+            words = Some(words.map_or(word.clone(), |before| format!("{before} {word}")));
         }
-        Ok(found)
+        Ok(words)
     }
 
-    fn counted(&mut self) -> Result<StatementKind, Diagnostic> {
-        self.advance();
+    fn for_loop(&mut self) -> Result<StatementKind, Diagnostic> {
+        self.tokens.advance();
         let counter = self.place()?;
-        self.sign("=")?;
+        self.tokens.expect("=")?;
         let from = self.expression()?;
-        self.keyword("TO")?;
+        self.tokens.expect_name("TO")?;
         let to = self.expression()?;
-        let step = if self.accept_name("STEP") { Some(self.expression()?) } else { None };
+        let step = if self.tokens.accept_name("STEP") { Some(self.expression()?) } else { None };
         let body = self.body("ENDFOR")?;
         Ok(StatementKind::For { counter, from, to, step, body })
     }
 
-    fn choice(&mut self) -> Result<StatementKind, Diagnostic> {
-        self.advance();
+    fn if_statement(&mut self) -> Result<StatementKind, Diagnostic> {
+        self.tokens.advance();
         let condition = self.expression()?;
-        self.keyword("THEN")?;
+        self.tokens.expect_name("THEN")?;
         self.line_end()?;
         let then = self.block(&["ENDIF", "ELSE"])?;
-        let otherwise = if self.accept_name("ELSE") {
+        let otherwise = if self.tokens.accept_name("ELSE") {
             self.body("ENDIF")?
         } else {
-            self.keyword("ENDIF")?;
+            self.tokens.expect_name("ENDIF")?;
             Block::from([])
         };
         Ok(StatementKind::If { condition, then, otherwise })
@@ -240,19 +239,19 @@ impl Parser<'_> {
 
     /// `GLOBAL INTERRUPT DECL 3 WHEN c DO CALL ( )`, `INTERRUPT ON 3`.
     fn interrupt(&mut self) -> Result<StatementKind, Diagnostic> {
-        self.accept_name("GLOBAL");
-        self.keyword("INTERRUPT")?;
-        if self.accept_name("ON") || self.accept_name("OFF") {
-            if *self.peek() != Token::LineEnd {
+        self.tokens.accept_name("GLOBAL");
+        self.tokens.expect_name("INTERRUPT")?;
+        if self.tokens.accept_name("ON") || self.tokens.accept_name("OFF") {
+            if *self.tokens.peek() != Token::LineEnd {
                 self.expression()?;
             }
             return Ok(StatementKind::InterruptSwitch);
         }
-        self.keyword("DECL")?;
+        self.tokens.expect_name("DECL")?;
         self.expression()?;
-        self.keyword("WHEN")?;
+        self.tokens.expect_name("WHEN")?;
         let condition = self.expression()?;
-        self.keyword("DO")?;
+        self.tokens.expect_name("DO")?;
         self.name()?;
         self.arguments()?;
         Ok(StatementKind::InterruptDeclaration { condition })
@@ -260,11 +259,11 @@ impl Parser<'_> {
 
     /// `(a,b)`
     pub(super) fn arguments(&mut self) -> Result<Vec<Expression>, Diagnostic> {
-        self.sign("(")?;
+        self.tokens.expect("(")?;
         let mut arguments = Vec::new();
-        while !self.accept_sign(")") {
+        while !self.tokens.accept(")") {
             if !arguments.is_empty() {
-                self.sign(",")?;
+                self.tokens.expect(",")?;
             }
             arguments.push(self.expression()?);
         }

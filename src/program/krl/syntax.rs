@@ -1,5 +1,5 @@
-//! The tree of a KRL program. Every node has its bytes in the text, so that a reader can point at them and a writer can
-//! replace them and nothing else.
+//! The syntax tree of a KRL program. Nodes carry their bytes in the text, so that a diagnostic can point at them and a
+//! correction can replace them and nothing else. Names are in capitals.
 
 use std::sync::Arc;
 
@@ -11,7 +11,7 @@ pub use crate::program::text::{Span, Text};
 pub struct Source {
     pub file: String,
     pub text: String,
-    /// The routines in order; the first is the module's own.
+    /// In the order of the text; the first one is the module's own.
     pub routines: Vec<Routine>,
 }
 
@@ -21,20 +21,19 @@ impl Source {
     }
 }
 
-/// `DEF .. END`. Names are in capitals, here and below.
+/// `DEF .. END`
 #[derive(Clone, Debug)]
 pub struct Routine {
     pub name: String,
-    /// Of the name.
+    /// The bytes of the name.
     pub span: Span,
-    /// All are `:IN`.
+    /// All are passed by value (`:IN`).
     pub parameters: Vec<String>,
-    /// Before its first statement.
     pub declarations: Vec<Declaration>,
     pub body: Block,
 }
 
-/// Statements in order; shared, so that an executor can hold its place in them.
+/// A sequence of statements; shared, so that an interpreter can hold its position in it.
 pub type Block = Arc<[Statement]>;
 
 /// A `.dat` file.
@@ -56,7 +55,7 @@ impl Data {
 #[derive(Clone, Debug)]
 pub enum DataItem {
     Declaration(Declaration),
-    /// A value for a variable or an element that was declared before.
+    /// `A=B` or `A[1]=B`
     Value {
         target: Place,
         value: Expression,
@@ -64,26 +63,28 @@ pub enum DataItem {
 }
 
 #[derive(Clone, Debug)]
-pub struct Declaration {
-    /// The bytes of the line's content.
-    pub span: Span,
-    pub kind: DeclarationKind,
-}
-
-#[derive(Clone, Debug)]
-pub enum DeclarationKind {
+pub enum Declaration {
     /// `DECL INT A,B[3]=..`
-    Variables { type_name: String, names: Vec<Declared> },
+    Variables { type_name: String, variables: Vec<Declared> },
     /// `SIGNAL NAME $OUT[9] TO $OUT[16]`
     Signal { name: String, first: Place, last: Option<Place> },
-    /// `EXT NAME (..)`: a module elsewhere.
+    /// `EXT NAME (..)`: a routine of another module.
     External { name: String },
+}
+
+impl Declaration {
+    pub(crate) fn variables(&self) -> &[Declared] {
+        match self {
+            Self::Variables { variables, .. } => variables,
+            Self::Signal { .. } | Self::External { .. } => &[],
+        }
+    }
 }
 
 #[derive(Clone, Debug)]
 pub struct Declared {
     pub name: String,
-    /// Number of elements, for an array.
+    /// Number of elements of an array.
     pub elements: Option<usize>,
     pub value: Option<Expression>,
     pub span: Span,
@@ -91,7 +92,7 @@ pub struct Declared {
 
 #[derive(Clone, Debug)]
 pub struct Statement {
-    /// Up to the end of its first line.
+    /// The bytes of its first line.
     pub span: Span,
     pub kind: StatementKind,
 }
@@ -108,15 +109,15 @@ pub enum StatementKind {
     WaitFor(Expression),
     /// `PULSE (output,level,seconds)`
     Pulse { output: Place, level: Expression, seconds: Expression },
-    /// `HALT`: until the operator presses START.
+    /// `HALT`: stops until the operator presses START.
     Halt,
     /// `RETURN`
     Return,
-    /// `EXIT`: leaves the innermost `LOOP`.
+    /// `EXIT`: out of the innermost `LOOP`.
     Exit,
     /// `NAME (arguments)`
     Call { name: String, arguments: Vec<Expression> },
-    /// `FOR K=1 TO N STEP 1 .. ENDFOR`; without a step 1 is added.
+    /// `FOR K=1 TO N STEP 1 .. ENDFOR`; the default step is 1.
     For { counter: Place, from: Expression, to: Expression, step: Option<Expression>, body: Block },
     /// `IF c THEN .. ELSE .. ENDIF`
     If { condition: Expression, then: Block, otherwise: Block },
@@ -131,6 +132,7 @@ pub enum StatementKind {
 }
 
 impl StatementKind {
+    /// The blocks inside the statement.
     pub(crate) fn blocks(&self) -> impl Iterator<Item = &Block> {
         let blocks = match self {
             Self::For { body, .. } | Self::While { body, .. } | Self::Loop(body) => [Some(body), None],
@@ -148,31 +150,30 @@ pub struct Move {
     pub through: Option<Expression>,
     /// An axis position or a Cartesian position.
     pub to: Expression,
-    /// Signed sweep of an arc, degrees.
+    /// `CA`: signed sweep of an arc, degrees.
     pub angle: Option<Expression>,
-    /// Approximate positioning (`C_PTP`, ..) as written.
+    /// `C_PTP`, `C_DIS`, ..: approximate positioning.
     pub approximate: Option<String>,
 }
 
-/// A variable, or a part of one.
+/// A variable, or an element or component of one.
 #[derive(Clone, Debug)]
 pub struct Place {
-    /// With its `$` if it has one.
+    /// With the `$` of a system variable.
     pub name: String,
-    /// Elements and members, outermost first.
+    /// Outermost first.
     pub parts: Vec<Part>,
     pub span: Span,
 }
 
-/// A step into a variable.
 #[derive(Clone, Debug)]
 pub enum Part {
     /// `[i]`, from 1.
     Element(Box<Expression>),
-    /// `[]`: the whole array (of characters).
+    /// `[]`: the whole array, of characters.
     Whole,
     /// `.NAME`
-    Member(String),
+    Component(String),
 }
 
 #[derive(Clone, Debug)]
@@ -195,7 +196,7 @@ pub enum ExpressionKind {
     Place(Place),
     /// `{X 1.0,Y 2.0}`, `{E6POS: X 1.0}`
     Aggregate(Vec<Field>),
-    /// `NAME (a,b)`: a function of the controller, of which the `EKI_` ones are known.
+    /// `NAME (a,b)`: a function of EthernetKRL (`EKI_..`); no others are supported.
     Call {
         name: String,
         arguments: Vec<Expression>,
@@ -235,8 +236,8 @@ pub enum Binary {
     Or,
 }
 
-/// Types that declare without the word DECL.
-pub(super) fn type_of_declaration(name: &str) -> bool {
+/// Whether a type may begin a declaration without the word DECL.
+pub(super) fn declares_without_decl(name: &str) -> bool {
     let types = ["INT", "REAL", "BOOL", "CHAR", "FRAME", "POS", "E6POS", "AXIS", "E6AXIS", "LOAD", "FDAT"];
     types.contains(&name)
 }

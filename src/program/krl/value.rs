@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use crate::catalogue::ProgramFinding;
 
-/// A value. Components that were never given are [`Value::Unset`].
+/// A value. What was never assigned is [`Value::Unset`].
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Value {
     Unset,
@@ -71,15 +71,15 @@ impl Type {
         })
     }
 
-    /// How many values one of it holds.
-    pub(crate) fn numbers(self) -> usize {
+    /// Number of values that a variable of this type holds.
+    pub(crate) fn values(self) -> usize {
         match self {
-            Type::Struct(fields) => fields.iter().map(|(_, kind)| kind.numbers()).sum(),
+            Type::Struct(fields) => fields.iter().map(|(_, kind)| kind.values()).sum(),
             _ => 1,
         }
     }
 
-    /// A variable of this type before anything was stored in it.
+    /// The value of a variable of this type before the first assignment.
     pub(crate) fn unset(self) -> Value {
         match self {
             Type::Struct(fields) => {
@@ -119,7 +119,7 @@ impl Value {
     pub(crate) fn int(&self) -> Result<i64, ProgramFinding> {
         match self {
             Value::Int(value) => Ok(*value),
-            // The language rounds a REAL that is used as an INT.
+            // KRL rounds a REAL that is used as an INT.
             Value::Real(value) if value.abs() < 2e9 => Ok(value.round() as i64),
             Value::Real(value) => Err(ProgramFinding::IntTooLarge { value: *value }),
             other => Err(other.wrong("an INT")),
@@ -140,7 +140,7 @@ impl Value {
         }
     }
 
-    /// A component of a structure that has a value.
+    /// A component of a structure, if it has a value.
     pub(crate) fn field(&self, name: &str) -> Option<&Value> {
         match self {
             Value::Struct(fields) => fields.get(name).filter(|value| **value != Value::Unset),
@@ -148,15 +148,15 @@ impl Value {
         }
     }
 
-    /// Stores `value` here, converted to `kind`; components that it does not give stay as they are.
+    /// Assigns `value`, converted to `kind`. Components that it does not have keep their value.
     pub(crate) fn store(&mut self, kind: Type, value: Value) -> Result<(), ProgramFinding> {
         match (kind, value, &mut *self) {
             (_, Value::Unset, _) => {
                 return Err(ProgramFinding::CannotStore { found: Value::Unset.describe() });
             }
             (_, _, Value::Array(_)) => return Err(ProgramFinding::ArrayAsWhole),
-            (Type::Struct(types), Value::Struct(given), Value::Struct(fields)) => {
-                for (name, value) in given {
+            (Type::Struct(types), Value::Struct(assigned), Value::Struct(fields)) => {
+                for (name, value) in assigned {
                     let Some((_, kind)) = types.iter().find(|(known, _)| *known == name) else {
                         return Err(ProgramFinding::NoComponent { component: name });
                     };
@@ -165,11 +165,11 @@ impl Value {
                     }
                 }
             }
-            (Type::Int, value, here) => *here = Value::Int(value.int()?),
-            (Type::Real, value, here) => *here = Value::Real(value.number()?),
-            (Type::Bool, value, here) => *here = Value::Bool(value.bool()?),
-            (Type::Char, Value::Text(text), here) => *here = Value::Text(text),
-            (Type::Enum, Value::Enum(name), here) => *here = Value::Enum(name),
+            (Type::Int, value, own) => *own = Value::Int(value.int()?),
+            (Type::Real, value, own) => *own = Value::Real(value.number()?),
+            (Type::Bool, value, own) => *own = Value::Bool(value.bool()?),
+            (Type::Char, Value::Text(text), own) => *own = Value::Text(text),
+            (Type::Enum, Value::Enum(name), own) => *own = Value::Enum(name),
             (_, value, _) => return Err(ProgramFinding::CannotStore { found: value.describe() }),
         }
         Ok(())

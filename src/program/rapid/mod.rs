@@ -1,7 +1,7 @@
-//! RAPID, the language of ABB's controllers: what of it programs here need, written, read, rewritten.
+//! RAPID, the language of ABB's controllers.
 //!
-//! A controller accepts more than is read here. The reader takes every statement by itself: motions, waits and outputs
-//! are known, others are passed over where points are looked for, and refused where the program is to be executed.
+//! Every statement is parsed by itself. Motions, waits, outputs and calls are supported; other statements are skipped when
+//! points are corrected, and refused when the program is simulated.
 
 mod emit;
 mod instruction;

@@ -1,12 +1,12 @@
-//! The module of a file: its data and its routines.
+//! Parser of a RAPID module: its data and routines.
 
 use crate::catalogue::{CompensationFinding, ProgramFinding};
 use crate::diagnostic::Diagnostic;
 use crate::program::Language;
-use crate::program::script::lexer::Token;
-use crate::program::script::statement::{Kind, Routine, Statement};
-use crate::program::script::value::{Expression, Words};
+use crate::program::lexer::Token;
+use crate::program::script::expression::{Expression, Routine, Statement, StatementKind};
 use crate::program::text::Text;
+use crate::program::tokens::Tokens;
 
 /// A declaration with its value.
 #[derive(Clone, Debug)]
@@ -14,106 +14,102 @@ pub(super) struct Declared {
     /// In capitals.
     pub(super) name: String,
     pub(super) value: Expression,
-    /// Whether other modules see it.
+    /// Whether it is invisible in other modules.
     pub(super) is_local: bool,
 }
 
 #[derive(Clone, Debug)]
 pub(super) struct Module {
     pub(super) data: Vec<Declared>,
-    /// With whether other modules cannot call it.
-    pub(super) routines: Vec<(Routine, bool)>,
+    pub(super) routines: Vec<Routine>,
 }
 
-/// Words that end a routine.
-const ENDS: [&str; 4] = ["ENDPROC", "ENDFUNC", "ENDTRAP", "ENDMODULE"];
+/// The keywords that end a routine.
+const ENDS: [&str; 3] = ["ENDPROC", "ENDFUNC", "ENDTRAP"];
 
-/// Reads the module of the file with this number.
+/// Parses the module of the file with this index.
 pub(super) fn parse(text: Text<'_>, file: usize) -> Result<Module, Diagnostic> {
-    let mut words = Words::new(text, Language::Rapid)?;
-    while !words.is_word("MODULE") {
-        if *words.peek() == Token::End {
-            let begins = text.text.lines().map(str::trim).find(|line| !line.is_empty()).unwrap_or("");
-            let begins = begins.chars().take(40).collect();
-            return Err(text.wrong(&(0..0), CompensationFinding::NotRapid { begins }));
+    let mut tokens = Tokens::new(text, Language::Rapid)?;
+    while !tokens.is_name("MODULE") {
+        if *tokens.peek() == Token::End {
+            let not_rapid = CompensationFinding::NotRapid { begins: text.beginning() };
+            return Err(text.wrong(&(0..0), not_rapid));
         }
-        words.next();
+        tokens.advance();
     }
-    words.next();
-    let place = words.place();
-    let name = words.name()?;
-    if words.take("(") {
-        words.arguments(")", 0)?;
+    tokens.advance();
+    let (name, span) = tokens.name()?;
+    if tokens.accept("(") {
+        tokens.arguments(")", 0)?;
     }
     let mut module = Module { data: Vec::new(), routines: Vec::new() };
-    while !words.take_word("ENDMODULE") {
-        if *words.peek() == Token::End {
-            return Err(words.expected("ENDMODULE"));
+    while !tokens.accept_name("ENDMODULE") {
+        if *tokens.peek() == Token::End {
+            return Err(tokens.expected("ENDMODULE"));
         }
-        item(&mut words, &mut module, file)?;
+        item(&mut tokens, &mut module, file)?;
     }
-    let same = module.routines.iter().any(|(routine, _)| routine.name == name);
-    if same {
-        return Err(text.wrong(&words.span_at(place), ProgramFinding::ModuleNamedAsRoutine { name }));
+    if module.routines.iter().any(|routine| routine.name == name) {
+        return Err(text.wrong(&span, ProgramFinding::ModuleNamedAsRoutine { name }));
     }
     Ok(module)
 }
 
 /// A declaration or a routine.
-fn item(words: &mut Words<'_>, module: &mut Module, file: usize) -> Result<(), Diagnostic> {
-    let is_local = words.take_word("LOCAL");
-    words.take_word("TASK");
-    if ["CONST", "PERS", "VAR"].into_iter().any(|word| words.take_word(word)) {
-        if let Some((name, value)) = declaration(words)? {
+fn item(tokens: &mut Tokens<'_>, module: &mut Module, file: usize) -> Result<(), Diagnostic> {
+    let is_local = tokens.accept_name("LOCAL");
+    tokens.accept_name("TASK");
+    if ["CONST", "PERS", "VAR"].into_iter().any(|word| tokens.accept_name(word)) {
+        if let Some((name, value)) = declaration(tokens)? {
             module.data.push(Declared { name, value, is_local });
         }
         return Ok(());
     }
-    if words.take_word("PROC") || words.take_word("TRAP") {
-        module.routines.push((routine(words, file)?, is_local));
-    } else if words.take_word("FUNC") {
-        words.name()?;
-        routine(words, file)?;
-    } else if words.take_word("RECORD") {
-        while !words.take_word("ENDRECORD") && *words.peek() != Token::End {
-            words.next();
+    if tokens.accept_name("PROC") || tokens.accept_name("TRAP") {
+        module.routines.push(routine(tokens, file, is_local)?);
+    } else if tokens.accept_name("FUNC") {
+        tokens.name()?;
+        routine(tokens, file, is_local)?;
+    } else if tokens.accept_name("RECORD") {
+        while !tokens.accept_name("ENDRECORD") && *tokens.peek() != Token::End {
+            tokens.advance();
         }
-    } else if words.take_word("ALIAS") {
-        skip(words);
+    } else if tokens.accept_name("ALIAS") {
+        skip(tokens);
     } else {
-        return Err(words.expected("a declaration, PROC, FUNC, TRAP or ENDMODULE"));
+        return Err(tokens.expected("a declaration, PROC, FUNC, TRAP or ENDMODULE"));
     }
     Ok(())
 }
 
-/// After CONST, PERS or VAR: the name and its value, where it has one that can be read.
-fn declaration(words: &mut Words<'_>) -> Result<Option<(String, Expression)>, Diagnostic> {
-    words.name()?;
-    let name = words.name()?;
-    let is_array = words.take("{");
-    let value = (!is_array && words.take(":=")).then(|| words.expression()).transpose();
+/// After CONST, PERS or VAR: the name with its value, if it has one that can be parsed.
+fn declaration(tokens: &mut Tokens<'_>) -> Result<Option<(String, Expression)>, Diagnostic> {
+    tokens.name()?;
+    let (name, _) = tokens.name()?;
+    let is_array = tokens.accept("{");
+    let value = (!is_array && tokens.accept(":=")).then(|| tokens.expression()).transpose();
     let value = value.ok().flatten();
-    skip(words);
+    skip(tokens);
     Ok(value.map(|value| (name, value)))
 }
 
-/// Up to the next semicolon, which is taken.
-fn skip(words: &mut Words<'_>) {
-    while *words.peek() != Token::End && !words.take(";") {
-        words.next();
+/// Skips everything up to the next semicolon and the semicolon.
+fn skip(tokens: &mut Tokens<'_>) {
+    while *tokens.peek() != Token::End && !tokens.accept(";") {
+        tokens.advance();
     }
 }
 
 /// After PROC, TRAP or the type of a FUNC.
-fn routine(words: &mut Words<'_>, file: usize) -> Result<Routine, Diagnostic> {
-    let name = words.name()?;
+fn routine(tokens: &mut Tokens<'_>, file: usize, is_local: bool) -> Result<Routine, Diagnostic> {
+    let (name, _) = tokens.name()?;
     let mut parameters = Vec::new();
-    if words.take("(") {
+    if tokens.accept("(") {
         let mut last = None;
-        while !words.take(")") {
-            match words.next() {
+        while !tokens.accept(")") {
+            match tokens.next() {
                 Token::Name(name) => last = Some(name),
-                Token::End => return Err(words.expected("`)`")),
+                Token::End => return Err(tokens.expected("`)`")),
                 Token::Sign(",") => parameters.extend(last.take()),
                 _ => {}
             }
@@ -122,72 +118,68 @@ fn routine(words: &mut Words<'_>, file: usize) -> Result<Routine, Diagnostic> {
     }
     let mut body = Vec::new();
     loop {
-        if let Some(end) = ENDS.into_iter().find(|end| words.is_word(end)) {
-            if end != "ENDMODULE" {
-                words.next();
-                return Ok(Routine { name, file, parameters, body });
-            }
-            return Err(words.expected("ENDPROC"));
+        if ENDS.into_iter().any(|end| tokens.accept_name(end)) {
+            return Ok(Routine { name, file, is_local, parameters, body });
         }
-        if *words.peek() == Token::End {
-            return Err(words.expected("ENDPROC"));
+        if tokens.is_name("ENDMODULE") || *tokens.peek() == Token::End {
+            return Err(tokens.expected("ENDPROC"));
         }
-        let place = words.place();
-        let kind = statement(words);
-        let kind = kind.unwrap_or_else(|_| {
-            words.go_to(place);
-            let first = words.next();
-            skip(words);
-            Some(Kind::Other(match first {
+        let start = tokens.position();
+        // A statement that is not supported is skipped here, and refused if the program is executed.
+        let kind = statement(tokens).unwrap_or_else(|_| {
+            tokens.go_to(start);
+            let first = tokens.next();
+            skip(tokens);
+            Some(StatementKind::Other(match first {
                 Token::Name(name) => name,
                 _ => "this statement".into(),
             }))
         });
-        body.extend(kind.map(|kind| Statement { span: words.since(place), kind }));
+        body.extend(kind.map(|kind| Statement { span: tokens.since(start), kind }));
     }
 }
 
-/// A statement, or the head of one that holds others.
-fn statement(words: &mut Words<'_>) -> Result<Option<Kind>, Diagnostic> {
-    if words.take(";") {
+/// A statement, or the head of a compound one.
+fn statement(tokens: &mut Tokens<'_>) -> Result<Option<StatementKind>, Diagnostic> {
+    if tokens.accept(";") {
         return Ok(None);
     }
-    let name = words.name()?;
-    let head = |words: &mut Words<'_>, end: &str| -> Result<(), Diagnostic> {
-        while !words.take_word(end) {
-            if matches!(words.peek(), Token::End | Token::Sign(";")) {
-                return Err(words.expected(end));
+    let (name, _) = tokens.name()?;
+    let head = |tokens: &mut Tokens<'_>, end: &str| -> Result<(), Diagnostic> {
+        while !tokens.accept_name(end) {
+            if matches!(tokens.peek(), Token::End | Token::Sign(";")) {
+                return Err(tokens.expected(end));
             }
-            words.next();
+            tokens.advance();
         }
         Ok(())
     };
     match name.as_str() {
-        // A condition without THEN is one of the statement that follows, which is read by itself.
+        // Without THEN the condition is that of one statement, which follows and is parsed by itself.
         "IF" => {
-            words.expression()?;
-            words.take_word("THEN");
+            tokens.expression()?;
+            tokens.accept_name("THEN");
         }
-        "ELSEIF" => head(words, "THEN")?,
-        "FOR" | "WHILE" => head(words, "DO")?,
-        "TEST" => _ = words.expression()?,
-        "CASE" => while !words.take(":") && !matches!(words.next(), Token::End) {},
-        "DEFAULT" => _ = words.take(":"),
+        "ELSEIF" => head(tokens, "THEN")?,
+        "FOR" | "WHILE" => head(tokens, "DO")?,
+        "TEST" => _ = tokens.expression()?,
+        "CASE" => while !tokens.accept(":") && !matches!(tokens.next(), Token::End) {},
+        "DEFAULT" => _ = tokens.accept(":"),
         "ELSE" | "ENDIF" | "ENDFOR" | "ENDWHILE" | "ENDTEST" | "ERROR" | "BACKWARD" | "UNDO" => {}
-        "GOTO" | "RETURN" | "CONNECT" | "RAISE" => skip(words),
+        "GOTO" | "RETURN" | "CONNECT" | "RAISE" => skip(tokens),
         "CONST" | "PERS" | "VAR" => {
-            return Ok(declaration(words)?.map(|(name, value)| Kind::Assign { name, value }));
+            return Ok(declaration(tokens)?.map(|(name, value)| StatementKind::Assign { name, value }));
         }
-        _ if words.take(":=") => {
-            let value = words.expression()?;
-            words.expect(";")?;
-            return Ok(Some(Kind::Assign { name, value }));
+        _ if tokens.accept(":=") => {
+            let value = tokens.expression()?;
+            tokens.expect(";")?;
+            return Ok(Some(StatementKind::Assign { name, value }));
         }
-        _ if words.take(":") => {}
+        _ if tokens.accept(":") => {}
         _ => {
-            let arguments = words.arguments(";", 0)?;
-            return Ok(Some(Kind::Call { name, arguments }));
+            let arguments = tokens.arguments(";", 0)?;
+            return Ok(Some(StatementKind::Call { name, arguments }));
         }
     }
-    Ok(Some(Kind::Other(name)))
+    Ok(Some(StatementKind::Other(name)))
 }

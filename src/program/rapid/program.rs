@@ -1,199 +1,176 @@
-//! A program: a module and all that it calls, as the list of what it does.
+//! A RAPID program as the list of its actions.
 
 use std::cell::RefCell;
 use std::rc::Rc;
 
-use super::instruction::{Instruction, motion};
-use super::literal::predefined;
-use super::parser::{Module, parse};
+use super::instruction::{Instruction, optional, required};
+use super::literal::{predefined, taught};
+use super::parser::{Declared, Module, parse};
 use crate::catalogue::ProgramFinding;
 use crate::diagnostic::Diagnostic;
-use crate::program::listing::{Does, Move, Pace, Standstill};
-use crate::program::script::statement::{Dialect, Kind, Routine, Statement, Unrolling};
-use crate::program::script::value::{self, Argument, Names, Value};
+use crate::program::listing::{ActionKind, Move, Pace, Standstill};
+use crate::program::script::expression::Routine;
+use crate::program::script::unroll::{Dialect, unroll};
+use crate::program::script::value::{self, Evaluated, Value};
 use crate::program::text::Text;
 use crate::program::{Language, Listing, Motion, Target};
 
 /// The signal that is the strobe.
 const STROBE: &str = "DBBSTB";
-/// Acceleration along a path before a program limits it, mm/s^2.
+/// Acceleration along a path unless the program limits it, mm/s^2.
 const ACCELERATION_MM_S2: f64 = 5000.0;
 
-/// Reads the program that begins in `first` (name and text of a module): its `main`, else its first routine. Routines
-/// that it does not have are looked for in `others`.
+/// Reads the program that begins in `first` (name and text of a module) with its `main`, else with its first routine.
+/// Routines that are not there are looked up in `others`.
 pub fn open(first: (String, String), others: Vec<(String, String)>) -> Result<Listing, Diagnostic> {
     let entry = parse(Text { file: &first.0, text: &first.1 }, 0)?;
-    let named = |(routine, _): &&(Routine, bool)| routine.name == "MAIN";
-    let main = entry.routines.iter().find(named).or_else(|| entry.routines.first()).cloned();
-    let Some((main, _)) = main else {
+    let main = entry.routines.iter().find(|routine| routine.name == "MAIN");
+    let Some(main) = main.or_else(|| entry.routines.first()).cloned() else {
         return Err(Diagnostic::file(&first.0, ProgramFinding::NoProc));
     };
-    let mut files = vec![first];
-    files.extend(others);
-    let modules = RefCell::new(files.iter().map(|_| None).collect::<Vec<Option<Rc<Module>>>>());
-    modules.borrow_mut()[0] = Some(Rc::new(entry));
-    let mut run = Run { files: files.clone(), modules, checks: true, mm_s2: ACCELERATION_MM_S2 };
-    let mut unrolling = Unrolling::new(&mut run, Language::Rapid, files);
-    unrolling.routine(&main, Names::new())?;
-    Ok(unrolling.listing)
+    let files: Vec<(String, String)> = [first].into_iter().chain(others).collect();
+    let mut modules = vec![None; files.len()];
+    modules[0] = Some(Rc::new(entry));
+    let rapid = Rapid {
+        files: files.clone(),
+        modules: RefCell::new(modules),
+        checks_configuration: true,
+        mm_s2: ACCELERATION_MM_S2,
+    };
+    unroll(rapid, Language::Rapid, files, &main)
 }
 
 /// The value of a name (in capitals) that a module declares.
 pub(super) fn declared(module: &Module, name: &str, file: usize) -> Option<Value> {
-    let declared = module.data.iter().find(|declared| declared.name == name)?;
+    let at = module.data.iter().position(|declared| declared.name == name)?;
+    // A value may use names that are declared before it with a literal.
     let lookup = |other: &str| {
-        // A value may name others that are declared before it, no more.
-        let value = module
-            .data
-            .iter()
-            .take_while(|before| before.name != name)
-            .find(|before| before.name == other)?;
-        value::value(&value.value, file, &|_| None)
+        let declared = module.data[..at].iter().find(|declared| declared.name == other)?;
+        value::value(&declared.value, file, &|_| None)
     };
-    let value = value::value(&declared.value, file, &lookup)?;
-    Some(Value { name: Some(declared.name.clone()), ..value })
+    let value = value::value(&module.data[at].value, file, &lookup)?;
+    Some(Value { name: Some(name.to_owned()), ..value })
 }
 
-struct Run {
+struct Rapid {
     files: Vec<(String, String)>,
-    /// Those that were read; another's module is read when a routine or a value of it is wanted.
+    /// The modules that were parsed: those of other files when they are first needed.
     modules: RefCell<Vec<Option<Rc<Module>>>>,
-    /// Whether the configuration of a line or an arc is checked (`ConfL`).
-    checks: bool,
+    /// Whether the configuration at the end of a line or an arc is checked (`ConfL`).
+    checks_configuration: bool,
     /// The limit of the acceleration along a path.
     mm_s2: f64,
 }
 
-impl Run {
-    /// The module of a file; `None` of one that cannot be read.
+impl Rapid {
+    /// The module of a file; `None` if it cannot be parsed.
     fn module(&self, file: usize) -> Option<Rc<Module>> {
         let mut modules = self.modules.borrow_mut();
-        let here = modules.get_mut(file)?;
-        if here.is_none() {
+        let module = modules.get_mut(file)?;
+        if module.is_none() {
             let (name, text) = self.files.get(file)?;
-            *here = parse(Text { file: name, text }, file).ok().map(Rc::new);
+            *module = parse(Text { file: name, text }, file).ok().map(Rc::new);
         }
-        here.clone()
+        module.clone()
     }
 
-    fn moving(
-        &self,
-        statement: &Statement,
-        file: usize,
-        lookup: &dyn Fn(&str) -> Option<Value>,
-    ) -> Result<Option<Move>, ProgramFinding> {
-        let Some(instruction) = motion(statement) else { return Ok(None) };
+    /// The files other than `file`.
+    fn others(&self, file: usize) -> impl Iterator<Item = usize> {
+        (0..self.files.len()).filter(move |other| *other != file)
+    }
+
+    fn motion(&self, instruction: &Instruction<'_>) -> Result<Move, ProgramFinding> {
         if !instruction.stops() {
             let what = "a motion that does not end in `fine`".into();
             let instead = "every point is an exact stop".into();
             return Err(ProgramFinding::Unsupported { what, instead });
         }
-        let point =
-            |expression| Instruction::point(expression, file, lookup).ok_or(ProgramFinding::NoPosition);
-        let (_, to) = point(instruction.to)?;
+        let point = |argument: &Evaluated<'_>| {
+            argument.value.as_ref().and_then(taught).ok_or(ProgramFinding::NoPosition)
+        };
+        let (to, configuration) = point(instruction.to)?;
         let through_mm = match instruction.through.map(point).transpose()? {
-            Some((_, through)) => match through.target {
-                Target::Pose { xyz_mm, .. } => Some(xyz_mm),
-                Target::Axes(_) => return Err(ProgramFinding::NoPosition),
-            },
+            Some((Target::Pose { xyz_mm, .. }, _)) => Some(xyz_mm),
+            Some((Target::Axes(_), _)) => return Err(ProgramFinding::NoPosition),
             None => None,
         };
-        let frames = instruction.frames(file, lookup);
+        let frames = instruction.frames();
         let frames = frames.map_err(|why| ProgramFinding::NotDeclared { name: why.to_string() })?;
-        let time = instruction.time.and_then(|time| value::value(time, file, lookup)?.number());
-        let pace = match (time, instruction.speeds(file, lookup)) {
+        let pace = match (instruction.time.and_then(Evaluated::number), instruction.speeds()) {
             (Some(seconds), _) if seconds > 0.0 => Pace::Duration(seconds),
             (_, Some([mm_s, deg_s])) if mm_s > 0.0 && deg_s > 0.0 => {
                 Pace::Tool { mm_s, mm_s2: self.mm_s2, deg_s: Some(deg_s) }
             }
             _ => return Err(ProgramFinding::NoSpeed { variable: "the speed".into() }),
         };
-        let is_axes = instruction.motion == Motion::Ptp;
-        let configuration = to.configuration.filter(|_| is_axes || self.checks);
-        Ok(Some(Move { motion: instruction.motion, through_mm, to: to.target, configuration, frames, pace }))
+        let motion = instruction.motion;
+        let configuration = configuration.filter(|_| motion == Motion::Ptp || self.checks_configuration);
+        Ok(Move { motion, through_mm, to, configuration, frames, pace })
     }
 }
 
-impl Dialect for Run {
+impl Dialect for Rapid {
     fn routine(&self, file: usize, name: &str) -> Option<Routine> {
         let in_file = |at: usize| {
             let module = self.module(at)?;
-            let found = module
-                .routines
-                .iter()
-                .find(|(routine, local)| routine.name == name && (at == file || !local));
-            found.map(|(routine, _)| routine.clone())
+            let is_visible = |routine: &&Routine| routine.name == name && (at == file || !routine.is_local);
+            module.routines.iter().find(is_visible).cloned()
         };
-        in_file(file).or_else(|| (0..self.files.len()).filter(|at| *at != file).find_map(in_file))
+        in_file(file).or_else(|| self.others(file).find_map(in_file))
     }
 
     fn global(&self, file: usize, name: &str) -> Option<Value> {
         let in_file = |at: usize| {
             let module = self.module(at)?;
-            let visible =
-                |value: &&super::parser::Declared| value.name == name && (at == file || !value.is_local);
-            module.data.iter().any(|value| visible(&value)).then(|| declared(&module, name, at))?
+            let is_visible = |data: &Declared| data.name == name && (at == file || !data.is_local);
+            module.data.iter().any(is_visible).then(|| declared(&module, name, at))?
         };
-        let own = in_file(file);
-        own.or_else(|| predefined(name))
-            .or_else(|| (0..self.files.len()).filter(|at| *at != file).find_map(in_file))
+        in_file(file).or_else(|| predefined(name)).or_else(|| self.others(file).find_map(in_file))
     }
 
     fn instruction(
         &mut self,
-        call: &Statement,
-        lookup: &dyn Fn(&str) -> Option<Value>,
-        file: usize,
-    ) -> Result<Vec<Does>, ProgramFinding> {
-        let Kind::Call { name, arguments } = &call.kind else { return Ok(Vec::new()) };
-        if let Some(motion) = self.moving(call, file, lookup)? {
-            return Ok(vec![Does::Move(Box::new(motion))]);
+        name: &str,
+        arguments: &[Evaluated<'_>],
+    ) -> Result<Option<ActionKind>, ProgramFinding> {
+        if let Some(instruction) = Instruction::new(name, arguments) {
+            return Ok(Some(ActionKind::Move(Box::new(self.motion(&instruction)?))));
         }
-        let has = |switch: &str| named(arguments, switch).is_some();
-        let number = |argument: Option<&Argument>| {
-            let value = argument.and_then(|argument| value::value(argument.value.as_ref()?, file, lookup));
-            value.and_then(|value| value.number()).ok_or(ProgramFinding::NotSet { name: name.clone() })
+        let has = |switch: &str| optional(arguments, switch).is_some();
+        let number = |argument: Option<&Evaluated<'_>>| {
+            argument.and_then(Evaluated::number).ok_or(ProgramFinding::NotSet { name: name.into() })
         };
-        let mut plain = arguments.iter().filter(|argument| argument.name.is_none());
-        Ok(match name.as_str() {
-            "WAITROB" if has("InPos") => vec![Does::Standstill(Standstill::InPosition)],
-            "WAITROB" => vec![Does::Standstill(Standstill::ZeroSpeed)],
-            "WAITTIME" => vec![Does::Wait(number(plain.next())?)],
-            "SETDO" if is_strobe(plain.next()) => vec![Does::Strobe(number(plain.next())? != 0.0)],
+        let mut required = required(arguments);
+        let mut is_strobe = || {
+            let signal = required.next().and_then(Evaluated::variable);
+            signal.is_some_and(|name| name.eq_ignore_ascii_case(STROBE))
+        };
+        Ok(match name {
+            "WAITROB" if has("InPos") => Some(ActionKind::WaitForStandstill(Standstill::InPosition)),
+            "WAITROB" => Some(ActionKind::WaitForStandstill(Standstill::ZeroSpeed)),
+            "WAITTIME" => Some(ActionKind::Wait(number(required.next())?)),
+            "SETDO" if is_strobe() => Some(ActionKind::SetStrobe(number(required.next())? != 0.0)),
             "PULSEDO" => {
-                let seconds = match named(arguments, "PLength") {
-                    Some(length) => number(Some(length))?,
-                    None => 0.2,
-                };
-                if is_strobe(plain.next()) { vec![Does::Pulse(seconds)] } else { Vec::new() }
+                let seconds =
+                    optional(arguments, "PLength").map_or(Ok(0.2), |length| number(Some(length)))?;
+                is_strobe().then_some(ActionKind::PulseStrobe(seconds))
             }
-            "STOP" => vec![Does::Halt],
+            "STOP" => Some(ActionKind::Halt),
             "CONFL" => {
-                self.checks = has("On");
-                Vec::new()
+                self.checks_configuration = has("On");
+                None
             }
             "PATHACCLIM" => {
-                let limit = named(arguments, "AccMax").map(|limit| number(Some(limit))).transpose()?;
+                let limit = optional(arguments, "AccMax").map(|limit| number(Some(limit))).transpose()?;
                 self.mm_s2 = limit.map_or(ACCELERATION_MM_S2, |m_s2| 1e3 * m_s2);
-                Vec::new()
+                None
             }
-            "TPWRITE" | "TPERASE" | "CONFJ" | "SETDO" | "SETGO" => Vec::new(),
+            "TPWRITE" | "TPERASE" | "CONFJ" | "SETDO" | "SETGO" => None,
             _ => {
                 let instead = "the simulated controller has no such instruction, and no module beside this one has such a \
                                routine";
-                return Err(ProgramFinding::Unsupported { what: name.clone(), instead: instead.into() });
+                return Err(ProgramFinding::Unsupported { what: name.into(), instead: instead.into() });
             }
         })
     }
-}
-
-fn named<'a>(arguments: &'a [Argument], name: &str) -> Option<&'a Argument> {
-    let is =
-        |argument: &&Argument| argument.name.as_ref().is_some_and(|given| given.eq_ignore_ascii_case(name));
-    arguments.iter().find(is)
-}
-
-fn is_strobe(signal: Option<&Argument>) -> bool {
-    let value = signal.and_then(|signal| signal.value.as_ref());
-    matches!(value.map(|value| &value.kind), Some(value::Kind::Name(name)) if name.eq_ignore_ascii_case(STROBE))
 }

@@ -1,7 +1,6 @@
-//! What the readers of RAPID and of URScript share: words, expressions, values that know where they are written,
-//! statements, points.
+//! What RAPID and URScript share: expressions, values, the unrolling of a program into its actions, points.
 
-pub(super) mod lexer;
+pub(super) mod expression;
 pub(super) mod points;
-pub(super) mod statement;
+pub(super) mod unroll;
 pub(super) mod value;

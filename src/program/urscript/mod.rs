@@ -1,7 +1,7 @@
-//! URScript, the language of Universal Robots' controllers: what of it programs here need, written, read, rewritten.
+//! URScript, the language of Universal Robots' controllers.
 //!
-//! The reader takes every line by itself, as that of RAPID takes statements: what it does not know is passed over where
-//! points are looked for, and refused where the program is to be executed.
+//! Every line is parsed by itself. Lines that are not supported are skipped when points are corrected, and refused when the
+//! program is simulated.
 
 mod emit;
 mod instruction;

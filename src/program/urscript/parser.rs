@@ -1,106 +1,104 @@
-//! The routines of a script.
+//! Parser of the routines of a script.
 
 use crate::catalogue::{CompensationFinding, ProgramFinding};
 use crate::diagnostic::Diagnostic;
 use crate::program::Language;
-use crate::program::script::lexer::Token;
-use crate::program::script::statement::{Kind, Routine, Statement};
-use crate::program::script::value::Words;
+use crate::program::lexer::Token;
+use crate::program::script::expression::{Routine, Statement, StatementKind};
 use crate::program::text::Text;
+use crate::program::tokens::Tokens;
 
-/// What an `end` ends.
+/// A block that is open: what the next `end` ends.
 enum Block {
     Routine(Routine),
     Other,
 }
 
-/// Reads the routines of a script, those inside others after them; lines outside of any are those of the last, without a
-/// name.
+/// Parses the routines of a script. A routine stands after those inside it; the last one, without a name, has the lines
+/// outside of any.
 pub(super) fn parse(text: Text<'_>) -> Result<Vec<Routine>, Diagnostic> {
-    let mut words = Words::new(text, Language::Urscript)?;
+    let mut tokens = Tokens::new(text, Language::Urscript)?;
     let mut open = vec![Block::Routine(routine(String::new(), Vec::new()))];
     let mut routines = Vec::new();
-    while *words.peek() != Token::End {
-        if *words.peek() == Token::LineEnd {
-            words.next();
+    while *tokens.peek() != Token::End {
+        if *tokens.peek() == Token::LineEnd {
+            tokens.advance();
             continue;
         }
-        let place = words.place();
-        if words.take_word("def") {
-            open.push(Block::Routine(head(&mut words)?));
+        let start = tokens.position();
+        if tokens.accept_name("def") {
+            open.push(Block::Routine(head(&mut tokens)?));
             continue;
         }
-        if words.take_word("end") {
+        if tokens.accept_name("end") {
             match open.pop() {
                 Some(Block::Routine(routine)) if !open.is_empty() => routines.push(routine),
                 Some(Block::Other) => {
-                    add(&mut open, Statement { span: words.since(place), kind: other("end") })
+                    add(&mut open, Statement { span: tokens.since(start), kind: other("end") })
                 }
-                _ => return Err(text.wrong(&words.since(place), ProgramFinding::NoBlock)),
+                _ => return Err(text.wrong(&tokens.since(start), ProgramFinding::NoBlock)),
             }
             continue;
         }
-        let kind = line(&mut words);
-        let kind = kind.unwrap_or_else(|_| {
-            words.go_to(place);
-            let first = words.next();
-            while !matches!(words.peek(), Token::LineEnd | Token::End) {
-                words.next();
+        // A line that is not supported is skipped here, and refused if the program is executed.
+        let kind = line(&mut tokens).unwrap_or_else(|_| {
+            tokens.go_to(start);
+            let first = tokens.next();
+            while !tokens.is_line_end() {
+                tokens.advance();
             }
             match first {
-                Token::Name(name) => Kind::Other(name),
+                Token::Name(name) => StatementKind::Other(name),
                 _ => other("this line"),
             }
         });
-        if let Kind::Other(word) = &kind
+        if let StatementKind::Other(word) = &kind
             && ["if", "while", "thread"].contains(&word.as_str())
         {
             open.push(Block::Other);
         }
-        add(&mut open, Statement { span: words.since(place), kind });
+        add(&mut open, Statement { span: tokens.since(start), kind });
     }
     match (open.pop(), open.is_empty()) {
         (Some(Block::Routine(routine)), true) => routines.push(routine),
-        _ => return Err(words.expected("end")),
+        _ => return Err(tokens.expected("end")),
     }
     let is_script = routines.len() > 1 || routines.iter().any(|routine| routine.body.iter().any(is_call));
     if is_script {
         return Ok(routines);
     }
-    let begins = text.text.lines().map(str::trim).find(|line| !line.is_empty()).unwrap_or("");
-    let begins = begins.chars().take(40).collect();
-    Err(text.wrong(&(0..0), CompensationFinding::NotUrscript { begins }))
+    Err(text.wrong(&(0..0), CompensationFinding::NotUrscript { begins: text.beginning() }))
 }
 
 fn routine(name: String, parameters: Vec<String>) -> Routine {
-    Routine { name, file: 0, parameters, body: Vec::new() }
+    Routine { name, file: 0, is_local: false, parameters, body: Vec::new() }
 }
 
-/// The routine that a line behind `def` begins; what a parameter is unless given is passed over.
-fn head(words: &mut Words<'_>) -> Result<Routine, Diagnostic> {
-    let name = words.name()?;
-    words.expect("(")?;
+/// After `def`: the head of a routine. Default values of parameters are skipped.
+fn head(tokens: &mut Tokens<'_>) -> Result<Routine, Diagnostic> {
+    let (name, _) = tokens.name()?;
+    tokens.expect("(")?;
     let mut parameters = Vec::new();
-    while !words.take(")") {
-        parameters.push(words.name()?);
-        while !matches!(words.peek(), Token::Sign("," | ")") | Token::LineEnd | Token::End) {
-            words.next();
+    while !tokens.accept(")") {
+        parameters.push(tokens.name()?.0);
+        while !matches!(tokens.peek(), Token::Sign("," | ")") | Token::LineEnd | Token::End) {
+            tokens.advance();
         }
-        words.take(",");
-        if matches!(words.peek(), Token::LineEnd | Token::End) {
-            return Err(words.expected("`)`"));
+        tokens.accept(",");
+        if tokens.is_line_end() {
+            return Err(tokens.expected("`)`"));
         }
     }
-    words.expect(":")?;
+    tokens.expect(":")?;
     Ok(routine(name, parameters))
 }
 
 fn is_call(statement: &Statement) -> bool {
-    matches!(statement.kind, Kind::Call { .. })
+    matches!(statement.kind, StatementKind::Call { .. })
 }
 
-fn other(word: &str) -> Kind {
-    Kind::Other(word.into())
+fn other(word: &str) -> StatementKind {
+    StatementKind::Other(word.into())
 }
 
 /// Adds a statement to the innermost routine.
@@ -114,54 +112,53 @@ fn add(open: &mut [Block], statement: Statement) {
     }
 }
 
-/// A line that begins no routine and ends no block.
-fn line(words: &mut Words<'_>) -> Result<Kind, Diagnostic> {
-    if words.is_word("while") {
-        return until_steady(words);
+/// A line that neither begins a routine nor ends a block.
+fn line(tokens: &mut Tokens<'_>) -> Result<StatementKind, Diagnostic> {
+    if tokens.is_name("while") {
+        return until_steady(tokens);
     }
-    let scoped = words.take_word("global") || words.take_word("local");
-    let name = words.name()?;
-    if words.take("=") {
-        let value = words.expression()?;
-        ended(words)?;
-        return Ok(Kind::Assign { name, value });
+    let scoped = tokens.accept_name("global") || tokens.accept_name("local");
+    let (name, _) = tokens.name()?;
+    if tokens.accept("=") {
+        let value = tokens.expression()?;
+        line_end(tokens)?;
+        return Ok(StatementKind::Assign { name, value });
     }
     if scoped {
-        return Err(words.expected("`=`"));
+        return Err(tokens.expected("`=`"));
     }
-    words.expect("(")?;
-    let arguments = words.arguments(")", 0)?;
-    ended(words)?;
-    Ok(Kind::Call { name, arguments })
+    tokens.expect("(")?;
+    let arguments = tokens.arguments(")", 0)?;
+    line_end(tokens)?;
+    Ok(StatementKind::Call { name, arguments })
 }
 
-fn ended(words: &Words<'_>) -> Result<(), Diagnostic> {
-    let ended = matches!(words.peek(), Token::LineEnd | Token::End);
-    if ended { Ok(()) } else { Err(words.expected("the end of the line")) }
+fn line_end(tokens: &Tokens<'_>) -> Result<(), Diagnostic> {
+    if tokens.is_line_end() { Ok(()) } else { Err(tokens.expected("the end of the line")) }
 }
 
-/// `while not is_steady(): sync() end`, over three lines: a wait for standstill. Another condition is an error.
-fn until_steady(words: &mut Words<'_>) -> Result<Kind, Diagnostic> {
-    words.next();
-    let bracket = words.take("(");
-    if !(words.take_word("not") && words.take_word("is_steady")) {
-        return Err(words.expected("not is_steady()"));
+/// `while not is_steady(): sync() end`, a wait for standstill. Any other loop is an error.
+fn until_steady(tokens: &mut Tokens<'_>) -> Result<StatementKind, Diagnostic> {
+    tokens.advance();
+    let bracket = tokens.accept("(");
+    if !(tokens.accept_name("not") && tokens.accept_name("is_steady")) {
+        return Err(tokens.expected("not is_steady()"));
     }
-    words.expect("(")?;
-    words.expect(")")?;
+    tokens.expect("(")?;
+    tokens.expect(")")?;
     if bracket {
-        words.expect(")")?;
+        tokens.expect(")")?;
     }
-    words.expect(":")?;
+    tokens.expect(":")?;
     loop {
-        while *words.peek() == Token::LineEnd {
-            words.next();
+        while *tokens.peek() == Token::LineEnd {
+            tokens.advance();
         }
-        if words.take_word("end") {
-            return Ok(Kind::UntilSteady);
+        if tokens.accept_name("end") {
+            return Ok(StatementKind::UntilSteady);
         }
-        if !(words.take_word("sync") && words.take("(") && words.take(")")) {
-            return Err(words.expected("sync()"));
+        if !(tokens.accept_name("sync") && tokens.accept("(") && tokens.accept(")")) {
+            return Err(tokens.expected("sync()"));
         }
     }
 }

@@ -1,138 +1,141 @@
-//! The points of a script, and new numbers for them.
+//! The points of a script and their correction.
 
-use super::instruction::{motion, pose, target};
+use nalgebra::Vector3;
+
+use super::instruction::{Instruction, pose, target};
 use super::parser::parse;
 use crate::catalogue::CompensationFinding;
 use crate::diagnostic::Diagnostic;
 use crate::program::compensate::{Branch, Corrected, Corrector};
-use crate::program::script::points::{Point, Points, Taught, Vocabulary, numbers};
-use crate::program::script::statement::{Kind, Statement};
-use crate::program::script::value::{self, Names, Value};
+use crate::program::script::expression::{Statement, StatementKind};
+use crate::program::script::points::{OtherInstructions, Point, Points, replaced};
+use crate::program::script::value::{self, Evaluated, Value, Variables, evaluated};
 use crate::program::text::{Edit, Span, Text};
 use crate::program::{Frames, Target};
 use crate::robot::Pose;
 use crate::robot::pose::rotation_vector;
 
-/// Fewest decimals: a tenth of a micrometre in metres, and of a radian what moves a point a metre away by less.
+/// Fewest decimals of a number: in metres 0.1 um, in radians less than 0.1 um at a distance of a metre.
 const DECIMALS: usize = 7;
 
-/// The name under which a finding speaks of the TCP.
+/// The name of the TCP in findings.
 const TOOL: &str = "the tool";
-/// TCPs that differ by less are one.
+/// TCPs that differ by less are the same.
 const SAME_MM: f64 = 0.01;
 const SAME_RAD: f64 = 1e-4;
 
-const WORDS: Vocabulary = Vocabulary {
-    moving: &["mov", "servo", "speed"],
-    displacing: &["track_conveyor_linear", "track_conveyor_circular", "path_offset_enable", "force_mode"],
-    setting: &["set_", "get_"],
+const OTHERS: OtherInstructions = OtherInstructions {
+    motions: &["mov", "servo", "speed"],
+    displacements: &["track_conveyor_linear", "track_conveyor_circular", "path_offset_enable", "force_mode"],
+    settings: &["set_", "get_"],
 };
 
-/// Goes through the text: the tool that is set and the variables so far.
-struct Walk<'a> {
-    text: Text<'a>,
-    /// As the user gave it, where the program does not set it.
-    given: Option<Pose>,
-    /// `None` before `set_tcp`; then the pose, where it can be read.
-    tool: Option<Option<Pose>>,
-    names: Names,
-    points: Points,
-    /// Of the blocks that are open, which are choices.
-    choices: Vec<bool>,
-}
-
-/// The points of a script; `tool` where it does not set one by `set_tcp`.
+/// The points of a script; `tool` is the TCP if the script does not set one with `set_tcp`.
 pub fn read(text: Text<'_>, tool: Option<Pose>) -> Result<Points, Diagnostic> {
-    let mut walk = Walk {
+    let mut reader = Reader {
         text,
         given: tool,
-        tool: None,
-        names: Names::new(),
+        tool: Tcp::NotSet,
+        variables: Variables::new(),
         points: Points::new(write),
-        choices: Vec::new(),
+        open_blocks: Vec::new(),
     };
     let mut statements: Vec<Statement> = parse(text)?.into_iter().flat_map(|routine| routine.body).collect();
     statements.sort_by_key(|statement| statement.span.start);
-    for statement in &statements {
-        walk.take(statement)?;
-    }
-    Ok(walk.points.completed())
+    statements.iter().try_for_each(|statement| reader.statement(statement))?;
+    Ok(reader.points.completed())
 }
 
-impl Walk<'_> {
-    fn take(&mut self, statement: &Statement) -> Result<(), Diagnostic> {
-        match &statement.kind {
-            Kind::Assign { name, value } => {
-                let found = value::value(value, 0, &|name| self.names.get(name).cloned());
-                match found {
-                    // A name that gets a second value is none that could be read.
-                    Some(found) if !self.names.contains_key(name) => {
-                        let named = Value { name: Some(name.clone()), ..found };
-                        self.names.insert(name.clone(), named);
-                    }
-                    _ => _ = self.names.remove(name),
-                }
-            }
-            Kind::Call { name, arguments } if name == "set_tcp" => {
-                let given = arguments.first().and_then(|argument| argument.value.as_ref());
-                let found =
-                    given.and_then(|value| value::value(value, 0, &|name| self.names.get(name).cloned()));
-                let found = found.and_then(|value| pose(&value));
-                if let (Some(given), Some(found)) = (self.given, found)
-                    && ((given.position - found.position).norm() > SAME_MM
-                        || given.angle_to(&found) > SAME_RAD)
-                {
-                    let differs = CompensationFinding::FrameDiffers { frame: TOOL, option: "--tool" };
-                    return Err(self.text.wrong(&statement.span, differs));
-                }
-                // Which of the branches of a choice runs is not known.
-                self.tool = Some(found.filter(|_| !self.choices.contains(&true)));
-            }
-            Kind::Other(word) if ["if", "while", "thread"].contains(&word.as_str()) => {
-                self.choices.push(word == "if");
-            }
-            Kind::Other(word) if word == "end" => _ = self.choices.pop(),
-            _ => self.motion(statement)?,
-        }
-        Ok(())
-    }
-
-    fn motion(&mut self, statement: &Statement) -> Result<(), Diagnostic> {
-        let Some(instruction) = motion(statement) else {
-            let found = |expression: &_| value::value(expression, 0, &|name| self.names.get(name).cloned());
-            let point = |expression: &_| found(expression).filter(|value| target(value).is_some());
-            self.points.other(self.text, statement, &WORDS, point);
-            return Ok(());
-        };
-        for expression in instruction.points() {
-            let found = value::value(expression, 0, &|name| self.names.get(name).cloned());
-            let taught = found.and_then(|value| {
-                let target = target(&value)?;
-                Some(Taught { value, target, branch: Branch::Nearest })
-            });
-            let (tool, given, text) = (self.tool, self.given, self.text);
-            let frames = || frames(tool, given, text, &statement.span);
-            self.points.visit(text, &statement.span, expression, taught, frames)?;
-        }
-        Ok(())
-    }
+/// The TCP that the script has set.
+#[derive(Clone, Copy)]
+enum Tcp {
+    NotSet,
+    /// By a computed pose, or in a branch of an IF.
+    Unknown,
+    Known(Pose),
 }
 
-/// With the tool that the script sets (the inner `None`: computed), else with the given one.
-fn frames(
-    set: Option<Option<Pose>>,
+/// Reads the statements in the order of the text.
+struct Reader<'a> {
+    text: Text<'a>,
+    /// The TCP of the user.
     given: Option<Pose>,
-    text: Text<'_>,
-    motion: &Span,
-) -> Result<Frames, Diagnostic> {
-    let frame = TOOL;
-    let tool = match (set, given) {
-        (Some(None), _) => Err(CompensationFinding::FrameComputed { frame, line: text.line(motion.start) }),
-        (Some(Some(tool)), _) | (None, Some(tool)) => Ok(tool),
-        (None, None) => Err(CompensationFinding::FrameNotSet { frame }),
-    };
-    let tool = tool.map_err(|why| text.wrong(motion, why))?;
-    Ok(Frames { tool, base: Pose::identity() })
+    tool: Tcp,
+    /// The variables that are assigned once so far.
+    variables: Variables,
+    points: Points,
+    /// For each open block whether it is an IF.
+    open_blocks: Vec<bool>,
+}
+
+impl Reader<'_> {
+    fn statement(&mut self, Statement { span, kind }: &Statement) -> Result<(), Diagnostic> {
+        let lookup = |name: &str| self.variables.get(name).cloned();
+        match kind {
+            StatementKind::Assign { name, value } => match value::value(value, 0, &lookup) {
+                Some(value) if !self.variables.contains_key(name) => {
+                    let named = Value { name: Some(name.clone()), ..value };
+                    self.variables.insert(name.clone(), named);
+                }
+                _ => _ = self.variables.remove(name),
+            },
+            StatementKind::Call { name, arguments } => {
+                let arguments = evaluated(arguments, 0, &lookup);
+                if name == "set_tcp" {
+                    self.set_tcp(span, &arguments)?;
+                } else if let Some(instruction) = Instruction::new(name, &arguments) {
+                    self.motion(span, &instruction)?;
+                } else {
+                    let is_point = |value: &Value| target(value).is_some();
+                    self.points.other(self.text, (span, kind), &arguments, &OTHERS, is_point);
+                }
+            }
+            StatementKind::Other(word) if ["if", "while", "thread"].contains(&word.as_str()) => {
+                self.open_blocks.push(word == "if");
+            }
+            StatementKind::Other(word) if word == "end" => _ = self.open_blocks.pop(),
+            StatementKind::Other(_) => self.points.other(self.text, (span, kind), &[], &OTHERS, |_| false),
+            StatementKind::UntilSteady => {}
+        }
+        Ok(())
+    }
+
+    fn set_tcp(&mut self, span: &Span, arguments: &[Evaluated<'_>]) -> Result<(), Diagnostic> {
+        let tool = arguments.first().and_then(|argument| pose(argument.value.as_ref()?));
+        if let (Some(given), Some(tool)) = (self.given, tool)
+            && ((given.position - tool.position).norm() > SAME_MM || given.angle_to(&tool) > SAME_RAD)
+        {
+            let differs = CompensationFinding::FrameDiffers { frame: TOOL, option: "--tool" };
+            return Err(self.text.wrong(span, differs));
+        }
+        let is_conditional = self.open_blocks.contains(&true);
+        self.tool = tool.filter(|_| !is_conditional).map_or(Tcp::Unknown, Tcp::Known);
+        Ok(())
+    }
+
+    fn motion(&mut self, span: &Span, instruction: &Instruction<'_>) -> Result<(), Diagnostic> {
+        for argument in instruction.points() {
+            let taught = argument.value.as_ref().and_then(target).map(|target| (target, Branch::Nearest));
+            let frames = self.frames(span);
+            self.points.add(self.text, span, argument, taught, || frames)?;
+        }
+        Ok(())
+    }
+
+    /// The frames of a motion: with the TCP that the script sets, else with that of the user.
+    fn frames(&self, motion: &Span) -> Result<Frames, Diagnostic> {
+        let frame = TOOL;
+        let unknown = match (self.tool, self.given) {
+            (Tcp::Known(tool), _) | (Tcp::NotSet, Some(tool)) => {
+                return Ok(Frames { tool, base: Pose::identity() });
+            }
+            (Tcp::Unknown, _) => {
+                CompensationFinding::FrameComputed { frame, line: self.text.line(motion.start) }
+            }
+            (Tcp::NotSet, None) => CompensationFinding::FrameNotSet { frame },
+        };
+        Err(self.text.wrong(motion, unknown))
+    }
 }
 
 fn write(
@@ -144,20 +147,17 @@ fn write(
     let new = match point.target {
         Target::Axes(_) => corrected.numbers.map(f64::to_radians),
         Target::Pose { .. } => {
-            let [x, y, z, a, b, c] = corrected.numbers;
-            let turn = rotation_vector(&Pose::from_kuka([x, y, z], [a, b, c]).rotation);
+            let Pose { position, rotation } = Pose::from_xyzabc(corrected.numbers);
             let taught: Option<[f64; 6]> = point.value.numbers();
             let [.., rx, ry, rz] = taught.ok_or(CompensationFinding::PointShape { numbers: 6 })?;
-            // The same turn the other way round where the taught one was so written.
-            let other = turn * (1.0 - std::f64::consts::TAU / turn.norm());
-            let off = |turn: &nalgebra::Vector3<f64>| (turn - nalgebra::Vector3::new(rx, ry, rz)).norm();
-            let turn = if other.iter().all(|part| part.is_finite()) && off(&other) < off(&turn) {
-                other
-            } else {
-                turn
-            };
-            [x * 1e-3, y * 1e-3, z * 1e-3, turn.x, turn.y, turn.z]
+            // Of the two rotation vectors of an orientation the one nearer to the taught one.
+            let short = rotation_vector(&rotation);
+            let long = short * (1.0 - std::f64::consts::TAU / short.norm());
+            let distance = |turn: &Vector3<f64>| (turn - Vector3::new(rx, ry, rz)).norm();
+            let is_long = long.iter().all(|part| part.is_finite()) && distance(&long) < distance(&short);
+            let turn = if is_long { long } else { short };
+            [position.x * 1e-3, position.y * 1e-3, position.z * 1e-3, turn.x, turn.y, turn.z]
         }
     };
-    Ok(numbers(&point.value, &new, text, DECIMALS)?.0)
+    Ok(replaced(&point.value, &new, text, DECIMALS)?.0)
 }

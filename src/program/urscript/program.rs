@@ -1,60 +1,55 @@
-//! A script as the list of what it does.
+//! A script as the list of its actions.
 
-use super::instruction::{argument, motion, pose, target};
+use super::instruction::{Instruction, argument, pose, target};
 use super::parser::parse;
 use crate::catalogue::ProgramFinding;
 use crate::diagnostic::Diagnostic;
-use crate::program::listing::{Does, Move, Pace};
-use crate::program::script::statement::{Dialect, Kind, Routine, Statement, Unrolling};
-use crate::program::script::value::{self, Names, Of, Value};
+use crate::program::listing::{ActionKind, Move, Pace};
+use crate::program::script::expression::{Routine, Statement, StatementKind};
+use crate::program::script::unroll::{Dialect, unroll};
+use crate::program::script::value::{Evaluated, Value};
 use crate::program::text::Text;
 use crate::program::{Frames, Language, Listing, Motion, Target};
 use crate::robot::Pose;
 
-/// The variable that holds the number of the strobe's output.
+/// The variable with the number of the strobe's output.
 const STROBE: &str = "DBBSTB";
-/// Acceleration and speed where a motion gives none: of a joint in rad/s^2 and rad/s, of the tool in m/s^2 and m/s.
+/// Default acceleration and speed: of a joint in rad/s^2 and rad/s, of the tool in m/s^2 and m/s.
 const JOINT: [f64; 2] = [1.4, 1.05];
 const TOOL: [f64; 2] = [1.2, 0.25];
 
-/// Reads a script (its name and its text): its lines outside of any routine, else the first routine.
+/// Reads a script (its name and text) from its lines outside of any routine, else from its first routine.
 pub fn open(file: (String, String)) -> Result<Listing, Diagnostic> {
     let routines = parse(Text { file: &file.0, text: &file.1 })?;
-    let is_call = |statement: &Statement| matches!(statement.kind, Kind::Call { .. });
+    let is_call = |statement: &Statement| matches!(statement.kind, StatementKind::Call { .. });
     let outside = routines.iter().find(|routine| routine.name.is_empty() && routine.body.iter().any(is_call));
-    // A routine inside another ends before it: the first that begins is the longest.
-    let mut named = routines.iter().filter(|routine| !routine.name.is_empty());
-    let first = outside.or_else(|| named.next_back()).cloned();
-    let Some(first) = first else { return Err(Diagnostic::file(&file.0, ProgramFinding::NoDef)) };
-    let mut run = Run { routines, tool: Pose::identity() };
-    let mut unrolling = Unrolling::new(&mut run, Language::Urscript, vec![file]);
-    unrolling.routine(&first, Names::new())?;
-    Ok(unrolling.listing)
+    // A routine ends after those inside it: the outermost one is the last.
+    let outermost = || routines.iter().rfind(|routine| !routine.name.is_empty());
+    let Some(first) = outside.or_else(outermost).cloned() else {
+        return Err(Diagnostic::file(&file.0, ProgramFinding::NoDef));
+    };
+    let urscript = Urscript { routines, tool: Pose::identity() };
+    unroll(urscript, Language::Urscript, vec![file], &first)
 }
 
-struct Run {
+struct Urscript {
     routines: Vec<Routine>,
+    /// The TCP.
     tool: Pose,
 }
 
-impl Run {
-    fn moving(
-        &self,
-        statement: &Statement,
-        lookup: &dyn Fn(&str) -> Option<Value>,
-    ) -> Result<Option<Move>, ProgramFinding> {
-        let Some(instruction) = motion(statement) else { return Ok(None) };
-        let number = |name: &str, default: f64| instruction.number(name, lookup).unwrap_or(default);
+impl Urscript {
+    fn motion(&self, instruction: &Instruction<'_>) -> Result<Move, ProgramFinding> {
+        let number = |name: &str, default: f64| instruction.number(name).unwrap_or(default);
         if number("r", 0.0) != 0.0 {
             let what = "a blend radius".into();
             let instead = "every point is an exact stop: r=0".into();
             return Err(ProgramFinding::Unsupported { what, instead });
         }
-        let to_point = |expression| {
-            let value = value::value(expression, 0, lookup);
-            value.as_ref().and_then(target).ok_or(ProgramFinding::NoPosition)
+        let point = |argument: &Evaluated<'_>| {
+            argument.value.as_ref().and_then(target).ok_or(ProgramFinding::NoPosition)
         };
-        let points: Vec<Target> = instruction.points().into_iter().map(to_point).collect::<Result<_, _>>()?;
+        let points: Vec<Target> = instruction.points().map(point).collect::<Result<_, _>>()?;
         let (through_mm, to) = match points.as_slice() {
             [to] => (None, to.clone()),
             [Target::Pose { xyz_mm, .. }, to] => (Some(*xyz_mm), to.clone()),
@@ -69,11 +64,11 @@ impl Run {
             Motion::Lin | Motion::Circ => Pace::Tool { mm_s: 1e3 * v, mm_s2: 1e3 * a, deg_s: None },
         };
         let frames = Frames { tool: self.tool, base: Pose::identity() };
-        Ok(Some(Move { motion: instruction.motion, through_mm, to, configuration: None, frames, pace }))
+        Ok(Move { motion: instruction.motion, through_mm, to, configuration: None, frames, pace })
     }
 }
 
-impl Dialect for Run {
+impl Dialect for Urscript {
     fn routine(&self, _: usize, name: &str) -> Option<Routine> {
         self.routines.iter().find(|routine| routine.name == name).cloned()
     }
@@ -84,45 +79,39 @@ impl Dialect for Run {
 
     fn instruction(
         &mut self,
-        call: &Statement,
-        lookup: &dyn Fn(&str) -> Option<Value>,
-        _: usize,
-    ) -> Result<Vec<Does>, ProgramFinding> {
-        let Kind::Call { name, arguments } = &call.kind else { return Ok(Vec::new()) };
-        if let Some(motion) = self.moving(call, lookup)? {
-            return Ok(vec![Does::Move(Box::new(motion))]);
+        name: &str,
+        arguments: &[Evaluated<'_>],
+    ) -> Result<Option<ActionKind>, ProgramFinding> {
+        if let Some(instruction) = Instruction::new(name, arguments) {
+            return Ok(Some(ActionKind::Move(Box::new(self.motion(&instruction)?))));
         }
-        let given = |names: &[&str], name: &str| value::value(argument(arguments, names, name)?, 0, lookup);
-        let missing = || ProgramFinding::NotSet { name: name.clone() };
-        let truth = |value: Option<Value>| match value.map(|value| value.of) {
-            Some(Of::Bool(truth)) => Some(truth),
-            _ => None,
-        };
-        Ok(match name.as_str() {
+        let argument = |names: &[&str], name: &str| argument(arguments, names, name);
+        let bool = |names: &[&str], name: &str| argument(names, name)?.value.as_ref()?.bool();
+        let missing = || ProgramFinding::NotSet { name: name.into() };
+        Ok(match name {
             "set_tcp" => {
-                self.tool = given(&["pose"], "pose").as_ref().and_then(pose).ok_or_else(missing)?;
-                Vec::new()
+                let tool = argument(&["pose"], "pose").and_then(|tool| pose(tool.value.as_ref()?));
+                self.tool = tool.ok_or_else(missing)?;
+                None
             }
             "sleep" => {
-                let seconds = given(&["t"], "t").and_then(|seconds| seconds.number());
-                vec![Does::Wait(seconds.ok_or_else(missing)?)]
+                let seconds = argument(&["t"], "t").and_then(Evaluated::number);
+                Some(ActionKind::Wait(seconds.ok_or_else(missing)?))
             }
             "set_standard_digital_out" => {
                 let names = ["n", "b"];
-                let level = truth(given(&names, "b")).ok_or_else(missing)?;
-                let output = argument(arguments, &names, "n");
-                let strobe = value::Kind::Name(STROBE.into());
-                if output.is_some_and(|n| n.kind == strobe) { vec![Does::Strobe(level)] } else { Vec::new() }
+                let level = bool(&names, "b").ok_or_else(missing)?;
+                let output = argument(&names, "n").and_then(Evaluated::variable);
+                (output == Some(STROBE)).then_some(ActionKind::SetStrobe(level))
             }
             "popup" => {
-                let names = ["s", "title", "warning", "error", "blocking"];
-                let halts = truth(given(&names, "blocking")) == Some(true);
-                if halts { vec![Does::Halt] } else { Vec::new() }
+                let is_blocking = bool(&["s", "title", "warning", "error", "blocking"], "blocking");
+                (is_blocking == Some(true)).then_some(ActionKind::Halt)
             }
-            "set_configurable_digital_out" | "textmsg" | "sync" | "set_target_payload" => Vec::new(),
+            "set_configurable_digital_out" | "textmsg" | "sync" | "set_target_payload" => None,
             _ => {
                 let instead = "the simulated controller has no such function, and the script no such routine";
-                return Err(ProgramFinding::Unsupported { what: name.clone(), instead: instead.into() });
+                return Err(ProgramFinding::Unsupported { what: name.into(), instead: instead.into() });
             }
         })
     }

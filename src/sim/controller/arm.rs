@@ -1,22 +1,27 @@
-//! The arm under a controller: the nominal robot, where it is commanded to be, and what it cannot do.
+//! The arm of a simulated controller: the nominal robot, its commanded position and its limits.
 
 use super::motion::{Motion, Path, Place, Profile};
 use crate::catalogue::ProgramFinding;
 use crate::program::Language;
-use crate::robot::{AXES, Geometry, Robot, inverse};
+use crate::robot::inverse::{self, Unsolved};
+use crate::robot::{AXES, Geometry, Pose, Robot};
 
 #[derive(Clone, Debug)]
 pub(super) struct Arm {
-    /// As the controller knows it.
+    /// The robot as the controller knows it.
     pub(super) robot: Robot,
     /// Commanded axis angles, rad.
     pub(super) axes: [f64; AXES],
-    /// How many motions have begun.
+    /// Number of motions that have begun.
     pub(super) motions: u32,
 }
 
+pub(super) fn unsolved(why: Unsolved) -> ProgramFinding {
+    ProgramFinding::NoAxisAngles { why: why.to_string() }
+}
+
 impl Arm {
-    /// At the home of the controllers of a language, or as near to it as the robot's limits allow.
+    /// At the home position for a language, or as near to it as the limits of the robot allow.
     pub(super) fn at_home(robot: &Robot, language: Language) -> Self {
         let mut home = language.home_deg();
         for i in 0..AXES {
@@ -31,7 +36,12 @@ impl Arm {
         Motion { path, profile, t_s: 0.0 }
     }
 
-    /// Goes on with a motion, at most for the time given (s) and at a share of its speed; how long it took if it ended.
+    /// The axis angles for a pose, near the commanded ones; `geometry` has the tool of the program.
+    pub(super) fn nearest(&self, geometry: &Geometry, pose: &Pose) -> Result<[f64; AXES], ProgramFinding> {
+        inverse::nearest(geometry, pose, &self.axes).map_err(unsolved)
+    }
+
+    /// Continues a motion for at most `left_s`, at the share `rate` of its speed; the time it took if it ended.
     pub(super) fn advance(
         &mut self,
         motion: &mut Motion,
@@ -41,21 +51,20 @@ impl Arm {
         let needed_s = motion.left_s() / rate;
         if needed_s <= left_s {
             motion.t_s = f64::INFINITY;
-            self.take(&motion.place(), geometry, needed_s)?;
+            self.command(&motion.place(), geometry, needed_s)?;
             return Ok(Some(needed_s));
         }
         motion.t_s += left_s * rate;
-        self.take(&motion.place(), geometry, left_s)?;
+        self.command(&motion.place(), geometry, left_s)?;
         Ok(None)
     }
 
-    /// Takes the robot to a place on its path, `elapsed_s` after the last; `geometry` has the program's tool.
-    fn take(&mut self, place: &Place, geometry: &Geometry, elapsed_s: f64) -> Result<(), ProgramFinding> {
-        let axes = match place {
+    /// Commands a place on the path, `elapsed_s` after the last one; `geometry` has the tool of the program.
+    fn command(&mut self, place: &Place, geometry: &Geometry, elapsed_s: f64) -> Result<(), ProgramFinding> {
+        self.axes = match place {
             Place::Axes(axes) => *axes,
             Place::Pose(pose) => {
-                let axes = inverse::nearest(geometry, pose, &self.axes)
-                    .map_err(|unsolved| ProgramFinding::NoAxisAngles { why: unsolved.to_string() })?;
+                let axes = self.nearest(geometry, pose)?;
                 self.check_limits(&axes)?;
                 for i in 0..AXES {
                     let most = self.robot.max_speed_deg_s[i].to_radians() * elapsed_s;
@@ -66,11 +75,10 @@ impl Arm {
                 axes
             }
         };
-        self.axes = axes;
         Ok(())
     }
 
-    /// Refuses axis angles (rad) outside the robot's limits.
+    /// Refuses axis angles (rad) outside of the robot's limits.
     pub(super) fn check_limits(&self, axes: &[f64; AXES]) -> Result<(), ProgramFinding> {
         let axes_deg = axes.map(f64::to_degrees);
         let limits_deg = self.robot.limits_at_deg(&axes_deg);

@@ -1,11 +1,11 @@
-//! A motion under way: its path, and how far along it the time has brought it.
+//! A motion: its path and its position on the path at a time.
 
 use nalgebra::{Rotation3, Unit, UnitVector3, Vector3};
 
 use crate::robot::AXES;
 use crate::robot::pose::{Pose, rotation_vector};
 
-/// A trapezoid of speed over a path from 0 to 1: full acceleration, constant speed, full deceleration.
+/// A trapezoidal speed profile over a path from 0 to 1.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Profile {
     speed: f64,
@@ -14,32 +14,34 @@ pub(super) struct Profile {
 }
 
 impl Profile {
-    /// The fastest that keeps all limits, each a distance with its greatest speed and acceleration.
+    /// The fastest profile within all limits, each a distance with its largest speed and acceleration.
     pub(super) fn within(limits: impl IntoIterator<Item = (f64, f64, f64)>) -> Self {
         let (mut speed, mut acceleration) = (f64::INFINITY, f64::INFINITY);
-        for (distance, most, hardest) in limits {
+        for (distance, largest_speed, largest_acceleration) in limits {
             let distance = distance.abs();
             if distance > 1e-12 {
-                speed = speed.min(most / distance);
-                acceleration = acceleration.min(hardest / distance);
+                speed = speed.min(largest_speed / distance);
+                acceleration = acceleration.min(largest_acceleration / distance);
             }
         }
         if !speed.is_finite() {
             return Self { speed: 0.0, acceleration: 0.0, duration_s: 0.0 }; // nothing moves
         }
-        // Where the full speed is not reached the trapezoid is a triangle.
+        // If full speed is not reached, the trapezoid is a triangle.
         speed = speed.min(acceleration.sqrt());
         Self { speed, acceleration, duration_s: 1.0 / speed + speed / acceleration }
     }
 
-    /// That of the limit which takes longest alone: the others follow its pace.
+    /// The profile of the limit that alone takes longest.
     pub(super) fn slowest<const N: usize>(limits: [(f64, f64, f64); N]) -> Self {
-        let alone = limits.map(|limit| Self::within([limit]));
-        let longest = |a: &Self, b: &Self| a.duration_s.total_cmp(&b.duration_s);
-        alone.into_iter().max_by(longest).unwrap_or_else(|| Self::within([]))
+        let profiles = limits.map(|limit| Self::within([limit]));
+        profiles
+            .into_iter()
+            .max_by(|a, b| a.duration_s.total_cmp(&b.duration_s))
+            .unwrap_or_else(|| Self::within([]))
     }
 
-    /// That lasts so long, s, with ramps of a quarter of it.
+    /// A profile with this duration, a quarter of it for each ramp.
     pub(super) fn lasting(seconds: f64) -> Self {
         if seconds <= 0.0 {
             return Self::within([]);
@@ -48,12 +50,12 @@ impl Profile {
         Self { speed, acceleration: 4.0 * speed / seconds, duration_s: seconds }
     }
 
-    /// Itself, or one that lasts so long, s, where it would be over before.
+    /// This profile, or if it is shorter, one with this duration.
     pub(super) fn not_before(self, seconds: f64) -> Self {
         if self.duration_s < seconds && self.duration_s > 0.0 { Self::lasting(seconds) } else { self }
     }
 
-    /// The share of the path after `t_s` seconds.
+    /// The position on the path, 0 to 1, after `t_s` seconds.
     fn share(&self, t_s: f64) -> f64 {
         if t_s >= self.duration_s {
             return 1.0;
@@ -70,20 +72,20 @@ impl Profile {
     }
 }
 
-/// Where a motion is to be.
+/// A commanded place on a path.
 pub(super) enum Place {
-    /// At these axis angles, rad.
+    /// Axis angles, rad.
     Axes([f64; AXES]),
-    /// At this pose of the tool in the robot base.
+    /// The tool point in the robot base, with the orientation of the flange.
     Pose(Pose),
 }
 
-/// The way from one point to the next.
+/// The path from one point to the next.
 #[derive(Clone, Debug)]
 pub(super) enum Path {
-    /// All axes together, rad.
+    /// All axes in proportion, rad.
     Axes { from: [f64; AXES], to: [f64; AXES] },
-    /// The tool on a straight line or an arc, its orientation turning about one axis.
+    /// The tool on a line or an arc; its orientation turns about one axis.
     Tool { from: Pose, to: Pose, turn: Turn, arc: Option<Arc> },
 }
 
@@ -95,7 +97,7 @@ pub(super) struct Turn {
 }
 
 impl Turn {
-    /// The shortest from one orientation to the other, in the robot base.
+    /// The shortest turn from one orientation to the other, in the robot base.
     pub(super) fn between(from: &Pose, to: &Pose) -> Self {
         let turn = rotation_vector(&(to.rotation * from.rotation.transpose()));
         let (axis, angle) = Unit::try_new_and_get(turn, 0.0).unwrap_or((Vector3::z_axis(), 0.0));
@@ -112,8 +114,8 @@ pub(super) struct Arc {
 }
 
 impl Arc {
-    /// The arc from `start` through `via` to `end`, and its length (mm); with `sweep` (rad, negative
-    /// against the taught direction) in place of the taught one. `None` when the points are on a line.
+    /// The arc from `start` through `via` to `end` and its length (mm); `sweep` (rad, negative against the taught direction)
+    /// replaces the taught one. `None` if the points are on a line.
     pub(super) fn through(
         start: Vector3<f64>,
         via: Vector3<f64>,
@@ -131,7 +133,7 @@ impl Arc {
             + (normal.cross(&a) * b.norm_squared() + b.cross(&normal) * a.norm_squared()) / (2.0 * area);
         let normal = Unit::new_normalize(normal);
         let (from, to) = (start - centre, end - centre);
-        // start, via, end follow each other counter-clockwise about this normal.
+        // About this normal, start, via and end are in counter-clockwise order.
         let taught = normal.dot(&from.cross(&to)).atan2(from.dot(&to)).rem_euclid(std::f64::consts::TAU);
         let sweep = sweep.unwrap_or(taught);
         Some((Self { centre, normal, sweep }, from.norm() * sweep.abs()))
@@ -146,7 +148,7 @@ impl Arc {
 pub(super) struct Motion {
     pub(super) path: Path,
     pub(super) profile: Profile,
-    /// Time on the path, s at full override.
+    /// Time on the path at full override, s.
     pub(super) t_s: f64,
 }
 
@@ -155,7 +157,7 @@ impl Motion {
         self.profile.duration_s - self.t_s
     }
 
-    /// Where it is now; at its end exactly the commanded point.
+    /// The current place; at the end it is exactly the commanded point.
     pub(super) fn place(&self) -> Place {
         let share = self.profile.share(self.t_s);
         match &self.path {
@@ -170,7 +172,7 @@ impl Motion {
                     None => from.position + (to.position - from.position) * share,
                 };
                 if share >= 1.0 {
-                    // An arc with a sweep of its own ends elsewhere than at the taught point.
+                    // An arc with a programmed sweep does not end at the taught point.
                     let position = if arc.is_some() { position } else { to.position };
                     return Place::Pose(Pose { rotation: to.rotation, position });
                 }

@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use dbbd::base::clock;
-use dbbd::sim::link::Link;
+use dbbd::sim::bar::Link;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use serialport::{SerialPort, TTYPort};

@@ -1,14 +1,14 @@
-//! Writes the KRL modules of a plan: one for each circle, under a master that calls them.
+//! Emits the KRL modules of a plan: one for each circle, and a main module that calls them.
 //!
-//! A module drives to an axis position, halts for the bar to be mounted, marks its start, and goes through its rows. A
-//! dwell is: arrive, settle, index on the outputs, log the measured axes, strobe high while the robot is at rest, strobe
-//! low. A pass of a continuous circle is one such: settle, strobe high, one motion, strobe low, log. All stops are
-//! exact: outputs set in the advance run would come before the robot does.
+//! A module moves to its start, halts for the mounting of the bar, emits a sync marker, and moves through its rows. At a
+//! dwell the robot stops and settles; the program sets the index outputs, logs the measured axes, and holds the strobe output
+//! high during the dwell. A pass (a continuous circle) has the strobe high during its one motion, and logs the axes after it.
+//! All stops are exact: an output set in the advance run would precede the robot.
 //!
-//! With [`Sync::Ekrl`] the controller is a client of dbbd: `<Dbb>` carries the run, the plan's row, the phase (1: the
-//! robot is at rest, 2: the dwell is over) and the measured axes, and `<Ack Id=".."/>` answers it.
+//! With [`Sync::Ekrl`] the controller is a client of dbbd: it sends `<Dbb>` with the run, the row of the plan, the phase (1:
+//! the robot is at rest, 2: the dwell is over) and the measured axes, and waits for `<Ack Id=".."/>`.
 //!
-//! The text of the files is in the templates beside this one; what KRL cannot hold is refused here.
+//! The text of the files is in the templates beside this file; what KRL cannot express is refused here.
 
 use minijinja::context;
 use minijinja::value::{Serde, Value};
@@ -20,11 +20,13 @@ use crate::plan::timing::{ACCELERATION_DEG_S2, ACCELERATION_MM_S2, PTP_ACCELERAT
 use crate::plan::{Frames, Motion, Plan};
 use crate::program::Language;
 pub use crate::program::emission::Sync;
-use crate::program::emission::{Templates, Written, called, module_text, name, payload, plan_text, unturned};
+use crate::program::emission::{
+    Templates, Written, module_calls, module_variables, name, payload, plan_variables, without_rotation,
+};
 use crate::program::sequence::{Module, Timed, modules};
 use crate::robot::Robot;
 
-/// Lines that a module may have: longer files are known to make trouble on old controllers.
+/// Most lines of a file: longer ones are known to cause trouble on old controllers.
 const LINES: usize = 2000;
 
 const TEMPLATES: [(&str, &str); 6] = [
@@ -38,13 +40,13 @@ const TEMPLATES: [(&str, &str); 6] = [
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Controller {
-    // No doc comments: the help would list them. KSS 5: modules elsewhere must be declared `EXT`.
+    // Not doc comments, which the help would list. KSS 5: external modules must be declared with `EXT`.
     Krc2,
     // KSS 8.
     Krc4,
     // KSS 8.7, the same language.
     Krc5,
-    // That of `dbbd simulate`, which moves robots of any make.
+    // That of `dbbd simulate`, for robots of any make.
     Simulated,
 }
 
@@ -54,32 +56,32 @@ pub struct Options {
     pub controller: Controller,
 }
 
-/// The number of the plan with this hash, by which a server recognises its run; `None` if it is no hash.
+/// The number by which a server recognises the run of the plan with this hash; `None` if it is no hash.
 pub fn run_number(hash: &str) -> Option<u32> {
     u32::from_str_radix(hash.get(..4)?, 16).ok()
 }
 
-/// The modules of a plan (ASCII, CR LF); the first file is the master's code.
+/// The modules of a plan (ASCII, CR LF); the first file is the code of the main module.
 pub fn emit(plan: &Plan, options: Options) -> Result<Written, Diagnostic> {
     let robot = Robot::from_toml("the plan's robot", &plan.header.robot)?;
     let writer = Writer {
         plan,
         options,
-        texts: texts(plan, robot.controller(), options)?,
+        variables: variables(plan, robot.controller(), options)?,
         templates: Templates::new(&TEMPLATES)?,
     };
     let modules = modules(plan)?;
-    let of_all = context! { plan => &writer.texts, modules => called(&modules) };
+    let of_all = context! { plan => &writer.variables, modules => module_calls(&modules) };
     let mut files = vec![
-        ("DBB_MAIN.src".into(), writer.templates.fill("main.src", &of_all)?),
-        ("DBB_MAIN.dat".into(), writer.templates.fill("main.dat", &of_all)?),
+        ("DBB_MAIN.src".into(), writer.templates.render("main.src", &of_all)?),
+        ("DBB_MAIN.dat".into(), writer.templates.render("main.dat", &of_all)?),
     ];
     if let Sync::Ekrl { server } = options.sync {
         if options.controller == Controller::Krc2 {
             return Err(ProgramFinding::NoEthernetKrl.into());
         }
         let address = context! { ip => server.ip().to_string(), port => server.port() };
-        files.push(("DbbEki.xml".into(), writer.templates.fill("channel.xml", &address)?));
+        files.push(("DbbEki.xml".into(), writer.templates.render("channel.xml", &address)?));
     }
     for (module, number) in modules.iter().zip(1..) {
         files.extend(writer.module(module, &name(number))?);
@@ -87,8 +89,8 @@ pub fn emit(plan: &Plan, options: Options) -> Result<Written, Diagnostic> {
     Ok(files)
 }
 
-/// What every file may say of the plan.
-fn texts(plan: &Plan, robot: &Robot, options: Options) -> Result<Value, Diagnostic> {
+/// The variables of the plan for the templates.
+fn variables(plan: &Plan, robot: &Robot, options: Options) -> Result<Value, Diagnostic> {
     let job = &plan.header.job;
     let [.., a, b, c] = job.motion.tool.unwrap_or_default();
     let [x, y, z] = robot.geometry.tool.into();
@@ -97,38 +99,38 @@ fn texts(plan: &Plan, robot: &Robot, options: Options) -> Result<Value, Diagnost
         krc2 => options.controller == Controller::Krc2,
         tool => Serde([x, y, z, a, b, c]),
         base => Serde(job.motion.base.unwrap_or_default()),
-        payload => payload(robot).map(|mass| context! { kg => mass.kg, centre => unturned(mass.centre.into()) }),
+        payload => payload(robot).map(|mass| context! { kg => mass.kg, centre => without_rotation(mass.centre.into()) }),
         ptp_acceleration_percent => PTP_ACCELERATION_PERCENT,
         acceleration_mm_s2 => ACCELERATION_MM_S2,
         acceleration_deg_s2 => ACCELERATION_DEG_S2,
-        ..plan_text(plan, Language::Krl, options.sync)?
+        ..plan_variables(plan, Language::Krl, options.sync)?
     })
 }
 
 struct Writer<'a> {
     plan: &'a Plan,
     options: Options,
-    texts: Value,
+    variables: Value,
     templates: Templates,
 }
 
 impl Writer<'_> {
     fn module(&self, module: &Module<'_>, name: &str) -> Result<[(String, String); 2], Diagnostic> {
         let circle = module.circle;
-        let facts = module_text(self.plan, module)?;
+        let module_variables = module_variables(self.plan, module)?;
         let job = &self.plan.header.job;
         if self.options.sync == Sync::Output {
             check_outputs(&job.motion.outputs)?;
         }
         let frames = job.motion.frames();
         let context = context! {
-            plan => &self.texts,
+            plan => &self.variables,
             name => name,
-            points => module.rows.iter().map(|timed| point_text(timed, &frames)).collect::<Value>(),
-            ..facts
+            points => module.rows.iter().map(|timed| point_variables(timed, &frames)).collect::<Value>(),
+            ..module_variables
         };
-        let fill = |template: &str| self.templates.fill(template, &context);
-        let (source, data) = (fill("circle.src")?, fill("circle.dat")?);
+        let render = |template: &str| self.templates.render(template, &context);
+        let (source, data) = (render("circle.src")?, render("circle.dat")?);
         let lines = source.matches('\n').count().max(data.matches('\n').count());
         if lines > LINES {
             return Err(ProgramFinding::TooManyLines { circle, lines, most: LINES }.into());
@@ -137,7 +139,7 @@ impl Writer<'_> {
     }
 }
 
-fn point_text(timed: &Timed<'_>, frames: &Frames) -> Value {
+fn point_variables(timed: &Timed<'_>, frames: &Frames) -> Value {
     let Timed { row, time, .. } = timed;
     let ([x, y, z], [a, b, c]) = frames.printed(row);
     // Along the path, m/s, and of the orientation, deg/s.
@@ -151,7 +153,7 @@ fn point_text(timed: &Timed<'_>, frames: &Frames) -> Value {
     }
 }
 
-/// Strobe and index on the outputs of the job.
+/// Refuses outputs for strobe and index that do not exist, are not eight or overlap.
 fn check_outputs(outputs: &Outputs) -> Result<(), ProgramFinding> {
     let [first, last] = outputs.index;
     let within = [outputs.strobe, first, last].into_iter().all(|output| (1..=4096).contains(&output));

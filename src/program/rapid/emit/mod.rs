@@ -1,10 +1,10 @@
-//! Writes the RAPID modules of a plan: one for each circle, under a main module that calls them.
+//! Emits the RAPID modules of a plan: one for each circle, and a main module that calls them.
 //!
-//! A module does what that of KRL does (see [`crate::program::krl::emit`]), by the signals `DBBSTB` (a digital output) and
-//! `DBBIDX` (a group of eight), which the controller's configuration must have. Dwells wait for the robot to be in
-//! position and at zero speed, because `fine` ends a motion when its command ends. Points to which the axes go together
-//! are written as axis angles; of the others the configuration (`confdata`) is that of the plan's axis angles, and
-//! `ConfL\Off` keeps lines and arcs in the branch of the start.
+//! A module does the same as one of KRL (see [`crate::program::krl::emit`]), with the signals `DBBSTB` (a digital output) and
+//! `DBBIDX` (a group of eight), which the configuration of the controller must define. A dwell waits until the robot is in
+//! position and at zero speed, because a motion to `fine` ends with its command, before the robot has stopped. Targets of
+//! joint motions are axis angles; the other targets have the configuration (`confdata`) of the plan's axis angles, and
+//! `ConfL\Off` keeps lines and arcs in the solution branch of their start.
 
 use minijinja::context;
 use minijinja::value::{Serde, Value};
@@ -14,7 +14,7 @@ use crate::plan::timing::ACCELERATION_MM_S2;
 use crate::plan::{Frames, Motion, Plan};
 use crate::program::Language;
 use crate::program::emission::{
-    Sync, Templates, Written, called, module_text, name, only_stops, payload, plan_text,
+    Sync, Templates, Written, module_calls, module_variables, name, payload, plan_variables, refuse_krl_only,
 };
 use crate::program::sequence::{Timed, modules};
 use crate::robot::{Pose, Robot, inverse};
@@ -27,34 +27,34 @@ const TEMPLATES: [(&str, &str); 3] = [
 
 /// The modules of a plan (ASCII, CR LF) and the program file that lists them; the first is the main module.
 pub fn emit(plan: &Plan, sync: Sync) -> Result<Written, Diagnostic> {
-    only_stops(plan, Language::Rapid, sync)?;
+    refuse_krl_only(plan, Language::Rapid, sync)?;
     let robot = Robot::from_toml("the plan's robot", &plan.header.robot)?;
     let controller = robot.controller();
     let templates = Templates::new(&TEMPLATES)?;
-    let texts = texts(plan, controller, sync)?;
+    let variables = variables(plan, controller, sync)?;
     let modules = modules(plan)?;
-    let of_all = context! { plan => &texts, modules => called(&modules) };
+    let of_all = context! { plan => &variables, modules => module_calls(&modules) };
     let mut files = vec![
-        ("DBB_MAIN.mod".into(), templates.fill("main.mod", &of_all)?),
-        ("DBB.pgf".into(), templates.fill("program.pgf", &of_all)?),
+        ("DBB_MAIN.mod".into(), templates.render("main.mod", &of_all)?),
+        ("DBB.pgf".into(), templates.render("program.pgf", &of_all)?),
     ];
     let frames = plan.header.job.motion.frames();
     for (module, number) in modules.iter().zip(1..) {
         let name = name(number);
-        let points = module.rows.iter().map(|timed| point_text(timed, &frames, controller));
+        let points = module.rows.iter().map(|timed| point_variables(timed, &frames, controller));
         let context = context! {
-            plan => &texts,
+            plan => &variables,
             name => &name,
             points => points.collect::<Value>(),
-            ..module_text(plan, module)?
+            ..module_variables(plan, module)?
         };
-        files.push((format!("{name}.mod"), templates.fill("circle.mod", &context)?));
+        files.push((format!("{name}.mod"), templates.render("circle.mod", &context)?));
     }
     Ok(files)
 }
 
-/// What every file may say of the plan.
-fn texts(plan: &Plan, robot: &Robot, sync: Sync) -> Result<Value, Diagnostic> {
+/// The variables of the plan for the templates.
+fn variables(plan: &Plan, robot: &Robot, sync: Sync) -> Result<Value, Diagnostic> {
     let motion = &plan.header.job.motion;
     let [.., a, b, c] = motion.tool.unwrap_or_default();
     let [x, y, z, u, v, w] = motion.base.unwrap_or_default();
@@ -66,7 +66,7 @@ fn texts(plan: &Plan, robot: &Robot, sync: Sync) -> Result<Value, Diagnostic> {
         base => frame(&Pose::from_kuka([x, y, z], [u, v, w])),
         payload => context! { kg => kg, centre => Serde(centre) },
         acceleration_mm_s2 => ACCELERATION_MM_S2,
-        ..plan_text(plan, Language::Rapid, sync)?
+        ..plan_variables(plan, Language::Rapid, sync)?
     })
 }
 
@@ -75,7 +75,7 @@ fn frame(pose: &Pose) -> Value {
     context! { place => Serde(place), turn => Serde(pose.quaternion()) }
 }
 
-fn point_text(timed: &Timed<'_>, frames: &Frames, robot: &Robot) -> Value {
+fn point_variables(timed: &Timed<'_>, frames: &Frames, robot: &Robot) -> Value {
     let Timed { row, time, .. } = timed;
     if row.motion == Motion::Ptp {
         return context! { axes => Serde(row.axes_deg), speeds => false };

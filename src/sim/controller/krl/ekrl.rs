@@ -1,7 +1,7 @@
-//! The EthernetKRL functions of a program: one channel, values set by path, telegrams, answers.
+//! The functions of EthernetKRL (`EKI_..`) with one channel.
 //!
-//! The controller itself reaches no network: telegrams wait in [`Interpreter::telegram`] for whoever
-//! carries them, and answers come back through [`Interpreter::answer`].
+//! The controller itself has no network: the caller takes telegrams from it and passes answers to it (see
+//! [`crate::sim::controller::Machine`]).
 
 use std::collections::VecDeque;
 use std::fmt::Write;
@@ -12,44 +12,29 @@ use crate::program::krl::evaluate::{At, Fault};
 use crate::program::krl::syntax::{Expression, ExpressionKind, Span};
 use crate::program::krl::value::{Type, Value};
 
-/// Flags of the channel's file: connected, answered.
+/// Numbers of the flags in the configuration of the channel.
 const CONNECTED: usize = 1;
 const ANSWERED: usize = 2;
 
 #[derive(Clone, Debug, Default)]
 pub(super) struct Channel {
-    /// Whether somebody carries the telegrams.
-    linked: bool,
-    open: bool,
-    /// Values by path, in the order in which they were first set.
+    /// Whether telegrams are carried to a server.
+    pub(super) is_linked: bool,
+    pub(super) is_open: bool,
+    /// Values by path, in the order of their first assignment.
     values: Vec<(String, String)>,
-    sent: VecDeque<String>,
+    pub(super) sent: VecDeque<String>,
     answers: VecDeque<i64>,
 }
 
 impl Interpreter {
-    /// Says that telegrams are carried to a server: without that a channel cannot be opened.
-    pub(in crate::sim::controller) fn link_ekrl(&mut self) {
-        self.ekrl.linked = true;
-    }
-
-    /// Whether the program holds the channel open.
-    pub(in crate::sim::controller) fn ekrl_open(&self) -> bool {
-        self.ekrl.open
-    }
-
-    /// The next telegram to be sent.
-    pub(in crate::sim::controller) fn telegram(&mut self) -> Option<String> {
-        self.ekrl.sent.pop_front()
-    }
-
-    /// The `Id` of an answer that has come.
-    pub(in crate::sim::controller) fn answer(&mut self, id: i64) {
+    /// Receives the `Id` of an answer.
+    pub(super) fn receive_answer(&mut self, id: i64) {
         self.ekrl.answers.push_back(id);
         self.set_bit("$FLAG", ANSWERED, true);
     }
 
-    /// An `EKI_..` function; its value is the status that KUKA's give.
+    /// Executes a function; its value is an `EKI_STATUS`.
     pub(super) fn ekrl_call(
         &mut self,
         name: &str,
@@ -61,7 +46,7 @@ impl Interpreter {
             "EKI_SEND" => 2,
             "EKI_SETINT" | "EKI_SETREAL" | "EKI_SETBOOL" | "EKI_SETSTRING" | "EKI_GETINT" => 3,
             _ => {
-                let instead = "the simulator knows the functions that `dbbd krl` writes".into();
+                let instead = "the simulator supports the functions that `dbbd krl` emits".into();
                 return Err(Fault::new(span, ProgramFinding::Unsupported { what: name.into(), instead }));
             }
         };
@@ -69,22 +54,22 @@ impl Interpreter {
             let (routine, given) = (name.into(), arguments.len());
             return Err(Fault::new(span, ProgramFinding::Arguments { routine, expected, given }));
         }
-        // The first is the channel: there is one.
+        // The first argument is the channel; there is only one.
         let path = match arguments.get(1) {
             Some(path) => path.value(self)?.text().at(&path.span)?.to_owned(),
             None => String::new(),
         };
-        if !self.ekrl.open && !matches!(name, "EKI_INIT" | "EKI_OPEN" | "EKI_CLEAR") {
+        if !self.ekrl.is_open && !matches!(name, "EKI_INIT" | "EKI_OPEN" | "EKI_CLEAR") {
             return Err(Fault::new(span, ProgramFinding::ChannelClosed));
         }
         match (name, arguments.get(2)) {
             ("EKI_INIT", _) => self.ekrl.values.clear(),
-            ("EKI_OPEN", _) if !self.ekrl.linked => {
+            ("EKI_OPEN", _) if !self.ekrl.is_linked => {
                 return Err(Fault::new(span, ProgramFinding::NoListener));
             }
             ("EKI_OPEN" | "EKI_CLOSE", _) => {
-                self.ekrl.open = name == "EKI_OPEN";
-                self.set_bit("$FLAG", CONNECTED, self.ekrl.open);
+                self.ekrl.is_open = name == "EKI_OPEN";
+                self.set_bit("$FLAG", CONNECTED, self.ekrl.is_open);
             }
             ("EKI_SEND", _) => {
                 let telegram = self.ekrl.telegram(&path);
@@ -92,15 +77,15 @@ impl Interpreter {
             }
             ("EKI_GETINT", Some(place)) => self.answer_into(&path, place, span)?,
             (_, Some(value)) => {
-                let written = written(name, &value.value(self)?).at(&value.span)?;
-                self.ekrl.set(path, written);
+                let value = as_text(name, &value.value(self)?).at(&value.span)?;
+                self.ekrl.set(path, value);
             }
             _ => self.ekrl.answers.clear(),
         }
         Ok(self.ekrl.status())
     }
 
-    /// `EKI_GetInt`: takes the next answer.
+    /// `EKI_GetInt`: assigns the next answer to a variable.
     fn answer_into(&mut self, path: &str, place: &Expression, span: &Span) -> Result<(), Fault> {
         let ExpressionKind::Place(place) = &place.kind else {
             let wrong = ProgramFinding::WrongType { expected: "a variable", found: "a value" };
@@ -117,7 +102,7 @@ impl Interpreter {
 }
 
 /// A value as `EKI_Set..` writes it into a telegram.
-fn written(function: &str, value: &Value) -> Result<String, ProgramFinding> {
+fn as_text(function: &str, value: &Value) -> Result<String, ProgramFinding> {
     Ok(match function {
         "EKI_SETINT" => value.int()?.to_string(),
         "EKI_SETREAL" => format!("{:.6}", value.number()?),
@@ -134,19 +119,19 @@ impl Channel {
         }
     }
 
-    /// What every function gives back.
+    /// The value of every function.
     fn status(&self) -> Value {
         let mut status = Type::named("EKI_STATUS").map_or(Value::Unset, Type::unset);
         if let Value::Struct(fields) = &mut status {
             let buffered = i64::try_from(self.answers.len()).unwrap_or(i64::MAX);
             fields.insert("BUFF".into(), Value::Int(buffered));
-            fields.insert("CONNECTED".into(), Value::Bool(self.open));
+            fields.insert("CONNECTED".into(), Value::Bool(self.is_open));
             fields.insert("MSG_NO".into(), Value::Int(0));
         }
         status
     }
 
-    /// `<Root><Element Name="value"></Element></Root>` of the values under a root.
+    /// `<Root><Element Name="value"></Element></Root>` with the values whose path begins with `root`.
     fn telegram(&self, root: &str) -> String {
         let mut elements: Vec<(&str, String)> = Vec::new();
         for (path, value) in &self.values {

@@ -1,24 +1,24 @@
-//! Executes statements, one after the other, until one takes time.
+//! Executes statements until one takes time.
 
 use std::sync::Arc;
 
-use super::store::{Names, Variable};
+use super::memory::{SIGNALS, Variable, Variables};
 use super::{Activity, Interpreter, Pulse};
 use crate::catalogue::ProgramFinding;
 use crate::program::Motion;
 use crate::program::krl::evaluate::{At, Fault, Scope};
 use crate::program::krl::syntax::{
-    Block, DeclarationKind, Expression, ExpressionKind, Move, Part, Place, Routine, Span, Statement,
+    Block, Declaration, Expression, ExpressionKind, Move, Part, Place, Routine, Span, Statement,
     StatementKind,
 };
 use crate::program::krl::value::{Type, Value};
 
-/// Statements without any that takes time, after which a program is held to hang.
+/// Most statements in sequence that take no time: a program with more is taken to hang.
 const IMMEDIATE: usize = 100_000;
-/// Calls and blocks inside each other.
+/// Most calls and blocks inside each other.
 const DEPTH: usize = 200;
 
-/// A block that is being executed, and the place in it.
+/// A block that is being executed, with the index of its next statement.
 #[derive(Clone, Debug)]
 pub(super) struct Level {
     block: Block,
@@ -26,23 +26,23 @@ pub(super) struct Level {
     kind: Kind,
 }
 
-/// What happens at a block's end.
+/// What follows the end of a block.
 #[derive(Clone, Debug)]
 enum Kind {
-    /// Back to the caller.
-    Routine { module: usize, locals: Names },
-    /// On after the block.
+    /// The caller.
+    Routine { module: usize, locals: Variables },
+    /// The statement after the block.
     Plain,
-    /// From the start.
+    /// The start of the block.
     Loop,
-    /// From the start while the condition holds.
+    /// The start of the block while the condition is true.
     While(Expression),
-    /// From the start until the counter is past `last`.
+    /// The start of the block until the counter is past `last`.
     For { counter: Place, last: i64, step: i64 },
 }
 
 impl Level {
-    pub(super) fn routine(module: usize, routine: &Routine, locals: Names) -> Self {
+    pub(super) fn routine(module: usize, routine: &Routine, locals: Variables) -> Self {
         Self { block: Arc::clone(&routine.body), next: 0, kind: Kind::Routine { module, locals } }
     }
 
@@ -57,7 +57,7 @@ impl Level {
         }
     }
 
-    pub(super) fn locals_mut(&mut self) -> Option<&mut Names> {
+    pub(super) fn locals_mut(&mut self) -> Option<&mut Variables> {
         match &mut self.kind {
             Kind::Routine { locals, .. } => Some(locals),
             _ => None,
@@ -91,7 +91,7 @@ impl Interpreter {
 
     fn end_of_block(&mut self) -> Result<(), Fault> {
         let Some(kind) = self.levels.last().map(|level| level.kind.clone()) else { return Ok(()) };
-        let again = match &kind {
+        let is_repeated = match &kind {
             Kind::Routine { .. } | Kind::Plain => false,
             Kind::Loop => true,
             Kind::While(condition) => condition.bool(self)?,
@@ -103,23 +103,22 @@ impl Interpreter {
             }
         };
         match self.levels.last_mut() {
-            Some(level) if again => level.next = 0,
+            Some(level) if is_repeated => level.next = 0,
             _ => {
                 self.levels.pop();
-                // The bar's ball is that of the module to which control returns, if it names one.
-                self.enter(self.module());
+                self.select_ball(self.module());
             }
         }
         Ok(())
     }
 
-    /// Takes the number of the base ball from a module's `.dat`, where it has one.
-    pub(super) fn enter(&mut self, module: usize) {
-        let ball = self.data.get(module).and_then(|data| data.get("DBBBALL"));
+    /// Takes the base ball from the `.dat` of the module that control enters or returns to, if it names one.
+    pub(super) fn select_ball(&mut self, module: usize) {
+        let ball = self.memory.get(module).and_then(|memory| memory.variables.get("DBBBALL"));
         if let Some(ball) =
             ball.and_then(|ball| ball.value.int().ok()).and_then(|ball| u32::try_from(ball).ok())
         {
-            self.centre = ball;
+            self.ball = ball;
         }
     }
 
@@ -149,7 +148,7 @@ impl Interpreter {
             StatementKind::Halt => self.activity = Activity::Halted,
             StatementKind::Return => {
                 while self.levels.pop().is_some_and(|level| level.module().is_none()) {}
-                self.enter(self.module());
+                self.select_ball(self.module());
             }
             StatementKind::Exit => self.exit().at(span)?,
             StatementKind::Call { name, arguments } => self.call_routine(name, arguments, span)?,
@@ -164,10 +163,10 @@ impl Interpreter {
                 }
             }
             StatementKind::Loop(body) => self.push(Level::block(body, Kind::Loop)).at(span)?,
-            // The stop message of every program's head never comes here.
+            // The interrupt on stop messages in the head of every program: it never occurs here.
             StatementKind::InterruptDeclaration { condition } if mentions(condition, "$STOPMESS") => {}
             StatementKind::InterruptDeclaration { .. } => {
-                let instead = "the simulator has no interrupt but that of $STOPMESS".into();
+                let instead = "the simulator supports only the interrupt on $STOPMESS".into();
                 return Err(Fault::new(
                     span,
                     ProgramFinding::Unsupported { what: "INTERRUPT".into(), instead },
@@ -179,7 +178,7 @@ impl Interpreter {
     }
 
     fn motion(&mut self, motion: &Move, span: &Span) -> Result<(), Fault> {
-        // A point that is cut short is never reached.
+        // With approximate positioning the point is never reached.
         if let Some(word) = &motion.approximate {
             let what = format!("approximate positioning ({word})");
             let instead = "remove it: every point is an exact stop".into();
@@ -226,15 +225,16 @@ impl Interpreter {
         }
         let number = match output.parts.as_slice() {
             [Part::Element(index)] if output.name == "$OUT" => {
-                usize::try_from(index.int(self)?).ok().filter(|number| (1..=4096).contains(number))
+                usize::try_from(index.int(self)?).ok().filter(|number| (1..=SIGNALS).contains(number))
             }
-            [] => self.signals.get(self.module()).and_then(|signals| signals.get(&output.name)).and_then(
-                |signal| Some(signal.first).filter(|_| signal.output && signal.first == signal.last),
-            ),
-            _ => None,
+            _ => {
+                let signal = self.signal(output);
+                let single = signal.filter(|signal| signal.is_output && signal.first == signal.last);
+                single.map(|signal| signal.first)
+            }
         };
         let Some(number) = number else { return Err(Fault::new(&output.span, ProgramFinding::NoOutput)) };
-        self.set_output(number, level);
+        self.set_bit("$OUT", number, level);
         self.pulses.retain(|pulse| pulse.output != number);
         self.pulses.push(Pulse { output: number, level: !level, until_s: self.t_s + seconds });
         Ok(())
@@ -242,8 +242,8 @@ impl Interpreter {
 
     fn call_routine(&mut self, name: &str, arguments: &[Expression], span: &Span) -> Result<(), Fault> {
         let module = self.module();
-        let found = self.program.routine(module, name).map(|(at, routine)| (at, routine.clone()));
-        let Some((callee, routine)) = found else {
+        let routine = self.program.routine(module, name).map(|(at, routine)| (at, routine.clone()));
+        let Some((callee, routine)) = routine else {
             return self.built_in(name, arguments, span);
         };
         let (expected, given) = (routine.parameters.len(), arguments.len());
@@ -262,7 +262,7 @@ impl Interpreter {
             variable.value.store(kind, value).at(&argument.span)?;
         }
         self.push(Level::routine(callee, &routine, locals)).at(span)?;
-        self.enter(callee);
+        self.select_ball(callee);
         Ok(())
     }
 
@@ -272,7 +272,10 @@ impl Interpreter {
             Fault::new(span, ProgramFinding::Unsupported { what, instead: instead.into() })
         };
         if name != "BAS" {
-            return Err(unsupported(name.into(), "the simulator has no routine of the controller but BAS"));
+            return Err(unsupported(
+                name.into(),
+                "of the controller's routines the simulator supports only BAS",
+            ));
         }
         let [Expression { kind: ExpressionKind::Enum(command), .. }, value] = arguments else {
             return Err(Fault::new(span, ProgramFinding::BasCommand));
@@ -297,13 +300,14 @@ impl Interpreter {
     }
 }
 
-fn locals(routine: &Routine) -> Result<Names, ProgramFinding> {
-    let mut locals = Names::new();
+/// The local variables of a routine.
+fn locals(routine: &Routine) -> Result<Variables, ProgramFinding> {
+    let mut locals = Variables::new();
     for declaration in &routine.declarations {
-        let DeclarationKind::Variables { type_name, names } = &declaration.kind else { continue };
+        let Declaration::Variables { type_name, variables } = declaration else { continue };
         let kind =
             Type::named(type_name).ok_or_else(|| ProgramFinding::NoType { name: type_name.clone() })?;
-        for declared in names {
+        for declared in variables {
             if declared.value.is_some() {
                 return Err(ProgramFinding::Unsupported {
                     what: format!("a value in the declaration of {}", declared.name),
@@ -316,6 +320,7 @@ fn locals(routine: &Routine) -> Result<Names, ProgramFinding> {
     Ok(locals)
 }
 
+/// Whether a counter has not passed its last value.
 fn within(value: i64, last: i64, step: i64) -> bool {
     if step > 0 { value <= last } else { value >= last }
 }

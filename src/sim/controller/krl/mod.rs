@@ -1,28 +1,27 @@
-//! An interpreter of KRL: statements take effect when they are reached, there is no advance run, and all stops are exact.
+//! An interpreter of KRL. Statements take effect when they are reached: there is no advance run, and all stops are exact.
 
-mod drive;
+mod data_files;
 mod ekrl;
 mod execute;
-mod save;
-mod start;
-mod store;
-mod variables;
-
-use std::collections::BTreeMap;
+mod memory;
+mod motion;
 
 use self::execute::Level;
-use self::store::Names;
+use self::memory::{ModuleMemory, Variables};
+use super::Machine;
 use super::arm::Arm;
 use super::motion::Motion;
 use crate::catalogue::ProgramFinding;
 use crate::diagnostic::Diagnostic;
+use crate::program::Language;
 use crate::program::krl::Program;
 use crate::program::krl::evaluate::{At, Fault};
 use crate::program::krl::syntax::{Expression, Span};
 use crate::program::krl::value::Value;
+use crate::robot::Robot;
 use crate::sim::Moment;
 
-/// Waits and motions in one step of time, after which a program is held to hang.
+/// Most waits and motions in one step of time: a program with more is taken to hang.
 const ACTIVITIES: usize = 10_000;
 
 /// What the controller is doing.
@@ -33,14 +32,14 @@ enum Activity {
     Moving(Box<Motion>),
     /// Until this time, s.
     Waiting(f64),
-    /// Until this condition holds.
+    /// Until this condition is true.
     Until(Expression),
     /// Until the operator presses START.
     Halted,
     Done,
 }
 
-/// An output that goes back to a level at a time.
+/// An output that changes to a level at a time.
 #[derive(Clone, Copy, Debug)]
 struct Pulse {
     output: usize,
@@ -48,29 +47,21 @@ struct Pulse {
     until_s: f64,
 }
 
-/// The first and the last output (or input) of a signal, from 1.
-#[derive(Clone, Copy, Debug)]
-struct Signal {
-    output: bool,
-    first: usize,
-    last: usize,
-}
-
 #[derive(Clone, Debug)]
-pub(in crate::sim::controller) struct Interpreter {
+pub(super) struct Interpreter {
     program: Program,
     arm: Arm,
     t_s: f64,
     dwells: u32,
-    centre: u32,
-    /// The output that is the strobe, where the program has one.
+    /// Number of the base ball, from 1.
+    ball: u32,
+    /// The output that is the strobe, if the program has one.
     strobe: Option<usize>,
     activity: Activity,
     levels: Vec<Level>,
-    system: Names,
-    /// Variables of each module's `.dat`.
-    data: Vec<Names>,
-    signals: Vec<BTreeMap<String, Signal>>,
+    system: Variables,
+    /// By module.
+    memory: Vec<ModuleMemory>,
     pulses: Vec<Pulse>,
     ekrl: ekrl::Channel,
     /// Module and bytes of the statement that was begun last.
@@ -78,13 +69,37 @@ pub(in crate::sim::controller) struct Interpreter {
 }
 
 impl Interpreter {
-    /// Goes on for `dt_s` seconds of device time.
-    pub(in crate::sim::controller) fn step(&mut self, dt_s: f64) -> Result<Moment, Diagnostic> {
-        let end_s = self.t_s + dt_s.max(0.0);
-        self.run_to(end_s).map_err(|fault| self.diagnose(fault))?;
-        self.t_s = end_s;
-        self.end_pulses();
-        Ok(self.moment())
+    pub(super) fn new(program: Program, robot: &Robot, override_percent: f64) -> Result<Self, Diagnostic> {
+        let mut interpreter = Self {
+            arm: Arm::at_home(robot, Language::Krl),
+            t_s: 0.0,
+            dwells: 0,
+            ball: 1,
+            strobe: None,
+            activity: Activity::Ready,
+            levels: Vec::new(),
+            system: memory::system(),
+            memory: vec![ModuleMemory::default(); program.modules.len()],
+            pulses: Vec::new(),
+            ekrl: ekrl::Channel::default(),
+            at: (0, 0..0),
+            program,
+        };
+        interpreter.set_system("$OV_PRO", Value::Int(override_percent as i64));
+        for module in 0..interpreter.program.modules.len() {
+            interpreter.at = (module, 0..0);
+            interpreter.load(module)?;
+        }
+        interpreter.at = (0, 0..0);
+        let mut strobes = interpreter.memory.iter().filter_map(|memory| memory.signals.get("DBBSTB"));
+        interpreter.strobe = strobes.next().map(|signal| signal.first);
+        if let Some(first) =
+            interpreter.program.modules.first().and_then(|module| module.source.routines.first())
+        {
+            interpreter.levels.push(Level::routine(0, first, Variables::new()));
+            interpreter.select_ball(0);
+        }
+        Ok(interpreter)
     }
 
     fn run_to(&mut self, end_s: f64) -> Result<(), Fault> {
@@ -96,54 +111,11 @@ impl Interpreter {
                 return Ok(());
             }
         }
-        // Waits of no time, or of nearly none.
+        // The waits take no time, or nearly none.
         Err(Fault::new(&self.at.1, ProgramFinding::NeverWaits))
     }
 
-    /// Says that the controller corrects by an accuracy model of its own, which the robot that it was given
-    /// then is: `$ABS_ACCUR` is TRUE, and a Cartesian command moves the axes elsewhere than the nominal robot's would.
-    pub(in crate::sim::controller) fn correct_by_itself(&mut self) {
-        if let Some(variable) = self.system.get_mut("$ABS_ACCUR") {
-            variable.value = Value::Bool(true);
-        }
-    }
-
-    /// Presses START: a program at HALT goes on.
-    pub(in crate::sim::controller) fn go_on(&mut self) {
-        if matches!(self.activity, Activity::Halted) {
-            self.activity = Activity::Ready;
-        }
-    }
-
-    /// File and line (from 1) of the statement that was begun last.
-    pub(in crate::sim::controller) fn position(&self) -> (&str, usize) {
-        let (module, span) = &self.at;
-        self.program
-            .modules
-            .get(*module)
-            .map_or(("", 0), |module| (module.source.file.as_str(), module.source.as_text().line(span.start)))
-    }
-
-    /// How often the strobe went high and low again, or, in a program without a strobe, how often the
-    /// measured axes were logged.
-    pub(in crate::sim::controller) fn dwells(&self) -> u32 {
-        self.dwells
-    }
-
-    pub(in crate::sim::controller) fn moment(&self) -> Moment {
-        Moment {
-            t_s: self.t_s,
-            axes: self.arm.axes,
-            centre: self.centre,
-            strobe: self.strobe.is_some_and(|output| self.output(output)),
-            motions: self.arm.motions,
-            halted: matches!(self.activity, Activity::Halted),
-            done: matches!(self.activity, Activity::Done),
-        }
-    }
-
-    /// Goes on with the present activity up to `end_s`; whether it ended before, so that the next
-    /// statement has its turn.
+    /// Continues the current activity up to `end_s`; whether it ended before, so that the next statement is due.
     fn proceed(&mut self, end_s: f64) -> Result<bool, Fault> {
         let left_s = end_s - self.t_s;
         match std::mem::replace(&mut self.activity, Activity::Ready) {
@@ -160,7 +132,7 @@ impl Interpreter {
                 self.activity = Activity::Until(condition);
             }
             Activity::Moving(mut motion) => {
-                // The override stretches the time on the path.
+                // The override stretches the time along the path.
                 let (rate, geometry) = (self.override_share(), self.geometry());
                 let ended = self.arm.advance(&mut motion, &geometry, [left_s, rate]).at(&self.at.1)?;
                 if let Some(needed_s) = ended {
@@ -175,8 +147,10 @@ impl Interpreter {
         Ok(false)
     }
 
-    fn system(&self, name: &str) -> Option<&Value> {
-        self.system.get(name).map(|variable| &variable.value)
+    fn set_system(&mut self, name: &str, value: Value) {
+        if let Some(variable) = self.system.get_mut(name) {
+            variable.value = value;
+        }
     }
 
     /// `$OV_PRO` as a share.
@@ -187,47 +161,86 @@ impl Interpreter {
 
     fn end_pulses(&mut self) {
         let now_s = self.t_s + 1e-9;
-        let (due, left) = self.pulses.iter().partition(|pulse| pulse.until_s <= now_s);
-        self.pulses = left;
-        let due: Vec<Pulse> = due;
-        for pulse in due {
-            self.set_output(pulse.output, pulse.level);
+        let (ended, pulses): (Vec<Pulse>, _) = self.pulses.iter().partition(|pulse| pulse.until_s <= now_s);
+        self.pulses = pulses;
+        for pulse in ended {
+            self.set_bit("$OUT", pulse.output, pulse.level);
         }
     }
 
-    /// The level of an output, from 1.
-    fn output(&self, output: usize) -> bool {
-        match self.system("$OUT") {
-            Some(Value::Array(levels)) => {
-                output.checked_sub(1).and_then(|at| levels.get(at)) == Some(&Value::Bool(true))
-            }
-            _ => false,
-        }
-    }
-
-    fn set_output(&mut self, output: usize, level: bool) {
-        self.set_bit("$OUT", output, level);
-    }
-
-    /// Sets an element, from 1, of a system variable that is an array of BOOL.
-    fn set_bit(&mut self, array: &str, number: usize, level: bool) {
-        if let Some(Value::Array(levels)) = self.system.get_mut(array).map(|variable| &mut variable.value)
-            && let Some(here) = number.checked_sub(1).and_then(|at| levels.get_mut(at))
-        {
-            *here = Value::Bool(level);
-        }
-    }
-
-    /// The module whose routine runs.
+    /// The module whose routine is being executed.
     fn module(&self) -> usize {
         self.levels.iter().rev().find_map(Level::module).unwrap_or(self.at.0)
     }
 
-    /// A fault as the user reads it.
-    fn diagnose(&self, fault: Fault) -> Diagnostic {
+    fn diagnostic(&self, fault: Fault) -> Diagnostic {
         match self.program.modules.get(self.module()) {
             Some(module) => module.source.as_text().wrong(&fault.span, fault.finding),
             None => fault.finding.into(),
         }
+    }
+}
+
+impl Machine for Interpreter {
+    fn step(&mut self, dt_s: f64) -> Result<Moment, Diagnostic> {
+        let end_s = self.t_s + dt_s.max(0.0);
+        self.run_to(end_s).map_err(|fault| self.diagnostic(fault))?;
+        self.t_s = end_s;
+        self.end_pulses();
+        Ok(self.moment())
+    }
+
+    fn moment(&self) -> Moment {
+        Moment {
+            t_s: self.t_s,
+            axes: self.arm.axes,
+            centre: self.ball,
+            strobe: self.strobe.is_some_and(|output| self.output(output)),
+            motions: self.arm.motions,
+            halted: matches!(self.activity, Activity::Halted),
+            done: matches!(self.activity, Activity::Done),
+        }
+    }
+
+    fn go_on(&mut self) {
+        if matches!(self.activity, Activity::Halted) {
+            self.activity = Activity::Ready;
+        }
+    }
+
+    fn position(&self) -> (&str, usize) {
+        let (module, span) = &self.at;
+        self.program
+            .modules
+            .get(*module)
+            .map_or(("", 0), |module| (module.source.file.as_str(), module.source.as_text().line(span.start)))
+    }
+
+    fn dwells(&self) -> u32 {
+        self.dwells
+    }
+
+    fn set_absolute_accuracy(&mut self) {
+        self.set_system("$ABS_ACCUR", Value::Bool(true));
+    }
+
+    fn saved(&self) -> Vec<(String, String)> {
+        self.saved_files()
+    }
+
+    fn link_ekrl(&mut self) {
+        self.ekrl.is_linked = true;
+    }
+
+    fn ekrl_open(&self) -> bool {
+        self.ekrl.is_open
+    }
+
+    fn telegram(&mut self) -> Option<String> {
+        self.ekrl.sent.pop_front()
+    }
+
+    fn answer(&mut self, id: i64) {
+        self.receive_answer(id);
     }
 }

@@ -1,59 +1,49 @@
-//! Begins motions: targets, frames, speeds.
+//! Begins motions: evaluates targets, frames and speeds.
 
 use super::{Activity, Interpreter};
 use crate::catalogue::ProgramFinding;
 use crate::program::krl::evaluate::{At, Fault, POSE_NAMES, Position};
 use crate::program::krl::syntax::{Expression, Move, Span};
 use crate::program::krl::value::Value;
-use crate::robot::inverse::{self, Unsolved};
+use crate::robot::inverse;
 use crate::robot::pose::Pose;
 use crate::robot::{AXES, Geometry};
+use crate::sim::controller::arm::unsolved;
 use crate::sim::controller::motion::{Arc, Path, Profile, Turn};
 
-/// m/s; above it the unit was most likely mistaken.
+/// A higher speed, m/s, is probably in another unit.
 const FASTEST_M_S: f64 = 3.0;
-
-fn unsolved(why: Unsolved) -> ProgramFinding {
-    ProgramFinding::NoAxisAngles { why: why.to_string() }
-}
 
 impl Interpreter {
     /// A system variable that is a frame.
     fn frame(&self, name: &str) -> Pose {
-        let value = self.system(name);
-        let component = |name: &str| {
-            value.and_then(|value| value.field(name)).and_then(|value| value.number().ok()).unwrap_or(0.0)
-        };
-        let [x, y, z, a, b, c] = POSE_NAMES.map(component);
-        Pose::from_kuka([x, y, z], [a, b, c])
+        Pose::from_xyzabc(POSE_NAMES.map(|component| self.system_number(name, component).unwrap_or(0.0)))
     }
 
-    /// The nominal robot with the program's tool.
+    /// The nominal robot with the tool of the program.
     pub(super) fn geometry(&self) -> Geometry {
         Geometry { tool: self.frame("$TOOL").position, ..self.arm.robot.geometry.clone() }
     }
 
-    /// X, Y, Z, A, B, C of the tool in the base frame, now.
-    pub(super) fn pose_now(&self) -> [f64; 6] {
+    /// X, Y, Z, A, B, C of the tool in the base frame.
+    pub(super) fn current_pose(&self) -> [f64; 6] {
         let ball = self.geometry().ball(&self.arm.axes);
         let tool = Pose { rotation: ball.rotation * self.frame("$TOOL").rotation, position: ball.position };
-        let pose = self.frame("$BASE").inverse().then(&tool);
-        let ([x, y, z], [a, b, c]) = (<[f64; 3]>::from(pose.position), pose.abc_deg());
-        [x, y, z, a, b, c]
+        self.frame("$BASE").inverse().then(&tool).xyzabc()
     }
 
-    /// A commanded position with the components that it lacks taken from where the robot is: the tool point in the robot
-    /// base with the flange's orientation.
+    /// The tool point in the robot base, with the orientation of the flange, at a commanded pose. Missing components are those
+    /// of the current pose.
     fn pose(&self, components: [Option<f64>; 6]) -> Pose {
-        let now = self.pose_now();
-        let [x, y, z, a, b, c] = std::array::from_fn(|i| components[i].unwrap_or(now[i]));
-        let tool = self.frame("$BASE").then(&Pose::from_kuka([x, y, z], [a, b, c]));
+        let current = self.current_pose();
+        let commanded = std::array::from_fn(|i| components[i].unwrap_or(current[i]));
+        let tool = self.frame("$BASE").then(&Pose::from_xyzabc(commanded));
         let rotation = tool.rotation * self.frame("$TOOL").rotation.transpose();
         Pose { rotation, position: tool.position }
     }
 
-    /// Axis angles (rad) that are commanded as such.
-    fn axes_of(&self, components: [Option<f64>; 6]) -> [f64; AXES] {
+    /// Commanded axis angles, rad.
+    fn commanded_axes(&self, components: [Option<f64>; 6]) -> [f64; AXES] {
         std::array::from_fn(|i| components[i].map_or(self.arm.axes[i], f64::to_radians))
     }
 
@@ -63,7 +53,7 @@ impl Interpreter {
 
     pub(super) fn ptp(&mut self, to: &Expression, span: &Span) -> Result<(), Fault> {
         let target = match self.commanded(to)? {
-            Position::Axes(components) => self.axes_of(components),
+            Position::Axes(components) => self.commanded_axes(components),
             Position::Pose { components, status: Some(status), turn: Some(turn) } => {
                 self.configuration(&self.pose(components), status, turn).at(&to.span)?
             }
@@ -72,7 +62,7 @@ impl Interpreter {
             }
             Position::Pose { components, .. } => {
                 let pose = self.pose(components);
-                inverse::nearest(&self.geometry(), &pose, &self.arm.axes).map_err(unsolved).at(&to.span)?
+                self.arm.nearest(&self.geometry(), &pose).at(&to.span)?
             }
         };
         self.arm.check_limits(&target).at(span)?;
@@ -80,10 +70,10 @@ impl Interpreter {
             Some(Value::Array(axes)) => axes.get(i).and_then(|value| value.number().ok()).unwrap_or(100.0),
             _ => 100.0,
         };
-        let hardest = self.arm.robot.acceleration_deg_s2();
+        let accelerations_deg_s2 = self.arm.robot.acceleration_deg_s2();
         let limits = (0..AXES).map(|i| {
             let speed = self.arm.robot.max_speed_deg_s[i] * percent("$VEL_AXIS", i) / 100.0;
-            let acceleration = hardest[i] * percent("$ACC_AXIS", i) / 100.0;
+            let acceleration = accelerations_deg_s2[i] * percent("$ACC_AXIS", i) / 100.0;
             (target[i] - self.arm.axes[i], speed.to_radians(), acceleration.to_radians())
         });
         let profile = Profile::within(limits);
@@ -91,29 +81,26 @@ impl Interpreter {
         Ok(())
     }
 
-    /// Axis angles (rad) for a pose with the status and turn bits given.
+    /// The axis angles (rad) for a pose with status and turn.
     fn configuration(&self, pose: &Pose, status: i64, turn: i64) -> Result<[f64; AXES], ProgramFinding> {
         let mut robot = self.arm.robot.clone();
         robot.geometry = self.geometry();
-        // Bit 3 of S and above say how the point was taught, not where it is.
+        // Bits 3 and above of the status say how the point was taught, not where it is.
         let bits = |value: i64| u8::try_from(value).map_err(|_| ProgramFinding::NoConfiguration { value });
         inverse::from_status_turn(&robot, pose, bits(status)?, bits(turn)?).map_err(unsolved)
     }
 
     pub(super) fn lin(&mut self, to: &Expression, span: &Span) -> Result<(), Fault> {
-        let [from, target] = self.tool_motion(to, span)?;
+        let [from, target] = self.path_ends(to, span)?;
         let length = (target.position - from.position).norm();
         let path = Path::Tool { from, to: target, turn: Turn::between(&from, &target), arc: None };
         self.begin_tool(path, length).at(span)
     }
 
     pub(super) fn circ(&mut self, motion: &Move, through: &Expression, span: &Span) -> Result<(), Fault> {
-        self.simulated("$CIRC_TYPE", "BASE").at(span)?;
-        let via = match self.commanded(through)? {
-            Position::Axes(components) => self.geometry().ball(&self.axes_of(components)),
-            Position::Pose { components, .. } => self.pose(components),
-        };
-        let [from, target] = self.tool_motion(&motion.to, span)?;
+        self.check_mode("$CIRC_TYPE", "BASE").at(span)?;
+        let via = self.tool_pose(through)?;
+        let [from, target] = self.path_ends(&motion.to, span)?;
         let sweep = motion.angle.as_ref().map(|angle| angle.number(self)).transpose()?.map(f64::to_radians);
         let Some((arc, length)) = Arc::through(from.position, via.position, target.position, sweep) else {
             return Err(Fault::new(span, ProgramFinding::StraightArc));
@@ -123,27 +110,28 @@ impl Interpreter {
     }
 
     /// Start and end of a Cartesian motion.
-    fn tool_motion(&mut self, to: &Expression, span: &Span) -> Result<[Pose; 2], Fault> {
+    fn path_ends(&mut self, to: &Expression, span: &Span) -> Result<[Pose; 2], Fault> {
         if self.arm.motions == 0 {
             return Err(Fault::new(span, ProgramFinding::FirstMotion));
         }
-        self.simulated("$IPO_MODE", "BASE").at(span)?;
-        self.simulated("$ORI_TYPE", "VAR").at(span)?;
-        let position = self.commanded(to)?;
-        let geometry = self.geometry();
-        let target = match position {
-            Position::Axes(components) => geometry.ball(&self.axes_of(components)),
+        self.check_mode("$IPO_MODE", "BASE").at(span)?;
+        self.check_mode("$ORI_TYPE", "VAR").at(span)?;
+        let target = self.tool_pose(to)?;
+        Ok([self.geometry().ball(&self.arm.axes), target])
+    }
+
+    /// The tool point in the robot base, with the orientation of the flange, at a commanded position.
+    fn tool_pose(&mut self, to: &Expression) -> Result<Pose, Fault> {
+        Ok(match self.commanded(to)? {
+            Position::Axes(components) => self.geometry().ball(&self.commanded_axes(components)),
             Position::Pose { components, .. } => self.pose(components),
-        };
-        Ok([geometry.ball(&self.arm.axes), target])
+        })
     }
 
     fn begin_tool(&mut self, path: Path, length_mm: f64) -> Result<(), ProgramFinding> {
         let setting = |name: &str, field: &str| {
-            let value =
-                self.system(name).and_then(|value| value.field(field)).and_then(|value| value.number().ok());
-            let unset = || ProgramFinding::NoSpeed { variable: format!("{name}.{field}") };
-            value.filter(|value| *value > 0.0).ok_or_else(unset)
+            let value = self.system_number(name, field).filter(|value| *value > 0.0);
+            value.ok_or_else(|| ProgramFinding::NoSpeed { variable: format!("{name}.{field}") })
         };
         let m_per_s = setting("$VEL", "CP")?;
         if m_per_s > FASTEST_M_S {
@@ -153,7 +141,7 @@ impl Interpreter {
             Path::Tool { turn, .. } => turn.angle,
             Path::Axes { .. } => 0.0,
         };
-        // The path and the orientation have a ramp each; the slower of the two sets the pace.
+        // Position and orientation have a speed profile each; the slower one applies to both.
         let profile = Profile::slowest([
             (length_mm, 1e3 * m_per_s, 1e3 * setting("$ACC", "CP")?),
             (angle, setting("$VEL", "ORI1")?.to_radians(), setting("$ACC", "ORI1")?.to_radians()),
@@ -167,11 +155,11 @@ impl Interpreter {
     }
 
     /// Refuses a mode other than the one that is simulated.
-    fn simulated(&self, name: &str, mode: &str) -> Result<(), ProgramFinding> {
+    fn check_mode(&self, name: &str, mode: &str) -> Result<(), ProgramFinding> {
         match self.system(name) {
             Some(Value::Enum(word)) if word != mode => Err(ProgramFinding::Unsupported {
                 what: format!("{name}=#{word}"),
-                instead: format!("the simulator knows {name}=#{mode}"),
+                instead: format!("the simulator supports {name}=#{mode}"),
             }),
             _ => Ok(()),
         }
