@@ -1,5 +1,5 @@
-//! Poses and lengths from Pinocchio (tests/independent/golden.py), which shares no code with dbbd: what
-//! the simulator and the fit could both have wrong would show here.
+//! Poses and lengths from Pinocchio (tests/independent/golden.py), which shares no code with dbbd: these tests show errors that the
+//! simulator and the fit have in common.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -27,7 +27,7 @@ fn identify(observations: &str, extra: &[&str]) -> ResultFile {
 }
 
 #[test]
-fn the_flange_stands_where_pinocchio_has_it() {
+fn flange_agrees_with_pinocchio() {
     let text = fs::read_to_string(root().join("fixtures/golden/flange.csv")).unwrap();
     let geometry = kr60().geometry;
     for line in text.lines().skip(1) {
@@ -43,7 +43,7 @@ fn the_flange_stands_where_pinocchio_has_it() {
 }
 
 #[test]
-fn the_papers_experiment_on_foreign_lengths() {
+fn experiment_of_the_paper_on_independent_lengths() {
     let result = identify("examples/paper/observations.csv", &["--estimate", "alpha1-5,a1-5,d4-6"]);
     assert!(result.converged && result.iterations <= 8);
     for (name, designed) in DESIGNED {
@@ -52,10 +52,9 @@ fn the_papers_experiment_on_foreign_lengths() {
     }
 }
 
-/// Every identified parameter comes to the truth of what it stands for: its own error and that of
-/// the parameters that depend on it.
+/// Every identified parameter has the true value of what it represents: its own error and that of the parameters that depend on it.
 #[test]
-fn a_robot_with_errors_everywhere_is_identified() {
+fn robot_with_errors_everywhere_is_identified() {
     let result = identify("fixtures/golden/three_planes.csv", &["--folds", "0", "--hold", "bar_offset"]);
     let truth = fs::read_to_string(root().join("fixtures/golden/three_planes_truth.csv")).unwrap();
     let error = |name: &str| -> f64 {
@@ -68,7 +67,7 @@ fn a_robot_with_errors_everywhere_is_identified() {
         let name = parameter.name.as_str();
         let group = result.dependent.iter().find(|group| group.kept == name);
         let expected = match group {
-            // Coefficients hold at the nominal geometry; errors of a mrad bend them by as much.
+            // The coefficients are those of the nominal geometry; errors of a mrad change them by as much.
             Some(group) => group.combination.iter().map(|(name, share)| share * error(name)).sum(),
             None => error(name),
         };
@@ -81,9 +80,9 @@ fn a_robot_with_errors_everywhere_is_identified() {
     }
 }
 
-/// The robot sags, has play and a gear error that the model lacks: the result says so.
+/// The robot has sag, backlash and a transmission error that the model lacks: the result reports it.
 #[test]
-fn what_the_model_lacks_is_noticed() {
+fn unmodelled_errors_are_reported() {
     let result = identify(
         "fixtures/golden/unmodelled.csv",
         &["--sigma", "0.005", "--folds", "0", "--model", "geometric"],

@@ -1,5 +1,4 @@
-//! The robots that are built in stand where their published descriptions have them
-//! (tests/independent/robots.py, which knows no DH parameter).
+//! The built-in robots agree with their published descriptions (tests/independent/robots.py, which uses no DH parameter).
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -13,7 +12,7 @@ use tempfile::tempdir;
 use crate::cell::{dbbd, stderr};
 
 #[test]
-fn every_robot_stands_where_its_description_has_it() {
+fn built_in_robots_agree_with_their_descriptions() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/golden/robots.csv");
     let text = fs::read_to_string(path).unwrap();
     let mut checked = BTreeSet::new();
@@ -51,7 +50,7 @@ fn small_job(robot: &Robot) -> Job {
 }
 
 #[test]
-fn every_robot_can_be_planned_for() {
+fn every_robot_has_a_plan() {
     for (name, _) in Robot::built_in() {
         let robot = Robot::by_name(name).unwrap().unwrap();
         let job = small_job(&robot);
@@ -71,7 +70,7 @@ fn every_robot_can_be_planned_for() {
 }
 
 #[test]
-fn every_robot_is_listed_and_shown_with_its_source() {
+fn robots_are_listed_and_shown_with_their_source() {
     let dir = tempdir().unwrap();
     let stdout = |output: &Output| String::from_utf8(output.stdout.clone()).unwrap();
     let list = stdout(&dbbd(dir.path(), &["robots"]));

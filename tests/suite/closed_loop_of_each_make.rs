@@ -1,5 +1,5 @@
-//! From the plan to the corrected program for an arm of each make with a language and of each geometry, through the files and
-//! the simulated controller: the true 3-D error before and after.
+//! From the plan to the corrected program for an arm of each make with a supported language and of each geometry, through the files
+//! and the simulated controller: the true 3-D error before and after.
 
 use std::fs;
 use std::path::Path;
@@ -18,14 +18,14 @@ use crate::cell::{codes, dbbd, kr60, stderr};
 use crate::process::Simulator;
 use crate::rapid_and_urscript::{job, named, run};
 
-/// An arm in its language.
+/// An arm with its language.
 struct Arm {
     language: Language,
-    /// A built-in robot, or the one of [`offset_wrist`]; a FANUC in KRL, as no language of FANUC's is written.
+    /// A built-in robot, or that of [`offset_wrist`]; a FANUC has KRL, because the languages of FANUC are not supported.
     name: &'static str,
-    /// Place of the base ball, mm.
+    /// Position of the base ball, mm.
     centre: [f64; 3],
-    /// What is left of its mean 3-D error at most, mm: more for an arm of 2 m.
+    /// Largest remaining mean 3-D error, mm: more for an arm of 2 m.
     most_mm: f64,
     /// Axis angles of its production program, degrees.
     range_deg: [[f64; 2]; 6],
@@ -72,7 +72,7 @@ const UR: Arm = Arm {
     ],
 };
 
-/// A KR 60 HA with the wrist of a CRX-10iA/L, which has no closed form: axes 4 and 6 pass each other at 150 mm.
+/// A KR 60 HA with the wrist of a CRX-10iA/L, which has no closed form: axes 4 and 6 have a distance of 150 mm.
 fn offset_wrist() -> Robot {
     let mut robot = Robot { name: OFFSET_WRIST.into(), language: Some("krl".into()), ..kr60() };
     robot.geometry.rows[4].d = 150.0;
@@ -90,7 +90,7 @@ fn numbers(list: &[f64], decimals: usize) -> String {
     list.iter().map(|number| format!("{number:.decimals$}")).collect::<Vec<_>>().join(",")
 }
 
-/// Random targets of an arm, and a program in its language that goes there.
+/// A program in the language of an arm with random targets, and the targets.
 fn production(arm: &Arm, robot: &Robot, count: usize) -> (String, Vec<Vector3<f64>>) {
     let mut random = Pcg64::seed_from_u64(7);
     let tool: [f64; 3] = robot.geometry.tool.into();
@@ -142,7 +142,7 @@ fn production(arm: &Arm, robot: &Robot, count: usize) -> (String, Vec<Vector3<f6
     (text, wanted)
 }
 
-/// Where a robot is at the end of each wait of a program.
+/// The position of a robot at the end of each wait of a program.
 fn stops(language: Language, text: &str, nominal: &Robot, robot: &Robot) -> Vec<Vector3<f64>> {
     let file = ("P".to_owned(), text.to_owned());
     let program: Program = match language {
@@ -161,12 +161,12 @@ fn stops(language: Language, text: &str, nominal: &Robot, robot: &Robot) -> Vec<
             *stop = there.ball(&moment.axes).position;
         }
     }
-    // Of a script every other motion goes near only.
+    // In a script every second motion is only an approach.
     let step = if language == Language::Urscript { 2 } else { 1 };
     stops.into_iter().skip(step - 1).step_by(step).collect()
 }
 
-/// A tool ball off the flange, and axes that turn the ball.
+/// A tool ball off the flange axis.
 fn with_ball(name: &str) -> Robot {
     let mut robot = named(name);
     robot.geometry.tool = Vector3::new(30.0, 20.0, 60.0);
@@ -174,10 +174,10 @@ fn with_ball(name: &str) -> Robot {
 }
 
 #[test]
-fn a_corrected_program_arrives() {
+fn corrected_programs_reach_the_nominal_positions() {
     for arm in [ABB, UR] {
         let (language, nominal) = (arm.language, with_ball(arm.name));
-        // The identified robot is the true one: what is left are the digits, half a micrometre and less.
+        // The identified robot is the true one: only the rounding of numbers remains, at most half a micrometre.
         let found = Robot { nominal: Some(Box::new(nominal.clone())), ..truth::draw(&nominal, 3, 1.0) };
         let (text, wanted) = production(&arm, &nominal, 20);
         let file = Text { file: "P", text: &text };
@@ -199,10 +199,10 @@ fn a_corrected_program_arrives() {
     }
 }
 
-/// Each coordinate of the tool ball is off by this much at each stop.
+/// Error of each coordinate of the tool ball at each stop.
 const WORLD: &str = "repeatability_um = 20.0\n[bar]\nstroke_mm = [-15.0, 15.0]\nnoise_um = 1.0\n";
 
-/// Runs a step; a doubt (3) is a result, too.
+/// Runs a step; exit code 3 (a doubt) is a result as well.
 fn step(dir: &Path, args: &str) -> Vec<String> {
     let args: Vec<&str> = args.split_whitespace().collect();
     let output = dbbd(dir, &args);
@@ -210,8 +210,8 @@ fn step(dir: &Path, args: &str) -> Vec<String> {
     codes(&output)
 }
 
-/// The closed loop through the files of a language: plan, program, simulate, acquire, sync, identify, compensate. How many
-/// dwells have a length, of how many; and the mean 3-D error of a production program before and after, mm.
+/// The closed loop through the files of a language: plan, program, simulate, acquire, sync, identify, compensate. Returns the number
+/// of dwells with a length and of all, and the mean 3-D error of a production program before and after, mm.
 fn closed_loop(arm: &Arm, job: &str, seed: u64) -> ([usize; 2], [f64; 2]) {
     let dir = tempdir().unwrap();
     let at = dir.path();
@@ -261,7 +261,7 @@ fn closed_loop(arm: &Arm, job: &str, seed: u64) -> ([usize; 2], [f64; 2]) {
     ([lengths, dwells], errors)
 }
 
-/// So few lengths determine no robot; they pass through every step.
+/// The lengths are too few to determine a robot, but they pass through every step.
 #[test]
 #[cfg(unix)]
 fn every_dwell_of_each_make_is_matched() {

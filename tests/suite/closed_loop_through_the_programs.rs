@@ -1,5 +1,5 @@
-//! The closed loop through the programs: plan, krl, simulate, acquire, sync, identify and compensate on files, and the
-//! simulated controller executes the production program before and after.
+//! The closed loop through the commands: plan, krl, simulate, acquire, sync, identify and compensate on files; the simulated
+//! controller executes the production program before and after.
 #![cfg(unix)]
 
 use std::fs;
@@ -16,10 +16,10 @@ use crate::cell::{RADIUS, dbbd, kr60, stderr};
 use crate::compensated_program_is_accurate::{BALLS, OFF_MM, job, production, sagging, taught};
 use crate::process::Simulator;
 
-/// Each coordinate of the tool ball is off by this much at each stop, so that a length is; the bar adds nothing to speak of.
+/// Error of each coordinate of the tool ball at each stop, which is the noise of a length; that of the bar is negligible.
 const WORLD: &str = "repeatability_um = 20.0\n[bar]\nstroke_mm = [-15.0, 15.0]\nnoise_um = 1.0\n";
 
-/// Runs a step; a doubt (3) is a result, too.
+/// Runs a step; exit code 3 (a doubt) is a result as well.
 fn step(dir: &Path, args: &[&str]) -> Option<i32> {
     let output = dbbd(dir, args);
     assert!(matches!(output.status.code(), Some(0 | 3)), "dbbd {}: {}", args.join(" "), stderr(&output));
@@ -44,7 +44,7 @@ fn prepare(dir: &Path, bar_mm: f64, balls: usize, points: usize, cube: bool) {
     fs::write(dir.join("world.toml"), WORLD.to_owned() + &world).unwrap();
 }
 
-/// Where the robot stands at the stops of a production program, mm.
+/// The positions of the robot at the stops of a production program, mm.
 fn stops(dir: &Path, program: &str, robot: &Robot) -> Vec<Vector3<f64>> {
     let program = Program::open("P", |name| {
         let file = dir.join(program).join(name);
@@ -59,7 +59,7 @@ fn stops(dir: &Path, program: &str, robot: &Robot) -> Vec<Vector3<f64>> {
         if moment.done {
             return stops;
         }
-        // The last moment of a motion is one of standing at its end.
+        // At the last moment of a motion the robot is at rest at its end.
         stops.resize(moment.motions as usize, Vector3::zeros());
         if let Some(stop) = stops.last_mut() {
             *stop = there.ball(&moment.axes).position;
@@ -67,7 +67,7 @@ fn stops(dir: &Path, program: &str, robot: &Robot) -> Vec<Vector3<f64>> {
     }
 }
 
-/// Mean 3-D error of a robot's production program before and after, mm, and whether its result is in doubt.
+/// Mean 3-D error of the production program before and after, mm, and whether there are doubts about the result.
 fn loop_closed(dir: &Path, robot: &Robot, seed: u64) -> ([f64; 2], bool) {
     for left in ["run.dbbd", "link"] {
         let _ = fs::remove_file(dir.join(left));
@@ -95,7 +95,7 @@ fn loop_closed(dir: &Path, robot: &Robot, seed: u64) -> ([f64; 2], bool) {
 }
 
 #[test]
-fn one_robot_is_more_accurate_afterwards() {
+fn one_robot_is_more_accurate_after_correction() {
     let dir = tempdir().unwrap();
     prepare(dir.path(), RADIUS, 1, 40, true);
     let ([before, after], _) = loop_closed(dir.path(), &truth::draw(&kr60(), 1, 1.0), 1);

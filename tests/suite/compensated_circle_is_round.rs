@@ -1,4 +1,4 @@
-//! A circular program before and after it was compensated, by the circular test of ISO 230-4.
+//! A circular program before and after its compensation, evaluated by the circular test of ISO 230-4.
 
 use std::fs;
 
@@ -11,7 +11,7 @@ use tempfile::tempdir;
 use crate::cell::{CENTRE, RADIUS, dbbd, kr60, stderr};
 use crate::compensated_program_is_accurate::{chosen, identified};
 
-/// A whole circle each way in so many arcs, upright, the tool held as it is.
+/// A full circle in each direction, vertical, in `arcs` arcs with a constant orientation of the tool.
 fn circle(arcs: u32) -> String {
     let robot = kr60();
     let [x, y, z] = <[f64; 3]>::from(robot.geometry.tool);
@@ -23,7 +23,7 @@ fn circle(arcs: u32) -> String {
         let [x, y, z] = at(share);
         format!("{{X {x:.3},Y {y:.3},Z {z:.3},A 0.0000,B 20.0000,C 180.0000}}")
     };
-    // The branch in front with the elbow up, as production programs have it.
+    // The branch of production programs: in front of axis 1 with the elbow up.
     let branches = inverse::branches(&robot.geometry, &Pose::from_kuka(at(0.0), [0.0, 20.0, 180.0])).unwrap();
     let near = branches.into_iter().find(|axes| inverse::status(&robot.geometry, axes) == 2).unwrap();
     let [a1, a2, a3, a4, a5, a6] = near.map(f64::to_degrees);
@@ -41,7 +41,7 @@ fn circle(arcs: u32) -> String {
     text + "END\n"
 }
 
-/// Radial deviation (LSC, both ways together) by `dbbd circle` of what the robot does under the program, mm.
+/// Radial deviation (LSC, both directions) by `dbbd circle` of the robot's motion under the program, mm.
 fn deviation(program: &str, robot: &Robot) -> f64 {
     let program = program.replace("$NULLFRAME", "{X 0.0,Y 0.0,Z 0.0,A 0.0,B 0.0,C 0.0}");
     let program =
@@ -94,7 +94,7 @@ fn deviations(seeds: std::ops::RangeInclusive<u64>) -> [Vec<[f64; 2]>; 2] {
 }
 
 #[test]
-fn a_compensated_circle_is_rounder() {
+fn compensated_circle_has_a_smaller_radial_deviation() {
     let [few, many] = deviations(1..=3);
     assert!(few.iter().all(|[before, after]| *after < before / 1.5), "{few:?}");
     assert!(many.iter().all(|[before, after]| *after < before / 4.0), "{many:?}");

@@ -1,5 +1,5 @@
-//! The closed loop on robots with errors of their joints: measured at the poses of a plan, identified with and without
-//! these errors, a production program before and after it was compensated.
+//! The closed loop on robots with joint errors: measured at the poses of a plan, identified with and without joint errors, a
+//! production program before and after its compensation.
 
 use dbbd::estimation::{ErrorModel, Options, Prior};
 use dbbd::math::aligned_distances;
@@ -16,7 +16,7 @@ use crate::cell::{calibrated, kr60};
 use crate::compensated_program_is_accurate::{BALLS, chosen, production, taught};
 use crate::simulated_joint_errors::{LENGTH_MM, POSE_MM, drawn};
 
-/// Where the ball truly comes to at axis angles (rad), one pose after the other, mm.
+/// The true positions of the ball at a sequence of axis angles (rad), mm.
 fn places(robot: &Robot, axes: &[[f64; 6]]) -> Vec<(Approach, Vector3<f64>)> {
     let approaches = Approach::along(axes.iter().copied());
     let place = |(axes, approach): (&[f64; 6], Approach)| {
@@ -25,7 +25,7 @@ fn places(robot: &Robot, axes: &[[f64; 6]]) -> Vec<(Approach, Vector3<f64>)> {
     axes.iter().zip(approaches).map(place).collect()
 }
 
-/// Lengths at the dwells of a plan, with the noise of the length and of the pose.
+/// Lengths at the dwells of a plan, with noise of the length and of the pose.
 fn measured(plan: &Plan, robot: &Robot, seed: u64) -> Measurements {
     let mut random = Pcg64::seed_from_u64(seed);
     let mut normal = || -> f64 { random.sample(StandardNormal) };
@@ -56,7 +56,7 @@ fn identified(lengths: &Measurements, plan: &Plan, model: ErrorModel) -> Robot {
     calibrated(&kr60(), lengths, &centres, &options).unwrap().robot
 }
 
-/// Mean 3-D error of a program's points after one rigid alignment, mm.
+/// Mean 3-D error of the points of a program after one rigid alignment, mm.
 fn error(robot: &Robot, program: &str, wanted: &[Vector3<f64>]) -> f64 {
     let axes: Vec<[f64; 6]> = taught(program).into_iter().map(|(_, axes)| axes).collect();
     let reached: Vec<Vector3<f64>> = places(robot, &axes).into_iter().map(|(_, place)| place).collect();
@@ -64,12 +64,12 @@ fn error(robot: &Robot, program: &str, wanted: &[Vector3<f64>]) -> f64 {
     off.iter().sum::<f64>() / off.len() as f64
 }
 
-/// Errors of a program before, compensated with the geometry alone, and with the errors of the joints, mm.
+/// Errors of a program: original, compensated with the geometry alone, and with joint errors, mm.
 fn errors(plan: &Plan, program: &str, seed: u64) -> [f64; 3] {
     let mut truth = drawn(seed);
     let wanted: Vec<Vector3<f64>> = taught(program).into_iter().map(|(ball, _)| ball.position).collect();
     let lengths = measured(plan, &truth, seed);
-    // The tool that the program names is that of the nominal robot.
+    // The tool of the program is that of the nominal robot.
     truth.geometry.tool = kr60().geometry.tool;
     let files = Files { source: Text { file: "P.src", text: program }, data: None, config: None };
     let points = read(files, Given::default()).unwrap();
@@ -81,7 +81,7 @@ fn errors(plan: &Plan, program: &str, seed: u64) -> [f64; 3] {
 }
 
 #[test]
-fn errors_of_joints_are_compensated() {
+fn joint_errors_are_compensated() {
     let [before, geometric, joints] = errors(&chosen(3, 120, true), &production(60, true, 7), 3);
     assert!(joints < 0.6 * geometric && geometric < before, "{before:.3} {geometric:.4} {joints:.4}");
 }

@@ -1,5 +1,5 @@
-//! The closed loop: a robot drawn from the tolerance, measured at the poses of a plan with noise, identified,
-//! and a production program before and after it was compensated.
+//! The closed loop: a robot drawn from the tolerance, measured with noise at the poses of a plan, identified, and a production program
+//! before and after its compensation.
 
 use dbbd::diagnostic::Severity;
 use dbbd::estimation::{CalibrationResult, Options};
@@ -23,10 +23,10 @@ use crate::cell::{CENTRE, RADIUS, calibrated, kr60};
 const SIGMA_MM: f64 = 0.02;
 /// Base balls: the second and third at other radii and heights.
 pub(crate) const BALLS: [[f64; 3]; 3] = [CENTRE, [1000.0, 500.0, 1300.0], [1500.0, -300.0, 400.0]];
-/// How far each ball truly stands from where the job says, mm.
+/// Difference of the true position of each ball from that of the job, mm.
 pub(crate) const OFF_MM: [f64; 3] = [0.8, -0.5, 0.3];
 
-/// A job of chosen poses for the least error over the cube, or over all of the robot's reach.
+/// A job of poses chosen for the smallest error in a cube, or in the whole workspace.
 pub(crate) fn job(bar_mm: f64, balls: usize, points: usize, cube: bool) -> String {
     let mut text = format!(
         "robot = \"kr60ha\"\n[bar]\nlength_mm = {bar_mm:?}\nstroke_mm = [-15.0, 15.0]\nmargin_mm = 0.5\nsigma_um = 20.0\n\
@@ -47,7 +47,7 @@ pub(crate) fn chosen(balls: usize, points: usize, cube: bool) -> Plan {
     Plan::build(&Job::from_toml("job.toml", &job(RADIUS, balls, points, cube)).unwrap(), &kr60()).unwrap()
 }
 
-/// Lengths at the dwells of a plan, with noise; the plan's axis angles are those of the poses as KRL prints them.
+/// Lengths at the dwells of a plan, with noise; the axis angles are those of the printed poses.
 fn measured(plan: &Plan, true_robot: &Robot, seed: u64, noise_mm: f64) -> Measurements {
     let mut random = Pcg64::seed_from_u64(seed);
     let dwells = plan.rows.iter().filter(|row| row.kind != Kind::Transit);
@@ -68,7 +68,7 @@ fn measured(plan: &Plan, true_robot: &Robot, seed: u64, noise_mm: f64) -> Measur
     Measurements { rows: rows.collect(), ..Measurements::default() }
 }
 
-/// `true_robot` identified from lengths at the poses of a plan, no prior.
+/// `true_robot` identified from lengths at the poses of a plan, without a prior.
 pub(crate) fn identified(true_robot: &Robot, plan: &Plan, seed: u64) -> CalibrationResult {
     identified_from(&measured(plan, true_robot, seed, SIGMA_MM), plan)
 }
@@ -78,14 +78,14 @@ fn identified_from(lengths: &Measurements, plan: &Plan) -> CalibrationResult {
     let centres: Vec<BaseBall> = balls
         .map(|ball| BaseBall { id: BallId::new(ball.id).unwrap(), position: ball.xyz_mm.into() })
         .collect();
-    // The bar's length is known: lengths about one value tell it and the robot's size only together.
+    // The length of the bar is held: lengths about one value determine it only together with the size of the robot.
     let hold = vec![ParamId::BarOffset(BarId::FIRST)];
     let options = Options { sigma_mm: Some(SIGMA_MM), folds: Some(0), hold, ..Options::default() };
     calibrated(&kr60(), lengths, &centres, &options).unwrap()
 }
 
-/// A program of PTP motions to `count` random poses with the tool within 30 deg of straight down (the whole
-/// workspace: any orientation), and what it moves to, by the robot's nominal tool ball.
+/// A program of PTP motions to `count` random poses: in the cube with the tool within 30 degrees of straight down, else in the whole
+/// workspace with any orientation.
 pub(crate) fn production(count: usize, cube: bool, seed: u64) -> String {
     let robot = kr60();
     let mut random = Pcg64::seed_from_u64(seed);
@@ -99,7 +99,7 @@ pub(crate) fn production(count: usize, cube: bool, seed: u64) -> String {
             let [a, b, c] = [180.0, 30.0, 30.0].map(|range| random.random_range(-range..range));
             let ball = Pose::from_kuka(xyz_mm, [a, b, 180.0 + c]);
             let Ok(all) = inverse::branches(&robot.geometry, &ball) else { continue };
-            // The branch in front with the elbow up: S 2, as on the circles.
+            // The branch in front of axis 1 with the elbow up (S 2), as on the circles.
             let front = all.into_iter().find(|axes| inverse::status(&robot.geometry, axes) == 2);
             let Some(axes) = front else { continue };
             axes
@@ -109,7 +109,7 @@ pub(crate) fn production(count: usize, cube: bool, seed: u64) -> String {
                 random.random_range(low..high).to_radians()
             })
         };
-        // Away from limits and singularities; an axis may well be near to zero.
+        // Away from limits and singularities; an axis may be near zero.
         let inside = (0..6).all(|i| {
             let ([low, high], deg) = (robot.limits_deg[i], axes[i].to_degrees());
             (low + 1.0..high - 1.0).contains(&deg)
@@ -133,7 +133,7 @@ pub(crate) fn production(count: usize, cube: bool, seed: u64) -> String {
     program + "END\n"
 }
 
-/// Where the program is taught to go, as printed, and the controller's axis angles there by S and T, rad.
+/// The taught poses as printed, with the axis angles of the controller by S and T, rad.
 pub(crate) fn taught(program: &str) -> Vec<(Pose, [f64; 6])> {
     let nominal = kr60();
     let files = Files { source: Text { file: "P.src", text: program }, data: None, config: None };
@@ -147,7 +147,7 @@ pub(crate) fn taught(program: &str) -> Vec<(Pose, [f64; 6])> {
     targets.collect()
 }
 
-/// Where `robot` comes under the nominal controller, mm.
+/// The positions that `robot` reaches under the nominal controller, mm.
 fn reached(program: &str, robot: &Robot) -> Vec<Vector3<f64>> {
     let there = Geometry { tool: kr60().geometry.tool, ..robot.geometry.clone() };
     taught(program).iter().map(|(_, axes)| there.ball(axes).position).collect()
@@ -165,7 +165,7 @@ fn errors(true_robot: &Robot, found: &Robot, program: &str) -> [f64; 2] {
     })
 }
 
-/// A robot whose joints 2 and 3 give way under its own weight, by at most 0.2 and 0.14 mrad.
+/// A robot whose joints 2 and 3 deflect under its own weight, by at most 0.2 and 0.14 mrad.
 pub(crate) fn sagging(mut robot: Robot) -> Robot {
     let mass = |joint, kg, [x, y, z]: [f64; 3]| Mass { joint, kg, centre: Vector3::new(x, y, z) };
     robot.geometry.masses = vec![
@@ -193,7 +193,7 @@ fn doubts(found: &CalibrationResult) -> usize {
     found.diagnostics().filter(|finding| finding.code.severity() == Severity::Warning).count()
 }
 
-/// The factor by which each robot's mean error falls, the errors before and after, and the doubts about the result.
+/// For each robot the reduction factor of its mean error, the errors before and after, and the number of doubts about the result.
 fn campaign(plan: &Plan, cube: bool, robots: u64, sag: bool) -> Vec<[f64; 4]> {
     let program = production(200, cube, 7);
     (1..=robots)
@@ -208,9 +208,10 @@ fn campaign(plan: &Plan, cube: bool, robots: u64, sag: bool) -> Vec<[f64; 4]> {
 }
 
 #[test]
-fn a_compensated_program_is_more_accurate() {
+fn compensated_program_is_more_accurate() {
     let plan = chosen(1, 80, true);
-    // The least over twenty robots was 16.5 with another draw of 80 poses (docs/explanation/closed-loop.md), here that of a robot only 0.39 mm off.
+    // The smallest factor of twenty robots was 16.5 with another draw of 80 poses (docs/explanation/closed-loop.md), here it is that of
+    // a robot whose error is only 0.39 mm.
     for [factor, before, after, doubts] in campaign(&plan, true, 3, false) {
         assert!(
             factor > 12.0 && doubts == 0.0,
@@ -246,7 +247,7 @@ fn closed_loop_over_twenty_robots() {
     }
 }
 
-/// What a sag that the model lacks leaves in lengths without noise: so little that lengths of 20 um cannot show it.
+/// The residuals of lengths without noise if the model lacks the sag: too small to be noticed with a noise of 20 um.
 /// `cargo test --release --test suite sag_leaves -- --ignored --nocapture`
 #[test]
 #[ignore = "prints figures"]

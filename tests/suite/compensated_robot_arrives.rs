@@ -1,5 +1,5 @@
-//! A compensated program brings the identified robot to the nominal positions, and nothing but the
-//! numbers of its points differs from the program given.
+//! With a compensated program the identified robot reaches the nominal positions, and only the numbers of points differ from the
+//! original program.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -18,7 +18,7 @@ fn fixture(name: &str) -> String {
     fs::read_to_string(path).unwrap()
 }
 
-/// A robot drawn from the tolerance as an identified one. Where its ball sits is no tool of the program.
+/// A robot drawn from the tolerance as an identified one. Its ball is not a tool of the program.
 fn identified(seed: u64) -> Robot {
     let mut robot = truth::draw(&kr60(), seed, 1.0);
     robot.nominal = Some(Box::new(kr60()));
@@ -37,8 +37,8 @@ fn files<'a>(source: &'a str, data: &'a str, config: Option<&'a str>) -> Files<'
     }
 }
 
-/// Where each point puts the tool in the robot's base: as the nominal robot reads it, and where the
-/// other robot comes under the nominal controller.
+/// The pose of the tool in the robot base at each point: of the nominal robot, and of the other robot under the nominal
+/// controller.
 fn reached(program: &PointProgram, robot: &Robot) -> Vec<(Pose, Pose)> {
     let flange = |mut robot: Robot| {
         robot.geometry.tool = Vector3::zeros();
@@ -79,13 +79,13 @@ fn compensated(files: Files<'_>, given: Given, robot: &Robot) -> (PointProgram, 
 }
 
 #[test]
-fn every_form_of_point_is_found_with_its_frames() {
+fn all_forms_of_points_are_read_with_their_frames() {
     let (source, data, config) = (fixture("GLUE01.src"), fixture("GLUE01.dat"), fixture("config.dat"));
     let program = read(files(&source, &data, Some(&config)), Given::default()).unwrap();
     let names: Vec<_> = program.points.iter().map(|point| point.name.as_str()).collect();
     assert_eq!(names, ["XP1", "XP2", "XP3", "XP4", "XP5", "XSP[1]", "XSP[2]", "inline", "XVIA"]);
     assert_eq!(program.not_corrected.iter().map(|finding| finding.code.0).collect::<Vec<_>>(), ["W0905"]);
-    // Axis angles from which the fixture was computed, with another program.
+    // The axis angles from which another program computed the fixture.
     let taught = [[12.0, -70.0, 95.0, 15.0, 50.0, -20.0], [20.0, -75.0, 104.0, 30.0, 45.0, -40.0]];
     let reached = reached(&program, &kr60());
     for (at, axes_deg) in [(0, taught[0]), (6, taught[1])] {
@@ -98,7 +98,7 @@ fn every_form_of_point_is_found_with_its_frames() {
 }
 
 #[test]
-fn the_identified_robot_comes_to_the_nominal_positions() {
+fn identified_robot_reaches_the_nominal_positions() {
     let (source, data, config) = (fixture("GLUE01.src"), fixture("GLUE01.dat"), fixture("config.dat"));
     let given = files(&source, &data, Some(&config));
     for seed in 0..5 {
@@ -110,14 +110,14 @@ fn the_identified_robot_comes_to_the_nominal_positions() {
         assert_eq!(wanted.len(), 9);
         for ((nominal, off), (_, now)) in wanted.iter().zip(&came) {
             assert!((nominal.position - off.position).norm() > 0.05);
-            // Three decimals of a length and four of an angle at a tool of 220 mm.
+            // The rounding of lengths to three and of angles to four decimals, with a tool of 220 mm.
             assert!((nominal.position - now.position).norm() < 2e-3, "{}", nominal.position - now.position);
             assert!(nominal.angle_to(now).to_degrees() < 3e-4);
         }
     }
 }
 
-/// The numbers of a line that belong to X, Y, Z, A..C or A1..A6, replaced by a mark.
+/// A line with the numbers of X, Y, Z, A..C and A1..A6 replaced by a mark.
 fn masked(line: &[u8]) -> String {
     let line: String = line.iter().copied().map(char::from).collect();
     let mut out = String::new();
@@ -145,10 +145,10 @@ fn masked(line: &[u8]) -> String {
 }
 
 #[test]
-fn all_else_stays_byte_for_byte() {
+fn other_bytes_are_unchanged() {
     let dir = tempfile::tempdir().unwrap();
     let path = |name: &str| dir.path().join(name);
-    // A comment in an old code page, a line end of another kind, no line end at all.
+    // A comment in an old code page, another line end, no line end at the end of the file.
     let mut source = fixture("GLUE01.src").into_bytes();
     source.extend(b"; M\xfcller\t \n;\r\n; last");
     let data = fixture("GLUE01.dat").into_bytes();
@@ -162,13 +162,13 @@ fn all_else_stays_byte_for_byte() {
     };
     let run = |extra: &[&str]| run_to("new", extra);
     let output = run(&["--config", "config.dat"]);
-    // 3: a relative motion was left, which the user must see.
+    // 3: a relative motion was not corrected, which the user must see.
     assert_eq!(output.status.code(), Some(3), "{}", stderr(&output));
     assert!(codes(&output).contains(&"W0905".into()), "{}", stderr(&output));
     let mut changed = 0;
     for (name, old) in [("GLUE01.src", &source), ("glue01.DAT", &data)] {
         let new = fs::read(dir.path().join("new").join(name)).unwrap();
-        // The comments that say what it was made from are new.
+        // The comments with the provenance are new.
         let made = |line: &&[u8]| line.starts_with(b"; made ");
         let lines = |bytes: &[u8]| {
             bytes.split(|b| *b == b'\n').filter(|line| !made(line)).map(<[u8]>::to_vec).collect::<Vec<_>>()
@@ -197,18 +197,18 @@ fn all_else_stays_byte_for_byte() {
     refused(limited, COMMAND[3]);
     refused(run_to(".", &["--config", "config.dat"]), COMMAND[4]);
     refused(run(&["--limit", "0"]), COMMAND[4]);
-    // The points alone are no program.
+    // A `.dat` alone is not a program.
     let args = ["compensate", "glue01.DAT", "--robot", "id.toml", "--out", "new"];
     refused(dbbd(dir.path(), &args), COMMAND[4]);
     fs::write(path("id.toml"), kr60().to_toml().unwrap()).unwrap();
     refused(run(&["--config", "config.dat"]), COMMAND[5]);
 }
 
-/// What the command refuses in `all_else_stays_byte_for_byte`.
+/// What the command refuses in `other_bytes_are_unchanged`.
 const COMMAND: [&str; 6] = ["E0901", "E0902", "E0908", "E0912", "E0910", "E0909"];
 
-/// Statements of a program, the code of what is wrong with it, its line and column. Where the frames do not matter they are
-/// `$TOOL=F1`, `$BASE=F1` in lines 2 and 3.
+/// Statements of a program with the code, line and column of the finding. If the frames do not matter, they are `$TOOL=F1` and
+/// `$BASE=F1` in lines 2 and 3.
 const REFUSED: &[(&str, &str, usize, usize)] = &[
     ("PTP XP1\n", "E0901", 2, 1),
     ("$TOOL=F2\n$BASE=F1\nPTP XP1\n", "E0901", 4, 1),
@@ -234,7 +234,7 @@ pub(crate) fn provoked() -> Vec<&'static str> {
     REFUSED.iter().map(|case| case.1).chain(COMMAND).chain(others).collect()
 }
 
-/// The first thing that is wrong with a program.
+/// The first finding about a program.
 fn refusal(source: &str, given: Given) -> Option<Diagnostic> {
     let point = "{X 1363.778,Y -282.219,Z 1360.625,A 152.596,B 29.472,C -174.261,S 2,T 34}";
     let data =
@@ -247,7 +247,7 @@ fn refusal(source: &str, given: Given) -> Option<Diagnostic> {
 }
 
 #[test]
-fn what_is_not_known_before_the_run_is_refused_with_its_place() {
+fn points_and_frames_unknown_before_the_run_are_refused() {
     let frames = "$TOOL=F1\n$BASE=$NULLFRAME\n";
     let code = |body: &str, given| refusal(&format!("DEF P()\n{body}END\n"), given).map(|wrong| wrong.code.0);
     assert_eq!(code(&format!("{frames}PTP XP1\n"), Given::default()), None);
@@ -257,7 +257,7 @@ fn what_is_not_known_before_the_run_is_refused_with_its_place() {
         let wrong = refusal(&format!("DEF P()\n{body}END\n"), Given::default()).unwrap();
         assert_eq!((wrong.code.0, wrong.line, wrong.column), (*code, *line, *column), "{body}: {wrong}");
     }
-    // A wrist that is nearly straight to either side: the correction would carry one of the two through zero.
+    // A nearly straight wrist on either side: the correction would move one of the two through zero.
     let straight = [
         "{X 1340,Y 0,Z 1809.985,A 0,B 90.005,C 0,S 2,T 2}",
         "{X 1340,Y 0,Z 1810.015,A 0,B 89.995,C 0,S 6,T 18}",
@@ -269,7 +269,7 @@ fn what_is_not_known_before_the_run_is_refused_with_its_place() {
 }
 
 #[test]
-fn a_file_that_only_dbbd_wrote_is_compensated_too() {
+fn emitted_programs_are_compensated() {
     let files_of = crate::circle_plan::plan(1, 6);
     let options = dbbd::program::krl::Options {
         sync: dbbd::program::krl::Sync::Marker,
@@ -286,10 +286,10 @@ fn a_file_that_only_dbbd_wrote_is_compensated_too() {
     compensate(given, &program, &robot, 20.0).unwrap();
 }
 
-/// A point that was taught with axes at zero and printed a hair beside them has the turn of zero; a degree beside them the
-/// same turn lies a full turn away.
+/// A point that was taught with axes at zero has the turn bits of zero, although rounding moves the axes off zero. A degree off
+/// zero, the same turn bits mean a full turn.
 #[test]
-fn digits_beside_zero_are_no_other_turn() {
+fn rounding_about_zero_does_not_change_the_turn() {
     let corrected = |y: f64| {
         let text = format!(
             "DEF P()\n$TOOL=$NULLFRAME\n$BASE=$NULLFRAME\nPTP {{X 1170,Y {y},Z 1640,A 0,B 180,C 0,S 2,T 2}}\nEND\n"
@@ -303,10 +303,10 @@ fn digits_beside_zero_are_no_other_turn() {
     assert_eq!(corrected(20.0).unwrap_err(), "E0906");
 }
 
-/// A correction that carries an axis through zero takes its turn bit along, in the form in which it was written;
-/// where the bits still hold they stay. With the old bit the same pose would be a full turn away, or nowhere.
+/// If a correction moves an axis through zero, its turn bit changes, in the form in which it was written; other bits stay. With the
+/// old bit the axis would be a full turn away, or the pose out of reach.
 #[test]
-fn the_turn_follows_an_axis_through_zero() {
+fn turn_bit_follows_an_axis_through_zero() {
     let point = |turn: &str| format!("{{X 1170,Y 0,Z 1640,A 0,B 180,C 0,S 2,T {turn}}}");
     let nominal = kr60();
     for (seed, before) in [(1, "2"), (2, "'B000010'"), (3, "'H02'")] {
@@ -325,7 +325,7 @@ fn the_turn_follows_an_axis_through_zero() {
         };
         let new = turn.unwrap() as u8;
         let axes = inverse::from_status_turn(&flange, &there, status.unwrap() as u8, new).unwrap();
-        // Taught at 0, -90, 90, 0, 90, 0: nowhere near a full turn.
+        // Taught at 0, -90, 90, 0, 90, 0: far from a full turn.
         for (axis, taught) in axes.iter().zip([0.0, -90.0, 90.0, 0.0, 90.0, 0.0]) {
             assert!((axis.to_degrees() - taught).abs() < 1.0, "seed {seed}: {axes:?}");
         }

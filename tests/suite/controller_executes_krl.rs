@@ -1,5 +1,5 @@
-//! The simulated controller goes where the program says, stands while the strobe is high, and stops
-//! at what it cannot do, naming the line.
+//! The simulated controller executes KRL: it reaches the programmed poses, is at rest while the strobe is high, and stops with the
+//! line of a statement that it cannot execute.
 
 use dbbd::diagnostic::Diagnostic;
 use dbbd::plan::{Kind as RowKind, PlanRow};
@@ -13,7 +13,7 @@ use crate::krl_reads_back;
 
 const DT_S: f64 = 0.002;
 
-/// Runs to the end; HALT is left at once.
+/// Runs to the end; HALT ends at once.
 fn run(mut controller: Controller) -> Result<Vec<Moment>, Diagnostic> {
     let mut moments = Vec::new();
     while moments.len() < 500_000 {
@@ -46,7 +46,7 @@ fn small(body: &str) -> Controller {
     Controller::new(program(&text, "").unwrap(), &robot(), 100.0).unwrap()
 }
 
-/// The first and the last moment of each time that the strobe was high for longer than a mark's pulse.
+/// The first and the last moment of each strobe that is longer than the pulse of a marker.
 fn dwells(moments: &[Moment]) -> Vec<(Moment, Moment)> {
     let highs = moments.chunk_by(|a, b| a.strobe == b.strobe).filter(|chunk| chunk[0].strobe);
     let ends = highs.map(|chunk| (chunk[0], chunk[chunk.len() - 1]));
@@ -59,7 +59,7 @@ fn pose_error(geometry: &Geometry, moment: &Moment, row: &PlanRow) -> (f64, f64)
 }
 
 #[test]
-fn every_strobe_is_at_its_pose() {
+fn strobes_are_at_their_poses() {
     let plan = plan(2, 8);
     let files = emit(&plan, Options { sync: Sync::Output, controller: Kind::Krc4 }).unwrap();
     let program = krl_reads_back::program(&files);
@@ -77,11 +77,11 @@ fn every_strobe_is_at_its_pose() {
         }
         assert!((last.t_s - first.t_s - row.dwell_s).abs() < 2.0 * DT_S);
     }
-    // Marks: 3 pulses at the start of each module and 2 at its end.
+    // Markers: 3 pulses at the start of each module and 2 at its end.
     let highs = moments.chunk_by(|a, b| a.strobe == b.strobe).filter(|chunk| chunk[0].strobe).count();
     assert_eq!(highs, dwells.len() + 2 * (3 + 2));
-    // On the true robot that is the nominal one, with the ball where the plan has it, the bar reads the
-    // plan's lengths, up to the rounding of the poses (half a micrometre in each coordinate).
+    // If the true robot is the nominal one and the ball is where the plan has it, the bar reads the lengths of the plan, up to the
+    // rounding of the poses (half a micrometre in each coordinate).
     let mut world = World::new(robot.geometry, setup, 1);
     for moment in &moments {
         let measured = world.reading(moment);
@@ -93,7 +93,7 @@ fn every_strobe_is_at_its_pose() {
 }
 
 #[test]
-fn an_arc_keeps_its_radius_and_a_line_its_chord() {
+fn arcs_keep_their_radius_and_lines_their_direction() {
     let mut controller = small(
         "$VEL.CP=0.1\n$ACC.CP=0.5\nPTP {X 1500.0,Y 0.0,Z 900.0,A 0.0,B 90.0,C 0.0}\n\
          CIRC {X 1400.0,Y 100.0,Z 900.0},{X 1300.0,Y 0.0,Z 900.0,A 0.0,B 90.0,C 0.0}\n\
@@ -113,16 +113,16 @@ fn an_arc_keeps_its_radius_and_a_line_its_chord() {
     for (_, p) in &seen {
         assert!(((p - nalgebra::Vector3::new(1400.0, 0.0, 900.0)).norm() - 100.0).abs() < 1e-6);
     }
-    // CA -90: a quarter against the taught direction, from (1300, 0) back to (1400, 100).
+    // CA -90: a quarter circle against the taught direction, from (1300, 0) back to (1400, 100).
     let end = seen.last().unwrap().1;
     assert!((end - nalgebra::Vector3::new(1400.0, 100.0, 900.0)).norm() < 1e-6, "{end}");
-    // A trapezoid over d takes d/v + v/a: here over pi 100 mm and pi 50 mm.
+    // A trapezoidal profile over d takes d/v + v/a: here over pi 100 mm and pi 50 mm.
     let expected_s = std::f64::consts::PI * 1.5 + 2.0 * 0.1 / 0.5;
     assert!((seen.last().unwrap().0 - seen[0].0 - expected_s).abs() < 0.03);
 }
 
 #[test]
-fn override_stretches_moves_and_not_waits() {
+fn override_slows_motions_but_not_waits() {
     let end_s = |percent: f64| {
         let program = program("DEF T ( )\nPTP {A1 20.0}\nWAIT SEC 1.0\nEND\n", "").unwrap();
         let controller = Controller::new(program, &robot(), percent).unwrap();
@@ -146,13 +146,13 @@ fn loops_calls_signals_and_pulses_run() {
         .filter(|chunk| chunk[0].strobe)
         .map(|chunk| chunk.len() as f64 * DT_S)
         .collect();
-    // K is 4 after the loop and 0 after the next, so the first is the assignment's, the second the pulse,
-    // and nothing is between them but the end of one and the start of the other.
+    // K is 4 after the loop and 0 after the next: the first strobe is that of the assignment, the second one the pulse, and between
+    // them are only the end of one and the start of the other.
     assert_eq!(highs.len(), 1);
     assert!((highs[0] - 0.3).abs() < 3.0 * DT_S, "{highs:?}");
 }
 
-/// What the controller stops at in line 3 or 4 of a program, and its code, line and column.
+/// Statements in line 3 or 4 of a program at which the controller stops, with code, line and column.
 const STOPS: &[(&str, &str, usize, usize)] = &[
     ("PTP {A2 40.0}", "E0813", 3, 1),
     ("$VEL.CP=0.1\nLIN {X 5000.0}", "E0813", 4, 1),
@@ -191,7 +191,7 @@ const STOPS: &[(&str, &str, usize, usize)] = &[
     ("T ( )", "E0805", 2, 1),
 ];
 
-/// Lines of a `.dat` with which the controller does not start.
+/// Lines of a `.dat` that the controller does not load.
 const DATA: &[(&str, &str)] = &[
     ("DECL MYTYPE A", "E0811"),
     ("DECL INT A\nDECL INT A", "E0811"),
@@ -206,7 +206,7 @@ pub(crate) fn provoked() -> Vec<&'static str> {
 }
 
 #[test]
-fn what_cannot_be_done_stops_with_its_line() {
+fn impossible_statements_stop_with_their_line() {
     for (body, code, line, column) in STOPS {
         let stop = run(small(body)).expect_err(body);
         // A routine that calls itself stops at its first motion, whose line is 2.
@@ -228,7 +228,7 @@ fn what_cannot_be_done_stops_with_its_line() {
     assert_eq!((stop.code.0, stop.line), ("E0817", 2));
 }
 
-/// What is wrong with a WORLD.toml.
+/// Wrong WORLD.toml files.
 const WORLDS: &[(&str, &str)] = &[
     ("[bar]\nnoise = 1.0", "E0120"),
     ("[[centre]]\nid = 1\nxyz_mm = [1, 0, 0]\n[[centre]]\nid = 1\nxyz_mm = [1, 0, 0]", "E1602"),
@@ -240,7 +240,7 @@ const WORLDS: &[(&str, &str)] = &[
 ];
 
 #[test]
-fn the_world_is_what_its_file_says() {
+fn world_file_is_read() {
     let files = emit(&plan(1, 3), Options { sync: Sync::Output, controller: Kind::Krc4 }).unwrap();
     let program = krl_reads_back::program(&files);
     for (text, code) in WORLDS {
@@ -254,7 +254,7 @@ fn the_world_is_what_its_file_says() {
     let setup = Setup::new(&program.setups(), Some(("W.toml", text))).unwrap();
     let robot = robot();
     let still = |motions: u32| Moment {
-        // Each motion's error has replaced the one before.
+        // The error of each motion has replaced the one before.
         t_s: f64::from(motions),
         axes: plan(1, 3).rows[0].axes_deg.map(f64::to_radians),
         centre: 1,
@@ -283,7 +283,7 @@ fn the_world_is_what_its_file_says() {
 }
 
 #[test]
-fn a_true_robot_is_drawn_from_the_tolerance() {
+fn true_robot_is_drawn_from_the_tolerance() {
     let nominal = robot();
     assert_eq!(truth::draw(&nominal, 3, 1.0).geometry, truth::draw(&nominal, 3, 1.0).geometry);
     assert_eq!(truth::draw(&nominal, 3, 0.0).geometry, nominal.geometry);

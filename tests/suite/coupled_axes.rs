@@ -1,5 +1,5 @@
-//! Arms whose controller shows axis 3 against the horizontal: joint 3 turns by A3 + A2 in poses, inverse kinematics, limits,
-//! sag, errors of joints, exports and an identification.
+//! Arms whose controller displays axis 3 relative to the horizontal, so that joint 3 turns by A3 + A2: poses, inverse kinematics,
+//! limits, sag, joint errors, exports and an identification.
 
 use std::fmt::Write;
 use std::fs;
@@ -32,12 +32,12 @@ fn rad(deg: [f64; 6]) -> [f64; 6] {
     deg.map(f64::to_radians)
 }
 
-/// A pose as a FANUC shows it: mm, and the turns about the fixed X, Y and Z in degrees, which are KUKA's C, B and A.
+/// A pose as a FANUC displays it: mm, and rotations about the fixed X, Y and Z in degrees, which are KUKA's C, B and A.
 fn shown([x, y, z, w, p, r]: [f64; 6]) -> Pose {
     Pose::from_kuka([x, y, z], [r, p, w])
 }
 
-/// J1 to J6 and the flange of an M-20iD/25 by the maker's virtual controller (ROBOGUIDE), as the project robconv publishes them
+/// J1 to J6 and the flange of an M-20iD/25 from the virtual controller of the maker (ROBOGUIDE), published by the project robconv
 /// (tests/fixtures/probes/results/CFGPROBE_roboguide.LS).
 const ROBOGUIDE: [([f64; 6], [f64; 6]); 16] = [
     ([0.0, 0.0, 0.0, 0.0, -90.0, 0.0], [965.0, 0.0, 965.0, -180.0, 0.0, 0.0]),
@@ -59,7 +59,7 @@ const ROBOGUIDE: [([f64; 6], [f64; 6]); 16] = [
 ];
 
 #[test]
-fn the_flange_is_where_the_makers_virtual_controller_has_it() {
+fn flange_agrees_with_the_virtual_controller_of_the_maker() {
     let robot = named("m20id25");
     for (axes, pose) in ROBOGUIDE {
         let (there, shown) = (robot.geometry.flange(&rad(axes)), shown(pose));
@@ -124,7 +124,7 @@ fn all_published_axis_angles_of_an_offset_wrist_are_found() {
     }
 }
 
-/// What is changed in the file of an M-10iD/12, and whether it is still a robot.
+/// Changes of the file of an M-10iD/12, and whether the file is still valid.
 const FILES: [(&str, &str, bool); 7] = [
     ("axis = 2, factor = 1", "axis = 2, factor = -1", true),
     (", limits_deg = [-90.0, 222.0]", "", true),
@@ -136,7 +136,7 @@ const FILES: [(&str, &str, bool); 7] = [
 ];
 
 #[test]
-fn a_coupling_is_checked_and_reads_back() {
+fn couplings_are_checked_and_read_back() {
     let dir = tempdir().unwrap();
     let sound = Robot::built_in_file("m10id12").unwrap();
     for (from, to, is_sound) in FILES {
@@ -155,7 +155,7 @@ fn a_coupling_is_checked_and_reads_back() {
 
 /// Joint 3 of an M-10iD/12 turns from -90 to 222 degrees: at A2 = 100 axis 3 may be between -190 and 122.
 #[test]
-fn limits_of_the_sum_move_with_the_other_axis() {
+fn limits_of_a_coupled_axis_depend_on_the_second_axis() {
     let robot = named("m10id12");
     let at = |a2, a3| rad([0.0, a2, a3, 0.0, 0.0, 0.0]);
     for (a2, a3, margin_deg) in
@@ -163,7 +163,7 @@ fn limits_of_the_sum_move_with_the_other_axis() {
     {
         assert!((robot.limit_margin_deg(&at(a2, a3)) - margin_deg).abs() < 1e-9, "{a2} {a3}");
     }
-    // Of one pose axis 3 has the turn that the joint can take.
+    // Axis 3 has the full turn that the joint allows.
     let turns = |a2, a3| turns_within(&at(a2, a3), &robot).len();
     assert_eq!([turns(100.0, -180.0), turns(100.0, 180.0), turns(100.0, -195.0)], [3, 3, 0]);
     let dir = tempdir().unwrap();
@@ -173,13 +173,13 @@ fn limits_of_the_sum_move_with_the_other_axis() {
         let output = dbbd(dir.path(), &["predict", "axes.csv", "--robot", "m10id12", "--out", "p.csv"]);
         assert_eq!((output.status.code(), codes(&output)), expected, "{}", stderr(&output));
     }
-    // Poses of a workspace are within them.
+    // The poses of a workspace are within the limits.
     assert!(Workspace::uniform(&robot, 1000, 1).iter().all(|axes| robot.is_within_limits(axes)));
 }
 
-/// The forearm is level at A3 = 0 wherever the upper arm is: its weight turns joint 3 by as much.
+/// At A3 = 0 the forearm is level whatever the angle of the upper arm: its weight deflects joint 3 by the same angle.
 #[test]
-fn a_level_forearm_sags_alike() {
+fn level_forearm_has_the_same_sag() {
     let rigid = named("m10id12").geometry;
     let mut soft = rigid.clone();
     // 10 kg in the wrist: 9.80665 * 10 * 0.7 = 68.647 N m about joint 3.
@@ -193,9 +193,9 @@ fn a_level_forearm_sags_alike() {
     }
 }
 
-/// The drive of joint 3 turns by A3 + A2, and only axis 3 can undo what it does wrong.
+/// The drive of joint 3 turns by A3 + A2, and only axis 3 can correct its errors.
 #[test]
-fn errors_of_a_joint_are_of_its_own_angle() {
+fn joint_errors_are_functions_of_the_own_angle() {
     let sound = named("m10id12").geometry;
     let ripple = Ripple { order: 11, cos: 2e-4, sin: -1e-4 };
     let mut joints = [(); 6].map(|()| JointError::default());
@@ -218,12 +218,12 @@ fn errors_of_a_joint_are_of_its_own_angle() {
 }
 
 #[test]
-fn a_urdf_takes_the_joints_own_angles() {
+fn urdf_takes_own_angles_of_the_joints() {
     let dir = tempdir().unwrap();
     let nominal = named("crx10ia");
     let found = Robot { nominal: Some(Box::new(nominal.clone())), ..truth::draw(&nominal, 5, 1.0) };
     fs::write(dir.path().join("found.toml"), found.to_toml().unwrap()).unwrap();
-    // The user's URDF is that of the nominal robot.
+    // The URDF of the user is that of the nominal robot.
     fs::write(dir.path().join("user.urdf"), urdf(&nominal)).unwrap();
     let output = dbbd(dir.path(), &["export", "found.toml", "--urdf-in", "user.urdf", "--out", "out"]);
     assert_eq!((output.status.code(), codes(&output)), (Some(0), vec!["I1723".to_owned()]));
@@ -240,7 +240,7 @@ fn a_urdf_takes_the_joints_own_angles() {
 const BALLS: [[f64; 3]; 3] = [[900.0, 0.0, 100.0], [600.0, 600.0, 350.0], [700.0, -550.0, 500.0]];
 const SIGMA_MM: f64 = 0.01;
 
-/// Lengths of a true robot at poses in front of it, each to all balls.
+/// Lengths of a true robot at poses in front of it, each from all balls.
 fn lengths(truth: &Robot, poses: usize) -> Measurements {
     let mut random = Pcg64::seed_from_u64(1);
     let ranges =
@@ -265,9 +265,9 @@ fn lengths(truth: &Robot, poses: usize) -> Measurements {
     Measurements { rows, ..Measurements::default() }
 }
 
-/// Robots within the tolerance, and one whose joint 3 repeats an error with each turn of its drive.
+/// Robots within the tolerance, and one whose joint 3 has a transmission error with the period of its drive.
 #[test]
-fn a_coupled_arm_is_identified() {
+fn coupled_arm_is_identified() {
     for (name, gear) in [("m10id12", 0.0), ("crx10ia", 0.0), ("m10id12", 4e-4)] {
         let dir = tempdir().unwrap();
         let mut nominal = named(name);

@@ -1,4 +1,4 @@
-//! A plan that is accepted runs: its program stays within limits, speeds and branch on the controller.
+//! The program of an accepted plan stays within limits, speeds and solution branch on the controller.
 
 use dbbd::plan::{Job, Kind, Plan};
 use dbbd::program::krl::{Options, Program, Sync, emit};
@@ -11,7 +11,7 @@ use rand_pcg::Pcg64;
 
 use crate::cell::kr60;
 
-/// A job drawn at random, most of them feasible: up to three circles about one or two balls.
+/// A random job, usually feasible: up to three circles about one or two balls.
 fn job(seed: u64) -> String {
     let mut random = Pcg64::seed_from_u64(seed);
     let mut between = |low: f64, high: f64| random.random_range(low..high);
@@ -55,7 +55,7 @@ fn job(seed: u64) -> String {
 #[derive(Debug, PartialEq)]
 enum Ending {
     Refused,
-    /// With the risk that the plan stated for its runs together, and whether the bar left its stroke.
+    /// With the stroke risk that the plan states for its runs together, and whether the bar left its stroke.
     Ran {
         stated: f64,
         strayed: bool,
@@ -63,7 +63,7 @@ enum Ending {
     Failed(String),
 }
 
-/// Plans a job, emits it, and executes the program on a robot drawn from the tolerance, the balls taught as the plan says.
+/// Plans a job, emits its program, and executes it on a robot drawn from the tolerance, with the balls taught as the plan says.
 fn run(seed: u64, text: &str, step_s: f64) -> Ending {
     let job = Job::from_toml("job.toml", text).unwrap();
     let nominal = kr60();
@@ -110,7 +110,7 @@ fn run(seed: u64, text: &str, step_s: f64) -> Ending {
     Ending::Ran { stated: plan.header.stroke_risk, strayed }
 }
 
-/// Whether the commanded axes keep limits, speeds and, with the bar on, the branch.
+/// Checks the commanded axes: limits, speeds and, with the bar mounted, the solution branch.
 fn keeps(robot: &Robot, last: Option<&Moment>, now: &Moment, mounted: bool) -> Result<(), String> {
     for (axis, angle) in now.axes.iter().enumerate() {
         let [low, high] = robot.limits_deg[axis];
@@ -134,7 +134,7 @@ fn keeps(robot: &Robot, last: Option<&Moment>, now: &Moment, mounted: bool) -> R
     }
 }
 
-/// What became of the jobs of some seeds.
+/// Results of the jobs of some seeds.
 #[derive(Debug, Default)]
 struct Count {
     ran: usize,
@@ -175,7 +175,7 @@ fn campaign(
     count
 }
 
-/// A job with about the shortest stroke that the limit of its risk lets pass: what it states is near the limit then.
+/// A job with about the shortest stroke that the limit of the stroke risk allows, so that the stated risk is near the limit.
 fn tight(seed: u64, max_stroke_risk: f64) -> String {
     let with = |stroke: f64| {
         job(seed).replace("[-6.0, 6.0]", &format!("[-{stroke:.3}, {stroke:.3}]"))
@@ -198,7 +198,7 @@ fn tight(seed: u64, max_stroke_risk: f64) -> String {
 fn random_feasible_jobs_run_to_their_end() {
     campaign(1.., 16, 0.1, job);
     let count = campaign(1.., 8, 0.1, |seed| tight(seed, 0.05));
-    // More than two of eight at 5 % each: once in two hundred.
+    // More than two of eight at 5 % each has a probability of 1 in 200.
     assert!(count.strayed <= 2 && count.expected <= 0.4, "{count:?}");
 }
 

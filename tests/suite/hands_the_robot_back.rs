@@ -1,5 +1,5 @@
-//! What goes to other programs and to the controller says what the identified robot is: the URDF places the ball
-//! where the model does, the mastering offsets have the controller's sense, the data list is KRL.
+//! Exports of the identified robot: the URDF agrees with the model, the mastering offsets have the sense of the axes, the data list
+//! is KRL.
 //! `tests/independent/urdf.py` reads the same URDF with Pinocchio.
 
 use std::fs;
@@ -16,13 +16,13 @@ use tempfile::tempdir;
 
 use crate::cell::{CENTRE, centres_csv, dbbd, kr60, measure, stderr, three_planes, with_errors};
 
-/// The numbers of an attribute within a piece of XML.
+/// The numbers of an attribute in a fragment of XML.
 fn numbers(xml: &str, attribute: &str) -> Vec<f64> {
     let after = xml.split(&format!("{attribute}=\"")).nth(1).unwrap();
     after.split('"').next().unwrap().split(' ').map(|number| number.parse().unwrap()).collect()
 }
 
-/// The ball by the URDF's own definition (origin, then a turn about the axis), in mm.
+/// The ball by the definition of URDF (origin, then rotation about the axis), mm.
 pub(crate) fn ball_of(urdf: &str, axes: &[f64; 6]) -> Vector3<f64> {
     let mut frame = Pose::identity();
     let mut turning = axes.iter();
@@ -55,12 +55,12 @@ fn agrees(robot: &Robot) {
 }
 
 #[test]
-fn the_urdf_places_the_ball_where_the_model_does() {
+fn urdf_agrees_with_the_model() {
     agrees(&kr60());
     let mut robot =
         with_errors([("beta2", 0.002), ("beta4", -0.003), ("theta3", 0.004), ("alpha5", 0.001), ("d2", 0.7)]);
     agrees(&robot);
-    // Pitch a right angle, where roll and yaw turn about one axis; and within a hair of it.
+    // A pitch of a right angle, at which roll and yaw have the same axis, and a pitch very near it.
     for off in [0.0, 1e-9, 1e-6] {
         robot.geometry.rows[3].theta = std::f64::consts::FRAC_PI_2 + off;
         agrees(&robot);
@@ -68,14 +68,14 @@ fn the_urdf_places_the_ball_where_the_model_does() {
 }
 
 #[test]
-fn masses_stand_in_the_links() {
+fn masses_are_part_of_the_links() {
     let mut robot = kr60();
     robot.name = "-- \"<KR>\"".into();
     let mass = |joint, kg, x| Mass { joint, kg, centre: Vector3::new(x, 0.0, 150.0) };
     robot.geometry.masses = vec![mass(Joint::J6, 20.0, -100.0), mass(Joint::J6, 20.0, 100.0)];
     let text = urdf(&robot);
     let link = text.split("<link name=\"link_6\">").nth(1).unwrap();
-    // Two points of 20 kg, 0.2 m apart: 40 kg * (0.1 m)^2 about y and z. The link's frame stands 170 mm before the flange.
+    // Two points of 20 kg at a distance of 0.2 m: 40 kg * (0.1 m)^2 about y and z. The frame of the link is 170 mm before the flange.
     assert_eq!(numbers(link, "value"), [40.0]);
     assert!((numbers(link, "iyy")[0] - 0.4).abs() < 1e-12 && numbers(link, "ixx")[0].abs() < 1e-12);
     assert!((numbers(link, "xyz")[2] - 0.32).abs() < 1e-12);
@@ -85,10 +85,10 @@ fn masses_stand_in_the_links() {
     );
 }
 
-/// Zero errors on joints of either sense: the axis that shows A stands at A + offset, so the nominal robot there is
-/// where the true one is at A.
+/// Errors of the zero position of joints of either sense: an axis that displays A is at A + offset, so the nominal robot at A + offset
+/// is where the true one is at A.
 #[test]
-fn mastering_offsets_have_the_controllers_sense() {
+fn mastering_offsets_have_the_sense_of_the_axes() {
     let (two, four) = (0.05f64.to_radians(), 0.03f64.to_radians());
     let truth = with_errors([("theta2", two), ("theta4", four)]);
     let circles = three_planes(1, CENTRE);
@@ -112,7 +112,7 @@ fn mastering_offsets_have_the_controllers_sense() {
     let table = fs::read_to_string(dir.path().join("out/mastering.csv")).unwrap();
     let rows: Vec<Vec<&str>> = table.lines().skip(1).map(|line| line.split(',').collect()).collect();
     let offset: Vec<f64> = rows.iter().map(|row| row[1].parse().unwrap()).collect();
-    // The table's angle is sign * A + offset, and joint 4 of a KUKA turns against its axis angle.
+    // The angle of the table is sign * A + offset, and joint 4 of a KUKA has the opposite sense of its axis.
     for (found, expected) in offset.iter().zip([0.0, 0.05, 0.0, -0.03, 0.0, 0.0]) {
         assert!((found - expected).abs() < 2e-3, "{offset:?}");
     }

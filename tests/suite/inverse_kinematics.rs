@@ -1,4 +1,4 @@
-//! Axis angles for a pose: every branch, the right turn, KUKA's status and turn.
+//! Inverse kinematics: all solution branches, full turns, KUKA's status and turn.
 
 use std::f64::consts::{PI, TAU};
 
@@ -28,7 +28,7 @@ fn miss(geometry: &Geometry, axes: &[f64; AXES], ball: &Pose) -> (f64, f64) {
     ((there.position - ball.position).norm(), (there.rotation - ball.rotation).norm())
 }
 
-/// An identified robot: every parameter off by what a maker tolerates, betas included.
+/// An identified robot: every parameter, with the betas, has an error within the tolerance.
 fn perturbed(seed: [f64; 6]) -> Robot {
     let mut robot = kr60ha();
     for (k, id) in ParamId::denavit_hartenberg().chain([ParamId::Beta(Joint::J3)]).enumerate() {
@@ -38,7 +38,7 @@ fn perturbed(seed: [f64; 6]) -> Robot {
     robot
 }
 
-/// Axis angles at these shares of the robot's limits.
+/// Axis angles at these shares of the ranges of the axes.
 fn at_shares(robot: &Robot, share: [f64; AXES]) -> [f64; AXES] {
     let mut axes_deg = [0.0; AXES];
     for i in 0..AXES {
@@ -48,12 +48,12 @@ fn at_shares(robot: &Robot, share: [f64; AXES]) -> [f64; AXES] {
     rad(axes_deg)
 }
 
-/// Axis angles uniform within the limits of the robot.
+/// Axis angles, uniformly distributed within the limits of the robot.
 fn within_limits() -> impl Strategy<Value = [f64; AXES]> {
     prop::array::uniform6(0.0..1.0f64).prop_map(|share| at_shares(&kr60ha(), share))
 }
 
-/// A built-in robot with a closed form, its axis angles uniform within its limits, a little off its singular positions.
+/// A built-in robot with a closed form, and axis angles within its limits and off its singular positions.
 fn any_robot() -> impl Strategy<Value = (Robot, [f64; AXES])> {
     (0..Robot::built_in().len(), prop::array::uniform6(0.0..1.0f64)).prop_filter_map(
         "singular",
@@ -83,7 +83,7 @@ fn check_poses_have_their_status_and_turn() {
         assert_eq!((status(&robot.geometry, &axes), turn(&axes)), (s, t), "{deg:?}");
         let found = from_status_turn(&robot, &ball, s, t).unwrap();
         assert!(apart(&found, &axes) < 1e-9, "{found:?} for {axes:?}");
-        // A robot with the accuracy option sets bit 4 as well.
+        // A robot with the absolute-accuracy option sets bit 4 as well.
         assert_eq!(from_status_turn(&robot, &ball, s | 16, t).unwrap(), found);
     }
     let ball = Pose::from_kuka([1363.778, -282.219, 1360.625], [152.596, 29.472, -174.261]);
@@ -96,7 +96,7 @@ pub(crate) fn provoked() -> Vec<&'static str> {
 }
 
 #[test]
-fn beyond_the_arm_there_is_no_solution() {
+fn pose_out_of_reach_has_no_solution() {
     let geometry = kr60ha().geometry;
     let far = Pose::from_kuka([3000.0, 0.0, 800.0], [0.0, 90.0, 0.0]);
     let nowhere = Pose::from_kuka([f64::NAN, 0.0, 800.0], [0.0, 90.0, 0.0]);
@@ -127,7 +127,7 @@ proptest! {
         let original = found.iter().flat_map(|branch| turns_within(branch, &robot))
             .map(|variant| apart(&variant, &axes)).fold(f64::MAX, f64::min);
         prop_assert!(original < 1e-6, "{original}");
-        // S and T name it, but for the full turns of an axis that can turn more than one to a side.
+        // S and T determine it, except for the full turns of an axis that can make more than one to a side.
         let named = from_status_turn(&robot, &ball, status(&robot.geometry, &axes), turn(&axes)).unwrap();
         let turns: [f64; AXES] = std::array::from_fn(|i| ((named[i] - axes[i]) / TAU).round());
         prop_assert!(robot.limits_deg.iter().zip(turns).all(|(limits, turn)| turn == 0.0 || limits[1] > 360.0));
@@ -136,14 +136,14 @@ proptest! {
     }
 
     #[test]
-    fn the_nearest_keeps_branch_and_turn((robot, axes) in any_robot(), off in prop::array::uniform6(-0.02..0.02)) {
+    fn nearest_solution_keeps_branch_and_turn((robot, axes) in any_robot(), off in prop::array::uniform6(-0.02..0.02)) {
         let geometry = robot.geometry;
         let near: [f64; AXES] = std::array::from_fn(|i| axes[i] + off[i]);
         let ball = geometry.ball(&axes);
         let found = nearest(&geometry, &ball, &near).unwrap();
         let (mm, turn) = miss(&geometry, &found, &ball);
         prop_assert!(mm < 1e-8 && turn < 1e-10);
-        // Near a singularity another branch may be nearer than the one that made the pose.
+        // Near a singularity another branch may be nearer than that of the pose.
         prop_assert!(apart(&found, &near) <= apart(&axes, &near) + 1e-6);
     }
 }
@@ -152,7 +152,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(60))]
 
     #[test]
-    fn the_iteration_agrees_with_the_closed_form(axes in within_limits(), off in prop::array::uniform6(-0.01..0.01)) {
+    fn iteration_agrees_with_the_closed_form(axes in within_limits(), off in prop::array::uniform6(-0.01..0.01)) {
         let geometry = kr60ha().geometry;
         // Away from the wrist, elbow (10.03 deg) and overhead singularities.
         let overhead = 350.0 + 850.0 * axes[1].cos() + 820.0 * (axes[1] + axes[2]).cos() + 145.0 * (axes[1] + axes[2]).sin();
@@ -164,7 +164,7 @@ proptest! {
     }
 
     #[test]
-    fn an_identified_arm_has_branches_too(axes in within_limits(), seed in prop::array::uniform6(0.0..6.0)) {
+    fn identified_arm_has_all_branches(axes in within_limits(), seed in prop::array::uniform6(0.0..6.0)) {
         let overhead = 350.0 + 850.0 * axes[1].cos() + 820.0 * (axes[1] + axes[2]).cos() + 145.0 * (axes[1] + axes[2]).sin();
         prop_assume!(axes[4].sin().abs() > 0.1 && (axes[2] - 0.175).abs() > 0.15 && overhead.abs() > 150.0);
         let robot = perturbed(seed);
@@ -180,17 +180,17 @@ proptest! {
     }
 }
 
-/// At A5 = 0 only A4 + A6 is defined: the nearest keeps A4.
+/// At A5 = 0 only A4 + A6 is defined: the nearest solution keeps A4.
 #[test]
-fn a_straight_wrist_keeps_axis_four() {
+fn straight_wrist_keeps_axis_four() {
     let geometry = kr60ha().geometry;
     let axes = rad([10.0, -80.0, 100.0, 33.0, 0.0, -50.0]);
     let found = nearest(&geometry, &geometry.ball(&axes), &axes).unwrap();
     assert!(apart(&found, &axes) < 1e-8, "{found:?}");
 }
 
-/// A KR 60 HA with the wrist of a CRX-10iA/L (axes 4 and 6 pass each other at 150 mm), with an offset between axes 4 and
-/// 5 instead, with a wrist of 60 degrees as painting robots have it, and the offset one as it is identified.
+/// A KR 60 HA with the wrist of a CRX-10iA/L (axes 4 and 6 have a distance of 150 mm), with an offset between axes 4 and 5, with a
+/// 60-degree wrist like that of painting robots, and the first one as an identified robot.
 fn without_a_closed_form() -> [Geometry; 4] {
     let nominal = kr60ha().geometry;
     let [mut passing, mut beside, mut painting] = [nominal.clone(), nominal.clone(), nominal];
@@ -203,14 +203,14 @@ fn without_a_closed_form() -> [Geometry; 4] {
     [passing, beside, painting, identified]
 }
 
-/// Branches over poses at random: how many are found, and how many of them another way finds that were not.
+/// Branches at random poses: the number found, and the number that another method finds in addition.
 #[derive(Debug, Default)]
 struct Census {
     branches: usize,
     most: usize,
-    /// The axis angles that made the pose are not among them.
+    /// Poses whose own axis angles are not among the branches.
     lost: usize,
-    /// Found from random starts, and not among them.
+    /// Solutions from random starts that are not among the branches.
     missed: usize,
     from_random_starts: usize,
 }

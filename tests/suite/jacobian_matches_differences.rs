@@ -11,7 +11,7 @@ use dbbd::robot::{
 use nalgebra::Vector3;
 use proptest::prelude::*;
 
-/// An arm without coupled axes, one whose joint 3 turns by A3 + A2, and one of which joint 5 turns by A5 - A3 as well.
+/// An arm without coupled axes, one whose joint 3 turns by A3 + A2, and one whose joint 5 turns by A5 - A3 as well.
 fn arms() -> [Geometry; 3] {
     let named = |name: &str| Robot::by_name(name).unwrap().unwrap().geometry;
     let by = |axis, factor| Some(CoupledAxis { axis, factor });
@@ -42,7 +42,7 @@ proptest! {
             Mass { joint: Joint::J2, kg: 100.0, centre: Vector3::new(400.0, 0.0, 50.0) },
             Mass { joint: Joint::J6, kg: 60.0, centre: Vector3::new(10.0, 20.0, 150.0) },
         ];
-        // Compliance bends the joints and so moves the torques; that second-order part the columns leave out.
+        // Compliance deflects the joints, which changes the torques: the columns do not contain this second-order effect.
         let mut ids = parameter::all(&Joint::ALL[1..], SetUp { balls: 1, bars: 1, targets: 2, trackers: 1 });
         ids.extend(parameter::parse_list("compliance,gear", &[], 1).unwrap());
         for (id, error) in ids.iter().zip(errors).filter(|(id, _)| id.unit() != Unit::RadPerNm) {
@@ -62,7 +62,7 @@ proptest! {
                 down.shift(*id, -h);
                 (up.prepare().length(&reading) - down.prepare().length(&reading)) / (2.0 * h)
             };
-            // Richardson's extrapolation takes the error of second order out.
+            // Richardson extrapolation removes the second-order error.
             let numeric = (4.0 * difference(step / 2.0) - difference(step)) / 3.0;
             let size = numeric.abs().max(1.0);
             prop_assert!((analytic - numeric).abs() < 1e-6 * size, "{id}: {analytic} for {numeric}");
@@ -73,7 +73,7 @@ proptest! {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 100, rng_seed: proptest::test_runner::RngSeed::Fixed(1), ..ProptestConfig::default() })]
     #[test]
-    fn the_axes_move_the_ball_by_the_jacobian(arm in 0..3usize, axes in proptest::array::uniform6(-3.0f64..3.0)) {
+    fn axis_jacobian_matches_differences(arm in 0..3usize, axes in proptest::array::uniform6(-3.0f64..3.0)) {
         let geometry = &arms()[arm];
         for (axis, (shift, turn)) in geometry.axis_jacobian(&axes).into_iter().enumerate() {
             let at = |step: f64| {
@@ -123,7 +123,7 @@ fn joint_error_rows(geometry: Geometry) {
         let numeric = (length(&moved(1e-5)).0 - length(&moved(-1e-5)).0) / 2e-5;
         assert!((analytic[at] - numeric).abs() < 1e-5 * numeric.abs().max(1.0), "{at}");
     }
-    // A sense of approach is a shift of the joints.
+    // A sense of approach is an offset of the joints.
     let there = model.geometry.approached(approach).length(&axes, &model.balls[0], 0.0);
     assert!((there - model.prepare().length(&reading)).abs() < 1e-9);
 }

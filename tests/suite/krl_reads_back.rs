@@ -1,4 +1,4 @@
-//! What is written as KRL reads back as the plan, and what is no KRL is refused with its place.
+//! Emitted KRL reads back as the plan, and unsupported KRL is refused with its place.
 
 use dbbd::plan::{Kind, Motion, Plan};
 use dbbd::program::Target;
@@ -45,13 +45,13 @@ pub(crate) fn motions(module: &Module) -> Vec<(Motion, Option<Target>, Target, O
     legs.map(|leg| (leg.motion, target(&leg.through), target(&leg.to).unwrap(), leg.sweep_deg)).collect()
 }
 
-/// Code and place of what is wrong with a `.src`.
+/// Code, line and column of the finding about a `.src`.
 fn refused(text: &str) -> (&'static str, usize, usize) {
     let wrong = parse_source("T.src", text).unwrap_err();
     (wrong.code.0, wrong.line, wrong.column)
 }
 
-/// A `.src` that is no KRL or is not supported, and its code, line and column.
+/// A `.src` that is not KRL or not supported, with its code, line and column.
 const REFUSED: &[(&str, &str, usize, usize)] = &[
     ("DEF T ( )\r\n  ; a comment\r\n  SPLINE\r\nEND\r\n", "E0804", 3, 3),
     ("DEF T ( )\nA=SIN(1.0)\nEND\n", "E0804", 2, 3),
@@ -79,7 +79,7 @@ const REFUSED: &[(&str, &str, usize, usize)] = &[
     ("DEF T ( )\nEND\nDEF T ( )\nEND\n", "E0806", 3, 5),
 ];
 
-/// Of plans that have no program, and of a `.dat` without logged axes.
+/// Codes for plans without a possible program, and for a `.dat` without logged axes.
 const CODES: &[&str] = &["E0805", "E0807", "E0818", "E0820", "E0821", "E0822", "E0823"];
 
 pub(crate) fn provoked() -> Vec<&'static str> {
@@ -127,7 +127,7 @@ fn every_pose_reads_back_to_the_printed_digits() {
 }
 
 #[test]
-fn files_are_what_a_controller_loads() {
+fn files_have_the_format_that_controllers_load() {
     let plan = plan(2, 8);
     for (sync, controller) in ALL {
         for (name, text) in modules(&plan, sync, controller) {
@@ -164,7 +164,7 @@ fn files_are_what_a_controller_loads() {
 }
 
 #[test]
-fn logged_axes_come_with_their_rows() {
+fn logged_axes_are_read_by_row() {
     let plan = plan(1, 3);
     let files = modules(&plan, Sync::Output, Controller::Krc4);
     let (name, text) = files.iter().find(|(name, _)| name == "DBB_C001.dat").unwrap();
@@ -185,7 +185,7 @@ fn logged_axes_come_with_their_rows() {
 }
 
 #[test]
-fn what_is_not_known_is_refused_with_its_place() {
+fn unsupported_statements_are_refused_with_their_place() {
     for (text, code, line, column) in REFUSED {
         assert_eq!(refused(text), (*code, *line, *column), "{text:?}");
     }
@@ -193,9 +193,9 @@ fn what_is_not_known_is_refused_with_its_place() {
     assert!(wrong.help.is_some_and(|help| help.contains("WAIT")));
 }
 
-/// However deep an expression or a block is, the reader and what is done with the tree need little of the stack.
+/// However deep expressions and blocks are nested, the parser and the users of its tree need little stack.
 #[test]
-fn depth_is_limited() {
+fn nesting_depth_is_limited() {
     let many = 100_000;
     for value in ["(", "+", "-", "NOT ", "A[", "{X ", "1+", "1-(", "(1)*"].map(|piece| piece.repeat(many)) {
         assert_eq!(refused(&format!("DEF T ( )\nA={value}1\nEND\n")).0, "E0805");
@@ -214,7 +214,7 @@ fn depth_is_limited() {
 }
 
 #[test]
-fn real_forms_are_read() {
+fn other_notations_are_parsed() {
     let source = parsed(
         "&ACCESS RVP\r\ndef t ( )\r\nint n\r\nEXT BAS (BAS_COMMAND :IN,REAL :IN )\r\nGLOBAL INTERRUPT DECL 3 WHEN $STOPMESS==TRUE \
          DO IR_STOPM ( )\r\nINTERRUPT ON 3 \r\nBAS (#INITMOV,0 )\r\nptp {E6POS: X 1.0,Y -2.5,S 'B010',T 'H22'} C_PTP C_DIS\r\n\
@@ -231,7 +231,7 @@ fn real_forms_are_read() {
 }
 
 #[test]
-fn plans_that_have_no_program_are_refused() {
+fn plans_without_a_possible_program_are_refused() {
     let options = Options { sync: Sync::Output, controller: Controller::Krc4 };
     type Spoil = fn(&mut Plan);
     let cases: [(&str, Spoil); 14] = [
@@ -257,7 +257,7 @@ fn plans_that_have_no_program_are_refused() {
     }
 }
 
-/// A dwell at the same pose once more.
+/// Repeats a dwell at the same pose.
 fn repeat(plan: &mut Plan) {
     let at = plan.rows.iter().position(|row| row.kind != Kind::Transit).unwrap();
     plan.rows.insert(at, plan.rows[at].clone());
@@ -267,9 +267,9 @@ fn repeat(plan: &mut Plan) {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 300, failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// No text makes the reader panic, and a place it names is in the text.
+    /// No text makes the parser panic, and the place of a finding is inside the text.
     #[test]
-    fn no_text_breaks_the_reader(words in proptest::collection::vec(
+    fn no_text_makes_the_parser_panic(words in proptest::collection::vec(
         prop_oneof!["[ -~]{0,8}", Just("\n".into()), Just("DEF T ( )\n".into()), Just("LIN {X 1.0".into()),
             Just("FOR K=1 TO 2\n".into()), Just("END".into()), Just("\u{e9}'B".into())], 0..20)) {
         let text = words.concat();
@@ -281,9 +281,9 @@ proptest! {
     }
 }
 
-/// Between circles the operator is asked to take the bar off, unless the robot stands at the start already.
+/// Between circles the operator is asked to remove the bar, unless the robot is at the start already.
 #[test]
-fn a_bar_that_stays_mounted_needs_no_halt() {
+fn mounted_bar_needs_no_halt() {
     let halts = |plan: &Plan| {
         let files = modules(plan, Sync::Output, Controller::Krc4);
         let code = files.iter().filter(|(name, _)| name.ends_with(".src"));
@@ -296,7 +296,7 @@ fn a_bar_that_stays_mounted_needs_no_halt() {
     assert_eq!(halts(&plan), [0, 1, 0]);
 }
 
-/// Every dwell is reported twice, by the plan's row, and the program waits for the answers.
+/// Every dwell is reported twice, with its row of the plan, and the program waits for the answers.
 #[test]
 fn dwells_are_reported_over_ethernet_krl() {
     use std::io::{Read, Write};

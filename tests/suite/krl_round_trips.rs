@@ -1,4 +1,4 @@
-//! Laws of writing and reading KRL, over plans and programs drawn at random.
+//! Properties of emitting and reading KRL, on random plans and programs.
 
 use dbbd::plan::{Job, Motion, Plan};
 use dbbd::program::Target;
@@ -15,7 +15,7 @@ use crate::cell::kr60;
 use crate::circle_plan;
 use crate::krl_reads_back::{motions, program};
 
-/// A plan whose poses, bits, speeds and times are any that KRL can hold; one in two has continuous passes.
+/// A plan with random poses, bits, speeds and times within the limits of KRL; one in two has continuous passes.
 fn random_plan(seed: u64) -> Plan {
     let mut random = Pcg64::seed_from_u64(seed);
     let mut plan = if seed.is_multiple_of(2) {
@@ -48,7 +48,7 @@ fn same(plan: &Plan, options: Options) {
         assert_eq!(plan_hash(data).as_deref(), Some(plan.header.hash.as_str()));
         assert!(logged_axes(data).unwrap().is_empty());
     }
-    // The points in the order of the rows, auxiliary ones inside their arcs.
+    // The points in the order of the rows; auxiliary points are part of their arcs.
     let mut rows = stops.iter().peekable();
     for (motion, through, to, sweep_deg) in program.modules[1..].iter().flat_map(motions) {
         let wanted = |row: &dbbd::plan::PlanRow| Target::Pose {
@@ -81,7 +81,7 @@ fn same(plan: &Plan, options: Options) {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 24, failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// What is written reads back as the plan, to the printed digits.
+    /// Emitted programs read back as the plan, to the printed digits.
     #[test]
     fn any_plan_reads_back(seed in any::<u64>()) {
         let plan = random_plan(seed);
@@ -95,9 +95,9 @@ proptest! {
         }
     }
 
-    /// Statements that the reader does not know stay where they are, byte for byte, and change no point.
+    /// Unknown statements are preserved byte for byte and change no point.
     #[test]
-    fn unknown_statements_pass_through(lines in proptest::collection::vec("ZZ[A-Z_]{0,6}[ -~]{0,40}", 0..12), seed in 0u64..20) {
+    fn unknown_statements_are_preserved(lines in proptest::collection::vec("ZZ[A-Z_]{0,6}[ -~]{0,40}", 0..12), seed in 0u64..20) {
         let bare = "DEF P ( )\r\n$TOOL={X 10.0,Y 0.0,Z 100.0,A 0.0,B 0.0,C 0.0}\r\n$BASE=$NULLFRAME\r\n\
                     PTP {A1 5.0,A2 -80.0,A3 100.0,A4 3.0,A5 60.0,A6 4.0}\r\n\
                     LIN {X 1300.0,Y 20.0,Z 900.0,A 3.0,B 20.0,C 180.0} C_DIS\r\n\
@@ -128,7 +128,7 @@ proptest! {
 }
 
 #[test]
-fn a_dat_without_a_plan_names_none() {
+fn dat_without_a_plan_has_no_hash() {
     let data = parse_data("P.dat", "DEFDAT P\nDECL INT N=1\nENDDAT\n").unwrap();
     assert_eq!(plan_hash(&data), None);
 }

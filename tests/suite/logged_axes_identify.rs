@@ -1,5 +1,5 @@
-//! A controller that corrects by an accuracy model of its own moves the axes elsewhere than the plan says. What it
-//! logs into the `.dat` tells where; without it the run ends in a doubt.
+//! A controller in absolute-accuracy mode moves the axes to other angles than those of the plan. The axes that it logs in the `.dat`
+//! replace them; without these the run ends with a doubt.
 #![cfg(unix)]
 
 use std::fs;
@@ -15,7 +15,7 @@ use crate::cell::{codes, dbbd, kr60, stderr};
 use crate::compensated_program_is_accurate::chosen;
 use crate::process::Simulator;
 
-/// The program of a plan is simulated and its lengths recorded; the .dat files that it left are in `dat`.
+/// Simulates the program of a plan and records its lengths; the saved .dat files are in `dat`.
 fn run(at: &Path, extra: &[&str]) {
     let program = ["--program", "krl/DBB_MAIN.src", "--speed", "0", "--halt", "0.5", "--save", "dat"];
     let truth = ["--robot", "truth.toml", "--world", "world.toml"];
@@ -33,7 +33,7 @@ pub(crate) fn provoked() -> Vec<&'static str> {
 }
 
 #[test]
-fn logged_axes_tell_where_an_accurate_controller_stood() {
+fn logged_axes_replace_those_of_the_plan() {
     let dir = tempdir().unwrap();
     let at = dir.path();
     let mut plan = chosen(1, 40, true);
@@ -48,7 +48,7 @@ fn logged_axes_tell_where_an_accurate_controller_stood() {
     fs::write(at.join("world.toml"), "[bar]\nnoise_um = 20.0\n").unwrap();
     assert!(dbbd(at, &["krl", "plan.csv", "--out", "krl"]).status.success());
 
-    // The controller knows its true robot: all lengths are as planned, and tell nothing without the axes.
+    // The controller knows its true robot: all lengths are as planned, and contain no information without the axes.
     run(at, &["--accuracy", "truth.toml"]);
     let blind = dbbd(at, &["identify", "run.dbbd", "--out", "blind"]);
     assert_eq!(blind.status.code(), Some(3), "{}", stderr(&blind));
@@ -106,7 +106,7 @@ fn logged_axes_tell_where_an_accurate_controller_stood() {
         );
     }
 
-    // A part of the axes alone, another plan's, and a file that is none.
+    // Only a part of the axes, those of another plan, and a file that is not a `.dat`.
     let half = text.lines().filter(|line| !line.starts_with("XQ[1]=")).collect::<Vec<_>>().join("\r\n");
     fs::write(at.join("half.dat"), half + "\r\n").unwrap();
     let partly = sync(&["half.dat"]);

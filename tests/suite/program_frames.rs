@@ -1,4 +1,4 @@
-//! The frames of the job are the program's, and the arm goes where the plan says whatever they are.
+//! The program uses the frames of the job, and the arm reaches the poses of the plan whatever the frames are.
 
 use dbbd::plan::{self, Job, Plan};
 use dbbd::program::krl::{Controller as Kind, Options, Program, Sync, emit};
@@ -22,7 +22,7 @@ tilt_deg = 20.0
 dwell_s = 0.2
 "#;
 
-/// The program of a job, and the greatest difference of an axis from the plan at a dwell, degrees.
+/// The program of a job, and the largest difference of an axis from the plan at a dwell, degrees.
 fn executed(text: &str) -> (String, f64) {
     let robot = Robot::by_name("kr60ha").unwrap().unwrap();
     let job = Job::from_toml("job.toml", text).unwrap();
@@ -43,7 +43,7 @@ fn executed(text: &str) -> (String, f64) {
         if moment.halted {
             controller.go_on();
         }
-        // The strobe has fallen, and the robot stands a little longer.
+        // The strobe is low again, and the robot is still at rest.
         if controller.dwells() > before {
             let row = dwells[before as usize];
             let off = moment.axes.iter().zip(&row.axes_deg).map(|(a, b)| (a.to_degrees() - b).abs());
@@ -56,7 +56,7 @@ fn executed(text: &str) -> (String, f64) {
 }
 
 #[test]
-fn tool_and_base_of_the_job_are_honoured() {
+fn tool_and_base_of_the_job_are_used() {
     let (data, worst) = executed(JOB);
     assert!(data.contains("FBASE={X 0.000,Y 0.000,Z 0.000,A 0.0000,B 0.0000,C 0.0000}"), "{data}");
     assert!(worst < 1e-6, "{worst}");
@@ -67,9 +67,9 @@ fn tool_and_base_of_the_job_are_honoured() {
     assert!(worst < 1e-6, "{worst}");
 }
 
-/// Of many turns of the tool those are taken that leave less than any one draw: `random` on other seeds.
+/// The optimal orientations of the tool leave a smaller uncertainty than random ones of any seed.
 #[test]
-fn an_optimal_orientation_tells_more_than_random_ones() {
+fn optimal_orientation_is_better_than_random_ones() {
     let robot = Robot::by_name("kr60ha").unwrap().unwrap();
     let error = |orientation: &str, seed: u32| {
         let text = JOB

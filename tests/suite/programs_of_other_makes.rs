@@ -1,4 +1,4 @@
-//! KRL is written for robots that read it and corrected where it is KRL, and dwells are marked as the bar can read them.
+//! KRL is emitted only for robots that read it, only KRL files are corrected as KRL, and dwells are marked as the bar can read it.
 
 use std::fs;
 use std::path::Path;
@@ -33,21 +33,21 @@ pub(crate) fn edit(dir: &Path, change: impl FnOnce(&mut Value)) {
     let path = dir.join("plan.json");
     let mut header: Value = serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
     change(&mut header);
-    // As an older version wrote it: with the hash of plan.csv alone.
+    // The format of an older version: only the hash of plan.csv.
     header.as_object_mut().unwrap().remove("text_hash");
     let csv = fs::read(dir.join("plan.csv")).unwrap();
     header["hash"] = format!("{:016x}", crc::Crc::<u64>::new(&crc::CRC_64_XZ).checksum(&csv)).into();
     fs::write(path, header.to_string()).unwrap();
 }
 
-/// The exit code of `krl` and the codes that it said.
+/// The exit code of `krl` and the codes of its findings.
 fn krl(dir: &Path, options: &[&str]) -> (Option<i32>, Vec<String>) {
     let output = dbbd(dir, &[&["krl", "plan.csv", "--out", "krl"], options].concat());
     (output.status.code(), codes(&output))
 }
 
 #[test]
-fn krl_is_for_robots_that_read_it() {
+fn krl_is_refused_for_other_makes() {
     let dir = plan_in_a_directory(JOB);
     let at = dir.path();
     for name in ["irb120", "ur5", "tx2-90l"] {
@@ -56,7 +56,7 @@ fn krl_is_for_robots_that_read_it() {
         assert_eq!(krl(at, &[]), (Some(1), vec!["E0824".into()]), "{name}");
         assert!(!at.join("krl").exists());
     }
-    // Makers whose language is not written are refused in every language.
+    // Makers whose language is not supported are refused in every language.
     for name in ["tx2-60", "tx2-90", "tx2-90l", "gp12", "gp25", "m10id12", "m20id25", "crx10ia"] {
         let robot = named(name);
         edit(at, |header| header["robot"] = json!(robot.to_toml().unwrap()));
@@ -67,9 +67,9 @@ fn krl_is_for_robots_that_read_it() {
             assert_eq!((output.status.code(), codes(&output)), (Some(1), vec!["E0824".into()]), "{name}");
         }
     }
-    // The simulated controller moves any robot.
+    // The simulated controller moves robots of any make.
     assert_eq!(krl(at, &["--controller", "simulated"]), (Some(0), vec![]));
-    // A maker that is not known is said; the file has the last word.
+    // An unknown maker is reported; the robot file can name the language.
     let unknown = Robot { name: "cell 7".into(), ..kr60() };
     edit(at, |header| header["robot"] = json!(unknown.to_toml().unwrap()));
     assert_eq!(krl(at, &[]), (Some(0), vec!["I0827".into()]));
@@ -81,7 +81,7 @@ fn krl_is_for_robots_that_read_it() {
 }
 
 #[test]
-fn dwells_are_marked_as_the_bar_can_read_them() {
+fn dwell_markers_match_the_abilities_of_the_bar() {
     let dir = plan_in_a_directory(JOB);
     let at = dir.path();
     let data = || fs::read_to_string(at.join("krl/DBB_C001.dat")).unwrap();
@@ -92,14 +92,14 @@ fn dwells_are_marked_as_the_bar_can_read_them() {
     assert_eq!(krl(at, &[]), (Some(0), vec!["I0826".into()]));
     assert!(!data().contains("SIGNAL DBBSTB"));
     assert_eq!(krl(at, &["--sync", "ekrl", "--server", "10.0.0.1:9000"]), (Some(0), vec![]));
-    // A definition that is elsewhere: the user knows.
+    // A definition that is not built in: the user is responsible.
     edit(at, |header| header["job"]["bar"]["protocol"] = json!("elsewhere.toml"));
     assert_eq!(krl(at, &[]), (Some(1), vec!["E0823".into()]));
     assert_eq!(krl(at, &["--sync", "output"]), (Some(0), vec![]));
 }
 
 #[test]
-fn circles_without_stops_need_a_signal() {
+fn continuous_circles_need_a_signal() {
     let more = "mode = 'continuous'\norientation = 'fixed'\ndirection = 'both'\narc_deg = 120.0\novershoot_deg = 15.0\n";
     let dir = plan_in_a_directory(&JOB.replace("points = 8\n", &format!("points = 12\n{more}")));
     let at = dir.path();
@@ -108,7 +108,7 @@ fn circles_without_stops_need_a_signal() {
     assert_eq!(krl(at, &[]), (Some(1), vec!["E0823".into()]));
 }
 
-/// What begins a file that is no KRL, and the line that is named.
+/// The beginning of a file that is not KRL, with the line of the finding.
 const OTHERS: [(&str, usize); 5] = [
     (
         "%%%\n  VERSION:1\n%%%\nMODULE M\n  PROC main()\n    MoveL p10,v100,fine,tool0;\n  ENDPROC\nENDMODULE\n",
@@ -145,19 +145,19 @@ fn only_krl_is_corrected() {
     assert_eq!((abb.status.code(), codes(&abb)), (Some(1), vec!["E0824".into()]));
 }
 
-/// Statements, and the lines that are warned of, the first statement in line 4.
+/// Statements with the lines that are reported; the first statement is in line 4.
 const STATEMENTS: &[(&str, &[usize])] = &[
     ("LIN XP1\nMYMOVE(XP3)\n", &[5]),
     ("LIN XP1\nMYMOVE (XP1, XP3 ,10)\nIF OK THEN\nmymove(xp3)\nENDIF\n", &[5, 7]),
     ("LIN XP1\nXHELP=XP3\n", &[5]),
     ("LIN XP1\nTRIGGER WHEN DISTANCE=0 DELAY=0 DO SUB(XP3) PRIO=-1\n", &[5]),
-    // The point is corrected for another motion, or is no point.
+    // The point is corrected for another motion, or it is not a point.
     ("LIN XP1\nMYMOVE(XP1)\nLIN XP3\nMYMOVE(XP3)\n", &[]),
     ("LIN XP1\nSHOW(N, \"XP3\") ; XP3\n", &[]),
 ];
 
 #[test]
-fn points_of_other_statements_are_named() {
+fn points_in_other_statements_are_reported() {
     let dir = tempdir().unwrap();
     let at = dir.path();
     let robot = Robot { nominal: Some(Box::new(kr60())), ..truth::draw(&kr60(), 1, 1.0) };

@@ -1,4 +1,4 @@
-//! What is RAPID's own: the end of a motion, and the configuration of the axes.
+//! Properties of RAPID: the end of a motion, and the configuration of the axes.
 
 use dbbd::program::rapid;
 use dbbd::robot::inverse;
@@ -8,10 +8,10 @@ use rand_pcg::Pcg64;
 
 use crate::rapid_and_urscript::named;
 
-/// One project found on the virtual controller of an ABB, before it read a pose: without a wait 1.3 mm, with `\InPos` 0.28 mm,
-/// with `\ZeroSpeed` and 0.2 s nothing. The simulated controller behaves alike, as to the order of magnitude.
+/// One project found on the virtual controller of an ABB these errors of a pose: 1.3 mm without a wait, 0.28 mm with `\InPos`, none
+/// with `\ZeroSpeed` and 0.2 s. The errors of the simulated controller have the same order of magnitude.
 #[test]
-fn the_end_of_a_motion_is_not_standstill() {
+fn motion_ends_before_standstill() {
     let robot = named("irb1600-10-145");
     let off = |waits: &str| {
         let text = format!(
@@ -38,7 +38,7 @@ fn the_end_of_a_motion_is_not_standstill() {
 
 /// ABB's configuration by the table of the RAPID reference: quadrants, and `cfx` with the arm in front and the wrist up.
 #[test]
-fn configurations_distinguish_the_branches() {
+fn configurations_distinguish_solution_branches() {
     let robot = named("irb1600-10-145");
     let mut random = Pcg64::seed_from_u64(1);
     let mut recovered = 0;
@@ -55,12 +55,12 @@ fn configurations_distinguish_the_branches() {
         let found = inverse::from_quadrants(&robot, &robot.geometry.ball(&axes), wanted).unwrap();
         recovered += usize::from(found.iter().zip(&axes).all(|(a, b)| (a - b).abs() < 1e-6));
     }
-    // Two turns of axes 4 and 6 can share the quadrants of both only where axis 5 changes sign as well: `cfx` sees it.
+    // Two solutions with the same quadrants of axes 4 and 6 differ in the sign of axis 5, and so in `cfx`.
     assert_eq!(recovered, 200);
     assert_eq!(inverse::quadrants(&robot.geometry, &[0.1, 0.1, 0.1, 0.1, 0.5, 0.1]), [0, 0, 0, 0]);
 }
 
-/// A configuration that a line does not end in is an error with `ConfL\On`, and is passed over with `ConfL\Off`.
+/// If a line does not end in its configuration, that is an error with `ConfL\On` and ignored with `ConfL\Off`.
 #[test]
 fn lines_check_their_configuration() {
     let robot = named("irb1600-10-145");

@@ -1,5 +1,5 @@
-//! Programs in RAPID and in URScript: what is written reads back, runs on the simulated controller with the stopping
-//! behaviour of its maker's, and is corrected once and for its own robot.
+//! Programs in RAPID and URScript: emitted programs read back, run on the simulated controller with the stopping behaviour of its
+//! maker, and are corrected once and for their own robot.
 
 use std::fs;
 use std::path::Path;
@@ -40,7 +40,7 @@ const BOTH: [(Language, &str, [f64; 3]); 2] = [
     (Language::Rapid, "irb1600-10-145", [900.0, 0.0, 850.0]),
     (Language::Urscript, "ur10", [700.0, 0.0, 300.0]),
 ];
-/// A tool that is turned, and a base frame.
+/// A rotated tool, and a base frame.
 const FRAMES: &str =
     "[motion]\ntool = [0.0, 0.0, 0.0, 30.0, 10.0, -20.0]\nbase = [100.0, -50.0, 20.0, 15.0, 0.0, 5.0]\n";
 
@@ -49,7 +49,7 @@ fn plan_of((_, name, centre): (Language, &str, [f64; 3]), more: &str) -> Plan {
     Plan::build(&Job::from_toml("job.toml", &text).unwrap(), &named(name)).unwrap()
 }
 
-/// The plan's program read back.
+/// The program of the plan, read back.
 fn listing(plan: &Plan, language: Language, sync: Sync) -> Listing {
     match language {
         Language::Rapid => {
@@ -61,7 +61,7 @@ fn listing(plan: &Plan, language: Language, sync: Sync) -> Listing {
     }
 }
 
-/// Runs to the end; a wait for the operator is over at once.
+/// Runs to the end; the operator never keeps the program waiting.
 pub(crate) fn run(program: impl Into<Program>, robot: &Robot) -> Vec<Moment> {
     let mut controller = Controller::new(program, robot, 100.0).unwrap();
     let mut moments = Vec::new();
@@ -78,7 +78,7 @@ pub(crate) fn run(program: impl Into<Program>, robot: &Robot) -> Vec<Moment> {
     panic!("never ends")
 }
 
-/// The first and the last moment of each time that the strobe was high for longer than a mark's pulse.
+/// The first and the last moment of each strobe that is longer than the pulse of a marker.
 fn dwells(moments: &[Moment]) -> Vec<[Moment; 2]> {
     let highs = moments.chunk_by(|a, b| a.strobe == b.strobe).filter(|chunk| chunk[0].strobe);
     let ends = highs.map(|chunk| [chunk[0], chunk[chunk.len() - 1]]);
@@ -92,7 +92,7 @@ fn plans() -> [(Language, Robot, Plan); 3] {
     [of(abb, ""), of(abb, FRAMES), of(ur, "")]
 }
 
-/// The tool point of a target in the robot's base.
+/// The tool point of a target in the robot base.
 fn commanded(target: &Target, frames: &Frames, robot: &Robot) -> Pose {
     match *target {
         Target::Axes(axes_deg) => robot.geometry.ball(&axes_deg.map(f64::to_radians)),
@@ -111,7 +111,7 @@ fn points_read_back_to_a_micrometre() {
             ActionKind::Move(motion) => Some(motion),
             _ => None,
         });
-        // The first motion is to the start, and auxiliary points are no motions of their own.
+        // The first motion is to the start; auxiliary points are not motions.
         let rows: Vec<&PlanRow> = plan.rows.iter().filter(|row| !row.is_auxiliary()).collect();
         let moves: Vec<_> = moves.collect();
         assert_eq!(moves.len(), rows.len(), "{language:?}");
@@ -128,33 +128,33 @@ fn points_read_back_to_a_micrometre() {
 }
 
 #[test]
-fn every_strobe_is_at_its_pose() {
+fn strobes_are_at_their_poses() {
     for (language, robot, plan) in plans() {
         let moments = run(listing(&plan, language, Sync::Output), &robot);
         let rows: Vec<_> = plan.rows.iter().filter(|row| row.kind != RowKind::Transit).collect();
         let dwells = dwells(&moments);
         assert_eq!(dwells.len(), rows.len(), "{language:?}");
         for ([first, last], row) in dwells.iter().zip(&rows) {
-            // What the lag leaves after the settling time: two micrometres of a millimetre and more.
+            // The remaining lag after the settling time: two micrometres of more than a millimetre.
             for (moment, most_mm) in [(first, 0.02), (last, 1e-3)] {
                 let off = robot.geometry.ball(&moment.axes).position - Vector3::from(row.xyz_mm);
                 assert!(off.norm() < most_mm, "{language:?} row {}: {} mm", row.index, off.norm());
             }
         }
-        // Marks: 3 pulses at the start and 2 at the end.
+        // Markers: 3 pulses at the start and 2 at the end.
         let highs = moments.chunk_by(|a, b| a.strobe == b.strobe).filter(|chunk| chunk[0].strobe).count();
         assert_eq!(highs, dwells.len() + 5, "{language:?}");
-        // Without outputs no strobe is set, and the robot makes the same motions.
+        // Without outputs there is no strobe, and the motions are the same.
         let silent = run(listing(&plan, language, Sync::Marker), &robot);
         assert!(silent.iter().all(|moment| !moment.strobe));
         assert_eq!(silent.last().unwrap().motions, moments.last().unwrap().motions);
     }
 }
 
-/// ABB's `tool0` at zero angles and UR's flange by the makers' own figures: IRB 120 (374, 0, 630) with the quaternion
+/// ABB's `tool0` at zero angles and UR's flange by the figures of the makers: IRB 120 (374, 0, 630) with the quaternion
 /// (0.7071, 0, 0.7071, 0): z forward, x down; UR10 (a2 + a3, -d4 - d6, d1 - d5).
 #[test]
-fn flange_frames_are_the_makers() {
+fn flange_frames_agree_with_the_makers() {
     let flange = |name: &str| {
         let geometry = Geometry { tool: Vector3::zeros(), ..named(name).geometry };
         geometry.ball(&[0.0; 6])
@@ -181,22 +181,22 @@ fn said(dir: &Path, args: &[&str]) -> (Option<i32>, Vec<String>) {
 }
 
 #[test]
-fn languages_are_chosen_by_the_robot_and_refuse_what_they_lack() {
+fn robot_selects_the_language_and_unsupported_options_are_refused() {
     let dir = planned();
     let at = dir.path();
     let program = |more: &[&str]| {
-        // A directory of its own for each: modules of another plan would be named.
+        // Each has its own directory, because modules of another plan would be reported.
         let out = format!("p{}", more.join(""));
         said(at, &[&["program", "plan.csv", "--out", &out], more].concat())
     };
-    // The robot's own language is the default; another is refused.
+    // The language of the robot is the default; another one is refused.
     assert_eq!(program(&[]), (Some(0), vec![]));
     assert!(at.join("p/DBB_MAIN.mod").exists() && at.join("p/DBB.pgf").exists());
     assert_eq!(program(&["--language", "krl"]), (Some(1), vec!["E0824".into()]));
     assert_eq!(program(&["--language", "urscript"]), (Some(1), vec!["E0824".into()]));
     assert_eq!(program(&["--sync", "ekrl", "--server", "10.0.0.1:9"]), (Some(1), vec!["E0883".into()]));
     assert_eq!(program(&["--controller", "krc2"]), (Some(1), vec!["E0883".into()]));
-    // Outputs of a UR are 0 to 7.
+    // A UR has the outputs 0 to 7.
     let ur = named("ur10").to_toml().unwrap();
     edit(at, |header| header["robot"] = json!(ur));
     assert_eq!(program(&["--language", "urscript"]), (Some(0), vec![]));
@@ -206,7 +206,7 @@ fn languages_are_chosen_by_the_robot_and_refuse_what_they_lack() {
 }
 
 #[test]
-fn a_program_is_corrected_once_and_for_its_own_robot() {
+fn programs_are_corrected_once_and_for_their_own_robot() {
     let dir = planned();
     let at = dir.path();
     assert_eq!(said(at, &["program", "plan.csv", "--out", "p"]).0, Some(0));
@@ -244,13 +244,13 @@ fn a_program_is_corrected_once_and_for_its_own_robot() {
         fs::write(at.join(name), "x_mm,y_mm\n1,2\n").unwrap();
         assert_eq!(compensate(name, robot, "no"), (Some(1), vec!["E0913".into()]), "{name}");
     }
-    // The corrected module knows what it was made from.
+    // The corrected module has its provenance.
     let info = dbbd(at, &["info", "new/DBB_C001.mod"]);
     let text = String::from_utf8_lossy(&info.stdout).into_owned();
     assert!(info.status.success() && text.contains("identified robot"), "{text}");
 }
 
-/// Programs that are not executed, with their code.
+/// Programs that cannot be executed, with their code.
 const REFUSED: &[(&str, &str, &str)] = &[
     ("M.mod", "MODULE M\nPROC M()\nENDPROC\nENDMODULE\n", "E0884"),
     ("M.mod", "MODULE M\nENDMODULE\n", "E0806"),
@@ -274,7 +274,7 @@ const REFUSED: &[(&str, &str, &str)] = &[
 ];
 
 #[test]
-fn what_cannot_be_executed_is_named() {
+fn unsupported_programs_are_refused() {
     let robots = [named("irb1600-10-145"), named("ur10")];
     for (name, text, code) in REFUSED {
         let file = ((*name).to_owned(), (*text).to_owned());
@@ -288,9 +288,9 @@ fn what_cannot_be_executed_is_named() {
     }
 }
 
-/// Any change of a byte is read or refused, never a panic; the suite's slice of it.
+/// A program with any byte changed is read or refused, without a panic; a short sample of the campaign.
 #[test]
-fn any_program_text_is_taken() {
+fn no_program_text_makes_the_parsers_panic() {
     let texts = [
         (Language::Rapid, rapid::emit(&plan_of(BOTH[0], ""), Sync::Output).unwrap().remove(2).1),
         (Language::Urscript, urscript::emit(&plan_of(BOTH[1], ""), Sync::Output).unwrap().remove(0).1),
@@ -323,7 +323,7 @@ fn any_program_text_is_taken() {
     assert!(read > 0 && refused > 0, "{read} {refused}");
 }
 
-/// The waits that a dwell has, whatever the language: at standstill after the settling time.
+/// In every language a dwell begins at standstill after the settling time.
 #[test]
 fn dwells_wait_for_standstill() {
     for (language, _, plan) in plans() {

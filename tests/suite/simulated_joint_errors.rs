@@ -1,5 +1,5 @@
-//! Robots with drawn errors of their joints: how far the predicted position uncertainty is right, and what looking for
-//! them costs a robot that has none. Campaigns; figures in docs/explanation/accuracy.md.
+//! Robots with random joint errors: whether the predicted position uncertainty is right, and what the estimation of joint errors costs
+//! a robot without them. Campaigns; figures in docs/explanation/accuracy.md.
 
 use dbbd::conformity::{CheckInput, Rule};
 use dbbd::estimation::change::Innovation;
@@ -28,11 +28,11 @@ const RANGES: [[f64; 2]; 6] =
 /// Standard deviations of a length, and of the ball in each direction at a pose, mm.
 pub(crate) const LENGTH_MM: f64 = 0.005;
 pub(crate) const POSE_MM: f64 = 0.015;
-/// Poses that are kept, and the 95 % quantile of chi-square with 3 degrees of freedom.
+/// Number of check poses, and the 95 % quantile of chi-square with 3 degrees of freedom.
 const KEPT: usize = 100;
 const CHI_95: f64 = 7.815;
 
-/// A robot within its tolerance; every fourth has no errors of the joints.
+/// A robot within its tolerance; every fourth has no joint errors.
 pub(crate) fn drawn(seed: u64) -> Robot {
     let mut robot = truth::draw(&kr60(), seed, 0.5);
     if seed.is_multiple_of(4) {
@@ -60,7 +60,7 @@ pub(crate) fn drawn(seed: u64) -> Robot {
     robot
 }
 
-/// What is known of the sense in which each axis came to a pose.
+/// What is known of the sense in which each axis approached a pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Senses {
     Known,
@@ -76,7 +76,7 @@ impl Senses {
     }
 }
 
-/// Poses one after the other, with where the ball truly came to.
+/// A sequence of poses with the true positions of the ball.
 fn poses(truth: &Robot, count: usize, seed: u64) -> Vec<(ApproachedPose, Vector3<f64>)> {
     let mut random = Pcg64::seed_from_u64(seed);
     let axes_deg: Vec<[f64; 6]> =
@@ -123,12 +123,12 @@ fn identified(data: &Measurements, balls: usize, model: ErrorModel) -> Calibrati
     calibrated(&kr60(), data, &centres, &options).unwrap()
 }
 
-/// What was found of one robot at poses that it was not measured at.
+/// The errors of one robot at check poses, at which it was not measured.
 pub(crate) struct Judged {
     /// Mean 3-D errors, true and predicted, mm.
     pub(crate) mean: f64,
     pub(crate) predicted: f64,
-    /// Share of the poses whose 95 % region holds the truth.
+    /// Share of the poses whose 95 % region contains the true position.
     covered: f64,
 }
 
@@ -148,7 +148,7 @@ fn judged(truth: &Robot, found: &Robot, senses: Senses, seed: u64) -> Judged {
     judged
 }
 
-/// The error of a robot that was found, at other poses.
+/// The error of an identified robot at other poses.
 pub(crate) fn mean_error(truth: &Robot, found: &Robot, seed: u64) -> Judged {
     judged(truth, found, Senses::Known, seed)
 }
@@ -166,7 +166,7 @@ fn expected_size(variances: &Vector3<f64>) -> f64 {
     (0..400).map(draw).sum::<f64>() / 400.0
 }
 
-/// Differences without the best small rigid motion.
+/// Differences after the best small rigid motion is removed.
 fn without_rigid_motion(balls: &[Vector3<f64>], places: &[Vector3<f64>]) -> Vec<Vector3<f64>> {
     let centroid = balls.iter().sum::<Vector3<f64>>() / balls.len() as f64;
     let motions = DMatrix::from_fn(3 * balls.len(), 6, |row, column| match column {
@@ -179,7 +179,7 @@ fn without_rigid_motion(balls: &[Vector3<f64>], places: &[Vector3<f64>]) -> Vec<
     (0..balls.len()).map(|at| left.fixed_rows::<3>(3 * at).into_owned()).collect()
 }
 
-/// Figures of many robots identified at poses to so many balls.
+/// Figures of many robots that were identified with `balls` base balls.
 fn campaign(robots: u64, pose_count: usize, balls: usize, senses: Senses) {
     let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len().max(1) as f64;
     let (mut with, mut without) = ([vec![], vec![], vec![], vec![]], [vec![], vec![], vec![], vec![]]);
@@ -207,7 +207,7 @@ fn campaign(robots: u64, pose_count: usize, balls: usize, senses: Senses) {
 }
 
 #[test]
-fn a_robot_with_errors_of_its_joints_is_more_accurate_with_them() {
+fn joint_error_model_improves_a_robot_with_joint_errors() {
     let truth = drawn(3);
     let data = lengths(&truth, 60, 3, 1);
     let [joints, geometric] = [ErrorModel::Joints, ErrorModel::Geometric]
@@ -234,8 +234,8 @@ fn eighty_drawn_robots() {
 /// Standard deviations with which tool ball and bar are mounted again, mm.
 const MOUNTED: Mounting = Mounting { tool_mm: 0.01, balls: BallMounting::Anywhere, bar_mm: 0.005 };
 
-/// Checks of a calibrated robot with errors of its joints at new poses: `checks` without a change, as many with a joint
-/// offset of axis 3 by 0.03 degrees; those that report a change.
+/// Checks of a calibrated robot with joint errors at new poses: `checks` of them without a change, as many with an offset of joint 3
+/// by 0.03 degrees. Returns how many of each report a change.
 fn checked(seed: u64, checks: u64, balls: usize) -> [u64; 2] {
     let truth = drawn(seed);
     let result = identified(&lengths(&truth, 70, 3, 1000 + seed), 3, ErrorModel::Joints);
@@ -273,7 +273,7 @@ fn checked(seed: u64, checks: u64, balls: usize) -> [u64; 2] {
 }
 
 #[test]
-fn a_check_takes_what_is_not_known_of_the_joints_errors() {
+fn check_includes_the_uncertainty_of_joint_errors() {
     let [alarms, found] = checked(3, 4, 3);
     assert!(alarms <= 1 && found >= 3, "{alarms} {found}");
 }

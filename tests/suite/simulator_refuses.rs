@@ -11,7 +11,7 @@ use crate::cell::{codes, dbbd, stderr};
 use crate::circle_plan::plan;
 use crate::process::Simulator;
 
-/// Options of `simulate`, and the code of what is wrong with them.
+/// Options that `simulate` refuses, with the code.
 const CASES: &[(&[&str], &str)] = &[
     (&["--halt=-1"], "E1601"),
     (&["--override", "0.5"], "E1601"),
@@ -23,16 +23,16 @@ const CASES: &[(&[&str], &str)] = &[
     (&["--link", "directory"], "E1604"),
 ];
 
-/// Options with which the bar is read, and the code with which the simulator ends: the ball is always out of the stroke.
+/// Options of the bar with the code with which the simulator ends: the ball is always out of the stroke.
 const READ: &[(&[&str], &str)] = &[(&[], "W1607"), (&["--fault", "over_mm=1000000"], "E0312")];
 
-/// Of a server that gives no answer, and of a step that fails: their own tests.
+/// The codes of an unresponsive server and of a failed step, which have their own tests.
 pub(crate) fn provoked() -> Vec<&'static str> {
     let cases = CASES.iter().chain(READ).map(|case| case.1);
     cases.chain(["E1606", "E1608"]).collect()
 }
 
-/// A program that stands still, and what the cases name.
+/// A program without motion, and the files that the cases name.
 fn cell(dir: &Path) {
     let source = "DEF T ( )\nPTP {A1 0.0,A2 -90.0,A3 90.0,A4 0.0,A5 45.0,A6 0.0}\nDBBSTB=TRUE\nWAIT SEC 0.5\n\
                   DBBSTB=FALSE\nEND\n";
@@ -58,7 +58,7 @@ fn options_are_refused_with_their_code() {
 }
 
 #[test]
-fn a_server_that_does_not_answer_is_named() {
+fn unresponsive_server_is_reported() {
     let address = {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         listener.local_addr().unwrap()
@@ -75,7 +75,7 @@ fn a_server_that_does_not_answer_is_named() {
 }
 
 #[test]
-fn readings_that_are_doubtful_or_impossible_are_reported() {
+fn doubtful_or_impossible_readings_are_reported() {
     for (options, code) in READ {
         let dir = tempdir().unwrap();
         cell(dir.path());
@@ -89,7 +89,7 @@ fn readings_that_are_doubtful_or_impossible_are_reported() {
 }
 
 #[test]
-fn a_step_that_fails_is_named() {
+fn failed_step_is_reported() {
     let dir = tempdir().unwrap();
     let mut plan = plan(1, 3);
     plan.header.moves.iter_mut().for_each(|time| time.turn_deg_s = 0.0);

@@ -1,4 +1,4 @@
-//! A virtual bar on a line, and the result of `acquire`: two programs with a pseudo-terminal between them.
+//! A virtual bar and `acquire`: the two programs and a pseudo-terminal between them.
 #![cfg(unix)]
 
 use std::collections::BTreeMap;
@@ -13,12 +13,12 @@ use serde_json::Value;
 use crate::cell::stderr;
 use crate::process::{Simulator, dbbd};
 
-/// Of the virtual bar.
+/// The seed of the virtual bar.
 pub(crate) const RATE_HZ: f64 = 1000.0;
-/// Position of the controller at power-on, so that nothing moves.
+/// The position of the controller at switch-on, so that nothing moves.
 const AXES_DEG: [f64; 6] = [0.0, -90.0, 90.0, 0.0, 0.0, 0.0];
 
-/// A robot at rest: every reading has its own noise, by which it is identified.
+/// A robot at rest: every reading can be recognised by its own noise.
 pub(crate) fn simulate(directory: &Path, speed: &str, rest: &[&str]) -> Simulator {
     simulate_at(0.0, directory, speed, rest)
 }
@@ -51,7 +51,7 @@ pub(crate) struct Row {
     pub(crate) sample: Sample,
 }
 
-/// Files of a run.
+/// The files of a run.
 pub(crate) struct Run {
     pub(crate) output: Output,
     pub(crate) summary: Value,
