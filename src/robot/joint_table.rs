@@ -103,8 +103,8 @@ impl JointTable {
             .iter()
             .flat_map(|ripple| [("ripple.cos_rad", ripple.cos, 1.0), ("ripple.sin_rad", ripple.sin, 1.0)]);
         let mut numbers = numbers.into_iter().chain(smooth).chain(visited).chain(ripple);
-        let is_impossible = |(_, value, most): &(&str, f64, f64)| !(value.abs() <= *most);
-        if let Some((key, value, most)) = numbers.find(is_impossible) {
+        let is_possible = |value: f64, most: f64| value.abs() <= most;
+        if let Some((key, value, most)) = numbers.find(|(_, value, most)| !is_possible(*value, *most)) {
             return Err(RobotFinding::JointNumber { joint, key: key.into(), value, most });
         }
         if self.sign.abs() != 1 {
