@@ -1,7 +1,7 @@
-//! Who may ask: the request's Host and Origin, and the token.
+//! Access control: the Host and Origin headers of a request, and its token or session cookie.
 //!
-//! A page of another site that resolves its name to this machine (DNS rebinding) sends its own name as Host:
-//! only addresses and the configured names are taken. A page that posts here sends its own Origin.
+//! DNS rebinding: a page of another site that resolves its name to this machine sends its own name as Host. Only addresses
+//! and configured names are accepted as Host, and only the same host as Origin.
 
 use std::collections::VecDeque;
 use std::hint::black_box;
@@ -12,7 +12,7 @@ use std::sync::Mutex;
 use axum::http::header::{AUTHORIZATION, COOKIE, HOST, HeaderMap, ORIGIN};
 use axum::http::{StatusCode, Uri};
 
-use super::guesses::Guesses;
+use super::failed_logins::FailedLogins;
 use super::json::Problem;
 use crate::base::sync::lock;
 use crate::catalogue::ServiceFinding::{
@@ -20,43 +20,52 @@ use crate::catalogue::ServiceFinding::{
 };
 use crate::diagnostic::Diagnostic;
 
-/// The cookie of a page that has shown the token.
+/// Name of the session cookie.
 pub(super) const COOKIE_NAME: &str = "dbbd";
 /// A shorter token can be guessed.
 const SHORTEST_TOKEN: usize = 16;
-/// Pages that are logged in at a time; the oldest is logged out by one more.
+/// Sessions at a time. A new one ends the oldest.
 const MOST_SESSIONS: usize = 64;
 
-/// Who may ask.
-#[derive(Debug)]
+/// Which hosts a service answers for, and the token that its clients must send.
 pub struct Access {
     loopback: bool,
     hosts: Vec<String>,
     token: Option<Token>,
-    /// What the cookies of the pages hold that have shown the token, the oldest first.
+    /// Values of the session cookies, the oldest first.
     sessions: Mutex<VecDeque<String>>,
-    guesses: Mutex<Guesses>,
+    failed: Mutex<FailedLogins>,
 }
 
-/// Whether a client has shown what it must know.
+/// The token or session cookie of a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Shown {
-    /// The token or a cookie, or none is needed.
-    Right,
-    Nothing,
+pub(super) enum Credentials {
+    /// Valid, or none is required.
+    Valid,
+    Missing,
     Wrong,
-    /// Not looked at: too many wrong ones came from there.
-    TooOften,
+    /// Not compared: too many wrong tokens came from this address.
+    RateLimited,
 }
 
-/// What nobody can guess, for a cookie.
-fn drawn() -> io::Result<String> {
+impl Credentials {
+    pub(super) fn check(self) -> Result<(), Problem> {
+        match self {
+            Self::Valid => Ok(()),
+            Self::Missing | Self::Wrong => Err(Problem::new(StatusCode::UNAUTHORIZED, NoToken)),
+            Self::RateLimited => Err(Diagnostic::new(TooManyGuesses).into()),
+        }
+    }
+}
+
+/// A random cookie value of 192 bits.
+fn random_cookie() -> io::Result<String> {
     let mut random = [0; 24];
     getrandom::fill(&mut random).map_err(io::Error::other)?;
     Ok(random.iter().map(|byte| format!("{byte:02x}")).collect())
 }
 
-/// What whoever asks must know. It is never shown.
+/// The secret that clients must send. `Debug` does not print it.
 pub struct Token(String);
 
 impl std::fmt::Debug for Token {
@@ -66,8 +75,8 @@ impl std::fmt::Debug for Token {
 }
 
 impl Token {
-    /// From the text of its file, white space around it left out; none if it is too short, or has a
-    /// character that a header cannot carry.
+    /// The content of a token file without white space at its ends. `None` if it is too short or has a character that a
+    /// header cannot carry.
     pub fn new(text: &str) -> Option<Self> {
         let text = text.trim();
         let sound = text.len() >= SHORTEST_TOKEN && text.bytes().all(|byte| byte.is_ascii_graphic());
@@ -75,31 +84,36 @@ impl Token {
     }
 }
 
-/// Compares in a time that reveals nothing of `secret` but its length.
-fn same(shown: &[u8], secret: &[u8]) -> bool {
-    let mut different = u8::from(shown.len() != secret.len());
-    for (one, other) in shown.iter().zip(secret.iter().cycle()) {
+/// Compares in a time that depends on the length of `secret` alone.
+fn same(sent: &[u8], secret: &[u8]) -> bool {
+    let mut different = u8::from(sent.len() != secret.len());
+    for (one, other) in sent.iter().zip(secret.iter().cycle()) {
         different |= black_box(one ^ other);
     }
     black_box(different) == 0 && !secret.is_empty()
 }
 
 impl Access {
-    /// For a service at `address`, under these names beside its addresses.
+    /// `hosts` are the names of the service besides its addresses.
     pub fn new(address: IpAddr, hosts: &[String], token: Option<Token>) -> Self {
         let hosts = hosts.iter().map(|host| host.to_ascii_lowercase()).collect();
-        let (sessions, guesses) = (Mutex::default(), Mutex::default());
-        Self { loopback: address.is_loopback(), hosts, token, sessions, guesses }
+        let (sessions, failed) = (Mutex::default(), Mutex::default());
+        Self { loopback: address.is_loopback(), hosts, token, sessions, failed }
     }
 
-    /// Whether Host and Origin are in order.
-    pub(super) fn check_site(&self, uri: &Uri, headers: &HeaderMap, api: bool) -> Result<(), Problem> {
+    /// Checks Host and Origin. `own_pages_only` also refuses links from other sites.
+    pub(super) fn check_site(
+        &self,
+        uri: &Uri,
+        headers: &HeaderMap,
+        own_pages_only: bool,
+    ) -> Result<(), Problem> {
         let host = headers.get(HOST).and_then(|host| host.to_str().ok());
         let Some(host) = host.filter(|_| headers.get_all(HOST).iter().count() == 1) else {
             return Err(Problem::new(StatusCode::BAD_REQUEST, NoHost));
         };
         let authority = uri.authority().map_or(host, |authority| authority.as_str());
-        if !self.knows(host) || !authority.eq_ignore_ascii_case(host) {
+        if !self.is_own_host(host) || !authority.eq_ignore_ascii_case(host) {
             return Err(Problem::new(StatusCode::MISDIRECTED_REQUEST, OtherHost));
         }
         let foreign = || Problem::new(StatusCode::FORBIDDEN, OtherSite);
@@ -111,13 +125,13 @@ impl Access {
             }
         }
         let site = headers.get("sec-fetch-site").and_then(|site| site.to_str().ok());
-        if api && matches!(site, Some("cross-site" | "same-site")) {
+        if own_pages_only && matches!(site, Some("cross-site" | "same-site")) {
             return Err(foreign());
         }
         Ok(())
     }
 
-    fn knows(&self, host: &str) -> bool {
+    fn is_own_host(&self, host: &str) -> bool {
         let Some(name) = without_port(host) else { return false };
         if let Some(address) = name.strip_prefix('[').and_then(|rest| rest.strip_suffix(']')) {
             return address.parse::<Ipv6Addr>().is_ok_and(|ip| self.serves(ip.into()));
@@ -134,50 +148,50 @@ impl Access {
         !self.loopback || ip.is_loopback()
     }
 
-    /// Whether whoever asks from `address` knows the token, by header or by the cookie of a page.
-    pub(super) fn shown(&self, headers: &HeaderMap, address: IpAddr) -> Shown {
+    /// Checks the session cookie, then the bearer token.
+    pub(super) fn credentials(&self, headers: &HeaderMap, address: IpAddr) -> Credentials {
         if self.token.is_none() || self.session(headers).is_some() {
-            return Shown::Right;
+            return Credentials::Valid;
         }
         let bearer = headers.get(AUTHORIZATION).map(|value| value.as_bytes());
         match bearer.and_then(|value| value.strip_prefix(b"Bearer ")) {
-            Some(shown) => self.guess(shown, address),
-            None => Shown::Nothing,
+            Some(token) => self.compare(token, address),
+            None => Credentials::Missing,
         }
     }
 
-    /// Compares a token that was shown, and counts the wrong ones.
-    fn guess(&self, shown: &[u8], address: IpAddr) -> Shown {
-        let Some(token) = &self.token else { return Shown::Right };
-        let mut guesses = lock(&self.guesses);
-        if guesses.too_many(address) {
-            return Shown::TooOften;
+    /// Compares a token and counts wrong ones.
+    fn compare(&self, sent: &[u8], address: IpAddr) -> Credentials {
+        let Some(token) = &self.token else { return Credentials::Valid };
+        let mut failed = lock(&self.failed);
+        if failed.is_limited(address) {
+            return Credentials::RateLimited;
         }
-        if same(shown, token.0.as_bytes()) {
-            return Shown::Right;
+        if same(sent, token.0.as_bytes()) {
+            return Credentials::Valid;
         }
-        guesses.wrong(address);
-        Shown::Wrong
+        failed.add(address);
+        Credentials::Wrong
     }
 
-    /// The cookie of a page that is logged in, where the request has one.
+    /// The value of the request's session cookie, if the session exists.
     fn session(&self, headers: &HeaderMap) -> Option<String> {
         let cookies = headers.get_all(COOKIE).iter().filter_map(|value| value.to_str().ok());
-        let mut shown = cookies
+        let mut sent = cookies
             .flat_map(|value| value.split(';'))
             .filter_map(|pair| pair.trim().strip_prefix(COOKIE_NAME)?.strip_prefix('='));
         let sessions = lock(&self.sessions);
-        shown.find_map(|one| sessions.iter().find(|known| same(one.as_bytes(), known.as_bytes())).cloned())
+        sent.find_map(|one| sessions.iter().find(|known| same(one.as_bytes(), known.as_bytes())).cloned())
     }
 
-    /// The cookie for a page that shows the token.
-    pub(super) fn log_in(&self, shown: &str, address: IpAddr) -> Result<String, Problem> {
-        match self.guess(shown.as_bytes(), address) {
-            Shown::Right => {}
-            Shown::TooOften => return Err(Diagnostic::new(TooManyGuesses).into()),
-            Shown::Wrong | Shown::Nothing => return Err(Problem::new(StatusCode::UNAUTHORIZED, WrongToken)),
+    /// Starts a session and returns the value of its cookie.
+    pub(super) fn log_in(&self, token: &str, address: IpAddr) -> Result<String, Problem> {
+        match self.compare(token.as_bytes(), address) {
+            Credentials::Wrong => return Err(Problem::new(StatusCode::UNAUTHORIZED, WrongToken)),
+            other => other.check()?,
         }
-        let session = drawn().map_err(|error| Diagnostic::new(NoSystem { why: error.to_string() }))?;
+        let session =
+            random_cookie().map_err(|error| Diagnostic::new(NoSystem { why: error.to_string() }))?;
         let mut sessions = lock(&self.sessions);
         sessions.push_back(session.clone());
         if sessions.len() > MOST_SESSIONS {
@@ -186,24 +200,14 @@ impl Access {
         Ok(session)
     }
 
-    /// The page's cookie is worth nothing from now on.
     pub(super) fn log_out(&self, headers: &HeaderMap) {
-        if let Some(gone) = self.session(headers) {
-            lock(&self.sessions).retain(|known| *known != gone);
+        if let Some(ended) = self.session(headers) {
+            lock(&self.sessions).retain(|known| *known != ended);
         }
     }
 }
 
-/// The refusal of a client that has not shown what it must know.
-pub(super) fn refusal(shown: Shown) -> Option<Problem> {
-    match shown {
-        Shown::Right => None,
-        Shown::Nothing | Shown::Wrong => Some(Problem::new(StatusCode::UNAUTHORIZED, NoToken)),
-        Shown::TooOften => Some(Diagnostic::new(TooManyGuesses).into()),
-    }
-}
-
-/// The name or address in a Host, whose port must be a number.
+/// The name or address of a Host header. `None` if its port is not a number.
 fn without_port(host: &str) -> Option<&str> {
     let end = host.rfind(']').map_or(0, |bracket| bracket + 1);
     match host.get(end..)?.split_once(':') {
@@ -224,7 +228,7 @@ mod tests {
     }
 
     #[test]
-    fn only_the_same_bytes_are_the_same() {
+    fn tokens_are_compared_byte_by_byte() {
         assert!(same(b"0123456789abcdef", b"0123456789abcdef"));
         for wrong in [&b""[..], b"0123456789abcdeg", b"0123456789abcde", b"0123456789abcdef0123456789abcdef"]
         {
@@ -234,10 +238,10 @@ mod tests {
     }
 
     #[test]
-    fn names_of_others_are_not_served() {
+    fn foreign_host_names_are_refused() {
         let local = access("127.0.0.1");
         for host in ["127.0.0.1:8230", "localhost", "LOCALHOST:1", "[::1]:8230", "cell-3:80"] {
-            assert!(local.knows(host), "{host}");
+            assert!(local.is_own_host(host), "{host}");
         }
         for host in [
             "evil.example",
@@ -254,14 +258,14 @@ mod tests {
             "localhost:x",
             "::1",
         ] {
-            assert!(!local.knows(host), "{host}");
+            assert!(!local.is_own_host(host), "{host}");
         }
-        assert!(access("192.168.0.7").knows("192.168.0.7:8230"));
-        assert!(!access("0.0.0.0").knows("rebound.example:8230"));
+        assert!(access("192.168.0.7").is_own_host("192.168.0.7:8230"));
+        assert!(!access("0.0.0.0").is_own_host("rebound.example:8230"));
     }
 
     #[test]
-    fn short_tokens_are_none() {
+    fn short_tokens_are_refused() {
         assert!(Token::new("0123456789abcde\n").is_none());
         assert!(Token::new(" 0123456789abcdef\n").is_some());
         assert!(Token::new("0123456789abc def").is_none());

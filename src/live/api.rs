@@ -1,4 +1,4 @@
-//! The handlers: each takes what it needs off the request and asks the service.
+//! The pages and the HTTP API of a cell: routes and handlers.
 
 use std::sync::Arc;
 
@@ -7,48 +7,138 @@ use axum::extract::{Extension, Path, State};
 use axum::http::StatusCode;
 use axum::http::header::CONTENT_TYPE;
 use axum::response::{IntoResponse, Response};
-use serde::Deserialize;
+use axum::routing::{MethodRouter, delete, get, post, put};
+use serde::{Deserialize, Serialize};
 use serde_json::json;
 use tokio::sync::watch;
 
+use super::access::Access;
 use super::connections::Peer;
+use super::guard::{Gate, Journal, PageFile, Route, Site, session};
 use super::json::{Body, Problem, json};
 use super::service::{Act, Catalogue, JobKind, JobRequest, Service, StartRequest};
-use super::{downloads, metrics as prometheus, stream as live_stream};
+use super::{downloads, metrics, stream};
 use crate::catalogue::ServiceFinding::{NoJob, NoResultKind, PathNotText, RemarkLength, WorkerLost};
 use crate::diagnostic::Diagnostic;
 
-/// The API's description, kept by hand; a test holds it to the routes.
+/// The description of the API. A test compares it with the routes.
 pub const OPENAPI: &str = include_str!("openapi.json");
-
-/// What handlers need.
-#[derive(Clone)]
-pub(super) struct App {
-    pub(super) service: Arc<dyn Service>,
-    pub(super) stop: watch::Receiver<bool>,
-}
-
-type Answer = Result<Response, Problem>;
-/// Parts of a path; what is no text is refused.
-type Parts<T> = Result<Path<T>, PathRejection>;
-
 /// Longest remark, characters.
 const LONGEST_REMARK: usize = 250;
 
-/// Asks the service on a thread where it may wait.
+#[derive(Clone)]
+struct App {
+    service: Arc<dyn Service>,
+    stop: watch::Receiver<bool>,
+}
+
+type Answer = Result<Response, Problem>;
+/// Parameters of a path. They fail to decode where the path is not UTF-8.
+type Parts<T> = Result<Path<T>, PathRejection>;
+
+const FILES: &[PageFile] = &[
+    file("/", "text/html; charset=utf-8", include_str!("page/index.html")),
+    file("/style.css", "text/css; charset=utf-8", include_str!("page/style.css")),
+    script("/app.js", include_str!("page/app.js")),
+    script("/gauge.js", include_str!("page/gauge.js")),
+    script("/polar.js", include_str!("page/polar.js")),
+    script("/numbers.js", include_str!("page/numbers.js")),
+    script("/strip.js", include_str!("page/strip.js")),
+    script("/link.js", include_str!("page/link.js")),
+    script("/mounting.js", include_str!("page/mounting.js")),
+    script("/texts.js", include_str!("page/texts.js")),
+    file("/texts.json", "application/json", LANGUAGES),
+    script("/runs.js", include_str!("page/runs.js")),
+];
+
+/// The texts of the page by language. A new language is a file and a line here.
+const LANGUAGES: &str = concat!(
+    "{\"en\":",
+    include_str!("page/texts/en.json"),
+    ",\"de\":",
+    include_str!("page/texts/de.json"),
+    "}"
+);
+
+const fn file(path: &'static str, kind: &'static str, content: &'static str) -> PageFile {
+    PageFile { path, kind, content }
+}
+
+const fn script(path: &'static str, content: &'static str) -> PageFile {
+    file(path, "text/javascript; charset=utf-8", content)
+}
+
+fn table() -> Vec<Route<App>> {
+    vec![
+        ("/api/v1/openapi.json", "GET", get(openapi)),
+        session(),
+        ("/api/v1/status", "GET", get(status)),
+        ("/api/v1/stream", "GET", get(live_stream)),
+        ("/api/v1/points", "GET", get(points)),
+        ("/api/v1/device", "PUT", put(choose)),
+        ("/api/v1/ports", "GET", list(Catalogue::Ports)),
+        ("/api/v1/protocols", "GET", list(Catalogue::Protocols)),
+        ("/api/v1/robots", "GET", list(Catalogue::Robots)),
+        ("/api/v1/plans", "GET", list(Catalogue::Plans)),
+        ("/api/v1/reading", "DELETE, POST", post(connect).merge(delete(disconnect))),
+        ("/api/v1/reading/zero", "POST", post(zero)),
+        ("/api/v1/act", "POST", post(act)),
+        ("/api/v1/run", "POST", post(start)),
+        ("/api/v1/run/stop", "POST", post(stop)),
+        ("/api/v1/run/mark", "POST", post(mark)),
+        ("/api/v1/runs", "GET", get(runs)),
+        ("/api/v1/runs/{name}", "GET", get(run)),
+        ("/api/v1/runs/{name}/capture", "GET", get(capture)),
+        ("/api/v1/runs/{name}/{kind}/{file}", "GET", get(result)),
+        ("/api/v1/jobs", "GET, POST", get(jobs).merge(post(submit))),
+        ("/api/v1/jobs/{id}", "GET", get(job)),
+        ("/api/v1/jobs/{id}/cancel", "POST", post(cancel)),
+        ("/metrics", "GET", get(prometheus)),
+    ]
+}
+
+/// Paths of the API and their methods, as `GET` or `GET, POST`.
+pub fn routes() -> Vec<(&'static str, &'static str)> {
+    table().into_iter().map(|(path, methods, _)| (path, methods)).collect()
+}
+
+/// The pages and the API of a cell.
+pub fn cell_site(service: Arc<dyn Service>, access: Arc<Access>, stop: watch::Receiver<bool>) -> Site {
+    let journal: Arc<dyn Journal> = service.clone();
+    let gate = Gate { access, journal, files: FILES, form_action: "'none'", sign_in: None };
+    Site::new(gate, table(), App { service, stop })
+}
+
+/// Calls the service on a thread that may block.
 async fn ask<T: Send + 'static>(
     app: App,
     question: impl FnOnce(&dyn Service) -> Result<T, Diagnostic> + Send + 'static,
 ) -> Result<T, Problem> {
-    Ok(wait(move || question(&*app.service)).await?)
+    Ok(on_blocking_thread(move || question(&*app.service)).await?)
 }
 
-/// Does what may wait on a thread for it.
-pub(super) async fn wait<T: Send + 'static>(
+pub(super) async fn on_blocking_thread<T: Send + 'static>(
     work: impl FnOnce() -> Result<T, Diagnostic> + Send + 'static,
 ) -> Result<T, Diagnostic> {
     let done = tokio::task::spawn_blocking(work).await;
     done.unwrap_or_else(|error| Err(WorkerLost { worker: error.to_string() }.into()))
+}
+
+/// The JSON that the service gives.
+async fn reply<T: Serialize + Send + 'static>(
+    app: App,
+    question: impl FnOnce(&dyn Service) -> Result<T, Diagnostic> + Send + 'static,
+) -> Answer {
+    Ok(json(StatusCode::OK, &ask(app, question).await?))
+}
+
+/// 202 without a body, if the service accepts.
+async fn accept(
+    app: App,
+    command: impl FnOnce(&dyn Service) -> Result<(), Diagnostic> + Send + 'static,
+) -> Answer {
+    ask(app, command).await?;
+    Ok(StatusCode::ACCEPTED.into_response())
 }
 
 fn parts<T>(parts: Parts<T>) -> Result<T, Problem> {
@@ -57,145 +147,116 @@ fn parts<T>(parts: Parts<T>) -> Result<T, Problem> {
         .map_err(|error| Problem::new(StatusCode::BAD_REQUEST, PathNotText { why: error.body_text() }))
 }
 
-pub(super) async fn openapi() -> Response {
+async fn openapi() -> Response {
     ([(CONTENT_TYPE, "application/json")], OPENAPI).into_response()
 }
 
-pub(super) async fn status(State(app): State<App>) -> Response {
+async fn status(State(app): State<App>) -> Response {
     json(StatusCode::OK, &*app.service.status().borrow())
 }
 
-pub(super) async fn stream(State(app): State<App>, Extension(peer): Extension<Peer>) -> Response {
-    live_stream::answer(&*app.service, app.stop, peer.busy())
+async fn live_stream(State(app): State<App>, Extension(peer): Extension<Peer>) -> Response {
+    stream::answer(&*app.service, app.stop, peer.busy())
 }
 
-pub(super) async fn points(State(app): State<App>) -> Answer {
-    let points = ask(app, |service| Ok(service.points())).await?;
-    Ok(json(StatusCode::OK, &json!({ "points": points })))
+async fn points(State(app): State<App>) -> Answer {
+    reply(app, |service| Ok(json!({ "points": service.points() }))).await
 }
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct Choice {
-    #[serde(default)]
+struct Choice {
     port: Option<String>,
-    #[serde(default)]
     protocol: Option<String>,
 }
 
-pub(super) async fn choose(State(app): State<App>, Body(choice): Body<Choice>) -> Answer {
-    let now = app.service.status();
-    ask(app, move |service| service.choose(choice.port, choice.protocol)).await?;
-    Ok(json(StatusCode::OK, &now.borrow().device))
+async fn choose(State(app): State<App>, Body(choice): Body<Choice>) -> Answer {
+    reply(app, move |service| {
+        service.choose(choice.port, choice.protocol)?;
+        Ok(service.status().borrow().device.clone())
+    })
+    .await
 }
 
-async fn catalogue(app: App, which: Catalogue) -> Answer {
-    let found = ask(app, move |service| service.catalogue(which)).await?;
-    Ok(json(StatusCode::OK, &found))
-}
-
-pub(super) async fn ports(State(app): State<App>) -> Answer {
-    catalogue(app, Catalogue::Ports).await
-}
-
-pub(super) async fn protocols(State(app): State<App>) -> Answer {
-    catalogue(app, Catalogue::Protocols).await
-}
-
-pub(super) async fn robots(State(app): State<App>) -> Answer {
-    catalogue(app, Catalogue::Robots).await
-}
-
-pub(super) async fn plans(State(app): State<App>) -> Answer {
-    catalogue(app, Catalogue::Plans).await
+fn list(which: Catalogue) -> MethodRouter<App> {
+    get(move |State(app): State<App>| reply(app, move |service| service.catalogue(which)))
 }
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct Connect {
-    #[serde(default)]
+struct Connect {
     plan: Option<String>,
 }
 
-pub(super) async fn connect(State(app): State<App>, Body(Connect { plan }): Body<Connect>) -> Answer {
-    ask(app, move |service| service.connect(plan)).await?;
-    Ok(StatusCode::ACCEPTED.into_response())
+async fn connect(State(app): State<App>, Body(Connect { plan }): Body<Connect>) -> Answer {
+    accept(app, move |service| service.connect(plan)).await
 }
 
-pub(super) async fn disconnect(State(app): State<App>) -> Answer {
-    ask(app, |service| service.disconnect()).await?;
-    Ok(StatusCode::ACCEPTED.into_response())
+async fn disconnect(State(app): State<App>) -> Answer {
+    accept(app, |service| service.disconnect()).await
 }
 
-pub(super) async fn zero(State(app): State<App>) -> Answer {
-    ask(app, |service| service.zero()).await?;
-    Ok(StatusCode::ACCEPTED.into_response())
+async fn zero(State(app): State<App>) -> Answer {
+    accept(app, |service| service.zero()).await
 }
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct Acted {
+struct ActRequest {
     act: Act,
 }
 
-pub(super) async fn act(State(app): State<App>, Body(Acted { act }): Body<Acted>) -> Answer {
-    ask(app, move |service| {
+async fn act(State(app): State<App>, Body(ActRequest { act }): Body<ActRequest>) -> Answer {
+    accept(app, move |service| {
         service.act(act);
         Ok(())
     })
-    .await?;
-    Ok(StatusCode::ACCEPTED.into_response())
+    .await
 }
 
-pub(super) async fn start(State(app): State<App>, Body(request): Body<StartRequest>) -> Answer {
+async fn start(State(app): State<App>, Body(request): Body<StartRequest>) -> Answer {
     let name = request.name.clone();
     ask(app, move |service| service.start(request)).await?;
     Ok(json(StatusCode::CREATED, &json!({ "name": name })))
 }
 
-/// Not on a thread where others wait: it must work whatever they do.
-pub(super) async fn stop(State(app): State<App>) -> Answer {
+/// Does not use the pool of blocking threads: *stop* must work while all of them wait.
+async fn stop(State(app): State<App>) -> Answer {
     app.service.stop()?;
     Ok(StatusCode::ACCEPTED.into_response())
 }
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct Remark {
+struct Remark {
     text: String,
 }
 
-pub(super) async fn mark(State(app): State<App>, Body(remark): Body<Remark>) -> Answer {
-    let text = remark.text.trim();
-    if text.is_empty() || text.contains(char::is_control) || text.chars().count() > LONGEST_REMARK {
+async fn mark(State(app): State<App>, Body(Remark { text }): Body<Remark>) -> Answer {
+    let trimmed = text.trim();
+    let length = trimmed.chars().count();
+    if length == 0 || length > LONGEST_REMARK || trimmed.contains(char::is_control) {
         return Err(Diagnostic::new(RemarkLength { most: LONGEST_REMARK }).into());
     }
-    ask(app, move |service| service.mark(remark.text)).await?;
-    Ok(StatusCode::ACCEPTED.into_response())
+    accept(app, move |service| service.mark(text)).await
 }
 
-pub(super) async fn runs(State(app): State<App>) -> Answer {
-    let runs = ask(app, |service| service.runs()).await?;
-    Ok(json(StatusCode::OK, &json!({ "runs": runs })))
+async fn runs(State(app): State<App>) -> Answer {
+    reply(app, |service| Ok(json!({ "runs": service.runs()? }))).await
 }
 
-pub(super) async fn run(State(app): State<App>, name: Parts<String>) -> Answer {
+async fn run(State(app): State<App>, name: Parts<String>) -> Answer {
     let name = parts(name)?;
-    let run = ask(app, move |service| service.run(&name)).await?;
-    Ok(json(StatusCode::OK, &run))
+    reply(app, move |service| service.run(&name)).await
 }
 
-pub(super) async fn capture(
-    State(app): State<App>,
-    Extension(peer): Extension<Peer>,
-    name: Parts<String>,
-) -> Answer {
+async fn capture(State(app): State<App>, Extension(peer): Extension<Peer>, name: Parts<String>) -> Answer {
     let name = parts(name)?;
     let download = ask(app, move |service| service.file(&name, None)).await?;
     Ok(downloads::answer(download, peer.busy()))
 }
 
-pub(super) async fn result(
+async fn result(
     State(app): State<App>,
     Extension(peer): Extension<Peer>,
     path: Parts<(String, String, String)>,
@@ -208,12 +269,11 @@ pub(super) async fn result(
     Ok(downloads::answer(download, peer.busy()))
 }
 
-pub(super) async fn jobs(State(app): State<App>) -> Answer {
-    let jobs = ask(app, |service| Ok(service.jobs())).await?;
-    Ok(json(StatusCode::OK, &json!({ "jobs": jobs })))
+async fn jobs(State(app): State<App>) -> Answer {
+    reply(app, |service| Ok(json!({ "jobs": service.jobs() }))).await
 }
 
-pub(super) async fn submit(State(app): State<App>, Body(request): Body<JobRequest>) -> Answer {
+async fn submit(State(app): State<App>, Body(request): Body<JobRequest>) -> Answer {
     let job = ask(app, move |service| service.submit(request)).await?;
     Ok(json(StatusCode::ACCEPTED, &job))
 }
@@ -223,17 +283,16 @@ fn job_number(id: Parts<String>) -> Result<u64, Problem> {
     id.parse().map_err(|_| Diagnostic::new(NoJob { job: id }).into())
 }
 
-pub(super) async fn job(State(app): State<App>, id: Parts<String>) -> Answer {
+async fn job(State(app): State<App>, id: Parts<String>) -> Answer {
     let id = job_number(id)?;
-    Ok(json(StatusCode::OK, &ask(app, move |service| service.job(id)).await?))
+    reply(app, move |service| service.job(id)).await
 }
 
-pub(super) async fn cancel(State(app): State<App>, id: Parts<String>) -> Answer {
+async fn cancel(State(app): State<App>, id: Parts<String>) -> Answer {
     let id = job_number(id)?;
-    Ok(json(StatusCode::OK, &ask(app, move |service| service.cancel(id)).await?))
+    reply(app, move |service| service.cancel(id)).await
 }
 
-pub(super) async fn metrics(State(app): State<App>) -> Response {
-    let text = prometheus::text(&app.service.status().borrow());
-    prometheus::answer(text)
+async fn prometheus(State(app): State<App>) -> Response {
+    metrics::answer(metrics::text(&app.service.status().borrow()))
 }

@@ -1,8 +1,8 @@
-//! The open connections: how many there may be, and which one goes when there are too many.
+//! Limits on the number of open connections.
 //!
-//! A newcomer is always let in, or else whoever holds all places keeps the operator from *stop*. In its place goes
-//! another connection: first of those that have not shown the token, then of those without a request at work, the
-//! oldest.
+//! A new connection is always accepted; otherwise a client that holds all places would keep the operator from *stop*. At a
+//! limit another connection is closed for it: first one that has not authenticated, then one without a request in progress,
+//! then the one that has been idle longest.
 
 use std::net::IpAddr;
 use std::sync::{Arc, Mutex, MutexGuard};
@@ -13,40 +13,39 @@ use crate::base::sync::lock;
 
 /// Connections at a time.
 const MOST: usize = 256;
-/// Of them, those that have not shown the token: the other places are for those that have.
-const MOST_STRANGERS: usize = 128;
-/// Of them, those from one address.
-const MOST_STRANGERS_PER_ADDRESS: usize = 32;
+/// Of them, connections that have not authenticated. The other places are reserved for those that have.
+const MOST_UNAUTHENTICATED: usize = 128;
+/// Of them, from one address.
+const MOST_UNAUTHENTICATED_PER_ADDRESS: usize = 32;
 
-/// The open connections.
 #[derive(Clone, Default)]
 pub(super) struct Connections(Arc<Mutex<Table>>);
 
 #[derive(Default)]
 struct Table {
     open: Vec<Entry>,
-    last: u64,
+    events: u64,
 }
 
 struct Entry {
     id: u64,
     address: IpAddr,
-    known: bool,
-    /// Requests that are being answered.
+    authenticated: bool,
+    /// Requests in progress.
     busy: usize,
-    /// Number of the last event: the lower, the longer ago.
-    moved: u64,
-    end: Arc<Notify>,
+    /// Number of the last event: lower means idle for longer.
+    last_event: u64,
+    close: Arc<Notify>,
 }
 
-/// A place among them, which is free again when this is dropped.
+/// An open connection. Dropping it frees its place.
 pub(super) struct Place {
-    connections: Connections,
-    id: u64,
-    pub(super) end: Arc<Notify>,
+    pub(super) peer: Peer,
+    /// Notified when the connection is to be closed.
+    pub(super) close: Arc<Notify>,
 }
 
-/// One connection, as its requests see it.
+/// A connection as its requests see it.
 #[derive(Clone)]
 pub(super) struct Peer {
     connections: Connections,
@@ -54,31 +53,30 @@ pub(super) struct Peer {
     pub(super) address: IpAddr,
 }
 
-/// A request at work, for as long as this lives.
+/// A request in progress, until it is dropped.
 pub(super) struct Busy(Peer);
 
 impl Table {
-    fn next(&mut self) -> u64 {
-        self.last += 1;
-        self.last
+    fn next_event(&mut self) -> u64 {
+        self.events += 1;
+        self.events
     }
 
-    /// Which of those that are `meant` goes first.
-    fn first_to_go(&self, meant: impl Fn(&Entry) -> bool) -> Option<u64> {
-        let meant = self.open.iter().filter(|entry| meant(entry));
-        meant.min_by_key(|entry| (entry.known, entry.busy > 0, entry.moved)).map(|entry| entry.id)
-    }
-
-    /// The connection in whose place one more from `address` comes, where there are too many.
-    fn in_place_of(&self, address: IpAddr) -> Option<u64> {
-        let strangers = || self.open.iter().filter(|entry| !entry.known);
-        if strangers().filter(|entry| entry.address == address).count() >= MOST_STRANGERS_PER_ADDRESS {
-            return self.first_to_go(|entry| !entry.known && entry.address == address);
-        }
-        if strangers().count() >= MOST_STRANGERS || self.open.len() >= MOST {
-            return self.first_to_go(|_| true);
-        }
-        None
+    /// Index of the connection to close for a new one from `address`; `None` below the limits.
+    fn to_close(&self, address: IpAddr) -> Option<usize> {
+        let open = || self.open.iter().enumerate();
+        let same_address = |(_, entry): &(usize, &Entry)| !entry.authenticated && entry.address == address;
+        let order = |(_, entry): &(usize, &Entry)| (entry.authenticated, entry.busy > 0, entry.last_event);
+        let found = if open().filter(same_address).count() >= MOST_UNAUTHENTICATED_PER_ADDRESS {
+            open().filter(same_address).min_by_key(order)
+        } else if open().filter(|(_, entry)| !entry.authenticated).count() >= MOST_UNAUTHENTICATED
+            || self.open.len() >= MOST
+        {
+            open().min_by_key(order)
+        } else {
+            None
+        };
+        found.map(|(at, _)| at)
     }
 }
 
@@ -87,50 +85,50 @@ impl Connections {
         lock(&self.0)
     }
 
-    /// A place for a connection from `address`, and the address of the one that had to go for it.
+    /// Adds a connection. Also returns the address of the connection that is closed for it.
     pub(super) fn enter(&self, address: IpAddr) -> (Place, Option<IpAddr>) {
         let mut table = self.table();
-        let gone =
-            table.in_place_of(address).and_then(|id| table.open.iter().position(|entry| entry.id == id));
-        let gone = gone.map(|at| table.open.swap_remove(at));
-        if let Some(entry) = &gone {
-            entry.end.notify_one();
+        let closed = table.to_close(address).map(|at| table.open.swap_remove(at));
+        if let Some(entry) = &closed {
+            entry.close.notify_one();
         }
-        let id = table.next();
-        let end = Arc::new(Notify::new());
-        table.open.push(Entry { id, address, known: false, busy: 0, moved: id, end: Arc::clone(&end) });
-        (Place { connections: self.clone(), id, end }, gone.map(|entry| entry.address))
-    }
-}
-
-impl Place {
-    pub(super) fn peer(&self, address: IpAddr) -> Peer {
-        Peer { connections: self.connections.clone(), id: self.id, address }
+        let id = table.next_event();
+        let close = Arc::new(Notify::new());
+        table.open.push(Entry {
+            id,
+            address,
+            authenticated: false,
+            busy: 0,
+            last_event: id,
+            close: Arc::clone(&close),
+        });
+        let peer = Peer { connections: self.clone(), id, address };
+        (Place { peer, close }, closed.map(|entry| entry.address))
     }
 }
 
 impl Drop for Place {
     fn drop(&mut self) {
-        self.connections.table().open.retain(|entry| entry.id != self.id);
+        self.peer.connections.table().open.retain(|entry| entry.id != self.peer.id);
     }
 }
 
 impl Peer {
     fn change(&self, change: impl FnOnce(&mut Entry)) {
         let mut table = self.connections.table();
-        let moved = table.next();
+        let event = table.next_event();
         if let Some(entry) = table.open.iter_mut().find(|entry| entry.id == self.id) {
-            entry.moved = moved;
+            entry.last_event = event;
             change(entry);
         }
     }
 
-    /// Its last request has shown the token, or has not.
-    pub(super) fn known(&self, known: bool) {
-        self.change(|entry| entry.known = known);
+    /// Notes whether the last request was authenticated.
+    pub(super) fn authenticated(&self, authenticated: bool) {
+        self.change(|entry| entry.authenticated = authenticated);
     }
 
-    /// A request of it is at work.
+    /// Notes that a request begins.
     pub(super) fn busy(&self) -> Busy {
         self.change(|entry| entry.busy += 1);
         Busy(self.clone())

@@ -1,4 +1,4 @@
-//! Files, piece by piece, so that a long capture needs no memory.
+//! File downloads. Files are read in pieces, so that a long capture does not need much memory.
 
 use std::fs::File;
 use std::io::Read;
@@ -12,13 +12,13 @@ use super::connections::Busy;
 use super::service::Download;
 use crate::base::hash::sha256_base64;
 
-/// Bytes read at a time.
+/// Size of a piece, bytes.
 const PIECE: usize = 64 * 1024;
-/// The script of the pages' viewer.
+/// The script of a report.
 const VIEWER: &str = include_str!("../report/viewer.js");
 
-/// A report holds its own style and pictures, and of scripts that of the viewer alone; its origin is none, so that it reaches
-/// nothing of the service.
+/// Content security policy of a report: its own style and images, no script but the viewer's, and an opaque origin, so that it
+/// cannot reach the service.
 fn report_policy() -> String {
     format!(
         "default-src 'none'; script-src 'sha256-{}'; style-src 'unsafe-inline'; img-src data:; sandbox allow-scripts; \
@@ -27,7 +27,7 @@ fn report_policy() -> String {
     )
 }
 
-/// Answers with a file: what a browser shows is shown, the rest saved.
+/// A browser displays the types that it knows and saves the others.
 pub(super) fn answer(download: Download, busy: Busy) -> Response {
     let Download { file, name, bytes } = download;
     let kind = match name.rsplit_once('.').map(|(_, extension)| extension) {
@@ -38,8 +38,8 @@ pub(super) fn answer(download: Download, busy: Busy) -> Response {
         Some("toml") => "text/plain; charset=utf-8",
         _ => "application/octet-stream",
     };
-    let shown = kind != "application/octet-stream";
-    let disposition = if shown { "inline".into() } else { format!("attachment; filename=\"{name}\"") };
+    let displayed = kind != "application/octet-stream";
+    let disposition = if displayed { "inline".into() } else { format!("attachment; filename=\"{name}\"") };
     let headers = [
         (CONTENT_TYPE, kind.to_owned()),
         (CONTENT_LENGTH, bytes.to_string()),

@@ -1,4 +1,4 @@
-//! The guard before every request, and what is behind it: site, token, and the headers of each answer.
+//! The middleware of every request: Host and Origin, token or session cookie, security headers.
 
 use std::fmt::Display;
 use std::sync::Arc;
@@ -15,12 +15,12 @@ use axum::response::{IntoResponse, Response};
 use axum::routing::{MethodRouter, delete, get, post};
 use serde::Deserialize;
 
-use super::access::{Access, COOKIE_NAME, Shown, refusal};
+use super::access::{Access, COOKIE_NAME, Credentials};
 use super::connections::Peer;
 use super::json::{Body, Problem};
 use crate::catalogue::ServiceFinding::{NotAllowed, NothingHere, PathTooLong};
 
-/// What a page may do: talk to its service, and nothing else.
+/// Content security policy of the pages: they reach their own service only. The source of `form-action` follows.
 const PAGE_POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; \
     img-src 'self' data:; base-uri 'none'; frame-ancestors 'none'; form-action ";
 /// Longest path with query, bytes.
@@ -30,41 +30,33 @@ const SESSION: &str = "/api/v1/session";
 /// A path, its methods as `GET` or `GET, POST`, and its handlers.
 pub(super) type Route<A> = (&'static str, &'static str, MethodRouter<A>);
 
-/// A file of a page that holds nothing secret: whoever has no token gets it too.
+/// A file of a page. It is served without a token, so it must hold no secret.
 #[derive(Clone, Copy, Debug)]
 pub struct PageFile {
     pub path: &'static str,
-    /// Its content type.
+    /// Content type.
     pub kind: &'static str,
     pub content: &'static str,
 }
 
-/// Where a service writes what a stranger did.
+/// Receives warnings about clients.
 pub trait Journal: Send + Sync + 'static {
-    /// Writes a warning; one that comes again and again is counted.
+    /// Logs a warning. Repeated warnings are counted and logged less often.
     fn warn(&self, event: &'static str, fields: &[(&str, &dyn Display)]);
 }
 
-/// Who may ask, and what everybody gets.
+/// What the middleware needs.
 pub(super) struct Gate {
     pub(super) access: Arc<Access>,
     pub(super) journal: Arc<dyn Journal>,
     pub(super) files: &'static [PageFile],
-    pub(super) forms: Forms,
-    /// The page that asks a browser for the token, where none of the files does.
+    /// Source of `form-action` in the content security policy.
+    pub(super) form_action: &'static str,
+    /// The page that asks for the token, if none of the files does.
     pub(super) sign_in: Option<String>,
 }
 
-/// Where the forms of the pages may lead.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Forms {
-    Nowhere,
-    /// To the service itself, as a search does.
-    #[cfg_attr(not(feature = "archive"), expect(dead_code))]
-    Here,
-}
-
-/// Pages and API behind their guard.
+/// Pages and API behind the middleware.
 #[derive(Clone)]
 pub struct Site {
     pub(super) router: Router,
@@ -97,7 +89,6 @@ impl Site {
     }
 }
 
-/// What every request passes: site, token, and the headers of its answer.
 async fn guard(
     State(gate): State<Arc<Gate>>,
     Extension(peer): Extension<Peer>,
@@ -113,7 +104,7 @@ async fn guard(
     };
     let headers = response.headers_mut();
     if !headers.contains_key(CONTENT_SECURITY_POLICY)
-        && let Ok(policy) = HeaderValue::from_str(&gate.policy())
+        && let Ok(policy) = HeaderValue::from_str(&format!("{PAGE_POLICY}{}", gate.form_action))
     {
         headers.insert(CONTENT_SECURITY_POLICY, policy);
     }
@@ -128,33 +119,25 @@ async fn guard(
 }
 
 impl Gate {
-    fn policy(&self) -> String {
-        let forms = match self.forms {
-            Forms::Nowhere => "'none'",
-            Forms::Here => "'self'",
-        };
-        format!("{PAGE_POLICY}{forms}")
-    }
-
     fn admit(&self, peer: &Peer, request: &Request) -> Result<(), Problem> {
         let path = request.uri().path();
         if request.uri().to_string().len() > LONGEST_URI {
             return Err(Problem::new(StatusCode::URI_TOO_LONG, PathTooLong));
         }
         let is_file = self.files.iter().any(|file| file.path == path);
-        // A link from elsewhere may lead to a page; the API is for the service's own pages.
-        let own_alone = !(is_file || self.sign_in.is_some() && is_page(request));
-        self.access.check_site(request.uri(), request.headers(), own_alone)?;
-        let shown = self.access.shown(request.headers(), peer.address);
-        peer.known(shown == Shown::Right);
-        // The page itself holds nothing secret, and asks for the token.
+        // Other sites may link to a page. The API is for the service's own pages.
+        let own_pages_only = !(is_file || self.sign_in.is_some() && is_page(request));
+        self.access.check_site(request.uri(), request.headers(), own_pages_only)?;
+        let credentials = self.access.credentials(request.headers(), peer.address);
+        peer.authenticated(credentials == Credentials::Valid);
+        // The files hold no secret, and the page asks for the token.
         if is_file || (path == SESSION && request.method() == Method::POST) {
             return Ok(());
         }
-        if matches!(shown, Shown::Wrong | Shown::TooOften) {
-            self.report_guess(peer);
+        if matches!(credentials, Credentials::Wrong | Credentials::RateLimited) {
+            self.log_wrong_token(peer);
         }
-        refusal(shown).map_or(Ok(()), Err)
+        credentials.check()
     }
 
     fn refuse(&self, request: &Request, problem: Problem) -> Response {
@@ -166,24 +149,22 @@ impl Gate {
         }
     }
 
-    /// A wrong token is a matter for the log.
-    fn report_guess(&self, peer: &Peer) {
+    fn log_wrong_token(&self, peer: &Peer) {
         self.journal.warn("wrong_token", &[("address", &peer.address)]);
     }
 }
 
-/// Whether a browser asks for something to show.
+/// Whether a browser asks for a page.
 fn is_page(request: &Request) -> bool {
     let accepted = request.headers().get(ACCEPT).and_then(|accepted| accepted.to_str().ok());
     request.method() == Method::GET && accepted.is_some_and(|accepted| accepted.contains("text/html"))
 }
 
-/// A page as an answer.
 pub(super) fn page_content(page: String) -> impl IntoResponse {
     ([(CONTENT_TYPE, "text/html; charset=utf-8")], page)
 }
 
-/// Where a page shows the token.
+/// The route to log in with the token and to log out.
 pub(super) fn session<A: Clone + Send + Sync + 'static>() -> Route<A> {
     (SESSION, "DELETE, POST", post(log_in).merge(delete(log_out)))
 }
@@ -197,11 +178,11 @@ struct LogIn {
 async fn log_in(
     Extension(gate): Extension<Arc<Gate>>,
     Extension(peer): Extension<Peer>,
-    Body(shown): Body<LogIn>,
+    Body(LogIn { token }): Body<LogIn>,
 ) -> Result<Response, Problem> {
-    let logged_in = gate.access.log_in(&shown.token, peer.address);
-    let session = logged_in.inspect_err(|_| gate.report_guess(&peer))?;
-    peer.known(true);
+    let logged_in = gate.access.log_in(&token, peer.address);
+    let session = logged_in.inspect_err(|_| gate.log_wrong_token(&peer))?;
+    peer.authenticated(true);
     let cookie = format!("{COOKIE_NAME}={session}; Path=/; HttpOnly; SameSite=Strict");
     Ok((StatusCode::NO_CONTENT, [(SET_COOKIE, cookie)]).into_response())
 }

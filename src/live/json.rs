@@ -1,4 +1,4 @@
-//! JSON in, within limits, and out; every refusal has the same form.
+//! JSON bodies, with limits, and the JSON form of every refusal.
 
 use std::time::Duration;
 
@@ -16,9 +16,9 @@ use crate::catalogue::ServiceFinding::{
 };
 use crate::diagnostic::{Code, Diagnostic};
 
-/// Longest body that is taken, bytes.
+/// Longest body, bytes.
 const LONGEST_BODY: usize = 64 * 1024;
-/// How long a body may take.
+/// Timeout for a body.
 const BODY_TIME: Duration = Duration::from_secs(10);
 
 /// A refusal: `{"error": .., "code": .., "help": ..}`.
@@ -44,7 +44,7 @@ impl Problem {
     }
 }
 
-/// Of what the service refuses: by the family and code, what is not in them is the device's or a file's.
+/// The HTTP status follows from the code. A code without an entry refers to the device, a run or a file: 409.
 impl From<Diagnostic> for Problem {
     fn from(finding: Diagnostic) -> Self {
         let status = match finding.code.0 {
@@ -83,7 +83,6 @@ impl IntoResponse for Problem {
     }
 }
 
-/// An answer in JSON.
 pub(super) fn json(status: StatusCode, content: &impl Serialize) -> Response {
     match serde_json::to_string(content) {
         Ok(text) => (status, [(CONTENT_TYPE, "application/json")], text).into_response(),
@@ -91,7 +90,7 @@ pub(super) fn json(status: StatusCode, content: &impl Serialize) -> Response {
     }
 }
 
-/// A body in JSON.
+/// A JSON body.
 pub(super) struct Body<T>(pub(super) T);
 
 impl<T: DeserializeOwned, S: Sync> FromRequest<S> for Body<T> {
@@ -111,7 +110,7 @@ impl<T: DeserializeOwned, S: Sync> FromRequest<S> for Body<T> {
                 Problem::new(StatusCode::PAYLOAD_TOO_LARGE, BodyTooLong { most_bytes: LONGEST_BODY })
             })?;
         serde_json::from_slice(&bytes).map(Self).map_err(|error| {
-            // What is JSON but not what is asked for has a status of its own.
+            // Valid JSON with the wrong content has a status of its own.
             let why = error.to_string();
             match error.classify() {
                 Category::Data => Problem::new(StatusCode::UNPROCESSABLE_ENTITY, BodyContent { why }),

@@ -1,4 +1,4 @@
-//! The state in the text form that Prometheus reads.
+//! Metrics in the text format of Prometheus.
 
 use std::fmt::Write;
 
@@ -7,9 +7,9 @@ use axum::response::{IntoResponse, Response};
 
 use super::view::{RunStatus, State, Status};
 
-/// A family of values, each with its labels as `{state="done"}` or with none.
+/// Writes a metric family: its values with their labels, as `{state="done"}` or empty.
 pub(super) fn family(out: &mut String, name: &str, kind: &str, help: &str, values: &[(&str, f64)]) {
-    // A String takes every write.
+    // Writing to a String cannot fail.
     let _ = writeln!(out, "# HELP dbbd_{name} {help}\n# TYPE dbbd_{name} {kind}");
     for (labels, value) in values {
         let _ = writeln!(out, "dbbd_{name}{labels} {value}");
@@ -20,7 +20,7 @@ pub(super) fn answer(text: String) -> Response {
     ([(CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")], text).into_response()
 }
 
-/// The metrics; counts are those of the run that is on.
+/// The metrics of a cell. Counts are those of the current run, 0 without one.
 pub(super) fn text(status: &Status) -> String {
     let mut out = String::new();
     let mut metric =

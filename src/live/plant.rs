@@ -1,4 +1,4 @@
-//! The page of a plant: robots, bars and runs of an archive, behind the same guard as the page of a cell.
+//! The pages of a plant: robots, bars and runs of an archive.
 
 use std::sync::Arc;
 
@@ -6,32 +6,31 @@ use axum::extract::rejection::PathRejection;
 use axum::extract::{Extension, Path, State};
 use axum::http::Uri;
 use axum::response::{IntoResponse, Response};
-use axum::routing::get;
+use axum::routing::{MethodRouter, get};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use super::access::Access;
-use super::api::wait;
+use super::api::on_blocking_thread;
 use super::connections::Peer;
 use super::downloads;
-use super::guard::{Forms, Gate, Journal, PageFile, Route, Site, page_content, session};
+use super::guard::{Gate, Journal, PageFile, Route, Site, page_content, session};
 use super::json::Problem;
 use super::metrics::{self, family};
 use super::service::Download;
 use crate::catalogue::ArchiveFinding::NotAQuestion;
 use crate::diagnostic::Diagnostic;
 
-/// What the pages ask of an archive. The methods may wait for database and store: they are called on threads of their own.
+/// The archive behind the pages. The methods may block: they are called on blocking threads.
 pub trait Plant: Send + Sync + 'static {
-    /// A page, in HTML.
+    /// HTML of a page.
     fn page(&self, question: &Question) -> Result<String, Diagnostic>;
-    /// The page that says why there is none.
+    /// HTML of the page for an error.
     fn refusal(&self, why: &Diagnostic) -> Result<String, Diagnostic>;
-    /// The page that asks for the token.
+    /// HTML of the page that asks for the token.
     fn sign_in(&self) -> Result<String, Diagnostic>;
-    /// What all pages share.
     fn files(&self) -> &'static [PageFile];
-    /// The stored report of a run's newest result.
+    /// The report of a run's newest result.
     fn report(&self, run: &str) -> Result<Download, Diagnostic>;
     fn numbers(&self) -> Result<PlantNumbers, Diagnostic>;
 }
@@ -44,23 +43,23 @@ pub enum Question {
     Bars(Filter),
     Bar(Name),
     Runs(RunFilter),
-    /// The first digits of the SHA-256 of its capture.
+    /// By the first digits of the SHA-256 of its capture.
     Run(String),
 }
 
-/// Which robots or bars, and which page of them.
+/// A search for robots or bars, and the page of the list.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Filter {
-    /// A text that its name or its type contain.
+    /// A part of the name or the type.
     pub q: String,
     pub decision: Decided,
     pub order: Order,
-    /// From 1; 0 is the first too.
+    /// From 1. 0 also means the first page.
     pub page: u32,
 }
 
-/// What the last check of a robot decided.
+/// The decision of a robot's last check.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Decided {
@@ -70,7 +69,7 @@ pub enum Decided {
     Pass,
     Fail,
     Undecided,
-    /// It was never checked.
+    /// Never checked.
     None,
 }
 
@@ -80,101 +79,79 @@ pub enum Order {
     #[default]
     #[serde(alias = "")]
     Name,
-    /// Those first whose last check is the longest ago.
+    /// By the date of the last check, the oldest first.
     Check,
 }
 
-/// A robot or a bar.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Name {
     pub name: String,
 }
 
-/// Which runs, the newest first.
+/// A search for runs.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct RunFilter {
-    /// A text that robot, type, bar, cell or operator contain.
+    /// A part of robot, type, bar, cell or operator.
     pub q: String,
     pub robot: String,
     pub bar: String,
     pub cell: String,
-    /// Dates: from the first on, up to before the second.
+    /// Dates. `until` is exclusive.
     pub since: String,
     pub until: String,
-    /// The last run of the page before: date, space, SHA-256.
+    /// Last run of the previous page: date, space, SHA-256.
     pub after: String,
 }
 
-/// What `/metrics` states of an archive: names with their counts.
+/// The metrics of an archive: counts by name.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PlantNumbers {
     pub runs: u64,
     pub results: u64,
     pub jobs: Vec<(&'static str, u64)>,
     pub robots: Vec<(&'static str, u64)>,
-    /// Age of the job that waits the longest, s; 0 where none waits.
+    /// Age of the oldest waiting job, s; 0 without one.
     pub oldest_waiting_s: f64,
 }
 
-type Asked = Arc<dyn Plant>;
+type App = Arc<dyn Plant>;
 
-/// The page of a plant.
-///
-/// # Errors
-/// Only a fault of the template itself.
 pub fn plant_site(
     plant: Arc<dyn Plant>,
     access: Arc<Access>,
     journal: Arc<dyn Journal>,
 ) -> Result<Site, Diagnostic> {
     let sign_in = Some(plant.sign_in()?);
-    let gate = Gate { access, journal, files: plant.files(), forms: Forms::Here, sign_in };
+    let gate = Gate { access, journal, files: plant.files(), form_action: "'self'", sign_in };
     Ok(Site::new(gate, table(), plant))
 }
 
-fn table() -> Vec<Route<Asked>> {
+fn table() -> Vec<Route<App>> {
     vec![
         session(),
-        (
-            "/",
-            "GET",
-            get(async |State(plant): State<Asked>, uri: Uri| ask(plant, &uri, Question::Robots).await),
-        ),
-        (
-            "/robot",
-            "GET",
-            get(async |State(plant): State<Asked>, uri: Uri| ask(plant, &uri, Question::Robot).await),
-        ),
-        (
-            "/bars",
-            "GET",
-            get(async |State(plant): State<Asked>, uri: Uri| ask(plant, &uri, Question::Bars).await),
-        ),
-        (
-            "/bar",
-            "GET",
-            get(async |State(plant): State<Asked>, uri: Uri| ask(plant, &uri, Question::Bar).await),
-        ),
-        (
-            "/runs",
-            "GET",
-            get(async |State(plant): State<Asked>, uri: Uri| ask(plant, &uri, Question::Runs).await),
-        ),
+        ("/", "GET", page(Question::Robots)),
+        ("/robot", "GET", page(Question::Robot)),
+        ("/bars", "GET", page(Question::Bars)),
+        ("/bar", "GET", page(Question::Bar)),
+        ("/runs", "GET", page(Question::Runs)),
         ("/runs/{run}", "GET", get(run)),
         ("/runs/{run}/report.html", "GET", get(report)),
         ("/metrics", "GET", get(numbers)),
     ]
 }
 
-/// A page that is asked for by the query of its address.
-async fn ask<T: DeserializeOwned>(plant: Asked, uri: &Uri, question: fn(T) -> Question) -> Response {
-    let asked = serde_urlencoded::from_str(uri.query().unwrap_or_default());
-    answer(plant, asked.map(question).map_err(|error| NotAQuestion { why: error.to_string() }.into())).await
+/// A page whose question is in the query of its address.
+fn page<T: DeserializeOwned + 'static>(question: fn(T) -> Question) -> MethodRouter<App> {
+    get(move |State(plant): State<App>, uri: Uri| {
+        let asked = serde_urlencoded::from_str(uri.query().unwrap_or_default());
+        let asked = asked.map(question).map_err(|error| NotAQuestion { why: error.to_string() }.into());
+        answer(plant, asked)
+    })
 }
 
-async fn run(State(plant): State<Asked>, path: Result<Path<String>, PathRejection>) -> Response {
+async fn run(State(plant): State<App>, path: Result<Path<String>, PathRejection>) -> Response {
     answer(plant, digits(path).map(Question::Run)).await
 }
 
@@ -182,17 +159,17 @@ fn digits(path: Result<Path<String>, PathRejection>) -> Result<String, Diagnosti
     path.map(|Path(digits)| digits).map_err(|error| NotAQuestion { why: error.body_text() }.into())
 }
 
-async fn answer(plant: Asked, question: Result<Question, Diagnostic>) -> Response {
+async fn answer(plant: App, question: Result<Question, Diagnostic>) -> Response {
     let asked = Arc::clone(&plant);
     let page = match question {
-        Ok(question) => wait(move || asked.page(&question)).await,
+        Ok(question) => on_blocking_thread(move || asked.page(&question)).await,
         Err(wrong) => Err(wrong),
     };
     page.map_or_else(|why| refused(&plant, why), |page| page_content(page).into_response())
 }
 
-/// A refusal for people.
-fn refused(plant: &Asked, why: Diagnostic) -> Response {
+/// The error page, or the JSON form where that fails.
+fn refused(plant: &App, why: Diagnostic) -> Response {
     let page = plant.refusal(&why);
     let problem = Problem::from(why);
     match page {
@@ -202,20 +179,20 @@ fn refused(plant: &Asked, why: Diagnostic) -> Response {
 }
 
 async fn report(
-    State(plant): State<Asked>,
+    State(plant): State<App>,
     Extension(peer): Extension<Peer>,
     path: Result<Path<String>, PathRejection>,
 ) -> Response {
     let asked = Arc::clone(&plant);
     let found = match digits(path) {
-        Ok(digits) => wait(move || asked.report(&digits)).await,
+        Ok(digits) => on_blocking_thread(move || asked.report(&digits)).await,
         Err(wrong) => Err(wrong),
     };
     found.map_or_else(|why| refused(&plant, why), |report| downloads::answer(report, peer.busy()))
 }
 
-async fn numbers(State(plant): State<Asked>) -> Result<Response, Problem> {
-    let found = wait(move || plant.numbers()).await?;
+async fn numbers(State(plant): State<App>) -> Result<Response, Problem> {
+    let found = on_blocking_thread(move || plant.numbers()).await?;
     Ok(metrics::answer(text(&found)))
 }
 

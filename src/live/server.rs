@@ -1,36 +1,37 @@
-//! Connections: how many, how long their heads may take, and their end.
+//! The HTTP server: accepts connections and limits their number, the size and time of request heads, and send stalls.
 
-use std::io;
+use std::future::Future;
+use std::io::{self, ErrorKind};
 use std::net::SocketAddr;
+use std::pin::Pin;
+use std::task::{Context, Poll};
 use std::time::Duration;
 
 use axum::{Extension, Router};
 use hyper::server::conn::http1;
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
+use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::{TcpListener, TcpSocket, TcpStream};
 use tokio::sync::watch;
 use tokio::task::JoinSet;
-use tokio::time::timeout;
+use tokio::time::{Sleep, sleep, timeout};
 
 use super::connections::{Connections, Place};
 use super::guard::Site;
-use super::stall::Stalling;
 
-/// How long the head of a request may take.
+/// Timeout for the head of a request.
 const HEAD_TIME: Duration = Duration::from_secs(10);
 /// Longest head of a request, bytes.
 const LONGEST_HEAD: usize = 16 * 1024;
-/// What the system may hold for a client that does not read, bytes: what is older is not worth a look.
+/// Send buffer of the system per connection, bytes. A client that does not read has no use for more.
 const SEND_BUFFER: u32 = 64 * 1024;
-/// How long open requests may take at the end.
-const LAST_WORDS: Duration = Duration::from_secs(2);
+/// Timeout for a client that does not read what is sent.
+const SEND_TIME: Duration = Duration::from_secs(30);
+/// Timeout for open requests when the service stops.
+const SHUTDOWN_TIME: Duration = Duration::from_secs(2);
 
-/// An address on which the service listens.
-///
-/// # Errors
-/// When it cannot be had.
-pub(super) fn listen(address: SocketAddr) -> io::Result<TcpListener> {
+fn listen(address: SocketAddr) -> io::Result<TcpListener> {
     let socket = if address.is_ipv4() { TcpSocket::new_v4()? } else { TcpSocket::new_v6()? };
     socket.set_reuseaddr(true)?;
     socket.set_send_buffer_size(SEND_BUFFER)?;
@@ -38,10 +39,7 @@ pub(super) fn listen(address: SocketAddr) -> io::Result<TcpListener> {
     socket.listen(128)
 }
 
-/// Serves a site at `address` until `stop` says so; `ready` is given the address once.
-///
-/// # Errors
-/// When the address cannot be had.
+/// Serves a site at `address` until `stop` is true. `ready` receives the bound address.
 pub async fn serve(
     address: SocketAddr,
     site: Site,
@@ -60,38 +58,89 @@ pub async fn serve(
         while connections.try_join_next().is_some() {}
         match accepted {
             Ok((stream, from)) => {
-                let (place, gone) = open.enter(from.ip());
-                if let Some(gone) = gone {
-                    site.journal.warn("connection_shed", &[("address", &gone), ("for", &from.ip())]);
+                let (place, closed) = open.enter(from.ip());
+                if let Some(closed) = closed {
+                    site.journal.warn("connection_shed", &[("address", &closed), ("for", &from.ip())]);
                 }
-                let router = site.router.clone().layer(Extension(place.peer(from.ip())));
-                connections.spawn(talk(stream, router, stop.clone(), place));
+                let router = site.router.clone().layer(Extension(place.peer.clone()));
+                connections.spawn(serve_connection(stream, router, stop.clone(), place));
             }
-            // Out of file handles, as a rule: others must go first.
-            Err(_) => tokio::time::sleep(Duration::from_millis(50)).await,
+            // Usually out of file handles: wait until other connections close.
+            Err(_) => sleep(Duration::from_millis(50)).await,
         }
     }
     drop(listener);
-    let _ = timeout(LAST_WORDS, async { while connections.join_next().await.is_some() {} }).await;
+    let _ = timeout(SHUTDOWN_TIME, async { while connections.join_next().await.is_some() {} }).await;
     Ok(())
 }
 
-async fn talk(stream: TcpStream, router: Router, mut stop: watch::Receiver<bool>, place: Place) {
-    // Frames are small and must not wait for each other.
+async fn serve_connection(stream: TcpStream, router: Router, mut stop: watch::Receiver<bool>, place: Place) {
+    // Live frames are small and must not be delayed by Nagle's algorithm.
     let _ = stream.set_nodelay(true);
     let connection = http1::Builder::new()
         .timer(TokioTimer::new())
         .header_read_timeout(HEAD_TIME)
         .max_buf_size(LONGEST_HEAD)
-        // The library ends the process where the clock has no date of four digits.
+        // hyper panics when the year of the system clock does not have four digits.
         .auto_date_header(false)
-        .serve_connection(TokioIo::new(Stalling::new(stream)), TowerToHyperService::new(router));
+        .serve_connection(
+            TokioIo::new(SendTimeout { stream, since: None }),
+            TowerToHyperService::new(router),
+        );
     let mut connection = std::pin::pin!(connection);
-    // How it ends is the client's affair.
+    // Errors of a connection concern its client only.
     tokio::select! {
         _ = &mut connection => return,
-        () = place.end.notified() => return,
+        () = place.close.notified() => return,
         _ = stop.wait_for(|stop| *stop) => connection.as_mut().graceful_shutdown(),
     }
     let _ = connection.await;
+}
+
+/// A connection that fails when the client reads nothing for [`SEND_TIME`]. hyper has no such timeout.
+struct SendTimeout {
+    stream: TcpStream,
+    since: Option<Pin<Box<Sleep>>>,
+}
+
+impl SendTimeout {
+    fn limit<T>(&mut self, poll: Poll<io::Result<T>>, context: &mut Context<'_>) -> Poll<io::Result<T>> {
+        if poll.is_ready() {
+            self.since = None;
+            return poll;
+        }
+        let since = self.since.get_or_insert_with(|| Box::pin(sleep(SEND_TIME)));
+        since.as_mut().poll(context).map(|()| Err(ErrorKind::TimedOut.into()))
+    }
+}
+
+impl AsyncRead for SendTimeout {
+    fn poll_read(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+        buffer: &mut ReadBuf<'_>,
+    ) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.stream).poll_read(context, buffer)
+    }
+}
+
+impl AsyncWrite for SendTimeout {
+    fn poll_write(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+        bytes: &[u8],
+    ) -> Poll<io::Result<usize>> {
+        let poll = Pin::new(&mut self.stream).poll_write(context, bytes);
+        self.limit(poll, context)
+    }
+
+    fn poll_flush(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
+        let poll = Pin::new(&mut self.stream).poll_flush(context);
+        self.limit(poll, context)
+    }
+
+    fn poll_shutdown(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
+        let poll = Pin::new(&mut self.stream).poll_shutdown(context);
+        self.limit(poll, context)
+    }
 }

@@ -1,4 +1,4 @@
-//! The live stream: server-sent events. A client that reads too slowly loses messages and receives their number.
+//! The live stream: server-sent events. A client that reads too slowly loses messages and is told how many.
 
 use std::collections::VecDeque;
 use std::convert::Infallible;
@@ -15,20 +15,20 @@ use super::connections::Busy;
 use super::service::Service;
 use super::view::Message;
 
-/// Silence after which a comment is sent, so that a broken connection is noticed.
+/// A comment is sent after this silence, so that a broken connection is noticed.
 const KEEP_ALIVE: Duration = Duration::from_secs(5);
 
 struct Stream {
-    /// What a new client must know first.
+    /// The state when the client connected.
     first: VecDeque<Message>,
     messages: broadcast::Receiver<Message>,
     stop: watch::Receiver<bool>,
     _busy: Busy,
 }
 
-/// Answers with the stream: first the state and the points so far, then what comes.
+/// First the state and the points so far, then the messages.
 pub(super) fn answer(service: &dyn Service, stop: watch::Receiver<bool>, busy: Busy) -> Response {
-    // Subscribed before the points are read: none falls between; one may come twice.
+    // Subscribe before reading the points: none is lost, one may come twice.
     let messages = service.messages();
     let status = Message::new("status", &*service.status().borrow());
     let first = VecDeque::from([status, Message::new("points", &service.points())]);
@@ -46,7 +46,7 @@ impl Stream {
         if let Some(message) = self.first.pop_front() {
             return Some(message);
         }
-        // An open stream would hold up the end of the process.
+        // An open stream would delay the shutdown.
         let received = tokio::select! {
             _ = self.stop.wait_for(|stop| *stop) => return None,
             received = self.messages.recv() => received,

@@ -1,4 +1,4 @@
-//! What a client sees of the device and the run.
+//! The state of the device and the run as clients see it. `openapi.json` describes the fields.
 
 use std::sync::Arc;
 
@@ -6,40 +6,35 @@ use serde::Serialize;
 
 use crate::diagnostic::Code;
 
-/// One message of the live stream: its name and its JSON, made once for all clients.
+/// A message of the live stream. The JSON is made once for all clients.
 #[derive(Clone, Debug)]
 pub struct Message {
-    /// Name of the event: `status`, `frame`, `point`, `mounting`, `begin`, `job`.
+    /// `status`, `frame`, `point`, `mounting`, `begin`, `job`, ...
     pub event: &'static str,
-    /// Its content, one JSON document.
     pub data: Arc<str>,
 }
 
 impl Message {
-    /// A message with a content that JSON can hold; what it cannot (there is no such) becomes `null`.
+    /// The content is `null` if JSON cannot hold it, which happens for no message of this program.
     pub fn new(event: &'static str, content: &impl Serialize) -> Self {
         let data = serde_json::to_string(content).unwrap_or_else(|_| "null".into());
         Self { event, data: data.into() }
     }
 }
 
-/// State of the service.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum State {
-    /// No port was chosen, or it is not there.
+    /// No port is selected, or it is absent.
     #[default]
     NoDevice,
-    /// The port is there and nobody reads it.
     Idle,
-    /// A run is on.
     Running,
-    /// The last run failed; the next start clears this.
+    /// The last run failed. The next start clears this state.
     Failed,
 }
 
 impl State {
-    /// As it is written in JSON.
     pub fn name(self) -> &'static str {
         match self {
             State::NoDevice => "no_device",
@@ -50,106 +45,87 @@ impl State {
     }
 }
 
-/// The service at a moment.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Status {
     pub version: &'static str,
     pub state: State,
-    /// Why, where the state needs a word.
     pub reason: Option<String>,
-    /// The code of the finding that is the reason.
+    /// Code of the reason.
     pub code: Option<Code>,
     pub device: Device,
-    /// The run that is on.
     pub run: Option<RunStatus>,
-    /// The bar that is read without a run: a run without name.
+    /// The bar is read without a run. The name is empty.
     pub reading: Option<RunStatus>,
-    /// How the last run of this process ended.
     pub last: Option<LastRun>,
-    /// What waits for the archive, where there is one.
     pub archive: Option<Archiving>,
 }
 
-/// Runs on their way to the archive.
+/// State of the archiving of runs.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Archiving {
-    /// Runs that the archive confirmed since the start of the service.
+    /// Runs confirmed since the service started.
     pub confirmed: u64,
-    /// Runs that it has not confirmed: in the spool, and refused ones.
+    /// Runs in the spool, and refused runs.
     pub waiting: u64,
     /// Runs that could neither be pushed nor spooled.
     pub refused: u64,
-    /// Why, of the last attempt.
+    /// Reason of the last failed attempt.
     pub reason: Option<String>,
 }
 
-/// The device that a run would read.
+/// The device that the next run reads.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Device {
-    /// Its port, as it was named.
     pub port: Option<String>,
-    /// Whether the port is there.
     pub present: bool,
-    /// The name of its protocol; none: that of the plan.
+    /// `None`: the protocol of the plan.
     pub protocol: Option<String>,
 }
 
-/// A run that is on.
+/// A run in progress.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct RunStatus {
     pub name: String,
-    /// The plan that the robot executes.
     pub plan: Option<String>,
-    /// The robot that the plan was made for.
     pub robot: Option<String>,
-    /// Time that the rest of the plan takes at full override, s.
+    /// Remaining time of the plan at full override, s.
     pub left_s: Option<f64>,
-    /// The pose of the next dwell.
     pub next: Option<NextPose>,
     pub mounting: Mounting,
-    /// Whether the bar can be set to zero.
     pub can_zero: bool,
-    /// When it began, ms since the Unix epoch.
     pub started_unix_ms: u64,
-    /// Host time since, s.
     pub elapsed_s: f64,
-    /// Device time since the first sample, s, where the device has a clock.
+    /// Device time since the first sample, s, if the device has a clock.
     pub device_s: Option<f64>,
-    /// By how much the device's clock is ahead of the host's since the first sample, ms.
+    /// Drift of the device's clock against the host's since the first sample, ms.
     pub clock_ahead_ms: Option<f64>,
-    /// Whether the port is away at this moment.
+    /// Whether the port is absent at this moment.
     pub gone: bool,
-    /// Whether the frames were ever understood one after the other.
+    /// Whether consecutive frames were decoded without a fault.
     pub in_step: bool,
-    /// Samples per second over the last second.
+    /// Over the last second.
     pub rate_hz: f64,
-    /// Bytes that came.
     pub bytes: u64,
-    /// Samples that were written.
     pub samples: u64,
-    /// The last reading, mm.
     pub reading_mm: Option<f64>,
-    /// Length of the bar at reading zero, mm, by the plan.
+    /// Length of the bar at reading zero, mm, from the plan.
     pub bar_length_mm: Option<f64>,
-    /// Lowest and highest reading that the bar allows, mm.
+    /// Lowest and highest reading, mm.
     pub stroke_mm: Option<[f64; 2]>,
-    /// Share of the stroke from its middle beyond which the alarm is raised.
+    /// Share of the half stroke beyond which the alarm is raised.
     pub alarm_share: f64,
-    /// Dwells that are over.
+    /// Completed dwells.
     pub dwells: u32,
     /// Dwells of the plan.
     pub poses: Option<u32>,
-    /// Modules that are over.
+    /// Completed modules.
     pub modules: u32,
-    /// Gaps that were recorded.
     pub gaps: u64,
     /// Samples missing by their sequence numbers.
     pub missing: u64,
-    /// Faults of the stream.
     pub faults: u64,
-    /// Times that the device said that it has no reading.
+    /// Replies of the device without a reading.
     pub rejected: u64,
-    /// Requests that were not answered in time.
     pub unanswered: u64,
     /// Bytes lost between port and recorder.
     pub lost_bytes: u64,
@@ -158,14 +134,13 @@ pub struct RunStatus {
 /// The pose at which the robot dwells next.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct NextPose {
-    /// Its row in the plan.
+    /// Row of the plan.
     pub index: u32,
     pub circle: u32,
-    /// Its angle on the circle, degrees.
     pub angle_deg: Option<f64>,
 }
 
-/// How the bar is mounted, by its readings.
+/// How the bar is mounted, estimated from its readings.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Mounting {
     /// `off`, `handled`, `settling`, `stable`, `moving`.
@@ -174,9 +149,9 @@ pub struct Mounting {
     pub scatter_um: Option<f64>,
     /// Drift at rest, micrometres a second.
     pub drift_um_s: Option<f64>,
-    /// Temperature of the bar, degrees Celsius.
+    /// Of the bar.
     pub temperature_c: Option<f64>,
-    /// What was found, the newest last.
+    /// The newest last.
     pub findings: Vec<MountingNote>,
 }
 
@@ -185,21 +160,17 @@ pub struct Mounting {
 pub struct MountingNote {
     pub code: Code,
     pub text: String,
-    /// Its size, micrometres; of a creep micrometres a second.
+    /// Of a drift in micrometres per second.
     pub size_um: f64,
-    /// When, ms since the Unix epoch.
     pub unix_ms: u64,
 }
 
-/// How a run ended.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct LastRun {
     pub name: String,
     /// What ended it, or why it failed.
     pub ending: String,
-    /// Whether it failed.
     pub failed: bool,
-    /// Samples that were written.
     pub samples: u64,
 }
 
@@ -207,57 +178,51 @@ pub struct LastRun {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Alarm {
-    /// Well inside.
     #[default]
     None,
-    /// Beyond the set share of the stroke.
+    /// Beyond the alarm share of the stroke.
     Near,
     /// Beyond the stroke.
     Over,
 }
 
-/// What came between two frames: the extremes are kept.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+/// The samples since the previous frame: extremes and last values.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Frame {
-    /// Number of the frame in its run, from 1.
+    /// Number of the frame, from 1.
     pub frame: u64,
-    /// Time of the last sample since the first one, s, by the device's clock where it has one.
+    /// Time of the last sample since the run's first one, s, by the device's clock if it has one.
     pub t_s: f64,
-    /// When the last sample came, ms since the Unix epoch.
+    /// Arrival of the last sample.
     pub unix_ms: f64,
-    /// How much earlier the first sample of the frame came, ms.
+    /// Time between the first and the last sample of the frame, ms.
     pub span_ms: f64,
     pub samples: u32,
-    /// Least reading, mm.
     pub min_mm: f64,
-    /// Greatest reading, mm.
     pub max_mm: f64,
-    /// Last reading, mm.
     pub last_mm: f64,
-    /// The worst of its samples.
+    /// The worst of the samples.
     pub alarm: Alarm,
-    /// Whether the bar is between its balls all the time; before and after, its reading means nothing.
+    /// Whether the bar was mounted during the whole frame. Otherwise its reading is meaningless.
     pub mounted: bool,
-    /// Whether the strobe was high at its end, where the protocol carries it.
+    /// Strobe of the last sample, if the protocol carries it.
     pub strobe: Option<bool>,
-    /// Whether the device vouches for all of its readings.
+    /// Whether the device flags all readings as valid.
     pub valid: bool,
 }
 
-/// A dwell that is over.
+/// A completed dwell.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Point {
-    /// Number of the dwell in its run, from 1.
+    /// Number of the dwell, from 1.
     pub dwell: u32,
-    /// The row of the plan that it is by count; which it really is, the alignment decides afterwards.
+    /// Row of the plan by count. The pose matching after the run decides which row it really is.
     pub index: Option<u32>,
     pub circle: Option<u32>,
-    /// Its angle on the circle, degrees.
     pub angle_deg: Option<f64>,
-    /// Whether the pass goes against growing angles.
     pub clockwise: bool,
     /// Mean reading during the strobe, mm.
     pub reading_mm: f64,
-    /// Distance of the balls less the planned one, mm.
+    /// Measured minus planned length, mm.
     pub deviation_mm: Option<f64>,
 }

@@ -1,4 +1,4 @@
-// The page: it reads the stream, shows the state, connects, starts and stops.
+// Main script: reads the stream, shows the state, connects, starts and stops.
 
 import { choose, known, language, languages, t } from "/texts.js";
 import { ask, hear } from "/link.js";
@@ -16,7 +16,7 @@ let plans = [];
 let lost = 0;
 let named = false;
 let seenState = null;
-// Whether the bar is to be read again after the run.
+// Whether to connect to the bar again after the run.
 let connected = false;
 
 function say(text) {
@@ -121,7 +121,7 @@ function showStatus(now) {
 
 const checks = () => [...document.querySelectorAll("#checks input")];
 
-// The start waits for the check list.
+// The start button is enabled when the check list is complete.
 function permit() {
   const ready = checks().every((box) => box.checked);
   $("start").disabled = !!status?.run || !ready;
@@ -198,7 +198,7 @@ const reopen = hear({
   job: runs.show,
   lost(what) {
     lost += what.messages;
-    // Points may be among what was lost.
+    // The lost messages may include points.
     ask("GET", "/points").then(({ points }) => polar.all(points), () => {});
   },
   up() {
@@ -220,7 +220,7 @@ $("start-form").addEventListener("submit", (event) => {
     connected = !!status?.reading;
     const checked = checks().filter((box) => box.checked).map((box) => box.value);
     await ask("POST", "/run", { name: $("name").value, plan: $("plan").value || null, checked });
-    // Every run is checked anew.
+    // Each run has a new check list.
     checks().forEach((box) => (box.checked = false));
     permit();
   });
@@ -241,7 +241,7 @@ $("confirm").addEventListener("close", () => {
 $("checks").addEventListener("change", permit);
 $("plan").addEventListener("change", () => {
   showPlan();
-  // The stroke that is shown is that of the plan.
+  // Shows the stroke of the plan.
   if (status?.reading) attempt(connect);
 });
 $("connect").addEventListener("click", () => attempt(connect));

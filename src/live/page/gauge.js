@@ -1,4 +1,4 @@
-// Length and stroke: the number, the bar with its zones, the alarm with its sound.
+// Length and stroke: the number, the gauge with its zones, the alarm with its sound.
 
 import { ask } from "/link.js";
 import { fixed, signed, timeOfDay } from "/numbers.js";
@@ -23,7 +23,7 @@ function shape(name, attributes, parent) {
   return node;
 }
 
-// The stroke takes 80 % of the width; beyond it is drawn to 10 % on either side.
+// The stroke takes 80 % of the width. 10 % on either side are beyond it.
 function place(value) {
   const [low, high] = stroke;
   return Math.max(4, Math.min(996, 100 + (800 * (value - low)) / (high - low)));
@@ -50,7 +50,7 @@ function draw() {
   shape("rect", { class: "hand", id: "hand", x: 0, y: 4, width: 8, height: 112 }, svg);
 }
 
-/** The run's stroke and alarm, from the state. */
+/** Sets stroke and alarm share from the state. */
 export function setup(run) {
   const now = JSON.stringify([run?.stroke_mm, run?.alarm_share]);
   if (run && now !== drawn) {
@@ -68,14 +68,14 @@ export function setup(run) {
   }
 }
 
-/** A new run has nothing behind it. */
+/** Resets the gauge for a new run. */
 export function begin() {
   worst = null;
   level = "none";
   showAlarm();
 }
 
-/** A picture of the stream. */
+/** Shows a frame. */
 export function show(frame, run) {
   $("value").textContent = signed(frame.last_mm);
   $("length").dataset.bar = frame.mounted ? "mounted" : "off";
@@ -97,7 +97,7 @@ export function show(frame, run) {
       if (!worst || beyond(far) > beyond(worst.value)) worst = { value: far, level: frame.alarm, at: Date.now() };
     }
   }
-  // An alarm stays for a moment, or the eye would miss it.
+  // A short alarm stays visible for a moment.
   const rank = { none: 0, near: 1, over: 2 };
   if (rank[frame.alarm] >= rank[level] || performance.now() - levelAt > FORGET_MS) setLevel(frame.alarm);
 }
@@ -124,7 +124,7 @@ function showAlarm() {
   if (box.textContent !== texts[level]) box.textContent = texts[level];
 }
 
-/** A short tone, unless the sound is off. */
+/** Plays a short tone, unless the sound is off. */
 export function beep(hertz) {
   if (!$("sound").checked || !audio) return;
   const tone = audio.createOscillator();
@@ -140,7 +140,7 @@ setInterval(() => {
 }, 500);
 $("gauge").setAttribute("aria-label", t("gauge.label", { text: t("gauge.unknown") }));
 $("sound").checked = localStorage.getItem("sound") !== "off";
-// A browser gives sound only after the user did something.
+// Browsers allow sound only after an action of the user.
 document.addEventListener("click", () => {
   audio ??= new AudioContext();
   audio.resume();

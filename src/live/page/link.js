@@ -1,9 +1,9 @@
-// The connection: requests, and the live stream, which comes back by itself when it breaks.
+// The connection: requests, and the live stream, which reconnects automatically.
 
 const SILENT_MS = 3000;
 const RETRY_MS = 2000;
 
-/** Asks the API; an error carries what the service said, and its status. */
+/** Calls the API. An error has the message of the service and the HTTP status. */
 export async function ask(method, path, body) {
   const answer = await fetch("/api/v1" + path, {
     method,
@@ -17,7 +17,7 @@ export async function ask(method, path, body) {
   throw Object.assign(new Error(said), { status: answer.status });
 }
 
-/** Hears the live stream. `on` has a function for each event, and `up` and `down` for the connection. */
+/** Receives the live stream. `on` has a function per event, and `up` and `down` for the connection. */
 export function hear(on) {
   let source = null;
   let last = performance.now();
@@ -41,7 +41,7 @@ export function hear(on) {
     }
     source.onerror = () => set(false);
   }
-  // A connection that broke without a word is noticed by its silence; one that was refused is tried again.
+  // Silence shows a broken connection. A refused connection is tried again.
   setInterval(() => {
     const silent = performance.now() - last;
     if (silent > SILENT_MS) set(false);

@@ -1,4 +1,4 @@
-// The mounting of the bar: how steady it is, and what is wrong with it.
+// The mounting of the bar: stability and findings.
 
 import { ask } from "/link.js";
 import { fixed, timeOfDay } from "/numbers.js";
@@ -10,7 +10,7 @@ const MOST = 3;
 let found = [];
 let seen = 0;
 
-/** What the state says of the mounting; null where no bar is read. */
+/** Shows the mounting from the state; null if no bar is read. */
 export function show(mounting) {
   const state = mounting?.state;
   $("steady-row").hidden = !state;
@@ -27,7 +27,7 @@ export function show(mounting) {
   all(mounting.findings);
 }
 
-/** One finding more. */
+/** Adds a finding. */
 export function add(finding) {
   if (finding.unix_ms <= seen) return;
   seen = finding.unix_ms;
@@ -57,7 +57,7 @@ $("mounting-clear").addEventListener("click", () => {
   ask("POST", "/act", { act: "alarm_cleared" }).catch(() => {});
 });
 
-/** Forgets the last run. */
+/** Clears the last run. */
 export function begin() {
   found = [];
   draw();

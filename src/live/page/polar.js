@@ -1,4 +1,4 @@
-// The circle as it grows: the deviation at each dwell, magnified.
+// The polar plot: the magnified deviation at each dwell.
 
 import { count, signed } from "/numbers.js";
 import { t } from "/texts.js";
@@ -6,7 +6,7 @@ import { t } from "/texts.js";
 const SVG = "http://www.w3.org/2000/svg";
 const $ = (id) => document.getElementById(id);
 const RADIUS = 70;
-// Deviation that a ring shows, um: 1, 2, 5 and so on.
+// Deviation per ring, um: 1, 2, 5 and so on.
 const STEPS = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000];
 const RING = 20;
 
@@ -14,21 +14,21 @@ let points = new Map();
 let circle = null;
 let step = null;
 
-/** Forgets the last run. */
+/** Clears the last run. */
 export function begin() {
   points = new Map();
   circle = null;
   draw();
 }
 
-/** All dwells so far, after a connection. */
+/** Sets all dwells after a connection. */
 export function all(list) {
   points = new Map(list.map((point) => [point.dwell, point]));
   circle = list.at(-1)?.circle ?? null;
   draw();
 }
 
-/** One dwell more. */
+/** Adds a dwell. */
 export function add(point) {
   points.set(point.dwell, point);
   if (point.circle !== null && point.circle !== circle) circle = point.circle;
@@ -51,7 +51,7 @@ function chosen() {
   return [...points.values()].filter((p) => p.circle === circle && p.angle_deg !== null && p.deviation_mm !== null);
 }
 
-// The step at which the farthest point lies two rings out.
+// The step at which the farthest point is two rings from zero.
 function fit(list) {
   const most = Math.max(0, ...list.map((p) => Math.abs(p.deviation_mm))) * 1e3;
   return Math.max(0, STEPS.findIndex((um) => 2 * um >= most));
@@ -96,7 +96,7 @@ function draw() {
   svg.setAttribute("aria-label", t("polar.label", { text }));
 }
 
-/** Changes the magnification: more, less, or null for fit. */
+/** Changes the scale by a number of steps (negative magnifies), or fits it if null. */
 export function magnify(by) {
   step = by === null ? null : Math.max(0, Math.min(STEPS.length - 1, (step ?? fit(chosen())) + by));
   $("auto").setAttribute("aria-pressed", String(step === null));

@@ -10,7 +10,7 @@ const KINDS = ["identify", "circle", "sync"];
 let jobs = new Map();
 let say = () => {};
 
-/** Where messages go. */
+/** Sets the function that shows messages. */
 export function start(report) {
   say = report;
 }
@@ -22,7 +22,7 @@ function make(name, text, attributes = {}) {
   return node;
 }
 
-/** Reads the list of runs anew. */
+/** Reloads the list of runs. */
 export async function refresh() {
   const { runs } = await ask("GET", "/runs");
   const rows = runs.slice(0, 50).map(row);
@@ -73,7 +73,7 @@ async function submit(kind, run) {
   }
 }
 
-/** A job began, printed something or ended. */
+/** Updates a job. */
 export function show(job) {
   const before = jobs.get(job.id)?.state;
   jobs.set(job.id, job);
@@ -85,7 +85,7 @@ export function show(job) {
   }
 }
 
-/** All jobs, after a connection. */
+/** Sets all jobs after a connection. */
 export async function refreshJobs() {
   const list = (await ask("GET", "/jobs")).jobs;
   jobs = new Map(list.reverse().map((job) => [job.id, job]));

@@ -1,4 +1,4 @@
-// The last minute: least and greatest reading of each picture.
+// Strip chart of the last minute: lowest and highest reading of each frame.
 
 import { fixed } from "/numbers.js";
 
@@ -8,16 +8,16 @@ let frames = [];
 let stroke = null;
 let due = false;
 
-/** Forgets the last run. */
+/** Clears the last run. */
 export function begin() {
   frames = [];
   redraw();
 }
 
-/** One picture more. */
+/** Adds a frame. */
 export function add(frame, run) {
   stroke = run?.stroke_mm ?? null;
-  // Where no bar is mounted, there is nothing to see.
+  // Without a mounted bar there is nothing to show.
   if (!frame.mounted) return;
   if (frames.length && frame.t_s < frames.at(-1).t_s) frames = [];
   frames.push(frame);

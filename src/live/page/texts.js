@@ -1,4 +1,4 @@
-// The texts of the page in the language of the browser, or in the one that was chosen: one file for each language.
+// The texts of the page in the language of the browser or the chosen language. One file per language.
 
 const all = await (await fetch("/texts.json")).json();
 const wanted = [localStorage.getItem("language"), ...navigator.languages.map((tag) => tag.slice(0, 2)), "en"];
@@ -6,19 +6,19 @@ const wanted = [localStorage.getItem("language"), ...navigator.languages.map((ta
 /** The language of the page. */
 export const language = wanted.find((tag) => tag in all);
 
-/** All languages, each with its own name. */
+/** All languages with their own names. */
 export const languages = Object.entries(all).map(([tag, texts]) => [tag, texts.language]);
 
-/** The text of a key, with values for its names in braces; an unknown key is shown as it is. */
+/** The text of a key, with values for its names in braces. An unknown key is returned unchanged. */
 export function t(key, values = {}) {
   const text = all[language][key] ?? key;
   return text.replace(/\{(\w+)\}/g, (_, name) => values[name] ?? "");
 }
 
-/** Whether there is such a text. */
+/** Whether a text exists. */
 export const known = (key) => key in all[language];
 
-/** The page of another language. */
+/** Changes the language of the page. */
 export function choose(tag) {
   localStorage.setItem("language", tag);
   location.reload();
